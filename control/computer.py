@@ -1,0 +1,289 @@
+"""The flight computer: one sample instant, from gyro angle increments to gimbal and roll commands.
+
+    increments -> converter -> theta_e, rate -> PD law -> bending filter -> + injection -> limit -> DAC
+                  guidance ----^                          roll error and rate -> switching line -> thrusters
+
+The computer knows neither plant nor its own delay: it hands the command over at once, and whoever flies it
+lets the command take effect `delay_ns` later and holds it.
+
+Triples are per body axis x, y, z (roll, pitch, yaw), pairs per gimbal axis (pitch, yaw).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated
+
+import numpy as np
+
+from maxq.control.converter import Converter, ConverterState, convert, make_converter
+from maxq.control.filters import MAX_SECTIONS, DiscreteFilter, filter_sample, settle_filter
+from maxq.control.guidance import GuidanceState, advance_guidance, start_guidance
+from maxq.control.jit import kernel
+from maxq.control.law import Law, LawState, limit_and_quantise, proportional_derivative, update_angle_error
+from maxq.control.records import Array, IntArray
+from maxq.control.roll import Roll, RollState, silence_roll, update_roll
+from maxq.control.tables import NO_TABLE, Cubics, Pool, TableRef
+
+# No gyro measures, and no scenario means, a turn of more than this in one sample: beyond it lies a fault.
+INCREMENT_LIMIT_RAD = 1.0e3
+
+_UNUSED_ROLL = Roll(0.0, 1.0, 0.0, 0)
+
+
+@dataclass(frozen=True)
+class FilterBank:
+    """Bending filters in pitch and yaw.
+
+    `sections` (2, MAX_SECTIONS, 5): b0, b1, b2, a1, a2 of each section; `n_sections` (2,).
+    """
+
+    sections: Annotated[Array, (2, MAX_SECTIONS, 5)]
+    n_sections: Annotated[IntArray, (2,)]
+
+
+@dataclass(frozen=True)
+class Computer:
+    """Parameters.
+
+    `sample_ns`: period of the ticks. `delay_ns`: from a tick to the effect of its command; read by the plant.
+
+    `programme`: table of `guidance.rate_programme`. The switches are 1 or 0: with `control_on` = 0 the law
+    gives 0 (injected commands still pass), with `guidance_on` = 0 the programme stands still, with `roll_on`
+    = 0 no thruster fires.
+    """
+
+    sample_ns: int
+    delay_ns: int
+    control_on: int
+    guidance_on: int
+    roll_on: int
+    programme: TableRef
+    converter: Converter
+    law: Law
+    filters: FilterBank
+    roll: Roll
+
+
+@dataclass
+class ComputerState:
+    """All that the computer remembers; made by `records.blank`, started by `start_computer`.
+
+    `ticks`: samples done. `invalid_inputs`: inputs refused so far (`computer_tick`). `filter_memory`: of each
+    gimbal axis and section. `command_rad`: gimbal command issued at the last tick; the roll demand is
+    `roll.demand`.
+    """
+
+    ticks: int
+    invalid_inputs: int
+    converter: ConverterState
+    guidance: GuidanceState
+    law: LawState
+    filter_memory: Annotated[Array, (2, MAX_SECTIONS, 2)]
+    command_rad: Annotated[Array, (2,)]
+    roll: RollState
+
+
+def build_computer(
+    pool: Pool,
+    *,
+    sample_ns: int,
+    delay_ns: int = 0,
+    count_rad: float = 0.0,
+    dac_step_rad: float = 0.0,
+    angle_error_limit_rad: float = np.inf,
+    command_limit_rad: float = np.inf,
+    gains: Cubics | None = None,
+    programme: Cubics | None = None,
+    pitch_filter: DiscreteFilter | None = None,
+    yaw_filter: DiscreteFilter | None = None,
+    roll: Roll | None = None,
+    control_on: bool = True,
+    guidance_on: bool = True,
+    roll_on: bool = True,
+) -> Computer:
+    """Parameters of a computer; its tables go into `pool`.
+
+    `gains` comes from `law.gains_table`; without it the law gives 0. `programme` comes from
+    `guidance.rate_programme`; without it the commanded rates are 0. Filters come from
+    `BendingFilter.discretize`; without `yaw_filter` yaw is as pitch, without either the law's output passes
+    as it is (a filter of no sections gives one axis none). `roll` comes from `roll.make_roll`; without it no
+    thruster fires. `count_rad` = 0 is an ideal converter, `dac_step_rad` = 0 an ideal DAC, an infinite limit
+    none.
+
+    Raises ValueError, naming key, value and what is allowed.
+    """
+    for key, value, holds, allowed in (
+        ("sample_ns", sample_ns, sample_ns > 0 and int(sample_ns) == sample_ns, "a whole number above 0"),
+        ("delay_ns", delay_ns, delay_ns >= 0 and int(delay_ns) == delay_ns, "a whole number from 0"),
+        ("dac_step_rad", dac_step_rad, 0 <= dac_step_rad < np.inf, "a finite number from 0"),
+        ("angle_error_limit_rad", angle_error_limit_rad, angle_error_limit_rad > 0, "above 0"),
+        ("command_limit_rad", command_limit_rad, command_limit_rad > 0, "above 0"),
+    ):
+        if not holds:
+            raise ValueError(f"{key} = {value}: allowed is {allowed}")
+    return Computer(
+        sample_ns=sample_ns,
+        delay_ns=delay_ns,
+        control_on=int(control_on),
+        guidance_on=int(guidance_on),
+        roll_on=int(roll_on and roll is not None),
+        programme=_placed(pool, "programme", programme, 6),
+        converter=make_converter(count_rad),
+        law=Law(_placed(pool, "gains", gains, 4), angle_error_limit_rad, command_limit_rad, dac_step_rad),
+        filters=_bank(sample_ns, pitch_filter, pitch_filter if yaw_filter is None else yaw_filter),
+        roll=roll or _UNUSED_ROLL,
+    )
+
+
+def _placed(pool: Pool, key: str, table: Cubics | None, n_columns: int) -> TableRef:
+    if table is None:
+        return NO_TABLE
+    if table.n_columns != n_columns:
+        raise ValueError(f"{key} has {table.n_columns} columns: allowed is {n_columns}")
+    return pool.add(table)
+
+
+def _bank(sample_ns: int, *filters: DiscreteFilter | None) -> FilterBank:
+    """Raises ValueError for a filter made for another sample period."""
+    sections, n_sections = np.zeros((2, MAX_SECTIONS, 5)), np.zeros(2, np.int64)
+    for gimbal, discrete in enumerate(filters):
+        if discrete is None:
+            continue
+        if round(discrete.sample_s * 1e9) != sample_ns:
+            raise ValueError(
+                f"filter's sample_s = {discrete.sample_s}: allowed is {sample_ns / 1e9}, the computer's"
+            )
+        sections[gimbal], n_sections[gimbal] = discrete.padded(), discrete.n_sections
+    return FilterBank(sections, n_sections)
+
+
+@kernel
+def start_computer(computer: Computer, pool: Array, state: ComputerState, time_s: float) -> None:
+    """Sets all of `state` to 0 with the programme starting at `time_s`, the beginning of the first sample."""
+    state.ticks = 0
+    state.invalid_inputs = 0
+    start_guidance(pool, computer.programme, state.guidance, time_s)
+    for axis in range(3):
+        state.converter.counts[axis] = 0
+        state.converter.total_counts[axis] = 0
+        state.converter.residual_rad[axis] = 0.0
+        state.converter.increment_rad[axis] = 0.0
+        state.converter.angle_rad[axis] = 0.0
+        state.law.theta_e_rad[axis] = 0.0
+        state.law.discarded_rad[axis] = 0.0
+        state.law.error_limited[axis] = 0
+        state.law.rate_radps[axis] = 0.0
+    for gimbal in range(2):
+        state.law.k_p[gimbal] = 0.0
+        state.law.k_d_s[gimbal] = 0.0
+        state.law.pd_rad[gimbal] = 0.0
+        state.law.filtered_rad[gimbal] = 0.0
+        state.law.requested_rad[gimbal] = 0.0
+        state.law.command_limited[gimbal] = 0
+        state.command_rad[gimbal] = 0.0
+        settle_filter(
+            computer.filters.sections[gimbal],
+            computer.filters.n_sections[gimbal],
+            state.filter_memory[gimbal],
+            0.0,
+        )
+    state.roll.switching_rad = 0.0
+    state.roll.firings = 0
+    silence_roll(state.roll)
+
+
+@kernel
+def computer_tick(
+    computer: Computer,
+    pool: Array,
+    state: ComputerState,
+    time_s: float,
+    increment_rad: Array,
+    rate_injection_radps: Array,
+    rate_replaces: IntArray,
+    gimbal_injection_rad: Array,
+    gimbal_replaces: IntArray,
+) -> None:
+    """One sample instant: reads the sample that ends at `time_s`, leaves the new command in `state`.
+
+    `increment_rad` (3,): gyro angle about x, y, z since the last tick. `rate_injection_radps` (3,): rates,
+    constant over the sample that ends now, that add to the commanded rates, or replace them where
+    `rate_replaces` (3,) is not 0. `gimbal_injection_rad` (2,), `gimbal_replaces` (2,): the same for the
+    filtered command, before limit and DAC.
+
+    Gives `state.command_rad` (2,), pitch and yaw, and `state.roll.demand`.
+
+    An input that is not finite, or an angle beyond `INCREMENT_LIMIT_RAD` in one sample, counts as 0 and is
+    noted in `state.invalid_inputs`: one bad sample cannot poison sums and filters. The caller has to look
+    there, and see to it that `time_s` is finite.
+    """
+    sample_s = computer.sample_ns / 1.0e9
+    for axis in range(3):
+        measured_rad = increment_rad[axis]
+        if not abs(measured_rad) <= INCREMENT_LIMIT_RAD:
+            measured_rad = 0.0
+            state.invalid_inputs += 1
+        injected_radps = rate_injection_radps[axis]
+        if not abs(injected_radps) * sample_s <= INCREMENT_LIMIT_RAD:
+            injected_radps = 0.0
+            state.invalid_inputs += 1
+        convert(computer.converter, state.converter, axis, measured_rad)
+        advance_guidance(
+            pool,
+            computer.programme,
+            state.guidance,
+            axis,
+            time_s,
+            sample_s,
+            computer.guidance_on,
+            injected_radps,
+            rate_replaces[axis],
+        )
+        update_angle_error(
+            computer.law, state.law, axis, state.converter.angle_rad[axis], state.guidance.angle_rad[axis]
+        )
+        state.law.rate_radps[axis] = state.converter.increment_rad[axis] / sample_s
+    for gimbal in range(2):
+        injected_rad = gimbal_injection_rad[gimbal]
+        if not abs(injected_rad) <= INCREMENT_LIMIT_RAD:
+            injected_rad = 0.0
+            state.invalid_inputs += 1
+        update_command(computer, pool, state, gimbal, time_s, injected_rad, gimbal_replaces[gimbal])
+    if computer.roll_on != 0:
+        update_roll(computer.roll, state.roll, state.law.theta_e_rad[0], state.law.rate_radps[0])
+    else:
+        silence_roll(state.roll)
+    state.ticks += 1
+
+
+@kernel
+def update_command(
+    computer: Computer,
+    pool: Array,
+    state: ComputerState,
+    gimbal: int,
+    time_s: float,
+    injected_rad: float,
+    replaces: int,
+) -> None:
+    """Command of gimbal axis `gimbal` (0 pitch, 1 yaw): law, filter, injection, limit, DAC.
+
+    The filter runs on even while its output is replaced, so that it is settled when the law takes over again.
+    """
+    law = state.law
+    pd_rad = 0.0
+    if computer.control_on != 0:
+        pd_rad = proportional_derivative(computer.law, pool, law, gimbal, time_s)
+    law.pd_rad[gimbal] = pd_rad
+    filtered_rad = filter_sample(
+        computer.filters.sections[gimbal],
+        computer.filters.n_sections[gimbal],
+        state.filter_memory[gimbal],
+        pd_rad,
+    )
+    law.filtered_rad[gimbal] = filtered_rad
+    requested_rad = injected_rad if replaces != 0 else filtered_rad + injected_rad
+    law.requested_rad[gimbal] = requested_rad
+    law.command_limited[gimbal] = 1 if abs(requested_rad) > computer.law.command_limit_rad else 0
+    state.command_rad[gimbal] = limit_and_quantise(computer.law, requested_rad)

@@ -1,0 +1,74 @@
+"""Voltage-to-frequency converter: the gyro rate, integrated over a sample, becomes a whole number of pulses.
+
+A pulse is worth `count_rad`. What is left over after a sample stays in the integrator and is counted later,
+so the sum of the pulses follows the true angle to half a pulse for ever (Lee, Ahn & Roh 2.3; errata 15).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Annotated
+
+from maxq.control.jit import kernel
+from maxq.control.records import Array, IntArray
+
+# A pulse finer than this would let the rounding of the carried residual (1e-18 rad per sample) come near to a
+# count in a long flight, and let the total of an int64 come within sight of its end.
+FINEST_COUNT_RAD = 1.0e-9
+
+
+@dataclass(frozen=True)
+class Converter:
+    """`count_rad`: angle per pulse, rad; 0 is the ideal converter, which hands the increment on as it is."""
+
+    count_rad: float
+
+
+@dataclass
+class ConverterState:
+    """Per body axis x, y, z (roll, pitch, yaw), in B relative to I.
+
+    `counts`: pulses of the last sample; `total_counts`: their exact sum; both stay 0 in an ideal converter.
+    `residual_rad`: angle not counted yet. `increment_rad`: the last sample's measured increment. `angle_rad`:
+    sum of the measured increments, computed from `total_counts` and not by adding floats.
+    """
+
+    counts: Annotated[IntArray, (3,)]
+    total_counts: Annotated[IntArray, (3,)]
+    residual_rad: Annotated[Array, (3,)]
+    increment_rad: Annotated[Array, (3,)]
+    angle_rad: Annotated[Array, (3,)]
+
+
+def make_converter(count_rad: float) -> Converter:
+    """Raises ValueError unless `count_rad` is 0 (ideal) or at least `FINEST_COUNT_RAD`, and finite."""
+    if not (count_rad == 0 or FINEST_COUNT_RAD <= count_rad < math.inf):
+        raise ValueError(f"count_rad = {count_rad}: allowed is 0 (ideal) or at least {FINEST_COUNT_RAD:g}")
+    return Converter(count_rad)
+
+
+@kernel
+def round_half_away(value: float) -> int:
+    """Nearest whole number, halves away from 0: odd, so that a mirrored flight is the mirror image."""
+    return int(value + math.copysign(0.5, value))
+
+
+@kernel
+def convert(converter: Converter, state: ConverterState, axis: int, increment_rad: float) -> None:
+    """Counts the gyro angle `increment_rad` of one sample on body axis `axis` (0 roll, 1 pitch, 2 yaw).
+
+    After it |residual_rad| <= count_rad/2, and angle_rad differs from the sum of all true increments by the
+    residual. Limit: the increment must be finite and below 9e18 count_rad; `computer_tick` sees to it.
+    """
+    if converter.count_rad == 0.0:
+        state.increment_rad[axis] = increment_rad
+        state.angle_rad[axis] += increment_rad
+        return
+    available_rad = increment_rad + state.residual_rad[axis]
+    counts = round_half_away(available_rad / converter.count_rad)
+    state.counts[axis] = counts
+    state.total_counts[axis] += counts
+    state.residual_rad[axis] = available_rad - counts * converter.count_rad
+    state.increment_rad[axis] = counts * converter.count_rad
+    state.angle_rad[axis] = state.total_counts[axis] * converter.count_rad

@@ -1,0 +1,300 @@
+"""Bending filters F2 ... F6: continuous form, discretisation, and the kernel that runs one sample.
+
+A filter is a product of quadratic sections (s²/ω_z² + 2 ζ_z s/ω_z + 1)/(s²/ω_p² + 2 ζ_p s/ω_p + 1) and
+first-order sections (s/z + 1)/(s/p + 1), at most `MAX_SECTIONS` in all: Lee, Ahn & Roh eqs 37-41. Every one
+has unit DC gain, and every discretisation keeps it.
+
+The flight computer runs the discrete filter as a cascade of biquads in transposed direct form II.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Literal, get_args
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.linalg import expm
+from scipy.signal import zpk2sos
+
+from maxq.control.jit import kernel
+from maxq.control.records import Array
+
+Discretization = Literal["prewarped", "bilinear", "matched", "zoh"]
+Structure = Literal["none", "F2", "F3", "F4", "F5", "F6"]
+ComplexArray = NDArray[np.complex128]
+
+MAX_SECTIONS = 4
+
+# Number of quadratic and of first-order sections (eqs 37-41).
+STRUCTURES: dict[Structure, tuple[int, int]] = {
+    "none": (0, 0),
+    "F2": (1, 0),
+    "F3": (1, 1),
+    "F4": (2, 0),
+    "F5": (2, 1),
+    "F6": (2, 2),
+}
+
+
+@dataclass(frozen=True)
+class QuadraticSection:
+    """(s²/ω_z² + 2 ζ_z s/ω_z + 1)/(s²/ω_p² + 2 ζ_p s/ω_p + 1) with ω = 2π times the frequency in Hz.
+
+    Poles must be stable; zeros may lie in either half plane (`zero_zeta` of any sign).
+    """
+
+    zero_hz: float
+    zero_zeta: float
+    pole_hz: float
+    pole_zeta: float
+
+    def polynomials(self) -> Array:
+        """[[1, n1, n2], [1, d1, d2]]: numerator and denominator in rising powers of s."""
+        w_z, w_p = 2 * math.pi * self.zero_hz, 2 * math.pi * self.pole_hz
+        return np.array([[1.0, 2 * self.zero_zeta / w_z, w_z**-2], [1.0, 2 * self.pole_zeta / w_p, w_p**-2]])
+
+
+@dataclass(frozen=True)
+class FirstOrderSection:
+    """(s/z + 1)/(s/p + 1) with z = 2π zero_hz, p = 2π pole_hz; `zero_hz` < 0: in the right half plane."""
+
+    zero_hz: float
+    pole_hz: float
+
+    def polynomials(self) -> Array:
+        """[[1, n1, 0], [1, d1, 0]]: numerator and denominator in rising powers of s."""
+        return np.array(
+            [[1.0, 1 / (2 * math.pi * self.zero_hz), 0.0], [1.0, 1 / (2 * math.pi * self.pole_hz), 0.0]]
+        )
+
+
+@dataclass(frozen=True)
+class BendingFilter:
+    """Continuous filter: the product of its sections; with none it is 1.
+
+    Raises ValueError, naming key, value and what is allowed, for values that are not finite, unstable poles,
+    a zero at the origin, and more than `MAX_SECTIONS` sections.
+    """
+
+    quadratic: tuple[QuadraticSection, ...] = ()
+    first_order: tuple[FirstOrderSection, ...] = ()
+
+    def __post_init__(self) -> None:
+        for i, q in enumerate(self.quadratic):
+            for key in ("zero_hz", "pole_hz", "pole_zeta"):
+                value = getattr(q, key)
+                _refuse_unless(value > 0, f"quadratic[{i}].{key}", value, "a finite number above 0")
+            _refuse_unless(True, f"quadratic[{i}].zero_zeta", q.zero_zeta, "a finite number")
+        for i, f in enumerate(self.first_order):
+            _refuse_unless(f.pole_hz > 0, f"first_order[{i}].pole_hz", f.pole_hz, "a finite number above 0")
+            _refuse_unless(
+                f.zero_hz != 0, f"first_order[{i}].zero_hz", f.zero_hz, "a finite number other than 0"
+            )
+        n = len(self.quadratic) + len(self.first_order)
+        _refuse_unless(n <= MAX_SECTIONS, "number of filter sections", n, f"at most {MAX_SECTIONS}")
+
+    def polynomials(self) -> Array:
+        """(sections, 2, 3): numerator and denominator in rising powers of s, quadratic sections first."""
+        rows = [q.polynomials() for q in self.quadratic] + [f.polynomials() for f in self.first_order]
+        return np.array(rows).reshape(-1, 2, 3)
+
+    def frequency_response(self, omega_radps: ArrayLike) -> ComplexArray:
+        """F(jω), same shape as `omega_radps`."""
+        s = 1j * np.asarray(omega_radps, float)
+        response = np.ones(s.shape, complex)
+        for n, d in self.polynomials():
+            response *= (n[0] + s * (n[1] + s * n[2])) / (d[0] + s * (d[1] + s * d[2]))
+        return response
+
+    def discretize(
+        self, sample_s: float, method: Discretization = "prewarped", prewarp_hz: float | None = None
+    ) -> DiscreteFilter:
+        """Discrete filter at the period `sample_s`.
+
+        - `prewarped`: bilinear, s = c (z - 1)/(z + 1) with the one constant c = ω0/tan(ω0 T/2) in all
+          sections, so that the response at ω0 = 2π `prewarp_hz` is the continuous one exactly.
+        - `bilinear`: c = 2/T (Tustin).
+        - `matched`: poles and zeros go to exp(sT), DC gain to 1; refused where one would alias.
+        - `zoh`: step-invariant. The cascade as a whole is, so its sections are not those of the continuous
+          filter.
+
+        A filter without sections is 1 by any method and needs no `prewarp_hz`. Raises ValueError, naming key,
+        value and what is allowed.
+        """
+        _refuse_unless(sample_s > 0, "sample_s", sample_s, "a finite number above 0")
+        if method not in get_args(Discretization):
+            raise ValueError(f"discretization = {method!r}: allowed is {', '.join(get_args(Discretization))}")
+        if method == "prewarped" and self.polynomials().size > 0:
+            nyquist_hz = 0.5 / sample_s
+            if prewarp_hz is None or not 0 < prewarp_hz < nyquist_hz:
+                raise ValueError(
+                    f"prewarp_hz = {prewarp_hz}: allowed is above 0 and "
+                    f"below the Nyquist frequency {nyquist_hz:g} Hz"
+                )
+            c = 2 * math.pi * prewarp_hz / math.tan(math.pi * prewarp_hz * sample_s)
+            sections = [_bilinear(n, d, c) for n, d in self.polynomials()]
+        elif method in ("bilinear", "prewarped"):
+            sections = [_bilinear(n, d, 2 / sample_s) for n, d in self.polynomials()]
+        elif method == "matched":
+            sections = [_matched(n, d, sample_s) for n, d in self.polynomials()]
+        else:
+            sections = _step_invariant(self.polynomials(), sample_s)
+        return DiscreteFilter(np.array(sections).reshape(-1, 5), sample_s)
+
+
+def filter_of_structure(
+    structure: Structure,
+    quadratic: tuple[QuadraticSection, ...] = (),
+    first_order: tuple[FirstOrderSection, ...] = (),
+) -> BendingFilter:
+    """A filter whose numbers of sections are those of `structure`, else ValueError."""
+    if structure not in STRUCTURES:
+        raise ValueError(f"structure = {structure!r}: allowed is {', '.join(STRUCTURES)}")
+    for key, given, wanted in zip(
+        ("quadratic", "first_order"), (quadratic, first_order), STRUCTURES[structure], strict=True
+    ):
+        if len(given) != wanted:
+            raise ValueError(
+                f"{key} has {len(given)} sections: allowed with structure {structure} is {wanted}"
+            )
+    return BendingFilter(quadratic, first_order)
+
+
+@dataclass(frozen=True)
+class DiscreteFilter:
+    """Cascade of biquads: `sections` (n, 5) of b0, b1, b2, a1, a2 with a0 = 1, in powers of z⁻¹.
+
+    Raises ValueError if a section is unstable or not finite, or there are more than `MAX_SECTIONS`.
+    """
+
+    sections: Array
+    sample_s: float
+
+    def __post_init__(self) -> None:
+        _refuse_unless(
+            len(self.sections) <= MAX_SECTIONS, "sections", len(self.sections), f"at most {MAX_SECTIONS}"
+        )
+        for i, section in enumerate(self.sections):
+            a1, a2 = section[3:]
+            stable = np.isfinite(section).all() and abs(a2) < 1 and abs(a1) < 1 + a2  # Jury
+            if not stable:
+                raise ValueError(
+                    f"sections[{i}] = {section.tolist()}: allowed are finite numbers and stable poles"
+                )
+
+    @property
+    def n_sections(self) -> int:
+        return len(self.sections)
+
+    def padded(self) -> Array:
+        """(MAX_SECTIONS, 5): the sections, then zeros; what a parameter record holds."""
+        out = np.zeros((MAX_SECTIONS, 5))
+        out[: self.n_sections] = self.sections
+        return out
+
+    def frequency_response(self, omega_radps: ArrayLike) -> ComplexArray:
+        """F(exp(jωT)), same shape as `omega_radps`."""
+        z1 = np.exp(-1j * np.asarray(omega_radps, float) * self.sample_s)
+        response = np.ones(z1.shape, complex)
+        for b0, b1, b2, a1, a2 in self.sections:
+            response *= (b0 + z1 * (b1 + z1 * b2)) / (1 + z1 * (a1 + z1 * a2))
+        return response
+
+
+def _refuse_unless(holds: bool, key: str, value: float, allowed: str) -> None:
+    if not (holds and math.isfinite(value)):
+        raise ValueError(f"{key} = {value}: allowed is {allowed}")
+
+
+def _bilinear(numerator: Array, denominator: Array, c: float) -> Array:
+    """Section under s = c (z - 1)/(z + 1)."""
+    rows = []
+    for p0, p1, p2 in (numerator, denominator):
+        if numerator[2] == denominator[2] == 0:  # first order: the common factor (z + 1) is left out
+            rows.append((p0 + c * p1, p0 - c * p1, 0.0))
+        else:
+            rows.append((p0 + c * p1 + c * c * p2, 2 * (p0 - c * c * p2), p0 - c * p1 + c * c * p2))
+    return _normalised(np.array(rows[0]), np.array(rows[1]))
+
+
+def _matched(numerator: Array, denominator: Array, sample_s: float) -> Array:
+    """Section with poles and zeros at exp(sT)."""
+    rows = []
+    for name, polynomial in (("zero", numerator), ("pole", denominator)):
+        roots = np.polynomial.polynomial.polyroots(np.trim_zeros(polynomial, "b"))
+        highest_hz, nyquist_hz = float(np.abs(np.imag(roots)).max()) / (2 * math.pi), 0.5 / sample_s
+        if highest_hz >= nyquist_hz:
+            raise ValueError(
+                f"a {name} at {highest_hz:g} Hz: allowed with discretization matched is below "
+                f"the Nyquist frequency {nyquist_hz:g} Hz"
+            )
+        row = np.zeros(3)
+        row[: len(roots) + 1] = np.real(np.poly(np.exp(roots * sample_s)))
+        rows.append(row)
+    return _normalised(rows[0], rows[1])
+
+
+def _step_invariant(polynomials: Array, sample_s: float) -> list[Array]:
+    """Sections of the zero-order-hold equivalent of the whole cascade.
+
+    The product of the sections' own equivalents would not be it: between two sections the signal is not a
+    staircase.
+    """
+    if len(polynomials) == 0:
+        return []
+    a, b, c, d = np.zeros((0, 0)), np.zeros(0), np.zeros(0), 1.0
+    poles: list[complex] = []
+    for n, q in polynomials:
+        order = 2 if q[2] != 0 else 1
+        through = n[order] / q[order]
+        # Controllable canonical form of this section, then in series behind those before it.
+        a_i = np.eye(order, k=1)
+        a_i[-1] = -q[:order] / q[order]
+        b_i = np.eye(order)[-1]
+        c_i = (n[:order] - through * q[:order]) / q[order]
+        a = np.block([[a, np.zeros((len(b), order))], [np.outer(b_i, c), a_i]])
+        b, c, d = np.concatenate([b, b_i * d]), np.concatenate([through * c, c_i]), d * through
+        poles.extend(np.polynomial.polynomial.polyroots(q[: order + 1]))
+    size = len(b)
+    augmented = np.zeros((size + 1, size + 1))
+    augmented[:size, :size], augmented[:size, size] = a, b
+    held = expm(augmented * sample_s)
+    # The feed-through d is never 0 here, so the zeros are the poles of the inverse system.
+    zeros = np.linalg.eigvals(held[:size, :size] - np.outer(held[:size, size], c) / d)
+    rows = np.asarray(zpk2sos(zeros.astype(complex), np.exp(np.array(poles) * sample_s), d))
+    return [_normalised(row[:3], row[3:]) for row in rows]
+
+
+def _normalised(b: Array, a: Array) -> Array:
+    """[b0, b1, b2, a1, a2] for a0 = 1 and unit DC gain."""
+    b = b * (a.sum() / b.sum())
+    return np.concatenate([b / a[0], a[1:] / a[0]])
+
+
+@kernel
+def filter_sample(sections: Array, n_sections: int, memory: Array, value: float) -> float:
+    """Output of the cascade for the next input `value`, in transposed direct form II.
+
+    `sections` (>= n, 5) of b0, b1, b2, a1, a2; `memory` (>= n, 2) is advanced in place. Without
+    sections the output is `value`.
+    """
+    for i in range(n_sections):
+        out = sections[i, 0] * value + memory[i, 0]
+        memory[i, 0] = sections[i, 1] * value - sections[i, 3] * out + memory[i, 1]
+        memory[i, 1] = sections[i, 2] * value - sections[i, 4] * out
+        value = out
+    return value
+
+
+@kernel
+def settle_filter(sections: Array, n_sections: int, memory: Array, value: float) -> None:
+    """Sets `memory` (>= n, 2) as if the input had been `value` for ever: no transient follows."""
+    for i in range(n_sections):
+        b0, b1, b2 = sections[i, 0], sections[i, 1], sections[i, 2]
+        a1, a2 = sections[i, 3], sections[i, 4]
+        out = value * (b0 + b1 + b2) / (1.0 + a1 + a2)
+        memory[i, 1] = b2 * value - a2 * out
+        memory[i, 0] = b1 * value - a1 * out + memory[i, 1]
+        value = out

@@ -1,0 +1,149 @@
+"""Guidance: a programme of commanded body rates over time, flown as the exact integral of the rates.
+
+The control law needs the commanded angle (Lee, Ahn & Roh eq 33: theta_e is the integral of q_g - q_c).
+Summing sampled rates would err by the sample; so the programme's table holds, beside the rates, the angle at
+each breakpoint, and the kernel integrates the interval's polynomial in closed form: cubic rates (pchip) give
+a quartic angle, linear rates a quadratic and stepwise rates a broken line, all exact to rounding.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from maxq.control.jit import kernel
+from maxq.control.records import Array
+from maxq.control.tables import Cubics, Method, TableRef, find_interval, fit, look_up
+
+ROLL, PITCH, YAW = 0, 1, 2  # body axes x, y, z
+N_AXES = 3
+
+
+@dataclass
+class GuidanceState:
+    """Per body axis x, y, z (roll, pitch, yaw).
+
+    `start_rad`: the programme's integral when the computer was started. `programme_rad`: the programme's
+    angle since. `injected_rad`: what injected rates have added to it. `angle_rad`: commanded angle, the sum
+    of both. `increment_rad`, `rate_radps`: change of the commanded angle in the last sample, and that over
+    the sample period.
+    """
+
+    start_rad: Annotated[Array, (3,)]
+    programme_rad: Annotated[Array, (3,)]
+    injected_rad: Annotated[Array, (3,)]
+    angle_rad: Annotated[Array, (3,)]
+    increment_rad: Annotated[Array, (3,)]
+    rate_radps: Annotated[Array, (3,)]
+
+
+def rate_programme(
+    time_s: ArrayLike,
+    pitch_radps: ArrayLike,
+    yaw_radps: ArrayLike = 0.0,
+    roll_radps: ArrayLike = 0.0,
+    method: Method = "linear",
+) -> Cubics:
+    """Programme table of commanded body rates at `time_s` (n,); a single number is a constant rate.
+
+    Columns 0-2: commanded rates about x, y, z (roll, pitch, yaw), rad/s; columns 3-5: their integral from the
+    first time to the beginning of each interval, rad. Outside `time_s` the end rates hold; with `step` each
+    rate holds up to the next time and the last one for ever. Raises ValueError as `tables.fit` does, and for
+    columns of other lengths.
+    """
+    times = np.atleast_1d(np.asarray(time_s, float))
+    rates = np.zeros((len(times), N_AXES))
+    for axis, key, given in (
+        (ROLL, "roll_radps", roll_radps),
+        (PITCH, "pitch_radps", pitch_radps),
+        (YAW, "yaw_radps", yaw_radps),
+    ):
+        column = np.asarray(given, float)
+        if column.shape not in ((), times.shape):
+            raise ValueError(
+                f"{key} has {column.size} values: allowed is 1 or {len(times)}, one for each time_s"
+            )
+        rates[:, axis] = column
+    if method == "step":  # a stepwise table ends at its last point; one more lets the last rate hold
+        times, rates = np.append(times, times[-1] + 1.0), np.vstack([rates, rates[-1]])
+    table = fit(times, rates, method)
+    span = np.diff(table.breaks)[:, None]
+    c = table.coefficients
+    gains = span * (c[:, 0] + span * (c[:, 1] / 2 + span * (c[:, 2] / 3 + span * c[:, 3] / 4)))
+    angles = np.zeros_like(c)
+    angles[1:, 0] = np.cumsum(gains, axis=0)[:-1]
+    return Cubics(table.breaks, np.concatenate([c, angles], axis=2))
+
+
+@kernel
+def programme_rate(pool: Array, programme: TableRef, time_s: float, axis: int) -> float:
+    """Commanded rate about body axis `axis` at `time_s`, rad/s; 0 without a programme."""
+    if programme.n_breaks == 0:
+        return 0.0
+    return look_up(pool, programme, time_s, axis)
+
+
+@kernel
+def programme_angle(pool: Array, programme: TableRef, time_s: float, axis: int) -> float:
+    """Integral of the commanded rate about body axis `axis` from the table's first time to `time_s`, rad.
+
+    Outside the table the end rates hold. 0 without a programme.
+    """
+    if programme.n_breaks == 0:
+        return 0.0
+    first = pool[programme.offset]
+    last = pool[programme.offset + programme.n_breaks - 1]
+    inside_s = min(max(time_s, first), last)
+    k = find_interval(pool, programme, inside_s)
+    s = inside_s - pool[programme.offset + k]
+    n = programme.n_columns
+    i = programme.offset + programme.n_breaks + 4 * n * k + axis
+    c0, c1, c2, c3 = pool[i], pool[i + n], pool[i + 2 * n], pool[i + 3 * n]
+    inside_rad = pool[i + 3] + s * (c0 + s * (c1 / 2.0 + s * (c2 / 3.0 + s * c3 / 4.0)))
+    rate_radps = c0 + s * (c1 + s * (c2 + s * c3))
+    angle_rad: float = inside_rad + rate_radps * (time_s - inside_s)
+    return angle_rad
+
+
+@kernel
+def start_guidance(pool: Array, programme: TableRef, state: GuidanceState, time_s: float) -> None:
+    """Begins at `time_s` with commanded angles of 0."""
+    for axis in range(3):
+        state.start_rad[axis] = programme_angle(pool, programme, time_s, axis)
+        state.programme_rad[axis] = 0.0
+        state.injected_rad[axis] = 0.0
+        state.angle_rad[axis] = 0.0
+        state.increment_rad[axis] = 0.0
+        state.rate_radps[axis] = 0.0
+
+
+@kernel
+def advance_guidance(
+    pool: Array,
+    programme: TableRef,
+    state: GuidanceState,
+    axis: int,
+    time_s: float,
+    sample_s: float,
+    on: int,
+    injected_radps: float,
+    replaces: int,
+) -> None:
+    """Commanded angle of body axis `axis` at `time_s`, the end of a sample of `sample_s`.
+
+    `injected_radps` is a rate, taken as constant over that sample; it adds to the programme, or with
+    `replaces` stands in for it. With `on` = 0 the programme stands still.
+    """
+    before_rad = state.programme_rad[axis]
+    if on != 0:
+        state.programme_rad[axis] = programme_angle(pool, programme, time_s, axis) - state.start_rad[axis]
+    state.injected_rad[axis] += injected_radps * sample_s
+    if replaces != 0:
+        state.injected_rad[axis] -= state.programme_rad[axis] - before_rad
+    angle_rad = state.programme_rad[axis] + state.injected_rad[axis]
+    state.increment_rad[axis] = angle_rad - state.angle_rad[axis]
+    state.angle_rad[axis] = angle_rad
+    state.rate_radps[axis] = state.increment_rad[axis] / sample_s

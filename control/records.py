@@ -1,0 +1,62 @@
+"""Frozen dataclasses are the schema of a parameter set; a packed `np.record` is what a kernel reads.
+
+A kernel is handed `P[i]`, reads `P[i].engine.mass_kg`, and compiles once for every vehicle, because the layout
+holds no size that depends on the vehicle: arrays are bounded and come with a count.
+"""
+
+from __future__ import annotations
+
+from dataclasses import fields, is_dataclass
+from typing import Annotated, Any, get_args, get_origin, get_type_hints
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+
+def dtype_of(schema: type) -> np.dtype[Any]:
+    """Record layout of a dataclass of `float`, `int`, `Annotated[Array, shape]` and nested dataclasses.
+
+    Raises TypeError for any other field type.
+    """
+    hints = get_type_hints(schema, include_extras=True)
+    return np.dtype((np.record, [(f.name, *_column(hints[f.name])) for f in fields(schema)]))
+
+
+def _column(hint: Any) -> tuple[Any, ...]:
+    if hint is float:
+        return ("f8",)
+    if hint is int:
+        return ("i8",)
+    if get_origin(hint) is Annotated:
+        array, shape = get_args(hint)
+        kind = "i8" if array == IntArray else "f8"
+        return (kind, shape)
+    if is_dataclass(hint) and isinstance(hint, type):
+        return (dtype_of(hint),)
+    raise TypeError(f"a parameter record cannot hold a field of type {hint}")
+
+
+def pack(instances: list[Any]) -> NDArray[Any]:
+    """A 1-D array of records, one row per instance (all of the same dataclass)."""
+    layout = dtype_of(type(instances[0]))
+    rows = np.zeros(len(instances), layout)
+    for row, instance in zip(rows, instances, strict=True):
+        _fill(row, instance)
+    return rows
+
+
+def _fill(row: Any, instance: Any) -> None:
+    for field in fields(instance):
+        value = getattr(instance, field.name)
+        if is_dataclass(value):
+            _fill(row[field.name], value)
+        else:
+            row[field.name] = value
+
+
+def blank(schema: type) -> NDArray[Any]:
+    """One row of zeros: the mutable state of a component that a kernel owns."""
+    return np.zeros(1, dtype_of(schema))

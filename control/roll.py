@@ -1,0 +1,91 @@
+"""Roll control by on/off thrusters: a switching line with dead band, hysteresis and a minimum on time.
+
+The switching function is s = phi_e + k_rate p, with roll error phi_e and roll rate p about body x.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from maxq.control.jit import kernel
+
+
+@dataclass(frozen=True)
+class Roll:
+    """Thrusters come on at |s| > dead_band_rad and go off at |s| < dead_band_rad - hysteresis_rad.
+
+    `k_rate_s`: weight of the rate, s. `minimum_on_ticks`: samples for which a firing lasts at least.
+    """
+
+    k_rate_s: float
+    dead_band_rad: float
+    hysteresis_rad: float
+    minimum_on_ticks: int
+
+
+@dataclass
+class RollState:
+    """`switching_rad`: s. `demand`: sign of the torque about body x, -1, 0 or +1. `ticks_on`: samples of the
+    present firing so far. `firings`: firings begun.
+    """
+
+    switching_rad: float
+    demand: int
+    ticks_on: int
+    firings: int
+
+
+def make_roll(
+    sample_ns: int, k_rate_s: float, dead_band_rad: float, hysteresis_rad: float, minimum_on_s: float
+) -> Roll:
+    """Roll parameters; the minimum on time is rounded up to whole samples.
+
+    Raises ValueError, naming key, value and what is allowed.
+    """
+    for key, value, holds, allowed in (
+        ("k_rate_s", k_rate_s, k_rate_s >= 0, "a finite number from 0"),
+        ("dead_band_rad", dead_band_rad, dead_band_rad > 0, "a finite number above 0"),
+        ("hysteresis_rad", hysteresis_rad, 0 <= hysteresis_rad <= dead_band_rad, "from 0 to dead_band_rad"),
+        ("minimum_on_s", minimum_on_s, minimum_on_s >= 0, "a finite number from 0"),
+    ):
+        if not (holds and math.isfinite(value)):
+            raise ValueError(f"{key} = {value}: allowed is {allowed}")
+    # The small amount keeps 0.02 s of samples of 0.01 s from becoming three.
+    ticks = math.ceil(minimum_on_s * 1e9 / sample_ns - 1e-9)
+    return Roll(k_rate_s, dead_band_rad, hysteresis_rad, max(ticks, 0))
+
+
+@kernel
+def update_roll(roll: Roll, state: RollState, phi_e_rad: float, p_radps: float) -> None:
+    """Demand for the coming sample from roll error and rate of the last one; a positive s asks for a negative
+    torque.
+
+    A firing that has not lasted its minimum goes on, in its own direction, whatever s has become.
+    """
+    s = phi_e_rad + roll.k_rate_s * p_radps
+    state.switching_rad = s
+    if state.demand != 0 and state.ticks_on < roll.minimum_on_ticks:
+        state.ticks_on += 1
+        return
+    off_rad = roll.dead_band_rad - roll.hysteresis_rad
+    demand = 0
+    if s > roll.dead_band_rad or (state.demand < 0 and s > off_rad):
+        demand = -1
+    elif s < -roll.dead_band_rad or (state.demand > 0 and s < -off_rad):
+        demand = 1
+    if demand == 0:
+        state.ticks_on = 0
+    elif demand == state.demand:
+        state.ticks_on += 1
+    else:
+        state.ticks_on = 1
+        state.firings += 1
+    state.demand = demand
+
+
+@kernel
+def silence_roll(state: RollState) -> None:
+    """Thrusters off at once: roll control is switched off."""
+    state.demand = 0
+    state.ticks_on = 0

@@ -1,0 +1,176 @@
+"""Tables that kernels interpolate: piecewise cubics of many columns over one shared set of breakpoints.
+
+Every table of a flight (mass over time, coefficients over Mach number, wind over altitude, gains over time) lies in
+one flat array, the *pool*; a `TableRef` in the parameter record says where. In the pool a table is
+
+    breaks[n_breaks]  then  coefficients[n_breaks - 1][4][n_columns],
+
+and column c on interval k is  sum_p coefficients[k][p][c] * (x - breaks[k])**p. Linear and stepwise tables are
+cubics with zero coefficients, so that a kernel knows one kind of table only.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.interpolate import PchipInterpolator
+
+from maxq.control.jit import kernel
+from maxq.control.records import Array
+
+Method = Literal["pchip", "linear", "step"]
+
+
+@dataclass(frozen=True)
+class TableRef:
+    """Where a table lies in the pool."""
+
+    offset: int
+    n_breaks: int
+    n_columns: int
+
+
+@dataclass(frozen=True)
+class Cubics:
+    """Piecewise cubics: `breaks` (n,), strictly increasing; `coefficients` (n - 1, 4, columns), rising powers."""
+
+    breaks: Array
+    coefficients: Array
+
+    @property
+    def n_columns(self) -> int:
+        return int(self.coefficients.shape[2])
+
+    def __call__(self, x: float) -> Array:
+        """All columns at `x`; outside the breakpoints the end values hold."""
+        x = float(np.clip(x, self.breaks[0], self.breaks[-1]))
+        k = int(np.clip(np.searchsorted(self.breaks, x, side="right") - 1, 0, len(self.breaks) - 2))
+        return np.asarray((x - self.breaks[k]) ** np.arange(4.0) @ self.coefficients[k])
+
+    def at(self, xs: ArrayLike) -> Array:
+        """Rows of all columns at each of `xs`."""
+        return np.array([self(float(x)) for x in np.atleast_1d(np.asarray(xs, float))])
+
+
+def fit(x: ArrayLike, columns: ArrayLike, method: Method = "pchip") -> Cubics:
+    """Piecewise cubics through `columns` (n, m) at `x` (n,).
+
+    `pchip` is C1 and monotone between points (Fritsch & Carlson 1980), `linear` is C0, `step` holds each value up to
+    the next point. One point gives a constant. Raises ValueError unless `x` rises strictly and all is finite.
+    """
+    x = np.atleast_1d(np.asarray(x, float))
+    y = np.asarray(columns, float).reshape(len(x), -1)
+    if not (np.isfinite(x).all() and np.isfinite(y).all()):
+        raise ValueError("a table must hold finite numbers only")
+    if (np.diff(x) <= 0).any():
+        raise ValueError("a table's first column must rise strictly")
+    if len(x) == 1:
+        x, y = np.array([x[0], x[0] + 1.0]), np.repeat(y, 2, axis=0)
+    c = np.zeros((len(x) - 1, 4, y.shape[1]))
+    c[:, 0] = y[:-1]
+    if method == "linear" or (method == "pchip" and len(x) == 2):
+        c[:, 1] = np.diff(y, axis=0) / np.diff(x)[:, None]
+    elif method == "pchip":
+        c = np.ascontiguousarray(PchipInterpolator(x, y, axis=0).c[::-1].transpose(1, 0, 2))
+    return Cubics(x, c)
+
+
+def merge(tables: Sequence[Cubics]) -> Cubics:
+    """The columns of several tables side by side on the union of their breakpoints: exact, nothing is resampled.
+
+    Outside its own breakpoints a table holds its end values.
+    """
+    breaks = np.unique(np.concatenate([t.breaks for t in tables]))
+    return Cubics(breaks, np.concatenate([_on(t, breaks) for t in tables], axis=2))
+
+
+def _on(table: Cubics, breaks: Array) -> Array:
+    """Coefficients of `table` re-centred on finer `breaks`."""
+    out = np.zeros((len(breaks) - 1, 4, table.n_columns))
+    for k, x in enumerate(breaks[:-1]):
+        if x < table.breaks[0] or x >= table.breaks[-1]:
+            out[k, 0] = table(x)
+            continue
+        i = int(np.searchsorted(table.breaks, x, side="right") - 1)
+        c, s = table.coefficients[i], x - table.breaks[i]
+        out[k, 0] = c[0] + s * (c[1] + s * (c[2] + s * c[3]))
+        out[k, 1] = c[1] + s * (2 * c[2] + s * 3 * c[3])
+        out[k, 2] = c[2] + s * 3 * c[3]
+        out[k, 3] = c[3]
+    return out
+
+
+class Pool:
+    """Collects tables into the flat array that kernels read."""
+
+    def __init__(self) -> None:
+        self._parts: list[Array] = []
+        self._size = 0
+
+    def add(self, table: Cubics) -> TableRef:
+        ref = TableRef(self._size, len(table.breaks), table.n_columns)
+        for part in (table.breaks, table.coefficients.ravel()):
+            self._parts.append(np.ascontiguousarray(part, dtype=float))
+            self._size += part.size
+        return ref
+
+    def array(self) -> Array:
+        return np.concatenate(self._parts) if self._parts else np.zeros(1)
+
+
+NO_TABLE = TableRef(0, 0, 0)
+
+
+@kernel
+def find_interval(pool: Array, ref: TableRef, x: float) -> int:
+    """Index k of the interval with breaks[k] <= x < breaks[k+1], clamped to the table."""
+    low, high = 0, ref.n_breaks - 1
+    while high - low > 1:
+        middle = (low + high) >> 1
+        if pool[ref.offset + middle] <= x:
+            low = middle
+        else:
+            high = middle
+    return low
+
+
+@kernel
+def hunt_interval(pool: Array, ref: TableRef, x: float, k: int) -> int:
+    """As `find_interval`, walking from a guess `k`: cheap when x moves little from call to call."""
+    while k > 0 and x < pool[ref.offset + k]:
+        k -= 1
+    while k < ref.n_breaks - 2 and x >= pool[ref.offset + k + 1]:
+        k += 1
+    return k
+
+
+@kernel
+def interpolate_into(pool: Array, ref: TableRef, k: int, x: float, out: Array) -> None:
+    """All columns at `x`, by the cubics of interval `k`, into `out`; end values hold outside the table."""
+    first, last = pool[ref.offset], pool[ref.offset + ref.n_breaks - 1]
+    s = min(max(x, first), last) - pool[ref.offset + k]
+    n = ref.n_columns
+    c = ref.offset + ref.n_breaks + 4 * n * k
+    for j in range(n):
+        i = c + j
+        out[j] = pool[i] + s * (pool[i + n] + s * (pool[i + 2 * n] + s * pool[i + 3 * n]))
+
+
+@kernel
+def interpolate(pool: Array, ref: TableRef, k: int, x: float, column: int) -> float:
+    """One column at `x`, by the cubic of interval `k`; end values hold outside the table."""
+    first, last = pool[ref.offset], pool[ref.offset + ref.n_breaks - 1]
+    s = min(max(x, first), last) - pool[ref.offset + k]
+    n = ref.n_columns
+    i = ref.offset + ref.n_breaks + 4 * n * k + column
+    return pool[i] + s * (pool[i + n] + s * (pool[i + 2 * n] + s * pool[i + 3 * n]))
+
+
+@kernel
+def look_up(pool: Array, ref: TableRef, x: float, column: int) -> float:
+    """One column at `x`, searching the interval."""
+    return interpolate(pool, ref, find_interval(pool, ref, x), x, column)

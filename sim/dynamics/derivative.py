@@ -1,0 +1,253 @@
+"""Time derivative of the state: the table of contents of the physics.
+
+Every line of `derivative` is one named piece; docs/model.md derives them in the same order.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from maxq.control.jit import kernel
+from maxq.control.records import Array
+from maxq.control.tables import TableRef
+from maxq.sim.dynamics.actuator import Actuator, actuator_derivative, actuator_output
+from maxq.sim.dynamics.aero import Aero, body_loads, coefficients, surface_loads
+from maxq.sim.dynamics.bending import (
+    Bending,
+    bend_at_gimbal,
+    bend_rate_at_gyro,
+    elastic_forces,
+    gyroscopic_forces,
+    modal_rates,
+    push_at_gimbal,
+)
+from maxq.sim.dynamics.engine import Engine, thrust, thrust_axis_motion
+from maxq.sim.dynamics.gyro import Gyro, gyro_derivative, sensed_rate
+from maxq.sim.dynamics.rigid import (
+    Deflected,
+    coriolis_of_outflow,
+    deflected_engine,
+    engine_reaction,
+    kinematics,
+)
+from maxq.sim.dynamics.schedule import CORE_MASS, THRUST_VACUUM, TOTAL_MASS
+from maxq.sim.dynamics.slosh import Slosh, hang, swing_derivative
+from maxq.sim.dynamics.solve import accelerate
+from maxq.sim.dynamics.state import ACTUATOR, N_ACTUATOR, Q_BI, W_BI_B, Sizes, eta_index, xi_index
+from maxq.sim.dynamics.surroundings import Surroundings, pad_acceleration, surroundings
+from maxq.sim.dynamics.vectors import Vector, add, cross, inertia_times, rotation_from_quaternion, scaled
+from maxq.sim.dynamics.workspace import (
+    AERO_FORCE,
+    AERO_MOMENT,
+    ANGULAR_ACCEL,
+    AXIAL_LOAD,
+    DENSITY,
+    ENGINE_PITCH,
+    ENGINE_YAW,
+    FELT,
+    FLOW,
+    FORCE_PITCH,
+    FORCE_YAW,
+    GYRO_BEND,
+    MACH,
+    PRESSURE,
+    RATE_PITCH,
+    RATE_YAW,
+    TENSION,
+    TENSIONS,
+    THRUST,
+)
+from maxq.sim.environment.earth import gravity_gradient_torque
+from maxq.sim.environment.turbulence import TurbulenceState
+
+
+@dataclass(frozen=True)
+class Vehicle:
+    """One stage as the kernel sees it."""
+
+    sizes: Sizes
+    schedule: TableRef
+    engine: Engine
+    actuator_pitch: Actuator
+    actuator_yaw: Actuator
+    gyro: Gyro
+    aero: Aero
+    bending: Bending
+    slosh: Slosh
+    roll_torque_Nm: float
+    jet_damping: int
+    follower_thrust: int
+    gravity_gradient: int
+
+
+@dataclass(frozen=True)
+class Held:
+    """What stays as it is between two events of the flight."""
+
+    down: int  # 1: held down on the pad
+    burning: int
+    command_pitch_rad: float
+    command_yaw_rad: float
+    roll_torque_Nm: float
+    force_x_N: float  # injected, in B, at the core CG
+    force_y_N: float
+    force_z_N: float
+    torque_x_Nm: float
+    torque_y_Nm: float
+    torque_z_Nm: float
+    turbulence_phase: float  # where the step's instant lies between two turbulence ticks, 0 to 1
+
+
+@kernel
+def derivative(
+    vehicle: Vehicle, around: Surroundings, pool: Array, held: Held, gusts: TurbulenceState, props: Array,
+    y: Array, dy: Array, work: Array, aux: Array,
+) -> None:  # fmt: skip
+    """Derivative of `y` into `dy`; by-products into `aux`. `props` is the schedule's row of this instant."""
+    sizes = vehicle.sizes
+    rate = (y[W_BI_B], y[W_BI_B + 1], y[W_BI_B + 2])
+    rotation = rotation_from_quaternion(y[Q_BI], y[Q_BI + 1], y[Q_BI + 2], y[Q_BI + 3])
+
+    gravitation = surroundings(around, pool, gusts, held.turbulence_phase, rotation, y, aux)
+    modal_rates(sizes, rate[0], y, work)
+    engine = move_engine(vehicle, held, props, y, aux)
+
+    aero_force, aero_moment = aerodynamics(vehicle, around, pool, held, rotation, rate, props, y, work, aux)
+    thrust_force, thrust_moment = push_of_thrust(vehicle, engine, props, y, work, aux)
+    pad = pad_acceleration(around.earth, rotation, gravitation, y)
+    axial_load = pad[0] if held.down == 1 else (aero_force[0] + thrust_force[0]) / props[TOTAL_MASS]
+    aux[AXIAL_LOAD] = axial_load
+
+    force = add(add(aero_force, thrust_force), (held.force_x_N, held.force_y_N, held.force_z_N))
+    moment = add(aero_moment, thrust_moment)
+    moment = add(
+        moment, (held.roll_torque_Nm + held.torque_x_Nm, held.torque_y_Nm, held.torque_z_Nm)
+    )
+    if vehicle.gravity_gradient == 1:
+        moment = add(moment, tidal_moment(around, engine, rotation, y))
+    if vehicle.jet_damping == 1:
+        jet_force, jet_moment = coriolis_of_outflow(vehicle.engine, rate, props)
+        force, moment = add(force, jet_force), add(moment, jet_moment)
+    moment = add(moment, scaled(-1.0, cross(rate, inertia_times(engine.inertia, rate))))
+
+    if vehicle.engine.gimballed_mass_kg > 0.0 or vehicle.engine.inertia_kgm2 > 0.0:
+        reaction, twist = engine_reaction(vehicle.engine, sizes, engine, rate, axial_load, props, work)
+        force, moment = add(force, reaction), add(moment, twist)
+    if sizes.pitch_modes + sizes.yaw_modes > 0:
+        whirl = gyroscopic_forces(
+            sizes, props, rate, vehicle.engine.gimballed_mass_kg, vehicle.engine.cg_from_gimbal_m,
+            vehicle.engine.inertia_kgm2, engine.delta_rate, engine.turn_rate[1], engine.turn_rate[2], y, work,
+        )  # fmt: skip
+        roll = elastic_forces(vehicle.bending, sizes, props, axial_load, y, work)
+        moment = add(moment, (whirl[0] + roll, whirl[1], whirl[2]))
+    for tank in range(sizes.tanks):
+        pull, twist = hang(vehicle.slosh, sizes, tank, rate, axial_load, props, y, work)
+        force, moment = add(force, pull), add(moment, twist)
+
+    felt, alpha = accelerate(
+        vehicle.slosh, sizes, held.down, props[CORE_MASS], engine.offset, engine.inverse_inertia, force, moment,
+        pad, props, y, work,
+    )  # fmt: skip
+
+    kinematics(around.earth, held.down, rotation, rate, felt, alpha, gravitation, props, y, dy)
+    actuator_derivative(vehicle.actuator_pitch, y, ACTUATOR, held.command_pitch_rad, dy)
+    actuator_derivative(vehicle.actuator_yaw, y, ACTUATOR + N_ACTUATOR, held.command_yaw_rad, dy)
+    bend_y, bend_z = bend_rate_at_gyro(sizes, props, y)
+    gyro_derivative(vehicle.gyro, y, sensed_rate(vehicle.gyro, (rate[0], rate[1] + bend_y, rate[2] + bend_z)), dy)
+    modal_derivative(sizes, y, dy, work)
+    for tank in range(sizes.tanks):
+        swing_derivative(vehicle.slosh, sizes, tank, rate, felt, alpha, props, y, dy, work)
+        aux[TENSIONS + tank] = work[TENSION + tank]
+    for j in range(3):
+        aux[FELT + j] = felt[j]
+        aux[ANGULAR_ACCEL + j] = alpha[j]
+    aux[GYRO_BEND], aux[GYRO_BEND + 1] = bend_y, bend_z
+
+
+@kernel
+def move_engine(vehicle: Vehicle, held: Held, props: Array, y: Array, aux: Array) -> Deflected:
+    """Angles of the engine by its actuators, and what they make of the vehicle's mass properties."""
+    pitch, pitch_rate, pitch_accel = actuator_output(
+        vehicle.actuator_pitch, y, ACTUATOR, held.command_pitch_rad
+    )
+    yaw, yaw_rate, yaw_accel = actuator_output(
+        vehicle.actuator_yaw, y, ACTUATOR + N_ACTUATOR, held.command_yaw_rad
+    )
+    aux[ENGINE_PITCH], aux[ENGINE_PITCH + 1], aux[ENGINE_PITCH + 2] = pitch, pitch_rate, pitch_accel
+    aux[ENGINE_YAW], aux[ENGINE_YAW + 1], aux[ENGINE_YAW + 2] = yaw, yaw_rate, yaw_accel
+    e = vehicle.engine
+    axis, axis_rate, axis_accel = thrust_axis_motion(
+        pitch + e.misalignment_pitch_rad, pitch_rate, pitch_accel,
+        yaw + e.misalignment_yaw_rad, yaw_rate, yaw_accel,
+    )  # fmt: skip
+    return deflected_engine(e, axis, axis_rate, axis_accel, props)
+
+
+@kernel
+def aerodynamics(
+    vehicle: Vehicle, around: Surroundings, pool: Array, held: Held, rotation: tuple[float, ...], rate: Vector,
+    props: Array, y: Array, work: Array, aux: Array,
+) -> tuple[Vector, Vector]:  # fmt: skip
+    """Force and moment about the core CG in B; generalised forces into the workspace."""
+    force, moment = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
+    if vehicle.aero.on == 1 and aux[DENSITY] > 0.0:
+        flow = (aux[FLOW], aux[FLOW + 1], aux[FLOW + 2])
+        coefficients(vehicle.aero, pool, aux[MACH], work)
+        if vehicle.aero.earth_rates == 1:
+            turning = around.earth.rate_radps
+            rate = (
+                rate[0] - rotation[6] * turning,
+                rate[1] - rotation[7] * turning,
+                rate[2] - rotation[8] * turning,
+            )
+        cg = (props[1], props[2], props[3])
+        force, moment = body_loads(vehicle.aero, aux[DENSITY], flow, rate, held.burning, cg, work)
+        lift, twist = surface_loads(vehicle.aero, vehicle.sizes, aux[DENSITY], flow, props, y, work)
+        force, moment = add(force, lift), add(moment, twist)
+    for j in range(3):
+        aux[AERO_FORCE + j] = force[j]
+        aux[AERO_MOMENT + j] = moment[j]
+    return force, moment
+
+
+@kernel
+def push_of_thrust(
+    vehicle: Vehicle, engine: Deflected, props: Array, y: Array, work: Array, aux: Array
+) -> tuple[Vector, Vector]:
+    """Thrust along the deflected engine on the bent body: force, moment about the core CG, generalised forces."""
+    strength = thrust(vehicle.engine, props[THRUST_VACUUM], aux[PRESSURE])
+    aux[THRUST] = strength
+    if strength <= 0.0:
+        return (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
+    move_y, move_z, turn_y, turn_z = bend_at_gimbal(vehicle.sizes, props, y)
+    axis = engine.axis
+    if vehicle.follower_thrust == 1:
+        axis = add(axis, cross((0.0, turn_y, turn_z), axis))
+    force = scaled(strength, axis)
+    moment = cross(engine.gimbal, force)
+    moment = (moment[0], moment[1] + move_z * force[0], moment[2] - move_y * force[0])
+    off_y, off_z = vehicle.engine.gimbal_offset_y_m, vehicle.engine.gimbal_offset_z_m
+    push_at_gimbal(vehicle.sizes, props, force, off_z * force[0], -off_y * force[0], work)
+    return force, moment
+
+
+@kernel
+def tidal_moment(around: Surroundings, engine: Deflected, rotation: tuple[float, ...], y: Array) -> Vector:
+    """Gravity-gradient torque on the core."""
+    r = (
+        rotation[0] * y[0] + rotation[3] * y[1] + rotation[6] * y[2],
+        rotation[1] * y[0] + rotation[4] * y[1] + rotation[7] * y[2],
+        rotation[2] * y[0] + rotation[5] * y[1] + rotation[8] * y[2],
+    )
+    return gravity_gradient_torque(around.earth, r, engine.inertia)
+
+
+@kernel
+def modal_derivative(sizes: Sizes, y: Array, dy: Array, work: Array) -> None:
+    eta, xi = eta_index(sizes), xi_index(sizes)
+    for i in range(sizes.pitch_modes):
+        dy[eta + i] = work[RATE_PITCH + i]
+        dy[eta + sizes.pitch_modes + i] = work[FORCE_PITCH + i]
+    for i in range(sizes.yaw_modes):
+        dy[xi + i] = work[RATE_YAW + i]
+        dy[xi + sizes.yaw_modes + i] = work[FORCE_YAW + i]

@@ -1,0 +1,62 @@
+"""Gimballed engine: where its thrust points, and what its moving mass does to the vehicle ("tail wags dog").
+
+The engine hangs on a gimbal behind the vehicle and is moved by the actuators as they prescribe. With the engine
+straight its mass is part of the core; here stands only what a deflection adds.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from maxq.control.jit import kernel
+from maxq.sim.dynamics.vectors import Vector
+
+
+@dataclass(frozen=True)
+class Engine:
+    exit_area_m2: float
+    thrust_factor: float
+    gimbal_station_m: float
+    exit_station_m: float
+    gimbal_offset_y_m: float
+    gimbal_offset_z_m: float
+    misalignment_pitch_rad: float
+    misalignment_yaw_rad: float
+    gimballed_mass_kg: float
+    cg_from_gimbal_m: float  # aft of the gimbal, along the engine's axis
+    inertia_kgm2: float  # about the engine's own CG, taken as isotropic
+
+
+@kernel
+def thrust_axis(pitch: float, yaw: float) -> Vector:
+    """Unit vector of the thrust in B; positive angles give positive pitch and yaw moments (rad)."""
+    cos_yaw = math.cos(yaw)
+    return (math.cos(pitch) * cos_yaw, -math.sin(yaw), math.sin(pitch) * cos_yaw)
+
+
+@kernel
+def thrust_axis_motion(
+    pitch: float, pitch_rate: float, pitch_accel: float, yaw: float, yaw_rate: float, yaw_accel: float
+) -> tuple[Vector, Vector, Vector]:
+    """`thrust_axis` with its first and second time derivative in B."""
+    sp, cp, sy, cy = math.sin(pitch), math.cos(pitch), math.sin(yaw), math.cos(yaw)
+    p2, y2, py = pitch_rate * pitch_rate, yaw_rate * yaw_rate, 2.0 * pitch_rate * yaw_rate
+    axis = (cp * cy, -sy, sp * cy)
+    rate = (
+        -sp * cy * pitch_rate - cp * sy * yaw_rate,
+        -cy * yaw_rate,
+        cp * cy * pitch_rate - sp * sy * yaw_rate,
+    )
+    accel = (
+        -sp * cy * pitch_accel - cp * sy * yaw_accel - cp * cy * (p2 + y2) + sp * sy * py,
+        -cy * yaw_accel + sy * y2,
+        cp * cy * pitch_accel - sp * sy * yaw_accel - sp * cy * (p2 + y2) - cp * sy * py,
+    )
+    return axis, rate, accel
+
+
+@kernel
+def thrust(engine: Engine, vacuum_thrust_N: float, ambient_pressure_Pa: float) -> float:
+    """Thrust against the ambient pressure, N; never negative: a flow that weak separates from the nozzle."""
+    return max(engine.thrust_factor * vacuum_thrust_N - ambient_pressure_Pa * engine.exit_area_m2, 0.0)

@@ -1,0 +1,188 @@
+"""Sloshing propellant: one spherical pendulum per tank, at any angle, coupled through the tension of its rod.
+
+The bob of mass m hangs on a massless rod of length L from a hinge on the bent body axis. Only the rod's tension and
+the damping act between bob and body. Damping is viscous, on the velocity of the bob relative to the body's point it
+passes, and reacts on the body at that same point: so it dissipates whatever the motion, and leaves the angular
+momentum alone (docs/model.md, section 5; with the reaction at the hinge instead, as eq. 27 of the paper has it, the
+moment arm of the damper is lost).
+
+For every tank a block of the workspace holds what the solution of the coupled system needs (`solve.py`).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Annotated
+
+from maxq.control.jit import kernel
+from maxq.control.records import Array
+from maxq.sim.dynamics.schedule import (
+    CORE_CG,
+    MODE_FIRST,
+    TANK_HINGE,
+    TANK_LENGTH,
+    TANK_MASS,
+    mode_width,
+    pitch_column,
+    tank_column,
+    yaw_column,
+)
+from maxq.sim.dynamics.state import MAX_TANKS, Sizes, eta_index, pendulum_index, xi_index
+from maxq.sim.dynamics.vectors import Vector, add, cross, dot, scaled
+from maxq.sim.dynamics.workspace import FORCE_PITCH, FORCE_YAW, PENDULUM, PENDULUM_WIDTH, RATE_PITCH, RATE_YAW
+
+# a tank's block of the workspace
+ARM = 0  # moment that a unit tension exerts about the core CG, in B, m (3)
+KNOWN = 3  # acceleration of the hinge that does not depend on the accelerations sought, B, m/s2 (3)
+MOVE_Y = 6  # displacement of the hinge by bending, m
+MOVE_Z = 7
+DEMAND = 8  # tension per bob mass at zero acceleration, m/s2
+ACCEL = 9  # answer of the body to a unit tension: acceleration of the core CG (3) ...
+ALPHA = 12  # ... and angular acceleration (3)
+HINGE = 15  # hinge relative to the core CG without bending, B, m (3)
+DAMPING = 18  # acceleration of the bob by damping, B, m/s2 (3)
+
+
+@dataclass(frozen=True)
+class Slosh:
+    damping_ratio: Annotated[Array, (MAX_TANKS,)]  # of the pendulum under the present axial acceleration
+    mass_factor: Annotated[Array, (MAX_TANKS,)]
+    length_factor: Annotated[Array, (MAX_TANKS,)]
+
+
+@kernel
+def pendulum_length(slosh: Slosh, props: Array, tank: int) -> float:
+    return props[tank_column(tank) + TANK_LENGTH] * slosh.length_factor[tank]
+
+
+@kernel
+def bob_mass(slosh: Slosh, props: Array, tank: int) -> float:
+    return props[tank_column(tank) + TANK_MASS] * slosh.mass_factor[tank]
+
+
+@kernel
+def hang(
+    slosh: Slosh, sizes: Sizes, tank: int, rate: Vector, axial_load: float, props: Array, y: Array, work: Array
+) -> tuple[Vector, Vector]:
+    """Prepare one pendulum: fill its block, and return the force and moment (about the core CG) of its damper.
+
+    Adds the damper's generalised forces to the modes.
+    """
+    p, q, r = rate
+    b = PENDULUM + PENDULUM_WIDTH * tank
+    i = pendulum_index(sizes, tank)
+    u = (y[i], y[i + 1], y[i + 2])
+    kappa = (y[i + 3], y[i + 4], y[i + 5])
+    length, mass = pendulum_length(slosh, props, tank), bob_mass(slosh, props, tank)
+    hinge = (
+        props[CORE_CG] - props[tank_column(tank) + TANK_HINGE],
+        -props[CORE_CG + 1],
+        -props[CORE_CG + 2],
+    )
+    move_y, move_z, moving_y, moving_z, nu_y, nu_z = _bend_at_tank(sizes, tank, props, y, work)
+    # velocity that bending gives the hinge, including the turning of the bent axis (docs/model.md, eq. 5.3)
+    bend = (q * move_z - r * move_y, nu_y, nu_z)
+    known = add(cross(rate, cross(rate, hinge)), cross(rate, bend))
+    known = (known[0] + q * moving_z - r * moving_y, known[1], known[2])
+    arm = cross(hinge, u)
+    _store(work, b + ARM, (arm[0], arm[1] + move_z * u[0], arm[2] - move_y * u[0]))
+    _store(work, b + KNOWN, known)
+    _store(work, b + HINGE, hinge)
+    work[b + MOVE_Y], work[b + MOVE_Z] = move_y, move_z
+    work[b + DEMAND] = length * dot(kappa, kappa) - dot(known, u)
+    swing = add(kappa, scaled(-1.0, cross(rate, u)))  # d(u)/dt in B
+    frequency = math.sqrt(abs(axial_load) / length)
+    damping = scaled(-2.0 * slosh.damping_ratio[tank] * frequency * length, swing)
+    _store(work, b + DAMPING, damping)
+    force = scaled(-mass, damping)
+    bob = add(hinge, scaled(length, u))
+    moment = cross(bob, force)
+    moment = (moment[0], moment[1] + move_z * force[0], moment[2] - move_y * force[0])
+    push_at_tank(sizes, tank, props, force[1], force[2], work)
+    return force, moment
+
+
+@kernel
+def _store(work: Array, i: int, a: Vector) -> None:
+    work[i], work[i + 1], work[i + 2] = a[0], a[1], a[2]
+
+
+@kernel
+def _bend_at_tank(
+    sizes: Sizes, tank: int, props: Array, y: Array, work: Array
+) -> tuple[float, float, float, float, float, float]:
+    """Displacement, its rate in B, and quasi-velocity of a hinge by bending: y, z each."""
+    eta, xi = eta_index(sizes), xi_index(sizes)
+    c, width = pitch_column(sizes, 0) + MODE_FIRST + tank, mode_width(sizes, sizes.pitch_modes)
+    move_z, moving_z, nu_z = 0.0, 0.0, 0.0
+    for i in range(sizes.pitch_modes):
+        phi = props[c + i * width]
+        move_z += phi * y[eta + i]
+        moving_z += phi * work[RATE_PITCH + i]
+        nu_z += phi * y[eta + sizes.pitch_modes + i]
+    c, width = yaw_column(sizes, 0) + MODE_FIRST + tank, mode_width(sizes, sizes.yaw_modes)
+    move_y, moving_y, nu_y = 0.0, 0.0, 0.0
+    for i in range(sizes.yaw_modes):
+        phi = props[c + i * width]
+        move_y += phi * y[xi + i]
+        moving_y += phi * work[RATE_YAW + i]
+        nu_y += phi * y[xi + sizes.yaw_modes + i]
+    return move_y, move_z, moving_y, moving_z, nu_y, nu_z
+
+
+@kernel
+def push_at_tank(sizes: Sizes, tank: int, props: Array, force_y: float, force_z: float, work: Array) -> None:
+    """Add the generalised forces of a lateral force on the body at a tank's hinge."""
+    c, width = pitch_column(sizes, 0) + MODE_FIRST + tank, mode_width(sizes, sizes.pitch_modes)
+    for i in range(sizes.pitch_modes):
+        work[FORCE_PITCH + i] += props[c + i * width] * force_z
+    c, width = yaw_column(sizes, 0) + MODE_FIRST + tank, mode_width(sizes, sizes.yaw_modes)
+    for i in range(sizes.yaw_modes):
+        work[FORCE_YAW + i] += props[c + i * width] * force_y
+
+
+@kernel
+def swing_derivative(
+    slosh: Slosh, sizes: Sizes, tank: int, rate: Vector, felt: Vector, alpha: Vector, props: Array, y: Array,
+    dy: Array, work: Array,
+) -> None:  # fmt: skip
+    """Derivative of a pendulum's states once the body's accelerations are known.
+
+    An empty tank's pendulum rests: it weighs nothing, so nothing feels it.
+    """
+    b = PENDULUM + PENDULUM_WIDTH * tank
+    i = pendulum_index(sizes, tank)
+    if bob_mass(slosh, props, tank) <= 0.0:
+        for j in range(6):
+            dy[i + j] = 0.0
+        return
+    u = (y[i], y[i + 1], y[i + 2])
+    kappa = (y[i + 3], y[i + 4], y[i + 5])
+    length = pendulum_length(slosh, props, tank)
+    move_y, move_z = work[b + MOVE_Y], work[b + MOVE_Z]
+    bend_y, bend_z = _bend_accel(sizes, tank, props, work)
+    turning = cross(alpha, (work[b + HINGE], work[b + HINGE + 1], work[b + HINGE + 2]))
+    hinge = (
+        work[b + KNOWN] + felt[0] + turning[0] + alpha[1] * move_z - alpha[2] * move_y,
+        work[b + KNOWN + 1] + felt[1] + turning[1] + bend_y,
+        work[b + KNOWN + 2] + felt[2] + turning[2] + bend_z,
+    )
+    along = dot(hinge, u) / length - dot(kappa, kappa)
+    spin_u, spin_kappa = cross(rate, u), cross(rate, kappa)
+    for j in range(3):
+        dy[i + j] = kappa[j] - spin_u[j]
+        dy[i + 3 + j] = along * u[j] - spin_kappa[j] + (work[b + DAMPING + j] - hinge[j]) / length
+
+
+@kernel
+def _bend_accel(sizes: Sizes, tank: int, props: Array, work: Array) -> tuple[float, float]:
+    """Acceleration of a hinge along y and z by bending; the workspace's modal forces hold accelerations by now."""
+    c, width = pitch_column(sizes, 0) + MODE_FIRST + tank, mode_width(sizes, sizes.pitch_modes)
+    along_y, along_z = 0.0, 0.0
+    for i in range(sizes.pitch_modes):
+        along_z += props[c + i * width] * work[FORCE_PITCH + i]
+    c, width = yaw_column(sizes, 0) + MODE_FIRST + tank, mode_width(sizes, sizes.yaw_modes)
+    for i in range(sizes.yaw_modes):
+        along_y += props[c + i * width] * work[FORCE_YAW + i]
+    return along_y, along_z

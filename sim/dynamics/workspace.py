@@ -1,0 +1,48 @@
+"""Scratch memory of the derivative: a kernel allocates nothing, so its caller lends it these arrays.
+
+`work` holds what is passed between the parts of one evaluation, `aux` what an evaluation knows besides the
+derivative (loads, air data): metrics and logs read it.
+"""
+
+from __future__ import annotations
+
+from maxq.sim.dynamics.state import MAX_MODES, MAX_SURFACES, MAX_TANKS
+
+# --- work
+FORCE_PITCH = 0  # generalised force on each mode, N: first from outside, then what is left to accelerate
+FORCE_YAW = FORCE_PITCH + MAX_MODES
+RATE_PITCH = FORCE_YAW + MAX_MODES  # d(eta)/dt, m/s
+RATE_YAW = RATE_PITCH + MAX_MODES
+MACH_ROW = RATE_YAW + MAX_MODES  # aerodynamic coefficients at the present Mach number
+MACH_WIDTH = 8 + 2 * MAX_SURFACES
+PENDULUM = MACH_ROW + MACH_WIDTH  # per tank, see slosh.py
+PENDULUM_WIDTH = 26
+GRAM = PENDULUM + PENDULUM_WIDTH * MAX_TANKS  # coupling of the tensions among each other
+TENSION = GRAM + MAX_TANKS * MAX_TANKS
+WORK_SIZE = TENSION + MAX_TANKS
+
+# --- aux
+ALTITUDE = 0  # m above the ellipsoid, sphere or plane
+DENSITY = 1
+PRESSURE = 2
+TEMPERATURE = 3
+SOUND_SPEED = 4
+AIRSPEED = 5  # m/s, relative to the moving air
+FLOW = 6  # velocity relative to the air in B, m/s (3)
+MACH = 9
+DYNAMIC_PRESSURE = 10
+AERO_FORCE = 11  # B, N (3)
+AERO_MOMENT = 14  # about the core CG in B, N m (3)
+THRUST = 17  # N
+ENGINE_PITCH = 18  # angle, rate, acceleration: rad, rad/s, rad/s2
+ENGINE_YAW = 21
+FELT = 24  # specific force at the core CG in B, m/s2 (3): acceleration less gravitation
+ANGULAR_ACCEL = 27  # B, rad/s2 (3)
+WIND_N = 30  # air's motion relative to the Earth, north, east, down, m/s (3)
+GYRO_BEND = 33  # turning rate that bending adds at the gyro: pitch, yaw, rad/s (2)
+GRAVITATION = 35  # I, m/s2 (3)
+UP_SIN_LATITUDE = 38  # geodetic
+UP_COS_LATITUDE = 39
+AXIAL_LOAD = 40  # axial specific force that stiffens and slackens the body, m/s2
+TENSIONS = 41  # of each pendulum's rod, N
+AUX_SIZE = TENSIONS + MAX_TANKS

@@ -1,0 +1,281 @@
+"""What happens at an instant: commands that take effect, ignition, burn-out, separation, and crossings of the state.
+
+Instants known beforehand are met exactly, because no step reaches over them. Lift-off, apogee and impact depend on
+the state: a step that crosses one is repeated with ever better lengths until the crossing is known to the nanosecond.
+"""
+
+from __future__ import annotations
+
+import math
+
+from maxq.control.computer import computer_tick
+from maxq.control.jit import kernel
+from maxq.control.records import Array
+from maxq.sim.dynamics.actuator import after_backlash
+from maxq.sim.dynamics.engine import thrust
+from maxq.sim.dynamics.gyro import GYRO_STREAM
+from maxq.sim.dynamics.schedule import CORE_CG, THRUST_VACUUM, TOTAL_MASS
+from maxq.sim.dynamics.state import (
+    ACTUATOR,
+    GYRO,
+    GYRO_ANGLE,
+    N_ACTUATOR,
+    N_FIXED,
+    N_GYRO,
+    Q_BI,
+    R_I,
+    V_I,
+    W_BI_B,
+    eta_index,
+    pendulum_index,
+    state_size,
+    xi_index,
+)
+from maxq.sim.dynamics.surroundings import climb_rate
+from maxq.sim.dynamics.vectors import cross, rotation_from_quaternion, turn
+from maxq.sim.dynamics.workspace import (
+    AIRSPEED,
+    ALTITUDE,
+    DYNAMIC_PRESSURE,
+    FLOW,
+)
+from maxq.sim.environment.turbulence import turbulence_tick
+from maxq.sim.flight.injection import GIMBAL_COMMAND, RATE_COMMAND, next_switch, replaced, total_signal
+from maxq.sim.flight.parameters import (
+    APOGEE,
+    BENDS_TOO_FAR,
+    BURNOUT,
+    CONTROL_LOST,
+    FINITE,
+    LEAVES_THE_WORLD,
+    LIFTOFF,
+    NEVER,
+    NOT_FINITE,
+    SEPARATION,
+    TUMBLE,
+    TURNS_TOO_FAST,
+    Memory,
+    Parameters,
+)
+from maxq.sim.noise import standard_normal
+
+
+@kernel
+def note(p: Parameters, memory: Memory, event: int, now_ns: int) -> None:
+    """Enter an event's first time; end the flight if the scenario says so."""
+    if memory.clock.event_ns[event] < 0:
+        memory.clock.event_ns[event] = now_ns
+    if (p.course.stop_mask >> event) & 1 == 1:
+        memory.clock.finished = 1
+
+
+@kernel
+def meet_instants(p: Parameters, pool: Array, memory: Memory, y: Array, aux: Array) -> int:
+    """Everything that is due now. Returns 1 where the vehicle itself has changed (engine on or off)."""
+    clock, held = memory.clock, memory.held
+    now = clock.now_ns
+    changed = 0
+    if held.burning == 0 and p.course.burn_start_ns <= now < p.course.burnout_ns:
+        held.burning = 1
+        changed = 1
+    if held.burning == 1 and now >= p.course.burnout_ns:
+        held.burning = 0
+        changed = 1
+        clock.stage_burnout_ns[clock.stage] = now
+        clock.event_ns[BURNOUT] = -1  # the last stage's burn-out counts
+        note(p, memory, BURNOUT, now)
+    if held.down == 1 and now >= p.course.release_ns:
+        held.down = 0
+        note(p, memory, LIFTOFF, now)
+    if now >= clock.next_gust_ns:
+        clock.next_gust_ns = now + p.around.turbulence.tick_ns
+        if clock.steps > 0:  # the first gust was drawn at the start
+            turbulence_tick(p.around.turbulence, pool, memory.gusts, aux[AIRSPEED], aux[ALTITUDE])
+    if now >= clock.next_sample_ns:
+        sample(p, pool, memory, y)
+        clock.next_sample_ns = now + p.computer.sample_ns
+    if now >= clock.command_due_ns:
+        held.command_pitch_rad = after_backlash(
+            p.vehicle.actuator_pitch, held.command_pitch_rad, clock.pending_pitch_rad
+        )
+        held.command_yaw_rad = after_backlash(
+            p.vehicle.actuator_yaw, held.command_yaw_rad, clock.pending_yaw_rad
+        )
+        held.roll_torque_Nm = p.vehicle.roll_torque_Nm * clock.pending_roll
+        clock.command_due_ns = NEVER
+    return changed
+
+
+@kernel
+def sample(p: Parameters, pool: Array, memory: Memory, y: Array) -> None:
+    """One tick of the flight computer on what the gyro has turned since the last one."""
+    clock = memory.clock
+    now = clock.now_ns
+    walk = p.vehicle.gyro.random_walk_rad_rts * math.sqrt(1e-9 * p.computer.sample_ns)
+    for axis in range(3):
+        memory.increment_rad[axis] = y[GYRO_ANGLE + axis]
+        if walk > 0.0:
+            memory.increment_rad[axis] += walk * standard_normal(
+                p.course.seed, GYRO_STREAM + axis, clock.samples
+            )
+        y[GYRO_ANGLE + axis] = 0.0
+        memory.rate_injection_radps[axis] = total_signal(p.injections, pool, RATE_COMMAND, axis, now, 0.0)
+        memory.rate_replaces[axis] = replaced(p.injections, RATE_COMMAND, axis, now)
+    for gimbal in range(2):
+        memory.gimbal_injection_rad[gimbal] = total_signal(
+            p.injections, pool, GIMBAL_COMMAND, gimbal + 1, now, 0.0
+        )
+        memory.gimbal_replaces[gimbal] = replaced(p.injections, GIMBAL_COMMAND, gimbal + 1, now)
+    clock.samples += 1
+    computer_tick(
+        p.computer, pool, memory.computer, 1e-9 * now, memory.increment_rad, memory.rate_injection_radps,
+        memory.rate_replaces, memory.gimbal_injection_rad, memory.gimbal_replaces,
+    )  # fmt: skip
+    clock.pending_pitch_rad = memory.computer.command_rad[0]
+    clock.pending_yaw_rad = memory.computer.command_rad[1]
+    clock.pending_roll = memory.computer.roll.demand
+    clock.command_due_ns = now + p.computer.delay_ns
+
+
+@kernel
+def step_length(p: Parameters, pool: Array, memory: Memory, until_ns: int) -> int:
+    """Nanoseconds to the next instant that no step may reach over."""
+    clock, course = memory.clock, p.course
+    now = clock.now_ns
+    end = min((now // course.step_ns + 1) * course.step_ns, until_ns)
+    for instant in (
+        clock.next_sample_ns,
+        clock.command_due_ns,
+        clock.next_gust_ns,
+        course.burn_start_ns,
+        course.burnout_ns,
+        course.separation_ns,
+        course.release_ns,
+        course.stop_ns,
+    ):
+        if now < instant < end:
+            end = instant
+    if course.frozen == 0 and memory.held.burning == 1:
+        end = min(end, max(_next_break(p, pool, memory, now), now + 1))
+    if p.injections.count > 0:
+        end = next_switch(p.injections, pool, now, end)
+    return end - now
+
+
+@kernel
+def _next_break(p: Parameters, pool: Array, memory: Memory, now_ns: int) -> int:
+    """Next breakpoint of the schedule; moves to the interval that holds `now_ns`."""
+    schedule, clock = p.vehicle.schedule, memory.clock
+    while clock.interval < schedule.n_breaks - 2:
+        at = p.course.stage_start_ns + round(
+            1e9 * pool[schedule.offset + clock.interval + 1] / p.course.burn_rate
+        )
+        if at > now_ns:
+            return at
+        clock.interval += 1
+    return NEVER
+
+
+@kernel
+def crossing(
+    p: Parameters, memory: Memory, event: int, y: Array, props: Array, pad_load: float, pressure: float
+) -> float:
+    """A number that turns positive as `event` happens."""
+    if event == LIFTOFF:
+        strength = thrust(p.vehicle.engine, props[THRUST_VACUUM], pressure)
+        return strength - props[TOTAL_MASS] * pad_load
+    altitude, climb = climb_rate(p.around.earth, y)
+    if event == APOGEE:
+        return -climb
+    return p.course.ground_altitude_m - altitude
+
+
+@kernel
+def watch(p: Parameters, memory: Memory, y: Array, aux: Array) -> None:
+    """Events that are seen at a step's start: lost control, tumbling."""
+    if memory.held.down == 1:
+        return
+    clock, course, law = memory.clock, p.course, memory.computer.law
+    if memory.held.burning == 1 and clock.event_ns[CONTROL_LOST] < 0:
+        if max(abs(law.theta_e_rad[1]), abs(law.theta_e_rad[2])) > course.control_lost_rad:
+            note(p, memory, CONTROL_LOST, clock.now_ns)
+    if aux[DYNAMIC_PRESSURE] > course.tumble_pressure_Pa and clock.event_ns[TUMBLE] < 0:
+        if aux[FLOW] < math.cos(course.tumble_rad) * aux[AIRSPEED]:
+            note(p, memory, TUMBLE, clock.now_ns)
+
+
+@kernel
+def fault(p: Parameters, y: Array) -> int:
+    """Why a state is no flight any more, or FINITE. Written so that a NaN fails every comparison."""
+    turning = abs(y[W_BI_B]) + abs(y[W_BI_B + 1]) + abs(y[W_BI_B + 2])
+    place = abs(y[R_I]) + abs(y[R_I + 1]) + abs(y[R_I + 2])
+    speed = abs(y[V_I]) + abs(y[V_I + 1]) + abs(y[V_I + 2])
+    total = turning + 1e-6 * (place + speed)
+    for i in range(Q_BI, Q_BI + 4):
+        total += abs(y[i])
+    bend = 0.0
+    for i in range(ACTUATOR, state_size(p.vehicle.sizes)):
+        total += 1e-9 * abs(y[i])
+    eta, xi = eta_index(p.vehicle.sizes), xi_index(p.vehicle.sizes)
+    for i in range(p.vehicle.sizes.pitch_modes):
+        bend = max(bend, abs(y[eta + i]))
+    for i in range(p.vehicle.sizes.yaw_modes):
+        bend = max(bend, abs(y[xi + i]))
+    if not total < 1e300:
+        return NOT_FINITE
+    if turning > 1000.0:
+        return TURNS_TOO_FAST
+    if bend > 10.0:
+        return BENDS_TOO_FAR
+    if place > 1e9 or speed > 1e5:
+        return LEAVES_THE_WORLD
+    return FINITE
+
+
+@kernel
+def hand_over(before: Parameters, after: Parameters, memory: Memory, old: Array, new: Array, y: Array) -> None:
+    """Separation: the upper part flies on from where its own core CG is; modes and bobs start at rest.
+
+    `old` and `new` are the schedules' rows on both sides. Stations run from the nose, which stays.
+    """
+    rotation = rotation_from_quaternion(y[Q_BI], y[Q_BI + 1], y[Q_BI + 2], y[Q_BI + 3])
+    rate = (y[W_BI_B], y[W_BI_B + 1], y[W_BI_B + 2])
+    shift = (
+        old[CORE_CG] - new[CORE_CG],
+        new[CORE_CG + 1] - old[CORE_CG + 1],
+        new[CORE_CG + 2] - old[CORE_CG + 2],
+    )
+    moved, swept = turn(rotation, shift), turn(rotation, cross(rate, shift))
+    for j in range(3):
+        y[R_I + j] += moved[j]
+        y[V_I + j] += swept[j]
+    for i in range(ACTUATOR, ACTUATOR + 2 * N_ACTUATOR):
+        y[i] = 0.0
+    memory.held.command_pitch_rad, memory.held.command_yaw_rad = 0.0, 0.0
+    memory.held.roll_torque_Nm, memory.held.burning = 0.0, 0
+    rest(after, rate, y)
+    note(before, memory, SEPARATION, memory.clock.now_ns)
+    memory.clock.stage_separation_ns[memory.clock.stage] = memory.clock.now_ns
+
+
+@kernel
+def rest(p: Parameters, rate: tuple[float, float, float], y: Array) -> None:
+    """Flexible and sloshing states at rest relative to the body."""
+    sizes = p.vehicle.sizes
+    for i in range(N_FIXED, state_size(sizes)):
+        y[i] = 0.0
+    for tank in range(sizes.tanks):
+        i = pendulum_index(sizes, tank)
+        turning = cross(rate, (-1.0, 0.0, 0.0))
+        y[i] = -1.0
+        for j in range(3):
+            y[i + 3 + j] = turning[j]
+
+
+@kernel
+def settle_gyro(rate: tuple[float, float, float], y: Array) -> None:
+    """Gyro at the present rate."""
+    for axis in range(3):
+        y[GYRO + N_GYRO * axis] = rate[axis]
+        y[GYRO + N_GYRO * axis + 1] = 0.0
+        y[GYRO_ANGLE + axis] = 0.0

@@ -1,0 +1,121 @@
+"""Signals that a scenario injects: into the gimbal or rate command (at the computer's samples), or as body loads.
+
+A signal switches on and off only at step boundaries (the flight loop splits its steps there); in between it is
+evaluated at every stage of a step, so that a smooth signal keeps the integrator's order.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Annotated
+
+from maxq.control.jit import kernel
+from maxq.control.records import Array, IntArray
+from maxq.control.tables import TableRef, find_interval, interpolate
+
+MAX_INJECTIONS = 16
+MAX_TONES = 64
+
+# where a signal enters
+GIMBAL_COMMAND = 0
+RATE_COMMAND = 1
+BODY_FORCE = 2
+BODY_TORQUE = 3
+# its shape
+STEP = 0
+DOUBLET = 1
+SINE = 2
+CHIRP = 3
+MULTISINE = 4
+TABLE = 5
+
+
+@dataclass(frozen=True)
+class Injections:
+    """Axis: 0 roll or x, 1 pitch or y, 2 yaw or z. Amplitudes in SI (rad, rad/s, N, N m)."""
+
+    count: int
+    where: Annotated[IntArray, (MAX_INJECTIONS,)]
+    axis: Annotated[IntArray, (MAX_INJECTIONS,)]
+    shape: Annotated[IntArray, (MAX_INJECTIONS,)]
+    replaces: Annotated[IntArray, (MAX_INJECTIONS,)]
+    start_ns: Annotated[IntArray, (MAX_INJECTIONS,)]
+    stop_ns: Annotated[IntArray, (MAX_INJECTIONS,)]
+    amplitude: Annotated[Array, (MAX_INJECTIONS,)]
+    frequency_hz: Annotated[Array, (MAX_INJECTIONS,)]
+    stop_frequency_hz: Annotated[Array, (MAX_INJECTIONS,)]
+    tones: Annotated[IntArray, (MAX_INJECTIONS,)]
+    tone_hz: Annotated[Array, (MAX_INJECTIONS, MAX_TONES)]
+    tone_phase: Annotated[Array, (MAX_INJECTIONS, MAX_TONES)]
+    column: Annotated[IntArray, (MAX_INJECTIONS,)]  # of `table`, for the shape TABLE
+    table: TableRef
+
+
+@kernel
+def signal(inj: Injections, pool: Array, i: int, step_start_ns: int, elapsed_s: float) -> float:
+    """Value of signal `i`, `elapsed_s` after the start of a step: zero unless it is on during that step."""
+    if step_start_ns < inj.start_ns[i] or step_start_ns >= inj.stop_ns[i]:
+        return 0.0
+    shape = inj.shape[i]
+    since = 1e-9 * (step_start_ns - inj.start_ns[i]) + elapsed_s
+    if shape == STEP:
+        return inj.amplitude[i]
+    if shape == DOUBLET:
+        middle = (inj.start_ns[i] + inj.stop_ns[i]) // 2
+        return inj.amplitude[i] if step_start_ns < middle else -inj.amplitude[i]
+    if shape == SINE:
+        return inj.amplitude[i] * math.sin(2.0 * math.pi * inj.frequency_hz[i] * since)
+    if shape == CHIRP:
+        duration = 1e-9 * (inj.stop_ns[i] - inj.start_ns[i])
+        sweep = 0.5 * (inj.stop_frequency_hz[i] - inj.frequency_hz[i]) / duration
+        return inj.amplitude[i] * math.sin(2.0 * math.pi * (inj.frequency_hz[i] + sweep * since) * since)
+    if shape == MULTISINE:
+        total = 0.0
+        for j in range(inj.tones[i]):
+            total += math.sin(2.0 * math.pi * inj.tone_hz[i, j] * since + inj.tone_phase[i, j])
+        return inj.amplitude[i] * total
+    k = find_interval(pool, inj.table, 1e-9 * step_start_ns)
+    return inj.amplitude[i] * interpolate(
+        pool, inj.table, k, 1e-9 * step_start_ns + elapsed_s, inj.column[i]
+    )
+
+
+@kernel
+def total_signal(
+    inj: Injections, pool: Array, where: int, axis: int, step_start_ns: int, elapsed_s: float
+) -> float:
+    """Sum of the signals that enter at one place on one axis."""
+    total = 0.0
+    for i in range(inj.count):
+        if inj.where[i] == where and inj.axis[i] == axis:
+            total += signal(inj, pool, i, step_start_ns, elapsed_s)
+    return total
+
+
+@kernel
+def replaced(inj: Injections, where: int, axis: int, now_ns: int) -> int:
+    """1 while a signal takes the place of what it is injected into."""
+    for i in range(inj.count):
+        if inj.where[i] == where and inj.axis[i] == axis and inj.replaces[i] == 1:
+            if inj.start_ns[i] <= now_ns < inj.stop_ns[i]:
+                return 1
+    return 0
+
+
+@kernel
+def next_switch(inj: Injections, pool: Array, now_ns: int, latest_ns: int) -> int:
+    """First instant after `now_ns`, at most `latest_ns`, at which a signal has a kink."""
+    best = latest_ns
+    for i in range(inj.count):
+        middle = (inj.start_ns[i] + inj.stop_ns[i]) // 2
+        for instant in (inj.start_ns[i], middle, inj.stop_ns[i]):
+            if now_ns < instant < best:
+                best = instant
+        if inj.shape[i] == TABLE:
+            k = find_interval(pool, inj.table, 1e-9 * (now_ns + 1))
+            for j in range(k, min(k + 2, inj.table.n_breaks)):
+                instant = round(1e9 * pool[inj.table.offset + j])
+                if now_ns < instant < best:
+                    best = instant
+    return best

@@ -1,0 +1,280 @@
+"""The flight: steps from instant to instant, with the computer's samples, events, metrics and log rows in between."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from maxq.control.computer import start_computer
+from maxq.control.jit import kernel
+from maxq.control.records import Array, IntArray
+from maxq.control.tables import find_interval
+from maxq.sim.dynamics.schedule import CORE_CG
+from maxq.sim.dynamics.state import MAX_STATE, Sizes, state_size
+from maxq.sim.dynamics.workspace import ALTITUDE, AUX_SIZE, AXIAL_LOAD, PRESSURE, WORK_SIZE
+from maxq.sim.environment.turbulence import turbulence_start
+from maxq.sim.flight.events import (
+    crossing,
+    fault,
+    hand_over,
+    meet_instants,
+    note,
+    step_length,
+    watch,
+)
+from maxq.sim.flight.metrics import N_METRICS, gather
+from maxq.sim.flight.parameters import (
+    APOGEE,
+    DIVERGED,
+    FINITE,
+    IMPACT,
+    LIFTOFF,
+    N_EVENTS,
+    NEVER,
+    Memory,
+    Parameters,
+)
+from maxq.sim.flight.step import evaluate, read_schedule, runge_kutta, schedule_clock
+from maxq.sim.flight.telemetry import fill_fast, fill_slow
+
+PROPS_SIZE = 1024  # columns of the widest schedule (8 modes a plane, 8 tanks, 8 surfaces: 702)
+
+# where the arrays of a flight lie in its arena: one allocation, made once
+_Y_END = 0
+_Y_STAGE = _Y_END + MAX_STATE
+_K_1 = _Y_STAGE + MAX_STATE
+_K = _K_1 + MAX_STATE
+_PROPS = _K + MAX_STATE
+_PROPS_MIDDLE = _PROPS + PROPS_SIZE
+_PROPS_END = _PROPS_MIDDLE + PROPS_SIZE
+_WORK = _PROPS_END + PROPS_SIZE
+_AUX = _WORK + WORK_SIZE
+_AUX_STAGE = _AUX + AUX_SIZE
+ARENA_SIZE = _AUX_STAGE + AUX_SIZE
+
+
+@dataclass(frozen=True)
+class Logged:
+    """How wide a log's bending and slosh rows are: the widest stage's; `on` = 0 for no log."""
+
+    on: int
+    sizes: Sizes
+
+
+@kernel
+def begin(P: Array, pool: Array, state: Array, y: Array) -> None:
+    """Set the memory of a flight to its start; `y` holds the initial state of the first stage already."""
+    p, memory = P[0], state[0]
+    clock = memory.clock
+    clock.started = 1
+    for event in range(N_EVENTS):
+        clock.event_ns[event] = -1
+    for stage in range(len(P)):
+        clock.stage_burnout_ns[stage] = -1
+        clock.stage_separation_ns[stage] = -1
+    for metric in range(N_METRICS):
+        memory.extremes.value[metric] = 0.0
+        memory.extremes.time_ns[metric] = -1
+    clock.command_due_ns = NEVER
+    clock.next_gust_ns = clock.now_ns if p.around.turbulence.on == 1 else NEVER
+    turbulence_start(p.around.turbulence, pool, memory.gusts, 0.0)
+    start_computer(p.computer, pool, memory.computer, 1e-9 * clock.now_ns)
+    clock.next_sample_ns = clock.now_ns + p.computer.sample_ns
+    start_stage(p, pool, memory)
+
+
+@kernel
+def start_stage(p: Parameters, pool: Array, memory: Memory) -> None:
+    """Schedule and engine at the start of a stage."""
+    clock = memory.clock
+    now = clock.now_ns
+    clock.interval = find_interval(pool, p.vehicle.schedule, schedule_clock(p, now, 0.0))
+    memory.held.burning = 1 if p.course.burn_start_ns <= now < p.course.burnout_ns else 0
+
+
+@kernel
+def advance(
+    P: Array, pool: Array, state: Array, y: Array, arena: Array, until_ns: int, logged: Array,
+    fast_ns: IntArray, fast: Array, slow_ns: IntArray, slow: Array, rows: IntArray,
+) -> None:  # fmt: skip
+    """Fly until `until_ns` or the end of the flight, whichever comes first.
+
+    `P` (stages,) of Parameters, `state` (1,) of Memory, `logged` (1,) of Logged. Log rows go to `fast`, `slow` with
+    their times (ns) and counts `rows` (2,). Where a call ends changes nothing in the flight, as long as `until_ns` is
+    a multiple of the step.
+    """
+    memory = state[0]
+    clock = memory.clock
+    y_end, y_stage = arena[_Y_END:_Y_STAGE], arena[_Y_STAGE:_K_1]
+    k_1, k = arena[_K_1:_K], arena[_K:_PROPS]
+    props, props_middle = arena[_PROPS:_PROPS_MIDDLE], arena[_PROPS_MIDDLE:_PROPS_END]
+    props_end, work = arena[_PROPS_END:_WORK], arena[_WORK:_AUX]
+    aux, aux_stage = arena[_AUX:_AUX_STAGE], arena[_AUX_STAGE:ARENA_SIZE]
+    fresh = 1
+    while clock.finished == 0 and clock.now_ns < until_ns:
+        p = P[clock.stage]
+        now = clock.now_ns
+        if now >= p.course.separation_ns and clock.stage + 1 < len(P):
+            separate(P, pool, memory, y, props, props_end)
+            fresh = 1
+            continue
+        if meet_instants(p, pool, memory, y, aux) == 1 or fresh == 1:
+            step_length(p, pool, memory, until_ns)  # moves to the interval of the schedule that holds now
+            read_schedule(p, pool, memory, now, 0.0, props)
+            fresh = 0
+        evaluate(p, pool, memory, now, 0.0, props, y, k_1, work, aux)
+        watch(p, memory, y, aux)
+        if memory.held.down == 1 and p.course.release_ns == NEVER:
+            if crossing(p, memory, LIFTOFF, y, props, aux[AXIAL_LOAD], aux[PRESSURE]) >= 0.0:
+                memory.held.down = 0
+                note(p, memory, LIFTOFF, now)
+                continue
+        log(p, memory, logged, props, y, aux, fast_ns, fast, slow_ns, slow, rows, 0)
+        step_ns = step_length(p, pool, memory, until_ns)
+        gather(
+            memory.extremes, p.vehicle, p.around.earth, memory.held, memory.computer, now, 1e-9 * step_ns, props,
+            y, aux,
+        )  # fmt: skip
+        if clock.finished == 1:
+            break
+        runge_kutta(
+            p, pool, memory, now, step_ns, y, k_1, y_end, y_stage, k, props_middle, props_end, work, aux_stage
+        )
+        clock.cause = fault(p, y_end)
+        if clock.cause != FINITE:
+            note(p, memory, DIVERGED, now)
+            clock.finished = 1
+            break
+        event = crossed(p, memory, y_end, props_end, aux)
+        if event >= 0:
+            step_ns = locate(
+                p, pool, memory, event, step_ns, y, k_1, y_end, y_stage, k, props_middle, props_end, work,
+                aux, aux_stage,
+            )  # fmt: skip
+        for i in range(state_size(p.vehicle.sizes)):
+            y[i] = y_end[i]
+        props, props_end = props_end, props
+        clock.now_ns = now + step_ns
+        clock.steps += 1
+        if event >= 0:
+            happen(p, memory, event)
+        if clock.now_ns >= p.course.stop_ns:
+            clock.finished = 1
+    if clock.finished == 1 and clock.started == 1:
+        clock.started = 2
+        p = P[clock.stage]
+        read_schedule(p, pool, memory, clock.now_ns, 0.0, props)
+        evaluate(p, pool, memory, clock.now_ns, 0.0, props, y, k_1, work, aux)
+        gather(
+            memory.extremes, p.vehicle, p.around.earth, memory.held, memory.computer, clock.now_ns, 0.0, props, y,
+            aux,
+        )  # fmt: skip
+        log(p, memory, logged, props, y, aux, fast_ns, fast, slow_ns, slow, rows, 1)
+
+
+@kernel
+def separate(P: Array, pool: Array, memory: Memory, y: Array, props: Array, props_after: Array) -> None:
+    """Go over to the next stage."""
+    clock = memory.clock
+    before, after = P[clock.stage], P[clock.stage + 1]
+    read_schedule(before, pool, memory, clock.now_ns, 0.0, props)
+    interval = clock.interval
+    clock.interval = find_interval(pool, after.vehicle.schedule, schedule_clock(after, clock.now_ns, 0.0))
+    read_schedule(after, pool, memory, clock.now_ns, 0.0, props_after)
+    clock.interval = interval
+    hand_over(before, after, memory, props, props_after, y)
+    clock.stage += 1
+    start_stage(after, pool, memory)
+
+
+@kernel
+def crossed(p: Parameters, memory: Memory, y: Array, props: Array, aux: Array) -> int:
+    """The event that the step to `y` has passed, or -1."""
+    clock = memory.clock
+    if memory.held.down == 1:
+        if p.course.release_ns == NEVER:
+            if crossing(p, memory, LIFTOFF, y, props, aux[AXIAL_LOAD], aux[PRESSURE]) >= 0.0:
+                return LIFTOFF
+        return -1
+    if clock.climbing == 1:
+        if crossing(p, memory, APOGEE, y, props, 0.0, 0.0) >= 0.0:
+            return APOGEE
+        return -1
+    if aux[ALTITUDE] > p.course.ground_altitude_m:
+        if crossing(p, memory, IMPACT, y, props, 0.0, 0.0) >= 0.0:
+            return IMPACT
+    if crossing(p, memory, APOGEE, y, props, 0.0, 0.0) < 0.0:
+        clock.climbing = 1
+    return -1
+
+
+@kernel
+def happen(p: Parameters, memory: Memory, event: int) -> None:
+    """A crossing has been met."""
+    if event == LIFTOFF:
+        memory.held.down = 0
+    if event == APOGEE:
+        memory.clock.climbing = 0
+    note(p, memory, event, memory.clock.now_ns)
+
+
+@kernel
+def locate(
+    p: Parameters, pool: Array, memory: Memory, event: int, step_ns: int, y: Array, k_1: Array, y_end: Array,
+    y_stage: Array, k: Array, props_middle: Array, props_end: Array, work: Array, aux: Array, aux_stage: Array,
+) -> int:  # fmt: skip
+    """Shortest step, in whole ns, after which `event` has happened; leaves the state there in `y_end`.
+
+    Regula falsi with bisection every other time, on the step length; each trial repeats the step from its start.
+    """
+    low, high = 0, step_ns
+    at_low, at_high = 0.0, crossing(p, memory, event, y_end, props_end, aux[AXIAL_LOAD], aux[PRESSURE])
+    best = high
+    halve = 1
+    while high - low > 1:
+        trial = (low + high) // 2
+        if halve == 0 and at_high > at_low:
+            trial = low + int((high - low) * (-at_low) / (at_high - at_low))
+            trial = min(max(trial, low + 1), high - 1)
+        halve = 1 - halve
+        runge_kutta(
+            p, pool, memory, memory.clock.now_ns, trial, y, k_1, y_end, y_stage, k, props_middle, props_end, work,
+            aux_stage,
+        )  # fmt: skip
+        value = crossing(p, memory, event, y_end, props_end, aux[AXIAL_LOAD], aux[PRESSURE])
+        best = trial
+        if value >= 0.0:
+            high, at_high = trial, value
+        else:
+            low, at_low = trial, value
+    if best != high:
+        runge_kutta(
+            p, pool, memory, memory.clock.now_ns, high, y, k_1, y_end, y_stage, k, props_middle, props_end, work,
+            aux_stage,
+        )  # fmt: skip
+    return high
+
+
+@kernel
+def log(
+    p: Parameters, memory: Memory, logged: Array, props: Array, y: Array, aux: Array, fast_ns: IntArray,
+    fast: Array, slow_ns: IntArray, slow: Array, rows: IntArray, last: int,
+) -> None:  # fmt: skip
+    """Write the rows that are due at this instant; at the flight's end both, whether due or not."""
+    if logged[0].on == 0:
+        return
+    now = memory.clock.now_ns
+    if now % p.course.fast_ns == 0 or last == 1:
+        fill_fast(p, logged[0].sizes, memory, props, y, aux, fast[rows[0]])
+        fast_ns[rows[0]] = now
+        rows[0] += 1
+    if now % p.course.slow_ns == 0 or last == 1:
+        fill_slow(p, memory, props, y, aux, slow[rows[1]])
+        slow_ns[rows[1]] = now
+        rows[1] += 1
+
+
+@kernel
+def core_cg(p: Parameters, pool: Array, memory: Memory, props: Array) -> tuple[float, float, float]:
+    """Core CG at the flight's start: station, y, z."""
+    read_schedule(p, pool, memory, memory.clock.now_ns, 0.0, props)
+    return props[CORE_CG], props[CORE_CG + 1], props[CORE_CG + 2]

@@ -1,0 +1,117 @@
+"""All that one stage's flight depends on, as one record; a flight is an array of them, one row per stage."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated
+
+from maxq.control.computer import Computer, ComputerState
+from maxq.control.records import Array, IntArray
+from maxq.sim.dynamics.derivative import Held, Vehicle
+from maxq.sim.dynamics.surroundings import Surroundings
+from maxq.sim.environment.turbulence import TurbulenceState
+from maxq.sim.flight.injection import Injections
+from maxq.sim.flight.metrics import Extremes
+
+NEVER = 2**62  # ns: an instant that does not come
+
+# events, in the order of the events' table
+LIFTOFF = 0
+BURNOUT = 1  # of the last stage that burned
+SEPARATION = 2
+APOGEE = 3
+IMPACT = 4
+CONTROL_LOST = 5
+TUMBLE = 6
+DIVERGED = 7
+EVENT_NAMES = (
+    "liftoff", "burnout", "separation", "apogee", "impact", "control_lost", "tumble", "diverged",
+)  # fmt: skip
+N_EVENTS = len(EVENT_NAMES)
+
+# why a flight diverged
+FINITE = 0
+NOT_FINITE = 1
+TURNS_TOO_FAST = 2
+BENDS_TOO_FAR = 3
+LEAVES_THE_WORLD = 4
+CAUSES = (
+    "",
+    "a state is not finite",
+    "the vehicle turns faster than 1000 rad/s",
+    "a bending mode exceeds 10 m",
+    "the position is more than 1e9 m away or the speed above 1e5 m/s",
+)
+
+
+@dataclass(frozen=True)
+class Course:
+    """How a stage is flown: instants in ns of flight time unless named otherwise."""
+
+    step_ns: int
+    stage_start_ns: int  # zero of this stage's clock
+    burn_start_ns: int  # ignition
+    frozen: int  # 1: the schedule stands still at `frozen_s`
+    frozen_s: float
+    burn_rate: float  # seconds of schedule per second of flight
+    burnout_ns: int
+    separation_ns: int  # NEVER on the last stage
+    release_ns: int  # NEVER: when thrust exceeds weight
+    stop_ns: int
+    ground_altitude_m: float
+    stop_mask: int  # bit i: the flight ends with event i
+    control_lost_rad: float  # attitude error under thrust at which control counts as lost
+    tumble_rad: float  # total incidence that counts as tumbling while dynamic pressure exceeds `tumble_pressure_Pa`
+    tumble_pressure_Pa: float
+    fast_ns: int  # log periods
+    slow_ns: int
+    seed: int
+
+
+@dataclass(frozen=True)
+class Parameters:
+    vehicle: Vehicle
+    around: Surroundings
+    computer: Computer
+    injections: Injections
+    course: Course
+
+
+@dataclass
+class Clock:
+    """Where a flight stands between two calls of the kernel."""
+
+    now_ns: int
+    stage: int
+    started: int
+    finished: int
+    cause: int
+    steps: int
+    interval: int  # of the schedule
+    next_sample_ns: int
+    command_due_ns: int  # when the pending command takes effect
+    pending_pitch_rad: float
+    pending_yaw_rad: float
+    pending_roll: int
+    next_gust_ns: int
+    samples: int  # of the gyro, for its noise
+    climbing: int  # 1 while the altitude rises
+    event_ns: Annotated[IntArray, (N_EVENTS,)]  # -1: has not happened
+    stage_burnout_ns: Annotated[IntArray, (8,)]
+    stage_separation_ns: Annotated[IntArray, (8,)]
+
+
+@dataclass
+class Memory:
+    """Everything of a flight that changes, besides the state vector."""
+
+    clock: Clock
+    held: Held
+    computer: ComputerState
+    gusts: TurbulenceState
+    extremes: Extremes
+    increment_rad: Annotated[Array, (3,)]
+    rate_injection_radps: Annotated[Array, (3,)]
+    rate_replaces: Annotated[IntArray, (3,)]
+    gimbal_injection_rad: Annotated[Array, (2,)]
+    gimbal_replaces: Annotated[IntArray, (2,)]

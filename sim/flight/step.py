@@ -1,0 +1,104 @@
+"""One step of the classical fourth-order Runge-Kutta method over a stretch in which nothing switches."""
+
+from __future__ import annotations
+
+import math
+
+from maxq.control.jit import kernel
+from maxq.control.records import Array
+from maxq.control.tables import interpolate_into
+from maxq.sim.dynamics.derivative import derivative
+from maxq.sim.dynamics.schedule import CG_RATE, MASS_FLOW, THRUST_VACUUM, TOTAL_MASS
+from maxq.sim.dynamics.state import Q_BI, pendulum_index, state_size
+from maxq.sim.flight.injection import BODY_FORCE, BODY_TORQUE, total_signal
+from maxq.sim.flight.parameters import Memory, Parameters
+
+
+@kernel
+def schedule_clock(p: Parameters, now_ns: int, elapsed_s: float) -> float:
+    """Schedule time, s, `elapsed_s` after the instant `now_ns`."""
+    if p.course.frozen == 1:
+        return p.course.frozen_s
+    return p.course.burn_rate * (1e-9 * (now_ns - p.course.stage_start_ns) + elapsed_s)
+
+
+@kernel
+def read_schedule(
+    p: Parameters, pool: Array, memory: Memory, now_ns: int, elapsed_s: float, props: Array
+) -> None:
+    """The vehicle `elapsed_s` after `now_ns`. Nothing flows out of an engine that does not burn."""
+    clock_s = schedule_clock(p, now_ns, elapsed_s)
+    interpolate_into(pool, p.vehicle.schedule, memory.clock.interval, clock_s, props)
+    if memory.held.burning == 0:
+        for column in range(CG_RATE, TOTAL_MASS):
+            props[column] = 0.0
+        props[MASS_FLOW] = 0.0
+        props[THRUST_VACUUM] = 0.0
+
+
+@kernel
+def evaluate(
+    p: Parameters, pool: Array, memory: Memory, now_ns: int, elapsed_s: float, props: Array, y: Array, dy: Array,
+    work: Array, aux: Array,
+) -> None:  # fmt: skip
+    """Derivative `elapsed_s` into the step that starts at `now_ns`."""
+    held = memory.held
+    if p.injections.count > 0:
+        held.force_x_N = total_signal(p.injections, pool, BODY_FORCE, 0, now_ns, elapsed_s)
+        held.force_y_N = total_signal(p.injections, pool, BODY_FORCE, 1, now_ns, elapsed_s)
+        held.force_z_N = total_signal(p.injections, pool, BODY_FORCE, 2, now_ns, elapsed_s)
+        held.torque_x_Nm = total_signal(p.injections, pool, BODY_TORQUE, 0, now_ns, elapsed_s)
+        held.torque_y_Nm = total_signal(p.injections, pool, BODY_TORQUE, 1, now_ns, elapsed_s)
+        held.torque_z_Nm = total_signal(p.injections, pool, BODY_TORQUE, 2, now_ns, elapsed_s)
+    if p.around.turbulence.on == 1:
+        tick = p.around.turbulence.tick_ns
+        since = 1e-9 * (now_ns - memory.clock.next_gust_ns + tick) + elapsed_s
+        held.turbulence_phase = 1e9 * since / tick
+    derivative(p.vehicle, p.around, pool, held, memory.gusts, props, y, dy, work, aux)
+
+
+@kernel
+def runge_kutta(
+    p: Parameters, pool: Array, memory: Memory, now_ns: int, step_ns: int, y: Array, k_1: Array, y_end: Array,
+    y_stage: Array, k: Array, props_middle: Array, props_end: Array, work: Array, aux: Array,
+) -> None:  # fmt: skip
+    """State `step_ns` after `now_ns` into `y_end`, given the derivative `k_1` at its start.
+
+    Classical method of order four (Hairer, Norsett & Wanner, Solving Ordinary Differential Equations I, table 1.2).
+    """
+    n = state_size(p.vehicle.sizes)
+    h = 1e-9 * step_ns
+    read_schedule(p, pool, memory, now_ns, 0.5 * h, props_middle)
+    read_schedule(p, pool, memory, now_ns, h, props_end)
+    for i in range(n):
+        y_stage[i] = y[i] + 0.5 * h * k_1[i]
+        y_end[i] = y[i] + h / 6.0 * k_1[i]
+    evaluate(p, pool, memory, now_ns, 0.5 * h, props_middle, y_stage, k, work, aux)
+    for i in range(n):
+        y_stage[i] = y[i] + 0.5 * h * k[i]
+        y_end[i] += h / 3.0 * k[i]
+    evaluate(p, pool, memory, now_ns, 0.5 * h, props_middle, y_stage, k, work, aux)
+    for i in range(n):
+        y_stage[i] = y[i] + h * k[i]
+        y_end[i] += h / 3.0 * k[i]
+    evaluate(p, pool, memory, now_ns, h, props_end, y_stage, k, work, aux)
+    for i in range(n):
+        y_end[i] += h / 6.0 * k[i]
+    restore_constraints(p, y_end)
+
+
+@kernel
+def restore_constraints(p: Parameters, y: Array) -> None:
+    """Bring the quaternion and the pendulums' unit vectors back to length one, and their rates at right angles."""
+    a, b, c, d = y[Q_BI], y[Q_BI + 1], y[Q_BI + 2], y[Q_BI + 3]
+    scale = 1.0 / math.sqrt(a * a + b * b + c * c + d * d)
+    for j in range(4):
+        y[Q_BI + j] *= scale
+    for tank in range(p.vehicle.sizes.tanks):
+        i = pendulum_index(p.vehicle.sizes, tank)
+        scale = 1.0 / math.sqrt(y[i] * y[i] + y[i + 1] * y[i + 1] + y[i + 2] * y[i + 2])
+        for j in range(3):
+            y[i + j] *= scale
+        along = y[i] * y[i + 3] + y[i + 1] * y[i + 4] + y[i + 2] * y[i + 5]
+        for j in range(3):
+            y[i + 3 + j] -= along * y[i + j]

@@ -1,0 +1,212 @@
+"""Message types that viewers know by name: `foxglove.Log` (events), `foxglove.FrameTransforms` (frames).
+
+Names and field numbers are those of Foxglove's published protobuf schemas.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import IntEnum
+from typing import Any
+
+import numpy as np
+from google.protobuf import descriptor_pb2, timestamp_pb2
+from google.protobuf.message import DecodeError
+from numpy.typing import NDArray
+
+from maxq.control.records import Array, IntArray
+from maxq.sim.log.protobuf import message_class, serialise
+
+LOG_TYPE = "foxglove.Log"
+FRAMES_TYPE = "foxglove.FrameTransforms"
+
+_Field = descriptor_pb2.FieldDescriptorProto
+_NS_PER_S = 1_000_000_000
+
+
+class Level(IntEnum):
+    """Severity of an event, numbered as foxglove.LogLevel."""
+
+    UNKNOWN = 0
+    DEBUG = 1
+    INFO = 2
+    WARNING = 3
+    ERROR = 4
+    FATAL = 5
+
+
+@dataclass(frozen=True)
+class Event:
+    """Something that happened at one instant; `source` is the component that reports it."""
+
+    time_ns: int
+    level: Level
+    text: str
+    source: str = ""
+
+
+@dataclass(frozen=True)
+class FramePath:
+    """Motion of the frame `child` relative to `parent`.
+
+    `times_ns` (n,); `translation_m` (n, 3): origin of the child in parent components; `rotation` (n, 4): unit
+    quaternion, scalar first, that turns child components into parent components (q_BI for parent I, child B).
+    """
+
+    parent: str
+    child: str
+    times_ns: IntArray
+    translation_m: Array
+    rotation: Array
+
+
+def _file(name: str, *imports: str) -> descriptor_pb2.FileDescriptorProto:
+    return descriptor_pb2.FileDescriptorProto(
+        name=f"foxglove/{name}.proto", package="foxglove", syntax="proto3", dependency=imports
+    )
+
+
+def _add_message(
+    file: descriptor_pb2.FileDescriptorProto, name: str, *fields: tuple[str, str | _Field.Type.ValueType]
+) -> None:
+    """Add a message with fields 1, 2, ...; the type of a field is a scalar or the name of a message."""
+    message = file.message_type.add(name=name)
+    for number, (field_name, kind) in enumerate(fields, start=1):
+        field = message.field.add(name=field_name, number=number, label=_Field.LABEL_OPTIONAL)
+        if isinstance(kind, str):
+            field.type, field.type_name = _Field.TYPE_MESSAGE, kind
+        else:
+            field.type = kind
+
+
+def _timestamp_file() -> descriptor_pb2.FileDescriptorProto:
+    """google/protobuf/timestamp.proto, written here so that a log does not vary with the protobuf release."""
+    file = descriptor_pb2.FileDescriptorProto(
+        name=timestamp_pb2.DESCRIPTOR.name, package="google.protobuf", syntax="proto3"
+    )
+    _add_message(file, "Timestamp", ("seconds", _Field.TYPE_INT64), ("nanos", _Field.TYPE_INT32))
+    return file
+
+
+def _log_schema() -> bytes:
+    timestamp = _timestamp_file()
+    level = _file("LogLevel")
+    enum = level.enum_type.add(name="LogLevel")
+    for member in Level:
+        enum.value.add(name=member.name, number=member.value)
+    log = _file("Log", level.name, timestamp.name)
+    _add_message(
+        log,
+        "Log",
+        ("timestamp", ".google.protobuf.Timestamp"),
+        ("level", _Field.TYPE_ENUM),
+        ("message", _Field.TYPE_STRING),
+        ("name", _Field.TYPE_STRING),
+        ("file", _Field.TYPE_STRING),
+        ("line", _Field.TYPE_FIXED32),
+    )
+    log.message_type[0].field[1].type_name = ".foxglove.LogLevel"
+    return serialise([timestamp, level, log])
+
+
+def _frames_schema() -> bytes:
+    timestamp, vector, quaternion = _timestamp_file(), _file("Vector3"), _file("Quaternion")
+    _add_message(vector, "Vector3", *((axis, _Field.TYPE_DOUBLE) for axis in "xyz"))
+    _add_message(quaternion, "Quaternion", *((axis, _Field.TYPE_DOUBLE) for axis in "xyzw"))
+    transform = _file("FrameTransform", quaternion.name, vector.name, timestamp.name)
+    _add_message(
+        transform,
+        "FrameTransform",
+        ("timestamp", ".google.protobuf.Timestamp"),
+        ("parent_frame_id", _Field.TYPE_STRING),
+        ("child_frame_id", _Field.TYPE_STRING),
+        ("translation", ".foxglove.Vector3"),
+        ("rotation", ".foxglove.Quaternion"),
+    )
+    transforms = _file("FrameTransforms", transform.name)
+    _add_message(transforms, "FrameTransforms", ("transforms", ".foxglove.FrameTransform"))
+    transforms.message_type[0].field[0].label = _Field.LABEL_REPEATED
+    return serialise([timestamp, vector, quaternion, transform, transforms])
+
+
+LOG_SCHEMA = _log_schema()
+FRAMES_SCHEMA = _frames_schema()
+_LogMessage: Any = message_class(LOG_SCHEMA, LOG_TYPE)  # its attributes are known at run time only
+
+
+def encode_event(event: Event) -> bytes:
+    message = _LogMessage(level=int(event.level), message=event.text, name=event.source)
+    message.timestamp.seconds, message.timestamp.nanos = divmod(event.time_ns, _NS_PER_S)
+    return bytes(message.SerializeToString(deterministic=True))
+
+
+def decode_event(payload: bytes) -> Event:
+    """Raises ValueError if the bytes are no foxglove.Log with a known level."""
+    try:
+        message = _LogMessage.FromString(payload)
+    except DecodeError as error:
+        raise ValueError("not a foxglove.Log") from error
+    time_ns = message.timestamp.seconds * _NS_PER_S + message.timestamp.nanos
+    return Event(time_ns, Level(message.level), message.message, message.name)
+
+
+def frames_template(parent: str, child: str) -> NDArray[np.void]:
+    """One FrameTransforms message of one transform as a structured array of length 1, numbers to be filled.
+
+    Times are varints stretched to five bytes, which every protobuf parser reads and which gives all
+    messages of a pair of frames one size.
+    """
+    names = _text(2, parent) + _text(3, child)
+    n_time, n_translation, n_rotation = 2 * (1 + 5), 3 * 9, 4 * 9
+    n_transform = 2 + n_time + len(names) + 2 + n_translation + 2 + n_rotation
+    layout: list[tuple[str, Any, Any]] = []
+    constants: list[tuple[str, bytes]] = []
+
+    def constant(data: bytes) -> None:
+        constants.append((f"constant_{len(constants)}", data))
+        layout.append((constants[-1][0], "u1", (len(data),)))
+
+    constant(b"\x0a" + varint(n_transform) + bytes([0x0A, n_time, 0x08]))
+    layout.append(("seconds", "u1", (5,)))
+    constant(b"\x10")
+    layout.append(("nanos", "u1", (5,)))
+    constant(names + bytes([0x22, n_translation]))
+    layout.append(("translation", [("tag", "u1"), ("value", "<f8")], (3,)))
+    constant(bytes([0x2A, n_rotation]))
+    layout.append(("rotation", [("tag", "u1"), ("value", "<f8")], (4,)))
+
+    template = np.zeros(1, np.dtype(layout))
+    for name, data in constants:
+        template[name] = np.frombuffer(data, "u1")
+    template["translation"]["tag"] = [0x09, 0x11, 0x19]
+    template["rotation"]["tag"] = [0x09, 0x11, 0x19, 0x21]
+    return template
+
+
+def put_frames(messages: NDArray[np.void], times_ns: IntArray, translation_m: Array, rotation: Array) -> None:
+    """Fill n messages of a `frames_template`; `rotation` comes scalar first and is stored scalar last."""
+    messages["seconds"] = _five_byte_varints(times_ns // _NS_PER_S)
+    messages["nanos"] = _five_byte_varints(times_ns % _NS_PER_S)
+    messages["translation"]["value"] = translation_m
+    messages["rotation"]["value"] = rotation[:, [1, 2, 3, 0]]
+
+
+def varint(number: int) -> bytes:
+    """Protobuf's variable-length encoding of a number that is not negative."""
+    out = bytearray()
+    while number > 0x7F:
+        out.append(number & 0x7F | 0x80)
+        number >>= 7
+    return bytes([*out, number])
+
+
+def _text(field: int, text: str) -> bytes:
+    data = text.encode()
+    return bytes([field << 3 | 2]) + varint(len(data)) + data
+
+
+def _five_byte_varints(numbers: IntArray) -> NDArray[np.uint8]:
+    """(n, 5) bytes; five groups of seven bits hold any second of an int64 time in nanoseconds."""
+    groups: NDArray[np.uint8] = ((numbers[:, None] >> np.array([0, 7, 14, 21, 28])) & 0x7F).astype(np.uint8)
+    groups[:, :4] |= 0x80
+    return groups

@@ -1,0 +1,56 @@
+"""What stands at the head of a log: enough to fly the same flight again."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from importlib.metadata import version
+
+SCHEMA_VERSION = "1"
+PROFILE = "maxq"  # MCAP header: by this a reader knows the file for a maxq log
+RUN_METADATA = "run"
+HEAD_METADATA = "head"  # the head's last record: CRC-32 of all bytes before it
+END_METADATA = "end"  # the last record of a log that was closed: how the run ended
+SCHEMA_KEY, VERSION_KEY = "schema", "maxq"  # keys of the run metadata that the writer sets
+CRC_KEY = "crc32"
+STATUS_KEY, REASON_KEY = "status", "reason"
+COMPLETE, ABORTED = "complete", "aborted"
+
+
+@dataclass(frozen=True)
+class Attachment:
+    """A file kept inside the log, such as the scenario as flown."""
+
+    name: str
+    media_type: str
+    data: bytes
+
+
+@dataclass(frozen=True)
+class RunHead:
+    """Facts and files of one run.
+
+    `metadata` as text: seed, run index, commit, launch site, T0, ...; the writer adds `schema` and `maxq`
+    (versions of the log and of maxq), which are therefore refused here with ValueError. Attachment names
+    differ.
+    """
+
+    metadata: Mapping[str, str] = field(default_factory=dict)
+    attachments: tuple[Attachment, ...] = ()
+
+    def __post_init__(self) -> None:
+        for key in (SCHEMA_KEY, VERSION_KEY):
+            if key in self.metadata:
+                raise ValueError(f"metadata key {key!r} is set by the log writer")
+        names = [attachment.name for attachment in self.attachments]
+        if len(set(names)) < len(names):
+            raise ValueError(f"attachment named twice: {', '.join(sorted(names))}")
+
+    def full_metadata(self) -> dict[str, str]:
+        """Metadata with versions, sorted by key so that equal content gives equal bytes."""
+        own = {SCHEMA_KEY: SCHEMA_VERSION, VERSION_KEY: maxq_version()}
+        return dict(sorted({**self.metadata, **own}.items()))
+
+
+def maxq_version() -> str:
+    return version("maxq")

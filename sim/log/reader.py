@@ -1,0 +1,313 @@
+"""Reads the log of a flight back into arrays, also when the file is cut off or damaged."""
+
+from __future__ import annotations
+
+import difflib
+import zlib
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from mcap import records
+from mcap.opcode import Opcode
+from numpy.typing import NDArray
+
+from maxq.control.records import Array, IntArray
+from maxq.sim.log.channels import EVENTS_TOPIC, FRAMES_TOPIC, Channel, ChannelTable
+from maxq.sim.log.error import LogError
+from maxq.sim.log.fields import topic_from
+from maxq.sim.log.foxglove import Event, decode_event
+from maxq.sim.log.head import (
+    COMPLETE,
+    CRC_KEY,
+    END_METADATA,
+    HEAD_METADATA,
+    PROFILE,
+    REASON_KEY,
+    RUN_METADATA,
+    SCHEMA_KEY,
+    SCHEMA_VERSION,
+    STATUS_KEY,
+    VERSION_KEY,
+    Attachment,
+)
+from maxq.sim.log.mcap_records import (
+    MAGIC,
+    DamagedError,
+    Frame,
+    chunk_content,
+    chunk_frames,
+    frames,
+    parse,
+    summary_frames,
+)
+from maxq.sim.log.messages import gather, message_dtype, message_runs, payloads
+from maxq.sim.log.protobuf import doubles_template, get_values
+
+_HEAD_OPCODES = (Opcode.HEADER, Opcode.SCHEMA, Opcode.CHANNEL, Opcode.ATTACHMENT, Opcode.METADATA)
+
+
+@dataclass(frozen=True)
+class Log:
+    """The log of one flight.
+
+    `log["alpha_deg"]` is a channel's values (n,), `log.time_s("alpha_deg")` their times. `complete` is
+    False where the run or the file ended early or something in it is damaged; `notes` then say what, one
+    sentence each.
+    """
+
+    path: Path
+    table: ChannelTable
+    metadata: Mapping[str, str]
+    attachments: Mapping[str, Attachment]
+    events: tuple[Event, ...]
+    complete: bool
+    notes: tuple[str, ...]
+    _times_ns: Mapping[str, IntArray]
+    _values: Mapping[str, Mapping[str, Array]]
+
+    def __getitem__(self, name: str) -> Array:
+        """Values (n,) of a channel; KeyError, with names that come close, if there is none."""
+        return self._values[self._topic(name)][name]
+
+    def __contains__(self, name: str) -> bool:
+        return name in self.table
+
+    def channel(self, name: str) -> Channel:
+        """Unit, frame and description of a channel; KeyError as above."""
+        self._topic(name)
+        return self.table.channel(name)
+
+    def time_ns(self, name: str) -> IntArray:
+        """Times (n,) of a channel or topic, in ns since the start of the simulation; KeyError as above."""
+        return self._times_ns[self._topic(name)]
+
+    def time_s(self, name: str) -> Array:
+        """Times (n,) of a channel or topic, in s since the start of the simulation; KeyError as above."""
+        return self.time_ns(name) / 1e9
+
+    def topic(self, name: str) -> Mapping[str, Array]:
+        """All channels of a topic by name; KeyError as above."""
+        return self._values[self._topic(name)]
+
+    def _topic(self, name: str) -> str:
+        """Name of the topic that is called so or has a channel called so."""
+        if name in self._times_ns:
+            return name
+        if name in self.table:
+            return self.table.topic(name).name
+        close = difflib.get_close_matches(name, [*self.table.names, *self._times_ns])
+        hint = f"; close names: {', '.join(close)}" if close else ""
+        raise KeyError(f"{self.path} has no channel {name}{hint}")
+
+
+class _Head(NamedTuple):
+    metadata: dict[str, str]
+    attachments: dict[str, Attachment]
+    table: ChannelTable
+    topic_ids: dict[int, str]  # MCAP channel id -> topic, /events and /tf included
+    end: int
+    intact: bool
+
+
+class _Places(NamedTuple):
+    chunks: list[Frame]
+    end_record: dict[str, str] | None
+    notes: list[str]
+
+
+def read_log(path: str | Path) -> Log:
+    """Read a log whole. All chunks that are whole are read, wherever the file is cut or damaged.
+
+    Raises LogError where the file cannot be read, is not a log of maxq, was written by a later maxq, or is
+    damaged or cut within its head, so that its content is unknown.
+    """
+    path = Path(path)
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        raise LogError(f"{path}: the log cannot be read: {error.strerror or error}") from error
+    except ValueError as error:  # a NUL character in the name
+        raise LogError(f"{path}: this is not a file name") from error
+    try:
+        head = _read_head(data)
+        places = _find_chunks(data, head.end)
+        columns = _Columns(head)
+    except ValueError as error:
+        raise LogError(f"{path}: {error}") from error
+    notes = places.notes
+    if not head.intact:
+        notes.insert(0, "the head is damaged: scenario, metadata and names may be wrong")
+
+    events: list[Event] = []
+    for number, frame in enumerate(places.chunks, start=1):
+        try:
+            events += columns.add_chunk(chunk_content(data, frame))
+        except ValueError as error:
+            notes.append(f"chunk {number} of {len(places.chunks)} was left out: {error}")
+    times_ns, values = columns.arrays()
+
+    end = places.end_record or {}
+    if end.get(STATUS_KEY) != COMPLETE and end:
+        notes.append(f"the run was aborted: {end.get(REASON_KEY, 'no reason given')}")
+    return Log(
+        path,
+        head.table,
+        head.metadata,
+        head.attachments,
+        tuple(events),
+        not notes,
+        tuple(notes),
+        times_ns,
+        values,
+    )
+
+
+def _read_head(data: bytes) -> _Head:
+    """Raises ValueError, with the end of a sentence about the file, where the head cannot be made out."""
+    if not data.startswith(MAGIC):
+        raise ValueError("this is not a log: it does not begin as an MCAP file does")
+    metadata: dict[str, dict[str, str]] = {}
+    attachments: dict[str, Attachment] = {}
+    schemas: dict[int, records.Schema] = {}
+    channels: list[records.Channel] = []
+    end, intact = 0, False
+    for frame in frames(data, len(MAGIC), len(data)):
+        if frame.opcode not in _HEAD_OPCODES:
+            break
+        try:
+            if frame.start == len(MAGIC):
+                _check_header(data, frame)
+            elif frame.opcode == Opcode.SCHEMA:
+                schema = parse(records.Schema, data, frame)
+                schemas[schema.id] = schema
+            elif frame.opcode == Opcode.CHANNEL:
+                channels.append(parse(records.Channel, data, frame))
+            elif frame.opcode == Opcode.ATTACHMENT:
+                file = parse(records.Attachment, data, frame)
+                attachments[file.name] = Attachment(file.name, file.media_type, file.data)
+            elif frame.opcode == Opcode.METADATA:
+                record = parse(records.Metadata, data, frame)
+                metadata[record.name] = record.metadata
+                if record.name == HEAD_METADATA:
+                    end = frame.end
+                    intact = record.metadata.get(CRC_KEY) == f"{zlib.crc32(data[: frame.start]):08x}"
+                    break
+        except DamagedError as error:
+            raise ValueError(f"the head of the log is damaged: {error}") from error
+    run = metadata.get(RUN_METADATA, {})
+    _check_version(run)
+    if not end:
+        raise ValueError("the log is cut off or damaged within its head: nothing of the flight can be read")
+    try:
+        topics = {
+            c.id: topic_from(c.topic, schemas[c.schema_id].data, c.metadata)
+            for c in channels
+            if c.topic not in (EVENTS_TOPIC, FRAMES_TOPIC)
+        }
+        table = ChannelTable(tuple(topics.values()))
+    except (ValueError, KeyError) as error:
+        raise ValueError(f"the head of the log is damaged: {error}") from error
+    return _Head(run, attachments, table, {c.id: c.topic for c in channels}, end, intact)
+
+
+def _check_header(data: bytes, frame: Frame) -> None:
+    header = parse(records.Header, data, frame) if frame.opcode == Opcode.HEADER else None
+    if header is None or header.profile != PROFILE:
+        by = f" (written by {header.library})" if header is not None and header.library else ""
+        raise ValueError(f"this is an MCAP file, but not a log of maxq{by}")
+
+
+def _check_version(run: Mapping[str, str]) -> None:
+    schema = run.get(SCHEMA_KEY, SCHEMA_VERSION)
+    if schema != SCHEMA_VERSION:
+        raise ValueError(
+            f"this log has schema {schema}, written by maxq {run.get(VERSION_KEY, '(unknown)')}; "
+            f"this maxq reads schema {SCHEMA_VERSION}"
+        )
+
+
+def _find_chunks(data: bytes, start: int) -> _Places:
+    """All whole chunks: by the index at the end of the file, or record by record where there is none."""
+    try:
+        summary = summary_frames(data)
+        if summary is not None:
+            chunks = [frame for frame, _ in chunk_frames(data, summary)]
+            return _Places(chunks, *_read_end(data, summary))
+    except DamagedError:
+        pass  # the summary passes its checksum but was not written by maxq: do without
+    chunks, last = [], start
+    for frame in frames(data, start, len(data)):
+        if frame.opcode == Opcode.DATA_END:
+            break
+        if frame.opcode == Opcode.CHUNK:
+            chunks.append(frame)
+        last = frame.end
+    note = f"the end of the log is missing or damaged: read up to byte {last} of {len(data)}"
+    return _Places(chunks, None, [note])
+
+
+def _read_end(data: bytes, summary: list[Frame]) -> tuple[dict[str, str] | None, list[str]]:
+    """The record that says how the run ended, and notes about it."""
+    for entry in summary:
+        if entry.opcode != Opcode.METADATA_INDEX:
+            continue
+        index = parse(records.MetadataIndex, data, entry)
+        if index.name != END_METADATA:
+            continue
+        place = next(frames(data, index.offset, min(index.offset + index.length, len(data))), None)
+        try:
+            if place is not None and place.opcode == Opcode.METADATA:
+                return parse(records.Metadata, data, place).metadata, []
+        except DamagedError:
+            break
+    return None, ["the record of how the run ended is missing or damaged"]
+
+
+class _Columns:
+    """Collects the messages of each topic chunk by chunk."""
+
+    def __init__(self, head: _Head) -> None:
+        self._topics = {topic.name: topic for topic in head.table.topics}
+        self._topic_ids = head.topic_ids
+        self._layouts = {
+            topic.name: message_dtype(doubles_template(len(topic.channels)).dtype)
+            for topic in head.table.topics
+        }
+        self._parts: dict[str, list[NDArray[np.void]]] = {name: [] for name in self._topics}
+
+    def add_chunk(self, content: bytes) -> list[Event]:
+        """Take in a chunk, whole or not at all; returns its events. Raises ValueError where it is damaged."""
+        events: list[Event] = []
+        parts = []
+        for channel_id, runs in message_runs(content).items():
+            topic = self._topic_ids.get(channel_id)
+            if topic is None:
+                raise DamagedError("it has messages of an unknown channel")
+            if topic == EVENTS_TOPIC:
+                events += [decode_event(payload) for payload in payloads(content, runs)]
+            elif topic in self._layouts:
+                parts.append((topic, gather(content, runs, self._layouts[topic])))
+        for topic, rows in parts:
+            self._parts[topic].append(rows)
+        return events
+
+    def arrays(self) -> tuple[dict[str, IntArray], dict[str, dict[str, Array]]]:
+        """Times (n,) by topic, and values (n,) by topic and channel, each contiguous."""
+        times_ns: dict[str, IntArray] = {}
+        values: dict[str, dict[str, Array]] = {}
+        for name, topic in self._topics.items():
+            parts = self._parts.pop(name)
+            n = sum(len(part) for part in parts)
+            times_ns[name] = np.empty(n, np.int64)
+            matrix = np.empty((len(topic.channels), n))
+            first = 0
+            for part in parts:
+                rows = slice(first, first + len(part))
+                times_ns[name][rows] = part["log_time"]
+                get_values(part["payload"], matrix[:, rows])
+                first = rows.stop
+            values[name] = {channel.name: matrix[i] for i, channel in enumerate(topic.channels)}
+        return times_ns, values

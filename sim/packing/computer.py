@@ -1,0 +1,145 @@
+"""Flight computer, design, guidance and injected signals of a scenario as records."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from maxq.control.computer import Computer, build_computer
+from maxq.control.filters import BendingFilter, DiscreteFilter, FirstOrderSection, QuadraticSection
+from maxq.control.guidance import rate_programme
+from maxq.control.law import GainSchedule, gains_table
+from maxq.control.roll import Roll, make_roll
+from maxq.control.tables import NO_TABLE, Cubics, Pool, fit, merge
+from maxq.sim.flight import injection as signals
+from maxq.sim.flight.parameters import NEVER
+from maxq.sim.scenario.nanoseconds import to_ns
+from maxq.sim.scenario.schema_design import Design
+from maxq.sim.scenario.schema_injection import Injection
+from maxq.sim.scenario.schema_scenario import Scenario
+
+_WHERE = {
+    "gimbal_command": signals.GIMBAL_COMMAND, "rate_command": signals.RATE_COMMAND,
+    "body_force": signals.BODY_FORCE, "body_torque": signals.BODY_TORQUE,
+}  # fmt: skip
+_SHAPE = {
+    "step": signals.STEP, "doublet": signals.DOUBLET, "sine": signals.SINE, "chirp": signals.CHIRP,
+    "multisine": signals.MULTISINE, "table": signals.TABLE,
+}  # fmt: skip
+_AXIS = {"roll": 0, "pitch": 1, "yaw": 2, "x": 0, "y": 1, "z": 2}
+_IN_RADIANS = ("gimbal_command", "rate_command")
+
+
+def pack_computer(scenario: Scenario, pool: Pool) -> Computer:
+    """The computer under the scenario's switches.
+
+    Without a computer or a design the gimbal command is zero, but for what is injected; it is then sampled every step.
+    """
+    computer, design, switches = scenario.vehicle.computer, scenario.design, scenario.switches
+    if computer is None:
+        return build_computer(pool, sample_ns=to_ns(scenario.run.step_s), control_on=False)
+    sample_ns = to_ns(computer.sample_s)
+    return build_computer(
+        pool,
+        sample_ns=sample_ns,
+        delay_ns=to_ns(computer.delay_s) if switches.delay else 0,
+        count_rad=0.0 if switches.converter == "ideal" else computer.count_rad,
+        dac_step_rad=math.radians(computer.dac_step_deg),
+        angle_error_limit_rad=math.radians(computer.angle_error_limit_deg),
+        command_limit_rad=math.radians(computer.command_limit_deg),
+        gains=_gains(design) if design else None,
+        programme=_programme(scenario),
+        pitch_filter=_filter(design, computer.sample_s) if design else None,
+        roll=_roll(design, sample_ns) if design else None,
+        control_on=switches.control,
+        guidance_on=switches.guidance,
+        roll_on=switches.roll_control,
+    )
+
+
+def _gains(design: Design) -> Cubics:
+    pitch, yaw = (
+        GainSchedule(list(t["time_s"]), list(t["k_p"]), list(t["k_d_s"])) for t in design.gains.axes
+    )
+    return gains_table(pitch, yaw)
+
+
+def _filter(design: Design, sample_s: float) -> DiscreteFilter:
+    return bending_filter(design).discretize(
+        sample_s, design.filter.discretization, design.filter.prewarp_hz
+    )
+
+
+def bending_filter(design: Design) -> BendingFilter:
+    """The design's continuous filter."""
+    return BendingFilter(
+        tuple(
+            QuadraticSection(q.zero_hz, q.zero_zeta, q.pole_hz, q.pole_zeta) for q in design.filter.quadratic
+        ),
+        tuple(FirstOrderSection(f.zero_hz, f.pole_hz) for f in design.filter.first_order),
+    )
+
+
+def _roll(design: Design, sample_ns: int) -> Roll | None:
+    roll = design.roll
+    if roll is None:
+        return None
+    band, play = math.radians(roll.dead_band_deg), math.radians(roll.hysteresis_deg)
+    return make_roll(sample_ns, roll.k_rate_s, band, play, roll.minimum_on_s)
+
+
+def _programme(scenario: Scenario) -> Cubics | None:
+    table = scenario.guidance.programme
+    if table is None:
+        return None
+    pitch, yaw, roll = (np.radians(table.get(f"{axis}_rate_degps")) for axis in ("pitch", "yaw", "roll"))
+    return rate_programme(table["time_s"], pitch, yaw, roll, scenario.guidance.method)
+
+
+def pack_injections(scenario: Scenario, pool: Pool) -> signals.Injections:
+    given = scenario.injection
+    n = signals.MAX_INJECTIONS
+    tables = [
+        fit(i.table["time_s"], i.table["value"], "linear") for i in given if i.table is not None
+    ]  # linear: steps are written as two rows close together, or with start_s and stop_s
+    out = signals.Injections(
+        count=len(given),
+        where=_codes([_WHERE[i.at] for i in given], n),
+        axis=_codes([_AXIS[i.axis] for i in given], n),
+        shape=_codes([_SHAPE[i.kind] for i in given], n),
+        replaces=_codes([int(i.replaces) for i in given], n),
+        start_ns=_codes([to_ns(i.start_s) for i in given], n),
+        stop_ns=_codes([to_ns(i.stop_s) if i.stop_s is not None else NEVER for i in given], n),
+        amplitude=np.zeros(n),
+        frequency_hz=np.zeros(n),
+        stop_frequency_hz=np.zeros(n),
+        tones=_codes([len(i.frequencies_hz or ()) for i in given], n),
+        tone_hz=np.zeros((n, signals.MAX_TONES)),
+        tone_phase=np.zeros((n, signals.MAX_TONES)),
+        column=np.zeros(n, np.int64),
+        table=pool.add(merge(tables)) if tables else NO_TABLE,
+    )
+    column = 0
+    for k, injection in enumerate(given):
+        _fill(out, k, injection)
+        if injection.table is not None:
+            out.column[k] = column
+            column += 1
+    return out
+
+
+def _codes(values: list[int], n: int) -> np.ndarray:
+    return np.array(values + [0] * (n - len(values)), np.int64)
+
+
+def _fill(out: signals.Injections, k: int, injection: Injection) -> None:
+    unit = math.radians(1.0) if injection.at in _IN_RADIANS else 1.0
+    out.amplitude[k] = unit * injection.amplitude
+    out.frequency_hz[k] = injection.frequency_hz or 0.0
+    out.stop_frequency_hz[k] = injection.stop_frequency_hz or 0.0
+    tones = np.array(injection.frequencies_hz or ())
+    out.tone_hz[k, : len(tones)] = tones
+    # Schroeder phases keep the peak of the sum low (IEEE Trans. Information Theory 16(1), 1970, p. 85)
+    number = np.arange(1, len(tones) + 1)
+    out.tone_phase[k, : len(tones)] = -np.pi * number * (number - 1) / max(len(tones), 1)

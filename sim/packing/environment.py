@@ -1,0 +1,121 @@
+"""Earth, atmosphere, wind and turbulence of a scenario as records."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from maxq.control.tables import NO_TABLE, Pool, TableRef, fit
+from maxq.sim.dynamics.surroundings import Surroundings
+from maxq.sim.environment import atmosphere as air
+from maxq.sim.environment import earth as globe
+from maxq.sim.environment import turbulence as dryden
+from maxq.sim.environment import wind as winds
+from maxq.sim.scenario import schema_environment as schema
+from maxq.sim.scenario.schema_scenario import Scenario
+
+_GRAVITY = {
+    "none": globe.NO_GRAVITY, "uniform": globe.UNIFORM, "inverse_square": globe.INVERSE_SQUARE, "j2": globe.J2,
+}  # fmt: skip
+_GUSTS = {"one-minus-cosine": winds.ONE_MINUS_COSINE, "shear": winds.SHEAR}
+
+
+def pack_surroundings(scenario: Scenario, pool: Pool) -> Surroundings:
+    return Surroundings(
+        earth=pack_earth(scenario.earth),
+        atmosphere=_atmosphere(scenario.atmosphere, pool),
+        wind=_wind(scenario.wind, pool),
+        turbulence=_turbulence(scenario, pool),
+    )
+
+
+def pack_earth(earth: schema.Earth) -> globe.Earth:
+    given = {
+        "mu_m3ps2": earth.mu_m3ps2,
+        "j2": earth.j2,
+        "gravity_radius_m": earth.gravity_radius_m,
+        "uniform_mps2": earth.uniform_mps2,
+        "rate_radps": earth.rate_radps if earth.rotating else 0.0,
+        "gravity": _GRAVITY[earth.gravity],
+    }
+    chosen = {key: value for key, value in given.items() if value is not None}
+    if earth.shape == "flat":
+        return globe.flat(**{key: chosen[key] for key in ("gravity", "uniform_mps2") if key in chosen})
+    if earth.shape == "sphere":
+        if earth.sphere_radius_m is not None:
+            chosen["radius_m"] = earth.sphere_radius_m
+        return globe.sphere(**chosen)
+    if earth.equatorial_radius_m is not None:
+        chosen["equatorial_radius_m"] = earth.equatorial_radius_m
+    if earth.flattening is not None:
+        chosen["flattening"] = earth.flattening
+    return globe.wgs84(**chosen)
+
+
+def _atmosphere(atmosphere: schema.Atmosphere, pool: Pool) -> air.Atmosphere:
+    factor = atmosphere.density_factor
+    if atmosphere.model == "us1976":
+        return air.Atmosphere(air.US1976, density_factor=factor)
+    if atmosphere.model == "vacuum":
+        return air.Atmosphere(air.VACUUM)
+    if atmosphere.model == "table":
+        t = atmosphere.table
+        assert t is not None
+        columns = t["density_kgpm3"], t["pressure_Pa"], t["temperature_K"]
+        return air.Atmosphere(air.TABLE, pool.add(air.air_table(t["altitude_m"], *columns)), density_factor=factor)
+    assert atmosphere.density_kgpm3 is not None
+    given = {"pressure_Pa": atmosphere.pressure_Pa, "temperature_K": atmosphere.temperature_K}
+    constants = {key: value for key, value in given.items() if value is not None}
+    return air.Atmosphere(
+        air.CONSTANT, density_kgpm3=atmosphere.density_kgpm3, density_factor=factor, **constants
+    )
+
+
+def _wind(wind: schema.Wind, pool: Pool) -> winds.Wind:
+    gusts = [
+        winds.Gust(_GUSTS[g.kind], g.altitude_m, g.thickness_m, g.speed_mps, g.from_deg, g.edge_m or 0.0)
+        for g in wind.gust
+    ]
+    return winds.wind_of(_wind_profile(wind, pool), gusts, wind.factor)
+
+
+def _wind_profile(wind: schema.Wind, pool: Pool) -> TableRef:
+    if wind.speed_mps is not None and wind.from_deg is not None:
+        return pool.add(fit([0.0], winds.wind_components(wind.speed_mps, wind.from_deg).reshape(1, 3)))
+    if wind.profile is None:
+        return NO_TABLE
+    table = wind.profile
+    if "speed_mps" in table:
+        columns = winds.wind_components(table["speed_mps"], table["from_deg"])
+        columns[:, 2] = table.get("down_mps")
+    else:
+        columns = np.stack([table["north_mps"], table["east_mps"], table.get("down_mps")], axis=1)
+    return pool.add(fit(table["altitude_m"], columns, wind.interpolation))
+
+
+def _turbulence(scenario: Scenario, pool: Pool) -> dryden.Turbulence:
+    turbulence = scenario.wind.turbulence
+    if turbulence is None:
+        return dryden.Turbulence()
+    ground_m = scenario.site.altitude_m
+    lengths = (turbulence.length_u_m, turbulence.length_v_m, turbulence.length_w_m)
+    if turbulence.table is not None:
+        t = turbulence.table
+        sigma = np.stack([t[f"sigma_{axis}_mps"] for axis in "uvw"], axis=1)
+        standard = dryden.exceedance_table("moderate", ground_m).at(t["altitude_m"])[:, 3:]
+        table = dryden.intensity_table(t["altitude_m"], sigma, _with(standard, lengths))
+    else:
+        assert turbulence.exceedance is not None
+        given = dryden.exceedance_table(turbulence.exceedance, ground_m)
+        rows = given.at(given.breaks)
+        table = dryden.intensity_table(given.breaks, rows[:, :3], _with(rows[:, 3:], lengths))
+    seed = scenario.run.seed if turbulence.seed is None else turbulence.seed
+    return dryden.Turbulence(1, pool.add(table), seed)
+
+
+def _with(standard: np.ndarray, lengths: tuple[float | None, ...]) -> np.ndarray:
+    """The standard's scale lengths with those of the scenario in their place."""
+    out = standard.copy()
+    for axis, length in enumerate(lengths):
+        if length is not None:
+            out[:, axis] = length
+    return out

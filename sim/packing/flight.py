@@ -1,0 +1,113 @@
+"""A validated scenario as what the kernel flies: parameter rows, table pool, initial state and memory."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from maxq.control.records import Array, blank, pack
+from maxq.control.tables import Pool
+from maxq.sim.dynamics.state import MAX_STATE, W_BI_B, Sizes
+from maxq.sim.flight.events import rest, settle_gyro
+from maxq.sim.flight.parameters import EVENT_NAMES, NEVER, Course, Memory, Parameters
+from maxq.sim.packing.computer import pack_computer, pack_injections
+from maxq.sim.packing.environment import pack_surroundings
+from maxq.sim.packing.initial import initial_motion
+from maxq.sim.packing.schedule import stage_sizes, vehicle_schedule
+from maxq.sim.packing.vehicle import pack_vehicle
+from maxq.sim.scenario.coverage import burn_rate, stage_end_s, thrust_end_s
+from maxq.sim.scenario.nanoseconds import NS_PER_S, period_ns, to_ns
+from maxq.sim.scenario.schema_scenario import Scenario
+from maxq.sim.scenario.schema_vehicle import Stage
+
+CONTROL_LOST_RAD = math.radians(45.0)
+TUMBLE_RAD = math.radians(90.0)
+TUMBLE_PRESSURE_PA = 5000.0
+_ALWAYS = ("diverged",)
+
+
+@dataclass(frozen=True)
+class Packed:
+    """`parameters` (stages,) of Parameters, `pool` of tables, `memory` (1,) of Memory, `state` (MAX_STATE,)."""
+
+    parameters: NDArray[Any]
+    pool: Array
+    memory: NDArray[Any]
+    state: Array
+    sizes: Sizes  # the largest of all stages
+
+
+def pack_flight(scenario: Scenario) -> Packed:
+    """Everything the kernel needs; the scenario is not looked at again."""
+    pool = Pool()
+    around, computer = pack_surroundings(scenario, pool), pack_computer(scenario, pool)
+    injections = pack_injections(scenario, pool)
+    rows, stage_start_ns = [], 0
+    all_sizes = [stage_sizes(stage, scenario.switches) for stage in scenario.vehicle.stage]
+    frozen = scenario.run.freeze_vehicle_at_s is not None
+    for stage, sizes in zip(scenario.vehicle.stage, all_sizes, strict=True):
+        schedule = vehicle_schedule(stage, sizes, scenario.switches, frozen)
+        vehicle = pack_vehicle(scenario, stage, sizes, schedule, pool)
+        course = _course(scenario, stage, stage_start_ns)
+        rows.append(Parameters(vehicle, around, computer, injections, course))
+        stage_start_ns = course.separation_ns
+    parameters = pack(rows)
+    y = np.zeros(MAX_STATE)
+    initial_motion(scenario, parameters[0].around.earth, y)
+    rate = tuple(float(w) for w in y[W_BI_B : W_BI_B + 3])
+    rest(parameters[0], rate, y)
+    settle_gyro(rate, y)
+    memory = blank(Memory)
+    memory[0].clock.now_ns = to_ns(scenario.run.start_s)
+    memory[0].held.down = int(scenario.held)
+    widest = Sizes(*(max(getattr(s, f) for s in all_sizes) for f in Sizes.__dataclass_fields__))
+    return Packed(parameters, pool.array(), memory, y, widest)
+
+
+def _course(scenario: Scenario, stage: Stage, stage_start_ns: int) -> Course:
+    run, rate = scenario.run, burn_rate(stage)
+    start_ns = to_ns(run.start_s)
+    ignition_ns, burnout_ns = _burn(stage, stage_start_ns)
+    end_s = stage_end_s(stage)
+    frozen_s = run.freeze_vehicle_at_s
+    if frozen_s is not None:
+        burning = ignition_ns <= round(NS_PER_S * frozen_s) < burnout_ns
+        ignition_ns, burnout_ns = (-NEVER, NEVER) if burning else (NEVER, NEVER)
+    release_ns = NEVER
+    if scenario.holddown.release_s is not None:
+        release_ns = to_ns(scenario.holddown.release_s)
+    stops = (*_ALWAYS, *run.stop_at)
+    return Course(
+        step_ns=to_ns(run.step_s),
+        stage_start_ns=stage_start_ns,
+        burn_start_ns=ignition_ns,
+        frozen=int(frozen_s is not None),
+        frozen_s=rate * (frozen_s or 0.0),
+        burn_rate=rate,
+        burnout_ns=burnout_ns,
+        separation_ns=NEVER if math.isinf(end_s) else stage_start_ns + round(NS_PER_S * end_s),
+        release_ns=release_ns,
+        stop_ns=start_ns + to_ns(run.duration_s),
+        ground_altitude_m=min(0.0, scenario.site.altitude_m),
+        stop_mask=sum(1 << EVENT_NAMES.index(name) for name in stops),
+        control_lost_rad=CONTROL_LOST_RAD,
+        tumble_rad=TUMBLE_RAD,
+        tumble_pressure_Pa=TUMBLE_PRESSURE_PA,
+        fast_ns=period_ns(scenario.log.fast_hz),
+        slow_ns=period_ns(scenario.log.slow_hz),
+        seed=run.seed,
+    )
+
+
+def _burn(stage: Stage, stage_start_ns: int) -> tuple[int, int]:
+    """Ignition and burn-out; a single row of thrust burns for ever, no engine never."""
+    ignition_ns = stage_start_ns + round(NS_PER_S * stage.ignition_s)
+    if stage.engine is None:
+        return NEVER, NEVER
+    if len(stage.engine.table) == 1:
+        return ignition_ns, NEVER
+    return ignition_ns, stage_start_ns + round(NS_PER_S * thrust_end_s(stage) / burn_rate(stage))

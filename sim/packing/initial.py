@@ -1,0 +1,120 @@
+"""State at the start of a flight, from any of the frames a scenario may use."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from maxq.control.records import Array
+from maxq.sim.dynamics.state import Q_BI, R_I, V_I, W_BI_B
+from maxq.sim.environment.earth import Earth, earth_position, earth_rotation, local_frame, ned_axes
+from maxq.sim.scenario.schema_initial import Initial
+from maxq.sim.scenario.schema_scenario import Scenario
+
+
+def initial_motion(scenario: Scenario, earth: Earth, y: Array) -> None:
+    """Fill position, velocity, attitude and rates of the state `y` for the scenario's start."""
+    given = scenario.initial or Initial()
+    cos, sin = earth_rotation(earth, scenario.run.start_s)
+    to_inertial = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
+    spin_I = np.array([0.0, 0.0, earth.rate_radps])
+    position_E = _position(scenario, given, earth, to_inertial)
+    to_ned = _ned(earth, position_E)
+    position_I = to_inertial @ position_E
+    ground_I = np.cross(spin_I, position_I)
+    if given.inertial_mps is not None:
+        velocity_I = np.array(given.inertial_mps)
+    elif given.earth_mps is not None:
+        velocity_I = ground_I + to_inertial @ np.array(given.earth_mps)
+    else:
+        velocity_I = ground_I + to_inertial @ to_ned.T @ np.array(given.ned_mps or (0.0, 0.0, 0.0))
+    attitude = _attitude(scenario, given, to_inertial @ to_ned.T)
+    if given.rate_BI_degps is not None:
+        rate_B = np.radians(given.rate_BI_degps)
+    elif given.rate_BI_radps is not None:
+        rate_B = np.array(given.rate_BI_radps)
+    else:
+        rate_B = np.radians(given.rate_BE_degps or (0.0, 0.0, 0.0)) + attitude.T @ spin_I
+    y[R_I : R_I + 3], y[V_I : V_I + 3] = position_I, velocity_I
+    y[Q_BI : Q_BI + 4], y[W_BI_B : W_BI_B + 3] = quaternion(attitude), rate_B
+
+
+def _position(scenario: Scenario, given: Initial, earth: Earth, to_inertial: Array) -> Array:
+    if given.inertial_m is not None:
+        return np.asarray(to_inertial.T @ np.array(given.inertial_m))
+    if given.earth_m is not None:
+        return np.array(given.earth_m)
+    place = given.geodetic or scenario.site
+    return np.array(
+        earth_position(
+            earth, math.radians(place.latitude_deg), math.radians(place.longitude_deg), place.altitude_m
+        )
+    )
+
+
+def _ned(earth: Earth, position_E: Array) -> Array:
+    """Rows north, east, down in E."""
+    _, sin_lat, cos_lat, sin_lon, cos_lon = local_frame(earth, *position_E)
+    return np.array(ned_axes(sin_lat, cos_lat, sin_lon, cos_lon)).reshape(3, 3)
+
+
+def _attitude(scenario: Scenario, given: Initial, ned_to_inertial: Array) -> Array:
+    """Matrix that turns B components into I components."""
+    if given.q_BI is not None:
+        return rotation(np.array(given.q_BI))
+    if given.dcm_BI is not None:
+        return np.array(given.dcm_BI).T
+    if given.euler_deg is not None:
+        return np.asarray(ned_to_inertial @ euler_to_ned(*np.radians(given.euler_deg)))
+    azimuth = math.radians(scenario.site.azimuth_deg)
+    north, east = math.cos(azimuth), math.sin(azimuth)
+    nose, under = np.array([0.0, 0.0, -1.0]), np.array([north, east, 0.0])
+    return np.asarray(ned_to_inertial @ np.stack([nose, np.cross(under, nose), under], axis=1))
+
+
+def euler_to_ned(yaw: float, pitch: float, roll: float) -> Array:
+    """Matrix that turns B components into N components, 3-2-1 sequence (rad)."""
+    cy, sy, cp, sp = math.cos(yaw), math.sin(yaw), math.cos(pitch), math.sin(pitch)
+    cr, sr = math.cos(roll), math.sin(roll)
+    return np.array(
+        [
+            [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
+            [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
+            [-sp, cp * sr, cp * cr],
+        ]
+    )
+
+
+def rotation(q: Array) -> Array:
+    """Matrix of a quaternion, scalar first, of any norm."""
+    w, x, y, z = q / np.linalg.norm(q)
+    return np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+        ]
+    )
+
+
+def quaternion(matrix: Array) -> Array:
+    """Unit quaternion of a rotation matrix, scalar first and not negative; exact to rounding at any angle.
+
+    The largest of the four squared components is taken as divisor (Shepperd 1978).
+    """
+    m = matrix
+    trace = float(np.trace(m))
+    squares = np.array([trace, m[0, 0], m[1, 1], m[2, 2]])
+    k = int(np.argmax(squares))
+    if k == 0:
+        q = np.array([1 + trace, m[2, 1] - m[1, 2], m[0, 2] - m[2, 0], m[1, 0] - m[0, 1]])
+    else:
+        i, j, l = k - 1, k % 3, (k + 1) % 3
+        q = np.zeros(4)
+        q[0] = m[l, j] - m[j, l]
+        q[1 + i] = 1 + m[i, i] - m[j, j] - m[l, l]
+        q[1 + j] = m[j, i] + m[i, j]
+        q[1 + l] = m[l, i] + m[i, l]
+    q /= np.linalg.norm(q)
+    return np.asarray(q if q[0] >= 0 else -q)

@@ -1,0 +1,197 @@
+"""The vehicle over time, as one table: mass, thrust, pendulums and modes of a stage on common breakpoints.
+
+Sloshing masses are taken out of the core here: mass, CG and inertia of what stays are computed at every breakpoint
+and then joined. Rates are the exact derivatives of the joined curves, so that what the engine expels is what the mass
+loses (docs/model.md, section 8).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import CubicHermiteSpline
+
+from maxq.control.records import Array, pack
+from maxq.control.tables import Cubics, Method, fit, merge
+from maxq.sim.dynamics.schedule import schedule_width
+from maxq.sim.dynamics.state import Sizes
+from maxq.sim.scenario.modes import ModeTable
+from maxq.sim.scenario.schema_scenario import Switches
+from maxq.sim.scenario.schema_vehicle import Stage
+
+_GAUSS_NODES, _GAUSS_WEIGHTS = np.polynomial.legendre.leggauss(4)
+
+
+def stage_sizes(stage: Stage, switches: Switches) -> Sizes:
+    """How many modes, tanks and surfaces are flown with these switches."""
+    pitch = yaw = 0
+    if stage.bending is not None and switches.bending:
+        pitch_table, yaw_table = stage.bending.pitch_modes, stage.bending.yaw_modes
+        pitch = pitch_table.modes if pitch_table else 0
+        yaw = yaw_table.modes if yaw_table else 0
+    tanks = len(stage.tank) if switches.slosh else 0
+    return Sizes(pitch, yaw, tanks, len(surface_stations(stage)))
+
+
+def surface_stations(stage: Stage) -> list[float]:
+    """Station of each lifting surface at which it meets the mode shapes: the mean over its Mach table, m.
+
+    The last one stands for the normal force that the table of coefficients has beyond the surfaces' sum.
+    """
+    if stage.aero is None:
+        return []
+    stations = [float(surface.table["station_m"].mean()) for surface in stage.aero.surface]
+    if "CN_alpha_pr" in stage.aero.table or "Cm_alpha_pr" in stage.aero.table:
+        table = stage.aero.table
+        place = table["x_cp_m"] if "x_cp_m" in table else np.array([stage.aero.moment_reference_m])
+        stations.append(float(place.mean()))
+    return stations
+
+
+def vehicle_schedule(stage: Stage, sizes: Sizes, switches: Switches, frozen: bool) -> Cubics:
+    """All columns of dynamics/schedule.py over the clock of the stage's tables, s.
+
+    `frozen`: the CG does not wander (the schedule stands still).
+    """
+    method: Method = stage.interpolation
+    parts = [_core(stage, sizes, method, switches.moving_cg and not frozen), _thrust(stage)]
+    parts += [_tank(stage, k, method) for k in range(sizes.tanks)]
+    if stage.bending is not None:
+        for table, modes in (
+            (stage.bending.pitch_modes, sizes.pitch_modes),
+            (stage.bending.yaw_modes, sizes.yaw_modes),
+        ):
+            if table is not None and modes > 0:
+                parts.append(_modes(stage, table, sizes, method))
+    schedule = merge(parts)
+    assert schedule.n_columns == schedule_width(pack([sizes])[0])
+    return schedule
+
+
+def _mass_table(stage: Stage) -> tuple[Array, Array]:
+    """Times and rows of total mass, CG (3) and inertia integrals (6)."""
+    mass = stage.mass
+    if mass.table is not None:
+        table = mass.table
+        names = ("y_cg_m", "z_cg_m"), ("Ixy_kgm2", "Ixz_kgm2", "Iyz_kgm2")
+        rows = [table["mass_kg"], table["x_cg_m"], *[table.get(n) for n in names[0]]]
+        rows += [table["Ixx_kgm2"], table["Iyy_kgm2"], table["Izz_kgm2"], *[table.get(n) for n in names[1]]]
+        return table["time_s"], np.stack(rows, axis=1)
+    assert mass.mass_kg is not None
+    assert mass.x_cg_m is not None
+    j = np.array(mass.inertia_kgm2)
+    row = np.array(
+        [mass.mass_kg, mass.x_cg_m, mass.y_cg_m or 0.0, mass.z_cg_m or 0.0]
+        + [j[0, 0], j[1, 1], j[2, 2], -j[0, 1], -j[0, 2], -j[1, 2]]
+    )
+    if not mass.mass_flow_kgps or not mass.burn_s:
+        return np.array([0.0]), row[None]
+    end = row.copy()
+    end[0] -= mass.mass_flow_kgps * mass.burn_s
+    begin_s = stage.ignition_s
+    return np.array([begin_s, begin_s + mass.burn_s]), np.stack([row, end])
+
+
+def _core(stage: Stage, sizes: Sizes, method: Method, moving_cg: bool) -> Cubics:
+    """Columns CORE_MASS to MASS_FLOW."""
+    total = fit(*_mass_table(stage), method)
+    tanks = [_tank(stage, k, method) for k in range(sizes.tanks)]
+    breaks = np.unique(np.concatenate([total.breaks, *[t.breaks for t in tanks]]))
+    rows = np.array([_without_bobs(total(t), [tank(t) for tank in tanks]) for t in breaks])
+    core = merge([total]) if not tanks else fit(breaks, rows, method)
+    rates = _derivative(core)
+    if not moving_cg:
+        rates.coefficients[:, :, 1:4] = 0.0
+    flow = _derivative(total)
+    mass, outflow = _columns(total, [0]), _columns(flow, [0])
+    outflow.coefficients[:] *= -1.0
+    # order: core mass, CG, inertia | rates of CG and inertia | total mass, mass flow
+    return merge([core, _columns(rates, list(range(1, 10))), mass, outflow])
+
+
+def _without_bobs(total: Array, bobs: list[Array]) -> Array:
+    """Mass, CG and inertia of the vehicle less its bobs, each at rest below its hinge."""
+    mass, station, y, z = total[:4]
+    places = [(0.0, 0.0, 0.0)] + [(station - (bob[2] + bob[1]), -y, -z) for bob in bobs]
+    masses = np.array([mass, *[-bob[0] for bob in bobs]])
+    r = np.array(places)
+    core_mass = masses.sum()
+    cg = masses @ r / core_mass
+    integrals = total[4:10].copy()
+    for m, at in [*zip(masses[1:], r[1:], strict=True), (-core_mass, cg)]:
+        x_, y_, z_ = at
+        squares = np.array([y_ * y_ + z_ * z_, x_ * x_ + z_ * z_, x_ * x_ + y_ * y_, x_ * y_, x_ * z_, y_ * z_])
+        integrals += m * squares
+    return np.array([core_mass, station - cg[0], y + cg[1], z + cg[2], *integrals])
+
+
+def _thrust(stage: Stage) -> Cubics:
+    if stage.engine is None:
+        return fit([0.0], [[0.0]])
+    table = stage.engine.table
+    return fit(table["time_s"], table["thrust_vacuum_N"], stage.interpolation)
+
+
+def _tank(stage: Stage, k: int, method: Method) -> Cubics:
+    table = stage.tank[k].table
+    names = ("slosh_mass_kg", "pendulum_length_m", "hinge_station_m")
+    return fit(table["time_s"], np.stack([table[n] for n in names], axis=1), method)
+
+
+def _derivative(table: Cubics) -> Cubics:
+    c = table.coefficients
+    out = np.zeros_like(c)
+    for power in range(3):
+        out[:, power] = (power + 1) * c[:, power + 1]
+    return Cubics(table.breaks, out)
+
+
+def _columns(table: Cubics, columns: list[int]) -> Cubics:
+    return Cubics(table.breaks, table.coefficients[:, :, columns].copy())
+
+
+def _modes(stage: Stage, table: ModeTable, sizes: Sizes, method: Method) -> Cubics:
+    """Columns of all modes of one plane."""
+    times, n = table.time_s, table.modes
+    softening = np.array([_softening(stage, table, t) for t in range(len(times))])
+    hinges = [_tank(stage, k, method) for k in range(sizes.tanks)]
+    gimbal = stage.engine.gimbal_station_m if stage.engine else float(table.station_m[-1])
+    gyro = stage.gyro.station_m if stage.gyro else float(table.station_m[0])
+    columns: list[NDArray[np.float64]] = []
+    for mode in range(n):
+        shapes = [
+            CubicHermiteSpline(table.station_m, table.phi[t, mode], table.slope_pm[t, mode])
+            for t in range(len(times))
+        ]
+        columns += [2.0 * np.pi * table.frequency_hz[:, mode], table.generalized_mass_kg[:, mode]]
+        columns += [np.array([s(gimbal) for s in shapes]), np.array([s(gimbal, 1) for s in shapes])]
+        columns += [np.array([s(gyro, 1) for s in shapes])]
+        for hinge in hinges:
+            columns.append(np.array([s(hinge(t)[2]) for s, t in zip(shapes, times, strict=True)]))
+        for station in surface_stations(stage):
+            columns += [np.array([s(station) for s in shapes]), np.array([s(station, 1) for s in shapes])]
+        columns += list(softening[:, mode].T)
+    return fit(times, np.stack(columns, axis=1), method)
+
+
+def _softening(stage: Stage, table: ModeTable, t: int) -> Array:
+    """Generalised stiffness per unit of axial acceleration that the axial load takes from the modes (n, n), kg/m.
+
+    integral of m_forward phi_i' phi_j' dx up to the gimbal, less what the engine behind it gives back: it hangs in
+    tension (docs/model.md, section 4; the axial force at a station is the mass forward of it times the acceleration).
+    """
+    x = table.station_m
+    end = stage.engine.gimbal_station_m if stage.engine else float(x[-1])
+    shapes = [CubicHermiteSpline(x, table.phi[t, m], table.slope_pm[t, m]) for m in range(table.modes)]
+    inside = np.unique(np.append(x[x < end], end))
+    half = 0.5 * np.diff(inside)
+    points = (0.5 * (inside[1:] + inside[:-1]) + np.outer(_GAUSS_NODES, half)).ravel()
+    weights = np.outer(_GAUSS_WEIGHTS, half).ravel()
+    slopes = np.array([shape(points, 1) for shape in shapes])
+    load = weights * np.interp(points, x, table.mass_forward_kg[t])
+    matrix = (slopes * load) @ slopes.T
+    if stage.engine is not None:
+        at_gimbal = np.array([shape(end, 1) for shape in shapes])
+        hanging = stage.engine.gimballed_mass_kg * stage.engine.cg_from_gimbal_m
+        matrix -= hanging * np.outer(at_gimbal, at_gimbal)
+    return np.asarray(matrix)

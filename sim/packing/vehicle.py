@@ -1,0 +1,190 @@
+"""A stage of the vehicle file as the record that the derivative reads."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from maxq.control.tables import NO_TABLE, Cubics, Pool, fit, merge
+from maxq.sim.dynamics.actuator import Actuator
+from maxq.sim.dynamics.aero import FIRST_SURFACE, Aero
+from maxq.sim.dynamics.bending import Bending
+from maxq.sim.dynamics.derivative import Vehicle
+from maxq.sim.dynamics.engine import Engine
+from maxq.sim.dynamics.gyro import Gyro
+from maxq.sim.dynamics.slosh import Slosh
+from maxq.sim.dynamics.state import MAX_MODES, MAX_TANKS, Sizes
+from maxq.sim.packing.schedule import surface_stations
+from maxq.sim.scenario.schema_engine import ActuatorAxis
+from maxq.sim.scenario.schema_scenario import Scenario
+from maxq.sim.scenario.schema_vehicle import Reference, Stage
+
+_TWO_PI = 2.0 * math.pi
+
+
+def pack_vehicle(scenario: Scenario, stage: Stage, sizes: Sizes, schedule: Cubics, pool: Pool) -> Vehicle:
+    """Parameters of one stage under the scenario's switches; its tables go into `pool`."""
+    switches = scenario.switches
+    pitch, yaw = _actuators(scenario, stage)
+    return Vehicle(
+        sizes=sizes,
+        schedule=pool.add(schedule),
+        engine=_engine(scenario, stage),
+        actuator_pitch=pitch,
+        actuator_yaw=yaw,
+        gyro=_gyro(scenario, stage),
+        aero=_aero(scenario, stage, pool),
+        bending=_bending(scenario, stage),
+        slosh=_slosh(stage, sizes),
+        roll_torque_Nm=stage.roll_thrusters.torque_Nm if stage.roll_thrusters else 0.0,
+        jet_damping=int(switches.jet_damping),
+        follower_thrust=int(switches.follower_thrust),
+        gravity_gradient=int(scenario.earth.gravity_gradient),
+    )
+
+
+def _engine(scenario: Scenario, stage: Stage) -> Engine:
+    engine = stage.engine
+    if engine is None:
+        return Engine(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    moves = scenario.switches.engine_inertia
+    mass, arm = engine.gimballed_mass_kg, engine.cg_from_gimbal_m
+    on = 1.0 if scenario.switches.thrust else 0.0
+    return Engine(
+        exit_area_m2=engine.exit_area_m2,
+        thrust_factor=on * engine.thrust_factor * engine.mass_flow_factor,
+        gimbal_station_m=engine.gimbal_station_m,
+        exit_station_m=engine.exit_station_m,
+        gimbal_offset_y_m=engine.offset_m[0],
+        gimbal_offset_z_m=engine.offset_m[1],
+        misalignment_pitch_rad=math.radians(engine.misalignment_deg[0]),
+        misalignment_yaw_rad=math.radians(engine.misalignment_deg[1]),
+        gimballed_mass_kg=mass if moves else 0.0,
+        cg_from_gimbal_m=arm,
+        inertia_kgm2=engine.inertia_about_gimbal_kgm2 - mass * arm * arm if moves else 0.0,
+    )
+
+
+def _actuators(scenario: Scenario, stage: Stage) -> tuple[Actuator, Actuator]:
+    kind = scenario.switches.actuator
+    if stage.actuator is None or kind == "ideal":
+        bias = stage.actuator.bias_deg if stage.actuator else (0.0, 0.0)
+        ideal = [
+            Actuator(1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, np.inf, np.inf, math.radians(b), 0.0, 1) for b in bias
+        ]
+        return ideal[0], ideal[1]
+    axes = zip(stage.actuator.axes, stage.actuator.bias_deg, strict=True)
+    pitch, yaw = (_actuator(axis, bias, kind == "linear") for axis, bias in axes)
+    return pitch, yaw
+
+
+def _actuator(axis: ActuatorAxis, bias_deg: float, linear: bool) -> Actuator:
+    omega = [_TWO_PI * f for f in axis.omega_hz]
+    zeta = list(axis.zeta)
+    if axis.exchange_a3_a4:
+        omega[2], omega[3], zeta[2], zeta[3] = omega[3], omega[2], zeta[3], zeta[2]
+    return Actuator(
+        *omega,
+        *zeta,
+        angle_limit_rad=np.inf if linear else math.radians(axis.angle_limit_deg),
+        rate_limit_radps=np.inf if linear else math.radians(axis.rate_limit_degps),
+        bias_rad=math.radians(bias_deg),
+        backlash_rad=0.0 if linear else math.radians(axis.backlash_deg),
+        ideal=0,
+    )
+
+
+def _gyro(scenario: Scenario, stage: Stage) -> Gyro:
+    gyro = stage.gyro
+    if gyro is None or scenario.switches.gyro == "ideal":
+        station = gyro.station_m if gyro else 0.0
+        return Gyro(station, 1.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1)
+    bias = [math.radians(b) / 3600.0 for b in gyro.bias_degph]
+    turned = [math.radians(m) for m in gyro.misalignment_deg]
+    walk = math.radians(gyro.noise_deg_rt_h) / 60.0
+    return Gyro(
+        gyro.station_m, _TWO_PI * gyro.omega_hz, gyro.zeta, *bias, *gyro.scale_factor, *turned, walk, 0
+    )  # fmt: skip
+
+
+def _bending(scenario: Scenario, stage: Stage) -> Bending:
+    zeta = np.zeros(MAX_MODES)
+    if stage.bending is not None:
+        zeta[: len(stage.bending.damping_ratio)] = stage.bending.damping_ratio
+    softening = 1.0 if scenario.switches.bending_softening else 0.0
+    return Bending(zeta, zeta, np.ones(MAX_MODES), softening)
+
+
+def _slosh(stage: Stage, sizes: Sizes) -> Slosh:
+    zeta = np.zeros(MAX_TANKS)
+    zeta[: sizes.tanks] = [tank.damping_ratio for tank in stage.tank[: sizes.tanks]]
+    return Slosh(zeta, np.ones(MAX_TANKS), np.ones(MAX_TANKS))
+
+
+def _aero(scenario: Scenario, stage: Stage, pool: Pool) -> Aero:
+    reference: Reference = scenario.vehicle.reference
+    aero = stage.aero
+    on = int(aero is not None and scenario.switches.aerodynamics)
+    station = 0.5 * reference.length_m
+    if aero is not None and aero.crossflow_station_m is not None:
+        station = aero.crossflow_station_m
+    return Aero(
+        on=on,
+        table=pool.add(_mach_table(stage, reference.chord_m)) if on else NO_TABLE,
+        area_m2=reference.area_m2,
+        chord_m=reference.chord_m,
+        yaw_chord_m=reference.yaw_chord_m,
+        span_m=reference.span_m,
+        crossflow_station_m=station,
+        earth_rates=int(aero is not None and aero.rate_reference == "earth"),
+        local_incidence=int(scenario.switches.local_incidence),
+        force_factor=1.0,
+        axial_factor=1.0,
+        damping_factor=1.0,
+        centre_shift_m=0.0,
+    )
+
+
+def _mach_table(stage: Stage, chord_m: float) -> Cubics:
+    """Columns of dynamics/aero.py over Mach number.
+
+    Normal force enters as slope and slope times station, so that a moment about a fixed reference is carried over
+    exactly to a CG that moves, even where the slope is zero.
+    """
+    aero = stage.aero
+    assert aero is not None
+    table, method = aero.table, aero.interpolation
+    coast = table["CA_coast"] if "CA_coast" in table else table.get("CA")
+    columns = [table.get("CA"), coast, table.get("CD"), table.get("Cmq")]
+    columns += [table["Cnr"] if "Cnr" in table else table.get("Cmq"), table.get("Clp")]
+    columns += [table.get("C_crossflow"), table.get("Cm0")]
+    assert len(columns) == FIRST_SURFACE
+    parts = [fit(table["mach"], np.stack(columns, axis=1), method)]
+    for surface in aero.surface:
+        slope, place = surface.table["CN_alpha_pr"], surface.table["station_m"]
+        parts.append(fit(surface.table["mach"], np.stack([slope, slope * place], axis=1), method))
+    if len(surface_stations(stage)) > len(aero.surface):
+        parts.append(_remainder(stage, chord_m, parts[1:]))
+    return merge(parts)
+
+
+def _remainder(stage: Stage, chord_m: float, surfaces: list[Cubics]) -> Cubics:
+    """Normal force that the table of coefficients has beyond the surfaces' sum."""
+    aero = stage.aero
+    assert aero is not None
+    table, reference = aero.table, aero.moment_reference_m
+    slope = table.get("CN_alpha_pr")
+    if "x_cp_m" in table:
+        moment = slope * table["x_cp_m"]
+    else:
+        moment = slope * reference - chord_m * table.get("Cm_alpha_pr")
+    total = fit(table["mach"], np.stack([slope, moment], axis=1), aero.interpolation)
+    if not surfaces:
+        return total
+    together = merge([total, *surfaces])
+    c = together.coefficients
+    for k in range(1, len(surfaces) + 1):
+        c[:, :, :2] -= c[:, :, 2 * k : 2 * k + 2]
+    return Cubics(together.breaks, c[:, :, :2].copy())
+

@@ -1,0 +1,29 @@
+"""Scenarios that come with maxq: the folder scenarios/, which is package data of an installed maxq."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+DATA_FOLDERS = ("vehicles", "designs", "winds", "campaigns")
+"""Folders of data that scenarios name; their files are no scenarios."""
+
+
+def scenarios_folder() -> Path:
+    """Folder of the built-in scenarios.
+
+    The packaging puts scenarios/ beside sim/ both in a checkout (the repository's top) and when installed
+    (the folder of the package maxq).
+    """
+    return Path(__file__).resolve().parents[2] / "scenarios"
+
+
+def builtin_names() -> list[str]:
+    """Names of the built-in scenarios, such as `nominal` or `checkcases/nesc-01`, sorted."""
+    folder = scenarios_folder()
+    files = (path.relative_to(folder) for path in folder.rglob("*.toml"))
+    return sorted(path.with_suffix("").as_posix() for path in files if path.parts[0] not in DATA_FOLDERS)
+
+
+def builtin_path(name: str) -> Path | None:
+    """The file of the built-in scenario `name`, or None."""
+    return scenarios_folder() / f"{name}.toml" if name in builtin_names() else None

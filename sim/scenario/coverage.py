@@ -1,0 +1,145 @@
+"""Whether tables over time cover the powered flight.
+
+A table with one row is constant and covers everything. Times are on the clock of the tables; the burn-rate
+factor `mass_flow_factor` makes that clock run faster than the stage clock.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from maxq.sim.scenario.errors import Path, refuse
+from maxq.sim.scenario.schema_vehicle import Stage
+from maxq.sim.scenario.tables_csv import CsvTable
+
+if TYPE_CHECKING:
+    from maxq.sim.scenario.schema_scenario import Scenario
+
+
+def thrust_end_s(stage: Stage) -> float:
+    """Time of the stage's tables from which on there is no thrust; 0 without an engine or with constant
+    thrust.
+
+    When the thrust table does not end at zero, its last time.
+    """
+    if stage.engine is None or len(stage.engine.table) == 1:
+        return 0.0
+    time, thrust = stage.engine.table["time_s"], stage.engine.table["thrust_vacuum_N"]
+    burning = np.flatnonzero(thrust > 0.0)
+    if len(burning) == 0:
+        return 0.0
+    return float(time[min(int(burning[-1]) + 1, len(time) - 1)])
+
+
+def burn_rate(stage: Stage) -> float:
+    """Seconds of the tables' clock per second of the stage clock."""
+    return 1.0 if stage.engine is None else stage.engine.mass_flow_factor
+
+
+def stage_end_s(stage: Stage) -> float:
+    """When the stage separates, on its clock; infinite for the last one."""
+    if stage.separation_s is not None:
+        return stage.separation_s
+    if stage.separation_after_burnout_s is not None:
+        return thrust_end_s(stage) / burn_rate(stage) + stage.separation_after_burnout_s
+    return math.inf
+
+
+def check_coverage(scenario: Scenario) -> None:
+    """Refuse tables of vehicle, design and guidance that end before the powered flight does."""
+    flight_end = scenario.run.start_s + scenario.run.duration_s
+    stage_start, powered_end = 0.0, 0.0
+    for n, stage in enumerate(scenario.vehicle.stage):
+        key: Path = ("vehicle", "stage", n)
+        _check_stage(stage, key)
+        burn_end = thrust_end_s(stage) / burn_rate(stage)
+        ends = min(flight_end - stage_start, stage_end_s(stage))
+        if scenario.switches.thrust and scenario.run.freeze_vehicle_at_s is None:
+            _check_thrust_ends(stage, ends, key)
+        if burn_end > 0.0:
+            powered_end = stage_start + min(burn_end, ends)
+        stage_start += stage_end_s(stage)
+    powered_end = min(powered_end, flight_end)
+    if powered_end <= scenario.run.start_s or not scenario.switches.thrust:
+        return
+    if scenario.guidance.programme is not None and scenario.switches.guidance:
+        _check_programme(scenario.guidance.programme, scenario.run.start_s, powered_end)
+    if scenario.design is not None:
+        for name, table in (
+            ("table", scenario.design.gains.table),
+            ("yaw_table", scenario.design.gains.yaw_table),
+        ):
+            if table is not None:
+                _check_gains(table, ("design", "gains", name), scenario.run.start_s, powered_end)
+
+
+def _check_stage(stage: Stage, key: Path) -> None:
+    end = min(thrust_end_s(stage), stage_end_s(stage) * burn_rate(stage))
+    tables: list[tuple[Path, CsvTable | None]] = [(("mass", "table"), stage.mass.table)]
+    tables += [(("tank", n, "table"), tank.table) for n, tank in enumerate(stage.tank)]
+    if stage.bending is not None:
+        tables += [(("bending", "pitch"), stage.bending.pitch), (("bending", "yaw"), stage.bending.yaw)]
+    for place, table in tables:
+        if table is None or table["time_s"][0] == table["time_s"][-1]:
+            continue
+        if table["time_s"][-1] < end:
+            raise table.refusal(
+                "the table ends before the thrust does",
+                f"a last time_s >= {end:g}",
+                "time_s",
+                len(table) - 1,
+                at=key + place,
+            )
+    if stage.engine is not None and end > 0.0 and stage.ignition_s * burn_rate(stage) >= end:
+        raise refuse("ignition comes after the end of thrust", f"less than {end:g}", key=(*key, "ignition_s"))
+    mass = stage.mass
+    if mass.burn_s is not None and mass.mass_flow_kgps and mass.burn_s < end:
+        raise refuse(
+            "mass flow ends before the thrust does", f"at least {end:g}", key=(*key, "mass", "burn_s")
+        )
+
+
+def _check_thrust_ends(stage: Stage, ends_s: float, key: Path) -> None:
+    if stage.engine is None or len(stage.engine.table) == 1:
+        return
+    table = stage.engine.table
+    last = float(table["time_s"][-1]) / burn_rate(stage)
+    if table["thrust_vacuum_N"][-1] > 0.0 and ends_s > last:
+        problem = f"thrust does not end at zero, and the flight goes on after {last:g} s"
+        raise table.refusal(
+            problem, "0 in the last row", "thrust_vacuum_N", len(table) - 1, at=(*key, "engine", "table")
+        )
+
+
+def _check_programme(table: CsvTable, start: float, end: float) -> None:
+    key: Path = ("guidance", "programme")
+    if len(table) == 1:
+        return
+    if table["time_s"][0] > start:
+        raise table.refusal(
+            "the programme begins too late", f"a first time_s <= {start:g}", "time_s", 0, at=key
+        )
+    if table["time_s"][-1] < end:
+        raise table.refusal(
+            "the programme ends before the thrust does",
+            f"a last time_s >= {end:g}",
+            "time_s",
+            len(table) - 1,
+            at=key,
+        )
+
+
+def _check_gains(table: CsvTable, key: Path, start: float, end: float) -> None:
+    if len(table) == 1:
+        return
+    if table["time_s"][0] > end:
+        raise table.refusal(
+            "all gains lie after the powered flight", f"a first time_s <= {end:g}", "time_s", 0, at=key
+        )
+    if table["time_s"][-1] < start:
+        raise table.refusal(
+            "all gains lie before the flight", f"a last time_s >= {start:g}", "time_s", len(table) - 1, at=key
+        )

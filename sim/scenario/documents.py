@@ -1,0 +1,203 @@
+"""TOML documents that remember which file each value came from.
+
+A scenario is put together from several files and overrides. Errors must name the right one, and a file that a
+value names is looked for beside the file that says so; therefore tables, lists and texts carry their source.
+"""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from maxq.sim.scenario.errors import Path as KeyPath
+from maxq.sim.scenario.errors import ScenarioError, suggestion
+
+
+@dataclass(frozen=True)
+class Source:
+    """Where values come from: `label` for people, `folders` in which files that they name are looked for.
+
+    `within` is where the document is put into the scenario (a vehicle file: under `vehicle`), `shown_as` how
+    that beginning of a key is written in the document itself.
+    """
+
+    label: str
+    folders: tuple[Path, ...] = ()
+    within: KeyPath = ()
+    shown_as: KeyPath = ()
+
+    def key(self, path: KeyPath) -> str:
+        """`path` in the scenario as it is written in this document."""
+        if path[: len(self.within)] == self.within:
+            path = self.shown_as + path[len(self.within) :]
+        return ".".join(str(part) for part in path)
+
+    def error(self, path: KeyPath, problem: str, **details: Any) -> ScenarioError:
+        return ScenarioError(self.label, problem, self.key(path), **details)
+
+
+class Text(str):
+    """A text value that knows its source."""
+
+    source: Source
+
+
+class Table(dict[str, Any]):
+    """A TOML table; `sources` holds the source of each key."""
+
+    def __init__(self, source: Source) -> None:
+        super().__init__()
+        self.source = source
+        self.sources: dict[str | int, Source] = {}
+
+
+class Array(list[Any]):
+    """A TOML array; `sources` holds the source of elements that were overridden one by one."""
+
+    def __init__(self, source: Source) -> None:
+        super().__init__()
+        self.source = source
+        self.sources: dict[str | int, Source] = {}
+
+
+def adopt(value: Any, source: Source) -> Any:
+    """`value` as tomllib gives it, with its source noted throughout."""
+    if isinstance(value, dict):
+        table = Table(source)
+        for key, item in value.items():
+            table[key] = adopt(item, source)
+        return table
+    if isinstance(value, list):
+        array = Array(source)
+        array.extend(adopt(item, source) for item in value)
+        return array
+    if isinstance(value, str):
+        text = Text(value)
+        text.source = source
+        return text
+    return value
+
+
+def parse(text: str, source: Source) -> Table:
+    """The document that `text` holds; ScenarioError with line and column where it is not TOML."""
+    try:
+        document = adopt(tomllib.loads(text), source)
+    except (ValueError, RecursionError) as error:  # TOMLDecodeError, or a number with thousands of digits
+        reason = "nested too deeply" if isinstance(error, RecursionError) else str(error)
+        raise ScenarioError(source.label, f"is not valid TOML: {reason}") from None
+    assert isinstance(document, Table)
+    return document
+
+
+def decode(content: bytes, label: str, kind: str) -> str:
+    """`content` as UTF-8 text; ScenarioError for a binary file. `kind` names what was expected."""
+    try:
+        text = content.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        byte = content[error.start]
+        raise ScenarioError(
+            label, f"is not text: byte 0x{byte:02x} at position {error.start}", allowed=f"{kind} in UTF-8"
+        ) from None
+    if "\0" in text:
+        raise ScenarioError(label, "is a binary file: it holds zero bytes", allowed=f"{kind} in UTF-8")
+    return text
+
+
+def merge(base: Table, over: Table) -> None:
+    """Put `over` on top of `base`: tables key by key, everything else (arrays of tables too) as a whole."""
+    for key, value in over.items():
+        below = base.get(key)
+        if isinstance(below, Table) and isinstance(value, Table):
+            merge(below, value)
+        else:
+            base[key] = value
+            base.sources[key] = over.sources.get(key, over.source)
+
+
+def _step(tree: Table | Array, part: str | int, path: KeyPath, source: Source) -> str | int:
+    """The key or index that `part` of a path means in `tree`."""
+    if isinstance(tree, Table):
+        return str(part)
+    allowed = f"an index 0 .. {len(tree) - 1}" if tree else "nothing: the list is empty"
+    if not str(part).isdecimal() or int(part) >= len(tree):
+        raise source.error(path, f"{part!s} is no element of this list", allowed=allowed)
+    return int(part)
+
+
+def put(tree: Table, path: KeyPath, value: Any, source: Source, shift: KeyPath = ()) -> None:
+    """Set the value at `path`, e.g. ("stage", "0", "engine", "thrust_factor"); tables on the way are made.
+
+    `shift` is where `tree` stands in the scenario. ScenarioError when the path leads through a value that is
+    neither table nor list, or beyond a list's end.
+    """
+    at: Table | Array = tree
+    for n, part in enumerate(path[:-1]):
+        key = _step(at, part, shift + path, source)
+        if isinstance(at, Table) and key not in at:
+            at[str(key)] = Table(source)
+            at.sources[key] = source
+        below = at[key]  # type: ignore[index]  # a Table takes the str, an Array the int that _step returned
+        if not isinstance(below, Table | Array):
+            name = ".".join(map(str, path[: n + 1]))
+            raise source.error(shift + path, f"{name} is a value and has no keys below it")
+        at = below
+    key = _step(at, path[-1], shift + path, source)
+    at[key] = value  # type: ignore[index]  # as above
+    at.sources[key] = source
+
+
+def drop(tree: Table, path: KeyPath, source: Source, shift: KeyPath = ()) -> None:
+    """Remove the key at `path` of `tree`, which stands at `shift` of the scenario; ScenarioError without such
+    a key.
+    """
+    at: Any = tree
+    for n, part in enumerate(path):
+        place = (*shift, *path[: n + 1])
+        here = _step(at, part, place, source) if isinstance(at, Table | Array) else None
+        if here is None or (isinstance(at, Table) and here not in at):
+            hint = suggestion(str(part), at) if isinstance(at, Table) else ""
+            raise source.error(place, "there is no such key to take away" + (f"; {hint}" if hint else ""))
+        if n == len(path) - 1:
+            del at[here]
+        else:
+            at = at[here]
+
+
+def leaves(table: Table) -> Iterator[tuple[KeyPath, Any, Source]]:
+    """Every value below `table` that is no table, with path and source; keys such as "stage.0.name" are
+    split.
+    """
+    for key, value in table.items():
+        head: KeyPath = tuple(key.split("."))
+        if isinstance(value, Table) and value:
+            for path, leaf, source in leaves(value):
+                yield head + path, leaf, source
+        else:
+            yield head, value, table.sources.get(key, table.source)
+
+
+def source_of(tree: Table, path: KeyPath) -> Source:
+    """The source of the value at `path`, or of what comes closest to it."""
+    at: Any = tree
+    source = tree.source
+    for part in path:
+        if not isinstance(at, Table | Array):
+            break
+        source = at.sources.get(part, at.source)
+        try:
+            at = at[part]  # type: ignore[index]  # a path found by the validator: str in tables, int in lists
+        except (KeyError, IndexError, TypeError):
+            break
+    return source
+
+
+def plain(value: Any) -> Any:
+    """The tree as dicts, tuples and values (texts keep their source): what the schema validates strictly."""
+    if isinstance(value, Table):
+        return {key: plain(item) for key, item in value.items()}
+    if isinstance(value, Array):
+        return tuple(plain(item) for item in value)
+    return value

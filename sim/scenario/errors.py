@@ -1,0 +1,126 @@
+"""What is said about a wrong scenario: one line that names file, key, value, what is wrong and what is
+allowed.
+"""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable
+from typing import Any
+
+from pydantic_core import PydanticCustomError
+
+Path = tuple[str | int, ...]
+"""Where a value stands: names of tables and keys, indices of lists."""
+
+
+class _Nothing:
+    """Marks that there is no value to show (a key that is missing)."""
+
+    def __repr__(self) -> str:
+        return "nothing"
+
+
+NOTHING = _Nothing()
+_LONGEST_VALUE = 60
+
+
+class ScenarioError(Exception):
+    """Wrong input. `str()` is one line: `file: key = value: problem; allowed: ... (and N more)`.
+
+    `file` is how the person named the file, `--set` for an override; `key` is empty when the file as a whole
+    is meant; `more` counts the further mistakes found at the same time.
+    """
+
+    def __init__(
+        self,
+        file: str,
+        problem: str,
+        key: str = "",
+        *,
+        value: Any = NOTHING,
+        allowed: str = "",
+        more: int = 0,
+    ) -> None:
+        shown = "" if value is NOTHING else show_value(value)
+        super().__init__(file, problem)
+        self.file, self.problem, self.key, self.allowed, self.more = file, problem, key, allowed, more
+        self.shown_value = shown
+
+    def __reduce__(self) -> tuple[Any, ...]:  # all is text by now: a value must not be quoted again
+        return (_rebuilt, (self.__dict__,))
+
+    def __str__(self) -> str:
+        place = f"{self.key} = {self.shown_value}" if self.shown_value else self.key
+        parts = [self.file, place, self.problem] if place else [self.file, self.problem]
+        line = ": ".join(parts)
+        if self.allowed:
+            line += f"; allowed: {self.allowed}"
+        if self.more:
+            line += f" (and {self.more} more)"
+        return " ".join(line.split())
+
+
+def _rebuilt(attributes: dict[str, Any]) -> ScenarioError:
+    error = ScenarioError(attributes["file"], attributes["problem"])
+    error.__dict__.update(attributes)
+    return error
+
+
+def show_value(value: Any) -> str:
+    """A value as TOML would roughly have it, cut to a length that fits a line."""
+    if isinstance(value, bool):
+        text = str(value).lower()
+    elif isinstance(value, str):
+        text = f'"{value}"'
+    elif isinstance(value, dict):
+        text = "{" + ", ".join(f"{k} = {show_value(v)}" for k, v in list(value.items())[:9]) + "}"
+    elif isinstance(value, list | tuple):
+        text = "[" + ", ".join(show_value(v) for v in value[:20]) + "]"
+    else:
+        text = _number(value)
+    text = text.encode("unicode_escape").decode() if not text.isprintable() else text
+    return text if len(text) <= _LONGEST_VALUE else text[: _LONGEST_VALUE - 4] + " ..."
+
+
+def _number(value: Any) -> str:
+    try:
+        return repr(value)
+    except ValueError:  # Python refuses to write out integers of thousands of digits
+        return "a number of thousands of digits"
+
+
+def refuse(
+    problem: str,
+    allowed: str = "",
+    key: Path = (),
+    *,
+    value: Any = NOTHING,
+    file: str = "",
+    place: str = "",
+) -> PydanticCustomError:
+    """The exception that a validator of the schema raises.
+
+    `key` is relative to the section that is being validated; its value is looked up unless given. A mistake
+    inside a CSV file names that `file` and the `place` in it instead.
+    """
+    return PydanticCustomError(
+        "refused",
+        "{problem}",
+        {"problem": problem, "allowed": allowed, "key": key, "value": value, "file": file, "place": place},
+    )
+
+
+def suggestion(word: str, known: Iterable[str]) -> str:
+    """`did you mean x?`, or an empty string. A key that differs in its unit only (`_km` for `_m`) comes
+    first.
+    """
+    choices = list(known)
+    stem = word.rpartition("_")[0]
+    same_stem = [c for c in choices if c == stem or ("_" in c and c.rpartition("_")[0] in (stem, word))]
+    near = difflib.get_close_matches(word, choices, n=1, cutoff=0.6)
+    if same_stem and stem:
+        near = difflib.get_close_matches(word, same_stem, n=1, cutoff=0.0)
+    elif not near and same_stem:
+        near = same_stem[:1]
+    return f"did you mean {near[0]}?" if near else ""

@@ -1,0 +1,95 @@
+"""docs/scenario.md: every key of the scenario files, written from the schema."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+from pydantic.fields import FieldInfo
+from pydantic_core import PydanticUndefined
+
+from maxq.sim.scenario.describe import describe, section_of, unwrap
+from maxq.sim.scenario.errors import show_value
+from maxq.sim.scenario.schema_design import Design
+from maxq.sim.scenario.schema_scenario import Scenario
+from maxq.sim.scenario.schema_values import Section
+from maxq.sim.scenario.schema_vehicle import Vehicle
+
+_INTRODUCTION = """\
+# Scenario files
+
+<!-- Written by `python -m maxq.sim.scenario.export_schema`: change the schema, not this file. -->
+
+A scenario says what is flown. It is a TOML file; the vehicle and the control design that it names are TOML
+files too, and they name tables in CSV files. Units are in the keys. Unknown keys are refused.
+
+- **Files** are looked for beside the file that names them, then among the built-in scenarios. `vehicle =
+  "vehicles/ksr3"` means `vehicles/ksr3/vehicle.toml`; `.toml` may be left out. What is a file may also be
+  written out in the scenario: `[vehicle]` and `[design]` as tables, `table = {time_s = [0.0, 9.0], mass_kg
+  = [5.0, 4.0]}` or `table = [{time_s = 0.0, mass_kg = 5.0}, {time_s = 9.0, mass_kg = 4.0}]`.
+- **CSV files**: one line of column names, numbers separated by commas; lines that begin with `#` are
+  skipped. A table with a single row is constant. Tables over time begin at or before 0 and reach to the end
+  of thrust; gains are held outside their table.
+- **`extends = "nominal.toml"`** (also in vehicle and design files): this file lies on top of the other one,
+  table by table and key by key; lists and lists of tables are replaced as a whole. `unset =
+  ["wind.profile"]` takes away keys of the extended file. The name is not inherited.
+- **`[vehicle_overrides]`, `[design_overrides]`** change single values of the vehicle and the design:
+  `stage.0.tank.0.damping_ratio = 0.01`.
+- **`--set KEY=VALUE`** does so from the command line, for every key: `--set run.step_s=0.0005`, `--set
+  vehicle.stage.0.engine.thrust_factor=1.02`, `--set design=designs/other.toml`; `--set KEY=` takes a key
+  away.
+- **Completion in editors**: begin a file with `#:schema` and the address of `scenario.schema.json`,
+  `vehicle.schema.json` or `design.schema.json`, which lie beside this page.
+
+Times marked "whole ns" must be whole numbers of nanoseconds. *required* marks keys without a default.
+"""
+
+
+def scenario_reference() -> str:
+    """The page in Markdown."""
+    parts = [_INTRODUCTION]
+    for title, name, model in (
+        ("The scenario", "", Scenario),
+        ("The vehicle (`vehicle.toml`)", "", Vehicle),
+        ("The control design (`designs/*.toml`)", "", Design),
+    ):
+        parts.append(f"## {title}\n")
+        parts.append("\n".join(_section(model, name)))
+    return "\n".join(parts).rstrip() + "\n"
+
+
+def _section(model: type[Section], path: str) -> Iterator[str]:
+    if path:
+        yield f"### `{path}`\n"
+    yield f"{(model.__doc__ or '').splitlines()[0]}\n"
+    yield "| key | allowed | default | meaning |"
+    yield "|---|---|---|---|"
+    below: list[tuple[str, type[Section]]] = []
+    for name, field in model.model_fields.items():
+        key = field.alias or name
+        yield f"| `{key}` | {_cell(_allowed(field))} | {_default(field)} | {_cell(field.description or '')} |"
+        section = section_of(field.annotation)
+        if section is not None and section not in (Vehicle, Design):
+            bare, _ = unwrap(field.annotation)
+            inner = ".".join(part for part in (path.strip("[]"), key) if part)
+            below.append((f"[{inner}]" if isinstance(bare, type) else f"[[{inner}]]", section))
+    yield ""
+    for inner, section in below:
+        yield from _section(section, inner)
+
+
+def _allowed(field: FieldInfo) -> str:
+    if section_of(field.annotation) in (Vehicle, Design):
+        return "a file, or a table"
+    return describe(field.annotation, list(field.metadata))
+
+
+def _default(field: FieldInfo) -> str:
+    default: Any = field.default
+    if field.default_factory is not None or default is None or default == "" or isinstance(default, Section):
+        return ""
+    return "*required*" if default is PydanticUndefined else f"`{show_value(default)}`"
+
+
+def _cell(text: str) -> str:
+    return text.replace("|", "\\|")

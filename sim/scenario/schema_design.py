@@ -1,0 +1,146 @@
+"""The control design: gains over time, bending filter, roll control."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import Field, model_validator
+
+from maxq.sim.scenario.errors import refuse
+from maxq.sim.scenario.schema_values import NotNegative, Positive, Section, needs
+from maxq.sim.scenario.tables_csv import Columns, CsvTable
+
+GAIN_COLUMNS = Columns("time_s", sets=(("k_p", "k_d_s"),), not_negative=("k_p", "k_d_s"))
+
+SECTIONS = {"none": (0, 0), "F2": (1, 0), "F3": (1, 1), "F4": (2, 0), "F5": (2, 1), "F6": (2, 2)}
+"""Quadratic and first-order sections of each filter structure (paper, eqs 37-41)."""
+
+
+class Gains(Section):
+    """Gains of the PD law (paper, eq. 33), linear in time, held outside the table."""
+
+    table: Annotated[CsvTable, GAIN_COLUMNS] = Field(
+        description="k_p (rad/rad) and k_d_s (s) over the vehicle clock"
+    )
+    yaw: Literal["pitch"] | None = Field(
+        default=None, description='"pitch": as in pitch (the default without yaw_table)'
+    )
+    yaw_table: Annotated[CsvTable, GAIN_COLUMNS] | None = Field(
+        default=None, description="own gains of the yaw axis"
+    )
+
+    @model_validator(mode="after")
+    def _check(self) -> Gains:
+        if self.yaw is not None and self.yaw_table is not None:
+            raise refuse("cannot stand beside yaw", "one of yaw, yaw_table", key=("yaw_table",), value={})
+        return self
+
+    @property
+    def axes(self) -> tuple[CsvTable, CsvTable]:
+        """Tables of the pitch and the yaw axis."""
+        return self.table, self.yaw_table or self.table
+
+
+class Quadratic(Section):
+    """(s^2/wz^2 + 2 zz s/wz + 1) / (s^2/wp^2 + 2 zp s/wp + 1)."""
+
+    zero_hz: Positive = Field(description="frequency of the zeros, Hz")
+    zero_zeta: float = Field(description="damping ratio of the zeros (negative: right half plane)")
+    pole_hz: float = Field(description="frequency of the poles, Hz")
+    pole_zeta: float = Field(description="damping ratio of the poles")
+
+    @model_validator(mode="after")
+    def _check(self) -> Quadratic:
+        for key in ("pole_hz", "pole_zeta"):
+            if getattr(self, key) <= 0.0:
+                raise refuse("makes an unstable pole", "a number > 0", key=(key,))
+        return self
+
+
+class FirstOrder(Section):
+    """(s/z + 1) / (s/p + 1) with z = 2 pi zero_hz, p = 2 pi pole_hz."""
+
+    zero_hz: float = Field(description="frequency of the zero, Hz (negative: right half plane)")
+    pole_hz: float = Field(description="frequency of the pole, Hz")
+
+    @model_validator(mode="after")
+    def _check(self) -> FirstOrder:
+        if self.pole_hz <= 0.0:
+            raise refuse("makes an unstable pole", "a number > 0", key=("pole_hz",))
+        if self.zero_hz == 0.0:
+            raise refuse("the section would divide by zero", "any number but 0", key=("zero_hz",))
+        return self
+
+
+class Filter(Section):
+    """Bending filter."""
+
+    structure: Literal["F2", "F3", "F4", "F5", "F6", "none"] = Field(
+        default="none", description="of the paper, or none"
+    )
+    quadratic: tuple[Quadratic, ...] = Field(
+        default=(), description="second-order sections: F2, F3: 1; F4, F5, F6: 2"
+    )
+    first_order: tuple[FirstOrder, ...] = Field(
+        default=(), description="first-order sections: F3, F5: 1; F6: 2"
+    )
+    discretization: Literal["prewarped", "bilinear", "matched", "zoh"] = Field(
+        default="prewarped", description="prewarped: bilinear, and exact at prewarp_hz"
+    )
+    prewarp_hz: Positive | None = Field(
+        default=None, description="where prewarped is exact, Hz: the first bending frequency"
+    )
+
+    @model_validator(mode="after")
+    def _check(self) -> Filter:
+        for key, count in zip(("quadratic", "first_order"), SECTIONS[self.structure], strict=True):
+            given = len(getattr(self, key))
+            if given != count:
+                raise refuse(
+                    f"{given} sections do not make {self.structure}", f"{count} sections", key=(key,)
+                )
+        if self.structure != "none" and self.discretization == "prewarped":
+            needs(self, "prewarp_hz", "discretization is prewarped", "a number > 0, Hz")
+        return self
+
+
+class Roll(Section):
+    """Roll control by on/off thrusters: acts on roll angle + k_rate_s * roll rate."""
+
+    k_rate_s: NotNegative = Field(description="weight of the rate, s")
+    dead_band_deg: Positive = Field(description="half width of the dead band, deg")
+    hysteresis_deg: NotNegative = Field(
+        default=0.0, description="a thruster goes off at dead_band_deg less this, deg"
+    )
+    minimum_on_s: NotNegative = Field(default=0.0, description="shortest pulse, s")
+
+    @model_validator(mode="after")
+    def _check(self) -> Roll:
+        if self.hysteresis_deg > self.dead_band_deg:
+            raise refuse("exceeds the dead band", f"0 .. {self.dead_band_deg:g}", key=("hysteresis_deg",))
+        return self
+
+
+class Limits(Section):
+    """What the design was made to; for people, nothing in the flight depends on it."""
+
+    gain_margin_db: float | None = Field(default=None, description="least gain margin, dB")
+    phase_margin_deg: float | None = Field(default=None, description="least phase margin, deg")
+    rigid_hz: float | None = Field(default=None, description="least frequency of the rigid-body motion, Hz")
+    rigid_zeta: float | None = Field(default=None, description="least damping ratio of the rigid-body motion")
+    second_mode_db: float | None = Field(
+        default=None, description="largest peak of the second bending mode, dB"
+    )
+
+
+class Design(Section):
+    """A file in designs/."""
+
+    schema_version: Literal[1] = Field(default=1, alias="schema", description="version of the format")
+    name: str = Field(default="", description="name of the design")
+    description: str = Field(default="", description="what it is, in a sentence")
+    vehicle: str = Field(default="", description="the vehicle that it was made for; for people")
+    gains: Gains
+    filter: Filter = Filter()
+    roll: Roll | None = Field(default=None, description="absent: no roll control")
+    limits: Limits | None = Field(default=None, description="what the design was made to; for people")

@@ -1,0 +1,214 @@
+"""Site, Earth, atmosphere and wind."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import Field, model_validator
+
+from maxq.sim.scenario.errors import refuse
+from maxq.sim.scenario.schema_values import (
+    Angle,
+    Latitude,
+    Longitude,
+    NotNegative,
+    Positive,
+    Section,
+    at_most_one,
+    needs,
+    only_with,
+)
+from maxq.sim.scenario.tables_csv import Columns, CsvTable
+
+ATMOSPHERE_COLUMNS = Columns(
+    "altitude_m",
+    sets=(("density_kgpm3", "temperature_K", "pressure_Pa"),),
+    positive=("temperature_K",),
+    not_negative=("density_kgpm3", "pressure_Pa"),
+)
+WIND_COLUMNS = Columns(
+    "altitude_m",
+    sets=(("speed_mps", "from_deg"), ("north_mps", "east_mps")),
+    optional=("down_mps",),
+    not_negative=("speed_mps",),
+)
+TURBULENCE_COLUMNS = Columns(
+    "altitude_m",
+    sets=(("sigma_u_mps", "sigma_v_mps", "sigma_w_mps"),),
+    not_negative=("sigma_u_mps", "sigma_v_mps", "sigma_w_mps"),
+)
+
+
+class Site(Section):
+    """Launch site."""
+
+    latitude_deg: Latitude = Field(default=0.0, description="geodetic latitude, deg, north positive")
+    longitude_deg: Longitude = Field(default=0.0, description="longitude, deg, east positive")
+    altitude_m: float = Field(default=0.0, description="height above the ellipsoid, m")
+    azimuth_deg: Angle = Field(
+        default=90.0,
+        description="launch azimuth, deg from north through east: direction of body z on the pad",
+    )
+    utc: str = Field(default="", description="date and time of T0, for people only")
+
+
+class Earth(Section):
+    """Shape, rotation and gravity."""
+
+    shape: Literal["wgs84", "sphere", "flat"] = Field(
+        default="wgs84", description="figure; flat: uniform and not rotating"
+    )
+    rotating: bool = Field(default=True, description="whether the Earth turns")
+    gravity: Literal["j2", "inverse_square", "uniform", "none"] = Field(
+        default="j2", description="gravitation"
+    )
+    mu_m3ps2: Positive | None = Field(
+        default=None, description="gravitational parameter, m3/s2 (default: of the shape)"
+    )
+    j2: float | None = Field(default=None, description="oblateness coefficient (default: WGS-84)")
+    equatorial_radius_m: Positive | None = Field(
+        default=None, description="of the ellipsoid, m (default: WGS-84)"
+    )
+    flattening: Annotated[float, Field(ge=0.0, lt=1.0)] | None = Field(
+        default=None, description="of the ellipsoid"
+    )
+    sphere_radius_m: Positive | None = Field(default=None, description="of the sphere, m")
+    rate_radps: float | None = Field(default=None, description="rotation rate, rad/s (default: WGS-84)")
+    uniform_mps2: NotNegative | None = Field(
+        default=None, description="uniform gravity, m/s2 (default 9.80665)"
+    )
+    gravity_radius_m: Positive | None = Field(
+        default=None, description="reference radius of J2, m (default: equatorial)"
+    )
+    gravity_gradient: bool = Field(default=False, description="whether gravity turns the vehicle")
+
+    @model_validator(mode="after")
+    def _check(self) -> Earth:
+        if self.shape == "flat":
+            if self.rotating:
+                raise refuse(
+                    "a flat Earth does not rotate", "rotating = false", key=("rotating",), value=True
+                )
+            if self.gravity not in ("uniform", "none"):
+                allowed = "'uniform', 'none' with shape = 'flat'"
+                raise refuse("a flat Earth has no centre", allowed, key=("gravity",), value=self.gravity)
+        only_with(self, ("sphere_radius_m",), self.shape == "sphere", "shape = 'sphere'")
+        only_with(self, ("equatorial_radius_m", "flattening"), self.shape == "wgs84", "shape = 'wgs84'")
+        only_with(self, ("j2", "gravity_radius_m"), self.gravity == "j2", "gravity = 'j2'")
+        only_with(self, ("uniform_mps2",), self.gravity == "uniform", "gravity = 'uniform'")
+        return self
+
+
+class Atmosphere(Section):
+    """Air at rest relative to the Earth."""
+
+    model: Literal["us1976", "table", "constant", "vacuum"] = Field(
+        default="us1976", description="US Standard Atmosphere 1976"
+    )
+    table: Annotated[CsvTable, ATMOSPHERE_COLUMNS] | None = Field(
+        default=None, description='for model = "table"'
+    )
+    density_kgpm3: NotNegative | None = Field(default=None, description='kg/m3, for model = "constant"')
+    temperature_K: Positive | None = Field(
+        default=None, description='K, for model = "constant" (default 288.15)'
+    )
+    pressure_Pa: NotNegative | None = Field(
+        default=None, description='Pa, for model = "constant" (default 101325)'
+    )
+    density_factor: NotNegative = Field(default=1.0, description="multiplies density")
+
+    @model_validator(mode="after")
+    def _check(self) -> Atmosphere:
+        only_with(self, ("table",), self.model == "table", "model = 'table'")
+        constants = ("density_kgpm3", "temperature_K", "pressure_Pa")
+        only_with(self, constants, self.model == "constant", "model = 'constant'")
+        if self.model == "table":
+            needs(self, "table", "model is 'table'", ATMOSPHERE_COLUMNS.allowed())
+        if self.model == "constant":
+            needs(self, "density_kgpm3", "model is 'constant'", "a number >= 0")
+        return self
+
+
+class Gust(Section):
+    """One gust or shear layer, added to the wind."""
+
+    kind: Literal["one-minus-cosine", "shear"] = Field(
+        description="one-minus-cosine: rises over edge_m, holds, falls over edge_m; "
+        "shear: rises over thickness_m, holds"
+    )
+    altitude_m: float = Field(description="where it begins, m")
+    thickness_m: Positive = Field(description="from its beginning to its end (edges included), m")
+    edge_m: Positive | None = Field(default=None, description="length of each edge, m (one-minus-cosine)")
+    speed_mps: NotNegative = Field(description="largest speed, m/s")
+    from_deg: Angle = Field(description="direction it blows from, deg from north through east")
+
+    @model_validator(mode="after")
+    def _check(self) -> Gust:
+        if self.kind == "shear":
+            only_with(self, ("edge_m",), False, "kind = 'one-minus-cosine'")
+        elif 2.0 * needs(self, "edge_m", "kind is one-minus-cosine", "a number > 0") > self.thickness_m:
+            raise refuse(
+                "two edges are thicker than the gust", f"at most {self.thickness_m / 2:g}", key=("edge_m",)
+            )
+        return self
+
+
+class Turbulence(Section):
+    """Random wind."""
+
+    model: Literal["dryden"] = Field(default="dryden", description="Dryden spectra, MIL-F-8785C")
+    exceedance: Literal["light", "moderate", "severe"] | None = Field(default=None, description="severity")
+    table: Annotated[CsvTable, TURBULENCE_COLUMNS] | None = Field(
+        default=None,
+        description="standard deviations along (u), across (v), down (w), instead of exceedance",
+    )
+    length_u_m: Positive | None = Field(
+        default=None, description="scale length along, m (default: MIL-F-8785C)"
+    )
+    length_v_m: Positive | None = Field(
+        default=None, description="scale length across, m (default: MIL-F-8785C)"
+    )
+    length_w_m: Positive | None = Field(
+        default=None, description="scale length down, m (default: MIL-F-8785C)"
+    )
+    seed: Annotated[int, Field(ge=0, lt=2**63)] | None = Field(
+        default=None, description="own seed (default: from run.seed)"
+    )
+
+    @model_validator(mode="after")
+    def _check(self) -> Turbulence:
+        at_most_one(self, ("exceedance", "table"))
+        if self.table is None:
+            needs(
+                self, "exceedance", "turbulence needs a strength", "'light', 'moderate', 'severe', or a table"
+            )
+        return self
+
+
+class Wind(Section):
+    """Motion of the air relative to the Earth."""
+
+    profile: Annotated[CsvTable, WIND_COLUMNS] | None = Field(default=None, description="wind over altitude")
+    speed_mps: NotNegative | None = Field(
+        default=None, description="constant wind, m/s, instead of a profile"
+    )
+    from_deg: Angle | None = Field(
+        default=None, description="direction it blows from, deg from north through east"
+    )
+    interpolation: Literal["linear", "pchip"] = Field(
+        default="linear", description="between the rows of the profile"
+    )
+    outside: Literal["hold", "error"] = Field(default="hold", description="above and below the profile")
+    factor: float = Field(default=1.0, description="multiplies profile or constant wind")
+    gust: tuple[Gust, ...] = Field(default=(), max_length=16, description="gusts and shear layers")
+    turbulence: Turbulence | None = Field(default=None, description="absent: none")
+
+    @model_validator(mode="after")
+    def _check(self) -> Wind:
+        at_most_one(self, ("profile", "speed_mps"))
+        at_most_one(self, ("profile", "from_deg"))
+        if self.speed_mps is not None:
+            needs(self, "from_deg", "speed_mps is given", "a number -360 .. 360")
+        if self.from_deg is not None:
+            needs(self, "speed_mps", "from_deg is given", "a number >= 0")
+        return self

@@ -1,0 +1,69 @@
+"""What all sections of a scenario have in common: strictness, and kinds of numbers with their bounds."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any
+
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field
+
+from maxq.sim.scenario.errors import refuse
+from maxq.sim.scenario.nanoseconds import is_whole_ns, is_whole_period
+
+
+class Section(BaseModel):
+    """A table of a TOML file. Unknown keys, numbers as text, NaN and infinity are refused; nothing can be
+    changed.
+    """
+
+    model_config = ConfigDict(strict=True, extra="forbid", frozen=True, allow_inf_nan=False)
+
+
+def _whole_ns(seconds: float) -> float:
+    if not is_whole_ns(seconds):
+        raise refuse("is no whole number of nanoseconds", "multiples of 1e-9 s")
+    return seconds
+
+
+def _whole_period(rate_hz: float) -> float:
+    if not is_whole_period(rate_hz):
+        raise refuse(
+            "its period is no whole number of nanoseconds", "rates that divide 1e9, e.g. 50, 100, 1000"
+        )
+    return rate_hz
+
+
+Positive = Annotated[float, Field(gt=0.0)]
+NotNegative = Annotated[float, Field(ge=0.0)]
+Fraction = Annotated[float, Field(ge=0.0, le=1.0)]
+Latitude = Annotated[float, Field(ge=-90.0, le=90.0)]
+Longitude = Annotated[float, Field(ge=-360.0, le=360.0)]
+Angle = Annotated[float, Field(ge=-360.0, le=360.0)]
+Seconds = Annotated[float, Field(ge=0.0), AfterValidator(_whole_ns)]
+Period = Annotated[float, Field(gt=0.0), AfterValidator(_whole_ns)]
+Rate = Annotated[float, Field(gt=0.0), AfterValidator(_whole_period)]
+Pair = tuple[float, float]
+Triple = tuple[float, float, float]
+Quaternion = tuple[float, float, float, float]
+Matrix = tuple[Triple, Triple, Triple]
+
+
+def at_most_one(section: Section, keys: tuple[str, ...]) -> None:
+    """Refuse two of `keys` that exclude each other."""
+    given = [key for key in keys if getattr(section, key) is not None]
+    if len(given) > 1:
+        raise refuse(f"cannot stand beside {given[0]}", f"one of {', '.join(keys)}", key=(given[1],))
+
+
+def needs(section: Section, key: str, because: str, allowed: str = "") -> Any:
+    """The value of an optional key that another one makes necessary."""
+    value = getattr(section, key)
+    if value is None:
+        raise refuse(f"required key is missing: {because}", allowed, key=(key,))
+    return value
+
+
+def only_with(section: Section, keys: tuple[str, ...], condition: bool, when: str) -> None:
+    """Refuse `keys` that mean nothing unless `condition`, which `when` says in words."""
+    for key in keys:
+        if not condition and getattr(section, key) is not None:
+            raise refuse("has no meaning here", f"this key with {when} only", key=(key,))

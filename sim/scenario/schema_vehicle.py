@@ -1,0 +1,249 @@
+"""The vehicle: a list of stages, its reference lengths and its flight computer."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from pydantic import Field, model_validator
+
+from maxq.sim.scenario.errors import refuse
+from maxq.sim.scenario.modes import MAX_MODES, MODE_COLUMNS, ModeTable, mode_table
+from maxq.sim.scenario.schema_aero import Aero
+from maxq.sim.scenario.schema_engine import Actuator, Engine, RollThrusters
+from maxq.sim.scenario.schema_mass import Mass, Tank
+from maxq.sim.scenario.schema_values import (
+    Fraction,
+    NotNegative,
+    Period,
+    Positive,
+    Seconds,
+    Section,
+    Triple,
+    at_most_one,
+)
+from maxq.sim.scenario.tables_csv import CsvTable
+
+MAX_TANKS = 8
+MAX_STAGES = 8
+
+
+def _first(*keys: str) -> Any:
+    """Default of a field: the value of the first of `keys`, fields that stand before it."""
+
+    def default(data: dict[str, Any]) -> float:
+        return float(next((data[key] for key in keys if key in data), 1.0))
+
+    return default
+
+
+class Reference(Section):
+    """Reference lengths of the aerodynamic coefficients."""
+
+    length_m: Positive = Field(description="length of the vehicle, m")
+    diameter_m: Positive = Field(description="diameter of the vehicle, m")
+    area_m2: Positive = Field(description="reference area, m2")
+    chord_m: Positive = Field(
+        default_factory=_first("diameter_m"),
+        description="pitch moment and damping length, m (default diameter_m)",
+    )
+    span_m: Positive = Field(
+        default_factory=_first("chord_m"), description="roll moment and damping length, m (default chord_m)"
+    )
+    yaw_chord_m: Positive = Field(
+        default_factory=_first("chord_m"), description="yaw moment and damping length, m (default chord_m)"
+    )
+
+
+class Bending(Section):
+    """Free-free bending modes, engine locked and sloshing masses removed."""
+
+    pitch: Annotated[CsvTable, MODE_COLUMNS] | None = Field(
+        default=None,
+        description="modes of the pitch plane, one row per time, mode and station (default: none)",
+    )
+    yaw: Annotated[CsvTable, MODE_COLUMNS] | None = Field(
+        default=None, description="modes of the yaw plane; may be the same file (default: none)"
+    )
+    damping_ratio: tuple[Fraction, ...] = Field(
+        max_length=MAX_MODES, description="of each mode, both planes alike"
+    )
+
+    @model_validator(mode="after")
+    def _check(self) -> Bending:
+        count = max((table.modes for table in (self.pitch_modes, self.yaw_modes) if table), default=0)
+        if count != len(self.damping_ratio):
+            raise refuse(
+                f"has {len(self.damping_ratio)} numbers for {count} modes",
+                f"a list of {count} numbers",
+                key=("damping_ratio",),
+            )
+        return self
+
+    @property
+    def pitch_modes(self) -> ModeTable | None:
+        """Modes of the pitch plane as arrays."""
+        return None if self.pitch is None else mode_table(self.pitch, ("pitch",))
+
+    @property
+    def yaw_modes(self) -> ModeTable | None:
+        """Modes of the yaw plane as arrays."""
+        return None if self.yaw is None else mode_table(self.yaw, ("yaw",))
+
+
+class Gyro(Section):
+    """Rate gyros, one per axis (paper, eq. 29)."""
+
+    station_m: float = Field(description="station, m aft of the nose")
+    omega_hz: Positive = Field(description="natural frequency, Hz")
+    zeta: Positive = Field(description="damping ratio")
+    bias_degph: Triple = Field(default=(0.0, 0.0, 0.0), description="constant error about x, y, z, deg/h")
+    scale_factor: Triple = Field(
+        default=(0.0, 0.0, 0.0), description="relative error of the scale about x, y, z"
+    )
+    misalignment_deg: Triple = Field(default=(0.0, 0.0, 0.0), description="small rotation about x, y, z, deg")
+    noise_deg_rt_h: NotNegative = Field(default=0.0, description="angle random walk, deg per root hour")
+
+
+class Computer(Section):
+    """Flight computer: converter, sampling, delay and output."""
+
+    sample_s: Period = Field(description="sample period, s, whole ns")
+    delay_s: Seconds = Field(description="from sample to output, s, whole ns, at most sample_s")
+    count_rad: NotNegative = Field(
+        description="angle per pulse of the V/F converter, rad; 0: no quantisation"
+    )
+    dac_step_deg: NotNegative = Field(default=0.0, description="step of the output, deg; 0: no quantisation")
+    angle_error_limit_deg: Positive = Field(description="clamp of the attitude error (anti-windup), deg")
+    command_limit_deg: Positive = Field(description="clamp of the gimbal command, deg")
+
+    @model_validator(mode="after")
+    def _check(self) -> Computer:
+        if self.delay_s > self.sample_s:
+            raise refuse(
+                "is longer than the sample period", f"0 .. sample_s = {self.sample_s:g}", ("delay_s",)
+            )
+        return self
+
+
+class Stage(Section):
+    """One stage; its clock, on which its tables run, starts at the separation before."""
+
+    name: str = Field(default="", description="name of the stage in logs (default: its number)")
+    separation_s: Period | None = Field(default=None, description="end of this stage on its clock, s")
+    separation_after_burnout_s: Seconds | None = Field(
+        default=None, description="end of this stage after burn-out, s"
+    )
+    ignition_s: Seconds = Field(
+        default=0.0, description="the engine is off before this time on the stage clock, s"
+    )
+    interpolation: Literal["pchip", "linear"] = Field(
+        default="pchip", description="how the tables over time are joined"
+    )
+    mass: Mass
+    engine: Engine | None = Field(default=None, description="absent: no thrust")
+    actuator: Actuator | None = Field(default=None, description="absent: gimbal angle = command")
+    tank: tuple[Tank, ...] = Field(default=(), max_length=MAX_TANKS, description="tanks with sloshing liquid")
+    bending: Bending | None = Field(default=None, description="absent: rigid")
+    aero: Aero | None = Field(default=None, description="absent: no aerodynamic forces")
+    gyro: Gyro | None = Field(default=None, description="absent: ideal gyros")
+    roll_thrusters: RollThrusters | None = Field(default=None, description="absent: no roll control")
+
+    @model_validator(mode="after")
+    def _check(self) -> Stage:
+        at_most_one(self, ("separation_s", "separation_after_burnout_s"))
+        if self.separation_after_burnout_s is not None and self.engine is None:
+            raise refuse("the stage has no engine", "separation_s", key=("separation_after_burnout_s",))
+        if self.actuator is not None and self.engine is None:
+            raise refuse("the stage has no engine to move", "[stage.engine]", key=("actuator",), value={})
+        self._check_slosh_mass()
+        self._check_stations()
+        return self
+
+    def _check_slosh_mass(self) -> None:
+        """What sloshes, and the gimballed engine, are parts of the vehicle's mass."""
+        tables = [tank.table for tank in self.tank]
+        times = np.unique(np.concatenate([np.zeros(1), *(table["time_s"] for table in tables)]))
+        if self.mass.table is not None:
+            times = np.unique(np.concatenate([times, self.mass.table["time_s"]]))
+            total = np.interp(times, self.mass.table["time_s"], self.mass.table["mass_kg"])
+        else:
+            flow, burn = self.mass.mass_flow_kgps or 0.0, self.mass.burn_s or 0.0
+            total = (self.mass.mass_kg or 0.0) - flow * np.clip(times, 0.0, burn)
+        moving = np.zeros(len(times))
+        for table in tables:
+            moving += np.interp(times, table["time_s"], table["slosh_mass_kg"])
+        if (moving >= total).any():
+            worst = int(np.argmax(moving - total))
+            raise refuse(
+                f"at {times[worst]:g} s {moving[worst]:g} kg slosh in a vehicle of {total[worst]:g} kg",
+                "sloshing masses below the mass of the vehicle",
+                key=("tank",),
+            )
+        if self.engine is not None and self.engine.gimballed_mass_kg >= float((total - moving).min()):
+            raise refuse(
+                "the gimballed mass is more than the vehicle's",
+                f"less than {float((total - moving).min()):g}",
+                key=("engine", "gimballed_mass_kg"),
+            )
+
+    def _check_stations(self) -> None:
+        """The mode shapes must reach every station at which something acts or measures."""
+        if self.bending is None:
+            return
+        needed: list[tuple[tuple[str | int, ...], float]] = []
+        if self.engine is not None:
+            needed.append((("engine", "gimbal_station_m"), self.engine.gimbal_station_m))
+        if self.gyro is not None:
+            needed.append((("gyro", "station_m"), self.gyro.station_m))
+        for n, tank in enumerate(self.tank):
+            hinge = tank.table["hinge_station_m"]
+            needed += [(("tank", n, "table"), float(x)) for x in (hinge.min(), hinge.max())]
+        for n, surface in enumerate(self.aero.surface if self.aero is not None else ()):
+            place = surface.table["station_m"]
+            needed += [(("aero", "surface", n, "table"), float(x)) for x in (place.min(), place.max())]
+        for modes in (self.bending.pitch_modes, self.bending.yaw_modes):
+            if modes is None:
+                continue
+            nose, tail = float(modes.station_m[0]), float(modes.station_m[-1])
+            for key, station in needed:
+                if not nose <= station <= tail:
+                    raise refuse(
+                        "this station lies beyond the mode shapes",
+                        f"{nose:g} .. {tail:g}",
+                        key,
+                        value=station,
+                    )
+
+
+class Vehicle(Section):
+    """vehicle.toml."""
+
+    schema_version: Literal[1] = Field(default=1, alias="schema", description="version of the format")
+    name: str = Field(default="", description="name of the vehicle")
+    description: str = Field(default="", description="what it is, in a sentence")
+    reference: Reference
+    stage: tuple[Stage, ...] = Field(
+        min_length=1, max_length=MAX_STAGES, description="stages in the order of flight"
+    )
+    computer: Computer | None = Field(
+        default=None, description="absent: no flight computer, the gimbal stays at zero"
+    )
+
+    @model_validator(mode="after")
+    def _check(self) -> Vehicle:
+        last = len(self.stage) - 1
+        for n, stage in enumerate(self.stage):
+            separates = stage.separation_s is not None or stage.separation_after_burnout_s is not None
+            if n < last and not separates:
+                raise refuse(
+                    "required key is missing: another stage follows",
+                    "separation_s or separation_after_burnout_s",
+                    key=("stage", n, "separation_s"),
+                )
+            if n == last and separates:
+                key = "separation_s" if stage.separation_s is not None else "separation_after_burnout_s"
+                raise refuse(
+                    "the last stage does not separate", "this key on earlier stages", ("stage", n, key)
+                )
+        return self

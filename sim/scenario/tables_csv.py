@@ -1,0 +1,315 @@
+"""Tables of numbers: read from a CSV file or written out in the TOML file, and checked.
+
+A CSV file has one line of column names, then one line per row, separated by commas; empty lines and lines
+that begin with # are skipped. In a TOML file the same table is `{time_s = [0.0, 1.0], mass_kg = [10.0, 9.0]}`
+or a list of rows `[{time_s = 0.0, mass_kg = 10.0}, ...]`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import GetJsonSchemaHandler
+from pydantic_core import CoreSchema, PydanticCustomError, core_schema
+
+from maxq.sim.scenario.documents import Text
+from maxq.sim.scenario.errors import NOTHING, Path, refuse, suggestion
+
+Column = NDArray[np.float64]
+
+FILE_KEY = "file"
+"""In a table that is written out: the file it once came from, for people only."""
+
+
+class TableReader(Protocol):
+    """What the validation context must offer: finds and reads the file that a key names."""
+
+    def read_table(self, name: Text) -> tuple[str, str]:
+        """How the file is shown to people, and its text."""
+
+
+@dataclass(frozen=True, eq=False)
+class CsvTable:
+    """Columns of numbers of equal length, by name, read-only, in the order of the file.
+
+    `file` is the file's name as the scenario gives it, empty when the table stands in the scenario itself.
+    Two tables are equal when their columns hold the same bits.
+    """
+
+    file: str
+    columns: Mapping[str, Column]
+    shown: str = ""
+    lines: tuple[int, ...] = field(default=(), repr=False)
+
+    def __getitem__(self, name: str) -> Column:
+        return self.columns[name]
+
+    def __contains__(self, name: object) -> bool:
+        return name in self.columns
+
+    def __len__(self) -> int:
+        return len(next(iter(self.columns.values())))
+
+    def get(self, name: str, default: float = 0.0) -> Column:
+        """The column, or a constant one where it is absent."""
+        return self.columns[name] if name in self.columns else np.full(len(self), default)
+
+    def __eq__(self, other: object) -> bool:
+        if not isinstance(other, CsvTable):
+            return NotImplemented
+        return list(self.columns) == list(other.columns) and all(
+            self.columns[name].tobytes() == other.columns[name].tobytes() for name in self.columns
+        )
+
+    __hash__ = None  # type: ignore[assignment]  # arrays have no cheap hash, and no one needs it
+
+    def refusal(
+        self,
+        problem: str,
+        allowed: str = "",
+        column: str = "",
+        row: int = -1,
+        *,
+        value: Any = NOTHING,
+        at: Path = (),
+    ) -> PydanticCustomError:
+        """The exception for a mistake in this table, naming file, line and column (or key and index).
+
+        `at` is the table's key relative to the section that is being validated.
+        """
+        if column and row >= 0 and value is NOTHING:
+            value = float(self.columns[column][row])
+        if self.shown:
+            line = f"line {self.lines[row]}" if row >= 0 else ""
+            place = ", ".join(part for part in (line, column) if part)
+            return refuse(problem, allowed, value=value, file=self.shown, place=place)
+        key = (*at, column) if column else at
+        return refuse(problem, allowed, key=(*key, row) if column and row >= 0 else key, value=value)
+
+
+@dataclass(frozen=True)
+class Columns:
+    """What a table must look like; annotates a field: `Annotated[CsvTable, Columns("time_s", ...)]`.
+
+    `axis`: the column over which the others are given. It must rise strictly (`repeats`: may stand still) and
+    begin at or before `begins_by`. `sets`: alternative sets of required columns, exactly one of which must be
+    there in full. `positive`, `not_negative`: columns so bounded.
+    """
+
+    axis: str
+    sets: tuple[tuple[str, ...], ...] = ((),)
+    optional: tuple[str, ...] = ()
+    positive: tuple[str, ...] = ()
+    not_negative: tuple[str, ...] = ()
+    begins_by: float | None = None
+    repeats: bool = False
+
+    def known(self) -> list[str]:
+        """All names that a column may have."""
+        return list(
+            dict.fromkeys([self.axis, *(name for names in self.sets for name in names), *self.optional])
+        )
+
+    def allowed(self) -> str:
+        """The columns in words."""
+        either = " or ".join(", ".join((self.axis, *names)) for names in self.sets)
+        return f"columns {either}" + (f" [, {', '.join(self.optional)}]" if self.optional else "")
+
+    # pydantic's hooks: how such a field is validated, and its JSON Schema
+
+    def __get_pydantic_core_schema__(self, source: Any, handler: Any) -> CoreSchema:
+        return core_schema.with_info_plain_validator_function(self._validate)
+
+    def __get_pydantic_json_schema__(
+        self, schema: CoreSchema, handler: GetJsonSchemaHandler
+    ) -> dict[str, Any]:
+        number = {"type": "number"}
+        lists = {name: {"type": "array", "items": number} for name in self.known()}
+        return {
+            "anyOf": [
+                {"type": "string", "description": f"name of a CSV file with {self.allowed()}"},
+                {
+                    "type": "object",
+                    "properties": {FILE_KEY: {"type": "string"}, **lists},
+                    "required": [self.axis],
+                    "additionalProperties": False,
+                },
+                {
+                    "type": "array",
+                    "items": {
+                        "type": "object",
+                        "properties": dict.fromkeys(self.known(), number),
+                        "required": [self.axis],
+                        "additionalProperties": False,
+                    },
+                },
+            ]
+        }
+
+    def _validate(self, value: Any, info: core_schema.ValidationInfo) -> CsvTable:
+        if isinstance(value, CsvTable):
+            table = value
+        elif isinstance(value, str):
+            table = self._from_file(value, info.context)
+        elif isinstance(value, Mapping):
+            table = self._from_columns(value)
+        elif isinstance(value, tuple) and value and all(isinstance(row, Mapping) for row in value):
+            table = self._from_rows(value)
+        else:
+            raise refuse("is no table", f"the name of a CSV file, or {self.allowed()} written out")
+        self._check(table)
+        return table
+
+    def _from_file(self, name: str, context: Any) -> CsvTable:
+        if not isinstance(name, Text) or context is None:
+            raise refuse("a file is named where none can be read", "the table itself")
+        reader: TableReader = context
+        shown, text = reader.read_table(name)
+        return read_csv(text, str(name), shown, self)
+
+    def _from_columns(self, value: Mapping[str, Any]) -> CsvTable:
+        label = value.get(FILE_KEY, "")
+        if not isinstance(label, str):
+            raise refuse("must be a text", key=(FILE_KEY,))
+        columns: dict[str, Column] = {}
+        for name, numbers in value.items():
+            if name == FILE_KEY:
+                continue
+            self._check_name(name, key=(name,))
+            if not isinstance(numbers, tuple):
+                raise refuse("is no list of numbers", "a list of numbers", key=(name,))
+            columns[name] = _column([_number(n, (name, row)) for row, n in enumerate(numbers)])
+        return CsvTable(str(label), columns)
+
+    def _from_rows(self, rows: tuple[Mapping[str, Any], ...]) -> CsvTable:
+        names = list(rows[0])
+        for n, row in enumerate(rows):
+            for name in row:
+                self._check_name(name, key=(n, name))
+            odd = set(names).symmetric_difference(row)
+            if odd:
+                raise refuse(
+                    f"this row and the first differ in {sorted(odd)[0]}", "the same keys in each row", (n,)
+                )
+        cells = {name: [_number(row[name], (n, name)) for n, row in enumerate(rows)] for name in names}
+        return CsvTable("", {name: _column(numbers) for name, numbers in cells.items()})
+
+    def _check_name(self, name: str, key: Path = (), file: str = "", place: str = "") -> None:
+        if name not in self.known():
+            hint = suggestion(name, self.known())
+            problem = f'unknown column "{name}"' + (f"; {hint}" if hint else "")
+            raise refuse(problem, self.allowed(), key=key, file=file, place=place)
+
+    def _check(self, table: CsvTable) -> None:
+        complete = [names for names in self.sets if all(name in table for name in names)]
+        if self.axis not in table or not complete:
+            short = min(self.sets, key=lambda names: sum(name not in table for name in names))
+            missing = [name for name in (self.axis, *short) if name not in table]
+            raise table.refusal(f"column {missing[0]} is missing", self.allowed())
+        also = {name for names in self.sets for name in names} - set(complete[0]) - set(self.optional)
+        clash = [name for name in table.columns if name in also]
+        if clash:
+            raise table.refusal(f"column {clash[0]} cannot stand beside {complete[0][0]}", self.allowed())
+        lengths = {name: len(column) for name, column in table.columns.items()}
+        if min(lengths.values()) == 0:
+            raise table.refusal("the table has no rows", "one row or more")
+        for name, length in lengths.items():
+            if length != lengths[self.axis]:
+                raise table.refusal(
+                    f"has {length} numbers, {self.axis} has {lengths[self.axis]}", column=name
+                )
+        self._check_values(table)
+
+    def _check_values(self, table: CsvTable) -> None:
+        for name, column in table.columns.items():
+            _refuse_first(table, name, ~np.isfinite(column), "is not finite", "finite numbers")
+        for name in self.positive:
+            if name in table:
+                _refuse_first(table, name, table[name] <= 0.0, "is not positive", "numbers > 0")
+        for name in self.not_negative:
+            if name in table:
+                _refuse_first(table, name, table[name] < 0.0, "is negative", "numbers >= 0")
+        axis = table[self.axis]
+        falls = np.diff(axis) < 0.0 if self.repeats else np.diff(axis) <= 0.0
+        rule = "must not fall" if self.repeats else "must rise strictly"
+        _refuse_first(
+            table, self.axis, np.concatenate(([False], falls)), f"{self.axis} {rule}", "rising numbers"
+        )
+        if self.begins_by is not None and axis[0] > self.begins_by:
+            raise table.refusal(
+                "the table begins too late", f"a first {self.axis} <= {self.begins_by:g}", self.axis, 0
+            )
+
+
+def _refuse_first(table: CsvTable, column: str, wrong: NDArray[np.bool_], problem: str, allowed: str) -> None:
+    if wrong.any():
+        raise table.refusal(problem, allowed, column, int(np.argmax(wrong)))
+
+
+def _column(numbers: list[float]) -> Column:
+    column = np.array(numbers, dtype=np.float64)
+    column.flags.writeable = False
+    return column
+
+
+def _number(value: Any, key: Path) -> float:
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        raise refuse("is not a number", "numbers", key=key, value=value)
+    try:
+        return float(value)
+    except OverflowError:
+        raise refuse("is too large", "numbers", key=key, value=value) from None
+
+
+def read_csv(text: str, name: str, shown: str, columns: Columns) -> CsvTable:
+    """The table in the `text` of the CSV file `name`, shown to people as `shown`."""
+    header: list[str] = []
+    lines: list[int] = []
+    rows: list[list[float]] = []
+    for number, line in enumerate(text.splitlines(), start=1):
+        if not line.strip() or line.lstrip().startswith("#"):
+            continue
+        cells = [cell.strip() for cell in line.split(",")]
+        if not header:
+            header = cells
+            _check_header(header, shown, number, columns)
+            continue
+        if len(cells) != len(header):
+            problem = f"has {len(cells)} columns, the first line has {len(header)}"
+            raise refuse(problem, f"{len(header)} numbers", file=shown, place=f"line {number}")
+        rows.append(_row(cells, header, shown, number))
+        lines.append(number)
+    if not header:
+        raise refuse("the file is empty", f"CSV with {columns.allowed()}", file=shown)
+    numbers = np.array(rows, dtype=np.float64).reshape(len(rows), len(header))
+    return CsvTable(
+        name, {h: _column(list(numbers[:, i])) for i, h in enumerate(header)}, shown, tuple(lines)
+    )
+
+
+def _check_header(header: list[str], shown: str, number: int, columns: Columns) -> None:
+    place = f"line {number}"
+    for i, name in enumerate(header):
+        if name in header[:i]:
+            raise refuse(f"column {name} stands twice", columns.allowed(), file=shown, place=place)
+    if columns.axis not in header and not any(name in columns.known() for name in header):
+        raise refuse("is no line of column names", f"CSV with {columns.allowed()}", file=shown, place=place)
+    for name in header:
+        columns._check_name(name, file=shown, place=place)
+
+
+def _row(cells: list[str], header: list[str], shown: str, number: int) -> list[float]:
+    try:
+        return [float(cell) for cell in cells]
+    except ValueError:
+        for cell, name in zip(cells, header, strict=True):
+            try:
+                float(cell)
+            except ValueError:
+                place = f"line {number}, {name}"
+                raise refuse("is not a number", "numbers", value=cell, file=shown, place=place) from None
+        raise

@@ -1,0 +1,120 @@
+"""Wind: signs, profile, gust shapes against their definitions."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from maxq.control.records import pack
+from maxq.control.tables import Pool, fit
+from maxq.sim.environment.wind import (
+    MAX_GUSTS,
+    ONE_MINUS_COSINE,
+    SHEAR,
+    Gust,
+    Wind,
+    wind_components,
+    wind_ned,
+    wind_of,
+)
+
+NO_POOL = np.zeros(1)
+
+
+def profiled(altitude, columns, **more):
+    pool = Pool()
+    pool.add(fit([0.0, 1.0], [5.0, 6.0]))  # another table first: the reference must be honoured
+    ref = pool.add(fit(altitude, columns, "linear"))
+    return pack([wind_of(ref, **more)])[0], pool.array()
+
+
+def gusty(*gusts):
+    return pack([wind_of(gusts=gusts)])[0]
+
+
+@pytest.mark.parametrize(
+    ("from_deg", "north", "east"),
+    [(0, -1, 0), (90, 0, -1), (180, 1, 0), (270, 0, 1), (630, 0, 1), (225, 0.5**0.5, 0.5**0.5)],
+)
+def test_wind_blows_from_its_direction(from_deg, north, east):
+    assert wind_components(10.0, from_deg)[0] == pytest.approx([10 * north, 10 * east, 0.0], abs=1e-13)
+
+
+def test_components_do_not_spin_through_south_at_north():
+    """350 and 10 degrees: half-way is a northerly, where interpolated directions would give a southerly."""
+    row, pool = profiled([0.0, 1000.0], wind_components([10.0, 10.0], [350.0, 10.0]))
+    north, east, _ = wind_ned(row, pool, 500.0)
+    assert north == pytest.approx(-10.0 * math.cos(math.radians(10.0)))
+    assert east == pytest.approx(0.0, abs=1e-13)
+
+
+def test_profile_is_interpolated_held_and_scaled():
+    row, pool = profiled([1e3, 2e3], [[10.0, -4.0, 1.0], [20.0, 4.0, 3.0]], factor=2.0)
+    assert wind_ned(row, pool, 1250.0) == pytest.approx((25.0, -4.0, 3.0))
+    assert wind_ned(row, pool, 0.0) == (20.0, -8.0, 2.0)
+    assert wind_ned(row, pool, 9e4) == (40.0, 8.0, 6.0)
+
+
+def test_factor_leaves_the_gusts_alone():
+    gust = Gust(SHEAR, 0.0, 1.0, 7.0, 180.0)
+    row, pool = profiled([0.0], [[10.0, 0.0, 0.0]], factor=3.0, gusts=[gust])
+    assert wind_ned(row, pool, 500.0) == pytest.approx((37.0, 0.0, 0.0), abs=1e-12)
+
+
+def test_calm():
+    assert wind_ned(pack([Wind()])[0], NO_POOL, 1e4) == (0.0, 0.0, 0.0)
+
+
+@pytest.mark.parametrize(
+    ("altitude", "share"),
+    [
+        (9999.0, 0.0),
+        (10000.0, 0.0),
+        (10010.0, 0.5 * (1 - math.cos(math.pi / 3))),
+        (10015.0, 0.5),
+        (10030.0, 1.0),
+        (10100.0, 1.0),
+        (10170.0, 1.0),
+        (10180.0, 0.5 * (1 + math.cos(math.pi / 3))),
+        (10185.0, 0.5),
+        (10200.0, 0.0),
+        (10300.0, 0.0),
+    ],
+)
+def test_one_minus_cosine(altitude, share):
+    row = gusty(Gust(ONE_MINUS_COSINE, 10000.0, 200.0, 9.0, 270.0, edge_m=30.0))
+    assert wind_ned(row, NO_POOL, altitude) == pytest.approx((0.0, 9.0 * share, 0.0), abs=1e-12)
+
+
+@pytest.mark.parametrize("corner", [10000.0, 10030.0, 10170.0, 10200.0])
+def test_one_minus_cosine_is_smooth_at_its_corners(corner):
+    row = gusty(Gust(ONE_MINUS_COSINE, 10000.0, 200.0, 9.0, 270.0, edge_m=30.0))
+    below, at, above = (wind_ned(row, NO_POOL, corner + d)[1] for d in (-1e-3, 0.0, 1e-3))
+    assert abs(above - at) + abs(at - below) < 1e-7  # a kink of the ramp's mean slope would give 3e-4
+
+
+def test_shear_ramps_and_holds():
+    row = gusty(Gust(SHEAR, 9000.0, 1000.0, 20.0, 0.0))
+    for altitude, speed in [(8999.0, 0.0), (9000.0, 0.0), (9250.0, 5.0), (10000.0, 20.0), (40000.0, 20.0)]:
+        assert wind_ned(row, NO_POOL, altitude) == pytest.approx((-speed, 0.0, 0.0), abs=1e-12)
+
+
+def test_gusts_add_up_to_the_last_of_eight():
+    row = gusty(*[Gust(SHEAR, 100.0 * i, 10.0, 1.0, 180.0) for i in range(MAX_GUSTS)])
+    assert wind_ned(row, NO_POOL, 5000.0)[0] == pytest.approx(8.0)
+    assert wind_ned(row, NO_POOL, 450.0)[0] == pytest.approx(5.0)
+
+
+def test_what_cannot_be_is_refused():
+    with pytest.raises(ValueError, match="at most 8"):
+        wind_of(gusts=[Gust(SHEAR, 0.0, 1.0, 1.0, 0.0)] * 9)
+    with pytest.raises(ValueError, match="thickness"):
+        Gust(SHEAR, 0.0, 0.0, 1.0, 0.0)
+    with pytest.raises(ValueError, match="edge"):
+        Gust(ONE_MINUS_COSINE, 0.0, 100.0, 1.0, 0.0, edge_m=51.0)
+    with pytest.raises(ValueError, match="kind"):
+        Gust(5, 0.0, 100.0, 1.0, 0.0)
+    with pytest.raises(ValueError, match="three, not 2"):
+        wind_of(Pool().add(fit([0.0, 1.0], [[1.0, 2.0], [3.0, 4.0]])))

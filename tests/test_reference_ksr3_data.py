@@ -1,0 +1,233 @@
+"""The KSR-III data set against Lee, Ahn & Roh's tables, an earlier independent derivation, and itself."""
+
+from __future__ import annotations
+
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.interpolate import PchipInterpolator
+from scipy.linalg import eigh
+
+from maxq.control.records import Array
+from maxq.tools.studies.ksr3 import assumptions as a
+from maxq.tools.studies.ksr3 import beam, build, linear_model, sampled_loop
+from maxq.tools.studies.ksr3.build import VEHICLE_FOLDER
+from maxq.tools.studies.ksr3.cases import all_cases
+from maxq.tools.studies.ksr3.check_loop import DESIGN_FILE, Design, Verdict, judge
+from maxq.tools.studies.ksr3.compare_reference import quantities
+from maxq.tools.studies.ksr3.planar_flight import PlanarFlight
+from maxq.tools.studies.ksr3.vehicle_at import ModeShapes, VehicleFolder, read_rows
+from maxq.tools.studies.ksr3.write_files import Reconstruction, write_tables
+
+
+@cache
+def vehicle() -> VehicleFolder:
+    return VehicleFolder(VEHICLE_FOLDER)
+
+
+@cache
+def made() -> Reconstruction:
+    return build.reconstruct()
+
+
+@cache
+def verdicts() -> list[Verdict]:
+    design = Design(DESIGN_FILE)
+    return [judge(case, design) for case in all_cases(VEHICLE_FOLDER)]
+
+
+def rows_of(name: str) -> Array:
+    return np.array(read_rows(VEHICLE_FOLDER / name))
+
+
+# Another derivation from the same assumptions (linear interpolation, abrupt ignition, a gravity turn that starts with
+# a jump of incidence); tolerances cover what those choices move.
+EARLIER = {
+    5.0: {"m": 5768.29, "x_cg": 7.64507, "Iyy": 64258.1, "Md": 9.90748, "Za": -0.0973655, "Ma": -1.00756, "Zd": 0.375599,
+          "f_b1": 9.17496, "f_b2": 23.5141, "f_b3": 42.0218, "M_G1": 1766.43, "M_G2": 1920.74, "sig1_gim": 0.447223,
+          "sig1_gyro": -0.445274, "m_s_lox": 191.501, "L_p_lox": 0.266131, "x_hinge_lox": 8.86387, "m_rigid": 5441.73},
+    30.0: {"m": 4226.36, "x_cg": 7.61453, "Iyy": 56072.6, "Md": 10.8801, "Za": -0.55044, "Ma": -33.2526, "Zd": 0.078383,
+           "f_b1": 9.76779, "f_b2": 27.5764, "f_b3": 43.4223, "M_G1": 2109.54, "M_G2": 1835.12, "sig1_gim": 0.506646,
+           "sig1_gyro": -0.52809, "m_s_lox": 191.47, "L_p_lox": 0.266174, "x_hinge_lox": 10.1042, "m_rigid": 3900.64},
+    45.0: {"m": 3394.48, "x_cg": 7.37818, "Iyy": 50100.3, "Md": 12.4214, "Za": -0.399745, "Ma": -37.3766, "Zd": 0.0625093,
+           "f_b1": 10.0645, "f_b2": 30.7216, "f_b3": 45.8117, "M_G1": 2199.84, "M_G2": 3015.21, "sig1_gim": 0.538452,
+           "sig1_gyro": -0.549865, "m_s_lox": 186.595, "L_p_lox": 0.273127, "x_hinge_lox": 10.6721, "m_rigid": 3090.19},
+}  # fmt: skip
+TOLERANCE = {"Za": 0.025, "Ma": 0.025, "Zd": 0.03}  # follow the trajectory; the rest is the vehicle
+
+
+@pytest.mark.parametrize("t", EARLIER)
+def test_agrees_with_the_earlier_derivation(t: float) -> None:
+    ours = quantities(vehicle(), t)
+    for name, theirs in EARLIER[t].items():
+        assert ours[name] == pytest.approx(theirs, rel=TOLERANCE.get(name, 0.005)), name
+
+
+def test_spans_of_table_2() -> None:
+    nodes = [quantities(vehicle(), t) for t in np.arange(5.0, 56.0, 1.0)]
+    z_alpha, m_alpha, z_delta, m_delta = (np.array([n[k] for n in nodes]) for k in ("Za", "Ma", "Zd", "Md"))
+    assert z_alpha[0] == pytest.approx(-0.1, abs=0.005)
+    assert z_alpha.min() == pytest.approx(-0.55, abs=0.005)
+    assert m_alpha[0] == pytest.approx(-1.0, abs=0.02)
+    assert m_alpha.min() == pytest.approx(-40.0, abs=0.5)
+    assert z_delta[[0, -1]] == pytest.approx([0.38, 0.05], abs=0.008)
+    assert 8.1 < m_delta.min() < m_delta.max() < 15.5
+
+
+def test_point_mass_meets_table_1() -> None:
+    flight = rows_of("point_mass_flight.csv")
+    assert flight[:, 3].max() == pytest.approx(850.0, abs=4)
+    assert flight[:, 2].max() == pytest.approx(43e3, abs=300)
+    assert flight[-1, 1] == pytest.approx(79e3, abs=500)
+    assert flight[-1, 0] == pytest.approx(230.0, abs=5)
+
+
+def test_mass_is_the_integral_of_thrust() -> None:
+    thrust, mass = rows_of("thrust.csv"), rows_of("mass.csv")
+    impulse = PchipInterpolator(*thrust.T).antiderivative()(mass[:, 0])
+    velocity = impulse[-1] / (mass[0, 1] - mass[-1, 1])
+    np.testing.assert_allclose(mass[:, 1], 6100.0 - impulse / velocity, rtol=1e-12)
+    assert 234.0 < velocity / 9.80665 < 236.0
+
+
+def test_thrust_ramps() -> None:
+    times, thrust = rows_of("thrust.csv").T
+    assert thrust[0] == thrust[-1] == 0.0
+    peak = int(np.argmax(thrust))
+    assert times[peak] == pytest.approx(0.2)
+    assert thrust[peak] - 101325.0 * 0.2515 == pytest.approx(129e3, rel=1e-3)
+    assert (np.diff(thrust[: peak + 1]) > 0).all()
+    assert (np.diff(thrust[peak:]) < 0).all()
+
+
+@pytest.mark.parametrize(("name", "density", "bottom"), [("lox", 1140.0, 11.10), ("jeta1", 804.0, 5.45)])
+def test_tanks(name: str, density: float, bottom: float) -> None:
+    times, mass, length, hinge, height = rows_of(f"tank_{name}.csv").T
+    liquid = density * np.pi * 0.49**2 * height
+    assert mass[-1] == height[-1] == 0.0
+    assert (mass[:-1] > 0).all()
+    assert (mass <= 0.84 * liquid).all()
+    assert (np.diff(mass[times > 40]) < 0).all()
+    deep = height > 0.25 * 0.49
+    np.testing.assert_allclose(
+        length[deep], 0.49 / (1.8412 * np.tanh(1.8412 * height[deep] / 0.49)), rtol=1e-8
+    )
+    np.testing.assert_allclose(length[~deep], 0.49 / (1.8412 * np.tanh(1.8412 * 0.25)), rtol=1e-8)
+    bob = hinge + length
+    assert (bob <= bottom + 1e-9).all()
+    assert (bob >= bottom - height - 1e-9).all()
+
+
+def test_modes() -> None:
+    rows = rows_of("modes.csv")
+    shapes = ModeShapes(VEHICLE_FOLDER / "modes.csv")
+    stations = shapes.stations_m
+    assert (stations[0], stations[-1]) == (0.0, 12.7)
+    assert rows[rows[:, 4] == 12.7][:, 5] == pytest.approx(1.0, abs=1e-12)
+    grid = shapes.at(0.0)
+    assert grid[0, 0, 2] == pytest.approx(9.0, abs=1e-4)
+    for mode in range(3):
+        # Slope is the derivative of phi along the station, and a mode of number n has n + 1 nodes.
+        phi, slope = grid[mode, :, 5], grid[mode, :, 6]
+        np.testing.assert_allclose(
+            np.gradient(phi, stations)[1:-2], slope[1:-2], atol=0.03 * np.abs(slope).max()
+        )
+        assert (np.diff(np.sign(phi)) != 0).sum() == mode + 2
+    end = shapes.at(0.0)[0, -1, 7]
+    assert end == pytest.approx(6100.0 - 220.0, rel=1e-6)
+
+
+def test_beam_elements_give_a_uniform_free_beam() -> None:
+    stiffness, density = 2.0e7, 300.0
+    k, m = beam.assemble(np.full(a.BEAM_ELEMENTS, stiffness), np.full(a.BEAM_ELEMENTS, density))
+    omega = np.sqrt(eigh(k, m, eigvals_only=True, subset_by_index=[2, 4]))
+    roots = np.array([4.730040745, 7.853204624, 10.995607838])  # cos(x) cosh(x) = 1
+    exact = (roots / a.GIMBAL_STATION_M) ** 2 * np.sqrt(stiffness / density)
+    np.testing.assert_allclose(omega, exact, rtol=2e-6)
+
+
+def test_pitch_programme() -> None:
+    times, rates = rows_of("pitch_programme.csv").T
+    assert (rates[times < 5.0] == 0).all()
+    assert rates[-1] == 0.0
+    assert times[-1] == rows_of("thrust.csv")[-1, 0]
+    assert (np.abs(np.diff(rates)) < 0.6).all()
+    assert np.trapezoid(rates, times) == pytest.approx(55.93 - 90.0 - 0.25, abs=0.3)
+
+
+def test_a_rigid_body_flies_the_programme() -> None:
+    flight = PlanarFlight(made(), VEHICLE_FOLDER / "pitch_programme.csv")
+    times, states = flight.fly()
+    planned = np.array([made().flight.state_at(t)[3] for t in times])
+    assert np.degrees(np.abs(states[:, 3] - planned)).max() < 0.2
+    assert states[:, 2].max() == pytest.approx(850.0, abs=4)
+
+
+def test_the_files_are_what_the_build_writes(tmp_path: Path) -> None:
+    write_tables(tmp_path, made())
+    written = sorted(path.name for path in tmp_path.iterdir())
+    assert written == sorted(path.name for path in VEHICLE_FOLDER.glob("*.csv"))
+    for name in written:
+        fresh, kept = np.array(read_rows(tmp_path / name)), rows_of(name)
+        scale = np.abs(kept).max(axis=0)
+        np.testing.assert_allclose(
+            fresh / np.where(scale > 0, scale, 1), kept / np.where(scale > 0, scale, 1), atol=1e-5
+        )
+
+
+def test_default_gains_meet_the_rigid_requirement_at_every_node() -> None:
+    for v in verdicts():
+        assert v.rigid_hz >= 0.5 - 1e-12
+        assert v.rigid_zeta >= 0.7 - 1e-12
+
+
+def test_default_design_is_stable_by_poles_and_by_encirclements() -> None:
+    assert len(verdicts()) == 33
+    for v in verdicts():
+        assert v.unstable == 0
+        assert abs(v.encircled) < 0.05
+
+
+def test_default_design_margins() -> None:
+    for v in verdicts():
+        nominal = v.case.bending_factor == 1.0
+        assert v.margins.gain_up_db >= (8.9 if nominal else 6.0)
+        assert v.margins.gain_down_db >= 10.0
+        assert v.margins.phase_deg >= (41.0 if nominal else 28.0)
+
+
+def test_encirclements_see_an_unstable_loop() -> None:
+    design = Design(DESIGN_FILE)
+    design.sections = []  # mode 1 then meets -1 when its frequency is 10 % high
+    case = next(c for c in all_cases(VEHICLE_FOLDER, (25.0,)) if c.bending_factor == 1.1)
+    verdict = judge(case, design)
+    assert verdict.unstable == 2
+    assert verdict.encircled == pytest.approx(2.0, abs=0.05)
+
+
+def test_actuator_and_gyro_are_equations_28_and_29() -> None:
+    s = 2j * np.pi * np.array([0.5, 5.0, 10.0, 15.6, 30.0, 60.0])
+
+    def block(hz: float, zeta: float) -> Array:
+        w = 2 * np.pi * hz
+        return np.asarray(w * w / (s * s + 2 * zeta * w * s + w * w))
+
+    def response(system: linear_model.Linear) -> Array:
+        eye = np.eye(len(system.a))
+        return np.array([system.c @ np.linalg.solve(v * eye - system.a, system.b) for v in s])
+
+    hz, zeta = list(a.ACTUATOR_HZ), list(a.ACTUATOR_ZETA)
+    expected = block(5.8, 0.87) * block(7.2, 0.49) * block(52.6, 0.15) / block(15.6, 0.042)
+    np.testing.assert_allclose(response(linear_model.actuator(hz, zeta)), expected, rtol=1e-9)
+    np.testing.assert_allclose(response(linear_model.gyro(60.0, 0.65)), block(60.0, 0.65), rtol=1e-9)
+
+
+def test_sampled_plant_with_delay_of_a_lag() -> None:
+    """x' = -x + u, held over 10 ms, 3 ms late: closed form."""
+    lag = linear_model.Linear(np.array([[-1.0]]), np.array([1.0]), np.array([1.0]))
+    discrete = sampled_loop.sampled_plant(lag, 0.01, 0.003)
+    assert discrete.a[0, 0] == pytest.approx(np.exp(-0.01), rel=1e-13)
+    assert discrete.b[0] == pytest.approx(1 - np.exp(-0.007), rel=1e-12)
+    assert discrete.a[0, 1] == pytest.approx(np.exp(-0.007) * (1 - np.exp(-0.003)), rel=1e-12)

@@ -1,0 +1,100 @@
+"""What filters refuse, and that they say which key, which value and what would be allowed."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from maxq.control.filters import (
+    BendingFilter,
+    DiscreteFilter,
+    FirstOrderSection,
+    QuadraticSection,
+    filter_of_structure,
+)
+
+GOOD = QuadraticSection(9.0, 0.3, 7.0, 0.7)
+SAMPLE_S = 0.01
+
+
+@pytest.mark.parametrize(
+    ("section", "words"),
+    [
+        (QuadraticSection(9.0, 0.3, 7.0, -0.1), r"quadratic\[0\].pole_zeta = -0.1: allowed is .* above 0"),
+        (QuadraticSection(9.0, 0.3, 7.0, 0.0), r"quadratic\[0\].pole_zeta = 0.0: allowed"),
+        (QuadraticSection(9.0, 0.3, -7.0, 0.7), r"quadratic\[0\].pole_hz = -7.0: allowed"),
+        (QuadraticSection(0.0, 0.3, 7.0, 0.7), r"quadratic\[0\].zero_hz = 0.0: allowed"),
+        (QuadraticSection(math.inf, 0.3, 7.0, 0.7), r"quadratic\[0\].zero_hz = inf: allowed"),
+        (QuadraticSection(9.0, math.nan, 7.0, 0.7), r"quadratic\[0\].zero_zeta = nan: allowed"),
+    ],
+)
+def test_bad_quadratic_section(section: QuadraticSection, words: str) -> None:
+    with pytest.raises(ValueError, match=words):
+        BendingFilter((section,))
+
+
+@pytest.mark.parametrize(
+    ("section", "words"),
+    [
+        (FirstOrderSection(30.0, -5.0), r"first_order\[0\].pole_hz = -5.0: allowed"),
+        (FirstOrderSection(0.0, 5.0), r"first_order\[0\].zero_hz = 0.0: allowed"),
+        (FirstOrderSection(math.nan, 5.0), r"first_order\[0\].zero_hz = nan: allowed"),
+        (FirstOrderSection(30.0, math.inf), r"first_order\[0\].pole_hz = inf: allowed"),
+    ],
+)
+def test_bad_first_order_section(section: FirstOrderSection, words: str) -> None:
+    with pytest.raises(ValueError, match=words):
+        BendingFilter((), (section,))
+
+
+def test_too_many_sections() -> None:
+    with pytest.raises(ValueError, match="number of filter sections = 5: allowed is at most 4"):
+        BendingFilter((GOOD,) * 5)
+
+
+@pytest.mark.parametrize("prewarp_hz", [50.0, 60.0, 0.0, -1.0, math.nan, None])
+def test_prewarp_outside_the_band(prewarp_hz: float | None) -> None:
+    with pytest.raises(ValueError, match=rf"prewarp_hz = {prewarp_hz}: allowed .* Nyquist frequency 50 Hz"):
+        BendingFilter((GOOD,)).discretize(SAMPLE_S, "prewarped", prewarp_hz)
+
+
+@pytest.mark.parametrize("sample_s", [0.0, -0.01, math.nan, math.inf])
+def test_bad_sample_period(sample_s: float) -> None:
+    with pytest.raises(ValueError, match=r"sample_s = .*: allowed"):
+        BendingFilter((GOOD,)).discretize(sample_s, "bilinear")
+
+
+def test_unknown_method() -> None:
+    with pytest.raises(
+        ValueError, match="discretization = 'euler': allowed is prewarped, bilinear, matched, zoh"
+    ):
+        BendingFilter((GOOD,)).discretize(SAMPLE_S, "euler")
+
+
+@pytest.mark.parametrize("named", ["zero", "pole"])
+def test_matched_refuses_what_would_alias(named: str) -> None:
+    lightly_damped = (60.0, 0.01, 7.0, 0.7) if named == "zero" else (9.0, 0.3, 60.0, 0.01)
+    with pytest.raises(ValueError, match=rf"a {named} at 59\.9.* Hz: allowed .* Nyquist frequency 50 Hz"):
+        BendingFilter((QuadraticSection(*lightly_damped),)).discretize(SAMPLE_S, "matched")
+
+
+@pytest.mark.parametrize(
+    ("structure", "quadratic", "first_order", "words"),
+    [
+        ("F4", 1, 0, "quadratic has 1 sections: allowed with structure F4 is 2"),
+        ("F3", 1, 0, "first_order has 0 sections: allowed with structure F3 is 1"),
+        ("none", 1, 0, "quadratic has 1 sections: allowed with structure none is 0"),
+        ("F7", 1, 0, "structure = 'F7': allowed is none, F2, F3, F4, F5, F6"),
+    ],
+)
+def test_structure_fixes_the_sections(structure: str, quadratic: int, first_order: int, words: str) -> None:
+    with pytest.raises(ValueError, match=words):
+        filter_of_structure(structure, (GOOD,) * quadratic, (FirstOrderSection(30.0, 5.0),) * first_order)
+
+
+@pytest.mark.parametrize("a", [(0.0, 1.0), (-2.1, 1.05), (2.0, 0.9), (math.nan, 0.0)])
+def test_unstable_discrete_section(a: tuple[float, float]) -> None:
+    with pytest.raises(ValueError, match=r"sections\[0\] = .* stable poles"):
+        DiscreteFilter(np.array([[1.0, 0.0, 0.0, *a]]), SAMPLE_S)

@@ -1,0 +1,70 @@
+"""Rebuilds scenarios/vehicles/ksr3 from the assumptions: `python -m maxq.tools.studies.ksr3.build` (about 10 s).
+
+Order: point-mass flight fitted to Table 1 -> mass model -> lift fitted to Table 2 -> beam scaled to 9 Hz -> least
+gains -> pitch programme. The bending filter is searched apart from this (search_filter.py).
+"""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+import numpy as np
+
+from maxq.control.records import Array
+from maxq.tools.studies.ksr3 import assumptions as a
+from maxq.tools.studies.ksr3 import beam, gains
+from maxq.tools.studies.ksr3.aerodynamics import fit_to_table_2
+from maxq.tools.studies.ksr3.mass_model import mass_properties
+from maxq.tools.studies.ksr3.trajectory import Flight, fit_to_table_1, forces, summarise
+from maxq.tools.studies.ksr3.vehicle_file import vehicle_toml
+from maxq.tools.studies.ksr3.write_files import Reconstruction, write_tables
+
+VEHICLE_FOLDER = Path(__file__).parents[3] / "scenarios" / "vehicles" / "ksr3"
+
+
+def m_delta_at_nodes(flight: Flight) -> Array:
+    """Table 2's M_delta in 1/s2, with the total mass and inertia."""
+    values = []
+    for t in a.NODES_S:
+        _, altitude, speed, _ = flight.state_at(t)
+        props = mass_properties(flight.ascent.burn, t)
+        thrust = forces(flight.ascent, t, altitude, speed).thrust_N
+        values.append(thrust * (a.GIMBAL_STATION_M - props.x_cg_m) / props.pitch_inertia_kgm2)
+    return np.array(values)
+
+
+def reconstruct() -> Reconstruction:
+    flight = fit_to_table_1()
+    return Reconstruction(
+        flight=flight,
+        lift=fit_to_table_2(flight),
+        stiffness_scale=beam.fit_stiffness(flight.ascent.burn),
+        gains=gains.least_gains(m_delta_at_nodes(flight)),
+    )
+
+
+def report(made: Reconstruction) -> None:
+    ascent = made.flight.ascent
+    print(summarise(made.flight))
+    print(f"burn: end {ascent.burn.end_s:.6f} s, Isp {ascent.burn.exhaust_velocity_mps / 9.80665:.3f} s")
+    print(
+        f"{ascent.drag}, pitch-over {np.degrees(ascent.turn_rad):.3f} deg, release {made.flight.release_s:.4f} s"
+    )
+    print(made.lift, f"EI scale {made.stiffness_scale:.5f}", made.gains, sep="\n")
+    print("M_delta at the nodes:", np.round(m_delta_at_nodes(made.flight), 3))
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--folder", type=Path, default=VEHICLE_FOLDER)
+    folder: Path = parser.parse_args().folder
+    folder.mkdir(parents=True, exist_ok=True)
+    made = reconstruct()
+    write_tables(folder, made)
+    (folder / "vehicle.toml").write_text(vehicle_toml(), encoding="utf-8")
+    report(made)
+
+
+if __name__ == "__main__":
+    main()
