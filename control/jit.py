@@ -1,9 +1,9 @@
 """The one place that knows how kernels are compiled.
 
-A kernel is a plain Python function over floats, flat arrays and records. `@kernel` compiles it with Numba on
-first use and keeps the machine code in a cache folder whose name holds a hash of all of maxq's sources: Numba
-itself looks only at the file of the function that is called, so without this an edited callee would go on
-answering with its old code.
+A kernel is a plain Python function over floats, flat arrays and records. `@kernel` marks those that kernels call,
+`@entry` the few that Python calls: their machine code is kept in a cache folder whose name holds a hash of all of
+maxq's sources. Numba itself looks only at the file of the function that is called, so without this an edited callee
+would go on answering with its old code.
 
 `NUMBA_DISABLE_JIT=1` runs the same functions as plain Python.
 """
@@ -14,18 +14,28 @@ import hashlib
 import os
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numba
+import numpy as np
+from numba import types
+from numba.extending import intrinsic, overload
+from numpy.typing import NDArray
 
 Function = TypeVar("Function", bound=Callable[..., object])
+Array = TypeVar("Array", NDArray[np.float64], NDArray[np.int64])
+
+
+_KERNEL_FREE = {"scenario", "log", "packing"}  # folders of sim/ that no kernel takes anything from
 
 
 def _source_files() -> Iterator[Path]:
-    """Python sources of the layers that hold kernels, wherever they are installed."""
+    """Python sources that may hold a kernel or a constant that one uses, wherever they are installed."""
     here = Path(__file__).resolve().parent
     for layer in ("control", "sim", "design"):
-        yield from sorted((here.parent / layer).rglob("*.py"))
+        for path in sorted((here.parent / layer).rglob("*.py")):
+            if not _KERNEL_FREE.intersection(path.parts):
+                yield path
 
 
 def source_hash() -> str:
@@ -49,13 +59,45 @@ _FOLDER = str(cache_folder())
 
 
 def kernel(function: Function) -> Function:
-    """Compile `function` (nogil, cached on disk, IEEE arithmetic as written: no fastmath).
+    """Compile `function` when a kernel that calls it is compiled (nogil, IEEE arithmetic as written: no fastmath).
 
     Division by zero gives inf or nan as in C (`error_model="numpy"`); the flight loop checks the state for it.
+    Not cached by itself: its machine code is part of the entry that calls it.
     """
+    return numba.njit(function, nogil=True, error_model="numpy")  # type: ignore[no-any-return]  # Numba has no types
+
+
+def entry(function: Function) -> Function:
+    """As `kernel`, for the few that Python calls: the machine code is kept on disk, with all that it calls."""
     saved = numba.config.CACHE_DIR
     numba.config.CACHE_DIR = _FOLDER  # read at decoration time; restored so that no other library is touched
     try:
-        return numba.njit(function, nogil=True, cache=True, error_model="numpy")  # type: ignore[no-any-return]
+        compiled = numba.njit(function, nogil=True, cache=True, error_model="numpy")
+        return compiled  # type: ignore[no-any-return]  # Numba has no types
     finally:
         numba.config.CACHE_DIR = saved
+
+
+@intrinsic
+def _address(context: Any, array: Any) -> Any:
+    """Numba intrinsic: pointer to the first element of a contiguous array."""
+
+    def build(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        return context.make_array(signature.args[0])(context, builder, arguments[0]).data
+
+    return types.CPointer(array.dtype)(array), build
+
+
+def borrowed(array: Array) -> Array:
+    """The array's elements without the array, for use inside an entry only: its caller keeps the array alive.
+
+    Numba counts references to an array, atomically, at every call it is passed to, and looks at the sign of every
+    index; measured, both were half of a flight's time. What is borrowed is a bare pointer: it can be indexed with
+    one non-negative index, and that is all. In plain Python it is just the array.
+    """
+    return array
+
+
+@overload(borrowed)
+def _borrowed(array):  # type: ignore[no-untyped-def]  # Numba compares both signatures, annotations included
+    return lambda array: _address(array)

@@ -149,15 +149,15 @@ def hunt_interval(pool: Array, ref: TableRef, x: float, k: int) -> int:
 
 
 @kernel
-def interpolate_into(pool: Array, ref: TableRef, k: int, x: float, out: Array) -> None:
-    """All columns at `x`, by the cubics of interval `k`, into `out`; end values hold outside the table."""
+def interpolate_into(pool: Array, ref: TableRef, k: int, x: float, out: Array, at: int) -> None:
+    """All columns at `x`, by the cubics of interval `k`, into `out[at:]`; end values hold outside the table."""
     first, last = pool[ref.offset], pool[ref.offset + ref.n_breaks - 1]
     s = min(max(x, first), last) - pool[ref.offset + k]
     n = ref.n_columns
     c = ref.offset + ref.n_breaks + 4 * n * k
     for j in range(n):
         i = c + j
-        out[j] = pool[i] + s * (pool[i + n] + s * (pool[i + 2 * n] + s * pool[i + 3 * n]))
+        out[at + j] = pool[i] + s * (pool[i + n] + s * (pool[i + 2 * n] + s * pool[i + 3 * n]))
 
 
 @kernel

@@ -129,7 +129,8 @@ def modes_csv(times: tuple[float, ...] = (0.0, 59.0), modes: int = 2) -> str:
     """A mode table with stations 0, 7, 14."""
     lines = ["time_s,mode,frequency_hz,generalized_mass_kg,station_m,phi,slope_pm,mass_forward_kg"]
     lines += [
-        f"{t:g},{m},{9.1 * m + 0.01 * t},{1700 * m},{x},{1.8 - 0.1 * x * m},{-0.5 + 0.07 * x},{400 * x}"
+        f"{t:g},{m},{9.1 * m + 0.01 * t},{1700 * m},{x},"
+        f"{round(1.8 - 0.1 * x * m, 6)},{round(-0.5 + 0.07 * x, 6)},{400 * x}"
         for t in times
         for m in range(1, modes + 1)
         for x in (0, 7, 14)

@@ -1,6 +1,6 @@
 """The flight computer: causality, mirror symmetry, exact sums, injections, switches, faulty inputs.
 
-Run as a program it prints the bytes of a flight's commands: the same source without Numba must print the same.
+Run as a program it prints the bytes of a flight: the same source without Numba must print the same.
 """
 
 from __future__ import annotations
@@ -142,6 +142,17 @@ def test_angle_error_is_the_exact_sum() -> None:
     commanded = Fraction(45, 1000) - Fraction(1, 100) * (Fraction(100_000, 100) - 9)
     exact = float(total * Fraction(1e-5) - commanded)
     assert flown.state.law.theta_e_rad[PITCH] == pytest.approx(exact, abs=1e-13)
+
+
+def test_law_sees_counts_only() -> None:
+    """Rate and error are whole pulses: what lies between two pulses is not known to the flight software."""
+    flown = Flown(programme=None, angle_error_limit_rad=np.inf)
+    for increment_rad in noise(samples=50):
+        flown.tick(increment_rad)
+        converter, law = flown.state.converter, flown.state.law
+        np.testing.assert_array_equal(law.rate_radps, converter.counts * 1e-5 / SAMPLE_S)
+        np.testing.assert_array_equal(law.theta_e_rad, converter.total_counts * 1e-5)
+        assert (converter.residual_rad != 0).all()
 
 
 def test_programme_starts_with_the_flight() -> None:

@@ -1,4 +1,4 @@
-"""Roll thrusters on a pure inertia: the limit cycle stays in the dead band; switching line, hysteresis, least pulse."""
+"""Roll thrusters: limit cycle of a pure inertia in the dead band, switching line, hysteresis, least pulse."""
 
 from __future__ import annotations
 

@@ -194,11 +194,11 @@ def test_uniform_and_no_gravity_on_a_round_earth():
 @pytest.mark.parametrize(
     ("values", "message"),
     [
-        ({"shape": FLAT, "gravity": J2, "rate_radps": 0.0}, "uniform or none"),
-        ({"shape": FLAT, "gravity": UNIFORM}, "does not rotate"),
-        ({"shape": SPHERE}, "no flattening"),
-        ({"shape": ELLIPSOID, "flattening": 0.2}, "outside"),
-        ({"shape": 7}, "shape"),
+        ({"figure": FLAT, "gravity": J2, "rate_radps": 0.0}, "uniform or none"),
+        ({"figure": FLAT, "gravity": UNIFORM}, "does not rotate"),
+        ({"figure": SPHERE}, "no flattening"),
+        ({"figure": ELLIPSOID, "flattening": 0.2}, "outside"),
+        ({"figure": 7}, "figure"),
         ({"gravity": 9}, "gravity"),
         ({"mu_m3ps2": 0.0}, "positive"),
     ],

@@ -4,7 +4,7 @@
 |---|---|
 | command of given angle and rate | eq 33 by hand |
 | sampled flight, every sample | powers of the closed loop's matrix, written down separately |
-| sampled flight as the sample goes to 0 | free response of s² + 2 ζ ω s + ω² with eqs 35-36, approached at first order |
+| sampled flight, sample towards 0 | response of s² + 2 ζ ω s + ω², eqs 35-36, approached at first order |
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ def tick(flown: Any, time_s: float, increment_rad: Array, gimbal_rad: Array | No
 
 
 def fly(axis: int, sample_ns: int, duration_s: float) -> Array:
-    """Angles (rad) at the samples of q' = M_delta delta from 0 at 0.1 rad/s, the command held between ticks."""
+    """Angles, rad, at the samples of q' = M_delta delta, starting at 0 with 0.1 rad/s; commands are held."""
     flown = computer_of(sample_ns, constant())
     sample_s = sample_ns / 1e9
     angle, rate, delta, angles = 0.0, 0.1, 0.0, [0.0]

@@ -3,7 +3,7 @@
 | what | oracle |
 |---|---|
 | continuous frequency response | control.tf, evaluated at jω |
-| bilinear, prewarped, matched, zoh | control.sample_system of the whole product, compared as frequency responses |
+| bilinear, prewarped, matched, zoh | control.sample_system of the whole product, by frequency response |
 | zoh | step response of the continuous filter at the sample instants (scipy.signal.StateSpace) |
 | exactness at the prewarp frequency | the continuous filter itself, to 1e-12 |
 | running the cascade | scipy.signal.sosfilt |
@@ -106,7 +106,7 @@ def test_gain_at_rest_is_one(bending: BendingFilter, method: Discretization) -> 
 
 @EVERY
 def test_zoh_is_step_invariant(bending: BendingFilter) -> None:
-    """Through the whole cascade, not section by section: at the samples it takes the continuous filter's values."""
+    """The whole cascade, not each section, takes the continuous filter's values at the samples."""
     instants = np.arange(200) * SAMPLE_S
     tf = transfer_function(bending)
     state_space = control.tf2ss(tf)

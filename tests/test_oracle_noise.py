@@ -14,7 +14,7 @@ import scipy.stats
 
 from maxq.sim.noise import normal_quantile, philox, standard_normal, standard_normal_pair, uniform_pair
 
-N = 200_000
+N = 20_000 if numba.config.DISABLE_JIT else 200_000  # every bound below follows from it
 
 
 @numba.njit

@@ -52,7 +52,7 @@ class Aero:
 def coefficients(aero: Aero, pool: Array, mach: float, work: Array) -> None:
     """Interpolate the Mach table into the workspace."""
     k = find_interval(pool, aero.table, mach)
-    interpolate_into(pool, aero.table, k, mach, work[MACH_ROW : MACH_ROW + aero.table.n_columns])
+    interpolate_into(pool, aero.table, k, mach, work, MACH_ROW)
 
 
 @kernel

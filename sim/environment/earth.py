@@ -18,7 +18,7 @@ from dataclasses import dataclass
 
 from maxq.control.jit import kernel
 
-FLAT, SPHERE, ELLIPSOID = 0, 1, 2  # Earth.shape
+FLAT, SPHERE, ELLIPSOID = 0, 1, 2  # Earth.figure
 NO_GRAVITY, UNIFORM, INVERSE_SQUARE, J2 = 0, 1, 2, 3  # Earth.gravity
 
 WGS84_RADIUS_m = 6378137.0
@@ -28,6 +28,10 @@ WGS84_J2 = 1.08262982e-3
 WGS84_RATE_radps = 7.292115e-5
 MEAN_RADIUS_m = 6371007.1809  # sphere of the same surface (authalic)
 STANDARD_GRAVITY_mps2 = 9.80665
+
+_NOWHERE_m = (
+    1e-100  # nearer than this to the axis or the centre counts as on it: the squares lose their digits
+)
 
 
 @dataclass(frozen=True)
@@ -39,7 +43,7 @@ class Earth:
     of `j2`. Raises ValueError for a combination that has no meaning.
     """
 
-    shape: int
+    figure: int  # not "shape": on an uncompiled np.record that is the shape of an array
     equatorial_radius_m: float
     flattening: float
     rate_radps: float  # rotation of E relative to I about z; 0: not rotating
@@ -50,17 +54,17 @@ class Earth:
     uniform_mps2: float
 
     def __post_init__(self) -> None:
-        if self.shape not in (FLAT, SPHERE, ELLIPSOID):
-            raise ValueError(f"Earth.shape {self.shape} is none of 0 flat, 1 sphere, 2 ellipsoid")
+        if self.figure not in (FLAT, SPHERE, ELLIPSOID):
+            raise ValueError(f"Earth.figure {self.figure} is none of 0 flat, 1 sphere, 2 ellipsoid")
         if self.gravity not in (NO_GRAVITY, UNIFORM, INVERSE_SQUARE, J2):
             raise ValueError(
                 f"Earth.gravity {self.gravity} is none of 0 none, 1 uniform, 2 inverse square, 3 J2"
             )
-        if self.shape == FLAT and self.gravity not in (NO_GRAVITY, UNIFORM):
+        if self.figure == FLAT and self.gravity not in (NO_GRAVITY, UNIFORM):
             raise ValueError("a flat Earth has no centre: its gravity is uniform or none")
-        if self.shape == FLAT and self.rate_radps != 0.0:
+        if self.figure == FLAT and self.rate_radps != 0.0:
             raise ValueError("a flat Earth does not rotate")
-        if self.shape == SPHERE and self.flattening != 0.0:
+        if self.figure == SPHERE and self.flattening != 0.0:
             raise ValueError("a sphere has no flattening")
         if not 0.0 <= self.flattening < 0.1:
             raise ValueError(
@@ -126,7 +130,7 @@ def gravitation(earth: Earth, x: float, y: float, z: float) -> tuple[float, floa
     """
     if earth.gravity == NO_GRAVITY:
         return 0.0, 0.0, 0.0
-    if earth.shape == FLAT:
+    if earth.figure == FLAT:
         return 0.0, 0.0, earth.uniform_mps2
     inv_r2 = 1.0 / max(x * x + y * y + z * z, 1.0)
     inv_r = math.sqrt(inv_r2)
@@ -185,20 +189,20 @@ def local_frame(earth: Earth, x: float, y: float, z: float) -> tuple[float, floa
     is not unique, latitude and altitude are geocentric. Flat: altitude -z and the four numbers (-1, 0, 0,
     1), with which the NED axes are the identity.
     """
-    if earth.shape == FLAT:
+    if earth.figure == FLAT:
         return -z, -1.0, 0.0, 0.0, 1.0
     p2 = x * x + y * y
     p = math.sqrt(p2)
     sin_lon, cos_lon = 0.0, 1.0
-    if p > 0.0:
+    if p > _NOWHERE_m:
         inv_p = 1.0 / p
         sin_lon, cos_lon = y * inv_p, x * inv_p
     r = math.sqrt(p2 + z * z)
     a = earth.equatorial_radius_m
     e2 = earth.flattening * (2.0 - earth.flattening)
     e2a = e2 * a
-    if earth.shape == SPHERE or r <= 8.0 * e2a:
-        if r == 0.0:
+    if earth.figure == SPHERE or r <= 8.0 * e2a:
+        if r <= _NOWHERE_m:
             return -a, 0.0, 1.0, 0.0, 1.0
         inv_r = 1.0 / r
         return r - a, z * inv_r, p * inv_r, sin_lon, cos_lon
@@ -230,13 +234,13 @@ def geodetic(earth: Earth, x: float, y: float, z: float) -> tuple[float, float, 
     axis and centre as in `local_frame`. Flat: (0, 0, -z). For logs and set-up; the hot path is
     `local_frame`.
     """
-    if earth.shape == FLAT:
+    if earth.figure == FLAT:
         return 0.0, 0.0, -z
     altitude, sin_lat, cos_lat, _, _ = local_frame(earth, x, y, z)
     longitude = math.atan2(y, x)
     e2a = earth.flattening * (2.0 - earth.flattening) * earth.equatorial_radius_m
     p2 = x * x + y * y
-    if earth.shape == ELLIPSOID and p2 + z * z > 64.0 * e2a * e2a:
+    if earth.figure == ELLIPSOID and p2 + z * z > 64.0 * e2a * e2a:
         ratio = 1.0 - earth.flattening
         p = math.sqrt(p2)
         sin_lat, cos_lat = _bowring(ratio, e2a, p, z, ratio * sin_lat, cos_lat)
@@ -250,7 +254,7 @@ def earth_position(
     earth: Earth, latitude_rad: float, longitude_rad: float, altitude_m: float
 ) -> tuple[float, float, float]:
     """Earth-fixed position (x, y, z) [m] of a geodetic one. Flat: (0, 0, -altitude), at the site."""
-    if earth.shape == FLAT:
+    if earth.figure == FLAT:
         return 0.0, 0.0, -altitude_m
     sin_lat, cos_lat = math.sin(latitude_rad), math.cos(latitude_rad)
     e2 = earth.flattening * (2.0 - earth.flattening)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from maxq.control.computer import start_computer
-from maxq.control.jit import kernel
+from maxq.control.jit import borrowed, entry, kernel
 from maxq.control.records import Array, IntArray
 from maxq.control.tables import find_interval
 from maxq.sim.dynamics.schedule import CORE_CG
@@ -60,7 +60,7 @@ class Logged:
     sizes: Sizes
 
 
-@kernel
+@entry
 def begin(P: Array, pool: Array, state: Array, y: Array) -> None:
     """Set the memory of a flight to its start; `y` holds the initial state of the first stage already."""
     p, memory = P[0], state[0]
@@ -91,7 +91,7 @@ def start_stage(p: Parameters, pool: Array, memory: Memory) -> None:
     memory.held.burning = 1 if p.course.burn_start_ns <= now < p.course.burnout_ns else 0
 
 
-@kernel
+@entry
 def advance(
     P: Array, pool: Array, state: Array, y: Array, arena: Array, until_ns: int, logged: Array,
     fast_ns: IntArray, fast: Array, slow_ns: IntArray, slow: Array, rows: IntArray,
@@ -104,11 +104,12 @@ def advance(
     """
     memory = state[0]
     clock = memory.clock
-    y_end, y_stage = arena[_Y_END:_Y_STAGE], arena[_Y_STAGE:_K_1]
-    k_1, k = arena[_K_1:_K], arena[_K:_PROPS]
-    props, props_middle = arena[_PROPS:_PROPS_MIDDLE], arena[_PROPS_MIDDLE:_PROPS_END]
-    props_end, work = arena[_PROPS_END:_WORK], arena[_WORK:_AUX]
-    aux, aux_stage = arena[_AUX:_AUX_STAGE], arena[_AUX_STAGE:ARENA_SIZE]
+    pool, y = borrowed(pool), borrowed(y)
+    y_end, y_stage = borrowed(arena[_Y_END:_Y_STAGE]), borrowed(arena[_Y_STAGE:_K_1])
+    k_1, k = borrowed(arena[_K_1:_K]), borrowed(arena[_K:_PROPS])
+    props, props_middle = borrowed(arena[_PROPS:_PROPS_MIDDLE]), borrowed(arena[_PROPS_MIDDLE:_PROPS_END])
+    props_end, work = borrowed(arena[_PROPS_END:_WORK]), borrowed(arena[_WORK:_AUX])
+    aux, aux_stage = borrowed(arena[_AUX:_AUX_STAGE]), borrowed(arena[_AUX_STAGE:ARENA_SIZE])
     fresh = 1
     while clock.finished == 0 and clock.now_ns < until_ns:
         p = P[clock.stage]

@@ -28,7 +28,7 @@ def read_schedule(
 ) -> None:
     """The vehicle `elapsed_s` after `now_ns`. Nothing flows out of an engine that does not burn."""
     clock_s = schedule_clock(p, now_ns, elapsed_s)
-    interpolate_into(pool, p.vehicle.schedule, memory.clock.interval, clock_s, props)
+    interpolate_into(pool, p.vehicle.schedule, memory.clock.interval, clock_s, props, 0)
     if memory.held.burning == 0:
         for column in range(CG_RATE, TOTAL_MASS):
             props[column] = 0.0

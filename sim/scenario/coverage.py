@@ -50,30 +50,27 @@ def stage_end_s(stage: Stage) -> float:
 
 def check_coverage(scenario: Scenario) -> None:
     """Refuse tables of vehicle, design and guidance that end before the powered flight does."""
-    flight_end = scenario.run.start_s + scenario.run.duration_s
+    start = scenario.run.start_s
+    flight_end = start + scenario.run.duration_s
     stage_start, powered_end = 0.0, 0.0
     for n, stage in enumerate(scenario.vehicle.stage):
         key: Path = ("vehicle", "stage", n)
         _check_stage(stage, key)
-        burn_end = thrust_end_s(stage) / burn_rate(stage)
-        ends = min(flight_end - stage_start, stage_end_s(stage))
         if scenario.switches.thrust and scenario.run.freeze_vehicle_at_s is None:
-            _check_thrust_ends(stage, ends, key)
+            _check_thrust_ends(stage, min(flight_end - stage_start, stage_end_s(stage)), key)
+        burn_end = min(thrust_end_s(stage) / burn_rate(stage), stage_end_s(stage))
         if burn_end > 0.0:
-            powered_end = stage_start + min(burn_end, ends)
+            powered_end = stage_start + burn_end
         stage_start += stage_end_s(stage)
-    powered_end = min(powered_end, flight_end)
-    if powered_end <= scenario.run.start_s or not scenario.switches.thrust:
+    if powered_end == 0.0 or not scenario.switches.thrust:
         return
-    if scenario.guidance.programme is not None and scenario.switches.guidance:
-        _check_programme(scenario.guidance.programme, scenario.run.start_s, powered_end)
-    if scenario.design is not None:
-        for name, table in (
-            ("table", scenario.design.gains.table),
-            ("yaw_table", scenario.design.gains.yaw_table),
-        ):
+    programme, design = scenario.guidance.programme, scenario.design
+    if programme is not None and scenario.switches.guidance and start < powered_end:
+        _check_programme(programme, start, min(powered_end, flight_end))
+    if design is not None:
+        for name, table in (("table", design.gains.table), ("yaw_table", design.gains.yaw_table)):
             if table is not None:
-                _check_gains(table, ("design", "gains", name), scenario.run.start_s, powered_end)
+                _check_gains(table, ("design", "gains", name), powered_end)
 
 
 def _check_stage(stage: Stage, key: Path) -> None:
@@ -132,14 +129,12 @@ def _check_programme(table: CsvTable, start: float, end: float) -> None:
         )
 
 
-def _check_gains(table: CsvTable, key: Path, start: float, end: float) -> None:
+def _check_gains(table: CsvTable, key: Path, end: float) -> None:
+    """Gains are held outside their table, but some of it must lie in the powered flight."""
     if len(table) == 1:
         return
     if table["time_s"][0] > end:
-        raise table.refusal(
-            "all gains lie after the powered flight", f"a first time_s <= {end:g}", "time_s", 0, at=key
-        )
-    if table["time_s"][-1] < start:
-        raise table.refusal(
-            "all gains lie before the flight", f"a last time_s >= {start:g}", "time_s", len(table) - 1, at=key
-        )
+        allowed = f"a first time_s <= {end:g}"
+        raise table.refusal("all gains lie after the powered flight", allowed, "time_s", 0, at=key)
+    if table["time_s"][-1] < 0.0:
+        raise table.refusal("all gains lie before the flight", "a last time_s >= 0", "time_s", 0, at=key)

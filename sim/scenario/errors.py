@@ -4,6 +4,7 @@ allowed.
 
 from __future__ import annotations
 
+import datetime
 import difflib
 from collections.abc import Iterable
 from typing import Any
@@ -22,7 +23,11 @@ class _Nothing:
 
 
 NOTHING = _Nothing()
+LARGEST_NUMBER = 1e30
+"""No quantity of a flight is larger in SI units, and products of a few such numbers are still finite."""
+
 _LONGEST_VALUE = 60
+_LONGEST_FILE = 240
 
 
 class ScenarioError(Exception):
@@ -52,7 +57,8 @@ class ScenarioError(Exception):
 
     def __str__(self) -> str:
         place = f"{self.key} = {self.shown_value}" if self.shown_value else self.key
-        parts = [self.file, place, self.problem] if place else [self.file, self.problem]
+        file = _printable(self.file, _LONGEST_FILE)
+        parts = [file, place, self.problem] if place else [file, self.problem]
         line = ": ".join(parts)
         if self.allowed:
             line += f"; allowed: {self.allowed}"
@@ -71,6 +77,8 @@ def show_value(value: Any) -> str:
     """A value as TOML would roughly have it, cut to a length that fits a line."""
     if isinstance(value, bool):
         text = str(value).lower()
+    elif isinstance(value, datetime.date | datetime.time):  # a datetime is a date, too
+        text = value.isoformat()
     elif isinstance(value, str):
         text = f'"{value}"'
     elif isinstance(value, dict):
@@ -79,8 +87,13 @@ def show_value(value: Any) -> str:
         text = "[" + ", ".join(show_value(v) for v in value[:20]) + "]"
     else:
         text = _number(value)
-    text = text.encode("unicode_escape").decode() if not text.isprintable() else text
-    return text if len(text) <= _LONGEST_VALUE else text[: _LONGEST_VALUE - 4] + " ..."
+    return _printable(text, _LONGEST_VALUE)
+
+
+def _printable(text: str, longest: int) -> str:
+    """`text` without line ends and other control characters, cut to a length."""
+    text = text if text.isprintable() else text.encode("unicode_escape").decode()
+    return text if len(text) <= longest else text[: longest - 4] + " ..."
 
 
 def _number(value: Any) -> str:

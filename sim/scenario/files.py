@@ -67,9 +67,8 @@ def not_found(name: Text, wanted: str) -> tuple[str, str]:
         here = kind(folder / name)
         if here:
             return ("is a folder" if here == "folder" else "is no ordinary file"), wanted
-    return "no such file", f"{wanted}, looked for in " + ", ".join(
-        f"{shown(f)}/" for f in name.source.folders
-    )
+    folders = dict.fromkeys(f"{shown(folder)}/" for folder in name.source.folders)
+    return "no such file", f"{wanted}, looked for in {', '.join(folders)}"
 
 
 @dataclass

@@ -8,6 +8,7 @@ Every mistake is a ScenarioError of one line. Nothing here knows kernels: loadin
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -16,11 +17,23 @@ from pathlib import Path
 from pydantic import ValidationError
 
 from maxq.sim.scenario.builtin import builtin_names, builtin_path, scenarios_folder
-from maxq.sim.scenario.documents import Array, Source, Table, Text, drop, leaves, merge, parse, plain, put
+from maxq.sim.scenario.documents import (
+    Array,
+    Source,
+    Table,
+    Text,
+    drop,
+    leaves,
+    merge,
+    parse,
+    plain,
+    put,
+    source_of,
+)
+from maxq.sim.scenario.errors import LARGEST_NUMBER, ScenarioError, suggestion
 from maxq.sim.scenario.errors import Path as KeyPath
-from maxq.sim.scenario.errors import ScenarioError, suggestion
 from maxq.sim.scenario.files import ReadFile, Reading, find, kind, not_found, shown
-from maxq.sim.scenario.messages import explain
+from maxq.sim.scenario.messages import NAMED_FILES, explain
 from maxq.sim.scenario.overrides import LABEL, Override, apply, parse_override
 from maxq.sim.scenario.schema_design import Design
 from maxq.sim.scenario.schema_scenario import Scenario
@@ -35,11 +48,7 @@ _VARIANTS = {
     "vehicle": ("{}", "{}/vehicle.toml", "{}.toml"),
     "design": ("{}", "{}.toml"),
 }
-_WANTED = {
-    "scenario": "a scenario file (.toml)",
-    "vehicle": "a folder with vehicle.toml, or a .toml file",
-    "design": "a design file (.toml)",
-}
+_WANTED = {"scenario": "a scenario file (.toml)", **NAMED_FILES}
 AS_FLOWN = "scenario as flown"
 
 
@@ -108,12 +117,13 @@ def load_scenario_text(
 def _locate(name: str) -> tuple[Path, str]:
     """The file that a person means by `name`, and how to show it."""
     path = Path(name)
-    if kind(path) == "file":
+    there = kind(path) if name else ""
+    if there == "file":
         return path.resolve(), name
     builtin = builtin_path(name.removesuffix(".toml"))
     if builtin is not None:
         return builtin, shown(builtin)
-    problem = {"folder": "is a folder", "other": "is no ordinary file"}.get(kind(path), "no such file")
+    problem = {"folder": "is a folder", "other": "is no ordinary file"}.get(there, "no such file")
     names = builtin_names()
     hint = suggestion(name.removesuffix(".toml"), names)
     listed = " or a built-in one: " + ", ".join(names) if names and not hint else ""
@@ -192,11 +202,25 @@ def _finish(
         apply(tuple(Override(o.path[1:], o.value) for o in inside), tree.get(part), command_line, (part,))
     if "name" not in tree:
         tree["name"] = name
+    _refuse_huge_numbers(tree, tree, ())
     try:
         scenario = Scenario.model_validate(plain(tree), context=reading)
     except ValidationError as error:
         raise explain(error, tree, Scenario) from None
     return LoadedScenario(scenario, label, tuple(reading.files.values()))
+
+
+def _refuse_huge_numbers(tree: Table, value: object, path: KeyPath) -> None:
+    """Refuse numbers with which the checks of the schema could overflow."""
+    if isinstance(value, Table):
+        for key, item in value.items():
+            _refuse_huge_numbers(tree, item, (*path, key))
+    elif isinstance(value, Array):
+        for index, item in enumerate(value):
+            _refuse_huge_numbers(tree, item, (*path, index))
+    elif isinstance(value, int | float) and LARGEST_NUMBER < abs(value) < math.inf:
+        allowed = f"numbers up to {LARGEST_NUMBER:g}"
+        raise source_of(tree, path).error(path, "is too large", value=value, allowed=allowed)
 
 
 def _is_inside(override: Override) -> bool:

@@ -15,6 +15,12 @@ DOCUMENT_KEYS = ("extends", "unset")
 SCENARIO_KEYS = (*DOCUMENT_KEYS, "vehicle_overrides", "design_overrides")
 """Keys that the loader uses up before the schema sees the document."""
 
+NAMED_FILES = {
+    "vehicle": "a folder with vehicle.toml, or a .toml file",
+    "design": "a design file (.toml)",
+}
+"""What a scenario names by file, besides tables."""
+
 _PROBLEMS = {
     "greater_than": "is out of range",
     "greater_than_equal": "is out of range",
@@ -31,7 +37,8 @@ _MANY_KEYS = 24
 def explain(error: ValidationError, tree: Table, model: type[Section]) -> ScenarioError:
     """The first mistake (unknown keys first: they explain missing ones), and how many more there are."""
     order = {"extra_forbidden": 0, "missing": 2}
-    details = sorted(error.errors(include_url=False), key=lambda detail: order.get(detail["type"], 1))
+    found = error.errors(include_url=False)
+    details = sorted(_causes(found), key=lambda detail: order.get(detail["type"], 1))
     first = details[0]
     path, context = tuple(first["loc"]), first.get("ctx", {})
     more = len(details) - 1
@@ -50,13 +57,27 @@ def explain(error: ValidationError, tree: Table, model: type[Section]) -> Scenar
         )
     elif first["type"] == "missing":
         problem, value = "required key is missing", NOTHING
+        allowed = NAMED_FILES.get(str(path[0]), allowed) if len(path) == 1 else allowed
     else:
         problem = _PROBLEMS.get(first["type"], "has the wrong type")
         if first["type"] == "literal_error":
             hint = suggestion(str(value), [c.strip("'") for c in allowed.split(", ")])
             problem += f"; {hint}" if hint else ""
     source = source_of(tree, path)
-    return source.error(path, problem, value=value, allowed=allowed or first["msg"], more=more)
+    return source.error(path, problem, value=value, allowed=allowed, more=more)
+
+
+def _causes(found: list[Any]) -> list[Any]:
+    """Without complaints of a list being too short because an element of it is wrong."""
+    paths = [detail["loc"] for detail in found]
+    return [
+        detail
+        for detail in found
+        if detail["type"] != "too_short"
+        or not any(
+            len(path) > len(detail["loc"]) and path[: len(detail["loc"])] == detail["loc"] for path in paths
+        )
+    ]
 
 
 def _refused(path: Path, context: dict[str, Any], tree: Table, more: int) -> ScenarioError:
@@ -81,7 +102,8 @@ def _unknown_key(path: Path, model: type[Section]) -> tuple[str, str]:
         known += SCENARIO_KEYS
     elif path[:-1] in (("vehicle",), ("design",)):
         known += DOCUMENT_KEYS
-    hint = suggestion(str(path[-1]), known) or _elsewhere(str(path[-1]), model)
+    hint = _elsewhere(str(path[-1]), model) if len(path) == 1 else ""
+    hint = hint or suggestion(str(path[-1]), known)
     if hint:
         return f"unknown key; {hint}", ""
     listed = known if len(known) <= _MANY_KEYS else [*known[:_MANY_KEYS], "..."]

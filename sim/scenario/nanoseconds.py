@@ -34,4 +34,4 @@ def period_ns(rate_hz: float) -> int:
 def is_whole_period(rate_hz: float) -> bool:
     """Whether the period of `rate_hz` is a whole number of nanoseconds."""
     ns = NS_PER_S / rate_hz
-    return ns >= 1.0 and abs(ns - round(ns)) <= 4.0 * math.ulp(ns)
+    return 1.0 <= ns <= LONGEST_S * NS_PER_S and abs(ns - round(ns)) <= 4.0 * math.ulp(ns)

@@ -17,7 +17,7 @@ from pydantic import GetJsonSchemaHandler
 from pydantic_core import CoreSchema, PydanticCustomError, core_schema
 
 from maxq.sim.scenario.documents import Text
-from maxq.sim.scenario.errors import NOTHING, Path, refuse, suggestion
+from maxq.sim.scenario.errors import LARGEST_NUMBER, NOTHING, Path, refuse, suggestion
 
 Column = NDArray[np.float64]
 
@@ -227,6 +227,8 @@ class Columns:
     def _check_values(self, table: CsvTable) -> None:
         for name, column in table.columns.items():
             _refuse_first(table, name, ~np.isfinite(column), "is not finite", "finite numbers")
+            allowed = f"numbers up to {LARGEST_NUMBER:g}"
+            _refuse_first(table, name, np.abs(column) > LARGEST_NUMBER, "is too large", allowed)
         for name in self.positive:
             if name in table:
                 _refuse_first(table, name, table[name] <= 0.0, "is not positive", "numbers > 0")

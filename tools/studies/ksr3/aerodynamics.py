@@ -1,4 +1,4 @@
-"""Lift of nose and fins over Mach number, fitted to the ends of Table 2, and what strip theory makes of it."""
+"""Lift of nose and fins over Mach number, fitted to the ends of Table 2, and what follows by strip theory."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ FIN_SHIFT_M = 0.40 * np.array([0.0, 0.0, 0.0, 0.12, 0.38, 0.75, 1.0, 1.0, 1.0, 1
 
 @dataclass(frozen=True)
 class Lift:
-    """Normal-force slopes (1/rad, area S_ref) and stations of the two surfaces; the fins' include the interference."""
+    """Normal-force slopes (1/rad, area S_ref) and stations of nose and fins (with their interference)."""
 
     fin_slope_pr: float  # at Mach 0
     fin_station_m: float  # at Mach 0
@@ -53,7 +53,7 @@ class Lift:
         return nose + fins, (nose * nose_station + fins * fin_station) / (nose + fins)
 
     def pitch_damping(self, mach: float, x_cg_m: float) -> float:
-        """Cmq by strips: each surface sees the incidence its own distance from the CG makes; per q c / (2 V)."""
+        """Cmq by strips: each surface sees the incidence that its arm about the CG makes; per q c / (2 V)."""
         moment = sum(slope * (station - x_cg_m) ** 2 for slope, station in (self.nose(mach), self.fins(mach)))
         return -2 * moment / a.CHORD_M**2
 
@@ -88,7 +88,7 @@ def cross_flow() -> CrossFlow:
 
 
 def fit_to_table_2(flight: Flight) -> Lift:
-    """Four parameters to the extremes of Z_alpha (-0.1, -0.55 1/s) and M_alpha (-1, -40 1/s2), 5 s to 55 s."""
+    """Four parameters to the extremes of Z_alpha (-0.1, -0.55 1/s) and M_alpha (-1, -40 1/s2), 5 to 55 s."""
     times = np.arange(5.0, 55.01, 1.0)
     points = []
     for t in times:

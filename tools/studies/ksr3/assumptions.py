@@ -1,7 +1,7 @@
 """What the KSR-III reconstruction assumes, in one place: everything here can be argued with.
 
-Stations are metres aft of the nose tip. Sourced numbers are from Lee, Ahn & Roh, Tables 1 to 4; everything else is an
-engineering guess, and scenarios/vehicles/ksr3/NOTES.md says why it was made.
+Stations are metres aft of the nose tip. Sourced numbers are from Lee, Ahn & Roh, Tables 1 to 4; everything
+else is an engineering guess, and scenarios/vehicles/ksr3/NOTES.md says why it was made.
 """
 
 from __future__ import annotations
@@ -71,8 +71,8 @@ class Component:
     rear_station_m: float
 
 
-# The two trims are the bounds at which the fit to Table 2's span of M_delta (8.1 to 15.5 1/s2) stops: the span itself
-# is out of reach.
+# The two trims are the bounds at which the fit to Table 2's span of M_delta (8.1 to 15.5 1/s2) stops: the
+# span itself is out of reach.
 NOSE_TRIM, AFT_TRIM = 1.25, 0.80
 DRY_COMPONENTS = (
     Component("nose and payload", 300.0 * NOSE_TRIM, 0.3, 2.5),

@@ -1,6 +1,8 @@
-"""Free-free bending: Euler-Bernoulli elements with cubic shapes, engine locked to the tail, sloshing masses removed.
+"""Free-free bending: Euler-Bernoulli elements with cubic shapes, engine locked to the tail, sloshing masses
+removed.
 
-No shear, no rotary inertia, no joint compliance beyond EI. Mode shapes are 1 at the gimbal; slope is d(phi)/d(x_n).
+No shear, no rotary inertia, no joint compliance beyond EI. Mode shapes are 1 at the gimbal; slope is
+d(phi)/d(x_n).
 """
 
 from __future__ import annotations
@@ -19,8 +21,8 @@ from maxq.tools.studies.ksr3.slosh import slosh_mass_kg
 NODES_M = np.linspace(0.0, a.GIMBAL_STATION_M, a.BEAM_ELEMENTS + 1)
 ELEMENT_M = float(NODES_M[1])
 MIDDLES_M = (NODES_M[:-1] + NODES_M[1:]) / 2
-# Rear end of a section, EI there in N m2 before scaling: shell, avionics bay, fuel tank (thick pressure-fed wall),
-# pressurant bay, LOX tank, aft skirt.
+# Rear end of a section, EI there in N m2 before scaling: shell, avionics bay, fuel tank (thick pressure-fed
+# wall), pressurant bay, LOX tank, aft skirt.
 SECTIONS = ((3.5, 0.50e8), (5.6, 1.60e8), (8.0, 0.55e8), (11.25, 1.60e8), (a.GIMBAL_STATION_M, 0.55e8))
 NOSE_CONE_M = 2.5
 
@@ -63,7 +65,7 @@ def structure_and_liquid(burn: Burn, t: float, *, sloshing: bool) -> list[Part]:
 
 
 def mass_forward_kg(burn: Burn, t: float) -> Array:
-    """Mass carried forward of each node, all liquid included: the axial force there is this times the acceleration."""
+    """Mass forward of each node, all liquid included: times the acceleration it is the axial force there."""
     density = line_density_kgpm(structure_and_liquid(burn, t, sloshing=True))
     return np.concatenate([[0.0], np.cumsum(density * ELEMENT_M)])
 

@@ -1,7 +1,8 @@
-"""Rebuilds scenarios/vehicles/ksr3 from the assumptions: `python -m maxq.tools.studies.ksr3.build` (about 10 s).
+"""Rebuilds scenarios/vehicles/ksr3 from the assumptions: `python -m maxq.tools.studies.ksr3.build` (about 10
+s).
 
-Order: point-mass flight fitted to Table 1 -> mass model -> lift fitted to Table 2 -> beam scaled to 9 Hz -> least
-gains -> pitch programme. The bending filter is searched apart from this (search_filter.py).
+Order: point-mass flight fitted to Table 1 -> mass model -> lift fitted to Table 2 -> beam scaled to 9 Hz ->
+least gains -> pitch programme. The bending filter is searched apart from this (search_filter.py).
 """
 
 from __future__ import annotations
@@ -48,9 +49,7 @@ def report(made: Reconstruction) -> None:
     ascent = made.flight.ascent
     print(summarise(made.flight))
     print(f"burn: end {ascent.burn.end_s:.6f} s, Isp {ascent.burn.exhaust_velocity_mps / 9.80665:.3f} s")
-    print(
-        f"{ascent.drag}, pitch-over {np.degrees(ascent.turn_rad):.3f} deg, release {made.flight.release_s:.4f} s"
-    )
+    print(f"{ascent.drag}, turn {np.degrees(ascent.turn_rad):.3f} deg, release {made.flight.release_s:.4f} s")
     print(made.lift, f"EI scale {made.stiffness_scale:.5f}", made.gains, sep="\n")
     print("M_delta at the nodes:", np.round(m_delta_at_nodes(made.flight), 3))
 

@@ -1,7 +1,9 @@
-"""Margins and closed-loop poles of a design at every node: `python -m maxq.tools.studies.ksr3.check_loop [design.toml]`.
+"""Margins and closed-loop poles of a design at every node: `python -m maxq.tools.studies.ksr3.check_loop
+[design.toml]`.
 
-The sampled loop, opened at the gimbal command, with the actuator as printed; bending frequencies as they are and
-10 % off. Stability is judged twice, by the closed loop's poles and by encirclements, and the two must agree.
+The sampled loop, opened at the gimbal command, with the actuator as printed; bending frequencies as they are
+and 10 % off. Stability is judged twice, by the closed loop's poles and by encirclements, and the two must
+agree.
 """
 
 from __future__ import annotations
@@ -25,10 +27,11 @@ DESIGN_FILE = VEHICLE_FOLDER.parents[1] / "designs" / "ksr3-default.toml"
 
 @dataclass(frozen=True)
 class Verdict:
-    """One case judged. `unstable` counts closed-loop poles outside the unit circle; `encircled` says the same from L.
+    """One case judged. `unstable` counts closed-loop poles outside the unit circle; `encircled` says the same
+    from L.
 
-    `slowest_per_s` is the decay of the slowest pole, `bending_peak_db` the largest |L| from 7 Hz to 13 Hz, `high_peak_db`
-    above that.
+    `slowest_per_s` is the decay of the slowest pole, `bending_peak_db` the largest |L| from 7 Hz to 13 Hz,
+    `high_peak_db` above that.
     """
 
     case: Case
@@ -81,14 +84,16 @@ def judge(case: Case, design: Design) -> Verdict:
 
 def print_table(verdicts: list[Verdict]) -> None:
     print(
-        "   t  f_b   GM+ dB  GM- dB  PM deg  |1+L|  mode 1 dB  above dB  unstable  encircled  slowest 1/s  w_RB  z_RB"
+        "   t  f_b   GM+ dB  GM- dB  PM deg  |1+L|  mode 1 dB  above dB  unstable  encircled"
+        "     slow  w_RB  z_RB"
     )
     for v in verdicts:
         m = v.margins
         print(
             f"{v.case.time_s:4.0f} x{v.case.bending_factor:.1f} {m.gain_up_db:8.2f} {m.gain_down_db:7.2f}"
-            f" {m.phase_deg:7.1f} {m.modulus:6.3f} {v.bending_peak_db:10.2f} {v.high_peak_db:9.2f} {v.unstable:9d}"
-            f" {v.encircled:10.3f} {v.slowest_per_s:12.4f} {v.rigid_hz:5.3f} {v.rigid_zeta:5.3f}"
+            f" {m.phase_deg:7.1f} {m.modulus:6.3f} {v.bending_peak_db:10.2f} {v.high_peak_db:9.2f}"
+            f" {v.unstable:9d} {v.encircled:10.3f} {v.slowest_per_s:8.4f} {v.rigid_hz:5.3f}"
+            f" {v.rigid_zeta:5.3f}"
         )
 
 

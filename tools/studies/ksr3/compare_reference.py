@@ -26,8 +26,8 @@ def quantities(vehicle: VehicleFolder, t: float) -> dict[str, float]:
     lift = [surface(mach) for surface in vehicle.surfaces]
     slope = sum(row[0] for row in lift)
     values = {
-        "h": altitude, "U": speed, "mach": mach, "qbar": pressure, "gamma_deg": path_angle, "T": thrust, "m": mass,
-        "x_cg": x_cg, "Iyy": pitch, "Ixx": roll, "CA": aero[0], "CNa": slope,
+        "h": altitude, "U": speed, "mach": mach, "qbar": pressure, "gamma_deg": path_angle, "T": thrust,
+        "m": mass, "x_cg": x_cg, "Iyy": pitch, "Ixx": roll, "CA": aero[0], "CNa": slope,
         "x_cp": sum(row[0] * row[1] for row in lift) / slope, "Cmq": aero[2],
         "Za": -slope * s.pressure_area_N / (mass * speed), "Ma": s.m_alpha_ps2,
         "Zd": thrust / (mass * speed), "Md": s.m_delta_ps2, "Mq": s.pitch_damping_Nms / pitch,
@@ -55,7 +55,7 @@ def _bending(s: Snapshot) -> dict[str, float]:
 def largest_differences(
     vehicle: VehicleFolder, other: dict[str, Array]
 ) -> list[tuple[str, float, float, float]]:
-    """Name, time, ours, theirs; the largest difference over 5 s to 55 s, first the largest relative to the scale."""
+    """Name, time, ours, theirs where they differ most, 5 s to 55 s; first the largest of its scale."""
     times = np.arange(5.0, 55.1, 1.0)
     ours = [quantities(vehicle, t) for t in times]
     found = []

@@ -24,7 +24,7 @@ class LinearGains:
 
 
 def least_gains(m_delta_ps2: Array) -> LinearGains:
-    """From M_delta (11,) at the nodes. k_d suffices for 0.7 with the k_p in force, not only with the least k_p."""
+    """From M_delta (11,) at the nodes. k_d suffices for 0.7 with the k_p in force, not just the least k_p."""
     omega = 2 * np.pi * a.RIGID_HZ
     k_p = _lowest_line_above(omega**2 / m_delta_ps2)
     k_p_nodes = np.interp(a.NODES_S, (a.NODES_S[0], a.NODES_S[-1]), k_p)
@@ -36,6 +36,8 @@ def _lowest_line_above(floor: Array) -> tuple[float, float]:
     """The line over the nodes, least in sum, that is nowhere below `floor`; rounded up to 0.001."""
     late = (np.array(a.NODES_S) - a.NODES_S[0]) / (a.NODES_S[-1] - a.NODES_S[0])
     weights = np.column_stack([1 - late, late])
-    line = linprog(weights.sum(axis=0), A_ub=-weights, b_ub=-floor).x
-    first, last = np.ceil(line * 1000 - 1e-6) / 1000
+    solution = linprog(weights.sum(axis=0), A_ub=-weights, b_ub=-floor)
+    if solution.x is None:
+        raise RuntimeError(f"no line above the floor: {solution.message}")
+    first, last = np.ceil(solution.x * 1000 - 1e-6) / 1000
     return float(first), float(last)

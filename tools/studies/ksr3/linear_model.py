@@ -1,8 +1,9 @@
 """The pitch plane linearised at a frozen time: from gimbal command to the angle the gyro has turned through.
 
-The paper's eqs 1 to 29 with the corrections of its errata: sloshing masses taken out of the core, pendulum reaction
-and damping at the hinge, a gyro that feels d(eta)/dt, thrust that follows the bent tail, axial softening, engine
-inertia about the gimbal. Written anew, apart from maxq.sim and maxq.design, so that it can contradict them.
+The paper's eqs 1 to 29 with the corrections of its errata: sloshing masses taken out of the core, pendulum
+reaction and damping at the hinge, a gyro that feels d(eta)/dt, thrust that follows the bent tail, axial
+softening, engine inertia about the gimbal. Written anew, apart from maxq.sim and maxq.design, so that it can
+contradict them.
 """
 
 from __future__ import annotations
@@ -52,14 +53,17 @@ def gyro(omega_hz: float, zeta: float) -> Linear:
 
 
 def vehicle(s: Snapshot) -> tuple[Array, Array, Array]:
-    """State matrix (n, n), inputs (n, 2) for gimbal angle and its second derivative, and the angle at the gyro (n,).
+    """State matrix (n, n), inputs (n, 2) for gimbal angle and its second derivative, and the angle at the
+    gyro (n,).
 
-    State: w (m/s, body z), theta, q, pendulum angles, eta, pendulum rates, d(eta)/dt. Angles are perturbations in rad.
+    State: w (m/s, body z), theta, q, pendulum angles, eta, pendulum rates, d(eta)/dt. Angles are
+    perturbations in rad.
     """
     np_, nb = len(s.pendulums), len(s.bending.omega_radps)
     layout = _Layout(np_, nb)
     mass, force = _mass_matrix(s, layout), _forces(s, layout)
-    # mass @ [A_z, q', Gamma'', eta''] = force @ [state, delta, delta'']; A_z is the body's lateral acceleration.
+    # mass @ [A_z, q', Gamma'', eta''] = force @ [state, delta, delta'']; A_z is the body's lateral
+    # acceleration.
     accelerations = np.linalg.solve(mass, force)
     n = layout.size
     rows = np.zeros((n, n + 2))
@@ -111,8 +115,8 @@ def _forces(s: Snapshot, layout: _Layout) -> Array:
     modal = slice(2 + layout.pendulums, None)
     _add_engine(f, modal, s, layout)
     _add_stiffness(f, modal, s, layout)
-    for k, pendulum in enumerate(s.pendulums):
-        _add_pendulum(f, modal, s, layout, k, pendulum.length_m)
+    for k in range(layout.pendulums):
+        _add_pendulum(f, s, layout, k)
     _add_air(f, modal, s, layout)
     return f
 
@@ -139,17 +143,16 @@ def _add_stiffness(f: Array, modal: slice, s: Snapshot, layout: _Layout) -> None
     f[modal, layout.eta_rate] -= np.diag(2 * b.generalized_mass_kg * b.zeta * b.omega_radps)
 
 
-def _add_pendulum(f: Array, modal: slice, s: Snapshot, layout: _Layout, k: int, length_m: float) -> None:
+def _add_pendulum(f: Array, s: Snapshot, layout: _Layout, k: int) -> None:
     """Its own restoring force, and what it does to core and modes through the hinge."""
     p = s.pendulums[k]
+    modal = slice(2 + layout.pendulums, None)
     angle, rate = layout.gamma.start + k, layout.gamma_rate.start + k
-    damping = (
-        2 * p.damping * np.sqrt(s.axial_mps2 / length_m) * length_m
-    )  # m/s: lateral, per unit mass and rate
+    damping = 2 * p.damping * np.sqrt(s.axial_mps2 * p.length_m)  # m/s: force per unit mass and angular rate
     f[2 + k, angle] = -s.axial_mps2
     f[2 + k, rate] = -damping
     pull, drag = p.mass_kg * s.axial_mps2, p.mass_kg * damping
-    couple = drag * length_m  # the damper's own reaction on the tank
+    couple = drag * p.length_m  # the damper's own reaction on the tank
     f[0, angle] += pull
     f[0, rate] += drag
     f[1, angle] -= p.hinge_m * pull

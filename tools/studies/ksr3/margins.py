@@ -53,8 +53,8 @@ def _phase_margin_deg(loop: Response) -> float:
 def unstable_closed_loop_poles(loop: Response, unstable_open: int) -> float:
     """How many poles of the closed loop lie outside the unit circle, by the argument principle.
 
-    `loop` runs from zero frequency to Nyquist. The upper half of the unit circle turns 1 + L by pi for every unstable
-    pole of the open loop less one of the closed loop. Not an integer when the grid is too coarse.
+    `loop` runs from zero frequency to Nyquist. The upper half of the unit circle turns 1 + L by pi for every
+    unstable pole of the open loop less one of the closed loop. Not an integer when the grid is too coarse.
     """
     angle = np.unwrap(np.angle(1 + loop))
     return unstable_open - float(angle[-1] - angle[0]) / np.pi

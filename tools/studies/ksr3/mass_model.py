@@ -14,7 +14,7 @@ TANK_AREA_M2 = pi * a.TANK_RADIUS_M**2
 
 @dataclass(frozen=True)
 class Part:
-    """A uniform rod of mass between two stations, with a transverse inertia of its own on top of the rod's."""
+    """A uniform rod of mass between two stations, with a transverse inertia of its own beside the rod's."""
 
     mass_kg: float
     front_station_m: float

@@ -1,9 +1,9 @@
 """The commanded pitch rate that makes the vehicle fly the point-mass path.
 
-The attitude wanted is path angle plus the incidence that turns the path, with the gimbal angle that holds that
-incidence counted. The law delta = -k_p (theta - theta_c) - k_d q has no integral and damps the whole rate, so it
-holds neither a gimbal angle nor a turn without an attitude error; the programme leads by that error for the default
-gains.
+The attitude wanted is path angle plus the incidence that turns the path, with the gimbal angle that holds
+that incidence counted. The law delta = -k_p (theta - theta_c) - k_d q has no integral and damps the whole
+rate, so it holds neither a gimbal angle nor a turn without an attitude error; the programme leads by that
+error for the default gains.
 """
 
 from __future__ import annotations
@@ -45,8 +45,8 @@ def wanted(flight: Flight, lift: Lift, t: float) -> Wanted:
     arm = a.GIMBAL_STATION_M - props.x_cg_m
     gimbal_per_alpha = normal * (centre - props.x_cg_m) / (f.thrust_N * arm)
     radius = a.EARTH_RADIUS_M + altitude
-    turn = turn_rate(flight.ascent, t, speed, path_angle, f, radius)
     free = gravity_turn_rate(speed, path_angle, f.gravity_mps2, radius)
+    turn = turn_rate(flight.ascent, t, free)
     if t < a.PITCH_OVER_START_S:
         turn = free  # straight up on the pad: no incidence
     alpha = props.mass_kg * speed * (turn - free) / (f.thrust_N * (1 - gimbal_per_alpha) + normal)

@@ -1,8 +1,8 @@
 """Flies the written programme with a rigid body and the bare PD law, to see that it still meets Table 1:
 `python -m maxq.tools.studies.ksr3.planar_flight`.
 
-Same Earth and air as the point mass, ideal actuator and gyro, no filter, no slosh, no bending. Angles in rad, attitude
-above the launch site's horizontal.
+Same Earth and air as the point mass, ideal actuator and gyro, no filter, no slosh, no bending. Angles in rad,
+attitude above the launch site's horizontal.
 """
 
 from __future__ import annotations
@@ -30,8 +30,8 @@ class PlanarFlight:
         self.made = made
         times, rates = np.array(read_rows(programme)).T
         self._fine = np.linspace(0.0, times[-1], 6001)
-        rate = np.radians(np.interp(self._fine, times, rates))
-        self._commanded = np.pi / 2 + cumulative_trapezoid(rate, self._fine, initial=0.0)
+        rate: Array = np.radians(np.interp(self._fine, times, rates))
+        self._commanded = np.pi / 2 + np.asarray(cumulative_trapezoid(rate, self._fine, initial=0))
 
     def gimbal(self, t: float, attitude: float, rate: float) -> float:
         k_p, k_d = self.made.gains.at(t)

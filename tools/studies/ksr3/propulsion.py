@@ -1,7 +1,8 @@
 """Thrust and mass over time: ignition ramp, linear droop of a pressure-fed chamber, tail-off.
 
-The rows themselves, joined by monotone cubics as the simulator joins them, *are* the thrust history; its integral
-divided by the exhaust velocity is the mass expelled. Thrust and mass tables therefore agree to round-off.
+The rows themselves, joined by monotone cubics as the simulator joins them, *are* the thrust history; its
+integral divided by the exhaust velocity is the mass expelled. Thrust and mass tables therefore agree to
+round-off.
 """
 
 from __future__ import annotations
@@ -74,8 +75,8 @@ class Burn:
 def make_burn(droop_end: float, vacuum_isp_s: float, exit_area_m2: float) -> Burn:
     """A burn with the impulse of one that starts and ends abruptly and lasts 59 s.
 
-    `droop_end` is the chamber pressure at 59 s over that at ignition. The steady part is 129 kN at sea level at t = 0.
-    The ramps cost impulse; the tail-off begins as much later as it takes to give it back.
+    `droop_end` is the chamber pressure at 59 s over that at ignition. The steady part is 129 kN at sea level
+    at t = 0. The ramps cost impulse; the tail-off begins as much later as it takes to give it back.
     """
     start_N = a.SEA_LEVEL_THRUST_N + SEA_LEVEL_PRESSURE_PA * exit_area_m2
     wanted_Ns = start_N * a.BURN_S * (1 + droop_end) / 2

@@ -1,7 +1,8 @@
-"""The loop as it is: a continuous plant seen and driven by a computer every 10 ms. No Pade, aliasing included.
+"""The loop as it is: a continuous plant seen and driven by a computer every 10 ms. No Pade, aliasing
+included.
 
-At sample k the computer has the exact integral of the gyro rate (the sum of the V/F counts) and its increment; the
-command it computes reaches the hold a compute delay later.
+At sample k the computer has the exact integral of the gyro rate (the sum of the V/F counts) and its
+increment; the command it computes reaches the hold a compute delay later.
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ from scipy.signal import bilinear, tf2ss
 
 from maxq.control.records import Array
 from maxq.tools.studies.ksr3.linear_model import Linear
+from maxq.tools.studies.ksr3.margins import Response
 
 
 @dataclass(frozen=True)
@@ -51,11 +53,12 @@ def sampled_plant(plant: Linear, period_s: float, delay_s: float) -> Discrete:
 
 def filter_polynomials(sections: list[Quadratic], period_s: float, prewarp_hz: float) -> tuple[Array, Array]:
     """Numerator and denominator in z of the bending filter, bilinear, exact at `prewarp_hz`."""
-    numerator, denominator = np.ones(1), np.ones(1)
+    numerator: Array = np.ones(1)
+    denominator: Array = np.ones(1)
     for q in sections:
         wz, wp = 2 * np.pi * q.zero_hz, 2 * np.pi * q.pole_hz
-        numerator = np.polymul(numerator, [1 / wz**2, 2 * q.zero_zeta / wz, 1.0])
-        denominator = np.polymul(denominator, [1 / wp**2, 2 * q.pole_zeta / wp, 1.0])
+        numerator = np.asarray(np.polymul(numerator, [1 / wz**2, 2 * q.zero_zeta / wz, 1.0]), float)
+        denominator = np.asarray(np.polymul(denominator, [1 / wp**2, 2 * q.pole_zeta / wp, 1.0]), float)
     w = 2 * np.pi * prewarp_hz
     b, a = bilinear(numerator, denominator, fs=w / (2 * np.tan(w * period_s / 2)))
     return np.asarray(b), np.asarray(a)
@@ -83,7 +86,7 @@ def closed_loop_poles(plant: Discrete, control: Discrete) -> Array:
     return np.asarray(np.linalg.eigvals(a))
 
 
-def response(system: Discrete, frequency_hz: Array, period_s: float) -> Array:
+def response(system: Discrete, frequency_hz: Array, period_s: float) -> Response:
     """Frequency response at z = exp(j w T)."""
     z = np.exp(2j * np.pi * frequency_hz * period_s)
     eye = np.eye(len(system.a))

@@ -1,7 +1,9 @@
-"""Searches a bending filter F4 for the least gains: `python -m maxq.tools.studies.ksr3.search_filter` (minutes).
+"""Searches a bending filter F4 for the least gains: `python -m maxq.tools.studies.ksr3.search_filter`
+(minutes).
 
-Raises the least distance of L from -1 over all nodes, and over the nodes with bending 10 % off, whose distance counts
-for more. A filter that leaves an unstable pole or amplifies noise too much scores nothing. Prints the sections.
+Raises the least distance of L from -1 over all nodes, and over the nodes with bending 10 % off, whose
+distance counts for more. A filter that leaves an unstable pole or amplifies noise too much scores nothing.
+Prints the sections.
 """
 
 from __future__ import annotations
@@ -10,7 +12,7 @@ import argparse
 from pathlib import Path
 
 import numpy as np
-from scipy.optimize import differential_evolution
+from scipy.optimize import Bounds, differential_evolution
 
 from maxq.control.records import Array
 from maxq.tools.studies.ksr3.build import VEHICLE_FOLDER
@@ -53,7 +55,7 @@ class Problem:
         ]
 
     def score(self, x: Array) -> float:
-        """Larger is better; 1 means that every aim is met. Negative, and graded, where a filter will not do."""
+        """Larger is better; 1 means that every aim is met. Negative, and graded, where it will not do."""
         filter_ = filter_polynomials(sections(x), self.period_s, PREWARP_HZ)
         noise = float(np.abs(_ratio(filter_, self.z[0])).max()) / LARGEST_FILTER_GAIN
         worst, unstable = np.inf, 0.0
@@ -81,13 +83,13 @@ def main() -> None:
     cases = all_cases(arguments.folder)
     gains = least_gains(np.array([c.snapshot.m_delta_ps2 for c in cases if c.bending_factor == 1.0]))
     problem = Problem(cases, gains)
+
+    def cost(x: Array) -> float:
+        return -problem.score(x)
+
+    low, high = np.array(BOUNDS).T
     found = differential_evolution(
-        lambda x: -problem.score(x),
-        BOUNDS,
-        seed=arguments.seed,
-        maxiter=arguments.generations,
-        popsize=8,
-        tol=1e-4,
+        cost, Bounds(low, high), rng=arguments.seed, maxiter=arguments.generations, popsize=8, tol=1e-4
     )
     print(f"score {-found.fun:.3f}", gains, *sections(np.round(found.x, 3)), sep="\n")
 

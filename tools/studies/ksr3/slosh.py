@@ -1,8 +1,9 @@
-"""First slosh mode of a flat-bottomed cylinder as a pendulum (Abramson, NASA SP-106; Dodge, "The New Dynamic Behavior
-of Liquids in Moving Containers"): lateral mode 1 of radius R (the paper's R_i is a radius, not a diameter).
+"""First slosh mode of a flat-bottomed cylinder as a pendulum (Abramson, NASA SP-106; Dodge, "The New Dynamic
+Behavior of Liquids in Moving Containers"): lateral mode 1 of radius R (the paper's R_i is a radius, not a
+diameter).
 
-Below a depth of R/4 the pendulum keeps its length (the formula's grows without bound as the depth goes to nothing);
-below R/10 its mass fades smoothly, and both end at exactly zero with the liquid.
+Below a depth of R/4 the pendulum keeps its length (the formula's grows without bound as the depth goes to
+nothing); below R/10 its mass fades smoothly, and both end at exactly zero with the liquid.
 """
 
 from __future__ import annotations
@@ -46,7 +47,7 @@ def slosh_mass_kg(fill: Fill) -> float:
 
 
 def _bob_station_m(fill: Fill) -> float:
-    """The bob hangs (h/2 - (2R/root) tanh(root h / 2R)) above the liquid's CG: never below the tank's bottom."""
+    """The bob hangs (h/2 - (2R/root) tanh(root h / 2R)) above the liquid's CG, within the liquid."""
     height = fill.height_m
     above = height / 2 - 2 * TANK_RADIUS_M / ROOT * tanh(ROOT * height / (2 * TANK_RADIUS_M))
     return fill.tank.bottom_station_m - height / 2 - above

@@ -1,8 +1,9 @@
-"""Point-mass flight in a vertical plane over a round Earth that stands still, no wind: held down, straight up,
-pitched over, gravity turn, coast to impact; and its fit to Table 1.
+"""Point-mass flight in a vertical plane over a round Earth that stands still, no wind: held down, straight
+up, pitched over, gravity turn, coast to impact; and its fit to Table 1.
 
-Angles in rad, path angle above the local horizontal. The pitch-over is a raised-cosine turn rate, and the gravity
-turn's own rate is blended in over its last seconds, so that the incidence it needs ends at zero without a jump.
+Angles in rad, path angle above the local horizontal. The pitch-over is a raised-cosine turn rate, and the
+gravity turn's own rate is blended in over its last seconds, so that the incidence it needs ends at zero
+without a jump.
 """
 
 from __future__ import annotations
@@ -72,12 +73,9 @@ def gravity_turn_rate(speed_mps: float, path_angle: float, gravity_mps2: float, 
     return (speed_mps / radius_m - gravity_mps2 / max(speed_mps, 1.0)) * cos(path_angle)
 
 
-def turn_rate(
-    ascent: Ascent, t: float, speed_mps: float, path_angle: float, f: Forces, radius_m: float
-) -> float:
-    """Turn of the path: straight up, pitch-over, gravity turn; rad/s."""
-    free = gravity_turn_rate(speed_mps, path_angle, f.gravity_mps2, radius_m)
-    return pitch_over_rate(ascent, t) + gravity_share(t) * free
+def turn_rate(ascent: Ascent, t: float, free_radps: float) -> float:
+    """Turn of the path in rad/s: straight up, pitch-over, gravity turn, whose own rate is `free_radps`."""
+    return pitch_over_rate(ascent, t) + gravity_share(t) * free_radps
 
 
 def gravity_share(t: float) -> float:
@@ -99,7 +97,7 @@ def derivative(ascent: Ascent, t: float, state: Array) -> list[float]:
     _, altitude, speed, angle = state
     f = forces(ascent, t, altitude, speed)
     radius = a.EARTH_RADIUS_M + altitude
-    turn = turn_rate(ascent, t, speed, angle, f, radius)
+    turn = turn_rate(ascent, t, gravity_turn_rate(speed, angle, f.gravity_mps2, radius))
     acceleration = (f.thrust_N - f.drag_N) / f.mass_kg - f.gravity_mps2 * sin(angle)
     return [speed * cos(angle) * a.EARTH_RADIUS_M / radius, speed * sin(angle), acceleration, turn]
 
@@ -115,13 +113,19 @@ def release_time_s(burn: Burn) -> float:
     return float(brentq(surplus, 0.0, a.IGNITION_RAMP_S))
 
 
-def coast_to_impact(ascent: Ascent, start_s: float, state: Array) -> tuple[Array, Array]:
-    def ground(_: float, y: Array) -> float:
-        return float(y[1])
+class _Ground:
+    """The event that ends a flight: altitude falls through zero."""
 
-    ground.terminal = True  # type: ignore[attr-defined]  # scipy reads these attributes of the event function
-    ground.direction = -1.0  # type: ignore[attr-defined]  # as above
-    return _integrate(ascent, start_s, start_s + 400.0, state, 0.25, ground)
+    terminal = True
+    direction = -1.0
+
+    def __call__(self, _: float, state: Array) -> float:
+        return float(state[1])
+
+
+def coast_to_impact(ascent: Ascent, start_s: float, state: Array) -> tuple[Array, Array]:
+    """Times and states from burn-out to the ground."""
+    return _integrate(ascent, (start_s, start_s + 400.0), state, 0.25, _Ground())
 
 
 def fly(ascent: Ascent) -> Flight:
@@ -137,7 +141,7 @@ def fly(ascent: Ascent) -> Flight:
         (a.IGNITION_RAMP_S, a.PITCH_OVER_START_S, blend, turn_end, ascent.burn.tail_off_s, ascent.burn.end_s),
         strict=True,
     ):
-        t, y = _integrate(ascent, start, stop, state, 0.05)
+        t, y = _integrate(ascent, (start, stop), state, 0.05)
         times.append(t[:-1])
         states.append(y[:-1])
         state = y[-1]
@@ -146,21 +150,16 @@ def fly(ascent: Ascent) -> Flight:
 
 
 def _integrate(
-    ascent: Ascent, start: float, stop: float, state: Array, spacing: float, event: object = None
+    ascent: Ascent, span_s: tuple[float, float], state: Array, spacing_s: float, event: _Ground | None = None
 ) -> tuple[Array, Array]:
-    grid = np.append(np.arange(start, stop - 1e-9, spacing), stop)
-    solution = solve_ivp(
-        lambda t, y: derivative(ascent, t, y),
-        (start, stop),
-        state,
-        rtol=1e-8,
-        atol=1e-8,
-        t_eval=grid,
-        events=event,
-        max_step=2.0,
-    )
+    grid = np.append(np.arange(span_s[0], span_s[1] - 1e-9, spacing_s), span_s[1])
+
+    def rates(t: float, y: Array) -> Array:
+        return np.array(derivative(ascent, t, y))
+
+    solution = solve_ivp(rates, span_s, state, rtol=1e-8, atol=1e-8, t_eval=grid, events=event, max_step=2.0)
     t, y = solution.t, solution.y.T
-    if event is not None:
+    if event is not None and solution.t_events is not None and solution.y_events is not None:
         t, y = np.append(t, solution.t_events[0]), np.vstack([y, solution.y_events[0]])
     return t, y
 
@@ -203,7 +202,7 @@ def summarise(flight: Flight) -> Summary:
 
 
 def ascent_from(parameters: Array) -> Ascent:
-    """Chamber pressure at the end over that at the start, vacuum Isp s, drag scale, turn rad, base drag in coast."""
+    """Chamber pressure, last over first; vacuum Isp s; drag scale; turn rad; base drag in coast."""
     droop, isp, drag_scale, turn, coast_base = (float(p) for p in parameters)
     return Ascent(make_burn(droop, isp, a.NOZZLE_EXIT_AREA_M2), Drag(drag_scale, coast_base), turn)
 
@@ -211,7 +210,8 @@ def ascent_from(parameters: Array) -> Ascent:
 def fit_to_table_1() -> Flight:
     """Five parameters against five numbers of Table 1 (with their tolerances) and two prior beliefs.
 
-    Thrust over mass is asked to reach 4.25 g because then it and the sensed 3.6 g lie on either side of Table 1's 4.1 g.
+    Thrust over mass is asked to reach 4.25 g because then it and the sensed 3.6 g lie on either side of Table
+    1's 4.1 g.
     """
 
     def residuals(p: Array) -> list[float]:
@@ -230,7 +230,7 @@ def fit_to_table_1() -> Flight:
         residuals,
         [0.74, 234.0, 1.1, 0.24, 0.1],
         bounds=([0.5, 215, 0.4, 0.01, -0.1], [1.05, 270, 1.15, 0.5, 0.3]),
-        diff_step=1e-3,
+        diff_step=[1e-3] * 5,
         x_scale=[0.1, 10, 0.2, 0.05, 0.1],
     )
     return fly(ascent_from(fit.x))

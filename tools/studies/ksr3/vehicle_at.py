@@ -1,4 +1,4 @@
-"""Reads the written vehicle back and evaluates it at one time of the point-mass flight, for the linear model."""
+"""Reads the written vehicle back and evaluates it at a time of the fitted flight, for the linear model."""
 
 from __future__ import annotations
 

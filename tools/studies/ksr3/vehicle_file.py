@@ -9,8 +9,9 @@ from maxq.tools.studies.ksr3.aerodynamics import cross_flow
 def vehicle_toml() -> str:
     engine = (a.GIMBALLED_MASS_KG, a.GIMBALLED_CG_BEHIND_GIMBAL_M, a.GIMBALLED_INERTIA_KGM2)
     return f"""\
-# KSR-III, a reconstruction: NOT flight data. Written by tools/studies/ksr3/build.py; change the assumptions there.
-# [sourced]: Lee, Ahn & Roh, Tables 1 to 4, or public descriptions of the vehicle; [assumed]: see NOTES.md.
+# KSR-III, a reconstruction: NOT flight data. Written by tools/studies/ksr3/build.py; change the assumptions
+# there. [sourced]: Lee, Ahn & Roh, Tables 1 to 4, or public descriptions of the vehicle; [assumed]: see
+# NOTES.md.
 schema = 1
 name = "KSR-III (reconstruction)"
 
@@ -29,7 +30,7 @@ interpolation = "pchip"
 table = "mass.csv"           # 6100 kg at t = 0 [sourced], distribution [assumed]; liquid frozen in the tanks
 
 [stage.engine]
-table = "thrust.csv"         # 129 kN at sea level at ignition, 59 s [sourced]; droop, ramp and tail-off [assumed]
+table = "thrust.csv"         # 129 kN at sea level, 59 s [sourced]; droop, ramp, tail-off [assumed]
 exit_area_m2 = {a.NOZZLE_EXIT_AREA_M2:g}        # [assumed]
 gimbal_station_m = {a.GIMBAL_STATION_M:g}      # [assumed]
 exit_station_m = {a.LENGTH_M:g}          # [sourced] end of the vehicle

@@ -109,7 +109,7 @@ def _write_tanks(folder: Path, made: Reconstruction) -> None:
             table.append((t, p.mass_kg, p.length_m, p.hinge_station_m, fill.height_m))
     for tank, table in zip(a.TANKS, tables, strict=True):
         header = "time_s,slosh_mass_kg,pendulum_length_m,hinge_station_m,liquid_height_m"
-        write_table(folder / f"tank_{tank.name}.csv", header, table)
+        write_table(folder / f"tank_{tank.name}.csv", header, table, digits=12)
 
 
 def _write_modes(folder: Path, made: Reconstruction) -> None:
