@@ -19,9 +19,12 @@ IntArray = NDArray[np.int64]
 def dtype_of(schema: type) -> np.dtype[Any]:
     """Record layout of a dataclass of `float`, `int`, `Annotated[Array, shape]` and nested dataclasses.
 
-    Raises TypeError for any other field type.
+    Raises TypeError for any other field type, and for a name that np.record has itself.
     """
     hints = get_type_hints(schema, include_extras=True)
+    taken = [f.name for f in fields(schema) if hasattr(np.record, f.name)]
+    if taken:  # uncompiled, `row.shape` is NumPy's own attribute, not the field
+        raise TypeError(f"{schema.__name__}.{taken[0]}: np.record has an attribute of that name already")
     return np.dtype((np.record, [(f.name, *_column(hints[f.name])) for f in fields(schema)]))
 
 

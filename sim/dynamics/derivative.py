@@ -239,7 +239,8 @@ def tidal_moment(around: Surroundings, engine: Deflected, rotation: tuple[float,
         rotation[1] * y[0] + rotation[4] * y[1] + rotation[7] * y[2],
         rotation[2] * y[0] + rotation[5] * y[1] + rotation[8] * y[2],
     )
-    return gravity_gradient_torque(around.earth, r, engine.inertia)
+    j = engine.inertia
+    return gravity_gradient_torque(around.earth, r, (j[0], j[1], j[2], -j[3], -j[4], -j[5]))
 
 
 @kernel

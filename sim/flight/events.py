@@ -91,10 +91,19 @@ def meet_instants(p: Parameters, pool: Array, memory: Memory, y: Array, aux: Arr
         clock.next_gust_ns = now + p.around.turbulence.tick_ns
         if clock.steps > 0:  # the first gust was drawn at the start
             turbulence_tick(p.around.turbulence, pool, memory.gusts, aux[AIRSPEED], aux[ALTITUDE])
+    take_effect(p, memory)  # before the sample: its command replaces what is pending
     if now >= clock.next_sample_ns:
         sample(p, pool, memory, y)
         clock.next_sample_ns = now + p.computer.sample_ns
-    if now >= clock.command_due_ns:
+        take_effect(p, memory)  # and after it: without a delay its command is due at once
+    return changed
+
+
+@kernel
+def take_effect(p: Parameters, memory: Memory) -> None:
+    """Hand a command that is due to the actuators and thrusters, which hold it."""
+    clock, held = memory.clock, memory.held
+    if clock.now_ns >= clock.command_due_ns:
         held.command_pitch_rad = after_backlash(
             p.vehicle.actuator_pitch, held.command_pitch_rad, clock.pending_pitch_rad
         )
@@ -103,7 +112,6 @@ def meet_instants(p: Parameters, pool: Array, memory: Memory, y: Array, aux: Arr
         )
         held.roll_torque_Nm = p.vehicle.roll_torque_Nm * clock.pending_roll
         clock.command_due_ns = NEVER
-    return changed
 
 
 @kernel
@@ -111,6 +119,7 @@ def sample(p: Parameters, pool: Array, memory: Memory, y: Array) -> None:
     """One tick of the flight computer on what the gyro has turned since the last one."""
     clock = memory.clock
     now = clock.now_ns
+    begun = now - p.computer.sample_ns  # a rate is commanded over the sample that ends now
     walk = p.vehicle.gyro.random_walk_rad_rts * math.sqrt(1e-9 * p.computer.sample_ns)
     for axis in range(3):
         memory.increment_rad[axis] = y[GYRO_ANGLE + axis]
@@ -119,8 +128,8 @@ def sample(p: Parameters, pool: Array, memory: Memory, y: Array) -> None:
                 p.course.seed, GYRO_STREAM + axis, clock.samples
             )
         y[GYRO_ANGLE + axis] = 0.0
-        memory.rate_injection_radps[axis] = total_signal(p.injections, pool, RATE_COMMAND, axis, now, 0.0)
-        memory.rate_replaces[axis] = replaced(p.injections, RATE_COMMAND, axis, now)
+        memory.rate_injection_radps[axis] = total_signal(p.injections, pool, RATE_COMMAND, axis, begun, 0.0)
+        memory.rate_replaces[axis] = replaced(p.injections, RATE_COMMAND, axis, begun)
     for gimbal in range(2):
         memory.gimbal_injection_rad[gimbal] = total_signal(
             p.injections, pool, GIMBAL_COMMAND, gimbal + 1, now, 0.0

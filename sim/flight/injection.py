@@ -22,7 +22,7 @@ GIMBAL_COMMAND = 0
 RATE_COMMAND = 1
 BODY_FORCE = 2
 BODY_TORQUE = 3
-# its shape
+# its form
 STEP = 0
 DOUBLET = 1
 SINE = 2
@@ -38,7 +38,7 @@ class Injections:
     count: int
     where: Annotated[IntArray, (MAX_INJECTIONS,)]
     axis: Annotated[IntArray, (MAX_INJECTIONS,)]
-    shape: Annotated[IntArray, (MAX_INJECTIONS,)]
+    form: Annotated[IntArray, (MAX_INJECTIONS,)]
     replaces: Annotated[IntArray, (MAX_INJECTIONS,)]
     start_ns: Annotated[IntArray, (MAX_INJECTIONS,)]
     stop_ns: Annotated[IntArray, (MAX_INJECTIONS,)]
@@ -48,7 +48,7 @@ class Injections:
     tones: Annotated[IntArray, (MAX_INJECTIONS,)]
     tone_hz: Annotated[Array, (MAX_INJECTIONS, MAX_TONES)]
     tone_phase: Annotated[Array, (MAX_INJECTIONS, MAX_TONES)]
-    column: Annotated[IntArray, (MAX_INJECTIONS,)]  # of `table`, for the shape TABLE
+    column: Annotated[IntArray, (MAX_INJECTIONS,)]  # of `table`, for the form TABLE
     table: TableRef
 
 
@@ -57,20 +57,20 @@ def signal(inj: Injections, pool: Array, i: int, step_start_ns: int, elapsed_s: 
     """Value of signal `i`, `elapsed_s` after the start of a step: zero unless it is on during that step."""
     if step_start_ns < inj.start_ns[i] or step_start_ns >= inj.stop_ns[i]:
         return 0.0
-    shape = inj.shape[i]
+    form = inj.form[i]
     since = 1e-9 * (step_start_ns - inj.start_ns[i]) + elapsed_s
-    if shape == STEP:
+    if form == STEP:
         return inj.amplitude[i]
-    if shape == DOUBLET:
+    if form == DOUBLET:
         middle = (inj.start_ns[i] + inj.stop_ns[i]) // 2
         return inj.amplitude[i] if step_start_ns < middle else -inj.amplitude[i]
-    if shape == SINE:
+    if form == SINE:
         return inj.amplitude[i] * math.sin(2.0 * math.pi * inj.frequency_hz[i] * since)
-    if shape == CHIRP:
+    if form == CHIRP:
         duration = 1e-9 * (inj.stop_ns[i] - inj.start_ns[i])
         sweep = 0.5 * (inj.stop_frequency_hz[i] - inj.frequency_hz[i]) / duration
         return inj.amplitude[i] * math.sin(2.0 * math.pi * (inj.frequency_hz[i] + sweep * since) * since)
-    if shape == MULTISINE:
+    if form == MULTISINE:
         total = 0.0
         for j in range(inj.tones[i]):
             total += math.sin(2.0 * math.pi * inj.tone_hz[i, j] * since + inj.tone_phase[i, j])
@@ -112,7 +112,7 @@ def next_switch(inj: Injections, pool: Array, now_ns: int, latest_ns: int) -> in
         for instant in (inj.start_ns[i], middle, inj.stop_ns[i]):
             if now_ns < instant < best:
                 best = instant
-        if inj.shape[i] == TABLE:
+        if inj.form[i] == TABLE:
             k = find_interval(pool, inj.table, 1e-9 * (now_ns + 1))
             for j in range(k, min(k + 2, inj.table.n_breaks)):
                 instant = round(1e9 * pool[inj.table.offset + j])

@@ -11,6 +11,7 @@ from maxq.control.tables import find_interval
 from maxq.sim.dynamics.schedule import CORE_CG
 from maxq.sim.dynamics.state import MAX_STATE, Sizes, state_size
 from maxq.sim.dynamics.workspace import ALTITUDE, AUX_SIZE, AXIAL_LOAD, PRESSURE, WORK_SIZE
+from maxq.sim.dynamics.surroundings import climb_rate
 from maxq.sim.environment.turbulence import turbulence_start
 from maxq.sim.flight.events import (
     crossing,
@@ -76,7 +77,7 @@ def begin(P: Array, pool: Array, state: Array, y: Array) -> None:
         memory.extremes.time_ns[metric] = -1
     clock.command_due_ns = NEVER
     clock.next_gust_ns = clock.now_ns if p.around.turbulence.on == 1 else NEVER
-    turbulence_start(p.around.turbulence, pool, memory.gusts, 0.0)
+    turbulence_start(p.around.turbulence, pool, memory.gusts, climb_rate(p.around.earth, y)[0])
     start_computer(p.computer, pool, memory.computer, 1e-9 * clock.now_ns)
     clock.next_sample_ns = clock.now_ns + p.computer.sample_ns
     start_stage(p, pool, memory)

@@ -49,7 +49,7 @@ from maxq.sim.dynamics.workspace import (
     THRUST,
     WIND_N,
 )
-from maxq.sim.environment.earth import earth_rotation, geodetic, inertial_to_earth, ned_axes
+from maxq.sim.environment.earth import FLAT, earth_rotation, geodetic, inertial_to_earth, ned_axes
 from maxq.sim.flight.metrics import STANDARD_GRAVITY_MPS2
 from maxq.sim.flight.parameters import Memory, Parameters
 from maxq.sim.log.channels import Channel, ChannelTable, Topic
@@ -354,7 +354,7 @@ def _fill_place(p: Parameters, memory: Memory, y: Array, row: Array) -> None:
         cos, sin, y[V_I] + turning * y[R_I + 1], y[V_I + 1] - turning * y[R_I], y[V_I + 2]
     )
     axes = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0)
-    if earth.shape != 0:
+    if earth.figure != FLAT:
         axes = ned_axes(math.sin(latitude), math.cos(latitude), math.sin(longitude), math.cos(longitude))
     rotation = rotation_from_quaternion(y[Q_BI], y[Q_BI + 1], y[Q_BI + 2], y[Q_BI + 3])
     v_north, v_east, v_down = turn(axes, (vx, vy, vz))

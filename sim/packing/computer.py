@@ -23,7 +23,7 @@ _WHERE = {
     "gimbal_command": signals.GIMBAL_COMMAND, "rate_command": signals.RATE_COMMAND,
     "body_force": signals.BODY_FORCE, "body_torque": signals.BODY_TORQUE,
 }  # fmt: skip
-_SHAPE = {
+_FORM = {
     "step": signals.STEP, "doublet": signals.DOUBLET, "sine": signals.SINE, "chirp": signals.CHIRP,
     "multisine": signals.MULTISINE, "table": signals.TABLE,
 }  # fmt: skip
@@ -107,7 +107,7 @@ def pack_injections(scenario: Scenario, pool: Pool) -> signals.Injections:
         count=len(given),
         where=_codes([_WHERE[i.at] for i in given], n),
         axis=_codes([_AXIS[i.axis] for i in given], n),
-        shape=_codes([_SHAPE[i.kind] for i in given], n),
+        form=_codes([_FORM[i.kind] for i in given], n),
         replaces=_codes([int(i.replaces) for i in given], n),
         start_ns=_codes([to_ns(i.start_s) for i in given], n),
         stop_ns=_codes([to_ns(i.stop_s) if i.stop_s is not None else NEVER for i in given], n),
