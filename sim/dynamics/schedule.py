@@ -8,6 +8,7 @@ tank, then `mode_width` per mode (pitch plane, then yaw plane).
 from __future__ import annotations
 
 from maxq.control.jit import kernel
+from maxq.control.records import Array
 from maxq.sim.dynamics.state import Sizes
 
 CORE_MASS = 0  # kg, without the sloshing masses
@@ -30,7 +31,8 @@ MODE_MASS = 1  # generalised mass, kg
 MODE_PHI_GIMBAL = 2
 MODE_SLOPE_GIMBAL = 3  # d(phi)/d(x_n), 1/m
 MODE_SLOPE_GYRO = 4
-MODE_FIRST = 5  # then phi at each tank; phi, slope at each surface; a row of axial softening, kg/m per mode
+MODE_INVERSE_MASS = 5  # 1/kg, filled in by `complete`
+MODE_FIRST = 6  # then phi at each tank; phi, slope at each surface; a row of axial softening, kg/m per mode
 
 
 @kernel
@@ -57,3 +59,36 @@ def yaw_column(sizes: Sizes, mode: int) -> int:
 @kernel
 def schedule_width(sizes: Sizes) -> int:
     return yaw_column(sizes, sizes.yaw_modes)
+
+
+@kernel
+def compliance_column(sizes: Sizes, plane: int) -> int:
+    """Behind the table's columns: sum over the modes of phi_k phi_j / M for tanks k, j, in pitch (0) or yaw (1)."""
+    return schedule_width(sizes) + plane * sizes.tanks * sizes.tanks
+
+
+@kernel
+def complete(sizes: Sizes, props: Array) -> None:
+    """Fill in what follows from the table's columns and is used many times a step."""
+    first, width = pitch_column(sizes, 0), mode_width(sizes, sizes.pitch_modes)
+    _complete_plane(sizes, sizes.pitch_modes, first, width, compliance_column(sizes, 0), props)
+    first, width = yaw_column(sizes, 0), mode_width(sizes, sizes.yaw_modes)
+    _complete_plane(sizes, sizes.yaw_modes, first, width, compliance_column(sizes, 1), props)
+
+
+@kernel
+def _complete_plane(sizes: Sizes, modes: int, first: int, width: int, compliance: int, props: Array) -> None:
+    n = sizes.tanks
+    for i in range(modes):
+        m = first + i * width
+        props[m + MODE_INVERSE_MASS] = 1.0 / props[m + MODE_MASS]
+    for k in range(n):
+        for j in range(k, n):
+            total = 0.0
+            for i in range(modes):
+                m = first + i * width
+                total += (
+                    props[m + MODE_FIRST + k] * props[m + MODE_FIRST + j] * props[m + MODE_INVERSE_MASS]
+                )
+            props[compliance + k * n + j] = total
+            props[compliance + j * n + k] = total

@@ -10,7 +10,14 @@ from __future__ import annotations
 
 from maxq.control.jit import kernel
 from maxq.control.records import Array
-from maxq.sim.dynamics.schedule import MODE_FIRST, MODE_MASS, mode_width, pitch_column, yaw_column
+from maxq.sim.dynamics.schedule import (
+    MODE_FIRST,
+    MODE_INVERSE_MASS,
+    compliance_column,
+    mode_width,
+    pitch_column,
+    yaw_column,
+)
 from maxq.sim.dynamics.slosh import ACCEL, ALPHA, ARM, DEMAND, Slosh, bob_mass
 from maxq.sim.dynamics.state import MAX_TANKS, Sizes, pendulum_index
 from maxq.sim.dynamics.vectors import Symmetric, Vector, add, cross, dot, scaled, symmetric_times
@@ -58,12 +65,12 @@ def accelerate(
 
 @kernel
 def _divide_by_modal_mass(sizes: Sizes, props: Array, work: Array) -> None:
-    c, width = pitch_column(sizes, 0) + MODE_MASS, mode_width(sizes, sizes.pitch_modes)
+    c, width = pitch_column(sizes, 0) + MODE_INVERSE_MASS, mode_width(sizes, sizes.pitch_modes)
     for i in range(sizes.pitch_modes):
-        work[FORCE_PITCH + i] /= props[c + i * width]
-    c, width = yaw_column(sizes, 0) + MODE_MASS, mode_width(sizes, sizes.yaw_modes)
+        work[FORCE_PITCH + i] *= props[c + i * width]
+    c, width = yaw_column(sizes, 0) + MODE_INVERSE_MASS, mode_width(sizes, sizes.yaw_modes)
     for i in range(sizes.yaw_modes):
-        work[FORCE_YAW + i] /= props[c + i * width]
+        work[FORCE_YAW + i] *= props[c + i * width]
 
 
 @kernel
@@ -88,6 +95,7 @@ def _tensions(
 ) -> None:
     """Solve  (1/m_k) T_k + sum_l G_kl T_l = demand_k - (hinge acceleration along the rod without tensions)."""
     n = sizes.tanks
+    in_pitch, in_yaw = compliance_column(sizes, 0), compliance_column(sizes, 1)
     for k in range(n):
         i, b = pendulum_index(sizes, k), PENDULUM + PENDULUM_WIDTH * k
         u = (y[i], y[i + 1], y[i + 2])
@@ -99,7 +107,7 @@ def _tensions(
             i_j, b_j = pendulum_index(sizes, j), PENDULUM + PENDULUM_WIDTH * j
             g = dot(u, (work[b_j + ACCEL], work[b_j + ACCEL + 1], work[b_j + ACCEL + 2]))
             g += dot(arm, (work[b_j + ALPHA], work[b_j + ALPHA + 1], work[b_j + ALPHA + 2]))
-            g += _modal_gram(sizes, k, j, u, y[i_j + 1], y[i_j + 2], props)
+            g += props[in_pitch + k * n + j] * u[2] * y[i_j + 2] + props[in_yaw + k * n + j] * u[1] * y[i_j + 1]
             work[GRAM + k * MAX_TANKS + j] = mass * g
         work[GRAM + k * MAX_TANKS + k] += 1.0
     for k in range(n):  # elimination; the symmetric form of the matrix is positive definite, so no pivoting is needed
@@ -121,28 +129,14 @@ def _tensions(
 def _modal_accel_along(sizes: Sizes, tank: int, u: Vector, props: Array, work: Array) -> float:
     """Acceleration of a hinge along its rod by the modes."""
     c, width = pitch_column(sizes, 0) + MODE_FIRST + tank, mode_width(sizes, sizes.pitch_modes)
-    total = 0.0
+    along_z = 0.0
     for i in range(sizes.pitch_modes):
-        total += props[c + i * width] * u[2] * work[FORCE_PITCH + i]
+        along_z += props[c + i * width] * work[FORCE_PITCH + i]
     c, width = yaw_column(sizes, 0) + MODE_FIRST + tank, mode_width(sizes, sizes.yaw_modes)
+    along_y = 0.0
     for i in range(sizes.yaw_modes):
-        total += props[c + i * width] * u[1] * work[FORCE_YAW + i]
-    return total
-
-
-@kernel
-def _modal_gram(sizes: Sizes, k: int, j: int, u: Vector, u_y: float, u_z: float, props: Array) -> float:
-    """Acceleration of hinge k along its rod, through the modes, per newton of tension in rod j."""
-    c, width = pitch_column(sizes, 0), mode_width(sizes, sizes.pitch_modes)
-    total = 0.0
-    for i in range(sizes.pitch_modes):
-        m = c + i * width
-        total += props[m + MODE_FIRST + k] * props[m + MODE_FIRST + j] * u[2] * u_z / props[m + MODE_MASS]
-    c, width = yaw_column(sizes, 0), mode_width(sizes, sizes.yaw_modes)
-    for i in range(sizes.yaw_modes):
-        m = c + i * width
-        total += props[m + MODE_FIRST + k] * props[m + MODE_FIRST + j] * u[1] * u_y / props[m + MODE_MASS]
-    return total
+        along_y += props[c + i * width] * work[FORCE_YAW + i]
+    return u[2] * along_z + u[1] * along_y
 
 
 @kernel
@@ -152,8 +146,8 @@ def _pull_modes(sizes: Sizes, k: int, tension: float, props: Array, y: Array, wo
     c, width = pitch_column(sizes, 0), mode_width(sizes, sizes.pitch_modes)
     for j in range(sizes.pitch_modes):
         m = c + j * width
-        work[FORCE_PITCH + j] += tension * y[i + 2] * props[m + MODE_FIRST + k] / props[m + MODE_MASS]
+        work[FORCE_PITCH + j] += tension * y[i + 2] * props[m + MODE_FIRST + k] * props[m + MODE_INVERSE_MASS]
     c, width = yaw_column(sizes, 0), mode_width(sizes, sizes.yaw_modes)
     for j in range(sizes.yaw_modes):
         m = c + j * width
-        work[FORCE_YAW + j] += tension * y[i + 1] * props[m + MODE_FIRST + k] / props[m + MODE_MASS]
+        work[FORCE_YAW + j] += tension * y[i + 1] * props[m + MODE_FIRST + k] * props[m + MODE_INVERSE_MASS]

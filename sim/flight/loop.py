@@ -10,8 +10,8 @@ from maxq.control.records import Array, IntArray
 from maxq.control.tables import find_interval
 from maxq.sim.dynamics.schedule import CORE_CG
 from maxq.sim.dynamics.state import MAX_STATE, Sizes, state_size
-from maxq.sim.dynamics.workspace import ALTITUDE, AUX_SIZE, AXIAL_LOAD, PRESSURE, WORK_SIZE
 from maxq.sim.dynamics.surroundings import climb_rate
+from maxq.sim.dynamics.workspace import ALTITUDE, AUX_SIZE, AXIAL_LOAD, PRESSURE, WORK_SIZE
 from maxq.sim.environment.turbulence import turbulence_start
 from maxq.sim.flight.events import (
     crossing,
@@ -37,7 +37,7 @@ from maxq.sim.flight.parameters import (
 from maxq.sim.flight.step import evaluate, read_schedule, runge_kutta, schedule_clock
 from maxq.sim.flight.telemetry import fill_fast, fill_slow
 
-PROPS_SIZE = 1024  # columns of the widest schedule (8 modes a plane, 8 tanks, 8 surfaces: 702)
+PROPS_SIZE = 1024  # columns of the widest schedule (8 modes a plane, 8 tanks, 8 surfaces: 846) and behind them
 
 # where the arrays of a flight lie in its arena: one allocation, made once
 _Y_END = 0

@@ -165,7 +165,7 @@ def _modes(stage: Stage, table: ModeTable, sizes: Sizes, method: Method) -> Cubi
         ]
         columns += [2.0 * np.pi * table.frequency_hz[:, mode], table.generalized_mass_kg[:, mode]]
         columns += [np.array([s(gimbal) for s in shapes]), np.array([s(gimbal, 1) for s in shapes])]
-        columns += [np.array([s(gyro, 1) for s in shapes])]
+        columns += [np.array([s(gyro, 1) for s in shapes]), np.zeros(len(times))]
         for hinge in hinges:
             columns.append(np.array([s(hinge(t)[2]) for s, t in zip(shapes, times, strict=True)]))
         for station in surface_stations(stage):
