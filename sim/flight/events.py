@@ -101,9 +101,14 @@ def meet_instants(p: Parameters, pool: Array, memory: Memory, y: Array, aux: Arr
 
 @kernel
 def take_effect(p: Parameters, memory: Memory) -> None:
-    """Hand a command that is due to the actuators and thrusters, which hold it."""
+    """Hand a command that is due to the actuators and thrusters, which hold it.
+
+    From burn-out on the engine is sent to its middle: without thrust the law could only drive it into its stops.
+    """
     clock, held = memory.clock, memory.held
     if clock.now_ns >= clock.command_due_ns:
+        if clock.stage_burnout_ns[clock.stage] >= 0:
+            clock.pending_pitch_rad, clock.pending_yaw_rad = 0.0, 0.0
         held.command_pitch_rad = after_backlash(
             p.vehicle.actuator_pitch, held.command_pitch_rad, clock.pending_pitch_rad
         )

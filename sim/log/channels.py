@@ -7,7 +7,7 @@ one `ChannelTable`, so that a channel is described in one place only.
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -122,6 +122,15 @@ class ChannelTable:
     def scales(self, group: str) -> Array:
         """Factor from kernel column to logged value for each column of a rate group."""
         return np.array([channel.scale for channel in self.columns(group)], float)
+
+    def as_logged(self) -> ChannelTable:
+        """The table of values that are in logged units already: `scale` 1 throughout."""
+        return ChannelTable(
+            tuple(
+                replace(topic, channels=tuple(replace(channel, scale=1.0) for channel in topic.channels))
+                for topic in self.topics
+            )
+        )
 
     @cached_property
     def names(self) -> tuple[str, ...]:

@@ -50,18 +50,33 @@ _HEAD_OPCODES = (Opcode.HEADER, Opcode.SCHEMA, Opcode.CHANNEL, Opcode.ATTACHMENT
 
 
 @dataclass(frozen=True)
+class LoggedRun:
+    """What a log says about its run besides the flight itself.
+
+    `end`: status, reason and result of the run (see `LogWriter.close`); empty where the file was cut off.
+    """
+
+    path: Path
+    metadata: Mapping[str, str]
+    attachments: Mapping[str, Attachment]
+    end: Mapping[str, str]
+
+
+@dataclass(frozen=True)
 class Log:
     """The log of one flight.
 
     `log["alpha_deg"]` is a channel's values (n,), `log.time_s("alpha_deg")` their times. `complete` is
     False where the run or the file ended early or something in it is damaged; `notes` then say what, one
-    sentence each.
+    sentence each. `end` says how the run ended: status, reason and result (see `LogWriter.close`); empty
+    where the file was cut off.
     """
 
     path: Path
     table: ChannelTable
     metadata: Mapping[str, str]
     attachments: Mapping[str, Attachment]
+    end: Mapping[str, str]
     events: tuple[Event, ...]
     complete: bool
     notes: tuple[str, ...]
@@ -125,12 +140,7 @@ def read_log(path: str | Path) -> Log:
     damaged or cut within its head, so that its content is unknown.
     """
     path = Path(path)
-    try:
-        data = path.read_bytes()
-    except OSError as error:
-        raise LogError(f"{path}: the log cannot be read: {error.strerror or error}") from error
-    except ValueError as error:  # a NUL character in the name
-        raise LogError(f"{path}: this is not a file name") from error
+    data = _read_bytes(path)
     try:
         head = _read_head(data)
         places = _find_chunks(data, head.end)
@@ -157,12 +167,38 @@ def read_log(path: str | Path) -> Log:
         head.table,
         head.metadata,
         head.attachments,
+        end,
         tuple(events),
         not notes,
         tuple(notes),
         times_ns,
         values,
     )
+
+
+def read_run(path: str | Path) -> LoggedRun:
+    """What a log says about its run, without reading the flight. Raises LogError as `read_log` does, and
+    where the head is damaged.
+    """
+    path = Path(path)
+    data = _read_bytes(path)
+    try:
+        head = _read_head(data)
+        places = _find_chunks(data, head.end)
+    except ValueError as error:
+        raise LogError(f"{path}: {error}") from error
+    if not head.intact:
+        raise LogError(f"{path}: the head of the log is damaged: the scenario in it may be wrong")
+    return LoggedRun(path, head.metadata, head.attachments, places.end_record or {})
+
+
+def _read_bytes(path: Path) -> bytes:
+    try:
+        return path.read_bytes()
+    except OSError as error:
+        raise LogError(f"{path}: the log cannot be read: {error.strerror or error}") from error
+    except ValueError as error:  # a NUL character in the name
+        raise LogError(f"{path}: this is not a file name") from error
 
 
 def _read_head(data: bytes) -> _Head:

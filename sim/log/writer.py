@@ -99,9 +99,15 @@ class LogWriter:
             if error is None:
                 raise  # else the first error is what matters, and the chunks written so far can be read
 
-    def close(self, error: BaseException | None = None) -> None:
-        """Write the end of the log, with the reason if the run was aborted; a second call does nothing."""
-        container = self._container
+    def close(self, error: BaseException | None = None, result: Mapping[str, str] | None = None) -> None:
+        """Write the end of the log, with the reason if the run was aborted; a second call does nothing.
+
+        `result`: what the run says about its end (outcome, state hash, ...); kept beside the status. Its keys
+        are its own: `status` and `reason` are refused with ValueError.
+        """
+        taken = {STATUS_KEY, REASON_KEY}.intersection(result or {})
+        if taken:
+            raise ValueError(f"result key {sorted(taken)[0]!r} is set by the log writer")
         container = self._container
         if not container.usable:
             container.close()
@@ -110,7 +116,7 @@ class LogWriter:
         if error is not None:
             status = {STATUS_KEY: ABORTED, REASON_KEY: f"{type(error).__name__}: {error}"}
         try:
-            container.add_metadata(END_METADATA, status)
+            container.add_metadata(END_METADATA, status | dict(sorted((result or {}).items())))
             container.finish()
         except OSError as failure:
             raise _cannot_write(self.path, failure) from failure

@@ -1,0 +1,66 @@
+# Sets everything up in .venv by itself and asks for nothing but python3 (3.11 or later), its venv module and make.
+# The set-up is done again only when pyproject.toml or constraints.txt has changed, or the folder has moved.
+
+PYTHON ?= python3
+ARGS ?=
+
+VENV := .venv
+PY := $(VENV)/bin/python
+PIP := $(PY) -m pip --disable-pip-version-check
+# A venv holds absolute paths: one that was copied or moved along with its folder is set up again.
+PLACE := $(VENV)/set-up-in
+TO_FLY := $(VENV)/ready-to-fly
+TO_TEST := $(VENV)/ready-to-test
+
+.PHONY: help fly test lint format FORCE
+.DELETE_ON_ERROR:
+
+help:  ## say what there is to make
+	@echo "make TARGET [ARGS='...']"
+	@sed -n 's/^\([a-z]*\):.*## \(.*\)/  \1\t\2/p' Makefile
+
+fly: $(TO_FLY)  ## fly scenarios/nominal.toml; ARGS go to simrun
+	@echo "Flying scenarios/nominal.toml with simrun."
+	@$(PY) $(VENV)/bin/simrun scenarios/nominal.toml $(ARGS)
+
+test: $(TO_TEST)  ## run the tests; ARGS go to pytest (ARGS="-m 'not slow'" leaves out the slow ones)
+	@echo "Running the tests with pytest."
+	@$(PY) -m pytest $(ARGS)
+
+lint: $(TO_TEST)  ## check style, format, types and the direction of imports
+	@echo "Checking style and format (ruff), types (mypy) and the direction of imports (import-linter)."
+	@failed=; \
+	$(PY) -m ruff check . || failed="$$failed style"; \
+	$(PY) -m ruff format --check --quiet . || failed="$$failed format(make-format-repairs-it)"; \
+	$(PY) -m mypy || failed="$$failed types"; \
+	PYTHONPATH=tools/.ns $(PY) $(VENV)/bin/lint-imports --no-logo || failed="$$failed imports"; \
+	if [ -n "$$failed" ]; then echo "lint: wrong:$$failed" >&2; exit 1; fi
+
+format: $(TO_TEST)  ## put the sources into ruff's format
+	@echo "Formatting the sources (ruff)."
+	@$(PY) -m ruff format .
+
+ifneq ($(shell cat $(PLACE) 2>/dev/null),$(CURDIR))
+$(PLACE): FORCE
+endif
+
+$(PLACE):
+	@command -v $(PYTHON) >/dev/null || { echo "maxq needs Python 3.11 or later, and there is no $(PYTHON): install it (Debian, Ubuntu: apt install python3 python3-venv), or name one with make PYTHON=..." >&2; exit 1; }
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { echo "maxq needs Python 3.11 or later, and $(PYTHON) is $$($(PYTHON) --version 2>&1): name a later one with make PYTHON=..." >&2; exit 1; }
+	@$(PYTHON) -c 'import ensurepip, venv' 2>/dev/null || { echo "$(PYTHON) cannot make virtual environments: install its venv module (Debian, Ubuntu: apt install python3-venv)" >&2; exit 1; }
+	@echo "Making the virtual environment $(VENV)."
+	@$(PYTHON) -m venv $(VENV)
+	@rm -f $(TO_FLY) $(TO_TEST)
+	@echo "$(CURDIR)" > $@
+
+# setuptools first, in the version of constraints.txt: a build in isolation would take whichever is newest
+$(TO_FLY): $(PLACE) pyproject.toml constraints.txt
+	@echo "Installing maxq and what it needs into $(VENV) (about a minute the first time)."
+	@$(PIP) install --quiet --constraint constraints.txt setuptools
+	@$(PIP) install --quiet --constraint constraints.txt --no-build-isolation --editable .
+	@touch $@
+
+$(TO_TEST): $(TO_FLY)
+	@echo "Installing what the tests and linters need into $(VENV)."
+	@$(PIP) install --quiet --constraint constraints.txt --no-build-isolation --editable '.[test,lint]'
+	@touch $@

@@ -1,0 +1,110 @@
+"""The set-up: what pyproject.toml, constraints.txt and the Makefile say fits what lies on the disk."""
+
+import os
+import re
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+
+import control
+import pytest
+from packaging.requirements import Requirement
+from packaging.utils import canonicalize_name
+
+ROOT = Path(__file__).resolve().parents[1]
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())
+LAYERS = ("control", "sim", "design", "tools")
+PIN = re.compile(r"([A-Za-z0-9._-]+)==([A-Za-z0-9.+!]+)")
+
+
+def modules():
+    """All modules of the four layers (tools/.ns holds links to them for type checkers, and no modules)."""
+    for layer in LAYERS:
+        yield from (p for p in (ROOT / layer).rglob("*.py") if ".ns" not in p.parts)
+
+
+def make(*arguments):
+    """Run make as a person would, outside of any make that runs the tests."""
+    environment = {k: v for k, v in os.environ.items() if not k.startswith(("MAKE", "MFLAGS"))}
+    return subprocess.run(
+        ["make", *arguments], cwd=ROOT, env=environment, capture_output=True, text=True, check=False
+    )
+
+
+def test_every_folder_with_modules_is_a_listed_package():
+    on_disk = {"maxq." + ".".join(path.parent.relative_to(ROOT).parts) for path in modules()}
+    listed = set(PROJECT["tool"]["setuptools"]["packages"])
+    # tools/ itself and scenarios/ (data) are packages with or without modules
+    assert listed == on_disk | {"maxq.tools", "maxq.scenarios"}
+
+
+def test_every_package_maps_to_its_folder():
+    folders = PROJECT["tool"]["setuptools"]["package-dir"]
+    assert folders == {f"maxq.{name}": name for name in (*LAYERS, "scenarios")}
+
+
+def test_no_layer_can_shadow_another_package():
+    """With an __init__.py, `import control` from the top of the checkout would be the flight software."""
+    assert [p for layer in LAYERS for p in (ROOT / layer).rglob("__init__.py")] == []
+
+
+def test_control_is_python_control_and_maxq_control_is_ours():
+    assert control.tf([1], [1, 1]).poles() == [-1]
+    code = "import control, maxq.control.law as m; print(control.tf([1], [1, 1]).poles()[0].real, m.__file__)"
+    done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=True)
+    pole, file = done.stdout.split(maxsplit=1)
+    assert float(pole) == -1
+    assert Path(file.strip()) == ROOT / "control" / "law.py"
+
+
+def test_links_for_type_checkers_lead_to_the_layers():
+    links = ROOT / "tools" / ".ns" / "maxq"
+    assert {link.name: os.readlink(link) for link in links.iterdir()} == {
+        layer: f"../../../{layer}" for layer in LAYERS
+    }
+
+
+def test_constraints_pin_every_requirement_within_its_range():
+    lines = (ROOT / "constraints.txt").read_text().splitlines()
+    matches = [PIN.fullmatch(line) for line in lines if not line.startswith("#")]
+    assert all(matches), "constraints.txt holds comments and NAME==VERSION, nothing else"
+    pins = {canonicalize_name(match[1]): match[2] for match in matches if match}
+    extras = PROJECT["project"]["optional-dependencies"]
+    wanted = [
+        *PROJECT["build-system"]["requires"],
+        *PROJECT["project"]["dependencies"],
+        *(requirement for extra in extras.values() for requirement in extra),
+    ]
+    for requirement in map(Requirement, wanted):
+        pin = pins.get(canonicalize_name(requirement.name))
+        assert pin is not None, f"constraints.txt does not pin {requirement.name}"
+        assert requirement.specifier.contains(pin), (
+            f"{requirement.name}=={pin} is not {requirement.specifier}"
+        )
+
+
+def test_help_names_every_target_for_people():
+    targets = set(re.findall(r"^([a-z]+):", (ROOT / "Makefile").read_text(), re.MULTILINE))
+    said = make("help").stdout
+    assert {line.split("\t")[0].strip() for line in said.splitlines()[1:]} == targets
+
+
+@pytest.mark.parametrize(
+    ("script", "message"),
+    [
+        (None, "needs Python 3.11 or later, and there is no"),
+        ("case $1 in --version) echo Python 3.9.2;; *) exit 1;; esac", "is Python 3.9.2"),
+        ('case "$2" in *version_info*) exit 0;; *) exit 1;; esac', "apt install python3-venv"),
+    ],
+    ids=["no python", "old python", "no venv module"],
+)
+def test_make_says_what_is_missing(tmp_path, script, message):
+    python = tmp_path / "python3"
+    if script is not None:
+        python.write_text(f"#!/bin/sh\n{script}\n")
+        python.chmod(0o755)
+    done = make("fly", f"PYTHON={python}", f"VENV={tmp_path / 'venv'}")
+    assert done.returncode == 2
+    assert message in done.stderr
+    assert not (tmp_path / "venv").exists()
