@@ -19,7 +19,7 @@ import numpy as np
 from maxq.control.converter import Converter, ConverterState, convert, make_converter
 from maxq.control.filters import MAX_SECTIONS, DiscreteFilter, filter_sample, settle_filter
 from maxq.control.guidance import GuidanceState, advance_guidance, start_guidance
-from maxq.control.jit import kernel
+from maxq.control.jit import routine
 from maxq.control.law import Law, LawState, limit_and_quantise, proportional_derivative, update_angle_error
 from maxq.control.records import Array, IntArray
 from maxq.control.roll import Roll, RollState, silence_roll, update_roll
@@ -158,7 +158,7 @@ def _bank(sample_ns: int, *filters: DiscreteFilter | None) -> FilterBank:
     return FilterBank(sections, n_sections)
 
 
-@kernel
+@routine
 def start_computer(computer: Computer, pool: Array, state: ComputerState, time_s: float) -> None:
     """Sets all of `state` to 0 with the programme starting at `time_s`, the beginning of the first sample."""
     state.ticks = 0
@@ -193,7 +193,7 @@ def start_computer(computer: Computer, pool: Array, state: ComputerState, time_s
     silence_roll(state.roll)
 
 
-@kernel
+@routine
 def computer_tick(
     computer: Computer,
     pool: Array,
@@ -257,7 +257,7 @@ def computer_tick(
     state.ticks += 1
 
 
-@kernel
+@routine
 def update_command(
     computer: Computer,
     pool: Array,

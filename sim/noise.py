@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import math
 
-from maxq.control.jit import kernel
+from maxq.control.jit import kernel, routine
 
 # Streams in use, so that no two components share a sequence: 1 turbulence, 16 to 18 the gyro's three axes
 # (GYRO_STREAM in sim/dynamics/gyro.py).
@@ -73,7 +73,7 @@ def uniform_pair(seed: int, stream: int, index: int) -> tuple[float, float]:
     )
 
 
-@kernel
+@routine
 def standard_normal(seed: int, stream: int, index: int) -> float:
     """One draw of the standard normal distribution; |value| is at most 8.21 (the last cells of the
     uniform).
@@ -81,7 +81,7 @@ def standard_normal(seed: int, stream: int, index: int) -> float:
     return normal_quantile(uniform_pair(seed, stream, index)[0])
 
 
-@kernel
+@routine
 def standard_normal_pair(seed: int, stream: int, index: int) -> tuple[float, float]:
     """Two independent standard normal draws for little more than the price of one; the first is
     `standard_normal`.

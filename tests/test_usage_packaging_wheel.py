@@ -1,4 +1,4 @@
-"""maxq installed from a wheel, in an empty folder: what it holds, and that its commands fly what it brings along."""
+"""maxq installed from a wheel, in an empty folder: its content, and flights of what it brings along."""
 
 import json
 import os
@@ -45,7 +45,7 @@ def build_wheel(source, folder):
 
 @pytest.fixture(scope="module")
 def source(tmp_path_factory):
-    """A copy of what is packaged, so that building leaves nothing in the checkout, and takes nothing stale from it."""
+    """A copy of what is packaged: building leaves nothing in the checkout and takes nothing stale from it."""
     folder = tmp_path_factory.mktemp("source")
     for name in PACKAGES:
         if (ROOT / name).exists():
@@ -63,9 +63,9 @@ def wheel(source, tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def installed(wheel, tmp_path_factory):
-    """The bin folder of an environment with maxq from the wheel; all else is borrowed from the one that runs the tests.
+    """The bin folder of an environment with maxq from the wheel; all else is lent by the running one.
 
-    A .pth file lends it: the .pth files over there, which lead to an editable maxq, are then not read.
+    A .pth file does so: the .pth files over there, which lead to an editable maxq, are then not read.
     """
     folder = tmp_path_factory.mktemp("environment")
     succeed([sys.executable, "-m", "venv", "--without-pip", folder], folder)
@@ -87,9 +87,12 @@ def files_of(wheel):
 
 
 def test_the_wheel_holds_every_module_and_every_scenario_file(source, wheel):
-    modules = {p for p in source.rglob("*.py") if ".ns" not in p.parts}
-    data = {p for p in (source / "scenarios").rglob("*") if p.is_file()}
-    assert files_of(wheel) == {f"maxq/{p.relative_to(source)}" for p in modules | data}
+    files = {
+        p for name in PACKAGES for p in (source / name).rglob("*") if p.is_file() and ".ns" not in p.parts
+    }
+    packaged = {p for p in files if p.suffix == ".py" or p.is_relative_to(source / "scenarios")}
+    assert packaged
+    assert files_of(wheel) == {f"maxq/{p.relative_to(source)}" for p in packaged}
 
 
 def test_a_wheel_built_from_the_source_distribution_is_the_same(source, wheel, tmp_path):
@@ -131,6 +134,7 @@ def test_simrun_flies_a_built_in_scenario_and_a_changed_copy(installed, cache, t
     copied = run([simrun, scenario, "--no-log", "--out", "b"], tmp_path, MAXQ_CACHE=cache)
     for done, folder, duration_s in ((built_in, "a", 2), (copied, "b", 1)):
         # 1: flown, a requirement missed; a flight this short meets none about its end
+        assert "Traceback" not in done.stderr, done.stderr
         assert done.returncode in (0, 1), done.stdout + done.stderr
         summary = json.loads((tmp_path / folder / "summary.json").read_text())
         assert summary["outcome"] == "ended"

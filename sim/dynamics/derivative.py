@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from maxq.control.jit import kernel
+from maxq.control.jit import kernel, routine
 from maxq.control.records import Array
 from maxq.control.tables import TableRef
 from maxq.sim.dynamics.actuator import Actuator, actuator_derivative, actuator_output
@@ -98,7 +98,7 @@ class Held:
     turbulence_phase: float  # where the step's instant lies between two turbulence ticks, 0 to 1
 
 
-@kernel
+@routine
 def derivative(
     vehicle: Vehicle, around: Surroundings, pool: Array, held: Held, gusts: TurbulenceState, props: Array,
     y: Array, dy: Array, work: Array, aux: Array,
@@ -114,8 +114,10 @@ def derivative(
 
     aero_force, aero_moment = aerodynamics(vehicle, around, pool, held, rotation, rate, props, y, work, aux)
     thrust_force, thrust_moment = push_of_thrust(vehicle, engine, props, y, work, aux)
-    pad = pad_acceleration(around.earth, rotation, gravitation, y)
-    axial_load = pad[0] if held.down == 1 else (aero_force[0] + thrust_force[0]) / props[TOTAL_MASS]
+    pad, axial_load = (0.0, 0.0, 0.0), (aero_force[0] + thrust_force[0]) / props[TOTAL_MASS]
+    if held.down == 1:
+        pad = pad_acceleration(around.earth, rotation, gravitation, y)
+        axial_load = pad[0]
     aux[AXIAL_LOAD] = axial_load
 
     force = add(add(aero_force, thrust_force), (held.force_x_N, held.force_y_N, held.force_z_N))

@@ -6,11 +6,10 @@ straight its mass is part of the core; here stands only what a deflection adds.
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 from maxq.control.jit import kernel
-from maxq.sim.dynamics.vectors import Vector
+from maxq.sim.dynamics.vectors import Vector, sine_cosine
 
 
 @dataclass(frozen=True)
@@ -29,18 +28,15 @@ class Engine:
 
 
 @kernel
-def thrust_axis(pitch: float, yaw: float) -> Vector:
-    """Unit vector of the thrust in B; positive angles give positive pitch and yaw moments (rad)."""
-    cos_yaw = math.cos(yaw)
-    return (math.cos(pitch) * cos_yaw, -math.sin(yaw), math.sin(pitch) * cos_yaw)
-
-
-@kernel
 def thrust_axis_motion(
     pitch: float, pitch_rate: float, pitch_accel: float, yaw: float, yaw_rate: float, yaw_accel: float
 ) -> tuple[Vector, Vector, Vector]:
-    """`thrust_axis` with its first and second time derivative in B."""
-    sp, cp, sy, cy = math.sin(pitch), math.cos(pitch), math.sin(yaw), math.cos(yaw)
+    """Unit vector of the thrust in B with its first and second time derivative.
+
+    Positive angles (rad) give positive pitch and yaw moments.
+    """
+    sp, cp = sine_cosine(pitch)
+    sy, cy = sine_cosine(yaw)
     p2, y2, py = pitch_rate * pitch_rate, yaw_rate * yaw_rate, 2.0 * pitch_rate * yaw_rate
     axis = (cp * cy, -sy, sp * cy)
     rate = (

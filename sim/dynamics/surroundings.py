@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from maxq.control.jit import kernel
+from maxq.control.jit import kernel, routine
 from maxq.control.records import Array
 from maxq.sim.dynamics.state import R_I, V_I
 from maxq.sim.dynamics.vectors import Matrix, Vector, add, cross, scaled, turn_back
@@ -79,7 +79,7 @@ def pad_acceleration(earth: Earth, rotation: Matrix, gravity: Vector, y: Array) 
     return turn_back(rotation, add(carried, scaled(-1.0, gravity)))
 
 
-@kernel
+@routine
 def climb_rate(earth: Earth, y: Array) -> tuple[float, float]:
     """Altitude (m) and its rate (m/s) relative to the turning Earth."""
     altitude, sin_lat, cos_lat, sin_lon, cos_lon = local_frame(earth, y[R_I], y[R_I + 1], y[R_I + 2])

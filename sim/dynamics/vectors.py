@@ -40,6 +40,17 @@ def norm(a: Vector) -> float:
 
 
 @kernel
+def sine_cosine(x: float) -> tuple[float, float]:
+    """sin(x), cos(x), x in rad: Taylor series to rounding for |x| <= 0.25 (a gimbal's range), the library beyond."""
+    if abs(x) > 0.25:
+        return math.sin(x), math.cos(x)
+    t = x * x
+    sine = 1.0 + t * (-1 / 6 + t * (1 / 120 + t * (-1 / 5040 + t * (1 / 362880 - t / 39916800))))
+    cosine = 1.0 + t * (-1 / 2 + t * (1 / 24 + t * (-1 / 720 + t * (1 / 40320 + t * (-1 / 3628800 + t / 479001600)))))
+    return x * sine, cosine
+
+
+@kernel
 def rotation_from_quaternion(w: float, x: float, y: float, z: float) -> Matrix:
     """Rows of the matrix that turns B components into I components; exact for any norm near one to first order."""
     return (

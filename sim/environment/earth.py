@@ -16,7 +16,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from maxq.control.jit import kernel
+from maxq.control.jit import kernel, routine
 
 FLAT, SPHERE, ELLIPSOID = 0, 1, 2  # Earth.figure
 NO_GRAVITY, UNIFORM, INVERSE_SQUARE, J2 = 0, 1, 2, 3  # Earth.gravity
@@ -226,7 +226,7 @@ def _bowring(ratio: float, e2a: float, p: float, z: float, s: float, c: float) -
     return s * inv, c * inv
 
 
-@kernel
+@routine
 def geodetic(earth: Earth, x: float, y: float, z: float) -> tuple[float, float, float]:
     """(latitude [rad], longitude [rad] in -pi..pi, altitude [m]) of the Earth-fixed position (x, y, z) [m].
 

@@ -26,7 +26,7 @@ from typing import Annotated, Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from maxq.control.jit import kernel
+from maxq.control.jit import kernel, routine
 from maxq.control.records import Array
 from maxq.control.tables import NO_TABLE, Cubics, TableRef, find_interval, fit, interpolate
 from maxq.sim.noise import TURBULENCE_STREAM, standard_normal, standard_normal_pair
@@ -115,7 +115,7 @@ def exceedance_table(level: Exceedance, ground_altitude_m: float = 0.0) -> Cubic
 _ROOT_3 = math.sqrt(3.0)
 
 
-@kernel
+@routine
 def turbulence_start(turbulence: Turbulence, pool: Array, state: TurbulenceState, altitude_m: float) -> None:
     """Draw the filters' states from their stationary distribution and set the gust: there is no spin-up."""
     if turbulence.on == 0:
@@ -133,7 +133,7 @@ def turbulence_start(turbulence: Turbulence, pool: Array, state: TurbulenceState
         state.before_mps[j] = state.now_mps[j]
 
 
-@kernel
+@routine
 def turbulence_tick(
     turbulence: Turbulence, pool: Array, state: TurbulenceState, airspeed_mps: float, altitude_m: float
 ) -> None:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 
 from maxq.control.computer import computer_tick
-from maxq.control.jit import kernel
+from maxq.control.jit import kernel, routine
 from maxq.control.records import Array
 from maxq.sim.dynamics.actuator import after_backlash
 from maxq.sim.dynamics.engine import thrust
@@ -69,7 +69,7 @@ def note(p: Parameters, memory: Memory, event: int, now_ns: int) -> None:
         memory.clock.finished = 1
 
 
-@kernel
+@routine
 def meet_instants(p: Parameters, pool: Array, memory: Memory, y: Array, aux: Array) -> int:
     """Everything that is due now. Returns 1 where the vehicle itself has changed (engine on or off)."""
     clock, held = memory.clock, memory.held
@@ -119,7 +119,7 @@ def take_effect(p: Parameters, memory: Memory) -> None:
         clock.command_due_ns = NEVER
 
 
-@kernel
+@routine
 def sample(p: Parameters, pool: Array, memory: Memory, y: Array) -> None:
     """One tick of the flight computer on what the gyro has turned since the last one."""
     clock = memory.clock
@@ -190,7 +190,7 @@ def _next_break(p: Parameters, pool: Array, memory: Memory, now_ns: int) -> int:
     return NEVER
 
 
-@kernel
+@routine
 def crossing(
     p: Parameters, memory: Memory, event: int, y: Array, props: Array, pad_load: float, pressure: float
 ) -> float:
@@ -204,7 +204,7 @@ def crossing(
     return p.course.ground_altitude_m - altitude
 
 
-@kernel
+@routine
 def watch(p: Parameters, memory: Memory, y: Array, aux: Array) -> None:
     """Events that are seen at a step's start: lost control, tumbling."""
     if memory.held.down == 1:
@@ -218,7 +218,7 @@ def watch(p: Parameters, memory: Memory, y: Array, aux: Array) -> None:
             note(p, memory, TUMBLE, clock.now_ns)
 
 
-@kernel
+@routine
 def fault(p: Parameters, y: Array) -> int:
     """Why a state is no flight any more, or FINITE. Written so that a NaN fails every comparison."""
     turning = abs(y[W_BI_B]) + abs(y[W_BI_B + 1]) + abs(y[W_BI_B + 2])
@@ -246,7 +246,7 @@ def fault(p: Parameters, y: Array) -> int:
     return FINITE
 
 
-@kernel
+@routine
 def hand_over(before: Parameters, after: Parameters, memory: Memory, old: Array, new: Array, y: Array) -> None:
     """Separation: the upper part flies on from where its own core CG is; modes and bobs start at rest.
 
@@ -272,7 +272,7 @@ def hand_over(before: Parameters, after: Parameters, memory: Memory, old: Array,
     memory.clock.stage_separation_ns[memory.clock.stage] = memory.clock.now_ns
 
 
-@kernel
+@routine
 def rest(p: Parameters, rate: tuple[float, float, float], y: Array) -> None:
     """Flexible and sloshing states at rest relative to the body."""
     sizes = p.vehicle.sizes

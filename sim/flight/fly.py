@@ -3,51 +3,40 @@
 from __future__ import annotations
 
 import hashlib
+import math
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from maxq.control.records import Array, IntArray, pack
-from maxq.sim.dynamics.state import state_size
+from maxq.sim.flight.ending import ending_values
+from maxq.sim.flight.history import Event, cause_of, events_so_far, outcome_so_far
+from maxq.sim.flight.judgement import ALL_METRICS, Verdict, judge
 from maxq.sim.flight.loop import ARENA_SIZE, Logged, advance, begin
 from maxq.sim.flight.metrics import METRICS
-from maxq.sim.flight.parameters import CAUSES, CONTROL_LOST, DIVERGED, EVENT_NAMES, IMPACT
 from maxq.sim.flight.telemetry import FAST, SLOW, channel_table
 from maxq.sim.log.channels import ChannelTable
 from maxq.sim.packing.flight import Packed, pack_flight
 from maxq.sim.scenario.loader import LoadedScenario
-from maxq.sim.scenario.schema_scenario import Requirement
 
-SEGMENT_NS = 1_000_000_000  # one log chunk; also how often a flight can be interrupted
+LONGEST_SEGMENT_NS = 1_000_000_000  # one log chunk
+_MOST_STEPS, _MOST_ROWS = 50_000, 20_000  # of a segment: a fraction of a second of work, a few MB of rows
 
 Rows = dict[str, tuple[IntArray, Array]]
-
-
-@dataclass(frozen=True)
-class Event:
-    name: str
-    time_s: float
-
-
-@dataclass(frozen=True)
-class Verdict:
-    """A requirement and what the flight made of it."""
-
-    requirement: Requirement
-    value: float
-    met: bool
+"""By rate group: times (n,) in ns and values (n, columns of the group) in logged units."""
 
 
 @dataclass(frozen=True)
 class Flight:
     """A flight that has been flown.
 
-    `flight["alpha_deg"]` is a channel, `flight.time_s("alpha_deg")` its times; `metrics` and `metric_times_s` go by
-    metric name. `outcome`: "impact", "stopped", "diverged", ... ; `cause` says why where it diverged.
+    `flight["alpha_deg"]` is a channel, `flight.time_s("alpha_deg")` its times; `metrics` and `metric_times_s`
+    go by metric name (nan: the metric never came up). `outcome`: "impact" or another event of run.stop_at
+    that ended it, "duration", "diverged", "interrupted". `cause` says in words why it diverged. `final` holds
+    every channel at the last instant, with or without a log.
     """
 
     scenario: LoadedScenario
@@ -57,16 +46,19 @@ class Flight:
     metrics: dict[str, float]
     metric_times_s: dict[str, float]
     verdicts: tuple[Verdict, ...]
+    failures: tuple[str, ...]  # control lost, diverged: what and when, in words
     outcome: str
     cause: str
     end_s: float
+    end_ns: int
     steps: int
     state: Array = field(repr=False)
+    final: dict[str, float] = field(repr=False)
     state_hash: str
     wall_s: float
 
     def __getitem__(self, channel: str) -> Array:
-        """Values of a channel; KeyError for an unknown name."""
+        """Values of a channel; KeyError for an unknown name or a flight that was flown without a log."""
         group = self.table.topic(channel).group
         return self.rows[group][1][:, self.table.index(channel)]
 
@@ -75,35 +67,42 @@ class Flight:
         return 1e-9 * self.rows[self.table.topic(channel).group][0]
 
     def event_s(self, name: str) -> float:
-        """Time of an event; nan if it has not happened."""
-        return next((e.time_s for e in self.events if e.name == name), float("nan"))
+        """Time of an event, the last one of several stages; nan if it has not happened."""
+        return max((e.time_s for e in self.events if e.name == name), default=math.nan)
 
     @property
     def passed(self) -> bool:
-        """All requirements met, control never lost, nothing diverged."""
-        lost = any(e.name in (EVENT_NAMES[CONTROL_LOST], EVENT_NAMES[DIVERGED]) for e in self.events)
-        return not lost and all(v.met for v in self.verdicts)
+        """Flown to its end, all requirements met, control never lost, nothing diverged."""
+        return self.outcome != "interrupted" and not self.failures and all(v.met for v in self.verdicts)
 
 
 class FlightRun:
-    """A flight under way: `fly_segment` until `finished`, then `result`."""
+    """A flight under way: `fly_segment` until `finished`, then `result`.
+
+    Making one loads the compiled kernels, or compiles them (about half a minute, once).
+    """
 
     def __init__(self, loaded: LoadedScenario, packed: Packed | None = None, log: bool = True) -> None:
         self.loaded = loaded
         self.packed = packed or pack_flight(loaded.scenario)
         tanks = max((stage.tank for stage in loaded.vehicle.stage), key=len)
         names = tuple(tank.name or str(i + 1) for i, tank in enumerate(tanks[: self.packed.sizes.tanks]))
-        self.table = channel_table(self.packed.sizes, names)
-        self._logged = pack([Logged(int(log), self.packed.sizes)])
+        kernel_table = channel_table(self.packed.sizes, names)
+        self.table = kernel_table.as_logged()
+        self._scales = {group: kernel_table.scales(group) for group in (FAST, SLOW)}
+        self._on, self._off = (pack([Logged(on, self.packed.sizes)]) for on in (1, 0))
         self._arena = np.zeros(ARENA_SIZE)
-        self._rows = np.zeros(2, np.int64)
         course = self.packed.parameters[0].course
-        self._buffers: dict[str, tuple[IntArray, Array]] = {}
-        for group, period in ((FAST, course.fast_ns), (SLOW, course.slow_ns)):
-            room = SEGMENT_NS // int(period) + 4 if log else 1
-            self._buffers[group] = (np.zeros(room, np.int64), np.zeros((room, len(self.table.columns(group)))))
+        periods_ns = {FAST: int(course.fast_ns), SLOW: int(course.slow_ns)}
+        self.segment_ns = _segment_ns(int(course.step_ns), min(periods_ns.values()))
+        self._logged = self._on if log else self._off
+        self._rows = {
+            group: self._blank(group, self.segment_ns // period_ns + 4 if log else 1)
+            for group, period_ns in periods_ns.items()
+        }
         self.wall_s = 0.0
         begin(self.packed.parameters, self.packed.pool, self.packed.memory, self.packed.state)
+        self._advance(int(self.memory.clock.now_ns), self._logged, self._rows)
 
     @property
     def memory(self) -> Any:
@@ -117,56 +116,98 @@ class FlightRun:
     def now_s(self) -> float:
         return 1e-9 * int(self.memory.clock.now_ns)
 
-    def fly_segment(self, length_ns: int = SEGMENT_NS) -> Rows:
-        """Fly on for a segment; returns its log rows (views that the next segment overwrites), in logged units."""
+    @property
+    def events(self) -> tuple[Event, ...]:
+        """What has happened so far."""
+        return events_so_far(self.packed, self.loaded.scenario.run.start_s)
+
+    def fly_segment(self, length_ns: int | None = None) -> Rows:
+        """Fly on to the next multiple of `length_ns`, itself a multiple of the step (default: `segment_ns`).
+
+        Returns the log rows on the way: views that the next segment overwrites, in logged units.
+        """
+        length_ns = length_ns or self.segment_ns
         until = (int(self.memory.clock.now_ns) // length_ns + 1) * length_ns
-        (fast_ns, fast), (slow_ns, slow) = self._buffers[FAST], self._buffers[SLOW]
-        self._rows[:] = 0
         start = time.perf_counter()
-        advance(
-            self.packed.parameters, self.packed.pool, self.packed.memory, self.packed.state, self._arena, until,
-            self._logged, fast_ns, fast, slow_ns, slow, self._rows,
-        )  # fmt: skip
+        rows = self._advance(until, self._logged, self._rows)
         self.wall_s += time.perf_counter() - start
-        n, m = self._rows
-        fast[:n] *= self.table.scales(FAST)
-        slow[:m] *= self.table.scales(SLOW)
-        return {FAST: (fast_ns[:n], fast[:n]), SLOW: (slow_ns[:m], slow[:m])}
+        return rows
+
+    def present(self) -> dict[str, float]:
+        """Every channel at this instant, in logged units. Changes nothing in the flight."""
+        memory, state = self.packed.memory.copy(), self.packed.state.copy()
+        clock = self.memory.clock
+        clock.finished, clock.started = 1, 1  # as at a flight's end, where the last instant is logged
+        room = {group: self._blank(group, 1) for group in self._rows}
+        rows = self._advance(int(clock.now_ns), self._on, room)
+        self.packed.memory[:], self.packed.state[:] = memory, state
+        return {
+            channel.name: float(value)
+            for group, (_, values) in rows.items()
+            for channel, value in zip(self.table.columns(group), values[0], strict=True)
+        }
 
     def result(self, rows: Rows | None = None) -> Flight:
         """The flight so far; `rows` are the log rows that the caller has kept."""
         clock, extremes = self.memory.clock, self.memory.extremes
-        events = [Event(n, 1e-9 * int(t)) for n, t in zip(EVENT_NAMES, clock.event_ns, strict=True) if t >= 0]
+        events, final, outcome = self.events, self.present(), outcome_so_far(self.packed)
+        scenario = self.loaded.scenario
         metrics = {m.name: float(v) for m, v in zip(METRICS, extremes.value, strict=True)}
-        times = {m.name: 1e-9 * int(t) for m, t in zip(METRICS, extremes.time_ns, strict=True)}
-        metrics |= _landing(events, self.packed)
-        verdicts = tuple(_judge(r, metrics) for r in self.loaded.scenario.requirement)
+        times = {
+            m.name: 1e-9 * int(t) if t >= 0 else math.nan
+            for m, t in zip(METRICS, extremes.time_ns, strict=True)
+        }
+        lift_off_s = next((e.time_s for e in events if e.name == "liftoff"), scenario.run.start_s)
+        earth = self.packed.parameters[0].around.earth
+        metrics |= ending_values(final, earth, scenario.site, self.now_s - lift_off_s)
+        times = {m.name: times.get(m.name, self.now_s) for m in ALL_METRICS}
+        causes = [(e, cause_of(e, self.packed)) for e in events]
         return Flight(
             scenario=self.loaded,
             table=self.table,
             rows=rows or {},
-            events=tuple(sorted(events, key=lambda e: e.time_s)),
+            events=events,
             metrics=metrics,
             metric_times_s=times,
-            verdicts=verdicts,
-            outcome=_outcome(clock),
-            cause=CAUSES[int(clock.cause)],
+            verdicts=tuple(judge(r, metrics, times) for r in scenario.requirement),
+            failures=tuple(
+                f"{e.name.replace('_', ' ')} at {e.time_s:.3f} s: {cause}" for e, cause in causes if cause
+            ),
+            outcome=outcome,
+            cause=next((cause for e, cause in causes if cause and e.name == outcome), ""),
             end_s=self.now_s,
+            end_ns=int(clock.now_ns),
             steps=int(clock.steps),
             state=self.packed.state.copy(),
+            final=final,
             state_hash=self.state_hash(),
             wall_s=self.wall_s,
         )
 
     def state_hash(self) -> str:
-        """SHA-256 over state, time and metrics: equal for equal flights, bit by bit."""
-        memory = self.memory
-        sizes = self.packed.parameters[int(memory.clock.stage)].vehicle.sizes
-        digest = hashlib.sha256(self.packed.state[: state_size(sizes)].tobytes())
-        digest.update(np.array([memory.clock.now_ns, memory.clock.steps]).tobytes())
-        digest.update(memory.extremes.value.tobytes())
-        digest.update(np.asarray(memory.clock.event_ns).tobytes())
+        """SHA-256 over state, time, metrics and events: equal for equal flights, bit by bit."""
+        clock = self.memory.clock
+        digest = hashlib.sha256(self.packed.state.tobytes())
+        digest.update(np.array([clock.now_ns, clock.steps, clock.stage]).tobytes())
+        digest.update(self.memory.extremes.value.tobytes())
+        digest.update(np.asarray(clock.event_ns).tobytes())
         return digest.hexdigest()
+
+    def _blank(self, group: str, room: int) -> tuple[IntArray, Array]:
+        return np.zeros(room, np.int64), np.zeros((room, len(self._scales[group])))
+
+    def _advance(self, until_ns: int, logged: Any, room: Rows) -> Rows:
+        """Fly until `until_ns`; the log rows as views of `room`, scaled."""
+        (fast_ns, fast), (slow_ns, slow) = room[FAST], room[SLOW]
+        counts = np.zeros(2, np.int64)
+        advance(
+            self.packed.parameters, self.packed.pool, self.packed.memory, self.packed.state, self._arena,
+            until_ns, logged, fast_ns, fast, slow_ns, slow, counts,
+        )  # fmt: skip
+        n, m = counts
+        fast[:n] *= self._scales[FAST]
+        slow[:m] *= self._scales[SLOW]
+        return {FAST: (fast_ns[:n], fast[:n]), SLOW: (slow_ns[:m], slow[:m])}
 
 
 def fly(
@@ -174,18 +215,23 @@ def fly(
 ) -> Flight:
     """Fly a scenario to its end. `log=False` keeps no channels and is fastest.
 
-    `watch` is called after every simulated second with the run and that second's rows. A flight that diverges is a
-    result (`outcome`, `cause`), no exception.
+    `watch` is called after every segment (1 s of simulated time or less) with the run and its rows. A flight
+    that diverges is a result (`outcome`, `cause`), no exception.
     """
     run = FlightRun(loaded, log=log)
     kept: list[Rows] = []
     while not run.finished:
         rows = run.fly_segment()
         if log:
-            kept.append({group: (t.copy(), values.copy()) for group, (t, values) in rows.items()})
+            kept.append(copied(rows))
         if watch is not None:
             watch(run, rows)
     return run.result(joined(kept) if log else None)
+
+
+def copied(rows: Rows) -> Rows:
+    """Rows that the next segment does not overwrite."""
+    return {group: (times.copy(), values.copy()) for group, (times, values) in rows.items()}
 
 
 def joined(segments: list[Rows]) -> Rows:
@@ -201,27 +247,13 @@ def joined(segments: list[Rows]) -> Rows:
     }
 
 
-def _outcome(clock: Any) -> str:
-    if clock.event_ns[DIVERGED] >= 0:
-        return EVENT_NAMES[DIVERGED]
-    if clock.event_ns[IMPACT] >= 0:
-        return EVENT_NAMES[IMPACT]
-    return "ended" if clock.finished else "interrupted"
+def _segment_ns(step_ns: int, shortest_log_ns: int) -> int:
+    """Length of a segment: 1 s, or less where that is many steps or rows; a multiple of the step.
+
+    A flight can be interrupted and its rows written between two segments only.
+    """
+    longest = min(LONGEST_SEGMENT_NS, _MOST_STEPS * step_ns, _MOST_ROWS * shortest_log_ns)
+    return max(longest // step_ns, 1) * step_ns
 
 
-def _judge(requirement: Requirement, metrics: dict[str, float]) -> Verdict:
-    value = metrics[requirement.metric]
-    if requirement.limit is not None:
-        met = value <= requirement.limit
-    else:
-        assert requirement.minimum is not None
-        met = value >= requirement.minimum
-    return Verdict(requirement, value, met)
-
-
-def _landing(events: list[Event], packed: Packed) -> dict[str, float]:
-    """Flight time and ground range, from the state at the flight's end."""
-    return {}
-
-
-__all__ = ["Event", "Flight", "FlightRun", "NDArray", "Verdict", "fly"]
+__all__ = ["Event", "Flight", "FlightRun", "Rows", "Verdict", "copied", "fly", "joined"]

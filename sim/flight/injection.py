@@ -10,7 +10,7 @@ import math
 from dataclasses import dataclass
 from typing import Annotated
 
-from maxq.control.jit import kernel
+from maxq.control.jit import kernel, routine
 from maxq.control.records import Array, IntArray
 from maxq.control.tables import TableRef, find_interval, interpolate
 
@@ -52,7 +52,7 @@ class Injections:
     table: TableRef
 
 
-@kernel
+@routine
 def signal(inj: Injections, pool: Array, i: int, step_start_ns: int, elapsed_s: float) -> float:
     """Value of signal `i`, `elapsed_s` after the start of a step: zero unless it is on during that step."""
     if step_start_ns < inj.start_ns[i] or step_start_ns >= inj.stop_ns[i]:
@@ -81,7 +81,7 @@ def signal(inj: Injections, pool: Array, i: int, step_start_ns: int, elapsed_s: 
     )
 
 
-@kernel
+@routine
 def total_signal(
     inj: Injections, pool: Array, where: int, axis: int, step_start_ns: int, elapsed_s: float
 ) -> float:
@@ -103,7 +103,7 @@ def replaced(inj: Injections, where: int, axis: int, now_ns: int) -> int:
     return 0
 
 
-@kernel
+@routine
 def next_switch(inj: Injections, pool: Array, now_ns: int, latest_ns: int) -> int:
     """First instant after `now_ns`, at most `latest_ns`, at which a signal has a kink."""
     best = latest_ns

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from maxq.control.computer import start_computer
-from maxq.control.jit import borrowed, entry, kernel
+from maxq.control.jit import borrowed, entry, kernel, routine
 from maxq.control.records import Array, IntArray
 from maxq.control.tables import find_interval
 from maxq.sim.dynamics.schedule import CORE_CG
@@ -83,7 +83,7 @@ def begin(P: Array, pool: Array, state: Array, y: Array) -> None:
     start_stage(p, pool, memory)
 
 
-@kernel
+@routine
 def start_stage(p: Parameters, pool: Array, memory: Memory) -> None:
     """Schedule and engine at the start of a stage."""
     clock = memory.clock
@@ -173,7 +173,7 @@ def advance(
         log(p, memory, logged, props, y, aux, fast_ns, fast, slow_ns, slow, rows, 1)
 
 
-@kernel
+@routine
 def separate(P: Array, pool: Array, memory: Memory, y: Array, props: Array, props_after: Array) -> None:
     """Go over to the next stage."""
     clock = memory.clock
@@ -219,7 +219,7 @@ def happen(p: Parameters, memory: Memory, event: int) -> None:
     note(p, memory, event, memory.clock.now_ns)
 
 
-@kernel
+@routine
 def locate(
     p: Parameters, pool: Array, memory: Memory, event: int, step_ns: int, y: Array, k_1: Array, y_end: Array,
     y_stage: Array, k: Array, props_middle: Array, props_end: Array, work: Array, aux: Array, aux_stage: Array,
@@ -256,7 +256,7 @@ def locate(
     return high
 
 
-@kernel
+@routine
 def log(
     p: Parameters, memory: Memory, logged: Array, props: Array, y: Array, aux: Array, fast_ns: IntArray,
     fast: Array, slow_ns: IntArray, slow: Array, rows: IntArray, last: int,

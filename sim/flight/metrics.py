@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from typing import Annotated
 
 from maxq.control.computer import ComputerState
-from maxq.control.jit import kernel
+from maxq.control.jit import kernel, routine
 from maxq.control.records import Array, IntArray
 from maxq.sim.dynamics.bending import bend_at_gimbal
 from maxq.sim.dynamics.derivative import Held, Vehicle
@@ -46,7 +46,7 @@ METRICS = (
     Metric("max_mach", "largest Mach number"),
     Metric("max_dynamic_pressure_Pa", "largest dynamic pressure"),
     Metric("max_alpha_deg", "largest total incidence while the dynamic pressure exceeds 1 kPa under thrust"),
-    Metric("max_q_alpha_Padeg", "largest product of dynamic pressure and total incidence under thrust"),
+    Metric("max_q_alpha_Padeg", "largest product of dynamic pressure (above 1 kPa) and total incidence under thrust"),
     Metric("max_attitude_error_deg", "largest attitude error of pitch or yaw in the computer under thrust"),
     Metric("max_roll_error_deg", "largest roll error in the computer under thrust"),
     Metric("max_gimbal_deg", "largest engine angle of either axis under thrust"),
@@ -80,7 +80,7 @@ def raise_to(extremes: Extremes, metric: int, value: float, now_ns: int) -> None
         extremes.time_ns[metric] = now_ns
 
 
-@kernel
+@routine
 def gather(
     extremes: Extremes, vehicle: Vehicle, earth: Earth, held: Held, computer: ComputerState, now_ns: int,
     step_s: float, props: Array, y: Array, aux: Array,
@@ -99,11 +99,7 @@ def gather(
     _gather_bending(extremes, vehicle, now_ns, props, y)
     if held.burning == 0 or held.down == 1:
         return
-    lateral = math.sqrt(aux[FLOW + 1] * aux[FLOW + 1] + aux[FLOW + 2] * aux[FLOW + 2])
-    alpha_deg = math.degrees(math.atan2(lateral, aux[FLOW]))
-    if q > SIGNIFICANT_PRESSURE_PA:
-        raise_to(extremes, ALPHA_MAX, alpha_deg, now_ns)
-    raise_to(extremes, Q_ALPHA_MAX, q * alpha_deg, now_ns)
+    _gather_incidence(extremes, q, aux, now_ns)
     felt = math.sqrt(aux[FELT + 1] * aux[FELT + 1] + aux[FELT + 2] * aux[FELT + 2])
     raise_to(extremes, LATERAL_MAX, felt / STANDARD_GRAVITY_MPS2, now_ns)
     error = max(abs(computer.law.theta_e_rad[1]), abs(computer.law.theta_e_rad[2]))
@@ -120,6 +116,24 @@ def gather(
 
 
 @kernel
+def angle_above(lateral: float, axial: float, floor_deg: float) -> float:
+    """Angle atan2(lateral, axial), deg, where it exceeds `floor_deg`, else 0: an angle is never above its tangent."""
+    if axial > 0.0 and math.degrees(lateral) <= floor_deg * axial:
+        return 0.0
+    return math.degrees(math.atan2(lateral, axial))
+
+
+@kernel
+def _gather_incidence(extremes: Extremes, q: float, aux: Array, now_ns: int) -> None:
+    if q > SIGNIFICANT_PRESSURE_PA:
+        lateral = math.sqrt(aux[FLOW + 1] * aux[FLOW + 1] + aux[FLOW + 2] * aux[FLOW + 2])
+        floor_deg = min(extremes.value[ALPHA_MAX], extremes.value[Q_ALPHA_MAX] / q)
+        alpha_deg = angle_above(lateral, aux[FLOW], floor_deg)
+        raise_to(extremes, ALPHA_MAX, alpha_deg, now_ns)
+        raise_to(extremes, Q_ALPHA_MAX, q * alpha_deg, now_ns)
+
+
+@kernel
 def _gather_bending(extremes: Extremes, vehicle: Vehicle, now_ns: int, props: Array, y: Array) -> None:
     if vehicle.sizes.pitch_modes + vehicle.sizes.yaw_modes > 0:
         move_y, move_z, _, _ = bend_at_gimbal(vehicle.sizes, props, y)
@@ -131,5 +145,5 @@ def _gather_slosh(extremes: Extremes, vehicle: Vehicle, now_ns: int, props: Arra
     for tank in range(vehicle.sizes.tanks):
         if bob_mass(vehicle.slosh, props, tank) > 0.0:
             i = pendulum_index(vehicle.sizes, tank)
-            tilt = math.atan2(math.sqrt(y[i + 1] * y[i + 1] + y[i + 2] * y[i + 2]), -y[i])
-            raise_to(extremes, SLOSH_MAX, math.degrees(tilt), now_ns)
+            lateral = math.sqrt(y[i + 1] * y[i + 1] + y[i + 2] * y[i + 2])
+            raise_to(extremes, SLOSH_MAX, angle_above(lateral, -y[i], extremes.value[SLOSH_MAX]), now_ns)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from maxq.control.jit import kernel
+from maxq.control.jit import kernel, routine
 from maxq.control.records import Array
 from maxq.control.tables import interpolate_into
 from maxq.sim.dynamics.derivative import derivative
@@ -22,7 +22,7 @@ def schedule_clock(p: Parameters, now_ns: int, elapsed_s: float) -> float:
     return p.course.burn_rate * (1e-9 * (now_ns - p.course.stage_start_ns) + elapsed_s)
 
 
-@kernel
+@routine
 def read_schedule(
     p: Parameters, pool: Array, memory: Memory, now_ns: int, elapsed_s: float, props: Array
 ) -> None:
@@ -37,7 +37,7 @@ def read_schedule(
         props[THRUST_VACUUM] = 0.0
 
 
-@kernel
+@routine
 def evaluate(
     p: Parameters, pool: Array, memory: Memory, now_ns: int, elapsed_s: float, props: Array, y: Array, dy: Array,
     work: Array, aux: Array,
@@ -58,7 +58,7 @@ def evaluate(
     derivative(p.vehicle, p.around, pool, held, memory.gusts, props, y, dy, work, aux)
 
 
-@kernel
+@routine
 def runge_kutta(
     p: Parameters, pool: Array, memory: Memory, now_ns: int, step_ns: int, y: Array, k_1: Array, y_end: Array,
     y_stage: Array, k: Array, props_middle: Array, props_end: Array, work: Array, aux: Array,

@@ -10,7 +10,7 @@ import math
 
 import numpy as np
 
-from maxq.control.jit import kernel
+from maxq.control.jit import kernel, routine
 from maxq.control.records import Array
 from maxq.sim.dynamics.bending import bend_at_gimbal
 from maxq.sim.dynamics.schedule import CORE_CG, CORE_INERTIA, CORE_MASS, MASS_FLOW, TOTAL_MASS
@@ -241,7 +241,7 @@ def channel_table(sizes: Sizes, tanks: tuple[str, ...]) -> ChannelTable:
     return ChannelTable(tuple(topics))
 
 
-@kernel
+@routine
 def fill_fast(p: Parameters, logged: Sizes, memory: Memory, props: Array, y: Array, aux: Array, row: Array) -> None:
     """One row of the fast group; `logged` is how many modes and tanks the log has columns for."""
     law, held, sizes = memory.computer.law, memory.held, p.vehicle.sizes
@@ -302,7 +302,7 @@ def _fill_slosh(p: Parameters, logged: Sizes, props: Array, y: Array, aux: Array
         c += 5
 
 
-@kernel
+@routine
 def fill_slow(p: Parameters, memory: Memory, props: Array, y: Array, aux: Array, row: Array) -> None:
     """One row of the slow group."""
     for j in range(3):

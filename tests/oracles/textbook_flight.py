@@ -19,7 +19,15 @@ Vector = NDArray[np.float64]
 MU, RADIUS, FLATTENING, RATE, J2 = 3.986004418e14, 6378137.0, 1 / 298.257223563, 7.292115e-5, 1.08262982e-3
 SPIN = np.array([0.0, 0.0, RATE])
 GAS = 8314.32 / 28.9644
-LAYERS = ((0.0, -6.5e-3), (11e3, 0.0), (20e3, 1e-3), (32e3, 2.8e-3), (47e3, 0.0), (51e3, -2.8e-3), (71e3, -2e-3))
+LAYERS = (
+    (0.0, -6.5e-3),
+    (11e3, 0.0),
+    (20e3, 1e-3),
+    (32e3, 2.8e-3),
+    (47e3, 0.0),
+    (51e3, -2.8e-3),
+    (71e3, -2e-3),
+)
 
 
 @dataclass(frozen=True)
@@ -62,6 +70,11 @@ class State:
     rate: Vector
 
 
+def cross(a: Vector, b: Vector) -> Vector:
+    """As np.cross for two vectors, at a fifth of its cost."""
+    return np.array([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])
+
+
 def gravitation(position: Vector) -> Vector:
     """Gradient of mu/r (1 - J2 (a/r)^2 (3 sin^2 - 1) / 2), by a complex step: exact to rounding."""
     out = np.zeros(3)
@@ -94,7 +107,11 @@ def earth_fixed(latitude_deg: float, longitude_deg: float, altitude_m: float) ->
     normal = RADIUS / np.sqrt(1 - e2 * np.sin(latitude) ** 2)
     across = (normal + altitude_m) * np.cos(latitude)
     return np.array(
-        [across * np.cos(longitude), across * np.sin(longitude), (normal * (1 - e2) + altitude_m) * np.sin(latitude)]
+        [
+            across * np.cos(longitude),
+            across * np.sin(longitude),
+            (normal * (1 - e2) + altitude_m) * np.sin(latitude),
+        ]
     )
 
 
@@ -104,7 +121,7 @@ def ned_axes(latitude: float, longitude: float) -> Vector:
         [np.cos(latitude) * np.cos(longitude), np.cos(latitude) * np.sin(longitude), np.sin(latitude)]
     )
     east = np.array([-np.sin(longitude), np.cos(longitude), 0.0])
-    return np.stack([np.cross(up, east), east, -up], axis=1)
+    return np.stack([cross(up, east), east, -up], axis=1)
 
 
 def about(axis: int, angle_deg: float) -> Vector:
@@ -165,7 +182,8 @@ def integrate(
 ) -> list[State]:
     """States at `times` (rising; the first is the start). The integration restarts at each of `kinks`."""
 
-    def derivative(t: float, y: Vector) -> Vector:
+    def derivative(t: float, y: Vector, last: float) -> Vector:
+        t = min(t, last)
         position, velocity, attitude, rate = y[:3], y[3:6], y[6:15].reshape(3, 3), y[15:18]
         latitude, longitude, altitude = geodetic(position)
         density, pressure, sound_speed = standard_air(altitude)
@@ -174,11 +192,12 @@ def integrate(
         air = Air(altitude, density, pressure, sound_speed, attitude.T @ relative, rate, turning)
         force, moment = body.loads(t, air)
         accel = gravitation(position) + attitude @ force / body.mass(t)
-        accel = accel - 2 * np.cross(SPIN, velocity) - np.cross(SPIN, np.cross(SPIN, position))
+        accel = accel - 2 * cross(SPIN, velocity) - cross(SPIN, cross(SPIN, position))
         inertia = body.inertia(t)
-        spin_up = np.linalg.solve(inertia, moment - np.cross(rate, inertia @ rate))
+        spin_up = np.linalg.solve(inertia, moment - cross(rate, inertia @ rate))
         # each row e of the attitude is a vector fixed in E and seen in B: de/dt = e x turning
-        return np.concatenate([velocity, accel, np.cross(attitude, turning).ravel(), spin_up])
+        rows = [cross(row, turning) for row in attitude]
+        return np.concatenate([velocity, accel, *rows, spin_up])
 
     y = np.concatenate([state.position, state.velocity, state.attitude.ravel(), state.rate])
     out = [state]
@@ -186,7 +205,10 @@ def integrate(
     for until in [*(k for k in sorted(kinks) if now < k < end), end]:
         wanted = times[(times > now) & (times <= until)]
         grid = np.unique(np.append(wanted, until))
-        solution = solve_ivp(derivative, (now, until), y, "DOP853", grid, rtol=1e-12, atol=1e-13)
+        last = float(np.nextafter(until, now))  # a jump at the end of a stretch belongs to the next one
+        solution = solve_ivp(
+            derivative, (now, until), y, "DOP853", grid, rtol=1e-12, atol=1e-13, args=(last,)
+        )
         assert solution.success, solution.message
         out += [_state(column) for t, column in zip(grid, solution.y.T, strict=True) if t in wanted]
         now, y = until, solution.y[:, -1]

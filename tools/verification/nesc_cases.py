@@ -81,7 +81,9 @@ def compare_atmospheric(case: str, flight: Flight) -> list[Difference]:
         k = int(np.argmax(error))
         tolerance = float(row["strict"])
         out.append(
-            Difference(case, row["variable"], f"SIM {row['ref_sim'].lstrip('0')}", error[k], tolerance, time[k])
+            Difference(
+                case, row["variable"], f"SIM {row['ref_sim'].lstrip('0')}", error[k], tolerance, time[k]
+            )
         )
     return out
 

@@ -1,0 +1,49 @@
+"""Linear actuator and gyro (Lee, Ahn & Roh, eqs 28 and 29) in state space."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from maxq.control.records import Array
+from maxq.design.state_space import StateSpace
+
+ACTUATOR_OUTPUTS = ("delta_rad", "delta_rate_radps", "delta_accel_radps2")
+
+
+def actuator(record: Any) -> StateSpace:
+    """Command -> angle, rate and acceleration of the engine, six states; `record` is a packed `Actuator`.
+
+    A chain of second-order sections, each with its position and rate as states. Four orders more lie in the
+    denominator of (28) than in its numerator, so C B = C A B = 0 and rate and acceleration are C A x and C A^2 x.
+    """
+    omega = np.array([record.omega_1_radps, record.omega_2_radps, record.omega_3_radps])
+    zeta = np.array([record.zeta_1, record.zeta_2, record.zeta_3])
+    a, b = np.zeros((6, 6)), np.zeros((6, 1))
+    for k in range(3):
+        i = 2 * k
+        a[i, i + 1] = 1.0
+        a[i + 1, i], a[i + 1, i + 1] = -(omega[k] ** 2), -2.0 * zeta[k] * omega[k]
+        if k == 0:
+            b[1, 0] = omega[0] ** 2
+        else:
+            a[i + 1, i - 2] = omega[k] ** 2
+    # the last section's numerator s^2 + 2 z w s + w^2, over w^2, acts on its state: s^2 is the row of that rate
+    omega_4, zeta_4 = float(record.omega_4_radps), float(record.zeta_4)
+    angle = a[5] / omega_4**2
+    angle[4] += 1.0
+    angle[5] += 2.0 * zeta_4 / omega_4
+    c = np.stack([angle, angle @ a, angle @ a @ a])
+    states = tuple(f"actuator_{k + 1}{what}" for k in range(3) for what in ("", "_rate"))
+    return StateSpace(a, b, c, np.zeros((3, 1)), states, ("command_rad",), ACTUATOR_OUTPUTS)
+
+
+def gyro(record: Any) -> StateSpace:
+    """Local turning rate -> sensed rate, two states; `record` is a packed `Gyro` (errors left out)."""
+    w, zeta = float(record.omega_radps), float(record.zeta)
+    a: Array = np.array([[0.0, 1.0], [-w * w, -2.0 * zeta * w]])
+    return StateSpace(
+        a, np.array([[0.0], [w * w]]), np.array([[1.0, 0.0]]), np.zeros((1, 1)),
+        ("gyro_radps", "gyro_rate_radps2"), ("local_rate_radps",), ("gyro_radps",),
+    )  # fmt: skip

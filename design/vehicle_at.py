@@ -1,0 +1,232 @@
+"""The numbers of a vehicle at one instant, as the linear model needs them: those of one plane of one stage.
+
+They are read from the same packed tables as the simulator flies, so that both speak of the same vehicle; equations
+are not shared (docs/model.md is the simulator's, design/plant.py has its own derivation).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+
+from maxq.control.records import Array
+from maxq.control.tables import Cubics
+from maxq.sim.dynamics import aero, schedule
+from maxq.sim.packing.flight import Packed
+
+Plane = Literal["pitch", "yaw"]
+
+
+@dataclass(frozen=True)
+class Body:
+    """What does not swing. Stations in m aft of the nose; inertia about the CG of the mass that it goes with."""
+
+    core_mass_kg: float  # without the sloshing masses, engine straight
+    core_cg_station_m: float
+    core_inertia_kgm2: float  # about y (pitch) or z (yaw)
+    core_inertia_rate_kgm2ps: float
+    total_mass_kg: float
+    mass_flow_kgps: float  # out of the nozzle
+
+
+@dataclass(frozen=True)
+class Pendulums:
+    """One entry a tank, (tanks,)."""
+
+    mass_kg: Array
+    mass_rate_kgps: Array
+    length_m: Array
+    hinge_station_m: Array
+    damping_ratio: Array
+
+    @property
+    def bob_station_m(self) -> Array:
+        return np.asarray(self.hinge_station_m + self.length_m)
+
+
+@dataclass(frozen=True)
+class Modes:
+    """One entry a mode, (modes,), and where shapes are met elsewhere (modes, places).
+
+    phi is positive in +z (pitch) or +y (yaw); slopes are d(phi)/d(station), 1/m.
+    """
+
+    omega_radps: Array
+    damping_ratio: Array
+    generalized_mass_kg: Array
+    phi_gimbal: Array
+    slope_gimbal_pm: Array
+    slope_gyro_pm: Array
+    phi_hinge: Array  # (modes, tanks)
+    phi_surface: Array  # (modes, surfaces)
+    slope_surface_pm: Array  # (modes, surfaces)
+    softening_kgpm: Array  # (modes, modes): stiffness lost per m/s2 of axial load
+
+
+@dataclass(frozen=True)
+class GimballedEngine:
+    vacuum_thrust_N: float
+    exit_area_m2: float
+    gimbal_station_m: float
+    exit_station_m: float
+    gimballed_mass_kg: float
+    cg_from_gimbal_m: float
+    inertia_about_gimbal_kgm2: float
+    follower: bool  # thrust turns with the bent gimbal
+
+    def thrust_N(self, pressure_Pa: float) -> float:
+        return max(self.vacuum_thrust_N - pressure_Pa * self.exit_area_m2, 0.0)
+
+
+@dataclass(frozen=True)
+class Aerodynamics:
+    """Coefficients at one Mach number, referred to `area_m2` and `chord_m`."""
+
+    area_m2: float
+    chord_m: float
+    axial: float  # CA + CD
+    drag: float  # CD: the part that acts along the wind
+    rate_damping: float  # Cmq, or Cnr in yaw; per rate times chord / (2 U)
+    slope_pr: Array  # CN_alpha of each surface, 1/rad
+    moment_slope_mpr: Array  # CN_alpha times station of each surface, m/rad
+    local_incidence: bool
+
+
+@dataclass(frozen=True)
+class VehicleAt:
+    """A stage at one instant, in one plane."""
+
+    body: Body
+    pendulums: Pendulums
+    modes: Modes
+    engine: GimballedEngine
+    aerodynamics: Aerodynamics
+    jet_damping: bool
+
+    @property
+    def total_cg_station_m(self) -> float:
+        """CG with the liquid at rest."""
+        b, p = self.body, self.pendulums
+        moment = b.core_mass_kg * b.core_cg_station_m + p.mass_kg @ p.bob_station_m
+        return float(moment / (b.core_mass_kg + p.mass_kg.sum()))
+
+    @property
+    def total_inertia_kgm2(self) -> float:
+        """Transverse inertia about that CG with the liquid frozen."""
+        b, p, cg = self.body, self.pendulums, self.total_cg_station_m
+        core = b.core_inertia_kgm2 + b.core_mass_kg * (b.core_cg_station_m - cg) ** 2
+        return float(core + p.mass_kg @ (p.bob_station_m - cg) ** 2)
+
+
+def vehicle_at(packed: Packed, time_s: float, mach: float, plane: Plane = "pitch", stage: int = 0) -> VehicleAt:
+    """Read a burning stage at `time_s` of its own clock and a Mach number."""
+    row = packed.parameters[stage]
+    vehicle, sizes = row.vehicle, row.vehicle.sizes
+    table = _table(packed.pool, vehicle.schedule)
+    clock_s = float(row.course.frozen_s) if row.course.frozen == 1 else float(row.course.burn_rate) * time_s
+    props, rates = table(clock_s), _slope(table, clock_s)
+    inertia = schedule.CORE_INERTIA + (1 if plane == "pitch" else 2)
+    turn = schedule.INERTIA_RATE + (1 if plane == "pitch" else 2)
+    body = Body(
+        core_mass_kg=float(props[schedule.CORE_MASS]),
+        core_cg_station_m=float(props[schedule.CORE_CG]),
+        core_inertia_kgm2=float(props[inertia]),
+        core_inertia_rate_kgm2ps=float(props[turn]),
+        total_mass_kg=float(props[schedule.TOTAL_MASS]),
+        mass_flow_kgps=float(props[schedule.MASS_FLOW]),
+    )
+    return VehicleAt(
+        body=body,
+        pendulums=_pendulums(vehicle, sizes, props, rates),
+        modes=_modes(vehicle, sizes, props, plane),
+        engine=_engine(vehicle, float(props[schedule.THRUST_VACUUM])),
+        aerodynamics=_aerodynamics(packed.pool, vehicle, sizes, mach, plane),
+        jet_damping=bool(vehicle.jet_damping),
+    )
+
+
+def _table(pool: Array, ref: Any) -> Cubics:
+    """A table of the pool, as it was before it was added to it."""
+    n, columns, at = int(ref.n_breaks), int(ref.n_columns), int(ref.offset)
+    coefficients = pool[at + n : at + n + 4 * columns * (n - 1)]
+    return Cubics(pool[at : at + n], coefficients.reshape(n - 1, 4, columns))
+
+
+def _slope(table: Cubics, x: float) -> Array:
+    """Derivative of all columns."""
+    k = int(np.clip(np.searchsorted(table.breaks, x, side="right") - 1, 0, len(table.breaks) - 2))
+    s, c = x - table.breaks[k], table.coefficients[k]
+    return np.asarray(c[1] + s * (2.0 * c[2] + s * 3.0 * c[3]))
+
+
+def _pendulums(vehicle: Any, sizes: Any, props: Array, rates: Array) -> Pendulums:
+    n = int(sizes.tanks)
+    first = np.array([schedule.tank_column(k) for k in range(n)], int)
+    mass_factor, length_factor = vehicle.slosh.mass_factor[:n], vehicle.slosh.length_factor[:n]
+    return Pendulums(
+        mass_kg=mass_factor * props[first + schedule.TANK_MASS],
+        mass_rate_kgps=mass_factor * rates[first + schedule.TANK_MASS],
+        length_m=length_factor * props[first + schedule.TANK_LENGTH],
+        hinge_station_m=props[first + schedule.TANK_HINGE],
+        damping_ratio=np.array(vehicle.slosh.damping_ratio[:n]),
+    )
+
+
+def _modes(vehicle: Any, sizes: Any, props: Array, plane: Plane) -> Modes:
+    pitch = plane == "pitch"
+    n = int(sizes.pitch_modes if pitch else sizes.yaw_modes)
+    tanks, surfaces = int(sizes.tanks), int(sizes.surfaces)
+    column = schedule.pitch_column if pitch else schedule.yaw_column
+    at = np.array([column(sizes, i) for i in range(n)], int)
+    zeta = vehicle.bending.zeta_pitch if pitch else vehicle.bending.zeta_yaw
+    shapes = at + schedule.MODE_FIRST + tanks
+    places = 2 * np.arange(surfaces)
+    rows = shapes + 2 * surfaces
+    return Modes(
+        omega_radps=vehicle.bending.frequency_factor[:n] * props[at + schedule.MODE_OMEGA],
+        damping_ratio=np.array(zeta[:n]),
+        generalized_mass_kg=props[at + schedule.MODE_MASS],
+        phi_gimbal=props[at + schedule.MODE_PHI_GIMBAL],
+        slope_gimbal_pm=props[at + schedule.MODE_SLOPE_GIMBAL],
+        slope_gyro_pm=props[at + schedule.MODE_SLOPE_GYRO],
+        phi_hinge=props[at[:, None] + schedule.MODE_FIRST + np.arange(tanks)],
+        phi_surface=props[shapes[:, None] + places],
+        slope_surface_pm=props[shapes[:, None] + places + 1],
+        softening_kgpm=float(vehicle.bending.softening_factor) * props[rows[:, None] + np.arange(n)],
+    )
+
+
+def _engine(vehicle: Any, vacuum_thrust_N: float) -> GimballedEngine:
+    e = vehicle.engine
+    mass, arm = float(e.gimballed_mass_kg), float(e.cg_from_gimbal_m)
+    return GimballedEngine(
+        vacuum_thrust_N=float(e.thrust_factor) * vacuum_thrust_N,
+        exit_area_m2=float(e.exit_area_m2),
+        gimbal_station_m=float(e.gimbal_station_m),
+        exit_station_m=float(e.exit_station_m),
+        gimballed_mass_kg=mass,
+        cg_from_gimbal_m=arm,
+        inertia_about_gimbal_kgm2=float(e.inertia_kgm2) + mass * arm * arm,
+        follower=bool(vehicle.follower_thrust),
+    )
+
+
+def _aerodynamics(pool: Array, vehicle: Any, sizes: Any, mach: float, plane: Plane) -> Aerodynamics:
+    a, surfaces = vehicle.aero, int(sizes.surfaces)
+    if a.on == 0:
+        return Aerodynamics(0.0, 1.0, 0.0, 0.0, 0.0, np.zeros(surfaces), np.zeros(surfaces), False)
+    row = _table(pool, a.table)(mach)
+    slope = row[aero.FIRST_SURFACE : aero.FIRST_SURFACE + 2 * surfaces : 2]
+    moment = row[aero.FIRST_SURFACE + 1 : aero.FIRST_SURFACE + 2 * surfaces : 2]
+    return Aerodynamics(
+        area_m2=float(a.area_m2),
+        chord_m=float(a.chord_m if plane == "pitch" else a.yaw_chord_m),
+        axial=float(a.axial_factor * (row[aero.CA] + row[aero.CD])),
+        drag=float(a.axial_factor * row[aero.CD]),
+        rate_damping=float(a.damping_factor * row[aero.CMQ if plane == "pitch" else aero.CNR]),
+        slope_pr=a.force_factor * slope,
+        moment_slope_mpr=a.force_factor * (moment + slope * float(a.centre_shift_m)),
+        local_incidence=bool(a.local_incidence),
+    )

@@ -1,0 +1,58 @@
+"""maxq as a library.
+
+    from maxq.sim.api import fly, load_scenario, read_log
+
+    flight = fly(load_scenario("nominal", ["wind.profile=winds/anheung-november.csv"]))
+    flight["alpha_deg"], flight.time_s("alpha_deg"), flight.metrics["max_q_alpha_Padeg"]
+
+    log = read_log("runs/nominal/flight.mcap")
+    log["alpha_deg"], log.time_s("alpha_deg"), log.events
+
+Wrong input is a `ScenarioError`, a log that cannot be read or written a `LogError`: one line each.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from pathlib import Path
+
+from maxq.sim.flight.fly import Event, Flight, FlightRun, fly
+from maxq.sim.flight.judgement import METRIC_NAMES, Verdict
+from maxq.sim.flight.record import record
+from maxq.sim.log.error import LogError
+from maxq.sim.log.reader import Log, read_log
+from maxq.sim.scenario import loader
+from maxq.sim.scenario.builtin import builtin_names
+from maxq.sim.scenario.errors import ScenarioError
+from maxq.sim.scenario.loader import LoadedScenario
+
+
+def load_scenario(path: str | Path, overrides: Iterable[str] = ()) -> LoadedScenario:
+    """The scenario in a file, or the built-in one of that name, with `key=value` overrides.
+
+    Raises ScenarioError.
+    """
+    return loader.load_scenario(path, overrides, METRIC_NAMES)
+
+
+def load_scenario_text(text: str, overrides: Iterable[str] = ()) -> LoadedScenario:
+    """The scenario that a self-contained TOML text holds, e.g. one from a log. Raises ScenarioError."""
+    return loader.load_scenario_text(text, overrides, METRIC_NAMES)
+
+
+__all__ = [
+    "Event",
+    "Flight",
+    "FlightRun",
+    "LoadedScenario",
+    "Log",
+    "LogError",
+    "ScenarioError",
+    "Verdict",
+    "builtin_names",
+    "fly",
+    "load_scenario",
+    "load_scenario_text",
+    "read_log",
+    "record",
+]

@@ -1,0 +1,214 @@
+"""Actuator, gyro and the engine's reaction against closed forms.
+
+The actuator is built here a second time, from the transfer function that the paper prints (28), and its step
+response comes from the matrix exponential.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from flightkit import (
+    Mode,
+    Parts,
+    Rig,
+    composed,
+    engine_states,
+    flown,
+    merged,
+    rig,
+    scenario_of,
+    to_oracle,
+    with_stage,
+)
+from maxq.control.records import Array
+from maxq.sim.dynamics import state as layout
+from scipy.linalg import expm
+from scipy.signal import tf2ss
+
+STEP_DEG = 2.0
+EFFECT_S = 0.013  # first sample after 10 ms, plus 3 ms of computing
+
+
+def command(axis: str, amplitude_deg: float) -> list[dict[str, object]]:
+    return [{"at": "gimbal_command", "axis": axis, "kind": "step", "amplitude_deg": amplitude_deg}]
+
+
+def moving(axis: str, amplitude_deg: float, step_s: float = 0.00025, **actuator: object) -> Rig:
+    tree = scenario_of(Parts(), injection=command(axis, amplitude_deg), run={"step_s": step_s})
+    tree = merged(tree, {"vehicle": {"computer": {"command_limit_deg": 45.0}}})
+    return rig(with_stage(tree, actuator=actuator))
+
+
+def printed_actuator(omega_hz: list[float], zeta: list[float]) -> tuple[Array, Array, Array]:
+    """A, B and the rows of output, its rate and acceleration of H1 H2 H3 with zero pair 4 over pole pair 3."""
+    w = 2.0 * np.pi * np.array(omega_hz)
+    quadratics = [np.array([1.0, 2.0 * z * x, x * x]) for x, z in zip(w, zeta, strict=True)]
+    below = np.polymul(np.polymul(quadratics[0], quadratics[1]), quadratics[2])
+    above = quadratics[3] * (w[0] * w[1] * w[2] / w[3]) ** 2
+    a, b, c, d = tf2ss(above, below)
+    assert np.all(d == 0.0)
+    return a, b[:, 0], np.vstack((c[0], c[0] @ a, c[0] @ a @ a))
+
+
+def balanced_step(a: Array, b: Array, time_s: float) -> Array:
+    """State after a unit step; time in units of 1/100 s, so that the companion matrix stays tame."""
+    n = len(b)
+    scale = np.diag(100.0 ** np.arange(n - 1, -1, -1.0))
+    block = np.zeros((n + 1, n + 1))
+    block[:n, :n], block[:n, n] = np.linalg.solve(scale, a @ scale), np.linalg.solve(scale, b)
+    return np.asarray(scale @ expm(block * time_s)[:n, n])
+
+
+@pytest.mark.parametrize("axis", [0, 1])
+@pytest.mark.parametrize("exchanged", [False, True])
+def test_step_response_against_the_matrix_exponential(axis: int, exchanged: bool) -> None:
+    """Angle, rate and acceleration; with a3 and a4 exchanged the zero lies at 52.6 Hz and the pole at 15.6 Hz."""
+    omega, zeta = [5.8, 7.2, 52.6, 15.6], [0.87, 0.49, 0.15, 0.042]
+    if exchanged:
+        omega, zeta = [5.8, 7.2, 15.6, 52.6], [0.87, 0.49, 0.042, 0.15]
+    a, b, rows = printed_actuator(omega, zeta)
+    made = moving("pitch" if axis == 0 else "yaw", STEP_DEG, exchange_a3_a4=exchanged)
+    states = flown(made, 0.4, 0.001)
+    size = math.radians(STEP_DEG) * np.array([1.0, 50.0, 5000.0])
+    for k in range(13, 401, 9):
+        state = to_oracle(made, states[k])
+        ours = [x[axis] for x in (state.deflection_rad, state.deflection_radps, state.deflection_radps2)]
+        wanted = math.radians(STEP_DEG) * rows @ balanced_step(a, b, 0.001 * k - EFFECT_S)
+        assert np.allclose(ours, wanted, rtol=0.0, atol=2e-7 * size)
+        others = to_oracle(made, states[k]).deflection_rad[1 - axis]
+        assert others == 0.0
+    assert np.all(states[:14, layout.ACTUATOR : layout.ACTUATOR + 12] == 0.0)  # nothing moves before the command
+
+
+def test_dc_gain_is_one_and_bias_adds() -> None:
+    made = moving("yaw", STEP_DEG, bias_deg=[0.3, -0.2])
+    flown(made, 3.0)
+    angle = np.degrees(to_oracle(made, made.y).deflection_rad)
+    assert np.allclose(angle, [0.3, STEP_DEG - 0.2], rtol=0.0, atol=1e-9)
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_angle_limit_stops_the_position_command(sign: float) -> None:
+    made = moving("pitch", sign * 20.0, angle_limit_deg=6.0)
+    states = flown(made, 3.0, 0.01)
+    assert np.max(np.abs(states[:, layout.ACTUATOR])) <= math.radians(6.0) * 1.01  # servo: its own small overshoot
+    assert np.isclose(math.degrees(to_oracle(made, made.y).deflection_rad[0]), sign * 6.0, rtol=1e-9)
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_rate_limit_holds_while_slewing_and_leaves_no_wind_up(sign: float) -> None:
+    limit = math.radians(10.0)
+    made = moving("pitch", sign * 20.0, angle_limit_deg=30.0, rate_limit_degps=10.0)
+    states = flown(made, 4.0, 0.001)
+    servo = sign * states[:, layout.ACTUATOR]
+    rates = sign * states[:, layout.ACTUATOR + 1]
+    assert np.max(np.abs(rates)) <= limit * (1.0 + 1e-12)
+    slewing = (servo > 0.1 * math.radians(20.0)) & (servo < 0.8 * math.radians(20.0))
+    assert np.allclose(rates[slewing], limit, rtol=1e-3)
+    assert np.max(servo) < math.radians(20.0) * 1.01  # no more overshoot than the linear servo's (zeta 0.87: 0.4 %)
+    assert np.isclose(math.degrees(to_oracle(made, made.y).deflection_rad[0]), sign * 20.0, rtol=1e-6)
+
+
+def test_limits_do_nothing_below_them() -> None:
+    wide = moving("pitch", STEP_DEG, angle_limit_deg=45.0, rate_limit_degps=1000.0)
+    near = moving("pitch", STEP_DEG, angle_limit_deg=2.1, rate_limit_degps=60.0)
+    assert np.array_equal(flown(wide, 0.3), flown(near, 0.3))
+
+
+def test_backlash_is_a_play() -> None:
+    """A step of 2 deg through a play of 0.4 deg arrives as 1.8 deg, in either direction."""
+    for sign in (1.0, -1.0):
+        made = moving("pitch", sign * 2.0, backlash_deg=0.4)
+        flown(made, 3.0)
+        assert np.isclose(math.degrees(to_oracle(made, made.y).deflection_rad[0]), sign * 1.8, rtol=1e-9)
+
+
+def test_ideal_actuator_is_its_command() -> None:
+    tree = scenario_of(Parts(), injection=command("pitch", 2.0), switches={"actuator": "ideal"})
+    made = rig(tree)
+    flown(made, 0.02)
+    state = to_oracle(made, made.y)
+    assert np.allclose(np.degrees(state.deflection_rad), [2.0, 0.0], rtol=1e-14, atol=0.0)
+    assert np.all(state.deflection_radps == 0.0)
+
+
+@pytest.mark.parametrize("axis", [0, 1, 2])
+def test_gyro_step_response(axis: int) -> None:
+    """Second-order step response to a body rate, and its integral, which the converter counts."""
+    rate = np.zeros(3)
+    rate[axis] = 0.05
+    made = rig(scenario_of(Parts(), initial={"rate_BI_radps": rate}, run={"step_s": 0.0001}))
+    made.y[layout.GYRO : layout.GYRO + 9] = 0.0
+    omega, zeta = 2.0 * math.pi * 60.0, 0.65
+    damped = omega * math.sqrt(1.0 - zeta**2)
+    i = layout.GYRO + 2 * axis
+    for k, y in enumerate(flown(made, 0.009, 0.001)):  # up to the first sample
+        t = 0.001 * k
+        decay, c, s = math.exp(-zeta * omega * t), math.cos(damped * t), math.sin(damped * t)
+        wanted = 0.05 * (1.0 - decay * (c + zeta * omega / damped * s))
+        assert abs(y[i] - wanted) < 1e-10
+        # integral: t - 2 zeta / omega + the decaying part
+        tail = decay * (2.0 * zeta / omega * c + (2.0 * zeta**2 - 1.0) / damped * s)
+        assert abs(y[layout.GYRO_ANGLE + axis] - 0.05 * (t - 2.0 * zeta / omega + tail)) < 1e-12
+
+
+# --- engine reaction
+ENGINE = Parts(
+    core_cg=(7.0, 0.0, 0.0),
+    engine_mass_kg=180.0,
+    engine_cg_m=0.4,
+    engine_inertia_kgm2=20.0,
+    thrust_N=1.2e5,
+)
+
+
+def moment_per_angle(made: Rig, axis: int) -> tuple[float, float]:
+    """Angular acceleration about y or z per engine angle and per engine acceleration, at zero angle and rate."""
+    out = []
+    for angle, accel in ((1e-5, 0.0), (0.0, 1e-3)):
+        y = made.y.copy()
+        y[layout.ACTUATOR : layout.ACTUATOR + 12] = swing(made, axis, angle, accel)
+        out.append(float(made.derivative(y)[layout.W_BI_B + 1 + axis] / max(angle, accel)))
+    return out[0], out[1]
+
+
+def swing(made: Rig, axis: int, angle_rad: float, accel_radps2: float) -> Array:
+    """Actuator states of one axis at an angle and acceleration without rate."""
+    pick = np.eye(2)[axis]
+    return engine_states(made, angle_rad * pick, 0.0 * pick, accel_radps2 * pick)
+
+
+@pytest.mark.parametrize("axis", [0, 1])
+def test_tail_wags_dog_zero(axis: int) -> None:
+    """omega^2 = T l_c / (I_E + m_E l_E l_c), I_E about the gimbal (erratum 8), here with thrust acting past the CG that
+    the displaced engine shifts: T l_c + m_E l_E a_x."""
+    made = rig(scenario_of(ENGINE))
+    still, swinging = moment_per_angle(made, axis)
+    assert still > 0.0
+    assert swinging > 0.0
+    arm = ENGINE.gimbal_station_m - ENGINE.core_cg[0]
+    mass, length = ENGINE.engine_mass_kg, ENGINE.engine_cg_m
+    inertia = ENGINE.engine_inertia_kgm2 + mass * length**2
+    wagging = inertia + mass * length * arm
+    accel = ENGINE.thrust_N / composed(ENGINE)[0]
+    exact = (ENGINE.thrust_N * arm + mass * length * accel) / wagging
+    assert np.isclose(still / swinging, exact, rtol=1e-6)
+    assert np.isclose(math.sqrt(still / swinging), math.sqrt(ENGINE.thrust_N * arm / wagging), rtol=5e-3)
+    assert np.isclose(swinging * ENGINE.core_inertia[1][1], wagging, rtol=1e-6)
+
+
+def test_tail_wags_dog_bends_the_body() -> None:
+    """Engine acceleration excites a mode with m_E l_E (phi + l_E sigma) + I sigma at the gimbal, to +z and to -y."""
+    mode = Mode(7.0, 500.0, (1.0, 0.4, -0.2, -0.4, 0.5, 1.1), (-0.3, -0.3, -0.2, 0.2, 0.3, 0.3))
+    parts = Parts(pitch=(mode,), yaw=(mode,), engine_mass_kg=180.0, engine_cg_m=0.4, engine_inertia_kgm2=20.0)
+    made = rig(scenario_of(parts))
+    wanted = (180.0 * 0.4 * (0.5 + 0.4 * 0.3) + 20.0 * 0.3) / 500.0
+    for axis, sign, first in ((0, 1.0, layout.eta_index(made.sizes)), (1, -1.0, layout.xi_index(made.sizes))):
+        y = made.y.copy()
+        y[layout.ACTUATOR : layout.ACTUATOR + 12] = swing(made, axis, 0.0, 1.0)
+        dy = made.derivative(y)
+        assert np.isclose(dy[int(first) + 1], sign * wanted, rtol=1e-9)
+

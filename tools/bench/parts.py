@@ -1,0 +1,219 @@
+"""What a step costs part by part: each kernel in a loop of its own, on the state of a flight stopped half-way.
+
+The loop writes to the state in every turn, so that the compiler cannot move a part's work out of it. The parts do not
+add up to the whole exactly: inside a flight they overlap in the core's pipelines, and caches are shared.
+"""
+
+from __future__ import annotations
+
+import json
+import time
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from maxq.control.computer import computer_tick
+from maxq.control.jit import borrowed, entry
+from maxq.control.records import Array
+from maxq.sim.dynamics.actuator import actuator_derivative
+from maxq.sim.dynamics.bending import elastic_forces, gyroscopic_forces
+from maxq.sim.dynamics.derivative import aerodynamics, move_engine, push_of_thrust
+from maxq.sim.dynamics.gyro import gyro_derivative
+from maxq.sim.dynamics.slosh import hang, swing_derivative
+from maxq.sim.dynamics.solve import accelerate
+from maxq.sim.dynamics.state import ACTUATOR, MAX_STATE, N_ACTUATOR, Q_BI, V_I, W_BI_B
+from maxq.sim.dynamics.surroundings import surroundings
+from maxq.sim.dynamics.vectors import rotation_from_quaternion
+from maxq.sim.dynamics.workspace import ALTITUDE, AUX_SIZE, FELT, WORK_SIZE
+from maxq.sim.environment.atmosphere import air
+from maxq.sim.environment.earth import gravitation, local_frame
+from maxq.sim.flight.events import fault, meet_instants, step_length, watch
+from maxq.sim.flight.fly import FlightRun
+from maxq.sim.flight.loop import PROPS_SIZE, crossed
+from maxq.sim.flight.metrics import gather
+from maxq.sim.flight.parameters import NEVER
+from maxq.sim.flight.step import evaluate, read_schedule, runge_kutta
+from maxq.tools.bench.midflight import scenario, stopped_flight
+
+TURNS = 100_000
+REPETITIONS = 5
+TANKS = 2  # of the nominal vehicle
+
+# where the arrays lie in the scratch memory
+_K_1, _Y_END, _Y_STAGE, _K = 0, MAX_STATE, 2 * MAX_STATE, 3 * MAX_STATE
+_PROPS = 4 * MAX_STATE
+_PROPS_MIDDLE, _PROPS_END = _PROPS + PROPS_SIZE, _PROPS + 2 * PROPS_SIZE
+_WORK = _PROPS + 3 * PROPS_SIZE
+_AUX = _WORK + WORK_SIZE
+_AUX_STAGE = _AUX + AUX_SIZE
+SCRATCH = _AUX_STAGE + AUX_SIZE
+
+
+@dataclass(frozen=True)
+class Part:
+    """A loop of `repeat_part`: its name, how often a step calls it, and whether another line contains it."""
+
+    name: str
+    calls: float
+    within: str = ""
+
+
+PARTS = (
+    Part("loop alone", 0.0),
+    Part("evaluate: one derivative", 4.0),
+    Part("surroundings: gravity, air, wind, flow", 4.0, "evaluate"),
+    Part("gravitation with J2", 4.0, "surroundings"),
+    Part("local frame on the ellipsoid", 4.0, "surroundings"),
+    Part("air, US 1976", 4.0, "surroundings"),
+    Part("engine angles and mass properties", 4.0, "evaluate"),
+    Part("aerodynamics", 4.0, "evaluate"),
+    Part("thrust on the bent body", 4.0, "evaluate"),
+    Part("bending: elastic and gyroscopic forces", 4.0, "evaluate"),
+    Part("a pendulum's block", 4.0 * TANKS, "evaluate"),
+    Part("coupled accelerations", 4.0, "evaluate"),
+    Part("a pendulum's derivative", 4.0 * TANKS, "evaluate"),
+    Part("actuators and gyros", 4.0, "evaluate"),
+    Part("schedule: all columns at an instant", 2.0),
+    Part("Runge-Kutta: three derivatives, two schedules, sums", 1.0),
+    Part("instants due now", 1.0),
+    Part("events seen at a step's start", 1.0),
+    Part("length of the next step", 1.0),
+    Part("metrics", 1.0),
+    Part("is the state sane", 1.0),
+    Part("events crossed", 1.0),
+    Part("flight computer, one sample", 0.1),
+)
+
+
+@entry
+def repeat_part(P: Array, pool: Array, state: Array, y: Array, scratch: Array, turns: int, part: int) -> float:
+    """Run part number `part` `turns` times; returns a number that depends on all of them."""
+    p, memory = P[0], state[0]
+    v, around, held = p.vehicle, p.around, memory.held
+    now = memory.clock.now_ns
+    pool, y = borrowed(pool), borrowed(y)
+    k_1, y_end = borrowed(scratch[_K_1:_Y_END]), borrowed(scratch[_Y_END:_Y_STAGE])
+    y_stage, k = borrowed(scratch[_Y_STAGE:_K]), borrowed(scratch[_K:_PROPS])
+    props, props_middle = borrowed(scratch[_PROPS:_PROPS_MIDDLE]), borrowed(scratch[_PROPS_MIDDLE:_PROPS_END])
+    props_end, work = borrowed(scratch[_PROPS_END:_WORK]), borrowed(scratch[_WORK:_AUX])
+    aux, aux_stage = borrowed(scratch[_AUX:_AUX_STAGE]), borrowed(scratch[_AUX_STAGE:SCRATCH])
+    read_schedule(p, pool, memory, now, 0.0, props)
+    evaluate(p, pool, memory, now, 0.0, props, y, k_1, work, aux)
+    felt = (aux[FELT], aux[FELT + 1], aux[FELT + 2])
+    start, total = y[V_I], 0.0
+    for turn in range(turns):
+        y[V_I] = start + 1e-9 * turn
+        rate = (y[W_BI_B], y[W_BI_B + 1], y[W_BI_B + 2])
+        if part == 1:
+            evaluate(p, pool, memory, now, 0.0, props, y, k_1, work, aux)
+        elif part == 2:
+            rotation = rotation_from_quaternion(y[Q_BI], y[Q_BI + 1], y[Q_BI + 2], y[Q_BI + 3])
+            total += surroundings(around, pool, memory.gusts, held.turbulence_phase, rotation, y, aux)[0]
+        elif part == 3:
+            total += gravitation(around.earth, y[0] + 1e-9 * turn, y[1], y[2])[0]
+        elif part == 4:
+            total += local_frame(around.earth, y[0] + 1e-9 * turn, y[1], y[2])[0]
+        elif part == 5:
+            total += air(around.atmosphere, pool, aux[ALTITUDE] + 1e-9 * turn)[0]
+        elif part == 6:
+            total += move_engine(v, held, props, y, aux).axis[0]
+        elif part == 7:
+            rotation = rotation_from_quaternion(y[Q_BI], y[Q_BI + 1], y[Q_BI + 2], y[Q_BI + 3])
+            total += aerodynamics(v, around, pool, held, rotation, rate, props, y, work, aux)[0][0]
+        elif part == 8:
+            engine = move_engine(v, held, props, y, aux)
+            total += push_of_thrust(v, engine, props, y, work, aux)[0][0]
+        elif part == 9:
+            e = v.engine
+            total += gyroscopic_forces(
+                v.sizes, props, rate, e.gimballed_mass_kg, e.cg_from_gimbal_m, e.inertia_kgm2,
+                (0.0, 0.01, 0.01), 0.1, 0.1, y, work,
+            )[0]  # fmt: skip
+            total += elastic_forces(v.bending, v.sizes, props, felt[0], y, work)
+        elif part == 10:
+            total += hang(v.slosh, v.sizes, 0, rate, felt[0], props, y, work)[0][0]
+        elif part == 11:
+            engine = move_engine(v, held, props, y, aux)
+            total += accelerate(
+                v.slosh, v.sizes, 0, props[0], engine.offset, engine.inverse_inertia, felt, felt, felt, props, y,
+                work,
+            )[0][0]  # fmt: skip
+        elif part == 12:
+            swing_derivative(v.slosh, v.sizes, 0, rate, felt, felt, props, y, k_1, work)
+        elif part == 13:
+            actuator_derivative(v.actuator_pitch, y, ACTUATOR, held.command_pitch_rad, k_1)
+            actuator_derivative(v.actuator_yaw, y, ACTUATOR + N_ACTUATOR, held.command_yaw_rad, k_1)
+            gyro_derivative(v.gyro, y, rate, k_1)
+        elif part == 14:
+            read_schedule(p, pool, memory, now, 1e-9 * turn, props_end)
+        elif part == 15:
+            runge_kutta(
+                p, pool, memory, now, 1_000_000, y, k_1, y_end, y_stage, k, props_middle, props_end, work, aux_stage
+            )
+        elif part == 16:
+            total += meet_instants(p, pool, memory, y, aux)
+        elif part == 17:
+            watch(p, memory, y, aux)
+        elif part == 18:
+            total += step_length(p, pool, memory, NEVER)
+        elif part == 19:
+            gather(
+                memory.extremes, v, around.earth, held, memory.computer, now, 0.0, props, y, aux
+            )
+        elif part == 20:
+            total += fault(p, y)
+        elif part == 21:
+            total += crossed(p, memory, y, props, aux)
+        elif part == 22:
+            computer_tick(
+                p.computer, pool, memory.computer, 1e-9 * now, memory.increment_rad,
+                memory.rate_injection_radps, memory.rate_replaces, memory.gimbal_injection_rad,
+                memory.gimbal_replaces,
+            )  # fmt: skip
+        k_1[V_I] += total
+    y[V_I] = start
+    return total
+
+
+def _seconds(run: FlightRun, part: int, turns: int) -> float:
+    """Shortest CPU time of a loop; every repetition begins with the same memory."""
+    packed, scratch = run.packed, np.zeros(SCRATCH)
+    best = float("inf")
+    for _ in range(REPETITIONS):
+        state, memory = packed.state.copy(), packed.memory.copy()
+        start = time.process_time()
+        repeat_part(packed.parameters, packed.pool, memory, state, scratch, turns, part)
+        best = min(best, time.process_time() - start)
+    return best
+
+
+def _flown_ns_per_step() -> float:
+    """CPU time per step of whole powered flights, the shortest of a few."""
+    loaded, best = scenario(), float("inf")
+    for _ in range(REPETITIONS):
+        run = FlightRun(loaded, log=False)
+        start = time.process_time()
+        while not run.finished:
+            run.fly_segment(10**12)
+        best = min(best, (time.process_time() - start) / int(run.memory.clock.steps))
+    return 1e9 * best
+
+
+def measure(turns: int = TURNS) -> dict[str, Any]:
+    """`parts`: name, `calls` a step, `ns` a call (loop taken off), `within`; `step_ns`: a whole step in flight."""
+    run = stopped_flight()
+    repeat_part(run.packed.parameters, run.packed.pool, run.packed.memory.copy(), run.packed.state.copy(),
+                np.zeros(SCRATCH), 1, 0)  # fmt: skip
+    loop_ns = 1e9 * _seconds(run, 0, turns) / turns
+    rows = []
+    for number, part in enumerate(PARTS):
+        if number == 0:
+            continue
+        ns = max(1e9 * _seconds(run, number, turns) / turns - loop_ns, 0.0)
+        rows.append({"name": part.name, "calls": part.calls, "within": part.within, "ns": round(ns, 1)})
+    return {"parts": rows, "loop_ns": round(loop_ns, 2), "step_ns": round(_flown_ns_per_step(), 1)}
+
+
+if __name__ == "__main__":
+    print(json.dumps(measure()))

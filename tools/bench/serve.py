@@ -1,0 +1,41 @@
+"""One flight per line: a worker waits for a line on its standard input, flies once and answers with a line of JSON.
+
+So the flights of several programs alternate in one run, each in a process of its own that stays warm.
+"""
+
+from __future__ import annotations
+
+import gc
+import json
+import os
+import sys
+import time
+from collections.abc import Callable
+from typing import Any
+
+Prepare = Callable[[], Callable[[], int]]
+
+
+def serve(about: dict[str, Any], prepare: Prepare) -> None:
+    """Answer until the input ends.
+
+    `prepare` sets a flight up and returns what flies it, which returns its steps; both are timed, apart. Whatever
+    else the program prints on its standard output, from C too, is thrown away.
+    """
+    answers = os.fdopen(os.dup(1), "w")
+    nowhere = os.open(os.devnull, os.O_WRONLY)
+    os.dup2(nowhere, 1)
+    print(json.dumps(about), file=answers, flush=True)
+    for _ in sys.stdin:
+        gc.collect()
+        start = time.perf_counter()
+        fly = prepare()
+        set_up = time.perf_counter() - start
+        wall, cpu = time.perf_counter(), time.process_time()
+        steps = fly()
+        cpu, wall = time.process_time() - cpu, time.perf_counter() - wall
+        print(
+            json.dumps({"cpu_s": cpu, "wall_s": wall, "set_up_s": set_up, "steps": steps}),
+            file=answers,
+            flush=True,
+        )

@@ -1,0 +1,106 @@
+"""What is printed about a flight: events, metrics, requirements, and the verdict as the last line."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+from maxq.sim.flight.fly import Flight
+from maxq.sim.flight.history import DIVERGED_NAME
+from maxq.sim.flight.judgement import Verdict, unit_of
+from maxq.tools.plain_text import aligned, printable
+
+_FINAL = (
+    "altitude_m", "speed_mps", "yaw_deg", "pitch_deg", "roll_deg", "alpha_total_deg", "dynamic_pressure_Pa",
+    "body_roll_rate_degps", "body_pitch_rate_degps", "body_yaw_rate_degps", "gimbal_pitch_angle_deg",
+    "gimbal_yaw_angle_deg", "bend_pitch_gimbal_m", "bend_yaw_gimbal_m",
+)  # fmt: skip
+"""The state that a person wants to see of a flight that went wrong; summary.json has all of it."""
+
+
+def report(flight: Flight, files: list[Path], total_s: float) -> str:
+    """All that is said about a flight, in plain text."""
+    scenario = flight.scenario.scenario
+    title = printable(f"{scenario.name}: {scenario.description}" if scenario.description else scenario.name)
+    parts = [[title], _events(flight), _metrics(flight), _requirements(flight.verdicts)]
+    if flight.outcome == DIVERGED_NAME:
+        parts.append(_state(flight))
+    parts.append(_timing(flight, files, total_s))
+    parts.append([verdict_line(flight)])
+    return "\n\n".join("\n".join(part) for part in parts if part)
+
+
+def verdict_line(flight: Flight) -> str:
+    """The flight in one line: how it ended and what was wrong."""
+    if flight.outcome == "interrupted":
+        return f"INTERRUPTED at {flight.end_s:.3f} s of flight"
+    missed = [f"{printable(v.name)} = {_bounded(v)}" for v in flight.verdicts if not v.met]
+    wrong = [*flight.failures, *(f"requirement missed: {text}" for text in missed)]
+    if wrong:
+        return "FAILED: " + "; ".join(wrong)
+    count = len(flight.verdicts)
+    met = (
+        "no requirements"
+        if count == 0
+        else "1 requirement met"
+        if count == 1
+        else f"all {count} requirements met"
+    )
+    return f"PASSED: {met}"
+
+
+def _events(flight: Flight) -> list[str]:
+    rows = [(e.name + (f" (stage {e.stage})" if e.stage else ""), f"{e.time_s:.3f} s") for e in flight.events]
+    if flight.outcome in ("duration", "interrupted"):
+        rows.append((f"end ({flight.outcome})", f"{flight.end_s:.3f} s"))
+    return ["events", *aligned(rows, "  ", right=(1,))]
+
+
+def _metrics(flight: Flight) -> list[str]:
+    rows = []
+    for name, value in flight.metrics.items():
+        unit, time_s = unit_of(name), flight.metric_times_s[name]
+        at = f"at {time_s:.3f} s" if math.isfinite(time_s) else ""
+        if name.startswith(("final_", "flight_time", "range")):
+            at = "at the end"
+        rows.append((name, _value(value), "" if unit == "1" else unit, at))
+    return ["metrics", *aligned(rows, "  ", right=(1,))]
+
+
+def _requirements(verdicts: tuple[Verdict, ...]) -> list[str]:
+    if not verdicts:
+        return []
+    rows = []
+    for verdict in verdicts:
+        kind, bound = verdict.bound
+        unit = unit_of(verdict.requirement.metric)
+        limit = f"{'<=' if kind == 'limit' else '>='} {_value(bound)} {'' if unit == '1' else unit}".rstrip()
+        rows.append(
+            (printable(verdict.name), _value(verdict.value), limit, "met" if verdict.met else "MISSED")
+        )
+    return ["requirements", *aligned(rows, "  ", right=(1,))]
+
+
+def _state(flight: Flight) -> list[str]:
+    rows = [(name, _value(flight.final[name])) for name in _FINAL if name in flight.final]
+    return [f"state at {flight.end_s:.3f} s, before it diverged", *aligned(rows, "  ", right=(1,))]
+
+
+def _timing(flight: Flight, files: list[Path], total_s: float) -> list[str]:
+    flown_s = flight.end_s - flight.scenario.scenario.run.start_s
+    ratio = f", {flown_s / flight.wall_s:.0f} times real time" if flight.wall_s > 0.0 else ""
+    took = f"{flown_s:.1f} s flown in {flight.wall_s:.2f} s ({flight.steps} steps{ratio})"
+    rows = [(str(path), f"{path.stat().st_size / 1e6:.3g} MB") for path in files]
+    return [f"{took}; {total_s:.2f} s in all", *aligned(rows, right=(1,))]
+
+
+def _bounded(verdict: Verdict) -> str:
+    kind, bound = verdict.bound
+    sign = ">" if kind == "limit" else "<"
+    unit = unit_of(verdict.requirement.metric)
+    text = f"{_value(verdict.value)} {sign} {_value(bound)}" + ("" if unit == "1" else f" {unit}")
+    return text + (f" at {verdict.time_s:.3f} s" if math.isfinite(verdict.time_s) else "")
+
+
+def _value(value: float) -> str:
+    return f"{value:.6g}"

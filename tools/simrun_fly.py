@@ -1,0 +1,149 @@
+"""`simrun SCENARIO` and `simrun --from LOG`: load, fly, write, compare, report."""
+
+from __future__ import annotations
+
+import re
+import sys
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from maxq.sim.scenario.errors import ScenarioError
+from maxq.tools.plain_text import printable
+
+if TYPE_CHECKING:
+    from maxq.sim.flight.fly import FlightRun
+    from maxq.sim.scenario.loader import LoadedScenario
+    from maxq.tools.comparison import Comparison
+
+_PASSED, _FAILED, _BAD_INPUT, _INTERRUPTED = 0, 1, 2, 130
+
+
+@dataclass(frozen=True)
+class Order:
+    """What the command line asks for: a scenario by name, or a log to be flown again."""
+
+    scenario: str | None
+    log: str | None
+    overrides: tuple[str, ...]
+    out: str | None
+    no_log: bool
+
+
+def execute(order: Order) -> int:
+    """Do it; returns the exit code. Whatever is wrong with the input is one line on stderr."""
+    start_s = time.perf_counter()
+    from maxq.sim.log.error import LogError  # noqa: PLC0415  # lazy: the clock starts before the heavy imports
+
+    try:
+        return _execute(order, start_s)
+    except (ScenarioError, LogError) as error:
+        print(f"simrun: {printable(str(error))}", file=sys.stderr)
+        return _BAD_INPUT
+    except MemoryError:
+        print("simrun: not enough memory for this flight; shorten it or log less often", file=sys.stderr)
+        return _BAD_INPUT
+
+
+def _execute(order: Order, start_s: float) -> int:
+    from maxq.sim.flight import record  # noqa: PLC0415  # lazy
+    from maxq.sim.flight.fly import FlightRun  # noqa: PLC0415  # lazy
+    from maxq.sim.packing.flight import pack_flight  # noqa: PLC0415  # lazy
+    from maxq.tools.flight_progress import FlightProgress  # noqa: PLC0415  # lazy
+    from maxq.tools.flight_report import report  # noqa: PLC0415  # lazy
+    from maxq.tools.interruption import Interruption  # noqa: PLC0415  # lazy
+
+    loaded, comparison = _load(order)
+    packed = pack_flight(loaded.scenario)
+    folder = _folder(order, loaded.name)
+    if folder is not None:
+        record.check_writable(folder)
+    loaded_s = time.perf_counter()
+    _announce_compilation()
+    run = FlightRun(loaded, packed, log=folder is not None and not order.no_log)
+    prepared_s = time.perf_counter()
+
+    def timing() -> dict[str, float]:
+        now_s = time.perf_counter()
+        return {
+            "load_s": loaded_s - start_s,
+            "prepare_s": prepared_s - loaded_s,
+            "total_s": now_s - start_s,
+        }
+
+    with Interruption() as interruption, FlightProgress() as progress:
+        watch = _watchers(progress.show, comparison.look)
+        comparison.look(run)
+        try:
+            if folder is None:
+                flight = record.fly_to_end(run, watch=watch, stop=lambda: interruption.requested)
+            else:
+                flight = record.record(
+                    run,
+                    folder,
+                    log=not order.no_log,
+                    watch=watch,
+                    stop=lambda: interruption.requested,
+                    timing=timing,
+                )
+        except KeyboardInterrupt:
+            print("simrun: interrupted twice: no summary, the log ends early", file=sys.stderr)
+            return _INTERRUPTED
+    files = []
+    if folder is not None:
+        files = [folder / record.LOG_NAME] * (not order.no_log) + [folder / record.SUMMARY_NAME]
+    print(report(flight, files, timing()["total_s"]))
+    same = comparison.verdict(flight)
+    if flight.outcome == "interrupted":
+        return _INTERRUPTED
+    return _PASSED if flight.passed and same else _FAILED
+
+
+def _load(order: Order) -> tuple[LoadedScenario, Comparison]:
+    from maxq.sim.flight.judgement import METRIC_NAMES  # noqa: PLC0415  # lazy
+    from maxq.sim.log.reader import read_run  # noqa: PLC0415  # lazy
+    from maxq.sim.scenario.loader import load_scenario, load_scenario_text  # noqa: PLC0415  # lazy
+    from maxq.tools.comparison import Comparison, scenario_text  # noqa: PLC0415  # lazy
+
+    if order.log is None:
+        assert order.scenario is not None
+        return load_scenario(order.scenario, order.overrides, METRIC_NAMES), Comparison(None)
+    logged = read_run(order.log)
+    loaded = load_scenario_text(
+        scenario_text(logged), order.overrides, METRIC_NAMES, f"scenario in {order.log}"
+    )
+    return loaded, Comparison(logged, changed=bool(order.overrides))
+
+
+def _folder(order: Order, name: str) -> Path | None:
+    """Where to write; a log that is flown again leaves nothing unless told where."""
+    if order.out is None:
+        return None if order.log else Path("runs") / (re.sub(r"[^\w.-]+", "-", name).strip(".-") or "flight")
+    from maxq.sim.flight.record import LOG_NAME  # noqa: PLC0415  # lazy
+    from maxq.sim.log.error import LogError  # noqa: PLC0415  # lazy
+
+    folder = Path(order.out)
+    log = folder / LOG_NAME
+    if order.log and log.exists() and log.samefile(order.log):
+        raise LogError(f"{log}: is the log that is to be flown again; choose another folder for --out")
+    return folder
+
+
+def _watchers(*watchers: Callable[[FlightRun], None]) -> Callable[[FlightRun], None]:
+    def watch(run: FlightRun) -> None:
+        for each in watchers:
+            each(run)
+
+    return watch
+
+
+def _announce_compilation() -> None:
+    """On a terminal, say why the first flight takes its time."""
+    from maxq.control.jit import cache_folder  # noqa: PLC0415  # lazy
+
+    if sys.stderr.isatty() and not any(cache_folder().rglob("loop.advance*.nbc")):
+        print(
+            "compiling the simulator, once for this version of it: about half a minute ...", file=sys.stderr
+        )
