@@ -15,8 +15,6 @@ from typing import Literal, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.linalg import expm
-from scipy.signal import zpk2sos
 
 from maxq.control.jit import kernel
 from maxq.control.records import Array
@@ -242,6 +240,9 @@ def _step_invariant(polynomials: Array, sample_s: float) -> list[Array]:
     The product of the sections' own equivalents would not be it: between two sections the signal is not a
     staircase.
     """
+    from scipy.linalg import expm  # noqa: PLC0415  # lazy: scipy.signal takes 0.4 s to import, most flights
+    from scipy.signal import zpk2sos  # noqa: PLC0415  # do not need it
+
     if len(polynomials) == 0:
         return []
     a, b, c, d = np.zeros((0, 0)), np.zeros(0), np.zeros(0), 1.0

@@ -86,6 +86,11 @@ def entry(function: Function) -> Function:
         numba.config.CACHE_DIR = saved
 
 
+def from_python(function: Function) -> Function:
+    """A kernel for callers in Python: an entry of its own. A bare kernel is compiled anew in every process."""
+    return entry(getattr(function, "py_func", function))
+
+
 @intrinsic
 def _address(context: Any, array: Any) -> Any:
     """Numba intrinsic: pointer to the first element of a contiguous array."""

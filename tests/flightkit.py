@@ -312,10 +312,14 @@ class Rig:
 
     def derivative(self, y: Array, time_s: float = 0.0) -> Array:
         """Time derivative of `y` (n,) at a flight time; a copy."""
+        return self.derivative_within(y, round(1e9 * time_s), 0.0)
+
+    def derivative_within(self, y: Array, now_ns: int, elapsed_s: float) -> Array:
+        """As `derivative`, `elapsed_s` into a step that starts at `now_ns`."""
         full = np.zeros(MAX_STATE)
         full[: self.n] = y
         _evaluate_at(
-            self.packed.parameters, self.packed.pool, self.packed.memory, full, int(round(1e9 * time_s)), 0.0,
+            self.packed.parameters, self.packed.pool, self.packed.memory, full, now_ns, elapsed_s,
             self.props, self.dy, self.work, self.aux,
         )  # fmt: skip
         return self.dy[: self.n].copy()

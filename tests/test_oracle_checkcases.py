@@ -1,6 +1,6 @@
-"""Check cases beyond those with published histories, against an independent integration from first principles.
+"""Check cases beyond the published ones, against an independent integration from first principles.
 
-Scenarios are those of scenarios/checkcases; here their vehicles are written a second time, as textbook equations.
+Scenarios are those of scenarios/checkcases; here their vehicles stand a second time, as textbook equations.
 """
 
 from __future__ import annotations
@@ -101,7 +101,6 @@ THIRTY = np.linspace(0.0, 30.0, 31)
 
 
 def assert_within(found: dict[str, float], position: float, velocity: float, attitude: float, rate: float):
-    print(found)
     allowed = {"position": position, "velocity": velocity, "attitude": attitude, "rate": rate}
     assert {k: v for k, v in found.items() if not v <= allowed[k]} == {}
 
@@ -119,7 +118,7 @@ def damped_brick(frame: str) -> list[State]:
 @pytest.mark.parametrize("frame", ["inertial", "earth"])
 def test_brick_with_rate_damping(frame):
     flight = flown(f"brick-damping-{frame}")
-    assert_within(differences(flight, THIRTY, damped_brick(frame)), 1e-6, 1e-7, 1e-8, 1e-8)
+    assert_within(differences(flight, THIRTY, damped_brick(frame)), 2e-7, 2e-9, 1e-10, 1e-10)
 
 
 def test_inertial_and_earth_relative_damping_can_be_told_apart():
@@ -134,7 +133,7 @@ def test_wind_linear_in_altitude():
 
     begin = start((0.0, 0.0, 30000 * FOOT), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), True)
     states = integrate(sphere(), begin, THIRTY, wind_ned=wind)
-    assert_within(differences(flown("wind-shear"), THIRTY, states), 1e-6, 1e-7, 1e-10, 1e-12)
+    assert_within(differences(flown("wind-shear"), THIRTY, states), 2e-7, 2e-9, 1e-12, 1e-15)
 
 
 SHOTS = {
@@ -146,7 +145,7 @@ SHOTS = {
 @pytest.mark.parametrize("name", SHOTS)
 def test_launch_to_any_azimuth(name):
     states = integrate(sphere(), start(*SHOTS[name], (0.0, 0.0, 0.0), False), THIRTY)
-    assert_within(differences(flown(name), THIRTY, states), 1e-6, 1e-7, 1e-10, 1e-12)
+    assert_within(differences(flown(name), THIRTY, states), 2e-7, 2e-9, 1e-12, 1e-15)
 
 
 def test_shot_crosses_the_date_line():
@@ -168,10 +167,10 @@ def test_simultaneous_force_and_torque_schedules():
 
     kinks = (1.0, 2.0, 3.0, 4.0, 5.0, 6.5, 7.0, 7.5, 10.0, 11.0, 12.0, 15.0, 20.0)
     states = integrate(brick(push=push, twist=twist), start(*DROP, (0.0, 0.0, 0.0), True), THIRTY, kinks)
-    assert_within(differences(flown("brick-forced"), THIRTY, states), 1e-6, 1e-7, 1e-8, 1e-8)
+    assert_within(differences(flown("brick-forced"), THIRTY, states), 2e-7, 2e-9, 1e-10, 1e-10)
 
 
-# --- two stages -------------------------------------------------------------------------------------------------
+# --- two stages ---
 
 AREA, LENGTH = 0.63617, 0.9
 BURN_1, SEPARATION, IGNITION_2, BURN_2 = 40.0, 45.0, 48.0, 68.0
@@ -339,11 +338,10 @@ def test_two_stages_resolve_what_they_are_for(wrong):
     """Each of these is a mistake that the comparison must see."""
     times, states = two_stages_by_the_book()
     found = differences(flown("two-stage", wrong), times, states)
-    print(wrong, found)
     assert found["position"] > 5e-4 or found["rate"] > 1e-8
 
 
-# --- gravity gradient on a body with products of inertia ---------------------------------------------------------
+# --- gravity gradient on a body with products of inertia ---
 
 JEOD_MU = 3.986004415e14
 UNEQUAL = np.array([[500.0, 60.0, -45.0], [60.0, 900.0, 80.0], [-45.0, 80.0, 1200.0]])

@@ -17,7 +17,6 @@ from flightkit import (
     Rig,
     Tank,
     Tree,
-    composed,
     engine_states,
     flown,
     merged,
@@ -49,7 +48,7 @@ def answer(made: Rig, y: Array | None = None) -> tuple[Array, Array]:
 
 
 def ideal(parts: Parts, **sections: object) -> Tree:
-    return scenario_of(parts, switches={"actuator": "ideal"}, **sections)
+    return merged(scenario_of(parts, switches={"actuator": "ideal"}), dict(sections))
 
 
 def mode_index(made: Rig, plane: int) -> int:
@@ -104,7 +103,7 @@ def test_follower_thrust_turns_with_the_gimbal(plane: int) -> None:
     """A positive slope times displacement turns the nozzle's axis: force to -z (pitch) or -y (yaw), nose down or right."""
     parts = Parts(thrust_N=1.0e5, **planes(SLOPED))
     for follower in (True, False):
-        made = rig(ideal(parts, switches={"follower_thrust": follower, "actuator": "ideal"}))
+        made = rig(ideal(parts, switches={"follower_thrust": follower}))
         y = made.y.copy()
         y[mode_index(made, plane)] = 0.01
         felt, alpha = answer(made, y)
@@ -231,7 +230,7 @@ def test_slosh_lags_behind_an_accelerated_body(plane: int) -> None:
 def test_slosh_and_bending_meet_at_the_hinge(plane: int) -> None:
     """An accelerating hinge leaves the bob behind; a swung bob pulls the mode along."""
     parts = Parts(thrust_N=1.0e5, tanks=(AT_FIVE,), **planes(MOVED))
-    made = rig(ideal(parts, switches={"follower_thrust": False, "actuator": "ideal"}))
+    made = rig(ideal(parts, switches={"follower_thrust": False}))
     i, m = int(layout.pendulum_index(made.sizes, 0)), mode_index(made, plane)
     y = made.y.copy()
     y[m] = -0.01  # springs back to +z, +y
@@ -473,4 +472,3 @@ def test_control_turns_against_a_body_rate(plane: int) -> None:
     made = rig(tree)
     flown(made, 3.0)
     assert abs(made.y[W + ABOUT[plane]]) < 0.004
-    assert composed(Parts())[0] == 4000.0

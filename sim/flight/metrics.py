@@ -45,6 +45,7 @@ METRICS = (
     Metric("max_altitude_m", "largest altitude"),
     Metric("max_mach", "largest Mach number"),
     Metric("max_dynamic_pressure_Pa", "largest dynamic pressure"),
+    Metric("max_powered_dynamic_pressure_Pa", "largest dynamic pressure under thrust"),
     Metric("max_alpha_deg", "largest total incidence while the dynamic pressure exceeds 1 kPa under thrust"),
     Metric("max_q_alpha_Padeg", "largest product of dynamic pressure (above 1 kPa) and total incidence under thrust"),
     Metric("max_attitude_error_deg", "largest attitude error of pitch or yaw in the computer under thrust"),
@@ -59,7 +60,7 @@ METRICS = (
     Metric("saturation_time_s", "time during which a gimbal command lies at its limit"),
 )
 (
-    SPEED, ALTITUDE_MAX, MACH_MAX, Q_MAX, ALPHA_MAX, Q_ALPHA_MAX, ERROR_MAX, ROLL_MAX, GIMBAL_MAX, GIMBAL_RATE_MAX,
+    SPEED, ALTITUDE_MAX, MACH_MAX, Q_MAX, Q_POWERED, ALPHA_MAX, Q_ALPHA_MAX, ERROR_MAX, ROLL_MAX, GIMBAL_MAX, GIMBAL_RATE_MAX,
     BENDING_MAX, SLOSH_MAX, THRUST_MAX, AXIAL_MAX, LATERAL_MAX, SATURATION,
 ) = range(len(METRICS))  # fmt: skip
 N_METRICS = len(METRICS)
@@ -99,6 +100,7 @@ def gather(
     _gather_bending(extremes, vehicle, now_ns, props, y)
     if held.burning == 0 or held.down == 1:
         return
+    raise_to(extremes, Q_POWERED, q, now_ns)
     _gather_incidence(extremes, q, aux, now_ns)
     felt = math.sqrt(aux[FELT + 1] * aux[FELT + 1] + aux[FELT + 2] * aux[FELT + 2])
     raise_to(extremes, LATERAL_MAX, felt / STANDARD_GRAVITY_MPS2, now_ns)

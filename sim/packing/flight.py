@@ -9,10 +9,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from maxq.control.jit import from_python
 from maxq.control.records import Array, blank, pack
 from maxq.control.tables import Pool
 from maxq.sim.dynamics.state import MAX_STATE, W_BI_B, Sizes
-from maxq.sim.flight.events import rest, settle_gyro
+from maxq.sim.flight import events
 from maxq.sim.flight.parameters import EVENT_NAMES, NEVER, Course, Memory, Parameters
 from maxq.sim.packing.computer import pack_computer, pack_injections
 from maxq.sim.packing.environment import pack_surroundings
@@ -28,6 +29,7 @@ CONTROL_LOST_RAD = math.radians(45.0)
 TUMBLE_RAD = math.radians(90.0)
 TUMBLE_PRESSURE_PA = 5000.0
 _ALWAYS = ("diverged",)
+_rest, _settle_gyro = from_python(events.rest), from_python(events.settle_gyro)
 
 
 @dataclass(frozen=True)
@@ -59,8 +61,8 @@ def pack_flight(scenario: Scenario) -> Packed:
     y = np.zeros(MAX_STATE)
     initial_motion(scenario, parameters[0].around.earth, y)
     rate = tuple(float(w) for w in y[W_BI_B : W_BI_B + 3])
-    rest(parameters[0], rate, y)
-    settle_gyro(rate, y)
+    _rest(parameters[0], rate, y)
+    _settle_gyro(rate, y)
     memory = blank(Memory)
     memory[0].clock.now_ns = to_ns(scenario.run.start_s)
     memory[0].held.down = int(scenario.held)

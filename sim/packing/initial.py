@@ -6,11 +6,16 @@ import math
 
 import numpy as np
 
+from maxq.control.jit import from_python
 from maxq.control.records import Array
 from maxq.sim.dynamics.state import Q_BI, R_I, V_I, W_BI_B
-from maxq.sim.environment.earth import Earth, earth_position, earth_rotation, local_frame, ned_axes
+from maxq.sim.environment import earth as kernels
+from maxq.sim.environment.earth import Earth
 from maxq.sim.scenario.schema_initial import Initial
 from maxq.sim.scenario.schema_scenario import Scenario
+
+earth_rotation, earth_position = from_python(kernels.earth_rotation), from_python(kernels.earth_position)
+local_frame, ned_axes = from_python(kernels.local_frame), from_python(kernels.ned_axes)
 
 
 def initial_motion(scenario: Scenario, earth: Earth, y: Array) -> None:

@@ -11,14 +11,16 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicHermiteSpline
 
+from maxq.control.jit import from_python
 from maxq.control.records import Array, pack
 from maxq.control.tables import Cubics, Method, fit, merge
-from maxq.sim.dynamics.schedule import schedule_width
+from maxq.sim.dynamics import schedule as columns_of
 from maxq.sim.dynamics.state import Sizes
 from maxq.sim.scenario.modes import ModeTable
 from maxq.sim.scenario.schema_scenario import Switches
 from maxq.sim.scenario.schema_vehicle import Stage
 
+_schedule_width = from_python(columns_of.schedule_width)
 _GAUSS_NODES, _GAUSS_WEIGHTS = np.polynomial.legendre.leggauss(4)
 
 
@@ -64,7 +66,7 @@ def vehicle_schedule(stage: Stage, sizes: Sizes, switches: Switches, frozen: boo
             if table is not None and modes > 0:
                 parts.append(_modes(stage, table, sizes, method))
     schedule = merge(parts)
-    assert schedule.n_columns == schedule_width(pack([sizes])[0])
+    assert schedule.n_columns == _schedule_width(pack([sizes])[0])
     return schedule
 
 

@@ -1,8 +1,8 @@
-"""Flight of a rigid body from first principles, integrated by SciPy's DOP853: shares no line with maxq's kernels.
+"""Flight of a rigid body from first principles, by SciPy's DOP853: shares no line with maxq's kernels.
 
 Everything is formulated differently on purpose: Newton in the frame that rotates with the Earth (Coriolis and
-centrifugal terms), the attitude as direction cosines body to Earth, gravitation as the derivative of its potential by
-a complex step, the geodetic latitude by iteration, the standard atmosphere by its layers. SI units.
+centrifugal terms), the attitude as direction cosines body to Earth, gravitation as the derivative of its
+potential by a complex step, the geodetic latitude by iteration, the standard atmosphere by its layers. SI units.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ class Air:
 
 @dataclass(frozen=True)
 class Body:
-    """Functions of time: mass, inertia tensor about the CG, and of time and air: force and moment about the CG in B."""
+    """Functions of time: mass, inertia tensor about the CG; of time and air: force, moment about the CG, in B."""
 
     mass: Callable[[float], float]
     inertia: Callable[[float], Vector]
@@ -62,7 +62,7 @@ class Body:
 
 @dataclass(frozen=True)
 class State:
-    """`position`, `velocity` relative to the Earth, both in E; `attitude` turns B into E; inertial rate in B."""
+    """Position and velocity relative to the Earth in E; `attitude` turns B into E; inertial rate in B."""
 
     position: Vector
     velocity: Vector

@@ -72,9 +72,7 @@ def _panels(vehicle: Any) -> list[Any]:
 
 def prepare() -> Callable[[], int]:
     simulation = SimulationBaseClass.SimBaseClass()
-    simulation.CreateNewProcess("process").addTask(
-        simulation.CreateNewTask("task", macros.sec2nano(STEP_S))
-    )
+    simulation.CreateNewProcess("process").addTask(simulation.CreateNewTask("task", macros.sec2nano(STEP_S)))
     vehicle = spacecraft.Spacecraft()
     vehicle.ModelTag = "vehicle"
     simulation.AddModelToTask("task", vehicle)

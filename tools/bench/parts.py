@@ -1,7 +1,8 @@
 """What a step costs part by part: each kernel in a loop of its own, on the state of a flight stopped half-way.
 
-The loop writes to the state in every turn, so that the compiler cannot move a part's work out of it. The parts do not
-add up to the whole exactly: inside a flight they overlap in the core's pipelines, and caches are shared.
+Every turn of the loop changes the state by what the turn before has computed: so the compiler cannot move a part's
+work out of the loop, and the core cannot begin a turn before the last one has ended. What is measured is how long a
+part keeps a chain of operations waiting; the parts do not add up to the whole exactly, as some of them overlap there.
 """
 
 from __future__ import annotations
@@ -20,9 +21,20 @@ from maxq.sim.dynamics.actuator import actuator_derivative
 from maxq.sim.dynamics.bending import elastic_forces, gyroscopic_forces
 from maxq.sim.dynamics.derivative import aerodynamics, move_engine, push_of_thrust
 from maxq.sim.dynamics.gyro import gyro_derivative
+from maxq.sim.dynamics.schedule import TOTAL_MASS
 from maxq.sim.dynamics.slosh import hang, swing_derivative
 from maxq.sim.dynamics.solve import accelerate
-from maxq.sim.dynamics.state import ACTUATOR, MAX_STATE, N_ACTUATOR, Q_BI, V_I, W_BI_B
+from maxq.sim.dynamics.state import (
+    ACTUATOR,
+    GYRO,
+    MAX_STATE,
+    N_ACTUATOR,
+    Q_BI,
+    R_I,
+    V_I,
+    W_BI_B,
+    pendulum_index,
+)
 from maxq.sim.dynamics.surroundings import surroundings
 from maxq.sim.dynamics.vectors import rotation_from_quaternion
 from maxq.sim.dynamics.workspace import ALTITUDE, AUX_SIZE, FELT, WORK_SIZE
@@ -87,7 +99,9 @@ PARTS = (
 
 
 @entry
-def repeat_part(P: Array, pool: Array, state: Array, y: Array, scratch: Array, turns: int, part: int) -> float:
+def repeat_part(
+    P: Array, pool: Array, state: Array, y: Array, scratch: Array, turns: int, part: int
+) -> float:
     """Run part number `part` `turns` times; returns a number that depends on all of them."""
     p, memory = P[0], state[0]
     v, around, held = p.vehicle, p.around, memory.held
@@ -101,9 +115,12 @@ def repeat_part(P: Array, pool: Array, state: Array, y: Array, scratch: Array, t
     read_schedule(p, pool, memory, now, 0.0, props)
     evaluate(p, pool, memory, now, 0.0, props, y, k_1, work, aux)
     felt = (aux[FELT], aux[FELT + 1], aux[FELT + 2])
-    start, total = y[V_I], 0.0
-    for turn in range(turns):
-        y[V_I] = start + 1e-9 * turn
+    r, v_I, w, slack = y[R_I], y[V_I], y[W_BI_B], y[ACTUATOR + 2]
+    answer = pendulum_index(v.sizes, 0) + 3
+    total = 0.0
+    for _ in range(turns):
+        last = 1e-30 * total
+        y[R_I], y[V_I], y[W_BI_B], y[ACTUATOR + 2] = r + last, v_I + last, w + last, slack + last
         rate = (y[W_BI_B], y[W_BI_B + 1], y[W_BI_B + 2])
         if part == 1:
             evaluate(p, pool, memory, now, 0.0, props, y, k_1, work, aux)
@@ -111,11 +128,11 @@ def repeat_part(P: Array, pool: Array, state: Array, y: Array, scratch: Array, t
             rotation = rotation_from_quaternion(y[Q_BI], y[Q_BI + 1], y[Q_BI + 2], y[Q_BI + 3])
             total += surroundings(around, pool, memory.gusts, held.turbulence_phase, rotation, y, aux)[0]
         elif part == 3:
-            total += gravitation(around.earth, y[0] + 1e-9 * turn, y[1], y[2])[0]
+            total += gravitation(around.earth, y[R_I], y[R_I + 1], y[R_I + 2])[0]
         elif part == 4:
-            total += local_frame(around.earth, y[0] + 1e-9 * turn, y[1], y[2])[0]
+            total += local_frame(around.earth, y[R_I], y[R_I + 1], y[R_I + 2])[0]
         elif part == 5:
-            total += air(around.atmosphere, pool, aux[ALTITUDE] + 1e-9 * turn)[0]
+            total += air(around.atmosphere, pool, aux[ALTITUDE] + last)[0]
         elif part == 6:
             total += move_engine(v, held, props, y, aux).axis[0]
         elif part == 7:
@@ -146,10 +163,24 @@ def repeat_part(P: Array, pool: Array, state: Array, y: Array, scratch: Array, t
             actuator_derivative(v.actuator_yaw, y, ACTUATOR + N_ACTUATOR, held.command_yaw_rad, k_1)
             gyro_derivative(v.gyro, y, rate, k_1)
         elif part == 14:
-            read_schedule(p, pool, memory, now, 1e-9 * turn, props_end)
+            read_schedule(p, pool, memory, now, last, props_end)
+            total += props_end[TOTAL_MASS]
         elif part == 15:
             runge_kutta(
-                p, pool, memory, now, 1_000_000, y, k_1, y_end, y_stage, k, props_middle, props_end, work, aux_stage
+                p,
+                pool,
+                memory,
+                now,
+                1_000_000,
+                y,
+                k_1,
+                y_end,
+                y_stage,
+                k,
+                props_middle,
+                props_end,
+                work,
+                aux_stage,
             )
         elif part == 16:
             total += meet_instants(p, pool, memory, y, aux)
@@ -158,9 +189,7 @@ def repeat_part(P: Array, pool: Array, state: Array, y: Array, scratch: Array, t
         elif part == 18:
             total += step_length(p, pool, memory, NEVER)
         elif part == 19:
-            gather(
-                memory.extremes, v, around.earth, held, memory.computer, now, 0.0, props, y, aux
-            )
+            gather(memory.extremes, v, around.earth, held, memory.computer, now, 0.0, props, y, aux)
         elif part == 20:
             total += fault(p, y)
         elif part == 21:
@@ -171,8 +200,13 @@ def repeat_part(P: Array, pool: Array, state: Array, y: Array, scratch: Array, t
                 memory.rate_injection_radps, memory.rate_replaces, memory.gimbal_injection_rad,
                 memory.gimbal_replaces,
             )  # fmt: skip
-        k_1[V_I] += total
-    y[V_I] = start
+        if part == 1 or part == 12 or part == 13:
+            total += k_1[answer] + k_1[GYRO + 1]
+        elif part == 15:
+            total += y_end[V_I]
+        elif part == 22:
+            total += memory.computer.command_rad[0]
+    y[R_I], y[V_I], y[W_BI_B], y[ACTUATOR + 2] = r, v_I, w, slack
     return total
 
 

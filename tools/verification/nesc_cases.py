@@ -53,9 +53,9 @@ def fly_case(scenario: str) -> Flight:
 
 def read_columns(path: Path) -> dict[str, list[str]]:
     """Columns of a CSV file, gzipped or not, as text."""
-    opened = gzip.open(path, "rt") if path.suffix == ".gz" else path.open()
-    with opened as file:
-        header, *rows = csv.reader(file)
+    content = path.read_bytes()
+    text = (gzip.decompress(content) if path.suffix == ".gz" else content).decode()
+    header, *rows = csv.reader(text.splitlines())
     return dict(zip(header, map(list, zip(*rows, strict=True)), strict=True))
 
 

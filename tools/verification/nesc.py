@@ -1,0 +1,68 @@
+"""Flies all NESC check cases and writes what they achieve into docs/verification.md:
+`python -m maxq.tools.verification.nesc [--check]`.
+
+With --check the file stays as it is. Exit code 1 where a tolerance is missed.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import time
+from pathlib import Path
+
+from maxq.sim.flight.fly import Flight
+from maxq.tools.verification.nesc_cases import ALL_CASES, Difference, fly_case
+
+DOCUMENT = Path(__file__).resolve().parents[2] / "docs" / "verification.md"
+BEGIN, END = "<!-- nesc: begin -->", "<!-- nesc: end -->"
+
+HEADER = """\
+| case | scenario | step, s | compared | missed | nearest to its tolerance | difference | tolerance | ratio | at, s |
+|---|---|---|---|---|---|---|---|---|---|
+"""
+
+
+def row(case: str, scenario: str, flight: Flight, differences: list[Difference]) -> str:
+    """One line of the table: the variable that comes nearest to its tolerance."""
+    worst = max(differences, key=lambda d: d.ratio)
+    missed = sum(not d.ratio <= 1.0 for d in differences)
+    step = flight.scenario.scenario.run.step_s
+    cells = [case, f"`{scenario}`", f"{step:g}", str(len(differences)), str(missed)]
+    cells += [f"{worst.variable} ({worst.reference})", f"{worst.largest:.2g}", f"{worst.tolerance:.2g}"]
+    cells += [f"{worst.ratio:.2g}", f"{worst.at_s:g}"]
+    return f"| {' | '.join(cells)} |\n"
+
+
+def insert(table: str, document: Path = DOCUMENT) -> None:
+    """Put the table between its markers; ValueError where they are missing."""
+    text = document.read_text()
+    before, begin, rest = text.partition(BEGIN)
+    _, end, after = rest.partition(END)
+    if not begin or not end:
+        raise ValueError(f"{document.name} has no markers {BEGIN} and {END}")
+    document.write_text(f"{before}{BEGIN}\n{table}{END}{after}")
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description="Fly the NESC check cases and tabulate the differences.")
+    parser.add_argument("--check", action="store_true", help="leave docs/verification.md as it is")
+    arguments = parser.parse_args()
+    begun = time.perf_counter()
+    flights: dict[str, Flight] = {}
+    table, missed = HEADER, 0
+    for case, (scenario, compare) in ALL_CASES.items():
+        if scenario not in flights:
+            flights[scenario] = fly_case(scenario)
+        differences = compare(flights[scenario])
+        missed += sum(not d.ratio <= 1.0 for d in differences)
+        table += row(case, scenario, flights[scenario], differences)
+    print(table, end="")
+    print(f"{missed} missed; {time.perf_counter() - begun:.1f} s")
+    if not arguments.check:
+        insert(table)
+    return 1 if missed else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
