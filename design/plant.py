@@ -29,7 +29,7 @@ gimbal, S = m_E l_E, l_C from the core's CG aft to the gimbal, errata 8)
 The engine's rate does not enter. Loads: thrust T at the displaced gimbal along the bent axis, (x, z) parts
 T (1, delta - sigma_T eta): moment T l_C (delta - sigma_T eta) + T phi_T eta (erratum 4). Each lifting surface:
 -q S CN_alpha (w/U + sigma_s eta + phi_s eta' / U) at its station. Rate damping Cmq (7). Drag along the wind:
--q S CD w/U. Gravity does no work on a free-free mode (erratum 3). Modal damping. Gas leaving: `_jet_damping`.
+-q S CD w/U. Gravity does no work on a free-free mode (erratum 3). Modal damping. Mass flow: `_mass_flow`.
 
 Slosh damping is a force between bob and tank; its work is  -2 zeta w L m_p L G' d(G): it enters the pendulum's row
 only. In the language of (24) and (27) it reacts on the vehicle where the bob is:
@@ -86,10 +86,12 @@ def axial_load_mps2(vehicle: VehicleAt, condition: FlightCondition) -> float:
     return (vehicle.engine.thrust_N(condition.pressure_Pa) - drag) / vehicle.body.total_mass_kg
 
 
-def vehicle_plant(vehicle: VehicleAt, condition: FlightCondition) -> StateSpace:
+def vehicle_plant(
+    vehicle: VehicleAt, condition: FlightCondition, complete_flow: bool = False
+) -> StateSpace:
     """Engine angle and acceleration -> rates, of body, modes and pendulums.
 
-    States w (m/s), q (rad/s), theta (rad), eta (m), eta' (m/s), G (rad), G' (rad/s); inputs and outputs as INPUTS and
+    States w (m/s, of the body point at the core's CG), q (rad/s), theta (rad), eta (m), eta' (m/s), G (rad), G' (rad/s); inputs and outputs as INPUTS and
     OUTPUTS, of which the local rate is that at the gyro, q + sum sigma_G eta' (12 with erratum 1). Valid for thrust
     that presses the liquid aft; raises ValueError where the axial load is not positive and there are pendulums.
     """
@@ -99,7 +101,7 @@ def vehicle_plant(vehicle: VehicleAt, condition: FlightCondition) -> StateSpace:
         raise ValueError(f"a pendulum needs a positive axial load, not {load:g} m/s2")
     mass = _mass_matrix(vehicle, at)
     stiffness = _stiffness(vehicle, condition, load, at)
-    damping = _damping(vehicle, condition, load, at)
+    damping = _damping(vehicle, condition, load, at, complete_flow)
     engine = _engine_columns(vehicle, condition, load, at)
     # unknown of the first row is s, of the others the second derivatives
     per_position = -np.linalg.solve(mass, stiffness)  # no column 0: nothing depends on a lateral position
@@ -115,11 +117,7 @@ def _mass_matrix(vehicle: VehicleAt, at: _Layout) -> Array:
     mass[0, 0], mass[1, 1] = body.core_mass_kg, body.core_inertia_kgm2
     mass[at.mode, at.mode] = np.diag(vehicle.modes.generalized_mass_kg)
     for k in range(at.tanks):
-        # lateral displacement of the bob per unit of each coordinate
-        reach = np.zeros(at.size)
-        reach[0], reach[1] = 1.0, -(body.core_cg_station_m - bobs.bob_station_m[k])
-        reach[at.mode] = vehicle.modes.phi_hinge[:, k]
-        reach[2 + at.modes + k] = bobs.length_m[k]
+        reach = _bob_reach(vehicle, at, k)
         mass += bobs.mass_kg[k] * np.outer(reach, reach)
     return mass
 
@@ -144,7 +142,9 @@ def _stiffness(vehicle: VehicleAt, condition: FlightCondition, load: float, at: 
     return k
 
 
-def _damping(vehicle: VehicleAt, condition: FlightCondition, load: float, at: _Layout) -> Array:
+def _damping(
+    vehicle: VehicleAt, condition: FlightCondition, load: float, at: _Layout, complete_flow: bool
+) -> Array:
     """Forces lost per unit of rate; column 0 is that of w."""
     modes, bobs, air = vehicle.modes, vehicle.pendulums, vehicle.aerodynamics
     c = np.zeros((at.size, at.size))
@@ -157,7 +157,7 @@ def _damping(vehicle: VehicleAt, condition: FlightCondition, load: float, at: _L
     for force, incidence in _surfaces(vehicle, condition, at):
         c -= np.outer(force, incidence[0])
     if vehicle.jet_damping:
-        c[:2, 1] += _jet_damping(vehicle)
+        c[:, 1] += _mass_flow(vehicle, at, complete_flow)
     return c
 
 
@@ -179,19 +179,43 @@ def _surfaces(
     return out
 
 
-def _jet_damping(vehicle: VehicleAt) -> Array:
-    """Lateral force and moment lost per pitch rate to the gas that leaves, kg m/s and kg m2/s.
+def _mass_flow(vehicle: VehicleAt, at: _Layout, complete: bool) -> Array:
+    """Generalised forces lost per pitch rate to liquid and gas that move through the turning vehicle (jet damping).
 
-    The core is a vessel of fixed shape through which mass flows: in at the bobs (they shrink into it) and out at the
-    exit. Reynolds' transport theorem with the Coriolis term 2 w x v_rel inside gives, for the path of its CG,
-    m r'' = F - 2 w x (sum of outflow times place), and about it  I q' = M - (I' + sum of outflow times place^2) q
-    (W. T. Thomson, Introduction to Space Dynamics, ch. 7; place forward of the CG).
+    The core is a vessel through which mass flows. Reynolds' transport theorem with the Coriolis acceleration
+    2 w x v_rel inside gives for the body point at its CG, and about it (W. T. Thomson, Introduction to Space
+    Dynamics, ch. 7),
+
+        m a = F - 2 w x P,   P = m dc/dt + sum of outflow times place,
+        I q' = M - (dI/dt + sum of outflow times place^2) q,      places forward of the CG, c the CG in the body.
+
+    The gas leaves at the nozzle's exit. Liquid also goes over from the bobs, which shrink, to the core, where they
+    are; and the bobs travel aft with the liquid's surface, which gives them a Coriolis acceleration. These last two
+    count only if `complete`: the simulator leaves them out (it lets pendulums see their parameters as if frozen).
     """
     body, bobs, cg = vehicle.body, vehicle.pendulums, vehicle.body.core_cg_station_m
     exit_place, bob_place = cg - vehicle.engine.exit_station_m, cg - bobs.bob_station_m
-    first = body.mass_flow_kgps * exit_place + bobs.mass_rate_kgps @ bob_place
-    second = body.mass_flow_kgps * exit_place**2 + bobs.mass_rate_kgps @ bob_place**2
-    return np.array([-2.0 * first, body.core_inertia_rate_kgm2ps + second])
+    momentum = body.mass_flow_kgps * exit_place - body.core_mass_kg * body.core_cg_rate_mps
+    turning = body.mass_flow_kgps * exit_place**2 + body.core_inertia_rate_kgm2ps
+    out = np.zeros(at.size)
+    if complete:
+        momentum += bobs.mass_rate_kgps @ bob_place
+        turning += bobs.mass_rate_kgps @ bob_place**2
+        for k in range(at.tanks):
+            out += 2.0 * bobs.mass_kg[k] * bobs.bob_station_rate_mps[k] * _bob_reach(vehicle, at, k)
+    out[0] -= 2.0 * momentum
+    out[1] += turning
+    return out
+
+
+def _bob_reach(vehicle: VehicleAt, at: _Layout, tank: int) -> Array:
+    """Lateral displacement of a bob per unit of each coordinate."""
+    bobs = vehicle.pendulums
+    reach = np.zeros(at.size)
+    reach[0], reach[1] = 1.0, -(vehicle.body.core_cg_station_m - bobs.bob_station_m[tank])
+    reach[at.mode] = vehicle.modes.phi_hinge[:, tank]
+    reach[2 + at.modes + tank] = bobs.length_m[tank]
+    return reach
 
 
 def _gimbal_arm(vehicle: VehicleAt) -> float:
@@ -225,8 +249,8 @@ def _first_order(
     a[np.ix_(rates, rates)] = per_rate
     b[rates] = per_engine
     a[positions, rates[1:]] = 1.0
-    # w' = s + U q - g sin(theta_0) theta
-    a[0, 1] += condition.airspeed_mps
+    # w' = s + U q - g sin(theta_0) theta, and the CG wanders to body points that the rotation moves otherwise
+    a[0, 1] += condition.airspeed_mps + vehicle.body.core_cg_rate_mps
     a[0, 2] -= condition.gravity_mps2 * math.sin(condition.pitch_rad)
     c = np.zeros((len(OUTPUTS), len(a)))
     c[0, 1] = c[1, 1] = c[2, 0] = c[3, 2] = 1.0

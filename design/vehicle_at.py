@@ -25,6 +25,7 @@ class Body:
 
     core_mass_kg: float  # without the sloshing masses, engine straight
     core_cg_station_m: float
+    core_cg_rate_mps: float  # rate of that station: aft positive; zero where the CG is held still
     core_inertia_kgm2: float  # about y (pitch) or z (yaw)
     core_inertia_rate_kgm2ps: float
     total_mass_kg: float
@@ -39,6 +40,7 @@ class Pendulums:
     mass_rate_kgps: Array
     length_m: Array
     hinge_station_m: Array
+    bob_station_rate_mps: Array  # hinge and bob follow the surface of the liquid
     damping_ratio: Array
 
     @property
@@ -132,6 +134,7 @@ def vehicle_at(packed: Packed, time_s: float, mach: float, plane: Plane = "pitch
     body = Body(
         core_mass_kg=float(props[schedule.CORE_MASS]),
         core_cg_station_m=float(props[schedule.CORE_CG]),
+        core_cg_rate_mps=float(props[schedule.CG_RATE]),
         core_inertia_kgm2=float(props[inertia]),
         core_inertia_rate_kgm2ps=float(props[turn]),
         total_mass_kg=float(props[schedule.TOTAL_MASS]),
@@ -170,6 +173,8 @@ def _pendulums(vehicle: Any, sizes: Any, props: Array, rates: Array) -> Pendulum
         mass_rate_kgps=mass_factor * rates[first + schedule.TANK_MASS],
         length_m=length_factor * props[first + schedule.TANK_LENGTH],
         hinge_station_m=props[first + schedule.TANK_HINGE],
+        bob_station_rate_mps=rates[first + schedule.TANK_HINGE]
+        + length_factor * rates[first + schedule.TANK_LENGTH],
         damping_ratio=np.array(vehicle.slosh.damping_ratio[:n]),
     )
 

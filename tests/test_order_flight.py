@@ -29,11 +29,11 @@ def nominal(step_s: float, *more: str) -> Rig:
         "switches.converter='ideal'",
         "vehicle.computer.dac_step_deg=0.0",
         "initial.geodetic={latitude_deg=36.7, longitude_deg=126.47, altitude_m=4500.0}",
-        "initial.ned_mps=[-60.0, -130.0, -300.0]",
+        "initial.ned_mps=[-46.6, -128.0, -306.0]",  # along the body axis: the rate limit has a kink, and is not met
         "initial.euler_deg=[250.0, 66.0, 180.0]",
-        "wind.speed_mps=20.0",
+        "wind.speed_mps=6.0",
         "wind.from_deg=300.0",
-        "wind.gust=[{kind='one-minus-cosine', altitude_m=4600.0, thickness_m=600.0, edge_m=300.0, speed_mps=9.0, "
+        "wind.gust=[{kind='one-minus-cosine', altitude_m=4600.0, thickness_m=600.0, edge_m=300.0, speed_mps=4.0, "
         "from_deg=200.0}]",
         *more,
     ]

@@ -1,4 +1,4 @@
-"""NASA's NESC check cases at the strict tolerances of tests/data/nesc/tolerances.csv, as ordinary scenarios."""
+"""NASA's NESC check cases as ordinary scenarios, at the strict tolerances of tests/data/nesc."""
 
 from __future__ import annotations
 

@@ -2,7 +2,7 @@
 
 Everything is formulated differently on purpose: Newton in the frame that rotates with the Earth (Coriolis and
 centrifugal terms), the attitude as direction cosines body to Earth, gravitation as the derivative of its
-potential by a complex step, the geodetic latitude by iteration, the standard atmosphere by its layers. SI units.
+potential by a complex step, geodetic latitude by iteration, the standard atmosphere by its layers. SI units.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ class Air:
 
 @dataclass(frozen=True)
 class Body:
-    """Functions of time: mass, inertia tensor about the CG; of time and air: force, moment about the CG, in B."""
+    """Functions of time: mass, inertia tensor; of time and air: force, moment. About the CG, in B."""
 
     mass: Callable[[float], float]
     inertia: Callable[[float], Vector]
