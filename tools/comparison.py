@@ -45,16 +45,16 @@ class Comparison:
             print(f"not compared with {path}: it was cut off and holds no final state")
             return False
         if flight.outcome == "interrupted" and not self._hash:
-            print(f"not compared with {path}: interrupted before its end at {1e-9 * self._end_ns:.3f} s")
+            print(f"not compared with {path}: interrupted before its end at {self._end_ns / 1e9:.3f} s")
             return False
         if self._hash == logged:
             early = (
-                "" if flight.end_ns == self._end_ns else f" at {1e-9 * self._end_ns:.3f} s, where that ends"
+                "" if flight.end_ns == self._end_ns else f" at {self._end_ns / 1e9:.3f} s, where that ends"
             )
             print(f"SAME as {path}: equal state, bit by bit{early} ({logged[:16]})")
             return True
         written_by = self._logged.metadata.get(VERSION_KEY, "")
         other = f"; that was flown by maxq {written_by}" if written_by != maxq_version() else ""
-        mine = self._hash[:16] or f"none at {1e-9 * self._end_ns:.3f} s"
+        mine = self._hash[:16] or f"none at {self._end_ns / 1e9:.3f} s"
         print(f"DIFFERENT from {path}: state hash {mine}, there {logged[:16]}{other}")
         return False

@@ -34,8 +34,12 @@ def verdict_line(flight: Flight) -> str:
     """The flight in one line: how it ended and what was wrong."""
     if flight.outcome == "interrupted":
         return f"INTERRUPTED at {flight.end_s:.3f} s of flight"
-    missed = [f"{printable(v.name)} = {_bounded(v)}" for v in flight.verdicts if not v.met]
-    wrong = [*flight.failures, *(f"requirement missed: {text}" for text in missed)]
+    missed = [v for v in flight.verdicts if not v.met]
+    wrong = list(flight.failures)
+    if len(missed) == 1:
+        wrong.append(f"requirement missed: {printable(missed[0].name)}: {_bounded(missed[0])}")
+    elif missed:
+        wrong.append(f"{len(missed)} requirements missed: {', '.join(printable(v.name) for v in missed)}")
     if wrong:
         return "FAILED: " + "; ".join(wrong)
     count = len(flight.verdicts)
@@ -90,8 +94,12 @@ def _timing(flight: Flight, files: list[Path], total_s: float) -> list[str]:
     flown_s = flight.end_s - flight.scenario.scenario.run.start_s
     ratio = f", {flown_s / flight.wall_s:.0f} times real time" if flight.wall_s > 0.0 else ""
     took = f"{flown_s:.1f} s flown in {flight.wall_s:.2f} s ({flight.steps} steps{ratio})"
-    rows = [(str(path), f"{path.stat().st_size / 1e6:.3g} MB") for path in files]
+    rows = [(str(path), _size(path.stat().st_size)) for path in files]
     return [f"{took}; {total_s:.2f} s in all", *aligned(rows, right=(1,))]
+
+
+def _size(count: int) -> str:
+    return f"{count / 1e6:.1f} MB" if count >= 1e6 else f"{count / 1e3:.1f} kB"
 
 
 def _bounded(verdict: Verdict) -> str:

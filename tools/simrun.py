@@ -143,7 +143,7 @@ def _unknown(argument: str, parser: argparse.ArgumentParser) -> str:
     if not argument.startswith("-"):
         return f"one scenario at a time: what is {argument!r}?"
     options = [option for action in parser._actions for option in action.option_strings]
-    close = difflib.get_close_matches(argument.partition("=")[0], options, 1)
+    close = difflib.get_close_matches(argument.partition("=")[0], options, 1, 0.7)
     return f"unknown option {argument}" + (f"; did you mean {close[0]}?" if close else "")
 
 

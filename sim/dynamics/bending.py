@@ -81,17 +81,21 @@ def bend_rate_at_gyro(sizes: Sizes, props: Array, y: Array) -> tuple[float, floa
     return about_y, about_z
 
 
+GimbalPush = tuple[float, float, float, float]  # forces along y and z, moments about y and z, at the gimbal, in B
+
+
 @kernel
-def push_at_gimbal(sizes: Sizes, props: Array, force: Vector, moment_y: float, moment_z: float, work: Array) -> None:
-    """Add the generalised forces of a force and a moment that act on the body at the gimbal (B)."""
+def push_at_gimbal(sizes: Sizes, props: Array, push: GimbalPush, work: Array) -> None:
+    """Add the generalised forces of what acts on the body at the gimbal."""
+    force_y, force_z, moment_y, moment_z = push
     c, width = pitch_column(sizes, 0), mode_width(sizes, sizes.pitch_modes)
     for i in range(sizes.pitch_modes):
         j = c + i * width
-        work[FORCE_PITCH + i] += props[j + MODE_PHI_GIMBAL] * force[2] + props[j + MODE_SLOPE_GIMBAL] * moment_y
+        work[FORCE_PITCH + i] += props[j + MODE_PHI_GIMBAL] * force_z + props[j + MODE_SLOPE_GIMBAL] * moment_y
     c, width = yaw_column(sizes, 0), mode_width(sizes, sizes.yaw_modes)
     for i in range(sizes.yaw_modes):
         j = c + i * width
-        work[FORCE_YAW + i] += props[j + MODE_PHI_GIMBAL] * force[1] - props[j + MODE_SLOPE_GIMBAL] * moment_z
+        work[FORCE_YAW + i] += props[j + MODE_PHI_GIMBAL] * force_y - props[j + MODE_SLOPE_GIMBAL] * moment_z
 
 
 @kernel

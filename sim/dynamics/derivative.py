@@ -14,6 +14,7 @@ from maxq.sim.dynamics.actuator import Actuator, actuator_derivative, actuator_o
 from maxq.sim.dynamics.aero import Aero, body_loads, coefficients, surface_loads
 from maxq.sim.dynamics.bending import (
     Bending,
+    GimbalPush,
     bend_at_gimbal,
     bend_rate_at_gyro,
     elastic_forces,
@@ -113,7 +114,7 @@ def derivative(
     engine = move_engine(vehicle, held, props, y, aux)
 
     aero_force, aero_moment = aerodynamics(vehicle, around, pool, held, rotation, rate, props, y, work, aux)
-    thrust_force, thrust_moment = push_of_thrust(vehicle, engine, props, y, work, aux)
+    thrust_force, thrust_moment, push = push_of_thrust(vehicle, engine, props, y, aux)
     pad, axial_load = (0.0, 0.0, 0.0), (aero_force[0] + thrust_force[0]) / props[TOTAL_MASS]
     if held.down == 1:
         pad = pad_acceleration(around.earth, rotation, gravitation, y)
@@ -133,9 +134,11 @@ def derivative(
     moment = add(moment, scaled(-1.0, cross(rate, inertia_times(engine.inertia, rate))))
 
     if vehicle.engine.gimballed_mass_kg > 0.0 or vehicle.engine.inertia_kgm2 > 0.0:
-        reaction, twist = engine_reaction(vehicle.engine, sizes, engine, rate, axial_load, props, work)
+        reaction, twist, kick = engine_reaction(vehicle.engine, engine, rate, axial_load)
         force, moment = add(force, reaction), add(moment, twist)
+        push = (push[0] + kick[0], push[1] + kick[1], push[2] + kick[2], push[3] + kick[3])
     if sizes.pitch_modes + sizes.yaw_modes > 0:
+        push_at_gimbal(sizes, props, push, work)
         whirl = gyroscopic_forces(
             sizes, props, rate, vehicle.engine.gimballed_mass_kg, vehicle.engine.cg_from_gimbal_m,
             vehicle.engine.inertia_kgm2, engine.delta_rate, engine.turn_rate[1], engine.turn_rate[2], y, work,
@@ -214,13 +217,13 @@ def aerodynamics(
 
 @kernel
 def push_of_thrust(
-    vehicle: Vehicle, engine: Deflected, props: Array, y: Array, work: Array, aux: Array
-) -> tuple[Vector, Vector]:
-    """Thrust along the deflected engine on the bent body: force, moment about the core CG, generalised forces."""
+    vehicle: Vehicle, engine: Deflected, props: Array, y: Array, aux: Array
+) -> tuple[Vector, Vector, GimbalPush]:
+    """Thrust along the deflected engine on the bent body: force, moment about the core CG, push on the modes."""
     strength = thrust(vehicle.engine, props[THRUST_VACUUM], aux[PRESSURE])
     aux[THRUST] = strength
     if strength <= 0.0:
-        return (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
+        return (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 0.0)
     move_y, move_z, turn_y, turn_z = bend_at_gimbal(vehicle.sizes, props, y)
     axis = engine.axis
     if vehicle.follower_thrust == 1:
@@ -229,8 +232,7 @@ def push_of_thrust(
     moment = cross(engine.gimbal, force)
     moment = (moment[0], moment[1] + move_z * force[0], moment[2] - move_y * force[0])
     off_y, off_z = vehicle.engine.gimbal_offset_y_m, vehicle.engine.gimbal_offset_z_m
-    push_at_gimbal(vehicle.sizes, props, force, off_z * force[0], -off_y * force[0], work)
-    return force, moment
+    return force, moment, (force[1], force[2], off_z * force[0], -off_y * force[0])
 
 
 @kernel

@@ -6,10 +6,10 @@ from typing import NamedTuple
 
 from maxq.control.jit import kernel
 from maxq.control.records import Array
-from maxq.sim.dynamics.bending import push_at_gimbal
+from maxq.sim.dynamics.bending import GimbalPush
 from maxq.sim.dynamics.engine import Engine
 from maxq.sim.dynamics.schedule import CG_RATE, CORE_CG, CORE_INERTIA, CORE_MASS, INERTIA_RATE, MASS_FLOW
-from maxq.sim.dynamics.state import Q_BI, R_I, V_I, W_BI_B, Sizes
+from maxq.sim.dynamics.state import Q_BI, R_I, V_I, W_BI_B
 from maxq.sim.dynamics.vectors import (
     Matrix,
     Symmetric,
@@ -91,9 +91,11 @@ def _plus_point(j: Symmetric, mass: float, at: Vector) -> Symmetric:
 
 @kernel
 def engine_reaction(
-    e: Engine, sizes: Sizes, engine: Deflected, rate: Vector, axial_load: float, props: Array, work: Array
-) -> tuple[Vector, Vector]:
+    e: Engine, engine: Deflected, rate: Vector, axial_load: float
+) -> tuple[Vector, Vector, GimbalPush]:
     """Force and moment (about the core CG) of the moving engine on the vehicle, in B: "tail wags dog".
+
+    The third result is what it does to the modes, at the gimbal.
 
     Terms with the sought accelerations are in the mass matrix (`Deflected.offset`, `.inertia`). The axial load on the
     displaced engine bends the body as well: a first-order effect of the deflection.
@@ -108,8 +110,7 @@ def engine_reaction(
     push = scaled(-mass, engine.delta_accel)
     bend_y = arm * push[2] - e.inertia_kgm2 * engine.turn_accel[1] - mass * axial_load * engine.delta[2]
     bend_z = -arm * push[1] - e.inertia_kgm2 * engine.turn_accel[2] + mass * axial_load * engine.delta[1]
-    push_at_gimbal(sizes, props, push, bend_y, bend_z, work)
-    return force, moment
+    return force, moment, (push[1], push[2], bend_y, bend_z)
 
 
 @kernel

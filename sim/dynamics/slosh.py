@@ -30,7 +30,7 @@ from maxq.sim.dynamics.schedule import (
 )
 from maxq.sim.dynamics.state import MAX_TANKS, Sizes, eta_index, pendulum_index, xi_index
 from maxq.sim.dynamics.vectors import Vector, add, cross, dot, scaled
-from maxq.sim.dynamics.workspace import FORCE_PITCH, FORCE_YAW, PENDULUM, PENDULUM_WIDTH, RATE_PITCH, RATE_YAW
+from maxq.sim.dynamics.workspace import PENDULUM, PENDULUM_WIDTH, RATE_PITCH, RATE_YAW
 
 # a tank's block of the workspace
 ARM = 0  # moment that a unit tension exerts about the core CG, in B, m (3)
@@ -42,6 +42,10 @@ ACCEL = 9  # answer of the body to a unit tension: acceleration of the core CG (
 ALPHA = 12  # ... and angular acceleration (3)
 HINGE = 15  # hinge relative to the core CG without bending, B, m (3)
 DAMPING = 18  # acceleration of the bob by damping, B, m/s2 (3)
+PUSH_Y = 21  # lateral force of the pendulum on the bent axis, N: of the damper, later of the rod as well
+PUSH_Z = 22
+BEND_Y = 23  # acceleration of the hinge by bending, m/s2: without the pendulums, later with them
+BEND_Z = 24
 
 
 @dataclass(frozen=True)
@@ -65,10 +69,7 @@ def bob_mass(slosh: Slosh, props: Array, tank: int) -> float:
 def hang(
     slosh: Slosh, sizes: Sizes, tank: int, rate: Vector, axial_load: float, props: Array, y: Array, work: Array
 ) -> tuple[Vector, Vector]:
-    """Prepare one pendulum: fill its block, and return the force and moment (about the core CG) of its damper.
-
-    Adds the damper's generalised forces to the modes.
-    """
+    """Prepare one pendulum: fill its block, and return the force and moment (about the core CG) of its damper."""
     p, q, r = rate
     b = PENDULUM + PENDULUM_WIDTH * tank
     i = pendulum_index(sizes, tank)
@@ -99,7 +100,7 @@ def hang(
     bob = add(hinge, scaled(length, u))
     moment = cross(bob, force)
     moment = (moment[0], moment[1] + move_z * force[0], moment[2] - move_y * force[0])
-    push_at_tank(sizes, tank, props, force[1], force[2], work)
+    work[b + PUSH_Y], work[b + PUSH_Z] = force[1], force[2]
     return force, moment
 
 
@@ -132,22 +133,11 @@ def _bend_at_tank(
 
 
 @kernel
-def push_at_tank(sizes: Sizes, tank: int, props: Array, force_y: float, force_z: float, work: Array) -> None:
-    """Add the generalised forces of a lateral force on the body at a tank's hinge."""
-    c, width = pitch_column(sizes, 0) + MODE_FIRST + tank, mode_width(sizes, sizes.pitch_modes)
-    for i in range(sizes.pitch_modes):
-        work[FORCE_PITCH + i] += props[c + i * width] * force_z
-    c, width = yaw_column(sizes, 0) + MODE_FIRST + tank, mode_width(sizes, sizes.yaw_modes)
-    for i in range(sizes.yaw_modes):
-        work[FORCE_YAW + i] += props[c + i * width] * force_y
-
-
-@kernel
 def swing_derivative(
     slosh: Slosh, sizes: Sizes, tank: int, rate: Vector, felt: Vector, alpha: Vector, props: Array, y: Array,
     dy: Array, work: Array,
 ) -> None:  # fmt: skip
-    """Derivative of a pendulum's states once the body's accelerations are known.
+    """Derivative of a pendulum's states once the body's accelerations are known (solve.py).
 
     An empty tank's pendulum rests: it weighs nothing, so nothing feels it.
     """
@@ -161,12 +151,11 @@ def swing_derivative(
     kappa = (y[i + 3], y[i + 4], y[i + 5])
     length = pendulum_length(slosh, props, tank)
     move_y, move_z = work[b + MOVE_Y], work[b + MOVE_Z]
-    bend_y, bend_z = _bend_accel(sizes, tank, props, work)
     turning = cross(alpha, (work[b + HINGE], work[b + HINGE + 1], work[b + HINGE + 2]))
     hinge = (
         work[b + KNOWN] + felt[0] + turning[0] + alpha[1] * move_z - alpha[2] * move_y,
-        work[b + KNOWN + 1] + felt[1] + turning[1] + bend_y,
-        work[b + KNOWN + 2] + felt[2] + turning[2] + bend_z,
+        work[b + KNOWN + 1] + felt[1] + turning[1] + work[b + BEND_Y],
+        work[b + KNOWN + 2] + felt[2] + turning[2] + work[b + BEND_Z],
     )
     along = dot(hinge, u) / length - dot(kappa, kappa)
     spin_u, spin_kappa = cross(rate, u), cross(rate, kappa)
@@ -174,15 +163,3 @@ def swing_derivative(
         dy[i + j] = kappa[j] - spin_u[j]
         dy[i + 3 + j] = along * u[j] - spin_kappa[j] + (work[b + DAMPING + j] - hinge[j]) / length
 
-
-@kernel
-def _bend_accel(sizes: Sizes, tank: int, props: Array, work: Array) -> tuple[float, float]:
-    """Acceleration of a hinge along y and z by bending; the workspace's modal forces hold accelerations by now."""
-    c, width = pitch_column(sizes, 0) + MODE_FIRST + tank, mode_width(sizes, sizes.pitch_modes)
-    along_y, along_z = 0.0, 0.0
-    for i in range(sizes.pitch_modes):
-        along_z += props[c + i * width] * work[FORCE_PITCH + i]
-    c, width = yaw_column(sizes, 0) + MODE_FIRST + tank, mode_width(sizes, sizes.yaw_modes)
-    for i in range(sizes.yaw_modes):
-        along_y += props[c + i * width] * work[FORCE_YAW + i]
-    return along_y, along_z

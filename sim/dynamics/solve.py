@@ -18,7 +18,18 @@ from maxq.sim.dynamics.schedule import (
     pitch_column,
     yaw_column,
 )
-from maxq.sim.dynamics.slosh import ACCEL, ALPHA, ARM, DEMAND, Slosh, bob_mass
+from maxq.sim.dynamics.slosh import (
+    ACCEL,
+    ALPHA,
+    ARM,
+    BEND_Y,
+    BEND_Z,
+    DEMAND,
+    PUSH_Y,
+    PUSH_Z,
+    Slosh,
+    bob_mass,
+)
 from maxq.sim.dynamics.state import MAX_TANKS, Sizes, pendulum_index
 from maxq.sim.dynamics.vectors import Symmetric, Vector, add, cross, dot, scaled, symmetric_times
 from maxq.sim.dynamics.workspace import FORCE_PITCH, FORCE_YAW, GRAM, PENDULUM, PENDULUM_WIDTH, TENSION
@@ -53,13 +64,15 @@ def accelerate(
     _divide_by_modal_mass(sizes, props, work)
     for k in range(sizes.tanks):
         _answer_to_tension(sizes, k, held, mass, offset, inverse, y, work)
+        _bend_without_pendulums(sizes, k, props, work)
+    _bend_by_pushes(sizes, props, work)  # of the dampers
     _tensions(slosh, sizes, felt, alpha, props, y, work)
     for k in range(sizes.tanks):
         b = PENDULUM + PENDULUM_WIDTH * k
         tension = work[TENSION + k]
         felt = add(felt, scaled(tension, (work[b + ACCEL], work[b + ACCEL + 1], work[b + ACCEL + 2])))
         alpha = add(alpha, scaled(tension, (work[b + ALPHA], work[b + ALPHA + 1], work[b + ALPHA + 2])))
-        _pull_modes(sizes, k, tension, props, y, work)
+        _pull(sizes, k, tension, props, y, work)
     return felt, alpha
 
 
@@ -101,7 +114,7 @@ def _tensions(
         u = (y[i], y[i + 1], y[i + 2])
         arm = (work[b + ARM], work[b + ARM + 1], work[b + ARM + 2])
         mass = bob_mass(slosh, props, k)
-        along = dot(u, felt) + dot(arm, alpha) + _modal_accel_along(sizes, k, u, props, work)
+        along = dot(u, felt) + dot(arm, alpha) + u[1] * work[b + BEND_Y] + u[2] * work[b + BEND_Z]
         work[TENSION + k] = mass * (work[b + DEMAND] - along)
         for j in range(n):
             i_j, b_j = pendulum_index(sizes, j), PENDULUM + PENDULUM_WIDTH * j
@@ -126,28 +139,51 @@ def _tensions(
 
 
 @kernel
-def _modal_accel_along(sizes: Sizes, tank: int, u: Vector, props: Array, work: Array) -> float:
-    """Acceleration of a hinge along its rod by the modes."""
-    c, width = pitch_column(sizes, 0) + MODE_FIRST + tank, mode_width(sizes, sizes.pitch_modes)
+def _bend_without_pendulums(sizes: Sizes, k: int, props: Array, work: Array) -> None:
+    """Acceleration of hinge k by the modes, before any pendulum pushes them."""
+    b = PENDULUM + PENDULUM_WIDTH * k
+    c, width = pitch_column(sizes, 0) + MODE_FIRST + k, mode_width(sizes, sizes.pitch_modes)
     along_z = 0.0
     for i in range(sizes.pitch_modes):
         along_z += props[c + i * width] * work[FORCE_PITCH + i]
-    c, width = yaw_column(sizes, 0) + MODE_FIRST + tank, mode_width(sizes, sizes.yaw_modes)
+    c, width = yaw_column(sizes, 0) + MODE_FIRST + k, mode_width(sizes, sizes.yaw_modes)
     along_y = 0.0
     for i in range(sizes.yaw_modes):
         along_y += props[c + i * width] * work[FORCE_YAW + i]
-    return u[2] * along_z + u[1] * along_y
+    work[b + BEND_Y], work[b + BEND_Z] = along_y, along_z
 
 
 @kernel
-def _pull_modes(sizes: Sizes, k: int, tension: float, props: Array, y: Array, work: Array) -> None:
-    """Add the modal accelerations of a tension."""
-    i = pendulum_index(sizes, k)
+def _bend_by_pushes(sizes: Sizes, props: Array, work: Array) -> None:
+    """Add to the hinges' accelerations what the dampers' pushes do to each other through the modes."""
+    n = sizes.tanks
+    in_pitch, in_yaw = compliance_column(sizes, 0), compliance_column(sizes, 1)
+    for k in range(n):
+        b = PENDULUM + PENDULUM_WIDTH * k
+        for j in range(n):
+            b_j = PENDULUM + PENDULUM_WIDTH * j
+            work[b + BEND_Y] += props[in_yaw + k * n + j] * work[b_j + PUSH_Y]
+            work[b + BEND_Z] += props[in_pitch + k * n + j] * work[b_j + PUSH_Z]
+
+
+@kernel
+def _pull(sizes: Sizes, k: int, tension: float, props: Array, y: Array, work: Array) -> None:
+    """Let rod and damper of tank k act on the modes, and the rod on all hinges through them."""
+    n = sizes.tanks
+    b, i = PENDULUM + PENDULUM_WIDTH * k, pendulum_index(sizes, k)
+    pull_y, pull_z = tension * y[i + 1], tension * y[i + 2]
+    in_pitch, in_yaw = compliance_column(sizes, 0) + k * n, compliance_column(sizes, 1) + k * n
+    for j in range(n):
+        b_j = PENDULUM + PENDULUM_WIDTH * j
+        work[b_j + BEND_Y] += props[in_yaw + j] * pull_y
+        work[b_j + BEND_Z] += props[in_pitch + j] * pull_z
+    pull_y += work[b + PUSH_Y]
+    pull_z += work[b + PUSH_Z]
     c, width = pitch_column(sizes, 0), mode_width(sizes, sizes.pitch_modes)
     for j in range(sizes.pitch_modes):
         m = c + j * width
-        work[FORCE_PITCH + j] += tension * y[i + 2] * props[m + MODE_FIRST + k] * props[m + MODE_INVERSE_MASS]
+        work[FORCE_PITCH + j] += pull_z * props[m + MODE_FIRST + k] * props[m + MODE_INVERSE_MASS]
     c, width = yaw_column(sizes, 0), mode_width(sizes, sizes.yaw_modes)
     for j in range(sizes.yaw_modes):
         m = c + j * width
-        work[FORCE_YAW + j] += tension * y[i + 1] * props[m + MODE_FIRST + k] * props[m + MODE_INVERSE_MASS]
+        work[FORCE_YAW + j] += pull_y * props[m + MODE_FIRST + k] * props[m + MODE_INVERSE_MASS]

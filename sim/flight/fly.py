@@ -64,7 +64,7 @@ class Flight:
 
     def time_s(self, channel: str) -> Array:
         """Times of a channel's values, s."""
-        return 1e-9 * self.rows[self.table.topic(channel).group][0]
+        return self.rows[self.table.topic(channel).group][0] / 1e9
 
     def event_s(self, name: str) -> float:
         """Time of an event, the last one of several stages; nan if it has not happened."""
@@ -114,7 +114,7 @@ class FlightRun:
 
     @property
     def now_s(self) -> float:
-        return 1e-9 * int(self.memory.clock.now_ns)
+        return int(self.memory.clock.now_ns) / 1e9
 
     @property
     def events(self) -> tuple[Event, ...]:
@@ -154,7 +154,7 @@ class FlightRun:
         scenario = self.loaded.scenario
         metrics = {m.name: float(v) for m, v in zip(METRICS, extremes.value, strict=True)}
         times = {
-            m.name: 1e-9 * int(t) if t >= 0 else math.nan
+            m.name: int(t) / 1e9 if t >= 0 else math.nan
             for m, t in zip(METRICS, extremes.time_ns, strict=True)
         }
         lift_off_s = next((e.time_s for e in events if e.name == "liftoff"), scenario.run.start_s)

@@ -33,7 +33,7 @@ class Event:
 
     @property
     def time_s(self) -> float:
-        return 1e-9 * self.time_ns
+        return self.time_ns / 1e9
 
 
 def events_so_far(packed: Packed, start_s: float) -> tuple[Event, ...]:

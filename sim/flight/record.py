@@ -104,7 +104,7 @@ def result_record(flight: Flight) -> dict[str, str]:
 def check_writable(folder: Path) -> None:
     """Raise LogError where files could not be written into `folder`, which need not exist. Makes nothing."""
     try:
-        there = next(path for path in (folder, *folder.absolute().parents) if path.exists())
+        there = next(path for path in (folder, *folder.parents) if path.exists())
         if not there.is_dir():
             raise LogError(f"{there}: is a file; files can be written into a folder only")
     except OSError as error:  # a name that is too long

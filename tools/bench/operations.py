@@ -21,7 +21,7 @@ from types import FrameType
 from typing import Any
 
 COUNTED_STEPS = 100  # ten samples of the flight computer
-SHARED = {"vectors.py", "tables.py", "step.py"}  # what these do is done for their caller
+SHARED = {"vectors.py", "tables.py"}  # what these do is done for their caller
 TRANSCENDENTAL = ("sin", "cos", "tan", "asin", "acos", "atan", "atan2", "exp", "log", "pow", "degrees", "radians")
 KINDS = ("add", "multiply", "divide", "sqrt", "function")
 

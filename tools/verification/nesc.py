@@ -18,7 +18,7 @@ DOCUMENT = Path(__file__).resolve().parents[2] / "docs" / "verification.md"
 BEGIN, END = "<!-- nesc: begin -->", "<!-- nesc: end -->"
 
 HEADER = """\
-| case | scenario | step, s | compared | missed | nearest to its tolerance | difference | tolerance | ratio | s |
+| case | scenario | step, s | compared | missed | nearest to its tolerance | difference | limit | ratio | s |
 |---|---|---|---|---|---|---|---|---|---|
 """
 
