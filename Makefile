@@ -64,3 +64,24 @@ $(TO_TEST): $(TO_FLY)
 	@echo "Installing what the tests and linters need into $(VENV)."
 	@$(PIP) install --quiet --constraint constraints.txt --no-build-isolation --editable '.[test,lint]'
 	@touch $@
+
+# --- benchmarks: the programs compared with live in an environment of their own, since some pin what maxq needs newer
+BENCH := .venv-bench
+BENCH_PY := $(BENCH)/bin/python
+PEERS := jsbsim==1.3.3 bsk==2.12.1 'rocketpy==1.13.*'
+
+.PHONY: bench
+
+bench: $(TO_FLY) $(BENCH)/ready  ## measure speed, precision and memory beside other programs; ARGS go to tools/bench/run.py
+	@echo "Measuring (about five minutes; the machine should have nothing else to do)."
+	@$(PY) -m maxq.tools.bench.run $(ARGS)
+
+# maxq without what it needs: the workers there take only their way of answering from it
+$(BENCH)/ready: $(PLACE) Makefile
+	@echo "Installing the programs compared with into $(BENCH) (about a minute the first time)."
+	@$(PYTHON) -m venv --clear $(BENCH)
+	@echo '*' > $(BENCH)/.gitignore
+	@$(BENCH_PY) -m pip --disable-pip-version-check install --quiet $(PEERS)
+	@$(BENCH_PY) -m pip --disable-pip-version-check install --quiet --constraint constraints.txt setuptools
+	@$(BENCH_PY) -m pip --disable-pip-version-check install --quiet --no-deps --no-build-isolation --editable .
+	@touch $@

@@ -16,7 +16,7 @@ def actuator(record: Any) -> StateSpace:
     """Command -> angle, rate and acceleration of the engine, six states; `record` is a packed `Actuator`.
 
     A chain of second-order sections, each with its position and rate as states. Four orders more lie in the
-    denominator of (28) than in its numerator, so C B = C A B = 0 and rate and acceleration are C A x and C A^2 x.
+    denominator of (28) than in its numerator: C B = C A B = 0, so rate and acceleration are C A x, C A^2 x.
     """
     omega = np.array([record.omega_1_radps, record.omega_2_radps, record.omega_3_radps])
     zeta = np.array([record.zeta_1, record.zeta_2, record.zeta_3])
@@ -29,7 +29,7 @@ def actuator(record: Any) -> StateSpace:
             b[1, 0] = omega[0] ** 2
         else:
             a[i + 1, i - 2] = omega[k] ** 2
-    # the last section's numerator s^2 + 2 z w s + w^2, over w^2, acts on its state: s^2 is the row of that rate
+    # the last numerator, s^2 + 2 z w s + w^2 over w^2, acts on its section's state: s^2 is that rate's row
     omega_4, zeta_4 = float(record.omega_4_radps), float(record.zeta_4)
     angle = a[5] / omega_4**2
     angle[4] += 1.0

@@ -2,10 +2,11 @@
 
 Pitch signs throughout. In the yaw plane the same system holds for the mirrored variables
 
-    w -> v    q -> -r    theta -> -psi    eta -> xi    slosh pitch -> slosh yaw    delta -> -delta_yaw    gyro -> -gyro,
+    w -> v    q -> -r    theta -> -psi    eta -> xi    slosh pitch -> slosh yaw    delta -> -delta_yaw
+    gyro -> -gyro,
 
-because B's z axis turned into y takes the pitch axis y into -z: a positive angle moves the gimbal's thrust to +z in
-pitch but to -y in yaw. From command to gyro both signs change and the transfer function stays.
+because B's z axis turned into y takes the pitch axis y into -z: a positive angle moves the gimbal's thrust to
++z in pitch but to -y in yaw. From command to gyro both signs change and the transfer function stays.
 """
 
 from __future__ import annotations
@@ -20,7 +21,9 @@ from maxq.design.vehicle_at import Plane, vehicle_at
 from maxq.sim.packing.flight import Packed
 
 
-def linear_plant(packed: Packed, condition: FlightCondition, plane: Plane = "pitch", stage: int = 0) -> StateSpace:
+def linear_plant(
+    packed: Packed, condition: FlightCondition, plane: Plane = "pitch", stage: int = 0
+) -> StateSpace:
     """Command (rad) -> gyro rate, engine motion and vehicle motion of a packed flight at a condition.
 
     States: those of `vehicle_plant`, then six of the actuator and two of the gyro. Raises ValueError where an
@@ -51,5 +54,11 @@ def in_series(moves: StateSpace, body: StateSpace, senses: StateSpace) -> StateS
     c[1:4, n : n + m] = moves.c
     c[4:, :n] = body.c
     return StateSpace(
-        a, b, c, np.zeros((len(outputs), 1)), (*body.states, *moves.states, *senses.states), moves.inputs, outputs
+        a,
+        b,
+        c,
+        np.zeros((len(outputs), 1)),
+        (*body.states, *moves.states, *senses.states),
+        moves.inputs,
+        outputs,
     )

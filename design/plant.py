@@ -1,45 +1,48 @@
-"""The vehicle as a linear system: small motions in one plane about flight along the body axis, at a frozen time.
+"""The vehicle as a linear system: small motions in one plane about flight along the body axis, time frozen.
 
 Derivation, by d'Alembert's principle
 -------------------------------------
-Body axes at the core's CG, x forward, z down (pitch plane). The vehicle flies along x at speed U with specific axial
-force  a = (T - D) / m  and does not turn. Small: lateral speed w, rate q, pitch theta, modes eta_i, pendulum angles
-G_k (towards +z), engine angle delta. A particle at x (forward of the core's CG) with lateral displacement z has, to
-first order, the lateral and axial specific acceleration
+Body axes at the core's CG, x forward, z down (pitch plane). The vehicle flies along x at speed U with
+specific axial force  a = (T - D) / m  and does not turn. Small: lateral speed w, rate q, pitch theta, modes
+eta_i, pendulum angles G_k (towards +z), engine angle delta. A particle at x (forward of the core's CG) with
+lateral displacement z has, to first order, the lateral and axial specific acceleration
 
     f_z = s - x q' + z'',   s = w' - U q + g sin(theta_0) theta,      f_x = a.
 
-The constant g cos(theta_0) moves every particle alike and is left out: it is what bends the path (a gravity turn).
-Under a virtual motion  dZ, dTheta, d(eta_i), d(G_k)  the particle moves  dZ - x dTheta + dz  laterally and
-z dTheta + dx  along the axis, dx being of second order: that of a pendulum rising, of an engine swinging out, of a
-beam that bends and so draws its ends together. Sum m (f_z, f_x) . (displacement) = work of the loads, with
+The constant g cos(theta_0) moves every particle alike and is left out: it is what bends the path (a gravity
+turn). Under a virtual motion  dZ, dTheta, d(eta_i), d(G_k)  the particle moves  dZ - x dTheta + dz  laterally
+and z dTheta + dx  along the axis, dx being of second order: that of a pendulum rising, of an engine swinging
+out, of a beam that bends and so draws its ends together. Sum m (f_z, f_x) . (displacement) = work of the
+loads, with
 
-    core      z = sum phi_i(x) eta_i, free-free modes: sum m phi = sum m x phi = 0, sum m phi_i phi_j = M_i (i = j);
-              bending draws points together:  dx -> - a K_ij eta_j,  K the softening matrix (erratum 4)
-    engine    on top of the core that holds it straight: a point r behind the gimbal moves by -r delta, and forward
-              by r (sigma_T eta - delta)^2 / 2, sigma_T the slope there
+    core      z = sum phi_i(x) eta_i, modes free-free: sum m phi = sum m x phi = 0, sum m phi_i phi_j = M_i
+              for i = j, else 0; bending draws its points together: work  -a K_ij eta_j d(eta_i),  K the
+              softening matrix (erratum 4), the engine behind the gimbal hanging and so stiffening
+    engine    on top of the core that holds it straight: a point r behind the gimbal moves by -r delta, and
+              forward by r (sigma_T eta - delta)^2 / 2, sigma_T the slope there
     bob       x_b = x_h - L,  z = phi_h eta + L G,  and it rises by L G^2 / 2
 
-which gives the mass matrix `_mass_matrix`, the axial-load terms of `_stiffness`, and for the engine (I_E about the
-gimbal, S = m_E l_E, l_C from the core's CG aft to the gimbal, errata 8)
+which gives the mass matrix `_mass_matrix`, the axial-load terms of `_stiffness`, and for the engine (I_E
+about the gimbal, S = m_E l_E, l_C from the core's CG aft to the gimbal, errata 8)
 
     lateral  S delta''        rotation  (I_E + S l_C) delta'' + a S delta
     mode i   (S phi_T,i + I_E sigma_T,i) delta'' + a S sigma_T,i delta.
 
 The engine's rate does not enter. Loads: thrust T at the displaced gimbal along the bent axis, (x, z) parts
-T (1, delta - sigma_T eta): moment T l_C (delta - sigma_T eta) + T phi_T eta (erratum 4). Each lifting surface:
--q S CN_alpha (w/U + sigma_s eta + phi_s eta' / U) at its station. Rate damping Cmq (7). Drag along the wind:
--q S CD w/U. Gravity does no work on a free-free mode (erratum 3). Modal damping. Mass flow: `_mass_flow`.
+T (1, delta - sigma_T eta): moment T l_C (delta - sigma_T eta) + T phi_T eta (erratum 4). Each lifting
+surface: -q S CN_alpha (w/U + sigma_s eta + phi_s eta' / U) at its station. Rate damping Cmq (7). Drag along
+the wind: -q S CD w/U. Gravity does no work on a free-free mode (erratum 3). Modal damping. Mass flow:
+`_mass_flow`.
 
-Slosh damping is a force between bob and tank; its work is  -2 zeta w L m_p L G' d(G): it enters the pendulum's row
-only. In the language of (24) and (27) it reacts on the vehicle where the bob is:
+Slosh damping is a force between bob and tank; its work is  -2 zeta w L m_p L G' d(G): it enters the
+pendulum's row only. In the language of (24) and (27) it reacts on the vehicle where the bob is:
 
     M_S = - sum m_p [ a l_p G + 2 zeta w L (l_p - L) G' ],
 
-not with the hinge's arm l_p for both as (27) prints - a further erratum: the rod's pull acts at the hinge, the
-liquid's friction at the bob, l_p - L forward of the CG (equivalently: a torque about the hinge has a reaction that is
-a couple, and moves the force's line of action from hinge to bob). The printed form does not conserve angular
-momentum: its pair of damping forces is not on one line.
+not with the hinge's arm l_p for both as (27) prints - a further erratum: the rod's pull acts at the hinge,
+the liquid's friction at the bob, l_p - L forward of the CG (equivalently: a torque about the hinge has a
+reaction that is a couple, and moves the force's line of action from hinge to bob). The printed form does not
+conserve angular momentum: its pair of damping forces is not on one line.
 
 The yaw plane is the same with  w -> v, q -> -r, theta -> -psi, delta -> -delta_yaw  (design/linear_plant.py).
 """
@@ -86,14 +89,13 @@ def axial_load_mps2(vehicle: VehicleAt, condition: FlightCondition) -> float:
     return (vehicle.engine.thrust_N(condition.pressure_Pa) - drag) / vehicle.body.total_mass_kg
 
 
-def vehicle_plant(
-    vehicle: VehicleAt, condition: FlightCondition, complete_flow: bool = False
-) -> StateSpace:
+def vehicle_plant(vehicle: VehicleAt, condition: FlightCondition, complete_flow: bool = False) -> StateSpace:
     """Engine angle and acceleration -> rates, of body, modes and pendulums.
 
-    States w (m/s, of the body point at the core's CG), q (rad/s), theta (rad), eta (m), eta' (m/s), G (rad), G' (rad/s); inputs and outputs as INPUTS and
-    OUTPUTS, of which the local rate is that at the gyro, q + sum sigma_G eta' (12 with erratum 1). Valid for thrust
-    that presses the liquid aft; raises ValueError where the axial load is not positive and there are pendulums.
+    States w (m/s, of the body point at the core's CG), q (rad/s), theta (rad), eta (m), eta' (m/s), G (rad),
+    G' (rad/s); inputs and outputs as INPUTS and OUTPUTS, of which the local rate is that at the gyro, q + sum
+    sigma_G eta' (12 with erratum 1). Valid for thrust that presses the liquid aft; raises ValueError where
+    the axial load is not positive and there are pendulums. `complete_flow`: see `_mass_flow`.
     """
     at = _Layout(len(vehicle.modes.omega_radps), len(vehicle.pendulums.mass_kg))
     load = axial_load_mps2(vehicle, condition)
@@ -104,10 +106,14 @@ def vehicle_plant(
     damping = _damping(vehicle, condition, load, at, complete_flow)
     engine = _engine_columns(vehicle, condition, load, at)
     # unknown of the first row is s, of the others the second derivatives
-    per_position = -np.linalg.solve(mass, stiffness)  # no column 0: nothing depends on a lateral position
-    per_rate = -np.linalg.solve(mass, damping)
-    per_engine = np.linalg.solve(mass, engine)
+    per_position = _solve(mass, -stiffness)  # column 0 is zero: nothing depends on a lateral position
+    per_rate = _solve(mass, -damping)
+    per_engine = _solve(mass, engine)
     return _first_order(per_position, per_rate, per_engine, vehicle, condition, at)
+
+
+def _solve(matrix: Array, right: Array) -> Array:
+    return np.asarray(np.linalg.solve(matrix, right), np.float64)
 
 
 def _mass_matrix(vehicle: VehicleAt, at: _Layout) -> Array:
@@ -164,7 +170,7 @@ def _damping(
 def _surfaces(
     vehicle: VehicleAt, condition: FlightCondition, at: _Layout
 ) -> list[tuple[Array, tuple[Array, Array]]]:
-    """Per lifting surface: generalised force per lateral local speed, and that speed per rate and per (U x) bend."""
+    """Per lifting surface: generalised force per local lateral speed; that speed per rate, U per bend."""
     air, modes, out = vehicle.aerodynamics, vehicle.modes, []
     flow = 0.5 * condition.density_kgpm3 * condition.airspeed_mps * air.area_m2
     for k, slope in enumerate(air.slope_pr):
@@ -180,18 +186,19 @@ def _surfaces(
 
 
 def _mass_flow(vehicle: VehicleAt, at: _Layout, complete: bool) -> Array:
-    """Generalised forces lost per pitch rate to liquid and gas that move through the turning vehicle (jet damping).
+    """Generalised forces lost per pitch rate to what flows through the turning vehicle (jet damping).
 
     The core is a vessel through which mass flows. Reynolds' transport theorem with the Coriolis acceleration
     2 w x v_rel inside gives for the body point at its CG, and about it (W. T. Thomson, Introduction to Space
     Dynamics, ch. 7),
 
         m a = F - 2 w x P,   P = m dc/dt + sum of outflow times place,
-        I q' = M - (dI/dt + sum of outflow times place^2) q,      places forward of the CG, c the CG in the body.
+        I q' = M - (dI/dt + sum of outflow times place^2) q,
 
-    The gas leaves at the nozzle's exit. Liquid also goes over from the bobs, which shrink, to the core, where they
-    are; and the bobs travel aft with the liquid's surface, which gives them a Coriolis acceleration. These last two
-    count only if `complete`: the simulator leaves them out (it lets pendulums see their parameters as if frozen).
+    places forward of the CG, c the CG in the body. The gas leaves at the nozzle's exit. Liquid also goes over
+    from the bobs, which shrink, to the core, where they are; and the bobs travel aft with the liquid's
+    surface, which gives them a Coriolis acceleration. These last two count only if `complete`: the simulator
+    leaves them out (it lets pendulums see their parameters as if frozen).
     """
     body, bobs, cg = vehicle.body, vehicle.pendulums, vehicle.body.core_cg_station_m
     exit_place, bob_place = cg - vehicle.engine.exit_station_m, cg - bobs.bob_station_m
@@ -199,8 +206,8 @@ def _mass_flow(vehicle: VehicleAt, at: _Layout, complete: bool) -> Array:
     turning = body.mass_flow_kgps * exit_place**2 + body.core_inertia_rate_kgm2ps
     out = np.zeros(at.size)
     if complete:
-        momentum += bobs.mass_rate_kgps @ bob_place
-        turning += bobs.mass_rate_kgps @ bob_place**2
+        momentum += float(bobs.mass_rate_kgps @ bob_place)
+        turning += float(bobs.mass_rate_kgps @ bob_place**2)
         for k in range(at.tanks):
             out += 2.0 * bobs.mass_kg[k] * bobs.bob_station_rate_mps[k] * _bob_reach(vehicle, at, k)
     out[0] -= 2.0 * momentum
@@ -237,7 +244,8 @@ def _engine_columns(vehicle: VehicleAt, condition: FlightCondition, load: float,
 
 
 def _first_order(
-    per_position: Array, per_rate: Array, per_engine: Array, vehicle: VehicleAt, condition: FlightCondition, at: _Layout
+    per_position: Array, per_rate: Array, per_engine: Array, vehicle: VehicleAt, condition: FlightCondition,
+    at: _Layout,
 ) -> StateSpace:  # fmt: skip
     """From second order in (lateral, theta, eta, G) to the states w, q, theta, eta, eta', G, G'."""
     n, m = at.modes, at.tanks

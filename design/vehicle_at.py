@@ -1,7 +1,7 @@
 """The numbers of a vehicle at one instant, as the linear model needs them: those of one plane of one stage.
 
-They are read from the same packed tables as the simulator flies, so that both speak of the same vehicle; equations
-are not shared (docs/model.md is the simulator's, design/plant.py has its own derivation).
+They are read from the same packed tables as the simulator flies, so that both speak of the same vehicle;
+equations are not shared (docs/model.md is the simulator's, design/plant.py has its own derivation).
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ Plane = Literal["pitch", "yaw"]
 
 @dataclass(frozen=True)
 class Body:
-    """What does not swing. Stations in m aft of the nose; inertia about the CG of the mass that it goes with."""
+    """What does not swing. Stations in m aft of the nose; the inertia is about the core's CG."""
 
     core_mass_kg: float  # without the sloshing masses, engine straight
     core_cg_station_m: float
@@ -122,7 +122,9 @@ class VehicleAt:
         return float(core + p.mass_kg @ (p.bob_station_m - cg) ** 2)
 
 
-def vehicle_at(packed: Packed, time_s: float, mach: float, plane: Plane = "pitch", stage: int = 0) -> VehicleAt:
+def vehicle_at(
+    packed: Packed, time_s: float, mach: float, plane: Plane = "pitch", stage: int = 0
+) -> VehicleAt:
     """Read a burning stage at `time_s` of its own clock and a Mach number."""
     row = packed.parameters[stage]
     vehicle, sizes = row.vehicle, row.vehicle.sizes

@@ -1,8 +1,8 @@
 """Small vehicles for the tests of the flight, and the tests' only contact with the flight kernels.
 
-A scenario is written as a dict and goes the way of every scenario: TOML text, loader, packing. `Parts` describes a
-vehicle by its parts (core, engine, pendulums, modes); `scenario_of` composes the whole that the vehicle file wants,
-`oracle_vehicle` and `oracle_state` say the same to the independent oracles.
+A scenario is written as a dict and goes the way of every scenario: TOML text, loader, packing. `Parts`
+describes a vehicle by its parts (core, engine, pendulums, modes); `scenario_of` composes the whole that the
+vehicle file wants, `oracle_vehicle` and `oracle_state` say the same to the independent oracles.
 
 The end of the file is all that knows how kernels are called: `Rig` and `Stretches`.
 """
@@ -13,6 +13,8 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
+from oracles import multibody_system as system
+
 from maxq.control.jit import borrowed, entry
 from maxq.control.records import Array
 from maxq.control.tables import find_interval
@@ -25,7 +27,6 @@ from maxq.sim.flight import step as flight_step
 from maxq.sim.flight.fly import FlightRun
 from maxq.sim.packing.flight import Packed, pack_flight
 from maxq.sim.scenario.loader import LoadedScenario, load_scenario_text
-from oracles import multibody_system as system
 
 Tree = dict[str, Any]
 
@@ -82,7 +83,9 @@ class Mode:
 
 @dataclass(frozen=True)
 class Parts:
-    """Stations in m aft of the nose. `core_inertia` is the tensor about the core CG, B axes, engine straight."""
+    """Stations in m aft of the nose. `core_inertia` is the tensor about the core CG, B axes, engine
+    straight.
+    """
 
     core_mass_kg: float = 4000.0
     core_cg: tuple[float, float, float] = (7.0, 0.0, 0.0)  # station, y, z
@@ -277,7 +280,8 @@ def _meet(P, pool, state, y, aux, until_ns):  # type: ignore[no-untyped-def]  # 
 class Rig:
     """A packed flight, with the derivative of its state at hand.
 
-    `y` (n,) is the initial state and may be written; `dy`, `aux`, `props` hold what the last `derivative` gave.
+    `y` (n,) is the initial state and may be written; `dy`, `aux`, `props` hold what the last `derivative`
+    gave.
     """
 
     loaded: LoadedScenario
@@ -360,14 +364,19 @@ def meet(made: Rig, until_ns: int) -> int:
     """Everything that is due now (samples, commands, ignition); nanoseconds to the next such instant."""
     return int(
         _meet(
-            made.packed.parameters, made.packed.pool, made.packed.memory, made.packed.state, made.aux, until_ns
+            made.packed.parameters,
+            made.packed.pool,
+            made.packed.memory,
+            made.packed.state,
+            made.aux,
+            until_ns,
         )
     )
 
 
 # --- between the simulator's state and the oracles'
 def engine_states(made: Rig, angle: Array, rate: Array, accel: Array) -> Array:
-    """Smallest actuator states (12,) that give engine angles, rates and accelerations (pitch, yaw; rad, s)."""
+    """Smallest actuator states (12,) that give engine angles, rates and accelerations (pitch, yaw; rad)."""
     out = np.zeros(12)
     for axis, first in enumerate((workspace.ENGINE_PITCH, workspace.ENGINE_YAW)):
         columns = []
@@ -457,5 +466,3 @@ def accelerations(made: Rig, y: Array, gravitation_I_mps2: Array | None = None) 
         "xiddot_mps2": dy[j + n : j + 2 * n] + w_dot[0] * state.eta_m + w[0] * state.etadot_mps,
         "uddot_B_1ps2": u_ddot,
     }
-
-

@@ -356,8 +356,9 @@ def attracted(r: Vector, to_inertial: Vector, tensor: Vector) -> Vector:
     moments, axes = np.linalg.eigh(0.5 * np.trace(tensor) * np.eye(3) - tensor)
     out = np.zeros(3)
     for moment, axis in zip(moments, axes.T, strict=True):
-        for arm in (axis, -axis):  # 1 m away: two masses of moment / 2 each
-            out += 0.5 * moment * cross(arm, to_inertial.T @ pull(r + to_inertial @ arm))
+        for arm in (30.0 * axis, -30.0 * axis):  # so far that the difference in pull is not rounded off
+            mass = 0.5 * moment / 30.0**2
+            out += mass * cross(arm, to_inertial.T @ pull(r + to_inertial @ arm))
     return out
 
 
@@ -387,5 +388,5 @@ def test_gravity_gradient_turns_a_body_with_products_of_inertia():
     begin = np.concatenate([position, velocity, attitude(0).ravel(), rate(0)])
     end = solve_ivp(derivative, (0.0, 1200.0), begin, "DOP853", rtol=1e-11, atol=1e-14).y[:, -1]
     assert np.abs(end[15:] - rate(0)).max() > 1e-4  # it does turn it
-    np.testing.assert_allclose(rate(-1), end[15:], rtol=0, atol=1e-11)
-    np.testing.assert_allclose(attitude(-1).ravel(), end[6:15], rtol=0, atol=1e-9)
+    np.testing.assert_allclose(rate(-1), end[15:], rtol=0, atol=1e-12)
+    np.testing.assert_allclose(attitude(-1).ravel(), end[6:15], rtol=0, atol=1e-10)

@@ -23,10 +23,11 @@ from flightkit import (
     to_oracle,
     with_stage,
 )
-from maxq.control.records import Array
-from maxq.sim.dynamics import state as layout
 from scipy.linalg import expm
 from scipy.signal import tf2ss
+
+from maxq.control.records import Array
+from maxq.sim.dynamics import state as layout
 
 STEP_DEG = 2.0
 EFFECT_S = 0.013  # first sample after 10 ms, plus 3 ms of computing
@@ -43,7 +44,7 @@ def moving(axis: str, amplitude_deg: float, step_s: float = 0.00025, **actuator:
 
 
 def printed_actuator(omega_hz: list[float], zeta: list[float]) -> tuple[Array, Array, Array]:
-    """A, B and the rows of output, its rate and acceleration of H1 H2 H3 with zero pair 4 over pole pair 3."""
+    """A, B and the rows of output, its rate and acceleration of H1 H2 H3 (zero pair 4, pole pair 3)."""
     w = 2.0 * np.pi * np.array(omega_hz)
     quadratics = [np.array([1.0, 2.0 * z * x, x * x]) for x, z in zip(w, zeta, strict=True)]
     below = np.polymul(np.polymul(quadratics[0], quadratics[1]), quadratics[2])
@@ -65,7 +66,9 @@ def balanced_step(a: Array, b: Array, time_s: float) -> Array:
 @pytest.mark.parametrize("axis", [0, 1])
 @pytest.mark.parametrize("exchanged", [False, True])
 def test_step_response_against_the_matrix_exponential(axis: int, exchanged: bool) -> None:
-    """Angle, rate and acceleration; with a3 and a4 exchanged the zero lies at 52.6 Hz and the pole at 15.6 Hz."""
+    """Angle, rate and acceleration; with a3 and a4 exchanged the zero lies at 52.6 Hz and the pole at 15.6
+    Hz.
+    """
     omega, zeta = [5.8, 7.2, 52.6, 15.6], [0.87, 0.49, 0.15, 0.042]
     if exchanged:
         omega, zeta = [5.8, 7.2, 15.6, 52.6], [0.87, 0.49, 0.042, 0.15]
@@ -80,7 +83,9 @@ def test_step_response_against_the_matrix_exponential(axis: int, exchanged: bool
         assert np.allclose(ours, wanted, rtol=0.0, atol=2e-7 * size)
         others = to_oracle(made, states[k]).deflection_rad[1 - axis]
         assert others == 0.0
-    assert np.all(states[:14, layout.ACTUATOR : layout.ACTUATOR + 12] == 0.0)  # nothing moves before the command
+    assert np.all(
+        states[:14, layout.ACTUATOR : layout.ACTUATOR + 12] == 0.0
+    )  # nothing moves before the command
 
 
 def test_dc_gain_is_one_and_bias_adds() -> None:
@@ -94,7 +99,9 @@ def test_dc_gain_is_one_and_bias_adds() -> None:
 def test_angle_limit_stops_the_position_command(sign: float) -> None:
     made = moving("pitch", sign * 20.0, angle_limit_deg=6.0)
     states = flown(made, 3.0, 0.01)
-    assert np.max(np.abs(states[:, layout.ACTUATOR])) <= math.radians(6.0) * 1.01  # servo: its own small overshoot
+    assert (
+        np.max(np.abs(states[:, layout.ACTUATOR])) <= math.radians(6.0) * 1.01
+    )  # servo: its own small overshoot
     assert np.isclose(math.degrees(to_oracle(made, made.y).deflection_rad[0]), sign * 6.0, rtol=1e-9)
 
 
@@ -108,7 +115,9 @@ def test_rate_limit_holds_while_slewing_and_leaves_no_wind_up(sign: float) -> No
     assert np.max(np.abs(rates)) <= limit * (1.0 + 1e-12)
     slewing = (servo > 0.1 * math.radians(20.0)) & (servo < 0.8 * math.radians(20.0))
     assert np.allclose(rates[slewing], limit, rtol=1e-3)
-    assert np.max(servo) < math.radians(20.0) * 1.01  # no more overshoot than the linear servo's (zeta 0.87: 0.4 %)
+    assert (
+        np.max(servo) < math.radians(20.0) * 1.01
+    )  # no more overshoot than the linear servo's (zeta 0.87: 0.4 %)
     assert np.isclose(math.degrees(to_oracle(made, made.y).deflection_rad[0]), sign * 20.0, rtol=1e-6)
 
 
@@ -166,7 +175,9 @@ ENGINE = Parts(
 
 
 def moment_per_angle(made: Rig, axis: int) -> tuple[float, float]:
-    """Angular acceleration about y or z per engine angle and per engine acceleration, at zero angle and rate."""
+    """Angular acceleration about y or z per engine angle and per engine acceleration, at zero angle and
+    rate.
+    """
     out = []
     for angle, accel in ((1e-5, 0.0), (0.0, 1e-3)):
         y = made.y.copy()
@@ -183,8 +194,9 @@ def swing(made: Rig, axis: int, angle_rad: float, accel_radps2: float) -> Array:
 
 @pytest.mark.parametrize("axis", [0, 1])
 def test_tail_wags_dog_zero(axis: int) -> None:
-    """omega^2 = T l_c / (I_E + m_E l_E l_c), I_E about the gimbal (erratum 8), here with thrust acting past the CG that
-    the displaced engine shifts: T l_c + m_E l_E a_x."""
+    """omega^2 = T l_c / (I_E + m_E l_E l_c), I_E about the gimbal (erratum 8), here with thrust acting past
+    the CG that the displaced engine shifts: T l_c + m_E l_E a_x.
+    """
     made = rig(scenario_of(ENGINE))
     still, swinging = moment_per_angle(made, axis)
     assert still > 0.0
@@ -201,7 +213,9 @@ def test_tail_wags_dog_zero(axis: int) -> None:
 
 
 def test_tail_wags_dog_bends_the_body() -> None:
-    """Engine acceleration excites a mode with m_E l_E (phi + l_E sigma) + I sigma at the gimbal, to +z and to -y."""
+    """Engine acceleration excites a mode with m_E l_E (phi + l_E sigma) + I sigma at the gimbal, to +z and
+    to -y.
+    """
     mode = Mode(7.0, 500.0, (1.0, 0.4, -0.2, -0.4, 0.5, 1.1), (-0.3, -0.3, -0.2, 0.2, 0.3, 0.3))
     parts = Parts(pitch=(mode,), yaw=(mode,), engine_mass_kg=180.0, engine_cg_m=0.4, engine_inertia_kgm2=20.0)
     made = rig(scenario_of(parts))
@@ -211,4 +225,3 @@ def test_tail_wags_dog_bends_the_body() -> None:
         y[layout.ACTUATOR : layout.ACTUATOR + 12] = swing(made, axis, 0.0, 1.0)
         dy = made.derivative(y)
         assert np.isclose(dy[int(first) + 1], sign * wanted, rtol=1e-9)
-

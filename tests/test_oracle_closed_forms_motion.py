@@ -1,4 +1,6 @@
-"""Flights with a solution on paper: arcs, tops, pendulum, bending oscillator, hold-down, jet damping, moving innards."""
+"""Flights with a solution on paper: arcs, tops, pendulum, bending oscillator, hold-down, jet damping,
+moving innards.
+"""
 
 from __future__ import annotations
 
@@ -8,15 +10,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from flightkit import Mode, Parts, Rig, Tank, composed, flown, merged, rig, scenario_of, with_stage
+from oracles.multibody_system import quaternion_from_rotation, rotation_from_quaternion
+from scipy.linalg import eigh
+from scipy.optimize import brentq
+from scipy.special import ellipj, ellipk
+
 from maxq.control.records import Array
 from maxq.sim.dynamics import state as layout
 from maxq.sim.dynamics import workspace
 from maxq.sim.dynamics.schedule import MODE_FIRST, pitch_column
 from maxq.tools.studies.ksr3 import beam
-from oracles.multibody_system import quaternion_from_rotation, rotation_from_quaternion
-from scipy.linalg import eigh
-from scipy.optimize import brentq
-from scipy.special import ellipj, ellipk
 
 BARE = Parts(engine=False)
 HANGING = Tank(1.0e-3, 0.5, 5.0)
@@ -79,7 +82,9 @@ def top(inertia: tuple[float, float, float], rate: Array, step_s: float = 0.001)
 
 
 def test_torque_free_symmetric_top() -> None:
-    """Body cone: the transverse rate turns with (1 - Ix/It) p; space cone: the axis turns about H with |H|/It."""
+    """Body cone: the transverse rate turns with (1 - Ix/It) p; space cone: the axis turns about H with
+    |H|/It.
+    """
     a, t = 800.0, 2000.0
     w0 = np.array([3.0, 0.4, -0.3])
     made = top((a, t, t), w0)
@@ -117,7 +122,9 @@ def test_torque_free_asymmetric_top() -> None:
 
 
 def test_spin_does_not_drift() -> None:
-    """A peer's default integrator drifts 2.5 degrees in 30 s of torque-free spin; ours 1e-6 at its default step."""
+    """A peer's default integrator drifts 2.5 degrees in 30 s of torque-free spin; ours 1e-6 at its default
+    step.
+    """
     for rate in (np.array([2.0 * math.pi, 0.0, 0.0]), np.array([0.0, 1.0, 0.0]), np.array([0.0, 0.0, -2.0])):
         made = top((800.0, 1500.0, 2000.0), rate)
         start = rotation_from_quaternion(made.y[Q])
@@ -134,7 +141,7 @@ def test_spin_does_not_drift() -> None:
 
 # --- pendulum
 def hanging(amplitude_rad: float, mass_kg: float = 1.0e-3, step_s: float = 0.001) -> Rig:
-    """A bob in a vehicle too heavy to notice it, pushed along x with 20 m/s2; at rest at an angle in pitch."""
+    """A bob in a vehicle too heavy to notice it, pushed along x with 20 m/s2; let go at an angle."""
     parts = Parts(
         core_mass_kg=1.0e8,
         core_inertia=tuple(map(tuple, np.diag([1.0e12, 1.0e12, 1.0e12]))),
@@ -255,7 +262,9 @@ def test_uniform_beam_has_its_textbook_frequencies() -> None:
 
 # --- on the pad
 def test_hold_down_statics() -> None:
-    """Held on a turning Earth: it stays where it stands, feels its weight, bobs hang still, modes bend statically."""
+    """Held on a turning Earth: it stays where it stands, feels its weight, bobs hang still, modes bend
+    statically.
+    """
     parts = Parts(
         tanks=(Tank(400.0, 0.5, 5.0),),
         pitch=(ONE_MODE,),
@@ -329,9 +338,18 @@ def burning(rows: list[dict[str, float]], rate: Array) -> Rig:
     return rig(tree)
 
 
-def row(time_s: float, mass_kg: float, x_cg_m: float, inertia: tuple[float, float, float]) -> dict[str, float]:
+def row(
+    time_s: float, mass_kg: float, x_cg_m: float, inertia: tuple[float, float, float]
+) -> dict[str, float]:
     x, y, z = inertia
-    return {"time_s": time_s, "mass_kg": mass_kg, "x_cg_m": x_cg_m, "Ixx_kgm2": x, "Iyy_kgm2": y, "Izz_kgm2": z}
+    return {
+        "time_s": time_s,
+        "mass_kg": mass_kg,
+        "x_cg_m": x_cg_m,
+        "Ixx_kgm2": x,
+        "Iyy_kgm2": y,
+        "Izz_kgm2": z,
+    }
 
 
 @pytest.mark.parametrize("axis", [1, 2])
@@ -351,7 +369,9 @@ def test_jet_damping_of_a_rocket_with_constant_mass_flow(axis: int) -> None:
 
 
 def test_jet_damping_force_on_a_turning_rocket() -> None:
-    """Coriolis force of the flow from CG to exit: -2 w x mdot r_exit; nothing in roll about the nozzle's own axis."""
+    """Coriolis force of the flow from CG to exit: -2 w x mdot r_exit; nothing in roll about the nozzle's
+    own axis.
+    """
     rows = [row(0.0, 4000.0, 7.0, (900.0, 5.0e4, 5.0e4)), row(20.0, 2000.0, 7.0, (900.0, 5.0e4, 5.0e4))]
     made = burning(rows, np.array([0.3, 0.2, -0.1]))
     made.derivative(made.y)
@@ -363,7 +383,9 @@ def test_jet_damping_force_on_a_turning_rocket() -> None:
 
 
 def test_innards_that_shift_conserve_momentum() -> None:
-    """No outflow, but the CG wanders and the inertia changes: the CG flies straight on, the angular momentum stays."""
+    """No outflow, but the CG wanders and the inertia changes: the CG flies straight on, the angular
+    momentum stays.
+    """
     rows = [row(0.0, 4000.0, 7.0, (1900.0, 5.0e4, 5.1e4)), row(20.0, 4000.0, 6.0, (2200.0, 4.0e4, 4.1e4))]
     made = burning(rows, np.array([0.5, 0.3, -0.2]))
     made.y[3:6] = [1.0, -2.0, 3.0]

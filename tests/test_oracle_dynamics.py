@@ -2,8 +2,8 @@
 
 | what | against |
 |---|---|
-| everything coupled: modes in two planes, two tanks, moving engine, full inertia, CG beside the axis | Lagrange (SymPy) |
-| the same with thrust: follower force, softening, slosh damping, engine displaced under load | Lagrange plus loads |
+| all coupled: modes in two planes, tanks, moving engine, full inertia, CG off the axis | Lagrange |
+| with thrust: follower, softening, slosh damping, displaced engine under load | Lagrange plus loads |
 | without bending | MuJoCo |
 | injected force and torque, uniform gravitation | Lagrange |
 
@@ -12,6 +12,7 @@ Vehicles go the whole way of a scenario, so that taking the sloshing masses out 
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import replace
 
 import numpy as np
@@ -29,11 +30,12 @@ from flightkit import (
     to_oracle,
     to_simulator,
 )
-from maxq.control.records import Array
 from oracles import multibody_mujoco, multibody_sympy
 from oracles.multibody_system import Load, State, rotation_from_quaternion, thrust_direction
 from scipy.integrate import quad
 from scipy.interpolate import CubicHermiteSpline
+
+from maxq.control.records import Array
 
 STATIONS = (0.0, 3.0, 5.0, 10.0, 12.0, 14.0)  # 5 and 10: hinges, 12: gimbal
 
@@ -44,7 +46,7 @@ def a_mode(rng: np.random.Generator, frequency_hz: float, zeta: float = 0.0) -> 
 
 
 def same_at_hinges(mode: Mode, partner: Mode) -> Mode:
-    """`partner` with the displacements of `mode` at the hinges: the limit stated in docs/model.md, section 4."""
+    """`partner` with the displacements of `mode` at the hinges, as in a body of revolution."""
     phi = list(partner.phi)
     for k, station in enumerate(STATIONS):
         if station in (5.0, 10.0):
@@ -108,7 +110,9 @@ def worst(ours: dict[str, Array], theirs: dict[str, Array]) -> float:
 
 
 def seen(made: Rig, state: State) -> tuple[Array, State]:
-    """The simulator's state vector, and that vector as the oracle's state, rounding of the way there included."""
+    """The simulator's state vector, and that vector as the oracle's state, rounding of the way there
+    included.
+    """
     y = to_simulator(made, state)
     return y, to_oracle(made, y)
 
@@ -128,7 +132,9 @@ def test_free_multibody_system_agrees_with_lagrange(seed: int) -> None:
 
 @pytest.mark.parametrize("seed", range(3))
 def test_tension_at_hinges_that_the_planes_displace_differently(seed: int) -> None:
-    """A vehicle without rotational symmetry: the hinge's velocity is that of the displaced point, rolling included."""
+    """A vehicle without rotational symmetry: the hinge's velocity is that of the displaced point, rolling
+    included.
+    """
     rng = np.random.default_rng(100 + seed)
     parts = random_parts(rng, alike=False)
     made = rig(scenario_of(parts))
@@ -169,7 +175,7 @@ def test_uniform_gravitation_and_injected_loads_agree_with_lagrange(seed: int) -
 
 
 def softening(parts: Parts, modes: tuple[Mode, ...]) -> Array:
-    """integral of mass_forward phi_i' phi_j' dx to the gimbal, less the engine that hangs behind it (kg/m)."""
+    """int mass_forward phi_i' phi_j' dx to the gimbal, less the engine that hangs behind it (kg/m)."""
     x = np.array(parts.stations_m)
     shapes = [CubicHermiteSpline(x, mode.phi, mode.slope_pm) for mode in modes]
     out = np.zeros((len(modes), len(modes)))
@@ -177,7 +183,7 @@ def softening(parts: Parts, modes: tuple[Mode, ...]) -> Array:
     at = parts.gimbal_station_m
     for i, a in enumerate(shapes):
         for j, b in enumerate(shapes):
-            for start, end in zip(inside, inside[1:], strict=False):
+            for start, end in itertools.pairwise(inside):
                 out[i, j] += quad(
                     lambda s, a=a, b=b: float(np.interp(s, x, parts.mass_forward_kg)) * a(s, 1) * b(s, 1),
                     start,
@@ -192,14 +198,18 @@ def softening(parts: Parts, modes: tuple[Mode, ...]) -> Array:
 def thrust_load(parts: Parts, state: State, follower: bool) -> tuple[Load, float]:
     """What thrust does, written out by hand (docs/model.md, section 4), and the axial specific force, m/s2.
 
-    A force on the bent body works on the velocity of the displaced point. The oracle's modal forces work on etadot
-    and xidot at fixed body rates, so every lateral modal force that rides on the body's turning adds its roll moment.
+    A force on the bent body works on the velocity of the displaced point. The oracle's modal forces work on
+    etadot and xidot at fixed body rates, so every lateral modal force that rides on the body's turning adds
+    its roll moment.
     """
     vehicle = oracle_vehicle(parts)
     assert vehicle.engine is not None
     g = parts.stations_m.index(parts.gimbal_station_m)
     phi_z, phi_y = np.array([m.phi[g] for m in parts.pitch]), np.array([m.phi[g] for m in parts.yaw])
-    slope_z, slope_y = np.array([m.slope_pm[g] for m in parts.pitch]), np.array([m.slope_pm[g] for m in parts.yaw])
+    slope_z, slope_y = (
+        np.array([m.slope_pm[g] for m in parts.pitch]),
+        np.array([m.slope_pm[g] for m in parts.yaw]),
+    )
     turning = np.array([0.0, slope_z @ state.eta_m, -slope_y @ state.xi_m])
     moved = np.array([0.0, phi_y @ state.xi_m, phi_z @ state.eta_m])
     straight = thrust_direction(*state.deflection_rad)
@@ -208,7 +218,8 @@ def thrust_load(parts: Parts, state: State, follower: bool) -> tuple[Load, float
     load = force[0] / composed(parts)[0]
     mass, arm = parts.engine_mass_kg, parts.engine_cg_m
     displaced = -arm * (straight - np.array([1.0, 0.0, 0.0]))
-    # moments about y and z on the gimbal: thrust line beside the axis, and the displaced engine's weight under load
+    # moments about y and z on the gimbal: thrust line beside the axis, and the displaced engine's weight
+    # under load
     bend_y = parts.gimbal_offset_m[1] * force[0] - mass * load * displaced[2]
     bend_z = -parts.gimbal_offset_m[0] * force[0] + mass * load * displaced[1]
     on_z, on_y = phi_z * force[2] + slope_z * bend_y, phi_y * force[1] - slope_y * bend_z
@@ -240,7 +251,10 @@ def test_switches_take_away_what_they_name() -> None:
     made = rig(scenario_of(parts, switches={"bending_softening": False}))
     y, state = seen(made, random_state(rng, 2))
     load, axial = thrust_load(parts, state, True)
-    soft = axial * softening(parts, parts.pitch) @ state.eta_m, axial * softening(parts, parts.yaw) @ state.xi_m
+    soft = (
+        axial * softening(parts, parts.pitch) @ state.eta_m,
+        axial * softening(parts, parts.yaw) @ state.xi_m,
+    )
     assert load.modal_z_N is not None
     assert load.modal_y_N is not None
     load = replace(load, modal_z_N=load.modal_z_N - soft[0], modal_y_N=load.modal_y_N - soft[1])
@@ -250,7 +264,9 @@ def test_switches_take_away_what_they_name() -> None:
 
     made = rig(scenario_of(replace(parts, thrust_N=0.0), switches={"engine_inertia": False}))
     y, state = seen(made, random_state(rng, 2))
-    still = replace(state, deflection_rad=np.zeros(2), deflection_radps=np.zeros(2), deflection_radps2=np.zeros(2))
+    still = replace(
+        state, deflection_rad=np.zeros(2), deflection_radps=np.zeros(2), deflection_radps2=np.zeros(2)
+    )
     theirs = multibody_sympy.accelerations(oracle_vehicle(replace(parts, thrust_N=0.0)), still)
     assert worst(accelerations(made, y), theirs) < 1e-10
 

@@ -1,7 +1,7 @@
 """One test per coupling path, each path on its own: which way it acts, in pitch and in yaw, and how strongly.
 
-The signs are the contract's: x forward, y right, z down; positive gimbal angles give positive moments; a mode moves
-to +z (pitch) and +y (yaw); its slope turns the body by +sigma eta about y and by -sigma xi about z.
+The signs are the contract's: x forward, y right, z down; positive gimbal angles give positive moments; a mode
+moves to +z (pitch) and +y (yaw); its slope turns the body by +sigma eta about y and by -sigma xi about z.
 """
 
 from __future__ import annotations
@@ -24,10 +24,11 @@ from flightkit import (
     scenario_of,
     with_stage,
 )
+from oracles.multibody_system import rotation_from_quaternion
+
 from maxq.control.records import Array
 from maxq.sim.dynamics import state as layout
 from maxq.sim.dynamics import workspace
-from oracles.multibody_system import rotation_from_quaternion
 
 W, V = layout.W_BI_B, layout.V_I
 PITCH, YAW = 0, 1
@@ -100,7 +101,9 @@ def test_ambient_pressure_takes_thrust() -> None:
 
 @PLANES
 def test_follower_thrust_turns_with_the_gimbal(plane: int) -> None:
-    """A positive slope times displacement turns the nozzle's axis: force to -z (pitch) or -y (yaw), nose down or right."""
+    """A positive slope times displacement turns the nozzle's axis: force to -z (pitch) or -y (yaw), nose
+    down or right.
+    """
     parts = Parts(thrust_N=1.0e5, **planes(SLOPED))
     for follower in (True, False):
         made = rig(ideal(parts, switches={"follower_thrust": follower}))
@@ -109,7 +112,9 @@ def test_follower_thrust_turns_with_the_gimbal(plane: int) -> None:
         felt, alpha = answer(made, y)
         turn = 0.2 * 0.01 if follower else 0.0
         assert np.isclose(felt[ALONG[plane]], -25.0 * turn, rtol=0.0, atol=1e-12)
-        assert np.isclose(alpha[ABOUT[plane]], -SIGN[plane] * 1.0e5 * turn * 5.0 / 5.0e4, rtol=0.0, atol=1e-12)
+        assert np.isclose(
+            alpha[ABOUT[plane]], -SIGN[plane] * 1.0e5 * turn * 5.0 / 5.0e4, rtol=0.0, atol=1e-12
+        )
 
 
 @PLANES
@@ -135,8 +140,9 @@ def test_deflected_thrust_bends_the_body(plane: int) -> None:
 # --- engine inertia
 @PLANES
 def test_swinging_engine_pushes_the_vehicle_back(plane: int) -> None:
-    """No thrust: the engine's CG accelerates to -z (pitch) or +y (yaw), the vehicle the other way, and it turns with
-    the engine's angle."""
+    """No thrust: the engine's CG accelerates to -z (pitch) or +y (yaw), the vehicle the other way, and it
+    turns with the engine's angle.
+    """
     parts = Parts(engine_mass_kg=200.0, engine_cg_m=0.5, engine_inertia_kgm2=30.0)
     made = rig(scenario_of(parts))
     y = made.y.copy()
@@ -171,7 +177,8 @@ def test_compression_softens_and_tension_stiffens(plane: int) -> None:
     off = stiffness(scenario_of(parts, switches=switches | {"bending_softening": False}))
     braked = stiffness(
         with_stage(
-            scenario_of(replace(parts, thrust_N=0.0), switches=switches, initial=start, atmosphere=air), aero=drag
+            scenario_of(replace(parts, thrust_N=0.0), switches=switches, initial=start, atmosphere=air),
+            aero=drag,
         )
     )
     assert np.isclose(alone, STIFFNESS, rtol=1e-12)
@@ -279,7 +286,9 @@ def test_gyro_reads_the_body_rate_on_its_own_axis(axis: int) -> None:
 
 def test_gyro_turned_about_x_mixes_pitch_and_yaw() -> None:
     """Sensor axes turned by +a about x: its y axis leans towards z, its z axis towards -y."""
-    tree = with_stage(ideal(Parts(), initial={"rate_BI_radps": [0.0, 0.1, 0.0]}), gyro={"misalignment_deg": [1.0, 0, 0]})
+    tree = with_stage(
+        ideal(Parts(), initial={"rate_BI_radps": [0.0, 0.1, 0.0]}), gyro={"misalignment_deg": [1.0, 0, 0]}
+    )
     made = rig(tree)
     flown(made, 0.5)
     gyro = made.y[layout.GYRO : layout.GYRO + 6 : 2]
@@ -331,7 +340,9 @@ def test_local_incidence_by_slope_and_by_motion(plane: int) -> None:
         bent = -STIFFNESS * y[m] - mode.phi[1] * force / 500.0
         assert np.isclose(dy[m + 1], bent, rtol=1e-9)
         assert np.isclose(dy[W + ABOUT[plane]], SIGN[plane] * 4.0 * force / 5.0e4, rtol=1e-9)
-        off = through_air(wing(3.0), [SPEED, 0.0, 0.0], Parts(**planes(mode)), switches={"local_incidence": False})
+        off = through_air(
+            wing(3.0), [SPEED, 0.0, 0.0], Parts(**planes(mode)), switches={"local_incidence": False}
+        )
         off.derivative(y)
         assert off.aux[workspace.AERO_FORCE + ALONG[plane]] == 0.0
 
@@ -378,7 +389,9 @@ def test_axial_force_and_drag_oppose_motion(coefficient: str) -> None:
 def test_drag_acts_along_the_wind_and_axial_force_along_the_body() -> None:
     velocity = np.array([60.0, 30.0, -20.0])
     drag = answer(through_air({"table": [{"mach": 0.0, "CD": 0.5}]}, list(velocity)))[0]
-    assert np.allclose(drag, -0.5 * 1.2 * np.linalg.norm(velocity) * velocity * 0.8 * 0.5 / 4000.0, rtol=1e-12)
+    assert np.allclose(
+        drag, -0.5 * 1.2 * np.linalg.norm(velocity) * velocity * 0.8 * 0.5 / 4000.0, rtol=1e-12
+    )
     axial = answer(through_air({"table": [{"mach": 0.0, "CA": 0.5}]}, list(velocity)))[0]
     assert np.allclose(axial, [-0.5 * 1.2 * 60.0**2 * 0.8 * 0.5 / 4000.0, 0.0, 0.0], rtol=1e-12)
 
@@ -395,7 +408,8 @@ def test_drag_beside_a_cg_off_the_axis() -> None:
 
 
 @pytest.mark.parametrize(
-    ("from_deg", "wanted"), [(270.0, [0.0, 1.0]), (180.0, [1.0, 0.0]), (90.0, [0.0, -1.0]), (0.0, [-1.0, 0.0])]
+    ("from_deg", "wanted"),
+    [(270.0, [0.0, 1.0]), (180.0, [1.0, 0.0]), (90.0, [0.0, -1.0]), (0.0, [-1.0, 0.0])],
 )
 def test_wind_blows_from_where_it_is_said_to(from_deg: float, wanted: list[float]) -> None:
     """At rest, pointing at the zenith, body z to the north: the wind drags along with it."""
@@ -435,7 +449,9 @@ def unit(*q: float) -> list[float]:
 
 def test_gravity_gradient_turns_the_long_axis_to_the_vertical() -> None:
     """Nose 45 degrees above the horizon: a slender vehicle is pulled upright."""
-    attitude = unit(math.cos(math.pi / 8), 0.0, 0.0, math.sin(math.pi / 8))  # x axis turned from the zenith about z
+    attitude = unit(
+        math.cos(math.pi / 8), 0.0, 0.0, math.sin(math.pi / 8)
+    )  # x axis turned from the zenith about z
     inertia = np.diag([2000.0, 5.0e4, 5.0e4])
     alpha, moment = tidal(inertia, attitude)
     assert alpha[2] < 0.0  # back towards the zenith

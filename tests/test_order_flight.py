@@ -1,8 +1,9 @@
 """Order of convergence of the whole closed-loop flight, step halving, and agreement with another integrator.
 
-The nominal vehicle with its design, in flight at 25 s, flies five seconds through a gust with everything on: bending,
-slosh, actuators, gyros, computer. Quantisation is off, so that the flight depends smoothly on its steps; so are the
-actuators' limits where an order is measured: a rate limit switches inside a step, which costs an order or two there.
+The nominal vehicle with its design, in flight at 25 s, flies five seconds through a gust with everything on:
+bending, slosh, actuators, gyros, computer. Quantisation is off, so that the flight depends smoothly on its
+steps; so are the actuators' limits where an order is measured: a rate limit switches inside a step, which
+costs an order or two there.
 """
 
 from __future__ import annotations
@@ -12,10 +13,11 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 from flightkit import Rig, flown, rig_of
+from oracles.reference_flight import fly
+
 from maxq.control.records import Array
 from maxq.sim.dynamics import state as layout
 from maxq.sim.scenario.loader import load_scenario
-from oracles.reference_flight import fly
 
 DURATION_S = 5.0
 START_S = 25.0
@@ -34,8 +36,8 @@ def nominal(step_s: float, *more: str) -> Rig:
         "initial.euler_deg=[250.0, 66.0, 180.0]",
         "wind.speed_mps=6.0",
         "wind.from_deg=300.0",
-        "wind.gust=[{kind='one-minus-cosine', altitude_m=4600.0, thickness_m=600.0, edge_m=300.0, speed_mps=4.0, "
-        "from_deg=200.0}]",
+        "wind.gust=[{kind='one-minus-cosine', altitude_m=4600.0, thickness_m=600.0, edge_m=300.0, "
+        "speed_mps=4.0, from_deg=200.0}]",
         *more,
     ]
     return rig_of(load_scenario("nominal", changes))
@@ -136,8 +138,8 @@ def test_reference_integrator_agrees(actuator: str) -> None:
     theirs = fly(nominal(0.001, *changes), 1.0)
     ours = flown(nominal(0.000125, *changes), 1.0)[-1]
     limits = {
-        "position": 1e-6, "velocity": 1e-8, "attitude": 1e-11, "rates": 1e-10, "actuators": 1e-8, "gyros": 1e-6,
-        "bending": 1e-8, "slosh": 1e-7,
+        "position": 1e-6, "velocity": 1e-8, "attitude": 1e-11, "rates": 1e-10, "actuators": 1e-8,
+        "gyros": 1e-6, "bending": 1e-8, "slosh": 1e-7,
     }  # fmt: skip
     for group, where in GROUPS.items():
         assert np.linalg.norm((ours - theirs)[where]) < limits[group], group

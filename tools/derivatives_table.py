@@ -2,8 +2,9 @@
 
     python -m maxq.tools.derivatives_table [FILE]
 
-flies `nominal`, computes the stability derivatives (eqs 4 to 8) along the flown path from 5 s to 55 s and writes them
-beside the paper's ranges into FILE (default: docs/flights/nominal-derivatives.md); prints the same.
+flies `nominal`, computes the stability derivatives (eqs 4 to 8) along the flown path from 5 s to 55 s and
+writes them beside the paper's ranges into FILE (default: docs/flights/nominal-derivatives.md); prints the
+same.
 """
 
 from __future__ import annotations
@@ -42,7 +43,7 @@ PAPER = {  # Table 2: minimum, maximum
 
 
 def flown_derivatives(flight: Flight, times_s: Array) -> list[StabilityDerivatives]:
-    """Derivatives at points of a flight's path: flown speed, air and Mach number; whole mass with frozen liquid."""
+    """Derivatives at points of a flight's path: flown speed, air and Mach number; liquid frozen."""
     packed = pack_flight(flight.scenario.scenario)
     names = ("airspeed_mps", "density_kgpm3", "pressure_Pa", "mach", "pitch_deg")
     clock = flight.time_s("airspeed_mps")
@@ -71,10 +72,11 @@ def table_text(times_s: Array, values: Array) -> str:
         "",
         "<!-- Written by `python -m maxq.tools.derivatives_table`: run it again, do not edit. -->",
         "",
-        "Lee, Ahn & Roh, eqs 4 to 8, along the flown trajectory of `nominal` (speed, air and Mach number as flown;",
-        "mass, CG and inertia of the whole vehicle with its liquid frozen, as the paper defines them). The vehicle is",
-        "a reconstruction whose aerodynamics were fitted to the ends of the paper's ranges of Z_alpha and M_alpha",
-        "(`scenarios/vehicles/ksr3/NOTES.md`): those two agreeing is no independent evidence. The paper gives no M_q.",
+        "Lee, Ahn & Roh, eqs 4 to 8, along the flown trajectory of `nominal` (speed, air and Mach number as",
+        "flown; mass, CG and inertia of the whole vehicle, liquid frozen, as the paper defines them).",
+        "The vehicle is a reconstruction whose aerodynamics were fitted to the ends of the paper's ranges of",
+        "Z_alpha and M_alpha (`scenarios/vehicles/ksr3/NOTES.md`): that those two agree is no independent",
+        "evidence. The paper gives no M_q.",
         "",
         f"## Ranges from {FIRST_S:g} s to {LAST_S:g} s",
         "",
@@ -88,8 +90,9 @@ def table_text(times_s: Array, values: Array) -> str:
         lines.append("| " + " | ".join([*row, f"{times_s[high]:g}", *paper]) + " |")
     lines += [
         "",
-        "M_delta lies inside the paper's range and touches neither end: no plausible arrangement of masses reaches",
-        "them with the thrust and mass of Table 1. Z_alpha, M_alpha and Z_delta span it.",
+        f"Z_alpha, M_alpha and Z_delta meet the ends of the paper's ranges within {_farthest(values):.1%};",
+        "M_delta spans less than its range: no plausible arrangement of masses reaches its ends with the",
+        "thrust and mass of Table 1.",
         "",
         "## At the paper's nodes",
         "",
@@ -99,6 +102,17 @@ def table_text(times_s: Array, values: Array) -> str:
     for time_s, row in zip(times_s[::NODE_EVERY], values[::NODE_EVERY], strict=True):
         lines.append(f"| {time_s:g} | " + " | ".join(f"{x:.4g}" for x in row) + " |")
     return "\n".join(lines) + "\n"
+
+
+def _farthest(values: Array) -> float:
+    """Largest relative distance of flown extremes from the paper's, M_delta left out."""
+    flown = {key: (values[:, k].min(), values[:, k].max()) for k, key in enumerate(COLUMNS)}
+    return max(
+        abs(float(ours) / theirs - 1.0)
+        for key, ends in PAPER.items()
+        if key != "m_delta_1ps2"
+        for ours, theirs in zip(flown[key], ends, strict=True)
+    )
 
 
 def main(arguments: list[str] | None = None) -> int:

@@ -81,11 +81,18 @@ the slow rows.
 
 ## Head and end
 
-Attachments: `{SCENARIO_ATTACHMENT}`, the scenario as flown with vehicle, design and all tables in one file
-(`simrun --from LOG` flies it), and `{DESIGN_ATTACHMENT}`, the control design alone. Metadata `{RUN_METADATA}`:
-scenario, vehicle, design, seed, run index, launch site, T0, version of maxq and of the log's schema. Metadata
-`{END_METADATA}`: `{STATUS_KEY}` (`complete`, or `aborted` with a `{REASON_KEY}`), `{OUTCOME_KEY}`, `{END_KEY}`,
-`{STEPS_KEY}`, `{STATE_HASH_KEY}`. Nothing in the file comes from the clock: equal flights give equal bytes.
+Attachments:
+
+- `{SCENARIO_ATTACHMENT}`: the scenario as flown with vehicle, design and all tables, for `simrun --from LOG`
+- `{DESIGN_ATTACHMENT}`: the control design alone
+
+Metadata:
+
+- `{RUN_METADATA}`: scenario, vehicle, design, seed, run index, launch site, T0, versions of maxq and log
+- `{END_METADATA}`: `{STATUS_KEY}` (`complete`, or `aborted` with a `{REASON_KEY}`),
+  `{OUTCOME_KEY}`, `{END_KEY}`, `{STEPS_KEY}`, `{STATE_HASH_KEY}`
+
+Nothing in the file comes from the clock: equal flights give equal bytes.
 
 ## Metrics
 

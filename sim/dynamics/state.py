@@ -32,7 +32,7 @@ N_PENDULUM = 6
 
 MAX_MODES = 8  # per plane
 MAX_TANKS = 8
-MAX_SURFACES = 8
+MAX_SURFACES = 9  # eight, and one for what the table of coefficients has beyond their sum
 MAX_STATE = N_FIXED + 4 * MAX_MODES + N_PENDULUM * MAX_TANKS
 
 

@@ -16,7 +16,7 @@ from maxq.control.jit import kernel
 from maxq.control.records import Array, IntArray
 from maxq.control.tables import NO_TABLE, TableRef, find_interval, interpolate
 
-MAX_GUSTS = 8
+MAX_GUSTS = 16
 ONE_MINUS_COSINE, SHEAR = 0, 1  # Gust.kind
 
 

@@ -169,7 +169,7 @@ def step_length(p: Parameters, pool: Array, memory: Memory, until_ns: int) -> in
     ):
         if now < instant < end:
             end = instant
-    if course.frozen == 0 and memory.held.burning == 1:
+    if course.frozen == 0:
         end = min(end, max(_next_break(p, pool, memory, now), now + 1))
     if p.injections.count > 0:
         end = next_switch(p.injections, pool, now, end)

@@ -3,9 +3,9 @@
     model = linearise(packed, zero_incidence(packed, y), time_s)
     poles = np.linalg.eigvals(model.a)
 
-The state vector of the simulator lies on a manifold (unit quaternion, unit vectors of the pendulums) and holds
-inertial and quasi-velocities. It is therefore looked at through local coordinates, all free and all small-signal
-quantities of flight mechanics, whose time derivatives follow exactly from the simulator's:
+The state vector of the simulator lies on a manifold (unit quaternion, unit vectors of the pendulums) and
+holds inertial and quasi-velocities. It is therefore looked at through local coordinates, all free and all
+small-signal quantities of flight mechanics, whose time derivatives follow exactly from the simulator's:
 
     r_I            position of the core's CG in I, m
     u, v, w        its velocity relative to the Earth, in B, m/s
@@ -15,9 +15,9 @@ quantities of flight mechanics, whose time derivatives follow exactly from the s
     eta, eta', xi, xi'               true rates: the turning of the bending plane with p is taken out
     per tank       angles atan2(u_z, -u_x), atan2(u_y, -u_x) and their rates, rad, rad/s
 
-Away from equilibrium (a rocket always is: it speeds up) a linear model belongs to its coordinates; these are the ones
-of design/plant.py. The schedule of the vehicle stands still at the instant, its rates (mass flow, moving CG) act.
-Between samples only: the flight computer is no part of it, commands are inputs.
+Away from equilibrium (a rocket always is: it speeds up) a linear model belongs to its coordinates; these are
+the ones of design/plant.py. The schedule of the vehicle stands still at the instant, its rates (mass flow,
+moving CG) act. Between samples only: the flight computer is no part of it, commands are inputs.
 """
 
 from __future__ import annotations
@@ -69,7 +69,7 @@ class LinearModel:
 
 @dataclass(frozen=True)
 class Instant:
-    """What one evaluation of the simulator's derivative gives: the derivative (MAX_STATE,) and `aux` (AUX_SIZE,)."""
+    """What the simulator says of a state: its derivative (MAX_STATE,) and `aux` (AUX_SIZE,)."""
 
     rate: Array
     aux: Array
@@ -78,9 +78,10 @@ class Instant:
 def linearise(packed: Packed, y: Array, time_s: float) -> LinearModel:
     """Linear model of the derivative about the state `y` (MAX_STATE,) at the flight time `time_s`.
 
-    `packed` may be at its start or in mid-flight (its stage, and whether it burns or is held down, count); it is not
-    changed. Derivatives are central differences, extrapolated to step zero over all powers of the step (Ridders
-    1982; odd powers too, because of terms like |w| w), with the best entry of each tableau by its error estimate.
+    `packed` may be at its start or in mid-flight (its stage, and whether it burns or is held down, count); it
+    is not changed. Derivatives are central differences, extrapolated to step zero over all powers of the step
+    (Ridders 1982; odd powers too, because of terms like |w| w), with the best entry of each tableau by its
+    error estimate.
     """
     frame = _Chart(packed, y, time_s)
     zero, command = np.zeros(frame.size), np.zeros(2)
@@ -103,13 +104,15 @@ def linearise(packed: Packed, y: Array, time_s: float) -> LinearModel:
     )
 
 
-def evaluate_at(packed: Packed, y: Array, time_s: float, command_rad: tuple[float, float] = (0.0, 0.0)) -> Instant:
-    """The simulator's derivative and loads at a state (MAX_STATE,) and flight time, with held gimbal commands."""
+def evaluate_at(
+    packed: Packed, y: Array, time_s: float, command_rad: tuple[float, float] = (0.0, 0.0)
+) -> Instant:
+    """The simulator's derivative and loads at a state (MAX_STATE,) and flight time, gimbal commands held."""
     return _Evaluation(packed, time_s)(y, command_rad)
 
 
 def zero_incidence(packed: Packed, y: Array) -> Array:
-    """The state `y` (MAX_STATE,) with everything that swings at rest and the body along its velocity over ground.
+    """The state `y` (MAX_STATE,) with all that swings at rest and the body along its velocity over ground.
 
     Position and velocity stay, the attitude is turned the shortest way, body rates relative to I vanish, the
     pendulums hang aft. Raises ValueError at rest, where there is no direction.
@@ -119,7 +122,9 @@ def zero_incidence(packed: Packed, y: Array) -> Array:
     out = np.zeros(MAX_STATE)
     out[: layout.W_BI_B] = y[: layout.W_BI_B]
     attitude = rotation(y[layout.Q_BI : layout.Q_BI + 4])
-    over_ground = attitude.T @ (y[layout.V_I : layout.V_I + 3] - np.cross(spin, y[layout.R_I : layout.R_I + 3]))
+    over_ground = attitude.T @ (
+        y[layout.V_I : layout.V_I + 3] - np.cross(spin, y[layout.R_I : layout.R_I + 3])
+    )
     speed = float(np.linalg.norm(over_ground))
     if speed == 0.0:
         raise ValueError("a vehicle at rest has no direction of flight")
@@ -134,14 +139,25 @@ def zero_incidence(packed: Packed, y: Array) -> Array:
 
 
 @entry
-def _evaluate(P, pool, state, y, now_ns, elapsed_s, props, dy, work, aux):  # type: ignore[no-untyped-def]  # Numba infers
+def _evaluate(
+    P: Array,
+    pool: Array,
+    state: Array,
+    y: Array,
+    now_ns: int,
+    props: Array,
+    dy: Array,
+    work: Array,
+    aux: Array,
+) -> None:
+    """Derivative of `y` and its by-products at the instant `now_ns`; `P` of Parameters, `state` of Memory."""
     memory = state[0]
     p = P[memory.clock.stage]
     pool, y, props = borrowed(pool), borrowed(y), borrowed(props)
     dy, work, aux = borrowed(dy), borrowed(work), borrowed(aux)
-    memory.clock.interval = find_interval(pool, p.vehicle.schedule, schedule_clock(p, now_ns, elapsed_s))
-    read_schedule(p, pool, memory, now_ns, elapsed_s, props)
-    evaluate(p, pool, memory, now_ns, elapsed_s, props, y, dy, work, aux)
+    memory.clock.interval = find_interval(pool, p.vehicle.schedule, schedule_clock(p, now_ns, 0.0))
+    read_schedule(p, pool, memory, now_ns, 0.0, props)
+    evaluate(p, pool, memory, now_ns, 0.0, props, y, dy, work, aux)
 
 
 class _Evaluation:
@@ -164,7 +180,7 @@ class _Evaluation:
         held.command_pitch_rad, held.command_yaw_rad = command_rad
         dy, aux = np.zeros(MAX_STATE), np.zeros(AUX_SIZE)
         _evaluate(
-            self._packed.parameters, self._packed.pool, self._memory, y, self._now_ns, 0.0, self._props, dy,
+            self._packed.parameters, self._packed.pool, self._memory, y, self._now_ns, self._props, dy,
             self._work, aux,
         )  # fmt: skip
         return Instant(dy, aux)
@@ -199,7 +215,8 @@ class _Chart:
         now = self._evaluation(y, (float(commands[0]), float(commands[1])))
         w = x[_W]
         outputs = [
-            now.aux[ENGINE_PITCH], now.aux[ENGINE_YAW], w[1] + now.aux[GYRO_BEND], w[2] + now.aux[GYRO_BEND + 1],
+            now.aux[ENGINE_PITCH], now.aux[ENGINE_YAW], w[1] + now.aux[GYRO_BEND], w[2] + now.aux[GYRO_BEND +
+            1],
         ]  # fmt: skip
         return np.concatenate([self._rates(x, y, now.rate), outputs])
 
@@ -275,7 +292,9 @@ class _Chart:
             names += [f"{symbol}_{i + 1}_m" for i in range(count)]
             names += [f"{symbol}_{i + 1}_rate_mps" for i in range(count)]
         for k in range(tanks):
-            names += [f"slosh_{k + 1}_{p}{what}" for p in ("pitch", "yaw") for what in ("_rad", "_rate_radps")]
+            names += [
+                f"slosh_{k + 1}_{p}{what}" for p in ("pitch", "yaw") for what in ("_rad", "_rate_radps")
+            ]
         return tuple(names)
 
     @staticmethod
@@ -310,7 +329,7 @@ def _jacobian(function: Any, steps: Array) -> tuple[Array, Array]:
 
 
 def _padded(values: Array, length: int) -> Array:
-    """The first `length` values, zeros where there are none: modes are paired between the planes as far as they go."""
+    """The first `length` values, then zeros: modes of the two planes are paired as far as they go."""
     out = np.zeros(length)
     out[: min(length, len(values))] = values[:length]
     return out

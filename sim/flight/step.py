@@ -8,7 +8,7 @@ from maxq.control.jit import kernel, routine
 from maxq.control.records import Array
 from maxq.control.tables import interpolate_into
 from maxq.sim.dynamics.derivative import derivative
-from maxq.sim.dynamics.schedule import CG_RATE, MASS_FLOW, THRUST_VACUUM, TOTAL_MASS, complete
+from maxq.sim.dynamics.schedule import THRUST_VACUUM, complete
 from maxq.sim.dynamics.state import Q_BI, pendulum_index, state_size
 from maxq.sim.flight.injection import BODY_FORCE, BODY_TORQUE, total_signal
 from maxq.sim.flight.parameters import Memory, Parameters
@@ -26,14 +26,11 @@ def schedule_clock(p: Parameters, now_ns: int, elapsed_s: float) -> float:
 def read_schedule(
     p: Parameters, pool: Array, memory: Memory, now_ns: int, elapsed_s: float, props: Array
 ) -> None:
-    """The vehicle `elapsed_s` after `now_ns`. Nothing flows out of an engine that does not burn."""
+    """The vehicle `elapsed_s` after `now_ns`. An engine that does not burn has no thrust, whatever its table says."""
     clock_s = schedule_clock(p, now_ns, elapsed_s)
     interpolate_into(pool, p.vehicle.schedule, memory.clock.interval, clock_s, props, 0)
     complete(p.vehicle.sizes, props)
     if memory.held.burning == 0:
-        for column in range(CG_RATE, TOTAL_MASS):
-            props[column] = 0.0
-        props[MASS_FLOW] = 0.0
         props[THRUST_VACUUM] = 0.0
 
 

@@ -141,11 +141,13 @@ def _tank(stage: Stage, k: int, method: Method) -> Cubics:
 
 
 def _derivative(table: Cubics) -> Cubics:
-    c = table.coefficients
-    out = np.zeros_like(c)
+    """Exact derivative; zero outside the table, where its end values hold."""
+    n, _, columns = table.coefficients.shape
+    breaks = np.concatenate([[table.breaks[0] - 1.0], table.breaks, [table.breaks[-1] + 1.0]])
+    out = np.zeros((n + 2, 4, columns))
     for power in range(3):
-        out[:, power] = (power + 1) * c[:, power + 1]
-    return Cubics(table.breaks, out)
+        out[1:-1, power] = (power + 1) * table.coefficients[:, power + 1]
+    return Cubics(breaks, out)
 
 
 def _columns(table: Cubics, columns: list[int]) -> Cubics:

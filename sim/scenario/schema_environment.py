@@ -23,8 +23,7 @@ from maxq.sim.scenario.tables_csv import Columns, CsvTable
 ATMOSPHERE_COLUMNS = Columns(
     "altitude_m",
     sets=(("density_kgpm3", "temperature_K", "pressure_Pa"),),
-    positive=("temperature_K",),
-    not_negative=("density_kgpm3", "pressure_Pa"),
+    positive=("temperature_K", "density_kgpm3", "pressure_Pa"),
 )
 WIND_COLUMNS = Columns(
     "altitude_m",
@@ -123,7 +122,9 @@ class Atmosphere(Section):
         constants = ("density_kgpm3", "temperature_K", "pressure_Pa")
         only_with(self, constants, self.model == "constant", "model = 'constant'")
         if self.model == "table":
-            needs(self, "table", "model is 'table'", ATMOSPHERE_COLUMNS.allowed())
+            table: CsvTable = needs(self, "table", "model is 'table'", ATMOSPHERE_COLUMNS.allowed())
+            if len(table) < 2:
+                raise table.refusal("has one row only", "at least two rows; or model = 'constant'")
         if self.model == "constant":
             needs(self, "density_kgpm3", "model is 'constant'", "a number >= 0")
         return self

@@ -1,17 +1,19 @@
 """Oracle: the same flight with another integrator.
 
-SciPy's DOP853 (order eight, adaptive, tight tolerance) flies the flight's own derivative from instant to instant;
-samples, commands, ignition and burn-out are met by the flight's own kernels, so that what differs from the simulator
-is the integration alone: step size, method, and the restoring of the quaternion's and pendulums' length.
-Limits: lift-off by thrust, apogee and impact are not located; begin in flight, or release by time.
+SciPy's DOP853 (order eight, adaptive, tight tolerance) flies the flight's own derivative from instant to
+instant; samples, commands, ignition and burn-out are met by the flight's own kernels, so that what differs
+from the simulator is the integration alone: step size, method, and the restoring of the quaternion's and
+pendulums' length. Limits: lift-off by thrust, apogee and impact are not located; begin in flight, or release
+by time.
 """
 
 from __future__ import annotations
 
 import numpy as np
 from flightkit import Rig, meet
-from maxq.control.records import Array
 from scipy.integrate import solve_ivp
+
+from maxq.control.records import Array
 
 LONG_STEP_NS = 10**12  # no step of the simulator's own between two instants
 
@@ -19,7 +21,8 @@ LONG_STEP_NS = 10**12  # no step of the simulator's own between two instants
 def fly(made: Rig, duration_s: float, tolerance: float = 1e-11) -> Array:
     """State (n,) after `duration_s`; `made` ends there too. Raises RuntimeError when the integrator gives up.
 
-    `tolerance` is relative, and absolute in units of `scale`: metres for the position, 1e-3 for all that is small.
+    `tolerance` is relative, and absolute in units of `scale`: metres for the position, 1e-3 for all that is
+    small.
     """
     made.course.step_ns = LONG_STEP_NS
     clock = made.packed.memory[0].clock

@@ -1,8 +1,9 @@
-"""The same equations flown by SciPy's DOP853 from instant to instant, with its error control: the reference.
+"""The same equations flown by SciPy's DOP853 from instant to instant, with its error control: the
+reference.
 
-Between two instants (computer sample, command, schedule breakpoint, ...) nothing switches; there the kernel's own
-derivative is handed to the adaptive method of order eight (Hairer, Norsett & Wanner, section II.5), which starts anew
-after each. The flight's instants themselves are met by the flight's own kernels.
+Between two instants (computer sample, command, schedule breakpoint, ...) nothing switches; there the
+kernel's own derivative is handed to the adaptive method of order eight (Hairer, Norsett & Wanner, section
+II.5), which starts anew after each. The flight's instants themselves are met by the flight's own kernels.
 """
 
 from __future__ import annotations
@@ -89,7 +90,7 @@ class AdaptiveFlight:
             y = packed.state[: self._n]
             solver = DOP853(
                 self._rates, 0.0, y.copy(), length_s, rtol=self._relative, atol=self._absolute,
-                first_step=min(length_s, 1e-3),
+                first_step=length_s,
             )  # fmt: skip
             while solver.status == "running":
                 solver.step()

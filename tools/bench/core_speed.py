@@ -1,4 +1,6 @@
-"""What the core can do: rates of the simplest kernels, compiled as the flight is (no fused multiply-add, no fastmath)."""
+"""What the core can do: rates of the simplest kernels, compiled as the flight is (no fused multiply-add, no
+fastmath).
+"""
 
 from __future__ import annotations
 

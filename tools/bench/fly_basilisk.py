@@ -1,7 +1,7 @@
 """Worker: Basilisk flies a rigid hub with three sloshing masses and two hinged panels, RK4, 60 s at 1 kHz.
 
-The nearest that Basilisk's state effectors come to a launch vehicle: thrust, gravity with J2, no air, no flight
-computer, no recorder.
+The nearest that Basilisk's state effectors come to a launch vehicle: thrust, gravity with J2, no air, no
+flight computer, no recorder.
 """
 
 from __future__ import annotations

@@ -1,4 +1,6 @@
-"""Worker: JSBSim flies its own rigid launch vehicle (script J2461.xml of its wheel) for 60 s at 1 kHz, output off."""
+"""Worker: JSBSim flies its own rigid launch vehicle (script J2461.xml of its wheel) for 60 s at 1 kHz,
+output off.
+"""
 
 from __future__ import annotations
 

@@ -1,9 +1,9 @@
 """Worker: RocketPy flies a rigid rocket of about KSR-III's size with a 100 Hz controller for 60 s.
 
-`--causal`: every controller call ends an integration step (`time_overshoot=False`), with the fastest of its methods
-for such short steps (RK23; RK45 takes 1.6 times as long, LSODA 2.5, DOP853 3). Without it, RocketPy's default, the
-step runs past the controller's instants and the controller is called afterwards on interpolated points: faster, but
-what it decides then comes too late for the step it was asked in.
+`--causal`: every controller call ends an integration step (`time_overshoot=False`), with the fastest of its
+methods for such short steps (RK23; RK45 takes 1.6 times as long, LSODA 2.5, DOP853 3). Without it,
+RocketPy's default, the step runs past the controller's instants and the controller is called afterwards on
+interpolated points: faster, but what it decides then comes too late for the step it was asked in.
 """
 
 from __future__ import annotations

@@ -1,6 +1,7 @@
 """How long a person waits for `simrun`, and how much memory a flight takes.
 
-Only the standard library is loaded here: the peak memory that the kernel reports for a child begins with its parent's.
+Only the standard library is loaded here: the peak memory that the kernel reports for a child begins with
+its parent's.
 """
 
 from __future__ import annotations

@@ -1,4 +1,6 @@
-"""A flight stopped half-way, where everything is at work: what the microbenchmarks and the count start from."""
+"""A flight stopped half-way, where everything is at work: what the microbenchmarks and the count start
+from.
+"""
 
 from __future__ import annotations
 

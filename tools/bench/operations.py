@@ -1,9 +1,11 @@
-"""Floating-point operations of a flight, counted: the Python source of the kernels flies on numbers that count.
+"""Floating-point operations of a flight, counted: the Python source of the kernels flies on numbers that
+count.
 
-The kernels run uncompiled (NUMBA_DISABLE_JIT=1) on stand-ins for their arrays and records, which hand out floats of
-a class that counts its own arithmetic by the file that does it. So what is counted is what the source says is done,
-for every branch that is really taken; what the compiler saves (a subexpression used twice, a factor of zero) is not
-taken off. Vector algebra and table look-up count for the file that calls them.
+The kernels run uncompiled (NUMBA_DISABLE_JIT=1) on stand-ins for their arrays and records, which hand out
+floats of a class that counts its own arithmetic by the file that does it. So what is counted is what the
+source says is done, for every branch that is really taken; what the compiler saves (a subexpression used
+twice, a factor of zero) is not taken off. Vector algebra and table look-up count for the file that calls
+them.
 """
 
 from __future__ import annotations
@@ -20,9 +22,25 @@ from pathlib import Path
 from types import FrameType
 from typing import Any
 
+from maxq.sim.flight import fly
+from maxq.tools.bench.midflight import restore
+
 COUNTED_STEPS = 100  # ten samples of the flight computer
 SHARED = {"vectors.py", "tables.py"}  # what these do is done for their caller
-TRANSCENDENTAL = ("sin", "cos", "tan", "asin", "acos", "atan", "atan2", "exp", "log", "pow", "degrees", "radians")
+TRANSCENDENTAL = (
+    "sin",
+    "cos",
+    "tan",
+    "asin",
+    "acos",
+    "atan",
+    "atan2",
+    "exp",
+    "log",
+    "pow",
+    "degrees",
+    "radians",
+)
 KINDS = ("add", "multiply", "divide", "sqrt", "function")
 
 _counts: Counter[tuple[str, str]] = Counter()
@@ -132,18 +150,17 @@ def _counted(value: Any) -> Any:
 
 
 def count(path: Path) -> dict[str, Any]:
-    """Operations of `COUNTED_STEPS` steps from the flight saved at `path`: `steps`, `files`: file -> kind -> count."""
-    from maxq.sim.flight import fly  # only now: compiled or not is decided when it is loaded
-    from maxq.tools.bench.midflight import restore
-
+    """Operations of `COUNTED_STEPS` steps from the flight saved at `path`: `steps`, `files`: file -> kind
+    -> count.
+    """
     run = restore(path)
     before = int(run.memory.clock.steps)
-    plain = fly.advance
+    plain: Callable[..., None] = getattr(fly, "advance")  # noqa: B009 - fly imports it and does not export it
 
     def advance(*arguments: Any) -> None:
         plain(*(CountedArray(a) if hasattr(a, "dtype") else a for a in arguments))
 
-    fly.advance = advance
+    setattr(fly, "advance", advance)  # noqa: B010 - the same
     _count_functions()
     run.fly_segment(COUNTED_STEPS * int(run.packed.parameters[0].course.step_ns))
     files: dict[str, dict[str, int]] = {}

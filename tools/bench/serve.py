@@ -1,4 +1,5 @@
-"""One flight per line: a worker waits for a line on its standard input, flies once and answers with a line of JSON.
+"""One flight per line: a worker waits for a line on its standard input, flies once and answers with a line
+of JSON.
 
 So the flights of several programs alternate in one run, each in a process of its own that stays warm.
 """
@@ -19,8 +20,8 @@ Prepare = Callable[[], Callable[[], int]]
 def serve(about: dict[str, Any], prepare: Prepare) -> None:
     """Answer until the input ends.
 
-    `prepare` sets a flight up and returns what flies it, which returns its steps; both are timed, apart. Whatever
-    else the program prints on its standard output, from C too, is thrown away.
+    `prepare` sets a flight up and returns what flies it, which returns its steps; both are timed, apart.
+    Whatever else the program prints on its standard output, from C too, is thrown away.
     """
     answers = os.fdopen(os.dup(1), "w")
     nowhere = os.open(os.devnull, os.O_WRONLY)

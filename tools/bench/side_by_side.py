@@ -25,17 +25,18 @@ class Flown:
 
 
 CASES = (
-    Flown("maxq", "nominal, 59 s at 1 kHz, everything on", "maxq.tools.bench.fly_maxq", ours=True),
-    Flown("jsbsim", "rigid, J2461.xml, 60 s at 1 kHz", "maxq.tools.bench.fly_jsbsim", needed=3.5),
-    Flown("basilisk", "hub, 3 slosh, 2 panels, RK4, 60 s at 1 kHz", "maxq.tools.bench.fly_basilisk", needed=20.0),
+    Flown("maxq", "nominal, 59 s at 1 kHz, everything on", "fly_maxq", ours=True),
+    Flown("jsbsim", "rigid, J2461.xml, 60 s at 1 kHz", "fly_jsbsim", needed=3.5),
+    Flown("basilisk", "hub, 3 slosh, 2 panels, RK4, 60 s at 1 kHz", "fly_basilisk", needed=20.0),
+    Flown("rocketpy", "rigid, 60 s, LSODA, 100 Hz controller on interpolated points", "fly_rocketpy"),
     Flown(
-        "rocketpy", "rigid, 60 s, LSODA, 100 Hz controller on interpolated points", "maxq.tools.bench.fly_rocketpy"
+        "rocketpy_causal",
+        "rigid, 60 s, RK23, steps end at the 100 Hz controller",
+        "fly_rocketpy",
+        arguments=("--causal",),
+        rounds=2,
     ),
-    Flown(
-        "rocketpy_causal", "rigid, 60 s, RK23, steps end at the 100 Hz controller", "maxq.tools.bench.fly_rocketpy",
-        arguments=("--causal",), rounds=2,
-    ),
-)  # fmt: skip
+)
 
 
 @dataclass
@@ -65,7 +66,7 @@ def _line(process: subprocess.Popen[str]) -> str:
 
 def _start(case: Flown, python: Path) -> _Worker:
     process = subprocess.Popen(
-        [str(python), "-m", case.module, *case.arguments],
+        [str(python), "-m", f"maxq.tools.bench.{case.module}", *case.arguments],
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,

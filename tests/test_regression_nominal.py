@@ -1,0 +1,60 @@
+"""The nominal flight: Table 1 of the paper (others' numbers), and our own numbers as they were last looked at.
+
+The second kind may change with the model or the vehicle's data; it must not change by accident. Whoever changes it
+on purpose looks at the pictures of docs/flights/nominal.md again and says why in the commit.
+"""
+
+from __future__ import annotations
+
+import pytest
+
+from maxq.sim.flight.fly import Flight, fly
+from maxq.sim.scenario.loader import load_scenario
+
+
+@pytest.fixture(scope="module")
+def nominal() -> Flight:
+    return fly(load_scenario("nominal"), log=False)
+
+
+@pytest.mark.parametrize(
+    ("metric", "paper", "within"),
+    [
+        ("max_speed_mps", 850.0, 0.02 * 850.0),
+        ("max_altitude_m", 43_000.0, 1500.0),
+        ("range_m", 79_000.0, 3000.0),
+        ("flight_time_s", 230.0, 6.0),
+    ],
+)
+def test_table_1(nominal: Flight, metric: str, paper: float, within: float) -> None:
+    assert nominal.metrics[metric] == pytest.approx(paper, abs=within)
+
+
+def test_the_papers_acceleration_lies_between_thrust_over_mass_and_what_is_sensed(nominal: Flight) -> None:
+    assert nominal.metrics["max_axial_load_g"] < 4.1 < nominal.metrics["max_thrust_over_weight_g"]
+
+
+def test_events_come_in_order(nominal: Flight) -> None:
+    assert [event.name for event in nominal.events] == ["ignition", "liftoff", "burnout", "apogee", "impact"]
+    assert nominal.passed
+
+
+@pytest.mark.parametrize(
+    ("metric", "value"),
+    [
+        ("max_speed_mps", 852.157),
+        ("max_altitude_m", 42384.8),
+        ("max_powered_dynamic_pressure_Pa", 52687.4),
+        ("max_alpha_deg", 4.39196),
+        ("max_q_alpha_Padeg", 49835.7),
+        ("max_attitude_error_deg", 3.27499),
+        ("max_gimbal_deg", 2.72484),
+        ("max_slosh_deg", 4.67098),
+        ("max_thrust_over_weight_g", 4.20848),
+        ("max_axial_load_g", 3.60045),
+        ("range_m", 79348.0),
+        ("flight_time_s", 232.988),
+    ],
+)
+def test_as_last_looked_at(nominal: Flight, metric: str, value: float) -> None:
+    assert nominal.metrics[metric] == pytest.approx(value, rel=2e-5)

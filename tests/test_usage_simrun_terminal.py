@@ -1,0 +1,155 @@
+"""`simrun` as a process: terminals, pipes, signals, limits of the system."""
+
+from __future__ import annotations
+
+import json
+import os
+import pty
+import resource
+import select
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from maxq.sim.api import read_log
+
+SIMRUN = [sys.executable, "-m", "maxq.tools.simrun"]
+SHORT = ["nominal", "--set", "run.duration_s=1.5", "--set", "requirement="]
+LONG = ["nominal", "--set", "run.step_s=0.00002", "--set", "requirement="]  # eleven million steps
+
+
+@pytest.fixture(autouse=True)
+def _in_an_empty_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+
+
+def wait_for(path: Path, size: int, process: subprocess.Popen[str]) -> None:
+    """Until a growing file has this size."""
+    end = time.monotonic() + 120.0  # compiling on a busy machine
+    while not (path.exists() and path.stat().st_size > size):
+        assert process.poll() is None, "ended by itself"
+        assert time.monotonic() < end, "no log"
+        time.sleep(0.02)
+
+
+def test_ctrl_c_ends_the_flight_soon_and_properly() -> None:
+    process = subprocess.Popen(
+        [*SIMRUN, *LONG, "--out", "out"], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    )
+    log_path = Path("out/flight.mcap")
+    wait_for(log_path, 1_000_000, process)
+    before = time.monotonic()
+    process.send_signal(signal.SIGINT)
+    out, err = process.communicate(timeout=60.0)
+    took_s = time.monotonic() - before
+    assert process.returncode == 130
+    assert err == ""
+    told = json.loads(Path("out/summary.json").read_text())
+    assert told["outcome"] == "interrupted"
+    assert out.splitlines()[-1] == f"INTERRUPTED at {told['end_s']:.3f} s of flight"
+    log = read_log(log_path)
+    assert log.notes == (f"the run was aborted: Interrupted: at {told['end_s']:.3f} s",)
+    assert log.time_s("mach")[-1] == pytest.approx(told["end_s"], abs=0.0101)
+    assert took_s < 3.0  # a segment, the summary and the end of the process, on a busy machine
+
+
+def test_a_killed_flight_leaves_a_log_that_can_be_read() -> None:
+    process = subprocess.Popen(
+        [*SIMRUN, *LONG, "--out", "out"], stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True
+    )
+    wait_for(Path("out/flight.mcap"), 1_500_000, process)
+    process.kill()
+    process.wait()
+    log = read_log("out/flight.mcap")
+    assert not log.complete
+    assert len(log["mach"]) >= 100
+    assert not Path("out/summary.json").exists()
+
+
+def test_into_a_pipe_there_is_plain_text_only() -> None:
+    done = subprocess.run([*SIMRUN, *SHORT, "--out", "out"], check=True, capture_output=True)
+    assert done.stderr == b""
+    assert all(byte >= 0x20 or byte == 0x0A for byte in done.stdout)
+    assert done.stdout.splitlines()[-1] == b"PASSED: no requirements"
+
+
+def test_a_reader_that_leaves_early_sees_no_traceback() -> None:
+    reading, writing = os.pipe()
+    os.close(reading)
+    done = subprocess.run(
+        [*SIMRUN, *SHORT, "--out", "out"], stdout=writing, stderr=subprocess.PIPE, text=True, check=False
+    )
+    os.close(writing)
+    assert done.stderr == ""
+    assert Path("out/summary.json").exists()
+
+
+def test_letters_that_the_terminal_lacks_are_no_error() -> None:
+    environment = os.environ | {"PYTHONIOENCODING": "ascii"}
+    done = subprocess.run(
+        [*SIMRUN, *SHORT, "--no-log", "--set", "description=Überflug"],
+        check=True,
+        capture_output=True,
+        text=True,
+        env=environment,
+    )
+    assert done.stdout.splitlines()[0] == "nominal: ?berflug"
+
+
+def on_a_terminal(arguments: list[str]) -> tuple[str, int]:
+    """What a command shows on a terminal, and its exit code."""
+    ours, theirs = pty.openpty()
+    process = subprocess.Popen(
+        [*SIMRUN, *arguments], stdin=theirs, stdout=theirs, stderr=theirs, env=os.environ | {"TERM": "xterm"}
+    )
+    os.close(theirs)
+    shown = b""
+    while True:
+        select.select([ours], [], [], 120.0)
+        try:
+            piece = os.read(ours, 65536)
+        except OSError:  # Linux's way of saying that the other side is closed
+            break
+        if not piece:
+            break
+        shown += piece
+    os.close(ours)
+    return shown.decode(), process.wait()
+
+
+def test_a_long_flight_shows_its_progress_on_a_terminal() -> None:
+    steps = ["--set", "run.step_s=0.00005", "--set", "run.duration_s=60.0"]
+    shown, code = on_a_terminal([*SHORT, *steps, "--no-log"])
+    assert code == 0
+    assert " s of at most 60 s" in shown
+    assert shown.rindex("of at most 60 s") < shown.index("events")
+    assert shown.rstrip().splitlines()[-1] == "PASSED: no requirements"
+
+
+def test_a_short_flight_shows_none() -> None:
+    shown, code = on_a_terminal([*SHORT, "--no-log"])
+    assert code == 0
+    assert "at most" not in shown
+
+
+def test_a_full_disk_is_one_line_and_the_log_is_readable() -> None:
+    def little_room() -> None:
+        signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+        resource.setrlimit(resource.RLIMIT_FSIZE, (2_000_000, 2_000_000))
+
+    done = subprocess.run(
+        [*SIMRUN, "nominal", "--set", "run.duration_s=20.0", "--out", "out"],
+        preexec_fn=little_room,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 2
+    assert done.stderr == "simrun: out/flight.mcap: the log cannot be written: File too large\n"
+    assert done.stdout == ""
+    assert not Path("out/summary.json").exists()
+    assert len(read_log("out/flight.mcap")["mach"]) > 100

@@ -1,0 +1,190 @@
+"""Tables of docs/performance.md from the results: everything between `<!-- bench:NAME -->` and `<!-- end
+-->`.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterable, Sequence
+from typing import Any
+
+FILES = {  # file of the kernels -> subject, for the count of operations
+    "earth.py": "Earth: gravitation, local frame",
+    "atmosphere.py": "atmosphere",
+    "wind.py": "wind",
+    "turbulence.py": "turbulence",
+    "surroundings.py": "air-relative motion",
+    "aero.py": "aerodynamics",
+    "engine.py": "engine",
+    "actuator.py": "actuators",
+    "gyro.py": "gyros",
+    "rigid.py": "rigid body, engine reaction, jet damping, kinematics",
+    "bending.py": "bending",
+    "slosh.py": "slosh",
+    "solve.py": "coupled accelerations",
+    "derivative.py": "sums in the derivative",
+    "schedule.py": "schedule: what follows from its columns",
+    "step.py": "schedule columns and Runge-Kutta sums",
+    "events.py": "instants and events",
+    "metrics.py": "metrics",
+    "loop.py": "flight loop",
+}
+COMPUTER = {"computer.py", "converter.py", "filters.py", "guidance.py", "law.py", "roll.py"}
+
+
+def _table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    lines = ["| " + " | ".join(head) + " |", "|" + "---|" * len(head)]
+    return "\n".join([*lines, *("| " + " | ".join(row) + " |" for row in rows)])
+
+
+def _peers(result: dict[str, Any]) -> str:
+    ours = result["maxq"]
+    rows = []
+    for case in result.values():
+        name = case.get("program", "?")
+        if "skipped" in case:
+            rows.append([name, case["what"], "skipped: " + case["skipped"], "", "", "", "", ""])
+            continue
+        ratio = low = ""
+        if case is not ours and "skipped" not in ours:
+            ratio = f"{case['cpu_s_median'] / ours['cpu_s_median']:.1f}"
+            low = f"{case['cpu_s_min'] / ours['cpu_s_min']:.1f}"
+        rows.append([
+            f"{name} {case['version']}", case["what"],
+            f"{case['cpu_s_median']:.3f} / {case['cpu_s_min']:.3f}",
+            f"{case['wall_s_median']:.3f} / {case['wall_s_min']:.3f}",
+            f"{case['steps'] / case['cpu_s_median']:,.0f}",
+            ratio, low, f"{case['needed']:g}" if case["needed"] else "",
+        ])  # fmt: skip
+    head = ("program", "flight", "CPU, s (median / min)", "wall, s (median / min)", "steps/s",
+            "ratio to maxq (medians)", "(minima)", "needed")  # fmt: skip
+    return _table(head, rows)
+
+
+LATENCY = (
+    ("help", "`simrun --help`", "wall_s", 0.5),
+    ("first", "`simrun nominal`, no kernel compiled yet", "wall_s", 45.0),
+    ("second", "`simrun nominal`, log included", "wall_s", 2.5),
+    ("no_log", "`simrun nominal --no-log`", "wall_s", None),
+    ("second", "peak memory of `simrun nominal`, 1 kHz log", "peak_MB", 400.0),
+    ("first", "peak memory while compiling", "peak_MB", None),
+    ("in_memory", "peak memory of `fly(scenario)`, 1 kHz log in arrays", "peak_MB", 400.0),
+)
+
+
+def _latency(result: dict[str, Any]) -> str:
+    rows = []
+    for key, what, quantity, limit in LATENCY:
+        case, unit = result[key], "s" if quantity == "wall_s" else "MB"
+        bound = f"{limit:g} {unit}" if limit else ""
+        if "skipped" in case:
+            rows.append([what, "skipped: " + case["skipped"], bound, ""])
+        else:
+            met = "" if limit is None else "yes" if case[quantity] <= limit else "no"
+            rows.append([what, f"{case[quantity]:.2f} {unit}" if unit == "s" else f"{case[quantity]:.0f} MB",
+                         bound, met])  # fmt: skip
+    return _table(("what", "measured", "at most", "met"), rows)
+
+
+def _errors(row: dict[str, Any]) -> list[str]:
+    return [f"{row[when][key]:.1e}" for when in ("burnout", "largest") for key in row["burnout"]]
+
+
+def _precision(result: dict[str, Any]) -> str:
+    rows = [
+        [f"RK4, {row['step_ms']:g} ms", f"{row['evaluations_per_s']:,}", f"{row['cpu_s']:.3f}", *_errors(row)]
+        for row in [*result["steps"], result["agreement"]]
+    ]
+    rows += [
+        [f"DOP853, rtol {row['relative']:.0e}", f"{row['evaluations_per_s']:,}", "", *_errors(row)]
+        for row in result["adaptive"]
+    ]
+    quantities = ("attitude, deg", "bending, m", "slosh, deg", "position, m")
+    head = ["method", "derivatives per s", "CPU, s"]
+    head += [f"{q} ({when})" for when in ("burn-out", "largest") for q in quantities]
+    reference, motion = result["reference"], result["reference"]["motion"]
+    return (
+        _table(head, rows)
+        + f"\n\nReference: DOP853 at rtol {reference['relative']:.0e}, {reference['evaluations_per_s']:,}"
+        f" derivatives per second of flight. In this flight the bending coordinates reach"
+        f" {motion['bending_m']:.1e} m, the pendulums {motion['slosh_deg']:.1f} deg."
+    )
+
+
+def _parts(result: dict[str, Any]) -> str:
+    step = result["step_ns"]
+    rows = []
+    for part in result["parts"]:
+        indent = {"": "", "evaluate": "&ensp;", "surroundings": "&ensp;&ensp;"}[part["within"]]
+        total = part["ns"] * part["calls"]
+        rows.append([indent + part["name"], f"{part['ns']:.1f}", f"{part['calls']:g}", f"{total:.0f}",
+                     f"{100 * total / step:.0f} %"])  # fmt: skip
+    rows.append(["**a step in flight**", f"{step:.0f}", "1", f"{step:.0f}", "100 %"])
+    return _table(("part", "ns a call", "calls a step", "ns a step", "share of a step"), rows)
+
+
+def _operations(result: dict[str, Any], step_ns: float, core: dict[str, float]) -> str:
+    steps, subjects = result["steps"], dict[str, dict[str, float]]()
+    for file, kinds in result["files"].items():
+        subject = "flight computer, per step" if file in COMPUTER else FILES.get(file, file)
+        into = subjects.setdefault(subject, dict.fromkeys(kinds, 0.0))
+        for kind, number in kinds.items():
+            into[kind] += number / steps
+    sums = {kind: sum(s[kind] for s in subjects.values()) for kind in next(iter(subjects.values()))}
+    ordered = sorted(subjects.items(), key=lambda item: -sum(item[1].values()))
+    rows = [
+        [name, *(f"{number:.0f}" for number in kinds.values()), f"{sum(kinds.values()):.0f}"]
+        for name, kinds in [*ordered, ("**a step**", sums)]
+    ]
+    total = sum(sums.values())
+    rate = total / step_ns
+    head = ("subject", "add, subtract", "multiply", "divide", "square root", "other functions", "all")
+    text = _table(head, rows)
+    scalar, chain, vector = core["scalar_gflops"], core["chain_gflops"], core["vector_gflops"]
+    return text + (
+        f"\n\nA step does {total:,.0f} operations in {step_ns:,.0f} ns: {rate:.1f} GFLOP/s. Compiled the same"
+        f" way, the core does {scalar:.1f} GFLOP/s on scalars that wait for nothing (a step reaches"
+        f" {100 * rate / scalar:.0f} % of that), {chain:.1f} in one chain where every operation waits for"
+        f" the last, and {vector:.0f} on vectors. At the scalar rate a step would take {total / scalar:,.0f} ns and the"
+        f" powered flight {59e-6 * total / scalar:.3f} s."
+    )
+
+
+def _machine(results: dict[str, Any]) -> str:
+    m = results["machine"]
+    loads = ", ".join(f"{name} {s['load']:.1f}" for name, s in results["sections"].items())
+    return (
+        f"Measured with maxq {m['maxq']} on {m['processor']} ({m['cores']} cores), Python {m['python']},"
+        f" NumPy {m['numpy']}, Numba {m['numba']}. Load of the machine when each part began"
+        f" (1 minute's average): {loads}."
+    )
+
+
+def filled(text: str, results: dict[str, Any]) -> str:
+    """The page with its tables renewed. Raises ValueError where a marker is missing."""
+    sections = {name: s.get("result") for name, s in results["sections"].items()}
+
+    def whole(name: str, draw: Callable[[dict[str, Any]], str]) -> str:
+        result = sections.get(name)
+        if result is None:
+            return str(results["sections"].get(name, {}).get("failed", "Not measured yet."))
+        return draw(result)
+
+    tables = {
+        "machine": _machine(results),
+        "peers": whole("peers", _peers),
+        "latency": whole("latency", _latency),
+        "precision": whole("precision", _precision),
+        "parts": whole("parts", _parts),
+    }
+    core, parts = sections.get("core"), sections.get("parts")
+    if core is not None and parts is not None:
+        tables["operations"] = whole("operations", lambda r: _operations(r, parts["step_ns"], core))
+    else:
+        tables["operations"] = "Not measured yet."
+    for name, table in tables.items():
+        pattern = re.compile(rf"(<!-- bench:{name} -->\n).*?(<!-- end -->)", re.DOTALL)
+        if not pattern.search(text):
+            raise ValueError(f"the page has no marker bench:{name}")
+        text = pattern.sub(lambda match, table=table: f"{match[1]}{table}\n{match[2]}", text)  # type: ignore[misc]  # mypy infers no type for a lambda's default
+    return text
