@@ -211,7 +211,9 @@ def watch(p: Parameters, memory: Memory, y: Array, aux: Array) -> None:
         return
     clock, course, law = memory.clock, p.course, memory.computer.law
     if memory.held.burning == 1 and clock.event_ns[CONTROL_LOST] < 0:
-        if max(abs(law.theta_e_rad[1]), abs(law.theta_e_rad[2])) > course.control_lost_rad:
+        # the law clamps theta_e; what the clamp took away belongs to the error
+        pitch, yaw = law.theta_e_rad[1] + law.discarded_rad[1], law.theta_e_rad[2] + law.discarded_rad[2]
+        if max(abs(pitch), abs(yaw)) > course.control_lost_rad:
             note(p, memory, CONTROL_LOST, clock.now_ns)
     if aux[DYNAMIC_PRESSURE] > course.tumble_pressure_Pa and clock.event_ns[TUMBLE] < 0:
         if aux[FLOW] < math.cos(course.tumble_rad) * aux[AIRSPEED]:

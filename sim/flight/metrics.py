@@ -104,9 +104,10 @@ def gather(
     _gather_incidence(extremes, q, aux, now_ns)
     felt = math.sqrt(aux[FELT + 1] * aux[FELT + 1] + aux[FELT + 2] * aux[FELT + 2])
     raise_to(extremes, LATERAL_MAX, felt / STANDARD_GRAVITY_MPS2, now_ns)
-    error = max(abs(computer.law.theta_e_rad[1]), abs(computer.law.theta_e_rad[2]))
+    law = computer.law
+    error = max(abs(law.theta_e_rad[1] + law.discarded_rad[1]), abs(law.theta_e_rad[2] + law.discarded_rad[2]))
     raise_to(extremes, ERROR_MAX, math.degrees(error), now_ns)
-    raise_to(extremes, ROLL_MAX, math.degrees(abs(computer.law.theta_e_rad[0])), now_ns)
+    raise_to(extremes, ROLL_MAX, math.degrees(abs(law.theta_e_rad[0] + law.discarded_rad[0])), now_ns)
     gimbal = max(abs(aux[ENGINE_PITCH]), abs(aux[ENGINE_YAW]))
     raise_to(extremes, GIMBAL_MAX, math.degrees(gimbal), now_ns)
     gimbal_rate = max(abs(aux[ENGINE_PITCH + 1]), abs(aux[ENGINE_YAW + 1]))
