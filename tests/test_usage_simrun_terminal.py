@@ -15,7 +15,7 @@ from pathlib import Path
 
 import pytest
 
-from maxq.sim.api import read_log
+from maxq.sim.api import fly, load_scenario, read_log
 
 SIMRUN = [sys.executable, "-m", "maxq.tools.simrun"]
 SHORT = ["nominal", "--set", "run.duration_s=1.5", "--set", "requirement="]
@@ -27,9 +27,15 @@ def _in_an_empty_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None
     monkeypatch.chdir(tmp_path)
 
 
+@pytest.fixture(scope="module", autouse=True)
+def _compiled() -> None:
+    """No process of these tests has to compile."""
+    fly(load_scenario("nominal", ["run.duration_s=0.01"]), log=False)
+
+
 def wait_for(path: Path, size: int, process: subprocess.Popen[str]) -> None:
     """Until a growing file has this size."""
-    end = time.monotonic() + 120.0  # compiling on a busy machine
+    end = time.monotonic() + 60.0
     while not (path.exists() and path.stat().st_size > size):
         assert process.poll() is None, "ended by itself"
         assert time.monotonic() < end, "no log"

@@ -23,7 +23,7 @@ from maxq.sim.packing.flight import Packed, pack_flight
 from maxq.sim.scenario.loader import LoadedScenario
 
 LONGEST_SEGMENT_NS = 1_000_000_000  # one log chunk
-_MOST_STEPS, _MOST_ROWS = 50_000, 20_000  # of a segment: a fraction of a second of work, a few MB of rows
+_MOST_STEPS, _MOST_ROWS = 20_000, 20_000  # of a segment: tens of milliseconds of work, 10 MB of rows
 
 Rows = dict[str, tuple[IntArray, Array]]
 """By rate group: times (n,) in ns and values (n, columns of the group) in logged units."""

@@ -145,8 +145,8 @@ def _operations(result: dict[str, Any], step_ns: float, core: dict[str, float]) 
         f"\n\nA step does {total:,.0f} operations in {step_ns:,.0f} ns: {rate:.1f} GFLOP/s. Compiled the same"
         f" way, the core does {scalar:.1f} GFLOP/s on scalars that wait for nothing (a step reaches"
         f" {100 * rate / scalar:.0f} % of that), {chain:.1f} in one chain where every operation waits for"
-        f" the last, and {vector:.0f} on vectors. At the scalar rate a step would take {total / scalar:,.0f} ns and the"
-        f" powered flight {59e-6 * total / scalar:.3f} s."
+        f" the last, and {vector:.0f} on vectors. At the scalar rate a step would take"
+        f" {total / scalar:,.0f} ns and the powered flight {59e-6 * total / scalar:.3f} s."
     )
 
 

@@ -19,6 +19,7 @@ PANELS = (
     ("slosh_deg", "slosh angle, deg"),
     ("position_m", "position, m"),
 )
+WORK = (1000, 2000, 5000, 10_000, 20_000, 50_000)
 
 
 def work_precision(precision: dict[str, Any], path: Path) -> None:
@@ -46,6 +47,8 @@ def work_precision(precision: dict[str, Any], path: Path) -> None:
         axis.grid(True, which="major", alpha=0.3)
     for axis in axes[1]:
         axis.set_xlabel("derivative evaluations per second of flight")
+        axis.set_xticks(WORK, [f"{work:,}" for work in WORK])
+        axis.minorticks_off()
     axes[0, 0].legend(fontsize=7)
     figure.savefig(path, metadata={"Date": None})
 
