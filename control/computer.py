@@ -151,9 +151,7 @@ def _bank(sample_ns: int, *filters: DiscreteFilter | None) -> FilterBank:
         if discrete is None:
             continue
         if round(discrete.sample_s * 1e9) != sample_ns:
-            raise ValueError(
-                f"filter's sample_s = {discrete.sample_s}: allowed is {sample_ns / 1e9}, the computer's"
-            )
+            raise ValueError(f"filter's sample_s = {discrete.sample_s}: allowed is {sample_ns / 1e9}, the computer's")
         sections[gimbal], n_sections[gimbal] = discrete.padded(), discrete.n_sections
     return FilterBank(sections, n_sections)
 

@@ -63,9 +63,7 @@ class FirstOrderSection:
 
     def polynomials(self) -> Array:
         """[[1, n1, 0], [1, d1, 0]]: numerator and denominator in rising powers of s."""
-        return np.array(
-            [[1.0, 1 / (2 * math.pi * self.zero_hz), 0.0], [1.0, 1 / (2 * math.pi * self.pole_hz), 0.0]]
-        )
+        return np.array([[1.0, 1 / (2 * math.pi * self.zero_hz), 0.0], [1.0, 1 / (2 * math.pi * self.pole_hz), 0.0]])
 
 
 @dataclass(frozen=True)
@@ -87,9 +85,7 @@ class BendingFilter:
             _refuse_unless(True, f"quadratic[{i}].zero_zeta", q.zero_zeta, "a finite number")
         for i, f in enumerate(self.first_order):
             _refuse_unless(f.pole_hz > 0, f"first_order[{i}].pole_hz", f.pole_hz, "a finite number above 0")
-            _refuse_unless(
-                f.zero_hz != 0, f"first_order[{i}].zero_hz", f.zero_hz, "a finite number other than 0"
-            )
+            _refuse_unless(f.zero_hz != 0, f"first_order[{i}].zero_hz", f.zero_hz, "a finite number other than 0")
         n = len(self.quadratic) + len(self.first_order)
         _refuse_unless(n <= MAX_SECTIONS, "number of filter sections", n, f"at most {MAX_SECTIONS}")
 
@@ -128,8 +124,7 @@ class BendingFilter:
             nyquist_hz = 0.5 / sample_s
             if prewarp_hz is None or not 0 < prewarp_hz < nyquist_hz:
                 raise ValueError(
-                    f"prewarp_hz = {prewarp_hz}: allowed is above 0 and "
-                    f"below the Nyquist frequency {nyquist_hz:g} Hz"
+                    f"prewarp_hz = {prewarp_hz}: allowed is above 0 and below the Nyquist frequency {nyquist_hz:g} Hz"
                 )
             c = 2 * math.pi * prewarp_hz / math.tan(math.pi * prewarp_hz * sample_s)
             sections = [_bilinear(n, d, c) for n, d in self.polynomials()]
@@ -154,9 +149,7 @@ def filter_of_structure(
         ("quadratic", "first_order"), (quadratic, first_order), STRUCTURES[structure], strict=True
     ):
         if len(given) != wanted:
-            raise ValueError(
-                f"{key} has {len(given)} sections: allowed with structure {structure} is {wanted}"
-            )
+            raise ValueError(f"{key} has {len(given)} sections: allowed with structure {structure} is {wanted}")
     return BendingFilter(quadratic, first_order)
 
 
@@ -171,16 +164,12 @@ class DiscreteFilter:
     sample_s: float
 
     def __post_init__(self) -> None:
-        _refuse_unless(
-            len(self.sections) <= MAX_SECTIONS, "sections", len(self.sections), f"at most {MAX_SECTIONS}"
-        )
+        _refuse_unless(len(self.sections) <= MAX_SECTIONS, "sections", len(self.sections), f"at most {MAX_SECTIONS}")
         for i, section in enumerate(self.sections):
             a1, a2 = section[3:]
             stable = np.isfinite(section).all() and abs(a2) < 1 and abs(a1) < 1 + a2  # Jury
             if not stable:
-                raise ValueError(
-                    f"sections[{i}] = {section.tolist()}: allowed are finite numbers and stable poles"
-                )
+                raise ValueError(f"sections[{i}] = {section.tolist()}: allowed are finite numbers and stable poles")
 
     @property
     def n_sections(self) -> int:

@@ -63,9 +63,7 @@ def rate_programme(
     ):
         column = np.asarray(given, float)
         if column.shape not in ((), times.shape):
-            raise ValueError(
-                f"{key} has {column.size} values: allowed is 1 or {len(times)}, one for each time_s"
-            )
+            raise ValueError(f"{key} has {column.size} values: allowed is 1 or {len(times)}, one for each time_s")
         rates[:, axis] = column
     if method == "step":  # a stepwise table ends at its last point; one more lets the last rate hold
         times, rates = np.append(times, times[-1] + 1.0), np.vstack([rates, rates[-1]])

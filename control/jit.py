@@ -1,9 +1,9 @@
 """The one place that knows how kernels are compiled.
 
-A kernel is a plain Python function over floats, flat arrays and records. `@kernel` marks the small
-pieces, `@routine` the large ones, `@entry` the few that Python calls: their machine code is kept in a cache folder whose name holds a hash of all of
-maxq's sources. Numba itself looks only at the file of the function that is called, so without this an edited callee
-would go on answering with its old code.
+A kernel is a plain Python function over floats, flat arrays and records. `@kernel` marks the small pieces,
+`@routine` the large ones, `@entry` the few that Python calls: their machine code is kept in a cache folder whose name
+holds a hash of all of maxq's sources. Numba itself looks only at the file of the function that is called, so without
+this an edited callee would go on answering with its old code.
 
 `NUMBA_DISABLE_JIT=1` runs the same functions as plain Python.
 """
@@ -91,7 +91,7 @@ def from_python(function: Function) -> Function:
     return entry(getattr(function, "py_func", function))
 
 
-@intrinsic
+@intrinsic  # type: ignore[untyped-decorator]  # Numba has no types
 def _address(context: Any, array: Any) -> Any:
     """Numba intrinsic: pointer to the first element of a contiguous array."""
 
@@ -113,4 +113,4 @@ def borrowed(array: Array) -> Array:
 
 @overload(borrowed)
 def _borrowed(array):  # type: ignore[no-untyped-def]  # Numba compares both signatures, annotations included
-    return lambda array: _address(array)
+    return lambda array: _address(array)  # noqa: PLW0108  # Numba compiles this body: it cannot be the intrinsic itself

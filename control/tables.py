@@ -167,7 +167,8 @@ def interpolate(pool: Array, ref: TableRef, k: int, x: float, column: int) -> fl
     s = min(max(x, first), last) - pool[ref.offset + k]
     n = ref.n_columns
     i = ref.offset + ref.n_breaks + 4 * n * k + column
-    return pool[i] + s * (pool[i + n] + s * (pool[i + 2 * n] + s * pool[i + 3 * n]))
+    value: float = pool[i] + s * (pool[i + n] + s * (pool[i + 2 * n] + s * pool[i + 3 * n]))
+    return value
 
 
 @kernel

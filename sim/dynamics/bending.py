@@ -99,9 +99,7 @@ def push_at_gimbal(sizes: Sizes, props: Array, push: GimbalPush, work: Array) ->
 
 
 @kernel
-def elastic_forces(
-    bending: Bending, sizes: Sizes, props: Array, axial_load: float, y: Array, work: Array
-) -> float:
+def elastic_forces(bending: Bending, sizes: Sizes, props: Array, axial_load: float, y: Array, work: Array) -> float:
     """Add stiffness, damping and axial softening to the generalised forces.
 
     Returns the roll moment that these internal forces leave on the body when the two planes differ in stiffness or
@@ -116,8 +114,8 @@ def elastic_forces(
     for i in range(n):
         j = c + i * width
         omega = props[j + MODE_OMEGA] * bending.frequency_factor[i]
-        force = -props[j + MODE_MASS] * omega * (
-            omega * y[eta + i] + 2.0 * bending.zeta_pitch[i] * work[RATE_PITCH + i]
+        force = (
+            -props[j + MODE_MASS] * omega * (omega * y[eta + i] + 2.0 * bending.zeta_pitch[i] * work[RATE_PITCH + i])
         )
         for k in range(n):
             force += k_soft * props[j + soft + k] * y[eta + k]
@@ -129,9 +127,7 @@ def elastic_forces(
     for i in range(n):
         j = c + i * width
         omega = props[j + MODE_OMEGA] * bending.frequency_factor[i]
-        force = -props[j + MODE_MASS] * omega * (
-            omega * y[xi + i] + 2.0 * bending.zeta_yaw[i] * work[RATE_YAW + i]
-        )
+        force = -props[j + MODE_MASS] * omega * (omega * y[xi + i] + 2.0 * bending.zeta_yaw[i] * work[RATE_YAW + i])
         for k in range(n):
             force += k_soft * props[j + soft + k] * y[xi + k]
         work[FORCE_YAW + i] += force

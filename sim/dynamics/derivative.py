@@ -81,7 +81,7 @@ class Vehicle:
     gravity_gradient: int
 
 
-@dataclass(frozen=True)
+@dataclass
 class Held:
     """What stays as it is between two events of the flight."""
 
@@ -123,9 +123,7 @@ def derivative(
 
     force = add(add(aero_force, thrust_force), (held.force_x_N, held.force_y_N, held.force_z_N))
     moment = add(aero_moment, thrust_moment)
-    moment = add(
-        moment, (held.roll_torque_Nm + held.torque_x_Nm, held.torque_y_Nm, held.torque_z_Nm)
-    )
+    moment = add(moment, (held.roll_torque_Nm + held.torque_x_Nm, held.torque_y_Nm, held.torque_z_Nm))
     if vehicle.gravity_gradient == 1:
         moment = add(moment, tidal_moment(around, engine, rotation, y))
     if vehicle.jet_damping == 1:
@@ -172,12 +170,8 @@ def derivative(
 @kernel
 def move_engine(vehicle: Vehicle, held: Held, props: Array, y: Array, aux: Array) -> Deflected:
     """Angles of the engine by its actuators, and what they make of the vehicle's mass properties."""
-    pitch, pitch_rate, pitch_accel = actuator_output(
-        vehicle.actuator_pitch, y, ACTUATOR, held.command_pitch_rad
-    )
-    yaw, yaw_rate, yaw_accel = actuator_output(
-        vehicle.actuator_yaw, y, ACTUATOR + N_ACTUATOR, held.command_yaw_rad
-    )
+    pitch, pitch_rate, pitch_accel = actuator_output(vehicle.actuator_pitch, y, ACTUATOR, held.command_pitch_rad)
+    yaw, yaw_rate, yaw_accel = actuator_output(vehicle.actuator_yaw, y, ACTUATOR + N_ACTUATOR, held.command_yaw_rad)
     aux[ENGINE_PITCH], aux[ENGINE_PITCH + 1], aux[ENGINE_PITCH + 2] = pitch, pitch_rate, pitch_accel
     aux[ENGINE_YAW], aux[ENGINE_YAW + 1], aux[ENGINE_YAW + 2] = yaw, yaw_rate, yaw_accel
     e = vehicle.engine

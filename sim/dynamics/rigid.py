@@ -90,9 +90,7 @@ def _plus_point(j: Symmetric, mass: float, at: Vector) -> Symmetric:
 
 
 @kernel
-def engine_reaction(
-    e: Engine, engine: Deflected, rate: Vector, axial_load: float
-) -> tuple[Vector, Vector, GimbalPush]:
+def engine_reaction(e: Engine, engine: Deflected, rate: Vector, axial_load: float) -> tuple[Vector, Vector, GimbalPush]:
     """Force and moment (about the core CG) of the moving engine on the vehicle, in B: "tail wags dog".
 
     The third result is what it does to the modes, at the gimbal.

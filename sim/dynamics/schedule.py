@@ -87,8 +87,6 @@ def _complete_plane(sizes: Sizes, modes: int, first: int, width: int, compliance
             total = 0.0
             for i in range(modes):
                 m = first + i * width
-                total += (
-                    props[m + MODE_FIRST + k] * props[m + MODE_FIRST + j] * props[m + MODE_INVERSE_MASS]
-                )
+                total += props[m + MODE_FIRST + k] * props[m + MODE_FIRST + j] * props[m + MODE_INVERSE_MASS]
             props[compliance + k * n + j] = total
             props[compliance + j * n + k] = total

@@ -57,20 +57,29 @@ class Slosh:
 
 @kernel
 def pendulum_length(slosh: Slosh, props: Array, tank: int) -> float:
-    return props[tank_column(tank) + TANK_LENGTH] * slosh.length_factor[tank]
+    length: float = props[tank_column(tank) + TANK_LENGTH] * slosh.length_factor[tank]
+    return length
 
 
 @kernel
 def bob_mass(slosh: Slosh, props: Array, tank: int) -> float:
-    return props[tank_column(tank) + TANK_MASS] * slosh.mass_factor[tank]
+    mass: float = props[tank_column(tank) + TANK_MASS] * slosh.mass_factor[tank]
+    return mass
 
 
 @kernel
 def hang(
-    slosh: Slosh, sizes: Sizes, tank: int, rate: Vector, axial_load: float, props: Array, y: Array, work: Array
+    slosh: Slosh,
+    sizes: Sizes,
+    tank: int,
+    rate: Vector,
+    axial_load: float,
+    props: Array,
+    y: Array,
+    work: Array,
 ) -> tuple[Vector, Vector]:
     """Prepare one pendulum: fill its block, and return the force and moment (about the core CG) of its damper."""
-    p, q, r = rate
+    _, q, r = rate
     b = PENDULUM + PENDULUM_WIDTH * tank
     i = pendulum_index(sizes, tank)
     u = (y[i], y[i + 1], y[i + 2])
@@ -162,4 +171,3 @@ def swing_derivative(
     for j in range(3):
         dy[i + j] = kappa[j] - spin_u[j]
         dy[i + 3 + j] = along * u[j] - spin_kappa[j] + (work[b + DAMPING + j] - hinge[j]) / length
-

@@ -103,9 +103,7 @@ def _answer_to_tension(
 
 
 @kernel
-def _tensions(
-    slosh: Slosh, sizes: Sizes, felt: Vector, alpha: Vector, props: Array, y: Array, work: Array
-) -> None:
+def _tensions(slosh: Slosh, sizes: Sizes, felt: Vector, alpha: Vector, props: Array, y: Array, work: Array) -> None:
     """Solve  (1/m_k) T_k + sum_l G_kl T_l = demand_k - (hinge acceleration along the rod without tensions)."""
     n = sizes.tanks
     in_pitch, in_yaw = compliance_column(sizes, 0), compliance_column(sizes, 1)

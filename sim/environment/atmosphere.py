@@ -163,9 +163,7 @@ def _table_air(pool: Array, table: TableRef, altitude_m: float) -> tuple[float, 
     top = pool[table.offset + table.n_breaks - 1]
     if altitude_m > top:
         # geopotential difference: r0 h / (r0 + h) at both ends, on one denominator
-        rise = (altitude_m - top) / (
-            (1.0 + altitude_m / GEOPOTENTIAL_RADIUS_m) * (1.0 + top / GEOPOTENTIAL_RADIUS_m)
-        )
+        rise = (altitude_m - top) / ((1.0 + altitude_m / GEOPOTENTIAL_RADIUS_m) * (1.0 + top / GEOPOTENTIAL_RADIUS_m))
         fall = _G0_OVER_R_Kpm * rise / temperature
         log_density -= fall
         log_pressure -= fall

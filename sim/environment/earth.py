@@ -29,9 +29,7 @@ WGS84_RATE_radps = 7.292115e-5
 MEAN_RADIUS_m = 6371007.1809  # sphere of the same surface (authalic)
 STANDARD_GRAVITY_mps2 = 9.80665
 
-_NOWHERE_m = (
-    1e-100  # nearer than this to the axis or the centre counts as on it: the squares lose their digits
-)
+_NOWHERE_m = 1e-100  # nearer than this to the axis or the centre counts as on it: the squares lose their digits
 
 
 @dataclass(frozen=True)
@@ -57,9 +55,7 @@ class Earth:
         if self.figure not in (FLAT, SPHERE, ELLIPSOID):
             raise ValueError(f"Earth.figure {self.figure} is none of 0 flat, 1 sphere, 2 ellipsoid")
         if self.gravity not in (NO_GRAVITY, UNIFORM, INVERSE_SQUARE, J2):
-            raise ValueError(
-                f"Earth.gravity {self.gravity} is none of 0 none, 1 uniform, 2 inverse square, 3 J2"
-            )
+            raise ValueError(f"Earth.gravity {self.gravity} is none of 0 none, 1 uniform, 2 inverse square, 3 J2")
         if self.figure == FLAT and self.gravity not in (NO_GRAVITY, UNIFORM):
             raise ValueError("a flat Earth has no centre: its gravity is uniform or none")
         if self.figure == FLAT and self.rate_radps != 0.0:
@@ -67,9 +63,7 @@ class Earth:
         if self.figure == SPHERE and self.flattening != 0.0:
             raise ValueError("a sphere has no flattening")
         if not 0.0 <= self.flattening < 0.1:
-            raise ValueError(
-                f"flattening {self.flattening} is outside 0 .. 0.1, where the geodetic kernels hold"
-            )
+            raise ValueError(f"flattening {self.flattening} is outside 0 .. 0.1, where the geodetic kernels hold")
         if not (self.equatorial_radius_m > 0.0 and self.gravity_radius_m > 0.0 and self.mu_m3ps2 > 0.0):
             raise ValueError("radii and mu of the Earth must be positive")
 
@@ -115,9 +109,7 @@ def sphere(
 
 def flat(*, gravity: int = UNIFORM, uniform_mps2: float = STANDARD_GRAVITY_mps2) -> Earth:
     """A flat Earth at rest: I = E = NED at the site, altitude = -z."""
-    return Earth(
-        FLAT, WGS84_RADIUS_m, 0.0, 0.0, gravity, WGS84_MU_m3ps2, WGS84_J2, WGS84_RADIUS_m, uniform_mps2
-    )
+    return Earth(FLAT, WGS84_RADIUS_m, 0.0, 0.0, gravity, WGS84_MU_m3ps2, WGS84_J2, WGS84_RADIUS_m, uniform_mps2)
 
 
 @kernel

@@ -147,9 +147,9 @@ def turbulence_tick(
     index = 3 * state.ticks
 
     theta = way / interpolate(pool, turbulence.intensity, k, altitude_m, 3)
-    state.filters[0] = math.exp(-theta) * state.filters[0] + math.sqrt(
-        -math.expm1(-2.0 * theta)
-    ) * standard_normal(seed, TURBULENCE_STREAM, index)
+    state.filters[0] = math.exp(-theta) * state.filters[0] + math.sqrt(-math.expm1(-2.0 * theta)) * standard_normal(
+        seed, TURBULENCE_STREAM, index
+    )
     for i in range(2):
         theta = way / interpolate(pool, turbulence.intensity, k, altitude_m, 4 + i)
         decay, l_11, l_21, l_22 = second_order_step(theta)

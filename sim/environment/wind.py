@@ -35,9 +35,7 @@ class Wind:
     profile: TableRef = NO_TABLE
     factor: float = 1.0
     n_gusts: int = 0
-    gust_kind: Annotated[IntArray, (MAX_GUSTS,)] = field(
-        default_factory=lambda: np.zeros(MAX_GUSTS, np.int64)
-    )
+    gust_kind: Annotated[IntArray, (MAX_GUSTS,)] = field(default_factory=lambda: np.zeros(MAX_GUSTS, np.int64))
     gust_altitude_m: Annotated[Array, (MAX_GUSTS,)] = field(default_factory=_gust_values)
     gust_thickness_m: Annotated[Array, (MAX_GUSTS,)] = field(default_factory=_gust_values)
     gust_edge_m: Annotated[Array, (MAX_GUSTS,)] = field(default_factory=_gust_values)

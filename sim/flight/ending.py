@@ -10,9 +10,7 @@ from maxq.sim.flight.metrics import Metric
 from maxq.sim.scenario.schema_environment import Site
 
 ENDING_METRICS = (
-    Metric(
-        "flight_time_s", "time to the end from lift-off, or from the start where nothing held the vehicle"
-    ),
+    Metric("flight_time_s", "time to the end from lift-off, or from the start where nothing held the vehicle"),
     Metric("range_m", "distance along the ground from the launch site to where the flight ended"),
     Metric("final_latitude_deg", "geodetic latitude at the end"),
     Metric("final_longitude_deg", "longitude at the end, east positive"),
@@ -24,9 +22,7 @@ _ITERATIONS = 200
 _CONVERGED_RAD = 1e-13
 
 
-def ending_values(
-    present: Mapping[str, float], earth: Earth, site: Site, flight_time_s: float
-) -> dict[str, float]:
+def ending_values(present: Mapping[str, float], earth: Earth, site: Site, flight_time_s: float) -> dict[str, float]:
     """The metrics above from the channels at the flight's last instant.
 
     On a flat Earth latitude and longitude have no meaning and are nan; the site is its origin.
@@ -52,9 +48,7 @@ def ending_values(
     }
 
 
-def geodesic_m(
-    radius_m: float, flattening: float, start: tuple[float, float], end: tuple[float, float]
-) -> float:
+def geodesic_m(radius_m: float, flattening: float, start: tuple[float, float], end: tuple[float, float]) -> float:
     """Length of the shortest way on an ellipsoid between two places (geodetic latitude, longitude), rad.
 
     Vincenty's inverse formula (Survey Review 23, 1975), good to 0.1 mm on the Earth. It finds no way between
@@ -92,8 +86,8 @@ def geodesic_m(
     u2 = cos2_azimuth * second
     a = 1.0 + u2 / 16384.0 * (4096.0 + u2 * (-768.0 + u2 * (320.0 - 175.0 * u2)))
     b = u2 / 1024.0 * (256.0 + u2 * (-128.0 + u2 * (74.0 - 47.0 * u2)))
-    inner = cos_arc * (2.0 * cos_middle * cos_middle - 1.0) - b / 6.0 * cos_middle * (
-        4.0 * sin_arc * sin_arc - 3.0
-    ) * (4.0 * cos_middle * cos_middle - 3.0)
+    inner = cos_arc * (2.0 * cos_middle * cos_middle - 1.0) - b / 6.0 * cos_middle * (4.0 * sin_arc * sin_arc - 3.0) * (
+        4.0 * cos_middle * cos_middle - 3.0
+    )
     correction = b * sin_arc * (cos_middle + b / 4.0 * inner)
     return float(radius_m * (1.0 - flattening) * a * (arc - correction))

@@ -112,9 +112,7 @@ def take_effect(p: Parameters, memory: Memory) -> None:
         held.command_pitch_rad = after_backlash(
             p.vehicle.actuator_pitch, held.command_pitch_rad, clock.pending_pitch_rad
         )
-        held.command_yaw_rad = after_backlash(
-            p.vehicle.actuator_yaw, held.command_yaw_rad, clock.pending_yaw_rad
-        )
+        held.command_yaw_rad = after_backlash(p.vehicle.actuator_yaw, held.command_yaw_rad, clock.pending_yaw_rad)
         held.roll_torque_Nm = p.vehicle.roll_torque_Nm * clock.pending_roll
         clock.command_due_ns = NEVER
 
@@ -129,16 +127,12 @@ def sample(p: Parameters, pool: Array, memory: Memory, y: Array) -> None:
     for axis in range(3):
         memory.increment_rad[axis] = y[GYRO_ANGLE + axis]
         if walk > 0.0:
-            memory.increment_rad[axis] += walk * standard_normal(
-                p.course.seed, GYRO_STREAM + axis, clock.samples
-            )
+            memory.increment_rad[axis] += walk * standard_normal(p.course.seed, GYRO_STREAM + axis, clock.samples)
         y[GYRO_ANGLE + axis] = 0.0
         memory.rate_injection_radps[axis] = total_signal(p.injections, pool, RATE_COMMAND, axis, begun, 0.0)
         memory.rate_replaces[axis] = replaced(p.injections, RATE_COMMAND, axis, begun)
     for gimbal in range(2):
-        memory.gimbal_injection_rad[gimbal] = total_signal(
-            p.injections, pool, GIMBAL_COMMAND, gimbal + 1, now, 0.0
-        )
+        memory.gimbal_injection_rad[gimbal] = total_signal(p.injections, pool, GIMBAL_COMMAND, gimbal + 1, now, 0.0)
         memory.gimbal_replaces[gimbal] = replaced(p.injections, GIMBAL_COMMAND, gimbal + 1, now)
     clock.samples += 1
     computer_tick(
@@ -181,9 +175,7 @@ def _next_break(p: Parameters, pool: Array, memory: Memory, now_ns: int) -> int:
     """Next breakpoint of the schedule; moves to the interval that holds `now_ns`."""
     schedule, clock = p.vehicle.schedule, memory.clock
     while clock.interval < schedule.n_breaks - 2:
-        at = p.course.stage_start_ns + round(
-            1e9 * pool[schedule.offset + clock.interval + 1] / p.course.burn_rate
-        )
+        at: int = p.course.stage_start_ns + round(1e9 * pool[schedule.offset + clock.interval + 1] / p.course.burn_rate)
         if at > now_ns:
             return at
         clock.interval += 1
@@ -197,7 +189,8 @@ def crossing(
     """A number that turns positive as `event` happens."""
     if event == LIFTOFF:
         strength = thrust(p.vehicle.engine, props[THRUST_VACUUM], pressure)
-        return strength - props[TOTAL_MASS] * pad_load
+        surplus: float = strength - props[TOTAL_MASS] * pad_load
+        return surplus
     altitude, climb = climb_rate(p.around.earth, y)
     if event == APOGEE:
         return -climb

@@ -153,10 +153,7 @@ class FlightRun:
         events, final, outcome = self.events, self.present(), outcome_so_far(self.packed)
         scenario = self.loaded.scenario
         metrics = {m.name: float(v) for m, v in zip(METRICS, extremes.value, strict=True)}
-        times = {
-            m.name: int(t) / 1e9 if t >= 0 else math.nan
-            for m, t in zip(METRICS, extremes.time_ns, strict=True)
-        }
+        times = {m.name: int(t) / 1e9 if t >= 0 else math.nan for m, t in zip(METRICS, extremes.time_ns, strict=True)}
         lift_off_s = next((e.time_s for e in events if e.name == "liftoff"), scenario.run.start_s)
         earth = self.packed.parameters[0].around.earth
         metrics |= ending_values(final, earth, scenario.site, self.now_s - lift_off_s)
@@ -170,9 +167,7 @@ class FlightRun:
             metrics=metrics,
             metric_times_s=times,
             verdicts=tuple(judge(r, metrics, times) for r in scenario.requirement),
-            failures=tuple(
-                f"{e.name.replace('_', ' ')} at {e.time_s:.3f} s: {cause}" for e, cause in causes if cause
-            ),
+            failures=tuple(f"{e.name.replace('_', ' ')} at {e.time_s:.3f} s: {cause}" for e, cause in causes if cause),
             outcome=outcome,
             cause=next((cause for e, cause in causes if cause and e.name == outcome), ""),
             end_s=self.now_s,
@@ -210,9 +205,7 @@ class FlightRun:
         return {FAST: (fast_ns[:n], fast[:n]), SLOW: (slow_ns[:m], slow[:m])}
 
 
-def fly(
-    loaded: LoadedScenario, *, log: bool = True, watch: Callable[[FlightRun, Rows], None] | None = None
-) -> Flight:
+def fly(loaded: LoadedScenario, *, log: bool = True, watch: Callable[[FlightRun, Rows], None] | None = None) -> Flight:
     """Fly a scenario to its end. `log=False` keeps no channels and is fastest.
 
     `watch` is called after every segment (1 s of simulated time or less) with the run and its rows. A flight

@@ -57,34 +57,30 @@ def signal(inj: Injections, pool: Array, i: int, step_start_ns: int, elapsed_s: 
     """Value of signal `i`, `elapsed_s` after the start of a step: zero unless it is on during that step."""
     if step_start_ns < inj.start_ns[i] or step_start_ns >= inj.stop_ns[i]:
         return 0.0
-    form = inj.form[i]
+    form, amplitude = inj.form[i], float(inj.amplitude[i])
     since = 1e-9 * (step_start_ns - inj.start_ns[i]) + elapsed_s
     if form == STEP:
-        return inj.amplitude[i]
+        return amplitude
     if form == DOUBLET:
         middle = (inj.start_ns[i] + inj.stop_ns[i]) // 2
-        return inj.amplitude[i] if step_start_ns < middle else -inj.amplitude[i]
+        return amplitude if step_start_ns < middle else -amplitude
     if form == SINE:
-        return inj.amplitude[i] * math.sin(2.0 * math.pi * inj.frequency_hz[i] * since)
+        return amplitude * math.sin(2.0 * math.pi * inj.frequency_hz[i] * since)
     if form == CHIRP:
         duration = 1e-9 * (inj.stop_ns[i] - inj.start_ns[i])
         sweep = 0.5 * (inj.stop_frequency_hz[i] - inj.frequency_hz[i]) / duration
-        return inj.amplitude[i] * math.sin(2.0 * math.pi * (inj.frequency_hz[i] + sweep * since) * since)
+        return amplitude * math.sin(2.0 * math.pi * (inj.frequency_hz[i] + sweep * since) * since)
     if form == MULTISINE:
         total = 0.0
         for j in range(inj.tones[i]):
             total += math.sin(2.0 * math.pi * inj.tone_hz[i, j] * since + inj.tone_phase[i, j])
-        return inj.amplitude[i] * total
+        return amplitude * total
     k = find_interval(pool, inj.table, 1e-9 * step_start_ns)
-    return inj.amplitude[i] * interpolate(
-        pool, inj.table, k, 1e-9 * step_start_ns + elapsed_s, inj.column[i]
-    )
+    return amplitude * interpolate(pool, inj.table, k, 1e-9 * step_start_ns + elapsed_s, inj.column[i])
 
 
 @routine
-def total_signal(
-    inj: Injections, pool: Array, where: int, axis: int, step_start_ns: int, elapsed_s: float
-) -> float:
+def total_signal(inj: Injections, pool: Array, where: int, axis: int, step_start_ns: int, elapsed_s: float) -> float:
     """Sum of the signals that enter at one place on one axis."""
     total = 0.0
     for i in range(inj.count):

@@ -104,9 +104,7 @@ def linearise(packed: Packed, y: Array, time_s: float) -> LinearModel:
     )
 
 
-def evaluate_at(
-    packed: Packed, y: Array, time_s: float, command_rad: tuple[float, float] = (0.0, 0.0)
-) -> Instant:
+def evaluate_at(packed: Packed, y: Array, time_s: float, command_rad: tuple[float, float] = (0.0, 0.0)) -> Instant:
     """The simulator's derivative and loads at a state (MAX_STATE,) and flight time, gimbal commands held."""
     return _Evaluation(packed, time_s)(y, command_rad)
 
@@ -122,9 +120,7 @@ def zero_incidence(packed: Packed, y: Array) -> Array:
     out = np.zeros(MAX_STATE)
     out[: layout.W_BI_B] = y[: layout.W_BI_B]
     attitude = rotation(y[layout.Q_BI : layout.Q_BI + 4])
-    over_ground = attitude.T @ (
-        y[layout.V_I : layout.V_I + 3] - np.cross(spin, y[layout.R_I : layout.R_I + 3])
-    )
+    over_ground = attitude.T @ (y[layout.V_I : layout.V_I + 3] - np.cross(spin, y[layout.R_I : layout.R_I + 3]))
     speed = float(np.linalg.norm(over_ground))
     if speed == 0.0:
         raise ValueError("a vehicle at rest has no direction of flight")
@@ -172,7 +168,14 @@ class _Evaluation:
         self._props, self._work = np.zeros(PROPS_SIZE), np.zeros(WORK_SIZE)
 
     @property
+    def held_commands(self) -> Array:
+        """Gimbal commands (pitch, yaw) that the flight holds, rad."""
+        held = self._memory[0].held
+        return np.array([held.command_pitch_rad, held.command_yaw_rad])
+
+    @property
     def stage(self) -> Any:
+        """Parameters of the stage that flies."""
         return self._packed.parameters[int(self._memory[0].clock.stage)]
 
     def __call__(self, y: Array, command_rad: tuple[float, float]) -> Instant:
@@ -191,8 +194,7 @@ class _Chart:
 
     def __init__(self, packed: Packed, y: Array, time_s: float) -> None:
         self._evaluation = _Evaluation(packed, time_s)
-        held = self._evaluation._memory[0].held
-        self._command = np.array([held.command_pitch_rad, held.command_yaw_rad])
+        self._command = self._evaluation.held_commands
         stage = self._evaluation.stage
         self._sizes = stage.vehicle.sizes
         self._spin = np.array([0.0, 0.0, float(stage.around.earth.rate_radps)])
@@ -292,9 +294,7 @@ class _Chart:
             names += [f"{symbol}_{i + 1}_m" for i in range(count)]
             names += [f"{symbol}_{i + 1}_rate_mps" for i in range(count)]
         for k in range(tanks):
-            names += [
-                f"slosh_{k + 1}_{p}{what}" for p in ("pitch", "yaw") for what in ("_rad", "_rate_radps")
-            ]
+            names += [f"slosh_{k + 1}_{p}{what}" for p in ("pitch", "yaw") for what in ("_rad", "_rate_radps")]
         return tuple(names)
 
     @staticmethod

@@ -138,9 +138,7 @@ def advance(
         )  # fmt: skip
         if clock.finished == 1:
             break
-        runge_kutta(
-            p, pool, memory, now, step_ns, y, k_1, y_end, y_stage, k, props_middle, props_end, work, aux_stage
-        )
+        runge_kutta(p, pool, memory, now, step_ns, y, k_1, y_end, y_stage, k, props_middle, props_end, work, aux_stage)
         clock.cause = fault(p, y_end)
         if clock.cause != FINITE:
             note(p, memory, DIVERGED, now)

@@ -47,7 +47,10 @@ METRICS = (
     Metric("max_dynamic_pressure_Pa", "largest dynamic pressure"),
     Metric("max_powered_dynamic_pressure_Pa", "largest dynamic pressure under thrust"),
     Metric("max_alpha_deg", "largest total incidence while the dynamic pressure exceeds 1 kPa under thrust"),
-    Metric("max_q_alpha_Padeg", "largest product of dynamic pressure (above 1 kPa) and total incidence under thrust"),
+    Metric(
+        "max_q_alpha_Padeg",
+        "largest product of dynamic pressure (above 1 kPa) and total incidence under thrust",
+    ),
     Metric("max_attitude_error_deg", "largest attitude error of pitch or yaw in the computer under thrust"),
     Metric("max_roll_error_deg", "largest roll error in the computer under thrust"),
     Metric("max_gimbal_deg", "largest engine angle of either axis under thrust"),
@@ -60,8 +63,8 @@ METRICS = (
     Metric("saturation_time_s", "time during which a gimbal command lies at its limit"),
 )
 (
-    SPEED, ALTITUDE_MAX, MACH_MAX, Q_MAX, Q_POWERED, ALPHA_MAX, Q_ALPHA_MAX, ERROR_MAX, ROLL_MAX, GIMBAL_MAX, GIMBAL_RATE_MAX,
-    BENDING_MAX, SLOSH_MAX, THRUST_MAX, AXIAL_MAX, LATERAL_MAX, SATURATION,
+    SPEED, ALTITUDE_MAX, MACH_MAX, Q_MAX, Q_POWERED, ALPHA_MAX, Q_ALPHA_MAX, ERROR_MAX, ROLL_MAX, GIMBAL_MAX,
+    GIMBAL_RATE_MAX, BENDING_MAX, SLOSH_MAX, THRUST_MAX, AXIAL_MAX, LATERAL_MAX, SATURATION,
 ) = range(len(METRICS))  # fmt: skip
 N_METRICS = len(METRICS)
 

@@ -23,9 +23,7 @@ def schedule_clock(p: Parameters, now_ns: int, elapsed_s: float) -> float:
 
 
 @routine
-def read_schedule(
-    p: Parameters, pool: Array, memory: Memory, now_ns: int, elapsed_s: float, props: Array
-) -> None:
+def read_schedule(p: Parameters, pool: Array, memory: Memory, now_ns: int, elapsed_s: float, props: Array) -> None:
     """The vehicle `elapsed_s` after `now_ns`. An engine that does not burn has no thrust, whatever its table says."""
     clock_s = schedule_clock(p, now_ns, elapsed_s)
     interpolate_into(pool, p.vehicle.schedule, memory.clock.interval, clock_s, props, 0)

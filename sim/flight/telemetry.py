@@ -113,7 +113,12 @@ def _loads() -> list[Channel]:
         *_triple("alpha_BI_B_{}_radps2", "rad/s2", "B", "angular acceleration"),
         *_triple("gravitation_I_{}_mps2", "m/s2", "I", "gravitation"),
         Channel("thrust_over_weight_g", "g", "", "thrust over mass"),
-        Channel("axial_load_g", "g", "", "axial specific force of the whole vehicle, (thrust + aerodynamics) / mass"),
+        Channel(
+            "axial_load_g",
+            "g",
+            "",
+            "axial specific force of the whole vehicle, (thrust + aerodynamics) / mass",
+        ),
     ]
 
 
@@ -350,9 +355,7 @@ def _fill_place(p: Parameters, memory: Memory, y: Array, row: Array) -> None:
     x, yy, z = inertial_to_earth(cos, sin, y[R_I], y[R_I + 1], y[R_I + 2])
     latitude, longitude, altitude = geodetic(earth, x, yy, z)
     turning = earth.rate_radps
-    vx, vy, vz = inertial_to_earth(
-        cos, sin, y[V_I] + turning * y[R_I + 1], y[V_I + 1] - turning * y[R_I], y[V_I + 2]
-    )
+    vx, vy, vz = inertial_to_earth(cos, sin, y[V_I] + turning * y[R_I + 1], y[V_I + 1] - turning * y[R_I], y[V_I + 2])
     axes = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0)
     if earth.figure != FLAT:
         axes = ned_axes(math.sin(latitude), math.cos(latitude), math.sin(longitude), math.cos(longitude))

@@ -54,9 +54,7 @@ class Channel:
             raise ValueError(f"channel {self.name}: the unit is missing ({DIMENSIONLESS!r} for none)")
         suffix = unit_suffix(self.unit)
         if suffix and not self.name.lower().endswith("_" + suffix.lower()):
-            raise ValueError(
-                f"channel {self.name}: unit {self.unit} asks for a name that ends with _{suffix}"
-            )
+            raise ValueError(f"channel {self.name}: unit {self.unit} asks for a name that ends with _{suffix}")
         if self.frame and self.frame not in self.name.split("_"):
             raise ValueError(f"channel {self.name}: frame {self.frame} is not a part of the name")
         if not np.isfinite(self.scale) or self.scale == 0.0:

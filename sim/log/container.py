@@ -192,7 +192,5 @@ def _message_indexes(blocks: Sequence[Block]) -> dict[int, bytes]:
         if len(parts) > 1:
             rows = rows[np.argsort(rows[:, 0], kind="stable")]
         data = rows.tobytes()
-        records[channel_id] = (
-            _INDEX_HEADER.pack(Opcode.MESSAGE_INDEX, 6 + len(data), channel_id, len(data)) + data
-        )
+        records[channel_id] = _INDEX_HEADER.pack(Opcode.MESSAGE_INDEX, 6 + len(data), channel_id, len(data)) + data
     return records

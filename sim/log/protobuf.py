@@ -28,9 +28,7 @@ _ONE_BYTE_TAGS = 15  # fields 1..15 have tags of one byte, all others here of tw
 
 def doubles_schema(message_name: str, field_names: Sequence[str]) -> bytes:
     """Serialised FileDescriptorSet of the message `maxq.<message_name>` with one double per field name."""
-    file = descriptor_pb2.FileDescriptorProto(
-        name=f"{PACKAGE}/{message_name}.proto", package=PACKAGE, syntax="proto3"
-    )
+    file = descriptor_pb2.FileDescriptorProto(name=f"{PACKAGE}/{message_name}.proto", package=PACKAGE, syntax="proto3")
     message = file.message_type.add(name=message_name)
     for number, name in enumerate(field_names, start=1):
         message.field.add(name=name, number=number, type=_Field.TYPE_DOUBLE, label=_Field.LABEL_OPTIONAL)

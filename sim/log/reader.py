@@ -309,8 +309,7 @@ class _Columns:
         self._topics = {topic.name: topic for topic in head.table.topics}
         self._topic_ids = head.topic_ids
         self._layouts = {
-            topic.name: message_dtype(doubles_template(len(topic.channels)).dtype)
-            for topic in head.table.topics
+            topic.name: message_dtype(doubles_template(len(topic.channels)).dtype) for topic in head.table.topics
         }
         self._parts: dict[str, list[NDArray[np.void]]] = {name: [] for name in self._topics}
 

@@ -76,9 +76,7 @@ class LogWriter:
         self._buffers: dict[str, MessageBuffer] = {}
         self._channel_ids: dict[str, int] = {}
         for topic in self._table.topics:
-            channel_id = container.add_channel(
-                topic.name, message_type(topic), schema_of(topic), metadata_of(topic)
-            )
+            channel_id = container.add_channel(topic.name, message_type(topic), schema_of(topic), metadata_of(topic))
             self._channel_ids[topic.name] = channel_id
             self._buffers[topic.name] = MessageBuffer(channel_id, doubles_template(len(topic.channels)))
         self._events_id = container.add_channel(EVENTS_TOPIC, LOG_TYPE, LOG_SCHEMA, {})
@@ -171,8 +169,7 @@ class LogWriter:
         scales = self._table.scales(group)
         if values.shape != (len(times_ns), len(scales)):
             raise ValueError(
-                f"rate group {group}: {values.shape} values, but "
-                f"{len(times_ns)} times and {len(scales)} channels"
+                f"rate group {group}: {values.shape} values, but {len(times_ns)} times and {len(scales)} channels"
             )
         _check_times(group, times_ns, self._last_ns[group])
         return times_ns, values if (scales == 1.0).all() else values * scales

@@ -59,24 +59,18 @@ def pack_computer(scenario: Scenario, pool: Pool) -> Computer:
 
 
 def _gains(design: Design) -> Cubics:
-    pitch, yaw = (
-        GainSchedule(list(t["time_s"]), list(t["k_p"]), list(t["k_d_s"])) for t in design.gains.axes
-    )
+    pitch, yaw = (GainSchedule(list(t["time_s"]), list(t["k_p"]), list(t["k_d_s"])) for t in design.gains.axes)
     return gains_table(pitch, yaw)
 
 
 def _filter(design: Design, sample_s: float) -> DiscreteFilter:
-    return bending_filter(design).discretize(
-        sample_s, design.filter.discretization, design.filter.prewarp_hz
-    )
+    return bending_filter(design).discretize(sample_s, design.filter.discretization, design.filter.prewarp_hz)
 
 
 def bending_filter(design: Design) -> BendingFilter:
     """The design's continuous filter."""
     return BendingFilter(
-        tuple(
-            QuadraticSection(q.zero_hz, q.zero_zeta, q.pole_hz, q.pole_zeta) for q in design.filter.quadratic
-        ),
+        tuple(QuadraticSection(q.zero_hz, q.zero_zeta, q.pole_hz, q.pole_zeta) for q in design.filter.quadratic),
         tuple(FirstOrderSection(f.zero_hz, f.pole_hz) for f in design.filter.first_order),
     )
 

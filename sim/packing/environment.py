@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from maxq.control.tables import NO_TABLE, Pool, TableRef, fit
@@ -29,26 +31,31 @@ def pack_surroundings(scenario: Scenario, pool: Pool) -> Surroundings:
 
 
 def pack_earth(earth: schema.Earth) -> globe.Earth:
-    given = {
-        "mu_m3ps2": earth.mu_m3ps2,
-        "j2": earth.j2,
-        "gravity_radius_m": earth.gravity_radius_m,
-        "uniform_mps2": earth.uniform_mps2,
-        "rate_radps": earth.rate_radps if earth.rotating else 0.0,
-        "gravity": _GRAVITY[earth.gravity],
-    }
-    chosen = {key: value for key, value in given.items() if value is not None}
+    """The figure's defaults with what the scenario gives in their place."""
     if earth.shape == "flat":
-        return globe.flat(**{key: chosen[key] for key in ("gravity", "uniform_mps2") if key in chosen})
-    if earth.shape == "sphere":
-        if earth.sphere_radius_m is not None:
-            chosen["radius_m"] = earth.sphere_radius_m
-        return globe.sphere(**chosen)
-    if earth.equatorial_radius_m is not None:
-        chosen["equatorial_radius_m"] = earth.equatorial_radius_m
-    if earth.flattening is not None:
-        chosen["flattening"] = earth.flattening
-    return globe.wgs84(**chosen)
+        default = globe.flat()
+        radius_m = default.equatorial_radius_m
+    elif earth.shape == "sphere":
+        default = globe.sphere()
+        radius_m = _or(earth.sphere_radius_m, default.equatorial_radius_m)
+    else:
+        default = globe.wgs84()
+        radius_m = _or(earth.equatorial_radius_m, default.equatorial_radius_m)
+    return replace(
+        default,
+        equatorial_radius_m=radius_m,
+        flattening=_or(earth.flattening, default.flattening),
+        rate_radps=_or(earth.rate_radps, default.rate_radps) if earth.rotating else 0.0,
+        gravity=_GRAVITY[earth.gravity],
+        mu_m3ps2=_or(earth.mu_m3ps2, default.mu_m3ps2),
+        j2=_or(earth.j2, default.j2),
+        gravity_radius_m=_or(earth.gravity_radius_m, default.gravity_radius_m),
+        uniform_mps2=_or(earth.uniform_mps2, default.uniform_mps2),
+    )
+
+
+def _or(given: float | None, default: float) -> float:
+    return default if given is None else given
 
 
 def _atmosphere(atmosphere: schema.Atmosphere, pool: Pool) -> air.Atmosphere:
@@ -63,10 +70,13 @@ def _atmosphere(atmosphere: schema.Atmosphere, pool: Pool) -> air.Atmosphere:
         columns = t["density_kgpm3"], t["pressure_Pa"], t["temperature_K"]
         return air.Atmosphere(air.TABLE, pool.add(air.air_table(t["altitude_m"], *columns)), density_factor=factor)
     assert atmosphere.density_kgpm3 is not None
-    given = {"pressure_Pa": atmosphere.pressure_Pa, "temperature_K": atmosphere.temperature_K}
-    constants = {key: value for key, value in given.items() if value is not None}
+    default = air.Atmosphere()
     return air.Atmosphere(
-        air.CONSTANT, density_kgpm3=atmosphere.density_kgpm3, density_factor=factor, **constants
+        air.CONSTANT,
+        density_kgpm3=atmosphere.density_kgpm3,
+        pressure_Pa=_or(atmosphere.pressure_Pa, default.pressure_Pa),
+        temperature_K=_or(atmosphere.temperature_K, default.temperature_K),
+        density_factor=factor,
     )
 
 

@@ -60,7 +60,7 @@ def pack_flight(scenario: Scenario) -> Packed:
     parameters = pack(rows)
     y = np.zeros(MAX_STATE)
     initial_motion(scenario, parameters[0].around.earth, y)
-    rate = tuple(float(w) for w in y[W_BI_B : W_BI_B + 3])
+    rate = (float(y[W_BI_B]), float(y[W_BI_B + 1]), float(y[W_BI_B + 2]))
     _rest(parameters[0], rate, y)
     _settle_gyro(rate, y)
     memory = blank(Memory)

@@ -52,9 +52,7 @@ def _position(scenario: Scenario, given: Initial, earth: Earth, to_inertial: Arr
         return np.array(given.earth_m)
     place = given.geodetic or scenario.site
     return np.array(
-        earth_position(
-            earth, math.radians(place.latitude_deg), math.radians(place.longitude_deg), place.altitude_m
-        )
+        earth_position(earth, math.radians(place.latitude_deg), math.radians(place.longitude_deg), place.altitude_m)
     )
 
 
@@ -115,11 +113,11 @@ def quaternion(matrix: Array) -> Array:
     if k == 0:
         q = np.array([1 + trace, m[2, 1] - m[1, 2], m[0, 2] - m[2, 0], m[1, 0] - m[0, 1]])
     else:
-        i, j, l = k - 1, k % 3, (k + 1) % 3
+        i, j, h = k - 1, k % 3, (k + 1) % 3
         q = np.zeros(4)
-        q[0] = m[l, j] - m[j, l]
-        q[1 + i] = 1 + m[i, i] - m[j, j] - m[l, l]
+        q[0] = m[h, j] - m[j, h]
+        q[1 + i] = 1 + m[i, i] - m[j, j] - m[h, h]
         q[1 + j] = m[j, i] + m[i, j]
-        q[1 + l] = m[l, i] + m[i, l]
+        q[1 + h] = m[h, i] + m[i, h]
     q /= np.linalg.norm(q)
     return np.asarray(q if q[0] >= 0 else -q)

@@ -83,8 +83,10 @@ def _mass_table(stage: Stage) -> tuple[Array, Array]:
     assert mass.x_cg_m is not None
     j = np.array(mass.inertia_kgm2)
     row = np.array(
-        [mass.mass_kg, mass.x_cg_m, mass.y_cg_m or 0.0, mass.z_cg_m or 0.0]
-        + [j[0, 0], j[1, 1], j[2, 2], -j[0, 1], -j[0, 2], -j[1, 2]]
+        [
+            *(mass.mass_kg, mass.x_cg_m, mass.y_cg_m or 0.0, mass.z_cg_m or 0.0),
+            *(j[0, 0], j[1, 1], j[2, 2], -j[0, 1], -j[0, 2], -j[1, 2]),
+        ]
     )
     if not mass.mass_flow_kgps or not mass.burn_s:
         return np.array([0.0]), row[None]
@@ -164,8 +166,7 @@ def _modes(stage: Stage, table: ModeTable, sizes: Sizes, method: Method) -> Cubi
     columns: list[NDArray[np.float64]] = []
     for mode in range(n):
         shapes = [
-            CubicHermiteSpline(table.station_m, table.phi[t, mode], table.slope_pm[t, mode])
-            for t in range(len(times))
+            CubicHermiteSpline(table.station_m, table.phi[t, mode], table.slope_pm[t, mode]) for t in range(len(times))
         ]
         columns += [2.0 * np.pi * table.frequency_hz[:, mode], table.generalized_mass_kg[:, mode]]
         columns += [np.array([s(gimbal) for s in shapes]), np.array([s(gimbal, 1) for s in shapes])]

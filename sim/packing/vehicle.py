@@ -85,8 +85,14 @@ def _actuator(axis: ActuatorAxis, bias_deg: float, linear: bool) -> Actuator:
     if axis.exchange_a3_a4:
         omega[2], omega[3], zeta[2], zeta[3] = omega[3], omega[2], zeta[3], zeta[2]
     return Actuator(
-        *omega,
-        *zeta,
+        omega_1_radps=omega[0],
+        omega_2_radps=omega[1],
+        omega_3_radps=omega[2],
+        omega_4_radps=omega[3],
+        zeta_1=zeta[0],
+        zeta_2=zeta[1],
+        zeta_3=zeta[2],
+        zeta_4=zeta[3],
         angle_limit_rad=np.inf if linear else math.radians(axis.angle_limit_deg),
         rate_limit_radps=np.inf if linear else math.radians(axis.rate_limit_degps),
         bias_rad=math.radians(bias_deg),
@@ -100,12 +106,23 @@ def _gyro(scenario: Scenario, stage: Stage) -> Gyro:
     if gyro is None or scenario.switches.gyro == "ideal":
         station = gyro.station_m if gyro else 0.0
         return Gyro(station, 1.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1)
-    bias = [math.radians(b) / 3600.0 for b in gyro.bias_degph]
-    turned = [math.radians(m) for m in gyro.misalignment_deg]
-    walk = math.radians(gyro.noise_deg_rt_h) / 60.0
+    degph = math.radians(1.0) / 3600.0
     return Gyro(
-        gyro.station_m, _TWO_PI * gyro.omega_hz, gyro.zeta, *bias, *gyro.scale_factor, *turned, walk, 0
-    )  # fmt: skip
+        station_m=gyro.station_m,
+        omega_radps=_TWO_PI * gyro.omega_hz,
+        zeta=gyro.zeta,
+        bias_x_radps=degph * gyro.bias_degph[0],
+        bias_y_radps=degph * gyro.bias_degph[1],
+        bias_z_radps=degph * gyro.bias_degph[2],
+        scale_x=gyro.scale_factor[0],
+        scale_y=gyro.scale_factor[1],
+        scale_z=gyro.scale_factor[2],
+        misalignment_x_rad=math.radians(gyro.misalignment_deg[0]),
+        misalignment_y_rad=math.radians(gyro.misalignment_deg[1]),
+        misalignment_z_rad=math.radians(gyro.misalignment_deg[2]),
+        random_walk_rad_rts=math.radians(gyro.noise_deg_rt_h) / 60.0,
+        ideal=0,
+    )
 
 
 def _bending(scenario: Scenario, stage: Stage) -> Bending:
@@ -187,4 +204,3 @@ def _remainder(stage: Stage, chord_m: float, surfaces: list[Cubics]) -> Cubics:
     for k in range(1, len(surfaces) + 1):
         c[:, :, :2] -= c[:, :, 2 * k : 2 * k + 2]
     return Cubics(together.breaks, c[:, :, :2].copy())
-

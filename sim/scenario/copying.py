@@ -30,16 +30,12 @@ def copy_scenario(name: str, folder: str | Path) -> Path:
     targets = {file: Path(folder) / file.relative_to(root) for file in sorted(files)}
     for target in targets.values():
         if target.exists():
-            raise ScenarioError(
-                str(target), "is there already, and is not overwritten", allowed="a new folder"
-            )
+            raise ScenarioError(str(target), "is there already, and is not overwritten", allowed="a new folder")
     try:
         for file, target in targets.items():
             target.parent.mkdir(parents=True, exist_ok=True)
             shutil.copyfile(file, target)
     except OSError as error:
         reason = (error.strerror or str(error)).lower()
-        raise ScenarioError(
-            str(folder), f"cannot be written: {reason}", allowed="a folder you may write"
-        ) from None
+        raise ScenarioError(str(folder), f"cannot be written: {reason}", allowed="a folder you may write") from None
     return targets[path]

@@ -94,9 +94,7 @@ def _check_stage(stage: Stage, key: Path) -> None:
         raise refuse("ignition comes after the end of thrust", f"less than {end:g}", key=(*key, "ignition_s"))
     mass = stage.mass
     if mass.burn_s is not None and mass.mass_flow_kgps and mass.burn_s < end:
-        raise refuse(
-            "mass flow ends before the thrust does", f"at least {end:g}", key=(*key, "mass", "burn_s")
-        )
+        raise refuse("mass flow ends before the thrust does", f"at least {end:g}", key=(*key, "mass", "burn_s"))
 
 
 def _check_thrust_ends(stage: Stage, ends_s: float, key: Path) -> None:
@@ -116,9 +114,7 @@ def _check_programme(table: CsvTable, start: float, end: float) -> None:
     if len(table) == 1:
         return
     if table["time_s"][0] > start:
-        raise table.refusal(
-            "the programme begins too late", f"a first time_s <= {start:g}", "time_s", 0, at=key
-        )
+        raise table.refusal("the programme begins too late", f"a first time_s <= {start:g}", "time_s", 0, at=key)
     if table["time_s"][-1] < end:
         raise table.refusal(
             "the programme ends before the thrust does",

@@ -127,9 +127,7 @@ def _locate(name: str) -> tuple[Path, str]:
     names = builtin_names()
     hint = suggestion(name.removesuffix(".toml"), names)
     listed = " or a built-in one: " + ", ".join(names) if names and not hint else ""
-    raise ScenarioError(
-        name or '""', f"{problem}; {hint}" if hint else problem, allowed=_WANTED["scenario"] + listed
-    )
+    raise ScenarioError(name or '""', f"{problem}; {hint}" if hint else problem, allowed=_WANTED["scenario"] + listed)
 
 
 def _document(reading: Reading, path: Path, label: str, role: str, chain: tuple[Path, ...]) -> Table:
@@ -146,15 +144,11 @@ def _extended(reading: Reading, table: Table, role: str, chain: tuple[Path, ...]
     name, unset = table.pop("extends", None), table.pop("unset", None)
     if name is None:
         if unset is not None:
-            raise table.source.error(
-                (*prefix, "unset"), "there is nothing to take away from", allowed="with extends"
-            )
+            raise table.source.error((*prefix, "unset"), "there is nothing to take away from", allowed="with extends")
         return table
     where: KeyPath = (*prefix, "extends")
     if not isinstance(name, Text):
-        raise table.source.error(
-            where, "has the wrong type", value=name, allowed=f"the name of {_WANTED[role]}"
-        )
+        raise table.source.error(where, "has the wrong type", value=name, allowed=f"the name of {_WANTED[role]}")
     path = find(name, _VARIANTS[role])
     if path is None:
         problem, allowed = not_found(name, _WANTED[role])
@@ -175,9 +169,7 @@ def _unset(base: Table, unset: object, source: Source, where: KeyPath) -> None:
     if unset is None:
         return
     if not isinstance(unset, Array) or not all(isinstance(item, str) for item in unset):
-        raise source.error(
-            where, "has the wrong type", value=unset, allowed="a list of keys, e.g. ['wind.profile']"
-        )
+        raise source.error(where, "has the wrong type", value=unset, allowed="a list of keys, e.g. ['wind.profile']")
     for item in unset:
         drop(base, tuple(item.split(".")), source, where)
 
@@ -250,9 +242,7 @@ def _bring_in(reading: Reading, tree: Table, part: str) -> None:
         return
     origin = tree.sources.get(key, tree.source)
     if not isinstance(changes, Table):
-        raise origin.error(
-            (key,), "has the wrong type", value=changes, allowed=f"a table of keys of the {part}"
-        )
+        raise origin.error((key,), "has the wrong type", value=changes, allowed=f"a table of keys of the {part}")
     if part not in tree:
         raise origin.error((key,), f"the scenario has no {part}")
     for path_, leaf, leaf_source in leaves(changes):

@@ -74,18 +74,14 @@ def _causes(found: list[Any]) -> list[Any]:
         detail
         for detail in found
         if detail["type"] != "too_short"
-        or not any(
-            len(path) > len(detail["loc"]) and path[: len(detail["loc"])] == detail["loc"] for path in paths
-        )
+        or not any(len(path) > len(detail["loc"]) and path[: len(detail["loc"])] == detail["loc"] for path in paths)
     ]
 
 
 def _refused(path: Path, context: dict[str, Any], tree: Table, more: int) -> ScenarioError:
     details = {"allowed": context["allowed"], "more": more}
     if context["file"]:
-        return ScenarioError(
-            context["file"], context["problem"], context["place"], value=context["value"], **details
-        )
+        return ScenarioError(context["file"], context["problem"], context["place"], value=context["value"], **details)
     path += context["key"]
     value = context["value"]
     if value is NOTHING:

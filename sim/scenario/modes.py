@@ -14,9 +14,7 @@ MAX_MODES = 8
 
 MODE_COLUMNS = Columns(
     "time_s",
-    sets=(
-        ("mode", "frequency_hz", "generalized_mass_kg", "station_m", "phi", "slope_pm", "mass_forward_kg"),
-    ),
+    sets=(("mode", "frequency_hz", "generalized_mass_kg", "station_m", "phi", "slope_pm", "mass_forward_kg"),),
     positive=("mode", "frequency_hz", "generalized_mass_kg"),
     not_negative=("mass_forward_kg",),
     begins_by=0.0,
@@ -52,12 +50,8 @@ def mode_table(table: CsvTable, at: Path = ()) -> ModeTable:
     """
     mode = table["mode"]
     whole = np.array([m.is_integer() for m in mode.tolist()])
-    _refuse_where(
-        table, ~whole, "mode", "is no whole number", allowed=f"mode numbers 1 .. {MAX_MODES}", at=at
-    )
-    _refuse_where(
-        table, mode > MAX_MODES, "mode", "too many modes", allowed=f"mode numbers 1 .. {MAX_MODES}", at=at
-    )
+    _refuse_where(table, ~whole, "mode", "is no whole number", allowed=f"mode numbers 1 .. {MAX_MODES}", at=at)
+    _refuse_where(table, mode > MAX_MODES, "mode", "too many modes", allowed=f"mode numbers 1 .. {MAX_MODES}", at=at)
     times, time_at = np.unique(table["time_s"], return_inverse=True)
     stations, station_at = np.unique(table["station_m"], return_inverse=True)
     count = int(mode.max())

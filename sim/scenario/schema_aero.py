@@ -22,9 +22,7 @@ COEFFICIENTS = (
     "Clp",
     "C_crossflow",
 )
-AERO_COLUMNS = Columns(
-    "mach", optional=COEFFICIENTS, not_negative=("mach", "CA", "CA_coast", "CD", "C_crossflow")
-)
+AERO_COLUMNS = Columns("mach", optional=COEFFICIENTS, not_negative=("mach", "CA", "CA_coast", "CD", "C_crossflow"))
 SURFACE_COLUMNS = Columns("mach", sets=(("CN_alpha_pr", "station_m"),), not_negative=("mach",))
 MAX_SURFACES = 8
 
@@ -53,9 +51,7 @@ class Aero(Section):
         default=None,
         description="station of the cross-flow drag, m aft of the nose (default: half the length)",
     )
-    rate_reference: Literal["inertial", "earth"] = Field(
-        default="inertial", description="which body rates damp"
-    )
+    rate_reference: Literal["inertial", "earth"] = Field(default="inertial", description="which body rates damp")
     surface: tuple[AeroSurface, ...] = Field(
         default=(),
         max_length=MAX_SURFACES,

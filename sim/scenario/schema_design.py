@@ -19,15 +19,11 @@ SECTIONS = {"none": (0, 0), "F2": (1, 0), "F3": (1, 1), "F4": (2, 0), "F5": (2, 
 class Gains(Section):
     """Gains of the PD law (paper, eq. 33), linear in time, held outside the table."""
 
-    table: Annotated[CsvTable, GAIN_COLUMNS] = Field(
-        description="k_p (rad/rad) and k_d_s (s) over the vehicle clock"
-    )
+    table: Annotated[CsvTable, GAIN_COLUMNS] = Field(description="k_p (rad/rad) and k_d_s (s) over the vehicle clock")
     yaw: Literal["pitch"] | None = Field(
         default=None, description='"pitch": as in pitch (the default without yaw_table)'
     )
-    yaw_table: Annotated[CsvTable, GAIN_COLUMNS] | None = Field(
-        default=None, description="own gains of the yaw axis"
-    )
+    yaw_table: Annotated[CsvTable, GAIN_COLUMNS] | None = Field(default=None, description="own gains of the yaw axis")
 
     @model_validator(mode="after")
     def _check(self) -> Gains:
@@ -78,12 +74,8 @@ class Filter(Section):
     structure: Literal["F2", "F3", "F4", "F5", "F6", "none"] = Field(
         default="none", description="of the paper, or none"
     )
-    quadratic: tuple[Quadratic, ...] = Field(
-        default=(), description="second-order sections: F2, F3: 1; F4, F5, F6: 2"
-    )
-    first_order: tuple[FirstOrder, ...] = Field(
-        default=(), description="first-order sections: F3, F5: 1; F6: 2"
-    )
+    quadratic: tuple[Quadratic, ...] = Field(default=(), description="second-order sections: F2, F3: 1; F4, F5, F6: 2")
+    first_order: tuple[FirstOrder, ...] = Field(default=(), description="first-order sections: F3, F5: 1; F6: 2")
     discretization: Literal["prewarped", "bilinear", "matched", "zoh"] = Field(
         default="prewarped", description="prewarped: bilinear, and exact at prewarp_hz"
     )
@@ -96,9 +88,7 @@ class Filter(Section):
         for key, count in zip(("quadratic", "first_order"), SECTIONS[self.structure], strict=True):
             given = len(getattr(self, key))
             if given != count:
-                raise refuse(
-                    f"{given} sections do not make {self.structure}", f"{count} sections", key=(key,)
-                )
+                raise refuse(f"{given} sections do not make {self.structure}", f"{count} sections", key=(key,))
         if self.structure != "none" and self.discretization == "prewarped":
             needs(self, "prewarp_hz", "discretization is prewarped", "a number > 0, Hz")
         return self
@@ -109,9 +99,7 @@ class Roll(Section):
 
     k_rate_s: NotNegative = Field(description="weight of the rate, s")
     dead_band_deg: Positive = Field(description="half width of the dead band, deg")
-    hysteresis_deg: NotNegative = Field(
-        default=0.0, description="a thruster goes off at dead_band_deg less this, deg"
-    )
+    hysteresis_deg: NotNegative = Field(default=0.0, description="a thruster goes off at dead_band_deg less this, deg")
     minimum_on_s: NotNegative = Field(default=0.0, description="shortest pulse, s")
 
     @model_validator(mode="after")
@@ -128,9 +116,7 @@ class Limits(Section):
     phase_margin_deg: float | None = Field(default=None, description="least phase margin, deg")
     rigid_hz: float | None = Field(default=None, description="least frequency of the rigid-body motion, Hz")
     rigid_zeta: float | None = Field(default=None, description="least damping ratio of the rigid-body motion")
-    second_mode_db: float | None = Field(
-        default=None, description="largest peak of the second bending mode, dB"
-    )
+    second_mode_db: float | None = Field(default=None, description="largest peak of the second bending mode, dB")
 
 
 class Design(Section):

@@ -10,9 +10,7 @@ from maxq.sim.scenario.errors import refuse
 from maxq.sim.scenario.schema_values import NotNegative, Pair, Positive, Section
 from maxq.sim.scenario.tables_csv import Columns, CsvTable
 
-THRUST_COLUMNS = Columns(
-    "time_s", sets=(("thrust_vacuum_N",),), not_negative=("thrust_vacuum_N",), begins_by=0.0
-)
+THRUST_COLUMNS = Columns("time_s", sets=(("thrust_vacuum_N",),), not_negative=("thrust_vacuum_N",), begins_by=0.0)
 Angle = Annotated[float, Field(ge=0.0, le=45.0)]
 Four = tuple[Positive, Positive, Positive, Positive]
 
@@ -33,14 +31,10 @@ class Engine(Section):
     inertia_about_gimbal_kgm2: NotNegative = Field(
         default=0.0, description="transverse inertia about the gimbal, kg m2"
     )
-    misalignment_deg: Pair = Field(
-        default=(0.0, 0.0), description="fixed angle of the thrust axis, pitch and yaw, deg"
-    )
+    misalignment_deg: Pair = Field(default=(0.0, 0.0), description="fixed angle of the thrust axis, pitch and yaw, deg")
     offset_m: Pair = Field(default=(0.0, 0.0), description="of the gimbal from the body axis, y and z, m")
     thrust_factor: NotNegative = Field(default=1.0, description="multiplies thrust")
-    mass_flow_factor: Positive = Field(
-        default=1.0, description="burn rate: speeds up the stage's tables over time"
-    )
+    mass_flow_factor: Positive = Field(default=1.0, description="burn rate: speeds up the stage's tables over time")
 
     @model_validator(mode="after")
     def _check(self) -> Engine:
@@ -59,9 +53,7 @@ class ActuatorAxis(Section):
 
     omega_hz: Four = Field(description="natural frequencies a1 .. a4, Hz")
     zeta: Four = Field(description="damping ratios a1 .. a4")
-    exchange_a3_a4: bool = Field(
-        default=False, description="exchange pole pair a3 and zero pair a4 (erratum 13)"
-    )
+    exchange_a3_a4: bool = Field(default=False, description="exchange pole pair a3 and zero pair a4 (erratum 13)")
     angle_limit_deg: Angle = Field(description="limit of the gimbal angle, deg")
     rate_limit_degps: Positive = Field(description="limit of the gimbal rate, deg/s")
     backlash_deg: NotNegative = Field(default=0.0, description="full width of the play, deg")

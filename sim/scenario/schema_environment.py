@@ -58,24 +58,16 @@ class Earth(Section):
         default="wgs84", description="figure; flat: uniform and not rotating"
     )
     rotating: bool = Field(default=True, description="whether the Earth turns")
-    gravity: Literal["j2", "inverse_square", "uniform", "none"] = Field(
-        default="j2", description="gravitation"
-    )
+    gravity: Literal["j2", "inverse_square", "uniform", "none"] = Field(default="j2", description="gravitation")
     mu_m3ps2: Positive | None = Field(
         default=None, description="gravitational parameter, m3/s2 (default: of the shape)"
     )
     j2: float | None = Field(default=None, description="oblateness coefficient (default: WGS-84)")
-    equatorial_radius_m: Positive | None = Field(
-        default=None, description="of the ellipsoid, m (default: WGS-84)"
-    )
-    flattening: Annotated[float, Field(ge=0.0, lt=1.0)] | None = Field(
-        default=None, description="of the ellipsoid"
-    )
+    equatorial_radius_m: Positive | None = Field(default=None, description="of the ellipsoid, m (default: WGS-84)")
+    flattening: Annotated[float, Field(ge=0.0, lt=1.0)] | None = Field(default=None, description="of the ellipsoid")
     sphere_radius_m: Positive | None = Field(default=None, description="of the sphere, m")
     rate_radps: float | None = Field(default=None, description="rotation rate, rad/s (default: WGS-84)")
-    uniform_mps2: NotNegative | None = Field(
-        default=None, description="uniform gravity, m/s2 (default 9.80665)"
-    )
+    uniform_mps2: NotNegative | None = Field(default=None, description="uniform gravity, m/s2 (default 9.80665)")
     gravity_radius_m: Positive | None = Field(
         default=None, description="reference radius of J2, m (default: equatorial)"
     )
@@ -85,9 +77,7 @@ class Earth(Section):
     def _check(self) -> Earth:
         if self.shape == "flat":
             if self.rotating:
-                raise refuse(
-                    "a flat Earth does not rotate", "rotating = false", key=("rotating",), value=True
-                )
+                raise refuse("a flat Earth does not rotate", "rotating = false", key=("rotating",), value=True)
             if self.gravity not in ("uniform", "none"):
                 allowed = "'uniform', 'none' with shape = 'flat'"
                 raise refuse("a flat Earth has no centre", allowed, key=("gravity",), value=self.gravity)
@@ -104,16 +94,10 @@ class Atmosphere(Section):
     model: Literal["us1976", "table", "constant", "vacuum"] = Field(
         default="us1976", description="US Standard Atmosphere 1976"
     )
-    table: Annotated[CsvTable, ATMOSPHERE_COLUMNS] | None = Field(
-        default=None, description='for model = "table"'
-    )
+    table: Annotated[CsvTable, ATMOSPHERE_COLUMNS] | None = Field(default=None, description='for model = "table"')
     density_kgpm3: NotNegative | None = Field(default=None, description='kg/m3, for model = "constant"')
-    temperature_K: Positive | None = Field(
-        default=None, description='K, for model = "constant" (default 288.15)'
-    )
-    pressure_Pa: NotNegative | None = Field(
-        default=None, description='Pa, for model = "constant" (default 101325)'
-    )
+    temperature_K: Positive | None = Field(default=None, description='K, for model = "constant" (default 288.15)')
+    pressure_Pa: NotNegative | None = Field(default=None, description='Pa, for model = "constant" (default 101325)')
     density_factor: NotNegative = Field(default=1.0, description="multiplies density")
 
     @model_validator(mode="after")
@@ -148,9 +132,7 @@ class Gust(Section):
         if self.kind == "shear":
             only_with(self, ("edge_m",), False, "kind = 'one-minus-cosine'")
         elif 2.0 * needs(self, "edge_m", "kind is one-minus-cosine", "a number > 0") > self.thickness_m:
-            raise refuse(
-                "two edges are thicker than the gust", f"at most {self.thickness_m / 2:g}", key=("edge_m",)
-            )
+            raise refuse("two edges are thicker than the gust", f"at most {self.thickness_m / 2:g}", key=("edge_m",))
         return self
 
 
@@ -163,15 +145,9 @@ class Turbulence(Section):
         default=None,
         description="standard deviations along (u), across (v), down (w), instead of exceedance",
     )
-    length_u_m: Positive | None = Field(
-        default=None, description="scale length along, m (default: MIL-F-8785C)"
-    )
-    length_v_m: Positive | None = Field(
-        default=None, description="scale length across, m (default: MIL-F-8785C)"
-    )
-    length_w_m: Positive | None = Field(
-        default=None, description="scale length down, m (default: MIL-F-8785C)"
-    )
+    length_u_m: Positive | None = Field(default=None, description="scale length along, m (default: MIL-F-8785C)")
+    length_v_m: Positive | None = Field(default=None, description="scale length across, m (default: MIL-F-8785C)")
+    length_w_m: Positive | None = Field(default=None, description="scale length down, m (default: MIL-F-8785C)")
     seed: Annotated[int, Field(ge=0, lt=2**63)] | None = Field(
         default=None, description="own seed (default: from run.seed)"
     )
@@ -180,9 +156,7 @@ class Turbulence(Section):
     def _check(self) -> Turbulence:
         at_most_one(self, ("exceedance", "table"))
         if self.table is None:
-            needs(
-                self, "exceedance", "turbulence needs a strength", "'light', 'moderate', 'severe', or a table"
-            )
+            needs(self, "exceedance", "turbulence needs a strength", "'light', 'moderate', 'severe', or a table")
         return self
 
 
@@ -190,15 +164,9 @@ class Wind(Section):
     """Motion of the air relative to the Earth."""
 
     profile: Annotated[CsvTable, WIND_COLUMNS] | None = Field(default=None, description="wind over altitude")
-    speed_mps: NotNegative | None = Field(
-        default=None, description="constant wind, m/s, instead of a profile"
-    )
-    from_deg: Angle | None = Field(
-        default=None, description="direction it blows from, deg from north through east"
-    )
-    interpolation: Literal["linear", "pchip"] = Field(
-        default="linear", description="between the rows of the profile"
-    )
+    speed_mps: NotNegative | None = Field(default=None, description="constant wind, m/s, instead of a profile")
+    from_deg: Angle | None = Field(default=None, description="direction it blows from, deg from north through east")
+    interpolation: Literal["linear", "pchip"] = Field(default="linear", description="between the rows of the profile")
     outside: Literal["hold", "error"] = Field(default="hold", description="above and below the profile")
     factor: float = Field(default=1.0, description="multiplies profile or constant wind")
     gust: tuple[Gust, ...] = Field(default=(), max_length=16, description="gusts and shear layers")

@@ -45,8 +45,7 @@ class Initial(Section):
     earth_mps: Triple | None = Field(default=None, description="velocity relative to the Earth in E, m/s")
     euler_deg: Triple | None = Field(
         default=None,
-        description="yaw, pitch, roll (3-2-1) of B from north, east, down, deg "
-        "(default: nose up, body z at azimuth)",
+        description="yaw, pitch, roll (3-2-1) of B from north, east, down, deg (default: nose up, body z at azimuth)",
     )
     q_BI: Quaternion | None = Field(
         default=None, description="unit quaternion, scalar first, turns B components into I"
@@ -68,7 +67,5 @@ class Initial(Section):
         if self.dcm_BI is not None:
             dcm = np.array(self.dcm_BI)
             if np.abs(dcm @ dcm.T - np.eye(3)).max() > _ORTHONORMAL or np.linalg.det(dcm) < 0.0:
-                raise refuse(
-                    "is no rotation", "orthonormal rows within 1e-6, determinant +1", key=("dcm_BI",)
-                )
+                raise refuse("is no rotation", "orthonormal rows within 1e-6, determinant +1", key=("dcm_BI",))
         return self

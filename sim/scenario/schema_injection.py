@@ -37,9 +37,7 @@ FREQUENCIES = {
 class Injection(Section):
     """One signal on one axis."""
 
-    at: Literal["gimbal_command", "rate_command", "body_force", "body_torque"] = Field(
-        description="where it enters"
-    )
+    at: Literal["gimbal_command", "rate_command", "body_force", "body_torque"] = Field(description="where it enters")
     axis: Literal["pitch", "yaw", "roll", "x", "y", "z"] = Field(
         description="gimbal_command: pitch, yaw; rate_command: pitch, yaw, roll; body_*: x, y, z"
     )
@@ -47,9 +45,7 @@ class Injection(Section):
         description="shape; doublet: + in the first half of the time, - in the second; "
         "chirp: the frequency changes linearly"
     )
-    replaces: bool = Field(
-        default=False, description="whether it replaces the command; false: is added to it"
-    )
+    replaces: bool = Field(default=False, description="whether it replaces the command; false: is added to it")
     amplitude_deg: float | None = Field(default=None, description="deg, at gimbal_command")
     amplitude_degps: float | None = Field(default=None, description="deg/s, at rate_command")
     amplitude_N: float | None = Field(default=None, description="N, at body_force")
@@ -82,9 +78,7 @@ class Injection(Section):
             if key in FREQUENCIES[self.kind]:
                 needs(self, key, f"kind is {self.kind}", "numbers > 0, Hz")
             else:
-                only_with(
-                    self, (key,), False, "kind = " + ", ".join(k for k, v in FREQUENCIES.items() if key in v)
-                )
+                only_with(self, (key,), False, "kind = " + ", ".join(k for k, v in FREQUENCIES.items() if key in v))
         if self.kind == "table":
             needs(self, "table", "kind is table", SIGNAL_COLUMNS.allowed())
         else:

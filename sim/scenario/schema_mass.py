@@ -48,9 +48,7 @@ class Mass(Section):
         "clock; x_cg_m is the station aft of the nose, y and z are body axes; products of inertia are "
         "integrals, Ixz = int x z dm",
     )
-    mass_kg: Positive | None = Field(
-        default=None, description="constant mass (at ignition, when it is expelled), kg"
-    )
+    mass_kg: Positive | None = Field(default=None, description="constant mass (at ignition, when it is expelled), kg")
     x_cg_m: float | None = Field(default=None, description="station of the CG aft of the nose, m")
     y_cg_m: float | None = Field(default=None, description="CG in body y, m (default 0)")
     z_cg_m: float | None = Field(default=None, description="CG in body z, m (default 0)")
@@ -58,9 +56,7 @@ class Mass(Section):
         default=None,
         description="inertia tensor about the CG in B, kg m2: minus the products off the diagonal",
     )
-    mass_flow_kgps: NotNegative | None = Field(
-        default=None, description="mass expelled per second, kg/s (default 0)"
-    )
+    mass_flow_kgps: NotNegative | None = Field(default=None, description="mass expelled per second, kg/s (default 0)")
     burn_s: NotNegative | None = Field(default=None, description="for how long it is expelled, s")
 
     @model_validator(mode="after")
@@ -77,9 +73,7 @@ class Mass(Section):
         found = first_impossible(tensors(diagonal, products))
         if found:
             row, problem = found
-            raise table.refusal(
-                problem, column="Ixx_kgm2", row=row, value=diagonal[row].tolist(), at=("table",)
-            )
+            raise table.refusal(problem, column="Ixx_kgm2", row=row, value=diagonal[row].tolist(), at=("table",))
         return self
 
     def _check_constants(self) -> None:
@@ -93,15 +87,11 @@ class Mass(Section):
             raise refuse(found[1], key=("inertia_kgm2",))
         if (self.mass_flow_kgps is None) != (self.burn_s is None):
             missing = "burn_s" if self.burn_s is None else "mass_flow_kgps"
-            raise refuse(
-                "required key is missing: they go together", "mass_flow_kgps and burn_s", key=(missing,)
-            )
+            raise refuse("required key is missing: they go together", "mass_flow_kgps and burn_s", key=(missing,))
         if self.mass_flow_kgps is not None and self.burn_s is not None:
             spent = self.mass_flow_kgps * self.burn_s
             if spent >= mass:
-                raise refuse(
-                    f"expels {spent:g} kg of {mass:g} kg", f"burn_s * mass_flow_kgps < {mass:g}", ("burn_s",)
-                )
+                raise refuse(f"expels {spent:g} kg of {mass:g} kg", f"burn_s * mass_flow_kgps < {mass:g}", ("burn_s",))
 
 
 class Tank(Section):
@@ -113,6 +103,4 @@ class Tank(Section):
     )
     damping_ratio: Fraction = Field(description="of the pendulum, as a ratio to critical")
     radius_m: Positive | None = Field(default=None, description="of the tank, m, for drawings")
-    bottom_station_m: float | None = Field(
-        default=None, description="of the tank, m aft of the nose, for drawings"
-    )
+    bottom_station_m: float | None = Field(default=None, description="of the tank, m aft of the nose, for drawings")

@@ -16,9 +16,7 @@ from maxq.sim.scenario.schema_values import Period, Rate, Seconds, Section, at_m
 from maxq.sim.scenario.schema_vehicle import Vehicle
 from maxq.sim.scenario.tables_csv import Columns, CsvTable
 
-PROGRAMME_COLUMNS = Columns(
-    "time_s", sets=(("pitch_rate_degps",),), optional=("yaw_rate_degps", "roll_rate_degps")
-)
+PROGRAMME_COLUMNS = Columns("time_s", sets=(("pitch_rate_degps",),), optional=("yaw_rate_degps", "roll_rate_degps"))
 Ending = Literal["impact", "apogee", "burnout", "tumble"]
 
 
@@ -26,25 +24,19 @@ class Run(Section):
     """How long and how finely."""
 
     duration_s: Period = Field(default=400.0, description="longest flight from start_s on, s, whole ns")
-    step_s: Annotated[Period, Field(le=1.0)] = Field(
-        default=0.001, description="integrator step, s, whole ns"
-    )
+    step_s: Annotated[Period, Field(le=1.0)] = Field(default=0.001, description="integrator step, s, whole ns")
     seed: Annotated[int, Field(ge=0, lt=2**63)] = Field(default=1, description="all noise derives from it")
     start_s: Seconds = Field(default=0.0, description="vehicle clock at the start, s, whole ns")
     freeze_vehicle_at_s: Seconds | None = Field(
         default=None,
         description="mass, thrust, modes, ... are held as at this vehicle clock, s (default: not)",
     )
-    stop_at: tuple[Ending, ...] = Field(
-        default=("impact",), description="events that end the flight, any of them"
-    )
+    stop_at: tuple[Ending, ...] = Field(default=("impact",), description="events that end the flight, any of them")
 
     @model_validator(mode="after")
     def _check(self) -> Run:
         if self.step_s > self.duration_s:
-            raise refuse(
-                "is longer than the flight", f"at most duration_s = {self.duration_s:g}", key=("step_s",)
-            )
+            raise refuse("is longer than the flight", f"at most duration_s = {self.duration_s:g}", key=("step_s",))
         if len(set(self.stop_at)) != len(self.stop_at):
             raise refuse("names an event twice", "each event once", key=("stop_at",))
         return self
@@ -65,9 +57,7 @@ class HoldDown(Section):
     release: Literal["thrust", "time"] = Field(
         default="thrust", description="when thrust exceeds weight, or at release_s"
     )
-    release_s: Seconds | None = Field(
-        default=None, description='on the vehicle clock, s, for release = "time"'
-    )
+    release_s: Seconds | None = Field(default=None, description='on the vehicle clock, s, for release = "time"')
 
     @model_validator(mode="after")
     def _check(self) -> HoldDown:
@@ -98,17 +88,13 @@ class Switches(Section):
     control: bool = Field(default=True, description="control law; off: command zero")
     guidance: bool = Field(default=True, description="guidance programme; off: rates zero")
     roll_control: bool = Field(default=True, description="roll thrusters")
-    local_incidence: bool = Field(
-        default=True, description="bending changes the incidence of the lifting parts"
-    )
+    local_incidence: bool = Field(default=True, description="bending changes the incidence of the lifting parts")
 
 
 class Log(Section):
     """How often is logged."""
 
-    fast_hz: Rate = Field(
-        default=1000.0, description="actuator, bending, slosh, control, gyro, Hz; must divide 1e9"
-    )
+    fast_hz: Rate = Field(default=1000.0, description="actuator, bending, slosh, control, gyro, Hz; must divide 1e9")
     slow_hz: Rate = Field(default=100.0, description="the rest, Hz; must divide 1e9")
     transform_hz: Rate = Field(default=50.0, description="transforms for 3-D viewers, Hz; must divide 1e9")
 
@@ -125,9 +111,7 @@ class Requirement(Section):
     def _check(self, info: ValidationInfo) -> Requirement:
         at_most_one(self, ("limit", "minimum"))
         if self.limit is None and self.minimum is None:
-            raise refuse(
-                "required key is missing: a requirement needs a bound", "limit or minimum", key=("limit",)
-            )
+            raise refuse("required key is missing: a requirement needs a bound", "limit or minimum", key=("limit",))
         known: tuple[str, ...] | None = getattr(info.context, "known_metrics", None)
         if known is not None and self.metric not in known:
             hint = suggestion(self.metric, known)
@@ -210,11 +194,7 @@ class Scenario(Section):
 
     def _check_wind(self) -> None:
         profile = self.wind.profile
-        if (
-            profile is not None
-            and self.wind.outside == "error"
-            and profile["altitude_m"][0] > self.site.altitude_m
-        ):
+        if profile is not None and self.wind.outside == "error" and profile["altitude_m"][0] > self.site.altitude_m:
             raise profile.refusal(
                 "the profile begins above the site",
                 f"at most {self.site.altitude_m:g}",

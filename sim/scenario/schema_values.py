@@ -26,9 +26,7 @@ def _whole_ns(seconds: float) -> float:
 
 def _whole_period(rate_hz: float) -> float:
     if not is_whole_period(rate_hz):
-        raise refuse(
-            "its period is no whole number of nanoseconds", "rates that divide 1e9, e.g. 50, 100, 1000"
-        )
+        raise refuse("its period is no whole number of nanoseconds", "rates that divide 1e9, e.g. 50, 100, 1000")
     return rate_hz
 
 

@@ -65,9 +65,7 @@ class Bending(Section):
     yaw: Annotated[CsvTable, MODE_COLUMNS] | None = Field(
         default=None, description="modes of the yaw plane; may be the same file (default: none)"
     )
-    damping_ratio: tuple[Fraction, ...] = Field(
-        max_length=MAX_MODES, description="of each mode, both planes alike"
-    )
+    damping_ratio: tuple[Fraction, ...] = Field(max_length=MAX_MODES, description="of each mode, both planes alike")
 
     @model_validator(mode="after")
     def _check(self) -> Bending:
@@ -98,9 +96,7 @@ class Gyro(Section):
     omega_hz: Positive = Field(description="natural frequency, Hz")
     zeta: Positive = Field(description="damping ratio")
     bias_degph: Triple = Field(default=(0.0, 0.0, 0.0), description="constant error about x, y, z, deg/h")
-    scale_factor: Triple = Field(
-        default=(0.0, 0.0, 0.0), description="relative error of the scale about x, y, z"
-    )
+    scale_factor: Triple = Field(default=(0.0, 0.0, 0.0), description="relative error of the scale about x, y, z")
     misalignment_deg: Triple = Field(default=(0.0, 0.0, 0.0), description="small rotation about x, y, z, deg")
     noise_deg_rt_h: NotNegative = Field(default=0.0, description="angle random walk, deg per root hour")
 
@@ -110,9 +106,7 @@ class Computer(Section):
 
     sample_s: Period = Field(description="sample period, s, whole ns")
     delay_s: Seconds = Field(description="from sample to output, s, whole ns, at most sample_s")
-    count_rad: NotNegative = Field(
-        description="angle per pulse of the V/F converter, rad; 0: no quantisation"
-    )
+    count_rad: NotNegative = Field(description="angle per pulse of the V/F converter, rad; 0: no quantisation")
     dac_step_deg: NotNegative = Field(default=0.0, description="step of the output, deg; 0: no quantisation")
     angle_error_limit_deg: Positive = Field(description="clamp of the attitude error (anti-windup), deg")
     command_limit_deg: Positive = Field(description="clamp of the gimbal command, deg")
@@ -120,9 +114,7 @@ class Computer(Section):
     @model_validator(mode="after")
     def _check(self) -> Computer:
         if self.delay_s > self.sample_s:
-            raise refuse(
-                "is longer than the sample period", f"0 .. sample_s = {self.sample_s:g}", ("delay_s",)
-            )
+            raise refuse("is longer than the sample period", f"0 .. sample_s = {self.sample_s:g}", ("delay_s",))
         return self
 
 
@@ -131,12 +123,8 @@ class Stage(Section):
 
     name: str = Field(default="", description="name of the stage in logs (default: its number)")
     separation_s: Period | None = Field(default=None, description="end of this stage on its clock, s")
-    separation_after_burnout_s: Seconds | None = Field(
-        default=None, description="end of this stage after burn-out, s"
-    )
-    ignition_s: Seconds = Field(
-        default=0.0, description="the engine is off before this time on the stage clock, s"
-    )
+    separation_after_burnout_s: Seconds | None = Field(default=None, description="end of this stage after burn-out, s")
+    ignition_s: Seconds = Field(default=0.0, description="the engine is off before this time on the stage clock, s")
     interpolation: Literal["pchip", "linear"] = Field(
         default="pchip", description="how the tables over time are joined"
     )
@@ -223,12 +211,8 @@ class Vehicle(Section):
     name: str = Field(default="", description="name of the vehicle")
     description: str = Field(default="", description="what it is, in a sentence")
     reference: Reference
-    stage: tuple[Stage, ...] = Field(
-        min_length=1, max_length=MAX_STAGES, description="stages in the order of flight"
-    )
-    computer: Computer | None = Field(
-        default=None, description="absent: no flight computer, the gimbal stays at zero"
-    )
+    stage: tuple[Stage, ...] = Field(min_length=1, max_length=MAX_STAGES, description="stages in the order of flight")
+    computer: Computer | None = Field(default=None, description="absent: no flight computer, the gimbal stays at zero")
 
     @model_validator(mode="after")
     def _check(self) -> Vehicle:
@@ -243,7 +227,5 @@ class Vehicle(Section):
                 )
             if n == last and separates:
                 key = "separation_s" if stage.separation_s is not None else "separation_after_burnout_s"
-                raise refuse(
-                    "the last stage does not separate", "this key on earlier stages", ("stage", n, key)
-                )
+                raise refuse("the last stage does not separate", "this key on earlier stages", ("stage", n, key))
         return self

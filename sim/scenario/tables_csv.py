@@ -110,9 +110,7 @@ class Columns:
 
     def known(self) -> list[str]:
         """All names that a column may have."""
-        return list(
-            dict.fromkeys([self.axis, *(name for names in self.sets for name in names), *self.optional])
-        )
+        return list(dict.fromkeys([self.axis, *(name for names in self.sets for name in names), *self.optional]))
 
     def allowed(self) -> str:
         """The columns in words."""
@@ -124,9 +122,7 @@ class Columns:
     def __get_pydantic_core_schema__(self, source: Any, handler: Any) -> CoreSchema:
         return core_schema.with_info_plain_validator_function(self._validate)
 
-    def __get_pydantic_json_schema__(
-        self, schema: CoreSchema, handler: GetJsonSchemaHandler
-    ) -> dict[str, Any]:
+    def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: GetJsonSchemaHandler) -> dict[str, Any]:
         number = {"type": "number"}
         lists = {name: {"type": "array", "items": number} for name in self.known()}
         return {
@@ -192,9 +188,7 @@ class Columns:
                 self._check_name(name, key=(n, name))
             odd = set(names).symmetric_difference(row)
             if odd:
-                raise refuse(
-                    f"this row and the first differ in {sorted(odd)[0]}", "the same keys in each row", (n,)
-                )
+                raise refuse(f"this row and the first differ in {sorted(odd)[0]}", "the same keys in each row", (n,))
         cells = {name: [_number(row[name], (n, name)) for n, row in enumerate(rows)] for name in names}
         return CsvTable("", {name: _column(numbers) for name, numbers in cells.items()})
 
@@ -219,9 +213,7 @@ class Columns:
             raise table.refusal("the table has no rows", "one row or more")
         for name, length in lengths.items():
             if length != lengths[self.axis]:
-                raise table.refusal(
-                    f"has {length} numbers, {self.axis} has {lengths[self.axis]}", column=name
-                )
+                raise table.refusal(f"has {length} numbers, {self.axis} has {lengths[self.axis]}", column=name)
         self._check_values(table)
 
     def _check_values(self, table: CsvTable) -> None:
@@ -238,13 +230,9 @@ class Columns:
         axis = table[self.axis]
         falls = np.diff(axis) < 0.0 if self.repeats else np.diff(axis) <= 0.0
         rule = "must not fall" if self.repeats else "must rise strictly"
-        _refuse_first(
-            table, self.axis, np.concatenate(([False], falls)), f"{self.axis} {rule}", "rising numbers"
-        )
+        _refuse_first(table, self.axis, np.concatenate(([False], falls)), f"{self.axis} {rule}", "rising numbers")
         if self.begins_by is not None and axis[0] > self.begins_by:
-            raise table.refusal(
-                "the table begins too late", f"a first {self.axis} <= {self.begins_by:g}", self.axis, 0
-            )
+            raise table.refusal("the table begins too late", f"a first {self.axis} <= {self.begins_by:g}", self.axis, 0)
 
 
 def _refuse_first(table: CsvTable, column: str, wrong: NDArray[np.bool_], problem: str, allowed: str) -> None:
@@ -288,9 +276,7 @@ def read_csv(text: str, name: str, shown: str, columns: Columns) -> CsvTable:
     if not header:
         raise refuse("the file is empty", f"CSV with {columns.allowed()}", file=shown)
     numbers = np.array(rows, dtype=np.float64).reshape(len(rows), len(header))
-    return CsvTable(
-        name, {h: _column(list(numbers[:, i])) for i, h in enumerate(header)}, shown, tuple(lines)
-    )
+    return CsvTable(name, {h: _column(list(numbers[:, i])) for i, h in enumerate(header)}, shown, tuple(lines))
 
 
 def _check_header(header: list[str], shown: str, number: int, columns: Columns) -> None:

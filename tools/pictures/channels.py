@@ -13,6 +13,7 @@ import matplotlib as mpl
 mpl.use("Agg")
 import matplotlib.pyplot as plt
 import numpy as np
+from matplotlib.axes import Axes
 
 from maxq.sim.flight.fly import Flight, fly
 from maxq.sim.log.channels import Channel, Topic
@@ -39,7 +40,7 @@ def sheet(flight: Flight, topic: Topic, path: Path, from_s: float, to_s: float) 
     plt.close(figure)
 
 
-def _plot(flight: Flight, channel: Channel, place: plt.Axes, from_s: float, to_s: float) -> None:
+def _plot(flight: Flight, channel: Channel, place: Axes, from_s: float, to_s: float) -> None:
     time_s, values = flight.time_s(channel.name), flight[channel.name]
     seen = (time_s >= from_s) & (time_s <= to_s)
     place.plot(time_s[seen], values[seen], color=INK, linewidth=0.6)

@@ -14,6 +14,7 @@ import matplotlib as mpl
 mpl.use("Agg")
 import matplotlib.pyplot as plt
 import numpy as np
+from matplotlib.axes import Axes
 
 from maxq.sim.flight.fly import Flight, fly
 from maxq.sim.scenario.loader import load_scenario
@@ -34,7 +35,7 @@ def _downrange_km(flight: Flight) -> np.ndarray:
     return np.asarray(EARTH_RADIUS_KM * np.arccos(np.clip(cosine, -1.0, 1.0)))
 
 
-def _trajectory(flight: Flight, place: plt.Axes) -> None:
+def _trajectory(flight: Flight, place: Axes) -> None:
     along, up = _downrange_km(flight), flight["altitude_m"] / 1000.0
     time_s = flight.time_s("altitude_m")
     burning = time_s <= flight.event_s("burnout")
@@ -50,7 +51,7 @@ def _trajectory(flight: Flight, place: plt.Axes) -> None:
     place.legend(fontsize=8, loc="lower center")
 
 
-def _curves(flight: Flight, place: plt.Axes, curves: Sequence[Curve], to_s: float, title: str, unit: str) -> None:
+def _curves(flight: Flight, place: Axes, curves: Sequence[Curve], to_s: float, title: str, unit: str) -> None:
     for channel, label, colour, factor in curves:
         time_s = flight.time_s(channel)
         seen = (time_s >= FIRST_S) & (time_s <= to_s)
