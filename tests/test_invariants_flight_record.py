@@ -58,9 +58,7 @@ def test_what_is_seen_is_what_is_logged() -> None:
             assert present[channel.name] == value or (math.isnan(value) and math.isnan(present[channel.name]))
 
 
-@pytest.mark.parametrize(
-    ("step_s", "fast_hz"), [(0.00001, 1000.0), (0.001, 1e6), (0.003, 1000.0), (1.0, 1000.0)]
-)
+@pytest.mark.parametrize(("step_s", "fast_hz"), [(0.00001, 1000.0), (0.001, 1e6), (0.003, 1000.0), (1.0, 1000.0)])
 def test_segments_are_short_enough_to_be_interrupted(step_s: float, fast_hz: float) -> None:
     run = FlightRun(loaded(f"run.step_s={step_s}", f"log.fast_hz={fast_hz}"))
     step_ns = round(1e9 * step_s)
@@ -135,9 +133,7 @@ def test_frames_agree_with_the_logged_attitude_and_place(shape: list[str]) -> No
 def test_transforms_that_slow_rows_do_not_meet_come_with_the_next_row() -> None:
     scenario = loaded()
     run = FlightRun(scenario)
-    frames = LaunchFrames(
-        run.table, run.packed.parameters[0].around.earth, scenario.scenario.site, 15_000_000
-    )
+    frames = LaunchFrames(run.table, run.packed.parameters[0].around.earth, scenario.scenario.site, 15_000_000)
     slow_ns, slow = run.fly_segment()[SLOW]
     first = frames.path(slow_ns[:3], slow[:3]).times_ns
     rest = frames.path(slow_ns[3:], slow[3:]).times_ns

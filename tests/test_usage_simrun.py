@@ -110,9 +110,7 @@ def test_without_a_log_the_flight_is_the_same() -> None:
 
 
 def test_a_missed_requirement_is_exit_1(capsys: Printed) -> None:
-    requirement = (
-        'requirement=[{metric="max_speed_mps",limit=1.0,name="crawl"},{metric="range_m",minimum=-1}]'
-    )
+    requirement = 'requirement=[{metric="max_speed_mps",limit=1.0,name="crawl"},{metric="range_m",minimum=-1}]'
     assert run(*SHORT, "--set", requirement, "--out", "out") == 1
     out = capsys.readouterr().out.splitlines()
     assert out[-1].startswith("FAILED: requirement missed: crawl: ")
@@ -218,9 +216,7 @@ def test_equal_flights_give_equal_bytes_in_another_process_too() -> None:
 # interrupted
 
 
-def test_ctrl_c_closes_the_log_and_the_flight_can_be_compared(
-    capsys: Printed, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_ctrl_c_closes_the_log_and_the_flight_can_be_compared(capsys: Printed, monkeypatch: pytest.MonkeyPatch) -> None:
     with monkeypatch.context() as press:
         press.setattr(FlightProgress, "show", lambda *_: signal.raise_signal(signal.SIGINT))
         assert run(*SHORT, "--out", "out") == 130
@@ -391,9 +387,7 @@ def test_a_flight_from_python_equals_the_one_in_the_log(tmp_path: Path) -> None:
 
 def test_the_telemetry_page_is_up_to_date() -> None:
     page = Path(__file__).resolve().parents[1] / "docs" / "telemetry.md"
-    assert page.read_text(encoding="utf-8") == docs_telemetry.page(), (
-        "run python -m maxq.tools.docs_telemetry"
-    )
+    assert page.read_text(encoding="utf-8") == docs_telemetry.page(), "run python -m maxq.tools.docs_telemetry"
 
 
 def test_the_example_in_the_documentation_runs(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -48,9 +48,7 @@ class Comparison:
             print(f"not compared with {path}: interrupted before its end at {self._end_ns / 1e9:.3f} s")
             return False
         if self._hash == logged:
-            early = (
-                "" if flight.end_ns == self._end_ns else f" at {self._end_ns / 1e9:.3f} s, where that ends"
-            )
+            early = "" if flight.end_ns == self._end_ns else f" at {self._end_ns / 1e9:.3f} s, where that ends"
             print(f"SAME as {path}: equal state, bit by bit{early} ({logged[:16]})")
             return True
         written_by = self._logged.metadata.get(VERSION_KEY, "")

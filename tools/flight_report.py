@@ -43,13 +43,7 @@ def verdict_line(flight: Flight) -> str:
     if wrong:
         return "FAILED: " + "; ".join(wrong)
     count = len(flight.verdicts)
-    met = (
-        "no requirements"
-        if count == 0
-        else "1 requirement met"
-        if count == 1
-        else f"all {count} requirements met"
-    )
+    met = "no requirements" if count == 0 else "1 requirement met" if count == 1 else f"all {count} requirements met"
     return f"PASSED: {met}"
 
 
@@ -79,9 +73,7 @@ def _requirements(verdicts: tuple[Verdict, ...]) -> list[str]:
         kind, bound = verdict.bound
         unit = unit_of(verdict.requirement.metric)
         limit = f"{'<=' if kind == 'limit' else '>='} {_value(bound)} {'' if unit == '1' else unit}".rstrip()
-        rows.append(
-            (printable(verdict.name), _value(verdict.value), limit, "met" if verdict.met else "MISSED")
-        )
+        rows.append((printable(verdict.name), _value(verdict.value), limit, "met" if verdict.met else "MISSED"))
     return ["requirements", *aligned(rows, "  ", right=(1,))]
 
 

@@ -133,9 +133,7 @@ def _run(arguments: list[str]) -> int:
         return simrun_builtin.show_list() if options.list else simrun_builtin.copy(*options.copy)
     from maxq.tools import simrun_fly  # noqa: PLC0415  # lazy
 
-    order = simrun_fly.Order(
-        options.scenario, options.log, tuple(options.overrides), options.out, options.no_log
-    )
+    order = simrun_fly.Order(options.scenario, options.log, tuple(options.overrides), options.out, options.no_log)
     return simrun_fly.execute(order)
 
 

@@ -111,9 +111,7 @@ def _load(order: Order) -> tuple[LoadedScenario, Comparison]:
         assert order.scenario is not None
         return load_scenario(order.scenario, order.overrides, METRIC_NAMES), Comparison(None)
     logged = read_run(order.log)
-    loaded = load_scenario_text(
-        scenario_text(logged), order.overrides, METRIC_NAMES, f"scenario in {order.log}"
-    )
+    loaded = load_scenario_text(scenario_text(logged), order.overrides, METRIC_NAMES, f"scenario in {order.log}")
     return loaded, Comparison(logged, changed=bool(order.overrides))
 
 
@@ -144,6 +142,4 @@ def _announce_compilation() -> None:
     from maxq.control.jit import cache_folder  # noqa: PLC0415  # lazy
 
     if sys.stderr.isatty() and not any(cache_folder().rglob("loop.advance*.nbc")):
-        print(
-            "compiling the simulator, once for this version of it: about half a minute ...", file=sys.stderr
-        )
+        print("compiling the simulator, once for this version of it: about half a minute ...", file=sys.stderr)

@@ -166,8 +166,9 @@ def swing_derivative(
         work[b + KNOWN + 1] + felt[1] + turning[1] + work[b + BEND_Y],
         work[b + KNOWN + 2] + felt[2] + turning[2] + work[b + BEND_Z],
     )
-    along = dot(hinge, u) / length - dot(kappa, kappa)
+    per_length = 1.0 / length
+    along = per_length * dot(hinge, u) - dot(kappa, kappa)
     spin_u, spin_kappa = cross(rate, u), cross(rate, kappa)
     for j in range(3):
         dy[i + j] = kappa[j] - spin_u[j]
-        dy[i + 3 + j] = along * u[j] - spin_kappa[j] + (work[b + DAMPING + j] - hinge[j]) / length
+        dy[i + 3 + j] = along * u[j] - spin_kappa[j] + per_length * (work[b + DAMPING + j] - hinge[j])

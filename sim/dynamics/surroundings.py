@@ -25,7 +25,7 @@ from maxq.sim.dynamics.workspace import (
     WIND_N,
 )
 from maxq.sim.environment.atmosphere import Atmosphere, air
-from maxq.sim.environment.earth import Earth, gravitation, ground_velocity, local_frame, ned_to_earth
+from maxq.sim.environment.earth import FLAT, Earth, gravitation, ground_velocity, local_frame, ned_to_earth
 from maxq.sim.environment.turbulence import Turbulence, TurbulenceState, turbulence_at
 from maxq.sim.environment.wind import Wind, wind_ned
 
@@ -77,6 +77,19 @@ def pad_acceleration(earth: Earth, rotation: Matrix, gravity: Vector, y: Array) 
     spin = (0.0, 0.0, earth.rate_radps)
     carried = cross(spin, cross(spin, (y[R_I], y[R_I + 1], y[R_I + 2])))
     return turn_back(rotation, add(carried, scaled(-1.0, gravity)))
+
+
+@kernel
+def climbs_for_sure(earth: Earth, y: Array) -> bool:
+    """Whether the altitude rises whatever the figure of the Earth: the velocity is 1 degree above the horizontal of a
+    sphere, and no normal of the ellipsoid is inclined by more than 0.2 degrees to the radius. A flat Earth: never sure.
+    """
+    x, yy, z = y[R_I], y[R_I + 1], y[R_I + 2]
+    ground = ground_velocity(earth, x, yy)
+    vx, vy, vz = y[V_I] - ground[0], y[V_I + 1] - ground[1], y[V_I + 2]
+    outward = x * vx + yy * vy + z * vz
+    squares = (x * x + yy * yy + z * z) * (vx * vx + vy * vy + vz * vz)
+    return earth.figure != FLAT and outward > 0.0 and outward * outward > 3.1e-4 * squares
 
 
 @routine

@@ -39,14 +39,18 @@ def norm(a: Vector) -> float:
     return math.sqrt(a[0] * a[0] + a[1] * a[1] + a[2] * a[2])
 
 
+_S = (-1 / 6, 1 / 120, -1 / 5040, 1 / 362880, -1 / 39916800)  # Taylor coefficients of sin(x)/x and cos(x)
+_C = (-1 / 2, 1 / 24, -1 / 720, 1 / 40320, -1 / 3628800, 1 / 479001600)
+
+
 @kernel
 def sine_cosine(x: float) -> tuple[float, float]:
     """sin(x), cos(x), x in rad: Taylor series to rounding for |x| <= 0.25 (a gimbal's range), the library beyond."""
     if abs(x) > 0.25:
         return math.sin(x), math.cos(x)
     t = x * x
-    sine = 1.0 + t * (-1 / 6 + t * (1 / 120 + t * (-1 / 5040 + t * (1 / 362880 - t / 39916800))))
-    cosine = 1.0 + t * (-1 / 2 + t * (1 / 24 + t * (-1 / 720 + t * (1 / 40320 + t * (-1 / 3628800 + t / 479001600)))))
+    sine = 1.0 + t * (_S[0] + t * (_S[1] + t * (_S[2] + t * (_S[3] + t * _S[4]))))
+    cosine = 1.0 + t * (_C[0] + t * (_C[1] + t * (_C[2] + t * (_C[3] + t * (_C[4] + t * _C[5])))))
     return x * sine, cosine
 
 

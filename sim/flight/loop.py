@@ -10,7 +10,7 @@ from maxq.control.records import Array, IntArray
 from maxq.control.tables import find_interval
 from maxq.sim.dynamics.schedule import CORE_CG
 from maxq.sim.dynamics.state import MAX_STATE, Sizes, state_size
-from maxq.sim.dynamics.surroundings import climb_rate
+from maxq.sim.dynamics.surroundings import climb_rate, climbs_for_sure
 from maxq.sim.dynamics.workspace import ALTITUDE, AUX_SIZE, AXIAL_LOAD, PRESSURE, WORK_SIZE
 from maxq.sim.environment.turbulence import turbulence_start
 from maxq.sim.flight.events import (
@@ -196,7 +196,7 @@ def crossed(p: Parameters, memory: Memory, y: Array, props: Array, aux: Array) -
                 return LIFTOFF
         return -1
     if clock.climbing == 1:
-        if crossing(p, memory, APOGEE, y, props, 0.0, 0.0) >= 0.0:
+        if not climbs_for_sure(p.around.earth, y) and crossing(p, memory, APOGEE, y, props, 0.0, 0.0) >= 0.0:
             return APOGEE
         return -1
     if aux[ALTITUDE] > p.course.ground_altitude_m:
