@@ -21,9 +21,7 @@ from maxq.design.vehicle_at import Plane, vehicle_at
 from maxq.sim.packing.flight import Packed
 
 
-def linear_plant(
-    packed: Packed, condition: FlightCondition, plane: Plane = "pitch", stage: int = 0
-) -> StateSpace:
+def linear_plant(packed: Packed, condition: FlightCondition, plane: Plane = "pitch", stage: int = 0) -> StateSpace:
     """Command (rad) -> gyro rate, engine motion and vehicle motion of a packed flight at a condition.
 
     States: those of `vehicle_plant`, then six of the actuator and two of the gyro. Raises ValueError where an

@@ -89,13 +89,13 @@ def axial_load_mps2(vehicle: VehicleAt, condition: FlightCondition) -> float:
     return (vehicle.engine.thrust_N(condition.pressure_Pa) - drag) / vehicle.body.total_mass_kg
 
 
-def vehicle_plant(vehicle: VehicleAt, condition: FlightCondition, complete_flow: bool = False) -> StateSpace:
+def vehicle_plant(vehicle: VehicleAt, condition: FlightCondition) -> StateSpace:
     """Engine angle and acceleration -> rates, of body, modes and pendulums.
 
     States w (m/s, of the body point at the core's CG), q (rad/s), theta (rad), eta (m), eta' (m/s), G (rad),
     G' (rad/s); inputs and outputs as INPUTS and OUTPUTS, of which the local rate is that at the gyro, q + sum
     sigma_G eta' (12 with erratum 1). Valid for thrust that presses the liquid aft; raises ValueError where
-    the axial load is not positive and there are pendulums. `complete_flow`: see `_mass_flow`.
+    the axial load is not positive and there are pendulums.
     """
     at = _Layout(len(vehicle.modes.omega_radps), len(vehicle.pendulums.mass_kg))
     load = axial_load_mps2(vehicle, condition)
@@ -103,7 +103,7 @@ def vehicle_plant(vehicle: VehicleAt, condition: FlightCondition, complete_flow:
         raise ValueError(f"a pendulum needs a positive axial load, not {load:g} m/s2")
     mass = _mass_matrix(vehicle, at)
     stiffness = _stiffness(vehicle, condition, load, at)
-    damping = _damping(vehicle, condition, load, at, complete_flow)
+    damping = _damping(vehicle, condition, load, at)
     engine = _engine_columns(vehicle, condition, load, at)
     # unknown of the first row is s, of the others the second derivatives
     per_position = _solve(mass, -stiffness)  # column 0 is zero: nothing depends on a lateral position
@@ -148,9 +148,7 @@ def _stiffness(vehicle: VehicleAt, condition: FlightCondition, load: float, at: 
     return k
 
 
-def _damping(
-    vehicle: VehicleAt, condition: FlightCondition, load: float, at: _Layout, complete_flow: bool
-) -> Array:
+def _damping(vehicle: VehicleAt, condition: FlightCondition, load: float, at: _Layout) -> Array:
     """Forces lost per unit of rate; column 0 is that of w."""
     modes, bobs, air = vehicle.modes, vehicle.pendulums, vehicle.aerodynamics
     c = np.zeros((at.size, at.size))
@@ -163,13 +161,11 @@ def _damping(
     for force, incidence in _surfaces(vehicle, condition, at):
         c -= np.outer(force, incidence[0])
     if vehicle.jet_damping:
-        c[:, 1] += _mass_flow(vehicle, at, complete_flow)
+        c[:, 1] += _mass_flow(vehicle, at)
     return c
 
 
-def _surfaces(
-    vehicle: VehicleAt, condition: FlightCondition, at: _Layout
-) -> list[tuple[Array, tuple[Array, Array]]]:
+def _surfaces(vehicle: VehicleAt, condition: FlightCondition, at: _Layout) -> list[tuple[Array, tuple[Array, Array]]]:
     """Per lifting surface: generalised force per local lateral speed; that speed per rate, U per bend."""
     air, modes, out = vehicle.aerodynamics, vehicle.modes, []
     flow = 0.5 * condition.density_kgpm3 * condition.airspeed_mps * air.area_m2
@@ -185,7 +181,7 @@ def _surfaces(
     return out
 
 
-def _mass_flow(vehicle: VehicleAt, at: _Layout, complete: bool) -> Array:
+def _mass_flow(vehicle: VehicleAt, at: _Layout) -> Array:
     """Generalised forces lost per pitch rate to what flows through the turning vehicle (jet damping).
 
     The core is a vessel through which mass flows. Reynolds' transport theorem with the Coriolis acceleration
@@ -197,19 +193,17 @@ def _mass_flow(vehicle: VehicleAt, at: _Layout, complete: bool) -> Array:
 
     places forward of the CG, c the CG in the body. The gas leaves at the nozzle's exit. Liquid also goes over
     from the bobs, which shrink, to the core, where they are; and the bobs travel aft with the liquid's
-    surface, which gives them a Coriolis acceleration. These last two count only if `complete`: the simulator
-    leaves them out (it lets pendulums see their parameters as if frozen).
+    surface, which gives them a Coriolis acceleration.
     """
     body, bobs, cg = vehicle.body, vehicle.pendulums, vehicle.body.core_cg_station_m
     exit_place, bob_place = cg - vehicle.engine.exit_station_m, cg - bobs.bob_station_m
     momentum = body.mass_flow_kgps * exit_place - body.core_mass_kg * body.core_cg_rate_mps
     turning = body.mass_flow_kgps * exit_place**2 + body.core_inertia_rate_kgm2ps
     out = np.zeros(at.size)
-    if complete:
-        momentum += float(bobs.mass_rate_kgps @ bob_place)
-        turning += float(bobs.mass_rate_kgps @ bob_place**2)
-        for k in range(at.tanks):
-            out += 2.0 * bobs.mass_kg[k] * bobs.bob_station_rate_mps[k] * _bob_reach(vehicle, at, k)
+    momentum += float(bobs.mass_rate_kgps @ bob_place)
+    turning += float(bobs.mass_rate_kgps @ bob_place**2)
+    for k in range(at.tanks):
+        out += 2.0 * bobs.mass_kg[k] * bobs.bob_station_rate_mps[k] * _bob_reach(vehicle, at, k)
     out[0] -= 2.0 * momentum
     out[1] += turning
     return out

@@ -122,9 +122,7 @@ class VehicleAt:
         return float(core + p.mass_kg @ (p.bob_station_m - cg) ** 2)
 
 
-def vehicle_at(
-    packed: Packed, time_s: float, mach: float, plane: Plane = "pitch", stage: int = 0
-) -> VehicleAt:
+def vehicle_at(packed: Packed, time_s: float, mach: float, plane: Plane = "pitch", stage: int = 0) -> VehicleAt:
     """Read a burning stage at `time_s` of its own clock and a Mach number."""
     row = packed.parameters[stage]
     vehicle, sizes = row.vehicle, row.vehicle.sizes
@@ -172,11 +170,10 @@ def _pendulums(vehicle: Any, sizes: Any, props: Array, rates: Array) -> Pendulum
     mass_factor, length_factor = vehicle.slosh.mass_factor[:n], vehicle.slosh.length_factor[:n]
     return Pendulums(
         mass_kg=mass_factor * props[first + schedule.TANK_MASS],
-        mass_rate_kgps=mass_factor * rates[first + schedule.TANK_MASS],
+        mass_rate_kgps=mass_factor * props[first + schedule.TANK_MASS_RATE],
         length_m=length_factor * props[first + schedule.TANK_LENGTH],
         hinge_station_m=props[first + schedule.TANK_HINGE],
-        bob_station_rate_mps=rates[first + schedule.TANK_HINGE]
-        + length_factor * rates[first + schedule.TANK_LENGTH],
+        bob_station_rate_mps=props[first + schedule.TANK_TRAVEL],
         damping_ratio=np.array(vehicle.slosh.damping_ratio[:n]),
     )
 

@@ -23,7 +23,6 @@ SHORT = ["nominal", "--set", "run.duration_s=1.5", "--set", "requirement="]
 LOSES_CONTROL = [
     "nominal",
     *("--set", "requirement=", "--set", "run.duration_s=15.0"),
-    *("--set", "vehicle.computer.angle_error_limit_deg=170"),
     "--set",
     'injection=[{at="body_torque",axis="y",kind="step",amplitude_Nm=3e5,start_s=10.0}]',
 ]

@@ -127,7 +127,7 @@ def derivative(
     if vehicle.gravity_gradient == 1:
         moment = add(moment, tidal_moment(around, engine, rotation, y))
     if vehicle.jet_damping == 1:
-        jet_force, jet_moment = coriolis_of_outflow(vehicle.engine, rate, props)
+        jet_force, jet_moment = coriolis_of_outflow(vehicle.engine, vehicle.slosh, sizes, rate, props)
         force, moment = add(force, jet_force), add(moment, jet_moment)
     moment = add(moment, scaled(-1.0, cross(rate, inertia_times(engine.inertia, rate))))
 

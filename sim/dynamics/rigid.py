@@ -8,8 +8,19 @@ from maxq.control.jit import kernel
 from maxq.control.records import Array
 from maxq.sim.dynamics.bending import GimbalPush
 from maxq.sim.dynamics.engine import Engine
-from maxq.sim.dynamics.schedule import CG_RATE, CORE_CG, CORE_INERTIA, CORE_MASS, INERTIA_RATE, MASS_FLOW
-from maxq.sim.dynamics.state import Q_BI, R_I, V_I, W_BI_B
+from maxq.sim.dynamics.schedule import (
+    CG_RATE,
+    CORE_CG,
+    CORE_INERTIA,
+    CORE_MASS,
+    INERTIA_RATE,
+    MASS_FLOW,
+    TANK_HINGE,
+    TANK_MASS_RATE,
+    tank_column,
+)
+from maxq.sim.dynamics.slosh import Slosh, pendulum_length
+from maxq.sim.dynamics.state import Q_BI, R_I, V_I, W_BI_B, Sizes
 from maxq.sim.dynamics.vectors import (
     Matrix,
     Symmetric,
@@ -112,11 +123,12 @@ def engine_reaction(e: Engine, engine: Deflected, rate: Vector, axial_load: floa
 
 
 @kernel
-def coriolis_of_outflow(e: Engine, rate: Vector, props: Array) -> tuple[Vector, Vector]:
+def coriolis_of_outflow(e: Engine, slosh: Slosh, sizes: Sizes, rate: Vector, props: Array) -> tuple[Vector, Vector]:
     """Force and moment of the propellant that flows through a turning vehicle: jet damping.
 
     The relative momentum of the inner flow is d(m c)/dt + mdot r_exit (mass conservation), the moment is
     -(dJ/dt) w - mdot r_exit x (w x r_exit) about the core CG (docs/model.md, section 8; Eke 1998, Meirovitch 1970).
+    What a shrinking bob loses flows into the core at the bob's place.
     """
     flow, mass = props[MASS_FLOW], props[CORE_MASS]
     exit_at = (props[CORE_CG] - e.exit_station_m, -props[CORE_CG + 1], -props[CORE_CG + 2])
@@ -125,6 +137,17 @@ def coriolis_of_outflow(e: Engine, rate: Vector, props: Array) -> tuple[Vector, 
         mass * props[CG_RATE + 1] + flow * exit_at[1],
         mass * props[CG_RATE + 2] + flow * exit_at[2],
     )
+    moment = scaled(-flow, cross(exit_at, cross(rate, exit_at)))
+    for tank in range(sizes.tanks):
+        c = tank_column(tank)
+        at = (
+            props[CORE_CG] - props[c + TANK_HINGE] - pendulum_length(slosh, props, tank),
+            -props[CORE_CG + 1],
+            -props[CORE_CG + 2],
+        )
+        growth = props[c + TANK_MASS_RATE] * slosh.mass_factor[tank]
+        inner = add(inner, scaled(growth, at))
+        moment = add(moment, scaled(-growth, cross(at, cross(rate, at))))
     force = scaled(-2.0, cross(rate, inner))
     change = (
         props[INERTIA_RATE],
@@ -134,8 +157,7 @@ def coriolis_of_outflow(e: Engine, rate: Vector, props: Array) -> tuple[Vector, 
         props[INERTIA_RATE + 4],
         props[INERTIA_RATE + 5],
     )
-    leaving = scaled(-flow, cross(exit_at, cross(rate, exit_at)))
-    return force, add(leaving, scaled(-1.0, inertia_times(change, rate)))
+    return force, add(moment, scaled(-1.0, inertia_times(change, rate)))
 
 
 @kernel

@@ -1,7 +1,7 @@
 """The vehicle as a function of time: columns of one table per stage, and how they are laid out.
 
 Mass, thrust, tanks and modes change as propellant leaves. All of it is one table over the stage's burn clock, so
-that a kernel finds the interval once and evaluates every column in one sweep. Fixed columns first, then three per
+that a kernel finds the interval once and evaluates every column in one sweep. Fixed columns first, then five per
 tank, then `mode_width` per mode (pitch plane, then yaw plane).
 """
 
@@ -24,7 +24,9 @@ N_CONSTANT = 22
 TANK_MASS = 0  # kg
 TANK_LENGTH = 1  # pendulum length, m
 TANK_HINGE = 2  # station of the hinge, m aft of the nose
-TANK_WIDTH = 3
+TANK_MASS_RATE = 3  # kg/s
+TANK_TRAVEL = 4  # rate at which the bob moves aft with the liquid, m/s: of hinge plus length
+TANK_WIDTH = 5
 
 MODE_OMEGA = 0  # rad/s
 MODE_MASS = 1  # generalised mass, kg

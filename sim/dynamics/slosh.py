@@ -23,6 +23,7 @@ from maxq.sim.dynamics.schedule import (
     TANK_HINGE,
     TANK_LENGTH,
     TANK_MASS,
+    TANK_TRAVEL,
     mode_width,
     pitch_column,
     tank_column,
@@ -94,7 +95,9 @@ def hang(
     # velocity that bending gives the hinge, including the turning of the bent axis (docs/model.md, eq. 5.3)
     bend = (q * move_z - r * move_y, nu_y, nu_z)
     known = add(cross(rate, cross(rate, hinge)), cross(rate, bend))
-    known = (known[0] + q * moving_z - r * moving_y, known[1], known[2])
+    # with the liquid's surface the bob travels aft, which gives it a Coriolis acceleration
+    travel = 2.0 * props[tank_column(tank) + TANK_TRAVEL]
+    known = (known[0] + q * moving_z - r * moving_y, known[1] - travel * r, known[2] + travel * q)
     arm = cross(hinge, u)
     _store(work, b + ARM, (arm[0], arm[1] + move_z * u[0], arm[2] - move_y * u[0]))
     _store(work, b + KNOWN, known)

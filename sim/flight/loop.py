@@ -37,7 +37,7 @@ from maxq.sim.flight.parameters import (
 from maxq.sim.flight.step import evaluate, read_schedule, runge_kutta, schedule_clock
 from maxq.sim.flight.telemetry import fill_fast, fill_slow
 
-PROPS_SIZE = 1024  # columns of the widest schedule (8 modes a plane, 8 tanks, 9 surfaces: 878) and behind them
+PROPS_SIZE = 1024  # columns of the widest schedule (8 modes a plane, 8 tanks, 9 surfaces: 894) and behind them
 
 # where the arrays of a flight lie in its arena: one allocation, made once
 _Y_END = 0

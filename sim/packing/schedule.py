@@ -57,7 +57,9 @@ def vehicle_schedule(stage: Stage, sizes: Sizes, switches: Switches, frozen: boo
     """
     method: Method = stage.interpolation
     parts = [_core(stage, sizes, method, switches.moving_cg and not frozen), _thrust(stage)]
-    parts += [_tank(stage, k, method) for k in range(sizes.tanks)]
+    for k in range(sizes.tanks):
+        tank = _tank(stage, k, method)
+        parts += [tank, _tank_rates(tank, switches.jet_damping, switches.jet_damping and not frozen)]
     if stage.bending is not None:
         for table, modes in (
             (stage.bending.pitch_modes, sizes.pitch_modes),
@@ -140,6 +142,17 @@ def _tank(stage: Stage, k: int, method: Method) -> Cubics:
     table = stage.tank[k].table
     names = ("slosh_mass_kg", "pendulum_length_m", "hinge_station_m")
     return fit(table["time_s"], np.stack([table[n] for n in names], axis=1), method)
+
+
+def _tank_rates(tank: Cubics, shrinks: bool, travels: bool) -> Cubics:
+    """Rates of a bob's mass and of its station."""
+    rates = _derivative(tank).coefficients
+    out = np.zeros((*rates.shape[:2], 2))
+    if shrinks:
+        out[:, :, 0] = rates[:, :, 0]
+    if travels:
+        out[:, :, 1] = rates[:, :, 1] + rates[:, :, 2]
+    return Cubics(_derivative(tank).breaks, out)
 
 
 def _derivative(table: Cubics) -> Cubics:
