@@ -21,10 +21,6 @@ def loaded(*overrides: str) -> LoadedScenario:
     return load_scenario("nominal", ["run.duration_s=1.5", *overrides])
 
 
-@pytest.mark.xfail(
-    strict=True,
-    reason="advance() reads the schedule anew at the start of a call, rounded otherwise than at a step's end",
-)
 def test_where_a_flight_is_cut_into_segments_does_not_matter() -> None:
     hashes = set()
     for length_ns in (None, 1_000_000, 7_000_000, 1_500_000_000):

@@ -228,16 +228,12 @@ def copied(rows: Rows) -> Rows:
 
 
 def joined(segments: list[Rows]) -> Rows:
-    """Rows of all segments in one."""
-    if not segments:
-        return {}
-    return {
-        group: (
-            np.concatenate([s[group][0] for s in segments]),
-            np.concatenate([s[group][1] for s in segments]),
-        )
-        for group in segments[0]
-    }
+    """Rows of all segments in one. Empties the segments group by group: a long log must not be there twice."""
+    out: Rows = {}
+    for group in list(segments[0]) if segments else []:
+        parts = [segment.pop(group) for segment in segments]
+        out[group] = (np.concatenate([times for times, _ in parts]), np.concatenate([rows for _, rows in parts]))
+    return out
 
 
 def _segment_ns(step_ns: int, shortest_log_ns: int) -> int:

@@ -89,6 +89,7 @@ def start_stage(p: Parameters, pool: Array, memory: Memory) -> None:
     clock = memory.clock
     now = clock.now_ns
     clock.interval = find_interval(pool, p.vehicle.schedule, schedule_clock(p, now, 0.0))
+    clock.fresh = 1
     memory.held.burning = 1 if p.course.burn_start_ns <= now < p.course.burnout_ns else 0
 
 
@@ -111,18 +112,18 @@ def advance(
     props, props_middle = borrowed(arena[_PROPS:_PROPS_MIDDLE]), borrowed(arena[_PROPS_MIDDLE:_PROPS_END])
     props_end, work = borrowed(arena[_PROPS_END:_WORK]), borrowed(arena[_WORK:_AUX])
     aux, aux_stage = borrowed(arena[_AUX:_AUX_STAGE]), borrowed(arena[_AUX_STAGE:ARENA_SIZE])
-    fresh = 1
+    swapped = 0
     while clock.finished == 0 and clock.now_ns < until_ns:
         p = P[clock.stage]
         now = clock.now_ns
         if now >= p.course.separation_ns and clock.stage + 1 < len(P):
             separate(P, pool, memory, y, props, props_end)
-            fresh = 1
+            clock.fresh = 1
             continue
-        if meet_instants(p, pool, memory, y, aux) == 1 or fresh == 1:
+        if meet_instants(p, pool, memory, y, aux) == 1 or clock.fresh == 1:
             step_length(p, pool, memory, until_ns)  # moves to the interval of the schedule that holds now
             read_schedule(p, pool, memory, now, 0.0, props)
-            fresh = 0
+            clock.fresh = 0
         evaluate(p, pool, memory, now, 0.0, props, y, k_1, work, aux)
         watch(p, memory, y, aux)
         if memory.held.down == 1 and p.course.release_ns == NEVER:
@@ -153,12 +154,16 @@ def advance(
         for i in range(state_size(p.vehicle.sizes)):
             y[i] = y_end[i]
         props, props_end = props_end, props
+        swapped = 1 - swapped
         clock.now_ns = now + step_ns
         clock.steps += 1
         if event >= 0:
             happen(p, memory, event)
         if clock.now_ns >= p.course.stop_ns:
             clock.finished = 1
+    if swapped == 1:  # the next call finds the schedule's row where this one found it
+        for column in range(PROPS_SIZE):
+            props_end[column] = props[column]
     if clock.finished == 1 and clock.started == 1:
         clock.started = 2
         p = P[clock.stage]
@@ -263,6 +268,8 @@ def log(
     if logged[0].on == 0:
         return
     now = memory.clock.now_ns
+    if rows[0] > 0 and fast_ns[rows[0] - 1] == now and last == 1:
+        return  # the flight ended at an instant that has been logged already
     if now % p.course.fast_ns == 0 or last == 1:
         fill_fast(p, logged[0].sizes, memory, props, y, aux, fast[rows[0]])
         fast_ns[rows[0]] = now

@@ -88,6 +88,7 @@ class Clock:
     cause: int
     steps: int
     interval: int  # of the schedule
+    fresh: int  # 1: the schedule has to be read anew
     next_sample_ns: int
     command_due_ns: int  # when the pending command takes effect
     pending_pitch_rad: float

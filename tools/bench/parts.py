@@ -209,7 +209,7 @@ def repeat_part(
         elif part == 23:
             engine = move_engine(v, held, props, y, aux)
             total += engine_reaction(v.engine, engine, rate, felt[0])[0][1]
-            total += coriolis_of_outflow(v.engine, rate, props)[1][1]
+            total += coriolis_of_outflow(v.engine, v.slosh, v.sizes, rate, props)[1][1]
         elif part == 24:
             rotation = rotation_from_quaternion(y[Q_BI], y[Q_BI + 1], y[Q_BI + 2], y[Q_BI + 3])
             kinematics(around.earth, 0, rotation, rate, felt, felt, felt, props, y, k_1)
