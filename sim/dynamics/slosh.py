@@ -43,6 +43,8 @@ ACCEL = 9  # answer of the body to a unit tension: acceleration of the core CG (
 ALPHA = 12  # ... and angular acceleration (3)
 HINGE = 15  # hinge relative to the core CG without bending, B, m (3)
 DAMPING = 18  # acceleration of the bob by damping, B, m/s2 (3)
+UNEVEN_Y = 25  # by how much the planes' unlikeness moves the hinge, m: see `_unevenness`
+UNEVEN_Z = 26
 PUSH_Y = 21  # lateral force of the pendulum on the bent axis, N: of the damper, later of the rod as well
 PUSH_Z = 22
 BEND_Y = 23  # acceleration of the hinge by bending, m/s2: without the pendulums, later with them
@@ -51,6 +53,7 @@ BEND_Z = 24
 
 @dataclass(frozen=True)
 class Slosh:
+    planes_differ: int  # 1: pitch and yaw modes have other shapes, or one plane has none
     damping_ratio: Annotated[Array, (MAX_TANKS,)]  # of the pendulum under the present axial acceleration
     mass_factor: Annotated[Array, (MAX_TANKS,)]
     length_factor: Annotated[Array, (MAX_TANKS,)]
@@ -80,7 +83,7 @@ def hang(
     work: Array,
 ) -> tuple[Vector, Vector]:
     """Prepare one pendulum: fill its block, and return the force and moment (about the core CG) of its damper."""
-    _, q, r = rate
+    p, q, r = rate
     b = PENDULUM + PENDULUM_WIDTH * tank
     i = pendulum_index(sizes, tank)
     u = (y[i], y[i + 1], y[i + 2])
@@ -94,12 +97,19 @@ def hang(
     move_y, move_z, moving_y, moving_z, nu_y, nu_z = _bend_at_tank(sizes, tank, props, y, work)
     # velocity that bending gives the hinge, including the turning of the bent axis (docs/model.md, eq. 5.3)
     bend = (q * move_z - r * move_y, nu_y, nu_z)
+    uneven_y, uneven_z, uneven_rate_y, uneven_rate_z = 0.0, 0.0, 0.0, 0.0
+    if slosh.planes_differ == 1:
+        uneven_y, uneven_z, uneven_rate_y, uneven_rate_z = _unevenness(sizes, tank, props, y, work)
+        bend = (bend[0], bend[1] - p * uneven_z, bend[2] + p * uneven_y)
     known = add(cross(rate, cross(rate, hinge)), cross(rate, bend))
+    known = (known[0], known[1] - p * uneven_rate_z, known[2] + p * uneven_rate_y)
     # with the liquid's surface the bob travels aft, which gives it a Coriolis acceleration
     travel = 2.0 * props[tank_column(tank) + TANK_TRAVEL]
     known = (known[0] + q * moving_z - r * moving_y, known[1] - travel * r, known[2] + travel * q)
     arm = cross(hinge, u)
-    _store(work, b + ARM, (arm[0], arm[1] + move_z * u[0], arm[2] - move_y * u[0]))
+    work[b + UNEVEN_Y], work[b + UNEVEN_Z] = uneven_y, uneven_z
+    roll_arm = arm[0] + uneven_y * u[2] - uneven_z * u[1]
+    _store(work, b + ARM, (roll_arm, arm[1] + move_z * u[0], arm[2] - move_y * u[0]))
     _store(work, b + KNOWN, known)
     _store(work, b + HINGE, hinge)
     work[b + MOVE_Y], work[b + MOVE_Z] = move_y, move_z
@@ -111,7 +121,8 @@ def hang(
     force = scaled(-mass, damping)
     bob = add(hinge, scaled(length, u))
     moment = cross(bob, force)
-    moment = (moment[0], moment[1] + move_z * force[0], moment[2] - move_y * force[0])
+    roll = moment[0] + uneven_y * force[2] - uneven_z * force[1]
+    moment = (roll, moment[1] + move_z * force[0], moment[2] - move_y * force[0])
     work[b + PUSH_Y], work[b + PUSH_Z] = force[1], force[2]
     return force, moment
 
@@ -145,6 +156,29 @@ def _bend_at_tank(
 
 
 @kernel
+def _unevenness(sizes: Sizes, tank: int, props: Array, y: Array, work: Array) -> tuple[float, float, float, float]:
+    """Where the hinge is, less where it would be if each plane had the other's shapes: y, z and their rates in B.
+
+    The quasi-velocities hold the roll rate with the shape of their own plane; where the planes differ, roll moves the
+    hinge by this much more (docs/model.md, eq. 5.6).
+    """
+    eta, xi = eta_index(sizes), xi_index(sizes)
+    pitch, pitch_width = pitch_column(sizes, 0) + MODE_FIRST + tank, mode_width(sizes, sizes.pitch_modes)
+    yaw, yaw_width = yaw_column(sizes, 0) + MODE_FIRST + tank, mode_width(sizes, sizes.yaw_modes)
+    along_y, along_z, rate_y, rate_z = 0.0, 0.0, 0.0, 0.0
+    for i in range(max(sizes.pitch_modes, sizes.yaw_modes)):
+        in_pitch = props[pitch + i * pitch_width] if i < sizes.pitch_modes else 0.0
+        in_yaw = props[yaw + i * yaw_width] if i < sizes.yaw_modes else 0.0
+        if i < sizes.yaw_modes:
+            along_y += (in_yaw - in_pitch) * y[xi + i]
+            rate_y += (in_yaw - in_pitch) * work[RATE_YAW + i]
+        if i < sizes.pitch_modes:
+            along_z += (in_pitch - in_yaw) * y[eta + i]
+            rate_z += (in_pitch - in_yaw) * work[RATE_PITCH + i]
+    return along_y, along_z, rate_y, rate_z
+
+
+@kernel
 def swing_derivative(
     slosh: Slosh, sizes: Sizes, tank: int, rate: Vector, felt: Vector, alpha: Vector, props: Array, y: Array,
     dy: Array, work: Array,
@@ -166,8 +200,8 @@ def swing_derivative(
     turning = cross(alpha, (work[b + HINGE], work[b + HINGE + 1], work[b + HINGE + 2]))
     hinge = (
         work[b + KNOWN] + felt[0] + turning[0] + alpha[1] * move_z - alpha[2] * move_y,
-        work[b + KNOWN + 1] + felt[1] + turning[1] + work[b + BEND_Y],
-        work[b + KNOWN + 2] + felt[2] + turning[2] + work[b + BEND_Z],
+        work[b + KNOWN + 1] + felt[1] + turning[1] + work[b + BEND_Y] - alpha[0] * work[b + UNEVEN_Z],
+        work[b + KNOWN + 2] + felt[2] + turning[2] + work[b + BEND_Z] + alpha[0] * work[b + UNEVEN_Y],
     )
     per_length = 1.0 / length
     along = per_length * dot(hinge, u) - dot(kappa, kappa)

@@ -74,6 +74,7 @@ def meet_instants(p: Parameters, pool: Array, memory: Memory, y: Array, aux: Arr
     """Everything that is due now. Returns 1 where the vehicle itself has changed (engine on or off)."""
     clock, held = memory.clock, memory.held
     now = clock.now_ns
+    meet_break(p, pool, memory)
     changed = 0
     if held.burning == 0 and p.course.burn_start_ns <= now < p.course.burnout_ns:
         held.burning = 1
@@ -163,23 +164,27 @@ def step_length(p: Parameters, pool: Array, memory: Memory, until_ns: int) -> in
     ):
         if now < instant < end:
             end = instant
-    if course.frozen == 0:
-        end = min(end, max(_next_break(p, pool, memory, now), now + 1))
+    end = min(end, clock.next_break_ns)
     if p.injections.count > 0:
         end = next_switch(p.injections, pool, now, end)
     return end - now
 
 
 @kernel
-def _next_break(p: Parameters, pool: Array, memory: Memory, now_ns: int) -> int:
-    """Next breakpoint of the schedule; moves to the interval that holds `now_ns`."""
+def meet_break(p: Parameters, pool: Array, memory: Memory) -> None:
+    """Go over to the interval of the schedule that begins at or before now: rates may jump there."""
     schedule, clock = p.vehicle.schedule, memory.clock
-    while clock.interval < schedule.n_breaks - 2:
-        at: int = p.course.stage_start_ns + round(1e9 * pool[schedule.offset + clock.interval + 1] / p.course.burn_rate)
-        if at > now_ns:
-            return at
+    if clock.now_ns < clock.next_break_ns:
+        return
+    clock.fresh = 1
+    clock.next_break_ns = NEVER
+    while p.course.frozen == 0 and clock.interval < schedule.n_breaks - 2:
+        table_s = pool[schedule.offset + clock.interval + 1] / p.course.burn_rate
+        at: int = p.course.stage_start_ns + round(1e9 * table_s)
+        if at > clock.now_ns:
+            clock.next_break_ns = at
+            return
         clock.interval += 1
-    return NEVER
 
 
 @routine

@@ -89,7 +89,7 @@ def start_stage(p: Parameters, pool: Array, memory: Memory) -> None:
     clock = memory.clock
     now = clock.now_ns
     clock.interval = find_interval(pool, p.vehicle.schedule, schedule_clock(p, now, 0.0))
-    clock.fresh = 1
+    clock.fresh, clock.next_break_ns = 1, now
     memory.held.burning = 1 if p.course.burn_start_ns <= now < p.course.burnout_ns else 0
 
 
@@ -121,7 +121,6 @@ def advance(
             clock.fresh = 1
             continue
         if meet_instants(p, pool, memory, y, aux) == 1 or clock.fresh == 1:
-            step_length(p, pool, memory, until_ns)  # moves to the interval of the schedule that holds now
             read_schedule(p, pool, memory, now, 0.0, props)
             clock.fresh = 0
         evaluate(p, pool, memory, now, 0.0, props, y, k_1, work, aux)

@@ -89,6 +89,7 @@ class Clock:
     steps: int
     interval: int  # of the schedule
     fresh: int  # 1: the schedule has to be read anew
+    next_break_ns: int  # of the schedule
     next_sample_ns: int
     command_due_ns: int  # when the pending command takes effect
     pending_pitch_rad: float

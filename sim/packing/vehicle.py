@@ -133,10 +133,14 @@ def _bending(scenario: Scenario, stage: Stage) -> Bending:
     return Bending(zeta, zeta, np.ones(MAX_MODES), softening)
 
 
+def _planes_differ(stage: Stage) -> bool:
+    return stage.bending is not None and stage.bending.pitch != stage.bending.yaw
+
+
 def _slosh(stage: Stage, sizes: Sizes) -> Slosh:
     zeta = np.zeros(MAX_TANKS)
     zeta[: sizes.tanks] = [tank.damping_ratio for tank in stage.tank[: sizes.tanks]]
-    return Slosh(zeta, np.ones(MAX_TANKS), np.ones(MAX_TANKS))
+    return Slosh(int(_planes_differ(stage)), zeta, np.ones(MAX_TANKS), np.ones(MAX_TANKS))
 
 
 def _aero(scenario: Scenario, stage: Stage, pool: Pool) -> Aero:
