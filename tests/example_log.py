@@ -23,9 +23,7 @@ def numbered(prefix: str, count: int) -> tuple[Channel, ...]:
 # 18 channels in one topic: protobuf tags take two bytes from field 16 on
 TABLE = ChannelTable(
     (
-        Topic(
-            "/truth", "fast", (*numbered("truth", 17), Channel("w_BI_B_y_radps", "rad/s", "B", "pitch rate"))
-        ),
+        Topic("/truth", "fast", (*numbered("truth", 17), Channel("w_BI_B_y_radps", "rad/s", "B", "pitch rate"))),
         Topic("/aero", "slow", (Channel("alpha_deg", "deg", "", "angle of attack", 180 / np.pi),)),
         Topic("/slosh/tank_1", "fast", numbered("slosh", 2), "one | two"),
     )

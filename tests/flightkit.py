@@ -177,8 +177,7 @@ def stage_of(parts: Parts) -> Tree:
             "offset_m": parts.gimbal_offset_m,
             "gimballed_mass_kg": parts.engine_mass_kg,
             "cg_from_gimbal_m": parts.engine_cg_m,
-            "inertia_about_gimbal_kgm2": parts.engine_inertia_kgm2
-            + parts.engine_mass_kg * parts.engine_cg_m**2,
+            "inertia_about_gimbal_kgm2": parts.engine_inertia_kgm2 + parts.engine_mass_kg * parts.engine_cg_m**2,
         }
         stage["actuator"] = dict(ACTUATOR)
     if parts.tanks:

@@ -132,9 +132,7 @@ def test_yaw_may_have_its_own_filter() -> None:
 
 def test_angle_error_is_the_exact_sum() -> None:
     """100,000 samples: counted less commanded angle to the rounding of one subtraction, no drift of sums."""
-    flown = Flown(
-        angle_error_limit_rad=np.inf, programme=rate_programme([0.0, 9.0], [0.02, -0.01]), pitch_filter=None
-    )
+    flown = Flown(angle_error_limit_rad=np.inf, programme=rate_programme([0.0, 9.0], [0.02, -0.01]), pitch_filter=None)
     total = 0
     for increment_rad in np.tile(noise(samples=1000), (100, 1)):
         flown.tick(increment_rad)

@@ -46,9 +46,7 @@ def test_a_long_flight_does_not_drift() -> None:
     increments_rad = [1.23456e-7] * 20_000 + [3.21e-3] * 20_000
     last = counted(count_rad, increments_rad)[-1]
     true = sum(map(Fraction, increments_rad))
-    assert abs(int(last.total_counts[1]) * Fraction(count_rad) - true) < Fraction(count_rad) * Fraction(
-        501, 1000
-    )
+    assert abs(int(last.total_counts[1]) * Fraction(count_rad) - true) < Fraction(count_rad) * Fraction(501, 1000)
 
 
 @settings(deadline=None, max_examples=50)
@@ -74,9 +72,7 @@ def test_ideal_converter_hands_the_increment_on() -> None:
 
 @pytest.mark.parametrize("count_rad", [-1e-5, FINEST_COUNT_RAD / 2, math.nan, math.inf])
 def test_refused_pulses(count_rad: float) -> None:
-    with pytest.raises(
-        ValueError, match=rf"count_rad = {count_rad}: allowed is 0 \(ideal\) or at least 1e-09"
-    ):
+    with pytest.raises(ValueError, match=rf"count_rad = {count_rad}: allowed is 0 \(ideal\) or at least 1e-09"):
         make_converter(count_rad)
 
 

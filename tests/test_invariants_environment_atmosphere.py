@@ -23,9 +23,7 @@ from maxq.sim.environment.atmosphere import (
 
 STANDARD = pack([Atmosphere()])[0]
 NO_POOL = np.zeros(1)
-EDGES_m = [
-    GEOPOTENTIAL_RADIUS_m * h / (GEOPOTENTIAL_RADIUS_m - h) for h in (11e3, 20e3, 32e3, 47e3, 51e3, 71e3)
-]
+EDGES_m = [GEOPOTENTIAL_RADIUS_m * h / (GEOPOTENTIAL_RADIUS_m - h) for h in (11e3, 20e3, 32e3, 47e3, 51e3, 71e3)]
 
 
 @pytest.mark.parametrize("altitude", [-4e3, 500.0, 9e3, 15e3, 26e3, 40e3, 49e3, 60e3, 80e3, 95e3, 300e3])
@@ -109,9 +107,7 @@ def test_table_continues_isothermally_above_and_holds_below():
     assert air(row, pool, 3e3) == air(row, pool, 12e3)
 
 
-@pytest.mark.parametrize(
-    "columns", [([0.0], [1.0], [1.0], [1.0]), ([0.0, 1.0], [1.0, 0.0], [1.0, 1.0], [1.0, 1.0])]
-)
+@pytest.mark.parametrize("columns", [([0.0], [1.0], [1.0], [1.0]), ([0.0, 1.0], [1.0, 0.0], [1.0, 1.0], [1.0, 1.0])])
 def test_impossible_tables_are_refused(columns):
     with pytest.raises(ValueError, match="atmosphere table"):
         air_table(*columns)

@@ -118,9 +118,7 @@ def test_what_is_written_can_be_read_before_the_log_is_closed(tmp_path: Path) ->
     assert not read.complete
 
 
-def test_a_file_cut_anywhere_gives_every_whole_chunk(
-    tmp_path: Path, example: bytes, chunks: list[ChunkIndex]
-) -> None:
+def test_a_file_cut_anywhere_gives_every_whole_chunk(tmp_path: Path, example: bytes, chunks: list[ChunkIndex]) -> None:
     starts = [chunk.chunk_start_offset for chunk in chunks]
     ends = [chunk.chunk_start_offset + chunk.chunk_length for chunk in chunks]
     edges = [0, 8, *starts, *ends, len(example)]
@@ -137,9 +135,7 @@ def test_a_file_cut_anywhere_gives_every_whole_chunk(
         assert log.attachments == {a.name: a for a in HEAD.attachments}
 
 
-def test_a_damaged_chunk_is_left_out_and_noted(
-    tmp_path: Path, example: bytes, chunks: list[ChunkIndex]
-) -> None:
+def test_a_damaged_chunk_is_left_out_and_noted(tmp_path: Path, example: bytes, chunks: list[ChunkIndex]) -> None:
     for number, chunk in enumerate(chunks):
         # Opcode and length of the record, start of the sizes and checksum, and the compressed data
         places = [*range(9), 25, 33, 37, 49, *range(60, chunk.chunk_length, 211), chunk.chunk_length - 1]
@@ -166,9 +162,7 @@ def test_no_flipped_byte_goes_unnoticed(tmp_path: Path, example: bytes, place: i
     assert log.complete == (not log.notes)
 
 
-def test_every_flipped_byte_of_the_head_is_noticed(
-    tmp_path: Path, example: bytes, chunks: list[ChunkIndex]
-) -> None:
+def test_every_flipped_byte_of_the_head_is_noticed(tmp_path: Path, example: bytes, chunks: list[ChunkIndex]) -> None:
     for place in range(0, chunks[0].chunk_start_offset, 5):
         data = bytearray(example)
         data[place] ^= 0x04

@@ -205,9 +205,7 @@ class Stage:
         u, v, w = air.flow_B
         dense = 0.5 * air.density * AREA
         axial = c["CA"] if burning else c.get("CA_coast", c["CA"])
-        force = -dense * np.array(
-            [axial * u * abs(u), c["CN_alpha_pr"] * abs(u) * v, c["CN_alpha_pr"] * abs(u) * w]
-        )
+        force = -dense * np.array([axial * u * abs(u), c["CN_alpha_pr"] * abs(u) * v, c["CN_alpha_pr"] * abs(u) * w])
         rate = air.rate_BE_B if earth_rates else air.rate_BI_B
         moment = (
             dense
@@ -363,9 +361,7 @@ def attracted(r: Vector, to_inertial: Vector, tensor: Vector) -> Vector:
 
 
 def test_gravity_gradient_turns_a_body_with_products_of_inertia():
-    flight = flown(
-        "exo-10d", f"vehicle.stage.0.mass.inertia_kgm2={UNEQUAL.tolist()}", "run.duration_s=1200.0"
-    )
+    flight = flown("exo-10d", f"vehicle.stage.0.mass.inertia_kgm2={UNEQUAL.tolist()}", "run.duration_s=1200.0")
 
     def derivative(t: float, y: Vector) -> Vector:
         to_inertial, rate = y[6:15].reshape(3, 3), y[15:]

@@ -83,9 +83,7 @@ def test_step_response_against_the_matrix_exponential(axis: int, exchanged: bool
         assert np.allclose(ours, wanted, rtol=0.0, atol=2e-7 * size)
         others = to_oracle(made, states[k]).deflection_rad[1 - axis]
         assert others == 0.0
-    assert np.all(
-        states[:14, layout.ACTUATOR : layout.ACTUATOR + 12] == 0.0
-    )  # nothing moves before the command
+    assert np.all(states[:14, layout.ACTUATOR : layout.ACTUATOR + 12] == 0.0)  # nothing moves before the command
 
 
 def test_dc_gain_is_one_and_bias_adds() -> None:
@@ -99,9 +97,7 @@ def test_dc_gain_is_one_and_bias_adds() -> None:
 def test_angle_limit_stops_the_position_command(sign: float) -> None:
     made = moving("pitch", sign * 20.0, angle_limit_deg=6.0)
     states = flown(made, 3.0, 0.01)
-    assert (
-        np.max(np.abs(states[:, layout.ACTUATOR])) <= math.radians(6.0) * 1.01
-    )  # servo: its own small overshoot
+    assert np.max(np.abs(states[:, layout.ACTUATOR])) <= math.radians(6.0) * 1.01  # servo: its own small overshoot
     assert np.isclose(math.degrees(to_oracle(made, made.y).deflection_rad[0]), sign * 6.0, rtol=1e-9)
 
 
@@ -115,9 +111,7 @@ def test_rate_limit_holds_while_slewing_and_leaves_no_wind_up(sign: float) -> No
     assert np.max(np.abs(rates)) <= limit * (1.0 + 1e-12)
     slewing = (servo > 0.1 * math.radians(20.0)) & (servo < 0.8 * math.radians(20.0))
     assert np.allclose(rates[slewing], limit, rtol=1e-3)
-    assert (
-        np.max(servo) < math.radians(20.0) * 1.01
-    )  # no more overshoot than the linear servo's (zeta 0.87: 0.4 %)
+    assert np.max(servo) < math.radians(20.0) * 1.01  # no more overshoot than the linear servo's (zeta 0.87: 0.4 %)
     assert np.isclose(math.degrees(to_oracle(made, made.y).deflection_rad[0]), sign * 20.0, rtol=1e-6)
 
 

@@ -338,9 +338,7 @@ def burning(rows: list[dict[str, float]], rate: Array) -> Rig:
     return rig(tree)
 
 
-def row(
-    time_s: float, mass_kg: float, x_cg_m: float, inertia: tuple[float, float, float]
-) -> dict[str, float]:
+def row(time_s: float, mass_kg: float, x_cg_m: float, inertia: tuple[float, float, float]) -> dict[str, float]:
     x, y, z = inertia
     return {
         "time_s": time_s,

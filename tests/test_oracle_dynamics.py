@@ -101,9 +101,7 @@ def random_state(rng: np.random.Generator, modes: int, bent_m: float = 0.1, movi
 def worst(ours: dict[str, Array], theirs: dict[str, Array]) -> float:
     """Largest difference, each quantity relative to its own largest component."""
     errors = [
-        float(np.max(np.abs(ours[key] - theirs[key])) / np.max(np.abs(theirs[key])))
-        for key in ours
-        if theirs[key].size
+        float(np.max(np.abs(ours[key] - theirs[key])) / np.max(np.abs(theirs[key]))) for key in ours if theirs[key].size
     ]
     assert errors
     return max(errors)
@@ -264,9 +262,7 @@ def test_switches_take_away_what_they_name() -> None:
 
     made = rig(scenario_of(replace(parts, thrust_N=0.0), switches={"engine_inertia": False}))
     y, state = seen(made, random_state(rng, 2))
-    still = replace(
-        state, deflection_rad=np.zeros(2), deflection_radps=np.zeros(2), deflection_radps2=np.zeros(2)
-    )
+    still = replace(state, deflection_rad=np.zeros(2), deflection_radps=np.zeros(2), deflection_radps2=np.zeros(2))
     theirs = multibody_sympy.accelerations(oracle_vehicle(replace(parts, thrust_N=0.0)), still)
     assert worst(accelerations(made, y), theirs) < 1e-10
 

@@ -112,9 +112,7 @@ def test_follower_thrust_turns_with_the_gimbal(plane: int) -> None:
         felt, alpha = answer(made, y)
         turn = 0.2 * 0.01 if follower else 0.0
         assert np.isclose(felt[ALONG[plane]], -25.0 * turn, rtol=0.0, atol=1e-12)
-        assert np.isclose(
-            alpha[ABOUT[plane]], -SIGN[plane] * 1.0e5 * turn * 5.0 / 5.0e4, rtol=0.0, atol=1e-12
-        )
+        assert np.isclose(alpha[ABOUT[plane]], -SIGN[plane] * 1.0e5 * turn * 5.0 / 5.0e4, rtol=0.0, atol=1e-12)
 
 
 @PLANES
@@ -340,9 +338,7 @@ def test_local_incidence_by_slope_and_by_motion(plane: int) -> None:
         bent = -STIFFNESS * y[m] - mode.phi[1] * force / 500.0
         assert np.isclose(dy[m + 1], bent, rtol=1e-9)
         assert np.isclose(dy[W + ABOUT[plane]], SIGN[plane] * 4.0 * force / 5.0e4, rtol=1e-9)
-        off = through_air(
-            wing(3.0), [SPEED, 0.0, 0.0], Parts(**planes(mode)), switches={"local_incidence": False}
-        )
+        off = through_air(wing(3.0), [SPEED, 0.0, 0.0], Parts(**planes(mode)), switches={"local_incidence": False})
         off.derivative(y)
         assert off.aux[workspace.AERO_FORCE + ALONG[plane]] == 0.0
 
@@ -389,9 +385,7 @@ def test_axial_force_and_drag_oppose_motion(coefficient: str) -> None:
 def test_drag_acts_along_the_wind_and_axial_force_along_the_body() -> None:
     velocity = np.array([60.0, 30.0, -20.0])
     drag = answer(through_air({"table": [{"mach": 0.0, "CD": 0.5}]}, list(velocity)))[0]
-    assert np.allclose(
-        drag, -0.5 * 1.2 * np.linalg.norm(velocity) * velocity * 0.8 * 0.5 / 4000.0, rtol=1e-12
-    )
+    assert np.allclose(drag, -0.5 * 1.2 * np.linalg.norm(velocity) * velocity * 0.8 * 0.5 / 4000.0, rtol=1e-12)
     axial = answer(through_air({"table": [{"mach": 0.0, "CA": 0.5}]}, list(velocity)))[0]
     assert np.allclose(axial, [-0.5 * 1.2 * 60.0**2 * 0.8 * 0.5 / 4000.0, 0.0, 0.0], rtol=1e-12)
 
@@ -449,9 +443,7 @@ def unit(*q: float) -> list[float]:
 
 def test_gravity_gradient_turns_the_long_axis_to_the_vertical() -> None:
     """Nose 45 degrees above the horizon: a slender vehicle is pulled upright."""
-    attitude = unit(
-        math.cos(math.pi / 8), 0.0, 0.0, math.sin(math.pi / 8)
-    )  # x axis turned from the zenith about z
+    attitude = unit(math.cos(math.pi / 8), 0.0, 0.0, math.sin(math.pi / 8))  # x axis turned from the zenith about z
     inertia = np.diag([2000.0, 5.0e4, 5.0e4])
     alpha, moment = tidal(inertia, attitude)
     assert alpha[2] < 0.0  # back towards the zenith

@@ -103,9 +103,7 @@ def potential(earth: Earth, x, y, z):
 
 
 @pytest.mark.parametrize("gravity", [INVERSE_SQUARE, J2])
-@pytest.mark.parametrize(
-    "position", [(6.4e6, 0.0, 0.0), (1.1e6, -2.2e6, 6.1e6), (0.0, 0.0, -6.4e6), (-7e6, 3e6, 9e5)]
-)
+@pytest.mark.parametrize("position", [(6.4e6, 0.0, 0.0), (1.1e6, -2.2e6, 6.1e6), (0.0, 0.0, -6.4e6), (-7e6, 3e6, 9e5)])
 def test_gravitation_is_the_gradient_of_the_potential(gravity, position):
     earth = wgs84(gravity=gravity)
     got = gravitation(record(earth), *position)
@@ -142,9 +140,7 @@ def test_gravity_gradient_torque_is_the_moment_of_the_attraction_of_many_masses(
     places -= masses @ places / masses.sum()
     r = np.array([3e9, -4e9, 2e9])  # far, so that the neglected third order is small
     x, y, z = places.T
-    tensor = [
-        float(masses @ v) for v in (y * y + z * z, x * x + z * z, x * x + y * y, -x * y, -x * z, -y * z)
-    ]
+    tensor = [float(masses @ v) for v in (y * y + z * z, x * x + z * z, x * x + y * y, -x * y, -x * z, -y * z)]
     with mpmath.workdps(40):
         total = [mpmath.mpf(0)] * 3
         for m, place in zip(masses, places, strict=True):

@@ -57,9 +57,7 @@ def transfer_function(bending: BendingFilter) -> control.TransferFunction:
     out = control.tf(1, 1)
     for q in bending.quadratic:
         w_z, w_p = 2 * math.pi * q.zero_hz, 2 * math.pi * q.pole_hz
-        out *= (s**2 / w_z**2 + 2 * q.zero_zeta * s / w_z + 1) / (
-            s**2 / w_p**2 + 2 * q.pole_zeta * s / w_p + 1
-        )
+        out *= (s**2 / w_z**2 + 2 * q.zero_zeta * s / w_z + 1) / (s**2 / w_p**2 + 2 * q.pole_zeta * s / w_p + 1)
     for f in bending.first_order:
         out *= (s / (2 * math.pi * f.zero_hz) + 1) / (s / (2 * math.pi * f.pole_hz) + 1)
     return out
@@ -70,9 +68,7 @@ OMEGA = 2 * math.pi * np.geomspace(0.05, 49.0, 60)
 
 @EVERY
 def test_continuous_response_is_that_of_the_transfer_function(bending: BendingFilter) -> None:
-    np.testing.assert_allclose(
-        bending.frequency_response(OMEGA), transfer_function(bending)(1j * OMEGA), rtol=1e-12
-    )
+    np.testing.assert_allclose(bending.frequency_response(OMEGA), transfer_function(bending)(1j * OMEGA), rtol=1e-12)
 
 
 @EVERY
@@ -130,9 +126,7 @@ def test_cascade_runs_like_sosfilt(bending: BendingFilter, method: Discretizatio
     impulse[0] = 1.0
     noise = np.random.default_rng(4).normal(size=300)
     for signal in (impulse, noise):
-        np.testing.assert_allclose(
-            run(bending, method, signal), scipy.signal.sosfilt(sos, signal), rtol=0, atol=1e-12
-        )
+        np.testing.assert_allclose(run(bending, method, signal), scipy.signal.sosfilt(sos, signal), rtol=0, atol=1e-12)
 
 
 @EVERY
@@ -147,9 +141,7 @@ def test_settled_filter_has_no_transient(bending: BendingFilter, method: Discret
 
 @METHODS
 def test_four_sections_fit(method: Discretization) -> None:
-    bending = BendingFilter(
-        (*Q, QuadraticSection(15.0, 0.2, 11.0, 0.5), QuadraticSection(5.0, 0.4, 4.0, 0.6))
-    )
+    bending = BendingFilter((*Q, QuadraticSection(15.0, 0.2, 11.0, 0.5), QuadraticSection(5.0, 0.4, 4.0, 0.6)))
     assert discretize(bending, method).n_sections == MAX_SECTIONS
 
 

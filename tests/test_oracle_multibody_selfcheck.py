@@ -183,9 +183,7 @@ def test_two_hinge_gimbal_adds_the_roll_of_the_engine_and_nothing_else() -> None
     cardan = multibody_mujoco.accelerations(vehicle, state, load, roll_free_gimbal=False)
     del cardan["actuator_torque_Nm"]
     defined = multibody_sympy.accelerations(vehicle, state, load)
-    pushed = multibody_sympy.accelerations(
-        vehicle, state, replace(load, moment_B_Nm=load.moment_B_Nm + reaction)
-    )
+    pushed = multibody_sympy.accelerations(vehicle, state, replace(load, moment_B_Nm=load.moment_B_Nm + reaction))
     assert worst(cardan, pushed) < 2e-11
     assert worst(cardan, defined) > 1e-6
 
@@ -221,9 +219,7 @@ def test_energy_and_momenta_agree_with_mujoco(seed: int) -> None:
         assert value == pytest.approx(theirs[key], rel=1e-11)
     ours_p, theirs_p = multibody_sympy.momentum(vehicle, state), multibody_mujoco.momentum(vehicle, state)
     for key, vector in ours_p.items():
-        np.testing.assert_allclose(
-            vector, theirs_p[key], rtol=0.0, atol=1e-12 * np.max(np.abs(vector)) * 10.0
-        )
+        np.testing.assert_allclose(vector, theirs_p[key], rtol=0.0, atol=1e-12 * np.max(np.abs(vector)) * 10.0)
 
 
 def particle_vehicle(rng: np.random.Generator) -> tuple[multibody_particles.Beam, Vehicle]:
@@ -244,9 +240,7 @@ def particle_vehicle(rng: np.random.Generator) -> tuple[multibody_particles.Beam
     )
     engine = Engine(150.0, 0.0, length, np.array([beam.x_B_m[-1] + length, 0.0, 0.0]))
     pendulums = random_vehicle(rng, pairs).pendulums
-    return beam, Vehicle(
-        float(beam.mass_kg.sum()), multibody_particles.inertia(beam), engine, pairs, pendulums
-    )
+    return beam, Vehicle(float(beam.mass_kg.sum()), multibody_particles.inertia(beam), engine, pairs, pendulums)
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -254,9 +248,7 @@ def test_lagrange_agrees_with_particles_while_straight(seed: int) -> None:
     """Any rates, pendulums at any angle, engine accelerating from its locked position: nothing is dropped."""
     rng = np.random.default_rng(300 + seed)
     beam, vehicle = particle_vehicle(rng)
-    state = replace(
-        random_state(rng, vehicle, bent_m=0.0), deflection_rad=np.zeros(2), deflection_radps=np.zeros(2)
-    )
+    state = replace(random_state(rng, vehicle, bent_m=0.0), deflection_rad=np.zeros(2), deflection_radps=np.zeros(2))
     load = random_load(rng, 2)
     ours = multibody_sympy.accelerations(vehicle, state, load)
     assert worst(ours, multibody_particles.accelerations(beam, vehicle, state, load)) < 1e-12
@@ -297,9 +289,7 @@ def test_answer_does_not_depend_on_the_coordinates(
     vehicle = random_vehicle(rng, random_pairs(rng))
     state, load = random_state(rng, vehicle), random_load(rng, 2)
     one = multibody_sympy.accelerations(vehicle, state, load)
-    other = multibody_sympy.accelerations(
-        vehicle, state, load, euler_chart=euler_chart, pendulum_chart=pendulum_chart
-    )
+    other = multibody_sympy.accelerations(vehicle, state, load, euler_chart=euler_chart, pendulum_chart=pendulum_chart)
     assert worst(one, other) < 1e-11
 
 
@@ -337,10 +327,7 @@ def energy_by_hand(vehicle: Vehicle, state: State) -> float:
         shift = np.array([0.0, pendulum.phi_y @ state.xi_m, pendulum.phi_z @ state.eta_m])
         hinge_rate = np.array([0.0, pendulum.phi_y @ state.xidot_mps, pendulum.phi_z @ state.etadot_mps])
         bob = (
-            v
-            + np.cross(w, pendulum.hinge_B_m + shift + pendulum.length_m * u)
-            + hinge_rate
-            + pendulum.length_m * u_dot
+            v + np.cross(w, pendulum.hinge_B_m + shift + pendulum.length_m * u) + hinge_rate + pendulum.length_m * u_dot
         )
         total += 0.5 * pendulum.mass_kg * (bob @ bob)
 
@@ -463,9 +450,7 @@ def test_deflected_engine_under_acceleration_turns_the_core_the_way_of_its_thrus
     engine = Engine(300.0, 80.0, 0.9, np.array([-5.0, 0.0, 0.0]))
     vehicle = Vehicle(6000.0, np.diag([3e3, 6e4, 6e4]), engine)
     state = State(deflection_rad=np.array([1e-6, 2e-6]))
-    answer = multibody_sympy.accelerations(
-        vehicle, state, Load(force_B_N=np.array([30.0 * 6000.0, 0.0, 0.0]))
-    )
+    answer = multibody_sympy.accelerations(vehicle, state, Load(force_B_N=np.array([30.0 * 6000.0, 0.0, 0.0])))
     expected = 300.0 * 0.9 * 30.0 / 6e4 * np.array([1e-6, 2e-6])
     np.testing.assert_allclose(answer["wdot_B_radps2"][1:], expected, rtol=1e-5)
 
@@ -551,9 +536,7 @@ def test_energy_is_kept_under_uniform_gravitation() -> None:
     vehicle, start = full_system(51)
     vehicle = undamped(vehicle)
     gravitation = np.array([3.0, -8.0, 5.0])
-    states, _ = fly(
-        multibody_sympy.accelerations, vehicle, start, 0.5, load=Load(gravitation_I_mps2=gravitation)
-    )
+    states, _ = fly(multibody_sympy.accelerations, vehicle, start, 0.5, load=Load(gravitation_I_mps2=gravitation))
     energies = [multibody_sympy.energy(vehicle, state, gravitation) for state in states]
     kinetic = [energy["kinetic_J"] for energy in energies]
     assert np.ptp([energy["total_J"] for energy in energies]) < 1e-9 * max(kinetic)

@@ -83,9 +83,7 @@ def test_sequence_is_white():
         assert abs(np.corrcoef(x[:-lag], x[lag:])[0, 1]) < 4 / np.sqrt(N)
 
 
-@pytest.mark.parametrize(
-    "other", [(12, 4), (11, 5), (11 + 2**32, 4), (11, 4 + 2**32), (-11, 4), (4, 11)], ids=str
-)
+@pytest.mark.parametrize("other", [(12, 4), (11, 5), (11 + 2**32, 4), (11, 4 + 2**32), (-11, 4), (4, 11)], ids=str)
 def test_seeds_and_streams_are_independent(other):
     """Also those that differ in the upper half of the 64 bits only."""
     assert abs(np.corrcoef(normals(11, 4), normals(*other))[0, 1]) < 4 / np.sqrt(N)
@@ -105,9 +103,7 @@ def test_pair_is_two_independent_draws():
 def test_numpy_and_python_integers_give_the_same():
     draw = uniform_pair(5, 6, 7)
     assert uniform_pair(np.int64(5), np.int64(6), np.int64(7)) == draw
-    assert uniform_pair(-(2**63), 2**63 - 1, -1) == uniform_pair(
-        np.int64(-(2**63)), np.int64(2**63 - 1), np.int64(-1)
-    )
+    assert uniform_pair(-(2**63), 2**63 - 1, -1) == uniform_pair(np.int64(-(2**63)), np.int64(2**63 - 1), np.int64(-1))
 
 
 PROGRAM = """

@@ -67,9 +67,7 @@ def test_bad_sample_period(sample_s: float) -> None:
 
 
 def test_unknown_method() -> None:
-    with pytest.raises(
-        ValueError, match="discretization = 'euler': allowed is prewarped, bilinear, matched, zoh"
-    ):
+    with pytest.raises(ValueError, match="discretization = 'euler': allowed is prewarped, bilinear, matched, zoh"):
         BendingFilter((GOOD,)).discretize(SAMPLE_S, "euler")
 
 

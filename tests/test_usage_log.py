@@ -193,9 +193,7 @@ def test_a_full_disk_is_a_log_error() -> None:
         LogWriter("/dev/full", TABLE, HEAD)
 
 
-def test_a_disk_that_fills_up_keeps_the_chunks_before(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_disk_that_fills_up_keeps_the_chunks_before(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The first write of the third chunk takes a part of it only, the next one none."""
     path = tmp_path / "a.mcap"
     log = LogWriter(path, TABLE, HEAD)

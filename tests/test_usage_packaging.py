@@ -27,9 +27,7 @@ def modules():
 def make(*arguments):
     """Run make as a person would, outside of any make that runs the tests."""
     environment = {k: v for k, v in os.environ.items() if not k.startswith(("MAKE", "MFLAGS"))}
-    return subprocess.run(
-        ["make", *arguments], cwd=ROOT, env=environment, capture_output=True, text=True, check=False
-    )
+    return subprocess.run(["make", *arguments], cwd=ROOT, env=environment, capture_output=True, text=True, check=False)
 
 
 def test_every_folder_with_modules_is_a_listed_package():
@@ -79,9 +77,7 @@ def test_constraints_pin_every_requirement_within_its_range():
     for requirement in map(Requirement, wanted):
         pin = pins.get(canonicalize_name(requirement.name))
         assert pin is not None, f"constraints.txt does not pin {requirement.name}"
-        assert requirement.specifier.contains(pin), (
-            f"{requirement.name}=={pin} is not {requirement.specifier}"
-        )
+        assert requirement.specifier.contains(pin), f"{requirement.name}=={pin} is not {requirement.specifier}"
 
 
 def test_help_names_every_target_for_people():

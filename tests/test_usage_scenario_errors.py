@@ -69,10 +69,7 @@ def test_a_binary_file(here: Path) -> None:
     (here / "zeros.toml").write_bytes(bytes(200))
     assert "is a binary file: it holds zero bytes" in said_of("zeros.toml")
     (here / WIND).write_bytes(b"PK\x03\x04\xff")
-    assert (
-        said_of("ascent.toml")
-        == f"{WIND}: is not text: byte 0xff at position 4; allowed: a CSV file in UTF-8"
-    )
+    assert said_of("ascent.toml") == f"{WIND}: is not text: byte 0xff at position 4; allowed: a CSV file in UTF-8"
 
 
 def test_toml_that_python_cannot_hold(here: Path) -> None:
@@ -98,9 +95,7 @@ def test_a_file_that_may_not_be_read(here: Path, monkeypatch: pytest.MonkeyPatch
         return real(path)
 
     monkeypatch.setattr(Path, "read_bytes", refuse_winds)
-    assert (
-        said_of("ascent.toml") == f"{WIND}: cannot be read: permission denied; allowed: a file you may read"
-    )
+    assert said_of("ascent.toml") == f"{WIND}: cannot be read: permission denied; allowed: a file you may read"
 
 
 def test_extends_in_a_loop(here: Path) -> None:
@@ -118,9 +113,7 @@ def test_extends_of_what_is_not_there(here: Path) -> None:
     (here / "a.toml").write_text("extends = 3\n")
     assert said_of("a.toml").startswith("a.toml: extends = 3: has the wrong type; allowed: the name of ")
     (here / "a.toml").write_text('extends = "ascent.toml"\nunset = ["wind.profil"]\n')
-    assert said_of("a.toml") == (
-        "a.toml: unset.wind.profil: there is no such key to take away; did you mean profile?"
-    )
+    assert said_of("a.toml") == ("a.toml: unset.wind.profil: there is no such key to take away; did you mean profile?")
     (here / "a.toml").write_text('unset = ["wind.profile"]\nvehicle = "vehicles/rocket"\n')
     assert said_of("a.toml").startswith("a.toml: unset: there is nothing to take away from")
 
@@ -135,14 +128,10 @@ def test_the_file_that_says_it_is_named(here: Path) -> None:
 
 
 def test_overrides_that_are_wrong(here: Path) -> None:
-    assert said_of("ascent.toml", "run.step_s").startswith(
-        "--set: run.step_s: has no '='; allowed: --set KEY=VALUE"
-    )
+    assert said_of("ascent.toml", "run.step_s").startswith("--set: run.step_s: has no '='; allowed: --set KEY=VALUE")
     assert said_of("ascent.toml", "run..step_s=1").startswith("--set: run..step_s: is no path of a key")
     assert said_of("ascent.toml", "run.step=1") == "--set: run.step = 1: unknown key; did you mean step_s?"
-    assert said_of("ascent.toml", "run.step_s=fast").startswith(
-        '--set: run.step_s = "fast": has the wrong type'
-    )
+    assert said_of("ascent.toml", "run.step_s=fast").startswith('--set: run.step_s = "fast": has the wrong type')
     assert said_of("ascent.toml", "vehicle.stage.1.name=x") == (
         "--set: vehicle.stage.1.name: 1 is no element of this list; allowed: an index 0 .. 0"
     )
@@ -152,9 +141,7 @@ def test_overrides_that_are_wrong(here: Path) -> None:
     assert said_of("ascent.toml", "run.duration_s.x=1") == (
         "--set: run.duration_s.x: run.duration_s is a value and has no keys below it"
     )
-    assert said_of("ascent.toml", "run.step_s=1\nx=3").startswith(
-        '--set: run.step_s = "1\\nx=3": has the wrong'
-    )
+    assert said_of("ascent.toml", "run.step_s=1\nx=3").startswith('--set: run.step_s = "1\\nx=3": has the wrong')
     assert said_of("ascent.toml", "design.gain.yaw=pitch").startswith(
         '--set: design.gain = {yaw = "pitch"}: unknown key; did you mean gains?'
     )
@@ -170,12 +157,8 @@ def test_overrides_in_files_that_are_wrong(here: Path) -> None:
         "ascent.toml: vehicle_overrides.stage.0.tank.0.damping_ratio = 3.0: is out of range; allowed:"
     )
     (here / ASCENT).write_text(text + "[design_overrides]\nfilter.zero_hz = 3.0\n")
-    assert said_of("ascent.toml").startswith(
-        "ascent.toml: design_overrides.filter.zero_hz = 3.0: unknown key"
-    )
-    (here / ASCENT).write_text(
-        text.replace('design = "designs/trial.toml"\n', "") + "[design_overrides]\nname='x'\n"
-    )
+    assert said_of("ascent.toml").startswith("ascent.toml: design_overrides.filter.zero_hz = 3.0: unknown key")
+    (here / ASCENT).write_text(text.replace('design = "designs/trial.toml"\n', "") + "[design_overrides]\nname='x'\n")
     assert said_of("ascent.toml") == "ascent.toml: design_overrides: the scenario has no design"
 
 
@@ -206,10 +189,7 @@ def test_inertia_that_no_body_can_have(tmp_path: Path, inertia: str) -> None:
 
 def test_too_many_modes_and_tanks(here: Path) -> None:
     (here / MODES).write_text(modes_csv(modes=9))
-    assert (
-        said_of("ascent.toml")
-        == f"{MODES}: line 26, mode = 9.0: too many modes; allowed: mode numbers 1 .. 8"
-    )
+    assert said_of("ascent.toml") == f"{MODES}: line 26, mode = 9.0: too many modes; allowed: mode numbers 1 .. 8"
     (here / MODES).write_text(modes_csv())
     tank = '[[stage.tank]]\nname = "more"\ntable = "tank.csv"\ndamping_ratio = 0.02\n'
     text = (here / VEHICLE).read_text()

@@ -135,9 +135,7 @@ def test_a_stage_that_separates_needs_its_tables_until_then_only(ascent: Path) -
     text = path.read_text()
     head, computer = text.split("[computer]")
     stage = '[[stage]]\nname = "upper"\n[stage.mass]\nmass_kg = 300.0\nx_cg_m = 2.0\n'
-    stage += (
-        "inertia_kgm2 = [[10.0, 0, 0], [0, 90.0, 0], [0, 0, 90.0]]\nmass_flow_kgps = 2.0\nburn_s = 20.0\n"
-    )
+    stage += "inertia_kgm2 = [[10.0, 0, 0], [0, 90.0, 0], [0, 0, 90.0]]\nmass_flow_kgps = 2.0\nburn_s = 20.0\n"
     named = head.replace('name = "main"', 'name = "main"\nseparation_after_burnout_s = 1.0')
     path.write_text(f"{named}{stage}[computer]{computer}")
     assert [s.name for s in load_scenario(ascent).vehicle.stage] == ["main", "upper"]
@@ -177,8 +175,7 @@ def test_a_short_flight_needs_no_other_gains(ascent: Path) -> None:
 def test_check_cases_need_neither_engine_nor_computer(tmp_path: Path) -> None:
     path = write_free(tmp_path)
     path.write_text(
-        path.read_text()
-        + '[[injection]]\nat = "body_torque"\naxis = "x"\nkind = "step"\namplitude_Nm = 10.0\n'
+        path.read_text() + '[[injection]]\nat = "body_torque"\naxis = "x"\nkind = "step"\namplitude_Nm = 10.0\n'
         "start_s = 1000.0\n"
         "stop_s = 2000.0\n"
         '[[injection]]\nat = "body_force"\naxis = "z"\nkind = "table"\n'
@@ -220,9 +217,7 @@ def test_extends_across_three_files(ascent: Path) -> None:
 def test_a_vehicle_extends_another(ascent: Path) -> None:
     folder = ascent.parent / "vehicles" / "stiff"
     folder.mkdir()
-    (folder / "vehicle.toml").write_text(
-        'extends = "../rocket"\nname = "stiff"\n[reference]\narea_m2 = 1.0\n'
-    )
+    (folder / "vehicle.toml").write_text('extends = "../rocket"\nname = "stiff"\n[reference]\narea_m2 = 1.0\n')
     vehicle = load_scenario(ascent, ["vehicle=vehicles/stiff"]).vehicle
     assert (vehicle.name, vehicle.reference.area_m2, vehicle.reference.length_m) == ("stiff", 1.0, 14.0)
     assert vehicle.stage == load_scenario(ascent).vehicle.stage
@@ -236,9 +231,7 @@ def test_a_vehicle_extends_another(ascent: Path) -> None:
     ],
 )
 def test_overrides_in_the_file(ascent: Path, written: str) -> None:
-    ascent.write_text(
-        f"{ASCENT}[vehicle_overrides]\n{written}\n[design_overrides]\nroll.dead_band_deg = 2.0\n"
-    )
+    ascent.write_text(f"{ASCENT}[vehicle_overrides]\n{written}\n[design_overrides]\nroll.dead_band_deg = 2.0\n")
     loaded = load_scenario(ascent)
     stage, design = loaded.vehicle.stage[0], loaded.design
     assert stage.engine is not None
@@ -334,8 +327,7 @@ def test_errors_in_the_text_of_a_log(ascent: Path) -> None:
     with pytest.raises(ScenarioError) as caught:
         load_scenario_text(text)
     assert str(caught.value) == (
-        "scenario as flown: vehicle.stage.0.mass.table.mass_kg.0 = -6100.0: is not positive; "
-        "allowed: numbers > 0"
+        "scenario as flown: vehicle.stage.0.mass.table.mass_kg.0 = -6100.0: is not positive; allowed: numbers > 0"
     )
 
 
@@ -390,9 +382,7 @@ def test_a_copy_stands_on_its_own(shipped: Path, tmp_path: Path, monkeypatch: py
 def test_a_copy_overwrites_nothing(shipped: Path) -> None:
     Path("mine/winds").mkdir(parents=True)
     Path("mine/winds/west.csv").write_text("my own\n")
-    with pytest.raises(
-        ScenarioError, match=r"^mine/winds/west.csv: is there already, and is not overwritten"
-    ):
+    with pytest.raises(ScenarioError, match=r"^mine/winds/west.csv: is there already, and is not overwritten"):
         copy_scenario("ascent", "mine")
     assert not Path("mine/ascent.toml").exists()
     assert Path("mine/winds/west.csv").read_text() == "my own\n"

@@ -116,9 +116,7 @@ def fly(
         )
 
     times = np.linspace(0.0, duration_s, samples)
-    solution = solve_ivp(
-        derivative, (0.0, duration_s), flatten(start), "DOP853", times, rtol=tolerance, atol=tolerance
-    )
+    solution = solve_ivp(derivative, (0.0, duration_s), flatten(start), "DOP853", times, rtol=tolerance, atol=tolerance)
     if not solution.success:
         raise RuntimeError(f"DOP853 gave up after {solution.t[-1]} s: {solution.message}")
     return [at(t, y) for t, y in zip(times, solution.y.T, strict=True)], solution.y[-1]

@@ -80,14 +80,10 @@ def _engine_body(engine: Engine, roll_free_gimbal: bool) -> str:
     )
 
 
-def model_text(
-    vehicle: Vehicle, bob_inertia_ratio: float = BOB_INERTIA_RATIO, roll_free_gimbal: bool = True
-) -> str:
+def model_text(vehicle: Vehicle, bob_inertia_ratio: float = BOB_INERTIA_RATIO, roll_free_gimbal: bool = True) -> str:
     """The MJCF text. Raises ValueError when the vehicle has mode pairs."""
     if vehicle.pairs:
-        raise ValueError(
-            "the MuJoCo oracle has no bending; use multibody_sympy for a vehicle with mode pairs"
-        )
+        raise ValueError("the MuJoCo oracle has no bending; use multibody_sympy for a vehicle with mode pairs")
     parts = [_inertial(*_dry_core(vehicle))]
     if vehicle.engine is not None:
         parts.append(_engine_body(vehicle.engine, roll_free_gimbal))

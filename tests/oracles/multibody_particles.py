@@ -196,14 +196,10 @@ def _engine_offset(engine: Engine, state: State) -> tuple[Floats, Floats, Floats
     )
 
 
-def _engine(
-    vehicle: Vehicle, engine: Engine, state: State, flexible: Flexible, mount_turns: bool
-) -> list[_Particle]:
+def _engine(vehicle: Vehicle, engine: Engine, state: State, flexible: Flexible, mount_turns: bool) -> list[_Particle]:
     """The engine's particle where it is, and a negative one that takes it out of the beam where it was."""
     if engine.inertia_kgm2 != 0.0:
-        raise ValueError(
-            "the particle oracle's engine has no inertia about its own CG; set inertia_kgm2 to zero"
-        )
+        raise ValueError("the particle oracle's engine has no inertia about its own CG; set inertia_kgm2 to zero")
     phi_z = np.array([s.phi_gimbal_z + engine.length_m * s.sigma_gimbal_z_1pm for s in vehicle.pairs])
     phi_y = np.array([s.phi_gimbal_y + engine.length_m * s.sigma_gimbal_y_1pm for s in vehicle.pairs])
     shift, rate, partial = flexible(phi_z, phi_y)

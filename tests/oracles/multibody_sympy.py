@@ -130,9 +130,7 @@ def _compile(piece: _Piece) -> _Compiled:
     return _Compiled(
         size=len(q),
         motion=sp.lambdify((*q, *qd, *constants), [*mass, *bias], modules="math", cse=True),
-        momenta=sp.lambdify(
-            (*_V, *_W, *piece.own, *piece.own_rates, *constants), quasi, modules="math", cse=True
-        ),
+        momenta=sp.lambdify((*_V, *_W, *piece.own, *piece.own_rates, *constants), quasi, modules="math", cse=True),
         potential=sp.lambdify((*q, *constants), [piece.potential], modules="math", cse=True),
     )
 
@@ -168,8 +166,7 @@ def _engine() -> _Compiled:
     v_moved = v_locked + delta_dot + _W.cross(delta)
     w_engine = _W + spin
     kinetic = (
-        mass * (v_moved.dot(v_moved) - v_locked.dot(v_locked)) / 2
-        + inertia * (w_engine.dot(w_engine) - _W.dot(_W)) / 2
+        mass * (v_moved.dot(v_moved) - v_locked.dot(v_locked)) / 2 + inertia * (w_engine.dot(w_engine) - _W.dot(_W)) / 2
     )
     potential = -mass * _G.dot(_attitude()[0] * delta)
     return _compile(_Piece(kinetic, potential, tuple(_D), tuple(_DD), (mass, inertia, length, *gimbal)))
@@ -357,9 +354,7 @@ def _pieces(vehicle: Vehicle, axes: list[Floats]) -> list[tuple[_Compiled, Float
                 eye[start : start + 2],
             )
         )
-        constants = np.concatenate(
-            ((pendulum.mass_kg, pendulum.length_m), pendulum.hinge_B_m, axes[k].ravel())
-        )
+        constants = np.concatenate(((pendulum.mass_kg, pendulum.length_m), pendulum.hinge_B_m, axes[k].ravel()))
         pieces.append((_pendulum(), constants, selection))
     return pieces
 

@@ -117,9 +117,7 @@ def earth_fixed(latitude_deg: float, longitude_deg: float, altitude_m: float) ->
 
 def ned_axes(latitude: float, longitude: float) -> Vector:
     """Columns north, east, down in E, built from the vertical."""
-    up = np.array(
-        [np.cos(latitude) * np.cos(longitude), np.cos(latitude) * np.sin(longitude), np.sin(latitude)]
-    )
+    up = np.array([np.cos(latitude) * np.cos(longitude), np.cos(latitude) * np.sin(longitude), np.sin(latitude)])
     east = np.array([-np.sin(longitude), np.cos(longitude), 0.0])
     return np.stack([cross(up, east), east, -up], axis=1)
 
@@ -206,9 +204,7 @@ def integrate(
         wanted = times[(times > now) & (times <= until)]
         grid = np.unique(np.append(wanted, until))
         last = float(np.nextafter(until, now))  # a jump at the end of a stretch belongs to the next one
-        solution = solve_ivp(
-            derivative, (now, until), y, "DOP853", grid, rtol=1e-12, atol=1e-13, args=(last,)
-        )
+        solution = solve_ivp(derivative, (now, until), y, "DOP853", grid, rtol=1e-12, atol=1e-13, args=(last,))
         assert solution.success, solution.message
         out += [_state(column) for t, column in zip(grid, solution.y.T, strict=True) if t in wanted]
         now, y = until, solution.y[:, -1]

@@ -27,9 +27,7 @@ FLOWN_S = 60.0
 CONTROLLER_HZ = 100
 
 
-def _brake(
-    time_s: float, rate_hz: float, state: Any, history: Any, observed: Any, brakes: Any, *rest: Any
-) -> None:
+def _brake(time_s: float, rate_hz: float, state: Any, history: Any, observed: Any, brakes: Any, *rest: Any) -> None:
     brakes.deployment_level = 0.1 if time_s > 30.0 else 0.0
 
 

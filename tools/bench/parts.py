@@ -105,9 +105,7 @@ PARTS = (
 
 
 @entry
-def repeat_part(
-    P: Array, pool: Array, state: Array, y: Array, scratch: Array, turns: int, part: int
-) -> float:
+def repeat_part(P: Array, pool: Array, state: Array, y: Array, scratch: Array, turns: int, part: int) -> float:
     """Run part number `part` `turns` times; returns a number that depends on all of them."""
     p, memory = P[0], state[0]
     v, around, held = p.vehicle, p.around, memory.held

@@ -31,12 +31,8 @@ def work_precision(precision: dict[str, Any], path: Path) -> None:
             (precision["adaptive"], "DOP853", "s--"),
         ):
             work = [row["evaluations_per_s"] for row in rows]
-            axis.loglog(
-                work, [row["largest"][key] for row in rows], style, label=f"{name}, largest in flight"
-            )
-            (line,) = axis.loglog(
-                work, [row["burnout"][key] for row in rows], style, label=f"{name}, burn-out"
-            )
+            axis.loglog(work, [row["largest"][key] for row in rows], style, label=f"{name}, largest in flight")
+            (line,) = axis.loglog(work, [row["burnout"][key] for row in rows], style, label=f"{name}, burn-out")
             line.set(alpha=0.45, markersize=4)
         for row in precision["steps"]:
             axis.annotate(
@@ -54,6 +50,4 @@ def work_precision(precision: dict[str, Any], path: Path) -> None:
 
 
 if __name__ == "__main__":
-    work_precision(
-        json.loads(Path(sys.argv[1]).read_text())["sections"]["precision"]["result"], Path(sys.argv[2])
-    )
+    work_precision(json.loads(Path(sys.argv[1]).read_text())["sections"]["precision"]["result"], Path(sys.argv[2]))

@@ -74,9 +74,7 @@ def _fly_adaptive(relative: float) -> Course:
     flight = AdaptiveFlight(run, relative)
     start = time.process_time()
     states |= dict(flight.until(END_NS, EVERY_NS))
-    return Course(
-        states, flight.evaluations, time.process_time() - start, run.packed.parameters[0].vehicle.sizes
-    )
+    return Course(states, flight.evaluations, time.process_time() - start, run.packed.parameters[0].vehicle.sizes)
 
 
 def _angle_deg(a: Array, b: Array) -> float:

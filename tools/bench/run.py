@@ -58,9 +58,7 @@ def main() -> int:
                         help="Python of the environment that holds the programs compared with")  # fmt: skip
     parser.add_argument("--rounds", type=int, default=5, help="flights of each of these programs (default 5)")
     parser.add_argument("--repetitions", type=int, default=5, help="runs of each command (default 5)")
-    parser.add_argument(
-        "--only", default="", help="comma-separated parts; the others keep their last results"
-    )
+    parser.add_argument("--only", default="", help="comma-separated parts; the others keep their last results")
     choice = parser.parse_args()
     parts: dict[str, Callable[[], Any]] = {
         "peers": lambda: side_by_side.measure(choice.peers, choice.rounds),
@@ -94,9 +92,7 @@ def main() -> int:
     RESULTS.write_text(json.dumps(results, indent=1) + "\n")
     if results["sections"].get("precision", {}).get("result") is not None:
         PICTURE.parent.mkdir(exist_ok=True)
-        subprocess.run(
-            [sys.executable, "-m", "maxq.tools.bench.plots", str(RESULTS), str(PICTURE)], check=True
-        )
+        subprocess.run([sys.executable, "-m", "maxq.tools.bench.plots", str(RESULTS), str(PICTURE)], check=True)
     text = page.filled(PAGE.read_text(), results)
     PAGE.write_text(text)
     for name in ("peers", "latency"):

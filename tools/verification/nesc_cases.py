@@ -80,11 +80,7 @@ def compare_atmospheric(case: str, flight: Flight) -> list[Difference]:
         error[: int(row["skip_t0"])] = 0.0
         k = int(np.argmax(error))
         tolerance = float(row["strict"])
-        out.append(
-            Difference(
-                case, row["variable"], f"SIM {row['ref_sim'].lstrip('0')}", error[k], tolerance, time[k]
-            )
-        )
+        out.append(Difference(case, row["variable"], f"SIM {row['ref_sim'].lstrip('0')}", error[k], tolerance, time[k]))
     return out
 
 

@@ -28,9 +28,7 @@ _CHANNELS: dict[str, tuple[str, float]] = {
     "dynamicPressure_lbf_ft2": ("dynamic_pressure_Pa", POUND_N / FOOT_m**2),
     "trueAirspeed_nmi_h": ("airspeed_mps", KNOT_mps),
 }
-for _axis, _ned, _letter, _turn in zip(
-    "XYZ", ("north", "east", "down"), "LMN", ("Roll", "Pitch", "Yaw"), strict=True
-):
+for _axis, _ned, _letter, _turn in zip("XYZ", ("north", "east", "down"), "LMN", ("Roll", "Pitch", "Yaw"), strict=True):
     _low = _axis.lower()
     _CHANNELS |= {
         f"feVelocity_ft_s_{_axis}": (f"v_N_{_ned}_mps", FOOT_m),

@@ -87,8 +87,8 @@ def cross_flow() -> CrossFlow:
     return CrossFlow(1.2 * area / a.AREA_M2, station)
 
 
-def fit_to_table_2(flight: Flight) -> Lift:
-    """Four parameters to the extremes of Z_alpha (-0.1, -0.55 1/s) and M_alpha (-1, -40 1/s2), 5 to 55 s."""
+def fit_to_table_2(flight: Flight) -> Array:
+    """Parameters of `Lift`: four to the extremes of Z_alpha (-0.1, -0.55 1/s) and M_alpha (-1, -40 1/s2), 5 to 55 s."""
     times = np.arange(5.0, 55.01, 1.0)
     points = []
     for t in times:
@@ -114,4 +114,4 @@ def fit_to_table_2(flight: Flight) -> Lift:
         ]
 
     fit = least_squares(residuals, [16.0, 11.0, 0.85, 1.0])
-    return Lift(*(float(v) for v in fit.x))
+    return np.asarray(fit.x)

@@ -30,9 +30,7 @@ def air_at(altitude_m: float) -> Air:
     """Still air at a geometric altitude (ground level below zero)."""
     h = max(altitude_m, 0.0)
     geopotential = EARTH_RADIUS_M * h / (EARTH_RADIUS_M + h)
-    base, base_temperature, base_pressure, lapse = next(
-        layer for layer in reversed(LAYERS) if geopotential >= layer[0]
-    )
+    base, base_temperature, base_pressure, lapse = next(layer for layer in reversed(LAYERS) if geopotential >= layer[0])
     rise = geopotential - base
     temperature = base_temperature + lapse * rise
     if lapse:

@@ -116,6 +116,4 @@ def _lock_engine(m: Array) -> None:
 
 def _mode(omega_squared: float, vector: Array, m: Array) -> Mode:
     shape = vector / vector[-2]
-    return Mode(
-        float(np.sqrt(omega_squared) / (2 * np.pi)), float(shape @ m @ shape), shape[0::2], shape[1::2]
-    )
+    return Mode(float(np.sqrt(omega_squared) / (2 * np.pi)), float(shape @ m @ shape), shape[0::2], shape[1::2])

@@ -8,6 +8,7 @@ least gains -> pitch programme. The bending filter is searched apart from this (
 from __future__ import annotations
 
 import argparse
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -15,9 +16,10 @@ import numpy as np
 from maxq.control.records import Array
 from maxq.tools.studies.ksr3 import assumptions as a
 from maxq.tools.studies.ksr3 import beam, gains
-from maxq.tools.studies.ksr3.aerodynamics import fit_to_table_2
+from maxq.tools.studies.ksr3.aerodynamics import Lift, fit_to_table_2
+from maxq.tools.studies.ksr3.fitted import TABLE_1, TABLE_2
 from maxq.tools.studies.ksr3.mass_model import mass_properties
-from maxq.tools.studies.ksr3.trajectory import Flight, fit_to_table_1, forces, summarise
+from maxq.tools.studies.ksr3.trajectory import Flight, ascent_from, fit_to_table_1, fly, forces, summarise
 from maxq.tools.studies.ksr3.vehicle_file import vehicle_toml
 from maxq.tools.studies.ksr3.write_files import Reconstruction, write_tables
 
@@ -35,11 +37,12 @@ def m_delta_at_nodes(flight: Flight) -> Array:
     return np.array(values)
 
 
-def reconstruct() -> Reconstruction:
-    flight = fit_to_table_1()
+def reconstruct(ascent: Sequence[float] = TABLE_1, lift: Sequence[float] = TABLE_2) -> Reconstruction:
+    """The vehicle that follows from the fitted parameters."""
+    flight = fly(ascent_from(np.array(ascent)))
     return Reconstruction(
         flight=flight,
-        lift=fit_to_table_2(flight),
+        lift=Lift(*lift),
         stiffness_scale=beam.fit_stiffness(flight.ascent.burn),
         gains=gains.least_gains(m_delta_at_nodes(flight)),
     )
@@ -57,7 +60,14 @@ def report(made: Reconstruction) -> None:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--folder", type=Path, default=VEHICLE_FOLDER)
-    folder: Path = parser.parse_args().folder
+    parser.add_argument("--refit", action="store_true", help="fit to Tables 1 and 2 and print what fitted.py keeps")
+    given = parser.parse_args()
+    if given.refit:
+        ascent = fit_to_table_1()
+        print("TABLE_1 =", tuple(ascent.tolist()))
+        print("TABLE_2 =", tuple(fit_to_table_2(fly(ascent_from(ascent))).tolist()))
+        return
+    folder: Path = given.folder
     folder.mkdir(parents=True, exist_ok=True)
     made = reconstruct()
     write_tables(folder, made)

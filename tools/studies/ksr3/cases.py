@@ -42,9 +42,7 @@ def make_case(vehicle: VehicleFolder, t: float, bending_factor: float) -> Case:
     plant = sampled_loop.sampled_plant(linear_model.plant(s, actuator, gyro), period, computer["delay_s"])
     grid = sampled_loop.frequency_grid(plant, period)
     unstable = int((np.abs(sampled_loop.plant_poles(plant)) > 1).sum())
-    return Case(
-        t, bending_factor, s, plant, grid, sampled_loop.response(plant, grid, period), unstable, period
-    )
+    return Case(t, bending_factor, s, plant, grid, sampled_loop.response(plant, grid, period), unstable, period)
 
 
 def all_cases(folder: Path, times_s: tuple[float, ...] = NODES_S) -> list[Case]:

@@ -83,10 +83,7 @@ def judge(case: Case, design: Design) -> Verdict:
 
 
 def print_table(verdicts: list[Verdict]) -> None:
-    print(
-        "   t  f_b   GM+ dB  GM- dB  PM deg  |1+L|  mode 1 dB  above dB  unstable  encircled"
-        "     slow  w_RB  z_RB"
-    )
+    print("   t  f_b   GM+ dB  GM- dB  PM deg  |1+L|  mode 1 dB  above dB  unstable  encircled     slow  w_RB  z_RB")
     for v in verdicts:
         m = v.margins
         print(

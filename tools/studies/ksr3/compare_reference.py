@@ -52,9 +52,7 @@ def _bending(s: Snapshot) -> dict[str, float]:
     return values
 
 
-def largest_differences(
-    vehicle: VehicleFolder, other: dict[str, Array]
-) -> list[tuple[str, float, float, float]]:
+def largest_differences(vehicle: VehicleFolder, other: dict[str, Array]) -> list[tuple[str, float, float, float]]:
     """Name, time, ours, theirs where they differ most, 5 s to 55 s; first the largest of its scale."""
     times = np.arange(5.0, 55.1, 1.0)
     ours = [quantities(vehicle, t) for t in times]

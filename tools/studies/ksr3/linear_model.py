@@ -126,9 +126,7 @@ def _add_engine(f: Array, modal: slice, s: Snapshot, layout: _Layout) -> None:
     thrust, arm, slope, delta = s.thrust_N, s.gimbal_arm_m, s.bending.gimbal_slope_pm, layout.size
     f[0, delta] = thrust
     f[0, layout.eta] -= thrust * slope
-    f[1, delta] = (
-        thrust * arm + s.engine_first_moment_kgm * s.axial_mps2
-    )  # the engine's weight moves off the axis
+    f[1, delta] = thrust * arm + s.engine_first_moment_kgm * s.axial_mps2  # the engine's weight moves off the axis
     f[1, layout.eta] += thrust * (1.0 - arm * slope)  # phi(gimbal) = 1
     f[modal, delta] = thrust + slope * s.engine_first_moment_kgm * s.axial_mps2
     f[modal, layout.eta] -= thrust * slope  # every mode has phi(gimbal) = 1: the same row for each
@@ -183,9 +181,7 @@ def plant(s: Snapshot, actuator_: Linear, gyro_: Linear) -> Linear:
     full = np.zeros((n + na + ng, n + na + ng))
     full[:n, :n] = a
     full[:n, n : n + na] = np.outer(b[:, 0], actuator_.c)
-    full[:n, n : n + na] += np.outer(
-        b[:, 1], actuator_.c @ actuator_.a @ actuator_.a
-    )  # four more poles than zeros
+    full[:n, n : n + na] += np.outer(b[:, 1], actuator_.c @ actuator_.a @ actuator_.a)  # four more poles than zeros
     full[n : n + na, n : n + na] = actuator_.a
     full[n + na :, :n] = np.outer(gyro_.b, angle)
     full[n + na :, n + na :] = gyro_.a

@@ -67,8 +67,7 @@ def dry_parts(burn: Burn) -> list[Part]:
     """Structure: the guesses scaled so that, with the engine, they make the burn-out mass."""
     scale = (burn.burnout_mass_kg - a.ENGINE_MASS_KG) / sum(c.guess_kg for c in a.DRY_COMPONENTS)
     return [
-        Part(c.guess_kg * scale, c.front_station_m, c.rear_station_m, a.CROSS_GYRATION_M2)
-        for c in a.DRY_COMPONENTS
+        Part(c.guess_kg * scale, c.front_station_m, c.rear_station_m, a.CROSS_GYRATION_M2) for c in a.DRY_COMPONENTS
     ]
 
 

@@ -52,9 +52,7 @@ class PlanarFlight:
         slope, centre = lift.total(f.mach)
         pressure_area = f.dynamic_pressure_Pa * a.AREA_M2
         normal = pressure_area * slope * alpha
-        damping = (
-            lift.pitch_damping(f.mach, props.x_cg_m) * pressure_area * a.CHORD_M**2 / (2 * max(speed, 1.0))
-        )
+        damping = lift.pitch_damping(f.mach, props.x_cg_m) * pressure_area * a.CHORD_M**2 / (2 * max(speed, 1.0))
         moment = (
             f.thrust_N * np.sin(delta) * (a.GIMBAL_STATION_M - props.x_cg_m)
             - normal * (centre - props.x_cg_m)
@@ -63,9 +61,7 @@ class PlanarFlight:
         along = f.thrust_N * np.cos(alpha - delta) - f.drag_N * np.cos(alpha) - normal * np.sin(alpha)
         across = f.thrust_N * np.sin(alpha - delta) - f.drag_N * np.sin(alpha) + normal * np.cos(alpha)
         radius = a.EARTH_RADIUS_M + altitude
-        turn = across / (f.mass_kg * max(speed, 1.0)) + gravity_turn_rate(
-            speed, path_angle, f.gravity_mps2, radius
-        )
+        turn = across / (f.mass_kg * max(speed, 1.0)) + gravity_turn_rate(speed, path_angle, f.gravity_mps2, radius)
         return [
             speed * np.cos(path_angle) * a.EARTH_RADIUS_M / radius,
             speed * np.sin(path_angle),
@@ -81,9 +77,7 @@ class PlanarFlight:
         start = np.array([0.0, a.PAD_ALTITUDE_M, 0.0, np.pi / 2, np.pi / 2, 0.0])
         end = flight.ascent.burn.end_s
         grid = np.linspace(flight.release_s, end, 1200)
-        out = solve_ivp(
-            self.derivative, (grid[0], end), start, t_eval=grid, rtol=1e-7, atol=1e-8, max_step=0.05
-        )
+        out = solve_ivp(self.derivative, (grid[0], end), start, t_eval=grid, rtol=1e-7, atol=1e-8, max_step=0.05)
         return out.t, out.y.T
 
 

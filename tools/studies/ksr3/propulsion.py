@@ -97,9 +97,7 @@ def make_burn(droop_end: float, vacuum_isp_s: float, exit_area_m2: float) -> Bur
 def _rows(tail_off_s: float) -> tuple[Array, Array]:
     """Times of the rows, and the share of the drooping thrust there (smooth steps up and down)."""
     ignition = np.linspace(0.0, a.IGNITION_RAMP_S, 11)
-    steady = np.concatenate(
-        [[0.3, 0.5], np.arange(1.0, np.floor(tail_off_s - 0.2) + 0.5), [tail_off_s - 0.1]]
-    )
+    steady = np.concatenate([[0.3, 0.5], np.arange(1.0, np.floor(tail_off_s - 0.2) + 0.5), [tail_off_s - 0.1]])
     tail = tail_off_s + np.linspace(0.0, a.TAIL_OFF_S, 13)
     times = np.round(np.concatenate([ignition, steady, tail]), 6)
     rise = _smooth_step(times / a.IGNITION_RAMP_S)

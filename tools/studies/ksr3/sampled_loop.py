@@ -69,9 +69,7 @@ def law_polynomials(k_p: float, k_d_s: float, period_s: float) -> tuple[Array, A
     return np.array([k_p + k_d_s / period_s, -k_d_s / period_s]), np.array([1.0, 0.0])
 
 
-def controller(
-    k_p: float, k_d_s: float, sections: list[Quadratic], period_s: float, prewarp_hz: float
-) -> Discrete:
+def controller(k_p: float, k_d_s: float, sections: list[Quadratic], period_s: float, prewarp_hz: float) -> Discrete:
     """Angle in, minus the gimbal command out."""
     fb, fa = filter_polynomials(sections, period_s, prewarp_hz)
     lb, la = law_polynomials(k_p, k_d_s, period_s)
@@ -91,9 +89,7 @@ def response(system: Discrete, frequency_hz: Array, period_s: float) -> Response
     z = np.exp(2j * np.pi * frequency_hz * period_s)
     eye = np.eye(len(system.a))
     matrices = z[:, None, None] * eye - system.a
-    return np.asarray(
-        np.linalg.solve(matrices, system.b[:, None].astype(complex))[:, :, 0] @ system.c + system.d
-    )
+    return np.asarray(np.linalg.solve(matrices, system.b[:, None].astype(complex))[:, :, 0] @ system.c + system.d)
 
 
 def frequency_grid(plant: Discrete, period_s: float) -> Array:

@@ -41,9 +41,7 @@ class Bending:
     generalized_mass_kg: Array
     gimbal_slope_pm: Array
     gyro_slope_pm: Array
-    softening: (
-        Array  # (modes, modes): integral of mass forward * phi_j' * phi_k', kg/m; times a_x it is a stiffness
-    )
+    softening: Array  # (modes, modes): integral of mass forward * phi_j' * phi_k', kg/m; times a_x it is a stiffness
 
 
 @dataclass(frozen=True)
@@ -74,9 +72,7 @@ class VehicleFolder:
     """The tables of a vehicle folder, and of the point-mass flight in it."""
 
     def __init__(self, folder: Path) -> None:
-        self.description: dict[str, Any] = tomllib.loads(
-            (folder / "vehicle.toml").read_text(encoding="utf-8")
-        )
+        self.description: dict[str, Any] = tomllib.loads((folder / "vehicle.toml").read_text(encoding="utf-8"))
         self.stage = self.description["stage"][0]
         self.mass = table(folder / "mass.csv")
         self.flight = table(folder / "point_mass_flight.csv")
@@ -117,8 +113,7 @@ def snapshot(vehicle: VehicleFolder, t: float) -> Snapshot:
     mass, x_cg, _, inertia, _ = vehicle.mass(t)
     _, altitude, speed, path_angle, _, thrust, drag, pressure, mach = vehicle.flight(t)
     tanks = [
-        (*row(t)[:3], tank["damping_ratio"])
-        for row, tank in zip(vehicle.tanks, vehicle.stage["tank"], strict=True)
+        (*row(t)[:3], tank["damping_ratio"]) for row, tank in zip(vehicle.tanks, vehicle.stage["tank"], strict=True)
     ]
     tanks = [tank for tank in tanks if tank[0] > 0.1]  # kg: an empty tank only makes the matrix singular
     core_mass, core_cg, core_inertia = _without_bobs(mass, x_cg, inertia, tanks)
@@ -149,8 +144,7 @@ def snapshot(vehicle: VehicleFolder, t: float) -> Snapshot:
             for m, length, hinge, zeta in tanks
         ),
         surfaces=tuple(
-            Surface(slope, core_cg - station, shape.phi(station), shape.slope(station))
-            for slope, station in surfaces
+            Surface(slope, core_cg - station, shape.phi(station), shape.slope(station)) for slope, station in surfaces
         ),
         bending=_bending(vehicle, grid, shape, gyro["station_m"]),
         m_alpha_ps2=-pressure * area * moment / inertia,

@@ -18,9 +18,7 @@ from maxq.tools.studies.ksr3.gains import LinearGains
 from maxq.tools.studies.ksr3.mass_model import fills, mass_properties
 from maxq.tools.studies.ksr3.trajectory import Flight, forces
 
-SHAPE_STATIONS_M = np.append(
-    beam.NODES_M[::3], a.GIMBAL_STATION_M
-)  # nodes of the beam: nothing is interpolated
+SHAPE_STATIONS_M = np.append(beam.NODES_M[::3], a.GIMBAL_STATION_M)  # nodes of the beam: nothing is interpolated
 MODE_TIMES_S = np.arange(0.0, 58.0, 2.5)
 LIFT_MACH = np.array(
     [
@@ -166,7 +164,5 @@ def _write_flight(folder: Path, made: Reconstruction) -> None:
         f = forces(flight.ascent, t, altitude, speed)
         state = (t, reach, altitude, speed, np.degrees(angle))
         rows.append((*state, f.mass_kg, f.thrust_N, f.drag_N, f.dynamic_pressure_Pa, f.mach))
-    header = (
-        "time_s,range_m,altitude_m,speed_mps,path_angle_deg,mass_kg,thrust_N,drag_N,dynamic_pressure_Pa,mach"
-    )
+    header = "time_s,range_m,altitude_m,speed_mps,path_angle_deg,mass_kg,thrust_N,drag_N,dynamic_pressure_Pa,mach"
     write_table(folder / "point_mass_flight.csv", header, rows)
