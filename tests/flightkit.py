@@ -260,7 +260,8 @@ def _evaluate_at(P, pool, state, y, now_ns, elapsed_s, props, dy, work, aux):  #
     p = P[memory.clock.stage]
     pool, y, props = borrowed(pool), borrowed(y), borrowed(props)
     dy, work, aux = borrowed(dy), borrowed(work), borrowed(aux)
-    clock_s = flight_step.schedule_clock(p, now_ns, elapsed_s)
+    # a step lies in one interval of the schedule; breakpoints are met to the nanosecond
+    clock_s = flight_step.schedule_clock(p, now_ns, 1e-9)
     memory.clock.interval = find_interval(pool, p.vehicle.schedule, clock_s)
     flight_step.read_schedule(p, pool, memory, now_ns, elapsed_s, props)
     flight_step.evaluate(p, pool, memory, now_ns, elapsed_s, props, y, dy, work, aux)

@@ -14,7 +14,7 @@ import numpy as np
 from maxq.control.records import Array, IntArray, pack
 from maxq.sim.flight.ending import ending_values
 from maxq.sim.flight.history import Event, cause_of, events_so_far, outcome_so_far
-from maxq.sim.flight.judgement import ALL_METRICS, Verdict, judge
+from maxq.sim.flight.judgement import ALL_METRICS, Verdict, above_the_wind, judge
 from maxq.sim.flight.loop import ARENA_SIZE, Logged, advance, begin
 from maxq.sim.flight.metrics import METRICS
 from maxq.sim.flight.telemetry import FAST, SLOW, channel_table
@@ -167,7 +167,10 @@ class FlightRun:
             metrics=metrics,
             metric_times_s=times,
             verdicts=tuple(judge(r, metrics, times) for r in scenario.requirement),
-            failures=tuple(f"{e.name.replace('_', ' ')} at {e.time_s:.3f} s: {cause}" for e, cause in causes if cause),
+            failures=(
+                *(f"{e.name.replace('_', ' ')} at {e.time_s:.3f} s: {cause}" for e, cause in causes if cause),
+                *above_the_wind(scenario, metrics["max_altitude_m"]),
+            ),
             outcome=outcome,
             cause=next((cause for e, cause in causes if cause and e.name == outcome), ""),
             end_s=self.now_s,

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from maxq.sim.flight.ending import ENDING_METRICS
 from maxq.sim.flight.metrics import METRICS
-from maxq.sim.scenario.schema_scenario import Requirement
+from maxq.sim.scenario.schema_scenario import Requirement, Scenario
 
 ALL_METRICS = (*METRICS, *ENDING_METRICS)
 METRIC_NAMES = tuple(metric.name for metric in ALL_METRICS)
@@ -62,3 +62,14 @@ def judge(requirement: Requirement, values: Mapping[str, float], times_s: Mappin
         assert requirement.minimum is not None
         met = value >= requirement.minimum
     return Verdict(requirement, value, times_s[requirement.metric], met)
+
+
+def above_the_wind(scenario: Scenario, highest_m: float) -> tuple[str, ...]:
+    """A complaint in words if the flight rose above a wind profile that is to cover it (wind.outside = "error")."""
+    wind = scenario.wind
+    if wind.outside == "hold" or wind.profile is None:
+        return ()
+    top_m = float(wind.profile["altitude_m"][-1])
+    if highest_m <= top_m:
+        return ()
+    return (f"the flight rose to {highest_m:.0f} m, the wind profile ends at {top_m:.0f} m (wind.outside = 'error')",)

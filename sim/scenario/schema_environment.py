@@ -167,7 +167,10 @@ class Wind(Section):
     speed_mps: NotNegative | None = Field(default=None, description="constant wind, m/s, instead of a profile")
     from_deg: Angle | None = Field(default=None, description="direction it blows from, deg from north through east")
     interpolation: Literal["linear", "pchip"] = Field(default="linear", description="between the rows of the profile")
-    outside: Literal["hold", "error"] = Field(default="hold", description="above and below the profile")
+    outside: Literal["hold", "error"] = Field(
+        default="hold",
+        description="hold: end values hold outside the profile; error: a flight that rises above it has failed",
+    )
     factor: float = Field(default=1.0, description="multiplies profile or constant wind")
     gust: tuple[Gust, ...] = Field(default=(), max_length=16, description="gusts and shear layers")
     turbulence: Turbulence | None = Field(default=None, description="absent: none")
