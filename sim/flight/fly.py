@@ -23,6 +23,7 @@ from maxq.sim.packing.flight import Packed, pack_flight
 from maxq.sim.scenario.loader import LoadedScenario
 
 LONGEST_SEGMENT_NS = 1_000_000_000  # one log chunk
+_FIRST_ROOM = 400_000  # rows
 _MOST_STEPS, _MOST_ROWS = 20_000, 20_000  # of a segment: tens of milliseconds of work, 10 MB of rows
 
 Rows = dict[str, tuple[IntArray, Array]]
@@ -215,14 +216,14 @@ def fly(loaded: LoadedScenario, *, log: bool = True, watch: Callable[[FlightRun,
     that diverges is a result (`outcome`, `cause`), no exception.
     """
     run = FlightRun(loaded, log=log)
-    kept: list[Rows] = []
+    kept = KeptRows()
     while not run.finished:
         rows = run.fly_segment()
         if log:
-            kept.append(copied(rows))
+            kept.add(rows)
         if watch is not None:
             watch(run, rows)
-    return run.result(joined(kept) if log else None)
+    return run.result(kept.rows() if log else None)
 
 
 def copied(rows: Rows) -> Rows:
@@ -230,13 +231,33 @@ def copied(rows: Rows) -> Rows:
     return {group: (times.copy(), values.copy()) for group, (times, values) in rows.items()}
 
 
-def joined(segments: list[Rows]) -> Rows:
-    """Rows of all segments in one. Empties the segments group by group: a long log must not be there twice."""
-    out: Rows = {}
-    for group in list(segments[0]) if segments else []:
-        parts = [segment.pop(group) for segment in segments]
-        out[group] = (np.concatenate([times for times, _ in parts]), np.concatenate([rows for _, rows in parts]))
-    return out
+class KeptRows:
+    """Rows of all segments so far, in arrays with room to spare: a long log is never in memory twice.
+
+    Room that is not used costs address space only.
+    """
+
+    def __init__(self) -> None:
+        self._room: Rows = {}
+        self._used: dict[str, int] = {}
+
+    def add(self, rows: Rows) -> None:
+        for group, (times, values) in rows.items():
+            if group not in self._room:
+                self._room[group] = (np.empty(_FIRST_ROOM, np.int64), np.empty((_FIRST_ROOM, values.shape[1])))
+                self._used[group] = 0
+            begin, end = self._used[group], self._used[group] + len(times)
+            for array in self._room[group]:
+                if end > len(array):
+                    array.resize((max(end, len(array) * 5 // 4), *array.shape[1:]), refcheck=False)
+            self._room[group][0][begin:end], self._room[group][1][begin:end] = times, values
+            self._used[group] = end
+
+    def rows(self) -> Rows:
+        return {
+            group: (times[: self._used[group]], values[: self._used[group]])
+            for group, (times, values) in self._room.items()
+        }
 
 
 def _segment_ns(step_ns: int, shortest_log_ns: int) -> int:
@@ -248,4 +269,4 @@ def _segment_ns(step_ns: int, shortest_log_ns: int) -> int:
     return max(longest // step_ns, 1) * step_ns
 
 
-__all__ = ["Event", "Flight", "FlightRun", "Rows", "Verdict", "copied", "fly", "joined"]
+__all__ = ["Event", "Flight", "FlightRun", "Rows", "Verdict", "copied", "fly"]
