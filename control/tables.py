@@ -139,16 +139,6 @@ def find_interval(pool: Array, ref: TableRef, x: float) -> int:
 
 
 @kernel
-def hunt_interval(pool: Array, ref: TableRef, x: float, k: int) -> int:
-    """As `find_interval`, walking from a guess `k`: cheap when x moves little from call to call."""
-    while k > 0 and x < pool[ref.offset + k]:
-        k -= 1
-    while k < ref.n_breaks - 2 and x >= pool[ref.offset + k + 1]:
-        k += 1
-    return k
-
-
-@kernel
 def interpolate_into(pool: Array, ref: TableRef, k: int, x: float, out: Array, at: int) -> None:
     """All columns at `x`, by the cubics of interval `k`, into `out[at:]`; end values hold outside the table."""
     first, last = pool[ref.offset], pool[ref.offset + ref.n_breaks - 1]

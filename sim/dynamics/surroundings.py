@@ -20,8 +20,6 @@ from maxq.sim.dynamics.workspace import (
     PRESSURE,
     SOUND_SPEED,
     TEMPERATURE,
-    UP_COS_LATITUDE,
-    UP_SIN_LATITUDE,
     WIND_N,
 )
 from maxq.sim.environment.atmosphere import Atmosphere, air
@@ -63,7 +61,6 @@ def surroundings(
     aux[ALTITUDE], aux[DENSITY], aux[PRESSURE] = altitude, density, pressure
     aux[TEMPERATURE], aux[SOUND_SPEED], aux[AIRSPEED] = temperature, sound_speed, airspeed
     aux[MACH], aux[DYNAMIC_PRESSURE] = airspeed / sound_speed, 0.5 * density * airspeed * airspeed
-    aux[UP_SIN_LATITUDE], aux[UP_COS_LATITUDE] = sin_lat, cos_lat
     for j in range(3):
         aux[FLOW + j] = flow[j]
         aux[WIND_N + j] = wind[j]

@@ -8,7 +8,6 @@ from maxq.control.computer import start_computer
 from maxq.control.jit import borrowed, entry, kernel, routine
 from maxq.control.records import Array, IntArray
 from maxq.control.tables import find_interval
-from maxq.sim.dynamics.schedule import CORE_CG
 from maxq.sim.dynamics.state import MAX_STATE, Sizes, state_size
 from maxq.sim.dynamics.surroundings import climb_rate, climbs_for_sure
 from maxq.sim.dynamics.workspace import ALTITUDE, AUX_SIZE, AXIAL_LOAD, PRESSURE, WORK_SIZE
@@ -277,10 +276,3 @@ def log(
         fill_slow(p, memory, props, y, aux, slow[rows[1]])
         slow_ns[rows[1]] = now
         rows[1] += 1
-
-
-@kernel
-def core_cg(p: Parameters, pool: Array, memory: Memory, props: Array) -> tuple[float, float, float]:
-    """Core CG at the flight's start: station, y, z."""
-    read_schedule(p, pool, memory, memory.clock.now_ns, 0.0, props)
-    return props[CORE_CG], props[CORE_CG + 1], props[CORE_CG + 2]
