@@ -26,13 +26,13 @@ Function = TypeVar("Function", bound=Callable[..., object])
 Array = TypeVar("Array", NDArray[np.float64], NDArray[np.int64])
 
 
-_KERNEL_FREE = {"scenario", "log", "packing"}  # folders of sim/ that no kernel takes anything from
+_KERNEL_FREE = {"scenario", "log", "packing", "campaign"}  # folders of sim/ that no kernel takes anything from
 
 
 def _source_files() -> Iterator[Path]:
     """Python sources that may hold a kernel or a constant that one uses, wherever they are installed."""
     here = Path(__file__).resolve().parent
-    for layer in ("control", "sim", "design"):
+    for layer in ("control", "sim"):  # design/ and tools/ hold no kernels
         for path in sorted((here.parent / layer).rglob("*.py")):
             if not _KERNEL_FREE.intersection(path.parts):
                 yield path
