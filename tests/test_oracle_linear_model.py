@@ -1,4 +1,4 @@
-"""The simulator, linearised numerically, against the linear model derived on paper (design/plant.py).
+"""The simulator, linearised numerically, against the linear model derived on paper (design/model/plant.py).
 
 The two share the vehicle's tables and nothing else: the simulator is a nonlinear system with tensions as
 unknowns in three dimensions, the model a d'Alembert derivation in one plane. Made comparable by flying over a
@@ -31,12 +31,12 @@ import pytest
 import scipy.optimize
 
 from maxq.control.records import Array
-from maxq.design.derivatives import stability_derivatives
-from maxq.design.flight_condition import FlightCondition
-from maxq.design.linear_plant import linear_plant
-from maxq.design.plant import vehicle_plant
-from maxq.design.state_space import ComplexArray, StateSpace
-from maxq.design.vehicle_at import vehicle_at
+from maxq.design.model.derivatives import stability_derivatives
+from maxq.design.model.flight_condition import FlightCondition
+from maxq.design.model.linear_plant import linear_plant
+from maxq.design.model.plant import vehicle_plant
+from maxq.design.model.state_space import ComplexArray, StateSpace
+from maxq.design.model.vehicle_at import vehicle_at
 from maxq.sim.dynamics.state import Q_BI
 from maxq.sim.dynamics.workspace import AIRSPEED, DENSITY, GRAVITATION, MACH, PRESSURE
 from maxq.sim.flight.fly import Flight, FlightRun, fly

@@ -1,7 +1,7 @@
 """The simulator's own equations, linearised numerically at a frozen instant.
 
     model = linearise(packed, zero_incidence(packed, y), time_s)
-    poles = np.linalg.eigvals(model.a)
+    poles = model.poles()
 
 The state vector of the simulator lies on a manifold (unit quaternion, unit vectors of the pendulums) and
 holds inertial and quasi-velocities. It is therefore looked at through local coordinates, all free and all
@@ -16,7 +16,7 @@ small-signal quantities of flight mechanics, whose time derivatives follow exact
     per tank       angles atan2(u_z, -u_x), atan2(u_y, -u_x) and their rates, rad, rad/s
 
 Away from equilibrium (a rocket always is: it speeds up) a linear model belongs to its coordinates; these are
-the ones of design/plant.py. The schedule of the vehicle stands still at the instant, its rates (mass flow,
+the ones of design/model/plant.py. The schedule of the vehicle stands still at the instant, its rates (mass flow,
 moving CG) act. Between samples only: the flight computer is no part of it, commands are inputs.
 """
 
@@ -35,6 +35,7 @@ from maxq.sim.dynamics import state as layout
 from maxq.sim.dynamics.state import MAX_STATE
 from maxq.sim.dynamics.workspace import AUX_SIZE, ENGINE_PITCH, ENGINE_YAW, GYRO_BEND, WORK_SIZE
 from maxq.sim.flight.loop import PROPS_SIZE, begin
+from maxq.sim.flight.state_space import StateSpace
 from maxq.sim.flight.step import evaluate, read_schedule, schedule_clock
 from maxq.sim.packing.flight import Packed
 from maxq.sim.packing.initial import quaternion, rotation
@@ -52,19 +53,12 @@ _STEP_FLAT, _STEP_BEND, _STEP_BEND_RATE, _STEP_SLOSH, _STEP_COMMAND = 2e-3, 2e-3
 
 
 @dataclass(frozen=True)
-class LinearModel:
+class LinearModel(StateSpace):
     """x' = rate + A x + B u, y = C x + D u about a state; `rate` is what the state does there by itself."""
 
-    a: Array  # (n, n)
-    b: Array  # (n, inputs)
-    c: Array  # (outputs, n)
-    d: Array  # (outputs, inputs)
     rate: Array  # (n,)
     error_a: Array  # estimated error of each entry of `a`
     error_b: Array
-    states: tuple[str, ...]
-    inputs: tuple[str, ...] = INPUTS
-    outputs: tuple[str, ...] = OUTPUTS
 
 
 @dataclass(frozen=True)
@@ -101,6 +95,8 @@ def linearise(packed: Packed, y: Array, time_s: float) -> LinearModel:
         error_a=errors[:n, :n],
         error_b=errors[:n, n:],
         states=frame.names,
+        inputs=INPUTS,
+        outputs=OUTPUTS,
     )
 
 

@@ -13,11 +13,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from maxq.design.flight_condition import FlightCondition
-from maxq.design.instruments import ACTUATOR_OUTPUTS, actuator, gyro
-from maxq.design.plant import OUTPUTS, vehicle_plant
-from maxq.design.state_space import StateSpace
-from maxq.design.vehicle_at import Plane, vehicle_at
+from maxq.design.model.flight_condition import FlightCondition
+from maxq.design.model.instruments import ACTUATOR_OUTPUTS, actuator, gyro
+from maxq.design.model.plant import OUTPUTS, vehicle_plant
+from maxq.design.model.state_space import StateSpace
+from maxq.design.model.vehicle_at import Plane, vehicle_at
 from maxq.sim.packing.flight import Packed
 
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from maxq.design.flight_condition import FlightCondition
-from maxq.design.vehicle_at import VehicleAt
+from maxq.design.model.flight_condition import FlightCondition
+from maxq.design.model.vehicle_at import VehicleAt
 
 
 @dataclass(frozen=True)

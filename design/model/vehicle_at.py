@@ -1,7 +1,7 @@
 """The numbers of a vehicle at one instant, as the linear model needs them: those of one plane of one stage.
 
 They are read from the same packed tables as the simulator flies, so that both speak of the same vehicle;
-equations are not shared (docs/model.md is the simulator's, design/plant.py has its own derivation).
+equations are not shared (docs/model.md is the simulator's, design/model/plant.py has its own derivation).
 """
 
 from __future__ import annotations

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from maxq.control.records import Array
-from maxq.design.state_space import StateSpace
+from maxq.design.model.state_space import StateSpace
 
 ACTUATOR_OUTPUTS = ("delta_rad", "delta_rate_radps", "delta_accel_radps2")
 
