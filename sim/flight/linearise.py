@@ -1,7 +1,7 @@
 """The simulator's own equations, linearised numerically at a frozen instant.
 
     model = linearise(packed, zero_incidence(packed, y), time_s)
-    poles = model.poles()
+    poles = np.linalg.eigvals(model.a)
 
 The state vector of the simulator lies on a manifold (unit quaternion, unit vectors of the pendulums) and
 holds inertial and quasi-velocities. It is therefore looked at through local coordinates, all free and all
@@ -35,7 +35,6 @@ from maxq.sim.dynamics import state as layout
 from maxq.sim.dynamics.state import MAX_STATE
 from maxq.sim.dynamics.workspace import AUX_SIZE, ENGINE_PITCH, ENGINE_YAW, GYRO_BEND, WORK_SIZE
 from maxq.sim.flight.loop import PROPS_SIZE, begin
-from maxq.sim.flight.state_space import StateSpace
 from maxq.sim.flight.step import evaluate, read_schedule, schedule_clock
 from maxq.sim.packing.flight import Packed
 from maxq.sim.packing.initial import quaternion, rotation
@@ -53,12 +52,19 @@ _STEP_FLAT, _STEP_BEND, _STEP_BEND_RATE, _STEP_SLOSH, _STEP_COMMAND = 2e-3, 2e-3
 
 
 @dataclass(frozen=True)
-class LinearModel(StateSpace):
+class LinearModel:
     """x' = rate + A x + B u, y = C x + D u about a state; `rate` is what the state does there by itself."""
 
+    a: Array  # (n, n)
+    b: Array  # (n, inputs)
+    c: Array  # (outputs, n)
+    d: Array  # (outputs, inputs)
     rate: Array  # (n,)
     error_a: Array  # estimated error of each entry of `a`
     error_b: Array
+    states: tuple[str, ...]
+    inputs: tuple[str, ...] = INPUTS
+    outputs: tuple[str, ...] = OUTPUTS
 
 
 @dataclass(frozen=True)
@@ -95,8 +101,6 @@ def linearise(packed: Packed, y: Array, time_s: float) -> LinearModel:
         error_a=errors[:n, :n],
         error_b=errors[:n, n:],
         states=frame.names,
-        inputs=INPUTS,
-        outputs=OUTPUTS,
     )
 
 
