@@ -1,8 +1,8 @@
-"""Bending filters F2 ... F6: continuous form, discretisation, and the kernel that runs one sample.
+"""Bending filters F2 ... F6 and beyond: continuous form, discretisation, and the kernel that runs one sample.
 
 A filter is a product of quadratic sections (s²/ω_z² + 2 ζ_z s/ω_z + 1)/(s²/ω_p² + 2 ζ_p s/ω_p + 1) and
-first-order sections (s/z + 1)/(s/p + 1), at most `MAX_SECTIONS` in all: Lee, Ahn & Roh eqs 37-41. Every one
-has unit DC gain, and every discretisation keeps it.
+first-order sections (s/z + 1)/(s/p + 1): those of Lee, Ahn & Roh, eqs 37-41, or any number of each, at most
+`MAX_SECTIONS` in all. Every one has unit DC gain, and every discretisation keeps it.
 
 The flight computer runs the discrete filter as a cascade of biquads in transposed direct form II.
 """
@@ -20,12 +20,12 @@ from maxq.control.jit import kernel
 from maxq.control.records import Array
 
 Discretization = Literal["prewarped", "bilinear", "matched", "zoh"]
-Structure = Literal["none", "F2", "F3", "F4", "F5", "F6"]
+Structure = Literal["none", "F2", "F3", "F4", "F5", "F6", "sections"]
 ComplexArray = NDArray[np.complex128]
 
-MAX_SECTIONS = 4
+MAX_SECTIONS = 8
 
-# Number of quadratic and of first-order sections (eqs 37-41).
+# Number of quadratic and of first-order sections (eqs 37-41); `sections` is free in both.
 STRUCTURES: dict[Structure, tuple[int, int]] = {
     "none": (0, 0),
     "F2": (1, 0),
@@ -143,8 +143,12 @@ def filter_of_structure(
     first_order: tuple[FirstOrderSection, ...] = (),
 ) -> BendingFilter:
     """A filter whose numbers of sections are those of `structure`, else ValueError."""
+    if structure == "sections":
+        n = len(quadratic) + len(first_order)
+        _refuse_unless(n >= 1, "number of filter sections", n, f"1 .. {MAX_SECTIONS} with structure sections")
+        return BendingFilter(quadratic, first_order)
     if structure not in STRUCTURES:
-        raise ValueError(f"structure = {structure!r}: allowed is {', '.join(STRUCTURES)}")
+        raise ValueError(f"structure = {structure!r}: allowed is {', '.join(get_args(Structure))}")
     for key, given, wanted in zip(
         ("quadratic", "first_order"), (quadratic, first_order), STRUCTURES[structure], strict=True
     ):

@@ -41,6 +41,7 @@ FILTERS: dict[Structure, BendingFilter] = {
     "F4": filter_of_structure("F4", Q),
     "F5": filter_of_structure("F5", Q, F[:1]),
     "F6": filter_of_structure("F6", Q, F),
+    "sections": filter_of_structure("sections", (*Q, QuadraticSection(15.0, 0.2, 11.0, 0.5))),
 }
 OVERDAMPED = BendingFilter((QuadraticSection(8.0, 1.7, 6.0, 1.3),))
 EVERY = pytest.mark.parametrize("bending", [*FILTERS.values(), OVERDAMPED], ids=[*FILTERS, "overdamped"])
@@ -140,9 +141,15 @@ def test_settled_filter_has_no_transient(bending: BendingFilter, method: Discret
 
 
 @METHODS
-def test_four_sections_fit(method: Discretization) -> None:
-    bending = BendingFilter((*Q, QuadraticSection(15.0, 0.2, 11.0, 0.5), QuadraticSection(5.0, 0.4, 4.0, 0.6)))
-    assert discretize(bending, method).n_sections == MAX_SECTIONS
+def test_as_many_sections_fit_as_are_allowed(method: Discretization) -> None:
+    more = [QuadraticSection(15.0 + k, 0.2, 11.0 + k, 0.5) for k in range(MAX_SECTIONS - len(Q))]
+    bending = filter_of_structure("sections", (*Q, *more))
+    discrete = discretize(bending, method)
+    assert discrete.n_sections == MAX_SECTIONS
+    assert discrete.padded().shape == (MAX_SECTIONS, 5)
+    sos = np.insert(discrete.sections, 3, 1.0, axis=1)
+    impulse = np.eye(1, 300)[0]
+    np.testing.assert_allclose(run(bending, method, impulse), scipy.signal.sosfilt(sos, impulse), rtol=0, atol=1e-12)
 
 
 def test_no_sections_pass_the_signal_as_it_is() -> None:

@@ -8,12 +8,16 @@ import numpy as np
 import pytest
 
 from maxq.control.filters import (
+    MAX_SECTIONS,
     BendingFilter,
     DiscreteFilter,
     FirstOrderSection,
     QuadraticSection,
     filter_of_structure,
 )
+from maxq.sim.flight.fly import fly
+from maxq.sim.scenario.loader import load_scenario
+from maxq.sim.scenario.schema_design import MOST_SECTIONS
 
 GOOD = QuadraticSection(9.0, 0.3, 7.0, 0.7)
 SAMPLE_S = 0.01
@@ -50,8 +54,8 @@ def test_bad_first_order_section(section: FirstOrderSection, words: str) -> None
 
 
 def test_too_many_sections() -> None:
-    with pytest.raises(ValueError, match="number of filter sections = 5: allowed is at most 4"):
-        BendingFilter((GOOD,) * 5)
+    with pytest.raises(ValueError, match="number of filter sections = 9: allowed is at most 8"):
+        BendingFilter((GOOD,) * 9)
 
 
 @pytest.mark.parametrize("prewarp_hz", [50.0, 60.0, 0.0, -1.0, math.nan, None])
@@ -84,7 +88,9 @@ def test_matched_refuses_what_would_alias(named: str) -> None:
         ("F4", 1, 0, "quadratic has 1 sections: allowed with structure F4 is 2"),
         ("F3", 1, 0, "first_order has 0 sections: allowed with structure F3 is 1"),
         ("none", 1, 0, "quadratic has 1 sections: allowed with structure none is 0"),
-        ("F7", 1, 0, "structure = 'F7': allowed is none, F2, F3, F4, F5, F6"),
+        ("F7", 1, 0, "structure = 'F7': allowed is none, F2, F3, F4, F5, F6, sections"),
+        ("sections", 0, 0, "number of filter sections = 0: allowed is 1 .. 8 with structure sections"),
+        ("sections", 5, 4, "number of filter sections = 9: allowed is at most 8"),
     ],
 )
 def test_structure_fixes_the_sections(structure: str, quadratic: int, first_order: int, words: str) -> None:
@@ -96,3 +102,25 @@ def test_structure_fixes_the_sections(structure: str, quadratic: int, first_orde
 def test_unstable_discrete_section(a: tuple[float, float]) -> None:
     with pytest.raises(ValueError, match=r"sections\[0\] = .* stable poles"):
         DiscreteFilter(np.array([[1.0, 0.0, 0.0, *a]]), SAMPLE_S)
+
+
+def test_schema_and_computer_agree_on_the_most_sections() -> None:
+    assert MOST_SECTIONS == MAX_SECTIONS
+
+
+def test_any_number_of_sections_flies() -> None:
+    """Sections that are 1 change nothing but rounding; the default F4 with six of them still flies."""
+    short = ["run.duration_s=20", "run.step_s=0.001"]
+    plain = load_scenario("nominal", short)
+    assert plain.design is not None
+    sections = [
+        {key: getattr(q, key) for key in ("zero_hz", "zero_zeta", "pole_hz", "pole_zeta")}
+        for q in plain.design.filter.quadratic
+    ]
+    sections += [{"zero_hz": 20.0 + k, "zero_zeta": 0.5, "pole_hz": 20.0 + k, "pole_zeta": 0.5} for k in range(6)]
+    text = ", ".join("{" + ", ".join(f"{key} = {value}" for key, value in each.items()) + "}" for each in sections)
+    longer = load_scenario("nominal", [*short, "design.filter.structure=sections", f"design.filter.quadratic=[{text}]"])
+    a, b = fly(plain), fly(longer)
+    for channel in ("gimbal_pitch_angle_deg", "gimbal_yaw_angle_deg"):
+        # the DAC rounds to 0.001 deg: a few commands may fall on its other side
+        np.testing.assert_allclose(a[channel], b[channel], rtol=0, atol=0.005)
