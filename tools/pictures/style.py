@@ -1,0 +1,113 @@
+"""How pictures look, all of them: colours, sizes, and files that are equal when what they show is equal.
+
+    with drawing():
+        figure, places = sheet(1, 2)
+        places[0].plot(time_s, values, color=BLUE)
+        save(figure, folder / "margins")          # margins.svg and margins.png
+
+Colours are those of Okabe & Ito, which colour-blind people tell apart; no curve is told from another by its colour
+alone, for a print in grey. The font is the one that comes with Matplotlib and SVG text is drawn as outlines, so that
+a picture looks the same everywhere. SVG files carry no date and no random names.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+BLUE, ORANGE, GREEN, RED, SKY, PINK = "#0072b2", "#e69f00", "#009e73", "#d55e00", "#56b4e9", "#cc79a7"
+BLACK, GREY, PALE = "#000000", "#777777", "#dddddd"
+COLOURS = (BLUE, ORANGE, GREEN, RED, PINK, SKY, BLACK)
+DASHES = ("-", "--", "-.", ":", (0, (3, 1, 1, 1, 1, 1)), (0, (6, 2)), (0, (1, 1)))
+MARKERS = ("o", "s", "^", "D", "v", "P", "X")
+
+STYLE: dict[str, Any] = {
+    "figure.dpi": 100,
+    "savefig.dpi": 120,
+    "font.family": "DejaVu Sans",
+    "font.size": 8.5,
+    "axes.titlesize": 9.5,
+    "axes.labelsize": 8.5,
+    "axes.linewidth": 0.7,
+    "axes.grid": True,
+    "axes.axisbelow": True,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "grid.color": PALE,
+    "grid.linewidth": 0.5,
+    "lines.linewidth": 1.3,
+    "lines.markersize": 4.0,
+    "legend.fontsize": 7.5,
+    "legend.frameon": True,
+    "legend.framealpha": 0.85,
+    "legend.edgecolor": "none",
+    "xtick.labelsize": 7.5,
+    "ytick.labelsize": 7.5,
+    "xtick.direction": "out",
+    "ytick.direction": "out",
+    "figure.constrained_layout.use": True,
+    "figure.facecolor": "white",
+    "svg.fonttype": "path",
+    "svg.hashsalt": "maxq",
+    "path.simplify": True,
+    "path.simplify_threshold": 0.1,
+}
+PAGE_IN = 7.0  # width of a page between its margins
+FORMATS = ("svg", "png")
+
+
+@contextmanager
+def drawing() -> Iterator[None]:
+    """Everything drawn and saved inside has the style; what a notebook has set is left as it was."""
+    with mpl.rc_context(STYLE):
+        yield
+
+
+def sheet(rows: int = 1, columns: int = 1, height_in: float = 2.6, width_in: float = PAGE_IN) -> tuple[Figure, Any]:
+    """A figure as wide as a page, `height_in` for each row; its axes as an array (rows * columns,).
+
+    It belongs to no window: nothing has to be closed, and no display is needed.
+    """
+    figure = Figure(figsize=(width_in, height_in * rows))
+    places: NDArray[Any] = np.atleast_1d(figure.subplots(rows, columns, squeeze=False)).ravel()
+    return figure, places
+
+
+def save(figure: Figure, stem: Path, formats: Sequence[str] = FORMATS) -> list[Path]:
+    """Write `stem`.svg, `stem`.png ...; each under a temporary name first, so that there is a whole one or none."""
+    files = []
+    for kind in formats:
+        path = stem.with_name(f"{stem.name}.{kind}")
+        part = path.with_name(f".{path.name}.part")
+        metadata = {"Date": None, "Creator": "maxq"} if kind == "svg" else {"Software": "maxq"}
+        try:
+            figure.savefig(part, format=kind, metadata=metadata)
+            os.replace(part, path)
+        finally:
+            part.unlink(missing_ok=True)
+        files.append(path)
+    return files
+
+
+def label(place: Axes, x: str = "", y: str = "", title: str = "") -> None:
+    """Axis labels and a title, each left as it is where empty."""
+    if x:
+        place.set_xlabel(x)
+    if y:
+        place.set_ylabel(y)
+    if title:
+        place.set_title(title, loc="left")
+
+
+def curve(number: int) -> dict[str, Any]:
+    """Colour and dashes of the curve of that number."""
+    return {"color": COLOURS[number % len(COLOURS)], "linestyle": DASHES[number % len(DASHES)]}
