@@ -30,7 +30,7 @@ COLOURS = (BLUE, ORANGE, GREEN, RED, PINK, SKY, BLACK)
 DASHES = ("-", "--", "-.", ":", (0, (3, 1, 1, 1, 1, 1)), (0, (6, 2)), (0, (1, 1)))
 MARKERS = ("o", "s", "^", "D", "v", "P", "X")
 
-STYLE: dict[str, Any] = {
+STYLE: Any = {  # newer stubs of Matplotlib want its keys as literals, older ones as text
     "figure.dpi": 100,
     "savefig.dpi": 120,
     "font.family": "DejaVu Sans",
