@@ -1,0 +1,295 @@
+"""What the designer of gains and filter cannot change: from the filter's output to the rate that the law works on.
+
+    L(f) = F(f) (k_p integrator(f) + k_d) fixed(f)
+
+with negative feedback (design/loop/open_loop.py). Three kinds with one face:
+
+| kind | class | converter, delay, hold | integrator |
+|---|---|---|---|
+| `sampled` | `SampledFixedPath` | as the computer does it: mean over a sample, late command, hold | T z / (z - 1) |
+| `pade` | `PadeFixedPath` | the paper's eqs 30 to 32 | 1 / s |
+| `exact` | `ExactFixedPath` | their exact factors, without aliasing | 1 / s |
+
+and three places to open the loop (`Cut`). `gimbal_command` is the loop's own, with the margins of the loop. The
+other two are eq. 42 by the letter: from the commanded rate q_c, which acts on k_p alone (33) and meets no gyro and no
+converter, to the pitch rate q of the rigid body, or to q_m at the gyro; `takes_rate` is False then and k_d has no
+part. They are no loops: 1 + L = 0 says nothing about stability there (erratum 16).
+"""
+
+from __future__ import annotations
+
+import abc
+import math
+from functools import cached_property
+from typing import Literal
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from maxq.design.loop.rational import Rational, average, converter_pade, delay_pade, hold_pade
+from maxq.design.loop.resonance import NamedPole, Resonance, named, resonances, vehicle_poles
+from maxq.design.loop.sampling import SampledPlant, sample
+from maxq.design.model.connect import chain, channels
+from maxq.design.model.instruments import actuator, gyro
+from maxq.design.model.node import Node
+from maxq.design.model.plant import INPUTS
+from maxq.design.model.resolvent import Resolvent
+from maxq.design.model.state_space import ComplexArray, StateSpace
+
+Kind = Literal["sampled", "pade", "exact"]
+Cut = Literal["gimbal_command", "rate_command_to_q", "rate_command_to_q_m"]
+KINDS: tuple[Kind, ...] = ("sampled", "pade", "exact")
+CUTS: tuple[Cut, ...] = ("gimbal_command", "rate_command_to_q", "rate_command_to_q_m")
+
+
+class FixedPath(abc.ABC):
+    """Common to all kinds; `response` and `integrator` take frequencies in Hz of any shape."""
+
+    def __init__(self, node: Node, cut: Cut = "gimbal_command") -> None:
+        if cut not in CUTS:
+            raise ValueError(f"cut = {cut!r}: allowed is {', '.join(CUTS)}")
+        self.node, self.cut = node, cut
+        self.takes_rate = cut == "gimbal_command"
+        ideal = bool(node.instruments.actuator.ideal)
+        output = "q_radps" if cut == "rate_command_to_q" else "local_rate_radps"
+        # an ideal actuator is at rest between commands: the staircase's corners shake nothing
+        self._vehicle = channels(node.plant, (output,), INPUTS[:1] if ideal else INPUTS)
+        self._actuator = None if ideal else actuator(node.instruments.actuator)
+        self._gyro = gyro(node.instruments.gyro) if self.takes_rate and not node.instruments.gyro.ideal else None
+
+    @property
+    @abc.abstractmethod
+    def kind(self) -> Kind: ...
+
+    @property
+    @abc.abstractmethod
+    def highest_hz(self) -> float:
+        """Nyquist frequency, or infinity."""
+
+    @property
+    @abc.abstractmethod
+    def sample_s(self) -> float | None:
+        """Period of a sampled path; None for a continuous one."""
+
+    @abc.abstractmethod
+    def response(self, frequencies_hz: ArrayLike) -> ComplexArray:
+        """fixed(f), same shape as `frequencies_hz`."""
+
+    @abc.abstractmethod
+    def integrator(self, frequencies_hz: ArrayLike) -> ComplexArray:
+        """What k_p is multiplied by, s; same shape as `frequencies_hz`."""
+
+    @abc.abstractmethod
+    def state_space(self) -> StateSpace:
+        """One input, one output, no direct way through; in z for a sampled path."""
+
+    @abc.abstractmethod
+    def named_poles(self) -> list[NamedPole]:
+        """Poles and what they belong to, rad/s, not folded; those of a pure delay left out."""
+
+    def poles(self) -> ComplexArray:
+        """Poles in rad/s, those of a sampled path as log(z) / T."""
+        found = np.array([p.pole_radps for p in self.named_poles()], np.complex128)
+        return found if self.sample_s is None else folded(found, self.sample_s)
+
+    def resonances(self, below_zeta: float = 0.3) -> list[Resonance]:
+        """Oscillatory poles with a damping ratio below `below_zeta`, by frequency."""
+        return resonances(self.named_poles(), below_zeta, self.sample_s)
+
+    @cached_property
+    def continuous(self) -> StateSpace:
+        """Actuator, vehicle and gyro in a row."""
+        parts = []
+        if self._actuator is not None:
+            parts.append(channels(self._actuator, ("delta_rad", "delta_accel_radps2")))
+        parts.append(self._vehicle)
+        if self._gyro is not None:
+            parts.append(self._gyro)
+        return chain(*parts)
+
+    @cached_property
+    def rests_at_dc(self) -> bool:
+        """Whether a constant command ends in no rate: the path then has a zero where the integrator has its pole.
+
+        So it is where the attitude acts on the motion, because gravity turns in the body: the measured rate is the
+        derivative of a state, and its integral no state more.
+        """
+        body = self._vehicle
+        if "theta_rad" not in body.states:
+            return False
+        settled = np.linalg.lstsq(body.a, -body.b[:, 0], rcond=None)[0]
+        terms = np.abs(body.c[0] * settled)
+        return bool(abs(body.c[0] @ settled) <= 1e-9 * (terms.sum() + np.abs(settled).max()))
+
+    def _plant_poles(self) -> list[NamedPole]:
+        """Of actuator, vehicle and gyro, each by itself: in a row they stay what they are."""
+        out = vehicle_poles(self._vehicle)
+        if self._actuator is not None:
+            a = self.node.instruments.actuator
+            sections = ((a.omega_1_radps, a.zeta_1), (a.omega_2_radps, a.zeta_2), (a.omega_3_radps, a.zeta_3))
+            for k, (omega, zeta) in enumerate(sections):
+                out += named(_pair(omega, zeta), "actuator", k + 1)
+        if self._gyro is not None:
+            out += named(_pair(self.node.instruments.gyro.omega_radps, self.node.instruments.gyro.zeta), "gyro")
+        return out
+
+
+class _ContinuousFixedPath(FixedPath):
+    """Product of factors, each exact: no digit is lost where the sum of partial fractions would cancel."""
+
+    def __init__(self, node: Node, cut: Cut = "gimbal_command") -> None:
+        super().__init__(node, cut)
+        self._turning = Resolvent(self._vehicle.a, self._vehicle.b, self._vehicle.c)
+
+    @property
+    def highest_hz(self) -> float:
+        return math.inf
+
+    @property
+    def sample_s(self) -> float | None:
+        return None
+
+    def response(self, frequencies_hz: ArrayLike) -> ComplexArray:
+        return self.at(2j * np.pi * np.asarray(frequencies_hz, float))
+
+    def integrator(self, frequencies_hz: ArrayLike) -> ComplexArray:
+        return np.asarray(1.0 / (2j * np.pi * np.asarray(frequencies_hz, float)))
+
+    def at(self, s: ComplexArray) -> ComplexArray:
+        """Transfer function at complex s, rad/s."""
+        return np.asarray(self.plant_at(s) * self.computer_at(s))
+
+    def plant_at(self, s: ComplexArray) -> ComplexArray:
+        """Actuator, vehicle and gyro."""
+        body = self._turning(s)[..., 0, :]
+        out = body[..., 0] if self._actuator is None else body[..., 0] + s * s * body[..., 1]
+        if self._actuator is not None:
+            a = self.node.instruments.actuator
+            out = out * _lag(s, a.omega_1_radps, a.zeta_1) * _lag(s, a.omega_2_radps, a.zeta_2)
+            out = out * _lag(s, a.omega_3_radps, a.zeta_3) / _lag(s, a.omega_4_radps, a.zeta_4)
+        if self._gyro is not None:
+            out = out * _lag(s, self.node.instruments.gyro.omega_radps, self.node.instruments.gyro.zeta)
+        return np.asarray(out)
+
+    @abc.abstractmethod
+    def computer_at(self, s: ComplexArray) -> ComplexArray:
+        """Converter, delay and hold."""
+
+
+class PadeFixedPath(_ContinuousFixedPath):
+    """The paper's: H_VF [3/3], H_D [2/2], H_DZ [0/2]."""
+
+    def __init__(self, node: Node, cut: Cut = "gimbal_command") -> None:
+        super().__init__(node, cut)
+        timing = node.instruments
+        self._computer: list[Rational] = [hold_pade(timing.tau_dz_s)]
+        if timing.tau_d_s > 0.0:
+            self._computer.append(delay_pade(timing.tau_d_s))
+        if self.takes_rate:
+            self._computer.append(converter_pade(timing.tau_vf_s))
+
+    @property
+    def kind(self) -> Kind:
+        return "pade"
+
+    def computer_at(self, s: ComplexArray) -> ComplexArray:
+        out = np.ones(np.shape(s), np.complex128)
+        for part in self._computer:
+            out = out * part.at(s)
+        return out
+
+    def state_space(self) -> StateSpace:
+        return chain(*(part.state_space() for part in self._computer), self.continuous)
+
+    def named_poles(self) -> list[NamedPole]:
+        return self._plant_poles() + [p for part in self._computer for p in named(part.poles(), part.name)]
+
+
+class ExactFixedPath(_ContinuousFixedPath):
+    """The same with the exact factors: average, delay and hold as transcendental functions; no aliasing."""
+
+    @property
+    def kind(self) -> Kind:
+        return "exact"
+
+    def computer_at(self, s: ComplexArray) -> ComplexArray:
+        timing = self.node.instruments
+        out = average(s, timing.tau_dz_s) * np.exp(-timing.tau_d_s * np.asarray(s))
+        return np.asarray(out * average(s, timing.tau_vf_s) if self.takes_rate else out)
+
+    def state_space(self) -> StateSpace:
+        raise ValueError("a transcendental transfer function has no state space: take the kind pade or sampled")
+
+    def named_poles(self) -> list[NamedPole]:
+        return self._plant_poles()
+
+
+class SampledFixedPath(FixedPath):
+    """The loop as the flight computer runs it; `response` at z = exp(j w T), up to the Nyquist frequency.
+
+    The cuts of eq. 42 end at q, or q_m, as a converter without a gyro would count it.
+    """
+
+    def __init__(self, node: Node, cut: Cut = "gimbal_command") -> None:
+        super().__init__(node, cut)
+        self.sampled: SampledPlant = sample(self.continuous, node.instruments.sample_s, node.instruments.delay_s)
+        self._resolvent = self.sampled.resolvent()
+
+    @property
+    def kind(self) -> Kind:
+        return "sampled"
+
+    @property
+    def highest_hz(self) -> float:
+        return 0.5 / self.node.instruments.sample_s
+
+    @property
+    def sample_s(self) -> float:
+        return self.node.instruments.sample_s
+
+    def response(self, frequencies_hz: ArrayLike) -> ComplexArray:
+        return self.sampled.at(self.z(frequencies_hz), self._resolvent)
+
+    def integrator(self, frequencies_hz: ArrayLike) -> ComplexArray:
+        turn = 2j * np.pi * self.sample_s * np.asarray(frequencies_hz, float)
+        return np.asarray(-self.sample_s / np.expm1(-turn))
+
+    def z(self, frequencies_hz: ArrayLike) -> ComplexArray:
+        return np.asarray(np.exp(2j * np.pi * self.sample_s * np.asarray(frequencies_hz, float)))
+
+    def state_space(self) -> StateSpace:
+        return self.sampled.state_space()
+
+    def named_poles(self) -> list[NamedPole]:
+        return self._plant_poles()
+
+
+def fixed_path(node: Node, kind: Kind = "sampled", cut: Cut = "gimbal_command") -> FixedPath:
+    """The fixed path of a node. Raises ValueError for an unknown kind or cut."""
+    kinds: dict[str, type[SampledFixedPath | PadeFixedPath | ExactFixedPath]] = {
+        "sampled": SampledFixedPath,
+        "pade": PadeFixedPath,
+        "exact": ExactFixedPath,
+    }
+    if kind not in kinds:
+        raise ValueError(f"kind = {kind!r}: allowed is {', '.join(kinds)}")
+    return kinds[kind](node, cut)
+
+
+def folded(poles_radps: ComplexArray, sample_s: float) -> ComplexArray:
+    """log(exp(s T)) / T: imaginary parts brought between -pi / T and pi / T."""
+    turn = 2.0 * math.pi / sample_s
+    imaginary = poles_radps.imag - turn * np.round(poles_radps.imag / turn)
+    return (poles_radps.real + 1j * imaginary).astype(np.complex128)
+
+
+def _pair(omega: float, zeta: float) -> ComplexArray:
+    """Roots of s^2 + 2 zeta omega s + omega^2."""
+    root = np.sqrt(complex(zeta * zeta - 1.0))
+    return np.array([-zeta + root, -zeta - root]) * omega
+
+
+def _lag(s: ComplexArray, omega: float, zeta: float) -> ComplexArray:
+    """omega^2 / (s^2 + 2 zeta omega s + omega^2)."""
+    x = np.asarray(s) / omega
+    return np.asarray(1.0 / (1.0 + x * (2.0 * zeta + x)))

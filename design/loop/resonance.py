@@ -1,0 +1,97 @@
+"""Poles of what the designer cannot change, and the name of what swings in each."""
+
+from __future__ import annotations
+
+import math
+import re
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.optimize
+
+from maxq.design.model.state_space import ComplexArray, StateSpace
+
+
+@dataclass(frozen=True)
+class Resonance:
+    """An oscillatory pole of the open loop.
+
+    `frequency_hz` is where it shows in the response, in a sampled loop folded below the Nyquist frequency;
+    `pole_radps` is the pole itself, with positive imaginary part. `number` counts from 1 (tank, mode, section).
+    """
+
+    kind: str  # "bending", "slosh", "actuator", "gyro", "body", "converter", "delay", "hold"
+    number: int
+    frequency_hz: float
+    pole_radps: complex
+
+    @property
+    def label(self) -> str:
+        return f"{self.kind} {self.number}" if self.kind in ("bending", "slosh", "actuator") else self.kind
+
+    @property
+    def damping_ratio(self) -> float:
+        return -self.pole_radps.real / abs(self.pole_radps)
+
+    @property
+    def half_width_hz(self) -> float:
+        """How far from `frequency_hz` the resonance has fallen by 3 dB."""
+        return abs(self.pole_radps.real) / (2.0 * math.pi)
+
+
+@dataclass(frozen=True)
+class NamedPole:
+    """A pole in rad/s and what it belongs to."""
+
+    pole_radps: complex
+    kind: str
+    number: int = 0
+
+
+def named(poles: ComplexArray, kind: str, number: int = 0) -> list[NamedPole]:
+    return [NamedPole(complex(p), kind, number) for p in poles]
+
+
+def vehicle_poles(plant: StateSpace) -> list[NamedPole]:
+    """Poles of a vehicle with the states of `vehicle_plant`, or some of them, named by participation.
+
+    A pole's participation in a state is the product of its right and left eigenvectors there: free of units, and
+    one in sum (Perez-Arriaga, Verghese & Schweppe, IEEE Trans. PAS-101, 1982). Each oscillator gives its name to
+    one pair, so that two tanks of equal frequency are told apart even where their motion mixes.
+    """
+    poles, vectors = np.linalg.eig(plant.a) if len(plant.a) else (np.zeros(0), np.zeros((0, 0)))
+    poles = poles.astype(np.complex128)
+    names = [_owner(state) for state in plant.states]
+    owners = list(dict.fromkeys(names))
+    share = np.abs(vectors * np.linalg.pinv(vectors).T) if len(poles) else np.zeros((0, 0))
+    per_owner = np.array([[share[[n == o for n in names], i].sum() for o in owners] for i in range(len(poles))])
+    out = []
+    swinging = [i for i in range(len(poles)) if poles[i].imag > 0.0]
+    if swinging:
+        pairs, found = scipy.optimize.linear_sum_assignment(per_owner[swinging], maximize=True)
+        for pair, owner in zip(pairs, found, strict=True):
+            pole = complex(poles[swinging[pair]])
+            out += [NamedPole(pole, *owners[owner]), NamedPole(pole.conjugate(), *owners[owner])]
+    for i in np.flatnonzero(poles.imag == 0.0):
+        out.append(NamedPole(complex(poles[i]), *owners[int(np.argmax(per_owner[i]))]))
+    return out
+
+
+def _owner(state: str) -> tuple[str, int]:
+    found = re.match(r"(eta|slosh)_(\d+)_", state)
+    if found is None:
+        return "body", 0
+    return ("bending" if found[1] == "eta" else "slosh"), int(found[2])
+
+
+def resonances(poles: list[NamedPole], below_zeta: float, sample_s: float | None) -> list[Resonance]:
+    """Oscillatory poles with a damping ratio below `below_zeta`, in rising order of frequency."""
+    out = []
+    for p in poles:
+        if p.pole_radps.imag <= 0.0 or -p.pole_radps.real >= below_zeta * abs(p.pole_radps):
+            continue
+        frequency_hz = p.pole_radps.imag / (2.0 * math.pi)
+        if sample_s is not None:
+            frequency_hz = abs(frequency_hz - round(frequency_hz * sample_s) / sample_s)
+        out.append(Resonance(p.kind, p.number, frequency_hz, p.pole_radps))
+    return sorted(out, key=lambda r: r.frequency_hz)

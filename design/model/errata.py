@@ -1,0 +1,96 @@
+"""What is wrong in the printed model of Lee, Ahn & Roh, each as a switch of its own.
+
+`PAPER` is eqs 1 to 29 as they are printed, `CORRECTED` the physics that the simulator flies
+(design/model/plant.py). Numbers are those of the project's list of errata. What does not change a linear loop has
+no switch (3: weight bends no free-free mode; 9: signs that are right; 11, 12, 17 to 21: matters of the design
+problem). 14 (coefficients that the paper leaves out) and 15 (continuous approximations) are the kinds of loop in
+design/loop/fixed_path.py, 16 (what eq. 42 opens) its cuts.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import NamedTuple
+
+
+class Erratum(NamedTuple):
+    """What a switch of `Errata` stands for, in words."""
+
+    number: str
+    equations: str
+    printed: str
+    corrected: str
+
+
+@dataclass(frozen=True)
+class Errata:
+    """One field an erratum: True is corrected, False as printed. `ABOUT` says what each is."""
+
+    gyro_senses_rate: bool = True
+    mode_force_sign: bool = True
+    bent_body_loads: bool = True
+    axial_softening: bool = True
+    core_mass: bool = True
+    tank_radius: bool = True
+    tank_liquid: bool = True
+    engine_inertia: bool = True
+    engine_weight: bool = True
+    path_terms: bool = True
+    jet_damping: bool = True
+    damper_at_bob: bool = True
+    actuator_labels: bool = False  # as printed in both presets: nobody knows which of the two is the slip
+
+    def switched(self, **fields: bool) -> Errata:
+        """The same with some switches set otherwise. Raises ValueError for a name that is none."""
+        names = [f.name for f in dataclasses.fields(self)]
+        for name in fields:
+            if name not in names:
+                raise ValueError(f"erratum {name!r}: known are {', '.join(names)}")
+        return dataclasses.replace(self, **fields)
+
+    @property
+    def changes_vehicle(self) -> bool:
+        """Whether the equations of the vehicle (1 to 27) differ from the corrected ones."""
+        return self.switched(actuator_labels=False) != CORRECTED
+
+
+ABOUT: dict[str, Erratum] = {
+    "gyro_senses_rate": Erratum("1", "12", "q_b = sum sigma eta, an angle", "q_b = sum sigma eta'"),
+    "mode_force_sign": Erratum("2", "13", "-F_G / M_G", "+F_G / M_G with phi positive in +z as in (21)"),
+    "bent_body_loads": Erratum(
+        "4", "1, 2, 16, 17", "thrust, lift and tank loads of the bent body in the modal force only",
+        "they also push and turn the whole body, thrust with its moment about the CG at the displaced gimbal",
+    ),
+    "axial_softening": Erratum("4", "13", "none", "axial compression softens the modes: it belongs to the follower"),
+    "core_mass": Erratum("5", "1, 2, 21, 26, 27", "total mass, inertia and CG", "those without the sloshing masses"),
+    "tank_radius": Erratum("6", "22, 25", "R is the diameter", "R is the radius"),
+    "tank_liquid": Erratum("7", "25", "m is all propellant", "m is the liquid in this tank"),
+    "engine_inertia": Erratum(
+        "8", "14, 20", "I_E about the engine's own CG, no I_E sigma in the modal force", "I_E about the gimbal, in both"
+    ),
+    "engine_weight": Erratum("8", "2, 14", "none", "axial load on the engine's mass as it swings out"),
+    "path_terms": Erratum(
+        "10", "1", "alpha' = dF/mU + q only", "gravity turning with the body, drag along the wind, moving CG"
+    ),
+    "jet_damping": Erratum("10", "1, 2", "none", "mass flow damps the turning"),
+    "damper_at_bob": Erratum(
+        "22", "27", "liquid friction pulls at the hinge, as the rod does",
+        "it pulls at the bob: else angular momentum is not conserved",
+    ),
+    "actuator_labels": Erratum(
+        "13", "28", "zero 15.6 Hz, pole 52.6 Hz (a piston's response)",
+        "a3 and a4 exchanged: pole 15.6 Hz, zero 52.6 Hz (an engine's response)",
+    ),
+}  # fmt: skip
+
+CORRECTED = Errata()
+PAPER = Errata(**dict.fromkeys(ABOUT, False))
+PRESETS = {"corrected": CORRECTED, "paper": PAPER}
+
+
+def one_at_a_time() -> Iterator[tuple[str, Errata]]:
+    """Each erratum switched alone: from corrected to as printed, the actuator's labels from printed to exchanged."""
+    for name in ABOUT:
+        yield name, CORRECTED.switched(**{name: not getattr(CORRECTED, name)})

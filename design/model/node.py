@@ -1,0 +1,153 @@
+"""A node: everything that a linear loop depends on at one instant of one flight, in one plane."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from maxq.design.model.errata import CORRECTED, Errata
+from maxq.design.model.flight_condition import FlightCondition
+from maxq.design.model.plant import vehicle_plant
+from maxq.design.model.state_space import StateSpace
+from maxq.design.model.vehicle_at import Plane, VehicleAt, vehicle_at
+from maxq.sim.dynamics.actuator import Actuator
+from maxq.sim.dynamics.gyro import Gyro
+from maxq.sim.dynamics.state import Q_BI
+from maxq.sim.dynamics.workspace import AIRSPEED, DENSITY, GRAVITATION, MACH, PRESSURE
+from maxq.sim.flight.fly import FlightRun
+from maxq.sim.flight.linearise import evaluate_at
+from maxq.sim.packing.flight import Packed, pack_flight
+from maxq.sim.packing.initial import rotation
+from maxq.sim.scenario.loader import LoadedScenario
+
+
+@dataclass(frozen=True)
+class Instruments:
+    """Actuator, gyro and timing of the flight computer; `ideal` actuators and gyros have no dynamics."""
+
+    actuator: Actuator
+    gyro: Gyro
+    sample_s: float  # period of the computer: tau_VF of the converter (30) and tau_DZ of the hold (32)
+    delay_s: float  # tau_D (31), from sample to command
+
+    @property
+    def tau_vf_s(self) -> float:
+        return self.sample_s
+
+    @property
+    def tau_d_s(self) -> float:
+        return self.delay_s
+
+    @property
+    def tau_dz_s(self) -> float:
+        return self.sample_s
+
+
+@dataclass(frozen=True)
+class Node:
+    """Vehicle, air and instruments at a vehicle time, and which errata of the paper are corrected."""
+
+    time_s: float
+    vehicle: VehicleAt
+    condition: FlightCondition
+    instruments: Instruments
+    plane: Plane = "pitch"
+    errata: Errata = CORRECTED
+    label: str = ""
+
+    @cached_property
+    def plant(self) -> StateSpace:
+        """(delta, delta'') -> rates, of body, modes and pendulums, with the node's errata."""
+        return vehicle_plant(self.vehicle, self.condition)
+
+    def with_errata(self, errata: Errata) -> Node:
+        return dataclasses.replace(self, errata=errata)
+
+
+def nodes_along(
+    scenario: LoadedScenario, times_s: Iterable[float], plane: Plane = "pitch", errata: Errata = CORRECTED
+) -> list[Node]:
+    """Nodes at vehicle times (s) of a flight of the scenario, flown once and without a log.
+
+    Speed, air and attitude are those flown, at the integrator's step nearest to each time; incidence and rotation
+    are taken as zero. Nodes come in the order of `times_s`. Raises ValueError, naming node and range, for a time
+    outside the powered flight.
+    """
+    wanted = [float(t) for t in times_s]
+    if not wanted:
+        return []
+    for time_s in wanted:
+        if not math.isfinite(time_s):
+            raise ValueError(f"node at {time_s} s: allowed are finite times")
+    run = FlightRun(scenario, pack_flight(scenario.scenario), log=False)
+    found = {}
+    for time_s in sorted(set(wanted)):
+        found[time_s] = _node(run, time_s, plane, errata)
+    return [found[time_s] for time_s in wanted]
+
+
+def _node(run: FlightRun, time_s: float, plane: Plane, errata: Errata) -> Node:
+    step_ns = int(run.packed.parameters[0].course.step_ns)
+    at_ns = round(time_s * 1e9 / step_ns) * step_ns
+    begins_s = run.now_s
+    if at_ns < round(begins_s * 1e9):
+        raise ValueError(f"node at {time_s:g} s: the flight begins at {begins_s:g} s")
+    if round(run.now_s * 1e9) < at_ns:
+        run.fly_segment(at_ns)
+    events = ", ".join(f"{e.name} at {e.time_s:.4g} s" for e in run.events)
+    if round(run.now_s * 1e9) != at_ns:
+        raise ValueError(f"node at {time_s:g} s: the flight ends at {run.now_s:.6g} s ({events or 'no events'})")
+    clock = run.memory.clock
+    held = run.memory.held
+    if held.down == 1 or held.burning == 0:
+        why = "the vehicle is held down" if held.down == 1 else "the engine does not burn"
+        raise ValueError(
+            f"node at {time_s:g} s: {why} ({events or 'no events yet'}); allowed is from lift-off to burn-out"
+        )
+    return node_of(run.packed, at_ns / 1e9, int(clock.stage), plane, errata)
+
+
+def node_of(packed: Packed, time_s: float, stage: int = 0, plane: Plane = "pitch", errata: Errata = CORRECTED) -> Node:
+    """Node at the state and time at which a packed flight stands."""
+    air = evaluate_at(packed, packed.state, time_s).aux
+    gravitation = air[GRAVITATION : GRAVITATION + 3]
+    gravity = float(np.linalg.norm(gravitation))
+    forward = rotation(packed.state[Q_BI : Q_BI + 4])[:, 0]
+    pitch = math.asin(max(-1.0, min(1.0, float(-forward @ gravitation) / gravity))) if gravity > 0.0 else 0.0
+    condition = FlightCondition(
+        time_s=time_s,
+        airspeed_mps=float(air[AIRSPEED]),
+        density_kgpm3=float(air[DENSITY]),
+        pressure_Pa=float(air[PRESSURE]),
+        mach=float(air[MACH]),
+        pitch_rad=pitch,
+        gravity_mps2=gravity,
+    )
+    row = packed.parameters[stage]
+    clock_s = time_s - 1e-9 * int(row.course.stage_start_ns)
+    return Node(
+        time_s=time_s,
+        vehicle=vehicle_at(packed, clock_s, condition.mach, plane, stage),
+        condition=condition,
+        instruments=instruments_of(row, plane),
+        plane=plane,
+        errata=errata,
+        label=f"{time_s:g} s",
+    )
+
+
+def instruments_of(row: Any, plane: Plane = "pitch") -> Instruments:
+    """Instruments of a packed stage."""
+    record = row.vehicle.actuator_pitch if plane == "pitch" else row.vehicle.actuator_yaw
+    return Instruments(
+        actuator=Actuator(**{f.name: record[f.name].item() for f in dataclasses.fields(Actuator)}),
+        gyro=Gyro(**{f.name: row.vehicle.gyro[f.name].item() for f in dataclasses.fields(Gyro)}),
+        sample_s=1e-9 * int(row.computer.sample_ns),
+        delay_s=1e-9 * int(row.computer.delay_ns),
+    )
