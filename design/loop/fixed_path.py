@@ -50,11 +50,11 @@ class FixedPath(abc.ABC):
             raise ValueError(f"cut = {cut!r}: allowed is {', '.join(CUTS)}")
         self.node, self.cut = node, cut
         self.takes_rate = cut == "gimbal_command"
-        ideal = bool(node.instruments.actuator.ideal)
+        ideal = bool(node.actuator.ideal)
         output = "q_radps" if cut == "rate_command_to_q" else "local_rate_radps"
         # an ideal actuator is at rest between commands: the staircase's corners shake nothing
         self._vehicle = channels(node.plant, (output,), INPUTS[:1] if ideal else INPUTS)
-        self._actuator = None if ideal else actuator(node.instruments.actuator)
+        self._actuator = None if ideal else actuator(node.actuator)
         self._gyro = gyro(node.instruments.gyro) if self.takes_rate and not node.instruments.gyro.ideal else None
 
     @property
@@ -125,7 +125,7 @@ class FixedPath(abc.ABC):
         """Of actuator, vehicle and gyro, each by itself: in a row they stay what they are."""
         out = vehicle_poles(self._vehicle)
         if self._actuator is not None:
-            a = self.node.instruments.actuator
+            a = self.node.actuator
             sections = ((a.omega_1_radps, a.zeta_1), (a.omega_2_radps, a.zeta_2), (a.omega_3_radps, a.zeta_3))
             for k, (omega, zeta) in enumerate(sections):
                 out += named(_pair(omega, zeta), "actuator", k + 1)
@@ -164,7 +164,7 @@ class _ContinuousFixedPath(FixedPath):
         body = self._turning(s)[..., 0, :]
         out = body[..., 0] if self._actuator is None else body[..., 0] + s * s * body[..., 1]
         if self._actuator is not None:
-            a = self.node.instruments.actuator
+            a = self.node.actuator
             out = out * _lag(s, a.omega_1_radps, a.zeta_1) * _lag(s, a.omega_2_radps, a.zeta_2)
             out = out * _lag(s, a.omega_3_radps, a.zeta_3) / _lag(s, a.omega_4_radps, a.zeta_4)
         if self._gyro is not None:
@@ -280,7 +280,7 @@ def folded(poles_radps: ComplexArray, sample_s: float) -> ComplexArray:
     """log(exp(s T)) / T: imaginary parts brought between -pi / T and pi / T."""
     turn = 2.0 * math.pi / sample_s
     imaginary = poles_radps.imag - turn * np.round(poles_radps.imag / turn)
-    return (poles_radps.real + 1j * imaginary).astype(np.complex128)
+    return np.asarray(poles_radps.real + 1j * imaginary, dtype=complex)
 
 
 def _pair(omega: float, zeta: float) -> ComplexArray:

@@ -13,7 +13,9 @@ import numpy as np
 
 from maxq.design.model.errata import CORRECTED, Errata
 from maxq.design.model.flight_condition import FlightCondition
+from maxq.design.model.liquid import Liquids
 from maxq.design.model.plant import vehicle_plant
+from maxq.design.model.printed_plant import printed_plant
 from maxq.design.model.state_space import StateSpace
 from maxq.design.model.vehicle_at import Plane, VehicleAt, vehicle_at
 from maxq.sim.dynamics.actuator import Actuator
@@ -25,6 +27,7 @@ from maxq.sim.flight.linearise import evaluate_at
 from maxq.sim.packing.flight import Packed, pack_flight
 from maxq.sim.packing.initial import rotation
 from maxq.sim.scenario.loader import LoadedScenario
+from maxq.sim.scenario.schema_vehicle import Stage
 
 
 @dataclass(frozen=True)
@@ -59,15 +62,40 @@ class Node:
     instruments: Instruments
     plane: Plane = "pitch"
     errata: Errata = CORRECTED
+    liquids: Liquids | None = None  # needed only for the errata of the tanks; of the nominal vehicle
     label: str = ""
 
     @cached_property
     def plant(self) -> StateSpace:
-        """(delta, delta'') -> rates, of body, modes and pendulums, with the node's errata."""
-        return vehicle_plant(self.vehicle, self.condition)
+        """(delta, delta'') -> rates, of body, modes and pendulums, with the node's errata.
+
+        Raises ValueError, naming the node, where there is no such system.
+        """
+        try:
+            if self.errata.changes_vehicle:
+                return printed_plant(self.vehicle, self.condition, self.errata, self.liquids)
+            return vehicle_plant(self.vehicle, self.condition)
+        except ValueError as problem:
+            raise ValueError(f"node at {self.time_s:g} s: {problem}") from problem
+
+    @cached_property
+    def actuator(self) -> Actuator:
+        """That of the instruments, a3 and a4 exchanged where the errata say so."""
+        a = self.instruments.actuator
+        if not self.errata.actuator_labels or a.ideal:
+            return a
+        return dataclasses.replace(
+            a, omega_3_radps=a.omega_4_radps, omega_4_radps=a.omega_3_radps, zeta_3=a.zeta_4, zeta_4=a.zeta_3
+        )
 
     def with_errata(self, errata: Errata) -> Node:
         return dataclasses.replace(self, errata=errata)
+
+    def with_(self, **deviations: Any) -> Node:
+        """The node with deviations, by the fields of `dispersion.Dispersion`."""
+        from maxq.design.model.dispersion import Dispersion, disperse  # noqa: PLC0415  # it needs Node
+
+        return disperse(self, Dispersion(**deviations))
 
 
 def nodes_along(
@@ -110,7 +138,21 @@ def _node(run: FlightRun, time_s: float, plane: Plane, errata: Errata) -> Node:
         raise ValueError(
             f"node at {time_s:g} s: {why} ({events or 'no events yet'}); allowed is from lift-off to burn-out"
         )
-    return node_of(run.packed, at_ns / 1e9, int(clock.stage), plane, errata)
+    stage = int(clock.stage)
+    node = node_of(run.packed, at_ns / 1e9, stage, plane, errata)
+    course = run.packed.parameters[stage].course
+    clock_s = float(course.burn_rate) * (at_ns - int(course.stage_start_ns)) / 1e9
+    clock_s = float(course.frozen_s) if course.frozen == 1 else clock_s
+    return dataclasses.replace(node, liquids=_liquids(run.loaded.scenario.vehicle.stage[stage], clock_s, node))
+
+
+def _liquids(stage: Stage, clock_s: float, node: Node) -> Liquids | None:
+    """What the tanks hold, if their tables say so."""
+    tanks = stage.tank[: len(node.vehicle.pendulums.mass_kg)]
+    if any(tank.radius_m is None or "liquid_height_m" not in tank.table for tank in tanks):
+        return None
+    heights = [float(np.interp(clock_s, tank.table["time_s"], tank.table["liquid_height_m"])) for tank in tanks]
+    return Liquids(np.array([tank.radius_m for tank in tanks], float), np.array(heights))
 
 
 def node_of(packed: Packed, time_s: float, stage: int = 0, plane: Plane = "pitch", errata: Errata = CORRECTED) -> Node:

@@ -195,18 +195,26 @@ def _mass_flow(vehicle: VehicleAt, at: _Layout) -> Array:
     from the bobs, which shrink, to the core, where they are; and the bobs travel aft with the liquid's
     surface, which gives them a Coriolis acceleration.
     """
-    body, bobs, cg = vehicle.body, vehicle.pendulums, vehicle.body.core_cg_station_m
-    exit_place, bob_place = cg - vehicle.engine.exit_station_m, cg - bobs.bob_station_m
-    momentum = body.mass_flow_kgps * exit_place - body.core_mass_kg * body.core_cg_rate_mps
-    turning = body.mass_flow_kgps * exit_place**2 + body.core_inertia_rate_kgm2ps
+    bobs = vehicle.pendulums
+    momentum, turning = mass_flow_momentum(vehicle)
     out = np.zeros(at.size)
-    momentum += float(bobs.mass_rate_kgps @ bob_place)
-    turning += float(bobs.mass_rate_kgps @ bob_place**2)
     for k in range(at.tanks):
         out += 2.0 * bobs.mass_kg[k] * bobs.bob_station_rate_mps[k] * _bob_reach(vehicle, at, k)
     out[0] -= 2.0 * momentum
     out[1] += turning
     return out
+
+
+def mass_flow_momentum(vehicle: VehicleAt) -> tuple[float, float]:
+    """What flows through the core: P (kg m/s) and the bracket of the moment (kg m2/s) of `_mass_flow`."""
+    body, bobs, cg = vehicle.body, vehicle.pendulums, vehicle.body.core_cg_station_m
+    exit_place, bob_place = cg - vehicle.engine.exit_station_m, cg - bobs.bob_station_m
+    momentum = body.mass_flow_kgps * exit_place - body.core_mass_kg * body.core_cg_rate_mps
+    turning = body.mass_flow_kgps * exit_place**2 + body.core_inertia_rate_kgm2ps
+    return (
+        float(momentum + bobs.mass_rate_kgps @ bob_place),
+        float(turning + bobs.mass_rate_kgps @ bob_place**2),
+    )
 
 
 def _bob_reach(vehicle: VehicleAt, at: _Layout, tank: int) -> Array:
@@ -257,10 +265,14 @@ def _first_order(
     c = np.zeros((len(OUTPUTS), len(a)))
     c[0, 1] = c[1, 1] = c[2, 0] = c[3, 2] = 1.0
     c[1, eta + n] = vehicle.modes.slope_gyro_pm
-    modes, tanks = range(1, n + 1), range(1, m + 1)
-    states = (
+    return StateSpace(a, b, c, np.zeros((len(OUTPUTS), 2)), state_names(n, m), INPUTS, OUTPUTS)
+
+
+def state_names(modes: int, tanks: int) -> tuple[str, ...]:
+    """States of the plant."""
+    mode, tank = range(1, modes + 1), range(1, tanks + 1)
+    return (
         "w_mps", "q_radps", "theta_rad",
-        *[f"eta_{i}_m" for i in modes], *[f"eta_{i}_rate_mps" for i in modes],
-        *[f"slosh_{k}_rad" for k in tanks], *[f"slosh_{k}_rate_radps" for k in tanks],
+        *[f"eta_{i}_m" for i in mode], *[f"eta_{i}_rate_mps" for i in mode],
+        *[f"slosh_{k}_rad" for k in tank], *[f"slosh_{k}_rate_radps" for k in tank],
     )  # fmt: skip
-    return StateSpace(a, b, c, np.zeros((len(OUTPUTS), 2)), states, INPUTS, OUTPUTS)

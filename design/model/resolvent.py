@@ -39,7 +39,8 @@ class Resolvent:
         return out.reshape(*np.shape(s), self._outputs, self._inputs)
 
     def _by_fractions(self, s: ComplexArray) -> ComplexArray:
-        return np.asarray((1.0 / (s[:, None] - self.poles)) @ self._residues)
+        # not `@`: for so thin a product the linear-algebra library's threads cost more than they save
+        return np.asarray(np.einsum("sp,pk->sk", 1.0 / (s[:, None] - self.poles), self._residues))
 
     def _by_substitution(self, s: ComplexArray) -> ComplexArray:
         t, n = self._triangle, len(self._triangle)

@@ -1,0 +1,170 @@
+"""The vehicle as Lee, Ahn & Roh print it, eqs 1 to 27, with each erratum as a switch.
+
+Written in the paper's own form: forces and moments on a body of mass m and inertia I (1, 2), a modal force (14), and
+pendulums driven by the motion of their hinge (21). With `PAPER` these are the equations as printed, with `CORRECTED`
+the same system as `vehicle_plant` derives on another way (a test holds the two against each other).
+
+Where the paper leaves something open: delta_b = -sigma_T eta and alpha_b = sigma_s eta + phi_s eta' / U (16, 17), phi
+at the surface, gimbal or hinge at which a force acts, the derivatives (4 to 8) of the whole vehicle with its liquid
+frozen, I_E as that about the engine's CG (20), a_x = (T - D) / m, and W' - g_z - U q in (21) from (1).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from maxq.control.records import Array
+from maxq.design.model.errata import Errata
+from maxq.design.model.flight_condition import FlightCondition
+from maxq.design.model.liquid import Liquids, as_printed
+from maxq.design.model.plant import INPUTS, OUTPUTS, axial_load_mps2, mass_flow_momentum, state_names
+from maxq.design.model.shift import with_pendulums
+from maxq.design.model.state_space import StateSpace
+from maxq.design.model.vehicle_at import VehicleAt
+
+
+def printed_plant(
+    vehicle: VehicleAt, condition: FlightCondition, errata: Errata, liquids: Liquids | None
+) -> StateSpace:
+    """(delta, delta'') -> rates; states, inputs and outputs as `vehicle_plant`.
+
+    Raises ValueError where an erratum of the tanks is left in and the vehicle does not say what they hold.
+    """
+    load = axial_load_mps2(vehicle, condition)
+    if len(vehicle.pendulums.mass_kg) and load <= 0.0:
+        raise ValueError(f"a pendulum needs a positive axial load, not {load:g} m/s2")
+    return _Equations(_with_printed_tanks(vehicle, errata, liquids), condition, load, errata).state_space()
+
+
+def _with_printed_tanks(vehicle: VehicleAt, errata: Errata, liquids: Liquids | None) -> VehicleAt:
+    if (errata.tank_radius and errata.tank_liquid) or not len(vehicle.pendulums.mass_kg):
+        return vehicle
+    if liquids is None:
+        raise ValueError(
+            "errata tank_radius and tank_liquid need the tanks' radius_m and liquid_height_m, which this vehicle lacks"
+        )
+    return with_pendulums(vehicle, as_printed(vehicle.pendulums, liquids, errata.tank_radius, errata.tank_liquid))
+
+
+class _Equations:
+    """Each quantity is a row: what it is per state and per input, in that order."""
+
+    def __init__(self, vehicle: VehicleAt, condition: FlightCondition, load: float, errata: Errata) -> None:
+        self.vehicle, self.condition, self.load, self.errata = vehicle, condition, load, errata
+        self.modes, self.tanks = len(vehicle.modes.omega_radps), len(vehicle.pendulums.mass_kg)
+        self.names = state_names(self.modes, self.tanks)
+        n, m = self.modes, self.tanks
+        rows = np.eye(len(self.names) + 2)
+        self.w, self.q, self.theta = rows[0], rows[1], rows[2]
+        self.eta, self.eta_rate = rows[3 : 3 + n], rows[3 + n : 3 + 2 * n]
+        self.gamma, self.gamma_rate = rows[3 + 2 * n : 3 + 2 * n + m], rows[3 + 2 * n + m : 3 + 2 * n + 2 * m]
+        self.delta, self.delta_accel = rows[-2], rows[-1]
+        body = vehicle.body
+        self.mass, self.inertia, self.cg = (
+            (body.core_mass_kg, body.core_inertia_kgm2, body.core_cg_station_m)
+            if errata.core_mass
+            else (body.total_mass_kg, vehicle.total_inertia_kgm2, vehicle.total_cg_station_m)
+        )
+        self.force: Array = np.zeros(len(rows))
+        self.moment: Array = np.zeros(len(rows))
+        self.modal: Array = np.zeros((n, len(rows)))
+        self._aerodynamics()
+        self._thrust()
+        self._engine()
+        self._slosh()
+        if errata.jet_damping and vehicle.jet_damping:
+            momentum, turning = mass_flow_momentum(vehicle)
+            self.force = self.force + 2.0 * momentum * self.q
+            self.moment = self.moment - turning * self.q
+
+    def _aerodynamics(self) -> None:
+        """(4), (6), (7), (17)."""
+        air, modes, speed = self.vehicle.aerodynamics, self.vehicle.modes, self.condition.airspeed_mps
+        flow = 0.5 * self.condition.density_kgpm3 * speed * air.area_m2
+        for k, slope in enumerate(air.slope_pr):
+            turned = speed * modes.slope_surface_pm[:, k] @ self.eta + modes.phi_surface[:, k] @ self.eta_rate
+            bent = turned if air.local_incidence else 0.0 * self.w
+            whole = self.w + (bent if self.errata.bent_body_loads else 0.0)
+            self.force = self.force - flow * slope * whole
+            self.moment = self.moment + flow * (slope * self.cg - air.moment_slope_mpr[k]) * whole
+            self.modal = self.modal - flow * slope * np.outer(modes.phi_surface[:, k], self.w + bent)
+        self.moment = self.moment + 0.5 * flow * air.chord_m**2 * air.rate_damping * self.q
+        if self.errata.path_terms:
+            self.force = self.force - flow * air.drag * self.w
+
+    def _thrust(self) -> None:
+        """(5), (8), (16)."""
+        engine, modes = self.vehicle.engine, self.vehicle.modes
+        thrust, arm = engine.thrust_N(self.condition.pressure_Pa), engine.gimbal_station_m - self.cg
+        tilt = -modes.slope_gimbal_pm @ self.eta if engine.follower else 0.0 * self.delta
+        self.modal = self.modal + thrust * np.outer(modes.phi_gimbal, self.delta + tilt)
+        whole, offset = self.delta, 0.0 * self.delta
+        if self.errata.bent_body_loads:
+            whole, offset = self.delta + tilt, modes.phi_gimbal @ self.eta
+        self.force = self.force + thrust * whole
+        self.moment = self.moment + thrust * (arm * whole + offset)
+
+    def _engine(self) -> None:
+        """(18) to (20)."""
+        engine, modes = self.vehicle.engine, self.vehicle.modes
+        first = engine.gimballed_mass_kg * engine.cg_from_gimbal_m
+        inertia = engine.inertia_about_gimbal_kgm2
+        if not self.errata.engine_inertia:
+            inertia -= first * engine.cg_from_gimbal_m
+        self.force = self.force + first * self.delta_accel
+        self.moment = self.moment + (inertia + first * (engine.gimbal_station_m - self.cg)) * self.delta_accel
+        self.modal = self.modal + first * np.outer(modes.phi_gimbal, self.delta_accel)
+        if self.errata.engine_inertia:
+            self.modal = self.modal + inertia * np.outer(modes.slope_gimbal_pm, self.delta_accel)
+        if self.errata.engine_weight:
+            self.moment = self.moment + self.load * first * self.delta
+            self.modal = self.modal + self.load * first * np.outer(modes.slope_gimbal_pm, self.delta)
+
+    def _slosh(self) -> None:
+        """(24), (26), (27)."""
+        bobs, modes = self.vehicle.pendulums, self.vehicle.modes
+        for k in range(self.tanks):
+            rod = bobs.mass_kg[k] * self.load * self.gamma[k]
+            friction = rod_friction(bobs.mass_kg[k], bobs.length_m[k], bobs.damping_ratio[k], self.load)
+            friction = friction * self.gamma_rate[k]
+            arm = self.cg - bobs.hinge_station_m[k]
+            self.force = self.force + rod + friction
+            self.moment = self.moment - arm * rod
+            self.moment = self.moment - (arm - bobs.length_m[k] if self.errata.damper_at_bob else arm) * friction
+            self.modal = self.modal + np.outer(modes.phi_hinge[:, k], rod + friction)
+            if self.errata.bent_body_loads:
+                self.moment = self.moment - self.load * bobs.mass_kg[k] * modes.phi_hinge[:, k] @ self.eta
+
+    def state_space(self) -> StateSpace:
+        modes, bobs = self.vehicle.modes, self.vehicle.pendulums
+        lateral, turning = self.force / self.mass, self.moment / self.inertia
+        force = self.modal if self.errata.mode_force_sign else -self.modal
+        if self.errata.axial_softening:
+            force = force + self.load * modes.softening_kgpm @ self.eta
+        omega = modes.omega_radps[:, None]
+        damping = 2.0 * modes.damping_ratio[:, None] * omega
+        bending = force / modes.generalized_mass_kg[:, None] - omega**2 * self.eta - damping * self.eta_rate
+        coriolis = (
+            bobs.bob_station_rate_mps if self.errata.jet_damping and self.vehicle.jet_damping else 0.0 * bobs.mass_kg
+        )
+        swing = np.zeros((self.tanks, len(self.w)))
+        for k in range(self.tanks):  # (21)
+            length, natural = bobs.length_m[k], np.sqrt(self.load / bobs.length_m[k])
+            arm = self.cg - bobs.hinge_station_m[k]
+            drive = lateral - (arm - length) * turning + modes.phi_hinge[:, k] @ bending + 2.0 * coriolis[k] * self.q
+            swing[k] = -(natural**2) * self.gamma[k] - 2.0 * bobs.damping_ratio[k] * natural * self.gamma_rate[k]
+            swing[k] -= drive / length
+        w_rate = lateral + self.condition.airspeed_mps * self.q
+        if self.errata.path_terms:
+            weight = self.condition.gravity_mps2 * np.sin(self.condition.pitch_rad)
+            w_rate = w_rate - weight * self.theta + self.vehicle.body.core_cg_rate_mps * self.q
+        system = np.concatenate([[w_rate, turning, self.q], self.eta_rate, bending, self.gamma_rate, swing])
+        n = len(self.names)
+        sensed = self.q + modes.slope_gyro_pm @ (self.eta_rate if self.errata.gyro_senses_rate else self.eta)
+        c = np.stack([self.q, sensed, self.w, self.theta])[:, :n]
+        return StateSpace(system[:, :n], system[:, n:], c, np.zeros((4, 2)), self.names, INPUTS, OUTPUTS)
+
+
+def rod_friction(mass: float, length: float, damping_ratio: float, load: float) -> float:
+    """Force between bob and tank per rate of the pendulum's angle, a_x m_p 2 zeta / omega (24)."""
+    return float(2.0 * damping_ratio * np.sqrt(load / length) * length * mass)
