@@ -280,13 +280,13 @@ def folded(poles_radps: ComplexArray, sample_s: float) -> ComplexArray:
     """log(exp(s T)) / T: imaginary parts brought between -pi / T and pi / T."""
     turn = 2.0 * math.pi / sample_s
     imaginary = poles_radps.imag - turn * np.round(poles_radps.imag / turn)
-    return np.asarray(poles_radps.real + 1j * imaginary, dtype=complex)
+    return poles_radps.real + 1j * imaginary
 
 
 def _pair(omega: float, zeta: float) -> ComplexArray:
     """Roots of s^2 + 2 zeta omega s + omega^2."""
     root = np.sqrt(complex(zeta * zeta - 1.0))
-    return np.array([-zeta + root, -zeta - root]) * omega
+    return np.array([-zeta + root, -zeta - root], np.complex128) * omega
 
 
 def _lag(s: ComplexArray, omega: float, zeta: float) -> ComplexArray:

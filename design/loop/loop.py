@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -83,28 +84,54 @@ class Loop:
         if isinstance(self.fixed, ExactFixedPath):
             return self._refined_poles(self.fixed)
         values = np.linalg.eigvals(closed(self.state_space())).astype(np.complex128)
-        if self.k_p != 0.0 and self.fixed.rests_at_dc:  # the integrator's pole, which a zero of the plant hides from L
-            origin = 0.0 if self.sample_s is None else 1.0
-            values = np.delete(values, int(np.argmin(np.abs(values - origin))))
         if self.sample_s is None:
             return values
         return np.asarray(np.log(values[np.abs(values) > _FAST_ENOUGH]) / self.sample_s)
 
     def state_space(self) -> StateSpace:
-        """L from error to gimbal command and round; in z for a sampled loop. The kind `exact` has none."""
-        return chain(self.fixed.state_space(), self.law_state_space(), filter_state_space(self.filter))
+        """L, from the gimbal command round to minus itself; in z for a sampled loop. The kind `exact` has none."""
+        return chain(self._with_law(self.fixed.state_space()), filter_state_space(self.filter))
 
-    def law_state_space(self) -> StateSpace:
-        """k_p integrator + k_d."""
+    def _with_law(self, path: StateSpace) -> StateSpace:
+        """(k_p integrator + k_d) times the path."""
         k_d = self.k_d_s if self.fixed.takes_rate else 0.0
         period = self.fixed.sample_s
-        n = 0 if self.k_p == 0.0 else 1
-        states = ("angle_rad",)[:n]
+        n = len(path.states)
         if period is None:
-            a, b, c, d = np.zeros((n, n)), np.ones((n, 1)), np.full((1, n), self.k_p), k_d
-        else:  # the angle before this sample's increment
-            a, b, c, d = np.eye(n), np.full((n, 1), period), np.full((1, n), self.k_p), k_d + self.k_p * period
-        return StateSpace(a, b, c, np.array([[d]]), states, ("rate_radps",), ("law_rad",))
+            rate_gain, drift, per_rate = k_d, path.a, path.c[0]
+        else:  # the law sees the angle with this sample's increment in it
+            rate_gain, drift, per_rate = k_d + self.k_p * period, path.a - np.eye(n), period * path.c[0]
+        if self.k_p == 0.0:
+            angle = StateSpace(path.a, path.b, rate_gain * path.c, path.d, path.states, path.inputs, ("law_rad",))
+        elif self.fixed.rests_at_dc:
+            # the angle is known from the path's states: `known` times their rate of change is the measured rate
+            known = np.linalg.lstsq(drift.T, per_rate, rcond=None)[0]
+            c = rate_gain * path.c + self.k_p * known
+            angle = StateSpace(path.a, path.b, c, path.d, path.states, path.inputs, ("law_rad",))
+        else:
+            a, b = np.zeros((n + 1, n + 1)), np.zeros((n + 1, 1))
+            a[:n, :n], a[n, :n], a[n, n] = path.a, per_rate, 0.0 if period is None else 1.0
+            b[:n] = path.b
+            c = np.append(rate_gain * path.c[0], self.k_p)[None]
+            angle = StateSpace(a, b, c, path.d, (*path.states, "angle_rad"), path.inputs, ("law_rad",))
+        return angle
+
+    def to_state_space(self) -> Any:
+        """L as a `control.StateSpace` of python-control, which must be installed; sampled loops with their dt.
+
+        Raises ValueError for the kind `exact`.
+        """
+        import control  # noqa: PLC0415  # optional: nothing here needs it
+
+        s = self.state_space()
+        return control.StateSpace(s.a, s.b, s.c, s.d, self.sample_s or 0, states=list(s.states))
+
+    def to_frd(self, frequencies_hz: ArrayLike) -> Any:
+        """L at `frequencies_hz` as a `control.FRD` of python-control, which must be installed."""
+        import control  # noqa: PLC0415  # optional: nothing here needs it
+
+        f = np.atleast_1d(np.asarray(frequencies_hz, float))
+        return control.FRD(self.response(f), 2.0 * np.pi * f, dt=self.sample_s or 0)
 
     def _refined_poles(self, exact: ExactFixedPath) -> ComplexArray:
         start = Loop(PadeFixedPath(exact.node, exact.cut), self.k_p, self.k_d_s, self.filter).closed_poles()

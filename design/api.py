@@ -1,0 +1,143 @@
+"""Linear models and loops as a library.
+
+    from maxq.design import api
+
+    loop = api.loop("nominal", None, 40.0)                   # the scenario's own design, sampled exactly, pitch
+    loop.response([1.0, 10.0]), loop.closed_poles()
+    loop.to_frd(frequencies_hz), loop.to_state_space()       # for python-control
+
+    node = api.nodes("nominal", [40.0])[0]
+    weak = node.with_(bending_frequency=0.9, delay_s=0.005)  # deviations: design/model/dispersion.py
+    api.loop(weak, "designs/ksr3-default", kind="pade")
+
+Wrong input is a ValueError of one line, in scenario and design files a `maxq.sim.api.ScenarioError`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+
+from maxq.control.filters import BendingFilter, DiscreteFilter
+from maxq.design.loop.fixed_path import Cut, FixedPath, Kind, fixed_path
+from maxq.design.loop.loop import Loop
+from maxq.design.model.dispersion import Dispersion, disperse
+from maxq.design.model.errata import CORRECTED, PRESETS, Errata
+from maxq.design.model.imposed import imposed, read_derivatives
+from maxq.design.model.node import Node, nodes_along
+from maxq.design.model.vehicle_at import Plane
+from maxq.sim.packing.computer import bending_filter
+from maxq.sim.scenario.loader import LoadedScenario, load_scenario
+from maxq.sim.scenario.schema_design import Design
+
+Plant = Literal["flown", "table2"]
+PAPER_TIMES_S = tuple(float(t) for t in range(5, 60, 5))
+"""The paper's nodes."""
+
+
+def nodes(
+    scenario: LoadedScenario | str | Path,
+    times_s: Iterable[float] = PAPER_TIMES_S,
+    *,
+    plane: Plane = "pitch",
+    errata: Errata | str = CORRECTED,
+    plant: Plant = "flown",
+) -> list[Node]:
+    """Nodes along a flight of the scenario (loaded, a file, or a built-in name), at vehicle times in s.
+
+    `plant`: the vehicle as flown, or with the derivatives of the paper's Table 2 (design/model/imposed.py).
+    `errata`: switches, or the name of a preset.
+    """
+    if plant not in ("flown", "table2"):
+        raise ValueError(f"plant = {plant!r}: allowed is flown, table2")
+    loaded = scenario if isinstance(scenario, LoadedScenario) else load_scenario(scenario)
+    found = nodes_along(loaded, times_s, plane, preset(errata))
+    return imposed(found, read_derivatives()) if plant == "table2" else found
+
+
+def preset(errata: Errata | str) -> Errata:
+    """Switches as they are, or those of a preset's name."""
+    if isinstance(errata, Errata):
+        return errata
+    if errata not in PRESETS:
+        raise ValueError(f"errata = {errata!r}: allowed is {', '.join(PRESETS)}")
+    return PRESETS[errata]
+
+
+def load_design(name: str | Path, beside: LoadedScenario | str | Path = "nominal") -> Design:
+    """The design in a file, or the built-in one (`designs/...`). Raises ScenarioError.
+
+    A design is read as part of a scenario, `beside`, whose folder is one of those where it is looked for.
+    """
+    label = beside.label if isinstance(beside, LoadedScenario) else beside
+    design = load_scenario(label, [f'design="{Path(name).as_posix()}"']).design
+    assert design is not None
+    return design
+
+
+def gains_at(design: Design, time_s: float, plane: Plane = "pitch") -> tuple[float, float]:
+    """k_p and k_d (s) at a vehicle time, as the flight computer interpolates them: linear, held outside."""
+    table = design.gains.axes[0 if plane == "pitch" else 1]
+    k_p, k_d = (float(np.interp(time_s, table["time_s"], table[name])) for name in ("k_p", "k_d_s"))
+    return k_p, k_d
+
+
+def filter_of(design: Design, sample_s: float | None) -> BendingFilter | DiscreteFilter:
+    """The design's filter: continuous, or as the flight computer runs it at the period `sample_s`."""
+    continuous = bending_filter(design)
+    if sample_s is None:
+        return continuous
+    return continuous.discretize(sample_s, design.filter.discretization, design.filter.prewarp_hz)
+
+
+def close(path: FixedPath, design: Design) -> Loop:
+    """The design's loop around a fixed path, with the gains of its node's time and plane."""
+    k_p, k_d = gains_at(design, path.node.time_s, path.node.plane)
+    return Loop(path, k_p, k_d, filter_of(design, path.sample_s))
+
+
+def loops(where: Iterable[Node], design: Design, *, kind: Kind = "sampled", cut: Cut = "gimbal_command") -> list[Loop]:
+    """A design's loop at each node."""
+    return [close(fixed_path(node, kind, cut), design) for node in where]
+
+
+def loop(
+    where: Node | LoadedScenario | str | Path,
+    design: Design | str | Path | None = None,
+    time_s: float | None = None,
+    *,
+    plane: Plane = "pitch",
+    kind: Kind = "sampled",
+    cut: Cut = "gimbal_command",
+    errata: Errata | str = CORRECTED,
+    plant: Plant = "flown",
+) -> Loop:
+    """A design's loop at one instant.
+
+    `where`: a node, which brings its own time, plane, errata and plant; or a scenario, flown up to `time_s`.
+    `design`: loaded, a file, a built-in name, or None for the scenario's own.
+    """
+    node, scenario = (where, None) if isinstance(where, Node) else (None, where)
+    if isinstance(scenario, str | Path):
+        scenario = load_scenario(scenario)
+    if design is None:
+        design = scenario.design if scenario is not None else None
+        if design is None:
+            raise ValueError("no design is given, and there is no scenario that has one")
+    elif not isinstance(design, Design):
+        design = load_design(design, scenario if scenario is not None else "nominal")
+    if node is None:
+        if time_s is None:
+            raise ValueError("time_s is missing: when along the flight?")
+        assert scenario is not None
+        node = nodes(scenario, [time_s], plane=plane, errata=errata, plant=plant)[0]
+    return loops([node], design, kind=kind, cut=cut)[0]
+
+
+__all__ = [
+    "PAPER_TIMES_S", "Dispersion", "Errata", "Loop", "Node", "close", "disperse", "filter_of", "fixed_path", "gains_at",
+    "load_design", "loop", "loops", "nodes", "preset",
+]  # fmt: skip

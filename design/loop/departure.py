@@ -1,0 +1,87 @@
+"""Where, and by how much, the paper's continuous loop departs from the sampled one that flies."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from maxq.control.filters import BendingFilter, DiscreteFilter
+from maxq.control.records import Array
+from maxq.design.loop.fixed_path import ExactFixedPath, PadeFixedPath, SampledFixedPath
+from maxq.design.loop.loop import Loop
+from maxq.design.loop.resonance import Resonance
+from maxq.design.model.node import Node
+from maxq.design.model.state_space import ComplexArray
+
+Part = Literal["total", "pade", "aliasing", "integrator", "filter"]
+PARTS: tuple[Part, ...] = ("total", "pade", "aliasing", "integrator", "filter")
+
+
+@dataclass(frozen=True)
+class Departure:
+    """Pade loop over sampled loop of one node, as decibels and degrees at each frequency, (frequencies,).
+
+    `total` is the sum of four parts, each a ratio of its own:
+
+    - `pade`: eqs 30 to 32 over their exact factors
+    - `aliasing`: the exact factors without images over the sampled path; infinite in dB where the images cancel it
+    - `integrator`: k_p / s + k_d over k_p T z / (z - 1) + k_d
+    - `filter`: the continuous filter over the discrete one.
+    """
+
+    node: Node
+    frequency_hz: Array
+    db: dict[Part, Array]
+    deg: dict[Part, Array]
+    sampled_db: Array  # |L| of the sampled loop
+    resonances: tuple[Resonance, ...]  # of the sampled loop
+
+    def first_hz(self, db: float, deg: float, part: Part = "total") -> float:
+        """Lowest frequency from which the departure exceeds `db` or `deg`; infinity if it never does."""
+        beyond = (np.abs(self.db[part]) > db) | (np.abs(self.deg[part]) > deg)
+        return float(self.frequency_hz[np.argmax(beyond)]) if beyond.any() else float("inf")
+
+    def at(self, frequency_hz: float) -> dict[Part, tuple[float, float]]:
+        """(dB, deg) of each part at the tabulated frequency nearest to `frequency_hz`."""
+        k = int(np.argmin(np.abs(self.frequency_hz - frequency_hz)))
+        return {part: (float(self.db[part][k]), float(self.deg[part][k])) for part in PARTS}
+
+
+def departure(
+    node: Node,
+    k_p: float,
+    k_d_s: float,
+    continuous: BendingFilter,
+    discrete: DiscreteFilter,
+    frequencies_hz: ArrayLike | None = None,
+) -> Departure:
+    """Compare the loops of a design at a node: by default at 400 frequencies and every resonance up to Nyquist."""
+    paths = PadeFixedPath(node), ExactFixedPath(node), SampledFixedPath(node)
+    found = tuple(paths[2].resonances())
+    if frequencies_hz is None:
+        f = np.geomspace(0.02, 0.999 * paths[2].highest_hz, 400)
+        f = np.union1d(f, [r.frequency_hz for r in found])
+    else:
+        f = np.atleast_1d(np.asarray(frequencies_hz, float))
+    sampled = Loop(paths[2], k_p, k_d_s, discrete)
+    pade, exact, images = (path.response(f) for path in paths)
+    law = k_p * paths[0].integrator(f) + k_d_s, k_p * paths[2].integrator(f) + k_d_s
+    ratios: dict[Part, ComplexArray] = {
+        "pade": pade / exact,
+        "aliasing": exact / images,
+        "integrator": law[0] / law[1],
+        "filter": continuous.frequency_response(2.0 * np.pi * f) / discrete.frequency_response(2.0 * np.pi * f),
+    }
+    db = {part: 20.0 * np.log10(np.abs(ratio)) for part, ratio in ratios.items()}
+    deg = {part: np.degrees(np.angle(ratio)) for part, ratio in ratios.items()}
+    return Departure(
+        node=node,
+        frequency_hz=f,
+        db={"total": np.asarray(sum(db.values())), **db},
+        deg={"total": np.asarray(sum(deg.values())), **deg},
+        sampled_db=20.0 * np.log10(np.abs(sampled.response(f))),
+        resonances=found,
+    )

@@ -1,0 +1,78 @@
+"""What each erratum does to a loop: switched alone from corrected to as printed, and all of them together."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from maxq.design.loop.fixed_path import Cut
+from maxq.design.loop.loop import Loop
+from maxq.design.loop.resonance import Resonance
+from maxq.design.model.errata import ABOUT, CORRECTED, PAPER, Erratum, one_at_a_time
+from maxq.design.model.node import Node
+
+Measure = Callable[[Node, Cut], Mapping[str, float]]
+"""Named numbers of the loop that stands at a node, opened at a cut."""
+
+OPENED = Erratum("16", "42", "opened from q_c to q", "opened at the gimbal command")
+TOGETHER = Erratum("all", "1 to 28", "every switch of the preset paper", "every switch of the preset corrected")
+EXPLAINED = {**ABOUT, "opened_at": OPENED, "paper": TOGETHER}
+
+
+@dataclass(frozen=True)
+class Effect:
+    """An erratum left in at one node; names and units of the numbers are the measure's.
+
+    `error`: why there are none, where the loop cannot be made (a vehicle without what the erratum needs).
+    """
+
+    erratum: str  # a key of EXPLAINED
+    node: Node
+    corrected: Mapping[str, float]
+    printed: Mapping[str, float]
+    error: str = ""
+
+    @property
+    def about(self) -> Erratum:
+        return EXPLAINED[self.erratum]
+
+    def change(self, name: str) -> float:
+        """Printed less corrected; nan where either is missing."""
+        return self.printed.get(name, float("nan")) - self.corrected.get(name, float("nan"))
+
+
+def errata_effects(nodes: Iterable[Node], measure: Measure) -> list[Effect]:
+    """Effects node by node, errata in the order of EXPLAINED; the nodes' own errata do not matter."""
+    cut: Cut = "gimbal_command"
+    out = []
+    for node in nodes:
+        cases = [(name, errata, cut) for name, errata in one_at_a_time()]
+        literal: Cut = "rate_command_to_q"
+        right = node.with_errata(CORRECTED)
+        cases += [("opened_at", right.errata, literal), ("paper", PAPER, cut)]
+        corrected = dict(measure(right, cut))
+        for name, errata, opened in cases:
+            try:
+                out.append(Effect(name, node, corrected, dict(measure(node.with_errata(errata), opened))))
+            except ValueError as problem:
+                out.append(Effect(name, node, corrected, {}, str(problem)))
+    return out
+
+
+def peaks_db(loop: Loop) -> dict[str, float]:
+    """Largest |L| (dB) near each lightly damped pole of bending and slosh, by its label."""
+    return {r.label: peak_db(loop, r) for r in loop.fixed.resonances() if r.kind in ("bending", "slosh")}
+
+
+def peak_db(loop: Loop, resonance: Resonance) -> float:
+    """Largest |L| (dB) within six half-widths of a resonance, to 1e-9 dB."""
+    low, high = (resonance.frequency_hz + side * 6.0 * resonance.half_width_hz for side in (-1.0, 1.0))
+    low, high = max(low, 1e-6), min(high, loop.highest_hz)
+    for _ in range(6):
+        f = np.linspace(low, high, 33)
+        size = np.abs(loop.response(f))
+        k = int(np.argmax(size))
+        low, high = f[max(k - 1, 0)], f[min(k + 1, 32)]
+    return float(20.0 * np.log10(size[k]))
