@@ -18,6 +18,7 @@ from maxq.control.records import Array
 from maxq.design.model.vehicle_at import Pendulums
 
 XI = 1.84118378134066
+_SHALLOWEST = 1e-6  # depth in radii: the formulae are limits at zero
 
 
 @dataclass(frozen=True)
@@ -35,7 +36,8 @@ def as_printed(pendulums: Pendulums, liquids: Liquids, radius: bool, liquid: boo
     Each true pendulum tells how much liquid there is and where; the hinge, of which the paper says nothing, goes
     where the formula above puts it with the same radius. Damping ratio stays.
     """
-    r, h = liquids.radius_m, liquids.height_m
+    r = liquids.radius_m
+    h = np.maximum(liquids.height_m, _SHALLOWEST * r)
     used = r if radius else 2.0 * r
     in_tank = pendulums.mass_kg / _mass_ratio(r, h)
     counted = in_tank if liquid else np.full_like(in_tank, in_tank.sum())

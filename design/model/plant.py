@@ -49,6 +49,7 @@ The yaw plane is the same with  w -> v, q -> -r, theta -> -psi, delta -> -delta_
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from dataclasses import dataclass
 
@@ -105,6 +106,14 @@ def vehicle_plant(vehicle: VehicleAt, condition: FlightCondition) -> StateSpace:
     stiffness = _stiffness(vehicle, condition, load, at)
     damping = _damping(vehicle, condition, load, at)
     engine = _engine_columns(vehicle, condition, load, at)
+    empty = vehicle.pendulums.mass_kg == 0.0
+    if empty.any():  # such a bob swings and moves nothing: its row per unit of mass, where 0 = 0 would stand
+        bobs = dataclasses.replace(vehicle.pendulums, mass_kg=np.ones(at.tanks))
+        unit = dataclasses.replace(vehicle, pendulums=bobs)
+        rows = 2 + at.modes + np.flatnonzero(empty)
+        mass[rows] = _mass_matrix(unit, at)[rows]
+        stiffness[rows] = _stiffness(unit, condition, load, at)[rows]
+        damping[rows] = _damping(unit, condition, load, at)[rows]
     # unknown of the first row is s, of the others the second derivatives
     per_position = _solve(mass, -stiffness)  # column 0 is zero: nothing depends on a lateral position
     per_rate = _solve(mass, -damping)
