@@ -1,0 +1,195 @@
+"""The frequency response of a loop on a grid that its own poles make: nothing narrow lies between two points.
+
+Each pole of L and each zero of 1 + L is surrounded by points at offsets that grow from a fraction of its half
+width (its real part) in steps of 1 + sqrt(2), so a resonance's circle is drawn with some twenty points whether its
+damping ratio is 0.05 or 1e-6. Zeros of L, which the protocol does not tell, turn its phase: intervals over which
+the phase of L or of 1 + L turns by more than TURN_RAD are halved until none is left.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from maxq.control.records import Array
+from maxq.design.loop.open_loop import OpenLoop
+from maxq.design.model.state_space import ComplexArray
+
+LOWEST_HZ = 1e-5  # what is slower than this (4 hours) is drift and not part of the loop's dynamics
+PER_DECADE = 16
+PER_DECADE_FLAT = 6  # below the slowest and above the fastest pole
+TURN_RAD = 0.6
+FLOOR = 1e-4  # where |L| is below this (-80 dB) its phase is of no interest
+NARROW = 1e-12  # relative: an interval that is not halved any more
+MOST_POINTS = 200_000
+ON_AXIS = 1e-9  # |Re p| / |p| below which a pole lies on the axis
+OSCILLATING = 0.5  # damping ratio below which a pole gets points of its own
+
+_STEPS = (1.0 + np.sqrt(2.0)) ** np.arange(-1.0, 24.0)
+_OFFSETS = np.concatenate([-_STEPS[::-1], [0.0], _STEPS])
+
+
+@dataclass(frozen=True)
+class Curve:
+    """L at rising frequencies, and the poles (rad/s) that shaped the grid; `finite_end` says that it ends at Nyquist.
+
+    `at_zero` is the limit of L at zero frequency where `slope_at_zero` is 0 (there L is real and even in f).
+    `slope_at_zero` and `slope_at_end` are n of the asymptotes L ~ (j f)^n; that at the end is 0 at Nyquist.
+    """
+
+    source: OpenLoop
+    frequency_hz: Array
+    loop: ComplexArray
+    open_poles: ComplexArray
+    closed_poles: ComplexArray
+    slope_at_zero: int
+    at_zero: float
+    slope_at_end: int
+    finite_end: bool
+
+    def with_points(self, frequency_hz: Array, loop: ComplexArray) -> Curve:
+        """The same with points added; those that are there already are left out."""
+        f, values = np.append(self.frequency_hz, frequency_hz), np.append(self.loop, loop)
+        order = np.argsort(f, kind="stable")
+        f, values = f[order], values[order]
+        new = np.append(True, np.diff(f) > 0.0)
+        return replace(self, frequency_hz=f[new], loop=values[new])
+
+    def steps_past_poles(self) -> list[tuple[int, int]]:
+        """Steps (number of the point before) that pass poles on the axis, and how many."""
+        p = self.open_poles
+        on_axis = p[(p.imag > self.lowest_radps) & (np.abs(p.real) <= ON_AXIS * np.abs(p))].imag / (2.0 * np.pi)
+        step = np.searchsorted(self.frequency_hz, on_axis) - 1
+        inside = step[(step >= 0) & (step < len(self.frequency_hz) - 1)]
+        return [(int(k), int(n)) for k, n in zip(*np.unique(inside, return_counts=True), strict=True)]
+
+    @property
+    def lowest_radps(self) -> float:
+        """Poles slower than this are drift."""
+        return float(2.0 * np.pi * self.frequency_hz[0])
+
+
+def sample(loop: OpenLoop, frequency_hz: Array) -> ComplexArray:
+    """L, checked. Raises ValueError where it is not finite or has another shape."""
+    values = np.asarray(loop.response(frequency_hz), np.complex128)
+    if values.shape != frequency_hz.shape:
+        raise ValueError(f"the loop's response has shape {values.shape}, not {frequency_hz.shape}")
+    good = np.isfinite(values)
+    if not good.all():
+        k = int(np.argmin(good))
+        raise ValueError(f"the loop's response at {frequency_hz[k]:.9g} Hz is {values[k]}")
+    return values
+
+
+def trace(loop: OpenLoop, lowest_hz: float = LOWEST_HZ) -> Curve:
+    """Draw the curve. Raises ValueError for a response that is not finite, an improper loop and a bad `lowest_hz`."""
+    end = float(loop.highest_hz)
+    if not 0.0 < lowest_hz < end:
+        raise ValueError(f"lowest_hz is {lowest_hz:g}: must lie between 0 and the loop's end at {end:g} Hz")
+    open_poles, closed_poles = _finite(loop.open_poles(), "open"), _finite(loop.closed_poles(), "closed")
+    poles = np.concatenate([open_poles, closed_poles])
+    poles = poles[(poles.imag >= 0.0) & (np.abs(poles) > 2.0 * np.pi * lowest_hz)]
+    slope_at_zero, at_zero = _start(loop, lowest_hz, end)
+    finite_end = bool(np.isfinite(end))
+    end, at_end = (end, 0) if finite_end else _end(loop, poles, lowest_hz)
+    grid = _grid(poles, lowest_hz, end, finite_end)
+    f, values = _refine(loop, grid, sample(loop, grid))
+    return Curve(loop, f, values, open_poles, closed_poles, slope_at_zero, at_zero, at_end, finite_end)
+
+
+def _finite(poles: ComplexArray, kind: str) -> ComplexArray:
+    """Poles without those at minus infinity (a sampled loop's z = 0)."""
+    p = np.atleast_1d(np.asarray(poles, np.complex128))
+    p = p[np.abs(p.real) != np.inf]
+    if not np.isfinite(p).all():
+        raise ValueError(f"{kind}-loop poles are not numbers: {p[~np.isfinite(p)][0]}")
+    return np.asarray(p)
+
+
+def _start(loop: OpenLoop, lowest_hz: float, end: float) -> tuple[int, float]:
+    """Slope at the beginning, and the limit at zero frequency."""
+    values = sample(loop, np.minimum(lowest_hz * np.array([1.0, 2.0]), end))
+    size = np.abs(values)
+    if size.min() == 0.0:
+        return 0, float(values.real[0])
+    return round(float(np.log2(size[1] / size[0]))), float((4.0 * values.real[0] - values.real[1]) / 3.0)
+
+
+def _end(loop: OpenLoop, poles: ComplexArray, lowest_hz: float) -> tuple[float, int]:
+    """Where a continuous loop has reached its asymptote or is too small to matter, and the asymptote's slope."""
+    fastest = max(float(np.abs(poles).max()) / (2.0 * np.pi) if len(poles) else 1.0, 100.0 * lowest_hz)
+    f = 30.0 * fastest * 10.0 ** np.arange(6.0)
+    values = sample(loop, np.concatenate([f, 1.1 * f]))
+    size, later = np.abs(values[:6]), np.abs(values[6:])
+    with np.errstate(all="ignore"):
+        slope = np.log(later / size) / np.log(1.1)
+    quarter = np.angle(values[:6]) / (0.5 * np.pi)
+    settled = (np.abs(slope - np.round(slope)) < 0.01) & (np.abs(quarter - np.round(quarter)) < 0.02)
+    small = size < FLOOR
+    k = int(np.argmax(settled | small)) if (settled | small).any() else 5
+    n = round(float(slope[k])) if np.isfinite(slope[k]) else -1
+    if n > 0 and size[k] > 0.0 and (settled[k] or not small[k]):
+        raise ValueError(f"the loop is improper: |L| grows without end, {size[k]:.3g} at {f[k]:.3g} Hz")
+    # a pure delay keeps turning: small from here on, or level
+    return float(f[k]), min(n, 0) if settled[k] else -1 if small[k] else 0
+
+
+def _grid(poles: ComplexArray, lowest_hz: float, end: float, finite_end: bool) -> Array:
+    size = np.abs(poles) / (2.0 * np.pi)
+    slow, fast = (float(size.min()), float(size.max())) if len(size) else (1.0, 1.0)
+    slow, fast = (min(max(x, 2.0 * lowest_hz), 0.5 * end) for x in (0.3 * slow, 3.0 * fast))
+    parts = [
+        _decades(lowest_hz, slow, PER_DECADE_FLAT),
+        _decades(slow, fast, PER_DECADE),
+        _decades(fast, end, PER_DECADE_FLAT),
+    ]
+    swinging = poles[(poles.imag > 0.0) & (np.abs(poles.real) < OSCILLATING * np.abs(poles))]
+    if len(swinging):
+        # a pole on the axis: L is infinite there
+        width = np.maximum(np.abs(swinging.real), ON_AXIS * np.abs(swinging))
+        near = swinging.imag[:, None] + width[:, None] * _OFFSETS
+        exact = np.abs(swinging.real) < ON_AXIS * np.abs(swinging)
+        near[exact, len(_STEPS)] = lowest_hz * 2.0 * np.pi
+        inside = np.abs(width[:, None] * _OFFSETS) < 0.7 * swinging.imag[:, None]
+        parts.append(near[inside] / (2.0 * np.pi))
+    parts.append(np.array([lowest_hz, end]))
+    if finite_end:
+        parts.append(np.array([end * (1.0 - 1e-6)]))
+    f = np.sort(np.concatenate(parts))
+    f = f[(f >= lowest_hz) & (f <= end)]
+    return np.asarray(f[np.append(True, np.diff(f) > NARROW * f[1:])])
+
+
+def _decades(low: float, high: float, density: int) -> Array:
+    n = max(2, int(np.ceil(density * np.log10(max(high / low, 1.001)))))
+    return np.asarray(np.geomspace(low, high, n, endpoint=False))
+
+
+def _refine(loop: OpenLoop, f: Array, values: ComplexArray) -> tuple[Array, ComplexArray]:
+    """Halve intervals over which L or 1 + L turns too far, and those beside them that would stand out."""
+    fresh = np.ones(len(f) - 1, bool)
+    for _ in range(40):
+        coarse = fresh & (_turn(values) > TURN_RAD) & (np.maximum(np.abs(values[1:]), np.abs(values[:-1])) > FLOOR)
+        coarse |= fresh & (_turn(1.0 + values) > TURN_RAD)
+        width = np.diff(f)
+        coarse &= width > 1e3 * NARROW * f[1:]
+        if not coarse.any():
+            break
+        # a turn by a multiple of 2 pi looks like none: its neighbours give it away
+        wide = np.where(coarse, 0.5 * width, np.inf)
+        beside = np.minimum(np.append(wide[1:], np.inf), np.append(np.inf, wide[:-1]))
+        coarse |= width > 4.0 * beside
+        k = np.flatnonzero(coarse)
+        if len(f) + len(k) > MOST_POINTS:
+            raise ValueError(f"the loop's phase turns too often to be followed: {len(f)} points up to {f[-1]:.3g} Hz")
+        middle = 0.5 * (f[k] + f[k + 1])
+        f, values = np.insert(f, k + 1, middle), np.insert(values, k + 1, sample(loop, middle))
+        fresh = np.zeros(len(f) - 1, bool)
+        first = k + np.arange(len(k))
+        fresh[first] = fresh[first + 1] = True
+    return f, values
+
+
+def _turn(values: ComplexArray) -> Array:
+    return np.asarray(np.abs(np.angle(values[1:] * np.conj(values[:-1]))))

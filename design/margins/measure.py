@@ -1,0 +1,186 @@
+"""Margins of a loop: every way in which it is far from, or near to, instability."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from maxq.control.records import Array
+from maxq.design.loop.open_loop import OpenLoop
+from maxq.design.loop.resonance import Resonance
+from maxq.design.margins.crossings import GainCrossings, PhaseCrossings, find_crossings
+from maxq.design.margins.curve import LOWEST_HZ, Curve, trace
+from maxq.design.margins.disk import Disk, Disks, find_disks
+from maxq.design.margins.extremes import refine_extremes
+from maxq.design.margins.lobes import Lobe, find_lobes
+from maxq.design.margins.nichols import Clearance, Zone, find_clearances
+from maxq.design.margins.nyquist import encirclement_count, unstable
+from maxq.design.margins.worst import NOTHING, Bound, least
+
+DIAMOND = Zone("diamond", 30.0, 6.0)
+RECTANGLE = Zone("rectangle", 30.0, 6.0)
+BENDING_KINDS = ("bending", "slosh")
+
+
+@dataclass(frozen=True)
+class Margins:
+    """Margins of a stable loop: positive numbers, infinite where nothing bounds them.
+
+    The rigid body's own: `rigid_phase` is the least over the crossings outside bending lobes (slosh may lie on them),
+    `crossover_hz` the last of those where |L| falls; `rigid_gain` and `aero_gain` are the gain margins, up and down,
+    of the crossings in no lobe above and below it. Unnamed lobes are taken for bending.
+
+    Those of an unstable loop are NaN, every one, so that no comparison with a limit can pass; `stable`,
+    `unstable_poles` and `growth_1ps` say how far it is from being one. `crossings` and `curve` are facts about L and
+    are always there, without the word margin.
+
+    A bound is a value and the frequency where it is met (zero and infinity being limits). The gain that may be
+    added before the loop meets -1 is `gain_up`, that which may be taken away `gain_down`; over all crossings, lobes
+    included, they are exact: between them the loop is stable. `phase` is the least turn either way over all
+    crossings of |L| = 1. `delay` is the least delay in s that brings a crossing to -1; of a sampled loop it is exact
+    for whole periods, and the turn of phase alone in between. A continuous loop that stays above 1 has none: 0.
+    """
+
+    stable: bool
+    unstable_poles: int  # zeros of 1 + L to the right of the axis, from their list
+    encircled_poles: int  # the same from the curve's encirclements; a disagreement makes the loop count as unstable
+    growth_1ps: float  # greatest real part of the closed loop's poles: growth, or minus the slowest decay
+    growth_hz: float  # of that pole
+    gain_up_db: Bound
+    gain_down_db: Bound
+    phase_deg: Bound
+    delay_s: Bound
+    aero_gain_db: Bound
+    rigid_gain_db: Bound
+    rigid_phase_deg: Bound
+    crossover_hz: float  # 0 without one
+    disks: Disks
+    clearances: tuple[Clearance, ...]
+    lobes: tuple[Lobe, ...]
+    gain_crossings: GainCrossings
+    phase_crossings: PhaseCrossings
+    curve: Curve
+
+    @property
+    def modulus(self) -> float:
+        """min |1 + L|."""
+        return self.disks.sensitivity.size
+
+    @property
+    def growth_time_s(self) -> float:
+        """Time in which an unstable loop grows e-fold; infinite for a stable one."""
+        return 1.0 / self.growth_1ps if self.growth_1ps > 0.0 else np.inf
+
+    @property
+    def conditionally_stable(self) -> bool:
+        """Less gain would destabilise."""
+        return self.stable and bool(np.isfinite(self.gain_down_db.value))
+
+    def lobe(self, label: str) -> Lobe:
+        """By name. Raises KeyError, naming those that there are."""
+        for lobe in self.lobes:
+            if lobe.label == label:
+                return lobe
+        raise KeyError(f"no lobe {label!r}: there are {', '.join(lobe.label for lobe in self.lobes) or 'none'}")
+
+
+def margins(
+    loop: OpenLoop,
+    *,
+    resonances: Sequence[Resonance] | None = None,
+    zones: Sequence[Zone] = (DIAMOND,),
+    gain_stabilised_db: float = 0.0,
+    lowest_hz: float = LOWEST_HZ,
+) -> Margins:
+    """Measure a loop. Crossings and distances are solved for: 1e-8 dB and degrees where L itself is as good.
+
+    `resonances` name the lobes; of those only bending and slosh are looked at. Without them every open-loop pole
+    with a damping ratio below 0.1 that shows in L is a lobe. A lobe that peaks below minus `gain_stabilised_db` is
+    gain-stabilised. Poles slower than `lowest_hz` (integrators among them) are drift: they neither count as
+    unstable nor are looked for in L. Raises ValueError for a response that is not finite, and for an improper loop.
+    """
+    curve = trace(loop, lowest_hz)
+    gain, phase, curve = find_crossings(refine_extremes(curve))
+    growing = unstable(curve.closed_poles, curve.lowest_radps)
+    encircled = encirclement_count(curve, phase)
+    growth, growth_hz = _slowest(curve)
+    stable = len(growing) == 0 and encircled == 0
+    facts = (stable, len(growing), encircled, growth, growth_hz)
+    if not stable:
+        return _without(facts, tuple(zones), gain, phase, curve)
+    named = None if resonances is None else [r for r in resonances if r.kind in BENDING_KINDS]
+    lobes = find_lobes(curve, gain, phase, named, gain_stabilised_db)
+    bending = [lobe for lobe in lobes if lobe.kind != "slosh"]
+    rigid, free = ~_inside(gain.frequency_hz, bending), ~_inside(phase.frequency_hz, lobes)
+    crossover = float(gain.frequency_hz[rigid & ~gain.rising].max(initial=0.0))
+    db, f = phase.gain_margin_db, phase.frequency_hz
+    turn = np.abs(gain.phase_margin_deg)
+    return Margins(
+        *facts,
+        gain_up_db=least(db, f, db >= 0.0),
+        gain_down_db=least(-db, f, db < 0.0),
+        phase_deg=least(turn, gain.frequency_hz),
+        delay_s=_delay(gain, curve),
+        aero_gain_db=least(-db, f, (db < 0.0) & free & (f <= crossover)),
+        rigid_gain_db=least(db, f, (db >= 0.0) & free & (f >= crossover)),
+        rigid_phase_deg=least(turn, gain.frequency_hz, rigid),
+        crossover_hz=crossover,
+        disks=find_disks(curve),
+        clearances=find_clearances(curve, tuple(zones), gain, phase),
+        lobes=lobes,
+        gain_crossings=gain,
+        phase_crossings=phase,
+        curve=curve,
+    )
+
+
+def _slowest(curve: Curve) -> tuple[float, float]:
+    p = curve.closed_poles[np.abs(curve.closed_poles) > curve.lowest_radps]
+    if not len(p):
+        return -np.inf, 0.0
+    k = int(np.argmax(p.real))
+    return float(p.real[k]), float(abs(p.imag[k]) / (2.0 * np.pi))
+
+
+def _inside(f: Array, lobes: Sequence[Lobe]) -> NDArray[np.bool_]:
+    out = np.zeros(len(f), bool)
+    for lobe in lobes:
+        out |= (f >= lobe.low_hz) & (f <= lobe.high_hz)
+    return out
+
+
+def _delay(gain: GainCrossings, curve: Curve) -> Bound:
+    if not curve.finite_end and curve.slope_at_end == 0 and abs(curve.loop[-1]) >= 1.0:
+        return Bound(0.0, np.inf)
+    return least(gain.delay_s, gain.frequency_hz)
+
+
+def _without(
+    facts: tuple[bool, int, int, float, float],
+    zones: tuple[Zone, ...],
+    gain: GainCrossings,
+    phase: PhaseCrossings,
+    curve: Curve,
+) -> Margins:
+    """Those of an unstable loop."""
+    disk = Disk(np.nan, np.nan, np.nan, np.nan, np.nan)
+    return Margins(
+        *facts,
+        gain_up_db=NOTHING,
+        gain_down_db=NOTHING,
+        phase_deg=NOTHING,
+        delay_s=NOTHING,
+        aero_gain_db=NOTHING,
+        rigid_gain_db=NOTHING,
+        rigid_phase_deg=NOTHING,
+        crossover_hz=np.nan,
+        disks=Disks(disk, disk, disk),
+        clearances=tuple(Clearance(zone, np.nan, np.nan, complex(np.nan, np.nan)) for zone in zones),
+        lobes=(),
+        gain_crossings=gain,
+        phase_crossings=phase,
+        curve=curve,
+    )

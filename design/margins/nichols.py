@@ -1,0 +1,132 @@
+"""Exclusion zones around -180 + 360 k degrees, 0 dB in the Nichols plane, and how far a curve stays clear of them.
+
+Gain and phase margin bound a curve on two lines only and let it cut the corner between them. The clearance of a zone
+is -1 in its centre, 0 on its border and grows linearly outwards: d >= 0 is the constraint. With psi the phase from
+the nearest centre in degrees, y the gain in dB, a and b the zone's half axes:
+
+    diamond      |psi|/a + |y|/b - 1
+    rectangle    max(|psi|/a, |y|/b) - 1
+    ellipse      sqrt((psi/a)^2 + (y/b)^2) - 1
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from maxq.control.records import Array, IntArray
+from maxq.design.margins.crossings import GainCrossings, PhaseCrossings
+from maxq.design.margins.curve import Curve, sample
+from maxq.design.margins.extremes import brackets
+from maxq.design.margins.objectives import DB, along, from_minus_one_deg, log_size
+from maxq.design.margins.solving import minima, roots
+from maxq.design.model.state_space import ComplexArray
+
+Shape = Literal["diamond", "rectangle", "ellipse"]
+
+
+@dataclass(frozen=True)
+class Zone:
+    """Half axes. Raises ValueError unless both are positive."""
+
+    shape: Shape = "diamond"
+    phase_deg: float = 30.0
+    gain_db: float = 6.0
+
+    def __post_init__(self) -> None:
+        if self.shape not in ("diamond", "rectangle", "ellipse"):
+            raise ValueError(f"zone shape {self.shape!r}: must be diamond, rectangle or ellipse")
+        if not (self.phase_deg > 0.0 and self.gain_db > 0.0):
+            raise ValueError(f"a zone of {self.phase_deg} deg by {self.gain_db} dB: both must be positive")
+
+    def coordinates(self, loop: ComplexArray) -> tuple[Array, Array]:
+        """psi/a and y/b."""
+        return from_minus_one_deg(loop) / self.phase_deg, DB * log_size(loop) / self.gain_db
+
+    def clearance(self, loop: ComplexArray) -> Array:
+        """At each point of L."""
+        x, y = self.coordinates(loop)
+        if self.shape == "diamond":
+            return np.asarray(np.abs(x) + np.abs(y) - 1.0)
+        if self.shape == "rectangle":
+            return np.asarray(np.maximum(np.abs(x), np.abs(y)) - 1.0)
+        return np.asarray(np.hypot(x, y) - 1.0)
+
+    def corner(self, loop: ComplexArray) -> Array:
+        """|psi|/a - |y|/b, zero on the diagonals on which a rectangle's clearance has its kinks."""
+        x, y = self.coordinates(loop)
+        return np.asarray(np.abs(x) - np.abs(y))
+
+
+@dataclass(frozen=True)
+class Clearance:
+    """Least clearance of a zone along the curve: negative inside the zone."""
+
+    zone: Zone
+    value: float
+    frequency_hz: float
+    loop: complex
+
+
+def find_clearances(
+    curve: Curve, zones: tuple[Zone, ...], gain: GainCrossings, phase: PhaseCrossings
+) -> tuple[Clearance, ...]:
+    """Of every zone; the curve must hold its crossings. Kinks of the clearance lie on crossings and diagonals."""
+    if not zones:
+        return ()
+    curve = _with_corners(curve, zones)
+    curve = _beside(curve, np.concatenate([gain.frequency_hz, phase.frequency_hz]))
+    objectives = [zone.clearance for zone in zones]
+    found: list[tuple[IntArray, Array]] = [_candidates(objective(curve.loop)) for objective in objectives]
+    kind = np.concatenate([np.full(len(middle), k) for k, (middle, _) in enumerate(found)])
+    middle = np.concatenate([m for m, _ in found])
+    if len(middle):
+        points = curve.frequency_hz[middle[:, None] + np.arange(-1, 2)]
+        values = np.concatenate([v for _, v in found])
+        lowest = minima(along(curve.source, objectives, kind), points, values)
+        curve = curve.with_points(lowest, sample(curve.source, lowest))
+    return tuple(_least(curve, zone) for zone in zones)
+
+
+def _candidates(value: Array) -> tuple[IntArray, Array]:
+    """Brackets that may hold the least value of all: a step from a neighbour bounds what can be gained."""
+    middle, around = brackets(value)
+    fall = np.maximum(around[:, 0], around[:, 2]) - around[:, 1]
+    worth = around[:, 1] - fall <= value.min()
+    return middle[worth], around[worth]
+
+
+def _with_corners(curve: Curve, zones: tuple[Zone, ...]) -> Curve:
+    """With the crossings of the rectangles' diagonals near the zone."""
+    for zone in zones:
+        if zone.shape == "rectangle":
+            value, near = zone.corner(curve.loop), zone.clearance(curve.loop)
+            least = near.min()
+            k = np.flatnonzero(
+                ((value[1:] >= 0.0) != (value[:-1] >= 0.0)) & (np.minimum(near[1:], near[:-1]) < least + 1.0)
+            )
+            f = curve.frequency_hz
+            found = roots(
+                along(curve.source, (zone.corner,), np.zeros(len(k), int)), f[k], f[k + 1], value[k], value[k + 1]
+            )
+            curve = _beside(curve.with_points(found, sample(curve.source, found)), found)
+    return curve
+
+
+def _beside(curve: Curve, kinks_hz: Array) -> Curve:
+    """With points close to each kink, so that a smooth minimum next to one has a bracket of its own."""
+    f = curve.frequency_hz
+    k = np.searchsorted(f, kinks_hz)
+    k = k[(k > 0) & (k < len(f) - 1)]
+    if not len(k):
+        return curve
+    close = np.concatenate([f[k] - 0.02 * (f[k] - f[k - 1]), f[k] + 0.02 * (f[k + 1] - f[k])])
+    return curve.with_points(close, sample(curve.source, close))
+
+
+def _least(curve: Curve, zone: Zone) -> Clearance:
+    value = zone.clearance(curve.loop)
+    k = int(np.argmin(value))
+    return Clearance(zone, float(value[k]), float(curve.frequency_hz[k]), complex(curve.loop[k]))

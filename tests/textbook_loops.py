@@ -1,0 +1,119 @@
+"""Loops small enough to have their margins in closed form, or another way to compute them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+import scipy.linalg
+from numpy.typing import ArrayLike
+
+from maxq.control.records import Array
+from maxq.design.model.state_space import ComplexArray
+
+
+@dataclass(frozen=True)
+class TransferLoop:
+    """numerator / denominator in falling powers of s (of z with `sample_s`), times a pure delay.
+
+    With a delay the closed loop has poles without number: `rightmost` are those to be reported.
+    """
+
+    numerator: Sequence[float]
+    denominator: Sequence[float]
+    sample_s: float | None = None
+    delay_s: float = 0.0
+    rightmost: Sequence[complex] = field(default=())
+
+    @property
+    def highest_hz(self) -> float:
+        return np.inf if self.sample_s is None else 0.5 / self.sample_s
+
+    def response(self, frequencies_hz: ArrayLike) -> ComplexArray:
+        s = 2j * np.pi * np.asarray(frequencies_hz, float)
+        x = s if self.sample_s is None else np.exp(s * self.sample_s)
+        return np.polyval(self.numerator, x) / np.polyval(self.denominator, x) * np.exp(-s * self.delay_s)
+
+    def open_poles(self) -> ComplexArray:
+        return self._poles(np.roots(self.denominator))
+
+    def closed_poles(self) -> ComplexArray:
+        if self.delay_s > 0.0:
+            return np.asarray(self.rightmost, complex)
+        return self._poles(np.roots(np.polyadd(self.numerator, self.denominator)))
+
+    def _poles(self, x: ArrayLike) -> ComplexArray:
+        values = np.asarray(x, complex)
+        if self.sample_s is None:
+            return values
+        return np.log(values[values != 0.0]) / self.sample_s
+
+    def scaled(self, gain: float) -> TransferLoop:
+        return TransferLoop(np.asarray(self.numerator) * gain, self.denominator, self.sample_s, self.delay_s)
+
+
+@dataclass(frozen=True)
+class ModalLoop:
+    """Sum of partial fractions, c^T (s - A)^-1 b with A of blocks one or two wide: exact at any damping ratio."""
+
+    a: Array
+    b: Array
+    c: Array
+
+    highest_hz = np.inf
+
+    @classmethod
+    def of(
+        cls, real: Sequence[tuple[float, float]], pairs: Sequence[tuple[float, float, float, float]], gain: float = 1.0
+    ) -> ModalLoop:
+        """`real`: (pole, residue); `pairs`: (omega, zeta, weights of rate and of place) in omega (r s + p omega)."""
+        n = len(real) + 2 * len(pairs)
+        a, b, c = np.zeros((n, n)), np.zeros(n), np.zeros(n)
+        for k, (pole, residue) in enumerate(real):
+            a[k, k], b[k], c[k] = pole, 1.0, gain * residue
+        for k, (omega, zeta, rate, place) in enumerate(pairs):
+            i = len(real) + 2 * k
+            a[i, i + 1], a[i + 1, i], a[i + 1, i + 1] = omega, -omega, -2.0 * zeta * omega
+            b[i + 1], c[i], c[i + 1] = omega, gain * place, gain * rate
+        return cls(a, b, c)
+
+    def response(self, frequencies_hz: ArrayLike) -> ComplexArray:
+        s = 2j * np.pi * np.asarray(frequencies_hz, float)
+        out = np.zeros(s.shape, complex)
+        i = 0
+        while i < len(self.a):
+            if i + 1 < len(self.a) and self.a[i, i + 1] != 0.0:
+                w, d = self.a[i, i + 1], -self.a[i + 1, i + 1]
+                out += self.b[i + 1] * (self.c[i] * w + self.c[i + 1] * s) / (w * w + s * (d + s))
+                i += 2
+            else:
+                out += self.b[i] * self.c[i] / (s - self.a[i, i])
+                i += 1
+        return out
+
+    def open_poles(self) -> ComplexArray:
+        return np.linalg.eigvals(self.a).astype(complex)
+
+    def closed_poles(self) -> ComplexArray:
+        return self.poles_with(1.0)
+
+    def poles_with(self, gain: float) -> ComplexArray:
+        return np.linalg.eigvals(self.a - gain * np.outer(self.b, self.c)).astype(complex)
+
+    def gain_crossings_hz(self) -> ComplexArray:
+        """Eigenvalues / 2 pi j of the Hamiltonian whose imaginary ones are where |L| = 1."""
+        h = np.block([[self.a, np.outer(self.b, self.b)], [-np.outer(self.c, self.c), -self.a.T]])
+        return np.linalg.eigvals(h) / (2j * np.pi)
+
+    def real_crossings_hz(self) -> ComplexArray:
+        """Zeros / 2 pi j of L(s) - L(-s), whose imaginary ones are where L is real."""
+        n = len(self.a)
+        zero = np.zeros((n, n))
+        a = np.block([[self.a, zero], [zero, -self.a]])
+        b, c = np.append(self.b, self.b), np.append(self.c, self.c)
+        left = np.block([[a, b[:, None]], [c[None], np.zeros((1, 1))]])
+        right = np.zeros_like(left)
+        right[: 2 * n, : 2 * n] = np.eye(2 * n)
+        found = scipy.linalg.eigvals(left, right)
+        return found[np.isfinite(found)] / (2j * np.pi)
