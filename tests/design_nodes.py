@@ -1,0 +1,61 @@
+"""Nodes of the nominal flight, flown once for all tests that need some."""
+
+from __future__ import annotations
+
+import dataclasses
+from functools import cache
+from typing import Any
+
+import numpy as np
+
+from maxq.design import api
+from maxq.design.model.node import Node
+from maxq.design.model.vehicle_at import Plane
+from maxq.sim.scenario.loader import LoadedScenario, load_scenario
+from maxq.sim.scenario.schema_design import Design
+
+TIMES_S = api.PAPER_TIMES_S
+
+
+@cache
+def nominal(*overrides: str) -> LoadedScenario:
+    return load_scenario("nominal", list(overrides))
+
+
+@cache
+def flown(plane: Plane = "pitch", *overrides: str) -> tuple[Node, ...]:
+    return tuple(api.nodes(nominal(*overrides), TIMES_S, plane=plane))
+
+
+def node_at(time_s: float, plane: Plane = "pitch", *overrides: str) -> Node:
+    return flown(plane, *overrides)[TIMES_S.index(time_s)]
+
+
+def design() -> Design:
+    found = nominal().design
+    assert found is not None
+    return found
+
+
+def without(node: Node, *, modes: bool = False, tanks: bool = False) -> Node:
+    """The node without its bending modes, or its pendulums (their mass is then missing)."""
+    vehicle = node.vehicle
+    bobs, bends = vehicle.pendulums, vehicle.modes
+    if tanks:
+        bobs = dataclasses.replace(bobs, **{f.name: getattr(bobs, f.name)[:0] for f in dataclasses.fields(bobs)})
+        bends = dataclasses.replace(bends, phi_hinge=bends.phi_hinge[:, :0])
+    if modes:
+        cut: dict[str, Any] = {f.name: getattr(bends, f.name)[:0] for f in dataclasses.fields(bends)}
+        bends = dataclasses.replace(bends, **cut | {"softening_kgpm": np.zeros((0, 0))})
+    return dataclasses.replace(node, vehicle=dataclasses.replace(vehicle, pendulums=bobs, modes=bends))
+
+
+def ideal(node: Node, *, actuator: bool = False, gyro: bool = False) -> Node:
+    """The node with an ideal actuator or gyro."""
+    i = node.instruments
+    changed = dataclasses.replace(
+        i,
+        actuator=dataclasses.replace(i.actuator, ideal=1) if actuator else i.actuator,
+        gyro=dataclasses.replace(i.gyro, ideal=1) if gyro else i.gyro,
+    )
+    return dataclasses.replace(node, instruments=changed)

@@ -1,0 +1,405 @@
+"""What must hold of nodes, deviations and loops whatever the vehicle, and the edges of what a vehicle may be.
+
+| what | holds |
+|---|---|
+| sloshing masses changed | the vehicle with its liquid frozen stays: mass, CG, inertia, stability derivatives |
+| slosh mass zero | the same loop as without that tank |
+| no modes, no tanks, ideal actuator and gyro | a loop all the same; the rigid body has its closed form |
+| two modes of equal frequency and shape | one mode of half the generalised mass |
+| a deviation of nothing | the node itself |
+| imposed derivatives | are exactly those that eqs 4 to 8 then give; axial load, slosh frequency and M_q stay |
+| nodes along a flight | those of the flight's own log; outside the powered flight a refusal |
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import pickle
+
+import numpy as np
+import pytest
+from design_nodes import TIMES_S, design, flown, ideal, node_at, nominal, without
+
+from maxq.design import api
+from maxq.design.loop.departure import PARTS, departure
+from maxq.design.loop.errata_effects import closed_damping, peaks_db
+from maxq.design.loop.fixed_path import KINDS, PadeFixedPath, SampledFixedPath, fixed_path
+from maxq.design.loop.loop import Loop
+from maxq.design.model.derivatives import stability_derivatives
+from maxq.design.model.dispersion import Dispersion
+from maxq.design.model.errata import PAPER
+from maxq.design.model.imposed import COLUMNS, DerivativeTable, imposed, read_derivatives
+from maxq.design.model.node import Node, nodes_along
+from maxq.design.model.plant import axial_load_mps2
+from maxq.design.model.resolvent import Resolvent
+from maxq.sim.flight.fly import fly
+
+F = np.geomspace(0.01, 49.0, 120)
+EVERY_NODE = pytest.mark.parametrize("time_s", TIMES_S)
+
+
+def with_modes(node: Node, **changed: object) -> Node:
+    modes = dataclasses.replace(node.vehicle.modes, **changed)  # type: ignore[arg-type]
+    return dataclasses.replace(node, vehicle=dataclasses.replace(node.vehicle, modes=modes))
+
+
+def with_bobs(node: Node, **changed: object) -> Node:
+    bobs = dataclasses.replace(node.vehicle.pendulums, **changed)  # type: ignore[arg-type]
+    return dataclasses.replace(node, vehicle=dataclasses.replace(node.vehicle, pendulums=bobs))
+
+
+# --- nodes
+def test_nodes_are_those_of_the_flight_that_is_logged() -> None:
+    times = (41.5, 7.25, 41.5)
+    nodes = nodes_along(nominal(), times)
+    assert [n.time_s for n in nodes] == list(times)
+    flight = fly(nominal("run.duration_s=42"))
+    for node in nodes:
+        for name, ours in (
+            ("airspeed_mps", node.condition.airspeed_mps), ("mach", node.condition.mach),
+            ("density_kgpm3", node.condition.density_kgpm3), ("pressure_Pa", node.condition.pressure_Pa),
+        ):  # fmt: skip
+            there = np.interp(node.time_s, flight.time_s(name), flight[name])
+            np.testing.assert_allclose(ours, there, rtol=1e-6)
+
+
+def test_a_node_is_the_same_whichever_others_are_asked_for() -> None:
+    alone, among = api.nodes(nominal(), [40.0])[0], node_at(40.0)
+    assert alone.condition == among.condition
+    np.testing.assert_array_equal(alone.plant.a, among.plant.a)
+
+
+def test_nodes_come_back_from_another_process() -> None:
+    node = node_at(40.0)
+    again = pickle.loads(pickle.dumps(node))
+    np.testing.assert_array_equal(fixed_path(again).response(F), fixed_path(node).response(F))
+
+
+@pytest.mark.parametrize(
+    ("time_s", "words"),
+    [
+        (0.05, r"node at 0.05 s: the vehicle is held down .*allowed is from lift-off to burn-out"),
+        (-1.0, "node at -1 s: the flight begins at 0 s"),
+        (61.0, "node at 61 s: the engine does not burn .*burnout at 59.29 s"),
+        (500.0, "node at 500 s: the flight ends at 2.*impact"),
+        (np.nan, "node at nan s: allowed are finite times"),
+    ],
+)
+def test_nodes_outside_the_powered_flight(time_s: float, words: str) -> None:
+    with pytest.raises(ValueError, match=words):
+        nodes_along(nominal(), [10.0, time_s])
+
+
+def test_no_nodes() -> None:
+    assert nodes_along(nominal(), []) == []
+
+
+def test_second_stage_has_nodes() -> None:
+    node = nodes_along(api.load_scenario("checkcases/two-stage"), [1.0])[0]
+    assert node.vehicle.body.core_mass_kg > 0.0
+    later = nodes_along(api.load_scenario("checkcases/two-stage"), [_second_burn()])[0]
+    assert later.vehicle.body.total_mass_kg < 0.9 * node.vehicle.body.total_mass_kg
+
+
+def _second_burn() -> float:
+    flight = fly(api.load_scenario("checkcases/two-stage"), log=False)
+    ignitions = [e.time_s for e in flight.events if e.name == "ignition"]
+    return ignitions[-1] + 1.0
+
+
+# --- deviations
+def test_no_deviation_is_the_node_itself() -> None:
+    node = node_at(40.0)
+    assert node.with_() is node
+
+
+@EVERY_NODE
+def test_sloshing_masses_leave_the_frozen_vehicle(time_s: float) -> None:
+    node = node_at(time_s)
+    changed = node.with_(slosh_mass=(1.1, 0.8), slosh_frequency=(0.95, 1.05), slosh_damping=0.5)
+    for f in ("total_cg_station_m", "total_inertia_kgm2"):
+        np.testing.assert_allclose(getattr(changed.vehicle, f), getattr(node.vehicle, f), rtol=1e-12)
+    ours, theirs = (dataclasses.astuple(stability_derivatives(n.vehicle, n.condition)) for n in (changed, node))
+    np.testing.assert_allclose(ours, theirs, rtol=1e-11)
+    load = axial_load_mps2(node.vehicle, node.condition)
+    assert load == axial_load_mps2(changed.vehicle, changed.condition)
+    before, after = node.vehicle.pendulums, changed.vehicle.pendulums
+    np.testing.assert_allclose(np.sqrt(load / after.length_m) / np.sqrt(load / before.length_m), [0.95, 1.05])
+    np.testing.assert_allclose(after.mass_kg / before.mass_kg, [1.1, 0.8])
+    np.testing.assert_allclose(after.damping_ratio, 0.5 * before.damping_ratio)
+
+
+def test_deviations_of_modes_and_instruments() -> None:
+    node = node_at(40.0)
+    off = node.with_(bending_frequency=(0.9, 1.1), bending_slope=1.2, actuator_frequency=0.85, delay_s=0.005)
+    right, wrong = PadeFixedPath(node), PadeFixedPath(off)
+    at = {r.label: r for r in right.resonances()}
+    there = {r.label: r for r in wrong.resonances()}
+    for label, factor in (("bending 1", 0.9), ("bending 2", 1.1), ("bending 3", 1.0), ("actuator 3", 0.85)):
+        # coupling to the body moves a mode by half a per cent, softening by a little
+        np.testing.assert_allclose(there[label].frequency_hz / at[label].frequency_hz, factor, rtol=5e-3)
+    assert off.instruments.delay_s == node.instruments.delay_s + 0.005
+    assert off.instruments.actuator.omega_4_radps == node.instruments.actuator.omega_4_radps
+    np.testing.assert_array_equal(off.vehicle.modes.slope_gyro_pm, 1.2 * node.vehicle.modes.slope_gyro_pm)
+    stronger = node.with_(thrust=1.03, normal_force=1.15, centre_of_pressure_m=0.25, inertia=0.95)
+    before, after = (stability_derivatives(n.vehicle, n.condition) for n in (node, stronger))
+    np.testing.assert_allclose(after.z_delta_1ps / before.z_delta_1ps, 1.03)
+    np.testing.assert_allclose(after.z_alpha_1ps / before.z_alpha_1ps, 1.15)
+    assert after.m_delta_1ps2 > 1.03 * before.m_delta_1ps2
+    assert after.m_alpha_1ps2 < before.m_alpha_1ps2
+    np.testing.assert_allclose(axial_load_mps2(stronger.vehicle, stronger.condition),
+                               axial_load_mps2(node.vehicle, node.condition))  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("given", "words"),
+    [
+        ({"bending_frequency": 0.0}, "bending_frequency = 0.0: allowed are finite numbers above 0"),
+        ({"slosh_mass": (1.0, -0.1)}, r"slosh_mass = \(1.0, -0.1\): allowed are finite numbers from 0"),
+        ({"delay_s": np.nan}, "delay_s = nan: allowed"),
+        ({"bending_slope": np.inf}, "bending_slope = inf: allowed are finite numbers$"),
+    ],
+)
+def test_deviations_that_make_no_sense(given: dict[str, object], words: str) -> None:
+    with pytest.raises(ValueError, match=words):
+        Dispersion(**given)  # type: ignore[arg-type]
+
+
+def test_too_many_factors_and_too_much_slosh() -> None:
+    node = node_at(40.0)
+    with pytest.raises(ValueError, match="slosh_mass has 3 factors: allowed are 2, or one number for all"):
+        node.with_(slosh_mass=(1.0, 1.0, 1.0))
+    with pytest.raises(ValueError, match="in a vehicle of"):
+        node.with_(slosh_mass=30.0)
+
+
+# --- edges
+def test_zero_slosh_mass_is_no_tank() -> None:
+    node = node_at(40.0).with_(slosh_mass=(1.0, 0.0))
+    keep = dataclasses.replace(
+        node.vehicle.pendulums, **{f.name: getattr(node.vehicle.pendulums, f.name)[:1] for f in
+                                   dataclasses.fields(node.vehicle.pendulums)}
+    )  # fmt: skip
+    modes = dataclasses.replace(node.vehicle.modes, phi_hinge=node.vehicle.modes.phi_hinge[:, :1])
+    single = dataclasses.replace(node, vehicle=dataclasses.replace(node.vehicle, pendulums=keep, modes=modes))
+    for kind in KINDS:
+        with_both, with_one = fixed_path(node, kind), fixed_path(single, kind)
+        np.testing.assert_allclose(with_both.response(F), with_one.response(F), rtol=1e-9)
+        assert len(with_both.poles()) == len(with_one.poles())
+        assert [r.label for r in with_both.resonances()] == [r.label for r in with_one.resonances()]
+    swinging = [p for p in node.plant.poles() if p.imag > 0]
+    assert len(swinging) == 6  # the empty bob still swings by itself
+    both_empty = node.with_(slosh_mass=0.0)
+    assert not [r for r in fixed_path(both_empty).resonances() if r.kind == "slosh"]
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_rigid_body_with_ideal_instruments(kind: api.Kind) -> None:
+    """In vacuum q' = M_delta delta exactly: the loop has its closed form."""
+    node = ideal(without(node_at(40.0), modes=True, tanks=True), actuator=True, gyro=True)
+    condition = dataclasses.replace(node.condition, density_kgpm3=0.0)
+    vehicle = dataclasses.replace(node.vehicle, jet_damping=False, engine=dataclasses.replace(
+        node.vehicle.engine, gimballed_mass_kg=0.0))  # fmt: skip
+    node = dataclasses.replace(node, condition=condition, vehicle=vehicle)
+    path = fixed_path(node, kind)
+    assert path.continuous.states == ("q_radps",)
+    body, engine = vehicle.body, vehicle.engine
+    turn = engine.thrust_N(condition.pressure_Pa) * (engine.gimbal_station_m - body.core_cg_station_m)
+    m_delta = turn / body.core_inertia_kgm2
+    f = np.array([0.1, 1.0, 10.0, 40.0])
+    s, timing = 2j * np.pi * f, node.instruments
+    if kind == "sampled":
+        z, late = np.exp(s * timing.sample_s), timing.sample_s - timing.delay_s
+        # increments of the angle under a staircase that comes late, worked by hand
+        t, d = timing.sample_s, timing.delay_s
+        rate = late + d / z
+        angle = 0.5 * late**2 + (d * late + 0.5 * d * d) / z
+        expected = m_delta * (rate * t / (z - 1.0) + angle) / (z * t)
+    elif kind == "exact":
+        x = s * timing.sample_s
+        expected = m_delta / s * ((1.0 - np.exp(-x)) / x) ** 2 * np.exp(-s * timing.delay_s)
+    else:
+        x = s * timing.sample_s
+        y = s * timing.delay_s
+        average = (1 - x / 14 + x**2 / 42 - x**3 / 840) / (1 + 3 * x / 7 + x**2 / 14 + x**3 / 210)
+        late = (1 - y / 2 + y**2 / 12) / (1 + y / 2 + y**2 / 12)
+        expected = m_delta / s * average * late / (1 + x / 2 + x**2 / 12)
+    np.testing.assert_allclose(path.response(f), expected, rtol=1e-9)
+    loop = Loop(path, 0.5, 0.3)
+    assert (loop.closed_poles().real < 0.0).all()
+    assert (loop.open_poles() == 0.0).sum() == 2  # the body's and the integrator's
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_two_modes_of_equal_frequency(kind: api.Kind) -> None:
+    """Twice the same mode is that mode with half its generalised mass, its axial softening apart."""
+    node = with_modes(node_at(40.0), softening_kgpm=np.zeros((3, 3)))
+    m = node.vehicle.modes
+
+    def pick(which: list[int]) -> Node:
+        chosen = {f.name: getattr(m, f.name)[which] for f in dataclasses.fields(m) if f.name != "softening_kgpm"}
+        return with_modes(node, **chosen, softening_kgpm=np.zeros((len(which), len(which))))
+
+    twice, once = pick([0, 0]), pick([0])
+    once = with_modes(once, generalized_mass_kg=0.5 * m.generalized_mass_kg[:1])
+    f = np.append(F, [r.frequency_hz for r in fixed_path(once, kind).resonances()])
+    np.testing.assert_allclose(fixed_path(twice, kind).response(f), fixed_path(once, kind).response(f), rtol=1e-6)
+    labels = [r.label for r in fixed_path(twice, kind).resonances() if r.kind == "bending"]
+    assert sorted(labels) == ["bending 1", "bending 2"]
+
+
+def test_response_without_a_basis_of_eigenvectors() -> None:
+    """Two equal poles in a row have one eigenvector only: 1 / (s + 1)^2 must come out all the same."""
+    a, b, c = np.array([[-1.0, 1.0], [0.0, -1.0]]), np.array([[0.0], [1.0]]), np.array([[1.0, 0.0]])
+    s = 1j * np.geomspace(0.01, 100.0, 50).reshape(5, 10)
+    np.testing.assert_allclose(Resolvent(a, b, c)(s)[..., 0, 0], 1.0 / (s + 1.0) ** 2, rtol=1e-14)
+
+
+def test_scalar_frequencies_and_shapes() -> None:
+    for kind in KINDS:
+        loop = api.loop(node_at(40.0), design(), kind=kind)
+        assert loop.response(1.0).shape == ()
+        assert loop.response(np.ones((2, 3))).shape == (2, 3)
+        np.testing.assert_allclose(loop.response([1.0, 2.0])[0], loop.response(1.0), rtol=1e-13)
+
+
+def test_what_does_not_fit_is_refused() -> None:
+    node = node_at(40.0)
+    with pytest.raises(ValueError, match="kind = 'zoh': allowed is sampled, pade, exact"):
+        fixed_path(node, "zoh")  # type: ignore[arg-type]
+    with pytest.raises(ValueError, match="cut = 'gyro': allowed is gimbal_command, rate_command_to_q"):
+        fixed_path(node, cut="gyro")  # type: ignore[arg-type]
+    sampled, pade = fixed_path(node), fixed_path(node, "pade")
+    continuous, discrete = api.filter_of(design(), None), api.filter_of(design(), 0.01)
+    with pytest.raises(ValueError, match="needs a discrete filter"):
+        Loop(sampled, 1.0, 1.0, continuous)
+    with pytest.raises(ValueError, match="the loop's period is None"):
+        Loop(pade, 1.0, 1.0, discrete)
+    with pytest.raises(ValueError, match=r"filter of sample_s = 0\.02: the loop's period is 0\.01"):
+        Loop(sampled, 1.0, 1.0, api.filter_of(design(), 0.02))
+    with pytest.raises(ValueError, match="k_p = nan"):
+        Loop(sampled, np.nan, 1.0)
+    with pytest.raises(ValueError, match="no state space"):
+        fixed_path(node, "exact").state_space()
+    with pytest.raises(ValueError, match="time_s is missing"):
+        api.loop("nominal")
+    with pytest.raises(ValueError, match="no design is given"):
+        api.loop(node)
+    with pytest.raises(ValueError, match="plant = 'paper': allowed is flown, table2"):
+        api.nodes("nominal", [40.0], plant="paper")  # type: ignore[arg-type]
+
+
+def test_resonances_are_named() -> None:
+    for node in flown():
+        path = SampledFixedPath(node)
+        labels = [r.label for r in path.resonances()]
+        wanted = ["actuator 3", "bending 1", "bending 2", "bending 3", "body", "slosh 1", "slosh 2"]
+        assert set(labels) <= set(wanted)
+        assert set(wanted[:4] + wanted[5:]) <= set(labels)
+        assert len(set(labels)) == len(labels)
+        by = {r.label: r for r in path.resonances()}
+        modes = node.vehicle.modes
+        for i in range(3):
+            np.testing.assert_allclose(by[f"bending {i + 1}"].pole_radps.imag, modes.omega_radps[i], rtol=0.02)
+        assert 47.0 < by["actuator 3"].frequency_hz < 49.0  # 52 Hz, folded
+    damped = {r.label for r in path.resonances(below_zeta=2.0)}
+    assert {"actuator 1", "actuator 2", "gyro"} <= damped
+
+
+def test_without_k_p_there_is_no_integrator() -> None:
+    for kind in ("pade", "sampled"):
+        path = fixed_path(node_at(40.0), kind)  # type: ignore[arg-type]
+        loop = Loop(path, 0.0, 0.3)
+        assert len(loop.open_poles()) == len(path.poles())
+        np.testing.assert_allclose(loop.response(F), 0.3 * path.response(F))
+
+
+def test_literal_cuts_of_eq_42() -> None:
+    node = node_at(40.0)
+    for cut in ("rate_command_to_q", "rate_command_to_q_m"):
+        loop = api.loop(node, design(), kind="pade", cut=cut)  # type: ignore[arg-type]
+        again = dataclasses.replace(loop, k_d_s=100.0)
+        np.testing.assert_array_equal(loop.response(F), again.response(F))  # q_c meets k_p only
+        s = loop.state_space()
+        direct = s.response(F)[:, 0, 0]
+        np.testing.assert_allclose(loop.response(F), direct, rtol=1e-5)
+    peak = {cut: peaks_db(api.loop(node, design(), kind="pade", cut=cut))["bending 1"]  # type: ignore[arg-type]
+            for cut in ("gimbal_command", "rate_command_to_q", "rate_command_to_q_m")}  # fmt: skip
+    assert peak["gimbal_command"] > 10.0 > -15.0 > peak["rate_command_to_q_m"] > peak["rate_command_to_q"] + 15.0
+
+
+# --- Table 2
+def test_imposed_derivatives_span_table_2() -> None:
+    table = read_derivatives()
+    nodes = imposed(flown(), table)
+    found = np.array([[getattr(stability_derivatives(n.vehicle, n.condition), c) for c in COLUMNS] for n in nodes])
+    np.testing.assert_allclose(found, table.values, rtol=1e-12)
+    ends = {
+        "z_alpha_1ps": (-0.55, -0.1),
+        "m_alpha_1ps2": (-40, -1),
+        "z_delta_1ps": (0.05, 0.38),
+        "m_delta_1ps2": (8.1, 15.5),
+    }
+    for k, name in enumerate(COLUMNS):
+        np.testing.assert_allclose((found[:, k].min(), found[:, k].max()), ends[name], rtol=1e-12)
+    for before, after in zip(flown(), nodes, strict=True):
+        np.testing.assert_allclose(axial_load_mps2(after.vehicle, after.condition),
+                                   axial_load_mps2(before.vehicle, before.condition), rtol=1e-12)  # fmt: skip
+        rates = [stability_derivatives(n.vehicle, n.condition).m_q_1ps for n in (before, after)]
+        np.testing.assert_allclose(rates[0], rates[1], rtol=1e-12)
+        assert after.vehicle.modes is before.vehicle.modes
+        assert after.vehicle.pendulums is before.vehicle.pendulums
+        assert (api.loop(after, design()).closed_poles().real < 0.0).all()
+        assert len(api.loop(after.with_errata(PAPER), design(), kind="pade").closed_poles()) > 0
+
+
+def test_imposed_derivatives_that_cannot_be() -> None:
+    table = read_derivatives()
+    with pytest.raises(ValueError, match=r"node at 57 s: .*derivatives.csv holds 5 s to 55 s"):
+        table.at(57.0)
+    between = table.at(42.5)
+    assert 11.462 < between["m_delta_1ps2"] < 12.542
+    wild = DerivativeTable(np.array([40.0]), np.array([[-0.5, -40.0, 0.07, 1e4]]))
+    with pytest.raises(ValueError, match="M_delta = 10000 leaves the core no inertia"):
+        imposed([node_at(40.0)], wild)
+
+
+def test_tables_of_derivatives_that_are_none(tmp_path) -> None:  # type: ignore[no-untyped-def]
+    for text in ("time_s,z_alpha_1ps\n5,1\n", "", "time_s," + ",".join(COLUMNS) + "\n5,1,2,3,x\n"):
+        file = tmp_path / "derivatives.csv"
+        file.write_text(text)
+        with pytest.raises(ValueError, match=r"derivatives.csv: allowed are"):
+            read_derivatives(file)
+
+
+# --- comparison
+def test_departure_closes_and_says_where_it_comes_from() -> None:
+    continuous, discrete = api.filter_of(design(), None), api.filter_of(design(), 0.01)
+    for node in flown()[::5]:
+        k_p, k_d = api.gains_at(design(), node.time_s)
+        found = departure(node, k_p, k_d, continuous, discrete)  # type: ignore[arg-type]
+        pade = api.loop(node, design(), kind="pade").response(found.frequency_hz)
+        sampled = api.loop(node, design()).response(found.frequency_hz)
+        np.testing.assert_allclose(found.db["total"], 20 * np.log10(np.abs(pade / sampled)), atol=1e-9)
+        turned = np.exp(1j * np.radians(found.deg["total"]))
+        np.testing.assert_allclose(turned, pade / sampled / np.abs(pade / sampled), atol=1e-9)
+        low = found.frequency_hz < 2.0
+        assert np.abs(found.db["total"][low]).max() < 0.1
+        assert np.abs(found.deg["total"][low]).max() < 1.0
+        assert found.first_hz(1e9, 1e9) == np.inf
+        assert set(found.at(10.0)) == set(PARTS)
+    # at 55 s mode 3 lies 0.6 Hz below Nyquist: its image is as large as itself but for the distance
+    third = next(r for r in found.resonances if r.label == "bending 3")
+    assert abs(found.at(third.frequency_hz)["aliasing"][1]) > 5.0
+
+
+def test_closed_damping_follows_slosh() -> None:
+    """At 55 s the fuel hangs between CG and centre of percussion: the loop takes damping from it."""
+    loop = api.loop(node_at(55.0), design())
+    free = {r.label: r.damping_ratio for r in loop.fixed.resonances() if r.kind == "slosh"}
+    closed = closed_damping(loop)
+    assert set(free) <= set(closed)
+    off = dataclasses.replace(loop, k_p=0.0, k_d_s=0.0)
+    again = closed_damping(off)
+    np.testing.assert_allclose([again[k] for k in free], list(free.values()), rtol=1e-6)
+    assert closed["slosh 2"] < free["slosh 2"]
