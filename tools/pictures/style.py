@@ -21,7 +21,9 @@ from typing import Any
 import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.axis import Axis
 from matplotlib.figure import Figure
+from matplotlib.ticker import FuncFormatter, NullFormatter
 from numpy.typing import NDArray
 
 BLUE, ORANGE, GREEN, RED, SKY, PINK = "#0072b2", "#e69f00", "#009e73", "#d55e00", "#56b4e9", "#cc79a7"
@@ -84,7 +86,10 @@ def sheet(rows: int = 1, columns: int = 1, height_in: float = 2.6, width_in: flo
 
 def save(figure: Figure, stem: Path, formats: Sequence[str] = FORMATS) -> list[Path]:
     """Write `stem`.svg, `stem`.png ...; each under a temporary name first, so that there is a whole one or none."""
-    files = []
+    layout, files = figure.get_layout_engine(), []
+    if layout is not None:  # once for all formats: it takes as long as the drawing
+        layout.execute(figure)
+        figure.set_layout_engine("none")
     for kind in formats:
         path = stem.with_name(f"{stem.name}.{kind}")
         part = path.with_name(f".{path.name}.part")
@@ -106,6 +111,12 @@ def label(place: Axes, x: str = "", y: str = "", title: str = "") -> None:
         place.set_ylabel(y)
     if title:
         place.set_title(title, loc="left")
+
+
+def plain_numbers(axis: Axis) -> None:
+    """0.1, 1, 10 at a logarithmic axis, as engineers write them."""
+    axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    axis.set_minor_formatter(NullFormatter())
 
 
 def curve(number: int) -> dict[str, Any]:

@@ -1,0 +1,225 @@
+"""`simdesign analyse` and `simdesign errata`: what they print, leave and return."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from maxq.sim.api import fly, load_scenario
+from maxq.sim.packing.computer import bending_filter
+from maxq.sim.scenario.schema_design import Design
+from maxq.tools import simdesign
+from maxq.tools.design import design_file
+
+Printed = pytest.CaptureFixture[str]
+QUICK = ["--no-pictures", "--at", "40"]
+
+
+@pytest.fixture(autouse=True)
+def _in_an_empty_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+
+
+def run(*arguments: str) -> int:
+    """Exit code of the command, also where argparse ends it."""
+    try:
+        return simdesign.main(list(arguments))
+    except SystemExit as end:
+        return int(str(end.code))
+
+
+def default_design() -> Design:
+    found = load_scenario("nominal", ['design="designs/ksr3-default.toml"']).design
+    assert found is not None
+    return found
+
+
+# analyse
+
+
+def test_a_design_is_judged_at_every_node(capsys: Printed) -> None:
+    assert run("analyse", "ksr3-default", "--no-pictures") == 0
+    printed = capsys.readouterr()
+    lines = printed.out.splitlines()
+    assert lines[0] == "ksr3-default: KSR-III default"
+    assert "sampled, as it flies" in lines[1]
+    for time_s in range(5, 60, 5):
+        assert sum(line.split()[:2] == [str(time_s), "stable"] for line in lines) == 2
+    assert lines[-1] == "PASSED: stable, all 5 limits met"
+    assert any(line.split()[:2] == ["phase", "margin"] and line.endswith(" met") for line in lines)
+    assert printed.err == ""
+    assert list(Path().iterdir()) == []
+
+
+def test_pictures_and_record_go_into_a_folder(capsys: Printed) -> None:
+    assert run("analyse", "ksr3-default", "--at", "40", "--at", "20", "--out", "here", "--kind", "pade") == 0
+    names = sorted(path.name for path in Path("here").iterdir())
+    stems = ("lobes", "loop-020.0s", "loop-040.0s", "margins")
+    assert names == sorted(["analysis.json", *(f"{stem}.{kind}" for stem in stems for kind in ("png", "svg"))])
+    told: dict[str, Any] = json.loads(Path("here/analysis.json").read_text())
+    assert (told["design"], told["kind"], told["passed"]) == ("ksr3-default", "pade", True)
+    assert [node["time_s"] for node in told["nodes"]] == [40.0, 20.0]
+    first = told["nodes"][0]
+    assert first["gain_up"]["db"] > 6.0
+    assert {lobe["label"] for lobe in first["lobes"]} == {"slosh 1", "slosh 2", "bending 1", "bending 2", "bending 3"}
+    assert "files in here/" in capsys.readouterr().out
+
+
+def test_limits_that_are_missed_are_said_so(capsys: Printed) -> None:
+    text = (design_file.designs_folder() / "ksr3-default.toml").read_text()
+    Path("stricter.toml").write_text(text.replace("gain_margin_db = 6.0", "gain_margin_db = 9.6"))
+    assert run("analyse", "stricter.toml", *QUICK) == 1
+    printed = capsys.readouterr().out.splitlines()
+    assert printed[-1] == "FAILED: gain margin missed"
+    assert any(line.lstrip().startswith("40") and line.endswith("FAIL") for line in printed)
+
+
+def test_an_unstable_loop_shows_no_margin(capsys: Printed) -> None:
+    text = (design_file.designs_folder() / "ksr3-default.toml").read_text()
+    Path("hot.toml").write_text(text.replace("k_d_s = 0.481", "k_d_s = 4.81").replace("k_d_s = 0.329", "k_d_s = 3.29"))
+    assert run("analyse", "hot.toml", "--at", "40", "--out", "hot") == 1
+    printed = capsys.readouterr().out
+    assert "UNSTABLE" in printed
+    assert printed.splitlines()[-1].startswith("FAILED: unstable, gain margin missed")
+    node = json.loads(Path("hot/analysis.json").read_text())["nodes"][0]
+    assert (node["stable"], node["gain_up"]["db"], node["phase"]["deg"]) == (False, None, None)
+    assert [lobe["label"] for lobe in node["lobes"]], "lobes are facts, also of an unstable loop"
+
+
+def test_yaw_of_a_round_vehicle_is_as_pitch(capsys: Printed) -> None:
+    said = []
+    for axis in ("pitch", "yaw"):
+        assert run("analyse", "ksr3-default", *QUICK, "--axis", axis) == 0
+        said.append(capsys.readouterr().out.splitlines())
+        assert f"along nominal, {axis};" in said[-1][1]
+    assert said[0][2:] == said[1][2:]
+
+
+@pytest.mark.parametrize("more", [["--errata", "paper"], ["--plant", "table2"], ["--kind", "exact"]])
+def test_other_loops_of_the_same_design(more: list[str], capsys: Printed) -> None:
+    said = []
+    for words in ([], more):
+        assert run("analyse", "ksr3-default", *QUICK, *words) in (0, 1)
+        said.append(capsys.readouterr().out.splitlines())
+    assert said[0][2:] != said[1][2:]
+
+
+def test_a_folder_that_holds_a_design_will_do(capsys: Printed) -> None:
+    Path("made").mkdir()
+    Path("made/design.toml").write_text((design_file.designs_folder() / "ksr3-default.toml").read_text())
+    assert run("analyse", "made", *QUICK) == 0
+    assert capsys.readouterr().out.splitlines()[0] == "made: KSR-III default"
+
+
+# errata
+
+
+def test_errata_are_listed_with_their_effect_at_every_node(capsys: Printed) -> None:
+    assert run("errata", "--at", "10", "--at", "50", "--out", "errata.txt") == 0
+    printed = capsys.readouterr()
+    assert printed.err == ""
+    text = printed.out
+    assert Path("errata.txt").read_text() == text
+    blocks = {block.splitlines()[0]: block for block in text.split("\n\n")}
+    peak = blocks["peak of mode 1, dB: as printed less corrected"].splitlines()
+    assert peak[1].split() == ["time,", "s", "10", "50"]
+    row = next(line.split() for line in peak if line.split()[0] == "gyro_senses_rate")
+    assert all(-40.0 < float(x) < -30.0 for x in row[1:]), "errata.md: 35 to 36 dB lower"
+    phase = blocks["phase margin, deg: as printed less corrected"]
+    assert any(line.split() == ["mode_force_sign", "unst.", "unst."] for line in phase.splitlines())
+
+
+# wrong input: one line, exit code 2, nothing written
+
+WRONG = {
+    "nothing": ([], "give a case"),
+    "no design": (["analyse"], "give a design, e.g. simdesign analyse ksr3-default"),
+    "unknown design": (
+        ["analyse", "nowhere"],
+        "nowhere: no such file; allowed: a design file (.toml), or a built-in one",
+    ),
+    "empty name": (["analyse", ""], '"": no such file'),
+    "empty folder": (["analyse", "."], "the folder has no design.toml"),
+    "two designs": (["analyse", "a", "b"], "what is 'b'? one at a time"),
+    "misspelt command": (["analyze", "a"], "what is 'analyze'? did you mean analyse?"),
+    "misspelt option": (["analyse", "ksr3-default", "--axes", "yaw"], "unknown option --axes; did you mean --axis?"),
+    "time before lift-off": (["analyse", "ksr3-default", "--at", "-1"], "node at -1 s"),
+    "time after burn-out": (["analyse", "ksr3-default", "--at", "70"], "node at 70 s"),
+    "no time": (["analyse", "ksr3-default", "--at", "nan"], "argument --at: invalid a time in seconds value: 'nan'"),
+    "unknown scenario": (["analyse", "ksr3-default", "--scenario", "nominl"], "did you mean nominal?"),
+    "unknown vehicle": (["analyse", "ksr3-default", "--vehicle", "nowhere"], "nowhere"),
+    "unknown kind": (["analyse", "ksr3-default", "--kind", "z"], "invalid choice: 'z'"),
+    "option of another order": (["--list", "--at", "3"], "--at means nothing with --list"),
+    "option of a case": (["analyse", "x", "--seed", "3"], "--seed means nothing with analyse"),
+    "two orders": (["analyse", "x", "--list"], "analyse and --list exclude each other"),
+    "no name": (["analyse", "x", "--out", ""], "--out needs a name"),
+    "errata without such a design": (["errata", "nowhere"], "nowhere: no such file"),
+}
+
+
+@pytest.mark.parametrize("wrong", WRONG)
+def test_wrong_input_is_one_line(wrong: str, capsys: Printed) -> None:
+    arguments, says = WRONG[wrong]
+    assert run(*arguments) == 2
+    printed = capsys.readouterr()
+    assert printed.out == ""
+    assert printed.err.startswith("simdesign: ")
+    assert printed.err.count("\n") == 1
+    assert says in printed.err
+    assert list(Path().iterdir()) == []
+
+
+def test_a_folder_that_cannot_be_written_is_said_before_the_work(capsys: Printed) -> None:
+    Path("file").write_text("")
+    assert run("analyse", "ksr3-default", "--at", "40", "--out", "file/inside") == 2
+    assert "file/inside: cannot be written" in capsys.readouterr().err
+
+
+def test_a_design_with_a_mistake_names_file_and_key(capsys: Printed) -> None:
+    text = (design_file.designs_folder() / "ksr3-default.toml").read_text()
+    Path("bad.toml").write_text(text.replace("pole_zeta = 0.42", "pole_zeta = -0.42"))
+    assert run("analyse", "bad.toml") == 2
+    assert "bad.toml: filter.quadratic.0.pole_zeta = -0.42: makes an unstable pole" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("option", ["--help", "--list", "--version"])
+def test_what_needs_no_kernel_loads_none(option: str) -> None:
+    code = (
+        "import sys; from maxq.tools import simdesign\n"
+        f"try: simdesign.main([{option!r}])\nexcept SystemExit: pass\n"
+        "sys.exit(any(name in sys.modules for name in ('numba', 'numpy', 'scipy', 'matplotlib', 'pydantic', 'rich')))"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, check=False)
+    assert done.returncode == 0, done.stderr
+
+
+def test_the_list_names_designs(capsys: Printed) -> None:
+    assert run("--list") == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert any(line.split()[:1] == ["ksr3-default"] for line in lines)
+
+
+# files
+
+
+def test_a_design_that_is_written_reads_back_the_same_and_flies_the_same() -> None:
+    design = default_design()
+    table = design.gains.table
+    again = design_file.design_of(
+        name=design.name, description=design.description, vehicle=design.vehicle,
+        time_s=table["time_s"], k_p=table["k_p"], k_d_s=table["k_d_s"], flt=bending_filter(design),
+        discretization=design.filter.discretization, prewarp_hz=design.filter.prewarp_hz,
+        roll=design.roll, limits=design.limits,
+    )  # fmt: skip
+    assert again == design
+    design_file.write_whole(Path("again.toml"), design_file.design_text(again, ["a comment", "and one more"]))
+    assert Path("again.toml").read_text().startswith("# a comment\n# and one more\nschema = 1\n")
+    short = ["run.duration_s=1.0"]
+    one = fly(load_scenario("nominal", [*short, 'design="designs/ksr3-default.toml"']), log=False)
+    other = fly(load_scenario("nominal", [*short, 'design="again.toml"']), log=False)
+    assert one.state_hash == other.state_hash

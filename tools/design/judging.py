@@ -1,0 +1,218 @@
+"""A design judged at nodes: margins, peaks and rigid-body motion beside what they are held to."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, fields
+from typing import Any, Literal
+
+import numpy as np
+
+from maxq.control.filters import BendingFilter
+from maxq.control.records import Array
+from maxq.design import api
+from maxq.design.loop.fixed_path import Kind
+from maxq.design.loop.loop import Loop
+from maxq.design.margins.lobes import Lobe, find_lobes
+from maxq.design.margins.measure import Margins, margins
+from maxq.design.margins.nichols import Zone
+from maxq.design.model.derivatives import StabilityDerivatives, stability_derivatives
+from maxq.design.model.node import Node
+from maxq.sim.packing.computer import bending_filter
+from maxq.sim.scenario.schema_design import Design
+
+TOLERANCE = 5e-4  # dB, deg: a limit that a design lies on counts as met; rounding of the file's digits is far less
+RigidBody = Literal["paper", "aerodynamic"]
+
+
+@dataclass(frozen=True)
+class Wanted:
+    """What a design is held to; None: not asked for."""
+
+    gain_margin_db: float | None = None
+    phase_margin_deg: float | None = None
+    zone: Zone | None = None
+    modulus_db: float | None = None
+    first_mode_db: float | None = None
+    first_mode_phase_deg: float | None = None
+    second_mode_db: float | None = None
+    higher_modes_db: float | None = None
+    rigid_hz: float | None = None
+    rigid_zeta: float | None = None
+    rigid_body: RigidBody = "paper"
+    filter_gain_at_infinity: float | None = None
+
+    @staticmethod
+    def of(limits: Any) -> Wanted:
+        """From any object with attributes of these names: a design's limits, or a case's."""
+        names = [f.name for f in fields(Wanted)]
+        known = {name: getattr(limits, name) for name in names if getattr(limits, name, None) is not None}
+        zone = known.pop("zone", None)
+        if isinstance(zone, Zone):
+            known["zone"] = zone
+        elif zone not in (None, "none"):
+            known["zone"] = Zone(zone, known["phase_margin_deg"], known["gain_margin_db"])
+        return Wanted(**known)
+
+
+@dataclass(frozen=True)
+class Judged:
+    """One node."""
+
+    node: Node
+    loop: Loop
+    margins: Margins
+    lobes: tuple[Lobe, ...]  # also of an unstable loop, whose margins have none
+    derivatives: StabilityDerivatives | None  # None at rest
+
+    @property
+    def time_s(self) -> float:
+        return self.node.time_s
+
+    @property
+    def gain_margin_db(self) -> float:
+        """The lesser of gain up and gain down over all crossings; NaN if unstable."""
+        return _least(self.margins.gain_up_db.value, self.margins.gain_down_db.value)
+
+    def rigid(self, body: RigidBody) -> tuple[float, float]:
+        """Frequency (Hz) and damping ratio: `paper` eqs 35, 36; `aerodynamic` with M_alpha and M_q (erratum 12)."""
+        d = self.derivatives
+        if d is None:
+            return math.nan, math.nan
+        with_air = body == "aerodynamic"
+        square = d.m_delta_1ps2 * self.loop.k_p - (d.m_alpha_1ps2 if with_air else 0.0)
+        if square <= 0.0:
+            return 0.0, math.nan
+        omega = math.sqrt(square)
+        damping = d.m_delta_1ps2 * self.loop.k_d_s - (d.m_q_1ps if with_air else 0.0)
+        return omega / (2.0 * math.pi), damping / (2.0 * omega)
+
+    def peak_db(self, mode: int) -> float:
+        """Largest |L| in the lobe of a bending mode; NaN where there is none below the loop's end."""
+        return next((lobe.peak_db for lobe in self.lobes if lobe.label == f"bending {mode}"), math.nan)
+
+    def higher_peak_db(self) -> float:
+        """That of modes 3 and above."""
+        peaks = [lobe.peak_db for lobe in self.lobes if lobe.kind == "bending" and _number(lobe.label) >= 3]
+        return max(peaks, default=math.nan)
+
+    def mode_phase_deg(self, mode: int) -> float:
+        """Least of lag and lead at the lobe; infinite where it is gain-stabilised."""
+        return next((lobe.phase_deg for lobe in self.lobes if lobe.label == f"bending {mode}"), math.nan)
+
+
+@dataclass(frozen=True)
+class Check:
+    """A limit and the values that it is about: one a node, or a single one that belongs to the filter."""
+
+    key: str
+    text: str
+    unit: str
+    sense: Literal[">=", "<="]
+    limit: float
+    values: Array
+    time_s: Array  # NaN for the filter
+
+    def met(self) -> np.ndarray:
+        """One truth a value. What is NaN at an unstable loop is not met; a peak that does not exist is."""
+        margin = self.values - self.limit if self.sense == ">=" else self.limit - self.values
+        absent = np.isnan(self.values) & (self.key in ("first_mode_db", "second_mode_db", "higher_modes_db"))
+        return np.asarray((margin >= -TOLERANCE * self._scale) | absent)
+
+    @property
+    def _scale(self) -> float:
+        return 1.0 if self.unit in ("dB", "deg") else 0.2 * abs(self.limit)  # 1e-4 of it
+
+    @property
+    def passed(self) -> bool:
+        return bool(self.met().all())
+
+    @property
+    def worst(self) -> int:
+        """Index of the value nearest to, or farthest beyond, the limit; an unstable loop comes first."""
+        margin = self.values - self.limit if self.sense == ">=" else self.limit - self.values
+        bad = np.isnan(self.values) & ~self.met()
+        return int(np.argmax(bad)) if bad.any() else int(np.nanargmin(margin)) if np.isfinite(margin).any() else 0
+
+
+def judge(
+    nodes: Sequence[Node], design: Design, kind: Kind = "sampled", tell: Callable[[int], None] | None = None
+) -> list[Judged]:
+    """Margins of the design at every node, by the axis of each node. `tell` is called with the number done."""
+    out = []
+    for n, loop in enumerate(api.loops(nodes, design, kind=kind)):
+        node = loop.fixed.node
+        resonances = loop.fixed.resonances()
+        measured = margins(loop, resonances=resonances)
+        lobes = measured.lobes
+        if not measured.stable:
+            kept = [r for r in resonances if r.kind in ("bending", "slosh")]
+            lobes = find_lobes(measured.curve, measured.gain_crossings, measured.phase_crossings, kept, 0.0)
+        try:
+            derivatives = stability_derivatives(node.vehicle, node.condition)
+        except ValueError:
+            derivatives = None
+        out.append(Judged(node, loop, measured, lobes, derivatives))
+        if tell is not None:
+            tell(n + 1)
+    return out
+
+
+def checks(judged: Sequence[Judged], design: Design, wanted: Wanted) -> list[Check]:
+    """All limits that are asked for, stability first."""
+    time_s = np.array([j.time_s for j in judged])
+    out: list[Check] = []
+
+    def add(key: str, text: str, unit: str, sense: Literal[">=", "<="], value: Callable[[Judged], float]) -> None:
+        limit = getattr(wanted, key)
+        if limit is not None:
+            out.append(Check(key, text, unit, sense, float(limit), np.array([value(j) for j in judged]), time_s))
+
+    unstable = np.array([float(max(j.margins.unstable_poles, not j.margins.stable)) for j in judged])
+    out.append(Check("unstable_poles", "unstable poles", "", "<=", 0.0, unstable, time_s))
+    add("gain_margin_db", "gain margin", "dB", ">=", lambda j: j.gain_margin_db)
+    add("phase_margin_deg", "phase margin", "deg", ">=", lambda j: j.margins.phase_deg.value)
+    if wanted.zone is not None:
+        zone = wanted.zone
+        text = f"clear of the {zone.shape} {zone.gain_db:g} dB, {zone.phase_deg:g} deg"
+        clear = np.array([_clearance(j, zone) for j in judged])
+        out.append(Check("zone", text, "", ">=", 0.0, clear, time_s))
+    add("modulus_db", "least |1 + L|", "dB", ">=", lambda j: _db(j.margins.modulus))
+    add("first_mode_db", "peak of mode 1", "dB", "<=", lambda j: j.peak_db(1))
+    add("first_mode_phase_deg", "phase margin at mode 1", "deg", ">=", lambda j: j.mode_phase_deg(1))
+    add("second_mode_db", "peak of mode 2", "dB", "<=", lambda j: j.peak_db(2))
+    add("higher_modes_db", "peak of modes 3 and above", "dB", "<=", lambda j: j.higher_peak_db())
+    add("rigid_hz", "rigid-body frequency", "Hz", ">=", lambda j: j.rigid(wanted.rigid_body)[0])
+    add("rigid_zeta", "rigid-body damping ratio", "", ">=", lambda j: j.rigid(wanted.rigid_body)[1])
+    if wanted.filter_gain_at_infinity is not None:
+        value = np.array([gain_at_infinity(bending_filter(design))])
+        limit = float(wanted.filter_gain_at_infinity)
+        out.append(Check("filter_gain_at_infinity", "|F(j inf)|", "", "<=", limit, value, np.array([np.nan])))
+    return out
+
+
+def gain_at_infinity(flt: BendingFilter) -> float:
+    """|F(j inf)| of the continuous filter."""
+    squares = math.prod((q.pole_hz / q.zero_hz) ** 2 for q in flt.quadratic)
+    return float(squares * math.prod(f.pole_hz / abs(f.zero_hz) for f in flt.first_order))
+
+
+def _clearance(j: Judged, zone: Zone) -> float:
+    known = next((c.value for c in j.margins.clearances if c.zone == zone), None)
+    if known is not None or not j.margins.stable:
+        return math.nan if known is None else known
+    return margins(j.loop, resonances=(), zones=(zone,)).clearances[0].value
+
+
+def _number(text: str) -> int:
+    digits = text.rpartition(" ")[2]
+    return int(digits) if digits.isdecimal() else 0
+
+
+def _least(a: float, b: float) -> float:
+    return math.nan if math.isnan(a) or math.isnan(b) else min(a, b)
+
+
+def _db(ratio: float) -> float:
+    return 20.0 * math.log10(ratio) if ratio > 0.0 else math.nan
