@@ -65,6 +65,18 @@ class Curve:
         return [(int(k), int(n)) for k, n in zip(*np.unique(inside, return_counts=True), strict=True)]
 
     @property
+    def at_zero_limit(self) -> complex:
+        """L at zero frequency; 1e150 for an infinite one."""
+        return complex(self.at_zero if self.slope_at_zero == 0 else 0.0 if self.slope_at_zero > 0 else 1e150)
+
+    @property
+    def at_end_limit(self) -> complex | None:
+        """L at infinity; nothing for a sampled loop, whose end is a point of the curve."""
+        if self.finite_end:
+            return None
+        return complex(self.loop[-1].real if self.slope_at_end == 0 else 0.0)
+
+    @property
     def lowest_radps(self) -> float:
         """Poles slower than this are drift."""
         return float(2.0 * np.pi * self.frequency_hz[0])

@@ -47,9 +47,15 @@ def find_disks(curve: Curve) -> Disks:
 
 
 def _least(curve: Curve, objective: Objective) -> tuple[float, float]:
+    """The least distance and its frequency: 0 and infinity are limits."""
     value: Array = objective(curve.loop)
     k = int(np.argmin(value))
-    return float(np.exp(value[k])), float(curve.frequency_hz[k])
+    found = [(float(value[k]), float(curve.frequency_hz[k]))]
+    for limit, f in ((curve.at_zero_limit, 0.0), (curve.at_end_limit, np.inf)):
+        if limit is not None:
+            found.append((float(objective(np.array([limit]))[0]), f))
+    least, f = min(found)
+    return float(np.exp(least)) if least < 300.0 else np.inf, f
 
 
 def _db(ratio: float) -> float:

@@ -14,7 +14,7 @@ from maxq.design.model.state_space import ComplexArray
 
 Objective = Callable[[ComplexArray], Array]
 
-TINY = 1e-300
+TINY = 1e-300  # instead of nothing, where a logarithm is taken
 DB = 20.0 / np.log(10.0)  # dB per neper
 
 
