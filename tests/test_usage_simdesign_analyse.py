@@ -223,3 +223,23 @@ def test_a_design_that_is_written_reads_back_the_same_and_flies_the_same() -> No
     one = fly(load_scenario("nominal", [*short, 'design="designs/ksr3-default.toml"']), log=False)
     other = fly(load_scenario("nominal", [*short, 'design="again.toml"']), log=False)
     assert one.state_hash == other.state_hash
+
+
+# documentation
+
+PAGE = Path(__file__).parents[1] / "docs" / "simdesign.md"
+EXAMPLES = [part.split("```")[0] for part in PAGE.read_text(encoding="utf-8").split("```python\n")[1:]]
+
+
+@pytest.mark.parametrize("number", range(len(EXAMPLES)))
+def test_examples_of_the_documentation_run(number: int) -> None:
+    exec(compile(EXAMPLES[number], f"example {number + 1} of docs/simdesign.md", "exec"), {})  # ours
+    if "draw_loop" in EXAMPLES[number]:
+        assert sorted(path.name for path in Path().iterdir()) == ["mine.png", "mine.svg"]
+
+
+def test_every_option_is_in_the_documentation() -> None:
+    page = PAGE.read_text(encoding="utf-8")
+    for action in simdesign._parser()._actions:
+        for option in action.option_strings:
+            assert option == "-h" or f"`{option}" in page, option

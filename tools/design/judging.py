@@ -45,8 +45,8 @@ class Wanted:
 
     @staticmethod
     def of(limits: Any) -> Wanted:
-        """From any object with attributes of these names: a design's limits, or a case's."""
-        names = [f.name for f in fields(Wanted)]
+        """From any object with attributes of these names: a design's limits, or a case's, less those in `without`."""
+        names = [f.name for f in fields(Wanted) if f.name not in getattr(limits, "without", ())]
         known = {name: getattr(limits, name) for name in names if getattr(limits, name, None) is not None}
         zone = known.pop("zone", None)
         if isinstance(zone, Zone):

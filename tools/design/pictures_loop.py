@@ -47,10 +47,12 @@ def picture_of(judged: Judged, title: str, zones: Sequence[Zone] = ()) -> LoopPi
     """The loop at a node: its lobes, and where it crosses 0 dB and the negative real axis."""
     margins, curve = judged.margins, judged.margins.curve
     f, loop = smooth(judged.loop.response, curve.frequency_hz, curve.loop)
-    marks = []
+    marks: list[Mark] = []
     for lobe in judged.lobes:
-        at = np.array([lobe.peak_hz])
-        marks.append(Mark(lobe.peak_hz, complex(judged.loop.response(at)[0]), _short(lobe.label)))
+        at, text = np.array([lobe.peak_hz]), _short(lobe.label)
+        if marks and abs(marks[-1].frequency_hz / lobe.peak_hz - 1.0) < 1e-3:  # two pendulums that swing as one
+            text = f"{marks.pop().text}, {text}"
+        marks.append(Mark(lobe.peak_hz, complex(judged.loop.response(at)[0]), text))
     gain, phase = margins.gain_crossings, margins.phase_crossings
     binding = {
         margins.gain_up_db.frequency_hz: f"{margins.gain_up_db.value:.1f} dB up",
