@@ -1,0 +1,152 @@
+"""A flight in which time stands still: vehicle, gains, air and speed stay what they were at one instant.
+
+A linear model speaks of frozen coefficients; a rocket in flight loses mass, gains speed and leaves the air within
+seconds. To measure a frequency response over many periods of 0.05 Hz, or to watch a loop that barely grows, the
+nonlinear simulator must fly for minutes without any of that changing. So the vehicle's tables are frozen, the air is
+uniform, and the vehicle flies straight up over a flat Earth whose uniform gravity equals its own axial specific force:
+it neither gains nor loses speed, while everything inside it feels the axial load of the real flight, since a uniform
+gravity pulls at every particle alike.
+
+What differs from the flown instant is one term, gravity by the pitch angle in w' (design/model/plant.py): it moves the
+slowest root alone. The linear node that belongs to the held flight (`HeldFlight.node`) has it too, so that both may be
+compared to the last digit; `node` of the flight itself shows what it is worth.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from maxq.control.records import Array
+from maxq.design.model.node import Node, node_of
+from maxq.design.model.plant import axial_load_mps2
+from maxq.design.model.vehicle_at import Plane
+from maxq.sim.environment.atmosphere import HEAT_RATIO, GAS_CONSTANT_Jpkg_K
+from maxq.sim.flight.fly import FlightRun
+from maxq.sim.packing.flight import Packed, pack_flight
+from maxq.sim.scenario.loader import LoadedScenario
+from maxq.sim.scenario.schema_environment import Atmosphere, Earth, Wind
+from maxq.sim.scenario.schema_initial import Geodetic, Initial
+from maxq.sim.scenario.schema_injection import Injection
+from maxq.sim.scenario.schema_scenario import Guidance, Log, Run, Scenario
+
+ALTITUDE_M = 1.0e6  # high enough never to meet the ground; the air does not depend on it
+_NOSE_UP_DEG = (0.0, 90.0, 0.0)
+
+
+@dataclass(frozen=True)
+class HeldFlight:
+    """A scenario held at `time_s`, packed: fly it with `run`, which leaves it as it is.
+
+    `node` is the linear model's view of it, in `plane`; `command_limit_rad`, `sample_s` are the computer's.
+    """
+
+    loaded: LoadedScenario
+    packed: Packed
+    node: Node
+    time_s: float
+    plane: Plane
+
+    @property
+    def axis(self) -> int:
+        """Index of the gimbal axis."""
+        return 0 if self.plane == "pitch" else 1
+
+    @property
+    def sample_s(self) -> float:
+        return self.node.instruments.sample_s
+
+    def run(
+        self,
+        duration_s: float,
+        injections: tuple[Injection, ...],
+        change: Callable[[Packed], None] = lambda packed: None,
+    ) -> FlightRun:
+        """A fresh flight with signals injected; `change` may alter what has been packed before it flies."""
+        scenario = self.loaded.scenario.model_copy(
+            update={
+                "injection": injections,
+                "run": self.loaded.scenario.run.model_copy(update={"duration_s": duration_s}),
+            }
+        )
+        packed = held_gains(pack_flight(scenario), self.time_s)
+        change(packed)
+        return FlightRun(dataclasses.replace(self.loaded, scenario=scenario), packed)
+
+
+def hold(loaded: LoadedScenario, node: Node) -> HeldFlight:
+    """Hold the scenario at a node of its flight, in the node's plane.
+
+    Works for the first stage of a vehicle under thrust. Raises ValueError where the axial load is not positive, the
+    scenario has no design, or the stage is a later one.
+    """
+    scenario = loaded.scenario
+    if scenario.design is None:
+        raise ValueError(f"{loaded.label}: there is no design whose loop could be held")
+    if len(scenario.vehicle.stage) > 1:
+        raise ValueError(f"{loaded.label}: only vehicles of one stage can be held, this one has several")
+    load = axial_load_mps2(node.vehicle, node.condition)
+    if load <= 0.0:
+        raise ValueError(f"node at {node.time_s:g} s: the axial load is {load:g} m/s2: allowed is above 0")
+    held = dataclasses.replace(
+        loaded,
+        scenario=scenario.model_copy(update=_stillness(scenario, node, load)),
+        label=f"{loaded.label} held at {node.time_s:g} s",
+    )
+    packed = held_gains(pack_flight(held.scenario), node.time_s)
+    same = dataclasses.replace(node_of(packed, node.time_s, 0, node.plane, node.errata), liquids=node.liquids)
+    return HeldFlight(held, packed, same, node.time_s, node.plane)
+
+
+def _stillness(scenario: Scenario, node: Node, load_mps2: float) -> dict[str, object]:
+    """What has to be changed in the scenario."""
+    air = node.condition
+    temperature = (air.airspeed_mps / air.mach) ** 2 / (HEAT_RATIO * GAS_CONSTANT_Jpkg_K) if air.mach > 0 else 288.15
+    fast = 1.0 / node.instruments.sample_s
+    return {
+        "earth": Earth(shape="flat", rotating=False, gravity="uniform", uniform_mps2=load_mps2),
+        "atmosphere": Atmosphere(
+            model="constant", density_kgpm3=air.density_kgpm3, temperature_K=temperature, pressure_Pa=air.pressure_Pa
+        ),
+        "wind": Wind(),
+        "initial": Initial(
+            geodetic=Geodetic(latitude_deg=0.0, longitude_deg=0.0, altitude_m=ALTITUDE_M),
+            euler_deg=_NOSE_UP_DEG,
+            ned_mps=(0.0, 0.0, -air.airspeed_mps),
+        ),
+        "guidance": Guidance(),
+        "injection": (),
+        "requirement": (),
+        "run": Run(step_s=scenario.run.step_s, seed=scenario.run.seed, freeze_vehicle_at_s=node.time_s, stop_at=()),
+        "log": Log(fast_hz=fast, slow_hz=1.0, transform_hz=1.0),
+    }
+
+
+def held_gains(packed: Packed, time_s: float) -> Packed:
+    """The same with the gains of one instant at all times."""
+    ref = packed.parameters[0].computer.law.gains
+    pool: Array = packed.pool.copy()
+    n, columns, at = int(ref.n_breaks), int(ref.n_columns), int(ref.offset)
+    if n == 0:
+        return packed
+    breaks = pool[at : at + n]
+    cubics = pool[at + n : at + n + 4 * columns * (n - 1)].reshape(n - 1, 4, columns)
+    k = int(np.clip(np.searchsorted(breaks, time_s, side="right") - 1, 0, n - 2))
+    s = float(np.clip(time_s, breaks[0], breaks[-1]) - breaks[k])
+    now = cubics[k, 0] + s * (cubics[k, 1] + s * (cubics[k, 2] + s * cubics[k, 3]))
+    cubics[:] = 0.0
+    cubics[:, 0] = now
+    return dataclasses.replace(packed, pool=pool)
+
+
+def linear_limits(held: HeldFlight) -> tuple[float, float]:
+    """Gimbal angle (rad) and rate (rad/s) at which the actuator or the computer stops being linear."""
+    actuator = held.node.instruments.actuator
+    command = float(held.packed.parameters[0].computer.law.command_limit_rad)
+    if actuator.ideal:
+        return command, math.inf
+    return min(command, actuator.angle_limit_rad), actuator.rate_limit_radps

@@ -1,0 +1,75 @@
+"""The loop measured in the nonlinear simulator against the exact sampled linear loop.
+
+| what | expected |
+|---|---|
+| frequency response in a held flight, 0.05 to 12 Hz | within 0.2 dB and 1.5 deg, or three standard errors |
+| gain and delay at which the flight begins to grow | the linear loop's margins: 0.05 dB, 1 % of the delay |
+| speed and vehicle of a held flight | stay what they were |
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from maxq.design import api
+from maxq.design.certificate.breaking import break_loop, ringing_growth
+from maxq.design.certificate.excitation import Band, band
+from maxq.design.certificate.held_flight import HeldFlight, hold
+from maxq.design.certificate.loudness import loudness
+from maxq.design.certificate.measurement import measure
+from maxq.design.loop.loop import Loop
+from maxq.design.margins.measure import margins
+from maxq.sim.scenario.loader import load_scenario
+
+TIME_S = 40.0
+BANDS = (band(0.05, 2.5, 14, 40.0, 40.0, 4), band(2.75, 12.0, 12, 40.0, 12.0, 2))
+
+
+@pytest.fixture(scope="module", params=["pitch", "yaw"])
+def held(request: pytest.FixtureRequest) -> HeldFlight:
+    loaded = load_scenario("nominal")
+    return hold(loaded, api.nodes(loaded, [TIME_S], plane=request.param)[0])
+
+
+@pytest.fixture(scope="module")
+def loop(held: HeldFlight) -> Loop:
+    assert held.loaded.design is not None
+    return api.loops([held.node], held.loaded.design)[0]
+
+
+def test_held_flight_stands_still(held: HeldFlight) -> None:
+    run = held.run(60.0, ())
+    before = run.present()
+    while not run.finished:
+        run.fly_segment()
+    after = run.present()
+    for name in ("airspeed_mps", "mach", "dynamic_pressure_Pa", "mass_kg", "Iyy_kgm2", "axial_load_g", "k_p_pitch"):
+        assert after[name] == pytest.approx(before[name], rel=1e-6), name
+    assert abs(after["alpha_total_deg"]) < 0.01
+
+
+@pytest.mark.parametrize("lines", BANDS, ids=["low", "middle"])
+def test_response_in_flight_is_that_of_the_sampled_loop(held: HeldFlight, loop: Loop, lines: Band) -> None:
+    seen = measure(held, lines, loudness(held, loop, lines), loop.closed_poles())
+    ratio = seen.response / loop.response(seen.lines_hz)
+    assert seen.outcome == "duration"
+    assert seen.saturated_s == 0.0
+    assert (seen.coherence > 0.99).mean() > 0.9
+    sure = seen.coherence > 0.99
+    noise_db = 3.0 * 20.0 * np.log10(1.0 + seen.error)
+    assert (np.abs(20.0 * np.log10(np.abs(ratio))) < np.maximum(0.2, noise_db))[sure].all()
+    assert (np.abs(np.degrees(np.angle(ratio))) < np.maximum(1.5, 3.0 * np.degrees(seen.error)))[sure].all()
+
+
+def test_edges_in_flight_are_the_linear_margins(held: HeldFlight, loop: Loop) -> None:
+    of_loop = margins(loop)
+    gain, delay = (break_loop(held, loop, of_loop, what) for what in ("gain_up", "delay"))
+    assert abs(gain.difference) < 0.05
+    assert abs(delay.difference) < 0.01 * delay.linear
+
+
+def test_growth_of_a_known_ringing() -> None:
+    times = np.arange(4000) * 0.01
+    ringing = np.exp(0.031 * times) * np.sin(2 * np.pi * 1.7 * times + 0.3) + 5.0 * np.exp(-0.02 * times)
+    assert ringing_growth(ringing, 0.01, 1.7, 4.0 / 1.7) == pytest.approx(0.031, abs=2e-4)
