@@ -131,15 +131,17 @@ def _start(loop: OpenLoop, lowest_hz: float, end: float) -> tuple[int, float]:
 def _end(loop: OpenLoop, poles: ComplexArray, lowest_hz: float) -> tuple[float, int]:
     """Where a continuous loop has reached its asymptote or is too small to matter, and the asymptote's slope."""
     fastest = max(float(np.abs(poles).max()) / (2.0 * np.pi) if len(poles) else 1.0, 100.0 * lowest_hz)
-    f = 30.0 * fastest * 10.0 ** np.arange(6.0)
+    f = 30.0 * fastest * 10.0 ** np.arange(7.0)
     values = sample(loop, np.concatenate([f, 1.1 * f]))
-    size, later = np.abs(values[:6]), np.abs(values[6:])
+    size, later = np.abs(values[:7]), np.abs(values[7:])
     with np.errstate(all="ignore"):
         slope = np.log(later / size) / np.log(1.1)
-    quarter = np.angle(values[:6]) / (0.5 * np.pi)
-    settled = (np.abs(slope - np.round(slope)) < 0.01) & (np.abs(quarter - np.round(quarter)) < 0.02)
+    quarter = np.angle(values[:7]) / (0.5 * np.pi)
+    level = np.round(slope) == 0.0  # then the end may lie near -1, otherwise it is far away
+    settled = np.abs(slope - np.round(slope)) < np.where(level, 1e-4, 0.01)
+    settled &= np.abs(quarter - np.round(quarter)) < np.where(level, 1e-4, 0.02)
     small = size < FLOOR
-    k = int(np.argmax(settled | small)) if (settled | small).any() else 5
+    k = int(np.argmax(settled | small)) if (settled | small).any() else 6
     n = round(float(slope[k])) if np.isfinite(slope[k]) else -1
     if n > 0 and size[k] > 0.0 and (settled[k] or not small[k]):
         raise ValueError(f"the loop is improper: |L| grows without end, {size[k]:.3g} at {f[k]:.3g} Hz")

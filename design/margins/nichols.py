@@ -15,6 +15,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from maxq.control.records import Array, IntArray
 from maxq.design.margins.crossings import GainCrossings, PhaseCrossings
@@ -76,10 +77,12 @@ def find_clearances(
     """Of every zone; the curve must hold its crossings. Kinks of the clearance lie on crossings and diagonals."""
     if not zones:
         return ()
-    curve = _with_corners(curve, zones)
-    curve = _beside(curve, np.concatenate([gain.frequency_hz, phase.frequency_hz]))
+    curve, corners = _with_corners(curve, zones)
+    axes = np.concatenate([gain.frequency_hz, phase.frequency_hz])
+    curve = _beside(curve, np.append(axes, corners))
+    kinks = {"diamond": axes, "rectangle": corners, "ellipse": np.zeros(0)}
     objectives = [zone.clearance for zone in zones]
-    found: list[tuple[IntArray, Array]] = [_candidates(objective(curve.loop)) for objective in objectives]
+    found = [_candidates(zone.clearance(curve.loop), np.isin(curve.frequency_hz, kinks[zone.shape])) for zone in zones]
     kind = np.concatenate([np.full(len(middle), k) for k, (middle, _) in enumerate(found)])
     middle = np.concatenate([m for m, _ in found])
     if len(middle):
@@ -90,29 +93,30 @@ def find_clearances(
     return tuple(_least(curve, zone) for zone in zones)
 
 
-def _candidates(value: Array) -> tuple[IntArray, Array]:
-    """Brackets that may hold the least value of all: a step from a neighbour bounds what can be gained."""
+def _candidates(value: Array, sharp: NDArray[np.bool_]) -> tuple[IntArray, Array]:
+    """Brackets that may hold the least value of all: the steps to the neighbours bound what can be gained.
+
+    A kink that is lower than the points close beside it is a minimum already.
+    """
     middle, around = brackets(value)
     fall = np.maximum(around[:, 0], around[:, 2]) - around[:, 1]
-    worth = around[:, 1] - fall <= value.min()
+    worth = (around[:, 1] - fall <= value.min()) & ~sharp[middle]
     return middle[worth], around[worth]
 
 
-def _with_corners(curve: Curve, zones: tuple[Zone, ...]) -> Curve:
-    """With the crossings of the rectangles' diagonals near the zone."""
+def _with_corners(curve: Curve, zones: tuple[Zone, ...]) -> tuple[Curve, Array]:
+    """With the crossings of the rectangles' diagonals near the zone, and where they are."""
+    corners = [np.zeros(0)]
     for zone in zones:
         if zone.shape == "rectangle":
-            value, near = zone.corner(curve.loop), zone.clearance(curve.loop)
-            least = near.min()
-            k = np.flatnonzero(
-                ((value[1:] >= 0.0) != (value[:-1] >= 0.0)) & (np.minimum(near[1:], near[:-1]) < least + 1.0)
-            )
-            f = curve.frequency_hz
-            found = roots(
-                along(curve.source, (zone.corner,), np.zeros(len(k), int)), f[k], f[k + 1], value[k], value[k + 1]
-            )
-            curve = _beside(curve.with_points(found, sample(curve.source, found)), found)
-    return curve
+            f, value, near = curve.frequency_hz, zone.corner(curve.loop), zone.clearance(curve.loop)
+            change = (value[1:] >= 0.0) != (value[:-1] >= 0.0)
+            k = np.flatnonzero(change & (np.minimum(near[1:], near[:-1]) < near.min() + 1.0))
+            corner = along(curve.source, (zone.corner,), np.zeros(len(k), int))
+            found = roots(corner, f[k], f[k + 1], value[k], value[k + 1])
+            curve = curve.with_points(found, sample(curve.source, found))
+            corners.append(found)
+    return curve, np.concatenate(corners)
 
 
 def _beside(curve: Curve, kinks_hz: Array) -> Curve:
