@@ -1,0 +1,49 @@
+"""What docs/design.md and docs/flights/nominal-departure.md claim is what the code gives."""
+
+from __future__ import annotations
+
+import functools
+import re
+from pathlib import Path
+
+import numpy as np
+from design_nodes import design, flown, node_at
+
+from maxq.design import api
+from maxq.tools import departure_table
+from maxq.tools.departure_table import DEFAULT_FILE, table_text
+
+compare = functools.cache(departure_table.compare)
+DOCS = Path(__file__).resolve().parents[1] / "docs"
+
+
+def test_example_runs() -> None:
+    text = (DOCS / "design.md").read_text(encoding="utf-8")
+    code = re.search(r"```python\n(.*?)```", text, re.S)
+    assert code is not None
+    names: dict[str, object] = {"frequencies_hz": np.array([1.0, 2.0])}
+    exec(code[1], names)  # the page's own example
+    assert isinstance(names["loop"], api.Loop)
+
+
+def test_departure_page_is_up_to_date() -> None:
+    """Numbers in the page within what its last digit holds; the flight differs by rounding between machines."""
+    ours, page = (re.findall(r"-?\d+\.\d+", text) for text in (table_text(*compare()), DEFAULT_FILE.read_text("utf-8")))
+    assert len(ours) == len(page)
+    np.testing.assert_allclose(np.array(ours, float), np.array(page, float), atol=0.11)
+
+
+def test_figures_of_section_2_and_3() -> None:
+    loop = api.loop(node_at(55.0).with_(bending_frequency=1.05), design())
+    third = next(r for r in loop.fixed.resonances() if r.label == "bending 3")
+    np.testing.assert_allclose(third.frequency_hz, 48.2, atol=0.1)
+    found, measured = compare()
+    for sampled, pade in measured:
+        for name in ("aero_gain_db", "rigid_gain_db"):
+            assert abs(getattr(sampled, name).value - getattr(pade, name).value) < 0.155
+        assert abs(sampled.rigid_phase_deg.value - pade.rigid_phase_deg.value) < 0.4
+    for d in found:
+        below = d.frequency_hz < (16.0 if d.node.time_s >= 45.0 else 30.0)
+        assert np.abs(d.db["pade"] + d.db["aliasing"])[below].max() < 0.1
+        assert np.abs(d.deg["pade"] + d.deg["aliasing"])[below].max() < 1.0
+    assert len(found) == len(flown())
