@@ -1,0 +1,149 @@
+"""The margin budget adds up, whatever the order, the kind of loop, the node and the frequency.
+
+| what | expected |
+|---|---|
+| sum of all shares | L's decibels and degrees to 1e-9, at every node, kind and crossing |
+| shares of series parts | the part's own response; a delay that eats more than 180 deg is followed |
+| stages in another order | other shares, the same sum |
+| frozen liquid | the stability derivatives of the whole |
+| a vehicle without liquid, modes, lift, engine inertia | a share of nothing |
+"""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+from design_nodes import TIMES_S, design, node_at, without
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from maxq.control.records import Array
+from maxq.design import api
+from maxq.design.loop.fixed_path import KINDS, Kind, fixed_path
+from maxq.design.margins.budget import Response, split
+from maxq.design.margins.loop_budget import crossing_budgets, loop_budget
+from maxq.design.margins.measure import margins
+from maxq.design.margins.vehicle_stages import STAGES, vehicle_stages
+from maxq.design.model.derivatives import stability_derivatives
+from maxq.design.model.errata import PAPER
+from maxq.design.model.node import Node
+from maxq.design.model.state_space import ComplexArray
+
+ROUNDING = 1e-9  # dB, degrees: a dozen factors, each good to some 1e-12 of its resonances' sharpness
+
+
+def closed(node: Node, kind: Kind = "sampled"):
+    return api.close(fixed_path(node, kind), design())
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("time_s", TIMES_S[::3])
+def test_the_budget_closes_at_every_crossing(time_s, kind):
+    loop = closed(node_at(time_s), kind)
+    measured = margins(loop, resonances=loop.fixed.resonances())
+    budgets = crossing_budgets(loop, measured)
+    assert {"crossover", "phase margin", "gain margin up"} <= set(budgets)
+    for budget in budgets.values():
+        assert abs(budget.left_db) < ROUNDING
+        assert abs(budget.left_deg) < ROUNDING
+    assert budgets["crossover"].gain_db == pytest.approx(0.0, abs=1e-8)
+    assert abs(budgets["phase margin"].phase_margin_deg) == pytest.approx(measured.phase_deg.value, abs=1e-8)
+    assert budgets["gain margin up"].gain_db == pytest.approx(-measured.gain_up_db.value, abs=1e-8)
+
+
+def test_shares_are_what_they_are_called():
+    node = node_at(40.0)
+    loop = closed(node, "exact")
+    f = 8.0
+    (budget,) = loop_budget(loop, [f])
+    timing = node.instruments
+    assert budget.share("delay").phase_deg == pytest.approx(-360.0 * f * timing.delay_s, abs=1e-9)
+    assert budget.share("hold").phase_deg == pytest.approx(-180.0 * f * timing.sample_s, abs=1e-9)
+    assert budget.share("V/F").gain_db == pytest.approx(20.0 * np.log10(np.sinc(f * timing.sample_s)), abs=1e-9)
+    assert [share.part for share in budget.shares[-len(STAGES) :]] == list(STAGES)
+    with pytest.raises(KeyError, match="no part 'yaw': there are law, filter"):
+        budget.share("yaw")
+
+
+def test_a_vehicle_without_a_thing_has_nothing_to_pay_for_it():
+    node = without(node_at(20.0), modes=True, tanks=True)
+    engine = dataclasses.replace(node.vehicle.engine, gimballed_mass_kg=0.0, inertia_about_gimbal_kgm2=0.0)
+    node = dataclasses.replace(node, vehicle=dataclasses.replace(node.vehicle, engine=engine))
+    (budget,) = loop_budget(closed(node, "pade"), [1.0])
+    for part in ("slosh", "engine inertia", "bending"):
+        share = budget.share(part)
+        assert (share.gain_db, share.phase_deg) == pytest.approx((0.0, 0.0), abs=1e-12)
+    assert abs(budget.share("aerodynamics").gain_db) > 0.1
+
+
+def test_frozen_liquid_keeps_mass_cg_and_inertia():
+    node = node_at(20.0)
+    frozen = dict(vehicle_stages(node))["aerodynamics"]
+    assert len(frozen.vehicle.pendulums.mass_kg) == len(frozen.vehicle.modes.omega_radps) == 0
+    ours, whole = (dataclasses.asdict(stability_derivatives(n.vehicle, n.condition)) for n in (frozen, node))
+    assert ours == pytest.approx(whole, rel=1e-12)
+
+
+def test_the_printed_model_has_a_budget_too():
+    node = node_at(30.0).with_errata(PAPER)
+    for budget in loop_budget(closed(node, "pade"), [0.3, 1.0, 9.0]):
+        assert abs(budget.left_db) < ROUNDING
+        assert abs(budget.left_deg) < ROUNDING
+
+
+def test_a_cut_has_no_budget():
+    path = fixed_path(node_at(20.0), "pade", "rate_command_to_q")
+    with pytest.raises(ValueError, match="rate_command_to_q"):
+        loop_budget(api.close(path, design()), [1.0])
+
+
+# --- any parts ----------------------------------------------------------------------------------------------------
+
+
+def lag(pole: float, gain: float, delay: float) -> Response:
+    def response(f: Array) -> ComplexArray:
+        s = 2j * np.pi * f
+        return np.asarray(gain * pole / (s + pole) * np.exp(-s * delay))
+
+    return response
+
+
+PARTS = st.lists(
+    st.builds(lag, st.floats(0.1, 100.0), st.floats(0.01, 50.0), st.floats(0.0, 0.5)), min_size=1, max_size=5
+)
+
+
+@settings(max_examples=60, deadline=None)
+@given(PARTS, PARTS, st.floats(0.01, 20.0), st.randoms(use_true_random=False))
+def test_any_budget_closes_and_its_sum_knows_no_order(series, stages, f, random):
+    def whole(x: Array) -> ComplexArray:
+        return np.asarray(np.prod([part(x) for part in series], axis=0) * stages[-1](x))
+
+    def budget(parts, steps):
+        named = [(f"part {k}", part) for k, part in enumerate(parts)]
+        return split(whole, f, named, [(f"stage {k}", step) for k, step in enumerate(steps)])
+
+    first = budget(series, stages)
+    mixed = stages[:-1]
+    random.shuffle(mixed)
+    second = budget(random.sample(series, len(series)), [*mixed, stages[-1]])
+    for one in (first, second):
+        assert abs(one.left_db) < 1e-11
+        assert abs(one.left_deg) < 1e-9
+    assert first.gain_db == pytest.approx(second.gain_db, abs=1e-10)
+    assert (
+        first.phase_margin_deg == pytest.approx(second.phase_margin_deg, abs=1e-8)
+        or abs(abs(first.phase_margin_deg - second.phase_margin_deg) - 360.0) < 1e-8
+    )
+
+
+def test_a_long_delay_is_followed_beyond_180_degrees():
+    (share,) = split(lag(1e6, 1.0, 0.7), 3.0, [("delay", lag(1e6, 1.0, 0.7))]).shares
+    assert share.phase_deg == pytest.approx(-360.0 * 3.0 * 0.7, abs=0.01)
+
+
+def test_a_part_that_is_zero_is_refused():
+    with pytest.raises(ValueError, match=r"budget at 1 Hz: notch is 0j there"):
+        split(lag(1.0, 1.0, 0.0), 1.0, [("notch", lambda f: np.zeros(f.shape, complex))])
