@@ -123,16 +123,20 @@ def find_nodes(
 
 def report(name: str, order: Order, design: Design, judged: Sequence[Judged], found: Sequence[Check]) -> str:
     """All that is printed."""
-    from maxq.tools.design.tables import limits_table, lobes_table, margins_table, nodes_table  # noqa: PLC0415  # lazy
+    from maxq.tools.design import tables  # noqa: PLC0415  # lazy
 
     what = {"sampled": "sampled, as it flies", "pade": "the paper's Pade approximants", "exact": "without aliasing"}
     where = f"along {order.scenario}, {order.axis}; loop opened at the gimbal command; {what[order.kind]}"
     if order.errata != "corrected" or order.plant != "flown":
         where += f"; errata: {order.errata}; plant: {order.plant}"
     head = [printable(f"{name}: {design.name}" if design.name else name), where]
-    parts = [head, margins_table(judged), lobes_table(judged), limits_table(found)]
+    parts = [
+        head, tables.margins_table(judged), tables.lobes_table(judged),
+        tables.budget_table(judged, "phase margin", "phase_deg"),
+        tables.budget_table(judged, "gain margin up", "gain_db"), tables.limits_table(found),
+    ]  # fmt: skip
     if len(found) > 1:
-        parts.append(nodes_table(found, [j.time_s for j in judged]))
+        parts.append(tables.nodes_table(found, [j.time_s for j in judged]))
     return "\n\n".join("\n".join(part) for part in parts if part)
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields
+from functools import cached_property
 from typing import Any, Literal
 
 import numpy as np
@@ -14,7 +15,9 @@ from maxq.control.records import Array
 from maxq.design import api
 from maxq.design.loop.fixed_path import Kind
 from maxq.design.loop.loop import Loop
+from maxq.design.margins.budget import Budget
 from maxq.design.margins.lobes import Lobe, find_lobes
+from maxq.design.margins.loop_budget import crossing_budgets
 from maxq.design.margins.measure import Margins, margins
 from maxq.design.margins.nichols import Zone
 from maxq.design.model.derivatives import StabilityDerivatives, stability_derivatives
@@ -69,6 +72,11 @@ class Judged:
     @property
     def time_s(self) -> float:
         return self.node.time_s
+
+    @cached_property
+    def budgets(self) -> dict[str, Budget]:
+        """Who eats what at each crossing that sets a margin; none of an unstable loop."""
+        return crossing_budgets(self.loop, self.margins)
 
     @property
     def gain_margin_db(self) -> float:

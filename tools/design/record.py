@@ -51,6 +51,7 @@ def node_record(judged: Judged) -> dict[str, Any]:
         ],
         "lobes": [asdict(lobe) for lobe in judged.lobes],
         "rigid_body": rigid,
+        "budgets": {name: asdict(budget) for name, budget in judged.budgets.items()},
     }
 
 

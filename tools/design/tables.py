@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from typing import Literal
 
 from maxq.design.margins.lobes import Lobe
 from maxq.design.margins.worst import Bound
@@ -74,6 +75,27 @@ def lobes_table(judged: Sequence[Judged]) -> list[str]:
         rows.append((f"{j.time_s:g}", *(_lobe(by_label.get(label), j.margins.stable) for label in labels)))
     head = "lobes: peak dB, and how it is stabilised (G gain; P phase, with the turn in degrees that would harm)"
     return [head, *aligned(rows, "  ", right=tuple(range(1 + len(labels))))]
+
+
+def budget_table(judged: Sequence[Judged], crossing: str, column: Literal["gain_db", "phase_deg"]) -> list[str]:
+    """A row a node: what each part adds to gain or phase at the crossing that sets a margin, and the margin left."""
+    have = [j for j in judged if crossing in j.budgets]
+    if not have:
+        return []
+    parts = list(dict.fromkeys(share.part for j in have for share in j.budgets[crossing].shares))
+    unit, digits = ("deg", 1) if column == "phase_deg" else ("dB", 2)
+    rows = [("time, s", "at Hz", *(_PARTS.get(part, part) for part in parts), "sum", "left")]
+    for j in have:
+        budget = j.budgets[crossing]
+        shares = {share.part: getattr(share, column) for share in budget.shares}
+        left = abs(budget.phase_margin_deg) if column == "phase_deg" else abs(budget.gain_db)
+        cells = [number(shares.get(part, math.nan), digits) for part in parts]
+        whole = number(getattr(budget, column), digits)
+        rows.append((f"{j.time_s:g}", f"{budget.frequency_hz:.3g}", *cells, whole, number(left, digits)))
+    return [f"budget at the {crossing}, {unit}", *aligned(rows, "  ", right=tuple(range(len(rows[0]))))]
+
+
+_PARTS = {"rigid body": "rigid", "aerodynamics": "aero", "engine inertia": "engine"}
 
 
 def _lobe(lobe: Lobe | None, stable: bool) -> str:
