@@ -31,7 +31,7 @@ from maxq.design import api
 from maxq.design.loop.fixed_path import CUTS, Cut, ExactFixedPath, PadeFixedPath, SampledFixedPath
 from maxq.design.loop.loop import Loop
 from maxq.design.loop.rational import average, converter_pade, delay_pade, hold_pade
-from maxq.design.loop.sampling import sample
+from maxq.design.loop.sampling import exponential, sample
 from maxq.design.model.flight_condition import FlightCondition
 from maxq.design.model.node import Node, instruments_of
 from maxq.design.model.state_space import ComplexArray, StateSpace
@@ -66,6 +66,15 @@ def test_sampled_path_is_the_continuous_one_with_its_images(time_s: float, cut: 
     node = dataclasses.replace(node, instruments=dataclasses.replace(node.instruments, delay_s=delay_s))
     # images fall with the fourth power of their number at least
     np.testing.assert_allclose(SampledFixedPath(node, cut).response(FREQUENCIES_HZ), images(node, cut, 60), rtol=2e-7)
+
+
+@pytest.mark.parametrize("scale", [0.0, 1e-3, 0.3, 5.0, 40.0])
+def test_exponential_is_scipys(scale: float) -> None:
+    generator = np.random.default_rng(3)
+    for size in (0, 1, 2, 20):
+        a = scale * generator.standard_normal((size, size)) / max(size, 1) ** 0.5
+        expected = scipy.linalg.expm(a) if size else a
+        np.testing.assert_allclose(exponential(a), expected, rtol=0.0, atol=1e-12 * np.abs(expected).max(initial=1.0))
 
 
 def test_sampled_path_without_dynamics_of_actuator_and_gyro() -> None:

@@ -145,8 +145,10 @@ class Loop:
             s = s - move
             if (np.abs(move) < 1e-12 * np.abs(s)).all():
                 break
-        settled = np.abs(1.0 + self._at(exact, s)) < 1e-6
-        return np.asarray(s[settled])
+        s = s[np.abs(1.0 + self._at(exact, s)) < 1e-6]
+        # a zero that two starts have found is one zero
+        again = np.tril(np.abs(s[:, None] - s[None, :]) < 1e-7 * np.abs(s), -1).any(axis=1)
+        return np.asarray(s[~again])
 
     def _at(self, exact: ExactFixedPath, s: ComplexArray) -> ComplexArray:
         law = self.k_p / s + (self.k_d_s if exact.takes_rate else 0.0)
