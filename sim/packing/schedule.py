@@ -8,14 +8,13 @@ loses (docs/model.md, section 8).
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
-from scipy.interpolate import CubicHermiteSpline
 
 from maxq.control.jit import from_python
 from maxq.control.records import Array, pack
 from maxq.control.tables import Cubics, Method, fit, merge
 from maxq.sim.dynamics import schedule as columns_of
 from maxq.sim.dynamics.state import Sizes
+from maxq.sim.packing.mode_shapes import ModeShapes
 from maxq.sim.scenario.modes import ModeTable
 from maxq.sim.scenario.schema_scenario import Switches
 from maxq.sim.scenario.schema_vehicle import Stage
@@ -171,45 +170,38 @@ def _columns(table: Cubics, columns: list[int]) -> Cubics:
 
 def _modes(stage: Stage, table: ModeTable, sizes: Sizes, method: Method) -> Cubics:
     """Columns of all modes of one plane."""
-    times, n = table.time_s, table.modes
-    softening = np.array([_softening(stage, table, t) for t in range(len(times))])
-    hinges = [_tank(stage, k, method) for k in range(sizes.tanks)]
+    times, shapes = table.time_s, ModeShapes(table)
     gimbal = stage.engine.gimbal_station_m if stage.engine else float(table.station_m[-1])
     gyro = stage.gyro.station_m if stage.gyro else float(table.station_m[0])
-    columns: list[NDArray[np.float64]] = []
-    for mode in range(n):
-        shapes = [
-            CubicHermiteSpline(table.station_m, table.phi[t, mode], table.slope_pm[t, mode]) for t in range(len(times))
-        ]
-        columns += [2.0 * np.pi * table.frequency_hz[:, mode], table.generalized_mass_kg[:, mode]]
-        columns += [np.array([s(gimbal) for s in shapes]), np.array([s(gimbal, 1) for s in shapes])]
-        columns += [np.array([s(gyro, 1) for s in shapes]), np.zeros(len(times))]
-        for hinge in hinges:
-            columns.append(np.array([s(hinge(t)[2]) for s, t in zip(shapes, times, strict=True)]))
-        for station in surface_stations(stage):
-            columns += [np.array([s(station) for s in shapes]), np.array([s(station, 1) for s in shapes])]
-        columns += list(softening[:, mode].T)
-    return fit(times, np.stack(columns, axis=1), method)
+    columns = [2.0 * np.pi * table.frequency_hz, table.generalized_mass_kg]  # each of them (times, modes)
+    columns += [shapes.value(gimbal)[0], shapes.slope(gimbal)[0]]
+    columns += [shapes.slope(gyro)[0], np.zeros((len(times), table.modes))]
+    for k in range(sizes.tanks):
+        hinges = _tank(stage, k, method).at(times)[:, 2]
+        columns.append(np.diagonal(shapes.value(hinges)).T)  # at each time the hinge of that time
+    for station in surface_stations(stage):
+        columns += [shapes.value(station)[0], shapes.slope(station)[0]]
+    columns += list(_softening(stage, table, shapes).transpose(2, 0, 1))
+    return fit(times, np.stack(columns, axis=2).reshape(len(times), -1), method)
 
 
-def _softening(stage: Stage, table: ModeTable, t: int) -> Array:
-    """Generalised stiffness per unit of axial acceleration that the axial load takes from the modes (n, n), kg/m.
+def _softening(stage: Stage, table: ModeTable, shapes: ModeShapes) -> Array:
+    """Generalised stiffness per unit of axial acceleration that the axial load takes from the modes, kg/m.
 
-    integral of m_forward phi_i' phi_j' dx up to the gimbal, less what the engine behind it gives back: it hangs in
-    tension (docs/model.md, section 4; the axial force at a station is the mass forward of it times the acceleration).
+    At each time (times, modes, modes): integral of m_forward phi_i' phi_j' dx up to the gimbal, less what the engine
+    behind it gives back: it hangs in tension (docs/model.md, section 4; the axial force at a station is the mass
+    forward of it times the acceleration).
     """
     x = table.station_m
     end = stage.engine.gimbal_station_m if stage.engine else float(x[-1])
-    shapes = [CubicHermiteSpline(x, table.phi[t, m], table.slope_pm[t, m]) for m in range(table.modes)]
     inside = np.unique(np.append(x[x < end], end))
     half = 0.5 * np.diff(inside)
     points = (0.5 * (inside[1:] + inside[:-1]) + np.outer(_GAUSS_NODES, half)).ravel()
     weights = np.outer(_GAUSS_WEIGHTS, half).ravel()
-    slopes = np.array([shape(points, 1) for shape in shapes])
-    load = weights * np.interp(points, x, table.mass_forward_kg[t])
-    matrix = (slopes * load) @ slopes.T
+    slopes = np.ascontiguousarray(shapes.slope(points).transpose(1, 2, 0))  # (times, modes, points)
+    loads = [weights * np.interp(points, x, forward) for forward in table.mass_forward_kg]
+    matrices = np.array([(slope * load) @ slope.T for slope, load in zip(slopes, loads, strict=True)])
     if stage.engine is not None:
-        at_gimbal = np.array([shape(end, 1) for shape in shapes])
         hanging = stage.engine.gimballed_mass_kg * stage.engine.cg_from_gimbal_m
-        matrix -= hanging * np.outer(at_gimbal, at_gimbal)
-    return np.asarray(matrix)
+        matrices -= hanging * np.array([np.outer(slope, slope) for slope in shapes.slope(end)[0]])
+    return matrices
