@@ -368,6 +368,17 @@ def test_nothing_heavy_is_imported_without_need(option: str) -> None:
     assert done.stdout.splitlines()[-1] == "[]"
 
 
+def test_a_flight_needs_nothing_of_scipy() -> None:
+    """Importing its interpolators took longer than the flight."""
+    code = (
+        "import sys\nfrom maxq.tools.simrun import main\n"
+        f"main({[*SHORT, '--no-log']}, alone=True)\n"
+        "print([m for m in sys.modules if m.startswith(('scipy.interpolate', 'scipy.special', 'scipy.linalg'))])"
+    )
+    done = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True)
+    assert done.stdout.splitlines()[-1] == "[]"
+
+
 # the library
 
 

@@ -7,6 +7,7 @@ import os
 import pty
 import resource
 import select
+import shlex
 import signal
 import subprocess
 import sys
@@ -104,6 +105,33 @@ def test_letters_that_the_terminal_lacks_are_no_error() -> None:
         env=environment,
     )
     assert done.stdout.splitlines()[0] == "nominal: ?berflug"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code"),
+    [
+        ([*SHORT, "--no-log"], 0),
+        ([*SHORT, "--no-log", "--set", 'requirement=[{metric="max_speed_mps",limit=1}]'], 1),
+        (["nominla"], 2),
+        (["--nolog"], 2),
+        (["--list"], 0),
+    ],
+)
+def test_the_process_ends_with_the_commands_exit_code_and_all_its_words(arguments: list[str], code: int) -> None:
+    """The process leaves in a hurry (tools/simrun.py, `command`): nothing may be lost on the way."""
+    simrun = Path(sys.executable).with_name("simrun")
+    for how in ([str(simrun)], SIMRUN):
+        done = subprocess.run([*how, *arguments], capture_output=True, text=True, check=False)
+        assert done.returncode == code, done.stderr
+        assert done.stdout.endswith("\n") if code < 2 else done.stderr.count("\n") == 1
+
+
+def test_a_reader_that_leaves_before_the_end_changes_nothing_on_stderr() -> None:
+    done = subprocess.run(
+        f"{shlex.join([*SIMRUN, '--list'])} | head -n 1", shell=True, capture_output=True, text=True, check=False
+    )
+    assert done.stderr == ""
+    assert len(done.stdout.splitlines()) == 1
 
 
 def on_a_terminal(arguments: list[str]) -> tuple[str, int]:

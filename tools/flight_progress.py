@@ -20,6 +20,7 @@ class FlightProgress:
 
     def __init__(self) -> None:
         self._start_s = time.monotonic()
+        self._wanted = sys.stderr.isatty()  # asked once: a call to the system lets the log's thread go first
         self._bar: Any = None  # rich is imported when it is needed
         self._task: Any = None
 
@@ -33,7 +34,7 @@ class FlightProgress:
             self._bar.stop()
 
     def show(self, run: FlightRun) -> None:
-        if not sys.stderr.isatty() or time.monotonic() - self._start_s < _PATIENCE_S:
+        if not self._wanted or time.monotonic() - self._start_s < _PATIENCE_S:
             return
         scenario = run.loaded.scenario
         if self._bar is None:

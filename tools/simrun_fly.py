@@ -32,11 +32,16 @@ class Order:
     no_log: bool
 
 
-def execute(order: Order) -> int:
-    """Do it; returns the exit code. Whatever is wrong with the input is one line on stderr."""
+def execute(order: Order, *, alone: bool = False) -> int:
+    """Do it; returns the exit code. Whatever is wrong with the input is one line on stderr.
+
+    `alone`: nobody else uses Numba in this process.
+    """
     start_s = time.perf_counter()
     from maxq.sim.log.error import LogError  # noqa: PLC0415  # lazy: the clock starts before the heavy imports
 
+    if alone:
+        _load_numba_without_blas()
     try:
         return _execute(order, start_s)
     except (ScenarioError, LogError) as error:
@@ -99,6 +104,21 @@ def _execute(order: Order, start_s: float) -> int:
     if flight.outcome == "interrupted":
         return _INTERRUPTED
     return _PASSED if flight.passed and same else _FAILED
+
+
+def _load_numba_without_blas() -> None:
+    """Numba looks for BLAS where it first meets compiled code, by importing scipy.linalg: a fifth of a second.
+
+    Kernels use no linear algebra (CONTRIBUTING.md), so this process, which flies and ends, tells it that there is none.
+    """
+    blas = "scipy.linalg.cython_blas"
+    if blas in sys.modules:
+        return
+    sys.modules[blas] = None  # type: ignore[assignment]  # Python's way of saying "cannot be imported"
+    try:
+        import numba.np.arraymath  # noqa: F401, PLC0415  # its import is what looks
+    finally:
+        del sys.modules[blas]
 
 
 def _load(order: Order) -> tuple[LoadedScenario, Comparison]:
