@@ -354,7 +354,7 @@ def test_version(capsys: Printed) -> None:
 def test_help_names_every_exit_code(capsys: Printed) -> None:
     assert run("--help") == 0
     text = capsys.readouterr().out
-    assert all(f"\n  {code:>3}  " in text for code in (0, 1, 2, 130))
+    assert all(f"\n  {code:>3}  " in text for code in (0, 1, 2, 70, 130))
 
 
 @pytest.mark.parametrize("option", ["--help", "--list", "--version"])
@@ -377,6 +377,26 @@ def test_a_flight_needs_nothing_of_scipy() -> None:
     )
     done = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True)
     assert done.stdout.splitlines()[-1] == "[]"
+
+
+def test_a_fault_of_ours_has_its_own_exit_code_and_asks_for_a_report(
+    capsys: Printed, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def broken(*_: object, **__: object) -> int:
+        raise ZeroDivisionError("two\nlines")
+
+    monkeypatch.setattr("maxq.tools.simrun_fly.execute", broken)
+    monkeypatch.delenv(simrun.TRACEBACK, raising=False)
+    assert run("nominal") == 70
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith("simrun: internal error: ZeroDivisionError: two lines (test_usage_simrun.py, line ")
+    assert "please report it" in line
+    assert simrun.TRACEBACK in line
+    monkeypatch.setenv(simrun.TRACEBACK, "1")
+    assert run("nominal") == 70
+    lines = capsys.readouterr().err.splitlines()
+    assert lines[0] == "Traceback (most recent call last):"
+    assert lines[-1].startswith("simrun: internal error: ")
 
 
 # the library

@@ -10,7 +10,11 @@ import os
 import sys
 from typing import NoReturn
 
-PASSED, FAILED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
+PASSED, FAILED, BAD_INPUT, INTERNAL_ERROR, INTERRUPTED = 0, 1, 2, 70, 130
+"""Exit codes; 70 is EX_SOFTWARE of sysexits.h."""
+
+TRACEBACK = "MAXQ_TRACEBACK"
+"""Environment variable with which an internal error shows where it happened."""
 
 _USAGE = (
     "simrun SCENARIO [--set KEY=VALUE]... [--out DIR] [--no-log]\n"
@@ -29,6 +33,7 @@ exit code:
     0  flown, all requirements met
     1  flown, but a requirement was missed, control was lost, the flight diverged, or it differs from the log
     2  bad input, nothing written
+   70  a fault of maxq itself; MAXQ_TRACEBACK=1 in the environment shows where
   130  interrupted, the log is closed properly
 """
 
@@ -113,6 +118,26 @@ def main(arguments: list[str] | None = None, *, alone: bool = False) -> int:
     except BrokenPipeError:  # whoever read our output, such as `head`, has seen enough
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return FAILED
+    except Exception as error:
+        return _internal(error)
+
+
+def _internal(error: Exception) -> int:
+    """Say that maxq is at fault, in one line."""
+    import traceback  # noqa: PLC0415  # lazy
+
+    if os.environ.get(TRACEBACK):
+        traceback.print_exception(error)
+    last = traceback.extract_tb(error.__traceback__)[-1]
+    place = f"{os.path.basename(last.filename)}, line {last.lineno}"
+    what = " ".join(f"{type(error).__name__}: {error}".split()).removesuffix(": ").removesuffix(":")
+    how = "" if os.environ.get(TRACEBACK) else f"; {TRACEBACK}=1 in the environment shows more"
+    print(
+        f"simrun: internal error: {what} ({place}); this is a fault of maxq, not of your input: please report it, "
+        f"with the command and the scenario{how}",
+        file=sys.stderr,
+    )
+    return INTERNAL_ERROR
 
 
 def _run(arguments: list[str], alone: bool) -> int:
