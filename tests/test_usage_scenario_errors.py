@@ -58,7 +58,60 @@ def test_a_file_that_is_not_there(here: Path) -> None:
     assert said_of("winds").startswith("winds: is a folder; allowed: a scenario file (.toml)")
     assert said_of("").startswith('"": no such file; allowed: a scenario file (.toml)')
     assert said_of("a\0b.toml").startswith("a\\x00b.toml: no such file; allowed: a scenario file (.toml)")
-    assert said_of("x" * 5000).startswith("x" * 236 + " ...: no such file; allowed: a scenario file (.toml)")
+    assert said_of("x" * 5000).startswith("x" * 236 + " ...: neither a file nor a built-in scenario; allowed: ")
+
+
+def test_a_name_that_is_neither_a_file_nor_ours(here: Path) -> None:
+    """Not with a list of all names, which are many."""
+    assert said_of("zzz") == (
+        "zzz: neither a file nor a built-in scenario; allowed: a scenario file (.toml), "
+        "or a built-in scenario (simrun --list names them)"
+    )
+    assert said_of("nominla") == "nominla: no such file; did you mean nominal?; allowed: a scenario file (.toml)"
+
+
+def test_a_file_that_is_nearly_there(here: Path) -> None:
+    """What is suggested is beside the place that was named, or is a built-in file of that name."""
+    for key, asked, meant in (
+        ("design", "designs/trail.toml", "designs/trial.toml"),
+        ("vehicle", "vehicles/rockte", "vehicles/rocket"),
+        ("vehicle", "ksr3", "vehicles/ksr3"),
+        ("design", "ksr3-default", "designs/ksr3-default.toml"),
+        ("wind.profile", "winds/wset.csv", "winds/west.csv"),
+        ("wind.profile", "anheung-november", "winds/anheung-november.csv"),
+    ):
+        line = said_of("ascent.toml", f"{key}={asked}")
+        assert line.startswith(f'--set: {key} = "{asked}": no such file; did you mean {meant}?; allowed: '), line
+    assert "no such file; allowed: " in said_of("ascent.toml", "design=no/such/folder.toml")
+    assert "no such file; allowed: " in said_of("ascent.toml", "wind.profile=zzz.csv")
+
+
+def test_a_line_that_is_no_toml_is_shown(here: Path) -> None:
+    for wrong in ("altitude_m = 30,0", "name = ascent", "[run"):
+        (here / "wrong.toml").write_text(f"schema = 1\n  {wrong}\n")
+        line = said_of("wrong.toml")
+        assert line.startswith("wrong.toml: is not valid TOML: ")
+        assert line.endswith(f": {wrong}"), line
+        assert "(at line 2, column " in line
+    (here / "wrong.toml").write_text("a = [1,\n")
+    assert said_of("wrong.toml").startswith("wrong.toml: is not valid TOML: ")
+    (here / "wrong.toml").write_text("a = " + "9" * 500 + "x\n")
+    assert len(said_of("wrong.toml")) < 250
+
+
+@pytest.mark.parametrize("key", ["extends", "unset", "vehicle.extends", "vehicle_overrides.unset", "design.extends"])
+def test_what_works_in_a_file_only(here: Path, key: str) -> None:
+    line = said_of("ascent.toml", f"{key}=x")
+    assert line.startswith(f'--set: {key} = "x": works in a file only; allowed: ')
+    assert "did you mean" not in line
+
+
+def test_times_that_no_flight_lasts(here: Path) -> None:
+    assert said_of("ascent.toml", "run.duration_s=1e12") == (
+        "--set: run.duration_s = 1000000000000.0: is longer than a flight can be; "
+        "allowed: times up to 9e9 s, which are 285 years"
+    )
+    assert "log.fast_hz = 1e-12: is slower than a flight can be long" in said_of("ascent.toml", "log.fast_hz=1e-12")
 
 
 def test_a_binary_file(here: Path) -> None:

@@ -7,6 +7,9 @@ from pathlib import Path
 DATA_FOLDERS = ("vehicles", "designs", "winds", "campaigns")
 """Folders of data that scenarios name; their files are no scenarios."""
 
+BUILTIN = "a built-in scenario (simrun --list names them)"
+"""What is allowed where such a name is wanted."""
+
 
 def scenarios_folder() -> Path:
     """Folder of the built-in scenarios.

@@ -5,7 +5,7 @@ from __future__ import annotations
 import shutil
 from pathlib import Path
 
-from maxq.sim.scenario.builtin import builtin_names, builtin_path, scenarios_folder
+from maxq.sim.scenario.builtin import BUILTIN, builtin_names, builtin_path, scenarios_folder
 from maxq.sim.scenario.errors import ScenarioError, suggestion
 from maxq.sim.scenario.loader import load_scenario
 
@@ -23,7 +23,7 @@ def copy_scenario(name: str, folder: str | Path) -> Path:
     if path is None:
         hint = suggestion(name, builtin_names())
         problem = "no such built-in scenario" + (f"; {hint}" if hint else "")
-        raise ScenarioError(name or '""', problem, allowed="" if hint else ", ".join(builtin_names()))
+        raise ScenarioError(name or '""', problem, allowed="" if hint else BUILTIN)
     files = {file.path for file in load_scenario(path).files}
     for vehicle in [file for file in files if file.name == "vehicle.toml"]:
         files |= {item for item in vehicle.parent.rglob("*") if item.is_file()}

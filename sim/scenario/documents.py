@@ -6,6 +6,7 @@ value names is looked for beside the file that says so; therefore tables, lists 
 
 from __future__ import annotations
 
+import re
 import tomllib
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -13,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from maxq.sim.scenario.errors import Path as KeyPath
-from maxq.sim.scenario.errors import ScenarioError, suggestion
+from maxq.sim.scenario.errors import ScenarioError, show_value, suggestion
 
 
 @dataclass(frozen=True)
@@ -87,9 +88,19 @@ def parse(text: str, source: Source) -> Table:
         document = adopt(tomllib.loads(text), source)
     except (ValueError, RecursionError) as error:  # TOMLDecodeError, or a number with thousands of digits
         reason = "nested too deeply" if isinstance(error, RecursionError) else str(error)
-        raise ScenarioError(source.label, f"is not valid TOML: {reason}") from None
+        raise ScenarioError(source.label, f"is not valid TOML: {reason}{_quoted(text, reason)}") from None
     assert isinstance(document, Table)
     return document
+
+
+def _quoted(text: str, reason: str) -> str:
+    """The line of `text` that tomllib's `reason` names, to be put behind it."""
+    at = re.search(r"\(at line (\d+), column \d+\)$", reason)
+    lines = text.split("\n")
+    if at is None or int(at[1]) > len(lines):
+        return ""
+    line = lines[int(at[1]) - 1].strip()
+    return f": {show_value(line)[1:-1]}" if line else ""
 
 
 def decode(content: bytes, label: str, kind: str) -> str:

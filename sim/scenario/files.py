@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from maxq.sim.scenario.builtin import scenarios_folder
 from maxq.sim.scenario.documents import Text, decode
-from maxq.sim.scenario.errors import ScenarioError, refuse
+from maxq.sim.scenario.errors import ScenarioError, refuse, suggestion
+
+VEHICLE_FILE = "vehicle.toml"
+TABLE_VARIANTS = ("{}",)
 
 
 @dataclass(frozen=True)
@@ -59,8 +64,8 @@ def find(name: Text, variants: Iterable[str]) -> Path | None:
     return None
 
 
-def not_found(name: Text, wanted: str) -> tuple[str, str]:
-    """What is wrong with a name for which `find` found nothing, and what is allowed."""
+def not_found(name: Text, wanted: str, variants: Iterable[str]) -> tuple[str, str]:
+    """What is wrong with a name for which `find` found none of the `variants`, and what is allowed."""
     if not name.source.folders:
         return "names a file, which a scenario given as text cannot do", "the content itself"
     for folder in name.source.folders:
@@ -68,7 +73,30 @@ def not_found(name: Text, wanted: str) -> tuple[str, str]:
         if here:
             return ("is a folder" if here == "folder" else "is no ordinary file"), wanted
     folders = dict.fromkeys(f"{shown(folder)}/" for folder in name.source.folders)
-    return "no such file", f"{wanted}, looked for in {', '.join(folders)}"
+    hint = _nearest(name, variants)
+    return "no such file" + (f"; {hint}" if hint else ""), f"{wanted}, looked for in {', '.join(folders)}"
+
+
+def _nearest(name: Text, variants: Iterable[str]) -> str:
+    """`did you mean x?` for a built-in file of this name in another folder, or one like it beside the place meant."""
+    asked, root = Path(name), scenarios_folder()
+    table = tuple(variants) == TABLE_VARIANTS
+
+    def fits(path: Path) -> bool:
+        if path.suffix == (".csv" if table else ".toml"):
+            return kind(path) == "file"
+        return not table and kind(path / VEHICLE_FILE) == "file"
+
+    if root in name.source.folders:
+        for path in sorted(root.rglob("*")):
+            if asked.name in (path.name, path.stem) and fits(path):
+                return f"did you mean {path.relative_to(root).as_posix()}?"
+    beside: list[str] = []
+    for folder in name.source.folders:
+        with contextlib.suppress(OSError, ValueError):  # there is no such folder, or it may not be read
+            there = sorted((folder / asked).parent.iterdir())
+            beside += [str(asked.with_name(path.name)) for path in there if fits(path)]
+    return suggestion(str(name), beside)
 
 
 @dataclass
@@ -86,8 +114,8 @@ class Reading:
 
     def read_table(self, name: Text) -> tuple[str, str]:
         """How the CSV file `name` is shown to people, and its text (for the schema)."""
-        path = find(name, ("{}",))
+        path = find(name, TABLE_VARIANTS)
         if path is None:
-            raise refuse(*not_found(name, "a CSV file"))
+            raise refuse(*not_found(name, "a CSV file", TABLE_VARIANTS))
         label = shown(path)
         return label, self.text(path, label, "a CSV file")

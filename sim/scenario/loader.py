@@ -16,7 +16,7 @@ from pathlib import Path
 
 from pydantic import ValidationError
 
-from maxq.sim.scenario.builtin import builtin_names, builtin_path, scenarios_folder
+from maxq.sim.scenario.builtin import BUILTIN, builtin_names, builtin_path, scenarios_folder
 from maxq.sim.scenario.documents import (
     Array,
     Source,
@@ -123,11 +123,12 @@ def _locate(name: str) -> tuple[Path, str]:
     builtin = builtin_path(name.removesuffix(".toml"))
     if builtin is not None:
         return builtin, shown(builtin)
-    problem = {"folder": "is a folder", "other": "is no ordinary file"}.get(there, "no such file")
-    names = builtin_names()
-    hint = suggestion(name.removesuffix(".toml"), names)
-    listed = " or a built-in one: " + ", ".join(names) if names and not hint else ""
-    raise ScenarioError(name or '""', f"{problem}; {hint}" if hint else problem, allowed=_WANTED["scenario"] + listed)
+    hint = suggestion(name.removesuffix(".toml"), builtin_names())
+    as_a_file = not name.isidentifier() or hint  # a bare word may have been meant as one of ours
+    missing = "no such file" if as_a_file else "neither a file nor a built-in scenario"
+    problem = {"folder": "is a folder", "other": "is no ordinary file"}.get(there, missing)
+    allowed = _WANTED["scenario"] + ("" if hint else f", or {BUILTIN}")
+    raise ScenarioError(name or '""', f"{problem}; {hint}" if hint else problem, allowed=allowed)
 
 
 def _document(reading: Reading, path: Path, label: str, role: str, chain: tuple[Path, ...]) -> Table:
@@ -151,7 +152,7 @@ def _extended(reading: Reading, table: Table, role: str, chain: tuple[Path, ...]
         raise table.source.error(where, "has the wrong type", value=name, allowed=f"the name of {_WANTED[role]}")
     path = find(name, _VARIANTS[role])
     if path is None:
-        problem, allowed = not_found(name, _WANTED[role])
+        problem, allowed = not_found(name, _WANTED[role], _VARIANTS[role])
         raise table.source.error(where, problem, value=name, allowed=allowed)
     if path in chain:
         loop = " -> ".join(shown(p) for p in (*chain[chain.index(path) :], path))
@@ -227,7 +228,7 @@ def _bring_in(reading: Reading, tree: Table, part: str) -> None:
     if isinstance(value, Text):
         path = find(value, _VARIANTS[part])
         if path is None:
-            problem, allowed = not_found(value, _WANTED[part])
+            problem, allowed = not_found(value, _WANTED[part], _VARIANTS[part])
             if any(kind(folder / value) == "folder" for folder in value.source.folders) and part == "vehicle":
                 problem = "the folder has no vehicle.toml"
             raise source.error((part,), problem, value=value, allowed=allowed)

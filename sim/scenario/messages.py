@@ -32,6 +32,10 @@ _PROBLEMS = {
     "too_short": "has too few elements",
 }
 _MANY_KEYS = 24
+_IN_FILES_ONLY = {
+    "extends": 'a file of your own that begins with, e.g., extends = "nominal"',
+    "unset": "--set KEY= to take a key away, or a file of your own with extends and unset",
+}
 
 
 def explain(error: ValidationError, tree: Table, model: type[Section]) -> ScenarioError:
@@ -98,6 +102,8 @@ def _unknown_key(path: Path, model: type[Section]) -> tuple[str, str]:
         known += SCENARIO_KEYS
     elif path[:-1] in (("vehicle",), ("design",)):
         known += DOCUMENT_KEYS
+    if path[-1] in _IN_FILES_ONLY and path[-1] in known:
+        return "works in a file only", _IN_FILES_ONLY[str(path[-1])]
     hint = _elsewhere(str(path[-1]), model) if len(path) == 1 else ""
     hint = hint or suggestion(str(path[-1]), known)
     if hint:

@@ -7,7 +7,7 @@ from typing import Annotated, Any
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field
 
 from maxq.sim.scenario.errors import refuse
-from maxq.sim.scenario.nanoseconds import is_whole_ns, is_whole_period
+from maxq.sim.scenario.nanoseconds import LONGEST_S, is_whole_ns, is_whole_period
 
 
 class Section(BaseModel):
@@ -19,12 +19,16 @@ class Section(BaseModel):
 
 
 def _whole_ns(seconds: float) -> float:
+    if abs(seconds) > LONGEST_S:
+        raise refuse("is longer than a flight can be", "times up to 9e9 s, which are 285 years")
     if not is_whole_ns(seconds):
         raise refuse("is no whole number of nanoseconds", "multiples of 1e-9 s")
     return seconds
 
 
 def _whole_period(rate_hz: float) -> float:
+    if rate_hz * LONGEST_S < 1.0:
+        raise refuse("is slower than a flight can be long", "a period of at most 9e9 s")
     if not is_whole_period(rate_hz):
         raise refuse("its period is no whole number of nanoseconds", "rates that divide 1e9, e.g. 50, 100, 1000")
     return rate_hz
