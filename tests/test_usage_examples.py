@@ -1,0 +1,37 @@
+"""Hypothesis tries the same examples in every run, unless it is asked for new ones (tests/conftest.py)."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+TRIAL = """
+from hypothesis import given, strategies as st
+
+@given(st.integers(), st.floats())
+def test_trial(whole, real):
+    with open("tried.txt", "a") as file:
+        print(whole, real, file=file)
+"""
+
+
+def tried(folder: Path, examples: str | None) -> str:
+    """What a test tries in a process of its own."""
+    (folder / "test_trial.py").write_text(TRIAL)
+    (folder / "tried.txt").unlink(missing_ok=True)
+    environment = {k: v for k, v in os.environ.items() if k != "MAXQ_EXAMPLES"}
+    environment |= {"PYTHONPATH": str(Path(__file__).parent)} | ({"MAXQ_EXAMPLES": examples} if examples else {})
+    command = [sys.executable, "-m", "pytest", "-q", "-p", "conftest", "--rootdir=.", "test_trial.py"]
+    subprocess.run(command, cwd=folder, env=environment, check=True, capture_output=True)
+    return (folder / "tried.txt").read_text()
+
+
+@pytest.mark.parametrize(("examples", "equal"), [(None, True), ("same", True), ("random", False)])
+def test_examples_are_new_only_on_request(tmp_path: Path, examples: str | None, equal: bool) -> None:
+    first, second = tried(tmp_path, examples), tried(tmp_path, examples)
+    assert len(first.splitlines()) >= 100
+    assert (first == second) is equal
