@@ -48,7 +48,8 @@ class Cubics:
         """All columns at `x`; outside the breakpoints the end values hold."""
         x = float(np.clip(x, self.breaks[0], self.breaks[-1]))
         k = int(np.clip(np.searchsorted(self.breaks, x, side="right") - 1, 0, len(self.breaks) - 2))
-        return np.asarray((x - self.breaks[k]) ** np.arange(4.0) @ self.coefficients[k])
+        s, (c0, c1, c2, c3) = x - self.breaks[k], self.coefficients[k]
+        return np.asarray(c0 + s * (c1 + s * (c2 + s * c3)))
 
     def at(self, xs: ArrayLike) -> Array:
         """Rows of all columns at each of `xs`."""

@@ -25,29 +25,36 @@ def initial_motion(scenario: Scenario, earth: Earth, y: Array) -> None:
     to_inertial = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
     spin_I = np.array([0.0, 0.0, earth.rate_radps])
     position_E = _position(scenario, given, earth, to_inertial)
-    to_ned = _ned(earth, position_E)
-    position_I = to_inertial @ position_E
+    ned_to_inertial = product(to_inertial, _ned(earth, position_E).T)
+    position_I = product(to_inertial, position_E)
     ground_I = np.cross(spin_I, position_I)
     if given.inertial_mps is not None:
         velocity_I = np.array(given.inertial_mps)
     elif given.earth_mps is not None:
-        velocity_I = ground_I + to_inertial @ np.array(given.earth_mps)
+        velocity_I = ground_I + product(to_inertial, np.array(given.earth_mps))
     else:
-        velocity_I = ground_I + to_inertial @ to_ned.T @ np.array(given.ned_mps or (0.0, 0.0, 0.0))
-    attitude = _attitude(scenario, given, to_inertial @ to_ned.T)
+        velocity_I = ground_I + product(ned_to_inertial, np.array(given.ned_mps or (0.0, 0.0, 0.0)))
+    attitude = _attitude(scenario, given, ned_to_inertial)
     if given.rate_BI_degps is not None:
         rate_B = np.radians(given.rate_BI_degps)
     elif given.rate_BI_radps is not None:
         rate_B = np.array(given.rate_BI_radps)
     else:
-        rate_B = np.radians(given.rate_BE_degps or (0.0, 0.0, 0.0)) + attitude.T @ spin_I
+        rate_B = np.radians(given.rate_BE_degps or (0.0, 0.0, 0.0)) + product(attitude.T, spin_I)
     y[R_I : R_I + 3], y[V_I : V_I + 3] = position_I, velocity_I
     y[Q_BI : Q_BI + 4], y[W_BI_B : W_BI_B + 3] = quaternion(attitude), rate_B
 
 
+def product(a: Array, b: Array) -> Array:
+    """The matrix `a` (3, 3) times a matrix or vector `b` (3, ...), rounded alike on every processor, as BLAS is not."""
+    return np.asarray(
+        np.multiply.outer(a[:, 0], b[0]) + np.multiply.outer(a[:, 1], b[1]) + np.multiply.outer(a[:, 2], b[2])
+    )
+
+
 def _position(scenario: Scenario, given: Initial, earth: Earth, to_inertial: Array) -> Array:
     if given.inertial_m is not None:
-        return np.asarray(to_inertial.T @ np.array(given.inertial_m))
+        return product(to_inertial.T, np.array(given.inertial_m))
     if given.earth_m is not None:
         return np.array(given.earth_m)
     place = given.geodetic or scenario.site
@@ -69,11 +76,11 @@ def _attitude(scenario: Scenario, given: Initial, ned_to_inertial: Array) -> Arr
     if given.dcm_BI is not None:
         return np.array(given.dcm_BI).T
     if given.euler_deg is not None:
-        return np.asarray(ned_to_inertial @ euler_to_ned(*np.radians(given.euler_deg)))
+        return product(ned_to_inertial, euler_to_ned(*np.radians(given.euler_deg)))
     azimuth = math.radians(scenario.site.azimuth_deg)
     north, east = math.cos(azimuth), math.sin(azimuth)
     nose, under = np.array([0.0, 0.0, -1.0]), np.array([north, east, 0.0])
-    return np.asarray(ned_to_inertial @ np.stack([nose, np.cross(under, nose), under], axis=1))
+    return product(ned_to_inertial, np.stack([nose, np.cross(under, nose), under], axis=1))
 
 
 def euler_to_ned(yaw: float, pitch: float, roll: float) -> Array:
@@ -91,7 +98,7 @@ def euler_to_ned(yaw: float, pitch: float, roll: float) -> Array:
 
 def rotation(q: Array) -> Array:
     """Matrix of a quaternion, scalar first, of any norm."""
-    w, x, y, z = q / np.linalg.norm(q)
+    w, x, y, z = q / math.hypot(*q)
     return np.array(
         [
             [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
@@ -119,5 +126,5 @@ def quaternion(matrix: Array) -> Array:
         q[1 + i] = 1 + m[i, i] - m[j, j] - m[h, h]
         q[1 + j] = m[j, i] + m[i, j]
         q[1 + h] = m[h, i] + m[i, h]
-    q /= np.linalg.norm(q)
+    q /= math.hypot(*q)
     return np.asarray(q if q[0] >= 0 else -q)

@@ -7,6 +7,8 @@ loses (docs/model.md, section 8).
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from maxq.control.jit import from_python
@@ -121,7 +123,7 @@ def _without_bobs(total: Array, bobs: list[Array]) -> Array:
     masses = np.array([mass, *[-bob[0] for bob in bobs]])
     r = np.array(places)
     core_mass = masses.sum()
-    cg = masses @ r / core_mass
+    cg = (masses[:, None] * r).sum(axis=0) / core_mass
     integrals = total[4:10].copy()
     for m, at in [*zip(masses[1:], r[1:], strict=True), (-core_mass, cg)]:
         x_, y_, z_ = at
@@ -198,9 +200,12 @@ def _softening(stage: Stage, table: ModeTable, shapes: ModeShapes) -> Array:
     half = 0.5 * np.diff(inside)
     points = (0.5 * (inside[1:] + inside[:-1]) + np.outer(_GAUSS_NODES, half)).ravel()
     weights = np.outer(_GAUSS_WEIGHTS, half).ravel()
-    slopes = np.ascontiguousarray(shapes.slope(points).transpose(1, 2, 0))  # (times, modes, points)
+    slopes = shapes.slope(points).transpose(1, 2, 0)  # (times, modes, points)
     loads = [weights * np.interp(points, x, forward) for forward in table.mass_forward_kg]
-    matrices = np.array([(slope * load) @ slope.T for slope, load in zip(slopes, loads, strict=True)])
+    # math.fsum, not a matrix product: BLAS rounds as it likes, another way on each processor, and a flight would too
+    matrices = np.array(
+        [[[math.fsum(a * b * load) for b in slope] for a in slope] for slope, load in zip(slopes, loads, strict=True)]
+    )
     if stage.engine is not None:
         hanging = stage.engine.gimballed_mass_kg * stage.engine.cg_from_gimbal_m
         matrices -= hanging * np.array([np.outer(slope, slope) for slope in shapes.slope(end)[0]])
