@@ -12,7 +12,7 @@ PLACE := $(VENV)/set-up-in
 TO_FLY := $(VENV)/ready-to-fly
 TO_TEST := $(VENV)/ready-to-test
 
-.PHONY: help fly test lint format FORCE
+.PHONY: help fly test coverage lint format FORCE
 .DELETE_ON_ERROR:
 
 help:  ## say what there is to make
@@ -26,6 +26,19 @@ fly: $(TO_FLY)  ## fly scenarios/nominal.toml; ARGS go to simrun
 test: $(TO_TEST)  ## run the tests; ARGS go to pytest (ARGS="-m 'not slow'" leaves out the slow ones)
 	@echo "Running the tests with pytest."
 	@$(PY) -m pytest $(ARGS)
+
+# The tests that end soon without a compiler: kernels by themselves, and flights of a few steps.
+UNCOMPILED := $(patsubst %,tests/test_%.py,invariants_computer invariants_control_converter invariants_control_roll \
+	invariants_environment_atmosphere invariants_environment_earth oracle_control_guidance oracle_control_law \
+	oracle_dynamics oracle_dynamics_signs oracle_environment_earth oracle_environment_turbulence \
+	oracle_environment_wind oracle_filters oracle_flight_injection oracle_noise oracle_tables \
+	reference_environment_atmosphere usage_computer usage_filters) \
+	tests/test_usage_simrun.py::test_a_flight_from_python_equals_the_one_in_the_log
+
+coverage: $(TO_TEST)  ## say which lines of control/ and sim/ the tests run; kernels run as Python, so without the slow flights
+	@echo "Measuring coverage with kernels as plain Python (about five minutes)."
+	@NUMBA_DISABLE_JIT=1 $(PY) -m pytest -q -m "not slow" --cov=control --cov=sim --cov-report=term:skip-covered \
+		$(ARGS) $(UNCOMPILED)
 
 lint: $(TO_TEST)  ## check style, format, types and the direction of imports
 	@echo "Checking style and format (ruff), types (mypy) and the direction of imports (import-linter)."

@@ -403,7 +403,7 @@ def test_a_fault_of_ours_has_its_own_exit_code_and_asks_for_a_report(
 
 
 def test_a_flight_from_python_equals_the_one_in_the_log(tmp_path: Path) -> None:
-    loaded = load_scenario("nominal", ["run.duration_s=1.5"])
+    loaded = load_scenario("nominal", ["run.duration_s=0.1", "run.step_s=0.01"])  # short: it is flown uncompiled, too
     flight: Flight = fly(loaded)
     recorded = record(FlightRun(loaded), tmp_path / "out")
     log = read_log(tmp_path / "out" / "flight.mcap")
