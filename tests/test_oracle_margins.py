@@ -172,20 +172,21 @@ def missing(ours: Array, theirs: Array, rel: float) -> list[float]:
 @settings(max_examples=150, deadline=None)
 @given(loops())
 def test_no_crossing_of_a_random_loop_is_missed_or_invented(loop):
+    """Each has its eigenvalue beside it and the other way about, and is one: |L| = 1, or real, to 1e-9."""
     m = margins(loop)
     gain, phase = m.gain_crossings.frequency_hz, m.phase_crossings.frequency_hz[m.phase_crossings.turn != 0]
+    assert np.abs(loop.response(gain)) == pytest.approx(1.0, abs=1e-9)
+    assert np.abs(np.sin(np.angle(loop.response(phase)))) == pytest.approx(0.0, abs=1e-9)
     pencil = loop.gain_crossings_hz()
-    certain = on_axis(pencil, 1e-11)
-    lone = np.array([x for x in certain if (np.abs(pencil - x) < 1e-4 * x).sum() == 1])
-    assert missing(gain, lone, 1e-6) == []
-    assert missing(on_axis(pencil, 1e-4), gain, 1e-4) == []
+    lone = np.array([x for x in on_axis(pencil, 1e-11) if (np.abs(pencil - x) < 0.01 * x).sum() == 1])
+    assert missing(gain, lone, 1e-3) == []
+    assert missing(on_axis(pencil, 1e-2), gain, 1e-2) == []
     pencil = loop.real_crossings_hz()
-    certain = on_axis(pencil, 1e-11)
-    lone = np.array([x for x in certain if (np.abs(pencil - x) < 1e-4 * x).sum() == 1])
+    lone = np.array([x for x in on_axis(pencil, 1e-11) if (np.abs(pencil - x) < 0.01 * x).sum() == 1])
     value = loop.response(lone)
     # above -80 dB on the negative axis, and not the pole itself
     lone = lone[(value.real < 0.0) & (np.abs(value) > 1e-4) & (np.abs(value.imag) < 1e-3 * np.abs(value))]
-    assert missing(phase, lone, 1e-6) == []
+    assert missing(phase, lone, 1e-3) == []
 
 
 @settings(max_examples=150, deadline=None)
@@ -195,7 +196,11 @@ def test_encirclements_equal_the_unstable_poles_of_random_loops(loop):
     closed = loop.closed_poles()
     lowest = m.curve.lowest_radps
     size = np.abs(closed)
-    if (np.abs(closed.real) < 1e-7 * size).any() or ((size > 0.1 * lowest) & (size < 10.0 * lowest)).any():
+    if (
+        abs(1.0 + m.curve.at_zero) < 1e-6
+        or (np.abs(closed.real) < 1e-7 * size).any()
+        or ((size > 0.1 * lowest) & (size < 10.0 * lowest)).any()
+    ):
         return  # on the axis, to rounding
     assert m.encircled_poles == int(((size > lowest) & (closed.real > 0.0)).sum())
     assert m.encircled_poles == m.unstable_poles
@@ -218,7 +223,7 @@ def test_gain_margins_of_random_loops_are_where_a_pole_meets_the_axis(loop):
             p = loop.poles_with(10.0 ** (sign * bound.value / 20.0))
             w = TAU * bound.frequency_hz
             k = int(np.argmin(np.abs(p - 1j * w)))
-            assert abs(p[k] - 1j * w) < 1e-6 * max(w, m.curve.lowest_radps, 1e-3)
+            assert abs(p[k] - 1j * w) < 1e-6 * max(w, 0.1)  # a damping of 1e-5 moves it 1e5 times as far as the gain
 
 
 @pytest.mark.parametrize("zeta", [1e-2, 1e-4, 1e-5, 1e-7])

@@ -17,7 +17,8 @@ from maxq.design.model.state_space import ComplexArray
 class TransferLoop:
     """numerator / denominator in falling powers of s (of z with `sample_s`), times a pure delay.
 
-    With a delay the closed loop has poles without number: `rightmost` are those to be reported.
+    With a delay the closed loop has poles without number: `rightmost` are those to be reported. `exact` are the
+    denominator's roots where they are known better than its coefficients tell them.
     """
 
     numerator: Sequence[float]
@@ -25,6 +26,7 @@ class TransferLoop:
     sample_s: float | None = None
     delay_s: float = 0.0
     rightmost: Sequence[complex] = field(default=())
+    exact: Sequence[complex] = field(default=())
 
     @property
     def highest_hz(self) -> float:
@@ -33,10 +35,15 @@ class TransferLoop:
     def response(self, frequencies_hz: ArrayLike) -> ComplexArray:
         s = 2j * np.pi * np.asarray(frequencies_hz, float)
         x = s if self.sample_s is None else np.exp(s * self.sample_s)
-        return np.polyval(self.numerator, x) / np.polyval(self.denominator, x) * np.exp(-s * self.delay_s)
+        below = np.polyval(self.denominator, x)
+        if len(self.exact):
+            from_one = s if self.sample_s is None else np.expm1(s * self.sample_s)
+            at_one = 0.0 if self.sample_s is None else 1.0
+            below = np.prod([from_one + (at_one - pole) for pole in self.exact], axis=0)
+        return np.polyval(self.numerator, x) / below * np.exp(-s * self.delay_s)
 
     def open_poles(self) -> ComplexArray:
-        return self._poles(np.roots(self.denominator))
+        return self._poles(self.exact if len(self.exact) else np.roots(self.denominator))
 
     def closed_poles(self) -> ComplexArray:
         if self.delay_s > 0.0:

@@ -57,12 +57,20 @@ class Curve:
         return replace(self, frequency_hz=f[new], loop=values[new])
 
     def steps_past_poles(self) -> list[tuple[int, int]]:
-        """Steps (number of the point before) that pass poles on the axis, and how many."""
-        p = self.open_poles
-        on_axis = p[(p.imag > self.lowest_radps) & (np.abs(p.real) <= ON_AXIS * np.abs(p))].imag / (2.0 * np.pi)
-        step = np.searchsorted(self.frequency_hz, on_axis) - 1
+        """Steps (number of the point before) that pass poles of L on the axis, and how many.
+
+        A pole that is in both lists at the same place does not show in L.
+        """
+        count = self._on_axis(self.open_poles)
+        for k, hidden in self._on_axis(self.closed_poles).items():
+            count[k] = count.get(k, 0) - hidden
+        return [(k, n) for k, n in count.items() if n > 0]
+
+    def _on_axis(self, p: ComplexArray) -> dict[int, int]:
+        chosen = (p.imag > self.lowest_radps) & (np.abs(p.real) <= ON_AXIS * np.abs(p))
+        step = np.searchsorted(self.frequency_hz, p[chosen].imag / (2.0 * np.pi)) - 1
         inside = step[(step >= 0) & (step < len(self.frequency_hz) - 1)]
-        return [(int(k), int(n)) for k, n in zip(*np.unique(inside, return_counts=True), strict=True)]
+        return {int(k): int(n) for k, n in zip(*np.unique(inside, return_counts=True), strict=True)}
 
     @property
     def at_zero_limit(self) -> complex:
