@@ -8,7 +8,6 @@ loses (docs/model.md, section 8).
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.interpolate import CubicHermiteSpline
 
 from maxq.control.jit import from_python
@@ -21,6 +20,7 @@ from maxq.sim.scenario.schema_scenario import Switches
 from maxq.sim.scenario.schema_vehicle import Stage
 
 _schedule_width = from_python(columns_of.schedule_width)
+_lanes, _mode_rows = from_python(columns_of.lanes), from_python(columns_of.mode_rows)
 _GAUSS_NODES, _GAUSS_WEIGHTS = np.polynomial.legendre.leggauss(4)
 
 
@@ -65,8 +65,7 @@ def vehicle_schedule(stage: Stage, sizes: Sizes, switches: Switches, frozen: boo
             (stage.bending.pitch_modes, sizes.pitch_modes),
             (stage.bending.yaw_modes, sizes.yaw_modes),
         ):
-            if table is not None and modes > 0:
-                parts.append(_modes(stage, table, sizes, method))
+            parts.append(_modes(stage, table if modes > 0 else None, sizes, method))
     schedule = merge(parts)
     assert schedule.n_columns == _schedule_width(pack([sizes])[0])
     return schedule
@@ -169,27 +168,33 @@ def _columns(table: Cubics, columns: list[int]) -> Cubics:
     return Cubics(table.breaks, table.coefficients[:, :, columns].copy())
 
 
-def _modes(stage: Stage, table: ModeTable, sizes: Sizes, method: Method) -> Cubics:
-    """Columns of all modes of one plane."""
+def _modes(stage: Stage, table: ModeTable | None, sizes: Sizes, method: Method) -> Cubics:
+    """Columns of all modes of one plane; zeros without a table."""
+    record = pack([sizes])[0]
+    rows, lanes = int(_mode_rows(record)), int(_lanes(record))
+    if table is None or rows * lanes == 0:
+        return fit([0.0], np.zeros((1, rows * lanes)))
     times, n = table.time_s, table.modes
-    softening = np.array([_softening(stage, table, t) for t in range(len(times))])
     hinges = [_tank(stage, k, method) for k in range(sizes.tanks)]
     gimbal = stage.engine.gimbal_station_m if stage.engine else float(table.station_m[-1])
     gyro = stage.gyro.station_m if stage.gyro else float(table.station_m[0])
-    columns: list[NDArray[np.float64]] = []
+    values = np.zeros((len(times), rows, lanes))
     for mode in range(n):
         shapes = [
             CubicHermiteSpline(table.station_m, table.phi[t, mode], table.slope_pm[t, mode]) for t in range(len(times))
         ]
-        columns += [2.0 * np.pi * table.frequency_hz[:, mode], table.generalized_mass_kg[:, mode]]
+        columns = [2.0 * np.pi * table.frequency_hz[:, mode], table.generalized_mass_kg[:, mode]]
         columns += [np.array([s(gimbal) for s in shapes]), np.array([s(gimbal, 1) for s in shapes])]
-        columns += [np.array([s(gyro, 1) for s in shapes]), np.zeros(len(times))]
+        columns.append(np.array([s(gyro, 1) for s in shapes]))
         for hinge in hinges:
             columns.append(np.array([s(hinge(t)[2]) for s, t in zip(shapes, times, strict=True)]))
         for station in surface_stations(stage):
             columns += [np.array([s(station) for s in shapes]), np.array([s(station, 1) for s in shapes])]
-        columns += list(softening[:, mode].T)
-    return fit(times, np.stack(columns, axis=1), method)
+        values[:, : len(columns), mode] = np.stack(columns, axis=1)
+    softening = np.array([_softening(stage, table, t) for t in range(len(times))])
+    first = rows - lanes
+    values[:, first : first + n, :n] = softening.transpose(0, 2, 1)
+    return fit(times, values.reshape(len(times), -1), method)
 
 
 def _softening(stage: Stage, table: ModeTable, t: int) -> Array:
