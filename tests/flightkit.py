@@ -21,6 +21,7 @@ from maxq.control.tables import find_interval
 from maxq.sim.dynamics import state as layout
 from maxq.sim.dynamics import workspace
 from maxq.sim.dynamics.state import MAX_STATE, state_size
+from maxq.sim.flight import arena as flight_arena
 from maxq.sim.flight import events as flight_events
 from maxq.sim.flight import loop as flight_loop
 from maxq.sim.flight import step as flight_step
@@ -290,7 +291,7 @@ class Rig:
     dy: Array = field(default_factory=lambda: np.zeros(MAX_STATE))
     work: Array = field(default_factory=lambda: np.zeros(workspace.WORK_SIZE))
     aux: Array = field(default_factory=lambda: np.zeros(workspace.AUX_SIZE))
-    props: Array = field(default_factory=lambda: np.zeros(flight_loop.PROPS_SIZE))
+    props: Array = field(default_factory=lambda: np.zeros(flight_arena.PROPS_SIZE))
 
     @property
     def y(self) -> Array:

@@ -18,7 +18,7 @@ from scipy.special import ellipj, ellipk
 from maxq.control.records import Array
 from maxq.sim.dynamics import state as layout
 from maxq.sim.dynamics import workspace
-from maxq.sim.dynamics.schedule import MODE_FIRST, pitch_column
+from maxq.sim.dynamics.schedule import PITCH, mode_column, softening_row
 from maxq.tools.studies.ksr3 import beam
 
 BARE = Parts(engine=False)
@@ -324,7 +324,7 @@ def test_hold_down_statics() -> None:
 
 
 def _softening_column(made: Rig) -> int:
-    return int(pitch_column(made.sizes, 0)) + MODE_FIRST + 1
+    return int(mode_column(made.sizes, PITCH, int(softening_row(made.sizes, 0))))
 
 
 # --- outflow

@@ -182,23 +182,28 @@ def _modes(vehicle: Any, sizes: Any, props: Array, plane: Plane) -> Modes:
     pitch = plane == "pitch"
     n = int(sizes.pitch_modes if pitch else sizes.yaw_modes)
     tanks, surfaces = int(sizes.tanks), int(sizes.surfaces)
-    column = schedule.pitch_column if pitch else schedule.yaw_column
-    at = np.array([column(sizes, i) for i in range(n)], int)
     zeta = vehicle.bending.zeta_pitch if pitch else vehicle.bending.zeta_yaw
-    shapes = at + schedule.MODE_FIRST + tanks
-    places = 2 * np.arange(surfaces)
-    rows = shapes + 2 * surfaces
+    shapes = schedule.MODE_FIRST + tanks
+
+    def rows(first: int, count: int, every: int = 1) -> Array:
+        """Rows of the plane for its modes, (n, count)."""
+        at = [schedule.mode_column(sizes, int(not pitch), first + every * k) for k in range(count)]
+        return np.array(props[np.array(at, int)[None, :] + np.arange(n)[:, None]])
+
+    def row(which: int) -> Array:
+        return np.array(rows(which, 1)[:, 0])
+
     return Modes(
-        omega_radps=vehicle.bending.frequency_factor[:n] * props[at + schedule.MODE_OMEGA],
+        omega_radps=vehicle.bending.frequency_factor[:n] * row(schedule.MODE_OMEGA),
         damping_ratio=np.array(zeta[:n]),
-        generalized_mass_kg=props[at + schedule.MODE_MASS],
-        phi_gimbal=props[at + schedule.MODE_PHI_GIMBAL],
-        slope_gimbal_pm=props[at + schedule.MODE_SLOPE_GIMBAL],
-        slope_gyro_pm=props[at + schedule.MODE_SLOPE_GYRO],
-        phi_hinge=props[at[:, None] + schedule.MODE_FIRST + np.arange(tanks)],
-        phi_surface=props[shapes[:, None] + places],
-        slope_surface_pm=props[shapes[:, None] + places + 1],
-        softening_kgpm=float(vehicle.bending.softening_factor) * props[rows[:, None] + np.arange(n)],
+        generalized_mass_kg=row(schedule.MODE_MASS),
+        phi_gimbal=row(schedule.MODE_PHI_GIMBAL),
+        slope_gimbal_pm=row(schedule.MODE_SLOPE_GIMBAL),
+        slope_gyro_pm=row(schedule.MODE_SLOPE_GYRO),
+        phi_hinge=rows(schedule.MODE_FIRST, tanks),
+        phi_surface=rows(shapes, surfaces, 2),
+        slope_surface_pm=rows(shapes + 1, surfaces, 2),
+        softening_kgpm=float(vehicle.bending.softening_factor) * rows(shapes + 2 * surfaces, n),
     )
 
 

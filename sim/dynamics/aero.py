@@ -14,10 +14,11 @@ from dataclasses import dataclass
 from maxq.control.jit import kernel
 from maxq.control.records import Array
 from maxq.control.tables import TableRef, find_interval, interpolate_into
-from maxq.sim.dynamics.schedule import CORE_CG, MODE_FIRST, mode_width, pitch_column, yaw_column
-from maxq.sim.dynamics.state import Sizes, eta_index, xi_index
+from maxq.sim.dynamics.bending import modal_sum, of_plane, push_modes
+from maxq.sim.dynamics.schedule import CORE_CG, PITCH, YAW, lanes, mode_column, surface_row
+from maxq.sim.dynamics.state import Counts
 from maxq.sim.dynamics.vectors import Vector
-from maxq.sim.dynamics.workspace import FORCE_PITCH, FORCE_YAW, MACH_ROW
+from maxq.sim.dynamics.workspace import ETA, FORCE, MACH_ROW, NU
 
 # columns of the Mach table
 CA = 0
@@ -85,33 +86,27 @@ def body_loads(
 
 @kernel
 def surface_loads(
-    aero: Aero, sizes: Sizes, density: float, flow: Vector, props: Array, y: Array, work: Array
+    aero: Aero, sizes: Counts, density: float, flow: Vector, props: Array, work: Array
 ) -> tuple[Vector, Vector]:
     """Normal force of the lifting surfaces with their local incidence; adds to the modes' generalised forces."""
     u, v, w = flow
     half = 0.5 * density * aero.area_m2 * aero.force_factor * abs(u)
     x_cg, y_cg, z_cg = props[CORE_CG], props[CORE_CG + 1], props[CORE_CG + 2]
     fy, fz, mx, my, mz = 0.0, 0.0, 0.0, 0.0, 0.0
-    eta, xi = eta_index(sizes), xi_index(sizes)
-    pitch, pitch_width = pitch_column(sizes, 0), mode_width(sizes, sizes.pitch_modes)
-    yaw, yaw_width = yaw_column(sizes, 0), mode_width(sizes, sizes.yaw_modes)
     for s in range(sizes.surfaces):
         cn = work[MACH_ROW + FIRST_SURFACE + 2 * s]
         cn_x = work[MACH_ROW + FIRST_SURFACE + 2 * s + 1] + cn * aero.centre_shift_m
-        shape = MODE_FIRST + sizes.tanks + 2 * s
+        in_pitch = mode_column(sizes, PITCH, surface_row(sizes, s))
+        in_yaw = mode_column(sizes, YAW, surface_row(sizes, s))
         w_local, v_local = w, v
         if aero.local_incidence == 1:
-            for i in range(sizes.pitch_modes):
-                c = pitch + i * pitch_width + shape
-                w_local += u * props[c + 1] * y[eta + i] + props[c] * y[eta + sizes.pitch_modes + i]
-            for i in range(sizes.yaw_modes):
-                c = yaw + i * yaw_width + shape
-                v_local += u * props[c + 1] * y[xi + i] + props[c] * y[xi + sizes.yaw_modes + i]
+            w_local += u * modal_sum(sizes, props, in_pitch + lanes(sizes), work, of_plane(ETA, PITCH))
+            w_local += modal_sum(sizes, props, in_pitch, work, of_plane(NU, PITCH))
+            v_local += u * modal_sum(sizes, props, in_yaw + lanes(sizes), work, of_plane(ETA, YAW))
+            v_local += modal_sum(sizes, props, in_yaw, work, of_plane(NU, YAW))
         force_y, force_z = -half * cn * v_local, -half * cn * w_local
-        for i in range(sizes.pitch_modes):
-            work[FORCE_PITCH + i] += props[pitch + i * pitch_width + shape] * force_z
-        for i in range(sizes.yaw_modes):
-            work[FORCE_YAW + i] += props[yaw + i * yaw_width + shape] * force_y
+        push_modes(sizes, props, in_pitch, force_z, work, of_plane(FORCE, PITCH))
+        push_modes(sizes, props, in_yaw, force_y, work, of_plane(FORCE, YAW))
         fy += force_y
         fz += force_z
         mx += -y_cg * force_z + z_cg * force_y

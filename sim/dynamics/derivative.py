@@ -19,7 +19,8 @@ from maxq.sim.dynamics.bending import (
     bend_rate_at_gyro,
     elastic_forces,
     gyroscopic_forces,
-    modal_rates,
+    modal_derivative,
+    modal_state,
     push_at_gimbal,
 )
 from maxq.sim.dynamics.engine import Engine, thrust, thrust_axis_motion
@@ -30,11 +31,19 @@ from maxq.sim.dynamics.rigid import (
     deflected_engine,
     engine_reaction,
     kinematics,
+    prepare_outflow,
 )
-from maxq.sim.dynamics.schedule import CORE_MASS, THRUST_VACUUM, TOTAL_MASS
+from maxq.sim.dynamics.schedule import (
+    INVERSE_TOTAL_MASS,
+    PITCH,
+    THRUST_VACUUM,
+    YAW,
+    complete_modes,
+    schedule_width,
+)
 from maxq.sim.dynamics.slosh import Slosh, hang, swing_derivative
 from maxq.sim.dynamics.solve import accelerate
-from maxq.sim.dynamics.state import ACTUATOR, N_ACTUATOR, Q_BI, W_BI_B, Sizes, eta_index, xi_index
+from maxq.sim.dynamics.state import ACTUATOR, N_ACTUATOR, Q_BI, W_BI_B, Counts, Sizes, counts
 from maxq.sim.dynamics.surroundings import Surroundings, pad_acceleration, surroundings
 from maxq.sim.dynamics.vectors import Vector, add, cross, inertia_times, rotation_from_quaternion, scaled
 from maxq.sim.dynamics.workspace import (
@@ -47,13 +56,10 @@ from maxq.sim.dynamics.workspace import (
     ENGINE_YAW,
     FELT,
     FLOW,
-    FORCE_PITCH,
-    FORCE_YAW,
+    GIMBAL_BEND,
     GYRO_BEND,
     MACH,
     PRESSURE,
-    RATE_PITCH,
-    RATE_YAW,
     TENSION,
     TENSIONS,
     THRUST,
@@ -99,23 +105,33 @@ class Held:
     turbulence_phase: float  # where the step's instant lies between two turbulence ticks, 0 to 1
 
 
+@kernel
+def complete(vehicle: Vehicle, props: Array) -> None:
+    """Fill in, behind the schedule's row, what follows from it and is used in every derivative."""
+    sizes, bending = counts(vehicle.sizes), vehicle.bending
+    complete_modes(sizes, PITCH, sizes.pitch_modes, bending.zeta_pitch, bending.frequency_factor, props)
+    complete_modes(sizes, YAW, sizes.yaw_modes, bending.zeta_yaw, bending.frequency_factor, props)
+    prepare_outflow(vehicle.engine, vehicle.slosh, sizes, props)
+
+
 @routine
 def derivative(
     vehicle: Vehicle, around: Surroundings, pool: Array, held: Held, gusts: TurbulenceState, props: Array,
     y: Array, dy: Array, work: Array, aux: Array,
 ) -> None:  # fmt: skip
     """Derivative of `y` into `dy`; by-products into `aux`. `props` is the schedule's row of this instant."""
-    sizes = vehicle.sizes
+    sizes = counts(vehicle.sizes)
     rate = (y[W_BI_B], y[W_BI_B + 1], y[W_BI_B + 2])
     rotation = rotation_from_quaternion(y[Q_BI], y[Q_BI + 1], y[Q_BI + 2], y[Q_BI + 3])
 
     gravitation = surroundings(around, pool, gusts, held.turbulence_phase, rotation, y, aux)
-    modal_rates(sizes, rate[0], y, work)
-    engine = move_engine(vehicle, held, props, y, aux)
+    modal_state(sizes, rate[0], y, work)
+    engine = move_engine(vehicle, sizes, held, props, y, aux)
 
-    aero_force, aero_moment = aerodynamics(vehicle, around, pool, held, rotation, rate, props, y, work, aux)
-    thrust_force, thrust_moment, push = push_of_thrust(vehicle, engine, props, y, aux)
-    pad, axial_load = (0.0, 0.0, 0.0), (aero_force[0] + thrust_force[0]) / props[TOTAL_MASS]
+    aero_force, aero_moment = aerodynamics(vehicle, sizes, around, pool, held, rotation, rate, props, work, aux)
+    thrust_force, thrust_moment, push = push_of_thrust(vehicle, sizes, engine, props, work, aux)
+    lightness = props[schedule_width(sizes) + INVERSE_TOTAL_MASS]
+    pad, axial_load = (0.0, 0.0, 0.0), (aero_force[0] + thrust_force[0]) * lightness
     if held.down == 1:
         pad = pad_acceleration(around.earth, rotation, gravitation, y)
         axial_load = pad[0]
@@ -127,7 +143,7 @@ def derivative(
     if vehicle.gravity_gradient == 1:
         moment = add(moment, tidal_moment(around, engine, rotation, y))
     if vehicle.jet_damping == 1:
-        jet_force, jet_moment = coriolis_of_outflow(vehicle.engine, vehicle.slosh, sizes, rate, props)
+        jet_force, jet_moment = coriolis_of_outflow(sizes, rate, props)
         force, moment = add(force, jet_force), add(moment, jet_moment)
     moment = add(moment, scaled(-1.0, cross(rate, inertia_times(engine.inertia, rate))))
 
@@ -139,23 +155,22 @@ def derivative(
         push_at_gimbal(sizes, props, push, work)
         whirl = gyroscopic_forces(
             sizes, props, rate, vehicle.engine.gimballed_mass_kg, vehicle.engine.cg_from_gimbal_m,
-            vehicle.engine.inertia_kgm2, engine.delta_rate, engine.turn_rate[1], engine.turn_rate[2], y, work,
+            vehicle.engine.inertia_kgm2, engine.delta_rate, engine.turn_rate[1], engine.turn_rate[2], work,
         )  # fmt: skip
-        roll = elastic_forces(vehicle.bending, sizes, props, axial_load, y, work)
+        roll = elastic_forces(vehicle.bending, sizes, props, axial_load, work)
         moment = add(moment, (whirl[0] + roll, whirl[1], whirl[2]))
     for tank in range(sizes.tanks):
-        pull, twist = hang(vehicle.slosh, sizes, tank, rate, axial_load, props, y, work)
+        pull, twist = hang(vehicle.slosh, sizes, tank, rate, axial_load, engine.offset, props, y, work)
         force, moment = add(force, pull), add(moment, twist)
 
     felt, alpha = accelerate(
-        vehicle.slosh, sizes, held.down, props[CORE_MASS], engine.offset, engine.inverse_inertia, force, moment,
-        pad, props, y, work,
+        vehicle.slosh, sizes, held.down, engine.offset, engine.inverse_inertia, force, moment, pad, props, y, work,
     )  # fmt: skip
 
     kinematics(around.earth, held.down, rotation, rate, felt, alpha, gravitation, props, y, dy)
     actuator_derivative(vehicle.actuator_pitch, y, ACTUATOR, held.command_pitch_rad, dy)
     actuator_derivative(vehicle.actuator_yaw, y, ACTUATOR + N_ACTUATOR, held.command_yaw_rad, dy)
-    bend_y, bend_z = bend_rate_at_gyro(sizes, props, y)
+    bend_y, bend_z = bend_rate_at_gyro(sizes, props, work)
     gyro_derivative(vehicle.gyro, y, sensed_rate(vehicle.gyro, (rate[0], rate[1] + bend_y, rate[2] + bend_z)), dy)
     modal_derivative(sizes, y, dy, work)
     for tank in range(sizes.tanks):
@@ -168,7 +183,7 @@ def derivative(
 
 
 @kernel
-def move_engine(vehicle: Vehicle, held: Held, props: Array, y: Array, aux: Array) -> Deflected:
+def move_engine(vehicle: Vehicle, sizes: Counts, held: Held, props: Array, y: Array, aux: Array) -> Deflected:
     """Angles of the engine by its actuators, and what they make of the vehicle's mass properties."""
     pitch, pitch_rate, pitch_accel = actuator_output(vehicle.actuator_pitch, y, ACTUATOR, held.command_pitch_rad)
     yaw, yaw_rate, yaw_accel = actuator_output(vehicle.actuator_yaw, y, ACTUATOR + N_ACTUATOR, held.command_yaw_rad)
@@ -179,13 +194,13 @@ def move_engine(vehicle: Vehicle, held: Held, props: Array, y: Array, aux: Array
         pitch + e.misalignment_pitch_rad, pitch_rate, pitch_accel,
         yaw + e.misalignment_yaw_rad, yaw_rate, yaw_accel,
     )  # fmt: skip
-    return deflected_engine(e, axis, axis_rate, axis_accel, props)
+    return deflected_engine(e, sizes, axis, axis_rate, axis_accel, props)
 
 
 @kernel
 def aerodynamics(
-    vehicle: Vehicle, around: Surroundings, pool: Array, held: Held, rotation: tuple[float, ...], rate: Vector,
-    props: Array, y: Array, work: Array, aux: Array,
+    vehicle: Vehicle, sizes: Counts, around: Surroundings, pool: Array, held: Held,
+    rotation: tuple[float, ...], rate: Vector, props: Array, work: Array, aux: Array,
 ) -> tuple[Vector, Vector]:  # fmt: skip
     """Force and moment about the core CG in B; generalised forces into the workspace."""
     force, moment = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
@@ -201,7 +216,7 @@ def aerodynamics(
             )
         cg = (props[1], props[2], props[3])
         force, moment = body_loads(vehicle.aero, aux[DENSITY], flow, rate, held.burning, cg, work)
-        lift, twist = surface_loads(vehicle.aero, vehicle.sizes, aux[DENSITY], flow, props, y, work)
+        lift, twist = surface_loads(vehicle.aero, sizes, aux[DENSITY], flow, props, work)
         force, moment = add(force, lift), add(moment, twist)
     for j in range(3):
         aux[AERO_FORCE + j] = force[j]
@@ -211,14 +226,16 @@ def aerodynamics(
 
 @kernel
 def push_of_thrust(
-    vehicle: Vehicle, engine: Deflected, props: Array, y: Array, aux: Array
+    vehicle: Vehicle, sizes: Counts, engine: Deflected, props: Array, work: Array, aux: Array
 ) -> tuple[Vector, Vector, GimbalPush]:
     """Thrust along the deflected engine on the bent body: force, moment about the core CG, push on the modes."""
     strength = thrust(vehicle.engine, props[THRUST_VACUUM], aux[PRESSURE])
     aux[THRUST] = strength
+    move_y, move_z, turn_y, turn_z = bend_at_gimbal(sizes, props, work)
+    aux[GIMBAL_BEND], aux[GIMBAL_BEND + 1] = move_y, move_z
+    aux[GIMBAL_BEND + 2], aux[GIMBAL_BEND + 3] = turn_y, turn_z
     if strength <= 0.0:
         return (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 0.0)
-    move_y, move_z, turn_y, turn_z = bend_at_gimbal(vehicle.sizes, props, y)
     axis = engine.axis
     if vehicle.follower_thrust == 1:
         axis = add(axis, cross((0.0, turn_y, turn_z), axis))
@@ -239,14 +256,3 @@ def tidal_moment(around: Surroundings, engine: Deflected, rotation: tuple[float,
     )
     j = engine.inertia
     return gravity_gradient_torque(around.earth, r, (j[0], j[1], j[2], -j[3], -j[4], -j[5]))
-
-
-@kernel
-def modal_derivative(sizes: Sizes, y: Array, dy: Array, work: Array) -> None:
-    eta, xi = eta_index(sizes), xi_index(sizes)
-    for i in range(sizes.pitch_modes):
-        dy[eta + i] = work[RATE_PITCH + i]
-        dy[eta + sizes.pitch_modes + i] = work[FORCE_PITCH + i]
-    for i in range(sizes.yaw_modes):
-        dy[xi + i] = work[RATE_YAW + i]
-        dy[xi + sizes.yaw_modes + i] = work[FORCE_YAW + i]

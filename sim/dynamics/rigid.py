@@ -14,13 +14,19 @@ from maxq.sim.dynamics.schedule import (
     CORE_INERTIA,
     CORE_MASS,
     INERTIA_RATE,
+    INNER_FLOW,
+    INVERSE_CORE_MASS,
+    INVERSE_TOTAL_MASS,
+    JET_DAMPING,
     MASS_FLOW,
     TANK_HINGE,
     TANK_MASS_RATE,
+    TOTAL_MASS,
+    schedule_width,
     tank_column,
 )
 from maxq.sim.dynamics.slosh import Slosh, pendulum_length
-from maxq.sim.dynamics.state import Q_BI, R_I, V_I, W_BI_B, Sizes
+from maxq.sim.dynamics.state import Q_BI, R_I, V_I, W_BI_B, Counts
 from maxq.sim.dynamics.vectors import (
     Matrix,
     Symmetric,
@@ -51,7 +57,9 @@ class Deflected(NamedTuple):
 
 
 @kernel
-def deflected_engine(e: Engine, axis: Vector, axis_rate: Vector, axis_accel: Vector, props: Array) -> Deflected:
+def deflected_engine(
+    e: Engine, sizes: Counts, axis: Vector, axis_rate: Vector, axis_accel: Vector, props: Array
+) -> Deflected:
     arm, mass = e.cg_from_gimbal_m, e.gimballed_mass_kg
     gimbal = (
         props[CORE_CG] - e.gimbal_station_m,
@@ -70,7 +78,7 @@ def deflected_engine(e: Engine, axis: Vector, axis_rate: Vector, axis_accel: Vec
         props[CORE_INERTIA + 5],
     )
     inertia = _plus_point(_plus_point(core, mass, moved), -mass, straight)
-    offset = scaled(mass / props[CORE_MASS], delta)
+    offset = scaled(mass * props[schedule_width(sizes) + INVERSE_CORE_MASS], delta)
     about_cg = _plus_point(inertia, -props[CORE_MASS], offset)
     return Deflected(
         axis,
@@ -123,21 +131,25 @@ def engine_reaction(e: Engine, engine: Deflected, rate: Vector, axial_load: floa
 
 
 @kernel
-def coriolis_of_outflow(e: Engine, slosh: Slosh, sizes: Sizes, rate: Vector, props: Array) -> tuple[Vector, Vector]:
-    """Force and moment of the propellant that flows through a turning vehicle: jet damping.
+def prepare_outflow(e: Engine, slosh: Slosh, sizes: Counts, props: Array) -> None:
+    """Fill in what the schedule says of flowing propellant: its momentum and how it damps; and the inverse masses.
 
     The relative momentum of the inner flow is d(m c)/dt + mdot r_exit (mass conservation), the moment is
-    -(dJ/dt) w - mdot r_exit x (w x r_exit) about the core CG (docs/model.md, section 8; Eke 1998, Meirovitch 1970).
-    What a shrinking bob loses flows into the core at the bob's place.
+    -(dJ/dt) w - mdot r_exit x (w x r_exit) about the core CG (docs/model.md, section 8; Eke 1998, Meirovitch 1970):
+    that of a point of "mass" mdot at the exit. What a shrinking bob loses flows into the core at the bob's place.
     """
     flow, mass = props[MASS_FLOW], props[CORE_MASS]
-    exit_at = (props[CORE_CG] - e.exit_station_m, -props[CORE_CG + 1], -props[CORE_CG + 2])
-    inner = (
-        -mass * props[CG_RATE] + flow * exit_at[0],
-        mass * props[CG_RATE + 1] + flow * exit_at[1],
-        mass * props[CG_RATE + 2] + flow * exit_at[2],
+    at = (props[CORE_CG] - e.exit_station_m, -props[CORE_CG + 1], -props[CORE_CG + 2])
+    inner = add(scaled(mass, (-props[CG_RATE], props[CG_RATE + 1], props[CG_RATE + 2])), scaled(flow, at))
+    change = (
+        props[INERTIA_RATE],
+        props[INERTIA_RATE + 1],
+        props[INERTIA_RATE + 2],
+        props[INERTIA_RATE + 3],
+        props[INERTIA_RATE + 4],
+        props[INERTIA_RATE + 5],
     )
-    moment = scaled(-flow, cross(exit_at, cross(rate, exit_at)))
+    damping = _plus_point(change, flow, at)
     for tank in range(sizes.tanks):
         c = tank_column(tank)
         at = (
@@ -147,17 +159,22 @@ def coriolis_of_outflow(e: Engine, slosh: Slosh, sizes: Sizes, rate: Vector, pro
         )
         growth = props[c + TANK_MASS_RATE] * slosh.mass_factor[tank]
         inner = add(inner, scaled(growth, at))
-        moment = add(moment, scaled(-growth, cross(at, cross(rate, at))))
-    force = scaled(-2.0, cross(rate, inner))
-    change = (
-        props[INERTIA_RATE],
-        props[INERTIA_RATE + 1],
-        props[INERTIA_RATE + 2],
-        props[INERTIA_RATE + 3],
-        props[INERTIA_RATE + 4],
-        props[INERTIA_RATE + 5],
-    )
-    return force, add(moment, scaled(-1.0, inertia_times(change, rate)))
+        damping = _plus_point(damping, growth, at)
+    behind = schedule_width(sizes)
+    props[behind + INVERSE_CORE_MASS], props[behind + INVERSE_TOTAL_MASS] = 1.0 / mass, 1.0 / props[TOTAL_MASS]
+    for j in range(3):
+        props[behind + INNER_FLOW + j] = inner[j]
+    for j in range(6):
+        props[behind + JET_DAMPING + j] = damping[j]
+
+
+@kernel
+def coriolis_of_outflow(sizes: Counts, rate: Vector, props: Array) -> tuple[Vector, Vector]:
+    """Force and moment of the propellant that flows through a turning vehicle: jet damping."""
+    inner, j = schedule_width(sizes) + INNER_FLOW, schedule_width(sizes) + JET_DAMPING
+    force = scaled(-2.0, cross(rate, (props[inner], props[inner + 1], props[inner + 2])))
+    damping = (props[j], props[j + 1], props[j + 2], props[j + 3], props[j + 4], props[j + 5])
+    return force, scaled(-1.0, inertia_times(damping, rate))
 
 
 @kernel

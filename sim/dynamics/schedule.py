@@ -2,14 +2,18 @@
 
 Mass, thrust, tanks and modes change as propellant leaves. All of it is one table over the stage's burn clock, so
 that a kernel finds the interval once and evaluates every column in one sweep. Fixed columns first, then five per
-tank, then `mode_width` per mode (pitch plane, then yaw plane).
+tank, then the modes: row by row for all modes of a plane side by side (pitch plane, then yaw plane). A row has room
+for a multiple of four modes, with zeros where there is no mode, so that kernels take four modes at a time.
+
+Behind the table's columns stands what follows from them and does not change within an evaluation of the derivative;
+`complete_modes` and `rigid.prepare_outflow` fill it in.
 """
 
 from __future__ import annotations
 
 from maxq.control.jit import kernel
 from maxq.control.records import Array
-from maxq.sim.dynamics.state import Sizes
+from maxq.sim.dynamics.state import Counts
 
 CORE_MASS = 0  # kg, without the sloshing masses
 CORE_CG = 1  # x_n aft of the nose, y, z, m
@@ -28,13 +32,25 @@ TANK_MASS_RATE = 3  # kg/s
 TANK_TRAVEL = 4  # rate at which the bob moves aft with the liquid, m/s: of hinge plus length
 TANK_WIDTH = 5
 
-MODE_OMEGA = 0  # rad/s
+MODE_OMEGA = 0  # rows of a plane: rad/s
 MODE_MASS = 1  # generalised mass, kg
 MODE_PHI_GIMBAL = 2
 MODE_SLOPE_GIMBAL = 3  # d(phi)/d(x_n), 1/m
 MODE_SLOPE_GYRO = 4
-MODE_INVERSE_MASS = 5  # 1/kg, filled in by `complete`
-MODE_FIRST = 6  # then phi at each tank; phi, slope at each surface; a row of axial softening, kg/m per mode
+MODE_FIRST = 5  # then phi at each tank; phi, slope at each surface; axial softening by each mode, kg/m
+
+# behind the table
+INVERSE_CORE_MASS = 0  # 1/kg
+INVERSE_TOTAL_MASS = 1
+INNER_FLOW = 2  # momentum of the propellant relative to the body, B, kg m/s (3)
+JET_DAMPING = 5  # integrals, as of an inertia, that times the turning rate give minus its moment, kg m2/s (6)
+N_FOLLOWING = 11
+MODE_INVERSE_MASS = 0  # rows of a plane: 1/kg
+MODE_STIFFNESS = 1  # N/m
+MODE_DAMPING = 2  # N s/m
+MODE_YIELD = 3  # then the acceleration per newton at each tank, 1/kg
+
+PITCH, YAW = 0, 1
 
 
 @kernel
@@ -43,52 +59,83 @@ def tank_column(tank: int) -> int:
 
 
 @kernel
-def mode_width(sizes: Sizes, modes: int) -> int:
-    """Columns of one mode in a plane of `modes` modes."""
-    return MODE_FIRST + sizes.tanks + 2 * sizes.surfaces + modes
+def fours(sizes: Counts) -> int:
+    """How many times four modes a plane has, rounded up."""
+    return (max(sizes.pitch_modes, sizes.yaw_modes) + 3) >> 2
 
 
 @kernel
-def pitch_column(sizes: Sizes, mode: int) -> int:
-    return N_CONSTANT + TANK_WIDTH * sizes.tanks + mode * mode_width(sizes, sizes.pitch_modes)
+def lanes(sizes: Counts) -> int:
+    """Columns of a row of modal quantities: the modes of a plane and zeros up to a multiple of four."""
+    return 4 * fours(sizes)
 
 
 @kernel
-def yaw_column(sizes: Sizes, mode: int) -> int:
-    return pitch_column(sizes, sizes.pitch_modes) + mode * mode_width(sizes, sizes.yaw_modes)
+def mode_rows(sizes: Counts) -> int:
+    """Rows of a plane."""
+    return softening_row(sizes, 0) + lanes(sizes)
 
 
 @kernel
-def schedule_width(sizes: Sizes) -> int:
-    return yaw_column(sizes, sizes.yaw_modes)
+def mode_column(sizes: Counts, plane: int, row: int) -> int:
+    """First mode's column of a row of a plane (PITCH, YAW); the other modes follow."""
+    return N_CONSTANT + TANK_WIDTH * sizes.tanks + (plane * mode_rows(sizes) + row) * lanes(sizes)
 
 
 @kernel
-def compliance_column(sizes: Sizes, plane: int) -> int:
-    """Behind the table's columns: sum over the modes of phi_k phi_j / M for tanks k, j, in pitch (0) or yaw (1)."""
-    return schedule_width(sizes) + plane * sizes.tanks * sizes.tanks
+def softening_row(sizes: Counts, mode: int) -> int:
+    """Row of what `mode`'s displacement takes from the stiffness of each mode under axial load."""
+    return MODE_FIRST + sizes.tanks + 2 * sizes.surfaces + mode
 
 
 @kernel
-def complete(sizes: Sizes, props: Array) -> None:
-    """Fill in what follows from the table's columns and is used many times a step."""
-    first, width = pitch_column(sizes, 0), mode_width(sizes, sizes.pitch_modes)
-    _complete_plane(sizes, sizes.pitch_modes, first, width, compliance_column(sizes, 0), props)
-    first, width = yaw_column(sizes, 0), mode_width(sizes, sizes.yaw_modes)
-    _complete_plane(sizes, sizes.yaw_modes, first, width, compliance_column(sizes, 1), props)
+def surface_row(sizes: Counts, surface: int) -> int:
+    """Row of the shapes at a lifting surface; that of the slopes is the next."""
+    return MODE_FIRST + sizes.tanks + 2 * surface
 
 
 @kernel
-def _complete_plane(sizes: Sizes, modes: int, first: int, width: int, compliance: int, props: Array) -> None:
-    n = sizes.tanks
-    for i in range(modes):
-        m = first + i * width
-        props[m + MODE_INVERSE_MASS] = 1.0 / props[m + MODE_MASS]
+def schedule_width(sizes: Counts) -> int:
+    return mode_column(sizes, 2, 0)
+
+
+@kernel
+def following_column(sizes: Counts, plane: int, row: int) -> int:
+    """As `mode_column`, of the rows behind the table."""
+    return schedule_width(sizes) + N_FOLLOWING + (plane * (MODE_YIELD + sizes.tanks) + row) * lanes(sizes)
+
+
+@kernel
+def compliance_column(sizes: Counts, plane: int) -> int:
+    """Behind the table's columns: sum over the modes of phi_k phi_j / M for tanks k, j."""
+    return following_column(sizes, 2, 0) + plane * sizes.tanks * sizes.tanks
+
+
+@kernel
+def complete_modes(
+    sizes: Counts, plane: int, modes: int, zeta: Array, frequency_factor: Array, props: Array
+) -> None:  # fmt: skip
+    """Fill in one plane's rows behind the table: inverse mass, stiffness, damping, compliance."""
+    omega_at, mass_at = mode_column(sizes, plane, MODE_OMEGA), mode_column(sizes, plane, MODE_MASS)
+    inverse = following_column(sizes, plane, MODE_INVERSE_MASS)
+    stiffness, damping = following_column(sizes, plane, MODE_STIFFNESS), following_column(sizes, plane, MODE_DAMPING)
+    for i in range(lanes(sizes)):
+        if i < modes:
+            omega = props[omega_at + i] * frequency_factor[i]
+            props[inverse + i] = 1.0 / props[mass_at + i]
+            props[stiffness + i] = props[mass_at + i] * omega * omega
+            props[damping + i] = 2.0 * zeta[i] * props[mass_at + i] * omega
+        else:
+            props[inverse + i], props[stiffness + i], props[damping + i] = 0.0, 0.0, 0.0
+    n, compliance = sizes.tanks, compliance_column(sizes, plane)
     for k in range(n):
+        at_k, yield_k = mode_column(sizes, plane, MODE_FIRST + k), following_column(sizes, plane, MODE_YIELD + k)
+        for i in range(lanes(sizes)):
+            props[yield_k + i] = props[at_k + i] * props[inverse + i]
         for j in range(k, n):
+            at_j = mode_column(sizes, plane, MODE_FIRST + j)
             total = 0.0
             for i in range(modes):
-                m = first + i * width
-                total += props[m + MODE_FIRST + k] * props[m + MODE_FIRST + j] * props[m + MODE_INVERSE_MASS]
+                total += props[yield_k + i] * props[at_j + i]
             props[compliance + k * n + j] = total
             props[compliance + j * n + k] = total

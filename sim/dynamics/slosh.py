@@ -17,38 +17,38 @@ from typing import Annotated
 
 from maxq.control.jit import kernel
 from maxq.control.records import Array
+from maxq.sim.dynamics.bending import modal_sum, of_plane
 from maxq.sim.dynamics.schedule import (
     CORE_CG,
     MODE_FIRST,
+    PITCH,
     TANK_HINGE,
     TANK_LENGTH,
     TANK_MASS,
     TANK_TRAVEL,
-    mode_width,
-    pitch_column,
+    YAW,
+    mode_column,
     tank_column,
-    yaw_column,
 )
-from maxq.sim.dynamics.state import MAX_TANKS, Sizes, eta_index, pendulum_index, xi_index
+from maxq.sim.dynamics.state import MAX_TANKS, Counts, pendulum_index
 from maxq.sim.dynamics.vectors import Vector, add, cross, dot, scaled
-from maxq.sim.dynamics.workspace import PENDULUM, PENDULUM_WIDTH, RATE_PITCH, RATE_YAW
+from maxq.sim.dynamics.workspace import ETA, NU, PENDULUM, PENDULUM_WIDTH, RATE
 
 # a tank's block of the workspace
-ARM = 0  # moment that a unit tension exerts about the core CG, in B, m (3)
+ARM = 0  # moment that a unit tension exerts about the CG with the engine deflected, in B, m (3)
 KNOWN = 3  # acceleration of the hinge that does not depend on the accelerations sought, B, m/s2 (3)
 MOVE_Y = 6  # displacement of the hinge by bending, m
 MOVE_Z = 7
 DEMAND = 8  # tension per bob mass at zero acceleration, m/s2
-ACCEL = 9  # answer of the body to a unit tension: acceleration of the core CG (3) ...
-ALPHA = 12  # ... and angular acceleration (3)
-HINGE = 15  # hinge relative to the core CG without bending, B, m (3)
-DAMPING = 18  # acceleration of the bob by damping, B, m/s2 (3)
-UNEVEN_Y = 25  # by how much the planes' unlikeness moves the hinge, m: see `_unevenness`
-UNEVEN_Z = 26
-PUSH_Y = 21  # lateral force of the pendulum on the bent axis, N: of the damper, later of the rod as well
-PUSH_Z = 22
-BEND_Y = 23  # acceleration of the hinge by bending, m/s2: without the pendulums, later with them
-BEND_Z = 24
+ALPHA = 9  # answer of the body to a unit tension: its angular acceleration, rad/s2 per N (3)
+HINGE = 12  # hinge relative to the core CG without bending, B, m (3)
+DAMPING = 15  # acceleration of the bob by damping, B, m/s2 (3)
+UNEVEN_Y = 18  # by how much the planes' unlikeness moves the hinge, m: see `_unevenness`
+UNEVEN_Z = 19
+PUSH_Y = 20  # lateral force of the damper on the bent axis, N
+PUSH_Z = 21
+BEND_Y = 22  # acceleration of the hinge by bending, m/s2: without the pendulums, later with them
+BEND_Z = 23
 
 
 @dataclass(frozen=True)
@@ -74,15 +74,19 @@ def bob_mass(slosh: Slosh, props: Array, tank: int) -> float:
 @kernel
 def hang(
     slosh: Slosh,
-    sizes: Sizes,
+    sizes: Counts,
     tank: int,
     rate: Vector,
     axial_load: float,
+    offset: Vector,
     props: Array,
     y: Array,
     work: Array,
 ) -> tuple[Vector, Vector]:
-    """Prepare one pendulum: fill its block, and return the force and moment (about the core CG) of its damper."""
+    """Prepare one pendulum: fill its block, and return the force and moment (about the core CG) of its damper.
+
+    `offset` leads from the core CG to the CG with the engine deflected.
+    """
     p, q, r = rate
     b = PENDULUM + PENDULUM_WIDTH * tank
     i = pendulum_index(sizes, tank)
@@ -94,19 +98,19 @@ def hang(
         -props[CORE_CG + 1],
         -props[CORE_CG + 2],
     )
-    move_y, move_z, moving_y, moving_z, nu_y, nu_z = _bend_at_tank(sizes, tank, props, y, work)
+    move_y, move_z, moving_y, moving_z, nu_y, nu_z = _bend_at_tank(sizes, tank, props, work)
     # velocity that bending gives the hinge, including the turning of the bent axis (docs/model.md, eq. 5.3)
     bend = (q * move_z - r * move_y, nu_y, nu_z)
     uneven_y, uneven_z, uneven_rate_y, uneven_rate_z = 0.0, 0.0, 0.0, 0.0
     if slosh.planes_differ == 1:
-        uneven_y, uneven_z, uneven_rate_y, uneven_rate_z = _unevenness(sizes, tank, props, y, work)
+        uneven_y, uneven_z, uneven_rate_y, uneven_rate_z = _unevenness(sizes, tank, props, work)
         bend = (bend[0], bend[1] - p * uneven_z, bend[2] + p * uneven_y)
     known = add(cross(rate, cross(rate, hinge)), cross(rate, bend))
     known = (known[0], known[1] - p * uneven_rate_z, known[2] + p * uneven_rate_y)
     # with the liquid's surface the bob travels aft, which gives it a Coriolis acceleration
     travel = 2.0 * props[tank_column(tank) + TANK_TRAVEL]
     known = (known[0] + q * moving_z - r * moving_y, known[1] - travel * r, known[2] + travel * q)
-    arm = cross(hinge, u)
+    arm = cross((hinge[0] - offset[0], hinge[1] - offset[1], hinge[2] - offset[2]), u)
     work[b + UNEVEN_Y], work[b + UNEVEN_Z] = uneven_y, uneven_z
     roll_arm = arm[0] + uneven_y * u[2] - uneven_z * u[1]
     _store(work, b + ARM, (roll_arm, arm[1] + move_z * u[0], arm[2] - move_y * u[0]))
@@ -115,8 +119,8 @@ def hang(
     work[b + MOVE_Y], work[b + MOVE_Z] = move_y, move_z
     work[b + DEMAND] = length * dot(kappa, kappa) - dot(known, u)
     swing = add(kappa, scaled(-1.0, cross(rate, u)))  # d(u)/dt in B
-    frequency = math.sqrt(abs(axial_load) / length)
-    damping = scaled(-2.0 * slosh.damping_ratio[tank] * frequency * length, swing)
+    # 2 zeta omega L with omega = sqrt(a / L)
+    damping = scaled(-2.0 * slosh.damping_ratio[tank] * math.sqrt(abs(axial_load) * length), swing)
     _store(work, b + DAMPING, damping)
     force = scaled(-mass, damping)
     bob = add(hinge, scaled(length, u))
@@ -134,53 +138,42 @@ def _store(work: Array, i: int, a: Vector) -> None:
 
 @kernel
 def _bend_at_tank(
-    sizes: Sizes, tank: int, props: Array, y: Array, work: Array
+    sizes: Counts, tank: int, props: Array, work: Array
 ) -> tuple[float, float, float, float, float, float]:
     """Displacement, its rate in B, and quasi-velocity of a hinge by bending: y, z each."""
-    eta, xi = eta_index(sizes), xi_index(sizes)
-    c, width = pitch_column(sizes, 0) + MODE_FIRST + tank, mode_width(sizes, sizes.pitch_modes)
-    move_z, moving_z, nu_z = 0.0, 0.0, 0.0
-    for i in range(sizes.pitch_modes):
-        phi = props[c + i * width]
-        move_z += phi * y[eta + i]
-        moving_z += phi * work[RATE_PITCH + i]
-        nu_z += phi * y[eta + sizes.pitch_modes + i]
-    c, width = yaw_column(sizes, 0) + MODE_FIRST + tank, mode_width(sizes, sizes.yaw_modes)
-    move_y, moving_y, nu_y = 0.0, 0.0, 0.0
-    for i in range(sizes.yaw_modes):
-        phi = props[c + i * width]
-        move_y += phi * y[xi + i]
-        moving_y += phi * work[RATE_YAW + i]
-        nu_y += phi * y[xi + sizes.yaw_modes + i]
-    return move_y, move_z, moving_y, moving_z, nu_y, nu_z
+    in_pitch, in_yaw = mode_column(sizes, PITCH, MODE_FIRST + tank), mode_column(sizes, YAW, MODE_FIRST + tank)
+    return (
+        modal_sum(sizes, props, in_yaw, work, of_plane(ETA, YAW)),
+        modal_sum(sizes, props, in_pitch, work, of_plane(ETA, PITCH)),
+        modal_sum(sizes, props, in_yaw, work, of_plane(RATE, YAW)),
+        modal_sum(sizes, props, in_pitch, work, of_plane(RATE, PITCH)),
+        modal_sum(sizes, props, in_yaw, work, of_plane(NU, YAW)),
+        modal_sum(sizes, props, in_pitch, work, of_plane(NU, PITCH)),
+    )
 
 
 @kernel
-def _unevenness(sizes: Sizes, tank: int, props: Array, y: Array, work: Array) -> tuple[float, float, float, float]:
+def _unevenness(sizes: Counts, tank: int, props: Array, work: Array) -> tuple[float, float, float, float]:
     """Where the hinge is, less where it would be if each plane had the other's shapes: y, z and their rates in B.
 
     The quasi-velocities hold the roll rate with the shape of their own plane; where the planes differ, roll moves the
     hinge by this much more (docs/model.md, eq. 5.6).
     """
-    eta, xi = eta_index(sizes), xi_index(sizes)
-    pitch, pitch_width = pitch_column(sizes, 0) + MODE_FIRST + tank, mode_width(sizes, sizes.pitch_modes)
-    yaw, yaw_width = yaw_column(sizes, 0) + MODE_FIRST + tank, mode_width(sizes, sizes.yaw_modes)
+    in_pitch, in_yaw = mode_column(sizes, PITCH, MODE_FIRST + tank), mode_column(sizes, YAW, MODE_FIRST + tank)
     along_y, along_z, rate_y, rate_z = 0.0, 0.0, 0.0, 0.0
     for i in range(max(sizes.pitch_modes, sizes.yaw_modes)):
-        in_pitch = props[pitch + i * pitch_width] if i < sizes.pitch_modes else 0.0
-        in_yaw = props[yaw + i * yaw_width] if i < sizes.yaw_modes else 0.0
-        if i < sizes.yaw_modes:
-            along_y += (in_yaw - in_pitch) * y[xi + i]
-            rate_y += (in_yaw - in_pitch) * work[RATE_YAW + i]
-        if i < sizes.pitch_modes:
-            along_z += (in_pitch - in_yaw) * y[eta + i]
-            rate_z += (in_pitch - in_yaw) * work[RATE_PITCH + i]
+        p, q = of_plane(0, PITCH) + i, of_plane(0, YAW) + i
+        more_in_yaw = props[in_yaw + i] - props[in_pitch + i]
+        along_y += more_in_yaw * work[ETA + q]
+        rate_y += more_in_yaw * work[RATE + q]
+        along_z -= more_in_yaw * work[ETA + p]
+        rate_z -= more_in_yaw * work[RATE + p]
     return along_y, along_z, rate_y, rate_z
 
 
 @kernel
 def swing_derivative(
-    slosh: Slosh, sizes: Sizes, tank: int, rate: Vector, felt: Vector, alpha: Vector, props: Array, y: Array,
+    slosh: Slosh, sizes: Counts, tank: int, rate: Vector, felt: Vector, alpha: Vector, props: Array, y: Array,
     dy: Array, work: Array,
 ) -> None:  # fmt: skip
     """Derivative of a pendulum's states once the body's accelerations are known (solve.py).

@@ -14,6 +14,7 @@ hinge to its bob and kappa_B, the *inertial* derivative of that vector in body c
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 from maxq.control.jit import kernel
 
@@ -46,24 +47,38 @@ class Sizes:
     surfaces: int
 
 
+class Counts(NamedTuple):
+    """Sizes as plain numbers: those of a record are read anew after every write to an array."""
+
+    pitch_modes: int
+    yaw_modes: int
+    tanks: int
+    surfaces: int
+
+
+@kernel
+def counts(sizes: Sizes) -> Counts:
+    return Counts(sizes.pitch_modes, sizes.yaw_modes, sizes.tanks, sizes.surfaces)
+
+
 @kernel
 def state_size(sizes: Sizes) -> int:
     return N_FIXED + 2 * (sizes.pitch_modes + sizes.yaw_modes) + N_PENDULUM * sizes.tanks
 
 
 @kernel
-def eta_index(sizes: Sizes) -> int:
+def eta_index(sizes: Sizes | Counts) -> int:
     """First of the pitch plane's modal coordinates; its rates follow after `pitch_modes` entries."""
     return N_FIXED
 
 
 @kernel
-def xi_index(sizes: Sizes) -> int:
+def xi_index(sizes: Sizes | Counts) -> int:
     """First of the yaw plane's modal coordinates; its rates follow after `yaw_modes` entries."""
     return N_FIXED + 2 * sizes.pitch_modes
 
 
 @kernel
-def pendulum_index(sizes: Sizes, tank: int) -> int:
+def pendulum_index(sizes: Sizes | Counts, tank: int) -> int:
     """u_B of a tank's pendulum; kappa_B follows after three entries."""
     return N_FIXED + 2 * (sizes.pitch_modes + sizes.yaw_modes) + N_PENDULUM * tank

@@ -9,14 +9,15 @@ from __future__ import annotations
 from maxq.sim.dynamics.state import MAX_MODES, MAX_SURFACES, MAX_TANKS
 
 # --- work
-FORCE_PITCH = 0  # generalised force on each mode, N: first from outside, then what is left to accelerate
-FORCE_YAW = FORCE_PITCH + MAX_MODES
-RATE_PITCH = FORCE_YAW + MAX_MODES  # d(eta)/dt, m/s
-RATE_YAW = RATE_PITCH + MAX_MODES
-MACH_ROW = RATE_YAW + MAX_MODES  # aerodynamic coefficients at the present Mach number
+# of each mode, in pitch and then in yaw, zeros from the last mode to the next multiple of four
+FORCE = 0  # generalised force, N; later acceleration, m/s2
+ETA = FORCE + 2 * MAX_MODES  # modal coordinate: eta in pitch, xi in yaw, m
+RATE = ETA + 2 * MAX_MODES  # its time derivative, m/s
+NU = RATE + 2 * MAX_MODES  # its quasi-velocity, m/s
+MACH_ROW = NU + 2 * MAX_MODES  # aerodynamic coefficients at the present Mach number
 MACH_WIDTH = 8 + 2 * MAX_SURFACES
 PENDULUM = MACH_ROW + MACH_WIDTH  # per tank, see slosh.py
-PENDULUM_WIDTH = 28
+PENDULUM_WIDTH = 24
 GRAM = PENDULUM + PENDULUM_WIDTH * MAX_TANKS  # coupling of the tensions among each other
 TENSION = GRAM + MAX_TANKS * MAX_TANKS
 WORK_SIZE = TENSION + MAX_TANKS
@@ -42,5 +43,6 @@ WIND_N = 30  # air's motion relative to the Earth, north, east, down, m/s (3)
 GYRO_BEND = 33  # turning rate that bending adds at the gyro: pitch, yaw, rad/s (2)
 GRAVITATION = 35  # I, m/s2 (3)
 AXIAL_LOAD = 38  # axial specific force that stiffens and slackens the body, m/s2
-TENSIONS = 39  # of each pendulum's rod, N
+GIMBAL_BEND = 39  # by bending, of the gimbal: displacement along y and z (m), turning about y and z (rad)
+TENSIONS = 43  # of each pendulum's rod, N
 AUX_SIZE = TENSIONS + MAX_TANKS

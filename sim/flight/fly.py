@@ -12,10 +12,11 @@ from typing import Any
 import numpy as np
 
 from maxq.control.records import Array, IntArray, pack
+from maxq.sim.flight.arena import ARENA_SIZE
 from maxq.sim.flight.ending import ending_values
 from maxq.sim.flight.history import Event, cause_of, events_so_far, outcome_so_far
 from maxq.sim.flight.judgement import ALL_METRICS, Verdict, above_the_wind, judge
-from maxq.sim.flight.loop import ARENA_SIZE, Logged, advance, begin
+from maxq.sim.flight.loop import Logged, advance, begin
 from maxq.sim.flight.metrics import METRICS
 from maxq.sim.flight.telemetry import FAST, SLOW, channel_table
 from maxq.sim.log.channels import ChannelTable

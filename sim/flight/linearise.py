@@ -34,7 +34,8 @@ from maxq.control.tables import find_interval
 from maxq.sim.dynamics import state as layout
 from maxq.sim.dynamics.state import MAX_STATE
 from maxq.sim.dynamics.workspace import AUX_SIZE, ENGINE_PITCH, ENGINE_YAW, GYRO_BEND, WORK_SIZE
-from maxq.sim.flight.loop import PROPS_SIZE, begin
+from maxq.sim.flight.arena import PROPS_SIZE
+from maxq.sim.flight.loop import begin
 from maxq.sim.flight.step import evaluate, read_schedule, schedule_clock
 from maxq.sim.packing.flight import Packed
 from maxq.sim.packing.initial import quaternion, rotation

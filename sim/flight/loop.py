@@ -8,10 +8,11 @@ from maxq.control.computer import start_computer
 from maxq.control.jit import borrowed, entry, kernel, routine
 from maxq.control.records import Array, IntArray
 from maxq.control.tables import find_interval
-from maxq.sim.dynamics.state import MAX_STATE, Sizes, state_size
+from maxq.sim.dynamics.state import Sizes, state_size
 from maxq.sim.dynamics.surroundings import climb_rate, climbs_for_sure
-from maxq.sim.dynamics.workspace import ALTITUDE, AUX_SIZE, AXIAL_LOAD, PRESSURE, WORK_SIZE
+from maxq.sim.dynamics.workspace import ALTITUDE, AXIAL_LOAD, PRESSURE
 from maxq.sim.environment.turbulence import turbulence_start
+from maxq.sim.flight.arena import PROPS_SIZE, lend
 from maxq.sim.flight.events import (
     crossing,
     fault,
@@ -35,21 +36,6 @@ from maxq.sim.flight.parameters import (
 )
 from maxq.sim.flight.step import evaluate, read_schedule, runge_kutta, schedule_clock
 from maxq.sim.flight.telemetry import fill_fast, fill_slow
-
-PROPS_SIZE = 1024  # columns of the widest schedule (8 modes a plane, 8 tanks, 9 surfaces: 894) and behind them
-
-# where the arrays of a flight lie in its arena: one allocation, made once
-_Y_END = 0
-_Y_STAGE = _Y_END + MAX_STATE
-_K_1 = _Y_STAGE + MAX_STATE
-_K = _K_1 + MAX_STATE
-_PROPS = _K + MAX_STATE
-_PROPS_MIDDLE = _PROPS + PROPS_SIZE
-_PROPS_END = _PROPS_MIDDLE + PROPS_SIZE
-_WORK = _PROPS_END + PROPS_SIZE
-_AUX = _WORK + WORK_SIZE
-_AUX_STAGE = _AUX + AUX_SIZE
-ARENA_SIZE = _AUX_STAGE + AUX_SIZE
 
 
 @dataclass(frozen=True)
@@ -106,11 +92,7 @@ def advance(
     memory = state[0]
     clock = memory.clock
     pool, y = borrowed(pool), borrowed(y)
-    y_end, y_stage = borrowed(arena[_Y_END:_Y_STAGE]), borrowed(arena[_Y_STAGE:_K_1])
-    k_1, k = borrowed(arena[_K_1:_K]), borrowed(arena[_K:_PROPS])
-    props, props_middle = borrowed(arena[_PROPS:_PROPS_MIDDLE]), borrowed(arena[_PROPS_MIDDLE:_PROPS_END])
-    props_end, work = borrowed(arena[_PROPS_END:_WORK]), borrowed(arena[_WORK:_AUX])
-    aux, aux_stage = borrowed(arena[_AUX:_AUX_STAGE]), borrowed(arena[_AUX_STAGE:ARENA_SIZE])
+    y_end, y_stage, k_1, k, props, props_middle, props_end, work, aux, aux_stage = lend(arena)
     swapped = 0
     while clock.finished == 0 and clock.now_ns < until_ns:
         p = P[clock.stage]

@@ -12,7 +12,6 @@ from typing import Annotated
 from maxq.control.computer import ComputerState
 from maxq.control.jit import kernel, routine
 from maxq.control.records import Array, IntArray
-from maxq.sim.dynamics.bending import bend_at_gimbal
 from maxq.sim.dynamics.derivative import Held, Vehicle
 from maxq.sim.dynamics.schedule import TOTAL_MASS
 from maxq.sim.dynamics.slosh import bob_mass
@@ -25,6 +24,7 @@ from maxq.sim.dynamics.workspace import (
     ENGINE_YAW,
     FELT,
     FLOW,
+    GIMBAL_BEND,
     MACH,
     THRUST,
 )
@@ -100,7 +100,7 @@ def gather(
     raise_to(extremes, THRUST_MAX, aux[THRUST] / props[TOTAL_MASS] / STANDARD_GRAVITY_MPS2, now_ns)
     sensed = (aux[AERO_FORCE] + aux[THRUST]) / props[TOTAL_MASS]
     raise_to(extremes, AXIAL_MAX, abs(sensed) / STANDARD_GRAVITY_MPS2, now_ns)
-    _gather_bending(extremes, vehicle, now_ns, props, y)
+    _gather_bending(extremes, vehicle, now_ns, aux)
     if held.burning == 0 or held.down == 1:
         return
     raise_to(extremes, Q_POWERED, q, now_ns)
@@ -140,9 +140,9 @@ def _gather_incidence(extremes: Extremes, q: float, aux: Array, now_ns: int) -> 
 
 
 @kernel
-def _gather_bending(extremes: Extremes, vehicle: Vehicle, now_ns: int, props: Array, y: Array) -> None:
+def _gather_bending(extremes: Extremes, vehicle: Vehicle, now_ns: int, aux: Array) -> None:
     if vehicle.sizes.pitch_modes + vehicle.sizes.yaw_modes > 0:
-        move_y, move_z, _, _ = bend_at_gimbal(vehicle.sizes, props, y)
+        move_y, move_z = aux[GIMBAL_BEND], aux[GIMBAL_BEND + 1]
         raise_to(extremes, BENDING_MAX, math.sqrt(move_y * move_y + move_z * move_z), now_ns)
 
 

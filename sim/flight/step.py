@@ -7,8 +7,8 @@ import math
 from maxq.control.jit import kernel, routine
 from maxq.control.records import Array
 from maxq.control.tables import interpolate_into
-from maxq.sim.dynamics.derivative import derivative
-from maxq.sim.dynamics.schedule import THRUST_VACUUM, complete
+from maxq.sim.dynamics.derivative import complete, derivative
+from maxq.sim.dynamics.schedule import THRUST_VACUUM
 from maxq.sim.dynamics.state import Q_BI, pendulum_index, state_size
 from maxq.sim.flight.injection import BODY_FORCE, BODY_TORQUE, total_signal
 from maxq.sim.flight.parameters import Memory, Parameters
@@ -27,7 +27,7 @@ def read_schedule(p: Parameters, pool: Array, memory: Memory, now_ns: int, elaps
     """The vehicle `elapsed_s` after `now_ns`. An engine that does not burn has no thrust, whatever its table says."""
     clock_s = schedule_clock(p, now_ns, elapsed_s)
     interpolate_into(pool, p.vehicle.schedule, memory.clock.interval, clock_s, props, 0)
-    complete(p.vehicle.sizes, props)
+    complete(p.vehicle, props)
     if memory.held.burning == 0:
         props[THRUST_VACUUM] = 0.0
 

@@ -12,7 +12,6 @@ import numpy as np
 
 from maxq.control.jit import kernel, routine
 from maxq.control.records import Array
-from maxq.sim.dynamics.bending import bend_at_gimbal
 from maxq.sim.dynamics.schedule import CORE_CG, CORE_INERTIA, CORE_MASS, MASS_FLOW, TOTAL_MASS
 from maxq.sim.dynamics.slosh import bob_mass
 from maxq.sim.dynamics.state import (
@@ -39,6 +38,7 @@ from maxq.sim.dynamics.workspace import (
     ENGINE_YAW,
     FELT,
     FLOW,
+    GIMBAL_BEND,
     GRAVITATION,
     GYRO_BEND,
     MACH,
@@ -264,12 +264,12 @@ def fill_fast(p: Parameters, logged: Sizes, memory: Memory, props: Array, y: Arr
     row[35] = memory.computer.roll.demand
     c = 36
     if logged.pitch_modes + logged.yaw_modes > 0:
-        c = _fill_bending(sizes, logged, props, y, row, c)
+        c = _fill_bending(sizes, logged, y, aux, row, c)
     _fill_slosh(p, logged, props, y, aux, row, c)
 
 
 @kernel
-def _fill_bending(sizes: Sizes, logged: Sizes, props: Array, y: Array, row: Array, c: int) -> int:
+def _fill_bending(sizes: Sizes, logged: Sizes, y: Array, aux: Array, row: Array, c: int) -> int:
     eta, xi = eta_index(sizes), xi_index(sizes)
     for i in range(logged.pitch_modes):
         there = i < sizes.pitch_modes
@@ -281,8 +281,8 @@ def _fill_bending(sizes: Sizes, logged: Sizes, props: Array, y: Array, row: Arra
         row[c] = y[xi + i] if there else math.nan
         row[c + 1] = y[xi + sizes.yaw_modes + i] if there else math.nan
         c += 2
-    move_y, move_z, turn_y, turn_z = bend_at_gimbal(sizes, props, y)
-    row[c], row[c + 1], row[c + 2], row[c + 3] = move_z, turn_y, move_y, turn_z
+    row[c], row[c + 1] = aux[GIMBAL_BEND + 1], aux[GIMBAL_BEND + 2]
+    row[c + 2], row[c + 3] = aux[GIMBAL_BEND], aux[GIMBAL_BEND + 3]
     return c + 4
 
 

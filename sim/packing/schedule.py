@@ -22,6 +22,7 @@ from maxq.sim.scenario.schema_scenario import Switches
 from maxq.sim.scenario.schema_vehicle import Stage
 
 _schedule_width = from_python(columns_of.schedule_width)
+_lanes, _mode_rows = from_python(columns_of.lanes), from_python(columns_of.mode_rows)
 _GAUSS_NODES, _GAUSS_WEIGHTS = np.polynomial.legendre.leggauss(4)
 
 
@@ -66,8 +67,7 @@ def vehicle_schedule(stage: Stage, sizes: Sizes, switches: Switches, frozen: boo
             (stage.bending.pitch_modes, sizes.pitch_modes),
             (stage.bending.yaw_modes, sizes.yaw_modes),
         ):
-            if table is not None and modes > 0:
-                parts.append(_modes(stage, table, sizes, method))
+            parts.append(_modes(stage, table if modes > 0 else None, sizes, method))
     schedule = merge(parts)
     assert schedule.n_columns == _schedule_width(pack([sizes])[0])
     return schedule
@@ -170,21 +170,27 @@ def _columns(table: Cubics, columns: list[int]) -> Cubics:
     return Cubics(table.breaks, table.coefficients[:, :, columns].copy())
 
 
-def _modes(stage: Stage, table: ModeTable, sizes: Sizes, method: Method) -> Cubics:
-    """Columns of all modes of one plane."""
-    times, shapes = table.time_s, ModeShapes(table)
+def _modes(stage: Stage, table: ModeTable | None, sizes: Sizes, method: Method) -> Cubics:
+    """Columns of all modes of one plane; zeros without a table."""
+    record = pack([sizes])[0]
+    rows, lanes = int(_mode_rows(record)), int(_lanes(record))
+    if table is None or rows * lanes == 0:
+        return fit([0.0], np.zeros((1, rows * lanes)))
+    times, n, shapes = table.time_s, table.modes, ModeShapes(table)
     gimbal = stage.engine.gimbal_station_m if stage.engine else float(table.station_m[-1])
     gyro = stage.gyro.station_m if stage.gyro else float(table.station_m[0])
     columns = [2.0 * np.pi * table.frequency_hz, table.generalized_mass_kg]  # each of them (times, modes)
-    columns += [shapes.value(gimbal)[0], shapes.slope(gimbal)[0]]
-    columns += [shapes.slope(gyro)[0], np.zeros((len(times), table.modes))]
+    columns += [shapes.value(gimbal)[0], shapes.slope(gimbal)[0], shapes.slope(gyro)[0]]
     for k in range(sizes.tanks):
         hinges = _tank(stage, k, method).at(times)[:, 2]
         columns.append(np.diagonal(shapes.value(hinges)).T)  # at each time the hinge of that time
     for station in surface_stations(stage):
         columns += [shapes.value(station)[0], shapes.slope(station)[0]]
-    columns += list(_softening(stage, table, shapes).transpose(2, 0, 1))
-    return fit(times, np.stack(columns, axis=2).reshape(len(times), -1), method)
+    values = np.zeros((len(times), rows, lanes))
+    values[:, : len(columns), :n] = np.stack(columns, axis=1)
+    first = rows - lanes
+    values[:, first : first + n, :n] = _softening(stage, table, shapes).transpose(0, 2, 1)
+    return fit(times, values.reshape(len(times), -1), method)
 
 
 def _softening(stage: Stage, table: ModeTable, shapes: ModeShapes) -> Array:

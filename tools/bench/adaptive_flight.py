@@ -18,9 +18,9 @@ from maxq.control.jit import borrowed, entry
 from maxq.control.records import Array
 from maxq.sim.dynamics.state import MAX_STATE, R_I, V_I, state_size
 from maxq.sim.dynamics.workspace import AUX_SIZE, WORK_SIZE
+from maxq.sim.flight.arena import PROPS_SIZE
 from maxq.sim.flight.events import meet_instants, step_length
 from maxq.sim.flight.fly import FlightRun
-from maxq.sim.flight.loop import PROPS_SIZE
 from maxq.sim.flight.parameters import NEVER
 from maxq.sim.flight.step import evaluate, read_schedule
 

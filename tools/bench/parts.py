@@ -30,22 +30,23 @@ from maxq.sim.dynamics.solve import accelerate
 from maxq.sim.dynamics.state import (
     ACTUATOR,
     GYRO,
-    MAX_STATE,
     N_ACTUATOR,
     Q_BI,
     R_I,
     V_I,
     W_BI_B,
+    counts,
     pendulum_index,
 )
 from maxq.sim.dynamics.surroundings import surroundings
 from maxq.sim.dynamics.vectors import rotation_from_quaternion
-from maxq.sim.dynamics.workspace import ALTITUDE, AUX_SIZE, FELT, WORK_SIZE
+from maxq.sim.dynamics.workspace import ALTITUDE, FELT
 from maxq.sim.environment.atmosphere import air
 from maxq.sim.environment.earth import gravitation, local_frame
+from maxq.sim.flight.arena import ARENA_SIZE, lend
 from maxq.sim.flight.events import fault, meet_instants, step_length, watch
 from maxq.sim.flight.fly import FlightRun
-from maxq.sim.flight.loop import PROPS_SIZE, crossed
+from maxq.sim.flight.loop import crossed
 from maxq.sim.flight.metrics import gather
 from maxq.sim.flight.parameters import NEVER
 from maxq.sim.flight.step import evaluate, read_schedule, runge_kutta
@@ -54,15 +55,6 @@ from maxq.tools.bench.midflight import scenario, stopped_flight
 TURNS = 100_000
 REPETITIONS = 5
 TANKS = 2  # of the nominal vehicle
-
-# where the arrays lie in the scratch memory
-_K_1, _Y_END, _Y_STAGE, _K = 0, MAX_STATE, 2 * MAX_STATE, 3 * MAX_STATE
-_PROPS = 4 * MAX_STATE
-_PROPS_MIDDLE, _PROPS_END = _PROPS + PROPS_SIZE, _PROPS + 2 * PROPS_SIZE
-_WORK = _PROPS + 3 * PROPS_SIZE
-_AUX = _WORK + WORK_SIZE
-_AUX_STAGE = _AUX + AUX_SIZE
-SCRATCH = _AUX_STAGE + AUX_SIZE
 
 
 @dataclass(frozen=True)
@@ -105,22 +97,19 @@ PARTS = (
 
 
 @entry
-def repeat_part(P: Array, pool: Array, state: Array, y: Array, scratch: Array, turns: int, part: int) -> float:
+def repeat_part(P: Array, pool: Array, state: Array, y: Array, arena: Array, turns: int, part: int) -> float:
     """Run part number `part` `turns` times; returns a number that depends on all of them."""
     p, memory = P[0], state[0]
     v, around, held = p.vehicle, p.around, memory.held
+    sizes = counts(v.sizes)
     now = memory.clock.now_ns
     pool, y = borrowed(pool), borrowed(y)
-    k_1, y_end = borrowed(scratch[_K_1:_Y_END]), borrowed(scratch[_Y_END:_Y_STAGE])
-    y_stage, k = borrowed(scratch[_Y_STAGE:_K]), borrowed(scratch[_K:_PROPS])
-    props, props_middle = borrowed(scratch[_PROPS:_PROPS_MIDDLE]), borrowed(scratch[_PROPS_MIDDLE:_PROPS_END])
-    props_end, work = borrowed(scratch[_PROPS_END:_WORK]), borrowed(scratch[_WORK:_AUX])
-    aux, aux_stage = borrowed(scratch[_AUX:_AUX_STAGE]), borrowed(scratch[_AUX_STAGE:SCRATCH])
+    y_end, y_stage, k_1, k, props, props_middle, props_end, work, aux, aux_stage = lend(arena)
     read_schedule(p, pool, memory, now, 0.0, props)
     evaluate(p, pool, memory, now, 0.0, props, y, k_1, work, aux)
     felt = (aux[FELT], aux[FELT + 1], aux[FELT + 2])
     r, v_I, w, slack = y[R_I], y[V_I], y[W_BI_B], y[ACTUATOR + 2]
-    answer = pendulum_index(v.sizes, 0) + 3
+    answer = pendulum_index(sizes, 0) + 3
     total = 0.0
     for _ in range(turns):
         last = 1e-30 * total
@@ -138,30 +127,29 @@ def repeat_part(P: Array, pool: Array, state: Array, y: Array, scratch: Array, t
         elif part == 5:
             total += air(around.atmosphere, pool, aux[ALTITUDE] + last)[0]
         elif part == 6:
-            total += move_engine(v, held, props, y, aux).axis[0]
+            total += move_engine(v, sizes, held, props, y, aux).axis[0]
         elif part == 7:
             rotation = rotation_from_quaternion(y[Q_BI], y[Q_BI + 1], y[Q_BI + 2], y[Q_BI + 3])
-            total += aerodynamics(v, around, pool, held, rotation, rate, props, y, work, aux)[0][0]
+            total += aerodynamics(v, sizes, around, pool, held, rotation, rate, props, work, aux)[0][0]
         elif part == 8:
-            engine = move_engine(v, held, props, y, aux)
-            total += push_of_thrust(v, engine, props, y, aux)[0][0]
+            engine = move_engine(v, sizes, held, props, y, aux)
+            total += push_of_thrust(v, sizes, engine, props, work, aux)[0][0]
         elif part == 9:
             e = v.engine
             total += gyroscopic_forces(
-                v.sizes, props, rate, e.gimballed_mass_kg, e.cg_from_gimbal_m, e.inertia_kgm2,
-                (0.0, 0.01, 0.01), 0.1, 0.1, y, work,
+                sizes, props, rate, e.gimballed_mass_kg, e.cg_from_gimbal_m, e.inertia_kgm2,
+                (0.0, 0.01, 0.01), 0.1, 0.1, work,
             )[0]  # fmt: skip
-            total += elastic_forces(v.bending, v.sizes, props, felt[0], y, work)
+            total += elastic_forces(v.bending, sizes, props, felt[0], work)
         elif part == 10:
-            total += hang(v.slosh, v.sizes, 0, rate, felt[0], props, y, work)[0][0]
+            total += hang(v.slosh, sizes, 0, rate, felt[0], felt, props, y, work)[0][0]
         elif part == 11:
-            engine = move_engine(v, held, props, y, aux)
+            engine = move_engine(v, sizes, held, props, y, aux)
             total += accelerate(
-                v.slosh, v.sizes, 0, props[0], engine.offset, engine.inverse_inertia, felt, felt, felt, props,
-                y, work,
+                v.slosh, sizes, 0, engine.offset, engine.inverse_inertia, felt, felt, felt, props, y, work,
             )[0][0]  # fmt: skip
         elif part == 12:
-            swing_derivative(v.slosh, v.sizes, 0, rate, felt, felt, props, y, k_1, work)
+            swing_derivative(v.slosh, sizes, 0, rate, felt, felt, props, y, k_1, work)
         elif part == 13:
             actuator_derivative(v.actuator_pitch, y, ACTUATOR, held.command_pitch_rad, k_1)
             actuator_derivative(v.actuator_yaw, y, ACTUATOR + N_ACTUATOR, held.command_yaw_rad, k_1)
@@ -205,9 +193,9 @@ def repeat_part(P: Array, pool: Array, state: Array, y: Array, scratch: Array, t
                 memory.gimbal_replaces,
             )  # fmt: skip
         elif part == 23:
-            engine = move_engine(v, held, props, y, aux)
+            engine = move_engine(v, sizes, held, props, y, aux)
             total += engine_reaction(v.engine, engine, rate, felt[0])[0][1]
-            total += coriolis_of_outflow(v.engine, v.slosh, v.sizes, rate, props)[1][1]
+            total += coriolis_of_outflow(sizes, rate, props)[1][1]
         elif part == 24:
             rotation = rotation_from_quaternion(y[Q_BI], y[Q_BI + 1], y[Q_BI + 2], y[Q_BI + 3])
             kinematics(around.earth, 0, rotation, rate, felt, felt, felt, props, y, k_1)
@@ -224,12 +212,12 @@ def repeat_part(P: Array, pool: Array, state: Array, y: Array, scratch: Array, t
 
 def _seconds(run: FlightRun, part: int, turns: int) -> float:
     """Shortest CPU time of a loop; every repetition begins with the same memory."""
-    packed, scratch = run.packed, np.zeros(SCRATCH)
+    packed, arena = run.packed, np.zeros(ARENA_SIZE)
     best = float("inf")
     for _ in range(REPETITIONS):
         state, memory = packed.state.copy(), packed.memory.copy()
         start = time.process_time()
-        repeat_part(packed.parameters, packed.pool, memory, state, scratch, turns, part)
+        repeat_part(packed.parameters, packed.pool, memory, state, arena, turns, part)
         best = min(best, time.process_time() - start)
     return best
 
@@ -252,7 +240,7 @@ def measure(turns: int = TURNS) -> dict[str, Any]:
     """
     run = stopped_flight()
     repeat_part(run.packed.parameters, run.packed.pool, run.packed.memory.copy(), run.packed.state.copy(),
-                np.zeros(SCRATCH), 1, 0)  # fmt: skip
+                np.zeros(ARENA_SIZE), 1, 0)  # fmt: skip
     raw = [1e9 * _seconds(run, number, turns) / turns for number in range(len(PARTS))]
     rows = [
         {"name": part.name, "calls": part.calls, "within": part.within, "ns": round(ns - raw[part.less], 1)}
