@@ -1,0 +1,334 @@
+"""Where a loop is judged: its peaks, crossings and nearest approaches to -1, each solved for and with its gradient.
+
+A feature is found on the mesh of `Curves` by a change of sign or a local extreme, and refined by Newton's method on the
+splines. Its value then depends smoothly on the variables:
+
+| feature | at | value |
+|---|---|---|
+| peak | d ln|L| = 0 within a band, or its end | ln|L| |
+| gain crossing | arg L = 180 deg (mod 360) | ln|L| |
+| phase crossing | |L| = 1 | arg L - 180 deg |
+| turn of gain | d ln|L| = 0 near 0 dB, beside 180 deg | ln|L| |
+| turn of phase | d arg L = 0 near 180 deg, beside 0 dB | arg L - 180 deg |
+| end | zero frequency, Nyquist frequency: L is real | ln|L| where it is negative |
+| modulus | d |1 + L| = 0 | ln|1 + L| |
+| zone | least of the zone's function along the curve | that function |
+
+Gradients: at an extreme the frequency may be held (its motion is of second order); at a crossing, u = 0 of u + iv =
+ln L along x, the value of v changes by dv - (v_x / u_x) du. A zone with corners (diamond, rectangle) is a maximum of
+smooth functions; where the least lies on a corner line, the same formula holds for the two that meet.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from enum import IntEnum
+
+import numpy as np
+from numpy.typing import NDArray
+
+from maxq.control.records import Array
+from maxq.design.model.state_space import ComplexArray
+from maxq.design.optimise.curves import Curves, Indices
+
+Mask = NDArray[np.bool_]
+
+
+REAL_WITHIN_RAD = 0.02
+
+
+DB = 20.0 / math.log(10.0)
+
+
+class Kind(IntEnum):
+    """What a feature is."""
+
+    PEAK = 0
+    GAIN_CROSSING = 1
+    PHASE_CROSSING = 2
+    GAIN_TURN = 3
+    PHASE_TURN = 4
+    MODULUS = 5
+    ZONE = 6
+    END = 7
+    ZONE_CORNER = 8
+
+
+@dataclass(frozen=True)
+class Cross:
+    """Half axes of the cross, and of the zone, around -1, one for each plant, mesh point or feature: ln|L| and rad.
+
+    `zone` is a name or "none".
+    """
+
+    gain: Array
+    phase: Array
+    zone: str
+
+    def of(self, which: Indices | Mask) -> Cross:
+        """Those of plants, or some of these features."""
+        return Cross(self.gain[which], self.phase[which], self.zone)
+
+    @property
+    def db_per_rad(self) -> Array:
+        """What a phase counts: the gain margin for the phase margin."""
+        return np.asarray(self.gain / self.phase * DB)
+
+
+@dataclass(frozen=True)
+class LogLoop:
+    """ln L at points, its derivatives by x = ln f, and g = k_p I / (k_p I + k_d)."""
+
+    value: ComplexArray
+    first: ComplexArray
+    second: ComplexArray
+    proportional: ComplexArray
+    s: ComplexArray
+
+
+@dataclass(frozen=True)
+class Places:
+    """Mesh intervals in which something lies, and where to begin looking for it."""
+
+    kind: NDArray[np.int8]
+    cell: Indices
+    x: Array
+    tag: Indices  # the band of a peak; else 0
+    fixed: Mask  # the frequency is given: ends of bands and of the mesh
+
+
+def wrapped(log_loop: ComplexArray) -> Array:
+    """arg L - 180 deg in (-pi, pi], rad."""
+    return np.asarray(np.angle(-np.exp(1j * log_loop.imag)))
+
+
+@dataclass(frozen=True)
+class Bands:
+    """Frequency bands by mode: mesh points [first, last] of each, ends included."""
+
+    first: Indices
+    last: Indices
+    mode: Indices  # 1, 2, ...
+    plant: Indices
+
+    def peaks(self, curves: Curves, log_gain: Array) -> Places:
+        """Local maxima of each band: inner ones, and ends from which the curve falls inwards."""
+        cells: list[int] = []
+        tags: list[int] = []
+        for band, (i, j) in enumerate(zip(self.first, self.last, strict=True)):
+            part = log_gain[i : j + 1]
+            rises = np.concatenate([[True], part[1:] > part[:-1]])
+            falls = np.concatenate([part[:-1] >= part[1:], [True]])
+            found = np.flatnonzero(rises & falls)
+            cells.extend(int(i + k) for k in found)
+            tags.extend([band] * len(found))
+        k, tag = np.array(cells, np.int64), np.array(tags, np.int64)
+        inner = (k > self.first[tag]) & (k < self.last[tag])
+        at = curves.x[k]
+        at[inner] = vertex(curves.x, log_gain, k[inner])
+        return Places(np.full(len(k), Kind.PEAK, np.int8), k, at, tag, ~inner)
+
+
+def joined(parts: list[Places]) -> Places:
+    return Places(
+        np.concatenate([p.kind for p in parts]),
+        np.concatenate([p.cell for p in parts]),
+        np.concatenate([p.x for p in parts]),
+        np.concatenate([p.tag for p in parts]),
+        np.concatenate([p.fixed for p in parts]),
+    )
+
+
+def _untagged(kind: NDArray[np.int8], cell: Indices, x: Array, fixed: bool = False) -> Places:
+    return Places(kind, cell, x, np.zeros(len(cell), np.int64), np.full(len(cell), fixed))
+
+
+def crossings(curves: Curves, loop: ComplexArray, log_gain: Array) -> Places:
+    """Changes of sign of arg L - 180 deg and of ln|L| between neighbours on the mesh, by linear interpolation."""
+    same = curves.plant[1:] == curves.plant[:-1]
+    im, re = loop.imag, loop.real
+    turned = same & (np.signbit(im[1:]) != np.signbit(im[:-1]))
+    k = np.flatnonzero(turned)
+    share = im[k] / (im[k] - im[k + 1])
+    share = np.where(np.isfinite(share), share, 0.5)
+    behind = re[k] + share * (re[k + 1] - re[k]) < 0.0
+    k, share = k[behind], share[behind]
+    g = np.flatnonzero(same & (np.signbit(log_gain[1:]) != np.signbit(log_gain[:-1])))
+    level = log_gain[g] / (log_gain[g] - log_gain[g + 1])
+    cell = np.concatenate([k, g])
+    part = np.concatenate([share, np.where(np.isfinite(level), level, 0.5)])
+    kind = np.concatenate([np.full(len(k), Kind.GAIN_CROSSING), np.full(len(g), Kind.PHASE_CROSSING)]).astype(np.int8)
+    x = curves.x[cell] + part * (curves.x[cell + 1] - curves.x[cell])
+    return _untagged(kind, cell, x)
+
+
+def ends(curves: Curves, loop: ComplexArray, finite_at_zero: Mask) -> Places:
+    """First mesh points of loops that are finite at zero frequency, and last ones, where L points at -1.
+
+    There L is real and cannot cross the axis, but a change of gain takes it to -1 all the same.
+    """
+    points = np.concatenate([curves.start[:-1][finite_at_zero], curves.start[1:] - 1])
+    k = points[np.abs(np.angle(-loop[points])) < REAL_WITHIN_RAD]
+    return _untagged(np.full(len(k), Kind.END, np.int8), k, curves.x[k], True)
+
+
+def _extremes(curves: Curves, value: Array, lowest: bool, where: Mask) -> tuple[Indices, Array]:
+    """Mesh points (of `where`) that are local extremes inside a plant's mesh, and the parabola's vertex."""
+    v = value if lowest else -value
+    inner = np.zeros(len(v), bool)
+    inner[1:-1] = (v[1:-1] <= v[:-2]) & (v[1:-1] < v[2:])
+    inner[curves.start[:-1]] = inner[curves.start[1:] - 1] = False
+    k = np.flatnonzero(inner & where)
+    return k, vertex(curves.x, value, k)
+
+
+def vertex(x: Array, value: Array, k: Indices) -> Array:
+    """Where the parabola through mesh points k - 1, k, k + 1 has its vertex, held between the outer two."""
+    h0, h1 = x[k] - x[k - 1], x[k + 1] - x[k]
+    d0, d1 = (value[k] - value[k - 1]) / h0, (value[k + 1] - value[k]) / h1
+    bend = (d1 - d0) / (h0 + h1)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        at = x[k] - h0 / 2.0 - d0 / (2.0 * bend) + 0.0
+    at = np.where(np.isfinite(at), at, x[k])
+    return np.clip(at, x[k - 1], x[k + 1])
+
+
+def turns(curves: Curves, log_gain: Array, beside: Array, cross: Cross) -> Places:
+    """Extremes that approach the cross |arg - 180| < phase at 0 dB, |ln L| < gain at 180 deg, without crossing it."""
+    kinds, cells, xs = [], [], []
+    for sign in (1.0, -1.0):
+        k, x = _extremes(curves, log_gain, sign > 0, (sign * log_gain > 0) & (np.abs(beside) < cross.phase))
+        kinds.append(np.full(len(k), Kind.GAIN_TURN))
+        cells.append(k)
+        xs.append(x)
+        # 1.5 rad: where the wrapped phase jumps is no extreme
+        near = (sign * beside > 0) & (np.abs(beside) < 1.5) & (np.abs(log_gain) < cross.gain)
+        k, x = _extremes(curves, beside, sign > 0, near)
+        kinds.append(np.full(len(k), Kind.PHASE_TURN))
+        cells.append(k)
+        xs.append(x)
+    return _untagged(np.concatenate(kinds).astype(np.int8), np.concatenate(cells), np.concatenate(xs))
+
+
+def nearest(curves: Curves, value: Array, kind: Kind, below: float) -> Places:
+    """Local minima of `value` on the mesh that lie below a level."""
+    k, x = _extremes(curves, value, True, value < below)
+    return _untagged(np.full(len(k), kind, np.int8), k, x)
+
+
+def near_zone(curves: Curves, log_gain: Array, beside: Array, cross: Cross, below: float) -> Places:
+    """Local minima of the zone's function: on a face, or for a rectangle where two faces meet.
+
+    A diamond's edges lie on the axes of the cross, where the crossings are.
+    """
+    value = zone_value(log_gain, beside, cross)
+    k, x = _extremes(curves, value, True, value < below)
+    if cross.zone == "ellipse":
+        return _untagged(np.full(len(k), Kind.ZONE, np.int8), k, x)
+    if cross.zone == "diamond":
+        face = np.signbit(log_gain) * 2 + np.signbit(beside)
+        inside = (face[k] == face[k - 1]) & (face[k] == face[k + 1])
+        return _untagged(np.full(int(inside.sum()), Kind.ZONE, np.int8), k[inside], x[inside])
+    a, p = np.abs(log_gain) / cross.gain, np.abs(beside) / cross.phase
+    higher = a > p
+    own = np.where(higher[k], (a[k - 1], a[k], a[k + 1]), (p[k - 1], p[k], p[k + 1]))
+    # beyond an edge towards which the own face still falls, the other face is the higher one: the edge is the least
+    after, before = (higher[k + 1] != higher[k]) & (own[2] < own[1]), (higher[k - 1] != higher[k]) & (own[0] < own[1])
+    corner, other = after | before, np.where(after, k + 1, k - 1)
+    gap = a - p
+    with np.errstate(divide="ignore", invalid="ignore"):
+        share = gap[k] / (gap[k] - gap[other])
+    x = np.where(corner, curves.x[k] + share * (curves.x[other] - curves.x[k]), x)
+    return _untagged(np.where(corner, Kind.ZONE_CORNER, Kind.ZONE).astype(np.int8), k, x)
+
+
+def in_intervals(curves: Curves, places: Places) -> Places:
+    """The same with `cell` the mesh interval that holds x: places begin as mesh points."""
+    cell = np.where(places.x < curves.x[places.cell], places.cell - 1, places.cell)
+    cell = np.minimum(cell, curves.start[curves.plant[places.cell] + 1] - 2)
+    return Places(places.kind, cell, places.x, places.tag, places.fixed)
+
+
+def zone_value(log_gain: Array, beside: Array, cross: Cross) -> Array:
+    """The zone's function: 0 at its centre, 1 on its border."""
+    a, p = np.abs(log_gain) / cross.gain, np.abs(beside) / cross.phase
+    if cross.zone == "ellipse":
+        return np.asarray(np.hypot(a, p))
+    return np.asarray(a + p if cross.zone == "diamond" else np.maximum(a, p))
+
+
+def condition(kind: NDArray[np.int8], at: LogLoop, cross: Cross) -> tuple[Array, Array]:
+    """What is zero at each feature, and its derivative by x."""
+    residual, slope = at.first.real.copy(), at.second.real.copy()  # extreme of ln|L|
+    k = kind == Kind.GAIN_CROSSING
+    residual[k], slope[k] = wrapped(at.value[k]), at.first.imag[k]
+    k = kind == Kind.PHASE_CROSSING
+    residual[k], slope[k] = at.value.real[k], at.first.real[k]
+    k = kind == Kind.PHASE_TURN
+    residual[k], slope[k] = at.first.imag[k], at.second.imag[k]
+    k = kind == Kind.MODULUS
+    if k.any():
+        closed = 1.0 / (1.0 + np.exp(-at.value[k]))  # L / (1 + L)
+        residual[k] = (closed * at.first[k]).real
+        slope[k] = (closed * at.second[k] + closed * (1.0 - closed) * at.first[k] ** 2).real
+    k = (kind == Kind.ZONE) | (kind == Kind.ZONE_CORNER)
+    if k.any():
+        residual[k], slope[k] = _zone_condition(kind[k], at, k, cross.of(k))
+    return residual, slope
+
+
+def _zone_condition(kind: NDArray[np.int8], at: LogLoop, k: Mask, cross: Cross) -> tuple[Array, Array]:
+    a, p = at.value.real[k] / cross.gain, wrapped(at.value[k]) / cross.phase
+    a1, p1 = at.first.real[k] / cross.gain, at.first.imag[k] / cross.phase
+    a2, p2 = at.second.real[k] / cross.gain, at.second.imag[k] / cross.phase
+    if cross.zone == "ellipse":
+        return a * a1 + p * p1, a1 * a1 + p1 * p1 + a * a2 + p * p2
+    sign_a, sign_p = np.sign(a), np.sign(p)
+    if cross.zone == "diamond":
+        return sign_a * a1 + sign_p * p1, sign_a * a2 + sign_p * p2
+    corner, beside = kind == Kind.ZONE_CORNER, np.abs(p) > np.abs(a)
+    return (
+        np.where(corner, np.abs(a) - np.abs(p), np.where(beside, p1, a1)),
+        np.where(corner, sign_a * a1 - sign_p * p1, np.where(beside, p2, a2)),
+    )
+
+
+def sensitivity(kind: NDArray[np.int8], at: LogLoop, cross: Cross) -> ComplexArray:
+    """c, (features,), with which Re(c d ln L) is the change of each feature's excess, dB, as the variables change."""
+    value, first, db_per_rad = at.value, at.first, cross.db_per_rad
+    beside = wrapped(value)
+    gain_side, phase_side = np.sign(value.real), np.sign(beside)
+    out = np.full(len(kind), DB + 0j)  # a peak: ln|L| itself
+    with np.errstate(divide="ignore", invalid="ignore"):
+        k = kind == Kind.GAIN_CROSSING  # Re(dL) - (Re L' / Im L') Im(dL)
+        out[k] = (-gain_side * DB * (1.0 + 1j * first.real / first.imag))[k]
+        k = kind == Kind.PHASE_CROSSING
+        out[k] = (-phase_side * db_per_rad * (-1j - first.imag / first.real))[k]
+    k = (kind == Kind.GAIN_TURN) | (kind == Kind.END)
+    out[k] = (-gain_side * DB)[k]
+    k = kind == Kind.PHASE_TURN
+    out[k] = (1j * phase_side * db_per_rad)[k]
+    k = kind == Kind.MODULUS
+    out[k] = -DB / (1.0 + np.exp(-value[k]))
+    k = (kind == Kind.ZONE) | (kind == Kind.ZONE_CORNER)
+    if k.any():
+        out[k] = -cross.gain[k] * DB * _zone_sensitivity(kind[k], value[k], first[k], cross.of(k))
+    # where a curve runs along the line that it crosses there is no gradient: none is better than infinity
+    return np.where(np.isfinite(out) & (np.abs(out) < 1e6), out, 0.0)
+
+
+def _zone_sensitivity(kind: NDArray[np.int8], value: ComplexArray, first: ComplexArray, cross: Cross) -> ComplexArray:
+    """c with which Re(c d ln L) is the change of the zone's function at its least."""
+    a, p = value.real / cross.gain, wrapped(value) / cross.phase
+    by_a, by_p = np.sign(a) / cross.gain, np.sign(p) / cross.phase
+    if cross.zone == "diamond":
+        return np.asarray(by_a - 1j * by_p)
+    if cross.zone == "ellipse":
+        size = np.hypot(a, p)
+        return np.asarray(a / size / cross.gain - 1j * p / size / cross.phase)
+    slope_a, slope_p = by_a * first.real, by_p * first.imag
+    with np.errstate(divide="ignore", invalid="ignore"):
+        share = slope_p / (slope_p - slope_a)  # of the gain's face: the mix does not change along the curve
+    share = np.where(kind == Kind.ZONE_CORNER, share, np.where(np.abs(p) > np.abs(a), 0.0, 1.0))
+    return np.asarray(share * by_a - 1j * (1.0 - share) * by_p)

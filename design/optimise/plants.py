@@ -1,0 +1,134 @@
+"""Plants for which a design is made: nodes with their fixed paths, bending bands and limits."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from maxq.design.case.schema import Case, MarginLimits
+from maxq.design.loop.fixed_path import FixedPath, fixed_path
+from maxq.design.model.derivatives import stability_derivatives
+from maxq.design.model.node import Node
+from maxq.design.optimise.curves import TOLERANCE, Curves, Indices
+from maxq.design.optimise.features import Bands
+from maxq.design.optimise.limits import Limits
+from maxq.design.optimise.problem import Rigid, bands_of
+
+MODE_BANDS_END = 0.999  # of the Nyquist frequency
+
+
+@dataclass(frozen=True)
+class Plant:
+    """One loop's fixed part; `dispersed` tells which limits it is held to."""
+
+    node: Node
+    path: FixedPath
+    bands_hz: tuple[tuple[int, float, float], ...]  # mode, low, high
+    m_delta: float
+    m_alpha: float
+    m_q: float
+    dispersed: bool = False
+
+    @property
+    def label(self) -> str:
+        return self.node.label
+
+    @property
+    def kept_hz(self) -> np.ndarray:
+        return np.array([value for band in self.bands_hz for value in band[1:]])
+
+
+def make_plant(node: Node, case: Case, dispersed: bool = False) -> Plant:
+    """Raises ValueError for a node without a first bending mode where that is the objective."""
+    path = fixed_path(node, case.loop)
+    share, top = case.objective.band, path.highest_hz * MODE_BANDS_END
+    bands = []
+    for r in path.resonances(0.5):
+        if r.kind != "bending":
+            continue
+        low, high = r.frequency_hz * (1.0 - share), min(r.frequency_hz * (1.0 + share), top)
+        if low < high:
+            bands.append((r.number, low, high))
+    if case.objective.kind == "first-mode-peak" and not any(mode == 1 for mode, *_ in bands):
+        raise ValueError(
+            f"node at {node.time_s:g} s: there is no first bending mode whose peak could be made small; "
+            'allowed is objective.kind = "least-margin"'
+        )
+    d = stability_derivatives(node.vehicle, node.condition)
+    return Plant(node, path, tuple(bands), d.m_delta_1ps2, d.m_alpha_1ps2, d.m_q_1ps, dispersed)
+
+
+@dataclass(frozen=True)
+class Plants:
+    """Several plants and their curves."""
+
+    each: tuple[Plant, ...]
+    curves: Curves
+    bands: Bands
+
+    def __len__(self) -> int:
+        return len(self.each)
+
+    @property
+    def times_s(self) -> np.ndarray:
+        return np.array([p.node.time_s for p in self.each])
+
+    @property
+    def rigid(self) -> Rigid:
+        return Rigid(*(np.array([getattr(p, name) for p in self.each]) for name in ("m_delta", "m_alpha", "m_q")))
+
+    @property
+    def unstable_open(self) -> Indices:
+        """Poles of each fixed path in the right half plane."""
+        return np.array([int((p.path.poles().real > 1e-9).sum()) for p in self.each], np.int64)
+
+    @property
+    def sample_s(self) -> float | None:
+        return self.each[0].path.sample_s
+
+    @property
+    def first_mode_hz(self) -> float:
+        """Mean frequency of the first mode; that of the lowest band where there is none, else 10 Hz."""
+        low = [band for p in self.each for band in p.bands_hz if band[0] == 1]
+        return float(np.mean([0.5 * (a + b) for _, a, b in low])) if low else 10.0
+
+    def and_also(self, more: Sequence[Plant]) -> Plants:
+        """These plants and some more."""
+        curves = self.curves.extended([p.path for p in more], _top(more), [p.kept_hz for p in more])
+        each = (*self.each, *more)
+        return Plants(each, curves, bands_of(curves, [p.bands_hz for p in each]))
+
+
+def _top(plants: Sequence[Plant]) -> float | None:
+    highest = plants[0].path.highest_hz if plants else math.inf
+    return None if math.isinf(highest) else highest
+
+
+def make_plants(plants: Sequence[Plant], tolerance: float = TOLERANCE) -> Plants:
+    """`tolerance` of the curves. Raises ValueError for no plants."""
+    if not plants:
+        raise ValueError("there is no node to design for")
+    curves = Curves([p.path for p in plants], _top(plants), [p.kept_hz for p in plants], tolerance)
+    return Plants(tuple(plants), curves, bands_of(curves, [p.bands_hz for p in plants]))
+
+
+def limits_of(given: MarginLimits) -> Limits:
+    """The optimiser's form of a case's limits."""
+
+    def asked(name: str) -> float | None:
+        return None if name in given.without else float(getattr(given, name))
+
+    return Limits(
+        gain_margin_db=given.gain_margin_db,
+        phase_margin_deg=given.phase_margin_deg,
+        modulus_db=given.modulus_db,
+        first_mode_db=given.first_mode_db,
+        second_mode_db=asked("second_mode_db"),
+        higher_modes_db=given.higher_modes_db,
+        first_mode_phase_deg=given.first_mode_phase_deg,
+        rigid_hz=asked("rigid_hz"),
+        rigid_zeta=asked("rigid_zeta"),
+    )

@@ -1,0 +1,140 @@
+"""Many starts, one answer, and how sure it is.
+
+All starts are brought down roughly, gains linear in time even where the answer has more of them (the filter decides
+which valley a start is in). What ends in the same valley is one candidate; each candidate that is not hopeless is
+then brought down to the end with all its variables, and the best is polished by Newton's method.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from maxq.control.records import Array
+from maxq.design.optimise.descent import MET_DB, Descent, descend
+from maxq.design.optimise.newton_steps import Optimality, optimality, polished
+from maxq.design.optimise.problem import Evaluation, Problem
+
+ROUGH_STEPS, ROUGH_DB = 40, 1e-3
+FINE_STEPS, FINE_DB = 150, 1e-8
+SAME_DB = 0.02  # ends that differ by less lie in one valley
+HOPELESS_DB = 3.0  # candidates that are worse by more stay rough
+MOST_CANDIDATES = 4
+NEAR_DB = 0.05
+
+Progress = Callable[[int, int, float], None]
+"""Called with the number of starts done, how many there are, and the best objective so far in dB (nan: none)."""
+
+
+@dataclass(frozen=True)
+class Found:
+    """The best point and what is known about it. `ends_db`: where each start ended, nan: no stable design there.
+
+    An infeasible one is the point of the least violation, and `optimality` that of the violation.
+    """
+
+    best: Evaluation
+    optimality: Optimality
+    feasible: bool
+    ends_db: Array
+    evaluations: int
+    interrupted: bool
+
+    @property
+    def near_best(self) -> int:
+        """Starts that ended within NEAR_DB of the best."""
+        return int((self.ends_db <= self.best.objective_db + NEAR_DB).sum())
+
+
+def search(
+    problem: Problem,
+    starts: Sequence[Array],
+    rough: tuple[Problem, Callable[[Array], Array]] | None = None,
+    starts_of_rough: Sequence[Array] = (),
+    progress: Progress | None = None,
+) -> Found:
+    """From `starts` of the problem itself, and `starts_of_rough` of a smaller problem whose ends are taken over.
+
+    `rough` is that smaller problem and how its variables become the problem's. KeyboardInterrupt ends the search: the
+    best so far is the answer (raised again where there is none yet).
+    """
+    interrupted = False
+    small, lift = rough if rough is not None else (problem, lambda x: x)
+    total = len(starts) + len(starts_of_rough)
+    before = problem.evaluations + (small.evaluations if small is not problem else 0)
+    ends: list[tuple[Evaluation, Array]] = []  # rough end, and the start it gives the problem
+    best_db = np.nan
+    try:
+        for where, given, to in ((problem, starts, None), (small, starts_of_rough, lift)):
+            for start in given:
+                end = descend(where, start, ROUGH_STEPS, ROUGH_DB).end
+                ends.append((end, to(end.variables) if to is not None else end.variables))
+                if _feasible(end, 1e-3):
+                    best_db = float(np.fmin(best_db, end.objective_db))
+                if progress is not None:
+                    progress(len(ends), total, best_db)
+    except KeyboardInterrupt:
+        interrupted = True
+        if not ends:
+            raise
+    fine: dict[int, Descent] = {}
+    candidates = _candidates([end for end, _ in ends])
+    try:
+        for k in candidates if not interrupted else ():
+            fine[k] = descend(problem, ends[k][1], FINE_STEPS, FINE_DB)
+    except KeyboardInterrupt:
+        interrupted = True
+    for k in candidates[:1] if not fine else ():
+        fine[k] = Descent(problem.evaluate(ends[k][1]), 0, False)
+    return _answer(problem, ends, fine, small.evaluations if small is not problem else 0, before, interrupted)
+
+
+def _answer(
+    problem: Problem, ends: list[tuple[Evaluation, Array]], fine: dict[int, Descent], others: int, before: int,
+    interrupted: bool,
+) -> Found:  # fmt: skip
+    best = min((d.end for d in fine.values()), key=_rank)
+    feasible = _feasible(best, 10.0 * MET_DB)
+    if feasible:
+        best, quality = polished(problem, best) if not interrupted else (best, optimality(problem, best))
+    else:
+        tried = [] if interrupted else [descend(problem, best.variables, FINE_STEPS, 1e-7, limits_only=True).end]
+        best = min([best, *tried], key=lambda e: (e.unstable, e.violation_db))
+        feasible = _feasible(best, 10.0 * MET_DB)
+        quality = optimality(problem, best, worst_violation=not feasible)
+    ends_db = np.array([end.objective_db if _feasible(end, 1e-3) else np.nan for end, _ in ends])
+    rough_db = ends_db.copy()
+    for k, descent in fine.items():  # a start in the same valley would have come to the same end
+        if _feasible(descent.end, 10.0 * MET_DB):
+            same = np.abs(rough_db - rough_db[k]) <= SAME_DB
+            ends_db[same] = np.fmin(ends_db[same], descent.end.objective_db)
+    return Found(best, quality, feasible, ends_db, problem.evaluations + others - before, interrupted)
+
+
+def _feasible(at: Evaluation, tolerance_db: float) -> bool:
+    return at.unstable == 0 and at.violation_db <= tolerance_db
+
+
+def _rank(at: Evaluation) -> tuple[int, float, float]:
+    """Stable before unstable, met before violated, then the objective."""
+    violation = 0.0 if at.violation_db <= 10.0 * MET_DB else at.violation_db
+    return at.unstable, violation, at.objective_db
+
+
+def _candidates(ends: Sequence[Evaluation]) -> list[int]:
+    """Numbers of ends worth going on from, the best first, one of each valley."""
+    order = sorted(
+        range(len(ends)), key=lambda k: (ends[k].unstable, max(ends[k].violation_db - 1e-3, 0.0), ends[k].objective_db)
+    )
+    out: list[int] = []
+    for k in order:
+        first = ends[order[0]]
+        if out and ((not _feasible(ends[k], 1e-3) and _feasible(first, 1e-3)) or len(out) >= MOST_CANDIDATES):
+            break
+        if out and _feasible(first, 1e-3) and ends[k].objective_db > first.objective_db + HOPELESS_DB:
+            break
+        if all(abs(ends[k].objective_db - ends[j].objective_db) > SAME_DB for j in out):
+            out.append(k)
+    return out

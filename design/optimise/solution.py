@@ -1,0 +1,261 @@
+"""What the optimiser hands back: the design, every limit at every plant, and a certificate."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+
+from maxq.control.filters import MAX_SECTIONS, STRUCTURES, BendingFilter
+from maxq.control.records import Array
+from maxq.design.case.schema import Case
+from maxq.design.optimise.features import Kind
+from maxq.design.optimise.plants import Plants
+from maxq.design.optimise.problem import Problem
+from maxq.design.optimise.rows import NAMES, UNITS, What
+from maxq.design.optimise.search import Found
+from maxq.sim.scenario.files import Reading
+from maxq.sim.scenario.schema_design import Design
+
+Status = Literal["optimal", "infeasible", "interrupted"]
+ACTIVE_DB = 1e-4
+
+
+@dataclass(frozen=True)
+class Constraint:
+    """The worst of one limit at one plant (`plant` None: of the filter). `value` and `limit` in `unit`.
+
+    `excess_db` > 0 is a violation. `multiplier`: dB of the objective per dB by which the limit is moved; of an
+    infeasible design the limit's share in the conflict.
+    """
+
+    what: str
+    plant: str | None
+    time_s: float | None
+    dispersed: bool
+    frequency_hz: float | None
+    value: float
+    limit: float | None
+    unit: str
+    excess_db: float
+    active: bool
+    multiplier: float
+
+
+@dataclass(frozen=True)
+class Bound:
+    """A variable at its bound, and the dB that moving it by one unit (of ln Hz or of damping ratio) would bring."""
+
+    variable: str
+    side: Literal["lower", "upper"]
+    multiplier: float
+
+
+@dataclass(frozen=True)
+class Certificate:
+    """How sure the optimum is. `near_best` of `starts` ended within 0.05 dB of it.
+
+    `kkt_residual`: see `Optimality`. `stable` is by the closed loops' poles, not by the argument principle that the
+    optimiser goes by.
+    """
+
+    starts: int
+    near_best: int
+    ends_db: tuple[float, ...]
+    kkt_residual: float
+    evaluations: int
+    seconds: float
+    seed: int
+    stable: bool
+    plants: int  # for which the design was made
+    searched: int = 0  # dispersed plants that were tried besides, in search of the worst
+    worst_found_db: float = 0.0  # by how much the worst of those misses the objective or a limit
+
+
+@dataclass(frozen=True)
+class Solution:
+    """A design for a case. `objective_db`: largest peak of mode 1, or minus the least |1 + L|, over all plants."""
+
+    case: Case
+    status: Status
+    objective_db: float
+    violation_db: float
+    nodes_s: Array  # of the gain table
+    k_p: Array
+    k_d_s: Array
+    filter: BendingFilter
+    prewarp_hz: float
+    constraints: tuple[Constraint, ...]
+    bounds: tuple[Bound, ...]
+    certificate: Certificate
+    variables: Array
+    nominal_objective_db: float  # over the nominal plants alone
+
+    @property
+    def feasible(self) -> bool:
+        """Whether all limits are met and the loops are stable."""
+        return self.status != "infeasible" and self.violation_db <= 1e-6 and self.certificate.stable
+
+    @property
+    def in_the_way(self) -> tuple[Constraint, ...]:
+        """Of an infeasible design: the limits that conflict, the one with the largest part first."""
+        if self.feasible:
+            return ()
+        blamed = [c for c in self.constraints if c.excess_db > 1e-6 and c.limit is not None]
+        return tuple(sorted(blamed, key=lambda c: (-c.multiplier, -c.excess_db)))
+
+    def explanation(self) -> str:
+        """One sentence about an infeasible design; empty for a feasible one."""
+        if self.feasible:
+            return ""
+        if not self.in_the_way:
+            return "no stable design was found"
+        parts = []
+        for c in self.in_the_way[:4]:
+            where = f" at {c.plant}" if c.plant is not None else ""
+            limit = "" if c.limit is None else f", limit {c.limit:g}"
+            parts.append(f"{c.what}{where} ({c.value:.4g}{' ' + c.unit if c.unit else ''}{limit})")
+        return (
+            f"the limits cannot be met together: at best {self.violation_db:.3g} dB are missing; in the way: "
+            + "; ".join(parts)
+        )
+
+    def to_design(self, roll: Any = None) -> Design:
+        """The design that `simrun` flies. Raises ValueError for more sections than the flight computer runs."""
+        count = len(self.filter.quadratic) + len(self.filter.first_order)
+        if count > MAX_SECTIONS:
+            raise ValueError(f"the filter has {count} sections: the flight computer runs {MAX_SECTIONS}")
+        return Design.model_validate(self.design_document(roll), context=Reading())
+
+    def design_document(self, roll: Any = None) -> dict[str, Any]:
+        """The same as plain tables; `roll` is taken over from another design."""
+        rows = tuple(
+            {"time_s": float(t), "k_p": float(p), "k_d_s": float(d)}
+            for t, p, d in zip(self.nodes_s, self.k_p, self.k_d_s, strict=True)
+        )
+        sections = (len(self.filter.quadratic), len(self.filter.first_order))
+        names = [name for name, counts in STRUCTURES.items() if counts == sections]
+        limits = self.case.limits
+        document: dict[str, Any] = {
+            "schema": 1,
+            "name": self.case.name,
+            "description": self._description(),
+            "vehicle": "",
+            "gains": {"table": rows, "yaw": "pitch"},
+            "filter": {
+                "structure": names[0] if names else "sections",
+                "quadratic": tuple(
+                    {"zero_hz": q.zero_hz, "zero_zeta": q.zero_zeta, "pole_hz": q.pole_hz, "pole_zeta": q.pole_zeta}
+                    for q in self.filter.quadratic
+                ),
+                "first_order": tuple({"zero_hz": f.zero_hz, "pole_hz": f.pole_hz} for f in self.filter.first_order),
+                "discretization": "prewarped",
+                "prewarp_hz": self.prewarp_hz,
+            },
+            "limits": {
+                "gain_margin_db": limits.gain_margin_db,
+                "phase_margin_deg": limits.phase_margin_deg,
+                "rigid_hz": limits.rigid_hz,
+                "rigid_zeta": limits.rigid_zeta,
+                "second_mode_db": limits.second_mode_db,
+            },
+        }
+        if roll is not None:
+            document["roll"] = roll if isinstance(roll, dict) else roll.model_dump()
+        return document
+
+    def _description(self) -> str:
+        c = self.case
+        peak = "largest peak of mode 1" if c.objective.kind == "first-mode-peak" else "minus the least |1 + L|"
+        state = "all limits met" if self.feasible else f"NOT all limits met (worst by {self.violation_db:.3g} dB)"
+        return (
+            f"Optimised for case {c.name}: {c.filter.structure}, {c.gains.schedule} gains, loop {c.loop}; "
+            f"{peak} {self.objective_db:.3f} dB; {state}."
+        )
+
+
+def make_solution(
+    case: Case, plants: Plants, problem: Problem, found: Found, prewarp_hz: float, seconds: float, stable: bool
+) -> Solution:
+    """From the best point of a search."""
+    y, u = problem.loops.split(found.best.variables)
+    k_p, k_d = problem.loops.gains.at_nodes(u)
+    full = problem.evaluate(found.best.variables, complete=True)
+    status: Status = "interrupted" if found.interrupted else "optimal" if found.feasible and stable else "infeasible"
+    peak = full.rows.objective & ~np.array([plants.each[p].dispersed for p in full.rows.plant])
+    nominal = float(full.rows.excess_db[peak].max(initial=-1e3))
+    return Solution(
+        case=case,
+        status=status,
+        objective_db=full.objective_db,
+        violation_db=full.violation_db,
+        nodes_s=problem.loops.gains.nodes_s,
+        k_p=np.asarray(k_p),
+        k_d_s=np.asarray(k_d),
+        filter=problem.loops.filter.filter(y),
+        prewarp_hz=prewarp_hz,
+        constraints=_constraints(plants, found, full),
+        bounds=_bounds(problem, found),
+        certificate=Certificate(
+            starts=len(found.ends_db),
+            near_best=found.near_best,
+            ends_db=tuple(float(x) for x in found.ends_db),
+            kkt_residual=found.optimality.residual,
+            evaluations=found.evaluations,
+            seconds=seconds,
+            seed=case.search.seed,
+            stable=stable,
+            plants=len(plants),
+        ),
+        variables=found.best.variables,
+        nominal_objective_db=nominal,
+    )
+
+
+def _constraints(plants: Plants, found: Found, full: Any) -> tuple[Constraint, ...]:
+    rows, few = full.rows, found.best.rows
+    weight: dict[tuple[int, int, bool], float] = {}
+    for r, multiplier in enumerate(found.optimality.multipliers):
+        key = (int(few.what[r]), int(few.plant[r]), bool(few.objective[r]))
+        weight[key] = weight.get(key, 0.0) + float(multiplier)
+    worst: dict[tuple[int, int, bool], int] = {}
+    for r in range(len(rows)):
+        key = (int(rows.what[r]), int(rows.plant[r]), bool(rows.objective[r]))
+        if key not in worst or rows.excess_db[r] > rows.excess_db[worst[key]]:
+            worst[key] = r
+    out = []
+    for key in sorted(worst, key=lambda k: (not k[2], k[0], k[1])):
+        r = worst[key]
+        what, p = What(key[0]), key[1]
+        plant = plants.each[p] if p >= 0 else None
+        # near the cross without crossing it: an approach, not a margin
+        approach = int(rows.feature[r]) in (Kind.GAIN_TURN, Kind.PHASE_TURN)
+        active = rows.excess_db[r] > (full.objective_db if key[2] else 0.0) - ACTIVE_DB
+        frequency = float(rows.frequency_hz[r])
+        out.append(
+            Constraint(
+                NAMES[what] + (", approached without a crossing" if approach else ""),
+                None if plant is None else plant.label,
+                None if plant is None else plant.node.time_s,
+                False if plant is None else plant.dispersed,
+                None if math.isnan(frequency) else frequency,
+                float(rows.value[r]),
+                None if math.isnan(rows.limit[r]) else float(rows.limit[r]),
+                UNITS[what],
+                float(rows.excess_db[r]),
+                bool(active),
+                weight.get(key, 0.0),
+            )
+        )
+    return tuple(out)
+
+
+def _bounds(problem: Problem, found: Found) -> tuple[Bound, ...]:
+    out = []
+    names = problem.names
+    for side, at in (("lower", found.optimality.lower), ("upper", found.optimality.upper)):
+        for k in np.flatnonzero(at > 0.0):
+            out.append(Bound(names[k], side, float(at[k])))  # type: ignore[arg-type]  # one of the two literals
+    return tuple(out)

@@ -1,0 +1,97 @@
+"""Where the optimiser starts: other optima, filters as an engineer would draw them, a low-discrepancy sequence."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+
+import numpy as np
+from scipy.stats import qmc
+
+from maxq.control.filters import BendingFilter, FirstOrderSection, QuadraticSection
+from maxq.control.records import Array
+from maxq.design.optimise.problem import Problem
+from maxq.design.optimise.setup import Form, least_gains
+
+SPAN = 2.0  # random frequencies lie within this factor squared around the first mode
+GAIN_FACTOR = 1.02
+
+
+def start_gains(problem: Problem) -> Array:
+    """The gain variables a little above the least that meet the limits; those of (47) and (48) as printed."""
+    gains = problem.loops.gains
+    if gains.size == 0:
+        return np.zeros(0)
+    limits = problem.limits
+    hz = float(np.nanmax(np.append(limits.rigid_hz, 0.1)))
+    zeta = float(np.nanmax(np.append(limits.rigid_zeta, 0.3)))
+    return np.log(GAIN_FACTOR * least_gains(problem.rigid, gains.weights, hz, zeta, "paper")).ravel()
+
+
+def drawn(problem: Problem, form: Form, mode_hz: float) -> Iterator[Array]:
+    """Notches at or near the first mode, with poles below or above it, and mild first-order lags."""
+    layouts = (
+        # zero, zeta, pole, zeta of the first quadratic sections, frequencies relative to the mode
+        ((1.0, 0.12, 0.50, 0.35), (0.65, 0.7, 0.50, 0.35)),  # a notch, and two poles as steep as may be below it
+        ((1.0, 0.12, 0.45, 0.35), (0.95, 1.1, 2.0, 1.0)),
+        ((1.0, 0.3, 0.7, 0.5), (1.1, 0.3, 3.0, 0.7)),  # two notches side by side
+        ((1.0, 0.2, 1.0, 1.0), (2.5, 0.4, 2.0, 0.7)),  # one for each mode
+    )
+    for first, *others in layouts:
+        sections = [first, *others][: form.quadratic]
+        while len(sections) < form.quadratic:
+            factor = 2.0 + 0.5 * len(sections)
+            sections.append((factor, 0.7, factor, 0.7))
+        quadratic = tuple(QuadraticSection(z * mode_hz, a, p * mode_hz, b) for z, a, p, b in sections)
+        first_order = tuple(
+            FirstOrderSection((4.0 + k) * mode_hz, (2.0 + k) * mode_hz) for k in range(form.first_order)
+        )
+        yield _from(problem, BendingFilter(quadratic, first_order))
+
+
+def _from(problem: Problem, filter_: BendingFilter) -> Array:
+    whole = np.concatenate([problem.loops.filter.variables(filter_), start_gains(problem)])
+    return np.asarray(np.clip(whole, problem.lower, problem.upper))
+
+
+def random(problem: Problem, mode_hz: float, count: int, seed: int) -> Array:
+    """(count, variables): Sobol points in the bounds, frequencies no farther than SPAN squared from the mode."""
+    n = problem.loops.filter.size
+    if count == 0:
+        return np.zeros((0, problem.size))
+    low, high = problem.lower[:n].copy(), problem.upper[:n].copy()
+    frequency = np.array([name.endswith("_hz") for name in problem.loops.filter.names], bool)
+    centre, reach = math.log(mode_hz), 2.0 * math.log(SPAN)
+    low[frequency] = np.clip(centre - reach, low[frequency], high[frequency])
+    high[frequency] = np.clip(centre + reach, low[frequency], high[frequency])
+    points = qmc.Sobol(n, seed=seed).random_base2(max(1, math.ceil(math.log2(count))))[:count]
+    filters = low + points * (high - low)
+    return np.hstack([filters, np.tile(start_gains(problem), (count, 1))])
+
+
+def lifted(filter_: BendingFilter, form: Form, mode_hz: float) -> BendingFilter | None:
+    """The same response from a filter of `form`: cancelling pairs are added; None where that is not enough.
+
+    A first-order section that has no place becomes a quadratic one with a cancelling pair of its own.
+    """
+    quadratic, first_order = list(filter_.quadratic), list(filter_.first_order)
+    while len(first_order) > form.first_order and len(quadratic) < form.quadratic:
+        f = first_order.pop()
+        pair = math.sqrt(f.zero_hz * f.pole_hz)
+        zero, pole = math.sqrt(f.zero_hz * pair), math.sqrt(f.pole_hz * pair)
+        quadratic.append(QuadraticSection(zero, 0.5 * (f.zero_hz + pair) / zero, pole, 0.5 * (f.pole_hz + pair) / pole))
+    while len(quadratic) < form.quadratic:
+        quadratic.append(QuadraticSection(2.0 * mode_hz, 0.7, 2.0 * mode_hz, 0.7))
+    while len(first_order) < form.first_order:
+        first_order.append(FirstOrderSection(2.0 * mode_hz, 2.0 * mode_hz))
+    if (len(quadratic), len(first_order)) != (form.quadratic, form.first_order):
+        return None
+    return BendingFilter(tuple(quadratic), tuple(first_order))
+
+
+def from_design(problem: Problem, filter_: BendingFilter, nodes_s: Array, k_p: Array, k_d: Array) -> Array:
+    """The variables of a design, its gains interpolated at this problem's gain nodes."""
+    gains = problem.loops.gains
+    values = [np.log(np.interp(gains.nodes_s, nodes_s, k)) for k in (k_p, k_d)] if gains.size > 0 else []
+    whole = np.concatenate([problem.loops.filter.variables(filter_), *values])
+    return np.asarray(np.clip(whole, problem.lower, problem.upper))

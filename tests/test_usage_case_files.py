@@ -1,0 +1,81 @@
+"""Case files: what may be written, and what is said when it is wrong."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from maxq.design.case.read import builtin_cases, read_case
+from maxq.sim.scenario.errors import ScenarioError
+
+
+def test_built_in_cases_are_read() -> None:
+    assert {"ksr3-identical", "ksr3-relaxed", "ksr3-robust"} <= set(builtin_cases())
+    for name in builtin_cases():
+        loaded = read_case(name)
+        assert loaded.name == name
+        assert loaded.case.description
+
+
+def test_relaxed_limits_extend_the_identical_ones() -> None:
+    identical, relaxed = read_case("ksr3-identical").case, read_case("ksr3-relaxed").case
+    assert (identical.limits.rigid_hz, identical.limits.rigid_zeta) == (0.5, 0.7)
+    assert (relaxed.limits.rigid_hz, relaxed.limits.rigid_zeta) == (0.4, 0.55)
+    assert identical.reference == relaxed.reference
+    assert identical.limits.gain_margin_db == relaxed.limits.gain_margin_db == 6.0
+
+
+def test_overrides_and_a_file_of_ones_own(tmp_path: Path) -> None:
+    mine = tmp_path / "mine.toml"
+    mine.write_text('extends = "ksr3-identical"\n[filter]\nstructure = "F6"\n', encoding="utf-8")
+    case = read_case(mine, ["limits.gain_margin_db=7", "gains.schedule=free"]).case
+    assert case.name == "mine"
+    assert case.filter.sections == (2, 2)
+    assert case.limits.gain_margin_db == 7.0
+    assert case.gains.schedule == "free"
+
+
+@pytest.mark.parametrize(
+    ("override", "said"),
+    [
+        ("filter.structure=F7", "is none of the choices"),
+        ("filter.strukture=F4", "did you mean structure?"),
+        ("limits.gain_margin_db=nan", "is not finite"),
+        ("limits.gain_margin_db=-1", "is out of range"),
+        ("limits.phase_margin_deg=200", "is out of range"),
+        ("filter.bounds.pole_zeta=[-0.1, 1.0]", "unstable"),
+        ("filter.bounds.zero_zeta=[-0.1, 1.0]", "right-half-plane"),
+        ("filter.bounds.pole_hz=[10.0, 5.0]", "is empty"),
+        ("filter.quadratic=3", 'this key with structure = "sections" only'),
+        ("nodes_s=[5.0, 5.0]", "does not rise"),
+        ("nodes_s=[]", "does not rise"),
+        ("gains.schedule=nodes", "required key is missing"),
+        ("gains.nodes_s=[5.0]", 'this key with schedule = "nodes" only'),
+        ("search.starts=0", "is out of range"),
+        ("limits.without=['gain_margin_db']", "is none of the choices"),
+        ("robust.bending_slope=1.5", "is out of range"),
+        ("scenario=nominl", "did you mean nominal?"),
+    ],
+)
+def test_mistakes_are_answered_in_one_line(override: str, said: str) -> None:
+    with pytest.raises(ScenarioError) as caught:
+        read_case("ksr3-identical", [override])
+    line = str(caught.value)
+    assert said in line
+    assert "\n" not in line
+    assert override.partition("=")[0].split(".")[0] in line
+
+
+def test_a_name_that_is_none() -> None:
+    with pytest.raises(ScenarioError, match="did you mean ksr3-identical"):
+        read_case("ksr3-identicl")
+    with pytest.raises(ScenarioError, match="no such file"):
+        read_case("")
+
+
+def test_files_that_extend_each_other(tmp_path: Path) -> None:
+    (tmp_path / "a.toml").write_text('extends = "b"\n', encoding="utf-8")
+    (tmp_path / "b.toml").write_text('extends = "a"\n', encoding="utf-8")
+    with pytest.raises(ScenarioError, match="in a loop"):
+        read_case(tmp_path / "a.toml")
