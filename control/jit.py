@@ -122,23 +122,23 @@ def _borrowed(array):  # type: ignore[no-untyped-def]  # Numba compares both sig
     return lambda array: _address(array)  # noqa: PLW0108  # Numba compiles this body: it cannot be the intrinsic itself
 
 
+LANES = 32
+"""Threads of a GPU's warp. A strided array that is `borrowed` there must hold every 32nd number of a matrix."""
+
+
 def on_device(function: Callable[..., None]) -> Any:
     """Compile `function` for a CUDA GPU: started there by Python, `kernel[blocks, threads](...)`, once in every thread.
 
-    Nobody counts references there, so what is `borrowed` stays the array that it is, with its stride: a column of a
-    matrix can be lent. Products and sums are contracted (fused multiply-add), which is CUDA's own default. The machine
-    code is kept on disk like an entry's. In Numba's simulator (NUMBA_ENABLE_CUDASIM=1) all is plain Python.
+    Products and sums are contracted (fused multiply-add), which is CUDA's own default. The machine code is kept on
+    disk like an entry's. In Numba's simulator (NUMBA_ENABLE_CUDASIM=1) all is plain Python.
     """
-    from numba import cuda  # here, not above: it costs every program a tenth of a second, and the CPU needs it not
+    from numba import cuda  # noqa: PLC0415  # lazy: costs every program a tenth of a second, and the CPU needs it not
 
     if numba.config.ENABLE_CUDASIM:
         return cuda.jit(function)
-    from numba.cuda.dispatcher import config  # Numba's own, or that of numba-cuda
-    from numba.cuda.extending import overload as overload_on_device
+    from numba.cuda.core import config  # noqa: PLC0415  # lazy: numba-cuda is an extra
 
-    @overload_on_device(borrowed)
-    def _kept(array):  # type: ignore[no-untyped-def]  # as above
-        return lambda array: array
+    from maxq.control import lanes  # noqa: F401, PLC0415  # lazy, and for what it does: it says what `borrowed` is there
 
     saved = config.CACHE_DIR
     config.CACHE_DIR = _FOLDER

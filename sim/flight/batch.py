@@ -38,8 +38,9 @@ class DeviceError(Exception):
 
 @dataclass(frozen=True)
 class Batch:
-    """`parameters` (flights, stages) of Parameters, `pool` with the tables of all of them, `memory` (flights,) of Memory,
-    `state` (flights, MAX_STATE).
+    """`parameters` (flights, stages) of Parameters, `pool` with the tables of all.
+
+    `memory` (flights,) of Memory, `state` (flights, MAX_STATE).
     """
 
     parameters: NDArray[Any]
@@ -101,7 +102,7 @@ def fly_batch(batch: Batch, device: Device = "cpu", stop: Callable[[], bool] = l
     if device == "cpu":
         return _fly_in_turn(batch, segment_ns, stop)
     require_gpu()
-    from maxq.sim.flight import on_gpu  # here: only who flies on a GPU has, and waits for, its compiler
+    from maxq.sim.flight import on_gpu  # noqa: PLC0415  # lazy: only who flies on a GPU has its compiler
 
     parameters = batch.parameters
     most = on_gpu.room(parameters.shape[1], parameters.dtype.itemsize, batch.memory.dtype.itemsize)
@@ -139,7 +140,7 @@ def require_gpu() -> None:
         return
     if importlib.util.find_spec("numba_cuda") is None:
         raise DeviceError("device cuda: numba-cuda is not installed; pip install 'maxq[gpu]', or fly with device cpu")
-    from numba import cuda  # here: see above
+    from numba import cuda  # noqa: PLC0415  # lazy: as above
 
     if not cuda.is_available():
         raise DeviceError("device cuda: no CUDA GPU with a driver here (see nvidia-smi); fly with device cpu")
