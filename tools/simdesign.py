@@ -20,7 +20,7 @@ _USAGE = (
 )
 _EXAMPLES = """\
 examples:
-  simdesign nominal-f4-linear                       optimise the built-in case of that name
+  simdesign ksr3-identical                       optimise the built-in case of that name
   simdesign mine.toml --out runs/mine               optimise your own; fly it with
   simrun nominal --set design=runs/mine/design.toml
   simdesign analyse ksr3-default                    margins of a built-in design at every node
@@ -145,7 +145,7 @@ def _run(arguments: list[str]) -> int:
         if given
     ]
     if not actions:
-        parser.error("give a case, e.g. simdesign nominal-f4-linear, or analyse DESIGN")
+        parser.error("give a case, e.g. simdesign ksr3-identical, or analyse DESIGN")
     if len(actions) > 1:
         parser.error(f"{actions[0]} and {actions[1]} exclude each other")
     if len(names) > 1:
@@ -166,30 +166,31 @@ def _run(arguments: list[str]) -> int:
         print(f"maxq {version('maxq')}")
         return DESIGNED
     if options.list:
-        from maxq.tools.design import builtin  # noqa: PLC0415  # lazy
+        from maxq.tools.design.builtin import show_list  # noqa: PLC0415  # lazy
 
-        return builtin.show_list()
+        return show_list()
     if command == ANALYSE:
-        from maxq.tools.design import analyse  # noqa: PLC0415  # lazy
+        from maxq.tools.design.analyse import Order, execute  # noqa: PLC0415  # lazy
 
         given = {
             "scenario": options.scenario, "vehicle": options.vehicle, "times_s": tuple(options.at or ()),
             "kind": options.kind, "axis": options.axis, "errata": options.errata, "plant": options.plant,
             "out": options.out, "pictures": not options.no_pictures,
         }  # fmt: skip
-        return analyse.execute(analyse.Order(names[0], **{k: v for k, v in given.items() if v is not None}))
+        return execute(Order(names[0], **{k: v for k, v in given.items() if v is not None}))
     if command == ERRATA:
-        from maxq.tools.design import errata_table  # noqa: PLC0415  # lazy
+        from maxq.tools.design import errata_table as table  # noqa: PLC0415  # lazy
 
         given = {
             "design": names[0] if names else None, "scenario": options.scenario, "vehicle": options.vehicle,
             "times_s": tuple(options.at or ()), "plant": options.plant, "out": options.out,
         }  # fmt: skip
-        return errata_table.execute(errata_table.Order(**{k: v for k, v in given.items() if v is not None}))
-    from maxq.tools.design import run_case  # noqa: PLC0415  # lazy
+        return table.execute(table.Order(**{k: v for k, v in given.items() if v is not None}))
+    from maxq.tools.design.run_case import Order as CaseOrder  # noqa: PLC0415  # lazy
+    from maxq.tools.design.run_case import execute as execute_case  # noqa: PLC0415
 
-    return run_case.execute(
-        run_case.Order(
+    return execute_case(
+        CaseOrder(
             names[0], tuple(options.overrides), options.out, options.starts, options.seed, not options.no_pictures
         )
     )
