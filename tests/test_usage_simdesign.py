@@ -12,7 +12,7 @@ import pytest
 from maxq.design.optimise import search
 from maxq.sim.api import fly, load_scenario
 from maxq.tools import simdesign
-from maxq.tools.design import builtin, progress
+from maxq.tools.design import builtin, orders, progress
 
 Printed = pytest.CaptureFixture[str]
 SMALL = ["ksr3-relaxed", "--starts", "2", "--set", "nodes_s=[10, 40]", "--set", "filter.structure=F2", "--no-pictures"]
@@ -86,6 +86,20 @@ def test_pictures_are_those_of_the_paper(capsys: Printed) -> None:
     stems += ("vehicle-bending", "vehicle-derivatives", "vehicle-slosh")
     names = {f"{stem}.{kind}" for stem in stems for kind in ("png", "svg")}
     assert {path.name for path in Path("out").iterdir()} == names | {"design.json", "design.toml"}
+
+
+def test_orders_are_designed_besides(capsys: Printed, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(orders, "STRUCTURES", ("F2", "F3"))
+    assert run(*SMALL[:-1], "--starts", "1", "--orders", "--out", "out") == 0
+    lines = capsys.readouterr().out.splitlines()
+    table = lines[lines.index("over the filter's order, dB") + 1 :]
+    assert [line.split()[0] for line in table[1:3]] == ["F2", "F3"]
+    names = {path.stem for path in Path("out").glob("orders-*.svg")}
+    kinds = [f"orders-{what}-{how}" for what in ("gains", "filters") for how in ("two-phase", "linear", "free")]
+    assert names == {"orders-peaks", *kinds}
+    found = {(o["structure"], o["schedule"]): o["objective_db"] for o in record()["orders"]}
+    assert len(found) == 6
+    assert found["F3", "free"] < found["F2", "linear"]
 
 
 def test_limits_that_cannot_be_met_are_named_and_the_best_effort_is_kept(capsys: Printed) -> None:

@@ -13,7 +13,7 @@ from typing import NoReturn
 DESIGNED, INFEASIBLE, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
 
 _USAGE = (
-    "simdesign CASE [--out DIR] [--starts N] [--seed N] [--set KEY=VALUE]... [--no-pictures]\n"
+    "simdesign CASE [--out DIR] [--starts N] [--seed N] [--set KEY=VALUE]... [--orders] [--no-pictures]\n"
     "       simdesign analyse DESIGN [--at T]... [--scenario S] [--kind K] [--axis A] [--out DIR] [--no-pictures]\n"
     "       simdesign errata [DESIGN] [--at T]... [--scenario S] [--out FILE]\n"
     "       simdesign --list | --version | --help"
@@ -39,6 +39,7 @@ _ONLY = {  # option: what it may stand with; a case is ""
     "--starts": ("",),
     "--seed": ("",),
     "--set": ("",),
+    "--orders": ("",),
     "--out": ("", ANALYSE, ERRATA),
     "--no-pictures": ("", ANALYSE),
     "--at": (ANALYSE, ERRATA),
@@ -97,6 +98,7 @@ def _parser() -> argparse.ArgumentParser:
         "--set", metavar="KEY=VALUE", action="append", default=[], dest="overrides",
         help="override a value of the case, e.g. limits.gain_margin_db=7; repeatable",
     )  # fmt: skip
+    add("--orders", action="store_true", help="also F2 to F6 with all three gain schedules: the paper's Fig. 9")
     add("--at", type=_seconds, metavar="T", action="append", help="judge at this vehicle time, s; repeatable")
     add("--scenario", metavar="S", help="scenario whose flight gives the nodes (default: nominal)")
     add("--vehicle", metavar="V", help="vehicle folder instead of the scenario's")
@@ -193,7 +195,13 @@ def _run(arguments: list[str]) -> int:
 
     return execute_case(
         CaseOrder(
-            names[0], tuple(options.overrides), options.out, options.starts, options.seed, not options.no_pictures
+            names[0],
+            tuple(options.overrides),
+            options.out,
+            options.starts,
+            options.seed,
+            not options.no_pictures,
+            options.orders,
         )
     )
 

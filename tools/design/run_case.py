@@ -17,7 +17,9 @@ from maxq.tools.plain_text import printable
 if TYPE_CHECKING:
     from maxq.design.case.read import LoadedCase
     from maxq.design.model.node import Node
+    from maxq.design.optimise.plants import Plants
     from maxq.design.optimise.solution import Solution
+    from maxq.tools.design.orders import Found
     from maxq.tools.design.outcome import Outcome
 
 _DESIGNED, _INFEASIBLE, _BAD_INPUT, _INTERRUPTED = 0, 1, 2, 130
@@ -34,6 +36,7 @@ class Order:
     starts: int | None = None
     seed: int | None = None
     pictures: bool = True
+    orders: bool = False
 
 
 def execute(order: Order) -> int:
@@ -72,15 +75,27 @@ def _execute(order: Order) -> int:
 
         show(0, 1, math.nan)
         solution = solve(loaded, plants, progress=show)  # Ctrl-C ends it with the best so far
+        orders, cut_short = None, False
+        if order.orders and solution.status != "interrupted":
+            try:
+                orders = _solve_orders(order, (*order.overrides, *more), plants, progress)
+            except KeyboardInterrupt:  # the design itself is there
+                cut_short = True
         with Interruption() as interruption:  # what has been found is written, whatever is pressed now
             outcome = judge_solution(loaded, solution, [plant.node for plant in plants.each])
-            files = _write(folder, outcome, solution)
+            files = _write(folder, outcome, solution, orders)
             if order.pictures and solution.status != "interrupted":
                 files += _draw(folder, outcome, progress, interruption)
+                if orders is not None:
+                    files += _draw_orders(folder, orders, plants)
     print(report(loaded, outcome, solution))
+    if orders is not None:
+        from maxq.tools.design.orders import orders_table  # noqa: PLC0415
+
+        print("\n" + "\n".join(orders_table(orders)))
     print(f"\n{len(files)} files in {folder}/; {time.perf_counter() - begun_s:.1f} s in all")
     print(_verdict(outcome, solution, folder))
-    if solution.status == "interrupted" or interruption.requested:
+    if solution.status == "interrupted" or cut_short or interruption.requested:
         return _INTERRUPTED
     return _DESIGNED if outcome.feasible and solution.feasible else _INFEASIBLE
 
@@ -99,16 +114,32 @@ def _verdict(outcome: Outcome, solution: Solution, folder: Path) -> str:
     return f"INFEASIBLE: {why}"
 
 
-def _write(folder: Path, outcome: Outcome, solution: Solution) -> list[Path]:
+def _solve_orders(order: Order, overrides: tuple[str, ...], plants: Plants, progress: Progress) -> Found:
+    from maxq.tools.design.orders import solve_orders  # noqa: PLC0415  # lazy
+
+    return solve_orders(order.case, overrides, plants, lambda n, of: progress.show("optimising: orders", n, of))
+
+
+def _draw_orders(folder: Path, orders: Found, plants: Plants) -> list[Path]:
+    from maxq.tools.design.orders import draw_orders  # noqa: PLC0415  # lazy
+    from maxq.tools.pictures.style import drawing  # noqa: PLC0415
+
+    with drawing():
+        return draw_orders(orders, plants, folder)
+
+
+def _write(folder: Path, outcome: Outcome, solution: Solution, orders: Found | None) -> list[Path]:
     from maxq.tools.design.case_report import comments  # noqa: PLC0415  # lazy
     from maxq.tools.design.design_file import DESIGN_NAME, design_text, write_whole  # noqa: PLC0415
     from maxq.tools.design.record import case_record, write_record  # noqa: PLC0415
 
     text = design_text(outcome.design, comments(outcome, solution))
-    return [
-        write_whole(folder / DESIGN_NAME, text),
-        write_record(folder / RECORD_NAME, case_record(outcome, solution)),
-    ]
+    record = case_record(outcome, solution)
+    if orders is not None:
+        from maxq.tools.design.orders import orders_record  # noqa: PLC0415
+
+        record["orders"] = orders_record(orders)
+    return [write_whole(folder / DESIGN_NAME, text), write_record(folder / RECORD_NAME, record)]
 
 
 def _draw(folder: Path, outcome: Outcome, progress: Progress, interruption: object) -> list[Path]:
