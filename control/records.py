@@ -7,6 +7,7 @@ holds no size that depends on the vehicle: arrays are bounded and come with a co
 from __future__ import annotations
 
 from dataclasses import fields, is_dataclass
+from functools import cache
 from typing import Annotated, Any, get_args, get_origin, get_type_hints
 
 import numpy as np
@@ -16,6 +17,7 @@ Array = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
 
+@cache  # there are as many as components: a few dozen
 def dtype_of(schema: type) -> np.dtype[Any]:
     """Record layout of a dataclass of `float`, `int`, `Annotated[Array, shape]` and nested dataclasses.
 

@@ -7,8 +7,9 @@ loses (docs/model.md, section 8).
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
-from numpy.typing import NDArray
 from scipy.interpolate import CubicHermiteSpline
 
 from maxq.control.jit import from_python
@@ -102,9 +103,10 @@ def _core(stage: Stage, sizes: Sizes, method: Method, moving_cg: bool) -> Cubics
     """Columns CORE_MASS to MASS_FLOW."""
     total = fit(*_mass_table(stage), method)
     tanks = [_tank(stage, k, method) for k in range(sizes.tanks)]
-    breaks = np.unique(np.concatenate([total.breaks, *[t.breaks for t in tanks]]))
-    rows = np.array([_without_bobs(total(t), [tank(t) for tank in tanks]) for t in breaks])
-    core = merge([total]) if not tanks else fit(breaks, rows, method)
+    core = merge([total])
+    if tanks:
+        breaks = np.unique(np.concatenate([total.breaks, *[t.breaks for t in tanks]]))
+        core = fit(breaks, _without_bobs(total.at(breaks), [tank.at(breaks) for tank in tanks]), method)
     rates = _derivative(core)
     if not moving_cg:
         rates.coefficients[:, :, 1:4] = 0.0
@@ -116,19 +118,24 @@ def _core(stage: Stage, sizes: Sizes, method: Method, moving_cg: bool) -> Cubics
 
 
 def _without_bobs(total: Array, bobs: list[Array]) -> Array:
-    """Mass, CG and inertia of the vehicle less its bobs, each at rest below its hinge."""
-    mass, station, y, z = total[:4]
-    places = [(0.0, 0.0, 0.0)] + [(station - (bob[2] + bob[1]), -y, -z) for bob in bobs]
-    masses = np.array([mass, *[-bob[0] for bob in bobs]])
-    r = np.array(places)
-    core_mass = masses.sum()
-    cg = masses @ r / core_mass
-    integrals = total[4:10].copy()
-    for m, at in [*zip(masses[1:], r[1:], strict=True), (-core_mass, cg)]:
-        x_, y_, z_ = at
-        squares = np.array([y_ * y_ + z_ * z_, x_ * x_ + z_ * z_, x_ * x_ + y_ * y_, x_ * y_, x_ * z_, y_ * z_])
-        integrals += m * squares
-    return np.array([core_mass, station - cg[0], y + cg[1], z + cg[2], *integrals])
+    """Rows (n, 10) of mass, CG and inertia of the vehicle less its bobs, each at rest below its hinge.
+
+    Sums are written out: a linear-algebra library adds in an order that depends on the processor.
+    """
+    mass, station, y, z = total[:, :4].T
+    nothing = np.zeros_like(mass)
+    moved = [(-bob[:, 0], np.stack([station - (bob[:, 2] + bob[:, 1]), -y, -z])) for bob in bobs]
+    core_mass, cg = mass.copy(), np.stack([nothing, nothing, nothing])
+    for m, r in moved:
+        core_mass += m
+        cg += m * r
+    cg /= core_mass
+    integrals = total[:, 4:10].copy()
+    for m, r in [*moved, (-core_mass, cg)]:
+        x_, y_, z_ = r
+        squares = [y_ * y_ + z_ * z_, x_ * x_ + z_ * z_, x_ * x_ + y_ * y_, x_ * y_, x_ * z_, y_ * z_]
+        integrals += (m * np.stack(squares)).T
+    return np.stack([core_mass, station - cg[0], y + cg[1], z + cg[2], *integrals.T], axis=1)
 
 
 def _thrust(stage: Stage) -> Cubics:
@@ -139,20 +146,22 @@ def _thrust(stage: Stage) -> Cubics:
 
 
 def _tank(stage: Stage, k: int, method: Method) -> Cubics:
-    table = stage.tank[k].table
+    tank, table = stage.tank[k], stage.tank[k].table
     names = ("slosh_mass_kg", "pendulum_length_m", "hinge_station_m")
-    return fit(table["time_s"], np.stack([table[n] for n in names], axis=1), method)
+    joined = fit(table["time_s"], np.stack([table[n] for n in names], axis=1), method)
+    return Cubics(joined.breaks, joined.coefficients * np.array([tank.mass_factor, tank.length_factor, 1.0]))
 
 
 def _tank_rates(tank: Cubics, shrinks: bool, travels: bool) -> Cubics:
     """Rates of a bob's mass and of its station."""
-    rates = _derivative(tank).coefficients
+    derivative = _derivative(tank)
+    rates = derivative.coefficients
     out = np.zeros((*rates.shape[:2], 2))
     if shrinks:
         out[:, :, 0] = rates[:, :, 0]
     if travels:
         out[:, :, 1] = rates[:, :, 1] + rates[:, :, 2]
-    return Cubics(_derivative(tank).breaks, out)
+    return Cubics(derivative.breaks, out)
 
 
 def _derivative(table: Cubics) -> Cubics:
@@ -171,45 +180,90 @@ def _columns(table: Cubics, columns: list[int]) -> Cubics:
 
 def _modes(stage: Stage, table: ModeTable, sizes: Sizes, method: Method) -> Cubics:
     """Columns of all modes of one plane."""
-    times, n = table.time_s, table.modes
-    softening = np.array([_softening(stage, table, t) for t in range(len(times))])
-    hinges = [_tank(stage, k, method) for k in range(sizes.tanks)]
-    gimbal = stage.engine.gimbal_station_m if stage.engine else float(table.station_m[-1])
-    gyro = stage.gyro.station_m if stage.gyro else float(table.station_m[0])
-    columns: list[NDArray[np.float64]] = []
+    hinges = [_tank(stage, k, method).at(table.time_s)[:, 2] for k in range(sizes.tanks)]
+    engine = stage.engine
+    gimbal_m = engine.gimbal_station_m if engine else float(table.station_m[-1])
+    gyro_m = stage.gyro.station_m if stage.gyro else float(table.station_m[0])
+    hanging_kgm = engine.gimballed_mass_kg * engine.cg_from_gimbal_m if engine else 0.0
+    hinges_m = tuple(hinge.tobytes() for hinge in hinges)
+    columns = _mode_columns(table, gimbal_m, gyro_m, hinges_m, tuple(surface_stations(stage)), hanging_kgm)
+    joined = fit(table.time_s, columns, method)
+    assert stage.bending is not None
+    factors = np.ones((table.modes, columns.shape[1] // table.modes))
+    factors[:, columns_of.MODE_SLOPE_GYRO] = stage.bending.gyro_slope_factor[: table.modes]
+    for column in (columns_of.MODE_PHI_GIMBAL, columns_of.MODE_SLOPE_GIMBAL):
+        factors[:, column] = stage.bending.gimbal_shape_factor[: table.modes]
+    return Cubics(joined.breaks, joined.coefficients * factors.ravel())
+
+
+@lru_cache(maxsize=16)  # a campaign packs the same modes thousands of times; a table has two planes, or one for both
+def _mode_columns(
+    table: ModeTable,
+    gimbal_m: float,
+    gyro_m: float,
+    hinges_m: tuple[bytes, ...],
+    surfaces_m: tuple[float, ...],
+    hanging_kgm: float,
+) -> Array:
+    """Rows over the table's times. `hinges_m`: stations (T,) of each tank's hinge, as bytes."""
+    times, n = len(table.time_s), table.modes
+    shapes = _Shapes(table)
+    at_gimbal, slope_gimbal = shapes.at(gimbal_m), shapes.slope_at(gimbal_m)
+    at_hinges = [shapes.at_each_time(np.frombuffer(hinge)) for hinge in hinges_m]
+    slope_gyro = shapes.slope_at(gyro_m)
+    softening = _softening(table, shapes, gimbal_m, hanging_kgm)
+    columns: list[Array] = []
     for mode in range(n):
-        shapes = [
-            CubicHermiteSpline(table.station_m, table.phi[t, mode], table.slope_pm[t, mode]) for t in range(len(times))
-        ]
         columns += [2.0 * np.pi * table.frequency_hz[:, mode], table.generalized_mass_kg[:, mode]]
-        columns += [np.array([s(gimbal) for s in shapes]), np.array([s(gimbal, 1) for s in shapes])]
-        columns += [np.array([s(gyro, 1) for s in shapes]), np.zeros(len(times))]
-        for hinge in hinges:
-            columns.append(np.array([s(hinge(t)[2]) for s, t in zip(shapes, times, strict=True)]))
-        for station in surface_stations(stage):
-            columns += [np.array([s(station) for s in shapes]), np.array([s(station, 1) for s in shapes])]
+        columns += [at_gimbal[:, mode], slope_gimbal[:, mode], slope_gyro[:, mode], np.zeros(times)]
+        columns += [hinge[:, mode] for hinge in at_hinges]
+        for station in surfaces_m:
+            columns += [shapes.at(station)[:, mode], shapes.slope_at(station)[:, mode]]
         columns += list(softening[:, mode].T)
-    return fit(times, np.stack(columns, axis=1), method)
+    return np.stack(columns, axis=1)
 
 
-def _softening(stage: Stage, table: ModeTable, t: int) -> Array:
-    """Generalised stiffness per unit of axial acceleration that the axial load takes from the modes (n, n), kg/m.
+class _Shapes:
+    """Displacement and slope of all modes between the stations: Hermite cubics through the table's."""
+
+    def __init__(self, table: ModeTable) -> None:
+        self._shape = (len(table.time_s), table.modes)
+        phi, slope = (a.reshape(-1, len(table.station_m)).T for a in (table.phi, table.slope_pm))
+        self._spline = CubicHermiteSpline(table.station_m, phi, slope)
+
+    def at(self, station_m: float) -> Array:
+        """(T, M)"""
+        return np.asarray(self._spline(station_m)).reshape(self._shape)
+
+    def slope_at(self, station_m: float) -> Array:
+        """(T, M)"""
+        return np.asarray(self._spline(station_m, 1)).reshape(self._shape)
+
+    def slopes_at(self, stations_m: Array) -> Array:
+        """(T, M, n)"""
+        return np.asarray(self._spline(stations_m, 1)).T.reshape(*self._shape, len(stations_m))
+
+    def at_each_time(self, stations_m: Array) -> Array:
+        """(T, M), each time at its own station."""
+        everywhere = np.asarray(self._spline(stations_m)).reshape(len(stations_m), *self._shape)
+        own = np.arange(len(stations_m))
+        return np.asarray(everywhere[own, own])
+
+
+def _softening(table: ModeTable, shapes: _Shapes, gimbal_m: float, hanging_kgm: float) -> Array:
+    """Generalised stiffness per unit of axial acceleration that the axial load takes from the modes (T, M, M), kg/m.
 
     integral of m_forward phi_i' phi_j' dx up to the gimbal, less what the engine behind it gives back: it hangs in
     tension (docs/model.md, section 4; the axial force at a station is the mass forward of it times the acceleration).
     """
     x = table.station_m
-    end = stage.engine.gimbal_station_m if stage.engine else float(x[-1])
-    shapes = [CubicHermiteSpline(x, table.phi[t, m], table.slope_pm[t, m]) for m in range(table.modes)]
-    inside = np.unique(np.append(x[x < end], end))
+    inside = np.unique(np.append(x[x < gimbal_m], gimbal_m))
     half = 0.5 * np.diff(inside)
     points = (0.5 * (inside[1:] + inside[:-1]) + np.outer(_GAUSS_NODES, half)).ravel()
     weights = np.outer(_GAUSS_WEIGHTS, half).ravel()
-    slopes = np.array([shape(points, 1) for shape in shapes])
-    load = weights * np.interp(points, x, table.mass_forward_kg[t])
-    matrix = (slopes * load) @ slopes.T
-    if stage.engine is not None:
-        at_gimbal = np.array([shape(end, 1) for shape in shapes])
-        hanging = stage.engine.gimballed_mass_kg * stage.engine.cg_from_gimbal_m
-        matrix -= hanging * np.outer(at_gimbal, at_gimbal)
-    return np.asarray(matrix)
+    slopes, at_gimbal = shapes.slopes_at(points), shapes.slope_at(gimbal_m)
+    forward_kg = np.stack([np.interp(points, x, row) for row in table.mass_forward_kg])
+    loaded = slopes * (weights * forward_kg)[:, None, :]
+    # the sum over the points written out, not by a linear-algebra library: its order depends on the processor
+    matrix = (loaded[:, :, None, :] * slopes[:, None, :, :]).sum(axis=-1)
+    return np.asarray(matrix - hanging_kgm * at_gimbal[:, :, None] * at_gimbal[:, None, :])
