@@ -47,7 +47,7 @@ class Cubics:
 
     def __call__(self, x: float) -> Array:
         """All columns at `x`; outside the breakpoints the end values hold."""
-        return self.at([x])[0]
+        return np.asarray(self.at([x])[0])
 
     def at(self, xs: ArrayLike) -> Array:
         """Rows of all columns at each of `xs`; as `__call__`, which gives the same bits."""

@@ -146,11 +146,11 @@ def _void(run: int, outcome: str, cause: str) -> Row:
     return Row(run, outcome, False, cause, math.nan, math.nan, 0, 0, "", {}, nothing, dict(nothing))
 
 
-def channel_names(loaded: LoadedScenario) -> list[str]:
-    """Log channels that an envelope may ask for."""
+def channel_units(loaded: LoadedScenario) -> dict[str, str]:
+    """Log channels that an envelope may ask for, with their units."""
     stages = loaded.vehicle.stage
     widest = max((stage_sizes(stage, loaded.scenario.switches) for stage in stages), key=lambda s: s.tanks)
     tanks = max((stage.tank for stage in stages), key=len)
     names = tuple(tank.name or str(i + 1) for i, tank in enumerate(tanks[: widest.tanks]))
-    table = channel_table(widest, names).as_logged()
-    return [channel.name for group in (FAST, SLOW) for channel in table.columns(group)]
+    table = channel_table(widest, names)
+    return {channel.name: channel.unit for group in (FAST, SLOW) for channel in table.columns(group)}

@@ -299,14 +299,23 @@ class LoadedCampaign:
         loaded = self._loaded(self._flown(drawn, at))
         return Inputs(run, self._recorded(drawn, at), int(drawn.redraws[at]), loaded)
 
-    def changed(self, draws: Mapping[str, float]) -> LoadedScenario:
-        """The scenario in which these draws, by name, act, and all else is nominal. Raises Refused."""
-        values: dict[str, Any] = {}
+    def changed(self, draws: Mapping[str, float], further: Mapping[str, Any] | None = None) -> LoadedScenario:
+        """The scenario in which these draws, by name, act, and all else is nominal. Raises Refused.
+
+        `further`: what `surroundings` gave of a run.
+        """
+        values: dict[str, Any] = dict(further or {})
         for d in self.plan.draws:
             for n, target in enumerate(d.targets):
                 if d.name in draws:
                     values[f"{d.name}\0{n}"] = float(target.result(d.spec.apply, np.array([float(draws[d.name])]))[0])
         return self._loaded(values)
+
+    def surroundings(self, drawn: Drawn, run: int, names: Iterable[str]) -> dict[str, Any]:
+        """What a run flies of the named inputs, e.g. its wind and its noise: for `changed`."""
+        wanted = set(names)
+        values = self._flown(drawn, run - drawn.first)
+        return {name: value for name, value in values.items() if name.partition("\0")[0] in wanted}
 
     def mixed(self, drawn: Drawn, run: int, kept: Iterable[str]) -> LoadedScenario:
         """The scenario of a run with only the named inputs dispersed, all others nominal. Raises Refused."""
@@ -484,9 +493,9 @@ class _Misplaced(Exception):
 
 
 def _check_envelope(file: CampaignFile, loaded: LoadedScenario) -> None:
-    from maxq.sim.campaign.flying import channel_names  # noqa: PLC0415  # it loads the kernels' modules
+    from maxq.sim.campaign.flying import channel_units  # noqa: PLC0415  # it loads the kernels' modules
 
-    known = channel_names(loaded)
+    known = channel_units(loaded)
     for n, channel in enumerate(file.campaign.envelope.channels):
         if channel not in known:
             path = ("campaign", "envelope", "channels", n)

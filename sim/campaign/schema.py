@@ -30,7 +30,6 @@ class Envelope(Section):
     channels: tuple[str, ...] = Field(
         default=(
             "dynamic_pressure_Pa",
-            "alpha_total_deg",
             "q_alpha_Padeg",
             "error_pitch_deg",
             "error_yaw_deg",

@@ -6,6 +6,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
+import pyarrow as pa
 import pyarrow.parquet as pq
 
 from maxq.sim.campaign import columns
@@ -79,10 +80,16 @@ class Standing:
         for part in store.parts():
             if part.first >= runs:
                 break
-            for row in pq.read_table(part.path, columns=wanted, partitioning=None).to_pylist():
-                if row[columns.RUN] < runs:
-                    made._enter(row[columns.RUN], row[columns.OUTCOME], row[columns.PASSED], row[columns.CAUSE], row)
+            table = pq.read_table(part.path, columns=wanted, partitioning=None)
+            made.add_table(table.slice(0, runs - part.first))
         return made
+
+    def add_table(self, table: pa.Table) -> None:
+        """All rows of a part."""
+        metrics = [t.requirement.metric for t in self.tallies if t.requirement]
+        wanted = [columns.RUN, columns.OUTCOME, columns.PASSED, columns.CAUSE, *dict.fromkeys(metrics)]
+        for row in table.select(wanted).to_pylist():
+            self._enter(row[columns.RUN], row[columns.OUTCOME], row[columns.PASSED], row[columns.CAUSE], row)
 
     def add(self, row: Row) -> None:
         self._enter(row.run, row.outcome, row.passed, row.cause, row.metrics)

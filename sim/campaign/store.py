@@ -84,11 +84,13 @@ class Store:
 
     def write(self, rows: Sequence[Row]) -> None:
         """One part of consecutive runs. Raises CampaignError where it cannot be written; then nothing is left of it."""
-        table = columns.table_of(rows, self.schema)
+        self.write_tables(columns.table_of(rows, self.schema), columns.history_table(rows, self.channels))
+
+    def write_tables(self, table: pa.Table, histories: pa.Table) -> None:
+        """As `write`, of rows that are tables already."""
         first, last = table[columns.RUN][0].as_py(), table[columns.RUN][-1].as_py()
-        if last - first + 1 != len(rows):
-            raise ValueError(f"runs {first} to {last} are not {len(rows)} rows")
-        histories = columns.history_table(rows, self.channels)
+        if last - first + 1 != len(table):
+            raise ValueError(f"runs {first} to {last} are not {len(table)} rows")
         if len(histories):
             self._write(histories, self.folder / HISTORIES / _name(first, last))
         self._write(table, self.folder / RUNS / _name(first, last))
