@@ -14,7 +14,7 @@ from maxq.control.records import Array
 from maxq.sim.campaign.analysis import DataSet, Judged, Lost, failed_runs, redraws, summary_of
 from maxq.sim.campaign.envelopes import Band, bands
 from maxq.sim.campaign.plan import Draw
-from maxq.sim.campaign.sensitivity import Driver, drivers, inputs_of
+from maxq.sim.campaign.sensitivity import Driver, drivers, inputs_of, sample_of
 from maxq.sim.campaign.statistics import MET, NOT_MET
 from maxq.sim.campaign.store import read_manifest, write_bytes, write_json
 from maxq.tools import campaign_text as text
@@ -36,8 +36,9 @@ def write_report(
     pictures: bool,
 ) -> list[Path]:
     """Write all, or without `pictures` the summary alone; returns the files. Raises CampaignError."""
-    inputs = inputs_of(data) if len(data.runs) else {}
-    found = [(v, drivers(data, v.metric, inputs)) for v in pressing(verdicts)]
+    sample = sample_of(data)
+    inputs = inputs_of(sample) if len(data.runs) else {}
+    found = [(v, drivers(sample, v.metric, inputs)) for v in pressing(verdicts)]
     named = {v.name: [asdict(d) for d in ds[:_NAMED]] for v, ds in found}
     bands_ = bands(data.folder, data.campaign)
     summary = summary_of(data, total, {**further, "drivers": named, "envelopes": [_numbers(band) for band in bands_]})
@@ -81,7 +82,7 @@ def _pictures(
         "histograms": draw.histograms(data, verdicts),
         "envelopes": draw.envelopes(bands_, channel_units(data.campaign.base)),
         "drivers": draw.tornado(found, labels),
-        "scatter": draw.scatter(data, found[:4], inputs, labels),
+        "scatter": draw.scatter(sample_of(data), found[:4], inputs, labels),
     }
     return {name: content for name, content in made.items() if content is not None}
 

@@ -22,7 +22,7 @@ from maxq.sim.campaign.analysis import DataSet
 from maxq.sim.campaign.columns import input_types
 from maxq.sim.campaign.plan import SEED_KEY
 
-MOST_RUNS = 100_000  # more runs than these sharpen nothing that a person could see
+MOST_RUNS = 20_000  # the first so many are used: more sharpen nothing that a person could see
 FEWEST_RUNS = 30
 _SHUFFLES = 8
 
@@ -98,22 +98,27 @@ def _ranks(x: Array) -> Array:
     return np.asarray((last - 0.5 * (count - 1))[where], dtype=float)
 
 
-def inputs_of(data: DataSet) -> dict[str, Array]:
+def sample_of(data: DataSet) -> DataSet:
+    """The runs that drivers are looked for in."""
+    return data if len(data.runs) <= MOST_RUNS else DataSet(data.folder, data.campaign, limit=MOST_RUNS)
+
+
+def inputs_of(sample: DataSet) -> dict[str, Array]:
     """Numeric inputs of the runs that mean something, by name; those that do not vary are left out."""
-    good = ~data.void[:MOST_RUNS]
+    data, good = sample, ~sample.void
     out = {}
     names = [n for n, kind in input_types(data.campaign).items() if n != SEED_KEY and str(kind) != "string"]
     data.read(names)
     for name in names:
-        values = data.numbers(name)[:MOST_RUNS][good]
+        values = data.numbers(name)[good]
         if len(values) and np.isfinite(values).all() and np.ptp(values) > 0.0:
             out[name] = values
     return out
 
 
-def drivers(data: DataSet, metric: str, inputs: dict[str, Array]) -> list[Driver]:
+def drivers(sample: DataSet, metric: str, inputs: dict[str, Array]) -> list[Driver]:
     """All inputs by what they do to a metric, the strongest first; none with fewer than 30 runs."""
-    y = data.numbers(metric)[:MOST_RUNS][~data.void[:MOST_RUNS]]
+    y = sample.numbers(metric)[~sample.void]
     good = np.isfinite(y)
     n = int(good.sum())
     if n < FEWEST_RUNS or np.ptp(y[good]) == 0.0:

@@ -126,7 +126,7 @@ def scatter(
     with mpl.rc_context(_STYLE):
         figure, panels = _grid(len(shown), 2.3)
         for axes, (v, d) in zip(panels, shown, strict=True):
-            x, y = inputs[d.name], data.numbers(v.metric)[: len(data.void)][~data.void][: len(inputs[d.name])]
+            x, y = inputs[d.name], data.numbers(v.metric)[~data.void]
             every = max(len(x) // _MOST_POINTS, 1)
             missed = ~(y <= v.bound) if v.kind == "limit" else ~(y >= v.bound)
             axes.scatter(x[::every], y[::every], s=4, color=BLUE, alpha=0.5, linewidth=0)
