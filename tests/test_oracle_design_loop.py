@@ -21,7 +21,7 @@ import mpmath
 import numpy as np
 import pytest
 import scipy.linalg
-from design_nodes import TIMES_S, design, flown, ideal, node_at, nominal
+from design_nodes import TIMES_S, design, flown, ideal, node_at
 
 from maxq.control.computer import ComputerState, build_computer, computer_tick, start_computer
 from maxq.control.law import GainSchedule, gains_table
@@ -281,6 +281,7 @@ def frozen(time_s: float, *overrides: str) -> tuple[LoadedScenario, Node]:
     altitude = {5.0: 172.0, 40.0: 7200.0, 55.0: 16000.0}[time_s]
     velocity = [float(speed * np.cos(path)), 0.0, float(-speed * np.sin(path))]
     loaded = load_scenario("nominal", [
+        'design="designs/ksr3-default.toml"',
         "earth.shape='flat'", "earth.rotating=false", "earth.gravity='uniform'", f"run.start_s={time_s}",
         f"run.freeze_vehicle_at_s={time_s}", "run.duration_s=1.0", "switches.converter='ideal'",
         "switches.actuator='linear'", "switches.guidance=false", "vehicle.computer.dac_step_deg=0", "log.fast_hz=1000",
@@ -349,5 +350,6 @@ def test_yaw_loop_of_a_symmetric_vehicle_is_the_pitch_loop() -> None:
 
 
 def test_scenario_names_and_files_give_the_same_loop() -> None:
-    ours = api.loop("nominal", "designs/ksr3-default", 40.0).response(FREQUENCIES_HZ)
-    np.testing.assert_array_equal(ours, api.loop(nominal(), None, 40.0).response(FREQUENCIES_HZ))
+    ours = api.loop("nominal", "designs/ksr3-robust", 40.0).response(FREQUENCIES_HZ)
+    np.testing.assert_array_equal(ours, api.loop("nominal", None, 40.0).response(FREQUENCIES_HZ))
+    np.testing.assert_array_equal(ours, api.loop(load_scenario("nominal"), None, 40.0).response(FREQUENCIES_HZ))

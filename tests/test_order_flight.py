@@ -26,6 +26,7 @@ START_S = 25.0
 def nominal(step_s: float, *more: str) -> Rig:
     """In flight, with wind and a gust ahead."""
     changes = [
+        'design="designs/ksr3-default.toml"',  # the steps below are in its asymptotic range
         f"run.step_s={step_s!r}",
         f"run.start_s={START_S}",
         "run.duration_s=100.0",

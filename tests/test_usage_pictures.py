@@ -33,6 +33,11 @@ def test_style_ends_with_the_drawing() -> None:
     assert mpl.rcParams["font.size"] == before
 
 
+def test_formats_can_be_chosen(tmp_path: Path) -> None:
+    with drawing(("png",)):
+        assert save(sheet()[0], tmp_path / "one") == [tmp_path / "one.png"]
+
+
 def test_every_setting_of_the_style_is_known() -> None:
     assert set(STYLE) <= set(mpl.rcParams)
 

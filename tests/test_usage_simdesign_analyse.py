@@ -154,6 +154,7 @@ WRONG = {
     "misspelt option": (["analyse", "ksr3-default", "--axes", "yaw"], "unknown option --axes; did you mean --axis?"),
     "time before lift-off": (["analyse", "ksr3-default", "--at", "-1"], "node at -1 s"),
     "time after burn-out": (["analyse", "ksr3-default", "--at", "70"], "node at 70 s"),
+    "time without load": (["errata", "--at", "59.25"], "node at 59.25 s: a pendulum needs a positive axial load"),
     "no time": (["analyse", "ksr3-default", "--at", "nan"], "argument --at: invalid a time in seconds value: 'nan'"),
     "unknown scenario": (["analyse", "ksr3-default", "--scenario", "nominl"], "did you mean nominal?"),
     "unknown vehicle": (["analyse", "ksr3-default", "--vehicle", "nowhere"], "nowhere"),

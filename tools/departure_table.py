@@ -2,7 +2,7 @@
 
     python -m maxq.tools.departure_table [FILE]
 
-compares both for the design of `nominal` along its flight and writes the result into FILE (default:
+compares both for the design `ksr3-default` along the flight `nominal` and writes the result into FILE (default:
 docs/flights/nominal-departure.md); prints the same.
 """
 
@@ -21,7 +21,7 @@ from maxq.design.loop.loop import Loop
 from maxq.design.margins.measure import Margins, margins
 from maxq.sim.scenario.loader import load_scenario
 
-SCENARIO = "nominal"
+SCENARIO, DESIGN = "nominal", "designs/ksr3-default.toml"
 DEFAULT_FILE = Path(__file__).resolve().parents[1] / "docs" / "flights" / "nominal-departure.md"
 LIMITS = ((0.1, 1.0), (0.5, 5.0), (3.0, 30.0))  # dB, deg
 MODES = ("bending 1", "bending 2", "bending 3")
@@ -41,7 +41,7 @@ def table_text(found: list[Departure], measured: list[tuple[Margins, Margins]]) 
         "<!-- Written by `python -m maxq.tools.departure_table`: run it again, do not edit. -->",
         "",
         "Ratio of the loop with the paper's continuous approximations (kind `pade`) to the one that the flight",
-        "computer runs (kind `sampled`), for the design of `nominal` in pitch. `design/loop/departure.py` splits it",
+        "computer runs (kind `sampled`), for the design `ksr3-default` in pitch. `design/loop/departure.py` splits it",
         "into four ratios whose decibels and degrees add up.",
         "",
         "## From which frequency on it matters",
@@ -97,7 +97,7 @@ def _hz(value: float) -> str:
 
 def compare() -> tuple[list[Departure], list[tuple[Margins, Margins]]]:
     """Departures and margins (sampled, Pade) at the paper's nodes."""
-    loaded = load_scenario(SCENARIO)
+    loaded = load_scenario(SCENARIO, [f'design="{DESIGN}"'])
     design = loaded.design
     assert design is not None
     found, measured = [], []

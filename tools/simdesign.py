@@ -13,14 +13,14 @@ from typing import NoReturn
 DESIGNED, INFEASIBLE, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
 
 _USAGE = (
-    "simdesign CASE [--out DIR] [--starts N] [--seed N] [--set KEY=VALUE]... [--no-pictures]\n"
+    "simdesign CASE [--out DIR] [--starts N] [--seed N] [--set KEY=VALUE]... [--orders] [--no-pictures]\n"
     "       simdesign analyse DESIGN [--at T]... [--scenario S] [--kind K] [--axis A] [--out DIR] [--no-pictures]\n"
     "       simdesign errata [DESIGN] [--at T]... [--scenario S] [--out FILE]\n"
     "       simdesign --list | --version | --help"
 )
 _EXAMPLES = """\
 examples:
-  simdesign nominal-f4-linear                       optimise the built-in case of that name
+  simdesign ksr3-identical                       optimise the built-in case of that name
   simdesign mine.toml --out runs/mine               optimise your own; fly it with
   simrun nominal --set design=runs/mine/design.toml
   simdesign analyse ksr3-default                    margins of a built-in design at every node
@@ -39,6 +39,7 @@ _ONLY = {  # option: what it may stand with; a case is ""
     "--starts": ("",),
     "--seed": ("",),
     "--set": ("",),
+    "--orders": ("",),
     "--out": ("", ANALYSE, ERRATA),
     "--no-pictures": ("", ANALYSE),
     "--at": (ANALYSE, ERRATA),
@@ -97,6 +98,7 @@ def _parser() -> argparse.ArgumentParser:
         "--set", metavar="KEY=VALUE", action="append", default=[], dest="overrides",
         help="override a value of the case, e.g. limits.gain_margin_db=7; repeatable",
     )  # fmt: skip
+    add("--orders", action="store_true", help="also F2 to F6 with all three gain schedules: the paper's Fig. 9")
     add("--at", type=_seconds, metavar="T", action="append", help="judge at this vehicle time, s; repeatable")
     add("--scenario", metavar="S", help="scenario whose flight gives the nodes (default: nominal)")
     add("--vehicle", metavar="V", help="vehicle folder instead of the scenario's")
@@ -116,6 +118,8 @@ def main(arguments: list[str] | None = None) -> int:
     for stream in (sys.stdout, sys.stderr):
         if hasattr(stream, "reconfigure"):
             stream.reconfigure(errors="replace")  # a terminal that lacks a letter is no reason to fail
+    # Matrices of forty rows: threads of the linear-algebra library only wait for each other. Read when NumPy is loaded.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     try:
         code = _run(sys.argv[1:] if arguments is None else arguments)
         sys.stdout.flush()
@@ -145,7 +149,7 @@ def _run(arguments: list[str]) -> int:
         if given
     ]
     if not actions:
-        parser.error("give a case, e.g. simdesign nominal-f4-linear, or analyse DESIGN")
+        parser.error("give a case, e.g. simdesign ksr3-identical, or analyse DESIGN")
     if len(actions) > 1:
         parser.error(f"{actions[0]} and {actions[1]} exclude each other")
     if len(names) > 1:
@@ -166,31 +170,38 @@ def _run(arguments: list[str]) -> int:
         print(f"maxq {version('maxq')}")
         return DESIGNED
     if options.list:
-        from maxq.tools.design import builtin  # noqa: PLC0415  # lazy
+        from maxq.tools.design.builtin import show_list  # noqa: PLC0415  # lazy
 
-        return builtin.show_list()
+        return show_list()
     if command == ANALYSE:
-        from maxq.tools.design import analyse  # noqa: PLC0415  # lazy
+        from maxq.tools.design.analyse import Order, execute  # noqa: PLC0415  # lazy
 
         given = {
             "scenario": options.scenario, "vehicle": options.vehicle, "times_s": tuple(options.at or ()),
             "kind": options.kind, "axis": options.axis, "errata": options.errata, "plant": options.plant,
             "out": options.out, "pictures": not options.no_pictures,
         }  # fmt: skip
-        return analyse.execute(analyse.Order(names[0], **{k: v for k, v in given.items() if v is not None}))
+        return execute(Order(names[0], **{k: v for k, v in given.items() if v is not None}))
     if command == ERRATA:
-        from maxq.tools.design import errata_table  # noqa: PLC0415  # lazy
+        from maxq.tools.design import errata_table as table  # noqa: PLC0415  # lazy
 
         given = {
             "design": names[0] if names else None, "scenario": options.scenario, "vehicle": options.vehicle,
             "times_s": tuple(options.at or ()), "plant": options.plant, "out": options.out,
         }  # fmt: skip
-        return errata_table.execute(errata_table.Order(**{k: v for k, v in given.items() if v is not None}))
-    from maxq.tools.design import run_case  # noqa: PLC0415  # lazy
+        return table.execute(table.Order(**{k: v for k, v in given.items() if v is not None}))
+    from maxq.tools.design.run_case import Order as CaseOrder  # noqa: PLC0415  # lazy
+    from maxq.tools.design.run_case import execute as execute_case  # noqa: PLC0415
 
-    return run_case.execute(
-        run_case.Order(
-            names[0], tuple(options.overrides), options.out, options.starts, options.seed, not options.no_pictures
+    return execute_case(
+        CaseOrder(
+            names[0],
+            tuple(options.overrides),
+            options.out,
+            options.starts,
+            options.seed,
+            not options.no_pictures,
+            options.orders,
         )
     )
 

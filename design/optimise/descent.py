@@ -12,6 +12,7 @@ free gains they stood at -10.4 dB after 120 steps, this at -13.4 dB after 29.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -99,16 +100,24 @@ def positive_part(matrix: Array) -> Array:
 
 
 def descend(
-    problem: Problem, start: Array, most: int = 80, tolerance_db: float = 1e-7, limits_only: bool = False
+    problem: Problem,
+    start: Array,
+    most: int = 80,
+    tolerance_db: float = 1e-7,
+    limits_only: bool = False,
+    give_up: Callable[[int, Evaluation], bool] | None = None,
 ) -> Descent:
-    """Run until no step promises `tolerance_db`. `limits_only`: bring down the largest excess, whatever the
-    objective.
+    """Run until no step promises `tolerance_db`, or `give_up` finds the point hopeless after a number of steps.
+
+    `limits_only`: bring down the largest excess, whatever the objective.
     """
     at = problem.evaluate(np.clip(start, problem.lower, problem.upper))
     merit = Merit(0.0, 1.0) if limits_only else Merit(1.0, FIRST_PENALTY)
     radius = FIRST_RADIUS
     multipliers: Array | None = None
     for count in range(most):
+        if give_up is not None and give_up(count, at):
+            return Descent(at, count, False)
         if limits_only and at.violation_db == 0.0 and at.unstable == 0:
             return Descent(at, count, True)
         if multipliers is None:

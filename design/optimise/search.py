@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -21,8 +22,11 @@ ROUGH_STEPS, ROUGH_DB = 40, 1e-3
 FINE_STEPS, FINE_DB = 150, 1e-8
 SAME_DB = 0.02  # ends that differ by less lie in one valley
 HOPELESS_DB = 3.0  # candidates that are worse by more stay rough
-MOST_CANDIDATES = 4
+MOST_CANDIDATES = 3
 NEAR_DB = 0.05
+PATIENCE = 10  # steps after which an unstable start is given up; twice as many for one that lies far behind
+FAR_MISSED_DB, FAR_BEHIND_DB = 0.3, 4.0
+HOP_FILTER, HOP_GAINS = 0.03, 0.15
 
 Progress = Callable[[int, int, float], None]
 """Called with the number of starts done, how many there are, and the best objective so far in dB (nan: none)."""
@@ -54,8 +58,12 @@ def search(
     rough: tuple[Problem, Callable[[Array], Array]] | None = None,
     starts_of_rough: Sequence[Array] = (),
     progress: Progress | None = None,
+    hops: int = 0,
+    seed: int = 0,
 ) -> Found:
     """From `starts` of the problem itself, and `starts_of_rough` of a smaller problem whose ends are taken over.
+
+    `hops` leaps from the best candidate may find a better one nearby.
 
     `rough` is that smaller problem and how its variables become the problem's. KeyboardInterrupt ends the search: the
     best so far is the answer (raised again where there is none yet).
@@ -69,7 +77,7 @@ def search(
     try:
         for where, given, to in ((problem, starts, None), (small, starts_of_rough, lift)):
             for start in given:
-                end = descend(where, start, ROUGH_STEPS, ROUGH_DB).end
+                end = descend(where, start, ROUGH_STEPS, ROUGH_DB, give_up=partial(_hopeless, best_db)).end
                 ends.append((end, to(end.variables) if to is not None else end.variables))
                 if _feasible(end, 1e-3):
                     best_db = float(np.fmin(best_db, end.objective_db))
@@ -84,11 +92,32 @@ def search(
     try:
         for k in candidates if not interrupted else ():
             fine[k] = descend(problem, ends[k][1], FINE_STEPS, FINE_DB)
+        if fine and hops > 0 and not interrupted:
+            k = min(fine, key=lambda i: _rank(fine[i].end))
+            fine[k] = _hopped(problem, fine[k], hops, seed)
     except KeyboardInterrupt:
         interrupted = True
     for k in candidates[:1] if not fine else ():
         fine[k] = Descent(problem.evaluate(ends[k][1]), 0, False)
     return _answer(problem, ends, fine, small.evaluations if small is not problem else 0, before, interrupted)
+
+
+def _hopped(problem: Problem, best: Descent, hops: int, seed: int) -> Descent:
+    """The best end after `hops` leaps from the best so far: the gains of a node may lie in one of several pockets that
+    the loops of slosh leave, and which one is best is not seen from its neighbour.
+    """
+    rng = np.random.default_rng(seed)
+    n = problem.loops.filter.size
+    size = np.concatenate([np.full(n, HOP_FILTER), np.full(problem.size - n, HOP_GAINS)])
+    for _ in range(hops):
+        leap = best.end.variables + size * rng.standard_normal(problem.size)
+        patience = partial(_hopeless, best.end.objective_db)
+        rough = descend(problem, leap, ROUGH_STEPS, ROUGH_DB, give_up=patience)
+        if _feasible(rough.end, 1e-3) and rough.end.objective_db < best.end.objective_db + SAME_DB:
+            end = descend(problem, rough.end.variables, FINE_STEPS, FINE_DB)
+            if _rank(end.end) < _rank(best.end):
+                best = end
+    return best
 
 
 def _answer(
@@ -111,6 +140,14 @@ def _answer(
             same = np.abs(rough_db - rough_db[k]) <= SAME_DB
             ends_db[same] = np.fmin(ends_db[same], descent.end.objective_db)
     return Found(best, quality, feasible, ends_db, problem.evaluations + others - before, interrupted)
+
+
+def _hopeless(best_db: float, steps: int, at: Evaluation) -> bool:
+    """Whether a start is not worth more steps: still unstable, or far behind what is known."""
+    if steps < PATIENCE:
+        return False
+    behind = not np.isnan(best_db) and (at.violation_db > FAR_MISSED_DB or at.objective_db > best_db + FAR_BEHIND_DB)
+    return at.unstable > 0 or (steps >= 2 * PATIENCE and behind)
 
 
 def _feasible(at: Evaluation, tolerance_db: float) -> bool:

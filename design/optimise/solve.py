@@ -70,20 +70,25 @@ def search_form(
     """Search with some form of filter and gains, whatever the case's own."""
     problem = make_problem(case, plants, form)
     given = _starts_from(problem, form, also_from, plants.first_mode_hz)
+    if form.schedule not in ("free", "nodes") or len(problem.loops.gains.nodes_s) <= 2:
+        drawn, random = _fresh(problem, form, plants, case)
+        return problem, search(problem, [*given, *drawn, *random], progress=progress)
+    # the drawn starts with each node's own least gains; the random ones cheaply, as filters for linear gains
     small_form = Form(form.quadratic, form.first_order, "linear")
-    if form.schedule in ("free", "nodes") and len(problem.loops.gains.nodes_s) > 2:
-        small = make_problem(case, plants, small_form)
-        rough = (small, lambda x: _wider(small, problem, x))
-        fresh = _fresh(small, small_form, plants, case)
-        return problem, search(problem, given, rough, fresh, progress)
-    return problem, search(problem, [*given, *_fresh(problem, form, plants, case)], progress=progress)
+    small = make_problem(case, plants, small_form)
+    drawn, _ = _fresh(problem, form, plants, case)
+    drawn_small, random = _fresh(small, small_form, plants, case)
+    rough = (small, lambda x: _wider(small, problem, x))
+    return problem, search(
+        problem, [*given, *drawn], rough, [*drawn_small[:1], *random], progress, case.search.hops, case.search.seed
+    )
 
 
-def _fresh(problem: Problem, form: Form, plants: Plants, case: Case) -> list[Array]:
+def _fresh(problem: Problem, form: Form, plants: Plants, case: Case) -> tuple[list[Array], list[Array]]:
     """As many starts as the case asks for: drawn ones first, then random ones."""
     mode_hz = plants.first_mode_hz
     drawn = list(starts.drawn(problem, form, mode_hz))[: case.search.starts]
-    return [*drawn, *starts.random(problem, mode_hz, case.search.starts - len(drawn), case.search.seed)]
+    return drawn, list(starts.random(problem, mode_hz, case.search.starts - len(drawn), case.search.seed))
 
 
 def _starts_from(problem: Problem, form: Form, also_from: Sequence[Solution], mode_hz: float) -> list[Array]:

@@ -29,24 +29,30 @@ def start_gains(problem: Problem) -> Array:
 
 
 def drawn(problem: Problem, form: Form, mode_hz: float) -> Iterator[Array]:
-    """Notches at or near the first mode, with poles below or above it, and mild first-order lags."""
-    layouts = (
-        # zero, zeta, pole, zeta of the first quadratic sections, frequencies relative to the mode
-        ((1.0, 0.12, 0.50, 0.35), (0.65, 0.7, 0.50, 0.35)),  # a notch, and two poles as steep as may be below it
-        ((1.0, 0.12, 0.45, 0.35), (0.95, 1.1, 2.0, 1.0)),
-        ((1.0, 0.3, 0.7, 0.5), (1.1, 0.3, 3.0, 0.7)),  # two notches side by side
-        ((1.0, 0.2, 1.0, 1.0), (2.5, 0.4, 2.0, 0.7)),  # one for each mode
+    """Notches at the first mode, with poles below it and lead or lag round it: what optima have come to look like."""
+    lead, lag, mild, roll_off = (0.5, 5.0), (0.3, 0.22), (4.0, 2.0), (1.2, 20.0)
+    notch, shelf = (1.0, 0.1, 0.5, 0.3), (0.65, 0.7, 0.5, 0.3)
+    layouts: tuple[tuple[tuple[tuple[float, ...], ...], tuple[tuple[float, float], ...]], ...] = (
+        # zero, zeta, pole, zeta of the quadratic sections, zero, pole of the first-order ones; relative to the mode
+        ((notch, notch), (lead, lag)),
+        ((notch, shelf), (lead, mild)),
+        ((notch, notch), (roll_off, lag)),
+        (((1.0, 0.12, 0.45, 0.35), (0.95, 1.1, 2.0, 1.0)), (mild, mild)),
+        (((1.0, 0.2, 0.65, 0.3), (2.5, 0.4, 2.0, 0.7)), (lead, lead)),
     )
-    for first, *others in layouts:
-        sections = [first, *others][: form.quadratic]
-        while len(sections) < form.quadratic:
-            factor = 2.0 + 0.5 * len(sections)
-            sections.append((factor, 0.7, factor, 0.7))
-        quadratic = tuple(QuadraticSection(z * mode_hz, a, p * mode_hz, b) for z, a, p, b in sections)
-        first_order = tuple(
-            FirstOrderSection((4.0 + k) * mode_hz, (2.0 + k) * mode_hz) for k in range(form.first_order)
-        )
-        yield _from(problem, BendingFilter(quadratic, first_order))
+    seen: set[tuple[object, ...]] = set()
+    for quadratic, first_order in layouts:
+        q = [*quadratic, *[(2.0 + k, 0.7, 2.0 + k, 0.7) for k in range(form.quadratic)]][: form.quadratic]
+        f = [*first_order, *[(4.0 + k, 4.0 + k) for k in range(form.first_order)]][: form.first_order]
+        if (*q, *f) not in seen:
+            seen.add((*q, *f))
+            yield _from(
+                problem,
+                BendingFilter(
+                    tuple(QuadraticSection(z * mode_hz, a, p * mode_hz, b) for z, a, p, b in q),
+                    tuple(FirstOrderSection(z * mode_hz, p * mode_hz) for z, p in f),
+                ),
+            )
 
 
 def _from(problem: Problem, filter_: BendingFilter) -> Array:

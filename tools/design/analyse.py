@@ -79,23 +79,25 @@ def _execute(order: Order) -> int:
             if order.pictures:
                 files += _draw(folder, title, design, scenario, judged, wanted, progress)
     print(report(name, order, design, judged, found))
-    if files:
-        print(f"\n{len(files)} files in {folder}/")
+    print(f"\n{len(files)} files in {folder}/" if files else "")
     print(verdict(found))
     return _PASSED if all(check.passed for check in found) else _FAILED
 
 
 def load(scenario: str, vehicle: str | None, design: str) -> tuple[LoadedScenario, Design]:
-    """The scenario with the design, and another vehicle. Raises ScenarioError."""
+    """The scenario whose flight is linearised, and the design to judge. Raises ScenarioError.
+
+    The flight is that with the scenario's own design, as that of a case is: so a design is judged at the conditions for
+    which it was made. A scenario without one flies the design that is judged.
+    """
     from maxq.sim.scenario.loader import load_scenario  # noqa: PLC0415  # lazy
     from maxq.tools.design.design_file import design_path  # noqa: PLC0415  # lazy
 
-    overrides = [f'design="{design_path(design)}"']
-    if vehicle is not None:
-        overrides.append(f'vehicle="{vehicle}"')
-    loaded = load_scenario(scenario, overrides)
-    assert loaded.design is not None
-    return loaded, loaded.design
+    changes = [f'vehicle="{vehicle}"'] if vehicle is not None else []
+    with_it = load_scenario(scenario, [f'design="{design_path(design)}"', *changes])
+    assert with_it.design is not None
+    own = load_scenario(scenario, changes)
+    return (own if own.design is not None else with_it), with_it.design
 
 
 def default_times_s(design: Design) -> list[float]:
@@ -116,9 +118,12 @@ def find_nodes(
     from maxq.design import api  # noqa: PLC0415  # lazy
 
     try:
-        return api.nodes(scenario, times_s, plane=axis, errata=errata, plant=plant)
+        nodes = api.nodes(scenario, times_s, plane=axis, errata=errata, plant=plant)
+        for node in nodes:
+            _ = node.plant  # where there is none, say so before the work
     except ValueError as error:
-        raise ScenarioError(scenario.label, str(error)) from None
+        raise ScenarioError(scenario.label, str(error), allowed="times under thrust") from None
+    return nodes
 
 
 def report(name: str, order: Order, design: Design, judged: Sequence[Judged], found: Sequence[Check]) -> str:

@@ -10,8 +10,10 @@ from pathlib import Path
 from typing import Any
 
 from maxq.design.margins.worst import Bound
+from maxq.design.optimise.solution import Solution
 from maxq.tools.design.design_file import write_whole
 from maxq.tools.design.judging import Check, Judged
+from maxq.tools.design.outcome import Outcome
 
 SCHEMA = 1
 
@@ -86,6 +88,31 @@ def analysis_record(name: str, order: Any, judged: Sequence[Judged], checks: Seq
         "passed": all(check.passed for check in checks),
         "limits": checks_record(checks),
         "nodes": [node_record(j) for j in judged],
+    }
+
+
+def case_record(outcome: Outcome, solution: Solution) -> dict[str, Any]:
+    """Of `simdesign CASE`."""
+    case, c = outcome.loaded.case, solution.certificate
+    return {
+        "schema": SCHEMA,
+        "name": outcome.loaded.name,
+        "status": solution.status,
+        "feasible": outcome.feasible and solution.feasible,
+        "missed": outcome.missed,
+        "explanation": solution.explanation(),
+        "objective_db": solution.objective_db,
+        "nominal_objective_db": solution.nominal_objective_db,
+        "case": case.model_dump(mode="json", by_alias=True),
+        "gains": {"time_s": solution.nodes_s.tolist(), "k_p": solution.k_p.tolist(), "k_d_s": solution.k_d_s.tolist()},
+        "filter": asdict(solution.filter) | {"prewarp_hz": solution.prewarp_hz},
+        "search": asdict(c),
+        "constraints": [asdict(x) for x in solution.constraints],
+        "bounds": [asdict(x) for x in solution.bounds],
+        "limits": checks_record(outcome.found),
+        "limits_as_flown": checks_record(outcome.flown_found),
+        "limits_dispersed": checks_record(outcome.dispersed_found),
+        "nodes": [node_record(j) for j in outcome.judged],
     }
 
 

@@ -15,6 +15,7 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from contextvars import ContextVar
 from pathlib import Path
 from typing import Any
 
@@ -67,11 +68,18 @@ PAGE_IN = 7.0  # width of a page between its margins
 FORMATS = ("svg", "png")
 
 
+_formats: ContextVar[tuple[str, ...]] = ContextVar("formats", default=FORMATS)
+
+
 @contextmanager
-def drawing() -> Iterator[None]:
-    """Everything drawn and saved inside has the style; what a notebook has set is left as it was."""
-    with mpl.rc_context(STYLE):
-        yield
+def drawing(formats: Sequence[str] = FORMATS) -> Iterator[None]:
+    """What is drawn and saved inside has the style and these formats; a notebook's settings are left as they were."""
+    before = _formats.set(tuple(formats))
+    try:
+        with mpl.rc_context(STYLE):
+            yield
+    finally:
+        _formats.reset(before)
 
 
 def sheet(rows: int = 1, columns: int = 1, height_in: float = 2.6, width_in: float = PAGE_IN) -> tuple[Figure, Any]:
@@ -84,13 +92,16 @@ def sheet(rows: int = 1, columns: int = 1, height_in: float = 2.6, width_in: flo
     return figure, places
 
 
-def save(figure: Figure, stem: Path, formats: Sequence[str] = FORMATS) -> list[Path]:
-    """Write `stem`.svg, `stem`.png ...; each under a temporary name first, so that there is a whole one or none."""
+def save(figure: Figure, stem: Path) -> list[Path]:
+    """Write `stem`.svg and `stem`.png, or as `drawing` says.
+
+    Each under a temporary name first, so that there is a whole one or none.
+    """
     layout, files = figure.get_layout_engine(), []
     if layout is not None:  # once for all formats: it takes as long as the drawing
         layout.execute(figure)
         figure.set_layout_engine("none")
-    for kind in formats:
+    for kind in _formats.get():
         path = stem.with_name(f"{stem.name}.{kind}")
         part = path.with_name(f".{path.name}.part")
         metadata = {"Date": None, "Creator": "maxq"} if kind == "svg" else {"Software": "maxq"}

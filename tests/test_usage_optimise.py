@@ -1,0 +1,191 @@
+"""What the optimiser answers to cases of all kinds: infeasible, interrupted, at the edges; and that its designs fly."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from itertools import pairwise
+
+import numpy as np
+import optimise_kit as kit
+import pytest
+
+from maxq.design.case.read import read_case
+from maxq.design.optimise import search as search_module
+from maxq.design.optimise.plants import make_plant, make_plants
+from maxq.design.optimise.solve import nominal_plants, solve
+from maxq.design.optimise.starts import lifted
+from maxq.sim.scenario.toml_writer import to_toml
+
+
+def test_more_freedom_is_never_worse() -> None:
+    """With a smaller problem's answer among its starts: from two-phase to free, from F2 to F4."""
+    plants, order = kit.all_nodes(), [("F2", "two-phase"), ("F2", "linear"), ("F3", "linear"), ("F4", "linear")]
+    order.append(("F4", "free"))
+    peaks: list[float] = []
+    before = []
+    for structure, schedule in order:  # each contains the one before
+        loaded = kit.case(f"filter.structure={structure}", f"gains.schedule={schedule}", "search.starts=1")
+        before = [solve(loaded, plants, before)]
+        assert before[0].feasible
+        peaks.append(before[0].objective_db)
+    assert all(later <= earlier + 1e-6 for earlier, later in pairwise(peaks))
+    assert peaks[-1] < peaks[0] - 10.0
+
+
+def test_a_filter_of_higher_order_can_be_the_same() -> None:
+    s = kit.solution("filter.structure=F2", "gains.schedule=linear")
+    from maxq.design.optimise.setup import Form  # noqa: PLC0415  # used here only
+
+    omega = 2 * np.pi * np.geomspace(0.1, 60.0, 50)
+    third = lifted(s.filter, Form(1, 1, "linear"), 9.7)
+    assert third is not None
+    for form in (Form(1, 1, "linear"), Form(2, 0, "linear"), Form(3, 2, "linear")):
+        same = lifted(s.filter, form, 9.7)
+        assert same is not None
+        assert (len(same.quadratic), len(same.first_order)) == (form.quadratic, form.first_order)
+        np.testing.assert_allclose(same.frequency_response(omega), s.filter.frequency_response(omega), rtol=1e-12)
+    fourth = lifted(dataclasses.replace(third, first_order=(dataclasses.replace(third.first_order[0], pole_hz=9.0),)),
+                    Form(2, 0, "linear"), 9.7)  # fmt: skip
+    assert fourth is not None
+    assert lifted(s.filter, Form(0, 2, "linear"), 9.7) is None
+
+
+def test_infeasible_limits_are_named() -> None:
+    """F2 cannot leave both 10 dB and 60 deg: the answer says which limits conflict, where, and by how much."""
+    loaded = kit.case("filter.structure=F2", "limits.gain_margin_db=10", "limits.phase_margin_deg=60")
+    s = solve(loaded, kit.all_nodes())
+    assert s.status == "infeasible"
+    assert not s.feasible
+    assert s.violation_db > 0.1
+    blamed = s.in_the_way
+    assert {c.what for c in blamed[:2]} <= {"gain margin", "phase margin", "rigid-body frequency", "rigid-body damping"}
+    assert blamed[0].excess_db == pytest.approx(s.violation_db, abs=1e-4)
+    assert sum(c.multiplier for c in s.constraints) == pytest.approx(1.0, abs=1e-6)
+    text = s.explanation()
+    assert "cannot be met together" in text
+    assert "\n" not in text
+    assert "NOT all limits met" in s.design_document()["description"]
+
+
+def test_ctrl_c_keeps_the_best_so_far(monkeypatch: pytest.MonkeyPatch) -> None:
+    loaded, plants = kit.case("filter.structure=F2"), kit.all_nodes()
+    seen: list[tuple[int, int]] = []
+
+    def stop(done: int, total: int, best_db: float) -> None:
+        seen.append((done, total))
+        if done == 2:
+            raise KeyboardInterrupt
+
+    s = solve(loaded, plants, progress=stop)
+    assert s.status == "interrupted"
+    assert seen == [(1, 8), (2, 8)]
+    assert s.certificate.starts == 2
+    assert math.isfinite(s.objective_db)
+
+    def at_once(*_: object, **__: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(search_module, "descend", at_once)
+    with pytest.raises(KeyboardInterrupt):
+        solve(loaded, plants)
+
+
+def test_the_same_seed_gives_the_same_design() -> None:
+    loaded, plants = kit.case("filter.structure=F2", "search.starts=6"), kit.all_nodes()
+    first, second = solve(loaded, plants), solve(loaded, plants)
+    assert (first.variables == second.variables).all()
+    assert first.certificate.ends_db == second.certificate.ends_db or any(map(math.isnan, first.certificate.ends_db))
+
+
+def test_nodes_outside_the_powered_flight_are_refused() -> None:
+    for nodes, said in (("[5.0, 80.0]", "node at 80 s"), ("[-1.0, 5.0]", "node at -1 s")):
+        with pytest.raises(ValueError, match=said):
+            nominal_plants(read_case("ksr3-identical", [f"nodes_s={nodes}"]))
+
+
+def test_one_node_and_gain_nodes_anywhere() -> None:
+    one = kit.case("nodes_s=[40.0]", "filter.structure=F2", "gains.schedule=free", "search.starts=2")
+    s = solve(one)
+    assert s.feasible
+    assert s.k_p.shape == (1,)
+    anywhere = kit.case(
+        "nodes_s=[10.0, 30.0, 50.0]", "filter.structure=F2", "gains.schedule=nodes", "gains.nodes_s=[0.0, 22.5, 60.0]",
+        "search.starts=2",
+    )  # fmt: skip
+    s = solve(anywhere)
+    assert s.feasible
+    assert s.nodes_s.tolist() == [0.0, 22.5, 60.0]
+
+
+def test_filter_of_sections() -> None:
+    loaded = kit.case(
+        "filter.structure=sections", "filter.quadratic=3", "filter.first_order=1", "search.starts=1",
+        "nodes_s=[5.0, 30.0, 55.0]",
+    )  # fmt: skip
+    s = solve(loaded)
+    assert s.feasible
+    assert s.design_document()["filter"]["structure"] == "sections"
+    assert len(s.to_design().filter.quadratic) == 3
+
+
+def test_without_a_bending_mode_there_is_a_least_margin_but_no_peak() -> None:
+    node = kit.all_nodes().each[6].node
+    modes = node.vehicle.modes
+    none = dataclasses.replace(
+        modes,
+        **{
+            f.name: getattr(modes, f.name)[:0, :0] if f.name == "softening_kgpm" else getattr(modes, f.name)[:0]
+            for f in dataclasses.fields(modes)
+        },
+    )
+    stiff = dataclasses.replace(node, vehicle=dataclasses.replace(node.vehicle, modes=none))
+    with pytest.raises(ValueError, match="no first bending mode"):
+        make_plant(stiff, kit.case().case)
+    loaded = kit.case("objective.kind=least-margin", "filter.structure=F2", "nodes_s=[35.0]", "search.starts=2")
+    s = solve(loaded, make_plants([make_plant(stiff, loaded.case)]))
+    assert s.feasible
+    assert s.objective_db < 6.0
+
+
+def test_two_modes_at_one_frequency() -> None:
+    node = kit.all_nodes().each[6].node
+    modes = node.vehicle.modes
+    omega = modes.omega_radps.copy()
+    omega[1] = omega[0]
+    twins = dataclasses.replace(
+        node, vehicle=dataclasses.replace(node.vehicle, modes=dataclasses.replace(modes, omega_radps=omega))
+    )
+    loaded = kit.case("filter.structure=F4", "nodes_s=[35.0]", "search.starts=2")
+    s = solve(loaded, make_plants([make_plant(twins, loaded.case)]))
+    # both modes in one band: the first one's objective and the second one's limit are the same peak
+    assert s.status in ("optimal", "infeasible")
+    assert math.isfinite(s.objective_db)
+    assert (s.explanation() == "") == s.feasible
+
+
+def test_variables_that_are_no_numbers_are_refused() -> None:
+    p = kit.problem("filter.structure=F2")
+    with pytest.raises(ValueError, match="not finite"):
+        p.evaluate(np.full(p.size, np.nan))
+
+
+def test_a_design_document_is_what_simrun_reads() -> None:
+    s = kit.solution("filter.structure=F4", "gains.schedule=linear", "loop=sampled")
+    design = s.to_design()
+    assert design.filter.prewarp_hz == s.prewarp_hz
+    np.testing.assert_allclose(design.gains.table["k_p"], s.k_p)
+    assert "zero_hz" in to_toml(design)
+
+
+@pytest.mark.slow
+def test_a_robust_design_holds_where_the_nominal_one_does_not() -> None:
+    changes = ("filter.structure=F4", "nodes_s=[5.0, 50.0]", "search.starts=3")
+    s = solve(kit.case(*changes, "robust.rounds=20", name="ksr3-robust"))
+    assert s.feasible
+    assert s.certificate.worst_found_db < 0.05
+    assert s.certificate.plants > 6
+    nominal = solve(kit.case(*changes[:2], "search.starts=3", "loop=sampled"))
+    robust_plants = [c for c in s.constraints if c.dispersed]
+    assert len(robust_plants) > 0
+    assert nominal.objective_db < 0.0
