@@ -98,6 +98,7 @@ def _parser() -> argparse.ArgumentParser:
     )
     campaigns.add_argument("--until-settled", action="store_true", help="stop when every verdict is settled")
     campaigns.add_argument("--dask", metavar="ADDRESS", help="fly on the workers of a dask.distributed scheduler")
+    campaigns.add_argument("--device", choices=("cpu", "cuda"), help="fly on a CUDA GPU (extra: maxq[gpu])")
     campaigns.add_argument("--no-report", action="store_true", help="no pictures and no page, only summary.json")
     campaigns.add_argument("--run", metavar="N", type=_count, help="with --from DIR: fly this run again, with a log")
     campaigns.add_argument("--view", action="store_true", help="with --run: show it")
@@ -237,6 +238,7 @@ def _campaign_options(options: argparse.Namespace) -> tuple[tuple[str, bool], ..
         ("--keep", bool(options.keep)),
         ("--until-settled", options.until_settled),
         ("--dask", options.dask is not None),
+        ("--device", options.device is not None),
         ("--no-report", options.no_report),
         ("--run", options.run is not None),
         ("--view", options.view),
@@ -255,7 +257,7 @@ def _is_campaign(options: argparse.Namespace) -> bool:
 
 def _campaign(options: argparse.Namespace, parser: argparse.ArgumentParser) -> int:
     of_a_folder = ("--run", "--view", "--shrink", "--search")
-    of_a_flight = ("--seed", "--until-settled", "--dask")
+    of_a_flight = ("--seed", "--until-settled", "--dask", "--device")
     given = [name for name, value in _campaign_options(options) if value]
     if options.log is None:
         if wrong := [name for name in given if name in of_a_folder]:
@@ -273,6 +275,8 @@ def _campaign(options: argparse.Namespace, parser: argparse.ArgumentParser) -> i
             parser.error("--view and --shrink go with --run N")
         if options.view and (options.shrink or options.no_log):
             parser.error("--view shows the log of --run N")
+    if options.dask is not None and options.device == "cuda":
+        parser.error("--dask flies on the CPUs of its workers: not with --device cuda")
     if options.workers == 0:
         parser.error("--workers 0: at least one is needed")
     for text in options.keep:
@@ -296,6 +300,7 @@ def _campaign(options: argparse.Namespace, parser: argparse.ArgumentParser) -> i
             until_settled=options.until_settled,
             no_report=options.no_report,
             dask=options.dask,
+            device=options.device or "cpu",
             run=options.run,
             view=options.view,
             shrink=options.shrink,
