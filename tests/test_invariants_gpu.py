@@ -9,14 +9,17 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+from pathlib import Path
 
 import numpy as np
+import pyarrow.parquet as pq
 import pytest
 
 from maxq.control.records import dtype_of
 from maxq.control.tables import TableRef
 from maxq.sim.api import FlightRun, load_scenario
 from maxq.sim.flight.batch import Batch, DeviceError, batch_of, fly_batch, hand_back
+from maxq.sim.scenario.builtin import scenarios_folder
 
 FLIGHTS = """
 from maxq.sim.api import FlightRun, load_scenario
@@ -136,3 +139,52 @@ def test_the_cpu_asks_for_no_gpu(monkeypatch: pytest.MonkeyPatch) -> None:
     assert fly_batch(batch, "cpu")
     with pytest.raises(DeviceError, match="asked for"):
         fly_batch(batch, "cuda")
+
+
+CAMPAIGN = """
+schema = 1
+extends = "nominal.toml"
+unset = ["requirement"]
+[run]
+duration_s = 0.01
+[campaign]
+runs = 3
+batch = 2
+[campaign.envelope]
+runs = 0
+[[disperse]]
+key = "vehicle.stage.0.engine.thrust_factor"
+distribution = "normal"
+three_sigma = 0.03
+"""
+
+
+def test_a_campaign_flies_in_the_simulator_as_on_the_cpu(tmp_path: Path) -> None:
+    """The same rows; and a folder does not take runs of both."""
+    (tmp_path / "nominal.toml").write_text((scenarios_folder() / "nominal.toml").read_text())
+    file = tmp_path / "campaign.toml"
+    file.write_text(CAMPAIGN)
+    simulator = {"NUMBA_ENABLE_CUDASIM": "1", "NUMBA_DISABLE_JIT": "1"}
+    on_gpu, on_cpu = tmp_path / "gpu", tmp_path / "cpu"
+
+    def simrun(*arguments: str, **environment: str) -> subprocess.CompletedProcess[str]:
+        given = [str(file), "--no-report", *arguments]
+        call = f"import sys; from maxq.tools.simrun import main; sys.exit(main({given}))"
+        return run_python(call, **environment)
+
+    simulated = simrun("--device", "cuda", "--out", str(on_gpu), **simulator)
+    assert simulated.returncode == 3, simulated.stderr  # three runs settle nothing
+    assert simrun("--out", str(on_cpu)).returncode == 3
+    tables = [pq.read_table(folder / "runs").to_pylist() for folder in (on_gpu, on_cpu)]
+    assert len(tables[0]) == 3
+    assert repr(tables[0]) == repr(tables[1])
+    mixed = simrun("--out", str(on_gpu))
+    assert mixed.returncode == 2
+    assert "simulator.device was" in mixed.stderr
+    none = simrun("--device", "cuda", "--out", str(tmp_path / "none"), CUDA_VISIBLE_DEVICES="")
+    assert none.returncode == 2
+    assert none.stderr.splitlines()[-1].startswith("simrun: device cuda: ")
+    assert not (tmp_path / "none").exists()
+    dask = simrun("--device", "cuda", "--dask", "tcp://nowhere:1")
+    assert dask.returncode == 2
+    assert "not with --device cuda" in dask.stderr
