@@ -17,8 +17,8 @@ TRACEBACK = "MAXQ_TRACEBACK"
 """Environment variable with which an internal error shows where it happened."""
 
 _USAGE = (
-    "simrun SCENARIO [--set KEY=VALUE]... [--out DIR] [--no-log]\n"
-    "       simrun --from LOG [--set KEY=VALUE]... [--out DIR]\n"
+    "simrun SCENARIO [--set KEY=VALUE]... [--out DIR] [--no-log] [--view [--realtime [X]]]\n"
+    "       simrun --from LOG [--set KEY=VALUE]... [--out DIR] [--view [--realtime [X]]]\n"
     "       simrun --list | --copy NAME DIR | --version | --help"
 )
 _EXAMPLES = """\
@@ -28,6 +28,7 @@ examples:
   simrun --copy nominal mine                        then change mine/nominal.toml, and
   simrun mine/nominal.toml                          fly it
   simrun --from runs/nominal/flight.mcap            fly a log again and compare
+  simrun nominal --view --realtime 4                watch it fly, four times as fast as it would
 
 exit code:
     0  flown, all requirements met
@@ -76,6 +77,13 @@ def _parser() -> argparse.ArgumentParser:
         metavar="LOG",
         dest="log",
         help="fly the scenario in a log again and compare the final states; writes nothing without --out",
+    )
+    parser.add_argument("--view", action="store_true", help="show the flight in the Rerun viewer while it flies")
+    parser.add_argument(
+        "--view-port", type=int, metavar="N", help="show it in a viewer that listens on this port already"
+    )
+    parser.add_argument(
+        "--realtime", nargs="?", const="1", metavar="X", help="with --view: X seconds of flight in a second (default 1)"
     )
     parser.add_argument("--list", action="store_true", help="name the built-in scenarios")
     parser.add_argument(
@@ -143,6 +151,7 @@ def _internal(error: Exception) -> int:
 def _run(arguments: list[str], alone: bool) -> int:
     parser = _parser()
     options, unknown = parser.parse_known_args(arguments)
+    factor = _real_time(options, parser)
     if unknown:
         parser.error(_unknown(unknown[0], parser))
     actions = [
@@ -160,7 +169,13 @@ def _run(arguments: list[str], alone: bool) -> int:
         parser.error("give a scenario, e.g. simrun nominal")
     if len(actions) > 1:
         parser.error(f"{actions[0]} and {actions[1]} exclude each other")
-    flight_options = (("--out", options.out), ("--set", options.overrides), ("--no-log", options.no_log))
+    flight_options = (
+        ("--out", options.out),
+        ("--set", options.overrides),
+        ("--no-log", options.no_log),
+        ("--view", options.view),
+        ("--view-port", options.view_port),
+    )
     given = [name for name, value in flight_options if value]
     if given and actions[0] not in ("SCENARIO", "--from"):
         parser.error(f"{given[0]} means nothing with {actions[0]}")
@@ -177,8 +192,36 @@ def _run(arguments: list[str], alone: bool) -> int:
         return simrun_builtin.show_list() if options.list else simrun_builtin.copy(*options.copy)
     from maxq.tools import simrun_fly  # noqa: PLC0415  # lazy
 
-    order = simrun_fly.Order(options.scenario, options.log, tuple(options.overrides), options.out, options.no_log)
+    order = simrun_fly.Order(
+        options.scenario,
+        options.log,
+        tuple(options.overrides),
+        options.out,
+        options.no_log,
+        options.view or options.view_port is not None,
+        options.view_port,
+        factor,
+    )
     return simrun_fly.execute(order, alone=alone)
+
+
+def _real_time(options: argparse.Namespace, parser: argparse.ArgumentParser) -> float | None:
+    """How many times faster than life; None: as fast as it goes."""
+    given = options.realtime
+    if given is None:
+        return None
+    try:
+        factor = float(given)
+    except ValueError:
+        if options.scenario is None:  # `--realtime nominal`: the scenario, and no factor
+            options.scenario, factor = given, 1.0
+        else:
+            parser.error(f"--realtime {given}: a factor is a number, e.g. --realtime 4")
+    if not 0.0 < factor < float("inf"):
+        parser.error(f"--realtime {given}: a factor is above 0")
+    if not options.view and options.view_port is None:
+        parser.error("--realtime means nothing without --view")
+    return factor
 
 
 def _unknown(argument: str, parser: argparse.ArgumentParser) -> str:
