@@ -16,11 +16,20 @@ Array = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
 
+_LAYOUTS: dict[type, np.dtype[Any]] = {}
+
+
 def dtype_of(schema: type) -> np.dtype[Any]:
     """Record layout of a dataclass of `float`, `int`, `Annotated[Array, shape]` and nested dataclasses.
 
     Raises TypeError for any other field type, and for a name that np.record has itself.
     """
+    if schema not in _LAYOUTS:
+        _LAYOUTS[schema] = _layout(schema)
+    return _LAYOUTS[schema]
+
+
+def _layout(schema: type) -> np.dtype[Any]:
     hints = get_type_hints(schema, include_extras=True)
     taken = [f.name for f in fields(schema) if hasattr(np.record, f.name)]
     if taken:  # uncompiled, `row.shape` is NumPy's own attribute, not the field

@@ -13,13 +13,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from maxq.control.jit import kernel
-from maxq.control.records import Array
+from maxq.control.records import Array, IntArray
 
 Method = Literal["pchip", "linear", "step"]
 
@@ -52,8 +53,15 @@ class Cubics:
         return np.asarray(c0 + s * (c1 + s * (c2 + s * c3)))
 
     def at(self, xs: ArrayLike) -> Array:
-        """Rows of all columns at each of `xs`."""
-        return np.array([self(float(x)) for x in np.atleast_1d(np.asarray(xs, float))])
+        """Rows of all columns at each of `xs`; as `__call__`, which gives the same bits."""
+        k, s = self._locate(np.atleast_1d(np.asarray(xs, float)))
+        c = self.coefficients[k]
+        return np.asarray(c[:, 0] + s * (c[:, 1] + s * (c[:, 2] + s * c[:, 3])))
+
+    def _locate(self, xs: Array) -> tuple[IntArray, Array]:
+        """Interval (n,) of each of `xs`, and how far into it they lie (n, 1); clamped to the table."""
+        k = np.clip(np.searchsorted(self.breaks, xs, side="right") - 1, 0, len(self.breaks) - 2)
+        return k, (np.clip(xs, self.breaks[0], self.breaks[-1]) - self.breaks[k])[:, None]
 
 
 def fit(x: ArrayLike, columns: ArrayLike, method: Method = "pchip") -> Cubics:
@@ -75,8 +83,17 @@ def fit(x: ArrayLike, columns: ArrayLike, method: Method = "pchip") -> Cubics:
     if method == "linear" or (method == "pchip" and len(x) == 2):
         c[:, 1] = np.diff(y, axis=0) / np.diff(x)[:, None]
     elif method == "pchip":
-        return hermite(x, y, _monotone_slopes(x, y))
+        return Cubics(x, _pchip(x.tobytes(), y.tobytes(), y.shape[1]))
     return Cubics(x, c)
+
+
+@lru_cache(maxsize=128)  # a campaign packs the same tables thousands of times: 2 MB or so for KSR-III
+def _pchip(x: bytes, y: bytes, columns: int) -> Array:
+    """Coefficients (n - 1, 4, columns), n > 2, read-only because they are shared."""
+    at, values = np.frombuffer(x), np.frombuffer(y).reshape(-1, columns)
+    coefficients = hermite(at, values, _monotone_slopes(at, values)).coefficients
+    coefficients.flags.writeable = False
+    return coefficients
 
 
 def hermite(x: Array, y: Array, slopes: Array) -> Cubics:
@@ -124,17 +141,17 @@ def merge(tables: Sequence[Cubics]) -> Cubics:
 
 def _on(table: Cubics, breaks: Array) -> Array:
     """Coefficients of `table` re-centred on finer `breaks`."""
-    out = np.zeros((len(breaks) - 1, 4, table.n_columns))
-    for k, x in enumerate(breaks[:-1]):
-        if x < table.breaks[0] or x >= table.breaks[-1]:
-            out[k, 0] = table(x)
-            continue
-        i = int(np.searchsorted(table.breaks, x, side="right") - 1)
-        c, s = table.coefficients[i], x - table.breaks[i]
-        out[k, 0] = c[0] + s * (c[1] + s * (c[2] + s * c[3]))
-        out[k, 1] = c[1] + s * (2 * c[2] + s * 3 * c[3])
-        out[k, 2] = c[2] + s * 3 * c[3]
-        out[k, 3] = c[3]
+    if len(breaks) == len(table.breaks) and (breaks == table.breaks).all():
+        return table.coefficients
+    x = breaks[:-1]
+    k, s = table._locate(x)
+    c = table.coefficients[k]
+    out = np.empty_like(c)
+    out[:, 0] = c[:, 0] + s * (c[:, 1] + s * (c[:, 2] + s * c[:, 3]))
+    out[:, 1] = c[:, 1] + s * (2 * c[:, 2] + s * 3 * c[:, 3])
+    out[:, 2] = c[:, 2] + s * 3 * c[:, 3]
+    out[:, 3] = c[:, 3]
+    out[(x < table.breaks[0]) | (x >= table.breaks[-1]), 1:] = 0.0
     return out
 
 

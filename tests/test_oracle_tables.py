@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from scipy.interpolate import CubicHermiteSpline, PchipInterpolator
 
 from maxq.control.records import Array
-from maxq.control.tables import fit, hermite
+from maxq.control.tables import fit, hermite, merge
 from maxq.sim.packing.mode_shapes import ModeShapes
 from maxq.sim.scenario.modes import ModeTable
 
@@ -70,3 +70,19 @@ def test_mode_shapes_and_their_slopes_are_those_of_scipy() -> None:
             terms = np.abs(theirs.c).max() * np.maximum(1.0, 4.0**3)  # the longest interval is 4 m, with what is beyond
             np.testing.assert_allclose(shapes.value(points)[:, t, m], theirs(points), rtol=0, atol=4 * EPS * terms)
             np.testing.assert_allclose(shapes.slope(points)[:, t, m], theirs(points, 1), rtol=0, atol=4 * EPS * terms)
+
+
+def test_all_rows_at_once_are_those_one_by_one() -> None:
+    rng = np.random.default_rng(0)
+    table = fit(np.cumsum(rng.uniform(0.1, 1.0, 20)), rng.normal(size=(20, 3)))
+    xs = np.concatenate([rng.uniform(-1.0, 15.0, 200), table.breaks])
+    assert table.at(xs).tobytes() == np.array([table(float(x)) for x in xs]).tobytes()
+
+
+def test_a_merged_table_is_its_parts() -> None:
+    rng = np.random.default_rng(1)
+    parts = [fit(np.cumsum(rng.uniform(0.1, 1.0, n)), rng.normal(size=(n, 2))) for n in (3, 8, 21)]
+    together = merge(parts)
+    xs = rng.uniform(-1.0, 14.0, 500)
+    # a cubic that is re-centred loses a few ulp of its largest term
+    assert together.at(xs) == pytest.approx(np.concatenate([p.at(xs) for p in parts], axis=1), rel=1e-9, abs=1e-11)

@@ -10,7 +10,7 @@ import os
 import sys
 from typing import NoReturn
 
-PASSED, FAILED, BAD_INPUT, INTERNAL_ERROR, INTERRUPTED = 0, 1, 2, 70, 130
+PASSED, FAILED, BAD_INPUT, OPEN, INTERNAL_ERROR, INTERRUPTED = 0, 1, 2, 3, 70, 130
 """Exit codes; 70 is EX_SOFTWARE of sysexits.h."""
 
 TRACEBACK = "MAXQ_TRACEBACK"
@@ -18,7 +18,10 @@ TRACEBACK = "MAXQ_TRACEBACK"
 
 _USAGE = (
     "simrun SCENARIO [--set KEY=VALUE]... [--out DIR] [--no-log] [--view [--realtime [X]]]\n"
+    "       simrun CAMPAIGN [--runs N] [--seed S] [--workers K] [--keep WHICH]... [--until-settled]\n"
+    "                       [--dask ADDRESS] [--set KEY=VALUE]... [--out DIR] [--no-report]\n"
     "       simrun --from LOG [--set KEY=VALUE]... [--out DIR] [--view [--realtime [X]]]\n"
+    "       simrun --from DIR [--run N [--view | --shrink]] [--search METRIC] [--keep WHICH]... [--out DIR]\n"
     "       simrun --list | --copy NAME DIR | --version | --help"
 )
 _EXAMPLES = """\
@@ -29,13 +32,17 @@ examples:
   simrun mine/nominal.toml                          fly it
   simrun --from runs/nominal/flight.mcap            fly a log again and compare
   simrun nominal --view --realtime 4                watch it fly, four times as fast as it would
+  simrun campaigns/first                            fly a campaign of dispersed flights; again: go on with it
+  simrun campaigns/first --runs 2000                make it larger
+  simrun --from runs/first --run 17                 fly one of its runs again, with a full log
 
 exit code:
     0  flown, all requirements met
     1  flown, but a requirement was missed, control was lost, the flight diverged, or it differs from the log
-    2  bad input, nothing written
+    2  bad input, or files that cannot be read or written
+    3  a campaign: too few runs to say whether all requirements are met
    70  a fault of maxq itself; MAXQ_TRACEBACK=1 in the environment shows where
-  130  interrupted, the log is closed properly
+  130  interrupted; a log is closed properly, a campaign goes on with the same command
 """
 
 
@@ -50,7 +57,7 @@ def _parser() -> argparse.ArgumentParser:
     parser = _Parser(
         prog="simrun",
         usage=_USAGE,
-        description="Fly a scenario: write DIR/flight.mcap and DIR/summary.json, print a verdict.",
+        description="Fly a scenario, or a campaign of dispersed flights: leave log or data set, print a verdict.",
         epilog=_EXAMPLES,
         formatter_class=argparse.RawDescriptionHelpFormatter,
         allow_abbrev=False,
@@ -60,7 +67,7 @@ def _parser() -> argparse.ArgumentParser:
         "scenario",
         nargs="?",
         metavar="SCENARIO",
-        help="scenario file (.toml), or name of a built-in scenario",
+        help="scenario or campaign file (.toml), or name of a built-in one",
     )
     parser.add_argument("--out", metavar="DIR", help="where to write (default: runs/<name of the scenario>)")
     parser.add_argument(
@@ -76,15 +83,35 @@ def _parser() -> argparse.ArgumentParser:
         "--from",
         metavar="LOG",
         dest="log",
-        help="fly the scenario in a log again and compare the final states; writes nothing without --out",
+        help="fly the scenario in a log again and compare the final states; writes nothing without --out; "
+        "or the folder of a campaign: report on it again, or fly one --run",
     )
-    parser.add_argument("--view", action="store_true", help="show the flight in the Rerun viewer while it flies")
+    parser.add_argument(
+        "--view", action="store_true", help="show the flight in the Rerun viewer while it flies, also with --run"
+    )
     parser.add_argument(
         "--view-port", type=int, metavar="N", help="show it in a viewer that listens on this port already"
     )
     parser.add_argument(
         "--realtime", nargs="?", const="1", metavar="X", help="with --view: X seconds of flight in a second (default 1)"
     )
+    campaigns = parser.add_argument_group("campaigns")
+    campaigns.add_argument("--runs", metavar="N", type=_count, help="number of runs, instead of the file's")
+    campaigns.add_argument("--seed", metavar="S", type=_count, help="seed of all draws, instead of the file's")
+    campaigns.add_argument("--workers", metavar="K", type=_count, help="threads (default: all cores)")
+    campaigns.add_argument(
+        "--keep",
+        metavar="WHICH",
+        action="append",
+        default=[],
+        help="keep full logs of: worst:5 (of each requirement), worst:5:METRIC, failed, failed:20, 0,17; repeatable",
+    )
+    campaigns.add_argument("--until-settled", action="store_true", help="stop when every verdict is settled")
+    campaigns.add_argument("--dask", metavar="ADDRESS", help="fly on the workers of a dask.distributed scheduler")
+    campaigns.add_argument("--no-report", action="store_true", help="no pictures and no page, only summary.json")
+    campaigns.add_argument("--run", metavar="N", type=_count, help="with --from DIR: fly this run again, with a log")
+    campaigns.add_argument("--shrink", action="store_true", help="with --run: the fewest dispersions that still fail")
+    campaigns.add_argument("--search", metavar="METRIC", help="with --from DIR: the worst flight within 3 sigma")
     parser.add_argument("--list", action="store_true", help="name the built-in scenarios")
     parser.add_argument(
         "--copy", nargs=2, metavar=("NAME", "DIR"), help="copy a built-in scenario with all it refers to"
@@ -92,6 +119,12 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--version", action="store_true", help="version of maxq")
     parser.add_argument("-h", "--help", action="help", help="this text")
     return parser
+
+
+def _count(text: str) -> int:
+    if not text.isdecimal():
+        raise argparse.ArgumentTypeError(f"{text!r} is no whole number of at least 0")
+    return int(text)
 
 
 def command() -> NoReturn:
@@ -176,7 +209,7 @@ def _run(arguments: list[str], alone: bool) -> int:
         ("--view", options.view),
         ("--view-port", options.view_port),
     )
-    given = [name for name, value in flight_options if value]
+    given = [name for name, value in (*flight_options, *_campaign_options(options)) if value]
     if given and actions[0] not in ("SCENARIO", "--from"):
         parser.error(f"{given[0]} means nothing with {actions[0]}")
     if options.out == "":
@@ -190,6 +223,21 @@ def _run(arguments: list[str], alone: bool) -> int:
         from maxq.tools import simrun_builtin  # noqa: PLC0415  # lazy
 
         return simrun_builtin.show_list() if options.list else simrun_builtin.copy(*options.copy)
+    if _is_campaign(options):
+        return _campaign(options, parser)
+    alien = [name for name, value in _campaign_options(options) if value]
+    if alien and options.scenario is not None:
+        from maxq.sim.scenario.errors import ScenarioError  # noqa: PLC0415  # lazy
+        from maxq.sim.scenario.loader import load_scenario  # noqa: PLC0415  # lazy
+
+        try:  # a file that cannot be read is the greater trouble
+            load_scenario(options.scenario, options.overrides)
+        except ScenarioError as error:
+            print(f"simrun: {error}", file=sys.stderr)
+            return BAD_INPUT
+        parser.error(f"{alien[0]} belongs to campaigns, and {options.scenario} has no [campaign]")
+    if alien:
+        parser.error(f"{alien[0]} needs the folder of a campaign, which {options.log} is not")
     from maxq.tools import simrun_fly  # noqa: PLC0415  # lazy
 
     order = simrun_fly.Order(
@@ -222,6 +270,85 @@ def _real_time(options: argparse.Namespace, parser: argparse.ArgumentParser) -> 
     if not options.view and options.view_port is None:
         parser.error("--realtime means nothing without --view")
     return factor
+
+
+def _campaign_options(options: argparse.Namespace) -> tuple[tuple[str, bool], ...]:
+    """Options that only campaigns have, and whether each was given."""
+    return (
+        ("--runs", options.runs is not None),
+        ("--seed", options.seed is not None),
+        ("--workers", options.workers is not None),
+        ("--keep", bool(options.keep)),
+        ("--until-settled", options.until_settled),
+        ("--dask", options.dask is not None),
+        ("--no-report", options.no_report),
+        ("--run", options.run is not None),
+        ("--shrink", options.shrink),
+        ("--search", options.search is not None),
+    )
+
+
+def _is_campaign(options: argparse.Namespace) -> bool:
+    if options.log is not None:
+        return os.path.isdir(options.log)
+    from maxq.sim.scenario.loader import is_campaign  # noqa: PLC0415  # lazy
+
+    return is_campaign(options.scenario)
+
+
+def _campaign(options: argparse.Namespace, parser: argparse.ArgumentParser) -> int:
+    of_a_folder = ("--run", "--shrink", "--search")
+    of_a_flight = ("--seed", "--until-settled", "--dask")
+    given = [name for name, value in _campaign_options(options) if value]
+    if options.view_port is not None or options.realtime is not None:
+        parser.error("--view-port and --realtime go with a scenario or a log; --run N --view shows a flight once flown")
+    if options.log is None:
+        if options.view:
+            parser.error("--view shows one flight: with a campaign, --from DIR --run N")
+        if wrong := [name for name in given if name in of_a_folder]:
+            parser.error(f"{wrong[0]} goes with --from DIR")
+        if options.no_log:
+            parser.error("--no-log means nothing for a campaign: it logs the flights of --keep only")
+    else:
+        if options.overrides:
+            parser.error("--set would make another campaign of it; fly the campaign file with --set and --out")
+        if wrong := [name for name in given if name in of_a_flight]:
+            parser.error(
+                f"{wrong[0]} goes with a campaign file: a flown campaign is extended by the command that flew it"
+            )
+        if (options.view or options.shrink) and options.run is None:
+            parser.error("--view and --shrink go with --run N")
+        if options.view and (options.shrink or options.no_log):
+            parser.error("--view shows the log of --run N")
+    if options.workers == 0:
+        parser.error("--workers 0: at least one is needed")
+    for text in options.keep:
+        from maxq.sim.campaign.schema import KEEP_ALLOWED, keep_is_known  # noqa: PLC0415  # lazy
+
+        if not keep_is_known(text):
+            parser.error(f"--keep {text}: allowed: {KEEP_ALLOWED}")
+    from maxq.tools import simrun_campaign  # noqa: PLC0415  # lazy
+
+    return simrun_campaign.execute(
+        simrun_campaign.Order(
+            scenario=options.scenario,
+            folder=options.log,
+            overrides=tuple(options.overrides),
+            out=options.out,
+            no_log=options.no_log,
+            runs=options.runs,
+            seed=options.seed,
+            workers=options.workers,
+            keep=tuple(options.keep),
+            until_settled=options.until_settled,
+            no_report=options.no_report,
+            dask=options.dask,
+            run=options.run,
+            view=options.view,
+            shrink=options.shrink,
+            search=options.search,
+        )
+    )
 
 
 def _unknown(argument: str, parser: argparse.ArgumentParser) -> str:

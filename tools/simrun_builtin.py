@@ -8,15 +8,16 @@ import tomllib
 from pathlib import Path
 from typing import Any
 
-from maxq.sim.scenario.builtin import builtin_names, builtin_path
+from maxq.sim.scenario.builtin import builtin_names, builtin_path, campaign_names, campaign_path
 from maxq.tools.plain_text import aligned, printable
 
 _PASSED, _BAD_INPUT = 0, 2
 
 
 def show_list() -> int:
-    """Print name and description of every built-in scenario."""
-    print("\n".join(aligned([(name, _description(name)) for name in builtin_names()])))
+    """Print name and description of every built-in scenario and campaign."""
+    names = [*builtin_names(), *campaign_names()]
+    print("\n".join(aligned([(name, _description(name)) for name in names])))
     return _PASSED
 
 
@@ -36,7 +37,7 @@ def copy(name: str, folder: str) -> int:
 
 def _description(name: str) -> str:
     """A scenario's own description, or that of the one it extends."""
-    path = builtin_path(name)
+    path = builtin_path(name) or campaign_path(name)
     while path is not None and path.is_file():
         content: dict[str, Any] = tomllib.loads(path.read_text(encoding="utf-8"))
         if content.get("description"):

@@ -75,7 +75,7 @@ def _execute(order: Order, start_s: float) -> int:
         record.check_writable(folder)
     loaded_s = time.perf_counter()
     view = _view(order, loaded)
-    _announce_compilation()
+    announce_compilation()
     if view is None:
         run = FlightRun(loaded, packed, log=folder is not None and not order.no_log)
     else:
@@ -187,7 +187,7 @@ def _watchers(*watchers: Callable[[FlightRun], None]) -> Callable[[FlightRun], N
     return watch
 
 
-def _announce_compilation() -> None:
+def announce_compilation() -> None:
     """On a terminal, say why the first flight takes its time."""
     from maxq.control.jit import cache_folder  # noqa: PLC0415  # lazy
 

@@ -7,11 +7,13 @@ import math
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
 
 from maxq.control.records import Array, IntArray, pack
+from maxq.sim.dynamics.state import Sizes
 from maxq.sim.flight.arena import ARENA_SIZE
 from maxq.sim.flight.ending import ending_values
 from maxq.sim.flight.history import Event, cause_of, events_so_far, outcome_so_far
@@ -81,22 +83,23 @@ class Flight:
 class FlightRun:
     """A flight under way: `fly_segment` until `finished`, then `result`.
 
-    Making one loads the compiled kernels, or compiles them (about half a minute, once).
+    Making one loads the compiled kernels, or compiles them (about half a minute, once). `segment_ns`: length of a
+    segment, a multiple of the step (default: 1 s, or less where that is many steps or log rows).
     """
 
-    def __init__(self, loaded: LoadedScenario, packed: Packed | None = None, log: bool = True) -> None:
+    def __init__(
+        self, loaded: LoadedScenario, packed: Packed | None = None, log: bool = True, segment_ns: int | None = None
+    ) -> None:
         self.loaded = loaded
         self.packed = packed or pack_flight(loaded.scenario)
         tanks = max((stage.tank for stage in loaded.vehicle.stage), key=len)
         names = tuple(tank.name or str(i + 1) for i, tank in enumerate(tanks[: self.packed.sizes.tanks]))
-        kernel_table = channel_table(self.packed.sizes, names)
-        self.table = kernel_table.as_logged()
-        self._scales = {group: kernel_table.scales(group) for group in (FAST, SLOW)}
+        self.table, self._scales = _logged_table(self.packed.sizes, names)
         self._on, self._off = (pack([Logged(on, self.packed.sizes)]) for on in (1, 0))
         self._arena = np.zeros(ARENA_SIZE)
         course = self.packed.parameters[0].course
         periods_ns = {FAST: int(course.fast_ns), SLOW: int(course.slow_ns)}
-        self.segment_ns = _segment_ns(int(course.step_ns), min(periods_ns.values()))
+        self.segment_ns = segment_ns or _segment_ns(int(course.step_ns), min(periods_ns.values()))
         self._logged = self._on if log else self._off
         self._rows = {
             group: self._blank(group, self.segment_ns // period_ns + 4 if log else 1)
@@ -225,6 +228,13 @@ def fly(loaded: LoadedScenario, *, log: bool = True, watch: Callable[[FlightRun,
         if watch is not None:
             watch(run, rows)
     return run.result(kept.rows() if log else None)
+
+
+@lru_cache(maxsize=8)
+def _logged_table(sizes: Sizes, tanks: tuple[str, ...]) -> tuple[ChannelTable, dict[str, Array]]:
+    """Channels in logged units, and what the kernel's columns are multiplied with to get there."""
+    kernel_table = channel_table(sizes, tanks)
+    return kernel_table.as_logged(), {group: kernel_table.scales(group) for group in (FAST, SLOW)}
 
 
 def copied(rows: Rows) -> Rows:

@@ -47,8 +47,9 @@ def record(
     watch: Callable[[FlightRun], None] | None = None,
     stop: Callable[[], bool] = lambda: False,
     timing: Callable[[], dict[str, float]] = dict,
+    number: int = 0,
 ) -> Flight:
-    """Fly `run` to its end and leave log and summary in `folder`, which is made.
+    """Fly `run` to its end and leave log and summary in `folder`, which is made. `number`: of the run in a campaign.
 
     Files of the same names are replaced. `watch` is called after every segment (1 s of simulated time or
     less); when `stop` then says True, the flight ends there with outcome "interrupted". `timing`: further
@@ -59,7 +60,7 @@ def record(
     made = _make(folder)
     try:
         (folder / SUMMARY_NAME).unlink(missing_ok=True)  # it tells of another flight
-        writer = LogWriter(folder / LOG_NAME, run.table, run_head(run.loaded)) if log else None
+        writer = LogWriter(folder / LOG_NAME, run.table, run_head(run.loaded, number)) if log else None
     except (OSError, LogError) as error:
         for empty in made:
             empty.rmdir()
@@ -69,7 +70,7 @@ def record(
     return flight
 
 
-def run_head(loaded: LoadedScenario) -> RunHead:
+def run_head(loaded: LoadedScenario, number: int = 0) -> RunHead:
     """What a log begins with: enough to fly the same flight again."""
     scenario, site = loaded.scenario, loaded.scenario.site
     metadata = {
@@ -78,7 +79,7 @@ def run_head(loaded: LoadedScenario) -> RunHead:
         "vehicle": scenario.vehicle.name,
         "design": scenario.design.name if scenario.design else "",
         "seed": str(scenario.run.seed),
-        "run": "0",
+        "run": str(number),
         "site_latitude_deg": repr(site.latitude_deg),
         "site_longitude_deg": repr(site.longitude_deg),
         "site_altitude_m": repr(site.altitude_m),

@@ -47,8 +47,13 @@ def summary_of(flight: Flight, log: str | None, timing: dict[str, float]) -> dic
         "seed": scenario.run.seed,
         "log": log,
         "timing": {"flight_s": flight.wall_s} | timing,
-        "versions": {"python": platform.python_version()} | {name: version(name) for name in _PACKAGES},
+        "versions": versions(),
     }
+
+
+def versions() -> dict[str, str]:
+    """Of what the bits of a flight depend on."""
+    return {"python": platform.python_version()} | {name: version(name) for name in _PACKAGES}
 
 
 def write_summary(path: Path, flight: Flight, log: str | None, timing: dict[str, float]) -> None:

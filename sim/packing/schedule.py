@@ -8,6 +8,7 @@ loses (docs/model.md, section 8).
 from __future__ import annotations
 
 import math
+from functools import lru_cache
 
 import numpy as np
 
@@ -103,9 +104,10 @@ def _core(stage: Stage, sizes: Sizes, method: Method, moving_cg: bool) -> Cubics
     """Columns CORE_MASS to MASS_FLOW."""
     total = fit(*_mass_table(stage), method)
     tanks = [_tank(stage, k, method) for k in range(sizes.tanks)]
-    breaks = np.unique(np.concatenate([total.breaks, *[t.breaks for t in tanks]]))
-    rows = np.array([_without_bobs(total(t), [tank(t) for tank in tanks]) for t in breaks])
-    core = merge([total]) if not tanks else fit(breaks, rows, method)
+    core = merge([total])
+    if tanks:
+        breaks = np.unique(np.concatenate([total.breaks, *[t.breaks for t in tanks]]))
+        core = fit(breaks, _without_bobs(total.at(breaks), [tank.at(breaks) for tank in tanks]), method)
     rates = _derivative(core)
     if not moving_cg:
         rates.coefficients[:, :, 1:4] = 0.0
@@ -117,19 +119,24 @@ def _core(stage: Stage, sizes: Sizes, method: Method, moving_cg: bool) -> Cubics
 
 
 def _without_bobs(total: Array, bobs: list[Array]) -> Array:
-    """Mass, CG and inertia of the vehicle less its bobs, each at rest below its hinge."""
-    mass, station, y, z = total[:4]
-    places = [(0.0, 0.0, 0.0)] + [(station - (bob[2] + bob[1]), -y, -z) for bob in bobs]
-    masses = np.array([mass, *[-bob[0] for bob in bobs]])
-    r = np.array(places)
-    core_mass = masses.sum()
-    cg = (masses[:, None] * r).sum(axis=0) / core_mass
-    integrals = total[4:10].copy()
-    for m, at in [*zip(masses[1:], r[1:], strict=True), (-core_mass, cg)]:
-        x_, y_, z_ = at
-        squares = np.array([y_ * y_ + z_ * z_, x_ * x_ + z_ * z_, x_ * x_ + y_ * y_, x_ * y_, x_ * z_, y_ * z_])
-        integrals += m * squares
-    return np.array([core_mass, station - cg[0], y + cg[1], z + cg[2], *integrals])
+    """Rows (n, 10) of mass, CG and inertia of the vehicle less its bobs, each at rest below its hinge.
+
+    Sums are written out: a linear-algebra library adds in an order that depends on the processor.
+    """
+    mass, station, y, z = total[:, :4].T
+    nothing = np.zeros_like(mass)
+    moved = [(-bob[:, 0], np.stack([station - (bob[:, 2] + bob[:, 1]), -y, -z])) for bob in bobs]
+    core_mass, cg = mass.copy(), np.stack([nothing, nothing, nothing])
+    for m, r in moved:
+        core_mass += m
+        cg += m * r
+    cg /= core_mass
+    integrals = total[:, 4:10].copy()
+    for m, r in [*moved, (-core_mass, cg)]:
+        x_, y_, z_ = r
+        squares = [y_ * y_ + z_ * z_, x_ * x_ + z_ * z_, x_ * x_ + y_ * y_, x_ * y_, x_ * z_, y_ * z_]
+        integrals += (m * np.stack(squares)).T
+    return np.stack([core_mass, station - cg[0], y + cg[1], z + cg[2], *integrals.T], axis=1)
 
 
 def _thrust(stage: Stage) -> Cubics:
@@ -140,20 +147,22 @@ def _thrust(stage: Stage) -> Cubics:
 
 
 def _tank(stage: Stage, k: int, method: Method) -> Cubics:
-    table = stage.tank[k].table
+    tank, table = stage.tank[k], stage.tank[k].table
     names = ("slosh_mass_kg", "pendulum_length_m", "hinge_station_m")
-    return fit(table["time_s"], np.stack([table[n] for n in names], axis=1), method)
+    joined = fit(table["time_s"], np.stack([table[n] for n in names], axis=1), method)
+    return Cubics(joined.breaks, joined.coefficients * np.array([tank.mass_factor, tank.length_factor, 1.0]))
 
 
 def _tank_rates(tank: Cubics, shrinks: bool, travels: bool) -> Cubics:
     """Rates of a bob's mass and of its station."""
-    rates = _derivative(tank).coefficients
+    derivative = _derivative(tank)
+    rates = derivative.coefficients
     out = np.zeros((*rates.shape[:2], 2))
     if shrinks:
         out[:, :, 0] = rates[:, :, 0]
     if travels:
         out[:, :, 1] = rates[:, :, 1] + rates[:, :, 2]
-    return Cubics(_derivative(tank).breaks, out)
+    return Cubics(derivative.breaks, out)
 
 
 def _derivative(table: Cubics) -> Cubics:
@@ -176,24 +185,51 @@ def _modes(stage: Stage, table: ModeTable | None, sizes: Sizes, method: Method) 
     rows, lanes = int(_mode_rows(record)), int(_lanes(record))
     if table is None or rows * lanes == 0:
         return fit([0.0], np.zeros((1, rows * lanes)))
-    times, n, shapes = table.time_s, table.modes, ModeShapes(table)
-    gimbal = stage.engine.gimbal_station_m if stage.engine else float(table.station_m[-1])
-    gyro = stage.gyro.station_m if stage.gyro else float(table.station_m[0])
+    engine, bending = stage.engine, stage.bending
+    gimbal_m = engine.gimbal_station_m if engine else float(table.station_m[-1])
+    gyro_m = stage.gyro.station_m if stage.gyro else float(table.station_m[0])
+    hanging_kgm = engine.gimballed_mass_kg * engine.cg_from_gimbal_m if engine else 0.0
+    hinges_m = tuple(_tank(stage, k, method).at(table.time_s)[:, 2].tobytes() for k in range(sizes.tanks))
+    surfaces_m = tuple(surface_stations(stage))
+    values = _mode_values(table, (rows, lanes), gimbal_m, gyro_m, hinges_m, surfaces_m, hanging_kgm)
+    joined = fit(table.time_s, values, method)
+    assert bending is not None
+    factors = np.ones((rows, lanes))
+    factors[columns_of.MODE_SLOPE_GYRO, : table.modes] = bending.gyro_slope_factor[: table.modes]
+    for row in (columns_of.MODE_PHI_GIMBAL, columns_of.MODE_SLOPE_GIMBAL):
+        factors[row, : table.modes] = bending.gimbal_shape_factor[: table.modes]
+    return Cubics(joined.breaks, joined.coefficients * factors.ravel())
+
+
+@lru_cache(maxsize=16)  # a campaign packs the same modes thousands of times; a table has two planes, or one for both
+def _mode_values(
+    table: ModeTable,
+    shape: tuple[int, int],
+    gimbal_m: float,
+    gyro_m: float,
+    hinges_m: tuple[bytes, ...],
+    surfaces_m: tuple[float, ...],
+    hanging_kgm: float,
+) -> Array:
+    """Rows and lanes (`shape`) of a plane over the table's times, (T, rows times lanes).
+
+    `hinges_m`: stations (T,) of each tank's hinge, as bytes.
+    """
+    (rows, lanes), n, shapes = shape, table.modes, ModeShapes(table)
     columns = [2.0 * np.pi * table.frequency_hz, table.generalized_mass_kg]  # each of them (times, modes)
-    columns += [shapes.value(gimbal)[0], shapes.slope(gimbal)[0], shapes.slope(gyro)[0]]
-    for k in range(sizes.tanks):
-        hinges = _tank(stage, k, method).at(times)[:, 2]
-        columns.append(np.diagonal(shapes.value(hinges)).T)  # at each time the hinge of that time
-    for station in surface_stations(stage):
+    columns += [shapes.value(gimbal_m)[0], shapes.slope(gimbal_m)[0], shapes.slope(gyro_m)[0]]
+    for hinge in hinges_m:  # at each time the hinge of that time
+        columns.append(np.diagonal(shapes.value(np.frombuffer(hinge))).T)
+    for station in surfaces_m:
         columns += [shapes.value(station)[0], shapes.slope(station)[0]]
-    values = np.zeros((len(times), rows, lanes))
+    values = np.zeros((len(table.time_s), rows, lanes))
     values[:, : len(columns), :n] = np.stack(columns, axis=1)
     first = rows - lanes
-    values[:, first : first + n, :n] = _softening(stage, table, shapes).transpose(0, 2, 1)
-    return fit(times, values.reshape(len(times), -1), method)
+    values[:, first : first + n, :n] = _softening(table, shapes, gimbal_m, hanging_kgm).transpose(0, 2, 1)
+    return values.reshape(len(table.time_s), -1)
 
 
-def _softening(stage: Stage, table: ModeTable, shapes: ModeShapes) -> Array:
+def _softening(table: ModeTable, shapes: ModeShapes, gimbal_m: float, hanging_kgm: float) -> Array:
     """Generalised stiffness per unit of axial acceleration that the axial load takes from the modes, kg/m.
 
     At each time (times, modes, modes): integral of m_forward phi_i' phi_j' dx up to the gimbal, less what the engine
@@ -201,8 +237,7 @@ def _softening(stage: Stage, table: ModeTable, shapes: ModeShapes) -> Array:
     forward of it times the acceleration).
     """
     x = table.station_m
-    end = stage.engine.gimbal_station_m if stage.engine else float(x[-1])
-    inside = np.unique(np.append(x[x < end], end))
+    inside = np.unique(np.append(x[x < gimbal_m], gimbal_m))
     half = 0.5 * np.diff(inside)
     points = (0.5 * (inside[1:] + inside[:-1]) + np.outer(_GAUSS_NODES, half)).ravel()
     weights = np.outer(_GAUSS_WEIGHTS, half).ravel()
@@ -212,7 +247,4 @@ def _softening(stage: Stage, table: ModeTable, shapes: ModeShapes) -> Array:
     matrices = np.array(
         [[[math.fsum(a * b * load) for b in slope] for a in slope] for slope, load in zip(slopes, loads, strict=True)]
     )
-    if stage.engine is not None:
-        hanging = stage.engine.gimballed_mass_kg * stage.engine.cg_from_gimbal_m
-        matrices -= hanging * np.array([np.outer(slope, slope) for slope in shapes.slope(end)[0]])
-    return matrices
+    return matrices - hanging_kgm * np.array([np.outer(slope, slope) for slope in shapes.slope(gimbal_m)[0]])

@@ -126,11 +126,12 @@ def _gyro(scenario: Scenario, stage: Stage) -> Gyro:
 
 
 def _bending(scenario: Scenario, stage: Stage) -> Bending:
-    zeta = np.zeros(MAX_MODES)
+    zeta, factor = np.zeros(MAX_MODES), np.ones(MAX_MODES)
     if stage.bending is not None:
         zeta[: len(stage.bending.damping_ratio)] = stage.bending.damping_ratio
+        factor[: len(stage.bending.frequency_factor)] = stage.bending.frequency_factor
     softening = 1.0 if scenario.switches.bending_softening else 0.0
-    return Bending(zeta, zeta, np.ones(MAX_MODES), softening)
+    return Bending(zeta, zeta, factor, softening)
 
 
 def _planes_differ(stage: Stage) -> bool:
@@ -160,10 +161,10 @@ def _aero(scenario: Scenario, stage: Stage, pool: Pool) -> Aero:
         crossflow_station_m=station,
         earth_rates=int(aero is not None and aero.rate_reference == "earth"),
         local_incidence=int(scenario.switches.local_incidence),
-        force_factor=1.0,
-        axial_factor=1.0,
-        damping_factor=1.0,
-        centre_shift_m=0.0,
+        force_factor=aero.force_factor if aero else 1.0,
+        axial_factor=aero.axial_factor if aero else 1.0,
+        damping_factor=aero.damping_factor if aero else 1.0,
+        centre_shift_m=aero.centre_shift_m if aero else 0.0,
     )
 
 

@@ -30,3 +30,14 @@ def builtin_names() -> list[str]:
 def builtin_path(name: str) -> Path | None:
     """The file of the built-in scenario `name`, or None."""
     return scenarios_folder() / f"{name}.toml" if name in builtin_names() else None
+
+
+def campaign_names() -> list[str]:
+    """Names of the built-in campaigns, such as `campaigns/ksr3`, sorted."""
+    folder = scenarios_folder()
+    return sorted(p.relative_to(folder).with_suffix("").as_posix() for p in (folder / "campaigns").rglob("*.toml"))
+
+
+def campaign_path(name: str) -> Path | None:
+    """The file of the built-in campaign `name`, or None."""
+    return scenarios_folder() / f"{name}.toml" if name in campaign_names() else None

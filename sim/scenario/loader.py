@@ -16,7 +16,14 @@ from pathlib import Path
 
 from pydantic import ValidationError
 
-from maxq.sim.scenario.builtin import BUILTIN, builtin_names, builtin_path, scenarios_folder
+from maxq.sim.scenario.builtin import (
+    BUILTIN,
+    builtin_names,
+    builtin_path,
+    campaign_names,
+    campaign_path,
+    scenarios_folder,
+)
 from maxq.sim.scenario.documents import (
     Array,
     Source,
@@ -50,6 +57,8 @@ _VARIANTS = {
 }
 _WANTED = {"scenario": "a scenario file (.toml)", **NAMED_FILES}
 AS_FLOWN = "scenario as flown"
+CAMPAIGN_SECTIONS = ("campaign", "disperse", "wind_model")
+"""Top-level keys that a campaign file has beside those of a scenario (sim/campaign/schema.py)."""
 
 
 @dataclass(frozen=True)
@@ -89,11 +98,36 @@ def load_scenario(
 
     `known_metrics`: names that a requirement may use; None accepts any. Raises ScenarioError.
     """
+    loaded, _, _ = load_with_sections(path, (), overrides, known_metrics)
+    return loaded
+
+
+def is_campaign(path: str | Path) -> bool:
+    """Whether this file, or the built-in one of that name, has a [campaign]. False where it cannot be read."""
+    try:
+        file, label = _locate(str(path))
+        return "campaign" in _document(Reading(), file, label, "scenario", ())
+    except ScenarioError:
+        return False
+
+
+def load_with_sections(
+    path: str | Path,
+    sections: tuple[str, ...],
+    overrides: Iterable[str] = (),
+    known_metrics: tuple[str, ...] | None = None,
+) -> tuple[LoadedScenario, Table, Reading]:
+    """As `load_scenario`, for a file with further top-level keys: those of `sections` that it has, unchecked.
+
+    Also returns what has read the files, so that the sections can name some. Raises ScenarioError.
+    """
     parsed = tuple(parse_override(text) for text in overrides)
     file, label = _locate(str(path))
     reading = Reading(known_metrics)
     tree = _document(reading, file, label, "scenario", ())
-    return _finish(reading, tree, label, parsed, folders=(file.parent,), name=file.stem)
+    extra = Table(tree.source)
+    loaded = _finish(reading, tree, label, parsed, folders=(file.parent,), name=file.stem, extra=(extra, sections))
+    return loaded, extra, reading
 
 
 def load_scenario_text(
@@ -120,10 +154,10 @@ def _locate(name: str) -> tuple[Path, str]:
     there = kind(path) if name else ""
     if there == "file":
         return path.resolve(), name
-    builtin = builtin_path(name.removesuffix(".toml"))
+    builtin = builtin_path(name.removesuffix(".toml")) or campaign_path(name.removesuffix(".toml"))
     if builtin is not None:
         return builtin, shown(builtin)
-    hint = suggestion(name.removesuffix(".toml"), builtin_names())
+    hint = suggestion(name.removesuffix(".toml"), [*builtin_names(), *campaign_names()])
     as_a_file = not name.isidentifier() or hint  # a bare word may have been meant as one of ours
     missing = "no such file" if as_a_file else "neither a file nor a built-in scenario"
     problem = {"folder": "is a folder", "other": "is no ordinary file"}.get(there, missing)
@@ -183,8 +217,9 @@ def _finish(
     *,
     folders: tuple[Path, ...],
     name: str,
+    extra: tuple[Table, tuple[str, ...]] | None = None,
 ) -> LoadedScenario:
-    """Apply overrides, bring in vehicle and design, validate."""
+    """Apply overrides, bring in vehicle and design, validate; what is `extra` is moved there, and not looked at."""
     command_line = Source(LABEL, (Path.cwd(), *folders, scenarios_folder()))
     apply(tuple(o for o in overrides if not _is_inside(o)), tree, command_line)
     for part in PARTS:
@@ -195,6 +230,12 @@ def _finish(
         apply(tuple(Override(o.path[1:], o.value) for o in inside), tree.get(part), command_line, (part,))
     if "name" not in tree:
         tree["name"] = name
+    if extra is not None:
+        for key in extra[1]:
+            if key in tree:
+                extra[0].sources[key] = tree.sources.get(key, tree.source)
+                extra[0][key] = tree.pop(key)
+        _refuse_huge_numbers(extra[0], extra[0], ())
     _refuse_huge_numbers(tree, tree, ())
     try:
         scenario = Scenario.model_validate(plain(tree), context=reading)

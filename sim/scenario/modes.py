@@ -22,11 +22,12 @@ MODE_COLUMNS = Columns(
 )
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class ModeTable:
     """Bending modes of one plane over time: T times, M modes, S stations (metres aft of the nose).
 
-    `mass_forward_kg` is the mass forward of a station; it is the same for all modes.
+    `mass_forward_kg` is the mass forward of a station; it is the same for all modes. Compared by identity: what is
+    derived from one can be kept for it.
     """
 
     time_s: NDArray[np.float64]  # (T,)
@@ -48,6 +49,13 @@ def mode_table(table: CsvTable, at: Path = ()) -> ModeTable:
     Raises the schema's refusal unless modes are numbered 1, 2, ... (8 at most), each time has each mode at
     each station exactly once, and frequency and generalised mass do not change along the stations.
     """
+    if table.derived is None:
+        table.keep(_mode_table(table, at))
+    assert isinstance(table.derived, ModeTable)
+    return table.derived
+
+
+def _mode_table(table: CsvTable, at: Path) -> ModeTable:
     mode = table["mode"]
     whole = np.array([m.is_integer() for m in mode.tolist()])
     _refuse_where(table, ~whole, "mode", "is no whole number", allowed=f"mode numbers 1 .. {MAX_MODES}", at=at)

@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
-from maxq.sim.scenario.schema_values import Section
+from maxq.sim.scenario.schema_values import NotNegative, Section
 from maxq.sim.scenario.tables_csv import Columns, CsvTable
 
 COEFFICIENTS = (
@@ -51,6 +51,10 @@ class Aero(Section):
         default=None,
         description="station of the cross-flow drag, m aft of the nose (default: half the length)",
     )
+    force_factor: NotNegative = Field(default=1.0, description="multiplies normal force and cross-flow drag")
+    axial_factor: NotNegative = Field(default=1.0, description="multiplies axial force and drag (CA, CD)")
+    damping_factor: NotNegative = Field(default=1.0, description="multiplies the damping by body rates (Cmq, Cnr, Clp)")
+    centre_shift_m: float = Field(default=0.0, description="moves the centre of every lifting part aft, m")
     rate_reference: Literal["inertial", "earth"] = Field(default="inertial", description="which body rates damp")
     surface: tuple[AeroSurface, ...] = Field(
         default=(),

@@ -102,5 +102,11 @@ class Tank(Section):
         description="pendulum over the stage clock; its mass is part of the stage's table of mass"
     )
     damping_ratio: Fraction = Field(description="of the pendulum, as a ratio to critical")
+    mass_factor: NotNegative = Field(
+        default=1.0, description="multiplies the sloshing mass; the vehicle's mass stays as it is"
+    )
+    length_factor: Positive = Field(
+        default=1.0, description="multiplies the pendulum's length: its frequency goes with 1/sqrt"
+    )
     radius_m: Positive | None = Field(default=None, description="of the tank, m, for drawings")
     bottom_station_m: float | None = Field(default=None, description="of the tank, m aft of the nose, for drawings")

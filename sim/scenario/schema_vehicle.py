@@ -55,6 +55,11 @@ class Reference(Section):
     )
 
 
+def _ones(data: dict[str, Any]) -> tuple[float, ...]:
+    """Default of a factor for each mode."""
+    return (1.0,) * len(data.get("damping_ratio", ()))
+
+
 class Bending(Section):
     """Free-free bending modes, engine locked and sloshing masses removed."""
 
@@ -66,16 +71,23 @@ class Bending(Section):
         default=None, description="modes of the yaw plane; may be the same file (default: none)"
     )
     damping_ratio: tuple[Fraction, ...] = Field(max_length=MAX_MODES, description="of each mode, both planes alike")
+    frequency_factor: tuple[Positive, ...] = Field(
+        default_factory=_ones, description="multiplies the frequency of each mode (default ones)"
+    )
+    gyro_slope_factor: tuple[float, ...] = Field(
+        default_factory=_ones, description="multiplies the slope of each mode at the gyro (default ones)"
+    )
+    gimbal_shape_factor: tuple[float, ...] = Field(
+        default_factory=_ones, description="multiplies displacement and slope of each mode at the gimbal (default ones)"
+    )
 
     @model_validator(mode="after")
     def _check(self) -> Bending:
         count = max((table.modes for table in (self.pitch_modes, self.yaw_modes) if table), default=0)
-        if count != len(self.damping_ratio):
-            raise refuse(
-                f"has {len(self.damping_ratio)} numbers for {count} modes",
-                f"a list of {count} numbers",
-                key=("damping_ratio",),
-            )
+        for key in ("damping_ratio", "frequency_factor", "gyro_slope_factor", "gimbal_shape_factor"):
+            given = len(getattr(self, key))
+            if given != count:
+                raise refuse(f"has {given} numbers for {count} modes", f"a list of {count} numbers", key=(key,))
         return self
 
     @property
@@ -159,8 +171,8 @@ class Stage(Section):
             flow, burn = self.mass.mass_flow_kgps or 0.0, self.mass.burn_s or 0.0
             total = (self.mass.mass_kg or 0.0) - flow * np.clip(times, 0.0, burn)
         moving = np.zeros(len(times))
-        for table in tables:
-            moving += np.interp(times, table["time_s"], table["slosh_mass_kg"])
+        for factor, table in zip((tank.mass_factor for tank in self.tank), tables, strict=True):
+            moving += factor * np.interp(times, table["time_s"], table["slosh_mass_kg"])
         if (moving >= total).any():
             worst = int(np.argmax(moving - total))
             raise refuse(

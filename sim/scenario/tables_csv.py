@@ -44,6 +44,12 @@ class CsvTable:
     columns: Mapping[str, Column]
     shown: str = ""
     lines: tuple[int, ...] = field(default=(), repr=False)
+    checked_as: Columns | None = field(default=None, init=False, repr=False)
+    derived: Any = field(default=None, init=False, repr=False)  # what the columns were turned into, kept for later
+
+    def keep(self, derived: Any) -> None:
+        """Keep something that follows from the columns alone: they never change."""
+        object.__setattr__(self, "derived", derived)
 
     def __getitem__(self, name: str) -> Column:
         return self.columns[name]
@@ -148,6 +154,8 @@ class Columns:
 
     def _validate(self, value: Any, info: core_schema.ValidationInfo) -> CsvTable:
         if isinstance(value, CsvTable):
+            if value.checked_as is self:
+                return value
             table = value
         elif isinstance(value, str):
             table = self._from_file(value, info.context)
@@ -158,6 +166,7 @@ class Columns:
         else:
             raise refuse("is no table", f"the name of a CSV file, or {self.allowed()} written out")
         self._check(table)
+        object.__setattr__(table, "checked_as", self)
         return table
 
     def _from_file(self, name: str, context: Any) -> CsvTable:

@@ -150,6 +150,23 @@ def _operations(result: dict[str, Any], step_ns: float, core: dict[str, float]) 
     )
 
 
+def _campaigns(result: dict[str, Any]) -> str:
+    local, memory, dask = result["local"], result["memory"], result["dask"]
+    rows = [
+        ("flights a second, one worker", f"{local['one_per_s']:.1f}", ""),
+        (f"flights a second, {local['workers']} workers", f"{local['all_per_s']:.1f}", "at least 16 on two cores"),
+        ("efficiency", f"{local['efficiency_percent']:.0f} %", "at least 90 %"),
+        ("CPU in the kernel, s a flight", f"{local['kernel_cpu_s']:.3f}", ""),
+        ("CPU of the campaign, s a flight", f"{local['campaign_cpu_s']:.3f}", ""),
+        ("campaign above kernel", f"{local['overhead_percent']:.1f} %", "at most 5 %"),
+        ("Dask (worker processes) above threads", f"{dask['overhead_percent']:.1f} %", "at most 10 %"),
+        (f"peak memory, {memory['runs'] // 2:,} short flights", f"{memory['half_MB']} MB", ""),
+        (f"peak memory, {memory['runs']:,} short flights", f"{memory['flown_MB']} MB", ""),
+        (f"peak memory, verdicts and report of {memory['rows']:,} runs", f"{memory['judged_MB']} MB", "at most 500 MB"),
+    ]
+    return _table(("what", "measured", "to reach"), rows)
+
+
 def _machine(results: dict[str, Any]) -> str:
     m = results["machine"]
     loads = ", ".join(f"{name} {s['load']:.1f}" for name, s in results["sections"].items())
@@ -204,6 +221,7 @@ def filled(text: str, results: dict[str, Any]) -> str:
         "precision": whole("precision", _precision),
         "parts": whole("parts", _parts),
         "replay": whole("replay", _replay),
+        "campaigns": whole("campaigns", _campaigns),
     }
     core, parts = sections.get("core"), sections.get("parts")
     if core is not None and parts is not None:

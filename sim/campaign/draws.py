@@ -1,0 +1,119 @@
+"""Random numbers of a campaign: each is a function of where it is used, never of what was drawn before.
+
+A draw depends on (campaign seed, key path, run index) alone: adding runs, keys or workers, another order or another
+machine changes no other draw. What else it depends on:
+
+- `latin-hypercube`: on the stratum, the fixed number of runs that share one hypercube. Run i belongs to hypercube
+  i // stratum whatever the number of runs, so that a campaign can be extended.
+- `sobol`: on the position of the key among the dispersed ones, which is its dimension. Further keys at the end change
+  nothing; one in between shifts those behind it.
+- A draw that was rejected is replaced by a pseudo-random one (attempt 1, 2, ...), whatever the sampling.
+
+The bits are Philox4x64-10 (Salmon et al., SC11, 2011) with the SHA-256 of seed and key as its key and run, attempt and
+component as its counter. NumPy promises that its bit generators keep their streams.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import warnings
+from functools import lru_cache
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import qmc
+
+from maxq.control.records import Array, IntArray
+
+Sampling = Literal["random", "latin-hypercube", "sobol"]
+Words = NDArray[np.uint64]
+
+_CELL = 2.0**-53
+_SOBOL_BITS = 32
+
+
+@lru_cache(maxsize=4096)
+def _philox_key(seed: int, key: str) -> int:
+    return int.from_bytes(hashlib.sha256(f"{seed}\0{key}".encode()).digest()[:16], "little")
+
+
+def words(seed: int, key: str, first: int, count: int, attempt: int = 0, component: int = 0) -> Words:
+    """Four random words for each of the runs `first` .. `first + count - 1`: (count, 4)."""
+    counter = first | attempt << 64 | component << 128
+    return np.random.Philox(key=_philox_key(seed, key), counter=counter).random_raw(4 * count).reshape(count, 4)
+
+
+def uniforms(seed: int, key: str, first: int, count: int, attempt: int = 0, component: int = 0) -> Array:
+    """Numbers in the open interval (0, 1), one for each run, on the centres of 2^52 cells."""
+    high = words(seed, key, first, count, attempt, component)[:, 0] >> np.uint64(12)
+    return np.asarray((high.astype(np.float64) + 0.5) * 2.0 * _CELL)
+
+
+def seeds(seed: int, key: str, first: int, count: int, attempt: int = 0) -> IntArray:
+    """Whole numbers 0 .. 2^63 - 1, one for each run: seeds of the flights' own noise."""
+    return np.asarray((words(seed, key, first, count, attempt)[:, 1] >> np.uint64(1)).astype(np.int64))
+
+
+@lru_cache(maxsize=512)
+def _permutation(seed: int, key: str, hypercube: int, stratum: int) -> IntArray:
+    """A random order of 0 .. stratum - 1 for one hypercube: the ranks of random words."""
+    order = np.argsort(words(seed, f"{key}\0latin", 0, stratum, component=hypercube)[:, 0], kind="stable")
+    ranks = np.empty(stratum, np.int64)
+    ranks[order] = np.arange(stratum)
+    return ranks
+
+
+def latin(seed: int, key: str, first: int, count: int, stratum: int) -> Array:
+    """As `uniforms`; each `stratum` runs from a multiple of it on fill as many equal cells once each."""
+    runs = np.arange(first, first + count)
+    cells = np.empty(count, np.int64)
+    for hypercube in range(first // stratum, (first + count - 1) // stratum + 1):
+        inside = runs // stratum == hypercube
+        cells[inside] = _permutation(seed, key, hypercube, stratum)[runs[inside] % stratum]
+    u = (cells + uniforms(seed, key, first, count)) / stratum
+    return np.asarray(np.minimum(u, 1.0 - _CELL))  # the sum may have been rounded up to the cell's end
+
+
+class Sobol:
+    """Sobol' points with Owen scrambling, dimension by dimension.
+
+    SciPy's sequence (Joe & Kuo's direction numbers), scrambled by a hash of the bits above each bit, as in Laine &
+    Karras (Comput. Graph. Forum 30, 2011) with the constants of Burley (J. Comput. Graph. Tech. 9(4), 2020): the
+    scrambling of a key depends on (campaign seed, key) alone, where SciPy's own depends on all dimensions.
+    """
+
+    def __init__(self, seed: int, keys: tuple[str, ...]) -> None:
+        if len(keys) > qmc.Sobol.MAXDIM:
+            raise ValueError(f"{len(keys)} dispersed keys; Sobol' points have at most {qmc.Sobol.MAXDIM} dimensions")
+        self._seed, self._dimension = seed, {key: n for n, key in enumerate(keys)}
+        self._first, self._points = -1, np.zeros((0, len(keys)), np.uint32)
+
+    def __call__(self, key: str, first: int, count: int) -> Array:
+        if self._first != first or len(self._points) != count:
+            engine: Any = qmc.Sobol(len(self._dimension), scramble=False, bits=_SOBOL_BITS)
+            if first:
+                engine.fast_forward(first)
+            with warnings.catch_warnings():  # SciPy would like powers of two; how many runs there are is not its matter
+                warnings.simplefilter("ignore", UserWarning)
+                exact = engine.random(count) * 2.0**_SOBOL_BITS
+            self._first, self._points = first, exact.astype(np.uint32)
+        hashed = int(words(self._seed, f"{key}\0sobol", 0, 1)[0, 0])
+        bits = _scrambled(self._points[:, self._dimension[key]], np.uint32(hashed & 0xFFFFFFFF))
+        return np.asarray((bits.astype(np.float64) + 0.5) * 2.0**-_SOBOL_BITS)
+
+
+def _reversed_bits(x: NDArray[np.uint32]) -> NDArray[np.uint32]:
+    for shift, mask in ((1, 0x55555555), (2, 0x33333333), (4, 0x0F0F0F0F), (8, 0x00FF00FF)):
+        keep = np.uint32(mask)
+        x = ((x >> np.uint32(shift)) & keep) | ((x & keep) << np.uint32(shift))
+    return (x >> np.uint32(16)) | (x << np.uint32(16))
+
+
+def _scrambled(x: NDArray[np.uint32], seed: np.uint32) -> NDArray[np.uint32]:
+    """Nested uniform scrambling: each bit is flipped or not by a hash of the bits above it. Products wrap."""
+    x = _reversed_bits(x)
+    x = x + seed
+    for factor in (0x6C50B47C, 0xB82F1E52, 0xC7AFE638, 0x8D22F6E6):
+        x = x ^ (x * np.uint32(factor))
+    return _reversed_bits(x)

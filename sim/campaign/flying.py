@@ -1,0 +1,156 @@
+"""One run of a campaign: its scenario is flown, what became of it is one row."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from maxq.control.records import Array
+from maxq.sim.campaign.plan import BatchInputs, LoadedCampaign
+from maxq.sim.campaign.schema import Envelope
+from maxq.sim.campaign.targets import Refused
+from maxq.sim.flight.fly import Flight, FlightRun
+from maxq.sim.flight.history import CONTROL_LOST_NAME, DIVERGED_NAME
+from maxq.sim.flight.judgement import METRIC_NAMES
+from maxq.sim.flight.telemetry import FAST, SLOW, channel_table
+from maxq.sim.packing.flight import pack_flight
+from maxq.sim.packing.schedule import stage_sizes
+from maxq.sim.scenario.loader import LoadedScenario
+from maxq.sim.scenario.nanoseconds import NS_PER_S
+
+REFUSED, ERROR = "refused", "error"
+"""Outcomes beside those of a flight: no scenario came of the draws; our own fault."""
+VOID = (DIVERGED_NAME, REFUSED, ERROR)
+"""Outcomes whose metrics say nothing: such a run misses every requirement."""
+
+_SEGMENT_NS = 10 * NS_PER_S  # of a flight: between two of them it can be given up
+
+
+class GivenUp(Exception):
+    """The campaign is to end: the flight is dropped."""
+
+
+@dataclass
+class Row:
+    """What is recorded of one run."""
+
+    run: int
+    outcome: str
+    passed: bool
+    cause: str
+    lost_s: float  # control lost or diverged; nan: neither
+    end_s: float
+    steps: int
+    redraws: int
+    state_hash: str
+    inputs: dict[str, Any]
+    metrics: dict[str, float]
+    times_s: dict[str, float]
+    history: History | None = field(default=None, repr=False)
+
+
+@dataclass(frozen=True)
+class History:
+    """Thinned-out channels of one run: `time_s` (n,), `values` (channels, n)."""
+
+    time_s: NDArray[np.float32]
+    values: NDArray[np.float32]
+
+
+def fly_row(loaded: LoadedCampaign, batch: BatchInputs, run: int, stop: Callable[[], bool] = lambda: False) -> Row:
+    """Fly one run. Whatever happens in it becomes a row.
+
+    Raises GivenUp when `stop` says so, CampaignError where the file refuses the draws.
+    """
+    try:
+        made = batch.inputs(run)
+    except Refused as refused:
+        return _void(run, REFUSED, f"no such scenario: {refused}")
+    envelope = loaded.campaign.envelope
+    try:
+        history = envelope if run < envelope.runs and envelope.channels else None
+        flight, kept = fly_scenario(made.loaded, history, stop)
+    except (GivenUp, MemoryError):
+        raise
+    except Exception as error:  # one run in ten thousand must not end a campaign: the row says what happened
+        row = _void(run, ERROR, f"{type(error).__name__}: {error}")
+        row.inputs, row.redraws = made.recorded, made.redraws
+        return row
+    return row_of(run, flight, made.recorded, made.redraws, kept)
+
+
+def fly_scenario(
+    loaded: LoadedScenario, envelope: Envelope | None = None, stop: Callable[[], bool] = lambda: False
+) -> tuple[Flight, History | None]:
+    """Fly without a log; with the channels of an envelope where one is given."""
+    packed = pack_flight(loaded.scenario)
+    step_ns = int(packed.parameters[0].course.step_ns)
+    if envelope is not None:
+        period_ns = max(round(NS_PER_S / envelope.rate_hz / step_ns), 1) * step_ns
+        packed.parameters["course"]["fast_ns"] = period_ns
+        packed.parameters["course"]["slow_ns"] = period_ns
+    segment_ns = max(_SEGMENT_NS // step_ns, 1) * step_ns
+    run = FlightRun(loaded, packed, log=envelope is not None, segment_ns=segment_ns)
+    kept: list[tuple[Array, Array]] = []
+    while not run.finished:
+        if stop():
+            raise GivenUp
+        rows = run.fly_segment()
+        if envelope is not None:
+            kept.append(_picked(run, rows, envelope))
+    history = None
+    if envelope is not None:
+        times, values = (np.concatenate([part[i] for part in kept], axis=-1) for i in (0, 1))
+        history = History(times.astype(np.float32), values.astype(np.float32))
+    return run.result(), history
+
+
+def _picked(run: FlightRun, rows: Any, envelope: Envelope) -> tuple[Array, Array]:
+    """Times (n,) and values (channels, n) of the segment; the flight's last instant falls outside the grid."""
+    period_s = 1.0 / envelope.rate_hz
+    times = rows[SLOW][0] / NS_PER_S
+    on_grid = np.abs(times / period_s - np.rint(times / period_s)) < 1e-6
+    out = []
+    for channel in envelope.channels:
+        group = run.table.topic(channel).group
+        out.append(rows[group][1][: len(times), run.table.index(channel)][on_grid])
+    return times[on_grid], np.array(out)
+
+
+def row_of(run: int, flight: Flight, inputs: dict[str, Any], redraws: int, history: History | None = None) -> Row:
+    lost = [event.time_s for event in flight.events if event.name in (CONTROL_LOST_NAME, DIVERGED_NAME)]
+    return Row(
+        run=run,
+        outcome=flight.outcome,
+        passed=flight.passed,
+        cause="; ".join(flight.failures),
+        lost_s=min(lost, default=math.nan),
+        end_s=flight.end_s,
+        steps=flight.steps,
+        redraws=redraws,
+        state_hash=flight.state_hash,
+        inputs=inputs,
+        metrics=flight.metrics,
+        times_s=flight.metric_times_s,
+        history=history,
+    )
+
+
+def _void(run: int, outcome: str, cause: str) -> Row:
+    nothing = dict.fromkeys(METRIC_NAMES, math.nan)
+    return Row(run, outcome, False, cause, math.nan, math.nan, 0, 0, "", {}, nothing, dict(nothing))
+
+
+def channel_units(loaded: LoadedScenario) -> dict[str, str]:
+    """Log channels that an envelope may ask for, with their units."""
+    stages = loaded.vehicle.stage
+    widest = max((stage_sizes(stage, loaded.scenario.switches) for stage in stages), key=lambda s: s.tanks)
+    tanks = max((stage.tank for stage in stages), key=len)
+    names = tuple(tank.name or str(i + 1) for i, tank in enumerate(tanks[: widest.tanks]))
+    table = channel_table(widest, names)
+    return {channel.name: channel.unit for group in (FAST, SLOW) for channel in table.columns(group)}

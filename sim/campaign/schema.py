@@ -1,0 +1,266 @@
+"""What a campaign file may say beside its scenario: [campaign], [[disperse]], [wind_model]."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from pydantic import Field, ValidationInfo, model_validator
+
+from maxq.sim.campaign.samples import SampleTable
+from maxq.sim.flight.judgement import METRIC_NAMES
+from maxq.sim.scenario.errors import refuse
+from maxq.sim.scenario.schema_environment import WIND_COLUMNS
+from maxq.sim.scenario.schema_values import NotNegative, Positive, Section, needs, only_with
+from maxq.sim.scenario.tables_csv import FILE_KEY, Columns, CsvTable
+
+WIND_MODEL_COLUMNS = Columns(
+    "altitude_m",
+    sets=(("sigma_north_mps", "sigma_east_mps"),),
+    optional=("correlation",),
+    not_negative=("sigma_north_mps", "sigma_east_mps"),
+)
+Outside = Literal["resample", "refuse"]
+Level = Annotated[float, Field(gt=0.0, lt=1.0)]
+
+
+class Envelope(Section):
+    """Histories that are kept thinned out, for percentiles over time."""
+
+    channels: tuple[str, ...] = Field(
+        default=(
+            "dynamic_pressure_Pa",
+            "q_alpha_Padeg",
+            "error_pitch_deg",
+            "error_yaw_deg",
+            "gimbal_pitch_angle_deg",
+            "gimbal_yaw_angle_deg",
+            "altitude_m",
+        ),
+        description="names of log channels (docs/telemetry.md)",
+    )
+    rate_hz: Annotated[float, Field(gt=0.0, le=100.0)] = Field(default=2.0, description="rows per second, Hz")
+    runs: Annotated[int, Field(ge=0)] = Field(default=1000, description="of the first so many runs")
+    percentiles: tuple[Annotated[float, Field(ge=0.0, le=100.0)], ...] = Field(
+        default=(0.135, 5.0, 50.0, 95.0, 99.865), description="lines of the envelope, %"
+    )
+
+
+class Campaign(Section):
+    """How many runs, from which draws, and what is to be shown."""
+
+    runs: Annotated[int, Field(ge=0, lt=2**53)] = Field(description="number of flights")
+    seed: Annotated[int, Field(ge=0, lt=2**63)] = Field(default=1, description="all draws derive from it")
+    sampling: Literal["random", "latin-hypercube", "sobol"] = Field(
+        default="random", description="how the draws fill the space"
+    )
+    stratum: Annotated[int, Field(gt=0)] | None = Field(
+        default=None, description="runs that make up one Latin hypercube (default: runs as this file says)"
+    )
+    noise: Literal["each-run", "as-scenario"] = Field(
+        default="each-run",
+        description="each run has its own run.seed (turbulence, gyro noise), or all that of the file",
+    )
+    outside: Outside = Field(
+        default="resample", description="a draw outside its bounds is drawn again and counted, or ends the campaign"
+    )
+    success: Level = Field(default=0.9973, description="share of flights that must meet a requirement")
+    confidence: Level = Field(default=0.90, description="confidence with which that is to be shown")
+    batch: Annotated[int, Field(gt=0)] | None = Field(
+        default=None, description="runs in a file of the data set (default: a 64th of the runs, 16 to 1024)"
+    )
+    keep: tuple[str, ...] = Field(
+        default=(), description="flights of which a full log is kept: 'worst:5', 'failed', 'failed:20', '0,17'"
+    )
+    envelope: Envelope = Envelope()
+
+
+class Disperse(Section):
+    """A value of the scenario that differs from run to run."""
+
+    key: str | None = Field(default=None, description="key path, e.g. vehicle.stage.0.engine.thrust_factor")
+    keys: tuple[str, ...] | None = Field(
+        default=None, description="several keys: with covariance a draw for each, else one draw for all"
+    )
+    tag: str = Field(default="", description="tells apart two draws that both act on a table's column")
+    name: str = Field(default="", description="shown to people (default: the key)")
+    source: str = Field(default="", description="where the numbers come from")
+    apply: Literal["set", "scale", "add"] = Field(
+        default="set", description="the draw replaces the value, multiplies it, or is added to it"
+    )
+    where: dict[str, float] | None = Field(
+        default=None, description="of a table: only rows in which these columns have these values, e.g. {mode = 1}"
+    )
+    distribution: Literal[
+        "normal", "truncated-normal", "uniform", "log-normal", "triangular", "choice", "samples", "cases"
+    ] = Field(description="what the draws follow")
+    mean: float | None = Field(default=None, description="normal (default: the value itself; 1 to scale, 0 to add)")
+    sigma: NotNegative | None = Field(default=None, description="normal: standard deviation; log-normal: of ln(x)")
+    three_sigma: NotNegative | None = Field(default=None, description="three times sigma, instead of it")
+    low: float | None = Field(default=None, description="uniform, triangular, truncated normal: least value")
+    high: float | None = Field(default=None, description="uniform, triangular, truncated normal: greatest value")
+    mode: float | None = Field(default=None, description="triangular: likeliest value")
+    median: Positive | None = Field(default=None, description="log-normal (default: 1 to scale, else the value)")
+    values: tuple[float | int | str, ...] | None = Field(default=None, description="choice: numbers, texts or files")
+    weights: tuple[NotNegative, ...] | None = Field(default=None, description="choice: how often each (default alike)")
+    file: SampleTable | None = Field(default=None, description="samples, cases: a CSV file")
+    column: str | None = Field(default=None, description="samples: column of the file (default: its only one)")
+    order: Literal["random", "in-turn"] = Field(
+        default="random", description="samples, cases: a row at random, or row i for run i (again from the first)"
+    )
+    covariance: tuple[tuple[float, ...], ...] | None = Field(default=None, description="normal with keys: the matrix")
+    at_least: float | None = Field(default=None, description="the value that results is not below this")
+    at_most: float | None = Field(default=None, description="the value that results is not above this")
+    outside: Outside | None = Field(default=None, description="as campaign.outside, for this one")
+
+    @model_validator(mode="after")
+    def _check(self) -> Disperse:
+        if self.distribution == "cases":
+            for key in ("key", "keys"):
+                if getattr(self, key) is not None:
+                    raise refuse("the columns of the file are the keys", "no key with 'cases'", key=(key,))
+        elif (self.key is None) == (self.keys is None):
+            raise refuse("needs one of key, keys", "a key path", key=("key",))
+        if self.keys is not None and (not self.keys or len(set(self.keys)) != len(self.keys)):
+            raise refuse("names no key, or one twice", "different keys", key=("keys",))
+        is_normal = self.distribution in ("normal", "truncated-normal")
+        spread = self.distribution == "log-normal" or (is_normal and self.covariance is None)
+        only_with(self, ("sigma", "three_sigma"), spread, "a normal or log-normal distribution")
+        only_with(self, ("mean",), is_normal, "a normal distribution")
+        bounded = self.distribution in ("uniform", "triangular", "truncated-normal")
+        only_with(self, ("low", "high"), bounded, "'uniform', 'triangular', 'truncated-normal'")
+        only_with(self, ("mode",), self.distribution == "triangular", "distribution = 'triangular'")
+        only_with(self, ("median",), self.distribution == "log-normal", "distribution = 'log-normal'")
+        only_with(self, ("values", "weights"), self.distribution == "choice", "distribution = 'choice'")
+        only_with(self, ("file",), self.distribution in ("samples", "cases"), "'samples', 'cases'")
+        only_with(self, ("column",), self.distribution == "samples", "distribution = 'samples'")
+        only_with(self, ("covariance",), self.distribution == "normal", "distribution = 'normal'")
+        if spread and (self.sigma is None) == (self.three_sigma is None):
+            raise refuse("needs one of sigma, three_sigma", "a number >= 0", key=("sigma",))
+        self._check_bounds()
+        self._check_lists()
+        if self.covariance is not None:
+            self._check_covariance(self.covariance)
+        return self
+
+    def _check_bounds(self) -> None:
+        if self.distribution in ("uniform", "triangular"):
+            because = f"distribution is '{self.distribution}'"
+            low, high = (needs(self, key, because, "a number") for key in ("low", "high"))
+            if not low <= high:
+                raise refuse("low lies above high", f"at most {high:g}", key=("low",))
+        if self.distribution == "triangular":
+            assert self.low is not None
+            assert self.high is not None
+            if not self.low <= needs(self, "mode", "distribution is 'triangular'", "a number") <= self.high:
+                raise refuse("lies outside low .. high", f"{self.low:g} .. {self.high:g}", key=("mode",))
+        if self.distribution == "truncated-normal":
+            if self.low is None and self.high is None:
+                raise refuse("needs low, high or both", "a number", key=("low",))
+            if self.low is not None and self.high is not None and self.low >= self.high:
+                raise refuse("low lies above high", f"less than {self.high:g}", key=("low",))
+
+    def _check_lists(self) -> None:
+        if self.distribution == "choice":
+            values = needs(self, "values", "distribution is 'choice'", "a list of values")
+            if not values:
+                raise refuse("is empty", "one value or more", key=("values",))
+            if self.weights is not None and (len(self.weights) != len(values) or not sum(self.weights) > 0.0):
+                raise refuse("do not fit the values", f"{len(values)} numbers >= 0, not all 0", key=("weights",))
+        if self.distribution in ("samples", "cases"):
+            table: SampleTable = needs(self, "file", f"distribution is '{self.distribution}'", "a CSV file")
+            if self.distribution == "samples" and (self.column or table.only) not in table.columns:
+                raise refuse("the file has no such column", ", ".join(table.columns), key=("column",))
+
+    def _check_covariance(self, matrix: tuple[tuple[float, ...], ...]) -> None:
+        n = len(self.keys or ())
+        c = np.array([row for row in matrix if len(row) == n])
+        if n == 0 or len(c) != n or len(matrix) != n:
+            raise refuse(f"is no matrix of {n} by {n}", "a row of numbers for each of keys", key=("covariance",))
+        if (c != c.T).any() or np.linalg.eigvalsh(c).min() < -1e-12 * np.abs(c).max():
+            raise refuse("is no covariance", "a symmetric matrix without negative eigenvalues", key=("covariance",))
+
+
+class WindModel(Section):
+    """Wind profiles that differ from run to run."""
+
+    model: Literal["vector", "ensemble"] = Field(
+        description="vector: normal deviations from wind.profile, correlated over altitude; ensemble: given profiles"
+    )
+    source: str = Field(default="", description="where the numbers come from")
+    table: Annotated[CsvTable, WIND_MODEL_COLUMNS] | None = Field(
+        default=None,
+        description="vector: standard deviation of both components over altitude, and their correlation",
+    )
+    correlation_length_m: Positive | None = Field(
+        default=None, description="vector: height over which the correlation falls to 1/e, m"
+    )
+    factor: NotNegative = Field(default=1.0, description="vector: multiplies the standard deviations")
+    profiles: tuple[Annotated[CsvTable, WIND_COLUMNS], ...] | None = Field(
+        default=None, description="ensemble: CSV files as for wind.profile"
+    )
+    order: Literal["random", "in-turn"] = Field(default="random", description="ensemble: at random, or i for run i")
+
+    @model_validator(mode="after")
+    def _check(self) -> WindModel:
+        is_vector = self.model == "vector"
+        only_with(self, ("table", "correlation_length_m"), is_vector, "model = 'vector'")
+        only_with(self, ("profiles",), not is_vector, "model = 'ensemble'")
+        if is_vector:
+            table: CsvTable = needs(self, "table", "model is 'vector'", WIND_MODEL_COLUMNS.allowed())
+            needs(self, "correlation_length_m", "model is 'vector'", "a number > 0")
+            if (np.abs(table.get("correlation")) > 1.0).any():
+                raise table.refusal("is no correlation", "numbers -1 .. 1", "correlation", at=("table",))
+        elif not needs(self, "profiles", "model is 'ensemble'", "a list of CSV files"):
+            raise refuse("is empty", "one profile or more", key=("profiles",))
+        return self
+
+
+class CampaignFile(Section):
+    """What stands in a campaign file beside the scenario."""
+
+    campaign: Campaign
+    disperse: tuple[Disperse, ...] = Field(default=(), description="what differs from run to run")
+    wind_model: WindModel | None = Field(default=None, description="absent: every run has the scenario's wind")
+
+    @model_validator(mode="after")
+    def _check(self, info: ValidationInfo) -> CampaignFile:
+        for n, text in enumerate(self.campaign.keep):
+            if not keep_is_known(text):
+                raise refuse("is no selection", KEEP_ALLOWED, key=("campaign", "keep", n))
+        return self
+
+
+KEEP_ALLOWED = "worst:5, worst:5:max_alpha_deg, failed, failed:20, 0,17"
+
+
+def keep_is_known(text: str) -> bool:
+    """Whether `text` selects flights: see `KEEP_ALLOWED`."""
+    head, *rest = text.split(":")
+    if head == "worst":
+        return len(rest) in (1, 2) and rest[0].isdecimal() and (len(rest) == 1 or rest[1] in METRIC_NAMES)
+    if head == "failed":
+        return not rest or (len(rest) == 1 and rest[0].isdecimal())
+    return all(part.strip().isdecimal() for part in text.split(","))
+
+
+def plain_value(value: Any) -> Any:
+    """A section as JSON has it: what a campaign is identified by. Keys without a value are left out."""
+    if isinstance(value, Section):
+        items = {name: getattr(value, name) for name in type(value).model_fields}
+        return {name: plain_value(item) for name, item in items.items() if item is not None}
+    if isinstance(value, CsvTable | SampleTable):
+        label = {FILE_KEY: value.file} if isinstance(value, CsvTable) and value.file else {}
+        return label | {name: column.tolist() for name, column in value.columns.items()}
+    if isinstance(value, tuple):
+        return [plain_value(item) for item in value]
+    return value
+
+
+def tuples(value: Any) -> Any:
+    """What JSON holds as the schema wants it: lists as tuples."""
+    if isinstance(value, list):
+        return tuple(tuples(item) for item in value)
+    if isinstance(value, dict):
+        return {name: tuples(item) for name, item in value.items()}
+    return value

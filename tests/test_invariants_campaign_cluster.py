@@ -1,0 +1,58 @@
+"""On a real scheduler with worker processes, one of them killed under way: the same data set, bit for bit."""
+
+from __future__ import annotations
+
+import threading
+import time
+from pathlib import Path
+
+import campaignkit
+import pytest
+from dask_cluster import machines
+
+from maxq.sim.campaign.cluster import run_on_cluster
+from maxq.sim.campaign.error import CampaignError
+from maxq.sim.campaign.runner import run_campaign
+
+pytest.importorskip("distributed")
+
+
+def test_workers_that_come_and_go(tmp_path: Path) -> None:
+    campaign = campaignkit.small(tmp_path, runs=300)
+    whole = campaign.with_campaign(runs=300)
+    run_campaign(whole, tmp_path / "local")
+    with machines(tmp_path, 2) as cluster:
+        victim = cluster.processes[1]
+        killed = threading.Event()
+
+        def kill() -> None:
+            deadline = time.monotonic() + 120.0
+            while time.monotonic() < deadline and len(list((tmp_path / "out" / "runs").glob("runs-*"))) < 5:
+                time.sleep(0.02)
+            victim.kill()
+            cluster.worker()
+            killed.set()
+
+        thread = threading.Thread(target=kill)
+        thread.start()
+        done = run_on_cluster(whole, tmp_path / "out", cluster.address)
+        thread.join()
+        assert killed.is_set()
+        assert done.flown == 300
+        assert victim.wait(10) == -9
+    ours, theirs = (sorted((tmp_path / name / "runs").iterdir()) for name in ("out", "local"))
+    assert [p.name for p in ours] == [p.name for p in theirs]
+    assert [p.read_bytes() for p in ours] == [p.read_bytes() for p in theirs]
+    assert run_campaign(whole, tmp_path / "out").flown == 0  # and threads find it finished
+
+
+def test_no_scheduler(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    import distributed  # noqa: PLC0415  # only here
+
+    class Nobody:
+        def __init__(self, *_: object, **__: object) -> None:
+            raise OSError("timed out")
+
+    monkeypatch.setattr(distributed, "Client", Nobody)
+    with pytest.raises(CampaignError, match=r"--dask tcp://127.0.0.1:1: no scheduler answers there"):
+        run_on_cluster(campaignkit.small(tmp_path), tmp_path / "out", "tcp://127.0.0.1:1")

@@ -1,0 +1,119 @@
+"""A draw depends on (campaign seed, key path, run index) alone, and draws that should not correlate do not."""
+
+from __future__ import annotations
+
+from itertools import combinations
+from pathlib import Path
+
+import campaignkit
+import numpy as np
+import pytest
+
+from maxq.sim.campaign import draws
+from maxq.sim.campaign.plan import LoadedCampaign, load_campaign
+
+SAMPLINGS = ("random", "latin-hypercube", "sobol")
+FURTHER = """\
+[[disperse]]
+key = "vehicle.stage.0.aero.force_factor"
+distribution = "normal"
+sigma = 0.05
+"""
+
+
+def drawn(campaign: LoadedCampaign, first: int, count: int) -> dict[str, np.ndarray]:
+    made = campaign.plan.draw(first, count)
+    assert made.seeds is not None
+    return {**made.draws, "seed": made.seeds}
+
+
+@pytest.mark.parametrize("sampling", SAMPLINGS)
+def test_where_a_batch_begins_and_how_many_runs_there_are_changes_nothing(tmp_path: Path, sampling: str) -> None:
+    campaign = campaignkit.small(tmp_path, runs=64, campaign=f'sampling = "{sampling}"')
+    whole = drawn(campaign, 0, 200)
+    larger = campaign.with_campaign(runs=200)
+    for first, count in ((0, 1), (17, 1), (30, 50), (63, 3), (150, 50)):
+        part = drawn(larger, first, count)
+        for name, values in whole.items():
+            assert part[name].tobytes() == values[first : first + count].tobytes()
+
+
+@pytest.mark.parametrize("sampling", SAMPLINGS)
+def test_a_further_key_changes_no_other_draw(tmp_path: Path, sampling: str) -> None:
+    chosen = {"campaign": f'sampling = "{sampling}"'}
+    before = drawn(campaignkit.small(tmp_path, **chosen), 0, 50)
+    after = drawn(campaignkit.small(tmp_path, "more", inputs=campaignkit.INPUTS + FURTHER, **chosen), 0, 50)
+    assert len(after) == len(before) + 1
+    for name, values in before.items():
+        assert after[name].tobytes() == values.tobytes()
+
+
+@pytest.mark.parametrize("sampling", ["random", "latin-hypercube"])
+def test_the_order_of_keys_changes_nothing(tmp_path: Path, sampling: str) -> None:
+    chosen = {"campaign": f'sampling = "{sampling}"'}
+    after = drawn(campaignkit.small(tmp_path, "first", inputs=FURTHER + campaignkit.INPUTS, **chosen), 0, 50)
+    before = drawn(campaignkit.small(tmp_path, "last", inputs=campaignkit.INPUTS + FURTHER, **chosen), 0, 50)
+    for name, values in before.items():
+        assert after[name].tobytes() == values.tobytes()
+
+
+def test_the_seed_and_the_key_change_everything() -> None:
+    a = draws.uniforms(1, "a", 0, 1000)
+    for other in (draws.uniforms(2, "a", 0, 1000), draws.uniforms(1, "b", 0, 1000), draws.uniforms(1, "a", 0, 1000, 1)):
+        assert not np.isin(a, other).any()
+
+
+def test_the_bits_are_those_of_today() -> None:
+    """Campaigns of years ago must be repeatable: neither NumPy nor SciPy may change these."""
+    assert [x.hex() for x in draws.uniforms(1, "run.seed", 3, 2)] == PINNED["uniforms"]
+    assert draws.seeds(1, "run.seed", 3, 2).tolist() == PINNED["seeds"]
+    assert [x.hex() for x in draws.latin(1, "a", 6, 2, 4)] == PINNED["latin"]
+    assert [x.hex() for x in draws.Sobol(1, ("a", "b"))("b", 5, 2)] == PINNED["sobol"]
+
+
+@pytest.mark.parametrize("sampling", SAMPLINGS)
+def test_no_two_inputs_correlate_that_should_not(tmp_path: Path, sampling: str) -> None:
+    """A peer gave every model of a worker the same stream: ten pairs at r = 1."""
+    campaign = load_campaign("campaigns/ksr3", [f"campaign.sampling={sampling}"])
+    n = 4096
+    made = campaign.plan.draw(0, n)
+    assert made.seeds is not None
+    columns = {name: values.astype(float) for name, values in made.draws.items()}
+    columns |= {"seed": made.seeds.astype(float), "next seed": np.roll(made.seeds, 1).astype(float)}
+    correlated = {frozenset(d.name for d in campaign.plan.draws if d.group and d.entry == e) for e in range(99)}
+    for (a, x), (b, y) in combinations(columns.items(), 2):
+        if not any({a, b} <= group for group in correlated):
+            assert abs(np.corrcoef(x, y)[0, 1]) < 5.0 / np.sqrt(n), (a, b)
+
+
+def test_runs_have_noise_of_their_own(tmp_path: Path) -> None:
+    seeds = campaignkit.small(tmp_path).plan.draw(0, 10_000).seeds
+    assert seeds is not None
+    assert len(set(seeds.tolist())) == 10_000
+    assert seeds.min() >= 0
+
+
+def test_a_latin_hypercube_fills_every_cell_once() -> None:
+    n = 1000
+    for block in range(2):
+        u = draws.latin(3, "key", block * n, n, n)
+        assert sorted((u * n).astype(int)) == list(range(n))
+
+
+def test_scrambled_sobol_points_are_still_a_net() -> None:
+    """2^m points of the first two dimensions: one in each elementary interval of area 2^-m."""
+    m = 10
+    points = draws.Sobol(9, ("a", "b"))
+    x, y = (points(key, 0, 2**m) for key in ("a", "b"))
+    for i in range(m + 1):
+        cells = (x * 2**i).astype(int) * 2 ** (m - i) + (y * 2 ** (m - i)).astype(int)
+        assert len(set(cells.tolist())) == 2**m
+    assert len(set(x.tolist()) & set(draws.Sobol(10, ("a",))("a", 0, 2**m).tolist())) < 3
+
+
+PINNED: dict[str, list[object]] = {
+    "uniforms": ["0x1.75472394aa9fbp-1", "0x1.5e617f6b165e2p-2"],
+    "seeds": [1354879671871929088, 7153136581263746108],
+    "latin": ["0x1.a7ba125c3b26ep-1", "0x1.10be091f4625bp-3"],
+    "sobol": ["0x1.401962a500000p-1", "0x1.aabcf57a00000p-2"],
+}
