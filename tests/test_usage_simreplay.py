@@ -126,8 +126,8 @@ def test_summary_fits_the_terminal_and_does_without_blocks() -> None:
 
 def test_a_campaign_folder_gives_the_nominal_first_and_flights_by_their_names() -> None:
     for name in ("run-000012", "run-000003", "nominal"):
-        (Path("campaign/kept") / name).mkdir(parents=True)
-        shutil.copy(OLD_LOG, f"campaign/kept/{name}/flight.mcap")
+        (Path("campaign/flights") / name).mkdir(parents=True)
+        shutil.copy(OLD_LOG, f"campaign/flights/{name}/flight.mcap")
     flights, complaints = collect.open_flights(["campaign"])
     assert [flight.label for flight in flights] == ["nominal", "run-000003", "run-000012"]
     assert complaints == []

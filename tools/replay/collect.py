@@ -8,7 +8,8 @@ from pathlib import Path
 from maxq.tools.replay.error import ReplayError
 from maxq.tools.replay.flight import ReplayFlight, open_flight
 
-LOG_NAME, KEPT = "flight.mcap", "kept"
+LOG_NAME = "flight.mcap"
+KEPT = ("flights", "kept")  # folders of a campaign that hold whole flights
 MOST = 200
 """Flights shown at once: more make a window nobody reads, and a lot of memory."""
 
@@ -22,7 +23,7 @@ def find_logs(places: Sequence[str]) -> list[tuple[Path, str]]:
             inside = _in_folder(path)
             if not inside:
                 raise ReplayError(
-                    f"{place}: no flight in this folder ({LOG_NAME}, {KEPT}/run-.../{LOG_NAME}, or other .mcap files)"
+                    f"{place}: no flight in this folder ({LOG_NAME}, {KEPT[0]}/run-.../{LOG_NAME}, or other .mcap files)"
                 )
             found += inside
         elif path.exists():
@@ -36,7 +37,7 @@ def find_logs(places: Sequence[str]) -> list[tuple[Path, str]]:
 def _in_folder(folder: Path) -> list[tuple[Path, str]]:
     """The nominal first, then the runs in the order of their names."""
     alone = folder / LOG_NAME
-    kept = sorted((folder / KEPT).glob(f"*/{LOG_NAME}"))
+    kept = sorted(path for name in KEPT for path in (folder / name).glob(f"*/{LOG_NAME}"))
     if alone.is_file() and not kept:
         return [(alone, "")]
     logs = [*([alone] if alone.is_file() else []), *kept]
