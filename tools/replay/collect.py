@@ -23,7 +23,7 @@ def find_logs(places: Sequence[str]) -> list[tuple[Path, str]]:
             inside = _in_folder(path)
             if not inside:
                 raise ReplayError(
-                    f"{place}: no flight in this folder ({LOG_NAME}, {KEPT[0]}/run-.../{LOG_NAME}, or other .mcap files)"
+                    f"{place}: no flight in this folder ({LOG_NAME}, {KEPT[0]}/run-.../{LOG_NAME}, or any .mcap)"
                 )
             found += inside
         elif path.exists():
