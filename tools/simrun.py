@@ -108,6 +108,7 @@ def _parser() -> argparse.ArgumentParser:
     )
     campaigns.add_argument("--until-settled", action="store_true", help="stop when every verdict is settled")
     campaigns.add_argument("--dask", metavar="ADDRESS", help="fly on the workers of a dask.distributed scheduler")
+    campaigns.add_argument("--device", choices=("cpu", "cuda"), help="fly on a CUDA GPU (extra: maxq[gpu])")
     campaigns.add_argument("--no-report", action="store_true", help="no pictures and no page, only summary.json")
     campaigns.add_argument("--run", metavar="N", type=_count, help="with --from DIR: fly this run again, with a log")
     campaigns.add_argument("--shrink", action="store_true", help="with --run: the fewest dispersions that still fail")
@@ -281,6 +282,7 @@ def _campaign_options(options: argparse.Namespace) -> tuple[tuple[str, bool], ..
         ("--keep", bool(options.keep)),
         ("--until-settled", options.until_settled),
         ("--dask", options.dask is not None),
+        ("--device", options.device is not None),
         ("--no-report", options.no_report),
         ("--run", options.run is not None),
         ("--shrink", options.shrink),
@@ -298,7 +300,7 @@ def _is_campaign(options: argparse.Namespace) -> bool:
 
 def _campaign(options: argparse.Namespace, parser: argparse.ArgumentParser) -> int:
     of_a_folder = ("--run", "--shrink", "--search")
-    of_a_flight = ("--seed", "--until-settled", "--dask")
+    of_a_flight = ("--seed", "--until-settled", "--dask", "--device")
     given = [name for name, value in _campaign_options(options) if value]
     if options.view_port is not None or options.realtime is not None:
         parser.error("--view-port and --realtime go with a scenario or a log; --run N --view shows a flight once flown")
@@ -320,6 +322,8 @@ def _campaign(options: argparse.Namespace, parser: argparse.ArgumentParser) -> i
             parser.error("--view and --shrink go with --run N")
         if options.view and (options.shrink or options.no_log):
             parser.error("--view shows the log of --run N")
+    if options.dask is not None and options.device == "cuda":
+        parser.error("--dask flies on the CPUs of its workers: not with --device cuda")
     if options.workers == 0:
         parser.error("--workers 0: at least one is needed")
     for text in options.keep:
@@ -343,6 +347,7 @@ def _campaign(options: argparse.Namespace, parser: argparse.ArgumentParser) -> i
             until_settled=options.until_settled,
             no_report=options.no_report,
             dask=options.dask,
+            device=options.device or "cpu",
             run=options.run,
             view=options.view,
             shrink=options.shrink,

@@ -19,6 +19,7 @@ from maxq.tools.plain_text import printable
 if TYPE_CHECKING:
     from maxq.sim.campaign.plan import LoadedCampaign
     from maxq.sim.campaign.runner import Outcome, Progress
+    from maxq.sim.flight.batch import Device
 
 PASSED, FAILED, BAD_INPUT, OPEN, INTERRUPTED = 0, 1, 2, 3, 130
 
@@ -39,6 +40,7 @@ class Order:
     until_settled: bool = False
     no_report: bool = False
     dask: str | None = None
+    device: Device = "cpu"
     run: int | None = None
     view: bool = False
     shrink: bool = False
@@ -48,6 +50,7 @@ class Order:
 def execute(order: Order) -> int:
     """Do it; returns the exit code. Whatever is wrong with the input is one line on stderr."""
     from maxq.sim.campaign.error import CampaignError  # noqa: PLC0415  # lazy: --help is quick
+    from maxq.sim.flight.batch import DeviceError  # noqa: PLC0415  # lazy
     from maxq.sim.log.error import LogError  # noqa: PLC0415  # lazy
 
     try:
@@ -60,7 +63,7 @@ def execute(order: Order) -> int:
         if order.search is not None:
             return _search(order)
         return _report_again(order)
-    except (ScenarioError, CampaignError, LogError) as error:
+    except (ScenarioError, CampaignError, DeviceError, LogError) as error:
         print(f"simrun: {printable(str(error))}", file=sys.stderr)
         return BAD_INPUT
     except MemoryError:
@@ -146,7 +149,13 @@ def _flown(
     from maxq.sim.campaign.runner import run_campaign  # noqa: PLC0415  # lazy
 
     return run_campaign(
-        campaign, folder, workers=order.workers, watch=watch, stop=stop, until_settled=order.until_settled
+        campaign,
+        folder,
+        workers=order.workers,
+        watch=watch,
+        stop=stop,
+        until_settled=order.until_settled,
+        device=order.device,
     )
 
 

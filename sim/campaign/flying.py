@@ -70,7 +70,7 @@ def fly_row(loaded: LoadedCampaign, batch: BatchInputs, run: int, stop: Callable
     try:
         made = batch.inputs(run)
     except Refused as refused:
-        return _void(run, REFUSED, f"no such scenario: {refused}")
+        return void_row(run, REFUSED, f"no such scenario: {refused}")
     envelope = loaded.campaign.envelope
     try:
         history = envelope if run < envelope.runs and envelope.channels else None
@@ -78,7 +78,7 @@ def fly_row(loaded: LoadedCampaign, batch: BatchInputs, run: int, stop: Callable
     except (GivenUp, MemoryError):
         raise
     except Exception as error:  # one run in ten thousand must not end a campaign: the row says what happened
-        row = _void(run, ERROR, f"{type(error).__name__}: {error}")
+        row = void_row(run, ERROR, f"{type(error).__name__}: {error}")
         row.inputs, row.redraws = made.recorded, made.redraws
         return row
     return row_of(run, flight, made.recorded, made.redraws, kept)
@@ -141,7 +141,7 @@ def row_of(run: int, flight: Flight, inputs: dict[str, Any], redraws: int, histo
     )
 
 
-def _void(run: int, outcome: str, cause: str) -> Row:
+def void_row(run: int, outcome: str, cause: str) -> Row:
     nothing = dict.fromkeys(METRIC_NAMES, math.nan)
     return Row(run, outcome, False, cause, math.nan, math.nan, 0, 0, "", {}, nothing, dict(nothing))
 

@@ -13,7 +13,7 @@ from maxq.sim.campaign.analysis import DataSet
 from maxq.sim.campaign.error import CampaignError
 from maxq.sim.campaign.flying import row_of
 from maxq.sim.campaign.plan import LoadedCampaign
-from maxq.sim.campaign.store import campaign_in
+from maxq.sim.campaign.store import campaign_in, read_manifest
 from maxq.sim.campaign.targets import Refused
 from maxq.sim.flight import record
 from maxq.sim.flight.fly import Flight, FlightRun
@@ -23,7 +23,10 @@ FLIGHTS = "flights"
 
 @dataclass(frozen=True)
 class Reflown:
-    """A flight and how it compares with what the data set holds: `same` None where there is nothing to compare."""
+    """A flight and how it compares with what the data set holds.
+
+    `same`: None where there is nothing to compare, which goes for runs flown on a GPU: it rounds otherwise.
+    """
 
     flight: Flight
     folder: Path
@@ -60,7 +63,8 @@ def refly(
     record.check_writable(out)
     flight = record.record(FlightRun(made.loaded, log=log), out, log=log, watch=watch, stop=stop, number=run)
     recorded = DataSet(folder, campaign).row(run)
-    if recorded is None or flight.outcome == "interrupted":
+    on_gpu = read_manifest(folder)["simulator"].get("device") is not None
+    if recorded is None or on_gpu or flight.outcome == "interrupted":
         return Reflown(flight, out, None, ())
     row = row_of(run, flight, made.recorded, made.redraws)
     now = columns.table_of([row], columns.schema_of(campaign)).to_pylist()[0]

@@ -15,14 +15,16 @@ import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from dataclasses import dataclass, field
-from itertools import takewhile
+from itertools import islice, takewhile
 from pathlib import Path
 
 from maxq.sim.campaign.error import CampaignError
 from maxq.sim.campaign.flying import GivenUp, Row, fly_row
 from maxq.sim.campaign.plan import BatchInputs, LoadedCampaign
+from maxq.sim.campaign.side_by_side import MOST, fly_rows
 from maxq.sim.campaign.standing import Standing
 from maxq.sim.campaign.store import Store, open_store
+from maxq.sim.flight.batch import Device, require_gpu
 from maxq.sim.flight.fly import FlightRun
 
 _AHEAD = 4  # runs for each worker that are handed out before they are needed
@@ -82,15 +84,18 @@ def run_campaign(
     watch: Callable[[Progress], None] = lambda _: None,
     stop: Callable[[], bool] = lambda: False,
     until_settled: bool = False,
+    device: Device = "cpu",
 ) -> Outcome:
     """Fly what is missing of a campaign into its folder.
 
     `watch` is told how it stands a few times a second; when `stop` then says True, whole runs of the batch under way
-    are written and it ends. Raises CampaignError.
+    are written and it ends. Raises CampaignError; DeviceError where `device` is "cuda" and cannot be.
     """
-    store, batch = open_store(folder, campaign)
+    if device == "cuda":
+        require_gpu()
+    store, batch = open_store(folder, campaign, device)
     try:
-        return _run(campaign, store, batch, workers or cores(), watch, stop, until_settled)
+        return _run(campaign, store, batch, workers or cores(), watch, stop, until_settled, device)
     finally:
         store.unlock()
 
@@ -103,6 +108,7 @@ def _run(
     watch: Callable[[Progress], None],
     stop: Callable[[], bool],
     until_settled: bool,
+    device: Device,
 ) -> Outcome:
     runs = campaign.campaign.runs
     gaps = list(store.missing(runs, batch))
@@ -110,7 +116,10 @@ def _run(
     if gaps:
         load_kernels(campaign)
     progress = Progress(runs, before, standing=Standing.of(store, campaign, runs))
-    flight = _Local(campaign, store, gaps, workers, progress)
+    if device == "cuda":
+        flight: _Local = _OnGpu(campaign, store, gaps, workers, progress, stop)
+    else:
+        flight = _Local(campaign, store, gaps, workers, progress)
     settled = until_settled and progress.standing.settled()
     stopped = False
     watch(progress)
@@ -212,6 +221,32 @@ class _Local:
         opened.rows[row.run] = row
         self._progress.flown += 1
         self._progress.standing.add(row)
+
+
+class _OnGpu(_Local):
+    """As many runs as a GPU flies side by side, then the next ones; threads prepare and judge them."""
+
+    def __init__(
+        self, campaign: LoadedCampaign, store: Store, gaps: list[tuple[int, int]], workers: int, progress: Progress,
+        stop: Callable[[], bool],
+    ) -> None:  # fmt: skip
+        super().__init__(campaign, store, gaps, workers, progress)
+        self._asked = stop
+
+    def go_on(self) -> bool:
+        """Fly what goes side by side, write whole batches. False when all is done."""
+        orders = list(islice(self._next, MOST))
+        if not orders:
+            return False
+        try:
+            rows = fly_rows(self._campaign, [order[1:] for order in orders], self._pool, self._asked)
+        except GivenUp:
+            return True  # whoever said so is asked again, and then it ends; these runs are flown next time
+        for (opened, _, _), row in zip(orders, rows, strict=True):
+            self._enter(opened, row)
+            if len(opened.rows) == opened.count:
+                self._write(opened)
+        return True
 
 
 __all__ = ["CampaignError", "GivenUp", "Outcome", "Progress", "cores", "run_campaign"]

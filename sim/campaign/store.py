@@ -191,8 +191,8 @@ def batch_of(campaign: LoadedCampaign) -> int:
     return 1 << min(max(campaign.campaign.runs // 64, 16).bit_length() - 1, 10)
 
 
-def open_store(folder: Path, campaign: LoadedCampaign) -> tuple[Store, int]:
-    """The folder of a campaign, made and locked, and the size of its batches.
+def open_store(folder: Path, campaign: LoadedCampaign, device: str = "cpu") -> tuple[Store, int]:
+    """The folder of a campaign, made and locked, and the size of its batches. A folder holds runs of one `device`.
 
     Raises CampaignError where it cannot be written, holds something else or another campaign, or is in use.
     """
@@ -208,7 +208,7 @@ def open_store(folder: Path, campaign: LoadedCampaign) -> tuple[Store, int]:
     store = Store(folder, campaign)
     store.lock()
     try:
-        batch = _same_campaign(folder, campaign)
+        batch = _same_campaign(folder, campaign, device)
         (folder / RUNS).mkdir(exist_ok=True)
         store.sweep()
     except OSError as error:
@@ -220,9 +220,11 @@ def open_store(folder: Path, campaign: LoadedCampaign) -> tuple[Store, int]:
     return store, batch
 
 
-def _same_campaign(folder: Path, campaign: LoadedCampaign) -> int:
+def _same_campaign(folder: Path, campaign: LoadedCampaign, device: str) -> int:
     """Write what is flown here, or check that it is the same. Returns the size of batches."""
     identity = identity_of(campaign)
+    if device != "cpu":
+        identity["simulator"]["device"] = device
     path = folder / MANIFEST
     if not path.exists():
         batch = batch_of(campaign)
