@@ -12,12 +12,12 @@ PLACE := $(VENV)/set-up-in
 TO_FLY := $(VENV)/ready-to-fly
 TO_TEST := $(VENV)/ready-to-test
 
-.PHONY: help fly test coverage lint format FORCE
+.PHONY: help fly test test-browser coverage lint format FORCE
 .DELETE_ON_ERROR:
 
 help:  ## say what there is to make
 	@echo "make TARGET [ARGS='...']"
-	@sed -n 's/^\([a-z]*\):.*## \(.*\)/  \1\t\2/p' Makefile
+	@sed -n 's/^\([a-z-]*\):.*## \(.*\)/  \1\t\2/p' Makefile
 
 fly: $(TO_FLY)  ## fly scenarios/nominal.toml; ARGS go to simrun
 	@echo "Flying scenarios/nominal.toml with simrun."
@@ -26,6 +26,10 @@ fly: $(TO_FLY)  ## fly scenarios/nominal.toml; ARGS go to simrun
 test: $(TO_TEST)  ## run the tests; ARGS go to pytest (ARGS="-m 'not slow'" leaves out the slow ones)
 	@echo "Running the tests with pytest."
 	@$(PY) -m pytest $(ARGS)
+
+test-browser: $(TO_TEST)  ## open `simreplay --web` in headless Chromium, and look at the page
+	@echo "Opening simreplay --web in headless Chromium."
+	@$(PY) -m pytest tests/browser_replay.py -rs $(ARGS)
 
 # The tests that end soon without a compiler: kernels by themselves, and flights of a few steps.
 UNCOMPILED := $(patsubst %,tests/test_%.py,invariants_computer invariants_control_converter invariants_control_roll \

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
+import signal
 import tomllib
 from pathlib import Path
 from typing import Any
@@ -132,6 +134,23 @@ def test_ctrl_c_keeps_the_best_so_far(capsys: Printed, monkeypatch: pytest.Monke
     assert "# INTERRUPTED: the best so far" in Path("out/design.toml").read_text()
     assert record()["status"] == "interrupted"
     assert sorted(path.name for path in Path("out").iterdir()) == ["design.json", "design.toml"]
+
+
+def test_ctrl_c_that_a_library_swallows_is_not_lost(capsys: Printed, monkeypatch: pytest.MonkeyPatch) -> None:
+    honest = search.descend
+
+    def deaf(*arguments: Any, **more: Any) -> Any:
+        with contextlib.suppress(KeyboardInterrupt):  # as a callback of the compiler does
+            signal.raise_signal(signal.SIGINT)
+        return honest(*arguments, **more)
+
+    monkeypatch.setattr(search, "descend", deaf)
+    Path("out").mkdir()
+    for name in ("margins.svg", "loop-010.0s.png", "mine.png"):
+        Path("out", name).write_text("of an earlier run")
+    assert run(*SMALL[:-1], "--starts", "50", "--out", "out") == 130
+    assert capsys.readouterr().out.splitlines()[-1].startswith("INTERRUPTED: the best so far is kept; ")
+    assert sorted(path.name for path in Path("out").iterdir()) == ["design.json", "design.toml", "mine.png"]
 
 
 def test_ctrl_c_before_anything_is_found_leaves_nothing(capsys: Printed, monkeypatch: pytest.MonkeyPatch) -> None:

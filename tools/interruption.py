@@ -34,3 +34,37 @@ class Interruption:
         if self.requested:
             raise KeyboardInterrupt
         self.requested = True
+
+
+class Stop:
+    """Within its block Ctrl-C raises KeyboardInterrupt, as always, and is remembered in `requested`.
+
+    Where it strikes inside a library's callback it is lost (compilers print "Exception ignored"); whoever asks `check`
+    now and then gets it all the same.
+    """
+
+    def __init__(self) -> None:
+        self.requested = False
+        self._before: Any = None
+
+    def __enter__(self) -> Stop:
+        try:
+            self._before = signal.signal(signal.SIGINT, self._strike)
+        except ValueError:  # not the main thread
+            self._before = None
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if self._before is not None:
+            signal.signal(signal.SIGINT, self._before)
+
+    def check(self) -> None:
+        """Raises KeyboardInterrupt if Ctrl-C was pressed."""
+        if self.requested:
+            raise KeyboardInterrupt
+
+    def _strike(self, number: int, frame: FrameType | None) -> None:
+        self.requested = True
+        raise KeyboardInterrupt

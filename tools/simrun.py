@@ -17,10 +17,10 @@ TRACEBACK = "MAXQ_TRACEBACK"
 """Environment variable with which an internal error shows where it happened."""
 
 _USAGE = (
-    "simrun SCENARIO [--set KEY=VALUE]... [--out DIR] [--no-log]\n"
+    "simrun SCENARIO [--set KEY=VALUE]... [--out DIR] [--no-log] [--view [--realtime [X]]]\n"
     "       simrun CAMPAIGN [--runs N] [--seed S] [--workers K] [--keep WHICH]... [--until-settled]\n"
     "                       [--dask ADDRESS] [--set KEY=VALUE]... [--out DIR] [--no-report]\n"
-    "       simrun --from LOG [--set KEY=VALUE]... [--out DIR]\n"
+    "       simrun --from LOG [--set KEY=VALUE]... [--out DIR] [--view [--realtime [X]]]\n"
     "       simrun --from DIR [--run N [--view | --shrink]] [--search METRIC] [--keep WHICH]... [--out DIR]\n"
     "       simrun --list | --copy NAME DIR | --version | --help"
 )
@@ -31,6 +31,7 @@ examples:
   simrun --copy nominal mine                        then change mine/nominal.toml, and
   simrun mine/nominal.toml                          fly it
   simrun --from runs/nominal/flight.mcap            fly a log again and compare
+  simrun nominal --view --realtime 4                watch it fly, four times as fast as it would
   simrun campaigns/first                            fly a campaign of dispersed flights; again: go on with it
   simrun campaigns/first --runs 2000                make it larger
   simrun --from runs/first --run 17                 fly one of its runs again, with a full log
@@ -85,6 +86,15 @@ def _parser() -> argparse.ArgumentParser:
         help="fly the scenario in a log again and compare the final states; writes nothing without --out; "
         "or the folder of a campaign: report on it again, or fly one --run",
     )
+    parser.add_argument(
+        "--view", action="store_true", help="show the flight in the Rerun viewer while it flies, also with --run"
+    )
+    parser.add_argument(
+        "--view-port", type=int, metavar="N", help="show it in a viewer that listens on this port already"
+    )
+    parser.add_argument(
+        "--realtime", nargs="?", const="1", metavar="X", help="with --view: X seconds of flight in a second (default 1)"
+    )
     campaigns = parser.add_argument_group("campaigns")
     campaigns.add_argument("--runs", metavar="N", type=_count, help="number of runs, instead of the file's")
     campaigns.add_argument("--seed", metavar="S", type=_count, help="seed of all draws, instead of the file's")
@@ -101,7 +111,6 @@ def _parser() -> argparse.ArgumentParser:
     campaigns.add_argument("--device", choices=("cpu", "cuda"), help="fly on a CUDA GPU (extra: maxq[gpu])")
     campaigns.add_argument("--no-report", action="store_true", help="no pictures and no page, only summary.json")
     campaigns.add_argument("--run", metavar="N", type=_count, help="with --from DIR: fly this run again, with a log")
-    campaigns.add_argument("--view", action="store_true", help="with --run: show it")
     campaigns.add_argument("--shrink", action="store_true", help="with --run: the fewest dispersions that still fail")
     campaigns.add_argument("--search", metavar="METRIC", help="with --from DIR: the worst flight within 3 sigma")
     parser.add_argument("--list", action="store_true", help="name the built-in scenarios")
@@ -176,6 +185,7 @@ def _internal(error: Exception) -> int:
 def _run(arguments: list[str], alone: bool) -> int:
     parser = _parser()
     options, unknown = parser.parse_known_args(arguments)
+    factor = _real_time(options, parser)
     if unknown:
         parser.error(_unknown(unknown[0], parser))
     actions = [
@@ -193,7 +203,13 @@ def _run(arguments: list[str], alone: bool) -> int:
         parser.error("give a scenario, e.g. simrun nominal")
     if len(actions) > 1:
         parser.error(f"{actions[0]} and {actions[1]} exclude each other")
-    flight_options = (("--out", options.out), ("--set", options.overrides), ("--no-log", options.no_log))
+    flight_options = (
+        ("--out", options.out),
+        ("--set", options.overrides),
+        ("--no-log", options.no_log),
+        ("--view", options.view),
+        ("--view-port", options.view_port),
+    )
     given = [name for name, value in (*flight_options, *_campaign_options(options)) if value]
     if given and actions[0] not in ("SCENARIO", "--from"):
         parser.error(f"{given[0]} means nothing with {actions[0]}")
@@ -225,8 +241,36 @@ def _run(arguments: list[str], alone: bool) -> int:
         parser.error(f"{alien[0]} needs the folder of a campaign, which {options.log} is not")
     from maxq.tools import simrun_fly  # noqa: PLC0415  # lazy
 
-    order = simrun_fly.Order(options.scenario, options.log, tuple(options.overrides), options.out, options.no_log)
+    order = simrun_fly.Order(
+        options.scenario,
+        options.log,
+        tuple(options.overrides),
+        options.out,
+        options.no_log,
+        options.view or options.view_port is not None,
+        options.view_port,
+        factor,
+    )
     return simrun_fly.execute(order, alone=alone)
+
+
+def _real_time(options: argparse.Namespace, parser: argparse.ArgumentParser) -> float | None:
+    """How many times faster than life; None: as fast as it goes."""
+    given = options.realtime
+    if given is None:
+        return None
+    try:
+        factor = float(given)
+    except ValueError:
+        if options.scenario is None:  # `--realtime nominal`: the scenario, and no factor
+            options.scenario, factor = given, 1.0
+        else:
+            parser.error(f"--realtime {given}: a factor is a number, e.g. --realtime 4")
+    if not 0.0 < factor < float("inf"):
+        parser.error(f"--realtime {given}: a factor is above 0")
+    if not options.view and options.view_port is None:
+        parser.error("--realtime means nothing without --view")
+    return factor
 
 
 def _campaign_options(options: argparse.Namespace) -> tuple[tuple[str, bool], ...]:
@@ -241,7 +285,6 @@ def _campaign_options(options: argparse.Namespace) -> tuple[tuple[str, bool], ..
         ("--device", options.device is not None),
         ("--no-report", options.no_report),
         ("--run", options.run is not None),
-        ("--view", options.view),
         ("--shrink", options.shrink),
         ("--search", options.search is not None),
     )
@@ -256,10 +299,14 @@ def _is_campaign(options: argparse.Namespace) -> bool:
 
 
 def _campaign(options: argparse.Namespace, parser: argparse.ArgumentParser) -> int:
-    of_a_folder = ("--run", "--view", "--shrink", "--search")
+    of_a_folder = ("--run", "--shrink", "--search")
     of_a_flight = ("--seed", "--until-settled", "--dask", "--device")
     given = [name for name, value in _campaign_options(options) if value]
+    if options.view_port is not None or options.realtime is not None:
+        parser.error("--view-port and --realtime go with a scenario or a log; --run N --view shows a flight once flown")
     if options.log is None:
+        if options.view:
+            parser.error("--view shows one flight: with a campaign, --from DIR --run N")
         if wrong := [name for name in given if name in of_a_folder]:
             parser.error(f"{wrong[0]} goes with --from DIR")
         if options.no_log:

@@ -17,8 +17,13 @@ if TYPE_CHECKING:
     from maxq.sim.flight.fly import FlightRun
     from maxq.sim.scenario.loader import LoadedScenario
     from maxq.tools.comparison import Comparison
+    from maxq.tools.replay.live import LiveView
 
 _PASSED, _FAILED, _BAD_INPUT, _INTERRUPTED = 0, 1, 2, 130
+
+
+class BadViewError(Exception):
+    """There is no viewer to show the flight in."""
 
 
 @dataclass(frozen=True)
@@ -30,6 +35,9 @@ class Order:
     overrides: tuple[str, ...]
     out: str | None
     no_log: bool
+    view: bool = False
+    view_port: int | None = None
+    realtime: float | None = None
 
 
 def execute(order: Order, *, alone: bool = False) -> int:
@@ -44,7 +52,7 @@ def execute(order: Order, *, alone: bool = False) -> int:
         _load_numba_without_blas()
     try:
         return _execute(order, start_s)
-    except (ScenarioError, LogError) as error:
+    except (ScenarioError, LogError, BadViewError) as error:
         print(f"simrun: {printable(str(error))}", file=sys.stderr)
         return _BAD_INPUT
     except MemoryError:
@@ -66,8 +74,12 @@ def _execute(order: Order, start_s: float) -> int:
     if folder is not None:
         record.check_writable(folder)
     loaded_s = time.perf_counter()
+    view = _view(order, loaded)
     announce_compilation()
-    run = FlightRun(loaded, packed, log=folder is not None and not order.no_log)
+    if view is None:
+        run = FlightRun(loaded, packed, log=folder is not None and not order.no_log)
+    else:
+        run = view.run(packed, order.realtime)
     prepared_s = time.perf_counter()
 
     def timing() -> dict[str, float]:
@@ -79,6 +91,8 @@ def _execute(order: Order, start_s: float) -> int:
         }
 
     with Interruption() as interruption, FlightProgress() as progress:
+        if view is not None:
+            view.stop = lambda: interruption.requested
         watch = _watchers(progress.show, comparison.look)
         comparison.look(run)
         try:
@@ -104,6 +118,22 @@ def _execute(order: Order, start_s: float) -> int:
     if flight.outcome == "interrupted":
         return _INTERRUPTED
     return _PASSED if flight.passed and same else _FAILED
+
+
+def _view(order: Order, loaded: LoadedScenario) -> LiveView | None:
+    """The viewer, opened before anything is flown. Raises BadViewError where there is none."""
+    if not order.view:
+        return None
+    from maxq.tools.replay.error import ReplayError  # noqa: PLC0415  # lazy
+
+    try:
+        from maxq.tools.replay.live import LiveView  # noqa: PLC0415  # lazy: rerun takes half a second
+
+        return LiveView(loaded, order.view_port)
+    except ReplayError as error:
+        raise BadViewError(f"--view: {error}") from error
+    except ImportError as error:
+        raise BadViewError(f"--view: a package is missing or broken: {error}") from error
 
 
 def _load_numba_without_blas() -> None:

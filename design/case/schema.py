@@ -214,8 +214,8 @@ class Search(Section):
     """The optimiser's starts."""
 
     starts: Annotated[int, Field(ge=1, le=1000)] = Field(default=8, description="number of starts of the whole problem")
-    hops: Annotated[int, Field(ge=0, le=1000)] = Field(
-        default=4, description="leaps from the best end, with free gains: whose nodes have pockets of their own"
+    leaps: Annotated[int, Field(ge=0, le=1000)] = Field(
+        default=8, description="leaps from the best end: part of the variables thrown off, and brought down again"
     )
     seed: Annotated[int, Field(ge=0)] = Field(default=1, description="of the random ones among them")
 

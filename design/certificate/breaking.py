@@ -17,8 +17,9 @@ import numpy as np
 
 from maxq.control.filters import MAX_SECTIONS
 from maxq.control.records import Array
+from maxq.design.certificate.excitation import DITHER_HZ, injections
 from maxq.design.certificate.held_flight import HeldFlight
-from maxq.design.certificate.loudness import burst_rad
+from maxq.design.certificate.loudness import burst_rad, dither, linear_command_rad
 from maxq.design.loop.fixed_path import fixed_path
 from maxq.design.loop.loop import Loop
 from maxq.design.margins.measure import Margins
@@ -32,8 +33,14 @@ What = Literal["gain_up", "gain_down", "delay"]
 WHATS: tuple[What, ...] = ("gain_up", "gain_down", "delay")
 UNITS: dict[What, str] = {"gain_up": "dB", "gain_down": "dB", "delay": "s"}
 
-MOST_FLIGHTS = 7
+MOST_FLIGHTS = 10
 DRIFT_HZ = 0.02  # slower than this the edge is that of a root without oscillation
+DITHER_ABOVE_HZ = 2.0  # without it the converter keeps a ringing of some pulses alive, up to half a dB inside the edge
+RINGS_UP = 4.0  # a burst goes on until the loop at its edge has made this much of it, if that is not too long
+LONGEST_BURST_S = 6.0
+LOST = math.inf  # growth of what meets the limits before it can be told
+DEAD = -math.inf  # of what has died away before
+_LEAST_WINDOWS = 6
 
 
 @dataclass(frozen=True)
@@ -45,18 +52,26 @@ class Watch:
     wait_s: float
     watch_s: float
     window_s: float
+    growth: float = 1.0  # how many times the burst the ringing is when it ends
 
     @property
     def duration_s(self) -> float:
         return math.ceil(self.burst_s + self.wait_s + self.watch_s)
 
 
-def watch_at(frequency_hz: float) -> Watch:
-    """Three turns of burst, six to wait, at least 25 s and 24 turns to watch; minutes where the edge is a drift's."""
+def watch_at(frequency_hz: float, ringing_1ps: float = 0.0) -> Watch:
+    """At least three turns of burst, six to wait, 25 s and 24 turns to watch; more of both where the edge is a drift's.
+
+    `ringing_1ps` is how fast a burst builds up at the edge, in burst's amplitudes a second.
+    """
     if frequency_hz < DRIFT_HZ:
-        return Watch(0.0, 5.0, 60.0, 300.0, 20.0)
+        return Watch(0.0, 8.0, 40.0, 120.0, 10.0)
     turn = 1.0 / frequency_hz
-    return Watch(frequency_hz, 3.0 * turn, 6.0 * turn, max(25.0, 24.0 * turn), 4.0 * turn)
+    burst_s = max(3.0 * turn, min(RINGS_UP / ringing_1ps if ringing_1ps > 0.0 else 0.0, LONGEST_BURST_S))
+    window_s = max(5.0 * turn, min(1.0, 25.0 * turn))
+    return Watch(
+        frequency_hz, burst_s, 6.0 * turn, max(25.0, 24.0 * turn), window_s, 1.0 + ringing_1ps * burst_s
+    )  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -88,24 +103,49 @@ def break_loop(held: HeldFlight, loop: Loop, margins: Margins, what: What) -> Br
         return Broken(what, UNITS[what], math.nan, math.nan, frequency, (), "the linear loop is unstable")
     if not math.isfinite(linear):
         return Broken(what, UNITS[what], linear, math.nan, frequency, (), "nothing bounds it")
-    watch = watch_at(frequency)
-    slope = _slope(loop, what, linear)
-    tolerance = 0.01 if what != "delay" else 0.002 * linear
+    watch = watch_at(frequency, _ringing(altered(loop, what, linear), frequency))
+    slope = abs(_slope(loop, what, linear))
+    tolerance = 0.02 if what != "delay" else 0.003 * linear
     tried: list[tuple[float, float]] = []
     at = linear
     for _ in range(MOST_FLIGHTS):
-        growth = _growth(held, what, at, watch)
+        growth = _growth(held, loop, what, at, watch)
         tried.append((at, growth))
-        if not math.isfinite(growth):
+        if math.isnan(growth):
             return Broken(what, UNITS[what], linear, math.nan, frequency, tuple(tried), "the flight was lost")
-        if len(tried) > 1 and tried[-1][0] != tried[-2][0]:
-            measured = (tried[-1][1] - tried[-2][1]) / (tried[-1][0] - tried[-2][0])
-            slope = measured if measured * slope > 0.0 else slope
-        step = float(np.clip(-growth / slope, -0.25 * linear, 0.25 * linear))
-        at += step
+        following = _next(tried, slope, 0.25 * linear, 5.0 * tolerance)
+        step, at = following - at, following
         if abs(step) < tolerance:
             return Broken(what, UNITS[what], linear, at, frequency, tuple(tried))
     return Broken(what, UNITS[what], linear, at, frequency, tuple(tried), "not settled")
+
+
+def _next(tried: list[tuple[float, float]], slope: float, most: float, apart: float) -> float:
+    """Where to try next: by the secant rule, between what has decayed and what has grown, else in their middle.
+
+    `slope` (1/s per unit) serves until two tries that are at least `apart` tell a better one; no step is larger than
+    `most`.
+    """
+    at, growth = tried[-1]
+    known = [t for t in tried if math.isfinite(t[1])]
+    if len(known) > 1 and abs(known[-1][0] - known[-2][0]) > apart:
+        measured = (known[-1][1] - known[-2][1]) / (known[-1][0] - known[-2][0])
+        slope = measured if measured > 0.0 else slope
+    low = max((x for x, g in tried if g <= 0.0), default=-math.inf)
+    high = min((x for x, g in tried if g > 0.0), default=math.inf)
+    following = at + float(np.clip(-growth / slope, -most, most))
+    if low < high and not low < following < high and math.isfinite(high - low):
+        return 0.5 * (low + high)
+    return following
+
+
+def _ringing(edge: Loop, frequency_hz: float) -> float:
+    """How fast a sine at the frequency of a pole on the axis builds up, 1/s: the size of the residue of 1 / (1 + L)."""
+    if frequency_hz < DRIFT_HZ:
+        return 0.0
+    apart = 1e-4 * frequency_hz
+    low, high = edge.response(np.array([frequency_hz - apart, frequency_hz + apart]))
+    return float(4.0 * np.pi * apart / abs(high - low))
 
 
 def altered(loop: Loop, what: What, amount: float) -> Loop:
@@ -124,35 +164,56 @@ def _slope(loop: Loop, what: What, at: float) -> float:
     return float((high - low) / (2.0 * step))
 
 
-def _growth(held: HeldFlight, what: What, amount: float, watch: Watch) -> float:
+def _growth(held: HeldFlight, loop: Loop, what: What, amount: float, watch: Watch) -> float:
     """Growth (1/s) of the ringing in flight; NaN where the flight ended early."""
+    amplitude = math.degrees(burst_rad(held, watch.frequency_hz, watch.growth))
     kind = {"kind": "sine", "frequency_hz": watch.frequency_hz} if watch.frequency_hz > 0.0 else {"kind": "step"}
-    burst = {"amplitude_deg": math.degrees(burst_rad(held, watch.frequency_hz)), "stop_s": round(watch.burst_s, 6)}
-    injection = Injection.model_validate({"at": "gimbal_command", "axis": held.plane, **kind, **burst})
-    run = held.run(watch.duration_s, (injection,), lambda packed: _alter(packed, held, what, amount))
+    burst = {"amplitude_deg": amplitude, "stop_s": round(watch.burst_s, 6)}
+    signals = [Injection.model_validate({"at": "gimbal_command", "axis": held.plane, **kind, **burst})]
+    if watch.frequency_hz > DITHER_ABOVE_HZ:
+        signals += injections(dither(held, loop, np.array(DITHER_HZ)), held.plane)
+    run = held.run(watch.duration_s, tuple(signals), lambda packed: _alter(packed, held, what, amount))
     kept = KeptRows()
     while not run.finished:
         kept.add(run.fly_segment())
     _, values = kept.rows()[FAST]
     ringing = values[:, run.table.index(f"filtered_{held.plane}_deg")]
     first = round((watch.burst_s + watch.wait_s) / held.sample_s)
+    loud = math.degrees(linear_command_rad(held, watch.frequency_hz))
     if len(ringing) - first < 0.9 * watch.watch_s / held.sample_s:
-        return math.nan
-    return ringing_growth(ringing[first:], held.sample_s, watch.frequency_hz, watch.window_s)
+        return LOST if np.abs(ringing[: len(ringing)]).max(initial=0.0) > loud else math.nan
+    rung = 0.15 * amplitude * watch.growth if watch.frequency_hz > 0.0 else 0.0
+    return ringing_growth(ringing[first:], held.sample_s, watch.frequency_hz, watch.window_s, loud, rung)
 
 
-def ringing_growth(samples: Array, sample_s: float, frequency_hz: float, window_s: float) -> float:
+def ringing_growth(
+    samples: Array, sample_s: float, frequency_hz: float, window_s: float, loud: float = math.inf, quiet: float = 0.0
+) -> float:
     """Rate (1/s) at which an oscillation near a frequency grows, or at 0 Hz a drift: slope of its envelope's logarithm.
 
     The envelope is that of windows with a raised-cosine weight, which shuts out drifts and what is more than a turn a
-    window away.
+    window away. It is followed while it is above a tenth of its beginning, where noise would hide the decay, and
+    below `loud` (in the unit of the samples), where limits would hide the growth: a limit cycle does not grow. What
+    is as loud as that from the beginning, or becomes so at once, is `LOST`; what is below `quiet` then is `DEAD`.
     """
     window = max(round(window_s / sample_s), 8)
-    turn = np.hanning(window) * np.exp(-2j * np.pi * frequency_hz * sample_s * np.arange(window))
-    starts = np.arange(0, len(samples) - window, max(window // 2, 1))
-    envelope = np.abs(np.array([samples[s : s + window] @ turn for s in starts]))
+    weight = np.hanning(window)
+    turn = weight * np.exp(-2j * np.pi * frequency_hz * sample_s * np.arange(window))
+    starts = np.arange(0, len(samples) - window, max(window // 4, 1))
+    double = 2.0 if frequency_hz > 0.0 else 1.0
+    if frequency_hz > 0.0:  # what drifts below is no ringing
+        turn = turn - weight * (turn.sum() / weight.sum())
+    envelope = double * np.abs(np.array([samples[s : s + window] @ turn for s in starts])) / weight.sum()
     times = (starts + 0.5 * window) * sample_s
-    return float(np.polyfit(times, np.log(np.maximum(envelope, 1e-300)), 1)[0])
+    over = np.flatnonzero(envelope > loud)
+    count = int(over[0]) if len(over) else len(envelope)
+    if count < _LEAST_WINDOWS:
+        return LOST
+    if envelope[0] < quiet:
+        return DEAD
+    under = np.flatnonzero(envelope[:count] < 0.1 * envelope[0])
+    count = max(int(under[0]), _LEAST_WINDOWS) if len(under) else count
+    return float(np.polyfit(times[:count], np.log(np.maximum(envelope[:count], 1e-300)), 1)[0])
 
 
 def _alter(packed: Packed, held: HeldFlight, what: What, amount: float) -> None:

@@ -1,7 +1,7 @@
 """What is injected at the gimbal command to measure a loop: sums of sines, as loud as linearity allows.
 
 A periodic signal that fits the record exactly needs no window and leaks nothing: at its own lines the discrete Fourier
-transform of a period is the response, and what differs from period to period is noise (Pintelon & Schoukens, System
+transform of a period is the response, and what shows between them is noise (Pintelon & Schoukens, System
 Identification, ch. 2).
 """
 
@@ -17,6 +17,7 @@ from maxq.design.model.state_space import ComplexArray
 from maxq.sim.scenario.schema_injection import Injection
 
 MOST_LEVELS, MOST_TONES = 16, 64  # of the simulator: signals at a time, tones of each
+DITHER_HZ = (0.525, 0.825)  # off the slosh of the vehicles that we have, where a loop answers and does not ring
 
 
 @dataclass(frozen=True)
@@ -25,20 +26,34 @@ class Band:
 
     The odd multiples stay silent: what shows there is noise. One long period tells more than many short ones: what
     the converter's rounding adds repeats with the signal, and is spread over all bins of the period.
+
+    `dithered`: too quiet at the gyro for the converter, which carries its remainder over: a signal of less than a pulse
+    a sample then vanishes or comes out as whole pulses, by where the remainder stands, and has no gain that a linear
+    loop would know (tests/test_invariants_certificate.py). Slow tones that make many pulses a sample are played along;
+    under them rounding is noise.
     """
 
     lines_hz: Array
     period_s: float
     settle_s: float
     periods: int
+    dithered: bool = False
 
     @property
     def duration_s(self) -> float:
-        """With a sample to spare: the last command takes effect after the last sample."""
-        return self.settle_s + self.period_s * (self.periods + 1)
+        """With something to spare: the last command takes effect after the last sample."""
+        return self.settle_s + self.period_s * self.periods + 1.0
+
+    @property
+    def dither_hz(self) -> Array:
+        """Tones at odd multiples of 1 / `period_s`, so that rounding errors are spread over odd and even ones alike."""
+        odd = 2.0 * np.round(0.5 * (np.array(DITHER_HZ) * self.period_s - 1.0)) + 1.0
+        return np.asarray(odd / self.period_s) if self.dithered else np.zeros(0)
 
 
-def band(low_hz: float, high_hz: float, lines: int, period_s: float, settle_s: float, periods: int) -> Band:
+def band(
+    low_hz: float, high_hz: float, lines: int, period_s: float, settle_s: float, periods: int, dithered: bool = False
+) -> Band:  # fmt: skip
     """About `lines` lines from low to high, evenly on a logarithmic scale.
 
     Raises ValueError if the lowest line does not fit the period.
@@ -47,11 +62,11 @@ def band(low_hz: float, high_hz: float, lines: int, period_s: float, settle_s: f
         raise ValueError(f"low_hz = {low_hz}: allowed is at least {2.0 / period_s:g}, two turns a period")
     wanted = np.geomspace(low_hz, high_hz, lines)
     even = 2.0 * np.unique(np.round(wanted * period_s / 2.0))
-    return Band(even / period_s, period_s, settle_s, periods)
+    return Band(even / period_s, period_s, settle_s, periods, dithered)
 
 
 def grouped(amplitude_rad: Array, lines_hz: Array) -> list[tuple[float, Array]]:
-    """Amplitudes in at most `MOST_LEVELS` levels, each with its lines: amplitude, lines (Hz).
+    """Amplitudes in at most half of `MOST_LEVELS` levels, each with its lines: amplitude, lines (Hz).
 
     Levels are geometric; a level's amplitude is the largest not above any of its lines'.
     """

@@ -8,8 +8,11 @@ it neither gains nor loses speed, while everything inside it feels the axial loa
 gravity pulls at every particle alike.
 
 What differs from the flown instant is one term, gravity by the pitch angle in w' (design/model/plant.py): it moves the
-slowest root alone. The linear node that belongs to the held flight (`HeldFlight.node`) has it too, so that both may be
-compared to the last digit; `node` of the flight itself shows what it is worth.
+slowest root alone. No held flight can do without. One that keeps its airspeed keeps pace with its air, and in a frame
+that moves with the air everything falls with the axial load, however the load comes about: an updraught that makes
+way for a vehicle which really gains speed, wind dW/dt = a - g, adds to w' what gravity lacks. The linear node that
+belongs to the held flight (`HeldFlight.node`) has the term too, so that both may be compared to the last digit; that of
+the flight itself shows what it is worth, and flown_through.py what is left of it when time does not stand still.
 """
 
 from __future__ import annotations
@@ -21,14 +24,17 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from maxq.control.records import Array
+from maxq.control.records import Array, pack
+from maxq.control.tables import Pool
 from maxq.design.model.node import Node, node_of
 from maxq.design.model.plant import axial_load_mps2
 from maxq.design.model.vehicle_at import Plane
 from maxq.sim.environment.atmosphere import HEAT_RATIO, GAS_CONSTANT_Jpkg_K
 from maxq.sim.flight.fly import FlightRun
+from maxq.sim.packing.computer import pack_injections
 from maxq.sim.packing.flight import Packed, pack_flight
 from maxq.sim.scenario.loader import LoadedScenario
+from maxq.sim.scenario.nanoseconds import to_ns
 from maxq.sim.scenario.schema_environment import Atmosphere, Earth, Wind
 from maxq.sim.scenario.schema_initial import Geodetic, Initial
 from maxq.sim.scenario.schema_injection import Injection
@@ -38,11 +44,20 @@ ALTITUDE_M = 1.0e6  # high enough never to meet the ground; the air does not dep
 _NOSE_UP_DEG = (0.0, 90.0, 0.0)
 
 
+Change = Callable[[Packed], None]
+"""Alters a packed flight in place."""
+
+
+def _unchanged(packed: Packed) -> None:
+    """What no fault does."""
+
+
 @dataclass(frozen=True)
 class HeldFlight:
     """A scenario held at `time_s`, packed: fly it with `run`, which leaves it as it is.
 
-    `node` is the linear model's view of it, in `plane`; `command_limit_rad`, `sample_s` are the computer's.
+    `node` is the linear model's view of it, in `plane`. `fault` alters every flight before it flies, and nothing that
+    the linear model sees: so faults are planted.
     """
 
     loaded: LoadedScenario
@@ -50,6 +65,7 @@ class HeldFlight:
     node: Node
     time_s: float
     plane: Plane
+    fault: Change = _unchanged
 
     @property
     def axis(self) -> int:
@@ -60,25 +76,27 @@ class HeldFlight:
     def sample_s(self) -> float:
         return self.node.instruments.sample_s
 
-    def run(
-        self,
-        duration_s: float,
-        injections: tuple[Injection, ...],
-        change: Callable[[Packed], None] = lambda packed: None,
-    ) -> FlightRun:
-        """A fresh flight with signals injected; `change` may alter what has been packed before it flies."""
-        scenario = self.loaded.scenario.model_copy(
-            update={
-                "injection": injections,
-                "run": self.loaded.scenario.run.model_copy(update={"duration_s": duration_s}),
-            }
-        )
-        packed = held_gains(pack_flight(scenario), self.time_s)
+    def run(self, duration_s: float, injections: tuple[Injection, ...], change: Change = _unchanged) -> FlightRun:
+        """A fresh flight with signals injected; `change` may alter what has been packed before it flies.
+
+        Only what differs is packed anew: tables take longer than the flight.
+        """
+        run = self.loaded.scenario.run.model_copy(update={"duration_s": duration_s})
+        scenario = self.loaded.scenario.model_copy(update={"injection": injections, "run": run})
+        kept = self.packed
+        packed = dataclasses.replace(
+            kept, parameters=kept.parameters.copy(), pool=kept.pool.copy(), memory=kept.memory.copy(),
+            state=kept.state.copy(),
+        )  # fmt: skip
+        row = packed.parameters[0]
+        row.injections = pack([pack_injections(scenario, Pool())])[0]
+        row.course.stop_ns = int(packed.memory[0].clock.now_ns) + to_ns(duration_s)
+        self.fault(packed)
         change(packed)
         return FlightRun(dataclasses.replace(self.loaded, scenario=scenario), packed)
 
 
-def hold(loaded: LoadedScenario, node: Node) -> HeldFlight:
+def hold(loaded: LoadedScenario, node: Node, fault: Change | None = None) -> HeldFlight:
     """Hold the scenario at a node of its flight, in the node's plane.
 
     Works for the first stage of a vehicle under thrust. Raises ValueError where the axial load is not positive, the
@@ -99,7 +117,7 @@ def hold(loaded: LoadedScenario, node: Node) -> HeldFlight:
     )
     packed = held_gains(pack_flight(held.scenario), node.time_s)
     same = dataclasses.replace(node_of(packed, node.time_s, 0, node.plane, node.errata), liquids=node.liquids)
-    return HeldFlight(held, packed, same, node.time_s, node.plane)
+    return HeldFlight(held, packed, same, node.time_s, node.plane, fault or _unchanged)
 
 
 def _stillness(scenario: Scenario, node: Node, load_mps2: float) -> dict[str, object]:
@@ -144,7 +162,7 @@ def held_gains(packed: Packed, time_s: float) -> Packed:
 
 
 def linear_limits(held: HeldFlight) -> tuple[float, float]:
-    """Gimbal angle (rad) and rate (rad/s) at which the actuator or the computer stops being linear."""
+    """Gimbal command (rad) and commanded rate of the servo (rad/s) at which actuator or computer stop being linear."""
     actuator = held.node.instruments.actuator
     command = float(held.packed.parameters[0].computer.law.command_limit_rad)
     if actuator.ideal:

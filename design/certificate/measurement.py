@@ -14,7 +14,7 @@ from maxq.design.model.state_space import ComplexArray
 from maxq.sim.flight.fly import KeptRows
 from maxq.sim.flight.telemetry import FAST
 
-_NEAR = 5  # bins on either side in which noise is looked for
+_NEAR_HZ, _NEAR = 0.125, 5  # on either side in which noise is looked for, and at least so many bins
 _DEAD = 9.0  # exp(-9) = 1e-4 of what there was at the start
 
 
@@ -44,7 +44,7 @@ def measure(held: HeldFlight, band: Band, loud: Loudness, closed_poles: ComplexA
     `closed_poles` (rad/s) of the linear loop say what is still dying away when the record begins: a root of
     0.02 rad/s would take minutes. It is taken out of the spectra, not waited for.
     """
-    run = held.run(band.duration_s, injections(loud.groups, held.plane))
+    run = held.run(band.duration_s, injections([*loud.groups, *loud.dither], held.plane))
     kept = KeptRows()
     while not run.finished:
         kept.add(run.fly_segment())
@@ -80,7 +80,7 @@ def _settled(spectra: ComplexArray, band: Band, closed_poles: ComplexArray) -> C
     """Mean over the periods, (bins,), without what dies away: each root's part shrinks by exp(p times the period)."""
     slow = closed_poles[(closed_poles.real < 0.0) & (-closed_poles.real * band.settle_s < _DEAD)]
     began = np.arange(band.periods) * band.period_s
-    shapes = np.column_stack([np.ones(band.periods), np.exp(np.outer(began, slow[: band.periods - 2]))])
+    shapes = np.column_stack([np.ones(band.periods), np.exp(np.outer(began, slow[: max(band.periods - 2, 0)]))])
     return np.asarray(np.linalg.lstsq(shapes, spectra, rcond=None)[0][0])
 
 
@@ -92,10 +92,13 @@ def _estimated(
     response = -out[lines] / into[lines]
     silent = np.ones(len(out), bool)
     silent[lines] = False
+    silent[np.round(band.dither_hz * band.period_s).astype(int)] = False
     silent[[0, -1]] = False
+    reach = max(_NEAR, round(_NEAR_HZ * band.period_s))
     noise = np.empty(len(lines))
     for i, line in enumerate(lines):
-        near = np.flatnonzero(silent[max(line - _NEAR, 1) : line + _NEAR + 1]) + max(line - _NEAR, 1)
+        low = max(line - reach, 1)
+        near = np.flatnonzero(silent[low : line + reach + 1]) + low
         noise[i] = np.sqrt(np.mean(np.abs(out[near] * (1.0 + response[i])) ** 2))
     error = noise / np.abs(out[lines])
     return Measured(band.lines_hz, response, 1.0 / (1.0 + error**2), error, saturated_s, outcome)

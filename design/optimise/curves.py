@@ -15,7 +15,7 @@ from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import PPoly, make_interp_spline
+from scipy.interpolate import BSpline, PPoly, make_interp_spline
 
 from maxq.control.records import Array
 from maxq.design.model.state_space import ComplexArray
@@ -129,7 +129,7 @@ def _mesh(path: FixedPath, highest_hz: float | None, kept_hz: Array, tolerance: 
     x = np.log(_first_frequencies(path, top, kept_hz))
     response, integrator = path.response(np.exp(x)), path.integrator(np.exp(x))
     for _ in range(MOST_ROUNDS):
-        spline = _spline(x, response, integrator)
+        spline = _spline(x, response, integrator)  # as it comes: polynomials are made of the last one only
         middle = 0.5 * (x[1:] + x[:-1])
         exact, exact_integrator = path.response(np.exp(middle)), path.integrator(np.exp(middle))
         guess = spline(middle)
@@ -149,20 +149,20 @@ def _mesh(path: FixedPath, highest_hz: float | None, kept_hz: Array, tolerance: 
         integrator = np.concatenate([integrator, exact_integrator[spread]])
         order = np.argsort(x)
         x, response, integrator = x[order], response[order], integrator[order]
-    return _Mesh(x, response, integrator, _spline(x, response, integrator))
+    spline = _spline(x, response, integrator)
+    # as polynomials of each interval: Taylor coefficients at its left end (BSpline is continuous from the right)
+    orders = [spline.derivative(k)(x[:-1]) / math.factorial(k) if k else spline(x[:-1]) for k in range(6)]
+    return _Mesh(x, response, integrator, PPoly(np.stack(orders[::-1]), x))
 
 
-def _spline(x: Array, response: ComplexArray, integrator: ComplexArray) -> PPoly:
+def _spline(x: Array, response: ComplexArray, integrator: ComplexArray) -> BSpline:
     if not (np.isfinite(response).all() and np.isfinite(integrator).all()):
         raise ValueError("the response of a plant is not finite")
     columns = [
         np.log(np.abs(response)), np.unwrap(np.angle(response)),
         np.log(np.abs(integrator)), np.unwrap(np.angle(integrator)),
     ]  # fmt: skip
-    spline = make_interp_spline(x, np.stack(columns, axis=1), k=5)
-    # as polynomials of each interval: Taylor coefficients at its left end (BSpline is continuous from the right)
-    orders = [spline.derivative(k)(x[:-1]) / math.factorial(k) if k else spline(x[:-1]) for k in range(6)]
-    return PPoly(np.stack(orders[::-1]), x)
+    return make_interp_spline(x, np.stack(columns, axis=1), k=5)
 
 
 def _first_frequencies(path: FixedPath, top_hz: float, kept_hz: Array) -> Array:

@@ -24,6 +24,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from enum import IntEnum
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -86,6 +87,11 @@ class LogLoop:
     proportional: ComplexArray
     s: ComplexArray
 
+    def beside(self, change: Array) -> LogLoop:
+        """At x + change, for changes so small that nothing but ln L and its slope moves."""
+        first = self.first + self.second * change
+        return LogLoop(self.value + 0.5 * (self.first + first) * change, first, self.second, self.proportional, self.s)
+
 
 @dataclass(frozen=True)
 class Places:
@@ -112,18 +118,23 @@ class Bands:
     mode: Indices  # 1, 2, ...
     plant: Indices
 
+    @cached_property
+    def _points(self) -> tuple[Indices, Indices, Indices, Indices]:
+        """Mesh points of all bands one after the other, their bands, and where each band starts and ends in these."""
+        size = self.last - self.first + 1
+        end = np.cumsum(size)
+        tag = np.repeat(np.arange(len(size)), size)
+        return np.arange(int(size.sum())) - (end - size)[tag] + self.first[tag], tag, end - size, end - 1
+
     def peaks(self, curves: Curves, log_gain: Array) -> Places:
         """Local maxima of each band: inner ones, and ends from which the curve falls inwards."""
-        cells: list[int] = []
-        tags: list[int] = []
-        for band, (i, j) in enumerate(zip(self.first, self.last, strict=True)):
-            part = log_gain[i : j + 1]
-            rises = np.concatenate([[True], part[1:] > part[:-1]])
-            falls = np.concatenate([part[:-1] >= part[1:], [True]])
-            found = np.flatnonzero(rises & falls)
-            cells.extend(int(i + k) for k in found)
-            tags.extend([band] * len(found))
-        k, tag = np.array(cells, np.int64), np.array(tags, np.int64)
+        k, tag, starts, ends = self._points
+        value = log_gain[k]
+        # beside a band there is nothing: its ends count where the curve falls inwards
+        before, after = np.append(-np.inf, value[:-1]), np.append(value[1:], -np.inf)
+        before[starts], after[ends] = -np.inf, -np.inf
+        found = np.flatnonzero((value > before) & (value >= after))
+        k, tag = k[found], tag[found]
         inner = (k > self.first[tag]) & (k < self.last[tag])
         at = curves.x[k]
         at[inner] = vertex(curves.x, log_gain, k[inner])

@@ -46,6 +46,18 @@ class Evaluation:
     unstable: int  # unstable closed-loop poles over all plants
 
 
+@dataclass(frozen=True)
+class _Judged:
+    """Features number `which` held to one limit, with arrays of their own."""
+
+    which: Indices
+    what: What
+    value: Array
+    limit: Array
+    excess_db: Array
+    objective: bool
+
+
 class Problem:
     """Loops with limits and bounds of the variables."""
 
@@ -133,13 +145,14 @@ class Problem:
         mode[kind == Kind.PEAK] = self.bands.mode[places.tag[kind == Kind.PEAK]]
         cross = self.cross.of(plant)
         per_deg = np.radians(cross.db_per_rad)
+        parts: list[_Judged] = []
 
         def add(where: Mask, what: What, value: Array, limit: Array, excess: Array, objective: bool = False) -> None:
             """Rows where there is a limit (excess is no nan) and it is not met by far."""
             worst = float(excess[where].max(initial=-np.inf)) if objective else 0.0
             i = np.flatnonzero(where & (excess > worst - farthest_db))
             if len(i) > 0:
-                rows.add(self._feature_rows(i, what, value, limit, excess, objective, places, at, y))
+                parts.append(_Judged(i, what, value[i], limit[i], excess[i], objective))
 
         none = np.full(len(kind), np.nan)
         first = mode == 1
@@ -171,16 +184,18 @@ class Problem:
         if near.any():
             value = features.zone_value(at.value.real, np.radians(beside_deg), cross)
             add(near, What.ZONE, value, np.ones(len(kind)), (1.0 - value) * least)
+        if parts:
+            rows.add(self._feature_rows(parts, places, at, y))
 
-    def _feature_rows(
-        self, i: Indices, what: What, value: Array, limit: Array, excess: Array, objective: bool, places: Places,
-        at: LogLoop, y: Array,
-    ) -> Rows:  # fmt: skip
-        n, here = len(i), LogLoop(at.value[i], at.first[i], at.second[i], at.proportional[i], at.s[i])
-        plant = self.loops.curves.plant[places.cell[i]]
+    def _feature_rows(self, parts: list[_Judged], places: Places, at: LogLoop, y: Array) -> Rows:
+        i = np.concatenate([p.which for p in parts])
+        here = LogLoop(at.value[i], at.first[i], at.second[i], at.proportional[i], at.s[i])
+        plant, sizes = self.loops.curves.plant[places.cell[i]], [len(p.which) for p in parts]
         return Rows(
-            np.full(n, what, np.int8), plant, value[i], limit[i], excess[i],
-            np.full(n, objective), self._own_gradient(places.kind[i], plant, here, y),
+            np.repeat(np.array([p.what for p in parts], np.int8), sizes), plant,
+            np.concatenate([p.value for p in parts]), np.concatenate([p.limit for p in parts]),
+            np.concatenate([p.excess_db for p in parts]), np.repeat([p.objective for p in parts], sizes),
+            self._own_gradient(places.kind[i], plant, here, y),
             places.kind[i], places.cell[i], places.x[i], places.fixed[i],
         )  # fmt: skip
 

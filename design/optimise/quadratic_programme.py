@@ -1,23 +1,26 @@
 """A small dense convex quadratic programme: primal-dual interior point with Mehrotra's predictor and corrector.
 
-SciPy has no solver for it. With 40 unknowns and 200 rows this one takes 1 to 4 ms.
+SciPy has no solver for it. With 36 unknowns and 115 rows this one takes 0.7 ms, twelve iterations.
 Nocedal & Wright, Numerical Optimization (2nd ed.), section 16.6.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
-import scipy.linalg
+from scipy.linalg import lapack
 
 from maxq.control.records import Array
 
 MOST_ITERATIONS = 60
 TOLERANCE = 1e-10
+SPENT, SPENT_TOLERANCE = 1e-12, 1e-6
 TO_BOUNDARY = 0.995
+INSIDE = 0.1
+LEAST_PRODUCT = 1e-6
+RIDGE = 1e-13
+LEAST = -1e-300
 
 
 @dataclass(frozen=True)
@@ -34,78 +37,74 @@ class QuadraticSolution:
 def solve_quadratic(
     quadratic: Array, linear: Array, rows: Array, right: Array, lower: Array, upper: Array, start: Array
 ) -> QuadraticSolution:
-    """Least z'Qz/2 + c'z with rows z <= right and lower <= z <= upper (infinite: no bound); Q positive semidefinite."""
+    """Least z'Qz/2 + c'z with rows z <= right and lower <= z <= upper (infinite: no bound); Q positive semidefinite.
+
+    `start` of the unknowns that are not bounded on both sides; the others start in the middle.
+    """
     below, above = np.flatnonzero(np.isfinite(lower)), np.flatnonzero(np.isfinite(upper))
-    m, p = len(rows), len(below)
+    m, p, n = len(rows), len(below), len(start)
     limit = np.concatenate([right, -lower[below], upper[above]])
+    # all limits in one matrix: some more rows cost less than handling the bounds apart
+    every = np.zeros((len(limit), n))
+    every[:m] = rows
+    every[np.arange(m, m + p), below] = -1.0
+    every[np.arange(m + p, len(limit)), above] = 1.0
+    transposed = np.ascontiguousarray(every.T)
+    diagonal, scale = np.diag_indices(n), 1.0 + float(np.abs(linear).max())
 
-    def times(z: Array) -> Array:
-        return np.concatenate([rows @ z, -z[below], z[above]])
-
-    def transposed(w: Array) -> Array:
-        out = np.asarray(w[:m] @ rows)
-        out[below] -= w[m : m + p]
-        out[above] += w[m + p :]
-        return out
-
-    z = start.copy()
-    slack = np.maximum(limit - times(z), 1e-2)
-    dual = np.full(len(slack), 1e-1) / np.maximum(slack, 1e-1)
-    scale = 1.0 + float(np.abs(linear).max())
+    z, slack, dual = _start(every, limit, linear, lower, upper, start)
     converged = False
     for _ in range(MOST_ITERATIONS):
-        stationarity = quadratic @ z + linear + transposed(dual)
-        primal = times(z) + slack - limit
+        stationarity = quadratic @ z + linear + transposed @ dual
+        primal = every @ z + slack - limit
         gap = float(slack @ dual) / len(slack)
-        if max(float(np.abs(stationarity).max()) / scale, float(np.abs(primal).max()), gap) < TOLERANCE:
-            converged = True
+        worst = max(float(np.abs(stationarity).max()) / scale, float(np.abs(primal).max()))
+        # where the products are spent, rounding errors undo what another iteration gains
+        if gap < TOLERANCE and (worst < TOLERANCE or gap < SPENT):
+            converged = worst < SPENT_TOLERANCE
             break
         weight = dual / slack
-        matrix = quadratic + (rows.T * weight[:m]) @ rows
-        diagonal = np.zeros(len(z))
-        diagonal[below] += weight[m : m + p]
-        diagonal[above] += weight[m + p :]
-        matrix[np.diag_indices(len(z))] += diagonal + 1e-13 * (1.0 + diagonal)
-        try:
-            factor = scipy.linalg.cho_factor(matrix, check_finite=False)
-        except scipy.linalg.LinAlgError:
-            break
-
-        kkt = _Kkt(factor, stationarity, primal, weight, slack, dual, times, transposed)
-        _, ds, dl = kkt.direction(np.zeros(len(slack)))
-        reach_s, reach_l = _longest(slack, ds), _longest(dual, dl)
+        half = transposed * np.sqrt(weight)
+        matrix = half @ half.T + quadratic
+        matrix[diagonal] += RIDGE
+        factor, fault = lapack.dpotrf(matrix, lower=1, clean=0)
+        if fault != 0:  # singular but for rounding errors
+            matrix[diagonal] *= 1.0 + RIDGE
+            factor, fault = lapack.dpotrf(matrix, lower=1, clean=0)
+            if fault != 0:
+                break
+        # predictor: the step to slack * dual = 0
+        pull = weight * primal
+        dz = lapack.dpotrs(factor, transposed @ (dual - pull) - stationarity, lower=1)[0]
+        ds = -primal - every @ dz
+        dl = -dual - weight * ds
+        reach_s = min(1.0, -1.0 / min(float((ds / slack).min()), LEAST))
+        reach_l = min(1.0, -1.0 / min(float((dl / dual).min()), LEAST))
         ahead = float((slack + reach_s * ds) @ (dual + reach_l * dl)) / len(slack)
-        dz, ds, dl = kkt.direction((ahead / gap) ** 3 * gap - ds * dl)
-        reach = min(TO_BOUNDARY * _longest(slack, ds), TO_BOUNDARY * _longest(dual, dl), 1.0)
+        # corrector: the step to equal products, with what the predictor has left out
+        short = ((ahead / gap) ** 3 * gap - ds * dl) / slack
+        dz = lapack.dpotrs(factor, transposed @ (dual - pull - short) - stationarity, lower=1)[0]
+        ds = -primal - every @ dz
+        dl = short - dual - weight * ds
+        fastest = min(float((ds / slack).min()), float((dl / dual).min()), LEAST)
+        reach = min(1.0, -TO_BOUNDARY / fastest)
         z, slack, dual = z + reach * dz, slack + reach * ds, dual + reach * dl
-    lower_dual, upper_dual = np.zeros(len(z)), np.zeros(len(z))
+    lower_dual, upper_dual = np.zeros(n), np.zeros(n)
     lower_dual[below], upper_dual[above] = dual[m : m + p], dual[m + p :]
     return QuadraticSolution(z, dual[:m], lower_dual, upper_dual, converged)
 
 
-@dataclass(frozen=True)
-class _Kkt:
-    """The linear system of an iteration, factored once for predictor and corrector."""
+def _start(
+    every: Array, limit: Array, linear: Array, lower: Array, upper: Array, start: Array
+) -> tuple[Array, Array, Array]:
+    """Off every limit by a share of what it can change, and multipliers of the objective's size.
 
-    factor: Any
-    stationarity: Array
-    primal: Array
-    weight: Array
-    slack: Array
-    dual: Array
-    times: Callable[[Array], Array]
-    transposed: Callable[[Array], Array]
-
-    def direction(self, target: Array) -> tuple[Array, Array, Array]:
-        """Steps of z, slack and dual towards slack * dual = target."""
-        short = target - self.slack * self.dual
-        pull = short / self.slack + self.weight * self.primal
-        dz = scipy.linalg.cho_solve(self.factor, -self.stationarity - self.transposed(pull), check_finite=False)
-        ds = -self.primal - self.times(dz)
-        return dz, ds, (short - self.dual * ds) / self.slack
-
-
-def _longest(value: Array, change: Array) -> float:
-    """Largest step up to 1/TO_BOUNDARY that keeps the values positive."""
-    falling = change < 0.0
-    return float(min(1.0 / TO_BOUNDARY, (-value[falling] / change[falling]).min(initial=np.inf)))
+    Multipliers that begin small against the gradient of a penalty take forty iterations to grow.
+    """
+    both = np.isfinite(lower) & np.isfinite(upper)
+    z, width = start.copy(), np.zeros(len(start))
+    z[both], width[both] = 0.5 * (lower[both] + upper[both]), (upper - lower)[both]
+    slack = np.maximum(limit - every @ z, INSIDE * (np.abs(every) @ width) + 1e-9)
+    pulled, drawn = np.abs((1.0 / slack) @ every), np.abs(linear)
+    product = float((drawn[drawn > 0.0] / np.maximum(pulled[drawn > 0.0], 1e-12)).max(initial=LEAST_PRODUCT))
+    return z, slack, product / slack

@@ -72,6 +72,15 @@ class Certificate:
     plants: int  # for which the design was made
     searched: int = 0  # dispersed plants that were tried besides, in search of the worst
     worst_found_db: float = 0.0  # by how much the worst of those misses the objective or a limit
+    leaps: int = 0  # from the best end, thrown off and brought down again
+    leaps_back: int = 0  # of these ended within 0.05 dB of the best
+
+    def statement(self) -> str:
+        """In words, what speaks for the optimum."""
+        text = f"{self.near_best} of {self.starts} starts"
+        if self.leaps > 0:
+            text += f" and {self.leaps_back} of {self.leaps} leaps from the best"
+        return f"{text} ended within 0.05 dB of it"
 
 
 @dataclass(frozen=True)
@@ -208,6 +217,8 @@ def make_solution(
             seed=case.search.seed,
             stable=stable,
             plants=len(plants),
+            leaps=len(found.leaps_db),
+            leaps_back=found.leaps_back,
         ),
         variables=found.best.variables,
         nominal_objective_db=nominal,

@@ -6,6 +6,7 @@ import time
 from collections.abc import Sequence
 
 import numpy as np
+from threadpoolctl import threadpool_limits
 
 from maxq.control.records import Array
 from maxq.design import api
@@ -40,6 +41,14 @@ def solve(
     filter of lower order, or less freedom in the gains, they guarantee a result that is no worse. Raises ValueError
     for a case without a problem (no such node, no first mode), KeyboardInterrupt where nothing is found yet.
     """
+    # with matrices of forty rows, threads of the linear-algebra library only wait for each other: twice the CPU time
+    with threadpool_limits(limits=1, user_api="blas"):
+        return _solve(loaded, plants, also_from, progress)
+
+
+def _solve(
+    loaded: LoadedCase, plants: Plants | None, also_from: Sequence[Solution], progress: Progress | None
+) -> Solution:
     begun = time.perf_counter()
     plants = nominal_plants(loaded) if plants is None else plants
     if loaded.case.robust is not None:
@@ -70,25 +79,24 @@ def search_form(
     """Search with some form of filter and gains, whatever the case's own."""
     problem = make_problem(case, plants, form)
     given = _starts_from(problem, form, also_from, plants.first_mode_hz)
+    leaps, seed = case.search.leaps, case.search.seed
     if form.schedule not in ("free", "nodes") or len(problem.loops.gains.nodes_s) <= 2:
-        drawn, random = _fresh(problem, form, plants, case)
-        return problem, search(problem, [*given, *drawn, *random], progress=progress)
-    # the drawn starts with each node's own least gains; the random ones cheaply, as filters for linear gains
+        fresh = _fresh(problem, form, plants, case)
+        return problem, search(problem, [*given, *fresh], progress=progress, leaps=leaps, seed=seed)
+    # one with each node's own least gains; the others cheaply, as filters for linear gains
+    own = list(starts.drawn(problem, form, plants.first_mode_hz))[:1]
     small_form = Form(form.quadratic, form.first_order, "linear")
     small = make_problem(case, plants, small_form)
-    drawn, _ = _fresh(problem, form, plants, case)
-    drawn_small, random = _fresh(small, small_form, plants, case)
+    fresh = _fresh(small, small_form, plants, case)
     rough = (small, lambda x: _wider(small, problem, x))
-    return problem, search(
-        problem, [*given, *drawn], rough, [*drawn_small[:1], *random], progress, case.search.hops, case.search.seed
-    )
+    return problem, search(problem, [*given, *own], rough, fresh[: case.search.starts - 1], progress, leaps, seed)
 
 
-def _fresh(problem: Problem, form: Form, plants: Plants, case: Case) -> tuple[list[Array], list[Array]]:
-    """As many starts as the case asks for: drawn ones first, then random ones."""
-    mode_hz = plants.first_mode_hz
-    drawn = list(starts.drawn(problem, form, mode_hz))[: case.search.starts]
-    return drawn, list(starts.random(problem, mode_hz, case.search.starts - len(drawn), case.search.seed))
+def _fresh(problem: Problem, form: Form, plants: Plants, case: Case) -> list[Array]:
+    """As many starts as the case asks for: drawn ones first, half of them at most, then random ones."""
+    mode_hz, count = plants.first_mode_hz, case.search.starts
+    drawn = list(starts.drawn(problem, form, mode_hz))[: (count + 1) // 2]
+    return [*drawn, *starts.random(problem, form, mode_hz, count - len(drawn), case.search.seed)]
 
 
 def _starts_from(problem: Problem, form: Form, also_from: Sequence[Solution], mode_hz: float) -> list[Array]:

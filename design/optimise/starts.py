@@ -13,6 +13,8 @@ from maxq.control.records import Array
 from maxq.design.optimise.problem import Problem
 from maxq.design.optimise.setup import Form, least_gains
 
+Pair = tuple[float, float]
+
 SPAN = 2.0  # random frequencies lie within this factor squared around the first mode
 GAIN_FACTOR = 1.02
 
@@ -60,19 +62,46 @@ def _from(problem: Problem, filter_: BendingFilter) -> Array:
     return np.asarray(np.clip(whole, problem.lower, problem.upper))
 
 
-def random(problem: Problem, mode_hz: float, count: int, seed: int) -> Array:
-    """(count, variables): Sobol points in the bounds, frequencies no farther than SPAN squared from the mode."""
+def random(problem: Problem, form: Form, mode_hz: float, count: int, seed: int) -> Array:
+    """(count, variables): Sobol points, every fourth in the bounds, the others as `_like_a_notch`."""
     n = problem.loops.filter.size
     if count == 0:
         return np.zeros((0, problem.size))
+    everywhere, likely = _everywhere(problem, mode_hz), _like_a_notch(form, mode_hz)
+    points = qmc.Sobol(n, seed=seed).random_base2(max(1, math.ceil(math.log2(count))))[:count]
+    low, high = (np.where((np.arange(count) % 4 == 3)[:, None], everywhere[i], likely[i]) for i in (0, 1))
+    filters = np.clip(low + points * (high - low), problem.lower[:n], problem.upper[:n])
+    return np.hstack([filters, np.tile(start_gains(problem), (count, 1))])
+
+
+def _everywhere(problem: Problem, mode_hz: float) -> tuple[Array, Array]:
+    """The bounds, but for frequencies that are farther than SPAN squared from the mode."""
+    n = problem.loops.filter.size
     low, high = problem.lower[:n].copy(), problem.upper[:n].copy()
     frequency = np.array([name.endswith("_hz") for name in problem.loops.filter.names], bool)
     centre, reach = math.log(mode_hz), 2.0 * math.log(SPAN)
     low[frequency] = np.clip(centre - reach, low[frequency], high[frequency])
     high[frequency] = np.clip(centre + reach, low[frequency], high[frequency])
-    points = qmc.Sobol(n, seed=seed).random_base2(max(1, math.ceil(math.log2(count))))[:count]
-    filters = low + points * (high - low)
-    return np.hstack([filters, np.tile(start_gains(problem), (count, 1))])
+    return low, high
+
+
+def _like_a_notch(form: Form, mode_hz: float) -> tuple[Array, Array]:
+    """A first section that is a notch at the mode with poles below it; the others lead, lag or notch anywhere.
+
+    With gains linear in time, every second such start ends in the best valley of F3 to F5, every tenth of the whole
+    bounds.
+    """
+
+    def ranges(zero: Pair, zero_zeta: Pair, pole: Pair, pole_zeta: Pair) -> list[Pair]:
+        hz = [tuple(math.log(x * mode_hz) for x in pair) for pair in (zero, pole)]
+        return [(hz[0][0], hz[0][1]), zero_zeta, (hz[1][0], hz[1][1]), pole_zeta]
+
+    notch = ranges((0.9, 1.1), (0.1, 0.3), (0.4, 0.8), (0.3, 0.6))
+    other = ranges((0.5, 3.0), (0.1, 0.8), (0.35, 3.0), (0.3, 1.0))
+    first_order = (math.log(0.2 * mode_hz), math.log(8.0 * mode_hz))
+    sections = [*notch, *other * form.quadratic][: 4 * form.quadratic]
+    low, high = np.array([*sections, *[first_order, first_order] * form.first_order]).T
+    return low, high
 
 
 def lifted(filter_: BendingFilter, form: Form, mode_hz: float) -> BendingFilter | None:

@@ -177,6 +177,33 @@ def _machine(results: dict[str, Any]) -> str:
     )
 
 
+REPLAY = (
+    ("conversion", "read_s", "reading the log", "s", None),
+    ("conversion", "convert_s", "conversion", "s", 1.5),
+    ("conversion", "rrd_MB", "size of the `.rrd`", "MB", 40.0),
+    ("screenshot", "wall_s", "`simreplay LOG --screenshot`: from command to settled picture", "s", 6.0),
+    ("screenshot", "peak_MB", "peak memory of it, viewer included", "MB", 1000.0),
+    ("help", "wall_s", "`simreplay --help`", "s", None),
+    ("save", "wall_s", "`simreplay LOG --save`", "s", None),
+    ("summary", "wall_s", "`simreplay LOG --summary`", "s", None),
+    ("plots", "wall_s", "`simreplay LOG --plots`: 14 sheets, SVG and PNG", "s", None),
+    ("many", "save_s", "100 flights of 100 Hz: `--save`", "s", None),
+    ("many", "rrd_MB", "100 flights: size", "MB", None),
+    ("many", "picture_s", "100 flights: opened, settled picture", "s", None),
+    ("many", "move_s", "100 flights: another time", "s", None),
+)
+
+
+def _replay(result: dict[str, Any]) -> str:
+    rows = []
+    for part, key, what, unit, limit in REPLAY:
+        if part not in result:
+            rows.append([what, f"skipped: {result.get('skipped', 'no reason given')}", ""])
+            continue
+        rows.append([what, f"{result[part][key]:.2f} {unit}", f"{limit:g} {unit}" if limit else ""])
+    return _table(("nominal, 233 s at 1 kHz", "measured", "at most"), rows)
+
+
 def filled(text: str, results: dict[str, Any]) -> str:
     """The page with its tables renewed. Raises ValueError where a marker is missing."""
     sections = {name: s.get("result") for name, s in results["sections"].items()}
@@ -193,6 +220,7 @@ def filled(text: str, results: dict[str, Any]) -> str:
         "latency": whole("latency", _latency),
         "precision": whole("precision", _precision),
         "parts": whole("parts", _parts),
+        "replay": whole("replay", _replay),
         "campaigns": whole("campaigns", _campaigns),
     }
     core, parts = sections.get("core"), sections.get("parts")

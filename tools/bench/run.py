@@ -67,6 +67,7 @@ def main() -> int:
         "parts": lambda: _in_own_process("parts"),
         "operations": lambda: _in_own_process("operations"),
         "precision": lambda: _in_own_process("precision"),
+        "replay": lambda: _in_own_process("replay"),
         "campaigns": lambda: _in_own_process("campaigns"),
     }
     wanted = [name for name in choice.only.split(",") if name] or list(parts)

@@ -52,7 +52,7 @@ def execute(order: Order) -> int:
 
 
 def _execute(order: Order) -> int:
-    from maxq.tools.design.design_file import check_folder  # noqa: PLC0415  # lazy, as all imports here
+    from maxq.tools.design.design_file import check_folder, forget_pictures  # noqa: PLC0415  # lazy, as all here
     from maxq.tools.design.judging import Wanted, checks, judge  # noqa: PLC0415
     from maxq.tools.design.record import analysis_record, write_record  # noqa: PLC0415
 
@@ -74,6 +74,7 @@ def _execute(order: Order) -> int:
         found = checks(judged, design, wanted)
         files = []
         if folder is not None:
+            forget_pictures(folder)
             title = f"{design.name or name}, {order.axis}, {order.kind}"
             files.append(write_record(folder / RECORD_NAME, analysis_record(name, order, judged, found)))
             if order.pictures:

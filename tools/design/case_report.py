@@ -58,7 +58,7 @@ def search_table(solution: Solution) -> list[str]:
     active = [x for x in solution.constraints if x.active]
     rows = [
         ("objective", f"{solution.objective_db:.4f} dB"),
-        ("starts", f"{c.near_best} of {c.starts} ended within 0.05 dB of the best"),
+        ("starts", c.statement()),
         ("ends, dB", ", ".join("-" if math.isnan(x) else f"{x:.2f}" for x in sorted(c.ends_db))),
         ("KKT residual", f"{c.kkt_residual:.1e}"),
         ("active", _active(active, solution)),

@@ -146,6 +146,14 @@ def check_folder(folder: Path) -> None:
         raise cannot_write(folder, error) from None
 
 
+def forget_pictures(folder: Path) -> None:
+    """Take away the pictures of an earlier run: they show another design. Nothing else in the folder is touched."""
+    for stem in ("vehicle-*", "gains", "filter", "margins", "lobes", "loop-*s", "orders-*"):
+        for kind in ("svg", "png"):
+            for path in folder.glob(f"{stem}.{kind}"):
+                path.unlink(missing_ok=True)
+
+
 def cannot_write(path: Path, error: OSError) -> ScenarioError:
     """The one line that says so."""
     reason = (error.strerror or str(error)).lower()

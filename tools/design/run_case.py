@@ -53,23 +53,25 @@ def _execute(order: Order) -> int:
     from maxq.design.case.read import read_case  # noqa: PLC0415  # lazy, as all imports here
     from maxq.design.optimise.solve import nominal_plants, solve  # noqa: PLC0415
     from maxq.tools.design.case_report import report  # noqa: PLC0415
-    from maxq.tools.design.design_file import check_folder  # noqa: PLC0415
+    from maxq.tools.design.design_file import check_folder, forget_pictures  # noqa: PLC0415
     from maxq.tools.design.outcome import judge_solution  # noqa: PLC0415
-    from maxq.tools.interruption import Interruption  # noqa: PLC0415
+    from maxq.tools.interruption import Interruption, Stop  # noqa: PLC0415
 
     more = [
         f"search.{key}={value}" for key, value in (("starts", order.starts), ("seed", order.seed)) if value is not None
     ]
     loaded = read_case(order.case, [*order.overrides, *more])
     folder = Path(order.out or Path("runs") / (re.sub(r"[^\w.-]+", "-", loaded.name).strip(".-") or "design"))
-    with Progress() as progress:
+    with Progress() as progress, Stop() as stop:
         try:
             plants = nominal_plants(loaded)
         except ValueError as error:
             raise ScenarioError(loaded.label, str(error)) from None
+        stop.check()
         check_folder(folder)
 
         def show(done: int, of: int, best_db: float) -> None:
+            stop.check()
             note = "" if math.isnan(best_db) else f"best so far {best_db:.2f} dB"
             progress.show("optimising: starts", done, of, note)
 
@@ -83,6 +85,7 @@ def _execute(order: Order) -> int:
                 cut_short = True
         with Interruption() as interruption:  # what has been found is written, whatever is pressed now
             outcome = judge_solution(loaded, solution, [plant.node for plant in plants.each])
+            forget_pictures(folder)  # pictures that an earlier run has left there
             files = _write(folder, outcome, solution, orders)
             if order.pictures and solution.status != "interrupted":
                 files += _draw(folder, outcome, progress, interruption)

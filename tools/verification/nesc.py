@@ -13,9 +13,10 @@ from pathlib import Path
 
 from maxq.sim.flight.fly import Flight
 from maxq.tools.verification.nesc_cases import ALL_CASES, Difference, fly_case
+from maxq.tools.verification.section import VERIFICATION, markers, rewrite
 
-DOCUMENT = Path(__file__).resolve().parents[2] / "docs" / "verification.md"
-BEGIN, END = "<!-- nesc: begin -->", "<!-- nesc: end -->"
+DOCUMENT = VERIFICATION
+BEGIN, END = markers("nesc")
 
 HEADER = """\
 | case | scenario | step, s | compared | missed | nearest to its tolerance | difference | limit | ratio | s |
@@ -36,12 +37,7 @@ def row(case: str, scenario: str, flight: Flight, differences: list[Difference])
 
 def insert(table: str, document: Path = DOCUMENT) -> None:
     """Put the table between its markers; ValueError where they are missing."""
-    text = document.read_text()
-    before, begin, rest = text.partition(BEGIN)
-    _, end, after = rest.partition(END)
-    if not begin or not end:
-        raise ValueError(f"{document.name} has no markers {BEGIN} and {END}")
-    document.write_text(f"{before}{BEGIN}\n{table}{END}{after}")
+    rewrite(document, "nesc", table)
 
 
 def main() -> int:

@@ -1,0 +1,187 @@
+"""The loop measured in the real ascent, while mass, speed, air and gains change under it.
+
+The ascent is flown twice, with the excitation and without, and the difference is looked at: guidance, wind and the
+pull of the path drop out, what the excitation did stays. In a window around the node's time the lines of a multisine
+are read off by least squares together with the window's slow trend. The window is short, so only lines of half a
+hertz and more can be told.
+
+What differs from the flight held still has two causes, and the linear loop knows both: the vehicle changes during the
+window (the sampled loop averaged over nodes across the window), and gravity is the real one (lowest lines only).
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from maxq.control.records import Array
+from maxq.design import api
+from maxq.design.certificate.loudness import SHARE_OF_BURST
+from maxq.design.certificate.response import NOISE, NOISE_SIGMAS, decibels
+from maxq.design.model.state_space import ComplexArray
+from maxq.design.model.vehicle_at import Plane
+from maxq.sim.flight.fly import FlightRun, KeptRows
+from maxq.sim.flight.telemetry import FAST
+from maxq.sim.packing.flight import pack_flight
+from maxq.sim.scenario.loader import LoadedScenario
+from maxq.sim.scenario.schema_injection import Injection
+from maxq.sim.scenario.schema_scenario import Log
+
+WINDOW_S = 8.0
+SETTLE_S = 2.5  # after lift-off
+ACROSS = (-0.5, -0.25, 0.0, 0.25, 0.5)  # of a window: where the linear loop is asked
+LINES_HZ = tuple(n / WINDOW_S for n in (4, 7, 11, 18, 29, 46, 62, 74, 90))  # 0.5 .. 11 Hz
+COMMAND_DEG = 0.35  # of each line at most; fewer than half of any limit together
+WITHIN_DB, WITHIN_DEG = 0.5, 4.0
+TIME_VARIATION, SETTLING = "time variation", "settling"
+
+
+@dataclass(frozen=True)
+class FlownThrough:
+    """L at lines (Hz) read off in the ascent around `time_s`, beside the sampled loop at that instant, `frozen`, and
+    averaged over the window, `passing`. `reason` is "" where the flight and the frozen loop agree to 0.5 dB and 4 deg,
+    "time variation" where the loop's own change in the window is as large as the difference, "converter noise" where
+    that together with its standard errors is, "settling" where what rings near a line has not died away since
+    lift-off, else "unexplained"."""
+
+    time_s: float
+    plane: Plane
+    lines_hz: Array
+    frozen: ComplexArray
+    passing: ComplexArray
+    spread_db: Array  # by which the sampled loop changes across the window
+    measured: ComplexArray
+    error: Array  # standard error of `measured` relative to it, by what the lines leave over
+    reason: tuple[str, ...]
+
+    @property
+    def difference_db(self) -> Array:
+        return decibels(self.measured / self.frozen)
+
+    @property
+    def difference_deg(self) -> Array:
+        return np.asarray(np.degrees(np.angle(self.measured / self.frozen)))
+
+
+def fly_through(loaded: LoadedScenario, times_s: Sequence[float], plane: Plane) -> list[FlownThrough]:
+    """Measure around each time. Two ascents serve all times: one quiet, one excited throughout."""
+    if loaded.design is None:
+        raise ValueError(f"{loaded.label}: there is no design to measure")
+    lines = np.array(LINES_HZ)
+    signal = Injection.model_validate(
+        {
+            "at": "gimbal_command", "axis": plane, "kind": "multisine", "frequencies_hz": LINES_HZ,
+            "amplitude_deg": _amplitude_deg(loaded),
+        }
+    )  # fmt: skip
+    end_s = max(times_s) + 0.5 * WINDOW_S
+    quiet, excited = (_flown(loaded, signals, plane, end_s) for signals in ((), (signal,)))
+    sample_s = quiet.sample_s
+    windows = [_window(t, quiet.powered_s, min(quiet.ends_s, excited.ends_s)) for t in times_s]
+    across = [tuple(t + share * (w[1] - w[0]) for share in ACROSS) for t, w in zip(times_s, windows, strict=True)]
+    nodes = api.nodes(loaded, [x for each in across for x in each], plane=plane)
+    out = []
+    for k, (time_s, (begin, end)) in enumerate(zip(times_s, windows, strict=True)):
+        first, last = round(begin / sample_s), round(end / sample_s)
+        back = excited.filtered[first:last] - quiet.filtered[first:last]
+        sent = excited.command[first + 1 : last + 1] - quiet.command[first + 1 : last + 1]  # shows after its tick
+        (u, u_noise), (e, _) = (_at_lines(x, lines, sample_s) for x in (back, sent))
+        mine = api.loops(nodes[k * len(ACROSS) : (k + 1) * len(ACROSS)], loaded.design)
+        responses = np.stack([loop.response(lines) for loop in mine])
+        frozen, passing = responses[len(mine) // 2], responses.mean(axis=0)
+        measured = -u / e
+        error = u_noise * np.abs(1.0 + measured) / np.abs(u)
+        spread, turn = np.ptp(decibels(responses), axis=0), np.degrees(np.ptp(np.angle(responses / frozen), axis=0))
+        poles = mine[len(mine) // 2].closed_poles()
+        rings = poles[-poles.real * (begin - quiet.powered_s) < 3.0]
+        near = [bool((np.abs(np.abs(rings.imag) / (2.0 * np.pi) - f) < 0.5).any()) for f in lines]
+        reasons = tuple(
+            _reason(complex(measured[i] / frozen[i]), float(error[i]), float(spread[i]), float(turn[i]), near[i])
+            for i in range(len(lines))
+        )
+        out.append(FlownThrough(time_s, plane, lines, frozen, passing, spread, measured, error, reasons))
+    return out
+
+
+def _window(time_s: float, from_s: float, to_s: float) -> tuple[float, float]:
+    """About a time, of equal length on both sides."""
+    half = min(0.5 * WINDOW_S, time_s - from_s - SETTLE_S, to_s - time_s - 0.1)
+    if half < 0.2 * WINDOW_S:
+        raise ValueError(
+            f"{time_s:g} s is too near to the flight's ends: allowed is {from_s + SETTLE_S + 2:g} s and on"
+        )
+    return time_s - half, time_s + half
+
+
+def _amplitude_deg(loaded: LoadedScenario) -> float:
+    """Of each line: all of them together stay below the share of gimbal rate and angle that a burst may take."""
+    stage = loaded.vehicle.stage[0]
+    if stage.actuator is None:
+        return COMMAND_DEG
+    together = math.sqrt(2.0 * len(LINES_HZ))  # crest of many sines
+    omega, zeta = 2.0 * math.pi * stage.actuator.omega_hz[0], stage.actuator.zeta[0]
+    by_rate = SHARE_OF_BURST * stage.actuator.rate_limit_degps * 2.0 * zeta / omega / together
+    return min(COMMAND_DEG, by_rate)
+
+
+@dataclass(frozen=True)
+class _Ascent:
+    """Filter output and gimbal command (deg), a row a sample from zero; powered from and until, s."""
+
+    filtered: Array
+    command: Array
+    sample_s: float
+    powered_s: float
+    ends_s: float
+
+
+def _flown(loaded: LoadedScenario, signals: tuple[Injection, ...], plane: Plane, end_s: float) -> _Ascent:
+    scenario = loaded.scenario
+    computer = scenario.vehicle.computer
+    assert computer is not None
+    run_s = scenario.run.model_copy(update={"duration_s": math.ceil(end_s - scenario.run.start_s) + 1.0})
+    log = Log(fast_hz=1.0 / computer.sample_s, slow_hz=1.0, transform_hz=1.0)
+    scenario = scenario.model_copy(update={"injection": signals, "run": run_s, "log": log})
+    run = FlightRun(dataclasses.replace(loaded, scenario=scenario), pack_flight(scenario))
+    kept = KeptRows()
+    while not run.finished:
+        kept.add(run.fly_segment())
+    _, rows = kept.rows()[FAST]
+    events = {e.name: e.time_s for e in run.events}
+    filtered, command = (
+        rows[:, run.table.index(name)] for name in (f"filtered_{plane}_deg", f"gimbal_{plane}_command_deg")
+    )
+    powered_s = events.get("liftoff", scenario.run.start_s)
+    ends_s = min(events.get("burnout", run.now_s), run.now_s)
+    return _Ascent(filtered, command, computer.sample_s, powered_s, ends_s)
+
+
+def _at_lines(samples: Array, lines_hz: Array, sample_s: float) -> tuple[ComplexArray, float]:
+    """Phasors at the lines by least squares, beside a cubic trend, with a weight that fades at both ends; and the
+    standard deviation of each by what is left over."""
+    n = len(samples)
+    time = sample_s * np.arange(n)
+    x = np.linspace(-1.0, 1.0, n)
+    weight = np.hanning(n + 2)[1:-1]
+    angle = 2.0 * np.pi * np.outer(time, lines_hz)
+    columns = np.column_stack([np.cos(angle), np.sin(angle), *(x**k for k in range(4))])
+    found = np.linalg.lstsq(weight[:, None] * columns, weight * samples, rcond=None)[0]
+    left = weight * (samples - columns @ found)
+    k = len(lines_hz)
+    noise = math.sqrt(float(left @ left) / float(weight @ weight)) * math.sqrt(4.0 / n)
+    return np.asarray(found[:k] - 1j * found[k : 2 * k]), noise
+
+
+def _reason(ratio: complex, error: float, spread_db: float, spread_deg: float, rings: bool) -> str:
+    db, deg = abs(20.0 * math.log10(max(abs(ratio), 1e-300))), abs(math.degrees(np.angle(ratio)))
+    if db <= WITHIN_DB and deg <= WITHIN_DEG:
+        return ""
+    if db <= WITHIN_DB + spread_db and deg <= WITHIN_DEG + spread_deg:
+        return TIME_VARIATION
+    if rings:
+        return SETTLING
+    return NOISE if abs(ratio - 1.0) <= NOISE_SIGMAS * error + 10.0 ** (spread_db / 20.0) - 1.0 else "unexplained"

@@ -1,0 +1,34 @@
+"""What the tests of the replay share: a kept log of schema 1, and a viewer without a window."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+from rerun.experimental import ViewerClient
+
+from maxq.tools.replay import viewer
+from maxq.tools.replay.error import ReplayError
+
+OLD_LOG = Path(__file__).parent / "data" / "logs" / "schema-1" / "flight.mcap"
+"""14 s of `nominal` in wind that loses control at 9.66 s (tests/data/logs/NOTES.md): schema 1, for ever."""
+
+
+@contextmanager
+def headless_viewer(window: str = "1280x720") -> Iterator[ViewerClient]:
+    """A viewer to be driven. Skips where there is no driver to draw with; in CI that is a failure."""
+    try:
+        with viewer.headless(window) as client:
+            client.take_screenshot()  # without a driver it stops here at the latest
+            yield client
+    except ReplayError as error:
+        no_driver(error)
+
+
+def no_driver(error: ReplayError) -> None:
+    if "no driver" in str(error) and not os.environ.get("CI"):
+        pytest.skip(str(error))
+    raise error

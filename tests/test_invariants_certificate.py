@@ -1,0 +1,176 @@
+"""What a certificate rests on, each part by itself.
+
+| what | expected |
+|---|---|
+| a signal of less than a pulse a sample, alone | vanishes or is magnified: why measurements are dithered |
+| the same under slow tones | comes out as it went in |
+| what the linear loop predicts of an excitation | is what the flight does, and below every limit |
+| a loop that is not altered; one beyond its edge | decays; grows |
+| growth ends at the limits | as a limit cycle, with an amplitude, or in a loss |
+| the ascent flown through | agrees with the frozen loop, or its own change in the window explains it |
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+
+import numpy as np
+import pytest
+
+from maxq.control.converter import ConverterState, convert, make_converter
+from maxq.control.jit import from_python
+from maxq.control.records import blank, pack
+from maxq.design import api
+from maxq.design.certificate.breaking import break_loop
+from maxq.design.certificate.certificate import NodeCertificate, certify_node
+from maxq.design.certificate.excitation import Band, band, injections
+from maxq.design.certificate.flown_through import fly_through
+from maxq.design.certificate.held_flight import Change, HeldFlight, hold, linear_limits
+from maxq.design.certificate.limit_cycle import limit_cycle
+from maxq.design.certificate.loudness import loudness
+from maxq.design.certificate.response import BANDS
+from maxq.design.margins.measure import margins
+from maxq.sim.flight.fly import KeptRows
+from maxq.sim.flight.telemetry import FAST
+from maxq.sim.packing.flight import Packed
+from maxq.sim.scenario.loader import LoadedScenario, load_scenario
+
+PULSE_RAD = 1e-5
+
+
+@pytest.fixture(scope="module")
+def loaded() -> LoadedScenario:
+    return load_scenario("nominal")
+
+
+@pytest.fixture(scope="module")
+def held(loaded: LoadedScenario) -> HeldFlight:
+    return hold(loaded, api.nodes(loaded, [40.0])[0])
+
+
+@pytest.fixture(scope="module")
+def certificate(loaded: LoadedScenario) -> NodeCertificate:
+    return certify_node(loaded, api.nodes(loaded, [50.0])[0])
+
+
+def _through_converter(increments_rad: np.ndarray, remainder_rad: float) -> np.ndarray:
+    converter, state = pack([make_converter(PULSE_RAD)])[0], blank(ConverterState)
+    count = from_python(convert)
+    state[0].residual_rad[1] = remainder_rad
+    out = []
+    for x in increments_rad:
+        count(converter, state[0], 1, float(x))
+        out.append(float(state[0].increment_rad[1]))
+    return np.array(out)
+
+
+def _gain(pulses: float, slow_pulses: float, remainder: float = 0.0) -> float:
+    """Gain of the converter at a line of 29.7 Hz sampled at 100 Hz, by a transform over 40 s."""
+    n, line = 4000, 1188
+    turn = 2.0 * np.pi * np.arange(n) / n
+    fast = PULSE_RAD * pulses * np.sin(line * turn + 0.4)
+    slow = PULSE_RAD * slow_pulses * (np.sin(21 * turn) + np.sin(33 * turn))
+    seen = np.fft.rfft(_through_converter(fast + slow, remainder * PULSE_RAD))[line]
+    return float(abs(seen / np.fft.rfft(fast)[line]))
+
+
+def test_converter_has_no_gain_of_its_own_only_when_dithered() -> None:
+    assert _gain(0.2, 0.0, 0.0) < 0.1  # no pulse ever comes
+    assert _gain(0.2, 0.0, 0.45) > 1.5  # whole pulses come
+    noise = 0.05  # of rounding, 1/sqrt(12) pulse differenced, in one of 4000 bins beside 0.2 pulses
+    assert _gain(0.2, 6.0, 0.0) == pytest.approx(1.0, abs=3.0 * noise)
+    assert _gain(0.2, 6.0, 0.45) == pytest.approx(1.0, abs=3.0 * noise)
+    assert _gain(20.0, 0.0) == pytest.approx(1.0, abs=0.005)
+
+
+@pytest.mark.parametrize("lines", BANDS, ids=["low", "middle", "high"])
+def test_excitation_does_what_the_linear_loop_predicts(held: HeldFlight, lines: Band) -> None:
+    assert held.loaded.design is not None
+    loop = api.loops([held.node], held.loaded.design)[0]
+    loud = loudness(held, loop, lines)
+    angle, rate = linear_limits(held)
+    assert loud.command_rad < angle
+    assert loud.servo_radps < rate
+    run = held.run(lines.settle_s + lines.period_s, injections([*loud.groups, *loud.dither], "pitch"))
+    kept = KeptRows()
+    while not run.finished:
+        kept.add(run.fly_segment())
+    _, rows = kept.rows()[FAST]
+    command = np.radians(rows[round(lines.settle_s / held.sample_s) :, run.table.index("gimbal_pitch_command_deg")])
+    assert np.abs(command).max() < 1.02 * loud.command_rad
+    assert np.abs(command).max() > 0.5 * loud.command_rad
+
+
+def test_certificate_stands_at_50_s(certificate: NodeCertificate) -> None:
+    assert certificate.unexplained == ()
+    assert [e.what for e in certificate.edges] == ["gain_up", "gain_down", "delay"]
+
+
+def test_without_rounding_flight_and_sampled_loop_are_the_same(certificate: NodeCertificate) -> None:
+    r = certificate.responses
+    measured = np.isfinite(r.unrounded.real)
+    assert measured.sum() >= 25
+    above = measured & (20.0 * np.log10(np.abs(r.sampled)) > -50.0)
+    assert np.abs(r.unrounded_db[above]).max() < 0.05
+    assert np.abs(r.unrounded_deg[above]).max() < 0.5
+
+
+def test_half_the_amplitude_measures_the_same(certificate: NodeCertificate) -> None:
+    assert np.nanmax(np.abs(certificate.responses.nonlinear_db)) < 0.2
+
+
+def test_margin_is_found_again_from_an_altered_flight(held: HeldFlight) -> None:
+    """A loop with 2 dB more gain has 2 dB less to spare, although nobody told the linear loop."""
+    assert held.loaded.design is not None
+    loop = api.loops([held.node], held.loaded.design)[0]
+
+    def louder(packed: Packed) -> None:
+        computer = packed.parameters[0].computer
+        computer.filters.sections[0, 0, :3] *= 10.0**0.1
+
+    found = break_loop(dataclasses.replace(held, fault=louder), loop, margins(loop), "gain_up")
+    assert found.reason == ""
+    assert found.difference == pytest.approx(-2.0, abs=0.05)
+    assert found.tried[0][1] > 0.0
+
+
+def test_what_grows_ends_as_a_limit_cycle_or_is_lost(held: HeldFlight) -> None:
+    assert held.loaded.design is not None
+    bound = margins(api.loops([held.node], held.loaded.design)[0]).gain_up_db
+
+    def over(db: float) -> Change:
+        def change(packed: Packed) -> None:
+            filters = packed.parameters[0].computer.filters
+            filters.sections[0, int(filters.n_sections[0])] = [10.0 ** (db / 20.0), 0.0, 0.0, 0.0, 0.0]
+            filters.n_sections[0] += 1
+
+        return change
+
+    hz = bound.frequency_hz
+    assert limit_cycle(held, hz, over(bound.value - 1.0), 60.0).kind == "decays"
+    ended = limit_cycle(held, hz, over(bound.value + 2.0), 120.0)
+    assert ended.kind in ("limit cycle", "lost")
+    if ended.kind == "limit cycle":
+        assert ended.gimbal_deg > 0.01
+        assert 0.5 * hz < ended.frequency_hz < 1.1 * hz  # the lag of an actuator at its limit makes it slower
+
+
+def test_flown_through_agrees_or_says_why(loaded: LoadedScenario) -> None:
+    for found in fly_through(loaded, (20.0, 40.0), "yaw"):
+        assert "unexplained" not in found.reason
+        middle = [i for i, hz in enumerate(found.lines_hz) if 2.0 < hz < 5.0]
+        assert np.abs(found.difference_db[middle]).max() < 0.3
+        assert np.abs(found.difference_deg[middle]).max() < 2.0
+
+
+def test_a_band_must_hold_its_lowest_line() -> None:
+    with pytest.raises(ValueError, match=r"allowed is at least 0\.05"):
+        band(0.02, 1.0, 5, 40.0, 10.0, 1)
+
+
+def test_lines_are_even_and_dither_is_odd() -> None:
+    for b in BANDS:
+        assert np.allclose(np.mod(b.lines_hz * b.period_s, 2.0), 0.0)
+        assert np.allclose(np.mod(b.dither_hz * b.period_s, 2.0), 1.0)
+        assert math.isclose(b.duration_s, b.settle_s + b.periods * b.period_s + 1.0)

@@ -1,0 +1,57 @@
+"""Faults planted into the simulator, which the certificate must find.
+
+A few in every run, all of them under the marker slow: tools/verification/planted_faults.py has the list, and
+docs/verification.md the table.
+"""
+
+from __future__ import annotations
+
+import pytest
+
+from maxq.design import api
+from maxq.design.certificate.certificate import certify_node
+from maxq.design.certificate.response import BANDS
+from maxq.design.model.node import Node
+from maxq.sim.scenario.loader import LoadedScenario, load_scenario
+from maxq.tools.verification.planted_faults import FAULTS, Fault
+
+QUICK = (
+    "mode 2 at the gyro, sign",
+    "axial softening left out",
+    "hinges 5 cm aft",
+    "rate damping, sign",
+    "a3 and a4 of the actuator exchanged",
+    "delay 1 ms longer",
+    "filter not pre-warped",
+)
+
+
+@pytest.fixture(scope="module")
+def loaded() -> LoadedScenario:
+    return load_scenario("nominal")
+
+
+@pytest.fixture(scope="module")
+def node(loaded: LoadedScenario) -> Node:
+    return api.nodes(loaded, [40.0])[0]
+
+
+def test_there_are_many_and_none_is_named_twice() -> None:
+    names = [fault.name for fault in FAULTS]
+    assert len(names) == len(set(names)) >= 40
+    assert set(QUICK) <= set(names)
+
+
+def test_without_a_fault_nothing_is_found(loaded: LoadedScenario, node: Node) -> None:
+    assert certify_node(loaded, node, fault=lambda packed: None).unexplained == ()
+
+
+@pytest.mark.parametrize("fault", [f for f in FAULTS if f.name in QUICK], ids=lambda f: f.name)
+def test_found(loaded: LoadedScenario, node: Node, fault: Fault) -> None:
+    assert certify_node(loaded, node, fault=fault.plant, bands=BANDS[:1] + BANDS[2:], broken=()).unexplained
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("fault", [f for f in FAULTS if f.name not in QUICK], ids=lambda f: f.name)
+def test_found_too(loaded: LoadedScenario, node: Node, fault: Fault) -> None:
+    assert certify_node(loaded, node, fault=fault.plant).unexplained

@@ -1,0 +1,100 @@
+"""Decimation lies about nothing: samples stay samples, extremes stay, gaps stay."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+
+from maxq.tools.replay.decimate import extremes
+from maxq.tools.replay.sending import changed
+from maxq.tools.replay.sheets import binned
+from maxq.tools.replay.summary import sparkline
+
+MS = 1_000_000
+VALUES = arrays(float, st.integers(0, 400), elements=st.one_of(st.floats(-1e3, 1e3), st.just(np.nan), st.just(0.5)))
+
+
+@given(VALUES, st.integers(1, 50), st.integers(0, 10_000))
+def test_every_interval_keeps_its_extremes(values: np.ndarray, interval_ms: int, start_ms: int) -> None:
+    times = (start_ms + np.arange(len(values))) * MS
+    kept = extremes(times, values, interval_ms * MS)
+    assert (np.diff(kept) > 0).all()
+    if len(values):
+        assert kept[0] == 0
+        assert kept[-1] == len(values) - 1
+    bins = times // (interval_ms * MS)
+    line = np.interp(times, times[kept], values[kept]) if len(kept) else values
+    for which in np.unique(bins):
+        whole = values[bins == which]
+        if np.isfinite(whole).all():
+            seen = line[bins == which]  # a stretch of equal values is kept by its ends alone
+            assert np.nanmin(seen) <= whole.min()
+            assert np.nanmax(seen) >= whole.max()
+        elif np.isfinite(whole).any():
+            left = values[kept[bins[kept] == which]]
+            low, high = np.nanmin(whole), np.nanmax(whole)
+            assert low in left or (values[kept] == low).any()
+            assert high in left or (values[kept] == high).any()
+
+
+@given(VALUES)
+def test_without_interval_the_line_is_the_same(values: np.ndarray) -> None:
+    times = np.arange(len(values)) * MS
+    kept = extremes(times, values, 0)
+    if len(values):
+        again = np.interp(times, times[kept], values[kept])
+        finite = np.isfinite(again) & np.isfinite(values)
+        np.testing.assert_allclose(again[finite], values[finite], rtol=1e-12, atol=1e-12)
+
+
+@pytest.mark.parametrize("hertz", [9.0, 27.0, 45.0, 49.9, 333.0])
+def test_an_oscillation_keeps_its_amplitude(hertz: float) -> None:
+    """At every one of these the mean of 20 ms, or each 20th sample, would show something else."""
+    times = np.arange(20_000) * MS
+    values = 0.05 * np.sin(2.0 * np.pi * hertz * times / 1e9)
+    kept = extremes(times, values, 20 * MS)
+    assert len(kept) <= 2 * 1000 + 4
+    for second in range(20):
+        here = (times >= second * 1000 * MS) & (times < (second + 1) * 1000 * MS)
+        seen = values[kept][here[kept]]
+        assert seen.max() == values[here].max()
+        assert seen.min() == values[here].min()
+
+
+def test_a_gap_stays_a_gap() -> None:
+    values = np.sin(np.arange(1000) / 7.0)
+    values[300:600] = np.nan
+    times = np.arange(1000) * MS
+    kept = extremes(times, values, 20 * MS)
+    assert np.isnan(values[kept][(kept >= 300) & (kept < 600)]).all()
+    assert ((kept >= 300) & (kept < 600)).any()
+
+
+@given(arrays(float, (50, 3), elements=st.floats(-1.0, 1.0)), st.floats(1e-4, 0.5))
+def test_rows_that_are_not_sent_lie_within_the_tolerance_of_those_that_are(rows: np.ndarray, tolerance: float) -> None:
+    kept = changed(rows, tolerance)
+    assert kept[0] == 0
+    last = kept[np.searchsorted(kept, np.arange(len(rows)), side="right") - 1]
+    assert np.abs(rows - rows[last]).max() <= tolerance * (1.0 + 1e-9)
+
+
+def test_an_envelope_holds_every_sample() -> None:
+    random = np.random.default_rng(1)
+    time_s = np.sort(random.uniform(0.0, 10.0, 5000))
+    values = random.normal(size=5000)
+    edges = np.linspace(0.0, 10.0, 101)
+    low, high = binned(time_s, values, edges)
+    place = np.clip(np.searchsorted(edges, time_s, side="right") - 1, 0, 99)
+    assert (values >= low[place]).all()
+    assert (values <= high[place]).all()
+
+
+def test_a_peak_of_one_sample_is_seen_in_a_sparkline() -> None:
+    values = np.zeros(10_000)
+    values[4321] = 1.0
+    line = sparkline(np.arange(10_000) * MS, values, (0, 10_000 * MS), 40)
+    assert line.count("█") == 1
+    assert line.index("█") == 4321 * 40 // 10_000

@@ -1,0 +1,161 @@
+"""The picture shows what was flown: checked against the log's own numbers and independent geometry."""
+
+from __future__ import annotations
+
+import math
+from functools import cache
+
+import numpy as np
+import pytest
+from mcap.reader import make_reader
+from replaykit import OLD_LOG
+from scipy.spatial.transform import Rotation
+
+from maxq.sim.log.foxglove import FRAMES_SCHEMA, FRAMES_TYPE
+from maxq.sim.log.protobuf import message_class
+from maxq.tools.replay import mesh
+from maxq.tools.replay.bent_body import bent_line, modal_coordinates, nice_factor
+from maxq.tools.replay.convert import Options, exaggeration_of, place_of
+from maxq.tools.replay.earth_frame import path_of, turned
+from maxq.tools.replay.flight import ReplayFlight, open_flight
+from maxq.tools.replay.plots import tabs_of
+from maxq.tools.replay.vehicle_shape import VehicleShape, shape_of
+
+
+@cache
+def flight() -> ReplayFlight:
+    return open_flight(OLD_LOG)
+
+
+@cache
+def shape() -> VehicleShape:
+    scenario = flight().scenario
+    assert scenario is not None
+    return shape_of(scenario.vehicle)
+
+
+def test_the_bent_line_ends_where_the_flight_says_that_the_gimbal_is() -> None:
+    log, stage = flight().log, shape().stages[0]
+    assert stage.engine is not None
+    at = np.array([stage.engine.gimbal_station_m])
+    clock = log.time_s("eta_pitch_1_m")
+    pitch, yaw = (modal_coordinates(log, plane) for plane in ("pitch", "yaw"))
+    moved = bent_line(stage, clock, pitch, yaw, at)[:, 0]
+    slope = bent_line(stage, clock, pitch, yaw, at, "slope_pm")[:, 0]
+    for values, name in (
+        (moved[:, 1], "bend_pitch_gimbal_m"),
+        (moved[:, 0], "bend_yaw_gimbal_m"),
+        (np.degrees(slope[:, 1]), "bend_pitch_gimbal_deg"),
+        (-np.degrees(slope[:, 0]), "bend_yaw_gimbal_deg"),
+    ):
+        # linear between the rows of the mode table here, cubic in the flight
+        np.testing.assert_allclose(values, log[name], atol=2e-3 * np.abs(log[name]).max())
+
+
+def test_the_gyro_picks_up_from_all_modes_what_it_picks_up_from_each() -> None:
+    scenario = flight().scenario
+    plots = {p.key: p for tab in tabs_of(flight().log.table, scenario) for p in tab.plots}
+    for axis in ("pitch", "yaw"):
+        every, *each = plots[f"bending/{axis}_gyro"].curves
+        assert len(each) == 3
+        total = sum(curve.values(flight().log)[1] for curve in each)
+        whole = every.values(flight().log)[1]
+        np.testing.assert_allclose(total, whole, atol=5e-3 * np.abs(whole).max())
+
+
+def test_pose_is_that_of_the_frames_in_the_log() -> None:
+    """/tf is written by the flight; here it is read by the mcap package and protobuf."""
+    decode = message_class(FRAMES_SCHEMA, FRAMES_TYPE)
+    logged = []
+    with OLD_LOG.open("rb") as file:
+        for _, _, message in make_reader(file).iter_messages(topics=["/tf"]):
+            frame = decode.FromString(message.data).transforms[0]  # type: ignore[attr-defined]  # known at run time only
+            p, q = frame.translation, frame.rotation
+            logged.append((message.log_time, p.x, p.y, p.z, q.w, q.x, q.y, q.z))
+    expected = np.array(logged)
+    place = place_of(flight())
+    path = path_of(flight().log, place.frames(flight().log.table, 100_000_000))
+    np.testing.assert_array_equal(path.times_ns, expected[:, 0])
+    np.testing.assert_allclose(path.position_m, expected[:, 1:4], atol=1e-6)
+    np.testing.assert_allclose(path.rotation, expected[:, 4:], atol=1e-12)
+
+
+def test_velocity_arrow_is_the_motion_of_the_picture() -> None:
+    log, place = flight().log, place_of(flight())
+    path = path_of(log, place.frames(log.table, 100_000_000))
+    v_N = np.stack([log[f"v_N_{a}_mps"] for a in ("north", "east", "down")], axis=1)
+    v = place.from_ned(log["latitude_deg"], log["longitude_deg"], v_N)
+    time_s = path.times_ns / 1e9
+    moved = np.gradient(path.position_m, time_s, axis=0)
+    inside = slice(5, 85)  # steady thrust: central differences of 0.1 s are good to a a' h^2 / 6
+    np.testing.assert_allclose(moved[inside], v[: len(moved)][inside], atol=0.05)
+
+
+def test_a_vector_is_turned_as_scipy_turns_it() -> None:
+    random = np.random.default_rng(2)
+    q = random.normal(size=(20, 4))
+    q /= np.linalg.norm(q, axis=1, keepdims=True)
+    v = random.normal(size=(20, 3))
+    np.testing.assert_allclose(turned(q, v), Rotation.from_quat(q, scalar_first=True).apply(v), atol=1e-12)
+
+
+def test_the_ground_is_at_the_altitude_of_the_site() -> None:
+    """A sphere of the mean radius falls away by d^2 / 2 R: the ellipsoid's curvature differs by less than 1 %."""
+    place = place_of(flight())
+    east, north = np.array([0.0, 30e3, -50e3, 0.0]), np.array([0.0, -20e3, 0.0, 80e3])
+    points = place.ground(east, north)
+    assert points[0] == pytest.approx([0.0, 0.0, 0.0], abs=1e-3)
+    far = np.hypot(east, north)[1:]
+    drop = far**2 / (2.0 * 6.37e6)
+    np.testing.assert_allclose(-points[1:, 2], drop, rtol=0.01)
+
+
+def test_a_surface_stands_across_its_pendulum() -> None:
+    pitch, yaw = math.radians(7.0), math.radians(-4.0)
+    tilt = np.array([[math.tan(yaw), math.tan(pitch)]])
+    vertices = mesh.liquid_vertices(np.array([-11.0]), np.array([-9.0]), 0.5, tilt, np.zeros((1, 2, 2)))[0]
+    sides = mesh.SIDES
+    surface = vertices[3 * sides : 4 * sides].astype(float)
+    centre = vertices[4 * sides + 1].astype(float)
+    pendulum = np.array([-1.0, math.tan(yaw), math.tan(pitch)])  # from the hinge to the bob, in B
+    across = (surface - centre) @ pendulum
+    np.testing.assert_allclose(across, 0.0, atol=1e-6)
+    assert surface[np.argmax(surface[:, 2]), 0] > centre[0]  # the bob hangs to +z, and so does the liquid
+
+
+def test_a_liquid_keeps_within_its_tank_and_normals_point_outwards() -> None:
+    tilt = np.array([[3.0, 0.0]])
+    vertices = mesh.liquid_vertices(np.array([0.0]), np.array([0.1]), 0.5, tilt, np.zeros((1, 2, 2)))[0]
+    assert vertices[:, 0].min() == 0.0
+    body = mesh.revolved([(0.0, 1.0), (2.0, 1.0)])
+    outwards = (body.normals[:, 1:] * body.vertices[:, 1:]).sum(axis=1)
+    assert (outwards > 0.99).all()
+    fin = mesh.plate([(0, 1, 0), (-0.5, 2, 0), (-1, 2, 0), (-1.5, 1, 0)], 0.1)
+    middle = fin.vertices.mean(axis=0)
+    assert (((fin.vertices - middle) * fin.normals).sum(axis=1) > 0.0).all()
+
+
+def test_the_shape_follows_the_file() -> None:
+    stage = shape().stages[0]
+    assert shape().length_m == 14.0
+    assert [t.name for t in stage.tanks] == ["lox", "jeta1"]
+    assert [t.bottom_station_m for t in stage.tanks] == [11.1, 5.45]
+    assert stage.engine is not None
+    assert (stage.engine.gimbal_station_m, stage.engine.exit_station_m) == (12.7, 14.0)
+    assert stage.engine.exit_radius_m == pytest.approx(math.sqrt(0.2515 / math.pi))
+    assert stage.fins is not None
+    assert stage.fins.root_station_m < 11.06 < stage.fins.root_station_m + stage.fins.root_chord_m
+    assert max(radius for _, radius in stage.profile) == 0.5
+
+
+@pytest.mark.parametrize(
+    ("largest", "wanted", "factor"), [(1e-3, 0.35, 200.0), (0.4, 0.35, 1.0), (0.1, 0.35, 2.0), (0.0, 0.35, 1.0)]
+)
+def test_factors_are_round_and_keep_within_what_is_wanted(largest: float, wanted: float, factor: float) -> None:
+    assert nice_factor(largest, wanted) == factor
+
+
+def test_the_factor_may_be_chosen() -> None:
+    chosen = exaggeration_of(flight(), shape(), Options(bend_factor=123.0, slosh_factor=4.0))
+    assert (chosen.bending, chosen.slosh) == (123.0, 4.0)
+    assert exaggeration_of(flight(), shape(), Options()).bending > 1.0

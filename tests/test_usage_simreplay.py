@@ -1,0 +1,334 @@
+"""What `simreplay` writes, prints and returns: without a viewer, on the kept log and on broken ones."""
+
+from __future__ import annotations
+
+import json
+import re
+import shutil
+import socket
+import subprocess
+import sys
+import xml.etree.ElementTree as ET
+from pathlib import Path
+
+import numpy as np
+import pytest
+from example_log import write_example
+from mcap.writer import Writer
+from PIL import Image
+from replaykit import OLD_LOG
+
+from maxq.tools import simreplay
+from maxq.tools.replay import collect, viewer
+from maxq.tools.replay.error import ReplayError
+from maxq.tools.replay.flight import open_flight
+from maxq.tools.replay.phases import phases
+from maxq.tools.replay.sheets import write_sheets
+from maxq.tools.replay.summary import summary_text
+from maxq.tools.replay.web_page import LOCAL
+
+Printed = pytest.CaptureFixture[str]
+
+
+@pytest.fixture(autouse=True)
+def _in_an_empty_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+
+
+def run(*arguments: object) -> int:
+    """Exit code of the command, also where argparse ends it."""
+    try:
+        return simreplay.main([str(argument) for argument in arguments])
+    except SystemExit as end:
+        return int(str(end.code))
+
+
+def one_line(printed: Printed) -> str:
+    out, err = printed.readouterr()
+    assert out == ""
+    assert err.count("\n") == 1, err
+    assert err.startswith("simreplay: ")
+    assert "Traceback" not in err
+    return err
+
+
+# a log of an older schema
+
+
+def test_the_kept_log_of_schema_1_opens() -> None:
+    flight = open_flight(OLD_LOG)
+    assert flight.notes == ()
+    assert flight.log.metadata["schema"] == "1"
+    assert flight.scenario is not None
+    assert flight.verdict == "failed"
+    assert [m.name for m in flight.moments] == ["ignition", "liftoff", "max_q", "control_lost", "tumble"]
+    assert flight.moment("control_lost").time_s == pytest.approx(9.66)  # type: ignore[union-attr]
+
+
+# files
+
+
+def test_save_leaves_a_recording(capsys: Printed) -> None:
+    assert run(OLD_LOG, "--save", "out.rrd") == 0
+    assert capsys.readouterr().out.startswith("out.rrd   ")
+    command = [str(viewer.executable()), "rrd", "verify", "out.rrd"]
+    checked = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert checked.returncode == 0, checked.stderr
+
+
+def test_the_standard_set_has_every_subject_as_svg_and_png(capsys: Printed) -> None:
+    assert run(OLD_LOG, "--plots", "sheets") == 0
+    printed = capsys.readouterr().out.split()
+    names = sorted({Path(name).stem for name in printed})
+    assert [name.split("-", 1)[1] for name in names] == [
+        "trajectory", "air", "attitude", "gimbal", "bending", "slosh", "computer", "loads", "vehicle",
+        "path", "altitude", "phase-plane", "spectra", "requirements",
+    ]  # fmt: skip
+    for name in names:
+        picture = np.asarray(Image.open(f"sheets/{name}.png").convert("L"), float)
+        assert picture.std() > 5.0, f"{name} is blank"
+        assert min(picture.shape) > 300
+        ET.parse(f"sheets/{name}.svg")
+    texts = "".join(Path("sheets/08-loads.svg").read_text(encoding="utf-8"))
+    for text in ("kPa deg", "bending moment of the structure: 100", "time (s)", "control lost 9.7 s"):
+        assert text in texts, text
+
+
+def test_equal_logs_give_equal_plots(tmp_path: Path) -> None:
+    for folder in ("one", "two"):
+        write_sheets([open_flight(OLD_LOG)], Path(folder), only="slosh")
+    assert len(list(Path("one").iterdir())) == 2
+    for path in sorted(Path("one").iterdir()):
+        assert path.read_bytes() == (tmp_path / "two" / path.name).read_bytes(), path.name
+
+
+def test_summary_is_a_glance_in_plain_text(capsys: Printed) -> None:
+    assert run(OLD_LOG, "--summary") == 0
+    out = capsys.readouterr().out
+    assert out.startswith("loses-control: duration at 14.0 s, failed\n")
+    assert "control_lost: the attitude error exceeds 45 deg under thrust" in out
+    assert re.search(r"q alpha under thrust +[▁-█ ]+ .* kPa deg !", out)
+    assert "MISSED slosh angle" in out
+    assert not re.search(r"[\x00-\x09\x0b-\x1f\x1b]", out)
+
+
+def test_summary_fits_the_terminal_and_does_without_blocks() -> None:
+    flight = open_flight(OLD_LOG)
+    for width in (80, 120):
+        text = summary_text(flight, width, ascii_only=True)
+        rows = [line for line in text.splitlines() if " .. " in line]
+        assert max(len(line) for line in rows) <= width
+        assert text.isascii()
+
+
+# several flights
+
+
+def test_a_campaign_folder_gives_the_nominal_first_and_flights_by_their_names() -> None:
+    for name in ("run-000012", "run-000003", "nominal"):
+        (Path("campaign/flights") / name).mkdir(parents=True)
+        shutil.copy(OLD_LOG, f"campaign/flights/{name}/flight.mcap")
+    flights, complaints = collect.open_flights(["campaign"])
+    assert [flight.label for flight in flights] == ["nominal", "run-000003", "run-000012"]
+    assert complaints == []
+
+
+def test_a_folder_of_runs_and_bare_logs_are_found() -> None:
+    Path("runs/a").mkdir(parents=True)
+    shutil.copy(OLD_LOG, "runs/a/flight.mcap")
+    shutil.copy(OLD_LOG, "runs/bare.mcap")
+    assert [label for _, label in collect.find_logs(["runs"])] == ["a", "bare"]
+    flights, _ = collect.open_flights(["runs/a", "runs/bare.mcap"])
+    assert len({flight.label for flight in flights}) == 2
+
+
+def test_several_flights_go_into_one_recording_and_one_broken_log_is_named(capsys: Printed) -> None:
+    Path("kept/run-1").mkdir(parents=True)
+    Path("kept/run-2").mkdir(parents=True)
+    shutil.copy(OLD_LOG, "kept/run-1/flight.mcap")
+    Path("kept/run-2/flight.mcap").write_bytes(b"nonsense")
+    assert run(".", OLD_LOG, "--save", "both.rrd", "--side-by-side") == 1
+    err = capsys.readouterr().err
+    assert err.count("\n") == 1
+    assert "kept/run-2/flight.mcap: this is not a log" in err
+    assert Path("both.rrd").stat().st_size > 100_000
+
+
+def test_many_flights_are_drawn_as_envelopes() -> None:
+    for i in range(7):
+        Path(f"c/kept/run-{i}").mkdir(parents=True)
+        shutil.copy(OLD_LOG, f"c/kept/run-{i}/flight.mcap")
+    write_sheets(collect.open_flights(["c"])[0], Path("sheets"), only="gimbal")
+    assert "shaded: all" in Path("sheets/04-gimbal.svg").read_text(encoding="utf-8")
+
+
+# what cannot be shown, or not whole
+
+
+def cut(fraction: float) -> Path:
+    data = OLD_LOG.read_bytes()
+    path = Path("cut.mcap")
+    path.write_bytes(data[: int(fraction * len(data))])
+    return path
+
+
+def test_a_truncated_log_is_shown_as_far_as_it_reaches(capsys: Printed) -> None:
+    assert run(cut(0.8), "--save", "out.rrd") == 1
+    assert "the end of the log is missing or damaged" in capsys.readouterr().err
+    assert Path("out.rrd").stat().st_size > 100_000
+    assert run("cut.mcap", "--summary") == 1
+    out = capsys.readouterr().out
+    assert "cut off at" in out
+    assert "incomplete: the end of the log is missing" in out
+
+
+def test_a_corrupt_log_is_shown_without_the_damaged_part(capsys: Printed) -> None:
+    data = bytearray(OLD_LOG.read_bytes())
+    middle = int(0.85 * len(data))
+    data[middle : middle + 64] = bytes(64)
+    Path("corrupt.mcap").write_bytes(data)
+    assert run("corrupt.mcap", "--save", "out.rrd") == 1
+    assert "was left out" in capsys.readouterr().err
+
+
+def test_a_log_cut_in_its_head_shows_nothing(capsys: Printed) -> None:
+    assert run(cut(0.2), "--save", "out.rrd") == 2
+    assert "cut off or damaged within its head" in one_line(capsys)
+    assert not Path("out.rrd").exists()
+
+
+def test_an_empty_file_and_a_foreign_one_show_nothing(capsys: Printed) -> None:
+    Path("empty.mcap").touch()
+    assert run("empty.mcap", "--summary") == 2
+    assert "this is not a log" in one_line(capsys)
+    with Path("foreign.mcap").open("wb") as file:
+        writer = Writer(file)
+        writer.start("ros2", "someone else")
+        writer.finish()
+    assert run("foreign.mcap", "--summary") == 2
+    assert "not a log of maxq (written by someone else)" in one_line(capsys)
+
+
+def test_a_log_of_a_later_schema_is_refused_by_name(capsys: Printed) -> None:
+    data = OLD_LOG.read_bytes()
+    at = data.index(b"\x06\x00\x00\x00schema\x01\x00\x00\x001") + 14
+    Path("later.mcap").write_bytes(data[:at] + b"9" + data[at + 1 :])
+    assert run("later.mcap", "--summary") == 2
+    assert "this log has schema 9" in one_line(capsys)
+
+
+def test_a_log_whose_scenario_cannot_be_read_is_shown_without_vehicle(tmp_path: Path, capsys: Printed) -> None:
+    path = tmp_path / "example.mcap"
+    write_example(path)
+    assert run(path, "--save", "out.rrd") == 1
+    assert "neither vehicle nor limits are shown" in capsys.readouterr().err
+    assert Path("out.rrd").stat().st_size > 5_000
+
+
+def test_a_log_without_samples_shows_nothing(tmp_path: Path, capsys: Printed) -> None:
+    from example_log import HEAD, TABLE  # noqa: PLC0415  # only here
+
+    from maxq.sim.log.writer import LogWriter  # noqa: PLC0415  # only here
+
+    with LogWriter(tmp_path / "bare.mcap", TABLE, HEAD):
+        pass
+    assert run(tmp_path / "bare.mcap", "--summary") == 2
+    assert "holds no samples" in one_line(capsys)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "what"),
+    [
+        (("nowhere.mcap", "--summary"), "nowhere.mcap: no such file or folder"),
+        ((".", "--summary"), "no flight in this folder"),
+        ((), "name a log"),
+        ((OLD_LOG, "--screenshot", "a.png"), "--screenshot needs a time"),
+        ((OLD_LOG, "--at", "3"), "--at means nothing without --screenshot"),
+        ((OLD_LOG, "--screenshot", "a.png", "--at", "x"), "invalid _seconds value"),
+        ((OLD_LOG, "--port", "80"), "--port means nothing without --web"),
+        ((OLD_LOG, "--web", "--save", "a.rrd"), "not allowed with"),
+        ((OLD_LOG, "--rate", "0"), "no number above 0"),
+        ((OLD_LOG, "--screenshot", "a.png", "--at", "3", "--size", "big"), "no size"),
+        ((OLD_LOG, "--save", "none/out.rrd"), "there is no folder none"),
+        ((OLD_LOG, "--save", "."), "is a folder"),
+        ((OLD_LOG, "--save", "a.rrd", "--tab", "Fuel"), "there is no such tab; there are Trajectory, Air"),
+        ((OLD_LOG, "--plots", "/dev/null/x"), "cannot be written"),
+    ],
+)
+def test_wrong_input_is_answered_in_one_line(arguments: tuple[object, ...], what: str, capsys: Printed) -> None:
+    assert run(*arguments) == 2
+    assert what in one_line(capsys)
+
+
+def test_a_port_in_use_is_named(capsys: Printed) -> None:
+    with socket.socket() as other:
+        other.bind((LOCAL, 0))
+        other.listen()
+        port = other.getsockname()[1]
+        assert run(OLD_LOG, "--web", "--port", port) == 2
+        assert f"port {port} is in use" in one_line(capsys)
+
+
+def test_a_missing_viewer_is_named(monkeypatch: pytest.MonkeyPatch, capsys: Printed) -> None:
+    def missing() -> Path:
+        raise ReplayError("the Rerun viewer is missing; install it with: pip install 'rerun-sdk==0.41.*'")
+
+    monkeypatch.setattr(viewer, "executable", missing)
+    assert run(OLD_LOG, "--web") == 2
+    assert "pip install" in one_line(capsys)
+    assert run(OLD_LOG, "--summary") == 0
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="elsewhere a window needs no DISPLAY")
+def test_without_a_display_other_ways_are_named(monkeypatch: pytest.MonkeyPatch, capsys: Printed) -> None:
+    monkeypatch.delenv("DISPLAY", raising=False)
+    monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
+    assert run(OLD_LOG) == 2
+    assert "--web" in one_line(capsys)
+
+
+@pytest.mark.skipif(
+    not sys.platform.startswith("linux"), reason="the variable that hides drivers is the Linux loader's"
+)
+def test_missing_drivers_are_named(monkeypatch: pytest.MonkeyPatch, capsys: Printed) -> None:
+    monkeypatch.setenv("VK_DRIVER_FILES", "/nonexistent")
+    monkeypatch.setenv("VK_ICD_FILENAMES", "/nonexistent")
+    monkeypatch.setenv("__EGL_VENDOR_LIBRARY_FILENAMES", "/nonexistent")
+    assert run(OLD_LOG, "--screenshot", "a.png", "--at", "5") == 2
+    assert "mesa-vulkan-drivers" in one_line(capsys)
+    assert not Path("a.png").exists()
+
+
+def test_the_viewer_reports_to_nobody() -> None:
+    env = viewer.environment()
+    command = [str(viewer.executable()), "analytics", "config"]
+    said = subprocess.run(command, env=env, capture_output=True, text=True, check=True).stdout
+    assert json.loads(said)["analytics_enabled"] is False
+
+
+# the command
+
+
+def test_help_is_quick_and_lists_every_option(capsys: Printed) -> None:
+    assert run("--help") == 0
+    text = capsys.readouterr().out
+    for option in ("--web", "--save", "--screenshot", "--plots", "--summary", "--bend-factor", "--side-by-side"):
+        assert option in text
+    code = "import sys; from maxq.tools import simreplay, simrun; "
+    code += "print(sorted({'numpy', 'rerun', 'numba'} & set(sys.modules)))"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"
+
+
+def test_version(capsys: Printed) -> None:
+    assert run("--version") == 0
+    assert capsys.readouterr().out.startswith("maxq ")
+
+
+def test_phases_follow_the_events() -> None:
+    flight = open_flight(OLD_LOG)
+    first = flight.moments[0]
+    from maxq.tools.replay.phases import first_phase  # noqa: PLC0415  # only here
+
+    names = [phase.name for phase in phases(first_phase(flight.log, first.time_ns), flight.moments)]
+    assert names == ["held down", "powered", "control lost", "tumbling"]

@@ -1,0 +1,136 @@
+"""How fast the replay is: `simreplay` from command to picture, conversion, memory, size, many flights. Prints JSON.
+
+A picture comes from the headless viewer that the tests use; what a graphics card would do faster is drawn in software
+where there is none.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from pathlib import Path
+from typing import Any
+
+import psutil  # type: ignore[import-untyped]  # it has no stubs; comes with rerun
+
+ROUNDS, FLIGHTS = 3, 100
+_SIMRUN, _SIMREPLAY = "maxq.tools.simrun", "maxq.tools.simreplay"
+
+
+def _memory_of(process: subprocess.Popen[bytes]) -> float:
+    """Largest memory of a process and its children together, MB, sampled 20 times a second; waits for its end."""
+    most = 0.0
+    whole = psutil.Process(process.pid)
+    while process.poll() is None:
+        total = 0
+        try:
+            for each in [whole, *whole.children(recursive=True)]:
+                total += each.memory_info().rss
+        except psutil.Error:
+            pass
+        most = max(most, total / 1e6)
+        time.sleep(0.05)
+    return most
+
+
+def _timed(*arguments: str) -> dict[str, float]:
+    """Wall time and memory of a command; the best of a few rounds. Raises RuntimeError where it fails."""
+    walls, peaks = [], []
+    for _ in range(ROUNDS):
+        start = time.perf_counter()
+        process = subprocess.Popen(
+            [sys.executable, "-m", *arguments], stdout=subprocess.DEVNULL, stderr=subprocess.PIPE
+        )
+        peak: list[float] = []
+        watcher = threading.Thread(target=lambda p=process, out=peak: out.append(_memory_of(p)))
+        watcher.start()
+        _, said = process.communicate()
+        walls.append(time.perf_counter() - start)
+        watcher.join()
+        peaks += peak
+        if process.returncode != 0:
+            raise RuntimeError(said.decode(errors="replace").strip() or f"exit code {process.returncode}")
+    return {"wall_s": min(walls), "peak_MB": max(peaks)}
+
+
+def _conversion(log: Path, folder: Path) -> dict[str, float]:
+    """Reading and converting alone, in a process that has its modules loaded."""
+    from maxq.tools.replay.convert import Options, save  # noqa: PLC0415  # loads rerun
+    from maxq.tools.replay.flight import open_flight  # noqa: PLC0415
+
+    reads, converts = [], []
+    target = folder / "one.rrd"
+    for _ in range(ROUNDS + 1):
+        start = time.perf_counter()
+        flight = open_flight(log)
+        reads.append(time.perf_counter() - start)
+        start = time.perf_counter()
+        save([flight], Options(), target)
+        converts.append(time.perf_counter() - start)
+    return {"read_s": min(reads), "convert_s": min(converts), "rrd_MB": target.stat().st_size / 1e6}
+
+
+def _many(log: Path, folder: Path) -> dict[str, float]:
+    """A campaign of equal flights: what counts is how many there are."""
+    for number in range(FLIGHTS):
+        run = folder / "campaign" / "kept" / f"run-{number:06}"
+        run.mkdir(parents=True)
+        os.link(log, run / "flight.mcap")
+    result = _timed(_SIMREPLAY, str(folder / "campaign"), "--save", str(folder / "many.rrd"))
+    size = (folder / "many.rrd").stat().st_size / 1e6
+    shot = _picture(folder / "many.rrd", 43.0)
+    return {"save_s": result["wall_s"], "save_peak_MB": result["peak_MB"], "rrd_MB": size, **shot}
+
+
+def _picture(rrd: Path, time_s: float) -> dict[str, float]:
+    """Opening a recording, a settled picture, and moving the cursor."""
+    from maxq.tools.replay import viewer  # noqa: PLC0415  # loads rerun
+
+    start = time.perf_counter()
+    with viewer.headless() as client:
+        client.open(str(rrd))
+        client.set_time("sim_time", duration=time_s, play_state="paused")
+        viewer.steady_picture(client)
+        opened = time.perf_counter() - start
+        start = time.perf_counter()
+        for step in range(5):
+            client.set_time("sim_time", duration=time_s + step, play_state="paused")
+            client.take_screenshot()
+        return {"picture_s": opened, "move_s": (time.perf_counter() - start) / 5.0}
+
+
+def measure() -> dict[str, Any]:
+    """All figures; what cannot be measured here is left out with the reason."""
+    from maxq.tools.replay.error import ReplayError  # noqa: PLC0415
+
+    folder = Path(tempfile.mkdtemp(prefix="maxq-bench-"))
+    try:
+        command = [sys.executable, "-m", _SIMRUN]
+        subprocess.run([*command, "nominal", "--out", str(folder / "nominal")], check=True, stdout=subprocess.DEVNULL)
+        coarse = ["--set", "log.fast_hz=100", "--set", "log.slow_hz=20", "--out", str(folder / "coarse")]
+        subprocess.run([*command, "nominal", *coarse], check=True, stdout=subprocess.DEVNULL)
+        log = str(folder / "nominal" / "flight.mcap")
+        result: dict[str, Any] = {"help": _timed(_SIMREPLAY, "--help")}
+        result["conversion"] = _conversion(Path(log), folder)
+        result["save"] = _timed(_SIMREPLAY, log, "--save", str(folder / "out.rrd"))
+        result["summary"] = _timed(_SIMREPLAY, log, "--summary")
+        result["plots"] = _timed(_SIMREPLAY, log, "--plots", str(folder / "plots"))
+        try:
+            shot = str(folder / "shot.png")
+            result["screenshot"] = _timed(_SIMREPLAY, log, "--screenshot", shot, "--at", "43")
+            result["many"] = _many(folder / "coarse" / "flight.mcap", folder)
+        except (RuntimeError, ReplayError) as error:
+            result["skipped"] = str(error)
+        return result
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)
+
+
+if __name__ == "__main__":
+    print(json.dumps(measure()))

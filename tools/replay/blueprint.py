@@ -1,0 +1,187 @@
+"""The layout of the viewer: close-up, overview, plots in tabs, phases, events, and a page about the flight."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import rerun as rr
+import rerun.blueprint as rrb
+from rerun.blueprint.encodings import TextLogColumn, TextLogColumnKind
+
+from maxq.control.records import Array
+from maxq.tools.replay.error import ReplayError
+from maxq.tools.replay.plot_stream import Axis, beyond_text, limits_root
+from maxq.tools.replay.plots import Plot, Tab
+from maxq.tools.replay.sending import TIMELINE
+
+_NIGHT, _DEEP = [24, 29, 38, 255], [13, 17, 24, 255]
+_LEGEND_MOST = 3  # names of more flights would cover the plot
+_TRAIL = "trail"
+
+
+@dataclass(frozen=True)
+class Eyes:
+    """Where the cameras stand: offset of the close-up from the vehicle; place and aim of the overview, m."""
+
+    close: tuple[float, float, float]
+    overview: tuple[float, float, float]
+    aim: tuple[float, float, float]
+
+
+def eyes_for(length_m: float, azimuth_deg: float, positions_m: Array) -> Eyes:
+    """Cameras that look across the plane of flight, from the right, a little from above."""
+    a = np.radians(azimuth_deg)
+    forward, right = np.array([np.sin(a), np.cos(a), 0.0]), np.array([np.cos(a), -np.sin(a), 0.0])
+    close = 1.5 * length_m * (0.93 * right - 0.3 * forward) + np.array([0.0, 0.0, 0.35 * length_m])
+    low, high = positions_m.min(axis=0), positions_m.max(axis=0)
+    middle, wide, tall = 0.5 * (low + high), float(np.linalg.norm((high - low)[:2])), float((high - low)[2])
+    away = max(0.72 * wide, 1.3 * tall, 8.0 * length_m)  # the view is twice as wide as high
+    far = middle + away * (right - 0.25 * forward) + np.array([0.0, 0.0, 0.3 * away])
+    return Eyes(_three(close), _three(far), _three(middle))
+
+
+def _three(v: Array) -> tuple[float, float, float]:
+    return float(v[0]), float(v[1]), float(v[2])
+
+
+def plot_view(
+    plot: Plot, axis: Axis | None, roots: Sequence[str], span_s: tuple[float, float], legend: bool
+) -> rrb.TimeSeriesView:
+    """`axis`: None where the values are not known yet; `span_s` of no length: from there to the cursor."""
+    beyond = beyond_text(axis, plot.unit) if axis is not None else ""
+    return rrb.TimeSeriesView(
+        name=f"{plot.heading}{f' - {beyond}' if beyond else ''}",
+        origin="/",
+        contents=[*(f"+ /{root}/plots/{plot.key}/**" for root in roots), f"+ /{limits_root(plot)}/**"],
+        axis_x=_time_axis(span_s),
+        axis_y=rrb.archetypes.ScalarAxis(range=(axis.low, axis.high)) if axis is not None else None,
+        plot_legend=rrb.PlotLegend(rrb.Corner2D.RightTop, visible=legend),
+    )
+
+
+def _time_axis(span_s: tuple[float, float]) -> rrb.archetypes.TimeAxis:
+    start, end = rr.TimeRangeBoundary.absolute(seconds=span_s[0]), rr.TimeRangeBoundary.absolute(seconds=span_s[1])
+    if span_s[1] <= span_s[0]:
+        end = rr.TimeRangeBoundary.cursor_relative()
+    return rrb.archetypes.TimeAxis(view_range=rr.TimeRange(start=start, end=end))
+
+
+def close_view(root: str, eyes: Eyes, name: str) -> rrb.Spatial3DView:
+    """A camera that follows one vehicle; the ground moves away below it."""
+    return rrb.Spatial3DView(
+        name=name,
+        origin=f"{root}/vehicle",
+        contents=["+ $origin/**", f"- /{root}/vehicle/at", "+ /ground/grid", "+ /ground/pad/**"],
+        background=_NIGHT,
+        line_grid=False,
+        eye_controls=rrb.EyeControls3D(position=eyes.close, look_target=(0, 0, 0), eye_up=(0, 0, 1)),
+    )
+
+
+def overview(roots: Sequence[str], eyes: Eyes, grid: str) -> rrb.Spatial3DView:
+    """The whole trajectory from aside."""
+    contents = ["+ /ground/**", "- /ground/pad/**"]
+    for root in roots:
+        contents += [f"+ /{root}/{part}" for part in ("path", "trail", "marks", "vehicle/at")]
+    return rrb.Spatial3DView(
+        name=f"Trajectory (grid {grid})",
+        origin="/",
+        contents=contents,
+        background=_DEEP,
+        line_grid=False,
+        overrides=_trails(roots),
+        eye_controls=rrb.EyeControls3D(position=eyes.overview, look_target=eyes.aim, eye_up=(0, 0, 1)),
+    )
+
+
+def _trails(roots: Sequence[str]) -> Any:
+    """A trail shows everything flown so far."""
+    so_far = rrb.VisibleTimeRange(
+        TIMELINE, start=rrb.TimeRangeBoundary.infinite(), end=rrb.TimeRangeBoundary.cursor_relative()
+    )
+    return {f"/{root}/{_TRAIL}": rrb.VisibleTimeRanges([so_far]) for root in roots}
+
+
+def _tab_number(tabs: Sequence[Tab], wanted: str | None) -> int:
+    """Which tab is in front. Raises ReplayError for a name that none has."""
+    names = [tab.name.lower() for tab in tabs]
+    if wanted is None:
+        return 0
+    if wanted.lower() not in names:
+        raise ReplayError(f"--tab {wanted}: there is no such tab; there are {', '.join(tab.name for tab in tabs)}")
+    return names.index(wanted.lower())
+
+
+def layout(
+    roots: Sequence[str],
+    close: Sequence[rrb.Spatial3DView],
+    eyes: Eyes | None,
+    tabs: Sequence[Tab],
+    axes: Mapping[str, Axis],
+    span_s: tuple[float, float],
+    *,
+    grid: str = "",
+    live: bool = False,
+    side_by_side: bool = False,
+    tab: str | None = None,
+) -> rrb.Blueprint:
+    """The whole window."""
+    legend = len(roots) <= _LEGEND_MOST
+    plots = rrb.Tabs(
+        contents=[
+            rrb.Vertical(
+                contents=[plot_view(plot, axes.get(plot.key), roots, span_s, legend) for plot in tab.plots],
+                name=tab.name,
+            )
+            for tab in tabs
+        ],
+        active_tab=_tab_number(tabs, tab),
+    )
+    phases = rrb.StateTimelineView(
+        name="Phases",
+        origin="/",
+        contents=[f"+ /{root}/phase" for root in roots[:6]],
+        time_view=_time_axis(span_s),
+    )
+    columns_shown = [TextLogColumn(TextLogColumnKind.LogLevel), TextLogColumn(TextLogColumnKind.Body)]
+    if len(roots) > 1:
+        columns_shown.insert(0, TextLogColumn(TextLogColumnKind.EntityPath))
+    events = rrb.TextLogView(
+        name="Events",
+        origin="/",
+        contents=[f"+ /{root}/events" for root in roots],
+        columns=rrb.archetypes.TextLogColumns(timeline_columns=[], text_log_columns=columns_shown),
+    )
+    about = rrb.TextDocumentView(name="About", origin="about")
+    pictures: list[rrb.Container | rrb.View] = []
+    if close:
+        pictures.append(
+            close[0]
+            if len(close) == 1
+            else rrb.Grid(contents=list(close))
+            if side_by_side
+            else rrb.Tabs(contents=list(close))
+        )
+    if eyes is not None:
+        pictures.append(overview(roots, eyes, grid))
+    columns: list[rrb.Container | rrb.View] = []
+    shares: list[float] = []
+    if pictures:
+        columns.append(rrb.Vertical(contents=pictures, row_shares=[3, 2][: len(pictures)]))
+        shares.append(5)
+    columns.append(rrb.Vertical(contents=[plots, phases], row_shares=[6, 1]))
+    columns.append(rrb.Vertical(contents=[events, about], row_shares=[2, 3]))
+    shares += [5, 2.4]
+    return rrb.Blueprint(
+        rrb.Horizontal(contents=columns, column_shares=shares),
+        rrb.TimePanel(
+            timeline=TIMELINE, state="collapsed", play_state="following" if live else "paused", playback_speed=1.0
+        ),
+        rrb.BlueprintPanel(state="hidden"),
+        rrb.SelectionPanel(state="hidden"),
+        auto_views=False,
+        auto_layout=False,
+    )

@@ -1,0 +1,123 @@
+"""Everything in the frame of the launch site: x east, y north, z up (the log's `launch_site`)."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from maxq.control.records import Array, IntArray
+from maxq.sim.environment.earth import FLAT, Earth, earth_position, ned_axes, wgs84
+from maxq.sim.flight.launch_frames import LaunchFrames
+from maxq.sim.log.channels import ChannelTable
+from maxq.sim.scenario.schema_environment import Site
+from maxq.tools.replay.flight import Channels
+
+NEEDED = tuple(f"r_E_{a}_m" for a in "xyz") + tuple(f"q_BI_{c}" for c in "wxyz")
+_EARTH_POSITION = getattr(earth_position, "py_func", earth_position)  # one call is not worth compiling it
+_NED_AXES = getattr(ned_axes, "py_func", ned_axes)
+_ENU_NED = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
+
+
+@dataclass(frozen=True)
+class Path3D:
+    """Motion: `times_ns` (n,), `position_m` (n, 3) of the core CG, `rotation` (n, 4) from B to ENU, scalar first."""
+
+    times_ns: IntArray
+    position_m: Array
+    rotation: Array
+
+
+class LaunchSite:
+    """The launch site's frame; its axes do not turn relative to the Earth."""
+
+    def __init__(self, earth: Earth, site: Site, moved: bool = False) -> None:
+        self.earth, self.site, self.moved = earth, site, moved
+        latitude, longitude = math.radians(site.latitude_deg), math.radians(site.longitude_deg)
+        self._origin_E_m = np.array(_EARTH_POSITION(earth, latitude, longitude, site.altitude_m))
+        self._enu_E = _ENU_NED @ self._ned(latitude, longitude)
+
+    def frames(self, table: ChannelTable, period_ns: int) -> LaunchFrames:
+        return LaunchFrames(table, self.earth, self.site, period_ns)
+
+    def from_ned(self, latitude_deg: Array, longitude_deg: Array, v_N: Array) -> Array:
+        """Vectors (n, 3) given north, east, down at places (n,), in the axes of the site."""
+        if self.earth.figure == FLAT:
+            return np.asarray(v_N @ _ENU_NED.T)
+        lat, lon = np.radians(latitude_deg), np.radians(longitude_deg)
+        sin_lat, cos_lat, sin_lon, cos_lon = np.sin(lat), np.cos(lat), np.sin(lon), np.cos(lon)
+        north, east, down = v_N.T
+        across = -sin_lat * north - cos_lat * down
+        v_E = np.stack(
+            [across * cos_lon - sin_lon * east, across * sin_lon + cos_lon * east, cos_lat * north - sin_lat * down], 1
+        )
+        return np.asarray(v_E @ self._enu_E.T)
+
+    def ground(self, east_m: Array, north_m: Array) -> Array:
+        """Points (n, 3) on the ground at the site's altitude below points of the horizontal plane (n,)."""
+        if self.earth.figure == FLAT:
+            return np.stack([east_m, north_m, np.zeros_like(east_m)], axis=1)
+        flattening, a = self.earth.flattening, self.earth.equatorial_radius_m
+        height = self.site.altitude_m
+        semi = np.array([a + height, a + height, a * (1.0 - flattening) + height])
+        on_plane = self._origin_E_m + np.stack([east_m, north_m, np.zeros_like(east_m)], 1) @ self._enu_E
+        direction = -self._enu_E[2]  # straight down at the site, to the ellipsoid of the site's height
+        p, d = on_plane / semi, direction / semi
+        a2, b1, c0 = float(d @ d), p @ d, (p * p).sum(axis=1) - 1.0
+        root = np.sqrt(np.maximum(b1 * b1 - a2 * c0, 0.0))
+        drop = (-b1 - root) / a2
+        return np.stack([east_m, north_m, -drop], axis=1)
+
+    def _ned(self, latitude: float, longitude: float) -> Array:
+        if self.earth.figure == FLAT:
+            return np.eye(3)
+        sines = math.sin(latitude), math.cos(latitude), math.sin(longitude), math.cos(longitude)
+        return np.array(_NED_AXES(*sines)).reshape(3, 3)
+
+
+FAR_KM = 20.0
+"""A flight that begins farther from its site than this is shown in the axes of the place where it begins."""
+
+
+def launch_site(earth: Earth | None, site: Site, start_deg: tuple[float, float] | None = None) -> LaunchSite:
+    """The frame to draw in; `earth`: None for WGS-84; `start_deg`: latitude and longitude of the first sample."""
+    earth = earth or wgs84()
+    if start_deg is None or earth.figure == FLAT:
+        return LaunchSite(earth, site)
+    north = start_deg[0] - site.latitude_deg
+    east = (start_deg[1] - site.longitude_deg + 180.0) % 360.0 - 180.0
+    east *= math.cos(math.radians(site.latitude_deg))
+    if 111.0 * math.hypot(north, east) < FAR_KM:
+        return LaunchSite(earth, site)
+    moved = site.model_copy(update={"latitude_deg": start_deg[0], "longitude_deg": start_deg[1], "altitude_m": 0.0})
+    return LaunchSite(earth, moved, moved=True)
+
+
+def first_place(channels: Channels) -> tuple[float, float] | None:
+    """Latitude and longitude of the first sample, deg."""
+    if "latitude_deg" not in channels or not len(channels["latitude_deg"]):
+        return None
+    return float(channels["latitude_deg"][0]), float(channels["longitude_deg"][0])
+
+
+def path_of(channels: Channels, frames: LaunchFrames) -> Path3D:
+    """The motion in a log or block; `frames` picks the poses and remembers where it was."""
+    table = channels.table
+    group = table.topic(NEEDED[0]).group
+    rows = np.zeros((len(channels.time_ns(NEEDED[0])), len(table.columns(group))))
+    for name in NEEDED:
+        rows[:, table.index(name)] = channels[name]
+    path = frames.path(channels.time_ns(NEEDED[0]), rows)
+    return Path3D(path.times_ns, path.translation_m, path.rotation)
+
+
+def has_motion(channels: Channels) -> bool:
+    return all(name in channels for name in NEEDED)
+
+
+def turned(rotation: Array, v_B: Array) -> Array:
+    """Vectors (n, 3) in B, turned by unit quaternions (n, 4), scalar first."""
+    w, u = rotation[:, :1], rotation[:, 1:]
+    t = 2.0 * np.cross(u, v_B)
+    return np.asarray(v_B + w * t + np.cross(u, t))

@@ -1,0 +1,7 @@
+"""What stops `simreplay`: one line for the person who called it."""
+
+from __future__ import annotations
+
+
+class ReplayError(Exception):
+    """Nothing can be shown; the text says why and what can be done."""

@@ -1,0 +1,314 @@
+"""A flight shown while it flies: blocks of 0.2 s of flight, sent to a viewer as they are computed.
+
+    run = LiveRun(loaded, packed, view)      # in place of FlightRun: same flight, same log, to the bit
+
+A viewer that is closed in the middle is no reason to stop the flight.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import subprocess
+import time
+from collections.abc import Callable
+
+import numpy as np
+import rerun as rr
+
+from maxq.control.records import Array, IntArray
+from maxq.sim.flight.fly import Event, Flight, FlightRun, Rows, copied
+from maxq.sim.flight.history import CONTROL_LOST_NAME, DIVERGED_NAME, cause_of
+from maxq.sim.flight.telemetry import FAST, SLOW
+from maxq.sim.log.channels import ChannelTable
+from maxq.sim.log.foxglove import Level
+from maxq.sim.packing.environment import pack_earth
+from maxq.sim.packing.flight import Packed
+from maxq.sim.scenario.loader import LoadedScenario
+from maxq.tools.replay import viewer
+from maxq.tools.replay.about import drawn_text, factors_text
+from maxq.tools.replay.blueprint import Eyes, close_view, eyes_for, layout
+from maxq.tools.replay.convert import DEFAULT_RATE_HZ, send_phases
+from maxq.tools.replay.earth_frame import LaunchSite, first_place, has_motion, launch_site
+from maxq.tools.replay.error import ReplayError
+from maxq.tools.replay.flight import Moment
+from maxq.tools.replay.ground import ground, tail_below_cg
+from maxq.tools.replay.phases import Phase, first_phase, phases
+from maxq.tools.replay.plot_stream import Style, send_curves, send_limit_lines, send_styles
+from maxq.tools.replay.plots import tabs_of
+from maxq.tools.replay.scene import Exaggeration, Scene
+from maxq.tools.replay.sending import APPLICATION
+from maxq.tools.replay.vehicle_shape import shape_of
+from maxq.tools.replay.web_page import LOCAL
+
+BLOCK_NS = 200_000_000
+BENDING, SLOSH = 1000.0, 5.0
+"""Exaggeration of a flight whose largest bending and slosh angle are not known yet."""
+_ROOT = "flight"
+_PATIENCE_S = 5.0
+_SCENE_EVERY_S, _PLOTS_EVERY_S = 0.15, 0.9
+_LEVELS = {CONTROL_LOST_NAME: Level.ERROR, DIVERGED_NAME: Level.FATAL}
+_TEXT_LEVELS = {Level.INFO: "INFO", Level.ERROR: "ERROR", Level.FATAL: "CRITICAL"}
+
+
+class Block:
+    """Rows of a flight under way, by channel name."""
+
+    def __init__(self, table: ChannelTable, rows: Rows, start_place_deg: tuple[float, float] | None) -> None:
+        self.table = table
+        self._rows = rows
+        self.start_place_deg = start_place_deg
+
+    def __contains__(self, name: str) -> bool:
+        return name in self.table
+
+    def __getitem__(self, name: str) -> Array:
+        return self._rows[self.table.topic(name).group][1][:, self.table.index(name)]
+
+    def time_ns(self, name: str) -> IntArray:
+        return self._rows[self.table.topic(name).group][0]
+
+
+class LiveView:
+    """Sends a flight to a viewer: one that listens on `port` of this machine already, or a new window.
+
+    Raises ReplayError where neither can be had.
+    """
+
+    def __init__(self, loaded: LoadedScenario, port: int | None = None) -> None:
+        if port is None:
+            viewer.check_display()
+            port = viewer.free_port()
+            self._process: subprocess.Popen[bytes] | None = viewer.window(port)
+        else:
+            self._process = None
+            if viewer.port_is_free(port):
+                raise ReplayError(f"no viewer listens on port {port} of {LOCAL}")
+        scenario = loaded.scenario
+        self._loaded = loaded
+        self._scenario = scenario
+        self._recording = rr.RecordingStream(APPLICATION, recording_id=f"{scenario.name}, {time.time_ns()}")
+        self._recording.connect_grpc(f"rerun+http://{LOCAL}:{port}/proxy")
+        self._shape = shape_of(scenario.vehicle)
+        self._place: LaunchSite | None = None
+        self._exaggeration = Exaggeration(BENDING, SLOSH, 1.5 * self._shape.diameter_m)
+        self._scene: Scene | None = None
+        self._told: set[Event] = set()
+        self._moments: list[Moment] = []
+        self._phases: list[Phase] = []
+        self._start_place: tuple[float, float] | None = None
+        self._table: ChannelTable | None = None
+        self._for_scene: list[Rows] = []
+        self._for_plots: list[Rows] = []
+        self._scene_sent_s = self._plots_sent_s = -_PLOTS_EVERY_S
+
+        self.stop: Callable[[], bool] = lambda: False
+
+    def run(self, packed: Packed, factor: float | None) -> LiveRun:
+        """The flight, to be flown like any other."""
+        return LiveRun(self._loaded, packed, self, factor)
+
+    def add(self, run: FlightRun, rows: Rows) -> None:
+        """Show the rows of a block and the events since the last.
+
+        A viewer takes some hundred messages a second, and each entity of a block is one. So rows are kept until the
+        last message is a while ago: in real time every block is shown at once, its plots every few blocks; a flight as
+        fast as it goes, thousands of blocks in a second or two, goes out in a few large ones.
+        """
+        if not len(rows[SLOW][0]):
+            return
+        for waiting in (self._for_scene, self._for_plots):
+            waiting.append(rows)
+        now_s = time.monotonic()
+        if now_s - self._scene_sent_s >= _SCENE_EVERY_S:
+            self._send_scene(run)
+        if now_s - self._plots_sent_s >= _PLOTS_EVERY_S:
+            self._send_plots(run)
+        self._send_events(run)
+
+    def _send_scene(self, run: FlightRun) -> None:
+        block = self._block(run, self._for_scene)
+        if self._scene is not None:
+            self._scene.add(block)
+        self._for_scene, self._scene_sent_s = [], time.monotonic()
+
+    def _send_plots(self, run: FlightRun) -> None:
+        block = self._block(run, self._for_plots)
+        send_curves(self._recording, _ROOT, self._tabs, block, round(1e9 / DEFAULT_RATE_HZ))
+        self._send_limits(int(block.time_ns("latitude_deg")[-1]), styled=False)
+        self._for_plots, self._plots_sent_s = [], time.monotonic()
+
+    def _block(self, run: FlightRun, parts: list[Rows]) -> Block:
+        block = Block(run.table, joined(parts), self._start_place)
+        if self._start_place is None:
+            self._start_place = float(block["latitude_deg"][0]), float(block["longitude_deg"][0])
+            block.start_place_deg = self._start_place
+        if self._table is None:
+            self._begin(block)
+        return block
+
+    def end(self, run: FlightRun, flight: Flight) -> None:
+        """Show the whole of it: fixed axes, how it ended."""
+        if self._for_scene:
+            self._send_scene(run)
+        if self._for_plots:
+            self._send_plots(run)
+        self._send_events(run)
+        if self._table is None:
+            return
+        span = self._start_s, max(flight.end_s, self._start_s + 1.0)
+        text = f"# {self._scenario.name}\n\n**Outcome:** {flight.outcome} at {flight.end_s:.1f} s, "
+        text += ("passed" if flight.passed else "FAILED") + "\n\n"
+        wrong = [*flight.failures, *(f"{v.name}: {v.value:.4g}, MISSED" for v in flight.verdicts if not v.met)]
+        text += "".join(f"- {line}\n" for line in wrong) + "\n" + "\n".join(drawn_text(self._exaggeration, self._place))
+        self._recording.log("about", rr.TextDocument(text, media_type="text/markdown"), static=True)
+        eyes = self._eyes()
+        if self._scene is not None and self._scene.track:
+            positions = np.concatenate(self._scene.track)
+            eyes = eyes_for(self._shape.length_m, self._scenario.site.azimuth_deg, positions)
+        self._send_layout(eyes, span, live=False)
+        with contextlib.suppress(RuntimeError, ValueError):  # the viewer was closed: nobody looks
+            self._recording.flush(timeout_sec=_PATIENCE_S)
+        self._recording.disconnect()
+
+    # -- pieces ------------------------------------------------------------------------------------------------------
+    def _begin(self, block: Block) -> None:
+        recording = self._recording
+        self._table = block.table
+        self._tabs = tabs_of(block.table, self._scenario, self._shape)
+        self._start_s = self._scenario.run.start_s
+        recording.log("/", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
+        send_styles(recording, _ROOT, self._tabs, Style())
+        self._limits_until_ns = round(self._start_s * 1e9)
+        self._send_limits(self._limits_until_ns, styled=True)
+        if has_motion(block):
+            self._place = launch_site(pack_earth(self._scenario.earth), self._scenario.site, first_place(block))
+            self._scene = Scene(recording, _ROOT, self._place, self._shape, self._exaggeration)
+            self._grid = ground(recording, self._place, self._reach_m(), tail_below_cg(block, self._shape))
+        about = "\n".join(
+            [
+                f"# {self._scenario.name}",
+                "",
+                self._scenario.description,
+                "",
+                *drawn_text(self._exaggeration, self._place),
+            ]
+        )
+        recording.log("about", rr.TextDocument(about, media_type="text/markdown"), static=True)
+        self._send_layout(self._eyes(), (self._start_s, self._start_s), live=True)
+        self._phases = [first_phase(block, round(self._start_s * 1e9))]
+        send_phases(recording, _ROOT, self._phases, styled=True)
+
+    def _send_limits(self, until_ns: int, *, styled: bool) -> None:
+        """They reach as far as the flight does: the viewer's cursor follows the latest of all samples."""
+        for tab in self._tabs:
+            for plot in tab.plots:
+                send_limit_lines(self._recording, plot, (self._limits_until_ns, until_ns), styled)
+        self._limits_until_ns = until_ns
+
+    def _send_layout(self, eyes: Eyes, span: tuple[float, float], *, live: bool) -> None:
+        close = []
+        if self._scene is not None:
+            assert self._table is not None
+            factor = factors_text(self._exaggeration, self._table)
+            close = [close_view(_ROOT, eyes, f"Vehicle ({factor})" if factor else "Vehicle")]
+        shown = eyes if self._scene is not None else None
+        made = layout([_ROOT], close, shown, self._tabs, {}, span, grid=getattr(self, "_grid", ""), live=live)
+        self._recording.send_blueprint(made, make_active=True, make_default=True)
+
+    def _send_events(self, run: FlightRun) -> None:
+        for event in run.events:
+            if event in self._told:
+                continue
+            self._told.add(event)
+            cause = cause_of(event, run.packed)
+            stage = f" (stage {event.stage})" if event.stage else ""
+            level = _LEVELS.get(event.name, Level.INFO)
+            text = f"{event.name}{stage}" + (f": {cause}" if cause else "")
+            self._moments.append(Moment(event.name, event.time_ns, text, level))
+            self._recording.set_time("sim_time", duration=np.timedelta64(event.time_ns, "ns"))
+            line = f"{event.time_s:9.3f} s  {text}"
+            self._recording.log(f"{_ROOT}/events", rr.TextLog(line, level=_TEXT_LEVELS[level]))
+            self._recording.reset_time()
+            now = list(phases(self._phases[0], self._moments))
+            send_phases(self._recording, _ROOT, [p for p in now if p not in self._phases], styled=False)
+            self._phases = now
+
+    def _reach_m(self) -> float:
+        """How far it may fly, roughly: what the first stages' thrust gives without drag, thrown at 45 deg, halved."""
+        speed = 0.0
+        for stage in self._scenario.vehicle.stage:
+            if stage.engine is None:
+                continue
+            time_s, thrust = stage.engine.table["time_s"], stage.engine.table["thrust_vacuum_N"]
+            mass = stage.mass.mass_kg or 1.0
+            masses = np.full(len(time_s), mass)
+            if stage.mass.table is not None:
+                masses = np.interp(time_s, stage.mass.table["time_s"], stage.mass.table["mass_kg"])
+            speed += float(np.trapezoid(np.maximum(thrust / masses - 9.8, 0.0), time_s))
+        return float(np.clip(0.5 * speed * speed / 9.8, 1000.0, 2e6))
+
+    def _eyes(self) -> Eyes:
+        reach, a = self._reach_m(), np.radians(self._scenario.site.azimuth_deg)
+        ahead = reach * np.array([np.sin(a), np.cos(a), 0.0])
+        corners = np.array([[0.0, 0.0, 0.0], ahead, 0.5 * ahead + [0.0, 0.0, 0.5 * reach]])
+        return eyes_for(self._shape.length_m, self._scenario.site.azimuth_deg, corners)
+
+
+class LiveRun(FlightRun):
+    """A flight that shows itself. Its segments, rows and log are those of any `FlightRun`, bit by bit.
+
+    `factor`: so many seconds of flight in a second (1: real time), None: as fast as it goes. The view's `stop` is
+    asked after every block, so that a flight in real time can be interrupted at once.
+    """
+
+    def __init__(
+        self, loaded: LoadedScenario, packed: Packed | None, view: LiveView, factor: float | None = None
+    ) -> None:
+        super().__init__(loaded, packed, log=True)
+        self._view, self._factor = view, factor
+        self._begun_s = time.monotonic()
+        self._begun_ns = int(self.memory.clock.now_ns)
+        self._block_ns = self._block_length_ns()
+
+    def fly_segment(self, length_ns: int | None = None) -> Rows:
+        """As `FlightRun.fly_segment`, shown block by block on the way."""
+        if length_ns is not None:
+            return super().fly_segment(length_ns)
+        end_ns = (int(self.memory.clock.now_ns) // self.segment_ns + 1) * self.segment_ns
+        parts = []
+        while not self.finished and int(self.memory.clock.now_ns) < end_ns:
+            rows = copied(super().fly_segment(self._block_ns))
+            self._pace()
+            self._view.add(self, rows)
+            parts.append(rows)
+            if self._view.stop():
+                break
+        return joined(parts)
+
+    def result(self, rows: Rows | None = None) -> Flight:
+        flight = super().result(rows)
+        self._view.end(self, flight)
+        return flight
+
+    def _block_length_ns(self) -> int:
+        """0.2 s, or what of it divides a segment into whole blocks of whole steps."""
+        step_ns = int(self.packed.parameters[0].course.step_ns)
+        for count in range(max(1, self.segment_ns // BLOCK_NS), 1, -1):
+            if self.segment_ns % (count * step_ns) == 0:
+                return self.segment_ns // count
+        return self.segment_ns
+
+    def _pace(self) -> None:
+        if self._factor is None:
+            return
+        due_s = (int(self.memory.clock.now_ns) - self._begun_ns) / 1e9 / self._factor
+        while (left_s := self._begun_s + due_s - time.monotonic()) > 0.0 and not self._view.stop():
+            time.sleep(min(left_s, 0.1))
+
+
+def joined(parts: list[Rows]) -> Rows:
+    """Blocks that follow one another as one."""
+    return {
+        group: (np.concatenate([part[group][0] for part in parts]), np.concatenate([part[group][1] for part in parts]))
+        for group in (FAST, SLOW)
+    }

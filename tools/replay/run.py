@@ -1,0 +1,147 @@
+"""`simreplay` once its command line has been read: open the logs, show them, say what went wrong."""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import os
+import sys
+import tempfile
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+from maxq.tools.plain_text import printable
+from maxq.tools.replay.collect import open_flights
+from maxq.tools.replay.error import ReplayError
+from maxq.tools.replay.flight import ReplayFlight
+from maxq.tools.replay.web_page import LOCAL
+
+_SHOWN, _PARTLY, _NOTHING, _INTERRUPTED = 0, 1, 2, 130
+_WEB_PORT = 9090
+
+
+def execute(given: argparse.Namespace) -> int:
+    """Do what the command line asks for; returns the exit code."""
+    try:
+        _check_before(given)
+        flights, complaints = open_flights(given.logs)
+        for complaint in complaints:
+            _say(complaint)
+        done = _show(flights, given)
+    except ReplayError as error:
+        _say(str(error))
+        return _NOTHING
+    except ImportError as error:
+        _say(f"a package is missing or broken: {error}; install maxq again (pip install maxq)")
+        return _NOTHING
+    except MemoryError:
+        _say("not enough memory; show fewer flights, or fewer samples (--rate 10)")
+        return _NOTHING
+    except OSError as error:
+        _say(f"{error.filename or 'a file'}: {(error.strerror or str(error)).lower()}")
+        return _NOTHING
+    return done or (_PARTLY if complaints else _SHOWN)
+
+
+def _say(text: str) -> None:
+    print(f"simreplay: {printable(text)}", file=sys.stderr)
+
+
+def _check_before(given: argparse.Namespace) -> None:
+    """What can be known before the logs are read, which may take seconds."""
+    if given.plots or given.summary or given.save:
+        return
+    from maxq.tools.replay import viewer  # noqa: PLC0415  # lazy: not needed for plots
+
+    viewer.executable()
+    if given.web:
+        viewer.check_port(_WEB_PORT if given.port is None else given.port)
+    elif not given.screenshot:
+        viewer.check_display()
+
+
+def _show(flights: list[ReplayFlight], given: argparse.Namespace) -> int:
+    if given.summary:
+        from maxq.tools.replay.summary import summary_text  # noqa: PLC0415  # lazy
+
+        print("\n\n".join(summary_text(flight) for flight in flights))
+        return _SHOWN
+    if given.plots:
+        from maxq.tools.replay.sheets import write_sheets  # noqa: PLC0415  # lazy: matplotlib
+
+        for path in write_sheets(flights, Path(given.plots)):
+            print(path)
+        return _SHOWN
+    if given.save:
+        path = Path(given.save)
+        if path.is_dir():
+            raise ReplayError(f"{path}: is a folder; --save needs the name of a file")
+        _convert(flights, given, path)
+        print(f"{path}   {path.stat().st_size / 1e6:.1f} MB")
+        return _SHOWN
+    with _temporary() as path:
+        _convert(flights, given, path)
+        flights.clear()  # the viewer has what it needs: the memory of the logs is free for it
+        if given.screenshot:
+            return _screenshot(path, given)
+        if given.web:
+            return _web(path, _WEB_PORT if given.port is None else given.port)
+        return _window(path)
+
+
+def _convert(flights: Sequence[ReplayFlight], given: argparse.Namespace, path: Path) -> None:
+    from maxq.tools.replay.convert import Options, save  # noqa: PLC0415  # lazy: loads rerun
+
+    options = Options(given.rate, given.bend_factor, given.slosh_factor, given.side_by_side, given.tab)
+    _check_writable(path)
+    save(flights, options, path)
+
+
+def _check_writable(path: Path) -> None:
+    folder = path.parent
+    if not folder.is_dir():
+        raise ReplayError(f"{path}: there is no folder {folder}")
+    if not os.access(path if path.exists() else folder, os.W_OK):
+        raise ReplayError(f"{path}: cannot be written: permission denied")
+
+
+@contextlib.contextmanager
+def _temporary() -> Iterator[Path]:
+    """A file for the viewer that is gone afterwards."""
+    with tempfile.TemporaryDirectory(prefix="maxq-replay-") as folder:
+        yield Path(folder) / "replay.rrd"
+
+
+def _screenshot(rrd: Path, given: argparse.Namespace) -> int:
+    from maxq.tools.replay import viewer  # noqa: PLC0415  # lazy
+
+    target = Path(given.screenshot)
+    _check_writable(target)
+    shots, complaints = viewer.pictures(rrd, given.at, given.size or viewer.WINDOW)
+    for complaint in complaints:
+        _say(complaint)
+    for time_s, shot in zip(given.at, shots, strict=True):
+        path = target if len(shots) == 1 else target.with_name(f"{target.stem}-{time_s:g}{target.suffix or '.png'}")
+        path.write_bytes(shot)
+        print(path)
+    return _PARTLY if complaints else _SHOWN
+
+
+def _web(rrd: Path, port: int) -> int:
+    from maxq.tools.replay import viewer  # noqa: PLC0415  # lazy
+
+    with viewer.served(rrd, port) as (server, url):
+        print(f"open {url}\n(served on {LOCAL} only; Ctrl-C ends it)", flush=True)
+        try:
+            return _SHOWN if server.wait() == 0 else _NOTHING
+        except KeyboardInterrupt:
+            return _SHOWN
+
+
+def _window(rrd: Path) -> int:
+    from maxq.tools.replay import viewer  # noqa: PLC0415  # lazy
+
+    code = viewer.show(rrd)
+    if code:
+        raise ReplayError(f"the Rerun viewer ended with code {code}; --web or --screenshot may do instead")
+    return _SHOWN
