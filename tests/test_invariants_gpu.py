@@ -20,6 +20,7 @@ from maxq.control.tables import TableRef
 from maxq.sim.api import FlightRun, load_scenario
 from maxq.sim.flight.batch import Batch, DeviceError, batch_of, fly_batch, hand_back
 from maxq.sim.scenario.builtin import scenarios_folder
+from maxq.tools.simrun import main
 
 FLIGHTS = """
 from maxq.sim.api import FlightRun, load_scenario
@@ -159,7 +160,7 @@ three_sigma = 0.03
 """
 
 
-def test_a_campaign_flies_in_the_simulator_as_on_the_cpu(tmp_path: Path) -> None:
+def test_a_campaign_flies_in_the_simulator_as_on_the_cpu(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """The same rows; and a folder does not take runs of both."""
     (tmp_path / "nominal.toml").write_text((scenarios_folder() / "nominal.toml").read_text())
     file = tmp_path / "campaign.toml"
@@ -174,17 +175,16 @@ def test_a_campaign_flies_in_the_simulator_as_on_the_cpu(tmp_path: Path) -> None
 
     simulated = simrun("--device", "cuda", "--out", str(on_gpu), **simulator)
     assert simulated.returncode == 3, simulated.stderr  # three runs settle nothing
-    assert simrun("--out", str(on_cpu)).returncode == 3
+    assert main([str(file), "--no-report", "--out", str(on_cpu)]) == 3
     tables = [pq.read_table(folder / "runs").to_pylist() for folder in (on_gpu, on_cpu)]
     assert len(tables[0]) == 3
     assert repr(tables[0]) == repr(tables[1])
-    mixed = simrun("--out", str(on_gpu))
-    assert mixed.returncode == 2
-    assert "simulator.device was" in mixed.stderr
+    assert main([str(file), "--out", str(on_gpu)]) == 2
+    assert "simulator.device was" in capsys.readouterr().err
     none = simrun("--device", "cuda", "--out", str(tmp_path / "none"), CUDA_VISIBLE_DEVICES="")
     assert none.returncode == 2
     assert none.stderr.splitlines()[-1].startswith("simrun: device cuda: ")
     assert not (tmp_path / "none").exists()
-    dask = simrun("--device", "cuda", "--dask", "tcp://nowhere:1")
-    assert dask.returncode == 2
-    assert "not with --device cuda" in dask.stderr
+    with pytest.raises(SystemExit, match="2"):
+        main([str(file), "--device", "cuda", "--dask", "tcp://nowhere:1"])
+    assert "not with --device cuda" in capsys.readouterr().err
