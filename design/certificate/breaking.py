@@ -18,7 +18,7 @@ import numpy as np
 from maxq.control.filters import MAX_SECTIONS
 from maxq.control.records import Array
 from maxq.design.certificate.excitation import DITHER_HZ, injections
-from maxq.design.certificate.held_flight import HeldFlight
+from maxq.design.certificate.held_flight import Change, HeldFlight
 from maxq.design.certificate.loudness import burst_rad, dither, linear_command_rad
 from maxq.design.loop.fixed_path import fixed_path
 from maxq.design.loop.loop import Loop
@@ -103,13 +103,13 @@ def break_loop(held: HeldFlight, loop: Loop, margins: Margins, what: What) -> Br
         return Broken(what, UNITS[what], math.nan, math.nan, frequency, (), "the linear loop is unstable")
     if not math.isfinite(linear):
         return Broken(what, UNITS[what], linear, math.nan, frequency, (), "nothing bounds it")
-    watch = watch_at(frequency, _ringing(altered(loop, what, linear), frequency))
+    watch = watch_at(frequency, build_up(altered(loop, what, linear), frequency))
     slope = abs(_slope(loop, what, linear))
     tolerance = 0.02 if what != "delay" else 0.003 * linear
     tried: list[tuple[float, float]] = []
     at = linear
     for _ in range(MOST_FLIGHTS):
-        growth = _growth(held, loop, what, at, watch)
+        growth = kicked_growth(held, loop, watch, lambda packed, at=at: _alter(packed, held, what, at))  # type: ignore[misc]  # a default binds the loop's value
         tried.append((at, growth))
         if math.isnan(growth):
             return Broken(what, UNITS[what], linear, math.nan, frequency, tuple(tried), "the flight was lost")
@@ -139,7 +139,7 @@ def _next(tried: list[tuple[float, float]], slope: float, most: float, apart: fl
     return following
 
 
-def _ringing(edge: Loop, frequency_hz: float) -> float:
+def build_up(edge: Loop, frequency_hz: float) -> float:
     """How fast a sine at the frequency of a pole on the axis builds up, 1/s: the size of the residue of 1 / (1 + L)."""
     if frequency_hz < DRIFT_HZ:
         return 0.0
@@ -164,15 +164,15 @@ def _slope(loop: Loop, what: What, at: float) -> float:
     return float((high - low) / (2.0 * step))
 
 
-def _growth(held: HeldFlight, loop: Loop, what: What, amount: float, watch: Watch) -> float:
-    """Growth (1/s) of the ringing in flight; NaN where the flight ended early."""
+def kicked_growth(held: HeldFlight, loop: Loop, watch: Watch, change: Change) -> float:
+    """Growth (1/s) of a ringing in flight; NaN where the flight ended early. `loop` is the linear one, for loudness."""
     amplitude = math.degrees(burst_rad(held, watch.frequency_hz, watch.growth))
     kind = {"kind": "sine", "frequency_hz": watch.frequency_hz} if watch.frequency_hz > 0.0 else {"kind": "step"}
     burst = {"amplitude_deg": amplitude, "stop_s": round(watch.burst_s, 6)}
     signals = [Injection.model_validate({"at": "gimbal_command", "axis": held.plane, **kind, **burst})]
     if watch.frequency_hz > DITHER_ABOVE_HZ:
         signals += injections(dither(held, loop, np.array(DITHER_HZ)), held.plane)
-    run = held.run(watch.duration_s, tuple(signals), lambda packed: _alter(packed, held, what, amount))
+    run = held.run(watch.duration_s, tuple(signals), change)
     kept = KeptRows()
     while not run.finished:
         kept.add(run.fly_segment())

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-DATA_FOLDERS = ("vehicles", "designs", "winds", "campaigns")
+DATA_FOLDERS = ("vehicles", "designs", "winds", "campaigns", "suites")
 """Folders of data that scenarios name; their files are no scenarios."""
 
 BUILTIN = "a built-in scenario (simrun --list names them)"

@@ -81,6 +81,11 @@ def draw_loop(picture: LoopPicture, stem: Path) -> list[Path]:
     return save(figure, stem)
 
 
+def draw_nichols(picture: LoopPicture, place: Axes) -> None:
+    """The loop in the Nichols plane, with lobes and margins named and zones shaded."""
+    _nichols(picture, place)
+
+
 def _bode(picture: LoopPicture, gain: Axes, phase: Axes) -> None:
     f, loop = picture.frequency_hz, picture.loop
     level = _decibels(loop)

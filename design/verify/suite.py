@@ -1,0 +1,180 @@
+"""What a person may write into a suite, and reading it: which flights, margins and campaigns a design has to pass.
+
+    suite = read_suite("standard")
+
+Every mistake is a ScenarioError of one line.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Literal
+
+from pydantic import Field, ValidationError, model_validator
+
+from maxq.sim.scenario.builtin import scenarios_folder
+from maxq.sim.scenario.documents import Source, parse, plain
+from maxq.sim.scenario.errors import ScenarioError, refuse, suggestion
+from maxq.sim.scenario.files import Reading, kind, shown
+from maxq.sim.scenario.messages import explain
+from maxq.sim.scenario.overrides import apply, parse_override
+from maxq.sim.scenario.schema_values import NotNegative, Positive, Section
+
+Level = Annotated[float, Field(gt=0.0, lt=1.0)]
+Plane = Literal["pitch", "yaw"]
+WANTED = "a suite (.toml)"
+
+
+class Flown(Section):
+    """A scenario of the suite: the base scenario with changes, judged by its requirements."""
+
+    name: str = Field(description="shown to people")
+    why: str = Field(default="", description="what it is to show, in a sentence")
+    scenario: str | None = Field(default=None, description="another base (default: the suite's)")
+    set: tuple[str, ...] = Field(default=(), description="changes, key=value as with simrun --set")
+    design_must_keep: bool = Field(default=True, description="false: flown and shown, but no reason to reject")
+
+
+class MarginLimits(Section):
+    """Least margins; those that are absent are not asked for."""
+
+    gain_up_db: float | None = Field(default=None, description="gain that may be added, over all crossings, dB")
+    aero_gain_db: float | None = Field(default=None, description="gain that may be taken away, rigid body, dB")
+    phase_deg: float | None = Field(default=None, description="phase margin over rigid crossings, deg")
+    delay_ms: float | None = Field(default=None, description="delay margin over all crossings, ms")
+    slosh_phase_deg: float | None = Field(
+        default=None, description="phase margin of slosh lobes that are above slosh_peak_db, deg"
+    )
+    slosh_peak_db: float = Field(default=-6.0, description="slosh below this needs no phase, dB")
+    first_mode_phase_deg: float | None = Field(
+        default=None, description="phase margin of the first mode where it is above 0 dB, deg"
+    )
+    higher_modes_db: float | None = Field(default=None, description="peak of the second mode and above, dB")
+
+
+class Spread(Section):
+    """3-sigma deviations, relative unless a unit is named."""
+
+    bending_frequency: tuple[NotNegative, ...] = Field(default=(0.05, 0.10, 0.15), description="of each mode")
+    bending_slope: NotNegative = Field(default=0.2, description="at the gyro")
+    bending_damping: NotNegative = Field(default=0.5, description="of all modes")
+    slosh_frequency: NotNegative = Field(default=0.05, description="of all tanks")
+    slosh_mass: NotNegative = Field(default=0.10, description="of all tanks")
+    slosh_damping: NotNegative = Field(default=0.5, description="of all tanks")
+    actuator_frequency: NotNegative = Field(default=0.15, description="poles of the actuator")
+    delay_s: NotNegative = Field(default=0.002, description="either way, s; never below no delay")
+    thrust: NotNegative = Field(default=0.03, description="lateral authority")
+    normal_force: NotNegative = Field(default=0.15, description="of all surfaces")
+    centre_of_pressure_m: NotNegative = Field(default=0.25, description="m")
+    inertia: NotNegative = Field(default=0.05, description="transverse")
+
+
+class LinearMargins(Section):
+    """Margins of the exact sampled loop, as designed and dispersed."""
+
+    times_s: tuple[NotNegative, ...] = Field(
+        default=tuple(float(t) for t in range(5, 60, 5)), min_length=1, description="vehicle times, s"
+    )
+    planes: tuple[Plane, ...] = Field(default=("pitch",), min_length=1, description="pitch, yaw")
+    cases: Annotated[int, Field(ge=0, le=100000)] = Field(default=100, description="random vehicles")
+    seed: Annotated[int, Field(ge=0, lt=2**63)] = Field(default=1, description="of the random vehicles")
+    success: Level = Field(default=0.975, description="share of random vehicles that must keep the dispersed limits")
+    confidence: Level = Field(default=0.90, description="with which that is to be shown")
+    corner_sigmas: NotNegative = Field(
+        default=1.5,
+        description="how far out the corners of the screening design lie, in sigma; 0: none. Twelve factors at 1.5 "
+        "sigma at once are as unlikely as one at 5",
+    )
+    nominal: MarginLimits = MarginLimits()
+    dispersed: MarginLimits = MarginLimits()
+    three_sigma: Spread = Spread()
+
+
+class CertificateWanted(Section):
+    """Where the loop is measured and broken in flight."""
+
+    times_s: tuple[NotNegative, ...] = Field(
+        default=tuple(float(t) for t in range(5, 60, 5)), min_length=1, description="vehicle times, s"
+    )
+    planes: tuple[Plane, ...] = Field(default=("pitch", "yaw"), min_length=1, description="pitch, yaw")
+    flown_through: bool = Field(default=True, description="also in the real ascent")
+
+
+class CampaignWanted(Section):
+    """A campaign with its required confidence."""
+
+    file: str = Field(description="a campaign file, or the name of a built-in one")
+    runs: Annotated[int, Field(gt=0)] | None = Field(default=None, description="default: the campaign's")
+    success: Level | None = Field(default=None, description="default: the campaign's")
+    confidence: Level | None = Field(default=None, description="default: the campaign's")
+
+
+class Suite(Section):
+    """A suite file."""
+
+    schema_version: Literal[1] = Field(default=1, alias="schema", description="version of the format")
+    name: str = Field(default="", description="default: the file's name")
+    description: str = Field(default="", description="what it is for, in a sentence")
+    scenario: str = Field(default="nominal", description="base of the scenarios, and flight along which nodes lie")
+    flight: tuple[Flown, ...] = Field(default=(), description="scenarios, each judged by its requirements")
+    margins: LinearMargins | None = Field(default=None, description="absent: not asked for")
+    certificate: CertificateWanted | None = Field(default=None, description="absent: not asked for")
+    campaign: tuple[CampaignWanted, ...] = Field(default=(), description="campaigns")
+    wind_limit_mps: Positive | None = Field(
+        default=None, description="steady cross-wind that the gimbal must be able to trim at every time, m/s"
+    )
+
+    @model_validator(mode="after")
+    def _check(self) -> Suite:
+        names = [f.name for f in self.flight]
+        for n, name in enumerate(names):
+            if name in names[:n]:
+                raise refuse("is the name of another flight already", "each name once", key=("flight", n, "name"))
+        if not self.flight and self.margins is None and self.certificate is None and not self.campaign:
+            raise refuse("asks for nothing", "[[flight]], [margins], [certificate] or [[campaign]]", key=("flight",))
+        return self
+
+
+@dataclass(frozen=True)
+class LoadedSuite:
+    suite: Suite
+    label: str
+    folder: Path
+
+
+def suites_folder() -> Path:
+    """Folder of the built-in suites."""
+    return scenarios_folder() / "suites"
+
+
+def builtin_suites() -> list[str]:
+    """Names of the built-in suites, sorted."""
+    return sorted(path.stem for path in suites_folder().glob("*.toml"))
+
+
+def read_suite(name: str | Path, overrides: Iterable[str] = ()) -> LoadedSuite:
+    """The suite in a file, or the built-in one of that name, with `key=value` overrides. Raises ScenarioError."""
+    parsed = tuple(parse_override(text) for text in overrides)
+    file, label = _locate(str(name))
+    tree = parse(Reading().text(file, label, "a TOML file"), Source(label, (file.parent, suites_folder())))
+    apply(parsed, tree, Source("--set", (Path.cwd(), file.parent)))
+    tree.setdefault("name", file.stem)
+    try:
+        return LoadedSuite(Suite.model_validate(plain(tree)), label, file.parent)
+    except ValidationError as error:
+        raise explain(error, tree, Suite) from None
+
+
+def _locate(name: str) -> tuple[Path, str]:
+    path = Path(name)
+    if name and kind(path) == "file":
+        return path.resolve(), name
+    stem = name.removesuffix(".toml")
+    if stem in builtin_suites():
+        return suites_folder() / f"{stem}.toml", shown(suites_folder() / f"{stem}.toml")
+    problem = {"folder": "is a folder", "other": "is no ordinary file"}.get(kind(path) if name else "", "no such file")
+    hint = suggestion(stem, builtin_suites())
+    listed = "" if hint else " or a built-in one: " + ", ".join(builtin_suites())
+    raise ScenarioError(name or '""', f"{problem}; {hint}" if hint else problem, allowed=WANTED + listed)

@@ -1,0 +1,192 @@
+"""The command `simverify` and what it leaves, as documented in docs/simverify.md."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from maxq.design.model.dispersion import NOMINAL
+from maxq.design.verify.memory import Memory, content_hash
+from maxq.design.verify.suite import LinearMargins, builtin_suites, read_suite
+from maxq.design.verify.verdict import ACCEPTED, REJECTED, UNDECIDED, Requirement, overall
+from maxq.sim.scenario.schema_values import Section
+from maxq.tools.simverify import main
+from maxq.tools.verify.page import page_of
+from maxq.tools.verify.text import ranked
+
+SMALL = """
+schema = 1
+description = "as little as can be judged"
+
+[margins]
+times_s = [20.0, 40.0]
+cases = 8
+corner_sigmas = 0.5
+success = 0.5
+
+[margins.nominal]
+gain_up_db = {gain_db}
+
+[[flight]]
+name = "six seconds"
+set = ["run.duration_s=6.0"]
+"""
+
+
+@pytest.fixture
+def suite(tmp_path: Path) -> Path:
+    path = tmp_path / "small.toml"
+    path.write_text(SMALL.format(gain_db=3.0))
+    return path
+
+
+def _run(capsys: pytest.CaptureFixture[str], *words: str) -> tuple[int, str, str]:
+    try:
+        code = main(list(words))
+    except SystemExit as ended:
+        code = int(ended.code or 0)
+    out, err = capsys.readouterr()
+    return code, out, err
+
+
+def test_accepted_design_leaves_verdict_and_pack(
+    tmp_path: Path, suite: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("MAXQ_CACHE", "")  # the user's own: kernels are compiled there already
+    monkeypatch.setattr("maxq.design.verify.memory.default_folder", lambda: tmp_path / "memory")
+    out = tmp_path / "out"
+    code, said, _ = _run(capsys, "ksr3-robust", "--suite", str(suite), "--out", str(out))
+    assert code == 0, said
+    assert said.rstrip().splitlines()[-1].startswith("ACCEPTED: ")
+    verdict = json.loads((out / "verdict.json").read_text())
+    assert verdict["verdict"] == "accepted"
+    assert {r["part"] for r in verdict["requirements"]} == {"scenarios", "margins", "dispersed"}
+    assert verdict["flights"][0]["again"].startswith("simrun nominal --set 'design=")
+    page = (out / "review.html").read_text()
+    assert "http" not in page.replace("http-equiv", "")  # nothing from outside
+    assert verdict["command"] in page.replace("&#x27;", "'")
+
+    again, told, _ = _run(capsys, "ksr3-robust", "--suite", str(suite), "--out", str(out), "--no-pack")
+    assert again == 0
+    remembered = json.loads((out / "verdict.json").read_text())
+    assert remembered["parts"]["worked_out"] == 0
+    assert remembered["requirements"] == verdict["requirements"]
+    assert "parts known from before" in told
+
+
+def test_rejected_and_undecided_have_their_codes(
+    tmp_path: Path, suite: Path, capsys: pytest.CaptureFixture[str]
+) -> None:  # fmt: skip
+    quick = ("--suite", str(suite), "--out", str(tmp_path / "out"), "--no-pack", "--afresh")
+    suite.write_text(SMALL.format(gain_db=30.0))
+    code, said, _ = _run(capsys, "ksr3-robust", *quick)
+    assert code == 1
+    assert "rejected: gain margin up, all crossings, as designed" in said
+    code, said, _ = _run(
+        capsys, "ksr3-robust", *quick, "--set", "margins.nominal.gain_up_db=3.0", "--set", "margins.success=0.99"
+    )
+    assert code == 3
+    assert "222 more runs would settle it" in said  # 230 without failure show 99 % with 90 %; 8 are there
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        ((), "give a design"),
+        (("ksr3-robst",), "no such file"),
+        (("ksr3-robust", "ksr3-robust"), "named twice"),
+        (("ksr3-robust", "--suit", "x"), "unknown option --suit; did you mean --suite?"),
+        (("ksr3-robust", "--suite", "standrad"), "did you mean standard?"),
+        (("ksr3-robust", "--set", "margins.case=3"), "margins.case"),
+        (("ksr3-robust", "--set", "margins.success=1.5"), "margins.success"),
+        (("ksr3-robust", "--set", "flight=[{name='a',set=['run.step=1']}]"), "run.step"),
+        (("ksr3-robust", "--set", "flight=[{name='a'},{name='a'}]"), "name of another flight"),
+        (("ksr3-robust", "--set", "campaign=[{file='nothing'}]"), "nothing"),
+    ],
+)
+def test_wrong_input_is_one_line(
+    words: tuple[str, ...], said: str, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    more = ("--out", str(tmp_path / "out")) if words else ()
+    code, out, err = _run(capsys, *words, *more)
+    assert code == 2
+    assert out == ""
+    assert err.count("\n") == 1
+    assert said in err
+
+
+def test_list_names_suites_and_designs(capsys: pytest.CaptureFixture[str]) -> None:
+    code, out, _ = _run(capsys, "--list")
+    assert code == 0
+    for name in (*builtin_suites(), "ksr3-robust"):
+        assert f"  {name}" in out
+
+
+def test_standard_suite_is_what_the_issue_asks_for() -> None:
+    suite = read_suite("standard").suite
+    assert len(suite.flight) == 12
+    assert suite.certificate is not None
+    assert len(suite.certificate.times_s) == 11
+    assert suite.campaign[0].runs == 1000
+
+
+def test_verdict_of_all_is_that_of_the_worst() -> None:
+    one = Requirement("margins", "x", ">= 1", "2", ACCEPTED, 1.0)
+    doubt, bad = dataclasses.replace(one, judgement=UNDECIDED), dataclasses.replace(one, judgement=REJECTED)
+    assert overall([one]) == ACCEPTED
+    assert overall([one, doubt]) == UNDECIDED
+    assert overall([doubt, bad, one]) == REJECTED
+    assert overall([]) == UNDECIDED
+
+
+def test_content_hash_tells_bits_apart() -> None:
+    things = [0.1, 0.1 + 1e-18, 0.2, 1, True, "1", None, (1,), ((1,),), np.ones(2), np.ones((1, 2)), NOMINAL]
+    hashes = [content_hash(x) for x in things]
+    assert hashes[0] == hashes[1]  # the same float
+    assert len(set(hashes[1:])) == len(things) - 1
+    assert content_hash(1.0) != content_hash(math.nextafter(1.0, 2.0))
+    with pytest.raises(TypeError, match="no way to tell"):
+        content_hash(object())
+
+
+def test_memory_works_out_once_and_again_when_a_file_is_damaged(tmp_path: Path) -> None:
+    count = [0]
+
+    def work_out() -> int:
+        count[0] += 1
+        return 7
+
+    memory = Memory(tmp_path)
+    assert [memory.recall("part", (1.0,), work_out) for _ in range(3)] == [7, 7, 7]
+    assert memory.recall("part", (2.0,), work_out) == 7
+    assert count == [2]
+    for file in tmp_path.glob("*.pickle"):
+        file.write_bytes(b"")
+    assert memory.recall("part", (1.0,), work_out) == 7
+    assert count == [3]
+
+
+def test_every_key_of_a_suite_says_what_it_means() -> None:
+    def check(section: type[Section]) -> None:
+        for name, field in section.model_fields.items():
+            if isinstance(field.annotation, type) and issubclass(field.annotation, Section):
+                check(field.annotation)
+            else:
+                assert field.description or name in ("margins", "nominal", "dispersed"), name
+
+    check(LinearMargins)
+
+
+def test_ranking_puts_fewer_rejections_first() -> None:
+    class Stub:
+        def __init__(self, *merit: float) -> None:
+            self.merit = merit
+
+    worse, better = Stub(-2, 0, 0.5), Stub(-1, -3, 0.1)
+    assert ranked([worse, better]) == [better, worse]  # type: ignore[arg-type,comparison-overlap]  # merit is all it asks
+    assert callable(page_of)
