@@ -17,9 +17,9 @@ from maxq.sim.campaign.runner import run_campaign
 pytest.importorskip("distributed")
 
 
-def test_workers_that_come_and_go(tmp_path: Path) -> None:
-    campaign = campaignkit.small(tmp_path, runs=300)
-    whole = campaign.with_campaign(runs=300)
+@pytest.mark.parametrize(("runs", "parts"), [(96, 3), pytest.param(300, 5, marks=pytest.mark.slow)])
+def test_workers_that_come_and_go(tmp_path: Path, runs: int, parts: int) -> None:
+    whole = campaignkit.small(tmp_path, runs=runs)
     run_campaign(whole, tmp_path / "local")
     with machines(tmp_path, 2) as cluster:
         victim = cluster.processes[1]
@@ -27,7 +27,7 @@ def test_workers_that_come_and_go(tmp_path: Path) -> None:
 
         def kill() -> None:
             deadline = time.monotonic() + 120.0
-            while time.monotonic() < deadline and len(list((tmp_path / "out" / "runs").glob("runs-*"))) < 5:
+            while time.monotonic() < deadline and len(list((tmp_path / "out" / "runs").glob("runs-*"))) < parts:
                 time.sleep(0.02)
             victim.kill()
             cluster.worker()
@@ -38,7 +38,7 @@ def test_workers_that_come_and_go(tmp_path: Path) -> None:
         done = run_on_cluster(whole, tmp_path / "out", cluster.address)
         thread.join()
         assert killed.is_set()
-        assert done.flown == 300
+        assert done.flown == runs
         assert victim.wait(10) == -9
     ours, theirs = (sorted((tmp_path / name / "runs").iterdir()) for name in ("out", "local"))
     assert [p.name for p in ours] == [p.name for p in theirs]

@@ -40,14 +40,15 @@ def undisturbed(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder / "out"
 
 
-def test_fifty_kills_and_then_the_same_data_set(tmp_path: Path) -> None:
+@pytest.mark.parametrize(("kills", "runs"), [(12, 96), pytest.param(50, 400, marks=pytest.mark.slow)])
+def test_kills_and_then_the_same_data_set(tmp_path: Path, kills: int, runs: int) -> None:
     """SIGKILL at random instants: between runs, while a part is written, renamed, or the folder is opened."""
-    file = campaignkit.write_campaign(tmp_path, runs=400)
-    command = [sys.executable, str(TESTS / "killing.py"), str(file), str(tmp_path / "out"), "50", "1", "0.25"]
+    file = campaignkit.write_campaign(tmp_path, runs=runs)
+    command = [sys.executable, str(TESTS / "killing.py"), str(file), str(tmp_path / "out"), str(kills), "1", "0.25"]
     done = subprocess.run(command, capture_output=True, text=True, timeout=300, check=False)
     assert done.returncode == 0, done.stderr
-    assert int(done.stdout) == 50
-    run_campaign(campaignkit.small(tmp_path, runs=400), tmp_path / "whole")
+    assert int(done.stdout) == kills
+    run_campaign(campaignkit.small(tmp_path, runs=runs), tmp_path / "whole")
     assert campaignkit.same(campaignkit.data_set(tmp_path / "out"), campaignkit.data_set(tmp_path / "whole"))
     left = [p.name for p in (tmp_path / "out" / "runs").iterdir() if not p.name.startswith("runs-")]
     assert left == []

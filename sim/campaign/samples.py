@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import GetJsonSchemaHandler
 from pydantic_core import CoreSchema, core_schema
 
 from maxq.sim.scenario.documents import Text
@@ -31,6 +32,11 @@ class SampleTable:
     @classmethod
     def __get_pydantic_core_schema__(cls, source: Any, handler: Any) -> CoreSchema:
         return core_schema.with_info_plain_validator_function(_validate)
+
+    @classmethod
+    def __get_pydantic_json_schema__(cls, schema: CoreSchema, handler: GetJsonSchemaHandler) -> dict[str, Any]:
+        numbers = {"type": "array", "items": {"type": "number"}, "minItems": 1}
+        return {"anyOf": [{"type": "string"}, {"type": "object", "additionalProperties": numbers}]}
 
 
 def _validate(value: Any, info: core_schema.ValidationInfo) -> SampleTable:

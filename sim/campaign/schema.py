@@ -5,10 +5,11 @@ from __future__ import annotations
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import Field, ValidationInfo, model_validator
+from pydantic import Field, ValidationInfo, ValidatorFunctionWrapHandler, WrapValidator, model_validator
 
 from maxq.sim.campaign.samples import SampleTable
 from maxq.sim.flight.judgement import METRIC_NAMES
+from maxq.sim.scenario.documents import Text
 from maxq.sim.scenario.errors import refuse
 from maxq.sim.scenario.schema_environment import WIND_COLUMNS
 from maxq.sim.scenario.schema_values import NotNegative, Positive, Section, needs, only_with
@@ -22,6 +23,14 @@ WIND_MODEL_COLUMNS = Columns(
 )
 Outside = Literal["resample", "refuse"]
 Level = Annotated[float, Field(gt=0.0, lt=1.0)]
+
+
+def _with_source(value: Any, usual: ValidatorFunctionWrapHandler) -> Any:
+    """A text as it is, for it may name a file, which is looked for beside the file that names it."""
+    return value if isinstance(value, Text) else usual(value)
+
+
+Choice = Annotated[float | int | str, WrapValidator(_with_source)]
 
 
 class Envelope(Section):
@@ -101,7 +110,7 @@ class Disperse(Section):
     high: float | None = Field(default=None, description="uniform, triangular, truncated normal: greatest value")
     mode: float | None = Field(default=None, description="triangular: likeliest value")
     median: Positive | None = Field(default=None, description="log-normal (default: 1 to scale, else the value)")
-    values: tuple[float | int | str, ...] | None = Field(default=None, description="choice: numbers, texts or files")
+    values: tuple[Choice, ...] | None = Field(default=None, description="choice: numbers, texts or files")
     weights: tuple[NotNegative, ...] | None = Field(default=None, description="choice: how often each (default alike)")
     file: SampleTable | None = Field(default=None, description="samples, cases: a CSV file")
     column: str | None = Field(default=None, description="samples: column of the file (default: its only one)")

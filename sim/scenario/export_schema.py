@@ -10,6 +10,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
+from maxq.sim.campaign.schema import CampaignFile
 from maxq.sim.scenario.reference import scenario_reference
 from maxq.sim.scenario.schema_design import Design
 from maxq.sim.scenario.schema_scenario import Scenario
@@ -67,10 +68,23 @@ def _without_null(node: Any) -> Any:
     return out
 
 
+def campaign_schema() -> dict[str, Any]:
+    """JSON Schema of a campaign file: a scenario with the sections that make it a campaign."""
+    schema, further = json_schema(Scenario), json_schema(CampaignFile)
+    sections = {name: further["properties"][name] for name in CampaignFile.model_fields}
+    further["$defs"]["Campaign"].pop("required")  # the file that is extended may be a campaign already
+    return schema | {
+        "description": CampaignFile.__doc__,
+        "properties": schema["properties"] | sections,
+        "$defs": schema["$defs"] | further["$defs"],
+    }
+
+
 def pages() -> dict[str, str]:
     """The exported files by name."""
     models: dict[str, type[Section]] = {"scenario": Scenario, "vehicle": Vehicle, "design": Design}
     out = {f"{name}.schema.json": json.dumps(json_schema(m), indent=1) + "\n" for name, m in models.items()}
+    out["campaign.schema.json"] = json.dumps(campaign_schema(), indent=1) + "\n"
     return out | {"scenario.md": scenario_reference()}
 
 

@@ -39,7 +39,7 @@ files too, and they name tables in CSV files. Units are in the keys. Unknown key
   vehicle.stage.0.engine.thrust_factor=1.02`, `--set design=designs/other.toml`; `--set KEY=` takes a key
   away.
 - **Completion in editors**: begin a file with `#:schema` and the address of `scenario.schema.json`,
-  `vehicle.schema.json` or `design.schema.json`, which lie beside this page.
+  `campaign.schema.json`, `vehicle.schema.json` or `design.schema.json`, which lie beside this page.
 
 Times marked "whole ns" must be whole numbers of nanoseconds. *required* marks keys without a default.
 """
