@@ -31,6 +31,13 @@ test-browser: $(TO_TEST)  ## open `simreplay --web` in headless Chromium, and lo
 	@echo "Opening simreplay --web in headless Chromium."
 	@$(PY) -m pytest tests/browser_replay.py -rs $(ARGS)
 
+verify: $(TO_TEST)  ## verify the simulator itself: rerun all that docs/verification.md says, and rewrite its tables
+	@echo "Verifying the simulator (about fifteen minutes)."
+	@$(PY) -m maxq.tools.verification.nesc
+	@$(PY) -m maxq.tools.verification.planted
+	@$(PY) -m maxq.tools.verification.certificates
+	@$(PY) -m pytest -q tests/test_order_*.py tests/test_invariants_*.py tests/test_oracle_*.py tests/test_reference_*.py $(ARGS)
+
 # The tests that end soon without a compiler: kernels by themselves, and flights of a few steps.
 UNCOMPILED := $(patsubst %,tests/test_%.py,invariants_computer invariants_control_converter invariants_control_roll \
 	invariants_environment_atmosphere invariants_environment_earth oracle_control_guidance oracle_control_law \
