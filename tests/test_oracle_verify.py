@@ -1,0 +1,139 @@
+"""What simverify reckons with, against what must hold.
+
+| what | against |
+|---|---|
+| centre of percussion | the point that the linear plant does not accelerate when the engine pushes |
+| wind that takes all of the gimbal | the moment of the plant in trim at that incidence |
+| corners | every factor as often high as low, and every pair of factors uncorrelated |
+| margins of a vehicle that does not deviate | those of the design |
+| damping that slosh needs | the closed loop grows with less and not with more |
+| one changed gain | only nodes beside it are worked out anew |
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from maxq.design import api
+from maxq.design.margins.measure import margins
+from maxq.design.model.dispersion import Dispersion, disperse
+from maxq.design.model.node import Node
+from maxq.design.model.plant import INPUTS, vehicle_plant
+from maxq.design.verify.authority import authority
+from maxq.design.verify.dispersed import study, vehicles
+from maxq.design.verify.memory import Memory
+from maxq.design.verify.slosh_advice import advise, percussion_station_m
+from maxq.design.verify.suite import LinearMargins
+from maxq.sim.scenario.schema_design import Design
+
+TIMES_S = (10.0, 20.0, 30.0, 50.0)
+
+
+@pytest.fixture(scope="module")
+def nodes() -> list[Node]:
+    return api.nodes("nominal", TIMES_S)
+
+
+@pytest.fixture(scope="module")
+def design() -> Design:
+    return api.load_design("designs/ksr3-default")
+
+
+def _rigid(node: Node) -> Node:
+    """Liquid frozen, no modes that move, no engine inertia."""
+    frozen = disperse(node, Dispersion(slosh_mass=0.0, bending_shape=0.0))
+    engine = dataclasses.replace(
+        frozen.vehicle.engine, gimballed_mass_kg=0.0, cg_from_gimbal_m=0.0, inertia_about_gimbal_kgm2=0.0
+    )
+    return dataclasses.replace(frozen, vehicle=dataclasses.replace(frozen.vehicle, engine=engine))
+
+
+def test_centre_of_percussion_stays_where_it_is(nodes: list[Node]) -> None:
+    for node in nodes:
+        rigid = _rigid(node)
+        plant = vehicle_plant(rigid.vehicle, rigid.condition)
+        push = plant.b[:, INPUTS.index("delta_rad")]
+        w, q = (push[plant.states.index(name)] for name in ("w_mps", "q_radps"))
+        forward = rigid.vehicle.body.core_cg_station_m - percussion_station_m(rigid)
+        assert abs(w - forward * q) < 1e-6 * abs(w)  # a point x forward of the CG moves with w - x q
+
+
+def test_gimbal_trims_just_the_wind_that_takes_all_of_it(nodes: list[Node]) -> None:
+    for node, found in zip(nodes, authority(nodes, math.radians(6.0)), strict=True):
+        rigid = _rigid(node)
+        plant = vehicle_plant(rigid.vehicle, rigid.condition)
+        q = plant.states.index("q_radps")
+        w = node.condition.airspeed_mps * math.atan(found.wind_mps / node.condition.airspeed_mps)
+        by_wind = plant.a[q, plant.states.index("w_mps")] * w
+        by_gimbal = plant.b[q, INPUTS.index("delta_rad")] * math.radians(6.0)
+        assert abs(by_wind) == pytest.approx(abs(by_gimbal), rel=0.01)
+
+
+def test_corners_are_balanced_and_uncorrelated() -> None:
+    corners, _ = vehicles(LinearMargins(cases=0, corner_sigmas=3.0))
+    assert len(corners) == 24
+    rows = []
+    for c in corners:
+        d = c.dispersion
+        rows.append([d.bending_slope, d.bending_damping, d.slosh_frequency, d.slosh_mass, d.normal_force, d.inertia])
+        rows[-1] += [c.delay_s, d.centre_of_pressure_m]
+        assert d.bending_slope in (pytest.approx(0.8), pytest.approx(1.2))
+    table = np.array(rows)
+    signs = np.sign(table - table.mean(axis=0))
+    assert np.allclose(signs.sum(axis=0), 0.0)
+    assert np.allclose(signs.T @ signs, 24.0 * np.eye(signs.shape[1]))
+
+
+def test_random_vehicles_do_not_depend_on_how_many_there_are() -> None:
+    few, many = (vehicles(LinearMargins(cases=n, seed=5))[1] for n in (3, 9))
+    assert many[:3] == few
+    assert vehicles(LinearMargins(cases=3, seed=6))[1] != few
+
+
+def test_vehicle_that_does_not_deviate_has_the_margins_of_the_design(nodes: list[Node], design: Design) -> None:
+    found = study(nodes, design, LinearMargins(cases=1, corner_sigmas=0.0), Memory(None))
+    for node, measured in zip(nodes, found.nominal.nodes, strict=True):
+        expected = margins(api.loops([node], design)[0])
+        assert measured.of("gain_up_db") == pytest.approx(expected.gain_up_db.value, abs=1e-9)
+        assert measured.of("delay_ms") == pytest.approx(1e3 * expected.delay_s.value, abs=1e-9)
+
+
+def test_slosh_grows_with_less_damping_than_it_needs(nodes: list[Node], design: Design) -> None:
+    needing = [a for a in advise(nodes[-1:], design) if a.needed > 0.0]
+    assert needing
+    for a in needing:
+        for share, grows in ((0.9, True), (1.1, False)):
+            factors = [1.0, 1.0]
+            factors[a.tank] = share * a.needed / a.damping
+            loop = api.loops([disperse(nodes[-1], Dispersion(slosh_damping=tuple(factors)))], design)[0]
+            poles = loop.closed_poles()
+            assert bool((poles[(poles.imag > 0.5) & (poles.imag < 31.0)].real > 0.0).any()) is grows
+
+
+def test_one_changed_gain_redoes_its_neighbours_only(nodes: list[Node], design: Design, tmp_path: Path) -> None:
+    wanted = LinearMargins(cases=1, corner_sigmas=0.0)
+    free = api.load_design("designs/ksr3-free")  # a gain at every node
+    study(nodes, free, wanted, Memory(tmp_path))
+    text = _with_more_gain(free, 30.0)
+    second = Memory(tmp_path)
+    study(nodes, text, wanted, second)
+    assert (second.worked_out, second.recalled) == (1, 3)
+
+
+def _with_more_gain(design: Design, time_s: float) -> Design:
+    """k_p of one row 1 % higher."""
+    from maxq.sim.scenario.documents import Source, adopt, plain  # noqa: PLC0415  # for this helper only
+
+    table = design.gains.table
+    rows = [
+        {"time_s": float(t), "k_p": float(p) * (1.01 if t == time_s else 1.0), "k_d_s": float(d)}
+        for t, p, d in zip(table["time_s"], table["k_p"], table["k_d_s"], strict=True)
+    ]
+    assert any(row["time_s"] == time_s for row in rows)
+    given = {"schema": 1, "gains": {"table": rows}, "filter": design.filter.model_dump(exclude_none=True)}
+    return Design.model_validate(plain(adopt(given, Source("design"))))
