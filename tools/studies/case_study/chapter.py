@@ -2,7 +2,8 @@
 
 Solves the sixty problems of the paper's table (docs/case-study.json keeps their parameters), judges and flies the
 designs in scenarios/designs, and writes what comes of it between the marks of docs/case-study.md and into
-docs/pictures/case-study/. Prose is written by people. With --keep the optima of docs/case-study.json are taken as they
+docs/pictures/case-study/. Prose is written by people. Campaigns are flown by another command (dispersed.py) and taken
+out of docs/case-study-campaigns.json. With --keep the optima of docs/case-study.json are taken as they
 are; with --only NAME ... just these tables and pictures are made.
 """
 
@@ -27,7 +28,7 @@ from maxq.tools.design.errata_table import effects
 from maxq.tools.design.judging import Wanted, judge
 from maxq.tools.design.pictures_loop import draw_loop, picture_of
 from maxq.tools.pictures.style import drawing
-from maxq.tools.studies.case_study import optima, optima_tables, robustness
+from maxq.tools.studies.case_study import dispersed, dispersed_page, optima, optima_tables, robustness
 from maxq.tools.studies.case_study.flights import flights_table, fly_design
 from maxq.tools.studies.case_study.page import filled, places
 from maxq.tools.studies.case_study.relaxing import relaxing_table
@@ -108,6 +109,8 @@ TABLES: dict[str, Callable[[], list[str]]] = {
     "parameters-relaxed": lambda: optima_tables.parameters_table(known_optima(), "flown", "relaxed"),
     "robust": robust,
     "flights": flights,
+    "campaigns": lambda: dispersed_page.verdicts_table(dispersed.read(), "moderate"),
+    "campaigns-smooth": lambda: dispersed_page.verdicts_table(dispersed.read(), "smooth"),
 }
 
 
@@ -160,11 +163,19 @@ def sweep_pictures() -> None:
     robustness.draw_sweep(swept, PICTURES / "sweep")
 
 
+def campaign_pictures() -> None:
+    results = dispersed.read()
+    dispersed_page.exceedance_picture(results, PICTURES / "campaign-exceedance")
+    dispersed_page.envelopes_picture(results, PICTURES / "campaign-envelopes")
+    dispersed_page.drivers_picture(results, PICTURES / "campaign-drivers")
+
+
 DRAWN: dict[str, Callable[[], None]] = {
     "pictures-vehicle": vehicle_pictures,
     "pictures-optima": optima_pictures,
     "pictures-loops": loop_pictures,
     "pictures-sweep": sweep_pictures,
+    "pictures-campaigns": campaign_pictures,
 }
 
 
