@@ -71,7 +71,7 @@ def _round(value: float) -> float:
 
 def boiled_down(folder: Path, campaign: LoadedCampaign, overrides: Sequence[str]) -> dict[str, Any]:
     """What the chapter needs of a data set whose report has been written."""
-    data = DataSet(folder, campaign)
+    data = DataSet(folder, campaign, limit=campaign.campaign.runs)  # a folder may hold more
     summary = json.loads((folder / SUMMARY).read_text(encoding="utf-8"))
     requirements = []
     for r in summary["requirements"]:
@@ -107,7 +107,7 @@ def fly_case(case: Case, folder: Path, workers: int | None, as_flown: bool) -> d
     if not as_flown:
         run_campaign(campaign, folder, workers=workers, watch=watch)
         print(file=sys.stderr)
-    data = DataSet(folder, campaign)
+    data = DataSet(folder, campaign, limit=campaign.campaign.runs)  # a folder may hold more
     write_report(data, judged(data), lost(data), len(data.runs), {}, pictures=True)
     return boiled_down(folder, campaign, case.overrides)
 

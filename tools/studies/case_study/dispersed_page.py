@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from maxq.sim.campaign.statistics import MET, NOT_MET
-from maxq.tools.pictures.style import BLUE, ORANGE, RED, label, save, sheet
+from maxq.tools.pictures.style import BLUE, ORANGE, RED, label, plain_numbers, save, sheet
 from maxq.tools.studies.case_study.dispersed import AIRS, DESIGNS, ENVELOPES, Case
 
 SHOWN = (
@@ -84,6 +84,7 @@ def exceedance_picture(results: Results, stem: Path) -> None:
         place.axvline(scale * r["bound"], color=RED, linewidth=1.0)
         place.axhline(100.0 * (1.0 - case["success"]), color=RED, linewidth=0.7, linestyle=":")
         place.set_yscale("log")
+        plain_numbers(place.yaxis)
         place.set_ylim(0.04, 120.0)
         label(place, f"k{r['unit']}" if scale != 1.0 else r["unit"], "% of flights", name)
     places[0].legend(loc="lower left", fontsize=6)
@@ -118,8 +119,13 @@ def drivers_picture(results: Results, stem: Path) -> None:
     for place, name in zip(places, names, strict=False):
         found = drivers[name][::-1]
         place.barh(range(len(found)), [d["rank"] for d in found], color=BLUE, height=0.7)
-        place.set_yticks(range(len(found)), [d["input"].removeprefix("wind.profile.") for d in found])
+        place.set_yticks(range(len(found)), [_short(d["input"]) for d in found])
         place.axvspan(-found[0]["noise"], found[0]["noise"], color="#777777", alpha=0.3, linewidth=0)
         place.set_xlim(-1.0, 1.0)
         label(place, "rank correlation", "", name)
     save(figure, stem)
+
+
+def _short(name: str) -> str:
+    """An input as it fits beside a bar: a wind's component and altitude without the key."""
+    return name.removeprefix("wind.profile.").replace("_mps[", " ").removesuffix("]")
