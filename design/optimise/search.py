@@ -48,7 +48,7 @@ class Found:
     best: Evaluation
     optimality: Optimality
     feasible: bool
-    ends_db: Array
+    ends_db: Array  # without leaps
     evaluations: int
     interrupted: bool
     leaps_db: Array  # where each leap ended, likewise
@@ -101,22 +101,25 @@ def search(
             raise
     fine: dict[int, Descent] = {}
     leaps_db: list[float] = []
-    candidates = _candidates([end for end, _ in ends])
+    leapt: Descent | None = None
+    # apart: what ends alike with all variables and with few lies in different valleys
+    own = min(len(starts), len(ends))
+    candidates = [*_candidates([end for end, _ in ends[:own]])]
+    candidates += [own + k for k in _candidates([end for end, _ in ends[own:]])]
     try:
         for k in candidates if not interrupted else ():
             fine[k] = descend(problem, ends[k][1], FINE_STEPS, FINE_DB)
         if fine and leaps > 0 and not interrupted:
-            k = min(fine, key=lambda i: _rank(fine[i].end))
-            for best, leap_db in _leapt(problem, fine[k], leaps, seed):
-                fine[k] = best
+            leapt = min(fine.values(), key=lambda descent: _rank(descent.end))
+            for leapt, leap_db in _leapt(problem, leapt, leaps, seed):  # noqa: B020  # each goes on from the last
                 leaps_db.append(leap_db)
                 if progress is not None:
-                    progress(len(ends) + len(leaps_db), total, best.end.objective_db)
+                    progress(len(ends) + len(leaps_db), total, leapt.end.objective_db)
     except KeyboardInterrupt:
         interrupted = True
     for k in candidates[:1] if not fine else ():
         fine[k] = Descent(problem.evaluate(ends[k][1]), 0, False)
-    found = _answer(problem, ends, fine, interrupted)
+    found = _answer(problem, ends, own, fine, leapt, interrupted)
     made = problem.evaluations + (small.evaluations if small is not problem else 0) - before
     return replace(found, leaps_db=np.array(leaps_db), evaluations=made)
 
@@ -140,9 +143,10 @@ def _leapt(problem: Problem, best: Descent, leaps: int, seed: int) -> Iterator[t
 
 
 def _answer(
-    problem: Problem, ends: list[tuple[Evaluation, Array]], fine: dict[int, Descent], interrupted: bool
-) -> Found:
-    best = min((d.end for d in fine.values()), key=_rank)
+    problem: Problem, ends: list[tuple[Evaluation, Array]], own: int, fine: dict[int, Descent], leapt: Descent | None,
+    interrupted: bool,
+) -> Found:  # fmt: skip
+    best = min((d.end for d in [*fine.values(), *([leapt] if leapt is not None else [])]), key=_rank)
     feasible = _feasible(best, 10.0 * MET_DB)
     if feasible:
         best, quality = polished(problem, best) if not interrupted else (best, optimality(problem, best))
@@ -155,7 +159,7 @@ def _answer(
     rough_db = ends_db.copy()
     for k, descent in fine.items():  # a start in the same valley would have come to the same end
         if _feasible(descent.end, 10.0 * MET_DB):
-            same = np.abs(rough_db - rough_db[k]) <= SAME_DB
+            same = (np.abs(rough_db - rough_db[k]) <= SAME_DB) & ((np.arange(len(ends)) < own) == (k < own))
             ends_db[same] = np.fmin(ends_db[same], descent.end.objective_db)
     return Found(best, quality, feasible, ends_db, 0, interrupted, np.zeros(0))
 

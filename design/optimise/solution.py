@@ -126,10 +126,10 @@ class Solution:
             where = f" at {c.plant}" if c.plant is not None else ""
             limit = "" if c.limit is None else f", limit {c.limit:g}"
             parts.append(f"{c.what}{where} ({c.value:.4g}{' ' + c.unit if c.unit else ''}{limit})")
-        return (
-            f"the limits cannot be met together: at best {self.violation_db:.3g} dB are missing; in the way: "
-            + "; ".join(parts)
-        )
+        missed = f"at best {self.violation_db:.3g} dB are missing; in the way: " + "; ".join(parts)
+        if not self.certificate.stable:
+            return f"no stable design was found; of the limits {missed}"
+        return f"the limits cannot be met together: {missed}"
 
     def to_design(self, roll: Any = None) -> Design:
         """The design that `simrun` flies. Raises ValueError for more sections than the flight computer runs."""

@@ -27,10 +27,10 @@ PAGE = DOCS / "performance.md"
 PICTURE = DOCS / "pictures" / "work-precision.svg"
 
 
-def _in_own_process(module: str) -> Any:
+def _in_own_process(module: str, *arguments: str) -> Any:
     """The JSON that a module of this folder prints. Raises RuntimeError with its last words."""
     done = subprocess.run(
-        [sys.executable, "-m", f"maxq.tools.bench.{module}"], capture_output=True, text=True, check=False
+        [sys.executable, "-m", f"maxq.tools.bench.{module}", *arguments], capture_output=True, text=True, check=False
     )
     if done.returncode != 0:
         words = done.stderr.strip().splitlines()
@@ -58,6 +58,8 @@ def main() -> int:
                         help="Python of the environment that holds the programs compared with")  # fmt: skip
     parser.add_argument("--rounds", type=int, default=5, help="flights of each of these programs (default 5)")
     parser.add_argument("--repetitions", type=int, default=5, help="runs of each command (default 5)")
+    parser.add_argument("--search-seconds", type=float, default=20.0,
+                        help="CPU time of each search beside the optimiser (default 20; long run: 1800)")  # fmt: skip
     parser.add_argument("--only", default="", help="comma-separated parts; the others keep their last results")
     choice = parser.parse_args()
     parts: dict[str, Callable[[], Any]] = {
@@ -69,6 +71,7 @@ def main() -> int:
         "precision": lambda: _in_own_process("precision"),
         "replay": lambda: _in_own_process("replay"),
         "campaigns": lambda: _in_own_process("campaigns"),
+        "optimise": lambda: _in_own_process("optimise", "--seconds", str(choice.search_seconds)),
     }
     wanted = [name for name in choice.only.split(",") if name] or list(parts)
     unknown = set(wanted) - set(parts)
