@@ -190,8 +190,10 @@ def _optimise(result: dict[str, Any]) -> str:
          "none" if r["exact_db"] is None else f"{r['exact_db']:.3f}", f"{r['seconds']:.0f}", f"{r['evaluations']:,}"]
         for r in result["searches"]
     ]  # fmt: skip
-    columns = ("problem", "search", "ours, dB", "CPU, s", "its best, dB", "which misses limits by, dB", "limits met, dB",
-            "CPU, s ", "evaluations")  # fmt: skip
+    columns = (
+        "problem", "search", "ours, dB", "CPU, s", "its best, dB", "which misses limits by, dB", "limits met, dB",
+        "CPU, s ", "evaluations",
+    )  # fmt: skip
     ahead = min(r["exact_db"] - r["ours_db"] for r in result["searches"] if r["exact_db"] is not None)
     told = f"The best of these with all limits met lies {abs(ahead):.3f} dB {'above' if ahead >= 0 else 'below'} ours."
     return "\n\n".join([text, _table(columns, rows), told])
