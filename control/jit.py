@@ -23,6 +23,8 @@ from numba import types
 from numba.extending import intrinsic, overload
 from numpy.typing import NDArray
 
+from maxq.control.records import constants_in
+
 Function = TypeVar("Function", bound=Callable[..., object])
 Array = TypeVar("Array", NDArray[np.float64], NDArray[np.int64])
 
@@ -140,6 +142,26 @@ def borrowed(array: Array) -> Array:
 @overload(borrowed, target="cpu")
 def _borrowed(array):  # type: ignore[no-untyped-def]  # Numba compares both signatures, annotations included
     return lambda array: _address(array)  # noqa: PLW0108  # Numba compiles this body: it cannot be the intrinsic itself
+
+
+def integer(record: Any, name: str) -> int:
+    """An integer of a record, for kernels: a constant to the compiler where the record's type tells it.
+
+    `records.with_constants` makes such types. `name` is written out where this is called.
+    """
+    return int(record[name])
+
+
+@overload(integer, prefer_literal=True)
+def _integer(record, name):  # type: ignore[no-untyped-def]  # Numba compares both signatures, annotations included
+    name = getattr(name, "literal_value", None)
+    if name is None:
+        return None  # Numba asks again with the name itself
+    known = constants_in(record.fields)
+    if name in known:
+        value = known[name]
+        return lambda record, name: value
+    return lambda record, name: record[name]
 
 
 LANES = 32

@@ -1,11 +1,13 @@
 """Frozen dataclasses are the schema of a parameter set; a packed `np.record` is what a kernel reads.
 
 A kernel is handed `P[i]`, reads `P[i].engine.mass_kg`, and compiles once for every vehicle, because the layout
-holds no size that depends on the vehicle: arrays are bounded and come with a count.
+holds no size that depends on the vehicle: arrays are bounded and come with a count. Where thousands of flights of one
+vehicle repay a compilation of its own, `with_constants` puts counts into the layout.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import fields, is_dataclass
 from typing import Annotated, Any, get_args, get_origin, get_type_hints
 
@@ -72,3 +74,40 @@ def _fill(row: Any, instance: Any) -> None:
 def blank(schema: type) -> NDArray[Any]:
     """One row of zeros: the mutable state of a component that a kernel owns."""
     return np.zeros(1, dtype_of(schema))
+
+
+def with_constants(rows: NDArray[Any], *path: str) -> NDArray[Any]:
+    """The same memory, with the integers of the nested record at `path` told in its type as well: kernels that read
+    them by `jit.integer` are compiled for these values, and compute the same bits. Unlike rows stay as they are.
+    """
+    nested = rows
+    for name in path:
+        nested = nested[name]
+    if (nested != nested[0]).any():
+        return rows
+    told = ",".join(f"{name}={int(nested[0][name])}" for name in nested.dtype.names or ())
+    return rows.view(_telling(rows.dtype, path, told))
+
+
+def constants_in(names: Iterable[str]) -> dict[str, int]:
+    """What the names of a record's fields tell, see `with_constants`."""
+    return {
+        name: int(value)
+        for told in names
+        if "=" in told
+        for name, _, value in (part.partition("=") for part in told.split(","))
+    }
+
+
+def _telling(layout: np.dtype[Any], path: tuple[str, ...], told: str) -> np.dtype[Any]:
+    """`layout` with a further name for the first number of the record at `path`."""
+    of: dict[str, Any] = dict(layout.fields or {})
+    names = list(layout.names or ())
+    formats = [of[name][0] for name in names]
+    offsets = [of[name][1] for name in names]
+    if path:
+        formats[names.index(path[0])] = _telling(formats[names.index(path[0])], path[1:], told)
+    else:
+        names, formats, offsets = [*names, told], [*formats, formats[0]], [*offsets, offsets[0]]
+    spelt = {"names": names, "formats": formats, "offsets": offsets, "itemsize": layout.itemsize}
+    return np.dtype((np.record, spelt))  # type: ignore[arg-type,unused-ignore]  # NumPy's stubs lack such a spelling

@@ -18,15 +18,18 @@ from maxq.sim.flight.fly import Flight, FlightRun
 from maxq.sim.flight.history import CONTROL_LOST_NAME, DIVERGED_NAME
 from maxq.sim.flight.judgement import METRIC_NAMES
 from maxq.sim.flight.telemetry import FAST, SLOW, channel_table
-from maxq.sim.packing.flight import pack_flight
+from maxq.sim.packing.flight import Packed, pack_flight, pack_for_one_vehicle
 from maxq.sim.packing.schedule import stage_sizes
 from maxq.sim.scenario.loader import LoadedScenario
 from maxq.sim.scenario.nanoseconds import NS_PER_S
+from maxq.sim.scenario.schema_scenario import Scenario
 
 REFUSED, ERROR = "refused", "error"
 """Outcomes beside those of a flight: no scenario came of the draws; our own fault."""
 VOID = (DIVERGED_NAME, REFUSED, ERROR)
 """Outcomes whose metrics say nothing: such a run misses every requirement."""
+
+OWN_KERNELS_FROM = 500  # runs
 
 _SEGMENT_NS = 10 * NS_PER_S  # of a flight: between two of them it can be given up
 
@@ -74,7 +77,7 @@ def fly_row(loaded: LoadedCampaign, batch: BatchInputs, run: int, stop: Callable
     envelope = loaded.campaign.envelope
     try:
         history = envelope if run < envelope.runs and envelope.channels else None
-        flight, kept = fly_scenario(made.loaded, history, stop)
+        flight, kept = fly_scenario(made.loaded, history, stop, packer(loaded))
     except (GivenUp, MemoryError):
         raise
     except Exception as error:  # one run in ten thousand must not end a campaign: the row says what happened
@@ -84,11 +87,17 @@ def fly_row(loaded: LoadedCampaign, batch: BatchInputs, run: int, stop: Callable
     return row_of(run, flight, made.recorded, made.redraws, kept)
 
 
+def packer(loaded: LoadedCampaign) -> Callable[[Scenario], Packed]:
+    """Many runs are worth kernels of their own; few are flown by the common ones. Their results are the same bits."""
+    return pack_for_one_vehicle if loaded.campaign.runs >= OWN_KERNELS_FROM else pack_flight
+
+
 def fly_scenario(
-    loaded: LoadedScenario, envelope: Envelope | None = None, stop: Callable[[], bool] = lambda: False
-) -> tuple[Flight, History | None]:
+    loaded: LoadedScenario, envelope: Envelope | None = None, stop: Callable[[], bool] = lambda: False,
+    pack: Callable[[Scenario], Packed] = pack_flight,
+) -> tuple[Flight, History | None]:  # fmt: skip
     """Fly without a log; with the channels of an envelope where one is given."""
-    packed = pack_flight(loaded.scenario)
+    packed = pack(loaded.scenario)
     step_ns = int(packed.parameters[0].course.step_ns)
     if envelope is not None:
         period_ns = max(round(NS_PER_S / envelope.rate_hz / step_ns), 1) * step_ns

@@ -19,7 +19,7 @@ from itertools import islice, takewhile
 from pathlib import Path
 
 from maxq.sim.campaign.error import CampaignError
-from maxq.sim.campaign.flying import GivenUp, Row, fly_row
+from maxq.sim.campaign.flying import GivenUp, Row, fly_row, packer
 from maxq.sim.campaign.plan import BatchInputs, LoadedCampaign
 from maxq.sim.campaign.side_by_side import MOST, fly_rows
 from maxq.sim.campaign.standing import Standing
@@ -141,7 +141,7 @@ def _run(
 
 def load_kernels(campaign: LoadedCampaign) -> None:
     """Load the compiled kernels, or compile them, before the clock starts and threads wait for each other."""
-    FlightRun(campaign.base, log=False).result()
+    FlightRun(campaign.base, packer(campaign)(campaign.base.scenario), log=False).result()
 
 
 @dataclass

@@ -124,7 +124,7 @@ def derivative(
     rate = (y[W_BI_B], y[W_BI_B + 1], y[W_BI_B + 2])
     rotation = rotation_from_quaternion(y[Q_BI], y[Q_BI + 1], y[Q_BI + 2], y[Q_BI + 3])
 
-    gravitation = surroundings(around, pool, gusts, held.turbulence_phase, rotation, y, aux)
+    gravitation = surroundings(around, pool, gusts, held.turbulence_phase, rotation, y, work, aux)
     modal_state(sizes, rate[0], y, work)
     engine = move_engine(vehicle, sizes, held, props, y, aux)
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 from maxq.control.jit import kernel, routine
 from maxq.control.records import Array
+from maxq.sim.dynamics.nearby import frame_and_air
 from maxq.sim.dynamics.state import R_I, V_I
 from maxq.sim.dynamics.vectors import Matrix, Vector, add, cross, scaled, turn_back
 from maxq.sim.dynamics.workspace import (
@@ -22,7 +23,7 @@ from maxq.sim.dynamics.workspace import (
     TEMPERATURE,
     WIND_N,
 )
-from maxq.sim.environment.atmosphere import Atmosphere, air
+from maxq.sim.environment.atmosphere import Atmosphere
 from maxq.sim.environment.earth import FLAT, Earth, gravitation, ground_velocity, local_frame, ned_to_earth
 from maxq.sim.environment.turbulence import Turbulence, TurbulenceState, turbulence_at
 from maxq.sim.environment.wind import Wind, wind_ned
@@ -39,13 +40,14 @@ class Surroundings:
 @kernel
 def surroundings(
     around: Surroundings, pool: Array, gusts: TurbulenceState, gust_phase: float, rotation: Matrix, y: Array,
-    aux: Array,
+    work: Array, aux: Array,
 ) -> Vector:  # fmt: skip
     """Fill the air data of `aux`; returns the gravitation in I, m/s2."""
     x, yy, z = y[R_I], y[R_I + 1], y[R_I + 2]
     gravity = gravitation(around.earth, x, yy, z)
-    altitude, sin_lat, cos_lat, sin_lon, cos_lon = local_frame(around.earth, x, yy, z)
-    density, pressure, temperature, sound_speed = air(around.atmosphere, pool, altitude)
+    frame, gas = frame_and_air(around.earth, around.atmosphere, pool, x, yy, z, work)
+    altitude, sin_lat, cos_lat, sin_lon, cos_lon = frame
+    density, pressure, temperature, sound_speed = gas
     wind = wind_ned(around.wind, pool, altitude)
     blowing = ned_to_earth(sin_lat, cos_lat, sin_lon, cos_lon, wind[0], wind[1], wind[2])
     ground = ground_velocity(around.earth, x, yy)

@@ -20,7 +20,9 @@ PENDULUM = MACH_ROW + MACH_WIDTH  # per tank, see slosh.py
 PENDULUM_WIDTH = 24
 GRAM = PENDULUM + PENDULUM_WIDTH * MAX_TANKS  # coupling of the tensions among each other
 TENSION = GRAM + MAX_TANKS * MAX_TANKS
-WORK_SIZE = TENSION + MAX_TANKS
+ANCHOR = TENSION + MAX_TANKS  # place about which its neighbourhood is known, see nearby.py
+ANCHOR_WIDTH = 28
+WORK_SIZE = ANCHOR + ANCHOR_WIDTH
 
 # --- aux
 ALTITUDE = 0  # m above the ellipsoid, sphere or plane

@@ -72,6 +72,9 @@ _EXPONENT = tuple(
     -_G0_OVER_R_Kpm / lapse if lapse else -_G0_OVER_R_Kpm / t
     for lapse, t in zip(_LAPSE_Kpm, _TEMPERATURE_K, strict=True)
 )
+# Geometric altitudes between which a layer's formula holds.
+_FLOOR_m = (LOWEST_m, *(GEOPOTENTIAL_RADIUS_m * h / (GEOPOTENTIAL_RADIUS_m - h) for h in _BASE_m[1:]))
+_CEILING_m = (*_FLOOR_m[1:], math.inf)
 
 
 @dataclass(frozen=True)
@@ -134,8 +137,13 @@ def air(atmosphere: Atmosphere, pool: Array, altitude_m: float) -> tuple[float, 
         )
     else:
         density, pressure, temperature = 0.0, 0.0, SEA_LEVEL_TEMPERATURE_K
-    sound_speed = math.sqrt(HEAT_RATIO * GAS_CONSTANT_Jpkg_K * temperature)
-    return atmosphere.density_factor * density, pressure, temperature, sound_speed
+    return atmosphere.density_factor * density, pressure, temperature, speed_of_sound(temperature)
+
+
+@kernel
+def speed_of_sound(temperature_K: float) -> float:
+    """Of air, m/s."""
+    return math.sqrt(HEAT_RATIO * GAS_CONSTANT_Jpkg_K * temperature_K)
 
 
 @kernel
@@ -143,14 +151,49 @@ def us1976(altitude_m: float) -> tuple[float, float]:
     """(pressure [Pa], temperature [K]) of the standard atmosphere: one power or one exponential a call."""
     h = max(altitude_m, LOWEST_m)
     geopotential = GEOPOTENTIAL_RADIUS_m * h / (GEOPOTENTIAL_RADIUS_m + h)
-    i = 0
-    while i < 7 and geopotential >= _BASE_m[i + 1]:
-        i += 1
+    i = _layer(geopotential)
     rise = geopotential - _BASE_m[i]
     if _LAPSE_Kpm[i] == 0.0:
         return _PRESSURE_Pa[i] * math.exp(_EXPONENT[i] * rise), _TEMPERATURE_K[i]
     temperature = _TEMPERATURE_K[i] + _LAPSE_Kpm[i] * rise
     return _PRESSURE_Pa[i] * (temperature * _INVERSE_TEMPERATURE[i]) ** _EXPONENT[i], temperature
+
+
+@kernel
+def _layer(geopotential_m: float) -> int:
+    i = 0
+    while i < 7 and geopotential_m >= _BASE_m[i + 1]:
+        i += 1
+    return i
+
+
+@kernel
+def us1976_about(altitude_m: float, temperature_K: float) -> tuple[float, float, float, float, float]:
+    """What `us1976_nearby` needs to go on from where `us1976` gave this temperature: geopotential metres per metre,
+    curvature of that [1/m], lapse rate [K/m], and how far [m] the layer reaches down (negative) and up.
+    """
+    h = max(altitude_m, LOWEST_m)
+    inverse = 1.0 / (GEOPOTENTIAL_RADIUS_m + h)
+    i = _layer(GEOPOTENTIAL_RADIUS_m * h * inverse)
+    scale = GEOPOTENTIAL_RADIUS_m * inverse
+    return scale * scale, inverse, _LAPSE_Kpm[i], _FLOOR_m[i] - altitude_m, _CEILING_m[i] - altitude_m
+
+
+@kernel
+def us1976_nearby(
+    pressure_Pa: float, inverse_temperature: float, lapse_Kpm: float, geopotential_rise_m: float
+) -> tuple[float, float]:
+    """Pressure [Pa] and the ratio of temperatures after a rise of some ten geopotential metres within a layer.
+
+    The power series of both formulas of the standard, which have the same terms: p'/p = -g0/(R T), T' = lapse.
+    Left out is the fourth power: relatively 3e-13 at 10 m.
+    """
+    lapse = lapse_Kpm * inverse_temperature
+    first = -_G0_OVER_R_Kpm * inverse_temperature
+    second = 0.5 * first * (first - lapse)
+    third = second * (first - 2.0 * lapse) * (1.0 / 3.0)
+    d = geopotential_rise_m
+    return pressure_Pa * (1.0 + d * (first + d * (second + d * third))), 1.0 + d * lapse
 
 
 @kernel

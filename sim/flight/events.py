@@ -26,6 +26,7 @@ from maxq.sim.dynamics.state import (
     R_I,
     V_I,
     W_BI_B,
+    counts,
     eta_index,
     pendulum_index,
     state_size,
@@ -228,12 +229,18 @@ def fault(p: Parameters, y: Array) -> int:
     for i in range(Q_BI, Q_BI + 4):
         total += abs(y[i])
     bend = 0.0
-    for i in range(ACTUATOR, state_size(p.vehicle.sizes)):
-        total += 1e-9 * abs(y[i])
-    eta, xi = eta_index(p.vehicle.sizes), xi_index(p.vehicle.sizes)
-    for i in range(p.vehicle.sizes.pitch_modes):
+    sizes = counts(p.vehicle.sizes)
+    size = state_size(sizes)
+    a, b, c, d = 0.0, 0.0, 0.0, 0.0  # four sums side by side: none waits for another; some of the last count twice
+    for i in range(ACTUATOR, size - 3, 4):
+        a, b, c, d = a + abs(y[i]), b + abs(y[i + 1]), c + abs(y[i + 2]), d + abs(y[i + 3])
+    for i in range(max(size - 3, ACTUATOR), size):
+        d += abs(y[i])
+    total += 1e-9 * (a + b + c + d)
+    eta, xi = eta_index(sizes), xi_index(sizes)
+    for i in range(sizes.pitch_modes):
         bend = max(bend, abs(y[eta + i]))
-    for i in range(p.vehicle.sizes.yaw_modes):
+    for i in range(sizes.yaw_modes):
         bend = max(bend, abs(y[xi + i]))
     if not total < 1e300:
         return NOT_FINITE

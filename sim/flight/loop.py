@@ -8,9 +8,10 @@ from maxq.control.computer import start_computer
 from maxq.control.jit import borrowed, entry, kernel, routine
 from maxq.control.records import Array, IntArray
 from maxq.control.tables import find_interval
-from maxq.sim.dynamics.state import Sizes, state_size
+from maxq.sim.dynamics.nearby import DROPPED
+from maxq.sim.dynamics.state import Sizes, counts, state_size
 from maxq.sim.dynamics.surroundings import climb_rate, climbs_for_sure
-from maxq.sim.dynamics.workspace import ALTITUDE, AXIAL_LOAD, PRESSURE
+from maxq.sim.dynamics.workspace import ALTITUDE, ANCHOR, AXIAL_LOAD, PRESSURE
 from maxq.sim.environment.turbulence import turbulence_start
 from maxq.sim.flight.arena import PROPS_SIZE, lend
 from maxq.sim.flight.events import (
@@ -104,6 +105,7 @@ def advance(
         if meet_instants(p, pool, memory, y, aux) == 1 or clock.fresh == 1:
             read_schedule(p, pool, memory, now, 0.0, props)
             clock.fresh = 0
+        work[ANCHOR] = DROPPED  # a step's start is worked out exactly; its stages are near it
         evaluate(p, pool, memory, now, 0.0, props, y, k_1, work, aux)
         watch(p, memory, y, aux)
         if memory.held.down == 1 and p.course.release_ns == NEVER:
@@ -131,7 +133,7 @@ def advance(
                 p, pool, memory, event, step_ns, y, k_1, y_end, y_stage, k, props_middle, props_end, work,
                 aux, aux_stage,
             )  # fmt: skip
-        for i in range(state_size(p.vehicle.sizes)):
+        for i in range(state_size(counts(p.vehicle.sizes))):
             y[i] = y_end[i]
         props, props_end = props_end, props
         swapped = 1 - swapped
@@ -148,6 +150,7 @@ def advance(
         clock.started = 2
         p = P[clock.stage]
         read_schedule(p, pool, memory, clock.now_ns, 0.0, props)
+        work[ANCHOR] = DROPPED
         evaluate(p, pool, memory, clock.now_ns, 0.0, props, y, k_1, work, aux)
         gather(
             memory.extremes, p.vehicle, p.around.earth, memory.held, memory.computer, clock.now_ns, 0.0, props, y,

@@ -15,7 +15,7 @@ from maxq.control.records import Array, IntArray
 from maxq.sim.dynamics.derivative import Held, Vehicle
 from maxq.sim.dynamics.schedule import TOTAL_MASS
 from maxq.sim.dynamics.slosh import bob_mass
-from maxq.sim.dynamics.state import R_I, V_I, pendulum_index
+from maxq.sim.dynamics.state import R_I, V_I, counts, pendulum_index
 from maxq.sim.dynamics.workspace import (
     AERO_FORCE,
     ALTITUDE,
@@ -141,15 +141,17 @@ def _gather_incidence(extremes: Extremes, q: float, aux: Array, now_ns: int) -> 
 
 @kernel
 def _gather_bending(extremes: Extremes, vehicle: Vehicle, now_ns: int, aux: Array) -> None:
-    if vehicle.sizes.pitch_modes + vehicle.sizes.yaw_modes > 0:
+    sizes = counts(vehicle.sizes)
+    if sizes.pitch_modes + sizes.yaw_modes > 0:
         move_y, move_z = aux[GIMBAL_BEND], aux[GIMBAL_BEND + 1]
         raise_to(extremes, BENDING_MAX, math.sqrt(move_y * move_y + move_z * move_z), now_ns)
 
 
 @kernel
 def _gather_slosh(extremes: Extremes, vehicle: Vehicle, now_ns: int, props: Array, y: Array) -> None:
-    for tank in range(vehicle.sizes.tanks):
+    sizes = counts(vehicle.sizes)
+    for tank in range(sizes.tanks):
         if bob_mass(vehicle.slosh, props, tank) > 0.0:
-            i = pendulum_index(vehicle.sizes, tank)
+            i = pendulum_index(sizes, tank)
             lateral = math.sqrt(y[i + 1] * y[i + 1] + y[i + 2] * y[i + 2])
             raise_to(extremes, SLOSH_MAX, angle_above(lateral, -y[i], extremes.value[SLOSH_MAX]), now_ns)

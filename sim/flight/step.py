@@ -9,7 +9,7 @@ from maxq.control.records import Array
 from maxq.control.tables import interpolate_into
 from maxq.sim.dynamics.derivative import complete, derivative
 from maxq.sim.dynamics.schedule import THRUST_VACUUM
-from maxq.sim.dynamics.state import Q_BI, pendulum_index, state_size
+from maxq.sim.dynamics.state import Q_BI, counts, pendulum_index, state_size
 from maxq.sim.flight.injection import BODY_FORCE, BODY_TORQUE, total_signal
 from maxq.sim.flight.parameters import Memory, Parameters
 
@@ -62,7 +62,7 @@ def runge_kutta(
 
     Classical method of order four (Hairer, Norsett & Wanner, Solving Ordinary Differential Equations I, table 1.2).
     """
-    n = state_size(p.vehicle.sizes)
+    n = state_size(counts(p.vehicle.sizes))
     h = 1e-9 * step_ns
     read_schedule(p, pool, memory, now_ns, 0.5 * h, props_middle)
     read_schedule(p, pool, memory, now_ns, h, props_end)
@@ -90,8 +90,9 @@ def restore_constraints(p: Parameters, y: Array) -> None:
     scale = 1.0 / math.sqrt(a * a + b * b + c * c + d * d)
     for j in range(4):
         y[Q_BI + j] *= scale
-    for tank in range(p.vehicle.sizes.tanks):
-        i = pendulum_index(p.vehicle.sizes, tank)
+    sizes = counts(p.vehicle.sizes)
+    for tank in range(sizes.tanks):
+        i = pendulum_index(sizes, tank)
         scale = 1.0 / math.sqrt(y[i] * y[i] + y[i + 1] * y[i + 1] + y[i + 2] * y[i + 2])
         for j in range(3):
             y[i + j] *= scale

@@ -12,7 +12,6 @@ from typing import NamedTuple
 import numpy as np
 from mcap import records
 from mcap.opcode import Opcode
-from numpy.typing import NDArray
 
 from maxq.control.records import Array, IntArray
 from maxq.sim.log.channels import EVENTS_TOPIC, FRAMES_TOPIC, Channel, ChannelTable
@@ -157,6 +156,7 @@ def read_log(path: str | Path) -> Log:
             events += columns.add_chunk(chunk_content(data, frame))
         except ValueError as error:
             notes.append(f"chunk {number} of {len(places.chunks)} was left out: {error}")
+    del data
     times_ns, values = columns.arrays()
 
     end = places.end_record or {}
@@ -311,10 +311,13 @@ class _Columns:
         self._layouts = {
             topic.name: message_dtype(doubles_template(len(topic.channels)).dtype) for topic in head.table.topics
         }
-        self._parts: dict[str, list[NDArray[np.void]]] = {name: [] for name in self._topics}
+        self._parts: dict[str, list[tuple[IntArray, Array]]] = {name: [] for name in self._topics}
 
     def add_chunk(self, content: bytes) -> list[Event]:
-        """Take in a chunk, whole or not at all; returns its events. Raises ValueError where it is damaged."""
+        """Take in a chunk, whole or not at all; returns its events. Raises ValueError where it is damaged.
+
+        Its numbers are copied out at once, while they are near in memory: nothing holds on to `content`.
+        """
         events: list[Event] = []
         parts = []
         for channel_id, runs in message_runs(content).items():
@@ -324,9 +327,12 @@ class _Columns:
             if topic == EVENTS_TOPIC:
                 events += [decode_event(payload) for payload in payloads(content, runs)]
             elif topic in self._layouts:
-                parts.append((topic, gather(content, runs, self._layouts[topic])))
-        for topic, rows in parts:
-            self._parts[topic].append(rows)
+                messages = gather(content, runs, self._layouts[topic])
+                values = np.empty((len(self._topics[topic].channels), len(messages)))
+                get_values(messages["payload"], values)
+                parts.append((topic, messages["log_time"].astype(np.int64), values))
+        for topic, times_ns, values in parts:
+            self._parts[topic].append((times_ns, values))
         return events
 
     def arrays(self) -> tuple[dict[str, IntArray], dict[str, dict[str, Array]]]:
@@ -335,14 +341,7 @@ class _Columns:
         values: dict[str, dict[str, Array]] = {}
         for name, topic in self._topics.items():
             parts = self._parts.pop(name)
-            n = sum(len(part) for part in parts)
-            times_ns[name] = np.empty(n, np.int64)
-            matrix = np.empty((len(topic.channels), n))
-            first = 0
-            for part in parts:
-                rows = slice(first, first + len(part))
-                times_ns[name][rows] = part["log_time"]
-                get_values(part["payload"], matrix[:, rows])
-                first = rows.stop
+            times_ns[name] = np.concatenate([np.zeros(0, np.int64), *(times for times, _ in parts)])
+            matrix = np.concatenate([np.empty((len(topic.channels), 0)), *(rows for _, rows in parts)], axis=1)
             values[name] = {channel.name: matrix[i] for i, channel in enumerate(topic.channels)}
         return times_ns, values

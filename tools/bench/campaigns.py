@@ -16,12 +16,12 @@ import time
 from pathlib import Path
 from typing import Any
 
+from maxq.sim.campaign.flying import packer
 from maxq.sim.campaign.plan import LoadedCampaign, load_campaign
 from maxq.sim.campaign.runner import Progress, cores, load_kernels, run_campaign
 from maxq.sim.flight.fly import FlightRun
-from maxq.sim.packing.flight import pack_flight
 
-RUNS = 64
+RUNS = 512  # enough for kernels of their own
 SHORT = ("run.duration_s=0.02", "run.stop_at=[]", "campaign.keep=[]", "campaign.batch=256")
 _FLOWN, _ROWS = 4000, 100_000
 
@@ -32,11 +32,11 @@ def _ksr3(*overrides: str) -> LoadedCampaign:
 
 def kernel_cpu_s(campaign: LoadedCampaign, runs: int) -> float:
     """Processor time inside the kernel, from lift-off to burn-out, of the first runs."""
-    batch = campaign.batch(0, runs)
+    batch, pack = campaign.batch(0, runs), packer(campaign)
     total = 0.0
     for run in range(runs):
         loaded = batch.inputs(run).loaded
-        flight = FlightRun(loaded, pack_flight(loaded.scenario), log=False, segment_ns=10_000_000_000)
+        flight = FlightRun(loaded, pack(loaded.scenario), log=False, segment_ns=10_000_000_000)
         start = time.thread_time()
         while not flight.finished:
             flight.fly_segment()
@@ -50,20 +50,20 @@ def local(runs: int = RUNS) -> dict[str, float]:
     load_kernels(campaign)
     workers = cores()
     with tempfile.TemporaryDirectory() as scratch:
-        kernel_s = kernel_cpu_s(campaign, runs // 2)
+        kernel_s = kernel_cpu_s(campaign, runs // 8)
         start, cpu = time.perf_counter(), time.process_time()
         run_campaign(campaign, Path(scratch) / "one", workers=1)
         one_s, cpu_s = time.perf_counter() - start, time.process_time() - cpu
         start = time.perf_counter()
         run_campaign(campaign, Path(scratch) / "all", workers=workers)
         all_s = time.perf_counter() - start
-        kernel_s += kernel_cpu_s(campaign, runs // 2)  # half before, half after: the machine's speed wanders
+        kernel_s += kernel_cpu_s(campaign, runs // 8)  # some before, some after: the machine's speed wanders
     return {
         "runs": runs,
         "workers": workers,
-        "kernel_cpu_s": round(kernel_s / (2 * (runs // 2)), 4),
+        "kernel_cpu_s": round(kernel_s / (2 * (runs // 8)), 4),
         "campaign_cpu_s": round(cpu_s / runs, 4),
-        "overhead_percent": round(100.0 * (cpu_s / runs / (kernel_s / (2 * (runs // 2))) - 1.0), 1),
+        "overhead_percent": round(100.0 * (cpu_s / runs / (kernel_s / (2 * (runs // 8))) - 1.0), 1),
         "one_per_s": round(runs / one_s, 2),
         "all_per_s": round(runs / all_s, 2),
         "efficiency_percent": round(100.0 * one_s / all_s / workers, 1),

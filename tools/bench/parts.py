@@ -119,7 +119,7 @@ def repeat_part(P: Array, pool: Array, state: Array, y: Array, arena: Array, tur
             evaluate(p, pool, memory, now, 0.0, props, y, k_1, work, aux)
         elif part == 2:
             rotation = rotation_from_quaternion(y[Q_BI], y[Q_BI + 1], y[Q_BI + 2], y[Q_BI + 3])
-            total += surroundings(around, pool, memory.gusts, held.turbulence_phase, rotation, y, aux)[0]
+            total += surroundings(around, pool, memory.gusts, held.turbulence_phase, rotation, y, work, aux)[0]
         elif part == 3:
             total += gravitation(around.earth, y[R_I], y[R_I + 1], y[R_I + 2])[0]
         elif part == 4:

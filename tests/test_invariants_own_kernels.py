@@ -1,0 +1,65 @@
+"""Kernels that are compiled for one vehicle's sizes fly the same bits as those for all vehicles."""
+
+import numpy as np
+import pytest
+
+from maxq.control.records import constants_in, pack, with_constants
+from maxq.sim.campaign import flying
+from maxq.sim.campaign.flying import fly_row
+from maxq.sim.campaign.plan import load_campaign
+from maxq.sim.dynamics.state import Sizes, counts
+from maxq.sim.flight.fly import FlightRun
+from maxq.sim.packing.flight import pack_flight, pack_for_one_vehicle
+from maxq.sim.scenario.loader import load_scenario
+
+SHORT = ["run.duration_s=12.0", "run.stop_at=[]", "campaign.keep=[]"]
+
+
+@pytest.fixture(scope="module")
+def campaign():
+    return load_campaign("campaigns/ksr3", SHORT)
+
+
+def test_a_campaign_worth_it_flies_the_same_bits(campaign, monkeypatch):
+    assert flying.packer(campaign.with_campaign(runs=flying.OWN_KERNELS_FROM)) is pack_for_one_vehicle
+    few = campaign.with_campaign(runs=flying.OWN_KERNELS_FROM - 1)
+    assert flying.packer(few) is pack_flight
+    common = [fly_row(few, few.batch(0, 3), run) for run in range(3)]
+    monkeypatch.setattr(flying, "OWN_KERNELS_FROM", 1)
+    own = [fly_row(few, few.batch(0, 3), run) for run in range(3)]
+    assert {row.outcome for row in common} == {"duration"}
+    assert [row.state_hash for row in own] == [row.state_hash for row in common]
+    assert list(map(repr, own)) == list(map(repr, common))  # repr: nan is nan, and digits are all there
+    assert len({row.state_hash for row in own}) == 3
+
+
+def test_every_log_row_is_the_same(campaign):
+    loaded = campaign.batch(0, 1).inputs(0).loaded
+    flights = [FlightRun(loaded, packing(loaded.scenario)) for packing in (pack_flight, pack_for_one_vehicle)]
+    for _ in range(2):
+        rows, own = (flight.fly_segment() for flight in flights)
+        for group in rows:
+            for common_part, own_part in zip(rows[group], own[group], strict=True):
+                assert np.array_equal(common_part, own_part, equal_nan=True)
+
+
+def test_the_type_tells_the_sizes():
+    plain = pack_flight(load_scenario("nominal").scenario).parameters
+    telling = pack_for_one_vehicle(load_scenario("nominal").scenario).parameters
+    known = constants_in(telling.dtype["vehicle"]["sizes"].names)
+    assert known == {name: int(plain["vehicle"]["sizes"][name][0]) for name in Sizes.__dataclass_fields__}
+    assert constants_in(plain.dtype["vehicle"]["sizes"].names) == {}
+    assert telling.tobytes() == plain.tobytes()
+    assert telling.dtype.itemsize == plain.dtype.itemsize
+    assert isinstance(telling[0], np.record)
+
+
+def test_stages_of_unlike_sizes_stay_with_the_common_kernels():
+    rows = np.zeros(2, pack_flight(load_scenario("nominal").scenario).parameters.dtype)
+    rows["vehicle"]["sizes"]["tanks"] = 1, 2
+    assert with_constants(rows, "vehicle", "sizes") is rows
+
+
+def test_uncompiled_source_reads_the_record():
+    sizes = with_constants(pack([Sizes(1, 2, 3, 4)]))[0]
+    assert getattr(counts, "py_func", counts)(sizes) == (1, 2, 3, 4)
