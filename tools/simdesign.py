@@ -14,6 +14,7 @@ DESIGNED, INFEASIBLE, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
 
 _USAGE = (
     "simdesign CASE [--out DIR] [--starts N] [--seed N] [--set KEY=VALUE]... [--orders] [--no-pictures]\n"
+    "       simdesign CASE... --verify [--suite SUITE] [and the options of CASE]\n"
     "       simdesign analyse DESIGN [--at T]... [--scenario S] [--kind K] [--axis A] [--out DIR] [--no-pictures]\n"
     "       simdesign errata [DESIGN] [--at T]... [--scenario S] [--out FILE]\n"
     "       simdesign --list | --version | --help"
@@ -23,6 +24,7 @@ examples:
   simdesign ksr3-identical                       optimise the built-in case of that name
   simdesign mine.toml --out runs/mine               optimise your own; fly it with
   simrun nominal --set design=runs/mine/design.toml
+  simdesign ksr3-identical ksr3-robust --verify     design both, then simverify the better one, and the other if need be
   simdesign analyse ksr3-default                    margins of a built-in design at every node
   simdesign analyse runs/mine --at 30 --at 45       of the design that a case has left there, at two times
   simdesign errata                                  what each erratum of the paper does to peaks and margins
@@ -32,6 +34,7 @@ exit code:
     0  designed, all limits met; with analyse: stable at every node, and all limits met that the design states
     1  infeasible (the best effort is written, and marked); with analyse: unstable or a limit missed
     2  bad input, nothing written
+    with --verify: 0 one accepted, 1 none accepted, 3 none accepted and more runs needed, as with simverify
   130  interrupted, the best design so far is kept
 """
 ANALYSE, ERRATA = "analyse", "errata"
@@ -40,6 +43,8 @@ _ONLY = {  # option: what it may stand with; a case is ""
     "--seed": ("",),
     "--set": ("",),
     "--orders": ("",),
+    "--verify": ("",),
+    "--suite": ("",),
     "--out": ("", ANALYSE, ERRATA),
     "--no-pictures": ("", ANALYSE),
     "--at": (ANALYSE, ERRATA),
@@ -99,6 +104,8 @@ def _parser() -> argparse.ArgumentParser:
         help="override a value of the case, e.g. limits.gain_margin_db=7; repeatable",
     )  # fmt: skip
     add("--orders", action="store_true", help="also F2 to F6 with all three gain schedules: the paper's Fig. 9")
+    add("--verify", action="store_true", help="then try what was designed, best first, until simverify accepts one")
+    add("--suite", metavar="SUITE", help="with --verify: what has to be passed (default: standard)")
     add("--at", type=_seconds, metavar="T", action="append", help="judge at this vehicle time, s; repeatable")
     add("--scenario", metavar="S", help="scenario whose flight gives the nodes (default: nominal)")
     add("--vehicle", metavar="V", help="vehicle folder instead of the scenario's")
@@ -152,7 +159,7 @@ def _run(arguments: list[str]) -> int:
         parser.error("give a case, e.g. simdesign ksr3-identical, or analyse DESIGN")
     if len(actions) > 1:
         parser.error(f"{actions[0]} and {actions[1]} exclude each other")
-    if len(names) > 1:
+    if len(names) > 1 and (command or not options.verify):
         close = difflib.get_close_matches(names[0], (ANALYSE, ERRATA, "analyze"), 1, 0.7)
         hint = f"did you mean {ANALYSE if close[0] == 'analyze' else close[0]}?" if close else "one at a time"
         parser.error(f"what is {names[0 if close else 1]!r}? {hint}")
@@ -164,6 +171,10 @@ def _run(arguments: list[str]) -> int:
             parser.error(f"{option} means nothing with {actions[0]}")
     if options.out == "":
         parser.error("--out needs a name")
+    if options.suite is not None and not options.verify:
+        parser.error("--suite means nothing without --verify")
+    if len(set(names)) < len(names):
+        parser.error("a case is named twice")
     if options.version:
         from importlib.metadata import version  # noqa: PLC0415  # lazy, as all imports here: --help is quick
 
@@ -193,17 +204,25 @@ def _run(arguments: list[str]) -> int:
     from maxq.tools.design.run_case import Order as CaseOrder  # noqa: PLC0415  # lazy
     from maxq.tools.design.run_case import execute as execute_case  # noqa: PLC0415
 
-    return execute_case(
+    orders = [
         CaseOrder(
-            names[0],
-            tuple(options.overrides),
-            options.out,
-            options.starts,
-            options.seed,
-            not options.no_pictures,
-            options.orders,
+            name, tuple(options.overrides), _folder(options.out, name, len(names)), options.starts, options.seed,
+            not options.no_pictures, options.orders,
         )
-    )
+        for name in names
+    ]  # fmt: skip
+    if options.verify:
+        from maxq.tools.verify.candidates import execute as execute_candidates  # noqa: PLC0415  # lazy
+
+        return execute_candidates(orders, options.suite or "standard", not options.no_pictures)
+    return execute_case(orders[0])
+
+
+def _folder(out: str | None, case: str, cases: int) -> str | None:
+    """Several cases get a folder each inside --out."""
+    if out is None or cases == 1:
+        return out
+    return os.path.join(out, os.path.basename(case).removesuffix(".toml"))
 
 
 def _unknown(argument: str, parser: argparse.ArgumentParser) -> str:

@@ -39,16 +39,37 @@ class Order:
     orders: bool = False
 
 
+@dataclass(frozen=True)
+class Made:
+    """What came of a case: the exit code, and the design in its folder. `orders`: those of --orders, else None."""
+
+    code: int
+    folder: Path
+    outcome: Outcome
+    solution: Solution
+    orders: Found | None
+
+    @property
+    def interrupted(self) -> bool:
+        return self.code == _INTERRUPTED
+
+    @property
+    def meets_limits(self) -> bool:
+        """All limits of the case."""
+        return self.outcome.feasible and self.solution.feasible
+
+
 def execute(order: Order) -> int:
     """Do it; returns the exit code. Whatever is wrong with the input is one line on stderr."""
     try:
-        return _execute(order)
+        return make(order).code
     except ScenarioError as error:
         print(f"simdesign: {printable(str(error))}", file=sys.stderr)
         return _BAD_INPUT
 
 
-def _execute(order: Order) -> int:
+def make(order: Order) -> Made:
+    """Optimise the case, write and print what came of it. Raises ScenarioError."""
     begun_s = time.perf_counter()
     from maxq.design.case.read import read_case  # noqa: PLC0415  # lazy, as all imports here
     from maxq.design.optimise.solve import nominal_plants, solve  # noqa: PLC0415
@@ -99,8 +120,10 @@ def _execute(order: Order) -> int:
     print(f"\n{len(files)} files in {folder}/; {time.perf_counter() - begun_s:.1f} s in all")
     print(_verdict(outcome, solution, folder))
     if solution.status == "interrupted" or cut_short or interruption.requested:
-        return _INTERRUPTED
-    return _DESIGNED if outcome.feasible and solution.feasible else _INFEASIBLE
+        code = _INTERRUPTED
+    else:
+        code = _DESIGNED if outcome.feasible and solution.feasible else _INFEASIBLE
+    return Made(code, folder, outcome, solution, orders)
 
 
 def _verdict(outcome: Outcome, solution: Solution, folder: Path) -> str:

@@ -127,28 +127,3 @@ def write_pack(found: Verification, folder: Path, command: str, pack: bool) -> l
 
         files += write_page(folder, found, command)
     return files
-
-
-def try_in_order(
-    designs: Sequence[str], suite: str = "standard", tell: Callable[[str], None] = print
-) -> tuple[str | None, list[Verification]]:
-    """Verify candidates in order of merit until one is accepted: what `simdesign --verify` does.
-
-    Says of each what it failed. Returns the accepted design, or None, and all that was found. Raises ScenarioError.
-    """
-    from maxq.design.verify.memory import default_folder  # noqa: PLC0415  # lazy
-    from maxq.design.verify.suite import read_suite  # noqa: PLC0415
-    from maxq.design.verify.verify import verify  # noqa: PLC0415
-    from maxq.tools.design.design_file import design_path  # noqa: PLC0415
-    from maxq.tools.verify import text  # noqa: PLC0415
-
-    loaded, found = read_suite(suite), []
-    for design in designs:
-        one = verify(design_path(design), loaded, memory=default_folder())
-        found.append(one)
-        tell(text.headline(one))
-        for line in text.reasons(one):
-            tell(line)
-        if one.judgement == "accepted":
-            return design, found
-    return None, found

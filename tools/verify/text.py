@@ -40,12 +40,12 @@ def reasons(found: Verification) -> list[str]:
     return out
 
 
-def headline(found: Verification) -> str:
-    """The verdict."""
+def headline(found: Verification, name: str = "") -> str:
+    """The verdict; `name` is the design's for people."""
     counts = [f"{len(found.of(j))} {j}" for j in (ACCEPTED, REJECTED, UNDECIDED) if found.of(j)]
     more = f", {found.more_runs} more runs would settle it" if found.judgement == UNDECIDED and found.more_runs else ""
     said = f"of {len(found.requirements)} requirements {', '.join(counts)}{more}"
-    return f"{found.judgement.upper()}: {found.design}; {said}"
+    return f"{found.judgement.upper()}: {printable(name or found.design)}; {said}"
 
 
 def ranked(every: Sequence[Verification]) -> list[Verification]:

@@ -1,0 +1,116 @@
+"""`simdesign CASE... --verify` and `try_in_order`: candidates are tried, best first, until one is accepted."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from pathlib import Path
+
+import pytest
+
+from maxq.tools import simdesign
+from maxq.tools.verify.candidates import Candidate, in_order
+from maxq.tools.verify.in_order import try_in_order
+
+Printed = pytest.CaptureFixture[str]
+CASES = ("ksr3-identical", "ksr3-relaxed")
+SMALL = ("--starts", "2", "--set", "nodes_s=[10, 40]", "--set", "filter.structure=F2", "--no-pictures")
+SUITE = """
+schema = 1
+[margins]
+times_s = [20.0, 40.0]
+cases = 0
+corner_sigmas = 0.0
+[margins.nominal]
+aero_gain_db = {aero_db}
+"""
+
+
+@pytest.fixture(autouse=True)
+def _in_an_empty_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("maxq.tools.verify.in_order.default_folder", lambda: tmp_path / "memory")
+
+
+def _suite(aero_db: float) -> str:
+    Path("suite.toml").write_text(SUITE.format(aero_db=aero_db))
+    return "suite.toml"
+
+
+def _run(*arguments: str) -> int:
+    try:
+        return simdesign.main(list(arguments))
+    except SystemExit as end:
+        return int(str(end.code))
+
+
+def test_second_candidate_is_accepted_when_the_first_fails(capsys: Printed) -> None:
+    """The relaxed case has the lower peak of mode 1, so it goes first; its aerodynamic margin is 9.6 dB."""
+    assert _run(*CASES, *SMALL, "--verify", "--suite", _suite(10.0), "--out", "out") == 0
+    said = capsys.readouterr().out.splitlines()
+    table = said[said.index("candidates in order of merit") :]
+    assert table[2].split()[:2] == ["1", "out/ksr3-relaxed"]
+    assert table[3].split()[:2] == ["2", "out/ksr3-identical"]
+    failed = next(n for n, line in enumerate(said) if line.startswith("REJECTED: out/ksr3-relaxed"))
+    assert said[failed + 1].startswith("  rejected: aerodynamic gain margin, as designed: 9.6")
+    assert any(line.startswith("ACCEPTED: out/ksr3-identical") for line in said[failed:])
+    assert said[-1].startswith("ACCEPTED by the suite suite.toml: out/ksr3-identical, candidate 2 of 2")
+    verdicts = {case: json.loads(Path("out", case, "verdict.json").read_text())["verdict"] for case in CASES}
+    assert verdicts == {"ksr3-identical": "accepted", "ksr3-relaxed": "rejected"}
+
+
+def test_none_accepted_says_what_each_failed(capsys: Printed) -> None:
+    assert _run(*CASES, *SMALL, "--verify", "--suite", _suite(20.0), "--out", "out") == 1
+    said = capsys.readouterr().out
+    assert said.count("  rejected: aerodynamic gain margin, as designed") == 2
+    assert said.splitlines()[-1] == "NONE ACCEPTED by the suite suite.toml"
+
+
+def test_designs_are_tried_until_one_is_accepted() -> None:
+    """Of three the second is accepted (rigid phase margins 38 and 61 deg): the third is not looked at."""
+    told: list[str] = []
+    kept: list[str] = []
+    designs = ("ksr3-two-phase", "ksr3-robust", "ksr3-default")
+    accepted, every = try_in_order(
+        designs, _suite(6.0), ["margins.nominal.phase_deg=50.0"], tell=told.append, keep=lambda d, _: kept.append(d)
+    )  # fmt: skip
+    assert accepted == "ksr3-robust"
+    assert [v.judgement for v in every] == ["rejected", "accepted"]
+    assert kept == ["ksr3-two-phase", "ksr3-robust"]
+    assert told[0].startswith("REJECTED: ksr3-two-phase")
+    assert told[1].startswith("  rejected: phase margin, rigid body, as designed: 38.47 deg")
+    assert told[-1].startswith("ACCEPTED: ksr3-robust")
+    nothing, all_ = try_in_order(designs, _suite(50.0), tell=told.append)
+    assert nothing is None
+    assert [v.judgement for v in all_] == ["rejected"] * 3
+
+
+def test_stop_ends_before_the_next_design() -> None:
+    accepted, every = try_in_order(("ksr3-robust",), _suite(6.0), tell=lambda line: None, stop=lambda: True)
+    assert (accepted, every) == (None, [])
+
+
+def test_order_of_merit() -> None:
+    quiet = Candidate(Path("a"), True, "peak", -12.0, 0.3)
+    loud = dataclasses.replace(quiet, folder=Path("b"), objective_db=2.0, modulus=0.5)
+    missed = dataclasses.replace(quiet, folder=Path("c"), meets_limits=False, objective_db=-20.0, modulus=0.6)
+    other = dataclasses.replace(loud, folder=Path("d"), kind="least-margin", objective_db=6.0)
+    assert in_order([missed, loud, quiet]) == [quiet, loud, missed]
+    assert in_order([missed, quiet, other]) == [other, quiet, missed]  # not comparable: the least |1 + L| decides
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (("ksr3-relaxed", "--suite", "quick"), "--suite means nothing without --verify"),
+        (("ksr3-relaxed", "ksr3-relaxed", "--verify"), "a case is named twice"),
+        (("ksr3-relaxed", "--verify", "--suite", "quik"), "did you mean quick?"),
+        (("analyse", "ksr3-robust", "--verify"), "--verify means nothing with analyse"),
+    ],
+)
+def test_wrong_input_is_one_line(words: tuple[str, ...], said: str, capsys: Printed) -> None:
+    assert _run(*words) == 2
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert err.count("\n") == 1
+    assert said in err

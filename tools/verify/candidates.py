@@ -1,0 +1,109 @@
+"""`simdesign CASE... --verify`: what has been designed is tried in order of merit until the harness accepts one."""
+
+from __future__ import annotations
+
+import shlex
+import sys
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from maxq.design.verify.suite import read_suite
+from maxq.design.verify.verdict import UNDECIDED
+from maxq.design.verify.verify import Verification
+from maxq.sim.campaign.error import CampaignError
+from maxq.sim.scenario.errors import ScenarioError
+from maxq.sim.scenario.schema_design import Design
+from maxq.tools.design import run_case
+from maxq.tools.design.design_file import DESIGN_NAME, design_text, write_whole
+from maxq.tools.design.judging import judge
+from maxq.tools.design.outcome import make_design
+from maxq.tools.design.progress import Progress
+from maxq.tools.interruption import Interruption
+from maxq.tools.plain_text import aligned, printable
+from maxq.tools.verify.in_order import try_in_order
+from maxq.tools.verify.run import write_pack
+
+_ACCEPTED, _NONE, _BAD_INPUT, _UNDECIDED, _INTERRUPTED = 0, 1, 2, 3, 130
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """A design in a folder. `objective_db` is the case's, less is better; `modulus` the least |1 + L| as it flies."""
+
+    folder: Path
+    meets_limits: bool
+    kind: str
+    objective_db: float
+    modulus: float
+
+
+def execute(orders: Sequence[run_case.Order], suite: str, pack: bool = True) -> int:
+    """Design each case, then verify in order of merit; returns the exit code. Wrong input is one line on stderr."""
+    try:
+        read_suite(suite)  # before minutes go into designing
+        made = []
+        for order in orders:
+            made.append(run_case.make(order))
+            if made[-1].interrupted:
+                return _INTERRUPTED
+            print()
+        return _verify([c for one in made for c in candidates(one)], suite, pack)
+    except (ScenarioError, CampaignError) as error:
+        print(f"simdesign: {printable(str(error))}", file=sys.stderr)
+        return _BAD_INPUT
+
+
+def candidates(made: run_case.Made) -> Iterator[Candidate]:
+    """The case's design, and with --orders those of every filter and schedule that meet the limits."""
+    nodes = [j.node for j in made.outcome.judged]
+    kind = made.solution.case.objective.kind
+
+    def modulus(design: Design) -> float:
+        return min(j.margins.modulus if j.margins.stable else -1.0 for j in judge(nodes, design, "sampled"))
+
+    yield Candidate(
+        made.folder, made.meets_limits, kind, made.solution.objective_db, modulus(made.outcome.design)
+    )  # fmt: skip
+    for (structure, schedule), (loaded, solution) in (made.orders or {}).items():
+        if solution.feasible:
+            design, folder = make_design(loaded, solution), made.folder / f"{structure}-{schedule}"
+            write_whole(folder / DESIGN_NAME, design_text(design, [f"{structure} with {schedule} gains, of --orders"]))
+            yield Candidate(folder, True, kind, solution.objective_db, modulus(design))
+
+
+def in_order(found: Sequence[Candidate]) -> list[Candidate]:
+    """Those that meet their cases' limits first; then by the objective where all have the same, else by the least
+    |1 + L|, which can be compared."""
+    same = len({c.kind for c in found}) < 2
+    return sorted(found, key=lambda c: (not c.meets_limits, c.objective_db if same else -c.modulus))
+
+
+def _verify(found: Sequence[Candidate], suite: str, pack: bool) -> int:
+    ranked = in_order(found)
+    rows = [("", "candidate", "objective, dB", "least |1 + L|", "limits of its case")]
+    rows += [
+        (str(n), str(c.folder), f"{c.objective_db:.3f}", f"{c.modulus:.3f}" if c.modulus > 0.0 else "unstable",
+         "met" if c.meets_limits else "MISSED")
+        for n, c in enumerate(ranked, 1)
+    ]  # fmt: skip
+    print("\n".join(["candidates in order of merit", *aligned(rows, "  ", right=(0, 2, 3))]) + "\n")
+
+    def keep(design: str, verified: Verification) -> None:
+        write_pack(verified, Path(design), shlex.join(["simverify", design, "--suite", suite, "--out", design]), pack)
+
+    names = [str(c.folder) for c in ranked]
+    with Interruption() as interruption, Progress() as progress:
+        accepted, every = try_in_order(
+            names, suite, keep=keep, watch=progress.show, stop=lambda: interruption.requested
+        )  # fmt: skip
+    if interruption.requested:
+        print("simdesign: interrupted; what was worked out is kept, the same command goes on", file=sys.stderr)
+        return _INTERRUPTED
+    count = "the only candidate" if len(names) == 1 else f"candidate {len(every)} of {len(names)}"
+    if accepted is not None:
+        print(f"\nACCEPTED by the suite {suite}: {accepted}, {count}; its review: {accepted}/review.html")
+        return _ACCEPTED
+    open_ = [name for name, v in zip(names, every, strict=True) if v.judgement == UNDECIDED]
+    print(f"\nNONE ACCEPTED by the suite {suite}" + (f"; undecided: {', '.join(open_)}" if open_ else ""))
+    return _UNDECIDED if open_ else _NONE
