@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import argparse
 import math
+import signal
 import sys
+from types import FrameType
 from typing import NoReturn
 
 SHOWN, PARTLY, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
@@ -104,6 +106,8 @@ def main(arguments: list[str] | None = None) -> int:
     for stream in (sys.stdout, sys.stderr):
         if hasattr(stream, "reconfigure"):
             stream.reconfigure(errors="replace")  # a terminal that lacks a letter is no reason to fail
+    if arguments is None:  # as a program, not from Python
+        signal.signal(signal.SIGTERM, _end)
     try:
         return _run(sys.argv[1:] if arguments is None else arguments)
     except KeyboardInterrupt:
@@ -111,6 +115,11 @@ def main(arguments: list[str] | None = None) -> int:
     except BrokenPipeError:  # whoever read our output, such as `head`, has seen enough
         sys.stderr.close()
         return SHOWN
+
+
+def _end(number: int, frame: FrameType | None) -> NoReturn:
+    """Leave by way of every `finally`: viewers and temporary files go, too."""
+    sys.exit(128 + number)
 
 
 def _run(arguments: list[str]) -> int:

@@ -52,7 +52,8 @@ def main() -> int:
         for flights, time_s, tab, picture in SHOTS:
             opened, _ = open_flights([str(folder / flight) for flight in flights])
             save(opened, Options(tab=tab, side_by_side=True), folder / "shot.rrd")
-            shots, complaints = viewer.pictures(folder / "shot.rrd", [time_s])
+            with viewer.Headless() as running:
+                shots, complaints = viewer.pictures(running, folder / "shot.rrd", [time_s])
             assert not complaints, complaints
             _keep(shots[0], target / f"{picture}.png")
         for flight, tab in SHEETS:

@@ -42,7 +42,9 @@ def _of_intervals(values: Array, starts: NDArray[np.intp]) -> NDArray[np.intp]:
         found = np.concatenate([base + low, base + high, *edges])
     else:
         found = np.concatenate([_piece(values, a, a + w) for a, w in zip(starts, lengths, strict=True)])
-    return np.unique(np.concatenate([found, [0, n - 1]]))
+    kept = np.zeros(n, bool)
+    kept[found] = kept[0] = kept[n - 1] = True
+    return np.flatnonzero(kept)
 
 
 def _piece(values: Array, start: int, end: int) -> NDArray[np.intp]:

@@ -9,12 +9,16 @@ import sys
 import tempfile
 from collections.abc import Iterator, Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from maxq.tools.plain_text import printable
-from maxq.tools.replay.collect import open_flights
+from maxq.tools.replay.collect import find_logs, open_flights
 from maxq.tools.replay.error import ReplayError
 from maxq.tools.replay.flight import ReplayFlight
 from maxq.tools.replay.web_page import LOCAL
+
+if TYPE_CHECKING:
+    from maxq.tools.replay.viewer import Headless
 
 _SHOWN, _PARTLY, _NOTHING, _INTERRUPTED = 0, 1, 2, 130
 _WEB_PORT = 9090
@@ -24,10 +28,11 @@ def execute(given: argparse.Namespace) -> int:
     """Do what the command line asks for; returns the exit code."""
     try:
         _check_before(given)
-        flights, complaints = open_flights(given.logs)
-        for complaint in complaints:
-            _say(complaint)
-        done = _show(flights, given)
+        with _headless(given) as viewer:
+            flights, complaints = open_flights(given.logs)
+            for complaint in complaints:
+                _say(complaint)
+            done = _show(flights, given, viewer)
     except ReplayError as error:
         _say(str(error))
         return _NOTHING
@@ -56,11 +61,26 @@ def _check_before(given: argparse.Namespace) -> None:
     viewer.executable()
     if given.web:
         viewer.check_port(_WEB_PORT if given.port is None else given.port)
-    elif not given.screenshot:
+    elif given.screenshot:
+        _check_writable(Path(given.screenshot))
+    else:
         viewer.check_display()
 
 
-def _show(flights: list[ReplayFlight], given: argparse.Namespace) -> int:
+@contextlib.contextmanager
+def _headless(given: argparse.Namespace) -> Iterator[Headless | None]:
+    """The viewer for a picture: it starts beside the reading of the logs."""
+    if not given.screenshot:
+        yield None
+        return
+    from maxq.tools.replay import viewer  # noqa: PLC0415  # lazy
+
+    find_logs(given.logs)  # nothing is started for a name that was mistyped
+    with viewer.Headless(given.size or viewer.WINDOW) as running:
+        yield running
+
+
+def _show(flights: list[ReplayFlight], given: argparse.Namespace, viewer: Headless | None) -> int:
     if given.summary:
         from maxq.tools.replay.summary import summary_text  # noqa: PLC0415  # lazy
 
@@ -82,8 +102,8 @@ def _show(flights: list[ReplayFlight], given: argparse.Namespace) -> int:
     with _temporary() as path:
         _convert(flights, given, path)
         flights.clear()  # the viewer has what it needs: the memory of the logs is free for it
-        if given.screenshot:
-            return _screenshot(path, given)
+        if viewer is not None:
+            return _screenshot(viewer, path, given)
         if given.web:
             return _web(path, _WEB_PORT if given.port is None else given.port)
         return _window(path)
@@ -112,12 +132,11 @@ def _temporary() -> Iterator[Path]:
         yield Path(folder) / "replay.rrd"
 
 
-def _screenshot(rrd: Path, given: argparse.Namespace) -> int:
-    from maxq.tools.replay import viewer  # noqa: PLC0415  # lazy
+def _screenshot(viewer: Headless, rrd: Path, given: argparse.Namespace) -> int:
+    from maxq.tools.replay.viewer import pictures  # noqa: PLC0415  # lazy
 
     target = Path(given.screenshot)
-    _check_writable(target)
-    shots, complaints = viewer.pictures(rrd, given.at, given.size or viewer.WINDOW)
+    shots, complaints = pictures(viewer, rrd, given.at)
     for complaint in complaints:
         _say(complaint)
     for time_s, shot in zip(given.at, shots, strict=True):

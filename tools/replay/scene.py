@@ -23,7 +23,7 @@ from maxq.tools.replay.bent_body import bent_line, modal_coordinates
 from maxq.tools.replay.colours import BLUE, GREY, ORANGE, SKY, VERMILION, rgba
 from maxq.tools.replay.earth_frame import LaunchSite, Path3D, path_of
 from maxq.tools.replay.flight import Channels, Moment
-from maxq.tools.replay.sending import changed, every, times
+from maxq.tools.replay.sending import changed, every, matrices, times
 from maxq.tools.replay.vehicle_meshes import vehicle_meshes
 from maxq.tools.replay.vehicle_shape import TankShape, VehicleShape
 
@@ -263,7 +263,7 @@ class Scene:
             matrix = np.broadcast_to(_EYE.ravel(), (len(k), 9)).copy()  # column by column
             matrix[:, 1:3] = -slope[k]
             move = np.stack([np.full(len(k), -a), start[k, 0], start[k, 1]], axis=1)
-            columns = rr.Transform3D.columns(translation=move, mat3x3=matrix.reshape(-1, 3, 3).transpose(0, 2, 1))
+            columns = rr.Transform3D.columns(translation=move, mat3x3=matrices(matrix))
             self._rec.send_columns(f"{hull}/piece_{i:02}", times(at[k]), columns)
 
     def _send_engine(self, hull: str, channels: Channels, k: Rows, at: IntArray, shift: Array, slope: Array) -> None:

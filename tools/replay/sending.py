@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pyarrow as pa
 import rerun as rr
 from numpy.typing import NDArray
 
@@ -15,6 +16,12 @@ APPLICATION = "maxq"
 def times(times_ns: IntArray) -> list[rr.TimeColumn]:
     """The time column of `send_columns`."""
     return [rr.TimeColumn(TIMELINE, duration=times_ns.astype("timedelta64[ns]"))]
+
+
+def matrices(columns: Array) -> pa.Array:
+    """Matrices (n, 9), column by column, for `Transform3D.columns`, which would convert other forms one by one."""
+    kind = rr.components.TransformMat3x3Batch(np.eye(3)).pa_array.type
+    return pa.FixedSizeListArray.from_arrays(pa.array(columns.astype("f4").ravel()), type=kind)
 
 
 def changed(values: Array, tolerance: float) -> NDArray[np.intp]:

@@ -7,6 +7,7 @@ its collection of usage data is switched off.
 from __future__ import annotations
 
 import contextlib
+import functools
 import importlib.util
 import os
 import socket
@@ -16,9 +17,11 @@ import tempfile
 import time
 from collections.abc import Iterator, Sequence
 from pathlib import Path
+from types import TracebackType
 from typing import TYPE_CHECKING
 
 from maxq.tools.replay.error import ReplayError
+from maxq.tools.replay.viewer_process import bound_process, end, run_bound
 from maxq.tools.replay.web_page import LOCAL, LocalPage
 
 if TYPE_CHECKING:
@@ -26,6 +29,7 @@ if TYPE_CHECKING:
 
 WINDOW = "1920x1080"
 _START_S, _STEADY_S = 30.0, 60.0
+_LAYOUTS, _LAYOUT_S = 10, 0.02
 _INSTALL = "pip install 'rerun-sdk==0.41.*'"
 
 
@@ -53,9 +57,9 @@ def environment() -> dict[str, str]:
 
 
 def _own_config() -> Path:
-    from maxq.control.jit import cache_folder  # noqa: PLC0415  # lazy: loads Numba
-
-    folder = cache_folder().parent / "viewer"
+    """Beside the kernels of `maxq.control.jit.cache_folder`, whose module takes a quarter of a second to load."""
+    user = os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")
+    folder = Path(os.environ.get("MAXQ_CACHE") or os.path.join(user, "maxq")) / "viewer"
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError:
@@ -111,8 +115,7 @@ def check_display() -> None:
 def show(rrd: Path) -> int:
     """Open a recording in a window and wait until it is closed; returns the viewer's exit code."""
     command = [str(executable()), str(rrd), "--bind", LOCAL, "--port", str(free_port())]
-    done = subprocess.run([*command, "--hide-welcome-screen"], env=environment(), check=False)
-    return done.returncode
+    return run_bound([*command, "--hide-welcome-screen"], environment())
 
 
 def window(port: int) -> subprocess.Popen[bytes]:
@@ -134,7 +137,7 @@ def served(rrd: Path, port: int) -> Iterator[tuple[subprocess.Popen[bytes], str]
     grpc, inner = free_port(), free_port()
     command = [str(executable()), str(rrd), "--serve-web", "--bind", LOCAL]
     command += ["--web-viewer-port", str(inner), "--port", str(grpc)]
-    server = subprocess.Popen(command, env=environment(), stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)
+    server = bound_process(command, environment())
     page = None
     try:
         _wait_for(server, inner)
@@ -144,8 +147,7 @@ def served(rrd: Path, port: int) -> Iterator[tuple[subprocess.Popen[bytes], str]
     finally:
         if page is not None:
             page.close()
-        server.terminate()
-        server.wait()
+        end(server)
 
 
 def _wait_for(process: subprocess.Popen[bytes], port: int) -> None:
@@ -177,37 +179,63 @@ _NO_DRIVER = (
 )
 
 
+class Headless:
+    """A viewer without a window. It starts at once, and beside whatever the caller does before `client`.
+
+    Ends with its block, and with the thread that made it. Raises ReplayError where it cannot run.
+    """
+
+    def __init__(self, window: str = WINDOW) -> None:
+        self._port = free_port()
+        command = [str(executable()), "--headless", "--bind", LOCAL, "--port", str(self._port)]
+        command += ["--window-size", window, "--hide-welcome-screen"]
+        self._process = bound_process(command, environment())
+
+    def __enter__(self) -> Headless:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        try:
+            if isinstance(error, RuntimeError | ConnectionError):
+                raise self._explained(error) from error
+        finally:
+            end(self._process)
+
+    @functools.cached_property
+    def client(self) -> ViewerClient:
+        """Drives it; waits until it answers."""
+        from rerun.experimental import ViewerClient  # noqa: PLC0415  # lazy: a quarter of a second
+
+        _wait_for(self._process, self._port)
+        return ViewerClient.connect(f"rerun+http://{LOCAL}:{self._port}/proxy")
+
+    def _explained(self, error: BaseException) -> ReplayError:
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            self._process.wait(timeout=2)  # the connection breaks before the program has ended
+        if self._process.returncode is not None:
+            return ReplayError(f"the Rerun viewer has stopped: {_last_words(self._process)}")
+        return ReplayError(f"the Rerun viewer does not do as it is told: {error}")
+
+
 @contextlib.contextmanager
 def headless(window: str = WINDOW) -> Iterator[ViewerClient]:
     """A viewer without a window, to be driven. Raises ReplayError where it cannot run."""
-    from rerun.experimental import ViewerClient  # noqa: PLC0415  # lazy: a quarter of a second
-
-    port = free_port()
-    command = [str(executable()), "--headless", "--bind", LOCAL, "--port", str(port)]
-    command += ["--window-size", window, "--hide-welcome-screen"]
-    process = subprocess.Popen(command, env=environment(), stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)
-    try:
-        _wait_for(process, port)
-        yield ViewerClient.connect(f"rerun+http://{LOCAL}:{port}/proxy")
-    except (RuntimeError, ConnectionError) as error:
-        with contextlib.suppress(subprocess.TimeoutExpired):
-            process.wait(timeout=2)  # the connection breaks before the program has ended
-        if process.returncode is not None:
-            raise ReplayError(f"the Rerun viewer has stopped: {_last_words(process)}") from error
-        raise ReplayError(f"the Rerun viewer does not do as it is told: {error}") from error
-    finally:
-        process.terminate()
-        try:
-            process.wait(timeout=5)
-        except subprocess.TimeoutExpired:
-            process.kill()
-            process.wait()
-        if process.stderr is not None:
-            process.stderr.close()
+    with Headless(window) as viewer:
+        yield viewer.client
 
 
 def steady_picture(viewer: ViewerClient, view_id: str | None = None) -> bytes:
-    """A PNG once two pictures in a row are equal and everything is loaded. Raises ReplayError if that never happens."""
+    """A PNG once two pictures in a row are equal and everything is loaded. Raises ReplayError if that never happens.
+
+    Painting takes half a second without a graphics card. What views need is fetched when they are laid out for the
+    first time, painted or not, and each question after the viewer's state lays them out: so it is asked a few times
+    before the first picture, which then is the last but one as a rule.
+    """
+    for _ in range(_LAYOUTS):
+        viewer.get_state()
+        time.sleep(_LAYOUT_S)
     deadline = time.monotonic() + _STEADY_S
     last = b""
     while time.monotonic() < deadline:
@@ -215,20 +243,19 @@ def steady_picture(viewer: ViewerClient, view_id: str | None = None) -> bytes:
         if picture == last and not viewer.get_state().loading:
             return picture
         last = picture
-        time.sleep(0.1)
     raise ReplayError("the picture does not come to rest")
 
 
-def pictures(rrd: Path, times_s: Sequence[float], window: str = WINDOW) -> tuple[list[bytes], list[str]]:
+def pictures(viewer: Headless, rrd: Path, times_s: Sequence[float]) -> tuple[list[bytes], list[str]]:
     """Pictures (PNG) of the whole window at these times, and what views complained of."""
-    with headless(window) as viewer:
-        viewer.open(str(rrd.resolve()))
-        shots, complaints = [], []
-        for time_s in times_s:
-            viewer.set_time("sim_time", duration=time_s, play_state="paused")
-            shots.append(steady_picture(viewer))
-            complaints += complaints_of(viewer)
-        return shots, list(dict.fromkeys(complaints))
+    client = viewer.client
+    client.open(str(rrd.resolve()))
+    shots, complaints = [], []
+    for time_s in times_s:
+        client.set_time("sim_time", duration=time_s, play_state="paused")
+        shots.append(steady_picture(client))
+        complaints += complaints_of(client)
+    return shots, list(dict.fromkeys(complaints))
 
 
 def complaints_of(viewer: ViewerClient) -> list[str]:
