@@ -3,13 +3,10 @@
 A liquid that swings between the vehicle's CG and its centre of percussion (as far forward of the CG as I / (m l_c),
 l_c from the CG to the gimbal) takes energy from the control loop, in front and behind it gives some away (Bauer, NASA
 TR R-187; SP-8031). Whether that matters in *this* loop is told by the loop: damping of the tank is lowered until the
-closed loop rings for ever, and that is the damping it needs. A ring baffle gives, at a wave of height eta,
-
-    zeta = 2.83 exp(-4.6 d / R) a^(3/2) sqrt(eta / R)        (Miles; NASA SP-106, eq. 4.10)
-
-with d the depth of the baffle and a the share of the surface that it covers: slosh that needs more damping than
-the wall gives grows until the baffle gives it, and that wave is the limit cycle's. Damping does not depend on the
-amplitude in the simulator, so the flight confirms the damping at which a kick neither grows nor decays.
+closed loop rings for ever, and that is the damping it needs. Slosh that needs more than the walls give grows until
+baffles give it, and that wave is the limit cycle's (slosh_cycle.py): it is predicted with the ring just under the
+surface and with the surface midway between rings a radius apart. The worst tank is flown: a kick with just the damping
+that is needed neither grows nor decays, and with the midway ring's law the swing ends where it is predicted.
 """
 
 from __future__ import annotations
@@ -28,12 +25,13 @@ from maxq.design.loop.fixed_path import fixed_path
 from maxq.design.loop.loop import Loop
 from maxq.design.model.dispersion import Dispersion, disperse
 from maxq.design.model.node import Node
+from maxq.design.verify.slosh_cycle import Baffle, fly_cycle
 from maxq.sim.packing.flight import Packed
 from maxq.sim.scenario.loader import LoadedScenario
 from maxq.sim.scenario.schema_design import Design
 
-BAFFLE_DEPTH_R, BAFFLE_SHARE = 0.1, 0.25  # of the radius, of the surface: a ring of an eighth of the radius
-"""A baffle to reckon with; the amplitudes scale with both."""
+NEAR, MIDWAY = Baffle(0.1, 0.25), Baffle(0.5, 0.25)
+"""Rings an eighth of the radius wide to reckon with: just below the surface, and where it is midway between two."""
 _HALVINGS = 12
 
 
@@ -41,9 +39,10 @@ _HALVINGS = 12
 class SloshAdvice:
     """One tank at one time. Stations in m aft of the nose; dampings are ratios of the pendulum.
 
-    `needed` is the damping at which the closed loop just does not grow, 0 where none is needed; `wave_m` the height of
-    the wave at which the baffle gives it, `flown_growth_1ps` how a kick grows in flight with just that damping (NaN:
-    not flown).
+    `needed` is the damping at which the closed loop just does not grow, 0 where none is needed; `wave_m` and
+    `midway_wave_m` the heights of the waves at which the baffles give it, `midway_deg` the latter as the swing of the
+    pendulum: the limit cycle's. `flown_growth_1ps`: how a kick grows in flight with just the damping that is needed;
+    `flown_deg`: where the swing ends in flight with the midway ring's damping (NaN: not flown, or not settled).
     """
 
     time_s: float
@@ -54,7 +53,10 @@ class SloshAdvice:
     damping: float
     needed: float
     wave_m: float
+    midway_wave_m: float
+    midway_deg: float
     flown_growth_1ps: float = math.nan
+    flown_deg: float = math.nan
 
     @property
     def in_band(self) -> bool:
@@ -82,16 +84,11 @@ def advise(nodes: Sequence[Node], design: Design) -> list[SloshAdvice]:
             out.append(
                 SloshAdvice(
                     node.time_s, k, float(bobs.bob_station_m[k]), node.vehicle.total_cg_station_m,
-                    percussion_station_m(node), float(bobs.damping_ratio[k]), needed, _wave_m(needed, radius),
+                    percussion_station_m(node), float(bobs.damping_ratio[k]), needed, NEAR.wave_m(needed, radius),
+                    MIDWAY.wave_m(needed, radius), MIDWAY.swing_deg(needed),
                 )
             )  # fmt: skip
     return out
-
-
-def _wave_m(needed: float, radius_m: float) -> float:
-    """Height at which the baffle damps as much."""
-    per_root = 2.83 * math.exp(-4.6 * BAFFLE_DEPTH_R) * BAFFLE_SHARE**1.5
-    return radius_m * (needed / per_root) ** 2 if needed > 0.0 else 0.0
 
 
 def _needed(node: Node, design: Design, tank: int) -> float:
@@ -125,7 +122,7 @@ def _growth(node: Node, design: Design, tank: int, factor: float) -> float:
 
 
 def confirm(loaded: LoadedScenario, node: Node, advice: SloshAdvice) -> SloshAdvice:
-    """Fly the held vehicle with just the damping that is needed, kick it at the slosh frequency, see what it does."""
+    """Kick the held vehicle at the slosh frequency, with just the needed damping, and with the midway ring's."""
     if not 0.0 < advice.needed < math.inf:
         return advice
 
@@ -144,4 +141,9 @@ def confirm(loaded: LoadedScenario, node: Node, advice: SloshAdvice) -> SloshAdv
     hz = float(pole.imag) / (2.0 * math.pi)
     growth = kicked_growth(held, loop, watch_at(hz, build_up(edge, hz)), lambda packed: None)
     known = growth not in (LOST, DEAD)
-    return dataclasses.replace(advice, flown_growth_1ps=growth if known else math.copysign(9.99, growth))
+    cycle = fly_cycle(hold(loaded, node), advice.tank, MIDWAY, hz)
+    return dataclasses.replace(
+        advice,
+        flown_growth_1ps=growth if known else math.copysign(9.99, growth),
+        flown_deg=cycle.swing_deg if cycle.settled else math.nan,
+    )

@@ -59,6 +59,7 @@ class Verification:
     worked_out: int = 0
     wall_s: float = math.nan
     walls_s: dict[str, float] = field(default_factory=dict)
+    cpus_s: dict[str, float] = field(default_factory=dict)  # of all threads
 
     @property
     def judgement(self) -> Judgement:
@@ -102,12 +103,14 @@ def verify(
     for wanted in suite.campaign:
         load_wanted(wanted, design, vehicle)
     walls: dict[str, float] = {}
+    cpus: dict[str, float] = {}
 
-    def timed(what: str, since: float) -> float:
-        walls[what] = time.perf_counter() - since
-        return time.perf_counter()
+    def timed(what: str, since: tuple[float, float]) -> tuple[float, float]:
+        now = time.perf_counter(), time.process_time()
+        walls[what], cpus[what] = now[0] - since[0], now[1] - since[1]
+        return now
 
-    at = begun
+    at = begun, time.process_time()
     flights = fly_suite(suite, design, vehicle, kept, lambda n, of: watch("scenarios", n, of), workers)
     at = timed("scenarios", at)
     margin = _margins(scenario, suite, kept, watch, workers)
@@ -141,6 +144,7 @@ def verify(
         authority=tuple(limits), slosh=tuple(slosh), design_hash=content_hash(repr(scenario.design))[:16],
         vehicle_hash=content_hash(scenario.as_flown)[:16], code=code_hash()[:16], versions=versions(),
         recalled=kept.recalled, worked_out=kept.worked_out, wall_s=time.perf_counter() - begun, walls_s=walls,
+        cpus_s=cpus,
     )  # fmt: skip
 
 

@@ -236,21 +236,26 @@ def _envelopes(found: Verification, drawn: dict[str, bytes]) -> str:
     out += _picture(drawn, "slosh", "Right: damping ratio below which the closed loop would grow.")
     harm = [a for a in found.slosh if a.needed > 0.0]
     if harm:
-        rows = [("time, s", "tank", "needed", "has", "wave at which a baffle gives it, mm", "kick in flight, 1/s")]
-        for a in harm:
-            flown = f"{a.flown_growth_1ps:+.4f}" if math.isfinite(a.flown_growth_1ps) else ""
-            rows.append(
-                (
-                    f"{a.time_s:g}",
-                    str(a.tank + 1),
-                    f"{a.needed:.4f}",
-                    f"{a.damping:.4f}",
-                    f"{1e3 * a.wave_m:.2f}",
-                    flown,
-                )
-            )
-        out += _table(rows, numbers=(0, 1, 2, 3, 4, 5))
+        rows = [
+            ("time, s", "tank", "damping needed", "has", "kick with just that, in flight, 1/s", "ring near: wave, mm",
+             "ring midway: wave, mm", "its swing, deg", "swing in flight, deg")
+        ]  # fmt: skip
+        rows += [
+            (f"{a.time_s:g}", str(a.tank + 1), f"{a.needed:.4f}", f"{a.damping:.4f}",
+             _known(a.flown_growth_1ps, "+.4f"), f"{1e3 * a.wave_m:.2f}", f"{1e3 * a.midway_wave_m:.1f}",
+             f"{a.midway_deg:.2f}", _known(a.flown_deg, ".2f"))
+            for a in harm
+        ]  # fmt: skip
+        out += (
+            "<p>Without the damping that is needed slosh grows until baffles give it, which is its limit cycle: the "
+            "wave with a ring just below the surface, and with the surface midway between two rings a radius apart. "
+            "The worst case is flown.</p>" + _table(rows, numbers=range(9))
+        )
     return out
+
+
+def _known(value: float, form: str) -> str:
+    return format(value, form) if math.isfinite(value) else ""
 
 
 def _basis(found: Verification, command: str) -> str:
@@ -262,7 +267,9 @@ def _basis(found: Verification, command: str) -> str:
         ("parts known from before", str(found.recalled)),
         ("worked out now", str(found.worked_out)),
     ]  # fmt: skip
-    rows += [(f"time for {k}", f"{v:.1f} s") for k, v in found.walls_s.items()]
+    rows += [
+        (f"time for {k}", f"{v:.1f} s, {found.cpus_s[k]:.1f} s of processors") for k, v in found.walls_s.items()
+    ]  # fmt: skip
     return f"""<h2>What this rests on</h2><ul>
 <li>Equations of the paper corrected (switches of the errata as in the preset "corrected", docs/design.md, section 4);
 labels of the actuator's zero and pole as the vehicle file has them.</li>

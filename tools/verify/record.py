@@ -48,6 +48,7 @@ def verdict_record(found: Verification, command: str) -> dict[str, Any]:
         "parts": {"recalled": found.recalled, "worked_out": found.worked_out},
         "wall_s": found.wall_s,
         "walls_s": found.walls_s,
+        "cpus_s": found.cpus_s,
     }  # fmt: skip
 
 

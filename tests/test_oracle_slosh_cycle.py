@@ -1,0 +1,123 @@
+"""Slosh limit cycles predicted by the linear loop and a baffle's law, against flights of the nonlinear simulator.
+
+| what | against |
+|---|---|
+| Miles's damping of a ring baffle | the formula of SP-106 at a wave of its own |
+| swing of the pendulum for a wave at the wall | equal moments of liquid and pendulum, integrated over the surface |
+| swing at which slosh ends, from below and from above | the predicted one: 5 % |
+| growth with half the damping that is needed | the linear loop's root: 2 % of the damping's worth |
+| without baffles | nothing else ends it: gimbal far from its limits while the liquid swings through a right angle |
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+
+import numpy as np
+import pytest
+from scipy.integrate import quad
+from scipy.special import j1
+
+from maxq.design import api
+from maxq.design.certificate.breaking import kicked_growth, watch_at
+from maxq.design.certificate.held_flight import HeldFlight, hold
+from maxq.design.certificate.limit_cycle import limit_cycle
+from maxq.design.model.dispersion import Dispersion, disperse
+from maxq.design.verify.slosh_advice import MIDWAY, SloshAdvice, advise, confirm
+from maxq.design.verify.slosh_cycle import SWING_PER_WAVE, Baffle, fly_cycle
+from maxq.sim.packing.flight import Packed
+from maxq.sim.scenario.loader import LoadedScenario, load_scenario
+
+TANK, TIME_S = 1, 55.0
+TWO_PHASE = 'design="designs/ksr3-two-phase.toml"'
+
+
+@pytest.fixture(scope="module")
+def loaded() -> LoadedScenario:
+    return load_scenario("nominal", [TWO_PHASE])
+
+
+@pytest.fixture(scope="module")
+def held(loaded: LoadedScenario) -> HeldFlight:
+    return hold(loaded, api.nodes(loaded, [TIME_S])[0])
+
+
+@pytest.fixture(scope="module")
+def advice(loaded: LoadedScenario, held: HeldFlight) -> SloshAdvice:
+    assert loaded.design is not None
+    return next(a for a in advise([held.node], loaded.design) if a.tank == TANK)
+
+
+def _edge_hz(held: HeldFlight, share: float) -> tuple[float, float]:
+    """Frequency (Hz) and growth (1/s) of the linear loop with a share of the damping that the tank has."""
+    assert held.loaded.design is not None
+    weak = disperse(held.node, Dispersion(slosh_damping=(1.0, share)))
+    poles = api.loops([weak], held.loaded.design)[0].closed_poles()
+    ringing = poles[(poles.imag > 0.5) & (poles.imag < 31.0)]
+    pole = ringing[int(np.argmax(ringing.real))]
+    return float(pole.imag) / (2.0 * math.pi), float(pole.real)
+
+
+def test_baffle_has_the_damping_of_its_formula() -> None:
+    ring = Baffle(depth_r=0.2, cover=0.1)
+    wave_r = 0.03
+    damping = 2.83 * math.exp(-0.92) * 0.1**1.5 * math.sqrt(wave_r)
+    assert ring.wave_m(damping, 0.5) == pytest.approx(0.5 * wave_r)
+    assert ring.damping(math.radians(ring.swing_deg(damping))) == pytest.approx(damping)
+
+
+def test_pendulum_has_the_moment_of_the_wave() -> None:
+    """rho pi R^3 eta J2 ... by quadrature of the mode J1(xi r / R), against m L theta with SP-106's mass and length."""
+    xi, depth = 1.84118, 0.8  # of the radius, which is 1, as are density and wave
+    moment = math.pi * quad(lambda r: j1(xi * r) / j1(xi) * r * r, 0.0, 1.0)[0]
+    mass = math.pi * 2.0 * math.tanh(xi * depth) / (xi * (xi * xi - 1.0))
+    length = 1.0 / (xi * math.tanh(xi * depth))
+    assert moment / (mass * length) == pytest.approx(SWING_PER_WAVE, rel=1e-4)
+
+
+@pytest.mark.parametrize("loudness", [1.0, 0.03], ids=["from above", "from below"])
+def test_slosh_ends_at_the_predicted_swing(held: HeldFlight, advice: SloshAdvice, loudness: float) -> None:
+    hz, _ = _edge_hz(held, advice.needed / advice.damping)
+    found = fly_cycle(held, TANK, MIDWAY, hz, loudness)
+    assert found.settled
+    assert advice.midway_deg == pytest.approx(2.2, abs=0.1)
+    assert found.swing_deg == pytest.approx(advice.midway_deg, rel=0.05)
+
+
+def test_a_ring_twice_as_good_halves_the_root_of_the_swing(held: HeldFlight, advice: SloshAdvice) -> None:
+    """The law enters where it should: damping goes with the root of the wave, so that the swing is a quarter."""
+    hz, _ = _edge_hz(held, advice.needed / advice.damping)
+    twice = Baffle(MIDWAY.depth_r, MIDWAY.cover * 2.0 ** (2.0 / 3.0))
+    assert fly_cycle(held, TANK, twice, hz).swing_deg == pytest.approx(0.25 * advice.midway_deg, rel=0.1)
+
+
+def test_advice_is_confirmed(loaded: LoadedScenario, advice: SloshAdvice) -> None:
+    flown = confirm(loaded, api.nodes(loaded, [TIME_S])[0], advice)
+    assert flown.flown_deg == pytest.approx(advice.midway_deg, rel=0.05)
+    assert abs(flown.flown_growth_1ps) < 0.003
+
+
+def _with(held: HeldFlight, damping: float) -> HeldFlight:
+    def fault(packed: Packed) -> None:
+        packed.parameters[0].vehicle.slosh.damping_ratio[TANK] = damping
+
+    return dataclasses.replace(held, fault=fault)
+
+
+def test_slosh_with_too_little_damping_grows_as_fast_as_the_linear_loop_says(
+    held: HeldFlight, advice: SloshAdvice
+) -> None:
+    assert held.loaded.design is not None
+    hz, growth = _edge_hz(held, 0.5 * advice.needed / advice.damping)
+    loop = api.loops([held.node], held.loaded.design)[0]
+    flown = kicked_growth(_with(held, 0.5 * advice.needed), loop, watch_at(hz), lambda packed: None)
+    assert growth > 0.01
+    assert flown == pytest.approx(growth, abs=0.02 * 2.0 * math.pi * hz * 0.5 * advice.needed + 5e-4)
+
+
+def test_without_baffles_no_limit_of_the_loop_ends_slosh(held: HeldFlight, advice: SloshAdvice) -> None:
+    hz, _ = _edge_hz(held, 0.5 * advice.needed / advice.damping)
+    found = limit_cycle(_with(held, 0.5 * advice.needed), hz)
+    assert found.slosh_deg > 80.0  # no liquid does: waves break long before
+    assert found.gimbal_deg < 2.0  # of 6; at 1.2 Hz the servo's 30 deg/s are reached at 4 deg
