@@ -21,6 +21,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Annotated, Literal
 
 import numpy as np
@@ -87,6 +88,7 @@ _FIGURE_7_ftps = {
 _WIND_AT_20_FT_kt = {"light": 15.0, "moderate": 30.0, "severe": 45.0}  # figure 9
 
 
+@lru_cache(maxsize=8)
 def exceedance_table(level: Exceedance, ground_altitude_m: float = 0.0) -> Cubics:
     """The standard's intensities and scale lengths over altitude, for `Turbulence.intensity`.
 
