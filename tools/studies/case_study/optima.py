@@ -39,6 +39,8 @@ class Optimum:
     violation_db: float
     starts: int
     near_best: int
+    leaps: int
+    leaps_back: int
     kkt_residual: float
     evaluations: int
     seconds: float
@@ -88,8 +90,9 @@ def _optimum(plant: str, limits: str, schedule: str, structure: str, solution: S
     c, flt = solution.certificate, solution.filter
     return Optimum(
         plant, limits, schedule, structure, solution.status, solution.objective_db, solution.violation_db, c.starts,
-        c.near_best, c.kkt_residual, c.evaluations, seconds, solution.nodes_s.tolist(), solution.k_p.tolist(),
-        solution.k_d_s.tolist(), [[q.zero_hz, q.zero_zeta, q.pole_hz, q.pole_zeta] for q in flt.quadratic],
+        c.near_best, c.leaps, c.leaps_back, c.kkt_residual, c.evaluations, seconds, solution.nodes_s.tolist(),
+        solution.k_p.tolist(), solution.k_d_s.tolist(),
+        [[q.zero_hz, q.zero_zeta, q.pole_hz, q.pole_zeta] for q in flt.quadratic],
         [[f.zero_hz, f.pole_hz] for f in flt.first_order], solution.explanation(),
     )  # fmt: skip
 
@@ -129,7 +132,11 @@ def main() -> None:
     found = all_tables()
     write(found, file)
     for o in found:
-        print(*o.key, o.status, f"{o.objective_db:.3f} dB, {o.near_best} of {o.starts}, {o.seconds:.1f} s")
+        print(
+            *o.key,
+            o.status,
+            f"{o.objective_db:.3f} dB, {o.near_best} of {o.starts}, {o.leaps_back} of {o.leaps}, {o.seconds:.1f} s",
+        )
     print(f"{time.perf_counter() - begun:.0f} s")
 
 

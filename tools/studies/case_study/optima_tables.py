@@ -44,7 +44,7 @@ def peaks_table(optima: Optima) -> list[str]:
                 "",
                 f"**{PLANT_NAMES[plant].capitalize()}, {LIMIT_NAMES[limits]}** (largest peak of mode 1, dB)",
                 "",
-                "| filter | two-phase | Subcase 1 | gained | Subcase 2 | gained further | starts at the best |",
+                "| filter | two-phase | Subcase 1 | gained | Subcase 2 | gained further | starts, leaps at the best |",
                 "|---|---:|---:|---:|---:|---:|---|",
             ]
             for k, structure in enumerate(STRUCTURES):
@@ -126,7 +126,7 @@ def _monotonic(optima: Optima, plant: str, limits: str) -> str:
 
 
 def _sure(o: Optimum) -> str:
-    return f"{o.near_best}/{o.starts}" if o.status == "optimal" else o.status
+    return f"{o.near_best}/{o.starts} {o.leaps_back}/{o.leaps}" if o.status == "optimal" else o.status
 
 
 def _ends(values: Sequence[float]) -> str:
