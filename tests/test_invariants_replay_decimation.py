@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from maxq.tools.replay.decimate import extremes
+from maxq.tools.replay.family import extremes_on_grid
 from maxq.tools.replay.sending import changed
 from maxq.tools.replay.sheets import binned
 from maxq.tools.replay.summary import sparkline
@@ -98,3 +99,18 @@ def test_a_peak_of_one_sample_is_seen_in_a_sparkline() -> None:
     line = sparkline(np.arange(10_000) * MS, values, (0, 10_000 * MS), 40)
     assert line.count("█") == 1
     assert line.index("█") == 4321 * 40 // 10_000
+
+
+@given(VALUES, st.integers(1, 50), st.integers(-500, 500))
+def test_a_family_keeps_the_extremes_of_every_interval(values: np.ndarray, interval_ms: int, start_ms: int) -> None:
+    times, count = np.arange(len(values)) * MS, 12
+    rows = extremes_on_grid(times, values, start_ms * MS, interval_ms * MS, count).reshape(count, 2)
+    for number in range(count):
+        begin = (start_ms + number * interval_ms) * MS
+        here = values[(times >= begin) & (times < begin + interval_ms * MS)]
+        here = here[np.isfinite(here)]
+        if len(here):
+            assert rows[number].min() == here.min()
+            assert rows[number].max() == here.max()
+        else:
+            assert np.isnan(rows[number]).all()

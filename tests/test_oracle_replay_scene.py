@@ -17,7 +17,7 @@ from maxq.tools.replay import mesh
 from maxq.tools.replay.bent_body import bent_line, modal_coordinates, nice_factor
 from maxq.tools.replay.convert import Options, exaggeration_of, place_of
 from maxq.tools.replay.earth_frame import path_of, turned
-from maxq.tools.replay.flight import ReplayFlight, open_flight
+from maxq.tools.replay.flight import ReplayFlight, launch_of, open_flight
 from maxq.tools.replay.plots import tabs_of
 from maxq.tools.replay.vehicle_shape import VehicleShape, shape_of
 
@@ -159,3 +159,9 @@ def test_the_factor_may_be_chosen() -> None:
     chosen = exaggeration_of(flight(), shape(), Options(bend_factor=123.0, slosh_factor=4.0))
     assert (chosen.bending, chosen.slosh) == (123.0, 4.0)
     assert exaggeration_of(flight(), shape(), Options()).bending > 1.0
+
+
+def test_earth_and_site_read_by_themselves_are_those_of_the_scenario() -> None:
+    scenario = flight().scenario
+    assert scenario is not None
+    assert launch_of(flight().log) == (scenario.earth, scenario.site)

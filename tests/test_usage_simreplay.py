@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import re
 import shutil
 import socket
@@ -18,8 +19,11 @@ from mcap.writer import Writer
 from PIL import Image
 from replaykit import OLD_LOG
 
+from maxq.sim.log.reader import read_log
 from maxq.tools import simreplay
 from maxq.tools.replay import collect, viewer
+from maxq.tools.replay import flight as flight_module
+from maxq.tools.replay.convert import Options, save
 from maxq.tools.replay.error import ReplayError
 from maxq.tools.replay.flight import open_flight
 from maxq.tools.replay.phases import phases
@@ -152,6 +156,25 @@ def test_several_flights_go_into_one_recording_and_one_broken_log_is_named(capsy
     assert err.count("\n") == 1
     assert "kept/run-2/flight.mcap: this is not a log" in err
     assert Path("both.rrd").stat().st_size > 100_000
+
+
+def test_of_many_flights_a_few_are_in_memory_and_plots_are_families(monkeypatch: pytest.MonkeyPatch) -> None:
+    for i in range(24):
+        Path(f"c/flights/run-{i:06}").mkdir(parents=True)
+        os.link(OLD_LOG, f"c/flights/run-{i:06}/flight.mcap")
+    flights, complaints = collect.open_flights(["c"], in_turn=True)
+    assert complaints == []
+    assert len(flights) == 24
+    read: list[Path] = []
+    monkeypatch.setattr(flight_module, "read_log", lambda path: read.append(path) or read_log(path))
+    save(flights, Options(), Path("many.rrd"))
+    assert len(read) <= 24 + 2 * collect.FEW
+    assert len(set(read)) >= 24 - collect.FEW - 1
+    said = subprocess.run(
+        [str(viewer.executable()), "rrd", "stats", "many.rrd"], capture_output=True, text=True, check=True
+    ).stdout
+    roots = {line.split("/plots/")[0] for line in said.splitlines() if "/plots/" in line}
+    assert roots == {"/family", *(f"/flights/run-{i:06}" for i in range(collect.FEW))}
 
 
 def test_many_flights_are_drawn_as_envelopes() -> None:

@@ -91,7 +91,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--tab", metavar="NAME", help="the tab of plots that is in front, e.g. Bending")
     parser.add_argument(
         "--rate", metavar="HZ", type=_positive,
-        help="plots keep the smallest and the largest sample of each 1/HZ s (default 50; 20 for more than 4 flights)",
+        help="plots keep the smallest and the largest sample of each 1/HZ s (default 50; 10 for more than 4 flights)",
     )  # fmt: skip
     parser.add_argument("--bend-factor", metavar="X", type=_positive, help="how much larger bending is drawn")
     parser.add_argument("--slosh-factor", metavar="X", type=_positive, help="how much larger slosh angles are drawn")

@@ -223,10 +223,13 @@ REPLAY = (
     ("save", "wall_s", "`simreplay LOG --save`", "s", None),
     ("summary", "wall_s", "`simreplay LOG --summary`", "s", None),
     ("plots", "wall_s", "`simreplay LOG --plots`: 14 sheets, SVG and PNG", "s", None),
-    ("many", "save_s", "100 flights of 100 Hz: `--save`", "s", None),
+    ("many", "save_s", "100 dispersed ascents, logs of 100 Hz, 20 samples a second: `--save`", "s", None),
+    ("many", "save_peak_MB", "100 flights: peak memory of it", "MB", None),
     ("many", "rrd_MB", "100 flights: size", "MB", None),
     ("many", "picture_s", "100 flights: opened, settled picture", "s", None),
-    ("many", "move_s", "100 flights: another time", "s", None),
+    ("many", "viewer_MB", "100 flights: memory of the viewer", "MB", None),
+    ("many", "layout_s", "100 flights: another time, laid out (a graphics card does the rest)", "s", None),
+    ("many", "move_s", "100 flights: another time, drawn in software and read back", "s", None),
 )
 
 

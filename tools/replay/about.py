@@ -27,7 +27,7 @@ def about_flights(flights: Sequence[ReplayFlight], exaggeration: Exaggeration | 
     """A Markdown page on several flights."""
     lines = [f"# {len(flights)} flights", "", "| flight | outcome | verdict |", "|---|---|---|"]
     lines += [f"| {f.label} | {f.outcome} at {f.span_s[1]:.1f} s | {f.verdict} |" for f in flights]
-    notes = [f"{f.label}: {note}" for f in flights for note in f.notes]
+    notes = [f"{f.label}: {note}" for f in flights for note in f.damage]
     lines += ["", "Green: passed. Red: failed. Blue: no verdict known. Purple: the nominal.", ""]
     lines += _notes(notes)
     return "\n".join(lines + (drawn_text(exaggeration) if exaggeration is not None else []))
@@ -42,7 +42,7 @@ def _facts(flight: ReplayFlight) -> list[str]:
         ("T0", data.get("t0_utc", "")),
         ("site", f"{data.get('site_latitude_deg', '?')} N, {data.get('site_longitude_deg', '?')} E"),
         ("maxq", f"{data.get('maxq', '?')}, log schema {data.get('schema', '?')}"),
-        ("log", flight.log.path.name),
+        ("log", flight.path.name),
     ]
     return ["| | |", "|---|---|", *(f"| {name} | {value} |" for name, value in facts if value), ""]
 

@@ -123,17 +123,19 @@ def layout(
     axes: Mapping[str, Axis],
     span_s: tuple[float, float],
     *,
+    plotted: Sequence[str] | None = None,
     grid: str = "",
     live: bool = False,
     side_by_side: bool = False,
     tab: str | None = None,
 ) -> rrb.Blueprint:
-    """The whole window."""
+    """The whole window; `plotted`: roots of what is plotted, where they are not those of the flights."""
     legend = len(roots) <= _LEGEND_MOST
+    plotted = roots if plotted is None else plotted
     plots = rrb.Tabs(
         contents=[
             rrb.Vertical(
-                contents=[plot_view(plot, axes.get(plot.key), roots, span_s, legend) for plot in tab.plots],
+                contents=[plot_view(plot, axes.get(plot.key), plotted, span_s, legend) for plot in tab.plots],
                 name=tab.name,
             )
             for tab in tabs

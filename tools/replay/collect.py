@@ -6,12 +6,14 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from maxq.tools.replay.error import ReplayError
-from maxq.tools.replay.flight import ReplayFlight, open_flight
+from maxq.tools.replay.flight import LogShelf, ReplayFlight, open_flight
 
 LOG_NAME = "flight.mcap"
 KEPT = ("flights", "kept")  # folders of a campaign that hold whole flights
 MOST = 200
 """Flights shown at once: more make a window nobody reads, and a lot of memory."""
+FEW = 4
+"""Flights of which every vehicle is drawn."""
 
 
 def find_logs(places: Sequence[str]) -> list[tuple[Path, str]]:
@@ -53,10 +55,11 @@ def _label(path: Path, folder: Path) -> str:
     return "nominal" if path == folder / LOG_NAME else name
 
 
-def open_flights(places: Sequence[str]) -> tuple[list[ReplayFlight], list[str]]:
+def open_flights(places: Sequence[str], *, in_turn: bool = False) -> tuple[list[ReplayFlight], list[str]]:
     """All flights that can be read, and a complaint for each that cannot, or not whole.
 
-    Raises ReplayError where none can.
+    `in_turn`: the caller goes through them one after the other, so that the numbers of a few in memory will do.
+    Raises ReplayError where none can be read.
     """
     logs = find_logs(places)
     flights: list[ReplayFlight] = []
@@ -64,17 +67,33 @@ def open_flights(places: Sequence[str]) -> tuple[list[ReplayFlight], list[str]]:
     if len(logs) > MOST:
         complaints.append(f"{len(logs)} flights are too many to look at: the first {MOST} are shown")
         logs = logs[:MOST]
+    shelf = LogShelf(FEW + 1 if in_turn else None)
     for path, label in logs:
         try:
-            flight = open_flight(path, label)
+            flights.append(open_flight(path, label, shelf))
         except ReplayError as error:
             complaints.append(str(error))
-            continue
-        flights.append(flight)
-        complaints += [f"{path}: {note}" for note in flight.notes]
     if not flights:
         raise ReplayError("; ".join(complaints))
-    return _unlike_labels(flights), complaints
+    flights = _unlike_labels(flights)
+    near = closest(flights)
+    for i, flight in enumerate(flights):
+        complaints += [f"{flight.path}: {note}" for note in (flight.notes if i in near else flight.damage)]
+    return flights, complaints
+
+
+def is_nominal(flight: ReplayFlight) -> bool:
+    """The undispersed flight that a campaign keeps among the others."""
+    return "nominal" in flight.label.lower().split("/")[-1]
+
+
+def closest(flights: Sequence[ReplayFlight]) -> set[int]:
+    """Of which flights vehicle and limits are drawn: the nominal, those that failed, then the first ones."""
+
+    def rank(i: int) -> tuple[bool, bool, int]:
+        return not is_nominal(flights[i]), flights[i].verdict != "failed", i
+
+    return set(sorted(range(len(flights)), key=rank)[:FEW])
 
 
 def _unlike_labels(flights: list[ReplayFlight]) -> list[ReplayFlight]:
@@ -86,8 +105,8 @@ def _unlike_labels(flights: list[ReplayFlight]) -> list[ReplayFlight]:
     for flight in flights:
         label = flight.label
         if labels.count(label) > 1:
-            folder = flight.log.path.resolve().parent.name
-            label = f"{folder}" if folder and folder != label else f"{label}, {flight.log.path}"
+            folder = flight.path.resolve().parent.name
+            label = f"{folder}" if folder and folder != label else f"{label}, {flight.path}"
         out.append(replace(flight, label=label))
     seen: dict[str, int] = {}
     for i, flight in enumerate(out):

@@ -13,13 +13,16 @@ import rerun.blueprint as rrb
 
 from maxq.control.records import Array
 from maxq.sim.packing.environment import pack_earth
-from maxq.sim.scenario.schema_environment import Site
 from maxq.tools.replay.about import about_flight, about_flights, factors_text
 from maxq.tools.replay.bent_body import LARGEST, bent_line, modal_coordinates, nice_factor
 from maxq.tools.replay.blueprint import close_view, eyes_for, layout
+from maxq.tools.replay.collect import FEW, closest, is_nominal
 from maxq.tools.replay.colours import BLUE, GREY, OF_VERDICT, ORANGE, PURPLE, SKY, rgba
 from maxq.tools.replay.earth_frame import LaunchSite, Path3D, first_place, has_motion, launch_site, path_of
-from maxq.tools.replay.flight import Channels, ReplayFlight
+from maxq.tools.replay.family import FROM as FAMILY_FROM
+from maxq.tools.replay.family import ROOT as FAMILY_ROOT
+from maxq.tools.replay.family import Family
+from maxq.tools.replay.flight import Channels, ReplayFlight, launch_of
 from maxq.tools.replay.ground import ground, tail_below_cg
 from maxq.tools.replay.phases import COLOURS, Phase, first_phase, phases
 from maxq.tools.replay.plot_stream import Axis, Style, axis_of, send_curves, send_limits, send_styles, value_range
@@ -28,8 +31,7 @@ from maxq.tools.replay.scene import Exaggeration, Scene
 from maxq.tools.replay.sending import APPLICATION, every
 from maxq.tools.replay.vehicle_shape import VehicleShape, shape_of
 
-DEFAULT_RATE_HZ, MANY_RATE_HZ = 50.0, 20.0
-FEW = 4  # flights of which every vehicle is drawn
+DEFAULT_RATE_HZ, MANY_RATE_HZ = 50.0, 10.0
 _STEEPEST_DEG = 25.0  # how far the automatic factor lets a surface tilt
 _NOMINAL_COLOUR = PURPLE
 
@@ -66,7 +68,8 @@ def send_flights(recording: rr.RecordingStream, flights: Sequence[ReplayFlight],
     rate_hz = options.rate_hz or (MANY_RATE_HZ if len(flights) > FEW else DEFAULT_RATE_HZ)
     interval_ns = round(1e9 / rate_hz)
     roots = _roots(flights)
-    scenarios = [f.scenario for f in flights if f.scenario is not None]
+    near = closest(flights)
+    scenarios = [s for s in (flights[i].scenario for i in sorted(near)) if s is not None]
     first = flights[0]
     shape = shape_of(scenarios[0].vehicle) if scenarios else None
     tabs = tabs_of(first.log.table, scenarios[0] if scenarios else None, shape)
@@ -75,14 +78,19 @@ def send_flights(recording: rr.RecordingStream, flights: Sequence[ReplayFlight],
 
     ranges: dict[str, list[tuple[float, float]]] = {}
     drawn: list[tuple[str, ReplayFlight, Path3D, LaunchSite, VehicleShape | None]] = []
-    closest = _closest(flights)
-    exaggeration = common_exaggeration([flights[i] for i in sorted(closest)], options)
+    exaggeration = common_exaggeration([flights[i] for i in sorted(near)], options)
+    family = Family(span, interval_ns) if len(flights) - len(near) >= FAMILY_FROM else None
+    plotted = [FAMILY_ROOT] if family is not None else []
     for i, (root, flight) in enumerate(zip(roots, flights, strict=True)):
         colour = _colour(flight, flights) if many else None
         style = Style(colour, f"{flight.label}: " if many else "", alpha=1.0 if len(flights) <= FEW else 0.55)
-        own = tabs if not many else _own_tabs(tabs, flight)
-        send_styles(recording, root, own, style)
-        send_curves(recording, root, own, flight.log, interval_ns)
+        own = tabs if not many else _own_tabs(tabs, flight, i in near)
+        if family is not None and i not in near:
+            family.add(flight.label, colour or GREY, own, flight.log)
+        else:
+            plotted.append(root)
+            send_styles(recording, root, own, style)
+            send_curves(recording, root, own, flight.log, interval_ns)
         for tab in own:
             for plot in tab.plots:
                 if (found := value_range(plot, flight.log)) is not None:
@@ -91,9 +99,10 @@ def send_flights(recording: rr.RecordingStream, flights: Sequence[ReplayFlight],
         if not has_motion(flight.log):
             continue
         place = place_of(flight)
-        its_shape = shape_of(flight.scenario.vehicle) if flight.scenario is not None else None
-        with_vehicle = its_shape if i in closest else None
-        scene = Scene(recording, root, place, with_vehicle, exaggeration, trail=(colour or ORANGE, colour or BLUE))
+        scenario = flight.scenario if i in near else None
+        with_vehicle = shape_of(scenario.vehicle) if scenario is not None else None
+        trail = colour or ORANGE, colour or BLUE
+        scene = Scene(recording, root, place, with_vehicle, exaggeration, trail=trail, near=i in near)
         scene.add(flight.log)
         path = path_of(flight.log, place.frames(flight.log.table, 100_000_000))
         scene.whole_path(path, colour or GREY)
@@ -101,6 +110,8 @@ def send_flights(recording: rr.RecordingStream, flights: Sequence[ReplayFlight],
             scene.mark(flight.moments, path)
         drawn.append((root, flight, path, place, with_vehicle))
 
+    if family is not None:
+        family.send(recording)
     axes = {plot.key: axis_of(plot, _union(ranges.get(plot.key, []))) for tab in tabs for plot in tab.plots}
     for tab in tabs:
         for plot in tab.plots:
@@ -111,12 +122,13 @@ def send_flights(recording: rr.RecordingStream, flights: Sequence[ReplayFlight],
         else about_flight(first, exaggeration if drawn else None, drawn[0][3] if drawn else None)
     )
     recording.log("about", rr.TextDocument(text, media_type="text/markdown"), static=True)
-    return _layout(recording, roots, drawn, tabs, axes, span, exaggeration, options)
+    return _layout(recording, roots, plotted, drawn, tabs, axes, span, exaggeration, options)
 
 
 def _layout(
     recording: rr.RecordingStream,
     roots: Sequence[str],
+    plotted: Sequence[str],
     drawn: Sequence[tuple[str, ReplayFlight, Path3D, LaunchSite, VehicleShape | None]],
     tabs: Sequence[Tab],
     axes: dict[str, Axis],
@@ -125,7 +137,7 @@ def _layout(
     options: Options,
 ) -> rrb.Blueprint:
     if not drawn:
-        return layout(roots, [], None, tabs, axes, span, tab=options.tab)
+        return layout(roots, [], None, tabs, axes, span, plotted=plotted, tab=options.tab)
     positions = np.concatenate([path.position_m for _, _, path, _, _ in drawn])
     _, flight, _, place, shape = drawn[0]
     reach = float(np.abs(positions[:, :2]).max(initial=0.0))
@@ -139,7 +151,10 @@ def _layout(
             continue
         name = "Vehicle" if len(drawn) == 1 else its.label
         close.append(close_view(root, eyes, f"{name} ({factor})" if factor and len(drawn) < 3 else name))
-    return layout(roots, close, eyes, tabs, axes, span, grid=grid, side_by_side=options.side_by_side, tab=options.tab)
+    return layout(
+        roots, close, eyes, tabs, axes, span,
+        plotted=plotted, grid=grid, side_by_side=options.side_by_side, tab=options.tab,
+    )  # fmt: skip
 
 
 def _roots(flights: Sequence[ReplayFlight]) -> list[str]:
@@ -157,14 +172,10 @@ def _colour(flight: ReplayFlight, flights: Sequence[ReplayFlight]) -> str:
     return _NOMINAL_COLOUR if is_nominal(flight) and len(flights) > 1 else OF_VERDICT.get(flight.verdict, SKY)
 
 
-def is_nominal(flight: ReplayFlight) -> bool:
-    """The undispersed flight that a campaign keeps among the others."""
-    return "nominal" in flight.label.lower().split("/")[-1]
-
-
-def _own_tabs(tabs: Sequence[Tab], flight: ReplayFlight) -> Sequence[Tab]:
-    """The tabs with those curves only that this flight has."""
-    own = {plot.key: plot for tab in tabs_of(flight.log.table, flight.scenario) for plot in tab.plots}
+def _own_tabs(tabs: Sequence[Tab], flight: ReplayFlight, near: bool) -> Sequence[Tab]:
+    """The tabs with those curves only that this flight has; those computed by its vehicle only of a near one."""
+    scenario = flight.scenario if near else None
+    own = {plot.key: plot for tab in tabs_of(flight.log.table, scenario) for plot in tab.plots}
     return [Tab(tab.name, tuple(own[plot.key] for plot in tab.plots if plot.key in own)) for tab in tabs]
 
 
@@ -173,26 +184,9 @@ def _union(ranges: Sequence[tuple[float, float]]) -> tuple[float, float] | None:
 
 
 def place_of(flight: ReplayFlight) -> LaunchSite:
-    """The launch site by the scenario, or by the log's metadata where the scenario cannot be read."""
-    if flight.scenario is not None:
-        return launch_site(pack_earth(flight.scenario.earth), flight.scenario.site, first_place(flight.log))
-    data = flight.log.metadata
-    site = Site.model_construct(
-        latitude_deg=float(data.get("site_latitude_deg", "0")),
-        longitude_deg=float(data.get("site_longitude_deg", "0")),
-        altitude_m=float(data.get("site_altitude_m", "0")),
-        azimuth_deg=float(data.get("azimuth_deg", "90")),
-    )
-    return launch_site(None, site, first_place(flight.log))
-
-
-def _closest(flights: Sequence[ReplayFlight]) -> set[int]:
-    """Of which flights the vehicle is drawn: the nominal, those that failed, then the first ones."""
-
-    def rank(i: int) -> tuple[bool, bool, int]:
-        return not is_nominal(flights[i]), flights[i].verdict != "failed", i
-
-    return set(sorted(range(len(flights)), key=rank)[:FEW])
+    """The launch site's frame."""
+    earth, site = launch_of(flight.log)
+    return launch_site(pack_earth(earth), site, first_place(flight.log))
 
 
 def common_exaggeration(flights: Sequence[ReplayFlight], options: Options) -> Exaggeration:

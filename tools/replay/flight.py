@@ -1,12 +1,16 @@
 """One flight to be shown: its log, the scenario inside it, and how it ended.
 
 A log that is cut off or damaged is shown as far as it reaches. Where the scenario inside cannot be read (an older
-or a later maxq), numbers and trajectory are still shown, but no vehicle and no limits.
+or a later maxq), numbers and trajectory are still shown, but no vehicle and no limits. Numbers of many flights do not
+fit into memory at once: a `LogShelf` holds those of the last few and reads the others again.
 """
 
 from __future__ import annotations
 
 import json
+import re
+import tomllib
+from collections import OrderedDict
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -21,6 +25,7 @@ from maxq.sim.log.error import LogError
 from maxq.sim.log.foxglove import Level
 from maxq.sim.log.reader import Log, read_log
 from maxq.sim.scenario.errors import ScenarioError
+from maxq.sim.scenario.schema_environment import Earth, Site
 from maxq.sim.scenario.schema_scenario import Scenario
 from maxq.tools.replay.error import ReplayError
 
@@ -66,20 +71,62 @@ class Requirement:
     met: bool | None = None
 
 
+class LogShelf:
+    """Logs by their paths, the `most` last used in memory (None: all)."""
+
+    def __init__(self, most: int | None = None) -> None:
+        self._most = most
+        self._logs: OrderedDict[Path, Log] = OrderedDict()
+
+    def log(self, path: Path) -> Log:
+        """Raises ReplayError where it cannot be read."""
+        if path not in self._logs:
+            while self._most is not None and len(self._logs) >= self._most:
+                self._logs.popitem(last=False)
+            try:
+                self._logs[path] = read_log(path)
+            except LogError as error:
+                raise ReplayError(str(error)) from error
+        self._logs.move_to_end(path)
+        return self._logs[path]
+
+
 @dataclass(frozen=True)
 class ReplayFlight:
-    """`label` names the flight for people, `notes` say what of it cannot be shown, a sentence each."""
+    """`label` names the flight for people; `moments` are its events and those read off its channels (largest dynamic
+    pressure), in order; `span_s` is its first and last time; `damage` says what of the log is missing, a sentence each.
+    """
 
-    log: Log
+    path: Path
     label: str
-    scenario: Scenario | None
-    notes: tuple[str, ...]
+    shelf: LogShelf = field(repr=False)
+    end: Mapping[str, str]
+    moments: tuple[Moment, ...]
+    span_s: tuple[float, float]
+    damage: tuple[str, ...]
     summary: Mapping[str, Any] = field(repr=False)
+
+    @property
+    def log(self) -> Log:
+        return self.shelf.log(self.path)
+
+    @property
+    def scenario(self) -> Scenario | None:
+        return self._scenario_and_complaint[0]
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What cannot be shown, a sentence each."""
+        return (*self.damage, *self._scenario_and_complaint[1])
+
+    @cached_property
+    def _scenario_and_complaint(self) -> tuple[Scenario | None, tuple[str, ...]]:
+        return _scenario(self.log)
 
     @property
     def outcome(self) -> str:
         """As `Flight.outcome`; "cut off" where the log does not say it."""
-        return self.log.end.get("outcome", "cut off")
+        return self.end.get("outcome", "cut off")
 
     @cached_property
     def verdict(self) -> str:
@@ -88,23 +135,9 @@ class ReplayFlight:
             return "passed" if self.summary["passed"] else "failed"
         return "failed" if any(self.moment(name) for name in _FAULTS) else "unknown"
 
-    @cached_property
-    def moments(self) -> tuple[Moment, ...]:
-        """Events of the log and those that are read off its channels (largest dynamic pressure), in order."""
-        found = [Moment(e.text.split(" ")[0].split(":")[0], e.time_ns, e.text, e.level) for e in self.log.events]
-        largest = largest_pressure(self.log, found)
-        return tuple(sorted([*found, *([largest] if largest else [])], key=lambda moment: moment.time_ns))
-
     def moment(self, name: str) -> Moment | None:
         """The last event of that name."""
         return next((m for m in reversed(self.moments) if m.name == name), None)
-
-    @cached_property
-    def span_s(self) -> tuple[float, float]:
-        """First and last time in the log."""
-        times = [self.log.time_ns(topic.name) for topic in self.log.table.topics]
-        ends = [(int(t[0]), int(t[-1])) for t in times if len(t)]
-        return min(a for a, _ in ends) / 1e9, max(b for _, b in ends) / 1e9
 
     @cached_property
     def requirements(self) -> tuple[Requirement, ...]:
@@ -123,18 +156,26 @@ class ReplayFlight:
         return tuple(out)
 
 
-def open_flight(path: Path, label: str = "") -> ReplayFlight:
+def open_flight(path: Path, label: str = "", shelf: LogShelf | None = None) -> ReplayFlight:
     """Read a log and what belongs to it. Raises ReplayError where nothing of it can be shown."""
-    try:
-        log = read_log(path)
-    except LogError as error:
-        raise ReplayError(str(error)) from error
+    shelf = shelf or LogShelf()
+    log = shelf.log(path)
     if not any(len(log.time_ns(topic.name)) for topic in log.table.topics):
         raise ReplayError(f"{path}: the log holds no samples: there is nothing to show")
-    scenario, complaint = _scenario(log)
-    notes = (*log.notes, *complaint)
     name = label or log.metadata.get("scenario") or path.stem
-    return ReplayFlight(log, name, scenario, notes, _summary(log))
+    return ReplayFlight(path, name, shelf, log.end, _moments(log), _span_s(log), log.notes, _summary(log))
+
+
+def _moments(log: Log) -> tuple[Moment, ...]:
+    found = [Moment(e.text.split(" ")[0].split(":")[0], e.time_ns, e.text, e.level) for e in log.events]
+    largest = largest_pressure(log, found)
+    return tuple(sorted([*found, *([largest] if largest else [])], key=lambda moment: moment.time_ns))
+
+
+def _span_s(log: Log) -> tuple[float, float]:
+    times = [log.time_ns(topic.name) for topic in log.table.topics]
+    ends = [(int(t[0]), int(t[-1])) for t in times if len(t)]
+    return min(a for a, _ in ends) / 1e9, max(b for _, b in ends) / 1e9
 
 
 def _scenario(log: Log) -> tuple[Scenario | None, tuple[str, ...]]:
@@ -148,6 +189,30 @@ def _scenario(log: Log) -> tuple[Scenario | None, tuple[str, ...]]:
         return load_scenario_text(text, label="the scenario in the log").scenario, ()
     except ScenarioError as error:
         return None, (f"neither vehicle nor limits are shown: {error}",)
+
+
+def launch_of(log: Log) -> tuple[Earth, Site]:
+    """Earth and launch site, by the two tables of the scenario alone: all of it takes a third of a second to read.
+
+    Where they cannot be read: WGS-84, and the site that the log's metadata name.
+    """
+    attachment = log.attachments.get(SCENARIO_ATTACHMENT)
+    text = attachment.data.decode(errors="replace") if attachment is not None else ""
+    tables = re.findall(r"^\[(?:earth|site)\]\n(?:[^\[\n].*\n|\n)*", text, re.MULTILINE)
+    try:
+        found = tomllib.loads("".join(tables))
+        if "site" in found:
+            return Earth.model_validate(found.get("earth", {})), Site.model_validate(found["site"])
+    except ValueError:  # of TOML or of the schema
+        pass
+    data = log.metadata
+    site = Site.model_construct(
+        latitude_deg=float(data.get("site_latitude_deg", "0")),
+        longitude_deg=float(data.get("site_longitude_deg", "0")),
+        altitude_m=float(data.get("site_altitude_m", "0")),
+        azimuth_deg=float(data.get("azimuth_deg", "90")),
+    )
+    return Earth(), site
 
 
 def _summary(log: Log) -> Mapping[str, Any]:

@@ -29,7 +29,7 @@ def execute(given: argparse.Namespace) -> int:
     try:
         _check_before(given)
         with _headless(given) as viewer:
-            flights, complaints = open_flights(given.logs)
+            flights, complaints = open_flights(given.logs, in_turn=not (given.plots or given.summary))
             for complaint in complaints:
                 _say(complaint)
             done = _show(flights, given, viewer)

@@ -28,6 +28,7 @@ from maxq.tools.replay.vehicle_meshes import vehicle_meshes
 from maxq.tools.replay.vehicle_shape import TankShape, VehicleShape
 
 MOTION_NS, ARROWS_NS, TRAIL_NS = 20_000_000, 40_000_000, 200_000_000
+FAR_NS = 100_000_000  # positions of flights that are not seen closely
 _BEND_STEP_M, _LEVEL_STEP_M, _ANGLE_STEP_DEG = 2e-4, 1e-3, 2e-3  # smaller changes are not sent
 _STEEPEST = math.tan(math.radians(60.0))
 _EYE = np.eye(3)
@@ -44,7 +45,7 @@ class Exaggeration:
 
 
 class Scene:
-    """One flight's entities under `root`."""
+    """One flight's entities under `root`; of a flight that is not `near` only its place."""
 
     def __init__(
         self,
@@ -55,10 +56,12 @@ class Scene:
         exaggeration: Exaggeration,
         *,
         trail: tuple[str, str] = (ORANGE, BLUE),
+        near: bool = True,
     ) -> None:
         self._rec, self._root, self._place = recording, root, place
         self._shape, self._ex = shape, exaggeration
         self._trail_colours = trail  # under thrust, coasting
+        self._near = near
         self._frames: LaunchFrames | None = None
         self.track: list[Array] = []
         """Positions so far."""
@@ -71,6 +74,11 @@ class Scene:
     # -- what stands still -------------------------------------------------------------------------------------------
     def _static(self) -> None:
         rec, root = self._rec, f"{self._root}/vehicle"
+        rec.log(
+            f"{root}/at", rr.Points3D([[0, 0, 0]], radii=rr.Radius.ui_points(3.5), colors=rgba("#ffffff")), static=True
+        )
+        if not self._near:
+            return
         if self._shape is None:
             rec.log(f"{root}/body/marker", rr.Points3D([[0, 0, 0]], radii=rr.Radius.ui_points(6)), static=True)
             size = 10.0
@@ -85,9 +93,6 @@ class Scene:
             ),
             static=True,
         )  # fmt: skip
-        rec.log(
-            f"{root}/at", rr.Points3D([[0, 0, 0]], radii=rr.Radius.ui_points(3.5), colors=rgba("#ffffff")), static=True
-        )
         for name, colour in (("velocity", "#4cd07d"), ("wind", SKY)):
             style = rr.Arrows3D.from_fields(colors=rgba(colour), radii=0.006 * size, show_labels=True)
             rec.log(f"{root}/{name}", style, static=True)
@@ -96,15 +101,17 @@ class Scene:
     def add(self, channels: Channels) -> None:
         """Send the rows of a block; blocks follow one another in time."""
         if self._frames is None:
-            self._frames = self._place.frames(channels.table, MOTION_NS)
+            self._frames = self._place.frames(channels.table, MOTION_NS if self._near else FAR_NS)
         path = path_of(channels, self._frames)
         if not len(path.times_ns):
             return
         self.track.append(path.position_m)
         at, root = times(path.times_ns), f"{self._root}/vehicle"
         self._rec.send_columns(root, at, rr.Transform3D.columns(translation=path.position_m))
-        self._rec.send_columns(f"{root}/body", at, rr.Transform3D.columns(quaternion=path.rotation[:, [1, 2, 3, 0]]))
+        if not self._near:
+            return
         self._trail(channels, path)
+        self._rec.send_columns(f"{root}/body", at, rr.Transform3D.columns(quaternion=path.rotation[:, [1, 2, 3, 0]]))
         self._arrows(channels)
         if self._shape is not None:
             self._vehicle(channels)

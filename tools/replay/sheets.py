@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from maxq.control.records import Array, IntArray
+from maxq.tools.replay.collect import is_nominal
 from maxq.tools.replay.colours import BLACK, GREY, LIMIT, OF_VERDICT, rgba
-from maxq.tools.replay.convert import is_nominal
 from maxq.tools.replay.decimate import extremes
 from maxq.tools.replay.error import ReplayError
 from maxq.tools.replay.flight import ReplayFlight

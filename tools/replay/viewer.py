@@ -246,10 +246,22 @@ def steady_picture(viewer: ViewerClient, view_id: str | None = None) -> bytes:
     raise ReplayError("the picture does not come to rest")
 
 
+def open_whole(viewer: ViewerClient, rrd: Path) -> None:
+    """Open a recording and wait until it is there. Raises ReplayError if that never happens."""
+    viewer.open(str(rrd.resolve()))
+    deadline = time.monotonic() + _STEADY_S
+    while time.monotonic() < deadline:
+        state = viewer.get_state()
+        if not state.loading and any(recording.timelines for recording in state.recordings):
+            return
+        time.sleep(_LAYOUT_S)
+    raise ReplayError("the viewer does not finish loading")
+
+
 def pictures(viewer: Headless, rrd: Path, times_s: Sequence[float]) -> tuple[list[bytes], list[str]]:
     """Pictures (PNG) of the whole window at these times, and what views complained of."""
     client = viewer.client
-    client.open(str(rrd.resolve()))
+    open_whole(client, rrd)
     shots, complaints = [], []
     for time_s in times_s:
         client.set_time("sim_time", duration=time_s, play_state="paused")
