@@ -134,6 +134,9 @@ class CountedRecord:
     def __getattr__(self, name: str) -> Any:
         return _counted(self._record[name])
 
+    def __getitem__(self, name: str) -> Any:
+        return _counted(self._record[name])
+
     def __setattr__(self, name: str, value: Any) -> None:
         self._record[name] = value
 

@@ -13,6 +13,7 @@ FILES = {  # file of the kernels -> subject, for the count of operations
     "atmosphere.py": "atmosphere",
     "wind.py": "wind",
     "turbulence.py": "turbulence",
+    "nearby.py": "local frame and air near a step's start",
     "surroundings.py": "air-relative motion",
     "aero.py": "aerodynamics",
     "engine.py": "engine",
