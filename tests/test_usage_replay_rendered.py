@@ -169,5 +169,53 @@ def test_a_live_flight_without_a_viewer_is_not_flown(tmp_path: Path, capsys: pyt
     assert not (tmp_path / "out").exists()
 
 
+CAMPAIGN = """
+schema = 1
+extends = "nominal.toml"
+requirement = []
+
+[campaign]
+runs = 2
+seed = 1
+
+[run]
+duration_s = 3.1
+
+[[disperse]]
+key = "vehicle.stage.0.aero.force_factor"
+name = "normal force"
+distribution = "normal"
+three_sigma = 0.15
+source = "a test"
+"""
+
+
+def test_a_run_of_a_campaign_is_flown_again_and_shown(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """`simrun --from DIR --run N --view`: the same window as `simreplay` of its log."""
+    monkeypatch.chdir(tmp_path)
+    assert simrun.main(["--copy", "nominal", "."]) == 0
+    Path("short.toml").write_text(CAMPAIGN, encoding="utf-8")
+    assert simrun.main(["short.toml", "--out", "flown", "--no-report"]) in {0, 3}
+    again = ["--from", "flown", "--run", "1", "--out", "again"]
+
+    free = viewer.free_port()
+    assert simrun.main([*again, "--view-port", str(free)]) == 2
+    assert capsys.readouterr().err.endswith(f"simrun: --view: no viewer listens on port {free} of 127.0.0.1\n")
+    assert not Path("again").exists()
+
+    with headless_viewer() as client:
+        port = client.url.rsplit(":", 1)[1].split("/")[0]
+        assert simrun.main([*again, "--view-port", port]) == 0
+        assert "SAME as run 1 of flown" in capsys.readouterr().out
+        assert pixels(at(client, 2.0)).std() > 10.0
+        assert viewer.complaints_of(client) == []
+        state = client.get_state()
+        ends = [t.end or 0 for r in state.recordings for t in r.timelines if t.name == "sim_time"]
+        assert max(ends) == pytest.approx(3.1e9, rel=1e-6)
+        assert {"Vehicle", "Trajectory", "Phases"} <= {view.name.split(" (")[0] for view in state.views}
+
+
 def test_the_version_of_the_viewer_is_the_one_that_this_was_written_for() -> None:
     assert rr.__version__.startswith("0.41.")

@@ -302,10 +302,11 @@ def _campaign(options: argparse.Namespace, parser: argparse.ArgumentParser) -> i
     of_a_folder = ("--run", "--shrink", "--search")
     of_a_flight = ("--seed", "--until-settled", "--dask", "--device")
     given = [name for name, value in _campaign_options(options) if value]
-    if options.view_port is not None or options.realtime is not None:
-        parser.error("--view-port and --realtime go with a scenario or a log; --run N --view shows a flight once flown")
+    view = options.view or options.view_port is not None
+    if options.realtime is not None:
+        parser.error("--realtime goes with a scenario or a log; --run N --view shows a flight once flown")
     if options.log is None:
-        if options.view:
+        if view:
             parser.error("--view shows one flight: with a campaign, --from DIR --run N")
         if wrong := [name for name in given if name in of_a_folder]:
             parser.error(f"{wrong[0]} goes with --from DIR")
@@ -318,9 +319,9 @@ def _campaign(options: argparse.Namespace, parser: argparse.ArgumentParser) -> i
             parser.error(
                 f"{wrong[0]} goes with a campaign file: a flown campaign is extended by the command that flew it"
             )
-        if (options.view or options.shrink) and options.run is None:
+        if (view or options.shrink) and options.run is None:
             parser.error("--view and --shrink go with --run N")
-        if options.view and (options.shrink or options.no_log):
+        if view and (options.shrink or options.no_log):
             parser.error("--view shows the log of --run N")
     if options.dask is not None and options.device == "cuda":
         parser.error("--dask flies on the CPUs of its workers: not with --device cuda")
@@ -349,7 +350,8 @@ def _campaign(options: argparse.Namespace, parser: argparse.ArgumentParser) -> i
             dask=options.dask,
             device=options.device or "cpu",
             run=options.run,
-            view=options.view,
+            view=view,
+            view_port=options.view_port,
             shrink=options.shrink,
             search=options.search,
         )

@@ -15,11 +15,13 @@ from typing import TYPE_CHECKING, Any
 from maxq.sim.scenario.errors import ScenarioError
 from maxq.tools.interruption import Interruption
 from maxq.tools.plain_text import printable
+from maxq.tools.replay.error import ReplayError
 
 if TYPE_CHECKING:
     from maxq.sim.campaign.plan import LoadedCampaign
     from maxq.sim.campaign.runner import Outcome, Progress
     from maxq.sim.flight.batch import Device
+    from maxq.tools.replay.flown import FlownView
 
 PASSED, FAILED, BAD_INPUT, OPEN, INTERRUPTED = 0, 1, 2, 3, 130
 
@@ -43,6 +45,7 @@ class Order:
     device: Device = "cpu"
     run: int | None = None
     view: bool = False
+    view_port: int | None = None
     shrink: bool = False
     search: str | None = None
 
@@ -63,7 +66,7 @@ def execute(order: Order) -> int:
         if order.search is not None:
             return _search(order)
         return _report_again(order)
-    except (ScenarioError, CampaignError, DeviceError, LogError) as error:
+    except (ScenarioError, CampaignError, DeviceError, LogError, ReplayError) as error:
         print(f"simrun: {printable(str(error))}", file=sys.stderr)
         return BAD_INPUT
     except MemoryError:
@@ -223,6 +226,7 @@ def _refly(order: Order) -> int:
     assert order.folder is not None
     assert order.run is not None
     start_s = time.perf_counter()
+    view = _view(order)
     _announce_compilation()
     out = Path(order.out) if order.out else None
     with Interruption() as interruption, FlightProgress() as progress:
@@ -241,20 +245,31 @@ def _refly(order: Order) -> int:
         print(f"SAME as {of}: inputs, metrics and final state are equal, bit by bit ({again.flight.state_hash[:16]})")
     else:
         print(f"DIFFERENT from {of}: {printable(again.differences[0])} ({len(again.differences)} columns differ)")
-    if order.view:
-        _view(again.folder / record.LOG_NAME)
+    if view is not None:
+        _show(view, again.folder / record.LOG_NAME)
     return PASSED if again.flight.passed and again.same is not False else FAILED
 
 
-def _view(log: Path) -> None:
-    from importlib.util import find_spec  # noqa: PLC0415  # lazy
+def _view(order: Order) -> FlownView | None:
+    """Where the flight will be shown, found before it is flown. Raises ReplayError where there is no viewer."""
+    if not order.view:
+        return None
+    try:
+        from maxq.tools.replay.flown import FlownView  # noqa: PLC0415  # lazy: rerun takes half a second
 
-    if find_spec("maxq.tools.simreplay") is None:
-        print(f"simrun: no viewer is installed; any MCAP viewer opens {log}", file=sys.stderr)
-        return
-    from importlib import import_module  # noqa: PLC0415  # lazy
+        return FlownView(order.view_port)
+    except ReplayError as error:
+        raise ReplayError(f"--view: {error}") from error
+    except ImportError as error:
+        raise ReplayError(f"--view: a package is missing or broken: {error}") from error
 
-    import_module("maxq.tools.simreplay").main([str(log)])
+
+def _show(view: FlownView, log: Path) -> None:
+    """The flight is flown and its log is written: a viewer that fails changes nothing of the verdict."""
+    try:
+        view.show(log)
+    except ReplayError as error:
+        print(f"simrun: --view: {printable(str(error))}", file=sys.stderr)
 
 
 def _report_again(order: Order) -> int:

@@ -109,6 +109,15 @@ def _show(flights: list[ReplayFlight], given: argparse.Namespace, viewer: Headle
         return _window(path)
 
 
+def window_of(flights: Sequence[ReplayFlight]) -> None:
+    """Show flights in a window and wait until it is closed. Raises ReplayError."""
+    from maxq.tools.replay.convert import Options, save  # noqa: PLC0415  # lazy: loads rerun
+
+    with _temporary() as path:
+        save(flights, Options(), path)
+        _window(path)
+
+
 def _convert(flights: Sequence[ReplayFlight], given: argparse.Namespace, path: Path) -> None:
     from maxq.tools.replay.convert import Options, save  # noqa: PLC0415  # lazy: loads rerun
 
