@@ -22,7 +22,7 @@ from maxq.control.converter import ConverterState, convert, make_converter
 from maxq.control.jit import from_python
 from maxq.control.records import blank, pack
 from maxq.design import api
-from maxq.design.certificate.breaking import break_loop
+from maxq.design.certificate.breaking import TOO_LONG, break_loop
 from maxq.design.certificate.certificate import NodeCertificate, certify_node
 from maxq.design.certificate.excitation import Band, band, injections
 from maxq.design.certificate.flown_through import fly_through
@@ -133,6 +133,17 @@ def test_margin_is_found_again_from_an_altered_flight(held: HeldFlight) -> None:
     assert found.reason == ""
     assert found.difference == pytest.approx(-2.0, abs=0.05)
     assert found.tried[0][1] > 0.0
+
+
+def test_delay_that_does_not_fit_the_computer_is_named(loaded: LoadedScenario) -> None:
+    """At 5 s ksr3-free bears 150 ms, 15 samples; the filter has room for 12."""
+    patient = load_scenario("nominal", ['design="designs/ksr3-free.toml"'])
+    held = hold(patient, api.nodes(patient, [5.0])[0])
+    assert patient.design is not None
+    loop = api.loops([held.node], patient.design)[0]
+    found = break_loop(held, loop, margins(loop), "delay")
+    assert found.linear > 0.12
+    assert (found.reason, found.tried) == (TOO_LONG, ())
 
 
 def test_what_grows_ends_as_a_limit_cycle_or_is_lost(held: HeldFlight) -> None:

@@ -11,6 +11,8 @@ import numpy as np
 import pytest
 
 from maxq.design.model.dispersion import NOMINAL
+from maxq.design.verify.campaigns import load_wanted
+from maxq.design.verify.flights import load_flight
 from maxq.design.verify.memory import Memory, content_hash
 from maxq.design.verify.suite import LinearMargins, builtin_suites, read_suite
 from maxq.design.verify.verdict import ACCEPTED, REJECTED, UNDECIDED, Requirement, overall
@@ -107,6 +109,8 @@ def test_rejected_and_undecided_have_their_codes(
         (("ksr3-robust", "--set", "flight=[{name='a',set=['run.step=1']}]"), "run.step"),
         (("ksr3-robust", "--set", "flight=[{name='a'},{name='a'}]"), "name of another flight"),
         (("ksr3-robust", "--set", "campaign=[{file='nothing'}]"), "nothing"),
+        (("ksr3-robust", "--set", "dispersed_limit.0.requirement='slosh angel'"), "did you mean slosh angle?"),
+        (("ksr3-robust", "--set", "dispersed_limit.0.why=''"), 'dispersed_limit.0.why = "": a limit without a reason'),
     ],
 )
 def test_wrong_input_is_one_line(
@@ -120,6 +124,36 @@ def test_wrong_input_is_one_line(
     assert said in err
 
 
+def test_dispersed_limits_stand_in_for_the_scenarios_own(tmp_path: Path) -> None:
+    path = tmp_path / "limits.toml"
+    path.write_text("""
+schema = 1
+[[dispersed_limit]]
+requirement = "slosh angle"
+limit = 17.0
+why = "a test"
+[[flight]]
+name = "own"
+[[flight]]
+name = "dispersed"
+limits = "dispersed"
+[[campaign]]
+file = "campaigns/ksr3"
+limits = "dispersed"
+set = ["vehicle.stage.0.tank.0.damping_ratio=0.1"]
+""")
+    loaded = read_suite(path)
+    design = "designs/ksr3-robust.toml"
+    flights = [load_flight(loaded.suite, flown, design, None) for flown in loaded.suite.flight]
+    bounds = [{r.name: r.limit for r in scenario.scenario.requirement} for scenario, _ in flights]
+    assert [b["slosh angle"] for b in bounds] == [10.0, 17.0]
+    assert bounds[0] | {"slosh angle": 17.0} == bounds[1]  # no other
+    assert [c for c in flights[1][1] if c.startswith("requirement")] == ["requirement.6.limit=17.0"]
+    base = load_wanted(loaded, loaded.suite.campaign[0], design, None).base.scenario
+    assert {r.name: r.limit for r in base.requirement} == bounds[1]
+    assert [tank.damping_ratio for tank in base.vehicle.stage[0].tank] == [0.1, 0.02]
+
+
 def test_list_names_suites_and_designs(capsys: pytest.CaptureFixture[str]) -> None:
     code, out, _ = _run(capsys, "--list")
     assert code == 0
@@ -129,7 +163,8 @@ def test_list_names_suites_and_designs(capsys: pytest.CaptureFixture[str]) -> No
 
 def test_standard_suite_is_what_the_issue_asks_for() -> None:
     suite = read_suite("standard").suite
-    assert len(suite.flight) == 12
+    assert len(suite.flight) >= 12
+    assert {"engine out early", "engine out late", "attitude transient"} <= {f.name for f in suite.flight}
     assert suite.certificate is not None
     assert len(suite.certificate.times_s) == 11
     assert suite.campaign[0].runs == 1000

@@ -38,6 +38,7 @@ DRIFT_HZ = 0.02  # slower than this the edge is that of a root without oscillati
 DITHER_ABOVE_HZ = 2.0  # without it the converter keeps a ringing of some pulses alive, up to half a dB inside the edge
 RINGS_UP = 4.0  # a burst goes on until the loop at its edge has made this much of it, if that is not too long
 LONGEST_BURST_S = 6.0
+TOO_LONG = "longer than can be inserted"  # reason for a delay margin that is not looked for in flight
 LOST = math.inf  # growth of what meets the limits before it can be told
 DEAD = -math.inf  # of what has died away before
 _LEAST_WINDOWS = 6
@@ -103,6 +104,9 @@ def break_loop(held: HeldFlight, loop: Loop, margins: Margins, what: What) -> Br
         return Broken(what, UNITS[what], math.nan, math.nan, frequency, (), "the linear loop is unstable")
     if not math.isfinite(linear):
         return Broken(what, UNITS[what], linear, math.nan, frequency, (), "nothing bounds it")
+    most = _longest_s(held) if what == "delay" else math.inf
+    if 1.02 * linear > most:
+        return Broken(what, UNITS[what], linear, math.nan, frequency, (), TOO_LONG)
     watch = watch_at(frequency, build_up(altered(loop, what, linear), frequency))
     slope = abs(_slope(loop, what, linear))
     tolerance = 0.02 if what != "delay" else 0.003 * linear
@@ -113,7 +117,7 @@ def break_loop(held: HeldFlight, loop: Loop, margins: Margins, what: What) -> Br
         tried.append((at, growth))
         if math.isnan(growth):
             return Broken(what, UNITS[what], linear, math.nan, frequency, tuple(tried), "the flight was lost")
-        following = _next(tried, slope, 0.25 * linear, 5.0 * tolerance)
+        following = min(_next(tried, slope, 0.25 * linear, 5.0 * tolerance), most)
         step, at = following - at, following
         if abs(step) < tolerance:
             return Broken(what, UNITS[what], linear, at, frequency, tuple(tried))
@@ -214,6 +218,12 @@ def ringing_growth(
     under = np.flatnonzero(envelope[:count] < 0.1 * envelope[0])
     count = max(int(under[0]), _LEAST_WINDOWS) if len(under) else count
     return float(np.polyfit(times[:count], np.log(np.maximum(envelope[:count], 1e-300)), 1)[0])
+
+
+def _longest_s(held: HeldFlight) -> float:
+    """Delay for which the filter has sections left, two samples each."""
+    free = MAX_SECTIONS - int(held.packed.parameters[0].computer.filters.n_sections[held.axis])
+    return 2.0 * free * held.sample_s
 
 
 def _alter(packed: Packed, held: HeldFlight, what: What, amount: float) -> None:

@@ -7,7 +7,7 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 from maxq.design import api
-from maxq.design.certificate.breaking import WHATS, Broken, What, break_loop
+from maxq.design.certificate.breaking import TOO_LONG, WHATS, Broken, What, break_loop
 from maxq.design.certificate.excitation import Band
 from maxq.design.certificate.held_flight import Change, hold
 from maxq.design.certificate.limit_cycle import LimitCycle, limit_cycle
@@ -29,8 +29,9 @@ class EdgeRow:
     where it is held, and measured there.
 
     `reason` is "" where flight and linear loop agree; "held gravity" where they do, but the flown instant's margin is
-    another, because the slowest root feels the axial load where it is held and gravity where it is flown; otherwise
-    what is wrong.
+    another, because the slowest root feels the axial load where it is held and gravity where it is flown; "longer than
+    can be inserted" for a delay margin of more samples than the computer's filter has room for, which is not looked for
+    in flight; otherwise what is wrong.
     """
 
     what: str
@@ -49,7 +50,7 @@ class EdgeRow:
 
     @property
     def agrees(self) -> bool:
-        return self.reason in ("", HELD_GRAVITY, "nothing bounds it")
+        return self.reason in ("", HELD_GRAVITY, TOO_LONG, "nothing bounds it")
 
 
 @dataclass(frozen=True)
@@ -95,13 +96,15 @@ def certify(
     workers: int = 2,
     watch: Callable[[NodeCertificate], None] | None = None,
     one: Callable[[LoadedScenario, Node], NodeCertificate] | None = None,
+    along: LoadedScenario | None = None,
 ) -> list[NodeCertificate]:
     """Certificates of the scenario's design, planes within nodes, whatever the number of workers.
 
-    `one` certifies a node, by default `certify_node`: a place for a memory (design/verify/memory.py).
+    `one` certifies a node, by default `certify_node`: a place for a memory (design/verify/memory.py). `along`: whose
+    flight gives the nodes their speed and air, by default the scenario itself.
     """
     times = list(times_s)
-    found = {plane: api.nodes(loaded, times, plane=plane) for plane in planes}
+    found = {plane: api.nodes(along or loaded, times, plane=plane) for plane in planes}
     jobs = [node for each in zip(*found.values(), strict=True) for node in each]
 
     def done(node: Node) -> NodeCertificate:

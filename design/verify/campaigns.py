@@ -8,8 +8,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
+from maxq.design.verify.limits import limit_changes
 from maxq.design.verify.memory import code_hash, content_hash
-from maxq.design.verify.suite import CampaignWanted
+from maxq.design.verify.suite import CampaignWanted, LoadedSuite
 from maxq.design.verify.verdict import ACCEPTED, REJECTED, UNDECIDED, Judgement, Requirement
 from maxq.sim.campaign.analysis import DataSet, Judged, judged
 from maxq.sim.campaign.plan import LoadedCampaign, description_of, load_campaign
@@ -32,10 +33,13 @@ class CampaignResult:
     verdicts: tuple[Judged, ...]
 
 
-def load_wanted(wanted: CampaignWanted, design: str, vehicle: str | None) -> LoadedCampaign:
-    """The campaign with the design in it, and the suite's numbers. Raises ScenarioError."""
+def load_wanted(loaded_suite: LoadedSuite, wanted: CampaignWanted, design: str, vehicle: str | None) -> LoadedCampaign:
+    """The campaign with the design in it, and the suite's numbers and limits. Raises ScenarioError."""
     changes = [f'design="{design}"'] + ([f'vehicle="{vehicle}"'] if vehicle is not None else [])
+    changes += wanted.set
     loaded = load_campaign(wanted.file, changes)
+    more = limit_changes(loaded_suite.suite, wanted.limits, loaded.base.scenario, loaded_suite.label)
+    loaded = load_campaign(wanted.file, [*changes, *more]) if more else loaded
     given = {key: getattr(wanted, key) for key in ("runs", "success", "confidence")}
     return loaded.with_campaign(**{key: value for key, value in given.items() if value is not None})
 
@@ -50,20 +54,25 @@ def campaign_folder(loaded: LoadedCampaign, parts: Path) -> Path:
 
 
 def fly_campaign(
+    loaded_suite: LoadedSuite,
     wanted: CampaignWanted,
     design: str,
     vehicle: str | None,
     parts: Path,
     watch: Callable[[Progress], None] = lambda progress: None,
     stop: Callable[[], bool] = lambda: False,
+    afresh: bool = False,
 ) -> CampaignResult:
-    """Fly what is missing of a campaign. Raises ScenarioError, CampaignError."""
-    loaded = load_wanted(wanted, design, vehicle)
-    folder = campaign_folder(loaded, parts)
+    """Fly what is missing of a campaign, or all of it into a new folder. Raises ScenarioError, CampaignError."""
+    loaded = load_wanted(loaded_suite, wanted, design, vehicle)
+    folder = known = campaign_folder(loaded, parts)
+    count = 1
+    while afresh and folder.exists():
+        folder = known.with_name(f"{known.name}-{(count := count + 1)}")
     outcome = run_campaign(loaded, folder, watch=watch, stop=stop)
     data = DataSet(folder, loaded, loaded.campaign.runs)
     return CampaignResult(
-        loaded.name, wanted.file, folder, len(data.runs), outcome.stopped, loaded.campaign.success,
+        wanted.name or loaded.name, wanted.file, folder, len(data.runs), outcome.stopped, loaded.campaign.success,
         loaded.campaign.confidence, tuple(judged(data)),
     )  # fmt: skip
 

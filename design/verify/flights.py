@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from maxq.control.records import Array
+from maxq.design.verify.limits import limit_changes
 from maxq.design.verify.memory import Memory
 from maxq.design.verify.suite import Flown, Suite
 from maxq.design.verify.verdict import ACCEPTED, REJECTED, Requirement
@@ -74,9 +75,14 @@ class FlownResult:
         return min(self.asked, key=lambda a: (a.met, a.room), default=None)
 
 
-def load_flight(suite: Suite, flown: Flown, design: str, vehicle: str | None) -> LoadedScenario:
-    """The scenario of one flight with the design in it. Raises ScenarioError."""
-    return load_scenario(flown.scenario or suite.scenario, _changes(flown, design, vehicle), METRIC_NAMES)
+def load_flight(
+    suite: Suite, flown: Flown, design: str, vehicle: str | None, label: str = "suite"
+) -> tuple[LoadedScenario, list[str]]:
+    """The scenario of one flight with the design in it, and what is changed in it. Raises ScenarioError."""
+    name, changes = flown.scenario or suite.scenario, _changes(flown, design, vehicle)
+    loaded = load_scenario(name, changes, METRIC_NAMES)
+    more = limit_changes(suite, flown.limits, loaded.scenario, label)
+    return (load_scenario(name, [*changes, *more], METRIC_NAMES) if more else loaded), [*changes, *more]
 
 
 def _changes(flown: Flown, design: str, vehicle: str | None) -> list[str]:
@@ -93,16 +99,17 @@ def fly_suite(
     memory: Memory,
     watch: Callable[[int, int], None] = lambda done, of: None,
     workers: int = 2,
+    label: str = "suite",
 ) -> list[FlownResult]:
     """All flights, in the suite's order. Raises ScenarioError before any is flown where one cannot be."""
-    loaded = [load_flight(suite, flown, design, vehicle) for flown in suite.flight]
+    loaded = [load_flight(suite, flown, design, vehicle, label) for flown in suite.flight]
     done = [0]
 
-    def one(job: tuple[Flown, LoadedScenario]) -> FlownResult:
-        flown, scenario = job
+    def one(job: tuple[Flown, tuple[LoadedScenario, list[str]]]) -> FlownResult:
+        flown, (scenario, changes) = job
         text = (scenario.as_flown, flown.name, flown.why, flown.design_must_keep)
         command = ["simrun", flown.scenario or suite.scenario]
-        command += [x for change in _changes(flown, design, vehicle) for x in ("--set", change)]
+        command += [x for change in changes for x in ("--set", change)]
         again = shlex.join(command)
         result = memory.recall("flight", (*text, again), lambda: _fly(flown, scenario, again))
         done[0] += 1

@@ -27,6 +27,20 @@ Plane = Literal["pitch", "yaw"]
 WANTED = "a suite (.toml)"
 
 
+class DispersedLimit(Section):
+    """A limit off the nominal flight, in place of the scenario's own."""
+
+    requirement: str = Field(description="name of the scenario's requirement")
+    limit: float = Field(description="at most this, in the metric's unit")
+    why: str = Field(description="the engineering reason, shown in the review pack")
+
+    @model_validator(mode="after")
+    def _check(self) -> DispersedLimit:
+        if not self.why.strip():
+            raise refuse("a limit without a reason", "the engineering reason, in words", key=("why",))
+        return self
+
+
 class Flown(Section):
     """A scenario of the suite: the base scenario with changes, judged by its requirements."""
 
@@ -34,6 +48,9 @@ class Flown(Section):
     why: str = Field(default="", description="what it is to show, in a sentence")
     scenario: str | None = Field(default=None, description="another base (default: the suite's)")
     set: tuple[str, ...] = Field(default=(), description="changes, key=value as with simrun --set")
+    limits: Literal["own", "dispersed"] = Field(
+        default="own", description="the scenario's own limits, or those of [[dispersed_limit]] where there is one"
+    )
     design_must_keep: bool = Field(default=True, description="false: flown and shown, but no reason to reject")
 
 
@@ -106,6 +123,9 @@ class CampaignWanted(Section):
     """A campaign with its required confidence."""
 
     file: str = Field(description="a campaign file, or the name of a built-in one")
+    name: str = Field(default="", description="shown to people (default: the campaign's)")
+    set: tuple[str, ...] = Field(default=(), description="changes, key=value as with simrun --set")
+    limits: Literal["own", "dispersed"] = Field(default="own", description="as of a flight")
     runs: Annotated[int, Field(gt=0)] | None = Field(default=None, description="default: the campaign's")
     success: Level | None = Field(default=None, description="default: the campaign's")
     confidence: Level | None = Field(default=None, description="default: the campaign's")
@@ -122,6 +142,9 @@ class Suite(Section):
     margins: LinearMargins | None = Field(default=None, description="absent: not asked for")
     certificate: CertificateWanted | None = Field(default=None, description="absent: not asked for")
     campaign: tuple[CampaignWanted, ...] = Field(default=(), description="campaigns")
+    dispersed_limit: tuple[DispersedLimit, ...] = Field(
+        default=(), description="limits of flights and campaigns with limits = 'dispersed'"
+    )
     wind_limit_mps: Positive | None = Field(
         default=None, description="steady cross-wind that the gimbal must be able to trim at every time, m/s"
     )

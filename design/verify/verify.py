@@ -93,31 +93,41 @@ def verify(
 ) -> Verification:
     """Judge a design by a suite. `design` as a scenario names it. `memory`: folder of parts, None for none.
 
-    Raises ScenarioError before anything is flown where an input is wrong.
+    Raises ScenarioError before anything is flown where an input is wrong; KeyboardInterrupt soon after `stop` says
+    True, what was worked out being kept.
     """
     begun = time.perf_counter()
+
+    def watched(what: str, done: int, of: int) -> None:
+        watch(what, done, of)
+        if stop():
+            raise KeyboardInterrupt
+
     suite, kept = loaded.suite, Memory(memory)
     changes = [f'design="{design}"'] + ([f'vehicle="{vehicle}"'] if vehicle is not None else [])
     scenario = load_scenario(suite.scenario, changes)
     assert scenario.design is not None
+    along = _along_what(suite, scenario, changes[1:])
     for wanted in suite.campaign:
-        load_wanted(wanted, design, vehicle)
+        load_wanted(loaded, wanted, design, vehicle)
     walls: dict[str, float] = {}
     cpus: dict[str, float] = {}
 
     def timed(what: str, since: tuple[float, float]) -> tuple[float, float]:
         now = time.perf_counter(), time.process_time()
         walls[what], cpus[what] = now[0] - since[0], now[1] - since[1]
+        if stop():
+            raise KeyboardInterrupt
         return now
 
     at = begun, time.process_time()
-    flights = fly_suite(suite, design, vehicle, kept, lambda n, of: watch("scenarios", n, of), workers)
+    flights = fly_suite(suite, design, vehicle, kept, lambda n, of: watched("scenarios", n, of), workers, loaded.label)
     at = timed("scenarios", at)
-    margin = _margins(scenario, suite, kept, watch, workers)
-    limits = authority(_along(scenario, suite), _command_limit_rad(scenario))
-    slosh = _slosh(scenario, suite, kept)
+    margin = _margins(scenario, along, suite, kept, watched, workers)
+    limits = authority(_every_second(along, suite), _command_limit_rad(scenario))
+    slosh = _slosh(scenario, along, suite, kept)
     at = timed("linear margins", at)
-    certificates, through = _certificates(scenario, suite, kept, watch, workers)
+    certificates, through = _certificates(scenario, along, suite, kept, watched, workers)
     at = timed("certificate", at)
     campaigns = []
     for k, asked in enumerate(suite.campaign):
@@ -126,7 +136,7 @@ def verify(
         def show(progress: object, k: int = k) -> None:
             watch(f"campaign {k + 1}", getattr(progress, "done", 0), getattr(progress, "total", 1))
 
-        campaigns.append(fly_campaign(asked, design, vehicle, parts, show, stop))
+        campaigns.append(fly_campaign(loaded, asked, design, vehicle, parts, show, stop, memory is None))
     timed("campaigns", at)
     requirements = flight_requirements(flights)
     for found in margin:
@@ -177,13 +187,24 @@ def certificate_requirements(
     return out
 
 
-def _margins(scenario: LoadedScenario, suite: Suite, memory: Memory, watch: Watch, workers: int) -> list[MarginStudy]:
+def _along_what(suite: Suite, scenario: LoadedScenario, changes: list[str]) -> LoadedScenario:
+    """Whose flight the nodes lie on: that of the suite's scenario with its own design, as for `simdesign analyse`.
+
+    So all candidates are measured at the same speeds in the same air, and a changed gain leaves other nodes alone.
+    """
+    own = load_scenario(suite.scenario, changes)
+    return scenario if own.design is None else own
+
+
+def _margins(
+    scenario: LoadedScenario, along: LoadedScenario, suite: Suite, memory: Memory, watch: Watch, workers: int
+) -> list[MarginStudy]:  # fmt: skip
     if suite.margins is None:
         return []
     assert scenario.design is not None
     out = []
     for plane in suite.margins.planes:
-        nodes = _nodes(scenario, suite.margins.times_s, plane, memory)
+        nodes = _nodes(along, suite.margins.times_s, plane, memory)
         out.append(
             study(
                 nodes, scenario.design, suite.margins, memory,
@@ -194,7 +215,7 @@ def _margins(scenario: LoadedScenario, suite: Suite, memory: Memory, watch: Watc
 
 
 def _certificates(
-    scenario: LoadedScenario, suite: Suite, memory: Memory, watch: Watch, workers: int
+    scenario: LoadedScenario, along: LoadedScenario, suite: Suite, memory: Memory, watch: Watch, workers: int
 ) -> tuple[list[NodeCertificate], list[FlownThrough]]:
     wanted = suite.certificate
     if wanted is None:
@@ -212,7 +233,7 @@ def _certificates(
         watch("certificate", count[0], total)
 
     watch("certificate", 0, total)
-    found = certify(scenario, wanted.times_s, wanted.planes, workers=workers, watch=done, one=one)
+    found = certify(scenario, wanted.times_s, wanted.planes, workers=workers, watch=done, one=one, along=along)
     through: list[FlownThrough] = []
     if wanted.flown_through:
         stable = [c.time_s for c in found if c.stable and c.plane == wanted.planes[0]]
@@ -230,14 +251,14 @@ def _nodes(scenario: LoadedScenario, times_s: tuple[float, ...], plane: str, mem
     )
 
 
-def _along(scenario: LoadedScenario, suite: Suite) -> list[Node]:
+def _every_second(along: LoadedScenario, suite: Suite) -> list[Node]:
     """Nodes every second between the first and the last that the suite names."""
     times = (
         *(suite.margins.times_s if suite.margins else ()),
         *(suite.certificate.times_s if suite.certificate else ()),
     )
     first, last = (min(times), max(times)) if times else (5.0, 55.0)
-    return api.nodes(scenario, np.arange(first, last + 0.5, 1.0))
+    return api.nodes(along, np.arange(first, last + 0.5, 1.0))
 
 
 def _command_limit_rad(scenario: LoadedScenario) -> float:
@@ -245,12 +266,14 @@ def _command_limit_rad(scenario: LoadedScenario) -> float:
     return math.inf if computer is None else math.radians(computer.command_limit_deg)
 
 
-def _slosh(scenario: LoadedScenario, suite: Suite, memory: Memory) -> list[SloshAdvice]:
+def _slosh(
+    scenario: LoadedScenario, along: LoadedScenario, suite: Suite, memory: Memory
+) -> list[SloshAdvice]:  # fmt: skip
     if suite.margins is None or not scenario.vehicle.stage[0].tank or not scenario.scenario.switches.slosh:
         return []
     assert scenario.design is not None
     design = scenario.design
-    nodes = _nodes(scenario, suite.margins.times_s, "pitch", memory)
+    nodes = _nodes(along, suite.margins.times_s, "pitch", memory)
     depends = (scenario.as_flown, suite.margins.times_s)
     found = memory.recall("slosh", depends, lambda: advise(nodes, design))
     worst = max((a for a in found if 0.0 < a.needed < math.inf), key=lambda a: a.needed, default=None)

@@ -93,11 +93,12 @@ def _verify(found: Sequence[Candidate], suite: str, pack: bool) -> int:
         write_pack(verified, Path(design), shlex.join(["simverify", design, "--suite", suite, "--out", design]), pack)
 
     names = [str(c.folder) for c in ranked]
-    with Interruption() as interruption, Progress() as progress:
-        accepted, every = try_in_order(
-            names, suite, keep=keep, watch=progress.show, stop=lambda: interruption.requested
-        )  # fmt: skip
-    if interruption.requested:
+    try:
+        with Interruption() as interruption, Progress() as progress:
+            accepted, every = try_in_order(
+                names, suite, keep=keep, watch=progress.show, stop=lambda: interruption.requested
+            )  # fmt: skip
+    except KeyboardInterrupt:
         print("simdesign: interrupted; what was worked out is kept, the same command goes on", file=sys.stderr)
         return _INTERRUPTED
     count = "the only candidate" if len(names) == 1 else f"candidate {len(every)} of {len(names)}"

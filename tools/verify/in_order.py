@@ -26,15 +26,13 @@ def try_in_order(
 
     `designs` as for `simverify`, the most wanted first. `tell` gets, line by line, the verdict on each and what it
     failed; `keep` each verification as soon as it is there. An undecided design is not accepted: the next one is
-    tried. Returns the accepted design, or None, and all that was found; after `stop` said True, what there was before.
-    Raises ScenarioError before anything is flown.
+    tried. Returns the accepted design, or None, and all that was found. Raises ScenarioError before anything is flown,
+    KeyboardInterrupt soon after `stop` says True.
     """
     loaded, paths = read_suite(suite, overrides), [design_path(design) for design in designs]
     every: list[Verification] = []
     for design, path in zip(designs, paths, strict=True):
         found = verify(path, loaded, memory=default_folder(), watch=watch, stop=stop)
-        if stop():
-            return None, every
         every.append(found)
         keep(design, found)
         for line in (text.headline(found, design), *text.reasons(found)):

@@ -135,7 +135,19 @@ def _requirements(found: Verification) -> str:
     head = f"<tr>{titles}</tr>"
     return (
         f"<h2>Requirements</h2><p>Room is the share of the limit that is left.</p><table>{head}{''.join(rows)}</table>"
+        + _dispersed_limits(found)
     )
+
+
+def _dispersed_limits(found: Verification) -> str:
+    stated = found.suite.dispersed_limit
+    own = [f.name for f in found.suite.flight if f.limits == "own"]
+    if not stated:
+        return ""
+    rows = [("limit off the nominal flight", "at most", "why")]
+    rows += [(x.requirement, f"{x.limit:g}", x.why) for x in stated]
+    kept = f" These flights keep the scenario's own: {html.escape(', '.join(own))}." if own else ""
+    return f"<p>Flights off the nominal one are held to limits of the suite.{kept}</p>{_table(rows, numbers=(1,))}"
 
 
 def _flights(found: Verification) -> str:

@@ -63,9 +63,6 @@ def _execute(order: Order) -> int:
         for name, path, folder in zip(order.designs, paths, folders, strict=True):
             begun = time.perf_counter()
             one = _verified(order, loaded, path, progress, lambda: interruption.requested)
-            if interruption.requested:
-                print("simverify: interrupted; what was worked out is kept, the same command goes on", file=sys.stderr)
-                return INTERRUPTED
             found.append(one)
             progress.show(f"writing {name}", 0, 1)
             files = write_pack(one, folder, command_of(order, (name,)), order.pack)

@@ -1,0 +1,117 @@
+"""What `simverify` has worked out is not worked out again: after a kill, after Ctrl-C, of a design that has changed.
+
+| what | expected |
+|---|---|
+| killed with SIGKILL, or interrupted, part-way | the same command recalls every part and finds what one go finds |
+| one changed gain | certificate and margins anew at its node alone; flights and what flies the whole ascent anew |
+| the same design under another name | everything recalled |
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from maxq.design.verify.suite import LoadedSuite, read_suite
+from maxq.design.verify.verify import Verification, verify
+from maxq.tools.design.design_file import designs_folder
+
+SUITE = """
+schema = 1
+[margins]
+times_s = [20.0, 30.0, 40.0]
+cases = 4
+corner_sigmas = 0.0
+success = 0.5
+[certificate]
+times_s = [30.0, 40.0]
+planes = ["pitch"]
+flown_through = false
+[[flight]]
+name = "six seconds"
+set = ["run.duration_s=6.0"]
+[[flight]]
+name = "seven seconds"
+set = ["run.duration_s=7.0"]
+"""
+CAMPAIGN = """
+[[campaign]]
+file = "campaigns/ksr3"
+runs = 8
+set = ["run.duration_s=6.0", "campaign.keep=[]"]
+"""
+PARTS = 2 + 1 + 3 + 1 + 2  # flights; nodes; margins; slosh; certificate
+RECALLS = PARTS + 1  # the nodes are asked for twice
+
+
+@pytest.fixture(scope="module")
+def in_one_go(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
+    folder = tmp_path_factory.mktemp("whole")
+    return _killed(folder, PARTS, "SIGCONT")  # a signal that does nothing
+
+
+def _killed(folder: Path, parts: int, number: str) -> dict[str, Any]:
+    suite = folder / "suite.toml"
+    suite.write_text(SUITE + CAMPAIGN)
+    script = Path(__file__).with_name("killing_verify.py")
+    run = subprocess.run(
+        [sys.executable, str(script), str(suite), str(folder), str(parts), number],
+        capture_output=True, text=True, timeout=600, check=True, env=os.environ | {"OPENBLAS_NUM_THREADS": "1"},
+    )  # fmt: skip
+    told: dict[str, Any] = json.loads(run.stdout)
+    return told
+
+
+def test_second_time_everything_is_recalled(in_one_go: dict[str, Any]) -> None:
+    assert in_one_go["code"] == in_one_go["second"] == 3  # too few flights to be sure
+    assert (in_one_go["recalled"], in_one_go["worked_out"]) == (RECALLS, 0)
+    assert in_one_go["runs"] == 8
+
+
+@pytest.mark.parametrize(
+    ("number", "code", "parts"), [("SIGKILL", -9, 2), ("SIGKILL", -9, 8), ("SIGINT", 130, 3)]
+)  # fmt: skip
+def test_an_interrupted_verification_goes_on(
+    tmp_path: Path, number: str, code: int, parts: int, in_one_go: dict[str, Any]
+) -> None:
+    told = _killed(tmp_path, parts, number)
+    assert told["code"] == code
+    assert parts <= told["parts"] < PARTS or told["runs"] < 8
+    assert told["worked_out"] == PARTS - told["parts"]  # nothing that was whole is done again
+    assert told["recalled"] == RECALLS - told["worked_out"]
+    wanted = [{**r, "again": ""} for r in in_one_go["requirements"]]  # which folder the runs lie in differs
+    assert [{**r, "again": ""} for r in told["requirements"]] == wanted
+
+
+def _verified(design: Path, suite: LoadedSuite, memory: Path) -> Verification:
+    return verify(str(design), suite, memory=memory)
+
+
+def test_one_changed_gain_redoes_what_depends_on_it(tmp_path: Path) -> None:
+    (tmp_path / "suite.toml").write_text(SUITE)
+    suite, memory = read_suite(tmp_path / "suite.toml"), tmp_path / "memory"
+    text = (designs_folder() / "ksr3-free.toml").read_text()  # a gain at every node
+    line = next(line for line in text.splitlines() if "time_s = 30.0" in line)
+    k_p = float(line.partition("k_p = ")[2].partition(",")[0])
+    changed = text.replace(line, line.replace(repr(k_p), repr(1.01 * k_p)))
+    assert changed != text
+    for name, content in (("first", text), ("other", text), ("changed", changed)):
+        (tmp_path / f"{name}.toml").write_text(content)
+    first = _verified(tmp_path / "first.toml", suite, memory)
+    parts = PARTS + 1  # of this design slosh is flown, too
+    assert (first.recalled, first.worked_out) == (1, parts)
+    other = _verified(tmp_path / "other.toml", suite, memory)
+    changed_ = _verified(tmp_path / "changed.toml", suite, memory)
+    assert other.worked_out <= 2  # the flights' commands name the file
+    anew = 2 + 1 + 2 + 1  # flights, margins at 30 s, slosh and its flight, certificate at 30 s
+    assert (changed_.recalled, changed_.worked_out) == (parts + 1 - anew, anew)
+    before, after = first.certificates, changed_.certificates
+    assert [c.time_s for c in after] == [30.0, 40.0]
+    assert before[0].edges != after[0].edges
+    assert before[1].edges == after[1].edges
