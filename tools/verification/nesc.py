@@ -1,7 +1,8 @@
 """Flies all NESC check cases and writes what they achieve into docs/verification.md:
 `python -m maxq.tools.verification.nesc [--check]`.
 
-With --check the file stays as it is. Exit code 1 where a tolerance is missed.
+Draws them into docs/pictures/verification, too. With --check nothing is written. Exit code 1 where a tolerance is
+missed.
 """
 
 from __future__ import annotations
@@ -12,7 +13,9 @@ import time
 from pathlib import Path
 
 from maxq.sim.flight.fly import Flight
+from maxq.tools.pictures.style import drawing
 from maxq.tools.verification.nesc_cases import ALL_CASES, Difference, fly_case
+from maxq.tools.verification.nesc_pictures import draw
 from maxq.tools.verification.section import VERIFICATION, markers, rewrite
 
 DOCUMENT = VERIFICATION
@@ -57,6 +60,8 @@ def main() -> int:
     print(f"{missed} missed; {time.perf_counter() - begun:.1f} s")
     if not arguments.check:
         insert(table)
+        with drawing(("png",)):
+            draw(flights)
     return 1 if missed else 0
 
 

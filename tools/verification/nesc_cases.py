@@ -64,7 +64,22 @@ def read_tolerances() -> list[dict[str, str]]:
         return list(csv.DictReader(file))
 
 
-def compare_atmospheric(case: str, flight: Flight) -> list[Difference]:
+@dataclass(frozen=True)
+class ErrorOverTime:
+    """Differences of one variable from one reference, (n,) at `time_s`."""
+
+    variable: str
+    reference: str
+    time_s: Array
+    error: Array
+    tolerance: float
+
+    def largest(self, case: str) -> Difference:
+        k = int(np.argmax(self.error))
+        return Difference(case, self.variable, self.reference, self.error[k], self.tolerance, self.time_s[k])
+
+
+def atmospheric_errors(case: str, flight: Flight) -> list[ErrorOverTime]:
     """Strict tolerances at t = 0, 0.1 .. 30 s, every variable of the table of tolerances."""
     columns = read_columns(DATA / f"nesc-{case}.csv.gz")
     time = np.array(columns["time"], float)
@@ -78,22 +93,29 @@ def compare_atmospheric(case: str, flight: Flight) -> list[Difference]:
         if row["variable"].startswith("eulerAngle"):
             error = np.minimum(error, np.abs(360.0 - error))
         error[: int(row["skip_t0"])] = 0.0
-        k = int(np.argmax(error))
-        tolerance = float(row["strict"])
-        out.append(Difference(case, row["variable"], f"SIM {row['ref_sim'].lstrip('0')}", error[k], tolerance, time[k]))
+        reference = f"SIM {row['ref_sim'].lstrip('0')}"
+        out.append(ErrorOverTime(row["variable"], reference, time, error, float(row["strict"])))
     return out
 
 
-def compare_orbit_with_drag(simulation: str, flight: Flight) -> list[Difference]:
-    """Distance from the position in exo 6A, every 60 s for eight hours."""
+def compare_atmospheric(case: str, flight: Flight) -> list[Difference]:
+    """The largest of `atmospheric_errors`."""
+    return [e.largest(case) for e in atmospheric_errors(case, flight)]
+
+
+def orbit_errors(simulation: str, flight: Flight) -> ErrorOverTime:
+    """Distance from the position in exo 6A, every 60 s for eight hours, m."""
     columns = read_columns(DATA / "exo-06a.csv.gz")
     time = np.array(columns["time"], float)
     chosen = _rows_at(flight, time)
     theirs = np.stack([np.array(columns[f"{simulation}_eiPosition_m_{a}"], float) for a in "XYZ"])
     error = np.linalg.norm(_vector(flight, "r_I_{}_m")[:, chosen] - theirs, axis=0)
-    k = int(np.argmax(error))
-    tolerance = ORBITS_WITH_DRAG[simulation][1]
-    return [Difference("exo 6A", "position_m", f"SIM {simulation}", error[k], tolerance, time[k])]
+    return ErrorOverTime("position_m", f"SIM {simulation}", time, error, ORBITS_WITH_DRAG[simulation][1])
+
+
+def compare_orbit_with_drag(simulation: str, flight: Flight) -> list[Difference]:
+    """The largest of `orbit_errors`."""
+    return [orbit_errors(simulation, flight).largest("exo 6A")]
 
 
 def compare_jeod(run: str, flight: Flight) -> list[Difference]:

@@ -7,6 +7,7 @@ import html
 import math
 import shutil
 import subprocess
+import tempfile
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
@@ -28,7 +29,7 @@ border-bottom:2px solid var(--ink); margin:2rem 0 .6rem; padding-bottom:.15rem }
 table { border-collapse:collapse; width:100%; font-size:.82rem; margin:.5rem 0 } th,td { text-align:left;
 padding:.22rem .5rem; border-bottom:1px solid var(--line); vertical-align:top } th { color:var(--soft);
 font-weight:600 }
-td.n,th.n { text-align:right; font-variant-numeric:tabular-nums } img { width:100%; height:auto } code,pre {
+td.n,th.n { text-align:right; font-variant-numeric:tabular-nums; white-space:nowrap } img { width:100%; height:auto } code,pre {
 font-family:"DejaVu Sans Mono",Consolas,monospace; font-size:.8rem } pre { background:#f4f4f4; padding:.6rem;
 white-space:pre-wrap; word-break:break-word } .accepted { color:var(--good) } .rejected { color:var(--bad) }
 .undecided { color:var(--open) } .verdict { border:3px solid currentColor; padding:.5rem 1rem; font-size:1.35rem;
@@ -54,16 +55,18 @@ def print_page(page: Path, pdf: Path) -> Path | None:
     if browser is None:
         return None
     part = pdf.with_name(f".{pdf.name}.part")
-    command = [
-        browser, "--headless", "--no-sandbox", "--disable-gpu", "--no-pdf-header-footer",
-        f"--print-to-pdf={part.resolve()}", page.resolve().as_uri(),
-    ]  # fmt: skip
-    try:
-        subprocess.run(command, capture_output=True, timeout=_PRINT_S, check=True)
-        part.replace(pdf)
-    except (OSError, subprocess.SubprocessError):
-        part.unlink(missing_ok=True)
-        return None
+    with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as profile:
+        command = [
+            browser, "--headless", "--no-sandbox", "--disable-gpu", "--no-first-run", "--disable-background-networking",
+            "--disable-component-update", "--disable-sync", f"--user-data-dir={profile}", "--no-pdf-header-footer",
+            f"--print-to-pdf={part.resolve()}", page.resolve().as_uri(),
+        ]  # fmt: skip
+        try:
+            subprocess.run(command, capture_output=True, timeout=_PRINT_S, check=True)
+            part.replace(pdf)
+        except (OSError, subprocess.SubprocessError):
+            part.unlink(missing_ok=True)
+            return None
     return pdf
 
 
@@ -74,7 +77,7 @@ def page_of(found: Verification, command: str, drawn: dict[str, bytes]) -> str:
         _certificate(found, drawn), _campaigns(found), _envelopes(found, drawn), _basis(found, command),
     ]  # fmt: skip
     title = html.escape(f"{found.design_name or found.design}: {found.judgement}")
-    body = "\n".join(part for part in parts if part)
+    body = "\n".join(part for part in parts if part).replace("&lt;= ", "≤\u00a0").replace("&gt;= ", "≥\u00a0")
     return (
         f'<!doctype html>\n<html lang="en"><head><meta charset="utf-8"><title>{title}</title>'
         f'<meta name="viewport" content="width=device-width, initial-scale=1"><style>{_STYLE}</style></head>\n'

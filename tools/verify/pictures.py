@@ -64,7 +64,8 @@ def _margins(found: Verification, margin: MarginStudy) -> Figure:
             if limit is not None:
                 place.axhline(limit, color=RED, linestyle=style, linewidth=1.0, label=text)
         label(place, "time, s" if name in _SHOWN[-2:] else "", unit, title)
-    places[0].legend()
+    names = {text: handle for handle, text in zip(*places[0].get_legend_handles_labels(), strict=True)}
+    figure.legend(names.values(), names.keys(), loc="outside lower center", ncols=len(names))
     return figure
 
 
