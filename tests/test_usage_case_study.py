@@ -15,7 +15,17 @@ from maxq.tools.studies.case_study.designs import DESIGNS
 from maxq.tools.studies.case_study.page import filled, places
 
 PAGE = chapter.PAGE.read_text(encoding="utf-8")
-CHEAP = ("limits", "claims", "peaks", "parameters", "parameters-relaxed", "campaigns", "campaigns-smooth")
+CHEAP = (
+    "limits",
+    "claims",
+    "peaks",
+    "parameters",
+    "parameters-relaxed",
+    "campaigns",
+    "campaigns-light",
+    "campaigns-smooth",
+    "campaigns-baffles",
+)
 
 
 @pytest.mark.parametrize("name", CHEAP)

@@ -110,6 +110,8 @@ TABLES: dict[str, Callable[[], list[str]]] = {
     "robust": robust,
     "flights": flights,
     "campaigns": lambda: dispersed_page.verdicts_table(dispersed.read(), "moderate"),
+    "campaigns-light": lambda: dispersed_page.verdicts_table(dispersed.read(), "light"),
+    "campaigns-baffles": lambda: dispersed_page.verdicts_table(dispersed.read(), "baffles"),
     "campaigns-smooth": lambda: dispersed_page.verdicts_table(dispersed.read(), "smooth"),
 }
 

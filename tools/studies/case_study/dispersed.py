@@ -27,8 +27,15 @@ RESULTS = Path(__file__).resolve().parents[3] / "docs" / "case-study-campaigns.j
 CAMPAIGN = "campaigns/ksr3"
 DESIGNS = ("ksr3-two-phase", "ksr3-robust")
 SMOOTH = ("wind.turbulence=", "wind.gust.0.speed_mps=0.0")
-AIRS: dict[str, tuple[tuple[str, ...], int]] = {"moderate": ((), 2000), "smooth": (SMOOTH, 100)}
-"""Overrides and runs: 2000, with which two failures are allowed; in smooth air enough to see what the air does."""
+LIGHT = ('wind.turbulence.exceedance="light"',)
+BAFFLES = tuple(f"vehicle.stage.0.tank.{tank}.damping_ratio=0.08" for tank in (0, 1))
+AIRS: dict[str, tuple[tuple[str, ...], int]] = {
+    "moderate": ((), 2000),
+    "light": (LIGHT, 1000),
+    "smooth": (SMOOTH, 1000),
+    "baffles": (BAFFLES, 1000),  # the air of the first, and four times the damping of the liquid
+}
+"""Overrides and runs: with 2000 two failures are allowed, with 1000 none."""
 ENVELOPES = ("q_alpha_Padeg", "error_pitch_deg", "gimbal_pitch_angle_deg", "gimbal_yaw_angle_deg")
 _LEVELS = 60
 _DRIVERS = 5

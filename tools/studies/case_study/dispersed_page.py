@@ -8,7 +8,7 @@ from typing import Any
 
 from maxq.sim.campaign.statistics import MET, NOT_MET
 from maxq.tools.pictures.style import BLUE, ORANGE, RED, label, plain_numbers, save, sheet
-from maxq.tools.studies.case_study.dispersed import AIRS, DESIGNS, ENVELOPES, Case
+from maxq.tools.studies.case_study.dispersed import DESIGNS, ENVELOPES, Case
 
 SHOWN = (
     "slosh angle",
@@ -19,6 +19,7 @@ SHOWN = (
     "lateral load",
 )
 LOOKS = {"ksr3-two-phase": (ORANGE, "--"), "ksr3-robust": (BLUE, "-")}
+WIDTHS = {"moderate": 1.8, "light": 1.1, "smooth": 0.6}  # of lines, points
 Results = Mapping[str, Any]
 
 
@@ -65,10 +66,10 @@ def _verdict(shown: Mapping[str, Any]) -> str:
 
 
 def exceedance_picture(results: Results, stem: Path) -> None:
-    """The share of flights in which a metric reaches a value, both designs, moderate and smooth air."""
+    """The share of flights in which a metric reaches a value, both designs, all kinds of air."""
     figure, places = sheet(2, 3, height_in=2.3)
     for place, name in zip(places, SHOWN, strict=True):
-        for air in AIRS:
+        for air, width in WIDTHS.items():
             for design in DESIGNS:
                 if Case(design, air).name not in results:
                     continue
@@ -76,7 +77,6 @@ def exceedance_picture(results: Results, stem: Path) -> None:
                 r = next(r for r in case["requirements"] if r["name"] == name)
                 colour, dashes = LOOKS[design]
                 scale = 1e-3 if r["unit"].startswith("Pa") else 1.0
-                width = 1.6 if air == "moderate" else 0.7
                 place.plot(
                     [scale * value for _, value in r["exceedance"]], [100.0 * share for share, _ in r["exceedance"]],
                     color=colour, linestyle=dashes, linewidth=width, label=f"{design.removeprefix('ksr3-')}, {air}",
@@ -87,7 +87,7 @@ def exceedance_picture(results: Results, stem: Path) -> None:
         plain_numbers(place.yaxis)
         place.set_ylim(0.04, 120.0)
         label(place, f"k{r['unit']}" if scale != 1.0 else r["unit"], "% of flights", name)
-    places[0].legend(loc="lower left", fontsize=6)
+    places[1].legend(loc="lower center", fontsize=6)
     save(figure, stem)
 
 
