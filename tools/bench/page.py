@@ -230,7 +230,7 @@ REPLAY = (
     ("many", "picture_s", "100 flights: opened, settled picture", "s", None),
     ("many", "viewer_MB", "100 flights: memory of the viewer", "MB", None),
     ("many", "layout_s", "100 flights: another time, laid out (a graphics card does the rest)", "s", None),
-    ("many", "move_s", "100 flights: another time, drawn in software and read back", "s", None),
+    ("many", "move_s", "100 flights: another time, drawn in software, twice", "s", None),
 )
 
 

@@ -195,7 +195,7 @@ def _bending(table: ChannelTable, scenario: Scenario | None, shape: VehicleShape
         modes = [i for i in range(1, 9) if f"eta_{axis}_{i}_m" in table]
         plots.append(
             _plot(
-                f"bending/{axis}", f"{axis} bending: modal coordinates (motion of the gimbal)", "mm",
+                f"bending/{axis}", f"{axis} bending: motion of the gimbal by modes", "mm",
                 *(Curve(f"{axis} mode {i}", f"eta_{axis}_{i}_m", 1e3) for i in modes),
                 limits=required(scenario, "max_bending_m", 1e3, both=True),
             )
