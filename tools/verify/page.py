@@ -29,13 +29,14 @@ border-bottom:2px solid var(--ink); margin:2rem 0 .6rem; padding-bottom:.15rem }
 table { border-collapse:collapse; width:100%; font-size:.82rem; margin:.5rem 0 } th,td { text-align:left;
 padding:.22rem .5rem; border-bottom:1px solid var(--line); vertical-align:top } th { color:var(--soft);
 font-weight:600 }
-td.n,th.n { text-align:right; font-variant-numeric:tabular-nums; white-space:nowrap } img { width:100%; height:auto } code,pre {
+td.n,th.n { text-align:right; font-variant-numeric:tabular-nums }
+td.n { white-space:nowrap } img { width:100%; height:auto } code,pre {
 font-family:"DejaVu Sans Mono",Consolas,monospace; font-size:.8rem } pre { background:#f4f4f4; padding:.6rem;
 white-space:pre-wrap; word-break:break-word } .accepted { color:var(--good) } .rejected { color:var(--bad) }
 .undecided { color:var(--open) } .verdict { border:3px solid currentColor; padding:.5rem 1rem; font-size:1.35rem;
 font-weight:700; display:inline-block; margin:.4rem 0 } .soft { color:var(--soft) } td.accepted,td.rejected,
 td.undecided { font-weight:600 } figure { margin:.6rem 0; break-inside:avoid } figcaption { color:var(--soft);
-font-size:.82rem; max-width:46rem } tr { break-inside:avoid } @page { size:A4; margin:14mm } @media print { body {
+font-size:.82rem; max-width:46rem } tr { break-inside:avoid } @page { size:A4; margin:14mm } @media print { html { font-size:12px } body {
 max-width:none; padding:0; font-size:11px } h2 { break-after:avoid } }
 """
 

@@ -83,8 +83,8 @@ def _nichols(found: Verification) -> Figure:
     assert design is not None
     assert wanted is not None
     judged = judge(api.nodes(found.scenario, wanted.times_s), design)
-    rows = math.ceil(len(judged) / 2)
-    figure, places = sheet(rows, 2, height_in=2.9, width_in=8.4)
+    columns = min(len(judged), 3)  # eleven nodes fit on a printed page
+    figure, places = sheet(math.ceil(len(judged) / columns), columns, height_in=2.5, width_in=8.4)
     for place, one in zip(places, judged, strict=False):
         draw_nichols(picture_of(one, ""), place)
         label(place, title=f"{one.time_s:g} s" + ("" if one.margins.stable else ", UNSTABLE"))
@@ -153,6 +153,7 @@ def _flights(found: Verification) -> Figure:
         label(place, "time, s", "deg", title)
     if found.authority:
         places[0].axhline(found.authority[0].gimbal_limit_deg, color=RED, linewidth=0.9)
+        places[0].set_ylim(top=1.45 * found.authority[0].gimbal_limit_deg)
     places[0].legend(loc="upper right")
     return figure
 
@@ -178,9 +179,10 @@ def _slosh(found: Verification) -> Figure:
         places[0].plot(here, [a.bob_station_m for a in mine], color=tone, linestyle=style, label=names[tank])
         places[1].plot(here, [a.needed for a in mine], color=tone, linestyle=style, label=f"{names[tank]}, needed")
         places[1].plot(here, [a.damping for a in mine], color=tone, linestyle=style, linewidth=0.6, alpha=0.7)
-    places[0].invert_yaxis()
+    low, high = places[0].get_ylim()
+    places[0].set_ylim(high + 0.4 * (high - low), low)  # aft is below, and the legend under all of it
     label(places[0], "time, s", "station, m aft of the nose", "where the liquid swings")
     label(places[1], "time, s", "damping ratio", "damping that the loop needs (thin: what the tank has)")
-    for place in places:
-        place.legend()
+    places[0].legend(loc="lower left")
+    places[1].legend()
     return figure
