@@ -36,7 +36,8 @@ white-space:pre-wrap; word-break:break-word } .accepted { color:var(--good) } .r
 .undecided { color:var(--open) } .verdict { border:3px solid currentColor; padding:.5rem 1rem; font-size:1.35rem;
 font-weight:700; display:inline-block; margin:.4rem 0 } .soft { color:var(--soft) } td.accepted,td.rejected,
 td.undecided { font-weight:600 } figure { margin:.6rem 0; break-inside:avoid } figcaption { color:var(--soft);
-font-size:.82rem; max-width:46rem } tr { break-inside:avoid } @page { size:A4; margin:14mm } @media print { html { font-size:12px } body {
+font-size:.82rem; max-width:46rem } tr { break-inside:avoid } @page { size:A4; margin:14mm }
+@media print { html { font-size:12px } body {
 max-width:none; padding:0; font-size:11px } h2 { break-after:avoid } }
 """
 
