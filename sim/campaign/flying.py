@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -14,7 +14,7 @@ from maxq.control.records import Array
 from maxq.sim.campaign.plan import BatchInputs, LoadedCampaign
 from maxq.sim.campaign.schema import Envelope
 from maxq.sim.campaign.targets import Refused
-from maxq.sim.flight.fly import Flight, FlightRun
+from maxq.sim.flight.fly import Flight, FlightRun, Rows
 from maxq.sim.flight.history import CONTROL_LOST_NAME, DIVERGED_NAME
 from maxq.sim.flight.judgement import METRIC_NAMES
 from maxq.sim.flight.telemetry import FAST, SLOW, channel_table
@@ -106,12 +106,14 @@ def fly_scenario(
     segment_ns = max(_SEGMENT_NS // step_ns, 1) * step_ns
     run = FlightRun(loaded, packed, log=envelope is not None, segment_ns=segment_ns)
     kept: list[tuple[Array, Array]] = []
+    wanted = envelope.channels if envelope is not None else ()
+    columns = [(run.table.topic(channel).group, run.table.index(channel)) for channel in wanted]
     while not run.finished:
         if stop():
             raise GivenUp
         rows = run.fly_segment()
         if envelope is not None:
-            kept.append(_picked(run, rows, envelope))
+            kept.append(_picked(rows, columns, envelope.rate_hz))
     history = None
     if envelope is not None:
         times, values = (np.concatenate([part[i] for part in kept], axis=-1) for i in (0, 1))
@@ -119,16 +121,11 @@ def fly_scenario(
     return run.result(), history
 
 
-def _picked(run: FlightRun, rows: Any, envelope: Envelope) -> tuple[Array, Array]:
+def _picked(rows: Rows, columns: Sequence[tuple[str, int]], rate_hz: float) -> tuple[Array, Array]:
     """Times (n,) and values (channels, n) of the segment; the flight's last instant falls outside the grid."""
-    period_s = 1.0 / envelope.rate_hz
     times = rows[SLOW][0] / NS_PER_S
-    on_grid = np.abs(times / period_s - np.rint(times / period_s)) < 1e-6
-    out = []
-    for channel in envelope.channels:
-        group = run.table.topic(channel).group
-        out.append(rows[group][1][: len(times), run.table.index(channel)][on_grid])
-    return times[on_grid], np.array(out)
+    on_grid = np.abs(times * rate_hz - np.rint(times * rate_hz)) < 1e-6
+    return times[on_grid], np.array([rows[group][1][: len(times), column][on_grid] for group, column in columns])
 
 
 def row_of(run: int, flight: Flight, inputs: dict[str, Any], redraws: int, history: History | None = None) -> Row:

@@ -184,11 +184,11 @@ class Store:
 
 
 def batch_of(campaign: LoadedCampaign) -> int:
-    """Runs in a part: what the file says, or a 64th of the runs, rounded to a power of two from 16 to 1024."""
+    """Runs in a part: what the file says, or a 32nd of the runs, rounded to a power of two from 16 to 1024."""
     given = campaign.campaign.batch
     if given is not None:
         return given
-    return 1 << min(max(campaign.campaign.runs // 64, 16).bit_length() - 1, 10)
+    return 1 << min(max(campaign.campaign.runs // 32, 16).bit_length() - 1, 10)
 
 
 def open_store(folder: Path, campaign: LoadedCampaign, device: str = "cpu") -> tuple[Store, int]:

@@ -27,7 +27,7 @@ _FLOWN, _ROWS = 4000, 100_000
 
 
 def _ksr3(*overrides: str) -> LoadedCampaign:
-    return load_campaign("campaigns/ksr3", ["campaign.keep=[]", "campaign.batch=16", *overrides])
+    return load_campaign("campaigns/ksr3", ["campaign.keep=[]", *overrides])
 
 
 def kernel_cpu_s(campaign: LoadedCampaign, runs: int) -> float:
