@@ -219,6 +219,7 @@ REPLAY = (
     ("conversion", "convert_s", "conversion", "s", 1.5),
     ("conversion", "rrd_MB", "size of the `.rrd`", "MB", 40.0),
     ("screenshot", "wall_s", "`simreplay LOG --screenshot`: from command to settled picture", "s", 6.0),
+    ("screenshot", "cpu_s", "processor time of it, viewer included, over two cores", "s", None),
     ("screenshot", "peak_MB", "peak memory of it, viewer included", "MB", 1000.0),
     ("help", "wall_s", "`simreplay --help`", "s", None),
     ("save", "wall_s", "`simreplay LOG --save`", "s", None),

@@ -7,6 +7,7 @@ where there is none.
 from __future__ import annotations
 
 import json
+import os
 import shutil
 import subprocess
 import sys
@@ -39,10 +40,13 @@ def _memory_of(process: subprocess.Popen[bytes]) -> float:
 
 
 def _timed(*arguments: str) -> dict[str, float]:
-    """Wall time and memory of a command; the best of a few rounds. Raises RuntimeError where it fails."""
-    walls, peaks = [], []
+    """Wall and processor time and memory of a command with its children; the best of a few rounds.
+
+    Raises RuntimeError where it fails.
+    """
+    walls, cpus, peaks = [], [], []
     for _ in range(ROUNDS):
-        start = time.perf_counter()
+        start, before = time.perf_counter(), os.times()
         process = subprocess.Popen(
             [sys.executable, "-m", *arguments], stdout=subprocess.DEVNULL, stderr=subprocess.PIPE
         )
@@ -52,10 +56,12 @@ def _timed(*arguments: str) -> dict[str, float]:
         _, said = process.communicate()
         walls.append(time.perf_counter() - start)
         watcher.join()
+        after = os.times()
+        cpus.append(after.children_user + after.children_system - before.children_user - before.children_system)
         peaks += peak
         if process.returncode != 0:
             raise RuntimeError(said.decode(errors="replace").strip() or f"exit code {process.returncode}")
-    return {"wall_s": min(walls), "peak_MB": max(peaks)}
+    return {"wall_s": min(walls), "cpu_s": min(cpus), "peak_MB": max(peaks)}
 
 
 def _conversion(log: Path, folder: Path) -> dict[str, float]:
