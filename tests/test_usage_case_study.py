@@ -25,6 +25,10 @@ CHEAP = (
     "campaigns-light",
     "campaigns-smooth",
     "campaigns-baffles",
+    "verdicts",
+    "verdicts-limits",
+    "verdicts-both",
+    "verdicts-changes",
 )
 
 

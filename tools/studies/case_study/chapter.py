@@ -2,9 +2,9 @@
 
 Solves the sixty problems of the paper's table (docs/case-study.json keeps their parameters), judges and flies the
 designs in scenarios/designs, and writes what comes of it between the marks of docs/case-study.md and into
-docs/pictures/case-study/. Prose is written by people. Campaigns are flown by another command (dispersed.py) and taken
-out of docs/case-study-campaigns.json. With --keep the optima of docs/case-study.json are taken as they
-are; with --only NAME ... just these tables and pictures are made.
+docs/pictures/case-study/. Prose is written by people. Campaigns are flown and verdicts found by other commands
+(dispersed.py, judgement.py) and taken out of docs/case-study-campaigns.json and -verdicts.json. With --keep the optima
+of docs/case-study.json are taken as they are; with --only NAME ... just these tables and pictures are made.
 """
 
 from __future__ import annotations
@@ -28,7 +28,15 @@ from maxq.tools.design.errata_table import effects
 from maxq.tools.design.judging import Wanted, judge
 from maxq.tools.design.pictures_loop import draw_loop, picture_of
 from maxq.tools.pictures.style import drawing
-from maxq.tools.studies.case_study import dispersed, dispersed_page, optima, optima_tables, robustness
+from maxq.tools.studies.case_study import (
+    dispersed,
+    dispersed_page,
+    judgement,
+    judgement_page,
+    optima,
+    optima_tables,
+    robustness,
+)
 from maxq.tools.studies.case_study.flights import flights_table, fly_design
 from maxq.tools.studies.case_study.page import filled, places
 from maxq.tools.studies.case_study.relaxing import relaxing_table
@@ -113,6 +121,10 @@ TABLES: dict[str, Callable[[], list[str]]] = {
     "campaigns-light": lambda: dispersed_page.verdicts_table(dispersed.read(), "light"),
     "campaigns-baffles": lambda: dispersed_page.verdicts_table(dispersed.read(), "baffles"),
     "campaigns-smooth": lambda: dispersed_page.verdicts_table(dispersed.read(), "smooth"),
+    "verdicts": lambda: judgement_page.ranking_table(judgement.read()),
+    "verdicts-limits": lambda: judgement_page.limits_table(judgement.read()),
+    "verdicts-both": lambda: judgement_page.side_by_side_table(judgement.read()),
+    "verdicts-changes": lambda: judgement_page.changes_table(judgement.read()),
 }
 
 
