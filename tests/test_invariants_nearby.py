@@ -10,7 +10,7 @@ from maxq.control.records import pack
 from maxq.sim.dynamics import nearby
 from maxq.sim.dynamics.nearby import DROPPED, EXACT, HOLDS, NEAR_m
 from maxq.sim.dynamics.workspace import ANCHOR, WORK_SIZE
-from maxq.sim.environment.atmosphere import TOP_m, US1976, VACUUM, Atmosphere, air
+from maxq.sim.environment.atmosphere import US1976, VACUUM, Atmosphere, TOP_m, air
 from maxq.sim.environment.earth import earth_position, flat, local_frame, sphere, wgs84
 
 frame_and_air = from_python(nearby.frame_and_air)
