@@ -10,6 +10,8 @@ import os
 import sys
 from typing import NoReturn
 
+from maxq.tools.command_line import tolerate_letters, unknown_option
+
 DESIGNED, INFEASIBLE, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
 
 _USAGE = (
@@ -122,9 +124,7 @@ def _parser() -> argparse.ArgumentParser:
 
 def main(arguments: list[str] | None = None) -> int:
     """Run the command; returns the exit code."""
-    for stream in (sys.stdout, sys.stderr):
-        if hasattr(stream, "reconfigure"):
-            stream.reconfigure(errors="replace")  # a terminal that lacks a letter is no reason to fail
+    tolerate_letters()
     # Matrices of forty rows: threads of the linear-algebra library only wait for each other. Read when NumPy is loaded.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     try:
@@ -143,7 +143,7 @@ def _run(arguments: list[str]) -> int:
     parser = _parser()
     options, unknown = parser.parse_known_args(arguments)
     if unknown:
-        parser.error(_unknown(unknown[0], parser))
+        parser.error(unknown_option(unknown[0], parser))
     command = options.words[0] if options.words and options.words[0] in (ANALYSE, ERRATA) else ""
     names = options.words[1:] if command else options.words
     actions = [
@@ -223,12 +223,6 @@ def _folder(out: str | None, case: str, cases: int) -> str | None:
     if out is None or cases == 1:
         return out
     return os.path.join(out, os.path.basename(case).removesuffix(".toml"))
-
-
-def _unknown(argument: str, parser: argparse.ArgumentParser) -> str:
-    options = [option for action in parser._actions for option in action.option_strings]
-    close = difflib.get_close_matches(argument.partition("=")[0], options, 1, 0.7)
-    return f"unknown option {argument}" + (f"; did you mean {close[0]}?" if close else "")
 
 
 if __name__ == "__main__":

@@ -9,6 +9,8 @@ import sys
 from types import FrameType
 from typing import NoReturn
 
+from maxq.tools.command_line import tolerate_letters
+
 SHOWN, PARTLY, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
 
 _USAGE = (
@@ -103,9 +105,7 @@ def _parser() -> argparse.ArgumentParser:
 
 def main(arguments: list[str] | None = None) -> int:
     """Run the command; returns the exit code."""
-    for stream in (sys.stdout, sys.stderr):
-        if hasattr(stream, "reconfigure"):
-            stream.reconfigure(errors="replace")  # a terminal that lacks a letter is no reason to fail
+    tolerate_letters()
     if arguments is None:  # as a program, not from Python
         signal.signal(signal.SIGTERM, _end)
     try:

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import argparse
 import contextlib
-import difflib
 import gc
 import os
 import sys
 from typing import NoReturn
+
+from maxq.tools.command_line import tolerate_letters, unknown_option
 
 PASSED, FAILED, BAD_INPUT, OPEN, INTERNAL_ERROR, INTERRUPTED = 0, 1, 2, 3, 70, 130
 """Exit codes; 70 is EX_SOFTWARE of sysexits.h."""
@@ -147,9 +148,7 @@ def main(arguments: list[str] | None = None, *, alone: bool = False) -> int:
 
     `alone`: the process ends with it, so that nothing needs to be loaded or kept for others.
     """
-    for stream in (sys.stdout, sys.stderr):
-        if hasattr(stream, "reconfigure"):
-            stream.reconfigure(errors="replace")  # a terminal that lacks a letter is no reason to fail
+    tolerate_letters()
     try:
         code = _run(sys.argv[1:] if arguments is None else arguments, alone)
         sys.stdout.flush()
@@ -361,9 +360,7 @@ def _campaign(options: argparse.Namespace, parser: argparse.ArgumentParser) -> i
 def _unknown(argument: str, parser: argparse.ArgumentParser) -> str:
     if not argument.startswith("-"):
         return f"one scenario at a time: what is {argument!r}?"
-    options = [option for action in parser._actions for option in action.option_strings]
-    close = difflib.get_close_matches(argument.partition("=")[0], options, 1, 0.7)
-    return f"unknown option {argument}" + (f"; did you mean {close[0]}?" if close else "")
+    return unknown_option(argument, parser)
 
 
 if __name__ == "__main__":

@@ -4,10 +4,11 @@ what to do."""
 from __future__ import annotations
 
 import argparse
-import difflib
 import os
 import sys
 from typing import NoReturn
+
+from maxq.tools.command_line import tolerate_letters, unknown_option
 
 ACCEPTED, REJECTED, BAD_INPUT, UNDECIDED, INTERRUPTED = 0, 1, 2, 3, 130
 
@@ -67,9 +68,7 @@ def _parser() -> argparse.ArgumentParser:
 
 def main(arguments: list[str] | None = None) -> int:
     """Run the command; returns the exit code."""
-    for stream in (sys.stdout, sys.stderr):
-        if hasattr(stream, "reconfigure"):
-            stream.reconfigure(errors="replace")  # a terminal that lacks a letter is no reason to fail
+    tolerate_letters()
     # Matrices of forty rows: threads of the linear-algebra library only wait for each other. Read when NumPy is loaded.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     try:
@@ -88,9 +87,7 @@ def _run(arguments: list[str]) -> int:
     parser = _parser()
     options, unknown = parser.parse_known_args(arguments)
     if unknown:
-        known = [option for action in parser._actions for option in action.option_strings]
-        close = difflib.get_close_matches(unknown[0].partition("=")[0], known, 1, 0.7)
-        parser.error(f"unknown option {unknown[0]}" + (f"; did you mean {close[0]}?" if close else ""))
+        parser.error(unknown_option(unknown[0], parser))
     if options.version:
         from importlib.metadata import version  # noqa: PLC0415  # lazy, as all imports here: --help is quick
 

@@ -16,8 +16,8 @@ from pydantic import ValidationError
 from maxq.design.case.schema import Case
 from maxq.sim.scenario.builtin import scenarios_folder
 from maxq.sim.scenario.documents import Source, Table, Text, merge, parse, plain
-from maxq.sim.scenario.errors import ScenarioError, suggestion
-from maxq.sim.scenario.files import Reading, find, kind, not_found, shown
+from maxq.sim.scenario.errors import ScenarioError
+from maxq.sim.scenario.files import Reading, find, named_file, not_found, shown
 from maxq.sim.scenario.loader import LoadedScenario, load_scenario
 from maxq.sim.scenario.messages import explain
 from maxq.sim.scenario.overrides import apply, parse_override
@@ -52,7 +52,7 @@ def builtin_cases() -> list[str]:
 def read_case(name: str | Path, overrides: Iterable[str] = ()) -> LoadedCase:
     """The case in a file, or the built-in one of that name, with `key=value` overrides. Raises ScenarioError."""
     parsed = tuple(parse_override(text) for text in overrides)
-    file, label = _locate(str(name))
+    file, label = named_file(str(name), cases_folder(), WANTED)
     tree = _document(Reading(), file, label, ())
     command_line = Source("--set", (Path.cwd(), file.parent, cases_folder()))
     apply(parsed, tree, command_line)
@@ -74,19 +74,6 @@ def _scenario(tree: Table, case: Case, file: Path) -> LoadedScenario:
             source = tree.sources.get("scenario", tree.source)
             raise source.error(("scenario",), error.problem, value=case.scenario, allowed=error.allowed) from None
         raise
-
-
-def _locate(name: str) -> tuple[Path, str]:
-    path = Path(name)
-    if name and kind(path) == "file":
-        return path.resolve(), name
-    stem = name.removesuffix(".toml")
-    if stem in builtin_cases():
-        return cases_folder() / f"{stem}.toml", shown(cases_folder() / f"{stem}.toml")
-    problem = {"folder": "is a folder", "other": "is no ordinary file"}.get(kind(path) if name else "", "no such file")
-    hint = suggestion(stem, builtin_cases())
-    listed = "" if hint else " or a built-in one: " + ", ".join(builtin_cases())
-    raise ScenarioError(name or '""', f"{problem}; {hint}" if hint else problem, allowed=WANTED + listed)
 
 
 def _document(reading: Reading, path: Path, label: str, chain: tuple[Path, ...]) -> Table:

@@ -16,8 +16,8 @@ from pydantic import Field, ValidationError, model_validator
 
 from maxq.sim.scenario.builtin import scenarios_folder
 from maxq.sim.scenario.documents import Source, parse, plain
-from maxq.sim.scenario.errors import ScenarioError, refuse, suggestion
-from maxq.sim.scenario.files import Reading, kind, shown
+from maxq.sim.scenario.errors import refuse
+from maxq.sim.scenario.files import Reading, named_file
 from maxq.sim.scenario.messages import explain
 from maxq.sim.scenario.overrides import apply, parse_override
 from maxq.sim.scenario.schema_values import NotNegative, Positive, Section
@@ -180,7 +180,7 @@ def builtin_suites() -> list[str]:
 def read_suite(name: str | Path, overrides: Iterable[str] = ()) -> LoadedSuite:
     """The suite in a file, or the built-in one of that name, with `key=value` overrides. Raises ScenarioError."""
     parsed = tuple(parse_override(text) for text in overrides)
-    file, label = _locate(str(name))
+    file, label = named_file(str(name), suites_folder(), WANTED)
     tree = parse(Reading().text(file, label, "a TOML file"), Source(label, (file.parent, suites_folder())))
     apply(parsed, tree, Source("--set", (Path.cwd(), file.parent)))
     tree.setdefault("name", file.stem)
@@ -188,16 +188,3 @@ def read_suite(name: str | Path, overrides: Iterable[str] = ()) -> LoadedSuite:
         return LoadedSuite(Suite.model_validate(plain(tree)), label, file.parent)
     except ValidationError as error:
         raise explain(error, tree, Suite) from None
-
-
-def _locate(name: str) -> tuple[Path, str]:
-    path = Path(name)
-    if name and kind(path) == "file":
-        return path.resolve(), name
-    stem = name.removesuffix(".toml")
-    if stem in builtin_suites():
-        return suites_folder() / f"{stem}.toml", shown(suites_folder() / f"{stem}.toml")
-    problem = {"folder": "is a folder", "other": "is no ordinary file"}.get(kind(path) if name else "", "no such file")
-    hint = suggestion(stem, builtin_suites())
-    listed = "" if hint else " or a built-in one: " + ", ".join(builtin_suites())
-    raise ScenarioError(name or '""', f"{problem}; {hint}" if hint else problem, allowed=WANTED + listed)

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from maxq.control.records import Array
-from maxq.sim.campaign.plan import BatchInputs, LoadedCampaign
+from maxq.sim.campaign.plan import BatchInputs, Inputs, LoadedCampaign
 from maxq.sim.campaign.schema import Envelope
 from maxq.sim.campaign.targets import Refused
 from maxq.sim.flight.fly import Flight, FlightRun, Rows
@@ -81,9 +81,7 @@ def fly_row(loaded: LoadedCampaign, batch: BatchInputs, run: int, stop: Callable
     except (GivenUp, MemoryError):
         raise
     except Exception as error:  # one run in ten thousand must not end a campaign: the row says what happened
-        row = void_row(run, ERROR, f"{type(error).__name__}: {error}")
-        row.inputs, row.redraws = made.recorded, made.redraws
-        return row
+        return failed_row(made, error)
     return row_of(run, flight, made.recorded, made.redraws, kept)
 
 
@@ -150,6 +148,13 @@ def row_of(run: int, flight: Flight, inputs: dict[str, Any], redraws: int, histo
 def void_row(run: int, outcome: str, cause: str) -> Row:
     nothing = dict.fromkeys(METRIC_NAMES, math.nan)
     return Row(run, outcome, False, cause, math.nan, math.nan, 0, 0, "", {}, nothing, dict(nothing))
+
+
+def failed_row(made: Inputs, error: Exception) -> Row:
+    """A run that met a fault of ours."""
+    row = void_row(made.run, ERROR, f"{type(error).__name__}: {error}")
+    row.inputs, row.redraws = made.recorded, made.redraws
+    return row
 
 
 def channel_units(loaded: LoadedScenario) -> dict[str, str]:

@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
-from maxq.sim.campaign.flying import ERROR, REFUSED, GivenUp, Row, fly_row, row_of, void_row
+from maxq.sim.campaign.flying import REFUSED, GivenUp, Row, failed_row, fly_row, row_of, void_row
 from maxq.sim.campaign.plan import BatchInputs, Inputs, LoadedCampaign
 from maxq.sim.campaign.targets import Refused
 from maxq.sim.flight.batch import batch_of, fly_batch, hand_back
@@ -56,7 +56,7 @@ def _prepared(loaded: LoadedCampaign, order: Order, stop: Callable[[], bool]) ->
     except MemoryError:
         raise
     except Exception as error:  # one run in ten thousand must not end a campaign: the row says what happened
-        return _failed(made, error)
+        return failed_row(made, error)
 
 
 def _row(prepared: _Begun | Row) -> Row:
@@ -68,10 +68,4 @@ def _row(prepared: _Begun | Row) -> Row:
     except MemoryError:
         raise
     except Exception as error:  # as above
-        return _failed(made, error)
-
-
-def _failed(made: Inputs, error: Exception) -> Row:
-    row = void_row(made.run, ERROR, f"{type(error).__name__}: {error}")
-    row.inputs, row.redraws = made.recorded, made.redraws
-    return row
+        return failed_row(made, error)

@@ -121,3 +121,20 @@ class Reading:
             raise refuse(*not_found(name, "a CSV file", TABLE_VARIANTS))
         label = shown(path)
         return label, self.text(path, label, "a CSV file")
+
+
+def named_file(name: str, folder: Path, wanted: str) -> tuple[Path, str]:
+    """A file by its path, or a built-in one of `folder` by its name, with or without `.toml`; and how it is shown.
+
+    Raises ScenarioError where there is neither, with `wanted` as what is allowed.
+    """
+    path = Path(name)
+    if name and kind(path) == "file":
+        return path.resolve(), name
+    stem, names = name.removesuffix(".toml"), sorted(file.stem for file in folder.glob("*.toml"))
+    if stem in names:
+        return folder / f"{stem}.toml", shown(folder / f"{stem}.toml")
+    problem = {"folder": "is a folder", "other": "is no ordinary file"}.get(kind(path) if name else "", "no such file")
+    hint = suggestion(stem, names)
+    listed = "" if hint else " or a built-in one: " + ", ".join(names)
+    raise ScenarioError(name or '""', f"{problem}; {hint}" if hint else problem, allowed=wanted + listed)
