@@ -7,6 +7,8 @@
 | what the linear loop predicts of an excitation | is what the flight does, and below every limit |
 | a loop that is not altered; one beyond its edge | decays; grows |
 | growth ends at the limits | as a limit cycle, with an amplitude, or in a loss |
+| a root that grows only where the loop is held, within minutes | is measured as "drift"; a wrong gravity shows in it |
+| one that grows faster | the certificate does not stand, and says whose loop is unstable |
 | the ascent flown through | agrees with the frozen loop, or its own change in the window explains it |
 """
 
@@ -23,11 +25,11 @@ from maxq.control.jit import from_python
 from maxq.control.records import blank, pack
 from maxq.design import api
 from maxq.design.certificate.breaking import TOO_LONG, break_loop
-from maxq.design.certificate.certificate import NodeCertificate, certify_node
+from maxq.design.certificate.certificate import HELD_GRAVITY, NodeCertificate, certify_node
 from maxq.design.certificate.excitation import Band, band, injections
 from maxq.design.certificate.flown_through import fly_through
 from maxq.design.certificate.held_flight import Change, HeldFlight, hold, linear_limits
-from maxq.design.certificate.limit_cycle import limit_cycle
+from maxq.design.certificate.limit_cycle import LimitCycle, limit_cycle
 from maxq.design.certificate.loudness import loudness
 from maxq.design.certificate.response import BANDS
 from maxq.design.margins.measure import margins
@@ -165,6 +167,42 @@ def test_what_grows_ends_as_a_limit_cycle_or_is_lost(held: HeldFlight) -> None:
     if ended.kind == "limit cycle":
         assert ended.gimbal_deg > 0.01
         assert 0.5 * hz < ended.frequency_hz < 1.1 * hz  # the lag of an actuator at its limit makes it slower
+
+
+@pytest.fixture(scope="module")
+def drifting() -> LoadedScenario:
+    """At 55 s its slowest root, stable in the ascent, grows at 0.002 1/s where it is held."""
+    return load_scenario("nominal", ['design="designs/ksr3-free.toml"'])
+
+
+def test_drift_of_a_held_loop_is_measured_and_named(drifting: LoadedScenario) -> None:
+    found = certify_node(drifting, api.nodes(drifting, [55.0])[0], bands=BANDS[:1])
+    assert found.stands
+    assert found.stable
+    by_name = {e.what: e for e in found.edges}
+    slow = by_name["drift"]
+    assert slow.sampled < 0.0 < slow.held
+    assert slow.measured == pytest.approx(slow.held, abs=2e-4)
+    assert (slow.reason, by_name["gain_down"].reason) == (HELD_GRAVITY, HELD_GRAVITY)
+    assert math.isfinite(by_name["gain_up"].measured)
+    assert math.isfinite(by_name["delay"].measured)
+
+
+def test_wrong_gravity_shows_in_the_drift(drifting: LoadedScenario) -> None:
+    def lighter(packed: Packed) -> None:
+        packed.parameters[0].around.earth.uniform_mps2 *= 0.8
+
+    found = certify_node(drifting, api.nodes(drifting, [55.0])[0], fault=lighter, bands=(), broken=())
+    assert not found.stands
+    assert "drift" in found.unexplained[0]
+
+
+def test_held_loop_that_grows_fast_is_not_taken_for_a_drift(certificate: NodeCertificate) -> None:
+    lost = dataclasses.replace(certificate, edges=(), cycle=LimitCycle("lost", 0.0, 5.0, 3.0, 40.0))
+    assert lost.stable
+    assert lost.unexplained == (
+        "the loop held still, and not that of the flown instant, is unstable; in flight: lost after 40 s",
+    )
 
 
 def test_flown_through_agrees_or_says_why(loaded: LoadedScenario) -> None:

@@ -39,6 +39,7 @@ DITHER_ABOVE_HZ = 2.0  # without it the converter keeps a ringing of some pulses
 RINGS_UP = 4.0  # a burst goes on until the loop at its edge has made this much of it, if that is not too long
 LONGEST_BURST_S = 6.0
 TOO_LONG = "longer than can be inserted"  # reason for a delay margin that is not looked for in flight
+UNBOUNDED = "nothing bounds it"
 LOST = math.inf  # growth of what meets the limits before it can be told
 DEAD = -math.inf  # of what has died away before
 _LEAST_WINDOWS = 6
@@ -103,7 +104,7 @@ def break_loop(held: HeldFlight, loop: Loop, margins: Margins, what: What) -> Br
     if not margins.stable:
         return Broken(what, UNITS[what], math.nan, math.nan, frequency, (), "the linear loop is unstable")
     if not math.isfinite(linear):
-        return Broken(what, UNITS[what], linear, math.nan, frequency, (), "nothing bounds it")
+        return Broken(what, UNITS[what], linear, math.nan, frequency, (), UNBOUNDED)
     most = _longest_s(held) if what == "delay" else math.inf
     if 1.02 * linear > most:
         return Broken(what, UNITS[what], linear, math.nan, frequency, (), TOO_LONG)

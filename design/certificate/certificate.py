@@ -7,12 +7,14 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 from maxq.design import api
-from maxq.design.certificate.breaking import TOO_LONG, WHATS, Broken, What, break_loop
+from maxq.design.certificate.breaking import DRIFT_HZ, TOO_LONG, UNBOUNDED, WHATS, Broken, What, break_loop
+from maxq.design.certificate.drift import Drift, drift
 from maxq.design.certificate.excitation import Band
 from maxq.design.certificate.held_flight import Change, hold
 from maxq.design.certificate.limit_cycle import LimitCycle, limit_cycle
 from maxq.design.certificate.response import BANDS, ResponseTable, measured_response
 from maxq.design.margins.measure import Margins, margins
+from maxq.design.margins.worst import Bound
 from maxq.design.model.node import Node
 from maxq.design.model.vehicle_at import Plane
 from maxq.sim.scenario.loader import LoadedScenario
@@ -32,6 +34,9 @@ class EdgeRow:
     another, because the slowest root feels the axial load where it is held and gravity where it is flown; "longer than
     can be inserted" for a delay margin of more samples than the computer's filter has room for, which is not looked for
     in flight; otherwise what is wrong.
+
+    `what` is "gain_up", "gain_down" or "delay", or "drift" (1/s, drift.py): how fast the slowest root grows in a loop
+    that is stable at the flown instant and not where it is held.
     """
 
     what: str
@@ -50,12 +55,13 @@ class EdgeRow:
 
     @property
     def agrees(self) -> bool:
-        return self.reason in ("", HELD_GRAVITY, TOO_LONG, "nothing bounds it")
+        return self.reason in ("", HELD_GRAVITY, TOO_LONG, UNBOUNDED)
 
 
 @dataclass(frozen=True)
 class NodeCertificate:
-    """`cycle` says what a loop that is unstable by the linear model does in flight."""
+    """`stable` is the loop at the flown instant. `cycle` says what a loop that is unstable where it is held, and by
+    more than a drift, does in flight."""
 
     time_s: float
     plane: Plane
@@ -78,9 +84,10 @@ class NodeCertificate:
             for e in self.edges
             if not e.agrees
         ]
-        if not self.stable:
-            cycle = f"; in flight it {self.cycle.text}" if self.cycle else ""
-            return (f"the linear loop is unstable{cycle}", *out)
+        if self.cycle is not None or not self.stable:
+            whose = "linear loop" if not self.stable else "loop held still, and not that of the flown instant,"
+            in_flight = f"; in flight: {self.cycle.text}" if self.cycle else ""
+            return (f"the {whose} is unstable{in_flight}", *out)
         return tuple(out)
 
     @property
@@ -136,27 +143,39 @@ def certify_node(
     loop, flown = (api.loops([n], loaded.design)[0] for n in (held.node, node))
     pade = api.loops([held.node, node], loaded.design, kind="pade")
     of_held, of_flown, of_pade = margins(loop), margins(flown), margins(pade[1])
-    if not of_held.stable:
+    drifts = drift(held, loop, of_held)
+    if drifts is not None:
+        of_held = margins(loop, lowest_hz=DRIFT_HZ)
+    elif not of_held.stable:
         cycle = limit_cycle(held, of_held.growth_hz)
         nothing = measured_response(held, loop, pade[0], ())
-        return NodeCertificate(node.time_s, node.plane, False, nothing, (), cycle)
+        return NodeCertificate(node.time_s, node.plane, of_flown.stable, nothing, (), cycle)
     responses = measured_response(held, loop, pade[0], bands, quiet=fault is None)
-    edges = tuple(_edge(break_loop(held, loop, of_held, what), of_pade, of_flown) for what in broken)
-    return NodeCertificate(node.time_s, node.plane, of_flown.stable, responses, edges)
+    edges = [_edge(break_loop(held, loop, of_held, what), of_pade, of_flown) for what in broken]
+    if drifts is not None:
+        edges.append(_drift_row(drifts, of_pade, of_flown))
+    return NodeCertificate(node.time_s, node.plane, of_flown.stable, responses, tuple(edges))
 
 
 def _edge(broken: Broken, pade: Margins, flown: Margins) -> EdgeRow:
     within = MARGIN_WITHIN_DB if broken.unit == "dB" else DELAY_WITHIN * broken.linear
-    reason, sampled = broken.reason, _bound(flown, broken.what)
+    reason, sampled = broken.reason, _bound(flown, broken.what).value
+    if reason == UNBOUNDED and _bound(flown, broken.what).frequency_hz < DRIFT_HZ:
+        reason = HELD_GRAVITY
     if not reason and not abs(broken.difference) <= within:
         reason = UNEXPLAINED
-    if not reason and broken.frequency_hz < 0.02 and not abs(broken.measured - sampled) <= within:
+    if not reason and broken.frequency_hz < DRIFT_HZ and not abs(broken.measured - sampled) <= within:
         reason = HELD_GRAVITY
     return EdgeRow(
-        broken.what, broken.unit, broken.frequency_hz, _bound(pade, broken.what), sampled, broken.linear,
+        broken.what, broken.unit, broken.frequency_hz, _bound(pade, broken.what).value, sampled, broken.linear,
         broken.measured, reason,
     )  # fmt: skip
 
 
-def _bound(of: Margins, what: str) -> float:
-    return {"gain_up": of.gain_up_db, "gain_down": of.gain_down_db, "delay": of.delay_s}[what].value
+def _drift_row(of: Drift, pade: Margins, flown: Margins) -> EdgeRow:
+    reason = HELD_GRAVITY if abs(of.measured_1ps - of.linear_1ps) <= of.per_db_1ps * MARGIN_WITHIN_DB else UNEXPLAINED
+    return EdgeRow("drift", "1/s", 0.0, pade.growth_1ps, flown.growth_1ps, of.linear_1ps, of.measured_1ps, reason)
+
+
+def _bound(of: Margins, what: str) -> Bound:
+    return {"gain_up": of.gain_up_db, "gain_down": of.gain_down_db, "delay": of.delay_s}[what]

@@ -16,6 +16,7 @@ from maxq.sim.flight.telemetry import FAST
 
 _NEAR_HZ, _NEAR = 0.125, 5  # on either side in which noise is looked for, and at least so many bins
 _DEAD = 9.0  # exp(-9) = 1e-4 of what there was at the start
+_TOLD = 0.01  # a root that changes less than this over the record cannot be told from the mean
 
 
 @dataclass(frozen=True)
@@ -41,8 +42,8 @@ def measure(held: HeldFlight, band: Band, loud: Loudness, closed_poles: ComplexA
     L = -U / E with U the output of the bending filter and E = U + injected, limited and quantised: the command that
     the actuator gets. E is what truly enters, so that limits and the converter behind it do not bias L.
 
-    `closed_poles` (rad/s) of the linear loop say what is still dying away when the record begins: a root of
-    0.02 rad/s would take minutes. It is taken out of the spectra, not waited for.
+    `closed_poles` (rad/s) of the linear loop say what is still dying away, or drifting off, when the record begins: a
+    root of 0.02 rad/s would take minutes. It is taken out of the spectra, not waited for.
     """
     run = held.run(band.duration_s, injections([*loud.groups, *loud.dither], held.plane))
     kept = KeptRows()
@@ -77,8 +78,11 @@ def _spectra(band: Band, sample_s: float, back: Array, sent: Array) -> tuple[Com
 
 
 def _settled(spectra: ComplexArray, band: Band, closed_poles: ComplexArray) -> ComplexArray:
-    """Mean over the periods, (bins,), without what dies away: each root's part shrinks by exp(p times the period)."""
-    slow = closed_poles[(closed_poles.real < 0.0) & (-closed_poles.real * band.settle_s < _DEAD)]
+    """Mean over the periods, (bins,), without what dies away or drifts off: each root's part changes by exp(p times the
+    period). The slowest roots first: there are not periods enough for all."""
+    told = np.abs(closed_poles.real) * band.duration_s > _TOLD
+    slow = closed_poles[told & (-closed_poles.real * band.settle_s < _DEAD)]
+    slow = slow[np.argsort(-slow.real, kind="stable")]
     began = np.arange(band.periods) * band.period_s
     shapes = np.column_stack([np.ones(band.periods), np.exp(np.outer(began, slow[: max(band.periods - 2, 0)]))])
     return np.asarray(np.linalg.lstsq(shapes, spectra, rcond=None)[0][0])

@@ -189,14 +189,15 @@ def _certificate(found: Verification, drawn: dict[str, bytes]) -> str:
     for c in found.certificates:
         for e in c.edges:
             unit, scale = ("ms", 1e3) if e.unit == "s" else (e.unit, 1.0)
-            cells = [f"{scale * x:.2f}" for x in (e.pade, e.sampled, e.held, e.measured)]
+            digits = 4 if e.unit == "1/s" else 2
+            cells = [f"{scale * x:.{digits}f}" for x in (e.pade, e.sampled, e.held, e.measured)]
             rows.append(
                 (
                     f"{c.time_s:g}",
                     c.plane,
                     f"{e.what.replace('_', ' ')}, {unit}",
                     *cells,
-                    f"{scale * e.difference:+.3f}",
+                    f"{scale * e.difference:+.{max(digits, 3)}f}",
                     e.reason,
                 )
             )
@@ -214,7 +215,8 @@ def _certificate(found: Verification, drawn: dict[str, bytes]) -> str:
     return f"""<h2>Margin certificate</h2><p>The loop measured in the nonlinear, sampled simulator with time held still
 at each node, and broken there: gain raised, gain lowered, delay added until a kicked flight neither grows nor decays.
 "Held gravity": a flight that keeps its airspeed feels its axial load as gravity, which moves the slowest root; the
-margin at the flown instant stands under "sampled".</p>
+margin at the flown instant stands under "sampled". Where that root grows in a held loop, "drift" is its rate of
+growth.</p>
 {_picture(drawn, "certificate", "Differences at all nodes; red: what is allowed without a reason.")}
 {_table(rows, numbers=(0, 3, 4, 5, 6, 7))}
 {passing if len(through) > 1 else ""}"""

@@ -1,8 +1,8 @@
 """All designs of the case study judged by the standard suite: `python -m maxq.tools.studies.case_study.judgement`.
 
-Verifies every design in scenarios/designs with a campaign of RUNS flights, flies that campaign again with what would
-have to change for two of them, and leaves what the chapter tells in docs/case-study-verdicts.json. What was worked out
-before is not worked out again.
+Verifies every design in scenarios/designs with a campaign of RUNS flights, then those that the paper's filters F2 to F6
+and its three kinds of gain schedule give, flies that campaign again with what would have to change for two of them, and
+leaves what the chapter tells in docs/case-study-verdicts.json. What was worked out before is not worked out again.
 """
 
 from __future__ import annotations
@@ -10,20 +10,35 @@ from __future__ import annotations
 import argparse
 import json
 import sys
+import tempfile
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from maxq.design.case.read import read_case
+from maxq.design.optimise.solve import nominal_plants
 from maxq.design.verify.campaigns import campaign_requirements, fly_campaign
 from maxq.design.verify.memory import default_folder
 from maxq.design.verify.suite import LoadedSuite, read_suite
 from maxq.design.verify.verdict import Requirement, overall
 from maxq.design.verify.verify import Verification, verify
-from maxq.tools.design.design_file import builtin_designs, design_path
+from maxq.tools.design.design_file import DESIGN_NAME, builtin_designs, design_path, design_text, write_whole
+from maxq.tools.design.orders import solve_orders
+from maxq.tools.design.outcome import make_design
 from maxq.tools.verify.text import ranked
 
 RESULTS = Path(__file__).resolve().parents[3] / "docs" / "case-study-verdicts.json"
 RUNS = 300  # no failure in 230 shows 99 % with 90 %
 COMPARED = ("ksr3-two-phase", "ksr3-robust")
+ORDERS_OF = "ksr3-relaxed"  # the case whose filters and schedules are judged
+TOLD_MARGINS = {
+    "gain up, dB": "gain margin up, all crossings, as designed",
+    "phase, deg": "phase margin, rigid body, as designed",
+    "mode 1 phase, deg": "first mode: phase margin, as designed",
+    "gain up at corners, dB": "gain margin up, all crossings, corners",
+    "phase at corners, deg": "phase margin, rigid body, corners",
+}
+"""Requirements whose margins the chapter shows, by what it calls them."""
 _DAMPING = tuple(f"vehicle.stage.0.tank.{k}.damping_ratio=0.1" for k in (0, 1))
 _AIR = ("wind.turbulence.exceedance='light'", "wind.gust.0.speed_mps=0.0")
 CHANGES: dict[str, tuple[str, ...]] = {
@@ -56,14 +71,34 @@ def verdict_record(found: Verification) -> dict[str, Any]:
     }
 
 
-def judge_all(designs: list[str]) -> dict[str, Any]:
-    """Verdicts by design, the best first."""
+def judge_all(designs: Mapping[str, str]) -> dict[str, Any]:
+    """Verdicts by name of the design, the best first; `designs` says what a scenario calls it."""
     every = {}
-    for name in designs:
-        every[name] = verify(design_path(name), suite(), memory=default_folder(), watch=_watch(name))
+    for name, path in designs.items():
+        every[name] = verify(path, suite(), memory=default_folder(), watch=_watch(name))
         print(f"\r{name}: {every[name].judgement}, {every[name].wall_s:.0f} s" + 30 * " ", file=sys.stderr)
     best_first = ranked(list(every.values()))
     return {name: verdict_record(v) for v in best_first for name in designs if every[name] is v}
+
+
+def judge_orders(folder: Path) -> dict[str, Any]:
+    """Verdicts on F2 to F6 with each schedule, the best first, without what is accepted and not shown.
+
+    They are designed as `simdesign ORDERS_OF --orders` does it; `folder` takes their files.
+    """
+    paths, peaks = {}, {}
+    for (structure, schedule), made in solve_orders(
+        ORDERS_OF, (), nominal_plants(read_case(ORDERS_OF)), _watch("designs")
+    ).items():  # fmt: skip
+        name = f"{structure} {schedule}"
+        file = folder / f"{structure}-{schedule}" / DESIGN_NAME
+        paths[name] = str(write_whole(file, design_text(make_design(*made))))
+        peaks[name] = round(made[1].objective_db, 3)
+    found = judge_all(paths)
+    for name, record in found.items():
+        told = [r for r in record["requirements"] if r["verdict"] != "accepted" or r["name"] in TOLD_MARGINS.values()]
+        found[name] = {"verdict": record["verdict"], "peak_db": peaks[name], "requirements": told}
+    return found
 
 
 def judge_changes() -> dict[str, Any]:
@@ -90,8 +125,9 @@ def judge_changes() -> dict[str, Any]:
 
 
 def _watch(name: str) -> Any:
-    def show(what: str, done: int, of: int) -> None:
-        print(f"\r{name}: {what} {done} of {of}" + 20 * " ", end="", file=sys.stderr, flush=True)
+    def show(*what: object) -> None:
+        print("\r" + " ".join([f"{name}:", *map(str, what[:-1]), "of", str(what[-1])]) + 20 * " ", end="",
+              file=sys.stderr, flush=True)  # fmt: skip
 
     return show
 
@@ -105,7 +141,10 @@ def read() -> dict[str, Any]:
 def main(arguments: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.parse_args(arguments)
-    results = {"runs": RUNS, "designs": judge_all(builtin_designs()), "changes": judge_changes()}
+    designs = judge_all({name: design_path(name) for name in builtin_designs()})
+    with tempfile.TemporaryDirectory() as folder:
+        orders = judge_orders(Path(folder))
+    results = {"runs": RUNS, "designs": designs, "orders": orders, "changes": judge_changes()}
     RESULTS.write_text(json.dumps(results, separators=(",", ":")) + "\n", encoding="utf-8")
     return 0
 

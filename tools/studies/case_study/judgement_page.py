@@ -5,28 +5,24 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from maxq.tools.studies.case_study.judgement import COMPARED
+from maxq.tools.studies.case_study.judgement import COMPARED, TOLD_MARGINS
 
 Results = Mapping[str, Any]
 _CAMPAIGN = "ksr3: "
-_SHORT = {
-    "gain up, dB": "gain margin up, all crossings, as designed",
-    "phase, deg": "phase margin, rigid body, as designed",
-    "mode 1 phase, deg": "first mode: phase margin, as designed",
-    "gain up at corners, dB": "gain margin up, all crossings, corners",
-    "phase at corners, deg": "phase margin, rigid body, corners",
-}
 _TOLD = ("slosh angle", "gimbal rate", "lateral load", "attitude error", "bending moment of the structure")
 
 
-def ranking_table(results: Results) -> list[str]:
+def ranking_table(designs: Results) -> list[str]:
     """Every design, the best first, and why it is not accepted."""
-    head = ("", "design", "verdict", *_SHORT, "rejected for", "undecided")
-    lines = ["| " + " | ".join(head) + " |", "|---:|---|---|" + "---:|" * len(_SHORT) + "---|---|"]
-    for n, (name, found) in enumerate(results["designs"].items(), 1):
+    peaks = any("peak_db" in found for found in designs.values())
+    shown = [*(["mode 1 peak, dB"] if peaks else []), *TOLD_MARGINS]
+    head = ["", "design", "verdict", *shown, "rejected for", "undecided"]
+    lines = ["| " + " | ".join(head) + " |", "|---:|---|---|" + "---:|" * len(shown) + "---|---|"]
+    for n, (name, found) in enumerate(designs.items(), 1):
         by_name = {r["name"]: r for r in found["requirements"]}
         cells = [str(n), name.removeprefix("ksr3-"), f"**{found['verdict']}**"]
-        cells += [by_name[long]["found"].partition(" ")[0] if long in by_name else "-" for long in _SHORT.values()]
+        cells += [f"{found['peak_db']:.2f}"] if peaks else []
+        cells += [by_name[x]["found"].partition(" ")[0] if x in by_name else "-" for x in TOLD_MARGINS.values()]
         for verdict in ("rejected", "undecided"):
             cells.append("; ".join(_reason(r) for r in found["requirements"] if r["verdict"] == verdict) or "-")
         lines.append("| " + " | ".join(cells) + " |")
