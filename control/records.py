@@ -7,9 +7,10 @@ vehicle repay a compilation of its own, `with_constants` puts counts into the la
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import fields, is_dataclass
 from functools import lru_cache
+from operator import attrgetter
 from typing import Annotated, Any, get_args, get_origin, get_type_hints
 
 import numpy as np
@@ -19,7 +20,11 @@ Array = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
 
+Reader = tuple[Callable[[Any], tuple[Any, ...]], tuple[int, ...]]
+"""Reads all fields of a dataclass at once; which of them are dataclasses themselves."""
+
 _LAYOUTS: dict[type, np.dtype[Any]] = {}
+_READERS: dict[type, Reader] = {}
 
 
 def dtype_of(schema: type) -> np.dtype[Any]:
@@ -63,8 +68,26 @@ def pack(instances: list[Any]) -> NDArray[Any]:
 
 def _values(instance: Any) -> tuple[Any, ...]:
     """What NumPy takes for a record: tuples in tuples. At once, because a campaign packs for every flight."""
-    values = (getattr(instance, name) for name in instance.__dataclass_fields__)
-    return tuple(_values(value) if hasattr(value, "__dataclass_fields__") else value for value in values)
+    schema = type(instance)
+    if schema not in _READERS:
+        _READERS[schema] = _reader(schema)
+    read, nested = _READERS[schema]
+    values = read(instance)
+    if not nested:
+        return values
+    filled = list(values)
+    for k in nested:
+        filled[k] = _values(filled[k])
+    return tuple(filled)
+
+
+def _reader(schema: type) -> Reader:
+    names = [f.name for f in fields(schema)]
+    hints = get_type_hints(schema)
+    nested = tuple(k for k, name in enumerate(names) if is_dataclass(hints[name]))
+    if len(names) == 1:
+        return lambda instance: (getattr(instance, names[0]),), nested
+    return attrgetter(*names), nested
 
 
 def blank(schema: type) -> NDArray[Any]:
@@ -79,7 +102,7 @@ def with_constants(rows: NDArray[Any], *path: str) -> NDArray[Any]:
     nested = rows
     for name in path:
         nested = nested[name]
-    if (nested != nested[0]).any():
+    if len(rows) > 1 and (nested != nested[0]).any():
         return rows
     told = ",".join(f"{name}={int(nested[0][name])}" for name in nested.dtype.names or ())
     return rows.view(_telling(rows.dtype, path, told))

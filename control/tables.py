@@ -60,8 +60,14 @@ class Cubics:
 
     def _locate(self, xs: Array) -> tuple[IntArray, Array]:
         """Interval (n,) of each of `xs`, and how far into it they lie (n, 1); clamped to the table."""
-        k = np.clip(np.searchsorted(self.breaks, xs, side="right") - 1, 0, len(self.breaks) - 2)
-        return k, (np.clip(xs, self.breaks[0], self.breaks[-1]) - self.breaks[k])[:, None]
+        return _located(self.breaks.tobytes(), xs.tobytes())
+
+
+@lru_cache(maxsize=128)  # a campaign's tables change in value, and hardly ever in breakpoints
+def _located(breaks: bytes, xs: bytes) -> tuple[IntArray, Array]:
+    b, x = np.frombuffer(breaks), np.frombuffer(xs)
+    k = np.clip(np.searchsorted(b, x, side="right") - 1, 0, len(b) - 2)
+    return k, (np.clip(x, b[0], b[-1]) - b[k])[:, None]
 
 
 def fit(x: ArrayLike, columns: ArrayLike, method: Method = "pchip") -> Cubics:
@@ -72,28 +78,29 @@ def fit(x: ArrayLike, columns: ArrayLike, method: Method = "pchip") -> Cubics:
     """
     x = np.atleast_1d(np.asarray(x, float))
     y = np.asarray(columns, float).reshape(len(x), -1)
+    return _fitted(x.tobytes(), y.tobytes(), y.shape[1], method)
+
+
+@lru_cache(maxsize=128)  # a campaign packs the same tables thousands of times: 2 MB or so for KSR-III
+def _fitted(x_bytes: bytes, y_bytes: bytes, columns: int, method: Method) -> Cubics:
+    """As `fit`; read-only, because it is shared."""
+    x = np.frombuffer(x_bytes)
+    y = np.frombuffer(y_bytes).reshape(len(x), columns)
     if not (np.isfinite(x).all() and np.isfinite(y).all()):
         raise ValueError("a table must hold finite numbers only")
     if (np.diff(x) <= 0).any():
         raise ValueError("a table's first column must rise strictly")
     if len(x) == 1:
         x, y = np.array([x[0], x[0] + 1.0]), np.repeat(y, 2, axis=0)
-    c = np.zeros((len(x) - 1, 4, y.shape[1]))
-    c[:, 0] = y[:-1]
-    if method == "linear" or (method == "pchip" and len(x) == 2):
-        c[:, 1] = np.diff(y, axis=0) / np.diff(x)[:, None]
-    elif method == "pchip":
-        return Cubics(x, _pchip(x.tobytes(), y.tobytes(), y.shape[1]))
+    if method == "pchip" and len(x) > 2:
+        c = hermite(x, y, _monotone_slopes(x, y)).coefficients
+    else:
+        c = np.zeros((len(x) - 1, 4, columns))
+        c[:, 0] = y[:-1]
+        if method != "step":
+            c[:, 1] = np.diff(y, axis=0) / np.diff(x)[:, None]
+    x.flags.writeable = c.flags.writeable = False
     return Cubics(x, c)
-
-
-@lru_cache(maxsize=128)  # a campaign packs the same tables thousands of times: 2 MB or so for KSR-III
-def _pchip(x: bytes, y: bytes, columns: int) -> Array:
-    """Coefficients (n - 1, 4, columns), n > 2, read-only because they are shared."""
-    at, values = np.frombuffer(x), np.frombuffer(y).reshape(-1, columns)
-    coefficients = hermite(at, values, _monotone_slopes(at, values)).coefficients
-    coefficients.flags.writeable = False
-    return coefficients
 
 
 def hermite(x: Array, y: Array, slopes: Array) -> Cubics:
@@ -135,8 +142,35 @@ def merge(tables: Sequence[Cubics]) -> Cubics:
 
     Outside its own breakpoints a table holds its end values.
     """
-    breaks = np.unique(np.concatenate([t.breaks for t in tables]))
-    return Cubics(breaks, np.concatenate([_on(t, breaks) for t in tables], axis=2))
+    breaks = union(*tables)
+    groups: dict[bytes, dict[int, Cubics]] = {}  # tables on the same breakpoints are carried over together, each once
+    for table in tables:
+        groups.setdefault(table.breaks.tobytes(), {})[id(table)] = table
+    place: dict[int, Array] = {}
+    for group in groups.values():
+        alike = list(group.values())
+        joined = alike[0] if len(alike) == 1 else _side_by_side(alike)
+        carried, at = _on(joined, breaks), 0
+        for table in alike:
+            place[id(table)] = carried[:, :, at : at + table.n_columns]
+            at += table.n_columns
+    return Cubics(breaks, np.concatenate([place[id(table)] for table in tables], axis=2))
+
+
+def _side_by_side(tables: Sequence[Cubics]) -> Cubics:
+    return Cubics(tables[0].breaks, np.concatenate([table.coefficients for table in tables], axis=2))
+
+
+def union(*tables: Cubics) -> Array:
+    """Breakpoints of all tables, rising; read-only."""
+    return _union(tuple(t.breaks.tobytes() for t in tables))
+
+
+@lru_cache(maxsize=128)  # as `_located`
+def _union(breaks: tuple[bytes, ...]) -> Array:
+    out = np.unique(np.concatenate([np.frombuffer(b) for b in breaks]))
+    out.flags.writeable = False
+    return out
 
 
 def _on(table: Cubics, breaks: Array) -> Array:
@@ -145,14 +179,13 @@ def _on(table: Cubics, breaks: Array) -> Array:
         return table.coefficients
     x = breaks[:-1]
     k, s = table._locate(x)
-    c = table.coefficients[k]
-    out = np.empty_like(c)
-    out[:, 0] = c[:, 0] + s * (c[:, 1] + s * (c[:, 2] + s * c[:, 3]))
-    out[:, 1] = c[:, 1] + s * (2 * c[:, 2] + s * 3 * c[:, 3])
-    out[:, 2] = c[:, 2] + s * 3 * c[:, 3]
-    out[:, 3] = c[:, 3]
-    out[(x < table.breaks[0]) | (x >= table.breaks[-1]), 1:] = 0.0
-    return out
+    c = table.coefficients.take(k, axis=0)
+    c[:, 0] += s * (c[:, 1] + s * (c[:, 2] + s * c[:, 3]))
+    steeper = s * 3 * c[:, 3]
+    c[:, 1] += s * (2 * c[:, 2] + steeper)
+    c[:, 2] += steeper
+    c[(x < table.breaks[0]) | (x >= table.breaks[-1]), 1:] = 0.0
+    return c
 
 
 class Pool:

@@ -14,6 +14,7 @@ from maxq.sim.api import load_scenario, load_scenario_text
 from maxq.sim.campaign.plan import LoadedCampaign, load_campaign
 from maxq.sim.campaign.targets import Change, Dispersed, find_target
 from maxq.sim.packing.flight import Packed, pack_flight
+from maxq.sim.packing.remembered import by_identity
 from maxq.sim.scenario.loader import LoadedScenario
 
 
@@ -123,3 +124,22 @@ def test_integrator_and_noise_settings_reach_every_run(tmp_path: Path) -> None:
         )
         seeds.add(int(course.seed))
     assert len(seeds) == 4
+
+
+def test_answers_are_remembered_by_identity() -> None:
+    asked: list[tuple[object, float]] = []
+
+    @by_identity
+    def measure(table: list[float], names: tuple[object, ...], at: float) -> int:
+        asked.append((names, at))
+        return len(table)
+
+    table, alike = [1.0], [1.0]
+    assert measure(table, ("a", table), 1.0) == measure(table, ("a", table), 1.0) == 1
+    assert len(asked) == 1
+    measure(alike, ("a", table), 1.0)  # equal is not the same
+    measure(table, ("b", table), 1.0)
+    measure(table, ("a", table), 2.0)
+    assert len(asked) == 4
+    for n in range(200):  # arguments of another identity, none of which may meet an answer to one that is gone
+        assert measure([0.0] * (n % 7), (), 0.0) == n % 7

@@ -10,6 +10,8 @@ import numpy as np
 import pytest
 
 from maxq.sim.api import fly
+from maxq.sim.campaign import runner
+from maxq.sim.campaign.flying import fly_rows
 from maxq.sim.campaign.plan import LoadedCampaign
 from maxq.sim.campaign.refly import refly
 from maxq.sim.campaign.runner import run_campaign
@@ -35,6 +37,24 @@ def test_parallel(campaign: LoadedCampaign, serial: Path, tmp_path: Path) -> Non
     ours, theirs = (sorted((folder / "runs").iterdir()) for folder in (tmp_path / "out", serial))
     assert [p.name for p in ours] == [p.name for p in theirs]
     assert [p.read_bytes() for p in ours] == [p.read_bytes() for p in theirs]
+
+
+@pytest.mark.parametrize("handful", [1, 3])
+def test_handfuls_of_any_size(
+    campaign: LoadedCampaign, serial: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, handful: int
+) -> None:
+    """What a run is prepared, flown and judged beside changes nothing in it."""
+    monkeypatch.setattr(runner, "HANDFUL", handful)
+    run_campaign(campaign, tmp_path / "out", workers=1)
+    assert campaignkit.same(campaignkit.data_set(tmp_path / "out"), campaignkit.data_set(serial))
+
+
+def test_given_up_within_a_handful(campaign: LoadedCampaign) -> None:
+    """What was flown before stays; the flight under way is dropped."""
+    asked = iter([False] * 3 + [True])
+    rows = fly_rows(campaign, [(campaign.batch(0, 8), run) for run in range(8)], lambda: next(asked))
+    assert [row.run for row in rows] == [0, 1, 2]
+    assert all(row.outcome == "duration" for row in rows)
 
 
 def test_stopped_and_resumed(campaign: LoadedCampaign, serial: Path, tmp_path: Path) -> None:

@@ -5,7 +5,7 @@ import pytest
 
 from maxq.control.records import constants_in, pack, with_constants
 from maxq.sim.campaign import flying
-from maxq.sim.campaign.flying import fly_row
+from maxq.sim.campaign.flying import fly_rows
 from maxq.sim.campaign.plan import load_campaign
 from maxq.sim.dynamics.state import Sizes, counts
 from maxq.sim.flight.fly import FlightRun
@@ -24,9 +24,9 @@ def test_a_campaign_worth_it_flies_the_same_bits(campaign, monkeypatch):
     assert flying.packer(campaign.with_campaign(runs=flying.OWN_KERNELS_FROM)) is pack_for_one_vehicle
     few = campaign.with_campaign(runs=flying.OWN_KERNELS_FROM - 1)
     assert flying.packer(few) is pack_flight
-    common = [fly_row(few, few.batch(0, 3), run) for run in range(3)]
+    common = fly_rows(few, [(few.batch(0, 3), run) for run in range(3)])
     monkeypatch.setattr(flying, "OWN_KERNELS_FROM", 1)
-    own = [fly_row(few, few.batch(0, 3), run) for run in range(3)]
+    own = fly_rows(few, [(few.batch(0, 3), run) for run in range(3)])
     assert {row.outcome for row in common} == {"duration"}
     assert [row.state_hash for row in own] == [row.state_hash for row in common]
     assert list(map(repr, own)) == list(map(repr, common))  # repr: nan is nan, and digits are all there

@@ -13,15 +13,16 @@ import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import campaignkit
 import pytest
 
-from maxq.sim.campaign import flying
 from maxq.sim.campaign.error import CampaignError
 from maxq.sim.campaign.plan import LoadedCampaign
 from maxq.sim.campaign.runner import run_campaign
 from maxq.sim.campaign.store import Store, open_store
+from maxq.sim.flight.fly import FlightRun
 from maxq.sim.scenario.errors import ScenarioError
 from maxq.tools import simrun
 
@@ -226,15 +227,20 @@ def test_a_clock_that_jumps(
     assert campaignkit.same(campaignkit.data_set(tmp_path / "out"), campaignkit.data_set(undisturbed))
 
 
-def test_a_run_that_breaks_is_a_row(campaign: LoadedCampaign, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    plain = flying.fly_scenario
+@pytest.mark.parametrize("where", ["__init__", "fly_segment", "result"])
+def test_a_run_that_breaks_is_a_row(
+    campaign: LoadedCampaign, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, where: str
+) -> None:
+    """Whether it breaks as it is made, in flight, or when it is judged; those beside it are flown."""
+    plain = getattr(FlightRun, where)
 
-    def breaks(loaded: object, *rest: object) -> object:
-        if loaded.scenario.run.seed == campaign.scenario_of(5).scenario.run.seed:  # type: ignore[attr-defined]
+    def breaks(self: FlightRun, *rest: Any, **more: Any) -> Any:
+        loaded = rest[0] if where == "__init__" else self.loaded
+        if loaded.scenario.run.seed == campaign.scenario_of(5).scenario.run.seed:
             raise ZeroDivisionError("of ours")
-        return plain(loaded, *rest)  # type: ignore[arg-type]
+        return plain(self, *rest, **more)
 
-    monkeypatch.setattr(flying, "fly_scenario", breaks)
+    monkeypatch.setattr(FlightRun, where, breaks)
     run_campaign(campaign, tmp_path / "out")
     rows = campaignkit.data_set(tmp_path / "out").to_pylist()
     assert [row["outcome"] for row in rows].count("error") == 1

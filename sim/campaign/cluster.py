@@ -24,15 +24,16 @@ import pyarrow as pa
 from maxq.control.jit import source_hash
 from maxq.sim.campaign import columns
 from maxq.sim.campaign.error import CampaignError
-from maxq.sim.campaign.flying import fly_row
+from maxq.sim.campaign.flying import fly_rows
 from maxq.sim.campaign.plan import LoadedCampaign, campaign_from, description_of
-from maxq.sim.campaign.runner import Outcome, Progress
+from maxq.sim.campaign.runner import HANDFUL, Outcome, Progress
 from maxq.sim.campaign.standing import Standing
 from maxq.sim.campaign.store import Store, open_store
 from maxq.sim.flight.summary import versions
 
 _LOOK_S = 0.2
 _TRIES = 5  # of a batch whose workers die; Dask itself tries each one several times
+_SHARES = 4  # batches for each thread, at least
 _AHEAD = 2  # batches for each thread of the cluster that are handed out
 _EXTRA = "a cluster needs dask.distributed: pip install 'maxq[dask]'"
 
@@ -43,7 +44,8 @@ def fly_batch(packed: bytes, first: int, count: int) -> dict[str, Any]:
     """The task: fly runs `first` .. `first + count - 1`. Returns tables as bytes, and what flew them."""
     campaign = _unpacked(packed)
     inputs = campaign.batch(first, count)
-    rows = [fly_row(campaign, inputs, run) for run in range(first, first + count)]
+    orders = [(inputs, run) for run in range(first, first + count)]
+    rows = [row for k in range(0, count, HANDFUL) for row in fly_rows(campaign, orders[k : k + HANDFUL])]
     table = columns.table_of(rows, columns.schema_of(campaign))
     histories = columns.history_table(rows, campaign.campaign.envelope.channels)
     return {"runs": _bytes(table), "histories": _bytes(histories), "simulator": _simulator()}
@@ -111,6 +113,8 @@ class _Cluster:
         self, batch: int, watch: Callable[[Progress], None], stop: Callable[[], bool], until_settled: bool
     ) -> Outcome:
         runs = self._campaign.campaign.runs
+        if self._campaign.campaign.batch is None:  # no thread of a large cluster is to wait for want of a batch
+            batch = min(batch, max(runs // (_SHARES * max(self._threads, 1)), 1))
         gaps = list(self._store.missing(runs, batch))
         standing = Standing.of(self._store, self._campaign, runs)
         progress = Progress(runs, runs - sum(count for _, count in gaps), standing=standing)
@@ -130,10 +134,13 @@ class _Cluster:
         watch(progress)
         return Outcome(progress.flown, runs, stopped, settled, progress.elapsed_s, tuple(self._store.notes))
 
+    @property
+    def _threads(self) -> int:
+        return sum(self._client.nthreads().values())
+
     def _go_on(self, waiting: Iterator[tuple[int, int]], progress: Progress) -> bool:
         """Hand out batches, write those that came back. False when all is done."""
-        threads = sum(self._client.nthreads().values())
-        while len(self._out) < max(_AHEAD * threads, 2):
+        while len(self._out) < max(_AHEAD * self._threads, 2):
             order = next(waiting, None)
             if order is None:
                 break

@@ -1,9 +1,9 @@
-"""One run of a campaign: its scenario is flown, what became of it is one row."""
+"""Runs of a campaign: their scenarios are flown, what became of each is one row."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -31,7 +31,11 @@ VOID = (DIVERGED_NAME, REFUSED, ERROR)
 
 OWN_KERNELS_FROM = 500  # runs
 
-_SEGMENT_NS = 10 * NS_PER_S  # of a flight: between two of them it can be given up
+Order = tuple[BatchInputs, int]
+"""A run, and where its draws are."""
+Packing = Callable[[Scenario], Packed]
+
+_SEGMENT_NS = 60 * NS_PER_S  # of a flight, a tenth of a second's work: between two of them it can be given up
 
 
 class GivenUp(Exception):
@@ -65,36 +69,86 @@ class History:
     values: NDArray[np.float32]
 
 
-def fly_row(loaded: LoadedCampaign, batch: BatchInputs, run: int, stop: Callable[[], bool] = lambda: False) -> Row:
-    """Fly one run. Whatever happens in it becomes a row.
+@dataclass
+class Begun:
+    """A run that is prepared, under way or flown: its draws and its flight."""
 
-    Raises GivenUp when `stop` says so, CampaignError where the file refuses the draws.
+    made: Inputs
+    flight: FlightRun
+    envelope: Envelope | None  # whose channels it keeps
+    kept: list[tuple[Array, Array]] = field(default_factory=list, repr=False)
+
+
+def fly_rows(
+    loaded: LoadedCampaign, orders: Iterable[Order], stop: Callable[[], bool] = lambda: False
+) -> list[Row]:  # fmt: skip
+    """Fly these runs, one after the other; the rows of those that were flown before `stop` said so, in their order.
+
+    Whatever happens in a run becomes its row. All are prepared before the first is flown, and judged after the last:
+    a flight drives Python's code and data out of the processor's caches, and to fetch them again for each run costs as
+    much as the preparation itself. Raises CampaignError where the file refuses the draws.
     """
+    flown: list[Begun | Row] = []
+    pack = packer(loaded)
+    for run in [prepared(loaded, order, pack) for order in orders]:
+        try:
+            flown.append(run if isinstance(run, Row) else _flown(run, stop))
+        except GivenUp:
+            break
+    return [row_of(run) for run in flown]
+
+
+def prepared(loaded: LoadedCampaign, order: Order, pack: Packing) -> Begun | Row:
+    """A run at its start, or the row of one that cannot be flown. Raises CampaignError."""
+    batch, run = order
     try:
         made = batch.inputs(run)
     except Refused as refused:
         return void_row(run, REFUSED, f"no such scenario: {refused}")
-    envelope = loaded.campaign.envelope
+    wanted = loaded.campaign.envelope
+    envelope = wanted if run < wanted.runs and wanted.channels else None
     try:
-        history = envelope if run < envelope.runs and envelope.channels else None
-        flight, kept = fly_scenario(made.loaded, history, stop, packer(loaded))
-    except (GivenUp, MemoryError):
-        raise
+        return Begun(made, _begun_flight(made.loaded, envelope, pack), envelope)
     except Exception as error:  # one run in ten thousand must not end a campaign: the row says what happened
-        return failed_row(made, error)
-    return row_of(run, flight, made.recorded, made.redraws, kept)
+        return _failed(made, error)
 
 
-def packer(loaded: LoadedCampaign) -> Callable[[Scenario], Packed]:
+def _flown(run: Begun, stop: Callable[[], bool]) -> Begun | Row:
+    """Fly it to its end. Raises GivenUp."""
+    try:
+        _fly_on(run.flight, run.envelope, run.kept, stop)
+    except GivenUp:
+        raise
+    except Exception as error:  # as above
+        return _failed(run.made, error)
+    return run
+
+
+def row_of(run: Begun | Row) -> Row:
+    """The row of a run that has been flown."""
+    if isinstance(run, Row):
+        return run
+    try:
+        return recorded_row(run.made, run.flight.result(), _history(run.envelope, run.kept))
+    except Exception as error:  # as above
+        return _failed(run.made, error)
+
+
+def packer(loaded: LoadedCampaign) -> Packing:
     """Many runs are worth kernels of their own; few are flown by the common ones. Their results are the same bits."""
     return pack_for_one_vehicle if loaded.campaign.runs >= OWN_KERNELS_FROM else pack_flight
 
 
-def fly_scenario(
-    loaded: LoadedScenario, envelope: Envelope | None = None, stop: Callable[[], bool] = lambda: False,
-    pack: Callable[[Scenario], Packed] = pack_flight,
-) -> tuple[Flight, History | None]:  # fmt: skip
-    """Fly without a log; with the channels of an envelope where one is given."""
+def fly_scenario(loaded: LoadedScenario) -> Flight:
+    """Fly without a log."""
+    flight = _begun_flight(loaded, None, pack_flight)
+    while not flight.finished:
+        flight.fly_segment()
+    return flight.result()
+
+
+def _begun_flight(loaded: LoadedScenario, envelope: Envelope | None, pack: Packing) -> FlightRun:
+    """A flight at its start, without a log; with the channels of an envelope where one is given."""
     packed = pack(loaded.scenario)
     step_ns = int(packed.parameters[0].course.step_ns)
     if envelope is not None:
@@ -102,21 +156,28 @@ def fly_scenario(
         packed.parameters["course"]["fast_ns"] = period_ns
         packed.parameters["course"]["slow_ns"] = period_ns
     segment_ns = max(_SEGMENT_NS // step_ns, 1) * step_ns
-    run = FlightRun(loaded, packed, log=envelope is not None, segment_ns=segment_ns)
-    kept: list[tuple[Array, Array]] = []
+    return FlightRun(loaded, packed, log=envelope is not None, segment_ns=segment_ns)
+
+
+def _fly_on(
+    flight: FlightRun, envelope: Envelope | None, kept: list[tuple[Array, Array]], stop: Callable[[], bool]
+) -> None:  # fmt: skip
+    """To the end; into `kept` the times and values of an envelope's channels, segment by segment."""
     wanted = envelope.channels if envelope is not None else ()
-    columns = [(run.table.topic(channel).group, run.table.index(channel)) for channel in wanted]
-    while not run.finished:
+    columns = [(flight.table.topic(channel).group, flight.table.index(channel)) for channel in wanted]
+    while not flight.finished:
         if stop():
             raise GivenUp
-        rows = run.fly_segment()
+        rows = flight.fly_segment()
         if envelope is not None:
             kept.append(_picked(rows, columns, envelope.rate_hz))
-    history = None
-    if envelope is not None:
-        times, values = (np.concatenate([part[i] for part in kept], axis=-1) for i in (0, 1))
-        history = History(times.astype(np.float32), values.astype(np.float32))
-    return run.result(), history
+
+
+def _history(envelope: Envelope | None, kept: list[tuple[Array, Array]]) -> History | None:
+    if envelope is None:
+        return None
+    times, values = (np.concatenate([part[i] for part in kept], axis=-1) for i in (0, 1))
+    return History(times.astype(np.float32), values.astype(np.float32))
 
 
 def _picked(rows: Rows, columns: Sequence[tuple[str, int]], rate_hz: float) -> tuple[Array, Array]:
@@ -126,19 +187,19 @@ def _picked(rows: Rows, columns: Sequence[tuple[str, int]], rate_hz: float) -> t
     return times[on_grid], np.array([rows[group][1][: len(times), column][on_grid] for group, column in columns])
 
 
-def row_of(run: int, flight: Flight, inputs: dict[str, Any], redraws: int, history: History | None = None) -> Row:
+def recorded_row(made: Inputs, flight: Flight, history: History | None = None) -> Row:
     lost = [event.time_s for event in flight.events if event.name in (CONTROL_LOST_NAME, DIVERGED_NAME)]
     return Row(
-        run=run,
+        run=made.run,
         outcome=flight.outcome,
         passed=flight.passed,
         cause="; ".join(flight.failures),
         lost_s=min(lost, default=math.nan),
         end_s=flight.end_s,
         steps=flight.steps,
-        redraws=redraws,
+        redraws=made.redraws,
         state_hash=flight.state_hash,
-        inputs=inputs,
+        inputs=made.recorded,
         metrics=flight.metrics,
         times_s=flight.metric_times_s,
         history=history,
@@ -150,8 +211,10 @@ def void_row(run: int, outcome: str, cause: str) -> Row:
     return Row(run, outcome, False, cause, math.nan, math.nan, 0, 0, "", {}, nothing, dict(nothing))
 
 
-def failed_row(made: Inputs, error: Exception) -> Row:
-    """A run that met a fault of ours."""
+def _failed(made: Inputs, error: Exception) -> Row:
+    """A run that met a fault of ours. Memory that is short is the machine's: raised again."""
+    if isinstance(error, MemoryError):
+        raise error
     row = void_row(made.run, ERROR, f"{type(error).__name__}: {error}")
     row.inputs, row.redraws = made.recorded, made.redraws
     return row

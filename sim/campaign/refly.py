@@ -11,7 +11,7 @@ from typing import Any
 from maxq.sim.campaign import columns
 from maxq.sim.campaign.analysis import DataSet
 from maxq.sim.campaign.error import CampaignError
-from maxq.sim.campaign.flying import row_of
+from maxq.sim.campaign.flying import recorded_row
 from maxq.sim.campaign.plan import LoadedCampaign
 from maxq.sim.campaign.store import campaign_in, read_manifest
 from maxq.sim.campaign.targets import Refused
@@ -66,7 +66,7 @@ def refly(
     on_gpu = read_manifest(folder)["simulator"].get("device") is not None
     if recorded is None or on_gpu or flight.outcome == "interrupted":
         return Reflown(flight, out, None, ())
-    row = row_of(run, flight, made.recorded, made.redraws)
+    row = recorded_row(made, flight)
     now = columns.table_of([row], columns.schema_of(campaign)).to_pylist()[0]
     found = tuple(differing(recorded, now))
     return Reflown(flight, out, not found, found)

@@ -2,8 +2,8 @@
 
     result = run_campaign(load_campaign("campaigns/first"), Path("runs/first"), workers=2)
 
-Runs are handed out one by one, in order, over several batches; a batch is written as soon as its last run has landed.
-So memory holds the batches under way, however many runs there are, and no worker waits for another.
+Runs are handed out in order, a handful at a time, over several batches; a batch is written as soon as its last run has
+landed. So memory holds the batches under way, however many runs there are, and no worker waits for another.
 """
 
 from __future__ import annotations
@@ -13,22 +13,23 @@ import os
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from dataclasses import dataclass, field
 from itertools import islice, takewhile
 from pathlib import Path
 
 from maxq.sim.campaign.error import CampaignError
-from maxq.sim.campaign.flying import GivenUp, Row, fly_row, packer
-from maxq.sim.campaign.plan import BatchInputs, LoadedCampaign
-from maxq.sim.campaign.side_by_side import MOST, fly_rows
+from maxq.sim.campaign.flying import GivenUp, Order, Row, fly_rows, packer
+from maxq.sim.campaign.plan import LoadedCampaign
+from maxq.sim.campaign.side_by_side import MOST, fly_side_by_side
 from maxq.sim.campaign.standing import Standing
 from maxq.sim.campaign.store import Store, open_store
 from maxq.sim.flight.batch import Device, require_gpu
 from maxq.sim.flight.fly import FlightRun
 
-_AHEAD = 4  # runs for each worker that are handed out before they are needed
+HANDFUL = 8  # runs of a handful; towards the end fewer, so that all workers end together
+_AHEAD = 2  # handfuls for each worker that are handed out before they are needed
 _LOOK_S = 0.2  # how often the caller is told, and asked whether to stop
 
 
@@ -165,43 +166,42 @@ class _Local:
     ) -> None:
         self._campaign, self._store, self._progress = campaign, store, progress
         self._stop = threading.Event()
-        self._ahead = _AHEAD * workers
+        self._workers, self._left = workers, sum(count for _, count in gaps)
         self._next = self._orders(gaps)
-        self._flying: dict[Future[Row], _Open] = {}
+        self._flying: set[Future[list[Row]]] = set()
         self._open: dict[int, _Open] = {}
+        self._batch_of: dict[int, _Open] = {}
         self._switch_s = sys.getswitchinterval()
         sys.setswitchinterval(min(self._switch_s, 5e-4))  # a thread that comes back from the kernel waits no longer
         self._pool = ThreadPoolExecutor(workers, thread_name_prefix="run")
 
-    def _orders(self, gaps: list[tuple[int, int]]) -> Iterator[tuple[_Open, BatchInputs, int]]:
+    def _orders(self, gaps: list[tuple[int, int]]) -> Iterator[Order]:
         for first, count in gaps:
             inputs = self._campaign.batch(first, count)
             opened = _Open(first, count)
             self._open[first] = opened
             for run in range(first, first + count):
-                yield opened, inputs, run
+                self._batch_of[run] = opened
+                yield inputs, run
 
     def go_on(self) -> bool:
         """Hand out runs, collect those that have landed, write whole batches. False when all is done."""
-        while len(self._flying) < self._ahead:
-            order = next(self._next, None)
-            if order is None:
+        while len(self._flying) < _AHEAD * self._workers:
+            orders = list(islice(self._next, self._handful()))
+            if not orders:
                 break
-            opened, inputs, run = order
-            self._flying[self._pool.submit(fly_row, self._campaign, inputs, run, self._stop.is_set)] = opened
+            self._left -= len(orders)
+            self._flying.add(self._pool.submit(fly_rows, self._campaign, orders, self._stop.is_set))
         if not self._flying:
             return False
         landed, _ = wait(self._flying, timeout=_LOOK_S, return_when=FIRST_COMPLETED)
         for future in landed:
-            opened = self._flying.pop(future)
-            self._enter(opened, future.result())
-            if len(opened.rows) == opened.count:
-                self._write(opened)
+            self._flying.remove(future)
+            self._enter(future.result())
         return True
 
-    def _write(self, opened: _Open) -> None:
-        self._store.write(list(opened.rows.values()))
-        del self._open[opened.first]
+    def _handful(self) -> int:
+        return min(max(self._left // (2 * _AHEAD * self._workers), 1), HANDFUL)
 
     def end(self) -> None:
         """End the threads: runs that have not begun are dropped, those under way are given up."""
@@ -211,9 +211,9 @@ class _Local:
 
     def write_begun(self) -> None:
         """Write what has landed of the batches under way, as far as it has no gap."""
-        for future, opened in self._flying.items():
+        for future in self._flying:
             if not future.cancelled() and future.exception() is None:
-                self._enter(opened, future.result())
+                self._enter(future.result())
         self._flying.clear()
         for opened in list(self._open.values()):
             runs = range(opened.first, opened.first + opened.count)
@@ -221,10 +221,16 @@ class _Local:
             if whole:
                 self._store.write(whole)
 
-    def _enter(self, opened: _Open, row: Row) -> None:
-        opened.rows[row.run] = row
-        self._progress.flown += 1
-        self._progress.standing.add(row)
+    def _enter(self, rows: Iterable[Row]) -> None:
+        """Rows that have landed; a batch that they make whole is written."""
+        for row in rows:
+            opened = self._batch_of.pop(row.run)
+            opened.rows[row.run] = row
+            self._progress.flown += 1
+            self._progress.standing.add(row)
+            if len(opened.rows) == opened.count:
+                self._store.write(list(opened.rows.values()))
+                del self._open[opened.first]
 
 
 class _OnGpu(_Local):
@@ -243,13 +249,9 @@ class _OnGpu(_Local):
         if not orders:
             return False
         try:
-            rows = fly_rows(self._campaign, [order[1:] for order in orders], self._pool, self._asked)
+            self._enter(fly_side_by_side(self._campaign, orders, self._pool, self._asked))
         except GivenUp:
             return True  # whoever said so is asked again, and then it ends; these runs are flown next time
-        for (opened, _, _), row in zip(orders, rows, strict=True):
-            self._enter(opened, row)
-            if len(opened.rows) == opened.count:
-                self._write(opened)
         return True
 
 

@@ -76,7 +76,7 @@ class Campaign(Section):
     success: Level = Field(default=0.9973, description="share of flights that must meet a requirement")
     confidence: Level = Field(default=0.90, description="confidence with which that is to be shown")
     batch: Annotated[int, Field(gt=0)] | None = Field(
-        default=None, description="runs in a file of the data set (default: a 32nd of the runs, 16 to 1024)"
+        default=None, description="runs in a file of the data set (default: a 32nd of the runs, 64 to 1024)"
     )
     keep: tuple[str, ...] = Field(
         default=(), description="flights of which a full log is kept: 'worst:5', 'failed', 'failed:20', '0,17'"

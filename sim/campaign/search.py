@@ -71,7 +71,7 @@ def search_worst(
 
     def cost(x: Array) -> float:
         try:
-            flight, _ = fly_scenario(scenario_of(x))
+            flight = fly_scenario(scenario_of(x))
         except Refused:
             return math.inf
         value = flight.metrics[metric]
@@ -100,7 +100,7 @@ def search_worst(
             maxiter=max(flights // population - 1, 0), rng=np.random.default_rng(seed), callback=enough,
         )  # fmt: skip
     scenario = scenario_of(best[0][1])
-    flight, _ = fly_scenario(scenario)
+    flight = fly_scenario(scenario)
     draws = dict(zip(names, best[0][1].tolist(), strict=True))
     return Found(metric, flight.metrics[metric], draws, scenario, flight, flown[0] + 1)
 

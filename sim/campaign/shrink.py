@@ -47,7 +47,7 @@ def shrink_run(
     None where the run does not fail so. `watch` gets the inputs left and the flights flown. Raises Refused.
     """
     drawn = campaign.plan.draw(run, 1)
-    whole, _ = fly_scenario(campaign.scenario_of(run))
+    whole = fly_scenario(campaign.scenario_of(run))
     found = failures_of(whole)
     if failure is None:
         failure = found[0] if found else None
@@ -59,7 +59,7 @@ def shrink_run(
     def fails(kept: Sequence[str]) -> bool:
         flown[0] += 1
         try:
-            flight, _ = fly_scenario(campaign.mixed(drawn, run, kept))
+            flight = fly_scenario(campaign.mixed(drawn, run, kept))
         except Refused:  # these values exclude each other
             return False
         return wanted in failures_of(flight)
@@ -67,7 +67,7 @@ def shrink_run(
     with ThreadPoolExecutor(workers) as pool:
         left = _minimal(list(campaign.input_names), fails, pool, lambda names: watch(len(names), flown[0]))
     scenario = campaign.mixed(drawn, run, left)
-    flight, _ = fly_scenario(scenario)
+    flight = fly_scenario(scenario)
     return Shrunk(wanted, tuple(left), scenario, flight, flown[0] + 1)
 
 

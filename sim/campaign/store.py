@@ -100,7 +100,8 @@ class Store:
         try:
             path.parent.mkdir(exist_ok=True)
             with open(hidden, "wb") as file:
-                pq.write_table(table, file, compression="zstd", write_page_checksum=True)
+                texts = [f.name for f in table.schema if pa.types.is_string(f.type)]  # numbers hardly ever repeat
+                pq.write_table(table, file, compression="zstd", use_dictionary=texts, write_page_checksum=True)
                 file.flush()
                 os.fsync(file.fileno())
             os.replace(hidden, path)
@@ -184,11 +185,11 @@ class Store:
 
 
 def batch_of(campaign: LoadedCampaign) -> int:
-    """Runs in a part: what the file says, or a 32nd of the runs, rounded to a power of two from 16 to 1024."""
+    """Runs in a part: what the file says, or a 32nd of the runs, rounded to a power of two from 64 to 1024."""
     given = campaign.campaign.batch
     if given is not None:
         return given
-    return 1 << min(max(campaign.campaign.runs // 32, 16).bit_length() - 1, 10)
+    return 1 << min(max(campaign.campaign.runs // 32, 64).bit_length() - 1, 10)
 
 
 def open_store(folder: Path, campaign: LoadedCampaign, device: str = "cpu") -> tuple[Store, int]:

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cache
 from typing import Any, Literal
 
 import numpy as np
@@ -16,7 +17,7 @@ from pydantic import ValidationError
 
 from maxq.control.records import Array
 from maxq.sim.scenario.describe import describe, field_at
-from maxq.sim.scenario.errors import LARGEST_NUMBER, Path, suggestion
+from maxq.sim.scenario.errors import LARGEST_NUMBER, suggestion
 from maxq.sim.scenario.nanoseconds import LONGEST_S, NS_PER_S
 from maxq.sim.scenario.schema_scenario import Scenario
 from maxq.sim.scenario.schema_values import Section
@@ -106,7 +107,8 @@ def find_target(scenario: Scenario, key: str) -> Target:
     return _leaf(key, tuple(path), at)
 
 
-def _names(section: type[Section]) -> dict[str, str]:
+@cache
+def _names(section: type[Section]) -> Mapping[str, str]:
     return {field.alias or name: name for name, field in section.model_fields.items()}
 
 
@@ -200,36 +202,35 @@ class Dispersed:
         """
         if not self._root.below:
             return self._scenario
-        scenario = _rebuilt(self._scenario, self._root, values, ())
-        assert isinstance(scenario, Scenario)
-        return scenario
+        try:
+            return Scenario.model_validate(_rebuilt(self._scenario, self._root, values))
+        except ValidationError as error:
+            raise Refused(_in_words(error)) from None
 
 
-def _rebuilt(at: Any, node: _Node, values: Mapping[str, Value], path: Path) -> Any:
-    """The value at `path` with all changes below it. What does not change is shared with the original."""
+def _rebuilt(at: Any, node: _Node, values: Mapping[str, Value]) -> Any:
+    """The value with all changes below it: sections that change as their fields, to be checked once, together; what
+    does not change is shared with the original."""
     if node.changes:
         return _changed_value(at, node.changes[0], values)
     if isinstance(at, Section):
         fields = {alias: getattr(at, name) for alias, name in _names(type(at)).items()}
         for part, below in node.below.items():
-            fields[str(part)] = _rebuilt(fields[str(part)], below, values, (*path, part))
-        try:
-            return type(at).model_validate(fields)  # sections inside are taken as they are: they were checked
-        except ValidationError as error:
-            raise Refused(_in_words(error, path)) from None
+            fields[str(part)] = _rebuilt(fields[str(part)], below, values)
+        return fields
     if isinstance(at, CsvTable):
         return _changed_table(at, node, values)
     out = list(at)
     for part, below in node.below.items():
-        out[int(part)] = _rebuilt(out[int(part)], below, values, (*path, part))
+        out[int(part)] = _rebuilt(out[int(part)], below, values)
     return tuple(out)
 
 
-def _in_words(error: ValidationError, path: Path) -> str:
+def _in_words(error: ValidationError) -> str:
     first = error.errors(include_url=False)[0]
     context = first.get("ctx", {})
     problem = context.get("problem", first["msg"]) if first["type"] == "refused" else first["msg"]
-    key = ".".join(map(str, (*path, *first["loc"], *context.get("key", ()))))
+    key = ".".join(map(str, (*first["loc"], *context.get("key", ()))))
     return f"{key}: {problem}" if key else str(problem)
 
 

@@ -94,7 +94,7 @@ class FlightRun:
         self.packed = packed or pack_flight(loaded.scenario)
         tanks = max((stage.tank for stage in loaded.vehicle.stage), key=len)
         names = tuple(tank.name or str(i + 1) for i, tank in enumerate(tanks[: self.packed.sizes.tanks]))
-        self.table, self._scales = _logged_table(self.packed.sizes, names)
+        self.table, self._names, self._scales = _logged_table(self.packed.sizes, names)
         self._on, self._off = (pack([Logged(on, self.packed.sizes)]) for on in (1, 0))
         self._arena = np.zeros(ARENA_SIZE)
         course = self.packed.parameters[0].course
@@ -147,22 +147,23 @@ class FlightRun:
         rows = self._advance(int(clock.now_ns), self._on, room)
         self.packed.memory[:], self.packed.state[:] = memory, state
         return {
-            channel.name: float(value)
+            name: value
             for group, (_, values) in rows.items()
-            for channel, value in zip(self.table.columns(group), values[0], strict=True)
+            for name, value in zip(self._names[group], values[0].tolist(), strict=True)
         }
 
     def result(self, rows: Rows | None = None) -> Flight:
         """The flight so far; `rows` are the log rows that the caller has kept."""
-        clock, extremes = self.memory.clock, self.memory.extremes
+        clock, extremes, now_s = self.memory.clock, self.memory.extremes, self.now_s
         events, final, outcome = self.events, self.present(), outcome_so_far(self.packed)
         scenario = self.loaded.scenario
-        metrics = {m.name: float(v) for m, v in zip(METRICS, extremes.value, strict=True)}
-        times = {m.name: int(t) / 1e9 if t >= 0 else math.nan for m, t in zip(METRICS, extremes.time_ns, strict=True)}
+        metrics = {m.name: value for m, value in zip(METRICS, extremes.value.tolist(), strict=True)}
+        times_ns = extremes.time_ns.tolist()
+        times = {m.name: t / 1e9 if t >= 0 else math.nan for m, t in zip(METRICS, times_ns, strict=True)}
         lift_off_s = next((e.time_s for e in events if e.name == "liftoff"), scenario.run.start_s)
         earth = self.packed.parameters[0].around.earth
-        metrics |= ending_values(final, earth, scenario.site, self.now_s - lift_off_s)
-        times = {m.name: times.get(m.name, self.now_s) for m in ALL_METRICS}
+        metrics |= ending_values(final, earth, scenario.site, now_s - lift_off_s)
+        times = {m.name: times.get(m.name, now_s) for m in ALL_METRICS}
         causes = [(e, cause_of(e, self.packed)) for e in events]
         return Flight(
             scenario=self.loaded,
@@ -178,7 +179,7 @@ class FlightRun:
             ),
             outcome=outcome,
             cause=next((cause for e, cause in causes if cause and e.name == outcome), ""),
-            end_s=self.now_s,
+            end_s=now_s,
             end_ns=int(clock.now_ns),
             steps=int(clock.steps),
             state=self.packed.state.copy(),
@@ -231,10 +232,13 @@ def fly(loaded: LoadedScenario, *, log: bool = True, watch: Callable[[FlightRun,
 
 
 @lru_cache(maxsize=8)
-def _logged_table(sizes: Sizes, tanks: tuple[str, ...]) -> tuple[ChannelTable, dict[str, Array]]:
-    """Channels in logged units, and what the kernel's columns are multiplied with to get there."""
+def _logged_table(
+    sizes: Sizes, tanks: tuple[str, ...]
+) -> tuple[ChannelTable, dict[str, tuple[str, ...]], dict[str, Array]]:
+    """Channels in logged units, their names in order, and by what the kernel's columns are multiplied for them."""
     kernel_table = channel_table(sizes, tanks)
-    return kernel_table.as_logged(), {group: kernel_table.scales(group) for group in (FAST, SLOW)}
+    names = {group: tuple(channel.name for channel in kernel_table.columns(group)) for group in (FAST, SLOW)}
+    return kernel_table.as_logged(), names, {group: kernel_table.scales(group) for group in (FAST, SLOW)}
 
 
 def copied(rows: Rows) -> Rows:

@@ -61,13 +61,14 @@ def events_so_far(packed: Packed, start_s: float) -> tuple[Event, ...]:
 def outcome_so_far(packed: Packed) -> str:
     """`diverged`, the event of run.stop_at that ended the flight, `duration`, or `interrupted`."""
     clock = packed.memory[0].clock
-    course = packed.parameters[int(clock.stage)].course
-    if clock.event_ns[DIVERGED] >= 0:
+    stop_mask = int(packed.parameters[int(clock.stage)].course.stop_mask)
+    events_ns, now_ns = clock.event_ns.tolist(), int(clock.now_ns)
+    if events_ns[DIVERGED] >= 0:
         return DIVERGED_NAME
     if not clock.finished:
         return "interrupted"
-    for index, name in enumerate(EVENT_NAMES):
-        if (int(course.stop_mask) >> index) & 1 and int(clock.event_ns[index]) == int(clock.now_ns):
+    for index, (name, time_ns) in enumerate(zip(EVENT_NAMES, events_ns, strict=True)):
+        if (stop_mask >> index) & 1 and time_ns == now_ns:
             return name
     return "duration"
 

@@ -11,13 +11,15 @@ from maxq.control.filters import BendingFilter, DiscreteFilter, FirstOrderSectio
 from maxq.control.guidance import rate_programme
 from maxq.control.law import GainSchedule, gains_table
 from maxq.control.roll import Roll, make_roll
-from maxq.control.tables import NO_TABLE, Cubics, Pool, fit, merge
+from maxq.control.tables import NO_TABLE, Cubics, Method, Pool, fit, merge
 from maxq.sim.flight import injection as signals
 from maxq.sim.flight.parameters import NEVER
+from maxq.sim.packing.remembered import by_identity
 from maxq.sim.scenario.nanoseconds import to_ns
 from maxq.sim.scenario.schema_design import Design
 from maxq.sim.scenario.schema_injection import Injection
 from maxq.sim.scenario.schema_scenario import Scenario
+from maxq.sim.scenario.tables_csv import CsvTable
 
 _WHERE = {
     "gimbal_command": signals.GIMBAL_COMMAND, "rate_command": signals.RATE_COMMAND,
@@ -49,7 +51,7 @@ def pack_computer(scenario: Scenario, pool: Pool) -> Computer:
         angle_error_limit_rad=math.radians(computer.angle_error_limit_deg),
         command_limit_rad=math.radians(computer.command_limit_deg),
         gains=_gains(design) if design else None,
-        programme=_programme(scenario),
+        programme=_programme(scenario.guidance.programme, scenario.guidance.method),
         pitch_filter=_filter(design, computer.sample_s) if design else None,
         roll=_roll(design, sample_ns) if design else None,
         control_on=switches.control,
@@ -58,11 +60,13 @@ def pack_computer(scenario: Scenario, pool: Pool) -> Computer:
     )
 
 
+@by_identity
 def _gains(design: Design) -> Cubics:
     pitch, yaw = (GainSchedule(list(t["time_s"]), list(t["k_p"]), list(t["k_d_s"])) for t in design.gains.axes)
     return gains_table(pitch, yaw)
 
 
+@by_identity
 def _filter(design: Design, sample_s: float) -> DiscreteFilter:
     return bending_filter(design).discretize(sample_s, design.filter.discretization, design.filter.prewarp_hz)
 
@@ -83,12 +87,12 @@ def _roll(design: Design, sample_ns: int) -> Roll | None:
     return make_roll(sample_ns, roll.k_rate_s, band, play, roll.minimum_on_s)
 
 
-def _programme(scenario: Scenario) -> Cubics | None:
-    table = scenario.guidance.programme
+@by_identity
+def _programme(table: CsvTable | None, method: Method) -> Cubics | None:
     if table is None:
         return None
     pitch, yaw, roll = (np.radians(table.get(f"{axis}_rate_degps")) for axis in ("pitch", "yaw", "roll"))
-    return rate_programme(table["time_s"], pitch, yaw, roll, scenario.guidance.method)
+    return rate_programme(table["time_s"], pitch, yaw, roll, method)
 
 
 def pack_injections(scenario: Scenario, pool: Pool) -> signals.Injections:

@@ -6,12 +6,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from maxq.control.tables import NO_TABLE, Pool, TableRef, fit
+from maxq.control.tables import NO_TABLE, Cubics, Pool, TableRef, fit
 from maxq.sim.dynamics.surroundings import Surroundings
 from maxq.sim.environment import atmosphere as air
 from maxq.sim.environment import earth as globe
 from maxq.sim.environment import turbulence as dryden
 from maxq.sim.environment import wind as winds
+from maxq.sim.packing.remembered import by_identity
 from maxq.sim.scenario import schema_environment as schema
 from maxq.sim.scenario.schema_scenario import Scenario
 
@@ -106,20 +107,22 @@ def _turbulence(scenario: Scenario, pool: Pool) -> dryden.Turbulence:
     turbulence = scenario.wind.turbulence
     if turbulence is None:
         return dryden.Turbulence()
-    ground_m = scenario.site.altitude_m
+    seed = scenario.run.seed if turbulence.seed is None else turbulence.seed
+    return dryden.Turbulence(1, pool.add(_intensity(turbulence, scenario.site.altitude_m)), seed)
+
+
+@by_identity
+def _intensity(turbulence: schema.Turbulence, ground_m: float) -> Cubics:
     lengths = (turbulence.length_u_m, turbulence.length_v_m, turbulence.length_w_m)
     if turbulence.table is not None:
         t = turbulence.table
         sigma = np.stack([t[f"sigma_{axis}_mps"] for axis in "uvw"], axis=1)
         standard = dryden.exceedance_table("moderate", ground_m).at(t["altitude_m"])[:, 3:]
-        table = dryden.intensity_table(t["altitude_m"], sigma, _with(standard, lengths))
-    else:
-        assert turbulence.exceedance is not None
-        given = dryden.exceedance_table(turbulence.exceedance, ground_m)
-        rows = given.at(given.breaks)
-        table = dryden.intensity_table(given.breaks, rows[:, :3], _with(rows[:, 3:], lengths))
-    seed = scenario.run.seed if turbulence.seed is None else turbulence.seed
-    return dryden.Turbulence(1, pool.add(table), seed)
+        return dryden.intensity_table(t["altitude_m"], sigma, _with(standard, lengths))
+    assert turbulence.exceedance is not None
+    given = dryden.exceedance_table(turbulence.exceedance, ground_m)
+    rows = given.at(given.breaks)
+    return dryden.intensity_table(given.breaks, rows[:, :3], _with(rows[:, 3:], lengths))
 
 
 def _with(standard: np.ndarray, lengths: tuple[float | None, ...]) -> np.ndarray:

@@ -59,7 +59,7 @@ def pack_flight(scenario: Scenario) -> Packed:
         stage_start_ns = course.separation_ns
     parameters = pack(rows)
     y = np.zeros(MAX_STATE)
-    initial_motion(scenario, parameters[0].around.earth, y)
+    initial_motion(scenario, y)
     rate = (float(y[W_BI_B]), float(y[W_BI_B + 1]), float(y[W_BI_B + 2]))
     _rest(parameters[0], rate, y)
     _settle_gyro(rate, y)

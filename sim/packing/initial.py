@@ -7,10 +7,13 @@ import math
 import numpy as np
 
 from maxq.control.jit import from_python
-from maxq.control.records import Array
+from maxq.control.records import Array, pack
 from maxq.sim.dynamics.state import Q_BI, R_I, V_I, W_BI_B
 from maxq.sim.environment import earth as kernels
 from maxq.sim.environment.earth import Earth
+from maxq.sim.packing.environment import pack_earth
+from maxq.sim.packing.remembered import by_identity
+from maxq.sim.scenario import schema_environment as schema
 from maxq.sim.scenario.schema_initial import Initial
 from maxq.sim.scenario.schema_scenario import Scenario
 
@@ -18,13 +21,24 @@ earth_rotation, earth_position = from_python(kernels.earth_rotation), from_pytho
 local_frame, ned_axes = from_python(kernels.local_frame), from_python(kernels.ned_axes)
 
 
-def initial_motion(scenario: Scenario, earth: Earth, y: Array) -> None:
+def initial_motion(scenario: Scenario, y: Array) -> None:
     """Fill position, velocity, attitude and rates of the state `y` for the scenario's start."""
-    given = scenario.initial or Initial()
-    cos, sin = earth_rotation(earth, scenario.run.start_s)
+    position_I, velocity_I, q_BI, rate_B = _motion(
+        scenario.initial, scenario.site, scenario.earth, scenario.run.start_s
+    )
+    y[R_I : R_I + 3], y[V_I : V_I + 3] = position_I, velocity_I
+    y[Q_BI : Q_BI + 4], y[W_BI_B : W_BI_B + 3] = q_BI, rate_B
+
+
+@by_identity
+def _motion(
+    initial: Initial | None, site: schema.Site, given_earth: schema.Earth, start_s: float
+) -> tuple[Array, Array, Array, Array]:  # fmt: skip
+    given, earth = initial or Initial(), pack([pack_earth(given_earth)])[0]
+    cos, sin = earth_rotation(earth, start_s)
     to_inertial = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
     spin_I = np.array([0.0, 0.0, earth.rate_radps])
-    position_E = _position(scenario, given, earth, to_inertial)
+    position_E = _position(given, site, earth, to_inertial)
     ned_to_inertial = product(to_inertial, _ned(earth, position_E).T)
     position_I = product(to_inertial, position_E)
     ground_I = np.cross(spin_I, position_I)
@@ -34,15 +48,14 @@ def initial_motion(scenario: Scenario, earth: Earth, y: Array) -> None:
         velocity_I = ground_I + product(to_inertial, np.array(given.earth_mps))
     else:
         velocity_I = ground_I + product(ned_to_inertial, np.array(given.ned_mps or (0.0, 0.0, 0.0)))
-    attitude = _attitude(scenario, given, ned_to_inertial)
+    attitude = _attitude(given, site, ned_to_inertial)
     if given.rate_BI_degps is not None:
         rate_B = np.radians(given.rate_BI_degps)
     elif given.rate_BI_radps is not None:
         rate_B = np.array(given.rate_BI_radps)
     else:
         rate_B = np.radians(given.rate_BE_degps or (0.0, 0.0, 0.0)) + product(attitude.T, spin_I)
-    y[R_I : R_I + 3], y[V_I : V_I + 3] = position_I, velocity_I
-    y[Q_BI : Q_BI + 4], y[W_BI_B : W_BI_B + 3] = quaternion(attitude), rate_B
+    return position_I, velocity_I, quaternion(attitude), rate_B
 
 
 def product(a: Array, b: Array) -> Array:
@@ -52,12 +65,12 @@ def product(a: Array, b: Array) -> Array:
     )
 
 
-def _position(scenario: Scenario, given: Initial, earth: Earth, to_inertial: Array) -> Array:
+def _position(given: Initial, site: schema.Site, earth: Earth, to_inertial: Array) -> Array:
     if given.inertial_m is not None:
         return product(to_inertial.T, np.array(given.inertial_m))
     if given.earth_m is not None:
         return np.array(given.earth_m)
-    place = given.geodetic or scenario.site
+    place = given.geodetic or site
     return np.array(
         earth_position(earth, math.radians(place.latitude_deg), math.radians(place.longitude_deg), place.altitude_m)
     )
@@ -69,7 +82,7 @@ def _ned(earth: Earth, position_E: Array) -> Array:
     return np.array(ned_axes(sin_lat, cos_lat, sin_lon, cos_lon)).reshape(3, 3)
 
 
-def _attitude(scenario: Scenario, given: Initial, ned_to_inertial: Array) -> Array:
+def _attitude(given: Initial, site: schema.Site, ned_to_inertial: Array) -> Array:
     """Matrix that turns B components into I components."""
     if given.q_BI is not None:
         return rotation(np.array(given.q_BI))
@@ -77,7 +90,7 @@ def _attitude(scenario: Scenario, given: Initial, ned_to_inertial: Array) -> Arr
         return np.array(given.dcm_BI).T
     if given.euler_deg is not None:
         return product(ned_to_inertial, euler_to_ned(*np.radians(given.euler_deg)))
-    azimuth = math.radians(scenario.site.azimuth_deg)
+    azimuth = math.radians(site.azimuth_deg)
     north, east = math.cos(azimuth), math.sin(azimuth)
     nose, under = np.array([0.0, 0.0, -1.0]), np.array([north, east, 0.0])
     return product(ned_to_inertial, np.stack([nose, np.cross(under, nose), under], axis=1))

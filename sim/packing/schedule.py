@@ -8,19 +8,23 @@ loses (docs/model.md, section 8).
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from functools import lru_cache
 
 import numpy as np
 
 from maxq.control.jit import from_python
 from maxq.control.records import Array, pack
-from maxq.control.tables import Cubics, Method, fit, merge
+from maxq.control.tables import Cubics, Method, fit, merge, union
 from maxq.sim.dynamics import schedule as columns_of
 from maxq.sim.dynamics.state import Sizes
 from maxq.sim.packing.mode_shapes import ModeShapes
+from maxq.sim.packing.remembered import by_identity
 from maxq.sim.scenario.modes import ModeTable
+from maxq.sim.scenario.schema_aero import AeroSurface
 from maxq.sim.scenario.schema_scenario import Switches
 from maxq.sim.scenario.schema_vehicle import Stage
+from maxq.sim.scenario.tables_csv import CsvTable
 
 _schedule_width = from_python(columns_of.schedule_width)
 _lanes, _mode_rows = from_python(columns_of.lanes), from_python(columns_of.mode_rows)
@@ -38,19 +42,27 @@ def stage_sizes(stage: Stage, switches: Switches) -> Sizes:
     return Sizes(pitch, yaw, tanks, len(surface_stations(stage)))
 
 
-def surface_stations(stage: Stage) -> list[float]:
+def surface_stations(stage: Stage) -> tuple[float, ...]:
     """Station of each lifting surface at which it meets the mode shapes: the mean over its Mach table, m.
 
     The last one stands for the normal force that the table of coefficients has beyond the surfaces' sum.
     """
-    if stage.aero is None:
-        return []
-    stations = [float(surface.table["station_m"].mean()) for surface in stage.aero.surface]
-    if "CN_alpha_pr" in stage.aero.table or "Cm_alpha_pr" in stage.aero.table:
-        table = stage.aero.table
-        place = table["x_cp_m"] if "x_cp_m" in table else np.array([stage.aero.moment_reference_m])
+    aero = stage.aero
+    return () if aero is None else _stations(aero.table, aero.surface, aero.moment_reference_m)
+
+
+@by_identity
+def _stations(table: CsvTable, surfaces: tuple[AeroSurface, ...], reference_m: float) -> tuple[float, ...]:
+    stations = [float(surface.table["station_m"].mean()) for surface in surfaces]
+    if has_remainder(table):
+        place = table["x_cp_m"] if "x_cp_m" in table else np.array([reference_m])
         stations.append(float(place.mean()))
-    return stations
+    return tuple(stations)
+
+
+def has_remainder(table: CsvTable) -> bool:
+    """Whether a table of coefficients has a normal force beside that of the surfaces."""
+    return "CN_alpha_pr" in table or "Cm_alpha_pr" in table
 
 
 def vehicle_schedule(stage: Stage, sizes: Sizes, switches: Switches, frozen: bool) -> Cubics:
@@ -59,16 +71,16 @@ def vehicle_schedule(stage: Stage, sizes: Sizes, switches: Switches, frozen: boo
     `frozen`: the CG does not wander (the schedule stands still).
     """
     method: Method = stage.interpolation
-    parts = [_core(stage, sizes, method, switches.moving_cg and not frozen), _thrust(stage)]
-    for k in range(sizes.tanks):
-        tank = _tank(stage, k, method)
+    tanks = [_tank(stage, k, method) for k in range(sizes.tanks)]
+    parts = [_core(stage, tanks, method, switches.moving_cg and not frozen), _thrust(stage)]
+    for tank in tanks:
         parts += [tank, _tank_rates(tank, switches.jet_damping, switches.jet_damping and not frozen)]
     if stage.bending is not None:
-        for table, modes in (
-            (stage.bending.pitch_modes, sizes.pitch_modes),
-            (stage.bending.yaw_modes, sizes.yaw_modes),
-        ):
-            parts.append(_modes(stage, table if modes > 0 else None, sizes, method))
+        bending = stage.bending
+        pitch = _modes(stage, bending.pitch_modes if sizes.pitch_modes > 0 else None, sizes, tanks, method)
+        alike = sizes.yaw_modes == sizes.pitch_modes and bending.yaw == bending.pitch
+        yaw_table = bending.yaw_modes if sizes.yaw_modes > 0 and not alike else None
+        parts += [pitch, pitch if alike else _modes(stage, yaw_table, sizes, tanks, method)]
     schedule = merge(parts)
     assert schedule.n_columns == _schedule_width(pack([sizes])[0])
     return schedule
@@ -100,13 +112,12 @@ def _mass_table(stage: Stage) -> tuple[Array, Array]:
     return np.array([begin_s, begin_s + mass.burn_s]), np.stack([row, end])
 
 
-def _core(stage: Stage, sizes: Sizes, method: Method, moving_cg: bool) -> Cubics:
+def _core(stage: Stage, tanks: Sequence[Cubics], method: Method, moving_cg: bool) -> Cubics:
     """Columns CORE_MASS to MASS_FLOW."""
     total = fit(*_mass_table(stage), method)
-    tanks = [_tank(stage, k, method) for k in range(sizes.tanks)]
     core = merge([total])
     if tanks:
-        breaks = np.unique(np.concatenate([total.breaks, *[t.breaks for t in tanks]]))
+        breaks = union(total, *tanks)
         core = fit(breaks, _without_bobs(total.at(breaks), [tank.at(breaks) for tank in tanks]), method)
     rates = _derivative(core)
     if not moving_cg:
@@ -179,7 +190,7 @@ def _columns(table: Cubics, columns: list[int]) -> Cubics:
     return Cubics(table.breaks, table.coefficients[:, :, columns].copy())
 
 
-def _modes(stage: Stage, table: ModeTable | None, sizes: Sizes, method: Method) -> Cubics:
+def _modes(stage: Stage, table: ModeTable | None, sizes: Sizes, tanks: Sequence[Cubics], method: Method) -> Cubics:
     """Columns of all modes of one plane; zeros without a table."""
     record = pack([sizes])[0]
     rows, lanes = int(_mode_rows(record)), int(_lanes(record))
@@ -189,8 +200,8 @@ def _modes(stage: Stage, table: ModeTable | None, sizes: Sizes, method: Method) 
     gimbal_m = engine.gimbal_station_m if engine else float(table.station_m[-1])
     gyro_m = stage.gyro.station_m if stage.gyro else float(table.station_m[0])
     hanging_kgm = engine.gimballed_mass_kg * engine.cg_from_gimbal_m if engine else 0.0
-    hinges_m = tuple(_tank(stage, k, method).at(table.time_s)[:, 2].tobytes() for k in range(sizes.tanks))
-    surfaces_m = tuple(surface_stations(stage))
+    hinges_m = tuple(tank.at(table.time_s)[:, 2].tobytes() for tank in tanks)
+    surfaces_m = surface_stations(stage)
     values = _mode_values(table, (rows, lanes), gimbal_m, gyro_m, hinges_m, surfaces_m, hanging_kgm)
     joined = fit(table.time_s, values, method)
     assert bending is not None

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from maxq.control.tables import NO_TABLE, Cubics, Pool, fit, merge
+from maxq.control.tables import NO_TABLE, Cubics, Method, Pool, fit, merge
 from maxq.sim.dynamics.actuator import Actuator
 from maxq.sim.dynamics.aero import FIRST_SURFACE, Aero
 from maxq.sim.dynamics.bending import Bending
@@ -15,10 +15,13 @@ from maxq.sim.dynamics.engine import Engine
 from maxq.sim.dynamics.gyro import Gyro
 from maxq.sim.dynamics.slosh import Slosh
 from maxq.sim.dynamics.state import MAX_MODES, MAX_TANKS, Sizes
-from maxq.sim.packing.schedule import surface_stations
+from maxq.sim.packing.remembered import by_identity
+from maxq.sim.packing.schedule import has_remainder
+from maxq.sim.scenario import schema_aero as schema
 from maxq.sim.scenario.schema_engine import ActuatorAxis
 from maxq.sim.scenario.schema_scenario import Scenario
 from maxq.sim.scenario.schema_vehicle import Reference, Stage
+from maxq.sim.scenario.tables_csv import CsvTable
 
 _TWO_PI = 2.0 * math.pi
 
@@ -153,7 +156,7 @@ def _aero(scenario: Scenario, stage: Stage, pool: Pool) -> Aero:
         station = aero.crossflow_station_m
     return Aero(
         on=on,
-        table=pool.add(_mach_table(stage, reference.chord_m)) if on else NO_TABLE,
+        table=pool.add(_coefficients(aero, reference.chord_m)) if aero is not None and on else NO_TABLE,
         area_m2=reference.area_m2,
         chord_m=reference.chord_m,
         yaw_chord_m=reference.yaw_chord_m,
@@ -168,40 +171,43 @@ def _aero(scenario: Scenario, stage: Stage, pool: Pool) -> Aero:
     )
 
 
-def _mach_table(stage: Stage, chord_m: float) -> Cubics:
+def _coefficients(aero: schema.Aero, chord_m: float) -> Cubics:
+    return _mach_table(aero.table, aero.surface, aero.interpolation, aero.moment_reference_m, chord_m)
+
+
+@by_identity
+def _mach_table(
+    table: CsvTable, surfaces: tuple[schema.AeroSurface, ...], method: Method, reference_m: float, chord_m: float
+) -> Cubics:  # fmt: skip
     """Columns of dynamics/aero.py over Mach number.
 
     Normal force enters as slope and slope times station, so that a moment about a fixed reference is carried over
     exactly to a CG that moves, even where the slope is zero.
     """
-    aero = stage.aero
-    assert aero is not None
-    table, method = aero.table, aero.interpolation
     coast = table["CA_coast"] if "CA_coast" in table else table.get("CA")
     columns = [table.get("CA"), coast, table.get("CD"), table.get("Cmq")]
     columns += [table["Cnr"] if "Cnr" in table else table.get("Cmq"), table.get("Clp")]
     columns += [table.get("C_crossflow"), table.get("Cm0")]
     assert len(columns) == FIRST_SURFACE
     parts = [fit(table["mach"], np.stack(columns, axis=1), method)]
-    for surface in aero.surface:
+    for surface in surfaces:
         slope, place = surface.table["CN_alpha_pr"], surface.table["station_m"]
         parts.append(fit(surface.table["mach"], np.stack([slope, slope * place], axis=1), method))
-    if len(surface_stations(stage)) > len(aero.surface):
-        parts.append(_remainder(stage, chord_m, parts[1:]))
+    if has_remainder(table):
+        parts.append(_remainder(table, parts[1:], method, reference_m, chord_m))
     return merge(parts)
 
 
-def _remainder(stage: Stage, chord_m: float, surfaces: list[Cubics]) -> Cubics:
+def _remainder(
+    table: CsvTable, surfaces: list[Cubics], method: Method, reference_m: float, chord_m: float
+) -> Cubics:  # fmt: skip
     """Normal force that the table of coefficients has beyond the surfaces' sum."""
-    aero = stage.aero
-    assert aero is not None
-    table, reference = aero.table, aero.moment_reference_m
     slope = table.get("CN_alpha_pr")
     if "x_cp_m" in table:
         moment = slope * table["x_cp_m"]
     else:
-        moment = slope * reference - chord_m * table.get("Cm_alpha_pr")
-    total = fit(table["mach"], np.stack([slope, moment], axis=1), aero.interpolation)
+        moment = slope * reference_m - chord_m * table.get("Cm_alpha_pr")
+    total = fit(table["mach"], np.stack([slope, moment], axis=1), method)
     if not surfaces:
         return total
     together = merge([total, *surfaces])

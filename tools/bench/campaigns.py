@@ -21,7 +21,7 @@ from maxq.sim.campaign.plan import LoadedCampaign, load_campaign
 from maxq.sim.campaign.runner import Progress, cores, load_kernels, run_campaign
 from maxq.sim.flight.fly import FlightRun
 
-RUNS = 512  # enough for kernels of their own
+RUNS = 1000  # as many as a person asks for over coffee; kernels of their own from 500
 SHORT = ("run.duration_s=0.02", "run.stop_at=[]", "campaign.keep=[]", "campaign.batch=256")
 _FLOWN, _ROWS = 4000, 100_000
 

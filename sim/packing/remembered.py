@@ -1,0 +1,37 @@
+"""Answers kept for arguments that are the same objects: runs of a campaign share whatever none of them changes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Hashable
+from functools import wraps
+from typing import Any, TypeVar
+
+Answer = TypeVar("Answer")
+
+_MOST = 64
+
+
+def by_identity(function: Callable[..., Answer]) -> Callable[..., Answer]:
+    """Remember answers by the identity of the arguments, which nobody may change, as nobody may change the answer.
+
+    Numbers and texts are told by their value, tuples by what is in them. Comparing sections of a scenario by value
+    would take longer than most answers.
+    """
+    kept: dict[Hashable, tuple[tuple[Any, ...], Answer]] = {}
+
+    @wraps(function)
+    def remembered(*arguments: Any) -> Answer:
+        key = _key(arguments)
+        if key not in kept:
+            if len(kept) >= _MOST:
+                kept.clear()
+            kept[key] = arguments, function(*arguments)  # arguments stay alive, or another could get their identity
+        return kept[key][1]
+
+    return remembered
+
+
+def _key(value: Any) -> Hashable:
+    if isinstance(value, tuple):
+        return tuple(_key(item) for item in value)
+    return value if value is None or isinstance(value, int | float | str) else id(value)
