@@ -69,7 +69,7 @@ def test_of_scaled_columns(key: str) -> None:
 
 def _at(value: object, path: str) -> object:
     for part in path.split("."):
-        value = value[int(part)] if part.isdecimal() else getattr(value, part)  # type: ignore[index]
+        value = value[int(part)] if part.isdecimal() else getattr(value, part)  # type: ignore[index]  # the path says what it is
     return value
 
 
@@ -77,7 +77,7 @@ def test_rows_that_where_names() -> None:
     base = load_scenario("nominal")
     target = find_target(base.scenario, "vehicle.stage.0.bending.pitch.slope_pm")
     scenario = Dispersed(base.scenario, [Change(target, "scale", "x", (("mode", 2.0),))])({"x": 2.0})
-    before, after = (s.vehicle.stage[0].bending.pitch for s in (base.scenario, scenario))  # type: ignore[union-attr]
+    before, after = (s.vehicle.stage[0].bending.pitch for s in (base.scenario, scenario))  # type: ignore[union-attr]  # nominal bends
     assert before is not None
     assert after is not None
     second = before["mode"] == 2.0

@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import dataclasses
 import pickle
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -39,12 +40,12 @@ EVERY_NODE = pytest.mark.parametrize("time_s", TIMES_S)
 
 
 def with_modes(node: Node, **changed: object) -> Node:
-    modes = dataclasses.replace(node.vehicle.modes, **changed)  # type: ignore[arg-type]
+    modes = dataclasses.replace(node.vehicle.modes, **changed)  # type: ignore[arg-type]  # any field
     return dataclasses.replace(node, vehicle=dataclasses.replace(node.vehicle, modes=modes))
 
 
 def with_bobs(node: Node, **changed: object) -> Node:
-    bobs = dataclasses.replace(node.vehicle.pendulums, **changed)  # type: ignore[arg-type]
+    bobs = dataclasses.replace(node.vehicle.pendulums, **changed)  # type: ignore[arg-type]  # any field
     return dataclasses.replace(node, vehicle=dataclasses.replace(node.vehicle, pendulums=bobs))
 
 
@@ -162,7 +163,7 @@ def test_deviations_of_modes_and_instruments() -> None:
 )
 def test_deviations_that_make_no_sense(given: dict[str, object], words: str) -> None:
     with pytest.raises(ValueError, match=words):
-        Dispersion(**given)  # type: ignore[arg-type]
+        Dispersion(**given)  # type: ignore[arg-type]  # wrong on purpose
 
 
 def test_too_many_factors_and_too_much_slosh() -> None:
@@ -266,9 +267,9 @@ def test_scalar_frequencies_and_shapes() -> None:
 def test_what_does_not_fit_is_refused() -> None:
     node = node_at(40.0)
     with pytest.raises(ValueError, match="kind = 'zoh': allowed is sampled, pade, exact"):
-        fixed_path(node, "zoh")  # type: ignore[arg-type]
+        fixed_path(node, "zoh")  # type: ignore[arg-type]  # wrong on purpose
     with pytest.raises(ValueError, match="cut = 'gyro': allowed is gimbal_command, rate_command_to_q"):
-        fixed_path(node, cut="gyro")  # type: ignore[arg-type]
+        fixed_path(node, cut="gyro")  # type: ignore[arg-type]  # wrong on purpose
     sampled, pade = fixed_path(node), fixed_path(node, "pade")
     continuous, discrete = api.filter_of(design(), None), api.filter_of(design(), 0.01)
     with pytest.raises(ValueError, match="needs a discrete filter"):
@@ -286,7 +287,7 @@ def test_what_does_not_fit_is_refused() -> None:
     with pytest.raises(ValueError, match="no design is given"):
         api.loop(node)
     with pytest.raises(ValueError, match="plant = 'paper': allowed is flown, table2"):
-        api.nodes("nominal", [40.0], plant="paper")  # type: ignore[arg-type]
+        api.nodes("nominal", [40.0], plant="paper")  # type: ignore[arg-type]  # wrong on purpose
 
 
 def test_resonances_are_named() -> None:
@@ -308,7 +309,7 @@ def test_resonances_are_named() -> None:
 
 def test_without_k_p_there_is_no_integrator() -> None:
     for kind in ("pade", "sampled"):
-        path = fixed_path(node_at(40.0), kind)  # type: ignore[arg-type]
+        path = fixed_path(node_at(40.0), kind)  # type: ignore[arg-type]  # a Literal, from parametrize
         loop = Loop(path, 0.0, 0.3)
         assert len(loop.open_poles()) == len(path.poles())
         np.testing.assert_allclose(loop.response(F), 0.3 * path.response(F))
@@ -317,13 +318,13 @@ def test_without_k_p_there_is_no_integrator() -> None:
 def test_literal_cuts_of_eq_42() -> None:
     node = node_at(40.0)
     for cut in ("rate_command_to_q", "rate_command_to_q_m"):
-        loop = api.loop(node, design(), kind="pade", cut=cut)  # type: ignore[arg-type]
+        loop = api.loop(node, design(), kind="pade", cut=cut)  # type: ignore[arg-type]  # a Literal, from a loop
         again = dataclasses.replace(loop, k_d_s=100.0)
         np.testing.assert_array_equal(loop.response(F), again.response(F))  # q_c meets k_p only
         s = loop.state_space()
         direct = s.response(F)[:, 0, 0]
         np.testing.assert_allclose(loop.response(F), direct, rtol=1e-5)
-    peak = {cut: peaks_db(api.loop(node, design(), kind="pade", cut=cut))["bending 1"]  # type: ignore[arg-type]
+    peak = {cut: peaks_db(api.loop(node, design(), kind="pade", cut=cut))["bending 1"]  # type: ignore[arg-type]  # a Literal, from a loop
             for cut in ("gimbal_command", "rate_command_to_q", "rate_command_to_q_m")}  # fmt: skip
     assert peak["gimbal_command"] > 10.0 > -15.0 > peak["rate_command_to_q_m"] > peak["rate_command_to_q"] + 15.0
 
@@ -364,7 +365,7 @@ def test_imposed_derivatives_that_cannot_be() -> None:
         imposed([node_at(40.0)], wild)
 
 
-def test_tables_of_derivatives_that_are_none(tmp_path) -> None:  # type: ignore[no-untyped-def]
+def test_tables_of_derivatives_that_are_none(tmp_path: Path) -> None:
     for text in ("time_s,z_alpha_1ps\n5,1\n", "", "time_s," + ",".join(COLUMNS) + "\n5,1,2,3,x\n"):
         file = tmp_path / "derivatives.csv"
         file.write_text(text)
@@ -377,7 +378,7 @@ def test_departure_closes_and_says_where_it_comes_from() -> None:
     continuous, discrete = api.filter_of(design(), None), api.filter_of(design(), 0.01)
     for node in flown()[::5]:
         k_p, k_d = api.gains_at(design(), node.time_s)
-        found = departure(node, k_p, k_d, continuous, discrete)  # type: ignore[arg-type]
+        found = departure(node, k_p, k_d, continuous, discrete)  # type: ignore[arg-type]  # filters of either kind
         pade = api.loop(node, design(), kind="pade").response(found.frequency_hz)
         sampled = api.loop(node, design()).response(found.frequency_hz)
         np.testing.assert_allclose(found.db["total"], 20 * np.log10(np.abs(pade / sampled)), atol=1e-9)

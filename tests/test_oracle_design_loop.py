@@ -152,7 +152,7 @@ def test_closed_poles_are_where_the_loop_is_minus_one(time_s: float, kind: api.K
     loop = api.loop(node, design(), kind=kind)
     poles = loop.closed_poles()
     if kind == "exact":
-        assert np.abs(1.0 + loop._at(loop.fixed, poles)).max() < 1e-6  # type: ignore[arg-type]
+        assert np.abs(1.0 + loop._at(loop.fixed, poles)).max() < 1e-6  # type: ignore[arg-type]  # of the exact kind
     else:
         s = loop.state_space()
         at = poles if loop.sample_s is None else np.exp(poles * loop.sample_s)
@@ -181,7 +181,7 @@ def encirclement_count(loop: Loop) -> int:
 @SOME_NODES
 def test_open_poles_are_those_of_the_state_matrix(time_s: float) -> None:
     for kind in ("pade", "sampled"):
-        loop = api.loop(node_at(time_s), design(), kind=kind)  # type: ignore[arg-type]
+        loop = api.loop(node_at(time_s), design(), kind=kind)  # type: ignore[arg-type]  # a Literal, from parametrize
         values = np.linalg.eigvals(loop.state_space().a).astype(complex)
         if loop.sample_s is not None:
             values = np.log(values[np.abs(values) > 1e-3]) / loop.sample_s
@@ -247,7 +247,7 @@ def _fly_computer(node: Node, loop: Loop, samples: int, kick: float) -> Array:
     gains = gains_table(GainSchedule([0.0], [loop.k_p], [loop.k_d_s]))
     built = build_computer(
         pool, sample_ns=round(1e9 * timing.sample_s), gains=gains,
-        pitch_filter=api.filter_of(design(), timing.sample_s),  # type: ignore[arg-type]
+        pitch_filter=api.filter_of(design(), timing.sample_s),  # type: ignore[arg-type]  # discrete, for a sample time
     )  # fmt: skip
     computer, tables, state = pack([built])[0], pool.array(), blank(ComputerState)[0]
     start_computer(computer, tables, state, 0.0)

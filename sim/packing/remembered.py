@@ -22,11 +22,13 @@ def by_identity(function: Callable[..., Answer]) -> Callable[..., Answer]:
     @wraps(function)
     def remembered(*arguments: Any) -> Answer:
         key = _key(arguments)
-        if key not in kept:
-            if len(kept) >= _MOST:
+        known = kept.get(key)
+        if known is None:
+            known = arguments, function(*arguments)  # arguments stay alive, or another could get their identity
+            if len(kept) >= _MOST:  # another thread may be here, too: what it asks for again is worked out again
                 kept.clear()
-            kept[key] = arguments, function(*arguments)  # arguments stay alive, or another could get their identity
-        return kept[key][1]
+            kept[key] = known
+        return known[1]
 
     return remembered
 

@@ -156,7 +156,7 @@ def put(tree: Table, path: KeyPath, value: Any, source: Source, shift: KeyPath =
             raise source.error(shift + path, f"{name} is a value and has no keys below it")
         at = below
     key = _step(at, path[-1], shift + path, source)
-    at[key] = value  # type: ignore[index]  # as above
+    at[key] = value  # type: ignore[index]  # `_step` returned what fits `at`
     at.sources[key] = source
 
 

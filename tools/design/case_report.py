@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 from maxq.design.case.read import LoadedCase
-from maxq.design.optimise.solution import Solution
+from maxq.design.optimise.solution import Constraint, Solution
 from maxq.tools.design import tables
 from maxq.tools.design.outcome import Outcome
 from maxq.tools.plain_text import aligned, printable
@@ -67,7 +68,7 @@ def search_table(solution: Solution) -> list[str]:
     return ["search", *aligned(rows, "  ")]
 
 
-def _active(active: list, solution: Solution) -> str:  # type: ignore[type-arg]
+def _active(active: Sequence[Constraint], solution: Solution) -> str:
     counts: dict[str, int] = {}
     for x in active:
         counts[x.what] = counts.get(x.what, 0) + 1
