@@ -14,7 +14,7 @@ import sys
 import time
 from pathlib import Path
 
-from maxq.sim.campaign.plan import load_campaign
+from maxq.sim.campaign.read import load_campaign
 from maxq.sim.campaign.runner import load_kernels, run_campaign
 
 

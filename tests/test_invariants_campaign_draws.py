@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 from maxq.sim.campaign import draws
-from maxq.sim.campaign.plan import LoadedCampaign, load_campaign
+from maxq.sim.campaign.loaded import LoadedCampaign
+from maxq.sim.campaign.read import load_campaign
 
 SAMPLINGS = ("random", "latin-hypercube", "sobol")
 FURTHER = """\

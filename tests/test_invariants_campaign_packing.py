@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 
 from maxq.sim.api import load_scenario, load_scenario_text
-from maxq.sim.campaign.plan import LoadedCampaign, load_campaign
+from maxq.sim.campaign.loaded import LoadedCampaign
+from maxq.sim.campaign.read import load_campaign
 from maxq.sim.campaign.targets import Change, Dispersed, find_target
 from maxq.sim.packing.flight import Packed, pack_flight
 from maxq.sim.packing.remembered import by_identity
@@ -91,7 +92,7 @@ def test_what_was_packed_before_changes_nothing(ksr3: LoadedCampaign) -> None:
         packed_bytes(ksr3.scenario_of(run))
     script = (
         "import hashlib, sys; sys.path.insert(0, 'tests'); import test_invariants_campaign_packing as t;"
-        "from maxq.sim.campaign.plan import load_campaign;"
+        "from maxq.sim.campaign.read import load_campaign;"
         "print(hashlib.sha256(t.packed_bytes(load_campaign('campaigns/ksr3').scenario_of(7))).hexdigest())"
     )
     root = Path(__file__).resolve().parents[1]

@@ -12,7 +12,7 @@ import pytest
 from maxq.sim.api import fly
 from maxq.sim.campaign import runner
 from maxq.sim.campaign.flying import fly_rows
-from maxq.sim.campaign.plan import LoadedCampaign
+from maxq.sim.campaign.loaded import LoadedCampaign
 from maxq.sim.campaign.refly import refly
 from maxq.sim.campaign.runner import run_campaign
 from maxq.sim.campaign.store import campaign_in
@@ -124,7 +124,7 @@ def test_an_envelope_changes_no_flight(serial: Path, tmp_path: Path) -> None:
     file.write_text(
         file.read_text().replace("[campaign.envelope]\nruns = 0", "[campaign.envelope]\nruns = 20\nrate_hz = 50.0")
     )
-    from maxq.sim.campaign.plan import load_campaign  # noqa: PLC0415  # only here
+    from maxq.sim.campaign.read import load_campaign  # noqa: PLC0415  # only here
 
     run_campaign(load_campaign(file), tmp_path / "out", workers=2)
     assert campaignkit.same(campaignkit.data_set(tmp_path / "out"), campaignkit.data_set(serial))

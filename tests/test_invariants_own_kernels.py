@@ -6,7 +6,7 @@ import pytest
 from maxq.control.records import constants_in, pack, with_constants
 from maxq.sim.campaign import flying
 from maxq.sim.campaign.flying import fly_rows
-from maxq.sim.campaign.plan import load_campaign
+from maxq.sim.campaign.read import load_campaign
 from maxq.sim.dynamics.state import Sizes, counts
 from maxq.sim.flight.fly import FlightRun
 from maxq.sim.packing.flight import pack_flight, pack_for_one_vehicle

@@ -15,7 +15,7 @@ from scipy import integrate, stats
 from maxq.sim.api import fly, load_scenario
 from maxq.sim.campaign.analysis import DataSet, failed_runs, selected
 from maxq.sim.campaign.envelopes import bands
-from maxq.sim.campaign.plan import load_campaign
+from maxq.sim.campaign.read import load_campaign
 from maxq.sim.campaign.runner import run_campaign
 from maxq.sim.campaign.search import search_worst
 from maxq.sim.campaign.sensitivity import borgonovo, first_order, rank_correlation

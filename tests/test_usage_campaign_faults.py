@@ -19,7 +19,7 @@ import campaignkit
 import pytest
 
 from maxq.sim.campaign.error import CampaignError
-from maxq.sim.campaign.plan import LoadedCampaign
+from maxq.sim.campaign.loaded import LoadedCampaign
 from maxq.sim.campaign.runner import run_campaign
 from maxq.sim.campaign.store import Store, open_store
 from maxq.sim.flight.fly import FlightRun
@@ -130,7 +130,7 @@ def test_a_part_that_stands_twice_is_counted_once(campaign: LoadedCampaign, undi
 def test_two_processes_on_one_folder(campaign: LoadedCampaign, tmp_path: Path) -> None:
     store, _ = open_store(tmp_path / "out", campaign)
     script = (
-        "import sys; from pathlib import Path; from maxq.sim.campaign.plan import load_campaign;"
+        "import sys; from pathlib import Path; from maxq.sim.campaign.read import load_campaign;"
         "from maxq.sim.campaign.runner import run_campaign; from maxq.sim.campaign.error import CampaignError\n"
         "try: run_campaign(load_campaign(sys.argv[1]), Path(sys.argv[2]))\n"
         "except CampaignError as error: print(error)"

@@ -18,7 +18,7 @@ from maxq.tools.plain_text import printable
 from maxq.tools.replay.error import ReplayError
 
 if TYPE_CHECKING:
-    from maxq.sim.campaign.plan import LoadedCampaign
+    from maxq.sim.campaign.loaded import LoadedCampaign
     from maxq.sim.campaign.runner import Outcome, Progress
     from maxq.sim.flight.batch import Device
     from maxq.tools.replay.flown import FlownView
@@ -95,7 +95,7 @@ class _Stop(Interruption):
 
 
 def _fly(order: Order) -> int:
-    from maxq.sim.campaign.plan import load_campaign  # noqa: PLC0415  # lazy
+    from maxq.sim.campaign.read import load_campaign  # noqa: PLC0415  # lazy
     from maxq.sim.campaign.store import RUNS  # noqa: PLC0415  # lazy
     from maxq.tools.campaign_progress import CampaignProgress, duration  # noqa: PLC0415  # lazy
 

@@ -13,7 +13,8 @@ from maxq.design.verify.memory import code_hash, content_hash
 from maxq.design.verify.suite import CampaignWanted, LoadedSuite
 from maxq.design.verify.verdict import ACCEPTED, REJECTED, UNDECIDED, Judgement, Requirement
 from maxq.sim.campaign.analysis import DataSet, Judged, judged
-from maxq.sim.campaign.plan import LoadedCampaign, description_of, load_campaign
+from maxq.sim.campaign.loaded import LoadedCampaign
+from maxq.sim.campaign.read import description_of, load_campaign
 from maxq.sim.campaign.runner import Progress, run_campaign
 
 PART = "campaign"

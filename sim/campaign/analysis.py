@@ -17,7 +17,7 @@ import pyarrow.parquet as pq
 from maxq.control.records import Array
 from maxq.sim.campaign import columns
 from maxq.sim.campaign.flying import VOID
-from maxq.sim.campaign.plan import LoadedCampaign
+from maxq.sim.campaign.loaded import LoadedCampaign
 from maxq.sim.campaign.standing import tallies_of
 from maxq.sim.campaign.statistics import OPEN, Judgement, Shown, judge_any_time, judge_failures, tolerance_bound
 from maxq.sim.campaign.store import parts_in

@@ -25,7 +25,8 @@ from maxq.control.jit import source_hash
 from maxq.sim.campaign import columns
 from maxq.sim.campaign.error import CampaignError
 from maxq.sim.campaign.flying import fly_rows
-from maxq.sim.campaign.plan import LoadedCampaign, campaign_from, description_of
+from maxq.sim.campaign.loaded import LoadedCampaign
+from maxq.sim.campaign.read import campaign_from, description_of
 from maxq.sim.campaign.runner import HANDFUL, Outcome, Progress
 from maxq.sim.campaign.standing import Standing
 from maxq.sim.campaign.store import Store, open_store

@@ -9,7 +9,8 @@ import numpy as np
 import pyarrow as pa
 
 from maxq.sim.campaign.flying import Row
-from maxq.sim.campaign.plan import SEED_KEY, LoadedCampaign
+from maxq.sim.campaign.loaded import LoadedCampaign
+from maxq.sim.campaign.plan import SEED_KEY
 from maxq.sim.campaign.wind import WIND_KEY
 from maxq.sim.flight.judgement import METRIC_NAMES
 

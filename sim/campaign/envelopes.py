@@ -9,7 +9,7 @@ import numpy as np
 import pyarrow.parquet as pq
 
 from maxq.control.records import Array
-from maxq.sim.campaign.plan import LoadedCampaign
+from maxq.sim.campaign.loaded import LoadedCampaign
 from maxq.sim.campaign.store import HISTORIES
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from maxq.control.records import Array
-from maxq.sim.campaign.plan import BatchInputs, Inputs, LoadedCampaign
+from maxq.sim.campaign.loaded import BatchInputs, Inputs, LoadedCampaign
 from maxq.sim.campaign.schema import Envelope
 from maxq.sim.campaign.targets import Refused
 from maxq.sim.flight.fly import Flight, FlightRun, Rows

@@ -12,7 +12,7 @@ from maxq.sim.campaign import columns
 from maxq.sim.campaign.analysis import DataSet
 from maxq.sim.campaign.error import CampaignError
 from maxq.sim.campaign.flying import recorded_row
-from maxq.sim.campaign.plan import LoadedCampaign
+from maxq.sim.campaign.loaded import LoadedCampaign
 from maxq.sim.campaign.store import campaign_in, read_manifest
 from maxq.sim.campaign.targets import Refused
 from maxq.sim.flight import record

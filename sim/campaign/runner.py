@@ -21,7 +21,7 @@ from pathlib import Path
 
 from maxq.sim.campaign.error import CampaignError
 from maxq.sim.campaign.flying import GivenUp, Order, Row, fly_rows, packer
-from maxq.sim.campaign.plan import LoadedCampaign
+from maxq.sim.campaign.loaded import LoadedCampaign
 from maxq.sim.campaign.side_by_side import MOST, fly_side_by_side
 from maxq.sim.campaign.standing import Standing
 from maxq.sim.campaign.store import Store, open_store

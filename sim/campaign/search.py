@@ -18,7 +18,8 @@ from scipy.optimize import differential_evolution
 
 from maxq.control.records import Array
 from maxq.sim.campaign.flying import VOID, fly_scenario
-from maxq.sim.campaign.plan import SEED_KEY, Drawn, LoadedCampaign
+from maxq.sim.campaign.loaded import LoadedCampaign
+from maxq.sim.campaign.plan import SEED_KEY, Drawn
 from maxq.sim.campaign.targets import Refused
 from maxq.sim.campaign.wind import WIND_KEY
 from maxq.sim.flight.fly import Flight

@@ -11,7 +11,7 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 from maxq.sim.campaign.flying import VOID, fly_scenario
-from maxq.sim.campaign.plan import LoadedCampaign
+from maxq.sim.campaign.loaded import LoadedCampaign
 from maxq.sim.campaign.targets import Refused
 from maxq.sim.flight.fly import Flight
 from maxq.sim.scenario.loader import LoadedScenario

@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 
 from maxq.sim.campaign.flying import Begun, GivenUp, Order, Row, fly_rows, prepared, row_of
-from maxq.sim.campaign.plan import LoadedCampaign
+from maxq.sim.campaign.loaded import LoadedCampaign
 from maxq.sim.flight.batch import batch_of, fly_batch, hand_back
 from maxq.sim.packing.flight import pack_flight
 

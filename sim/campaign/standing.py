@@ -11,7 +11,7 @@ import pyarrow.parquet as pq
 
 from maxq.sim.campaign import columns
 from maxq.sim.campaign.flying import VOID, Row
-from maxq.sim.campaign.plan import LoadedCampaign
+from maxq.sim.campaign.loaded import LoadedCampaign
 from maxq.sim.campaign.statistics import OPEN, judge_any_time
 from maxq.sim.campaign.store import Store
 from maxq.sim.flight.judgement import judge

@@ -29,7 +29,8 @@ from maxq.control.jit import source_hash
 from maxq.sim.campaign import columns
 from maxq.sim.campaign.error import CampaignError
 from maxq.sim.campaign.flying import Row
-from maxq.sim.campaign.plan import LoadedCampaign, campaign_from, description_of
+from maxq.sim.campaign.loaded import LoadedCampaign
+from maxq.sim.campaign.read import campaign_from, description_of
 from maxq.sim.flight.summary import versions
 from maxq.sim.scenario.errors import ScenarioError
 

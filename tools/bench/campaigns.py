@@ -17,7 +17,8 @@ from pathlib import Path
 from typing import Any
 
 from maxq.sim.campaign.flying import packer
-from maxq.sim.campaign.plan import LoadedCampaign, load_campaign
+from maxq.sim.campaign.loaded import LoadedCampaign
+from maxq.sim.campaign.read import load_campaign
 from maxq.sim.campaign.runner import Progress, cores, load_kernels, run_campaign
 from maxq.sim.flight.fly import FlightRun
 

@@ -19,7 +19,8 @@ import numpy as np
 
 from maxq.control.records import Array
 from maxq.sim.campaign.analysis import DataSet, judged, lost
-from maxq.sim.campaign.plan import LoadedCampaign, load_campaign
+from maxq.sim.campaign.loaded import LoadedCampaign
+from maxq.sim.campaign.read import load_campaign
 from maxq.sim.campaign.runner import Progress, run_campaign
 from maxq.tools.campaign_page import SUMMARY, write_report
 
