@@ -10,9 +10,9 @@ import os
 import sys
 from typing import NoReturn
 
-from maxq.tools.command_line import tolerate_letters, unknown_option
+from maxq.tools.command_line import guarded, one_thread_a_matrix, unknown_option
 
-DESIGNED, INFEASIBLE, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
+DESIGNED, INFEASIBLE, BAD_INPUT = 0, 1, 2
 
 _USAGE = (
     "simdesign CASE [--out DIR] [--starts N] [--seed N] [--set KEY=VALUE]... [--orders] [--no-pictures]\n"
@@ -124,19 +124,9 @@ def _parser() -> argparse.ArgumentParser:
 
 def main(arguments: list[str] | None = None) -> int:
     """Run the command; returns the exit code."""
-    tolerate_letters()
-    # Matrices of forty rows: threads of the linear-algebra library only wait for each other. Read when NumPy is loaded.
-    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    try:
-        code = _run(sys.argv[1:] if arguments is None else arguments)
-        sys.stdout.flush()
-        return code
-    except KeyboardInterrupt:
-        print("simdesign: interrupted; nothing written", file=sys.stderr)
-        return INTERRUPTED
-    except BrokenPipeError:  # whoever read our output, such as `head`, has seen enough
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return INFEASIBLE
+    one_thread_a_matrix()
+    given = sys.argv[1:] if arguments is None else arguments
+    return guarded(lambda: _run(given), "simdesign: interrupted; nothing written", INFEASIBLE)
 
 
 def _run(arguments: list[str]) -> int:

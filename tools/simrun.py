@@ -9,9 +9,9 @@ import os
 import sys
 from typing import NoReturn
 
-from maxq.tools.command_line import tolerate_letters, unknown_option
+from maxq.tools.command_line import guarded, unknown_option
 
-PASSED, FAILED, BAD_INPUT, OPEN, INTERNAL_ERROR, INTERRUPTED = 0, 1, 2, 3, 70, 130
+PASSED, FAILED, BAD_INPUT, OPEN, INTERNAL_ERROR = 0, 1, 2, 3, 70
 """Exit codes; 70 is EX_SOFTWARE of sysexits.h."""
 
 TRACEBACK = "MAXQ_TRACEBACK"
@@ -148,19 +148,17 @@ def main(arguments: list[str] | None = None, *, alone: bool = False) -> int:
 
     `alone`: the process ends with it, so that nothing needs to be loaded or kept for others.
     """
-    tolerate_letters()
-    try:
-        code = _run(sys.argv[1:] if arguments is None else arguments, alone)
-        sys.stdout.flush()
-        return code
-    except KeyboardInterrupt:
-        print("simrun: interrupted before the flight began; nothing written", file=sys.stderr)
-        return INTERRUPTED
-    except BrokenPipeError:  # whoever read our output, such as `head`, has seen enough
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return FAILED
-    except Exception as error:
-        return _internal(error)
+    given = sys.argv[1:] if arguments is None else arguments
+
+    def run() -> int:
+        try:
+            return _run(given, alone)
+        except BrokenPipeError:  # no fault of ours
+            raise
+        except Exception as error:
+            return _internal(error)
+
+    return guarded(run, "simrun: interrupted before the flight began; nothing written", FAILED)
 
 
 def _internal(error: Exception) -> int:

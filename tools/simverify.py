@@ -4,13 +4,13 @@ what to do."""
 from __future__ import annotations
 
 import argparse
-import os
 import sys
 from typing import NoReturn
 
-from maxq.tools.command_line import tolerate_letters, unknown_option
+from maxq.tools.command_line import guarded, one_thread_a_matrix, unknown_option
 
-ACCEPTED, REJECTED, BAD_INPUT, UNDECIDED, INTERRUPTED = 0, 1, 2, 3, 130
+ACCEPTED, REJECTED, BAD_INPUT, UNDECIDED = 0, 1, 2, 3
+_INTERRUPTED = "interrupted; what was worked out is kept, the same command goes on"
 
 _USAGE = (
     "simverify DESIGN... [--suite SUITE] [--vehicle V] [--set KEY=VALUE]... [--out DIR] [--no-pack] [--afresh]\n"
@@ -68,19 +68,11 @@ def _parser() -> argparse.ArgumentParser:
 
 def main(arguments: list[str] | None = None) -> int:
     """Run the command; returns the exit code."""
-    tolerate_letters()
-    # Matrices of forty rows: threads of the linear-algebra library only wait for each other. Read when NumPy is loaded.
-    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    try:
-        code = _run(sys.argv[1:] if arguments is None else arguments)
-        sys.stdout.flush()
-        return code
-    except KeyboardInterrupt:
-        print("simverify: interrupted; what was worked out is kept, the same command goes on", file=sys.stderr)
-        return INTERRUPTED
-    except BrokenPipeError:  # whoever read our output, such as `head`, has seen enough
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return REJECTED
+    one_thread_a_matrix()
+    given = sys.argv[1:] if arguments is None else arguments
+    return guarded(
+        lambda: _run(given), "simverify: interrupted; what was worked out is kept, the same command goes on", REJECTED
+    )
 
 
 def _run(arguments: list[str]) -> int:

@@ -15,10 +15,10 @@ import errno
 import json
 import os
 import tomllib
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
 import pyarrow as pa
@@ -97,20 +97,12 @@ class Store:
         self._write(table, self.folder / RUNS / _name(first, last))
 
     def _write(self, table: pa.Table, path: Path) -> None:
-        hidden = path.with_name(f".{path.name}.{os.getpid()}")
-        try:
-            path.parent.mkdir(exist_ok=True)
-            with open(hidden, "wb") as file:
-                texts = [f.name for f in table.schema if pa.types.is_string(f.type)]  # numbers hardly ever repeat
-                pq.write_table(table, file, compression="zstd", use_dictionary=texts, write_page_checksum=True)
-                file.flush()
-                os.fsync(file.fileno())
-            os.replace(hidden, path)
-            _sync(path.parent)
-        except OSError as error:
-            with contextlib.suppress(OSError):
-                hidden.unlink(missing_ok=True)
-            raise cannot_write(path, error) from error
+        texts = [f.name for f in table.schema if pa.types.is_string(f.type)]  # numbers hardly ever repeat
+
+        def fill(file: BinaryIO) -> None:
+            pq.write_table(table, file, compression="zstd", use_dictionary=texts, write_page_checksum=True)
+
+        _write_whole(path, fill)
 
     # the lock
 
@@ -330,11 +322,16 @@ def write_json(path: Path, content: dict[str, Any]) -> None:
 
 def write_bytes(path: Path, content: bytes) -> None:
     """Write whole or not at all. Raises CampaignError."""
+    _write_whole(path, lambda file: file.write(content))
+
+
+def _write_whole(path: Path, fill: Callable[[BinaryIO], object]) -> None:
+    """Fill a file under another name, bring it to the disk, rename it; nothing is left of one that fails."""
     hidden = path.with_name(f".{path.name}.{os.getpid()}")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         with open(hidden, "wb") as file:
-            file.write(content)
+            fill(file)
             file.flush()
             os.fsync(file.fileno())
         os.replace(hidden, path)
