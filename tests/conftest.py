@@ -1,8 +1,13 @@
-"""How Hypothesis chooses its examples: the same ones in every run, or new ones with MAXQ_EXAMPLES=random."""
+"""What holds for all tests.
+
+Hypothesis chooses the same examples in every run, or new ones with MAXQ_EXAMPLES=random. Ctrl-C reaches the commands
+under test also where the tests were started in the background: a shell has it ignored there, by all children, too.
+"""
 
 from __future__ import annotations
 
 import os
+import signal
 
 from hypothesis import settings
 
@@ -10,3 +15,6 @@ from hypothesis import settings
 settings.register_profile("same", derandomize=True, deadline=None)
 settings.register_profile("random", derandomize=False, deadline=None, print_blob=True)  # its own default in CI is True
 settings.load_profile(os.environ.get("MAXQ_EXAMPLES") or "same")
+
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+    signal.signal(signal.SIGINT, signal.default_int_handler)

@@ -57,7 +57,10 @@ def test_a_viewer_ends_with_its_command(way: str, by: signal.Signals, tmp_path: 
     with subprocess.Popen(command, env=env, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as process:
         viewers = viewers_of(process)
         process.send_signal(by)
-        process.wait(timeout=PATIENCE_S)
+        try:
+            process.wait(timeout=PATIENCE_S)
+        finally:
+            process.kill()  # one that goes on would keep the test waiting
         assert gone(viewers), f"{viewers} outlived {by.name} of its command"
     if by != signal.SIGKILL:
         assert [path.name for path in tmp_path.glob("maxq-replay-*")] == [], "a temporary folder was left"

@@ -166,7 +166,9 @@ def _campaigns(result: dict[str, Any]) -> str:
         (f"peak memory, {memory['runs']:,} short flights", f"{memory['flown_MB']} MB", ""),
         (f"peak memory, verdicts and report of {memory['rows']:,} runs", f"{memory['judged_MB']} MB", "at most 500 MB"),
     ]
-    return _table(("what", "measured", "to reach"), rows)
+    text = _table(("what", "measured", "to reach"), rows)
+    parts = [(name, f"{ms:.2f}") for name, ms in result["profile"].items()]
+    return text + "\n\n" + _table(("part of a campaign", "CPU, ms a flight"), parts)
 
 
 def _optimise(result: dict[str, Any]) -> str:
