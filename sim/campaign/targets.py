@@ -214,7 +214,8 @@ def _rebuilt(at: Any, node: _Node, values: Mapping[str, Value]) -> Any:
     if node.changes:
         return _changed_value(at, node.changes[0], values)
     if isinstance(at, Section):
-        fields = {alias: getattr(at, name) for alias, name in _names(type(at)).items()}
+        held = at.__dict__
+        fields = {alias: held[name] for alias, name in _names(type(at)).items()}
         for part, below in node.below.items():
             fields[str(part)] = _rebuilt(fields[str(part)], below, values)
         return fields

@@ -163,9 +163,9 @@ class Stage(Section):
     def _check_slosh_mass(self) -> None:
         """What sloshes, and the gimballed engine, are parts of the vehicle's mass."""
         tables = [tank.table for tank in self.tank]
-        times = np.unique(np.concatenate([np.zeros(1), *(table["time_s"] for table in tables)]))
+        of_mass = [] if self.mass.table is None else [self.mass.table]
+        times = np.unique(np.concatenate([np.zeros(1), *(table["time_s"] for table in (*tables, *of_mass))]))
         if self.mass.table is not None:
-            times = np.unique(np.concatenate([times, self.mass.table["time_s"]]))
             total = np.interp(times, self.mass.table["time_s"], self.mass.table["mass_kg"])
         else:
             flow, burn = self.mass.mass_flow_kgps or 0.0, self.mass.burn_s or 0.0
