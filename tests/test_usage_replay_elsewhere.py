@@ -56,7 +56,9 @@ def test_a_layout_without_a_viewer_says_so(capsys: pytest.CaptureFixture[str], m
     assert capsys.readouterr().err == f"log_layout: no viewer listens on port {port} of 127.0.0.1\n"
 
 
-# Foxglove, whose program is in no package registry: what its layout names must exist
+# Foxglove, which no test starts: what its layout names must exist. The kinds of panels are those that Foxglove Studio
+# 1.48.0 knows; the panel of logs is called RosOut there.
+FOXGLOVE_PANELS = {"3D", "Plot", "RosOut"}
 
 
 def values(node: Any, key: str) -> Iterator[Any]:
@@ -82,8 +84,23 @@ def test_the_foxglove_layout_names_what_a_log_has() -> None:
     known = {*topics, EVENTS_TOPIC, FRAMES_TOPIC}
     assert set(values(layout, "topicToRender")) | set(values(layout, "topicPath")) <= known
     scene = layout["configById"]["3D!scene"]
-    frames = {scene["followTf"], scene["fixedFrame"], *values(scene["layers"], "frameId"), *scene["transforms"]}
+    frames = {scene["followTf"], *values(scene["layers"], "frameId"), *scene["transforms"]}
     assert {name.removeprefix("frame:") for name in frames} == {PARENT, CHILD}
+
+
+def test_the_foxglove_layout_has_panels_that_foxglove_knows() -> None:
+    layout = json.loads(FOXGLOVE.read_text(encoding="utf-8"))
+    assert {name.partition("!")[0] for name in layout["configById"]} == FOXGLOVE_PANELS
+    for config in layout["configById"].values():  # `title` is an older name that changes the layout when it is opened
+        assert config["foxglovePanelTitle"]
+        assert "title" not in config
+
+
+def test_the_foxglove_scene_stands_upright() -> None:
+    """A camera that follows the body takes over how the body lies when the log is opened: on its tail."""
+    layout = json.loads(FOXGLOVE.read_text(encoding="utf-8"))
+    scene = layout["configById"]["3D!scene"]
+    assert (scene["followTf"], scene["followMode"]) == (PARENT, "follow-none")
 
 
 def test_the_foxglove_layout_places_every_panel_once() -> None:
