@@ -125,32 +125,16 @@ class LoadedCampaign:
         return (*self.plan.names, *extra, *([WIND_KEY] if self.plan.wind else []))
 
     def _recorded(self, drawn: Drawn, at: int) -> dict[str, Any]:
-        out: dict[str, Any] = {}
-        for d in self.plan.draws:
-            if d.is_text:
-                out[d.name] = d.texts()[int(drawn.draws[d.name][at])]
-            else:
-                out[d.name] = float(drawn.results[d.name, 0][at])
-        if drawn.seeds is not None:
-            out[SEED_KEY] = int(drawn.seeds[at])
+        out = {name: values[at] for name, values in self.plan.columns(drawn)[1].items()}
         if drawn.wind is not None and self.plan.wind is not None:
             out |= self.plan.wind.recorded(drawn.wind[at])
         return out
 
     def _flown(self, drawn: Drawn, at: int) -> dict[str, Any]:
-        values: dict[str, Any] = {}
-        for d in self.plan.draws:
-            for n in range(len(d.targets)):
-                if d.is_text:
-                    index = int(drawn.draws[d.name][at])
-                    values[f"{d.name}\0{n}"] = d.tables[index] if d.tables else d.texts()[index]
-                else:
-                    values[f"{d.name}\0{n}"] = float(drawn.results[d.name, n][at])
-        if drawn.seeds is not None:
-            values[SEED_KEY] = int(drawn.seeds[at])
+        out = {name: values[at] for name, values in self.plan.columns(drawn)[0].items()}
         if drawn.wind is not None and self.plan.wind is not None:
-            values[WIND_KEY] = self.plan.wind.profile(drawn.wind[at])
-        return values
+            out[WIND_KEY] = self.plan.wind.profile(drawn.wind[at])
+        return out
 
     def boxes(self, sigmas: float = 3.0) -> dict[str, tuple[float, float]]:
         """Least and greatest draw of every numeric input: what a search may use."""

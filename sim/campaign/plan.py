@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -69,6 +70,11 @@ class Drawn:
     seeds: np.ndarray | None
     wind: np.ndarray | None
     redraws: np.ndarray = field(default_factory=lambda: np.zeros(0, np.int64))
+    columns: Columns | None = None  # see Plan.columns
+
+
+Columns = tuple[dict[str, list[Any]], dict[str, list[Any]]]
+"""One value for each run: by name of a change what stands in the scenario, by column what is recorded."""
 
 
 @dataclass(frozen=True)
@@ -107,6 +113,26 @@ class Plan:
         if self.wind is not None:
             drawn.wind = self.wind.scores(self.campaign.seed, first, count, attempt)
         return drawn
+
+    def columns(self, drawn: Drawn) -> Columns:
+        """The draws as Python's own numbers, texts and tables; made once for all runs of a batch. Without the wind."""
+        if drawn.columns is None:
+            flown: dict[str, list[Any]] = {}
+            recorded: dict[str, list[Any]] = {}
+            for d in self.draws:
+                if d.is_text:
+                    chosen_ones = drawn.draws[d.name].tolist()
+                    recorded[d.name] = [d.texts()[k] for k in chosen_ones]
+                    there = [d.tables[k] for k in chosen_ones] if d.tables else recorded[d.name]
+                    flown |= {f"{d.name}\0{n}": there for n in range(len(d.targets))}
+                else:
+                    lists = [drawn.results[d.name, n].tolist() for n in range(len(d.targets))]
+                    flown |= {f"{d.name}\0{n}": values for n, values in enumerate(lists)}
+                    recorded[d.name] = lists[0]
+            if drawn.seeds is not None:
+                flown[SEED_KEY] = recorded[SEED_KEY] = drawn.seeds.tolist()
+            drawn.columns = flown, recorded
+        return drawn.columns
 
     def _sobol(self, attempt: int) -> bool:
         return self.campaign.sampling == "sobol" and attempt == 0 and bool(self.draws)

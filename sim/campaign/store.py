@@ -100,7 +100,7 @@ class Store:
         texts = [f.name for f in table.schema if pa.types.is_string(f.type)]  # numbers hardly ever repeat
 
         def fill(file: BinaryIO) -> None:
-            pq.write_table(table, file, compression="zstd", use_dictionary=texts, write_page_checksum=True)
+            pq.write_table(table, file, compression="snappy", use_dictionary=texts, write_page_checksum=True)
 
         _write_whole(path, fill)
 
