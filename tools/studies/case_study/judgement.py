@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import math
 import sys
 import tempfile
 from collections.abc import Mapping
@@ -58,7 +59,7 @@ def suite(changes: tuple[str, ...] = ()) -> LoadedSuite:
 def requirement_record(r: Requirement) -> dict[str, Any]:
     return {
         "part": r.part, "name": r.name, "wanted": r.wanted, "found": r.found, "verdict": r.judgement,
-        "room": round(r.room, 4) if r.room == r.room else None, "where": r.where,
+        "room": round(r.room, 4) if math.isfinite(r.room) else None, "where": r.where,
     }  # fmt: skip
 
 
