@@ -10,7 +10,6 @@ from typing import NoReturn
 from maxq.tools.command_line import guarded, one_thread_a_matrix, unknown_option
 
 ACCEPTED, REJECTED, BAD_INPUT, UNDECIDED = 0, 1, 2, 3
-_INTERRUPTED = "interrupted; what was worked out is kept, the same command goes on"
 
 _USAGE = (
     "simverify DESIGN... [--suite SUITE] [--vehicle V] [--set KEY=VALUE]... [--out DIR] [--no-pack] [--afresh]\n"

@@ -145,7 +145,7 @@ def certify_node(
     of_held, of_flown, of_pade = margins(loop), margins(flown), margins(pade[1])
     drifts = drift(held, loop, of_held)
     if drifts is not None:
-        of_held = margins(loop, lowest_hz=DRIFT_HZ)
+        of_held = drifts.others
     elif not of_held.stable:
         cycle = limit_cycle(held, of_held.growth_hz)
         nothing = measured_response(held, loop, pade[0], ())
@@ -159,8 +159,9 @@ def certify_node(
 
 def _edge(broken: Broken, pade: Margins, flown: Margins) -> EdgeRow:
     within = MARGIN_WITHIN_DB if broken.unit == "dB" else DELAY_WITHIN * broken.linear
-    reason, sampled = broken.reason, _bound(flown, broken.what).value
-    if reason == UNBOUNDED and _bound(flown, broken.what).frequency_hz < DRIFT_HZ:
+    reason, bound = broken.reason, _bound(flown, broken.what)
+    sampled = bound.value
+    if reason == UNBOUNDED and bound.frequency_hz < DRIFT_HZ:
         reason = HELD_GRAVITY
     if not reason and not abs(broken.difference) <= within:
         reason = UNEXPLAINED

@@ -21,19 +21,24 @@ _STEP_DB = 0.1
 
 @dataclass(frozen=True)
 class Drift:
-    """Growth of the slowest root in 1/s, by the linear loop and in flight, and what a decibel of gain does to it."""
+    """Growth of the slowest root in 1/s, by the linear loop and in flight, and what a decibel of gain does to it.
+
+    `others`: margins of the held loop without that root.
+    """
 
     linear_1ps: float
     measured_1ps: float
     per_db_1ps: float
+    others: Margins
 
 
 def drift(held: HeldFlight, loop: Loop, of_held: Margins) -> Drift | None:
     """Measure the drift of a held loop that is unstable by it alone, and slowly; None for every other loop."""
     if of_held.stable or of_held.growth_hz >= DRIFT_HZ or not 0.0 < of_held.growth_1ps <= SLOWEST_1PS:
         return None
-    if not margins(loop, lowest_hz=DRIFT_HZ).stable:
+    others = margins(loop, lowest_hz=DRIFT_HZ)
+    if not others.stable:
         return None
     measured = kicked_growth(held, loop, watch_at(0.0), lambda packed: None)
     more, less = (altered(loop, "gain_up", db).closed_poles().real.max() for db in (_STEP_DB, -_STEP_DB))
-    return Drift(of_held.growth_1ps, measured, float(abs(more - less) / (2.0 * _STEP_DB)))
+    return Drift(of_held.growth_1ps, measured, float(abs(more - less) / (2.0 * _STEP_DB)), others)

@@ -121,8 +121,8 @@ class Plan:
             recorded: dict[str, list[Any]] = {}
             for d in self.draws:
                 if d.is_text:
-                    chosen_ones = drawn.draws[d.name].tolist()
-                    recorded[d.name] = [d.texts()[k] for k in chosen_ones]
+                    texts, chosen_ones = d.texts(), drawn.draws[d.name].tolist()
+                    recorded[d.name] = [texts[k] for k in chosen_ones]
                     there = [d.tables[k] for k in chosen_ones] if d.tables else recorded[d.name]
                     flown |= {f"{d.name}\0{n}": there for n in range(len(d.targets))}
                 else:

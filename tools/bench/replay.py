@@ -67,7 +67,7 @@ def _timed(*arguments: str) -> dict[str, float]:
 def _conversion(log: Path, folder: Path) -> dict[str, float]:
     """Reading and converting alone, in a process that has its modules loaded."""
     from maxq.tools.replay.convert import Options, save  # noqa: PLC0415  # loads rerun
-    from maxq.tools.replay.flight import open_flight  # noqa: PLC0415
+    from maxq.tools.replay.flight import open_flight  # noqa: PLC0415  # lazy
 
     reads, converts = [], []
     target = folder / "one.rrd"
@@ -121,7 +121,7 @@ def _picture(rrd: Path, time_s: float) -> dict[str, float]:
 
 def measure() -> dict[str, Any]:
     """All figures; what cannot be measured here is left out with the reason."""
-    from maxq.tools.replay.error import ReplayError  # noqa: PLC0415
+    from maxq.tools.replay.error import ReplayError  # noqa: PLC0415  # lazy
 
     folder = Path(tempfile.mkdtemp(prefix="maxq-bench-"))
     try:

@@ -53,8 +53,8 @@ def execute(order: Order) -> int:
 
 def _execute(order: Order) -> int:
     from maxq.tools.design.design_file import check_folder, forget_pictures  # noqa: PLC0415  # lazy, as all here
-    from maxq.tools.design.judging import Wanted, checks, judge  # noqa: PLC0415
-    from maxq.tools.design.record import analysis_record, write_record  # noqa: PLC0415
+    from maxq.tools.design.judging import Wanted, checks, judge  # noqa: PLC0415  # lazy
+    from maxq.tools.design.record import analysis_record, write_record  # noqa: PLC0415  # lazy
 
     scenario, design = load(order.scenario, order.vehicle, order.design)
     name = _name(order.design)

@@ -78,9 +78,9 @@ def effects(nodes: Sequence[Node], design: Design) -> list[Effect]:
 def _measure(node: Node, cut: Cut, design: Design) -> Mapping[str, float]:
     """Peaks, and margins where the loop is one: 1 in `unstable` where it is not stable."""
     from maxq.design import api  # noqa: PLC0415  # lazy
-    from maxq.design.loop.errata_effects import peaks_db  # noqa: PLC0415
-    from maxq.design.loop.fixed_path import fixed_path  # noqa: PLC0415
-    from maxq.design.margins.measure import margins  # noqa: PLC0415
+    from maxq.design.loop.errata_effects import peaks_db  # noqa: PLC0415  # lazy
+    from maxq.design.loop.fixed_path import fixed_path  # noqa: PLC0415  # lazy
+    from maxq.design.margins.measure import margins  # noqa: PLC0415  # lazy
 
     loop = api.close(fixed_path(node, "pade", cut), design)
     peaks = peaks_db(loop)

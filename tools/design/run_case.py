@@ -72,7 +72,7 @@ def make(order: Order) -> Made:
     """Optimise the case, write and print what came of it. Raises ScenarioError."""
     begun_s = time.perf_counter()
     from maxq.design.case.read import read_case  # noqa: PLC0415  # lazy, as all imports here
-    from maxq.design.optimise.solve import nominal_plants, solve  # noqa: PLC0415
+    from maxq.design.optimise.solve import nominal_plants, solve  # noqa: PLC0415  # lazy
     from maxq.tools.design.case_report import report  # noqa: PLC0415
     from maxq.tools.design.design_file import check_folder, forget_pictures  # noqa: PLC0415
     from maxq.tools.design.outcome import judge_solution  # noqa: PLC0415

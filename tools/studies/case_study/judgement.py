@@ -88,9 +88,9 @@ def judge_orders(folder: Path) -> dict[str, Any]:
     They are designed as `simdesign ORDERS_OF --orders` does it; `folder` takes their files.
     """
     paths, peaks = {}, {}
-    for (structure, schedule), made in solve_orders(
-        ORDERS_OF, (), nominal_plants(read_case(ORDERS_OF)), _watch("designs")
-    ).items():  # fmt: skip
+    show, plants = _watch(ORDERS_OF), nominal_plants(read_case(ORDERS_OF))
+    solved = solve_orders(ORDERS_OF, (), plants, lambda n, of: show("designs", n, of))
+    for (structure, schedule), made in solved.items():
         name = f"{structure} {schedule}"
         file = folder / f"{structure}-{schedule}" / DESIGN_NAME
         paths[name] = str(write_whole(file, design_text(make_design(*made))))
@@ -126,9 +126,8 @@ def judge_changes() -> dict[str, Any]:
 
 
 def _watch(name: str) -> Any:
-    def show(*what: object) -> None:
-        print("\r" + " ".join([f"{name}:", *map(str, what[:-1]), "of", str(what[-1])]) + 20 * " ", end="",
-              file=sys.stderr, flush=True)  # fmt: skip
+    def show(what: str, done: int, of: int) -> None:
+        print(f"\r{name}: {what} {done} of {of}" + 20 * " ", end="", file=sys.stderr, flush=True)
 
     return show
 
