@@ -33,9 +33,9 @@ test-browser: $(TO_TEST)  ## open `simreplay --web` in headless Chromium, and lo
 
 verify: $(TO_TEST)  ## verify the simulator itself: rerun all that docs/verification.md says, and rewrite its tables
 	@echo "Verifying the simulator (about fifteen minutes)."
-	@$(PY) -m maxq.tools.verification.nesc
-	@$(PY) -m maxq.tools.verification.planted
-	@$(PY) -m maxq.tools.verification.certificates
+	@$(PY) -m maxq.tools.dev.verification.nesc
+	@$(PY) -m maxq.tools.dev.verification.planted
+	@$(PY) -m maxq.tools.dev.verification.certificates
 	@$(PY) -m pytest -q tests/test_order_*.py tests/test_invariants_*.py tests/test_oracle_*.py tests/test_reference_*.py $(ARGS)
 
 # The tests that end soon without a compiler: kernels by themselves, and flights of a few steps.
@@ -96,9 +96,9 @@ PEERS := jsbsim==1.3.3 bsk==2.12.1 'rocketpy==1.13.*'
 
 .PHONY: bench
 
-bench: $(TO_FLY) $(BENCH)/ready  ## measure speed, precision and memory beside other programs; ARGS go to tools/bench/run.py
+bench: $(TO_FLY) $(BENCH)/ready  ## measure speed, precision and memory beside other programs; ARGS go to tools/dev/bench/run.py
 	@echo "Measuring (about five minutes; the machine should have nothing else to do)."
-	@$(PY) -m maxq.tools.bench.run $(ARGS)
+	@$(PY) -m maxq.tools.dev.bench.run $(ARGS)
 
 # maxq without what it needs: the workers there take only their way of answering from it
 $(BENCH)/ready: $(PLACE) Makefile

@@ -10,8 +10,8 @@ import math
 from dataclasses import dataclass
 from typing import Annotated
 
-from maxq.control.jit import kernel
-from maxq.control.records import Array, IntArray
+from maxq.control.kernel.jit import kernel
+from maxq.control.kernel.records import Array, IntArray
 
 # A pulse finer than this would let the rounding of the carried residual (1e-18 rad per sample) come near to a
 # count in a long flight, and let the total of an int64 come within sight of its end.

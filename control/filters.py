@@ -16,8 +16,8 @@ from typing import Literal, get_args
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from maxq.control.jit import kernel
-from maxq.control.records import Array
+from maxq.control.kernel.jit import kernel
+from maxq.control.kernel.records import Array
 
 Discretization = Literal["prewarped", "bilinear", "matched", "zoh"]
 Structure = Literal["none", "F2", "F3", "F4", "F5", "F6", "sections"]

@@ -14,9 +14,9 @@ from typing import Annotated
 import numpy as np
 from numpy.typing import ArrayLike
 
-from maxq.control.jit import kernel
-from maxq.control.records import Array
-from maxq.control.tables import Cubics, Method, TableRef, find_interval, fit, look_up
+from maxq.control.kernel.jit import kernel
+from maxq.control.kernel.records import Array
+from maxq.control.kernel.tables import Cubics, Method, TableRef, find_interval, fit, look_up
 
 ROLL, PITCH, YAW = 0, 1, 2  # body axes x, y, z
 N_AXES = 3

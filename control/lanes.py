@@ -18,7 +18,7 @@ from numba.core.datamodel import models
 from numba.cuda.extending import intrinsic, overload
 from numba.cuda.models import register_model
 
-from maxq.control.jit import LANES, borrowed
+from maxq.control.kernel.jit import LANES, borrowed
 
 
 class Lane(types.Type):  # type: ignore[misc]  # Numba has no types

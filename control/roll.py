@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from maxq.control.jit import kernel
+from maxq.control.kernel.jit import kernel
 
 
 @dataclass(frozen=True)

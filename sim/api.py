@@ -16,11 +16,11 @@ from __future__ import annotations
 from collections.abc import Iterable
 from pathlib import Path
 
-from maxq.sim.flight.fly import Event, Flight, FlightRun, fly
-from maxq.sim.flight.judgement import METRIC_NAMES, Verdict
-from maxq.sim.flight.record import record
 from maxq.sim.log.error import LogError
 from maxq.sim.log.reader import Log, read_log
+from maxq.sim.run.fly import Event, Flight, FlightRun, fly
+from maxq.sim.run.judgement import METRIC_NAMES, Verdict
+from maxq.sim.run.record import record
 from maxq.sim.scenario import loader
 from maxq.sim.scenario.builtin import builtin_names
 from maxq.sim.scenario.errors import ScenarioError

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import numpy as np
 
-from maxq.control.records import Array, IntArray
-from maxq.sim.log.channels import Channel, ChannelTable, Topic
+from maxq.control.kernel.records import Array, IntArray
+from maxq.sim.flight.channels import Channel, ChannelTable, Topic
 from maxq.sim.log.foxglove import Event, FramePath, Level
 from maxq.sim.log.head import Attachment, RunHead
 from maxq.sim.log.reader import Log

@@ -15,19 +15,19 @@ from typing import Any
 import numpy as np
 from oracles import multibody_system as system
 
-from maxq.control.jit import borrowed, entry
-from maxq.control.records import Array
-from maxq.control.tables import find_interval
-from maxq.sim.dynamics import state as layout
-from maxq.sim.dynamics import workspace
-from maxq.sim.dynamics.state import MAX_STATE, state_size
+from maxq.control.kernel.jit import borrowed, entry
+from maxq.control.kernel.records import Array
+from maxq.control.kernel.tables import find_interval
 from maxq.sim.flight import arena as flight_arena
 from maxq.sim.flight import events as flight_events
 from maxq.sim.flight import loop as flight_loop
 from maxq.sim.flight import step as flight_step
-from maxq.sim.flight.fly import FlightRun
 from maxq.sim.packing.flight import Packed, pack_flight
+from maxq.sim.run.fly import FlightRun
 from maxq.sim.scenario.loader import LoadedScenario, load_scenario_text
+from maxq.sim.vehicle import state as layout
+from maxq.sim.vehicle import workspace
+from maxq.sim.vehicle.state import MAX_STATE, state_size
 
 Tree = dict[str, Any]
 

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from maxq.control.records import Array
+from maxq.control.kernel.records import Array
 from maxq.design.case.read import LoadedCase, read_case
 from maxq.design.optimise.plants import Plants
 from maxq.design.optimise.problem import Problem

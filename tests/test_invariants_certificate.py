@@ -21,8 +21,8 @@ import numpy as np
 import pytest
 
 from maxq.control.converter import ConverterState, convert, make_converter
-from maxq.control.jit import from_python
-from maxq.control.records import blank, pack
+from maxq.control.kernel.jit import from_python
+from maxq.control.kernel.records import blank, pack
 from maxq.design import api
 from maxq.design.certificate.breaking import TOO_LONG, break_loop
 from maxq.design.certificate.certificate import HELD_GRAVITY, NodeCertificate, certify_node
@@ -33,9 +33,9 @@ from maxq.design.certificate.limit_cycle import LimitCycle, limit_cycle
 from maxq.design.certificate.loudness import loudness
 from maxq.design.certificate.response import BANDS
 from maxq.design.margins.measure import margins
-from maxq.sim.flight.fly import KeptRows
 from maxq.sim.flight.telemetry import FAST
 from maxq.sim.packing.flight import Packed
+from maxq.sim.run.fly import KeptRows
 from maxq.sim.scenario.loader import LoadedScenario, load_scenario
 
 PULSE_RAD = 1e-5

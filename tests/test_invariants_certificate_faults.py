@@ -1,6 +1,6 @@
 """Faults planted into the simulator, which the certificate must find.
 
-A few in every run, all of them under the marker slow: tools/verification/planted_faults.py has the list, and
+A few in every run, all of them under the marker slow: tools/dev/verification/planted_faults.py has the list, and
 docs/verification.md the table.
 """
 
@@ -13,7 +13,7 @@ from maxq.design.certificate.certificate import certify_node
 from maxq.design.certificate.response import BANDS
 from maxq.design.model.node import Node
 from maxq.sim.scenario.loader import LoadedScenario, load_scenario
-from maxq.tools.verification.planted_faults import FAULTS, Fault
+from maxq.tools.dev.verification.planted_faults import FAULTS, Fault
 
 QUICK = (
     "mode 2 at the gyro, sign",

@@ -7,7 +7,7 @@ import subprocess
 import sys
 
 SEGMENT = """
-from maxq.sim.flight.fly import fly
+from maxq.sim.run.fly import fly
 from maxq.sim.scenario.loader import load_scenario
 start = 20.0
 overrides = [

@@ -17,10 +17,10 @@ import pytest
 from maxq.control.computer import ComputerState, build_computer, computer_tick, start_computer
 from maxq.control.filters import BendingFilter, FirstOrderSection, QuadraticSection
 from maxq.control.guidance import rate_programme
-from maxq.control.law import GainSchedule, gains_table
-from maxq.control.records import Array, blank, pack
+from maxq.control.kernel.records import Array, blank, pack
+from maxq.control.kernel.tables import Pool
+from maxq.control.laws.pd import GainSchedule, gains_table
 from maxq.control.roll import make_roll
-from maxq.control.tables import Pool
 
 SAMPLE_NS = 10_000_000
 SAMPLE_S = SAMPLE_NS / 1e9

@@ -6,7 +6,7 @@ import math
 
 import pytest
 
-from maxq.control.records import blank, pack
+from maxq.control.kernel.records import blank, pack
 from maxq.control.roll import RollState, make_roll, silence_roll, update_roll
 
 SAMPLE_NS = 10_000_000

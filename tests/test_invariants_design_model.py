@@ -33,7 +33,7 @@ from maxq.design.model.imposed import COLUMNS, DerivativeTable, imposed, read_de
 from maxq.design.model.node import Node, nodes_along
 from maxq.design.model.plant import axial_load_mps2
 from maxq.design.model.resolvent import Resolvent
-from maxq.sim.flight.fly import fly
+from maxq.sim.run.fly import fly
 
 F = np.geomspace(0.01, 49.0, 120)
 EVERY_NODE = pytest.mark.parametrize("time_s", TIMES_S)

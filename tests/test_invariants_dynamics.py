@@ -28,9 +28,9 @@ from flightkit import (
 from oracles import multibody_sympy
 from oracles.multibody_system import State, quaternion_from_rotation, rotation_from_quaternion
 
-from maxq.control.records import Array
-from maxq.sim.dynamics import state as layout
-from maxq.sim.dynamics import workspace
+from maxq.control.kernel.records import Array
+from maxq.sim.vehicle import state as layout
+from maxq.sim.vehicle import workspace
 
 MODES = (
     Mode(3.0, 600.0, (1.2, 0.3, -0.4, -0.5, 0.6, 1.1), (-0.35, -0.3, -0.15, 0.2, 0.3, 0.3)),

@@ -12,11 +12,11 @@ import pytest
 from flightkit import COMPUTER, Parts, Rig, flown, load, merged, rig, rig_of, scenario_of, with_stage
 from scipy.integrate import quad
 
-from maxq.sim.dynamics import schedule
-from maxq.sim.dynamics import state as layout
-from maxq.sim.flight.fly import FlightRun, fly
 from maxq.sim.packing.flight import pack_flight
+from maxq.sim.run.fly import FlightRun, fly
 from maxq.sim.scenario.loader import LoadedScenario, load_scenario
+from maxq.sim.vehicle import schedule
+from maxq.sim.vehicle import state as layout
 
 SHORT = ("run.duration_s=0.5", "run.stop_at=[]")
 

@@ -7,9 +7,9 @@ import math
 import numpy as np
 import pytest
 
-from maxq.control.records import pack
-from maxq.control.tables import Pool
-from maxq.sim.environment.atmosphere import (
+from maxq.control.kernel.records import pack
+from maxq.control.kernel.tables import Pool
+from maxq.sim.world.atmosphere import (
     CONSTANT,
     TABLE,
     VACUUM,

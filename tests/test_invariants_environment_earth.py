@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from maxq.control.records import pack
-from maxq.sim.environment.earth import (
+from maxq.control.kernel.records import pack
+from maxq.sim.world.earth import (
     ELLIPSOID,
     FLAT,
     J2,

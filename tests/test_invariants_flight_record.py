@@ -8,13 +8,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from maxq.control.records import Array
+from maxq.control.kernel.records import Array
 from maxq.sim.api import FlightRun, LoadedScenario, load_scenario, read_log, record
-from maxq.sim.flight.fly import fly
-from maxq.sim.flight.judgement import ALL_METRICS, METRIC_NAMES, unit_of
-from maxq.sim.flight.launch_frames import LaunchFrames
+from maxq.sim.flight.channels import unit_suffix
 from maxq.sim.flight.telemetry import SLOW
-from maxq.sim.log.channels import unit_suffix
+from maxq.sim.run.fly import fly
+from maxq.sim.run.judgement import ALL_METRICS, METRIC_NAMES, unit_of
+from maxq.sim.run.launch_frames import LaunchFrames
 
 
 def loaded(*overrides: str) -> LoadedScenario:

@@ -15,16 +15,16 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
-from maxq.control.records import dtype_of
-from maxq.control.tables import TableRef
+from maxq.control.kernel.records import dtype_of
+from maxq.control.kernel.tables import TableRef
 from maxq.sim.api import FlightRun, load_scenario
-from maxq.sim.flight.batch import Batch, DeviceError, batch_of, fly_batch, hand_back
+from maxq.sim.run.batch import Batch, DeviceError, batch_of, fly_batch, hand_back
 from maxq.sim.scenario.builtin import scenarios_folder
 from maxq.tools.simrun import main
 
 FLIGHTS = """
 from maxq.sim.api import FlightRun, load_scenario
-from maxq.sim.flight.batch import batch_of, fly_batch, hand_back
+from maxq.sim.run.batch import batch_of, fly_batch, hand_back
 
 def begun(number):
     start = 20.0
@@ -123,19 +123,19 @@ def test_flights_of_different_stages_are_no_batch() -> None:
 
 def test_without_gpu_or_compiler_the_error_says_what_to_do() -> None:
     """On a machine with a GPU and numba-cuda there is nothing to see: the message of the simulator is always there."""
-    code = "from maxq.sim.flight.batch import require_gpu; require_gpu()"
+    code = "from maxq.sim.run.batch import require_gpu; require_gpu()"
     half = run_python(code, NUMBA_ENABLE_CUDASIM="1")
     assert "NUMBA_DISABLE_JIT=1" in half.stderr.splitlines()[-1]
     none = run_python(code, CUDA_VISIBLE_DEVICES="")
     assert none.returncode != 0
-    assert none.stderr.splitlines()[-1].startswith("maxq.sim.flight.batch.DeviceError: device cuda: ")
+    assert none.stderr.splitlines()[-1].startswith("maxq.sim.run.batch.DeviceError: device cuda: ")
 
 
 def test_the_cpu_asks_for_no_gpu(monkeypatch: pytest.MonkeyPatch) -> None:
     def refuse() -> None:
         raise DeviceError("asked for")
 
-    monkeypatch.setattr("maxq.sim.flight.batch.require_gpu", refuse)
+    monkeypatch.setattr("maxq.sim.run.batch.require_gpu", refuse)
     batch = batch_of([short(0, "run.duration_s=0.01").packed])
     assert fly_batch(batch, "cpu")
     with pytest.raises(DeviceError, match="asked for"):

@@ -31,7 +31,7 @@ from hypothesis import strategies as st
 from mcap.reader import make_reader
 from mcap.records import ChunkIndex
 
-from maxq.sim.log.channels import Channel, ChannelTable, Topic
+from maxq.sim.flight.channels import Channel, ChannelTable, Topic
 from maxq.sim.log.error import LogError
 from maxq.sim.log.foxglove import Event, Level
 from maxq.sim.log.head import RunHead

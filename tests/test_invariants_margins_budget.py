@@ -19,7 +19,7 @@ from design_nodes import TIMES_S, design, node_at, without
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from maxq.control.records import Array
+from maxq.control.kernel.records import Array
 from maxq.design import api
 from maxq.design.loop.fixed_path import KINDS, Kind, fixed_path
 from maxq.design.margins.budget import Response, split

@@ -5,13 +5,13 @@ import math
 import numpy as np
 import pytest
 
-from maxq.control.jit import from_python
-from maxq.control.records import pack
-from maxq.sim.dynamics import nearby
-from maxq.sim.dynamics.nearby import DROPPED, EXACT, HOLDS, NEAR_m
-from maxq.sim.dynamics.workspace import ANCHOR, WORK_SIZE
-from maxq.sim.environment.atmosphere import US1976, VACUUM, Atmosphere, TOP_m, air
-from maxq.sim.environment.earth import earth_position, flat, local_frame, sphere, wgs84
+from maxq.control.kernel.jit import from_python
+from maxq.control.kernel.records import pack
+from maxq.sim.vehicle import nearby
+from maxq.sim.vehicle.nearby import DROPPED, EXACT, HOLDS, NEAR_m
+from maxq.sim.vehicle.workspace import ANCHOR, WORK_SIZE
+from maxq.sim.world.atmosphere import US1976, VACUUM, Atmosphere, TOP_m, air
+from maxq.sim.world.earth import earth_position, flat, local_frame, sphere, wgs84
 
 frame_and_air = from_python(nearby.frame_and_air)
 NO_POOL = np.zeros(1)

@@ -3,14 +3,14 @@
 import numpy as np
 import pytest
 
-from maxq.control.records import constants_in, pack, with_constants
+from maxq.control.kernel.records import constants_in, pack, with_constants
 from maxq.sim.campaign import flying
 from maxq.sim.campaign.flying import fly_rows
 from maxq.sim.campaign.read import load_campaign
-from maxq.sim.dynamics.state import Sizes, counts
-from maxq.sim.flight.fly import FlightRun
 from maxq.sim.packing.flight import pack_flight, pack_for_one_vehicle
+from maxq.sim.run.fly import FlightRun
 from maxq.sim.scenario.loader import load_scenario
+from maxq.sim.vehicle.state import Sizes, counts
 
 SHORT = ["run.duration_s=12.0", "run.stop_at=[]", "campaign.keep=[]"]
 

@@ -23,7 +23,7 @@ from oracles.textbook_flight import (
 )
 from scipy.integrate import solve_ivp
 
-from maxq.sim.flight.fly import Flight, fly
+from maxq.sim.run.fly import Flight, fly
 from maxq.sim.scenario.loader import load_scenario
 
 FOOT, SLUG = 0.3048, 0.45359237 * 9.80665 / 0.3048

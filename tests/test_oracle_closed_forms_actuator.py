@@ -26,8 +26,8 @@ from flightkit import (
 from scipy.linalg import expm
 from scipy.signal import tf2ss
 
-from maxq.control.records import Array
-from maxq.sim.dynamics import state as layout
+from maxq.control.kernel.records import Array
+from maxq.sim.vehicle import state as layout
 
 STEP_DEG = 2.0
 EFFECT_S = 0.013  # first sample after 10 ms, plus 3 ms of computing

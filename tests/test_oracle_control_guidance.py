@@ -7,8 +7,8 @@ import pytest
 from scipy.interpolate import PchipInterpolator, PPoly
 
 from maxq.control.guidance import PITCH, ROLL, YAW, programme_angle, programme_rate, rate_programme
-from maxq.control.records import Array, pack
-from maxq.control.tables import NO_TABLE, Pool, TableRef, fit
+from maxq.control.kernel.records import Array, pack
+from maxq.control.kernel.tables import NO_TABLE, Pool, TableRef, fit
 
 TIME_S = np.array([2.0, 5.0, 6.5, 20.0, 55.0])
 PITCH_RADPS = np.array([0.01, -0.02, -0.015, -0.004, 0.003])

@@ -16,9 +16,9 @@ import numpy as np
 import pytest
 
 from maxq.control.computer import ComputerState, build_computer, computer_tick, start_computer
-from maxq.control.law import GainSchedule, gains_table
-from maxq.control.records import Array, blank, pack
-from maxq.control.tables import Pool
+from maxq.control.kernel.records import Array, blank, pack
+from maxq.control.kernel.tables import Pool
+from maxq.control.laws.pd import GainSchedule, gains_table
 
 M_DELTA, K_P, K_D_S = 9.0, 1.1, 0.45  # of the order of Table 2
 PITCH, YAW = 1, 2

@@ -24,9 +24,9 @@ import scipy.linalg
 from design_nodes import TIMES_S, design, flown, ideal, node_at
 
 from maxq.control.computer import ComputerState, build_computer, computer_tick, start_computer
-from maxq.control.law import GainSchedule, gains_table
-from maxq.control.records import Array, blank, pack
-from maxq.control.tables import Pool
+from maxq.control.kernel.records import Array, blank, pack
+from maxq.control.kernel.tables import Pool
+from maxq.control.laws.pd import GainSchedule, gains_table
 from maxq.design import api
 from maxq.design.loop.fixed_path import CUTS, Cut, ExactFixedPath, PadeFixedPath, SampledFixedPath
 from maxq.design.loop.loop import Loop
@@ -36,11 +36,11 @@ from maxq.design.model.flight_condition import FlightCondition
 from maxq.design.model.node import Node, instruments_of
 from maxq.design.model.state_space import ComplexArray, StateSpace
 from maxq.design.model.vehicle_at import vehicle_at
-from maxq.sim.dynamics.workspace import AIRSPEED, DENSITY, MACH, PRESSURE
-from maxq.sim.flight.fly import fly
-from maxq.sim.flight.linearise import evaluate_at, linearise
 from maxq.sim.packing.flight import pack_flight
+from maxq.sim.run.fly import fly
+from maxq.sim.run.linearise import evaluate_at, linearise
 from maxq.sim.scenario.loader import LoadedScenario, load_scenario
+from maxq.sim.vehicle.workspace import AIRSPEED, DENSITY, MACH, PRESSURE
 
 EVERY_NODE = pytest.mark.parametrize("time_s", TIMES_S)
 SOME_NODES = pytest.mark.parametrize("time_s", [5.0, 40.0, 55.0])

@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 from design_nodes import TIMES_S, design, flown, node_at, without
 
-from maxq.control.records import Array
+from maxq.control.kernel.records import Array
 from maxq.design import api
 from maxq.design.loop.errata_effects import EXPLAINED, closed_damping, errata_effects, peaks_db
 from maxq.design.loop.fixed_path import Cut, PadeFixedPath

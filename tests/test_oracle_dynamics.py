@@ -35,7 +35,7 @@ from oracles.multibody_system import Load, State, rotation_from_quaternion, thru
 from scipy.integrate import quad
 from scipy.interpolate import CubicHermiteSpline
 
-from maxq.control.records import Array
+from maxq.control.kernel.records import Array
 
 STATIONS = (0.0, 3.0, 5.0, 10.0, 12.0, 14.0)  # 5 and 10: hinges, 12: gimbal
 

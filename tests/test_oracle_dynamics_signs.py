@@ -26,9 +26,9 @@ from flightkit import (
 )
 from oracles.multibody_system import rotation_from_quaternion
 
-from maxq.control.records import Array
-from maxq.sim.dynamics import state as layout
-from maxq.sim.dynamics import workspace
+from maxq.control.kernel.records import Array
+from maxq.sim.vehicle import state as layout
+from maxq.sim.vehicle import workspace
 
 W, V = layout.W_BI_B, layout.V_I
 PITCH, YAW = 0, 1

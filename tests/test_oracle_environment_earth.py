@@ -8,9 +8,9 @@ import mpmath
 import numpy as np
 import pytest
 
-from maxq.control.records import pack
-from maxq.sim.environment import earth as earth_module
-from maxq.sim.environment.earth import (
+from maxq.control.kernel.records import pack
+from maxq.sim.world import earth as earth_module
+from maxq.sim.world.earth import (
     INVERSE_SQUARE,
     J2,
     NO_GRAVITY,

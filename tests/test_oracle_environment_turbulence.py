@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 import scipy.signal
 
-from maxq.control.records import blank, pack
-from maxq.control.tables import Pool
-from maxq.sim.environment.turbulence import (
+from maxq.control.kernel.records import blank, pack
+from maxq.control.kernel.tables import Pool
+from maxq.sim.world.turbulence import (
     FOOT_m,
     Turbulence,
     TurbulenceState,

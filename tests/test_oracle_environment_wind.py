@@ -7,9 +7,9 @@ import math
 import numpy as np
 import pytest
 
-from maxq.control.records import pack
-from maxq.control.tables import Pool, fit
-from maxq.sim.environment.wind import (
+from maxq.control.kernel.records import pack
+from maxq.control.kernel.tables import Pool, fit
+from maxq.sim.world.wind import (
     MAX_GUSTS,
     ONE_MINUS_COSINE,
     SHEAR,

@@ -9,15 +9,15 @@ import numpy as np
 import pytest
 import scipy.signal
 
-from maxq.control.jit import from_python
-from maxq.control.records import Array, pack
-from maxq.control.tables import NO_TABLE, Pool, TableRef, fit
+from maxq.control.kernel.jit import from_python
+from maxq.control.kernel.records import Array, pack
+from maxq.control.kernel.tables import NO_TABLE, Pool, TableRef, fit
 from maxq.sim.api import load_scenario
-from maxq.sim.dynamics.state import N_FIXED, Q_BI, R_I, V_I, W_BI_B
 from maxq.sim.flight import events, injection
 from maxq.sim.flight import parameters as named
 from maxq.sim.flight.injection import MAX_INJECTIONS, MAX_TONES, Injections
 from maxq.sim.packing.flight import Packed, pack_flight
+from maxq.sim.vehicle.state import N_FIXED, Q_BI, R_I, V_I, W_BI_B
 
 SIGNAL, TOTAL, SWITCH = (
     from_python(kernel) for kernel in (injection.signal, injection.total_signal, injection.next_switch)

@@ -30,21 +30,21 @@ import numpy as np
 import pytest
 import scipy.optimize
 
-from maxq.control.records import Array
+from maxq.control.kernel.records import Array
 from maxq.design.model.derivatives import stability_derivatives
 from maxq.design.model.flight_condition import FlightCondition
 from maxq.design.model.linear_plant import linear_plant
 from maxq.design.model.plant import vehicle_plant
 from maxq.design.model.state_space import ComplexArray, StateSpace
 from maxq.design.model.vehicle_at import vehicle_at
-from maxq.sim.dynamics.state import Q_BI
-from maxq.sim.dynamics.workspace import AIRSPEED, DENSITY, GRAVITATION, MACH, PRESSURE
-from maxq.sim.flight.fly import Flight, FlightRun, fly
-from maxq.sim.flight.linearise import LinearModel, evaluate_at, linearise, zero_incidence
 from maxq.sim.packing.flight import Packed, pack_flight
 from maxq.sim.packing.initial import rotation
+from maxq.sim.run.fly import Flight, FlightRun, fly
+from maxq.sim.run.linearise import LinearModel, evaluate_at, linearise, zero_incidence
 from maxq.sim.scenario.loader import load_scenario
-from maxq.tools.derivatives_table import COLUMNS, PAPER, flown_derivatives
+from maxq.sim.vehicle.state import Q_BI
+from maxq.sim.vehicle.workspace import AIRSPEED, DENSITY, GRAVITATION, MACH, PRESSURE
+from maxq.tools.dev.documents.derivatives_table import COLUMNS, PAPER, flown_derivatives
 
 NODES_S = tuple(range(5, 60, 5))
 FREQUENCIES_HZ = np.geomspace(0.05, 50.0, 401)

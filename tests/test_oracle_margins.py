@@ -21,7 +21,7 @@ from hypothesis import strategies as st
 from scipy.special import lambertw
 from textbook_loops import ModalLoop, TransferLoop
 
-from maxq.control.records import Array
+from maxq.control.kernel.records import Array
 from maxq.design.margins.curve import trace
 from maxq.design.margins.measure import margins
 from maxq.design.model.state_space import ComplexArray

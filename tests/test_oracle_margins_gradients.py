@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from textbook_loops import TransferLoop
 
-from maxq.control.records import Array
+from maxq.control.kernel.records import Array
 from maxq.design.margins.measure import Margins, margins
 from maxq.design.margins.nichols import Zone
 from maxq.design.margins.sensitivity import Differentiable, log_slope, measures

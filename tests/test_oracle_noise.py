@@ -12,7 +12,7 @@ import pytest
 import scipy.special
 import scipy.stats
 
-from maxq.sim.noise import normal_quantile, philox, standard_normal, standard_normal_pair, uniform_pair
+from maxq.control.kernel.noise import normal_quantile, philox, standard_normal, standard_normal_pair, uniform_pair
 
 N = 20_000 if numba.config.DISABLE_JIT else 200_000  # every bound below follows from it
 
@@ -109,7 +109,7 @@ def test_numpy_and_python_integers_give_the_same():
 PROGRAM = """
 import warnings; warnings.simplefilter("error")
 import numpy as np
-from maxq.sim.noise import standard_normal
+from maxq.control.kernel.noise import standard_normal
 seeds = (0, 1, -1, 2**63 - 1, -2**63, np.int64(2**62 + 12345))
 print(" ".join(standard_normal(s, 3, i).hex() for s in seeds for i in range(200)))
 """

@@ -22,7 +22,7 @@ import optimise_kit as kit
 import pytest
 from scipy.optimize import differential_evolution, linprog
 
-from maxq.control.records import Array
+from maxq.control.kernel.records import Array
 from maxq.design.loop.loop import Loop
 from maxq.design.margins.measure import margins
 from maxq.design.optimise.filter_variables import FilterVariables
@@ -263,7 +263,7 @@ def _interpolated(zero: Array, value: Array, where: Array) -> Array:
 
 
 def test_no_global_search_beats_the_optimum_of_f2() -> None:
-    """Longer, and for higher orders: tools/bench/optimise.py."""
+    """Longer, and for higher orders: tools/dev/bench/optimise.py."""
     p = kit.problem("filter.structure=F2", "gains.schedule=two-phase")
     ours = kit.solution("filter.structure=F2", "gains.schedule=two-phase")
     cost = penalised(p)

@@ -12,8 +12,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.interpolate import CubicHermiteSpline, PchipInterpolator
 
-from maxq.control.records import Array
-from maxq.control.tables import fit, hermite, merge
+from maxq.control.kernel.records import Array
+from maxq.control.kernel.tables import fit, hermite, merge
 from maxq.sim.packing.mode_shapes import ModeShapes
 from maxq.sim.scenario.modes import ModeTable
 

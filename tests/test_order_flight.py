@@ -15,9 +15,9 @@ import pytest
 from flightkit import Rig, flown, rig_of
 from oracles.reference_flight import fly
 
-from maxq.control.records import Array
-from maxq.sim.dynamics import state as layout
+from maxq.control.kernel.records import Array
 from maxq.sim.scenario.loader import load_scenario
+from maxq.sim.vehicle import state as layout
 
 DURATION_S = 5.0
 START_S = 25.0

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from maxq.control.records import pack
-from maxq.sim.environment.atmosphere import Atmosphere, GEOPOTENTIAL_RADIUS_m, air
+from maxq.control.kernel.records import pack
+from maxq.sim.world.atmosphere import Atmosphere, GEOPOTENTIAL_RADIUS_m, air
 
 STANDARD = pack([Atmosphere()])[0]
 NO_POOL = np.zeros(1)

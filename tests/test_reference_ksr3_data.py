@@ -10,19 +10,19 @@ import pytest
 from scipy.interpolate import PchipInterpolator
 from scipy.linalg import eigh
 
-from maxq.control.records import Array
-from maxq.tools.studies.ksr3 import assumptions as a
-from maxq.tools.studies.ksr3 import beam, build, linear_model, sampled_loop
-from maxq.tools.studies.ksr3.aerodynamics import fit_to_table_2
-from maxq.tools.studies.ksr3.build import VEHICLE_FOLDER
-from maxq.tools.studies.ksr3.cases import all_cases
-from maxq.tools.studies.ksr3.check_loop import DESIGN_FILE, Design, Verdict, judge
-from maxq.tools.studies.ksr3.compare_reference import quantities
-from maxq.tools.studies.ksr3.fitted import TABLE_2
-from maxq.tools.studies.ksr3.planar_flight import PlanarFlight
-from maxq.tools.studies.ksr3.trajectory import ascent_from, fit_to_table_1, fly, summarise
-from maxq.tools.studies.ksr3.vehicle_at import ModeShapes, VehicleFolder, read_rows
-from maxq.tools.studies.ksr3.write_files import Reconstruction, write_tables
+from maxq.control.kernel.records import Array
+from maxq.tools.dev.studies.ksr3 import assumptions as a
+from maxq.tools.dev.studies.ksr3 import beam, build, linear_model, sampled_loop
+from maxq.tools.dev.studies.ksr3.aerodynamics import fit_to_table_2
+from maxq.tools.dev.studies.ksr3.build import VEHICLE_FOLDER
+from maxq.tools.dev.studies.ksr3.cases import all_cases
+from maxq.tools.dev.studies.ksr3.check_loop import DESIGN_FILE, Design, Verdict, judge
+from maxq.tools.dev.studies.ksr3.compare_reference import quantities
+from maxq.tools.dev.studies.ksr3.fitted import TABLE_2
+from maxq.tools.dev.studies.ksr3.planar_flight import PlanarFlight
+from maxq.tools.dev.studies.ksr3.trajectory import ascent_from, fit_to_table_1, fly, summarise
+from maxq.tools.dev.studies.ksr3.vehicle_at import ModeShapes, VehicleFolder, read_rows
+from maxq.tools.dev.studies.ksr3.write_files import Reconstruction, write_tables
 
 
 @cache

@@ -7,10 +7,10 @@ from functools import cache
 
 import pytest
 
-from maxq.sim.flight.fly import Flight, fly
+from maxq.sim.run.fly import Flight, fly
 from maxq.sim.scenario.loader import load_scenario
-from maxq.tools.verification import nesc
-from maxq.tools.verification.nesc_cases import (
+from maxq.tools.dev.verification import nesc
+from maxq.tools.dev.verification.nesc_cases import (
     ALL_CASES,
     ATMOSPHERIC,
     Difference,

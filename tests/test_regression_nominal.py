@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import pytest
 
-from maxq.sim.flight.fly import Flight, fly
+from maxq.sim.run.fly import Flight, fly
 from maxq.sim.scenario.loader import load_scenario
 
 

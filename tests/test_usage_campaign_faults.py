@@ -22,7 +22,7 @@ from maxq.sim.campaign.error import CampaignError
 from maxq.sim.campaign.loaded import LoadedCampaign
 from maxq.sim.campaign.runner import run_campaign
 from maxq.sim.campaign.store import Store, open_store
-from maxq.sim.flight.fly import FlightRun
+from maxq.sim.run.fly import FlightRun
 from maxq.sim.scenario.errors import ScenarioError
 from maxq.tools import simrun
 

@@ -10,9 +10,9 @@ import pytest
 from maxq.design import api
 from maxq.tools.design.design_file import builtin_designs
 from maxq.tools.design.judging import Wanted, checks, judge
-from maxq.tools.studies.case_study import chapter, optima
-from maxq.tools.studies.case_study.designs import DESIGNS
-from maxq.tools.studies.case_study.page import filled, places
+from maxq.tools.dev.studies.case_study import chapter, optima
+from maxq.tools.dev.studies.case_study.designs import DESIGNS
+from maxq.tools.dev.studies.case_study.page import filled, places
 
 PAGE = chapter.PAGE.read_text(encoding="utf-8")
 CHEAP = (
@@ -34,7 +34,9 @@ CHEAP = (
 
 @pytest.mark.parametrize("name", CHEAP)
 def test_tables_are_those_of_the_optima(name: str) -> None:
-    assert filled(PAGE, name, chapter.TABLES[name]()) == PAGE, "python -m maxq.tools.studies.case_study.chapter --keep"
+    assert filled(PAGE, name, chapter.TABLES[name]()) == PAGE, (
+        "python -m maxq.tools.dev.studies.case_study.chapter --keep"
+    )
 
 
 def test_every_table_has_its_place_and_every_picture_is_there() -> None:

@@ -10,9 +10,9 @@ import pytest
 from maxq.control.computer import build_computer
 from maxq.control.filters import BendingFilter, QuadraticSection
 from maxq.control.guidance import rate_programme
-from maxq.control.law import GainSchedule, gains_table
-from maxq.control.records import pack
-from maxq.control.tables import Pool
+from maxq.control.kernel.records import pack
+from maxq.control.kernel.tables import Pool
+from maxq.control.laws.pd import GainSchedule, gains_table
 
 SAMPLE_NS = 10_000_000
 

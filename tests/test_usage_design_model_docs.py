@@ -10,8 +10,8 @@ import numpy as np
 from design_nodes import design, flown, node_at
 
 from maxq.design import api
-from maxq.tools import departure_table
-from maxq.tools.departure_table import DEFAULT_FILE, table_text
+from maxq.tools.dev.documents import departure_table
+from maxq.tools.dev.documents.departure_table import DEFAULT_FILE, table_text
 
 compare = functools.cache(departure_table.compare)
 DOCS = Path(__file__).resolve().parents[1] / "docs"

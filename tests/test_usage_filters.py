@@ -15,7 +15,7 @@ from maxq.control.filters import (
     QuadraticSection,
     filter_of_structure,
 )
-from maxq.sim.flight.fly import fly
+from maxq.sim.run.fly import fly
 from maxq.sim.scenario.loader import load_scenario
 from maxq.sim.scenario.schema_design import MOST_SECTIONS
 

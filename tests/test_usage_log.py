@@ -10,7 +10,7 @@ import pytest
 from example_log import FAST, HEAD, SECOND, SLOW, TABLE, write_example
 from mcap.writer import Writer
 
-from maxq.sim.log.channels import Channel, ChannelTable, Topic, unit_suffix
+from maxq.sim.flight.channels import Channel, ChannelTable, Topic, unit_suffix
 from maxq.sim.log.error import LogError
 from maxq.sim.log.foxglove import Event, FramePath, Level
 from maxq.sim.log.head import Attachment, RunHead

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import matplotlib as mpl
 
-from maxq.tools.pictures.style import COLOURS, STYLE, curve, drawing, label, save, sheet
+from maxq.tools.plots.style import COLOURS, STYLE, curve, drawing, label, save, sheet
 
 
 def test_files_are_equal_when_drawn_twice_and_left_whole(tmp_path: Path) -> None:

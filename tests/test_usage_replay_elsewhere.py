@@ -14,9 +14,9 @@ import pytest
 from PIL import Image
 from replaykit import OLD_LOG, headless_viewer
 
-from maxq.sim.flight.launch_frames import CHILD, PARENT
-from maxq.sim.log.channels import EVENTS_TOPIC, FRAMES_TOPIC
+from maxq.sim.flight.channels import EVENTS_TOPIC, FRAMES_TOPIC
 from maxq.sim.log.reader import read_log
+from maxq.sim.run.launch_frames import CHILD, PARENT
 from maxq.tools.replay import log_layout, viewer
 
 FOXGLOVE = Path(__file__).parents[1] / "docs" / "viewers" / "maxq.foxglove-layout.json"

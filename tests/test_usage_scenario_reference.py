@@ -9,10 +9,10 @@ from pathlib import Path
 import pytest
 
 from maxq.sim.campaign.schema import CampaignFile
-from maxq.sim.scenario.export_schema import campaign_schema, json_schema, main, pages
 from maxq.sim.scenario.schema_design import Design
 from maxq.sim.scenario.schema_scenario import Scenario
 from maxq.sim.scenario.schema_vehicle import Vehicle
+from maxq.tools.schemas import campaign_schema, json_schema, main, pages
 
 DOCS = Path(__file__).resolve().parents[1] / "docs"
 
@@ -21,7 +21,7 @@ DOCS = Path(__file__).resolve().parents[1] / "docs"
 def test_docs_are_up_to_date(name: str) -> None:
     text = (DOCS / name).read_text(encoding="utf-8")
     fresh = pages()[name]
-    hint = "run: python -m maxq.sim.scenario.export_schema docs"
+    hint = "run: python -m maxq.tools.schemas docs"
     if name.endswith(".json"):
         assert json.loads(text) == json.loads(fresh), hint
     else:

@@ -14,9 +14,10 @@ import numpy as np
 import pytest
 
 from maxq.sim.api import Flight, FlightRun, LogError, fly, load_scenario, read_log, record
-from maxq.sim.flight import record as recording
 from maxq.sim.log.foxglove import Level
-from maxq.tools import docs_telemetry, simrun
+from maxq.sim.run import record as recording
+from maxq.tools import simrun
+from maxq.tools.dev.documents import docs_telemetry
 from maxq.tools.flight_progress import FlightProgress
 
 SHORT = ["nominal", "--set", "run.duration_s=1.5", "--set", "requirement="]
@@ -417,7 +418,9 @@ def test_a_flight_from_python_equals_the_one_in_the_log(tmp_path: Path) -> None:
 
 def test_the_telemetry_page_is_up_to_date() -> None:
     page = Path(__file__).resolve().parents[1] / "docs" / "telemetry.md"
-    assert page.read_text(encoding="utf-8") == docs_telemetry.page(), "run python -m maxq.tools.docs_telemetry"
+    assert page.read_text(encoding="utf-8") == docs_telemetry.page(), (
+        "run python -m maxq.tools.dev.documents.docs_telemetry"
+    )
 
 
 def test_the_example_in_the_documentation_runs(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from maxq.sim.flight.fly import fly
+from maxq.sim.run.fly import fly
 from maxq.sim.scenario.loader import load_scenario
 
 WIND = ["wind.profile=winds/anheung-november.csv", "run.duration_s=20"]

@@ -9,7 +9,7 @@ import numpy as np
 import scipy.linalg
 from numpy.typing import ArrayLike
 
-from maxq.control.records import Array
+from maxq.control.kernel.records import Array
 from maxq.design.model.state_space import ComplexArray
 
 

@@ -10,7 +10,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from maxq.control.records import Array
+from maxq.control.kernel.records import Array
 from maxq.sim.campaign.analysis import DataSet, Judged, Lost, failed_runs, redraws, summary_of
 from maxq.sim.campaign.envelopes import Band, bands
 from maxq.sim.campaign.plan import Draw
@@ -75,7 +75,7 @@ def _pictures(
     data: DataSet, verdicts: Sequence[Judged], found: Found, inputs: dict[str, Array], bands_: Sequence[Band]
 ) -> dict[str, bytes]:
     from maxq.sim.campaign.flying import channel_units  # noqa: PLC0415  # lazy: matplotlib comes with it
-    from maxq.tools.pictures import campaign as draw  # noqa: PLC0415  # lazy
+    from maxq.tools.plots import campaign as draw  # noqa: PLC0415  # lazy
 
     labels = labels_of(data)
     made = {

@@ -12,7 +12,7 @@ from maxq.sim.campaign.error import CampaignError
 from maxq.sim.campaign.runner import cores
 from maxq.sim.campaign.search import search_worst
 from maxq.sim.campaign.store import campaign_in, write_bytes
-from maxq.sim.flight.judgement import METRIC_NAMES, unit_of
+from maxq.sim.run.judgement import METRIC_NAMES, unit_of
 from maxq.sim.scenario.errors import suggestion
 from maxq.tools.interruption import Interruption
 from maxq.tools.plain_text import aligned, printable

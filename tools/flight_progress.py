@@ -7,7 +7,7 @@ import time
 from types import TracebackType
 from typing import Any
 
-from maxq.sim.flight.fly import FlightRun
+from maxq.sim.run.fly import FlightRun
 
 _PATIENCE_S = 1.0  # shorter flights show nothing
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 from pathlib import Path
 
-from maxq.sim.flight.fly import Flight
-from maxq.sim.flight.history import DIVERGED_NAME
-from maxq.sim.flight.judgement import Verdict, unit_of
+from maxq.sim.run.fly import Flight
+from maxq.sim.run.history import DIVERGED_NAME
+from maxq.sim.run.judgement import Verdict, unit_of
 from maxq.tools.plain_text import aligned, printable
 
 _FINAL = (

@@ -20,7 +20,7 @@ from maxq.tools.replay.error import ReplayError
 if TYPE_CHECKING:
     from maxq.sim.campaign.loaded import LoadedCampaign
     from maxq.sim.campaign.runner import Outcome, Progress
-    from maxq.sim.flight.batch import Device
+    from maxq.sim.run.batch import Device
     from maxq.tools.replay.flown import FlownView
 
 PASSED, FAILED, BAD_INPUT, OPEN, INTERRUPTED = 0, 1, 2, 3, 130
@@ -53,8 +53,8 @@ class Order:
 def execute(order: Order) -> int:
     """Do it; returns the exit code. Whatever is wrong with the input is one line on stderr."""
     from maxq.sim.campaign.error import CampaignError  # noqa: PLC0415  # lazy: --help is quick
-    from maxq.sim.flight.batch import DeviceError  # noqa: PLC0415  # lazy
     from maxq.sim.log.error import LogError  # noqa: PLC0415  # lazy
+    from maxq.sim.run.batch import DeviceError  # noqa: PLC0415  # lazy
 
     try:
         if order.scenario is not None:
@@ -199,7 +199,7 @@ def _keep(campaign: LoadedCampaign, folder: Path, keep: tuple[str, ...], stop: C
         return
     from maxq.sim.campaign.analysis import DataSet, selected  # noqa: PLC0415  # lazy
     from maxq.sim.campaign.refly import flight_folder, refly  # noqa: PLC0415  # lazy
-    from maxq.sim.flight.record import LOG_NAME, SUMMARY_NAME  # noqa: PLC0415  # lazy
+    from maxq.sim.run.record import LOG_NAME, SUMMARY_NAME  # noqa: PLC0415  # lazy
 
     runs = selected(DataSet(folder, campaign), keep)
     for n, run in enumerate(runs):
@@ -219,7 +219,7 @@ def _keep(campaign: LoadedCampaign, folder: Path, keep: tuple[str, ...], stop: C
 
 def _refly(order: Order) -> int:
     from maxq.sim.campaign.refly import refly  # noqa: PLC0415  # lazy
-    from maxq.sim.flight import record  # noqa: PLC0415  # lazy
+    from maxq.sim.run import record  # noqa: PLC0415  # lazy
     from maxq.tools.flight_progress import FlightProgress  # noqa: PLC0415  # lazy
     from maxq.tools.flight_report import report  # noqa: PLC0415  # lazy
 

@@ -14,7 +14,7 @@ from maxq.sim.scenario.errors import ScenarioError
 from maxq.tools.plain_text import printable
 
 if TYPE_CHECKING:
-    from maxq.sim.flight.fly import FlightRun
+    from maxq.sim.run.fly import FlightRun
     from maxq.sim.scenario.loader import LoadedScenario
     from maxq.tools.comparison import Comparison
     from maxq.tools.replay.live import LiveView
@@ -61,9 +61,9 @@ def execute(order: Order, *, alone: bool = False) -> int:
 
 
 def _execute(order: Order, start_s: float) -> int:
-    from maxq.sim.flight import record  # noqa: PLC0415  # lazy
-    from maxq.sim.flight.fly import FlightRun  # noqa: PLC0415  # lazy
     from maxq.sim.packing.flight import pack_flight  # noqa: PLC0415  # lazy
+    from maxq.sim.run import record  # noqa: PLC0415  # lazy
+    from maxq.sim.run.fly import FlightRun  # noqa: PLC0415  # lazy
     from maxq.tools.flight_progress import FlightProgress  # noqa: PLC0415  # lazy
     from maxq.tools.flight_report import report  # noqa: PLC0415  # lazy
     from maxq.tools.interruption import Interruption  # noqa: PLC0415  # lazy
@@ -152,8 +152,8 @@ def _load_numba_without_blas() -> None:
 
 
 def _load(order: Order) -> tuple[LoadedScenario, Comparison]:
-    from maxq.sim.flight.judgement import METRIC_NAMES  # noqa: PLC0415  # lazy
     from maxq.sim.log.reader import read_run  # noqa: PLC0415  # lazy
+    from maxq.sim.run.judgement import METRIC_NAMES  # noqa: PLC0415  # lazy
     from maxq.sim.scenario.loader import load_scenario, load_scenario_text  # noqa: PLC0415  # lazy
     from maxq.tools.comparison import Comparison, scenario_text  # noqa: PLC0415  # lazy
 
@@ -169,8 +169,8 @@ def _folder(order: Order, name: str) -> Path | None:
     """Where to write; a log that is flown again leaves nothing unless told where."""
     if order.out is None:
         return None if order.log else Path("runs") / (re.sub(r"[^\w.-]+", "-", name).strip(".-") or "flight")
-    from maxq.sim.flight.record import LOG_NAME  # noqa: PLC0415  # lazy
     from maxq.sim.log.error import LogError  # noqa: PLC0415  # lazy
+    from maxq.sim.run.record import LOG_NAME  # noqa: PLC0415  # lazy
 
     folder = Path(order.out)
     log = folder / LOG_NAME
@@ -189,7 +189,7 @@ def _watchers(*watchers: Callable[[FlightRun], None]) -> Callable[[FlightRun], N
 
 def announce_compilation() -> None:
     """On a terminal, say why the first flight takes its time."""
-    from maxq.control.jit import cache_folder  # noqa: PLC0415  # lazy
+    from maxq.control.kernel.jit import cache_folder  # noqa: PLC0415  # lazy
 
     if sys.stderr.isatty() and not any(cache_folder().rglob("loop.advance*.nbc")):
         print("compiling the simulator, once for this version of it: about half a minute ...", file=sys.stderr)

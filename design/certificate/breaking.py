@@ -16,7 +16,7 @@ from typing import Literal
 import numpy as np
 
 from maxq.control.filters import MAX_SECTIONS
-from maxq.control.records import Array
+from maxq.control.kernel.records import Array
 from maxq.design.certificate.excitation import DITHER_HZ, injections
 from maxq.design.certificate.held_flight import Change, HeldFlight
 from maxq.design.certificate.loudness import burst_rad, dither, linear_command_rad
@@ -24,9 +24,9 @@ from maxq.design.loop.fixed_path import fixed_path
 from maxq.design.loop.loop import Loop
 from maxq.design.margins.measure import Margins
 from maxq.design.model.dispersion import Dispersion, disperse
-from maxq.sim.flight.fly import KeptRows
 from maxq.sim.flight.telemetry import FAST
 from maxq.sim.packing.flight import Packed
+from maxq.sim.run.fly import KeptRows
 from maxq.sim.scenario.schema_injection import Injection
 
 What = Literal["gain_up", "gain_down", "delay"]

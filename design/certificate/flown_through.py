@@ -18,15 +18,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from maxq.control.records import Array
+from maxq.control.kernel.records import Array
 from maxq.design import api
 from maxq.design.certificate.loudness import SHARE_OF_BURST
 from maxq.design.certificate.response import NOISE, NOISE_SIGMAS, decibels
 from maxq.design.model.state_space import ComplexArray
 from maxq.design.model.vehicle_at import Plane
-from maxq.sim.flight.fly import FlightRun, KeptRows
 from maxq.sim.flight.telemetry import FAST
 from maxq.sim.packing.flight import pack_flight
+from maxq.sim.run.fly import FlightRun, KeptRows
 from maxq.sim.scenario.loader import LoadedScenario
 from maxq.sim.scenario.schema_injection import Injection
 from maxq.sim.scenario.schema_scenario import Log

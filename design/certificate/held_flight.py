@@ -24,21 +24,21 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from maxq.control.records import Array, pack
-from maxq.control.tables import Pool
+from maxq.control.kernel.records import Array, pack
+from maxq.control.kernel.tables import Pool
 from maxq.design.model.node import Node, node_of
 from maxq.design.model.plant import axial_load_mps2
 from maxq.design.model.vehicle_at import Plane
-from maxq.sim.environment.atmosphere import HEAT_RATIO, GAS_CONSTANT_Jpkg_K
-from maxq.sim.flight.fly import FlightRun
 from maxq.sim.packing.computer import pack_injections
 from maxq.sim.packing.flight import Packed, pack_flight
+from maxq.sim.run.fly import FlightRun
 from maxq.sim.scenario.loader import LoadedScenario
 from maxq.sim.scenario.nanoseconds import to_ns
 from maxq.sim.scenario.schema_environment import Atmosphere, Earth, Wind
 from maxq.sim.scenario.schema_initial import Geodetic, Initial
 from maxq.sim.scenario.schema_injection import Injection
 from maxq.sim.scenario.schema_scenario import Guidance, Log, Run, Scenario
+from maxq.sim.world.atmosphere import HEAT_RATIO, GAS_CONSTANT_Jpkg_K
 
 ALTITUDE_M = 1.0e6  # high enough never to meet the ground; the air does not depend on it
 _NOSE_UP_DEG = (0.0, 90.0, 0.0)

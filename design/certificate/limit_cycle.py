@@ -12,11 +12,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from maxq.control.records import Array
+from maxq.control.kernel.records import Array
 from maxq.design.certificate.held_flight import Change, HeldFlight
 from maxq.design.certificate.loudness import burst_rad
-from maxq.sim.flight.fly import KeptRows
 from maxq.sim.flight.telemetry import FAST
+from maxq.sim.run.fly import KeptRows
 from maxq.sim.scenario.schema_injection import Injection
 
 WATCHED_S = 240.0

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from maxq.control.records import Array
+from maxq.control.kernel.records import Array
 from maxq.design.certificate.excitation import Band, grouped, phasors
 from maxq.design.certificate.held_flight import HeldFlight, linear_limits
 from maxq.design.loop.loop import Loop
@@ -97,7 +97,7 @@ def _peaks(
 
 
 def _servo_and_incidence(node: Node, lines_hz: Array) -> tuple[ComplexArray, ComplexArray]:
-    """Rate that the servo asks for (1/s; sim/dynamics/actuator.py), and incidence w / U, per command."""
+    """Rate that the servo asks for (1/s; sim/vehicle/actuator.py), and incidence w / U, per command."""
     s = 2j * np.pi * lines_hz
     record = node.instruments.actuator
     per_engine = node.plant.response(lines_hz)[:, OUTPUTS.index("w_mps"), :] / max(node.condition.airspeed_mps, 1.0)

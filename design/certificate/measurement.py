@@ -6,13 +6,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from maxq.control.records import Array
+from maxq.control.kernel.records import Array
 from maxq.design.certificate.excitation import Band, injections
 from maxq.design.certificate.held_flight import HeldFlight
 from maxq.design.certificate.loudness import Loudness
 from maxq.design.model.state_space import ComplexArray
-from maxq.sim.flight.fly import KeptRows
 from maxq.sim.flight.telemetry import FAST
+from maxq.sim.run.fly import KeptRows
 
 _NEAR_HZ, _NEAR = 0.125, 5  # on either side in which noise is looked for, and at least so many bins
 _DEAD = 9.0  # exp(-9) = 1e-4 of what there was at the start

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from maxq.control.records import Array
+from maxq.control.kernel.records import Array
 from maxq.design.certificate.excitation import Band, band
 from maxq.design.certificate.held_flight import HeldFlight
 from maxq.design.certificate.loudness import loudness

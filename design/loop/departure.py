@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from maxq.control.filters import BendingFilter, DiscreteFilter
-from maxq.control.records import Array
+from maxq.control.kernel.records import Array
 from maxq.design.loop.fixed_path import ExactFixedPath, PadeFixedPath, SampledFixedPath
 from maxq.design.loop.loop import Loop
 from maxq.design.loop.resonance import Resonance

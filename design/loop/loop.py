@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from maxq.control.filters import BendingFilter, DiscreteFilter
-from maxq.control.records import Array
+from maxq.control.kernel.records import Array
 from maxq.design.loop.fixed_path import ExactFixedPath, FixedPath, PadeFixedPath
 from maxq.design.model.connect import chain, closed
 from maxq.design.model.state_space import ComplexArray, StateSpace

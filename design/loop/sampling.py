@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import scipy.linalg
 
-from maxq.control.records import Array
+from maxq.control.kernel.records import Array
 from maxq.design.model.resolvent import Resolvent
 from maxq.design.model.state_space import ComplexArray, StateSpace
 

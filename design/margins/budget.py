@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from maxq.control.records import Array
+from maxq.control.kernel.records import Array
 from maxq.design.margins.objectives import DB
 from maxq.design.model.state_space import ComplexArray
 

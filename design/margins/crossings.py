@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from maxq.control.records import Array, IntArray
+from maxq.control.kernel.records import Array, IntArray
 from maxq.design.margins.curve import Curve, sample
 from maxq.design.margins.objectives import DB, along, from_minus_one_deg, log_size, sine
 from maxq.design.margins.solving import roots

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from maxq.control.records import Array
+from maxq.control.kernel.records import Array
 from maxq.design.loop.open_loop import OpenLoop
 from maxq.design.model.state_space import ComplexArray
 

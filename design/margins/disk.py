@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from maxq.control.records import Array
+from maxq.control.kernel.records import Array
 from maxq.design.margins.curve import Curve
 from maxq.design.margins.objectives import DB, Objective, complementary, sensitivity, symmetric
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from maxq.control.records import Array, IntArray
+from maxq.control.kernel.records import Array, IntArray
 from maxq.design.margins.curve import Curve, sample
 from maxq.design.margins.objectives import (
     along,

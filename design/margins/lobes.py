@@ -15,7 +15,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from maxq.control.records import Array
+from maxq.control.kernel.records import Array
 from maxq.design.loop.resonance import Resonance
 from maxq.design.margins.crossings import GainCrossings, PhaseCrossings
 from maxq.design.margins.curve import Curve, sample

@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from maxq.control.records import Array
+from maxq.control.kernel.records import Array
 from maxq.design.loop.fixed_path import PadeFixedPath
 from maxq.design.loop.loop import Loop
 from maxq.design.loop.rational import average, converter_pade, delay_pade, hold_pade

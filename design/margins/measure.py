@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from maxq.control.records import Array
+from maxq.control.kernel.records import Array
 from maxq.design.loop.open_loop import OpenLoop
 from maxq.design.loop.resonance import Resonance
 from maxq.design.margins.crossings import GainCrossings, PhaseCrossings, find_crossings

@@ -17,7 +17,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from maxq.control.records import Array, IntArray
+from maxq.control.kernel.records import Array, IntArray
 from maxq.design.margins.crossings import GainCrossings, PhaseCrossings
 from maxq.design.margins.curve import Curve, sample
 from maxq.design.margins.extremes import brackets

@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from maxq.control.records import Array, IntArray
+from maxq.control.kernel.records import Array, IntArray
 from maxq.design.loop.open_loop import OpenLoop
 from maxq.design.margins.curve import sample
 from maxq.design.margins.solving import Function

@@ -36,7 +36,7 @@ from typing import Protocol, runtime_checkable
 
 import numpy as np
 
-from maxq.control.records import Array
+from maxq.control.kernel.records import Array
 from maxq.design.loop.open_loop import OpenLoop
 from maxq.design.margins.curve import sample
 from maxq.design.margins.measure import Margins

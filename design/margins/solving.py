@@ -10,7 +10,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from maxq.control.records import Array, IntArray
+from maxq.control.kernel.records import Array, IntArray
 
 Function = Callable[[Array, IntArray], Array]
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from maxq.control.records import Array
+from maxq.control.kernel.records import Array
 from maxq.design.model.state_space import StateSpace
 
 

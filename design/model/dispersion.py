@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from maxq.control.records import Array
+from maxq.control.kernel.records import Array
 from maxq.design.model.node import Instruments, Node
 from maxq.design.model.shift import with_pendulums
 from maxq.design.model.vehicle_at import VehicleAt

@@ -20,7 +20,7 @@ from pathlib import Path
 import numpy as np
 from scipy.interpolate import PchipInterpolator
 
-from maxq.control.records import Array
+from maxq.control.kernel.records import Array
 from maxq.design.model.derivatives import stability_derivatives
 from maxq.design.model.dispersion import with_lateral_thrust
 from maxq.design.model.node import Node

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from maxq.control.records import Array
+from maxq.control.kernel.records import Array
 from maxq.design.model.state_space import StateSpace
 
 ACTUATOR_OUTPUTS = ("delta_rad", "delta_rate_radps", "delta_accel_radps2")

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from maxq.control.records import Array
+from maxq.control.kernel.records import Array
 from maxq.design.model.vehicle_at import Pendulums
 
 XI = 1.84118378134066

@@ -18,16 +18,16 @@ from maxq.design.model.plant import vehicle_plant
 from maxq.design.model.printed_plant import printed_plant
 from maxq.design.model.state_space import StateSpace
 from maxq.design.model.vehicle_at import Plane, VehicleAt, vehicle_at
-from maxq.sim.dynamics.actuator import Actuator
-from maxq.sim.dynamics.gyro import Gyro
-from maxq.sim.dynamics.state import Q_BI
-from maxq.sim.dynamics.workspace import AIRSPEED, DENSITY, GRAVITATION, MACH, PRESSURE
-from maxq.sim.flight.fly import FlightRun
-from maxq.sim.flight.linearise import evaluate_at
 from maxq.sim.packing.flight import Packed, pack_flight
 from maxq.sim.packing.initial import rotation
+from maxq.sim.run.fly import FlightRun
+from maxq.sim.run.linearise import evaluate_at
 from maxq.sim.scenario.loader import LoadedScenario
 from maxq.sim.scenario.schema_vehicle import Stage
+from maxq.sim.vehicle.actuator import Actuator
+from maxq.sim.vehicle.gyro import Gyro
+from maxq.sim.vehicle.state import Q_BI
+from maxq.sim.vehicle.workspace import AIRSPEED, DENSITY, GRAVITATION, MACH, PRESSURE
 
 
 @dataclass(frozen=True)

@@ -55,7 +55,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from maxq.control.records import Array
+from maxq.control.kernel.records import Array
 from maxq.design.model.flight_condition import FlightCondition
 from maxq.design.model.state_space import StateSpace
 from maxq.design.model.vehicle_at import VehicleAt

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from maxq.control.records import Array
+from maxq.control.kernel.records import Array
 from maxq.design.model.errata import Errata
 from maxq.design.model.flight_condition import FlightCondition
 from maxq.design.model.liquid import Liquids, as_printed

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import scipy.linalg
 
-from maxq.control.records import Array
+from maxq.control.kernel.records import Array
 from maxq.design.model.state_space import ComplexArray
 
 # Beyond it partial fractions would lose more than half the digits; nearly equal poles do that.

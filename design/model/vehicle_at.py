@@ -11,10 +11,10 @@ from typing import Any, Literal
 
 import numpy as np
 
-from maxq.control.records import Array
-from maxq.control.tables import Cubics
-from maxq.sim.dynamics import aero, schedule
+from maxq.control.kernel.records import Array
+from maxq.control.kernel.tables import Cubics
 from maxq.sim.packing.flight import Packed
+from maxq.sim.vehicle import aero, schedule
 
 Plane = Literal["pitch", "yaw"]
 

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import BSpline, PPoly, make_interp_spline
 
-from maxq.control.records import Array
+from maxq.control.kernel.records import Array
 from maxq.design.model.state_space import ComplexArray
 
 Indices = NDArray[np.int64]

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from maxq.control.records import Array
+from maxq.control.kernel.records import Array
 from maxq.design.optimise.curves import Indices
 from maxq.design.optimise.problem import Evaluation, Problem
 from maxq.design.optimise.quadratic_programme import solve_quadratic

@@ -29,7 +29,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from maxq.control.records import Array
+from maxq.control.kernel.records import Array
 from maxq.design.model.state_space import ComplexArray
 from maxq.design.optimise.curves import Curves, Indices
 

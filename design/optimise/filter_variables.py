@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from maxq.control.filters import BendingFilter, FirstOrderSection, QuadraticSection
-from maxq.control.records import Array
+from maxq.control.kernel.records import Array
 from maxq.design.model.state_space import ComplexArray
 
 QUADRATIC, FIRST_ORDER = 4, 2  # variables of a section

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from maxq.control.records import Array
+from maxq.control.kernel.records import Array
 
 
 def interpolation_weights(at_s: Array, nodes_s: Array) -> Array:

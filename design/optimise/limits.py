@@ -9,7 +9,7 @@ from typing import Literal
 
 import numpy as np
 
-from maxq.control.records import Array
+from maxq.control.kernel.records import Array
 
 Zone = Literal["none", "ellipse", "diamond", "rectangle"]
 RigidBody = Literal["paper", "aerodynamic"]

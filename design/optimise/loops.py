@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from maxq.control.records import Array
+from maxq.control.kernel.records import Array
 from maxq.design.model.state_space import ComplexArray
 from maxq.design.optimise import features
 from maxq.design.optimise.curves import Curves, Indices

@@ -8,7 +8,7 @@ import numpy as np
 import scipy.linalg
 from scipy.optimize import nnls
 
-from maxq.control.records import Array
+from maxq.control.kernel.records import Array
 from maxq.design.optimise.problem import Evaluation, Problem
 
 ACTIVE_DB = 1e-5

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from maxq.control.records import Array
+from maxq.control.kernel.records import Array
 from maxq.design.optimise import features
 from maxq.design.optimise.curves import Curves, Indices
 from maxq.design.optimise.features import DB, Bands, Cross, Kind, LogLoop, Mask, Places

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg import lapack
 
-from maxq.control.records import Array
+from maxq.control.kernel.records import Array
 
 MOST_ITERATIONS = 60
 TOLERANCE = 1e-10

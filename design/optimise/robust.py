@@ -15,7 +15,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from maxq.control.records import Array
+from maxq.control.kernel.records import Array
 from maxq.design.case.read import LoadedCase
 from maxq.design.case.schema import Case, Robust
 from maxq.design.model.node import Node

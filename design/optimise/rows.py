@@ -8,7 +8,7 @@ from enum import IntEnum
 import numpy as np
 from numpy.typing import NDArray
 
-from maxq.control.records import Array
+from maxq.control.kernel.records import Array
 from maxq.design.optimise.curves import Indices
 from maxq.design.optimise.features import Mask
 

@@ -16,7 +16,7 @@ from functools import partial
 
 import numpy as np
 
-from maxq.control.records import Array
+from maxq.control.kernel.records import Array
 from maxq.design.optimise.descent import MET_DB, Descent, descend
 from maxq.design.optimise.newton_steps import Optimality, optimality, polished
 from maxq.design.optimise.problem import Evaluation, Problem

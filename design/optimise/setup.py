@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.optimize import linprog
 
-from maxq.control.records import Array
+from maxq.control.kernel.records import Array
 from maxq.design.case.schema import Case
 from maxq.design.optimise.filter_variables import FilterVariables
 from maxq.design.optimise.gain_variables import GainVariables, interpolation_weights

@@ -9,7 +9,7 @@ from typing import Any, Literal
 import numpy as np
 
 from maxq.control.filters import MAX_SECTIONS, STRUCTURES, BendingFilter
-from maxq.control.records import Array
+from maxq.control.kernel.records import Array
 from maxq.design.case.schema import Case
 from maxq.design.optimise.features import Kind
 from maxq.design.optimise.plants import Plants

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from maxq.control.records import Array
+from maxq.control.kernel.records import Array
 from maxq.design import api
 from maxq.design.case.read import LoadedCase
 from maxq.design.case.schema import Case

@@ -9,7 +9,7 @@ import numpy as np
 from scipy.stats import qmc
 
 from maxq.control.filters import BendingFilter, FirstOrderSection, QuadraticSection
-from maxq.control.records import Array
+from maxq.control.kernel.records import Array
 from maxq.design.optimise.problem import Problem
 from maxq.design.optimise.setup import Form, least_gains
 

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from maxq.control.records import Array
+from maxq.control.kernel.records import Array
 from maxq.design import api
 from maxq.design.loop.fixed_path import fixed_path
 from maxq.design.loop.loop import Loop

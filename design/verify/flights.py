@@ -10,13 +10,13 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from maxq.control.records import Array
+from maxq.control.kernel.records import Array
 from maxq.design.verify.limits import limit_changes
 from maxq.design.verify.memory import Memory
 from maxq.design.verify.suite import Flown, Suite
 from maxq.design.verify.verdict import ACCEPTED, REJECTED, Requirement
-from maxq.sim.flight.fly import fly
-from maxq.sim.flight.judgement import METRIC_NAMES
+from maxq.sim.run.fly import fly
+from maxq.sim.run.judgement import METRIC_NAMES
 from maxq.sim.scenario.loader import LoadedScenario, load_scenario
 from maxq.sim.scenario.schema_scenario import Log
 

@@ -20,7 +20,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from maxq.control.jit import cache_folder
+from maxq.control.kernel.jit import cache_folder
 
 T = TypeVar("T")
 _LAYERS = ("control", "sim", "design")

@@ -26,9 +26,9 @@ import numpy as np
 
 from maxq.design.certificate.held_flight import HeldFlight
 from maxq.design.certificate.loudness import burst_rad
-from maxq.sim.flight.fly import KeptRows
 from maxq.sim.flight.telemetry import FAST
 from maxq.sim.packing.flight import Packed
+from maxq.sim.run.fly import KeptRows
 from maxq.sim.scenario.schema_injection import Injection
 
 SWING_PER_WAVE = (1.8412**2 - 1.0) / 2.0  # rad of the pendulum for a wave at the wall as high as the radius

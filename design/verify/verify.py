@@ -27,7 +27,7 @@ from maxq.design.verify.memory import Memory, code_hash, content_hash
 from maxq.design.verify.slosh_advice import SloshAdvice, advise, confirm
 from maxq.design.verify.suite import LoadedSuite, Suite
 from maxq.design.verify.verdict import ACCEPTED, REJECTED, Judgement, Requirement, overall
-from maxq.sim.flight.summary import versions
+from maxq.sim.run.summary import versions
 from maxq.sim.scenario.loader import LoadedScenario, load_scenario
 
 Watch = Callable[[str, int, int], None]

@@ -14,14 +14,14 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from maxq.control.records import Array
+from maxq.control.kernel.records import Array
 from maxq.sim.campaign import columns
 from maxq.sim.campaign.flying import VOID
 from maxq.sim.campaign.loaded import LoadedCampaign
 from maxq.sim.campaign.standing import tallies_of
 from maxq.sim.campaign.statistics import OPEN, Judgement, Shown, judge_any_time, judge_failures, tolerance_bound
 from maxq.sim.campaign.store import parts_in
-from maxq.sim.flight.judgement import unit_of
+from maxq.sim.run.judgement import unit_of
 from maxq.sim.scenario.schema_scenario import Requirement
 
 SUMMARY_SCHEMA = 1

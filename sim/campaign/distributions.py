@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.special import ndtr, ndtri
 
-from maxq.control.records import Array
+from maxq.control.kernel.records import Array
 from maxq.sim.campaign.schema import Disperse
 
 

@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import qmc
 
-from maxq.control.records import Array, IntArray
+from maxq.control.kernel.records import Array, IntArray
 
 Sampling = Literal["random", "latin-hypercube", "sobol"]
 Words = NDArray[np.uint64]

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pyarrow.parquet as pq
 
-from maxq.control.records import Array
+from maxq.control.kernel.records import Array
 from maxq.sim.campaign.loaded import LoadedCampaign
 from maxq.sim.campaign.store import HISTORIES
 

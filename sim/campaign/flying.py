@@ -10,16 +10,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from maxq.control.records import Array
+from maxq.control.kernel.records import Array
 from maxq.sim.campaign.loaded import BatchInputs, Inputs, LoadedCampaign
 from maxq.sim.campaign.schema import Envelope
 from maxq.sim.campaign.targets import Refused
-from maxq.sim.flight.fly import Flight, FlightRun, Rows
-from maxq.sim.flight.history import CONTROL_LOST_NAME, DIVERGED_NAME
-from maxq.sim.flight.judgement import METRIC_NAMES
 from maxq.sim.flight.telemetry import FAST, SLOW, channel_table
 from maxq.sim.packing.flight import Packed, pack_flight, pack_for_one_vehicle
 from maxq.sim.packing.schedule import stage_sizes
+from maxq.sim.run.fly import Flight, FlightRun, Rows
+from maxq.sim.run.history import CONTROL_LOST_NAME, DIVERGED_NAME
+from maxq.sim.run.judgement import METRIC_NAMES
 from maxq.sim.scenario.loader import LoadedScenario
 from maxq.sim.scenario.nanoseconds import NS_PER_S
 from maxq.sim.scenario.schema_scenario import Scenario

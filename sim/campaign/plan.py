@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from maxq.control.records import Array
+from maxq.control.kernel.records import Array
 from maxq.sim.campaign import draws as numbers
 from maxq.sim.campaign.distributions import chosen, correlated, quantile, standard_normal
 from maxq.sim.campaign.error import CampaignError

@@ -15,8 +15,8 @@ from maxq.sim.campaign.flying import recorded_row
 from maxq.sim.campaign.loaded import LoadedCampaign
 from maxq.sim.campaign.store import campaign_in, read_manifest
 from maxq.sim.campaign.targets import Refused
-from maxq.sim.flight import record
-from maxq.sim.flight.fly import Flight, FlightRun
+from maxq.sim.run import record
+from maxq.sim.run.fly import Flight, FlightRun
 
 FLIGHTS = "flights"
 

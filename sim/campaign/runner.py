@@ -25,8 +25,8 @@ from maxq.sim.campaign.loaded import LoadedCampaign
 from maxq.sim.campaign.side_by_side import MOST, fly_side_by_side
 from maxq.sim.campaign.standing import Standing
 from maxq.sim.campaign.store import Store, open_store
-from maxq.sim.flight.batch import Device, require_gpu
-from maxq.sim.flight.fly import FlightRun
+from maxq.sim.run.batch import Device, require_gpu
+from maxq.sim.run.fly import FlightRun
 
 HANDFUL = 8  # runs of a handful; towards the end fewer, so that all workers end together
 _AHEAD = 2  # handfuls for each worker that are handed out before they are needed

@@ -16,13 +16,13 @@ from typing import Any
 import numpy as np
 from scipy.optimize import differential_evolution
 
-from maxq.control.records import Array
+from maxq.control.kernel.records import Array
 from maxq.sim.campaign.flying import VOID, fly_scenario
 from maxq.sim.campaign.loaded import LoadedCampaign
 from maxq.sim.campaign.plan import SEED_KEY, Drawn
 from maxq.sim.campaign.targets import Refused
 from maxq.sim.campaign.wind import WIND_KEY
-from maxq.sim.flight.fly import Flight
+from maxq.sim.run.fly import Flight
 from maxq.sim.scenario.loader import LoadedScenario
 
 SIGMAS = 3.0

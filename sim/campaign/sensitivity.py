@@ -17,7 +17,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from maxq.control.records import Array, IntArray
+from maxq.control.kernel.records import Array, IntArray
 from maxq.sim.campaign.analysis import DataSet
 from maxq.sim.campaign.columns import input_types
 from maxq.sim.campaign.plan import SEED_KEY

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from maxq.sim.campaign.flying import VOID, fly_scenario
 from maxq.sim.campaign.loaded import LoadedCampaign
 from maxq.sim.campaign.targets import Refused
-from maxq.sim.flight.fly import Flight
+from maxq.sim.run.fly import Flight
 from maxq.sim.scenario.loader import LoadedScenario
 
 

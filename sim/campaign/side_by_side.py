@@ -7,8 +7,8 @@ from concurrent.futures import ThreadPoolExecutor
 
 from maxq.sim.campaign.flying import Begun, GivenUp, Order, Row, fly_rows, prepared, row_of
 from maxq.sim.campaign.loaded import LoadedCampaign
-from maxq.sim.flight.batch import batch_of, fly_batch, hand_back
 from maxq.sim.packing.flight import pack_flight
+from maxq.sim.run.batch import batch_of, fly_batch, hand_back
 
 MOST = 1024
 """Runs flown side by side: their tables take a megabyte each of this machine's memory, twice."""

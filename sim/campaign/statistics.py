@@ -16,7 +16,7 @@ from typing import Literal
 import numpy as np
 from scipy.special import bdtr, betainc, betaincc, betaincinv, betaln
 
-from maxq.control.records import Array
+from maxq.control.kernel.records import Array
 
 Judgement = Literal["met", "not met", "not yet enough runs"]
 MET: Judgement = "met"

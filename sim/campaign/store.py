@@ -25,13 +25,13 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from pydantic import ValidationError
 
-from maxq.control.jit import source_hash
+from maxq.control.kernel.jit import source_hash
 from maxq.sim.campaign import columns
 from maxq.sim.campaign.error import CampaignError
 from maxq.sim.campaign.flying import Row
 from maxq.sim.campaign.loaded import LoadedCampaign
 from maxq.sim.campaign.read import campaign_from, description_of
-from maxq.sim.flight.summary import versions
+from maxq.sim.run.summary import versions
 from maxq.sim.scenario.errors import ScenarioError
 
 MANIFEST, RUNS, HISTORIES, LOCK = "campaign.json", "runs", "histories", "lock"

@@ -15,7 +15,7 @@ from typing import Any, Literal
 import numpy as np
 from pydantic import ValidationError
 
-from maxq.control.records import Array
+from maxq.control.kernel.records import Array
 from maxq.sim.scenario.describe import describe, field_at
 from maxq.sim.scenario.errors import LARGEST_NUMBER, suggestion
 from maxq.sim.scenario.nanoseconds import LONGEST_S, NS_PER_S

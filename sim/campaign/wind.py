@@ -12,13 +12,13 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from maxq.control.records import Array
+from maxq.control.kernel.records import Array
 from maxq.sim.campaign import draws as numbers
 from maxq.sim.campaign.distributions import standard_normal
 from maxq.sim.campaign.schema import WindModel
-from maxq.sim.environment.wind import wind_components
 from maxq.sim.scenario.schema_environment import Wind
 from maxq.sim.scenario.tables_csv import CsvTable
+from maxq.sim.world.wind import wind_components
 
 WIND_KEY = "wind.profile"
 

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from maxq.control.jit import borrowed, kernel
-from maxq.control.records import Array
-from maxq.sim.dynamics.state import MAX_STATE
-from maxq.sim.dynamics.workspace import AUX_SIZE, WORK_SIZE
+from maxq.control.kernel.jit import borrowed, kernel
+from maxq.control.kernel.records import Array
+from maxq.sim.vehicle.state import MAX_STATE
+from maxq.sim.vehicle.workspace import AUX_SIZE, WORK_SIZE
 
 PROPS_SIZE = 1024  # columns of the widest schedule (8 modes a plane, 8 tanks, 9 surfaces: 686) and behind them (315)
 

@@ -9,38 +9,10 @@ from __future__ import annotations
 import math
 
 from maxq.control.computer import computer_tick
-from maxq.control.jit import kernel, routine
-from maxq.control.records import Array
-from maxq.sim.dynamics.actuator import after_backlash
-from maxq.sim.dynamics.engine import thrust
-from maxq.sim.dynamics.gyro import GYRO_STREAM
-from maxq.sim.dynamics.schedule import CORE_CG, THRUST_VACUUM, TOTAL_MASS
-from maxq.sim.dynamics.state import (
-    ACTUATOR,
-    GYRO,
-    GYRO_ANGLE,
-    N_ACTUATOR,
-    N_FIXED,
-    N_GYRO,
-    Q_BI,
-    R_I,
-    V_I,
-    W_BI_B,
-    counts,
-    eta_index,
-    pendulum_index,
-    state_size,
-    xi_index,
-)
-from maxq.sim.dynamics.surroundings import climb_rate
-from maxq.sim.dynamics.vectors import cross, rotation_from_quaternion, turn
-from maxq.sim.dynamics.workspace import (
-    AIRSPEED,
-    ALTITUDE,
-    DYNAMIC_PRESSURE,
-    FLOW,
-)
-from maxq.sim.environment.turbulence import turbulence_tick
+from maxq.control.kernel.jit import kernel, routine
+from maxq.control.kernel.noise import standard_normal
+from maxq.control.kernel.records import Array
+from maxq.control.kernel.vectors import cross, rotation_from_quaternion, turn
 from maxq.sim.flight.injection import GIMBAL_COMMAND, RATE_COMMAND, next_switch, replaced, total_signal
 from maxq.sim.flight.parameters import (
     APOGEE,
@@ -58,7 +30,35 @@ from maxq.sim.flight.parameters import (
     Memory,
     Parameters,
 )
-from maxq.sim.noise import standard_normal
+from maxq.sim.vehicle.actuator import after_backlash
+from maxq.sim.vehicle.engine import thrust
+from maxq.sim.vehicle.gyro import GYRO_STREAM
+from maxq.sim.vehicle.schedule import CORE_CG, THRUST_VACUUM, TOTAL_MASS
+from maxq.sim.vehicle.state import (
+    ACTUATOR,
+    GYRO,
+    GYRO_ANGLE,
+    N_ACTUATOR,
+    N_FIXED,
+    N_GYRO,
+    Q_BI,
+    R_I,
+    V_I,
+    W_BI_B,
+    counts,
+    eta_index,
+    pendulum_index,
+    state_size,
+    xi_index,
+)
+from maxq.sim.vehicle.surroundings import climb_rate
+from maxq.sim.vehicle.workspace import (
+    AIRSPEED,
+    ALTITUDE,
+    DYNAMIC_PRESSURE,
+    FLOW,
+)
+from maxq.sim.world.turbulence import turbulence_tick
 
 
 @kernel

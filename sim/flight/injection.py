@@ -10,9 +10,9 @@ import math
 from dataclasses import dataclass
 from typing import Annotated
 
-from maxq.control.jit import kernel, routine
-from maxq.control.records import Array, IntArray
-from maxq.control.tables import TableRef, find_interval, interpolate
+from maxq.control.kernel.jit import kernel, routine
+from maxq.control.kernel.records import Array, IntArray
+from maxq.control.kernel.tables import TableRef, find_interval, interpolate
 
 MAX_INJECTIONS = 16
 MAX_TONES = 64

@@ -5,14 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from maxq.control.computer import start_computer
-from maxq.control.jit import borrowed, entry, kernel, routine
-from maxq.control.records import Array, IntArray
-from maxq.control.tables import find_interval
-from maxq.sim.dynamics.nearby import DROPPED
-from maxq.sim.dynamics.state import Sizes, counts, state_size
-from maxq.sim.dynamics.surroundings import climb_rate, climbs_for_sure
-from maxq.sim.dynamics.workspace import ALTITUDE, ANCHOR, AXIAL_LOAD, PRESSURE
-from maxq.sim.environment.turbulence import turbulence_start
+from maxq.control.kernel.jit import borrowed, entry, kernel, routine
+from maxq.control.kernel.records import Array, IntArray
+from maxq.control.kernel.tables import find_interval
 from maxq.sim.flight.arena import PROPS_SIZE, lend
 from maxq.sim.flight.events import (
     crossing,
@@ -37,6 +32,11 @@ from maxq.sim.flight.parameters import (
 )
 from maxq.sim.flight.step import evaluate, read_schedule, runge_kutta, schedule_clock
 from maxq.sim.flight.telemetry import fill_fast, fill_slow
+from maxq.sim.vehicle.nearby import DROPPED
+from maxq.sim.vehicle.state import Sizes, counts, state_size
+from maxq.sim.vehicle.surroundings import climb_rate, climbs_for_sure
+from maxq.sim.vehicle.workspace import ALTITUDE, ANCHOR, AXIAL_LOAD, PRESSURE
+from maxq.sim.world.turbulence import turbulence_start
 
 
 @dataclass(frozen=True)

@@ -10,13 +10,13 @@ from dataclasses import dataclass
 from typing import Annotated
 
 from maxq.control.computer import ComputerState
-from maxq.control.jit import kernel, routine
-from maxq.control.records import Array, IntArray
-from maxq.sim.dynamics.derivative import Held, Vehicle
-from maxq.sim.dynamics.schedule import TOTAL_MASS
-from maxq.sim.dynamics.slosh import bob_mass
-from maxq.sim.dynamics.state import R_I, V_I, counts, pendulum_index
-from maxq.sim.dynamics.workspace import (
+from maxq.control.kernel.jit import kernel, routine
+from maxq.control.kernel.records import Array, IntArray
+from maxq.sim.vehicle.derivative import Held, Vehicle
+from maxq.sim.vehicle.schedule import TOTAL_MASS
+from maxq.sim.vehicle.slosh import bob_mass
+from maxq.sim.vehicle.state import R_I, V_I, counts, pendulum_index
+from maxq.sim.vehicle.workspace import (
     AERO_FORCE,
     ALTITUDE,
     DYNAMIC_PRESSURE,
@@ -28,7 +28,7 @@ from maxq.sim.dynamics.workspace import (
     MACH,
     THRUST,
 )
-from maxq.sim.environment.earth import Earth
+from maxq.sim.world.earth import Earth
 
 STANDARD_GRAVITY_MPS2 = 9.80665
 SIGNIFICANT_PRESSURE_PA = 1000.0  # incidence below this dynamic pressure is of no consequence

@@ -13,11 +13,11 @@ import numpy as np
 from numba import cuda
 from numpy.typing import NDArray
 
-from maxq.control.jit import LANES, on_device
-from maxq.control.records import Array, IntArray, pack
-from maxq.sim.dynamics.state import MAX_STATE, Sizes
+from maxq.control.kernel.jit import LANES, on_device
+from maxq.control.kernel.records import Array, IntArray, pack
 from maxq.sim.flight.arena import ARENA_SIZE
 from maxq.sim.flight.loop import Logged, advance
+from maxq.sim.vehicle.state import MAX_STATE, Sizes
 
 _OF_MEMORY = 0.8  # share of the GPU's free memory that flights may take
 

@@ -6,12 +6,12 @@ from dataclasses import dataclass
 from typing import Annotated
 
 from maxq.control.computer import Computer, ComputerState
-from maxq.control.records import Array, IntArray
-from maxq.sim.dynamics.derivative import Held, Vehicle
-from maxq.sim.dynamics.surroundings import Surroundings
-from maxq.sim.environment.turbulence import TurbulenceState
+from maxq.control.kernel.records import Array, IntArray
 from maxq.sim.flight.injection import Injections
 from maxq.sim.flight.metrics import Extremes
+from maxq.sim.vehicle.derivative import Held, Vehicle
+from maxq.sim.vehicle.surroundings import Surroundings
+from maxq.sim.world.turbulence import TurbulenceState
 
 NEVER = 2**62  # ns: an instant that does not come
 

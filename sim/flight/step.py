@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import math
 
-from maxq.control.jit import kernel, routine
-from maxq.control.records import Array
-from maxq.control.tables import interpolate_into
-from maxq.sim.dynamics.derivative import complete, derivative
-from maxq.sim.dynamics.schedule import THRUST_VACUUM
-from maxq.sim.dynamics.state import Q_BI, counts, pendulum_index, state_size
+from maxq.control.kernel.jit import kernel, routine
+from maxq.control.kernel.records import Array
+from maxq.control.kernel.tables import interpolate_into
 from maxq.sim.flight.injection import BODY_FORCE, BODY_TORQUE, total_signal
 from maxq.sim.flight.parameters import Memory, Parameters
+from maxq.sim.vehicle.derivative import complete, derivative
+from maxq.sim.vehicle.schedule import THRUST_VACUUM
+from maxq.sim.vehicle.state import Q_BI, counts, pendulum_index, state_size
 
 
 @kernel

@@ -10,11 +10,15 @@ import math
 
 import numpy as np
 
-from maxq.control.jit import kernel, routine
-from maxq.control.records import Array
-from maxq.sim.dynamics.schedule import CORE_CG, CORE_INERTIA, CORE_MASS, MASS_FLOW, TOTAL_MASS
-from maxq.sim.dynamics.slosh import bob_mass
-from maxq.sim.dynamics.state import (
+from maxq.control.kernel.jit import kernel, routine
+from maxq.control.kernel.records import Array
+from maxq.control.kernel.vectors import rotation_from_quaternion, turn
+from maxq.sim.flight.channels import Channel, ChannelTable, Topic
+from maxq.sim.flight.metrics import STANDARD_GRAVITY_MPS2
+from maxq.sim.flight.parameters import Memory, Parameters
+from maxq.sim.vehicle.schedule import CORE_CG, CORE_INERTIA, CORE_MASS, MASS_FLOW, TOTAL_MASS
+from maxq.sim.vehicle.slosh import bob_mass
+from maxq.sim.vehicle.state import (
     GYRO,
     N_GYRO,
     Q_BI,
@@ -26,8 +30,7 @@ from maxq.sim.dynamics.state import (
     pendulum_index,
     xi_index,
 )
-from maxq.sim.dynamics.vectors import rotation_from_quaternion, turn
-from maxq.sim.dynamics.workspace import (
+from maxq.sim.vehicle.workspace import (
     AERO_FORCE,
     AERO_MOMENT,
     AIRSPEED,
@@ -49,10 +52,7 @@ from maxq.sim.dynamics.workspace import (
     THRUST,
     WIND_N,
 )
-from maxq.sim.environment.earth import FLAT, earth_rotation, geodetic, inertial_to_earth, ned_axes
-from maxq.sim.flight.metrics import STANDARD_GRAVITY_MPS2
-from maxq.sim.flight.parameters import Memory, Parameters
-from maxq.sim.log.channels import Channel, ChannelTable, Topic
+from maxq.sim.world.earth import FLAT, earth_rotation, geodetic, inertial_to_earth, ned_axes
 
 DEG = 180.0 / math.pi
 FAST, SLOW = "fast", "slow"

@@ -8,7 +8,7 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping
 
-from maxq.sim.log.channels import Channel, Topic
+from maxq.sim.flight.channels import Channel, Topic
 from maxq.sim.log.protobuf import PACKAGE, doubles_schema, field_names
 
 _GROUP, _DESCRIPTION, _FIELD = "group", "description", "field."

@@ -14,7 +14,7 @@ from google.protobuf import descriptor_pb2, timestamp_pb2
 from google.protobuf.message import DecodeError
 from numpy.typing import NDArray
 
-from maxq.control.records import Array, IntArray
+from maxq.control.kernel.records import Array, IntArray
 from maxq.sim.log.protobuf import message_class, serialise
 
 LOG_TYPE = "foxglove.Log"

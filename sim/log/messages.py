@@ -13,7 +13,7 @@ import numpy as np
 from mcap.opcode import Opcode
 from numpy.typing import NDArray
 
-from maxq.control.records import IntArray
+from maxq.control.kernel.records import IntArray
 from maxq.sim.log.mcap_records import RECORD_PREFIX, DamagedError
 
 _HEADER = struct.Struct("<BQHIQQ")  # opcode, length, channel, sequence, log time, publish time

@@ -16,7 +16,7 @@ from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
 from google.protobuf.message import DecodeError, Message
 from numpy.typing import NDArray
 
-from maxq.control.records import Array
+from maxq.control.kernel.records import Array
 
 PACKAGE = "maxq"
 MOST_FIELDS = 2047  # from field 2048 on, a tag takes three bytes

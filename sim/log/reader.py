@@ -13,8 +13,8 @@ import numpy as np
 from mcap import records
 from mcap.opcode import Opcode
 
-from maxq.control.records import Array, IntArray
-from maxq.sim.log.channels import EVENTS_TOPIC, FRAMES_TOPIC, Channel, ChannelTable
+from maxq.control.kernel.records import Array, IntArray
+from maxq.sim.flight.channels import EVENTS_TOPIC, FRAMES_TOPIC, Channel, ChannelTable
 from maxq.sim.log.error import LogError
 from maxq.sim.log.fields import topic_from
 from maxq.sim.log.foxglove import Event, decode_event

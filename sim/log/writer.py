@@ -14,8 +14,8 @@ from types import TracebackType
 
 import numpy as np
 
-from maxq.control.records import Array, IntArray
-from maxq.sim.log.channels import EVENTS_TOPIC, FRAMES_TOPIC, ChannelTable, Topic
+from maxq.control.kernel.records import Array, IntArray
+from maxq.sim.flight.channels import EVENTS_TOPIC, FRAMES_TOPIC, ChannelTable, Topic
 from maxq.sim.log.container import Container
 from maxq.sim.log.error import LogError
 from maxq.sim.log.fields import message_type, metadata_of, schema_of

@@ -9,9 +9,9 @@ import numpy as np
 from maxq.control.computer import Computer, build_computer
 from maxq.control.filters import BendingFilter, DiscreteFilter, FirstOrderSection, QuadraticSection
 from maxq.control.guidance import rate_programme
-from maxq.control.law import GainSchedule, gains_table
+from maxq.control.kernel.tables import NO_TABLE, Cubics, Method, Pool, fit, merge
+from maxq.control.laws.pd import GainSchedule, gains_table
 from maxq.control.roll import Roll, make_roll
-from maxq.control.tables import NO_TABLE, Cubics, Method, Pool, fit, merge
 from maxq.sim.flight import injection as signals
 from maxq.sim.flight.parameters import NEVER
 from maxq.sim.packing.remembered import by_identity

@@ -6,15 +6,15 @@ from dataclasses import replace
 
 import numpy as np
 
-from maxq.control.tables import NO_TABLE, Cubics, Pool, TableRef, fit
-from maxq.sim.dynamics.surroundings import Surroundings
-from maxq.sim.environment import atmosphere as air
-from maxq.sim.environment import earth as globe
-from maxq.sim.environment import turbulence as dryden
-from maxq.sim.environment import wind as winds
+from maxq.control.kernel.tables import NO_TABLE, Cubics, Pool, TableRef, fit
 from maxq.sim.packing.remembered import by_identity
 from maxq.sim.scenario import schema_environment as schema
 from maxq.sim.scenario.schema_scenario import Scenario
+from maxq.sim.vehicle.surroundings import Surroundings
+from maxq.sim.world import atmosphere as air
+from maxq.sim.world import earth as globe
+from maxq.sim.world import turbulence as dryden
+from maxq.sim.world import wind as winds
 
 _GRAVITY = {
     "none": globe.NO_GRAVITY, "uniform": globe.UNIFORM, "inverse_square": globe.INVERSE_SQUARE, "j2": globe.J2,

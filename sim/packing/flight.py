@@ -9,10 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from maxq.control.jit import from_python
-from maxq.control.records import Array, blank, pack, with_constants
-from maxq.control.tables import Pool
-from maxq.sim.dynamics.state import MAX_STATE, W_BI_B, Sizes
+from maxq.control.kernel.jit import from_python
+from maxq.control.kernel.records import Array, blank, pack, with_constants
+from maxq.control.kernel.tables import Pool
 from maxq.sim.flight import events
 from maxq.sim.flight.parameters import EVENT_NAMES, NEVER, Course, Memory, Parameters
 from maxq.sim.packing.computer import pack_computer, pack_injections
@@ -24,6 +23,7 @@ from maxq.sim.scenario.coverage import burn_rate, stage_end_s, thrust_end_s
 from maxq.sim.scenario.nanoseconds import NS_PER_S, period_ns, to_ns
 from maxq.sim.scenario.schema_scenario import Scenario
 from maxq.sim.scenario.schema_vehicle import Stage
+from maxq.sim.vehicle.state import MAX_STATE, W_BI_B, Sizes
 
 CONTROL_LOST_RAD = math.radians(45.0)
 TUMBLE_RAD = math.radians(90.0)

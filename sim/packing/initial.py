@@ -6,16 +6,16 @@ import math
 
 import numpy as np
 
-from maxq.control.jit import from_python
-from maxq.control.records import Array, pack
-from maxq.sim.dynamics.state import Q_BI, R_I, V_I, W_BI_B
-from maxq.sim.environment import earth as kernels
-from maxq.sim.environment.earth import Earth
+from maxq.control.kernel.jit import from_python
+from maxq.control.kernel.records import Array, pack
 from maxq.sim.packing.environment import pack_earth
 from maxq.sim.packing.remembered import by_identity
 from maxq.sim.scenario import schema_environment as schema
 from maxq.sim.scenario.schema_initial import Initial
 from maxq.sim.scenario.schema_scenario import Scenario
+from maxq.sim.vehicle.state import Q_BI, R_I, V_I, W_BI_B
+from maxq.sim.world import earth as kernels
+from maxq.sim.world.earth import Earth
 
 earth_rotation, earth_position = from_python(kernels.earth_rotation), from_python(kernels.earth_position)
 local_frame, ned_axes = from_python(kernels.local_frame), from_python(kernels.ned_axes)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from maxq.control.tables import hermite
+from maxq.control.kernel.tables import hermite
 from maxq.sim.scenario.modes import ModeTable
 
 

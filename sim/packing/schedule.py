@@ -13,11 +13,9 @@ from functools import lru_cache
 
 import numpy as np
 
-from maxq.control.jit import from_python
-from maxq.control.records import Array, pack
-from maxq.control.tables import Cubics, Method, fit, merge, union
-from maxq.sim.dynamics import schedule as columns_of
-from maxq.sim.dynamics.state import Sizes
+from maxq.control.kernel.jit import from_python
+from maxq.control.kernel.records import Array, pack
+from maxq.control.kernel.tables import Cubics, Method, fit, merge, union
 from maxq.sim.packing.mode_shapes import ModeShapes
 from maxq.sim.packing.remembered import by_identity
 from maxq.sim.scenario.modes import ModeTable
@@ -25,6 +23,8 @@ from maxq.sim.scenario.schema_aero import AeroSurface
 from maxq.sim.scenario.schema_scenario import Switches
 from maxq.sim.scenario.schema_vehicle import Stage
 from maxq.sim.scenario.tables_csv import CsvTable
+from maxq.sim.vehicle import schedule as columns_of
+from maxq.sim.vehicle.state import Sizes
 
 _schedule_width = from_python(columns_of.schedule_width)
 _lanes, _mode_rows = from_python(columns_of.lanes), from_python(columns_of.mode_rows)

@@ -6,15 +6,7 @@ import math
 
 import numpy as np
 
-from maxq.control.tables import NO_TABLE, Cubics, Method, Pool, fit, merge
-from maxq.sim.dynamics.actuator import Actuator
-from maxq.sim.dynamics.aero import FIRST_SURFACE, Aero
-from maxq.sim.dynamics.bending import Bending
-from maxq.sim.dynamics.derivative import Vehicle
-from maxq.sim.dynamics.engine import Engine
-from maxq.sim.dynamics.gyro import Gyro
-from maxq.sim.dynamics.slosh import Slosh
-from maxq.sim.dynamics.state import MAX_MODES, MAX_TANKS, Sizes
+from maxq.control.kernel.tables import NO_TABLE, Cubics, Method, Pool, fit, merge
 from maxq.sim.packing.remembered import by_identity
 from maxq.sim.packing.schedule import has_remainder
 from maxq.sim.scenario import schema_aero as schema
@@ -22,6 +14,14 @@ from maxq.sim.scenario.schema_engine import ActuatorAxis
 from maxq.sim.scenario.schema_scenario import Scenario
 from maxq.sim.scenario.schema_vehicle import Reference, Stage
 from maxq.sim.scenario.tables_csv import CsvTable
+from maxq.sim.vehicle.actuator import Actuator
+from maxq.sim.vehicle.aero import FIRST_SURFACE, Aero
+from maxq.sim.vehicle.bending import Bending
+from maxq.sim.vehicle.derivative import Vehicle
+from maxq.sim.vehicle.engine import Engine
+from maxq.sim.vehicle.gyro import Gyro
+from maxq.sim.vehicle.slosh import Slosh
+from maxq.sim.vehicle.state import MAX_MODES, MAX_TANKS, Sizes
 
 _TWO_PI = 2.0 * math.pi
 

@@ -18,7 +18,7 @@ from maxq.sim.scenario.schema_vehicle import Vehicle
 _INTRODUCTION = """\
 # Scenario files
 
-<!-- Written by `python -m maxq.sim.scenario.export_schema`: change the schema, not this file. -->
+<!-- Written by `python -m maxq.tools.schemas`: change the schema, not this file. -->
 
 A scenario says what is flown. It is a TOML file; the vehicle and the control design that it names are TOML
 files too, and they name tables in CSV files. Units are in the keys. Unknown keys are refused.

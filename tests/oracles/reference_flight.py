@@ -13,7 +13,7 @@ import numpy as np
 from flightkit import Rig, meet
 from scipy.integrate import solve_ivp
 
-from maxq.control.records import Array
+from maxq.control.kernel.records import Array
 
 LONG_STEP_NS = 10**12  # no step of the simulator's own between two instants
 

@@ -175,7 +175,7 @@ def _draw(
 
     sheets = [*margin_sheets({"": judged}, wanted), *loop_sheets(judged, title, wanted)]
     files = []
-    from maxq.tools.pictures.style import drawing  # noqa: PLC0415  # lazy
+    from maxq.tools.plots.style import drawing  # noqa: PLC0415  # lazy
 
     with drawing():
         for n, (stem, draw) in enumerate(sheets):

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from maxq.control.filters import BendingFilter, Discretization
-from maxq.control.records import Array
+from maxq.control.kernel.records import Array
 from maxq.sim.scenario.builtin import scenarios_folder
 from maxq.sim.scenario.documents import Source, adopt, plain
 from maxq.sim.scenario.errors import ScenarioError

@@ -11,7 +11,7 @@ from typing import Any, Literal
 import numpy as np
 
 from maxq.control.filters import BendingFilter
-from maxq.control.records import Array
+from maxq.control.kernel.records import Array
 from maxq.design import api
 from maxq.design.loop.fixed_path import Kind
 from maxq.design.loop.loop import Loop

@@ -11,11 +11,11 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.patches import Ellipse, Polygon, Rectangle
 
-from maxq.control.records import Array
+from maxq.control.kernel.records import Array
 from maxq.design.margins.nichols import Zone
 from maxq.design.model.state_space import ComplexArray
 from maxq.tools.design.judging import Judged
-from maxq.tools.pictures.style import BLACK, BLUE, COLOURS, GREY, RED, label, plain_numbers, save, sheet
+from maxq.tools.plots.style import BLACK, BLUE, COLOURS, GREY, RED, label, plain_numbers, save, sheet
 
 BOTTOM_DB, TOP_DB = -50.0, 50.0  # of Bode and Nichols plots, where the curve goes farther
 LOWEST_HZ = 0.02

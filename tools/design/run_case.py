@@ -148,7 +148,7 @@ def _solve_orders(order: Order, overrides: tuple[str, ...], plants: Plants, prog
 
 def _draw_orders(folder: Path, orders: Found, plants: Plants) -> list[Path]:
     from maxq.tools.design.orders import draw_orders  # noqa: PLC0415  # lazy
-    from maxq.tools.pictures.style import drawing  # noqa: PLC0415
+    from maxq.tools.plots.style import drawing  # noqa: PLC0415
 
     with drawing():
         return draw_orders(orders, plants, folder)
@@ -170,7 +170,7 @@ def _write(folder: Path, outcome: Outcome, solution: Solution, orders: Found | N
 
 def _draw(folder: Path, outcome: Outcome, progress: Progress, interruption: object) -> list[Path]:
     from maxq.tools.design import album  # noqa: PLC0415  # lazy
-    from maxq.tools.pictures.style import drawing  # noqa: PLC0415
+    from maxq.tools.plots.style import drawing  # noqa: PLC0415
 
     loaded = outcome.loaded
     nodes = [j.node for j in outcome.judged]

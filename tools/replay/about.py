@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from maxq.sim.log.channels import ChannelTable
+from maxq.sim.flight.channels import ChannelTable
 from maxq.tools.replay.earth_frame import LaunchSite
 from maxq.tools.replay.flight import ReplayFlight, Requirement
 from maxq.tools.replay.scene import Exaggeration

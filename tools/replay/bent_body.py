@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from maxq.control.records import Array
+from maxq.control.kernel.records import Array
 from maxq.sim.scenario.modes import ModeTable
 from maxq.tools.replay.flight import Channels
 from maxq.tools.replay.vehicle_shape import StageShape

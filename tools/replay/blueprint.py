@@ -11,7 +11,7 @@ import rerun as rr
 import rerun.blueprint as rrb
 from rerun.blueprint.encodings import TextLogColumn, TextLogColumnKind
 
-from maxq.control.records import Array
+from maxq.control.kernel.records import Array
 from maxq.tools.replay.error import ReplayError
 from maxq.tools.replay.plot_stream import Axis, beyond_text, limits_root
 from maxq.tools.replay.plots import Plot, Tab

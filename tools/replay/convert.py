@@ -11,7 +11,7 @@ import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 
-from maxq.control.records import Array
+from maxq.control.kernel.records import Array
 from maxq.sim.packing.environment import pack_earth
 from maxq.tools.replay.about import about_flight, about_flights, factors_text
 from maxq.tools.replay.bent_body import LARGEST, bent_line, modal_coordinates, nice_factor

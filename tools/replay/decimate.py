@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from maxq.control.records import Array, IntArray
+from maxq.control.kernel.records import Array, IntArray
 
 
 def extremes(times_ns: IntArray, values: Array, interval_ns: int) -> NDArray[np.intp]:

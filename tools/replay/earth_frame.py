@@ -7,11 +7,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from maxq.control.records import Array, IntArray
-from maxq.sim.environment.earth import FLAT, Earth, earth_position, ned_axes, wgs84
-from maxq.sim.flight.launch_frames import LaunchFrames
-from maxq.sim.log.channels import ChannelTable
+from maxq.control.kernel.records import Array, IntArray
+from maxq.sim.flight.channels import ChannelTable
+from maxq.sim.run.launch_frames import LaunchFrames
 from maxq.sim.scenario.schema_environment import Site
+from maxq.sim.world.earth import FLAT, Earth, earth_position, ned_axes, wgs84
 from maxq.tools.replay.flight import Channels
 
 NEEDED = tuple(f"r_E_{a}_m" for a in "xyz") + tuple(f"q_BI_{c}" for c in "wxyz")

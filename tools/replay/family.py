@@ -13,7 +13,7 @@ from collections.abc import Sequence
 import numpy as np
 import rerun as rr
 
-from maxq.control.records import Array, IntArray
+from maxq.control.kernel.records import Array, IntArray
 from maxq.tools.replay.colours import rgba
 from maxq.tools.replay.flight import Channels
 from maxq.tools.replay.plots import Tab

@@ -19,8 +19,8 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from maxq.control.records import Array, IntArray
-from maxq.sim.log.channels import ChannelTable
+from maxq.control.kernel.records import Array, IntArray
+from maxq.sim.flight.channels import ChannelTable
 from maxq.sim.log.error import LogError
 from maxq.sim.log.foxglove import Level
 from maxq.sim.log.reader import Log, read_log
@@ -142,7 +142,7 @@ class ReplayFlight:
     @cached_property
     def requirements(self) -> tuple[Requirement, ...]:
         """Those of the scenario; values from the summary beside the log."""
-        from maxq.sim.flight.judgement import unit_of  # noqa: PLC0415  # lazy: loads the kernels' modules
+        from maxq.sim.run.judgement import unit_of  # noqa: PLC0415  # lazy: loads the kernels' modules
 
         if self.scenario is None:
             return ()

@@ -15,14 +15,14 @@ from collections.abc import Callable
 import numpy as np
 import rerun as rr
 
-from maxq.control.records import Array, IntArray
-from maxq.sim.flight.fly import Event, Flight, FlightRun, Rows, copied
-from maxq.sim.flight.history import CONTROL_LOST_NAME, DIVERGED_NAME, cause_of
+from maxq.control.kernel.records import Array, IntArray
+from maxq.sim.flight.channels import ChannelTable
 from maxq.sim.flight.telemetry import FAST, SLOW
-from maxq.sim.log.channels import ChannelTable
 from maxq.sim.log.foxglove import Level
 from maxq.sim.packing.environment import pack_earth
 from maxq.sim.packing.flight import Packed
+from maxq.sim.run.fly import Event, Flight, FlightRun, Rows, copied
+from maxq.sim.run.history import CONTROL_LOST_NAME, DIVERGED_NAME, cause_of
 from maxq.sim.scenario.loader import LoadedScenario
 from maxq.tools.replay import viewer
 from maxq.tools.replay.about import drawn_text, factors_text

@@ -17,11 +17,11 @@ import rerun as rr
 import rerun.blueprint as rrb
 from rerun.blueprint.encodings import ComponentSourceKind, VisualizerComponentMapping
 
-from maxq.sim.flight.launch_frames import PARENT
-from maxq.sim.log.channels import EVENTS_TOPIC, FRAMES_TOPIC, Topic
+from maxq.sim.flight.channels import EVENTS_TOPIC, FRAMES_TOPIC, Topic
 from maxq.sim.log.error import LogError
 from maxq.sim.log.fields import message_type
 from maxq.sim.log.reader import Log, read_log
+from maxq.sim.run.launch_frames import PARENT
 from maxq.tools.replay.colours import ON_DARK, rgba
 from maxq.tools.replay.error import ReplayError
 from maxq.tools.replay.viewer import port_is_free

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import rerun as rr
 
-from maxq.control.records import Array, IntArray
+from maxq.control.kernel.records import Array, IntArray
 from maxq.tools.replay.colours import GREY, LIMIT, ON_DARK, rgba
 from maxq.tools.replay.decimate import extremes
 from maxq.tools.replay.flight import Channels

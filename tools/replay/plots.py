@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from maxq.control.records import Array, IntArray
-from maxq.sim.log.channels import ChannelTable
+from maxq.control.kernel.records import Array, IntArray
+from maxq.sim.flight.channels import ChannelTable
 from maxq.sim.scenario.schema_scenario import Scenario
 from maxq.tools.replay.bent_body import shapes_at
 from maxq.tools.replay.flight import Channels

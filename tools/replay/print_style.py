@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
 
-from maxq.tools.pictures import style
+from maxq.tools.plots import style
 from maxq.tools.replay.colours import ON_LIGHT
 
 WIDTH_IN, ROW_IN = 8.0, 1.9  # of a sheet; of one plot in it

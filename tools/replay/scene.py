@@ -16,8 +16,8 @@ import numpy as np
 import rerun as rr
 from numpy.typing import NDArray
 
-from maxq.control.records import Array, IntArray
-from maxq.sim.flight.launch_frames import LaunchFrames
+from maxq.control.kernel.records import Array, IntArray
+from maxq.sim.run.launch_frames import LaunchFrames
 from maxq.tools.replay import mesh
 from maxq.tools.replay.bent_body import bent_line, modal_coordinates
 from maxq.tools.replay.colours import BLUE, GREY, ORANGE, SKY, VERMILION, rgba

@@ -7,7 +7,7 @@ import pyarrow as pa
 import rerun as rr
 from numpy.typing import NDArray
 
-from maxq.control.records import Array, IntArray
+from maxq.control.kernel.records import Array, IntArray
 
 TIMELINE = "sim_time"
 APPLICATION = "maxq"

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from maxq.control.records import Array, IntArray
+from maxq.control.kernel.records import Array, IntArray
 from maxq.tools.replay.collect import is_nominal
 from maxq.tools.replay.colours import BLACK, GREY, LIMIT, OF_VERDICT, rgba
 from maxq.tools.replay.decimate import extremes

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from maxq.control.records import Array, IntArray
+from maxq.control.kernel.records import Array, IntArray
 from maxq.tools.replay.about import plain
 from maxq.tools.replay.colours import BLACK, BLUE, GREEN, GREY, LIMIT, OF_VERDICT, VERMILION
 from maxq.tools.replay.convert import place_of

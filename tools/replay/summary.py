@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from maxq.control.records import Array, IntArray
+from maxq.control.kernel.records import Array, IntArray
 from maxq.tools.replay.about import plain
 from maxq.tools.replay.flight import ReplayFlight
 from maxq.tools.replay.limits import Limit

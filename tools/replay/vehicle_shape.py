@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from maxq.control.records import Array
+from maxq.control.kernel.records import Array
 from maxq.sim.scenario.modes import ModeTable
 from maxq.sim.scenario.schema_aero import AeroSurface
 from maxq.sim.scenario.schema_vehicle import Stage, Vehicle

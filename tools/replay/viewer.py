@@ -57,7 +57,7 @@ def environment() -> dict[str, str]:
 
 
 def _own_config() -> Path:
-    """Beside the kernels of `maxq.control.jit.cache_folder`, whose module takes a quarter of a second to load."""
+    """Beside the kernels of `control/kernel/jit.py`, a module that takes a quarter of a second to load."""
     user = os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")
     folder = Path(os.environ.get("MAXQ_CACHE") or os.path.join(user, "maxq")) / "viewer"
     try:

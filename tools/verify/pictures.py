@@ -9,14 +9,14 @@ from collections.abc import Callable
 import numpy as np
 from matplotlib.figure import Figure
 
-from maxq.control.records import Array
+from maxq.control.kernel.records import Array
 from maxq.design import api
 from maxq.design.verify.dispersed import MEASURES, TITLES, MarginCase, MarginStudy
 from maxq.design.verify.flights import FlownResult
 from maxq.design.verify.verify import Verification
 from maxq.tools.design.judging import judge
 from maxq.tools.design.pictures_loop import draw_nichols, picture_of
-from maxq.tools.pictures.style import BLACK, BLUE, GREEN, GREY, ORANGE, PALE, RED, drawing, label, plain_numbers, sheet
+from maxq.tools.plots.style import BLACK, BLUE, GREEN, GREY, ORANGE, PALE, RED, drawing, label, plain_numbers, sheet
 
 _SHOWN = ("gain_up_db", "aero_gain_db", "phase_deg", "slosh_phase_deg", "first_mode_phase_deg", "higher_modes_db")
 

@@ -1,0 +1,190 @@
+"""The one place that knows how kernels are compiled.
+
+A kernel is a plain Python function over floats, flat arrays and records. `@kernel` marks the small pieces,
+`@routine` the large ones, `@entry` the few that Python calls: their machine code is kept in a cache folder whose name
+holds a hash of all of maxq's sources. Numba itself looks only at the file of the function that is called, so without
+this an edited callee would go on answering with its old code.
+
+`NUMBA_DISABLE_JIT=1` runs the same functions as plain Python. `on_device` starts them on a CUDA GPU: Numba compiles
+whatever such a function calls a second time, for the GPU, from the same Python source, when it is first called there.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numba
+import numpy as np
+from numba import types
+from numba.extending import intrinsic, overload
+from numpy.typing import NDArray
+
+from maxq.control.kernel.records import constants_in
+
+Function = TypeVar("Function", bound=Callable[..., object])
+Array = TypeVar("Array", NDArray[np.float64], NDArray[np.int64])
+
+
+_KERNEL_FREE = {"scenario", "log", "packing", "run", "campaign"}  # folders of sim/ that no kernel takes anything from
+
+
+def _source_files() -> Iterator[Path]:
+    """Python sources that may hold a kernel or a constant that one uses, wherever they are installed."""
+    layers = Path(__file__).resolve().parents[2]
+    for layer in ("control", "sim"):  # design/ and tools/ hold no kernels
+        for path in sorted((layers / layer).rglob("*.py")):
+            if not _KERNEL_FREE.intersection(path.parts):
+                yield path
+
+
+def source_hash() -> str:
+    """First 16 hex digits of the SHA-256 of all sources that may hold a kernel."""
+    digest = hashlib.sha256()
+    for path in _source_files():
+        digest.update(path.name.encode())
+        digest.update(path.read_bytes())
+    return digest.hexdigest()[:16]
+
+
+def cache_folder() -> Path:
+    """Folder of the compiled kernels: `$MAXQ_CACHE`, else the user's cache folder."""
+    base = os.environ.get("MAXQ_CACHE") or os.path.join(
+        os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache"), "maxq"
+    )
+    return Path(base) / f"kernels-{source_hash()}"
+
+
+_FOLDER = str(cache_folder())
+
+# LLVM joins like operations that stand side by side into vector instructions: the same arithmetic, bit by bit;
+# measured, a twentieth of a flight's time. Numba looks at this whenever it compiles, so that it holds for all of the
+# process.
+numba.config.SLP_VECTORIZE = 1
+
+
+def kernel(function: Function) -> Function:
+    """Compile `function` into the kernel that calls it (nogil, IEEE arithmetic as written: no fastmath).
+
+    Division by zero gives inf or nan as in C (`error_model="numpy"`); the flight loop checks the state for it.
+    Not cached by itself: its machine code is part of the entry that calls it. LLVM is told to inline it; measured, a
+    fifth of a flight's time went into handing three numbers from function to function.
+    """
+    return _for_kernels(function, forceinline=True)
+
+
+def routine(function: Function) -> Function:
+    """As `kernel`, for what is large and called from several places: compiled once and called."""
+    return _for_kernels(function)
+
+
+def _for_kernels(function: Function, **options: bool) -> Function:
+    """Compile for callers that are compiled themselves, and a second time for Python, should it ever call.
+
+    Without the wrappers that Python and C would call through, the first flight is compiled in a quarter less time.
+    """
+    options = {"nogil": True, **options}
+    compiled = numba.njit(function, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True, **options)
+    if not numba.config.DISABLE_JIT:
+        _serve_python(compiled, numba.njit(function, error_model="numpy", **options))
+    return compiled  # type: ignore[no-any-return]  # Numba has no types
+
+
+def _serve_python(compiled: Any, complete: Any) -> None:
+    """Answer calls from Python by `complete`: Numba's dispatcher would jump to the wrapper that was left out."""
+
+    def keep(result: Any) -> None:  # as Numba's own, but for telling the dispatcher's C code of the machine code
+        compiled.overloads[tuple(result.signature.args)] = result
+
+    compiled.add_overload = keep
+    compiled._compile_for_args = complete._compile_for_args
+
+
+def entry(function: Function) -> Function:
+    """As `kernel`, for the few that Python calls: the machine code is kept on disk, with all that it calls."""
+    saved = numba.config.CACHE_DIR
+    numba.config.CACHE_DIR = _FOLDER  # read at decoration time; restored so that no other library is touched
+    try:
+        compiled = numba.njit(function, nogil=True, cache=True, error_model="numpy")
+        return compiled  # type: ignore[no-any-return]  # Numba has no types
+    finally:
+        numba.config.CACHE_DIR = saved
+
+
+def from_python(function: Function) -> Function:
+    """A kernel for callers in Python: an entry of its own. A bare kernel is compiled anew in every process."""
+    return entry(getattr(function, "py_func", function))
+
+
+@intrinsic  # type: ignore[untyped-decorator]  # Numba has no types
+def _address(context: Any, array: Any) -> Any:
+    """Numba intrinsic: pointer to the first element of a contiguous array."""
+
+    def build(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        return context.make_array(signature.args[0])(context, builder, arguments[0]).data
+
+    return types.CPointer(array.dtype)(array), build
+
+
+def borrowed(array: Array) -> Array:
+    """The array's elements without the array, for use inside an entry only: its caller keeps the array alive.
+
+    Numba counts references to an array, atomically, at every call it is passed to, and looks at the sign of every
+    index; measured, both were half of a flight's time. What is borrowed is a bare pointer: it can be indexed with
+    one non-negative index, and that is all. In plain Python it is just the array.
+    """
+    return array
+
+
+@overload(borrowed, target="cpu")
+def _borrowed(array):  # type: ignore[no-untyped-def]  # Numba compares both signatures, annotations included
+    return lambda array: _address(array)  # noqa: PLW0108  # Numba compiles this body: it cannot be the intrinsic itself
+
+
+def integer(record: Any, name: str) -> int:
+    """An integer of a record, for kernels: a constant to the compiler where the record's type tells it.
+
+    `records.with_constants` makes such types. `name` is written out where this is called.
+    """
+    return int(record[name])
+
+
+@overload(integer, prefer_literal=True)
+def _integer(record, name):  # type: ignore[no-untyped-def]  # Numba compares both signatures, annotations included
+    name = getattr(name, "literal_value", None)
+    if name is None:
+        return None  # Numba asks again with the name itself
+    known = constants_in(record.fields)
+    if name in known:
+        value = known[name]
+        return lambda record, name: value
+    return lambda record, name: record[name]
+
+
+LANES = 32
+"""Threads of a GPU's warp. A strided array that is `borrowed` there must hold every 32nd number of a matrix."""
+
+
+def on_device(function: Callable[..., None]) -> Any:
+    """Compile `function` for a CUDA GPU: started there by Python, `kernel[blocks, threads](...)`, once in every thread.
+
+    Products and sums are contracted (fused multiply-add), which is CUDA's own default. The machine code is kept on
+    disk like an entry's. In Numba's simulator (NUMBA_ENABLE_CUDASIM=1) all is plain Python.
+    """
+    from numba import cuda  # noqa: PLC0415  # lazy: costs every program a tenth of a second, and the CPU needs it not
+
+    if numba.config.ENABLE_CUDASIM:
+        return cuda.jit(function)
+    from numba.cuda.core import config  # noqa: PLC0415  # lazy: numba-cuda is an extra
+
+    from maxq.control import lanes  # noqa: F401, PLC0415  # lazy, and for what it does: it says what `borrowed` is there
+
+    saved = config.CACHE_DIR
+    config.CACHE_DIR = _FOLDER
+    try:
+        return cuda.jit(function, cache=True)
+    finally:
+        config.CACHE_DIR = saved

@@ -1,0 +1,122 @@
+"""Three-vectors and rotations as scalars and tuples: what a kernel can keep in registers."""
+
+from __future__ import annotations
+
+import math
+
+from maxq.control.kernel.jit import kernel
+
+Vector = tuple[float, float, float]
+Matrix = tuple[float, float, float, float, float, float, float, float, float]
+
+
+@kernel
+def cross(a: Vector, b: Vector) -> Vector:
+    return (
+        a[1] * b[2] - a[2] * b[1],
+        a[2] * b[0] - a[0] * b[2],
+        a[0] * b[1] - a[1] * b[0],
+    )
+
+
+@kernel
+def dot(a: Vector, b: Vector) -> float:
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+@kernel
+def add(a: Vector, b: Vector) -> Vector:
+    return (a[0] + b[0], a[1] + b[1], a[2] + b[2])
+
+
+@kernel
+def scaled(k: float, a: Vector) -> Vector:
+    return (k * a[0], k * a[1], k * a[2])
+
+
+@kernel
+def norm(a: Vector) -> float:
+    return math.sqrt(a[0] * a[0] + a[1] * a[1] + a[2] * a[2])
+
+
+_S = (-1 / 6, 1 / 120, -1 / 5040, 1 / 362880, -1 / 39916800)  # Taylor coefficients of sin(x)/x and cos(x)
+_C = (-1 / 2, 1 / 24, -1 / 720, 1 / 40320, -1 / 3628800, 1 / 479001600)
+
+
+@kernel
+def sine_cosine(x: float) -> tuple[float, float]:
+    """sin(x), cos(x), x in rad: Taylor series to rounding for |x| <= 0.25 (a gimbal's range), the library beyond."""
+    if abs(x) > 0.25:
+        return math.sin(x), math.cos(x)
+    t = x * x
+    sine = 1.0 + t * (_S[0] + t * (_S[1] + t * (_S[2] + t * (_S[3] + t * _S[4]))))
+    cosine = 1.0 + t * (_C[0] + t * (_C[1] + t * (_C[2] + t * (_C[3] + t * (_C[4] + t * _C[5])))))
+    return x * sine, cosine
+
+
+@kernel
+def rotation_from_quaternion(w: float, x: float, y: float, z: float) -> Matrix:
+    """Rows of the matrix that turns B components into I components; exact for any norm near one to first order."""
+    return (
+        1.0 - 2.0 * (y * y + z * z),
+        2.0 * (x * y - w * z),
+        2.0 * (x * z + w * y),
+        2.0 * (x * y + w * z),
+        1.0 - 2.0 * (x * x + z * z),
+        2.0 * (y * z - w * x),
+        2.0 * (x * z - w * y),
+        2.0 * (y * z + w * x),
+        1.0 - 2.0 * (x * x + y * y),
+    )
+
+
+@kernel
+def turn(m: Matrix, a: Vector) -> Vector:
+    """m a"""
+    return (
+        m[0] * a[0] + m[1] * a[1] + m[2] * a[2],
+        m[3] * a[0] + m[4] * a[1] + m[5] * a[2],
+        m[6] * a[0] + m[7] * a[1] + m[8] * a[2],
+    )
+
+
+@kernel
+def turn_back(m: Matrix, a: Vector) -> Vector:
+    """m' a"""
+    return (
+        m[0] * a[0] + m[3] * a[1] + m[6] * a[2],
+        m[1] * a[0] + m[4] * a[1] + m[7] * a[2],
+        m[2] * a[0] + m[5] * a[1] + m[8] * a[2],
+    )
+
+
+Symmetric = tuple[float, float, float, float, float, float]  # xx, yy, zz, xy, xz, yz of an inertia *integral*
+
+
+@kernel
+def inertia_times(j: Symmetric, w: Vector) -> Vector:
+    """Inertia tensor times a vector; products enter the tensor with a minus sign."""
+    return (
+        j[0] * w[0] - j[3] * w[1] - j[4] * w[2],
+        -j[3] * w[0] + j[1] * w[1] - j[5] * w[2],
+        -j[4] * w[0] - j[5] * w[1] + j[2] * w[2],
+    )
+
+
+@kernel
+def inverse_inertia(j: Symmetric) -> Symmetric:
+    """Inverse of the inertia tensor, as the six numbers of a symmetric matrix (xx, yy, zz, xy, xz, yz: no signs)."""
+    a, b, c, d, e, f = j[0], j[1], j[2], -j[3], -j[4], -j[5]
+    xx, yy, zz = b * c - f * f, a * c - e * e, a * b - d * d
+    xy, xz, yz = e * f - d * c, d * f - e * b, d * e - a * f
+    k = 1.0 / (a * xx + d * xy + e * xz)
+    return (k * xx, k * yy, k * zz, k * xy, k * xz, k * yz)
+
+
+@kernel
+def symmetric_times(m: Symmetric, a: Vector) -> Vector:
+    return (
+        m[0] * a[0] + m[3] * a[1] + m[4] * a[2],
+        m[3] * a[0] + m[1] * a[1] + m[5] * a[2],
+        m[4] * a[0] + m[5] * a[1] + m[2] * a[2],
+    )

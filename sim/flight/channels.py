@@ -1,0 +1,183 @@
+"""The channel table: what is logged, in which unit and frame, on which topic and at which rate.
+
+The table is data. Kernel output columns, protobuf schemas, plots and docs/telemetry.md are all derived from
+one `ChannelTable`, so that a channel is described in one place only.
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from maxq.control.kernel.records import Array
+
+DIMENSIONLESS = "1"
+EVENTS_TOPIC = "/events"
+FRAMES_TOPIC = "/tf"
+
+_CHANNEL_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
+_TOPIC_NAME = re.compile(r"(/[a-z][a-z0-9_]*)+")
+
+
+def unit_suffix(unit: str) -> str:
+    """What a name ends with for a unit: `rad/s` -> `radps`, `m/s^2` -> `mps2`, `1/s` -> `ps`, `1` -> ``."""
+    per = unit.removeprefix("1").replace("/", "p").replace("%", "pct")
+    return re.sub(r"[^A-Za-z0-9]", "", per)
+
+
+@dataclass(frozen=True)
+class Channel:
+    """One logged number.
+
+    `name` ends with the suffix of `unit` (see `unit_suffix`; upper or lower case) unless `unit` is "1", and
+    holds `frame` as one of its parts unless `frame` is "": `w_BI_B_y_radps` has unit rad/s and frame B. It
+    becomes the name of a protobuf field. `scale` converts the column that a kernel fills into the logged
+    unit (180/pi for an angle kept in radians and logged in degrees); a table read back from a log has scale
+    1 throughout.
+
+    Raises ValueError where the name breaks these rules.
+    """
+
+    name: str
+    unit: str
+    frame: str
+    description: str
+    scale: float = 1.0
+
+    def __post_init__(self) -> None:
+        if not _CHANNEL_NAME.fullmatch(self.name):
+            raise ValueError(f"channel {self.name!r}: a name is made of letters, digits and underscores")
+        if not self.unit:
+            raise ValueError(f"channel {self.name}: the unit is missing ({DIMENSIONLESS!r} for none)")
+        suffix = unit_suffix(self.unit)
+        if suffix and not self.name.lower().endswith("_" + suffix.lower()):
+            raise ValueError(f"channel {self.name}: unit {self.unit} asks for a name that ends with _{suffix}")
+        if self.frame and self.frame not in self.name.split("_"):
+            raise ValueError(f"channel {self.name}: frame {self.frame} is not a part of the name")
+        if not np.isfinite(self.scale) or self.scale == 0.0:
+            raise ValueError(f"channel {self.name}: scale must be finite and not zero")
+
+
+@dataclass(frozen=True)
+class Topic:
+    """Channels that are logged in one message.
+
+    `name` as `/truth`; `group` is the rate group whose times its messages have ("fast", "slow", ...).
+    Raises ValueError for a bad name, for no channels at all, and for the topics that every log has anyway.
+    """
+
+    name: str
+    group: str
+    channels: tuple[Channel, ...]
+    description: str = ""
+
+    def __post_init__(self) -> None:
+        if not _TOPIC_NAME.fullmatch(self.name):
+            raise ValueError(f"topic {self.name!r}: a name looks like /truth or /truth/bending")
+        if self.name in (EVENTS_TOPIC, FRAMES_TOPIC):
+            raise ValueError(f"topic {self.name} is the log's own")
+        if not self.group:
+            raise ValueError(f"topic {self.name}: the rate group is missing")
+        if not self.channels:
+            raise ValueError(f"topic {self.name} has no channels")
+
+    @property
+    def message_name(self) -> str:
+        """Name of the protobuf message: `/truth/bending_modes` -> `TruthBendingModes`."""
+        return "".join(word.capitalize() for word in re.split("[/_]", self.name))
+
+
+@dataclass(frozen=True)
+class ChannelTable:
+    """All topics of a log, in order.
+
+    The columns of a rate group are the channels of its topics side by side, in the order of the table.
+    Raises ValueError where a topic, a message or a channel name occurs twice.
+    """
+
+    topics: tuple[Topic, ...]
+
+    def __post_init__(self) -> None:
+        _refuse_twice("topic", [topic.name for topic in self.topics])
+        _refuse_twice("protobuf message", [topic.message_name for topic in self.topics])
+        _refuse_twice("channel", [channel.name for topic in self.topics for channel in topic.channels])
+
+    @cached_property
+    def groups(self) -> tuple[str, ...]:
+        """Rate groups in order of first use."""
+        return tuple(dict.fromkeys(topic.group for topic in self.topics))
+
+    def topics_of(self, group: str) -> tuple[Topic, ...]:
+        return tuple(topic for topic in self.topics if topic.group == group)
+
+    def columns(self, group: str) -> tuple[Channel, ...]:
+        """Channels of a rate group in the order of its columns; none for an unknown group."""
+        return tuple(channel for topic in self.topics_of(group) for channel in topic.channels)
+
+    def scales(self, group: str) -> Array:
+        """Factor from kernel column to logged value for each column of a rate group."""
+        return np.array([channel.scale for channel in self.columns(group)], float)
+
+    def as_logged(self) -> ChannelTable:
+        """The table of values that are in logged units already: `scale` 1 throughout."""
+        return ChannelTable(
+            tuple(
+                replace(topic, channels=tuple(replace(channel, scale=1.0) for channel in topic.channels))
+                for topic in self.topics
+            )
+        )
+
+    @cached_property
+    def names(self) -> tuple[str, ...]:
+        """Names of all channels, topic by topic."""
+        return tuple(channel.name for topic in self.topics for channel in topic.channels)
+
+    def __contains__(self, name: str) -> bool:
+        return name in self._places
+
+    def channel(self, name: str) -> Channel:
+        """The channel of that name; KeyError if there is none."""
+        return self._places[name][2]
+
+    def topic(self, name: str) -> Topic:
+        """The topic that holds the channel of that name; KeyError if there is none."""
+        return self._places[name][0]
+
+    def index(self, name: str) -> int:
+        """Column of a channel within its rate group; KeyError if there is no such channel."""
+        return self._places[name][1]
+
+    @cached_property
+    def _places(self) -> dict[str, tuple[Topic, int, Channel]]:
+        """Topic, column within the rate group, and channel, by name of the channel."""
+        places: dict[str, tuple[Topic, int, Channel]] = {}
+        widths = dict.fromkeys(self.groups, 0)
+        for topic in self.topics:
+            for channel in topic.channels:
+                places[channel.name] = (topic, widths[topic.group], channel)
+                widths[topic.group] += 1
+        return places
+
+    def markdown(self) -> str:
+        """One Markdown section with a table per topic."""
+        return "\n".join(_section(topic) for topic in self.topics)
+
+
+def _section(topic: Topic) -> str:
+    lines = [f"## `{topic.name}` ({topic.group})", ""]
+    if topic.description:
+        lines += [topic.description, ""]
+    lines += ["| channel | unit | frame | description |", "|---|---|---|---|"]
+    for channel in topic.channels:
+        cells = (f"`{channel.name}`", channel.unit, channel.frame, channel.description)
+        lines.append("| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |")
+    return "\n".join(lines) + "\n"
+
+
+def _refuse_twice(what: str, names: list[str]) -> None:
+    twice = sorted({name for name in names if names.count(name) > 1})
+    if twice:
+        raise ValueError(f"{what} named twice: {', '.join(twice)}")

@@ -1,0 +1,93 @@
+"""Metrics of how a flight ended: when, where and how fast."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+
+from maxq.sim.flight.metrics import Metric
+from maxq.sim.scenario.schema_environment import Site
+from maxq.sim.world.earth import FLAT, Earth
+
+ENDING_METRICS = (
+    Metric("flight_time_s", "time to the end from lift-off, or from the start where nothing held the vehicle"),
+    Metric("range_m", "distance along the ground from the launch site to where the flight ended"),
+    Metric("final_latitude_deg", "geodetic latitude at the end"),
+    Metric("final_longitude_deg", "longitude at the end, east positive"),
+    Metric("final_altitude_m", "altitude at the end"),
+    Metric("final_speed_mps", "speed relative to the Earth at the end"),
+)
+
+_ITERATIONS = 200
+_CONVERGED_RAD = 1e-13
+
+
+def ending_values(present: Mapping[str, float], earth: Earth, site: Site, flight_time_s: float) -> dict[str, float]:
+    """The metrics above from the channels at the flight's last instant.
+
+    On a flat Earth latitude and longitude have no meaning and are nan; the site is its origin.
+    """
+    if earth.figure == FLAT:
+        latitude_deg, longitude_deg = math.nan, math.nan
+        range_m = math.hypot(present["r_E_x_m"], present["r_E_y_m"])
+    else:
+        latitude_deg, longitude_deg = present["latitude_deg"], present["longitude_deg"]
+        range_m = geodesic_m(
+            earth.equatorial_radius_m,
+            earth.flattening,
+            (math.radians(site.latitude_deg), math.radians(site.longitude_deg)),
+            (math.radians(latitude_deg), math.radians(longitude_deg)),
+        )
+    return {
+        "flight_time_s": flight_time_s,
+        "range_m": range_m,
+        "final_latitude_deg": latitude_deg,
+        "final_longitude_deg": longitude_deg,
+        "final_altitude_m": present["altitude_m"],
+        "final_speed_mps": present["speed_mps"],
+    }
+
+
+def geodesic_m(radius_m: float, flattening: float, start: tuple[float, float], end: tuple[float, float]) -> float:
+    """Length of the shortest way on an ellipsoid between two places (geodetic latitude, longitude), rad.
+
+    Vincenty's inverse formula (Survey Review 23, 1975), good to 0.1 mm on the Earth. It finds no way between
+    places that lie nearly opposite each other: then, and for coordinates that are not numbers, nan.
+    """
+    (latitude_1, longitude_1), (latitude_2, longitude_2) = start, end
+    if not math.isfinite(latitude_2 + longitude_2):
+        return math.nan
+    reduced_1 = math.atan((1.0 - flattening) * math.tan(latitude_1))
+    reduced_2 = math.atan((1.0 - flattening) * math.tan(latitude_2))
+    sin_1, cos_1 = math.sin(reduced_1), math.cos(reduced_1)
+    sin_2, cos_2 = math.sin(reduced_2), math.cos(reduced_2)
+    difference = math.remainder(longitude_2 - longitude_1, math.tau)
+    wide = difference
+    for _ in range(_ITERATIONS):
+        sin_wide, cos_wide = math.sin(wide), math.cos(wide)
+        sin_arc = math.hypot(cos_2 * sin_wide, cos_1 * sin_2 - sin_1 * cos_2 * cos_wide)
+        if sin_arc == 0.0 and cos_wide > 0.0:
+            return 0.0
+        cos_arc = sin_1 * sin_2 + cos_1 * cos_2 * cos_wide
+        arc = math.atan2(sin_arc, cos_arc)
+        sin_azimuth = cos_1 * cos_2 * sin_wide / sin_arc if sin_arc else 0.0
+        cos2_azimuth = 1.0 - sin_azimuth * sin_azimuth
+        cos_middle = cos_arc - 2.0 * sin_1 * sin_2 / cos2_azimuth if cos2_azimuth > 1e-15 else 0.0
+        c = flattening / 16.0 * cos2_azimuth * (4.0 + flattening * (4.0 - 3.0 * cos2_azimuth))
+        before = wide
+        wide = difference + (1.0 - c) * flattening * sin_azimuth * (
+            arc + c * sin_arc * (cos_middle + c * cos_arc * (2.0 * cos_middle * cos_middle - 1.0))
+        )
+        if abs(wide - before) < _CONVERGED_RAD and abs(wide) <= math.pi:
+            break
+    else:
+        return math.nan
+    second = (1.0 - flattening) ** -2 - 1.0  # second eccentricity squared
+    u2 = cos2_azimuth * second
+    a = 1.0 + u2 / 16384.0 * (4096.0 + u2 * (-768.0 + u2 * (320.0 - 175.0 * u2)))
+    b = u2 / 1024.0 * (256.0 + u2 * (-128.0 + u2 * (74.0 - 47.0 * u2)))
+    inner = cos_arc * (2.0 * cos_middle * cos_middle - 1.0) - b / 6.0 * cos_middle * (4.0 * sin_arc * sin_arc - 3.0) * (
+        4.0 * cos_middle * cos_middle - 3.0
+    )
+    correction = b * sin_arc * (cos_middle + b / 4.0 * inner)
+    return float(radius_m * (1.0 - flattening) * a * (arc - correction))

@@ -1,0 +1,287 @@
+"""Flying a scenario from Python: one call, arrays by channel name, events and metrics."""
+
+from __future__ import annotations
+
+import hashlib
+import math
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+
+from maxq.control.kernel.records import Array, IntArray, pack
+from maxq.sim.flight.arena import ARENA_SIZE
+from maxq.sim.flight.channels import ChannelTable
+from maxq.sim.flight.loop import Logged, advance, begin
+from maxq.sim.flight.metrics import METRICS
+from maxq.sim.flight.telemetry import FAST, SLOW, channel_table
+from maxq.sim.packing.flight import Packed, pack_flight
+from maxq.sim.run.ending import ending_values
+from maxq.sim.run.history import Event, cause_of, events_so_far, outcome_so_far
+from maxq.sim.run.judgement import ALL_METRICS, Verdict, above_the_wind, judge
+from maxq.sim.scenario.loader import LoadedScenario
+from maxq.sim.vehicle.state import Sizes
+
+LONGEST_SEGMENT_NS = 1_000_000_000  # one log chunk
+_FIRST_ROOM = 400_000  # rows
+_MOST_STEPS, _MOST_ROWS = 20_000, 20_000  # of a segment: tens of milliseconds of work, 10 MB of rows
+
+Rows = dict[str, tuple[IntArray, Array]]
+"""By rate group: times (n,) in ns and values (n, columns of the group) in logged units."""
+
+
+@dataclass(frozen=True)
+class Flight:
+    """A flight that has been flown.
+
+    `flight["alpha_deg"]` is a channel, `flight.time_s("alpha_deg")` its times; `metrics` and `metric_times_s`
+    go by metric name (nan: the metric never came up). `outcome`: "impact" or another event of run.stop_at
+    that ended it, "duration", "diverged", "interrupted". `cause` says in words why it diverged. `final` holds
+    every channel at the last instant, with or without a log.
+    """
+
+    scenario: LoadedScenario
+    table: ChannelTable
+    rows: Rows = field(repr=False)
+    events: tuple[Event, ...]
+    metrics: dict[str, float]
+    metric_times_s: dict[str, float]
+    verdicts: tuple[Verdict, ...]
+    failures: tuple[str, ...]  # control lost, diverged: what and when, in words
+    outcome: str
+    cause: str
+    end_s: float
+    end_ns: int
+    steps: int
+    state: Array = field(repr=False)
+    final: dict[str, float] = field(repr=False)
+    state_hash: str
+    wall_s: float
+
+    def __getitem__(self, channel: str) -> Array:
+        """Values of a channel; KeyError for an unknown name or a flight that was flown without a log."""
+        group = self.table.topic(channel).group
+        return self.rows[group][1][:, self.table.index(channel)]
+
+    def time_s(self, channel: str) -> Array:
+        """Times of a channel's values, s."""
+        return self.rows[self.table.topic(channel).group][0] / 1e9
+
+    def event_s(self, name: str) -> float:
+        """Time of an event, the last one of several stages; nan if it has not happened."""
+        return max((e.time_s for e in self.events if e.name == name), default=math.nan)
+
+    @property
+    def passed(self) -> bool:
+        """Flown to its end, all requirements met, control never lost, nothing diverged."""
+        return self.outcome != "interrupted" and not self.failures and all(v.met for v in self.verdicts)
+
+
+class FlightRun:
+    """A flight under way: `fly_segment` until `finished`, then `result`.
+
+    Making one loads the compiled kernels, or compiles them (about half a minute, once). `segment_ns`: length of a
+    segment, a multiple of the step (default: 1 s, or less where that is many steps or log rows).
+    """
+
+    def __init__(
+        self, loaded: LoadedScenario, packed: Packed | None = None, log: bool = True, segment_ns: int | None = None
+    ) -> None:
+        self.loaded = loaded
+        self.packed = packed or pack_flight(loaded.scenario)
+        tanks = max((stage.tank for stage in loaded.vehicle.stage), key=len)
+        names = tuple(tank.name or str(i + 1) for i, tank in enumerate(tanks[: self.packed.sizes.tanks]))
+        self.table, self._names, self._scales = _logged_table(self.packed.sizes, names)
+        self._on, self._off = (pack([Logged(on, self.packed.sizes)]) for on in (1, 0))
+        self._arena = np.zeros(ARENA_SIZE)
+        course = self.packed.parameters[0].course
+        periods_ns = {FAST: int(course.fast_ns), SLOW: int(course.slow_ns)}
+        self.segment_ns = segment_ns or _segment_ns(int(course.step_ns), min(periods_ns.values()))
+        self._logged = self._on if log else self._off
+        self._rows = {
+            group: self._blank(group, self.segment_ns // period_ns + 4 if log else 1)
+            for group, period_ns in periods_ns.items()
+        }
+        self.wall_s = 0.0
+        begin(self.packed.parameters, self.packed.pool, self.packed.memory, self.packed.state)
+        self._advance(int(self.memory.clock.now_ns), self._logged, self._rows)
+
+    @property
+    def memory(self) -> Any:
+        return self.packed.memory[0]
+
+    @property
+    def finished(self) -> bool:
+        return int(self.memory.clock.finished) == 1
+
+    @property
+    def now_s(self) -> float:
+        return int(self.memory.clock.now_ns) / 1e9
+
+    @property
+    def events(self) -> tuple[Event, ...]:
+        """What has happened so far."""
+        return events_so_far(self.packed, self.loaded.scenario.run.start_s)
+
+    def fly_segment(self, length_ns: int | None = None) -> Rows:
+        """Fly on to the next multiple of `length_ns`, itself a multiple of the step (default: `segment_ns`).
+
+        Returns the log rows on the way: views that the next segment overwrites, in logged units.
+        """
+        length_ns = length_ns or self.segment_ns
+        until = (int(self.memory.clock.now_ns) // length_ns + 1) * length_ns
+        start = time.perf_counter()
+        rows = self._advance(until, self._logged, self._rows)
+        self.wall_s += time.perf_counter() - start
+        return rows
+
+    def present(self) -> dict[str, float]:
+        """Every channel at this instant, in logged units. Changes nothing in the flight."""
+        memory, state = self.packed.memory.copy(), self.packed.state.copy()
+        clock = self.memory.clock
+        clock.finished, clock.started = 1, 1  # as at a flight's end, where the last instant is logged
+        room = {group: self._blank(group, 1) for group in self._rows}
+        rows = self._advance(int(clock.now_ns), self._on, room)
+        self.packed.memory[:], self.packed.state[:] = memory, state
+        return {
+            name: value
+            for group, (_, values) in rows.items()
+            for name, value in zip(self._names[group], values[0].tolist(), strict=True)
+        }
+
+    def result(self, rows: Rows | None = None) -> Flight:
+        """The flight so far; `rows` are the log rows that the caller has kept."""
+        clock, extremes, now_s = self.memory.clock, self.memory.extremes, self.now_s
+        events, final, outcome = self.events, self.present(), outcome_so_far(self.packed)
+        scenario = self.loaded.scenario
+        metrics = {m.name: value for m, value in zip(METRICS, extremes.value.tolist(), strict=True)}
+        times_ns = extremes.time_ns.tolist()
+        times = {m.name: t / 1e9 if t >= 0 else math.nan for m, t in zip(METRICS, times_ns, strict=True)}
+        lift_off_s = next((e.time_s for e in events if e.name == "liftoff"), scenario.run.start_s)
+        earth = self.packed.parameters[0].around.earth
+        metrics |= ending_values(final, earth, scenario.site, now_s - lift_off_s)
+        times = {m.name: times.get(m.name, now_s) for m in ALL_METRICS}
+        causes = [(e, cause_of(e, self.packed)) for e in events]
+        return Flight(
+            scenario=self.loaded,
+            table=self.table,
+            rows=rows or {},
+            events=events,
+            metrics=metrics,
+            metric_times_s=times,
+            verdicts=tuple(judge(r, metrics, times) for r in scenario.requirement),
+            failures=(
+                *(f"{e.name.replace('_', ' ')} at {e.time_s:.3f} s: {cause}" for e, cause in causes if cause),
+                *above_the_wind(scenario, metrics["max_altitude_m"]),
+            ),
+            outcome=outcome,
+            cause=next((cause for e, cause in causes if cause and e.name == outcome), ""),
+            end_s=now_s,
+            end_ns=int(clock.now_ns),
+            steps=int(clock.steps),
+            state=self.packed.state.copy(),
+            final=final,
+            state_hash=self.state_hash(),
+            wall_s=self.wall_s,
+        )
+
+    def state_hash(self) -> str:
+        """SHA-256 over state, time, metrics and events: equal for equal flights, bit by bit."""
+        clock = self.memory.clock
+        digest = hashlib.sha256(self.packed.state.tobytes())
+        digest.update(np.array([clock.now_ns, clock.steps, clock.stage]).tobytes())
+        digest.update(self.memory.extremes.value.tobytes())
+        digest.update(np.asarray(clock.event_ns).tobytes())
+        return digest.hexdigest()
+
+    def _blank(self, group: str, room: int) -> tuple[IntArray, Array]:
+        return np.zeros(room, np.int64), np.zeros((room, len(self._scales[group])))
+
+    def _advance(self, until_ns: int, logged: Any, room: Rows) -> Rows:
+        """Fly until `until_ns`; the log rows as views of `room`, scaled."""
+        (fast_ns, fast), (slow_ns, slow) = room[FAST], room[SLOW]
+        counts = np.zeros(2, np.int64)
+        advance(
+            self.packed.parameters, self.packed.pool, self.packed.memory, self.packed.state, self._arena,
+            until_ns, logged, fast_ns, fast, slow_ns, slow, counts,
+        )  # fmt: skip
+        n, m = counts
+        fast[:n] *= self._scales[FAST]
+        slow[:m] *= self._scales[SLOW]
+        return {FAST: (fast_ns[:n], fast[:n]), SLOW: (slow_ns[:m], slow[:m])}
+
+
+def fly(loaded: LoadedScenario, *, log: bool = True, watch: Callable[[FlightRun, Rows], None] | None = None) -> Flight:
+    """Fly a scenario to its end. `log=False` keeps no channels and is fastest.
+
+    `watch` is called after every segment (1 s of simulated time or less) with the run and its rows. A flight
+    that diverges is a result (`outcome`, `cause`), no exception.
+    """
+    run = FlightRun(loaded, log=log)
+    kept = KeptRows()
+    while not run.finished:
+        rows = run.fly_segment()
+        if log:
+            kept.add(rows)
+        if watch is not None:
+            watch(run, rows)
+    return run.result(kept.rows() if log else None)
+
+
+@lru_cache(maxsize=8)
+def _logged_table(
+    sizes: Sizes, tanks: tuple[str, ...]
+) -> tuple[ChannelTable, dict[str, tuple[str, ...]], dict[str, Array]]:
+    """Channels in logged units, their names in order, and by what the kernel's columns are multiplied for them."""
+    kernel_table = channel_table(sizes, tanks)
+    names = {group: tuple(channel.name for channel in kernel_table.columns(group)) for group in (FAST, SLOW)}
+    return kernel_table.as_logged(), names, {group: kernel_table.scales(group) for group in (FAST, SLOW)}
+
+
+def copied(rows: Rows) -> Rows:
+    """Rows that the next segment does not overwrite."""
+    return {group: (times.copy(), values.copy()) for group, (times, values) in rows.items()}
+
+
+class KeptRows:
+    """Rows of all segments so far, in arrays with room to spare: a long log is never in memory twice.
+
+    Room that is not used costs address space only.
+    """
+
+    def __init__(self) -> None:
+        self._room: Rows = {}
+        self._used: dict[str, int] = {}
+
+    def add(self, rows: Rows) -> None:
+        for group, (times, values) in rows.items():
+            if group not in self._room:
+                self._room[group] = (np.empty(_FIRST_ROOM, np.int64), np.empty((_FIRST_ROOM, values.shape[1])))
+                self._used[group] = 0
+            begin, end = self._used[group], self._used[group] + len(times)
+            for array in self._room[group]:
+                if end > len(array):
+                    array.resize((max(end, len(array) * 5 // 4), *array.shape[1:]), refcheck=False)
+            self._room[group][0][begin:end], self._room[group][1][begin:end] = times, values
+            self._used[group] = end
+
+    def rows(self) -> Rows:
+        return {
+            group: (times[: self._used[group]], values[: self._used[group]])
+            for group, (times, values) in self._room.items()
+        }
+
+
+def _segment_ns(step_ns: int, shortest_log_ns: int) -> int:
+    """Length of a segment: 1 s, or less where that is many steps or rows; a multiple of the step.
+
+    A flight can be interrupted and its rows written between two segments only.
+    """
+    longest = min(LONGEST_SEGMENT_NS, _MOST_STEPS * step_ns, _MOST_ROWS * shortest_log_ns)
+    return max(longest // step_ns, 1) * step_ns
+
+
+__all__ = ["Event", "Flight", "FlightRun", "Rows", "Verdict", "copied", "fly"]

@@ -1,0 +1,374 @@
+"""The simulator's own equations, linearised numerically at a frozen instant.
+
+    model = linearise(packed, zero_incidence(packed, y), time_s)
+    poles = np.linalg.eigvals(model.a)
+
+The state vector of the simulator lies on a manifold (unit quaternion, unit vectors of the pendulums) and
+holds inertial and quasi-velocities. It is therefore looked at through local coordinates, all free and all
+small-signal quantities of flight mechanics, whose time derivatives follow exactly from the simulator's:
+
+    r_I            position of the core's CG in I, m
+    u, v, w        its velocity relative to the Earth, in B, m/s
+    rotation       rotation vector from the reference attitude, which turns on with the rate it has, in B, rad
+    p, q, r        angular velocity relative to I, in B, rad/s
+    actuators, gyros, gyro angles    as in the state
+    eta, eta', xi, xi'               true rates: the turning of the bending plane with p is taken out
+    per tank       angles atan2(u_z, -u_x), atan2(u_y, -u_x) and their rates, rad, rad/s
+
+Away from equilibrium (a rocket always is: it speeds up) a linear model belongs to its coordinates; these are
+the ones of design/model/plant.py. The schedule of the vehicle stands still at the instant, its rates (mass flow,
+moving CG) act. Between samples only: the flight computer is no part of it, commands are inputs.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from maxq.control.kernel.jit import borrowed, entry
+from maxq.control.kernel.records import Array
+from maxq.control.kernel.tables import find_interval
+from maxq.sim.flight.arena import PROPS_SIZE
+from maxq.sim.flight.loop import begin
+from maxq.sim.flight.step import evaluate, read_schedule, schedule_clock
+from maxq.sim.packing.flight import Packed
+from maxq.sim.packing.initial import quaternion, rotation
+from maxq.sim.vehicle import state as layout
+from maxq.sim.vehicle.state import MAX_STATE
+from maxq.sim.vehicle.workspace import AUX_SIZE, ENGINE_PITCH, ENGINE_YAW, GYRO_BEND, WORK_SIZE
+
+INPUTS = ("command_pitch_rad", "command_yaw_rad")
+OUTPUTS = ("delta_pitch_rad", "delta_yaw_rad", "local_rate_pitch_radps", "local_rate_yaw_radps")
+
+_R, _V, _TURN, _W = slice(0, 3), slice(3, 6), slice(6, 9), slice(9, 12)
+_FLAT = slice(12, 12 + layout.N_FIXED - layout.ACTUATOR)  # actuators, gyros, gyro angles: taken as they are
+_FLEXIBLE = _FLAT.stop
+
+_LEVELS = 6  # of the extrapolation: each halves the step
+_STEP_R, _STEP_V, _STEP_TURN, _STEP_W = 8.0, 0.5, 4e-3, 1e-2
+_STEP_FLAT, _STEP_BEND, _STEP_BEND_RATE, _STEP_SLOSH, _STEP_COMMAND = 2e-3, 2e-3, 0.1, 8e-3, 4e-3
+
+
+@dataclass(frozen=True)
+class LinearModel:
+    """x' = rate + A x + B u, y = C x + D u about a state; `rate` is what the state does there by itself."""
+
+    a: Array  # (n, n)
+    b: Array  # (n, inputs)
+    c: Array  # (outputs, n)
+    d: Array  # (outputs, inputs)
+    rate: Array  # (n,)
+    error_a: Array  # estimated error of each entry of `a`
+    error_b: Array
+    states: tuple[str, ...]
+    inputs: tuple[str, ...] = INPUTS
+    outputs: tuple[str, ...] = OUTPUTS
+
+
+@dataclass(frozen=True)
+class Instant:
+    """What the simulator says of a state: its derivative (MAX_STATE,) and `aux` (AUX_SIZE,)."""
+
+    rate: Array
+    aux: Array
+
+
+def linearise(packed: Packed, y: Array, time_s: float) -> LinearModel:
+    """Linear model of the derivative about the state `y` (MAX_STATE,) at the flight time `time_s`.
+
+    `packed` may be at its start or in mid-flight (its stage, and whether it burns or is held down, count); it
+    is not changed. Derivatives are central differences, extrapolated to step zero over all powers of the step
+    (Ridders 1982; odd powers too, because of terms like |w| w), with the best entry of each tableau by its
+    error estimate.
+    """
+    frame = _Chart(packed, y, time_s)
+    zero, command = np.zeros(frame.size), np.zeros(2)
+    n = frame.size
+
+    def motion(offset: Array) -> Array:
+        return frame.motion(offset[:n], offset[n:])
+
+    at_rest = motion(np.concatenate([zero, command]))
+    slopes, errors = _jacobian(motion, np.concatenate([frame.steps, np.full(2, _STEP_COMMAND)]))
+    return LinearModel(
+        a=slopes[:n, :n],
+        b=slopes[:n, n:],
+        c=slopes[n:, :n],
+        d=slopes[n:, n:],
+        rate=at_rest[:n],
+        error_a=errors[:n, :n],
+        error_b=errors[:n, n:],
+        states=frame.names,
+    )
+
+
+def evaluate_at(packed: Packed, y: Array, time_s: float, command_rad: tuple[float, float] = (0.0, 0.0)) -> Instant:
+    """The simulator's derivative and loads at a state (MAX_STATE,) and flight time, gimbal commands held."""
+    return _Evaluation(packed, time_s)(y, command_rad)
+
+
+def zero_incidence(packed: Packed, y: Array) -> Array:
+    """The state `y` (MAX_STATE,) with all that swings at rest and the body along its velocity over ground.
+
+    Position and velocity stay, the attitude is turned the shortest way, body rates relative to I vanish, the
+    pendulums hang aft. Raises ValueError at rest, where there is no direction.
+    """
+    sizes = packed.parameters[int(packed.memory[0].clock.stage)].vehicle.sizes
+    spin = np.array([0.0, 0.0, float(packed.parameters[0].around.earth.rate_radps)])
+    out = np.zeros(MAX_STATE)
+    out[: layout.W_BI_B] = y[: layout.W_BI_B]
+    attitude = rotation(y[layout.Q_BI : layout.Q_BI + 4])
+    over_ground = attitude.T @ (y[layout.V_I : layout.V_I + 3] - np.cross(spin, y[layout.R_I : layout.R_I + 3]))
+    speed = float(np.linalg.norm(over_ground))
+    if speed == 0.0:
+        raise ValueError("a vehicle at rest has no direction of flight")
+    axis = np.cross([1.0, 0.0, 0.0], over_ground)
+    sine = float(np.linalg.norm(axis))
+    angle = math.atan2(sine, float(over_ground[0]))
+    turn = axis * (angle / sine) if sine > 0.0 else np.array([0.0, angle, 0.0])
+    out[layout.Q_BI : layout.Q_BI + 4] = quaternion(attitude @ _turned(turn))
+    for tank in range(int(sizes.tanks)):
+        out[int(layout.pendulum_index(sizes, tank))] = -1.0
+    return out
+
+
+@entry
+def _evaluate(
+    P: Array,
+    pool: Array,
+    state: Array,
+    y: Array,
+    now_ns: int,
+    props: Array,
+    dy: Array,
+    work: Array,
+    aux: Array,
+) -> None:
+    """Derivative of `y` and its by-products at the instant `now_ns`; `P` of Parameters, `state` of Memory."""
+    memory = state[0]
+    p = P[memory.clock.stage]
+    pool, y, props = borrowed(pool), borrowed(y), borrowed(props)
+    dy, work, aux = borrowed(dy), borrowed(work), borrowed(aux)
+    memory.clock.interval = find_interval(pool, p.vehicle.schedule, schedule_clock(p, now_ns, 0.0))
+    read_schedule(p, pool, memory, now_ns, 0.0, props)
+    evaluate(p, pool, memory, now_ns, 0.0, props, y, dy, work, aux)
+
+
+class _Evaluation:
+    """The derivative as a function of state and commands at one flight time, on memory of its own."""
+
+    def __init__(self, packed: Packed, time_s: float) -> None:
+        self._packed = packed
+        self._now_ns = round(1e9 * time_s)
+        self._memory = packed.memory.copy()
+        if self._memory[0].clock.started == 0:
+            begin(packed.parameters, packed.pool, self._memory, packed.state.copy())
+        self._props, self._work = np.zeros(PROPS_SIZE), np.zeros(WORK_SIZE)
+
+    @property
+    def held_commands(self) -> Array:
+        """Gimbal commands (pitch, yaw) that the flight holds, rad."""
+        held = self._memory[0].held
+        return np.array([held.command_pitch_rad, held.command_yaw_rad])
+
+    @property
+    def stage(self) -> Any:
+        """Parameters of the stage that flies."""
+        return self._packed.parameters[int(self._memory[0].clock.stage)]
+
+    def __call__(self, y: Array, command_rad: tuple[float, float]) -> Instant:
+        held = self._memory[0].held
+        held.command_pitch_rad, held.command_yaw_rad = command_rad
+        dy, aux = np.zeros(MAX_STATE), np.zeros(AUX_SIZE)
+        _evaluate(
+            self._packed.parameters, self._packed.pool, self._memory, y, self._now_ns, self._props, dy,
+            self._work, aux,
+        )  # fmt: skip
+        return Instant(dy, aux)
+
+
+class _Chart:
+    """Local coordinates about a state, and their rates."""
+
+    def __init__(self, packed: Packed, y: Array, time_s: float) -> None:
+        self._evaluation = _Evaluation(packed, time_s)
+        self._command = self._evaluation.held_commands
+        stage = self._evaluation.stage
+        self._sizes = stage.vehicle.sizes
+        self._spin = np.array([0.0, 0.0, float(stage.around.earth.rate_radps)])
+        self._attitude = rotation(y[layout.Q_BI : layout.Q_BI + 4])
+        self._turning = y[layout.W_BI_B : layout.W_BI_B + 3].copy()
+        pitch, yaw, tanks = (int(self._sizes[k]) for k in ("pitch_modes", "yaw_modes", "tanks"))
+        self._eta = layout.N_FIXED + np.arange(pitch)
+        self._xi = layout.N_FIXED + 2 * pitch + np.arange(yaw)
+        self._tanks = [layout.N_FIXED + 2 * (pitch + yaw) + layout.N_PENDULUM * k for k in range(tanks)]
+        self._point = self._read(y)
+        self.names = self._named(pitch, yaw, tanks)
+        self.size = len(self.names)
+        self.steps = self._step_sizes(pitch, yaw, tanks)
+
+    def motion(self, offset: Array, command: Array) -> Array:
+        """Rates of the coordinates `offset` from the reference, then the outputs."""
+        x = self._point + offset
+        y = self._state(x)
+        commands = self._command + command
+        now = self._evaluation(y, (float(commands[0]), float(commands[1])))
+        w = x[_W]
+        outputs = [
+            now.aux[ENGINE_PITCH], now.aux[ENGINE_YAW], w[1] + now.aux[GYRO_BEND], w[2] + now.aux[GYRO_BEND +
+            1],
+        ]  # fmt: skip
+        return np.concatenate([self._rates(x, y, now.rate), outputs])
+
+    def _read(self, y: Array) -> Array:
+        """Coordinates of a state with the reference attitude."""
+        over_ground = y[layout.V_I : layout.V_I + 3] - np.cross(self._spin, y[layout.R_I : layout.R_I + 3])
+        w = y[layout.W_BI_B : layout.W_BI_B + 3]
+        eta, xi = y[self._eta], y[self._xi]
+        eta_rate = y[self._eta + len(eta)] - w[0] * _padded(xi, len(eta))
+        xi_rate = y[self._xi + len(xi)] + w[0] * _padded(eta, len(xi))
+        parts = [y[layout.R_I : layout.R_I + 3], self._attitude.T @ over_ground, np.zeros(3), w]
+        parts += [y[layout.ACTUATOR : layout.N_FIXED], eta, eta_rate, xi, xi_rate]
+        for i in self._tanks:
+            u = y[i : i + 3]
+            u_rate = y[i + 3 : i + 6] - np.cross(w, u)
+            for across in (2, 1):
+                angle, rate, _ = _angle(u, u_rate, np.zeros(3), across)
+                parts.append(np.array([angle, rate]))
+        return np.concatenate(parts)
+
+    def _state(self, x: Array) -> Array:
+        """The simulator's state at coordinates `x`."""
+        y = np.zeros(MAX_STATE)
+        attitude = self._attitude @ _turned(x[_TURN])
+        w = x[_W]
+        y[layout.R_I : layout.R_I + 3] = x[_R]
+        y[layout.V_I : layout.V_I + 3] = attitude @ x[_V] + np.cross(self._spin, x[_R])
+        y[layout.Q_BI : layout.Q_BI + 4] = quaternion(attitude)
+        y[layout.W_BI_B : layout.W_BI_B + 3] = w
+        y[layout.ACTUATOR : layout.N_FIXED] = x[_FLAT]
+        n, m = len(self._eta), len(self._xi)
+        eta, eta_rate, xi, xi_rate = np.split(x[_FLEXIBLE : _FLEXIBLE + 2 * (n + m)], [n, 2 * n, 2 * n + m])
+        y[self._eta], y[self._eta + n] = eta, eta_rate + w[0] * _padded(xi, n)
+        y[self._xi], y[self._xi + m] = xi, xi_rate - w[0] * _padded(eta, m)
+        for k, i in enumerate(self._tanks):
+            pitch, pitch_rate, yaw, yaw_rate = x[_FLEXIBLE + 2 * (n + m) + 4 * k :][:4]
+            u, u_rate = _bob(pitch, pitch_rate, yaw, yaw_rate)
+            y[i : i + 3], y[i + 3 : i + 6] = u, u_rate + np.cross(w, u)
+        return y
+
+    def _rates(self, x: Array, y: Array, dy: Array) -> Array:
+        """Time derivative of the coordinates from that of the state."""
+        attitude = rotation(y[layout.Q_BI : layout.Q_BI + 4])
+        w, w_rate = x[_W], dy[layout.W_BI_B : layout.W_BI_B + 3]
+        moving = dy[layout.V_I : layout.V_I + 3] - np.cross(self._spin, y[layout.V_I : layout.V_I + 3])
+        n, m = len(self._eta), len(self._xi)
+        eta, eta_rate, xi, xi_rate = np.split(x[_FLEXIBLE : _FLEXIBLE + 2 * (n + m)], [n, 2 * n, 2 * n + m])
+        eta_accel = dy[self._eta + n] - w_rate[0] * _padded(xi, n) - w[0] * _padded(xi_rate, n)
+        xi_accel = dy[self._xi + m] + w_rate[0] * _padded(eta, m) + w[0] * _padded(eta_rate, m)
+        turning = _turning_to_vector_rate(x[_TURN], w - _turned(x[_TURN]).T @ self._turning)
+        parts = [dy[layout.R_I : layout.R_I + 3], attitude.T @ moving - np.cross(w, x[_V]), turning, w_rate]
+        # eta' of the simulator is its own statement about its quasi-velocity: taken from it, not assumed
+        parts += [dy[layout.ACTUATOR : layout.N_FIXED], dy[self._eta], eta_accel, dy[self._xi], xi_accel]
+        for i in self._tanks:
+            u, kappa = y[i : i + 3], y[i + 3 : i + 6]
+            u_rate = dy[i : i + 3]
+            u_accel = dy[i + 3 : i + 6] - np.cross(w_rate, u) - np.cross(w, u_rate)
+            assert np.allclose(u_rate, kappa - np.cross(w, u), rtol=1e-9, atol=1e-9)
+            for across in (2, 1):
+                _, rate, accel = _angle(u, u_rate, u_accel, across)
+                parts.append(np.array([rate, accel]))
+        return np.concatenate(parts)
+
+    @staticmethod
+    def _named(pitch: int, yaw: int, tanks: int) -> tuple[str, ...]:
+        names = ["x_I_m", "y_I_m", "z_I_m", "u_mps", "v_mps", "w_mps", "phi_rad", "theta_rad", "psi_rad"]
+        names += ["p_radps", "q_radps", "r_radps"]
+        names += [f"actuator_{axis}_{k + 1}" for axis in ("pitch", "yaw") for k in range(layout.N_ACTUATOR)]
+        axes = ("roll", "pitch", "yaw")
+        names += [f"gyro_{axis}{what}" for axis in axes for what in ("_radps", "_rate_radps2")]
+        names += [f"gyro_{axis}_rad" for axis in axes]
+        for symbol, count in (("eta", pitch), ("xi", yaw)):
+            names += [f"{symbol}_{i + 1}_m" for i in range(count)]
+            names += [f"{symbol}_{i + 1}_rate_mps" for i in range(count)]
+        for k in range(tanks):
+            names += [f"slosh_{k + 1}_{p}{what}" for p in ("pitch", "yaw") for what in ("_rad", "_rate_radps")]
+        return tuple(names)
+
+    @staticmethod
+    def _step_sizes(pitch: int, yaw: int, tanks: int) -> Array:
+        steps = [_STEP_R] * 3 + [_STEP_V] * 3 + [_STEP_TURN] * 3 + [_STEP_W] * 3
+        steps += [_STEP_FLAT] * (_FLAT.stop - _FLAT.start)
+        for count in (pitch, yaw):
+            steps += [_STEP_BEND] * count + [_STEP_BEND_RATE] * count
+        return np.array(steps + [_STEP_SLOSH] * (4 * tanks))
+
+
+def _jacobian(function: Any, steps: Array) -> tuple[Array, Array]:
+    """Derivatives at zero (outputs, inputs) and their estimated errors."""
+    columns, errors = [], []
+    for j, first in enumerate(steps):
+        tableau: list[list[Array]] = []
+        best, least = np.zeros(0), np.zeros(0)
+        for level in range(_LEVELS):
+            offset = np.zeros(len(steps))
+            offset[j] = first / 2**level
+            row = [(function(offset) - function(-offset)) / (2.0 * offset[j])]
+            for power in range(1, level + 1):
+                row.append(row[-1] + (row[-1] - tableau[-1][power - 1]) / (2.0**power - 1.0))
+                error = np.maximum(np.abs(row[-1] - row[-2]), np.abs(row[-1] - tableau[-1][power - 1]))
+                if not len(best):
+                    best, least = row[-1], error
+                best, least = np.where(error < least, row[-1], best), np.minimum(error, least)
+            tableau.append(row)
+        columns.append(best)
+        errors.append(least)
+    return np.array(columns).T, np.array(errors).T
+
+
+def _padded(values: Array, length: int) -> Array:
+    """The first `length` values, then zeros: modes of the two planes are paired as far as they go."""
+    out = np.zeros(length)
+    out[: min(length, len(values))] = values[:length]
+    return out
+
+
+def _turned(vector: Array) -> Array:
+    """Rotation matrix of a rotation vector."""
+    angle = float(np.linalg.norm(vector))
+    half = 0.5 * angle
+    scale = 0.5 * math.sin(half) / half if half > 0.0 else 0.5
+    return np.asarray(rotation(np.array([math.cos(half), *(scale * vector)])))
+
+
+def _turning_to_vector_rate(vector: Array, turning: Array) -> Array:
+    """Rate of a rotation vector from the angular velocity in turned axes.
+
+    Inverse of the right Jacobian; small angles only (the series' next term is of order 8).
+    """
+    square = float(vector @ vector)
+    factor = 1.0 / 12.0 + square * (1.0 / 720.0 + square / 30240.0)
+    once = np.cross(vector, turning)
+    return np.asarray(turning + 0.5 * once + factor * np.cross(vector, once))
+
+
+def _angle(u: Array, u_rate: Array, u_accel: Array, across: int) -> tuple[float, float, float]:
+    """atan2(u[across], -u[0]) with its first and second time derivative."""
+    a, b = float(u[across]), -float(u[0])
+    a1, b1, a2, b2 = float(u_rate[across]), -float(u_rate[0]), float(u_accel[across]), -float(u_accel[0])
+    square, cross = a * a + b * b, a1 * b - a * b1
+    rate = cross / square
+    return math.atan2(a, b), rate, (a2 * b - a * b2) / square - 2.0 * rate * (a * a1 + b * b1) / square
+
+
+def _bob(pitch: float, pitch_rate: float, yaw: float, yaw_rate: float) -> tuple[Array, Array]:
+    """Unit vector from hinge to bob and its rate in B, from angles below 90 degrees and their rates."""
+    tangent_pitch, tangent_yaw = math.tan(pitch), math.tan(yaw)
+    along = np.array([-1.0, tangent_yaw, tangent_pitch])
+    along_rate = np.array([0.0, yaw_rate * (1 + tangent_yaw**2), pitch_rate * (1 + tangent_pitch**2)])
+    length = float(np.linalg.norm(along))
+    u = along / length
+    return u, (along_rate - u * (u @ along_rate)) / length

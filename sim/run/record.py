@@ -1,0 +1,205 @@
+"""A flight as files: DIR/flight.mcap while it is flown, DIR/summary.json at its end.
+
+    flight = record(FlightRun(load_scenario("nominal")), Path("runs/nominal"))
+
+The log is written by a thread of its own, a segment behind the flight: the kernel and the compression both
+let go of the interpreter, so that they overlap. Memory holds a few segments, never the flight.
+"""
+
+from __future__ import annotations
+
+import os
+import queue
+import threading
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+from maxq.sim.flight.telemetry import SLOW
+from maxq.sim.log import foxglove
+from maxq.sim.log.error import LogError
+from maxq.sim.log.head import Attachment, RunHead
+from maxq.sim.log.writer import LogWriter
+from maxq.sim.run.fly import Flight, FlightRun, Rows, copied
+from maxq.sim.run.history import CONTROL_LOST_NAME, DIVERGED_NAME, Event, cause_of
+from maxq.sim.run.launch_frames import LaunchFrames
+from maxq.sim.run.summary import write_summary
+from maxq.sim.scenario.loader import LoadedScenario
+from maxq.sim.scenario.nanoseconds import period_ns
+from maxq.sim.scenario.toml_writer import to_toml
+
+LOG_NAME, SUMMARY_NAME = "flight.mcap", "summary.json"
+SCENARIO_ATTACHMENT, DESIGN_ATTACHMENT = "scenario.toml", "design.toml"
+STATE_HASH_KEY, END_KEY, STEPS_KEY, OUTCOME_KEY = "state_hash", "end_ns", "steps", "outcome"
+_TOML = "application/toml"
+_SEGMENTS_WAITING = 4
+_LEVELS = {CONTROL_LOST_NAME: foxglove.Level.ERROR, DIVERGED_NAME: foxglove.Level.FATAL}
+
+
+class Interrupted(Exception):
+    """Said in the log of a flight that was stopped before its end."""
+
+
+def record(
+    run: FlightRun,
+    folder: Path,
+    *,
+    log: bool = True,
+    watch: Callable[[FlightRun], None] | None = None,
+    stop: Callable[[], bool] = lambda: False,
+    timing: Callable[[], dict[str, float]] = dict,
+    number: int = 0,
+) -> Flight:
+    """Fly `run` to its end and leave log and summary in `folder`, which is made. `number`: of the run in a campaign.
+
+    Files of the same names are replaced. `watch` is called after every segment (1 s of simulated time or
+    less); when `stop` then says True, the flight ends there with outcome "interrupted". `timing`: further
+    entries for the summary's timing. The `Flight` that is returned has no rows: read the log.
+
+    Raises LogError where a file cannot be written; folders that were made for nothing are taken away again.
+    """
+    made = _make(folder)
+    try:
+        (folder / SUMMARY_NAME).unlink(missing_ok=True)  # it tells of another flight
+        writer = LogWriter(folder / LOG_NAME, run.table, run_head(run.loaded, number)) if log else None
+    except (OSError, LogError) as error:
+        for empty in made:
+            empty.rmdir()
+        raise error if isinstance(error, LogError) else cannot_write(folder / SUMMARY_NAME, error) from error
+    flight = fly_to_end(run, _LogThread(writer, run) if writer else None, watch=watch, stop=stop)
+    write_summary(folder / SUMMARY_NAME, flight, LOG_NAME if log else None, timing())
+    return flight
+
+
+def run_head(loaded: LoadedScenario, number: int = 0) -> RunHead:
+    """What a log begins with: enough to fly the same flight again."""
+    scenario, site = loaded.scenario, loaded.scenario.site
+    metadata = {
+        "scenario": scenario.name,
+        "description": scenario.description,
+        "vehicle": scenario.vehicle.name,
+        "design": scenario.design.name if scenario.design else "",
+        "seed": str(scenario.run.seed),
+        "run": str(number),
+        "site_latitude_deg": repr(site.latitude_deg),
+        "site_longitude_deg": repr(site.longitude_deg),
+        "site_altitude_m": repr(site.altitude_m),
+        "azimuth_deg": repr(site.azimuth_deg),
+        "t0_utc": site.utc,
+    }
+    attachments = [Attachment(SCENARIO_ATTACHMENT, _TOML, loaded.as_flown.encode())]
+    if scenario.design is not None:
+        attachments.append(Attachment(DESIGN_ATTACHMENT, _TOML, to_toml(scenario.design).encode()))
+    return RunHead(metadata, tuple(attachments))
+
+
+def result_record(flight: Flight) -> dict[str, str]:
+    """What the log says at its end: with this a log alone tells whether a second flight was the same."""
+    return {
+        OUTCOME_KEY: flight.outcome,
+        END_KEY: str(flight.end_ns),
+        STEPS_KEY: str(flight.steps),
+        STATE_HASH_KEY: flight.state_hash,
+    }
+
+
+def check_writable(folder: Path) -> None:
+    """Raise LogError where files could not be written into `folder`, which need not exist. Makes nothing."""
+    try:
+        there = next(path for path in (folder, *folder.parents) if path.exists())
+        if not there.is_dir():
+            raise LogError(f"{there}: is a file; files can be written into a folder only")
+    except OSError as error:  # a name that is too long
+        raise cannot_write(folder, error) from error
+    if not os.access(there, os.W_OK | os.X_OK):
+        raise LogError(f"{folder}: cannot be written: permission denied")
+
+
+def cannot_write(path: Path, error: OSError) -> LogError:
+    return LogError(f"{path}: cannot be written: {(error.strerror or str(error)).lower()}")
+
+
+def _make(folder: Path) -> list[Path]:
+    """Make a folder; returns those that were missing, the innermost first."""
+    missing = [path for path in (folder, *folder.parents) if not path.exists()]
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        for path in missing:
+            if path.is_dir():
+                path.rmdir()
+        raise cannot_write(folder, error) from error
+    return missing
+
+
+def fly_to_end(
+    run: FlightRun,
+    log: _LogThread | None = None,
+    *,
+    watch: Callable[[FlightRun], None] | None = None,
+    stop: Callable[[], bool] = lambda: False,
+) -> Flight:
+    """Fly without keeping rows; `watch` and `stop` as for `record`."""
+    try:
+        while not run.finished and not stop():
+            rows = run.fly_segment()
+            if log is not None:
+                log.put(rows, run.events)
+            if watch is not None:
+                watch(run)
+        flight = run.result()
+    except BaseException as error:
+        if log is not None:
+            log.close(error, None)
+        raise
+    if log is not None:
+        aborted = Interrupted(f"at {flight.end_s:.3f} s") if flight.outcome == "interrupted" else None
+        log.close(aborted, flight)
+    return flight
+
+
+class _LogThread:
+    """Writes segments while the flight goes on. An error comes out of the next `put`, or of `close`."""
+
+    def __init__(self, writer: LogWriter, run: FlightRun) -> None:
+        scenario, parameters = run.loaded.scenario, run.packed.parameters[0]
+        self._writer = writer
+        self._run = run
+        self._frames = LaunchFrames(
+            run.table, parameters.around.earth, scenario.site, period_ns(scenario.log.transform_hz)
+        )
+        self._told: set[Event] = set()
+        self._queue: queue.Queue[tuple[Rows, list[foxglove.Event]] | None] = queue.Queue(_SEGMENTS_WAITING)
+        self._error: Exception | None = None
+        self._thread = threading.Thread(target=self._work, name="log", daemon=True)
+        self._thread.start()
+
+    def put(self, rows: Rows, events: Sequence[Event]) -> None:
+        if self._error is not None:
+            raise self._error
+        new = [event for event in events if event not in self._told]
+        self._told.update(new)
+        self._queue.put((copied(rows), [self._said(event) for event in new]))
+
+    def close(self, error: BaseException | None, flight: Flight | None) -> None:
+        """Write what is waiting, then the end of the log."""
+        self._queue.put(None)
+        self._thread.join()
+        if self._error is not None and error is None:
+            self._writer.close(self._error)
+            raise self._error
+        self._writer.close(error, result_record(flight) if flight else None)
+
+    def _said(self, event: Event) -> foxglove.Event:
+        stage = f" (stage {event.stage})" if event.stage else ""
+        cause = cause_of(event, self._run.packed)
+        text = f"{event.name}{stage}" + (f": {cause}" if cause else "")
+        return foxglove.Event(event.time_ns, _LEVELS.get(event.name, foxglove.Level.INFO), text, "flight")
+
+    def _work(self) -> None:
+        while (item := self._queue.get()) is not None:
+            rows, events = item
+            try:
+                if self._error is None:  # else drop what comes, so that nobody waits for room in the queue
+                    self._writer.write_block(rows, events, [self._frames.path(*rows[SLOW])])
+            except Exception as error:
+                self._error = error

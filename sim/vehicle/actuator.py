@@ -1,0 +1,86 @@
+"""Thrust-vector actuator of one axis: the paper's sixth-order transfer function (28) in state space, with limits.
+
+    delta / command = H1 H2 H3,   H_i = w_i^2 / (s^2 + 2 z_i w_i s + w_i^2) for i = 1, 2,
+    H3 = (w_3^2 / w_4^2) (s^2 + 2 z_4 w_4 s + w_4^2) / (s^2 + 2 z_3 w_3 s + w_3^2)
+
+H1 is the servo: position error -> rate command -> rate. Written as a loop, the rate *command* saturates and so does
+the rate, with no wind-up; in its linear range the loop is H1 exactly. The position command is limited before it.
+H2 and H3 follow as linear sections: their resonances may carry the engine slightly past both limits.
+States: servo position, servo rate; H2 position, rate; w_3^2-scaled states of H3 and its rate.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from maxq.control.kernel.jit import kernel
+from maxq.control.kernel.records import Array
+
+
+@dataclass(frozen=True)
+class Actuator:
+    """`omega_radps` and zeta of the sections 1, 2, 3 (pole), 4 (zero); limits in rad and rad/s."""
+
+    omega_1_radps: float
+    omega_2_radps: float
+    omega_3_radps: float
+    omega_4_radps: float
+    zeta_1: float
+    zeta_2: float
+    zeta_3: float
+    zeta_4: float
+    angle_limit_rad: float
+    rate_limit_radps: float
+    bias_rad: float
+    backlash_rad: float
+    ideal: int  # 1: the angle is the command, at rest between commands
+
+
+@kernel
+def actuator_output(a: Actuator, y: Array, i: int, command: float) -> tuple[float, float, float]:
+    """Engine angle, rate and acceleration (rad, rad/s, rad/s2) from the states at y[i:i+6].
+
+    Three orders of differentiation lie between command and angle at least, so that all three are functions of the
+    state and no derivative of the command is needed.
+    """
+    if a.ideal == 1:
+        return command + a.bias_rad, 0.0, 0.0
+    w2, w3, w4 = a.omega_2_radps, a.omega_3_radps, a.omega_4_radps
+    x, x_rate, z, z_rate = y[i + 2], y[i + 3], y[i + 4], y[i + 5]
+    x_accel = w2 * w2 * (y[i] - x) - 2.0 * a.zeta_2 * w2 * x_rate
+    damp_3, damp_4 = 2.0 * a.zeta_3 * w3, 2.0 * a.zeta_4 * w4
+    z_2 = w3 * w3 * (x - z) - damp_3 * z_rate
+    z_3 = w3 * w3 * (x_rate - z_rate) - damp_3 * z_2
+    z_4 = w3 * w3 * (x_accel - z_2) - damp_3 * z_3
+    k = 1.0 / (w4 * w4)
+    angle = k * (z_2 + damp_4 * z_rate) + z + a.bias_rad
+    rate = k * (z_3 + damp_4 * z_2) + z_rate
+    accel = k * (z_4 + damp_4 * z_3) + z_2
+    return angle, rate, accel
+
+
+@kernel
+def actuator_derivative(a: Actuator, y: Array, i: int, command: float, dy: Array) -> None:
+    """Time derivative of the states at y[i:i+6] under a held command (rad)."""
+    if a.ideal == 1:
+        for j in range(6):
+            dy[i + j] = 0.0
+        return
+    w1, w2, w3 = a.omega_1_radps, a.omega_2_radps, a.omega_3_radps
+    target = min(max(command, -a.angle_limit_rad), a.angle_limit_rad)
+    damp_1 = 2.0 * a.zeta_1 * w1
+    rate_command = w1 * w1 / damp_1 * (target - y[i])
+    rate_command = min(max(rate_command, -a.rate_limit_radps), a.rate_limit_radps)
+    dy[i] = y[i + 1]
+    dy[i + 1] = damp_1 * (rate_command - y[i + 1])
+    dy[i + 2] = y[i + 3]
+    dy[i + 3] = w2 * w2 * (y[i] - y[i + 2]) - 2.0 * a.zeta_2 * w2 * y[i + 3]
+    dy[i + 4] = y[i + 5]
+    dy[i + 5] = w3 * w3 * (y[i + 2] - y[i + 4]) - 2.0 * a.zeta_3 * w3 * y[i + 5]
+
+
+@kernel
+def after_backlash(a: Actuator, played: float, command: float) -> float:
+    """Command that reaches the servo through a play of `backlash_rad` (total), given what reached it before."""
+    half = 0.5 * a.backlash_rad
+    return min(max(played, command - half), command + half)

@@ -1,0 +1,62 @@
+"""Rate gyro of three axes: errors, second-order dynamics (29), and the angle its pulses will count.
+
+The gyro sits on the bent body and feels the local turning rate: q + sum(slope nu_pitch) in pitch and
+r - sum(slope nu_yaw) in yaw (docs/model.md, section 2).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from maxq.control.kernel.jit import kernel
+from maxq.control.kernel.records import Array
+from maxq.control.kernel.vectors import Vector
+from maxq.sim.vehicle.state import GYRO, GYRO_ANGLE, N_GYRO
+
+GYRO_STREAM = 16  # of the noise generator: one sequence an axis, 16 to 18
+
+
+@dataclass(frozen=True)
+class Gyro:
+    station_m: float
+    omega_radps: float
+    zeta: float
+    bias_x_radps: float
+    bias_y_radps: float
+    bias_z_radps: float
+    scale_x: float  # relative error
+    scale_y: float
+    scale_z: float
+    misalignment_x_rad: float  # small rotation of the sensor axes about x, y, z of B
+    misalignment_y_rad: float
+    misalignment_z_rad: float
+    random_walk_rad_rts: float  # angle random walk, rad / sqrt(s)
+    ideal: int
+
+
+@kernel
+def sensed_rate(g: Gyro, rate: Vector) -> Vector:
+    """Rate that the gyro would settle to, rad/s, from the local rate in B."""
+    x, y, z = rate
+    a, b, c = g.misalignment_x_rad, g.misalignment_y_rad, g.misalignment_z_rad
+    return (
+        (1.0 + g.scale_x) * (x + c * y - b * z) + g.bias_x_radps,
+        (1.0 + g.scale_y) * (y - c * x + a * z) + g.bias_y_radps,
+        (1.0 + g.scale_z) * (z + b * x - a * y) + g.bias_z_radps,
+    )
+
+
+@kernel
+def gyro_derivative(g: Gyro, y: Array, sensed: Vector, dy: Array) -> None:
+    """Derivatives of the gyro's states and of the angle integrals."""
+    w2, damp = g.omega_radps * g.omega_radps, 2.0 * g.zeta * g.omega_radps
+    for axis in range(3):
+        i = GYRO + N_GYRO * axis
+        if g.ideal == 1:
+            dy[i] = 0.0
+            dy[i + 1] = 0.0
+            dy[GYRO_ANGLE + axis] = sensed[axis]
+        else:
+            dy[i] = y[i + 1]
+            dy[i + 1] = w2 * (sensed[axis] - y[i]) - damp * y[i + 1]
+            dy[GYRO_ANGLE + axis] = y[i]

@@ -1,0 +1,141 @@
+"""The vehicle as a function of time: columns of one table per stage, and how they are laid out.
+
+Mass, thrust, tanks and modes change as propellant leaves. All of it is one table over the stage's burn clock, so
+that a kernel finds the interval once and evaluates every column in one sweep. Fixed columns first, then five per
+tank, then the modes: row by row for all modes of a plane side by side (pitch plane, then yaw plane). A row has room
+for a multiple of four modes, with zeros where there is no mode, so that kernels take four modes at a time.
+
+Behind the table's columns stands what follows from them and does not change within an evaluation of the derivative;
+`complete_modes` and `rigid.prepare_outflow` fill it in.
+"""
+
+from __future__ import annotations
+
+from maxq.control.kernel.jit import kernel
+from maxq.control.kernel.records import Array
+from maxq.sim.vehicle.state import Counts
+
+CORE_MASS = 0  # kg, without the sloshing masses
+CORE_CG = 1  # x_n aft of the nose, y, z, m
+CORE_INERTIA = 4  # integrals about the core CG in B, kg m2: Ixx, Iyy, Izz, Ixy, Ixz, Iyz (products positive)
+CG_RATE = 10  # time derivative of CORE_CG, m/s
+INERTIA_RATE = 13  # time derivative of CORE_INERTIA, kg m2/s
+TOTAL_MASS = 19  # kg, sloshing masses included
+MASS_FLOW = 20  # kg/s, minus the derivative of TOTAL_MASS
+THRUST_VACUUM = 21  # N
+N_CONSTANT = 22
+
+TANK_MASS = 0  # kg
+TANK_LENGTH = 1  # pendulum length, m
+TANK_HINGE = 2  # station of the hinge, m aft of the nose
+TANK_MASS_RATE = 3  # kg/s
+TANK_TRAVEL = 4  # rate at which the bob moves aft with the liquid, m/s: of hinge plus length
+TANK_WIDTH = 5
+
+MODE_OMEGA = 0  # rows of a plane: rad/s
+MODE_MASS = 1  # generalised mass, kg
+MODE_PHI_GIMBAL = 2
+MODE_SLOPE_GIMBAL = 3  # d(phi)/d(x_n), 1/m
+MODE_SLOPE_GYRO = 4
+MODE_FIRST = 5  # then phi at each tank; phi, slope at each surface; axial softening by each mode, kg/m
+
+# behind the table
+INVERSE_CORE_MASS = 0  # 1/kg
+INVERSE_TOTAL_MASS = 1
+INNER_FLOW = 2  # momentum of the propellant relative to the body, B, kg m/s (3)
+JET_DAMPING = 5  # integrals, as of an inertia, that times the turning rate give minus its moment, kg m2/s (6)
+N_FOLLOWING = 11
+MODE_INVERSE_MASS = 0  # rows of a plane: 1/kg
+MODE_STIFFNESS = 1  # N/m
+MODE_DAMPING = 2  # N s/m
+MODE_YIELD = 3  # then the acceleration per newton at each tank, 1/kg
+
+PITCH, YAW = 0, 1
+
+
+@kernel
+def tank_column(tank: int) -> int:
+    return N_CONSTANT + TANK_WIDTH * tank
+
+
+@kernel
+def fours(sizes: Counts) -> int:
+    """How many times four modes a plane has, rounded up."""
+    return (max(sizes.pitch_modes, sizes.yaw_modes) + 3) >> 2
+
+
+@kernel
+def lanes(sizes: Counts) -> int:
+    """Columns of a row of modal quantities: the modes of a plane and zeros up to a multiple of four."""
+    return 4 * fours(sizes)
+
+
+@kernel
+def mode_rows(sizes: Counts) -> int:
+    """Rows of a plane."""
+    return softening_row(sizes, 0) + lanes(sizes)
+
+
+@kernel
+def mode_column(sizes: Counts, plane: int, row: int) -> int:
+    """First mode's column of a row of a plane (PITCH, YAW); the other modes follow."""
+    return N_CONSTANT + TANK_WIDTH * sizes.tanks + (plane * mode_rows(sizes) + row) * lanes(sizes)
+
+
+@kernel
+def softening_row(sizes: Counts, mode: int) -> int:
+    """Row of what `mode`'s displacement takes from the stiffness of each mode under axial load."""
+    return MODE_FIRST + sizes.tanks + 2 * sizes.surfaces + mode
+
+
+@kernel
+def surface_row(sizes: Counts, surface: int) -> int:
+    """Row of the shapes at a lifting surface; that of the slopes is the next."""
+    return MODE_FIRST + sizes.tanks + 2 * surface
+
+
+@kernel
+def schedule_width(sizes: Counts) -> int:
+    return mode_column(sizes, 2, 0)
+
+
+@kernel
+def following_column(sizes: Counts, plane: int, row: int) -> int:
+    """As `mode_column`, of the rows behind the table."""
+    return schedule_width(sizes) + N_FOLLOWING + (plane * (MODE_YIELD + sizes.tanks) + row) * lanes(sizes)
+
+
+@kernel
+def compliance_column(sizes: Counts, plane: int) -> int:
+    """Behind the table's columns: sum over the modes of phi_k phi_j / M for tanks k, j."""
+    return following_column(sizes, 2, 0) + plane * sizes.tanks * sizes.tanks
+
+
+@kernel
+def complete_modes(
+    sizes: Counts, plane: int, modes: int, zeta: Array, frequency_factor: Array, props: Array
+) -> None:  # fmt: skip
+    """Fill in one plane's rows behind the table: inverse mass, stiffness, damping, compliance."""
+    omega_at, mass_at = mode_column(sizes, plane, MODE_OMEGA), mode_column(sizes, plane, MODE_MASS)
+    inverse = following_column(sizes, plane, MODE_INVERSE_MASS)
+    stiffness, damping = following_column(sizes, plane, MODE_STIFFNESS), following_column(sizes, plane, MODE_DAMPING)
+    for i in range(lanes(sizes)):
+        if i < modes:
+            omega = props[omega_at + i] * frequency_factor[i]
+            props[inverse + i] = 1.0 / props[mass_at + i]
+            props[stiffness + i] = props[mass_at + i] * omega * omega
+            props[damping + i] = 2.0 * zeta[i] * props[mass_at + i] * omega
+        else:
+            props[inverse + i], props[stiffness + i], props[damping + i] = 0.0, 0.0, 0.0
+    n, compliance = sizes.tanks, compliance_column(sizes, plane)
+    for k in range(n):
+        at_k, yield_k = mode_column(sizes, plane, MODE_FIRST + k), following_column(sizes, plane, MODE_YIELD + k)
+        for i in range(lanes(sizes)):
+            props[yield_k + i] = props[at_k + i] * props[inverse + i]
+        for j in range(k, n):
+            at_j = mode_column(sizes, plane, MODE_FIRST + j)
+            total = 0.0
+            for i in range(modes):
+                total += props[yield_k + i] * props[at_j + i]
+            props[compliance + k * n + j] = total
+            props[compliance + j * n + k] = total

@@ -1,0 +1,213 @@
+"""The air at rest: density, pressure, temperature and speed of sound over geometric altitude.
+
+US Standard Atmosphere 1976 (NOAA-S/T 76-1562) by its equations to 86 km, with its own constants
+(R* = 8314.32 N m/(kmol K), M = 28.9644 kg/kmol, gamma = 1.4, r0 = 6356.766 km). Temperature is the
+molecular-scale temperature, which exceeds the kinetic one by up to 0.08 K between 80 and 86 km.
+
+Beyond the standard's equations:
+- above 86 km the air stays isothermal at 186.946 K in hydrostatic equilibrium, as the standard itself has
+  it to 91 km. Density then falls monotonically to zero. Against the standard's tables it is 3 % high at
+  100 km, 24 % low at 120 km and 23 times too low at 150 km: right for an ascent, whose dynamic pressure is
+  gone by then, not for the lifetime of an orbit;
+- below sea level the first layer's equations go on to -5 km, the lower end of the standard's tables; deeper
+  the values at -5 km hold.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from maxq.control.kernel.jit import kernel
+from maxq.control.kernel.records import Array
+from maxq.control.kernel.tables import NO_TABLE, Cubics, Method, TableRef, find_interval, fit, interpolate
+
+VACUUM, US1976, TABLE, CONSTANT = 0, 1, 2, 3  # Atmosphere.model
+
+GAS_CONSTANT_Jpkg_K = 8314.32 / 28.9644  # of air
+HEAT_RATIO = 1.4
+SEA_LEVEL_PRESSURE_Pa = 101325.0
+SEA_LEVEL_TEMPERATURE_K = 288.15
+SEA_LEVEL_DENSITY_kgpm3 = SEA_LEVEL_PRESSURE_Pa / (GAS_CONSTANT_Jpkg_K * SEA_LEVEL_TEMPERATURE_K)
+GEOPOTENTIAL_RADIUS_m = 6356766.0
+LOWEST_m = -5000.0  # geometric
+TOP_m = 86000.0  # geometric
+
+_G0_OVER_R_Kpm = 9.80665 / GAS_CONSTANT_Jpkg_K  # [K/m] pressure falls by exp(-g0 dH / (R T))
+
+
+def _layers() -> tuple[Array, Array, Array, Array]:
+    """Bases of the standard's layers and of the isothermal one on top: geopotential altitude [m], lapse
+    rate [K/m], temperature [K], pressure [Pa]; the last two follow from the first, layer by layer, so that
+    all is continuous.
+    """
+    top = GEOPOTENTIAL_RADIUS_m * TOP_m / (GEOPOTENTIAL_RADIUS_m + TOP_m)
+    base = np.array([0.0, 11e3, 20e3, 32e3, 47e3, 51e3, 71e3, top])
+    lapse = np.array([-6.5e-3, 0.0, 1.0e-3, 2.8e-3, 0.0, -2.8e-3, -2.0e-3, 0.0])
+    temperature, pressure = np.empty(8), np.empty(8)
+    t, p = SEA_LEVEL_TEMPERATURE_K, SEA_LEVEL_PRESSURE_Pa
+    for i in range(8):
+        temperature[i], pressure[i] = t, p
+        if i < 7:
+            rise = float(base[i + 1] - base[i])
+            if lapse[i] == 0.0:
+                p *= math.exp(-_G0_OVER_R_Kpm * rise / t)
+            else:
+                p *= (1.0 + lapse[i] * rise / t) ** (-_G0_OVER_R_Kpm / lapse[i])
+                t += lapse[i] * rise
+    return base, lapse, temperature, pressure
+
+
+_base, _lapse, _temperature, _pressure = _layers()
+_BASE_m = tuple(map(float, _base))
+_LAPSE_Kpm = tuple(map(float, _lapse))
+_TEMPERATURE_K = tuple(map(float, _temperature))
+_PRESSURE_Pa = tuple(map(float, _pressure))
+_INVERSE_TEMPERATURE = tuple(map(float, 1.0 / _temperature))
+# What multiplies dH in the exponential (isothermal layers), or the power of T / T_base (the others).
+_EXPONENT = tuple(
+    -_G0_OVER_R_Kpm / lapse if lapse else -_G0_OVER_R_Kpm / t
+    for lapse, t in zip(_LAPSE_Kpm, _TEMPERATURE_K, strict=True)
+)
+# Geometric altitudes between which a layer's formula holds.
+_FLOOR_m = (LOWEST_m, *(GEOPOTENTIAL_RADIUS_m * h / (GEOPOTENTIAL_RADIUS_m - h) for h in _BASE_m[1:]))
+_CEILING_m = (*_FLOOR_m[1:], math.inf)
+
+
+@dataclass(frozen=True)
+class Atmosphere:
+    """Parameter record. `model`: VACUUM, US1976, TABLE (`table`, see `air_table`) or CONSTANT (the three
+    values).
+
+    `density_factor` multiplies the density of every model and nothing else: a dispersion, not a gas law.
+    """
+
+    model: int = US1976
+    table: TableRef = NO_TABLE
+    density_kgpm3: float = SEA_LEVEL_DENSITY_kgpm3
+    pressure_Pa: float = SEA_LEVEL_PRESSURE_Pa
+    temperature_K: float = SEA_LEVEL_TEMPERATURE_K
+    density_factor: float = 1.0
+
+
+def air_table(
+    altitude_m: ArrayLike,
+    density_kgpm3: ArrayLike,
+    pressure_Pa: ArrayLike,
+    temperature_K: ArrayLike,
+    method: Method = "pchip",
+) -> Cubics:
+    """Table for `Atmosphere.table`: columns ln(density), ln(pressure), temperature over geometric altitude.
+
+    The logarithms are interpolated because density and pressure fall almost exponentially. Rows every 2 km
+    then meet the standard atmosphere within 0.3 % half-way between them (1 % where a row steps over the
+    tropopause), and no interpolated value can be negative. Raises ValueError for fewer than two rows, values
+    that are not positive, or altitudes that do not rise.
+    """
+    columns = [np.atleast_1d(np.asarray(c, float)) for c in (density_kgpm3, pressure_Pa, temperature_K)]
+    if len(columns[0]) < 2:
+        raise ValueError("an atmosphere table needs at least two rows")
+    if not all((c > 0.0).all() for c in columns):
+        raise ValueError("density, pressure and temperature of an atmosphere table must be positive")
+    density, pressure, temperature = columns
+    return fit(altitude_m, np.stack([np.log(density), np.log(pressure), temperature], axis=1), method)
+
+
+@kernel
+def air(atmosphere: Atmosphere, pool: Array, altitude_m: float) -> tuple[float, float, float, float]:
+    """(density [kg/m3], pressure [Pa], temperature [K], speed of sound [m/s]) at a geometric altitude [m].
+
+    Temperature and speed of sound are positive everywhere, in a vacuum too (those of sea level), so that a
+    Mach number always exists. A table holds its first row below itself and continues isothermally above its
+    last.
+    """
+    if atmosphere.model == US1976:
+        pressure, temperature = us1976(altitude_m)
+        density = pressure / (GAS_CONSTANT_Jpkg_K * temperature)
+    elif atmosphere.model == TABLE:
+        density, pressure, temperature = _table_air(pool, atmosphere.table, altitude_m)
+    elif atmosphere.model == CONSTANT:
+        density, pressure, temperature = (
+            atmosphere.density_kgpm3,
+            atmosphere.pressure_Pa,
+            atmosphere.temperature_K,
+        )
+    else:
+        density, pressure, temperature = 0.0, 0.0, SEA_LEVEL_TEMPERATURE_K
+    return atmosphere.density_factor * density, pressure, temperature, speed_of_sound(temperature)
+
+
+@kernel
+def speed_of_sound(temperature_K: float) -> float:
+    """Of air, m/s."""
+    return math.sqrt(HEAT_RATIO * GAS_CONSTANT_Jpkg_K * temperature_K)
+
+
+@kernel
+def us1976(altitude_m: float) -> tuple[float, float]:
+    """(pressure [Pa], temperature [K]) of the standard atmosphere: one power or one exponential a call."""
+    h = max(altitude_m, LOWEST_m)
+    geopotential = GEOPOTENTIAL_RADIUS_m * h / (GEOPOTENTIAL_RADIUS_m + h)
+    i = _layer(geopotential)
+    rise = geopotential - _BASE_m[i]
+    if _LAPSE_Kpm[i] == 0.0:
+        return _PRESSURE_Pa[i] * math.exp(_EXPONENT[i] * rise), _TEMPERATURE_K[i]
+    temperature = _TEMPERATURE_K[i] + _LAPSE_Kpm[i] * rise
+    return _PRESSURE_Pa[i] * (temperature * _INVERSE_TEMPERATURE[i]) ** _EXPONENT[i], temperature
+
+
+@kernel
+def _layer(geopotential_m: float) -> int:
+    i = 0
+    while i < 7 and geopotential_m >= _BASE_m[i + 1]:
+        i += 1
+    return i
+
+
+@kernel
+def us1976_about(altitude_m: float, temperature_K: float) -> tuple[float, float, float, float, float]:
+    """What `us1976_nearby` needs to go on from where `us1976` gave this temperature: geopotential metres per metre,
+    curvature of that [1/m], lapse rate [K/m], and how far [m] the layer reaches down (negative) and up.
+    """
+    h = max(altitude_m, LOWEST_m)
+    inverse = 1.0 / (GEOPOTENTIAL_RADIUS_m + h)
+    i = _layer(GEOPOTENTIAL_RADIUS_m * h * inverse)
+    scale = GEOPOTENTIAL_RADIUS_m * inverse
+    return scale * scale, inverse, _LAPSE_Kpm[i], _FLOOR_m[i] - altitude_m, _CEILING_m[i] - altitude_m
+
+
+@kernel
+def us1976_nearby(
+    pressure_Pa: float, inverse_temperature: float, lapse_Kpm: float, geopotential_rise_m: float
+) -> tuple[float, float]:
+    """Pressure [Pa] and the ratio of temperatures after a rise of some ten geopotential metres within a layer.
+
+    The power series of both formulas of the standard, which have the same terms: p'/p = -g0/(R T), T' = lapse.
+    Left out is the fourth power: relatively 3e-13 at 10 m.
+    """
+    lapse = lapse_Kpm * inverse_temperature
+    first = -_G0_OVER_R_Kpm * inverse_temperature
+    second = 0.5 * first * (first - lapse)
+    third = second * (first - 2.0 * lapse) * (1.0 / 3.0)
+    d = geopotential_rise_m
+    return pressure_Pa * (1.0 + d * (first + d * (second + d * third))), 1.0 + d * lapse
+
+
+@kernel
+def _table_air(pool: Array, table: TableRef, altitude_m: float) -> tuple[float, float, float]:
+    """(density, pressure, temperature) of an `air_table`."""
+    k = find_interval(pool, table, altitude_m)
+    log_density = interpolate(pool, table, k, altitude_m, 0)
+    log_pressure = interpolate(pool, table, k, altitude_m, 1)
+    temperature = interpolate(pool, table, k, altitude_m, 2)
+    top = pool[table.offset + table.n_breaks - 1]
+    if altitude_m > top:
+        # geopotential difference: r0 h / (r0 + h) at both ends, on one denominator
+        rise = (altitude_m - top) / ((1.0 + altitude_m / GEOPOTENTIAL_RADIUS_m) * (1.0 + top / GEOPOTENTIAL_RADIUS_m))
+        fall = _G0_OVER_R_Kpm * rise / temperature
+        log_density -= fall
+        log_pressure -= fall
+    return math.exp(log_density), math.exp(log_pressure), temperature

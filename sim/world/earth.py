@@ -1,0 +1,325 @@
+"""The Earth: its figure, its rotation and its gravitation.
+
+Frames: I inertial and E Earth-fixed, both Earth-centred with z to the north pole, E = I at t = 0; N local
+North-East-Down on the geodetic normal. On a flat Earth I = E = N at the site (x north, y east, z down).
+
+Altitude and local axes do not change under a rotation about the pole. A kernel that has a position in I
+therefore gets altitude and the NED axes *in I* from it directly, without the Earth's rotation angle; only a
+longitude needs the position in E. The hot path (`local_frame`, `ned_to_earth`, ...) calls no trigonometric
+function.
+
+Constants are those of the NESC check cases (NASA/TM-2015-218675): WGS-84 with the J2 of EGM.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from maxq.control.kernel.jit import kernel, routine
+
+FLAT, SPHERE, ELLIPSOID = 0, 1, 2  # Earth.figure
+NO_GRAVITY, UNIFORM, INVERSE_SQUARE, J2 = 0, 1, 2, 3  # Earth.gravity
+
+WGS84_RADIUS_m = 6378137.0
+WGS84_FLATTENING = 1.0 / 298.257223563
+WGS84_MU_m3ps2 = 3.986004418e14
+WGS84_J2 = 1.08262982e-3
+WGS84_RATE_radps = 7.292115e-5
+MEAN_RADIUS_m = 6371007.1809  # sphere of the same surface (authalic)
+STANDARD_GRAVITY_mps2 = 9.80665
+
+_NOWHERE_m = 1e-100  # nearer than this to the axis or the centre counts as on it: the squares lose their digits
+
+
+@dataclass(frozen=True)
+class Earth:
+    """Parameter record of the Earth. Make one with `wgs84`, `sphere` or `flat`.
+
+    `gravity`: UNIFORM is `uniform_mps2` along +z (flat) or towards the centre (round); INVERSE_SQUARE and
+    J2 are the gravitation of `mu_m3ps2` (no centrifugal part). `gravity_radius_m` is the reference radius
+    of `j2`. Raises ValueError for a combination that has no meaning.
+    """
+
+    figure: int  # not "shape": on an uncompiled np.record that is the shape of an array
+    equatorial_radius_m: float
+    flattening: float
+    rate_radps: float  # rotation of E relative to I about z; 0: not rotating
+    gravity: int
+    mu_m3ps2: float
+    j2: float
+    gravity_radius_m: float
+    uniform_mps2: float
+
+    def __post_init__(self) -> None:
+        if self.figure not in (FLAT, SPHERE, ELLIPSOID):
+            raise ValueError(f"Earth.figure {self.figure} is none of 0 flat, 1 sphere, 2 ellipsoid")
+        if self.gravity not in (NO_GRAVITY, UNIFORM, INVERSE_SQUARE, J2):
+            raise ValueError(f"Earth.gravity {self.gravity} is none of 0 none, 1 uniform, 2 inverse square, 3 J2")
+        if self.figure == FLAT and self.gravity not in (NO_GRAVITY, UNIFORM):
+            raise ValueError("a flat Earth has no centre: its gravity is uniform or none")
+        if self.figure == FLAT and self.rate_radps != 0.0:
+            raise ValueError("a flat Earth does not rotate")
+        if self.figure == SPHERE and self.flattening != 0.0:
+            raise ValueError("a sphere has no flattening")
+        if not 0.0 <= self.flattening < 0.1:
+            raise ValueError(f"flattening {self.flattening} is outside 0 .. 0.1, where the geodetic kernels hold")
+        if not (self.equatorial_radius_m > 0.0 and self.gravity_radius_m > 0.0 and self.mu_m3ps2 > 0.0):
+            raise ValueError("radii and mu of the Earth must be positive")
+
+
+def wgs84(
+    *,
+    equatorial_radius_m: float = WGS84_RADIUS_m,
+    flattening: float = WGS84_FLATTENING,
+    rate_radps: float = WGS84_RATE_radps,
+    gravity: int = J2,
+    mu_m3ps2: float = WGS84_MU_m3ps2,
+    j2: float = WGS84_J2,
+    gravity_radius_m: float = WGS84_RADIUS_m,
+    uniform_mps2: float = STANDARD_GRAVITY_mps2,
+) -> Earth:
+    """The rotating WGS-84 ellipsoid with J2; every value can be replaced."""
+    return Earth(
+        ELLIPSOID,
+        equatorial_radius_m,
+        flattening,
+        rate_radps,
+        gravity,
+        mu_m3ps2,
+        j2,
+        gravity_radius_m,
+        uniform_mps2,
+    )
+
+
+def sphere(
+    *,
+    radius_m: float = MEAN_RADIUS_m,
+    rate_radps: float = WGS84_RATE_radps,
+    gravity: int = INVERSE_SQUARE,
+    mu_m3ps2: float = WGS84_MU_m3ps2,
+    j2: float = WGS84_J2,
+    gravity_radius_m: float = WGS84_RADIUS_m,
+    uniform_mps2: float = STANDARD_GRAVITY_mps2,
+) -> Earth:
+    """A rotating sphere with inverse-square gravitation (NESC cases 4, 5); every value can be replaced."""
+    return Earth(SPHERE, radius_m, 0.0, rate_radps, gravity, mu_m3ps2, j2, gravity_radius_m, uniform_mps2)
+
+
+def flat(*, gravity: int = UNIFORM, uniform_mps2: float = STANDARD_GRAVITY_mps2) -> Earth:
+    """A flat Earth at rest: I = E = NED at the site, altitude = -z."""
+    return Earth(FLAT, WGS84_RADIUS_m, 0.0, 0.0, gravity, WGS84_MU_m3ps2, WGS84_J2, WGS84_RADIUS_m, uniform_mps2)
+
+
+@kernel
+def gravitation(earth: Earth, x: float, y: float, z: float) -> tuple[float, float, float]:
+    """Gravitational acceleration (gx, gy, gz) [m/s2] at (x, y, z) [m], in the frame of the position: I or E.
+
+    Flat: (0, 0, +g), because I is NED there. J2: Vallado, Fundamentals of Astrodynamics, 4th ed., sec.
+    8.6.1, the gradient of mu/r (1 - J2 (R/r)^2 (3 sin^2 - 1)/2). Finite within a metre of the centre, but
+    without meaning.
+    """
+    if earth.gravity == NO_GRAVITY:
+        return 0.0, 0.0, 0.0
+    if earth.figure == FLAT:
+        return 0.0, 0.0, earth.uniform_mps2
+    inv_r2 = 1.0 / max(x * x + y * y + z * z, 1.0)
+    inv_r = math.sqrt(inv_r2)
+    if earth.gravity == UNIFORM:
+        k = -earth.uniform_mps2 * inv_r
+        return k * x, k * y, k * z
+    k = -earth.mu_m3ps2 * inv_r2 * inv_r
+    if earth.gravity == INVERSE_SQUARE:
+        return k * x, k * y, k * z
+    radius = earth.gravity_radius_m
+    c = 1.5 * earth.j2 * radius * radius * inv_r2
+    s = 5.0 * z * z * inv_r2
+    across = k * (1.0 + c * (1.0 - s))
+    return across * x, across * y, k * (1.0 + c * (3.0 - s)) * z
+
+
+@kernel
+def gravity_gradient_torque(
+    earth: Earth,
+    r_B: tuple[float, float, float],
+    inertia: tuple[float, float, float, float, float, float],
+) -> tuple[float, float, float]:
+    """Torque [N m] of the gravity gradient about the centre of mass, in B: 3 mu / r^5 (r x J r).
+
+    `r_B` [m]: position of the centre of mass relative to the Earth's centre, in B. `inertia` [kg m2]:
+    elements (J_xx, J_yy, J_zz, J_xy, J_xz, J_yz) of the tensor about the centre of mass, so J_xy =
+    -integral(x y dm). Spherical part of the field only (J2's gradient is a thousandth of it); zero in a
+    uniform field and in none. Source: Hughes, Spacecraft Attitude Dynamics, sec. 8.1.
+    """
+    if earth.gravity not in (INVERSE_SQUARE, J2):
+        return 0.0, 0.0, 0.0
+    x, y, z = r_B
+    j_xx, j_yy, j_zz, j_xy, j_xz, j_yz = inertia
+    inv_r2 = 1.0 / max(x * x + y * y + z * z, 1.0)
+    k = 3.0 * earth.mu_m3ps2 * inv_r2 * inv_r2 * math.sqrt(inv_r2)
+    l_x = j_xx * x + j_xy * y + j_xz * z
+    l_y = j_xy * x + j_yy * y + j_yz * z
+    l_z = j_xz * x + j_yz * y + j_zz * z
+    return k * (y * l_z - z * l_y), k * (z * l_x - x * l_z), k * (x * l_y - y * l_x)
+
+
+@kernel
+def local_frame(earth: Earth, x: float, y: float, z: float) -> tuple[float, float, float, float, float]:
+    """Altitude [m] and (sin latitude, cos latitude, sin longitude, cos longitude) at (x, y, z) [m].
+
+    From a position in E the longitude is the longitude; from one in I it is the inertial azimuth of the
+    meridian, and the axes that `ned_axes`, `ned_to_earth`, `earth_to_ned` make of the four numbers are NED
+    in I.
+
+    Method: Bowring's formula once (Survey Review 28, 1985), started from his corrected parametric latitude;
+    then h = p cos + z sin - a sqrt(1 - e^2 sin^2), in which an error of the latitude enters squared. From
+    -10 km up the altitude is right to rounding (2.5e-9 m up to 1000 km, 2e-8 m at 40 000 km) and the
+    latitude to 2.5e-13 rad.
+
+    On the polar axis the longitude is 0. Within 8 e^2 a = 340 km of the centre, where the geodetic normal
+    is not unique, latitude and altitude are geocentric. Flat: altitude -z and the four numbers (-1, 0, 0,
+    1), with which the NED axes are the identity.
+    """
+    if earth.figure == FLAT:
+        return -z, -1.0, 0.0, 0.0, 1.0
+    p2 = x * x + y * y
+    p = math.sqrt(p2)
+    sin_lon, cos_lon = 0.0, 1.0
+    if p > _NOWHERE_m:
+        inv_p = 1.0 / p
+        sin_lon, cos_lon = y * inv_p, x * inv_p
+    r = math.sqrt(p2 + z * z)
+    a = earth.equatorial_radius_m
+    e2 = earth.flattening * (2.0 - earth.flattening)
+    e2a = e2 * a
+    if earth.figure == SPHERE or r <= 8.0 * e2a:
+        if r <= _NOWHERE_m:
+            return -a, 0.0, 1.0, 0.0, 1.0
+        inv_r = 1.0 / r
+        return r - a, z * inv_r, p * inv_r, sin_lon, cos_lon
+    ratio = 1.0 - earth.flattening
+    sin_lat, cos_lat = _bowring(ratio, e2a, p, z, z * (ratio * r + e2a), p * r)
+    altitude = p * cos_lat + z * sin_lat - a * math.sqrt(1.0 - e2 * sin_lat * sin_lat)
+    return altitude, sin_lat, cos_lat, sin_lon, cos_lon
+
+
+@kernel
+def _bowring(ratio: float, e2a: float, p: float, z: float, s: float, c: float) -> tuple[float, float]:
+    """Sine and cosine of the geodetic latitude from (s, c) along those of the parametric latitude.
+
+    `ratio` b/a, `e2a` e^2 a [m], `p` distance from the axis [m]. Numerator and denominator of Bowring's
+    tan(latitude) are both multiplied by b/a, which saves a division.
+    """
+    inv = 1.0 / math.sqrt(s * s + c * c)
+    s, c = s * inv, c * inv
+    s, c = ratio * z + e2a * s * s * s, ratio * (p - e2a * c * c * c)
+    inv = 1.0 / math.sqrt(s * s + c * c)
+    return s * inv, c * inv
+
+
+@routine
+def geodetic(earth: Earth, x: float, y: float, z: float) -> tuple[float, float, float]:
+    """(latitude [rad], longitude [rad] in -pi..pi, altitude [m]) of the Earth-fixed position (x, y, z) [m].
+
+    A second pass of Bowring's formula brings the latitude to rounding (3e-16 rad) from -10 km up. Poles,
+    axis and centre as in `local_frame`. Flat: (0, 0, -z). For logs and set-up; the hot path is
+    `local_frame`.
+    """
+    if earth.figure == FLAT:
+        return 0.0, 0.0, -z
+    altitude, sin_lat, cos_lat, _, _ = local_frame(earth, x, y, z)
+    longitude = math.atan2(y, x)
+    e2a = earth.flattening * (2.0 - earth.flattening) * earth.equatorial_radius_m
+    p2 = x * x + y * y
+    if earth.figure == ELLIPSOID and p2 + z * z > 64.0 * e2a * e2a:
+        ratio = 1.0 - earth.flattening
+        p = math.sqrt(p2)
+        sin_lat, cos_lat = _bowring(ratio, e2a, p, z, ratio * sin_lat, cos_lat)
+        a, e2 = earth.equatorial_radius_m, earth.flattening * (2.0 - earth.flattening)
+        altitude = p * cos_lat + z * sin_lat - a * math.sqrt(1.0 - e2 * sin_lat * sin_lat)
+    return math.atan2(sin_lat, cos_lat), longitude, altitude
+
+
+@kernel
+def earth_position(
+    earth: Earth, latitude_rad: float, longitude_rad: float, altitude_m: float
+) -> tuple[float, float, float]:
+    """Earth-fixed position (x, y, z) [m] of a geodetic one. Flat: (0, 0, -altitude), at the site."""
+    if earth.figure == FLAT:
+        return 0.0, 0.0, -altitude_m
+    sin_lat, cos_lat = math.sin(latitude_rad), math.cos(latitude_rad)
+    e2 = earth.flattening * (2.0 - earth.flattening)
+    normal = earth.equatorial_radius_m / math.sqrt(1.0 - e2 * sin_lat * sin_lat)
+    p = (normal + altitude_m) * cos_lat
+    return (
+        p * math.cos(longitude_rad),
+        p * math.sin(longitude_rad),
+        (normal * (1.0 - e2) + altitude_m) * sin_lat,
+    )
+
+
+@kernel
+def ned_axes(
+    sin_lat: float, cos_lat: float, sin_lon: float, cos_lon: float
+) -> tuple[float, float, float, float, float, float, float, float, float]:
+    """The unit vectors north, east, down (three numbers each) in E, or in I if `local_frame` was given I.
+
+    Read as rows they are the rotation matrix from E to N.
+    """
+    return (
+        -sin_lat * cos_lon,
+        -sin_lat * sin_lon,
+        cos_lat,
+        -sin_lon,
+        cos_lon,
+        0.0,
+        -cos_lat * cos_lon,
+        -cos_lat * sin_lon,
+        -sin_lat,
+    )
+
+
+@kernel
+def ned_to_earth(
+    sin_lat: float, cos_lat: float, sin_lon: float, cos_lon: float, n: float, e: float, d: float
+) -> tuple[float, float, float]:
+    """Components in E (or I, see `local_frame`) of a vector with components (n, e, d) in N."""
+    outward = -sin_lat * n - cos_lat * d
+    return cos_lon * outward - sin_lon * e, sin_lon * outward + cos_lon * e, cos_lat * n - sin_lat * d
+
+
+@kernel
+def earth_to_ned(
+    sin_lat: float, cos_lat: float, sin_lon: float, cos_lon: float, x: float, y: float, z: float
+) -> tuple[float, float, float]:
+    """Components (n, e, d) in N of a vector with components (x, y, z) in E (or I, see `local_frame`)."""
+    outward = cos_lon * x + sin_lon * y
+    return cos_lat * z - sin_lat * outward, cos_lon * y - sin_lon * x, -cos_lat * outward - sin_lat * z
+
+
+@kernel
+def earth_rotation(earth: Earth, time_s: float) -> tuple[float, float]:
+    """(cos, sin) of the angle by which E has turned about z relative to I at `time_s` after E = I."""
+    if earth.rate_radps == 0.0:
+        return 1.0, 0.0
+    angle = earth.rate_radps * time_s
+    return math.cos(angle), math.sin(angle)
+
+
+@kernel
+def inertial_to_earth(cos: float, sin: float, x: float, y: float, z: float) -> tuple[float, float, float]:
+    """Components in E of a vector (x, y, z) in I; (cos, sin) from `earth_rotation`."""
+    return cos * x + sin * y, cos * y - sin * x, z
+
+
+@kernel
+def earth_to_inertial(cos: float, sin: float, x: float, y: float, z: float) -> tuple[float, float, float]:
+    """Components in I of a vector (x, y, z) in E; (cos, sin) from `earth_rotation`."""
+    return cos * x - sin * y, cos * y + sin * x, z
+
+
+@kernel
+def ground_velocity(earth: Earth, x: float, y: float) -> tuple[float, float, float]:
+    """Velocity relative to I [m/s] of the Earth-fixed point at (x, y, any z) [m], in the position's frame."""
+    return -earth.rate_radps * y, earth.rate_radps * x, 0.0

@@ -1,0 +1,103 @@
+"""The same equations flown by SciPy's DOP853 from instant to instant, with its error control: the
+reference.
+
+Between two instants (computer sample, command, schedule breakpoint, ...) nothing switches; there the
+kernel's own derivative is handed to the adaptive method of order eight (Hairer, Norsett & Wanner, section
+II.5), which starts anew after each. The flight's instants themselves are met by the flight's own kernels.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+
+import numpy as np
+from scipy.integrate import DOP853
+
+from maxq.control.kernel.jit import borrowed, entry
+from maxq.control.kernel.records import Array
+from maxq.sim.flight.arena import PROPS_SIZE
+from maxq.sim.flight.events import meet_instants, step_length
+from maxq.sim.flight.parameters import NEVER
+from maxq.sim.flight.step import evaluate, read_schedule
+from maxq.sim.run.fly import FlightRun
+from maxq.sim.vehicle.state import MAX_STATE, R_I, V_I, state_size
+from maxq.sim.vehicle.workspace import AUX_SIZE, WORK_SIZE
+
+_PROPS = 0
+_WORK = _PROPS + PROPS_SIZE
+_AUX = _WORK + WORK_SIZE
+SCRATCH = _AUX + AUX_SIZE
+
+
+@entry
+def rates(P: Array, pool: Array, state: Array, y: Array, elapsed_s: float, dy: Array, scratch: Array) -> None:
+    """Derivative `elapsed_s` after the flight's present instant."""
+    p, memory = P[0], state[0]
+    pool, y, dy = borrowed(pool), borrowed(y), borrowed(dy)
+    props, work = borrowed(scratch[_PROPS:_WORK]), borrowed(scratch[_WORK:_AUX])
+    aux = borrowed(scratch[_AUX:SCRATCH])
+    now = memory.clock.now_ns
+    read_schedule(p, pool, memory, now, elapsed_s, props)
+    evaluate(p, pool, memory, now, elapsed_s, props, y, dy, work, aux)
+
+
+@entry
+def next_instant(P: Array, pool: Array, state: Array, y: Array, scratch: Array) -> int:
+    """Meet all that is due now; nanoseconds until something is due again."""
+    p, memory = P[0], state[0]
+    pool, y = borrowed(pool), borrowed(y)
+    aux = borrowed(scratch[_AUX:SCRATCH])
+    meet_instants(p, pool, memory, y, aux)
+    return step_length(p, pool, memory, NEVER)
+
+
+@dataclass
+class AdaptiveFlight:
+    """Flies a run on from where it stands (in flight, one stage, no turbulence)."""
+
+    run: FlightRun
+    relative: float  # tolerance
+    evaluations: int = 0
+    _scratch: Array = field(default_factory=lambda: np.zeros(SCRATCH))
+    _full: Array = field(default_factory=lambda: np.zeros(MAX_STATE))
+    _dy: Array = field(default_factory=lambda: np.zeros(MAX_STATE))
+
+    def __post_init__(self) -> None:
+        packed = self.run.packed
+        self._n = int(state_size(packed.parameters[0].vehicle.sizes))
+        packed.parameters[0].course.step_ns = NEVER // 4  # no other grid than the instants
+        # position and speed are thousands of times what changes of them in a step, the rest begins near zero
+        tolerance = np.full(self._n, self.relative)
+        tolerance[R_I : R_I + 3], tolerance[V_I : V_I + 3] = 1e-3 * self.relative, 1e-2 * self.relative
+        self._relative = np.maximum(tolerance, 3e-14)  # SciPy refuses less than 100 eps
+        self._absolute = 1e-3 * self.relative
+
+    def _rates(self, elapsed_s: float, y: Array) -> Array:
+        packed = self.run.packed
+        self._full[: self._n] = y
+        rates(packed.parameters, packed.pool, packed.memory, self._full, elapsed_s, self._dy, self._scratch)
+        self.evaluations += 1
+        return self._dy[: self._n].copy()
+
+    def until(self, end_ns: int, every_ns: int) -> Iterator[tuple[int, Array]]:
+        """Time (ns) and state at every multiple of `every_ns` up to `end_ns`; these must be instants."""
+        packed, clock = self.run.packed, self.run.memory.clock
+        arguments = (packed.parameters, packed.pool, packed.memory, packed.state, self._scratch)
+        while int(clock.now_ns) < end_ns:
+            length_ns = min(int(next_instant(*arguments)), end_ns - int(clock.now_ns))
+            length_s = 1e-9 * length_ns
+            y = packed.state[: self._n]
+            solver = DOP853(
+                self._rates, 0.0, y.copy(), length_s, rtol=self._relative, atol=self._absolute,
+                first_step=length_s,
+            )  # fmt: skip
+            while solver.status == "running":
+                solver.step()
+            if solver.status == "failed":
+                raise RuntimeError(f"DOP853 fails at {self.run.now_s:.3f} s")
+            y[:] = solver.y
+            clock.now_ns += length_ns
+            clock.steps += 1
+            if int(clock.now_ns) % every_ns == 0:
+                yield int(clock.now_ns), packed.state.copy()

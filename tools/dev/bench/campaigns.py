@@ -1,0 +1,204 @@
+"""Campaigns: flights a second on one worker and on all cores, what a campaign costs beside its kernel, memory, Dask.
+
+The whole set of dispersions of campaigns/ksr3, full powered ascents. Overhead is measured in processor time, which
+other work on the machine disturbs least: of the whole process, beside what of it is spent inside the kernel.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import resource
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any
+from unittest.mock import patch
+
+from maxq.sim.campaign import flying
+from maxq.sim.campaign.loaded import BatchInputs, LoadedCampaign
+from maxq.sim.campaign.read import load_campaign
+from maxq.sim.campaign.runner import Progress, cores, load_kernels, run_campaign
+from maxq.sim.campaign.store import Store
+from maxq.sim.flight import loop
+from maxq.sim.run import fly
+
+RUNS = 1000  # as many as a person asks for over coffee; kernels of their own from 500
+SHORT = ("run.duration_s=0.02", "run.stop_at=[]", "campaign.keep=[]", "campaign.batch=256")
+_FLOWN, _ROWS = 4000, 100_000
+
+
+def _ksr3(*overrides: str) -> LoadedCampaign:
+    return load_campaign("campaigns/ksr3", ["campaign.keep=[]", *overrides])
+
+
+def local(runs: int = RUNS) -> dict[str, float]:
+    """Rates and overhead with threads."""
+    campaign = _ksr3().with_campaign(runs=runs)
+    load_kernels(campaign)
+    workers = cores()
+    with tempfile.TemporaryDirectory() as scratch:
+        spent = {"kernel": 0.0}
+        start, cpu = time.perf_counter(), time.process_time()
+        with patch.object(fly, "advance", _timed(spent, "kernel", loop.advance)):
+            run_campaign(campaign, Path(scratch) / "one", workers=1)
+        one_s, cpu_s = time.perf_counter() - start, time.process_time() - cpu
+        start = time.perf_counter()
+        run_campaign(campaign, Path(scratch) / "all", workers=workers)
+        all_s = time.perf_counter() - start
+    return {
+        "runs": runs,
+        "workers": workers,
+        "kernel_cpu_s": round(spent["kernel"] / runs, 4),
+        "campaign_cpu_s": round(cpu_s / runs, 4),
+        "overhead_percent": round(100.0 * (cpu_s / spent["kernel"] - 1.0), 1),
+        "one_per_s": round(runs / one_s, 2),
+        "all_per_s": round(runs / all_s, 2),
+        "efficiency_percent": round(100.0 * one_s / all_s / workers, 1),
+    }
+
+
+def _timed(spent: dict[str, float], name: str, function: Callable[..., Any]) -> Callable[..., Any]:
+    """The function, whose processor time goes to `spent[name]`."""
+
+    def call(*arguments: Any, **named: Any) -> Any:
+        start = time.thread_time()
+        try:
+            return function(*arguments, **named)
+        finally:
+            spent[name] += time.thread_time() - start
+
+    return call
+
+
+PARTS: dict[str, tuple[Any, str]] = {
+    "draws of a batch": (LoadedCampaign, "batch"),
+    "scenario: changed, checked": (BatchInputs, "inputs"),
+    "packing": (flying, "_begun_flight"),
+    "flight": (flying, "_flown"),
+    "metrics, verdicts, row": (flying, "row_of"),
+    "Arrow tables, Parquet files": (Store, "write"),
+}
+"""Where a campaign's time goes: functions that each do one part of it, called one after the other."""
+
+
+def profile(runs: int = RUNS // 2) -> dict[str, float]:
+    """Processor time by part, ms a run, of a campaign on one worker; "other" is what is left of the process's."""
+    campaign = _ksr3().with_campaign(runs=runs)
+    load_kernels(campaign)
+    spent = dict.fromkeys(PARTS, 0.0)
+    with ExitStack() as stack, tempfile.TemporaryDirectory() as scratch:
+        for name, (owner, function) in PARTS.items():
+            stack.enter_context(patch.object(owner, function, _timed(spent, name, getattr(owner, function))))
+        start = time.process_time()
+        run_campaign(campaign, Path(scratch) / "one", workers=1)
+        total = time.process_time() - start
+    spent["other"] = total - sum(spent.values())
+    return {name: round(1e3 * seconds / runs, 3) for name, seconds in spent.items()}
+
+
+def memory(runs: int = _FLOWN, rows: int = _ROWS) -> dict[str, float]:
+    """Peak memory, MB: of flying very short flights, and of judging and drawing `rows` runs.
+
+    The data set that is judged holds the flown rows over and over, under new numbers.
+    """
+    from maxq.sim.campaign.analysis import DataSet, judged, lost  # noqa: PLC0415  # counts as memory
+    from maxq.tools.campaign_page import write_report  # noqa: PLC0415  # counts as memory
+
+    campaign = load_campaign("campaigns/ksr3", SHORT).with_campaign(runs=runs)
+    with tempfile.TemporaryDirectory() as scratch:
+        folder = Path(scratch) / "out"
+        half: list[float] = []
+
+        def watch(progress: Progress) -> None:
+            if progress.done >= runs // 2 and not half:
+                half.append(_peak_MB())
+
+        run_campaign(campaign, folder, watch=watch)
+        flown = _peak_MB()
+        _repeat(folder, runs, rows)
+        data = DataSet(folder, campaign)
+        write_report(data, judged(data), lost(data), rows, {}, pictures=True)
+    return {
+        "runs": runs,
+        "half_MB": round(half[0]),
+        "flown_MB": round(flown),
+        "rows": rows,
+        "judged_MB": round(_peak_MB()),
+    }
+
+
+def _peak_MB() -> float:
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0
+
+
+def _repeat(folder: Path, runs: int, rows: int) -> None:
+    """Further parts of the runs that are there, until there are `rows`; in a process of its own, for its memory."""
+    script = (
+        "import sys, pyarrow as pa, pyarrow.parquet as pq; from pathlib import Path\n"
+        "from maxq.sim.campaign.store import parts_in, _name\n"
+        "folder, runs, rows = Path(sys.argv[1]), int(sys.argv[2]), int(sys.argv[3])\n"
+        "parts = [(p, pq.read_table(p.path)) for p in parts_in(folder)]\n"
+        "for shift in range(runs, rows, runs):\n"
+        "    for p, t in parts:\n"
+        "        numbers = pa.array(range(p.first + shift, p.last + shift + 1), pa.int64())\n"
+        "        t = t.set_column(0, t.schema.field(0), numbers)\n"
+        "        pq.write_table(t, folder / 'runs' / _name(p.first + shift, p.last + shift), compression='zstd')\n"
+    )
+    subprocess.run([sys.executable, "-c", script, str(folder), str(runs), str(rows)], check=True)
+
+
+def dask(runs: int = RUNS) -> dict[str, float]:
+    """The same campaign on worker processes of one thread each, and on as many threads; batches of 2 s or more."""
+    from distributed import Client, LocalCluster  # noqa: PLC0415  # an extra
+
+    from maxq.sim.campaign.cluster import run_on_cluster  # noqa: PLC0415  # an extra
+
+    workers = cores()
+    campaign = _ksr3().with_campaign(runs=runs)
+    load_kernels(campaign)
+    with (
+        tempfile.TemporaryDirectory() as scratch,
+        LocalCluster(n_workers=workers, threads_per_worker=1, dashboard_address=None) as machines,
+        Client(machines) as client,
+    ):
+        run_on_cluster(campaign.with_campaign(runs=16 * workers), Path(scratch) / "warm", client)
+        start = time.perf_counter()
+        run_campaign(campaign, Path(scratch) / "threads", workers=workers)
+        threads_s = time.perf_counter() - start
+        start = time.perf_counter()
+        run_on_cluster(campaign, Path(scratch) / "dask", client)
+        dask_s = time.perf_counter() - start
+    return {
+        "threads_s": round(threads_s, 2),
+        "dask_s": round(dask_s, 2),
+        "overhead_percent": round(100.0 * (dask_s / threads_s - 1.0), 1),
+    }
+
+
+def measure() -> dict[str, Any]:
+    """All of it, each in a process of its own."""
+    return {name: _own(f"{name}()") for name in ("local", "profile", "memory", "dask")}
+
+
+def _own(call: str) -> Any:
+    script = (
+        "import json; from maxq.tools.dev.bench.campaigns import *\n"
+        + f"if __name__ == '__main__': print(json.dumps({call}))"
+    )
+    environment = {**os.environ, "MPLBACKEND": "Agg"}
+    with tempfile.NamedTemporaryFile("w", suffix=".py") as file:  # a file, so that Dask's workers can start from it
+        file.write(script)
+        file.flush()
+        done = subprocess.run([sys.executable, file.name], env=environment, capture_output=True, text=True, check=False)
+    if done.returncode != 0:
+        raise RuntimeError(f"{call}: {done.stderr.strip().splitlines()[-1:]}")
+    return json.loads(done.stdout.splitlines()[-1])
+
+
+if __name__ == "__main__":
+    print(json.dumps(measure()))

@@ -1,0 +1,112 @@
+"""Worker: Basilisk flies a rigid hub with three sloshing masses and two hinged panels, RK4, 60 s at 1 kHz.
+
+The nearest that Basilisk's state effectors come to a launch vehicle: thrust, gravity with J2, no air, no
+flight computer, no recorder.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from importlib.metadata import version
+from typing import Any
+
+from Basilisk.simulation import (  # type: ignore[import-not-found]  # in .venv-bench only
+    extForceTorque,
+    fuelTank,
+    hingedRigidBodyStateEffector,
+    linearSpringMassDamper,
+    spacecraft,
+    svIntegrators,
+)
+from Basilisk.utilities import (  # type: ignore[import-not-found]  # in .venv-bench only
+    SimulationBaseClass,
+    macros,
+    simIncludeGravBody,
+)
+
+from maxq.tools.dev.bench.serve import serve
+
+STEP_S = 0.001
+FLOWN_S = 60.0
+
+
+def _slosh(vehicle: Any) -> list[Any]:
+    """A tank with a sloshing mass along each axis."""
+    tank, model = fuelTank.FuelTank(), fuelTank.FuelTankModelConstantVolume()
+    model.propMassInit, model.radiusTankInit = 400.0, 0.5
+    model.r_TcT_TInit = [[0.0], [0.0], [0.0]]
+    tank.setTankModel(model)
+    tank.setR_TB_B([[0.0], [0.0], [0.1]])
+    tank.setNameOfMassState("tank")
+    tank.setUpdateOnly(True)
+    masses = []
+    for axis, mass_kg in enumerate((150.0, 140.0, 130.0)):
+        bob = linearSpringMassDamper.LinearSpringMassDamper()
+        bob.k, bob.c, bob.massInit = 500.0, 15.0, mass_kg
+        bob.r_PB_B = [[0.1 * axis], [0.0], [-0.1]]
+        bob.pHat_B = [[float(axis == j)] for j in range(3)]
+        bob.rhoInit, bob.rhoDotInit = 0.02, 0.0
+        tank.pushFuelSloshParticle(bob)
+        masses.append(bob)
+    vehicle.addStateEffector(tank)
+    for bob in masses:
+        vehicle.addStateEffector(bob)
+    return [tank, model, *masses]
+
+
+def _panels(vehicle: Any) -> list[Any]:
+    """Two panels on damped hinges."""
+    panels = []
+    for side in (1.0, -1.0):
+        panel = hingedRigidBodyStateEffector.HingedRigidBodyStateEffector()
+        panel.mass, panel.d, panel.k, panel.c = 100.0, 1.5, 1e4, 10.0
+        panel.IPntS_S = [[100.0, 0.0, 0.0], [0.0, 50.0, 0.0], [0.0, 0.0, 50.0]]
+        panel.r_HB_B = [[0.5 * side], [0.0], [1.0]]
+        panel.dcm_HB = [[-side, 0.0, 0.0], [0.0, -side, 0.0], [0.0, 0.0, 1.0]]
+        panel.thetaInit, panel.thetaDotInit = 0.01, 0.0
+        panel.nameOfThetaState, panel.nameOfThetaDotState = f"theta{side:+.0f}", f"rate{side:+.0f}"
+        vehicle.addStateEffector(panel)
+        panels.append(panel)
+    return panels
+
+
+def prepare() -> Callable[[], int]:
+    simulation = SimulationBaseClass.SimBaseClass()
+    simulation.CreateNewProcess("process").addTask(simulation.CreateNewTask("task", macros.sec2nano(STEP_S)))
+    vehicle = spacecraft.Spacecraft()
+    vehicle.ModelTag = "vehicle"
+    simulation.AddModelToTask("task", vehicle)
+    integrator = svIntegrators.svIntegratorRK4(vehicle)
+    vehicle.setIntegrator(integrator)
+    alive = [vehicle, integrator, *_slosh(vehicle), *_panels(vehicle)]  # C++ holds plain pointers to them
+    thrust = extForceTorque.ExtForceTorque()
+    thrust.extForce_B = [[0.0], [0.0], [20000.0]]
+    thrust.extTorquePntB_B = [[0.0], [1.0], [0.0]]
+    vehicle.addDynamicEffector(thrust)
+    simulation.AddModelToTask("task", thrust)
+    hub = vehicle.hub
+    hub.mHub, hub.r_BcB_B = 1500.0, [[0.0], [0.0], [0.0]]
+    hub.IHubPntBc_B = [[900.0, 0.0, 0.0], [0.0, 800.0, 0.0], [0.0, 0.0, 600.0]]
+    hub.sigma_BNInit, hub.omega_BN_BInit = [[0.0], [0.0], [0.0]], [[0.01], [-0.01], [0.01]]
+    hub.r_CN_NInit, hub.v_CN_NInit = [6700e3, 0.0, 0.0], [0.0, 7500.0, 0.0]
+    gravity = simIncludeGravBody.gravBodyFactory()
+    gravity.createEarth().isCentralBody = True
+    gravity.addBodiesTo(vehicle)
+    alive += [thrust, gravity]
+    simulation.InitializeSimulation()
+    simulation.ConfigureStopTime(macros.sec2nano(FLOWN_S))
+
+    def fly() -> int:
+        simulation.ExecuteSimulation()
+        assert alive
+        return round(FLOWN_S / STEP_S)
+
+    return fly
+
+
+def main() -> None:
+    serve({"program": "Basilisk", "version": version("bsk"), "flown_s": FLOWN_S}, prepare)
+
+
+if __name__ == "__main__":
+    main()

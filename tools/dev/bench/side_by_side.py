@@ -1,0 +1,124 @@
+"""Other programs and maxq, flown in turn in the same run, each in a process of its own."""
+
+from __future__ import annotations
+
+import json
+import statistics
+import subprocess
+import sys
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+
+@dataclass(frozen=True)
+class Flown:
+    """A program's flight: what it is, in words, and which worker flies it."""
+
+    key: str
+    what: str
+    module: str
+    ours: bool = False
+    arguments: tuple[str, ...] = ()
+    rounds: int | None = None  # None: in every round
+    needed: float | None = None  # ratio of its time to maxq's that is to be reached
+
+
+CASES = (
+    Flown("maxq", "nominal, 59 s at 1 kHz, everything on", "fly_maxq", ours=True),
+    Flown("maxq_own", "the same, by a campaign's kernels", "fly_maxq", ours=True, arguments=("--own-kernels",)),
+    Flown("jsbsim", "rigid, J2461.xml, 60 s at 1 kHz", "fly_jsbsim", needed=3.5),
+    Flown("basilisk", "hub, 3 slosh, 2 panels, RK4, 60 s at 1 kHz", "fly_basilisk", needed=20.0),
+    Flown("rocketpy", "rigid, 60 s, LSODA, 100 Hz controller on interpolated points", "fly_rocketpy"),
+    Flown(
+        "rocketpy_causal",
+        "rigid, 60 s, RK23, steps end at the 100 Hz controller",
+        "fly_rocketpy",
+        arguments=("--causal",),
+        rounds=2,
+    ),
+)
+
+
+@dataclass
+class _Worker:
+    case: Flown
+    process: subprocess.Popen[str]
+    about: dict[str, Any]
+    flights: list[dict[str, float]] = field(default_factory=list)
+
+    def fly(self) -> dict[str, float]:
+        assert self.process.stdin is not None
+        self.process.stdin.write("fly\n")
+        self.process.stdin.flush()
+        answer: dict[str, float] = json.loads(_line(self.process))
+        return answer
+
+
+def _line(process: subprocess.Popen[str]) -> str:
+    assert process.stdout is not None
+    line = process.stdout.readline()
+    if not line:
+        assert process.stderr is not None
+        last = process.stderr.read().strip().splitlines()
+        raise RuntimeError(last[-1] if last else f"the worker ended with {process.wait()}")
+    return line
+
+
+def _start(case: Flown, python: Path) -> _Worker:
+    process = subprocess.Popen(
+        [str(python), "-m", f"maxq.tools.dev.bench.{case.module}", *case.arguments],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    return _Worker(case, process, json.loads(_line(process)))
+
+
+def measure(peers_python: Path, rounds: int) -> dict[str, Any]:
+    """Fly `rounds` rounds: each other program once, maxq before each of them. First flights do not count.
+
+    Times per program: `cpu_s`, `wall_s`, `set_up_s` (each a list), `steps`, `flown_s`; or `skipped`, why.
+    """
+    results: dict[str, Any] = {}
+    workers: list[_Worker] = []
+    try:
+        for case in CASES:
+            try:
+                worker = _start(case, Path(sys.executable) if case.ours else peers_python)
+                workers.append(worker)
+                if case.rounds is None:
+                    worker.fly()  # compiles, fills caches
+            except (OSError, RuntimeError) as error:
+                results[case.key] = {"what": case.what, "skipped": str(error)}
+        working = [w for w in workers if w.case.key not in results]
+        ours = next((w for w in working if w.case.ours), None)
+        for number in range(rounds):
+            for worker in working:
+                if worker is ours or number >= (worker.case.rounds or rounds):
+                    continue
+                if ours is not None:
+                    ours.flights.append(ours.fly())
+                worker.flights.append(worker.fly())
+            if ours is not None and len(working) == 1:
+                ours.flights.append(ours.fly())
+        for worker in working:
+            results[worker.case.key] = _summary(worker)
+    finally:
+        for worker in workers:
+            worker.process.terminate()
+    return {case.key: results[case.key] for case in CASES}
+
+
+def _summary(worker: _Worker) -> dict[str, Any]:
+    columns = {key: [f[key] for f in worker.flights] for key in ("cpu_s", "wall_s", "set_up_s")}
+    return {
+        "what": worker.case.what,
+        "needed": worker.case.needed,
+        **worker.about,
+        "steps": worker.flights[-1]["steps"],
+        **{key: [round(value, 5) for value in values] for key, values in columns.items()},
+        **{f"{key}_median": round(statistics.median(values), 5) for key, values in columns.items()},
+        **{f"{key}_min": round(min(values), 5) for key, values in columns.items()},
+    }

@@ -1,0 +1,134 @@
+"""Where the paper's continuous loop departs from the sampled one that flies, node by node.
+
+    python -m maxq.tools.dev.documents.departure_table [FILE]
+
+compares both for the design `ksr3-default` along the flight `nominal` and writes the result into FILE (default:
+docs/flights/nominal-departure.md); prints the same.
+"""
+
+from __future__ import annotations
+
+import math
+import sys
+from pathlib import Path
+
+import numpy as np
+
+from maxq.control.filters import BendingFilter, DiscreteFilter
+from maxq.design import api
+from maxq.design.loop.departure import PARTS, Departure, Part, departure
+from maxq.design.loop.loop import Loop
+from maxq.design.margins.measure import Margins, margins
+from maxq.sim.scenario.loader import load_scenario
+
+SCENARIO, DESIGN = "nominal", "designs/ksr3-default.toml"
+DEFAULT_FILE = Path(__file__).resolve().parents[3] / "docs" / "flights" / "nominal-departure.md"
+LIMITS = ((0.1, 1.0), (0.5, 5.0), (3.0, 30.0))  # dB, deg
+MODES = ("bending 1", "bending 2", "bending 3")
+NAMES: dict[Part, str] = {
+    "total": "all",
+    "pade": "Padé approximants (30 to 32)",
+    "aliasing": "no images",
+    "integrator": "integrator 1/s",
+    "filter": "filter not discretised",
+}
+
+
+def table_text(found: list[Departure], measured: list[tuple[Margins, Margins]]) -> str:
+    lines = [
+        "# How far the continuous loop departs from the sampled one",
+        "",
+        "<!-- Written by `python -m maxq.tools.dev.documents.departure_table`: run it again, do not edit. -->",
+        "",
+        "Ratio of the loop with the paper's continuous approximations (kind `pade`) to the one that the flight",
+        "computer runs (kind `sampled`), for the design `ksr3-default` in pitch. `design/loop/departure.py` splits it",
+        "into four ratios whose decibels and degrees add up.",
+        "",
+        "## From which frequency on it matters",
+        "",
+        "Lowest frequency (Hz) beyond the limit, all parts together; then of the Padé approximants and the missing",
+        "images alone, that is with the integrator and the filter taken as they are flown.",
+        "",
+        "| time (s) | "
+        + " | ".join(f"{db:g} dB or {deg:g}°" for db, deg in LIMITS)
+        + " | "
+        + " | ".join(f"fixed path: {db:g} dB or {deg:g}°" for db, deg in LIMITS)
+        + " |",
+        "|---" * (1 + 2 * len(LIMITS)) + "|",
+    ]
+    for d in found:
+        whole = [d.first_hz(*limit) for limit in LIMITS]
+        path = [_first_of_path(d, *limit) for limit in LIMITS]
+        lines.append(f"| {d.node.time_s:g} | " + " | ".join(_hz(x) for x in (*whole, *path)) + " |")
+    for label in MODES:
+        lines += ["", f"## At {label.replace('bending', 'bending mode')}", "", "dB and degrees, part by part.", ""]
+        lines += ["| time (s) | Hz | sampled peak (dB) | " + " | ".join(NAMES[p] for p in PARTS) + " |"]
+        lines += ["|---" * (3 + len(PARTS)) + "|"]
+        for d in found:
+            r = next(x for x in d.resonances if x.label == label)
+            k = int(np.argmin(np.abs(d.frequency_hz - r.frequency_hz)))
+            cells = [f"{db:+.2f} / {deg:+.1f}°" for db, deg in d.at(r.frequency_hz).values()]
+            row = [f"{d.node.time_s:g}", f"{r.frequency_hz:.2f}", f"{d.sampled_db[k]:.2f}", *cells]
+            lines.append("| " + " | ".join(row) + " |")
+    lines += ["", "## Margins by both", "", "Sampled / continuous.", ""]
+    lines += [
+        "| time (s) | aerodynamic gain margin (dB) | rigid gain margin (dB) | phase margin (deg) | modulus margin |"
+    ]
+    lines += ["|---|---|---|---|---|"]
+    for d, (sampled, pade) in zip(found, measured, strict=True):
+        pairs = [
+            (sampled.aero_gain_db.value, pade.aero_gain_db.value, 2),
+            (sampled.rigid_gain_db.value, pade.rigid_gain_db.value, 2),
+            (sampled.rigid_phase_deg.value, pade.rigid_phase_deg.value, 2),
+            (sampled.modulus, pade.modulus, 3),
+        ]
+        lines.append(f"| {d.node.time_s:g} | " + " | ".join(f"{a:.{n}f} / {b:.{n}f}" for a, b, n in pairs) + " |")
+    return "\n".join(lines) + "\n"
+
+
+def _first_of_path(d: Departure, db: float, deg: float) -> float:
+    beyond = (np.abs(d.db["pade"] + d.db["aliasing"]) > db) | (np.abs(d.deg["pade"] + d.deg["aliasing"]) > deg)
+    return float(d.frequency_hz[np.argmax(beyond)]) if beyond.any() else math.inf
+
+
+def _hz(value: float) -> str:
+    return f"{value:.1f}" if math.isfinite(value) else "never"
+
+
+def compare() -> tuple[list[Departure], list[tuple[Margins, Margins]]]:
+    """Departures and margins (sampled, Pade) at the paper's nodes."""
+    loaded = load_scenario(SCENARIO, [f'design="{DESIGN}"'])
+    design = loaded.design
+    assert design is not None
+    found, measured = [], []
+    for node in api.nodes(loaded):
+        loops = [api.loop(node, design, kind="sampled"), api.loop(node, design, kind="pade")]
+        filters = api.filter_of(design, None), api.filter_of(design, node.instruments.sample_s)
+        assert isinstance(filters[0], BendingFilter)
+        assert isinstance(filters[1], DiscreteFilter)
+        found.append(departure(node, loops[0].k_p, loops[0].k_d_s, filters[0], filters[1]))
+        measured.append((_margins(loops[0]), _margins(loops[1])))
+    return found, measured
+
+
+def _margins(loop: Loop) -> Margins:
+    return margins(loop, resonances=loop.fixed.resonances())
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Compare, write, print. Exit code 2 for arguments it does not know."""
+    given = sys.argv[1:] if arguments is None else arguments
+    if len(given) > 1 or any(item.startswith("-") for item in given):
+        print((__doc__ or "").strip(), file=sys.stderr)
+        return 2
+    file = Path(given[0]) if given else DEFAULT_FILE
+    text = table_text(*compare())
+    file.parent.mkdir(parents=True, exist_ok=True)
+    file.write_text(text, encoding="utf-8")
+    print(text)
+    print(f"written to {file}")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

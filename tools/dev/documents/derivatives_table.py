@@ -1,0 +1,137 @@
+"""Table 2 of Lee, Ahn & Roh from the flown nominal trajectory.
+
+    python -m maxq.tools.dev.documents.derivatives_table [FILE]
+
+flies `nominal`, computes the stability derivatives (eqs 4 to 8) along the flown path from 5 s to 55 s and
+writes them beside the paper's ranges into FILE (default: docs/flights/nominal-derivatives.md); prints the
+same.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import sys
+from pathlib import Path
+
+import numpy as np
+
+from maxq.control.kernel.records import Array
+from maxq.design.model.derivatives import StabilityDerivatives, stability_derivatives
+from maxq.design.model.flight_condition import FlightCondition
+from maxq.design.model.vehicle_at import vehicle_at
+from maxq.sim.packing.flight import pack_flight
+from maxq.sim.run.fly import Flight, fly
+from maxq.sim.scenario.loader import load_scenario
+
+SCENARIO = "nominal"
+FIRST_S, LAST_S, EVERY_S, NODE_EVERY = 5.0, 55.0, 0.5, 10
+DEFAULT_FILE = Path(__file__).resolve().parents[3] / "docs" / "flights" / "nominal-derivatives.md"
+
+COLUMNS = {
+    "z_alpha_1ps": ("Z_alpha", "1/s"),
+    "m_alpha_1ps2": ("M_alpha", "1/s2"),
+    "z_delta_1ps": ("Z_delta", "1/s"),
+    "m_delta_1ps2": ("M_delta", "1/s2"),
+    "m_q_1ps": ("M_q", "1/s"),
+}
+PAPER = {  # Table 2: minimum, maximum
+    "z_alpha_1ps": (-0.55, -0.1),
+    "m_alpha_1ps2": (-40.0, -1.0),
+    "z_delta_1ps": (0.05, 0.38),
+    "m_delta_1ps2": (8.1, 15.5),
+}
+
+
+def flown_derivatives(flight: Flight, times_s: Array) -> list[StabilityDerivatives]:
+    """Derivatives at points of a flight's path: flown speed, air and Mach number; liquid frozen."""
+    packed = pack_flight(flight.scenario.scenario)
+    names = ("airspeed_mps", "density_kgpm3", "pressure_Pa", "mach", "pitch_deg")
+    clock = flight.time_s("airspeed_mps")
+    at = {name: np.interp(times_s, clock, flight[name]) for name in names}
+    out = []
+    for k, time_s in enumerate(times_s):
+        condition = FlightCondition(
+            time_s=float(time_s),
+            airspeed_mps=float(at["airspeed_mps"][k]),
+            density_kgpm3=float(at["density_kgpm3"][k]),
+            pressure_Pa=float(at["pressure_Pa"][k]),
+            mach=float(at["mach"][k]),
+            pitch_rad=float(np.radians(at["pitch_deg"][k])),
+            gravity_mps2=9.80665,  # no derivative depends on it
+        )
+        vehicle = vehicle_at(packed, condition.time_s, condition.mach)
+        out.append(stability_derivatives(vehicle, condition))
+    return out
+
+
+def table_text(times_s: Array, values: Array) -> str:
+    """The page; `values` (times, 5) in the order of COLUMNS."""
+    names = [f"{name} ({unit})" for name, unit in COLUMNS.values()]
+    lines = [
+        "# Stability derivatives of the nominal flight",
+        "",
+        "<!-- Written by `python -m maxq.tools.dev.documents.derivatives_table`: run it again, do not edit. -->",
+        "",
+        "Lee, Ahn & Roh, eqs 4 to 8, along the flown trajectory of `nominal` (speed, air and Mach number as",
+        "flown; mass, CG and inertia of the whole vehicle, liquid frozen, as the paper defines them).",
+        "The vehicle is a reconstruction whose aerodynamics were fitted to the ends of the paper's ranges of",
+        "Z_alpha and M_alpha (`scenarios/vehicles/ksr3/NOTES.md`): that those two agree is no independent",
+        "evidence. The paper gives no M_q.",
+        "",
+        f"## Ranges from {FIRST_S:g} s to {LAST_S:g} s",
+        "",
+        "| derivative | flown minimum | at s | flown maximum | at s | Table 2 minimum | Table 2 maximum |",
+        "|---|---|---|---|---|---|---|",
+    ]
+    for k, (key, (name, unit)) in enumerate(COLUMNS.items()):
+        low, high = int(np.argmin(values[:, k])), int(np.argmax(values[:, k]))
+        paper = [f"{x:g}" for x in PAPER[key]] if key in PAPER else ["not given"] * 2
+        row = [f"{name} ({unit})", f"{values[low, k]:.3g}", f"{times_s[low]:g}", f"{values[high, k]:.3g}"]
+        lines.append("| " + " | ".join([*row, f"{times_s[high]:g}", *paper]) + " |")
+    lines += [
+        "",
+        f"Z_alpha, M_alpha and Z_delta meet the ends of the paper's ranges within {_farthest(values):.1%};",
+        "M_delta spans less than its range: no plausible arrangement of masses reaches its ends with the",
+        "thrust and mass of Table 1.",
+        "",
+        "## At the paper's nodes",
+        "",
+        "| time (s) | " + " | ".join(names) + " |",
+        "|---" * (1 + len(names)) + "|",
+    ]
+    for time_s, row in zip(times_s[::NODE_EVERY], values[::NODE_EVERY], strict=True):
+        lines.append(f"| {time_s:g} | " + " | ".join(f"{x:.4g}" for x in row) + " |")
+    return "\n".join(lines) + "\n"
+
+
+def _farthest(values: Array) -> float:
+    """Largest relative distance of flown extremes from the paper's, M_delta left out."""
+    flown = {key: (values[:, k].min(), values[:, k].max()) for k, key in enumerate(COLUMNS)}
+    return max(
+        abs(float(ours) / theirs - 1.0)
+        for key, ends in PAPER.items()
+        if key != "m_delta_1ps2"
+        for ours, theirs in zip(flown[key], ends, strict=True)
+    )
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Fly, write, print. Exit code 2 for arguments it does not know."""
+    given = sys.argv[1:] if arguments is None else arguments
+    if len(given) > 1 or any(item.startswith("-") for item in given):
+        print((__doc__ or "").strip(), file=sys.stderr)
+        return 2
+    file = Path(given[0]) if given else DEFAULT_FILE
+    times_s = np.arange(FIRST_S, LAST_S + 0.5 * EVERY_S, EVERY_S)
+    flight = fly(load_scenario(SCENARIO, [f"run.duration_s={LAST_S + 1.0}"]))
+    values = np.array([dataclasses.astuple(d) for d in flown_derivatives(flight, times_s)])
+    text = table_text(times_s, values)
+    file.parent.mkdir(parents=True, exist_ok=True)
+    file.write_text(text, encoding="utf-8")
+    print(text)
+    print(f"written to {file}")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

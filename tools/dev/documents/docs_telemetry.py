@@ -1,0 +1,118 @@
+"""Writes docs/telemetry.md from the channel table, the metrics and the events.
+
+python -m maxq.tools.dev.documents.docs_telemetry [FILE]
+"""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+from maxq.sim.flight.channels import EVENTS_TOPIC, FRAMES_TOPIC
+from maxq.sim.flight.parameters import CAUSES, EVENT_NAMES
+from maxq.sim.flight.telemetry import FAST, SLOW, channel_table
+from maxq.sim.log.head import END_METADATA, REASON_KEY, RUN_METADATA, STATUS_KEY
+from maxq.sim.packing.schedule import stage_sizes
+from maxq.sim.run.history import CONTROL_LOST_CAUSE, IGNITION_NAME
+from maxq.sim.run.judgement import ALL_METRICS, unit_of
+from maxq.sim.run.launch_frames import CHILD, PARENT
+from maxq.sim.run.record import (
+    DESIGN_ATTACHMENT,
+    END_KEY,
+    OUTCOME_KEY,
+    SCENARIO_ATTACHMENT,
+    STATE_HASH_KEY,
+    STEPS_KEY,
+)
+from maxq.sim.scenario.loader import load_scenario
+
+_EXAMPLE = "nominal"
+_EVENT_MEANINGS = {
+    IGNITION_NAME: "the engine of a stage begins to burn",
+    "liftoff": "hold-down is released: thrust exceeds weight, or at holddown.release_s",
+    "burnout": "the engine of a stage stops",
+    "separation": "a stage is dropped",
+    "apogee": "the altitude begins to fall for the first time",
+    "impact": "the altitude falls below the ground: the lower one of the site and sea level",
+    "control_lost": CONTROL_LOST_CAUSE,
+    "tumble": "the total incidence exceeds 90 deg while the dynamic pressure exceeds 5 kPa",
+    "diverged": "the state is none of a flight any more; the text says why: "
+    + ", or ".join(cause for cause in CAUSES if cause),
+}
+
+
+def page() -> str:
+    """The whole page."""
+    loaded = load_scenario(_EXAMPLE)
+    stage = loaded.vehicle.stage[0]
+    sizes = stage_sizes(stage, loaded.scenario.switches)
+    table = channel_table(sizes, tuple(tank.name for tank in stage.tank))
+    return f"""\
+# Telemetry
+
+<!-- Written by `python -m maxq.tools.dev.documents.docs_telemetry`: change the channel table, not this file. -->
+
+`flight.mcap` is an MCAP file of protobuf messages that Foxglove, Rerun and PlotJuggler open; `read_log` reads
+it into arrays (docs/simrun.md). Times are nanoseconds of simulated time; T0 stands in the metadata.
+
+Topics of the group `{FAST}` have `log.fast_hz` messages a second (default 1000), those of `{SLOW}`
+`log.slow_hz` (default 100), and both have one more at the flight's last instant. Rows fall on the instants of
+the flight: a log cannot be finer than its steps.
+
+Names end with the unit; a part of the name is the frame: I inertial, E Earth-fixed, N local
+north-east-down, B body (x forward, y right, z down). `1` stands for no unit. Angles are in degrees where the
+name says so. The tables are those of the built-in `{_EXAMPLE}`: {sizes.pitch_modes} bending modes in pitch,
+{sizes.yaw_modes} in yaw, {len(stage.tank)} tanks. `/bending` and `/slosh` have as many columns as the vehicle
+has modes and tanks, and are missing where it has none. What a stage lacks, and the pendulum of an empty tank,
+is nan.
+
+{table.markdown()}
+## `{EVENTS_TOPIC}`
+
+`foxglove.Log` messages from `flight`; the text begins with the name, followed by the stage on a vehicle of
+several.
+
+{_rows(("event", "when"), [(f"`{name}`", _EVENT_MEANINGS[name]) for name in (IGNITION_NAME, *EVENT_NAMES)])}
+## `{FRAMES_TOPIC}`
+
+`foxglove.FrameTransforms`: frame `{CHILD}` (B, origin at the core CG) in `{PARENT}` (x east, y north, z up at
+the site, turning with the Earth), in doubles. At most `log.transform_hz` a second (default 50), picked from
+the slow rows.
+
+## Head and end
+
+Attachments:
+
+- `{SCENARIO_ATTACHMENT}`: the scenario as flown with vehicle, design and all tables, for `simrun --from LOG`
+- `{DESIGN_ATTACHMENT}`: the control design alone
+
+Metadata:
+
+- `{RUN_METADATA}`: scenario, vehicle, design, seed, run index, launch site, T0, versions of maxq and log
+- `{END_METADATA}`: `{STATUS_KEY}` (`complete`, or `aborted` with a `{REASON_KEY}`),
+  `{OUTCOME_KEY}`, `{END_KEY}`, `{STEPS_KEY}`, `{STATE_HASH_KEY}`
+
+Nothing in the file comes from the clock: equal flights give equal bytes.
+
+## Metrics
+
+What `summary.json` and `[[requirement]]` call by name; gathered at every step, not from the log.
+
+{_rows(("metric", "unit", "meaning"), [(f"`{m.name}`", unit_of(m.name), m.meaning) for m in ALL_METRICS])}"""
+
+
+def _rows(head: tuple[str, ...], rows: list[tuple[str, ...]]) -> str:
+    lines = [head, ("---",) * len(head), *rows]
+    return "".join("| " + " | ".join(cells) + " |\n" for cells in lines)
+
+
+def main(arguments: list[str]) -> int:
+    """Write the page; returns 0."""
+    path = Path(arguments[0] if arguments else "docs/telemetry.md")
+    path.write_text(page(), encoding="utf-8", newline="\n")
+    print(path)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

@@ -1,0 +1,95 @@
+"""The pictures of docs/replay.md and the one README.md opens with: `python -m maxq.tools.dev.pictures.replay [DIR]`.
+
+Flies the nominal scenario, the same in the November wind and in four times that wind, and one that loses control; then
+takes pictures of what `simreplay` shows of them, and draws two sheets of the standard set. Needs no display.
+"""
+
+from __future__ import annotations
+
+import io
+import sys
+import tempfile
+from pathlib import Path
+
+from PIL import Image
+
+from maxq.tools import simrun
+from maxq.tools.replay import viewer
+from maxq.tools.replay.collect import open_flights
+from maxq.tools.replay.convert import Options, save
+from maxq.tools.replay.log_layout import TIMELINE, send_layout
+from maxq.tools.replay.sheets import write_sheets
+
+DEFAULT = Path(__file__).resolve().parents[3] / "docs" / "pictures" / "replay"
+WIND = ["--set", "wind.profile=winds/anheung-november.csv"]
+
+
+def _described(text: str) -> list[str]:
+    return ["--set", f"description=KSR-III (reconstruction), {text}"]
+
+
+FLIGHTS = {
+    "nominal": [],
+    "windy": [*WIND, *_described("November wind of Anheung")],
+    "failing": [*WIND, *_described("four times the November wind of Anheung"), "--set", "wind.factor=4"],
+    "lost": [*WIND, *_described("a torque of 300 kN m from 9 s on"), "--set", "run.duration_s=14", "--set",
+             'injection=[{at="body_torque",axis="y",kind="step",amplitude_Nm=3e5,start_s=9.0}]'],
+}  # fmt: skip
+SHOTS = (  # flights, time, tab, name of the picture
+    (("windy",), 40.0, "Bending", "replay"),
+    (("nominal",), 0.3, "Attitude", "liftoff"),
+    (("nominal",), 43.2, "Loads", "max-q"),
+    (("nominal",), 59.4, "Gimbal", "burnout"),
+    (("nominal",), 127.0, "Trajectory", "apogee"),
+    (("failing",), 44.8, "Loads", "failing"),
+    (("lost",), 9.6, "Attitude", "control-lost"),
+    (("nominal", "windy", "failing"), 47.0, "Loads", "several"),
+)
+SHEETS = (("failing", "gimbal"), ("windy", "bending"))
+WIDTH = 1280  # of a picture in the repository
+
+
+def main() -> int:
+    target = Path(sys.argv[1]) if len(sys.argv) > 1 else DEFAULT
+    target.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory(prefix="maxq-pictures-") as name:
+        folder = Path(name)
+        for flight, options in FLIGHTS.items():
+            simrun.main(["nominal", *options, "--set", f"name={flight}", "--out", str(folder / flight)])
+        for flights, time_s, tab, picture in SHOTS:
+            opened, _ = open_flights([str(folder / flight) for flight in flights])
+            save(opened, Options(tab=tab, side_by_side=True), folder / "shot.rrd")
+            with viewer.Headless() as running:
+                shots, complaints = viewer.pictures(running, folder / "shot.rrd", [time_s])
+            assert not complaints, complaints
+            _keep(shots[0], target / f"{picture}.png")
+        _as_rerun_shows_it(folder / "lost" / "flight.mcap", target)
+        for flight, tab in SHEETS:
+            opened, _ = open_flights([str(folder / flight)])
+            for path in write_sheets(opened, folder / "sheets", only=tab):
+                if path.suffix == ".png":
+                    _keep(path.read_bytes(), target / f"sheet-{tab}.png")
+    return 0
+
+
+def _as_rerun_shows_it(log: Path, target: Path) -> None:
+    """A log opened without us: as it is, and once it has been told what to plot."""
+    with viewer.headless() as client:
+        viewer.open_whole(client, log)
+        for picture in ("rerun-alone", "rerun-laid-out"):
+            if picture == "rerun-laid-out":
+                send_layout(log, int(client.url.rsplit(":", 1)[1].split("/")[0]))
+                viewer.steady_picture(client)  # the layout has arrived
+            client.set_time(TIMELINE, timestamp=9.0, play_state="paused")
+            _keep(viewer.steady_picture(client), target / f"{picture}.png")
+
+
+def _keep(png: bytes, path: Path) -> None:
+    picture = Image.open(io.BytesIO(png)).convert("RGB")
+    picture.thumbnail((WIDTH, WIDTH), Image.Resampling.LANCZOS)
+    picture.save(path, optimize=True)
+    print(path)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

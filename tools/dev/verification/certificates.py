@@ -1,0 +1,58 @@
+"""Certifies the nominal scenario's design at eleven nodes in both planes, and writes its table into
+docs/verification.md: `python -m maxq.tools.dev.verification.certificates`.
+Exit code 1 where a certificate does not stand.
+"""
+
+from __future__ import annotations
+
+import sys
+import time
+
+import numpy as np
+
+from maxq.design import api
+from maxq.design.certificate.certificate import PLANES, NodeCertificate, certify
+from maxq.design.certificate.flown_through import FlownThrough, fly_through
+from maxq.sim.scenario.loader import load_scenario
+from maxq.tools.dev.verification.section import VERIFICATION, rewrite
+
+
+def row(c: NodeCertificate, passing: FlownThrough) -> str:
+    """One line of the table: the largest differences of one node."""
+    r = c.responses
+    clean = np.isfinite(r.unrounded.real)
+    above = clean & (np.abs(r.sampled) > 10.0**-2.5)
+    low = ~clean
+    cells = [f"{c.time_s:g}", c.plane, f"{np.abs(r.difference_db[low]).max():.2f}"]
+    cells += [f"{np.abs(r.unrounded_db[above]).max():.3f}", f"{np.abs(r.unrounded_deg[above]).max():.2f}"]
+    cells += [f"{np.nanmax(np.abs(r.nonlinear_db)):.2f}"]
+    for e in c.edges:
+        cells.append(f"{100.0 * e.difference / e.held:+.2f} %" if e.unit == "s" else f"{e.difference:+.3f}")
+    held = next((e for e in c.edges if e.what == "gain_down"), None)
+    cells.append(f"{held.held:.1f} / {held.sampled:.1f}" if held else "")
+    cells.append(f"{np.abs(passing.difference_db).max():.1f}")
+    cells.append("stands" if c.stands and "unexplained" not in passing.reason else "; ".join(c.unexplained))
+    return f"| {' | '.join(cells)} |"
+
+
+def main() -> int:
+    """Rewrite the table."""
+    loaded = load_scenario("nominal")
+    begun = time.perf_counter()
+    found = certify(loaded)
+    wall_s = time.perf_counter() - begun
+    through = {(f.time_s, f.plane): f for p in PLANES for f in fly_through(loaded, api.PAPER_TIMES_S, p)}
+    table = [
+        "| time, s | plane | below 2.7 Hz, dB | above, dB | above, deg | half amplitude, dB | gain up, dB |"
+        " gain down, dB | delay | gain down held / flown, dB | flown through, dB | |",
+        "|---|---|---|---|---|---|---|---|---|---|---|---|",
+        *(row(c, through[c.time_s, c.plane]) for c in found),
+    ]
+    rewrite(VERIFICATION, "certificates", "\n".join(table))
+    print("\n".join(table))
+    print(f"{wall_s:.0f} s for {len(found)} nodes")
+    return int(not all(c.stands for c in found))
+
+
+if __name__ == "__main__":
+    sys.exit(main())

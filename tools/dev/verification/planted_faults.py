@@ -1,0 +1,237 @@
+"""Faults that are planted into the simulator to see whether the margin certificate finds them.
+
+Each alters what has been packed for a flight: the table of the vehicle, the records of its components, the computer.
+Nothing is compiled anew, and the linear model knows nothing of it. A fault is found where a line of the frequency
+response or a margin broken in flight is off by more than is allowed without a reason that explains it.
+
+`size` says how large the mistake is. Signs and exchanged numbers have no size; of what has one, the mistake is small.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from maxq.control.filters import MAX_SECTIONS
+from maxq.control.kernel.records import Array
+from maxq.design.certificate.held_flight import Change
+from maxq.sim.packing.flight import Packed
+from maxq.sim.vehicle import schedule
+
+PITCH = schedule.PITCH
+
+
+@dataclass(frozen=True)
+class Fault:
+    name: str
+    where: str  # the coupling or part it touches
+    plant: Change
+
+
+def _columns(packed: Packed, columns: slice | list[int], factor: float = 1.0, shift: float = 0.0) -> None:
+    """Columns of the vehicle's table times `factor`, plus `shift`."""
+    ref = packed.parameters[0].vehicle.schedule
+    n, width, at = int(ref.n_breaks), int(ref.n_columns), int(ref.offset)
+    table = packed.pool[at + n : at + n + 4 * width * (n - 1)].reshape(n - 1, 4, width)
+    table[:, :, columns] *= factor
+    table[:, 0, columns] += shift
+
+
+def _mode(row: int, modes: slice, factor: float) -> Change:
+    """A row of the pitch plane's modes times a factor."""
+
+    def plant(packed: Packed) -> None:
+        first = schedule.mode_column(packed.parameters[0].vehicle.sizes, PITCH, row)
+        _columns(packed, slice(first + modes.start, first + modes.stop), factor)
+
+    return plant
+
+
+def _mode_at(kind: str, index: int, factor: float) -> Change:
+    """Shapes of all modes at a tank or a surface times a factor."""
+
+    def plant(packed: Packed) -> None:
+        sizes = packed.parameters[0].vehicle.sizes
+        row = schedule.MODE_FIRST + index if kind == "tank" else schedule.surface_row(sizes, index)
+        row += 1 if kind == "slope" else 0
+        first = schedule.mode_column(sizes, PITCH, row)
+        _columns(packed, slice(first, first + int(sizes.pitch_modes)), factor)
+
+    return plant
+
+
+def _column(column: int, factor: float = 1.0, shift: float = 0.0) -> Change:
+    return lambda packed: _columns(packed, [column], factor, shift)
+
+
+def _tank(column: int, factor: float = 1.0, shift: float = 0.0) -> Change:
+    """A column of every tank."""
+
+    def plant(packed: Packed) -> None:
+        for k in range(int(packed.parameters[0].vehicle.sizes.tanks)):
+            _columns(packed, [schedule.tank_column(k) + column], factor, shift)
+
+    return plant
+
+
+def _set(path: str, change: Callable[[Any], Any]) -> Change:
+    """A number of the record `parameters[0]`, by its path, replaced by what `change` makes of it."""
+
+    def plant(packed: Packed) -> None:
+        *way, last = path.split(".")
+        record: Any = packed.parameters[0]
+        for name in way:
+            record = record[name]
+        record[last] = change(record[last])
+
+    return plant
+
+
+def _times(path: str, factor: float) -> Change:
+    return _set(path, lambda value: value * factor)
+
+
+def _both(*faults: Change) -> Change:
+    def plant(packed: Packed) -> None:
+        for fault in faults:
+            fault(packed)
+
+    return plant
+
+
+def _exchange_a3_a4(packed: Packed) -> None:
+    a = packed.parameters[0].vehicle.actuator_pitch
+    a.omega_3_radps, a.omega_4_radps = float(a.omega_4_radps), float(a.omega_3_radps)
+    a.zeta_3, a.zeta_4 = float(a.zeta_4), float(a.zeta_3)
+
+
+def _sections(packed: Packed) -> Array:
+    filters = packed.parameters[0].computer.filters
+    out: Array = filters.sections[0, : int(filters.n_sections[0])]
+    return out
+
+
+def _coefficient(section: int, place: int, factor: float) -> Change:
+    def plant(packed: Packed) -> None:
+        _sections(packed)[section, place] *= factor
+
+    return plant
+
+
+def _one_sample_late(packed: Packed) -> None:
+    filters = packed.parameters[0].computer.filters
+    used = int(filters.n_sections[0])
+    assert used < MAX_SECTIONS
+    filters.sections[0, used] = [0.0, 1.0, 0.0, 0.0, 0.0]
+    filters.n_sections[0] = used + 1
+
+
+def _without_prewarping(packed: Packed) -> None:
+    """Each section as the bilinear transform gives it without pre-warping: frequencies shifted at 9.2 Hz."""
+    warp_hz, period_s = 9.2, 1e-9 * float(packed.parameters[0].computer.sample_ns)
+    right = np.pi * warp_hz / np.tan(np.pi * warp_hz * period_s)
+    wrong = 1.0 / period_s
+    for section in _sections(packed):
+        b, a = _to_continuous(section[:3], right), _to_continuous(np.array([1.0, *section[3:]]), right)
+        top, bottom = _to_discrete(b, wrong), _to_discrete(a, wrong)
+        section[:3], section[3:] = top / bottom[0], bottom[1:] / bottom[0]
+
+
+def _to_continuous(z: Array, c: float) -> Array:
+    """Coefficients in s of a polynomial in 1/z under s = 2c (z - 1) / (z + 1), c for 1/T; without the common factor."""
+    b0, b1, b2 = z
+    return np.array([b0 - b1 + b2, 4.0 * c * (b0 - b2), 4.0 * c * c * (b0 + b1 + b2)])
+
+
+def _to_discrete(s: Array, c: float) -> Array:
+    s2, s1, s0 = s
+    k = 2.0 * c
+    return np.array([s2 * k * k + s1 * k + s0, 2.0 * (s0 - s2 * k * k), s2 * k * k - s1 * k + s0])
+
+
+def _gains(rows: Callable[[Array], Array]) -> Change:
+    """The gain table's columns (k_p pitch, k_d pitch, k_p yaw, k_d yaw) made anew from themselves."""
+
+    def plant(packed: Packed) -> None:
+        ref = packed.parameters[0].computer.law.gains
+        n, width, at = int(ref.n_breaks), int(ref.n_columns), int(ref.offset)
+        table = packed.pool[at + n : at + n + 4 * width * (n - 1)].reshape(n - 1, 4, width)
+        table[:, 0] = rows(table[:, 0])
+
+    return plant
+
+
+def _aero_moment_sign(packed: Packed) -> None:
+    """The centre of pressure mirrored at the CG: slopes times station about twice the CG's."""
+    row = packed.parameters[0]
+    ref, sizes = row.vehicle.aero.table, row.vehicle.sizes
+    sched = row.vehicle.schedule
+    n, width, at = int(sched.n_breaks), int(sched.n_columns), int(sched.offset)
+    breaks = packed.pool[at : at + n]
+    k = int(np.clip(np.searchsorted(breaks, float(row.course.frozen_s), side="right") - 1, 0, n - 2))
+    cg = packed.pool[at + n : at + n + 4 * width * (n - 1)].reshape(n - 1, 4, width)[k, 0, schedule.CORE_CG]
+    n, width, at = int(ref.n_breaks), int(ref.n_columns), int(ref.offset)
+    table = packed.pool[at + n : at + n + 4 * width * (n - 1)].reshape(n - 1, 4, width)
+    for s in range(int(sizes.surfaces)):
+        slope = width - 2 * int(sizes.surfaces) + 2 * s
+        table[:, :, slope + 1] = 2.0 * cg * table[:, :, slope] - table[:, :, slope + 1]
+
+
+FIRST, SECOND, THIRD = slice(0, 1), slice(1, 2), slice(2, 3)
+ALL = slice(0, 3)
+
+FAULTS: tuple[Fault, ...] = (
+    Fault("mode 1 at the gyro, sign", "bending -> gyro", _mode(schedule.MODE_SLOPE_GYRO, FIRST, -1.0)),
+    Fault("mode 2 at the gyro, sign", "bending -> gyro", _mode(schedule.MODE_SLOPE_GYRO, SECOND, -1.0)),
+    Fault("mode 3 at the gyro, sign", "bending -> gyro", _mode(schedule.MODE_SLOPE_GYRO, THIRD, -1.0)),
+    Fault("mode 1 at the gyro, 3 %", "bending -> gyro", _mode(schedule.MODE_SLOPE_GYRO, FIRST, 1.03)),
+    Fault("displacement at the gimbal, sign", "thrust -> bending", _mode(schedule.MODE_PHI_GIMBAL, ALL, -1.0)),
+    Fault("slope at the gimbal, sign", "engine -> bending", _mode(schedule.MODE_SLOPE_GIMBAL, ALL, -1.0)),
+    Fault("generalised mass of mode 1, 3 %", "bending", _mode(schedule.MODE_MASS, FIRST, 1.03)),
+    Fault("frequency of mode 1, 0.5 %", "bending", _mode(schedule.MODE_OMEGA, FIRST, 1.005)),
+    Fault("damping of the modes, 10 %", "bending", _times("vehicle.bending.zeta_pitch", 1.1)),
+    Fault("axial softening, sign", "axial load -> bending", _times("vehicle.bending.softening_factor", -1.0)),
+    Fault("axial softening left out", "axial load -> bending", _times("vehicle.bending.softening_factor", 0.0)),
+    Fault("shapes at the lox hinge, sign", "slosh <-> bending", _mode_at("tank", 0, -1.0)),
+    Fault("shapes at the fuel hinge, sign", "slosh <-> bending", _mode_at("tank", 1, -1.0)),
+    Fault("slopes at the fins, sign", "bending -> incidence", _mode_at("slope", 1, -1.0)),
+    Fault("shapes at the fins, sign", "air -> bending", _mode_at("shape", 1, -1.0)),
+    Fault("local incidence left out", "bending -> incidence", _set("vehicle.aero.local_incidence", lambda _: 0)),
+    Fault("thrust does not follow the bent gimbal", "bending -> thrust", _set("vehicle.follower_thrust", lambda _: 0)),
+    Fault("engine inertia left out", "engine -> body", _both(
+        _times("vehicle.engine.gimballed_mass_kg", 0.0), _times("vehicle.engine.inertia_kgm2", 0.0))),
+    Fault("engine inertia, 5 %", "engine -> body", _both(
+        _times("vehicle.engine.gimballed_mass_kg", 1.05), _times("vehicle.engine.inertia_kgm2", 1.05))),
+    Fault("engine's CG forward of the gimbal", "engine -> body", _times("vehicle.engine.cg_from_gimbal_m", -1.0)),
+    Fault("hinges 5 cm aft", "slosh -> body", _tank(schedule.TANK_HINGE, shift=0.05)),
+    Fault("sloshing mass, 5 %", "slosh -> body", _times("vehicle.slosh.mass_factor", 1.05)),
+    Fault("pendulum lengths, 1 %", "slosh", _times("vehicle.slosh.length_factor", 1.01)),
+    Fault("slosh damping, 10 %", "slosh", _times("vehicle.slosh.damping_ratio", 1.1)),
+    Fault("aerodynamic moment, sign", "air -> body", _aero_moment_sign),
+    Fault("centre of pressure 10 cm aft", "air -> body", _set("vehicle.aero.centre_shift_m", lambda v: v + 0.1)),
+    Fault("normal force, 5 %", "air -> body", _times("vehicle.aero.force_factor", 1.05)),
+    Fault("rate damping, sign", "air -> body", _times("vehicle.aero.damping_factor", -1.0)),
+    Fault("jet damping left out", "mass flow -> body", _set("vehicle.jet_damping", lambda _: 0)),
+    Fault("thrust, 3 %", "engine -> body", _times("vehicle.engine.thrust_factor", 1.03)),
+    Fault("transverse inertia, 3 %", "body", _column(schedule.CORE_INERTIA + 1, 1.03)),
+    Fault("CG 10 cm aft", "body", _column(schedule.CORE_CG, shift=0.10)),
+    Fault("gimbal 10 cm forward", "engine -> body", _set("vehicle.engine.gimbal_station_m", lambda v: v - 0.1)),
+    Fault("a3 and a4 of the actuator exchanged", "actuator", _exchange_a3_a4),
+    Fault("damping ratio of the servo, 3 %", "actuator", _times("vehicle.actuator_pitch.zeta_1", 1.03)),
+    Fault("gyro's damping ratio, 20 %", "gyro", _times("vehicle.gyro.zeta", 1.2)),
+    Fault("gyro's scale, 3 %", "gyro", _set("vehicle.gyro.scale_y", lambda v: v + 0.03)),
+    Fault("delay 1 ms longer", "computer", _set("computer.delay_ns", lambda v: v + 1_000_000)),
+    Fault("no delay", "computer", _set("computer.delay_ns", lambda _: 0)),
+    Fault("command a sample late", "computer", _one_sample_late),
+    Fault("filter not pre-warped", "filter", _without_prewarping),
+    Fault("b0 of the first section, 2 %", "filter", _coefficient(0, 0, 1.02)),
+    Fault("a2 of the second section, 2 %", "filter", _coefficient(1, 4, 1.02)),
+    Fault("second section left out", "filter", _set("computer.filters.n_sections", lambda v: v - 1)),
+    Fault("gains of the row before", "law", _gains(lambda g: g * (1.0 + 0.034 / 0.838))),
+    Fault("k_p and k_d exchanged", "law", _gains(lambda g: g[:, [1, 0, 3, 2]])),
+    Fault("k_d, sign", "law", _gains(lambda g: g * [1.0, -1.0, 1.0, 1.0])),
+    Fault("yaw's gains in pitch, 5 % apart", "law", _gains(lambda g: g * [1.05, 1.05, 1.0, 1.0])),
+)  # fmt: skip

@@ -1,0 +1,23 @@
+"""Tables in the documents that a program writes: they stand between `<!-- name: begin -->` and `<!-- name: end -->`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+VERIFICATION = Path(__file__).resolve().parents[3] / "docs" / "verification.md"
+
+
+def markers(name: str) -> tuple[str, str]:
+    """Lines before and after a table."""
+    return f"<!-- {name}: begin -->", f"<!-- {name}: end -->"
+
+
+def rewrite(document: Path, name: str, table: str) -> None:
+    """Put a table between its markers; ValueError where they are missing."""
+    begin, end = markers(name)
+    text = document.read_text()
+    before, found, rest = text.partition(begin)
+    _, ended, after = rest.partition(end)
+    if not found or not ended:
+        raise ValueError(f"{document.name} has no markers {begin} and {end}")
+    document.write_text(f"{before}{begin}\n{table.rstrip()}\n{end}{after}")
