@@ -17,12 +17,13 @@ from typing import Annotated
 import numpy as np
 
 from maxq.control.converter import Converter, ConverterState, convert, make_converter
-from maxq.control.filters import MAX_SECTIONS, DiscreteFilter, filter_sample, settle_filter
+from maxq.control.filters import DiscreteFilter, filter_sample, settle_filter
 from maxq.control.guidance import GuidanceState, advance_guidance, start_guidance
 from maxq.control.kernel.jit import routine
 from maxq.control.kernel.records import Array, IntArray
 from maxq.control.kernel.tables import NO_TABLE, Cubics, Pool, TableRef
 from maxq.control.laws.pd import Law, LawState, limit_and_quantise, proportional_derivative, update_angle_error
+from maxq.control.laws.structures import MAX_SECTIONS
 from maxq.control.roll import Roll, RollState, silence_roll, update_roll
 
 # No gyro measures, and no scenario means, a turn of more than this in one sample: beyond it lies a fault.

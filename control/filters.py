@@ -18,22 +18,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from maxq.control.kernel.jit import kernel
 from maxq.control.kernel.records import Array
+from maxq.control.laws.structures import MAX_SECTIONS as MAX_SECTIONS  # noqa: PLC0414  # planted_faults reads it here
+from maxq.control.laws.structures import STRUCTURES, Structure
 
 Discretization = Literal["prewarped", "bilinear", "matched", "zoh"]
-Structure = Literal["none", "F2", "F3", "F4", "F5", "F6", "sections"]
 ComplexArray = NDArray[np.complex128]
-
-MAX_SECTIONS = 8
-
-# Number of quadratic and of first-order sections (eqs 37-41); `sections` is free in both.
-STRUCTURES: dict[Structure, tuple[int, int]] = {
-    "none": (0, 0),
-    "F2": (1, 0),
-    "F3": (1, 1),
-    "F4": (2, 0),
-    "F5": (2, 1),
-    "F6": (2, 2),
-}
 
 
 @dataclass(frozen=True)

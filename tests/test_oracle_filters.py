@@ -19,7 +19,6 @@ import pytest
 import scipy.signal
 
 from maxq.control.filters import (
-    MAX_SECTIONS,
     BendingFilter,
     Discretization,
     FirstOrderSection,
@@ -29,6 +28,7 @@ from maxq.control.filters import (
     filter_sample,
     settle_filter,
 )
+from maxq.control.laws.structures import MAX_SECTIONS
 
 SAMPLE_S = 0.01
 PREWARP_HZ = 9.2

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from maxq.control.filters import (
-    MAX_SECTIONS,
     BendingFilter,
     DiscreteFilter,
     FirstOrderSection,
@@ -17,7 +16,6 @@ from maxq.control.filters import (
 )
 from maxq.sim.run.fly import fly
 from maxq.sim.scenario.loader import load_scenario
-from maxq.sim.scenario.schema_design import MOST_SECTIONS
 
 GOOD = QuadraticSection(9.0, 0.3, 7.0, 0.7)
 SAMPLE_S = 0.01
@@ -102,10 +100,6 @@ def test_structure_fixes_the_sections(structure: str, quadratic: int, first_orde
 def test_unstable_discrete_section(a: tuple[float, float]) -> None:
     with pytest.raises(ValueError, match=r"sections\[0\] = .* stable poles"):
         DiscreteFilter(np.array([[1.0, 0.0, 0.0, *a]]), SAMPLE_S)
-
-
-def test_schema_and_computer_agree_on_the_most_sections() -> None:
-    assert MOST_SECTIONS == MAX_SECTIONS
 
 
 def test_any_number_of_sections_flies() -> None:

@@ -10,11 +10,11 @@ from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
+from maxq.control.laws.structures import MAX_SECTIONS, STRUCTURES
 from maxq.sim.scenario.errors import refuse
 from maxq.sim.scenario.schema_values import NotNegative, Positive, Section, needs, only_with
 
 PAPER_TIMES_S = tuple(float(t) for t in range(5, 60, 5))
-MOST_SECTIONS = 8  # as many as the flight computer runs (control/filters.py)
 LIMIT_NAMES = Literal["second_mode_db", "filter_gain_at_infinity", "rigid_hz", "rigid_zeta"]
 
 Range = tuple[float, float]
@@ -103,15 +103,14 @@ class Filter(Section):
     def _check(self) -> Filter:
         free = self.structure == "sections"
         only_with(self, ("quadratic", "first_order"), free, 'structure = "sections"')
-        if free and not 1 <= sum(self.sections) <= MOST_SECTIONS:
-            raise refuse(f"has {sum(self.sections)} sections", f"1 .. {MOST_SECTIONS} in all", key=("structure",))
+        if free and not 1 <= sum(self.sections) <= MAX_SECTIONS:
+            raise refuse(f"has {sum(self.sections)} sections", f"1 .. {MAX_SECTIONS} in all", key=("structure",))
         return self
 
     @property
     def sections(self) -> tuple[int, int]:
         """Quadratic and first-order ones."""
-        known = {"F2": (1, 0), "F3": (1, 1), "F4": (2, 0), "F5": (2, 1), "F6": (2, 2)}
-        return known.get(self.structure, (self.quadratic or 0, self.first_order or 0))
+        return STRUCTURES.get(self.structure, (self.quadratic or 0, self.first_order or 0))
 
 
 class Objective(Section):

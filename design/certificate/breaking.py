@@ -15,8 +15,8 @@ from typing import Literal
 
 import numpy as np
 
-from maxq.control.filters import MAX_SECTIONS
 from maxq.control.kernel.records import Array
+from maxq.control.laws.structures import MAX_SECTIONS
 from maxq.design.certificate.excitation import DITHER_HZ, injections
 from maxq.design.certificate.held_flight import Change, HeldFlight
 from maxq.design.certificate.loudness import burst_rad, dither, linear_command_rad

@@ -8,8 +8,9 @@ from typing import Any, Literal
 
 import numpy as np
 
-from maxq.control.filters import MAX_SECTIONS, STRUCTURES, BendingFilter
+from maxq.control.filters import BendingFilter
 from maxq.control.kernel.records import Array
+from maxq.control.laws.structures import MAX_SECTIONS, structure_of
 from maxq.design.case.schema import Case
 from maxq.design.optimise.features import Kind
 from maxq.design.optimise.plants import Plants
@@ -145,7 +146,6 @@ class Solution:
             for t, p, d in zip(self.nodes_s, self.k_p, self.k_d_s, strict=True)
         )
         sections = (len(self.filter.quadratic), len(self.filter.first_order))
-        names = [name for name, counts in STRUCTURES.items() if counts == sections]
         limits = self.case.limits
         document: dict[str, Any] = {
             "schema": 1,
@@ -154,7 +154,7 @@ class Solution:
             "vehicle": "",
             "gains": {"table": rows, "yaw": "pitch"},
             "filter": {
-                "structure": names[0] if names else "sections",
+                "structure": structure_of(*sections),
                 "quadratic": tuple(
                     {"zero_hz": q.zero_hz, "zero_zeta": q.zero_zeta, "pole_hz": q.pole_hz, "pole_zeta": q.pole_zeta}
                     for q in self.filter.quadratic

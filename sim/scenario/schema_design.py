@@ -6,16 +6,12 @@ from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
+from maxq.control.laws.structures import MAX_SECTIONS, STRUCTURES, Structure
 from maxq.sim.scenario.errors import refuse
 from maxq.sim.scenario.schema_values import NotNegative, Positive, Section, needs
 from maxq.sim.scenario.tables_csv import Columns, CsvTable
 
 GAIN_COLUMNS = Columns("time_s", sets=(("k_p", "k_d_s"),), not_negative=("k_p", "k_d_s"))
-
-SECTIONS = {"none": (0, 0), "F2": (1, 0), "F3": (1, 1), "F4": (2, 0), "F5": (2, 1), "F6": (2, 2)}
-"""Quadratic and first-order sections of each filter structure (paper, eqs 37-41)."""
-MOST_SECTIONS = 8
-"""As many as the flight computer runs (control.filters.MAX_SECTIONS), biquads and first-order sections together."""
 
 
 class Gains(Section):
@@ -73,8 +69,8 @@ class FirstOrder(Section):
 class Filter(Section):
     """Bending filter."""
 
-    structure: Literal["F2", "F3", "F4", "F5", "F6", "sections", "none"] = Field(
-        default="none", description=f"of the paper, or sections: 1 to {MOST_SECTIONS} of any kind, or none"
+    structure: Structure = Field(
+        default="none", description=f"of the paper, or sections: 1 to {MAX_SECTIONS} of any kind, or none"
     )
     quadratic: tuple[Quadratic, ...] = Field(default=(), description="second-order sections: F2, F3: 1; F4, F5, F6: 2")
     first_order: tuple[FirstOrder, ...] = Field(default=(), description="first-order sections: F3, F5: 1; F6: 2")
@@ -89,11 +85,11 @@ class Filter(Section):
     def _check(self) -> Filter:
         if self.structure == "sections":
             given = len(self.quadratic) + len(self.first_order)
-            if not 1 <= given <= MOST_SECTIONS:
+            if not 1 <= given <= MAX_SECTIONS:
                 problem = f"has {given} sections, quadratic and first_order together"
-                raise refuse(problem, f"1 .. {MOST_SECTIONS} sections", key=("structure",), value="sections")
+                raise refuse(problem, f"1 .. {MAX_SECTIONS} sections", key=("structure",), value="sections")
         else:
-            for key, count in zip(("quadratic", "first_order"), SECTIONS[self.structure], strict=True):
+            for key, count in zip(("quadratic", "first_order"), STRUCTURES[self.structure], strict=True):
                 given = len(getattr(self, key))
                 if given != count:
                     problem = f"{given} sections do not make {self.structure}"

@@ -10,10 +10,11 @@ from typing import Any
 
 from maxq.control.filters import BendingFilter, Discretization
 from maxq.control.kernel.records import Array
+from maxq.control.laws.structures import structure_of
 from maxq.sim.scenario.builtin import scenarios_folder
 from maxq.sim.scenario.documents import Source, adopt, plain
 from maxq.sim.scenario.errors import ScenarioError
-from maxq.sim.scenario.schema_design import SECTIONS, Design, Limits, Roll
+from maxq.sim.scenario.schema_design import Design, Limits, Roll
 
 DESIGN_NAME = "design.toml"
 _DIGITS = 9
@@ -49,12 +50,6 @@ def design_path(name: str) -> str:
     raise ScenarioError(name, "no such file", allowed=f"a design file (.toml), or a built-in one: {listed}")
 
 
-def structure_of(flt: BendingFilter) -> str:
-    """Name of the paper for a filter's numbers of sections, `none`, or `sections`."""
-    counts = (len(flt.quadratic), len(flt.first_order))
-    return next((name for name, known in SECTIONS.items() if known == counts), "sections")
-
-
 def design_of(
     *,
     name: str,
@@ -79,7 +74,7 @@ def design_of(
         "quadratic": [{key: _rounded(getattr(q, key)) for key in keys} for q in flt.quadratic],
         "first_order": [{key: _rounded(getattr(f, key)) for key in ("zero_hz", "pole_hz")} for f in flt.first_order],
     }
-    structure = structure_of(flt)
+    structure = structure_of(len(flt.quadratic), len(flt.first_order))
     filter_: dict[str, Any] = {"structure": structure, "discretization": discretization} | sections
     if structure != "none" and prewarp_hz is not None:
         filter_["prewarp_hz"] = _rounded(prewarp_hz)

@@ -1,0 +1,25 @@
+"""Structures of the bending filter: F2 ... F6 of Lee, Ahn & Roh (eqs 37 to 41), and free numbers of sections."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+Structure = Literal["none", "F2", "F3", "F4", "F5", "F6", "sections"]
+
+STRUCTURES: dict[str, tuple[int, int]] = {
+    "none": (0, 0),
+    "F2": (1, 0),
+    "F3": (1, 1),
+    "F4": (2, 0),
+    "F5": (2, 1),
+    "F6": (2, 2),
+}
+"""Numbers of quadratic and of first-order sections; the structure `sections` is free in both."""
+
+MAX_SECTIONS = 8
+"""Sections that the flight computer runs on an axis, quadratic and first-order ones together."""
+
+
+def structure_of(quadratic: int, first_order: int) -> str:
+    """Name of the structure with these numbers of sections; `sections` where the paper has none."""
+    return next((name for name, known in STRUCTURES.items() if known == (quadratic, first_order)), "sections")
