@@ -355,14 +355,20 @@ def test_one_key_twice(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("arguments", "says"),
     [
-        (["nominal", "--runs", "5"], "--runs belongs to campaigns, and nominal has no [campaign]"),
-        (["campaigns/first", "--run", "5"], "--run goes with --from DIR"),
+        (
+            ["nominal", "--runs", "5"],
+            "--runs goes with CAMPAIGN or --from DIR --search METRIC, not with nominal, which has no [campaign]",
+        ),
+        (["campaigns/first", "--run", "5"], "--run goes with --from DIR --run N or "),
         (["campaigns/first", "--keep", "best"], "--keep best: allowed: worst:5"),
-        (["campaigns/first", "--runs", "-1"], "is no whole number"),
+        (["campaigns/first", "--runs", "-1"], "is not a whole number"),
         (["campaigns/firs"], "did you mean campaigns/first?"),
         (["--from", ".", "--run", "3"], "holds no campaign"),
-        (["--from", ".", "--shrink"], "go with --run N"),
-        (["--from", ".", "--runs", "3", "--set", "a=1"], "--set would make another campaign"),
+        (["--from", ".", "--shrink"], "--shrink needs --run N"),
+        (
+            ["--from", ".", "--runs", "3", "--set", "a=1"],
+            "--set goes with SCENARIO, --from LOG or CAMPAIGN, not with --from DIR",
+        ),
     ],
 )
 def test_mistakes_on_the_command_line(

@@ -14,7 +14,8 @@ import pytest
 from maxq.design.optimise import search
 from maxq.sim.api import fly, load_scenario
 from maxq.tools import simdesign
-from maxq.tools.design import builtin, orders, progress
+from maxq.tools.cli import terminal
+from maxq.tools.design import builtin, orders
 
 Printed = pytest.CaptureFixture[str]
 SMALL = ["ksr3-relaxed", "--starts", "2", "--set", "nodes_s=[10, 40]", "--set", "filter.structure=F2", "--no-pictures"]
@@ -165,8 +166,8 @@ def test_ctrl_c_before_anything_is_found_leaves_nothing(capsys: Printed, monkeyp
 
 
 def test_no_bar_where_there_is_no_terminal(capsys: Printed, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(progress, "_PATIENCE_S", 0.0)
-    with progress.Progress() as bar:
+    monkeypatch.setattr(terminal, "_PATIENCE_S", 0.0)
+    with terminal.Progress() as bar:
         bar.show("optimising", 1, 2)
     assert capsys.readouterr().err == ""
 
@@ -183,7 +184,7 @@ WRONG = {
     ),
     "no value": (["ksr3-identical", "--set", "limits"], "has no '='"),
     "nan": (["ksr3-identical", "--set", "limits.gain_margin_db=nan"], "limits.gain_margin_db = nan"),
-    "no start": (["ksr3-identical", "--starts", "0"], "--starts: invalid a whole number from 1 value: '0'"),
+    "no start": (["ksr3-identical", "--starts", "0"], "--starts: '0' is not a whole number of at least 1"),
     "negative seed": (["ksr3-identical", "--seed", "-3"], "search.seed = -3"),
     "node after burn-out": (["ksr3-identical", "--set", "nodes_s=[10, 70]"], "node at 70 s: the engine does not burn"),
     "nodes that fall": (["ksr3-identical", "--set", "nodes_s=[40, 10]"], "nodes_s = [40, 10]: does not rise"),
@@ -191,7 +192,7 @@ WRONG = {
         ["ksr3-identical", "--set", "scenario=nowhere"],
         'scenario = "nowhere": neither a file nor a built-in scenario',
     ),
-    "option of analyse": (["ksr3-identical", "--at", "3"], "--at means nothing with CASE"),
+    "option of analyse": (["ksr3-identical", "--at", "3"], "--at goes with analyse or errata, not with CASE"),
 }
 
 

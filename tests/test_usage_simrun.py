@@ -17,8 +17,9 @@ from maxq.sim.api import Flight, FlightRun, LogError, fly, load_scenario, read_l
 from maxq.sim.log.foxglove import Level
 from maxq.sim.run import record as recording
 from maxq.tools import simrun
+from maxq.tools.cli.frame import TRACEBACK
+from maxq.tools.cli.terminal import Progress
 from maxq.tools.dev.documents import docs_telemetry
-from maxq.tools.flight_progress import FlightProgress
 
 SHORT = ["nominal", "--set", "run.duration_s=1.5", "--set", "requirement="]
 LOSES_CONTROL = [
@@ -218,7 +219,7 @@ def test_equal_flights_give_equal_bytes_in_another_process_too() -> None:
 
 def test_ctrl_c_closes_the_log_and_the_flight_can_be_compared(capsys: Printed, monkeypatch: pytest.MonkeyPatch) -> None:
     with monkeypatch.context() as press:
-        press.setattr(FlightProgress, "show", lambda *_: signal.raise_signal(signal.SIGINT))
+        press.setattr(Progress, "show", lambda *_, **__: signal.raise_signal(signal.SIGINT))
         assert run(*SHORT, "--out", "out") == 130
     assert capsys.readouterr().out.splitlines()[-1] == "INTERRUPTED at 1.000 s of flight"
     assert (summary()["outcome"], summary()["passed"]) == ("interrupted", False)
@@ -261,7 +262,7 @@ WRONG = {
     ),
     "two orders": (["nominal", "--list"], "SCENARIO and --list exclude each other"),
     "scenario and log": (["nominal", "--from", "x.mcap"], "SCENARIO and --from exclude each other"),
-    "option of another order": (["--list", "--out", "x"], "--out means nothing with --list"),
+    "option of another order": (["--list", "--out", "x"], "not with --list"),
     "no log": (["--from", "nothing.mcap"], "nothing.mcap: the log cannot be read"),
     "not a log": (["--from", "binary.toml"], "binary.toml: this is not a log"),
     "copy of nothing": (["--copy", "nominl", "x"], "did you mean nominal?"),
@@ -387,13 +388,13 @@ def test_a_fault_of_ours_has_its_own_exit_code_and_asks_for_a_report(
         raise ZeroDivisionError("two\nlines")
 
     monkeypatch.setattr("maxq.tools.simrun_fly.execute", broken)
-    monkeypatch.delenv(simrun.TRACEBACK, raising=False)
+    monkeypatch.delenv(TRACEBACK, raising=False)
     assert run("nominal") == 70
     (line,) = capsys.readouterr().err.splitlines()
     assert line.startswith("simrun: internal error: ZeroDivisionError: two lines (test_usage_simrun.py, line ")
     assert "please report it" in line
-    assert simrun.TRACEBACK in line
-    monkeypatch.setenv(simrun.TRACEBACK, "1")
+    assert TRACEBACK in line
+    monkeypatch.setenv(TRACEBACK, "1")
     assert run("nominal") == 70
     lines = capsys.readouterr().err.splitlines()
     assert lines[0] == "Traceback (most recent call last):"

@@ -8,7 +8,7 @@ import sys
 import time
 
 from maxq.sim.campaign.runner import Progress
-from maxq.tools.plain_text import printable
+from maxq.tools.cli.terminal import printable
 
 _ANEW_S, _LINE_S = 0.25, 30.0
 

@@ -14,8 +14,8 @@ from maxq.sim.campaign.search import search_worst
 from maxq.sim.campaign.store import campaign_in, write_bytes
 from maxq.sim.run.judgement import METRIC_NAMES, unit_of
 from maxq.sim.scenario.errors import suggestion
-from maxq.tools.interruption import Interruption
-from maxq.tools.plain_text import aligned, printable
+from maxq.tools.cli.interruption import Interruption
+from maxq.tools.cli.terminal import aligned, printable
 
 _PASSED, _FAILED = 0, 1
 _FLIGHTS = 2000

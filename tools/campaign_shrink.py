@@ -10,7 +10,7 @@ from maxq.sim.campaign.runner import cores
 from maxq.sim.campaign.shrink import shrink_run
 from maxq.sim.campaign.store import campaign_in, write_bytes
 from maxq.sim.campaign.targets import Refused
-from maxq.tools.plain_text import aligned, printable
+from maxq.tools.cli.terminal import aligned, printable
 
 _PASSED, _FAILED = 0, 1
 

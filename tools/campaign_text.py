@@ -9,7 +9,7 @@ from pathlib import Path
 
 from maxq.sim.campaign.analysis import DataSet, Judged, Lost
 from maxq.sim.campaign.statistics import MET, NOT_MET
-from maxq.tools.plain_text import aligned, printable
+from maxq.tools.cli.terminal import aligned, printable
 
 
 def verdict_table(verdicts: Sequence[Judged], success: float, confidence: float) -> list[str]:

@@ -8,7 +8,7 @@ from pathlib import Path
 from maxq.sim.run.fly import Flight
 from maxq.sim.run.history import DIVERGED_NAME
 from maxq.sim.run.judgement import Verdict, unit_of
-from maxq.tools.plain_text import aligned, printable
+from maxq.tools.cli.terminal import aligned, printable
 
 _FINAL = (
     "altitude_m", "speed_mps", "yaw_deg", "pitch_deg", "roll_deg", "alpha_total_deg", "dynamic_pressure_Pa",

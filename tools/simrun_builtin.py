@@ -3,36 +3,29 @@
 from __future__ import annotations
 
 import shlex
-import sys
 import tomllib
 from pathlib import Path
 from typing import Any
 
 from maxq.sim.scenario.builtin import builtin_names, builtin_path, campaign_names, campaign_path
-from maxq.tools.plain_text import aligned, printable
-
-_PASSED, _BAD_INPUT = 0, 2
+from maxq.tools.cli.frame import Exit
+from maxq.tools.cli.terminal import aligned, printable
 
 
 def show_list() -> int:
     """Print name and description of every built-in scenario and campaign."""
     names = [*builtin_names(), *campaign_names()]
     print("\n".join(aligned([(name, _description(name)) for name in names])))
-    return _PASSED
+    return Exit.OK
 
 
 def copy(name: str, folder: str) -> int:
     """Copy a scenario with its files, and say how to fly the copy."""
     from maxq.sim.scenario.copying import copy_scenario  # noqa: PLC0415  # lazy: --list needs no schema
-    from maxq.sim.scenario.errors import ScenarioError  # noqa: PLC0415  # lazy
 
-    try:
-        path = copy_scenario(name, folder)
-    except ScenarioError as error:
-        print(f"simrun: {error}", file=sys.stderr)
-        return _BAD_INPUT
+    path = copy_scenario(name, folder)
     print(f"copied; fly it with: simrun {shlex.quote(str(path))}")
-    return _PASSED
+    return Exit.OK
 
 
 def _description(name: str) -> str:

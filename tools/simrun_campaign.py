@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 import re
-import signal
 import sys
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from types import FrameType
 from typing import TYPE_CHECKING, Any
 
 from maxq.sim.scenario.errors import ScenarioError
-from maxq.tools.interruption import Interruption
-from maxq.tools.plain_text import printable
+from maxq.tools.cli.interruption import Interruption
+from maxq.tools.cli.terminal import printable
 from maxq.tools.replay.error import ReplayError
 
 if TYPE_CHECKING:
@@ -74,26 +72,6 @@ def execute(order: Order) -> int:
         return BAD_INPUT
 
 
-class _Stop(Interruption):
-    """Ctrl-C, and what a batch system sends before it kills, as a request."""
-
-    def __enter__(self) -> _Stop:
-        super().__enter__()
-        try:
-            self._term: Any = signal.signal(signal.SIGTERM, self._terminate)
-        except ValueError:  # not the main thread
-            self._term = None
-        return self
-
-    def __exit__(self, *error: Any) -> None:
-        super().__exit__(*error)
-        if self._term is not None:
-            signal.signal(signal.SIGTERM, self._term)
-
-    def _terminate(self, number: int, frame: FrameType | None) -> None:
-        self.requested = True
-
-
 def _fly(order: Order) -> int:
     from maxq.sim.campaign.read import load_campaign  # noqa: PLC0415  # lazy
     from maxq.sim.campaign.store import RUNS  # noqa: PLC0415  # lazy
@@ -106,7 +84,7 @@ def _fly(order: Order) -> int:
     if order.dask is None:
         _announce_compilation()
     shown = CampaignProgress()
-    with _Stop() as interruption:
+    with Interruption() as interruption:
         try:
             outcome = _flown(order, campaign, folder, shown.show, lambda: interruption.requested)
         except KeyboardInterrupt:
@@ -220,8 +198,9 @@ def _keep(campaign: LoadedCampaign, folder: Path, keep: tuple[str, ...], stop: C
 def _refly(order: Order) -> int:
     from maxq.sim.campaign.refly import refly  # noqa: PLC0415  # lazy
     from maxq.sim.run import record  # noqa: PLC0415  # lazy
-    from maxq.tools.flight_progress import FlightProgress  # noqa: PLC0415  # lazy
+    from maxq.tools.cli.terminal import Progress  # noqa: PLC0415  # lazy
     from maxq.tools.flight_report import report  # noqa: PLC0415  # lazy
+    from maxq.tools.simrun_fly import show_flight  # noqa: PLC0415  # lazy
 
     assert order.folder is not None
     assert order.run is not None
@@ -229,10 +208,10 @@ def _refly(order: Order) -> int:
     view = _view(order)
     _announce_compilation()
     out = Path(order.out) if order.out else None
-    with Interruption() as interruption, FlightProgress() as progress:
+    with Interruption() as interruption, Progress() as progress:
         again = refly(
             Path(order.folder), order.run, out,
-            log=not order.no_log, watch=progress.show, stop=lambda: interruption.requested,
+            log=not order.no_log, watch=lambda run: show_flight(progress, run), stop=lambda: interruption.requested,
         )  # fmt: skip
     names = [record.LOG_NAME] * (not order.no_log) + [record.SUMMARY_NAME]
     print(report(again.flight, [again.folder / name for name in names], time.perf_counter() - start_s))

@@ -5,68 +5,45 @@ from __future__ import annotations
 import re
 import sys
 import time
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from maxq.sim.scenario.errors import ScenarioError
-from maxq.tools.plain_text import printable
+from maxq.tools.cli.frame import CommandError, Exit, say
 
 if TYPE_CHECKING:
     from maxq.sim.run.fly import FlightRun
     from maxq.sim.scenario.loader import LoadedScenario
+    from maxq.tools.cli.terminal import Progress
     from maxq.tools.comparison import Comparison
     from maxq.tools.replay.live import LiveView
-
-_PASSED, _FAILED, _BAD_INPUT, _INTERRUPTED = 0, 1, 2, 130
-
-
-class BadViewError(Exception):
-    """There is no viewer to show the flight in."""
 
 
 @dataclass(frozen=True)
 class Order:
     """What the command line asks for: a scenario by name, or a log to be flown again."""
 
-    scenario: str | None
-    log: str | None
-    overrides: tuple[str, ...]
-    out: str | None
-    no_log: bool
+    scenario: str | None = None
+    log: str | None = None
+    overrides: tuple[str, ...] = ()
+    out: str | None = None
+    no_log: bool = False
     view: bool = False
     view_port: int | None = None
     realtime: float | None = None
 
 
 def execute(order: Order, *, alone: bool = False) -> int:
-    """Do it; returns the exit code. Whatever is wrong with the input is one line on stderr.
-
-    `alone`: nobody else uses Numba in this process.
-    """
-    start_s = time.perf_counter()
-    from maxq.sim.log.error import LogError  # noqa: PLC0415  # lazy: the clock starts before the heavy imports
-
+    """Do it; returns the exit code. `alone`: nobody else uses Numba in this process."""
+    start_s = time.perf_counter()  # the clock starts before the heavy imports
     if alone:
         _load_numba_without_blas()
-    try:
-        return _execute(order, start_s)
-    except (ScenarioError, LogError, BadViewError) as error:
-        print(f"simrun: {printable(str(error))}", file=sys.stderr)
-        return _BAD_INPUT
-    except MemoryError:
-        print("simrun: not enough memory for this flight; shorten it or log less often", file=sys.stderr)
-        return _BAD_INPUT
-
-
-def _execute(order: Order, start_s: float) -> int:
     from maxq.sim.packing.flight import pack_flight  # noqa: PLC0415  # lazy
     from maxq.sim.run import record  # noqa: PLC0415  # lazy
     from maxq.sim.run.fly import FlightRun  # noqa: PLC0415  # lazy
-    from maxq.tools.flight_progress import FlightProgress  # noqa: PLC0415  # lazy
+    from maxq.tools.cli.interruption import Interruption  # noqa: PLC0415  # lazy
+    from maxq.tools.cli.terminal import Progress  # noqa: PLC0415  # lazy
     from maxq.tools.flight_report import report  # noqa: PLC0415  # lazy
-    from maxq.tools.interruption import Interruption  # noqa: PLC0415  # lazy
 
     loaded, comparison = _load(order)
     packed = pack_flight(loaded.scenario)
@@ -90,10 +67,14 @@ def _execute(order: Order, start_s: float) -> int:
             "total_s": now_s - start_s,
         }
 
-    with Interruption() as interruption, FlightProgress() as progress:
+    with Interruption() as interruption, Progress() as progress:
         if view is not None:
             view.stop = lambda: interruption.requested
-        watch = _watchers(progress.show, comparison.look)
+
+        def watch(run: FlightRun) -> None:
+            show_flight(progress, run)
+            comparison.look(run)
+
         comparison.look(run)
         try:
             if folder is None:
@@ -108,20 +89,27 @@ def _execute(order: Order, start_s: float) -> int:
                     timing=timing,
                 )
         except KeyboardInterrupt:
-            print("simrun: interrupted twice: no summary, the log ends early", file=sys.stderr)
-            return _INTERRUPTED
+            say("simrun", "interrupted twice: no summary, the log ends early")
+            return Exit.INTERRUPTED
     files = []
     if folder is not None:
         files = [folder / record.LOG_NAME] * (not order.no_log) + [folder / record.SUMMARY_NAME]
     print(report(flight, files, timing()["total_s"]))
     same = comparison.verdict(flight)
     if flight.outcome == "interrupted":
-        return _INTERRUPTED
-    return _PASSED if flight.passed and same else _FAILED
+        return Exit.INTERRUPTED
+    return Exit.OK if flight.passed and same else Exit.FAILED
+
+
+def show_flight(progress: Progress, run: FlightRun) -> None:
+    """A flight's progress. Its end is the longest that the flight may take: most flights end before, by impact."""
+    limits = run.loaded.scenario.run
+    count = f"{run.now_s:.1f} s of at most {limits.start_s + limits.duration_s:g} s"
+    progress.show("flying", run.now_s - limits.start_s, limits.duration_s, count=count)
 
 
 def _view(order: Order, loaded: LoadedScenario) -> LiveView | None:
-    """The viewer, opened before anything is flown. Raises BadViewError where there is none."""
+    """The viewer, opened before anything is flown. Raises CommandError where there is none."""
     if not order.view:
         return None
     from maxq.tools.replay.error import ReplayError  # noqa: PLC0415  # lazy
@@ -131,9 +119,9 @@ def _view(order: Order, loaded: LoadedScenario) -> LiveView | None:
 
         return LiveView(loaded, order.view_port)
     except ReplayError as error:
-        raise BadViewError(f"--view: {error}") from error
+        raise CommandError(f"--view: {error}") from error
     except ImportError as error:
-        raise BadViewError(f"--view: a package is missing or broken: {error}") from error
+        raise CommandError(f"--view: a package is missing or broken: {error}") from error
 
 
 def _load_numba_without_blas() -> None:
@@ -177,14 +165,6 @@ def _folder(order: Order, name: str) -> Path | None:
     if order.log and log.exists() and log.samefile(order.log):
         raise LogError(f"{log}: is the log that is to be flown again; choose another folder for --out")
     return folder
-
-
-def _watchers(*watchers: Callable[[FlightRun], None]) -> Callable[[FlightRun], None]:
-    def watch(run: FlightRun) -> None:
-        for each in watchers:
-            each(run)
-
-    return watch
 
 
 def announce_compilation() -> None:

@@ -9,8 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from maxq.sim.scenario.errors import ScenarioError
-from maxq.tools.design.progress import Progress
-from maxq.tools.plain_text import printable
+from maxq.tools.cli.terminal import Progress, printable
 
 if TYPE_CHECKING:
     from maxq.design.api import Plant

@@ -6,7 +6,7 @@ import tomllib
 from pathlib import Path
 
 from maxq.sim.scenario.builtin import scenarios_folder
-from maxq.tools.plain_text import aligned, printable
+from maxq.tools.cli.terminal import aligned, printable
 
 CASES = "cases"
 

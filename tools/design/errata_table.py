@@ -10,9 +10,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from maxq.sim.scenario.errors import ScenarioError
+from maxq.tools.cli.terminal import Progress, aligned, printable
 from maxq.tools.design.analyse import default_times_s, find_nodes, load
-from maxq.tools.design.progress import Progress
-from maxq.tools.plain_text import aligned, printable
 
 if TYPE_CHECKING:
     from maxq.design.api import Plant

@@ -11,9 +11,9 @@ from maxq.design.optimise.plants import Plants
 from maxq.design.optimise.solution import Solution
 from maxq.design.optimise.solve import solve
 from maxq.sim.scenario.schema_design import Design
+from maxq.tools.cli.terminal import aligned
 from maxq.tools.design import album, pictures_design
 from maxq.tools.design.outcome import make_design
-from maxq.tools.plain_text import aligned
 
 STRUCTURES = ("F2", "F3", "F4", "F5", "F6")
 SCHEDULES = {"two-phase": "two-phase", "linear": "Subcase 1", "free": "Subcase 2"}

@@ -11,8 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from maxq.sim.scenario.errors import ScenarioError
-from maxq.tools.design.progress import Progress
-from maxq.tools.plain_text import printable
+from maxq.tools.cli.terminal import Progress, printable
 
 if TYPE_CHECKING:
     from maxq.design.case.read import LoadedCase
@@ -73,17 +72,17 @@ def make(order: Order) -> Made:
     begun_s = time.perf_counter()
     from maxq.design.case.read import read_case  # noqa: PLC0415  # lazy, as all imports here
     from maxq.design.optimise.solve import nominal_plants, solve  # noqa: PLC0415  # lazy
+    from maxq.tools.cli.interruption import Interruption  # noqa: PLC0415
     from maxq.tools.design.case_report import report  # noqa: PLC0415
     from maxq.tools.design.design_file import check_folder, forget_pictures  # noqa: PLC0415
     from maxq.tools.design.outcome import judge_solution  # noqa: PLC0415
-    from maxq.tools.interruption import Interruption, Stop  # noqa: PLC0415
 
     more = [
         f"search.{key}={value}" for key, value in (("starts", order.starts), ("seed", order.seed)) if value is not None
     ]
     loaded = read_case(order.case, [*order.overrides, *more])
     folder = Path(order.out or Path("runs") / (re.sub(r"[^\w.-]+", "-", loaded.name).strip(".-") or "design"))
-    with Progress() as progress, Stop() as stop:
+    with Progress() as progress, Interruption(at_once=True) as stop:
         try:
             plants = nominal_plants(loaded)
         except ValueError as error:

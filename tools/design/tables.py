@@ -8,8 +8,8 @@ from typing import Literal
 
 from maxq.design.margins.lobes import Lobe
 from maxq.design.margins.worst import Bound
+from maxq.tools.cli.terminal import aligned
 from maxq.tools.design.judging import Check, Judged
-from maxq.tools.plain_text import aligned
 
 MET, MISSED = "met", "MISSED"
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from maxq.tools.cli.frame import CommandError
 
-class ReplayError(Exception):
+
+class ReplayError(CommandError):
     """Nothing can be shown; the text says why and what can be done."""

@@ -12,7 +12,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from maxq.tools.plain_text import printable
+from maxq.tools.cli.frame import Exit, say
 from maxq.tools.replay.collect import find_logs, open_flights
 from maxq.tools.replay.error import ReplayError
 from maxq.tools.replay.flight import ReplayFlight
@@ -21,36 +21,18 @@ from maxq.tools.replay.web_page import LOCAL
 if TYPE_CHECKING:
     from maxq.tools.replay.viewer import Headless
 
-_SHOWN, _PARTLY, _NOTHING, _INTERRUPTED = 0, 1, 2, 130
 _WEB_PORT = 9090
 
 
 def execute(given: argparse.Namespace) -> int:
     """Do what the command line asks for; returns the exit code."""
-    try:
-        _check_before(given)
-        with _headless(given) as viewer:
-            flights, complaints = open_flights(given.logs, in_turn=not (given.plots or given.summary))
-            for complaint in complaints:
-                _say(complaint)
-            done = _show(flights, given, viewer)
-    except ReplayError as error:
-        _say(str(error))
-        return _NOTHING
-    except ImportError as error:
-        _say(f"a package is missing or broken: {error}; install maxq again (pip install maxq)")
-        return _NOTHING
-    except MemoryError:
-        _say("not enough memory; show fewer flights, or fewer samples (--rate 10)")
-        return _NOTHING
-    except OSError as error:
-        _say(f"{error.filename or 'a file'}: {(error.strerror or str(error)).lower()}")
-        return _NOTHING
-    return done or (_PARTLY if complaints else _SHOWN)
-
-
-def _say(text: str) -> None:
-    print(f"simreplay: {printable(text)}", file=sys.stderr)
+    _check_before(given)
+    with _headless(given) as viewer:
+        flights, complaints = open_flights(given.logs, in_turn=not (given.plots or given.summary))
+        for complaint in complaints:
+            say("simreplay", complaint)
+        done = _show(flights, given, viewer)
+    return done or (Exit.FAILED if complaints else Exit.OK)
 
 
 def _check_before(given: argparse.Namespace) -> None:
@@ -86,20 +68,20 @@ def _show(flights: list[ReplayFlight], given: argparse.Namespace, viewer: Headle
         from maxq.tools.replay.summary import summary_text  # noqa: PLC0415  # lazy
 
         print("\n\n".join(summary_text(flight) for flight in flights))
-        return _SHOWN
+        return Exit.OK
     if given.plots:
         from maxq.tools.replay.sheets import write_sheets  # noqa: PLC0415  # lazy: matplotlib
 
         for path in write_sheets(flights, Path(given.plots)):
             print(path)
-        return _SHOWN
+        return Exit.OK
     if given.save:
         path = Path(given.save)
         if path.is_dir():
             raise ReplayError(f"{path}: is a folder; --save needs the name of a file")
         _convert(flights, given, path)
         print(f"{path}   {path.stat().st_size / 1e6:.1f} MB")
-        return _SHOWN
+        return Exit.OK
     with _temporary() as path:
         _convert(flights, given, path)
         flights.clear()  # the viewer has what it needs: the memory of the logs is free for it
@@ -155,12 +137,12 @@ def _screenshot(viewer: Headless, rrd: Path, given: argparse.Namespace) -> int:
     target = Path(given.screenshot)
     shots, complaints = pictures(viewer, rrd, given.at)
     for complaint in complaints:
-        _say(complaint)
+        say("simreplay", complaint)
     for time_s, shot in zip(given.at, shots, strict=True):
         path = target if len(shots) == 1 else target.with_name(f"{target.stem}-{time_s:g}{target.suffix or '.png'}")
         path.write_bytes(shot)
         print(path)
-    return _PARTLY if complaints else _SHOWN
+    return Exit.FAILED if complaints else Exit.OK
 
 
 def _web(rrd: Path, port: int) -> int:
@@ -169,9 +151,9 @@ def _web(rrd: Path, port: int) -> int:
     with viewer.served(rrd, port) as (server, url):
         print(f"open {url}\n(served on {LOCAL} only; Ctrl-C ends it)", flush=True)
         try:
-            return _SHOWN if server.wait() == 0 else _NOTHING
+            return Exit.OK if server.wait() == 0 else Exit.BAD_INPUT
         except KeyboardInterrupt:
-            return _SHOWN
+            return Exit.OK
 
 
 def _window(rrd: Path) -> int:
@@ -180,4 +162,4 @@ def _window(rrd: Path) -> int:
     code = viewer.show(rrd)
     if code:
         raise ReplayError(f"the Rerun viewer ended with code {code}; --web or --screenshot may do instead")
-    return _SHOWN
+    return Exit.OK

@@ -6,8 +6,8 @@ import tomllib
 from pathlib import Path
 
 from maxq.design.verify.suite import builtin_suites, suites_folder
+from maxq.tools.cli.terminal import aligned, printable
 from maxq.tools.design.design_file import builtin_designs, designs_folder
-from maxq.tools.plain_text import aligned, printable
 
 
 def show_list() -> int:

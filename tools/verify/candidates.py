@@ -14,13 +14,12 @@ from maxq.design.verify.verify import Verification
 from maxq.sim.campaign.error import CampaignError
 from maxq.sim.scenario.errors import ScenarioError
 from maxq.sim.scenario.schema_design import Design
+from maxq.tools.cli.interruption import Interruption
+from maxq.tools.cli.terminal import Progress, aligned, printable
 from maxq.tools.design import run_case
 from maxq.tools.design.design_file import DESIGN_NAME, design_text, write_whole
 from maxq.tools.design.judging import judge
 from maxq.tools.design.outcome import make_design
-from maxq.tools.design.progress import Progress
-from maxq.tools.interruption import Interruption
-from maxq.tools.plain_text import aligned, printable
 from maxq.tools.verify.in_order import try_in_order
 from maxq.tools.verify.run import write_pack
 

@@ -12,9 +12,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from maxq.sim.scenario.errors import ScenarioError
-from maxq.tools.design.progress import Progress
-from maxq.tools.interruption import Interruption
-from maxq.tools.plain_text import printable
+from maxq.tools.cli.interruption import Interruption
+from maxq.tools.cli.terminal import Progress, printable
 
 if TYPE_CHECKING:
     from maxq.design.verify.suite import LoadedSuite

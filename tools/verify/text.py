@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 from maxq.design.verify.verdict import ACCEPTED, REJECTED, UNDECIDED
 from maxq.design.verify.verify import Verification
-from maxq.tools.plain_text import aligned, printable
+from maxq.tools.cli.terminal import aligned, printable
 
 
 def report(found: Verification, title: str) -> list[str]:

@@ -1,0 +1,151 @@
+"""The command line of a command: options, the modes in which each has a meaning, exit codes, errors on one line."""
+
+from __future__ import annotations
+
+import argparse
+import difflib
+import math
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any, NoReturn, TypeVar
+
+from maxq.tools.cli.frame import TRACEBACK, Exit
+from maxq.tools.cli.terminal import printable
+
+if TYPE_CHECKING:
+    from _typeshed import DataclassInstance
+
+Order = TypeVar("Order", bound="DataclassInstance")
+
+_EVERY_COMMAND = {
+    Exit.INTERNAL_ERROR: f"a fault of maxq itself; {TRACEBACK}=1 in the environment shows the traceback",
+}
+
+
+class Parser(argparse.ArgumentParser):
+    """argparse whose complaints are one line each, and which knows the modes in which an option has a meaning.
+
+    A mode is what the command is asked to do, in the words of its usage ("--from DIR"). `exits` completes the list of
+    exit codes at the end of --help.
+    """
+
+    def __init__(self, prog: str, usage: str, description: str, examples: str, exits: Mapping[Exit, str]) -> None:
+        codes = sorted((_EVERY_COMMAND | dict(exits)).items())
+        listed = "\n".join(f"{code:5d}  {text}" for code, text in codes)
+        super().__init__(
+            prog=prog, usage=usage, description=description, epilog=f"examples:\n{examples}\nexit code:\n{listed}",
+            formatter_class=argparse.RawDescriptionHelpFormatter, allow_abbrev=False, add_help=False,
+        )  # fmt: skip
+        self._modes: dict[str, tuple[str, ...]] = {}
+
+    def option(
+        self, *names: str, modes: Sequence[str] = (), group: argparse._ActionsContainer | None = None, **how: Any
+    ) -> None:
+        """As add_argument. `modes`: where the option has a meaning; empty: everywhere."""
+        action = (group or self).add_argument(*names, **how)
+        if modes:
+            self._modes[action.dest] = tuple(modes)
+
+    def version_and_help(self) -> None:
+        """The options that every command has, last in its list."""
+        self.add_argument("--version", action=_Version, nargs=0, help="version of maxq")
+        self.add_argument("-h", "--help", action="help", help="this text")
+
+    def read(self, arguments: Sequence[str], extra: str = "what is {!r}?") -> argparse.Namespace:
+        """The options. `extra`: what is said of a word too many."""
+        options, unknown = self.parse_known_args(arguments)
+        if unknown and unknown[0].startswith("-"):
+            names = [option for action in self._actions for option in action.option_strings]
+            close = difflib.get_close_matches(unknown[0].partition("=")[0], names, 1, 0.7)
+            self.error(f"unknown option {unknown[0]}" + (f"; did you mean {close[0]}?" if close else ""))
+        if unknown:
+            self.error(extra.format(unknown[0]))
+        return options
+
+    def given(self, options: argparse.Namespace) -> dict[str, str]:
+        """Names of the options that were given, by the attribute that holds their value."""
+        return {
+            action.dest: action.option_strings[0] if action.option_strings else str(action.metavar)
+            for action in self._actions
+            if getattr(options, action.dest, action.default) != action.default
+        }
+
+    def only(self, options: argparse.Namespace, *choices: str, none: str = "", default: str = "") -> str:
+        """Which one of the options `choices` was given. An error where several were, or none and there is no default;
+        `none` says then what to give."""
+        given = [name for name in self.given(options).values() if name in choices] or [default]
+        if given == [""]:
+            self.error(none)
+        if len(given) > 1:
+            self.error(f"{given[0]} and {given[1]} exclude each other")
+        return given[0]
+
+    def stray(self, options: argparse.Namespace, mode: str) -> str:
+        """The first option that was given though it means nothing in this mode, and where it does; empty: none."""
+        for dest, name in self.given(options).items():
+            modes = self._modes.get(dest, (mode,))
+            if mode not in modes:
+                *first, last = modes
+                return f"{name} goes with {', '.join(first)}{' or ' if first else ''}{last}"
+        return ""
+
+    def check(self, options: argparse.Namespace, mode: str, shown: str = "") -> None:
+        """An error where an option was given that means nothing in this mode; `shown` names the mode in particular."""
+        if text := self.stray(options, mode):
+            self.error(f"{text}, not with {shown or mode}")
+
+    def error(self, message: str) -> NoReturn:
+        self.exit(
+            Exit.BAD_INPUT, f"{self.prog}: {printable(message.removeprefix('argument '))}; see {self.prog} --help\n"
+        )  # fmt: skip
+
+
+class _Version(argparse.Action):
+    def __call__(self, parser: argparse.ArgumentParser, *_: object) -> None:
+        from importlib.metadata import version  # noqa: PLC0415  # lazy: --help is quick
+
+        print(f"maxq {version('maxq')}")
+        parser.exit()
+
+
+def filled(kind: type[Order], options: argparse.Namespace, **more: Any) -> Order:
+    """The dataclass `kind` with the options that bear the names of its fields; those not given keep its defaults."""
+    values = {name: getattr(options, name, None) for name in kind.__dataclass_fields__} | more
+    return kind(**{k: tuple(v) if isinstance(v, list) else v for k, v in values.items() if v is not None})
+
+
+# types of arguments
+
+
+def count(text: str, least: int = 0) -> int:
+    """A whole number of at least `least`."""
+    if not text.isdecimal() or int(text) < least:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a whole number of at least {least}")
+    return int(text)
+
+
+def count_from_1(text: str) -> int:
+    """A whole number of at least 1."""
+    return count(text, 1)
+
+
+def number(text: str, what: str = "a number") -> float:
+    """A finite number."""
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not math.isfinite(value):
+        raise argparse.ArgumentTypeError(f"{text!r} is not {what}")
+    return value
+
+
+def seconds(text: str) -> float:
+    """A time, s."""
+    return number(text, "a time in seconds")
+
+
+def positive(text: str) -> float:
+    """A number above 0."""
+    if (value := number(text)) <= 0.0:
+        raise argparse.ArgumentTypeError(f"{text!r} is not above 0")
+    return value
