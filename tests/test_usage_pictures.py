@@ -6,7 +6,8 @@ from pathlib import Path
 
 import matplotlib as mpl
 
-from maxq.tools.plots.style import COLOURS, STYLE, curve, drawing, label, save, sheet
+from maxq.tools.plots.palette import ON_LIGHT
+from maxq.tools.plots.style import STYLE, curve, drawing, label, save, sheet
 
 
 def test_files_are_equal_when_drawn_twice_and_left_whole(tmp_path: Path) -> None:
@@ -43,5 +44,5 @@ def test_every_setting_of_the_style_is_known() -> None:
 
 
 def test_curves_differ_in_more_than_colour() -> None:
-    seen = [curve(k) for k in range(len(COLOURS))]
-    assert len({str(c["linestyle"]) for c in seen}) == len({str(c["color"]) for c in seen}) == len(COLOURS)
+    seen = [curve(k) for k in range(len(ON_LIGHT))]
+    assert len({str(c["linestyle"]) for c in seen}) == len({str(c["color"]) for c in seen}) == len(ON_LIGHT)

@@ -12,7 +12,8 @@ from matplotlib.axes import Axes
 from maxq.control.filters import BendingFilter, DiscreteFilter
 from maxq.sim.packing.computer import bending_filter
 from maxq.sim.scenario.schema_design import Design
-from maxq.tools.plots.style import BLACK, GREY, MARKERS, curve, label, plain_numbers, save, sheet
+from maxq.tools.plots.palette import BLACK, GREY
+from maxq.tools.plots.style import MARKERS, curve, label, plain_numbers, save, sheet
 
 LOWEST_HZ, HIGHEST_HZ = 0.1, 100.0
 

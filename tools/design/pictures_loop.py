@@ -15,7 +15,8 @@ from maxq.control.kernel.records import Array
 from maxq.design.margins.nichols import Zone
 from maxq.design.model.state_space import ComplexArray
 from maxq.tools.design.judging import Judged
-from maxq.tools.plots.style import BLACK, BLUE, COLOURS, GREY, RED, label, plain_numbers, save, sheet
+from maxq.tools.plots.palette import BLACK, BLUE, GREY, ON_LIGHT, RED
+from maxq.tools.plots.style import label, plain_numbers, save, sheet
 
 BOTTOM_DB, TOP_DB = -50.0, 50.0  # of Bode and Nichols plots, where the curve goes farther
 LOWEST_HZ = 0.02
@@ -204,7 +205,7 @@ def _draw_zone(zone: Zone, place: Axes) -> None:
 
 
 def _colour(n: int) -> str:
-    return COLOURS[1:][n % (len(COLOURS) - 1)]
+    return ON_LIGHT[1:][n % (len(ON_LIGHT) - 1)]
 
 
 def _decibels(loop: ComplexArray) -> Array:

@@ -10,7 +10,8 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from maxq.tools.design.judging import Judged, Wanted
-from maxq.tools.plots.style import GREY, MARKERS, RED, curve, label, save, sheet
+from maxq.tools.plots.palette import GREY, RED
+from maxq.tools.plots.style import MARKERS, curve, label, save, sheet
 
 
 def margins_over_time(designs: Mapping[str, Sequence[Judged]], wanted: Wanted, stem: Path) -> list[Path]:

@@ -10,7 +10,8 @@ import numpy as np
 from maxq.design.model.derivatives import stability_derivatives
 from maxq.design.model.node import Node
 from maxq.design.model.plant import axial_load_mps2
-from maxq.tools.plots.style import BLUE, GREY, curve, label, save, sheet
+from maxq.tools.plots.palette import BLUE, GREY
+from maxq.tools.plots.style import curve, label, save, sheet
 
 _DERIVATIVES = {
     "z_alpha_1ps": r"$Z_\alpha$, 1/s",

@@ -1,19 +1,20 @@
-"""How pictures look, all of them: colours, sizes, and files that are equal when what they show is equal.
+"""The style of all Matplotlib pictures: fonts, sizes, and files that are equal when what they show is equal.
 
     with drawing():
         figure, places = sheet(1, 2)
         places[0].plot(time_s, values, color=BLUE)
         save(figure, folder / "margins")          # margins.svg and margins.png
 
-Colours are those of Okabe & Ito, which colour-blind people tell apart; no curve is told from another by its colour
-alone, for a print in grey. The font is the one that comes with Matplotlib and SVG text is drawn as outlines, so that
-a picture looks the same everywhere. SVG files carry no date and no random names.
+Curves differ by dashes as well as by colour (palette.py), so that a print in grey can be read. The font is the one
+that comes with Matplotlib and SVG text is drawn as outlines: a picture looks the same everywhere. SVG files carry no
+date and no random names.
 """
 
 from __future__ import annotations
 
+import io
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
 from pathlib import Path
@@ -27,9 +28,8 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, NullFormatter
 from numpy.typing import NDArray
 
-BLUE, ORANGE, GREEN, RED, SKY, PINK = "#0072b2", "#e69f00", "#009e73", "#d55e00", "#56b4e9", "#cc79a7"
-BLACK, GREY, PALE = "#000000", "#777777", "#dddddd"
-COLOURS = (BLUE, ORANGE, GREEN, RED, PINK, SKY, BLACK)
+from maxq.tools.plots.palette import ON_LIGHT, PALE
+
 DASHES = ("-", "--", "-.", ":", (0, (3, 1, 1, 1, 1, 1)), (0, (6, 2)), (0, (1, 1)))
 MARKERS = ("o", "s", "^", "D", "v", "P", "X")
 
@@ -39,6 +39,8 @@ STYLE: Any = {  # newer stubs of Matplotlib want its keys as literals, older one
     "font.family": "DejaVu Sans",
     "font.size": 8.5,
     "axes.titlesize": 9.5,
+    "axes.titleweight": "bold",
+    "axes.titlelocation": "left",
     "axes.labelsize": 8.5,
     "axes.linewidth": 0.7,
     "axes.grid": True,
@@ -49,6 +51,7 @@ STYLE: Any = {  # newer stubs of Matplotlib want its keys as literals, older one
     "grid.linewidth": 0.5,
     "lines.linewidth": 1.3,
     "lines.markersize": 4.0,
+    "hatch.linewidth": 0.5,
     "legend.fontsize": 7.5,
     "legend.frameon": True,
     "legend.framealpha": 0.85,
@@ -65,30 +68,38 @@ STYLE: Any = {  # newer stubs of Matplotlib want its keys as literals, older one
     "path.simplify_threshold": 0.1,
 }
 PAGE_IN = 7.0  # width of a page between its margins
+_TITLE_IN = 0.9  # a title, and the names of the axes of the lowest row
 FORMATS = ("svg", "png")
-
-
+_METADATA = {"svg": {"Date": None, "Creator": "maxq"}, "png": {"Software": "maxq"}}
 _formats: ContextVar[tuple[str, ...]] = ContextVar("formats", default=FORMATS)
 
 
 @contextmanager
-def drawing(formats: Sequence[str] = FORMATS) -> Iterator[None]:
-    """What is drawn and saved inside has the style and these formats; a notebook's settings are left as they were."""
+def drawing(formats: Sequence[str] = FORMATS, settings: Mapping[str, Any] | None = None) -> Iterator[None]:
+    """What is drawn and saved inside has the style and these formats; a notebook's settings are left as they were.
+
+    `settings` replace or add some of the style's.
+    """
     before = _formats.set(tuple(formats))
+    style: Any = dict(STYLE) | dict(settings or {})
     try:
-        with mpl.rc_context(STYLE):
+        with mpl.rc_context(style):
             yield
     finally:
         _formats.reset(before)
 
 
-def sheet(rows: int = 1, columns: int = 1, height_in: float = 2.6, width_in: float = PAGE_IN) -> tuple[Figure, Any]:
+def sheet(
+    rows: int = 1, columns: int = 1, height_in: float = 2.6, width_in: float = PAGE_IN, title: str = "", **more: Any
+) -> tuple[Figure, Any]:
     """A figure as wide as a page, `height_in` for each row; its axes as an array (rows * columns,).
 
-    It belongs to no window: nothing has to be closed, and no display is needed.
+    `more` goes to `Figure.subplots`. The figure belongs to no window: nothing has to be closed, no display is needed.
     """
-    figure = Figure(figsize=(width_in, height_in * rows))
-    places: NDArray[Any] = np.atleast_1d(figure.subplots(rows, columns, squeeze=False)).ravel()
+    figure = Figure(figsize=(width_in, height_in * rows + (_TITLE_IN if title else 0.0)))
+    if title:
+        figure.suptitle(title, fontsize=11, fontweight="bold", x=0.01, ha="left")
+    places: NDArray[Any] = np.atleast_1d(figure.subplots(rows, columns, squeeze=False, **more)).ravel()
     return figure, places
 
 
@@ -104,14 +115,20 @@ def save(figure: Figure, stem: Path) -> list[Path]:
     for kind in _formats.get():
         path = stem.with_name(f"{stem.name}.{kind}")
         part = path.with_name(f".{path.name}.part")
-        metadata = {"Date": None, "Creator": "maxq"} if kind == "svg" else {"Software": "maxq"}
         try:
-            figure.savefig(part, format=kind, metadata=metadata)
+            figure.savefig(part, format=kind, metadata=_METADATA[kind])
             os.replace(part, path)
         finally:
             part.unlink(missing_ok=True)
         files.append(path)
     return files
+
+
+def png(figure: Figure, dpi: float | None = None) -> bytes:
+    """The picture in memory, `dpi` pixels an inch (None: as the style says)."""
+    out = io.BytesIO()
+    figure.savefig(out, format="png", dpi=dpi, metadata=_METADATA["png"])
+    return out.getvalue()
 
 
 def label(place: Axes, x: str = "", y: str = "", title: str = "") -> None:
@@ -121,7 +138,7 @@ def label(place: Axes, x: str = "", y: str = "", title: str = "") -> None:
     if y:
         place.set_ylabel(y)
     if title:
-        place.set_title(title, loc="left")
+        place.set_title(title)
 
 
 def plain_numbers(axis: Axis) -> None:
@@ -132,4 +149,4 @@ def plain_numbers(axis: Axis) -> None:
 
 def curve(number: int) -> dict[str, Any]:
     """Colour and dashes of the curve of that number."""
-    return {"color": COLOURS[number % len(COLOURS)], "linestyle": DASHES[number % len(DASHES)]}
+    return {"color": ON_LIGHT[number % len(ON_LIGHT)], "linestyle": DASHES[number % len(DASHES)]}

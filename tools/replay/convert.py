@@ -13,11 +13,11 @@ import rerun.blueprint as rrb
 
 from maxq.control.kernel.records import Array
 from maxq.sim.packing.environment import pack_earth
+from maxq.tools.plots.palette import BLUE, GREY, ORANGE, PURPLE, SKY, VERDICT, rgba
 from maxq.tools.replay.about import about_flight, about_flights, factors_text
 from maxq.tools.replay.bent_body import LARGEST, bent_line, modal_coordinates, nice_factor
 from maxq.tools.replay.blueprint import close_view, eyes_for, layout
 from maxq.tools.replay.collect import FEW, closest, is_nominal
-from maxq.tools.replay.colours import BLUE, GREY, OF_VERDICT, ORANGE, PURPLE, SKY, rgba
 from maxq.tools.replay.earth_frame import LaunchSite, Path3D, first_place, has_motion, launch_site, path_of
 from maxq.tools.replay.family import FROM as FAMILY_FROM
 from maxq.tools.replay.family import ROOT as FAMILY_ROOT
@@ -169,7 +169,7 @@ def _roots(flights: Sequence[ReplayFlight]) -> list[str]:
 
 
 def _colour(flight: ReplayFlight, flights: Sequence[ReplayFlight]) -> str:
-    return _NOMINAL_COLOUR if is_nominal(flight) and len(flights) > 1 else OF_VERDICT.get(flight.verdict, SKY)
+    return _NOMINAL_COLOUR if is_nominal(flight) and len(flights) > 1 else VERDICT.get(flight.verdict, SKY)
 
 
 def _own_tabs(tabs: Sequence[Tab], flight: ReplayFlight, near: bool) -> Sequence[Tab]:

@@ -14,7 +14,7 @@ import numpy as np
 import rerun as rr
 
 from maxq.control.kernel.records import Array, IntArray
-from maxq.tools.replay.colours import rgba
+from maxq.tools.plots.palette import rgba
 from maxq.tools.replay.flight import Channels
 from maxq.tools.replay.plots import Tab
 from maxq.tools.replay.sending import times

@@ -22,7 +22,7 @@ from maxq.sim.log.error import LogError
 from maxq.sim.log.fields import message_type
 from maxq.sim.log.reader import Log, read_log
 from maxq.sim.run.launch_frames import PARENT
-from maxq.tools.replay.colours import ON_DARK, rgba
+from maxq.tools.plots.palette import ON_DARK, rgba
 from maxq.tools.replay.error import ReplayError
 from maxq.tools.replay.viewer import port_is_free
 from maxq.tools.replay.web_page import LOCAL

@@ -5,14 +5,14 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
-from maxq.tools.replay.colours import BLUE, GREEN, GREY, ORANGE, PURPLE, SKY, VERMILION
+from maxq.tools.plots.palette import BLUE, GREEN, GREY, ORANGE, PURPLE, RED, SKY
 from maxq.tools.replay.flight import Channels, Moment
 
 HELD, POWERED, COASTING, FALLING, LOST, TUMBLING, ENDED = (
     "held down", "powered", "coasting up", "falling", "control lost", "tumbling", "ended",
 )  # fmt: skip
 COLOURS = {
-    HELD: GREY, POWERED: ORANGE, COASTING: SKY, FALLING: BLUE, LOST: VERMILION, TUMBLING: PURPLE, ENDED: GREEN,
+    HELD: GREY, POWERED: ORANGE, COASTING: SKY, FALLING: BLUE, LOST: RED, TUMBLING: PURPLE, ENDED: GREEN,
 }  # fmt: skip
 _BEGUN_BY = {
     "liftoff": POWERED,

@@ -9,7 +9,7 @@ import numpy as np
 import rerun as rr
 
 from maxq.control.kernel.records import Array, IntArray
-from maxq.tools.replay.colours import GREY, LIMIT, ON_DARK, rgba
+from maxq.tools.plots.palette import GREY, LIMIT, ON_DARK, rgba
 from maxq.tools.replay.decimate import extremes
 from maxq.tools.replay.flight import Channels
 from maxq.tools.replay.limits import Limit

@@ -7,7 +7,7 @@ from contextlib import contextmanager
 from typing import Any
 
 from maxq.tools.plots import style
-from maxq.tools.replay.colours import ON_LIGHT
+from maxq.tools.plots.palette import ON_LIGHT
 
 WIDTH_IN, ROW_IN = 8.0, 1.9  # of a sheet; of one plot in it
 DPI = 160

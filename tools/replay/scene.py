@@ -18,9 +18,9 @@ from numpy.typing import NDArray
 
 from maxq.control.kernel.records import Array, IntArray
 from maxq.sim.run.launch_frames import LaunchFrames
+from maxq.tools.plots.palette import BLUE, GREY, ORANGE, RED, SKY, rgba
 from maxq.tools.replay import mesh
 from maxq.tools.replay.bent_body import bent_line, modal_coordinates
-from maxq.tools.replay.colours import BLUE, GREY, ORANGE, SKY, VERMILION, rgba
 from maxq.tools.replay.earth_frame import LaunchSite, Path3D, path_of
 from maxq.tools.replay.flight import Channels, Moment
 from maxq.tools.replay.sending import changed, every, matrices, times
@@ -88,7 +88,7 @@ class Scene:
         rec.log(
             f"{root}/body/axes",
             rr.Arrows3D(
-                vectors=axes * [1.35, 0.35, 0.35], colors=[rgba(c) for c in (VERMILION, "#22aa55", "#4477ff")],
+                vectors=axes * [1.35, 0.35, 0.35], colors=[rgba(c) for c in (RED, "#22aa55", "#4477ff")],
                 radii=0.004 * size, labels=["x", "y", "z"], show_labels=False,
             ),
             static=True,

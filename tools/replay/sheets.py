@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from maxq.control.kernel.records import Array, IntArray
+from maxq.tools.plots.palette import BLACK, GREY, LIMIT, VERDICT, rgba
 from maxq.tools.replay.collect import is_nominal
-from maxq.tools.replay.colours import BLACK, GREY, LIMIT, OF_VERDICT, rgba
 from maxq.tools.replay.decimate import extremes
 from maxq.tools.replay.error import ReplayError
 from maxq.tools.replay.flight import ReplayFlight
@@ -173,7 +173,7 @@ def _draw_many(
         as_line = len(flights) < _ENVELOPE_FROM or flight.verdict == "failed"
         if as_line and flight is not reference:
             kept = extremes(ns, values, max(round((span[1] - span[0]) * 1e9 / 1500), 1))
-            colour = OF_VERDICT[flight.verdict]
+            colour = VERDICT[flight.verdict]
             place.plot(
                 ns[kept] / 1e9, values[kept], color=colour, linewidth=0.6, alpha=0.7, linestyle=look["linestyle"]
             )

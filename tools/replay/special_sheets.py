@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from maxq.control.kernel.records import Array, IntArray
+from maxq.tools.plots.palette import BLACK, BLUE, GREEN, GREY, LIMIT, RED, VERDICT
 from maxq.tools.replay.about import plain
-from maxq.tools.replay.colours import BLACK, BLUE, GREEN, GREY, LIMIT, OF_VERDICT, VERMILION
 from maxq.tools.replay.convert import place_of
 from maxq.tools.replay.earth_frame import has_motion, path_of
 from maxq.tools.replay.flight import ReplayFlight
@@ -62,7 +62,7 @@ def _look(flight: ReplayFlight, reference: ReplayFlight, many: bool) -> dict[str
         return {"color": BLUE, "linewidth": 1.4}
     if flight is reference:
         return {"color": BLACK, "linewidth": 1.2, "zorder": 3.0, "label": reference.label}
-    return {"color": OF_VERDICT[flight.verdict], "linewidth": 0.6, "alpha": 0.7}
+    return {"color": VERDICT[flight.verdict], "linewidth": 0.6, "alpha": 0.7}
 
 
 def _path(flights: Sequence[ReplayFlight], reference: ReplayFlight) -> Any:
@@ -102,7 +102,7 @@ def _powered_part(place: Axes, flight: ReplayFlight, ns: IntArray, x: Array, y: 
     thrust = np.interp(ns, flight.log.time_ns("thrust_N"), flight.log["thrust_N"])
     burning = thrust > 0.0
     place.plot(
-        np.where(burning, x, np.nan), np.where(burning, y, np.nan), color=VERMILION, linewidth=2.6, label="under thrust"
+        np.where(burning, x, np.nan), np.where(burning, y, np.nan), color=RED, linewidth=2.6, label="under thrust"
     )
 
 
@@ -217,7 +217,7 @@ def _margins(flights: Sequence[ReplayFlight], reference: ReplayFlight) -> Any:
                 continue
             used = _used(r.value, r.limit, r.minimum)
             widest = max(widest, min(used, 3.0) * 1.1)
-            colour = GREEN if r.met else VERMILION
+            colour = GREEN if r.met else RED
             if many:
                 place.plot([min(used, 3.0)], [row], "|", color=BLACK if flight is reference else colour, markersize=11)
             else:

@@ -9,8 +9,8 @@ from collections.abc import Sequence
 import numpy as np
 import rerun as rr
 
+from maxq.tools.plots.palette import ORANGE, SKY, rgba
 from maxq.tools.replay import mesh
-from maxq.tools.replay.colours import ORANGE, SKY, rgba
 from maxq.tools.replay.vehicle_shape import StageShape, TankShape, VehicleShape
 
 _SKIN, _WALL, _METAL, _LIQUIDS = [236, 240, 246, 58], [190, 200, 215, 40], [96, 100, 110, 255], (SKY, ORANGE)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import math
 from collections.abc import Callable
 
@@ -16,7 +15,8 @@ from maxq.design.verify.flights import FlownResult
 from maxq.design.verify.verify import Verification
 from maxq.tools.design.judging import judge
 from maxq.tools.design.pictures_loop import draw_nichols, picture_of
-from maxq.tools.plots.style import BLACK, BLUE, GREEN, GREY, ORANGE, PALE, RED, drawing, label, plain_numbers, sheet
+from maxq.tools.plots.palette import BLACK, BLUE, GREEN, GREY, ORANGE, PALE, RED
+from maxq.tools.plots.style import drawing, label, plain_numbers, png, sheet
 
 _SHOWN = ("gain_up_db", "aero_gain_db", "phase_deg", "slosh_phase_deg", "first_mode_phase_deg", "higher_modes_db")
 
@@ -38,9 +38,7 @@ def pictures(found: Verification) -> dict[str, bytes]:
     out = {}
     with drawing():
         for name, make in draw.items():
-            content = io.BytesIO()
-            make().savefig(content, format="png", dpi=150, metadata={"Software": "maxq"})
-            out[name] = content.getvalue()
+            out[name] = png(make(), dpi=150)
     return out
 
 

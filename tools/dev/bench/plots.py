@@ -7,11 +7,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
-import matplotlib
-
-matplotlib.use("svg")
-matplotlib.rcParams["svg.hashsalt"] = "maxq"  # equal results give equal files
-import matplotlib.pyplot as plt  # noqa: E402 - the backend is chosen first
+from maxq.tools.plots.style import curve, drawing, label, save, sheet
 
 PANELS = (
     ("attitude_deg", "attitude, deg"),
@@ -24,29 +20,25 @@ WORK = (1000, 2000, 5000, 10_000, 20_000, 50_000)
 
 def work_precision(precision: dict[str, Any], path: Path) -> None:
     """Errors over derivative evaluations per second of flight, both axes logarithmic."""
-    figure, axes = plt.subplots(2, 2, figsize=(9.0, 7.0), sharex=True, layout="constrained")
-    for axis, (key, label) in zip(axes.flat, PANELS, strict=True):
-        for rows, name, style in (
-            (precision["steps"], "RK4", "o-"),
-            (precision["adaptive"], "DOP853", "s--"),
-        ):
-            work = [row["evaluations_per_s"] for row in rows]
-            axis.loglog(work, [row["largest"][key] for row in rows], style, label=f"{name}, largest in flight")
-            (line,) = axis.loglog(work, [row["burnout"][key] for row in rows], style, label=f"{name}, burn-out")
-            line.set(alpha=0.45, markersize=4)
-        for row in precision["steps"]:
-            axis.annotate(
-                f"{row['step_ms']:g} ms", (row["evaluations_per_s"], row["largest"][key]), fontsize=7,
-                xytext=(3, 4), textcoords="offset points",
-            )  # fmt: skip
-        axis.set_ylabel(f"error in {label}")
-        axis.grid(True, which="major", alpha=0.3)
-    for axis in axes[1]:
-        axis.set_xlabel("derivative evaluations per second of flight")
-        axis.set_xticks(WORK, [f"{work:,}" for work in WORK])
-        axis.minorticks_off()
-    axes[0, 0].legend(fontsize=7)
-    figure.savefig(path, metadata={"Date": None})
+    with drawing(("svg",)):
+        figure, places = sheet(2, 2, height_in=3.5, width_in=9.0, sharex=True)
+        for place, (key, text) in zip(places, PANELS, strict=True):
+            for k, (rows, name) in enumerate(((precision["steps"], "RK4"), (precision["adaptive"], "DOP853"))):
+                work = [row["evaluations_per_s"] for row in rows]
+                look = curve(k) | {"marker": "os"[k]}
+                place.loglog(work, [row["largest"][key] for row in rows], label=f"{name}, largest in flight", **look)
+                at_end = [row["burnout"][key] for row in rows]
+                place.loglog(work, at_end, label=f"{name}, burn-out", alpha=0.45, **look)
+            for row in precision["steps"]:
+                at = row["evaluations_per_s"], row["largest"][key]
+                place.annotate(f"{row['step_ms']:g} ms", at, (3, 4), textcoords="offset points", fontsize=7)
+            label(place, y=f"error in {text}")
+        for place in places[2:]:
+            label(place, "derivative evaluations per second of flight")
+            place.set_xticks(WORK, [f"{work:,}" for work in WORK])
+            place.minorticks_off()
+        places[0].legend()
+        save(figure, path.with_suffix(""))
 
 
 if __name__ == "__main__":

@@ -19,10 +19,10 @@ from matplotlib.axes import Axes
 from maxq.sim.flight.channels import Channel, Topic
 from maxq.sim.run.fly import Flight, fly
 from maxq.sim.scenario.loader import load_scenario
+from maxq.tools.plots.palette import BLUE, GREY
 
 COLUMNS = 4
 EVENTS_SHOWN = ("liftoff", "burnout", "apogee", "impact")
-INK, EVENT_INK = "#0072b2", "#999999"  # colour-blind safe (Okabe & Ito)
 
 
 def sheet(flight: Flight, topic: Topic, path: Path, from_s: float, to_s: float) -> None:
@@ -44,10 +44,10 @@ def sheet(flight: Flight, topic: Topic, path: Path, from_s: float, to_s: float) 
 def _plot(flight: Flight, channel: Channel, place: Axes, from_s: float, to_s: float) -> None:
     time_s, values = flight.time_s(channel.name), flight[channel.name]
     seen = (time_s >= from_s) & (time_s <= to_s)
-    place.plot(time_s[seen], values[seen], color=INK, linewidth=0.6)
+    place.plot(time_s[seen], values[seen], color=BLUE, linewidth=0.6)
     for event in flight.events:
         if event.name in EVENTS_SHOWN and from_s <= event.time_s <= to_s:
-            place.axvline(event.time_s, color=EVENT_INK, linewidth=0.6, linestyle=":")
+            place.axvline(event.time_s, color=GREY, linewidth=0.6, linestyle=":")
     unit = "" if channel.unit == "1" else f", {channel.unit}"
     place.set_title(f"{channel.name}{unit}", fontsize=7)
     place.tick_params(labelsize=6)

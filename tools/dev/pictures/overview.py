@@ -18,9 +18,8 @@ from matplotlib.axes import Axes
 
 from maxq.sim.run.fly import Flight, fly
 from maxq.sim.scenario.loader import load_scenario
+from maxq.tools.plots.palette import BLUE, GREEN, GREY, ORANGE, RED
 
-# colour-blind safe (Okabe & Ito)
-BLUE, ORANGE, GREEN, RED, GREY = "#0072b2", "#e69f00", "#009e73", "#d55e00", "#777777"
 EARTH_RADIUS_KM = 6371.0
 FIRST_S = 0.5  # before it incidence is that of rounding errors
 Curve = tuple[str, str, str, float]  # channel, label, colour, factor

@@ -17,7 +17,8 @@ from maxq.tools.dev.verification.nesc_cases import (
     read_columns,
 )
 from maxq.tools.dev.verification.nesc_units import in_nesc_units
-from maxq.tools.plots.style import BLACK, BLUE, GREEN, ORANGE, RED, label, save, sheet
+from maxq.tools.plots.palette import BLACK, BLUE, GREEN, ORANGE, RED
+from maxq.tools.plots.style import label, save, sheet
 
 PICTURES = Path(__file__).resolve().parents[3] / "docs" / "pictures" / "verification"
 SHOWN = {

@@ -8,7 +8,8 @@ from typing import Any
 
 from maxq.sim.campaign.statistics import MET, NOT_MET
 from maxq.tools.dev.studies.case_study.dispersed import DESIGNS, ENVELOPES, Case
-from maxq.tools.plots.style import BLUE, ORANGE, RED, label, plain_numbers, save, sheet
+from maxq.tools.plots.palette import BLUE, ORANGE, RED
+from maxq.tools.plots.style import label, plain_numbers, save, sheet
 
 SHOWN = (
     "slosh angle",

@@ -16,7 +16,8 @@ from maxq.design.model.node import Node
 from maxq.design.optimise.robust import DEVIATIONS, deviated
 from maxq.sim.scenario.schema_design import Design
 from maxq.tools.design.judging import judge
-from maxq.tools.plots.style import GREY, MARKERS, curve, label, save, sheet
+from maxq.tools.plots.palette import GREY
+from maxq.tools.plots.style import MARKERS, curve, label, save, sheet
 
 FACTORS = tuple(np.round(np.linspace(0.85, 1.15, 13), 3))
 CORNERS, SEED = 40, 2002
