@@ -19,7 +19,7 @@ from maxq.control.kernel.records import Array
 from maxq.sim.vehicle import state as layout
 from maxq.sim.vehicle import workspace
 from maxq.sim.vehicle.schedule import PITCH, mode_column, softening_row
-from maxq.tools.dev.studies.ksr3 import beam
+from maxq.tools.dev.ksr3 import beam
 
 BARE = Parts(engine=False)
 HANGING = Tank(1.0e-3, 0.5, 5.0)

@@ -7,22 +7,21 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from oracles import pitch_plane
+from oracles.pitch_plane import ModeShapes, VehicleFolder, quantities, read_rows
+from oracles.planar_flight import PlanarFlight
+from oracles.sampled_pitch_loop import DESIGN_FILE, Design, Verdict, all_cases, judge, sampled_plant
 from scipy.interpolate import PchipInterpolator
 from scipy.linalg import eigh
 
 from maxq.control.kernel.records import Array
-from maxq.tools.dev.studies.ksr3 import assumptions as a
-from maxq.tools.dev.studies.ksr3 import beam, build, linear_model, sampled_loop
-from maxq.tools.dev.studies.ksr3.aerodynamics import fit_to_table_2
-from maxq.tools.dev.studies.ksr3.build import VEHICLE_FOLDER
-from maxq.tools.dev.studies.ksr3.cases import all_cases
-from maxq.tools.dev.studies.ksr3.check_loop import DESIGN_FILE, Design, Verdict, judge
-from maxq.tools.dev.studies.ksr3.compare_reference import quantities
-from maxq.tools.dev.studies.ksr3.fitted import TABLE_2
-from maxq.tools.dev.studies.ksr3.planar_flight import PlanarFlight
-from maxq.tools.dev.studies.ksr3.trajectory import ascent_from, fit_to_table_1, fly, summarise
-from maxq.tools.dev.studies.ksr3.vehicle_at import ModeShapes, VehicleFolder, read_rows
-from maxq.tools.dev.studies.ksr3.write_files import Reconstruction, write_tables
+from maxq.tools.dev.ksr3 import assumptions as a
+from maxq.tools.dev.ksr3 import beam, build
+from maxq.tools.dev.ksr3.aerodynamics import fit_to_table_2
+from maxq.tools.dev.ksr3.build import VEHICLE_FOLDER
+from maxq.tools.dev.ksr3.fitted import TABLE_2
+from maxq.tools.dev.ksr3.trajectory import ascent_from, fit_to_table_1, fly, summarise
+from maxq.tools.dev.ksr3.write_files import Reconstruction, write_tables
 
 
 @cache
@@ -223,20 +222,20 @@ def test_actuator_and_gyro_are_equations_28_and_29() -> None:
         w = 2 * np.pi * hz
         return np.asarray(w * w / (s * s + 2 * zeta * w * s + w * w))
 
-    def response(system: linear_model.Linear) -> Array:
+    def response(system: pitch_plane.Linear) -> Array:
         eye = np.eye(len(system.a))
         return np.array([system.c @ np.linalg.solve(v * eye - system.a, system.b) for v in s])
 
     hz, zeta = list(a.ACTUATOR_HZ), list(a.ACTUATOR_ZETA)
     expected = block(5.8, 0.87) * block(7.2, 0.49) * block(52.6, 0.15) / block(15.6, 0.042)
-    np.testing.assert_allclose(response(linear_model.actuator(hz, zeta)), expected, rtol=1e-9)
-    np.testing.assert_allclose(response(linear_model.gyro(60.0, 0.65)), block(60.0, 0.65), rtol=1e-9)
+    np.testing.assert_allclose(response(pitch_plane.actuator(hz, zeta)), expected, rtol=1e-9)
+    np.testing.assert_allclose(response(pitch_plane.gyro(60.0, 0.65)), block(60.0, 0.65), rtol=1e-9)
 
 
 def test_sampled_plant_with_delay_of_a_lag() -> None:
     """x' = -x + u, held over 10 ms, 3 ms late: closed form."""
-    lag = linear_model.Linear(np.array([[-1.0]]), np.array([1.0]), np.array([1.0]))
-    discrete = sampled_loop.sampled_plant(lag, 0.01, 0.003)
+    lag = pitch_plane.Linear(np.array([[-1.0]]), np.array([1.0]), np.array([1.0]))
+    discrete = sampled_plant(lag, 0.01, 0.003)
     assert discrete.a[0, 0] == pytest.approx(np.exp(-0.01), rel=1e-13)
     assert discrete.b[0] == pytest.approx(1 - np.exp(-0.007), rel=1e-12)
     assert discrete.a[0, 1] == pytest.approx(np.exp(-0.007) * (1 - np.exp(-0.003)), rel=1e-12)

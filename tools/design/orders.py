@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Mapping
+from dataclasses import asdict
 from pathlib import Path
 
 from maxq.design.case.read import LoadedCase, read_case
@@ -13,6 +14,7 @@ from maxq.design.optimise.solve import solve
 from maxq.sim.scenario.schema_design import Design
 from maxq.tools.cli.terminal import aligned
 from maxq.tools.design import album, pictures_design
+from maxq.tools.design.design_file import DESIGN_NAME, design_text, write_whole
 from maxq.tools.design.outcome import make_design
 
 STRUCTURES = ("F2", "F3", "F4", "F5", "F6")
@@ -61,9 +63,28 @@ def orders_record(found: Found) -> list[dict[str, object]]:
     """For design.json."""
     return [
         {"structure": structure, "schedule": schedule, "status": s.status, "objective_db": s.objective_db,
-         "violation_db": s.violation_db, "near_best": s.certificate.near_best, "starts": s.certificate.starts}
+         "violation_db": s.violation_db, "near_best": s.certificate.near_best, "starts": s.certificate.starts,
+         "gains": {"time_s": s.nodes_s.tolist(), "k_p": s.k_p.tolist(), "k_d_s": s.k_d_s.tolist()},
+         "filter": asdict(s.filter)}
         for (structure, schedule), (_, s) in found.items()
     ]  # fmt: skip
+
+
+def order_folder(folder: Path, structure: str, schedule: str) -> Path:
+    """Where the design of a filter and a schedule is written."""
+    return folder / f"{structure}-{schedule}"
+
+
+def write_orders(found: Found, folder: Path) -> list[Path]:
+    """A design file for each that meets its limits."""
+    return [
+        write_whole(
+            order_folder(folder, structure, schedule) / DESIGN_NAME,
+            design_text(make_design(loaded, solution), [f"{structure} with {schedule} gains, of --orders"]),
+        )
+        for (structure, schedule), (loaded, solution) in found.items()
+        if solution.feasible
+    ]
 
 
 def draw_orders(found: Found, plants: Plants, folder: Path) -> list[Path]:

@@ -161,10 +161,11 @@ def _write(folder: Path, outcome: Outcome, solution: Solution, orders: Found | N
     text = design_text(outcome.design, comments(outcome, solution))
     record = case_record(outcome, solution)
     if orders is not None:
-        from maxq.tools.design.orders import orders_record  # noqa: PLC0415
+        from maxq.tools.design.orders import orders_record, write_orders  # noqa: PLC0415  # lazy
 
         record["orders"] = orders_record(orders)
-    return [write_whole(folder / DESIGN_NAME, text), write_record(folder / RECORD_NAME, record)]
+    files = [write_whole(folder / DESIGN_NAME, text), write_record(folder / RECORD_NAME, record)]
+    return files if orders is None else files + write_orders(orders, folder)
 
 
 def _draw(folder: Path, outcome: Outcome, progress: Progress, interruption: object) -> list[Path]:

@@ -17,8 +17,8 @@ from maxq.sim.scenario.schema_design import Design
 from maxq.tools.cli.interruption import Interruption
 from maxq.tools.cli.terminal import Progress, aligned, printable
 from maxq.tools.design import run_case
-from maxq.tools.design.design_file import DESIGN_NAME, design_text, write_whole
 from maxq.tools.design.judging import judge
+from maxq.tools.design.orders import order_folder
 from maxq.tools.design.outcome import make_design
 from maxq.tools.verify.in_order import try_in_order
 from maxq.tools.verify.run import write_pack
@@ -66,8 +66,7 @@ def candidates(made: run_case.Made) -> Iterator[Candidate]:
     )  # fmt: skip
     for (structure, schedule), (loaded, solution) in (made.orders or {}).items():
         if solution.feasible:
-            design, folder = make_design(loaded, solution), made.folder / f"{structure}-{schedule}"
-            write_whole(folder / DESIGN_NAME, design_text(design, [f"{structure} with {schedule} gains, of --orders"]))
+            folder, design = order_folder(made.folder, structure, schedule), make_design(loaded, solution)
             yield Candidate(folder, True, kind, solution.objective_db, modulus(design))
 
 

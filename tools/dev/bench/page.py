@@ -8,30 +8,7 @@ import re
 from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
-FILES = {  # file of the kernels -> subject, for the count of operations
-    "earth.py": "Earth: gravitation, local frame",
-    "atmosphere.py": "atmosphere",
-    "wind.py": "wind",
-    "turbulence.py": "turbulence",
-    "nearby.py": "local frame and air near a step's start",
-    "surroundings.py": "air-relative motion",
-    "aero.py": "aerodynamics",
-    "engine.py": "engine",
-    "actuator.py": "actuators",
-    "gyro.py": "gyros",
-    "rigid.py": "rigid body, engine reaction, jet damping, kinematics",
-    "bending.py": "bending",
-    "slosh.py": "slosh",
-    "solve.py": "coupled accelerations",
-    "derivative.py": "sums in the derivative",
-    "schedule.py": "schedule: what follows from its columns",
-    "step.py": "schedule columns and Runge-Kutta sums",
-    "events.py": "instants and events",
-    "metrics.py": "metrics",
-    "loop.py": "flight loop",
-}
 BROKEN_DB = 30.0  # a penalised objective above this stands for missed limits
-COMPUTER = {"computer.py", "converter.py", "filters.py", "guidance.py", "law.py", "roll.py"}
 
 
 def _table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
@@ -110,45 +87,6 @@ def _precision(result: dict[str, Any]) -> str:
         + f"\n\nReference: DOP853 at rtol {reference['relative']:.0e}, {reference['evaluations_per_s']:,}"
         f" derivatives per second of flight. In this flight the bending coordinates reach"
         f" {motion['bending_m']:.1e} m, the pendulums {motion['slosh_deg']:.1f} deg."
-    )
-
-
-def _parts(result: dict[str, Any]) -> str:
-    step = result["step_ns"]
-    rows = []
-    for part in result["parts"]:
-        indent = {"": "", "evaluate": "&ensp;", "surroundings": "&ensp;&ensp;"}[part["within"]]
-        total = part["ns"] * part["calls"]
-        rows.append([indent + part["name"], f"{part['ns']:.1f}", f"{part['calls']:g}", f"{total:.0f}",
-                     f"{100 * total / step:.0f} %"])  # fmt: skip
-    rows.append(["**a step in flight**", f"{step:.0f}", "1", f"{step:.0f}", "100 %"])
-    return _table(("part", "ns a call", "calls a step", "ns a step", "share of a step"), rows)
-
-
-def _operations(result: dict[str, Any], step_ns: float, core: dict[str, float]) -> str:
-    steps, subjects = result["steps"], dict[str, dict[str, float]]()
-    for file, kinds in result["files"].items():
-        subject = "flight computer, per step" if file in COMPUTER else FILES.get(file, file)
-        into = subjects.setdefault(subject, dict.fromkeys(kinds, 0.0))
-        for kind, number in kinds.items():
-            into[kind] += number / steps
-    sums = {kind: sum(s[kind] for s in subjects.values()) for kind in next(iter(subjects.values()))}
-    ordered = sorted(subjects.items(), key=lambda item: -sum(item[1].values()))
-    rows = [
-        [name, *(f"{number:.0f}" for number in kinds.values()), f"{sum(kinds.values()):.0f}"]
-        for name, kinds in [*ordered, ("**a step**", sums)]
-    ]
-    total = sum(sums.values())
-    rate = total / step_ns
-    head = ("subject", "add, subtract", "multiply", "divide", "square root", "other functions", "all")
-    text = _table(head, rows)
-    scalar, chain, vector = core["scalar_gflops"], core["chain_gflops"], core["vector_gflops"]
-    return text + (
-        f"\n\nA step does {total:,.0f} operations in {step_ns:,.0f} ns: {rate:.1f} GFLOP/s. Compiled the same"
-        f" way, the core does {scalar:.1f} GFLOP/s on scalars that wait for nothing (a step reaches"
-        f" {100 * rate / scalar:.0f} % of that), {chain:.1f} in one chain where every operation waits for"
-        f" the last, and {vector:.0f} on vectors. At the scalar rate a step would take"
-        f" {total / scalar:,.0f} ns and the powered flight {59e-6 * total / scalar:.3f} s."
     )
 
 
@@ -263,15 +201,9 @@ def filled(text: str, results: dict[str, Any]) -> str:
         "latency": whole("latency", _latency),
         "precision": whole("precision", _precision),
         "optimise": whole("optimise", _optimise),
-        "parts": whole("parts", _parts),
         "replay": whole("replay", _replay),
         "campaigns": whole("campaigns", _campaigns),
     }
-    core, parts = sections.get("core"), sections.get("parts")
-    if core is not None and parts is not None:
-        tables["operations"] = whole("operations", lambda r: _operations(r, parts["step_ns"], core))
-    else:
-        tables["operations"] = "Not measured yet."
     for name, table in tables.items():
         pattern = re.compile(rf"(<!-- bench:{name} -->\n).*?(<!-- end -->)", re.DOTALL)
         if not pattern.search(text):

@@ -68,9 +68,6 @@ def main() -> int:
     parts: dict[str, Callable[[], Any]] = {
         "peers": lambda: side_by_side.measure(choice.peers, choice.rounds),
         "latency": lambda: latency.measure(choice.repetitions),
-        "core": lambda: _in_own_process("core_speed"),
-        "parts": lambda: _in_own_process("parts"),
-        "operations": lambda: _in_own_process("operations"),
         "precision": lambda: _in_own_process("precision"),
         "replay": lambda: _in_own_process("replay"),
         "campaigns": lambda: _in_own_process("campaigns"),

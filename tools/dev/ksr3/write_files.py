@@ -10,13 +10,13 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from maxq.control.kernel.records import Array
-from maxq.tools.dev.studies.ksr3 import assumptions as a
-from maxq.tools.dev.studies.ksr3 import beam, pitch_programme, slosh
-from maxq.tools.dev.studies.ksr3.aerodynamics import Lift, cross_flow
-from maxq.tools.dev.studies.ksr3.drag import MACH as DRAG_MACH
-from maxq.tools.dev.studies.ksr3.gains import LinearGains
-from maxq.tools.dev.studies.ksr3.mass_model import fills, mass_properties
-from maxq.tools.dev.studies.ksr3.trajectory import Flight, forces
+from maxq.tools.dev.ksr3 import assumptions as a
+from maxq.tools.dev.ksr3 import beam, pitch_programme, slosh
+from maxq.tools.dev.ksr3.aerodynamics import Lift, cross_flow
+from maxq.tools.dev.ksr3.drag import MACH as DRAG_MACH
+from maxq.tools.dev.ksr3.gains import LinearGains
+from maxq.tools.dev.ksr3.mass_model import fills, mass_properties
+from maxq.tools.dev.ksr3.trajectory import Flight, forces
 
 SHAPE_STATIONS_M = np.append(beam.NODES_M[::3], a.GIMBAL_STATION_M)  # nodes of the beam: nothing is interpolated
 MODE_TIMES_S = np.arange(0.0, 58.0, 2.5)

@@ -6,8 +6,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from math import pi
 
-from maxq.tools.dev.studies.ksr3 import assumptions as a
-from maxq.tools.dev.studies.ksr3.propulsion import Burn
+from maxq.tools.dev.ksr3 import assumptions as a
+from maxq.tools.dev.ksr3.propulsion import Burn
 
 TANK_AREA_M2 = pi * a.TANK_RADIUS_M**2
 

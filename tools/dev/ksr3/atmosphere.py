@@ -5,7 +5,7 @@ from __future__ import annotations
 from math import exp, sqrt
 from typing import NamedTuple
 
-from maxq.tools.dev.studies.ksr3.assumptions import EARTH_RADIUS_M, STANDARD_GRAVITY_MPS2
+from maxq.tools.dev.ksr3.assumptions import EARTH_RADIUS_M, STANDARD_GRAVITY_MPS2
 
 GAS_CONSTANT = 287.053  # J/(kg K)
 # base geopotential altitude m, temperature K, pressure Pa, lapse rate K/m

@@ -1,8 +1,7 @@
-"""Flies the written programme with a rigid body and the bare PD law, to see that it still meets Table 1:
-`python -m maxq.tools.dev.studies.ksr3.planar_flight`.
+"""The written pitch programme flown by a rigid body and the bare PD law: does it still meet the paper's Table 1?
 
-Same Earth and air as the point mass, ideal actuator and gyro, no filter, no slosh, no bending. Angles in rad,
-attitude above the launch site's horizontal.
+Same Earth and air as the point mass, ideal actuator and gyro, no filter, no slosh, no bending. Angles in rad, attitude
+above the launch site's horizontal.
 """
 
 from __future__ import annotations
@@ -10,15 +9,14 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+from oracles.pitch_plane import read_rows
 from scipy.integrate import cumulative_trapezoid, solve_ivp
 
 from maxq.control.kernel.records import Array
-from maxq.tools.dev.studies.ksr3 import assumptions as a
-from maxq.tools.dev.studies.ksr3.build import VEHICLE_FOLDER, reconstruct
-from maxq.tools.dev.studies.ksr3.mass_model import mass_properties
-from maxq.tools.dev.studies.ksr3.trajectory import coast_to_impact, forces, gravity_turn_rate
-from maxq.tools.dev.studies.ksr3.vehicle_at import read_rows
-from maxq.tools.dev.studies.ksr3.write_files import Reconstruction
+from maxq.tools.dev.ksr3 import assumptions as a
+from maxq.tools.dev.ksr3.mass_model import mass_properties
+from maxq.tools.dev.ksr3.trajectory import forces, gravity_turn_rate
+from maxq.tools.dev.ksr3.write_files import Reconstruction
 
 GIMBAL_LIMIT = np.radians(6.0)
 
@@ -79,26 +77,3 @@ class PlanarFlight:
         grid = np.linspace(flight.release_s, end, 1200)
         out = solve_ivp(self.derivative, (grid[0], end), start, t_eval=grid, rtol=1e-7, atol=1e-8, max_step=0.05)
         return out.t, out.y.T
-
-
-def main() -> None:
-    made = reconstruct()
-    flight = PlanarFlight(made, VEHICLE_FOLDER / "pitch_programme.csv")
-    times, states = flight.fly()
-    alpha = np.degrees([flight.incidence(y) for y in states])
-    gimbal = np.degrees([flight.gimbal(t, y[4], y[5]) for t, y in zip(times, states, strict=True)])
-    end, coast = coast_to_impact(made.flight.ascent, times[-1], states[-1, :4])
-    print(f"max speed {states[:, 2].max():.1f} m/s, apogee {coast[:, 1].max() / 1e3:.2f} km")
-    print(f"range {coast[-1, 0] / 1e3:.2f} km, flight {end[-1]:.1f} s")
-    print(f"largest incidence {np.abs(alpha).max():.2f} deg, gimbal angle {np.abs(gimbal).max():.2f} deg")
-    for t in range(2, 59, 4):
-        k = int(np.searchsorted(times, t))
-        planned = np.degrees(made.flight.state_at(times[k])[3])
-        print(
-            f"{times[k]:5.1f} s: path angle {np.degrees(states[k, 3]):7.3f} deg (planned {planned:7.3f}),"
-            f" incidence {alpha[k]:6.3f}, gimbal {gimbal[k]:6.3f}"
-        )
-
-
-if __name__ == "__main__":
-    main()

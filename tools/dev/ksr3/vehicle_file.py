@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from maxq.tools.dev.studies.ksr3 import assumptions as a
-from maxq.tools.dev.studies.ksr3.aerodynamics import cross_flow
+from maxq.tools.dev.ksr3 import assumptions as a
+from maxq.tools.dev.ksr3.aerodynamics import cross_flow
 
 
 def vehicle_toml() -> str:
     engine = (a.GIMBALLED_MASS_KG, a.GIMBALLED_CG_BEHIND_GIMBAL_M, a.GIMBALLED_INERTIA_KGM2)
     return f"""\
-# KSR-III, a reconstruction: NOT flight data. Written by tools/dev/studies/ksr3/build.py; change the assumptions
+# KSR-III, a reconstruction: NOT flight data. Written by tools/dev/ksr3/build.py; change the assumptions
 # there. [sourced]: Lee, Ahn & Roh, Tables 1 to 4, or public descriptions of the vehicle; [assumed]: see
 # NOTES.md.
 schema = 1

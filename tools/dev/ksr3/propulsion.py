@@ -16,7 +16,7 @@ from scipy.interpolate import PchipInterpolator
 from scipy.optimize import brentq
 
 from maxq.control.kernel.records import Array
-from maxq.tools.dev.studies.ksr3 import assumptions as a
+from maxq.tools.dev.ksr3 import assumptions as a
 
 SEA_LEVEL_PRESSURE_PA = 101325.0
 

@@ -17,10 +17,10 @@ from scipy.integrate import solve_ivp
 from scipy.optimize import brentq, least_squares
 
 from maxq.control.kernel.records import Array
-from maxq.tools.dev.studies.ksr3 import assumptions as a
-from maxq.tools.dev.studies.ksr3.atmosphere import air_at
-from maxq.tools.dev.studies.ksr3.drag import Drag
-from maxq.tools.dev.studies.ksr3.propulsion import Burn, make_burn
+from maxq.tools.dev.ksr3 import assumptions as a
+from maxq.tools.dev.ksr3.atmosphere import air_at
+from maxq.tools.dev.ksr3.drag import Drag
+from maxq.tools.dev.ksr3.propulsion import Burn, make_burn
 
 
 @dataclass(frozen=True)

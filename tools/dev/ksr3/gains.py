@@ -8,7 +8,7 @@ import numpy as np
 from scipy.optimize import linprog
 
 from maxq.control.kernel.records import Array
-from maxq.tools.dev.studies.ksr3 import assumptions as a
+from maxq.tools.dev.ksr3 import assumptions as a
 
 
 @dataclass(frozen=True)

@@ -11,8 +11,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from math import tanh
 
-from maxq.tools.dev.studies.ksr3.assumptions import TANK_RADIUS_M
-from maxq.tools.dev.studies.ksr3.mass_model import Fill
+from maxq.tools.dev.ksr3.assumptions import TANK_RADIUS_M
+from maxq.tools.dev.ksr3.mass_model import Fill
 
 ROOT = 1.8412  # first zero of J1'
 HOLD_DEPTH = 0.25  # depth over radius below which the length is held

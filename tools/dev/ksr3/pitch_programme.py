@@ -13,11 +13,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from maxq.control.kernel.records import Array
-from maxq.tools.dev.studies.ksr3 import assumptions as a
-from maxq.tools.dev.studies.ksr3.aerodynamics import Lift
-from maxq.tools.dev.studies.ksr3.gains import LinearGains
-from maxq.tools.dev.studies.ksr3.mass_model import mass_properties
-from maxq.tools.dev.studies.ksr3.trajectory import Flight, forces, gravity_turn_rate, turn_rate
+from maxq.tools.dev.ksr3 import assumptions as a
+from maxq.tools.dev.ksr3.aerodynamics import Lift
+from maxq.tools.dev.ksr3.gains import LinearGains
+from maxq.tools.dev.ksr3.mass_model import mass_properties
+from maxq.tools.dev.ksr3.trajectory import Flight, forces, gravity_turn_rate, turn_rate
 
 ROW_SPACING_S = 0.5
 

@@ -13,10 +13,10 @@ import numpy as np
 from scipy.linalg import eigh
 
 from maxq.control.kernel.records import Array
-from maxq.tools.dev.studies.ksr3 import assumptions as a
-from maxq.tools.dev.studies.ksr3.mass_model import Part, dry_parts, fills
-from maxq.tools.dev.studies.ksr3.propulsion import Burn
-from maxq.tools.dev.studies.ksr3.slosh import slosh_mass_kg
+from maxq.tools.dev.ksr3 import assumptions as a
+from maxq.tools.dev.ksr3.mass_model import Part, dry_parts, fills
+from maxq.tools.dev.ksr3.propulsion import Burn
+from maxq.tools.dev.ksr3.slosh import slosh_mass_kg
 
 NODES_M = np.linspace(0.0, a.GIMBAL_STATION_M, a.BEAM_ELEMENTS + 1)
 ELEMENT_M = float(NODES_M[1])

@@ -1,4 +1,4 @@
-"""What the two fits ended with: `python -m maxq.tools.dev.studies.ksr3.build --refit` prints these numbers anew.
+"""What the two fits ended with: `python -m maxq.tools.dev.ksr3.build --refit` prints these numbers anew.
 
 They are kept because a fit by finite differences ends elsewhere on another processor (7e-5 of the parameters, seen):
 the vehicle's tables should not. tests/test_reference_ksr3_data.py fits again and compares.

@@ -11,9 +11,9 @@ from scipy.interpolate import PchipInterpolator
 from scipy.optimize import least_squares
 
 from maxq.control.kernel.records import Array
-from maxq.tools.dev.studies.ksr3 import assumptions as a
-from maxq.tools.dev.studies.ksr3.mass_model import mass_properties
-from maxq.tools.dev.studies.ksr3.trajectory import Flight, forces
+from maxq.tools.dev.ksr3 import assumptions as a
+from maxq.tools.dev.ksr3.mass_model import mass_properties
+from maxq.tools.dev.ksr3.trajectory import Flight, forces
 
 NOSE_STATION_M = 2.0  # nose and forebody
 MACH = np.array([0.0, 0.5, 0.8, 0.95, 1.1, 1.25, 1.5, 1.75, 2.0, 2.25, 2.5, 3.0, 5.0])

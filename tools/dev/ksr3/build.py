@@ -1,4 +1,4 @@
-"""Rebuilds scenarios/vehicles/ksr3 from the assumptions: `python -m maxq.tools.dev.studies.ksr3.build` (about 10
+"""Rebuilds scenarios/vehicles/ksr3 from the assumptions: `python -m maxq.tools.dev.ksr3.build` (about 10
 s).
 
 Order: point-mass flight fitted to Table 1 -> mass model -> lift fitted to Table 2 -> beam scaled to 9 Hz ->
@@ -14,16 +14,16 @@ from pathlib import Path
 import numpy as np
 
 from maxq.control.kernel.records import Array
-from maxq.tools.dev.studies.ksr3 import assumptions as a
-from maxq.tools.dev.studies.ksr3 import beam, gains
-from maxq.tools.dev.studies.ksr3.aerodynamics import Lift, fit_to_table_2
-from maxq.tools.dev.studies.ksr3.fitted import TABLE_1, TABLE_2
-from maxq.tools.dev.studies.ksr3.mass_model import mass_properties
-from maxq.tools.dev.studies.ksr3.trajectory import Flight, ascent_from, fit_to_table_1, fly, forces, summarise
-from maxq.tools.dev.studies.ksr3.vehicle_file import vehicle_toml
-from maxq.tools.dev.studies.ksr3.write_files import Reconstruction, write_tables
+from maxq.tools.dev.ksr3 import assumptions as a
+from maxq.tools.dev.ksr3 import beam, gains
+from maxq.tools.dev.ksr3.aerodynamics import Lift, fit_to_table_2
+from maxq.tools.dev.ksr3.fitted import TABLE_1, TABLE_2
+from maxq.tools.dev.ksr3.mass_model import mass_properties
+from maxq.tools.dev.ksr3.trajectory import Flight, ascent_from, fit_to_table_1, fly, forces, summarise
+from maxq.tools.dev.ksr3.vehicle_file import vehicle_toml
+from maxq.tools.dev.ksr3.write_files import Reconstruction, write_tables
 
-VEHICLE_FOLDER = Path(__file__).parents[4] / "scenarios" / "vehicles" / "ksr3"
+VEHICLE_FOLDER = Path(__file__).parents[3] / "scenarios" / "vehicles" / "ksr3"
 
 
 def m_delta_at_nodes(flight: Flight) -> Array:

@@ -1,0 +1,457 @@
+"""Tables of docs/case-study.md from the shipped commands: `python -m maxq.tools.dev.case_study [TABLE...]`.
+
+Runs simdesign, simrun and simverify, keeps what they leave under runs/case-study (what is there is not computed again)
+and writes each table between its marks in docs/case-study.md. Prose is written by people. All of it takes about two
+hours on two cores, most of it campaigns and verdicts; name the tables to make only these. The pictures in
+docs/pictures/case-study are those that `simdesign` draws: `--pictures` copies them there.
+"""
+
+from __future__ import annotations
+
+import argparse
+import functools
+import itertools
+import json
+import math
+import re
+import shutil
+import subprocess
+import sys
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from maxq.design import api
+from maxq.design.case.read import read_case
+from maxq.design.case.schema import Robust
+from maxq.design.loop.errata_effects import EXPLAINED
+from maxq.design.model.node import Node
+from maxq.design.optimise.robust import DEVIATIONS, deviated
+from maxq.sim.run.fly import fly
+from maxq.sim.scenario.loader import load_scenario
+from maxq.sim.scenario.schema_design import Design
+from maxq.tools.design.errata_table import effects
+from maxq.tools.design.judging import judge
+
+DOCS = Path(__file__).resolve().parents[2] / "docs"
+PAGE, PARAMETERS, PICTURES = DOCS / "case-study.md", DOCS / "case-study.json", DOCS / "pictures" / "case-study"
+RUNS = Path("runs/case-study")
+DESIGNS = ("ksr3-default", "ksr3-free", "ksr3-linear", "ksr3-robust", "ksr3-sampled", "ksr3-two-phase")
+COMPARED = ("ksr3-two-phase", "ksr3-robust")
+STRUCTURES, SCHEDULES = ("F2", "F3", "F4", "F5", "F6"), ("two-phase", "linear", "free")
+LIMITS, PLANTS = ("identical", "relaxed"), {"flown": "the reconstructed vehicle", "table2": "the plant of Table 2"}
+CLAIMS = ("3 to 5 dB on the two-phase design", "a further 0.33 to 0.57 dB")  # of Subcases 1 and 2, by the paper
+RELAXED_BY = (0.0, 0.05, 0.1, 0.2, 0.3, 0.5, 1.0)  # of the way from 0.5 Hz and 0.7 to 0.4 Hz and 0.55
+_LIGHT, _NO_GUST = "wind.turbulence.exceedance='light'", "wind.gust.0.speed_mps=0.0"
+_DAMPED = tuple(f"vehicle.stage.0.tank.{tank}.damping_ratio={{}}" for tank in (0, 1))
+AIR: dict[str, tuple[int, tuple[str, ...]]] = {
+    "campaigns": (2000, ()),
+    "campaigns-light": (1000, (_LIGHT,)),
+    "campaigns-smooth": (1000, ("wind.turbulence=", _NO_GUST)),
+    "campaigns-baffles": (1000, tuple(d.format(0.08) for d in _DAMPED)),
+}
+CHANGES = {
+    "as it is": (),
+    "baffles that damp 10 % instead of 2 %": tuple(d.format(0.1) for d in _DAMPED),
+    "light turbulence instead of moderate, and no gust on top": (_LIGHT, _NO_GUST),
+    "both": (*(d.format(0.1) for d in _DAMPED), _LIGHT, _NO_GUST),
+}
+Rows = Sequence[Sequence[str]]
+
+
+def kept(file: str, command: str, *arguments: str) -> Any:
+    """The JSON that a command leaves in its folder under RUNS; run only where it is not there yet."""
+    path = RUNS / file
+    if not path.exists():
+        line = [command, *arguments, "--out", str(path.parent)]
+        print(" ".join(line), file=sys.stderr)
+        done = subprocess.run([Path(sys.executable).with_name(command), *line[1:]], check=False, stdout=subprocess.PIPE)
+        if not path.exists():
+            raise SystemExit(f"{' '.join(line)}: exit code {done.returncode}")
+    return json.loads(path.read_text(encoding="utf-8"))
+
+
+def set_(changes: Iterable[str]) -> list[str]:
+    return list(itertools.chain.from_iterable(("--set", change) for change in changes))
+
+
+def table(head: Sequence[str], rows: Rows) -> list[str]:
+    """Markdown; columns of numbers are aligned to the right."""
+    numeric = [all(re.match(r"[-+]?\d|$", row[k]) for row in rows) for k in range(len(head))]
+    rule = "|" + "".join("---:|" if n else "---|" for n in numeric)
+    return ["| " + " | ".join(head) + " |", rule, *("| " + " | ".join(row) + " |" for row in rows)]
+
+
+# Optima
+
+
+def solve_optima() -> None:
+    """The sixty problems: docs/case-study.json, which the tables are made from."""
+    every = []
+    for plant, name in itertools.product(PLANTS, LIMITS):
+        arguments = [f"ksr3-{name}", "--orders", *set_([f"plant={plant}"])]
+        found = kept(f"optima-{plant}-{name}/design.json", "simdesign", *arguments)["orders"]
+        every += [{"plant": plant, "limits": name} | o for o in found]
+    PARAMETERS.write_text(json.dumps({"optima": every}, separators=(",", ":")) + "\n", encoding="utf-8")
+
+
+@functools.cache
+def orders(plant: str, limits: str) -> Mapping[tuple[str, str], Any]:
+    """Fifteen optima by structure and schedule."""
+    every = json.loads(PARAMETERS.read_text(encoding="utf-8"))["optima"]
+    return {(o["structure"], o["schedule"]): o for o in every if (o["plant"], o["limits"]) == (plant, limits)}
+
+
+def peak(optimum: Any) -> float:
+    """Objective, dB; NaN where limits are missed."""
+    return float(optimum["objective_db"]) if optimum["status"] == "optimal" else math.nan
+
+
+def gained(plant: str, limits: str) -> tuple[list[float], list[float]]:
+    """Subcase 1 on the two-phase design and Subcase 2 on Subcase 1, dB, by structure."""
+    peaks = [[peak(orders(plant, limits)[f, s]) for f in STRUCTURES] for s in SCHEDULES]
+    return tuple([a - b for a, b in zip(*pair, strict=True)] for pair in itertools.pairwise(peaks))  # type: ignore[return-value]  # a pair
+
+
+def peaks() -> list[str]:
+    lines = []
+    for plant, limits in itertools.product(PLANTS, LIMITS):
+        found, rows = orders(plant, limits), []
+        for k, f in enumerate(STRUCTURES):
+            first, second = (g[k] for g in gained(plant, limits))
+            agree = ", ".join(f"{o['near_best']}/{o['starts']}" for o in (found[f, s] for s in SCHEDULES))
+            two, one, free = (_n(peak(found[f, s])) for s in SCHEDULES)
+            rows.append((f, two, one, _n(first), free, _n(second), agree))
+        head = ("filter", "two-phase", "Subcase 1", "gained", "Subcase 2", "gained further", "starts at the best")
+        title = f"**{PLANTS[plant].capitalize()}, {limits} limits** (largest peak of mode 1, dB)"
+        lines += ["", title, "", *table(head, rows)]
+    return lines[1:]
+
+
+def claims() -> list[str]:
+    pairs = list(itertools.product(PLANTS, LIMITS))
+    rows = [
+        [f"Subcase {n + 1} gains {claim}", *(_span(gained(*pair)[n]) for pair in pairs)]
+        for n, claim in enumerate(CLAIMS)
+    ]
+    falls = []
+    for pair in pairs:
+        steps = [
+            peak(orders(*pair)[a, s]) - peak(orders(*pair)[b, s])
+            for s in SCHEDULES
+            for a, b in itertools.pairwise(STRUCTURES)
+        ]
+        falls.append(f"yes, by {min(steps):.2f} dB at least" if min(steps) > 0.0 else f"no: {min(steps):.2f} dB")
+    rows.append(["the peak falls with every order of the filter", *falls])
+    return table(["claim of the paper", *(f"{plant}, {limits}" for plant, limits in pairs)], rows)
+
+
+def parameters(limits: str) -> list[str]:
+    """Gains at first and last node, and the filter, of every optimum of the reconstructed vehicle."""
+    rows = []
+    for (structure, schedule), o in orders("flown", limits).items():
+        ends = [f"{o['gains'][k][0]:.4f} to {o['gains'][k][-1]:.4f}" for k in ("k_p", "k_d_s")]
+        quadratic = "<br>".join(
+            f"{q['zero_hz']:.3f}, {q['zero_zeta']:.3f}; {q['pole_hz']:.3f}, {q['pole_zeta']:.3f}"
+            for q in o["filter"]["quadratic"]
+        )
+        first = "<br>".join(f"{q['zero_hz']:.3f}; {q['pole_hz']:.3f}" for q in o["filter"]["first_order"])
+        rows.append((f"{structure} {schedule}", *ends, quadratic, first))
+    head = (
+        "design",
+        "k_p",
+        "k_d, s",
+        "quadratic sections: zero Hz, zeta; pole Hz, zeta",
+        "first order: zero; pole, Hz",
+    )
+    return table(head, rows)
+
+
+def relaxing() -> list[str]:
+    """What Subcase 1 gains on the two-phase design of 0.5 Hz and 0.7 where its own rigid-body limits are lower."""
+    reference, rows = orders("flown", "identical"), []
+    for share in RELAXED_BY:
+        hz, zeta = 0.5 - 0.1 * share, 0.7 - 0.15 * share
+        changes = set_([f"limits.rigid_hz={hz!r}", f"limits.rigid_zeta={zeta!r}"])
+        record = kept(
+            f"relaxed-{share}/design.json", "simdesign", "ksr3-identical", "--orders", "--no-pictures", *changes
+        )
+        found = {o["structure"]: o for o in record["orders"] if o["schedule"] == "linear"}
+        cells = [_n(peak(reference[f, "two-phase"]) - peak(found[f])) for f in STRUCTURES]
+        rows.append((f"{hz:.3f} Hz, {zeta:.4f}", f"{20.0 * math.log10(hz * zeta / 0.35):.1f} dB", *cells))
+    return table(("rigid-body limits", "k_d", *STRUCTURES), rows)
+
+
+def limits() -> list[str]:
+    """What the two sets of limits ask for."""
+    cases = [read_case(f"ksr3-{name}").case for name in LIMITS]
+    names = {
+        "gain_margin_db": "GM_R (44), dB",
+        "phase_margin_deg": "PM_R (45), deg",
+        "second_mode_db": "P2_UL (43), dB",
+        "filter_gain_at_infinity": "P^F (46)",
+        "rigid_hz": "omega_RB,min (47), Hz",
+        "rigid_zeta": "zeta_RB,min (48)",
+    }
+    rows = [(text, *(f"{getattr(c.limits, key):g}" for c in cases)) for key, text in names.items()]
+    for key in type(cases[0].filter.bounds).model_fields:
+        spans = (getattr(c.filter.bounds, key) for c in cases)
+        rows.append((f"bounds of {key} (50)", *(f"{low:g} to {high:g}" for low, high in spans)))
+    return table(("limit", *LIMITS), rows)
+
+
+def errata() -> list[str]:
+    """The largest change that each erratum makes over the nodes."""
+    found = effects(api.nodes("nominal"), api.load_design("designs/ksr3-default"))
+    rows = []
+    for name in dict.fromkeys(e.erratum for e in found):
+        mine = [e for e in found if e.erratum == name]
+        lost = sum(e.printed.get("unstable", 0.0) > 0.0 for e in mine)
+        cells = [_largest(e.change(key) for e in mine) for key in ("peak 1", "peak 2")]
+        unstable = f"unstable at {lost} nodes"
+        cells += [unstable if lost else _largest(e.change(key) for e in mine) for key in ("gain", "phase")]
+        about = EXPLAINED[name]
+        printed = about.printed if about.printed != "none" else f"left out: {about.corrected}"
+        rows.append((str(about.number), printed, *cells))
+    return table(
+        ("nr", "erratum, as printed", "mode 1, dB", "mode 2, dB", "gain margin, dB", "phase margin, deg"), rows
+    )
+
+
+# Robustness and flights
+
+
+def robust() -> list[str]:
+    """Worst over all nodes on the sampled loop: nominal, and at forty corners of all ranges drawn at random."""
+    nodes, ranges, rows = api.nodes("nominal", api.PAPER_TIMES_S), Robust(), []
+    ends = np.random.default_rng(2002).choice([-1, 1], (40, len(DEVIATIONS)))
+    for name in ("ksr3-default", "ksr3-two-phase", "ksr3-linear", "ksr3-sampled", "ksr3-robust"):
+        design = api.load_design(f"designs/{name}")
+        nominal = worst(nodes, design)
+        off = [worst([deviated(n, ranges, [int(e) for e in row]) for n in nodes], design) for row in ends]
+        stable = sum(not math.isnan(w[0]) for w in off)
+        least = [min(values) if stable == len(off) else math.nan for values in zip(*off, strict=True)]
+        shown = [f"{w:.{digits}f}" for w, digits in zip(nominal, (2, 1, 3), strict=True)]
+        at_corners = ["unstable" if math.isnan(w) else f"{w:.{d}f}" for w, d in zip(least, (2, 1, 3), strict=True)]
+        rows.append((name, *shown, f"{stable} of {len(off)}", *at_corners))
+    what = ("gain, dB", "phase, deg", "least \\|1+L\\|")
+    return table(("design", *what, "stable at corners", *(f"{w}, corners" for w in what)), rows)
+
+
+def worst(nodes: Sequence[Node], design: Design) -> tuple[float, float, float]:
+    """Gain margin, dB, phase margin, deg, and least |1 + L|; NaN where a node is unstable."""
+    judged = judge(nodes, design, "sampled")
+    if not all(j.margins.stable for j in judged):
+        return math.nan, math.nan, math.nan
+    return (
+        min(j.gain_margin_db for j in judged),
+        min(j.margins.phase_deg.value for j in judged),
+        min(j.margins.modulus for j in judged),
+    )
+
+
+def flights() -> list[str]:
+    """Each design once through the nominal ascent, without wind and through a November jet."""
+    shown = {
+        "max_q_alpha_Padeg": ("q alpha, kPa deg", 1e-3, 1),
+        "max_attitude_error_deg": ("attitude error, deg", 1.0, 2),
+        "max_gimbal_deg": ("gimbal, deg", 1.0, 2),
+        "max_gimbal_rate_degps": ("gimbal rate, deg/s", 1.0, 2),
+        "max_slosh_deg": ("slosh, deg", 1.0, 2),
+        "max_bending_m": ("bending, mm", 1e3, 3),
+        "max_altitude_m": ("apogee, km", 1e-3, 2),
+        "range_m": ("range, km", 1e-3, 2),
+    }
+    rows = []
+    for name, wind in itertools.product(DESIGNS, ("none", "November jet")):
+        profile = ["wind.profile=winds/anheung-november.csv"] if wind != "none" else []
+        flight = fly(load_scenario("nominal", [f'design="designs/{name}.toml"', *profile]), log=False)
+        cells = [f"{flight.metrics[m] * factor:.{digits}f}" for m, (_, factor, digits) in shown.items()]
+        missed = [v.name for v in flight.verdicts if not v.met] + list(flight.failures)
+        rows.append((name, wind, *cells, "missed: " + ", ".join(missed) if missed else "all requirements met"))
+    return table(("design", "wind", *(text for text, _, _ in shown.values()), "verdict"), rows)
+
+
+def campaign(name: str) -> list[str]:
+    """Both designs in one kind of air, requirement by requirement."""
+    runs, changes = AIR[name]
+    each, commands = [], []
+    for design in COMPARED:
+        overrides = set_([f"design='designs/{design}.toml'", "campaign.keep=[]", *changes])
+        arguments = ("campaigns/ksr3", "--runs", str(runs), *overrides)
+        each.append(kept(f"{name}-{design}/summary.json", "simrun", *arguments)["requirements"])
+        commands.append("    simrun " + " ".join(f'"{a}"' if "'" in a else a for a in arguments))
+    rows = []
+    for of_both in zip(*each, strict=True):
+        for design, r in zip(COMPARED, of_both, strict=True):
+            shown, first = r["shown"], design == COMPARED[0]
+            met = "{:.2f} ({:.2f} to {:.2f})".format(
+                *(100.0 * shown[k] for k in ("success", "success_least", "success_most"))
+            )
+            worst_run = r["worst"][0] if r["worst"] else {"value": None, "run": ""}
+            rows.append(
+                (
+                    r["name"] if first else "",
+                    f"{r['bound']:g} {r['unit']}" if first and r["metric"] else "",
+                    design.removeprefix("ksr3-"),
+                    *(_g(v) for v in (r["median"], r["tolerance"], worst_run["value"])),
+                    str(worst_run["run"]),
+                    f"{shown['failures']} of {shown['runs']}",
+                    met,
+                    f"**{shown['judgement']}**",
+                )
+            )
+    head = (
+        "requirement",
+        "limit",
+        "design",
+        "median",
+        "99.73 % within, at 90 % confidence",
+        "worst",
+        "in run",
+        "failed",
+    )
+    return [*table((*head, "met by, % of flights (90 % bounds)", "verdict"), rows), "", *commands]
+
+
+# Verdicts
+
+
+def judged(designs: Mapping[str, str], changes: Sequence[str] = ()) -> dict[str, Any]:
+    """verdict.json of each design, by the standard suite with a campaign of 300 flights."""
+    fewer = set_(["campaign.0.runs=300", *changes])
+    folder = "-".join(["verdicts", *(re.sub(r"\W+", "-", change) for change in changes)])
+    return {
+        name: kept(f"{folder}/{name}/verdict.json", "simverify", path, "--no-pack", *fewer)
+        for name, path in designs.items()
+    }
+
+
+def verdicts() -> list[str]:
+    return _ranking(judged({name: name for name in DESIGNS}))
+
+
+def verdicts_orders() -> list[str]:
+    """F2 to F6 with each schedule, as `simdesign ksr3-relaxed --orders` leaves them."""
+    folder = RUNS / "optima-flown-relaxed"
+    names = {f"{f}-{s}": folder / f"{f}-{s}" for f, s in orders("flown", "relaxed")}
+    return _ranking(judged({name: str(path) for name, path in names.items()}))
+
+
+def verdicts_both() -> list[str]:
+    """Every requirement that one of the two compared designs is not accepted by, or that is no scenario."""
+    both = [{r["name"]: r for r in v["requirements"]} for v in judged({n: n for n in COMPARED}).values()]
+    rows = []
+    for name, r in both[-1].items():
+        mine = [b.get(name, {"found": "-", "verdict": ""}) for b in both]
+        if r["part"] != "scenarios" or any(m["verdict"] != "accepted" for m in mine):
+            rows.append((r["part"], name, r["wanted"], *(x for m in mine for x in (m["found"], m["verdict"]))))
+    return table(("part", "requirement", "wanted", *(x for n in COMPARED for x in (n, ""))), rows)
+
+
+def verdicts_changes() -> list[str]:
+    """The campaign of the suite with other liquid and in other air."""
+    rows = []
+    for what, changes in CHANGES.items():
+        listed = "campaign.0.set=[" + ", ".join(f'"{c}"' for c in changes) + "]"
+        for name, found in judged({n: n for n in COMPARED}, [listed] if changes else []).items():
+            missed = [r for r in found["requirements"] if r["part"] == "campaign" and r["verdict"] != "accepted"]
+            why = "; ".join(f"{r['name'].partition(': ')[2]} ({r['found']}: {r['verdict']})" for r in missed)
+            rows.append((what, name.removeprefix("ksr3-"), why or "all accepted"))
+    return table(("flown", "design", "campaign: not accepted"), rows)
+
+
+def _ranking(found: Mapping[str, Any]) -> list[str]:
+    """Fewest rejections first."""
+    rows = []
+    for name, verdict in found.items():
+        by = {v: [r for r in verdict["requirements"] if r["verdict"] == v] for v in ("rejected", "undecided")}
+        cells = ["; ".join(f"{r['name']} ({r['found']})" for r in by[v]) or "-" for v in by]
+        rows.append((len(by["rejected"]), (name, f"**{verdict['verdict']}**", *cells)))
+    return table(("design", "verdict", "rejected for", "undecided"), [row for _, row in sorted(rows)])
+
+
+def _n(value: float) -> str:
+    return "infeasible" if math.isnan(value) else f"{value:.2f}"
+
+
+def _g(value: float | None) -> str:
+    return "" if value is None else f"{value:.4g}" if abs(value) < 1e4 else f"{value:.0f}"
+
+
+def _span(values: Sequence[float]) -> str:
+    good = [v for v in values if not math.isnan(v)]
+    return f"{min(good):.2f} to {max(good):.2f}" if good else "infeasible"
+
+
+def _largest(changes: Iterable[float]) -> str:
+    known = [c for c in changes if not math.isnan(c)]
+    return f"{max(known, key=abs):+.2f}" if known else "-"
+
+
+TABLES: dict[str, Callable[[], list[str]]] = {
+    "limits": limits,
+    "errata": errata,
+    "claims": claims,
+    "peaks": peaks,
+    "relaxing": relaxing,
+    "parameters": lambda: parameters("identical"),
+    "parameters-relaxed": lambda: parameters("relaxed"),
+    "robust": robust,
+    "flights": flights,
+    **{name: functools.partial(campaign, name) for name in AIR},
+    "verdicts": verdicts,
+    "verdicts-both": verdicts_both,
+    "verdicts-orders": verdicts_orders,
+    "verdicts-changes": verdicts_changes,
+}
+
+
+def copy_pictures() -> None:
+    """What `simdesign` has drawn, under the names that the chapter shows."""
+    drawn = RUNS / "optima-flown-identical"
+    shutil.copy(drawn / "orders-peaks.png", PICTURES / "peaks-identical.png")
+    shutil.copy(RUNS / "optima-flown-relaxed" / "orders-peaks.png", PICTURES / "peaks-relaxed.png")
+    for kind, schedule in itertools.product(("gains", "filters"), SCHEDULES):
+        shutil.copy(drawn / f"orders-{kind}-{schedule}.png", PICTURES / f"{kind}-{schedule}.png")
+    for name in COMPARED:
+        kept(f"analysis-{name}/analysis.json", "simdesign", "analyse", name)
+        folder = RUNS / f"analysis-{name}"
+        shutil.copy(folder / "loop-040.0s.png", PICTURES / f"loop-{name}.png")
+        shutil.copy(folder / "lobes.png", PICTURES / f"lobes-{name}.png")
+        shutil.copy(folder / "margins.png", PICTURES / f"margins-{name}.png")
+    for path in drawn.glob("vehicle-*.png"):
+        shutil.copy(path, PICTURES / path.name)
+
+
+def fill(page: str, name: str, lines: Sequence[str]) -> str:
+    """The page with `lines` between `<!-- begin name -->` and `<!-- end name -->`. Raises ValueError without marks."""
+    filled, count = re.subn(
+        rf"(<!-- begin {name} -->\n).*?(<!-- end {name} -->)",
+        lambda marks: "\n".join([marks[1], *lines, "", marks[2]]),
+        page,
+        flags=re.DOTALL,
+    )
+    if count != 1:
+        raise ValueError(f"the page has {count} places for {name}")
+    return filled
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("tables", nargs="*", choices=[*TABLES, []], metavar="TABLE", help=", ".join(TABLES))
+    parser.add_argument("--pictures", action="store_true", help="copy the pictures, too")
+    given = parser.parse_args()
+    if not given.tables:
+        solve_optima()
+    for name in given.tables or TABLES:
+        PAGE.write_text(fill(PAGE.read_text(encoding="utf-8"), name, TABLES[name]()), encoding="utf-8")
+    if given.pictures:
+        copy_pictures()
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
