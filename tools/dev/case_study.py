@@ -290,7 +290,7 @@ def campaign(name: str) -> list[str]:
             met = "{:.2f} ({:.2f} to {:.2f})".format(
                 *(100.0 * shown[k] for k in ("success", "success_least", "success_most"))
             )
-            worst_run = r["worst"][0] if r["worst"] else {"value": None, "run": ""}
+            worst_run: dict[str, Any] = r["worst"][0] if r["worst"] else {"value": None, "run": ""}
             rows.append(
                 (
                     r["name"] if first else "",
