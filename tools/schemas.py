@@ -1,49 +1,45 @@
-"""Writes docs/scenario.md and the JSON Schemas with which editors complete scenario files.
-
-python -m maxq.tools.schemas [FOLDER]
-"""
+"""JSON Schemas of all files that a person writes, made from the models that check them: `simrun --schema KIND`."""
 
 from __future__ import annotations
 
-import json
-import sys
-from pathlib import Path
 from typing import Any
 
+from maxq.design.case.schema import Case
+from maxq.design.verify.suite import Suite
 from maxq.sim.campaign.schema import CampaignFile
-from maxq.sim.scenario.reference import scenario_reference
 from maxq.sim.scenario.schema_design import Design
 from maxq.sim.scenario.schema_scenario import Scenario
 from maxq.sim.scenario.schema_values import Section
 from maxq.sim.scenario.schema_vehicle import Vehicle
 
+_MODELS: dict[str, type[Section]] = {
+    "scenario": Scenario, "vehicle": Vehicle, "design": Design, "campaign": CampaignFile, "case": Case, "suite": Suite,
+}  # fmt: skip
+KINDS = tuple(_MODELS)
 _EXTENDS = {"type": "string", "description": "file on top of which this one lies"}
 _UNSET = {
     "type": "array",
     "items": {"type": "string"},
     "description": "keys of the extended file that are taken away",
 }
+_DOCUMENT_KEYS = {"case": {"extends": _EXTENDS}, "suite": {}}
+"""Keys that are used up before the model sees the document; of the other kinds: both."""
 
 
-def _overrides(part: str) -> dict[str, Any]:
-    return {"type": "object", "description": f"any key of the {part} by its path, e.g. stage.0.name"}
-
-
-def json_schema(model: type[Section]) -> dict[str, Any]:
-    """JSON Schema (2020-12) of a file as a person writes it: with `extends`, and files where the model has
-    content.
-    """
-    schema = model.model_json_schema(by_alias=True)
+def json_schema(kind: str) -> dict[str, Any]:
+    """JSON Schema (2020-12) of a file as a person writes it: with `extends`, and files where the model has content."""
+    if kind == "campaign":
+        return _campaign()
+    schema = _MODELS[kind].model_json_schema(by_alias=True)
     properties = schema["properties"]
-    if model is Scenario:
+    if kind == "scenario":
         for part in ("vehicle", "design"):
             content = properties[part].pop("anyOf", [{"$ref": properties[part].pop("$ref", "")}])
-            content = [choice for choice in content if choice != {"type": "null"}]
             properties[part]["anyOf"] = [{"type": "string"}, *content]
-            properties[f"{part}_overrides"] = _overrides(part)
-    properties |= {"extends": _EXTENDS, "unset": _UNSET}
-    required = schema.pop("required", [])
-    if required:
+            about = f"any key of the {part} by its path, e.g. stage.0.name"
+            properties[f"{part}_overrides"] = {"type": "object", "description": about}
+    properties |= (keys := _DOCUMENT_KEYS.get(kind, {"extends": _EXTENDS, "unset": _UNSET}))
+    if keys and (required := schema.pop("required", [])):
         schema["anyOf"] = [{"required": required}, {"required": ["extends"]}]
     cleaned: dict[str, Any] = _without_null(schema)
     return {"$schema": "https://json-schema.org/draft/2020-12/schema"} | cleaned
@@ -68,33 +64,13 @@ def _without_null(node: Any) -> Any:
     return out
 
 
-def campaign_schema() -> dict[str, Any]:
-    """JSON Schema of a campaign file: a scenario with the sections that make it a campaign."""
-    schema, further = json_schema(Scenario), json_schema(CampaignFile)
-    sections = {name: further["properties"][name] for name in CampaignFile.model_fields}
+def _campaign() -> dict[str, Any]:
+    """A scenario with the sections that make it a campaign."""
+    schema = json_schema("scenario")
+    further = _without_null(CampaignFile.model_json_schema(by_alias=True))
     further["$defs"]["Campaign"].pop("required")  # the file that is extended may be a campaign already
     return schema | {
         "description": CampaignFile.__doc__,
-        "properties": schema["properties"] | sections,
+        "properties": schema["properties"] | further["properties"],
         "$defs": schema["$defs"] | further["$defs"],
     }
-
-
-def pages() -> dict[str, str]:
-    """The exported files by name."""
-    models: dict[str, type[Section]] = {"scenario": Scenario, "vehicle": Vehicle, "design": Design}
-    out = {f"{name}.schema.json": json.dumps(json_schema(m), indent=1) + "\n" for name, m in models.items()}
-    out["campaign.schema.json"] = json.dumps(campaign_schema(), indent=1) + "\n"
-    return out | {"scenario.md": scenario_reference()}
-
-
-def main(arguments: list[str]) -> int:
-    folder = Path(arguments[0] if arguments else "docs")
-    for name, text in pages().items():
-        (folder / name).write_text(text, encoding="utf-8", newline="\n")
-        print(folder / name)
-    return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main(sys.argv[1:]))

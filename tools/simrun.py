@@ -18,7 +18,7 @@ simrun SCENARIO [--set KEY=VALUE]... [--out DIR] [--no-log] [--view [--realtime 
        simrun --from DIR [--keep WHICH]... [--no-report]
        simrun --from DIR --run N [--view | --shrink] [--out DIR]
        simrun --from DIR --search METRIC [--runs N] [--workers K]
-       simrun --list | --copy NAME DIR | --version | --help"""
+       simrun --list | --copy NAME DIR | --schema KIND | --version | --help"""
 _EXAMPLES = """\
   simrun nominal                           fly the built-in scenario of that name
   simrun nominal --set wind.profile=winds/anheung-november.csv --out runs/windy
@@ -42,6 +42,7 @@ _EXITS = {
 _SCENARIO, _CAMPAIGN, _LOG, _FOLDER = "SCENARIO", "CAMPAIGN", "--from LOG", "--from DIR"
 _RUN, _SHRINK, _SEARCH = "--from DIR --run N", "--from DIR --run N --shrink", "--from DIR --search METRIC"
 _FLIGHTS = (_SCENARIO, _LOG)
+_KINDS = ("scenario", "vehicle", "design", "campaign", "case", "suite")
 
 
 def _parser() -> Parser:
@@ -93,6 +94,7 @@ def _parser() -> Parser:
     campaign("--shrink", modes=(_SHRINK,), action="store_true", help="with --run: the fewest dispersions that fail")
     campaign("--search", modes=(_SEARCH,), metavar="METRIC", help="with --from DIR: the worst flight within 3 sigma")
     add("--list", action="store_true", help="name the built-in scenarios")
+    add("--schema", choices=_KINDS, metavar="KIND", help=f"print the JSON Schema of a file: {', '.join(_KINDS)}")
     add("--copy", nargs=2, metavar=("NAME", "DIR"), help="copy a built-in scenario with all it refers to")
     parser.version_and_help()
     return parser
@@ -120,13 +122,17 @@ def _run(arguments: list[str], alone: bool) -> int:
     parser = _parser()
     options = parser.read(arguments, extra="one scenario at a time: what is {!r}?")
     options.realtime = _real_time(options, parser)
-    action = parser.only(options, _SCENARIO, "--from", "--list", "--copy", none="give a scenario, e.g. simrun nominal")
+    action = parser.only(
+        options, _SCENARIO, "--from", "--list", "--copy", "--schema", none="give a scenario, e.g. simrun nominal"
+    )
     mode = _mode(options, action)
     if mode in _FLIGHTS and parser.stray(options, mode):
         parser.check(options, mode, _shown(options))
     parser.check(options, mode)
     if options.out == "":
         parser.error("--out needs the name of a folder")
+    if options.schema:
+        return _print_schema(options.schema)
     if options.list or options.copy:
         from maxq.tools import simrun_builtin  # noqa: PLC0415  # lazy
 
@@ -142,6 +148,15 @@ def _run(arguments: list[str], alone: bool) -> int:
     from maxq.tools import simrun_campaign  # noqa: PLC0415  # lazy
 
     return simrun_campaign.execute(filled(simrun_campaign.Order, options, folder=options.log))
+
+
+def _print_schema(kind: str) -> int:
+    import json  # noqa: PLC0415  # lazy
+
+    from maxq.tools.schemas import json_schema  # noqa: PLC0415  # lazy
+
+    print(json.dumps(json_schema(kind), indent=1))
+    return Exit.OK
 
 
 def _mode(options: argparse.Namespace, action: str) -> str:

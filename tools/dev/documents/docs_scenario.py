@@ -1,8 +1,13 @@
-"""docs/scenario.md: every key of the scenario files, written from the schema."""
+"""Writes docs/scenario.md: every key of the scenario files, from the schema.
+
+python -m maxq.tools.dev.documents.docs_scenario [PAGE]
+"""
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 from pydantic.fields import FieldInfo
@@ -18,7 +23,7 @@ from maxq.sim.scenario.schema_vehicle import Vehicle
 _INTRODUCTION = """\
 # Scenario files
 
-<!-- Written by `python -m maxq.tools.schemas`: change the schema, not this file. -->
+<!-- Written by `python -m maxq.tools.dev.documents.docs_scenario`: change the schema, not this file. -->
 
 A scenario says what is flown. It is a TOML file; the vehicle and the control design that it names are TOML
 files too, and they name tables in CSV files. Units are in the keys. Unknown keys are refused.
@@ -38,14 +43,16 @@ files too, and they name tables in CSV files. Units are in the keys. Unknown key
 - **`--set KEY=VALUE`** does so from the command line, for every key: `--set run.step_s=0.0005`, `--set
   vehicle.stage.0.engine.thrust_factor=1.02`, `--set design=designs/other.toml`; `--set KEY=` takes a key
   away.
-- **Completion in editors**: begin a file with `#:schema` and the address of `scenario.schema.json`,
-  `campaign.schema.json`, `vehicle.schema.json` or `design.schema.json`, which lie beside this page.
+- **Completion in editors**: `simrun --schema scenario > scenario.schema.json` writes the JSON Schema of this version
+  (also `vehicle`, `design`, `campaign`, `case`, `suite`); the first line `#:schema ./scenario.schema.json` of a file
+  then makes editors with a TOML language server (taplo: "Even Better TOML" in VS Code, Zed, Helix, Neovim) complete
+  and check its keys.
 
 Times marked "whole ns" must be whole numbers of nanoseconds. *required* marks keys without a default.
 """
 
 
-def scenario_reference() -> str:
+def page() -> str:
     """The page in Markdown."""
     parts = [_INTRODUCTION]
     for title, name, model in (
@@ -93,3 +100,15 @@ def _default(field: FieldInfo) -> str:
 
 def _cell(text: str) -> str:
     return text.replace("|", "\\|")
+
+
+def main(arguments: list[str]) -> int:
+    """Write the page; returns 0."""
+    path = Path(arguments[0] if arguments else "docs/scenario.md")
+    path.write_text(page(), encoding="utf-8", newline="\n")
+    print(path)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))
