@@ -82,12 +82,11 @@ def test_units_and_frames_travel_with_the_log(tmp_path: Path) -> None:
     assert [t.description for t in table.topics] == [t.description for t in TABLE.topics]
     for name in TABLE.names:
         ours, read = TABLE.channel(name), table.channel(name)
-        assert (read.name, read.unit, read.frame, read.description, read.scale) == (
+        assert (read.name, read.unit, read.frame, read.description) == (
             ours.name,
             ours.unit,
             ours.frame,
             ours.description,
-            1.0,
         )
 
 

@@ -1,24 +1,22 @@
 """The channel table: what is logged, in which unit and frame, on which topic and at which rate.
 
-The table is data. Kernel output columns, protobuf schemas, plots and docs/telemetry.md are all derived from
-one `ChannelTable`, so that a channel is described in one place only.
+Channels are declared by the NamedTuples that kernels fill (control/kernel/rows.py). Columns of the kernel's rows,
+protobuf schemas, plots and docs/telemetry.md are all derived from one `ChannelTable`.
 """
 
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
-
-import numpy as np
-
-from maxq.control.kernel.records import Array
+from typing import get_args, get_type_hints
 
 DIMENSIONLESS = "1"
 EVENTS_TOPIC = "/events"
 FRAMES_TOPIC = "/tf"
 
 _CHANNEL_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
+_FRAMES = ("I", "E", "N", "B")
 _TOPIC_NAME = re.compile(r"(/[a-z][a-z0-9_]*)+")
 
 
@@ -34,9 +32,7 @@ class Channel:
 
     `name` ends with the suffix of `unit` (see `unit_suffix`; upper or lower case) unless `unit` is "1", and
     holds `frame` as one of its parts unless `frame` is "": `w_BI_B_y_radps` has unit rad/s and frame B. It
-    becomes the name of a protobuf field. `scale` converts the column that a kernel fills into the logged
-    unit (180/pi for an angle kept in radians and logged in degrees); a table read back from a log has scale
-    1 throughout.
+    becomes the name of a protobuf field.
 
     Raises ValueError where the name breaks these rules.
     """
@@ -45,7 +41,6 @@ class Channel:
     unit: str
     frame: str
     description: str
-    scale: float = 1.0
 
     def __post_init__(self) -> None:
         if not _CHANNEL_NAME.fullmatch(self.name):
@@ -57,8 +52,27 @@ class Channel:
             raise ValueError(f"channel {self.name}: unit {self.unit} asks for a name that ends with _{suffix}")
         if self.frame and self.frame not in self.name.split("_"):
             raise ValueError(f"channel {self.name}: frame {self.frame} is not a part of the name")
-        if not np.isfinite(self.scale) or self.scale == 0.0:
-            raise ValueError(f"channel {self.name}: scale must be finite and not zero")
+
+
+def declared_channels(row: type, part: str = "", label: str = "", suffix: str = "") -> tuple[Channel, ...]:
+    """Channels of the NamedTuple that declares them (control/kernel/rows.py), in the order in which it is written.
+
+    For what a vehicle has several of, `label` replaces the word `part` in the names (`eta_mode_m` -> `eta_pitch_1_m`)
+    and `suffix` ends the descriptions.
+    """
+    channels = []
+    for name, hint in get_type_hints(row, include_extras=True).items():
+        kind, unit, description = get_args(hint)
+        for axis in getattr(kind, "_fields", ("",)):
+            words = [{part: label, "axis": axis}.get(word, word) for word in name.split("_")]
+            text = ", ".join(filter(None, (description, axis, suffix)))
+            channels.append(Channel("_".join(words), unit, _frame_of(words, unit), text))
+    return tuple(channels)
+
+
+def _frame_of(words: list[str], unit: str) -> str:
+    """Frame in which a quantity is expressed: a word of its name other than the unit."""
+    return next((word for word in words[: -1 if unit_suffix(unit) else None] if word in _FRAMES), "")
 
 
 @dataclass(frozen=True)
@@ -90,6 +104,15 @@ class Topic:
         return "".join(word.capitalize() for word in re.split("[/_]", self.name))
 
 
+def declared_topics(group: str, rows: type) -> list[Topic]:
+    """Topics of a NamedTuple whose fields are rows: `air: Annotated[AirRow, "air data"]` -> `/air`."""
+    topics = []
+    for name, hint in get_type_hints(rows, include_extras=True).items():
+        row, description = get_args(hint)
+        topics.append(Topic(f"/{name}", group, declared_channels(row), description))
+    return topics
+
+
 @dataclass(frozen=True)
 class ChannelTable:
     """All topics of a log, in order.
@@ -116,19 +139,6 @@ class ChannelTable:
     def columns(self, group: str) -> tuple[Channel, ...]:
         """Channels of a rate group in the order of its columns; none for an unknown group."""
         return tuple(channel for topic in self.topics_of(group) for channel in topic.channels)
-
-    def scales(self, group: str) -> Array:
-        """Factor from kernel column to logged value for each column of a rate group."""
-        return np.array([channel.scale for channel in self.columns(group)], float)
-
-    def as_logged(self) -> ChannelTable:
-        """The table of values that are in logged units already: `scale` 1 throughout."""
-        return ChannelTable(
-            tuple(
-                replace(topic, channels=tuple(replace(channel, scale=1.0) for channel in topic.channels))
-                for topic in self.topics
-            )
-        )
 
     @cached_property
     def names(self) -> tuple[str, ...]:

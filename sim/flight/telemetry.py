@@ -1,21 +1,23 @@
-"""The channel table: what is logged, in which unit and frame. Kernel columns, MCAP schemas and docs come from it.
+"""What is logged of a flight: rows that declare their channels, and the kernels that fill them.
 
-Angles are kept in radians by the kernel and logged in degrees where a name says so (`Channel.scale`).
-The fast group holds what swings (actuator, gyro, control, bending, slosh), the slow group the rest.
+The fast group holds what oscillates (actuator, gyro, control, bending, slosh), the slow group the rest. Values are
+in the units of the log. See control/kernel/rows.py for how a row is declared.
 """
 
 from __future__ import annotations
 
 import math
+from typing import Annotated, NamedTuple
 
-import numpy as np
-
+from maxq.control.computer import ComputerState
 from maxq.control.kernel.jit import kernel, routine
 from maxq.control.kernel.records import Array
+from maxq.control.kernel.rows import NorthEastDown, PitchYaw, Quaternion, RollPitchYaw, Xyz, put, xyz
 from maxq.control.kernel.vectors import rotation_from_quaternion, turn
-from maxq.sim.flight.channels import Channel, ChannelTable, Topic
+from maxq.sim.flight.channels import ChannelTable, Topic, declared_channels, declared_topics
 from maxq.sim.flight.metrics import STANDARD_GRAVITY_MPS2
 from maxq.sim.flight.parameters import Memory, Parameters
+from maxq.sim.vehicle.derivative import Held
 from maxq.sim.vehicle.schedule import CORE_CG, CORE_INERTIA, CORE_MASS, MASS_FLOW, TOTAL_MASS
 from maxq.sim.vehicle.slosh import bob_mass
 from maxq.sim.vehicle.state import (
@@ -58,302 +60,193 @@ DEG = 180.0 / math.pi
 FAST, SLOW = "fast", "slow"
 
 
-def _triple(name: str, unit: str, frame: str, text: str, axes: str = "xyz", scale: float = 1.0) -> list[Channel]:
-    """Three channels; `{}` in the name stands for the axis."""
-    return [Channel(name.format(a), unit, frame, f"{text}, {a}", scale) for a in axes]
+@kernel
+def _degrees(rad: Array) -> RollPitchYaw:
+    return RollPitchYaw(DEG * rad[0], DEG * rad[1], DEG * rad[2])
 
 
-def _truth() -> list[Channel]:
-    return [
-        *_triple("r_I_{}_m", "m", "I", "position of the core CG, inertial"),
-        *_triple("v_I_{}_mps", "m/s", "I", "velocity of the core CG, inertial"),
-        *[Channel(f"q_BI_{c}", "1", "", f"attitude quaternion, B to I, component {c}") for c in "wxyz"],
-        *_triple("w_BI_B_{}_radps", "rad/s", "B", "angular velocity relative to I"),
-        *_triple("r_E_{}_m", "m", "E", "position of the core CG, Earth-fixed"),
-        Channel("latitude_deg", "deg", "", "geodetic latitude", DEG),
-        Channel("longitude_deg", "deg", "", "longitude, east positive", DEG),
-        Channel("altitude_m", "m", "", "geodetic altitude"),
-        *[
-            Channel(f"v_N_{axis}_mps", "m/s", "N", f"velocity relative to the Earth, {axis}")
-            for axis in ("north", "east", "down")
-        ],
-        Channel("speed_mps", "m/s", "", "speed relative to the Earth"),
-        Channel("flight_path_deg", "deg", "", "angle of that velocity above the horizon", DEG),
-        Channel("yaw_deg", "deg", "", "Euler angle 3-2-1 of B relative to local NED: yaw", DEG),
-        Channel("pitch_deg", "deg", "", "Euler angle 3-2-1 of B relative to local NED: pitch", DEG),
-        Channel("roll_deg", "deg", "", "Euler angle 3-2-1 of B relative to local NED: roll", DEG),
-    ]
+# --- fast group
 
 
-def _air() -> list[Channel]:
-    return [
-        Channel("density_kgpm3", "kg/m3", "", "air density"),
-        Channel("pressure_Pa", "Pa", "", "ambient pressure"),
-        Channel("temperature_K", "K", "", "ambient temperature"),
-        Channel("sound_speed_mps", "m/s", "", "speed of sound"),
-        Channel("airspeed_mps", "m/s", "", "speed relative to the air"),
-        Channel("mach", "1", "", "Mach number"),
-        Channel("dynamic_pressure_Pa", "Pa", "", "dynamic pressure"),
-        Channel("alpha_deg", "deg", "", "angle of attack, atan2(w, u)", DEG),
-        Channel("beta_deg", "deg", "", "angle of sideslip, asin(v / V)", DEG),
-        Channel("alpha_total_deg", "deg", "", "angle between body axis and relative wind", DEG),
-        Channel("q_alpha_Padeg", "Pa deg", "", "dynamic pressure times total incidence", DEG),
-        *[
-            Channel(f"wind_N_{axis}_mps", "m/s", "N", f"motion of the air relative to the Earth, {axis}")
-            for axis in ("north", "east", "down")
-        ],
-    ]
+class ActuatorRow(NamedTuple):
+    gimbal_axis_command_deg: Annotated[PitchYaw, "deg", "command to the actuator"]
+    gimbal_axis_angle_deg: Annotated[PitchYaw, "deg", "engine angle"]
+    gimbal_axis_rate_degps: Annotated[PitchYaw, "deg/s", "engine rate"]
+    gimbal_axis_accel_degps2: Annotated[PitchYaw, "deg/s2", "engine acceleration"]
 
 
-def _loads() -> list[Channel]:
-    return [
-        *_triple("aero_force_B_{}_N", "N", "B", "aerodynamic force"),
-        *_triple("aero_moment_B_{}_Nm", "N m", "B", "aerodynamic moment about the core CG"),
-        *_triple("felt_B_{}_mps2", "m/s2", "B", "specific force at the core CG (what an accelerometer senses)"),
-        *_triple("alpha_BI_B_{}_radps2", "rad/s2", "B", "angular acceleration"),
-        *_triple("gravitation_I_{}_mps2", "m/s2", "I", "gravitation"),
-        Channel("thrust_over_weight_g", "g", "", "thrust over mass"),
-        Channel(
-            "axial_load_g",
-            "g",
-            "",
-            "axial specific force of the whole vehicle, (thrust + aerodynamics) / mass",
-        ),
-    ]
+@kernel
+def actuator_row(held: Held, aux: Array) -> ActuatorRow:
+    return ActuatorRow(
+        gimbal_axis_command_deg=PitchYaw(DEG * held.command_pitch_rad, DEG * held.command_yaw_rad),
+        gimbal_axis_angle_deg=PitchYaw(DEG * aux[ENGINE_PITCH], DEG * aux[ENGINE_YAW]),
+        gimbal_axis_rate_degps=PitchYaw(DEG * aux[ENGINE_PITCH + 1], DEG * aux[ENGINE_YAW + 1]),
+        gimbal_axis_accel_degps2=PitchYaw(DEG * aux[ENGINE_PITCH + 2], DEG * aux[ENGINE_YAW + 2]),
+    )
 
 
-def _vehicle() -> list[Channel]:
-    return [
-        Channel("thrust_N", "N", "", "thrust against ambient pressure"),
-        Channel("mass_flow_kgps", "kg/s", "", "mass leaving the vehicle"),
-        Channel("mass_kg", "kg", "", "total mass"),
-        Channel("core_mass_kg", "kg", "", "mass without the sloshing masses"),
-        Channel("cg_station_m", "m", "", "core CG, aft of the nose"),
-        Channel("Ixx_kgm2", "kg m2", "", "core inertia about its CG"),
-        Channel("Iyy_kgm2", "kg m2", "", "core inertia about its CG"),
-        Channel("Izz_kgm2", "kg m2", "", "core inertia about its CG"),
-        Channel("stage", "1", "", "number of the stage that flies, from 0"),
-        Channel("held_down", "1", "", "1 while held down on the pad"),
-    ]
+class GyroRow(NamedTuple):
+    gyro_axis_rate_degps: Annotated[RollPitchYaw, "deg/s", "gyro output"]
+    body_axis_rate_degps: Annotated[RollPitchYaw, "deg/s", "true body rate"]
+    bending_axis_rate_degps: Annotated[PitchYaw, "deg/s", "rotation rate by bending at the gyro"]
 
 
-def _guidance() -> list[Channel]:
-    return [
-        Channel(f"{axis}_{what}_{unit}", unit_text, "", f"{text}, {axis}", DEG)
-        for what, unit, unit_text, text in (
-            ("commanded", "deg", "deg", "integral of the commanded rate"),
-            ("counted", "deg", "deg", "sum of the gyro's pulses"),
-        )
-        for axis in ("roll", "pitch", "yaw")
-    ]
+@kernel
+def gyro_row(y: Array, aux: Array) -> GyroRow:
+    return GyroRow(
+        gyro_axis_rate_degps=RollPitchYaw(DEG * y[GYRO], DEG * y[GYRO + N_GYRO], DEG * y[GYRO + 2 * N_GYRO]),
+        body_axis_rate_degps=RollPitchYaw(DEG * y[W_BI_B], DEG * y[W_BI_B + 1], DEG * y[W_BI_B + 2]),
+        bending_axis_rate_degps=PitchYaw(DEG * aux[GYRO_BEND], DEG * aux[GYRO_BEND + 1]),
+    )
 
 
-def _gyro() -> list[Channel]:
-    axes = ("roll", "pitch", "yaw")
-    return [
-        *[Channel(f"gyro_{a}_rate_degps", "deg/s", "", f"gyro output, {a}", DEG) for a in axes],
-        *[Channel(f"body_{a}_rate_degps", "deg/s", "", f"true body rate, {a}", DEG) for a in axes],
-        *[
-            Channel(f"bending_{a}_rate_degps", "deg/s", "", f"turning rate by bending at the gyro, {a}", DEG)
-            for a in axes[1:]
-        ],
-    ]
+class ControlRow(NamedTuple):
+    counts_axis: Annotated[RollPitchYaw, "1", "gyro pulses of the last sample"]
+    error_axis_deg: Annotated[RollPitchYaw, "deg", "attitude error theta_e"]
+    measured_axis_rate_degps: Annotated[RollPitchYaw, "deg/s", "angular rate in the control law"]
+    k_p_axis: Annotated[PitchYaw, "1", "proportional gain"]
+    k_d_axis_s: Annotated[PitchYaw, "s", "rate gain"]
+    law_axis_deg: Annotated[PitchYaw, "deg", "output of the PD law"]
+    filtered_axis_deg: Annotated[PitchYaw, "deg", "output of the bending filter"]
+    saturated_axis: Annotated[PitchYaw, "1", "1 while the command is at its limit"]
+    roll_thruster: Annotated[float, "1", "roll thrusters: -1, 0 or 1"]
 
 
-def _control() -> list[Channel]:
-    planes = ("pitch", "yaw")
-    return [
-        *[Channel(f"counts_{a}", "1", "", f"gyro pulses of the last sample, {a}") for a in ("roll", *planes)],
-        *[Channel(f"error_{a}_deg", "deg", "", f"angle error theta_e, {a}", DEG) for a in ("roll", *planes)],
-        *[Channel(f"measured_{a}_rate_degps", "deg/s", "", f"rate in the law, {a}", DEG) for a in ("roll", *planes)],
-        *[Channel(f"k_p_{a}", "1", "", f"proportional gain, {a}") for a in planes],
-        *[Channel(f"k_d_{a}_s", "s", "", f"rate gain, {a}") for a in planes],
-        *[Channel(f"law_{a}_deg", "deg", "", f"output of the PD law, {a}", DEG) for a in planes],
-        *[Channel(f"filtered_{a}_deg", "deg", "", f"output of the bending filter, {a}", DEG) for a in planes],
-        *[Channel(f"saturated_{a}", "1", "", f"1 where the command lies at its limit, {a}") for a in planes],
-        Channel("roll_thruster", "1", "", "roll thrusters: -1, 0 or 1"),
-    ]
+@kernel
+def control_row(computer: ComputerState) -> ControlRow:
+    law, counts = computer.law, computer.converter.counts
+    return ControlRow(
+        counts_axis=RollPitchYaw(counts[0], counts[1], counts[2]),
+        error_axis_deg=_degrees(law.theta_e_rad),
+        measured_axis_rate_degps=_degrees(law.rate_radps),
+        k_p_axis=PitchYaw(law.k_p[0], law.k_p[1]),
+        k_d_axis_s=PitchYaw(law.k_d_s[0], law.k_d_s[1]),
+        law_axis_deg=PitchYaw(DEG * law.pd_rad[0], DEG * law.pd_rad[1]),
+        filtered_axis_deg=PitchYaw(DEG * law.filtered_rad[0], DEG * law.filtered_rad[1]),
+        saturated_axis=PitchYaw(law.command_limited[0], law.command_limited[1]),
+        roll_thruster=computer.roll.demand,
+    )
 
 
-def _actuator() -> list[Channel]:
-    return [
-        Channel(f"gimbal_{a}_{what}_{unit}", unit_text, "", f"{text}, {a}", DEG)
-        for a in ("pitch", "yaw")
-        for what, unit, unit_text, text in (
-            ("command", "deg", "deg", "command that the actuator gets"),
-            ("angle", "deg", "deg", "engine angle"),
-            ("rate", "degps", "deg/s", "engine rate"),
-            ("accel", "degps2", "deg/s2", "engine acceleration"),
-        )
-    ]
+class FastRow(NamedTuple):
+    """Topics of the fast group that every vehicle has."""
+
+    actuator: Annotated[ActuatorRow, "gimbal command and engine motion"]
+    gyro: Annotated[GyroRow, "rate gyro"]
+    control: Annotated[ControlRow, "flight computer"]
 
 
-def _bending(sizes: Sizes) -> list[Channel]:
-    planes = (("pitch", sizes.pitch_modes), ("yaw", sizes.yaw_modes))
-    return [
-        *[
-            Channel(f"eta_{plane}_{i + 1}_{unit}", unit_text, "", f"{text}, {plane} mode {i + 1}")
-            for plane, count in planes
-            for i in range(count)
-            for unit, unit_text, text in (
-                ("m", "m", "modal coordinate (displacement of the gimbal)"),
-                ("mps", "m/s", "modal rate"),
-            )
-        ],
-        *[
-            Channel(f"bend_{plane}_{what}", unit, "", f"{text}, {plane}", scale)
-            for plane, _ in planes
-            for what, unit, text, scale in (
-                ("gimbal_m", "m", "displacement of the gimbal by bending", 1.0),
-                ("gimbal_deg", "deg", "turning of the gimbal by bending", DEG),
-            )
-        ],
-    ]
+class ModeRow(NamedTuple):
+    """One bending mode."""
+
+    eta_mode_m: Annotated[float, "m", "modal coordinate (displacement of the gimbal)"]
+    eta_mode_mps: Annotated[float, "m/s", "modal rate"]
 
 
-def _slosh(tanks: tuple[str, ...]) -> list[Channel]:
-    return [
-        Channel(f"slosh_{tank}_{what}", unit, "", f"{text}, tank {tank}", scale)
-        for tank in tanks
-        for what, unit, text, scale in (
-            ("pitch_deg", "deg", "pendulum angle in the pitch plane", DEG),
-            ("yaw_deg", "deg", "pendulum angle in the yaw plane", DEG),
-            ("pitch_rate_degps", "deg/s", "its rate", DEG),
-            ("yaw_rate_degps", "deg/s", "its rate", DEG),
-            ("tension_N", "N", "force of the rod", 1.0),
-        )
-    ]
+class BendingRow(NamedTuple):
+    """All bending modes together."""
+
+    bend_axis_gimbal_m: Annotated[PitchYaw, "m", "displacement of the gimbal by bending"]
+    bend_axis_gimbal_deg: Annotated[PitchYaw, "deg", "rotation of the gimbal by bending"]
 
 
-def channel_table(sizes: Sizes, tanks: tuple[str, ...]) -> ChannelTable:
-    """Channels of a vehicle with so many modes and these tanks."""
-    topics = [
-        Topic("/actuator", FAST, tuple(_actuator()), "gimbal command and engine motion"),
-        Topic("/gyro", FAST, tuple(_gyro()), "rate gyro"),
-        Topic("/control", FAST, tuple(_control()), "flight computer"),
-    ]
-    if sizes.pitch_modes + sizes.yaw_modes > 0:
-        topics.append(Topic("/bending", FAST, tuple(_bending(sizes)), "bending modes"))
-    if tanks:
-        topics.append(Topic("/slosh", FAST, tuple(_slosh(tanks)), "slosh pendulums"))
-    topics += [
-        Topic("/truth", SLOW, tuple(_truth()), "motion"),
-        Topic("/air", SLOW, tuple(_air()), "air data"),
-        Topic("/loads", SLOW, tuple(_loads()), "forces and accelerations"),
-        Topic("/vehicle", SLOW, tuple(_vehicle()), "mass and thrust"),
-        Topic("/guidance", SLOW, tuple(_guidance()), "commanded and counted attitude"),
-    ]
-    return ChannelTable(tuple(topics))
+@kernel
+def put_modes(row: Array, column: int, y: Array, first: int, count: int, logged: int) -> int:
+    """`logged` modes of one plane; nan where the stage has only `count`."""
+    for i in range(logged):
+        if i < count:
+            column = put(row, column, ModeRow(eta_mode_m=y[first + i], eta_mode_mps=y[first + count + i]))
+        else:
+            column = put(row, column, ModeRow(eta_mode_m=math.nan, eta_mode_mps=math.nan))
+    return column
+
+
+@kernel
+def bending_row(aux: Array) -> BendingRow:
+    return BendingRow(
+        bend_axis_gimbal_m=PitchYaw(aux[GIMBAL_BEND + 1], aux[GIMBAL_BEND]),
+        bend_axis_gimbal_deg=PitchYaw(DEG * aux[GIMBAL_BEND + 2], DEG * aux[GIMBAL_BEND + 3]),
+    )
+
+
+class SloshRow(NamedTuple):
+    """One slosh pendulum."""
+
+    slosh_tank_pitch_deg: Annotated[float, "deg", "pendulum angle in the pitch plane"]
+    slosh_tank_yaw_deg: Annotated[float, "deg", "pendulum angle in the yaw plane"]
+    slosh_tank_pitch_rate_degps: Annotated[float, "deg/s", "rate of that angle in the pitch plane"]
+    slosh_tank_yaw_rate_degps: Annotated[float, "deg/s", "rate of that angle in the yaw plane"]
+    slosh_tank_tension_N: Annotated[float, "N", "tension of the pendulum rod"]
+
+
+@kernel
+def slosh_row(p: Parameters, tank: int, props: Array, y: Array, aux: Array) -> SloshRow:
+    """Nan throughout for an empty tank and one that the stage does not have."""
+    sizes = p.vehicle.sizes
+    if tank >= sizes.tanks or bob_mass(p.vehicle.slosh, props, tank) <= 0.0:
+        return SloshRow(math.nan, math.nan, math.nan, math.nan, math.nan)
+    i = pendulum_index(sizes, tank)
+    u_x, u_y, u_z = -y[i], y[i + 1], y[i + 2]
+    # d(u)/dt in B = kappa - w x u
+    rate_x = -(y[i + 3] - (y[W_BI_B + 1] * u_z - y[W_BI_B + 2] * u_y))
+    rate_y = y[i + 4] - (-y[W_BI_B + 2] * u_x - y[W_BI_B] * u_z)
+    rate_z = y[i + 5] - (y[W_BI_B] * u_y + y[W_BI_B + 1] * u_x)
+    return SloshRow(
+        slosh_tank_pitch_deg=DEG * math.atan2(u_z, u_x),
+        slosh_tank_yaw_deg=DEG * math.atan2(u_y, u_x),
+        slosh_tank_pitch_rate_degps=DEG * ((u_x * rate_z - u_z * rate_x) / (u_x * u_x + u_z * u_z)),
+        slosh_tank_yaw_rate_degps=DEG * ((u_x * rate_y - u_y * rate_x) / (u_x * u_x + u_y * u_y)),
+        slosh_tank_tension_N=aux[TENSIONS + tank],
+    )
 
 
 @routine
 def fill_fast(p: Parameters, logged: Sizes, memory: Memory, props: Array, y: Array, aux: Array, row: Array) -> None:
     """One row of the fast group; `logged` is how many modes and tanks the log has columns for."""
-    law, held, sizes = memory.computer.law, memory.held, p.vehicle.sizes
-    row[0], row[4] = held.command_pitch_rad, held.command_yaw_rad
-    for j in range(3):
-        row[1 + j], row[5 + j] = aux[ENGINE_PITCH + j], aux[ENGINE_YAW + j]
-        row[8 + j], row[11 + j] = y[GYRO + N_GYRO * j], y[W_BI_B + j]
-        row[16 + j] = memory.computer.converter.counts[j]
-        row[19 + j], row[22 + j] = law.theta_e_rad[j], law.rate_radps[j]
-    row[14], row[15] = aux[GYRO_BEND], aux[GYRO_BEND + 1]
-    for j in range(2):
-        row[25 + j], row[27 + j] = law.k_p[j], law.k_d_s[j]
-        row[29 + j], row[31 + j] = law.pd_rad[j], law.filtered_rad[j]
-        row[33 + j] = law.command_limited[j]
-    row[35] = memory.computer.roll.demand
-    c = 36
-    if logged.pitch_modes + logged.yaw_modes > 0:
-        c = _fill_bending(sizes, logged, y, aux, row, c)
-    _fill_slosh(p, logged, props, y, aux, row, c)
-
-
-@kernel
-def _fill_bending(sizes: Sizes, logged: Sizes, y: Array, aux: Array, row: Array, c: int) -> int:
-    eta, xi = eta_index(sizes), xi_index(sizes)
-    for i in range(logged.pitch_modes):
-        there = i < sizes.pitch_modes
-        row[c] = y[eta + i] if there else math.nan
-        row[c + 1] = y[eta + sizes.pitch_modes + i] if there else math.nan
-        c += 2
-    for i in range(logged.yaw_modes):
-        there = i < sizes.yaw_modes
-        row[c] = y[xi + i] if there else math.nan
-        row[c + 1] = y[xi + sizes.yaw_modes + i] if there else math.nan
-        c += 2
-    row[c], row[c + 1] = aux[GIMBAL_BEND + 1], aux[GIMBAL_BEND + 2]
-    row[c + 2], row[c + 3] = aux[GIMBAL_BEND], aux[GIMBAL_BEND + 3]
-    return c + 4
-
-
-@kernel
-def _fill_slosh(p: Parameters, logged: Sizes, props: Array, y: Array, aux: Array, row: Array, c: int) -> None:
     sizes = p.vehicle.sizes
+    column = put(
+        row,
+        0,
+        FastRow(
+            actuator=actuator_row(memory.held, aux),
+            gyro=gyro_row(y, aux),
+            control=control_row(memory.computer),
+        ),
+    )
+    if logged.pitch_modes + logged.yaw_modes > 0:
+        column = put_modes(row, column, y, eta_index(sizes), sizes.pitch_modes, logged.pitch_modes)
+        column = put_modes(row, column, y, xi_index(sizes), sizes.yaw_modes, logged.yaw_modes)
+        column = put(row, column, bending_row(aux))
     for tank in range(logged.tanks):
-        i = pendulum_index(sizes, tank)
-        if tank >= sizes.tanks or bob_mass(p.vehicle.slosh, props, tank) <= 0.0:
-            for j in range(5):
-                row[c + j] = math.nan
-        else:
-            u_x, u_y, u_z = -y[i], y[i + 1], y[i + 2]
-            # d(u)/dt in B = kappa - w x u
-            rate_x = -(y[i + 3] - (y[W_BI_B + 1] * u_z - y[W_BI_B + 2] * u_y))
-            rate_y = y[i + 4] - (-y[W_BI_B + 2] * u_x - y[W_BI_B] * u_z)
-            rate_z = y[i + 5] - (y[W_BI_B] * u_y + y[W_BI_B + 1] * u_x)
-            row[c], row[c + 1] = math.atan2(u_z, u_x), math.atan2(u_y, u_x)
-            row[c + 2] = (u_x * rate_z - u_z * rate_x) / (u_x * u_x + u_z * u_z)
-            row[c + 3] = (u_x * rate_y - u_y * rate_x) / (u_x * u_x + u_y * u_y)
-            row[c + 4] = aux[TENSIONS + tank]
-        c += 5
+        column = put(row, column, slosh_row(p, tank, props, y, aux))
 
 
-@routine
-def fill_slow(p: Parameters, memory: Memory, props: Array, y: Array, aux: Array, row: Array) -> None:
-    """One row of the slow group."""
-    for j in range(3):
-        row[j], row[3 + j], row[10 + j] = y[R_I + j], y[V_I + j], y[W_BI_B + j]
-    for j in range(4):
-        row[6 + j] = y[Q_BI + j]
-    _fill_place(p, memory, y, row)
-    c = 27
-    lateral = math.sqrt(aux[FLOW + 1] ** 2 + aux[FLOW + 2] ** 2)
-    incidence = math.atan2(lateral, aux[FLOW])
-    row[c], row[c + 1], row[c + 2] = aux[DENSITY], aux[PRESSURE], aux[TEMPERATURE]
-    row[c + 3], row[c + 4], row[c + 5] = aux[SOUND_SPEED], aux[AIRSPEED], aux[MACH]
-    row[c + 6] = aux[DYNAMIC_PRESSURE]
-    row[c + 7] = math.atan2(aux[FLOW + 2], aux[FLOW])
-    row[c + 8] = math.atan2(aux[FLOW + 1], math.sqrt(aux[FLOW] ** 2 + aux[FLOW + 2] ** 2))
-    row[c + 9] = incidence
-    row[c + 10] = aux[DYNAMIC_PRESSURE] * incidence
-    for j in range(3):
-        row[c + 11 + j] = aux[WIND_N + j]
-    c += 14
-    for j in range(3):
-        row[c + j], row[c + 3 + j] = aux[AERO_FORCE + j], aux[AERO_MOMENT + j]
-        row[c + 6 + j], row[c + 9 + j] = aux[FELT + j], aux[ANGULAR_ACCEL + j]
-        row[c + 12 + j] = aux[GRAVITATION + j]
-    weight = props[TOTAL_MASS] * STANDARD_GRAVITY_MPS2
-    row[c + 15] = aux[THRUST] / weight
-    row[c + 16] = (aux[THRUST] + aux[AERO_FORCE]) / weight
-    c += 17
-    row[c], row[c + 1] = aux[THRUST], props[MASS_FLOW]
-    row[c + 2], row[c + 3], row[c + 4] = props[TOTAL_MASS], props[CORE_MASS], props[CORE_CG]
-    for j in range(3):
-        row[c + 5 + j] = props[CORE_INERTIA + j]
-    row[c + 8], row[c + 9] = memory.clock.stage, memory.held.down
-    c += 10
-    for j in range(3):
-        row[c + j] = memory.computer.guidance.angle_rad[j]
-        row[c + 3 + j] = memory.computer.converter.angle_rad[j]
+# --- slow group
+
+
+class MotionRow(NamedTuple):
+    r_I_axis_m: Annotated[Xyz, "m", "position of the core CG, inertial"]
+    v_I_axis_mps: Annotated[Xyz, "m/s", "velocity of the core CG, inertial"]
+    q_BI_axis: Annotated[Quaternion, "1", "attitude quaternion, B to I, component"]
+    w_BI_B_axis_radps: Annotated[Xyz, "rad/s", "angular velocity relative to I"]
+    r_E_axis_m: Annotated[Xyz, "m", "position of the core CG, Earth-fixed"]
+    latitude_deg: Annotated[float, "deg", "geodetic latitude"]
+    longitude_deg: Annotated[float, "deg", "longitude, east positive"]
+    altitude_m: Annotated[float, "m", "geodetic altitude"]
+    v_N_axis_mps: Annotated[NorthEastDown, "m/s", "velocity relative to the Earth"]
+    speed_mps: Annotated[float, "m/s", "speed relative to the Earth"]
+    flight_path_deg: Annotated[float, "deg", "angle of that velocity above the horizon"]
+    yaw_deg: Annotated[float, "deg", "Euler angle 3-2-1 of B relative to local NED: yaw"]
+    pitch_deg: Annotated[float, "deg", "Euler angle 3-2-1 of B relative to local NED: pitch"]
+    roll_deg: Annotated[float, "deg", "Euler angle 3-2-1 of B relative to local NED: roll"]
 
 
 @kernel
-def _fill_place(p: Parameters, memory: Memory, y: Array, row: Array) -> None:
-    """Position, velocity and attitude relative to the Earth."""
+def motion_row(p: Parameters, memory: Memory, y: Array) -> MotionRow:
     earth = p.around.earth
     cos, sin = earth_rotation(earth, 1e-9 * memory.clock.now_ns)
-    x, yy, z = inertial_to_earth(cos, sin, y[R_I], y[R_I + 1], y[R_I + 2])
-    latitude, longitude, altitude = geodetic(earth, x, yy, z)
+    r_E = inertial_to_earth(cos, sin, y[R_I], y[R_I + 1], y[R_I + 2])
+    latitude, longitude, altitude = geodetic(earth, r_E[0], r_E[1], r_E[2])
     turning = earth.rate_radps
     vx, vy, vz = inertial_to_earth(cos, sin, y[V_I] + turning * y[R_I + 1], y[V_I + 1] - turning * y[R_I], y[V_I + 2])
     axes = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0)
@@ -364,17 +257,159 @@ def _fill_place(p: Parameters, memory: Memory, y: Array, row: Array) -> None:
     forward = turn(axes, inertial_to_earth(cos, sin, rotation[0], rotation[3], rotation[6]))
     right = turn(axes, inertial_to_earth(cos, sin, rotation[1], rotation[4], rotation[7]))
     under = turn(axes, inertial_to_earth(cos, sin, rotation[2], rotation[5], rotation[8]))
-    speed = math.sqrt(vx * vx + vy * vy + vz * vz)
-    row[13], row[14], row[15] = x, yy, z
-    row[16], row[17], row[18] = latitude, longitude, altitude
-    row[19], row[20], row[21] = v_north, v_east, v_down
-    row[22] = speed
-    row[23] = math.atan2(-v_down, math.sqrt(v_north * v_north + v_east * v_east))
-    row[24] = math.atan2(forward[1], forward[0])
-    row[25] = math.atan2(-forward[2], math.sqrt(forward[0] ** 2 + forward[1] ** 2))
-    row[26] = math.atan2(right[2], under[2])
+    return MotionRow(
+        r_I_axis_m=xyz(y, R_I),
+        v_I_axis_mps=xyz(y, V_I),
+        q_BI_axis=Quaternion(y[Q_BI], y[Q_BI + 1], y[Q_BI + 2], y[Q_BI + 3]),
+        w_BI_B_axis_radps=xyz(y, W_BI_B),
+        r_E_axis_m=Xyz(r_E[0], r_E[1], r_E[2]),
+        latitude_deg=DEG * latitude,
+        longitude_deg=DEG * longitude,
+        altitude_m=altitude,
+        v_N_axis_mps=NorthEastDown(v_north, v_east, v_down),
+        speed_mps=math.sqrt(vx * vx + vy * vy + vz * vz),
+        flight_path_deg=DEG * math.atan2(-v_down, math.sqrt(v_north * v_north + v_east * v_east)),
+        yaw_deg=DEG * math.atan2(forward[1], forward[0]),
+        pitch_deg=DEG * math.atan2(-forward[2], math.sqrt(forward[0] ** 2 + forward[1] ** 2)),
+        roll_deg=DEG * math.atan2(right[2], under[2]),
+    )
 
 
-def scaled_rows(table: ChannelTable, group: str, rows: Array) -> Array:
-    """Kernel rows in the units of the channels."""
-    return np.asarray(rows * table.scales(group))
+class AirRow(NamedTuple):
+    density_kgpm3: Annotated[float, "kg/m3", "air density"]
+    pressure_Pa: Annotated[float, "Pa", "ambient pressure"]
+    temperature_K: Annotated[float, "K", "ambient temperature"]
+    sound_speed_mps: Annotated[float, "m/s", "speed of sound"]
+    airspeed_mps: Annotated[float, "m/s", "speed relative to the air"]
+    mach: Annotated[float, "1", "Mach number"]
+    dynamic_pressure_Pa: Annotated[float, "Pa", "dynamic pressure"]
+    alpha_deg: Annotated[float, "deg", "angle of attack, atan2(w, u)"]
+    beta_deg: Annotated[float, "deg", "angle of sideslip, asin(v / V)"]
+    alpha_total_deg: Annotated[float, "deg", "total angle of attack: between body axis and relative wind"]
+    q_alpha_Padeg: Annotated[float, "Pa deg", "dynamic pressure times total angle of attack"]
+    wind_N_axis_mps: Annotated[NorthEastDown, "m/s", "velocity of the air relative to the Earth"]
+
+
+@kernel
+def air_row(aux: Array) -> AirRow:
+    u, v, w = xyz(aux, FLOW)
+    alpha_total = math.atan2(math.sqrt(v**2 + w**2), u)
+    return AirRow(
+        density_kgpm3=aux[DENSITY],
+        pressure_Pa=aux[PRESSURE],
+        temperature_K=aux[TEMPERATURE],
+        sound_speed_mps=aux[SOUND_SPEED],
+        airspeed_mps=aux[AIRSPEED],
+        mach=aux[MACH],
+        dynamic_pressure_Pa=aux[DYNAMIC_PRESSURE],
+        alpha_deg=DEG * math.atan2(w, u),
+        beta_deg=DEG * math.atan2(v, math.sqrt(u**2 + w**2)),
+        alpha_total_deg=DEG * alpha_total,
+        q_alpha_Padeg=DEG * (aux[DYNAMIC_PRESSURE] * alpha_total),
+        wind_N_axis_mps=NorthEastDown(aux[WIND_N], aux[WIND_N + 1], aux[WIND_N + 2]),
+    )
+
+
+class LoadsRow(NamedTuple):
+    aero_force_B_axis_N: Annotated[Xyz, "N", "aerodynamic force"]
+    aero_moment_B_axis_Nm: Annotated[Xyz, "N m", "aerodynamic moment about the core CG"]
+    felt_B_axis_mps2: Annotated[Xyz, "m/s2", "specific force at the core CG (what an accelerometer senses)"]
+    alpha_BI_B_axis_radps2: Annotated[Xyz, "rad/s2", "angular acceleration"]
+    gravitation_I_axis_mps2: Annotated[Xyz, "m/s2", "gravitation"]
+    thrust_over_weight_g: Annotated[float, "g", "thrust over mass"]
+    axial_load_g: Annotated[float, "g", "axial specific force of the whole vehicle, (thrust + aerodynamics) / mass"]
+
+
+@kernel
+def loads_row(props: Array, aux: Array) -> LoadsRow:
+    weight_N = props[TOTAL_MASS] * STANDARD_GRAVITY_MPS2
+    return LoadsRow(
+        aero_force_B_axis_N=xyz(aux, AERO_FORCE),
+        aero_moment_B_axis_Nm=xyz(aux, AERO_MOMENT),
+        felt_B_axis_mps2=xyz(aux, FELT),
+        alpha_BI_B_axis_radps2=xyz(aux, ANGULAR_ACCEL),
+        gravitation_I_axis_mps2=xyz(aux, GRAVITATION),
+        thrust_over_weight_g=aux[THRUST] / weight_N,
+        axial_load_g=(aux[THRUST] + aux[AERO_FORCE]) / weight_N,
+    )
+
+
+class VehicleRow(NamedTuple):
+    thrust_N: Annotated[float, "N", "thrust at ambient pressure"]
+    mass_flow_kgps: Annotated[float, "kg/s", "mass leaving the vehicle"]
+    mass_kg: Annotated[float, "kg", "total mass"]
+    core_mass_kg: Annotated[float, "kg", "mass without the sloshing masses"]
+    cg_station_m: Annotated[float, "m", "core CG, aft of the nose"]
+    Ixx_kgm2: Annotated[float, "kg m2", "core inertia about its CG"]
+    Iyy_kgm2: Annotated[float, "kg m2", "core inertia about its CG"]
+    Izz_kgm2: Annotated[float, "kg m2", "core inertia about its CG"]
+    stage: Annotated[float, "1", "number of the active stage, from 0"]
+    held_down: Annotated[float, "1", "1 while held down on the pad"]
+
+
+@kernel
+def vehicle_row(memory: Memory, props: Array, aux: Array) -> VehicleRow:
+    return VehicleRow(
+        thrust_N=aux[THRUST],
+        mass_flow_kgps=props[MASS_FLOW],
+        mass_kg=props[TOTAL_MASS],
+        core_mass_kg=props[CORE_MASS],
+        cg_station_m=props[CORE_CG],
+        Ixx_kgm2=props[CORE_INERTIA],
+        Iyy_kgm2=props[CORE_INERTIA + 1],
+        Izz_kgm2=props[CORE_INERTIA + 2],
+        stage=memory.clock.stage,
+        held_down=memory.held.down,
+    )
+
+
+class GuidanceRow(NamedTuple):
+    axis_commanded_deg: Annotated[RollPitchYaw, "deg", "integral of the commanded rate"]
+    axis_counted_deg: Annotated[RollPitchYaw, "deg", "sum of the gyro's pulses"]
+
+
+@kernel
+def guidance_row(computer: ComputerState) -> GuidanceRow:
+    return GuidanceRow(
+        axis_commanded_deg=_degrees(computer.guidance.angle_rad),
+        axis_counted_deg=_degrees(computer.converter.angle_rad),
+    )
+
+
+class SlowRow(NamedTuple):
+    """Topics of the slow group."""
+
+    truth: Annotated[MotionRow, "motion"]
+    air: Annotated[AirRow, "air data"]
+    loads: Annotated[LoadsRow, "forces and accelerations"]
+    vehicle: Annotated[VehicleRow, "mass and thrust"]
+    guidance: Annotated[GuidanceRow, "commanded and measured attitude"]
+
+
+@routine
+def fill_slow(p: Parameters, memory: Memory, props: Array, y: Array, aux: Array, row: Array) -> None:
+    """One row of the slow group."""
+    values = SlowRow(
+        truth=motion_row(p, memory, y),
+        air=air_row(aux),
+        loads=loads_row(props, aux),
+        vehicle=vehicle_row(memory, props, aux),
+        guidance=guidance_row(memory.computer),
+    )
+    put(row, 0, values)
+
+
+def channel_table(sizes: Sizes, tanks: tuple[str, ...]) -> ChannelTable:
+    """Channels of a vehicle with so many modes and these tanks, in the order of the kernels' columns."""
+    topics = declared_topics(FAST, FastRow)
+    modes = [("pitch", i) for i in range(1, sizes.pitch_modes + 1)] + [
+        ("yaw", i) for i in range(1, sizes.yaw_modes + 1)
+    ]
+    bending = [declared_channels(ModeRow, "mode", f"{plane}_{i}", f"{plane} mode {i}") for plane, i in modes]
+    if bending:
+        channels = (*sum(bending, ()), *declared_channels(BendingRow))
+        topics.append(Topic("/bending", FAST, channels, "bending modes"))
+    slosh = [declared_channels(SloshRow, "tank", tank, f"tank {tank}") for tank in tanks]
+    if slosh:
+        topics.append(Topic("/slosh", FAST, sum(slosh, ()), "slosh pendulums"))
+    return ChannelTable((*topics, *declared_topics(SLOW, SlowRow)))

@@ -32,7 +32,7 @@ def metadata_of(topic: Topic) -> dict[str, str]:
 
 
 def topic_from(name: str, schema: bytes, metadata: Mapping[str, str]) -> Topic:
-    """The topic that a channel was made from; `scale` is 1. Raises ValueError where the parts do not fit."""
+    """The topic that a channel was made from. Raises ValueError where the parts do not fit."""
     try:
         channels = []
         for field in field_names(schema):

@@ -131,8 +131,8 @@ class LogWriter:
         """Append samples, events and frames, in one chunk for each second of simulated time that occurs.
 
         `groups`: for each rate group its times (n,) in ns and its values (n, columns of the group), both in
-        the order of the table; a column's `scale` is applied here. Times start at or after 0 and do not
-        fall, within a call and from call to call. `frames` go to /tf, `events` to /events.
+        the order of the table. Times start at or after 0 and do not fall, within a call and from call to call.
+        `frames` go to /tf, `events` to /events.
 
         Raises ValueError for arrays that do not fit the table, LogError where the file cannot be written.
         """
@@ -163,16 +163,16 @@ class LogWriter:
         self._last_ns |= {name: int(times[-1]) for name, (times, _) in samples.items() if len(times)}
 
     def _checked(self, group: str, times_ns: IntArray, values: Array) -> tuple[IntArray, Array]:
-        """Times and scaled values of a rate group, once they fit the table."""
+        """Times and values of a rate group, once they fit the table."""
         if group not in self._table.groups:
             raise ValueError(f"the channel table has no rate group {group!r}")
-        scales = self._table.scales(group)
-        if values.shape != (len(times_ns), len(scales)):
+        channels = len(self._table.columns(group))
+        if values.shape != (len(times_ns), channels):
             raise ValueError(
-                f"rate group {group}: {values.shape} values, but {len(times_ns)} times and {len(scales)} channels"
+                f"rate group {group}: {values.shape} values, but {len(times_ns)} times and {channels} channels"
             )
         _check_times(group, times_ns, self._last_ns[group])
-        return times_ns, values if (scales == 1.0).all() else values * scales
+        return times_ns, values
 
     def _topic_block(self, topic: Topic, samples: tuple[IntArray, Array], rows: slice) -> list[Block]:
         times, values = samples[0][rows], samples[1][rows]

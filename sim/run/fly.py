@@ -23,7 +23,6 @@ from maxq.sim.run.ending import ending_values
 from maxq.sim.run.history import Event, cause_of, events_so_far, outcome_so_far
 from maxq.sim.run.judgement import ALL_METRICS, Verdict, above_the_wind, judge
 from maxq.sim.scenario.loader import LoadedScenario
-from maxq.sim.vehicle.state import Sizes
 
 LONGEST_SEGMENT_NS = 1_000_000_000  # one log chunk
 _FIRST_ROOM = 400_000  # rows
@@ -94,7 +93,7 @@ class FlightRun:
         self.packed = packed or pack_flight(loaded.scenario)
         tanks = max((stage.tank for stage in loaded.vehicle.stage), key=len)
         names = tuple(tank.name or str(i + 1) for i, tank in enumerate(tanks[: self.packed.sizes.tanks]))
-        self.table, self._names, self._scales = _logged_table(self.packed.sizes, names)
+        self.table = _logged_table(self.packed.sizes, names)
         self._on, self._off = (pack([Logged(on, self.packed.sizes)]) for on in (1, 0))
         self._arena = np.zeros(ARENA_SIZE)
         course = self.packed.parameters[0].course
@@ -147,9 +146,9 @@ class FlightRun:
         rows = self._advance(int(clock.now_ns), self._on, room)
         self.packed.memory[:], self.packed.state[:] = memory, state
         return {
-            name: value
+            channel.name: value
             for group, (_, values) in rows.items()
-            for name, value in zip(self._names[group], values[0].tolist(), strict=True)
+            for channel, value in zip(self.table.columns(group), values[0].tolist(), strict=True)
         }
 
     def result(self, rows: Rows | None = None) -> Flight:
@@ -198,10 +197,10 @@ class FlightRun:
         return digest.hexdigest()
 
     def _blank(self, group: str, room: int) -> tuple[IntArray, Array]:
-        return np.zeros(room, np.int64), np.zeros((room, len(self._scales[group])))
+        return np.zeros(room, np.int64), np.zeros((room, len(self.table.columns(group))))
 
     def _advance(self, until_ns: int, logged: Any, room: Rows) -> Rows:
-        """Fly until `until_ns`; the log rows as views of `room`, scaled."""
+        """Fly until `until_ns`; the log rows as views of `room`."""
         (fast_ns, fast), (slow_ns, slow) = room[FAST], room[SLOW]
         counts = np.zeros(2, np.int64)
         advance(
@@ -209,8 +208,6 @@ class FlightRun:
             until_ns, logged, fast_ns, fast, slow_ns, slow, counts,
         )  # fmt: skip
         n, m = counts
-        fast[:n] *= self._scales[FAST]
-        slow[:m] *= self._scales[SLOW]
         return {FAST: (fast_ns[:n], fast[:n]), SLOW: (slow_ns[:m], slow[:m])}
 
 
@@ -231,14 +228,7 @@ def fly(loaded: LoadedScenario, *, log: bool = True, watch: Callable[[FlightRun,
     return run.result(kept.rows() if log else None)
 
 
-@lru_cache(maxsize=8)
-def _logged_table(
-    sizes: Sizes, tanks: tuple[str, ...]
-) -> tuple[ChannelTable, dict[str, tuple[str, ...]], dict[str, Array]]:
-    """Channels in logged units, their names in order, and by what the kernel's columns are multiplied for them."""
-    kernel_table = channel_table(sizes, tanks)
-    names = {group: tuple(channel.name for channel in kernel_table.columns(group)) for group in (FAST, SLOW)}
-    return kernel_table.as_logged(), names, {group: kernel_table.scales(group) for group in (FAST, SLOW)}
+_logged_table = lru_cache(maxsize=8)(channel_table)
 
 
 def copied(rows: Rows) -> Rows:

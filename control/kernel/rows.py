@@ -1,0 +1,98 @@
+"""Rows of a log: how a component declares what is logged of it, and how a kernel writes that.
+
+A declaration is a NamedTuple whose fields are annotated with a type, a unit and a description:
+
+    class EngineRow(NamedTuple):
+        thrust_N: Annotated[float, "N", "thrust at ambient pressure"]
+        mount_force_B_axis_N: Annotated[Xyz, "N", "force on the mount"]
+
+`sim/flight/channels.py` makes channels of it: here `thrust_N`, `mount_force_B_x_N`, `..._y_N`, `..._z_N`, as `axis` in
+a name stands for each component of the field's type. A kernel returns an instance of the class with values in the
+declared units, and `put` writes it into the log's row. So a field that is missing or unknown fails where the kernel is
+compiled, and no column has a number of its own.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+from numba import types
+from numba.extending import intrinsic, overload
+
+from maxq.control.kernel.jit import kernel
+from maxq.control.kernel.records import Array
+
+
+class Xyz(NamedTuple):
+    x: float
+    y: float
+    z: float
+
+
+class Quaternion(NamedTuple):
+    w: float
+    x: float
+    y: float
+    z: float
+
+
+class NorthEastDown(NamedTuple):
+    north: float
+    east: float
+    down: float
+
+
+class RollPitchYaw(NamedTuple):
+    roll: float
+    pitch: float
+    yaw: float
+
+
+class PitchYaw(NamedTuple):
+    pitch: float
+    yaw: float
+
+
+@kernel
+def xyz(values: Array, first: int) -> Xyz:
+    """Three components that lie side by side."""
+    return Xyz(values[first], values[first + 1], values[first + 2])
+
+
+def put(row: Array, column: int, values: Any) -> int:
+    """Write the numbers of a tuple, nested ones in order, into `row` from `column` on; returns the next column.
+
+    For kernels; `row` is contiguous and long enough.
+    """
+    if not isinstance(values, tuple):
+        row[column] = values
+        return column + 1
+    for value in values:
+        column = put(row, column, value)
+    return column
+
+
+@intrinsic  # type: ignore[untyped-decorator]  # Numba has no types
+def _store(context: Any, row: Any, column: Any, values: Any) -> Any:
+    """Numba intrinsic: `put` as one store for each number (Numba has no loop over tuples of unlike types)."""
+
+    def build(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        data = context.make_array(signature.args[0])(context, builder, arguments[0]).data
+
+        def store(column: Any, kind: Any, value: Any) -> Any:
+            if not isinstance(kind, types.BaseTuple):
+                number = context.cast(builder, value, kind, types.float64)
+                builder.store(number, builder.gep(data, [column]))
+                return builder.add(column, context.get_constant(types.intp, 1))
+            for i, part in enumerate(kind.types):
+                column = store(column, part, builder.extract_value(value, i))
+            return column
+
+        return store(arguments[1], signature.args[2], arguments[2])
+
+    return types.intp(row, types.intp, values), build
+
+
+@overload(put)
+def _put(row, column, values):  # type: ignore[no-untyped-def]  # Numba compares both signatures, annotations included
+    return lambda row, column, values: _store(row, column, values)  # noqa: PLW0108  # Numba compiles this body
