@@ -18,7 +18,6 @@ from maxq.tools.replay.error import ReplayError
 if TYPE_CHECKING:
     from maxq.sim.campaign.loaded import LoadedCampaign
     from maxq.sim.campaign.runner import Outcome, Progress
-    from maxq.sim.run.batch import Device
     from maxq.tools.replay.flown import FlownView
 
 PASSED, FAILED, BAD_INPUT, OPEN, INTERRUPTED = 0, 1, 2, 3, 130
@@ -40,7 +39,6 @@ class Order:
     until_settled: bool = False
     no_report: bool = False
     dask: str | None = None
-    device: Device = "cpu"
     run: int | None = None
     view: bool = False
     view_port: int | None = None
@@ -52,7 +50,6 @@ def execute(order: Order) -> int:
     """Do it; returns the exit code. Whatever is wrong with the input is one line on stderr."""
     from maxq.sim.campaign.error import CampaignError  # noqa: PLC0415  # lazy: --help is quick
     from maxq.sim.log.error import LogError  # noqa: PLC0415  # lazy
-    from maxq.sim.run.batch import DeviceError  # noqa: PLC0415  # lazy
 
     try:
         if order.scenario is not None:
@@ -64,7 +61,7 @@ def execute(order: Order) -> int:
         if order.search is not None:
             return _search(order)
         return _report_again(order)
-    except (ScenarioError, CampaignError, DeviceError, LogError, ReplayError) as error:
+    except (ScenarioError, CampaignError, LogError, ReplayError) as error:
         print(f"simrun: {printable(str(error))}", file=sys.stderr)
         return BAD_INPUT
     except MemoryError:
@@ -136,7 +133,6 @@ def _flown(
         watch=watch,
         stop=stop,
         until_settled=order.until_settled,
-        device=order.device,
     )
 
 

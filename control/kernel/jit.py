@@ -5,8 +5,7 @@ A kernel is a plain Python function over floats, flat arrays and records. `@kern
 holds a hash of all of maxq's sources. Numba itself looks only at the file of the function that is called, so without
 this an edited callee would go on answering with its old code.
 
-`NUMBA_DISABLE_JIT=1` runs the same functions as plain Python. `on_device` starts them on a CUDA GPU: Numba compiles
-whatever such a function calls a second time, for the GPU, from the same Python source, when it is first called there.
+`NUMBA_DISABLE_JIT=1` runs the same functions as plain Python.
 """
 
 from __future__ import annotations
@@ -162,29 +161,3 @@ def _integer(record, name):  # type: ignore[no-untyped-def]  # Numba compares bo
         value = known[name]
         return lambda record, name: value
     return lambda record, name: record[name]
-
-
-LANES = 32
-"""Threads of a GPU's warp. A strided array that is `borrowed` there must hold every 32nd number of a matrix."""
-
-
-def on_device(function: Callable[..., None]) -> Any:
-    """Compile `function` for a CUDA GPU: started there by Python, `kernel[blocks, threads](...)`, once in every thread.
-
-    Products and sums are contracted (fused multiply-add), which is CUDA's own default. The machine code is kept on
-    disk like an entry's. In Numba's simulator (NUMBA_ENABLE_CUDASIM=1) all is plain Python.
-    """
-    from numba import cuda  # noqa: PLC0415  # lazy: costs every program a tenth of a second, and the CPU needs it not
-
-    if numba.config.ENABLE_CUDASIM:
-        return cuda.jit(function)
-    from numba.cuda.core import config  # noqa: PLC0415  # lazy: numba-cuda is an extra
-
-    from maxq.control import lanes  # noqa: F401, PLC0415  # lazy, and for what it does: it says what `borrowed` is there
-
-    saved = config.CACHE_DIR
-    config.CACHE_DIR = _FOLDER
-    try:
-        return cuda.jit(function, cache=True)
-    finally:
-        config.CACHE_DIR = saved

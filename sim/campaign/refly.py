@@ -13,7 +13,7 @@ from maxq.sim.campaign.analysis import DataSet
 from maxq.sim.campaign.error import CampaignError
 from maxq.sim.campaign.flying import recorded_row
 from maxq.sim.campaign.loaded import LoadedCampaign
-from maxq.sim.campaign.store import campaign_in, read_manifest
+from maxq.sim.campaign.store import campaign_in
 from maxq.sim.campaign.targets import Refused
 from maxq.sim.run import record
 from maxq.sim.run.fly import Flight, FlightRun
@@ -23,10 +23,7 @@ FLIGHTS = "flights"
 
 @dataclass(frozen=True)
 class Reflown:
-    """A flight and how it compares with what the data set holds.
-
-    `same`: None where there is nothing to compare, which goes for runs flown on a GPU: it rounds otherwise.
-    """
+    """A flight and how it compares with what the data set holds; `same` is None where there is nothing to compare."""
 
     flight: Flight
     folder: Path
@@ -63,8 +60,7 @@ def refly(
     record.check_writable(out)
     flight = record.record(FlightRun(made.loaded, log=log), out, log=log, watch=watch, stop=stop, number=run)
     recorded = DataSet(folder, campaign).row(run)
-    on_gpu = read_manifest(folder)["simulator"].get("device") is not None
-    if recorded is None or on_gpu or flight.outcome == "interrupted":
+    if recorded is None or flight.outcome == "interrupted":
         return Reflown(flight, out, None, ())
     row = recorded_row(made, flight)
     now = columns.table_of([row], columns.schema_of(campaign)).to_pylist()[0]

@@ -22,10 +22,8 @@ from pathlib import Path
 from maxq.sim.campaign.error import CampaignError
 from maxq.sim.campaign.flying import GivenUp, Order, Row, fly_rows, packer
 from maxq.sim.campaign.loaded import LoadedCampaign
-from maxq.sim.campaign.side_by_side import MOST, fly_side_by_side
 from maxq.sim.campaign.standing import Standing
 from maxq.sim.campaign.store import Store, open_store
-from maxq.sim.run.batch import Device, require_gpu
 from maxq.sim.run.fly import FlightRun
 
 HANDFUL = 8  # runs of a handful; towards the end fewer, so that all workers end together
@@ -86,18 +84,15 @@ def run_campaign(
     watch: Callable[[Progress], None] = lambda _: None,
     stop: Callable[[], bool] = lambda: False,
     until_settled: bool = False,
-    device: Device = "cpu",
 ) -> Outcome:
     """Fly what is missing of a campaign into its folder.
 
     `watch` is told how it stands a few times a second; when `stop` then says True, whole runs of the batch under way
-    are written and it ends. Raises CampaignError; DeviceError where `device` is "cuda" and cannot be.
+    are written and it ends. Raises CampaignError.
     """
-    if device == "cuda":
-        require_gpu()
-    store, batch = open_store(folder, campaign, device)
+    store, batch = open_store(folder, campaign)
     try:
-        return _run(campaign, store, batch, workers or cores(), watch, stop, until_settled, device)
+        return _run(campaign, store, batch, workers or cores(), watch, stop, until_settled)
     finally:
         store.unlock()
 
@@ -110,7 +105,6 @@ def _run(
     watch: Callable[[Progress], None],
     stop: Callable[[], bool],
     until_settled: bool,
-    device: Device,
 ) -> Outcome:
     runs = campaign.campaign.runs
     gaps = list(store.missing(runs, batch))
@@ -118,10 +112,7 @@ def _run(
     if gaps:
         load_kernels(campaign)
     progress = Progress(runs, before, standing=Standing.of(store, campaign, runs))
-    if device == "cuda":
-        flight: _Local = _OnGpu(campaign, store, gaps, workers, progress, stop)
-    else:
-        flight = _Local(campaign, store, gaps, workers, progress)
+    flight = _Local(campaign, store, gaps, workers, progress)
     settled = until_settled and progress.standing.settled()
     stopped = False
     watch(progress)
@@ -231,28 +222,6 @@ class _Local:
             if len(opened.rows) == opened.count:
                 self._store.write(list(opened.rows.values()))
                 del self._open[opened.first]
-
-
-class _OnGpu(_Local):
-    """As many runs as a GPU flies side by side, then the next ones; threads prepare and judge them."""
-
-    def __init__(
-        self, campaign: LoadedCampaign, store: Store, gaps: list[tuple[int, int]], workers: int, progress: Progress,
-        stop: Callable[[], bool],
-    ) -> None:  # fmt: skip
-        super().__init__(campaign, store, gaps, workers, progress)
-        self._asked = stop
-
-    def go_on(self) -> bool:
-        """Fly what goes side by side, write whole batches. False when all is done."""
-        orders = list(islice(self._next, MOST))
-        if not orders:
-            return False
-        try:
-            self._enter(fly_side_by_side(self._campaign, orders, self._pool, self._asked))
-        except GivenUp:
-            return True  # whoever said so is asked again, and then it ends; these runs are flown next time
-        return True
 
 
 __all__ = ["CampaignError", "GivenUp", "Outcome", "Progress", "cores", "run_campaign"]

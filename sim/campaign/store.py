@@ -185,8 +185,8 @@ def batch_of(campaign: LoadedCampaign) -> int:
     return 1 << min(max(campaign.campaign.runs // 32, 64).bit_length() - 1, 10)
 
 
-def open_store(folder: Path, campaign: LoadedCampaign, device: str = "cpu") -> tuple[Store, int]:
-    """The folder of a campaign, made and locked, and the size of its batches. A folder holds runs of one `device`.
+def open_store(folder: Path, campaign: LoadedCampaign) -> tuple[Store, int]:
+    """The folder of a campaign, made and locked, and the size of its batches.
 
     Raises CampaignError where it cannot be written, holds something else or another campaign, or is in use.
     """
@@ -202,7 +202,7 @@ def open_store(folder: Path, campaign: LoadedCampaign, device: str = "cpu") -> t
     store = Store(folder, campaign)
     store.lock()
     try:
-        batch = _same_campaign(folder, campaign, device)
+        batch = _same_campaign(folder, campaign)
         (folder / RUNS).mkdir(exist_ok=True)
         store.sweep()
     except OSError as error:
@@ -214,11 +214,9 @@ def open_store(folder: Path, campaign: LoadedCampaign, device: str = "cpu") -> t
     return store, batch
 
 
-def _same_campaign(folder: Path, campaign: LoadedCampaign, device: str) -> int:
+def _same_campaign(folder: Path, campaign: LoadedCampaign) -> int:
     """Write what is flown here, or check that it is the same. Returns the size of batches."""
     identity = identity_of(campaign)
-    if device != "cpu":
-        identity["simulator"]["device"] = device
     path = folder / MANIFEST
     if not path.exists():
         batch = batch_of(campaign)
