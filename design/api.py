@@ -24,9 +24,8 @@ import numpy as np
 from maxq.control.filters import BendingFilter, DiscreteFilter
 from maxq.design.loop.fixed_path import Cut, FixedPath, Kind, fixed_path
 from maxq.design.loop.loop import Loop
-from maxq.design.model.dispersion import Dispersion, disperse
+from maxq.design.model.dispersion import Dispersion, disperse, imposed, read_derivatives
 from maxq.design.model.errata import CORRECTED, PRESETS, Errata
-from maxq.design.model.imposed import imposed, read_derivatives
 from maxq.design.model.node import Node, nodes_along
 from maxq.design.model.vehicle_at import Plane
 from maxq.sim.packing.computer import bending_filter
@@ -48,7 +47,7 @@ def nodes(
 ) -> list[Node]:
     """Nodes along a flight of the scenario (loaded, a file, or a built-in name), at vehicle times in s.
 
-    `plant`: the vehicle as flown, or with the derivatives of the paper's Table 2 (design/model/imposed.py).
+    `plant`: the vehicle as flown, or with the derivatives of the paper's Table 2 (design/model/dispersion.py).
     `errata`: switches, or the name of a preset.
     """
     if plant not in ("flown", "table2"):

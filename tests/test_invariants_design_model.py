@@ -26,13 +26,12 @@ from maxq.design.loop.departure import PARTS, departure
 from maxq.design.loop.errata_effects import closed_damping, peaks_db
 from maxq.design.loop.fixed_path import KINDS, PadeFixedPath, SampledFixedPath, fixed_path
 from maxq.design.loop.loop import Loop
-from maxq.design.model.derivatives import stability_derivatives
-from maxq.design.model.dispersion import Dispersion
+from maxq.design.model.dispersion import COLUMNS, DerivativeTable, Dispersion, imposed, read_derivatives
 from maxq.design.model.errata import PAPER
-from maxq.design.model.imposed import COLUMNS, DerivativeTable, imposed, read_derivatives
 from maxq.design.model.node import Node, nodes_along
 from maxq.design.model.plant import axial_load_mps2
-from maxq.design.model.resolvent import Resolvent
+from maxq.design.model.state_space import Resolvent
+from maxq.design.model.vehicle_at import stability_derivatives
 from maxq.sim.run.fly import fly
 
 F = np.geomspace(0.01, 49.0, 120)

@@ -26,10 +26,10 @@ from maxq.design.margins.budget import Response, split
 from maxq.design.margins.loop_budget import crossing_budgets, loop_budget
 from maxq.design.margins.measure import margins
 from maxq.design.margins.vehicle_stages import STAGES, vehicle_stages
-from maxq.design.model.derivatives import stability_derivatives
 from maxq.design.model.errata import PAPER
 from maxq.design.model.node import Node
 from maxq.design.model.state_space import ComplexArray
+from maxq.design.model.vehicle_at import stability_derivatives
 
 ROUNDING = 1e-9  # dB, degrees: a dozen factors, each good to some 1e-12 of its resonances' sharpness
 

@@ -21,12 +21,11 @@ from maxq.control.kernel.records import Array
 from maxq.design import api
 from maxq.design.loop.errata_effects import EXPLAINED, closed_damping, errata_effects, peaks_db
 from maxq.design.loop.fixed_path import Cut, PadeFixedPath
-from maxq.design.model.derivatives import stability_derivatives
 from maxq.design.model.errata import ABOUT, CORRECTED, PAPER, PRESETS, Errata, one_at_a_time
-from maxq.design.model.liquid import as_printed
 from maxq.design.model.node import Node
 from maxq.design.model.plant import axial_load_mps2, vehicle_plant
-from maxq.design.model.printed_plant import printed_plant
+from maxq.design.model.printed_plant import as_printed, printed_plant
+from maxq.design.model.vehicle_at import stability_derivatives
 
 EVERY_NODE = pytest.mark.parametrize("time_s", TIMES_S)
 XI = 1.84118378134066

@@ -31,12 +31,10 @@ import pytest
 import scipy.optimize
 
 from maxq.control.kernel.records import Array
-from maxq.design.model.derivatives import stability_derivatives
-from maxq.design.model.flight_condition import FlightCondition
-from maxq.design.model.linear_plant import linear_plant
-from maxq.design.model.plant import vehicle_plant
+from maxq.design.model.instruments import ACTUATOR_OUTPUTS, actuator, gyro
+from maxq.design.model.plant import OUTPUTS, vehicle_plant
 from maxq.design.model.state_space import ComplexArray, StateSpace
-from maxq.design.model.vehicle_at import vehicle_at
+from maxq.design.model.vehicle_at import FlightCondition, Plane, stability_derivatives, vehicle_at
 from maxq.sim.packing.flight import Packed, pack_flight
 from maxq.sim.packing.initial import rotation
 from maxq.sim.run.fly import Flight, FlightRun, fly
@@ -87,6 +85,25 @@ class Node:
             s.a[np.ix_(i, i)], s.b[np.ix_(i, [j])], c, np.zeros((2, 1)), tuple(plane_states(plane)),
             ("command_rad",), ("gyro_radps", "delta_rad"),
         )  # fmt: skip
+
+
+def linear_plant(packed: Packed, condition: FlightCondition, plane: Plane = "pitch") -> StateSpace:
+    """Command (rad) -> gyro rate, engine motion, vehicle motion: states of vehicle, actuator and gyro in this order."""
+    row = packed.parameters[0].vehicle
+    moves, senses = actuator(row.actuator_pitch if plane == "pitch" else row.actuator_yaw), gyro(row.gyro)
+    body = vehicle_plant(vehicle_at(packed, condition.time_s, condition.mach, plane), condition)
+    n, m, p = len(body.states), len(moves.states), len(senses.states)
+    local = body.c[OUTPUTS.index("local_rate_radps")]
+    a, b = np.zeros((n + m + p, n + m + p)), np.zeros((n + m + p, 1))
+    a[:n, :n], a[:n, n : n + m] = body.a, body.b @ moves.c[[0, 2]]  # engine angle and acceleration
+    a[n : n + m, n : n + m], a[n + m :, n + m :] = moves.a, senses.a
+    a[n + m :, :n] = np.outer(senses.b[:, 0], local)
+    b[n : n + m] = moves.b
+    outputs = (*senses.outputs, *ACTUATOR_OUTPUTS, *body.outputs)
+    c = np.zeros((len(outputs), n + m + p))
+    c[0, n + m :], c[1:4, n : n + m], c[4:, :n] = senses.c[0], moves.c, body.c
+    states = (*body.states, *moves.states, *senses.states)
+    return StateSpace(a, b, c, np.zeros((len(outputs), 1)), states, moves.inputs, outputs)
 
 
 @pytest.fixture(scope="module")
@@ -265,9 +282,6 @@ def test_where_no_linear_model_exists_it_says_so(flight: Flight) -> None:
         stability_derivatives(vehicle, dataclasses.replace(condition, airspeed_mps=0.0))
     with pytest.raises(ValueError, match="positive axial load"):
         vehicle_plant(vehicle, dataclasses.replace(condition, pressure_Pa=1e6))
-    ideal, _ = flat_earth(flight, 40, "switches.actuator='ideal'")
-    with pytest.raises(ValueError, match="use vehicle_plant"):
-        linear_plant(ideal, condition)
     on_the_pad = pack_flight(load_scenario("nominal").scenario)
     with pytest.raises(ValueError, match="no direction of flight"):
         zero_incidence(on_the_pad, np.concatenate([np.zeros(6), [1.0], np.zeros(len(packed.state) - 7)]))

@@ -11,8 +11,7 @@ from numpy.typing import ArrayLike
 from maxq.control.filters import BendingFilter, DiscreteFilter
 from maxq.control.kernel.records import Array
 from maxq.design.loop.fixed_path import ExactFixedPath, FixedPath, PadeFixedPath
-from maxq.design.model.connect import chain, closed
-from maxq.design.model.state_space import ComplexArray, StateSpace
+from maxq.design.model.state_space import ComplexArray, StateSpace, chain, closed
 
 _FAST_ENOUGH = 1e-6  # |z| below it is a pole that a delay has left out, or as good as
 

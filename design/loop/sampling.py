@@ -9,8 +9,7 @@ import numpy as np
 import scipy.linalg
 
 from maxq.control.kernel.records import Array
-from maxq.design.model.resolvent import Resolvent
-from maxq.design.model.state_space import ComplexArray, StateSpace
+from maxq.design.model.state_space import ComplexArray, Resolvent, StateSpace
 
 _TERMS = 16  # of the series for a norm of a half: 2^-17 / 17! is 2e-20
 

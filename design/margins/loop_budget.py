@@ -13,12 +13,10 @@ from maxq.design.loop.rational import average, converter_pade, delay_pade, hold_
 from maxq.design.margins.budget import Budget, Response, split
 from maxq.design.margins.measure import Margins
 from maxq.design.margins.vehicle_stages import vehicle_stages
-from maxq.design.model.connect import channels
 from maxq.design.model.instruments import actuator, gyro
 from maxq.design.model.node import Node
 from maxq.design.model.plant import INPUTS
-from maxq.design.model.resolvent import Resolvent
-from maxq.design.model.state_space import ComplexArray, StateSpace
+from maxq.design.model.state_space import ComplexArray, Resolvent, StateSpace, channels
 
 
 def loop_budget(loop: Loop, frequencies_hz: Sequence[float]) -> tuple[Budget, ...]:

@@ -1,28 +1,44 @@
-"""Nodes that are not quite what they should be: one set of deviations, applied to any node."""
+"""Nodes with altered parameters: dispersed, or with stability derivatives imposed on them.
+
+Imposing spans the paper's Table 2 exactly. No plausible arrangement of masses reaches the ends of Table 2's M_delta
+(scenarios/vehicles/ksr3/NOTES.md), so a node keeps its mass, speed, pendulums, modes and instruments, and five
+parameters are changed until eqs 4 to 8 give the derivatives that are wanted; what is coupled to them follows:
+
+- thrust, for Z_delta (5); drag makes up for it, so that the axial load and with it the slosh frequencies stay
+- inertia of the core, for M_delta (8); Cmq, so that M_q (7) stays
+- CN_alpha of all surfaces by one factor, for Z_alpha (4); their stations by one shift, for M_alpha (6).
+"""
 
 from __future__ import annotations
 
+import csv
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
+from scipy.interpolate import PchipInterpolator
 
 from maxq.control.kernel.records import Array
-from maxq.design.model.node import Instruments, Node
-from maxq.design.model.shift import with_pendulums
-from maxq.design.model.vehicle_at import VehicleAt
+from maxq.design.model.instruments import Instruments
+from maxq.design.model.vehicle_at import VehicleAt, stability_derivatives, with_pendulums
+from maxq.sim.scenario.builtin import scenarios_folder
+
+if TYPE_CHECKING:
+    from maxq.design.model.node import Node  # which imports this module
 
 Factors = float | Sequence[float]
-"""One for all modes or tanks, or one each; what lies beyond the last is 1."""
+"""One for all modes or tanks, or one each; 1 for those beyond the last."""
 
 
 @dataclass(frozen=True)
 class Dispersion:
-    """Factors unless a unit is named; the default deviates nowhere.
+    """Factors unless a unit is named; the default changes nothing.
 
-    `slosh_*` leave the vehicle with its liquid frozen as it is: what the bobs take on, the core gives; a hinge stays
-    where it is. `actuator_frequency` multiplies the poles of (28), not the zero. `inertia` is that of the core.
+    `slosh_*` keep the vehicle with its liquid frozen as it is (the core makes up the difference) and the hinges in
+    place. `actuator_frequency` multiplies the poles of (28), not the zero. `inertia` is that of the core.
     """
 
     bending_frequency: Factors = 1.0  # per mode
@@ -51,17 +67,15 @@ class Dispersion:
             floor = -np.inf if signed else 0.0
             positive = f.name.endswith(("frequency", "inertia", "thrust"))
             if not np.isfinite(value).all() or (value < floor).any() or (positive and (value <= 0.0).any()):
-                allowed = (
-                    "finite numbers" if signed else "finite numbers above 0" if positive else "finite numbers from 0"
-                )
-                raise ValueError(f"{f.name} = {getattr(self, f.name)}: allowed are {allowed}")
+                bound = "" if signed else " above 0" if positive else " from 0"
+                raise ValueError(f"{f.name} = {getattr(self, f.name)}: allowed are finite numbers{bound}")
 
 
 NOMINAL = Dispersion()
 
 
 def disperse(node: Node, by: Dispersion) -> Node:
-    """The node with its deviations; `Node.with_` does the same by keywords. Raises ValueError for too many factors."""
+    """The node with the deviations applied (`Node.with_`: by keywords). Raises ValueError for too many factors."""
     if by == NOMINAL:
         return node
     label = f"{node.label} {by.label}".strip() if by.label else node.label
@@ -119,9 +133,8 @@ def with_lateral_thrust(vehicle: VehicleAt, node: Node, factor: float) -> Vehicl
 
 def _instruments(instruments: Instruments, by: Dispersion) -> Instruments:
     a, g = instruments.actuator, instruments.gyro
-    names = ("1", "2", "3")
-    faster = {f"omega_{k}_radps": getattr(a, f"omega_{k}_radps") * by.actuator_frequency for k in names}
-    damped = {f"zeta_{k}": getattr(a, f"zeta_{k}") * by.actuator_damping for k in names}
+    faster = {f"omega_{k}_radps": getattr(a, f"omega_{k}_radps") * by.actuator_frequency for k in (1, 2, 3)}
+    damped = {f"zeta_{k}": getattr(a, f"zeta_{k}") * by.actuator_damping for k in (1, 2, 3)}
     return dataclasses.replace(
         instruments,
         actuator=dataclasses.replace(a, **faster, **damped),
@@ -137,3 +150,81 @@ def _each(factors: Factors, count: int, name: str) -> Array:
     if len(given) > count:
         raise ValueError(f"{name} has {len(given)} factors: allowed are {count}, or one number for all")
     return np.concatenate([given, np.ones(count - len(given))])
+
+
+COLUMNS = ("z_alpha_1ps", "m_alpha_1ps2", "z_delta_1ps", "m_delta_1ps2")
+TABLE_2_FILE = "vehicles/ksr3-table2/derivatives.csv"
+
+
+@dataclass(frozen=True)
+class DerivativeTable:
+    """Derivatives over vehicle time: `values` (times, 4) in the order of COLUMNS; monotone cubics between."""
+
+    time_s: Array
+    values: Array
+    source: str = ""
+
+    def at(self, time_s: float) -> dict[str, float]:
+        """Raises ValueError outside the table."""
+        first, last = float(self.time_s[0]), float(self.time_s[-1])
+        if not first <= time_s <= last:
+            raise ValueError(f"node at {time_s:g} s: {self.source or 'the table'} holds {first:g} s to {last:g} s")
+        row = self.values[0] if len(self.time_s) == 1 else PchipInterpolator(self.time_s, self.values)(time_s)
+        return dict(zip(COLUMNS, (float(x) for x in row), strict=True))
+
+
+def read_derivatives(file: str | Path = TABLE_2_FILE) -> DerivativeTable:
+    """A CSV file with columns time_s and COLUMNS; a relative name is also looked for among the built-in scenarios.
+
+    Raises ValueError, naming the file, if it is not such a table.
+    """
+    path = Path(file) if Path(file).exists() else scenarios_folder() / file
+    lines = [line for line in path.read_text(encoding="utf-8").splitlines() if line and not line.startswith("#")]
+    rows = list(csv.DictReader(lines))
+    wanted = ("time_s", *COLUMNS)
+    try:
+        numbers = np.array([[float(row[name]) for name in wanted] for row in rows]).reshape(-1, len(wanted))
+    except (KeyError, TypeError, ValueError) as problem:
+        raise ValueError(f"{path}: allowed are columns {', '.join(wanted)} of numbers ({problem})") from problem
+    if not len(numbers) or not np.isfinite(numbers).all() or (np.diff(numbers[:, 0]) <= 0.0).any():
+        raise ValueError(f"{path}: allowed are one row or more of finite numbers, time_s rising")
+    return DerivativeTable(numbers[:, 0], numbers[:, 1:], str(file))
+
+
+def imposed(nodes: Iterable[Node], table: DerivativeTable) -> list[Node]:
+    """Each node with the table's derivatives at its time. Raises ValueError outside the table and where impossible."""
+    return [impose(node, **table.at(node.time_s)) for node in nodes]
+
+
+def impose(node: Node, z_alpha_1ps: float, m_alpha_1ps2: float, z_delta_1ps: float, m_delta_1ps2: float) -> Node:
+    """The node with these `stability_derivatives` and its own M_q."""
+    condition = node.condition
+    before = stability_derivatives(node.vehicle, condition)
+    if min(before.z_delta_1ps, before.m_delta_1ps2, -before.z_alpha_1ps, z_delta_1ps, m_delta_1ps2) <= 0.0:
+        raise ValueError(f"node at {node.time_s:g} s: derivatives can be imposed on a thrusting vehicle with lift only")
+    vehicle = with_lateral_thrust(node.vehicle, node, z_delta_1ps / before.z_delta_1ps)
+    old = vehicle.total_inertia_kgm2
+    arm = vehicle.engine.gimbal_station_m - vehicle.total_cg_station_m
+    inertia = vehicle.engine.thrust_N(condition.pressure_Pa) * arm / m_delta_1ps2
+    core = vehicle.body.core_inertia_kgm2 + inertia - old
+    if core <= 0.0:
+        raise ValueError(f"node at {node.time_s:g} s: M_delta = {m_delta_1ps2:g} leaves the core no inertia")
+    air = vehicle.aerodynamics
+    slope = air.slope_pr * (z_alpha_1ps / before.z_alpha_1ps)
+    moment = air.moment_slope_mpr * (z_alpha_1ps / before.z_alpha_1ps)
+    force_area = condition.dynamic_pressure_Pa * air.area_m2
+    wanted = float(slope.sum()) * vehicle.total_cg_station_m - m_alpha_1ps2 * inertia / force_area
+    shift = (wanted - float(moment.sum())) / float(slope.sum())
+    return dataclasses.replace(
+        node,
+        vehicle=dataclasses.replace(
+            vehicle,
+            body=dataclasses.replace(vehicle.body, core_inertia_kgm2=core),
+            aerodynamics=dataclasses.replace(
+                air,
+                slope_pr=slope,
+                moment_slope_mpr=moment + slope * shift,
+                rate_damping=air.rate_damping * inertia / old,
+            ),
+        ),
+    )

@@ -1,22 +1,60 @@
-"""Linear actuator and gyro (Lee, Ahn & Roh, eqs 28 and 29) in state space."""
+"""Actuator, gyro and the flight computer's timing: their parameters, and the linear systems (28) and (29)."""
 
 from __future__ import annotations
 
+import dataclasses
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from maxq.control.kernel.records import Array
 from maxq.design.model.state_space import StateSpace
+from maxq.design.model.vehicle_at import Plane
+from maxq.sim.vehicle.actuator import Actuator
+from maxq.sim.vehicle.gyro import Gyro
 
 ACTUATOR_OUTPUTS = ("delta_rad", "delta_rate_radps", "delta_accel_radps2")
 
 
-def actuator(record: Any) -> StateSpace:
-    """Command -> angle, rate and acceleration of the engine, six states; `record` is a packed `Actuator`.
+@dataclass(frozen=True)
+class Instruments:
+    """Actuator, gyro and timing of the flight computer in one plane; `ideal` actuators and gyros have no dynamics."""
 
-    A chain of second-order sections, each with its position and rate as states. Four orders more lie in the
-    denominator of (28) than in its numerator: C B = C A B = 0, so rate and acceleration are C A x, C A^2 x.
+    actuator: Actuator
+    gyro: Gyro
+    sample_s: float  # period of the computer: tau_VF of the converter (30) and tau_DZ of the hold (32)
+    delay_s: float  # tau_D (31), from sample to command
+
+    @property
+    def tau_vf_s(self) -> float:
+        return self.sample_s
+
+    @property
+    def tau_d_s(self) -> float:
+        return self.delay_s
+
+    @property
+    def tau_dz_s(self) -> float:
+        return self.sample_s
+
+
+def instruments_of(row: Any, plane: Plane = "pitch") -> Instruments:
+    """Instruments of a packed stage."""
+    record = row.vehicle.actuator_pitch if plane == "pitch" else row.vehicle.actuator_yaw
+    return Instruments(
+        actuator=Actuator(**{f.name: record[f.name].item() for f in dataclasses.fields(Actuator)}),
+        gyro=Gyro(**{f.name: row.vehicle.gyro[f.name].item() for f in dataclasses.fields(Gyro)}),
+        sample_s=1e-9 * int(row.computer.sample_ns),
+        delay_s=1e-9 * int(row.computer.delay_ns),
+    )
+
+
+def actuator(record: Any) -> StateSpace:
+    """Command -> angle, rate and acceleration of the engine (28), six states; `record` is a packed `Actuator`.
+
+    A chain of second-order sections, each with its position and rate as states. The denominator of (28) is four
+    orders above its numerator: C B = C A B = 0, so rate and acceleration are C A x, C A^2 x.
     """
     omega = np.array([record.omega_1_radps, record.omega_2_radps, record.omega_3_radps])
     zeta = np.array([record.zeta_1, record.zeta_2, record.zeta_3])
@@ -40,7 +78,7 @@ def actuator(record: Any) -> StateSpace:
 
 
 def gyro(record: Any) -> StateSpace:
-    """Local turning rate -> sensed rate, two states; `record` is a packed `Gyro` (errors left out)."""
+    """Local angular rate -> sensed rate (29), two states; `record` is a packed `Gyro`, whose errors are left out."""
     w, zeta = float(record.omega_radps), float(record.zeta)
     a: Array = np.array([[0.0, 1.0], [-w * w, -2.0 * zeta * w]])
     return StateSpace(

@@ -1,4 +1,4 @@
-"""A node: everything that a linear loop depends on at one instant of one flight, in one plane."""
+"""A node: all that a linear loop depends on at one instant of one flight, in one plane."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ from typing import Any
 
 import numpy as np
 
+from maxq.design.model.dispersion import Dispersion, disperse
 from maxq.design.model.errata import CORRECTED, Errata
-from maxq.design.model.flight_condition import FlightCondition
-from maxq.design.model.liquid import Liquids
+from maxq.design.model.instruments import Instruments, instruments_of
 from maxq.design.model.plant import vehicle_plant
-from maxq.design.model.printed_plant import printed_plant
+from maxq.design.model.printed_plant import Liquids, printed_plant
 from maxq.design.model.state_space import StateSpace
-from maxq.design.model.vehicle_at import Plane, VehicleAt, vehicle_at
+from maxq.design.model.vehicle_at import FlightCondition, Plane, VehicleAt, vehicle_at
 from maxq.sim.packing.flight import Packed, pack_flight
 from maxq.sim.packing.initial import rotation
 from maxq.sim.run.fly import FlightRun
@@ -25,31 +25,8 @@ from maxq.sim.run.linearise import evaluate_at
 from maxq.sim.scenario.loader import LoadedScenario
 from maxq.sim.scenario.schema_vehicle import Stage
 from maxq.sim.vehicle.actuator import Actuator
-from maxq.sim.vehicle.gyro import Gyro
 from maxq.sim.vehicle.state import Q_BI
 from maxq.sim.vehicle.workspace import AIRSPEED, DENSITY, GRAVITATION, MACH, PRESSURE
-
-
-@dataclass(frozen=True)
-class Instruments:
-    """Actuator, gyro and timing of the flight computer; `ideal` actuators and gyros have no dynamics."""
-
-    actuator: Actuator
-    gyro: Gyro
-    sample_s: float  # period of the computer: tau_VF of the converter (30) and tau_DZ of the hold (32)
-    delay_s: float  # tau_D (31), from sample to command
-
-    @property
-    def tau_vf_s(self) -> float:
-        return self.sample_s
-
-    @property
-    def tau_d_s(self) -> float:
-        return self.delay_s
-
-    @property
-    def tau_dz_s(self) -> float:
-        return self.sample_s
 
 
 @dataclass(frozen=True)
@@ -69,7 +46,7 @@ class Node:
     def plant(self) -> StateSpace:
         """(delta, delta'') -> rates, of body, modes and pendulums, with the node's errata.
 
-        Raises ValueError, naming the node, where there is no such system.
+        Raises ValueError, naming the node, where no such system exists.
         """
         try:
             if self.errata.changes_vehicle:
@@ -80,7 +57,7 @@ class Node:
 
     @cached_property
     def actuator(self) -> Actuator:
-        """That of the instruments, a3 and a4 exchanged where the errata say so."""
+        """The actuator, with a3 and a4 exchanged where the errata say so."""
         a = self.instruments.actuator
         if not self.errata.actuator_labels or a.ideal:
             return a
@@ -93,8 +70,6 @@ class Node:
 
     def with_(self, **deviations: Any) -> Node:
         """The node with deviations, by the fields of `dispersion.Dispersion`."""
-        from maxq.design.model.dispersion import Dispersion, disperse  # noqa: PLC0415  # it needs Node
-
         return disperse(self, Dispersion(**deviations))
 
 
@@ -147,7 +122,7 @@ def _node(run: FlightRun, time_s: float, plane: Plane, errata: Errata) -> Node:
 
 
 def _liquids(stage: Stage, clock_s: float, node: Node) -> Liquids | None:
-    """What the tanks hold, if their tables say so."""
+    """Radius and depth of the liquid, if the vehicle's tables give them."""
     tanks = stage.tank[: len(node.vehicle.pendulums.mass_kg)]
     if any(tank.radius_m is None or "liquid_height_m" not in tank.table for tank in tanks):
         return None
@@ -181,15 +156,4 @@ def node_of(packed: Packed, time_s: float, stage: int = 0, plane: Plane = "pitch
         plane=plane,
         errata=errata,
         label=f"{time_s:g} s",
-    )
-
-
-def instruments_of(row: Any, plane: Plane = "pitch") -> Instruments:
-    """Instruments of a packed stage."""
-    record = row.vehicle.actuator_pitch if plane == "pitch" else row.vehicle.actuator_yaw
-    return Instruments(
-        actuator=Actuator(**{f.name: record[f.name].item() for f in dataclasses.fields(Actuator)}),
-        gyro=Gyro(**{f.name: row.vehicle.gyro[f.name].item() for f in dataclasses.fields(Gyro)}),
-        sample_s=1e-9 * int(row.computer.sample_ns),
-        delay_s=1e-9 * int(row.computer.delay_ns),
     )

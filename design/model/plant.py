@@ -44,7 +44,9 @@ the liquid's friction at the bob, l_p - L forward of the CG (equivalently: a tor
 reaction that is a couple, and moves the force's line of action from hinge to bob). The printed form does not
 conserve angular momentum: its pair of damping forces is not on one line.
 
-The yaw plane is the same with  w -> v, q -> -r, theta -> -psi, delta -> -delta_yaw  (design/model/linear_plant.py).
+Yaw plane: the same with  w -> v, q -> -r, theta -> -psi, eta -> xi, delta -> -delta_yaw, gyro -> -gyro,  because B's
+z axis turned into y takes the pitch axis y into -z: a positive angle moves the gimbal's thrust to +z in pitch but to -y
+in yaw. From command to gyro both signs change and the transfer function stays.
 """
 
 from __future__ import annotations
@@ -56,9 +58,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from maxq.control.kernel.records import Array
-from maxq.design.model.flight_condition import FlightCondition
 from maxq.design.model.state_space import StateSpace
-from maxq.design.model.vehicle_at import VehicleAt
+from maxq.design.model.vehicle_at import FlightCondition, VehicleAt
 
 INPUTS = ("delta_rad", "delta_accel_radps2")
 OUTPUTS = ("q_radps", "local_rate_radps", "w_mps", "theta_rad")

@@ -2,25 +2,43 @@
 
 Written in the paper's own form: forces and moments on a body of mass m and inertia I (1, 2), a modal force (14), and
 pendulums driven by the motion of their hinge (21). With `PAPER` these are the equations as printed, with `CORRECTED`
-the same system as `vehicle_plant` derives on another way (a test holds the two against each other).
+the system of `vehicle_plant`, derived independently (a test compares the two).
 
 Where the paper leaves something open: delta_b = -sigma_T eta and alpha_b = sigma_s eta + phi_s eta' / U (16, 17), phi
 at the surface, gimbal or hinge at which a force acts, the derivatives (4 to 8) of the whole vehicle with its liquid
 frozen, I_E as that about the engine's CG (20), a_x = (T - D) / m, and W' - g_z - U q in (21) from (1).
+
+Lateral slosh of an upright cylinder as a pendulum (22, 23, 25, with errata 6 and 7): with the tank's radius R, the
+liquid's depth h and xi the first root of J1' (NASA SP-106, ch. 6; Dodge, The New "Dynamic Behavior of Liquids in
+Moving Containers", 2000),
+
+    L = R / (xi tanh(xi h / R)),    m_p = m 2 R tanh(xi h / R) / (xi h (xi^2 - 1)),
+    hinge above the liquid's CG by  h / 2 - (2 R / xi) tanh(xi h / (2 R)) + L.
 """
 
 from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
 
 import numpy as np
 
 from maxq.control.kernel.records import Array
 from maxq.design.model.errata import Errata
-from maxq.design.model.flight_condition import FlightCondition
-from maxq.design.model.liquid import Liquids, as_printed
 from maxq.design.model.plant import INPUTS, OUTPUTS, axial_load_mps2, mass_flow_momentum, state_names
-from maxq.design.model.shift import with_pendulums
 from maxq.design.model.state_space import StateSpace
-from maxq.design.model.vehicle_at import VehicleAt
+from maxq.design.model.vehicle_at import FlightCondition, Pendulums, VehicleAt, with_pendulums
+
+XI = 1.84118378134066
+_SHALLOWEST = 1e-6  # depth in radii: the formulae have limits at zero
+
+
+@dataclass(frozen=True)
+class Liquids:
+    """Radius and liquid depth of each tank, (tanks,)."""
+
+    radius_m: Array
+    height_m: Array
 
 
 def printed_plant(
@@ -47,7 +65,7 @@ def _with_printed_tanks(vehicle: VehicleAt, errata: Errata, liquids: Liquids | N
 
 
 class _Equations:
-    """Each quantity is a row: what it is per state and per input, in that order."""
+    """Each quantity is a row of coefficients: per state, then per input."""
 
     def __init__(self, vehicle: VehicleAt, condition: FlightCondition, load: float, errata: Errata) -> None:
         self.vehicle, self.condition, self.load, self.errata = vehicle, condition, load, errata
@@ -125,8 +143,9 @@ class _Equations:
         bobs, modes = self.vehicle.pendulums, self.vehicle.modes
         for k in range(self.tanks):
             rod = bobs.mass_kg[k] * self.load * self.gamma[k]
-            friction = rod_friction(bobs.mass_kg[k], bobs.length_m[k], bobs.damping_ratio[k], self.load)
-            friction = friction * self.gamma_rate[k]
+            # force between bob and tank per rate of the pendulum's angle, a_x m_p 2 zeta / omega (24)
+            length, mass = bobs.length_m[k], bobs.mass_kg[k]
+            friction = 2.0 * bobs.damping_ratio[k] * np.sqrt(self.load / length) * length * mass * self.gamma_rate[k]
             arm = self.cg - bobs.hinge_station_m[k]
             self.force = self.force + rod + friction
             self.moment = self.moment - arm * rod
@@ -165,6 +184,41 @@ class _Equations:
         return StateSpace(system[:, :n], system[:, n:], c, np.zeros((4, 2)), self.names, INPUTS, OUTPUTS)
 
 
-def rod_friction(mass: float, length: float, damping_ratio: float, load: float) -> float:
-    """Force between bob and tank per rate of the pendulum's angle, a_x m_p 2 zeta / omega (24)."""
-    return float(2.0 * damping_ratio * np.sqrt(load / length) * length * mass)
+def as_printed(pendulums: Pendulums, liquids: Liquids, radius: bool, liquid: bool) -> Pendulums:
+    """The pendulums of eqs 22, 23 and 25 with their errata left in.
+
+    `radius` False: the diameter in place of the radius. `liquid` False: all propellant in place of that in the tank.
+    Mass and place of the liquid follow from the true pendulum; the hinge, which the paper does not give, is placed by
+    the formula above with the same radius. The damping ratio is kept.
+    """
+    r = liquids.radius_m
+    h = np.maximum(liquids.height_m, _SHALLOWEST * r)
+    used = r if radius else 2.0 * r
+    in_tank = pendulums.mass_kg / _mass_ratio(r, h)
+    counted = in_tank if liquid else np.full_like(in_tank, in_tank.sum())
+    centre = pendulums.hinge_station_m + _hinge_above(r, h, pendulums.length_m)
+    length = pendulums.length_m if radius else _length(used, h)
+    mass = counted * _mass_ratio(used, h)
+    there = pendulums.mass_kg > 0.0
+    grown = np.divide(mass, pendulums.mass_kg, out=np.ones_like(mass), where=there)
+    return dataclasses.replace(
+        pendulums,
+        mass_kg=mass,
+        mass_rate_kgps=pendulums.mass_rate_kgps * grown,
+        length_m=length,
+        hinge_station_m=centre - _hinge_above(used, h, length),
+    )
+
+
+def _length(radius: Array, height: Array) -> Array:
+    return np.asarray(radius / (XI * np.tanh(XI * height / radius)))
+
+
+def _mass_ratio(radius: Array, height: Array) -> Array:
+    x = XI * height / radius
+    return np.asarray(2.0 * np.tanh(x) / (x * (XI * XI - 1.0)))
+
+
+def _hinge_above(radius: Array, height: Array, length: Array) -> Array:
+    """Height of the hinge above the liquid's CG."""
+    return np.asarray(0.5 * height - 2.0 * radius / XI * np.tanh(0.5 * XI * height / radius) + length)

@@ -1,10 +1,12 @@
-"""A linear time-invariant system with named states, inputs and outputs."""
+"""Linear time-invariant systems with named states, inputs and outputs: connection, reduction, frequency response."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import reduce
 
 import numpy as np
+import scipy.linalg
 from numpy.typing import ArrayLike, NDArray
 
 from maxq.control.kernel.records import Array
@@ -45,3 +47,108 @@ class StateSpace:
         """Frequency response (frequencies,) from one input to one output, by name."""
         i, j = self.outputs.index(output), self.inputs.index(source)
         return np.asarray(self.response(frequencies_hz)[:, i, j])
+
+
+def series(first: StateSpace, second: StateSpace) -> StateSpace:
+    """`second` driven by all outputs of `first`; continuous or sampled alike."""
+    n, m = len(first.states), len(second.states)
+    a = np.zeros((n + m, n + m))
+    a[:n, :n], a[n:, n:] = first.a, second.a
+    a[n:, :n] = second.b @ first.c
+    return StateSpace(
+        a,
+        np.concatenate([first.b, second.b @ first.d]),
+        np.concatenate([second.d @ first.c, second.c], axis=1),
+        second.d @ first.d,
+        (*first.states, *second.states),
+        first.inputs,
+        second.outputs,
+    )
+
+
+def chain(*systems: StateSpace) -> StateSpace:
+    """Systems in series, the first one first."""
+    return reduce(series, systems)
+
+
+def closed(loop: StateSpace) -> Array:
+    """State matrix of the loop closed with negative feedback (one input, one output)."""
+    gain = 1.0 / (1.0 + float(loop.d[0, 0]))
+    return np.asarray(loop.a - gain * np.outer(loop.b[:, 0], loop.c[0]))
+
+
+def channels(system: StateSpace, outputs: tuple[str, ...], inputs: tuple[str, ...] | None = None) -> StateSpace:
+    """The system with some of its outputs and inputs, reduced to the states on a path between them.
+
+    Structurally uncontrollable and unobservable states are dropped: in vacuum the lateral drift does not act on the
+    rotation, and its poles at zero do not belong to the loop.
+    """
+    i = [system.outputs.index(name) for name in outputs]
+    j = [system.inputs.index(name) for name in (system.inputs if inputs is None else inputs)]
+    b, c, d = system.b[:, j], system.c[i], system.d[np.ix_(i, j)]
+    reached = _connected(system.a != 0.0, (b != 0.0).any(axis=1))
+    seen = _connected((system.a != 0.0).T, (c != 0.0).any(axis=0))
+    keep = np.flatnonzero(reached & seen)
+    return StateSpace(
+        system.a[np.ix_(keep, keep)],
+        b[keep],
+        c[:, keep],
+        d,
+        tuple(system.states[k] for k in keep),
+        tuple(system.inputs[k] for k in j),
+        outputs,
+    )
+
+
+def _connected(entries: np.ndarray, start: np.ndarray) -> np.ndarray:
+    """States (bool) reachable from `start`; entry [i, k]: k acts on i."""
+    found = start.copy()
+    for _ in range(len(start)):
+        grown = found | (entries & found).any(axis=1)
+        if (grown == found).all():
+            break
+        found = grown
+    return found
+
+
+_WORST_BASIS = 1e7  # condition number beyond which partial fractions lose half the digits: nearly equal poles
+
+
+class Resolvent:
+    """C (s - A)^-1 B at many points s at once, exact at the sharpest resonance.
+
+    Partial fractions where A has a well-conditioned basis of eigenvectors, else back-substitution in its Schur form.
+    `poles` are A's eigenvalues, (n,). Calling it with s (any shape) gives (*s.shape, outputs, inputs).
+    """
+
+    def __init__(self, a: Array, b: Array, c: Array) -> None:
+        scaled, (scale, _) = scipy.linalg.matrix_balance(a, permute=False, separate=True)
+        b, c = b / scale[:, None], c * scale
+        self._outputs, self._inputs = len(c), b.shape[1]
+        poles, vectors = np.linalg.eig(scaled) if len(a) else (np.zeros(0), np.zeros((0, 0)))
+        self.poles: ComplexArray = poles.astype(np.complex128)
+        self._fractions = len(a) == 0 or np.linalg.cond(vectors) < _WORST_BASIS
+        if self._fractions:
+            per_pole = np.linalg.solve(vectors, b) if len(a) else b
+            self._residues = np.einsum("oi,ij->ioj", c @ vectors, per_pole).reshape(len(a), -1).astype(np.complex128)
+        else:
+            self._triangle, basis = scipy.linalg.schur(scaled, output="complex")
+            self.poles = np.diag(self._triangle).copy()
+            self._b, self._c = basis.conj().T @ b, c @ basis
+
+    def __call__(self, s: ComplexArray) -> ComplexArray:
+        flat = np.asarray(s, np.complex128).reshape(-1)
+        out = self._by_fractions(flat) if self._fractions else self._by_substitution(flat)
+        return out.reshape(*np.shape(s), self._outputs, self._inputs)
+
+    def _by_fractions(self, s: ComplexArray) -> ComplexArray:
+        # not `@`: for so thin a product the linear-algebra library's threads cost more than they save
+        return np.asarray(np.einsum("sp,pk->sk", 1.0 / (s[:, None] - self.poles), self._residues))
+
+    def _by_substitution(self, s: ComplexArray) -> ComplexArray:
+        t, n = self._triangle, len(self._triangle)
+        x = np.zeros((n, len(s), self._inputs), np.complex128)
+        for i in range(n - 1, -1, -1):
+            right = self._b[i] + np.tensordot(t[i, i + 1 :], x[i + 1 :], axes=1)
+            x[i] = right / (s - t[i, i])[:, None]
+        return np.asarray(np.einsum("oi,isj->soj", self._c, x))

@@ -1,11 +1,12 @@
-"""The numbers of a vehicle at one instant, as the linear model needs them: those of one plane of one stage.
+"""Parameters of a vehicle and its flight condition at one instant, for one plane of one stage.
 
-They are read from the same packed tables as the simulator flies, so that both speak of the same vehicle;
-equations are not shared (docs/model.md is the simulator's, design/model/plant.py has its own derivation).
+They are read from the packed tables that the simulator flies, so that both describe the same vehicle; equations are
+not shared (docs/model.md is the simulator's, design/model/plant.py has its own derivation).
 """
 
 from __future__ import annotations
 
+import dataclasses
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -20,8 +21,25 @@ Plane = Literal["pitch", "yaw"]
 
 
 @dataclass(frozen=True)
+class FlightCondition:
+    """Air and path at an instant; the vehicle flies along its own axis (no incidence, no rotation)."""
+
+    time_s: float  # vehicle clock
+    airspeed_mps: float
+    density_kgpm3: float
+    pressure_Pa: float  # ambient
+    mach: float
+    pitch_rad: float  # of the body axis above the horizon
+    gravity_mps2: float
+
+    @property
+    def dynamic_pressure_Pa(self) -> float:
+        return 0.5 * self.density_kgpm3 * self.airspeed_mps**2
+
+
+@dataclass(frozen=True)
 class Body:
-    """What does not swing. Stations in m aft of the nose; the inertia is about the core's CG."""
+    """The core: all but the sloshing masses. Stations in m aft of the nose; the inertia is about the core's CG."""
 
     core_mass_kg: float  # without the sloshing masses, engine straight
     core_cg_station_m: float
@@ -238,4 +256,59 @@ def _aerodynamics(pool: Array, vehicle: Any, sizes: Any, mach: float, plane: Pla
         slope_pr=a.force_factor * slope,
         moment_slope_mpr=a.force_factor * (moment + slope * float(a.centre_shift_m)),
         local_incidence=bool(a.local_incidence),
+    )
+
+
+def with_pendulums(vehicle: VehicleAt, pendulums: Pendulums) -> VehicleAt:
+    """The vehicle with other pendulums and the same total mass, CG and inertia, liquid frozen.
+
+    The core makes up the difference. Raises ValueError where no core is left.
+    """
+    old, body = vehicle.pendulums, vehicle.body
+    total = body.core_mass_kg + float(old.mass_kg.sum())
+    centre, inertia = vehicle.total_cg_station_m, vehicle.total_inertia_kgm2
+    mass = total - float(pendulums.mass_kg.sum())
+    if mass <= 0.0:
+        raise ValueError(f"sloshing masses of {float(pendulums.mass_kg.sum()):g} kg in a vehicle of {total:g} kg")
+    station = (total * centre - float(pendulums.mass_kg @ pendulums.bob_station_m)) / mass
+    bobs = float(pendulums.mass_kg @ (pendulums.bob_station_m - centre) ** 2)
+    core = inertia - bobs - mass * (station - centre) ** 2
+    if core <= 0.0:
+        raise ValueError(f"bobs of {bobs:g} kg m2 in a vehicle of {inertia:g} kg m2")
+    changed = dataclasses.replace(body, core_mass_kg=mass, core_cg_station_m=station, core_inertia_kgm2=core)
+    return dataclasses.replace(vehicle, body=changed, pendulums=pendulums)
+
+
+@dataclass(frozen=True)
+class StabilityDerivatives:
+    """Of alpha' = Z and q' = M as the paper defines them (4 to 8): pitch plane, whole mass, liquid frozen.
+
+    Z_alpha and M_alpha are negative for a statically stable vehicle with lift.
+    """
+
+    z_alpha_1ps: float  # (4)
+    m_alpha_1ps2: float  # (6)
+    z_delta_1ps: float  # (5)
+    m_delta_1ps2: float  # (8), without the axial load of the engine's mass (erratum 8: +0.2 to 0.4 %)
+    m_q_1ps: float  # (7), aerodynamic
+
+
+def stability_derivatives(vehicle: VehicleAt, condition: FlightCondition) -> StabilityDerivatives:
+    """Derivatives at a flight condition. Raises ValueError at rest, where eqs 4 and 5 divide by the speed."""
+    if condition.airspeed_mps <= 0.0:
+        raise ValueError("stability derivatives are defined for positive airspeed only")
+    a, speed = vehicle.aerodynamics, condition.airspeed_mps
+    mass, inertia, cg = vehicle.body.total_mass_kg, vehicle.total_inertia_kgm2, vehicle.total_cg_station_m
+    force_area = condition.dynamic_pressure_Pa * a.area_m2
+    thrust = vehicle.engine.thrust_N(condition.pressure_Pa)
+    slope = float(a.slope_pr.sum())
+    # normal force acts upwards (-z) at its own station; aft of the CG it turns the nose down
+    moment_slope_m = slope * cg - float(a.moment_slope_mpr.sum())
+    damping = 0.25 * condition.density_kgpm3 * speed * a.area_m2 * a.chord_m**2 * a.rate_damping
+    return StabilityDerivatives(
+        z_alpha_1ps=-force_area * slope / (mass * speed),
+        m_alpha_1ps2=force_area * moment_slope_m / inertia,
+        z_delta_1ps=thrust / (mass * speed),
+        m_delta_1ps2=thrust * (vehicle.engine.gimbal_station_m - cg) / inertia,
+        m_q_1ps=damping / inertia,
     )

@@ -10,8 +10,8 @@ import numpy as np
 
 from maxq.design.case.schema import Case, MarginLimits
 from maxq.design.loop.fixed_path import FixedPath, fixed_path
-from maxq.design.model.derivatives import stability_derivatives
 from maxq.design.model.node import Node
+from maxq.design.model.vehicle_at import stability_derivatives
 from maxq.design.optimise.curves import TOLERANCE, Curves, Indices
 from maxq.design.optimise.features import Bands
 from maxq.design.optimise.limits import Limits

@@ -12,8 +12,8 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from maxq.design.model.derivatives import stability_derivatives
 from maxq.design.model.node import Node
+from maxq.design.model.vehicle_at import stability_derivatives
 from maxq.design.verify.verdict import ACCEPTED, REJECTED, Requirement
 
 

@@ -20,8 +20,8 @@ from maxq.design.margins.lobes import Lobe, find_lobes
 from maxq.design.margins.loop_budget import crossing_budgets
 from maxq.design.margins.measure import Margins, margins
 from maxq.design.margins.nichols import Zone
-from maxq.design.model.derivatives import StabilityDerivatives, stability_derivatives
 from maxq.design.model.node import Node
+from maxq.design.model.vehicle_at import StabilityDerivatives, stability_derivatives
 from maxq.sim.packing.computer import bending_filter
 from maxq.sim.scenario.schema_design import Design
 

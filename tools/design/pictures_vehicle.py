@@ -7,9 +7,9 @@ from pathlib import Path
 
 import numpy as np
 
-from maxq.design.model.derivatives import stability_derivatives
 from maxq.design.model.node import Node
 from maxq.design.model.plant import axial_load_mps2
+from maxq.design.model.vehicle_at import stability_derivatives
 from maxq.tools.plots.palette import BLUE, GREY
 from maxq.tools.plots.style import curve, label, save, sheet
 

@@ -16,9 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from maxq.control.kernel.records import Array
-from maxq.design.model.derivatives import StabilityDerivatives, stability_derivatives
-from maxq.design.model.flight_condition import FlightCondition
-from maxq.design.model.vehicle_at import vehicle_at
+from maxq.design.model.vehicle_at import FlightCondition, StabilityDerivatives, stability_derivatives, vehicle_at
 from maxq.sim.packing.flight import pack_flight
 from maxq.sim.run.fly import Flight, fly
 from maxq.sim.scenario.loader import load_scenario
