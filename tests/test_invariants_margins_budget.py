@@ -4,7 +4,7 @@
 |---|---|
 | sum of all shares | L's decibels and degrees to 1e-9, at every node, kind and crossing |
 | shares of series parts | the part's own response; a delay that eats more than 180 deg is followed |
-| stages in another order | other shares, the same sum |
+| build-up steps in another order | other shares, the same sum |
 | frozen liquid | the stability derivatives of the whole |
 | a vehicle without liquid, modes, lift, engine inertia | a share of nothing |
 """
@@ -22,10 +22,8 @@ from hypothesis import strategies as st
 from maxq.control.kernel.records import Array
 from maxq.design import api
 from maxq.design.loop.fixed_path import KINDS, Kind, fixed_path
-from maxq.design.margins.budget import Response, split
-from maxq.design.margins.loop_budget import crossing_budgets, loop_budget
+from maxq.design.margins.budget import BUILD_UP, Response, build_up, crossing_budgets, loop_budget, split
 from maxq.design.margins.measure import margins
-from maxq.design.margins.vehicle_stages import STAGES, vehicle_stages
 from maxq.design.model.errata import PAPER
 from maxq.design.model.node import Node
 from maxq.design.model.state_space import ComplexArray
@@ -62,7 +60,7 @@ def test_shares_are_what_they_are_called():
     assert budget.share("delay").phase_deg == pytest.approx(-360.0 * f * timing.delay_s, abs=1e-9)
     assert budget.share("hold").phase_deg == pytest.approx(-180.0 * f * timing.sample_s, abs=1e-9)
     assert budget.share("V/F").gain_db == pytest.approx(20.0 * np.log10(np.sinc(f * timing.sample_s)), abs=1e-9)
-    assert [share.part for share in budget.shares[-len(STAGES) :]] == list(STAGES)
+    assert [share.part for share in budget.shares[-len(BUILD_UP) :]] == list(BUILD_UP)
     with pytest.raises(KeyError, match="no part 'yaw': there are law, filter"):
         budget.share("yaw")
 
@@ -80,7 +78,7 @@ def test_a_vehicle_without_a_thing_has_nothing_to_pay_for_it():
 
 def test_frozen_liquid_keeps_mass_cg_and_inertia():
     node = node_at(20.0)
-    frozen = dict(vehicle_stages(node))["aerodynamics"]
+    frozen = dict(build_up(node))["aerodynamics"]
     assert len(frozen.vehicle.pendulums.mass_kg) == len(frozen.vehicle.modes.omega_radps) == 0
     ours, whole = (dataclasses.asdict(stability_derivatives(n.vehicle, n.condition)) for n in (frozen, node))
     assert ours == pytest.approx(whole, rel=1e-12)

@@ -15,8 +15,8 @@ from hypothesis import strategies as st
 from textbook_loops import ModalLoop
 
 from maxq.control.kernel.records import Array
+from maxq.design.margins.distances import Zone
 from maxq.design.margins.measure import margins
-from maxq.design.margins.nichols import Zone
 from maxq.design.model.state_space import ComplexArray
 
 

@@ -1,4 +1,4 @@
-"""Edges of the margins: no gain, no crossing, poles on the axis, what cannot be measured; lobes by name; tables."""
+"""Edges of the margins: no gain, no crossing, poles on the axis, what cannot be measured, lobes by name."""
 
 from __future__ import annotations
 
@@ -12,11 +12,8 @@ from textbook_loops import ModalLoop, TransferLoop
 from maxq.design import api
 from maxq.design.loop.fixed_path import fixed_path
 from maxq.design.loop.resonance import Resonance
+from maxq.design.margins.distances import Zone
 from maxq.design.margins.measure import Margins, margins
-from maxq.design.margins.nichols import Zone
-from maxq.design.margins.over import margins_over
-
-STABLE = TransferLoop([2.0], [1.0, 3.0, 3.0, 1.0])
 
 
 def resonance(kind: str, number: int, omega: float, zeta: float) -> Resonance:
@@ -231,27 +228,8 @@ def test_vehicles_with_and_without(change):
     assert ("slosh" in kinds) == ("tanks" not in change)
 
 
-def test_margins_over_a_flight():
+def test_lobes_of_a_flight_are_those_of_its_modes_and_tanks():
     paths = [fixed_path(node_at(t)) for t in TIMES_S]
-    loops = [api.close(path, design()) for path in paths]
-    zones = (Zone("diamond", 30.0, 6.0), Zone("rectangle", 30.0, 6.0))
-    table = margins_over(loops, [path.resonances() for path in paths], zones)
-    assert set(table.labels) == {"slosh 1", "slosh 2", "bending 1", "bending 2", "bending 3"}
-    assert table.peak_db.shape == (len(TIMES_S), 5)
-    assert table.clearance.shape == (len(TIMES_S), 2)
-    one = margins(loops[3], resonances=paths[3].resonances(), zones=zones)
-    assert table.phase_deg[3] == one.phase_deg.value
-    assert table.peak_db[3, table.labels.index("bending 2")] == one.lobe("bending 2").peak_db
-    assert table.clearance[3, 1] == one.clearances[1].value
-
-
-def test_margins_over_loops_that_are_unstable_or_none():
-    table = margins_over([STABLE, TransferLoop([9.0], [1.0, 3.0, 3.0, 1.0])])
-    assert list(table.stable) == [True, False]
-    assert np.isnan(table.phase_deg[1])
-    assert table.growth_1ps[1] > 0.0
-    assert len(margins_over([]).stable) == 0
-    with pytest.raises(ValueError, match=r"loop 1: .*improper"):
-        margins_over([STABLE, TransferLoop([1.0, 0.0], [1.0])])
-    with pytest.raises(ValueError, match="1 sets of resonances for 2 loops"):
-        margins_over([STABLE, STABLE], [[]])
+    found = [margins(api.close(path, design()), resonances=path.resonances()).lobes for path in paths]
+    labels = {"slosh 1", "slosh 2", "bending 1", "bending 2", "bending 3"}
+    assert {lobe.label for lobes in found for lobe in lobes} == labels

@@ -13,8 +13,7 @@ from maxq.design.certificate.excitation import Band
 from maxq.design.certificate.held_flight import Change, hold
 from maxq.design.certificate.limit_cycle import LimitCycle, limit_cycle
 from maxq.design.certificate.response import BANDS, ResponseTable, measured_response
-from maxq.design.margins.measure import Margins, margins
-from maxq.design.margins.worst import Bound
+from maxq.design.margins.measure import Bound, Margins, margins
 from maxq.design.model.node import Node
 from maxq.design.model.vehicle_at import Plane
 from maxq.sim.scenario.loader import LoadedScenario

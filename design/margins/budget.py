@@ -1,32 +1,47 @@
 """Margin budget: what each part of a loop does to its gain and phase at one frequency, adding up to the whole.
 
 Parts in series multiply, so their decibels and degrees add. What is not in series - aerodynamics, slosh, engine
-inertia, bending act on one another - is switched on one after the other in a stated order, and each is charged the
-ratio of L with it to L without it, all before it being on, all after it off. The ratios telescope: whatever the order,
-the sum is L. The order says who is charged for what two of them do together.
+inertia, bending act on one another - is switched on one after the other in a stated order of build-up steps, and each
+is charged the ratio of L with it to L without it, all before it being on, all after it off. The ratios telescope:
+whatever the order, the sum is L. The order decides which part is charged with the interaction of two of them.
 """
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
 
 from maxq.control.kernel.records import Array
-from maxq.design.margins.objectives import DB
-from maxq.design.model.state_space import ComplexArray
+from maxq.design.loop.fixed_path import PadeFixedPath
+from maxq.design.loop.loop import Loop
+from maxq.design.loop.rational import average, converter_pade, delay_pade, hold_pade
+from maxq.design.margins.measure import Margins
+from maxq.design.margins.solving import DB, wrapped
+from maxq.design.model.instruments import actuator, gyro
+from maxq.design.model.node import Node
+from maxq.design.model.plant import INPUTS
+from maxq.design.model.printed_plant import Liquids
+from maxq.design.model.state_space import ComplexArray, Resolvent, StateSpace, channels
+from maxq.design.model.vehicle_at import Modes, Pendulums, VehicleAt
 
 Response = Callable[[Array], ComplexArray]
 
-_PATH = 400  # points from far below up to the frequency along which a series part's phase is followed
+BUILD_UP = ("rigid body", "aerodynamics", "slosh", "engine inertia", "bending")
+"""Steps in which the vehicle is built up."""
+_PATH = 400  # points, over so many decades below the frequency, along which a phase is unwrapped
 _DECADES = 4.0
+
+_Arrays = TypeVar("_Arrays", Modes, Pendulums, Liquids)
 
 
 @dataclass(frozen=True)
 class Share:
-    """Of one part; degrees below 0 are lag. A series part's phase is followed up from low frequency (a delay may eat
-    more than 180 deg); that of a part switched on is the short way round."""
+    """Of one part; degrees below 0 are lag. The phase of a part in series is unwrapped from low frequency (a delay may
+    exceed 180 deg); that of a build-up step lies within +-180 deg."""
 
     part: str
     gain_db: float
@@ -35,7 +50,7 @@ class Share:
 
 @dataclass(frozen=True)
 class Budget:
-    """At one frequency. `left_db` and `left_deg` are L, measured at once, less the sum of the shares: rounding."""
+    """At one frequency. `left_db` and `left_deg` are L itself less the sum of the shares: rounding."""
 
     frequency_hz: float
     shares: tuple[Share, ...]
@@ -55,7 +70,7 @@ class Budget:
     @property
     def phase_margin_deg(self) -> float:
         """The sum beyond -180 + 360 k degrees, in [-180, 180)."""
-        return _short(self.phase_deg + 180.0)
+        return wrapped(self.phase_deg + 180.0, 180.0)
 
     def share(self, part: str) -> Share:
         """By name. Raises KeyError, naming those that there are."""
@@ -69,12 +84,12 @@ def split(
     whole: Response,
     frequency_hz: float,
     series: Sequence[tuple[str, Response]],
-    stages: Sequence[tuple[str, Response]] = (),
+    steps: Sequence[tuple[str, Response]] = (),
 ) -> Budget:
-    """Budget of `whole` = product of `series` times the last of `stages`.
+    """Budget of `whole` = product of `series` times the last of `steps`.
 
-    A stage is the response with that part and all before it switched on; the first is what all others add to.
-    Raises ValueError where a part is zero or not finite at the frequency.
+    A step is the response with that part and all before it switched on. Raises ValueError where a part is zero or not
+    finite at the frequency.
     """
     path = frequency_hz * 10.0 ** np.linspace(-_DECADES, 0.0, _PATH)
     here = path[-1:]
@@ -84,13 +99,13 @@ def split(
         phase = np.unwrap(np.angle(values))
         shares.append(Share(part, _db(values[-1]), float(np.degrees(phase[-1]))))
     before = 1.0 + 0j
-    for part, response in stages:
+    for part, response in steps:
         with_it = complex(_checked(part, response(here), frequency_hz)[-1])
         shares.append(Share(part, _db(with_it / before), float(np.degrees(np.angle(with_it / before)))))
         before = with_it
     value = complex(_checked("the whole", whole(here), frequency_hz)[-1])
     found = Budget(float(frequency_hz), tuple(shares), 0.0, 0.0)
-    left_deg = _short(float(np.degrees(np.angle(value))) - found.phase_deg)
+    left_deg = wrapped(float(np.degrees(np.angle(value))) - found.phase_deg, 180.0)
     return Budget(found.frequency_hz, found.shares, _db(value) - found.gain_db, left_deg)
 
 
@@ -105,5 +120,136 @@ def _db(value: complex) -> float:
     return float(DB * np.log(abs(value)))
 
 
-def _short(deg: float) -> float:
-    return float((deg + 180.0) % 360.0 - 180.0)
+def loop_budget(loop: Loop, frequencies_hz: Sequence[float]) -> tuple[Budget, ...]:
+    """Shares of law, filter, converter, delay, hold, gyro, actuator and the vehicle's build-up at each frequency.
+
+    The computer's parts are those of the loop's kind: the paper's Pade approximants, or their exact factors. Law and
+    filter of a sampled loop are the discrete ones, and a last share, `sampling`, is what the images of the sampled
+    spectrum add (aliasing): the sampled path over the exact continuous one. Ideal instruments have no share.
+    """
+    fixed = loop.fixed
+    if not fixed.takes_rate:
+        raise ValueError(f"a budget needs the loop that is closed, not the cut {fixed.cut!r}")
+    series = [
+        ("law", lambda f: loop.k_p * fixed.integrator(f) + loop.k_d_s + 0j),
+        ("filter", loop.filter_response),
+        *_computer(loop),
+        *_instruments(fixed.node),
+    ]
+    steps = [(name, _vehicle(node)) for name, node in build_up(fixed.node)]
+    if loop.sample_s is not None:
+        whole_path = [*_computer(loop), *_instruments(fixed.node), steps[-1]]
+
+        def sampling(f: Array) -> ComplexArray:
+            return np.asarray(fixed.response(f) / np.prod([part(f) for _, part in whole_path], axis=0))
+
+        # multiplied by the bent vehicle it telescopes like a build-up step, with no phase of its own to unwrap
+        bent = steps[-1][1]
+        steps.append(("sampling", lambda f: np.asarray(bent(f) * sampling(f))))
+    return tuple(split(loop.response, float(f), series, steps) for f in frequencies_hz)
+
+
+def crossing_budgets(loop: Loop, measured: Margins) -> dict[str, Budget]:
+    """Budgets by name, at the rigid crossover and at the frequency of each margin of a stable loop."""
+    if not measured.stable:
+        return {}
+    wanted = {
+        "crossover": measured.crossover_hz,
+        "phase margin": measured.phase_deg.frequency_hz,
+        "delay margin": measured.delay_s.frequency_hz,
+        "gain margin up": measured.gain_up_db.frequency_hz,
+        "gain margin down": measured.gain_down_db.frequency_hz,
+    }
+    inside = {name: f for name, f in wanted.items() if 0.0 < f < np.inf}
+    return dict(zip(inside, loop_budget(loop, list(inside.values())), strict=True))
+
+
+def _computer(loop: Loop) -> list[tuple[str, Response]]:
+    timing = loop.fixed.node.instruments
+    if isinstance(loop.fixed, PadeFixedPath):
+        pade = [("V/F", converter_pade(timing.sample_s)), ("hold", hold_pade(timing.sample_s))]
+        if timing.delay_s > 0.0:
+            pade.insert(1, ("delay", delay_pade(timing.delay_s)))
+        return [(name, _of_s(part.at)) for name, part in pade]
+    return [
+        ("V/F", _of_s(lambda s: average(s, timing.sample_s))),
+        ("delay", _of_s(lambda s: np.exp(-timing.delay_s * s))),
+        ("hold", _of_s(lambda s: average(s, timing.sample_s))),
+    ]
+
+
+def _instruments(node: Node) -> list[tuple[str, Response]]:
+    out = []
+    if not node.instruments.gyro.ideal:
+        out.append(("gyro", _channel(gyro(node.instruments.gyro))))
+    if not node.instruments.actuator.ideal:
+        out.append(("actuator", _channel(actuator(node.actuator))))
+    return out
+
+
+def _channel(system: StateSpace) -> Response:
+    resolvent = Resolvent(system.a, system.b[:, :1], system.c[:1])
+    return _of_s(lambda s: resolvent(s)[..., 0, 0])
+
+
+def _vehicle(node: Node) -> Response:
+    """Engine angle -> local rate at the gyro, the engine's acceleration going with its angle."""
+    ideal = bool(node.instruments.actuator.ideal)
+    system = channels(node.plant, ("local_rate_radps",), INPUTS[:1] if ideal else INPUTS)
+    resolvent = Resolvent(system.a, system.b, system.c)
+
+    def response(s: ComplexArray) -> ComplexArray:
+        body = resolvent(s)[..., 0, :]
+        return np.asarray(body[..., 0] if ideal else body[..., 0] + s * s * body[..., 1])
+
+    return _of_s(response)
+
+
+def _of_s(function: Callable[[ComplexArray], ComplexArray]) -> Response:
+    return lambda f: np.asarray(function(2j * np.pi * np.asarray(f, float)), np.complex128)
+
+
+def build_up(node: Node) -> list[tuple[str, Node]]:
+    """Nodes by the steps of BUILD_UP, each with one effect more than the one before; the last is the node itself.
+
+    Without slosh the liquid is frozen at its bobs; without aerodynamics the axial force stays, since it sets the axial
+    load on liquid and engine; without engine inertia the gimbal moves a massless engine.
+    """
+    full = node.vehicle
+    modes = dataclasses.replace(_emptied(full.modes), softening_kgpm=np.zeros((0, 0)))
+    stiff = dataclasses.replace(full, modes=modes)
+    engine = dataclasses.replace(full.engine, gimballed_mass_kg=0.0, inertia_about_gimbal_kgm2=0.0)
+    light = dataclasses.replace(stiff, engine=engine)
+    frozen = _frozen(light)
+    none = np.zeros_like(full.aerodynamics.slope_pr)
+    air = dataclasses.replace(
+        full.aerodynamics, drag=0.0, rate_damping=0.0, slope_pr=none, moment_slope_mpr=none.copy()
+    )
+    bare = dataclasses.replace(frozen, aerodynamics=air)
+    vehicles = (bare, frozen, light, stiff)
+    out = [(name, _with(node, vehicle)) for name, vehicle in zip(BUILD_UP, vehicles, strict=False)]
+    return [*out, (BUILD_UP[-1], node)]
+
+
+def _with(node: Node, vehicle: VehicleAt) -> Node:
+    liquids = node.liquids
+    if liquids is not None and not len(vehicle.pendulums.mass_kg):
+        liquids = _emptied(liquids)
+    return dataclasses.replace(node, vehicle=vehicle, liquids=liquids)
+
+
+def _frozen(vehicle: VehicleAt) -> VehicleAt:
+    """Bobs fixed to the core."""
+    body = dataclasses.replace(
+        vehicle.body,
+        core_mass_kg=vehicle.body.core_mass_kg + float(vehicle.pendulums.mass_kg.sum()),
+        core_cg_station_m=vehicle.total_cg_station_m,
+        core_inertia_kgm2=vehicle.total_inertia_kgm2,
+    )
+    modes = dataclasses.replace(vehicle.modes, phi_hinge=vehicle.modes.phi_hinge[:, :0])
+    return dataclasses.replace(vehicle, body=body, pendulums=_emptied(vehicle.pendulums), modes=modes)
+
+
+def _emptied(record: _Arrays) -> _Arrays:
+    """The record of arrays without any entry in them."""
+    return dataclasses.replace(record, **{f.name: getattr(record, f.name)[:0] for f in dataclasses.fields(record)})

@@ -1,4 +1,7 @@
-"""Where the curve crosses the unit circle and the negative real axis: all places, solved for."""
+"""Crossings of the unit circle and of the negative real axis, all solved for, and the encirclements of -1 they count.
+
+Unstable poles of the closed loop are counted twice: from their list, and by the argument principle from L alone.
+"""
 
 from __future__ import annotations
 
@@ -8,9 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from maxq.control.kernel.records import Array, IntArray
-from maxq.design.margins.curve import Curve, sample
-from maxq.design.margins.objectives import DB, along, from_minus_one_deg, log_size, sine
-from maxq.design.margins.solving import roots
+from maxq.design.margins.curve import ON_AXIS, Curve
+from maxq.design.margins.solving import DB, along, from_minus_one_deg, log_size, roots, sample, sine, wrapped
 from maxq.design.model.state_space import ComplexArray
 
 FARTHEST = 1e9  # a sign change of Im L where |L| is beyond this, or below its inverse, is a pole or zero on the axis
@@ -101,3 +103,55 @@ def _with_ends(inner: PhaseCrossings, curve: Curve) -> PhaseCrossings:
         end = curve.frequency_hz[-1] if curve.finite_end else np.inf
         f, loop, turn = np.append(f, end), np.append(loop, last.real + 0j), np.append(turn, 0)
     return PhaseCrossings(f, loop, turn.astype(np.int64))
+
+
+def unstable(poles: ComplexArray, lowest_radps: float) -> ComplexArray:
+    """Poles to the right of the axis, and on it. Those slower than `lowest_radps` are drift and left out."""
+    size = np.abs(poles)
+    return np.asarray(poles[(size > lowest_radps) & (poles.real >= -ON_AXIS * size)])
+
+
+def encirclement_count(curve: Curve, crossings: PhaseCrossings) -> int:
+    """Zeros of 1 + L in the right half plane (outside the unit circle), from the curve's turns about -1.
+
+    Each solved crossing of the real axis beyond -1 moves the argument from one branch to the next, so the number is
+    exact. The path goes up the axis from a quarter circle about s = 0 (z = 1), passes poles on the axis on their
+    right, and ends at the real limit of L at infinity (z = -1):
+
+        zeros = poles - turn of 1 + L over the upper half / pi.
+    """
+    poles = curve.open_poles
+    size = np.abs(poles)
+    right = (size > curve.lowest_radps) & (poles.real > ON_AXIS * size)
+    distance = 1.0 + curve.loop
+    beyond = (np.abs(crossings.loop) > 1.0) & (crossings.turn != 0)
+    branches = int(crossings.turn[beyond].sum()) - _past_axis_poles(curve)
+    # at Nyquist the sign of Im L is rounding: the last step is the short way to the real axis
+    last = -2 if curve.finite_end else -1
+    turn = _start(curve) + np.angle(distance[last]) - np.angle(distance[0]) + 2.0 * np.pi * branches
+    end = np.angle(complex((1.0 + curve.loop[-1]).real))
+    turn += wrapped(float(end - np.angle(distance[last])), np.pi)
+    return round(float(right.sum() - turn / np.pi))
+
+
+def _start(curve: Curve) -> float:
+    """Turn of 1 + L from the positive real axis to the first point, on a small quarter circle about the origin."""
+    first = curve.loop[0]
+    order = max(-curve.slope_at_zero, 0) if abs(first) > 1.0 else 0
+    if order == 0:
+        begin = float(np.angle(complex((1.0 + first).real)))
+        return wrapped(float(np.angle(1.0 + first)) - begin, np.pi)
+    # L = K / s^n is real at the beginning, and large against 1
+    begin = float(np.angle(complex((first * 1j**order).real)))
+    arrived = begin - order * np.pi / 2.0
+    return arrived - begin + wrapped(float(np.angle(1.0 + first)) - arrived, np.pi)
+
+
+def _past_axis_poles(curve: Curve) -> int:
+    """How often the half circles to the right of poles on the axis cross from -pi to pi (clockwise)."""
+    count = 0
+    for k, order in curve.steps_past_poles():
+        before, after = (float(np.angle(1.0 + curve.loop[j])) for j in (k, k + 1))
+        clockwise = order * np.pi + wrapped(before - after - order * np.pi, np.pi)
+        count += round((clockwise - (before - after)) / (2.0 * np.pi))
+    return count

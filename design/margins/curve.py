@@ -1,9 +1,10 @@
-"""The frequency response of a loop on a grid that its own poles make: nothing narrow lies between two points.
+"""The frequency response of a loop on a grid adapted to its poles, so that no narrow feature lies between two points.
 
 Each pole of L and each zero of 1 + L is surrounded by points at offsets that grow from a fraction of its half
 width (its real part) in steps of 1 + sqrt(2), so a resonance's circle is drawn with some twenty points whether its
-damping ratio is 0.05 or 1e-6. Zeros of L, which the protocol does not tell, turn its phase: intervals over which
-the phase of L or of 1 + L turns by more than TURN_RAD are halved until none is left.
+damping ratio is 0.05 or 1e-6. Zeros of L, which the protocol does not give, turn its phase: intervals over which
+the phase of L or of 1 + L turns by more than TURN_RAD are halved until none is left. `refine_extremes` adds the turning
+points: peaks of |L|, least distances, and near misses between two points of the grid.
 """
 
 from __future__ import annotations
@@ -12,8 +13,20 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from maxq.control.kernel.records import Array
+from maxq.control.kernel.records import Array, IntArray
 from maxq.design.loop.open_loop import OpenLoop
+from maxq.design.margins.solving import (
+    along,
+    complementary,
+    log_size,
+    minima,
+    minus_log_size,
+    minus_sine,
+    sample,
+    sensitivity,
+    sine,
+    symmetric,
+)
 from maxq.design.model.state_space import ComplexArray
 
 LOWEST_HZ = 1e-5  # what is slower than this (4 hours) is drift and not part of the loop's dynamics
@@ -26,13 +39,17 @@ MOST_POINTS = 200_000
 ON_AXIS = 1e-9  # |Re p| / |p| below which a pole lies on the axis
 OSCILLATING = 0.5  # damping ratio below which a pole gets points of its own
 
+LOWEST_PEAK = np.log(1e-3)  # peaks below -60 dB are not refined
+REACH = 4.0  # a minimum may lie lower than its parabola by this many times the parabola's drop
+
+_OBJECTIVES = (sensitivity, complementary, symmetric, minus_log_size, log_size, sine, minus_sine)
 _STEPS = (1.0 + np.sqrt(2.0)) ** np.arange(-1.0, 24.0)
 _OFFSETS = np.concatenate([-_STEPS[::-1], [0.0], _STEPS])
 
 
 @dataclass(frozen=True)
 class Curve:
-    """L at rising frequencies, and the poles (rad/s) that shaped the grid; `finite_end` says that it ends at Nyquist.
+    """L at rising frequencies, and the poles (rad/s) that the grid is made of; `finite_end`: it ends at Nyquist.
 
     `at_zero` is the limit of L at zero frequency where `slope_at_zero` is 0 (there L is real and even in f).
     `slope_at_zero` and `slope_at_end` are n of the asymptotes L ~ (j f)^n; that at the end is 0 at Nyquist.
@@ -57,9 +74,9 @@ class Curve:
         return replace(self, frequency_hz=f[new], loop=values[new])
 
     def steps_past_poles(self) -> list[tuple[int, int]]:
-        """Steps (number of the point before) that pass poles of L on the axis, and how many.
+        """Steps (index of the point before) that pass poles of L on the axis, and how many.
 
-        A pole that is in both lists at the same place does not show in L.
+        A pole that is in both lists at the same place cancels in L.
         """
         count = self._on_axis(self.open_poles)
         for k, hidden in self._on_axis(self.closed_poles).items():
@@ -79,7 +96,7 @@ class Curve:
 
     @property
     def at_end_limit(self) -> complex | None:
-        """L at infinity; nothing for a sampled loop, whose end is a point of the curve."""
+        """L at infinity; None for a sampled loop, whose end is a point of the curve."""
         if self.finite_end:
             return None
         return complex(self.loop[-1].real if self.slope_at_end == 0 else 0.0)
@@ -90,20 +107,8 @@ class Curve:
         return float(2.0 * np.pi * self.frequency_hz[0])
 
 
-def sample(loop: OpenLoop, frequency_hz: Array) -> ComplexArray:
-    """L, checked. Raises ValueError where it is not finite or has another shape."""
-    values = np.asarray(loop.response(frequency_hz), np.complex128)
-    if values.shape != frequency_hz.shape:
-        raise ValueError(f"the loop's response has shape {values.shape}, not {frequency_hz.shape}")
-    good = np.isfinite(values)
-    if not good.all():
-        k = int(np.argmin(good))
-        raise ValueError(f"the loop's response at {frequency_hz[k]:.9g} Hz is {values[k]}")
-    return values
-
-
 def trace(loop: OpenLoop, lowest_hz: float = LOWEST_HZ) -> Curve:
-    """Draw the curve. Raises ValueError for a response that is not finite, an improper loop and a bad `lowest_hz`."""
+    """Compute the curve. Raises ValueError for a response that is not finite, an improper loop, a bad `lowest_hz`."""
     end = float(loop.highest_hz)
     if not 0.0 < lowest_hz < end:
         raise ValueError(f"lowest_hz is {lowest_hz:g}: must lie between 0 and the loop's end at {end:g} Hz")
@@ -152,7 +157,7 @@ def _end(loop: OpenLoop, poles: ComplexArray, lowest_hz: float) -> tuple[float, 
     k = int(np.argmax(settled | small)) if (settled | small).any() else 6
     n = round(float(slope[k])) if np.isfinite(slope[k]) else -1
     if n > 0 and size[k] > 0.0 and (settled[k] or not small[k]):
-        raise ValueError(f"the loop is improper: |L| grows without end, {size[k]:.3g} at {f[k]:.3g} Hz")
+        raise ValueError(f"the loop is improper: |L| grows without bound, {size[k]:.3g} at {f[k]:.3g} Hz")
     # a pure delay keeps turning: small from here on, or level
     return float(f[k]), min(n, 0) if settled[k] else -1 if small[k] else 0
 
@@ -189,7 +194,7 @@ def _decades(low: float, high: float, density: int) -> Array:
 
 
 def _refine(loop: OpenLoop, f: Array, values: ComplexArray) -> tuple[Array, ComplexArray]:
-    """Halve intervals over which L or 1 + L turns too far, and those beside them that would stand out."""
+    """Halve intervals over which L or 1 + L turns too far, and much wider ones beside them."""
     fresh = np.ones(len(f) - 1, bool)
     for _ in range(40):
         coarse = fresh & (_turn(values) > TURN_RAD) & (np.maximum(np.abs(values[1:]), np.abs(values[:-1])) > FLOOR)
@@ -198,7 +203,7 @@ def _refine(loop: OpenLoop, f: Array, values: ComplexArray) -> tuple[Array, Comp
         coarse &= width > 1e3 * NARROW * f[1:]
         if not coarse.any():
             break
-        # a turn by a multiple of 2 pi looks like none: its neighbours give it away
+        # a turn by a multiple of 2 pi looks like none: refine beside intervals that turn
         wide = np.where(coarse, 0.5 * width, np.inf)
         beside = np.minimum(np.append(wide[1:], np.inf), np.append(np.inf, wide[:-1]))
         coarse |= width > 4.0 * beside
@@ -215,3 +220,54 @@ def _refine(loop: OpenLoop, f: Array, values: ComplexArray) -> tuple[Array, Comp
 
 def _turn(values: ComplexArray) -> Array:
     return np.asarray(np.abs(np.angle(values[1:] * np.conj(values[:-1]))))
+
+
+def refine_extremes(curve: Curve) -> Curve:
+    """The curve with its turning points solved for and added.
+
+    They are the minima of |1 + L|, |1 + 1/L| and |1 + L|/|1 - L| that may be the least of all, the maxima of |L|,
+    and those of |L| and of the phase that may reach 1 and 180 degrees where the points of the grid do not.
+    """
+    triples = [_candidates(curve, k) for k in range(len(_OBJECTIVES))]
+    kind = np.concatenate([np.full(len(middle), k) for k, (middle, _) in enumerate(triples)])
+    middle = np.concatenate([m for m, _ in triples])
+    values = np.concatenate([v for _, v in triples])
+    if not len(middle):
+        return curve
+    f = curve.frequency_hz[middle[:, None] + np.arange(-1, 2)]
+    found = minima(along(curve.source, _OBJECTIVES, kind), f, values)
+    return curve.with_points(found, sample(curve.source, found))
+
+
+def _candidates(curve: Curve, k: int) -> tuple[IntArray, Array]:
+    """Middle points of brackets worth refining for an objective, and the values (brackets, 3) there."""
+    objective = _OBJECTIVES[k]
+    value = objective(curve.loop)
+    middle, around = brackets(value)
+    here, drop = around[:, 1], _drop(curve.frequency_hz, middle, around)
+    reachable = here - REACH * drop
+    if objective in (sensitivity, complementary, symmetric):
+        worth = reachable <= value.min()
+    elif objective is minus_log_size:
+        worth = here < -LOWEST_PEAK
+    elif objective is log_size:
+        worth = (here > 0.0) & (reachable < 0.0)
+    else:
+        worth = (here > 0.0) & (reachable < 0.0) & (curve.loop.real[middle] < 0.0)
+    return middle[worth], around[worth]
+
+
+def brackets(value: Array) -> tuple[IntArray, Array]:
+    """Inner points that are not above either neighbour and below one: their numbers, and the three values."""
+    left, here, right = value[:-2], value[1:-1], value[2:]
+    middle = 1 + np.flatnonzero((here <= left) & (here <= right) & ((here < left) | (here < right)))
+    return middle, value[middle[:, None] + np.arange(-1, 2)]
+
+
+def _drop(f: Array, middle: IntArray, around: Array) -> Array:
+    """How far the parabola through each three points dips below the middle one."""
+    a, c, b = f[middle - 1], f[middle], f[middle + 1]
+    left, right = (around[:, 0] - around[:, 1]) / (c - a), (around[:, 2] - around[:, 1]) / (b - c)
+    slope = (right * (c - a) - left * (b - c)) / (b - a)
+    curvature = (left + right) / (b - a)
+    return np.asarray(slope**2 / (4.0 * np.maximum(curvature, 1e-300)))

@@ -1,4 +1,4 @@
-"""Lobes: the loop that a lightly damped pole draws in the Nyquist plane, found, named and judged by itself.
+"""Lobes: the loops that lightly damped poles draw in the Nyquist plane, each found, named and judged by itself.
 
 Near a pole at p = -sigma + j w0 the response is R / (s - p) plus what the rest of the loop contributes. The second
 difference over the half width, u = 2 L(w0) - L(w0 + sigma) - L(w0 - sigma), is R / sigma up to the curvature of the
@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 from maxq.control.kernel.records import Array
 from maxq.design.loop.resonance import Resonance
 from maxq.design.margins.crossings import GainCrossings, PhaseCrossings
-from maxq.design.margins.curve import Curve, sample
-from maxq.design.margins.objectives import DB, from_minus_one_deg
+from maxq.design.margins.curve import Curve
+from maxq.design.margins.solving import DB, from_minus_one_deg, sample
 from maxq.design.model.state_space import ComplexArray
 
 SHARE = 0.5
@@ -35,10 +35,10 @@ Stabilised = Literal["gain", "phase"]
 class Lobe:
     """One resonance in the loop. Margins are those of the lobe alone: infinite where nothing in it bounds them.
 
-    `stabilised` is "gain" where the peak lies at least the limit below 0 dB, so that no phase could harm, else
-    "phase". A phase-stabilised lobe's lag and lead margins are the least over its crossings of |L| = 1, or, if the
-    loop crosses nowhere inside it, over its points above 0 dB; a gain-stabilised one's are infinite. `conditional`
-    says that less gain would destabilise: the lobe passes the negative real axis beyond -1.
+    `stabilised` is "gain" where the peak lies at least the limit below 0 dB, whatever its phase, else "phase". Lag and
+    lead margins of a phase-stabilised lobe are the least over its crossings of |L| = 1, or, without one inside it, over
+    its points above 0 dB; those of a gain-stabilised one are infinite. `conditional`: less gain would destabilise, for
+    the lobe crosses the negative real axis beyond -1.
     """
 
     label: str
@@ -104,7 +104,7 @@ def find_lobes(
 
 
 def _named(curve: Curve, resonances: Sequence[Resonance]) -> list[_Pole]:
-    """Only those that the curve covers; one off the axis by nothing gets the width of the grid there."""
+    """Those within the curve; an undamped one gets the width of the grid there."""
     f = curve.frequency_hz
     return [
         _Pole(r.label, r.kind, r.frequency_hz, max(r.half_width_hz, 1e-9 * r.frequency_hz), r.damping_ratio)
@@ -202,7 +202,7 @@ def _judge(
 
 
 def _turns(gain: GainCrossings, loop: ComplexArray, ends: tuple[float, float]) -> tuple[float, float]:
-    """Least lag and lead that bring a crossing, or failing that a point above 0 dB or the peak, to -1's direction."""
+    """Least lag and lead that turn a crossing, or without one a point above 0 dB or the peak, to the phase of -1."""
     at = (gain.frequency_hz >= ends[0]) & (gain.frequency_hz <= ends[1])
     if at.any():
         lag = gain.lag_deg[at]

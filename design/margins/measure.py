@@ -1,9 +1,10 @@
-"""Margins of a loop: every way in which it is far from, or near to, instability."""
+"""Margins of a loop: gain, phase, delay and disk margins, zones and lobes, with stability counted twice."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,21 +12,36 @@ from numpy.typing import NDArray
 from maxq.control.kernel.records import Array
 from maxq.design.loop.open_loop import OpenLoop
 from maxq.design.loop.resonance import Resonance
-from maxq.design.margins.crossings import GainCrossings, PhaseCrossings, find_crossings
-from maxq.design.margins.curve import LOWEST_HZ, Curve, trace
-from maxq.design.margins.disk import Disk, Disks, find_disks
-from maxq.design.margins.extremes import refine_extremes
+from maxq.design.margins.crossings import (
+    GainCrossings,
+    PhaseCrossings,
+    encirclement_count,
+    find_crossings,
+    unstable,
+)
+from maxq.design.margins.curve import LOWEST_HZ, Curve, refine_extremes, trace
+from maxq.design.margins.distances import NO_DISKS, Clearance, Disks, Zone, find_clearances, find_disks
 from maxq.design.margins.lobes import Lobe, find_lobes
-from maxq.design.margins.nichols import Clearance, Zone, find_clearances
-from maxq.design.margins.nyquist import encirclement_count, unstable
-from maxq.design.margins.worst import NOTHING, Bound, least
 
 DIAMOND = Zone("diamond", 30.0, 6.0)
-RECTANGLE = Zone("rectangle", 30.0, 6.0)
 BENDING_KINDS = ("bending", "slosh")
 
 
 @dataclass(frozen=True)
+class Bound:
+    """The least of several values and its frequency: infinite at NaN if nothing bounds; NaN for an unstable loop."""
+
+    value: float
+    frequency_hz: float
+
+    def __float__(self) -> float:
+        return self.value
+
+
+NOTHING = Bound(np.nan, np.nan)
+
+
+@dataclass(frozen=True, kw_only=True)
 class Margins:
     """Margins of a stable loop: positive numbers, infinite where nothing bounds them.
 
@@ -33,13 +49,12 @@ class Margins:
     `crossover_hz` the last of those where |L| falls; `rigid_gain` and `aero_gain` are the gain margins, up and down,
     of the crossings in no lobe above and below it. Unnamed lobes are taken for bending.
 
-    Those of an unstable loop are NaN, every one, so that no comparison with a limit can pass; `stable`,
-    `unstable_poles` and `growth_1ps` say how far it is from being one. `crossings` and `curve` are facts about L and
-    are always there, without the word margin.
+    Those of an unstable loop are all NaN, so that no comparison with a limit can pass; `stable`, `unstable_poles` and
+    `growth_1ps` say how far it is from stability. The crossings and `curve` describe L and are always there.
 
-    A bound is a value and the frequency where it is met (zero and infinity being limits). The gain that may be
-    added before the loop meets -1 is `gain_up`, that which may be taken away `gain_down`; over all crossings, lobes
-    included, they are exact: between them the loop is stable. `phase` is the least turn either way over all
+    A bound is a value and its frequency (zero and infinity being limits). `gain_up` is the gain that may be added
+    before the loop meets -1, `gain_down` that which may be removed; over all crossings, lobes included, they are
+    exact: between them the loop is stable. `phase` is the least turn either way over all
     crossings of |L| = 1. `delay` is the least delay in s that brings a crossing to -1; of a sampled loop it is exact
     for whole periods, and the turn of phase alone in between. A continuous loop that stays above 1 has none: 0.
     """
@@ -49,20 +64,20 @@ class Margins:
     encircled_poles: int  # the same from the curve's encirclements; a disagreement makes the loop count as unstable
     growth_1ps: float  # greatest real part of the closed loop's poles: growth, or minus the slowest decay
     growth_hz: float  # of that pole
-    gain_up_db: Bound
-    gain_down_db: Bound
-    phase_deg: Bound
-    delay_s: Bound
-    aero_gain_db: Bound
-    rigid_gain_db: Bound
-    rigid_phase_deg: Bound
-    crossover_hz: float  # 0 without one
-    disks: Disks
-    clearances: tuple[Clearance, ...]
-    lobes: tuple[Lobe, ...]
     gain_crossings: GainCrossings
     phase_crossings: PhaseCrossings
     curve: Curve
+    clearances: tuple[Clearance, ...]
+    gain_up_db: Bound = NOTHING
+    gain_down_db: Bound = NOTHING
+    phase_deg: Bound = NOTHING
+    delay_s: Bound = NOTHING
+    aero_gain_db: Bound = NOTHING
+    rigid_gain_db: Bound = NOTHING
+    rigid_phase_deg: Bound = NOTHING
+    crossover_hz: float = np.nan  # 0 without one
+    disks: Disks = NO_DISKS
+    lobes: tuple[Lobe, ...] = ()
 
     @property
     def modulus(self) -> float:
@@ -108,9 +123,13 @@ def margins(
     encircled = encirclement_count(curve, phase)
     growth, growth_hz = _slowest(curve)
     stable = len(growing) == 0 and encircled == 0
-    facts = (stable, len(growing), encircled, growth, growth_hz)
+    facts: dict[str, Any] = {
+        "stable": stable, "unstable_poles": len(growing), "encircled_poles": encircled, "growth_1ps": growth,
+        "growth_hz": growth_hz, "gain_crossings": gain, "phase_crossings": phase, "curve": curve,
+    }  # fmt: skip
     if not stable:
-        return _without(facts, tuple(zones), gain, phase, curve)
+        nothing = complex(np.nan, np.nan)
+        return Margins(**facts, clearances=tuple(Clearance(zone, np.nan, np.nan, nothing) for zone in zones))
     named = None if resonances is None else [r for r in resonances if r.kind in BENDING_KINDS]
     lobes = find_lobes(curve, gain, phase, named, gain_stabilised_db)
     bending = [lobe for lobe in lobes if lobe.kind != "slosh"]
@@ -119,7 +138,7 @@ def margins(
     db, f = phase.gain_margin_db, phase.frequency_hz
     turn = np.abs(gain.phase_margin_deg)
     return Margins(
-        *facts,
+        **facts,
         gain_up_db=least(db, f, db >= 0.0),
         gain_down_db=least(-db, f, db < 0.0),
         phase_deg=least(turn, gain.frequency_hz),
@@ -131,9 +150,6 @@ def margins(
         disks=find_disks(curve),
         clearances=find_clearances(curve, tuple(zones), gain, phase),
         lobes=lobes,
-        gain_crossings=gain,
-        phase_crossings=phase,
-        curve=curve,
     )
 
 
@@ -158,29 +174,10 @@ def _delay(gain: GainCrossings, curve: Curve) -> Bound:
     return least(gain.delay_s, gain.frequency_hz)
 
 
-def _without(
-    facts: tuple[bool, int, int, float, float],
-    zones: tuple[Zone, ...],
-    gain: GainCrossings,
-    phase: PhaseCrossings,
-    curve: Curve,
-) -> Margins:
-    """Those of an unstable loop."""
-    disk = Disk(np.nan, np.nan, np.nan, np.nan, np.nan)
-    return Margins(
-        *facts,
-        gain_up_db=NOTHING,
-        gain_down_db=NOTHING,
-        phase_deg=NOTHING,
-        delay_s=NOTHING,
-        aero_gain_db=NOTHING,
-        rigid_gain_db=NOTHING,
-        rigid_phase_deg=NOTHING,
-        crossover_hz=np.nan,
-        disks=Disks(disk, disk, disk),
-        clearances=tuple(Clearance(zone, np.nan, np.nan, complex(np.nan, np.nan)) for zone in zones),
-        lobes=(),
-        gain_crossings=gain,
-        phase_crossings=phase,
-        curve=curve,
-    )
+def least(values: Array, frequency_hz: Array, among: NDArray[np.bool_] | None = None) -> Bound:
+    """The least of the values, or of those `among` selects."""
+    k = np.arange(len(values)) if among is None else np.flatnonzero(among)
+    if not len(k):
+        return Bound(np.inf, np.nan)
+    i = int(k[np.argmin(values[k])])
+    return Bound(float(values[i]), float(frequency_hz[i]))

@@ -1,24 +1,96 @@
-"""Many roots or minima of a function of one variable at once: each step is one call with all that are still open.
+"""Objectives along a loop's frequency response, and vectorised solvers for their roots and minima.
 
-`function(x, which)` gives the values of problems number `which` (indices) at `x`. A call costs much the same for one
-frequency as for twenty, so what counts is the number of calls: six to ten for either solver.
+The solvers take many problems at once: each step is one call with all those that are still open. A call of the
+response costs much the same for one frequency as for twenty, so what counts is the number of calls: six to ten.
+`function(x, which)` gives the values of the problems with the indices `which` at `x`.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
 from maxq.control.kernel.records import Array, IntArray
+from maxq.design.loop.open_loop import OpenLoop
+from maxq.design.model.state_space import ComplexArray
 
+Objective = Callable[[ComplexArray], Array]
+"""A real function of L that is made least, or zero, along the curve."""
 Function = Callable[[Array, IntArray], Array]
 
-ROOT_TOLERANCE = 1e-11  # of the function: nepers or sine of an angle, so 1e-10 dB or 6e-10 degrees
+TINY = 1e-300  # lower bound of what a logarithm is taken of
+DB = 20.0 / np.log(10.0)  # dB per neper
+ROOT_TOLERANCE = 1e-11  # of the function, nepers or sine of an angle: 1e-10 dB or 6e-10 degrees
 STEP = 4.0 * np.finfo(float).eps  # relative width below which a bracket is a point
-VALUE_TOLERANCE = 1e-12  # improvement that is not worth another step to a minimum
+VALUE_TOLERANCE = 1e-12  # improvement of a minimum below which it is accepted
 MOST_STEPS = 100
 GOLDEN = 0.3819660112501051
+
+
+def log_size(loop: ComplexArray) -> Array:
+    """ln |L|."""
+    return np.asarray(np.log(np.maximum(np.abs(loop), TINY)))
+
+
+def minus_log_size(loop: ComplexArray) -> Array:
+    return -log_size(loop)
+
+
+def sine(loop: ComplexArray) -> Array:
+    """Sine of L's phase: zero on the real axis."""
+    return np.asarray(loop.imag / np.maximum(np.abs(loop), TINY))
+
+
+def minus_sine(loop: ComplexArray) -> Array:
+    return -sine(loop)
+
+
+def sensitivity(loop: ComplexArray) -> Array:
+    """ln of 1/|S| = |1 + L|."""
+    return log_size(1.0 + loop)
+
+
+def complementary(loop: ComplexArray) -> Array:
+    """ln of 1/|T| = |1 + 1/L|."""
+    return np.asarray(log_size(1.0 + loop) - log_size(loop))
+
+
+def symmetric(loop: ComplexArray) -> Array:
+    """ln of |1 + L| / |1 - L|."""
+    return np.asarray(log_size(1.0 + loop) - log_size(1.0 - loop))
+
+
+def from_minus_one_deg(loop: ComplexArray) -> Array:
+    """Phase beyond the nearest -180 + 360 k degrees, in (-180, 180]."""
+    return np.asarray(np.degrees(np.angle(-loop)))
+
+
+def sample(loop: OpenLoop, frequency_hz: Array) -> ComplexArray:
+    """L, checked. Raises ValueError where it is not finite or has another shape."""
+    values = np.asarray(loop.response(frequency_hz), np.complex128)
+    if values.shape != frequency_hz.shape:
+        raise ValueError(f"the loop's response has shape {values.shape}, not {frequency_hz.shape}")
+    good = np.isfinite(values)
+    if not good.all():
+        k = int(np.argmin(good))
+        raise ValueError(f"the loop's response at {frequency_hz[k]:.9g} Hz is {values[k]}")
+    return values
+
+
+def along(loop: OpenLoop, objectives: Sequence[Objective], kind: IntArray) -> Function:
+    """For the solvers: problem i is that of `objectives[kind[i]]`."""
+
+    def function(frequency_hz: Array, which: IntArray) -> Array:
+        values, kinds = sample(loop, frequency_hz), kind[which]
+        out = np.empty(len(which))
+        for k, objective in enumerate(objectives):
+            chosen = kinds == k
+            if chosen.any():
+                out[chosen] = objective(values[chosen])
+        return out
+
+    return function
 
 
 def roots(function: Function, low: Array, high: Array, f_low: Array, f_high: Array) -> Array:
@@ -52,7 +124,7 @@ def roots(function: Function, low: Array, high: Array, f_low: Array, f_high: Arr
 
 
 def _chandrupatla(x1: Array, x2: Array, x3: Array, f1: Array, f2: Array, f3: Array) -> Array:
-    """Where in [x1, x2] to look next, as a share."""
+    """The next point, as a share of [x1, x2]."""
     xi, phi = (x1 - x2) / (x3 - x2), (f1 - f2) / (f3 - f2)
     safe = (phi**2 < xi) & ((1.0 - phi) ** 2 < 1.0 - xi)
     share = f1 / (f2 - f1) * f3 / (f2 - f3) + (x3 - x1) / (x2 - x1) * f1 / (f3 - f1) * f2 / (f3 - f2)
@@ -100,7 +172,7 @@ def _vertex(a: Array, c: Array, b: Array, fa: Array, fc: Array, fb: Array) -> tu
 
 
 def _narrow(state: tuple[Array, ...], i: IntArray, x: Array, f: Array) -> None:
-    """Take a new point into the brackets number `i`."""
+    """Update the brackets `i` with a new point."""
     a, c, b, fa, fc, fb = state
     right, better = x > c[i], f <= fc[i]
     # the old middle becomes an end if the new point is lower, otherwise the new point does
@@ -109,3 +181,8 @@ def _narrow(state: tuple[Array, ...], i: IntArray, x: Array, f: Array) -> None:
     a[i], fa[i] = np.where(to_left_end, x_end, a[i]), np.where(to_left_end, f_end, fa[i])
     b[i], fb[i] = np.where(to_left_end, b[i], x_end), np.where(to_left_end, fb[i], f_end)
     c[i], fc[i] = np.where(better, x, c[i]), np.where(better, f, fc[i])
+
+
+def wrapped(angle: float, half_turn: float) -> float:
+    """The same angle in [-half_turn, half_turn)."""
+    return float((angle + half_turn) % (2.0 * half_turn) - half_turn)

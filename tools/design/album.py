@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from maxq.design.margins.nichols import Zone
+from maxq.design.margins.distances import Zone
 from maxq.design.model.node import Node
 from maxq.sim.scenario.schema_design import Design
 from maxq.tools.design.judging import Judged, Wanted

@@ -15,11 +15,10 @@ from maxq.control.kernel.records import Array
 from maxq.design import api
 from maxq.design.loop.fixed_path import Kind
 from maxq.design.loop.loop import Loop
-from maxq.design.margins.budget import Budget
+from maxq.design.margins.budget import Budget, crossing_budgets
+from maxq.design.margins.distances import Zone
 from maxq.design.margins.lobes import Lobe, find_lobes
-from maxq.design.margins.loop_budget import crossing_budgets
 from maxq.design.margins.measure import Margins, margins
-from maxq.design.margins.nichols import Zone
 from maxq.design.model.node import Node
 from maxq.design.model.vehicle_at import StabilityDerivatives, stability_derivatives
 from maxq.sim.packing.computer import bending_filter

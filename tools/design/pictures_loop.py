@@ -12,7 +12,7 @@ from matplotlib.axes import Axes
 from matplotlib.patches import Ellipse, Polygon, Rectangle
 
 from maxq.control.kernel.records import Array
-from maxq.design.margins.nichols import Zone
+from maxq.design.margins.distances import Zone
 from maxq.design.model.state_space import ComplexArray
 from maxq.tools.design.judging import Judged
 from maxq.tools.plots.palette import BLACK, BLUE, GREY, ON_LIGHT, RED

@@ -9,7 +9,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from maxq.design.margins.worst import Bound
+from maxq.design.margins.measure import Bound
 from maxq.design.optimise.solution import Solution
 from maxq.tools.design.design_file import write_whole
 from maxq.tools.design.judging import Check, Judged

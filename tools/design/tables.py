@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from typing import Literal
 
 from maxq.design.margins.lobes import Lobe
-from maxq.design.margins.worst import Bound
+from maxq.design.margins.measure import Bound
 from maxq.tools.cli.terminal import aligned
 from maxq.tools.design.judging import Check, Judged
 

@@ -1,8 +1,11 @@
-"""Exclusion zones around -180 + 360 k degrees, 0 dB in the Nichols plane, and how far a curve stays clear of them.
+"""Distances of the curve from the critical point: modulus (disk) margins, and exclusion zones in the Nichols plane.
 
-Gain and phase margin bound a curve on two lines only and let it cut the corner between them. The clearance of a zone
-is -1 in its centre, 0 on its border and grows linearly outwards: d >= 0 is the constraint. With psi the phase from
-the nearest centre in degrees, y the gain in dB, a and b the zone's half axes:
+Disk margins bound gain and phase that change together (Seiler, Packard & Gahinet, IEEE CSM 40(5), 2020).
+
+Gain and phase margin bound a curve on two lines only and let it cut the corner between them; exclusion zones around
+-180 + 360 k degrees, 0 dB close it. The clearance of a zone is -1 in its centre, 0 on its border and grows linearly
+outwards: d >= 0 is the constraint. With psi the phase from the nearest centre in degrees, y the gain in dB, a and b
+the zone's half axes:
 
     diamond      |psi|/a + |y|/b - 1
     rectangle    max(|psi|/a, |y|/b) - 1
@@ -19,13 +22,83 @@ from numpy.typing import NDArray
 
 from maxq.control.kernel.records import Array, IntArray
 from maxq.design.margins.crossings import GainCrossings, PhaseCrossings
-from maxq.design.margins.curve import Curve, sample
-from maxq.design.margins.extremes import brackets
-from maxq.design.margins.objectives import DB, along, from_minus_one_deg, log_size
-from maxq.design.margins.solving import minima, roots
+from maxq.design.margins.curve import Curve, brackets
+from maxq.design.margins.solving import (
+    DB,
+    Objective,
+    along,
+    complementary,
+    from_minus_one_deg,
+    log_size,
+    minima,
+    roots,
+    sample,
+    sensitivity,
+    symmetric,
+)
 from maxq.design.model.state_space import ComplexArray
 
 Shape = Literal["diamond", "rectangle", "ellipse"]
+
+
+@dataclass(frozen=True)
+class Disk:
+    """One disk and its guarantee: the loop stays stable under any gain in [down, up] and any phase up to `phase_deg`.
+
+    `size` is the least distance: |1 + L| (sensitivity), |1 + 1/L| (complementary) or 2 |1 + L|/|1 - L| (symmetric:
+    the alpha of the paper above, at most 2).
+    """
+
+    size: float
+    frequency_hz: float
+    gain_down_db: float  # both counted positive; infinite where the disk does not bound them
+    gain_up_db: float
+    phase_deg: float
+
+
+@dataclass(frozen=True)
+class Disks:
+    sensitivity: Disk  # the modulus margin: 1 / max |S|
+    complementary: Disk  # 1 / max |T|
+    symmetric: Disk
+
+
+_NO_DISK = Disk(np.nan, np.nan, np.nan, np.nan, np.nan)
+NO_DISKS = Disks(_NO_DISK, _NO_DISK, _NO_DISK)
+"""Of an unstable loop."""
+
+
+def find_disks(curve: Curve) -> Disks:
+    """Least distances over a curve whose turning points have been solved for."""
+    size, f = _least_distance(curve, sensitivity)
+    from_s = Disk(size, f, _db(1.0 + size), -_db(1.0 - size), _phase_deg(size))
+    size, f = _least_distance(curve, complementary)
+    from_t = Disk(size, f, -_db(1.0 - size), _db(1.0 + size), _phase_deg(size))
+    half, f = _least_distance(curve, symmetric)
+    both = -_db((1.0 - half) / (1.0 + half))
+    # |1 + L| < |1 - L| only where Re L < 0: elsewhere the disk is the half plane
+    half = min(half, 1.0)
+    return Disks(from_s, from_t, Disk(2.0 * half, f, both, both, float(np.degrees(2.0 * np.arctan(half)))))
+
+
+def _least_distance(curve: Curve, objective: Objective) -> tuple[float, float]:
+    """The least distance and its frequency: 0 and infinity are limits."""
+    value: Array = objective(curve.loop)
+    k = int(np.argmin(value))
+    found = [(float(value[k]), float(curve.frequency_hz[k]))]
+    for limit, f in ((curve.at_zero_limit, 0.0), (curve.at_end_limit, np.inf)):
+        if limit is not None:
+            found.append((float(objective(np.array([limit]))[0]), f))
+    least, f = min(found)
+    return float(np.exp(least)) if least < 300.0 else np.inf, f
+
+
+def _db(ratio: float) -> float:
+    return float(DB * np.log(ratio)) if ratio > 0.0 else -np.inf
+
+
+def _phase_deg(size: float) -> float:
+    return float(np.degrees(2.0 * np.arcsin(size / 2.0))) if size <= 2.0 else np.inf
 
 
 @dataclass(frozen=True)
@@ -94,9 +167,9 @@ def find_clearances(
 
 
 def _candidates(value: Array, sharp: NDArray[np.bool_]) -> tuple[IntArray, Array]:
-    """Brackets that may hold the least value of all: the steps to the neighbours bound what can be gained.
+    """Brackets that may hold the least value of all: the steps to the neighbours bound the improvement.
 
-    A kink that is lower than the points close beside it is a minimum already.
+    A kink lower than the points close beside it is a minimum already.
     """
     middle, around = brackets(value)
     fall = np.maximum(around[:, 0], around[:, 2]) - around[:, 1]
@@ -105,7 +178,7 @@ def _candidates(value: Array, sharp: NDArray[np.bool_]) -> tuple[IntArray, Array
 
 
 def _with_corners(curve: Curve, zones: tuple[Zone, ...]) -> tuple[Curve, Array]:
-    """With the crossings of the rectangles' diagonals near the zone, and where they are."""
+    """The curve with its crossings of the rectangles' diagonals near the zone, and their frequencies."""
     corners = [np.zeros(0)]
     for zone in zones:
         if zone.shape == "rectangle":
@@ -120,7 +193,7 @@ def _with_corners(curve: Curve, zones: tuple[Zone, ...]) -> tuple[Curve, Array]:
 
 
 def _beside(curve: Curve, kinks_hz: Array) -> Curve:
-    """With points close to each kink, so that a smooth minimum next to one has a bracket of its own."""
+    """The curve with points close to each kink, so that a smooth minimum next to one has a bracket of its own."""
     f = curve.frequency_hz
     k = np.searchsorted(f, kinks_hz)
     k = k[(k > 0) & (k < len(f) - 1)]
