@@ -18,8 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from maxq.control.kernel.jit import kernel
 from maxq.control.kernel.records import Array
-from maxq.control.laws.structures import MAX_SECTIONS as MAX_SECTIONS  # noqa: PLC0414  # planted_faults reads it here
-from maxq.control.laws.structures import STRUCTURES, Structure
+from maxq.control.laws.structures import MAX_SECTIONS, STRUCTURES, Structure
 
 Discretization = Literal["prewarped", "bilinear", "matched", "zoh"]
 ComplexArray = NDArray[np.complex128]

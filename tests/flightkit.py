@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from oracles import multibody_system as system
 
-from maxq.control.kernel.jit import borrowed, entry
+from maxq.control.kernel.jit import bare_pointer, entry
 from maxq.control.kernel.records import Array
 from maxq.control.kernel.tables import find_interval
 from maxq.sim.flight import arena as flight_arena
@@ -259,8 +259,8 @@ def oracle_vehicle(parts: Parts, damping_1ps: tuple[float, ...] = ()) -> system.
 def _evaluate_at(P, pool, state, y, now_ns, elapsed_s, props, dy, work, aux):  # type: ignore[no-untyped-def]  # Numba infers
     memory = state[0]
     p = P[memory.clock.stage]
-    pool, y, props = borrowed(pool), borrowed(y), borrowed(props)
-    dy, work, aux = borrowed(dy), borrowed(work), borrowed(aux)
+    pool, y, props = bare_pointer(pool), bare_pointer(y), bare_pointer(props)
+    dy, work, aux = bare_pointer(dy), bare_pointer(work), bare_pointer(aux)
     # a step lies in one interval of the schedule; breakpoints are met to the nanosecond
     clock_s = flight_step.schedule_clock(p, now_ns, 1e-9)
     memory.clock.interval = find_interval(pool, p.vehicle.schedule, clock_s)
@@ -272,8 +272,8 @@ def _evaluate_at(P, pool, state, y, now_ns, elapsed_s, props, dy, work, aux):  #
 def _meet(P, pool, state, y, aux, until_ns):  # type: ignore[no-untyped-def]  # Numba infers
     memory = state[0]
     p = P[memory.clock.stage]
-    pool, y, aux = borrowed(pool), borrowed(y), borrowed(aux)
-    flight_events.meet_instants(p, pool, memory, y, aux)
+    pool, y, aux = bare_pointer(pool), bare_pointer(y), bare_pointer(aux)
+    flight_events.process_due_events(p, pool, memory, y, aux)
     return flight_events.step_length(p, pool, memory, until_ns)
 
 
@@ -291,7 +291,7 @@ class Rig:
     dy: Array = field(default_factory=lambda: np.zeros(MAX_STATE))
     work: Array = field(default_factory=lambda: np.zeros(workspace.WORK_SIZE))
     aux: Array = field(default_factory=lambda: np.zeros(workspace.AUX_SIZE))
-    props: Array = field(default_factory=lambda: np.zeros(flight_arena.PROPS_SIZE))
+    props: Array = field(default_factory=lambda: np.zeros(flight_arena.PROPERTIES_SIZE))
 
     @property
     def y(self) -> Array:
@@ -303,8 +303,8 @@ class Rig:
         return self.packed.parameters[0].vehicle
 
     @property
-    def course(self) -> Any:
-        return self.packed.parameters[0].course
+    def timeline(self) -> Any:
+        return self.packed.parameters[0].timeline
 
     @property
     def held(self) -> Any:

@@ -15,7 +15,7 @@ from maxq.sim.campaign.loaded import LoadedCampaign
 from maxq.sim.campaign.read import load_campaign
 from maxq.sim.campaign.targets import Change, Dispersed, find_target
 from maxq.sim.packing.flight import Packed, pack_flight
-from maxq.sim.packing.remembered import by_identity
+from maxq.sim.packing.remembered import cached_by_identity
 from maxq.sim.scenario.loader import LoadedScenario
 
 
@@ -118,10 +118,10 @@ def test_integrator_and_noise_settings_reach_every_run(tmp_path: Path) -> None:
     seeds = set()
     for run in range(4):
         packed = pack_flight(campaign.scenario_of(run).scenario)
-        course = packed.parameters[0].course
+        course = packed.parameters[0].timeline
         assert int(course.step_ns) == 500_000
-        assert int(packed.parameters[0].around.earth.gravity) == int(
-            pack_flight(campaign.base.scenario).parameters[0].around.earth.gravity
+        assert int(packed.parameters[0].environment.earth.gravity) == int(
+            pack_flight(campaign.base.scenario).parameters[0].environment.earth.gravity
         )
         seeds.add(int(course.seed))
     assert len(seeds) == 4
@@ -130,7 +130,7 @@ def test_integrator_and_noise_settings_reach_every_run(tmp_path: Path) -> None:
 def test_answers_are_remembered_by_identity() -> None:
     asked: list[tuple[object, float]] = []
 
-    @by_identity
+    @cached_by_identity
     def measure(table: list[float], names: tuple[object, ...], at: float) -> int:
         asked.append((names, at))
         return len(table)

@@ -190,7 +190,7 @@ def test_drift_of_a_held_loop_is_measured_and_named(drifting: LoadedScenario) ->
 
 def test_wrong_gravity_shows_in_the_drift(drifting: LoadedScenario) -> None:
     def lighter(packed: Packed) -> None:
-        packed.parameters[0].around.earth.uniform_mps2 *= 0.8
+        packed.parameters[0].environment.earth.uniform_mps2 *= 0.8
 
     found = certify_node(drifting, api.nodes(drifting, [55.0])[0], fault=lighter, bands=(), broken=())
     assert not found.stands

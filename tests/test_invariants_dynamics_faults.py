@@ -33,7 +33,7 @@ def column(made: Rig, time_s: float, index: int | slice) -> np.ndarray:
 
 
 def burn_end_s(made: Rig) -> float:
-    return 1e-9 * int(made.course.burnout_ns)
+    return 1e-9 * int(made.timeline.burnout_ns)
 
 
 def breaks_s(made: Rig) -> np.ndarray:

@@ -104,7 +104,7 @@ def test_frames_agree_with_the_logged_attitude_and_place(shape: list[str]) -> No
     gravity = ["earth.gravity=uniform"] if shape else []
     scenario = load_scenario("nominal", ["run.duration_s=30.0", "run.step_s=0.002", *shape, *gravity])
     run = FlightRun(scenario)
-    earth = run.packed.parameters[0].around.earth
+    earth = run.packed.parameters[0].environment.earth
     frames = LaunchFrames(run.table, earth, scenario.scenario.site, 20_000_000)
     index = run.table.index
     times, positions = [], []
@@ -129,7 +129,7 @@ def test_frames_agree_with_the_logged_attitude_and_place(shape: list[str]) -> No
 def test_transforms_that_slow_rows_do_not_meet_come_with_the_next_row() -> None:
     scenario = loaded()
     run = FlightRun(scenario)
-    frames = LaunchFrames(run.table, run.packed.parameters[0].around.earth, scenario.scenario.site, 15_000_000)
+    frames = LaunchFrames(run.table, run.packed.parameters[0].environment.earth, scenario.scenario.site, 15_000_000)
     slow_ns, slow = run.fly_segment()[SLOW]
     first = frames.path(slow_ns[:3], slow[:3]).times_ns
     rest = frames.path(slow_ns[3:], slow[3:]).times_ns

@@ -8,7 +8,7 @@ import pytest
 from maxq.control.kernel.jit import from_python
 from maxq.control.kernel.records import pack
 from maxq.sim.vehicle import nearby
-from maxq.sim.vehicle.nearby import DROPPED, EXACT, HOLDS, NEAR_m
+from maxq.sim.vehicle.nearby import ANCHOR_DUE, ANCHOR_SET, NO_ANCHOR, NEAR_m
 from maxq.sim.vehicle.workspace import ANCHOR, WORK_SIZE
 from maxq.sim.world.atmosphere import US1976, VACUUM, Atmosphere, TOP_m, air
 from maxq.sim.world.earth import earth_position, flat, local_frame, sphere, wgs84
@@ -23,7 +23,7 @@ EDGES_m = [6356766.0 * h / (6356766.0 - h) for h in (11e3, 20e3, 32e3, 47e3, 51e
 
 def anchored(earth, atmosphere, place):
     work = np.zeros(WORK_SIZE)
-    work[ANCHOR] = DROPPED
+    work[ANCHOR] = ANCHOR_DUE
     frame_and_air(earth, atmosphere, NO_POOL, *place, work)
     return work
 
@@ -45,7 +45,7 @@ def test_a_neighbour_is_where_the_exact_formulas_have_it(earth, distance_m):
         direction = rng.normal(size=3)
         there = place + distance_m * direction / np.linalg.norm(direction)
         work = anchored(earth, AIR, place)
-        assert work[ANCHOR] == HOLDS
+        assert work[ANCHOR] == ANCHOR_SET
         frame, gas = frame_and_air(earth, AIR, NO_POOL, *there, work)
         frame_there, gas_there = exact(earth, AIR, there)
         # rounding of the exact altitude, and the third powers
@@ -79,13 +79,13 @@ def test_no_series_reaches_into_another_layer(edge_m):
 
 def test_what_is_not_near_anything_is_exact():
     flat_earth = pack([flat()])[0]
-    assert anchored(flat_earth, AIR, (10.0, 20.0, -3000.0))[ANCHOR] == EXACT
+    assert anchored(flat_earth, AIR, (10.0, 20.0, -3000.0))[ANCHOR] == NO_ANCHOR
     pole = earth_position(WGS84, math.radians(88.0), 0.3, 1000.0)
-    assert anchored(WGS84, AIR, pole)[ANCHOR] == EXACT
+    assert anchored(WGS84, AIR, pole)[ANCHOR] == NO_ANCHOR
     place = earth_position(WGS84, 0.6, 2.2, 5000.0)
     work = np.zeros(WORK_SIZE)  # nobody has dropped an anchor
     frame, gas = frame_and_air(WGS84, AIR, NO_POOL, *place, work)
-    assert work[ANCHOR] == EXACT
+    assert work[ANCHOR] == NO_ANCHOR
     assert frame == tuple(exact(WGS84, AIR, place)[0])
     assert gas == tuple(exact(WGS84, AIR, place)[1])
 

@@ -44,7 +44,7 @@ MOVED = Mode(7.0, 500.0, (0.6,) * 6, (0.0,) * 6)  # moves without turning
 def answer(made: Rig, y: Array | None = None) -> tuple[Array, Array]:
     """Specific force at the core CG and angular acceleration, both in B."""
     made.derivative(made.y if y is None else y)
-    felt, alpha = workspace.FELT, workspace.ANGULAR_ACCEL
+    felt, alpha = workspace.SPECIFIC_FORCE, workspace.ANGULAR_ACCEL
     return made.aux[felt : felt + 3].copy(), made.aux[alpha : alpha + 3].copy()
 
 

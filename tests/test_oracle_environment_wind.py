@@ -7,10 +7,10 @@ import math
 import numpy as np
 import pytest
 
+from maxq.control.kernel.limits import MAX_GUSTS
 from maxq.control.kernel.records import pack
 from maxq.control.kernel.tables import Pool, fit
 from maxq.sim.world.wind import (
-    MAX_GUSTS,
     ONE_MINUS_COSINE,
     SHEAR,
     Gust,

@@ -22,7 +22,7 @@ from maxq.sim.vehicle.state import N_FIXED, Q_BI, R_I, V_I, W_BI_B
 SIGNAL, TOTAL, SWITCH = (
     from_python(kernel) for kernel in (injection.signal, injection.total_signal, injection.next_switch)
 )
-REPLACED, FAULT = from_python(injection.replaced), from_python(events.fault)
+REPLACED, FAULT = from_python(injection.replaced), from_python(events.divergence_cause)
 START_NS, STOP_NS = 2_000_000_000, 6_000_000_000
 TONES_HZ, PHASES = np.array([0.5, 1.25, 3.0]), np.array([0.1, -1.0, 2.0])
 TABLE_S, TABLE = np.array([2.0, 3.5, 5.0, 6.0]), np.array([[0.0, 1.0], [4.0, 2.0], [-1.0, 5.0], [0.0, 3.0]])

@@ -128,7 +128,7 @@ def _address(context: Any, array: Any) -> Any:
     return types.CPointer(array.dtype)(array), build
 
 
-def borrowed(array: Array) -> Array:
+def bare_pointer(array: Array) -> Array:
     """The array's elements without the array, for use inside an entry only: its caller keeps the array alive.
 
     Numba counts references to an array, atomically, at every call it is passed to, and looks at the sign of every
@@ -138,8 +138,8 @@ def borrowed(array: Array) -> Array:
     return array
 
 
-@overload(borrowed, target="cpu")
-def _borrowed(array):  # type: ignore[no-untyped-def]  # Numba compares both signatures, annotations included
+@overload(bare_pointer, target="cpu")
+def _bare_pointer(array):  # type: ignore[no-untyped-def]  # Numba compares both signatures, annotations included
     return lambda array: _address(array)  # noqa: PLW0108  # Numba compiles this body: it cannot be the intrinsic itself
 
 

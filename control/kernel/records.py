@@ -104,30 +104,30 @@ def with_constants(rows: NDArray[Any], *path: str) -> NDArray[Any]:
         nested = nested[name]
     if len(rows) > 1 and (nested != nested[0]).any():
         return rows
-    told = ",".join(f"{name}={int(nested[0][name])}" for name in nested.dtype.names or ())
-    return rows.view(_telling(rows.dtype, path, told))
+    encoded = ",".join(f"{name}={int(nested[0][name])}" for name in nested.dtype.names or ())
+    return rows.view(_with_constant_names(rows.dtype, path, encoded))
 
 
 def constants_in(names: Iterable[str]) -> dict[str, int]:
     """What the names of a record's fields tell, see `with_constants`."""
     return {
         name: int(value)
-        for told in names
-        if "=" in told
-        for name, _, value in (part.partition("=") for part in told.split(","))
+        for encoded in names
+        if "=" in encoded
+        for name, _, value in (part.partition("=") for part in encoded.split(","))
     }
 
 
 @lru_cache(maxsize=64)
-def _telling(layout: np.dtype[Any], path: tuple[str, ...], told: str) -> np.dtype[Any]:
+def _with_constant_names(layout: np.dtype[Any], path: tuple[str, ...], encoded: str) -> np.dtype[Any]:
     """`layout` with a further name for the first number of the record at `path`."""
     of: dict[str, Any] = dict(layout.fields or {})
     names = list(layout.names or ())
     formats = [of[name][0] for name in names]
     offsets = [of[name][1] for name in names]
     if path:
-        formats[names.index(path[0])] = _telling(formats[names.index(path[0])], path[1:], told)
+        formats[names.index(path[0])] = _with_constant_names(formats[names.index(path[0])], path[1:], encoded)
     else:
-        names, formats, offsets = [*names, told], [*formats, formats[0]], [*offsets, offsets[0]]
+        names, formats, offsets = [*names, encoded], [*formats, formats[0]], [*offsets, offsets[0]]
     spelt = {"names": names, "formats": formats, "offsets": offsets, "itemsize": layout.itemsize}
     return np.dtype((np.record, spelt))  # type: ignore[arg-type,unused-ignore]  # NumPy's stubs lack such a spelling

@@ -71,7 +71,7 @@ def rotation_from_quaternion(w: float, x: float, y: float, z: float) -> Matrix:
 
 
 @kernel
-def turn(m: Matrix, a: Vector) -> Vector:
+def rotate(m: Matrix, a: Vector) -> Vector:
     """m a"""
     return (
         m[0] * a[0] + m[1] * a[1] + m[2] * a[2],
@@ -81,7 +81,7 @@ def turn(m: Matrix, a: Vector) -> Vector:
 
 
 @kernel
-def turn_back(m: Matrix, a: Vector) -> Vector:
+def rotate_back(m: Matrix, a: Vector) -> Vector:
     """m' a"""
     return (
         m[0] * a[0] + m[3] * a[1] + m[6] * a[2],

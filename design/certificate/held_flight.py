@@ -90,7 +90,7 @@ class HeldFlight:
         )  # fmt: skip
         row = packed.parameters[0]
         row.injections = pack([pack_injections(scenario, Pool())])[0]
-        row.course.stop_ns = int(packed.memory[0].clock.now_ns) + to_ns(duration_s)
+        row.timeline.stop_ns = int(packed.memory[0].clock.now_ns) + to_ns(duration_s)
         self.fault(packed)
         change(packed)
         return FlightRun(dataclasses.replace(self.loaded, scenario=scenario), packed)

@@ -96,7 +96,7 @@ def nodes_along(
 
 
 def _node(run: FlightRun, time_s: float, plane: Plane, errata: Errata) -> Node:
-    step_ns = int(run.packed.parameters[0].course.step_ns)
+    step_ns = int(run.packed.parameters[0].timeline.step_ns)
     at_ns = round(time_s * 1e9 / step_ns) * step_ns
     begins_s = run.now_s
     if at_ns < round(begins_s * 1e9):
@@ -108,14 +108,14 @@ def _node(run: FlightRun, time_s: float, plane: Plane, errata: Errata) -> Node:
         raise ValueError(f"node at {time_s:g} s: the flight ends at {run.now_s:.6g} s ({events or 'no events'})")
     clock = run.memory.clock
     held = run.memory.held
-    if held.down == 1 or held.burning == 0:
-        why = "the vehicle is held down" if held.down == 1 else "the engine does not burn"
+    if held.on_pad == 1 or held.burning == 0:
+        why = "the vehicle is held down" if held.on_pad == 1 else "the engine does not burn"
         raise ValueError(
             f"node at {time_s:g} s: {why} ({events or 'no events yet'}); allowed is from lift-off to burn-out"
         )
     stage = int(clock.stage)
     node = node_of(run.packed, at_ns / 1e9, stage, plane, errata)
-    course = run.packed.parameters[stage].course
+    course = run.packed.parameters[stage].timeline
     clock_s = float(course.burn_rate) * (at_ns - int(course.stage_start_ns)) / 1e9
     clock_s = float(course.frozen_s) if course.frozen == 1 else clock_s
     return dataclasses.replace(node, liquids=_liquids(run.loaded.scenario.vehicle.stage[stage], clock_s, node))
@@ -147,7 +147,7 @@ def node_of(packed: Packed, time_s: float, stage: int = 0, plane: Plane = "pitch
         gravity_mps2=gravity,
     )
     row = packed.parameters[stage]
-    clock_s = time_s - 1e-9 * int(row.course.stage_start_ns)
+    clock_s = time_s - 1e-9 * int(row.timeline.stage_start_ns)
     return Node(
         time_s=time_s,
         vehicle=vehicle_at(packed, clock_s, condition.mach, plane, stage),

@@ -145,7 +145,7 @@ def vehicle_at(packed: Packed, time_s: float, mach: float, plane: Plane = "pitch
     row = packed.parameters[stage]
     vehicle, sizes = row.vehicle, row.vehicle.sizes
     table = _table(packed.pool, vehicle.schedule)
-    clock_s = float(row.course.frozen_s) if row.course.frozen == 1 else float(row.course.burn_rate) * time_s
+    clock_s = float(row.timeline.frozen_s) if row.timeline.frozen == 1 else float(row.timeline.burn_rate) * time_s
     props, rates = table(clock_s), _slope(table, clock_s)
     inertia = schedule.CORE_INERTIA + (1 if plane == "pitch" else 2)
     turn = schedule.INERTIA_RATE + (1 if plane == "pitch" else 2)

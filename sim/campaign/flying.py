@@ -150,11 +150,11 @@ def fly_scenario(loaded: LoadedScenario) -> Flight:
 def _begun_flight(loaded: LoadedScenario, envelope: Envelope | None, pack: Packing) -> FlightRun:
     """A flight at its start, without a log; with the channels of an envelope where one is given."""
     packed = pack(loaded.scenario)
-    step_ns = int(packed.parameters[0].course.step_ns)
+    step_ns = int(packed.parameters[0].timeline.step_ns)
     if envelope is not None:
         period_ns = max(round(NS_PER_S / envelope.rate_hz / step_ns), 1) * step_ns
-        packed.parameters["course"]["fast_ns"] = period_ns
-        packed.parameters["course"]["slow_ns"] = period_ns
+        packed.parameters["timeline"]["fast_ns"] = period_ns
+        packed.parameters["timeline"]["slow_ns"] = period_ns
     segment_ns = max(_SEGMENT_NS // step_ns, 1) * step_ns
     return FlightRun(loaded, packed, log=envelope is not None, segment_ns=segment_ns)
 

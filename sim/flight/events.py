@@ -12,7 +12,7 @@ from maxq.control.computer import computer_tick
 from maxq.control.kernel.jit import kernel, routine
 from maxq.control.kernel.noise import standard_normal
 from maxq.control.kernel.records import Array
-from maxq.control.kernel.vectors import cross, rotation_from_quaternion, turn
+from maxq.control.kernel.vectors import cross, rotate, rotation_from_quaternion
 from maxq.sim.flight.injection import GIMBAL_COMMAND, RATE_COMMAND, next_switch, replaced, total_signal
 from maxq.sim.flight.parameters import (
     APOGEE,
@@ -32,6 +32,7 @@ from maxq.sim.flight.parameters import (
 )
 from maxq.sim.vehicle.actuator import after_backlash
 from maxq.sim.vehicle.engine import thrust
+from maxq.sim.vehicle.environment import climb_rate
 from maxq.sim.vehicle.gyro import GYRO_STREAM
 from maxq.sim.vehicle.schedule import CORE_CG, THRUST_VACUUM, TOTAL_MASS
 from maxq.sim.vehicle.state import (
@@ -51,7 +52,6 @@ from maxq.sim.vehicle.state import (
     state_size,
     xi_index,
 )
-from maxq.sim.vehicle.surroundings import climb_rate
 from maxq.sim.vehicle.workspace import (
     AIRSPEED,
     ALTITUDE,
@@ -62,47 +62,47 @@ from maxq.sim.world.turbulence import turbulence_tick
 
 
 @kernel
-def note(p: Parameters, memory: Memory, event: int, now_ns: int) -> None:
+def record_event(p: Parameters, memory: Memory, event: int, now_ns: int) -> None:
     """Enter an event's first time; end the flight if the scenario says so."""
     if memory.clock.event_ns[event] < 0:
         memory.clock.event_ns[event] = now_ns
-    if (p.course.stop_mask >> event) & 1 == 1:
+    if (p.timeline.stop_mask >> event) & 1 == 1:
         memory.clock.finished = 1
 
 
 @routine
-def meet_instants(p: Parameters, pool: Array, memory: Memory, y: Array, aux: Array) -> int:
+def process_due_events(p: Parameters, pool: Array, memory: Memory, y: Array, aux: Array) -> int:
     """Everything that is due now. Returns 1 where the vehicle itself has changed (engine on or off)."""
     clock, held = memory.clock, memory.held
     now = clock.now_ns
-    meet_break(p, pool, memory)
+    advance_schedule(p, pool, memory)
     changed = 0
-    if held.burning == 0 and p.course.burn_start_ns <= now < p.course.burnout_ns:
+    if held.burning == 0 and p.timeline.burn_start_ns <= now < p.timeline.burnout_ns:
         held.burning = 1
         changed = 1
-    if held.burning == 1 and now >= p.course.burnout_ns:
+    if held.burning == 1 and now >= p.timeline.burnout_ns:
         held.burning = 0
         changed = 1
         clock.stage_burnout_ns[clock.stage] = now
         clock.event_ns[BURNOUT] = -1  # the last stage's burn-out counts
-        note(p, memory, BURNOUT, now)
-    if held.down == 1 and now >= p.course.release_ns:
-        held.down = 0
-        note(p, memory, LIFTOFF, now)
+        record_event(p, memory, BURNOUT, now)
+    if held.on_pad == 1 and now >= p.timeline.release_ns:
+        held.on_pad = 0
+        record_event(p, memory, LIFTOFF, now)
     if now >= clock.next_gust_ns:
-        clock.next_gust_ns = now + p.around.turbulence.tick_ns
+        clock.next_gust_ns = now + p.environment.turbulence.tick_ns
         if clock.steps > 0:  # the first gust was drawn at the start
-            turbulence_tick(p.around.turbulence, pool, memory.gusts, aux[AIRSPEED], aux[ALTITUDE])
-    take_effect(p, memory)  # before the sample: its command replaces what is pending
+            turbulence_tick(p.environment.turbulence, pool, memory.gusts, aux[AIRSPEED], aux[ALTITUDE])
+    apply_due_command(p, memory)  # before the sample: its command replaces what is pending
     if now >= clock.next_sample_ns:
-        sample(p, pool, memory, y)
+        sample_computer(p, pool, memory, y)
         clock.next_sample_ns = now + p.computer.sample_ns
-        take_effect(p, memory)  # and after it: without a delay its command is due at once
+        apply_due_command(p, memory)  # and after it: without a delay its command is due at once
     return changed
 
 
 @kernel
-def take_effect(p: Parameters, memory: Memory) -> None:
+def apply_due_command(p: Parameters, memory: Memory) -> None:
     """Hand a command that is due to the actuators and thrusters, which hold it.
 
     From burn-out on the engine is sent to its middle: without thrust the law could only drive it into its stops.
@@ -120,7 +120,7 @@ def take_effect(p: Parameters, memory: Memory) -> None:
 
 
 @routine
-def sample(p: Parameters, pool: Array, memory: Memory, y: Array) -> None:
+def sample_computer(p: Parameters, pool: Array, memory: Memory, y: Array) -> None:
     """One tick of the flight computer on what the gyro has turned since the last one."""
     clock = memory.clock
     now = clock.now_ns
@@ -129,7 +129,7 @@ def sample(p: Parameters, pool: Array, memory: Memory, y: Array) -> None:
     for axis in range(3):
         memory.increment_rad[axis] = y[GYRO_ANGLE + axis]
         if walk > 0.0:
-            memory.increment_rad[axis] += walk * standard_normal(p.course.seed, GYRO_STREAM + axis, clock.samples)
+            memory.increment_rad[axis] += walk * standard_normal(p.timeline.seed, GYRO_STREAM + axis, clock.samples)
         y[GYRO_ANGLE + axis] = 0.0
         memory.rate_injection_radps[axis] = total_signal(p.injections, pool, RATE_COMMAND, axis, begun, 0.0)
         memory.rate_replaces[axis] = replaced(p.injections, RATE_COMMAND, axis, begun)
@@ -150,18 +150,18 @@ def sample(p: Parameters, pool: Array, memory: Memory, y: Array) -> None:
 @kernel
 def step_length(p: Parameters, pool: Array, memory: Memory, until_ns: int) -> int:
     """Nanoseconds to the next instant that no step may reach over."""
-    clock, course = memory.clock, p.course
+    clock, timeline = memory.clock, p.timeline
     now = clock.now_ns
-    end = min((now // course.step_ns + 1) * course.step_ns, until_ns)
+    end = min((now // timeline.step_ns + 1) * timeline.step_ns, until_ns)
     for instant in (
         clock.next_sample_ns,
         clock.command_due_ns,
         clock.next_gust_ns,
-        course.burn_start_ns,
-        course.burnout_ns,
-        course.separation_ns,
-        course.release_ns,
-        course.stop_ns,
+        timeline.burn_start_ns,
+        timeline.burnout_ns,
+        timeline.separation_ns,
+        timeline.release_ns,
+        timeline.stop_ns,
     ):
         if now < instant < end:
             end = instant
@@ -172,16 +172,16 @@ def step_length(p: Parameters, pool: Array, memory: Memory, until_ns: int) -> in
 
 
 @kernel
-def meet_break(p: Parameters, pool: Array, memory: Memory) -> None:
+def advance_schedule(p: Parameters, pool: Array, memory: Memory) -> None:
     """Go over to the interval of the schedule that begins at or before now: rates may jump there."""
     schedule, clock = p.vehicle.schedule, memory.clock
     if clock.now_ns < clock.next_break_ns:
         return
     clock.fresh = 1
     clock.next_break_ns = NEVER
-    while p.course.frozen == 0 and clock.interval < schedule.n_breaks - 2:
-        table_s = pool[schedule.offset + clock.interval + 1] / p.course.burn_rate
-        at: int = p.course.stage_start_ns + round(1e9 * table_s)
+    while p.timeline.frozen == 0 and clock.interval < schedule.n_breaks - 2:
+        table_s = pool[schedule.offset + clock.interval + 1] / p.timeline.burn_rate
+        at: int = p.timeline.stage_start_ns + round(1e9 * table_s)
         if at > clock.now_ns:
             clock.next_break_ns = at
             return
@@ -189,38 +189,38 @@ def meet_break(p: Parameters, pool: Array, memory: Memory) -> None:
 
 
 @routine
-def crossing(
-    p: Parameters, memory: Memory, event: int, y: Array, props: Array, pad_load: float, pressure: float
+def event_function(
+    p: Parameters, memory: Memory, event: int, y: Array, properties: Array, pad_load: float, pressure: float
 ) -> float:
     """A number that turns positive as `event` happens."""
     if event == LIFTOFF:
-        strength = thrust(p.vehicle.engine, props[THRUST_VACUUM], pressure)
-        surplus: float = strength - props[TOTAL_MASS] * pad_load
+        strength = thrust(p.vehicle.engine, properties[THRUST_VACUUM], pressure)
+        surplus: float = strength - properties[TOTAL_MASS] * pad_load
         return surplus
-    altitude, climb = climb_rate(p.around.earth, y)
+    altitude, climb = climb_rate(p.environment.earth, y)
     if event == APOGEE:
         return -climb
-    return p.course.ground_altitude_m - altitude
+    return p.timeline.ground_altitude_m - altitude
 
 
 @routine
-def watch(p: Parameters, memory: Memory, y: Array, aux: Array) -> None:
+def detect_loss_of_control(p: Parameters, memory: Memory, y: Array, aux: Array) -> None:
     """Events that are seen at a step's start: lost control, tumbling."""
-    if memory.held.down == 1:
+    if memory.held.on_pad == 1:
         return
-    clock, course, law = memory.clock, p.course, memory.computer.law
+    clock, timeline, law = memory.clock, p.timeline, memory.computer.law
     if memory.held.burning == 1 and clock.event_ns[CONTROL_LOST] < 0:
         # the law clamps theta_e; what the clamp took away belongs to the error
         pitch, yaw = law.theta_e_rad[1] + law.discarded_rad[1], law.theta_e_rad[2] + law.discarded_rad[2]
-        if max(abs(pitch), abs(yaw)) > course.control_lost_rad:
-            note(p, memory, CONTROL_LOST, clock.now_ns)
-    if aux[DYNAMIC_PRESSURE] > course.tumble_pressure_Pa and clock.event_ns[TUMBLE] < 0:
-        if aux[FLOW] < math.cos(course.tumble_rad) * aux[AIRSPEED]:
-            note(p, memory, TUMBLE, clock.now_ns)
+        if max(abs(pitch), abs(yaw)) > timeline.control_lost_rad:
+            record_event(p, memory, CONTROL_LOST, clock.now_ns)
+    if aux[DYNAMIC_PRESSURE] > timeline.tumble_pressure_Pa and clock.event_ns[TUMBLE] < 0:
+        if aux[FLOW] < math.cos(timeline.tumble_rad) * aux[AIRSPEED]:
+            record_event(p, memory, TUMBLE, clock.now_ns)
 
 
 @routine
-def fault(p: Parameters, y: Array) -> int:
+def divergence_cause(p: Parameters, y: Array) -> int:
     """Why a state is no flight any more, or FINITE. Written so that a NaN fails every comparison."""
     turning = abs(y[W_BI_B]) + abs(y[W_BI_B + 1]) + abs(y[W_BI_B + 2])
     place = abs(y[R_I]) + abs(y[R_I + 1]) + abs(y[R_I + 2])
@@ -254,7 +254,7 @@ def fault(p: Parameters, y: Array) -> int:
 
 
 @routine
-def hand_over(before: Parameters, after: Parameters, memory: Memory, old: Array, new: Array, y: Array) -> None:
+def transfer_state(before: Parameters, after: Parameters, memory: Memory, old: Array, new: Array, y: Array) -> None:
     """Separation: the upper part flies on from where its own core CG is; modes and bobs start at rest.
 
     `old` and `new` are the schedules' rows on both sides. Stations run from the nose, which stays.
@@ -266,7 +266,7 @@ def hand_over(before: Parameters, after: Parameters, memory: Memory, old: Array,
         new[CORE_CG + 1] - old[CORE_CG + 1],
         new[CORE_CG + 2] - old[CORE_CG + 2],
     )
-    moved, swept = turn(rotation, shift), turn(rotation, cross(rate, shift))
+    moved, swept = rotate(rotation, shift), rotate(rotation, cross(rate, shift))
     for j in range(3):
         y[R_I + j] += moved[j]
         y[V_I + j] += swept[j]
@@ -275,7 +275,7 @@ def hand_over(before: Parameters, after: Parameters, memory: Memory, old: Array,
     memory.held.command_pitch_rad, memory.held.command_yaw_rad = 0.0, 0.0
     memory.held.roll_torque_Nm, memory.held.burning = 0.0, 0
     rest(after, rate, y)
-    note(before, memory, SEPARATION, memory.clock.now_ns)
+    record_event(before, memory, SEPARATION, memory.clock.now_ns)
     memory.clock.stage_separation_ns[memory.clock.stage] = memory.clock.now_ns
 
 

@@ -11,11 +11,9 @@ from dataclasses import dataclass
 from typing import Annotated
 
 from maxq.control.kernel.jit import kernel, routine
+from maxq.control.kernel.limits import MAX_INJECTIONS, MAX_TONES
 from maxq.control.kernel.records import Array, IntArray
 from maxq.control.kernel.tables import TableRef, find_interval, interpolate
-
-MAX_INJECTIONS = 16
-MAX_TONES = 64
 
 # where a signal enters
 GIMBAL_COMMAND = 0

@@ -22,10 +22,10 @@ from maxq.sim.vehicle.workspace import (
     DYNAMIC_PRESSURE,
     ENGINE_PITCH,
     ENGINE_YAW,
-    FELT,
     FLOW,
     GIMBAL_BEND,
     MACH,
+    SPECIFIC_FORCE,
     THRUST,
 )
 from maxq.sim.world.earth import Earth
@@ -101,11 +101,13 @@ def gather(
     sensed = (aux[AERO_FORCE] + aux[THRUST]) / props[TOTAL_MASS]
     raise_to(extremes, AXIAL_MAX, abs(sensed) / STANDARD_GRAVITY_MPS2, now_ns)
     _gather_bending(extremes, vehicle, now_ns, aux)
-    if held.burning == 0 or held.down == 1:
+    if held.burning == 0 or held.on_pad == 1:
         return
     raise_to(extremes, Q_POWERED, q, now_ns)
     _gather_incidence(extremes, q, aux, now_ns)
-    felt = math.sqrt(aux[FELT + 1] * aux[FELT + 1] + aux[FELT + 2] * aux[FELT + 2])
+    felt = math.sqrt(
+        aux[SPECIFIC_FORCE + 1] * aux[SPECIFIC_FORCE + 1] + aux[SPECIFIC_FORCE + 2] * aux[SPECIFIC_FORCE + 2]
+    )
     raise_to(extremes, LATERAL_MAX, felt / STANDARD_GRAVITY_MPS2, now_ns)
     law = computer.law
     error = max(abs(law.theta_e_rad[1] + law.discarded_rad[1]), abs(law.theta_e_rad[2] + law.discarded_rad[2]))

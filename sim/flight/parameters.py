@@ -6,11 +6,12 @@ from dataclasses import dataclass
 from typing import Annotated
 
 from maxq.control.computer import Computer, ComputerState
+from maxq.control.kernel.limits import MAX_STAGES
 from maxq.control.kernel.records import Array, IntArray
 from maxq.sim.flight.injection import Injections
 from maxq.sim.flight.metrics import Extremes
 from maxq.sim.vehicle.derivative import Held, Vehicle
-from maxq.sim.vehicle.surroundings import Surroundings
+from maxq.sim.vehicle.environment import Environment
 from maxq.sim.world.turbulence import TurbulenceState
 
 NEVER = 2**62  # ns: an instant that does not come
@@ -45,7 +46,7 @@ CAUSES = (
 
 
 @dataclass(frozen=True)
-class Course:
+class StageTimeline:
     """How a stage is flown: instants in ns of flight time unless named otherwise."""
 
     step_ns: int
@@ -71,10 +72,10 @@ class Course:
 @dataclass(frozen=True)
 class Parameters:
     vehicle: Vehicle
-    around: Surroundings
+    environment: Environment
     computer: Computer
     injections: Injections
-    course: Course
+    timeline: StageTimeline
 
 
 @dataclass
@@ -99,8 +100,8 @@ class Clock:
     samples: int  # of the gyro, for its noise
     climbing: int  # 1 while the altitude rises
     event_ns: Annotated[IntArray, (N_EVENTS,)]  # -1: has not happened
-    stage_burnout_ns: Annotated[IntArray, (8,)]
-    stage_separation_ns: Annotated[IntArray, (8,)]
+    stage_burnout_ns: Annotated[IntArray, (MAX_STAGES,)]
+    stage_separation_ns: Annotated[IntArray, (MAX_STAGES,)]
 
 
 @dataclass

@@ -13,7 +13,7 @@ from maxq.control.computer import ComputerState
 from maxq.control.kernel.jit import kernel, routine
 from maxq.control.kernel.records import Array
 from maxq.control.kernel.rows import NorthEastDown, PitchYaw, Quaternion, RollPitchYaw, Xyz, put, xyz
-from maxq.control.kernel.vectors import rotation_from_quaternion, turn
+from maxq.control.kernel.vectors import rotate, rotation_from_quaternion
 from maxq.sim.flight.channels import ChannelTable, Topic, declared_channels, declared_topics
 from maxq.sim.flight.metrics import STANDARD_GRAVITY_MPS2
 from maxq.sim.flight.parameters import Memory, Parameters
@@ -41,7 +41,6 @@ from maxq.sim.vehicle.workspace import (
     DYNAMIC_PRESSURE,
     ENGINE_PITCH,
     ENGINE_YAW,
-    FELT,
     FLOW,
     GIMBAL_BEND,
     GRAVITATION,
@@ -49,6 +48,7 @@ from maxq.sim.vehicle.workspace import (
     MACH,
     PRESSURE,
     SOUND_SPEED,
+    SPECIFIC_FORCE,
     TEMPERATURE,
     TENSIONS,
     THRUST,
@@ -243,7 +243,7 @@ class MotionRow(NamedTuple):
 
 @kernel
 def motion_row(p: Parameters, memory: Memory, y: Array) -> MotionRow:
-    earth = p.around.earth
+    earth = p.environment.earth
     cos, sin = earth_rotation(earth, 1e-9 * memory.clock.now_ns)
     r_E = inertial_to_earth(cos, sin, y[R_I], y[R_I + 1], y[R_I + 2])
     latitude, longitude, altitude = geodetic(earth, r_E[0], r_E[1], r_E[2])
@@ -253,10 +253,10 @@ def motion_row(p: Parameters, memory: Memory, y: Array) -> MotionRow:
     if earth.figure != FLAT:
         axes = ned_axes(math.sin(latitude), math.cos(latitude), math.sin(longitude), math.cos(longitude))
     rotation = rotation_from_quaternion(y[Q_BI], y[Q_BI + 1], y[Q_BI + 2], y[Q_BI + 3])
-    v_north, v_east, v_down = turn(axes, (vx, vy, vz))
-    forward = turn(axes, inertial_to_earth(cos, sin, rotation[0], rotation[3], rotation[6]))
-    right = turn(axes, inertial_to_earth(cos, sin, rotation[1], rotation[4], rotation[7]))
-    under = turn(axes, inertial_to_earth(cos, sin, rotation[2], rotation[5], rotation[8]))
+    v_north, v_east, v_down = rotate(axes, (vx, vy, vz))
+    forward = rotate(axes, inertial_to_earth(cos, sin, rotation[0], rotation[3], rotation[6]))
+    right = rotate(axes, inertial_to_earth(cos, sin, rotation[1], rotation[4], rotation[7]))
+    under = rotate(axes, inertial_to_earth(cos, sin, rotation[2], rotation[5], rotation[8]))
     return MotionRow(
         r_I_axis_m=xyz(y, R_I),
         v_I_axis_mps=xyz(y, V_I),
@@ -326,7 +326,7 @@ def loads_row(props: Array, aux: Array) -> LoadsRow:
     return LoadsRow(
         aero_force_B_axis_N=xyz(aux, AERO_FORCE),
         aero_moment_B_axis_Nm=xyz(aux, AERO_MOMENT),
-        felt_B_axis_mps2=xyz(aux, FELT),
+        felt_B_axis_mps2=xyz(aux, SPECIFIC_FORCE),
         alpha_BI_B_axis_radps2=xyz(aux, ANGULAR_ACCEL),
         gravitation_I_axis_mps2=xyz(aux, GRAVITATION),
         thrust_over_weight_g=aux[THRUST] / weight_N,
@@ -359,7 +359,7 @@ def vehicle_row(memory: Memory, props: Array, aux: Array) -> VehicleRow:
         Iyy_kgm2=props[CORE_INERTIA + 1],
         Izz_kgm2=props[CORE_INERTIA + 2],
         stage=memory.clock.stage,
-        held_down=memory.held.down,
+        held_down=memory.held.on_pad,
     )
 
 

@@ -9,12 +9,13 @@ import numpy as np
 from maxq.control.computer import Computer, build_computer
 from maxq.control.filters import BendingFilter, DiscreteFilter, FirstOrderSection, QuadraticSection
 from maxq.control.guidance import rate_programme
+from maxq.control.kernel.limits import MAX_INJECTIONS, MAX_TONES
 from maxq.control.kernel.tables import NO_TABLE, Cubics, Method, Pool, fit, merge
 from maxq.control.laws.pd import GainSchedule, gains_table
 from maxq.control.roll import Roll, make_roll
 from maxq.sim.flight import injection as signals
 from maxq.sim.flight.parameters import NEVER
-from maxq.sim.packing.remembered import by_identity
+from maxq.sim.packing.remembered import cached_by_identity
 from maxq.sim.scenario.nanoseconds import to_ns
 from maxq.sim.scenario.schema_design import Design
 from maxq.sim.scenario.schema_injection import Injection
@@ -60,13 +61,13 @@ def pack_computer(scenario: Scenario, pool: Pool) -> Computer:
     )
 
 
-@by_identity
+@cached_by_identity
 def _gains(design: Design) -> Cubics:
     pitch, yaw = (GainSchedule(list(t["time_s"]), list(t["k_p"]), list(t["k_d_s"])) for t in design.gains.axes)
     return gains_table(pitch, yaw)
 
 
-@by_identity
+@cached_by_identity
 def _filter(design: Design, sample_s: float) -> DiscreteFilter:
     return bending_filter(design).discretize(sample_s, design.filter.discretization, design.filter.prewarp_hz)
 
@@ -87,7 +88,7 @@ def _roll(design: Design, sample_ns: int) -> Roll | None:
     return make_roll(sample_ns, roll.k_rate_s, band, play, roll.minimum_on_s)
 
 
-@by_identity
+@cached_by_identity
 def _programme(table: CsvTable | None, method: Method) -> Cubics | None:
     if table is None:
         return None
@@ -97,7 +98,7 @@ def _programme(table: CsvTable | None, method: Method) -> Cubics | None:
 
 def pack_injections(scenario: Scenario, pool: Pool) -> signals.Injections:
     given = scenario.injection
-    n = signals.MAX_INJECTIONS
+    n = MAX_INJECTIONS
     tables = [
         fit(i.table["time_s"], i.table["value"], "linear") for i in given if i.table is not None
     ]  # linear: steps are written as two rows close together, or with start_s and stop_s
@@ -113,8 +114,8 @@ def pack_injections(scenario: Scenario, pool: Pool) -> signals.Injections:
         frequency_hz=np.zeros(n),
         stop_frequency_hz=np.zeros(n),
         tones=_codes([len(i.frequencies_hz or ()) for i in given], n),
-        tone_hz=np.zeros((n, signals.MAX_TONES)),
-        tone_phase=np.zeros((n, signals.MAX_TONES)),
+        tone_hz=np.zeros((n, MAX_TONES)),
+        tone_phase=np.zeros((n, MAX_TONES)),
         column=np.zeros(n, np.int64),
         table=pool.add(merge(tables)) if tables else NO_TABLE,
     )

@@ -7,10 +7,10 @@ from dataclasses import replace
 import numpy as np
 
 from maxq.control.kernel.tables import NO_TABLE, Cubics, Pool, TableRef, fit
-from maxq.sim.packing.remembered import by_identity
+from maxq.sim.packing.remembered import cached_by_identity
 from maxq.sim.scenario import schema_environment as schema
 from maxq.sim.scenario.schema_scenario import Scenario
-from maxq.sim.vehicle.surroundings import Surroundings
+from maxq.sim.vehicle.environment import Environment
 from maxq.sim.world import atmosphere as air
 from maxq.sim.world import earth as globe
 from maxq.sim.world import turbulence as dryden
@@ -22,8 +22,8 @@ _GRAVITY = {
 _GUSTS = {"one-minus-cosine": winds.ONE_MINUS_COSINE, "shear": winds.SHEAR}
 
 
-def pack_surroundings(scenario: Scenario, pool: Pool) -> Surroundings:
-    return Surroundings(
+def pack_environment(scenario: Scenario, pool: Pool) -> Environment:
+    return Environment(
         earth=pack_earth(scenario.earth),
         atmosphere=_atmosphere(scenario.atmosphere, pool),
         wind=_wind(scenario.wind, pool),
@@ -111,7 +111,7 @@ def _turbulence(scenario: Scenario, pool: Pool) -> dryden.Turbulence:
     return dryden.Turbulence(1, pool.add(_intensity(turbulence, scenario.site.altitude_m)), seed)
 
 
-@by_identity
+@cached_by_identity
 def _intensity(turbulence: schema.Turbulence, ground_m: float) -> Cubics:
     lengths = (turbulence.length_u_m, turbulence.length_v_m, turbulence.length_w_m)
     if turbulence.table is not None:

@@ -13,9 +13,9 @@ from maxq.control.kernel.jit import from_python
 from maxq.control.kernel.records import Array, blank, pack, with_constants
 from maxq.control.kernel.tables import Pool
 from maxq.sim.flight import events
-from maxq.sim.flight.parameters import EVENT_NAMES, NEVER, Course, Memory, Parameters
+from maxq.sim.flight.parameters import EVENT_NAMES, NEVER, Memory, Parameters, StageTimeline
 from maxq.sim.packing.computer import pack_computer, pack_injections
-from maxq.sim.packing.environment import pack_surroundings
+from maxq.sim.packing.environment import pack_environment
 from maxq.sim.packing.initial import initial_motion
 from maxq.sim.packing.schedule import stage_sizes, vehicle_schedule
 from maxq.sim.packing.vehicle import pack_vehicle
@@ -46,7 +46,7 @@ class Packed:
 def pack_flight(scenario: Scenario) -> Packed:
     """Everything the kernel needs; the scenario is not looked at again."""
     pool = Pool()
-    around, computer = pack_surroundings(scenario, pool), pack_computer(scenario, pool)
+    environment, computer = pack_environment(scenario, pool), pack_computer(scenario, pool)
     injections = pack_injections(scenario, pool)
     rows, stage_start_ns = [], 0
     all_sizes = [stage_sizes(stage, scenario.switches) for stage in scenario.vehicle.stage]
@@ -54,9 +54,9 @@ def pack_flight(scenario: Scenario) -> Packed:
     for stage, sizes in zip(scenario.vehicle.stage, all_sizes, strict=True):
         schedule = vehicle_schedule(stage, sizes, scenario.switches, frozen)
         vehicle = pack_vehicle(scenario, stage, sizes, schedule, pool)
-        course = _course(scenario, stage, stage_start_ns)
-        rows.append(Parameters(vehicle, around, computer, injections, course))
-        stage_start_ns = course.separation_ns
+        timeline = _timeline(scenario, stage, stage_start_ns)
+        rows.append(Parameters(vehicle, environment, computer, injections, timeline))
+        stage_start_ns = timeline.separation_ns
     parameters = pack(rows)
     y = np.zeros(MAX_STATE)
     initial_motion(scenario, y)
@@ -65,7 +65,7 @@ def pack_flight(scenario: Scenario) -> Packed:
     _settle_gyro(rate, y)
     memory = blank(Memory)
     memory[0].clock.now_ns = to_ns(scenario.run.start_s)
-    memory[0].held.down = int(scenario.held)
+    memory[0].held.on_pad = int(scenario.held)
     widest = Sizes(*(max(getattr(s, f) for s in all_sizes) for f in Sizes.__dataclass_fields__))
     return Packed(parameters, pool.array(), memory, y, widest)
 
@@ -79,7 +79,7 @@ def pack_for_one_vehicle(scenario: Scenario) -> Packed:
     return replace(packed, parameters=with_constants(packed.parameters, "vehicle", "sizes"))
 
 
-def _course(scenario: Scenario, stage: Stage, stage_start_ns: int) -> Course:
+def _timeline(scenario: Scenario, stage: Stage, stage_start_ns: int) -> StageTimeline:
     run, rate = scenario.run, burn_rate(stage)
     start_ns = to_ns(run.start_s)
     ignition_ns, burnout_ns = _burn(stage, stage_start_ns)
@@ -92,7 +92,7 @@ def _course(scenario: Scenario, stage: Stage, stage_start_ns: int) -> Course:
     if scenario.holddown.release_s is not None:
         release_ns = to_ns(scenario.holddown.release_s)
     stops = (*_ALWAYS, *run.stop_at)
-    return Course(
+    return StageTimeline(
         step_ns=to_ns(run.step_s),
         stage_start_ns=stage_start_ns,
         burn_start_ns=ignition_ns,

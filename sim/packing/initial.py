@@ -9,7 +9,7 @@ import numpy as np
 from maxq.control.kernel.jit import from_python
 from maxq.control.kernel.records import Array, pack
 from maxq.sim.packing.environment import pack_earth
-from maxq.sim.packing.remembered import by_identity
+from maxq.sim.packing.remembered import cached_by_identity
 from maxq.sim.scenario import schema_environment as schema
 from maxq.sim.scenario.schema_initial import Initial
 from maxq.sim.scenario.schema_scenario import Scenario
@@ -30,7 +30,7 @@ def initial_motion(scenario: Scenario, y: Array) -> None:
     y[Q_BI : Q_BI + 4], y[W_BI_B : W_BI_B + 3] = q_BI, rate_B
 
 
-@by_identity
+@cached_by_identity
 def _motion(
     initial: Initial | None, site: schema.Site, given_earth: schema.Earth, start_s: float
 ) -> tuple[Array, Array, Array, Array]:  # fmt: skip

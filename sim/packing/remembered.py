@@ -11,7 +11,7 @@ Answer = TypeVar("Answer")
 _MOST = 64
 
 
-def by_identity(function: Callable[..., Answer]) -> Callable[..., Answer]:
+def cached_by_identity(function: Callable[..., Answer]) -> Callable[..., Answer]:
     """Remember answers by the identity of the arguments, which nobody may change, as nobody may change the answer.
 
     Numbers and texts are told by their value, tuples by what is in them. Comparing sections of a scenario by value

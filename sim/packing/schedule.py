@@ -17,7 +17,7 @@ from maxq.control.kernel.jit import from_python
 from maxq.control.kernel.records import Array, pack
 from maxq.control.kernel.tables import Cubics, Method, fit, merge, union
 from maxq.sim.packing.mode_shapes import ModeShapes
-from maxq.sim.packing.remembered import by_identity
+from maxq.sim.packing.remembered import cached_by_identity
 from maxq.sim.scenario.modes import ModeTable
 from maxq.sim.scenario.schema_aero import AeroSurface
 from maxq.sim.scenario.schema_scenario import Switches
@@ -27,7 +27,7 @@ from maxq.sim.vehicle import schedule as columns_of
 from maxq.sim.vehicle.state import Sizes
 
 _schedule_width = from_python(columns_of.schedule_width)
-_lanes, _mode_rows = from_python(columns_of.lanes), from_python(columns_of.mode_rows)
+_padded_modes, _mode_rows = from_python(columns_of.padded_modes), from_python(columns_of.mode_rows)
 _GAUSS_NODES, _GAUSS_WEIGHTS = np.polynomial.legendre.leggauss(4)
 
 
@@ -51,7 +51,7 @@ def surface_stations(stage: Stage) -> tuple[float, ...]:
     return () if aero is None else _stations(aero.table, aero.surface, aero.moment_reference_m)
 
 
-@by_identity
+@cached_by_identity
 def _stations(table: CsvTable, surfaces: tuple[AeroSurface, ...], reference_m: float) -> tuple[float, ...]:
     stations = [float(surface.table["station_m"].mean()) for surface in surfaces]
     if has_remainder(table):
@@ -193,19 +193,19 @@ def _columns(table: Cubics, columns: list[int]) -> Cubics:
 def _modes(stage: Stage, table: ModeTable | None, sizes: Sizes, tanks: Sequence[Cubics], method: Method) -> Cubics:
     """Columns of all modes of one plane; zeros without a table."""
     record = pack([sizes])[0]
-    rows, lanes = int(_mode_rows(record)), int(_lanes(record))
-    if table is None or rows * lanes == 0:
-        return fit([0.0], np.zeros((1, rows * lanes)))
+    rows, padded_modes = int(_mode_rows(record)), int(_padded_modes(record))
+    if table is None or rows * padded_modes == 0:
+        return fit([0.0], np.zeros((1, rows * padded_modes)))
     engine, bending = stage.engine, stage.bending
     gimbal_m = engine.gimbal_station_m if engine else float(table.station_m[-1])
     gyro_m = stage.gyro.station_m if stage.gyro else float(table.station_m[0])
     hanging_kgm = engine.gimballed_mass_kg * engine.cg_from_gimbal_m if engine else 0.0
     hinges_m = tuple(tank.at(table.time_s)[:, 2].tobytes() for tank in tanks)
     surfaces_m = surface_stations(stage)
-    values = _mode_values(table, (rows, lanes), gimbal_m, gyro_m, hinges_m, surfaces_m, hanging_kgm)
+    values = _mode_values(table, (rows, padded_modes), gimbal_m, gyro_m, hinges_m, surfaces_m, hanging_kgm)
     joined = fit(table.time_s, values, method)
     assert bending is not None
-    factors = np.ones((rows, lanes))
+    factors = np.ones((rows, padded_modes))
     factors[columns_of.MODE_SLOPE_GYRO, : table.modes] = bending.gyro_slope_factor[: table.modes]
     for row in (columns_of.MODE_PHI_GIMBAL, columns_of.MODE_SLOPE_GIMBAL):
         factors[row, : table.modes] = bending.gimbal_shape_factor[: table.modes]
@@ -226,16 +226,16 @@ def _mode_values(
 
     `hinges_m`: stations (T,) of each tank's hinge, as bytes.
     """
-    (rows, lanes), n, shapes = shape, table.modes, ModeShapes(table)
+    (rows, padded_modes), n, shapes = shape, table.modes, ModeShapes(table)
     columns = [2.0 * np.pi * table.frequency_hz, table.generalized_mass_kg]  # each of them (times, modes)
     columns += [shapes.value(gimbal_m)[0], shapes.slope(gimbal_m)[0], shapes.slope(gyro_m)[0]]
     for hinge in hinges_m:  # at each time the hinge of that time
         columns.append(np.diagonal(shapes.value(np.frombuffer(hinge))).T)
     for station in surfaces_m:
         columns += [shapes.value(station)[0], shapes.slope(station)[0]]
-    values = np.zeros((len(table.time_s), rows, lanes))
+    values = np.zeros((len(table.time_s), rows, padded_modes))
     values[:, : len(columns), :n] = np.stack(columns, axis=1)
-    first = rows - lanes
+    first = rows - padded_modes
     values[:, first : first + n, :n] = _softening(table, shapes, gimbal_m, hanging_kgm).transpose(0, 2, 1)
     return values.reshape(len(table.time_s), -1)
 

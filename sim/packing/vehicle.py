@@ -6,8 +6,9 @@ import math
 
 import numpy as np
 
+from maxq.control.kernel.limits import MAX_MODES, MAX_TANKS
 from maxq.control.kernel.tables import NO_TABLE, Cubics, Method, Pool, fit, merge
-from maxq.sim.packing.remembered import by_identity
+from maxq.sim.packing.remembered import cached_by_identity
 from maxq.sim.packing.schedule import has_remainder
 from maxq.sim.scenario import schema_aero as schema
 from maxq.sim.scenario.schema_engine import ActuatorAxis
@@ -21,7 +22,7 @@ from maxq.sim.vehicle.derivative import Vehicle
 from maxq.sim.vehicle.engine import Engine
 from maxq.sim.vehicle.gyro import Gyro
 from maxq.sim.vehicle.slosh import Slosh
-from maxq.sim.vehicle.state import MAX_MODES, MAX_TANKS, Sizes
+from maxq.sim.vehicle.state import Sizes
 
 _TWO_PI = 2.0 * math.pi
 
@@ -175,7 +176,7 @@ def _coefficients(aero: schema.Aero, chord_m: float) -> Cubics:
     return _mach_table(aero.table, aero.surface, aero.interpolation, aero.moment_reference_m, chord_m)
 
 
-@by_identity
+@cached_by_identity
 def _mach_table(
     table: CsvTable, surfaces: tuple[schema.AeroSurface, ...], method: Method, reference_m: float, chord_m: float
 ) -> Cubics:  # fmt: skip

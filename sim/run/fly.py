@@ -96,7 +96,7 @@ class FlightRun:
         self.table = _logged_table(self.packed.sizes, names)
         self._on, self._off = (pack([Logged(on, self.packed.sizes)]) for on in (1, 0))
         self._arena = np.zeros(ARENA_SIZE)
-        course = self.packed.parameters[0].course
+        course = self.packed.parameters[0].timeline
         periods_ns = {FAST: int(course.fast_ns), SLOW: int(course.slow_ns)}
         self.segment_ns = segment_ns or _segment_ns(int(course.step_ns), min(periods_ns.values()))
         self._logged = self._on if log else self._off
@@ -160,7 +160,7 @@ class FlightRun:
         times_ns = extremes.time_ns.tolist()
         times = {m.name: t / 1e9 if t >= 0 else math.nan for m, t in zip(METRICS, times_ns, strict=True)}
         lift_off_s = next((e.time_s for e in events if e.name == "liftoff"), scenario.run.start_s)
-        earth = self.packed.parameters[0].around.earth
+        earth = self.packed.parameters[0].environment.earth
         metrics |= ending_values(final, earth, scenario.site, now_s - lift_off_s)
         times = {m.name: times.get(m.name, now_s) for m in ALL_METRICS}
         causes = [(e, cause_of(e, self.packed)) for e in events]

@@ -43,7 +43,7 @@ def events_so_far(packed: Packed, start_s: float) -> tuple[Event, ...]:
     found = []
     for index in range(int(clock.stage) + 1):
         number = index + 1 if stages > 1 else 0
-        ignition_ns = int(packed.parameters[index].course.burn_start_ns)
+        ignition_ns = int(packed.parameters[index].timeline.burn_start_ns)
         if to_ns(start_s) <= ignition_ns <= int(clock.now_ns) and ignition_ns < NEVER:
             found.append(Event(IGNITION_NAME, ignition_ns, number))
         for name, times_ns in (
@@ -61,7 +61,7 @@ def events_so_far(packed: Packed, start_s: float) -> tuple[Event, ...]:
 def outcome_so_far(packed: Packed) -> str:
     """`diverged`, the event of run.stop_at that ended the flight, `duration`, or `interrupted`."""
     clock = packed.memory[0].clock
-    stop_mask = int(packed.parameters[int(clock.stage)].course.stop_mask)
+    stop_mask = int(packed.parameters[int(clock.stage)].timeline.stop_mask)
     events_ns, now_ns = clock.event_ns.tolist(), int(clock.now_ns)
     if events_ns[DIVERGED] >= 0:
         return DIVERGED_NAME

@@ -28,10 +28,10 @@ from typing import Any
 
 import numpy as np
 
-from maxq.control.kernel.jit import borrowed, entry
+from maxq.control.kernel.jit import bare_pointer, entry
 from maxq.control.kernel.records import Array
 from maxq.control.kernel.tables import find_interval
-from maxq.sim.flight.arena import PROPS_SIZE
+from maxq.sim.flight.arena import PROPERTIES_SIZE
 from maxq.sim.flight.loop import begin
 from maxq.sim.flight.step import evaluate, read_schedule, schedule_clock
 from maxq.sim.packing.flight import Packed
@@ -117,7 +117,7 @@ def zero_incidence(packed: Packed, y: Array) -> Array:
     pendulums hang aft. Raises ValueError at rest, where there is no direction.
     """
     sizes = packed.parameters[int(packed.memory[0].clock.stage)].vehicle.sizes
-    spin = np.array([0.0, 0.0, float(packed.parameters[0].around.earth.rate_radps)])
+    spin = np.array([0.0, 0.0, float(packed.parameters[0].environment.earth.rate_radps)])
     out = np.zeros(MAX_STATE)
     out[: layout.W_BI_B] = y[: layout.W_BI_B]
     attitude = rotation(y[layout.Q_BI : layout.Q_BI + 4])
@@ -142,7 +142,7 @@ def _evaluate(
     state: Array,
     y: Array,
     now_ns: int,
-    props: Array,
+    properties: Array,
     dy: Array,
     work: Array,
     aux: Array,
@@ -150,11 +150,11 @@ def _evaluate(
     """Derivative of `y` and its by-products at the instant `now_ns`; `P` of Parameters, `state` of Memory."""
     memory = state[0]
     p = P[memory.clock.stage]
-    pool, y, props = borrowed(pool), borrowed(y), borrowed(props)
-    dy, work, aux = borrowed(dy), borrowed(work), borrowed(aux)
+    pool, y, properties = bare_pointer(pool), bare_pointer(y), bare_pointer(properties)
+    dy, work, aux = bare_pointer(dy), bare_pointer(work), bare_pointer(aux)
     memory.clock.interval = find_interval(pool, p.vehicle.schedule, schedule_clock(p, now_ns, 0.0))
-    read_schedule(p, pool, memory, now_ns, 0.0, props)
-    evaluate(p, pool, memory, now_ns, 0.0, props, y, dy, work, aux)
+    read_schedule(p, pool, memory, now_ns, 0.0, properties)
+    evaluate(p, pool, memory, now_ns, 0.0, properties, y, dy, work, aux)
 
 
 class _Evaluation:
@@ -166,7 +166,7 @@ class _Evaluation:
         self._memory = packed.memory.copy()
         if self._memory[0].clock.started == 0:
             begin(packed.parameters, packed.pool, self._memory, packed.state.copy())
-        self._props, self._work = np.zeros(PROPS_SIZE), np.zeros(WORK_SIZE)
+        self._props, self._work = np.zeros(PROPERTIES_SIZE), np.zeros(WORK_SIZE)
 
     @property
     def held_commands(self) -> Array:
@@ -198,7 +198,7 @@ class _Chart:
         self._command = self._evaluation.held_commands
         stage = self._evaluation.stage
         self._sizes = stage.vehicle.sizes
-        self._spin = np.array([0.0, 0.0, float(stage.around.earth.rate_radps)])
+        self._spin = np.array([0.0, 0.0, float(stage.environment.earth.rate_radps)])
         self._attitude = rotation(y[layout.Q_BI : layout.Q_BI + 4])
         self._turning = y[layout.W_BI_B : layout.W_BI_B + 3].copy()
         pitch, yaw, tanks = (int(self._sizes[k]) for k in ("pitch_modes", "yaw_modes", "tanks"))

@@ -165,7 +165,7 @@ class _LogThread:
         self._writer = writer
         self._run = run
         self._frames = LaunchFrames(
-            run.table, parameters.around.earth, scenario.site, period_ns(scenario.log.transform_hz)
+            run.table, parameters.environment.earth, scenario.site, period_ns(scenario.log.transform_hz)
         )
         self._told: set[Event] = set()
         self._queue: queue.Queue[tuple[Rows, list[foxglove.Event]] | None] = queue.Queue(_SEGMENTS_WAITING)

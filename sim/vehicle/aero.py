@@ -15,8 +15,8 @@ from maxq.control.kernel.jit import kernel
 from maxq.control.kernel.records import Array
 from maxq.control.kernel.tables import TableRef, find_interval, interpolate_into
 from maxq.control.kernel.vectors import Vector
-from maxq.sim.vehicle.bending import modal_sum, of_plane, push_modes
-from maxq.sim.vehicle.schedule import CORE_CG, PITCH, YAW, lanes, mode_column, surface_row
+from maxq.sim.vehicle.bending import add_to_modes, modal_sum, of_plane
+from maxq.sim.vehicle.schedule import CORE_CG, PITCH, YAW, mode_column, padded_modes, surface_row
 from maxq.sim.vehicle.state import Counts
 from maxq.sim.vehicle.workspace import ETA, FORCE, MACH_ROW, NU
 
@@ -86,12 +86,12 @@ def body_loads(
 
 @kernel
 def surface_loads(
-    aero: Aero, sizes: Counts, density: float, flow: Vector, props: Array, work: Array
+    aero: Aero, sizes: Counts, density: float, flow: Vector, properties: Array, work: Array
 ) -> tuple[Vector, Vector]:
     """Normal force of the lifting surfaces with their local incidence; adds to the modes' generalised forces."""
     u, v, w = flow
     half = 0.5 * density * aero.area_m2 * aero.force_factor * abs(u)
-    x_cg, y_cg, z_cg = props[CORE_CG], props[CORE_CG + 1], props[CORE_CG + 2]
+    x_cg, y_cg, z_cg = properties[CORE_CG], properties[CORE_CG + 1], properties[CORE_CG + 2]
     fy, fz, mx, my, mz = 0.0, 0.0, 0.0, 0.0, 0.0
     for s in range(sizes.surfaces):
         cn = work[MACH_ROW + FIRST_SURFACE + 2 * s]
@@ -100,13 +100,13 @@ def surface_loads(
         in_yaw = mode_column(sizes, YAW, surface_row(sizes, s))
         w_local, v_local = w, v
         if aero.local_incidence == 1:
-            w_local += u * modal_sum(sizes, props, in_pitch + lanes(sizes), work, of_plane(ETA, PITCH))
-            w_local += modal_sum(sizes, props, in_pitch, work, of_plane(NU, PITCH))
-            v_local += u * modal_sum(sizes, props, in_yaw + lanes(sizes), work, of_plane(ETA, YAW))
-            v_local += modal_sum(sizes, props, in_yaw, work, of_plane(NU, YAW))
+            w_local += u * modal_sum(sizes, properties, in_pitch + padded_modes(sizes), work, of_plane(ETA, PITCH))
+            w_local += modal_sum(sizes, properties, in_pitch, work, of_plane(NU, PITCH))
+            v_local += u * modal_sum(sizes, properties, in_yaw + padded_modes(sizes), work, of_plane(ETA, YAW))
+            v_local += modal_sum(sizes, properties, in_yaw, work, of_plane(NU, YAW))
         force_y, force_z = -half * cn * v_local, -half * cn * w_local
-        push_modes(sizes, props, in_pitch, force_z, work, of_plane(FORCE, PITCH))
-        push_modes(sizes, props, in_yaw, force_y, work, of_plane(FORCE, YAW))
+        add_to_modes(sizes, properties, in_pitch, force_z, work, of_plane(FORCE, PITCH))
+        add_to_modes(sizes, properties, in_yaw, force_y, work, of_plane(FORCE, YAW))
         fy += force_y
         fz += force_z
         mx += -y_cg * force_z + z_cg * force_y

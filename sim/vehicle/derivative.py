@@ -1,6 +1,6 @@
-"""Time derivative of the state: the table of contents of the physics.
+"""Time derivative of the state, and the records it reads.
 
-Every line of `derivative` is one named piece; docs/model.md derives them in the same order.
+Every line of `derivative` is one part of the model; docs/model.md derives them in the same order.
 """
 
 from __future__ import annotations
@@ -15,16 +15,17 @@ from maxq.sim.vehicle.actuator import Actuator, actuator_derivative, actuator_ou
 from maxq.sim.vehicle.aero import Aero, body_loads, coefficients, surface_loads
 from maxq.sim.vehicle.bending import (
     Bending,
-    GimbalPush,
-    bend_at_gimbal,
-    bend_rate_at_gyro,
+    GimbalLoad,
+    apply_gimbal_load,
+    bending_rate_at_gyro,
     elastic_forces,
+    gimbal_displacement,
     gyroscopic_forces,
     modal_derivative,
     modal_state,
-    push_at_gimbal,
 )
 from maxq.sim.vehicle.engine import Engine, thrust, thrust_axis_motion
+from maxq.sim.vehicle.environment import Environment, air_data, pad_acceleration
 from maxq.sim.vehicle.gyro import Gyro, gyro_derivative, sensed_rate
 from maxq.sim.vehicle.rigid import (
     Deflected,
@@ -42,10 +43,9 @@ from maxq.sim.vehicle.schedule import (
     complete_modes,
     schedule_width,
 )
-from maxq.sim.vehicle.slosh import Slosh, hang, swing_derivative
+from maxq.sim.vehicle.slosh import Slosh, pendulum_derivative, pendulum_loads
 from maxq.sim.vehicle.solve import accelerate
 from maxq.sim.vehicle.state import ACTUATOR, N_ACTUATOR, Q_BI, W_BI_B, Counts, Sizes, counts
-from maxq.sim.vehicle.surroundings import Surroundings, pad_acceleration, surroundings
 from maxq.sim.vehicle.workspace import (
     AERO_FORCE,
     AERO_MOMENT,
@@ -54,12 +54,12 @@ from maxq.sim.vehicle.workspace import (
     DENSITY,
     ENGINE_PITCH,
     ENGINE_YAW,
-    FELT,
     FLOW,
     GIMBAL_BEND,
     GYRO_BEND,
     MACH,
     PRESSURE,
+    SPECIFIC_FORCE,
     TENSION,
     TENSIONS,
     THRUST,
@@ -89,9 +89,9 @@ class Vehicle:
 
 @dataclass
 class Held:
-    """What stays as it is between two events of the flight."""
+    """What is constant between two events of the flight, and the loads injected at the present stage."""
 
-    down: int  # 1: held down on the pad
+    on_pad: int  # 1: held down
     burning: int
     command_pitch_rad: float
     command_yaw_rad: float
@@ -106,34 +106,36 @@ class Held:
 
 
 @kernel
-def complete(vehicle: Vehicle, props: Array) -> None:
-    """Fill in, behind the schedule's row, what follows from it and is used in every derivative."""
+def complete(vehicle: Vehicle, properties: Array) -> None:
+    """Compute the derived properties, behind the columns of the schedule, once for all derivatives at an instant."""
     sizes, bending = counts(vehicle.sizes), vehicle.bending
-    complete_modes(sizes, PITCH, sizes.pitch_modes, bending.zeta_pitch, bending.frequency_factor, props)
-    complete_modes(sizes, YAW, sizes.yaw_modes, bending.zeta_yaw, bending.frequency_factor, props)
-    prepare_outflow(vehicle.engine, vehicle.slosh, sizes, props)
+    complete_modes(sizes, PITCH, sizes.pitch_modes, bending.zeta_pitch, bending.frequency_factor, properties)
+    complete_modes(sizes, YAW, sizes.yaw_modes, bending.zeta_yaw, bending.frequency_factor, properties)
+    prepare_outflow(vehicle.engine, vehicle.slosh, sizes, properties)
 
 
 @routine
 def derivative(
-    vehicle: Vehicle, around: Surroundings, pool: Array, held: Held, gusts: TurbulenceState, props: Array,
+    vehicle: Vehicle, environment: Environment, pool: Array, held: Held, gusts: TurbulenceState, properties: Array,
     y: Array, dy: Array, work: Array, aux: Array,
 ) -> None:  # fmt: skip
-    """Derivative of `y` into `dy`; by-products into `aux`. `props` is the schedule's row of this instant."""
+    """Derivative of `y` into `dy`; by-products into `aux`. `properties` are those of this instant (schedule.py)."""
     sizes = counts(vehicle.sizes)
     rate = (y[W_BI_B], y[W_BI_B + 1], y[W_BI_B + 2])
     rotation = rotation_from_quaternion(y[Q_BI], y[Q_BI + 1], y[Q_BI + 2], y[Q_BI + 3])
 
-    gravitation = surroundings(around, pool, gusts, held.turbulence_phase, rotation, y, work, aux)
+    gravitation = air_data(environment, pool, gusts, held.turbulence_phase, rotation, y, work, aux)
     modal_state(sizes, rate[0], y, work)
-    engine = move_engine(vehicle, sizes, held, props, y, aux)
+    engine = engine_motion(vehicle, sizes, held, properties, y, aux)
 
-    aero_force, aero_moment = aerodynamics(vehicle, sizes, around, pool, held, rotation, rate, props, work, aux)
-    thrust_force, thrust_moment, push = push_of_thrust(vehicle, sizes, engine, props, work, aux)
-    lightness = props[schedule_width(sizes) + INVERSE_TOTAL_MASS]
-    pad, axial_load = (0.0, 0.0, 0.0), (aero_force[0] + thrust_force[0]) * lightness
-    if held.down == 1:
-        pad = pad_acceleration(around.earth, rotation, gravitation, y)
+    aero_force, aero_moment = aerodynamics(
+        vehicle, sizes, environment, pool, held, rotation, rate, properties, work, aux
+    )
+    thrust_force, thrust_moment, gimbal_load = thrust_loads(vehicle, sizes, engine, properties, work, aux)
+    inverse_mass = properties[schedule_width(sizes) + INVERSE_TOTAL_MASS]
+    pad, axial_load = (0.0, 0.0, 0.0), (aero_force[0] + thrust_force[0]) * inverse_mass
+    if held.on_pad == 1:
+        pad = pad_acceleration(environment.earth, rotation, gravitation, y)
         axial_load = pad[0]
     aux[AXIAL_LOAD] = axial_load
 
@@ -141,50 +143,58 @@ def derivative(
     moment = add(aero_moment, thrust_moment)
     moment = add(moment, (held.roll_torque_Nm + held.torque_x_Nm, held.torque_y_Nm, held.torque_z_Nm))
     if vehicle.gravity_gradient == 1:
-        moment = add(moment, tidal_moment(around, engine, rotation, y))
+        moment = add(moment, gravity_gradient_moment(environment, engine, rotation, y))
     if vehicle.jet_damping == 1:
-        jet_force, jet_moment = coriolis_of_outflow(sizes, rate, props)
+        jet_force, jet_moment = coriolis_of_outflow(sizes, rate, properties)
         force, moment = add(force, jet_force), add(moment, jet_moment)
     moment = add(moment, scaled(-1.0, cross(rate, inertia_times(engine.inertia, rate))))
 
     if vehicle.engine.gimballed_mass_kg > 0.0 or vehicle.engine.inertia_kgm2 > 0.0:
-        reaction, twist, kick = engine_reaction(vehicle.engine, engine, rate, axial_load)
-        force, moment = add(force, reaction), add(moment, twist)
-        push = (push[0] + kick[0], push[1] + kick[1], push[2] + kick[2], push[3] + kick[3])
+        reaction_force, reaction_moment, at_gimbal = engine_reaction(vehicle.engine, engine, rate, axial_load)
+        force, moment = add(force, reaction_force), add(moment, reaction_moment)
+        gimbal_load = (
+            gimbal_load[0] + at_gimbal[0],
+            gimbal_load[1] + at_gimbal[1],
+            gimbal_load[2] + at_gimbal[2],
+            gimbal_load[3] + at_gimbal[3],
+        )
     if sizes.pitch_modes + sizes.yaw_modes > 0:
-        push_at_gimbal(sizes, props, push, work)
-        whirl = gyroscopic_forces(
-            sizes, props, rate, vehicle.engine.gimballed_mass_kg, vehicle.engine.cg_from_gimbal_m,
-            vehicle.engine.inertia_kgm2, engine.delta_rate, engine.turn_rate[1], engine.turn_rate[2], work,
+        apply_gimbal_load(sizes, properties, gimbal_load, work)
+        gyroscopic = gyroscopic_forces(
+            sizes, properties, rate, vehicle.engine.gimballed_mass_kg, vehicle.engine.cg_from_gimbal_m,
+            vehicle.engine.inertia_kgm2, engine.delta_rate, engine.relative_rate[1], engine.relative_rate[2], work,
         )  # fmt: skip
-        roll = elastic_forces(vehicle.bending, sizes, props, axial_load, work)
-        moment = add(moment, (whirl[0] + roll, whirl[1], whirl[2]))
+        roll = elastic_forces(vehicle.bending, sizes, properties, axial_load, work)
+        moment = add(moment, (gyroscopic[0] + roll, gyroscopic[1], gyroscopic[2]))
     for tank in range(sizes.tanks):
-        pull, twist = hang(vehicle.slosh, sizes, tank, rate, axial_load, engine.offset, props, y, work)
-        force, moment = add(force, pull), add(moment, twist)
+        damper_force, damper_moment = pendulum_loads(
+            vehicle.slosh, sizes, tank, rate, axial_load, engine.offset, properties, y, work
+        )
+        force, moment = add(force, damper_force), add(moment, damper_moment)
 
-    felt, alpha = accelerate(
-        vehicle.slosh, sizes, held.down, engine.offset, engine.inverse_inertia, force, moment, pad, props, y, work,
+    specific_force, alpha = accelerate(
+        vehicle.slosh, sizes, held.on_pad, engine.offset, engine.inverse_inertia, force, moment, pad, properties, y,
+        work,
     )  # fmt: skip
 
-    kinematics(around.earth, held.down, rotation, rate, felt, alpha, gravitation, props, y, dy)
+    kinematics(environment.earth, held.on_pad, rotation, rate, specific_force, alpha, gravitation, properties, y, dy)
     actuator_derivative(vehicle.actuator_pitch, y, ACTUATOR, held.command_pitch_rad, dy)
     actuator_derivative(vehicle.actuator_yaw, y, ACTUATOR + N_ACTUATOR, held.command_yaw_rad, dy)
-    bend_y, bend_z = bend_rate_at_gyro(sizes, props, work)
+    bend_y, bend_z = bending_rate_at_gyro(sizes, properties, work)
     gyro_derivative(vehicle.gyro, y, sensed_rate(vehicle.gyro, (rate[0], rate[1] + bend_y, rate[2] + bend_z)), dy)
     modal_derivative(sizes, y, dy, work)
     for tank in range(sizes.tanks):
-        swing_derivative(vehicle.slosh, sizes, tank, rate, felt, alpha, props, y, dy, work)
+        pendulum_derivative(vehicle.slosh, sizes, tank, rate, specific_force, alpha, properties, y, dy, work)
         aux[TENSIONS + tank] = work[TENSION + tank]
     for j in range(3):
-        aux[FELT + j] = felt[j]
+        aux[SPECIFIC_FORCE + j] = specific_force[j]
         aux[ANGULAR_ACCEL + j] = alpha[j]
     aux[GYRO_BEND], aux[GYRO_BEND + 1] = bend_y, bend_z
 
 
 @kernel
-def move_engine(vehicle: Vehicle, sizes: Counts, held: Held, props: Array, y: Array, aux: Array) -> Deflected:
-    """Angles of the engine by its actuators, and what they make of the vehicle's mass properties."""
+def engine_motion(vehicle: Vehicle, sizes: Counts, held: Held, properties: Array, y: Array, aux: Array) -> Deflected:
+    """Engine angles from the actuators, and the mass properties of the vehicle with the engine so deflected."""
     pitch, pitch_rate, pitch_accel = actuator_output(vehicle.actuator_pitch, y, ACTUATOR, held.command_pitch_rad)
     yaw, yaw_rate, yaw_accel = actuator_output(vehicle.actuator_yaw, y, ACTUATOR + N_ACTUATOR, held.command_yaw_rad)
     aux[ENGINE_PITCH], aux[ENGINE_PITCH + 1], aux[ENGINE_PITCH + 2] = pitch, pitch_rate, pitch_accel
@@ -194,13 +204,13 @@ def move_engine(vehicle: Vehicle, sizes: Counts, held: Held, props: Array, y: Ar
         pitch + e.misalignment_pitch_rad, pitch_rate, pitch_accel,
         yaw + e.misalignment_yaw_rad, yaw_rate, yaw_accel,
     )  # fmt: skip
-    return deflected_engine(e, sizes, axis, axis_rate, axis_accel, props)
+    return deflected_engine(e, sizes, axis, axis_rate, axis_accel, properties)
 
 
 @kernel
 def aerodynamics(
-    vehicle: Vehicle, sizes: Counts, around: Surroundings, pool: Array, held: Held,
-    rotation: tuple[float, ...], rate: Vector, props: Array, work: Array, aux: Array,
+    vehicle: Vehicle, sizes: Counts, environment: Environment, pool: Array, held: Held,
+    rotation: tuple[float, ...], rate: Vector, properties: Array, work: Array, aux: Array,
 ) -> tuple[Vector, Vector]:  # fmt: skip
     """Force and moment about the core CG in B; generalised forces into the workspace."""
     force, moment = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
@@ -208,16 +218,16 @@ def aerodynamics(
         flow = (aux[FLOW], aux[FLOW + 1], aux[FLOW + 2])
         coefficients(vehicle.aero, pool, aux[MACH], work)
         if vehicle.aero.earth_rates == 1:
-            turning = around.earth.rate_radps
+            turning = environment.earth.rate_radps
             rate = (
                 rate[0] - rotation[6] * turning,
                 rate[1] - rotation[7] * turning,
                 rate[2] - rotation[8] * turning,
             )
-        cg = (props[1], props[2], props[3])
+        cg = (properties[1], properties[2], properties[3])
         force, moment = body_loads(vehicle.aero, aux[DENSITY], flow, rate, held.burning, cg, work)
-        lift, twist = surface_loads(vehicle.aero, sizes, aux[DENSITY], flow, props, work)
-        force, moment = add(force, lift), add(moment, twist)
+        surface_force, surface_moment = surface_loads(vehicle.aero, sizes, aux[DENSITY], flow, properties, work)
+        force, moment = add(force, surface_force), add(moment, surface_moment)
     for j in range(3):
         aux[AERO_FORCE + j] = force[j]
         aux[AERO_MOMENT + j] = moment[j]
@@ -225,34 +235,36 @@ def aerodynamics(
 
 
 @kernel
-def push_of_thrust(
-    vehicle: Vehicle, sizes: Counts, engine: Deflected, props: Array, work: Array, aux: Array
-) -> tuple[Vector, Vector, GimbalPush]:
-    """Thrust along the deflected engine on the bent body: force, moment about the core CG, push on the modes."""
-    strength = thrust(vehicle.engine, props[THRUST_VACUUM], aux[PRESSURE])
+def thrust_loads(
+    vehicle: Vehicle, sizes: Counts, engine: Deflected, properties: Array, work: Array, aux: Array
+) -> tuple[Vector, Vector, GimbalLoad]:
+    """Thrust along the deflected engine on the bent body: force, moment about the core CG, load on the modes."""
+    strength = thrust(vehicle.engine, properties[THRUST_VACUUM], aux[PRESSURE])
     aux[THRUST] = strength
-    move_y, move_z, turn_y, turn_z = bend_at_gimbal(sizes, props, work)
-    aux[GIMBAL_BEND], aux[GIMBAL_BEND + 1] = move_y, move_z
-    aux[GIMBAL_BEND + 2], aux[GIMBAL_BEND + 3] = turn_y, turn_z
+    shift_y, shift_z, slope_y, slope_z = gimbal_displacement(sizes, properties, work)
+    aux[GIMBAL_BEND], aux[GIMBAL_BEND + 1] = shift_y, shift_z
+    aux[GIMBAL_BEND + 2], aux[GIMBAL_BEND + 3] = slope_y, slope_z
     if strength <= 0.0:
         return (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 0.0)
     axis = engine.axis
     if vehicle.follower_thrust == 1:
-        axis = add(axis, cross((0.0, turn_y, turn_z), axis))
+        axis = add(axis, cross((0.0, slope_y, slope_z), axis))
     force = scaled(strength, axis)
     moment = cross(engine.gimbal, force)
-    moment = (moment[0], moment[1] + move_z * force[0], moment[2] - move_y * force[0])
+    moment = (moment[0], moment[1] + shift_z * force[0], moment[2] - shift_y * force[0])
     off_y, off_z = vehicle.engine.gimbal_offset_y_m, vehicle.engine.gimbal_offset_z_m
     return force, moment, (force[1], force[2], off_z * force[0], -off_y * force[0])
 
 
 @kernel
-def tidal_moment(around: Surroundings, engine: Deflected, rotation: tuple[float, ...], y: Array) -> Vector:
-    """Gravity-gradient torque on the core."""
+def gravity_gradient_moment(
+    environment: Environment, engine: Deflected, rotation: tuple[float, ...], y: Array
+) -> Vector:
+    """Gravity-gradient moment on the core."""
     r = (
         rotation[0] * y[0] + rotation[3] * y[1] + rotation[6] * y[2],
         rotation[1] * y[0] + rotation[4] * y[1] + rotation[7] * y[2],
         rotation[2] * y[0] + rotation[5] * y[1] + rotation[8] * y[2],
     )
     j = engine.inertia
-    return gravity_gradient_torque(around.earth, r, (j[0], j[1], j[2], -j[3], -j[4], -j[5]))
+    return gravity_gradient_torque(environment.earth, r, (j[0], j[1], j[2], -j[3], -j[4], -j[5]))

@@ -1,7 +1,7 @@
-"""Gimballed engine: where its thrust points, and what its moving mass does to the vehicle ("tail wags dog").
+"""Gimballed engine: thrust, and direction of the thrust with its time derivatives.
 
-The engine hangs on a gimbal behind the vehicle and is moved by the actuators as they prescribe. With the engine
-straight its mass is part of the core; here stands only what a deflection adds.
+The engine is mounted on a gimbal behind the vehicle and follows the actuators exactly. With the engine straight its
+mass is part of the core; `rigid.engine_reaction` adds the effects of a deflection ("tail wags dog").
 """
 
 from __future__ import annotations
@@ -54,5 +54,5 @@ def thrust_axis_motion(
 
 @kernel
 def thrust(engine: Engine, vacuum_thrust_N: float, ambient_pressure_Pa: float) -> float:
-    """Thrust against the ambient pressure, N; never negative: a flow that weak separates from the nozzle."""
+    """Thrust against the ambient pressure, N; never negative: so weak a flow separates from the nozzle."""
     return max(engine.thrust_factor * vacuum_thrust_N - ambient_pressure_Pa * engine.exit_area_m2, 0.0)

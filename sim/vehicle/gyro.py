@@ -1,6 +1,6 @@
-"""Rate gyro of three axes: errors, second-order dynamics (29), and the angle its pulses will count.
+"""Rate gyro of three axes: errors, second-order dynamics (29), and the angle that the converter counts.
 
-The gyro sits on the bent body and feels the local turning rate: q + sum(slope nu_pitch) in pitch and
+The gyro is mounted on the bent body and senses the local angular rate: q + sum(slope nu_pitch) in pitch and
 r - sum(slope nu_yaw) in yaw (docs/model.md, section 2).
 """
 
@@ -36,7 +36,7 @@ class Gyro:
 
 @kernel
 def sensed_rate(g: Gyro, rate: Vector) -> Vector:
-    """Rate that the gyro would settle to, rad/s, from the local rate in B."""
+    """Steady-state output, rad/s, for the local angular rate in B: misalignment, scale factor, bias."""
     x, y, z = rate
     a, b, c = g.misalignment_x_rad, g.misalignment_y_rad, g.misalignment_z_rad
     return (

@@ -2,8 +2,8 @@
 
 The local frame on the ellipsoid and the standard atmosphere are chains of roots, divisions and powers in which
 everything waits for everything. The four stages of a Runge-Kutta step lie within metres of each other: the first is
-worked out exactly and remembered (`DROPPED` becomes `HOLDS`), the others go on from there. A workspace of zeros
-(`EXACT`) remembers nothing: every evaluation is then by itself, as one that is differentiated numerically must be.
+worked out exactly and remembered (`ANCHOR_DUE` becomes `ANCHOR_SET`), the others go on from there. A workspace of zeros
+(`NO_ANCHOR`) remembers nothing: every evaluation is then by itself, as one that is differentiated numerically must be.
 
 Within `NEAR_m` and at that distance: altitude to 3e-11 m (third powers left out), pressure to 3e-13 of itself, the
 directions of north and east to 1e-10 rad (squares left out, which near the poles are not small: see `drop`). A step
@@ -29,7 +29,7 @@ from maxq.sim.world.atmosphere import (
 )
 from maxq.sim.world.earth import FLAT, Earth, local_frame
 
-EXACT, DROPPED, HOLDS = 0.0, 1.0, 2.0  # of the workspace's anchor
+NO_ANCHOR, ANCHOR_DUE, ANCHOR_SET = 0.0, 1.0, 2.0  # of the workspace's anchor
 NEAR_m = 10.0
 
 Frame = tuple[float, float, float, float, float]  # as `earth.local_frame` returns it
@@ -53,7 +53,7 @@ def frame_and_air(
 ) -> tuple[Frame, Gas]:
     """`local_frame` and `air` at a position (I, m)."""
     dx, dy, dz = x - work[_PLACE], y - work[_PLACE + 1], z - work[_PLACE + 2]
-    if work[ANCHOR] == HOLDS and dx * dx + dy * dy + dz * dz < NEAR_m * NEAR_m:
+    if work[ANCHOR] == ANCHOR_SET and dx * dx + dy * dy + dz * dz < NEAR_m * NEAR_m:
         frame = _frame_nearby(dx, dy, dz, work)
         rise = frame[0] - work[_FRAME]
         if work[_REACH_DOWN] < rise < work[_REACH_UP]:
@@ -61,21 +61,21 @@ def frame_and_air(
         return frame, air(atmosphere, pool, frame[0])
     frame = local_frame(earth, x, y, z)
     gas = air(atmosphere, pool, frame[0])
-    if work[ANCHOR] == DROPPED:
-        _drop(earth, atmosphere, x, y, z, frame, gas, work)
+    if work[ANCHOR] == ANCHOR_DUE:
+        _set_anchor(earth, atmosphere, x, y, z, frame, gas, work)
     return frame, gas
 
 
 @kernel
-def _drop(
+def _set_anchor(
     earth: Earth, atmosphere: Atmosphere, x: float, y: float, z: float, frame: Frame, gas: Gas, work: Array
 ) -> None:  # fmt: skip
     """Remember a place, unless there is no ellipsoid or a pole is so near that meridians converge within metres."""
     altitude, sin_lat, cos_lat, _, _ = frame
     if earth.figure == FLAT or cos_lat < 0.1 or altitude < -1e5:
-        work[ANCHOR] = EXACT
+        work[ANCHOR] = NO_ANCHOR
         return
-    work[ANCHOR] = HOLDS
+    work[ANCHOR] = ANCHOR_SET
     work[_PLACE], work[_PLACE + 1], work[_PLACE + 2] = x, y, z
     for j in range(5):
         work[_FRAME + j] = frame[j]
@@ -90,9 +90,9 @@ def _drop(
         for j in range(4):
             work[_GAS + j] = gas[j]
         work[_INVERSE_TEMPERATURE] = 1.0 / gas[2]
-        scale, curvature, lapse, down, up = us1976_about(altitude, gas[2])
+        scale, curvature, lapse, on_pad, up = us1976_about(altitude, gas[2])
         work[_GEOPOTENTIAL], work[_GEOPOTENTIAL + 1], work[_GEOPOTENTIAL + 2] = scale, curvature, lapse
-        work[_REACH_DOWN], work[_REACH_UP] = down, up
+        work[_REACH_DOWN], work[_REACH_UP] = on_pad, up
 
 
 @kernel

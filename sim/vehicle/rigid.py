@@ -14,10 +14,10 @@ from maxq.control.kernel.vectors import (
     cross,
     inertia_times,
     inverse_inertia,
+    rotate,
     scaled,
-    turn,
 )
-from maxq.sim.vehicle.bending import GimbalPush
+from maxq.sim.vehicle.bending import GimbalLoad
 from maxq.sim.vehicle.engine import Engine
 from maxq.sim.vehicle.schedule import (
     CG_RATE,
@@ -49,8 +49,8 @@ class Deflected(NamedTuple):
     delta: Vector  # engine CG relative to where it is with the engine straight, and derivatives
     delta_rate: Vector
     delta_accel: Vector
-    turn_rate: Vector  # turning rate of the engine relative to the body, and derivative
-    turn_accel: Vector
+    relative_rate: Vector  # angular velocity of the engine relative to the body, and derivative
+    relative_accel: Vector
     offset: Vector  # CG with the engine deflected, relative to the core CG
     inertia: Symmetric  # about the core CG, engine deflected
     inverse_inertia: Symmetric  # inverse of the tensor about the CG with the engine deflected
@@ -58,28 +58,28 @@ class Deflected(NamedTuple):
 
 @kernel
 def deflected_engine(
-    e: Engine, sizes: Counts, axis: Vector, axis_rate: Vector, axis_accel: Vector, props: Array
+    e: Engine, sizes: Counts, axis: Vector, axis_rate: Vector, axis_accel: Vector, properties: Array
 ) -> Deflected:
     arm, mass = e.cg_from_gimbal_m, e.gimballed_mass_kg
     gimbal = (
-        props[CORE_CG] - e.gimbal_station_m,
-        e.gimbal_offset_y_m - props[CORE_CG + 1],
-        e.gimbal_offset_z_m - props[CORE_CG + 2],
+        properties[CORE_CG] - e.gimbal_station_m,
+        e.gimbal_offset_y_m - properties[CORE_CG + 1],
+        e.gimbal_offset_z_m - properties[CORE_CG + 2],
     )
     delta = (arm * (1.0 - axis[0]), -arm * axis[1], -arm * axis[2])
     straight = (gimbal[0] - arm, gimbal[1], gimbal[2])
     moved = add(straight, delta)
     core = (
-        props[CORE_INERTIA],
-        props[CORE_INERTIA + 1],
-        props[CORE_INERTIA + 2],
-        props[CORE_INERTIA + 3],
-        props[CORE_INERTIA + 4],
-        props[CORE_INERTIA + 5],
+        properties[CORE_INERTIA],
+        properties[CORE_INERTIA + 1],
+        properties[CORE_INERTIA + 2],
+        properties[CORE_INERTIA + 3],
+        properties[CORE_INERTIA + 4],
+        properties[CORE_INERTIA + 5],
     )
     inertia = _plus_point(_plus_point(core, mass, moved), -mass, straight)
-    offset = scaled(mass * props[schedule_width(sizes) + INVERSE_CORE_MASS], delta)
-    about_cg = _plus_point(inertia, -props[CORE_MASS], offset)
+    offset = scaled(mass * properties[schedule_width(sizes) + INVERSE_CORE_MASS], delta)
+    about_cg = _plus_point(inertia, -properties[CORE_MASS], offset)
     return Deflected(
         axis,
         gimbal,
@@ -109,12 +109,12 @@ def _plus_point(j: Symmetric, mass: float, at: Vector) -> Symmetric:
 
 
 @kernel
-def engine_reaction(e: Engine, engine: Deflected, rate: Vector, axial_load: float) -> tuple[Vector, Vector, GimbalPush]:
-    """Force and moment (about the core CG) of the moving engine on the vehicle, in B: "tail wags dog".
+def engine_reaction(e: Engine, engine: Deflected, rate: Vector, axial_load: float) -> tuple[Vector, Vector, GimbalLoad]:
+    """Force and moment (about the core CG) of the moving engine on the vehicle, in B ("tail wags dog").
 
-    The third result is what it does to the modes, at the gimbal.
+    The third result is the load at the gimbal that excites the modes.
 
-    Terms with the sought accelerations are in the mass matrix (`Deflected.offset`, `.inertia`). The axial load on the
+    Terms in the unknown accelerations are in the mass matrix (`Deflected.offset`, `.inertia`). The axial load on the
     displaced engine bends the body as well: a first-order effect of the deflection.
     """
     mass, arm = e.gimballed_mass_kg, e.cg_from_gimbal_m
@@ -122,78 +122,90 @@ def engine_reaction(e: Engine, engine: Deflected, rate: Vector, axial_load: floa
     force = scaled(-mass, add(relative, cross(rate, cross(rate, engine.delta))))
     at = add((engine.gimbal[0] - arm, engine.gimbal[1], engine.gimbal[2]), engine.delta)
     moment = scaled(-mass, cross(at, relative))
-    spin = add(engine.turn_accel, cross(rate, engine.turn_rate))
+    spin = add(engine.relative_accel, cross(rate, engine.relative_rate))
     moment = add(moment, scaled(-e.inertia_kgm2, spin))
-    push = scaled(-mass, engine.delta_accel)
-    bend_y = arm * push[2] - e.inertia_kgm2 * engine.turn_accel[1] - mass * axial_load * engine.delta[2]
-    bend_z = -arm * push[1] - e.inertia_kgm2 * engine.turn_accel[2] + mass * axial_load * engine.delta[1]
-    return force, moment, (push[1], push[2], bend_y, bend_z)
+    inertial = scaled(-mass, engine.delta_accel)
+    moment_y = arm * inertial[2] - e.inertia_kgm2 * engine.relative_accel[1] - mass * axial_load * engine.delta[2]
+    moment_z = -arm * inertial[1] - e.inertia_kgm2 * engine.relative_accel[2] + mass * axial_load * engine.delta[1]
+    return force, moment, (inertial[1], inertial[2], moment_y, moment_z)
 
 
 @kernel
-def prepare_outflow(e: Engine, slosh: Slosh, sizes: Counts, props: Array) -> None:
-    """Fill in what the schedule says of flowing propellant: its momentum and how it damps; and the inverse masses.
+def prepare_outflow(e: Engine, slosh: Slosh, sizes: Counts, properties: Array) -> None:
+    """Derived properties of the flowing propellant (momentum, jet damping), and the inverse masses.
 
     The relative momentum of the inner flow is d(m c)/dt + mdot r_exit (mass conservation), the moment is
     -(dJ/dt) w - mdot r_exit x (w x r_exit) about the core CG (docs/model.md, section 8; Eke 1998, Meirovitch 1970):
-    that of a point of "mass" mdot at the exit. What a shrinking bob loses flows into the core at the bob's place.
+    that of a point of "mass" mdot at the exit. What a bob loses flows into the core at the bob's position.
     """
-    flow, mass = props[MASS_FLOW], props[CORE_MASS]
-    at = (props[CORE_CG] - e.exit_station_m, -props[CORE_CG + 1], -props[CORE_CG + 2])
-    inner = add(scaled(mass, (-props[CG_RATE], props[CG_RATE + 1], props[CG_RATE + 2])), scaled(flow, at))
+    flow, mass = properties[MASS_FLOW], properties[CORE_MASS]
+    at = (properties[CORE_CG] - e.exit_station_m, -properties[CORE_CG + 1], -properties[CORE_CG + 2])
+    inner = add(
+        scaled(mass, (-properties[CG_RATE], properties[CG_RATE + 1], properties[CG_RATE + 2])), scaled(flow, at)
+    )
     change = (
-        props[INERTIA_RATE],
-        props[INERTIA_RATE + 1],
-        props[INERTIA_RATE + 2],
-        props[INERTIA_RATE + 3],
-        props[INERTIA_RATE + 4],
-        props[INERTIA_RATE + 5],
+        properties[INERTIA_RATE],
+        properties[INERTIA_RATE + 1],
+        properties[INERTIA_RATE + 2],
+        properties[INERTIA_RATE + 3],
+        properties[INERTIA_RATE + 4],
+        properties[INERTIA_RATE + 5],
     )
     damping = _plus_point(change, flow, at)
     for tank in range(sizes.tanks):
         c = tank_column(tank)
         at = (
-            props[CORE_CG] - props[c + TANK_HINGE] - pendulum_length(slosh, props, tank),
-            -props[CORE_CG + 1],
-            -props[CORE_CG + 2],
+            properties[CORE_CG] - properties[c + TANK_HINGE] - pendulum_length(slosh, properties, tank),
+            -properties[CORE_CG + 1],
+            -properties[CORE_CG + 2],
         )
-        growth = props[c + TANK_MASS_RATE] * slosh.mass_factor[tank]
+        growth = properties[c + TANK_MASS_RATE] * slosh.mass_factor[tank]
         inner = add(inner, scaled(growth, at))
         damping = _plus_point(damping, growth, at)
     behind = schedule_width(sizes)
-    props[behind + INVERSE_CORE_MASS], props[behind + INVERSE_TOTAL_MASS] = 1.0 / mass, 1.0 / props[TOTAL_MASS]
+    properties[behind + INVERSE_CORE_MASS], properties[behind + INVERSE_TOTAL_MASS] = (
+        1.0 / mass,
+        1.0 / properties[TOTAL_MASS],
+    )
     for j in range(3):
-        props[behind + INNER_FLOW + j] = inner[j]
+        properties[behind + INNER_FLOW + j] = inner[j]
     for j in range(6):
-        props[behind + JET_DAMPING + j] = damping[j]
+        properties[behind + JET_DAMPING + j] = damping[j]
 
 
 @kernel
-def coriolis_of_outflow(sizes: Counts, rate: Vector, props: Array) -> tuple[Vector, Vector]:
+def coriolis_of_outflow(sizes: Counts, rate: Vector, properties: Array) -> tuple[Vector, Vector]:
     """Force and moment of the propellant that flows through a turning vehicle: jet damping."""
     inner, j = schedule_width(sizes) + INNER_FLOW, schedule_width(sizes) + JET_DAMPING
-    force = scaled(-2.0, cross(rate, (props[inner], props[inner + 1], props[inner + 2])))
-    damping = (props[j], props[j + 1], props[j + 2], props[j + 3], props[j + 4], props[j + 5])
+    force = scaled(-2.0, cross(rate, (properties[inner], properties[inner + 1], properties[inner + 2])))
+    damping = (
+        properties[j],
+        properties[j + 1],
+        properties[j + 2],
+        properties[j + 3],
+        properties[j + 4],
+        properties[j + 5],
+    )
     return force, scaled(-1.0, inertia_times(damping, rate))
 
 
 @kernel
 def kinematics(
-    earth: Earth, down: int, rotation: Matrix, rate: Vector, felt: Vector, alpha: Vector, gravitation: Vector,
-    props: Array, y: Array, dy: Array,
+    earth: Earth, on_pad: int, rotation: Matrix, rate: Vector, specific_force: Vector, alpha: Vector,
+    gravitation: Vector, properties: Array, y: Array, dy: Array,
 ) -> None:  # fmt: skip
-    """Position, velocity, attitude and rate. The core CG wanders through the body as propellant leaves.
+    """Position, velocity, attitude and rate. The core CG moves through the body as propellant leaves.
 
-    On the pad position and attitude turn with the Earth.
+    On the pad, position and attitude rotate with the Earth.
     """
-    if down == 1:
+    if on_pad == 1:
         turning = earth.rate_radps
         dy[R_I], dy[R_I + 1], dy[R_I + 2] = -turning * y[R_I + 1], turning * y[R_I], 0.0
         dy[V_I], dy[V_I + 1], dy[V_I + 2] = -turning * y[V_I + 1], turning * y[V_I], 0.0
     else:
-        drift = (-props[CG_RATE], props[CG_RATE + 1], props[CG_RATE + 2])
-        drift_I = turn(rotation, drift)
-        accel = turn(rotation, add(felt, cross(rate, drift)))
+        drift = (-properties[CG_RATE], properties[CG_RATE + 1], properties[CG_RATE + 2])
+        drift_I = rotate(rotation, drift)
+        accel = rotate(rotation, add(specific_force, cross(rate, drift)))
         for j in range(3):
             dy[R_I + j] = y[V_I + j] + drift_I[j]
             dy[V_I + j] = accel[j] + gravitation[j]

@@ -48,7 +48,7 @@ N_FOLLOWING = 11
 MODE_INVERSE_MASS = 0  # rows of a plane: 1/kg
 MODE_STIFFNESS = 1  # N/m
 MODE_DAMPING = 2  # N s/m
-MODE_YIELD = 3  # then the acceleration per newton at each tank, 1/kg
+MODE_TANK_COMPLIANCE = 3  # then the acceleration per newton at each tank, 1/kg
 
 PITCH, YAW = 0, 1
 
@@ -59,27 +59,27 @@ def tank_column(tank: int) -> int:
 
 
 @kernel
-def fours(sizes: Counts) -> int:
+def mode_groups(sizes: Counts) -> int:
     """How many times four modes a plane has, rounded up."""
     return (max(sizes.pitch_modes, sizes.yaw_modes) + 3) >> 2
 
 
 @kernel
-def lanes(sizes: Counts) -> int:
+def padded_modes(sizes: Counts) -> int:
     """Columns of a row of modal quantities: the modes of a plane and zeros up to a multiple of four."""
-    return 4 * fours(sizes)
+    return 4 * mode_groups(sizes)
 
 
 @kernel
 def mode_rows(sizes: Counts) -> int:
     """Rows of a plane."""
-    return softening_row(sizes, 0) + lanes(sizes)
+    return softening_row(sizes, 0) + padded_modes(sizes)
 
 
 @kernel
 def mode_column(sizes: Counts, plane: int, row: int) -> int:
     """First mode's column of a row of a plane (PITCH, YAW); the other modes follow."""
-    return N_CONSTANT + TANK_WIDTH * sizes.tanks + (plane * mode_rows(sizes) + row) * lanes(sizes)
+    return N_CONSTANT + TANK_WIDTH * sizes.tanks + (plane * mode_rows(sizes) + row) * padded_modes(sizes)
 
 
 @kernel
@@ -102,7 +102,9 @@ def schedule_width(sizes: Counts) -> int:
 @kernel
 def following_column(sizes: Counts, plane: int, row: int) -> int:
     """As `mode_column`, of the rows behind the table."""
-    return schedule_width(sizes) + N_FOLLOWING + (plane * (MODE_YIELD + sizes.tanks) + row) * lanes(sizes)
+    return (
+        schedule_width(sizes) + N_FOLLOWING + (plane * (MODE_TANK_COMPLIANCE + sizes.tanks) + row) * padded_modes(sizes)
+    )
 
 
 @kernel
@@ -113,29 +115,32 @@ def compliance_column(sizes: Counts, plane: int) -> int:
 
 @kernel
 def complete_modes(
-    sizes: Counts, plane: int, modes: int, zeta: Array, frequency_factor: Array, props: Array
+    sizes: Counts, plane: int, modes: int, zeta: Array, frequency_factor: Array, properties: Array
 ) -> None:  # fmt: skip
     """Fill in one plane's rows behind the table: inverse mass, stiffness, damping, compliance."""
     omega_at, mass_at = mode_column(sizes, plane, MODE_OMEGA), mode_column(sizes, plane, MODE_MASS)
     inverse = following_column(sizes, plane, MODE_INVERSE_MASS)
     stiffness, damping = following_column(sizes, plane, MODE_STIFFNESS), following_column(sizes, plane, MODE_DAMPING)
-    for i in range(lanes(sizes)):
+    for i in range(padded_modes(sizes)):
         if i < modes:
-            omega = props[omega_at + i] * frequency_factor[i]
-            props[inverse + i] = 1.0 / props[mass_at + i]
-            props[stiffness + i] = props[mass_at + i] * omega * omega
-            props[damping + i] = 2.0 * zeta[i] * props[mass_at + i] * omega
+            omega = properties[omega_at + i] * frequency_factor[i]
+            properties[inverse + i] = 1.0 / properties[mass_at + i]
+            properties[stiffness + i] = properties[mass_at + i] * omega * omega
+            properties[damping + i] = 2.0 * zeta[i] * properties[mass_at + i] * omega
         else:
-            props[inverse + i], props[stiffness + i], props[damping + i] = 0.0, 0.0, 0.0
+            properties[inverse + i], properties[stiffness + i], properties[damping + i] = 0.0, 0.0, 0.0
     n, compliance = sizes.tanks, compliance_column(sizes, plane)
     for k in range(n):
-        at_k, yield_k = mode_column(sizes, plane, MODE_FIRST + k), following_column(sizes, plane, MODE_YIELD + k)
-        for i in range(lanes(sizes)):
-            props[yield_k + i] = props[at_k + i] * props[inverse + i]
+        at_k, yield_k = (
+            mode_column(sizes, plane, MODE_FIRST + k),
+            following_column(sizes, plane, MODE_TANK_COMPLIANCE + k),
+        )
+        for i in range(padded_modes(sizes)):
+            properties[yield_k + i] = properties[at_k + i] * properties[inverse + i]
         for j in range(k, n):
             at_j = mode_column(sizes, plane, MODE_FIRST + j)
             total = 0.0
             for i in range(modes):
-                total += props[yield_k + i] * props[at_j + i]
-            props[compliance + k * n + j] = total
-            props[compliance + j * n + k] = total
+                total += properties[yield_k + i] * properties[at_j + i]
+            properties[compliance + k * n + j] = total
+            properties[compliance + j * n + k] = total

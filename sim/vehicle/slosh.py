@@ -16,6 +16,7 @@ from dataclasses import dataclass
 from typing import Annotated
 
 from maxq.control.kernel.jit import kernel
+from maxq.control.kernel.limits import MAX_TANKS
 from maxq.control.kernel.records import Array
 from maxq.control.kernel.vectors import Vector, add, cross, dot, scaled
 from maxq.sim.vehicle.bending import modal_sum, of_plane
@@ -31,24 +32,24 @@ from maxq.sim.vehicle.schedule import (
     mode_column,
     tank_column,
 )
-from maxq.sim.vehicle.state import MAX_TANKS, Counts, pendulum_index
+from maxq.sim.vehicle.state import Counts, pendulum_index
 from maxq.sim.vehicle.workspace import ETA, NU, PENDULUM, PENDULUM_WIDTH, RATE
 
 # a tank's block of the workspace
 ARM = 0  # moment that a unit tension exerts about the CG with the engine deflected, in B, m (3)
-KNOWN = 3  # acceleration of the hinge that does not depend on the accelerations sought, B, m/s2 (3)
-MOVE_Y = 6  # displacement of the hinge by bending, m
-MOVE_Z = 7
+HINGE_ACCEL = 3  # acceleration of the hinge that does not depend on the accelerations sought, B, m/s2 (3)
+SHIFT_Y = 6  # displacement of the hinge by bending, m
+SHIFT_Z = 7
 DEMAND = 8  # tension per bob mass at zero acceleration, m/s2
 ALPHA = 9  # answer of the body to a unit tension: its angular acceleration, rad/s2 per N (3)
 HINGE = 12  # hinge relative to the core CG without bending, B, m (3)
 DAMPING = 15  # acceleration of the bob by damping, B, m/s2 (3)
-UNEVEN_Y = 18  # by how much the planes' unlikeness moves the hinge, m: see `_unevenness`
-UNEVEN_Z = 19
-PUSH_Y = 20  # lateral force of the damper on the bent axis, N
-PUSH_Z = 21
-BEND_Y = 22  # acceleration of the hinge by bending, m/s2: without the pendulums, later with them
-BEND_Z = 23
+ASYMMETRY_Y = 18  # by how much the planes' unlikeness moves the hinge, m: see `_plane_asymmetry`
+ASYMMETRY_Z = 19
+DAMPER_FORCE_Y = 20  # lateral force of the damper on the bent axis, N
+DAMPER_FORCE_Z = 21
+BENDING_ACCEL_Y = 22  # acceleration of the hinge by bending, m/s2: without the pendulums, later with them
+BENDING_ACCEL_Z = 23
 
 
 @dataclass(frozen=True)
@@ -60,26 +61,26 @@ class Slosh:
 
 
 @kernel
-def pendulum_length(slosh: Slosh, props: Array, tank: int) -> float:
-    length: float = props[tank_column(tank) + TANK_LENGTH] * slosh.length_factor[tank]
+def pendulum_length(slosh: Slosh, properties: Array, tank: int) -> float:
+    length: float = properties[tank_column(tank) + TANK_LENGTH] * slosh.length_factor[tank]
     return length
 
 
 @kernel
-def bob_mass(slosh: Slosh, props: Array, tank: int) -> float:
-    mass: float = props[tank_column(tank) + TANK_MASS] * slosh.mass_factor[tank]
+def bob_mass(slosh: Slosh, properties: Array, tank: int) -> float:
+    mass: float = properties[tank_column(tank) + TANK_MASS] * slosh.mass_factor[tank]
     return mass
 
 
 @kernel
-def hang(
+def pendulum_loads(
     slosh: Slosh,
     sizes: Counts,
     tank: int,
     rate: Vector,
     axial_load: float,
     offset: Vector,
-    props: Array,
+    properties: Array,
     y: Array,
     work: Array,
 ) -> tuple[Vector, Vector]:
@@ -92,31 +93,31 @@ def hang(
     i = pendulum_index(sizes, tank)
     u = (y[i], y[i + 1], y[i + 2])
     kappa = (y[i + 3], y[i + 4], y[i + 5])
-    length, mass = pendulum_length(slosh, props, tank), bob_mass(slosh, props, tank)
+    length, mass = pendulum_length(slosh, properties, tank), bob_mass(slosh, properties, tank)
     hinge = (
-        props[CORE_CG] - props[tank_column(tank) + TANK_HINGE],
-        -props[CORE_CG + 1],
-        -props[CORE_CG + 2],
+        properties[CORE_CG] - properties[tank_column(tank) + TANK_HINGE],
+        -properties[CORE_CG + 1],
+        -properties[CORE_CG + 2],
     )
-    move_y, move_z, moving_y, moving_z, nu_y, nu_z = _bend_at_tank(sizes, tank, props, work)
+    move_y, move_z, moving_y, moving_z, nu_y, nu_z = _bend_at_tank(sizes, tank, properties, work)
     # velocity that bending gives the hinge, including the turning of the bent axis (docs/model.md, eq. 5.3)
     bend = (q * move_z - r * move_y, nu_y, nu_z)
     uneven_y, uneven_z, uneven_rate_y, uneven_rate_z = 0.0, 0.0, 0.0, 0.0
     if slosh.planes_differ == 1:
-        uneven_y, uneven_z, uneven_rate_y, uneven_rate_z = _unevenness(sizes, tank, props, work)
+        uneven_y, uneven_z, uneven_rate_y, uneven_rate_z = _plane_asymmetry(sizes, tank, properties, work)
         bend = (bend[0], bend[1] - p * uneven_z, bend[2] + p * uneven_y)
     known = add(cross(rate, cross(rate, hinge)), cross(rate, bend))
     known = (known[0], known[1] - p * uneven_rate_z, known[2] + p * uneven_rate_y)
     # with the liquid's surface the bob travels aft, which gives it a Coriolis acceleration
-    travel = 2.0 * props[tank_column(tank) + TANK_TRAVEL]
+    travel = 2.0 * properties[tank_column(tank) + TANK_TRAVEL]
     known = (known[0] + q * moving_z - r * moving_y, known[1] - travel * r, known[2] + travel * q)
     arm = cross((hinge[0] - offset[0], hinge[1] - offset[1], hinge[2] - offset[2]), u)
-    work[b + UNEVEN_Y], work[b + UNEVEN_Z] = uneven_y, uneven_z
+    work[b + ASYMMETRY_Y], work[b + ASYMMETRY_Z] = uneven_y, uneven_z
     roll_arm = arm[0] + uneven_y * u[2] - uneven_z * u[1]
     _store(work, b + ARM, (roll_arm, arm[1] + move_z * u[0], arm[2] - move_y * u[0]))
-    _store(work, b + KNOWN, known)
+    _store(work, b + HINGE_ACCEL, known)
     _store(work, b + HINGE, hinge)
-    work[b + MOVE_Y], work[b + MOVE_Z] = move_y, move_z
+    work[b + SHIFT_Y], work[b + SHIFT_Z] = move_y, move_z
     work[b + DEMAND] = length * dot(kappa, kappa) - dot(known, u)
     swing = add(kappa, scaled(-1.0, cross(rate, u)))  # d(u)/dt in B
     # 2 zeta omega L with omega = sqrt(a / L)
@@ -127,7 +128,7 @@ def hang(
     moment = cross(bob, force)
     roll = moment[0] + uneven_y * force[2] - uneven_z * force[1]
     moment = (roll, moment[1] + move_z * force[0], moment[2] - move_y * force[0])
-    work[b + PUSH_Y], work[b + PUSH_Z] = force[1], force[2]
+    work[b + DAMPER_FORCE_Y], work[b + DAMPER_FORCE_Z] = force[1], force[2]
     return force, moment
 
 
@@ -138,22 +139,22 @@ def _store(work: Array, i: int, a: Vector) -> None:
 
 @kernel
 def _bend_at_tank(
-    sizes: Counts, tank: int, props: Array, work: Array
+    sizes: Counts, tank: int, properties: Array, work: Array
 ) -> tuple[float, float, float, float, float, float]:
     """Displacement, its rate in B, and quasi-velocity of a hinge by bending: y, z each."""
     in_pitch, in_yaw = mode_column(sizes, PITCH, MODE_FIRST + tank), mode_column(sizes, YAW, MODE_FIRST + tank)
     return (
-        modal_sum(sizes, props, in_yaw, work, of_plane(ETA, YAW)),
-        modal_sum(sizes, props, in_pitch, work, of_plane(ETA, PITCH)),
-        modal_sum(sizes, props, in_yaw, work, of_plane(RATE, YAW)),
-        modal_sum(sizes, props, in_pitch, work, of_plane(RATE, PITCH)),
-        modal_sum(sizes, props, in_yaw, work, of_plane(NU, YAW)),
-        modal_sum(sizes, props, in_pitch, work, of_plane(NU, PITCH)),
+        modal_sum(sizes, properties, in_yaw, work, of_plane(ETA, YAW)),
+        modal_sum(sizes, properties, in_pitch, work, of_plane(ETA, PITCH)),
+        modal_sum(sizes, properties, in_yaw, work, of_plane(RATE, YAW)),
+        modal_sum(sizes, properties, in_pitch, work, of_plane(RATE, PITCH)),
+        modal_sum(sizes, properties, in_yaw, work, of_plane(NU, YAW)),
+        modal_sum(sizes, properties, in_pitch, work, of_plane(NU, PITCH)),
     )
 
 
 @kernel
-def _unevenness(sizes: Counts, tank: int, props: Array, work: Array) -> tuple[float, float, float, float]:
+def _plane_asymmetry(sizes: Counts, tank: int, properties: Array, work: Array) -> tuple[float, float, float, float]:
     """Where the hinge is, less where it would be if each plane had the other's shapes: y, z and their rates in B.
 
     The quasi-velocities hold the roll rate with the shape of their own plane; where the planes differ, roll moves the
@@ -163,7 +164,7 @@ def _unevenness(sizes: Counts, tank: int, props: Array, work: Array) -> tuple[fl
     along_y, along_z, rate_y, rate_z = 0.0, 0.0, 0.0, 0.0
     for i in range(max(sizes.pitch_modes, sizes.yaw_modes)):
         p, q = of_plane(0, PITCH) + i, of_plane(0, YAW) + i
-        more_in_yaw = props[in_yaw + i] - props[in_pitch + i]
+        more_in_yaw = properties[in_yaw + i] - properties[in_pitch + i]
         along_y += more_in_yaw * work[ETA + q]
         rate_y += more_in_yaw * work[RATE + q]
         along_z -= more_in_yaw * work[ETA + p]
@@ -172,9 +173,9 @@ def _unevenness(sizes: Counts, tank: int, props: Array, work: Array) -> tuple[fl
 
 
 @kernel
-def swing_derivative(
-    slosh: Slosh, sizes: Counts, tank: int, rate: Vector, felt: Vector, alpha: Vector, props: Array, y: Array,
-    dy: Array, work: Array,
+def pendulum_derivative(
+    slosh: Slosh, sizes: Counts, tank: int, rate: Vector, specific_force: Vector, alpha: Vector, properties: Array,
+    y: Array, dy: Array, work: Array,
 ) -> None:  # fmt: skip
     """Derivative of a pendulum's states once the body's accelerations are known (solve.py).
 
@@ -182,19 +183,27 @@ def swing_derivative(
     """
     b = PENDULUM + PENDULUM_WIDTH * tank
     i = pendulum_index(sizes, tank)
-    if bob_mass(slosh, props, tank) <= 0.0:
+    if bob_mass(slosh, properties, tank) <= 0.0:
         for j in range(6):
             dy[i + j] = 0.0
         return
     u = (y[i], y[i + 1], y[i + 2])
     kappa = (y[i + 3], y[i + 4], y[i + 5])
-    length = pendulum_length(slosh, props, tank)
-    move_y, move_z = work[b + MOVE_Y], work[b + MOVE_Z]
+    length = pendulum_length(slosh, properties, tank)
+    move_y, move_z = work[b + SHIFT_Y], work[b + SHIFT_Z]
     turning = cross(alpha, (work[b + HINGE], work[b + HINGE + 1], work[b + HINGE + 2]))
     hinge = (
-        work[b + KNOWN] + felt[0] + turning[0] + alpha[1] * move_z - alpha[2] * move_y,
-        work[b + KNOWN + 1] + felt[1] + turning[1] + work[b + BEND_Y] - alpha[0] * work[b + UNEVEN_Z],
-        work[b + KNOWN + 2] + felt[2] + turning[2] + work[b + BEND_Z] + alpha[0] * work[b + UNEVEN_Y],
+        work[b + HINGE_ACCEL] + specific_force[0] + turning[0] + alpha[1] * move_z - alpha[2] * move_y,
+        work[b + HINGE_ACCEL + 1]
+        + specific_force[1]
+        + turning[1]
+        + work[b + BENDING_ACCEL_Y]
+        - alpha[0] * work[b + ASYMMETRY_Z],
+        work[b + HINGE_ACCEL + 2]
+        + specific_force[2]
+        + turning[2]
+        + work[b + BENDING_ACCEL_Z]
+        + alpha[0] * work[b + ASYMMETRY_Y],
     )
     per_length = 1.0 / length
     along = per_length * dot(hinge, u) - dot(kappa, kappa)

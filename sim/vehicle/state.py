@@ -17,6 +17,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 from maxq.control.kernel.jit import integer, kernel
+from maxq.control.kernel.limits import MAX_MODES, MAX_TANKS
 
 R_I = 0  # position of the core CG in I, m
 V_I = 3  # its velocity in I, m/s
@@ -31,9 +32,6 @@ N_ACTUATOR = 6
 N_GYRO = 2
 N_PENDULUM = 6
 
-MAX_MODES = 8  # per plane
-MAX_TANKS = 8
-MAX_SURFACES = 9  # eight, and one for what the table of coefficients has beyond their sum
 MAX_STATE = N_FIXED + 4 * MAX_MODES + N_PENDULUM * MAX_TANKS
 
 

@@ -6,7 +6,7 @@ derivative (loads, air data): metrics and logs read it.
 
 from __future__ import annotations
 
-from maxq.sim.vehicle.state import MAX_MODES, MAX_SURFACES, MAX_TANKS
+from maxq.control.kernel.limits import MAX_MODES, MAX_SURFACES, MAX_TANKS
 
 # --- work
 # of each mode, in pitch and then in yaw, zeros from the last mode to the next multiple of four
@@ -15,7 +15,7 @@ ETA = FORCE + 2 * MAX_MODES  # modal coordinate: eta in pitch, xi in yaw, m
 RATE = ETA + 2 * MAX_MODES  # its time derivative, m/s
 NU = RATE + 2 * MAX_MODES  # its quasi-velocity, m/s
 MACH_ROW = NU + 2 * MAX_MODES  # aerodynamic coefficients at the present Mach number
-MACH_WIDTH = 8 + 2 * MAX_SURFACES
+MACH_WIDTH = 8 + 2 * (MAX_SURFACES + 1)  # one more for the normal force of the table of coefficients beyond their sum
 PENDULUM = MACH_ROW + MACH_WIDTH  # per tank, see slosh.py
 PENDULUM_WIDTH = 24
 GRAM = PENDULUM + PENDULUM_WIDTH * MAX_TANKS  # coupling of the tensions among each other
@@ -39,7 +39,7 @@ AERO_MOMENT = 14  # about the core CG in B, N m (3)
 THRUST = 17  # N
 ENGINE_PITCH = 18  # angle, rate, acceleration: rad, rad/s, rad/s2
 ENGINE_YAW = 21
-FELT = 24  # specific force at the core CG in B, m/s2 (3): acceleration less gravitation
+SPECIFIC_FORCE = 24  # specific force at the core CG in B, m/s2 (3): acceleration less gravitation
 ANGULAR_ACCEL = 27  # B, rad/s2 (3)
 WIND_N = 30  # air's motion relative to the Earth, north, east, down, m/s (3)
 GYRO_BEND = 33  # turning rate that bending adds at the gyro: pitch, yaw, rad/s (2)

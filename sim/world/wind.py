@@ -13,10 +13,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from maxq.control.kernel.jit import kernel
+from maxq.control.kernel.limits import MAX_GUSTS
 from maxq.control.kernel.records import Array, IntArray
 from maxq.control.kernel.tables import NO_TABLE, TableRef, find_interval, interpolate
 
-MAX_GUSTS = 16
 ONE_MINUS_COSINE, SHEAR = 0, 1  # Gust.kind
 
 
@@ -72,7 +72,7 @@ class Gust:
 
 
 def wind_of(profile: TableRef = NO_TABLE, gusts: Sequence[Gust] = (), factor: float = 1.0) -> Wind:
-    """A wind of a profile (see `wind_components` for its columns) and at most eight gusts, which add up.
+    """A wind of a profile (see `wind_components` for its columns) and at most `MAX_GUSTS` gusts, which add up.
 
     Raises ValueError for more gusts or for a profile that has not three columns.
     """

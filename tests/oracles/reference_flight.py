@@ -24,7 +24,7 @@ def fly(made: Rig, duration_s: float, tolerance: float = 1e-11) -> Array:
     `tolerance` is relative, and absolute in units of `scale`: metres for the position, 1e-3 for all that is
     small.
     """
-    made.course.step_ns = LONG_STEP_NS
+    made.timeline.step_ns = LONG_STEP_NS
     clock = made.packed.memory[0].clock
     until = int(clock.now_ns) + round(1e9 * duration_s)
     made.derivative(made.y, 1e-9 * int(clock.now_ns))

@@ -292,7 +292,7 @@ class LiveRun(FlightRun):
 
     def _block_length_ns(self) -> int:
         """0.2 s, or what of it divides a segment into whole blocks of whole steps."""
-        step_ns = int(self.packed.parameters[0].course.step_ns)
+        step_ns = int(self.packed.parameters[0].timeline.step_ns)
         for count in range(max(1, self.segment_ns // BLOCK_NS), 1, -1):
             if self.segment_ns % (count * step_ns) == 0:
                 return self.segment_ns // count

@@ -14,10 +14,10 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.integrate import DOP853
 
-from maxq.control.kernel.jit import borrowed, entry
+from maxq.control.kernel.jit import bare_pointer, entry
 from maxq.control.kernel.records import Array
-from maxq.sim.flight.arena import PROPS_SIZE
-from maxq.sim.flight.events import meet_instants, step_length
+from maxq.sim.flight.arena import PROPERTIES_SIZE
+from maxq.sim.flight.events import process_due_events, step_length
 from maxq.sim.flight.parameters import NEVER
 from maxq.sim.flight.step import evaluate, read_schedule
 from maxq.sim.run.fly import FlightRun
@@ -25,7 +25,7 @@ from maxq.sim.vehicle.state import MAX_STATE, R_I, V_I, state_size
 from maxq.sim.vehicle.workspace import AUX_SIZE, WORK_SIZE
 
 _PROPS = 0
-_WORK = _PROPS + PROPS_SIZE
+_WORK = _PROPS + PROPERTIES_SIZE
 _AUX = _WORK + WORK_SIZE
 SCRATCH = _AUX + AUX_SIZE
 
@@ -34,9 +34,9 @@ SCRATCH = _AUX + AUX_SIZE
 def rates(P: Array, pool: Array, state: Array, y: Array, elapsed_s: float, dy: Array, scratch: Array) -> None:
     """Derivative `elapsed_s` after the flight's present instant."""
     p, memory = P[0], state[0]
-    pool, y, dy = borrowed(pool), borrowed(y), borrowed(dy)
-    props, work = borrowed(scratch[_PROPS:_WORK]), borrowed(scratch[_WORK:_AUX])
-    aux = borrowed(scratch[_AUX:SCRATCH])
+    pool, y, dy = bare_pointer(pool), bare_pointer(y), bare_pointer(dy)
+    props, work = bare_pointer(scratch[_PROPS:_WORK]), bare_pointer(scratch[_WORK:_AUX])
+    aux = bare_pointer(scratch[_AUX:SCRATCH])
     now = memory.clock.now_ns
     read_schedule(p, pool, memory, now, elapsed_s, props)
     evaluate(p, pool, memory, now, elapsed_s, props, y, dy, work, aux)
@@ -46,9 +46,9 @@ def rates(P: Array, pool: Array, state: Array, y: Array, elapsed_s: float, dy: A
 def next_instant(P: Array, pool: Array, state: Array, y: Array, scratch: Array) -> int:
     """Meet all that is due now; nanoseconds until something is due again."""
     p, memory = P[0], state[0]
-    pool, y = borrowed(pool), borrowed(y)
-    aux = borrowed(scratch[_AUX:SCRATCH])
-    meet_instants(p, pool, memory, y, aux)
+    pool, y = bare_pointer(pool), bare_pointer(y)
+    aux = bare_pointer(scratch[_AUX:SCRATCH])
+    process_due_events(p, pool, memory, y, aux)
     return step_length(p, pool, memory, NEVER)
 
 
@@ -66,7 +66,7 @@ class AdaptiveFlight:
     def __post_init__(self) -> None:
         packed = self.run.packed
         self._n = int(state_size(packed.parameters[0].vehicle.sizes))
-        packed.parameters[0].course.step_ns = NEVER // 4  # no other grid than the instants
+        packed.parameters[0].timeline.step_ns = NEVER // 4  # no other grid than the instants
         # position and speed are thousands of times what changes of them in a step, the rest begins near zero
         tolerance = np.full(self._n, self.relative)
         tolerance[R_I : R_I + 3], tolerance[V_I : V_I + 3] = 1e-3 * self.relative, 1e-2 * self.relative

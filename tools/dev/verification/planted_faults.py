@@ -15,8 +15,8 @@ from typing import Any
 
 import numpy as np
 
-from maxq.control.filters import MAX_SECTIONS
 from maxq.control.kernel.records import Array
+from maxq.control.laws.structures import MAX_SECTIONS
 from maxq.design.certificate.held_flight import Change
 from maxq.sim.packing.flight import Packed
 from maxq.sim.vehicle import schedule
@@ -171,7 +171,7 @@ def _aero_moment_sign(packed: Packed) -> None:
     sched = row.vehicle.schedule
     n, width, at = int(sched.n_breaks), int(sched.n_columns), int(sched.offset)
     breaks = packed.pool[at : at + n]
-    k = int(np.clip(np.searchsorted(breaks, float(row.course.frozen_s), side="right") - 1, 0, n - 2))
+    k = int(np.clip(np.searchsorted(breaks, float(row.timeline.frozen_s), side="right") - 1, 0, n - 2))
     cg = packed.pool[at + n : at + n + 4 * width * (n - 1)].reshape(n - 1, 4, width)[k, 0, schedule.CORE_CG]
     n, width, at = int(ref.n_breaks), int(ref.n_columns), int(ref.offset)
     table = packed.pool[at + n : at + n + 4 * width * (n - 1)].reshape(n - 1, 4, width)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from maxq.control.kernel.jit import kernel, routine
 from maxq.control.kernel.records import Array
-from maxq.control.kernel.vectors import Matrix, Vector, add, cross, scaled, turn_back
+from maxq.control.kernel.vectors import Matrix, Vector, add, cross, rotate_back, scaled
 from maxq.sim.vehicle.nearby import frame_and_air
 from maxq.sim.vehicle.state import R_I, V_I
 from maxq.sim.vehicle.workspace import (
@@ -30,7 +30,7 @@ from maxq.sim.world.wind import Wind, wind_ned
 
 
 @dataclass(frozen=True)
-class Surroundings:
+class Environment:
     earth: Earth
     atmosphere: Atmosphere
     wind: Wind
@@ -38,26 +38,26 @@ class Surroundings:
 
 
 @kernel
-def surroundings(
-    around: Surroundings, pool: Array, gusts: TurbulenceState, gust_phase: float, rotation: Matrix, y: Array,
+def air_data(
+    environment: Environment, pool: Array, gusts: TurbulenceState, gust_phase: float, rotation: Matrix, y: Array,
     work: Array, aux: Array,
 ) -> Vector:  # fmt: skip
     """Fill the air data of `aux`; returns the gravitation in I, m/s2."""
     x, yy, z = y[R_I], y[R_I + 1], y[R_I + 2]
-    gravity = gravitation(around.earth, x, yy, z)
-    frame, gas = frame_and_air(around.earth, around.atmosphere, pool, x, yy, z, work)
+    gravity = gravitation(environment.earth, x, yy, z)
+    frame, gas = frame_and_air(environment.earth, environment.atmosphere, pool, x, yy, z, work)
     altitude, sin_lat, cos_lat, sin_lon, cos_lon = frame
     density, pressure, temperature, sound_speed = gas
-    wind = wind_ned(around.wind, pool, altitude)
+    wind = wind_ned(environment.wind, pool, altitude)
     blowing = ned_to_earth(sin_lat, cos_lat, sin_lon, cos_lon, wind[0], wind[1], wind[2])
-    ground = ground_velocity(around.earth, x, yy)
+    ground = ground_velocity(environment.earth, x, yy)
     relative = (
         y[V_I] - ground[0] - blowing[0],
         y[V_I + 1] - ground[1] - blowing[1],
         y[V_I + 2] - ground[2] - blowing[2],
     )
-    flow = turn_back(rotation, relative)
-    if around.turbulence.on == 1:
+    flow = rotate_back(rotation, relative)
+    if environment.turbulence.on == 1:
         flow = add(flow, scaled(-1.0, turbulence_at(gusts, gust_phase)))
     airspeed = math.sqrt(flow[0] * flow[0] + flow[1] * flow[1] + flow[2] * flow[2])
     aux[ALTITUDE], aux[DENSITY], aux[PRESSURE] = altitude, density, pressure
@@ -75,11 +75,11 @@ def pad_acceleration(earth: Earth, rotation: Matrix, gravity: Vector, y: Array) 
     """Specific force that the pad exerts on a vehicle it carries along, in B, m/s2."""
     spin = (0.0, 0.0, earth.rate_radps)
     carried = cross(spin, cross(spin, (y[R_I], y[R_I + 1], y[R_I + 2])))
-    return turn_back(rotation, add(carried, scaled(-1.0, gravity)))
+    return rotate_back(rotation, add(carried, scaled(-1.0, gravity)))
 
 
 @kernel
-def climbs_for_sure(earth: Earth, y: Array) -> bool:
+def climbs_certainly(earth: Earth, y: Array) -> bool:
     """Whether the altitude rises whatever the figure of the Earth: the velocity is 1 degree above the horizontal of a
     sphere, and no normal of the ellipsoid is inclined by more than 0.2 degrees to the radius. A flat Earth: never sure.
     """

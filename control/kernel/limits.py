@@ -1,0 +1,13 @@
+"""The largest numbers of parts that parameter records and kernels have room for.
+
+The one definition: schemas refuse more, records hold arrays of these lengths. Imports nothing, so that reading it costs
+nothing.
+"""
+
+MAX_STAGES = 8
+MAX_TANKS = 8  # of a stage
+MAX_MODES = 8  # of a stage, per plane
+MAX_SURFACES = 8  # lifting surfaces of a stage
+MAX_GUSTS = 16
+MAX_INJECTIONS = 16
+MAX_TONES = 64  # of a multisine
