@@ -14,7 +14,7 @@ from maxq.sim.flight.channels import unit_suffix
 from maxq.sim.flight.telemetry import SLOW
 from maxq.sim.run.fly import fly
 from maxq.sim.run.judgement import ALL_METRICS, METRIC_NAMES, unit_of
-from maxq.sim.run.launch_frames import LaunchFrames
+from maxq.sim.run.launch_frames import LaunchFrames, LaunchSite
 
 
 def loaded(*overrides: str) -> LoadedScenario:
@@ -105,7 +105,7 @@ def test_frames_agree_with_the_logged_attitude_and_place(shape: list[str]) -> No
     scenario = load_scenario("nominal", ["run.duration_s=30.0", "run.step_s=0.002", *shape, *gravity])
     run = FlightRun(scenario)
     earth = run.packed.parameters[0].environment.earth
-    frames = LaunchFrames(run.table, earth, scenario.scenario.site, 20_000_000)
+    frames = LaunchFrames(run.table, LaunchSite(earth, scenario.scenario.site), 20_000_000)
     index = run.table.index
     times, positions = [], []
     while not run.finished:
@@ -129,7 +129,8 @@ def test_frames_agree_with_the_logged_attitude_and_place(shape: list[str]) -> No
 def test_transforms_that_slow_rows_do_not_meet_come_with_the_next_row() -> None:
     scenario = loaded()
     run = FlightRun(scenario)
-    frames = LaunchFrames(run.table, run.packed.parameters[0].environment.earth, scenario.scenario.site, 15_000_000)
+    site = LaunchSite(run.packed.parameters[0].environment.earth, scenario.scenario.site)
+    frames = LaunchFrames(run.table, site, 15_000_000)
     slow_ns, slow = run.fly_segment()[SLOW]
     first = frames.path(slow_ns[:3], slow[:3]).times_ns
     rest = frames.path(slow_ns[3:], slow[3:]).times_ns

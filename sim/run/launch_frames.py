@@ -1,7 +1,7 @@
-"""The vehicle's motion as 3-D viewers want it: the body frame in a frame at the launch site.
+"""The launch site's local-level frame, and the vehicle's motion in it as 3-D viewers want it.
 
-`launch_site` has x east, y north, z up (the N of the flight is north, east, down) and does not turn
-relative to the Earth. `body` is B (x forward, y right, z down) with its origin at the core CG.
+`launch_site` has x east, y north, z up (the N of the flight is north, east, down) and is fixed relative to the Earth.
+`body` is B (x forward, y right, z down) with its origin at the core CG.
 """
 
 from __future__ import annotations
@@ -20,30 +20,37 @@ from maxq.sim.scenario.schema_environment import Site
 from maxq.sim.world.earth import FLAT, Earth, earth_position, ned_axes
 
 PARENT, CHILD = "launch_site", "body"
-_ENU_NED = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
+ENU_NED = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
+
+
+class LaunchSite:
+    """The local-level frame ENU at a site: `origin_E_m` (3,), and `enu_E` (3, 3) with rows east, north, up in E."""
+
+    def __init__(self, earth: Earth, site: Site) -> None:
+        self.earth, self.site = earth, site
+        latitude, longitude = math.radians(site.latitude_deg), math.radians(site.longitude_deg)
+        self.origin_E_m = np.array(_plain(earth_position)(earth, latitude, longitude, site.altitude_m))
+        ned_E = np.eye(3)
+        if earth.figure != FLAT:
+            sines = math.sin(latitude), math.cos(latitude), math.sin(longitude), math.cos(longitude)
+            ned_E = np.array(_plain(ned_axes)(*sines)).reshape(3, 3)
+        self.enu_E = ENU_NED @ ned_E
 
 
 class LaunchFrames:
-    """Poses of the body, picked from the slow rows: the first row in each period of `transform_ns`.
+    """Poses of the body at a site, picked from the slow rows: the first row in each period of `transform_ns`.
 
     So transforms come at most as often as slow rows do. Positions are differences to the site in double
     precision: rounding is a few nanometres.
     """
 
-    def __init__(self, table: ChannelTable, earth: Earth, site: Site, transform_ns: int) -> None:
+    def __init__(self, table: ChannelTable, site: LaunchSite, transform_ns: int) -> None:
+        self._site = site
         self._period_ns = transform_ns
         self._last_period = -1
-        self._rate_radps = float(earth.rate_radps)
         self._position = [table.index(f"r_E_{axis}_m") for axis in "xyz"]
         self._attitude = [table.index(f"q_BI_{part}") for part in "wxyz"]
-        latitude, longitude = math.radians(site.latitude_deg), math.radians(site.longitude_deg)
-        self._site_E_m = np.array(_plain(earth_position)(earth, latitude, longitude, site.altitude_m))
-        to_ned = np.eye(3)
-        if earth.figure != FLAT:
-            sines = math.sin(latitude), math.cos(latitude), math.sin(longitude), math.cos(longitude)
-            to_ned = np.array(_plain(ned_axes)(*sines)).reshape(3, 3)
-        self._to_enu = _ENU_NED @ to_ned
-        self._q_to_enu = quaternion(self._to_enu)
+        self._q_enu_E = quaternion(site.enu_E)
 
     def path(self, times_ns: IntArray, rows: Array) -> FramePath:
         """The next poses from slow rows (n, columns) that follow those of the last call."""
@@ -52,11 +59,11 @@ class LaunchFrames:
         if len(periods):
             self._last_period = int(periods[-1])
         times_ns, rows = times_ns[first], rows[first]
-        position_m = (rows[:, self._position] - self._site_E_m) @ self._to_enu.T
-        half = -0.5 * self._rate_radps * 1e-9 * times_ns
-        nothing = np.zeros_like(half)
-        q_EI = np.stack([np.cos(half), nothing, nothing, np.sin(half)], axis=1)
-        rotation = _product(_product(self._q_to_enu[None, :], q_EI), rows[:, self._attitude])
+        position_m = (rows[:, self._position] - self._site.origin_E_m) @ self._site.enu_E.T
+        half = -0.5 * float(self._site.earth.rate_radps) * 1e-9 * times_ns
+        zero = np.zeros_like(half)
+        q_EI = np.stack([np.cos(half), zero, zero, np.sin(half)], axis=1)
+        rotation = _product(_product(self._q_enu_E[None, :], q_EI), rows[:, self._attitude])
         return FramePath(PARENT, CHILD, times_ns, position_m, rotation)
 
 

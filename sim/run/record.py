@@ -21,7 +21,7 @@ from maxq.sim.log.head import Attachment, RunHead
 from maxq.sim.log.writer import LogWriter
 from maxq.sim.run.fly import Flight, FlightRun, Rows, copied
 from maxq.sim.run.history import CONTROL_LOST_NAME, DIVERGED_NAME, Event, cause_of
-from maxq.sim.run.launch_frames import LaunchFrames
+from maxq.sim.run.launch_frames import LaunchFrames, LaunchSite
 from maxq.sim.run.summary import write_summary
 from maxq.sim.scenario.loader import LoadedScenario
 from maxq.sim.scenario.nanoseconds import period_ns
@@ -165,7 +165,7 @@ class _LogThread:
         self._writer = writer
         self._run = run
         self._frames = LaunchFrames(
-            run.table, parameters.environment.earth, scenario.site, period_ns(scenario.log.transform_hz)
+            run.table, LaunchSite(parameters.environment.earth, scenario.site), period_ns(scenario.log.transform_hz)
         )
         self._told: set[Event] = set()
         self._queue: queue.Queue[tuple[Rows, list[foxglove.Event]] | None] = queue.Queue(_SEGMENTS_WAITING)

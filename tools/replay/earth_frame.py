@@ -9,15 +9,13 @@ import numpy as np
 
 from maxq.control.kernel.records import Array, IntArray
 from maxq.sim.flight.channels import ChannelTable
-from maxq.sim.run.launch_frames import LaunchFrames
+from maxq.sim.run import launch_frames
+from maxq.sim.run.launch_frames import ENU_NED, LaunchFrames
 from maxq.sim.scenario.schema_environment import Site
-from maxq.sim.world.earth import FLAT, Earth, earth_position, ned_axes, wgs84
+from maxq.sim.world.earth import FLAT, Earth, wgs84
 from maxq.tools.replay.flight import Channels
 
 NEEDED = tuple(f"r_E_{a}_m" for a in "xyz") + tuple(f"q_BI_{c}" for c in "wxyz")
-_EARTH_POSITION = getattr(earth_position, "py_func", earth_position)  # one call is not worth compiling it
-_NED_AXES = getattr(ned_axes, "py_func", ned_axes)
-_ENU_NED = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
 
 
 @dataclass(frozen=True)
@@ -29,22 +27,20 @@ class Path3D:
     rotation: Array
 
 
-class LaunchSite:
-    """The launch site's frame; its axes do not turn relative to the Earth."""
+class LaunchSite(launch_frames.LaunchSite):
+    """The launch site's frame; `moved`: it lies where the flight begins instead."""
 
     def __init__(self, earth: Earth, site: Site, moved: bool = False) -> None:
-        self.earth, self.site, self.moved = earth, site, moved
-        latitude, longitude = math.radians(site.latitude_deg), math.radians(site.longitude_deg)
-        self._origin_E_m = np.array(_EARTH_POSITION(earth, latitude, longitude, site.altitude_m))
-        self._enu_E = _ENU_NED @ self._ned(latitude, longitude)
+        super().__init__(earth, site)
+        self.moved = moved
 
     def frames(self, table: ChannelTable, period_ns: int) -> LaunchFrames:
-        return LaunchFrames(table, self.earth, self.site, period_ns)
+        return LaunchFrames(table, self, period_ns)
 
     def from_ned(self, latitude_deg: Array, longitude_deg: Array, v_N: Array) -> Array:
         """Vectors (n, 3) given north, east, down at places (n,), in the axes of the site."""
         if self.earth.figure == FLAT:
-            return np.asarray(v_N @ _ENU_NED.T)
+            return np.asarray(v_N @ ENU_NED.T)
         lat, lon = np.radians(latitude_deg), np.radians(longitude_deg)
         sin_lat, cos_lat, sin_lon, cos_lon = np.sin(lat), np.cos(lat), np.sin(lon), np.cos(lon)
         north, east, down = v_N.T
@@ -52,7 +48,7 @@ class LaunchSite:
         v_E = np.stack(
             [across * cos_lon - sin_lon * east, across * sin_lon + cos_lon * east, cos_lat * north - sin_lat * down], 1
         )
-        return np.asarray(v_E @ self._enu_E.T)
+        return np.asarray(v_E @ self.enu_E.T)
 
     def ground(self, east_m: Array, north_m: Array) -> Array:
         """Points (n, 3) on the ground at the site's altitude below points of the horizontal plane (n,)."""
@@ -61,19 +57,13 @@ class LaunchSite:
         flattening, a = self.earth.flattening, self.earth.equatorial_radius_m
         height = self.site.altitude_m
         semi = np.array([a + height, a + height, a * (1.0 - flattening) + height])
-        on_plane = self._origin_E_m + np.stack([east_m, north_m, np.zeros_like(east_m)], 1) @ self._enu_E
-        direction = -self._enu_E[2]  # straight down at the site, to the ellipsoid of the site's height
+        on_plane = self.origin_E_m + np.stack([east_m, north_m, np.zeros_like(east_m)], 1) @ self.enu_E
+        direction = -self.enu_E[2]  # straight down at the site, to the ellipsoid of the site's height
         p, d = on_plane / semi, direction / semi
         a2, b1, c0 = float(d @ d), p @ d, (p * p).sum(axis=1) - 1.0
         root = np.sqrt(np.maximum(b1 * b1 - a2 * c0, 0.0))
         drop = (-b1 - root) / a2
         return np.stack([east_m, north_m, -drop], axis=1)
-
-    def _ned(self, latitude: float, longitude: float) -> Array:
-        if self.earth.figure == FLAT:
-            return np.eye(3)
-        sines = math.sin(latitude), math.cos(latitude), math.sin(longitude), math.cos(longitude)
-        return np.array(_NED_AXES(*sines)).reshape(3, 3)
 
 
 FAR_KM = 20.0
