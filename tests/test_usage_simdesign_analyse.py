@@ -11,6 +11,7 @@ from typing import Any
 import pytest
 
 from maxq.sim.api import fly, load_scenario
+from maxq.sim.files import write_whole
 from maxq.sim.packing.computer import bending_filter
 from maxq.sim.scenario.schema_design import Design
 from maxq.tools import simdesign
@@ -222,7 +223,7 @@ def test_a_design_that_is_written_reads_back_the_same_and_flies_the_same() -> No
         roll=design.roll, limits=design.limits,
     )  # fmt: skip
     assert again == design
-    design_file.write_whole(Path("again.toml"), design_file.design_text(again, ["a comment", "and one more"]))
+    write_whole(Path("again.toml"), design_file.design_text(again, ["a comment", "and one more"]))
     assert Path("again.toml").read_text().startswith("# a comment\n# and one more\nschema = 1\n")
     short = ["run.duration_s=1.0"]
     one = fly(load_scenario("nominal", [*short, 'design="designs/ksr3-default.toml"']), log=False)

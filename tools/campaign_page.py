@@ -13,10 +13,12 @@ from typing import Any
 from maxq.control.kernel.records import Array
 from maxq.sim.campaign.analysis import DataSet, Judged, Lost, failed_runs, redraws, summary_of
 from maxq.sim.campaign.envelopes import Band, bands
+from maxq.sim.campaign.error import CampaignError
 from maxq.sim.campaign.plan import Draw
 from maxq.sim.campaign.sensitivity import Driver, drivers, inputs_of, sample_of
 from maxq.sim.campaign.statistics import MET, NOT_MET
-from maxq.sim.campaign.store import read_manifest, write_bytes, write_json
+from maxq.sim.campaign.store import read_manifest, write_json
+from maxq.sim.files import write_whole
 from maxq.tools import campaign_text as text
 
 SUMMARY, REPORT, PICTURES = "summary.json", "report.html", "pictures"
@@ -47,9 +49,9 @@ def write_report(
     if pictures:
         drawn = _pictures(data, verdicts, found, inputs, bands_)
         for name, content in drawn.items():
-            write_bytes(data.folder / PICTURES / f"{name}.png", content)
+            write_whole(data.folder / PICTURES / f"{name}.png", content, CampaignError)
         files.append(data.folder / REPORT)
-        write_bytes(files[-1], page(data, verdicts, losses, found, drawn, further).encode())
+        write_whole(files[-1], page(data, verdicts, losses, found, drawn, further), CampaignError)
     return files
 
 

@@ -11,7 +11,8 @@ from maxq.sim.campaign.analysis import DataSet
 from maxq.sim.campaign.error import CampaignError
 from maxq.sim.campaign.runner import cores
 from maxq.sim.campaign.search import search_worst
-from maxq.sim.campaign.store import campaign_in, write_bytes
+from maxq.sim.campaign.store import campaign_in
+from maxq.sim.files import write_whole
 from maxq.sim.run.judgement import METRIC_NAMES, unit_of
 from maxq.sim.scenario.errors import suggestion
 from maxq.tools.cli.interruption import Interruption
@@ -53,7 +54,7 @@ def search(folder: Path, metric: str, workers: int | None, flights: int | None) 
     if terminal:
         print("\r" + " " * 60 + "\r", end="", file=sys.stderr, flush=True)
     path = folder / "worst" / f"{metric}.toml"
-    write_bytes(path, found.scenario.as_flown.encode())
+    write_whole(path, found.scenario.as_flown, CampaignError)
     unit = "" if unit_of(metric) == "1" else f" {unit_of(metric)}"
     print(f"worst {metric} within 3 sigma: {found.value:.6g}{unit} ({found.flights} flights)")
     if start is not None:

@@ -8,8 +8,9 @@ from pathlib import Path
 from maxq.sim.campaign.error import CampaignError
 from maxq.sim.campaign.runner import cores
 from maxq.sim.campaign.shrink import shrink_run
-from maxq.sim.campaign.store import campaign_in, write_bytes
+from maxq.sim.campaign.store import campaign_in
 from maxq.sim.campaign.targets import Refused
+from maxq.sim.files import write_whole
 from maxq.tools.cli.terminal import aligned, printable
 
 _PASSED, _FAILED = 0, 1
@@ -34,7 +35,7 @@ def shrink(folder: Path, run: int, workers: int | None) -> int:
         print(f"run {run} of {folder} does not fail: there is nothing to shrink")
         return _PASSED
     path = folder / "shrunk" / f"run-{run:06d}.toml"
-    write_bytes(path, found.scenario.as_flown.encode())
+    write_whole(path, found.scenario.as_flown, CampaignError)
     labels = {d.name: d.label for d in campaign.plan.draws}
     recorded = campaign.inputs(run).recorded
     count = len(campaign.input_names)

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from maxq.sim.files import check_writable
 from maxq.tools.cli.frame import CommandError, Exit, say
 
 if TYPE_CHECKING:
@@ -38,6 +39,7 @@ def execute(order: Order, *, alone: bool = False) -> int:
     start_s = time.perf_counter()  # the clock starts before the heavy imports
     if alone:
         _load_numba_without_blas()
+    from maxq.sim.log.error import LogError  # noqa: PLC0415  # lazy
     from maxq.sim.packing.flight import pack_flight  # noqa: PLC0415  # lazy
     from maxq.sim.run import record  # noqa: PLC0415  # lazy
     from maxq.sim.run.fly import FlightRun  # noqa: PLC0415  # lazy
@@ -49,7 +51,7 @@ def execute(order: Order, *, alone: bool = False) -> int:
     packed = pack_flight(loaded.scenario)
     folder = _folder(order, loaded.name)
     if folder is not None:
-        record.check_writable(folder)
+        check_writable(folder, LogError)
     loaded_s = time.perf_counter()
     view = _view(order, loaded)
     announce_compilation()

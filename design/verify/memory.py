@@ -9,9 +9,9 @@ same part, whatever design or scenario asks for it: of a design with one changed
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import hashlib
-import os
 import pickle
 from collections.abc import Callable, Mapping
 from functools import lru_cache
@@ -21,6 +21,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from maxq.control.kernel.jit import cache_folder
+from maxq.sim.files import FileError, write_whole
 
 T = TypeVar("T")
 _LAYERS = ("control", "sim", "design")
@@ -105,10 +106,5 @@ class Memory:
         return found
 
     def _keep(self, path: Path, part: Any) -> None:
-        temporary = path.with_name(f".{path.name}.{os.getpid()}.{id(part)}")
-        try:
-            path.parent.mkdir(parents=True, exist_ok=True)
-            temporary.write_bytes(pickle.dumps(part))
-            os.replace(temporary, path)
-        except OSError:  # a memory that cannot be written costs time, no more
-            temporary.unlink(missing_ok=True)
+        with contextlib.suppress(FileError):  # a memory that cannot be written costs time, no more
+            write_whole(path, pickle.dumps(part))

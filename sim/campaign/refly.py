@@ -15,6 +15,8 @@ from maxq.sim.campaign.flying import recorded_row
 from maxq.sim.campaign.loaded import LoadedCampaign
 from maxq.sim.campaign.store import campaign_in
 from maxq.sim.campaign.targets import Refused
+from maxq.sim.files import check_writable
+from maxq.sim.log.error import LogError
 from maxq.sim.run import record
 from maxq.sim.run.fly import Flight, FlightRun
 
@@ -57,7 +59,7 @@ def refly(
     except Refused as refused:
         raise CampaignError(f"run {run} of {folder} has no scenario: {refused}") from None
     out = out or flight_folder(folder, run)
-    record.check_writable(out)
+    check_writable(out, LogError)
     flight = record.record(FlightRun(made.loaded, log=log), out, log=log, watch=watch, stop=stop, number=run)
     recorded = DataSet(folder, campaign).row(run)
     if recorded is None or flight.outcome == "interrupted":

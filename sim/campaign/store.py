@@ -10,15 +10,14 @@ A part is written under a name that begins with a dot, brought to the disk, and 
 
 from __future__ import annotations
 
-import contextlib
 import errno
 import json
 import os
 import tomllib
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any
 
 import numpy as np
 import pyarrow as pa
@@ -31,6 +30,7 @@ from maxq.sim.campaign.error import CampaignError
 from maxq.sim.campaign.flying import Row
 from maxq.sim.campaign.loaded import LoadedCampaign
 from maxq.sim.campaign.read import campaign_from, description_of
+from maxq.sim.files import cannot_write, reason, whole_file, write_whole
 from maxq.sim.run.summary import versions
 from maxq.sim.scenario.errors import ScenarioError
 
@@ -99,10 +99,8 @@ class Store:
     def _write(self, table: pa.Table, path: Path) -> None:
         texts = [f.name for f in table.schema if pa.types.is_string(f.type)]  # numbers hardly ever repeat
 
-        def fill(file: BinaryIO) -> None:
+        with whole_file(path, CampaignError, durable=True) as part, open(part, "wb") as file:
             pq.write_table(table, file, compression="snappy", use_dictionary=texts, write_page_checksum=True)
-
-        _write_whole(path, fill)
 
     # the lock
 
@@ -113,7 +111,7 @@ class Store:
         try:
             self._lock = os.open(self.folder / LOCK, os.O_RDWR | os.O_CREAT, 0o644)
         except OSError as error:
-            raise cannot_write(self.folder / LOCK, error) from error
+            raise CampaignError(cannot_write(self.folder / LOCK, error)) from error
         try:
             fcntl.flock(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except OSError as error:
@@ -121,7 +119,7 @@ class Store:
             os.close(self._lock)
             self._lock = -1
             if error.errno not in (errno.EAGAIN, errno.EACCES):
-                raise cannot_write(self.folder / LOCK, error) from error
+                raise CampaignError(cannot_write(self.folder / LOCK, error)) from error
             who = f"process {other}" if other else "another process"
             raise CampaignError(
                 f"{self.folder}: {who} is flying this campaign; wait for it, or give another --out"
@@ -198,7 +196,7 @@ def open_store(folder: Path, campaign: LoadedCampaign) -> tuple[Store, int]:
             raise CampaignError(f"{folder}: holds other files ({there[0]}); give another --out")
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise cannot_write(folder, error) from error
+        raise CampaignError(cannot_write(folder, error)) from error
     store = Store(folder, campaign)
     store.lock()
     try:
@@ -207,7 +205,7 @@ def open_store(folder: Path, campaign: LoadedCampaign) -> tuple[Store, int]:
         store.sweep()
     except OSError as error:
         store.unlock()
-        raise cannot_write(folder, error) from error
+        raise CampaignError(cannot_write(folder, error)) from error
     except BaseException:
         store.unlock()
         raise
@@ -238,7 +236,7 @@ def read_manifest(folder: Path) -> dict[str, Any]:
     except FileNotFoundError:
         raise CampaignError(f"{folder}: holds no campaign ({MANIFEST} is missing)") from None
     except OSError as error:
-        raise CampaignError(f"{path}: cannot be read: {(error.strerror or str(error)).lower()}") from None
+        raise CampaignError(f"{path}: cannot be read: {reason(error)}") from None
     except ValueError:
         raise CampaignError(f"{path}: is damaged; take it away, and the runs beside it") from None
     if content.get("layout") != LAYOUT:
@@ -314,47 +312,4 @@ def _name(first: int, last: int) -> str:
 
 def write_json(path: Path, content: dict[str, Any]) -> None:
     """Write whole or not at all. Raises CampaignError."""
-    text = json.dumps(content, indent=1, ensure_ascii=False, allow_nan=False) + "\n"
-    write_bytes(path, text.encode())
-
-
-def write_bytes(path: Path, content: bytes) -> None:
-    """Write whole or not at all. Raises CampaignError."""
-    _write_whole(path, lambda file: file.write(content))
-
-
-def _write_whole(path: Path, fill: Callable[[BinaryIO], object]) -> None:
-    """Fill a file under another name, bring it to the disk, rename it; nothing is left of one that fails."""
-    hidden = path.with_name(f".{path.name}.{os.getpid()}")
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with open(hidden, "wb") as file:
-            fill(file)
-            file.flush()
-            os.fsync(file.fileno())
-        os.replace(hidden, path)
-        _sync(path.parent)
-    except OSError as error:
-        with contextlib.suppress(OSError):
-            hidden.unlink(missing_ok=True)
-        raise cannot_write(path, error) from error
-
-
-def _sync(folder: Path) -> None:
-    """Bring a rename to the disk, where the system can."""
-    with contextlib.suppress(OSError):
-        handle = os.open(folder, os.O_RDONLY)
-        try:
-            os.fsync(handle)
-        finally:
-            os.close(handle)
-
-
-def cannot_write(path: Path, error: OSError) -> CampaignError:
-    reason = (error.strerror or str(error)).lower()
-    todo = ""
-    if error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG):
-        todo = "; make room and start the same command again: whole batches are safe"
-    elif error.errno in (errno.EROFS, errno.EACCES, errno.EPERM):
-        todo = "; give a folder that you may write with --out"
-    return CampaignError(f"{path}: cannot be written: {reason}{todo}")
+    write_whole(path, json.dumps(content, indent=1, ensure_ascii=False, allow_nan=False) + "\n", CampaignError)

@@ -8,12 +8,12 @@ let go of the interpreter, so that they overlap. Memory holds a few segments, ne
 
 from __future__ import annotations
 
-import os
 import queue
 import threading
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
+from maxq.sim.files import cannot_write
 from maxq.sim.flight.telemetry import SLOW
 from maxq.sim.log import foxglove
 from maxq.sim.log.error import LogError
@@ -64,7 +64,7 @@ def record(
     except (OSError, LogError) as error:
         for empty in made:
             empty.rmdir()
-        raise error if isinstance(error, LogError) else cannot_write(folder / SUMMARY_NAME, error) from error
+        raise error if isinstance(error, LogError) else LogError(cannot_write(folder / SUMMARY_NAME, error)) from error
     flight = fly_to_end(run, _LogThread(writer, run) if writer else None, watch=watch, stop=stop)
     write_summary(folder / SUMMARY_NAME, flight, LOG_NAME if log else None, timing())
     return flight
@@ -102,22 +102,6 @@ def result_record(flight: Flight) -> dict[str, str]:
     }
 
 
-def check_writable(folder: Path) -> None:
-    """Raise LogError where files could not be written into `folder`, which need not exist. Makes nothing."""
-    try:
-        there = next(path for path in (folder, *folder.parents) if path.exists())
-        if not there.is_dir():
-            raise LogError(f"{there}: is a file; files can be written into a folder only")
-    except OSError as error:  # a name that is too long
-        raise cannot_write(folder, error) from error
-    if not os.access(there, os.W_OK | os.X_OK):
-        raise LogError(f"{folder}: cannot be written: permission denied")
-
-
-def cannot_write(path: Path, error: OSError) -> LogError:
-    return LogError(f"{path}: cannot be written: {(error.strerror or str(error)).lower()}")
-
-
 def _make(folder: Path) -> list[Path]:
     """Make a folder; returns those that were missing, the innermost first."""
     missing = [path for path in (folder, *folder.parents) if not path.exists()]
@@ -127,7 +111,7 @@ def _make(folder: Path) -> list[Path]:
         for path in missing:
             if path.is_dir():
                 path.rmdir()
-        raise cannot_write(folder, error) from error
+        raise LogError(cannot_write(folder, error)) from error
     return missing
 
 

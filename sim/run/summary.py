@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import json
 import math
-import os
 import platform
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
+from maxq.sim.files import write_whole
 from maxq.sim.log.error import LogError
 from maxq.sim.run.fly import Flight
 from maxq.sim.run.history import Event
@@ -59,13 +59,7 @@ def versions() -> dict[str, str]:
 def write_summary(path: Path, flight: Flight, log: str | None, timing: dict[str, float]) -> None:
     """Write the summary whole or not at all. Raises LogError where it cannot be written."""
     text = json.dumps(summary_of(flight, log, timing), indent=2, ensure_ascii=False, allow_nan=False)
-    unfinished = path.with_name(f".{path.name}.{os.getpid()}")
-    try:
-        unfinished.write_text(text + "\n", encoding="utf-8", newline="\n")
-        os.replace(unfinished, path)
-    except OSError as error:
-        unfinished.unlink(missing_ok=True)
-        raise LogError(f"{path}: cannot be written: {(error.strerror or str(error)).lower()}") from error
+    write_whole(path, text + "\n", LogError)
 
 
 def _event(event: Event) -> dict[str, Any]:

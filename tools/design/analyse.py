@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from maxq.sim.files import FileError, check_writable
 from maxq.sim.scenario.errors import ScenarioError
 from maxq.tools.cli.terminal import Progress, printable
 
@@ -45,13 +46,13 @@ def execute(order: Order) -> int:
     """Do it; returns the exit code. Whatever is wrong with the input is one line on stderr."""
     try:
         return _execute(order)
-    except ScenarioError as error:
+    except (ScenarioError, FileError) as error:
         print(f"simdesign: {printable(str(error))}", file=sys.stderr)
         return _BAD_INPUT
 
 
 def _execute(order: Order) -> int:
-    from maxq.tools.design.design_file import check_folder, forget_pictures  # noqa: PLC0415  # lazy, as all here
+    from maxq.tools.design.design_file import forget_pictures  # noqa: PLC0415  # lazy, as all here
     from maxq.tools.design.judging import Wanted, checks, judge  # noqa: PLC0415  # lazy
     from maxq.tools.design.record import analysis_record, write_record  # noqa: PLC0415  # lazy
 
@@ -62,7 +63,7 @@ def _execute(order: Order) -> int:
     with Progress() as progress:
         nodes = find_nodes(scenario, times_s, order.axis, order.errata, order.plant)
         if folder is not None:
-            check_folder(folder)
+            check_writable(folder)
         judged = judge(
             nodes,
             design,

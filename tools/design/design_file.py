@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -116,43 +115,12 @@ def design_text(design: Design, comments: Sequence[str] = ()) -> str:
     return "\n".join(lines) + "\n"
 
 
-def write_whole(path: Path, text: str) -> Path:
-    """Write under a temporary name and rename: there is a whole file or none. Raises ScenarioError."""
-    part = path.with_name(f".{path.name}.part")
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        part.write_text(text, encoding="utf-8")
-        os.replace(part, path)
-    except OSError as error:
-        raise cannot_write(path, error) from None
-    finally:
-        part.unlink(missing_ok=True)
-    return path
-
-
-def check_folder(folder: Path) -> None:
-    """Make the folder, before long work is done for it. Raises ScenarioError where nothing can be written there."""
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        probe = folder / ".probe.part"
-        probe.touch()
-        probe.unlink()
-    except OSError as error:
-        raise cannot_write(folder, error) from None
-
-
 def forget_pictures(folder: Path) -> None:
     """Take away the pictures of an earlier run: they show another design. Nothing else in the folder is touched."""
     for stem in ("vehicle-*", "gains", "filter", "margins", "lobes", "loop-*s", "orders-*"):
         for kind in ("svg", "png"):
             for path in folder.glob(f"{stem}.{kind}"):
                 path.unlink(missing_ok=True)
-
-
-def cannot_write(path: Path, error: OSError) -> ScenarioError:
-    """The one line that says so."""
-    reason = (error.strerror or str(error)).lower()
-    return ScenarioError(str(path), f"cannot be written: {reason}", allowed="a place where you may write")
 
 
 def _gains(key: str, table: Any) -> list[str]:

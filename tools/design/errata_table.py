@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from maxq.sim.files import FileError, write_whole
 from maxq.sim.scenario.errors import ScenarioError
 from maxq.tools.cli.terminal import Progress, aligned, printable
 from maxq.tools.design.analyse import default_times_s, find_nodes, load
@@ -57,10 +58,8 @@ def execute(order: Order) -> int:
                 progress.show("switching errata", n + 1, len(nodes))
         text = report(found, order)
         if order.out is not None:
-            from maxq.tools.design.design_file import write_whole  # noqa: PLC0415  # lazy
-
             write_whole(Path(order.out), text + "\n")
-    except ScenarioError as error:
+    except (ScenarioError, FileError) as error:
         print(f"simdesign: {printable(str(error))}", file=sys.stderr)
         return _BAD_INPUT
     print(text)

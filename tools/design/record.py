@@ -11,7 +11,7 @@ from typing import Any
 
 from maxq.design.margins.measure import Bound
 from maxq.design.optimise.solution import Solution
-from maxq.tools.design.design_file import write_whole
+from maxq.sim.files import write_whole
 from maxq.tools.design.judging import Check, Judged
 from maxq.tools.design.outcome import Outcome
 
@@ -117,7 +117,7 @@ def case_record(outcome: Outcome, solution: Solution) -> dict[str, Any]:
 
 
 def write_record(path: Path, record: dict[str, Any]) -> Path:
-    """As JSON that any reader takes: NaN is null, infinity the text "inf". Raises ScenarioError."""
+    """As JSON that any reader takes: NaN is null, infinity the text "inf". Raises FileError."""
     return write_whole(path, json.dumps(_plain(record), indent=1, allow_nan=False) + "\n")
 
 

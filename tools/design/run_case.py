@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from maxq.sim.files import FileError, check_writable, write_whole
 from maxq.sim.scenario.errors import ScenarioError
 from maxq.tools.cli.terminal import Progress, printable
 
@@ -62,7 +63,7 @@ def execute(order: Order) -> int:
     """Do it; returns the exit code. Whatever is wrong with the input is one line on stderr."""
     try:
         return make(order).code
-    except ScenarioError as error:
+    except (ScenarioError, FileError) as error:
         print(f"simdesign: {printable(str(error))}", file=sys.stderr)
         return _BAD_INPUT
 
@@ -74,7 +75,7 @@ def make(order: Order) -> Made:
     from maxq.design.optimise.solve import nominal_plants, solve  # noqa: PLC0415  # lazy
     from maxq.tools.cli.interruption import Interruption  # noqa: PLC0415
     from maxq.tools.design.case_report import report  # noqa: PLC0415
-    from maxq.tools.design.design_file import check_folder, forget_pictures  # noqa: PLC0415
+    from maxq.tools.design.design_file import forget_pictures  # noqa: PLC0415
     from maxq.tools.design.outcome import judge_solution  # noqa: PLC0415
 
     more = [
@@ -88,7 +89,7 @@ def make(order: Order) -> Made:
         except ValueError as error:
             raise ScenarioError(loaded.label, str(error)) from None
         stop.check()
-        check_folder(folder)
+        check_writable(folder)
 
         def show(done: int, of: int, best_db: float) -> None:
             stop.check()
@@ -155,7 +156,7 @@ def _draw_orders(folder: Path, orders: Found, plants: Plants) -> list[Path]:
 
 def _write(folder: Path, outcome: Outcome, solution: Solution, orders: Found | None) -> list[Path]:
     from maxq.tools.design.case_report import comments  # noqa: PLC0415  # lazy
-    from maxq.tools.design.design_file import DESIGN_NAME, design_text, write_whole  # noqa: PLC0415
+    from maxq.tools.design.design_file import DESIGN_NAME, design_text  # noqa: PLC0415
     from maxq.tools.design.record import case_record, write_record  # noqa: PLC0415
 
     text = design_text(outcome.design, comments(outcome, solution))

@@ -13,7 +13,6 @@ date and no random names.
 from __future__ import annotations
 
 import io
-import os
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
@@ -28,6 +27,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, NullFormatter
 from numpy.typing import NDArray
 
+from maxq.sim.files import whole_file
 from maxq.tools.plots.palette import ON_LIGHT, PALE
 
 DASHES = ("-", "--", "-.", ":", (0, (3, 1, 1, 1, 1, 1)), (0, (6, 2)), (0, (1, 1)))
@@ -114,12 +114,8 @@ def save(figure: Figure, stem: Path) -> list[Path]:
         figure.set_layout_engine("none")
     for kind in _formats.get():
         path = stem.with_name(f"{stem.name}.{kind}")
-        part = path.with_name(f".{path.name}.part")
-        try:
+        with whole_file(path) as part:
             figure.savefig(part, format=kind, metadata=_METADATA[kind])
-            os.replace(part, path)
-        finally:
-            part.unlink(missing_ok=True)
         files.append(path)
     return files
 

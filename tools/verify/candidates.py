@@ -12,6 +12,7 @@ from maxq.design.verify.suite import read_suite
 from maxq.design.verify.verdict import UNDECIDED
 from maxq.design.verify.verify import Verification
 from maxq.sim.campaign.error import CampaignError
+from maxq.sim.files import FileError
 from maxq.sim.scenario.errors import ScenarioError
 from maxq.sim.scenario.schema_design import Design
 from maxq.tools.cli.interruption import Interruption
@@ -48,7 +49,7 @@ def execute(orders: Sequence[run_case.Order], suite: str, pack: bool = True) -> 
                 return _INTERRUPTED
             print()
         return _verify([c for one in made for c in candidates(one)], suite, pack)
-    except (ScenarioError, CampaignError) as error:
+    except (ScenarioError, CampaignError, FileError) as error:
         print(f"simdesign: {printable(str(error))}", file=sys.stderr)
         return _BAD_INPUT
 

@@ -14,7 +14,7 @@ from pathlib import Path
 from maxq.design.verify.verdict import ACCEPTED
 from maxq.design.verify.verify import Verification
 from maxq.sim.campaign.analysis import Judged
-from maxq.tools.design.design_file import write_whole
+from maxq.sim.files import write_whole
 from maxq.tools.verify import text
 
 PAGE_NAME, PDF_NAME = "review.html", "review.pdf"
@@ -43,7 +43,7 @@ max-width:none; padding:0; font-size:11px } h2 { break-after:avoid } }
 
 
 def write_page(folder: Path, found: Verification, command: str) -> list[Path]:
-    """Write review.html, and review.pdf where a browser is there that prints. Raises ScenarioError."""
+    """Write review.html, and review.pdf where a browser is there that prints. Raises FileError."""
     from maxq.tools.verify.pictures import pictures  # noqa: PLC0415  # lazy: matplotlib comes with it
 
     page = write_whole(folder / PAGE_NAME, page_of(found, command, pictures(found)))

@@ -78,5 +78,5 @@ def _db(value: complex) -> float:
 
 
 def write_verdict(folder: Path, found: Verification, command: str) -> Path:
-    """Write verdict.json. Raises ScenarioError where it cannot be written."""
+    """Write verdict.json. Raises FileError where it cannot be written."""
     return write_record(folder / VERDICT_NAME, verdict_record(found, command))

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from maxq.sim.files import FileError, check_writable
 from maxq.sim.scenario.errors import ScenarioError
 from maxq.tools.cli.interruption import Interruption
 from maxq.tools.cli.terminal import Progress, printable
@@ -41,7 +42,7 @@ def execute(order: Order) -> int:
 
     try:
         return _execute(order)
-    except (ScenarioError, CampaignError) as error:
+    except (ScenarioError, CampaignError, FileError) as error:
         print(f"simverify: {printable(str(error))}", file=sys.stderr)
         return BAD_INPUT
 
@@ -49,14 +50,14 @@ def execute(order: Order) -> int:
 def _execute(order: Order) -> int:
     from maxq.design.verify.suite import read_suite  # noqa: PLC0415  # lazy, as all imports here
     from maxq.design.verify.verdict import overall  # noqa: PLC0415
-    from maxq.tools.design.design_file import check_folder, design_path  # noqa: PLC0415
+    from maxq.tools.design.design_file import design_path  # noqa: PLC0415
     from maxq.tools.verify import text  # noqa: PLC0415
 
     loaded = read_suite(order.suite, order.overrides)
     paths = [design_path(name) for name in order.designs]
     folders = [folder_of(order, name) for name in order.designs]
     for folder in folders:
-        check_folder(folder)
+        check_writable(folder)
     found: list[Verification] = []
     with Interruption() as interruption, Progress() as progress:
         for name, path, folder in zip(order.designs, paths, folders, strict=True):
@@ -114,7 +115,7 @@ def folder_of(order: Order, design: str) -> Path:
 
 
 def write_pack(found: Verification, folder: Path, command: str, pack: bool) -> list[Path]:
-    """verdict.json, and the review pack unless it is not wanted. Raises ScenarioError."""
+    """verdict.json, and the review pack unless it is not wanted. Raises FileError."""
     from maxq.tools.verify.record import write_verdict  # noqa: PLC0415  # lazy
 
     files = [write_verdict(folder, found, command)]
