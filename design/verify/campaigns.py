@@ -33,6 +33,11 @@ class CampaignResult:
     confidence: float
     verdicts: tuple[Judged, ...]
 
+    @property
+    def worst_runs(self) -> list[int]:
+        """The worst run of each requirement."""
+        return sorted({v.worst[0].run for v in self.verdicts if v.worst})
+
 
 def load_wanted(loaded_suite: LoadedSuite, wanted: CampaignWanted, design: str, vehicle: str | None) -> LoadedCampaign:
     """The campaign with the design in it, and the suite's numbers and limits. Raises ScenarioError."""
