@@ -18,9 +18,9 @@ from typing import Any
 
 import pytest
 
+from maxq.design.case.design_file import designs_folder
 from maxq.design.verify.suite import LoadedSuite, read_suite
 from maxq.design.verify.verify import Verification, verify
-from maxq.tools.design.design_file import designs_folder
 
 SUITE = """
 schema = 1

@@ -24,8 +24,7 @@ from maxq.design.certificate.breaking import kicked_growth, watch_at
 from maxq.design.certificate.held_flight import HeldFlight, hold
 from maxq.design.certificate.limit_cycle import limit_cycle
 from maxq.design.model.dispersion import Dispersion, disperse
-from maxq.design.verify.slosh_advice import MIDWAY, SloshAdvice, advise, confirm
-from maxq.design.verify.slosh_cycle import SWING_PER_WAVE, Baffle, fly_cycle
+from maxq.design.verify.slosh import MIDWAY, SWING_PER_WAVE, Baffle, SloshAdvice, advise, confirm, fly_cycle
 from maxq.sim.packing.flight import Packed
 from maxq.sim.scenario.loader import LoadedScenario, load_scenario
 

@@ -24,10 +24,9 @@ from maxq.design.margins.measure import margins
 from maxq.design.model.dispersion import Dispersion, disperse
 from maxq.design.model.node import Node
 from maxq.design.model.plant import INPUTS, vehicle_plant
-from maxq.design.verify.authority import authority
-from maxq.design.verify.dispersed import study, vehicles
+from maxq.design.verify.linear import authority, study, vehicles
 from maxq.design.verify.memory import Memory
-from maxq.design.verify.slosh_advice import advise, percussion_station_m
+from maxq.design.verify.slosh import advise, percussion_station_m
 from maxq.design.verify.suite import LinearMargins
 from maxq.sim.scenario.schema_design import Design
 

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from maxq.design import api
-from maxq.tools.design.judging import Wanted, checks, judge
+from maxq.design.verify.judging import Wanted, checks, judge
 from maxq.tools.dev import case_study
 
 PAGE = case_study.PAGE.read_text(encoding="utf-8")

@@ -10,12 +10,12 @@ from typing import Any
 
 import pytest
 
+from maxq.design.case import design_file
 from maxq.sim.api import fly, load_scenario
 from maxq.sim.files import write_whole
 from maxq.sim.packing.computer import bending_filter
 from maxq.sim.scenario.schema_design import Design
 from maxq.tools import simdesign
-from maxq.tools.design import design_file
 
 Printed = pytest.CaptureFixture[str]
 QUICK = ["--no-pictures", "--at", "40"]
@@ -163,7 +163,7 @@ WRONG = {
     "option of another order": (["--list", "--at", "3"], "--at goes with analyse or errata, not with --list"),
     "option of a case": (["analyse", "x", "--seed", "3"], "--seed goes with CASE or CASE --verify, not with analyse"),
     "two orders": (["analyse", "x", "--list"], "analyse and --list exclude each other"),
-    "no name": (["analyse", "x", "--out", ""], "--out needs a name"),
+    "no name": (["analyse", "x", "--out", ""], "--out needs the name of a folder"),
     "errata without such a design": (["errata", "nowhere"], "nowhere: no such file"),
 }
 

@@ -12,11 +12,18 @@ import numpy as np
 import pytest
 
 from maxq.design.model.dispersion import NOMINAL
-from maxq.design.verify.campaigns import load_wanted
-from maxq.design.verify.flights import load_flight
+from maxq.design.verify.flown import load_flight, load_wanted
 from maxq.design.verify.memory import Memory, content_hash
-from maxq.design.verify.suite import LinearMargins, builtin_suites, read_suite
-from maxq.design.verify.verdict import ACCEPTED, REJECTED, UNDECIDED, Requirement, overall
+from maxq.design.verify.suite import (
+    ACCEPTED,
+    REJECTED,
+    UNDECIDED,
+    LinearMargins,
+    Requirement,
+    builtin_suites,
+    overall,
+    read_suite,
+)
 from maxq.sim.scenario.schema_values import Section
 from maxq.tools.simverify import main
 from maxq.tools.verify.page import page_of

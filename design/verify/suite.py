@@ -1,12 +1,13 @@
-"""What a person may write into a suite, and reading it: which flights, margins and campaigns a design has to pass.
+"""What a person may write into a suite, reading it, and the form of the answers: requirements with their verdicts.
 
     suite = read_suite("standard")
 
-Every mistake is a ScenarioError of one line.
+Every mistake in a file is a ScenarioError of one line.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,13 +15,67 @@ from typing import Annotated, Literal
 
 from pydantic import Field, ValidationError, model_validator
 
+from maxq.sim.campaign.statistics import MET, NOT_MET
 from maxq.sim.scenario.builtin import scenarios_folder
 from maxq.sim.scenario.documents import Source, parse, plain
-from maxq.sim.scenario.errors import refuse
+from maxq.sim.scenario.errors import ScenarioError, refuse, suggestion
 from maxq.sim.scenario.files import Reading, named_file
 from maxq.sim.scenario.messages import explain
 from maxq.sim.scenario.overrides import apply, parse_override
+from maxq.sim.scenario.schema_scenario import Scenario
 from maxq.sim.scenario.schema_values import NotNegative, Positive, Section
+
+Judgement = Literal["accepted", "rejected", "undecided"]
+ACCEPTED: Judgement = "accepted"
+REJECTED: Judgement = "rejected"
+UNDECIDED: Judgement = "undecided"
+
+
+@dataclass(frozen=True)
+class Requirement:
+    """One requirement with its verdict.
+
+    `part`: the method, "scenarios", "margins", "dispersed", "authority", "certificate", "campaign". `wanted` and
+    `found` are for people; `room` is the share of the limit that is left, negative beyond it, NaN where that has no
+    meaning. `where`: node or run; `again`: the command that reproduces it.
+    """
+
+    part: str
+    name: str
+    wanted: str
+    found: str
+    judgement: Judgement
+    room: float
+    where: str = ""
+    more_runs: int = 0
+    again: str = ""
+
+    @property
+    def reason(self) -> str:
+        """One line."""
+        said = f"{self.name}: {self.found}, wanted {self.wanted}" + (f" ({self.where})" if self.where else "")
+        if self.judgement != UNDECIDED:
+            return said
+        return f"{said}; not settled" + (f": {self.more_runs} more runs" if self.more_runs else "")
+
+
+def overall(requirements: Iterable[Requirement]) -> Judgement:
+    """Rejected if one is, else undecided if one is, or if there is none."""
+    found = {r.judgement for r in requirements} or {UNDECIDED}
+    return REJECTED if REJECTED in found else UNDECIDED if UNDECIDED in found else ACCEPTED
+
+
+def judgement_of(shown: str) -> Judgement:
+    """Of a statistical test (`sim.campaign.statistics`)."""
+    return ACCEPTED if shown == MET else REJECTED if shown == NOT_MET else UNDECIDED
+
+
+def room_left(value: float, bound: float, sense: str) -> float:
+    """Share of a bound that is left, negative beyond it; `sense` "<=" or ">="; NaN for a bound of zero."""
+    if bound == 0.0:
+        return math.nan
+    return (bound - value if sense == "<=" else value - bound) / abs(bound)
+
 
 Level = Annotated[float, Field(gt=0.0, lt=1.0)]
 Plane = Literal["pitch", "yaw"]
@@ -101,8 +156,8 @@ class LinearMargins(Section):
     confidence: Level = Field(default=0.90, description="with which that is to be shown")
     corner_sigmas: NotNegative = Field(
         default=1.5,
-        description="how far out the corners of the screening design lie, in sigma; 0: none. Twelve factors at 1.5 "
-        "sigma at once are as unlikely as one at 5",
+        description="deviation of every factor at the corners of the screening design, in sigma; 0: no corners. Twelve "
+        "factors at 1.5 sigma together are as unlikely as one at 5",
     )
     nominal: MarginLimits = MarginLimits()
     dispersed: MarginLimits = MarginLimits()
@@ -110,7 +165,7 @@ class LinearMargins(Section):
 
 
 class CertificateWanted(Section):
-    """Where the loop is measured and broken in flight."""
+    """Where the loop is measured in flight, and taken to its stability limit."""
 
     times_s: tuple[NotNegative, ...] = Field(
         default=tuple(float(t) for t in range(5, 60, 5)), min_length=1, description="vehicle times, s"
@@ -188,3 +243,25 @@ def read_suite(name: str | Path, overrides: Iterable[str] = ()) -> LoadedSuite:
         return LoadedSuite(Suite.model_validate(plain(tree)), label, file.parent)
     except ValidationError as error:
         raise explain(error, tree, Suite) from None
+
+
+def limit_changes(suite: Suite, which: str, scenario: Scenario, label: str) -> list[str]:
+    """Overrides of the scenario's requirements by the suite's: `which` is "own" (none) or "dispersed".
+
+    `label`: the suite as the user named it. Raises ScenarioError where the scenario has no such requirement, or it is
+    no upper limit.
+    """
+    if which == "own":
+        return []
+    limits = {r.name or r.metric: (n, r.limit) for n, r in enumerate(scenario.requirement)}
+    out = []
+    for k, stated in enumerate(suite.dispersed_limit):
+        known = [name for name, (_, limit) in limits.items() if limit is not None]
+        if stated.requirement not in known:
+            hint = suggestion(stated.requirement, known)
+            raise ScenarioError(
+                label, f"the scenario has no such limit{'; ' + hint if hint else ''}",
+                f"dispersed_limit[{k}].requirement", value=stated.requirement, allowed="" if hint else ", ".join(known),
+            )  # fmt: skip
+        out.append(f"requirement.{limits[stated.requirement][0]}.limit={stated.limit!r}")
+    return out

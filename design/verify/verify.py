@@ -19,14 +19,26 @@ from maxq.design.certificate.certificate import NodeCertificate, certify, certif
 from maxq.design.certificate.flown_through import FlownThrough, fly_through
 from maxq.design.certificate.held_flight import hold
 from maxq.design.model.node import Node
-from maxq.design.verify.authority import Authority, authority, authority_requirement
-from maxq.design.verify.campaigns import CampaignResult, campaign_requirements, fly_campaign, load_wanted
-from maxq.design.verify.dispersed import MarginStudy, margin_requirements, study
-from maxq.design.verify.flights import FlownResult, flight_requirements, fly_suite
+from maxq.design.verify.flown import (
+    CampaignResult,
+    FlownResult,
+    campaign_requirements,
+    flight_requirements,
+    fly_campaign,
+    fly_suite,
+    load_wanted,
+)
+from maxq.design.verify.linear import (
+    Authority,
+    MarginStudy,
+    authority,
+    authority_requirement,
+    margin_requirements,
+    study,
+)
 from maxq.design.verify.memory import Memory, code_hash, content_hash
-from maxq.design.verify.slosh_advice import SloshAdvice, advise, confirm
-from maxq.design.verify.suite import LoadedSuite, Suite
-from maxq.design.verify.verdict import ACCEPTED, REJECTED, Judgement, Requirement, overall
+from maxq.design.verify.slosh import SloshAdvice, advise, confirm
+from maxq.design.verify.suite import ACCEPTED, REJECTED, Judgement, LoadedSuite, Requirement, Suite, overall
 from maxq.sim.run.summary import versions
 from maxq.sim.scenario.loader import LoadedScenario, load_scenario
 

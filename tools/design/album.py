@@ -10,8 +10,8 @@ import numpy as np
 
 from maxq.design.margins.distances import Zone
 from maxq.design.model.node import Node
+from maxq.design.verify.judging import Judged, Wanted
 from maxq.sim.scenario.schema_design import Design
-from maxq.tools.design.judging import Judged, Wanted
 from maxq.tools.design.pictures_design import filters, gains
 from maxq.tools.design.pictures_loop import draw_loop, picture_of
 from maxq.tools.design.pictures_margins import lobes_over_time, margins_over_time

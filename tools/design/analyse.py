@@ -17,9 +17,9 @@ if TYPE_CHECKING:
     from maxq.design.loop.fixed_path import Kind
     from maxq.design.model.node import Node
     from maxq.design.model.vehicle_at import Plane
+    from maxq.design.verify.judging import Check, Judged, Wanted
     from maxq.sim.scenario.loader import LoadedScenario
     from maxq.sim.scenario.schema_design import Design
-    from maxq.tools.design.judging import Check, Judged, Wanted
 
 _PASSED, _FAILED, _BAD_INPUT = 0, 1, 2
 EVERY_S = 5.0
@@ -52,8 +52,8 @@ def execute(order: Order) -> int:
 
 
 def _execute(order: Order) -> int:
-    from maxq.tools.design.design_file import forget_pictures  # noqa: PLC0415  # lazy, as all here
-    from maxq.tools.design.judging import Wanted, checks, judge  # noqa: PLC0415  # lazy
+    from maxq.design.case.design_file import forget_pictures  # noqa: PLC0415  # lazy, as all here
+    from maxq.design.verify.judging import Wanted, checks, judge  # noqa: PLC0415  # lazy
     from maxq.tools.design.record import analysis_record, write_record  # noqa: PLC0415  # lazy
 
     scenario, design = load(order.scenario, order.vehicle, order.design)
@@ -91,8 +91,8 @@ def load(scenario: str, vehicle: str | None, design: str) -> tuple[LoadedScenari
     The flight is that with the scenario's own design, as that of a case is: so a design is judged at the conditions for
     which it was made. A scenario without one flies the design that is judged.
     """
+    from maxq.design.case.design_file import design_path  # noqa: PLC0415  # lazy
     from maxq.sim.scenario.loader import load_scenario  # noqa: PLC0415  # lazy
-    from maxq.tools.design.design_file import design_path  # noqa: PLC0415  # lazy
 
     changes = [f'vehicle="{vehicle}"'] if vehicle is not None else []
     with_it = load_scenario(scenario, [f'design="{design_path(design)}"', *changes])

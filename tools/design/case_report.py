@@ -7,9 +7,9 @@ from collections.abc import Sequence
 
 from maxq.design.case.read import LoadedCase
 from maxq.design.optimise.solution import Constraint, Solution
+from maxq.design.verify.outcome import Outcome
 from maxq.tools.cli.terminal import aligned, printable
 from maxq.tools.design import tables
-from maxq.tools.design.outcome import Outcome
 
 _LOOPS = {"sampled": "sampled, as it flies", "pade": "the paper's Pade approximants", "exact": "without aliasing"}
 

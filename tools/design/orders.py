@@ -7,16 +7,16 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import asdict
 from pathlib import Path
 
+from maxq.design.case.design_file import DESIGN_NAME, design_text
 from maxq.design.case.read import LoadedCase, read_case
 from maxq.design.optimise.plants import Plants
 from maxq.design.optimise.solution import Solution
 from maxq.design.optimise.solve import solve
+from maxq.design.verify.outcome import make_design
 from maxq.sim.files import write_whole
 from maxq.sim.scenario.schema_design import Design
 from maxq.tools.cli.terminal import aligned
 from maxq.tools.design import album, pictures_design
-from maxq.tools.design.design_file import DESIGN_NAME, design_text
-from maxq.tools.design.outcome import make_design
 
 STRUCTURES = ("F2", "F3", "F4", "F5", "F6")
 SCHEDULES = {"two-phase": "two-phase", "linear": "Subcase 1", "free": "Subcase 2"}

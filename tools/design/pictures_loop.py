@@ -14,7 +14,7 @@ from matplotlib.patches import Ellipse, Polygon, Rectangle
 from maxq.control.kernel.records import Array
 from maxq.design.margins.distances import Zone
 from maxq.design.model.state_space import ComplexArray
-from maxq.tools.design.judging import Judged
+from maxq.design.verify.judging import Judged
 from maxq.tools.plots.palette import BLACK, BLUE, GREY, ON_LIGHT, RED
 from maxq.tools.plots.style import label, plain_numbers, save, sheet
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 
-from maxq.tools.design.judging import Judged, Wanted
+from maxq.design.verify.judging import Judged, Wanted
 from maxq.tools.plots.palette import GREY, RED
 from maxq.tools.plots.style import MARKERS, curve, label, save, sheet
 

@@ -11,9 +11,9 @@ from typing import Any
 
 from maxq.design.margins.measure import Bound
 from maxq.design.optimise.solution import Solution
+from maxq.design.verify.judging import Check, Judged
+from maxq.design.verify.outcome import Outcome
 from maxq.sim.files import write_whole
-from maxq.tools.design.judging import Check, Judged
-from maxq.tools.design.outcome import Outcome
 
 SCHEMA = 1
 

@@ -19,8 +19,8 @@ if TYPE_CHECKING:
     from maxq.design.model.node import Node
     from maxq.design.optimise.plants import Plants
     from maxq.design.optimise.solution import Solution
+    from maxq.design.verify.outcome import Outcome
     from maxq.tools.design.orders import Found
-    from maxq.tools.design.outcome import Outcome
 
 _DESIGNED, _INFEASIBLE, _BAD_INPUT, _INTERRUPTED = 0, 1, 2, 130
 RECORD_NAME = "design.json"
@@ -71,12 +71,12 @@ def execute(order: Order) -> int:
 def make(order: Order) -> Made:
     """Optimise the case, write and print what came of it. Raises ScenarioError."""
     begun_s = time.perf_counter()
+    from maxq.design.case.design_file import forget_pictures  # noqa: PLC0415
     from maxq.design.case.read import read_case  # noqa: PLC0415  # lazy, as all imports here
     from maxq.design.optimise.solve import nominal_plants, solve  # noqa: PLC0415  # lazy
+    from maxq.design.verify.outcome import judge_solution  # noqa: PLC0415
     from maxq.tools.cli.interruption import Interruption  # noqa: PLC0415
     from maxq.tools.design.case_report import report  # noqa: PLC0415
-    from maxq.tools.design.design_file import forget_pictures  # noqa: PLC0415
-    from maxq.tools.design.outcome import judge_solution  # noqa: PLC0415
 
     more = [
         f"search.{key}={value}" for key, value in (("starts", order.starts), ("seed", order.seed)) if value is not None
@@ -128,7 +128,7 @@ def make(order: Order) -> Made:
 
 def _verdict(outcome: Outcome, solution: Solution, folder: Path) -> str:
     """The last line."""
-    from maxq.tools.design.outcome import objective_text  # noqa: PLC0415  # lazy
+    from maxq.design.verify.outcome import objective_text  # noqa: PLC0415  # lazy
 
     fly = f"fly it with: simrun {outcome.loaded.case.scenario} --set design={folder}/design.toml"
     if solution.status == "interrupted":
@@ -155,8 +155,8 @@ def _draw_orders(folder: Path, orders: Found, plants: Plants) -> list[Path]:
 
 
 def _write(folder: Path, outcome: Outcome, solution: Solution, orders: Found | None) -> list[Path]:
+    from maxq.design.case.design_file import DESIGN_NAME, design_text  # noqa: PLC0415
     from maxq.tools.design.case_report import comments  # noqa: PLC0415  # lazy
-    from maxq.tools.design.design_file import DESIGN_NAME, design_text  # noqa: PLC0415
     from maxq.tools.design.record import case_record, write_record  # noqa: PLC0415
 
     text = design_text(outcome.design, comments(outcome, solution))

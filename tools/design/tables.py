@@ -8,8 +8,8 @@ from typing import Literal
 
 from maxq.design.margins.lobes import Lobe
 from maxq.design.margins.measure import Bound
+from maxq.design.verify.judging import Check, Judged
 from maxq.tools.cli.terminal import aligned
-from maxq.tools.design.judging import Check, Judged
 
 MET, MISSED = "met", "MISSED"
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 import tomllib
 from pathlib import Path
 
+from maxq.design.case.design_file import builtin_designs, designs_folder
 from maxq.design.verify.suite import builtin_suites, suites_folder
 from maxq.tools.cli.terminal import aligned, printable
-from maxq.tools.design.design_file import builtin_designs, designs_folder
 
 
 def show_list() -> int:

@@ -8,8 +8,9 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from maxq.design.verify.suite import read_suite
-from maxq.design.verify.verdict import UNDECIDED
+from maxq.design.verify.judging import judge
+from maxq.design.verify.outcome import make_design
+from maxq.design.verify.suite import UNDECIDED, read_suite
 from maxq.design.verify.verify import Verification
 from maxq.sim.campaign.error import CampaignError
 from maxq.sim.files import FileError
@@ -18,9 +19,7 @@ from maxq.sim.scenario.schema_design import Design
 from maxq.tools.cli.interruption import Interruption
 from maxq.tools.cli.terminal import Progress, aligned, printable
 from maxq.tools.design import run_case
-from maxq.tools.design.judging import judge
 from maxq.tools.design.orders import order_folder
-from maxq.tools.design.outcome import make_design
 from maxq.tools.verify.in_order import try_in_order
 from maxq.tools.verify.run import write_pack
 

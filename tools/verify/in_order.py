@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 
+from maxq.design.case.design_file import design_path
 from maxq.design.verify.memory import default_folder
-from maxq.design.verify.suite import read_suite
-from maxq.design.verify.verdict import ACCEPTED
+from maxq.design.verify.suite import ACCEPTED, read_suite
 from maxq.design.verify.verify import Verification, Watch, verify
-from maxq.tools.design.design_file import design_path
 from maxq.tools.verify import text
 
 

@@ -10,10 +10,10 @@ from matplotlib.figure import Figure
 
 from maxq.control.kernel.records import Array
 from maxq.design import api
-from maxq.design.verify.dispersed import MEASURES, TITLES, MarginCase, MarginStudy
-from maxq.design.verify.flights import FlownResult
+from maxq.design.verify.flown import FlownResult
+from maxq.design.verify.judging import judge
+from maxq.design.verify.linear import MEASURES, MarginCase, MarginStudy
 from maxq.design.verify.verify import Verification
-from maxq.tools.design.judging import judge
 from maxq.tools.design.pictures_loop import draw_nichols, picture_of
 from maxq.tools.plots.palette import BLACK, BLUE, GREEN, GREY, ORANGE, PALE, RED
 from maxq.tools.plots.style import drawing, label, plain_numbers, png, sheet
@@ -48,7 +48,7 @@ def _margins(found: Verification, margin: MarginStudy) -> Figure:
     wanted = found.suite.margins
     assert wanted is not None
     for place, name in zip(places, _SHOWN, strict=True):
-        title, unit, sense = TITLES[name]
+        title, unit, sense = MEASURES[name]
         both = (*margin.corners, *margin.random)
         table = _values(both, name)
         if len(table):
@@ -68,10 +68,9 @@ def _margins(found: Verification, margin: MarginStudy) -> Figure:
 
 
 def _values(cases: tuple[MarginCase, ...] | list[MarginCase], name: str) -> Array:
-    k = MEASURES.index(name)
     if not cases:
         return np.zeros((0, 0))
-    table = np.array([[n.values[k] for n in c.nodes] for c in cases])
+    table = np.array([[n.of(name) for n in c.nodes] for c in cases])
     table[~np.isfinite(table)] = np.nan
     return table
 

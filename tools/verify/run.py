@@ -48,9 +48,8 @@ def execute(order: Order) -> int:
 
 
 def _execute(order: Order) -> int:
-    from maxq.design.verify.suite import read_suite  # noqa: PLC0415  # lazy, as all imports here
-    from maxq.design.verify.verdict import overall  # noqa: PLC0415
-    from maxq.tools.design.design_file import design_path  # noqa: PLC0415
+    from maxq.design.case.design_file import design_path  # noqa: PLC0415
+    from maxq.design.verify.suite import overall, read_suite  # noqa: PLC0415
     from maxq.tools.verify import text  # noqa: PLC0415
 
     loaded = read_suite(order.suite, order.overrides)

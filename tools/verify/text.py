@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from maxq.design.verify.verdict import ACCEPTED, REJECTED, UNDECIDED
+from maxq.design.verify.suite import ACCEPTED, REJECTED, UNDECIDED
 from maxq.design.verify.verify import Verification
 from maxq.tools.cli.terminal import aligned, printable
 

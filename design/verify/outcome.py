@@ -5,14 +5,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
+from maxq.design.case.design_file import design_of
 from maxq.design.case.read import LoadedCase
 from maxq.design.case.schema import Case
 from maxq.design.loop.fixed_path import Kind
 from maxq.design.model.node import Node
 from maxq.design.optimise.solution import Solution
+from maxq.design.verify.judging import Check, Judged, Wanted, checks, judge
 from maxq.sim.scenario.schema_design import Design, Limits
-from maxq.tools.design.design_file import design_of
-from maxq.tools.design.judging import Check, Judged, Wanted, checks, judge
 
 
 @dataclass(frozen=True)

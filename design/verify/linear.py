@@ -1,8 +1,14 @@
-"""Linear margins of the exact sampled loop, as designed, at the corners of what is uncertain, and of random vehicles.
+"""Linear measures of a design: margins of the exact sampled loop, nominal and dispersed, and gimbal authority.
 
-A dispersed vehicle deviates in the same way at every node. Corners: a two-level screening design (Plackett & Burman,
-Biometrika 33, 1946) of twelve runs and their mirror images, so that every factor meets every other at either sign.
-Random vehicles: independent normal deviations, three sigma as the suite says.
+Margins are measured as designed, at the corners of the dispersions, and for random vehicles. A dispersed vehicle has
+the same deviations at every node. Corners: a two-level screening design (Plackett & Burman, Biometrika 33, 1946) of
+twelve runs and their mirror images, in which every pair of factors is uncorrelated. Random vehicles: independent normal
+deviations with the suite's three sigma.
+
+Authority: in trim the moment of the deflected engine balances that of the incidence,
+delta = -(M_alpha / M_delta) alpha, and a cross-wind W meets the vehicle at alpha = atan(W / U) before it has had time
+to drift along. So the gimbal's limit is reached at a wind of U tan(delta_max |M_delta / M_alpha|). With
+|M_alpha / M_delta| above three, this comes before any stability margin is lost.
 """
 
 from __future__ import annotations
@@ -22,17 +28,22 @@ from maxq.design.loop.loop import Loop
 from maxq.design.margins.measure import Margins, margins
 from maxq.design.model.dispersion import NOMINAL, Dispersion, disperse
 from maxq.design.model.node import Node
+from maxq.design.model.vehicle_at import stability_derivatives
 from maxq.design.verify.memory import Memory
-from maxq.design.verify.suite import LinearMargins, MarginLimits, Spread
-from maxq.design.verify.verdict import ACCEPTED, REJECTED, UNDECIDED, Judgement, Requirement
+from maxq.design.verify.suite import (
+    ACCEPTED,
+    REJECTED,
+    LinearMargins,
+    MarginLimits,
+    Requirement,
+    Spread,
+    judgement_of,
+    room_left,
+)
 from maxq.sim.campaign.statistics import judge_failures
 from maxq.sim.scenario.schema_design import Design
 
-MEASURES = (
-    "gain_up_db", "aero_gain_db", "phase_deg", "delay_ms", "slosh_phase_deg", "first_mode_phase_deg",
-    "higher_modes_db",
-)  # fmt: skip
-TITLES = {
+MEASURES = {
     "gain_up_db": ("gain margin up, all crossings", "dB", ">="),
     "aero_gain_db": ("aerodynamic gain margin", "dB", ">="),
     "phase_deg": ("phase margin, rigid body", "deg", ">="),
@@ -41,6 +52,7 @@ TITLES = {
     "first_mode_phase_deg": ("first mode: phase margin", "deg", ">="),
     "higher_modes_db": ("modes 2 and above: peak", "dB", "<="),
 }
+"""What is measured, by the key of its limit (`MarginLimits`): title, unit, sense of the limit."""
 _GENERATOR = (1, 1, -1, 1, 1, 1, -1, -1, -1, 1, -1)  # first row of the Plackett-Burman design of twelve runs
 _FACTORS = (
     "bending_frequency", "bending_slope", "bending_damping", "slosh_frequency", "slosh_mass", "slosh_damping",
@@ -50,18 +62,18 @@ _FACTORS = (
 
 @dataclass(frozen=True)
 class Measured:
-    """Margins of one loop, those of `MEASURES` in their order; NaN where the loop is unstable, infinite where free."""
+    """Margins of one loop by the names of `MEASURES`; NaN where it is unstable, infinite where nothing limits them."""
 
     stable: bool
-    values: tuple[float, ...]
+    values: dict[str, float]
 
     def of(self, name: str) -> float:
-        return self.values[MEASURES.index(name)]
+        return self.values[name]
 
 
 @dataclass(frozen=True)
 class Deviated:
-    """What a vehicle deviates by; the computer's delay (s) may be shorter, too, which `Dispersion` does not know."""
+    """Deviations of a vehicle; the delay of the computer (s) has either sign here, in `Dispersion` it only grows."""
 
     dispersion: Dispersion = NOMINAL
     delay_s: float = 0.0
@@ -85,7 +97,7 @@ class MarginCase:
 
 @dataclass(frozen=True)
 class MarginStudy:
-    """Margins of a design: as designed, at the corners, and of random vehicles; one plane."""
+    """Margins of a design in one plane: nominal vehicle, corners, and random vehicles."""
 
     plane: str
     times_s: tuple[float, ...]
@@ -98,7 +110,7 @@ def measured(loop: Loop, slosh_peak_db: float) -> Measured:
     """The margins of `MEASURES` of a loop."""
     found: Margins = margins(loop, resonances=loop.fixed.resonances())
     if not found.stable:
-        return Measured(False, (math.nan,) * len(MEASURES))
+        return Measured(False, dict.fromkeys(MEASURES, math.nan))
     slosh = [x.phase_deg for x in found.lobes if x.kind == "slosh" and x.peak_db > slosh_peak_db]
     first = [x.phase_deg for x in found.lobes if x.label == "bending 1" and x.peak_db > 0.0]
     higher = [x.peak_db for x in found.lobes if x.kind == "bending" and x.label != "bending 1"]
@@ -111,7 +123,7 @@ def measured(loop: Loop, slosh_peak_db: float) -> Measured:
         min(first, default=math.inf),
         max(higher, default=-math.inf),
     )
-    return Measured(True, tuple(float(v) for v in values))
+    return Measured(True, {name: float(v) for name, v in zip(MEASURES, values, strict=True)})
 
 
 def vehicles(wanted: LinearMargins) -> tuple[list[Deviated], list[Deviated]]:
@@ -120,51 +132,42 @@ def vehicles(wanted: LinearMargins) -> tuple[list[Deviated], list[Deviated]]:
     if wanted.corner_sigmas > 0.0:
         rows = [np.roll(_GENERATOR, k) for k in range(len(_GENERATOR))] + [-np.ones(len(_GENERATOR))]
         for n, row in enumerate(np.array([*rows, *[-np.asarray(r) for r in rows]], float)):
-            corners.append(_vehicle(wanted.three_sigma, _Corner(row * (wanted.corner_sigmas / 3.0)), f"corner {n + 1}"))
-    drawn = [_vehicle(wanted.three_sigma, _Normal(wanted.seed, n), f"vehicle {n + 1}") for n in range(wanted.cases)]
+            corners.append(_vehicle(wanted.three_sigma, _corner(row * (wanted.corner_sigmas / 3.0)), f"corner {n + 1}"))
+    drawn = [_vehicle(wanted.three_sigma, _normal(wanted.seed, n), f"vehicle {n + 1}") for n in range(wanted.cases)]
     return corners, drawn
 
 
-class _Corner:
-    """Deviations by name; thrust goes with the last factor."""
-
-    def __init__(self, row: Array) -> None:
-        self._signs = dict(zip(_FACTORS, (float(x) for x in row), strict=True)) | {"thrust": float(row[-1])}
-
-    def __call__(self, name: str) -> float:
-        return self._signs[name]
+def _corner(row: Array) -> Callable[[str], float]:
+    """Deviations of a corner by name, in units of three sigma; thrust goes with the last factor."""
+    signs = dict(zip(_FACTORS, (float(x) for x in row), strict=True)) | {"thrust": float(row[-1])}
+    return signs.__getitem__
 
 
-class _Normal:
+def _normal(seed: int, number: int) -> Callable[[str], float]:
     """Normal deviates in units of three sigma, in the order in which they are asked for."""
-
-    def __init__(self, seed: int, number: int) -> None:
-        self._generator = np.random.default_rng([seed, number])
-
-    def __call__(self, name: str) -> float:
-        return float(self._generator.normal() / 3.0)
+    generator = np.random.default_rng([seed, number])
+    return lambda name: float(generator.normal() / 3.0)
 
 
 def _vehicle(spread: Spread, draw: Callable[[str], float], label: str) -> Deviated:
     """Deviations; `draw` gives each in units of three sigma."""
 
-    def factor(name: str, size: float) -> float:
-        return max(1.0 + size * draw(name), 0.05)
+    def factor(name: str, three_sigma: float) -> float:
+        return max(1.0 + three_sigma * draw(name), 0.05)
 
+    modes = tuple(factor("bending_frequency", size) for size in spread.bending_frequency)
+    scaled = {
+        name: factor(name, getattr(spread, name))
+        for name in (
+            "bending_slope", "bending_damping", "slosh_frequency", "slosh_mass", "slosh_damping", "actuator_frequency",
+            "thrust", "normal_force",
+        )
+    }  # fmt: skip
+    shift_m = spread.centre_of_pressure_m * draw("centre_of_pressure_m")
     by = Dispersion(
-        bending_frequency=tuple(factor("bending_frequency", size) for size in spread.bending_frequency),
-        bending_slope=factor("bending_slope", spread.bending_slope),
-        bending_damping=factor("bending_damping", spread.bending_damping),
-        slosh_frequency=factor("slosh_frequency", spread.slosh_frequency),
-        slosh_mass=factor("slosh_mass", spread.slosh_mass),
-        slosh_damping=factor("slosh_damping", spread.slosh_damping),
-        actuator_frequency=factor("actuator_frequency", spread.actuator_frequency),
-        thrust=factor("thrust", spread.thrust),
-        normal_force=factor("normal_force", spread.normal_force),
-        centre_of_pressure_m=spread.centre_of_pressure_m * draw("centre_of_pressure_m"),
-        inertia=factor("inertia", spread.inertia),
+        **scaled, bending_frequency=modes, centre_of_pressure_m=shift_m, inertia=factor("inertia", spread.inertia),
         label=label,
-    )
+    )  # fmt: skip
     return Deviated(by, spread.delay_s * draw("delay_s"))
 
 
@@ -209,7 +212,7 @@ def study(
 
 
 def _delayed(node: Node, delay_s: float) -> Node:
-    """With the computer's delay longer, or shorter."""
+    """With that much added to the delay of the computer."""
     timing = dataclasses.replace(node.instruments, delay_s=node.instruments.delay_s + delay_s)
     return dataclasses.replace(node, instruments=timing)
 
@@ -237,57 +240,82 @@ def _stable(part: str, name: str, cases: Iterable[MarginCase], found: MarginStud
 
 def _limits(
     part: str, whose: str, cases: Sequence[MarginCase], limits: MarginLimits, found: MarginStudy
-) -> list[Requirement]:  # fmt: skip
+) -> list[Requirement]:
     out = []
-    for name in MEASURES:
+    for name, (title, unit, sense) in MEASURES.items():
         limit = getattr(limits, name)
-        if limit is None:
-            continue
-        title, unit, sense = TITLES[name]
         rows = [(n.of(name), c.label, t) for c in cases for t, n in zip(found.times_s, c.nodes, strict=True)]
-        rows = [r for r in rows if not math.isnan(r[0])]  # of an unstable one that it is unstable has been said
-        if not rows:
+        rows = [r for r in rows if not math.isnan(r[0])]  # unstable loops are reported by `_stable`
+        if limit is None or not rows:
             continue
-        values: Array = np.array([r[0] for r in rows])
-        k = int(np.argmin(values if sense == ">=" else -values))
-        value = float(values[k])
-        met = value >= limit if sense == ">=" else value <= limit
-        room = (value - limit) / abs(limit) if sense == ">=" else (limit - value) / abs(limit)
-        where = f"{rows[k][1] + ', ' if rows[k][1] else ''}{rows[k][2]:g} s, {found.plane}"
-        text = f"{value:.2f} {unit}" if math.isfinite(value) else "free"
+        value, label, time_s = (min if sense == ">=" else max)(rows, key=lambda r: r[0])
         out.append(
             Requirement(
-                part, f"{title}, {whose}", f"{sense} {limit:g} {unit}", text, ACCEPTED if met else REJECTED,
-                room, where,
+                part, f"{title}, {whose}", f"{sense} {limit:g} {unit}",
+                f"{value:.2f} {unit}" if math.isfinite(value) else "free",
+                ACCEPTED if _met(value, limit, sense) else REJECTED, room_left(value, limit, sense),
+                f"{label + ', ' if label else ''}{time_s:g} s, {found.plane}",
             )
         )  # fmt: skip
     return out
 
 
-def keeps(case: MarginCase, limits: MarginLimits) -> bool:
-    """Whether a vehicle keeps every limit at every node."""
-    for name in MEASURES:
-        limit = getattr(limits, name)
-        if limit is None:
-            continue
-        for node in case.nodes:
-            value = node.of(name)
-            if not (value >= limit if TITLES[name][2] == ">=" else value <= limit):
-                return False
-    return case.stable
+def _met(value: float, limit: float, sense: str) -> bool:
+    return value >= limit if sense == ">=" else value <= limit
+
+
+def meets_limits(case: MarginCase, limits: MarginLimits) -> bool:
+    """Whether a vehicle is stable and meets every limit at every node."""
+    asked = [(name, sense) for name, (_, _, sense) in MEASURES.items() if getattr(limits, name) is not None]
+    return case.stable and all(_met(n.of(k), getattr(limits, k), sense) for k, sense in asked for n in case.nodes)
 
 
 def _share(found: MarginStudy, wanted: LinearMargins) -> Requirement:
-    failures = [c.label for c in found.random if not keeps(c, wanted.dispersed)]
+    failures = [c.label for c in found.random if not meets_limits(c, wanted.dispersed)]
     shown = judge_failures(len(failures), len(found.random), wanted.success, wanted.confidence)
-    words: dict[str, Judgement] = {"met": ACCEPTED, "not met": REJECTED}
     return Requirement(
-        "dispersed",
-        "random vehicles keep the dispersed limits",
+        "dispersed", "random vehicles meet the dispersed limits",
         f"{100.0 * wanted.success:g} % with {100.0 * wanted.confidence:g} % confidence",
-        f"{len(found.random) - len(failures)} of {len(found.random)}",
-        words.get(shown.judgement, UNDECIDED),
-        (shown.success - wanted.success) / (1.0 - wanted.success),
-        failures[0] if failures else "",
-        shown.more,
-    )
+        f"{len(found.random) - len(failures)} of {len(found.random)}", judgement_of(shown.judgement),
+        (shown.success - wanted.success) / (1.0 - wanted.success), failures[0] if failures else "", shown.more,
+    )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Authority:
+    """At a vehicle time: gimbal angle per incidence, and the steady cross-wind that takes all of the gimbal angle."""
+
+    time_s: float
+    airspeed_mps: float
+    dynamic_pressure_Pa: float
+    ratio: float  # |M_alpha / M_delta|
+    gimbal_limit_deg: float
+    wind_mps: float  # infinite where the limit is never reached
+
+
+def authority(nodes: Sequence[Node], command_limit_rad: float) -> list[Authority]:
+    """Authority at the nodes; the limit is the smaller one of computer and actuator."""
+    out = []
+    for node in nodes:
+        d = stability_derivatives(node.vehicle, node.condition)
+        actuator = node.instruments.actuator
+        limit = command_limit_rad if actuator.ideal else min(command_limit_rad, actuator.angle_limit_rad)
+        ratio = abs(d.m_alpha_1ps2 / d.m_delta_1ps2)
+        incidence = limit / ratio if ratio > 0.0 else math.inf
+        wind = node.condition.airspeed_mps * math.tan(incidence) if incidence < 0.5 * math.pi else math.inf
+        condition = node.condition
+        out.append(
+            Authority(
+                node.time_s, condition.airspeed_mps, condition.dynamic_pressure_Pa, ratio, math.degrees(limit), wind
+            )
+        )
+    return out
+
+
+def authority_requirement(found: Sequence[Authority], wind_mps: float) -> Requirement:
+    """A steady cross-wind can be trimmed at every time."""
+    worst = min(found, key=lambda a: a.wind_mps)
+    return Requirement(
+        "authority", "gimbal trims a steady cross-wind", f">= {wind_mps:g} m/s", f"{worst.wind_mps:.1f} m/s",
+        ACCEPTED if worst.wind_mps >= wind_mps else REJECTED, worst.wind_mps / wind_mps - 1.0, f"{worst.time_s:g} s",
+    )  # fmt: skip

@@ -1,0 +1,253 @@
+"""The flights of a suite: scenarios, judged by their requirements, and campaigns, judged with a required confidence."""
+
+from __future__ import annotations
+
+import json
+import math
+import shlex
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from maxq.control.kernel.records import Array
+from maxq.design.verify.memory import Memory, code_hash, content_hash
+from maxq.design.verify.suite import (
+    ACCEPTED,
+    REJECTED,
+    CampaignWanted,
+    Flown,
+    LoadedSuite,
+    Requirement,
+    Suite,
+    judgement_of,
+    limit_changes,
+    room_left,
+)
+from maxq.sim.campaign.analysis import DataSet, Judged, judged
+from maxq.sim.campaign.loaded import LoadedCampaign
+from maxq.sim.campaign.read import description_of, load_campaign
+from maxq.sim.campaign.runner import Progress, run_campaign
+from maxq.sim.run.fly import fly
+from maxq.sim.run.judgement import METRIC_NAMES
+from maxq.sim.scenario.loader import LoadedScenario, load_scenario
+from maxq.sim.scenario.schema_scenario import Log
+
+KEPT = (
+    "dynamic_pressure_Pa", "alpha_total_deg", "gimbal_pitch_angle_deg", "gimbal_yaw_angle_deg", "error_pitch_deg",
+    "error_yaw_deg",
+)  # fmt: skip
+KEPT_HZ = 20.0
+
+
+@dataclass(frozen=True)
+class Asked:
+    """A requirement of a scenario, and the value in flight."""
+
+    name: str
+    metric: str
+    kind: str  # limit, minimum
+    bound: float
+    value: float
+    time_s: float
+    met: bool
+
+    @property
+    def room(self) -> float:
+        """Share of the bound that is left."""
+        if self.bound == 0.0:
+            return 1.0 if self.met else -1.0
+        left = room_left(self.value, self.bound, self.sense)
+        return left if math.isfinite(left) else -math.inf
+
+    @property
+    def sense(self) -> str:
+        return "<=" if self.kind == "limit" else ">="
+
+
+@dataclass(frozen=True)
+class FlownResult:
+    """One flight of the suite. `time_s` and `histories` (by channel) are those under thrust, thinned out."""
+
+    name: str
+    why: str
+    outcome: str
+    failures: tuple[str, ...]
+    asked: tuple[Asked, ...]
+    metrics: dict[str, float]
+    state_hash: str
+    counts: bool
+    again: str
+    time_s: Array = field(repr=False)
+    histories: dict[str, Array] = field(repr=False)
+
+    @property
+    def passed(self) -> bool:
+        return not self.failures and all(a.met for a in self.asked)
+
+    @property
+    def tightest(self) -> Asked | None:
+        """The requirement with the least room."""
+        return min(self.asked, key=lambda a: (a.met, a.room), default=None)
+
+
+def design_changes(design: str, vehicle: str | None) -> list[str]:
+    """Overrides of a scenario or campaign: the design, and the vehicle instead of its own."""
+    return [f'design="{design}"'] + ([f'vehicle="{vehicle}"'] if vehicle is not None else [])
+
+
+def load_flight(
+    suite: Suite, flown: Flown, design: str, vehicle: str | None, label: str = "suite"
+) -> tuple[LoadedScenario, list[str]]:
+    """The scenario of one flight with the design in it, and what is changed in it. Raises ScenarioError."""
+    name, changes = flown.scenario or suite.scenario, [*design_changes(design, vehicle), *flown.set]
+    loaded = load_scenario(name, changes, METRIC_NAMES)
+    more = limit_changes(suite, flown.limits, loaded.scenario, label)
+    return (load_scenario(name, [*changes, *more], METRIC_NAMES) if more else loaded), [*changes, *more]
+
+
+def fly_suite(
+    suite: Suite,
+    design: str,
+    vehicle: str | None,
+    memory: Memory,
+    watch: Callable[[int, int], None] = lambda done, of: None,
+    workers: int = 2,
+    label: str = "suite",
+) -> list[FlownResult]:
+    """All flights, in the suite's order. Raises ScenarioError before any is flown where one cannot be."""
+    loaded = [load_flight(suite, flown, design, vehicle, label) for flown in suite.flight]
+    done = [0]
+
+    def one(job: tuple[Flown, tuple[LoadedScenario, list[str]]]) -> FlownResult:
+        flown, (scenario, changes) = job
+        text = (scenario.as_flown, flown.name, flown.why, flown.design_must_keep)
+        command = ["simrun", flown.scenario or suite.scenario]
+        command += [x for change in changes for x in ("--set", change)]
+        again = shlex.join(command)
+        result = memory.recall("flight", (*text, again), lambda: _fly(flown, scenario, again))
+        done[0] += 1
+        watch(done[0], len(loaded))
+        return result
+
+    with ThreadPoolExecutor(max_workers=workers) as pool:
+        return list(pool.map(one, zip(suite.flight, loaded, strict=True)))
+
+
+def _fly(flown: Flown, loaded: LoadedScenario, again: str) -> FlownResult:
+    log = Log(fast_hz=KEPT_HZ, slow_hz=KEPT_HZ, transform_hz=1.0)
+    scenario = loaded.scenario.model_copy(update={"log": log})
+    flight = fly(LoadedScenario(scenario, loaded.label, loaded.files))
+    asked = tuple(
+        Asked(v.name, v.requirement.metric, v.bound[0], v.bound[1], v.value, v.time_s, v.met) for v in flight.verdicts
+    )
+    times = flight.time_s(KEPT[0])
+    under_thrust = times[times <= np.nanmin([flight.event_s("burnout"), flight.end_s])]
+    histories = {
+        name: np.round(np.interp(under_thrust, flight.time_s(name), flight[name]), 6) for name in KEPT
+    }  # fmt: skip
+    return FlownResult(
+        flown.name, flown.why, flight.outcome, flight.failures, asked, flight.metrics, flight.state_hash,
+        flown.design_must_keep, again, under_thrust, histories,
+    )  # fmt: skip
+
+
+def flight_requirements(results: Sequence[FlownResult]) -> list[Requirement]:
+    """One for each flight that counts: it meets all requirements of its scenario."""
+    out = []
+    for r in results:
+        worst = r.tightest
+        wanted, found, where, left = "control kept", "flown to its end", "", math.nan
+        if r.failures:
+            found, left = "; ".join(r.failures), -1.0
+        elif worst is not None:
+            wanted, found, left = f"{worst.sense} {worst.bound:g}", f"{worst.name} {worst.value:.4g}", worst.room
+            where = f"at {worst.time_s:.2f} s" if math.isfinite(worst.time_s) else ""
+        judgement = ACCEPTED if r.passed else REJECTED
+        if r.counts:
+            out.append(Requirement("scenarios", r.name, wanted, found, judgement, left, where, again=r.again))
+    return out
+
+
+@dataclass(frozen=True)
+class CampaignResult:
+    """A campaign that was flown, and its verdict on each requirement; the first is that control is kept."""
+
+    name: str
+    file: str
+    folder: Path
+    runs: int
+    stopped: bool
+    success: float
+    confidence: float
+    verdicts: tuple[Judged, ...]
+
+    @property
+    def worst_runs(self) -> list[int]:
+        """The worst run of each requirement."""
+        return sorted({v.worst[0].run for v in self.verdicts if v.worst})
+
+
+def load_wanted(loaded_suite: LoadedSuite, wanted: CampaignWanted, design: str, vehicle: str | None) -> LoadedCampaign:
+    """The campaign with the design in it, and the suite's numbers and limits. Raises ScenarioError."""
+    changes = [*design_changes(design, vehicle), *wanted.set]
+    loaded = load_campaign(wanted.file, changes)
+    more = limit_changes(loaded_suite.suite, wanted.limits, loaded.base.scenario, loaded_suite.label)
+    loaded = load_campaign(wanted.file, [*changes, *more]) if more else loaded
+    given = {key: getattr(wanted, key) for key in ("runs", "success", "confidence")}
+    return loaded.with_campaign(**{key: value for key, value in given.items() if value is not None})
+
+
+def campaign_folder(loaded: LoadedCampaign, parts: Path) -> Path:
+    """Folder of its runs, named by a hash of all that they depend on, so that no run is flown twice."""
+    said = description_of(loaded)
+    drawn = {key: loaded.file.campaign.model_dump(mode="json")[key] for key in ("seed", "sampling", "noise", "outside")}
+    stratum = loaded.campaign.stratum or 0
+    key = content_hash(code_hash(), json.dumps({**said, "campaign": drawn}, sort_keys=True), stratum)
+    return parts / f"campaign-{loaded.name}-{key[:16]}"
+
+
+def fly_campaign(
+    loaded_suite: LoadedSuite,
+    wanted: CampaignWanted,
+    design: str,
+    vehicle: str | None,
+    parts: Path,
+    watch: Callable[[Progress], None] = lambda progress: None,
+    stop: Callable[[], bool] = lambda: False,
+    afresh: bool = False,
+) -> CampaignResult:
+    """Fly what is missing of a campaign, or all of it into a new folder. Raises ScenarioError, CampaignError."""
+    loaded = load_wanted(loaded_suite, wanted, design, vehicle)
+    folder = known = campaign_folder(loaded, parts)
+    count = 1
+    while afresh and folder.exists():
+        folder = known.with_name(f"{known.name}-{(count := count + 1)}")
+    outcome = run_campaign(loaded, folder, watch=watch, stop=stop)
+    data = DataSet(folder, loaded, loaded.campaign.runs)
+    return CampaignResult(
+        wanted.name or loaded.name, wanted.file, folder, len(data.runs), outcome.stopped, loaded.campaign.success,
+        loaded.campaign.confidence, tuple(judged(data)),
+    )  # fmt: skip
+
+
+def campaign_requirements(result: CampaignResult) -> list[Requirement]:
+    """One for each requirement of the campaign."""
+    level = f"{100.0 * result.success:g} % with {100.0 * result.confidence:g} %"
+    out = []
+    for v in result.verdicts:
+        sense = "<=" if v.kind == "limit" else ">="
+        bound = f"{sense} {v.bound:g}, " if v.metric else ""
+        worst = v.worst[0] if v.worst else None
+        found = f"{v.shown.failures} of {v.shown.runs} failed" + (f", worst {worst.value:.4g}" if worst else "")
+        left = room_left(worst.value, v.bound, sense) if worst is not None else math.nan
+        again = f"simrun --from {result.folder} --run {worst.run}" if worst else ""
+        out.append(
+            Requirement(
+                "campaign", f"{result.name}: {v.name}", bound + level, found, judgement_of(v.shown.judgement), left,
+                f"run {worst.run}" if worst else "", v.shown.more, again,
+            )
+        )  # fmt: skip
+    return out

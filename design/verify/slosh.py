@@ -1,0 +1,257 @@
+"""Slosh: where it destabilises the control loop, how much damping it needs, and the limit cycle it ends in.
+
+A liquid whose pendulum bob lies between the vehicle's CG and its centre of percussion (I / (m l_c) forward of the CG,
+l_c from the CG to the gimbal) takes energy from the control loop, elsewhere it gives some away (Bauer, NASA TR R-187;
+SP-8031). Whether that matters is told by the loop at hand: the tank's damping is lowered until the closed loop is
+marginally stable, and that is the damping needed (`advise`).
+
+A ring baffle damps the more the higher the wave (Miles, J. Aero. Sci. 25, 1958; NASA SP-106, eq. 4.10),
+
+    zeta = 2.83 exp(-4.6 d / R) a^(3/2) sqrt(eta / R)
+
+with d the depth of the ring below the surface, a the share of the surface that it covers, eta the height of the wave at
+the wall. A loop that needs the damping zeta lets slosh grow while the wave is lower than that and damps it above: the
+wave where the formula gives zeta is a limit cycle. Equal moments of liquid and pendulum about the axis,
+rho pi R^3 eta / xi^2 and m L theta, turn the wave of the first mode (xi = 1.841) into the swing of the pendulum,
+
+    theta = (xi^2 - 1) / 2  eta / R
+
+whatever the depth. The worst tank is flown (`confirm`): with just the damping needed a burst neither grows nor decays,
+and with the baffle's law the swing ends at the predicted amplitude. The simulator's pendulums have constant damping; in
+`fly_cycle` it follows the swing of the past second (equivalent viscous damping). Nothing else limits slosh before the
+model does: without baffles, gimbal and servo stay far from their limits until the liquid has swung through a right
+angle (tests/test_oracle_slosh_cycle.py), where waves would long have broken.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from maxq.design import api
+from maxq.design.certificate.breaking import DEAD, LOST, build_up, kicked_growth, watch_at
+from maxq.design.certificate.held_flight import HeldFlight, hold
+from maxq.design.certificate.loudness import burst_rad
+from maxq.design.loop.fixed_path import fixed_path
+from maxq.design.loop.loop import Loop
+from maxq.design.model.dispersion import Dispersion, disperse
+from maxq.design.model.node import Node
+from maxq.design.model.state_space import ComplexArray
+from maxq.sim.flight.telemetry import FAST
+from maxq.sim.packing.flight import Packed
+from maxq.sim.run.fly import KeptRows
+from maxq.sim.scenario.loader import LoadedScenario
+from maxq.sim.scenario.schema_design import Design
+from maxq.sim.scenario.schema_injection import Injection
+
+SWING_PER_WAVE = (1.8412**2 - 1.0) / 2.0  # rad of the pendulum for a wave at the wall as high as the radius
+WATCHED_S = 400.0  # several time constants of a limit cycle that settles within a minute
+SETTLED = 0.03  # relative difference allowed between the last two quarters' amplitudes
+_HALVINGS = 12
+_BAND_RADPS = (0.5, 31.0)  # slosh and rigid body, up to 5 Hz
+
+
+@dataclass(frozen=True)
+class Baffle:
+    """A ring baffle `depth_r` radii below the surface that covers the share `cover` of it."""
+
+    depth_r: float
+    cover: float
+
+    def damping(self, swing_rad: float) -> float:
+        """Damping ratio of a pendulum swinging so far."""
+        return self._per_root * math.sqrt(abs(swing_rad) / SWING_PER_WAVE)
+
+    def wave_m(self, damping: float, radius_m: float) -> float:
+        """Height of the wave at the wall that gives this damping ratio."""
+        return radius_m * (damping / self._per_root) ** 2
+
+    def swing_deg(self, damping: float) -> float:
+        """Swing of the pendulum that gives this damping ratio."""
+        return math.degrees(SWING_PER_WAVE * self.wave_m(damping, 1.0))
+
+    @property
+    def _per_root(self) -> float:
+        return 2.83 * math.exp(-4.6 * self.depth_r) * math.pow(self.cover, 1.5)
+
+
+@dataclass(frozen=True)
+class LimitCycle:
+    """Amplitude at which the swing of a tank's liquid ends in flight, deg, and that of the gimbal command.
+
+    `settled`: no longer changing. NaN where the flight ended early.
+    """
+
+    swing_deg: float
+    settled: bool
+    gimbal_deg: float
+
+
+def fly_cycle(
+    held: HeldFlight,
+    tank: int,
+    baffle: Baffle,
+    frequency_hz: float,
+    level: float = 1.0,
+) -> LimitCycle:
+    """Excite the held flight at the slosh frequency and let the baffle's damping follow the swing.
+
+    `level` scales the burst of the certificate (`burst_rad`): the limit cycle is reached from above or from below.
+    """
+    burst = Injection.model_validate(
+        {
+            "at": "gimbal_command", "axis": held.plane, "kind": "sine", "frequency_hz": frequency_hz,
+            "amplitude_deg": level * math.degrees(burst_rad(held, frequency_hz)),
+            "stop_s": round(3.0 / frequency_hz, 6),
+        }
+    )  # fmt: skip
+
+    def undamped(packed: Packed) -> None:
+        packed.parameters[0].vehicle.slosh.damping_ratio[tank] = 0.0
+
+    run = held.run(WATCHED_S, (burst,), undamped)
+    names = [c.name for c in run.table.columns(FAST)]
+    swings = [n for n, name in enumerate(names) if name.startswith("slosh") and name.endswith(f"{held.plane}_deg")]
+    column = swings[tank]
+    damping, kept = run.packed.parameters[0].vehicle.slosh.damping_ratio, KeptRows()
+    while not run.finished:
+        rows = run.fly_segment()
+        kept.add(rows)
+        swing = rows[FAST][1][:, column]
+        if len(swing):
+            damping[tank] = baffle.damping(math.radians(0.5 * float(np.ptp(swing))))
+    _, values = kept.rows()[FAST]
+    quarter = len(values) // 4
+    if run.now_s < WATCHED_S - 1.0 or quarter < 8:
+        return LimitCycle(math.nan, False, math.nan)
+    command = values[3 * quarter :, run.table.index(f"gimbal_{held.plane}_command_deg")]
+    before, after = (
+        0.5 * float(np.ptp(values[part, column]))
+        for part in (slice(2 * quarter, 3 * quarter), slice(3 * quarter, None))
+    )
+    return LimitCycle(after, abs(after / before - 1.0) < SETTLED, 0.5 * float(np.ptp(command)))
+
+
+NEAR, MIDWAY = Baffle(0.1, 0.25), Baffle(0.5, 0.25)
+"""Rings an eighth of the radius wide: just below the surface, and with the surface midway between two."""
+
+
+@dataclass(frozen=True)
+class SloshAdvice:
+    """One tank at one time. Stations in m aft of the nose; dampings are ratios of the pendulum.
+
+    `needed`: damping at which the closed loop is marginally stable, 0 where none is needed; `wave_m` and
+    `midway_wave_m`: wave heights at which the baffles `NEAR` and `MIDWAY` give it; `midway_deg`: the latter as the
+    swing of the pendulum, which is the amplitude of the limit cycle. `flown_growth_1ps`: growth rate of a burst in
+    flight with just the damping needed; `flown_deg`: amplitude of the limit cycle in flight with the midway ring's
+    damping (NaN: not flown, or not settled).
+    """
+
+    time_s: float
+    tank: int
+    bob_station_m: float
+    cg_station_m: float
+    percussion_station_m: float
+    damping: float
+    needed: float
+    wave_m: float
+    midway_wave_m: float
+    midway_deg: float
+    flown_growth_1ps: float = math.nan
+    flown_deg: float = math.nan
+
+    @property
+    def in_band(self) -> bool:
+        """Between centre of percussion and CG."""
+        return self.percussion_station_m < self.bob_station_m < self.cg_station_m
+
+
+def percussion_station_m(node: Node) -> float:
+    """Centre of percussion for lateral thrust: where its onset causes no lateral acceleration."""
+    v = node.vehicle
+    cg = v.total_cg_station_m
+    return cg - v.total_inertia_kgm2 / (v.body.total_mass_kg * (v.engine.gimbal_station_m - cg))
+
+
+def advise(nodes: Sequence[Node], design: Design) -> list[SloshAdvice]:
+    """Every tank with liquid at every node."""
+    out = []
+    for node in nodes:
+        bobs = node.vehicle.pendulums
+        for k in range(len(bobs.mass_kg)):
+            if bobs.mass_kg[k] <= 0.0:
+                continue
+            needed = _needed(node, design, k)
+            radius = float(node.liquids.radius_m[k]) if node.liquids is not None else math.nan
+            out.append(
+                SloshAdvice(
+                    node.time_s, k, float(bobs.bob_station_m[k]), node.vehicle.total_cg_station_m,
+                    percussion_station_m(node), float(bobs.damping_ratio[k]), needed, NEAR.wave_m(needed, radius),
+                    MIDWAY.wave_m(needed, radius), MIDWAY.swing_deg(needed),
+                )
+            )  # fmt: skip
+    return out
+
+
+def _needed(node: Node, design: Design, tank: int) -> float:
+    """Damping ratio of one tank below which the closed loop grows; 0 if it never does."""
+    have = float(node.vehicle.pendulums.damping_ratio[tank])
+    if have <= 0.0:
+        return math.nan
+    if _growth(node, design, tank, 0.0) < 0.0:
+        return 0.0
+    low, high = 0.0, 1.0
+    while _growth(node, design, tank, high) >= 0.0:
+        low, high = high, 2.0 * high
+        if high > 64.0:
+            return math.inf
+    for _ in range(_HALVINGS):
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if _growth(node, design, tank, middle) >= 0.0 else (low, middle)
+    return have * high
+
+
+def _growth(node: Node, design: Design, tank: int, factor: float) -> float:
+    """Greatest real part (1/s) of the loop's oscillating poles below 5 Hz with a tank's damping times `factor`."""
+    factors = [1.0] * len(node.vehicle.pendulums.mass_kg)
+    factors[tank] = factor
+    weak = disperse(node, Dispersion(slosh_damping=tuple(factors)))
+    k_p, k_d = api.gains_at(design, node.time_s, node.plane)
+    loop = Loop(fixed_path(weak), k_p, k_d, api.filter_of(design, node.instruments.sample_s))
+    return float(_oscillating(loop).real.max(initial=-math.inf))
+
+
+def _oscillating(loop: Loop) -> ComplexArray:
+    """Closed-loop poles of the band, one of each conjugate pair, rad/s."""
+    poles = loop.closed_poles()
+    return poles[(poles.imag > _BAND_RADPS[0]) & (poles.imag < _BAND_RADPS[1])]
+
+
+def confirm(loaded: LoadedScenario, node: Node, advice: SloshAdvice) -> SloshAdvice:
+    """Fly the held vehicle excited at the slosh frequency: with just the damping needed, and with the midway ring."""
+    if not 0.0 < advice.needed < math.inf:
+        return advice
+
+    def fault(packed: Packed) -> None:
+        packed.parameters[0].vehicle.slosh.damping_ratio[advice.tank] = advice.needed
+
+    held = hold(loaded, node, fault)
+    assert loaded.design is not None
+    loop = api.loops([held.node], loaded.design)[0]
+    bobs = held.node.vehicle.pendulums
+    weak = tuple(advice.needed / z if k == advice.tank else 1.0 for k, z in enumerate(bobs.damping_ratio))
+    edge = api.loops([disperse(held.node, Dispersion(slosh_damping=weak))], loaded.design)[0]
+    poles = _oscillating(edge)
+    hz = float(poles[int(np.argmax(poles.real))].imag) / (2.0 * math.pi)
+    growth = kicked_growth(held, loop, watch_at(hz, build_up(edge, hz)), lambda packed: None)
+    known = growth not in (LOST, DEAD)
+    cycle = fly_cycle(hold(loaded, node), advice.tank, MIDWAY, hz)
+    return dataclasses.replace(
+        advice,
+        flown_growth_1ps=growth if known else math.copysign(9.99, growth),
+        flown_deg=cycle.swing_deg if cycle.settled else math.nan,
+    )
