@@ -19,16 +19,14 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Literal
 
-import numpy as np
-
-from maxq.control.filters import BendingFilter, DiscreteFilter
+from maxq.design.laws.law import Controller
+from maxq.design.laws.registry import designed_law
 from maxq.design.loop.fixed_path import Cut, FixedPath, Kind, fixed_path
 from maxq.design.loop.loop import Loop
 from maxq.design.model.dispersion import Dispersion, disperse, imposed, read_derivatives
 from maxq.design.model.errata import CORRECTED, PRESETS, Errata
 from maxq.design.model.node import Node, nodes_along
 from maxq.design.model.vehicle_at import Plane
-from maxq.sim.packing.computer import bending_filter
 from maxq.sim.scenario.loader import LoadedScenario, load_scenario
 from maxq.sim.scenario.schema_design import Design
 
@@ -77,25 +75,14 @@ def load_design(name: str | Path, beside: LoadedScenario | str | Path = "nominal
     return design
 
 
-def gains_at(design: Design, time_s: float, plane: Plane = "pitch") -> tuple[float, float]:
-    """k_p and k_d (s) at a vehicle time, as the flight computer interpolates them: linear, held outside."""
-    table = design.gains.axes[0 if plane == "pitch" else 1]
-    k_p, k_d = (float(np.interp(time_s, table["time_s"], table[name])) for name in ("k_p", "k_d_s"))
-    return k_p, k_d
-
-
-def filter_of(design: Design, sample_s: float | None) -> BendingFilter | DiscreteFilter:
-    """The design's filter: continuous, or as the flight computer runs it at the period `sample_s`."""
-    continuous = bending_filter(design)
-    if sample_s is None:
-        return continuous
-    return continuous.discretize(sample_s, design.filter.discretization, design.filter.prewarp_hz)
+def law_at(design: Design, node: Node, kind: Kind = "sampled") -> Controller:
+    """The design's law at a node's time and in its plane: as the flight computer runs it, or continuous."""
+    return designed_law(design).at(node.time_s, node.plane, node.instruments.sample_s if kind == "sampled" else None)
 
 
 def close(path: FixedPath, design: Design) -> Loop:
-    """The design's loop around a fixed path, with the gains of its node's time and plane."""
-    k_p, k_d = gains_at(design, path.node.time_s, path.node.plane)
-    return Loop(path, k_p, k_d, filter_of(design, path.sample_s))
+    """The design's loop around a fixed path, with the law of its node's time and plane."""
+    return Loop(path, designed_law(design).at(path.node.time_s, path.node.plane, path.sample_s))
 
 
 def loops(where: Iterable[Node], design: Design, *, kind: Kind = "sampled", cut: Cut = "gimbal_command") -> list[Loop]:
@@ -137,6 +124,6 @@ def loop(
 
 
 __all__ = [
-    "PAPER_TIMES_S", "Dispersion", "Errata", "Loop", "Node", "close", "disperse", "filter_of", "fixed_path", "gains_at",
+    "PAPER_TIMES_S", "Dispersion", "Errata", "Loop", "Node", "close", "disperse", "fixed_path", "law_at",
     "load_design", "loop", "loops", "nodes", "preset",
 ]  # fmt: skip

@@ -7,8 +7,11 @@ from functools import cache
 from typing import Any
 
 import numpy as np
+import scipy.optimize
 
 from maxq.design import api
+from maxq.design.loop.fixed_path import folded
+from maxq.design.loop.loop import Loop
 from maxq.design.model.node import Node
 from maxq.design.model.vehicle_at import Plane
 from maxq.sim.scenario.loader import LoadedScenario, load_scenario
@@ -60,3 +63,23 @@ def ideal(node: Node, *, actuator: bool = False, gyro: bool = False) -> Node:
         gyro=dataclasses.replace(i.gyro, ideal=1) if gyro else i.gyro,
     )
     return dataclasses.replace(node, instruments=changed)
+
+
+def closed_damping(loop: Loop) -> dict[str, float]:
+    """Damping ratio that each lightly damped pole of bending and slosh has in the closed loop, by label.
+
+    The poles are followed from the open loop by raising both gains together from zero, step by step.
+    """
+    followed = [r for r in loop.fixed.resonances() if r.kind in ("bending", "slosh")]
+    if not followed:
+        return {}
+    period = loop.sample_s
+    poles = np.array([r.pole_radps for r in followed])
+    if period is not None:
+        poles = folded(poles, period)
+        poles = poles.real + 1j * np.abs(poles.imag)
+    for share in np.linspace(0.0, 1.0, 31)[1:] ** 2:
+        now = dataclasses.replace(loop, law=loop.law.scaled(share)).closed_poles()
+        _, nearest = scipy.optimize.linear_sum_assignment(np.abs(poles[:, None] - now[None, :]))
+        poles = now[nearest]
+    return {r.label: float(-p.real / abs(p)) for r, p in zip(followed, poles, strict=True)}

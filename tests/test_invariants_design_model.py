@@ -19,11 +19,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from design_nodes import TIMES_S, design, flown, ideal, node_at, nominal, without
+from design_nodes import TIMES_S, closed_damping, design, flown, ideal, node_at, nominal, without
 
 from maxq.design import api
-from maxq.design.loop.departure import PARTS, departure
-from maxq.design.loop.errata_effects import closed_damping, peaks_db
+from maxq.design.laws.pd import Pd, PdDesign
+from maxq.design.loop.errata_effects import peaks_db
 from maxq.design.loop.fixed_path import KINDS, PadeFixedPath, SampledFixedPath, fixed_path
 from maxq.design.loop.loop import Loop
 from maxq.design.model.dispersion import COLUMNS, DerivativeTable, Dispersion, imposed, read_derivatives
@@ -33,6 +33,7 @@ from maxq.design.model.plant import axial_load_mps2
 from maxq.design.model.state_space import Resolvent
 from maxq.design.model.vehicle_at import stability_derivatives
 from maxq.sim.run.fly import fly
+from maxq.tools.dev.documents.departure import PARTS, departure
 
 F = np.geomspace(0.01, 49.0, 120)
 EVERY_NODE = pytest.mark.parametrize("time_s", TIMES_S)
@@ -225,7 +226,7 @@ def test_a_rigid_body_with_ideal_instruments(kind: api.Kind) -> None:
         late = (1 - y / 2 + y**2 / 12) / (1 + y / 2 + y**2 / 12)
         expected = m_delta / s * average * late / (1 + x / 2 + x**2 / 12)
     np.testing.assert_allclose(path.response(f), expected, rtol=1e-9)
-    loop = Loop(path, 0.5, 0.3)
+    loop = Loop(path, Pd(0.5, 0.3))
     assert (loop.closed_poles().real < 0.0).all()
     assert (loop.open_poles() == 0.0).sum() == 2  # the body's and the integrator's
 
@@ -270,15 +271,15 @@ def test_what_does_not_fit_is_refused() -> None:
     with pytest.raises(ValueError, match="cut = 'gyro': allowed is gimbal_command, rate_command_to_q"):
         fixed_path(node, cut="gyro")  # type: ignore[arg-type]  # wrong on purpose
     sampled, pade = fixed_path(node), fixed_path(node, "pade")
-    continuous, discrete = api.filter_of(design(), None), api.filter_of(design(), 0.01)
+    law = PdDesign.of(design())
     with pytest.raises(ValueError, match="needs a discrete filter"):
-        Loop(sampled, 1.0, 1.0, continuous)
+        Loop(sampled, law.at(40.0, "pitch", None))
     with pytest.raises(ValueError, match="the loop's period is None"):
-        Loop(pade, 1.0, 1.0, discrete)
+        Loop(pade, law.at(40.0, "pitch", 0.01))
     with pytest.raises(ValueError, match=r"filter of sample_s = 0\.02: the loop's period is 0\.01"):
-        Loop(sampled, 1.0, 1.0, api.filter_of(design(), 0.02))
+        Loop(sampled, law.at(40.0, "pitch", 0.02))
     with pytest.raises(ValueError, match="k_p = nan"):
-        Loop(sampled, np.nan, 1.0)
+        Pd(np.nan, 1.0)
     with pytest.raises(ValueError, match="no state space"):
         fixed_path(node, "exact").state_space()
     with pytest.raises(ValueError, match="time_s is missing"):
@@ -309,7 +310,7 @@ def test_resonances_are_named() -> None:
 def test_without_k_p_there_is_no_integrator() -> None:
     for kind in ("pade", "sampled"):
         path = fixed_path(node_at(40.0), kind)  # type: ignore[arg-type]  # a Literal, from parametrize
-        loop = Loop(path, 0.0, 0.3)
+        loop = Loop(path, Pd(0.0, 0.3))
         assert len(loop.open_poles()) == len(path.poles())
         np.testing.assert_allclose(loop.response(F), 0.3 * path.response(F))
 
@@ -318,7 +319,7 @@ def test_literal_cuts_of_eq_42() -> None:
     node = node_at(40.0)
     for cut in ("rate_command_to_q", "rate_command_to_q_m"):
         loop = api.loop(node, design(), kind="pade", cut=cut)  # type: ignore[arg-type]  # a Literal, from a loop
-        again = dataclasses.replace(loop, k_d_s=100.0)
+        again = dataclasses.replace(loop, law=dataclasses.replace(loop.law, k_d_s=100.0))  # type: ignore[type-var]  # a Pd
         np.testing.assert_array_equal(loop.response(F), again.response(F))  # q_c meets k_p only
         s = loop.state_space()
         direct = s.response(F)[:, 0, 0]
@@ -374,10 +375,8 @@ def test_tables_of_derivatives_that_are_none(tmp_path: Path) -> None:
 
 # --- comparison
 def test_departure_closes_and_says_where_it_comes_from() -> None:
-    continuous, discrete = api.filter_of(design(), None), api.filter_of(design(), 0.01)
     for node in flown()[::5]:
-        k_p, k_d = api.gains_at(design(), node.time_s)
-        found = departure(node, k_p, k_d, continuous, discrete)  # type: ignore[arg-type]  # filters of either kind
+        found = departure(node, api.law_at(design(), node, "pade"), api.law_at(design(), node))
         pade = api.loop(node, design(), kind="pade").response(found.frequency_hz)
         sampled = api.loop(node, design()).response(found.frequency_hz)
         np.testing.assert_allclose(found.db["total"], 20 * np.log10(np.abs(pade / sampled)), atol=1e-9)
@@ -399,7 +398,7 @@ def test_closed_damping_follows_slosh() -> None:
     free = {r.label: r.damping_ratio for r in loop.fixed.resonances() if r.kind == "slosh"}
     closed = closed_damping(loop)
     assert set(free) <= set(closed)
-    off = dataclasses.replace(loop, k_p=0.0, k_d_s=0.0)
+    off = dataclasses.replace(loop, law=Pd(0.0, 0.0))
     again = closed_damping(off)
     np.testing.assert_allclose([again[k] for k in free], list(free.values()), rtol=1e-6)
     assert closed["slosh 2"] < free["slosh 2"]

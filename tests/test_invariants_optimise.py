@@ -18,6 +18,7 @@ import optimise_kit as kit
 import pytest
 from threadpoolctl import threadpool_info
 
+from maxq.design.laws.pd import Pd
 from maxq.design.loop.loop import Loop
 from maxq.design.margins.measure import margins
 from maxq.design.optimise.newton_steps import optimality
@@ -36,7 +37,7 @@ def check_limits(s: Solution, plants: Plants) -> None:
     for plant, p, d in zip(plants.each, k_p, k_d, strict=True):
         period = plant.path.sample_s
         flown = s.filter if period is None else s.filter.discretize(period, "prewarped", s.prewarp_hz)
-        loop = Loop(plant.path, float(p), float(d), flown)
+        loop = Loop(plant.path, Pd(float(p), float(d), flown))
         found = margins(loop)
         assert found.stable
         assert found.gain_up_db.value > limits.gain_margin_db - 1e-3

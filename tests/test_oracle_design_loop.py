@@ -160,7 +160,7 @@ def test_closed_poles_are_where_the_loop_is_minus_one(time_s: float, kind: api.K
         value = [(s.c @ np.linalg.solve(p * np.eye(len(s.a)) - s.a, s.b) + s.d)[0, 0] for p in at[slow]]
         np.testing.assert_allclose(value, -1.0, rtol=1e-5)
     for factor in (1.0, 3.0, 0.2):
-        changed = dataclasses.replace(loop, k_p=factor * loop.k_p, k_d_s=factor * loop.k_d_s)
+        changed = dataclasses.replace(loop, law=loop.law.scaled(factor))
         assert encirclement_count(changed) == int((changed.closed_poles().real > 0.0).sum())
 
 
@@ -244,10 +244,10 @@ def _fly_computer(node: Node, loop: Loop, samples: int, kick: float) -> Array:
     """Commands in pitch (samples,) after an impulse on the first one."""
     plant, timing = SampledFixedPath(node).continuous, node.instruments
     pool = Pool()
-    gains = gains_table(GainSchedule([0.0], [loop.k_p], [loop.k_d_s]))
+    gains = gains_table(GainSchedule([0.0], *([gain] for gain in loop.law.gains.values())))
     built = build_computer(
         pool, sample_ns=round(1e9 * timing.sample_s), gains=gains,
-        pitch_filter=api.filter_of(design(), timing.sample_s),  # type: ignore[arg-type]  # discrete, for a sample time
+        pitch_filter=loop.law.filter,  # type: ignore[attr-defined]  # a Pd
     )  # fmt: skip
     computer, tables, state = pack([built])[0], pool.array(), blank(ComputerState)[0]
     start_computer(computer, tables, state, 0.0)

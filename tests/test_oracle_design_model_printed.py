@@ -15,11 +15,11 @@ import math
 
 import numpy as np
 import pytest
-from design_nodes import TIMES_S, design, flown, node_at, without
+from design_nodes import TIMES_S, closed_damping, design, flown, node_at, without
 
 from maxq.control.kernel.records import Array
 from maxq.design import api
-from maxq.design.loop.errata_effects import EXPLAINED, closed_damping, errata_effects, peaks_db
+from maxq.design.loop.errata_effects import EXPLAINED, errata_effects, peaks_db
 from maxq.design.loop.fixed_path import Cut, PadeFixedPath
 from maxq.design.model.errata import ABOUT, CORRECTED, PAPER, PRESETS, Errata, one_at_a_time
 from maxq.design.model.node import Node

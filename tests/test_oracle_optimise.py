@@ -23,6 +23,7 @@ import pytest
 from scipy.optimize import differential_evolution, linprog
 
 from maxq.control.kernel.records import Array
+from maxq.design.laws.pd import Pd
 from maxq.design.loop.loop import Loop
 from maxq.design.margins.measure import margins
 from maxq.design.optimise.filter_variables import FilterVariables
@@ -131,7 +132,7 @@ def test_peaks_and_crossings_are_those_of_the_margins(loop: str) -> None:
     for i, plant in enumerate(kit.all_nodes(loop).each):
         period = plant.path.sample_s
         filter_ = continuous if period is None else continuous.discretize(period, "prewarped", p.loops.prewarp_hz)
-        closed = Loop(plant.path, float(k_p[i]), float(k_d[i]), filter_)
+        closed = Loop(plant.path, Pd(float(k_p[i]), float(k_d[i]), filter_))
         theirs = margins(closed)
         assert theirs.stable
         mine = full.rows.taken(full.rows.plant == i)
@@ -163,7 +164,7 @@ def test_unstable_poles_are_counted_as_they_are(loop: str) -> None:
         for i, plant in enumerate(kit.all_nodes(loop).each[::5]):
             period = plant.path.sample_s
             filter_ = continuous if period is None else continuous.discretize(period, "prewarped", p.loops.prewarp_hz)
-            poles = Loop(plant.path, float(k_p[5 * i]), float(k_d[5 * i]), filter_).closed_poles()
+            poles = Loop(plant.path, Pd(float(k_p[5 * i]), float(k_d[5 * i]), filter_)).closed_poles()
             assert counted[5 * i] == (poles.real > 0.0).sum()
             seen.add(int(counted[5 * i]))
     assert len(seen) > 2

@@ -1,8 +1,11 @@
-"""Structures of the bending filter: F2 ... F6 of Lee, Ahn & Roh (eqs 37 to 41), and free numbers of sections."""
+"""Names that a file may choose from: control laws, and structures of the bending filter (Lee, Ahn & Roh eqs 37-41)."""
 
 from __future__ import annotations
 
 from typing import Literal
+
+Law = Literal["pd"]
+"""Modules of control/laws and design/laws."""
 
 Structure = Literal["none", "F2", "F3", "F4", "F5", "F6", "sections"]
 

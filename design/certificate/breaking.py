@@ -159,7 +159,7 @@ def altered(loop: Loop, what: What, amount: float) -> Loop:
         path = fixed_path(disperse(loop.fixed.node, Dispersion(delay_s=amount)), loop.fixed.kind, loop.fixed.cut)
         return dataclasses.replace(loop, fixed=path)
     gain = 10.0 ** ((amount if what == "gain_up" else -amount) / 20.0)
-    return dataclasses.replace(loop, k_p=gain * loop.k_p, k_d_s=gain * loop.k_d_s)
+    return dataclasses.replace(loop, law=loop.law.scaled(gain))
 
 
 def _slope(loop: Loop, what: What, at: float) -> float:

@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import dataclasses
 import math
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
-import scipy.optimize
 
-from maxq.design.loop.fixed_path import Cut, folded
+from maxq.design.loop.fixed_path import Cut
 from maxq.design.loop.loop import Loop
 from maxq.design.loop.resonance import Resonance
 from maxq.design.model.errata import ABOUT, CORRECTED, PAPER, Erratum, one_at_a_time
@@ -18,8 +16,6 @@ from maxq.design.model.node import Node
 
 Measure = Callable[[Node, Cut], Mapping[str, float]]
 """Named numbers of the loop that stands at a node, opened at a cut."""
-
-_STEPS = 30  # in which the gains are raised
 
 OPENED = Erratum("16", "42", "opened from q_c to q", "opened at the gimbal command")
 TOGETHER = Erratum("all", "1 to 28", "every switch of the preset paper", "every switch of the preset corrected")
@@ -85,23 +81,3 @@ def peak_db(loop: Loop, resonance: Resonance) -> float:
         k = int(np.argmax(size))
         low, high, best = f[max(k - 1, 0)], f[min(k + 1, 16)], float(size[k])
     return float(20.0 * np.log10(best)) if best > 0.0 else -math.inf
-
-
-def closed_damping(loop: Loop) -> dict[str, float]:
-    """Damping ratio that each lightly damped pole of bending and slosh has in the closed loop, by label.
-
-    The poles are followed from the open loop by raising both gains together from zero, step by step.
-    """
-    followed = [r for r in loop.fixed.resonances() if r.kind in ("bending", "slosh")]
-    if not followed:
-        return {}
-    period = loop.sample_s
-    poles = np.array([r.pole_radps for r in followed])
-    if period is not None:
-        poles = folded(poles, period)
-        poles = poles.real + 1j * np.abs(poles.imag)
-    for share in np.linspace(0.0, 1.0, _STEPS + 1)[1:] ** 2:
-        now = dataclasses.replace(loop, k_p=share * loop.k_p, k_d_s=share * loop.k_d_s).closed_poles()
-        _, nearest = scipy.optimize.linear_sum_assignment(np.abs(poles[:, None] - now[None, :]))
-        poles = now[nearest]
-    return {r.label: float(-p.real / abs(p)) for r, p in zip(followed, poles, strict=True)}

@@ -1,8 +1,8 @@
-"""What the designer of gains and filter cannot change: from the filter's output to the rate that the law works on.
+"""What the designer of a law cannot change: from the gimbal command to what the law works on.
 
-    L(f) = F(f) (k_p integrator(f) + k_d) fixed(f)
+    L(f) = sum of C_i(f) P_i(f),    P = fixed(f) (integrator(f), 1)  for the measurements (angle_rad, rate_radps)
 
-with negative feedback (design/loop/open_loop.py). Three kinds with one face:
+with negative feedback (design/loop/open_loop.py). Three kinds with one interface:
 
 | kind | class | converter, delay, hold | integrator |
 |---|---|---|---|
@@ -11,9 +11,9 @@ with negative feedback (design/loop/open_loop.py). Three kinds with one face:
 | `exact` | `ExactFixedPath` | their exact factors, without aliasing | 1 / s |
 
 and three places to open the loop (`Cut`). `gimbal_command` is the loop's own, with the margins of the loop. The
-other two are eq. 42 by the letter: from the commanded rate q_c, which acts on k_p alone (33) and meets no gyro and no
-converter, to the pitch rate q of the rigid body, or to q_m at the gyro; `takes_rate` is False then and k_d has no
-part. They are no loops: 1 + L = 0 says nothing about stability there (erratum 16).
+other two are eq. 42 by the letter: from the commanded rate q_c, which acts on the angle alone (33) and meets no gyro
+and no converter, to the pitch rate q of the rigid body, or to q_m at the gyro; `takes_rate` is False then and the
+measured rate has no part. They are no loops: 1 + L = 0 says nothing about stability there (erratum 16).
 """
 
 from __future__ import annotations
@@ -37,6 +37,7 @@ from maxq.design.model.state_space import ComplexArray, Resolvent, StateSpace, c
 Kind = Literal["sampled", "pade", "exact"]
 Cut = Literal["gimbal_command", "rate_command_to_q", "rate_command_to_q_m"]
 KINDS: tuple[Kind, ...] = ("sampled", "pade", "exact")
+MEASUREMENTS = ("angle_rad", "rate_radps")
 CUTS: tuple[Cut, ...] = ("gimbal_command", "rate_command_to_q", "rate_command_to_q_m")
 
 
@@ -48,6 +49,7 @@ class FixedPath(abc.ABC):
             raise ValueError(f"cut = {cut!r}: allowed is {', '.join(CUTS)}")
         self.node, self.cut = node, cut
         self.takes_rate = cut == "gimbal_command"
+        self.measurements = MEASUREMENTS if self.takes_rate else MEASUREMENTS[:1]
         ideal = bool(node.actuator.ideal)
         output = "q_radps" if cut == "rate_command_to_q" else "local_rate_radps"
         # an ideal actuator is at rest between commands: the staircase's corners shake nothing
@@ -71,15 +73,47 @@ class FixedPath(abc.ABC):
 
     @abc.abstractmethod
     def response(self, frequencies_hz: ArrayLike) -> ComplexArray:
-        """fixed(f), same shape as `frequencies_hz`."""
+        """fixed(f), from gimbal command to mean rate, same shape as `frequencies_hz`."""
 
     @abc.abstractmethod
     def integrator(self, frequencies_hz: ArrayLike) -> ComplexArray:
-        """What k_p is multiplied by, s; same shape as `frequencies_hz`."""
+        """Angle over mean rate, s; same shape as `frequencies_hz`."""
 
     @abc.abstractmethod
     def state_space(self) -> StateSpace:
-        """One input, one output, no direct way through; in z for a sampled path."""
+        """From gimbal command to mean rate, no direct feedthrough; in z for a sampled path."""
+
+    def ratio(self, measurement: str, frequencies_hz: ArrayLike) -> ComplexArray:
+        """A measurement over the mean rate, same shape as the frequencies; 0 where the cut leaves it out.
+
+        Raises ValueError for a measurement that there is none of.
+        """
+        f = np.asarray(frequencies_hz, float)
+        if measurement not in MEASUREMENTS:
+            raise ValueError(f"a law takes {measurement}: what is measured is {', '.join(MEASUREMENTS)}")
+        if measurement == "angle_rad":
+            return self.integrator(f)
+        return np.full(f.shape, 1.0 if measurement in self.measurements else 0.0, np.complex128)
+
+    def measured(self, measurements: tuple[str, ...]) -> StateSpace:
+        """From gimbal command to measurements, with the angle's integrator; in z for a sampled path."""
+        path, period = self.state_space(), self.sample_s
+        rate = path.c[0]
+        a, b, states = path.a, path.b, path.states
+        # a sampled angle has this sample's increment in it
+        drift, per_rate = (a, rate) if period is None else (a - np.eye(len(a)), period * rate)
+        angle = np.zeros(len(a)) if period is None else per_rate
+        if "angle_rad" in measurements and self.rests_at_dc:
+            # the angle is known from the path's states: `known` times their rate of change is the measured rate
+            angle = angle + np.linalg.lstsq(drift.T, per_rate, rcond=None)[0]
+        elif "angle_rad" in measurements:
+            n = len(a)
+            a = np.block([[a, np.zeros((n, 1))], [per_rate[None], np.full((1, 1), 0.0 if period is None else 1.0)]])
+            b, states = np.vstack([b, np.zeros((1, 1))]), (*states, "angle_rad")
+            rate, angle = np.append(rate, 0.0), np.append(angle, 1.0)
+        rows = {"angle_rad": angle, "rate_radps": rate if self.takes_rate else 0.0 * rate}
+        c = np.array([rows[name] for name in measurements])
+        return StateSpace(a, b, c, np.zeros((len(c), 1)), states, path.inputs, measurements)
 
     @abc.abstractmethod
     def named_poles(self) -> list[NamedPole]:

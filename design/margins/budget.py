@@ -131,8 +131,8 @@ def loop_budget(loop: Loop, frequencies_hz: Sequence[float]) -> tuple[Budget, ..
     if not fixed.takes_rate:
         raise ValueError(f"a budget needs the loop that is closed, not the cut {fixed.cut!r}")
     series = [
-        ("law", lambda f: loop.k_p * fixed.integrator(f) + loop.k_d_s + 0j),
-        ("filter", loop.filter_response),
+        ("law", lambda f: loop.controller(f) / loop.law.filter_response(f)),
+        ("filter", loop.law.filter_response),
         *_computer(loop),
         *_instruments(fixed.node),
     ]

@@ -12,6 +12,7 @@ from maxq.control.kernel.records import Array
 from maxq.design import api
 from maxq.design.case.read import LoadedCase
 from maxq.design.case.schema import Case
+from maxq.design.laws.pd import Pd
 from maxq.design.loop.fixed_path import ExactFixedPath
 from maxq.design.loop.loop import Loop
 from maxq.design.optimise import starts
@@ -124,7 +125,7 @@ def closes_stably(plants: Plants, problem: Problem, found: Found, prewarp: float
     for plant, p, d in zip(plants.each, k_p, k_d, strict=True):
         period = plant.path.sample_s
         flown = filter_ if period is None else filter_.discretize(period, "prewarped", prewarp)
-        poles = Loop(plant.path, float(p), float(d), flown).closed_poles()
+        poles = Loop(plant.path, Pd(float(p), float(d), flown)).closed_poles()
         if isinstance(plant.path, ExactFixedPath):
             poles = poles[np.abs(poles) < 1e3]
         if len(poles) > 0 and float(poles.real.max()) >= 0.0:

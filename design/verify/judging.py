@@ -88,11 +88,11 @@ class Judged:
         if d is None:
             return math.nan, math.nan
         with_air = body == "aerodynamic"
-        square = d.m_delta_1ps2 * self.loop.k_p - (d.m_alpha_1ps2 if with_air else 0.0)
+        square = d.m_delta_1ps2 * self.loop.law.static_gain("angle_rad") - (d.m_alpha_1ps2 if with_air else 0.0)
         if square <= 0.0:
             return 0.0, math.nan
         omega = math.sqrt(square)
-        damping = d.m_delta_1ps2 * self.loop.k_d_s - (d.m_q_1ps if with_air else 0.0)
+        damping = d.m_delta_1ps2 * self.loop.law.static_gain("rate_radps") - (d.m_q_1ps if with_air else 0.0)
         return omega / (2.0 * math.pi), damping / (2.0 * omega)
 
     def peak_db(self, mode: int) -> float:

@@ -185,8 +185,7 @@ def study(
     done = [0]
 
     def at_node(node: Node) -> list[Measured]:
-        flt = api.filter_of(design, node.instruments.sample_s)
-        k_p, k_d = api.gains_at(design, node.time_s, node.plane)
+        law = api.law_at(design, node)
         peak_db = wanted.dispersed.slosh_peak_db
 
         def work_out() -> list[Measured]:
@@ -194,13 +193,13 @@ def study(
             for by in every:
                 delay = max(by.delay_s, -node.instruments.delay_s)
                 weak = _delayed(disperse(node, by.dispersion), delay)
-                out.append(measured(Loop(fixed_path(weak), k_p, k_d, flt), peak_db))
+                out.append(measured(Loop(fixed_path(weak), law), peak_db))
                 done[0] += 1
                 if done[0] % 50 == 0:
                     watch(done[0], len(every) * len(nodes))
             return out
 
-        return memory.recall("margins", (node, k_p, k_d, flt, every, peak_db), work_out)
+        return memory.recall("margins", (node, law, every, peak_db), work_out)
 
     with ThreadPoolExecutor(max_workers=workers) as pool:
         table = list(pool.map(at_node, nodes))

@@ -220,8 +220,7 @@ def _growth(node: Node, design: Design, tank: int, factor: float) -> float:
     factors = [1.0] * len(node.vehicle.pendulums.mass_kg)
     factors[tank] = factor
     weak = disperse(node, Dispersion(slosh_damping=tuple(factors)))
-    k_p, k_d = api.gains_at(design, node.time_s, node.plane)
-    loop = Loop(fixed_path(weak), k_p, k_d, api.filter_of(design, node.instruments.sample_s))
+    loop = api.close(fixed_path(weak), design)
     return float(_oscillating(loop).real.max(initial=-math.inf))
 
 

@@ -236,8 +236,8 @@ def _certificates(
 
     def one(loaded: LoadedScenario, node: Node) -> NodeCertificate:
         held = hold(loaded, node)
-        k_p, k_d = api.gains_at(scenario.design, node.time_s, node.plane) if scenario.design else (0.0, 0.0)
-        depends = (held.packed.parameters, held.packed.pool, held.packed.state, node, k_p, k_d)
+        law = api.law_at(scenario.design, node) if scenario.design else None
+        depends = (held.packed.parameters, held.packed.pool, held.packed.state, node, law)
         return memory.recall("node", depends, lambda: certify_node(loaded, node))
 
     def done(certificate: NodeCertificate) -> None:

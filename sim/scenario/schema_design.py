@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
-from maxq.control.laws.structures import MAX_SECTIONS, STRUCTURES, Structure
+from maxq.control.laws.structures import MAX_SECTIONS, STRUCTURES, Law, Structure
 from maxq.sim.scenario.errors import refuse
 from maxq.sim.scenario.schema_values import NotNegative, Positive, Section, needs
 from maxq.sim.scenario.tables_csv import Columns, CsvTable
@@ -131,6 +131,7 @@ class Design(Section):
     name: str = Field(default="", description="name of the design")
     description: str = Field(default="", description="what it is, in a sentence")
     vehicle: str = Field(default="", description="the vehicle that it was made for; for people")
+    law: Law = Field(default="pd", description="control law; pd: proportional-derivative with a bending filter")
     gains: Gains
     filter: Filter = Filter()
     roll: Roll | None = Field(default=None, description="absent: no roll control")

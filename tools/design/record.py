@@ -25,8 +25,7 @@ def node_record(judged: Judged) -> dict[str, Any]:
     disk = asdict(m.disks)
     return {
         "time_s": judged.time_s,
-        "k_p": judged.loop.k_p,
-        "k_d_s": judged.loop.k_d_s,
+        **judged.loop.law.gains,
         "stable": m.stable,
         "unstable_poles": m.unstable_poles,
         "growth_1ps": m.growth_1ps,

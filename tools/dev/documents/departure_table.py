@@ -14,12 +14,11 @@ from pathlib import Path
 
 import numpy as np
 
-from maxq.control.filters import BendingFilter, DiscreteFilter
 from maxq.design import api
-from maxq.design.loop.departure import PARTS, Departure, Part, departure
 from maxq.design.loop.loop import Loop
 from maxq.design.margins.measure import Margins, margins
 from maxq.sim.scenario.loader import load_scenario
+from maxq.tools.dev.documents.departure import PARTS, Departure, Part, departure
 
 SCENARIO, DESIGN = "nominal", "designs/ksr3-default.toml"
 DEFAULT_FILE = Path(__file__).resolve().parents[3] / "docs" / "flights" / "nominal-departure.md"
@@ -41,8 +40,8 @@ def table_text(found: list[Departure], measured: list[tuple[Margins, Margins]]) 
         "<!-- Written by `python -m maxq.tools.dev.documents.departure_table`: run it again, do not edit. -->",
         "",
         "Ratio of the loop with the paper's continuous approximations (kind `pade`) to the one that the flight",
-        "computer runs (kind `sampled`), for the design `ksr3-default` in pitch. `design/loop/departure.py` splits it",
-        "into four ratios whose decibels and degrees add up.",
+        "computer runs (kind `sampled`), for the design `ksr3-default` in pitch. `tools/dev/documents/departure.py`",
+        "splits it into four ratios whose decibels and degrees add up.",
         "",
         "## From which frequency on it matters",
         "",
@@ -103,10 +102,7 @@ def compare() -> tuple[list[Departure], list[tuple[Margins, Margins]]]:
     found, measured = [], []
     for node in api.nodes(loaded):
         loops = [api.loop(node, design, kind="sampled"), api.loop(node, design, kind="pade")]
-        filters = api.filter_of(design, None), api.filter_of(design, node.instruments.sample_s)
-        assert isinstance(filters[0], BendingFilter)
-        assert isinstance(filters[1], DiscreteFilter)
-        found.append(departure(node, loops[0].k_p, loops[0].k_d_s, filters[0], filters[1]))
+        found.append(departure(node, loops[1].law, loops[0].law))
         measured.append((_margins(loops[0]), _margins(loops[1])))
     return found, measured
 

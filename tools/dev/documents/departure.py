@@ -8,8 +8,8 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from maxq.control.filters import BendingFilter, DiscreteFilter
 from maxq.control.kernel.records import Array
+from maxq.design.laws.law import Controller
 from maxq.design.loop.fixed_path import ExactFixedPath, PadeFixedPath, SampledFixedPath
 from maxq.design.loop.loop import Loop
 from maxq.design.loop.resonance import Resonance
@@ -52,10 +52,8 @@ class Departure:
 
 def departure(
     node: Node,
-    k_p: float,
-    k_d_s: float,
-    continuous: BendingFilter,
-    discrete: DiscreteFilter,
+    continuous: Controller,
+    discrete: Controller,
     frequencies_hz: ArrayLike | None = None,
 ) -> Departure:
     """Compare the loops of a design at a node: by default at 400 frequencies and every resonance up to Nyquist."""
@@ -66,14 +64,15 @@ def departure(
         f = np.union1d(f, [r.frequency_hz for r in found])
     else:
         f = np.atleast_1d(np.asarray(frequencies_hz, float))
-    sampled = Loop(paths[2], k_p, k_d_s, discrete)
+    sampled = Loop(paths[2], discrete)
     pade, exact, images = (path.response(f) for path in paths)
-    law = k_p * paths[0].integrator(f) + k_d_s, k_p * paths[2].integrator(f) + k_d_s
+    filters = continuous.filter_response(f), discrete.filter_response(f)
+    law = Loop(paths[0], continuous).controller(f) / filters[0], sampled.controller(f) / filters[1]
     ratios: dict[Part, ComplexArray] = {
         "pade": pade / exact,
         "aliasing": exact / images,
         "integrator": law[0] / law[1],
-        "filter": continuous.frequency_response(2.0 * np.pi * f) / discrete.frequency_response(2.0 * np.pi * f),
+        "filter": filters[0] / filters[1],
     }
     db = {part: 20.0 * np.log10(np.abs(ratio)) for part, ratio in ratios.items()}
     deg = {part: np.degrees(np.angle(ratio)) for part, ratio in ratios.items()}

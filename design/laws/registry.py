@@ -1,0 +1,32 @@
+"""All control laws by the name that a design or a case chooses them by; a new one is a line here."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from maxq.design.laws.law import DesignedLaw
+from maxq.design.laws.pd import PdDesign
+from maxq.sim.scenario.schema_design import Design
+
+
+@dataclass(frozen=True)
+class LawKind:
+    """`of_design` reads the law from a design file."""
+
+    of_design: Callable[[Design], DesignedLaw]
+
+
+LAWS: dict[str, LawKind] = {"pd": LawKind(PdDesign.of)}
+
+
+def designed_law(design: Design) -> DesignedLaw:
+    """The law of a design. Raises ValueError for one that is not in `LAWS`."""
+    return law_kind(design.law).of_design(design)
+
+
+def law_kind(name: str) -> LawKind:
+    """Raises ValueError for a law that is not in `LAWS`."""
+    if name not in LAWS:
+        raise ValueError(f"law = {name!r}: allowed is {', '.join(LAWS)}")
+    return LAWS[name]
