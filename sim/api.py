@@ -16,7 +16,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from pathlib import Path
 
-from maxq.sim.log.error import LogError
+from maxq.sim.log.head import LogError
 from maxq.sim.log.reader import Log, read_log
 from maxq.sim.run.fly import Event, Flight, FlightRun, fly
 from maxq.sim.run.judgement import METRIC_NAMES, Verdict

@@ -18,8 +18,7 @@ from mcap.records import Channel, Chunk, Message, MessageIndex, Metadata, Schema
 from mcap.stream_reader import StreamReader
 from mcap.summary import Summary
 
-from maxq.sim.log.container import Container
-from maxq.sim.log.messages import single_message
+from maxq.sim.log.mcap_write import Container, single_message
 from maxq.sim.log.reader import read_log
 from maxq.sim.log.writer import LogWriter
 

@@ -11,17 +11,19 @@ import pytest
 from example_log import FAST, HEAD, SECOND, SLOW, TABLE, write_example
 from mcap.writer import Writer
 from numba import njit
+from replaykit import OLD_LOG
 
 from maxq.control.kernel.jit import entry
 from maxq.control.kernel.records import Array
 from maxq.control.kernel.rows import NorthEastDown, PitchYaw, put
 from maxq.sim.flight.channels import Channel, ChannelTable, Topic, declared_channels, unit_suffix
-from maxq.sim.log.error import LogError
+from maxq.sim.flight.telemetry import channel_table
 from maxq.sim.log.foxglove import Event, FramePath, Level
-from maxq.sim.log.head import Attachment, RunHead
+from maxq.sim.log.head import Attachment, LogError, RunHead
 from maxq.sim.log.protobuf import MOST_FIELDS, doubles_template
 from maxq.sim.log.reader import read_log
 from maxq.sim.log.writer import LogWriter
+from maxq.sim.vehicle.state import Sizes
 
 ALPHA = Channel("alpha_deg", "deg", "", "angle of attack")
 
@@ -254,10 +256,23 @@ def test_a_log_of_someone_else(tmp_path: Path) -> None:
 
 
 def test_a_log_of_a_later_schema(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("maxq.sim.log.head.SCHEMA_VERSION", "2")
+    monkeypatch.setattr("maxq.sim.log.head.SCHEMA_VERSION", "3")
     write_example(tmp_path / "a.mcap")
-    with pytest.raises(LogError, match=r"has schema 2, written by maxq \d.*; this maxq reads schema 1"):
+    with pytest.raises(LogError, match=r"has schema 3, written by maxq \d.*; this maxq reads schemas up to 2"):
         read_log(tmp_path / "a.mcap")
+
+
+def test_a_log_of_schema_1_is_read_with_the_names_of_today() -> None:
+    log = read_log(OLD_LOG)
+    assert log.complete
+    assert log.metadata["schema"] == "1"
+    old_names = ("felt_B_x_mps2", "pitch_counted_deg", "held_down")
+    new_names = ("specific_force_B_x_mps2", "pitch_measured_deg", "on_pad")
+    assert not any(name in log for name in old_names)
+    assert [log.channel(name).unit for name in new_names] == ["m/s2", "deg", "1"]
+    assert log["on_pad"][0] == 1.0
+    assert log["on_pad"][-1] == 0.0
+    assert set(log.table.names) == set(channel_table(Sizes(3, 3, 2, 1), ("lox", "jeta1")).names)
 
 
 def test_a_log_cut_in_its_head_says_so(tmp_path: Path) -> None:

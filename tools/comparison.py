@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from maxq.sim.log.error import LogError
-from maxq.sim.log.head import VERSION_KEY, maxq_version
+from maxq.sim.log.head import VERSION_KEY, LogError, maxq_version
 from maxq.sim.log.reader import LoggedRun
 from maxq.sim.run.fly import Flight, FlightRun
 from maxq.sim.run.record import END_KEY, SCENARIO_ATTACHMENT, STATE_HASH_KEY

@@ -49,7 +49,7 @@ class Order:
 def execute(order: Order) -> int:
     """Do it; returns the exit code. Whatever is wrong with the input is one line on stderr."""
     from maxq.sim.campaign.error import CampaignError  # noqa: PLC0415  # lazy: --help is quick
-    from maxq.sim.log.error import LogError  # noqa: PLC0415  # lazy
+    from maxq.sim.log.head import LogError  # noqa: PLC0415  # lazy
 
     try:
         if order.scenario is not None:

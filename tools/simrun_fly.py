@@ -39,7 +39,7 @@ def execute(order: Order, *, alone: bool = False) -> int:
     start_s = time.perf_counter()  # the clock starts before the heavy imports
     if alone:
         _load_numba_without_blas()
-    from maxq.sim.log.error import LogError  # noqa: PLC0415  # lazy
+    from maxq.sim.log.head import LogError  # noqa: PLC0415  # lazy
     from maxq.sim.packing.flight import pack_flight  # noqa: PLC0415  # lazy
     from maxq.sim.run import record  # noqa: PLC0415  # lazy
     from maxq.sim.run.fly import FlightRun  # noqa: PLC0415  # lazy
@@ -159,7 +159,7 @@ def _folder(order: Order, name: str) -> Path | None:
     """Where to write; a log that is flown again leaves nothing unless told where."""
     if order.out is None:
         return None if order.log else Path("runs") / (re.sub(r"[^\w.-]+", "-", name).strip(".-") or "flight")
-    from maxq.sim.log.error import LogError  # noqa: PLC0415  # lazy
+    from maxq.sim.log.head import LogError  # noqa: PLC0415  # lazy
     from maxq.sim.run.record import LOG_NAME  # noqa: PLC0415  # lazy
 
     folder = Path(order.out)

@@ -16,7 +16,7 @@ from maxq.sim.campaign.loaded import LoadedCampaign
 from maxq.sim.campaign.store import campaign_in
 from maxq.sim.campaign.targets import Refused
 from maxq.sim.files import check_writable
-from maxq.sim.log.error import LogError
+from maxq.sim.log.head import LogError
 from maxq.sim.run import record
 from maxq.sim.run.fly import Flight, FlightRun
 

@@ -313,7 +313,7 @@ def air_row(aux: Array) -> AirRow:
 class LoadsRow(NamedTuple):
     aero_force_B_axis_N: Annotated[Xyz, "N", "aerodynamic force"]
     aero_moment_B_axis_Nm: Annotated[Xyz, "N m", "aerodynamic moment about the core CG"]
-    felt_B_axis_mps2: Annotated[Xyz, "m/s2", "specific force at the core CG (what an accelerometer senses)"]
+    specific_force_B_axis_mps2: Annotated[Xyz, "m/s2", "specific force at the core CG (what an accelerometer senses)"]
     alpha_BI_B_axis_radps2: Annotated[Xyz, "rad/s2", "angular acceleration"]
     gravitation_I_axis_mps2: Annotated[Xyz, "m/s2", "gravitation"]
     thrust_over_weight_g: Annotated[float, "g", "thrust over mass"]
@@ -326,7 +326,7 @@ def loads_row(props: Array, aux: Array) -> LoadsRow:
     return LoadsRow(
         aero_force_B_axis_N=xyz(aux, AERO_FORCE),
         aero_moment_B_axis_Nm=xyz(aux, AERO_MOMENT),
-        felt_B_axis_mps2=xyz(aux, SPECIFIC_FORCE),
+        specific_force_B_axis_mps2=xyz(aux, SPECIFIC_FORCE),
         alpha_BI_B_axis_radps2=xyz(aux, ANGULAR_ACCEL),
         gravitation_I_axis_mps2=xyz(aux, GRAVITATION),
         thrust_over_weight_g=aux[THRUST] / weight_N,
@@ -344,7 +344,7 @@ class VehicleRow(NamedTuple):
     Iyy_kgm2: Annotated[float, "kg m2", "core inertia about its CG"]
     Izz_kgm2: Annotated[float, "kg m2", "core inertia about its CG"]
     stage: Annotated[float, "1", "number of the active stage, from 0"]
-    held_down: Annotated[float, "1", "1 while held down on the pad"]
+    on_pad: Annotated[float, "1", "1 while hold-down is engaged"]
 
 
 @kernel
@@ -359,20 +359,20 @@ def vehicle_row(memory: Memory, props: Array, aux: Array) -> VehicleRow:
         Iyy_kgm2=props[CORE_INERTIA + 1],
         Izz_kgm2=props[CORE_INERTIA + 2],
         stage=memory.clock.stage,
-        held_down=memory.held.on_pad,
+        on_pad=memory.held.on_pad,
     )
 
 
 class GuidanceRow(NamedTuple):
     axis_commanded_deg: Annotated[RollPitchYaw, "deg", "integral of the commanded rate"]
-    axis_counted_deg: Annotated[RollPitchYaw, "deg", "sum of the gyro's pulses"]
+    axis_measured_deg: Annotated[RollPitchYaw, "deg", "attitude angle: sum of the gyro pulses"]
 
 
 @kernel
 def guidance_row(computer: ComputerState) -> GuidanceRow:
     return GuidanceRow(
         axis_commanded_deg=_degrees(computer.guidance.angle_rad),
-        axis_counted_deg=_degrees(computer.converter.angle_rad),
+        axis_measured_deg=_degrees(computer.converter.angle_rad),
     )
 
 

@@ -1,4 +1,4 @@
-"""What stands at the head of a log: enough to fly the same flight again."""
+"""The head of a log: enough to fly the same flight again; the error that says that a log cannot be used."""
 
 from __future__ import annotations
 
@@ -6,7 +6,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from importlib.metadata import version
 
-SCHEMA_VERSION = "1"
+SCHEMA_VERSION = "2"
+NAMES_OF_SCHEMA_1 = {"felt_B": "specific_force_B", "counted_deg": "measured_deg", "held_down": "on_pad"}
+"""Parts of channel names that schema 1 had, and what they are called now."""
 PROFILE = "maxq"  # MCAP header: by this a reader knows the file for a maxq log
 RUN_METADATA = "run"
 HEAD_METADATA = "head"  # the head's last record: CRC-32 of all bytes before it
@@ -15,6 +17,10 @@ SCHEMA_KEY, VERSION_KEY = "schema", "maxq"  # keys of the run metadata that the 
 CRC_KEY = "crc32"
 STATUS_KEY, REASON_KEY = "status", "reason"
 COMPLETE, ABORTED = "complete", "aborted"
+
+
+class LogError(Exception):
+    """A log file cannot be used. The message names the file and says what is wrong with it."""
 
 
 @dataclass(frozen=True)

@@ -1,14 +1,16 @@
-"""Protobuf without protoc: schemas built at run time, flat messages of doubles encoded as NumPy arrays.
+"""Topics as protobuf without protoc: schemas built at run time, flat messages of doubles encoded as NumPy arrays.
 
 A message of a topic holds one `double` per channel, numbered 1, 2, ... in the order of the table. Every
 field is written, zeros too, so all messages of a topic have one size and a block of them is a structured
 array whose columns are tag bytes and values (protobuf wire format: tag = field number << 3 | 1 as varint,
-then 8 bytes little-endian).
+then 8 bytes little-endian). Unit, frame and description of a channel stand in the metadata of the MCAP channel, where
+viewers show them.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+import json
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 import numpy as np
@@ -17,22 +19,54 @@ from google.protobuf.message import DecodeError, Message
 from numpy.typing import NDArray
 
 from maxq.control.kernel.records import Array
+from maxq.sim.flight.channels import Channel, Topic
 
 PACKAGE = "maxq"
 MOST_FIELDS = 2047  # from field 2048 on, a tag takes three bytes
 
+_GROUP, _DESCRIPTION, _FIELD = "group", "description", "field."  # keys of the metadata
 _Field = descriptor_pb2.FieldDescriptorProto
 _WIRE_TYPE_64_BIT = 1
 _ONE_BYTE_TAGS = 15  # fields 1..15 have tags of one byte, all others here of two
 
 
-def doubles_schema(message_name: str, field_names: Sequence[str]) -> bytes:
-    """Serialised FileDescriptorSet of the message `maxq.<message_name>` with one double per field name."""
-    file = descriptor_pb2.FileDescriptorProto(name=f"{PACKAGE}/{message_name}.proto", package=PACKAGE, syntax="proto3")
-    message = file.message_type.add(name=message_name)
-    for number, name in enumerate(field_names, start=1):
-        message.field.add(name=name, number=number, type=_Field.TYPE_DOUBLE, label=_Field.LABEL_OPTIONAL)
+def message_type(topic: Topic) -> str:
+    return f"{PACKAGE}.{topic.message_name}"
+
+
+def schema_of(topic: Topic) -> bytes:
+    """Serialised FileDescriptorSet of the topic's message, with one double per channel."""
+    name = topic.message_name
+    file = descriptor_pb2.FileDescriptorProto(name=f"{PACKAGE}/{name}.proto", package=PACKAGE, syntax="proto3")
+    message = file.message_type.add(name=name)
+    for number, channel in enumerate(topic.channels, start=1):
+        message.field.add(name=channel.name, number=number, type=_Field.TYPE_DOUBLE, label=_Field.LABEL_OPTIONAL)
     return serialise([file])
+
+
+def metadata_of(topic: Topic) -> dict[str, str]:
+    """Rate group and description; for each field a JSON object of unit, frame and description."""
+    metadata = {_GROUP: topic.group, _DESCRIPTION: topic.description}
+    for channel in topic.channels:
+        about = {"unit": channel.unit, "frame": channel.frame, "description": channel.description}
+        metadata[_FIELD + channel.name] = json.dumps(about, ensure_ascii=False)
+    return metadata
+
+
+def topic_from(name: str, schema: bytes, metadata: Mapping[str, str], renamed: Mapping[str, str]) -> Topic:
+    """The topic that an MCAP channel was made from; `renamed`: parts of channel names, and what replaces them.
+
+    Raises ValueError where the parts do not fit.
+    """
+    try:
+        channels = []
+        for field in _field_names(schema):
+            about = json.loads(metadata[_FIELD + field])
+            channel = next((field.replace(old, new) for old, new in renamed.items() if old in field), field)
+            channels.append(Channel(channel, about["unit"], about["frame"], about["description"]))
+        return Topic(name, metadata[_GROUP], tuple(channels), metadata[_DESCRIPTION])
+    except (KeyError, TypeError, AttributeError, RecursionError) as error:
+        raise ValueError(f"the description of topic {name} cannot be read") from error
 
 
 def serialise(files: Iterable[descriptor_pb2.FileDescriptorProto]) -> bytes:
@@ -40,8 +74,8 @@ def serialise(files: Iterable[descriptor_pb2.FileDescriptorProto]) -> bytes:
     return descriptor_pb2.FileDescriptorSet(file=files).SerializeToString(deterministic=True)
 
 
-def field_names(schema: bytes) -> list[str]:
-    """Names of the fields of a `doubles_schema`, in the order of their numbers.
+def _field_names(schema: bytes) -> list[str]:
+    """Names of the fields of a `schema_of` a topic, in the order of their numbers.
 
     Raises ValueError unless the schema is such a flat message of doubles.
     """

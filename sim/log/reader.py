@@ -15,14 +15,13 @@ from mcap.opcode import Opcode
 
 from maxq.control.kernel.records import Array, IntArray
 from maxq.sim.flight.channels import EVENTS_TOPIC, FRAMES_TOPIC, Channel, ChannelTable
-from maxq.sim.log.error import LogError
-from maxq.sim.log.fields import topic_from
 from maxq.sim.log.foxglove import Event, decode_event
 from maxq.sim.log.head import (
     COMPLETE,
     CRC_KEY,
     END_METADATA,
     HEAD_METADATA,
+    NAMES_OF_SCHEMA_1,
     PROFILE,
     REASON_KEY,
     RUN_METADATA,
@@ -31,19 +30,23 @@ from maxq.sim.log.head import (
     STATUS_KEY,
     VERSION_KEY,
     Attachment,
+    LogError,
 )
-from maxq.sim.log.mcap_records import (
+from maxq.sim.log.mcap_read import (
     MAGIC,
     DamagedError,
     Frame,
     chunk_content,
     chunk_frames,
     frames,
+    gather,
+    message_dtype,
+    message_runs,
     parse,
+    payloads,
     summary_frames,
 )
-from maxq.sim.log.messages import gather, message_dtype, message_runs, payloads
-from maxq.sim.log.protobuf import doubles_template, get_values
+from maxq.sim.log.protobuf import doubles_template, get_values, topic_from
 
 _HEAD_OPCODES = (Opcode.HEADER, Opcode.SCHEMA, Opcode.CHANNEL, Opcode.ATTACHMENT, Opcode.METADATA)
 
@@ -62,20 +65,15 @@ class LoggedRun:
 
 
 @dataclass(frozen=True)
-class Log:
+class Log(LoggedRun):
     """The log of one flight.
 
     `log["alpha_deg"]` is a channel's values (n,), `log.time_s("alpha_deg")` their times. `complete` is
     False where the run or the file ended early or something in it is damaged; `notes` then say what, one
-    sentence each. `end` says how the run ended: status, reason and result (see `LogWriter.close`); empty
-    where the file was cut off.
+    sentence each.
     """
 
-    path: Path
     table: ChannelTable
-    metadata: Mapping[str, str]
-    attachments: Mapping[str, Attachment]
-    end: Mapping[str, str]
     events: tuple[Event, ...]
     complete: bool
     notes: tuple[str, ...]
@@ -139,14 +137,12 @@ def read_log(path: str | Path) -> Log:
     damaged or cut within its head, so that its content is unknown.
     """
     path = Path(path)
-    data = _read_bytes(path)
+    data, head, places = _read_frame(path)
+    notes = places.notes
     try:
-        head = _read_head(data)
-        places = _find_chunks(data, head.end)
         columns = _Columns(head)
     except ValueError as error:
         raise LogError(f"{path}: {error}") from error
-    notes = places.notes
     if not head.intact:
         notes.insert(0, "the head is damaged: scenario, metadata and names may be wrong")
 
@@ -163,16 +159,7 @@ def read_log(path: str | Path) -> Log:
     if end.get(STATUS_KEY) != COMPLETE and end:
         notes.append(f"the run was aborted: {end.get(REASON_KEY, 'no reason given')}")
     return Log(
-        path,
-        head.table,
-        head.metadata,
-        head.attachments,
-        end,
-        tuple(events),
-        not notes,
-        tuple(notes),
-        times_ns,
-        values,
+        path, head.metadata, head.attachments, end, head.table, tuple(events), not notes, tuple(notes), times_ns, values
     )
 
 
@@ -181,24 +168,25 @@ def read_run(path: str | Path) -> LoggedRun:
     where the head is damaged.
     """
     path = Path(path)
-    data = _read_bytes(path)
-    try:
-        head = _read_head(data)
-        places = _find_chunks(data, head.end)
-    except ValueError as error:
-        raise LogError(f"{path}: {error}") from error
+    _, head, places = _read_frame(path)
     if not head.intact:
         raise LogError(f"{path}: the head of the log is damaged: the scenario in it may be wrong")
     return LoggedRun(path, head.metadata, head.attachments, places.end_record or {})
 
 
-def _read_bytes(path: Path) -> bytes:
+def _read_frame(path: Path) -> tuple[bytes, _Head, _Places]:
+    """The bytes of a log, its head, and where its chunks are. Raises LogError."""
     try:
-        return path.read_bytes()
+        data = path.read_bytes()
     except OSError as error:
         raise LogError(f"{path}: the log cannot be read: {error.strerror or error}") from error
     except ValueError as error:  # a NUL character in the name
         raise LogError(f"{path}: this is not a file name") from error
+    try:
+        head = _read_head(data)
+        return data, head, _find_chunks(data, head.end)
+    except ValueError as error:
+        raise LogError(f"{path}: {error}") from error
 
 
 def _read_head(data: bytes) -> _Head:
@@ -217,15 +205,15 @@ def _read_head(data: bytes) -> _Head:
             if frame.start == len(MAGIC):
                 _check_header(data, frame)
             elif frame.opcode == Opcode.SCHEMA:
-                schema = parse(records.Schema, data, frame)
+                schema = parse(records.Schema.read, data, frame)
                 schemas[schema.id] = schema
             elif frame.opcode == Opcode.CHANNEL:
-                channels.append(parse(records.Channel, data, frame))
+                channels.append(parse(records.Channel.read, data, frame))
             elif frame.opcode == Opcode.ATTACHMENT:
-                file = parse(records.Attachment, data, frame)
+                file = parse(records.Attachment.read, data, frame)
                 attachments[file.name] = Attachment(file.name, file.media_type, file.data)
             elif frame.opcode == Opcode.METADATA:
-                record = parse(records.Metadata, data, frame)
+                record = parse(records.Metadata.read, data, frame)
                 metadata[record.name] = record.metadata
                 if record.name == HEAD_METADATA:
                     end = frame.end
@@ -234,12 +222,18 @@ def _read_head(data: bytes) -> _Head:
         except DamagedError as error:
             raise ValueError(f"the head of the log is damaged: {error}") from error
     run = metadata.get(RUN_METADATA, {})
-    _check_version(run)
+    schema = run.get(SCHEMA_KEY, SCHEMA_VERSION)
+    if schema not in ("1", SCHEMA_VERSION):
+        raise ValueError(
+            f"this log has schema {schema}, written by maxq {run.get(VERSION_KEY, '(unknown)')}; "
+            f"this maxq reads schemas up to {SCHEMA_VERSION}"
+        )
+    renamed = NAMES_OF_SCHEMA_1 if schema == "1" else {}
     if not end:
         raise ValueError("the log is cut off or damaged within its head: nothing of the flight can be read")
     try:
         topics = {
-            c.id: topic_from(c.topic, schemas[c.schema_id].data, c.metadata)
+            c.id: topic_from(c.topic, schemas[c.schema_id].data, c.metadata, renamed)
             for c in channels
             if c.topic not in (EVENTS_TOPIC, FRAMES_TOPIC)
         }
@@ -250,19 +244,10 @@ def _read_head(data: bytes) -> _Head:
 
 
 def _check_header(data: bytes, frame: Frame) -> None:
-    header = parse(records.Header, data, frame) if frame.opcode == Opcode.HEADER else None
+    header = parse(records.Header.read, data, frame) if frame.opcode == Opcode.HEADER else None
     if header is None or header.profile != PROFILE:
         by = f" (written by {header.library})" if header is not None and header.library else ""
         raise ValueError(f"this is an MCAP file, but not a log of maxq{by}")
-
-
-def _check_version(run: Mapping[str, str]) -> None:
-    schema = run.get(SCHEMA_KEY, SCHEMA_VERSION)
-    if schema != SCHEMA_VERSION:
-        raise ValueError(
-            f"this log has schema {schema}, written by maxq {run.get(VERSION_KEY, '(unknown)')}; "
-            f"this maxq reads schema {SCHEMA_VERSION}"
-        )
 
 
 def _find_chunks(data: bytes, start: int) -> _Places:
@@ -290,13 +275,13 @@ def _read_end(data: bytes, summary: list[Frame]) -> tuple[dict[str, str] | None,
     for entry in summary:
         if entry.opcode != Opcode.METADATA_INDEX:
             continue
-        index = parse(records.MetadataIndex, data, entry)
+        index = parse(records.MetadataIndex.read, data, entry)
         if index.name != END_METADATA:
             continue
         place = next(frames(data, index.offset, min(index.offset + index.length, len(data))), None)
         try:
             if place is not None and place.opcode == Opcode.METADATA:
-                return parse(records.Metadata, data, place).metadata, []
+                return parse(records.Metadata.read, data, place).metadata, []
         except DamagedError:
             break
     return None, ["the record of how the run ended is missing or damaged"]

@@ -16,9 +16,6 @@ import numpy as np
 
 from maxq.control.kernel.records import Array, IntArray
 from maxq.sim.flight.channels import EVENTS_TOPIC, FRAMES_TOPIC, ChannelTable, Topic
-from maxq.sim.log.container import Container
-from maxq.sim.log.error import LogError
-from maxq.sim.log.fields import message_type, metadata_of, schema_of
 from maxq.sim.log.foxglove import (
     FRAMES_SCHEMA,
     FRAMES_TYPE,
@@ -40,11 +37,12 @@ from maxq.sim.log.head import (
     REASON_KEY,
     RUN_METADATA,
     STATUS_KEY,
+    LogError,
     RunHead,
     maxq_version,
 )
-from maxq.sim.log.messages import Block, MessageBuffer, single_message
-from maxq.sim.log.protobuf import doubles_template, put_values
+from maxq.sim.log.mcap_write import Block, Container, MessageBuffer, single_message
+from maxq.sim.log.protobuf import doubles_template, message_type, metadata_of, put_values, schema_of
 
 _NS_PER_S = 1_000_000_000
 

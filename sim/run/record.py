@@ -16,8 +16,7 @@ from pathlib import Path
 from maxq.sim.files import cannot_write
 from maxq.sim.flight.telemetry import SLOW
 from maxq.sim.log import foxglove
-from maxq.sim.log.error import LogError
-from maxq.sim.log.head import Attachment, RunHead
+from maxq.sim.log.head import Attachment, LogError, RunHead
 from maxq.sim.log.writer import LogWriter
 from maxq.sim.run.fly import Flight, FlightRun, Rows, copied
 from maxq.sim.run.history import CONTROL_LOST_NAME, DIVERGED_NAME, Event, cause_of

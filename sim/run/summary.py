@@ -10,12 +10,12 @@ from pathlib import Path
 from typing import Any
 
 from maxq.sim.files import write_whole
-from maxq.sim.log.error import LogError
+from maxq.sim.log.head import LogError
 from maxq.sim.run.fly import Flight
 from maxq.sim.run.history import Event
 from maxq.sim.run.judgement import Verdict, unit_of
 
-SUMMARY_SCHEMA = 1
+SUMMARY_SCHEMA = 2  # 2: channel names of log schema 2 under `final`
 _PACKAGES = ("maxq", "numpy", "numba")
 
 

@@ -21,8 +21,8 @@ import numpy as np
 
 from maxq.control.kernel.records import Array, IntArray
 from maxq.sim.flight.channels import ChannelTable
-from maxq.sim.log.error import LogError
 from maxq.sim.log.foxglove import Level
+from maxq.sim.log.head import LogError
 from maxq.sim.log.reader import Log, read_log
 from maxq.sim.scenario.errors import ScenarioError
 from maxq.sim.scenario.schema_environment import Earth, Site

@@ -18,8 +18,8 @@ import rerun.blueprint as rrb
 from rerun.blueprint.encodings import ComponentSourceKind, VisualizerComponentMapping
 
 from maxq.sim.flight.channels import EVENTS_TOPIC, FRAMES_TOPIC, Topic
-from maxq.sim.log.error import LogError
-from maxq.sim.log.fields import message_type
+from maxq.sim.log.head import LogError
+from maxq.sim.log.protobuf import message_type
 from maxq.sim.log.reader import Log, read_log
 from maxq.sim.run.launch_frames import PARENT
 from maxq.tools.plots.palette import ON_DARK, rgba

@@ -38,7 +38,7 @@ def first_phase(channels: Channels, start_ns: int) -> Phase:
     def first(name: str) -> float:
         return float(channels[name][0]) if name in channels and len(channels[name]) else 0.0
 
-    if first("held_down") > 0.0:
+    if first("on_pad") > 0.0:
         return Phase(HELD, start_ns)
     if first("thrust_N") > 0.0:
         return Phase(POWERED, start_ns)

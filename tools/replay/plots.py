@@ -146,7 +146,7 @@ def _attitude(scenario: Scenario | None) -> Tab:
                 _plot(
                     f"attitude/{axis}", f"{axis}: turned since the start", "deg",
                     Curve(f"{axis} commanded", f"{axis}_commanded_deg"),
-                    Curve(f"{axis} by the gyro", f"{axis}_counted_deg"),
+                    Curve(f"{axis} by the gyro", f"{axis}_measured_deg"),
                 )
                 for axis in axes
             ),
@@ -285,7 +285,7 @@ def _loads(scenario: Scenario | None) -> Tab:
             ),
             _plot(
                 "loads/lateral", "lateral load at the CG", "g",
-                Curve("sensed", "felt_B_y_mps2", compute=_lateral),
+                Curve("sensed", "specific_force_B_y_mps2", compute=_lateral),
                 limits=required(scenario, "max_lateral_load_g"),
             ),
         ),
@@ -344,10 +344,10 @@ def _powered(name: str, factor: float) -> Callable[[Channels], Values]:
 
 
 def _lateral(channels: Channels) -> Values:
-    felt = np.hypot(channels["felt_B_y_mps2"], channels["felt_B_z_mps2"]) / STANDARD_GRAVITY_MPS2
-    if "thrust_N" in channels and len(channels["thrust_N"]) == len(felt):
-        felt = np.where(channels["thrust_N"] > 0.0, felt, np.nan)
-    return channels.time_ns("felt_B_y_mps2"), felt
+    lateral = np.hypot(channels["specific_force_B_y_mps2"], channels["specific_force_B_z_mps2"]) / STANDARD_GRAVITY_MPS2
+    if "thrust_N" in channels and len(channels["thrust_N"]) == len(lateral):
+        lateral = np.where(channels["thrust_N"] > 0.0, lateral, np.nan)
+    return channels.time_ns("specific_force_B_y_mps2"), lateral
 
 
 def _pick_up(shape: VehicleShape | None, axis: str, mode: int) -> Callable[[Channels], Values]:

@@ -11,7 +11,7 @@ from pathlib import Path
 from maxq.sim.flight.channels import EVENTS_TOPIC, FRAMES_TOPIC
 from maxq.sim.flight.parameters import CAUSES, EVENT_NAMES
 from maxq.sim.flight.telemetry import FAST, SLOW, channel_table
-from maxq.sim.log.head import END_METADATA, REASON_KEY, RUN_METADATA, STATUS_KEY
+from maxq.sim.log.head import END_METADATA, REASON_KEY, RUN_METADATA, SCHEMA_VERSION, STATUS_KEY
 from maxq.sim.packing.schedule import stage_sizes
 from maxq.sim.run.history import CONTROL_LOST_CAUSE, IGNITION_NAME
 from maxq.sim.run.judgement import ALL_METRICS, unit_of
@@ -92,7 +92,8 @@ Metadata:
 - `{END_METADATA}`: `{STATUS_KEY}` (`complete`, or `aborted` with a `{REASON_KEY}`),
   `{OUTCOME_KEY}`, `{END_KEY}`, `{STEPS_KEY}`, `{STATE_HASH_KEY}`
 
-Nothing in the file comes from the clock: equal flights give equal bytes.
+Nothing in the file comes from the clock: equal flights give equal bytes. The log's schema is {SCHEMA_VERSION}; logs of
+schema 1 are read with the channel names of today.
 
 ## Metrics
 

@@ -1,4 +1,7 @@
-"""An MCAP file that grows chunk by chunk and is readable up to the last of them at any time."""
+"""An MCAP file that grows chunk by chunk and is readable up to the last of them at any time.
+
+Messages come in blocks of equal size, as NumPy arrays.
+"""
 
 from __future__ import annotations
 
@@ -6,10 +9,12 @@ import io
 import struct
 import zlib
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import zstandard
+from mcap.data_stream import RecordBuilder
 from mcap.opcode import Opcode
 from mcap.records import (
     Attachment,
@@ -18,6 +23,7 @@ from mcap.records import (
     Chunk,
     ChunkIndex,
     DataEnd,
+    Footer,
     Header,
     McapRecord,
     Metadata,
@@ -28,11 +34,73 @@ from mcap.records import (
 )
 from numpy.typing import NDArray
 
-from maxq.sim.log.mcap_records import MAGIC, ZSTD, encode, footer
-from maxq.sim.log.messages import Block
+from maxq.control.kernel.records import IntArray
+from maxq.sim.log.mcap_read import MAGIC, MESSAGE_HEADER, RECORD_PREFIX, ZSTD, message_dtype
 
-_LEVEL = 1  # numbers full of noise hardly compress: higher levels cost more time than they save space
+_LEVEL = 1  # noisy numbers hardly compress: higher levels cost more time than they save space
+_LENGTH_WITHOUT_PAYLOAD = MESSAGE_HEADER.size - RECORD_PREFIX.size
 _INDEX_HEADER = struct.Struct("<BQHI")  # opcode, length, channel, bytes of entries
+
+
+@dataclass(frozen=True)
+class Block:
+    """Messages of one channel, ready for a chunk: `times_ns` (n,) and their records of equal size."""
+
+    channel_id: int
+    times_ns: IntArray
+    records: NDArray[np.void]
+
+
+class MessageBuffer:
+    """Records of one channel whose payloads differ in numbers only; reused from chunk to chunk."""
+
+    def __init__(self, channel_id: int, template: NDArray[np.void]) -> None:
+        self._channel_id = channel_id
+        self._template = template
+        self._rows = np.zeros(0, message_dtype(template.dtype))
+
+    def block(self, times_ns: IntArray, first_sequence: int) -> Block:
+        """Records with these times, payload to be filled by the caller; valid until the next call."""
+        n = len(times_ns)
+        if n > len(self._rows):
+            self._rows = np.zeros(n, self._rows.dtype)
+            self._rows["opcode"] = Opcode.MESSAGE
+            self._rows["length"] = _LENGTH_WITHOUT_PAYLOAD + self._template.dtype.itemsize
+            self._rows["channel"] = self._channel_id
+            self._rows["payload"] = self._template
+        rows = self._rows[:n]
+        rows["sequence"] = np.arange(first_sequence, first_sequence + n) & 0xFFFFFFFF
+        rows["log_time"] = times_ns
+        rows["publish_time"] = times_ns
+        return Block(self._channel_id, times_ns, rows)
+
+
+def single_message(channel_id: int, time_ns: int, sequence: int, payload: bytes) -> Block:
+    """One message whose payload may have any size."""
+    header = MESSAGE_HEADER.pack(
+        Opcode.MESSAGE,
+        _LENGTH_WITHOUT_PAYLOAD + len(payload),
+        channel_id,
+        sequence & 0xFFFFFFFF,
+        time_ns,
+        time_ns,
+    )
+    record = np.frombuffer(header + payload, f"V{len(header) + len(payload)}")
+    return Block(channel_id, np.array([time_ns], np.int64), record)
+
+
+def encode(*records: McapRecord) -> bytes:
+    builder = RecordBuilder()
+    for record in records:
+        record.write(builder)
+    return bytes(builder.end())  # type: ignore[no-untyped-call]  # mcap does not annotate it
+
+
+def _footer(summary_start: int, offsets_start: int, summary: bytes) -> bytes:
+    """Footer record with the checksum of the summary section, which covers the footer's own first fields."""
+    start_of_footer = encode(Footer(summary_start, offsets_start, 0))[:-4]
+    crc = zlib.crc32(start_of_footer, zlib.crc32(summary))
+    return encode(Footer(summary_start, offsets_start, crc))
 
 
 class Container:
@@ -162,7 +230,7 @@ class Container:
             summary += group
         offsets_start = start + len(summary)
         summary += encode(*offsets)
-        self._write(summary + footer(start, offsets_start, summary) + MAGIC)
+        self._write(summary + _footer(start, offsets_start, summary) + MAGIC)
 
     def close(self) -> None:
         self._file.close()
