@@ -6,13 +6,14 @@ from pathlib import Path
 
 import pytest
 
-from maxq.design.case.read import builtin_cases, read_case
+from maxq.design.case.read import read_case
+from maxq.sim.scenario.builtin import builtin_files
 from maxq.sim.scenario.errors import ScenarioError
 
 
 def test_built_in_cases_are_read() -> None:
-    assert {"ksr3-identical", "ksr3-relaxed", "ksr3-robust"} <= set(builtin_cases())
-    for name in builtin_cases():
+    assert {"ksr3-identical", "ksr3-relaxed", "ksr3-robust"} <= set(builtin_files("case"))
+    for name in builtin_files("case"):
         loaded = read_case(name)
         assert loaded.name == name
         assert loaded.case.description

@@ -14,10 +14,9 @@ from pydantic import ValidationError
 from scenario_files import ASCENT, TABLES, write_ascent, write_free
 
 from maxq.sim.scenario import builtin
-from maxq.sim.scenario.builtin import builtin_names, builtin_path
-from maxq.sim.scenario.copying import copy_scenario
+from maxq.sim.scenario.builtin import builtin_files, builtin_names
 from maxq.sim.scenario.errors import ScenarioError
-from maxq.sim.scenario.loader import LoadedScenario, load_scenario, load_scenario_text
+from maxq.sim.scenario.loader import LoadedScenario, copy_scenario, load_scenario, load_scenario_text
 from maxq.sim.scenario.nanoseconds import is_whole_ns, period_ns, to_ns
 
 
@@ -292,7 +291,7 @@ def test_the_text_flies_again_bit_by_bit(ascent: Path) -> None:
     assert again.files == ()
     assert str(ascent.parent) not in loaded.as_flown
     assert again != load_scenario(ascent)
-    assert tomllib.loads(loaded.to_toml())["run"]["step_s"] == 0.001, "defaults are written, too"
+    assert tomllib.loads(loaded.as_flown)["run"]["step_s"] == 0.001, "defaults are written, too"
 
 
 def test_one_bit_makes_another_scenario(ascent: Path) -> None:
@@ -342,7 +341,7 @@ def shipped(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     (root / "checkcases").mkdir()
     (root / "checkcases" / "windy.toml").write_text('extends = "../ascent"\n[wind]\nfactor = 2.0\n')
     (root / "vehicles" / "rocket" / "NOTES.md").write_text("notes\n")
-    for module in ("builtin", "loader", "copying"):
+    for module in ("builtin", "loader", "files"):
         monkeypatch.setattr(f"maxq.sim.scenario.{module}.scenarios_folder", lambda: root)
     empty = tmp_path / "elsewhere"
     empty.mkdir()
@@ -352,8 +351,8 @@ def shipped(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 def test_built_in_names(shipped: Path) -> None:
     assert builtin_names() == ["ascent", "checkcases/windy"]
-    assert builtin_path("checkcases/windy") == shipped / "checkcases" / "windy.toml"
-    assert builtin_path("vehicles/rocket/vehicle") is None
+    assert builtin_files("scenario")["checkcases/windy"] == shipped / "checkcases" / "windy.toml"
+    assert "vehicles/rocket/vehicle" not in builtin_files("scenario")
     assert load_scenario("checkcases/windy").scenario.wind.factor == 2.0
     with pytest.raises(ScenarioError, match=r"^asent: no such file; did you mean ascent"):
         load_scenario("asent")
@@ -372,7 +371,7 @@ def test_a_copy_stands_on_its_own(shipped: Path, tmp_path: Path, monkeypatch: py
     copied = copy_scenario("checkcases/windy", "mine")
     assert copied == Path("mine/checkcases/windy.toml")
     assert Path("mine/vehicles/rocket/NOTES.md").read_text() == "notes\n"
-    for module in ("builtin", "loader", "copying"):
+    for module in ("builtin", "loader", "files"):
         monkeypatch.setattr(f"maxq.sim.scenario.{module}.scenarios_folder", lambda: tmp_path / "gone")
     after = load_scenario(copied)
     assert same_bits(before, after)
@@ -443,6 +442,6 @@ def test_loading_is_quick_and_compiles_nothing(ascent: Path) -> None:
     begin = time.perf_counter()
     load_scenario(ascent)
     assert time.perf_counter() - begin < 0.15
-    code = "import sys, maxq.sim.scenario.loader, maxq.sim.scenario.copying; print('numba' in sys.modules)"
+    code = "import sys, maxq.sim.scenario.loader; print('numba' in sys.modules)"
     done = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True)
     assert done.stdout.strip() == "False"

@@ -13,9 +13,10 @@ import pytest
 
 from maxq.design.optimise import search
 from maxq.sim.api import fly, load_scenario
+from maxq.sim.scenario.builtin import builtin_files
 from maxq.tools import simdesign
 from maxq.tools.cli import terminal
-from maxq.tools.design import builtin, orders
+from maxq.tools.design import orders
 
 Printed = pytest.CaptureFixture[str]
 SMALL = ["ksr3-relaxed", "--starts", "2", "--set", "nodes_s=[10, 40]", "--set", "filter.structure=F2", "--no-pictures"]
@@ -221,5 +222,5 @@ def test_a_case_file_of_ones_own(capsys: Printed) -> None:
 def test_the_list_names_cases(capsys: Printed) -> None:
     assert run("--list") == 0
     lines = capsys.readouterr().out.splitlines()
-    for name in builtin.builtin_cases():
+    for name in builtin_files("case"):
         assert any(line.split()[:1] == [name] for line in lines)

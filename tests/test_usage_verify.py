@@ -14,16 +14,8 @@ import pytest
 from maxq.design.model.dispersion import NOMINAL
 from maxq.design.verify.flown import load_flight, load_wanted
 from maxq.design.verify.memory import Memory, content_hash
-from maxq.design.verify.suite import (
-    ACCEPTED,
-    REJECTED,
-    UNDECIDED,
-    LinearMargins,
-    Requirement,
-    builtin_suites,
-    overall,
-    read_suite,
-)
+from maxq.design.verify.suite import ACCEPTED, REJECTED, UNDECIDED, LinearMargins, Requirement, overall, read_suite
+from maxq.sim.scenario.builtin import builtin_files
 from maxq.sim.scenario.schema_values import Section
 from maxq.tools.simverify import main
 from maxq.tools.verify.page import page_of
@@ -166,7 +158,7 @@ set = ["vehicle.stage.0.tank.0.damping_ratio=0.1"]
 def test_list_names_suites_and_designs(capsys: pytest.CaptureFixture[str]) -> None:
     code, out, _ = _run(capsys, "--list")
     assert code == 0
-    for name in (*builtin_suites(), "ksr3-robust"):
+    for name in (*builtin_files("suite"), "ksr3-robust"):
         assert f"  {name}" in out
 
 

@@ -22,8 +22,6 @@ _UNSET = {
     "items": {"type": "string"},
     "description": "keys of the extended file that are taken away",
 }
-_DOCUMENT_KEYS = {"case": {"extends": _EXTENDS}, "suite": {}}
-"""Keys that are used up before the model sees the document; of the other kinds: both."""
 
 
 def json_schema(kind: str) -> dict[str, Any]:
@@ -38,8 +36,8 @@ def json_schema(kind: str) -> dict[str, Any]:
             properties[part]["anyOf"] = [{"type": "string"}, *content]
             about = f"any key of the {part} by its path, e.g. stage.0.name"
             properties[f"{part}_overrides"] = {"type": "object", "description": about}
-    properties |= (keys := _DOCUMENT_KEYS.get(kind, {"extends": _EXTENDS, "unset": _UNSET}))
-    if keys and (required := schema.pop("required", [])):
+    properties |= {"extends": _EXTENDS, "unset": _UNSET}
+    if required := schema.pop("required", []):
         schema["anyOf"] = [{"required": required}, {"required": ["extends"]}]
     cleaned: dict[str, Any] = _without_null(schema)
     return {"$schema": "https://json-schema.org/draft/2020-12/schema"} | cleaned

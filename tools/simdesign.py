@@ -119,9 +119,9 @@ def _run(arguments: list[str]) -> int:
     if options.out == "":
         parser.error("--out needs the name of a folder")
     if options.list:
-        from maxq.tools.design.builtin import show_list  # noqa: PLC0415  # lazy, as all imports here: --help is quick
+        from maxq.tools.cli.builtin import show_list  # noqa: PLC0415  # lazy, as all imports here: --help is quick
 
-        return show_list()
+        return show_list({"case": "cases (simdesign CASE)", "design": "designs (simdesign analyse DESIGN)"})
     pictures = not options.no_pictures
     if mode == _ANALYSE:
         from maxq.tools.design import analyse  # noqa: PLC0415  # lazy

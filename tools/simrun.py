@@ -133,10 +133,17 @@ def _run(arguments: list[str], alone: bool) -> int:
         parser.error("--out needs the name of a folder")
     if options.schema:
         return _print_schema(options.schema)
-    if options.list or options.copy:
-        from maxq.tools import simrun_builtin  # noqa: PLC0415  # lazy
+    if options.list:
+        from maxq.tools.cli.builtin import show_list  # noqa: PLC0415  # lazy
 
-        return simrun_builtin.show_list() if options.list else simrun_builtin.copy(*options.copy)
+        return show_list({"scenario": "scenarios (simrun SCENARIO)", "campaign": "campaigns (simrun CAMPAIGN)"})
+    if options.copy:
+        import shlex  # noqa: PLC0415  # lazy
+
+        from maxq.sim.scenario.loader import copy_scenario  # noqa: PLC0415  # lazy
+
+        print(f"copied; fly it with: simrun {shlex.quote(str(copy_scenario(*options.copy)))}")
+        return Exit.OK
     options.view = options.view or options.view_port is not None
     if options.realtime is not None and not options.view:
         parser.error("--realtime goes with --view")

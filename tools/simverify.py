@@ -67,9 +67,9 @@ def _run(arguments: list[str]) -> int:
     options = parser.read(arguments)
     parser.check(options, parser.only(options, "DESIGN", "--list", none="give a design, e.g. simverify ksr3-robust"))
     if options.list:
-        from maxq.tools.verify.builtin import show_list  # noqa: PLC0415  # lazy, as all imports here: --help is quick
+        from maxq.tools.cli.builtin import show_list  # noqa: PLC0415  # lazy, as all imports here: --help is quick
 
-        return show_list()
+        return show_list({"suite": "suites (simverify --suite SUITE)", "design": "designs (simverify DESIGN)"})
     if len(set(options.designs)) < len(options.designs):
         parser.error("a design is named twice")
     if options.out == "":

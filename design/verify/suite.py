@@ -13,15 +13,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
 
-from pydantic import Field, ValidationError, model_validator
+from pydantic import Field, model_validator
 
 from maxq.sim.campaign.statistics import MET, NOT_MET
-from maxq.sim.scenario.builtin import scenarios_folder
-from maxq.sim.scenario.documents import Source, parse, plain
 from maxq.sim.scenario.errors import ScenarioError, refuse, suggestion
-from maxq.sim.scenario.files import Reading, named_file
-from maxq.sim.scenario.messages import explain
-from maxq.sim.scenario.overrides import apply, parse_override
+from maxq.sim.scenario.loader import load_file
 from maxq.sim.scenario.schema_scenario import Scenario
 from maxq.sim.scenario.schema_values import NotNegative, Positive, Section
 
@@ -79,7 +75,6 @@ def room_left(value: float, bound: float, sense: str) -> float:
 
 Level = Annotated[float, Field(gt=0.0, lt=1.0)]
 Plane = Literal["pitch", "yaw"]
-WANTED = "a suite (.toml)"
 
 
 class DispersedLimit(Section):
@@ -222,27 +217,10 @@ class LoadedSuite:
     folder: Path
 
 
-def suites_folder() -> Path:
-    """Folder of the built-in suites."""
-    return scenarios_folder() / "suites"
-
-
-def builtin_suites() -> list[str]:
-    """Names of the built-in suites, sorted."""
-    return sorted(path.stem for path in suites_folder().glob("*.toml"))
-
-
 def read_suite(name: str | Path, overrides: Iterable[str] = ()) -> LoadedSuite:
     """The suite in a file, or the built-in one of that name, with `key=value` overrides. Raises ScenarioError."""
-    parsed = tuple(parse_override(text) for text in overrides)
-    file, label = named_file(str(name), suites_folder(), WANTED)
-    tree = parse(Reading().text(file, label, "a TOML file"), Source(label, (file.parent, suites_folder())))
-    apply(parsed, tree, Source("--set", (Path.cwd(), file.parent)))
-    tree.setdefault("name", file.stem)
-    try:
-        return LoadedSuite(Suite.model_validate(plain(tree)), label, file.parent)
-    except ValidationError as error:
-        raise explain(error, tree, Suite) from None
+    suite, _, file, label = load_file(Suite, "suite", name, overrides)
+    return LoadedSuite(suite, label, file.parent)
 
 
 def limit_changes(suite: Suite, which: str, scenario: Scenario, label: str) -> list[str]:

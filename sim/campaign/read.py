@@ -18,12 +18,11 @@ from maxq.sim.campaign.schema import CampaignFile, Disperse, plain_value, tuples
 from maxq.sim.campaign.targets import BadKey, Target, find_target
 from maxq.sim.campaign.wind import WIND_KEY, wind_draw
 from maxq.sim.run.judgement import METRIC_NAMES
-from maxq.sim.scenario.describe import field_at
 from maxq.sim.scenario.documents import plain, source_of
 from maxq.sim.scenario.errors import Path as KeyPath
 from maxq.sim.scenario.files import Reading
 from maxq.sim.scenario.loader import CAMPAIGN_SECTIONS, LoadedScenario, load_scenario_text, load_with_sections
-from maxq.sim.scenario.messages import explain
+from maxq.sim.scenario.messages import explain, field_at
 from maxq.sim.scenario.schema_scenario import Scenario
 from maxq.sim.scenario.tables_csv import Columns, CsvTable
 

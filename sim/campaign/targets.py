@@ -16,8 +16,8 @@ import numpy as np
 from pydantic import ValidationError
 
 from maxq.control.kernel.records import Array
-from maxq.sim.scenario.describe import describe, field_at
 from maxq.sim.scenario.errors import LARGEST_NUMBER, suggestion
+from maxq.sim.scenario.messages import describe, field_at
 from maxq.sim.scenario.nanoseconds import LONGEST_S, NS_PER_S
 from maxq.sim.scenario.schema_scenario import Scenario
 from maxq.sim.scenario.schema_values import Section

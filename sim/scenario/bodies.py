@@ -37,7 +37,4 @@ def first_impossible(inertia: NDArray[np.float64]) -> tuple[int, str] | None:
     listed = ", ".join(f"{moment:.6g}" for moment in moments[row])
     if not_definite[row]:
         return row, f"no body has this inertia: principal moments {listed} kg m2 are not all positive"
-    return (
-        row,
-        f"no body has this inertia: of the principal moments {listed} kg m2 one exceeds the other two's sum",
-    )
+    return (row, f"no body has this inertia: of the principal moments {listed} kg m2 one exceeds the other two's sum")

@@ -1,43 +1,35 @@
-"""Scenarios that come with maxq: the folder scenarios/, which is package data of an installed maxq."""
+"""Files that come with maxq: the folder scenarios/, which is package data (`maxq.scenarios`)."""
 
 from __future__ import annotations
 
+import importlib
 from pathlib import Path
 
 DATA_FOLDERS = ("vehicles", "designs", "winds", "campaigns", "suites")
 """Folders of data that scenarios name; their files are no scenarios."""
 
-BUILTIN = "a built-in scenario (simrun --list names them)"
-"""What is allowed where such a name is wanted."""
+FOLDERS = {"scenario": "", "campaign": "campaigns", "design": "designs", "case": "designs/cases", "suite": "suites"}
+"""Below scenarios/, by the kind of file."""
 
 
 def scenarios_folder() -> Path:
-    """Folder of the built-in scenarios.
+    """The folder of the package maxq.scenarios, which is the same in a checkout, a wheel and an editable installation.
 
-    The packaging puts scenarios/ beside sim/ both in a checkout (the repository's top) and when installed
-    (the folder of the package maxq).
+    (importlib.resources cannot open a folder without __init__.py in an editable installation.)
     """
-    return Path(__file__).resolve().parents[2] / "scenarios"
+    return Path(importlib.import_module("maxq.scenarios").__path__[0])
+
+
+def builtin_files(kind: str) -> dict[str, Path]:
+    """The built-in files of a kind of FOLDERS by their names, such as `nominal`, `campaigns/ksr3`; sorted."""
+    root = scenarios_folder()
+    if kind not in ("scenario", "campaign"):
+        return {path.stem: path for path in sorted((root / FOLDERS[kind]).glob("*.toml"))}
+    names = {p.relative_to(root).with_suffix("").as_posix(): p for p in (root / FOLDERS[kind]).rglob("*.toml")}
+    of_scenarios = kind == "scenario"
+    return {n: names[n] for n in sorted(names) if not (of_scenarios and n.partition("/")[0] in DATA_FOLDERS)}
 
 
 def builtin_names() -> list[str]:
     """Names of the built-in scenarios, such as `nominal` or `checkcases/nesc-01`, sorted."""
-    folder = scenarios_folder()
-    files = (path.relative_to(folder) for path in folder.rglob("*.toml"))
-    return sorted(path.with_suffix("").as_posix() for path in files if path.parts[0] not in DATA_FOLDERS)
-
-
-def builtin_path(name: str) -> Path | None:
-    """The file of the built-in scenario `name`, or None."""
-    return scenarios_folder() / f"{name}.toml" if name in builtin_names() else None
-
-
-def campaign_names() -> list[str]:
-    """Names of the built-in campaigns, such as `campaigns/ksr3`, sorted."""
-    folder = scenarios_folder()
-    return sorted(p.relative_to(folder).with_suffix("").as_posix() for p in (folder / "campaigns").rglob("*.toml"))
-
-
-def campaign_path(name: str) -> Path | None:
-    """The file of the built-in campaign `name`, or None."""
-    return scenarios_folder() / f"{name}.toml" if name in campaign_names() else None
+    return list(builtin_files("scenario"))

@@ -118,11 +118,7 @@ def _check_programme(table: CsvTable, start: float, end: float) -> None:
     commands_nothing = all(column[-1] == 0.0 for name, column in table.columns.items() if name != "time_s")
     if table["time_s"][-1] < end and not commands_nothing:  # its last row holds: a rate that goes on is a mistake
         raise table.refusal(
-            "the programme ends before the thrust does",
-            f"a last time_s >= {end:g}",
-            "time_s",
-            len(table) - 1,
-            at=key,
+            "the programme ends before the thrust does", f"a last time_s >= {end:g}", "time_s", len(table) - 1, at=key
         )
 
 

@@ -1,4 +1,4 @@
-"""TOML documents that remember which file each value came from.
+"""TOML documents that remember which file each value came from, and `--set KEY=VALUE`.
 
 A scenario is put together from several files and overrides. Errors must name the right one, and a file that a
 value names is looked for beside the file that says so; therefore tables, lists and texts carry their source.
@@ -8,13 +8,16 @@ from __future__ import annotations
 
 import re
 import tomllib
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from maxq.sim.scenario.errors import Path as KeyPath
 from maxq.sim.scenario.errors import ScenarioError, show_value, suggestion
+
+COMMAND_LINE = "--set"
+_USAGE = "--set KEY=VALUE, e.g. --set run.step_s=0.0005 or --set vehicle.stage.0.tank.0.damping_ratio=0.01"
 
 
 @dataclass(frozen=True)
@@ -30,14 +33,11 @@ class Source:
     within: KeyPath = ()
     shown_as: KeyPath = ()
 
-    def key(self, path: KeyPath) -> str:
-        """`path` in the scenario as it is written in this document."""
+    def error(self, path: KeyPath, problem: str, **details: Any) -> ScenarioError:
+        """The error about the value at `path` of the scenario, with the key as it is written in this document."""
         if path[: len(self.within)] == self.within:
             path = self.shown_as + path[len(self.within) :]
-        return ".".join(str(part) for part in path)
-
-    def error(self, path: KeyPath, problem: str, **details: Any) -> ScenarioError:
-        return ScenarioError(self.label, problem, self.key(path), **details)
+        return ScenarioError(self.label, problem, ".".join(map(str, path)), **details)
 
 
 class Text(str):
@@ -47,7 +47,7 @@ class Text(str):
 
 
 class Table(dict[str, Any]):
-    """A TOML table; `sources` holds the source of each key."""
+    """A TOML table; `sources` holds the source of each key that is not the table's own."""
 
     def __init__(self, source: Source) -> None:
         super().__init__()
@@ -68,8 +68,7 @@ def adopt(value: Any, source: Source) -> Any:
     """`value` as tomllib gives it, with its source noted throughout."""
     if isinstance(value, dict):
         table = Table(source)
-        for key, item in value.items():
-            table[key] = adopt(item, source)
+        table.update((key, adopt(item, source)) for key, item in value.items())
         return table
     if isinstance(value, list):
         array = Array(source)
@@ -82,39 +81,33 @@ def adopt(value: Any, source: Source) -> Any:
     return value
 
 
+def plain(value: Any) -> Any:
+    """The tree as dicts, tuples and values (texts keep their source): what the schema validates strictly."""
+    if isinstance(value, Table):
+        return {key: plain(item) for key, item in value.items()}
+    if isinstance(value, Array):
+        return tuple(plain(item) for item in value)
+    return value
+
+
 def parse(text: str, source: Source) -> Table:
     """The document that `text` holds; ScenarioError with line and column where it is not TOML."""
     try:
-        document = adopt(tomllib.loads(text), source)
+        content = tomllib.loads(text)
+        table = Table(source)
+        table.update((key, adopt(item, source)) for key, item in content.items())
     except (ValueError, RecursionError) as error:  # TOMLDecodeError, or a number with thousands of digits
         reason = "nested too deeply" if isinstance(error, RecursionError) else str(error)
         raise ScenarioError(source.label, f"is not valid TOML: {reason}{_quoted(text, reason)}") from None
-    assert isinstance(document, Table)
-    return document
+    return table
 
 
 def _quoted(text: str, reason: str) -> str:
     """The line of `text` that tomllib's `reason` names, to be put behind it."""
     at = re.search(r"\(at line (\d+), column \d+\)$", reason)
     lines = text.split("\n")
-    if at is None or int(at[1]) > len(lines):
-        return ""
-    line = lines[int(at[1]) - 1].strip()
+    line = lines[int(at[1]) - 1].strip() if at and int(at[1]) <= len(lines) else ""
     return f": {show_value(line)[1:-1]}" if line else ""
-
-
-def decode(content: bytes, label: str, kind: str) -> str:
-    """`content` as UTF-8 text; ScenarioError for a binary file. `kind` names what was expected."""
-    try:
-        text = content.decode("utf-8-sig")
-    except UnicodeDecodeError as error:
-        byte = content[error.start]
-        raise ScenarioError(
-            label, f"is not text: byte 0x{byte:02x} at position {error.start}", allowed=f"{kind} in UTF-8"
-        ) from None
-    if "\0" in text:
-        raise ScenarioError(label, "is a binary file: it holds zero bytes", allowed=f"{kind} in UTF-8")
-    return text
 
 
 def merge(base: Table, over: Table) -> None:
@@ -128,7 +121,7 @@ def merge(base: Table, over: Table) -> None:
             base.sources[key] = over.sources.get(key, over.source)
 
 
-def _step(tree: Table | Array, part: str | int, path: KeyPath, source: Source) -> str | int:
+def _step(tree: Table | Array, part: str | int, path: KeyPath, source: Source) -> Any:
     """The key or index that `part` of a path means in `tree`."""
     if isinstance(tree, Table):
         return str(part)
@@ -138,32 +131,28 @@ def _step(tree: Table | Array, part: str | int, path: KeyPath, source: Source) -
     return int(part)
 
 
-def put(tree: Table, path: KeyPath, value: Any, source: Source, shift: KeyPath = ()) -> None:
-    """Set the value at `path`, e.g. ("stage", "0", "engine", "thrust_factor"); tables on the way are made.
+def put(tree: Table, path: KeyPath, value: Any, source: Source) -> None:
+    """Set the value at `path`, e.g. ("run", "step_s"); tables on the way are made.
 
-    `shift` is where `tree` stands in the scenario. ScenarioError when the path leads through a value that is
-    neither table nor list, or beyond a list's end.
+    ScenarioError when the path leads through a value that is neither table nor list, or beyond a list's end.
     """
-    at: Table | Array = tree
+    at: Any = tree
     for n, part in enumerate(path[:-1]):
-        key = _step(at, part, shift + path, source)
+        key = _step(at, part, path, source)
         if isinstance(at, Table) and key not in at:
-            at[str(key)] = Table(source)
+            at[key] = Table(source)
             at.sources[key] = source
-        below = at[key]  # type: ignore[index]  # a Table takes the str, an Array the int that _step returned
-        if not isinstance(below, Table | Array):
+        at = at[key]
+        if not isinstance(at, Table | Array):
             name = ".".join(map(str, path[: n + 1]))
-            raise source.error(shift + path, f"{name} is a value and has no keys below it")
-        at = below
-    key = _step(at, path[-1], shift + path, source)
-    at[key] = value  # type: ignore[index]  # `_step` returned what fits `at`
+            raise source.error(path, f"{name} is a value and has no keys below it")
+    key = _step(at, path[-1], path, source)
+    at[key] = value
     at.sources[key] = source
 
 
 def drop(tree: Table, path: KeyPath, source: Source, shift: KeyPath = ()) -> None:
-    """Remove the key at `path` of `tree`, which stands at `shift` of the scenario; ScenarioError without such
-    a key.
-    """
+    """Remove the key at `path` of `tree`; ScenarioError where there is none, about the key `shift` + `path`."""
     at: Any = tree
     for n, part in enumerate(path):
         place = (*shift, *path[: n + 1])
@@ -178,9 +167,7 @@ def drop(tree: Table, path: KeyPath, source: Source, shift: KeyPath = ()) -> Non
 
 
 def leaves(table: Table) -> Iterator[tuple[KeyPath, Any, Source]]:
-    """Every value below `table` that is no table, with path and source; keys such as "stage.0.name" are
-    split.
-    """
+    """Every value below `table` that is no table, with path and source; keys such as "stage.0.name" are split."""
     for key, value in table.items():
         head: KeyPath = tuple(key.split("."))
         if isinstance(value, Table) and value:
@@ -188,6 +175,15 @@ def leaves(table: Table) -> Iterator[tuple[KeyPath, Any, Source]]:
                 yield head + path, leaf, source
         else:
             yield head, value, table.sources.get(key, table.source)
+
+
+def walk(value: Any, path: KeyPath = ()) -> Iterator[tuple[KeyPath, Any]]:
+    """Every value below that is neither table nor list, with its path."""
+    if isinstance(value, Table | Array):
+        for key, item in value.items() if isinstance(value, Table) else enumerate(value):
+            yield from walk(item, (*path, key))
+    else:
+        yield path, value
 
 
 def source_of(tree: Table, path: KeyPath) -> Source:
@@ -205,10 +201,33 @@ def source_of(tree: Table, path: KeyPath) -> Source:
     return source
 
 
-def plain(value: Any) -> Any:
-    """The tree as dicts, tuples and values (texts keep their source): what the schema validates strictly."""
-    if isinstance(value, Table):
-        return {key: plain(item) for key, item in value.items()}
-    if isinstance(value, Array):
-        return tuple(plain(item) for item in value)
-    return value
+Override = tuple[KeyPath, Any]
+"""Path and value of one override, as TOML would give it; None takes the key away."""
+
+
+def parse_override(text: str) -> Override:
+    """`a.b.0.c=value`. The right side is a TOML value; what is none (a bare word) is a text; empty: remove the key.
+
+    Raises ScenarioError when there is no `=` or the path has an empty part.
+    """
+    left, equals, right = text.partition("=")
+    path = tuple(part.strip() for part in left.split("."))
+    if not equals:
+        raise ScenarioError(COMMAND_LINE, "has no '='", text, allowed=_USAGE)
+    if not all(path):
+        raise ScenarioError(COMMAND_LINE, "is no path of a key", left or '""', allowed=_USAGE)
+    right = right.strip()
+    try:
+        document = tomllib.loads(f"value = {right}")
+    except (ValueError, RecursionError):
+        return path, right or None
+    return path, document["value"] if list(document) == ["value"] else right
+
+
+def apply(overrides: Iterable[Override], tree: Table, source: Source) -> None:
+    """Write `overrides` into `tree`."""
+    for path, value in overrides:
+        if value is None:
+            drop(tree, path, source)
+        else:
+            put(tree, path, adopt(value, source), source)

@@ -15,14 +15,9 @@ Path = tuple[str | int, ...]
 """Where a value stands: names of tables and keys, indices of lists."""
 
 
-class _Nothing:
-    """Marks that there is no value to show (a key that is missing)."""
+NOTHING: Any = object()
+"""Marks that there is no value to show (a key that is missing)."""
 
-    def __repr__(self) -> str:
-        return "nothing"
-
-
-NOTHING = _Nothing()
 LARGEST_NUMBER = 1e30
 """No quantity of a flight is larger in SI units, and products of a few such numbers are still finite."""
 
@@ -38,22 +33,12 @@ class ScenarioError(Exception):
     """
 
     def __init__(
-        self,
-        file: str,
-        problem: str,
-        key: str = "",
-        *,
-        value: Any = NOTHING,
-        allowed: str = "",
-        more: int = 0,
+        self, file: str, problem: str, key: str = "", *, value: Any = NOTHING, allowed: str = "", more: int = 0
     ) -> None:
         shown = "" if value is NOTHING else show_value(value)
-        super().__init__(file, problem)
+        super().__init__(file, problem)  # an unpickled one is made of these, and takes over the attributes
         self.file, self.problem, self.key, self.allowed, self.more = file, problem, key, allowed, more
         self.shown_value = shown
-
-    def __reduce__(self) -> tuple[Any, ...]:  # all is text by now: a value must not be quoted again
-        return (_rebuilt, (self.__dict__,))
 
     def __str__(self) -> str:
         place = f"{self.key} = {self.shown_value}" if self.shown_value else self.key
@@ -65,12 +50,6 @@ class ScenarioError(Exception):
         if self.more:
             line += f" (and {self.more} more)"
         return " ".join(line.split())
-
-
-def _rebuilt(attributes: dict[str, Any]) -> ScenarioError:
-    error = ScenarioError(attributes["file"], attributes["problem"])
-    error.__dict__.update(attributes)
-    return error
 
 
 def show_value(value: Any) -> str:
@@ -104,13 +83,7 @@ def _number(value: Any) -> str:
 
 
 def refuse(
-    problem: str,
-    allowed: str = "",
-    key: Path = (),
-    *,
-    value: Any = NOTHING,
-    file: str = "",
-    place: str = "",
+    problem: str, allowed: str = "", key: Path = (), *, value: Any = NOTHING, file: str = "", place: str = ""
 ) -> PydanticCustomError:
     """The exception that a validator of the schema raises.
 

@@ -1,4 +1,4 @@
-"""Finding and reading the files that a scenario is made of."""
+"""Finding and reading the files that a scenario, a case or a suite is made of."""
 
 from __future__ import annotations
 
@@ -8,12 +8,27 @@ from collections.abc import Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from maxq.sim.scenario.builtin import scenarios_folder
-from maxq.sim.scenario.documents import Text, decode
+from maxq.sim.scenario.builtin import FOLDERS, builtin_files, scenarios_folder
+from maxq.sim.scenario.documents import Array, Source, Table, Text, drop, merge, parse
 from maxq.sim.scenario.errors import ScenarioError, refuse, suggestion
 
 VEHICLE_FILE = "vehicle.toml"
 TABLE_VARIANTS = ("{}",)
+_FILE_VARIANTS = ("{}", "{}.toml")
+_VARIANTS = {"vehicle": ("{}", "{}/vehicle.toml", "{}.toml")}
+WANTED = {
+    "scenario": "a scenario file (.toml)",
+    "vehicle": "a folder with vehicle.toml, or a .toml file",
+    "design": "a design file (.toml)",
+    "case": "a case file (.toml)",
+    "suite": "a suite (.toml)",
+}
+"""What is allowed where a file of this kind is named."""
+
+PARTS = ("vehicle", "design")
+"""What a scenario names by file, besides tables."""
+
+_LISTED_BY = {"scenario": "simrun", "case": "simdesign", "suite": "simverify"}
 
 
 @dataclass(frozen=True)
@@ -45,16 +60,7 @@ def kind(path: Path) -> str:
         return ""
 
 
-def read(path: Path, label: str) -> bytes:
-    """Content of a file; ScenarioError when the system will not give it."""
-    try:
-        return path.read_bytes()
-    except OSError as error:
-        reason = (error.strerror or str(error)).lower()
-        raise ScenarioError(label, f"cannot be read: {reason}", allowed="a file you may read") from None
-
-
-def find(name: Text, variants: Iterable[str]) -> Path | None:
+def find(name: Text, variants: Iterable[str] = TABLE_VARIANTS) -> Path | None:
     """The first file there is: `name` with each of `variants` ("{}.toml") in each folder of its source."""
     for folder in name.source.folders:
         for variant in variants:
@@ -64,7 +70,7 @@ def find(name: Text, variants: Iterable[str]) -> Path | None:
     return None
 
 
-def not_found(name: Text, wanted: str, variants: Iterable[str]) -> tuple[str, str]:
+def _not_found(name: Text, wanted: str, variants: Iterable[str]) -> tuple[str, str]:
     """What is wrong with a name for which `find` found none of the `variants`, and what is allowed."""
     if not name.source.folders:
         return "names a file, which a scenario given as text cannot do", "the content itself"
@@ -101,6 +107,26 @@ def _nearest(name: Text, variants: Iterable[str]) -> str:
     return suggestion(str(name), beside)
 
 
+def locate(name: str, role: str) -> tuple[Path, str]:
+    """The file that a person means by `name`, or the built-in one of that name, with or without `.toml`; and how it is
+    shown. `role` is a kind of WANTED. Raises ScenarioError where there is neither.
+    """
+    there = kind(Path(name)) if name else ""
+    if there == "file":
+        return Path(name).resolve(), name
+    stem, known = name.removesuffix(".toml"), builtin_files(role)
+    if role == "scenario":
+        known |= builtin_files("campaign")
+    if stem in known:
+        return known[stem], shown(known[stem])
+    hint = suggestion(stem, known)
+    as_a_file = not name.isidentifier() or hint  # a bare word may have been meant as one of ours
+    missing = "no such file" if as_a_file else f"neither a file nor a built-in {role}"
+    problem = {"folder": "is a folder", "other": "is no ordinary file"}.get(there, missing)
+    listed = "" if hint else f", or a built-in {role} ({_LISTED_BY[role]} --list names them)"
+    raise ScenarioError(name or '""', f"{problem}; {hint}" if hint else problem, allowed=WANTED[role] + listed)
+
+
 @dataclass
 class Reading:
     """Files read so far; also the validation context, through which the schema reads its tables."""
@@ -109,32 +135,70 @@ class Reading:
     files: dict[Path, ReadFile] = field(default_factory=dict)
 
     def text(self, path: Path, label: str, what: str) -> str:
-        """Content of a file as text; noted among `files`."""
+        """Content of a file as text; noted among `files`. `what` names what was expected."""
         if path not in self.files:
-            self.files[path] = ReadFile(path, label, read(path, label))
-        return decode(self.files[path].content, label, what)
+            try:
+                self.files[path] = ReadFile(path, label, path.read_bytes())
+            except OSError as error:
+                reason = (error.strerror or str(error)).lower()
+                raise ScenarioError(label, f"cannot be read: {reason}", allowed="a file you may read") from None
+        content = self.files[path].content
+        try:
+            text = content.decode("utf-8-sig")
+        except UnicodeDecodeError as error:
+            problem = f"is not text: byte 0x{content[error.start]:02x} at position {error.start}"
+            raise ScenarioError(label, problem, allowed=f"{what} in UTF-8") from None
+        if "\0" in text:
+            raise ScenarioError(label, "is a binary file: it holds zero bytes", allowed=f"{what} in UTF-8")
+        return text
 
     def read_table(self, name: Text) -> tuple[str, str]:
         """How the CSV file `name` is shown to people, and its text (for the schema)."""
-        path = find(name, TABLE_VARIANTS)
+        path = find(name)
         if path is None:
-            raise refuse(*not_found(name, "a CSV file", TABLE_VARIANTS))
+            raise refuse(*_not_found(name, "a CSV file", TABLE_VARIANTS))
         label = shown(path)
         return label, self.text(path, label, "a CSV file")
 
+    def document(self, path: Path, label: str, role: str, chain: tuple[Path, ...] = ()) -> Table:
+        """The document in a file, with what it extends below it. `role` is a kind of WANTED."""
+        within = (role,) if role in PARTS else ()
+        beside = scenarios_folder() / FOLDERS[role] if role in ("case", "suite") else scenarios_folder()
+        source = Source(label, (path.parent, beside), within)
+        return self.extended(parse(self.text(path, label, "a TOML file"), source), role, (*chain, path))
 
-def named_file(name: str, folder: Path, wanted: str) -> tuple[Path, str]:
-    """A file by its path, or a built-in one of `folder` by its name, with or without `.toml`; and how it is shown.
+    def named(self, name: Text, where: Source, key: tuple[str, ...], role: str, chain: tuple[Path, ...] = ()) -> Table:
+        """The document in the file that the value `name` of `key` names."""
+        variants = _VARIANTS.get(role, _FILE_VARIANTS)
+        path = find(name, variants)
+        if path is None:
+            problem, allowed = _not_found(name, WANTED[role], variants)
+            if role == "vehicle" and any(kind(folder / name) == "folder" for folder in name.source.folders):
+                problem = "the folder has no vehicle.toml"
+            raise where.error(key, problem, value=name, allowed=allowed)
+        if path in chain:
+            loop = " -> ".join(shown(p) for p in (*chain[chain.index(path) :], path))
+            raise where.error(key, f"files extend each other in a loop: {loop}", value=name)
+        return self.document(path, shown(path), role, chain)
 
-    Raises ScenarioError where there is neither, with `wanted` as what is allowed.
-    """
-    path = Path(name)
-    if name and kind(path) == "file":
-        return path.resolve(), name
-    stem, names = name.removesuffix(".toml"), sorted(file.stem for file in folder.glob("*.toml"))
-    if stem in names:
-        return folder / f"{stem}.toml", shown(folder / f"{stem}.toml")
-    problem = {"folder": "is a folder", "other": "is no ordinary file"}.get(kind(path) if name else "", "no such file")
-    hint = suggestion(stem, names)
-    listed = "" if hint else " or a built-in one: " + ", ".join(names)
-    raise ScenarioError(name or '""', f"{problem}; {hint}" if hint else problem, allowed=wanted + listed)
+    def extended(self, table: Table, role: str, chain: tuple[Path, ...] = ()) -> Table:
+        """`table` on top of the file that its key `extends` names, less the keys that `unset` takes away."""
+        source, within = table.source, (role,) if role in PARTS else ()
+        name, unset = table.pop("extends", None), table.pop("unset", None)
+        if name is None:
+            if unset is not None:
+                raise source.error((*within, "unset"), "there is nothing to take away from", allowed="with extends")
+            return table
+        where = (*within, "extends")
+        if not isinstance(name, Text):
+            raise source.error(where, "has the wrong type", value=name, allowed=f"the name of {WANTED[role]}")
+        base = self.named(name, source, where, role, chain)
+        base.pop("name", None)  # a file is named after itself unless it says otherwise
+        if unset is not None and not (isinstance(unset, Array) and all(isinstance(item, str) for item in unset)):
+            allowed = "a list of keys, e.g. ['wind.profile']"
+            raise source.error((*within, "unset"), "has the wrong type", value=unset, allowed=allowed)
+        for item in unset or ():
+            drop(base, tuple(item.split(".")), source, (*within, "unset"))
+        merge(base, table)
+        base.source = source
+        return base

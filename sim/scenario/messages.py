@@ -1,25 +1,22 @@
-"""From what pydantic reports to the one line that a person reads."""
+"""From what pydantic reports to the one line that a person reads; what a field of the schema allows, in words."""
 
 from __future__ import annotations
 
-from typing import Any
+import types
+from typing import Annotated, Any, Literal, Union, get_args, get_origin
 
 from pydantic import ValidationError
+from pydantic.fields import FieldInfo
 
-from maxq.sim.scenario.describe import describe, field_at, keys_of, section_of, unwrap
 from maxq.sim.scenario.documents import Table, source_of
 from maxq.sim.scenario.errors import NOTHING, Path, ScenarioError, suggestion
+from maxq.sim.scenario.files import PARTS, WANTED
 from maxq.sim.scenario.schema_values import Section
+from maxq.sim.scenario.tables_csv import Columns
 
 DOCUMENT_KEYS = ("extends", "unset")
 SCENARIO_KEYS = (*DOCUMENT_KEYS, "vehicle_overrides", "design_overrides")
 """Keys that the loader uses up before the schema sees the document."""
-
-NAMED_FILES = {
-    "vehicle": "a folder with vehicle.toml, or a .toml file",
-    "design": "a design file (.toml)",
-}
-"""What a scenario names by file, besides tables."""
 
 _PROBLEMS = {
     "greater_than": "is out of range",
@@ -54,14 +51,10 @@ def explain(error: ValidationError, tree: Table, model: type[Section]) -> Scenar
         problem, allowed = _unknown_key(path, model)
     elif first["type"] == "missing" and path and isinstance(path[-1], int):
         path = path[:-1]  # a list that is too short: say so of the list
-        problem, value, allowed = (
-            "has too few elements",
-            value_at(tree, path),
-            describe(*field_at(model, path)),
-        )
+        problem, value, allowed = ("has too few elements", value_at(tree, path), describe(*field_at(model, path)))
     elif first["type"] == "missing":
         problem, value = "required key is missing", NOTHING
-        allowed = NAMED_FILES.get(str(path[0]), allowed) if len(path) == 1 else allowed
+        allowed = WANTED[str(path[0])] if len(path) == 1 and path[0] in PARTS else allowed
     else:
         problem = _PROBLEMS.get(first["type"], "has the wrong type")
         if first["type"] == "literal_error":
@@ -100,7 +93,7 @@ def _unknown_key(path: Path, model: type[Section]) -> tuple[str, str]:
     known = keys_of(section)
     if path[:-1] == ():
         known += SCENARIO_KEYS
-    elif path[:-1] in (("vehicle",), ("design",)):
+    elif len(path) == 2 and path[0] in PARTS:
         known += DOCUMENT_KEYS
     if path[-1] in _IN_FILES_ONLY and path[-1] in known:
         return "works in a file only", _IN_FILES_ONLY[str(path[-1])]
@@ -129,3 +122,94 @@ def value_at(tree: Any, path: Path) -> Any:
         except (KeyError, IndexError, TypeError):
             return NOTHING
     return tree
+
+
+# what a field allows, in words: for errors and for docs/scenario.md
+
+_BOUNDS = (("gt", ">"), ("ge", ">="), ("lt", "<"), ("le", "<="))
+_LONG_INTEGER = 2**62
+_PLURALS = {"a number": "numbers", "a whole number": "whole numbers", "a text": "texts", "a table": "tables"}
+
+
+def unwrap(annotation: Any) -> tuple[Any, list[Any]]:
+    """The bare type below Optional and Annotated, and all metadata on the way."""
+    metadata: list[Any] = []
+    while True:
+        origin = get_origin(annotation)
+        if origin is Annotated:
+            annotation, *marks = get_args(annotation)
+            for mark in marks:
+                metadata += mark.metadata if isinstance(mark, FieldInfo) else [mark]
+        elif origin in (Union, types.UnionType):
+            annotation = next(part for part in get_args(annotation) if part is not type(None))
+        else:
+            return annotation, metadata
+
+
+def section_of(annotation: Any) -> type[Section] | None:
+    """The section that a field of this type holds, by itself or in a list."""
+    bare, _ = unwrap(annotation)
+    if get_origin(bare) is tuple:
+        bare, _ = unwrap(get_args(bare)[0])
+    return bare if isinstance(bare, type) and issubclass(bare, Section) else None
+
+
+def field_at(model: type[Section], path: Path) -> tuple[Any, list[Any]]:
+    """Type and metadata of what `path` names; (None, []) when the schema has no such place."""
+    annotation: Any = model
+    metadata: list[Any] = []
+    for part in path:
+        if isinstance(annotation, type) and issubclass(annotation, Section):
+            field = next((f for n, f in annotation.model_fields.items() if (f.alias or n) == part), None)
+            if field is None:
+                return None, []
+            annotation, more = unwrap(field.annotation)
+            metadata = [*field.metadata, *more]
+        elif get_origin(annotation) is tuple and isinstance(part, int):
+            items = get_args(annotation)
+            annotation, metadata = unwrap(items[0] if items[-1] is ... else items[min(part, len(items) - 1)])
+        else:
+            return None, []
+    return annotation, metadata
+
+
+def keys_of(section: type[Section]) -> list[str]:
+    """The keys of a section as TOML has them."""
+    return [field.alias or name for name, field in section.model_fields.items()]
+
+
+def describe(annotation: Any, metadata: list[Any]) -> str:
+    """The allowed values in a few words; empty for a type that is not known."""
+    annotation, more = unwrap(annotation)
+    metadata = [*metadata, *more]
+    for mark in metadata:
+        if isinstance(mark, Columns):
+            return f"a CSV file or a table: {mark.allowed()}"
+    if get_origin(annotation) is Literal:
+        return ", ".join(repr(choice) for choice in get_args(annotation))
+    if get_origin(annotation) is tuple:
+        return _describe_list(get_args(annotation), metadata)
+    if isinstance(annotation, type) and issubclass(annotation, Section):
+        return "a table"
+    words = {bool: "true, false", int: "a whole number", float: "a number", str: "a text"}.get(annotation, "")
+    return words + _bounds(metadata) if annotation in (int, float) else words
+
+
+def _bounds(metadata: list[Any]) -> str:
+    found = [
+        f" {sign} {value:g}"
+        for name, sign in _BOUNDS
+        for mark in metadata
+        if (value := getattr(mark, name, None)) is not None and abs(value) < _LONG_INTEGER
+    ]
+    return ",".join(found)
+
+
+def _describe_list(items: tuple[Any, ...], metadata: list[Any]) -> str:
+    inner = describe(items[0], [])
+    first, _, rest = inner.partition(" >")
+    plural = _PLURALS.get(first, inner) + (f" >{rest}" if rest else "")
+    if items[-1] is not ...:
+        return f"a list of {len(items)} {plural.replace('a list', 'lists')}"
+    longest = next((mark.max_length for mark in metadata if getattr(mark, "max_length", None)), None)
+    return f"a list of {plural}" + (f", at most {longest}" if longest else "")

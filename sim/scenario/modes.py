@@ -69,12 +69,7 @@ def _mode_table(table: CsvTable, at: Path) -> ModeTable:
     np.add.at(hits, (time_at, mode_at, station_at), 1)
     twice = hits[time_at, mode_at, station_at] > 1
     _refuse_where(
-        table,
-        twice,
-        "station_m",
-        "this time, mode and station stands twice",
-        allowed="one row for each",
-        at=at,
+        table, twice, "station_m", "this time, mode and station stands twice", allowed="one row for each", at=at
     )
     if (hits == 0).any():
         t, m, s = (int(i) for i in np.argwhere(hits == 0)[0])
@@ -90,21 +85,11 @@ def _mode_table(table: CsvTable, at: Path) -> ModeTable:
     for name in ("frequency_hz", "generalized_mass_kg"):
         differs = table[name] != full[name][time_at, mode_at, 0]
         _refuse_where(
-            table,
-            differs,
-            name,
-            "changes along the stations of one mode",
-            allowed="one value for each mode",
-            at=at,
+            table, differs, name, "changes along the stations of one mode", allowed="one value for each mode", at=at
         )
     differs = table["mass_forward_kg"] != full["mass_forward_kg"][time_at, 0, station_at]
     _refuse_where(
-        table,
-        differs,
-        "mass_forward_kg",
-        "differs between modes",
-        allowed="one value for each station",
-        at=at,
+        table, differs, "mass_forward_kg", "differs between modes", allowed="one value for each station", at=at
     )
     return ModeTable(
         times,

@@ -48,8 +48,7 @@ class Aero(Section):
         default=0.0, description="station about which Cm_alpha_pr and Cm0 act, m aft of the nose"
     )
     crossflow_station_m: float | None = Field(
-        default=None,
-        description="station of the cross-flow drag, m aft of the nose (default: half the length)",
+        default=None, description="station of the cross-flow drag, m aft of the nose (default: half the length)"
     )
     force_factor: NotNegative = Field(default=1.0, description="multiplies normal force and cross-flow drag")
     axial_factor: NotNegative = Field(default=1.0, description="multiplies axial force and drag (CA, CD)")
@@ -57,9 +56,7 @@ class Aero(Section):
     centre_shift_m: float = Field(default=0.0, description="moves the centre of every lifting part aft, m")
     rate_reference: Literal["inertial", "earth"] = Field(default="inertial", description="which body rates damp")
     surface: tuple[AeroSurface, ...] = Field(
-        default=(),
-        max_length=MAX_SURFACES,
-        description="lifting parts; their sum is CN_alpha where the table has none",
+        default=(), max_length=MAX_SURFACES, description="lifting parts; their sum is CN_alpha where the table has none"
     )
 
     @model_validator(mode="after")
@@ -74,8 +71,6 @@ class Aero(Section):
         placed = "x_cp_m" in table or "Cm_alpha_pr" in table or self.surface
         if "CN_alpha_pr" in table and not placed:
             raise table.refusal(
-                "the normal force has no place to act at",
-                "x_cp_m or Cm_alpha_pr beside CN_alpha_pr",
-                at=("table",),
+                "the normal force has no place to act at", "x_cp_m or Cm_alpha_pr beside CN_alpha_pr", at=("table",)
             )
         return self

@@ -45,8 +45,7 @@ class Site(Section):
     longitude_deg: Longitude = Field(default=0.0, description="longitude, deg, east positive")
     altitude_m: float = Field(default=0.0, description="height above the ellipsoid, m")
     azimuth_deg: Angle = Field(
-        default=90.0,
-        description="launch azimuth, deg from north through east: direction of body z on the pad",
+        default=90.0, description="launch azimuth, deg from north through east: direction of body z on the pad"
     )
     utc: str = Field(default="", description="date and time of T0, for people only")
 
@@ -142,8 +141,7 @@ class Turbulence(Section):
     model: Literal["dryden"] = Field(default="dryden", description="Dryden spectra, MIL-F-8785C")
     exceedance: Literal["light", "moderate", "severe"] | None = Field(default=None, description="severity")
     table: Annotated[CsvTable, TURBULENCE_COLUMNS] | None = Field(
-        default=None,
-        description="standard deviations along (u), across (v), down (w), instead of exceedance",
+        default=None, description="standard deviations along (u), across (v), down (w), instead of exceedance"
     )
     length_u_m: Positive | None = Field(default=None, description="scale length along, m (default: MIL-F-8785C)")
     length_v_m: Positive | None = Field(default=None, description="scale length across, m (default: MIL-F-8785C)")

@@ -6,15 +6,7 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from maxq.sim.scenario.errors import refuse
-from maxq.sim.scenario.schema_values import (
-    Latitude,
-    Longitude,
-    Matrix,
-    Quaternion,
-    Section,
-    Triple,
-    at_most_one,
-)
+from maxq.sim.scenario.schema_values import Latitude, Longitude, Matrix, Quaternion, Section, Triple, at_most_one
 
 _ORTHONORMAL = 1e-6
 POSITIONS = ("geodetic", "inertial_m", "earth_m")

@@ -53,8 +53,7 @@ class Mass(Section):
     y_cg_m: float | None = Field(default=None, description="CG in body y, m (default 0)")
     z_cg_m: float | None = Field(default=None, description="CG in body z, m (default 0)")
     inertia_kgm2: Matrix | None = Field(
-        default=None,
-        description="inertia tensor about the CG in B, kg m2: minus the products off the diagonal",
+        default=None, description="inertia tensor about the CG in B, kg m2: minus the products off the diagonal"
     )
     mass_flow_kgps: NotNegative | None = Field(default=None, description="mass expelled per second, kg/s (default 0)")
     burn_s: NotNegative | None = Field(default=None, description="for how long it is expelled, s")

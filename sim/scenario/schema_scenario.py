@@ -28,8 +28,7 @@ class Run(Section):
     seed: Annotated[int, Field(ge=0, lt=2**63)] = Field(default=1, description="all noise derives from it")
     start_s: Seconds = Field(default=0.0, description="vehicle clock at the start, s, whole ns")
     freeze_vehicle_at_s: Seconds | None = Field(
-        default=None,
-        description="mass, thrust, modes, ... are held as at this vehicle clock, s (default: not)",
+        default=None, description="mass, thrust, modes, ... are held as at this vehicle clock, s (default: not)"
     )
     stop_at: tuple[Ending, ...] = Field(default=("impact",), description="events that end the flight, any of them")
 
@@ -163,17 +162,13 @@ class Scenario(Section):
         if self.design is not None:
             if computer is None:
                 raise refuse(
-                    "the vehicle has no [computer] to run a design on",
-                    key=("design",),
-                    value=self.design.name,
+                    "the vehicle has no [computer] to run a design on", key=("design",), value=self.design.name
                 )
             nyquist = 0.5 / computer.sample_s
             warp = self.design.filter.prewarp_hz
             if warp is not None and warp >= nyquist:
                 raise refuse(
-                    "lies above half the sample rate",
-                    f"less than {nyquist:g}",
-                    ("design", "filter", "prewarp_hz"),
+                    "lies above half the sample rate", f"less than {nyquist:g}", ("design", "filter", "prewarp_hz")
                 )
         for n, injection in enumerate(self.injection):
             key = ("injection", n, "at")

@@ -44,8 +44,7 @@ class Reference(Section):
     diameter_m: Positive = Field(description="diameter of the vehicle, m")
     area_m2: Positive = Field(description="reference area, m2")
     chord_m: Positive = Field(
-        default_factory=_first("diameter_m"),
-        description="pitch moment and damping length, m (default diameter_m)",
+        default_factory=_first("diameter_m"), description="pitch moment and damping length, m (default diameter_m)"
     )
     span_m: Positive = Field(
         default_factory=_first("chord_m"), description="roll moment and damping length, m (default chord_m)"
@@ -64,8 +63,7 @@ class Bending(Section):
     """Free-free bending modes, engine locked and sloshing masses removed."""
 
     pitch: Annotated[CsvTable, MODE_COLUMNS] | None = Field(
-        default=None,
-        description="modes of the pitch plane, one row per time, mode and station (default: none)",
+        default=None, description="modes of the pitch plane, one row per time, mode and station (default: none)"
     )
     yaw: Annotated[CsvTable, MODE_COLUMNS] | None = Field(
         default=None, description="modes of the yaw plane; may be the same file (default: none)"
@@ -209,10 +207,7 @@ class Stage(Section):
             for key, station in needed:
                 if not nose <= station <= tail:
                     raise refuse(
-                        "this station lies beyond the mode shapes",
-                        f"{nose:g} .. {tail:g}",
-                        key,
-                        value=station,
+                        "this station lies beyond the mode shapes", f"{nose:g} .. {tail:g}", key, value=station
                     )
 
 

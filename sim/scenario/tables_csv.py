@@ -74,14 +74,7 @@ class CsvTable:
     __hash__ = None  # type: ignore[assignment]  # arrays have no cheap hash, and no one needs it
 
     def refusal(
-        self,
-        problem: str,
-        allowed: str = "",
-        column: str = "",
-        row: int = -1,
-        *,
-        value: Any = NOTHING,
-        at: Path = (),
+        self, problem: str, allowed: str = "", column: str = "", row: int = -1, *, value: Any = NOTHING, at: Path = ()
     ) -> PydanticCustomError:
         """The exception for a mistake in this table, naming file, line and column (or key and index).
 

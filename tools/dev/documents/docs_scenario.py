@@ -13,8 +13,8 @@ from typing import Any
 from pydantic.fields import FieldInfo
 from pydantic_core import PydanticUndefined
 
-from maxq.sim.scenario.describe import describe, section_of, unwrap
 from maxq.sim.scenario.errors import show_value
+from maxq.sim.scenario.messages import describe, section_of, unwrap
 from maxq.sim.scenario.schema_design import Design
 from maxq.sim.scenario.schema_scenario import Scenario
 from maxq.sim.scenario.schema_values import Section
