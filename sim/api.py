@@ -19,7 +19,7 @@ from pathlib import Path
 from maxq.sim.log.head import LogError
 from maxq.sim.log.reader import Log, read_log
 from maxq.sim.run.fly import Event, Flight, FlightRun, fly
-from maxq.sim.run.judgement import METRIC_NAMES, Verdict
+from maxq.sim.run.metrics import METRIC_NAMES, Verdict
 from maxq.sim.run.record import record
 from maxq.sim.scenario import loader
 from maxq.sim.scenario.builtin import builtin_names

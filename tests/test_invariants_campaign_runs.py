@@ -16,7 +16,7 @@ from maxq.sim.campaign.loaded import LoadedCampaign
 from maxq.sim.campaign.refly import refly
 from maxq.sim.campaign.runner import run_campaign
 from maxq.sim.campaign.store import campaign_in
-from maxq.sim.run.judgement import METRIC_NAMES
+from maxq.sim.run.metrics import METRIC_NAMES
 
 
 @pytest.fixture(scope="module")

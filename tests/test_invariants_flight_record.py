@@ -11,10 +11,11 @@ import pytest
 from maxq.control.kernel.records import Array
 from maxq.sim.api import FlightRun, LoadedScenario, load_scenario, read_log, record
 from maxq.sim.flight.channels import unit_suffix
+from maxq.sim.flight.metrics import MetricIndex
 from maxq.sim.flight.telemetry import SLOW
 from maxq.sim.run.fly import fly
-from maxq.sim.run.judgement import ALL_METRICS, METRIC_NAMES, unit_of
 from maxq.sim.run.launch_frames import LaunchFrames, LaunchSite
+from maxq.sim.run.metrics import METRIC_NAMES, METRICS, EndMetrics, unit_of
 
 
 def loaded(*overrides: str) -> LoadedScenario:
@@ -72,8 +73,8 @@ def test_angles_are_scaled_once(tmp_path: Path) -> None:
 
 
 def test_names_of_metrics_end_with_their_unit() -> None:
-    assert len(set(METRIC_NAMES)) == len(ALL_METRICS)
-    for metric in ALL_METRICS:
+    assert (*MetricIndex._fields, *EndMetrics._fields) == METRIC_NAMES
+    for metric in METRICS.values():
         assert metric.name.endswith("_" + unit_suffix(unit_of(metric.name))) or unit_of(metric.name) == "1"
 
 

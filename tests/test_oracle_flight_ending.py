@@ -7,7 +7,7 @@ import math
 import pytest
 
 from maxq.sim.api import fly, load_scenario
-from maxq.sim.run.ending import geodesic_m
+from maxq.sim.run.metrics import geodesic_m
 
 WGS84 = (6378137.0, 1.0 / 298.257223563)
 

@@ -13,7 +13,7 @@ from maxq.sim.campaign.runner import cores
 from maxq.sim.campaign.search import search_worst
 from maxq.sim.campaign.store import campaign_in
 from maxq.sim.files import write_whole
-from maxq.sim.run.judgement import METRIC_NAMES, unit_of
+from maxq.sim.run.metrics import METRIC_NAMES, unit_of
 from maxq.sim.scenario.errors import suggestion
 from maxq.tools.cli.interruption import Interruption
 from maxq.tools.cli.terminal import aligned, printable

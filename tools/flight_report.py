@@ -5,9 +5,8 @@ from __future__ import annotations
 import math
 from pathlib import Path
 
-from maxq.sim.run.fly import Flight
-from maxq.sim.run.history import DIVERGED_NAME
-from maxq.sim.run.judgement import Verdict, unit_of
+from maxq.sim.run.fly import DIVERGED_NAME, Flight
+from maxq.sim.run.metrics import Verdict, unit_of
 from maxq.tools.cli.terminal import aligned, printable
 
 _FINAL = (

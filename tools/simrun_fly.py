@@ -143,7 +143,7 @@ def _load_numba_without_blas() -> None:
 
 def _load(order: Order) -> tuple[LoadedScenario, Comparison]:
     from maxq.sim.log.reader import read_run  # noqa: PLC0415  # lazy
-    from maxq.sim.run.judgement import METRIC_NAMES  # noqa: PLC0415  # lazy
+    from maxq.sim.run.metrics import METRIC_NAMES  # noqa: PLC0415  # lazy
     from maxq.sim.scenario.loader import load_scenario, load_scenario_text  # noqa: PLC0415  # lazy
     from maxq.tools.comparison import Comparison, scenario_text  # noqa: PLC0415  # lazy
 

@@ -31,7 +31,7 @@ from maxq.sim.campaign.loaded import LoadedCampaign
 from maxq.sim.campaign.read import description_of, load_campaign
 from maxq.sim.campaign.runner import Progress, run_campaign
 from maxq.sim.run.fly import fly
-from maxq.sim.run.judgement import METRIC_NAMES
+from maxq.sim.run.metrics import METRIC_NAMES
 from maxq.sim.scenario.loader import LoadedScenario, load_scenario
 from maxq.sim.scenario.schema_scenario import Log
 

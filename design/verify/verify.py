@@ -39,7 +39,7 @@ from maxq.design.verify.linear import (
 from maxq.design.verify.memory import Memory, code_hash, content_hash
 from maxq.design.verify.slosh import SloshAdvice, advise, confirm
 from maxq.design.verify.suite import ACCEPTED, REJECTED, Judgement, LoadedSuite, Requirement, Suite, overall
-from maxq.sim.run.summary import versions
+from maxq.sim.run.record import versions
 from maxq.sim.scenario.loader import LoadedScenario, load_scenario
 
 Watch = Callable[[str, int, int], None]

@@ -21,7 +21,7 @@ from maxq.sim.campaign.loaded import LoadedCampaign
 from maxq.sim.campaign.standing import tallies_of
 from maxq.sim.campaign.statistics import OPEN, Judgement, Shown, judge_any_time, judge_failures, tolerance_bound
 from maxq.sim.campaign.store import parts_in
-from maxq.sim.run.judgement import unit_of
+from maxq.sim.run.metrics import unit_of
 from maxq.sim.scenario.schema_scenario import Requirement
 
 SUMMARY_SCHEMA = 1

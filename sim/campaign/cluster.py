@@ -30,7 +30,7 @@ from maxq.sim.campaign.read import campaign_from, description_of
 from maxq.sim.campaign.runner import HANDFUL, Outcome, Progress
 from maxq.sim.campaign.standing import Standing
 from maxq.sim.campaign.store import Store, open_store
-from maxq.sim.run.summary import versions
+from maxq.sim.run.record import versions
 
 _LOOK_S = 0.2
 _TRIES = 5  # of a batch whose workers die; Dask itself tries each one several times

@@ -12,7 +12,7 @@ from maxq.sim.campaign.flying import Row
 from maxq.sim.campaign.loaded import LoadedCampaign
 from maxq.sim.campaign.plan import SEED_KEY
 from maxq.sim.campaign.wind import WIND_KEY
-from maxq.sim.run.judgement import METRIC_NAMES
+from maxq.sim.run.metrics import METRIC_NAMES
 
 RUN, OUTCOME, PASSED, CAUSE, LOST, END, STEPS, REDRAWS, HASH = (
     "run", "outcome", "passed", "cause", "lost_s", "end_s", "steps", "redraws", "state_hash",

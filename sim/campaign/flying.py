@@ -17,9 +17,8 @@ from maxq.sim.campaign.targets import Refused
 from maxq.sim.flight.telemetry import FAST, SLOW, channel_table
 from maxq.sim.packing.flight import Packed, pack_flight, pack_for_one_vehicle
 from maxq.sim.packing.schedule import stage_sizes
-from maxq.sim.run.fly import Flight, FlightRun, Rows
-from maxq.sim.run.history import CONTROL_LOST_NAME, DIVERGED_NAME
-from maxq.sim.run.judgement import METRIC_NAMES
+from maxq.sim.run.fly import CONTROL_LOST_NAME, DIVERGED_NAME, Flight, FlightRun, Rows
+from maxq.sim.run.metrics import METRIC_NAMES
 from maxq.sim.scenario.loader import LoadedScenario
 from maxq.sim.scenario.nanoseconds import NS_PER_S
 from maxq.sim.scenario.schema_scenario import Scenario

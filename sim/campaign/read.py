@@ -17,7 +17,7 @@ from maxq.sim.campaign.plan import SEED_KEY, Draw, Plan
 from maxq.sim.campaign.schema import CampaignFile, Disperse, plain_value, tuples
 from maxq.sim.campaign.targets import BadKey, Target, find_target
 from maxq.sim.campaign.wind import WIND_KEY, wind_draw
-from maxq.sim.run.judgement import METRIC_NAMES
+from maxq.sim.run.metrics import METRIC_NAMES
 from maxq.sim.scenario.documents import plain, source_of
 from maxq.sim.scenario.errors import Path as KeyPath
 from maxq.sim.scenario.files import Reading

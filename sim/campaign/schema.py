@@ -8,7 +8,7 @@ import numpy as np
 from pydantic import Field, ValidationInfo, ValidatorFunctionWrapHandler, WrapValidator, model_validator
 
 from maxq.sim.campaign.samples import SampleTable
-from maxq.sim.run.judgement import METRIC_NAMES
+from maxq.sim.run.metrics import METRIC_NAMES
 from maxq.sim.scenario.documents import Text
 from maxq.sim.scenario.errors import refuse
 from maxq.sim.scenario.schema_environment import WIND_COLUMNS

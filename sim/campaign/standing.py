@@ -14,7 +14,7 @@ from maxq.sim.campaign.flying import VOID, Row
 from maxq.sim.campaign.loaded import LoadedCampaign
 from maxq.sim.campaign.statistics import OPEN, judge_any_time
 from maxq.sim.campaign.store import Store
-from maxq.sim.run.judgement import judge
+from maxq.sim.run.metrics import judge
 from maxq.sim.scenario.schema_scenario import Requirement
 
 FLOWN_WELL = "control kept"

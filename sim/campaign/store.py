@@ -31,7 +31,7 @@ from maxq.sim.campaign.flying import Row
 from maxq.sim.campaign.loaded import LoadedCampaign
 from maxq.sim.campaign.read import campaign_from, description_of
 from maxq.sim.files import cannot_write, reason, whole_file, write_whole
-from maxq.sim.run.summary import versions
+from maxq.sim.run.record import versions
 from maxq.sim.scenario.errors import ScenarioError
 
 MANIFEST, RUNS, HISTORIES, LOCK = "campaign.json", "runs", "histories", "lock"

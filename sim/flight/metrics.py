@@ -1,13 +1,14 @@
-"""What a flight is judged by: extremes and totals gathered in the kernel as it flies.
+"""Flight metrics: maxima and totals gathered in the kernel at every step.
 
-One definition: the table below names every metric, its unit and meaning; the kernel keeps value and time of each.
+A metric is declared as a field of `MetricIndex` (name, unit, meaning) and updated in `gather`; `Extremes` holds the
+value and the time of each. The metrics of a flight's end are declared in sim/run/metrics.py.
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Annotated
+from typing import Annotated, NamedTuple
 
 from maxq.control.computer import ComputerState
 from maxq.control.kernel.jit import kernel, routine
@@ -34,39 +35,34 @@ STANDARD_GRAVITY_MPS2 = 9.80665
 SIGNIFICANT_PRESSURE_PA = 1000.0  # incidence below this dynamic pressure is of no consequence
 
 
-@dataclass(frozen=True)
-class Metric:
-    name: str
-    meaning: str
+class MetricIndex(NamedTuple):
+    """Index of each metric in `Extremes`, with its unit and its meaning."""
+
+    max_speed_mps: Annotated[int, "m/s", "largest speed relative to the Earth"]
+    max_altitude_m: Annotated[int, "m", "largest altitude"]
+    max_mach: Annotated[int, "1", "largest Mach number"]
+    max_dynamic_pressure_Pa: Annotated[int, "Pa", "largest dynamic pressure"]
+    max_powered_dynamic_pressure_Pa: Annotated[int, "Pa", "largest dynamic pressure under thrust"]
+    max_alpha_deg: Annotated[
+        int, "deg", "largest total angle of attack under thrust while the dynamic pressure exceeds 1 kPa"
+    ]
+    max_q_alpha_Padeg: Annotated[
+        int, "Pa deg", "largest product of dynamic pressure (above 1 kPa) and total angle of attack under thrust"
+    ]
+    max_attitude_error_deg: Annotated[int, "deg", "largest attitude error of pitch or yaw in the computer under thrust"]
+    max_roll_error_deg: Annotated[int, "deg", "largest roll error in the computer under thrust"]
+    max_gimbal_deg: Annotated[int, "deg", "largest engine angle of either axis under thrust"]
+    max_gimbal_rate_degps: Annotated[int, "deg/s", "largest engine rate of either axis under thrust"]
+    max_bending_m: Annotated[int, "m", "largest displacement of the gimbal by bending, either plane"]
+    max_slosh_deg: Annotated[int, "deg", "largest angle of a slosh pendulum from the body axis under thrust"]
+    max_thrust_over_weight_g: Annotated[int, "g", "largest thrust over mass"]
+    max_axial_load_g: Annotated[int, "g", "largest sensed axial specific force at the vehicle's CG"]
+    max_lateral_load_g: Annotated[int, "g", "largest sensed lateral specific force at the core CG under thrust"]
+    saturation_time_s: Annotated[int, "s", "time during which a gimbal command is at its limit"]
 
 
-METRICS = (
-    Metric("max_speed_mps", "largest speed relative to the Earth"),
-    Metric("max_altitude_m", "largest altitude"),
-    Metric("max_mach", "largest Mach number"),
-    Metric("max_dynamic_pressure_Pa", "largest dynamic pressure"),
-    Metric("max_powered_dynamic_pressure_Pa", "largest dynamic pressure under thrust"),
-    Metric("max_alpha_deg", "largest total incidence while the dynamic pressure exceeds 1 kPa under thrust"),
-    Metric(
-        "max_q_alpha_Padeg",
-        "largest product of dynamic pressure (above 1 kPa) and total incidence under thrust",
-    ),
-    Metric("max_attitude_error_deg", "largest attitude error of pitch or yaw in the computer under thrust"),
-    Metric("max_roll_error_deg", "largest roll error in the computer under thrust"),
-    Metric("max_gimbal_deg", "largest engine angle of either axis under thrust"),
-    Metric("max_gimbal_rate_degps", "largest engine rate of either axis under thrust"),
-    Metric("max_bending_m", "largest displacement of the gimbal by bending, either plane"),
-    Metric("max_slosh_deg", "largest angle of a slosh pendulum from the body axis under thrust"),
-    Metric("max_thrust_over_weight_g", "largest thrust over mass"),
-    Metric("max_axial_load_g", "largest sensed axial specific force at the vehicle's CG"),
-    Metric("max_lateral_load_g", "largest sensed lateral specific force at the core CG under thrust"),
-    Metric("saturation_time_s", "time during which a gimbal command lies at its limit"),
-)
-(
-    SPEED, ALTITUDE_MAX, MACH_MAX, Q_MAX, Q_POWERED, ALPHA_MAX, Q_ALPHA_MAX, ERROR_MAX, ROLL_MAX, GIMBAL_MAX,
-    GIMBAL_RATE_MAX, BENDING_MAX, SLOSH_MAX, THRUST_MAX, AXIAL_MAX, LATERAL_MAX, SATURATION,
-) = range(len(METRICS))  # fmt: skip
-N_METRICS = len(METRICS)
+N_METRICS = len(MetricIndex._fields)
+METRIC = MetricIndex(*range(N_METRICS))
 
 
 @dataclass
@@ -92,35 +88,35 @@ def gather(
     """Update all metrics at the start of a step of `step_s`."""
     turning = earth.rate_radps
     vx, vy, vz = y[V_I] + turning * y[R_I + 1], y[V_I + 1] - turning * y[R_I], y[V_I + 2]
-    raise_to(extremes, SPEED, math.sqrt(vx * vx + vy * vy + vz * vz), now_ns)
-    raise_to(extremes, ALTITUDE_MAX, aux[ALTITUDE], now_ns)
-    raise_to(extremes, MACH_MAX, aux[MACH], now_ns)
+    raise_to(extremes, METRIC.max_speed_mps, math.sqrt(vx * vx + vy * vy + vz * vz), now_ns)
+    raise_to(extremes, METRIC.max_altitude_m, aux[ALTITUDE], now_ns)
+    raise_to(extremes, METRIC.max_mach, aux[MACH], now_ns)
     q = aux[DYNAMIC_PRESSURE]
-    raise_to(extremes, Q_MAX, q, now_ns)
-    raise_to(extremes, THRUST_MAX, aux[THRUST] / props[TOTAL_MASS] / STANDARD_GRAVITY_MPS2, now_ns)
+    raise_to(extremes, METRIC.max_dynamic_pressure_Pa, q, now_ns)
+    raise_to(extremes, METRIC.max_thrust_over_weight_g, aux[THRUST] / props[TOTAL_MASS] / STANDARD_GRAVITY_MPS2, now_ns)
     sensed = (aux[AERO_FORCE] + aux[THRUST]) / props[TOTAL_MASS]
-    raise_to(extremes, AXIAL_MAX, abs(sensed) / STANDARD_GRAVITY_MPS2, now_ns)
+    raise_to(extremes, METRIC.max_axial_load_g, abs(sensed) / STANDARD_GRAVITY_MPS2, now_ns)
     _gather_bending(extremes, vehicle, now_ns, aux)
     if held.burning == 0 or held.on_pad == 1:
         return
-    raise_to(extremes, Q_POWERED, q, now_ns)
+    raise_to(extremes, METRIC.max_powered_dynamic_pressure_Pa, q, now_ns)
     _gather_incidence(extremes, q, aux, now_ns)
-    felt = math.sqrt(
+    lateral_mps2 = math.sqrt(
         aux[SPECIFIC_FORCE + 1] * aux[SPECIFIC_FORCE + 1] + aux[SPECIFIC_FORCE + 2] * aux[SPECIFIC_FORCE + 2]
     )
-    raise_to(extremes, LATERAL_MAX, felt / STANDARD_GRAVITY_MPS2, now_ns)
+    raise_to(extremes, METRIC.max_lateral_load_g, lateral_mps2 / STANDARD_GRAVITY_MPS2, now_ns)
     law = computer.law
     error = max(abs(law.theta_e_rad[1] + law.discarded_rad[1]), abs(law.theta_e_rad[2] + law.discarded_rad[2]))
-    raise_to(extremes, ERROR_MAX, math.degrees(error), now_ns)
-    raise_to(extremes, ROLL_MAX, math.degrees(abs(law.theta_e_rad[0] + law.discarded_rad[0])), now_ns)
+    raise_to(extremes, METRIC.max_attitude_error_deg, math.degrees(error), now_ns)
+    raise_to(extremes, METRIC.max_roll_error_deg, math.degrees(abs(law.theta_e_rad[0] + law.discarded_rad[0])), now_ns)
     gimbal = max(abs(aux[ENGINE_PITCH]), abs(aux[ENGINE_YAW]))
-    raise_to(extremes, GIMBAL_MAX, math.degrees(gimbal), now_ns)
+    raise_to(extremes, METRIC.max_gimbal_deg, math.degrees(gimbal), now_ns)
     gimbal_rate = max(abs(aux[ENGINE_PITCH + 1]), abs(aux[ENGINE_YAW + 1]))
-    raise_to(extremes, GIMBAL_RATE_MAX, math.degrees(gimbal_rate), now_ns)
+    raise_to(extremes, METRIC.max_gimbal_rate_degps, math.degrees(gimbal_rate), now_ns)
     _gather_slosh(extremes, vehicle, now_ns, props, y)
     if computer.law.command_limited[0] == 1 or computer.law.command_limited[1] == 1:
-        extremes.value[SATURATION] += step_s
-        extremes.time_ns[SATURATION] = now_ns
+        extremes.value[METRIC.saturation_time_s] += step_s
+        extremes.time_ns[METRIC.saturation_time_s] = now_ns
 
 
 @kernel
@@ -135,10 +131,10 @@ def angle_above(lateral: float, axial: float, floor_deg: float) -> float:
 def _gather_incidence(extremes: Extremes, q: float, aux: Array, now_ns: int) -> None:
     if q > SIGNIFICANT_PRESSURE_PA:
         lateral = math.sqrt(aux[FLOW + 1] * aux[FLOW + 1] + aux[FLOW + 2] * aux[FLOW + 2])
-        floor_deg = min(extremes.value[ALPHA_MAX], extremes.value[Q_ALPHA_MAX] / q)
+        floor_deg = min(extremes.value[METRIC.max_alpha_deg], extremes.value[METRIC.max_q_alpha_Padeg] / q)
         alpha_deg = angle_above(lateral, aux[FLOW], floor_deg)
-        raise_to(extremes, ALPHA_MAX, alpha_deg, now_ns)
-        raise_to(extremes, Q_ALPHA_MAX, q * alpha_deg, now_ns)
+        raise_to(extremes, METRIC.max_alpha_deg, alpha_deg, now_ns)
+        raise_to(extremes, METRIC.max_q_alpha_Padeg, q * alpha_deg, now_ns)
 
 
 @kernel
@@ -146,7 +142,7 @@ def _gather_bending(extremes: Extremes, vehicle: Vehicle, now_ns: int, aux: Arra
     sizes = counts(vehicle.sizes)
     if sizes.pitch_modes + sizes.yaw_modes > 0:
         move_y, move_z = aux[GIMBAL_BEND], aux[GIMBAL_BEND + 1]
-        raise_to(extremes, BENDING_MAX, math.sqrt(move_y * move_y + move_z * move_z), now_ns)
+        raise_to(extremes, METRIC.max_bending_m, math.sqrt(move_y * move_y + move_z * move_z), now_ns)
 
 
 @kernel
@@ -156,4 +152,9 @@ def _gather_slosh(extremes: Extremes, vehicle: Vehicle, now_ns: int, props: Arra
         if bob_mass(vehicle.slosh, props, tank) > 0.0:
             i = pendulum_index(sizes, tank)
             lateral = math.sqrt(y[i + 1] * y[i + 1] + y[i + 2] * y[i + 2])
-            raise_to(extremes, SLOSH_MAX, angle_above(lateral, -y[i], extremes.value[SLOSH_MAX]), now_ns)
+            raise_to(
+                extremes,
+                METRIC.max_slosh_deg,
+                angle_above(lateral, -y[i], extremes.value[METRIC.max_slosh_deg]),
+                now_ns,
+            )

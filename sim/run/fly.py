@@ -16,20 +16,47 @@ from maxq.control.kernel.records import Array, IntArray, pack
 from maxq.sim.flight.arena import ARENA_SIZE
 from maxq.sim.flight.channels import ChannelTable
 from maxq.sim.flight.loop import Logged, advance, begin
-from maxq.sim.flight.metrics import METRICS
+from maxq.sim.flight.metrics import MetricIndex
+from maxq.sim.flight.parameters import (
+    BURNOUT,
+    CAUSES,
+    CONTROL_LOST,
+    DIVERGED,
+    EVENT_NAMES,
+    NEVER,
+    SEPARATION,
+)
 from maxq.sim.flight.telemetry import FAST, SLOW, channel_table
-from maxq.sim.packing.flight import Packed, pack_flight
-from maxq.sim.run.ending import ending_values
-from maxq.sim.run.history import Event, cause_of, events_so_far, outcome_so_far
-from maxq.sim.run.judgement import ALL_METRICS, Verdict, above_the_wind, judge
+from maxq.sim.packing.flight import CONTROL_LOST_RAD, Packed, pack_flight
+from maxq.sim.run.metrics import METRIC_NAMES, Verdict, end_metrics, judge
 from maxq.sim.scenario.loader import LoadedScenario
+from maxq.sim.scenario.nanoseconds import to_ns
+from maxq.sim.scenario.schema_scenario import Scenario
 
 LONGEST_SEGMENT_NS = 1_000_000_000  # one log chunk
 _FIRST_ROOM = 400_000  # rows
 _MOST_STEPS, _MOST_ROWS = 20_000, 20_000  # of a segment: tens of milliseconds of work, 10 MB of rows
 
+IGNITION_NAME = "ignition"
+BURNOUT_NAME, SEPARATION_NAME = EVENT_NAMES[BURNOUT], EVENT_NAMES[SEPARATION]
+CONTROL_LOST_NAME, DIVERGED_NAME = EVENT_NAMES[CONTROL_LOST], EVENT_NAMES[DIVERGED]
+CONTROL_LOST_CAUSE = f"the attitude error exceeds {math.degrees(CONTROL_LOST_RAD):.3g} deg under thrust"
+
 Rows = dict[str, tuple[IntArray, Array]]
 """By rate group: times (n,) in ns and values (n, columns of the group) in logged units."""
+
+
+@dataclass(frozen=True)
+class Event:
+    """`stage` counts from 1 on a vehicle of several stages; 0 where it is not a matter of stages."""
+
+    name: str
+    time_ns: int
+    stage: int = 0
+
+    @property
+    def time_s(self) -> float:
+        return self.time_ns / 1e9
 
 
 @dataclass(frozen=True)
@@ -153,16 +180,14 @@ class FlightRun:
 
     def result(self, rows: Rows | None = None) -> Flight:
         """The flight so far; `rows` are the log rows that the caller has kept."""
-        clock, extremes, now_s = self.memory.clock, self.memory.extremes, self.now_s
+        clock, extremes, scenario = self.memory.clock, self.memory.extremes, self.loaded.scenario
         events, final, outcome = self.events, self.present(), outcome_so_far(self.packed)
-        scenario = self.loaded.scenario
-        metrics = {m.name: value for m, value in zip(METRICS, extremes.value.tolist(), strict=True)}
-        times_ns = extremes.time_ns.tolist()
-        times = {m.name: t / 1e9 if t >= 0 else math.nan for m, t in zip(METRICS, times_ns, strict=True)}
+        times_s = [t / 1e9 if t >= 0 else math.nan for t in extremes.time_ns.tolist()]
+        metric_times_s = dict.fromkeys(METRIC_NAMES, self.now_s) | dict(zip(MetricIndex._fields, times_s, strict=True))
         lift_off_s = next((e.time_s for e in events if e.name == "liftoff"), scenario.run.start_s)
         earth = self.packed.parameters[0].environment.earth
-        metrics |= ending_values(final, earth, scenario.site, now_s - lift_off_s)
-        times = {m.name: times.get(m.name, now_s) for m in ALL_METRICS}
+        end = end_metrics(final, earth, scenario.site, self.now_s - lift_off_s)
+        metrics = dict(zip(MetricIndex._fields, extremes.value.tolist(), strict=True)) | end._asdict()
         causes = [(e, cause_of(e, self.packed)) for e in events]
         return Flight(
             scenario=self.loaded,
@@ -170,15 +195,15 @@ class FlightRun:
             rows=rows or {},
             events=events,
             metrics=metrics,
-            metric_times_s=times,
-            verdicts=tuple(judge(r, metrics, times) for r in scenario.requirement),
+            metric_times_s=metric_times_s,
+            verdicts=tuple(judge(r, metrics, metric_times_s) for r in scenario.requirement),
             failures=(
                 *(f"{e.name.replace('_', ' ')} at {e.time_s:.3f} s: {cause}" for e, cause in causes if cause),
-                *above_the_wind(scenario, metrics["max_altitude_m"]),
+                *_above_the_wind(scenario, metrics["max_altitude_m"]),
             ),
             outcome=outcome,
             cause=next((cause for e, cause in causes if cause and e.name == outcome), ""),
-            end_s=now_s,
+            end_s=self.now_s,
             end_ns=int(clock.now_ns),
             steps=int(clock.steps),
             state=self.packed.state.copy(),
@@ -231,6 +256,61 @@ def fly(loaded: LoadedScenario, *, log: bool = True, watch: Callable[[FlightRun,
 _logged_table = lru_cache(maxsize=8)(channel_table)
 
 
+def events_so_far(packed: Packed, start_s: float) -> tuple[Event, ...]:
+    """All events in order of time: one ignition, burn-out and separation for each stage that had it."""
+    clock = packed.memory[0].clock
+    stages = len(packed.parameters)
+    found = []
+    for index in range(int(clock.stage) + 1):
+        number = index + 1 if stages > 1 else 0
+        ignition_ns = int(packed.parameters[index].timeline.burn_start_ns)
+        if to_ns(start_s) <= ignition_ns <= int(clock.now_ns) and ignition_ns < NEVER:
+            found.append(Event(IGNITION_NAME, ignition_ns, number))
+        for name, times_ns in (
+            (BURNOUT_NAME, clock.stage_burnout_ns),
+            (SEPARATION_NAME, clock.stage_separation_ns),
+        ):
+            if times_ns[index] >= 0:
+                found.append(Event(name, int(times_ns[index]), number))
+    for name, time_ns in zip(EVENT_NAMES, clock.event_ns, strict=True):
+        if time_ns >= 0 and name not in (BURNOUT_NAME, SEPARATION_NAME):
+            found.append(Event(name, int(time_ns)))
+    return tuple(sorted(found, key=lambda event: event.time_ns))
+
+
+def outcome_so_far(packed: Packed) -> str:
+    """`diverged`, the event of run.stop_at that ended the flight, `duration`, or `interrupted`."""
+    clock = packed.memory[0].clock
+    stop_mask = int(packed.parameters[int(clock.stage)].timeline.stop_mask)
+    events_ns, now_ns = clock.event_ns.tolist(), int(clock.now_ns)
+    if events_ns[DIVERGED] >= 0:
+        return DIVERGED_NAME
+    if not clock.finished:
+        return "interrupted"
+    for index, (name, time_ns) in enumerate(zip(EVENT_NAMES, events_ns, strict=True)):
+        if (stop_mask >> index) & 1 and time_ns == now_ns:
+            return name
+    return "duration"
+
+
+def cause_of(event: Event, packed: Packed) -> str:
+    """Why something went wrong; empty for an event that is no fault."""
+    if event.name == DIVERGED_NAME:
+        return CAUSES[int(packed.memory[0].clock.cause)]
+    return CONTROL_LOST_CAUSE if event.name == CONTROL_LOST_NAME else ""
+
+
+def _above_the_wind(scenario: Scenario, highest_m: float) -> tuple[str, ...]:
+    """A failure if the flight rose above a wind profile that has to cover it (wind.outside = "error")."""
+    wind = scenario.wind
+    if wind.outside == "hold" or wind.profile is None:
+        return ()
+    top_m = float(wind.profile["altitude_m"][-1])
+    if highest_m <= top_m:
+        return ()
+    return (f"the flight rose to {highest_m:.0f} m, the wind profile ends at {top_m:.0f} m (wind.outside = 'error')",)
+
+
 def copied(rows: Rows) -> Rows:
     """Rows that the next segment does not overwrite."""
     return {group: (times.copy(), values.copy()) for group, (times, values) in rows.items()}
@@ -272,6 +352,3 @@ def _segment_ns(step_ns: int, shortest_log_ns: int) -> int:
     """
     longest = min(LONGEST_SEGMENT_NS, _MOST_STEPS * step_ns, _MOST_ROWS * shortest_log_ns)
     return max(longest // step_ns, 1) * step_ns
-
-
-__all__ = ["Event", "Flight", "FlightRun", "Rows", "Verdict", "copied", "fly"]

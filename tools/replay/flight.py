@@ -142,7 +142,7 @@ class ReplayFlight:
     @cached_property
     def requirements(self) -> tuple[Requirement, ...]:
         """Those of the scenario; values from the summary beside the log."""
-        from maxq.sim.run.judgement import unit_of  # noqa: PLC0415  # lazy: loads the kernels' modules
+        from maxq.sim.run.metrics import unit_of  # noqa: PLC0415  # lazy: loads the kernels' modules
 
         if self.scenario is None:
             return ()

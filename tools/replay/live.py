@@ -21,8 +21,7 @@ from maxq.sim.flight.telemetry import FAST, SLOW
 from maxq.sim.log.foxglove import Level
 from maxq.sim.packing.environment import pack_earth
 from maxq.sim.packing.flight import Packed
-from maxq.sim.run.fly import Event, Flight, FlightRun, Rows, copied
-from maxq.sim.run.history import CONTROL_LOST_NAME, DIVERGED_NAME, cause_of
+from maxq.sim.run.fly import CONTROL_LOST_NAME, DIVERGED_NAME, Event, Flight, FlightRun, Rows, cause_of, copied
 from maxq.sim.scenario.loader import LoadedScenario
 from maxq.tools.replay import viewer
 from maxq.tools.replay.about import drawn_text, factors_text

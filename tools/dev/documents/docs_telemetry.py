@@ -13,9 +13,9 @@ from maxq.sim.flight.parameters import CAUSES, EVENT_NAMES
 from maxq.sim.flight.telemetry import FAST, SLOW, channel_table
 from maxq.sim.log.head import END_METADATA, REASON_KEY, RUN_METADATA, SCHEMA_VERSION, STATUS_KEY
 from maxq.sim.packing.schedule import stage_sizes
-from maxq.sim.run.history import CONTROL_LOST_CAUSE, IGNITION_NAME
-from maxq.sim.run.judgement import ALL_METRICS, unit_of
+from maxq.sim.run.fly import CONTROL_LOST_CAUSE, IGNITION_NAME
 from maxq.sim.run.launch_frames import CHILD, PARENT
+from maxq.sim.run.metrics import METRICS
 from maxq.sim.run.record import (
     DESIGN_ATTACHMENT,
     END_KEY,
@@ -99,7 +99,7 @@ schema 1 are read with the channel names of today.
 
 What `summary.json` and `[[requirement]]` call by name; gathered at every step, not from the log.
 
-{_rows(("metric", "unit", "meaning"), [(f"`{m.name}`", unit_of(m.name), m.meaning) for m in ALL_METRICS])}"""
+{_rows(("metric", "unit", "meaning"), [(f"`{m.name}`", m.unit, m.description) for m in METRICS.values()])}"""
 
 
 def _rows(head: tuple[str, ...], rows: list[tuple[str, ...]]) -> str:

@@ -1,0 +1,145 @@
+"""Metrics of a flight by name, those of its end included, and the verdicts on a scenario's requirements.
+
+A metric is declared once: as a field of `MetricIndex` (sim/flight/metrics.py) where the kernel gathers it, or of
+`EndMetrics` where it follows from the flight's last instant.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Annotated, NamedTuple
+
+from maxq.sim.flight.channels import declared_channels
+from maxq.sim.flight.metrics import MetricIndex
+from maxq.sim.scenario.schema_environment import Site
+from maxq.sim.scenario.schema_scenario import Requirement
+from maxq.sim.world.earth import FLAT, Earth
+
+_ITERATIONS = 200
+_CONVERGED_RAD = 1e-13
+
+
+class EndMetrics(NamedTuple):
+    """On a flat Earth latitude and longitude are nan; the site is its origin."""
+
+    flight_time_s: Annotated[
+        float, "s", "time to the end from lift-off, or from the start where nothing held the vehicle"
+    ]
+    range_m: Annotated[float, "m", "distance along the ground from the launch site to where the flight ended"]
+    final_latitude_deg: Annotated[float, "deg", "geodetic latitude at the end"]
+    final_longitude_deg: Annotated[float, "deg", "longitude at the end, east positive"]
+    final_altitude_m: Annotated[float, "m", "altitude at the end"]
+    final_speed_mps: Annotated[float, "m/s", "speed relative to the Earth at the end"]
+
+
+METRICS = {metric.name: metric for metric in (*declared_channels(MetricIndex), *declared_channels(EndMetrics))}
+METRIC_NAMES = tuple(METRICS)
+"""Names that a requirement may use."""
+
+
+def unit_of(metric: str) -> str:
+    """Unit of a metric; KeyError for an unknown name."""
+    return METRICS[metric].unit
+
+
+def end_metrics(final: Mapping[str, float], earth: Earth, site: Site, flight_time_s: float) -> EndMetrics:
+    """From the channels at the flight's last instant."""
+    if earth.figure == FLAT:
+        latitude_deg, longitude_deg = math.nan, math.nan
+        range_m = math.hypot(final["r_E_x_m"], final["r_E_y_m"])
+    else:
+        latitude_deg, longitude_deg = final["latitude_deg"], final["longitude_deg"]
+        range_m = geodesic_m(
+            earth.equatorial_radius_m,
+            earth.flattening,
+            (math.radians(site.latitude_deg), math.radians(site.longitude_deg)),
+            (math.radians(latitude_deg), math.radians(longitude_deg)),
+        )
+    return EndMetrics(
+        flight_time_s=flight_time_s,
+        range_m=range_m,
+        final_latitude_deg=latitude_deg,
+        final_longitude_deg=longitude_deg,
+        final_altitude_m=final["altitude_m"],
+        final_speed_mps=final["speed_mps"],
+    )
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """A requirement and the metric it bounds; `time_s`: when the flight had that value, nan if unknown."""
+
+    requirement: Requirement
+    value: float
+    time_s: float
+    met: bool
+
+    @property
+    def name(self) -> str:
+        return self.requirement.name or self.requirement.metric
+
+    @property
+    def bound(self) -> tuple[str, float]:
+        """`limit` or `minimum`, and its value."""
+        if self.requirement.limit is not None:
+            return "limit", self.requirement.limit
+        assert self.requirement.minimum is not None
+        return "minimum", self.requirement.minimum
+
+
+def judge(requirement: Requirement, values: Mapping[str, float], times_s: Mapping[str, float]) -> Verdict:
+    """A value that is not a number meets no requirement. Raises KeyError for an unknown metric."""
+    value = values[requirement.metric]
+    if requirement.limit is not None:
+        met = value <= requirement.limit
+    else:
+        assert requirement.minimum is not None
+        met = value >= requirement.minimum
+    return Verdict(requirement, value, times_s[requirement.metric], met)
+
+
+def geodesic_m(radius_m: float, flattening: float, start: tuple[float, float], end: tuple[float, float]) -> float:
+    """Geodesic distance on an ellipsoid between two places (geodetic latitude, longitude), rad.
+
+    Vincenty's inverse formula (Survey Review 23, 1975), good to 0.1 mm on the Earth. It does not converge for
+    nearly antipodal places: then, and for coordinates that are not numbers, nan.
+    """
+    (latitude_1, longitude_1), (latitude_2, longitude_2) = start, end
+    if not math.isfinite(latitude_2 + longitude_2):
+        return math.nan
+    reduced_1 = math.atan((1.0 - flattening) * math.tan(latitude_1))
+    reduced_2 = math.atan((1.0 - flattening) * math.tan(latitude_2))
+    sin_1, cos_1 = math.sin(reduced_1), math.cos(reduced_1)
+    sin_2, cos_2 = math.sin(reduced_2), math.cos(reduced_2)
+    difference = math.remainder(longitude_2 - longitude_1, math.tau)
+    wide = difference
+    for _ in range(_ITERATIONS):
+        sin_wide, cos_wide = math.sin(wide), math.cos(wide)
+        sin_arc = math.hypot(cos_2 * sin_wide, cos_1 * sin_2 - sin_1 * cos_2 * cos_wide)
+        if sin_arc == 0.0 and cos_wide > 0.0:
+            return 0.0
+        cos_arc = sin_1 * sin_2 + cos_1 * cos_2 * cos_wide
+        arc = math.atan2(sin_arc, cos_arc)
+        sin_azimuth = cos_1 * cos_2 * sin_wide / sin_arc if sin_arc else 0.0
+        cos2_azimuth = 1.0 - sin_azimuth * sin_azimuth
+        cos_middle = cos_arc - 2.0 * sin_1 * sin_2 / cos2_azimuth if cos2_azimuth > 1e-15 else 0.0
+        c = flattening / 16.0 * cos2_azimuth * (4.0 + flattening * (4.0 - 3.0 * cos2_azimuth))
+        before = wide
+        wide = difference + (1.0 - c) * flattening * sin_azimuth * (
+            arc + c * sin_arc * (cos_middle + c * cos_arc * (2.0 * cos_middle * cos_middle - 1.0))
+        )
+        if abs(wide - before) < _CONVERGED_RAD and abs(wide) <= math.pi:
+            break
+    else:
+        return math.nan
+    second = (1.0 - flattening) ** -2 - 1.0  # second eccentricity squared
+    u2 = cos2_azimuth * second
+    a = 1.0 + u2 / 16384.0 * (4096.0 + u2 * (-768.0 + u2 * (320.0 - 175.0 * u2)))
+    b = u2 / 1024.0 * (256.0 + u2 * (-128.0 + u2 * (74.0 - 47.0 * u2)))
+    inner = cos_arc * (2.0 * cos_middle * cos_middle - 1.0) - b / 6.0 * cos_middle * (4.0 * sin_arc * sin_arc - 3.0) * (
+        4.0 * cos_middle * cos_middle - 3.0
+    )
+    correction = b * sin_arc * (cos_middle + b / 4.0 * inner)
+    return float(radius_m * (1.0 - flattening) * a * (arc - correction))
