@@ -24,6 +24,7 @@ from maxq.sim.log.protobuf import MOST_FIELDS, doubles_template
 from maxq.sim.log.reader import read_log
 from maxq.sim.log.writer import LogWriter
 from maxq.sim.vehicle.state import Sizes
+from maxq.tools.dev.documents.docs_telemetry import topics_markdown
 
 ALPHA = Channel("alpha_deg", "deg", "", "angle of attack")
 
@@ -105,10 +106,10 @@ def test_columns_of_a_rate_group_follow_the_table() -> None:
 
 
 def test_markdown() -> None:
-    text = TABLE.markdown()
+    text = topics_markdown(TABLE)
     assert "| `w_BI_B_y_radps` | rad/s | B | pitch rate |" in text
     assert "## `/slosh/tank_1` (fast)\n\none | two\n" in text
-    assert r"a \| b" in ChannelTable((Topic("/a", "f", (Channel("a", "1", "", "a | b"),)),)).markdown()
+    assert r"a \| b" in topics_markdown(ChannelTable((Topic("/a", "f", (Channel("a", "1", "", "a | b"),)),)))
 
 
 def test_a_message_has_at_most_2047_fields() -> None:

@@ -14,10 +14,10 @@ from maxq.control.kernel.records import Array
 from maxq.sim.campaign.loaded import BatchInputs, Inputs, LoadedCampaign
 from maxq.sim.campaign.schema import Envelope
 from maxq.sim.campaign.targets import Refused
-from maxq.sim.flight.telemetry import FAST, SLOW, channel_table
+from maxq.sim.flight.telemetry import FAST, SLOW
 from maxq.sim.packing.flight import Packed, pack_flight, pack_for_one_vehicle
 from maxq.sim.packing.schedule import stage_sizes
-from maxq.sim.run.fly import CONTROL_LOST_NAME, DIVERGED_NAME, Flight, FlightRun, Rows
+from maxq.sim.run.fly import CONTROL_LOST_NAME, DIVERGED_NAME, Flight, FlightRun, Rows, logged_channels
 from maxq.sim.run.metrics import METRIC_NAMES
 from maxq.sim.scenario.loader import LoadedScenario
 from maxq.sim.scenario.nanoseconds import NS_PER_S
@@ -223,7 +223,5 @@ def channel_units(loaded: LoadedScenario) -> dict[str, str]:
     """Log channels that an envelope may ask for, with their units."""
     stages = loaded.vehicle.stage
     widest = max((stage_sizes(stage, loaded.scenario.switches) for stage in stages), key=lambda s: s.tanks)
-    tanks = max((stage.tank for stage in stages), key=len)
-    names = tuple(tank.name or str(i + 1) for i, tank in enumerate(tanks[: widest.tanks]))
-    table = channel_table(widest, names)
+    table = logged_channels(loaded.vehicle, widest)
     return {channel.name: channel.unit for group in (FAST, SLOW) for channel in table.columns(group)}

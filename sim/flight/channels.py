@@ -11,7 +11,6 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import get_args, get_type_hints
 
-DIMENSIONLESS = "1"
 EVENTS_TOPIC = "/events"
 FRAMES_TOPIC = "/tf"
 
@@ -32,9 +31,7 @@ class Channel:
 
     `name` ends with the suffix of `unit` (see `unit_suffix`; upper or lower case) unless `unit` is "1", and
     holds `frame` as one of its parts unless `frame` is "": `w_BI_B_y_radps` has unit rad/s and frame B. It
-    becomes the name of a protobuf field.
-
-    Raises ValueError where the name breaks these rules.
+    becomes the name of a protobuf field. Raises ValueError where the name breaks these rules.
     """
 
     name: str
@@ -46,7 +43,7 @@ class Channel:
         if not _CHANNEL_NAME.fullmatch(self.name):
             raise ValueError(f"channel {self.name!r}: a name is made of letters, digits and underscores")
         if not self.unit:
-            raise ValueError(f"channel {self.name}: the unit is missing ({DIMENSIONLESS!r} for none)")
+            raise ValueError(f"channel {self.name}: the unit is missing ('1' for none)")
         suffix = unit_suffix(self.unit)
         if suffix and not self.name.lower().endswith("_" + suffix.lower()):
             raise ValueError(f"channel {self.name}: unit {self.unit} asks for a name that ends with _{suffix}")
@@ -133,17 +130,14 @@ class ChannelTable:
         """Rate groups in order of first use."""
         return tuple(dict.fromkeys(topic.group for topic in self.topics))
 
-    def topics_of(self, group: str) -> tuple[Topic, ...]:
-        return tuple(topic for topic in self.topics if topic.group == group)
-
     def columns(self, group: str) -> tuple[Channel, ...]:
         """Channels of a rate group in the order of its columns; none for an unknown group."""
-        return tuple(channel for topic in self.topics_of(group) for channel in topic.channels)
+        return self._columns.get(group, ())
 
-    @cached_property
+    @property
     def names(self) -> tuple[str, ...]:
         """Names of all channels, topic by topic."""
-        return tuple(channel.name for topic in self.topics for channel in topic.channels)
+        return tuple(self._places)
 
     def __contains__(self, name: str) -> bool:
         return name in self._places
@@ -161,30 +155,17 @@ class ChannelTable:
         return self._places[name][1]
 
     @cached_property
+    def _columns(self) -> dict[str, tuple[Channel, ...]]:
+        return {
+            group: tuple(channel for topic in self.topics if topic.group == group for channel in topic.channels)
+            for group in self.groups
+        }
+
+    @cached_property
     def _places(self) -> dict[str, tuple[Topic, int, Channel]]:
         """Topic, column within the rate group, and channel, by name of the channel."""
-        places: dict[str, tuple[Topic, int, Channel]] = {}
-        widths = dict.fromkeys(self.groups, 0)
-        for topic in self.topics:
-            for channel in topic.channels:
-                places[channel.name] = (topic, widths[topic.group], channel)
-                widths[topic.group] += 1
-        return places
-
-    def markdown(self) -> str:
-        """One Markdown section with a table per topic."""
-        return "\n".join(_section(topic) for topic in self.topics)
-
-
-def _section(topic: Topic) -> str:
-    lines = [f"## `{topic.name}` ({topic.group})", ""]
-    if topic.description:
-        lines += [topic.description, ""]
-    lines += ["| channel | unit | frame | description |", "|---|---|---|---|"]
-    for channel in topic.channels:
-        cells = (f"`{channel.name}`", channel.unit, channel.frame, channel.description)
-        lines.append("| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |")
-    return "\n".join(lines) + "\n"
+        column = {channel.name: i for channels in self._columns.values() for i, channel in enumerate(channels)}
+        return {c.name: (topic, column[c.name], c) for topic in self.topics for c in topic.channels}
 
 
 def _refuse_twice(what: str, names: list[str]) -> None:

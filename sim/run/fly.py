@@ -32,15 +32,19 @@ from maxq.sim.run.metrics import METRIC_NAMES, Verdict, end_metrics, judge
 from maxq.sim.scenario.loader import LoadedScenario
 from maxq.sim.scenario.nanoseconds import to_ns
 from maxq.sim.scenario.schema_scenario import Scenario
+from maxq.sim.scenario.schema_vehicle import Vehicle
+from maxq.sim.vehicle.state import Sizes
 
 LONGEST_SEGMENT_NS = 1_000_000_000  # one log chunk
 _FIRST_ROOM = 400_000  # rows
 _MOST_STEPS, _MOST_ROWS = 20_000, 20_000  # of a segment: tens of milliseconds of work, 10 MB of rows
 
 IGNITION_NAME = "ignition"
-BURNOUT_NAME, SEPARATION_NAME = EVENT_NAMES[BURNOUT], EVENT_NAMES[SEPARATION]
+_OF_STAGES = EVENT_NAMES[BURNOUT], EVENT_NAMES[SEPARATION]  # which each stage has
 CONTROL_LOST_NAME, DIVERGED_NAME = EVENT_NAMES[CONTROL_LOST], EVENT_NAMES[DIVERGED]
 CONTROL_LOST_CAUSE = f"the attitude error exceeds {math.degrees(CONTROL_LOST_RAD):.3g} deg under thrust"
+
+_channel_table = lru_cache(maxsize=8)(channel_table)
 
 Rows = dict[str, tuple[IntArray, Array]]
 """By rate group: times (n,) in ns and values (n, columns of the group) in logged units."""
@@ -48,7 +52,7 @@ Rows = dict[str, tuple[IntArray, Array]]
 
 @dataclass(frozen=True)
 class Event:
-    """`stage` counts from 1 on a vehicle of several stages; 0 where it is not a matter of stages."""
+    """`stage` counts from 1 on a vehicle of several stages; 0 for an event of the whole vehicle."""
 
     name: str
     time_ns: int
@@ -64,8 +68,8 @@ class Flight:
     """A flight that has been flown.
 
     `flight["alpha_deg"]` is a channel, `flight.time_s("alpha_deg")` its times; `metrics` and `metric_times_s`
-    go by metric name (nan: the metric never came up). `outcome`: "impact" or another event of run.stop_at
-    that ended it, "duration", "diverged", "interrupted". `cause` says in words why it diverged. `final` holds
+    go by metric name (nan: no time, the metric was never updated). `outcome`: "impact" or another event of
+    run.stop_at that ended it, "duration", "diverged", "interrupted". `cause`: why it diverged. `final` holds
     every channel at the last instant, with or without a log.
     """
 
@@ -76,7 +80,7 @@ class Flight:
     metrics: dict[str, float]
     metric_times_s: dict[str, float]
     verdicts: tuple[Verdict, ...]
-    failures: tuple[str, ...]  # control lost, diverged: what and when, in words
+    failures: tuple[str, ...]  # what went wrong and when: control lost, diverged, above the wind profile
     outcome: str
     cause: str
     end_s: float
@@ -102,7 +106,7 @@ class Flight:
 
     @property
     def passed(self) -> bool:
-        """Flown to its end, all requirements met, control never lost, nothing diverged."""
+        """Flown to its end without a failure, all requirements met."""
         return self.outcome != "interrupted" and not self.failures and all(v.met for v in self.verdicts)
 
 
@@ -118,14 +122,12 @@ class FlightRun:
     ) -> None:
         self.loaded = loaded
         self.packed = packed or pack_flight(loaded.scenario)
-        tanks = max((stage.tank for stage in loaded.vehicle.stage), key=len)
-        names = tuple(tank.name or str(i + 1) for i, tank in enumerate(tanks[: self.packed.sizes.tanks]))
-        self.table = _logged_table(self.packed.sizes, names)
+        self.table = logged_channels(loaded.vehicle, self.packed.sizes)
         self._on, self._off = (pack([Logged(on, self.packed.sizes)]) for on in (1, 0))
         self._arena = np.zeros(ARENA_SIZE)
-        course = self.packed.parameters[0].timeline
-        periods_ns = {FAST: int(course.fast_ns), SLOW: int(course.slow_ns)}
-        self.segment_ns = segment_ns or _segment_ns(int(course.step_ns), min(periods_ns.values()))
+        timeline = self.packed.parameters[0].timeline
+        periods_ns = {FAST: int(timeline.fast_ns), SLOW: int(timeline.slow_ns)}
+        self.segment_ns = segment_ns or _segment_ns(int(timeline.step_ns), min(periods_ns.values()))
         self._logged = self._on if log else self._off
         self._rows = {
             group: self._blank(group, self.segment_ns // period_ns + 4 if log else 1)
@@ -149,8 +151,43 @@ class FlightRun:
 
     @property
     def events(self) -> tuple[Event, ...]:
-        """What has happened so far."""
-        return events_so_far(self.packed, self.loaded.scenario.run.start_s)
+        """All events so far in order of time: an ignition, burn-out and separation for each stage that had it."""
+        clock, parameters = self.memory.clock, self.packed.parameters
+        start_ns = to_ns(self.loaded.scenario.run.start_s)
+        found = []
+        for index in range(int(clock.stage) + 1):
+            number = index + 1 if len(parameters) > 1 else 0
+            ignition_ns = int(parameters[index].timeline.burn_start_ns)
+            if start_ns <= ignition_ns <= int(clock.now_ns) and ignition_ns < NEVER:
+                found.append(Event(IGNITION_NAME, ignition_ns, number))
+            for name, times_ns in zip(_OF_STAGES, (clock.stage_burnout_ns, clock.stage_separation_ns), strict=True):
+                if times_ns[index] >= 0:
+                    found.append(Event(name, int(times_ns[index]), number))
+        for name, time_ns in zip(EVENT_NAMES, clock.event_ns, strict=True):
+            if time_ns >= 0 and name not in _OF_STAGES:
+                found.append(Event(name, int(time_ns)))
+        return tuple(sorted(found, key=lambda event: event.time_ns))
+
+    @property
+    def outcome(self) -> str:
+        """`diverged`, the event of run.stop_at that ended the flight, `duration`, or `interrupted`."""
+        clock = self.memory.clock
+        stop_mask = int(self.packed.parameters[int(clock.stage)].timeline.stop_mask)
+        events_ns, now_ns = clock.event_ns.tolist(), int(clock.now_ns)
+        if events_ns[DIVERGED] >= 0:
+            return DIVERGED_NAME
+        if not clock.finished:
+            return "interrupted"
+        for index, (name, time_ns) in enumerate(zip(EVENT_NAMES, events_ns, strict=True)):
+            if (stop_mask >> index) & 1 and time_ns == now_ns:
+                return name
+        return "duration"
+
+    def cause_of(self, event: Event) -> str:
+        """Cause of a failure; empty for any other event."""
+        if event.name == DIVERGED_NAME:
+            return CAUSES[int(self.memory.clock.cause)]
+        return CONTROL_LOST_CAUSE if event.name == CONTROL_LOST_NAME else ""
 
     def fly_segment(self, length_ns: int | None = None) -> Rows:
         """Fly on to the next multiple of `length_ns`, itself a multiple of the step (default: `segment_ns`).
@@ -181,14 +218,14 @@ class FlightRun:
     def result(self, rows: Rows | None = None) -> Flight:
         """The flight so far; `rows` are the log rows that the caller has kept."""
         clock, extremes, scenario = self.memory.clock, self.memory.extremes, self.loaded.scenario
-        events, final, outcome = self.events, self.present(), outcome_so_far(self.packed)
+        events, final, outcome = self.events, self.present(), self.outcome
         times_s = [t / 1e9 if t >= 0 else math.nan for t in extremes.time_ns.tolist()]
         metric_times_s = dict.fromkeys(METRIC_NAMES, self.now_s) | dict(zip(MetricIndex._fields, times_s, strict=True))
         lift_off_s = next((e.time_s for e in events if e.name == "liftoff"), scenario.run.start_s)
         earth = self.packed.parameters[0].environment.earth
         end = end_metrics(final, earth, scenario.site, self.now_s - lift_off_s)
         metrics = dict(zip(MetricIndex._fields, extremes.value.tolist(), strict=True)) | end._asdict()
-        causes = [(e, cause_of(e, self.packed)) for e in events]
+        causes = [(e, self.cause_of(e)) for e in events]
         return Flight(
             scenario=self.loaded,
             table=self.table,
@@ -253,51 +290,10 @@ def fly(loaded: LoadedScenario, *, log: bool = True, watch: Callable[[FlightRun,
     return run.result(kept.rows() if log else None)
 
 
-_logged_table = lru_cache(maxsize=8)(channel_table)
-
-
-def events_so_far(packed: Packed, start_s: float) -> tuple[Event, ...]:
-    """All events in order of time: one ignition, burn-out and separation for each stage that had it."""
-    clock = packed.memory[0].clock
-    stages = len(packed.parameters)
-    found = []
-    for index in range(int(clock.stage) + 1):
-        number = index + 1 if stages > 1 else 0
-        ignition_ns = int(packed.parameters[index].timeline.burn_start_ns)
-        if to_ns(start_s) <= ignition_ns <= int(clock.now_ns) and ignition_ns < NEVER:
-            found.append(Event(IGNITION_NAME, ignition_ns, number))
-        for name, times_ns in (
-            (BURNOUT_NAME, clock.stage_burnout_ns),
-            (SEPARATION_NAME, clock.stage_separation_ns),
-        ):
-            if times_ns[index] >= 0:
-                found.append(Event(name, int(times_ns[index]), number))
-    for name, time_ns in zip(EVENT_NAMES, clock.event_ns, strict=True):
-        if time_ns >= 0 and name not in (BURNOUT_NAME, SEPARATION_NAME):
-            found.append(Event(name, int(time_ns)))
-    return tuple(sorted(found, key=lambda event: event.time_ns))
-
-
-def outcome_so_far(packed: Packed) -> str:
-    """`diverged`, the event of run.stop_at that ended the flight, `duration`, or `interrupted`."""
-    clock = packed.memory[0].clock
-    stop_mask = int(packed.parameters[int(clock.stage)].timeline.stop_mask)
-    events_ns, now_ns = clock.event_ns.tolist(), int(clock.now_ns)
-    if events_ns[DIVERGED] >= 0:
-        return DIVERGED_NAME
-    if not clock.finished:
-        return "interrupted"
-    for index, (name, time_ns) in enumerate(zip(EVENT_NAMES, events_ns, strict=True)):
-        if (stop_mask >> index) & 1 and time_ns == now_ns:
-            return name
-    return "duration"
-
-
-def cause_of(event: Event, packed: Packed) -> str:
-    """Why something went wrong; empty for an event that is no fault."""
-    if event.name == DIVERGED_NAME:
-        return CAUSES[int(packed.memory[0].clock.cause)]
-    return CONTROL_LOST_CAUSE if event.name == CONTROL_LOST_NAME else ""
+def logged_channels(vehicle: Vehicle, sizes: Sizes) -> ChannelTable:
+    """Channels of a vehicle's flights; `sizes`: of the widest stage. A tank without a name goes by its number."""
+    tanks = max((stage.tank for stage in vehicle.stage), key=len)
+    return _channel_table(sizes, tuple(tank.name or str(i + 1) for i, tank in enumerate(tanks[: sizes.tanks])))
 
 
 def _above_the_wind(scenario: Scenario, highest_m: float) -> tuple[str, ...]:

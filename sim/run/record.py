@@ -23,7 +23,7 @@ from maxq.sim.flight.telemetry import SLOW
 from maxq.sim.log import foxglove
 from maxq.sim.log.head import Attachment, LogError, RunHead
 from maxq.sim.log.writer import LogWriter
-from maxq.sim.run.fly import CONTROL_LOST_NAME, DIVERGED_NAME, Event, Flight, FlightRun, Rows, cause_of, copied
+from maxq.sim.run.fly import CONTROL_LOST_NAME, DIVERGED_NAME, Event, Flight, FlightRun, Rows, copied
 from maxq.sim.run.launch_frames import LaunchFrames, LaunchSite
 from maxq.sim.run.metrics import Verdict, unit_of
 from maxq.sim.scenario.loader import LoadedScenario
@@ -180,7 +180,7 @@ class _LogThread:
 
     def _said(self, event: Event) -> foxglove.Event:
         stage = f" (stage {event.stage})" if event.stage else ""
-        cause = cause_of(event, self._run.packed)
+        cause = self._run.cause_of(event)
         text = f"{event.name}{stage}" + (f": {cause}" if cause else "")
         return foxglove.Event(event.time_ns, _LEVELS.get(event.name, foxglove.Level.INFO), text, "flight")
 

@@ -21,7 +21,7 @@ from maxq.sim.flight.telemetry import FAST, SLOW
 from maxq.sim.log.foxglove import Level
 from maxq.sim.packing.environment import pack_earth
 from maxq.sim.packing.flight import Packed
-from maxq.sim.run.fly import CONTROL_LOST_NAME, DIVERGED_NAME, Event, Flight, FlightRun, Rows, cause_of, copied
+from maxq.sim.run.fly import CONTROL_LOST_NAME, DIVERGED_NAME, Event, Flight, FlightRun, Rows, copied
 from maxq.sim.scenario.loader import LoadedScenario
 from maxq.tools.replay import viewer
 from maxq.tools.replay.about import drawn_text, factors_text
@@ -219,7 +219,7 @@ class LiveView:
             if event in self._told:
                 continue
             self._told.add(event)
-            cause = cause_of(event, run.packed)
+            cause = run.cause_of(event)
             stage = f" (stage {event.stage})" if event.stage else ""
             level = _LEVELS.get(event.name, Level.INFO)
             text = f"{event.name}{stage}" + (f": {cause}" if cause else "")

@@ -6,9 +6,10 @@ python -m maxq.tools.dev.documents.docs_telemetry [FILE]
 from __future__ import annotations
 
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 
-from maxq.sim.flight.channels import EVENTS_TOPIC, FRAMES_TOPIC
+from maxq.sim.flight.channels import EVENTS_TOPIC, FRAMES_TOPIC, ChannelTable
 from maxq.sim.flight.parameters import CAUSES, EVENT_NAMES
 from maxq.sim.flight.telemetry import FAST, SLOW, channel_table
 from maxq.sim.log.head import END_METADATA, REASON_KEY, RUN_METADATA, SCHEMA_VERSION, STATUS_KEY
@@ -66,7 +67,7 @@ name says so. The tables are those of the built-in `{_EXAMPLE}`: {sizes.pitch_mo
 has modes and tanks, and are missing where it has none. What a stage lacks, and the pendulum of an empty tank,
 is nan.
 
-{table.markdown()}
+{topics_markdown(table)}
 ## `{EVENTS_TOPIC}`
 
 `foxglove.Log` messages from `flight`; the text begins with the name, followed by the stage on a vehicle of
@@ -102,7 +103,18 @@ What `summary.json` and `[[requirement]]` call by name; gathered at every step, 
 {_rows(("metric", "unit", "meaning"), [(f"`{m.name}`", m.unit, m.description) for m in METRICS.values()])}"""
 
 
-def _rows(head: tuple[str, ...], rows: list[tuple[str, ...]]) -> str:
+def topics_markdown(table: ChannelTable) -> str:
+    """One section with a table per topic."""
+    sections = []
+    for topic in table.topics:
+        text = f"{topic.description}\n\n" if topic.description else ""
+        channels = [(f"`{c.name}`", c.unit, c.frame, c.description.replace("|", "\\|")) for c in topic.channels]
+        rows = _rows(("channel", "unit", "frame", "description"), channels)
+        sections.append(f"## `{topic.name}` ({topic.group})\n\n{text}{rows}")
+    return "\n".join(sections)
+
+
+def _rows(head: tuple[str, ...], rows: Sequence[tuple[str, ...]]) -> str:
     lines = [head, ("---",) * len(head), *rows]
     return "".join("| " + " | ".join(cells) + " |\n" for cells in lines)
 
