@@ -1,15 +1,15 @@
-"""What a certificate rests on, each part by itself.
+"""Parts of the margin certificate, each by itself.
 
 | what | expected |
 |---|---|
 | a signal of less than a pulse a sample, alone | vanishes or is magnified: why measurements are dithered |
-| the same under slow tones | comes out as it went in |
-| what the linear loop predicts of an excitation | is what the flight does, and below every limit |
-| a loop that is not altered; one beyond its edge | decays; grows |
-| growth ends at the limits | as a limit cycle, with an amplitude, or in a loss |
-| a root that grows only where the loop is held, within minutes | is measured as "drift"; a wrong gravity shows in it |
-| one that grows faster | the certificate does not stand, and says whose loop is unstable |
-| the ascent flown through | agrees with the frozen loop, or its own change in the window explains it |
+| the same with slow tones | keeps its amplitude |
+| excitation level predicted by the linear loop | that of the flight, and below every limit |
+| a loop as it is; one beyond its stability boundary | decays; grows |
+| growth beyond the boundary | ends in a limit cycle of some amplitude, or in a loss |
+| a root that grows slowly, and only in the held flight | is measured as "drift"; a wrong gravity shows in it |
+| one that grows faster | is a disagreement that names the unstable loop |
+| in-flight response of the ascent | agrees with the frozen loop, or the loop's change in the window explains it |
 """
 
 from __future__ import annotations
@@ -24,18 +24,14 @@ from maxq.control.converter import ConverterState, convert, make_converter
 from maxq.control.kernel.jit import from_python
 from maxq.control.kernel.records import blank, pack
 from maxq.design import api
-from maxq.design.certificate.breaking import TOO_LONG, break_loop
 from maxq.design.certificate.certificate import HELD_GRAVITY, NodeCertificate, certify_node
-from maxq.design.certificate.excitation import Band, band, injections
-from maxq.design.certificate.flown_through import fly_through
+from maxq.design.certificate.excitation import Band, band, excitation_level, injections
 from maxq.design.certificate.held_flight import Change, HeldFlight, hold, linear_limits
-from maxq.design.certificate.limit_cycle import LimitCycle, limit_cycle
-from maxq.design.certificate.loudness import loudness
+from maxq.design.certificate.in_flight import in_flight_response
+from maxq.design.certificate.measured_margins import TOO_LONG, LimitCycle, limit_cycle, measure_margin
 from maxq.design.certificate.response import BANDS
 from maxq.design.margins.measure import margins
-from maxq.sim.flight.telemetry import FAST
 from maxq.sim.packing.flight import Packed
-from maxq.sim.run.fly import KeptRows
 from maxq.sim.scenario.loader import LoadedScenario, load_scenario
 
 PULSE_RAD = 1e-5
@@ -90,23 +86,19 @@ def test_converter_has_no_gain_of_its_own_only_when_dithered() -> None:
 def test_excitation_does_what_the_linear_loop_predicts(held: HeldFlight, lines: Band) -> None:
     assert held.loaded.design is not None
     loop = api.loops([held.node], held.loaded.design)[0]
-    loud = loudness(held, loop, lines)
+    level = excitation_level(held, loop, lines)
     angle, rate = linear_limits(held)
-    assert loud.command_rad < angle
-    assert loud.servo_radps < rate
-    run = held.run(lines.settle_s + lines.period_s, injections([*loud.groups, *loud.dither], "pitch"))
-    kept = KeptRows()
-    while not run.finished:
-        kept.add(run.fly_segment())
-    _, rows = kept.rows()[FAST]
+    assert level.command_rad < angle
+    assert level.servo_radps < rate
+    run, rows = held.fly(lines.settle_s + lines.period_s, injections([*level.groups, *level.dither], "pitch"))
     command = np.radians(rows[round(lines.settle_s / held.sample_s) :, run.table.index("gimbal_pitch_command_deg")])
-    assert np.abs(command).max() < 1.02 * loud.command_rad
-    assert np.abs(command).max() > 0.5 * loud.command_rad
+    assert np.abs(command).max() < 1.02 * level.command_rad
+    assert np.abs(command).max() > 0.5 * level.command_rad
 
 
-def test_certificate_stands_at_50_s(certificate: NodeCertificate) -> None:
+def test_flight_and_linear_loop_agree_at_50_s(certificate: NodeCertificate) -> None:
     assert certificate.unexplained == ()
-    assert [e.what for e in certificate.edges] == ["gain_up", "gain_down", "delay"]
+    assert [e.what for e in certificate.margins] == ["gain_up", "gain_down", "delay"]
 
 
 def test_without_rounding_flight_and_sampled_loop_are_the_same(certificate: NodeCertificate) -> None:
@@ -123,15 +115,15 @@ def test_half_the_amplitude_measures_the_same(certificate: NodeCertificate) -> N
 
 
 def test_margin_is_found_again_from_an_altered_flight(held: HeldFlight) -> None:
-    """A loop with 2 dB more gain has 2 dB less to spare, although nobody told the linear loop."""
+    """A loop with 2 dB more gain has 2 dB less margin, of which the linear loop knows nothing."""
     assert held.loaded.design is not None
     loop = api.loops([held.node], held.loaded.design)[0]
 
-    def louder(packed: Packed) -> None:
+    def more_gain(packed: Packed) -> None:
         computer = packed.parameters[0].computer
         computer.filters.sections[0, 0, :3] *= 10.0**0.1
 
-    found = break_loop(dataclasses.replace(held, fault=louder), loop, margins(loop), "gain_up")
+    found = measure_margin(dataclasses.replace(held, fault=more_gain), loop, margins(loop), "gain_up")
     assert found.reason == ""
     assert found.difference == pytest.approx(-2.0, abs=0.05)
     assert found.tried[0][1] > 0.0
@@ -143,7 +135,7 @@ def test_delay_that_does_not_fit_the_computer_is_named(loaded: LoadedScenario) -
     held = hold(patient, api.nodes(patient, [5.0])[0])
     assert patient.design is not None
     loop = api.loops([held.node], patient.design)[0]
-    found = break_loop(held, loop, margins(loop), "delay")
+    found = measure_margin(held, loop, margins(loop), "delay")
     assert found.linear > 0.12
     assert (found.reason, found.tried) == (TOO_LONG, ())
 
@@ -177,9 +169,9 @@ def drifting() -> LoadedScenario:
 
 def test_drift_of_a_held_loop_is_measured_and_named(drifting: LoadedScenario) -> None:
     found = certify_node(drifting, api.nodes(drifting, [55.0])[0], bands=BANDS[:1])
-    assert found.stands
+    assert found.agrees
     assert found.stable
-    by_name = {e.what: e for e in found.edges}
+    by_name = {e.what: e for e in found.margins}
     slow = by_name["drift"]
     assert slow.sampled < 0.0 < slow.held
     assert slow.measured == pytest.approx(slow.held, abs=2e-4)
@@ -192,21 +184,21 @@ def test_wrong_gravity_shows_in_the_drift(drifting: LoadedScenario) -> None:
     def lighter(packed: Packed) -> None:
         packed.parameters[0].environment.earth.uniform_mps2 *= 0.8
 
-    found = certify_node(drifting, api.nodes(drifting, [55.0])[0], fault=lighter, bands=(), broken=())
-    assert not found.stands
+    found = certify_node(drifting, api.nodes(drifting, [55.0])[0], fault=lighter, bands=(), names=())
+    assert not found.agrees
     assert "drift" in found.unexplained[0]
 
 
 def test_held_loop_that_grows_fast_is_not_taken_for_a_drift(certificate: NodeCertificate) -> None:
-    lost = dataclasses.replace(certificate, edges=(), cycle=LimitCycle("lost", 0.0, 5.0, 3.0, 40.0))
+    lost = dataclasses.replace(certificate, margins=(), cycle=LimitCycle("lost", 0.0, 5.0, 3.0, 40.0))
     assert lost.stable
     assert lost.unexplained == (
-        "the loop held still, and not that of the flown instant, is unstable; in flight: lost after 40 s",
+        "the loop of the held flight, and not that of the flown instant, is unstable; in flight: lost after 40 s",
     )
 
 
-def test_flown_through_agrees_or_says_why(loaded: LoadedScenario) -> None:
-    for found in fly_through(loaded, (20.0, 40.0), "yaw"):
+def test_in_flight_response_agrees_or_says_why(loaded: LoadedScenario) -> None:
+    for found in in_flight_response(loaded, (20.0, 40.0), "yaw"):
         assert "unexplained" not in found.reason
         middle = [i for i, hz in enumerate(found.lines_hz) if 2.0 < hz < 5.0]
         assert np.abs(found.difference_db[middle]).max() < 0.3

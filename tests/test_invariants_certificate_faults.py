@@ -48,7 +48,7 @@ def test_without_a_fault_nothing_is_found(loaded: LoadedScenario, node: Node) ->
 
 @pytest.mark.parametrize("fault", [f for f in FAULTS if f.name in QUICK], ids=lambda f: f.name)
 def test_found(loaded: LoadedScenario, node: Node, fault: Fault) -> None:
-    assert certify_node(loaded, node, fault=fault.plant, bands=BANDS[:1] + BANDS[2:], broken=()).unexplained
+    assert certify_node(loaded, node, fault=fault.plant, bands=BANDS[:1] + BANDS[2:], names=()).unexplained
 
 
 @pytest.mark.slow

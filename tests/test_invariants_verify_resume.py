@@ -32,7 +32,7 @@ success = 0.5
 [certificate]
 times_s = [30.0, 40.0]
 planes = ["pitch"]
-flown_through = false
+in_flight = false
 [[flight]]
 name = "six seconds"
 set = ["run.duration_s=6.0"]
@@ -113,5 +113,5 @@ def test_one_changed_gain_redoes_what_depends_on_it(tmp_path: Path) -> None:
     assert (changed_.recalled, changed_.worked_out) == (parts + 1 - anew, anew)
     before, after = first.certificates, changed_.certificates
     assert [c.time_s for c in after] == [30.0, 40.0]
-    assert before[0].edges != after[0].edges
-    assert before[1].edges == after[1].edges
+    assert before[0].margins != after[0].margins
+    assert before[1].margins == after[1].margins

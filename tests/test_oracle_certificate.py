@@ -13,11 +13,10 @@ import numpy as np
 import pytest
 
 from maxq.design import api
-from maxq.design.certificate.breaking import break_loop, ringing_growth
-from maxq.design.certificate.excitation import Band, band
+from maxq.design.certificate.excitation import Band, band, excitation_level
 from maxq.design.certificate.held_flight import HeldFlight, hold
-from maxq.design.certificate.loudness import loudness
-from maxq.design.certificate.measurement import measure
+from maxq.design.certificate.measured_margins import growth_rate, measure_margin
+from maxq.design.certificate.response import measure
 from maxq.design.loop.loop import Loop
 from maxq.design.margins.measure import margins
 from maxq.sim.scenario.loader import load_scenario
@@ -38,7 +37,7 @@ def loop(held: HeldFlight) -> Loop:
     return api.loops([held.node], held.loaded.design)[0]
 
 
-def test_held_flight_stands_still(held: HeldFlight) -> None:
+def test_held_flight_keeps_speed_mass_and_gains(held: HeldFlight) -> None:
     run = held.run(60.0, ())
     run.fly_segment()  # the gains are read at the first tick
     before = run.present()
@@ -52,7 +51,7 @@ def test_held_flight_stands_still(held: HeldFlight) -> None:
 
 @pytest.mark.parametrize("lines", BANDS, ids=["low", "middle"])
 def test_response_in_flight_is_that_of_the_sampled_loop(held: HeldFlight, loop: Loop, lines: Band) -> None:
-    seen = measure(held, lines, loudness(held, loop, lines), loop.closed_poles())
+    seen = measure(held, lines, excitation_level(held, loop, lines), loop.closed_poles())
     ratio = seen.response / loop.response(seen.lines_hz)
     assert seen.outcome == "duration"
     assert seen.saturated_s == 0.0
@@ -63,14 +62,14 @@ def test_response_in_flight_is_that_of_the_sampled_loop(held: HeldFlight, loop: 
     assert (np.abs(np.degrees(np.angle(ratio))) < np.maximum(1.5, 3.0 * np.degrees(seen.error)))[sure].all()
 
 
-def test_edges_in_flight_are_the_linear_margins(held: HeldFlight, loop: Loop) -> None:
+def test_measured_margins_are_those_of_the_linear_loop(held: HeldFlight, loop: Loop) -> None:
     of_loop = margins(loop)
-    gain, delay = (break_loop(held, loop, of_loop, what) for what in ("gain_up", "delay"))
+    gain, delay = (measure_margin(held, loop, of_loop, what) for what in ("gain_up", "delay"))
     assert abs(gain.difference) < 0.05
     assert abs(delay.difference) < 0.01 * delay.linear
 
 
-def test_growth_of_a_known_ringing() -> None:
+def test_growth_of_a_known_oscillation() -> None:
     times = np.arange(4000) * 0.01
     ringing = np.exp(0.031 * times) * np.sin(2 * np.pi * 1.7 * times + 0.3) + 5.0 * np.exp(-0.02 * times)
-    assert ringing_growth(ringing, 0.01, 1.7, 4.0 / 1.7) == pytest.approx(0.031, abs=2e-4)
+    assert growth_rate(ringing, 0.01, 1.7, 4.0 / 1.7) == pytest.approx(0.031, abs=2e-4)

@@ -20,9 +20,8 @@ from scipy.integrate import quad
 from scipy.special import j1
 
 from maxq.design import api
-from maxq.design.certificate.breaking import kicked_growth, watch_at
 from maxq.design.certificate.held_flight import HeldFlight, hold
-from maxq.design.certificate.limit_cycle import limit_cycle
+from maxq.design.certificate.measured_margins import burst_test, limit_cycle, measured_growth
 from maxq.design.model.dispersion import Dispersion, disperse
 from maxq.design.verify.slosh import MIDWAY, SWING_PER_WAVE, Baffle, SloshAdvice, advise, confirm, fly_cycle
 from maxq.sim.packing.flight import Packed
@@ -110,7 +109,7 @@ def test_slosh_with_too_little_damping_grows_as_fast_as_the_linear_loop_says(
     assert held.loaded.design is not None
     hz, growth = _edge_hz(held, 0.5 * advice.needed / advice.damping)
     loop = api.loops([held.node], held.loaded.design)[0]
-    flown = kicked_growth(_with(held, 0.5 * advice.needed), loop, watch_at(hz), lambda packed: None)
+    flown = measured_growth(_with(held, 0.5 * advice.needed), loop, burst_test(hz))
     assert growth > 0.01
     assert flown == pytest.approx(growth, abs=0.02 * 2.0 * math.pi * hz * 0.5 * advice.needed + 5e-4)
 

@@ -209,6 +209,13 @@ class Pool:
 NO_TABLE = TableRef(0, 0, 0)
 
 
+def table_in(pool: Array, ref: TableRef) -> Cubics:
+    """The table at `ref`: views of the pool."""
+    n, columns, at = int(ref.n_breaks), int(ref.n_columns), int(ref.offset)
+    coefficients = pool[at + n : at + n + 4 * columns * (n - 1)]
+    return Cubics(pool[at : at + n], coefficients.reshape(n - 1, 4, columns))
+
+
 @kernel
 def find_interval(pool: Array, ref: TableRef, x: float) -> int:
     """Index k of the interval with breaks[k] <= x < breaks[k+1], clamped to the table."""

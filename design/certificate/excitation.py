@@ -1,36 +1,55 @@
-"""What is injected at the gimbal command to measure a loop: sums of sines, as loud as linearity allows.
+"""Excitation of a loop at the gimbal command: its lines, and its level.
 
 A periodic signal that fits the record exactly needs no window and leaks nothing: at its own lines the discrete Fourier
 transform of a period is the response, and what shows between them is noise (Pintelon & Schoukens, System
 Identification, ch. 2).
+
+The level is high against the converter's counts and low against every limit. The linear loop predicts what the injected
+lines do to engine, incidence and gyro. Lines are shaped for equal response at the gyro, within bounds, then scaled so
+that gimbal command, servo rate and incidence stay at a stated share of where the simulator stops being linear.
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from maxq.control.kernel.records import Array
+from maxq.design.certificate.held_flight import HeldFlight, linear_limits
+from maxq.design.loop.loop import Loop
+from maxq.design.model.instruments import actuator
+from maxq.design.model.node import Node
+from maxq.design.model.plant import OUTPUTS
 from maxq.design.model.state_space import ComplexArray
 from maxq.sim.scenario.schema_injection import Injection
 
 MOST_LEVELS, MOST_TONES = 16, 64  # of the simulator: signals at a time, tones of each
-DITHER_HZ = (0.525, 0.825)  # off the slosh of the vehicles that we have, where a loop answers and does not ring
+DITHER_HZ = (0.525, 0.825)  # off the slosh of the built-in vehicles, where a loop responds and does not ring
+SHARE_OF_LIMITS = 0.85
+SHARE_OF_BURST = 0.4
+INCIDENCE_RAD = 0.004  # small against the incidence at which cross-flow lift adds a tenth to the slope
+SPREAD = 20.0  # between the strongest and the weakest line
+DITHER_COUNTS = 6.0  # largest increment of a sample by each dither tone, in pulses
+LOWEST_BURST_HZ = 0.05
+
+Groups = list[tuple[float, Array]]
+"""Amplitudes (rad), each with its lines (Hz)."""
 
 
 @dataclass(frozen=True)
 class Band:
-    """Lines (Hz), every one an even multiple of 1 / `period_s`, and for how long they are played.
+    """Lines (Hz), each an even multiple of 1 / `period_s`, and how long they are played.
 
-    The odd multiples stay silent: what shows there is noise. One long period tells more than many short ones: what
-    the converter's rounding adds repeats with the signal, and is spread over all bins of the period.
+    The odd multiples stay silent: what shows there is noise. One long period is better than many short ones: the
+    converter's rounding repeats with the signal, and is spread over all bins of the period.
 
-    `dithered`: too quiet at the gyro for the converter, which carries its remainder over: a signal of less than a pulse
-    a sample then vanishes or comes out as whole pulses, by where the remainder stands, and has no gain that a linear
-    loop would know (tests/test_invariants_certificate.py). Slow tones that make many pulses a sample are played along;
-    under them rounding is noise.
+    `dithered`: too weak at the gyro for the converter, which carries its remainder over: a signal of less than a pulse
+    a sample then vanishes or comes out as whole pulses, depending on the remainder, and has no gain that a linear loop
+    could predict (tests/test_invariants_certificate.py). Slow tones that make many pulses a sample are played along;
+    with them rounding is noise.
     """
 
     lines_hz: Array
@@ -41,7 +60,7 @@ class Band:
 
     @property
     def duration_s(self) -> float:
-        """With something to spare: the last command takes effect after the last sample."""
+        """With a second to spare: the last command takes effect after the last sample."""
         return self.settle_s + self.period_s * self.periods + 1.0
 
     @property
@@ -65,10 +84,55 @@ def band(
     return Band(even / period_s, period_s, settle_s, periods, dithered)
 
 
-def grouped(amplitude_rad: Array, lines_hz: Array) -> list[tuple[float, Array]]:
-    """Amplitudes in at most half of `MOST_LEVELS` levels, each with its lines: amplitude, lines (Hz).
+@dataclass(frozen=True)
+class ExcitationLevel:
+    """Amplitudes with their lines, and the largest gimbal command and servo rate that the linear loop predicts.
 
-    Levels are geometric; a level's amplitude is the largest not above any of its lines'.
+    `servo_radps` is the rate that the servo commands, which is what the actuator limits. `dither` is played along, at
+    its own amplitudes.
+    """
+
+    groups: Groups
+    command_rad: float
+    servo_radps: float
+    dither: Groups
+
+
+def excitation_level(held: HeldFlight, loop: Loop, band: Band, scale: float = 1.0) -> ExcitationLevel:
+    """Amplitudes for a band; `scale` below 1 plays the same at a lower level."""
+    lines = band.lines_hz
+    at_gyro = np.abs(loop.fixed.response(lines)) / np.abs(1.0 + loop.response(lines))
+    wanted = 1.0 / np.sqrt(np.maximum(at_gyro, at_gyro.max() * 1e-12))
+    groups = grouped(np.minimum(wanted, SPREAD * wanted.min()), lines)
+    added = dither(held, loop, band.dither_hz)
+    taken = _peaks(held, loop, added, band) if added else (0.0, 0.0, 0.0)
+    peaks = _peaks(held, loop, groups, band)
+    limits = (*(SHARE_OF_LIMITS * limit for limit in linear_limits(held)), INCIDENCE_RAD)
+    room = [max(limit - by_dither, 0.1 * limit) for limit, by_dither in zip(limits, taken, strict=True)]
+    factor = scale * min(r / peak for r, peak in zip(room, peaks, strict=True))
+    command, servo, _ = (factor * peak + by_dither for peak, by_dither in zip(peaks, taken, strict=True))
+    return ExcitationLevel([(factor * amplitude, members) for amplitude, members in groups], command, servo, added)
+
+
+def dither(held: HeldFlight, loop: Loop, tones_hz: Array) -> Groups:
+    """Slow tones that each make `DITHER_COUNTS` pulses a sample at the gyro, within limits; none without rounding."""
+    count = float(held.packed.parameters[0].computer.converter.count_rad)
+    if not len(tones_hz) or count == 0.0:
+        return []
+    increment = held.sample_s * np.abs(loop.fixed.response(tones_hz)) / np.abs(1.0 + loop.response(tones_hz))
+    limits = (*(0.2 * limit for limit in linear_limits(held)), 0.5 * INCIDENCE_RAD)
+    out = []
+    for a, hz in zip((DITHER_COUNTS * count / increment).tolist(), tones_hz, strict=True):
+        line = np.array([hz])
+        peaks = _peaks(held, loop, [(a, line)], Band(line, 2.0 / float(hz), 0.0, 1))
+        out.append((a * min(1.0, *(limit / p for limit, p in zip(limits, peaks, strict=True))), line))
+    return out
+
+
+def grouped(amplitude_rad: Array, lines_hz: Array) -> Groups:
+    """Amplitudes in at most half of `MOST_LEVELS` levels.
+
+    Levels are geometric; a level's amplitude is the least of its lines'.
     """
     if len(amplitude_rad) == 0:
         return []
@@ -83,7 +147,7 @@ def grouped(amplitude_rad: Array, lines_hz: Array) -> list[tuple[float, Array]]:
     return out
 
 
-def phasors(groups: list[tuple[float, Array]]) -> tuple[Array, ComplexArray]:
+def phasors(groups: Groups) -> tuple[Array, ComplexArray]:
     """Lines (Hz) and phasors (rad) of the sum that the simulator will play: Im sum a exp(j 2 pi f t)."""
     lines, out = [np.zeros(0)], [np.zeros(0, np.complex128)]
     for amplitude, members in groups:
@@ -93,14 +157,71 @@ def phasors(groups: list[tuple[float, Array]]) -> tuple[Array, ComplexArray]:
     return np.concatenate(lines), np.concatenate(out)
 
 
-def injections(groups: list[tuple[float, Array]], axis: str) -> tuple[Injection, ...]:
-    """The same as the scenario says it."""
+def gimbal_injection(axis: str, kind: str, amplitude_rad: float, **more: Any) -> Injection:
+    """A signal added to the gimbal command, as a scenario has it; `more` fields by its kind."""
+    given = {"at": "gimbal_command", "axis": axis, "kind": kind, "amplitude_deg": math.degrees(amplitude_rad)}
+    return Injection.model_validate(given | more)
+
+
+def injections(groups: Groups, axis: str) -> tuple[Injection, ...]:
+    """The groups as multisines."""
     return tuple(
-        Injection.model_validate(
-            {
-                "at": "gimbal_command", "axis": axis, "kind": "multisine",
-                "amplitude_deg": math.degrees(amplitude), "frequencies_hz": tuple(float(f) for f in lines),
-            }
-        )
+        gimbal_injection(axis, "multisine", amplitude, frequencies_hz=tuple(float(f) for f in lines))
         for amplitude, lines in groups
-    )  # fmt: skip
+    )
+
+
+def sine_burst(held: HeldFlight, frequency_hz: float, scale: float = 1.0) -> Injection:
+    """Three turns of a sine at `scale` times the amplitude of `burst_rad`; at least LOWEST_BURST_HZ."""
+    hz = max(frequency_hz, LOWEST_BURST_HZ)
+    amplitude = scale * burst_rad(held, frequency_hz)
+    return gimbal_injection(held.plane, "sine", amplitude, frequency_hz=hz, stop_s=round(3.0 / hz, 6))
+
+
+def linear_command_rad(held: HeldFlight, frequency_hz: float) -> float:
+    """Amplitude of the gimbal command at one frequency beyond which the actuator or the computer is not linear."""
+    return _linear_room(held, frequency_hz)[0]
+
+
+def burst_rad(held: HeldFlight, frequency_hz: float, growth: float = 1.0) -> float:
+    """Amplitude of a burst at one frequency, far from every limit even after the loop has amplified it by `growth`."""
+    return SHARE_OF_BURST * min(_linear_room(held, frequency_hz)) / growth
+
+
+def _linear_room(held: HeldFlight, frequency_hz: float) -> tuple[float, float]:
+    """Amplitudes (rad) of the gimbal command at a frequency that reach a share of its limits, and INCIDENCE_RAD."""
+    line = np.array([max(frequency_hz, LOWEST_BURST_HZ)])
+    servo, incidence = (float(np.abs(x[0])) for x in _servo_and_incidence(held.node, line))
+    angle, rate = linear_limits(held)
+    return SHARE_OF_LIMITS * min(angle, rate / servo), INCIDENCE_RAD / incidence
+
+
+def _peaks(held: HeldFlight, loop: Loop, groups: Groups, band: Band) -> tuple[float, float, float]:
+    """Largest command (rad), servo rate (rad/s) and incidence (rad) over a period, by the linear loop."""
+    lines, injected = phasors(groups)
+    command = injected / (1.0 + loop.response(lines))
+    servo, incidence = _servo_and_incidence(held.node, lines)
+    # one long transform instead of a sum of sines: the bins are the multiples of 1 / period
+    bins = np.round(lines * band.period_s).astype(int)
+    samples = 2 * max(round(band.period_s / held.sample_s), int(bins.max()) + 1)
+
+    def peak(gain: ComplexArray) -> float:
+        spectrum = np.zeros(samples // 2 + 1, np.complex128)
+        spectrum[bins] = -0.5j * samples * command * gain
+        return float(np.abs(np.fft.irfft(spectrum, samples)).max())
+
+    return peak(np.ones_like(servo)), peak(servo), peak(incidence)
+
+
+def _servo_and_incidence(node: Node, lines_hz: Array) -> tuple[ComplexArray, ComplexArray]:
+    """Rate that the servo commands (1/s; sim/vehicle/actuator.py), and incidence w / U, per gimbal command."""
+    s = 2j * np.pi * lines_hz
+    record = node.instruments.actuator
+    per_engine = node.plant.response(lines_hz)[:, OUTPUTS.index("w_mps"), :] / max(node.condition.airspeed_mps, 1.0)
+    if record.ideal:
+        return np.ones_like(s), np.asarray(per_engine[:, 0])
+    x = s / record.omega_1_radps
+    angle = actuator(record).channel("delta_rad", "command_rad", lines_hz)
+    followed = 1.0 / (1.0 + x * (2.0 * record.zeta_1 + x))
+    commanded = record.omega_1_radps / (2.0 * record.zeta_1) * (1.0 - followed)
+    return np.asarray(commanded), np.asarray(angle * (per_engine[:, 0] + s * s * per_engine[:, 1]))

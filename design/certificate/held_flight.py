@@ -1,18 +1,18 @@
-"""A flight in which time stands still: vehicle, gains, air and speed stay what they were at one instant.
+"""Held flight: the nonlinear simulator flown with vehicle, gains, air and speed frozen at one instant.
 
-A linear model speaks of frozen coefficients; a rocket in flight loses mass, gains speed and leaves the air within
-seconds. To measure a frequency response over many periods of 0.05 Hz, or to watch a loop that barely grows, the
-nonlinear simulator must fly for minutes without any of that changing. So the vehicle's tables are frozen, the air is
-uniform, and the vehicle flies straight up over a flat Earth whose uniform gravity equals its own axial specific force:
-it neither gains nor loses speed, while everything inside it feels the axial load of the real flight, since a uniform
-gravity pulls at every particle alike.
+A linear model has frozen coefficients; a rocket in flight loses mass, gains speed and leaves the air within seconds.
+To measure a frequency response over many periods of 0.05 Hz, or the growth of a loop close to its stability boundary,
+the simulator must fly for minutes without any of that changing. So the vehicle's tables are frozen, the air is uniform,
+and the vehicle flies straight up over a flat Earth whose uniform gravity equals its axial specific force: it neither
+gains nor loses speed, while its parts are under the axial load of the real flight, since uniform gravity acts on every
+particle alike.
 
-What differs from the flown instant is one term, gravity by the pitch angle in w' (design/model/plant.py): it moves the
-slowest root alone. No held flight can do without. One that keeps its airspeed keeps pace with its air, and in a frame
-that moves with the air everything falls with the axial load, however the load comes about: an updraught that makes
-way for a vehicle which really gains speed, wind dW/dt = a - g, adds to w' what gravity lacks. The linear node that
-belongs to the held flight (`HeldFlight.node`) has the term too, so that both may be compared to the last digit; that of
-the flight itself shows what it is worth, and flown_through.py what is left of it when time does not stand still.
+One term differs from the flown instant, gravity times the pitch angle in w' (design/model/plant.py); it moves the
+slowest root alone. No held flight avoids it: one that keeps its airspeed moves with its air, and in a frame that moves
+with the air everything falls with the axial load, however the load comes about. (An updraught for a vehicle that really
+gains speed, dW/dt = a - g, adds to w' what gravity lacks.) The linear node of the held flight, `HeldFlight.node`, has
+the same term, so that the two can be compared to the last digit; the node of the flight itself shows its effect, and
+in_flight.py what remains of it in the ascent.
 """
 
 from __future__ import annotations
@@ -22,16 +22,16 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
-import numpy as np
-
 from maxq.control.kernel.records import Array, pack
 from maxq.control.kernel.tables import Pool
+from maxq.design.laws.registry import law_kind
 from maxq.design.model.node import Node, node_of
 from maxq.design.model.plant import axial_load_mps2
 from maxq.design.model.vehicle_at import Plane
+from maxq.sim.flight.telemetry import FAST
 from maxq.sim.packing.computer import pack_injections
 from maxq.sim.packing.flight import Packed, pack_flight
-from maxq.sim.run.fly import FlightRun
+from maxq.sim.run.fly import FlightRun, KeptRows
 from maxq.sim.scenario.loader import LoadedScenario
 from maxq.sim.scenario.nanoseconds import to_ns
 from maxq.sim.scenario.schema_environment import Atmosphere, Earth, Wind
@@ -48,16 +48,15 @@ Change = Callable[[Packed], None]
 """Alters a packed flight in place."""
 
 
-def _unchanged(packed: Packed) -> None:
-    """What no fault does."""
+def unchanged(packed: Packed) -> None:
+    """No fault."""
 
 
 @dataclass(frozen=True)
 class HeldFlight:
-    """A scenario held at `time_s`, packed: fly it with `run`, which leaves it as it is.
+    """A scenario held at `time_s`, packed; `run` and `fly` fly copies of it.
 
-    `node` is the linear model's view of it, in `plane`. `fault` alters every flight before it flies, and nothing that
-    the linear model sees: so faults are planted.
+    `node` is its linear model, in `plane`. `fault` alters every flight and not the linear model: a planted fault.
     """
 
     loaded: LoadedScenario
@@ -65,7 +64,7 @@ class HeldFlight:
     node: Node
     time_s: float
     plane: Plane
-    fault: Change = _unchanged
+    fault: Change = unchanged
 
     @property
     def axis(self) -> int:
@@ -76,8 +75,8 @@ class HeldFlight:
     def sample_s(self) -> float:
         return self.node.instruments.sample_s
 
-    def run(self, duration_s: float, injections: tuple[Injection, ...], change: Change = _unchanged) -> FlightRun:
-        """A fresh flight with signals injected; `change` may alter what has been packed before it flies.
+    def run(self, duration_s: float, injections: tuple[Injection, ...], change: Change = unchanged) -> FlightRun:
+        """A new flight with signals injected; `change` may alter the packed parameters before it flies.
 
         Only what differs is packed anew: tables take longer than the flight.
         """
@@ -95,16 +94,42 @@ class HeldFlight:
         change(packed)
         return FlightRun(dataclasses.replace(self.loaded, scenario=scenario), packed)
 
+    def fly(
+        self, duration_s: float, injections: tuple[Injection, ...], change: Change = unchanged
+    ) -> tuple[FlightRun, Array]:
+        """As `run`, flown to its end: the flight, and its rows at the computer's sample rate (samples, channels)."""
+        run = self.run(duration_s, injections, change)
+        return run, fast_rows(run)
+
+
+def fast_rows(run: FlightRun, watch: Callable[[Array], None] = lambda rows: None) -> Array:
+    """Fly to the end: all rows of the fast channels, (rows, channels); a column by `run.table.index(name)`.
+
+    `watch` is called with the rows of each segment of the flight.
+    """
+    kept = KeptRows()
+    while not run.finished:
+        rows = run.fly_segment()
+        kept.add(rows)
+        watch(rows[FAST][1])
+    return kept.rows()[FAST][1]
+
+
+def slosh_columns(run: FlightRun, plane: Plane) -> list[int]:
+    """Columns of `fast_rows` with the swing of each tank's pendulum, deg."""
+    names = [c.name for c in run.table.columns(FAST)]
+    return [n for n, name in enumerate(names) if name.startswith("slosh") and name.endswith(f"{plane}_deg")]
+
 
 def hold(loaded: LoadedScenario, node: Node, fault: Change | None = None) -> HeldFlight:
     """Hold the scenario at a node of its flight, in the node's plane.
 
-    Works for the first stage of a vehicle under thrust. Raises ValueError where the axial load is not positive, the
-    scenario has no design, or the stage is a later one.
+    Valid for a vehicle of one stage under thrust. Raises ValueError where the axial load is not positive, the
+    scenario has no design, or the vehicle has several stages.
     """
     scenario = loaded.scenario
     if scenario.design is None:
-        raise ValueError(f"{loaded.label}: there is no design whose loop could be held")
+        raise ValueError(f"{loaded.label}: there is no design, and so no loop to hold")
     if len(scenario.vehicle.stage) > 1:
         raise ValueError(f"{loaded.label}: only vehicles of one stage can be held, this one has several")
     load = axial_load_mps2(node.vehicle, node.condition)
@@ -115,17 +140,19 @@ def hold(loaded: LoadedScenario, node: Node, fault: Change | None = None) -> Hel
         scenario=scenario.model_copy(update=_stillness(scenario, node, load)),
         label=f"{loaded.label} held at {node.time_s:g} s",
     )
-    packed = held_gains(pack_flight(held.scenario), node.time_s)
+    packed = pack_flight(held.scenario)
     same = dataclasses.replace(node_of(packed, node.time_s, 0, node.plane, node.errata), liquids=node.liquids)
-    return HeldFlight(held, packed, same, node.time_s, node.plane, fault or _unchanged)
+    return HeldFlight(held, packed, same, node.time_s, node.plane, fault or unchanged)
 
 
 def _stillness(scenario: Scenario, node: Node, load_mps2: float) -> dict[str, object]:
-    """What has to be changed in the scenario."""
+    """Changes of the scenario."""
     air = node.condition
     temperature = (air.airspeed_mps / air.mach) ** 2 / (HEAT_RATIO * GAS_CONSTANT_Jpkg_K) if air.mach > 0 else 288.15
     fast = 1.0 / node.instruments.sample_s
+    assert scenario.design is not None
     return {
+        "design": law_kind(scenario.design.law).frozen(scenario.design, node.time_s),
         "earth": Earth(shape="flat", rotating=False, gravity="uniform", uniform_mps2=load_mps2),
         "atmosphere": Atmosphere(
             model="constant", density_kgpm3=air.density_kgpm3, temperature_K=temperature, pressure_Pa=air.pressure_Pa
@@ -144,27 +171,10 @@ def _stillness(scenario: Scenario, node: Node, load_mps2: float) -> dict[str, ob
     }
 
 
-def held_gains(packed: Packed, time_s: float) -> Packed:
-    """The same with the gains of one instant at all times."""
-    ref = packed.parameters[0].computer.law.gains
-    pool: Array = packed.pool.copy()
-    n, columns, at = int(ref.n_breaks), int(ref.n_columns), int(ref.offset)
-    if n == 0:
-        return packed
-    breaks = pool[at : at + n]
-    cubics = pool[at + n : at + n + 4 * columns * (n - 1)].reshape(n - 1, 4, columns)
-    k = int(np.clip(np.searchsorted(breaks, time_s, side="right") - 1, 0, n - 2))
-    s = float(np.clip(time_s, breaks[0], breaks[-1]) - breaks[k])
-    now = cubics[k, 0] + s * (cubics[k, 1] + s * (cubics[k, 2] + s * cubics[k, 3]))
-    cubics[:] = 0.0
-    cubics[:, 0] = now
-    return dataclasses.replace(packed, pool=pool)
-
-
 def linear_limits(held: HeldFlight) -> tuple[float, float]:
-    """Gimbal command (rad) and commanded rate of the servo (rad/s) at which actuator or computer stop being linear."""
-    actuator = held.node.instruments.actuator
-    command = float(held.packed.parameters[0].computer.law.command_limit_rad)
+    """Gimbal command (rad) and commanded servo rate (rad/s) at which actuator or computer stop being linear."""
+    actuator, computer = held.node.instruments.actuator, held.loaded.scenario.vehicle.computer
+    command = math.inf if computer is None else math.radians(computer.command_limit_deg)
     if actuator.ideal:
         return command, math.inf
     return min(command, actuator.angle_limit_rad), actuator.rate_limit_radps

@@ -1,4 +1,8 @@
-"""The open loop three times over: the paper's continuous one, the exact sampled one, and the one that flies."""
+"""The open loop measured in a held flight, beside the paper's continuous loop and the exact sampled one.
+
+The signal is injected at the gimbal command; what returns is compared with what was sent, line by line. Each difference
+from the sampled loop is given its reason, or is unexplained.
+"""
 
 from __future__ import annotations
 
@@ -9,10 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from maxq.control.kernel.records import Array
-from maxq.design.certificate.excitation import Band, band
+from maxq.design.certificate.excitation import Band, ExcitationLevel, band, excitation_level, injections
 from maxq.design.certificate.held_flight import HeldFlight
-from maxq.design.certificate.loudness import loudness
-from maxq.design.certificate.measurement import Measured, measure
 from maxq.design.loop.loop import Loop
 from maxq.design.model.state_space import ComplexArray
 from maxq.sim.packing.flight import Packed
@@ -22,26 +24,113 @@ BANDS = (
     band(2.75, 12.0, 16, 80.0, 12.0, 1, dithered=True),
     band(12.5, 49.5, 12, 120.0, 12.0, 1, dithered=True),
 )
-"""Slow enough for the slowest line, loud enough for the highest: each band is limited by something else."""
+"""Long enough for the lowest line, strong enough for the highest: what limits the level differs from band to band."""
 UNROUNDED_FROM_HZ = 2.7
 UNROUNDED_PERIOD_S, UNROUNDED_SETTLE_S = 40.0, 40.0
 
 COHERENT = 0.99
 WITHIN_DB, WITHIN_DEG = 0.2, 1.5
-NOISE_SIGMAS = 4.5  # told from ten bins of noise: one of 60,000 lines lies beyond, a certificate has 1,000
-QUIET = 0.5  # of the amplitude, to see what depends on it
-AGREED, NOISE, INCOHERENT = "", "converter noise", "incoherent"
-FAULTY = ("unexplained", "saturation", "flight ended")
+NOISE_SIGMAS = 4.5  # estimated from ten bins of noise: exceeded by one line in 60,000; a certificate has 1,000
+HALF = 0.5  # of the excitation level, to see what depends on it
+AGREED, NOISE, INCOHERENT, UNEXPLAINED = "", "converter noise", "incoherent", "unexplained"
+SATURATION, ENDED = "saturation", "flight ended"
+
+_NEAR_HZ, _NEAR = 0.125, 5  # on either side in which noise is looked for, and at least so many bins
+_DECAYED = 9.0  # exp(-9) = 1e-4 of the initial amplitude
+_DISTINCT = 0.01  # a root that changes less than this over the record cannot be told from the mean
+
+
+@dataclass(frozen=True)
+class Measured:
+    """L at lines, (lines,), with its quality.
+
+    `error` is the standard error of L relative to L, `coherence` the share of the return that L explains: both from
+    the spectrum between the lines, where nothing was sent. `saturated_s` is how long a command was at its limit,
+    `outcome` that of the flight.
+    """
+
+    lines_hz: Array
+    response: ComplexArray
+    coherence: Array
+    error: Array
+    saturated_s: float
+    outcome: str
+
+
+def measure(held: HeldFlight, band: Band, level: ExcitationLevel, closed_poles: ComplexArray) -> Measured:
+    """Fly with the signal injected at the gimbal command, and compare filter output and gimbal command.
+
+    L = -U / E with U the output of the bending filter and E = U + injected, limited and quantised: the command that
+    the actuator receives, so that limits and the output converter do not bias L.
+
+    `closed_poles` (rad/s) of the linear loop tell which transients are left when the record begins: a root of 0.02
+    rad/s would take minutes. They are removed from the spectra, not waited for.
+    """
+    run, values = held.fly(band.duration_s, injections([*level.groups, *level.dither], held.plane))
+    back = values[:, run.table.index(f"filtered_{held.plane}_deg")]
+    sent = values[:, run.table.index(f"gimbal_{held.plane}_command_deg")]
+    flight = run.result()
+    saturated_s = flight.metrics["saturation_time_s"]
+    spectra = _spectra(band, held.sample_s, back, sent)
+    if spectra is None:
+        nothing = np.full(len(band.lines_hz), np.nan)
+        return Measured(band.lines_hz, nothing.astype(complex), 0.0 * nothing, nothing, saturated_s, flight.outcome)
+    out, into = (_settled(x, band, closed_poles) for x in spectra)
+    return _estimated(band, out, into, saturated_s, flight.outcome)
+
+
+def _spectra(band: Band, sample_s: float, back: Array, sent: Array) -> tuple[ComplexArray, ComplexArray] | None:
+    """(periods, bins) of the return and of the command; None if the flight ended before.
+
+    A command is logged after its tick: it is read one row later.
+    """
+    n, first = round(band.period_s / sample_s), round(band.settle_s / sample_s)
+    if first + band.periods * n + 1 > len(sent):
+        return None
+    starts = first + n * np.arange(band.periods)
+    out, into = (
+        np.stack([np.fft.rfft(x[s + shift : s + shift + n]) for s in starts]) for x, shift in ((back, 0), (sent, 1))
+    )
+    return out, into
+
+
+def _settled(spectra: ComplexArray, band: Band, closed_poles: ComplexArray) -> ComplexArray:
+    """Mean over the periods, (bins,), without transients: each root's part changes by exp(p times the period). The
+    slowest roots first: there are not periods enough for all."""
+    distinct = np.abs(closed_poles.real) * band.duration_s > _DISTINCT
+    slow = closed_poles[distinct & (-closed_poles.real * band.settle_s < _DECAYED)]
+    slow = slow[np.argsort(-slow.real, kind="stable")]
+    began = np.arange(band.periods) * band.period_s
+    shapes = np.column_stack([np.ones(band.periods), np.exp(np.outer(began, slow[: max(band.periods - 2, 0)]))])
+    return np.asarray(np.linalg.lstsq(shapes, spectra, rcond=None)[0][0])
+
+
+def _estimated(band: Band, out: ComplexArray, into: ComplexArray, saturated_s: float, outcome: str) -> Measured:
+    """At the lines; between them nothing is sent, and U = E is noise that has gone round the loop: N / (1 + L)."""
+    lines = np.round(band.lines_hz * band.period_s).astype(int)
+    response = -out[lines] / into[lines]
+    silent = np.ones(len(out), bool)
+    silent[lines] = False
+    silent[np.round(band.dither_hz * band.period_s).astype(int)] = False
+    silent[[0, -1]] = False
+    reach = max(_NEAR, round(_NEAR_HZ * band.period_s))
+    noise = np.empty(len(lines))
+    for i, line in enumerate(lines):
+        low = max(line - reach, 1)
+        near = np.flatnonzero(silent[low : line + reach + 1]) + low
+        noise[i] = np.sqrt(np.mean(np.abs(out[near] * (1.0 + response[i])) ** 2))
+    error = noise / np.abs(out[lines])
+    return Measured(band.lines_hz, response, 1.0 / (1.0 + error**2), error, saturated_s, outcome)
 
 
 @dataclass(frozen=True)
 class ResponseTable:
     """L at lines, (lines,): continuous, exactly sampled, in flight, and in flight without rounding.
 
-    `unrounded` is measured with the converter and the output made fine, NaN where that was not done: a difference that
-    is the converter's noise is gone there. `nonlinear_db` is by how much L moves when the same is played at half the
-    amplitude, NaN likewise. `reason` names each difference above the tolerance: "" agreed, "incoherent" not judged,
-    "converter noise" within 4.5 standard errors, "saturation", "flight ended", or "unexplained".
+    `unrounded` is measured with fine resolution of converter and output, NaN where that was not done: a difference due
+    to the converter's noise vanishes there. `nonlinear_db` is the change of L at half the excitation level, NaN
+    likewise. `reason` of each difference above the tolerance: "" agreed, "incoherent" not judged, "converter noise"
+    within 4.5 standard errors, "saturation", "flight ended", or "unexplained".
     """
 
     lines_hz: Array
@@ -60,7 +149,7 @@ class ResponseTable:
 
     @property
     def difference_deg(self) -> Array:
-        return np.asarray(np.degrees(np.angle(self.measured / self.sampled)))
+        return degrees(self.measured / self.sampled)
 
     @property
     def unrounded_db(self) -> Array:
@@ -68,27 +157,12 @@ class ResponseTable:
 
     @property
     def unrounded_deg(self) -> Array:
-        return np.asarray(np.degrees(np.angle(self.unrounded / self.sampled)))
-
-    @property
-    def judged(self) -> int:
-        return sum(r != INCOHERENT for r in self.reason)
+        return degrees(self.unrounded / self.sampled)
 
     @property
     def faulty(self) -> list[int]:
-        """Lines that no innocent reason explains."""
-        return [i for i, why in enumerate(self.reason) if why in FAULTY]
-
-    @property
-    def worst(self) -> int:
-        """Line with the largest difference beside what is allowed, of those that are judged."""
-        share = np.array([0.0 if r == INCOHERENT else self._share(i) for i, r in enumerate(self.reason)])
-        return int(np.argmax(np.nan_to_num(share, nan=np.inf)))
-
-    def _share(self, i: int) -> float:
-        if math.isfinite(self.unrounded[i].real):
-            return float(max(abs(self.unrounded_db[i]) / WITHIN_DB, abs(self.unrounded_deg[i]) / WITHIN_DEG))
-        return float(max(abs(self.difference_db[i]) / WITHIN_DB, abs(self.difference_deg[i]) / WITHIN_DEG))
+        """Lines with a difference that neither noise nor tolerance explains."""
+        return [i for i, why in enumerate(self.reason) if why in (UNEXPLAINED, SATURATION, ENDED)]
 
 
 def decibels(ratio: ComplexArray) -> Array:
@@ -96,48 +170,47 @@ def decibels(ratio: ComplexArray) -> Array:
     return np.asarray(20.0 * np.log10(np.maximum(np.abs(ratio), 1e-300)))
 
 
+def degrees(ratio: ComplexArray) -> Array:
+    """The angle."""
+    return np.asarray(np.degrees(np.angle(ratio)))
+
+
 def measured_response(
-    held: HeldFlight, loop: Loop, pade: Loop, bands: tuple[Band, ...] = BANDS, *, quiet: bool = True
+    held: HeldFlight, loop: Loop, pade: Loop, bands: tuple[Band, ...] = BANDS, *, at_half: bool = True
 ) -> ResponseTable:
-    """All bands measured, as they fly and without rounding, and judged. `quiet`: at half the amplitude as well."""
+    """All bands measured, as they fly and without rounding, and judged. `at_half`: at half the level as well."""
     if not bands:
         empty, none = np.zeros(0), np.zeros(0, np.complex128)
         return ResponseTable(empty, none, none, none, none, empty, empty, empty, ())
     poles = loop.closed_poles()
-    seen = [measure(held, b, loudness(held, loop, b), poles) for b in bands]
+    seen = [measure(held, b, excitation_level(held, loop, b), poles) for b in bands]
     lines = np.concatenate([s.lines_hz for s in seen])
-    fine = _fine(held)
-    clean = _nothing(len(lines))
+    clean = np.full(len(lines), complex(np.nan, np.nan))
     change = np.full(len(lines), np.nan)
     high = np.flatnonzero(lines > UNROUNDED_FROM_HZ)
     if len(high):
+        fine = _without_rounding(held)
         one = Band(_even(lines[high]), UNROUNDED_PERIOD_S, UNROUNDED_SETTLE_S, 1)
-        found = measure(fine, one, loudness(fine, loop, one), poles)
+        found = measure(fine, one, excitation_level(fine, loop, one), poles)
         clean[high] = found.response * loop.response(lines[high]) / loop.response(one.lines_hz)
-        if quiet:
-            softer = measure(fine, one, loudness(fine, loop, one, QUIET), poles)
-            change[high] = decibels(softer.response / found.response)
-    if quiet:
-        for b, s in zip(bands, seen, strict=True):
-            at = np.flatnonzero(np.isin(lines, b.lines_hz) & (lines <= UNROUNDED_FROM_HZ))
-            if len(at):
-                softer = measure(held, b, loudness(held, loop, b, QUIET), poles)
-                change[at] = decibels(softer.response / s.response)
+        if at_half:
+            weaker = measure(fine, one, excitation_level(fine, loop, one, HALF), poles)
+            change[high] = decibels(weaker.response / found.response)
+    for b, s in zip(bands, seen, strict=True) if at_half else ():
+        at = np.flatnonzero(np.isin(lines, b.lines_hz) & (lines <= UNROUNDED_FROM_HZ))
+        if len(at):
+            weaker = measure(held, b, excitation_level(held, loop, b, HALF), poles)
+            change[at] = decibels(weaker.response / s.response)
     response, coherence, error = (
         np.concatenate([getattr(s, name) for s in seen]) for name in ("response", "coherence", "error")
     )
-    joined = Measured(lines, response, coherence, error, max(s.saturated_s for s in seen), seen[-1].outcome)
     sampled = loop.response(lines)
+    saturated = max(s.saturated_s for s in seen) > 0.0
     reasons = tuple(
-        _reason(joined, i, joined.response[i] / sampled[i], clean[i] / sampled[i]) for i in range(len(lines))
-    )
-    return ResponseTable(
-        lines, pade.response(lines), sampled, joined.response, clean, joined.coherence, joined.error, change, reasons
-    )
-
-
-def _nothing(count: int) -> ComplexArray:
-    return np.full(count, complex(np.nan, np.nan))
+        _reason(*line, saturated)
+        for line in zip(error, coherence, response / sampled, clean / sampled, strict=True)
+    )  # fmt: skip
+    return ResponseTable(lines, pade.response(lines), sampled, response, clean, coherence, error, change, reasons)
 
 
 def _even(lines_hz: Array) -> Array:
@@ -145,8 +218,8 @@ def _even(lines_hz: Array) -> Array:
     return np.asarray(2.0 * np.round(0.5 * lines_hz * UNROUNDED_PERIOD_S) / UNROUNDED_PERIOD_S)
 
 
-def _fine(held: HeldFlight) -> HeldFlight:
-    """The same with pulses and output steps of no size."""
+def _without_rounding(held: HeldFlight) -> HeldFlight:
+    """The same with infinitely fine pulses and output steps."""
 
     def fault(packed: Packed) -> None:
         held.fault(packed)
@@ -157,18 +230,19 @@ def _fine(held: HeldFlight) -> HeldFlight:
     return dataclasses.replace(held, fault=fault)
 
 
-def _reason(seen: Measured, line: int, ratio: complex, clean: complex) -> str:
-    if not math.isfinite(seen.error[line]):
-        return "flight ended"
+def _reason(error: float, coherence: float, ratio: complex, clean: complex, saturated: bool) -> str:
+    """Of a line: `ratio` of measured to sampled L, and the same without rounding."""
+    if not math.isfinite(error):
+        return ENDED
     if math.isfinite(clean.real) and not _agrees(clean):
-        return "unexplained"
-    if seen.coherence[line] < COHERENT:
+        return UNEXPLAINED
+    if coherence < COHERENT:
         return INCOHERENT
     if _agrees(ratio):
         return AGREED
-    if abs(ratio - 1.0) <= NOISE_SIGMAS * float(seen.error[line]):
+    if abs(ratio - 1.0) <= NOISE_SIGMAS * error:
         return NOISE
-    return "saturation" if seen.saturated_s > 0.0 else "unexplained"
+    return SATURATION if saturated else UNEXPLAINED
 
 
 def _agrees(ratio: complex) -> bool:

@@ -20,6 +20,7 @@ from maxq.design.model.state_space import ComplexArray, StateSpace, chain
 from maxq.design.model.vehicle_at import Plane
 from maxq.sim.packing.computer import bending_filter, gains_of
 from maxq.sim.scenario.schema_design import Design
+from maxq.sim.scenario.tables_csv import CsvTable
 
 
 @dataclass(frozen=True)
@@ -95,6 +96,18 @@ class PdDesign:
         return PdDesign(
             gains_of(design), bending_filter(design), design.filter.discretization, design.filter.prewarp_hz
         )
+
+    @staticmethod
+    def frozen(design: Design, time_s: float) -> Design:
+        """The design with the gains of one instant at all times."""
+        law = PdDesign.of(design)
+        laws = [law.at(time_s, "pitch", None), law.at(time_s, "yaw", None)]
+        pitch, yaw = (
+            CsvTable("", {"time_s": np.array([time_s]), "k_p": np.array([x.k_p]), "k_d_s": np.array([x.k_d_s])})
+            for x in laws
+        )
+        gains = design.gains.model_copy(update={"table": pitch, "yaw": None, "yaw_table": yaw})
+        return design.model_copy(update={"gains": gains})
 
     def at(self, time_s: float, plane: Plane, sample_s: float | None) -> Pd:
         column = 0 if plane == "pitch" else 2

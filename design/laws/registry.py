@@ -12,12 +12,13 @@ from maxq.sim.scenario.schema_design import Design
 
 @dataclass(frozen=True)
 class LawKind:
-    """`of_design` reads the law from a design file."""
+    """`of_design` reads the law from a design file; `frozen` gives the design with the gains of one instant (s)."""
 
     of_design: Callable[[Design], DesignedLaw]
+    frozen: Callable[[Design, float], Design]
 
 
-LAWS: dict[str, LawKind] = {"pd": LawKind(PdDesign.of)}
+LAWS: dict[str, LawKind] = {"pd": LawKind(PdDesign.of, PdDesign.frozen)}
 
 
 def designed_law(design: Design) -> DesignedLaw:

@@ -68,15 +68,6 @@ class Lobe:
         return min(self.lag_deg, self.lead_deg)
 
 
-@dataclass(frozen=True)
-class _Pole:
-    label: str
-    kind: str
-    centre_hz: float
-    half_width_hz: float
-    damping_ratio: float
-
-
 def find_lobes(
     curve: Curve,
     gain: GainCrossings,
@@ -85,11 +76,13 @@ def find_lobes(
     limit_db: float,
 ) -> tuple[Lobe, ...]:
     """Lobes of the named resonances, or of every lightly damped pole that shows; `curve` holds extremes, crossings."""
-    poles = _unnamed(curve) if resonances is None else _named(curve, resonances)
+    f, loop = curve.frequency_hz, curve.loop
+    known = _lightly_damped(curve) if resonances is None else resonances
+    poles = [r for r in known if f[0] < r.frequency_hz < f[-1]]
     if not poles:
         return ()
-    f, loop = curve.frequency_hz, curve.loop
-    centre, width = np.array([p.centre_hz for p in poles]), np.array([p.half_width_hz for p in poles])
+    centre = np.array([p.frequency_hz for p in poles])
+    width = np.maximum([p.half_width_hz for p in poles], 1e-9 * centre)  # an undamped one: the grid's there
     strength, at_pole = _strengths(curve, centre, width)
     term = strength[:, None] / (1.0 + 1j * (f - centre[:, None]) / width[:, None])
     share = np.abs(strength) / np.maximum(np.abs(at_pole), 1e-300)
@@ -103,27 +96,11 @@ def find_lobes(
     return tuple(out)
 
 
-def _named(curve: Curve, resonances: Sequence[Resonance]) -> list[_Pole]:
-    """Those within the curve; an undamped one gets the width of the grid there."""
-    f = curve.frequency_hz
-    return [
-        _Pole(r.label, r.kind, r.frequency_hz, max(r.half_width_hz, 1e-9 * r.frequency_hz), r.damping_ratio)
-        for r in resonances
-        if f[0] < r.frequency_hz < f[-1]
-    ]
-
-
-def _unnamed(curve: Curve) -> list[_Pole]:
+def _lightly_damped(curve: Curve) -> list[Resonance]:
+    """Unnamed poles of L."""
     p = curve.open_poles[curve.open_poles.imag > curve.lowest_radps]
     p = p[np.abs(p.real) < LIGHT * np.abs(p)]
-    p = p[np.argsort(p.imag)]
-    out = []
-    for pole in p:
-        hz = float(pole.imag / (2.0 * np.pi))
-        width = max(abs(float(pole.real)), 1e-9 * abs(pole)) / (2.0 * np.pi)
-        if hz < curve.frequency_hz[-1]:
-            out.append(_Pole(f"{hz:.3g} Hz", "", hz, float(width), float(-pole.real / abs(pole))))
-    return out
+    return [Resonance("", 0, float(x.imag / (2.0 * np.pi)), complex(x)) for x in p[np.argsort(p.imag)]]
 
 
 def _strengths(curve: Curve, centre: Array, width: Array) -> tuple[ComplexArray, ComplexArray]:
@@ -161,7 +138,7 @@ def _around(f: Array, inside: NDArray[np.bool_], centre: float, least: float) ->
 
 def _judge(
     curve: Curve,
-    pole: _Pole,
+    pole: Resonance,
     ends: tuple[float, float],
     share: float,
     gain: GainCrossings,
@@ -175,16 +152,16 @@ def _judge(
     size = np.abs(loop)
     top = int(np.argmax(size))
     if top in (0, len(points) - 1):  # no peak of its own: a bump on a slope
-        top = int(np.argmin(np.abs(f[points] - pole.centre_hz)))
+        top = int(np.argmin(np.abs(f[points] - pole.frequency_hz)))
     peak_db = float(DB * np.log(max(size.max(), 1e-300)))
     at = (phase.frequency_hz >= low) & (phase.frequency_hz <= high)
     db = phase.gain_margin_db[at]
     stabilised: Stabilised = "gain" if peak_db <= -limit_db else "phase"
     lag, lead = (np.inf, np.inf) if stabilised == "gain" else _turns(gain, loop, ends)
     return Lobe(
-        label=pole.label,
+        label=pole.label or f"{pole.frequency_hz:.3g} Hz",
         kind=pole.kind,
-        frequency_hz=pole.centre_hz,
+        frequency_hz=pole.frequency_hz,
         damping_ratio=pole.damping_ratio,
         low_hz=low,
         high_hz=high,

@@ -13,7 +13,7 @@ from typing import Any, Literal
 import numpy as np
 
 from maxq.control.kernel.records import Array
-from maxq.control.kernel.tables import Cubics
+from maxq.control.kernel.tables import Cubics, table_in
 from maxq.sim.packing.flight import Packed
 from maxq.sim.vehicle import aero, schedule
 
@@ -144,7 +144,7 @@ def vehicle_at(packed: Packed, time_s: float, mach: float, plane: Plane = "pitch
     """Read a burning stage at `time_s` of its own clock and a Mach number."""
     row = packed.parameters[stage]
     vehicle, sizes = row.vehicle, row.vehicle.sizes
-    table = _table(packed.pool, vehicle.schedule)
+    table = table_in(packed.pool, vehicle.schedule)
     clock_s = float(row.timeline.frozen_s) if row.timeline.frozen == 1 else float(row.timeline.burn_rate) * time_s
     props, rates = table(clock_s), _slope(table, clock_s)
     inertia = schedule.CORE_INERTIA + (1 if plane == "pitch" else 2)
@@ -166,13 +166,6 @@ def vehicle_at(packed: Packed, time_s: float, mach: float, plane: Plane = "pitch
         aerodynamics=_aerodynamics(packed.pool, vehicle, sizes, mach, plane),
         jet_damping=bool(vehicle.jet_damping),
     )
-
-
-def _table(pool: Array, ref: Any) -> Cubics:
-    """A table of the pool, as it was before it was added to it."""
-    n, columns, at = int(ref.n_breaks), int(ref.n_columns), int(ref.offset)
-    coefficients = pool[at + n : at + n + 4 * columns * (n - 1)]
-    return Cubics(pool[at : at + n], coefficients.reshape(n - 1, 4, columns))
 
 
 def _slope(table: Cubics, x: float) -> Array:
@@ -244,7 +237,7 @@ def _aerodynamics(pool: Array, vehicle: Any, sizes: Any, mach: float, plane: Pla
     a, surfaces = vehicle.aero, int(sizes.surfaces)
     if a.on == 0:
         return Aerodynamics(0.0, 1.0, 0.0, 0.0, 0.0, np.zeros(surfaces), np.zeros(surfaces), False)
-    row = _table(pool, a.table)(mach)
+    row = table_in(pool, a.table)(mach)
     slope = row[aero.FIRST_SURFACE : aero.FIRST_SURFACE + 2 * surfaces : 2]
     moment = row[aero.FIRST_SURFACE + 1 : aero.FIRST_SURFACE + 2 * surfaces : 2]
     return Aerodynamics(

@@ -32,21 +32,26 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from maxq.control.kernel.records import Array
 from maxq.design import api
-from maxq.design.certificate.breaking import DEAD, LOST, build_up, kicked_growth, watch_at
-from maxq.design.certificate.held_flight import HeldFlight, hold
-from maxq.design.certificate.loudness import burst_rad
+from maxq.design.certificate.excitation import sine_burst
+from maxq.design.certificate.held_flight import HeldFlight, fast_rows, hold, slosh_columns
+from maxq.design.certificate.measured_margins import (
+    DECAYED,
+    SATURATED,
+    amplitude,
+    build_up_rate,
+    burst_test,
+    measured_growth,
+)
 from maxq.design.loop.fixed_path import fixed_path
 from maxq.design.loop.loop import Loop
 from maxq.design.model.dispersion import Dispersion, disperse
 from maxq.design.model.node import Node
 from maxq.design.model.state_space import ComplexArray
-from maxq.sim.flight.telemetry import FAST
 from maxq.sim.packing.flight import Packed
-from maxq.sim.run.fly import KeptRows
 from maxq.sim.scenario.loader import LoadedScenario
 from maxq.sim.scenario.schema_design import Design
-from maxq.sim.scenario.schema_injection import Injection
 
 SWING_PER_WAVE = (1.8412**2 - 1.0) / 2.0  # rad of the pendulum for a wave at the wall as high as the radius
 WATCHED_S = 400.0  # several time constants of a limit cycle that settles within a minute
@@ -102,38 +107,25 @@ def fly_cycle(
 
     `level` scales the burst of the certificate (`burst_rad`): the limit cycle is reached from above or from below.
     """
-    burst = Injection.model_validate(
-        {
-            "at": "gimbal_command", "axis": held.plane, "kind": "sine", "frequency_hz": frequency_hz,
-            "amplitude_deg": level * math.degrees(burst_rad(held, frequency_hz)),
-            "stop_s": round(3.0 / frequency_hz, 6),
-        }
-    )  # fmt: skip
 
     def undamped(packed: Packed) -> None:
         packed.parameters[0].vehicle.slosh.damping_ratio[tank] = 0.0
 
-    run = held.run(WATCHED_S, (burst,), undamped)
-    names = [c.name for c in run.table.columns(FAST)]
-    swings = [n for n, name in enumerate(names) if name.startswith("slosh") and name.endswith(f"{held.plane}_deg")]
-    column = swings[tank]
-    damping, kept = run.packed.parameters[0].vehicle.slosh.damping_ratio, KeptRows()
-    while not run.finished:
-        rows = run.fly_segment()
-        kept.add(rows)
-        swing = rows[FAST][1][:, column]
-        if len(swing):
-            damping[tank] = baffle.damping(math.radians(0.5 * float(np.ptp(swing))))
-    _, values = kept.rows()[FAST]
+    run = held.run(WATCHED_S, (sine_burst(held, frequency_hz, level),), undamped)
+    column = slosh_columns(run, held.plane)[tank]
+    damping = run.packed.parameters[0].vehicle.slosh.damping_ratio
+
+    def follow(rows: Array) -> None:
+        if len(rows):
+            damping[tank] = baffle.damping(math.radians(amplitude(rows[:, column])))
+
+    values = fast_rows(run, follow)
     quarter = len(values) // 4
     if run.now_s < WATCHED_S - 1.0 or quarter < 8:
         return LimitCycle(math.nan, False, math.nan)
     command = values[3 * quarter :, run.table.index(f"gimbal_{held.plane}_command_deg")]
-    before, after = (
-        0.5 * float(np.ptp(values[part, column]))
-        for part in (slice(2 * quarter, 3 * quarter), slice(3 * quarter, None))
-    )
-    return LimitCycle(after, abs(after / before - 1.0) < SETTLED, 0.5 * float(np.ptp(command)))
+    before, after = amplitude(values[2 * quarter : 3 * quarter, column]), amplitude(values[3 * quarter :, column])
+    return LimitCycle(after, abs(after / before - 1.0) < SETTLED, amplitude(command))
 
 
 NEAR, MIDWAY = Baffle(0.1, 0.25), Baffle(0.5, 0.25)
@@ -246,8 +238,8 @@ def confirm(loaded: LoadedScenario, node: Node, advice: SloshAdvice) -> SloshAdv
     edge = api.loops([disperse(held.node, Dispersion(slosh_damping=weak))], loaded.design)[0]
     poles = _oscillating(edge)
     hz = float(poles[int(np.argmax(poles.real))].imag) / (2.0 * math.pi)
-    growth = kicked_growth(held, loop, watch_at(hz, build_up(edge, hz)), lambda packed: None)
-    known = growth not in (LOST, DEAD)
+    growth = measured_growth(held, loop, burst_test(hz, build_up_rate(edge, hz)))
+    known = growth not in (SATURATED, DECAYED)
     cycle = fly_cycle(hold(loaded, node), advice.tank, MIDWAY, hz)
     return dataclasses.replace(
         advice,

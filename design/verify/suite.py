@@ -166,7 +166,7 @@ class CertificateWanted(Section):
         default=tuple(float(t) for t in range(5, 60, 5)), min_length=1, description="vehicle times, s"
     )
     planes: tuple[Plane, ...] = Field(default=("pitch", "yaw"), min_length=1, description="pitch, yaw")
-    flown_through: bool = Field(default=True, description="also in the real ascent")
+    in_flight: bool = Field(default=True, description="also in the ascent itself")
 
 
 class CampaignWanted(Section):

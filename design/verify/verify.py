@@ -16,8 +16,8 @@ import numpy as np
 
 from maxq.design import api
 from maxq.design.certificate.certificate import NodeCertificate, certify, certify_node
-from maxq.design.certificate.flown_through import FlownThrough, fly_through
 from maxq.design.certificate.held_flight import hold
+from maxq.design.certificate.in_flight import InFlightResponse, in_flight_response
 from maxq.design.model.node import Node
 from maxq.design.verify.flown import (
     CampaignResult,
@@ -59,7 +59,7 @@ class Verification:
     flights: tuple[FlownResult, ...] = field(repr=False)
     margins: tuple[MarginStudy, ...] = field(repr=False)
     certificates: tuple[NodeCertificate, ...] = field(repr=False)
-    flown_through: tuple[FlownThrough, ...] = field(repr=False)
+    in_flight: tuple[InFlightResponse, ...] = field(repr=False)
     campaigns: tuple[CampaignResult, ...] = field(repr=False)
     authority: tuple[Authority, ...] = field(repr=False)
     slosh: tuple[SloshAdvice, ...] = field(repr=False)
@@ -162,7 +162,7 @@ def verify(
     return Verification(
         design=design, design_name=scenario.design.name, vehicle=scenario.vehicle.name, suite=suite, scenario=scenario,
         requirements=tuple(requirements), flights=tuple(flights), margins=tuple(margin),
-        certificates=tuple(certificates), flown_through=tuple(through), campaigns=tuple(campaigns),
+        certificates=tuple(certificates), in_flight=tuple(through), campaigns=tuple(campaigns),
         authority=tuple(limits), slosh=tuple(slosh), design_hash=content_hash(repr(scenario.design))[:16],
         vehicle_hash=content_hash(scenario.as_flown)[:16], code=code_hash()[:16], versions=versions(),
         recalled=kept.recalled, worked_out=kept.worked_out, wall_s=time.perf_counter() - begun, walls_s=walls,
@@ -171,13 +171,13 @@ def verify(
 
 
 def certificate_requirements(
-    certificates: list[NodeCertificate], through: list[FlownThrough]
+    certificates: list[NodeCertificate], through: list[InFlightResponse]
 ) -> list[Requirement]:  # fmt: skip
-    """That every node's certificate stands, and that what is flown through is explained."""
+    """That flight and linear loop agree at every node, and every difference of the in-flight response is explained."""
     out = []
     for plane in dict.fromkeys(c.plane for c in certificates):
         mine = [c for c in certificates if c.plane == plane]
-        bad = [c for c in mine if not c.stands]
+        bad = [c for c in mine if not c.agrees]
         found = f"{len(mine) - len(bad)} of {len(mine)} nodes" + (f": {bad[0].unexplained[0]}" if bad else "")
         out.append(
             Requirement(
@@ -191,7 +191,7 @@ def certificate_requirements(
         lines = sum(f.reason.count("unexplained") for f in off)
         out.append(
             Requirement(
-                "certificate", f"flown through, {plane}", "every difference explained",
+                "certificate", f"in-flight response, {plane}", "every difference explained",
                 f"{count - lines} of {count} lines", REJECTED if off else ACCEPTED, math.nan,
                 f"{off[0].time_s:g} s" if off else "",
             )
@@ -228,7 +228,7 @@ def _margins(
 
 def _certificates(
     scenario: LoadedScenario, along: LoadedScenario, suite: Suite, memory: Memory, watch: Watch, workers: int
-) -> tuple[list[NodeCertificate], list[FlownThrough]]:
+) -> tuple[list[NodeCertificate], list[InFlightResponse]]:
     wanted = suite.certificate
     if wanted is None:
         return [], []
@@ -246,12 +246,12 @@ def _certificates(
 
     watch("certificate", 0, total)
     found = certify(scenario, wanted.times_s, wanted.planes, workers=workers, watch=done, one=one, along=along)
-    through: list[FlownThrough] = []
-    if wanted.flown_through:
+    through: list[InFlightResponse] = []
+    if wanted.in_flight:
         stable = [c.time_s for c in found if c.stable and c.plane == wanted.planes[0]]
         for plane in wanted.planes if stable else ():
             depends = (scenario.as_flown, stable, plane)
-            through += memory.recall("through", depends, lambda p=plane: fly_through(scenario, stable, p))  # type: ignore[misc]  # a default binds the loop's value
+            through += memory.recall("through", depends, lambda p=plane: in_flight_response(scenario, stable, p))  # type: ignore[misc]  # a default binds the loop's value
     return found, through
 
 

@@ -57,9 +57,9 @@ def _node(c: NodeCertificate) -> dict[str, Any]:
     return {
         "time_s": c.time_s,
         "plane": c.plane,
-        "stands": c.stands,
+        "agrees": c.agrees,
         "unexplained": list(c.unexplained),
-        "edges": [vars(e) for e in c.edges],
+        "margins": [vars(m) for m in c.margins],
         "lines": [
             {
                 "hz": r.lines_hz[i], "sampled_db": _db(r.sampled[i]), "pade_db": _db(r.pade[i]),

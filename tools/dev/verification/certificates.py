@@ -12,12 +12,12 @@ import numpy as np
 
 from maxq.design import api
 from maxq.design.certificate.certificate import PLANES, NodeCertificate, certify
-from maxq.design.certificate.flown_through import FlownThrough, fly_through
+from maxq.design.certificate.in_flight import InFlightResponse, in_flight_response
 from maxq.sim.scenario.loader import load_scenario
 from maxq.tools.dev.verification.section import VERIFICATION, rewrite
 
 
-def row(c: NodeCertificate, passing: FlownThrough) -> str:
+def row(c: NodeCertificate, passing: InFlightResponse) -> str:
     """One line of the table: the largest differences of one node."""
     r = c.responses
     clean = np.isfinite(r.unrounded.real)
@@ -26,12 +26,12 @@ def row(c: NodeCertificate, passing: FlownThrough) -> str:
     cells = [f"{c.time_s:g}", c.plane, f"{np.abs(r.difference_db[low]).max():.2f}"]
     cells += [f"{np.abs(r.unrounded_db[above]).max():.3f}", f"{np.abs(r.unrounded_deg[above]).max():.2f}"]
     cells += [f"{np.nanmax(np.abs(r.nonlinear_db)):.2f}"]
-    for e in c.edges:
+    for e in c.margins:
         cells.append(f"{100.0 * e.difference / e.held:+.2f} %" if e.unit == "s" else f"{e.difference:+.3f}")
-    held = next((e for e in c.edges if e.what == "gain_down"), None)
+    held = next((e for e in c.margins if e.what == "gain_down"), None)
     cells.append(f"{held.held:.1f} / {held.sampled:.1f}" if held else "")
     cells.append(f"{np.abs(passing.difference_db).max():.1f}")
-    cells.append("stands" if c.stands and "unexplained" not in passing.reason else "; ".join(c.unexplained))
+    cells.append("agrees" if c.agrees and "unexplained" not in passing.reason else "; ".join(c.unexplained))
     return f"| {' | '.join(cells)} |"
 
 
@@ -41,17 +41,17 @@ def main() -> int:
     begun = time.perf_counter()
     found = certify(loaded)
     wall_s = time.perf_counter() - begun
-    through = {(f.time_s, f.plane): f for p in PLANES for f in fly_through(loaded, api.PAPER_TIMES_S, p)}
+    through = {(f.time_s, f.plane): f for p in PLANES for f in in_flight_response(loaded, api.PAPER_TIMES_S, p)}
     table = [
         "| time, s | plane | below 2.7 Hz, dB | above, dB | above, deg | half amplitude, dB | gain up, dB |"
-        " gain down, dB | delay | gain down held / flown, dB | flown through, dB | |",
+        " gain down, dB | delay | gain down held / flown, dB | in flight, dB | |",
         "|---|---|---|---|---|---|---|---|---|---|---|---|",
         *(row(c, through[c.time_s, c.plane]) for c in found),
     ]
     rewrite(VERIFICATION, "certificates", "\n".join(table))
     print("\n".join(table))
     print(f"{wall_s:.0f} s for {len(found)} nodes")
-    return int(not all(c.stands for c in found))
+    return int(not all(c.agrees for c in found))
 
 
 if __name__ == "__main__":

@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 
 from maxq.control.kernel.records import Array
+from maxq.control.kernel.tables import table_in
 from maxq.control.laws.structures import MAX_SECTIONS
 from maxq.design.certificate.held_flight import Change
 from maxq.sim.packing.flight import Packed
@@ -33,9 +34,7 @@ class Fault:
 
 def _columns(packed: Packed, columns: slice | list[int], factor: float = 1.0, shift: float = 0.0) -> None:
     """Columns of the vehicle's table times `factor`, plus `shift`."""
-    ref = packed.parameters[0].vehicle.schedule
-    n, width, at = int(ref.n_breaks), int(ref.n_columns), int(ref.offset)
-    table = packed.pool[at + n : at + n + 4 * width * (n - 1)].reshape(n - 1, 4, width)
+    table = table_in(packed.pool, packed.parameters[0].vehicle.schedule).coefficients
     table[:, :, columns] *= factor
     table[:, 0, columns] += shift
 
@@ -156,9 +155,7 @@ def _gains(rows: Callable[[Array], Array]) -> Change:
     """The gain table's columns (k_p pitch, k_d pitch, k_p yaw, k_d yaw) made anew from themselves."""
 
     def plant(packed: Packed) -> None:
-        ref = packed.parameters[0].computer.law.gains
-        n, width, at = int(ref.n_breaks), int(ref.n_columns), int(ref.offset)
-        table = packed.pool[at + n : at + n + 4 * width * (n - 1)].reshape(n - 1, 4, width)
+        table = table_in(packed.pool, packed.parameters[0].computer.law.gains).coefficients
         table[:, 0] = rows(table[:, 0])
 
     return plant
@@ -167,16 +164,13 @@ def _gains(rows: Callable[[Array], Array]) -> Change:
 def _aero_moment_sign(packed: Packed) -> None:
     """The centre of pressure mirrored at the CG: slopes times station about twice the CG's."""
     row = packed.parameters[0]
-    ref, sizes = row.vehicle.aero.table, row.vehicle.sizes
-    sched = row.vehicle.schedule
-    n, width, at = int(sched.n_breaks), int(sched.n_columns), int(sched.offset)
-    breaks = packed.pool[at : at + n]
-    k = int(np.clip(np.searchsorted(breaks, float(row.timeline.frozen_s), side="right") - 1, 0, n - 2))
-    cg = packed.pool[at + n : at + n + 4 * width * (n - 1)].reshape(n - 1, 4, width)[k, 0, schedule.CORE_CG]
-    n, width, at = int(ref.n_breaks), int(ref.n_columns), int(ref.offset)
-    table = packed.pool[at + n : at + n + 4 * width * (n - 1)].reshape(n - 1, 4, width)
-    for s in range(int(sizes.surfaces)):
-        slope = width - 2 * int(sizes.surfaces) + 2 * s
+    of_vehicle, surfaces = table_in(packed.pool, row.vehicle.schedule), int(row.vehicle.sizes.surfaces)
+    breaks = of_vehicle.breaks
+    k = int(np.clip(np.searchsorted(breaks, float(row.timeline.frozen_s), side="right") - 1, 0, len(breaks) - 2))
+    cg = of_vehicle.coefficients[k, 0, schedule.CORE_CG]
+    table = table_in(packed.pool, row.vehicle.aero.table).coefficients
+    for s in range(surfaces):
+        slope = table.shape[2] - 2 * surfaces + 2 * s
         table[:, :, slope + 1] = 2.0 * cg * table[:, :, slope] - table[:, :, slope + 1]
 
 

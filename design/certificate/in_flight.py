@@ -1,11 +1,11 @@
-"""The loop measured in the real ascent, while mass, speed, air and gains change under it.
+"""In-flight response: the loop measured in the ascent itself, while mass, speed, air and gains change.
 
-The ascent is flown twice, with the excitation and without, and the difference is looked at: guidance, wind and the
-pull of the path drop out, what the excitation did stays. In a window around the node's time the lines of a multisine
-are read off by least squares together with the window's slow trend. The window is short, so only lines of half a
-hertz and more can be told.
+The ascent is flown twice, with the excitation and without, and the difference is evaluated: guidance, wind and path
+drop out, the response to the excitation stays. In a window around the node's time the lines of a multisine are
+estimated by least squares together with a slow trend. The window is short, so only lines of half a hertz and more can
+be resolved.
 
-What differs from the flight held still has two causes, and the linear loop knows both: the vehicle changes during the
+It differs from the held flight for two reasons, which the linear loop accounts for: the vehicle changes during the
 window (the sampled loop averaged over nodes across the window), and gravity is the real one (lowest lines only).
 """
 
@@ -20,20 +20,20 @@ import numpy as np
 
 from maxq.control.kernel.records import Array
 from maxq.design import api
-from maxq.design.certificate.loudness import SHARE_OF_BURST
-from maxq.design.certificate.response import NOISE, NOISE_SIGMAS, decibels
+from maxq.design.certificate.excitation import SHARE_OF_BURST, gimbal_injection
+from maxq.design.certificate.held_flight import fast_rows
+from maxq.design.certificate.response import NOISE, NOISE_SIGMAS, UNEXPLAINED, decibels, degrees
 from maxq.design.model.state_space import ComplexArray
 from maxq.design.model.vehicle_at import Plane
-from maxq.sim.flight.telemetry import FAST
 from maxq.sim.packing.flight import pack_flight
-from maxq.sim.run.fly import FlightRun, KeptRows
+from maxq.sim.run.fly import FlightRun
 from maxq.sim.scenario.loader import LoadedScenario
 from maxq.sim.scenario.schema_injection import Injection
 from maxq.sim.scenario.schema_scenario import Log
 
 WINDOW_S = 8.0
 SETTLE_S = 2.5  # after lift-off
-ACROSS = (-0.5, -0.25, 0.0, 0.25, 0.5)  # of a window: where the linear loop is asked
+ACROSS = (-0.5, -0.25, 0.0, 0.25, 0.5)  # of a window: places of the linear loop
 LINES_HZ = tuple(n / WINDOW_S for n in (4, 7, 11, 18, 29, 46, 62, 74, 90))  # 0.5 .. 11 Hz
 COMMAND_DEG = 0.35  # of each line at most; fewer than half of any limit together
 WITHIN_DB, WITHIN_DEG = 0.5, 4.0
@@ -41,11 +41,11 @@ TIME_VARIATION, SETTLING = "time variation", "settling"
 
 
 @dataclass(frozen=True)
-class FlownThrough:
-    """L at lines (Hz) read off in the ascent around `time_s`, beside the sampled loop at that instant, `frozen`, and
+class InFlightResponse:
+    """L at lines (Hz) measured in the ascent around `time_s`, beside the sampled loop at that instant, `frozen`, and
     averaged over the window, `passing`. `reason` is "" where the flight and the frozen loop agree to 0.5 dB and 4 deg,
     "time variation" where the loop's own change in the window is as large as the difference, "converter noise" where
-    that together with its standard errors is, "settling" where what rings near a line has not died away since
+    that together with its standard errors is, "settling" where an oscillation near a line has not decayed since
     lift-off, else "unexplained"."""
 
     time_s: float
@@ -55,7 +55,7 @@ class FlownThrough:
     passing: ComplexArray
     spread_db: Array  # by which the sampled loop changes across the window
     measured: ComplexArray
-    error: Array  # standard error of `measured` relative to it, by what the lines leave over
+    error: Array  # standard error of `measured` relative to it, from the residual
     reason: tuple[str, ...]
 
     @property
@@ -64,20 +64,15 @@ class FlownThrough:
 
     @property
     def difference_deg(self) -> Array:
-        return np.asarray(np.degrees(np.angle(self.measured / self.frozen)))
+        return degrees(self.measured / self.frozen)
 
 
-def fly_through(loaded: LoadedScenario, times_s: Sequence[float], plane: Plane) -> list[FlownThrough]:
-    """Measure around each time. Two ascents serve all times: one quiet, one excited throughout."""
+def in_flight_response(loaded: LoadedScenario, times_s: Sequence[float], plane: Plane) -> list[InFlightResponse]:
+    """Measure around each time. Two ascents serve all times: one without excitation, one excited throughout."""
     if loaded.design is None:
         raise ValueError(f"{loaded.label}: there is no design to measure")
     lines = np.array(LINES_HZ)
-    signal = Injection.model_validate(
-        {
-            "at": "gimbal_command", "axis": plane, "kind": "multisine", "frequencies_hz": LINES_HZ,
-            "amplitude_deg": _amplitude_deg(loaded),
-        }
-    )  # fmt: skip
+    signal = gimbal_injection(plane, "multisine", math.radians(_amplitude_deg(loaded)), frequencies_hz=LINES_HZ)
     end_s = max(times_s) + 0.5 * WINDOW_S
     quiet, excited = (_flown(loaded, signals, plane, end_s) for signals in ((), (signal,)))
     sample_s = quiet.sample_s
@@ -103,7 +98,7 @@ def fly_through(loaded: LoadedScenario, times_s: Sequence[float], plane: Plane) 
             _reason(complex(measured[i] / frozen[i]), float(error[i]), float(spread[i]), float(turn[i]), near[i])
             for i in range(len(lines))
         )
-        out.append(FlownThrough(time_s, plane, lines, frozen, passing, spread, measured, error, reasons))
+        out.append(InFlightResponse(time_s, plane, lines, frozen, passing, spread, measured, error, reasons))
     return out
 
 
@@ -118,7 +113,7 @@ def _window(time_s: float, from_s: float, to_s: float) -> tuple[float, float]:
 
 
 def _amplitude_deg(loaded: LoadedScenario) -> float:
-    """Of each line: all of them together stay below the share of gimbal rate and angle that a burst may take."""
+    """Of each line: together they stay below the share of gimbal rate and angle that a burst may take."""
     stage = loaded.vehicle.stage[0]
     if stage.actuator is None:
         return COMMAND_DEG
@@ -130,7 +125,7 @@ def _amplitude_deg(loaded: LoadedScenario) -> float:
 
 @dataclass(frozen=True)
 class _Ascent:
-    """Filter output and gimbal command (deg), a row a sample from zero; powered from and until, s."""
+    """Filter output and gimbal command (deg), one entry a sample from time zero; powered from and until, s."""
 
     filtered: Array
     command: Array
@@ -147,10 +142,7 @@ def _flown(loaded: LoadedScenario, signals: tuple[Injection, ...], plane: Plane,
     log = Log(fast_hz=1.0 / computer.sample_s, slow_hz=1.0, transform_hz=1.0)
     scenario = scenario.model_copy(update={"injection": signals, "run": run_s, "log": log})
     run = FlightRun(dataclasses.replace(loaded, scenario=scenario), pack_flight(scenario))
-    kept = KeptRows()
-    while not run.finished:
-        kept.add(run.fly_segment())
-    _, rows = kept.rows()[FAST]
+    rows = fast_rows(run)
     events = {e.name: e.time_s for e in run.events}
     filtered, command = (
         rows[:, run.table.index(name)] for name in (f"filtered_{plane}_deg", f"gimbal_{plane}_command_deg")
@@ -161,8 +153,8 @@ def _flown(loaded: LoadedScenario, signals: tuple[Injection, ...], plane: Plane,
 
 
 def _at_lines(samples: Array, lines_hz: Array, sample_s: float) -> tuple[ComplexArray, float]:
-    """Phasors at the lines by least squares, beside a cubic trend, with a weight that fades at both ends; and the
-    standard deviation of each by what is left over."""
+    """Phasors at the lines by least squares, with a cubic trend and a weight that tapers at both ends; and the standard
+    deviation of each, from the residual."""
     n = len(samples)
     time = sample_s * np.arange(n)
     x = np.linspace(-1.0, 1.0, n)
@@ -184,4 +176,4 @@ def _reason(ratio: complex, error: float, spread_db: float, spread_deg: float, r
         return TIME_VARIATION
     if rings:
         return SETTLING
-    return NOISE if abs(ratio - 1.0) <= NOISE_SIGMAS * error + 10.0 ** (spread_db / 20.0) - 1.0 else "unexplained"
+    return NOISE if abs(ratio - 1.0) <= NOISE_SIGMAS * error + 10.0 ** (spread_db / 20.0) - 1.0 else UNEXPLAINED

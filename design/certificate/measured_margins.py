@@ -1,0 +1,357 @@
+"""Margins measured in flight: gain raised, gain lowered, delay added until the loop grows instead of decaying.
+
+The nonlinear simulator is flown held (held_flight.py) with the loop altered inside its flight computer. A burst at the
+critical frequency excites it; the growth rate of its free response is measured. The margin is where that rate is zero,
+found by the secant rule from the linear loop's own margin: near the stability boundary the rate is nearly linear in the
+alteration, so that three or four flights give it to a few hundredths of a dB.
+
+Where no margin can be measured: a slowly growing root is measured by its rate (`drift`), a loop that grows faster by
+what becomes of it, a limit cycle or the loss of the vehicle (`limit_cycle`). Slosh that is unstable by the linear loop
+is judged by that amplitude, not by a margin.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from maxq.control.kernel.records import Array
+from maxq.control.laws.structures import MAX_SECTIONS
+from maxq.design.certificate.excitation import (
+    DITHER_HZ,
+    burst_rad,
+    dither,
+    gimbal_injection,
+    injections,
+    linear_command_rad,
+    sine_burst,
+)
+from maxq.design.certificate.held_flight import Change, HeldFlight, slosh_columns, unchanged
+from maxq.design.loop.fixed_path import fixed_path
+from maxq.design.loop.loop import Loop
+from maxq.design.margins.measure import Bound, Margins, margins
+from maxq.design.model.dispersion import Dispersion, disperse
+from maxq.sim.packing.flight import Packed
+from maxq.sim.scenario.schema_injection import Injection
+
+MarginName = Literal["gain_up", "gain_down", "delay"]
+UNITS: dict[MarginName, str] = {"gain_up": "dB", "gain_down": "dB", "delay": "s"}
+MARGIN_NAMES: tuple[MarginName, ...] = tuple(UNITS)
+
+MOST_FLIGHTS = 10
+DRIFT_HZ = 0.02  # a critical frequency below it is that of a real root
+DITHER_ABOVE_HZ = 2.0  # undithered, the converter sustains an oscillation of some pulses half a dB inside the boundary
+RINGS_UP = 4.0  # a burst lasts until the loop at its boundary has amplified it so often, if that is not too long
+LONGEST_BURST_S = 6.0
+TOO_LONG = "longer than can be inserted"  # reason for a delay margin that is not measured
+UNBOUNDED = "nothing bounds it"
+SATURATED = math.inf  # growth of what meets the limits before its rate can be measured
+DECAYED = -math.inf  # of what has decayed before
+SLOWEST_1PS = 1.0 / 160.0  # of a drift: e-fold within the longest flight of a certificate
+WATCHED_S = 240.0  # for a limit cycle
+STEADY = 0.01  # share by which the amplitudes of the last two quarters of a limit cycle may differ
+_LEAST_WINDOWS = 6
+_STEP_DB = 0.1
+
+
+@dataclass(frozen=True)
+class BurstTest:
+    """An excitation burst and the free response after it: all times in s."""
+
+    frequency_hz: float  # 0: a step, and the response of a real root
+    burst_s: float
+    wait_s: float
+    watch_s: float
+    window_s: float
+    growth: float = 1.0  # amplitude at the end of the burst, in amplitudes of the burst
+
+    @property
+    def duration_s(self) -> float:
+        return math.ceil(self.burst_s + self.wait_s + self.watch_s)
+
+
+def burst_test(frequency_hz: float, build_up_1ps: float = 0.0) -> BurstTest:
+    """At least three turns of burst, six to wait, 25 s and 24 turns to watch; longer for a real root.
+
+    `build_up_1ps`: how fast a burst builds up at the stability boundary (`build_up_rate`).
+    """
+    if frequency_hz < DRIFT_HZ:
+        return BurstTest(0.0, 8.0, 40.0, 120.0, 10.0)
+    turn = 1.0 / frequency_hz
+    burst_s = max(3.0 * turn, min(RINGS_UP / build_up_1ps if build_up_1ps > 0.0 else 0.0, LONGEST_BURST_S))
+    window_s = max(5.0 * turn, min(1.0, 25.0 * turn))
+    watch_s = max(25.0, 24.0 * turn)
+    return BurstTest(frequency_hz, burst_s, 6.0 * turn, watch_s, window_s, 1.0 + build_up_1ps * burst_s)
+
+
+@dataclass(frozen=True)
+class MeasuredMargin:
+    """A margin by the linear loop and by flight, in `unit`, and the flights that it follows from.
+
+    `tried` holds alteration and measured growth (1/s). `measured` is NaN, with a `reason`, where no boundary was found.
+    """
+
+    what: MarginName
+    unit: str
+    linear: float
+    measured: float
+    frequency_hz: float
+    tried: tuple[tuple[float, float], ...]
+    reason: str = ""
+
+    @property
+    def difference(self) -> float:
+        return self.measured - self.linear
+
+
+def bound_of(of: Margins, what: MarginName) -> Bound:
+    """A margin of the linear loop by name."""
+    return {"gain_up": of.gain_up_db, "gain_down": of.gain_down_db, "delay": of.delay_s}[what]
+
+
+def measure_margin(held: HeldFlight, loop: Loop, of_loop: Margins, what: MarginName) -> MeasuredMargin:
+    """Find the margin in flight, unless the linear loop is unstable or has an infinite one."""
+    bound = bound_of(of_loop, what)
+    linear, frequency = float(bound.value), float(bound.frequency_hz)
+    tried: list[tuple[float, float]] = []
+
+    def found(measured: float, reason: str = "") -> MeasuredMargin:
+        of_linear = linear if of_loop.stable else math.nan
+        return MeasuredMargin(what, UNITS[what], of_linear, measured, frequency, tuple(tried), reason)
+
+    if not of_loop.stable:
+        return found(math.nan, "the linear loop is unstable")
+    if not math.isfinite(linear):
+        return found(math.nan, UNBOUNDED)
+    most = _longest_s(held) if what == "delay" else math.inf
+    if 1.02 * linear > most:
+        return found(math.nan, TOO_LONG)
+    test = burst_test(frequency, build_up_rate(altered(loop, what, linear), frequency))
+    slope = abs(_slope(loop, what, linear))
+    tolerance = 0.02 if what != "delay" else 0.003 * linear
+    at = linear
+    for _ in range(MOST_FLIGHTS):
+        growth = measured_growth(held, loop, test, lambda packed, at=at: _alter(packed, held, what, at))  # type: ignore[misc]  # a default binds the loop's value
+        tried.append((at, growth))
+        if math.isnan(growth):
+            return found(math.nan, "the flight was lost")
+        following = min(_next(tried, slope, 0.25 * linear, 5.0 * tolerance), most)
+        step, at = following - at, following
+        if abs(step) < tolerance:
+            return found(at)
+    return found(at, "not settled")
+
+
+def _next(tried: list[tuple[float, float]], slope: float, most: float, apart: float) -> float:
+    """The next alteration: by the secant rule, kept between what decayed and what grew, else midway between them.
+
+    `slope` (1/s per unit) is used until two tries at least `apart` give a better one; no step is larger than `most`.
+    """
+    at, growth = tried[-1]
+    known = [t for t in tried if math.isfinite(t[1])]
+    if len(known) > 1 and abs(known[-1][0] - known[-2][0]) > apart:
+        measured = (known[-1][1] - known[-2][1]) / (known[-1][0] - known[-2][0])
+        slope = measured if measured > 0.0 else slope
+    low = max((x for x, g in tried if g <= 0.0), default=-math.inf)
+    high = min((x for x, g in tried if g > 0.0), default=math.inf)
+    following = at + float(np.clip(-growth / slope, -most, most))
+    if low < high and not low < following < high and math.isfinite(high - low):
+        return 0.5 * (low + high)
+    return following
+
+
+def build_up_rate(boundary: Loop, frequency_hz: float) -> float:
+    """Rate (1/s) at which a sine at the frequency of a pole on the axis builds up: residue of 1 / (1 + L), its size."""
+    if frequency_hz < DRIFT_HZ:
+        return 0.0
+    apart = 1e-4 * frequency_hz
+    low, high = boundary.response(np.array([frequency_hz - apart, frequency_hz + apart]))
+    return float(4.0 * np.pi * apart / abs(high - low))
+
+
+def altered(loop: Loop, what: MarginName, amount: float) -> Loop:
+    """The linear loop with gain (dB) added or removed, or a delay (s) added to the computer's."""
+    if what == "delay":
+        path = fixed_path(disperse(loop.fixed.node, Dispersion(delay_s=amount)), loop.fixed.kind, loop.fixed.cut)
+        return dataclasses.replace(loop, fixed=path)
+    return dataclasses.replace(loop, law=loop.law.scaled(_gain(what, amount)))
+
+
+def _gain(what: MarginName, amount_db: float) -> float:
+    return float(10.0 ** ((amount_db if what == "gain_up" else -amount_db) / 20.0))
+
+
+def _slope(loop: Loop, what: MarginName, at: float) -> float:
+    """Rate of change of the linear loop's fastest growing pole with the alteration, 1/s per unit."""
+    step = 1e-3 * at
+    low, high = (altered(loop, what, x).closed_poles().real.max() for x in (at - step, at + step))
+    return float((high - low) / (2.0 * step))
+
+
+def measured_growth(held: HeldFlight, loop: Loop, test: BurstTest, change: Change = unchanged) -> float:
+    """Growth rate (1/s) of the free response in flight; NaN where the flight ended early. `loop` sets the dither."""
+    amplitude = burst_rad(held, test.frequency_hz, test.growth)
+    sine = {"frequency_hz": test.frequency_hz} if test.frequency_hz > 0.0 else {}
+    signals: tuple[Injection, ...] = (
+        gimbal_injection(held.plane, "sine" if sine else "step", amplitude, stop_s=round(test.burst_s, 6), **sine),
+    )
+    if test.frequency_hz > DITHER_ABOVE_HZ:
+        signals += injections(dither(held, loop, np.array(DITHER_HZ)), held.plane)
+    run, values = held.fly(test.duration_s, signals, change)
+    response = values[:, run.table.index(f"filtered_{held.plane}_deg")]
+    first = round((test.burst_s + test.wait_s) / held.sample_s)
+    limit = math.degrees(linear_command_rad(held, test.frequency_hz))
+    if len(response) - first < 0.9 * test.watch_s / held.sample_s:
+        return SATURATED if np.abs(response).max(initial=0.0) > limit else math.nan
+    least = 0.15 * math.degrees(amplitude) * test.growth if sine else 0.0
+    return growth_rate(response[first:], held.sample_s, test.frequency_hz, test.window_s, limit, least)
+
+
+def growth_rate(
+    samples: Array, sample_s: float, frequency_hz: float, window_s: float, limit: float = math.inf, least: float = 0.0
+) -> float:
+    """Growth rate (1/s) of an oscillation near a frequency, or at 0 Hz of a drift: slope of its envelope's logarithm.
+
+    The envelope is that of windows with a raised-cosine weight, which rejects drifts and what is more than a turn a
+    window away in frequency. It is used while above a tenth of its initial value, where noise would hide the decay,
+    and below `limit` (in the unit of the samples), where saturation would hide the growth: a limit cycle does not
+    grow. `SATURATED` if it is above `limit` from the beginning or at once, `DECAYED` if it begins below `least`.
+    """
+    window = max(round(window_s / sample_s), 8)
+    weight = np.hanning(window)
+    turn = weight * np.exp(-2j * np.pi * frequency_hz * sample_s * np.arange(window))
+    starts = np.arange(0, len(samples) - window, max(window // 4, 1))
+    double = 2.0 if frequency_hz > 0.0 else 1.0
+    if frequency_hz > 0.0:  # reject a constant
+        turn = turn - weight * (turn.sum() / weight.sum())
+    envelope = double * np.abs(np.array([samples[s : s + window] @ turn for s in starts])) / weight.sum()
+    times = (starts + 0.5 * window) * sample_s
+    over = np.flatnonzero(envelope > limit)
+    count = int(over[0]) if len(over) else len(envelope)
+    if count < _LEAST_WINDOWS:
+        return SATURATED
+    if envelope[0] < least:
+        return DECAYED
+    under = np.flatnonzero(envelope[:count] < 0.1 * envelope[0])
+    count = max(int(under[0]), _LEAST_WINDOWS) if len(under) else count
+    return float(np.polyfit(times[:count], np.log(np.maximum(envelope[:count], 1e-300)), 1)[0])
+
+
+def _longest_s(held: HeldFlight) -> float:
+    """Delay for which the filter has sections left, two samples each."""
+    free = MAX_SECTIONS - int(held.packed.parameters[0].computer.filters.n_sections[held.axis])
+    return 2.0 * free * held.sample_s
+
+
+def _alter(packed: Packed, held: HeldFlight, what: MarginName, amount: float) -> None:
+    """Alter the packed flight's computer in place, on the held axis, by sections behind those of the filter."""
+    row, axis = packed.parameters[0].computer, held.axis
+    sections, used = row.filters.sections[axis], int(row.filters.n_sections[axis])
+    if what != "delay":
+        extra = [[_gain(what, amount), 0.0, 0.0, 0.0, 0.0]]
+    else:
+        whole, rest_ns = divmod(int(row.delay_ns) + round(1e9 * amount), int(row.sample_ns))
+        row.delay_ns = rest_ns
+        extra = [[0.0, 0.0, 1.0, 0.0, 0.0]] * (whole // 2) + [[0.0, 1.0, 0.0, 0.0, 0.0]] * (whole % 2)
+    if used + len(extra) > MAX_SECTIONS:
+        raise ValueError(f"a delay of {amount:g} s needs {len(extra)} filter sections: {MAX_SECTIONS - used} are free")
+    for k, section in enumerate(extra):
+        sections[used + k] = section
+    row.filters.n_sections[axis] = used + len(extra)
+
+
+@dataclass(frozen=True)
+class Drift:
+    """Growth of the slowest root in 1/s, by the linear loop and in flight, and its change per decibel of gain.
+
+    `others`: margins of the held loop without that root.
+    """
+
+    linear_1ps: float
+    measured_1ps: float
+    per_db_1ps: float
+    others: Margins
+
+
+def drift(held: HeldFlight, loop: Loop, of_held: Margins) -> Drift | None:
+    """Measure a held loop whose slowest root alone is unstable, and slowly; None for every other loop.
+
+    In a held flight the axial load acts as gravity (held_flight.py), several times the real one. That moves the slowest
+    root, sometimes across the axis, although the loop at the flown instant is stable. Such a root takes minutes to grow
+    e-fold, so everything else about the loop can still be measured, and the root by its growth rate: a wrong sign or a
+    wrong gravity in the slow motion shows there.
+    """
+    if of_held.stable or of_held.growth_hz >= DRIFT_HZ or not 0.0 < of_held.growth_1ps <= SLOWEST_1PS:
+        return None
+    others = margins(loop, lowest_hz=DRIFT_HZ)
+    if not others.stable:
+        return None
+    measured = measured_growth(held, loop, burst_test(0.0))
+    more, less = (altered(loop, "gain_up", db).closed_poles().real.max() for db in (_STEP_DB, -_STEP_DB))
+    return Drift(of_held.growth_1ps, measured, float(abs(more - less) / (2.0 * _STEP_DB)), others)
+
+
+@dataclass(frozen=True)
+class LimitCycle:
+    """`kind`: "decays", "limit cycle", "grows" (not settled at the end), "lost".
+
+    `gimbal_deg` and `slosh_deg` (largest of all tanks) are amplitudes at the end, `frequency_hz` that of the command.
+    """
+
+    kind: str
+    frequency_hz: float
+    gimbal_deg: float
+    slosh_deg: float
+    after_s: float
+
+    @property
+    def text(self) -> str:
+        if self.kind == "limit cycle":
+            return (
+                f"limit cycle at {self.frequency_hz:.3g} Hz: gimbal {self.gimbal_deg:.2g} deg, "
+                f"slosh {self.slosh_deg:.2g} deg"
+            )
+        return {"decays": "decays", "grows": f"still grows after {self.after_s:g} s"}.get(
+            self.kind, f"lost after {self.after_s:.0f} s"
+        )
+
+
+def limit_cycle(
+    held: HeldFlight, frequency_hz: float, change: Change = unchanged, watched_s: float = WATCHED_S
+) -> LimitCycle:
+    """Excite the held flight by a burst at a frequency and see where it ends; `change` may make it unstable."""
+    run, rows = held.fly(watched_s, (sine_burst(held, frequency_hz),), change)
+    command = rows[:, run.table.index(f"gimbal_{held.plane}_command_deg")]
+    slosh = slosh_columns(run, held.plane)
+    quarter = len(command) // 4
+    if run.now_s < watched_s - 1.0 or quarter < 8:
+        return LimitCycle("lost", frequency_hz, amplitude(command), _largest(rows, slosh, 0), run.now_s)
+    after = command[3 * quarter :]
+    level, earlier = amplitude(after), amplitude(command[2 * quarter : 3 * quarter])
+    if level < 0.5 * earlier or level < 0.05 * amplitude(command[:quarter]):
+        kind = "decays"
+    elif abs(level / earlier - 1.0) < STEADY:
+        kind = "limit cycle"
+    else:
+        kind = "grows" if level > earlier else "decays"
+    hz, swing = _frequency(after, held.sample_s), _largest(rows, slosh, 3 * quarter)
+    return LimitCycle(kind, hz, level, swing, run.now_s)
+
+
+def amplitude(samples: Array) -> float:
+    """Half the peak-to-peak value."""
+    return float(0.5 * np.ptp(samples)) if len(samples) else 0.0
+
+
+def _largest(rows: Array, columns: list[int], first: int) -> float:
+    return max((amplitude(rows[first:, c]) for c in columns), default=0.0)
+
+
+def _frequency(samples: Array, sample_s: float) -> float:
+    """Of the strongest line, Hz."""
+    spectrum = np.abs(np.fft.rfft((samples - samples.mean()) * np.hanning(len(samples))))
+    return float(np.argmax(spectrum) / (len(samples) * sample_s))
