@@ -6,19 +6,14 @@ import math
 
 import numpy as np
 import pytest
+from pydantic import ValidationError
 
 from maxq.control.kernel.limits import MAX_GUSTS
 from maxq.control.kernel.records import pack
 from maxq.control.kernel.tables import Pool, fit
-from maxq.sim.world.wind import (
-    ONE_MINUS_COSINE,
-    SHEAR,
-    Gust,
-    Wind,
-    wind_components,
-    wind_ned,
-    wind_of,
-)
+from maxq.sim.packing.environment import pack_wind
+from maxq.sim.scenario import schema_environment as schema
+from maxq.sim.world.wind import Wind, wind_components, wind_ned
 
 NO_POOL = np.zeros(1)
 
@@ -27,11 +22,24 @@ def profiled(altitude, columns, **more):
     pool = Pool()
     pool.add(fit([0.0, 1.0], [5.0, 6.0]))  # another table first: the reference must be honoured
     ref = pool.add(fit(altitude, columns, "linear"))
-    return pack([wind_of(ref, **more)])[0], pool.array()
+    return pack([Wind(ref, **more)])[0], pool.array()
+
+
+def shear(altitude_m, thickness_m, speed_mps, from_deg):
+    return schema.Gust(
+        kind="shear", altitude_m=altitude_m, thickness_m=thickness_m, speed_mps=speed_mps, from_deg=from_deg
+    )
+
+
+def one_minus_cosine(altitude_m, thickness_m, speed_mps, from_deg, edge_m):
+    return schema.Gust(
+        kind="one-minus-cosine", altitude_m=altitude_m, thickness_m=thickness_m, speed_mps=speed_mps,
+        from_deg=from_deg, edge_m=edge_m,
+    )  # fmt: skip
 
 
 def gusty(*gusts):
-    return pack([wind_of(gusts=gusts)])[0]
+    return pack([pack_wind(schema.Wind(gust=gusts), Pool())])[0]
 
 
 @pytest.mark.parametrize(
@@ -58,9 +66,10 @@ def test_profile_is_interpolated_held_and_scaled():
 
 
 def test_factor_leaves_the_gusts_alone():
-    gust = Gust(SHEAR, 0.0, 1.0, 7.0, 180.0)
-    row, pool = profiled([0.0], [[10.0, 0.0, 0.0]], factor=3.0, gusts=[gust])
-    assert wind_ned(row, pool, 500.0) == pytest.approx((37.0, 0.0, 0.0), abs=1e-12)
+    pool = Pool()
+    wind = schema.Wind(speed_mps=10.0, from_deg=180.0, factor=3.0, gust=(shear(0.0, 1.0, 7.0, 180.0),))
+    row = pack([pack_wind(wind, pool)])[0]
+    assert wind_ned(row, pool.array(), 500.0) == pytest.approx((37.0, 0.0, 0.0), abs=1e-12)
 
 
 def test_calm():
@@ -84,37 +93,35 @@ def test_calm():
     ],
 )
 def test_one_minus_cosine(altitude, share):
-    row = gusty(Gust(ONE_MINUS_COSINE, 10000.0, 200.0, 9.0, 270.0, edge_m=30.0))
+    row = gusty(one_minus_cosine(10000.0, 200.0, 9.0, 270.0, edge_m=30.0))
     assert wind_ned(row, NO_POOL, altitude) == pytest.approx((0.0, 9.0 * share, 0.0), abs=1e-12)
 
 
 @pytest.mark.parametrize("corner", [10000.0, 10030.0, 10170.0, 10200.0])
 def test_one_minus_cosine_is_smooth_at_its_corners(corner):
-    row = gusty(Gust(ONE_MINUS_COSINE, 10000.0, 200.0, 9.0, 270.0, edge_m=30.0))
+    row = gusty(one_minus_cosine(10000.0, 200.0, 9.0, 270.0, edge_m=30.0))
     below, at, above = (wind_ned(row, NO_POOL, corner + d)[1] for d in (-1e-3, 0.0, 1e-3))
     assert abs(above - at) + abs(at - below) < 1e-7  # a kink of the ramp's mean slope would give 3e-4
 
 
 def test_shear_ramps_and_holds():
-    row = gusty(Gust(SHEAR, 9000.0, 1000.0, 20.0, 0.0))
+    row = gusty(shear(9000.0, 1000.0, 20.0, 0.0))
     for altitude, speed in [(8999.0, 0.0), (9000.0, 0.0), (9250.0, 5.0), (10000.0, 20.0), (40000.0, 20.0)]:
         assert wind_ned(row, NO_POOL, altitude) == pytest.approx((-speed, 0.0, 0.0), abs=1e-12)
 
 
 def test_gusts_add_up_to_the_last_one():
-    row = gusty(*[Gust(SHEAR, 100.0 * i, 10.0, 1.0, 180.0) for i in range(MAX_GUSTS)])
+    row = gusty(*[shear(100.0 * i, 10.0, 1.0, 180.0) for i in range(MAX_GUSTS)])
     assert wind_ned(row, NO_POOL, 5000.0)[0] == pytest.approx(float(MAX_GUSTS))
     assert wind_ned(row, NO_POOL, 450.0)[0] == pytest.approx(5.0)
 
 
 def test_what_cannot_be_is_refused():
-    with pytest.raises(ValueError, match=f"at most {MAX_GUSTS}"):
-        wind_of(gusts=[Gust(SHEAR, 0.0, 1.0, 1.0, 0.0)] * (MAX_GUSTS + 1))
-    with pytest.raises(ValueError, match="thickness"):
-        Gust(SHEAR, 0.0, 0.0, 1.0, 0.0)
-    with pytest.raises(ValueError, match="edge"):
-        Gust(ONE_MINUS_COSINE, 0.0, 100.0, 1.0, 0.0, edge_m=51.0)
-    with pytest.raises(ValueError, match="kind"):
-        Gust(5, 0.0, 100.0, 1.0, 0.0)
-    with pytest.raises(ValueError, match="three, not 2"):
-        wind_of(Pool().add(fit([0.0, 1.0], [[1.0, 2.0], [3.0, 4.0]])))
+    with pytest.raises(ValidationError, match=f"at most {MAX_GUSTS}"):
+        gusty(*[shear(0.0, 1.0, 1.0, 0.0)] * (MAX_GUSTS + 1))
+    with pytest.raises(ValidationError, match="thickness"):
+        shear(0.0, 0.0, 1.0, 0.0)
+    with pytest.raises(ValidationError, match="edge"):
+        one_minus_cosine(0.0, 100.0, 1.0, 0.0, edge_m=51.0)
+    with pytest.raises(ValidationError, match="kind"):
+        schema.Gust(kind="ramp", altitude_m=0.0, thickness_m=1.0, speed_mps=1.0, from_deg=0.0)

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from maxq.control.kernel.limits import MAX_GUSTS
 from maxq.control.kernel.tables import NO_TABLE, Cubics, Pool, TableRef, fit
 from maxq.sim.packing.remembered import cached_by_identity
 from maxq.sim.scenario import schema_environment as schema
@@ -26,7 +27,7 @@ def pack_environment(scenario: Scenario, pool: Pool) -> Environment:
     return Environment(
         earth=pack_earth(scenario.earth),
         atmosphere=_atmosphere(scenario.atmosphere, pool),
-        wind=_wind(scenario.wind, pool),
+        wind=pack_wind(scenario.wind, pool),
         turbulence=_turbulence(scenario, pool),
     )
 
@@ -81,12 +82,13 @@ def _atmosphere(atmosphere: schema.Atmosphere, pool: Pool) -> air.Atmosphere:
     )
 
 
-def _wind(wind: schema.Wind, pool: Pool) -> winds.Wind:
-    gusts = [
-        winds.Gust(_GUSTS[g.kind], g.altitude_m, g.thickness_m, g.speed_mps, g.from_deg, g.edge_m or 0.0)
-        for g in wind.gust
-    ]
-    return winds.wind_of(_wind_profile(wind, pool), gusts, wind.factor)
+def pack_wind(wind: schema.Wind, pool: Pool) -> winds.Wind:
+    columns = np.zeros((6, MAX_GUSTS))
+    for i, g in enumerate(wind.gust):
+        north, east, _ = winds.wind_components(g.speed_mps, g.from_deg)[0]
+        columns[:, i] = _GUSTS[g.kind], g.altitude_m, g.thickness_m, g.edge_m or 0.0, north, east
+    kinds = columns[0].astype(np.int64)
+    return winds.Wind(_wind_profile(wind, pool), wind.factor, len(wind.gust), kinds, *columns[1:])
 
 
 def _wind_profile(wind: schema.Wind, pool: Pool) -> TableRef:

@@ -7,10 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from maxq.control.kernel.limits import MAX_MODES
 from maxq.sim.scenario.errors import Path
 from maxq.sim.scenario.tables_csv import Columns, CsvTable
-
-MAX_MODES = 8
 
 MODE_COLUMNS = Columns(
     "time_s",

@@ -6,6 +6,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
+from maxq.control.kernel.limits import MAX_SURFACES
 from maxq.sim.scenario.schema_values import NotNegative, Section
 from maxq.sim.scenario.tables_csv import Columns, CsvTable
 
@@ -24,7 +25,6 @@ COEFFICIENTS = (
 )
 AERO_COLUMNS = Columns("mach", optional=COEFFICIENTS, not_negative=("mach", "CA", "CA_coast", "CD", "C_crossflow"))
 SURFACE_COLUMNS = Columns("mach", sets=(("CN_alpha_pr", "station_m"),), not_negative=("mach",))
-MAX_SURFACES = 8
 
 
 class AeroSurface(Section):

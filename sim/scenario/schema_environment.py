@@ -6,6 +6,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
+from maxq.control.kernel.limits import MAX_GUSTS
 from maxq.sim.scenario.errors import refuse
 from maxq.sim.scenario.schema_values import (
     Angle,
@@ -170,7 +171,7 @@ class Wind(Section):
         description="hold: end values hold outside the profile; error: a flight that rises above it has failed",
     )
     factor: float = Field(default=1.0, description="multiplies profile or constant wind")
-    gust: tuple[Gust, ...] = Field(default=(), max_length=16, description="gusts and shear layers")
+    gust: tuple[Gust, ...] = Field(default=(), max_length=MAX_GUSTS, description="gusts and shear layers")
     turbulence: Turbulence | None = Field(default=None, description="absent: none")
 
     @model_validator(mode="after")

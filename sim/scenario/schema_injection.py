@@ -6,6 +6,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
+from maxq.control.kernel.limits import MAX_TONES
 from maxq.sim.scenario.errors import refuse
 from maxq.sim.scenario.schema_values import Positive, Seconds, Section, needs, only_with
 from maxq.sim.scenario.tables_csv import Columns, CsvTable
@@ -54,7 +55,7 @@ class Injection(Section):
     stop_s: Seconds | None = Field(default=None, description="end, s, whole ns (default: end of the flight)")
     frequency_hz: Positive | None = Field(default=None, description="Hz, of sine; first of chirp")
     stop_frequency_hz: Positive | None = Field(default=None, description="Hz, last of chirp")
-    frequencies_hz: Annotated[tuple[Positive, ...], Field(min_length=1, max_length=64)] | None = Field(
+    frequencies_hz: Annotated[tuple[Positive, ...], Field(min_length=1, max_length=MAX_TONES)] | None = Field(
         default=None, description="Hz, of multisine; all have the amplitude, with Schroeder phases"
     )
     table: Annotated[CsvTable, SIGNAL_COLUMNS] | None = Field(

@@ -6,6 +6,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field, ValidationInfo, model_validator
 
+from maxq.control.kernel.limits import MAX_INJECTIONS
 from maxq.sim.scenario.coverage import check_coverage
 from maxq.sim.scenario.errors import refuse, suggestion
 from maxq.sim.scenario.schema_design import Design
@@ -139,7 +140,7 @@ class Scenario(Section):
     )
     guidance: Guidance = Guidance()
     holddown: HoldDown = HoldDown()
-    injection: tuple[Injection, ...] = Field(default=(), max_length=16, description="signals for tests")
+    injection: tuple[Injection, ...] = Field(default=(), max_length=MAX_INJECTIONS, description="signals for tests")
     switches: Switches = Switches()
     log: Log = Log()
     requirement: tuple[Requirement, ...] = Field(default=(), description="what the flight is judged by")

@@ -7,8 +7,9 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import Field, model_validator
 
+from maxq.control.kernel.limits import MAX_MODES, MAX_STAGES, MAX_TANKS
 from maxq.sim.scenario.errors import refuse
-from maxq.sim.scenario.modes import MAX_MODES, MODE_COLUMNS, ModeTable, mode_table
+from maxq.sim.scenario.modes import MODE_COLUMNS, ModeTable, mode_table
 from maxq.sim.scenario.schema_aero import Aero
 from maxq.sim.scenario.schema_engine import Actuator, Engine, RollThrusters
 from maxq.sim.scenario.schema_mass import Mass, Tank
@@ -23,9 +24,6 @@ from maxq.sim.scenario.schema_values import (
     at_most_one,
 )
 from maxq.sim.scenario.tables_csv import CsvTable
-
-MAX_TANKS = 8
-MAX_STAGES = 8
 
 
 def _first(*keys: str) -> Any:

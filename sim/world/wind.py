@@ -5,7 +5,6 @@ gusts.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Annotated
 
@@ -17,7 +16,13 @@ from maxq.control.kernel.limits import MAX_GUSTS
 from maxq.control.kernel.records import Array, IntArray
 from maxq.control.kernel.tables import NO_TABLE, TableRef, find_interval, interpolate
 
-ONE_MINUS_COSINE, SHEAR = 0, 1  # Gust.kind
+ONE_MINUS_COSINE, SHEAR = 0, 1
+"""Kinds of gust layers, which begin at an altitude and have a thickness, m.
+
+ONE_MINUS_COSINE rises over its edge as (1 - cos)/2, holds for thickness - 2 edge, falls over its edge (NASA-HDBK-1001,
+sec. 2; with 2 edge = thickness the classical 1-cosine). SHEAR rises linearly over its thickness and holds at all
+altitudes above.
+"""
 
 
 def _gust_values() -> Array:
@@ -26,7 +31,7 @@ def _gust_values() -> Array:
 
 @dataclass(frozen=True)
 class Wind:
-    """Parameter record; make one with `wind_of`.
+    """Parameter record.
 
     `profile`: columns north, east, down [m/s] over altitude [m], end values held outside it; no columns:
     calm. `factor` multiplies the profile and not the gusts, whose strength is given on its own.
@@ -41,51 +46,6 @@ class Wind:
     gust_edge_m: Annotated[Array, (MAX_GUSTS,)] = field(default_factory=_gust_values)
     gust_north_mps: Annotated[Array, (MAX_GUSTS,)] = field(default_factory=_gust_values)
     gust_east_mps: Annotated[Array, (MAX_GUSTS,)] = field(default_factory=_gust_values)
-
-
-@dataclass(frozen=True)
-class Gust:
-    """A horizontal gust layer that begins at `altitude_m` and blows from the compass direction `from_deg`.
-
-    ONE_MINUS_COSINE rises over `edge_m` as (1 - cos)/2, holds for `thickness_m` - 2 `edge_m`, falls over
-    `edge_m` (NASA-HDBK-1001, sec. 2; with 2 edge = thickness the classical 1-cosine). SHEAR rises linearly
-    over `thickness_m` and then holds at all altitudes above. Raises ValueError for a shape that cannot be.
-    """
-
-    kind: int
-    altitude_m: float
-    thickness_m: float
-    speed_mps: float
-    from_deg: float
-    edge_m: float = 0.0  # of ONE_MINUS_COSINE
-
-    def __post_init__(self) -> None:
-        if self.kind not in (ONE_MINUS_COSINE, SHEAR):
-            raise ValueError(f"Gust.kind {self.kind} is none of 0 one-minus-cosine, 1 shear")
-        if not self.thickness_m > 0.0:
-            raise ValueError(f"a gust's thickness must be positive, not {self.thickness_m} m")
-        if self.kind == ONE_MINUS_COSINE and not 0.0 < 2.0 * self.edge_m <= self.thickness_m:
-            raise ValueError(
-                f"a one-minus-cosine gust's edge must lie above 0 and at most at half its thickness "
-                f"({self.thickness_m} m), not at {self.edge_m} m"
-            )
-
-
-def wind_of(profile: TableRef = NO_TABLE, gusts: Sequence[Gust] = (), factor: float = 1.0) -> Wind:
-    """A wind of a profile (see `wind_components` for its columns) and at most `MAX_GUSTS` gusts, which add up.
-
-    Raises ValueError for more gusts or for a profile that has not three columns.
-    """
-    if profile.n_columns not in (0, 3):
-        raise ValueError(f"a wind profile has columns north, east, down: three, not {profile.n_columns}")
-    if len(gusts) > MAX_GUSTS:
-        raise ValueError(f"{len(gusts)} gusts; at most {MAX_GUSTS} are possible")
-    columns = np.zeros((6, MAX_GUSTS))
-    for i, g in enumerate(gusts):
-        north, east, _ = wind_components(g.speed_mps, g.from_deg)[0]
-        columns[:, i] = g.kind, g.altitude_m, g.thickness_m, g.edge_m, north, east
-    kinds, altitude, thickness, edge, north, east = columns
-    return Wind(profile, factor, len(gusts), kinds.astype(np.int64), altitude, thickness, edge, north, east)
 
 
 def wind_components(speed_mps: ArrayLike, from_deg: ArrayLike) -> Array:
