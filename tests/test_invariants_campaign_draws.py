@@ -10,8 +10,7 @@ import numpy as np
 import pytest
 
 from maxq.sim.campaign import draws
-from maxq.sim.campaign.loaded import LoadedCampaign
-from maxq.sim.campaign.read import load_campaign
+from maxq.sim.campaign.read import LoadedCampaign, load_campaign
 
 SAMPLINGS = ("random", "latin-hypercube", "sobol")
 FURTHER = """\
@@ -69,7 +68,7 @@ def test_the_bits_are_those_of_today() -> None:
     assert [x.hex() for x in draws.uniforms(1, "run.seed", 3, 2)] == PINNED["uniforms"]
     assert draws.seeds(1, "run.seed", 3, 2).tolist() == PINNED["seeds"]
     assert [x.hex() for x in draws.latin(1, "a", 6, 2, 4)] == PINNED["latin"]
-    assert [x.hex() for x in draws.Sobol(1, ("a", "b"))("b", 5, 2)] == PINNED["sobol"]
+    assert [x.hex() for x in draws.Sobol(1, ("a", "b"), 5, 2)("b")] == PINNED["sobol"]
 
 
 @pytest.mark.parametrize("sampling", SAMPLINGS)
@@ -104,12 +103,12 @@ def test_a_latin_hypercube_fills_every_cell_once() -> None:
 def test_scrambled_sobol_points_are_still_a_net() -> None:
     """2^m points of the first two dimensions: one in each elementary interval of area 2^-m."""
     m = 10
-    points = draws.Sobol(9, ("a", "b"))
-    x, y = (points(key, 0, 2**m) for key in ("a", "b"))
+    points = draws.Sobol(9, ("a", "b"), 0, 2**m)
+    x, y = points("a"), points("b")
     for i in range(m + 1):
         cells = (x * 2**i).astype(int) * 2 ** (m - i) + (y * 2 ** (m - i)).astype(int)
         assert len(set(cells.tolist())) == 2**m
-    assert len(set(x.tolist()) & set(draws.Sobol(10, ("a",))("a", 0, 2**m).tolist())) < 3
+    assert len(set(x.tolist()) & set(draws.Sobol(10, ("a",), 0, 2**m)("a").tolist())) < 3
 
 
 PINNED: dict[str, list[object]] = {

@@ -11,8 +11,7 @@ import numpy as np
 import pytest
 
 from maxq.sim.api import load_scenario, load_scenario_text
-from maxq.sim.campaign.loaded import LoadedCampaign
-from maxq.sim.campaign.read import load_campaign
+from maxq.sim.campaign.read import LoadedCampaign, load_campaign
 from maxq.sim.campaign.targets import Change, Dispersed, find_target
 from maxq.sim.packing.flight import Packed, pack_flight
 from maxq.sim.packing.remembered import cached_by_identity

@@ -11,10 +11,10 @@ import pytest
 
 from maxq.sim.api import fly
 from maxq.sim.campaign import runner
-from maxq.sim.campaign.flying import fly_rows
-from maxq.sim.campaign.loaded import LoadedCampaign
-from maxq.sim.campaign.refly import refly
+from maxq.sim.campaign.investigation import refly
+from maxq.sim.campaign.read import LoadedCampaign
 from maxq.sim.campaign.runner import run_campaign
+from maxq.sim.campaign.runs import fly_rows
 from maxq.sim.campaign.store import campaign_in
 from maxq.sim.run.metrics import METRIC_NAMES
 

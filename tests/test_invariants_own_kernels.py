@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from maxq.control.kernel.records import constants_in, pack, with_constants
-from maxq.sim.campaign import flying
-from maxq.sim.campaign.flying import fly_rows
+from maxq.sim.campaign import runs
 from maxq.sim.campaign.read import load_campaign
+from maxq.sim.campaign.runs import fly_rows
 from maxq.sim.packing.flight import pack_flight, pack_for_one_vehicle
 from maxq.sim.run.fly import FlightRun
 from maxq.sim.scenario.loader import load_scenario
@@ -21,11 +21,11 @@ def campaign():
 
 
 def test_a_campaign_worth_it_flies_the_same_bits(campaign, monkeypatch):
-    assert flying.packer(campaign.with_campaign(runs=flying.OWN_KERNELS_FROM)) is pack_for_one_vehicle
-    few = campaign.with_campaign(runs=flying.OWN_KERNELS_FROM - 1)
-    assert flying.packer(few) is pack_flight
+    assert runs.packer(campaign.with_campaign(runs=runs.OWN_KERNELS_FROM)) is pack_for_one_vehicle
+    few = campaign.with_campaign(runs=runs.OWN_KERNELS_FROM - 1)
+    assert runs.packer(few) is pack_flight
     common = fly_rows(few, [(few.batch(0, 3), run) for run in range(3)])
-    monkeypatch.setattr(flying, "OWN_KERNELS_FROM", 1)
+    monkeypatch.setattr(runs, "OWN_KERNELS_FROM", 1)
     own = fly_rows(few, [(few.batch(0, 3), run) for run in range(3)])
     assert {row.outcome for row in common} == {"duration"}
     assert [row.state_hash for row in own] == [row.state_hash for row in common]

@@ -11,7 +11,7 @@ import numpy as np
 import pyarrow as pa
 import pytest
 
-from maxq.sim.campaign.columns import array_of
+from maxq.sim.campaign.runs import array_of
 
 COLUMNS: list[tuple[pa.DataType, list[Any]]] = [
     (pa.float64(), [1.5, -0.0, math.inf, 5e-324]),
@@ -43,7 +43,7 @@ def test_bits_of_numbers_are_kept() -> None:
 def test_without_pandas() -> None:
     """Whoever has pandas does not pay for it: it takes as long to import as five flights to fly."""
     code = (
-        "import sys, pyarrow as pa; from maxq.sim.campaign.columns import array_of\n"
+        "import sys, pyarrow as pa; from maxq.sim.campaign.runs import array_of\n"
         "array_of([1.0, None], pa.float64()); array_of(['a'], pa.string()); sys.exit('pandas' in sys.modules)"
     )
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0

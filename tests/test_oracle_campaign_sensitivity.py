@@ -13,13 +13,11 @@ import pytest
 from scipy import integrate, stats
 
 from maxq.sim.api import fly, load_scenario
-from maxq.sim.campaign.analysis import DataSet, failed_runs, selected
-from maxq.sim.campaign.envelopes import bands
+from maxq.sim.campaign.analysis import DataSet, bands, failed_runs, selected
+from maxq.sim.campaign.investigation import search_worst, shrink_run
 from maxq.sim.campaign.read import load_campaign
 from maxq.sim.campaign.runner import run_campaign
-from maxq.sim.campaign.search import search_worst
 from maxq.sim.campaign.sensitivity import borgonovo, first_order, rank_correlation
-from maxq.sim.campaign.shrink import shrink_run
 from maxq.tools import simrun
 
 

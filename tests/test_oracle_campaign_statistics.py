@@ -9,7 +9,7 @@ import pytest
 from scipy import stats
 
 from maxq.sim.campaign import statistics as s
-from maxq.sim.campaign.distributions import box, chosen, correlated, quantile
+from maxq.sim.campaign.draws import box, chosen, correlated, quantile
 from maxq.sim.campaign.schema import Disperse
 
 

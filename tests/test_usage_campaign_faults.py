@@ -19,7 +19,7 @@ import campaignkit
 import pytest
 
 from maxq.sim.campaign.error import CampaignError
-from maxq.sim.campaign.loaded import LoadedCampaign
+from maxq.sim.campaign.read import LoadedCampaign
 from maxq.sim.campaign.runner import run_campaign
 from maxq.sim.campaign.store import Store, open_store
 from maxq.sim.run.fly import FlightRun
@@ -71,7 +71,7 @@ def test_ctrl_c_and_what_a_batch_system_sends(tmp_path: Path) -> None:
         out, errors = process.communicate(timeout=60)
         assert process.returncode == 130, errors
         assert "INTERRUPTED" in out
-        assert "same command goes on" in out
+        assert "same command resumes the campaign" in out
     runs = campaignkit.data_set(tmp_path / "out")["run"].to_pylist()
     assert len(set(runs)) == len(runs) > 16
 
@@ -116,15 +116,13 @@ def test_a_corrupt_part_is_set_aside_and_flown_again(
 def test_a_part_that_stands_twice_is_counted_once(campaign: LoadedCampaign, undisturbed: Path, tmp_path: Path) -> None:
     import pyarrow.parquet as pq  # noqa: PLC0415  # only here
 
-    from maxq.sim.campaign import columns  # noqa: PLC0415  # only here
-
     out = tmp_path / "out"
     shutil.copytree(undisturbed, out)
     overlapping = campaignkit.data_set(undisturbed).slice(4, 3)
     pq.write_table(overlapping, out / "runs" / "runs-0000000004-0000000006.parquet")
     done = run_campaign(campaign, out)
     assert "another part holds already" in done.notes[0]
-    assert campaignkit.data_set_of(out)[columns.RUN].to_pylist() == list(range(20))
+    assert campaignkit.data_set_of(out)["run"].to_pylist() == list(range(20))
 
 
 def test_two_processes_on_one_folder(campaign: LoadedCampaign, tmp_path: Path) -> None:

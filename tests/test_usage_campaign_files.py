@@ -8,7 +8,7 @@ import campaignkit
 import pytest
 
 from maxq.sim.api import fly
-from maxq.sim.campaign.refly import refly
+from maxq.sim.campaign.investigation import refly
 from maxq.sim.campaign.runner import run_campaign
 from maxq.sim.scenario.errors import ScenarioError
 from maxq.sim.scenario.loader import load_scenario

@@ -1,64 +1,95 @@
-"""What is printed about a campaign: verdicts, drivers, the worst flights, and the verdict as the last line."""
+"""What is printed about a campaign: its progress, verdicts, the worst flights, and the verdict as the last line."""
 
 from __future__ import annotations
 
 import math
 import shlex
-from collections.abc import Sequence
+from collections import Counter
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from maxq.sim.campaign.analysis import DataSet, Judged, Lost
+from maxq.sim.campaign.read import LoadedCampaign
+from maxq.sim.campaign.runner import Progress
 from maxq.sim.campaign.statistics import MET, NOT_MET
+from maxq.tools.cli import terminal
 from maxq.tools.cli.terminal import aligned, printable
 
 
-def verdict_table(verdicts: Sequence[Judged], success: float, confidence: float) -> list[str]:
-    """Lines: one requirement each."""
-    head = (
-        "requirement", "limit", "median", f"{100 * success:g} %", f"bound at {100 * confidence:g} %", "worst", "run",
-        "failed", "allowed", "success", "verdict",
+def watcher(bar: terminal.Progress) -> Callable[[Progress], None]:
+    """Shows runs, rate, time left, failures, and the worst of each requirement."""
+
+    def show(progress: Progress) -> None:
+        interim = progress.interim
+        unfinished = math.isfinite(progress.left_s) and progress.done < progress.total
+        left = f", {duration(progress.left_s)} left" if unfinished else ""
+        notes = ["none failed" if interim.failed == 0 else f"{interim.failed} failed"]
+        for tally in interim.tallies:
+            if tally.requirement is not None and not math.isnan(tally.worst):
+                bound = tally.requirement.limit if tally.requirement.limit is not None else tally.requirement.minimum
+                notes.append(f"{tally.name} {tally.worst:.4g} of {bound:.4g}")
+        count = f"{progress.done} of {progress.total} runs, {progress.rate:.1f}/s{left}"
+        bar.show("flying", progress.done, progress.total, "; ".join(notes), count)
+
+    return show
+
+
+def duration(seconds: float) -> str:
+    """A time span in words."""
+    whole = round(seconds)
+    if whole < 100:
+        return f"{whole} s"
+    if whole < 5400:
+        return f"{whole // 60} min {whole % 60} s" if whole < 600 else f"{round(whole / 60)} min"
+    return f"{whole // 3600} h {whole % 3600 // 60} min"
+
+
+def labels_of(campaign: LoadedCampaign) -> dict[str, str]:
+    """Names for people, by column."""
+    return {d.name: d.label for d in campaign.plan.draws}
+
+
+def heads(data: DataSet) -> tuple[str, ...]:
+    """Heads of the columns of `cells`."""
+    campaign = data.campaign.campaign
+    quantile, bound = f"{100 * campaign.success:g} %", f"bound at {100 * campaign.confidence:g} %"
+    return (
+        "requirement", "limit", "median", quantile, bound, "worst", "run", "failed", "allowed", "success", "verdict",
     )  # fmt: skip
-    rows: list[tuple[str, ...]] = [head]
-    for v in verdicts:
-        rows.append((
-            printable(v.name), limit_text(v), value_text(v.median), value_text(v.quantile), value_text(v.tolerance),
-            value_text(v.worst[0].value) if v.worst else "", str(v.worst[0].run) if v.worst else "",
-            str(v.shown.failures), str(v.shown.allowed) if v.shown.allowed >= 0 else "",
-            success_text(v), verdict_text(v),
-        ))  # fmt: skip
-    return aligned(rows, "  ", right=(1, 2, 3, 4, 5, 6, 7, 8))
 
 
-def limit_text(v: Judged) -> str:
-    if not v.metric:
-        return ""
-    sign = "<=" if v.kind == "limit" else ">="
-    return f"{sign} {v.bound:g}{'' if v.unit == '1' else ' ' + v.unit}"
+def cells(v: Judged) -> tuple[str, ...]:
+    """A requirement as a line of the table of verdicts."""
+    shown, worst = v.shown, v.worst[0] if v.worst else None
+    success = f"{100 * shown.success:.4g} % ({100 * shown.success_least:.4g} .. {100 * shown.success_most:.4g})"
+    sign, unit = "<=" if v.kind == "limit" else ">=", "" if v.unit == "1" else " " + v.unit
+    settled = shown.judgement in (MET, NOT_MET)
+    return (
+        printable(v.name),
+        f"{sign} {v.bound:g}{unit}" if v.metric else "",
+        *(value_text(value) for value in (v.median, v.quantile, v.tolerance)),
+        value_text(worst.value) if worst else "",
+        str(worst.run) if worst else "",
+        str(shown.failures),
+        str(shown.allowed) if shown.allowed >= 0 else "",
+        success if shown.runs else "",
+        shown.judgement if settled else f"not yet: {shown.more} more runs without failure",
+    )
 
 
-def value_text(value: float) -> str:
-    return "" if math.isnan(value) else f"{value:.5g}"
+def value_text(value: object, digits: int = 5) -> str:
+    """A number with so many digits; nothing for what is missing or nan."""
+    if isinstance(value, float):
+        return "" if math.isnan(value) else f"{value:.{digits}g}"
+    return "" if value is None else str(value)
 
 
-def success_text(v: Judged) -> str:
-    """The estimate and its two one-sided bounds."""
-    shown = v.shown
-    if shown.runs == 0:
-        return ""
-    return f"{100 * shown.success:.4g} % ({100 * shown.success_least:.4g} .. {100 * shown.success_most:.4g})"
-
-
-def verdict_text(v: Judged) -> str:
-    if v.shown.judgement in (MET, NOT_MET):
-        return v.shown.judgement
-    return f"not yet: {v.shown.more} more runs without failure"
-
-
-def headline(verdicts: Sequence[Judged], runs: int, success: float, confidence: float, failed: int) -> str:
+def headline(data: DataSet, verdicts: Sequence[Judged], failed: int) -> str:
     """The campaign in one line."""
-    level = f"{100 * success:g} % with {100 * confidence:g} % confidence"
+    campaign, runs = data.campaign.campaign, len(data.runs)
+    level = f"{100 * campaign.success:g} % with {100 * campaign.confidence:g} % confidence"
     if runs == 0:
-        return "NO RUNS: nothing can be said"
+        return "NO RUNS: no verdict is possible"
     missed = [v.name for v in verdicts if v.shown.judgement == NOT_MET]
     still = [v for v in verdicts if v.shown.judgement not in (MET, NOT_MET)]
     failures = f"{failed} of {runs} runs failed"
@@ -70,32 +101,23 @@ def headline(verdicts: Sequence[Judged], runs: int, success: float, confidence: 
     return f"MET ({level}): all {len(verdicts)} requirements; {failures}"
 
 
-def worst_lines(verdicts: Sequence[Judged], folder: Path, losses: Sequence[Lost]) -> list[str]:
-    """The worst flight of each requirement that was missed, and how to fly it again."""
-    rows = []
-    for lost in losses[:5]:
-        rows.append((f"run {lost.run}", lost.outcome, printable(lost.cause)[:90]))
-    for v in verdicts:
-        if v.metric and v.shown.failures and v.worst:
-            worst = v.worst[0]
-            rows.append((f"run {worst.run}", printable(v.name), f"{worst.value:.5g} at {worst.time_s:.3f} s"))
-    if not rows:
-        return []
-    return ["worst flights", *aligned(rows, "  "), f"  again with a log: {replay(folder, '417')}".replace("417", "RUN")]
-
-
 def replay(folder: Path, run: int | str) -> str:
+    """The command that flies a run again."""
     return f"simrun --from {shlex.quote(str(folder))} --run {run}"
 
 
 def report(data: DataSet, verdicts: Sequence[Judged], losses: Sequence[Lost], failed: int) -> list[str]:
-    """All that is said about a campaign's results, but the last line."""
-    campaign = data.campaign.campaign
+    """All that is printed about a campaign's results, but the last line."""
     scenario = data.campaign.base.scenario
     title = printable(f"{scenario.name}: {scenario.description}" if scenario.description else scenario.name)
-    counts = {outcome: data.outcomes.count(outcome) for outcome in dict.fromkeys(sorted(data.outcomes))}
-    ends = ", ".join(f"{count} {outcome}" for outcome, count in counts.items())
-    lines = [title, "", f"{len(data.runs)} runs: {ends or 'none'}; {failed} failed", ""]
-    lines += ["requirements", *verdict_table(verdicts, campaign.success, campaign.confidence)]
-    worst = worst_lines(verdicts, data.folder, losses)
-    return [*lines, *(["", *worst] if worst else [])]
+    ends = ", ".join(f"{count} {outcome}" for outcome, count in sorted(Counter(data.outcomes).items()))
+    table = aligned([heads(data), *map(cells, verdicts)], "  ", right=range(1, 9))
+    lines = [title, "", f"{len(data.runs)} runs: {ends or 'none'}; {failed} failed", "", "requirements", *table]
+    rows = [(f"run {run.run}", run.outcome, printable(run.cause)[:90]) for run in losses[:5]]
+    for v in verdicts:
+        if v.metric and v.shown.failures and v.worst:
+            worst = v.worst[0]
+            rows.append((f"run {worst.run}", printable(v.name), f"{worst.value:.5g} at {worst.time_s:.3f} s"))
+    if rows:
+        lines += ["", "worst flights", *aligned(rows, "  "), f"  again with a log: {replay(data.folder, 'RUN')}"]
+    return lines

@@ -1,26 +1,48 @@
-"""`simrun CAMPAIGN` and `simrun --from DIR`: fly, resume, judge, report; fly one run of it again."""
+"""`simrun CAMPAIGN` and `simrun --from DIR`: fly, resume, judge, report; one run again, reduced, or searched from.
+
+`simrun` imports this module only where a campaign is asked for.
+"""
 
 from __future__ import annotations
 
 import re
-import sys
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-from maxq.sim.scenario.errors import ScenarioError
+import numpy as np
+
+from maxq.sim.campaign.analysis import DataSet, failed_runs, judged, lost, selected
+from maxq.sim.campaign.error import CampaignError
+from maxq.sim.campaign.investigation import flight_folder, refly, search_worst, shrink_run
+from maxq.sim.campaign.read import LoadedCampaign, load_campaign
+from maxq.sim.campaign.runner import Outcome, cores, run_campaign
+from maxq.sim.campaign.statistics import MET, NOT_MET
+from maxq.sim.campaign.store import RUNS, campaign_in
+from maxq.sim.campaign.targets import Refused
+from maxq.sim.files import write_whole
+from maxq.sim.run.metrics import METRIC_NAMES, unit_of
+from maxq.sim.run.record import LOG_NAME, SUMMARY_NAME
+from maxq.sim.scenario.errors import suggestion
+from maxq.tools import campaign_text as text
+from maxq.tools.campaign_page import write_report
+from maxq.tools.cli.frame import CommandError, Exit, say
 from maxq.tools.cli.interruption import Interruption
-from maxq.tools.cli.terminal import printable
+from maxq.tools.cli.terminal import Progress, aligned, printable
+from maxq.tools.flight_report import report
 from maxq.tools.replay.error import ReplayError
+from maxq.tools.simrun_fly import announce_compilation, show_flight
 
 if TYPE_CHECKING:
-    from maxq.sim.campaign.loaded import LoadedCampaign
-    from maxq.sim.campaign.runner import Outcome, Progress
     from maxq.tools.replay.flown import FlownView
 
-PASSED, FAILED, BAD_INPUT, OPEN, INTERRUPTED = 0, 1, 2, 3, 130
+_LINE_S = 30.0  # between two lines of progress in the log of a batch system
+_SEARCH_FLIGHTS = 2000
+
+Stop = Callable[[], bool]
 
 
 @dataclass(frozen=True)
@@ -47,173 +69,110 @@ class Order:
 
 
 def execute(order: Order) -> int:
-    """Do it; returns the exit code. Whatever is wrong with the input is one line on stderr."""
-    from maxq.sim.campaign.error import CampaignError  # noqa: PLC0415  # lazy: --help is quick
-    from maxq.sim.log.head import LogError  # noqa: PLC0415  # lazy
-
-    try:
-        if order.scenario is not None:
-            return _fly(order)
-        if order.shrink:
-            return _shrink(order)
-        if order.run is not None:
-            return _refly(order)
-        if order.search is not None:
-            return _search(order)
-        return _report_again(order)
-    except (ScenarioError, CampaignError, LogError, ReplayError) as error:
-        print(f"simrun: {printable(str(error))}", file=sys.stderr)
-        return BAD_INPUT
-    except MemoryError:
-        print("simrun: not enough memory; use fewer --workers", file=sys.stderr)
-        return BAD_INPUT
-
-
-def _fly(order: Order) -> int:
-    from maxq.sim.campaign.read import load_campaign  # noqa: PLC0415  # lazy
-    from maxq.sim.campaign.store import RUNS  # noqa: PLC0415  # lazy
-    from maxq.tools.campaign_progress import CampaignProgress, duration  # noqa: PLC0415  # lazy
-
-    start_s = time.perf_counter()
-    assert order.scenario is not None
-    campaign = _with_options(load_campaign(order.scenario, order.overrides), order)
-    folder = Path(order.out) if order.out else default_folder(campaign.name)
-    if order.dask is None:
-        _announce_compilation()
-    shown = CampaignProgress()
+    """Do it; returns the exit code. Raises what `cli.frame.run` answers with one line."""
+    view = _view(order)
+    if order.dask is None and (order.scenario or order.run is not None or order.search):
+        announce_compilation()
     with Interruption() as interruption:
-        try:
-            outcome = _flown(order, campaign, folder, shown.show, lambda: interruption.requested)
-        except KeyboardInterrupt:
-            shown.end()
-            print("simrun: interrupted twice; whole batches are safe, the same command goes on", file=sys.stderr)
-            return INTERRUPTED
-        finally:
-            shown.end()
-        for note in outcome.notes:
-            print(f"simrun: {printable(note)}", file=sys.stderr)
-        if not outcome.stopped:
-            _keep(campaign, folder, (*campaign.campaign.keep, *order.keep), lambda: interruption.requested)
-    flown = f"{outcome.flown} runs flown in {duration(outcome.wall_s)} ({_rate(outcome)})"
+
+        def stop() -> bool:
+            return interruption.requested
+
+        if order.folder is None:
+            return _fly(order, stop)
+        folder = Path(order.folder)
+        if order.run is None:
+            return _search(order, folder, stop) if order.search else _report_again(order, folder)
+        return _shrink(order, folder, order.run) if order.shrink else _refly(order, folder, order.run, stop, view)
+
+
+def _fly(order: Order, stop: Stop) -> int:
+    start_s = time.perf_counter()
+    changes = {name: value for name, value in (("runs", order.runs), ("seed", order.seed)) if value is not None}
+    campaign = load_campaign(order.scenario or "", order.overrides).with_campaign(**changes)
+    folder = Path(order.out) if order.out else default_folder(campaign.name)
+    try:
+        outcome = _flown(order, campaign, folder, stop)
+    except KeyboardInterrupt:
+        say("simrun", "interrupted twice; whole batches are safe, the same command resumes the campaign")
+        return Exit.INTERRUPTED
+    for note in outcome.notes:
+        say("simrun", note)
+    if not outcome.stopped:
+        _keep(campaign, folder, (*campaign.campaign.keep, *order.keep), stop)
+    rate = f"{outcome.flown / outcome.wall_s:.1f} flights/s" if outcome.wall_s > 0.0 else "at once"
+    flown = f"{outcome.flown} runs flown in {text.duration(outcome.wall_s)} ({rate})"
     if outcome.flown == 0 and not outcome.stopped:
         flown = f"all {outcome.total} runs were flown before; --runs N with a larger number flies more"
-    code = _tell(campaign, folder, outcome.total, flown, order, start_s, outcome.settled)
+    code = _tell(DataSet(folder, campaign), outcome.total, flown, order, start_s, outcome.settled)
     if outcome.stopped:
-        print(f"INTERRUPTED: the data set in {folder / RUNS} is whole; the same command goes on")
-        return INTERRUPTED
+        print(f"INTERRUPTED: the data set in {folder / RUNS} is whole; the same command resumes the campaign")
+        return Exit.INTERRUPTED
     return code
 
 
-def _with_options(campaign: LoadedCampaign, order: Order) -> LoadedCampaign:
-    changes: dict[str, Any] = {}
-    if order.runs is not None:
-        changes["runs"] = order.runs
-    if order.seed is not None:
-        changes["seed"] = order.seed
-    return campaign.with_campaign(**changes) if changes else campaign
-
-
-def _flown(
-    order: Order,
-    campaign: LoadedCampaign,
-    folder: Path,
-    watch: Callable[[Progress], None],
-    stop: Callable[[], bool],
-) -> Outcome:
-    if order.dask is not None:
+def _flown(order: Order, campaign: LoadedCampaign, folder: Path, stop: Stop) -> Outcome:
+    settled = order.until_settled
+    with Progress(_LINE_S) as progress:
+        watch = text.watcher(progress)
+        if order.dask is None:
+            return run_campaign(campaign, folder, workers=order.workers, watch=watch, stop=stop, until_settled=settled)
         from maxq.sim.campaign.cluster import run_on_cluster  # noqa: PLC0415  # lazy: an extra
 
-        return run_on_cluster(campaign, folder, order.dask, watch=watch, stop=stop, until_settled=order.until_settled)
-    from maxq.sim.campaign.runner import run_campaign  # noqa: PLC0415  # lazy
-
-    return run_campaign(
-        campaign,
-        folder,
-        workers=order.workers,
-        watch=watch,
-        stop=stop,
-        until_settled=order.until_settled,
-    )
+        return run_on_cluster(campaign, folder, order.dask, watch=watch, stop=stop, until_settled=settled)
 
 
-def _rate(outcome: Outcome) -> str:
-    return f"{outcome.flown / outcome.wall_s:.1f} flights/s" if outcome.wall_s > 0.0 else "at once"
-
-
-def _tell(
-    campaign: LoadedCampaign, folder: Path, total: int, flown: str, order: Order, start_s: float, settled: bool
-) -> int:
-    """Summary, pictures and report into the folder; what a person wants to know onto the terminal."""
-    from maxq.sim.campaign.analysis import DataSet, failed_runs, judged, lost  # noqa: PLC0415  # lazy
-    from maxq.tools import campaign_text as text  # noqa: PLC0415  # lazy
-    from maxq.tools.campaign_page import write_report  # noqa: PLC0415  # lazy
-    from maxq.tools.campaign_progress import duration  # noqa: PLC0415  # lazy
-
-    data = DataSet(folder, campaign)
+def _tell(data: DataSet, total: int, flown: str, order: Order, start_s: float, settled: bool) -> int:
+    """Summary, pictures and report into the folder, the results to the terminal; returns the exit code."""
     verdicts, losses = judged(data), lost(data)
     failed = len(failed_runs(data)) if len(data.runs) else 0
-    files = write_report(data, verdicts, losses, total, {"sequential": settled}, pictures=not order.no_report)
+    files = write_report(data, verdicts, losses, total, settled=settled, pictures=not order.no_report)
     print("\n".join(text.report(data, verdicts, losses, failed)))
-    print(f"\n{flown}; {duration(time.perf_counter() - start_s)} in all")
-    for file in files:
-        print(file)
-    level = campaign.campaign.success, campaign.campaign.confidence
+    print(f"\n{flown}; {text.duration(time.perf_counter() - start_s)} in all", *files, sep="\n")
     if settled:
         print("\nstopped early: every verdict is settled by a test that allows looking at any time")
-    print("\n" + text.headline(verdicts, len(data.runs), *level, failed))
+    print("\n" + text.headline(data, verdicts, failed))
     judgements = {v.shown.judgement for v in verdicts}
-    if "not met" in judgements:
-        return FAILED
-    return PASSED if judgements == {"met"} else OPEN
+    if NOT_MET in judgements:
+        return Exit.FAILED
+    return Exit.OK if judgements == {MET} else Exit.UNDECIDED
 
 
-def _keep(campaign: LoadedCampaign, folder: Path, keep: tuple[str, ...], stop: Callable[[], bool]) -> None:
-    """Fly the chosen runs again, with a full log."""
-    if not keep:
-        return
-    from maxq.sim.campaign.analysis import DataSet, selected  # noqa: PLC0415  # lazy
-    from maxq.sim.campaign.refly import flight_folder, refly  # noqa: PLC0415  # lazy
-    from maxq.sim.run.record import LOG_NAME, SUMMARY_NAME  # noqa: PLC0415  # lazy
-
-    runs = selected(DataSet(folder, campaign), keep)
-    for n, run in enumerate(runs):
-        there = flight_folder(folder, run)
-        if (there / SUMMARY_NAME).exists() and (there / LOG_NAME).exists():
-            continue
-        if stop():
-            return
-        if sys.stderr.isatty():
-            print(f"\rkeeping run {run} ({n + 1} of {len(runs)})   ", end="", file=sys.stderr, flush=True)
-        again = refly(folder, run, campaign=campaign, stop=stop)
-        if again.same is False:
-            print(f"simrun: run {run} differs from the data set: {again.differences[0]}", file=sys.stderr)
-    if sys.stderr.isatty() and runs:
-        print("\r" + " " * 60 + "\r", end="", file=sys.stderr, flush=True)
-
-
-def _refly(order: Order) -> int:
-    from maxq.sim.campaign.refly import refly  # noqa: PLC0415  # lazy
-    from maxq.sim.run import record  # noqa: PLC0415  # lazy
-    from maxq.tools.cli.terminal import Progress  # noqa: PLC0415  # lazy
-    from maxq.tools.flight_report import report  # noqa: PLC0415  # lazy
-    from maxq.tools.simrun_fly import show_flight  # noqa: PLC0415  # lazy
-
-    assert order.folder is not None
-    assert order.run is not None
+def _report_again(order: Order, folder: Path) -> int:
     start_s = time.perf_counter()
-    view = _view(order)
-    _announce_compilation()
+    data = DataSet(folder, campaign_in(folder))
+    _keep(data.campaign, folder, order.keep, lambda: False)
+    total = len(data.runs)
+    return _tell(data, total, f"{total} runs in {folder}", order, start_s, False)
+
+
+def _keep(campaign: LoadedCampaign, folder: Path, keep: tuple[str, ...], stop: Stop) -> None:
+    """Fly the chosen runs again, with a full log."""
+    runs = selected(DataSet(folder, campaign), keep) if keep else []
+    with Progress() as progress:
+        for n, run in enumerate(runs):
+            there = flight_folder(folder, run)
+            if (there / SUMMARY_NAME).exists() and (there / LOG_NAME).exists():
+                continue
+            if stop():
+                return
+            progress.show("logs of kept runs", n, len(runs), f"run {run}")
+            again = refly(folder, run, campaign=campaign, stop=stop)
+            if again.same is False:
+                say("simrun", f"run {run} differs from the data set: {again.differences[0]}")
+
+
+def _refly(order: Order, folder: Path, run: int, stop: Stop, view: FlownView | None) -> int:
+    start_s = time.perf_counter()
     out = Path(order.out) if order.out else None
-    with Interruption() as interruption, Progress() as progress:
-        again = refly(
-            Path(order.folder), order.run, out,
-            log=not order.no_log, watch=lambda run: show_flight(progress, run), stop=lambda: interruption.requested,
-        )  # fmt: skip
-    names = [record.LOG_NAME] * (not order.no_log) + [record.SUMMARY_NAME]
+    with Progress() as progress:
+        watch = partial(show_flight, progress)
+        again = refly(folder, run, out, log=not order.no_log, watch=watch, stop=stop)
+    names = [LOG_NAME] * (not order.no_log) + [SUMMARY_NAME]
     print(report(again.flight, [again.folder / name for name in names], time.perf_counter() - start_s))
     if again.flight.outcome == "interrupted":
-        return INTERRUPTED
-    of = f"run {order.run} of {order.folder}"
+        return Exit.INTERRUPTED
+    of = f"run {run} of {folder}"
     if again.same is None:
         print(f"not compared: {of} has not been flown")
     elif again.same:
@@ -221,12 +180,15 @@ def _refly(order: Order) -> int:
     else:
         print(f"DIFFERENT from {of}: {printable(again.differences[0])} ({len(again.differences)} columns differ)")
     if view is not None:
-        _show(view, again.folder / record.LOG_NAME)
-    return PASSED if again.flight.passed and again.same is not False else FAILED
+        try:
+            view.show(again.folder / LOG_NAME)
+        except ReplayError as error:  # the flight is flown and its log is written: the verdict stays as it is
+            say("simrun", f"--view: {error}")
+    return Exit.OK if again.flight.passed and again.same is not False else Exit.FAILED
 
 
 def _view(order: Order) -> FlownView | None:
-    """Where the flight will be shown, found before it is flown. Raises ReplayError where there is no viewer."""
+    """Where the flight will be shown, found before it is flown. Raises CommandError where there is no viewer."""
     if not order.view:
         return None
     try:
@@ -234,57 +196,87 @@ def _view(order: Order) -> FlownView | None:
 
         return FlownView(order.view_port)
     except ReplayError as error:
-        raise ReplayError(f"--view: {error}") from error
+        raise CommandError(f"--view: {error}") from error
     except ImportError as error:
-        raise ReplayError(f"--view: a package is missing or broken: {error}") from error
+        raise CommandError(f"--view: a package is missing or broken: {error}") from error
 
 
-def _show(view: FlownView, log: Path) -> None:
-    """The flight is flown and its log is written: a viewer that fails changes nothing of the verdict."""
-    try:
-        view.show(log)
-    except ReplayError as error:
-        print(f"simrun: --view: {printable(str(error))}", file=sys.stderr)
-
-
-def _report_again(order: Order) -> int:
-    from maxq.sim.campaign.analysis import DataSet  # noqa: PLC0415  # lazy
-    from maxq.sim.campaign.store import campaign_in  # noqa: PLC0415  # lazy
-
-    assert order.folder is not None
-    start_s = time.perf_counter()
-    folder = Path(order.folder)
+def _shrink(order: Order, folder: Path, run: int) -> int:
+    """The fewest dispersions with which a run fails, as DIR/shrunk/run-000417.toml. Exit code 1: it fails."""
     campaign = campaign_in(folder)
-    _keep(campaign, folder, order.keep, lambda: False)
-    total = len(DataSet(folder, campaign).runs)
-    return _tell(campaign, folder, total, f"{total} runs in {folder}", order, start_s, False)
+    count = len(campaign.input_names)
+    with Progress() as progress:
+
+        def watch(left: int, flights: int) -> None:
+            progress.show("reducing", count - left, count, f"{left} dispersions left, {flights} flights")
+
+        try:
+            found = shrink_run(campaign, run, workers=order.workers or cores(), watch=watch)
+        except Refused as refused:
+            raise CampaignError(f"run {run} of {folder} has no scenario: {refused}") from None
+    if found is None:
+        print(f"run {run} of {folder} does not fail: there is nothing to shrink")
+        return Exit.OK
+    path = folder / "shrunk" / f"run-{run:06d}.toml"
+    write_whole(path, found.scenario.as_flown, CampaignError)
+    print(f"run {run} fails in: {printable(found.failure)}")
+    if not found.inputs:
+        print(f"it does so without any of its {count} dispersions ({found.flights} flights)")
+    else:
+        print(f"{len(found.inputs)} of {count} dispersions are enough ({found.flights} flights); none of them can go:")
+        labels, recorded = text.labels_of(campaign), campaign.inputs(run).recorded
+        rows = [(printable(labels.get(n, "")), n, text.value_text(recorded.get(n), 6)) for n in found.inputs]
+        print("\n".join(aligned(rows, "  ")))
+    for verdict in found.flight.verdicts:
+        if verdict.name == found.failure:
+            print(f"{verdict.requirement.metric} is then {verdict.value:.6g}")
+    print(path)
+    return Exit.FAILED
 
 
-def _shrink(order: Order) -> int:
-    from maxq.tools.campaign_shrink import shrink  # noqa: PLC0415  # lazy
+def _search(order: Order, folder: Path, stop: Stop) -> int:
+    """The worst flight within 3 sigma, as DIR/worst/METRIC.toml. Exit code 1: it misses a requirement."""
+    metric = order.search or ""
+    if metric not in METRIC_NAMES:
+        hint = suggestion(metric, METRIC_NAMES)
+        raise CampaignError(f"--search {metric}: there is no such metric; {hint or ', '.join(METRIC_NAMES)}")
+    campaign, most = campaign_in(folder), order.runs or _SEARCH_FLIGHTS
+    limits = [r for r in campaign.base.scenario.requirement if r.metric == metric]
+    largest = not (limits and limits[0].minimum is not None)
+    data = DataSet(folder, campaign)
+    values = data.numbers(metric)
+    good = np.flatnonzero(np.isfinite(values) & ~data.void)
+    at = int(good[np.argmax(values[good]) if largest else np.argmin(values[good])]) if len(good) else None
+    start = None if at is None else int(data.runs[at])
+    workers = order.workers or cores()
+    with Progress() as progress:
 
-    assert order.folder is not None
-    if order.run is None:
-        print("simrun: --shrink needs --run N: the run that fails", file=sys.stderr)
-        return BAD_INPUT
-    _announce_compilation()
-    return shrink(Path(order.folder), order.run, order.workers)
+        def watch(best: float, flown: int) -> None:
+            progress.show("searching", flown, most, f"worst {best:.6g}")
 
-
-def _search(order: Order) -> int:
-    from maxq.tools.campaign_search import search  # noqa: PLC0415  # lazy
-
-    assert order.folder is not None
-    assert order.search is not None
-    _announce_compilation()
-    return search(Path(order.folder), order.search, order.workers, order.runs)
+        found = search_worst(
+            campaign, metric, largest=largest, flights=most, start=start, workers=workers, watch=watch, stop=stop
+        )
+    path = folder / "worst" / f"{metric}.toml"
+    write_whole(path, found.scenario.as_flown, CampaignError)
+    unit = "" if unit_of(metric) == "1" else f" {unit_of(metric)}"
+    print(f"worst {metric} within 3 sigma: {found.value:.6g}{unit} ({found.flights} flights)")
+    if at is not None:
+        worst = float(values[at])
+        more = f"{100.0 * (found.value / worst - 1.0):+.1f} %" if worst else f"{found.value - worst:+.4g}{unit}"
+        print(f"worst of the campaign's {len(data.runs)} runs: {worst:.6g}{unit} (run {start}): {more};")
+        print("the search has that run's wind and noise")
+    boxes, labels = campaign.boxes(), text.labels_of(campaign)
+    rows = []
+    for name, value in found.draws.items():
+        low, high = boxes[name]
+        place = 2.0 * (value - low) / (high - low) - 1.0 if high > low else 0.0
+        rows.append((printable(labels.get(name, name)), name, f"{value:.6g}", f"{place:+.2f}"))
+    print("draws, and where they lie in the box (-1 .. 1):")
+    print("\n".join(aligned(rows, "  ", right=(2, 3))))
+    print(f"{path}: fly it with simrun {path}")
+    return Exit.OK if found.flight.passed else Exit.FAILED
 
 
 def default_folder(name: str) -> Path:
     return Path("runs") / (re.sub(r"[^\w.-]+", "-", name).strip(".-") or "campaign")
-
-
-def _announce_compilation() -> None:
-    from maxq.tools.simrun_fly import announce_compilation  # noqa: PLC0415  # lazy
-
-    announce_compilation()

@@ -27,8 +27,7 @@ from maxq.design.verify.suite import (
     room_left,
 )
 from maxq.sim.campaign.analysis import DataSet, Judged, judged
-from maxq.sim.campaign.loaded import LoadedCampaign
-from maxq.sim.campaign.read import description_of, load_campaign
+from maxq.sim.campaign.read import LoadedCampaign, description_of, load_campaign
 from maxq.sim.campaign.runner import Progress, run_campaign
 from maxq.sim.run.fly import fly
 from maxq.sim.run.metrics import METRIC_NAMES

@@ -1,4 +1,7 @@
-"""What a campaign's data set says: verdicts, quantiles, worst flights. Read column by column, in little memory."""
+"""The results in a campaign's data set: verdicts, quantiles, worst flights, percentiles over time.
+
+Read column by column, so that memory stays bounded however many runs there are.
+"""
 
 from __future__ import annotations
 
@@ -15,18 +18,18 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from maxq.control.kernel.records import Array
-from maxq.sim.campaign import columns
-from maxq.sim.campaign.flying import VOID
-from maxq.sim.campaign.loaded import LoadedCampaign
-from maxq.sim.campaign.standing import tallies_of
+from maxq.sim.campaign.read import LoadedCampaign
+from maxq.sim.campaign.runs import TIME_OF, VOID, schema_of
 from maxq.sim.campaign.statistics import OPEN, Judgement, Shown, judge_any_time, judge_failures, tolerance_bound
-from maxq.sim.campaign.store import parts_in
+from maxq.sim.campaign.store import HISTORIES, parts_in
 from maxq.sim.run.metrics import unit_of
 from maxq.sim.scenario.schema_scenario import Requirement
 
 SUMMARY_SCHEMA = 1
+FLOWN_WELL = "control kept"
+"""The requirement that every campaign has: no run diverges, loses control or is impossible."""
 _KEPT_RUNS = 100_000  # 80 MB or so with a hundred columns
-WORST = 10  # flights that are named for each requirement
+_WORST = 10  # flights that are named for each requirement
 
 
 @dataclass(frozen=True)
@@ -38,7 +41,7 @@ class Worst:
 
 @dataclass(frozen=True)
 class Judged:
-    """A requirement and what the campaign says of it."""
+    """A requirement and its verdict."""
 
     name: str
     metric: str  # empty: that control is kept
@@ -52,14 +55,10 @@ class Judged:
     tolerance: float  # bound of that quantile with confidence; nan: too few runs
     worst: tuple[Worst, ...]
 
-    @property
-    def largest_is_worst(self) -> bool:
-        return self.kind != "minimum"
-
 
 @dataclass(frozen=True)
 class Lost:
-    """A run that came to nothing or lost control."""
+    """A run without usable metrics, or that lost control."""
 
     run: int
     outcome: str
@@ -82,16 +81,14 @@ class DataSet:
 
     def column(self, name: str) -> pa.ChunkedArray:
         """One column of all runs."""
-        kind = columns.schema_of(self.campaign).field(name).type
+        kind = schema_of(self.campaign).field(name).type
         chunks = [pq.read_table(path, columns=[name], partitioning=None)[name] for path in self.parts]
         whole = pa.chunked_array([c for chunk in chunks for c in chunk.chunks], type=kind)
         return whole if self.limit is None else whole.slice(0, int((self.runs < self.limit).sum()))
 
     def numbers(self, name: str) -> Array:
         """One column of numbers; nan where there is none."""
-        if name not in self._kept:
-            return columns.numbers(self.column(name))
-        return self._kept[name]
+        return self._kept[name] if name in self._kept else _numbers(self.column(name))
 
     def read(self, names: Iterable[str]) -> None:
         """Read columns of numbers together, which is faster, and keep them; not those of very many runs."""
@@ -105,31 +102,29 @@ class DataSet:
                 table = file.read(columns=wanted, use_threads=False)
             count = min(len(table), len(self.runs) - at)
             for name in wanted:
-                room[name][at : at + count] = columns.numbers(table[name])[:count]
+                room[name][at : at + count] = _numbers(table[name])[:count]
             at += count
         self._kept |= room
 
     @cached_property
     def runs(self) -> np.ndarray:
-        chunks = [
-            pq.read_table(p, columns=[columns.RUN], partitioning=None)[columns.RUN].to_numpy() for p in self.parts
-        ]
+        chunks = [pq.read_table(p, columns=["run"], partitioning=None)["run"].to_numpy() for p in self.parts]
         runs = np.concatenate(chunks) if chunks else np.zeros(0, np.int64)
         return runs if self.limit is None else runs[runs < self.limit]
 
     @cached_property
     def outcomes(self) -> list[str]:
-        return [str(outcome) for outcome in self.column(columns.OUTCOME).to_pylist()]
+        return [str(outcome) for outcome in self.column("outcome").to_pylist()]
 
     @cached_property
     def void(self) -> np.ndarray:
-        """Runs whose metrics say nothing."""
+        """Runs without usable metrics."""
         return np.array([outcome in VOID for outcome in self.outcomes], dtype=bool)
 
     @cached_property
     def kept(self) -> np.ndarray:
         """Runs that kept control and came to their end."""
-        causes = np.array([bool(cause) for cause in self.column(columns.CAUSE).to_pylist()], dtype=bool)
+        causes = np.array([bool(cause) for cause in self.column("cause").to_pylist()], dtype=bool)
         return np.asarray(~causes & ~self.void)
 
     def row(self, run: int) -> dict[str, Any] | None:
@@ -141,72 +136,76 @@ class DataSet:
         return None
 
 
+def _numbers(column: Any) -> Array:
+    """A column of numbers as an array; null is nan."""
+    return np.asarray(column.to_numpy(), dtype=float)
+
+
+def requirements_of(campaign: LoadedCampaign) -> list[tuple[str, Requirement | None]]:
+    """Name and requirement: first that control is kept (None), then those of the scenario."""
+    return [(FLOWN_WELL, None), *((r.name or r.metric, r) for r in campaign.base.scenario.requirement)]
+
+
 def judged(data: DataSet) -> list[Judged]:
     """Every requirement of the campaign, the first one being that control is kept."""
-    campaign = data.campaign.campaign
-    n, success, confidence = len(data.runs), campaign.success, campaign.confidence
-    out = []
-    tallies = tallies_of(data.campaign)
-    metrics = [tally.requirement.metric for tally in tallies if tally.requirement]
-    data.read(name for metric in metrics for name in (metric, columns.TIME_OF.format(metric)))
-    for tally in tallies:
-        if tally.requirement is None:
-            failures = int((~data.kept).sum())
-            shown = judge_failures(failures, n, success, confidence)
-            any_time = judge_any_time(failures, n, success, confidence) if n else OPEN
-            out.append(Judged(tally.name, "", "", "", math.nan, shown, any_time, math.nan, math.nan, math.nan, ()))
-        else:
-            out.append(_judged(data, tally.name, tally.requirement))
-    return out
+    requirements = requirements_of(data.campaign)
+    metrics = [requirement.metric for _, requirement in requirements if requirement]
+    data.read(name for metric in metrics for name in (metric, TIME_OF.format(metric)))
+    return [_judged(data, name, requirement) for name, requirement in requirements]
 
 
-def _judged(data: DataSet, name: str, requirement: Requirement) -> Judged:
-    campaign = data.campaign.campaign
-    success, confidence = campaign.success, campaign.confidence
+def _judged(data: DataSet, name: str, requirement: Requirement | None) -> Judged:
+    campaign, n = data.campaign.campaign, len(data.runs)
+    level = campaign.success, campaign.confidence
+
+    def verdicts(failures: int) -> tuple[Shown, Judgement]:
+        return judge_failures(failures, n, *level), judge_any_time(failures, n, *level) if n else OPEN
+
+    if requirement is None:
+        failures = int((~data.kept).sum())
+        return Judged(name, "", "", "", math.nan, *verdicts(failures), math.nan, math.nan, math.nan, ())
     kind, bound = ("limit", requirement.limit) if requirement.limit is not None else ("minimum", requirement.minimum)
     assert bound is not None
+    upper = kind == "limit"
     values = data.numbers(requirement.metric).copy()
     values[data.void] = np.nan
-    missed = ~(values <= bound) if kind == "limit" else ~(values >= bound)
-    failures, n = int(missed.sum()), len(values)
+    missed = ~(values <= bound) if upper else ~(values >= bound)
     good = values[~np.isnan(values)]
-    share = success if kind == "limit" else 1.0 - success
-    ranked = np.argsort(-values if kind == "limit" else values, kind="stable")  # nan comes last
-    order = [int(i) for i in ranked[:WORST] if not np.isnan(values[i])]
-    times = data.numbers(columns.TIME_OF.format(requirement.metric)) if order else np.zeros(0)
+    ranked = np.argsort(-values if upper else values, kind="stable")  # nan comes last
+    order = [int(i) for i in ranked[:_WORST] if not np.isnan(values[i])]
+    times = data.numbers(TIME_OF.format(requirement.metric)) if order else np.zeros(0)
     return Judged(
-        name=name,
-        metric=requirement.metric,
-        unit=unit_of(requirement.metric),
-        kind=kind,
-        bound=bound,
-        shown=judge_failures(failures, n, success, confidence),
-        any_time=judge_any_time(failures, n, success, confidence) if n else OPEN,
+        name,
+        requirement.metric,
+        unit_of(requirement.metric),
+        kind,
+        bound,
+        *verdicts(int(missed.sum())),
         median=float(np.median(good)) if len(good) else math.nan,
-        quantile=float(np.quantile(good, share)) if len(good) else math.nan,
-        tolerance=tolerance_bound(values, success, confidence, kind == "limit"),
+        quantile=float(np.quantile(good, level[0] if upper else 1.0 - level[0])) if len(good) else math.nan,
+        tolerance=tolerance_bound(values, *level, upper),
         worst=tuple(Worst(int(data.runs[i]), float(values[i]), float(times[i])) for i in order),
     )
 
 
 def lost(data: DataSet, most: int = 1000) -> list[Lost]:
-    """Runs that came to nothing or lost control, in order."""
+    """Runs without usable metrics or that lost control, in order."""
     at = np.flatnonzero(~data.kept)[:most]
     if not len(at):
         return []
-    times, causes = data.numbers(columns.LOST), data.column(columns.CAUSE)
+    times, causes = data.numbers("lost_s"), data.column("cause")
     return [Lost(int(data.runs[i]), data.outcomes[i], float(times[i]), str(causes[int(i)].as_py())) for i in at]
 
 
 def failed_runs(data: DataSet) -> list[int]:
-    """Runs that missed a requirement or came to nothing."""
-    passed = np.array(data.column(columns.PASSED).to_pylist(), dtype=bool)
+    """Runs that missed a requirement, lost control or have no usable metrics."""
+    passed = np.array(data.column("passed").to_pylist(), dtype=bool)
     return [int(run) for run in data.runs[~passed]]
 
 
 def redraws(data: DataSet) -> tuple[int, int]:
     """Draws that were rejected, and the runs that had some."""
-    count = data.numbers(columns.REDRAWS)
+    count = data.numbers("redraws")
     return int(count.sum()), int((count > 0).sum())
 
 
@@ -232,8 +231,7 @@ def summary_of(data: DataSet, wanted: int, further: dict[str, Any]) -> dict[str,
         "lost": [asdict(item) for item in lost(data)],
         **further,
     }
-    plain: dict[str, Any] = _plain(content)
-    return plain
+    return {name: _plain(value) for name, value in content.items()}
 
 
 def _plain(value: Any) -> Any:
@@ -254,19 +252,61 @@ def selected(data: DataSet, keep: Sequence[str]) -> list[int]:
     for text in keep:
         head, *rest = text.split(":")
         if head == "worst":
-            count = int(rest[0])
-            for v in judged(data):
-                if v.metric and (len(rest) == 1 or rest[1] == v.metric):
-                    out += [w.run for w in v.worst[:count]]
-            if len(rest) == 2 and not any(v.metric == rest[1] for v in judged(data)):
-                values = data.numbers(rest[1])
-                out += [
-                    int(data.runs[i]) for i in np.argsort(-values, kind="stable")[:count] if not np.isnan(values[i])
-                ]
+            count, metric = int(rest[0]), rest[1] if len(rest) == 2 else ""
+            verdicts = [v for v in judged(data) if v.metric and metric in ("", v.metric)]
+            for v in verdicts:
+                out += [w.run for w in v.worst[:count]]
+            if metric and not verdicts:
+                values = data.numbers(metric)
+                order = np.argsort(-values, kind="stable")[:count]
+                out += [int(data.runs[i]) for i in order if not np.isnan(values[i])]
         elif head == "failed":
-            failed = failed_runs(data)
-            out += failed[: int(rest[0])] if rest else failed
+            out += failed_runs(data)[: int(rest[0]) if rest else None]
         else:
             there = set(data.runs.tolist())
             out += [int(part) for part in text.split(",") if int(part) in there]
     return list(dict.fromkeys(out))
+
+
+# envelopes
+
+
+@dataclass(frozen=True)
+class Band:
+    """One channel: `lines` (percentiles, n) over `time_s` (n,), of the `flying` (n,) runs that reach each time."""
+
+    channel: str
+    runs: int
+    time_s: Array
+    percentiles: tuple[float, ...]
+    lines: Array
+    flying: Array
+
+
+def bands(folder: Path, campaign: LoadedCampaign) -> list[Band]:
+    """An envelope for each channel; none where no histories were kept."""
+    envelope = campaign.campaign.envelope
+    files = sorted((folder / HISTORIES).glob("runs-*.parquet"))
+    if not files:
+        return []
+    times = [t for file in files for t in _lists(file, "time_s")]
+    steps = [np.rint(t * envelope.rate_hz).astype(np.int64) for t in times]
+    first = min((int(s[0]) for s in steps if len(s)), default=0)
+    length = max((int(s[-1]) for s in steps if len(s)), default=0) - first + 1
+    out = []
+    for channel in envelope.channels:
+        grid = np.full((len(steps), length), np.nan, dtype=np.float32)
+        values = (v for file in files for v in _lists(file, channel))
+        for row, step, value in zip(grid, steps, values, strict=True):
+            row[step - first] = value
+        flying = np.isfinite(grid).sum(axis=0)
+        used = flying > 0
+        lines = np.nanpercentile(grid[:, used], envelope.percentiles, axis=0)
+        time_s = (first + np.arange(length)[used]) / envelope.rate_hz
+        out.append(Band(channel, len(steps), time_s, envelope.percentiles, np.atleast_2d(lines), flying[used]))
+    return out
+
+
+def _lists(file: Path, column: str) -> list[Array]:
+    whole = pq.read_table(file, columns=[column], partitioning=None)[column]
+    return [np.asarray(row) for row in whole.combine_chunks().to_numpy(zero_copy_only=False)]

@@ -10,7 +10,8 @@ machine changes no other draw. What else it depends on:
 - A draw that was rejected is replaced by a pseudo-random one (attempt 1, 2, ...), whatever the sampling.
 
 The bits are Philox4x64-10 (Salmon et al., SC11, 2011) with the SHA-256 of seed and key as its key and run, attempt and
-component as its counter. NumPy promises that its bit generators keep their streams.
+component as its counter. NumPy promises that its bit generators keep their streams. Distributions are given by their
+quantile functions: a uniform number in, a draw out.
 """
 
 from __future__ import annotations
@@ -18,15 +19,15 @@ from __future__ import annotations
 import hashlib
 import warnings
 from functools import lru_cache
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import qmc
+from scipy.special import ndtr, ndtri
 
 from maxq.control.kernel.records import Array, IntArray
+from maxq.sim.campaign.schema import Disperse
 
-Sampling = Literal["random", "latin-hypercube", "sobol"]
 Words = NDArray[np.uint64]
 
 _CELL = 2.0**-53
@@ -83,21 +84,20 @@ class Sobol:
     scrambling of a key depends on (campaign seed, key) alone, where SciPy's own depends on all dimensions.
     """
 
-    def __init__(self, seed: int, keys: tuple[str, ...]) -> None:
+    def __init__(self, seed: int, keys: tuple[str, ...], first: int, count: int) -> None:
+        from scipy.stats import qmc  # noqa: PLC0415  # lazy: a second to import, for this sampling only
+
         if len(keys) > qmc.Sobol.MAXDIM:
             raise ValueError(f"{len(keys)} dispersed keys; Sobol' points have at most {qmc.Sobol.MAXDIM} dimensions")
         self._seed, self._dimension = seed, {key: n for n, key in enumerate(keys)}
-        self._first, self._points = -1, np.zeros((0, len(keys)), np.uint32)
+        engine: Any = qmc.Sobol(len(keys), scramble=False, bits=_SOBOL_BITS)
+        if first:
+            engine.fast_forward(first)
+        with warnings.catch_warnings():  # SciPy warns where the number of points is no power of two
+            warnings.simplefilter("ignore", UserWarning)
+            self._points = (engine.random(count) * 2.0**_SOBOL_BITS).astype(np.uint32)
 
-    def __call__(self, key: str, first: int, count: int) -> Array:
-        if self._first != first or len(self._points) != count:
-            engine: Any = qmc.Sobol(len(self._dimension), scramble=False, bits=_SOBOL_BITS)
-            if first:
-                engine.fast_forward(first)
-            with warnings.catch_warnings():  # SciPy would like powers of two; how many runs there are is not its matter
-                warnings.simplefilter("ignore", UserWarning)
-                exact = engine.random(count) * 2.0**_SOBOL_BITS
-            self._first, self._points = first, exact.astype(np.uint32)
+    def __call__(self, key: str) -> Array:
         hashed = int(words(self._seed, f"{key}\0sobol", 0, 1)[0, 0])
         bits = _scrambled(self._points[:, self._dimension[key]], np.uint32(hashed & 0xFFFFFFFF))
         return np.asarray((bits.astype(np.float64) + 0.5) * 2.0**-_SOBOL_BITS)
@@ -117,3 +117,90 @@ def _scrambled(x: NDArray[np.uint32], seed: np.uint32) -> NDArray[np.uint32]:
     for factor in (0x6C50B47C, 0xB82F1E52, 0xC7AFE638, 0x8D22F6E6):
         x = x ^ (x * np.uint32(factor))
     return _reversed_bits(x)
+
+
+def standard_normal(u: Array) -> Array:
+    return np.asarray(ndtri(u))
+
+
+def quantile(spec: Disperse, u: Array, nominal: float) -> Array:
+    """Draws of a distribution over numbers. `nominal`: the centre where the file names none.
+
+    Written out rather than by scipy.stats: its ppf rounds otherwise for the triangular and the truncated normal
+    distribution, is nan for a spread of zero, and takes a second to import.
+    """
+    centre, sigma, (low, high) = spec.centre(nominal), spec.sigma_of_normal, spec.ends
+    if spec.distribution == "normal":
+        return np.asarray(centre + sigma * standard_normal(u))
+    if spec.distribution == "truncated-normal":
+        return _truncated(centre, sigma, low, high, u)
+    if spec.distribution == "log-normal":
+        return np.asarray((spec.median or centre) * np.exp(sigma * standard_normal(u)))
+    if spec.distribution == "uniform":
+        return np.asarray(low + (high - low) * u)
+    assert spec.mode is not None
+    return _triangular(low, spec.mode, high, u)
+
+
+def box(spec: Disperse, nominal: float, sigmas: float = 3.0) -> tuple[float, float]:
+    """Least and greatest value of a search: the distribution's ends, or where `sigmas` of a normal one lie."""
+    if spec.distribution in ("uniform", "triangular"):
+        return spec.ends
+    tail = float(ndtr(-sigmas))
+    low, high = quantile(spec, np.array([tail, 1.0 - tail]), nominal)
+    return float(low), float(high)
+
+
+def chosen(spec: Disperse, u: Array) -> IntArray:
+    """Indices of `values`, as often as their weights say."""
+    assert spec.values is not None
+    weights = np.array(spec.weights or (1.0,) * len(spec.values), dtype=float)
+    edges = np.cumsum(weights / weights.sum())
+    return np.minimum(np.searchsorted(edges, u, side="right"), len(weights) - 1)
+
+
+def correlated(matrix: tuple[tuple[float, ...], ...], scores: list[Array]) -> list[Array]:
+    """Zero-mean normal draws with a covariance from independent scores, one array for each key.
+
+    Draw j depends on the scores of keys 0 .. j. Sums are written out, so that they do not depend on the processor.
+    """
+    factor = cholesky(np.array(matrix))
+    out = []
+    for row, _ in enumerate(scores):
+        total = np.zeros_like(scores[0])
+        for column in range(row + 1):
+            total = total + factor[row, column] * scores[column]
+        out.append(total)
+    return out
+
+
+def cholesky(matrix: Array) -> Array:
+    """Lower factor of a covariance, which may be singular."""
+    n = len(matrix)
+    factor = np.zeros((n, n))
+    for j in range(n):
+        rest = matrix[j, j] - sum(factor[j, k] ** 2 for k in range(j))
+        factor[j, j] = np.sqrt(rest) if rest > 1e-12 * max(matrix[j, j], 1e-300) else 0.0
+        for i in range(j + 1, n):
+            if factor[j, j] > 0.0:
+                factor[i, j] = (matrix[i, j] - sum(factor[i, k] * factor[j, k] for k in range(j))) / factor[j, j]
+    return factor
+
+
+def _truncated(mean: float, sigma: float, low: float, high: float, u: Array) -> Array:
+    """Normal between `low` and `high`; drawn in the lower tail, where probabilities keep their digits."""
+    if sigma == 0.0:
+        return np.clip(np.full_like(u, mean), low, high)
+    a, b = (low - mean) / sigma, (high - mean) / sigma
+    if a > 0.0:
+        return np.asarray(np.clip(mean - sigma * ndtri(ndtr(-b) + (1.0 - u) * (ndtr(-a) - ndtr(-b))), low, high))
+    return np.asarray(np.clip(mean + sigma * ndtri(ndtr(a) + u * (ndtr(b) - ndtr(a))), low, high))
+
+
+def _triangular(low: float, mode: float, high: float, u: Array) -> Array:
+    width = high - low
+    if width == 0.0:
+        return np.full_like(u, low)
+    left = low + np.sqrt(u * width * (mode - low))
+    right = high - np.sqrt((1.0 - u) * width * (high - mode))
+    return np.where(u * width < mode - low, left, right)

@@ -1,4 +1,10 @@
-"""What is drawn for each run of a campaign: a function of seed, run and key alone (draws.py)."""
+"""What is drawn for each run of a campaign: a function of seed, run and key alone (draws.py).
+
+Vector-wind model: at each altitude the two components deviate from the mean by a bivariate normal distribution
+(standard deviations and correlation from a table), and the standardised deviations of two altitudes are correlated by
+exp(-|difference| / correlation length). This is the form of Adelfang's vector wind profile model (NASA/CR-1999-209759)
+with an analytic correlation in place of its tables of monthly statistics.
+"""
 
 from __future__ import annotations
 
@@ -10,21 +16,20 @@ from typing import Any
 import numpy as np
 
 from maxq.control.kernel.records import Array
-from maxq.sim.campaign import draws as numbers
-from maxq.sim.campaign.distributions import chosen, correlated, quantile, standard_normal
+from maxq.sim.campaign.draws import Sobol, chosen, correlated, latin, quantile, seeds, standard_normal, uniforms
 from maxq.sim.campaign.error import CampaignError
-from maxq.sim.campaign.schema import Campaign, Disperse
+from maxq.sim.campaign.schema import Campaign, Disperse, WindModel
 from maxq.sim.campaign.targets import Target
-from maxq.sim.campaign.wind import WindDraw
 from maxq.sim.scenario.tables_csv import CsvTable
+from maxq.sim.world.wind import wind_components
 
-SEED_KEY = "run.seed"
+SEED_KEY, WIND_KEY = "run.seed", "wind.profile"
 MOST_ATTEMPTS = 1000
 
 
 @dataclass(frozen=True)
 class Draw:
-    """One random number of a run, and the places it goes to."""
+    """One random number of a run, and the places of the scenario it goes to."""
 
     name: str  # of the column in the data set: the key path, or the first of several
     label: str
@@ -48,15 +53,9 @@ class Draw:
         return self.targets[0].kind in ("text", "table")
 
     @property
-    def centre(self) -> float:
-        """The mean of a normal draw; the draw that changes nothing, where the file does not say otherwise."""
-        if self.spec.mean is not None:
-            return self.spec.mean
-        return {"set": self.nominal, "scale": 1.0, "add": 0.0}[self.spec.apply]
-
-    def texts(self) -> tuple[str, ...]:
-        assert self.spec.values is not None
-        return tuple(str(value) for value in self.spec.values)
+    def stream(self) -> str:
+        """Name of its random numbers: cases draw a row, the same for all columns."""
+        return f"cases\0{self.entry}" if self.spec.distribution == "cases" else self.name
 
 
 @dataclass
@@ -83,7 +82,7 @@ class Plan:
 
     campaign: Campaign
     draws: tuple[Draw, ...]
-    wind: WindDraw | None
+    wind: Ensemble | VectorWind | None
 
     @property
     def own_noise(self) -> bool:
@@ -98,7 +97,9 @@ class Plan:
 
         Raises CampaignError where the file says that such a draw is refused, or no draw is ever allowed.
         """
-        sobol = numbers.Sobol(self.campaign.seed, self.names) if self._sobol(attempt) else None
+        seed = self.campaign.seed
+        use_sobol = self.campaign.sampling == "sobol" and attempt == 0 and bool(self.draws)
+        sobol = Sobol(seed, self.names, first, count) if use_sobol else None
         drawn = Drawn(first, count, {}, {}, None, None, np.zeros(count, np.int64))
         raw = {d.name: self._uniforms(d, first, count, attempt, sobol) for d in self.draws}
         groups: dict[int, list[Array]] = {}
@@ -109,9 +110,9 @@ class Plan:
             for n, result in enumerate(results):
                 drawn.results[d.name, n] = result
         if self.own_noise:
-            drawn.seeds = numbers.seeds(self.campaign.seed, SEED_KEY, first, count, attempt)
+            drawn.seeds = seeds(seed, SEED_KEY, first, count, attempt)
         if self.wind is not None:
-            drawn.wind = self.wind.scores(self.campaign.seed, first, count, attempt)
+            drawn.wind = self.wind.scores(seed, first, count, attempt)
         return drawn
 
     def columns(self, drawn: Drawn) -> Columns:
@@ -121,36 +122,27 @@ class Plan:
             recorded: dict[str, list[Any]] = {}
             for d in self.draws:
                 if d.is_text:
-                    texts, chosen_ones = d.texts(), drawn.draws[d.name].tolist()
-                    recorded[d.name] = [texts[k] for k in chosen_ones]
+                    chosen_ones = drawn.draws[d.name].tolist()
+                    recorded[d.name] = [str((d.spec.values or ())[k]) for k in chosen_ones]
                     there = [d.tables[k] for k in chosen_ones] if d.tables else recorded[d.name]
-                    flown |= {f"{d.name}\0{n}": there for n in range(len(d.targets))}
+                    lists = [there] * len(d.targets)
                 else:
                     lists = [drawn.results[d.name, n].tolist() for n in range(len(d.targets))]
-                    flown |= {f"{d.name}\0{n}": values for n, values in enumerate(lists)}
                     recorded[d.name] = lists[0]
+                flown |= {f"{d.name}\0{n}": values for n, values in enumerate(lists)}
             if drawn.seeds is not None:
                 flown[SEED_KEY] = recorded[SEED_KEY] = drawn.seeds.tolist()
             drawn.columns = flown, recorded
         return drawn.columns
 
-    def _sobol(self, attempt: int) -> bool:
-        return self.campaign.sampling == "sobol" and attempt == 0 and bool(self.draws)
-
-    def _uniforms(self, d: Draw, first: int, count: int, attempt: int, sobol: numbers.Sobol | None) -> Array:
-        seed, name = self.campaign.seed, self._stream(d)
-        if d.spec.distribution == "cases":
-            return numbers.uniforms(seed, name, first, count, attempt)
-        if attempt == 0 and self.campaign.sampling == "latin-hypercube":
-            stratum = self.campaign.stratum or max(self.campaign.runs, 1)
-            return numbers.latin(seed, name, first, count, stratum)
-        if sobol is not None:
-            return sobol(d.name, first, count)
-        return numbers.uniforms(seed, name, first, count, attempt)
-
-    def _stream(self, d: Draw) -> str:
-        """Cases draw a row: all columns the same."""
-        return f"cases\0{d.entry}" if d.spec.distribution == "cases" else d.name
+    def _uniforms(self, d: Draw, first: int, count: int, attempt: int, sobol: Sobol | None) -> Array:
+        if attempt == 0 and d.spec.distribution != "cases":
+            if self.campaign.sampling == "latin-hypercube":
+                stratum = self.campaign.stratum or max(self.campaign.runs, 1)
+                return latin(self.campaign.seed, d.stream, first, count, stratum)
+            if sobol is not None:
+                return sobol(d.name)
+        return uniforms(self.campaign.seed, d.stream, first, count, attempt)
 
     def _values(
         self, d: Draw, u: Array, first: int, count: int, raw: Mapping[str, Array], groups: dict[int, list[Array]]
@@ -162,19 +154,12 @@ class Plan:
                 members = [other for other in self.draws if other.entry == entry]
                 assert spec.covariance is not None
                 groups[entry] = correlated(spec.covariance, [standard_normal(raw[m.name]) for m in members])
-            return np.asarray(d.centre + groups[entry][position])
-        if spec.distribution == "choice":
+            return np.asarray(spec.centre(d.nominal) + groups[entry][position])
+        if spec.values is not None:
             index = chosen(spec, u)
-            if d.is_text:
-                return index
-            assert spec.values is not None
-            return np.asarray(np.array([float(value) for value in spec.values])[index])
-        if spec.distribution in ("samples", "cases"):
-            assert d.samples is not None
-            n = len(d.samples)
-            in_turn = np.arange(first, first + count) % n
-            rows = in_turn if spec.order == "in-turn" else np.minimum((u * n).astype(np.int64), n - 1)
-            return np.asarray(d.samples[rows])
+            return index if d.is_text else np.array([float(value) for value in spec.values])[index]
+        if d.samples is not None:
+            return np.asarray(d.samples[_rows(spec.order, len(d.samples), u, first, count)])
         return quantile(spec, u, d.nominal)
 
     def _within_bounds(self, d: Draw, values: np.ndarray, drawn: Drawn, attempt: int) -> tuple[np.ndarray, list[Array]]:
@@ -188,19 +173,18 @@ class Plan:
             at = int(np.argmin(good))
             raise CampaignError(
                 f"run {drawn.first + at}: {d.name} = {results[0][at]:g} lies outside its bounds"
-                f"{self._bounds_text(d)}; outside = 'resample' draws again, at_least and at_most cut the distribution"
+                f"{_bounds_text(d)}; outside = 'resample' draws again, at_least and at_most cut the distribution"
             )
         for at in np.flatnonzero(~good).tolist():
             run = drawn.first + at
             for again in range(1, MOST_ATTEMPTS + 1):
-                u = numbers.uniforms(self.campaign.seed, self._stream(d), run, 1, attempt + again)
-                new = self._single(d, u, run, attempt + again)
+                new = self._single(d, run, attempt + again)
                 single = [target.result(d.spec.apply, new) for target in d.targets]
                 if self._good(d, single).all():
                     break
             else:
                 raise CampaignError(
-                    f"run {run}: {MOST_ATTEMPTS} draws of {d.name} all lie outside its bounds{self._bounds_text(d)}; "
+                    f"run {run}: {MOST_ATTEMPTS} draws of {d.name} all lie outside its bounds{_bounds_text(d)}; "
                     "change the distribution or the bounds"
                 )
             values[at] = new[0]
@@ -209,17 +193,13 @@ class Plan:
             drawn.redraws[at] += again
         return values, results
 
-    def _single(self, d: Draw, u: Array, run: int, attempt: int) -> np.ndarray:
+    def _single(self, d: Draw, run: int, attempt: int) -> np.ndarray:
         """One draw anew; of a correlated group with new scores for all of it."""
-        raw = {d.name: u}
-        if d.group is not None:
-            for other in self.draws:
-                if other.entry == d.entry:
-                    raw[other.name] = numbers.uniforms(self.campaign.seed, other.name, run, 1, attempt)
-        spec = d.spec
-        if spec.order == "in-turn" and spec.distribution in ("samples", "cases"):
-            d = replace(d, spec=spec.model_copy(update={"order": "random"}))
-        return self._values(d, u, run, 1, raw, {})
+        group = [other for other in self.draws if other.entry == d.entry] if d.group is not None else [d]
+        raw = {m.name: uniforms(self.campaign.seed, m.stream, run, 1, attempt) for m in group}
+        if d.samples is not None:
+            d = replace(d, spec=d.spec.model_copy(update={"order": "random"}))
+        return self._values(d, raw[d.name], run, 1, raw, {})
 
     def _good(self, d: Draw, results: list[Array]) -> np.ndarray:
         good = np.ones(len(results[0]), bool)
@@ -231,9 +211,89 @@ class Plan:
                 good &= result <= d.spec.at_most
         return good
 
-    def _bounds_text(self, d: Draw) -> str:
-        words = [d.targets[0].bounds_text()]
-        words += [f"at_least = {d.spec.at_least:g}"] if d.spec.at_least is not None else []
-        words += [f"at_most = {d.spec.at_most:g}"] if d.spec.at_most is not None else []
-        words = [word for word in words if word]
-        return f" ({', '.join(words)})" if words else ""
+
+def _bounds_text(d: Draw) -> str:
+    words = [d.targets[0].bounds_text()]
+    words += [f"at_least = {d.spec.at_least:g}"] if d.spec.at_least is not None else []
+    words += [f"at_most = {d.spec.at_most:g}"] if d.spec.at_most is not None else []
+    given = ", ".join(word for word in words if word)
+    return f" ({given})" if given else ""
+
+
+def _rows(order: str, available: int, u: Array, first: int, count: int) -> np.ndarray:
+    """Rows or profiles: i for run i, again from the first after the last, or at random."""
+    if order == "in-turn":
+        return np.arange(first, first + count) % available
+    return np.minimum((u * available).astype(np.int64), available - 1)
+
+
+class Ensemble:
+    """Wind out of given profiles."""
+
+    def __init__(self, model: WindModel) -> None:
+        self._profiles, self._order = model.profiles or (), model.order
+
+    def scores(self, seed: int, first: int, count: int, attempt: int = 0) -> np.ndarray:
+        """(count, 1): numbers of the profiles."""
+        u = uniforms(seed, WIND_KEY, first, count, attempt)
+        return _rows(self._order, len(self._profiles), u, first, count)[:, None]
+
+    def profile(self, scores: np.ndarray) -> CsvTable:
+        """The profile that follows from the scores of a run."""
+        return self._profiles[int(scores[0])]
+
+    def recorded(self, scores: np.ndarray) -> dict[str, Any]:
+        """What the data set holds of the scores of a run, by column."""
+        return {WIND_KEY: self._profiles[int(scores[0])].file or str(int(scores[0]))}
+
+
+class VectorWind:
+    """Correlated normal deviations from a mean profile; methods as those of `Ensemble`."""
+
+    def __init__(self, model: WindModel, mean: CsvTable) -> None:
+        assert model.table is not None
+        assert model.correlation_length_m is not None
+        table = model.table
+        self._altitude_m = table["altitude_m"]
+        self._sigma = model.factor * np.stack([table["sigma_north_mps"], table["sigma_east_mps"]], axis=1)
+        self._across = table.get("correlation")
+        self._along = np.exp(-np.diff(self._altitude_m) / model.correlation_length_m)
+        self._out_m = np.unique(np.concatenate([mean["altitude_m"], self._altitude_m]))
+        columns = (
+            wind_components(mean["speed_mps"], mean["from_deg"])[:, :2].T
+            if "speed_mps" in mean
+            else (mean["north_mps"], mean["east_mps"])
+        )
+        self._mean = [np.interp(self._out_m, mean["altitude_m"], column) for column in columns]
+        self._down = np.interp(self._out_m, mean["altitude_m"], mean.get("down_mps")) if "down_mps" in mean else None
+
+    def scores(self, seed: int, first: int, count: int, attempt: int = 0) -> np.ndarray:
+        """(count, altitudes, 2): deviations north and east, m/s."""
+        levels = len(self._altitude_m)
+        z = np.empty((count, levels, 2))
+        for level in range(levels):
+            for axis in range(2):
+                u = uniforms(seed, WIND_KEY, first, count, attempt, component=2 * level + axis)
+                z[:, level, axis] = standard_normal(u)
+        for level in range(1, levels):  # a Markov chain over altitude has an exponential correlation
+            rho = self._along[level - 1]
+            z[:, level] = rho * z[:, level - 1] + np.sqrt(1.0 - rho * rho) * z[:, level]
+        across = self._across
+        z[:, :, 1] = across * z[:, :, 0] + np.sqrt(1.0 - across * across) * z[:, :, 1]
+        return np.asarray(z * self._sigma)
+
+    def profile(self, scores: np.ndarray) -> CsvTable:
+        north, east = (
+            mean + np.interp(self._out_m, self._altitude_m, scores[:, axis]) for axis, mean in enumerate(self._mean)
+        )
+        columns: dict[str, Array] = {"altitude_m": self._out_m, "north_mps": north, "east_mps": east}
+        if self._down is not None:
+            columns["down_mps"] = self._down
+        return CsvTable("", columns)
+
+    def recorded(self, scores: np.ndarray) -> dict[str, Any]:
+        return {
+            f"{WIND_KEY}.{name}_mps[{altitude:g} m]": float(scores[level, axis])
+            for axis, name in enumerate(("north", "east"))
+            for level, altitude in enumerate(self._altitude_m)
+        }

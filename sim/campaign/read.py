@@ -1,22 +1,28 @@
-"""Reading a campaign file: what it disperses must be there in its scenario, once, and fit its bounds.
+"""A campaign that can be flown: read from its file and checked against its scenario; the scenario of each run.
 
-campaign = load_campaign("campaigns/ksr3")
+    campaign = load_campaign("campaigns/ksr3")
+    campaign.inputs(417).recorded                       # what was drawn, by column
+    campaign.scenario_of(417).scenario                  # what is flown
+
+What a campaign file disperses must be in its scenario, be dispersed once, and fit its bounds.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
 from pydantic import TypeAdapter, ValidationError
 
-from maxq.sim.campaign.loaded import LoadedCampaign
-from maxq.sim.campaign.plan import SEED_KEY, Draw, Plan
-from maxq.sim.campaign.schema import CampaignFile, Disperse, plain_value, tuples
-from maxq.sim.campaign.targets import BadKey, Target, find_target
-from maxq.sim.campaign.wind import WIND_KEY, wind_draw
+from maxq.sim.campaign.draws import box
+from maxq.sim.campaign.error import CampaignError
+from maxq.sim.campaign.plan import MOST_ATTEMPTS, SEED_KEY, WIND_KEY, Draw, Drawn, Ensemble, Plan, VectorWind
+from maxq.sim.campaign.schema import Campaign, CampaignFile, Disperse, plain_value, tuples
+from maxq.sim.campaign.targets import BadKey, Change, Dispersed, Refused, Target, find_target
 from maxq.sim.run.metrics import METRIC_NAMES
 from maxq.sim.scenario.documents import plain, source_of
 from maxq.sim.scenario.errors import Path as KeyPath
@@ -25,6 +31,154 @@ from maxq.sim.scenario.loader import CAMPAIGN_SECTIONS, LoadedScenario, load_sce
 from maxq.sim.scenario.messages import explain, field_at
 from maxq.sim.scenario.schema_scenario import Scenario
 from maxq.sim.scenario.tables_csv import Columns, CsvTable
+
+_JOINT = 1 << 20  # attempts of a run whose values exclude each other begin here, apart from those of single keys
+
+
+@dataclass(frozen=True)
+class Inputs:
+    """What was drawn for one run, as it is recorded, and the scenario that follows."""
+
+    run: int
+    recorded: dict[str, Any]  # by column: number or text
+    redraws: int
+    loaded: LoadedScenario
+
+
+@dataclass(frozen=True)
+class LoadedCampaign:
+    """A campaign that can be flown."""
+
+    base: LoadedScenario
+    file: CampaignFile
+    plan: Plan
+
+    @property
+    def name(self) -> str:
+        return self.base.name
+
+    @property
+    def campaign(self) -> Campaign:
+        return self.file.campaign
+
+    def with_campaign(self, **changes: Any) -> LoadedCampaign:
+        """The same with other values in [campaign]: runs, seed, keep. The stratum stays as it was."""
+        before = self.campaign
+        if before.sampling == "latin-hypercube" and before.stratum is None and "stratum" not in changes:
+            changes["stratum"] = max(before.runs, 1)
+        campaign = before.model_copy(update=changes)
+        file = self.file.model_copy(update={"campaign": campaign})
+        return LoadedCampaign(self.base, file, Plan(campaign, self.plan.draws, self.plan.wind))
+
+    def batch(self, first: int, count: int) -> BatchInputs:
+        """The draws of consecutive runs, made together."""
+        return BatchInputs(self, self.plan.draw(first, count))
+
+    def inputs(self, run: int) -> Inputs:
+        """Draws and scenario of one run. Raises CampaignError, or Refused where no scenario is possible."""
+        return self.batch(run, 1).inputs(run)
+
+    def scenario_of(self, run: int) -> LoadedScenario:
+        """What run `run` flies."""
+        return self.inputs(run).loaded
+
+    def made(self, drawn: Drawn, run: int) -> Inputs:
+        """The scenario of one of the runs in `drawn`, and what is recorded of it. Raises Refused."""
+        at = run - drawn.first
+        recorded = {name: values[at] for name, values in self.plan.columns(drawn)[1].items()}
+        if drawn.wind is not None and self.plan.wind is not None:
+            recorded |= self.plan.wind.recorded(drawn.wind[at])
+        loaded = self._loaded(self.values_of(drawn, run, None))
+        return Inputs(run, recorded, int(drawn.redraws[at]), loaded)
+
+    def changed(self, draws: Mapping[str, float], further: Mapping[str, Any] | None = None) -> LoadedScenario:
+        """The scenario in which these draws, by name, act, and all else is nominal. Raises Refused.
+
+        `further`: what `values_of` gave of a run.
+        """
+        values: dict[str, Any] = dict(further or {})
+        for d in self.plan.draws:
+            for n, target in enumerate(d.targets):
+                if d.name in draws:
+                    values[f"{d.name}\0{n}"] = float(target.result(d.spec.apply, np.array([float(draws[d.name])]))[0])
+        return self._loaded(values)
+
+    def mixed(self, drawn: Drawn, run: int, kept: Iterable[str]) -> LoadedScenario:
+        """The scenario of a run with only the named inputs dispersed, all others nominal. Raises Refused."""
+        return self._loaded(self.values_of(drawn, run, kept))
+
+    def values_of(self, drawn: Drawn, run: int, names: Iterable[str] | None) -> dict[str, Any]:
+        """What a run flies of the named inputs (None: of all), e.g. its wind and its noise: for `changed`."""
+        at = run - drawn.first
+        values = {name: values[at] for name, values in self.plan.columns(drawn)[0].items()}
+        if drawn.wind is not None and self.plan.wind is not None:
+            values[WIND_KEY] = self.plan.wind.profile(drawn.wind[at])
+        wanted = None if names is None else set(names)
+        return {name: v for name, v in values.items() if wanted is None or name.partition("\0")[0] in wanted}
+
+    def _loaded(self, values: Mapping[str, Any]) -> LoadedScenario:
+        return LoadedScenario(self._dispersed(values), self.base.label, self.base.files)
+
+    @cached_property
+    def _dispersed(self) -> Dispersed:
+        changes = [
+            Change(t, d.spec.apply if t.kind == "column" else "set", f"{d.name}\0{n}", d.where)
+            for d in self.plan.draws
+            for n, t in enumerate(d.targets)
+        ]
+        changes += [Change(find_target(self.base.scenario, key), "set", key) for key in self._extra]
+        return Dispersed(self.base.scenario, changes)
+
+    @property
+    def _extra(self) -> list[str]:
+        return [SEED_KEY] * self.plan.own_noise + [WIND_KEY] * (self.plan.wind is not None)
+
+    @cached_property
+    def input_names(self) -> tuple[str, ...]:
+        """All that is drawn for a run: names that `mixed` takes."""
+        return (*self.plan.names, *self._extra)
+
+    def boxes(self, sigmas: float = 3.0) -> dict[str, tuple[float, float]]:
+        """Least and greatest draw of every numeric input: what a search may use."""
+        out = {}
+        for d in self.plan.draws:
+            if d.is_text or d.spec.distribution in ("choice", "samples", "cases"):
+                continue
+            if d.group is not None and d.spec.covariance is not None:
+                centre, reach = (
+                    d.spec.centre(d.nominal),
+                    sigmas * float(np.sqrt(d.spec.covariance[d.group[1]][d.group[1]])),
+                )
+                out[d.name] = (centre - reach, centre + reach)
+            else:
+                out[d.name] = box(d.spec, d.nominal, sigmas)
+        return out
+
+
+class BatchInputs:
+    """The inputs of consecutive runs; `inputs` may be called from several threads."""
+
+    def __init__(self, loaded: LoadedCampaign, drawn: Drawn) -> None:
+        self._loaded, self._drawn = loaded, drawn
+
+    def inputs(self, run: int) -> Inputs:
+        """Draws and scenario of a run; drawn anew as a whole while its values exclude each other.
+
+        Raises CampaignError where the file refuses that, Refused where it does not help.
+        """
+        loaded, drawn = self._loaded, self._drawn
+        redraws = 0
+        while True:
+            try:
+                made = loaded.made(drawn, run)
+                return replace(made, redraws=made.redraws + redraws)
+            except Refused as refused:
+                if loaded.campaign.outside == "refuse":
+                    raise CampaignError(f"run {run}: {refused}; outside = 'resample' draws again") from None
+                redraws += 1
+                if redraws > MOST_ATTEMPTS or not loaded.plan.draws:
+                    raise
+                drawn = loaded.plan.draw(run, 1, _JOINT * redraws)
 
 
 def load_campaign(path: str | Path, overrides: Iterable[str] = ()) -> LoadedCampaign:
@@ -45,13 +199,8 @@ def description_of(campaign: LoadedCampaign) -> dict[str, Any]:
     """A campaign as JSON has it, files included: `campaign_from` makes the same one of it."""
     file = plain_value(campaign.file)
     tables = {d.name: [plain_value(table) for table in d.tables] for d in campaign.plan.draws if d.tables}
-    return {
-        "scenario": campaign.base.as_flown,
-        "campaign": file["campaign"],
-        "disperse": file["disperse"],
-        "wind_model": file.get("wind_model"),
-        "tables": tables,
-    }
+    parts = {"campaign": file["campaign"], "disperse": file["disperse"], "wind_model": file.get("wind_model")}
+    return {"scenario": campaign.base.as_flown, **parts, "tables": tables}
 
 
 def campaign_from(description: Mapping[str, Any], label: str = "campaign") -> LoadedCampaign:
@@ -60,6 +209,14 @@ def campaign_from(description: Mapping[str, Any], label: str = "campaign") -> Lo
     parts = {name: description[name] for name in CAMPAIGN_SECTIONS if description.get(name) is not None}
     file = CampaignFile.model_validate(tuples(parts))
     return made_of(loaded, file, given=tuples(description.get("tables", {})))
+
+
+class _Misplaced(Exception):
+    """A mistake in a campaign file that only the scenario shows."""
+
+    def __init__(self, path: KeyPath, problem: str, value: Any = "", allowed: str = "") -> None:
+        super().__init__(problem)
+        self.path, self.problem, self.value, self.allowed = path, problem, value, allowed
 
 
 def made_of(
@@ -72,57 +229,57 @@ def made_of(
 
     `given`: by name of a draw the tables among which it chooses, where no files can be read.
     """
-    found: list[Draw] = []
-    for n, spec in enumerate(file.disperse):
-        found += _draws(loaded, spec, n, reading, given or {})
-    taken: dict[tuple[str, tuple[tuple[str, float], ...]], str] = {}
-    for d in found:
-        for target in d.targets:
-            place = (target.key, (*d.where, *([(d.spec.tag, 0.0)] if target.kind == "column" else [])))
-            if place in taken:
-                raise _Misplaced(
-                    ("disperse", d.entry, "key"),
-                    "is dispersed twice",
-                    target.key,
-                    _TAG if target.kind == "column" else "",
-                )
-            taken[place] = d.name
-            if target.kind == "table" and file.wind_model is not None and target.key == WIND_KEY:
-                raise _Misplaced(("disperse", d.entry, "key"), "is drawn by [wind_model] already", target.key)
-    if file.campaign.noise == "each-run" and any(t.key == SEED_KEY for d in found for t in d.targets):
-        raise _Misplaced(("campaign", "noise"), "run.seed is dispersed", allowed="'as-scenario' with such a draw")
-    wind = None
+    found = [d for n, spec in enumerate(file.disperse) for d in _draws(loaded, spec, n, reading, given or {})]
+    _check_overlaps(file, found)
+    wind: Ensemble | VectorWind | None = None
     if file.wind_model is not None:
-        if loaded.scenario.wind.profile is None and file.wind_model.model == "vector":
-            raise _Misplaced(
-                ("wind_model", "model"), "there is no wind.profile to deviate from", "vector", "wind.profile"
-            )
-        if loaded.scenario.wind.speed_mps is not None:
-            raise _Misplaced(("wind_model", "model"), "cannot stand beside wind.speed_mps", file.wind_model.model)
-        wind = wind_draw(file.wind_model, loaded.scenario.wind)
-    _check_envelope(file, loaded)
-    return LoadedCampaign(loaded, file, Plan(file.campaign, tuple(found), wind))
-
-
-_TAG = "two draws that scale or add to a column, each with a tag"
-
-
-class _Misplaced(Exception):
-    """A mistake in a campaign file that only the scenario shows."""
-
-    def __init__(self, path: KeyPath, problem: str, value: Any = "", allowed: str = "") -> None:
-        super().__init__(problem)
-        self.path, self.problem, self.value, self.allowed = path, problem, value, allowed
-
-
-def _check_envelope(file: CampaignFile, loaded: LoadedScenario) -> None:
-    from maxq.sim.campaign.flying import channel_units  # noqa: PLC0415  # it loads the kernels' modules
-
+        model, scenario_wind = file.wind_model, loaded.scenario.wind
+        if scenario_wind.speed_mps is not None:
+            raise _Misplaced(("wind_model", "model"), "cannot stand beside wind.speed_mps", model.model)
+        if model.model == "ensemble":
+            wind = Ensemble(model)
+        elif scenario_wind.profile is not None:
+            wind = VectorWind(model, scenario_wind.profile)
+        else:
+            problem = "there is no wind.profile to deviate from"
+            raise _Misplaced(("wind_model", "model"), problem, "vector", "wind.profile")
     known = channel_units(loaded)
     for n, channel in enumerate(file.campaign.envelope.channels):
         if channel not in known:
             path = ("campaign", "envelope", "channels", n)
             raise _Misplaced(path, "is no log channel (docs/telemetry.md)", channel)
+    return LoadedCampaign(loaded, file, Plan(file.campaign, tuple(found), wind))
+
+
+def _check_overlaps(file: CampaignFile, found: list[Draw]) -> None:
+    """No value of the scenario is drawn twice."""
+    taken = set()
+    for d in found:
+        key: KeyPath = ("disperse", d.entry, "key")
+        for target in d.targets:
+            in_column = target.kind == "column"
+            place = (target.key, d.where, d.spec.tag if in_column else None)
+            if place in taken:
+                allowed = "two draws that scale or add to a column, each with a tag" if in_column else ""
+                raise _Misplaced(key, "is dispersed twice", target.key, allowed)
+            taken.add(place)
+            if target.key == WIND_KEY and file.wind_model is not None:
+                raise _Misplaced(key, "is drawn by [wind_model] already", target.key)
+            if target.key == SEED_KEY and file.campaign.noise == "each-run":
+                allowed = "'as-scenario' with such a draw"
+                raise _Misplaced(("campaign", "noise"), "run.seed is dispersed", allowed=allowed)
+
+
+def channel_units(loaded: LoadedScenario) -> dict[str, str]:
+    """Log channels that an envelope may ask for, with their units."""
+    from maxq.sim.flight.telemetry import FAST, SLOW  # noqa: PLC0415  # lazy: loads the kernels' modules
+    from maxq.sim.packing.schedule import stage_sizes  # noqa: PLC0415  # lazy: as above
+    from maxq.sim.run.fly import logged_channels  # noqa: PLC0415  # lazy: as above
+
+    stages = loaded.vehicle.stage
+    widest = max((stage_sizes(stage, loaded.scenario.switches) for stage in stages), key=lambda s: s.tanks)
+    table = logged_channels(loaded.vehicle, widest)
+    return {channel.name: channel.unit for group in (FAST, SLOW) for channel in table.columns(group)}
 
 
 def _draws(
@@ -131,73 +288,60 @@ def _draws(
     entry: int,
     reading: Reading | None,
     given: Mapping[str, tuple[Any, ...]],
-) -> list[Draw]:
-    scenario = loaded.scenario
+) -> Iterator[Draw]:
+    """The draws of an entry of [[disperse]]."""
+    here: KeyPath = ("disperse", entry)
 
     def target_of(key: str, where: KeyPath) -> Target:
         try:
-            target = find_target(scenario, key)
+            target = find_target(loaded.scenario, key)
         except BadKey as bad:
             raise _Misplaced(where, bad.problem, key, bad.allowed) from None
-        _check_fits(spec, target, where)
+        _check_fits(spec, target, here)
         return target
 
-    here: KeyPath = ("disperse", entry)
-    if spec.distribution == "cases":
-        assert spec.file is not None
-        return [
-            Draw(_column_name(key, spec), key, entry, spec, (target_of(key, (*here, "file")),), samples=column)
-            for key, column in spec.file.columns.items()
-        ]
+    def named(key: str) -> str:
+        """Name of the column in the data set: the key, which rows of a table, and the tag."""
+        marks = [f"{name}={value:g}" for name, value in (spec.where or {}).items()] + [spec.tag] * bool(spec.tag)
+        return f"{key}[{','.join(marks)}]" if marks else key
+
+    if spec.distribution == "cases" and spec.file is not None:
+        for key, column in spec.file.columns.items():
+            yield Draw(named(key), key, entry, spec, (target_of(key, (*here, "file")),), samples=column)
+        return
     if spec.key is not None:
-        keys: tuple[str, ...] = (spec.key,)
-        places: list[KeyPath] = [(*here, "key")]
+        keys, targets = [spec.key], [target_of(spec.key, (*here, "key"))]
     else:
-        keys = spec.keys or ()
-        places = [(*here, "keys", n) for n in range(len(keys))]
-    targets = [target_of(key, place) for key, place in zip(keys, places, strict=True)]
+        keys = list(spec.keys or ())
+        targets = [target_of(key, (*here, "keys", n)) for n, key in enumerate(keys)]
     if spec.covariance is not None:
-        return [
-            Draw(_column_name(key, spec), key, entry, spec, (target,), (entry, n))
-            for n, (key, target) in enumerate(zip(keys, targets, strict=True))
-        ]
-    samples = None
-    if spec.distribution == "samples":
-        assert spec.file is not None
-        samples = spec.file.columns[spec.column or spec.file.only]
-    name = _column_name(keys[0], spec)
-    tables: tuple[CsvTable, ...] = ()
-    if targets[0].kind == "table":
-        tables = _tables(spec, targets[0], here, reading, given.get(name))
-    return [Draw(name, spec.name or keys[0], entry, spec, tuple(targets), samples=samples, tables=tables)]
+        for n, (key, target) in enumerate(zip(keys, targets, strict=True)):
+            yield Draw(named(key), key, entry, spec, (target,), (entry, n))
+        return
+    name = named(keys[0])
+    samples = spec.file[spec.sample_column] if spec.file is not None else None
+    tables = _tables(spec, targets[0], here, reading, given.get(name)) if targets[0].kind == "table" else ()
+    yield Draw(name, spec.name or keys[0], entry, spec, tuple(targets), samples=samples, tables=tables)
 
 
-def _column_name(key: str, spec: Disperse) -> str:
-    """Name of the column in the data set: the key, which rows of a table, and the tag."""
-    marks = [f"{name}={value:g}" for name, value in (spec.where or {}).items()] + [spec.tag] * bool(spec.tag)
-    return f"{key}[{','.join(marks)}]" if marks else key
-
-
-def _check_fits(spec: Disperse, target: Target, where: KeyPath) -> None:
-    at = where[:2]
+def _check_fits(spec: Disperse, target: Target, at: KeyPath) -> None:
+    """A distribution and the value it is for, one against the other."""
     if target.kind in ("text", "table"):
         if spec.distribution != "choice" or spec.apply != "set":
             raise _Misplaced((*at, "distribution"), f"{target.key} holds no number", spec.distribution, "'choice'")
         if not all(isinstance(value, str) for value in spec.values or ()):
             raise _Misplaced((*at, "values"), f"{target.key} holds no number", allowed="texts")
         return
-    if spec.distribution == "choice" and any(isinstance(value, str) for value in spec.values or ()):
+    if any(isinstance(value, str) for value in spec.values or ()):
         raise _Misplaced((*at, "values"), f"{target.key} holds a number", allowed="numbers")
     if spec.where is not None and target.kind != "column":
         raise _Misplaced((*at, "where"), f"{target.key} is no column of a table")
-    unknown = np.isnan(target.nominal) and target.kind != "column"
-    centred = spec.distribution in ("normal", "truncated-normal") and spec.mean is None
-    centred = centred or (spec.distribution == "log-normal" and spec.median is None)
-    if unknown and spec.apply != "set":
+    is_column = target.kind == "column"
+    if spec.apply != "set" and not is_column and np.isnan(target.nominal):
         raise _Misplaced((*at, "apply"), f"{target.key} has no value to start from", spec.apply, "'set'")
-    if spec.apply == "set" and centred and (unknown or target.kind == "column"):
-        missing = "median" if spec.distribution == "log-normal" else "mean"
-        raise _Misplaced((*at, missing), f"required key is missing: {target.key} has no value of its own")
+    centre = {"normal": "mean", "truncated-normal": "mean", "log-normal": "median"}.get(spec.distribution)
+    if spec.apply == "set" and centre is not None and getattr(spec, centre) is None and np.isnan(target.nominal):
+        raise _Misplaced((*at, centre), f"required key is missing: {target.key} has no value of its own")
 
 
 def _tables(

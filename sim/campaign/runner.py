@@ -1,4 +1,4 @@
-"""Flies a campaign on this machine: threads over the compiled kernel, which lets go of the interpreter.
+"""Flies a campaign on this machine: threads over the compiled kernel, which releases the interpreter's lock.
 
     result = run_campaign(load_campaign("campaigns/first"), Path("runs/first"), workers=2)
 
@@ -9,37 +9,109 @@ landed. So memory holds the batches under way, however many runs there are, and 
 from __future__ import annotations
 
 import gc
+import math
 import os
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterable, Iterator
+from bisect import bisect_right
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from dataclasses import dataclass, field
-from itertools import islice, takewhile
+from itertools import count, islice, takewhile
 from pathlib import Path
+from typing import Any, Protocol
 
-from maxq.sim.campaign.error import CampaignError
-from maxq.sim.campaign.flying import GivenUp, Order, Row, fly_rows, packer
-from maxq.sim.campaign.loaded import LoadedCampaign
-from maxq.sim.campaign.standing import Standing
-from maxq.sim.campaign.store import Store, open_store
+import pyarrow.parquet as pq
+
+from maxq.sim.campaign.analysis import requirements_of
+from maxq.sim.campaign.read import LoadedCampaign
+from maxq.sim.campaign.runs import VOID, Row, fly_rows, packer
+from maxq.sim.campaign.statistics import OPEN, judge_any_time
+from maxq.sim.campaign.store import Store, open_store, parts_in
 from maxq.sim.run.fly import FlightRun
+from maxq.sim.run.metrics import judge
+from maxq.sim.scenario.schema_scenario import Requirement
 
 HANDFUL = 8  # runs of a handful; towards the end fewer, so that all workers end together
-_AHEAD = 2  # handfuls for each worker that are handed out before they are needed
+AHEAD = 2  # tasks for each worker that are handed out before they are needed
 _LOOK_S = 0.2  # how often the caller is told, and asked whether to stop
+
+Gap = tuple[int, int]
+"""Runs to be flown and written together: the first, and how many."""
+
+
+@dataclass
+class Tally:
+    """A requirement so far (None: that control is kept). `worst` is nan while no run has a value."""
+
+    name: str
+    requirement: Requirement | None
+    failures: int = 0
+    failures_in_order: int = 0  # of the runs without a gap from the first one on
+    worst: float = math.nan
+
+    def add(self, outcome: str, cause: str, metrics: Mapping[str, Any]) -> bool:
+        """Count a run; whether it misses the requirement. A run without usable metrics misses all of them."""
+        void = outcome in VOID
+        if self.requirement is None:
+            missed = void or bool(cause)
+        else:
+            missed = void or not judge(self.requirement, metrics, metrics).met
+            value = math.nan if void else metrics[self.requirement.metric]
+            worse = max if self.requirement.limit is not None else min
+            self.worst = value if math.isnan(self.worst) else worse(self.worst, value)
+        self.failures += missed
+        return missed
+
+
+class Interim:
+    """Tallies of all runs, and of the runs without a gap from the first one on, which verdicts under way are taken on.
+
+    Runs land in an order that depends on how long they take, and so on whether they fail: a verdict on whatever has
+    landed would be biased.
+    """
+
+    def __init__(self, campaign: LoadedCampaign) -> None:
+        self.tallies = [Tally(name, requirement) for name, requirement in requirements_of(campaign)]
+        self.failed = 0
+        self._level = campaign.campaign.success, campaign.campaign.confidence
+        self._in_order = 0
+        self._ahead: dict[int, list[bool]] = {}
+
+    def read(self, folder: Path, runs: int) -> None:
+        """Count what a folder holds of the first `runs` runs."""
+        metrics = dict.fromkeys(t.requirement.metric for t in self.tallies if t.requirement)
+        wanted = ["run", "outcome", "passed", "cause", *metrics]
+        for part in parts_in(folder):
+            if part.first < runs:
+                table = pq.read_table(part.path, columns=wanted, partitioning=None).slice(0, runs - part.first)
+                for row in table.to_pylist():
+                    self.add(row["run"], row["outcome"], row["passed"], row["cause"], row)
+
+    def add(self, run: int, outcome: str, passed: bool, cause: str, metrics: Mapping[str, Any]) -> None:
+        self.failed += not passed
+        self._ahead[run] = [tally.add(outcome, cause, metrics) for tally in self.tallies]
+        while self._in_order in self._ahead:
+            for tally, missed in zip(self.tallies, self._ahead.pop(self._in_order), strict=True):
+                tally.failures_in_order += missed
+            self._in_order += 1
+
+    def settled(self) -> bool:
+        """Whether the verdict on every requirement stands, however often one has looked."""
+        n = self._in_order
+        return n > 0 and all(judge_any_time(t.failures_in_order, n, *self._level) != OPEN for t in self.tallies)
 
 
 @dataclass
 class Progress:
-    """How a campaign stands; `watch` gets it a few times a second."""
+    """The state of a campaign; `watch` gets it a few times a second."""
 
     total: int
     before: int  # runs that were there when this began
+    interim: Interim
     flown: int = 0  # since then
     started_s: float = field(default_factory=time.monotonic)
-    standing: Standing = field(default_factory=Standing)
 
     @property
     def done(self) -> int:
@@ -56,12 +128,12 @@ class Progress:
 
     @property
     def left_s(self) -> float:
-        return (self.total - self.done) / self.rate if self.flown else float("inf")
+        return (self.total - self.done) / self.rate if self.flown else math.inf
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """What became of a call: `stopped` by the caller, `settled` before all runs were needed, or all flown."""
+    """The result of a call: `stopped` by the caller, `settled` before all runs were needed, or all flown."""
 
     flown: int
     total: int
@@ -71,9 +143,24 @@ class Outcome:
     notes: tuple[str, ...]
 
 
-def cores() -> int:
-    """Cores that this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+class Team(Protocol):
+    """What flies tasks of some runs each: the threads of this process, or a cluster."""
+
+    @property
+    def ahead(self) -> int:
+        """Tasks that are handed out before they are needed."""
+
+    def batch(self, usual: int, runs: int) -> int:
+        """Runs in a batch of a campaign of `runs` runs."""
+
+    def begin(self, gaps: list[Gap]) -> Iterator[Future[Any]]:
+        """Get ready; an iterator that hands out the next task."""
+
+    def collect(self, task: Future[Any]) -> list[Row] | Future[Any]:
+        """Rows of a task that is done, or the task that is to be waited for instead. Raises CampaignError."""
+
+    def end(self) -> None:
+        """Drop the tasks that have not begun, give up those under way."""
 
 
 def run_campaign(
@@ -87,52 +174,126 @@ def run_campaign(
 ) -> Outcome:
     """Fly what is missing of a campaign into its folder.
 
-    `watch` is told how it stands a few times a second; when `stop` then says True, whole runs of the batch under way
+    `watch` is told of the progress a few times a second; when `stop` then says True, whole runs of the batch under way
     are written and it ends. Raises CampaignError.
     """
-    store, batch = open_store(folder, campaign)
-    try:
-        return _run(campaign, store, batch, workers or cores(), watch, stop, until_settled)
-    finally:
-        store.unlock()
+    return fly_missing(campaign, folder, Threads(campaign, workers or cores()), watch, stop, until_settled)
 
 
-def _run(
+def fly_missing(
     campaign: LoadedCampaign,
-    store: Store,
-    batch: int,
-    workers: int,
+    folder: Path,
+    team: Team,
     watch: Callable[[Progress], None],
     stop: Callable[[], bool],
     until_settled: bool,
 ) -> Outcome:
+    """As `run_campaign`, by any team."""
+    store, usual = open_store(folder, campaign)
     runs = campaign.campaign.runs
-    gaps = list(store.missing(runs, batch))
-    before = runs - sum(count for _, count in gaps)
-    if gaps:
-        load_kernels(campaign)
-    progress = Progress(runs, before, standing=Standing.of(store, campaign, runs))
-    flight = _Local(campaign, store, gaps, workers, progress)
-    settled = until_settled and progress.standing.settled()
-    stopped = False
-    watch(progress)
-    gc.freeze()  # what is there already stays: searching it for garbage took a hundredth of a campaign's time
     try:
-        while not settled and flight.go_on():
-            if stop():
-                stopped = True
-                break
-            settled = until_settled and progress.standing.settled()
-            watch(progress)
-    except BaseException:
-        flight.end()
-        raise
+        gaps = list(store.missing(runs, team.batch(usual, runs)))
+        tasks = team.begin(gaps)
+        interim = Interim(campaign)
+        interim.read(folder, runs)
+        progress = Progress(runs, runs - sum(size for _, size in gaps), interim)
+        batches = _Batches(store, gaps, progress)
+        stopped, settled = False, until_settled and interim.settled()
+        flying: set[Future[Any]] = set()
+        watch(progress)
+        frozen = gc.get_freeze_count() == 0  # else another has frozen what was there, and it stays so
+        if frozen:
+            gc.freeze()  # searching what is there already for garbage takes a hundredth of a campaign's time
+        try:
+            while not (settled or stopped):
+                flying.update(islice(tasks, max(team.ahead - len(flying), 0)))
+                if not flying:
+                    break
+                landed, flying = wait(flying, timeout=_LOOK_S, return_when=FIRST_COMPLETED)
+                for task in landed:
+                    got = team.collect(task)
+                    if isinstance(got, Future):
+                        flying.add(got)
+                    else:
+                        batches.enter(got)
+                stopped = stop()
+                settled = not stopped and until_settled and interim.settled()
+                watch(progress)
+        finally:
+            if frozen:
+                gc.unfreeze()
+            team.end()
+        for task in flying:
+            if task.done() and not task.cancelled() and task.exception() is None:
+                got = team.collect(task)
+                batches.enter(() if isinstance(got, Future) else got)
+        batches.write_begun()
+        watch(progress)
+        return Outcome(progress.flown, runs, stopped, settled, progress.elapsed_s, tuple(store.notes))
     finally:
-        gc.unfreeze()
-    flight.end()
-    flight.write_begun()
-    watch(progress)
-    return Outcome(progress.flown, runs, stopped, settled, progress.elapsed_s, tuple(store.notes))
+        store.unlock()
+
+
+class _Batches:
+    """Rows that have landed, until their batch is whole and written."""
+
+    def __init__(self, store: Store, gaps: list[Gap], progress: Progress) -> None:
+        self._store, self._gaps, self._progress = store, gaps, progress
+        self._rows: dict[int, dict[int, Row]] = {}  # by the batch's first run and by run
+
+    def enter(self, rows: Iterable[Row]) -> None:
+        for row in rows:
+            first, size = self._gaps[bisect_right(self._gaps, row.run, key=lambda gap: gap[0]) - 1]
+            batch = self._rows.setdefault(first, {})
+            batch[row.run] = row
+            self._progress.flown += 1
+            self._progress.interim.add(row.run, row.outcome, row.passed, row.cause, row.metrics)
+            if len(batch) == size:
+                self._store.write(list(batch.values()))
+                del self._rows[first]
+
+    def write_begun(self) -> None:
+        """Write the batches under way as far as they have no gap."""
+        for first, batch in self._rows.items():
+            whole = [batch[run] for run in takewhile(batch.__contains__, count(first))]
+            if whole:
+                self._store.write(whole)
+
+
+class Threads:
+    """Threads of this process: a team."""
+
+    def __init__(self, campaign: LoadedCampaign, workers: int) -> None:
+        self._campaign, self._workers = campaign, workers
+        self._stop = threading.Event()
+        self._switch_s = sys.getswitchinterval()
+        self._pool = ThreadPoolExecutor(workers, thread_name_prefix="run")
+        self.ahead = AHEAD * workers
+
+    def batch(self, usual: int, runs: int) -> int:
+        return usual
+
+    def begin(self, gaps: list[Gap]) -> Iterator[Future[list[Row]]]:
+        if gaps:
+            load_kernels(self._campaign)
+        return self._tasks(gaps)
+
+    def _tasks(self, gaps: list[Gap]) -> Iterator[Future[list[Row]]]:
+        batches = ((self._campaign.batch(first, size), first, size) for first, size in gaps)
+        orders = ((inputs, run) for inputs, first, size in batches for run in range(first, first + size))
+        left = sum(size for _, size in gaps)
+        sys.setswitchinterval(min(self._switch_s, 5e-4))  # a thread that comes back from the kernel waits no longer
+        while handful := list(islice(orders, min(max(left // (2 * self.ahead), 1), HANDFUL))):
+            left -= len(handful)
+            yield self._pool.submit(fly_rows, self._campaign, handful, self._stop.is_set)
+
+    def collect(self, task: Future[list[Row]]) -> list[Row]:
+        return task.result()
+
+    def end(self) -> None:
+        self._stop.set()
+        self._pool.shutdown(cancel_futures=True)
+        sys.setswitchinterval(self._switch_s)
 
 
 def load_kernels(campaign: LoadedCampaign) -> None:
@@ -140,88 +301,6 @@ def load_kernels(campaign: LoadedCampaign) -> None:
     FlightRun(campaign.base, packer(campaign)(campaign.base.scenario), log=False).result()
 
 
-@dataclass
-class _Open:
-    """A batch under way."""
-
-    first: int
-    count: int
-    rows: dict[int, Row] = field(default_factory=dict)
-
-
-class _Local:
-    """Threads, the runs that they fly, and the batches that are not whole yet."""
-
-    def __init__(
-        self, campaign: LoadedCampaign, store: Store, gaps: list[tuple[int, int]], workers: int, progress: Progress
-    ) -> None:
-        self._campaign, self._store, self._progress = campaign, store, progress
-        self._stop = threading.Event()
-        self._workers, self._left = workers, sum(count for _, count in gaps)
-        self._next = self._orders(gaps)
-        self._flying: set[Future[list[Row]]] = set()
-        self._open: dict[int, _Open] = {}
-        self._batch_of: dict[int, _Open] = {}
-        self._switch_s = sys.getswitchinterval()
-        sys.setswitchinterval(min(self._switch_s, 5e-4))  # a thread that comes back from the kernel waits no longer
-        self._pool = ThreadPoolExecutor(workers, thread_name_prefix="run")
-
-    def _orders(self, gaps: list[tuple[int, int]]) -> Iterator[Order]:
-        for first, count in gaps:
-            inputs = self._campaign.batch(first, count)
-            opened = _Open(first, count)
-            self._open[first] = opened
-            for run in range(first, first + count):
-                self._batch_of[run] = opened
-                yield inputs, run
-
-    def go_on(self) -> bool:
-        """Hand out runs, collect those that have landed, write whole batches. False when all is done."""
-        while len(self._flying) < _AHEAD * self._workers:
-            orders = list(islice(self._next, self._handful()))
-            if not orders:
-                break
-            self._left -= len(orders)
-            self._flying.add(self._pool.submit(fly_rows, self._campaign, orders, self._stop.is_set))
-        if not self._flying:
-            return False
-        landed, _ = wait(self._flying, timeout=_LOOK_S, return_when=FIRST_COMPLETED)
-        for future in landed:
-            self._flying.remove(future)
-            self._enter(future.result())
-        return True
-
-    def _handful(self) -> int:
-        return min(max(self._left // (2 * _AHEAD * self._workers), 1), HANDFUL)
-
-    def end(self) -> None:
-        """End the threads: runs that have not begun are dropped, those under way are given up."""
-        self._stop.set()
-        self._pool.shutdown(cancel_futures=True)
-        sys.setswitchinterval(self._switch_s)
-
-    def write_begun(self) -> None:
-        """Write what has landed of the batches under way, as far as it has no gap."""
-        for future in self._flying:
-            if not future.cancelled() and future.exception() is None:
-                self._enter(future.result())
-        self._flying.clear()
-        for opened in list(self._open.values()):
-            runs = range(opened.first, opened.first + opened.count)
-            whole = [opened.rows[run] for run in takewhile(opened.rows.__contains__, runs)]
-            if whole:
-                self._store.write(whole)
-
-    def _enter(self, rows: Iterable[Row]) -> None:
-        """Rows that have landed; a batch that they make whole is written."""
-        for row in rows:
-            opened = self._batch_of.pop(row.run)
-            opened.rows[row.run] = row
-            self._progress.flown += 1
-            self._progress.standing.add(row)
-            if len(opened.rows) == opened.count:
-                self._store.write(list(opened.rows.values()))
-                del self._open[opened.first]
-
-
-__all__ = ["CampaignError", "GivenUp", "Outcome", "Progress", "cores", "run_campaign"]
+def cores() -> int:
+    """Cores that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
+import math
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import Field, ValidationInfo, ValidatorFunctionWrapHandler, WrapValidator, model_validator
+from pydantic import Field, ValidatorFunctionWrapHandler, WrapValidator, model_validator
 
-from maxq.sim.campaign.samples import SampleTable
 from maxq.sim.run.metrics import METRIC_NAMES
 from maxq.sim.scenario.documents import Text
 from maxq.sim.scenario.errors import refuse
@@ -21,16 +21,21 @@ WIND_MODEL_COLUMNS = Columns(
     optional=("correlation",),
     not_negative=("sigma_north_mps", "sigma_east_mps"),
 )
+KEEP_ALLOWED = "worst:5, worst:5:max_alpha_deg, failed, failed:20, 0,17"
 Outside = Literal["resample", "refuse"]
+Order = Literal["random", "in-turn"]
 Level = Annotated[float, Field(gt=0.0, lt=1.0)]
 
 
-def _with_source(value: Any, usual: ValidatorFunctionWrapHandler) -> Any:
-    """A text as it is, for it may name a file, which is looked for beside the file that names it."""
+def _as_read(value: Any, usual: ValidatorFunctionWrapHandler) -> Any:
+    """A text stays as it was read: it may name a file, which is looked for beside the file that names it."""
     return value if isinstance(value, Text) else usual(value)
 
 
-Choice = Annotated[float | int | str, WrapValidator(_with_source)]
+Choice = Annotated[float | int | str, WrapValidator(_as_read)]
+
+
+Samples = Annotated[CsvTable, Columns("")]
 
 
 class Envelope(Section):
@@ -84,6 +89,27 @@ class Campaign(Section):
     envelope: Envelope = Envelope()
 
 
+_MEANINGFUL: dict[str, tuple[str, ...]] = {
+    "normal": ("mean", "sigma", "three_sigma", "covariance"),
+    "truncated-normal": ("mean", "sigma", "three_sigma", "low", "high"),
+    "uniform": ("low", "high"),
+    "log-normal": ("median", "sigma", "three_sigma"),
+    "triangular": ("low", "mode", "high"),
+    "choice": ("values", "weights"),
+    "samples": ("file", "column"),
+    "cases": ("file",),
+}
+"""Keys that have a meaning with each distribution only."""
+_REQUIRED = {
+    "low": "a number",
+    "high": "a number",
+    "mode": "a number",
+    "values": "a list of values",
+    "file": "a CSV file",
+}
+"""Keys that are required where they have a meaning; low and high are optional in a truncated normal distribution."""
+
+
 class Disperse(Section):
     """A value of the scenario that differs from run to run."""
 
@@ -112,15 +138,37 @@ class Disperse(Section):
     median: Positive | None = Field(default=None, description="log-normal (default: 1 to scale, else the value)")
     values: tuple[Choice, ...] | None = Field(default=None, description="choice: numbers, texts or files")
     weights: tuple[NotNegative, ...] | None = Field(default=None, description="choice: how often each (default alike)")
-    file: SampleTable | None = Field(default=None, description="samples, cases: a CSV file")
+    file: Samples | None = Field(default=None, description="samples, cases: a CSV file")
     column: str | None = Field(default=None, description="samples: column of the file (default: its only one)")
-    order: Literal["random", "in-turn"] = Field(
+    order: Order = Field(
         default="random", description="samples, cases: a row at random, or row i for run i (again from the first)"
     )
     covariance: tuple[tuple[float, ...], ...] | None = Field(default=None, description="normal with keys: the matrix")
     at_least: float | None = Field(default=None, description="the value that results is not below this")
     at_most: float | None = Field(default=None, description="the value that results is not above this")
     outside: Outside | None = Field(default=None, description="as campaign.outside, for this one")
+
+    @property
+    def sigma_of_normal(self) -> float:
+        """Standard deviation of a normal distribution, of ln(x) of a log-normal one."""
+        return self.sigma if self.sigma is not None else (self.three_sigma or 0.0) / 3.0
+
+    @property
+    def ends(self) -> tuple[float, float]:
+        """`low` and `high`, infinite where they are not given."""
+        return -math.inf if self.low is None else self.low, math.inf if self.high is None else self.high
+
+    @property
+    def sample_column(self) -> str:
+        """The column that samples are drawn from; empty where it is not given and there are several."""
+        names = list(self.file.columns) if self.file is not None else []
+        return self.column or (names[0] if len(names) == 1 else "")
+
+    def centre(self, nominal: float) -> float:
+        """The mean of a normal draw; without one the draw that changes nothing."""
+        if self.mean is not None:
+            return self.mean
+        return {"set": nominal, "scale": 1.0, "add": 0.0}[self.apply]
 
     @model_validator(mode="after")
     def _check(self) -> Disperse:
@@ -132,20 +180,16 @@ class Disperse(Section):
             raise refuse("needs one of key, keys", "a key path", key=("key",))
         if self.keys is not None and (not self.keys or len(set(self.keys)) != len(self.keys)):
             raise refuse("names no key, or one twice", "different keys", key=("keys",))
-        is_normal = self.distribution in ("normal", "truncated-normal")
-        spread = self.distribution == "log-normal" or (is_normal and self.covariance is None)
-        only_with(self, ("sigma", "three_sigma"), spread, "a normal or log-normal distribution")
-        only_with(self, ("mean",), is_normal, "a normal distribution")
-        bounded = self.distribution in ("uniform", "triangular", "truncated-normal")
-        only_with(self, ("low", "high"), bounded, "'uniform', 'triangular', 'truncated-normal'")
-        only_with(self, ("mode",), self.distribution == "triangular", "distribution = 'triangular'")
-        only_with(self, ("median",), self.distribution == "log-normal", "distribution = 'log-normal'")
-        only_with(self, ("values", "weights"), self.distribution == "choice", "distribution = 'choice'")
-        only_with(self, ("file",), self.distribution in ("samples", "cases"), "'samples', 'cases'")
-        only_with(self, ("column",), self.distribution == "samples", "distribution = 'samples'")
-        only_with(self, ("covariance",), self.distribution == "normal", "distribution = 'normal'")
-        if spread and (self.sigma is None) == (self.three_sigma is None):
-            raise refuse("needs one of sigma, three_sigma", "a number >= 0", key=("sigma",))
+        meaningful = _MEANINGFUL[self.distribution]
+        for key in {key: None for keys in _MEANINGFUL.values() for key in keys}:
+            laws = ", ".join(f"'{law}'" for law, keys in _MEANINGFUL.items() if key in keys)
+            only_with(self, (key,), key in meaningful, laws)
+            if key in _REQUIRED and key in meaningful and self.distribution != "truncated-normal":
+                needs(self, key, f"distribution is '{self.distribution}'", _REQUIRED[key])
+        only_with(self, ("sigma", "three_sigma"), self.covariance is None, "a distribution without covariance")
+        if "sigma" in meaningful and self.covariance is None:
+            if (self.sigma is None) == (self.three_sigma is None):
+                raise refuse("needs one of sigma, three_sigma", "a number >= 0", key=("sigma",))
         self._check_bounds()
         self._check_lists()
         if self.covariance is not None:
@@ -153,33 +197,23 @@ class Disperse(Section):
         return self
 
     def _check_bounds(self) -> None:
-        if self.distribution in ("uniform", "triangular"):
-            because = f"distribution is '{self.distribution}'"
-            low, high = (needs(self, key, because, "a number") for key in ("low", "high"))
-            if not low <= high:
-                raise refuse("low lies above high", f"at most {high:g}", key=("low",))
-        if self.distribution == "triangular":
-            assert self.low is not None
-            assert self.high is not None
-            if not self.low <= needs(self, "mode", "distribution is 'triangular'", "a number") <= self.high:
-                raise refuse("lies outside low .. high", f"{self.low:g} .. {self.high:g}", key=("mode",))
-        if self.distribution == "truncated-normal":
-            if self.low is None and self.high is None:
-                raise refuse("needs low, high or both", "a number", key=("low",))
-            if self.low is not None and self.high is not None and self.low >= self.high:
-                raise refuse("low lies above high", f"less than {self.high:g}", key=("low",))
+        low, high = self.ends
+        if self.distribution == "truncated-normal" and low == -high == -math.inf:
+            raise refuse("needs low, high or both", "a number", key=("low",))
+        if low > high or (low == high and self.distribution == "truncated-normal"):
+            raise refuse("low lies above high", f"at most {high:g}", key=("low",))
+        if self.mode is not None and not low <= self.mode <= high:
+            raise refuse("lies outside low .. high", f"{low:g} .. {high:g}", key=("mode",))
 
     def _check_lists(self) -> None:
-        if self.distribution == "choice":
-            values = needs(self, "values", "distribution is 'choice'", "a list of values")
-            if not values:
+        if self.values is not None:
+            if not self.values:
                 raise refuse("is empty", "one value or more", key=("values",))
-            if self.weights is not None and (len(self.weights) != len(values) or not sum(self.weights) > 0.0):
-                raise refuse("do not fit the values", f"{len(values)} numbers >= 0, not all 0", key=("weights",))
-        if self.distribution in ("samples", "cases"):
-            table: SampleTable = needs(self, "file", f"distribution is '{self.distribution}'", "a CSV file")
-            if self.distribution == "samples" and (self.column or table.only) not in table.columns:
-                raise refuse("the file has no such column", ", ".join(table.columns), key=("column",))
+            if self.weights is not None and (len(self.weights) != len(self.values) or not sum(self.weights) > 0.0):
+                raise refuse("do not fit the values", f"{len(self.values)} numbers >= 0, not all 0", key=("weights",))
+        if self.distribution == "samples" and self.file is not None:
+            if self.sample_column not in self.file:
+                raise refuse("the file has no such column", ", ".join(self.file.columns), key=("column",))
 
     def _check_covariance(self, matrix: tuple[tuple[float, ...], ...]) -> None:
         n = len(self.keys or ())
@@ -208,7 +242,7 @@ class WindModel(Section):
     profiles: tuple[Annotated[CsvTable, WIND_COLUMNS], ...] | None = Field(
         default=None, description="ensemble: CSV files as for wind.profile"
     )
-    order: Literal["random", "in-turn"] = Field(default="random", description="ensemble: at random, or i for run i")
+    order: Order = Field(default="random", description="ensemble: at random, or i for run i")
 
     @model_validator(mode="after")
     def _check(self) -> WindModel:
@@ -233,14 +267,11 @@ class CampaignFile(Section):
     wind_model: WindModel | None = Field(default=None, description="absent: every run has the scenario's wind")
 
     @model_validator(mode="after")
-    def _check(self, info: ValidationInfo) -> CampaignFile:
+    def _check(self) -> CampaignFile:
         for n, text in enumerate(self.campaign.keep):
             if not keep_is_known(text):
                 raise refuse("is no selection", KEEP_ALLOWED, key=("campaign", "keep", n))
         return self
-
-
-KEEP_ALLOWED = "worst:5, worst:5:max_alpha_deg, failed, failed:20, 0,17"
 
 
 def keep_is_known(text: str) -> bool:
@@ -258,8 +289,8 @@ def plain_value(value: Any) -> Any:
     if isinstance(value, Section):
         items = {name: getattr(value, name) for name in type(value).model_fields}
         return {name: plain_value(item) for name, item in items.items() if item is not None}
-    if isinstance(value, CsvTable | SampleTable):
-        label = {FILE_KEY: value.file} if isinstance(value, CsvTable) and value.file else {}
+    if isinstance(value, CsvTable):
+        label = {FILE_KEY: value.file} if value.file else {}
         return label | {name: column.tolist() for name, column in value.columns.items()}
     if isinstance(value, tuple):
         return [plain_value(item) for item in value]

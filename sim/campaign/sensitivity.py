@@ -1,11 +1,11 @@
-"""What drives a metric, from the samples that were flown anyway: no further runs.
+"""Global sensitivity of a metric to the dispersed inputs, from the runs that were flown: no further runs.
 
 - rank correlation (Spearman): sign and strength of a monotone influence;
-- first-order Sobol' index: the share of the metric's variance that goes when the input is known, as the variance
-  between classes of the input (Pearson's correlation ratio), corrected for the number of classes;
+- first-order Sobol' index: the share of the metric's variance that the input explains, as the variance between classes
+  of the input (Pearson's correlation ratio), corrected for the number of classes;
 - Borgonovo's delta: how far the metric's distribution moves, on average, when the input is known, as half the
   difference between the histograms of a class and of all (Plischke, Borgonovo & Smith, EJOR 226, 2013), less what the
-  same number of runs gives for an input that has nothing to do with it. It also sees what acts on the spread alone.
+  same number of runs gives for an independent input. It also detects an influence on the spread alone.
 
 All are of inputs one by one. Inputs that are correlated with each other (neighbouring winds) share their influence.
 """
@@ -19,17 +19,17 @@ import numpy as np
 
 from maxq.control.kernel.records import Array, IntArray
 from maxq.sim.campaign.analysis import DataSet
-from maxq.sim.campaign.columns import input_types
 from maxq.sim.campaign.plan import SEED_KEY
+from maxq.sim.campaign.runs import input_types
 
-MOST_RUNS = 20_000  # the first so many are used: more sharpen nothing that a person could see
-FEWEST_RUNS = 30
+_MOST_RUNS = 20_000  # the first so many are used: more change nothing in the digits that are shown
+_FEWEST_RUNS = 30
 _SHUFFLES = 8
 
 
 @dataclass(frozen=True)
 class Driver:
-    """An input and what it does to a metric. `noise`: what |rank| stays below without any influence (2 sigma)."""
+    """Influence of an input on a metric. `noise`: bound of |rank| for an input without influence (2 sigma)."""
 
     name: str
     rank: float
@@ -44,10 +44,9 @@ class Driver:
 
 def rank_correlation(x: Array, y: Array) -> float:
     """Spearman's; 0 where one of them does not vary."""
-    a, b = _ranks(x), _ranks(y)
-    a, b = a - a.mean(), b - b.mean()
-    scale = math.sqrt(float((a * a).sum()) * float((b * b).sum()))
-    return float((a * b).sum()) / scale if scale > 0.0 else 0.0
+    from scipy.stats import spearmanr  # noqa: PLC0415  # lazy: a second to import, at a campaign's end only
+
+    return float(spearmanr(x, y).statistic) if np.ptp(x) > 0.0 and np.ptp(y) > 0.0 else 0.0
 
 
 def first_order(x: Array, y: Array) -> float:
@@ -91,46 +90,35 @@ def _classes(x: Array) -> IntArray:
     return np.searchsorted(np.unique(edges), x, side="right")
 
 
-def _ranks(x: Array) -> Array:
-    """Ranks, equal for equal values."""
-    _, where, count = np.unique(x, return_inverse=True, return_counts=True)
-    last = np.cumsum(count)
-    return np.asarray((last - 0.5 * (count - 1))[where], dtype=float)
-
-
 def sample_of(data: DataSet) -> DataSet:
-    """The runs that drivers are looked for in."""
-    return data if len(data.runs) <= MOST_RUNS else DataSet(data.folder, data.campaign, limit=MOST_RUNS)
+    """The runs that the indices are estimated from."""
+    return data if len(data.runs) <= _MOST_RUNS else DataSet(data.folder, data.campaign, limit=_MOST_RUNS)
 
 
 def inputs_of(sample: DataSet) -> dict[str, Array]:
-    """Numeric inputs of the runs that mean something, by name; those that do not vary are left out."""
-    data, good = sample, ~sample.void
+    """Numeric inputs of the runs with usable metrics, by name; those that do not vary are left out."""
+    good = ~sample.void
     out = {}
-    names = [n for n, kind in input_types(data.campaign).items() if n != SEED_KEY and str(kind) != "string"]
-    data.read(names)
+    names = [n for n, kind in input_types(sample.campaign).items() if n != SEED_KEY and str(kind) != "string"]
+    sample.read(names)
     for name in names:
-        values = data.numbers(name)[good]
+        values = sample.numbers(name)[good]
         if len(values) and np.isfinite(values).all() and np.ptp(values) > 0.0:
             out[name] = values
     return out
 
 
 def drivers(sample: DataSet, metric: str, inputs: dict[str, Array]) -> list[Driver]:
-    """All inputs by what they do to a metric, the strongest first; none with fewer than 30 runs."""
+    """All inputs by their influence on a metric, the strongest first; none with fewer than 30 runs."""
     y = sample.numbers(metric)[~sample.void]
     good = np.isfinite(y)
     n = int(good.sum())
-    if n < FEWEST_RUNS or np.ptp(y[good]) == 0.0:
+    if n < _FEWEST_RUNS or np.ptp(y[good]) == 0.0:
         return []
     noise = 2.0 / math.sqrt(n - 1)
     found = [
         Driver(
-            name,
-            rank_correlation(x[good], y[good]),
-            first_order(x[good], y[good]),
-            borgonovo(x[good], y[good]),
-            noise,
+            name, rank_correlation(x[good], y[good]), first_order(x[good], y[good]), borgonovo(x[good], y[good]), noise
         )
         for name, x in inputs.items()
     ]

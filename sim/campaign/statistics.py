@@ -1,9 +1,10 @@
-"""What a number of flights allows to be said, exactly: binomial confidence bounds and order statistics.
+"""Exact verdicts from a number of flights: binomial confidence bounds and order statistics.
 
-A requirement asks that a share `success` of all flights meets a limit; `confidence` is how sure one must be to say so.
-With n flights of which k failed, the requirement is shown to be met when flights that fail with probability 1 - success
-would give k failures or fewer in at most 1 - confidence of all campaigns (consumer's risk: Hanson & Beard,
-NASA/TP-2010-216447). All bounds are one-sided.
+A requirement asks that a share `success` of all flights meets a limit, shown with `confidence`. With n flights of which
+k failed, it is shown to be met when flights that fail with probability 1 - success would give k failures or fewer in at
+most 1 - confidence of all campaigns (consumer's risk: Hanson & Beard, NASA/TP-2010-216447). All bounds are one-sided.
+
+The functions are those of scipy.special: scipy.stats takes a second to import, and a campaign needs these at its start.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ from functools import lru_cache
 from typing import Literal
 
 import numpy as np
-from scipy.special import bdtr, betainc, betaincc, betaincinv, betaln
+from scipy.special import bdtr, bdtrik, bdtrin, betainc, betaincc, betaincinv, betaln
 
 from maxq.control.kernel.records import Array
 
@@ -37,24 +38,24 @@ def failure_lower(failures: int, runs: int, confidence: float) -> float:
 @lru_cache(maxsize=1024)
 def runs_for(failures: int, success: float, confidence: float) -> int:
     """Least number of runs with which `failures` of them still show that the requirement is met."""
-    low, high = failures, max(failures + 1, 2)
-    while not _shown(failures, high, success, confidence):
-        low, high = high, 2 * high
-    while high - low > 1:
-        middle = (low + high) // 2
-        low, high = (low, middle) if _shown(failures, middle, success, confidence) else (middle, high)
-    return high
+    runs = max(math.ceil(bdtrin(failures, 1.0 - confidence, 1.0 - success)), failures + 1)
+    while _shown(failures, runs - 1, success, confidence):  # the inverse may be a rounding error off
+        runs -= 1
+    while not _shown(failures, runs, success, confidence):
+        runs += 1
+    return runs
 
 
 def allowed_failures(runs: int, success: float, confidence: float) -> int:
     """Most failures in `runs` with which the requirement is shown to be met; -1: not even with none."""
     if not runs or not _shown(0, runs, success, confidence):
         return -1
-    low, high = 0, runs
-    while high - low > 1:
-        middle = (low + high) // 2
-        low, high = (middle, high) if _shown(middle, runs, success, confidence) else (low, middle)
-    return low
+    allowed = max(math.floor(bdtrik(1.0 - confidence, runs, 1.0 - success)), 0)
+    while not _shown(allowed, runs, success, confidence):  # as above
+        allowed -= 1
+    while _shown(allowed + 1, runs, success, confidence):
+        allowed += 1
+    return allowed
 
 
 def _shown(failures: int, runs: int, success: float, confidence: float) -> bool:

@@ -96,7 +96,8 @@ class Columns:
 
     `axis`: the column over which the others are given. It must rise strictly (`repeats`: may stand still) and
     begin at or before `begins_by`. `sets`: alternative sets of required columns, exactly one of which must be
-    there in full. `positive`, `not_negative`: columns so bounded.
+    there in full. `positive`, `not_negative`: columns so bounded. Without an axis (empty) a table of samples: any
+    columns.
     """
 
     axis: str
@@ -113,6 +114,8 @@ class Columns:
 
     def allowed(self) -> str:
         """The columns in words."""
+        if not self.axis:
+            return "a line of column names, then lines of numbers"
         either = " or ".join(", ".join((self.axis, *names)) for names in self.sets)
         return f"columns {either}" + (f" [, {', '.join(self.optional)}]" if self.optional else "")
 
@@ -123,6 +126,9 @@ class Columns:
 
     def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: GetJsonSchemaHandler) -> dict[str, Any]:
         number = {"type": "number"}
+        if not self.axis:
+            lists = {"type": "array", "items": number, "minItems": 1}
+            return {"anyOf": [{"type": "string"}, {"type": "object", "additionalProperties": lists}]}
         lists = {name: {"type": "array", "items": number} for name in self.known()}
         return {
             "anyOf": [
@@ -195,14 +201,14 @@ class Columns:
         return CsvTable("", {name: _column(numbers) for name, numbers in cells.items()})
 
     def _check_name(self, name: str, key: Path = (), file: str = "", place: str = "") -> None:
-        if name not in self.known():
+        if self.axis and name not in self.known():
             hint = suggestion(name, self.known())
             problem = f'unknown column "{name}"' + (f"; {hint}" if hint else "")
             raise refuse(problem, self.allowed(), key=key, file=file, place=place)
 
     def _check(self, table: CsvTable) -> None:
         complete = [names for names in self.sets if all(name in table for name in names)]
-        if self.axis not in table or not complete:
+        if self.axis and (self.axis not in table or not complete):
             short = min(self.sets, key=lambda names: sum(name not in table for name in names))
             missing = [name for name in (self.axis, *short) if name not in table]
             raise table.refusal(f"column {missing[0]} is missing", self.allowed())
@@ -211,11 +217,12 @@ class Columns:
         if clash:
             raise table.refusal(f"column {clash[0]} cannot stand beside {complete[0][0]}", self.allowed())
         lengths = {name: len(column) for name, column in table.columns.items()}
-        if min(lengths.values()) == 0:
+        if min(lengths.values(), default=0) == 0:
             raise table.refusal("the table has no rows", "one row or more")
+        first = self.axis or next(iter(lengths))
         for name, length in lengths.items():
-            if length != lengths[self.axis]:
-                raise table.refusal(f"has {length} numbers, {self.axis} has {lengths[self.axis]}", column=name)
+            if length != lengths[first]:
+                raise table.refusal(f"has {length} numbers, {first} has {lengths[first]}", column=name)
         self._check_values(table)
 
     def _check_values(self, table: CsvTable) -> None:
@@ -229,6 +236,8 @@ class Columns:
         for name in self.not_negative:
             if name in table:
                 _refuse_first(table, name, table[name] < 0.0, "is negative", "numbers >= 0")
+        if not self.axis:
+            return
         axis = table[self.axis]
         falls = np.diff(axis) < 0.0 if self.repeats else np.diff(axis) <= 0.0
         rule = "must not fall" if self.repeats else "must rise strictly"
@@ -286,7 +295,7 @@ def _check_header(header: list[str], shown: str, number: int, columns: Columns) 
     for i, name in enumerate(header):
         if name in header[:i]:
             raise refuse(f"column {name} stands twice", columns.allowed(), file=shown, place=place)
-    if columns.axis not in header and not any(name in columns.known() for name in header):
+    if columns.axis and columns.axis not in header and not any(name in columns.known() for name in header):
         raise refuse("is no line of column names", f"CSV with {columns.allowed()}", file=shown, place=place)
     for name in header:
         columns._check_name(name, file=shown, place=place)

@@ -19,9 +19,8 @@ from pathlib import Path
 from typing import Any
 from unittest.mock import patch
 
-from maxq.sim.campaign import flying
-from maxq.sim.campaign.loaded import BatchInputs, LoadedCampaign
-from maxq.sim.campaign.read import load_campaign
+from maxq.sim.campaign import runs as campaign_runs
+from maxq.sim.campaign.read import BatchInputs, LoadedCampaign, load_campaign
 from maxq.sim.campaign.runner import Progress, cores, load_kernels, run_campaign
 from maxq.sim.campaign.store import Store
 from maxq.sim.flight import loop
@@ -78,9 +77,9 @@ def _timed(spent: dict[str, float], name: str, function: Callable[..., Any]) -> 
 PARTS: dict[str, tuple[Any, str]] = {
     "draws of a batch": (LoadedCampaign, "batch"),
     "scenario: changed, checked": (BatchInputs, "inputs"),
-    "packing": (flying, "_begun_flight"),
-    "flight": (flying, "_flown"),
-    "metrics, verdicts, row": (flying, "row_of"),
+    "packing": (campaign_runs, "_begun_flight"),
+    "flight": (campaign_runs, "_flown"),
+    "metrics, verdicts, row": (campaign_runs, "_row_of"),
     "Arrow tables, Parquet files": (Store, "write"),
 }
 """Where a campaign's time goes: functions that each do one part of it, called one after the other."""
@@ -122,7 +121,7 @@ def memory(runs: int = _FLOWN, rows: int = _ROWS) -> dict[str, float]:
         flown = _peak_MB()
         _repeat(folder, runs, rows)
         data = DataSet(folder, campaign)
-        write_report(data, judged(data), lost(data), rows, {}, pictures=True)
+        write_report(data, judged(data), lost(data), rows)
     return {
         "runs": runs,
         "half_MB": round(half[0]),
@@ -140,14 +139,15 @@ def _repeat(folder: Path, runs: int, rows: int) -> None:
     """Further parts of the runs that are there, until there are `rows`; in a process of its own, for its memory."""
     script = (
         "import sys, pyarrow as pa, pyarrow.parquet as pq; from pathlib import Path\n"
-        "from maxq.sim.campaign.store import parts_in, _name\n"
+        "from maxq.sim.campaign.store import parts_in\n"
         "folder, runs, rows = Path(sys.argv[1]), int(sys.argv[2]), int(sys.argv[3])\n"
         "parts = [(p, pq.read_table(p.path)) for p in parts_in(folder)]\n"
         "for shift in range(runs, rows, runs):\n"
         "    for p, t in parts:\n"
         "        numbers = pa.array(range(p.first + shift, p.last + shift + 1), pa.int64())\n"
         "        t = t.set_column(0, t.schema.field(0), numbers)\n"
-        "        pq.write_table(t, folder / 'runs' / _name(p.first + shift, p.last + shift), compression='zstd')\n"
+        "        name = f'runs-{p.first + shift:010d}-{p.last + shift:010d}.parquet'\n"
+        "        pq.write_table(t, folder / 'runs' / name, compression='zstd')\n"
     )
     subprocess.run([sys.executable, "-c", script, str(folder), str(runs), str(rows)], check=True)
 

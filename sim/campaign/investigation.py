@@ -1,0 +1,268 @@
+"""What follows a campaign: one run flown again, a failure reduced to its causes, a search for the worst flight."""
+
+from __future__ import annotations
+
+import math
+import struct
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from maxq.control.kernel.records import Array
+from maxq.sim.campaign.analysis import DataSet
+from maxq.sim.campaign.error import CampaignError
+from maxq.sim.campaign.plan import SEED_KEY, WIND_KEY, Drawn
+from maxq.sim.campaign.read import LoadedCampaign
+from maxq.sim.campaign.runs import VOID, fly_scenario, recorded_row, schema_of, table_of
+from maxq.sim.campaign.store import campaign_in
+from maxq.sim.campaign.targets import Refused
+from maxq.sim.files import check_writable
+from maxq.sim.log.head import LogError
+from maxq.sim.run.fly import Flight, FlightRun
+from maxq.sim.run.record import record
+from maxq.sim.scenario.loader import LoadedScenario
+
+SIGMAS = 3.0
+
+
+@dataclass(frozen=True)
+class Reflown:
+    """A flight and how it compares with the data set; `same` is None where there is nothing to compare."""
+
+    flight: Flight
+    folder: Path
+    same: bool | None
+    differences: tuple[str, ...]
+
+
+def flight_folder(folder: Path, run: int) -> Path:
+    return folder / "flights" / f"run-{run:06d}"
+
+
+def refly(
+    folder: Path,
+    run: int,
+    out: Path | None = None,
+    *,
+    campaign: LoadedCampaign | None = None,
+    log: bool = True,
+    watch: Callable[[FlightRun], None] | None = None,
+    stop: Callable[[], bool] = lambda: False,
+) -> Reflown:
+    """Fly run `run` of the campaign in `folder` again, alone and with a full log, into `out` (default:
+    DIR/flights/run-000417), and compare it with the data set bit by bit.
+
+    Raises CampaignError where the draws make no possible scenario, LogError where a file cannot be written.
+    """
+    campaign = campaign or campaign_in(folder)
+    if run < 0:
+        raise CampaignError(f"{folder}: runs are numbered from 0; there is no run {run}")
+    try:
+        made = campaign.inputs(run)
+    except Refused as refused:
+        raise CampaignError(f"run {run} of {folder} has no scenario: {refused}") from None
+    out = out or flight_folder(folder, run)
+    check_writable(out, LogError)
+    flight = record(FlightRun(made.loaded, log=log), out, log=log, watch=watch, stop=stop, number=run)
+    before = DataSet(folder, campaign).row(run)
+    if before is None or flight.outcome == "interrupted":
+        return Reflown(flight, out, None, ())
+    now = table_of([recorded_row(made, flight)], schema_of(campaign)).to_pylist()[0]
+    found = tuple(differing(before, now))
+    return Reflown(flight, out, not found, found)
+
+
+def differing(before: Mapping[str, Any], now: Mapping[str, Any]) -> list[str]:
+    """Columns that are not equal bit by bit, in words."""
+
+    def bits(value: Any) -> Any:
+        if not isinstance(value, float):
+            return value
+        return "nan" if math.isnan(value) else struct.pack("<d", value)
+
+    return [f"{k} {v!r}, now {now.get(k)!r}" for k, v in before.items() if bits(v) != bits(now.get(k))]
+
+
+# a failure reduced to its causes
+
+
+@dataclass(frozen=True)
+class Shrunk:
+    """What is left of a failure: inputs by name, the scenario with them alone, its flight, and how many were flown."""
+
+    failure: str
+    inputs: tuple[str, ...]
+    scenario: LoadedScenario
+    flight: Flight
+    flights: int
+
+
+def failures_of(flight: Flight) -> list[str]:
+    """What a flight fails in: its outcome if it has no usable metrics, control lost, the requirements it misses."""
+    found = [flight.outcome] if flight.outcome in VOID else []
+    found += ["control lost"] if any(e.name == "control_lost" for e in flight.events) else []
+    return found + [v.name for v in flight.verdicts if not v.met]
+
+
+def shrink_run(
+    campaign: LoadedCampaign,
+    run: int,
+    failure: str | None = None,
+    workers: int = 1,
+    watch: Callable[[int, int], None] = lambda left, flights: None,
+) -> Shrunk | None:
+    """The smallest set of inputs of `run` that still gives `failure` (default: the first thing that it fails in).
+
+    Delta debugging (Zeller & Hildebrandt, IEEE TSE 28, 2002); all other inputs go back to their nominal values. The
+    result is minimal in the sense that no single one of the remaining inputs can go back without the failure going
+    away; there may be another set of the same size. None where the run does not fail so. `watch` gets the inputs left
+    and the flights flown. Raises Refused.
+    """
+    drawn = campaign.plan.draw(run, 1)
+    found = failures_of(fly_scenario(campaign.scenario_of(run)))
+    wanted = failure or (found[0] if found else "")
+    if wanted not in found:
+        return None
+    flown = [1]
+
+    def fails(kept: Sequence[str]) -> bool:
+        flown[0] += 1
+        try:
+            flight = fly_scenario(campaign.mixed(drawn, run, kept))
+        except Refused:  # these values exclude each other
+            return False
+        return wanted in failures_of(flight)
+
+    with ThreadPoolExecutor(workers) as pool:
+        left = _minimal(list(campaign.input_names), fails, pool, lambda names: watch(len(names), flown[0]))
+    scenario = campaign.mixed(drawn, run, left)
+    return Shrunk(wanted, tuple(left), scenario, fly_scenario(scenario), flown[0] + 1)
+
+
+def _minimal(
+    names: list[str],
+    fails: Callable[[Sequence[str]], bool],
+    pool: ThreadPoolExecutor,
+    watch: Callable[[list[str]], None],
+) -> list[str]:
+    """ddmin: try parts, then what is left without each part, of ever finer divisions. Independent of the threads:
+    of all trials of a round the first one in order that fails is taken."""
+    if fails([]):
+        return []  # it fails without any dispersion
+    pieces = 2
+    while len(names) > 1:
+        watch(names)
+        parts = [names[len(names) * i // pieces : len(names) * (i + 1) // pieces] for i in range(pieces)]
+        rests = [[name for name in names if name not in set(part)] for part in parts]
+        trials = parts if pieces == 2 else [*parts, *rests]
+        results = list(pool.map(fails, trials))
+        hit = next((i for i, failed in enumerate(results) if failed), None)
+        if hit is None and pieces >= len(names):
+            break
+        if hit is None:
+            pieces = min(2 * pieces, len(names))
+        else:
+            names = trials[hit]
+            pieces = 2 if hit < len(parts) else max(pieces - 1, 2)
+    return names
+
+
+# a search for the worst flight
+
+
+@dataclass(frozen=True)
+class Found:
+    """The worst flight of a search; `draws` by input name, `flights` flown."""
+
+    metric: str
+    value: float
+    draws: dict[str, float]
+    scenario: LoadedScenario
+    flight: Flight
+    flights: int
+
+
+def search_worst(
+    campaign: LoadedCampaign,
+    metric: str,
+    *,
+    largest: bool = True,
+    flights: int = 2000,
+    seed: int = 1,
+    start: int | None = None,
+    workers: int = 1,
+    watch: Callable[[float, int], None] = lambda best, flown: None,
+    stop: Callable[[], bool] = lambda: False,
+) -> Found:
+    """Search about `flights` flights within the 3-sigma box for the largest (or smallest) value of `metric`.
+
+    SciPy's differential_evolution (Storn & Price, J. Global Optimization 11, 1997), generation by generation, so that
+    all flights of one are in the air together and the result does not depend on the threads. What is searched are the
+    numbers of [[disperse]]. `start`: the run whose wind and noise are flown instead of the nominal ones, and whose
+    draws, cut to the box, the search begins with. A flight without usable metrics counts as infinitely bad. Raises
+    CampaignError where nothing can be searched.
+    """
+    from scipy.optimize import differential_evolution  # noqa: PLC0415  # lazy: half a second, for the search only
+
+    boxes = campaign.boxes(SIGMAS)
+    if not boxes:
+        raise CampaignError(f"{campaign.name}: no dispersed number has bounds to search within")
+    names, bounds = list(boxes), np.array(list(boxes.values()))
+    drawn = campaign.plan.draw(start, 1) if start is not None else None
+    surroundings = campaign.values_of(drawn, drawn.first, (SEED_KEY, WIND_KEY)) if drawn is not None else None
+    sign = -1.0 if largest else 1.0
+    flown = [0]
+    best: list[tuple[float, Array]] = []
+
+    def scenario_of(x: Array) -> LoadedScenario:
+        return campaign.changed(dict(zip(names, x.tolist(), strict=True)), surroundings)
+
+    def cost(x: Array) -> float:
+        try:
+            flight = fly_scenario(scenario_of(x))
+        except Refused:
+            return math.inf
+        value = flight.metrics[metric]
+        return -math.inf if flight.outcome in VOID or math.isnan(value) else sign * value
+
+    population = min(max(4 * len(names), 16), max(flights // 4, 8))
+    first = _first(names, bounds, population, seed, drawn)
+    with ThreadPoolExecutor(workers) as pool:
+
+        def together(function: Callable[[Array], float], xs: Any) -> list[float]:
+            points = [np.asarray(x) for x in xs]
+            values = list(pool.map(cost, points))
+            flown[0] += len(points)
+            at = int(np.argmin(values))
+            if not best or values[at] < best[0][0]:
+                best[:] = [(values[at], points[at].copy())]
+            watch(sign * best[0][0], flown[0])
+            return [1e300 if value == math.inf else max(value, -1e300) for value in values]
+
+        def enough(*_: Any) -> Any:
+            return stop() or flown[0] >= flights or (bool(best) and best[0][0] == -math.inf)
+
+        box: Any = bounds.tolist()
+        differential_evolution(
+            cost, box, init=first, workers=together, updating="deferred", polish=False, tol=1e-6,
+            maxiter=max(flights // population - 1, 0), rng=np.random.default_rng(seed), callback=enough,
+        )  # fmt: skip
+    scenario = scenario_of(best[0][1])
+    flight = fly_scenario(scenario)
+    draws = dict(zip(names, best[0][1].tolist(), strict=True))
+    return Found(metric, flight.metrics[metric], draws, scenario, flight, flown[0] + 1)
+
+
+def _first(names: list[str], bounds: Array, population: int, seed: int, drawn: Drawn | None) -> Array:
+    """The first generation: a Latin hypercube over the box, and the run that the search begins with."""
+    rng = np.random.default_rng(seed)
+    cells = np.stack([rng.permutation(population) for _ in names], axis=1)
+    u = (cells + rng.random(cells.shape)) / population
+    points = bounds[:, 0] + u * (bounds[:, 1] - bounds[:, 0])
+    if drawn is not None:
+        points[0] = np.clip([float(drawn.draws[name][0]) for name in names], bounds[:, 0], bounds[:, 1])
+    return np.asarray(points)

@@ -1,0 +1,294 @@
+"""Runs of a campaign: their scenarios are flown, and each becomes a row of the data set, whatever happens in it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+from numpy.typing import NDArray
+
+from maxq.control.kernel.records import Array
+from maxq.sim.campaign.plan import SEED_KEY, WIND_KEY
+from maxq.sim.campaign.read import BatchInputs, Inputs, LoadedCampaign
+from maxq.sim.campaign.schema import Envelope
+from maxq.sim.campaign.targets import Refused
+from maxq.sim.flight.telemetry import SLOW
+from maxq.sim.packing.flight import Packed, pack_flight, pack_for_one_vehicle
+from maxq.sim.run.fly import CONTROL_LOST_NAME, DIVERGED_NAME, Flight, FlightRun, Rows
+from maxq.sim.run.metrics import METRIC_NAMES
+from maxq.sim.scenario.loader import LoadedScenario
+from maxq.sim.scenario.nanoseconds import NS_PER_S
+from maxq.sim.scenario.schema_scenario import Scenario
+
+REFUSED, ERROR = "refused", "error"
+"""Outcomes beside those of a flight: the draws make no possible scenario; an error of this program."""
+VOID = (DIVERGED_NAME, REFUSED, ERROR)
+"""Outcomes without usable metrics: such a run misses every requirement."""
+OWN_KERNELS_FROM = 500  # runs
+TIME_OF = "{}.time_s"
+"""Column with the time of a metric."""
+
+Order = tuple[BatchInputs, int]
+"""A run, and where its draws are."""
+Packing = Callable[[Scenario], Packed]
+
+_SEGMENT_NS = 60 * NS_PER_S  # of a flight, a tenth of a second's work: between two of them it can be given up
+
+
+class GivenUp(Exception):
+    """The campaign is to end: the flight is dropped."""
+
+
+@dataclass
+class Row:
+    """What is recorded of one run. The fields of `_COLUMNS` are columns of the data set by their names."""
+
+    run: int
+    outcome: str
+    passed: bool
+    cause: str
+    lost_s: float  # control lost or diverged; nan: neither
+    end_s: float
+    steps: int
+    redraws: int
+    state_hash: str
+    inputs: dict[str, Any]
+    metrics: dict[str, float]
+    times_s: dict[str, float]
+    history: History | None = field(default=None, repr=False)
+
+
+@dataclass(frozen=True)
+class History:
+    """Thinned-out channels of one run: `time_s` (n,), `values` (channels, n)."""
+
+    time_s: NDArray[np.float32]
+    values: NDArray[np.float32]
+
+
+@dataclass
+class Begun:
+    """A run that is prepared, under way or flown: its draws and its flight."""
+
+    made: Inputs
+    flight: FlightRun
+    envelope: Envelope | None  # whose channels it keeps
+    kept: list[tuple[Array, Array]] = field(default_factory=list, repr=False)
+
+
+def fly_rows(loaded: LoadedCampaign, orders: Iterable[Order], stop: Callable[[], bool] = lambda: False) -> list[Row]:
+    """Fly these runs, one after the other; the rows of those that were flown before `stop` said so, in their order.
+
+    An error in a run becomes its row. All are prepared before the first is flown, and judged after the last: a flight
+    drives Python's code and data out of the processor's caches, and to fetch them again for each run costs as much as
+    the preparation itself. Raises CampaignError where the file refuses the draws.
+    """
+    flown: list[Begun | Row] = []
+    pack = packer(loaded)
+    for run in [_prepared(loaded, order, pack) for order in orders]:
+        try:
+            flown.append(run if isinstance(run, Row) else _flown(run, stop))
+        except GivenUp:
+            break
+    return [_row_of(run) for run in flown]
+
+
+def _prepared(loaded: LoadedCampaign, order: Order, pack: Packing) -> Begun | Row:
+    """A run at its start, or the row of one that cannot be flown. Raises CampaignError."""
+    batch, run = order
+    try:
+        made = batch.inputs(run)
+    except Refused as refused:
+        return _void_row(run, REFUSED, f"no such scenario: {refused}")
+    wanted = loaded.campaign.envelope
+    envelope = wanted if run < wanted.runs and wanted.channels else None
+    try:
+        return Begun(made, _begun_flight(made.loaded, envelope, pack), envelope)
+    except Exception as error:  # one run in ten thousand must not end a campaign: the row says what happened
+        return _failed(made, error)
+
+
+def _flown(run: Begun, stop: Callable[[], bool]) -> Begun | Row:
+    """Fly it to its end; of an envelope's channels keep times and values. Raises GivenUp."""
+    flight, envelope = run.flight, run.envelope
+    try:
+        wanted = envelope.channels if envelope is not None else ()
+        columns = [(flight.table.topic(channel).group, flight.table.index(channel)) for channel in wanted]
+        while not flight.finished:
+            if stop():
+                raise GivenUp
+            rows = flight.fly_segment()
+            if envelope is not None:
+                run.kept.append(_on_grid(rows, columns, envelope.rate_hz))
+    except GivenUp:
+        raise
+    except Exception as error:  # as above
+        return _failed(run.made, error)
+    return run
+
+
+def _on_grid(rows: Rows, columns: Sequence[tuple[str, int]], rate_hz: float) -> tuple[Array, Array]:
+    """Times (n,) and values (channels, n) of the segment; the flight's last instant falls outside the grid."""
+    times = rows[SLOW][0] / NS_PER_S
+    on_grid = np.abs(times * rate_hz - np.rint(times * rate_hz)) < 1e-6
+    return times[on_grid], np.array([rows[group][1][: len(times), column][on_grid] for group, column in columns])
+
+
+def _row_of(run: Begun | Row) -> Row:
+    """The row of a run that has been flown."""
+    if isinstance(run, Row):
+        return run
+    try:
+        row = recorded_row(run.made, run.flight.result())
+        if run.envelope is not None:
+            times, values = (np.concatenate([part[i] for part in run.kept], axis=-1) for i in (0, 1))
+            row.history = History(times.astype(np.float32), values.astype(np.float32))
+        return row
+    except Exception as error:  # as above
+        return _failed(run.made, error)
+
+
+def packer(loaded: LoadedCampaign) -> Packing:
+    """Many runs are worth kernels of their own; few are flown by the common ones. Their results are the same bits."""
+    return pack_for_one_vehicle if loaded.campaign.runs >= OWN_KERNELS_FROM else pack_flight
+
+
+def fly_scenario(loaded: LoadedScenario) -> Flight:
+    """Fly without a log."""
+    flight = _begun_flight(loaded, None, pack_flight)
+    while not flight.finished:
+        flight.fly_segment()
+    return flight.result()
+
+
+def _begun_flight(loaded: LoadedScenario, envelope: Envelope | None, pack: Packing) -> FlightRun:
+    """A flight at its start, without a log; with the channels of an envelope where one is given."""
+    packed = pack(loaded.scenario)
+    step_ns = int(packed.parameters[0].timeline.step_ns)
+    if envelope is not None:
+        period_ns = max(round(NS_PER_S / envelope.rate_hz / step_ns), 1) * step_ns
+        packed.parameters["timeline"]["fast_ns"] = period_ns
+        packed.parameters["timeline"]["slow_ns"] = period_ns
+    segment_ns = max(_SEGMENT_NS // step_ns, 1) * step_ns
+    return FlightRun(loaded, packed, log=envelope is not None, segment_ns=segment_ns)
+
+
+def recorded_row(made: Inputs, flight: Flight) -> Row:
+    lost = [event.time_s for event in flight.events if event.name in (CONTROL_LOST_NAME, DIVERGED_NAME)]
+    return Row(
+        run=made.run,
+        outcome=flight.outcome,
+        passed=flight.passed,
+        cause="; ".join(flight.failures),
+        lost_s=min(lost, default=math.nan),
+        end_s=flight.end_s,
+        steps=flight.steps,
+        redraws=made.redraws,
+        state_hash=flight.state_hash,
+        inputs=made.recorded,
+        metrics=flight.metrics,
+        times_s=flight.metric_times_s,
+    )
+
+
+def _void_row(run: int, outcome: str, cause: str) -> Row:
+    nothing = dict.fromkeys(METRIC_NAMES, math.nan)
+    return Row(run, outcome, False, cause, math.nan, math.nan, 0, 0, "", {}, nothing, dict(nothing))
+
+
+def _failed(made: Inputs, error: Exception) -> Row:
+    """A run that met an error of this program. Memory that is short is the machine's: raised again."""
+    if isinstance(error, MemoryError):
+        raise error
+    row = _void_row(made.run, ERROR, f"{type(error).__name__}: {error}")
+    row.inputs, row.redraws = made.recorded, made.redraws
+    return row
+
+
+# the data set's columns
+
+_COLUMNS = (
+    pa.field("run", pa.int64(), False),
+    pa.field("outcome", pa.string(), False),
+    pa.field("passed", pa.bool_(), False),
+    pa.field("cause", pa.string(), False),
+    pa.field("lost_s", pa.float64()),
+    pa.field("end_s", pa.float64()),
+    pa.field("steps", pa.int64(), False),
+    pa.field("redraws", pa.int32(), False),
+    pa.field("state_hash", pa.string(), False),
+)
+_NUMBERS = {pa.float64(): "f8", pa.int64(): "i8", pa.int32(): "i4", pa.bool_(): "?"}
+
+
+def input_types(campaign: LoadedCampaign) -> dict[str, pa.DataType]:
+    """Columns of what was drawn, in the order of the file."""
+    plan = campaign.plan
+    out = {d.name: pa.string() if d.is_text else pa.float64() for d in plan.draws}
+    if plan.own_noise:
+        out[SEED_KEY] = pa.int64()
+    if plan.wind is not None:
+        recorded = plan.wind.recorded(plan.wind.scores(0, 0, 1)[0])
+        out |= {name: pa.string() if name == WIND_KEY else pa.float64() for name in recorded}
+    return out
+
+
+def schema_of(campaign: LoadedCampaign) -> pa.Schema:
+    """One row for each run: how it went, what was drawn (null where nothing could be), metrics and their times."""
+    inputs = [pa.field(name, kind) for name, kind in input_types(campaign).items()]
+    metrics = [pa.field(name, pa.float64()) for name in (*METRIC_NAMES, *map(TIME_OF.format, METRIC_NAMES))]
+    return pa.schema([*_COLUMNS, *inputs, *metrics])
+
+
+def table_of(rows: Sequence[Row], schema: pa.Schema) -> pa.Table:
+    """The rows in order of their runs."""
+    rows = sorted(rows, key=lambda row: row.run)
+    known = {column.name: [getattr(row, column.name) for row in rows] for column in _COLUMNS}
+    for name in METRIC_NAMES:
+        known[name] = [row.metrics[name] for row in rows]
+        known[TIME_OF.format(name)] = [row.times_s[name] for row in rows]
+    columns = [known[f.name] if f.name in known else [row.inputs.get(f.name) for row in rows] for f in schema]
+    return _table(columns, schema)
+
+
+def history_table(rows: Sequence[Row], channels: Sequence[str]) -> pa.Table:
+    """Histories of the rows that have one: a list of numbers for each channel, over `time_s`."""
+    lists = [pa.field(name, pa.list_(pa.float32())) for name in ("time_s", *channels)]
+    schema = pa.schema([pa.field("run", pa.int64(), False), *lists])
+    kept = sorted(((r.run, r.history) for r in rows if r.history is not None), key=lambda item: item[0])
+    columns: list[Any] = [[run for run, _ in kept], [history.time_s for _, history in kept]]
+    return _table([*columns, *([history.values[n] for _, history in kept] for n in range(len(channels)))], schema)
+
+
+def _table(columns: Sequence[Sequence[Any]], schema: pa.Schema) -> pa.Table:
+    return pa.Table.from_arrays([array_of(c, f.type) for c, f in zip(columns, schema, strict=True)], schema=schema)
+
+
+def array_of(values: Sequence[Any], kind: pa.DataType) -> pa.Array:
+    """Numbers, flags, texts (None: null), or lists of single-precision numbers, as Arrow holds them.
+
+    pa.array gives the same, but where pandas is installed it imports it first: 0.3 s of every campaign.
+    """
+    if pa.types.is_list(kind):
+        ends = np.cumsum([0, *map(len, values)], dtype=np.int32)
+        flat = np.concatenate(values, dtype=np.float32) if len(values) else np.zeros(0, np.float32)
+        return pa.ListArray.from_arrays(_filled(ends, pa.int32()), _filled(flat, pa.float32()))
+    missing = np.array([value is None for value in values], bool)
+    known = None if not missing.any() else pa.py_buffer(np.packbits(~missing, bitorder="little"))
+    if pa.types.is_string(kind):
+        texts = [(value or "").encode() for value in values]
+        ends = np.cumsum([0, *map(len, texts)], dtype=np.int32)
+        return pa.Array.from_buffers(kind, len(texts), [known, pa.py_buffer(ends), pa.py_buffer(b"".join(texts))])
+    numbers = np.array([0 if value is None else value for value in values], _NUMBERS[kind])
+    if pa.types.is_boolean(kind):
+        numbers = np.packbits(numbers, bitorder="little")
+    return _filled(numbers, kind, len(values), known)
+
+
+def _filled(numbers: np.ndarray, kind: pa.DataType, count: int | None = None, known: pa.Buffer | None = None) -> Any:
+    count = len(numbers) if count is None else count
+    return pa.Array.from_buffers(kind, count, [known, pa.py_buffer(np.ascontiguousarray(numbers))])
