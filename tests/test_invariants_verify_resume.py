@@ -18,9 +18,9 @@ from typing import Any
 
 import pytest
 
-from maxq.design.case.design_file import designs_folder
 from maxq.design.verify.suite import LoadedSuite, read_suite
 from maxq.design.verify.verify import Verification, verify
+from maxq.sim.scenario.builtin import builtin_files
 
 SUITE = """
 schema = 1
@@ -96,7 +96,7 @@ def _verified(design: Path, suite: LoadedSuite, memory: Path) -> Verification:
 def test_one_changed_gain_redoes_what_depends_on_it(tmp_path: Path) -> None:
     (tmp_path / "suite.toml").write_text(SUITE)
     suite, memory = read_suite(tmp_path / "suite.toml"), tmp_path / "memory"
-    text = (designs_folder() / "ksr3-free.toml").read_text()  # a gain at every node
+    text = builtin_files("design")["ksr3-free"].read_text()  # a gain at every node
     line = next(line for line in text.splitlines() if "time_s = 30.0" in line)
     k_p = float(line.partition("k_p = ")[2].partition(",")[0])
     changed = text.replace(line, line.replace(repr(k_p), repr(1.01 * k_p)))

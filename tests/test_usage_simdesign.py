@@ -16,7 +16,7 @@ from maxq.sim.api import fly, load_scenario
 from maxq.sim.scenario.builtin import builtin_files
 from maxq.tools import simdesign
 from maxq.tools.cli import terminal
-from maxq.tools.design import orders
+from maxq.tools.design import run_case
 
 Printed = pytest.CaptureFixture[str]
 SMALL = ["ksr3-relaxed", "--starts", "2", "--set", "nodes_s=[10, 40]", "--set", "filter.structure=F2", "--no-pictures"]
@@ -93,7 +93,7 @@ def test_pictures_are_those_of_the_paper(capsys: Printed) -> None:
 
 
 def test_orders_are_designed_besides(capsys: Printed, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(orders, "STRUCTURES", ("F2", "F3"))
+    monkeypatch.setattr(run_case, "STRUCTURES", ("F2", "F3"))
     assert run(*SMALL[:-1], "--starts", "1", "--orders", "--out", "out") == 0
     lines = capsys.readouterr().out.splitlines()
     table = lines[lines.index("over the filter's order, dB") + 1 :]

@@ -14,6 +14,7 @@ from maxq.design.case import design_file
 from maxq.sim.api import fly, load_scenario
 from maxq.sim.files import write_whole
 from maxq.sim.packing.computer import bending_filter
+from maxq.sim.scenario.builtin import builtin_files
 from maxq.sim.scenario.schema_design import Design
 from maxq.tools import simdesign
 
@@ -76,7 +77,7 @@ def test_pictures_and_record_go_into_a_folder(capsys: Printed) -> None:
 
 
 def test_limits_that_are_missed_are_said_so(capsys: Printed) -> None:
-    text = (design_file.designs_folder() / "ksr3-default.toml").read_text()
+    text = builtin_files("design")["ksr3-default"].read_text()
     Path("stricter.toml").write_text(text.replace("gain_margin_db = 6.0", "gain_margin_db = 9.6"))
     assert run("analyse", "stricter.toml", *QUICK) == 1
     printed = capsys.readouterr().out.splitlines()
@@ -85,7 +86,7 @@ def test_limits_that_are_missed_are_said_so(capsys: Printed) -> None:
 
 
 def test_an_unstable_loop_shows_no_margin(capsys: Printed) -> None:
-    text = (design_file.designs_folder() / "ksr3-default.toml").read_text()
+    text = builtin_files("design")["ksr3-default"].read_text()
     Path("hot.toml").write_text(text.replace("k_d_s = 0.481", "k_d_s = 4.81").replace("k_d_s = 0.329", "k_d_s = 3.29"))
     assert run("analyse", "hot.toml", "--at", "40", "--out", "hot") == 1
     printed = capsys.readouterr().out
@@ -116,7 +117,7 @@ def test_other_loops_of_the_same_design(more: list[str], capsys: Printed) -> Non
 
 def test_a_folder_that_holds_a_design_will_do(capsys: Printed) -> None:
     Path("made").mkdir()
-    Path("made/design.toml").write_text((design_file.designs_folder() / "ksr3-default.toml").read_text())
+    Path("made/design.toml").write_text(builtin_files("design")["ksr3-default"].read_text())
     assert run("analyse", "made", *QUICK) == 0
     assert capsys.readouterr().out.splitlines()[0] == "made: KSR-III default"
 
@@ -187,7 +188,7 @@ def test_a_folder_that_cannot_be_written_is_said_before_the_work(capsys: Printed
 
 
 def test_a_design_with_a_mistake_names_file_and_key(capsys: Printed) -> None:
-    text = (design_file.designs_folder() / "ksr3-default.toml").read_text()
+    text = builtin_files("design")["ksr3-default"].read_text()
     Path("bad.toml").write_text(text.replace("pole_zeta = 0.42", "pole_zeta = -0.42"))
     assert run("analyse", "bad.toml") == 2
     assert "bad.toml: filter.quadratic.0.pole_zeta = -0.42: makes an unstable pole" in capsys.readouterr().err

@@ -9,8 +9,7 @@ from pathlib import Path
 import pytest
 
 from maxq.tools import simdesign
-from maxq.tools.verify.candidates import Candidate, in_order
-from maxq.tools.verify.in_order import try_in_order
+from maxq.tools.verify.candidates import Candidate, in_order, try_in_order
 
 Printed = pytest.CaptureFixture[str]
 CASES = ("ksr3-identical", "ksr3-relaxed")
@@ -29,7 +28,7 @@ aero_gain_db = {aero_db}
 @pytest.fixture(autouse=True)
 def _in_an_empty_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("maxq.tools.verify.in_order.default_folder", lambda: tmp_path / "memory")
+    monkeypatch.setattr("maxq.design.verify.memory.default_folder", lambda: tmp_path / "memory")
 
 
 def _suite(aero_db: float) -> str:

@@ -18,8 +18,7 @@ from maxq.design.verify.suite import ACCEPTED, REJECTED, UNDECIDED, LinearMargin
 from maxq.sim.scenario.builtin import builtin_files
 from maxq.sim.scenario.schema_values import Section
 from maxq.tools.simverify import main
-from maxq.tools.verify.page import page_of
-from maxq.tools.verify.text import ranked
+from maxq.tools.verify.report import page_of, ranked
 
 SMALL = """
 schema = 1
@@ -79,7 +78,7 @@ def test_accepted_design_leaves_verdict_and_pack(
     remembered = json.loads((out / "verdict.json").read_text())
     assert remembered["parts"]["worked_out"] == 0
     assert remembered["requirements"] == verdict["requirements"]
-    assert "parts known from before" in told
+    assert "results reused" in told
 
 
 def test_rejected_and_undecided_have_their_codes(

@@ -128,9 +128,9 @@ def _run(arguments: list[str]) -> int:
 
         return analyse.execute(filled(analyse.Order, options, design=names[0], pictures=pictures))
     if mode == _ERRATA:
-        from maxq.tools.design import errata_table  # noqa: PLC0415  # lazy
+        from maxq.tools.design import analyse  # noqa: PLC0415  # lazy
 
-        return errata_table.execute(filled(errata_table.Order, options, design=names[0] if names else None))
+        return analyse.execute_errata(filled(analyse.ErrataOrder, options, design=names[0] if names else None))
     from maxq.tools.design import run_case  # noqa: PLC0415  # lazy
 
     orders = [

@@ -2,31 +2,23 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+import tomli_w
+
 from maxq.control.filters import BendingFilter, Discretization
 from maxq.control.kernel.records import Array
 from maxq.control.laws.structures import structure_of
-from maxq.sim.scenario.builtin import scenarios_folder
+from maxq.sim.scenario.builtin import builtin_files
 from maxq.sim.scenario.documents import Source, adopt, plain
 from maxq.sim.scenario.errors import ScenarioError
 from maxq.sim.scenario.schema_design import Design, Limits, Roll
 
 DESIGN_NAME = "design.toml"
 _DIGITS = 9
-
-
-def designs_folder() -> Path:
-    """Folder of the built-in designs."""
-    return scenarios_folder() / "designs"
-
-
-def builtin_designs() -> list[str]:
-    """Names of the built-in designs, sorted."""
-    return sorted(path.stem for path in designs_folder().glob("*.toml"))
+_GAINS = ("time_s", "k_p", "k_d_s")
 
 
 def design_path(name: str) -> str:
@@ -41,11 +33,11 @@ def design_path(name: str) -> str:
         return str((path / DESIGN_NAME).resolve())
     if path.is_file():
         return str(path.resolve())
-    if name.removesuffix(".toml") in builtin_designs():
+    if name.removesuffix(".toml") in builtin_files("design"):
         return f"designs/{name.removesuffix('.toml')}.toml"
     if path.is_dir():
         raise ScenarioError(name, f"the folder has no {DESIGN_NAME}", allowed="a design file (.toml)")
-    listed = ", ".join(builtin_designs())
+    listed = ", ".join(builtin_files("design"))
     raise ScenarioError(name, "no such file", allowed=f"a design file (.toml), or a built-in one: {listed}")
 
 
@@ -87,32 +79,16 @@ def design_of(
 
 def design_text(design: Design, comments: Sequence[str] = ()) -> str:
     """The design as TOML that reads back to the same numbers; `comments` go above it."""
-    lines = [f"# {line}".rstrip() for line in comments]
-    lines += ["schema = 1", f"name = {_text(design.name)}"]
-    if design.description:
-        lines.append(f"description = {_text(design.description)}")
-    if design.vehicle:
-        lines.append(f"vehicle = {_text(design.vehicle)}")
-    lines += ["", "[gains]", *_gains("table", design.gains.table)]
-    if design.gains.yaw_table is not None:
-        lines += _gains("yaw_table", design.gains.yaw_table)
-    else:
-        lines.append('yaw = "pitch"')
-    lines += ["", "[filter]", f'structure = "{design.filter.structure}"']
-    for key in ("quadratic", "first_order"):
-        sections = getattr(design.filter, key)
-        if sections:
-            rows = [f"    {_inline(section.model_dump())}," for section in sections]
-            lines += [f"{key} = [", *rows, "]"]
-    lines.append(f'discretization = "{design.filter.discretization}"')
-    if design.filter.prewarp_hz is not None:
-        lines.append(f"prewarp_hz = {design.filter.prewarp_hz!r}")
-    for key in ("roll", "limits"):
-        section = getattr(design, key)
-        if section is not None:
-            values = {k: v for k, v in section.model_dump().items() if v is not None}
-            lines += ["", f"[{key}]", *(f"{k} = {v!r}" for k, v in values.items())]
-    return "\n".join(lines) + "\n"
+    content = {key: value for key, value in design.model_dump(by_alias=True, exclude_none=True).items() if value != ""}
+    content["filter"] = {key: value for key, value in content["filter"].items() if value != ()}
+    for key in ("table", "yaw_table"):
+        if key in content["gains"]:
+            table = getattr(design.gains, key)
+            columns = [table[name].tolist() for name in _GAINS]
+            content["gains"][key] = [dict(zip(_GAINS, row, strict=True)) for row in zip(*columns, strict=True)]
+    if "yaw_table" not in content["gains"]:
+        content["gains"]["yaw"] = "pitch"
+    return "".join(f"{f'# {line}'.rstrip()}\n" for line in comments) + tomli_w.dumps(content)
 
 
 def forget_pictures(folder: Path) -> None:
@@ -123,20 +99,5 @@ def forget_pictures(folder: Path) -> None:
                 path.unlink(missing_ok=True)
 
 
-def _gains(key: str, table: Any) -> list[str]:
-    names = ("time_s", "k_p", "k_d_s")
-    columns = [table[name].tolist() for name in names]
-    rows = [f"    {_inline(dict(zip(names, row, strict=True)))}," for row in zip(*columns, strict=True)]
-    return [f"{key} = [", *rows, "]"]
-
-
-def _inline(values: dict[str, float]) -> str:
-    return "{ " + ", ".join(f"{key} = {value!r}" for key, value in values.items()) + " }"
-
-
 def _rounded(value: float) -> float:
     return float(f"{value:.{_DIGITS}g}")
-
-
-def _text(text: str) -> str:
-    return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007F")

@@ -1,4 +1,4 @@
-"""A design judged at nodes: margins, peaks and rigid-body motion beside what they are held to."""
+"""A design judged at nodes: margins, peaks and rigid-body motion, and the limits on them."""
 
 from __future__ import annotations
 
@@ -25,12 +25,13 @@ from maxq.sim.packing.computer import bending_filter
 from maxq.sim.scenario.schema_design import Design
 
 TOLERANCE = 5e-4  # dB, deg: a limit that a design lies on counts as met; rounding of the file's digits is far less
+PEAKS = ("first_mode_db", "second_mode_db", "higher_modes_db")
 RigidBody = Literal["paper", "aerodynamic"]
 
 
 @dataclass(frozen=True)
 class Wanted:
-    """What a design is held to; None: not asked for."""
+    """Limits that a design is judged by; None: not asked for."""
 
     gain_margin_db: float | None = None
     phase_margin_deg: float | None = None
@@ -74,7 +75,7 @@ class Judged:
 
     @cached_property
     def budgets(self) -> dict[str, Budget]:
-        """Who eats what at each crossing that sets a margin; none of an unstable loop."""
+        """Contributions to gain and phase at each crossing that sets a margin; none of an unstable loop."""
         return crossing_budgets(self.loop, self.margins)
 
     @property
@@ -111,7 +112,7 @@ class Judged:
 
 @dataclass(frozen=True)
 class Check:
-    """A limit and the values that it is about: one a node, or a single one that belongs to the filter."""
+    """A limit and the values it applies to: one a node, or a single one of the filter."""
 
     key: str
     text: str
@@ -122,9 +123,9 @@ class Check:
     time_s: Array  # NaN for the filter
 
     def met(self) -> np.ndarray:
-        """One truth a value. What is NaN at an unstable loop is not met; a peak that does not exist is."""
+        """For each value. NaN of an unstable loop is not met; a peak that does not exist is."""
         margin = self.values - self.limit if self.sense == ">=" else self.limit - self.values
-        absent = np.isnan(self.values) & (self.key in ("first_mode_db", "second_mode_db", "higher_modes_db"))
+        absent = np.isnan(self.values) & (self.key in PEAKS)
         return np.asarray((margin >= -TOLERANCE * self._scale) | absent)
 
     @property
@@ -166,32 +167,52 @@ def judge(
     return out
 
 
+@dataclass(frozen=True)
+class Limit:
+    """A quantity that `Wanted` can limit at every node: title, heading of a column, unit, sense, and its value."""
+
+    text: str
+    short: str
+    unit: str
+    sense: Literal[">=", "<="]
+    value: Callable[[Judged, Wanted], float]
+
+
+LIMITS = {
+    "gain_margin_db": Limit("gain margin", "gain dB", "dB", ">=", lambda j, _: j.gain_margin_db),
+    "phase_margin_deg": Limit("phase margin", "phase deg", "deg", ">=", lambda j, _: j.margins.phase_deg.value),
+    "zone": Limit(
+        "clear of the {0.shape} {0.gain_db:g} dB, {0.phase_deg:g} deg",
+        "zone",
+        "",
+        ">=",
+        lambda j, w: _clearance(j, w.zone),
+    ),
+    "modulus_db": Limit("least |1 + L|", "|1+L| dB", "dB", ">=", lambda j, _: _db(j.margins.modulus)),
+    "first_mode_db": Limit("peak of mode 1", "mode 1 dB", "dB", "<=", lambda j, _: j.peak_db(1)),
+    "first_mode_phase_deg": Limit(
+        "phase margin at mode 1", "mode 1 deg", "deg", ">=", lambda j, _: j.mode_phase_deg(1)
+    ),
+    "second_mode_db": Limit("peak of mode 2", "mode 2 dB", "dB", "<=", lambda j, _: j.peak_db(2)),
+    "higher_modes_db": Limit("peak of modes 3 and above", "modes 3+ dB", "dB", "<=", lambda j, _: j.higher_peak_db()),
+    "rigid_hz": Limit("rigid-body frequency", "rigid Hz", "Hz", ">=", lambda j, w: j.rigid(w.rigid_body)[0]),
+    "rigid_zeta": Limit("rigid-body damping ratio", "rigid zeta", "", ">=", lambda j, w: j.rigid(w.rigid_body)[1]),
+}
+"""By the names of `Wanted`, in the order in which they are shown."""
+
+
 def checks(judged: Sequence[Judged], design: Design, wanted: Wanted) -> list[Check]:
     """All limits that are asked for, stability first."""
     time_s = np.array([j.time_s for j in judged])
-    out: list[Check] = []
-
-    def add(key: str, text: str, unit: str, sense: Literal[">=", "<="], value: Callable[[Judged], float]) -> None:
-        limit = getattr(wanted, key)
-        if limit is not None:
-            out.append(Check(key, text, unit, sense, float(limit), np.array([value(j) for j in judged]), time_s))
-
     unstable = np.array([float(max(j.margins.unstable_poles, not j.margins.stable)) for j in judged])
-    out.append(Check("unstable_poles", "unstable poles", "", "<=", 0.0, unstable, time_s))
-    add("gain_margin_db", "gain margin", "dB", ">=", lambda j: j.gain_margin_db)
-    add("phase_margin_deg", "phase margin", "deg", ">=", lambda j: j.margins.phase_deg.value)
-    if wanted.zone is not None:
-        zone = wanted.zone
-        text = f"clear of the {zone.shape} {zone.gain_db:g} dB, {zone.phase_deg:g} deg"
-        clear = np.array([_clearance(j, zone) for j in judged])
-        out.append(Check("zone", text, "", ">=", 0.0, clear, time_s))
-    add("modulus_db", "least |1 + L|", "dB", ">=", lambda j: _db(j.margins.modulus))
-    add("first_mode_db", "peak of mode 1", "dB", "<=", lambda j: j.peak_db(1))
-    add("first_mode_phase_deg", "phase margin at mode 1", "deg", ">=", lambda j: j.mode_phase_deg(1))
-    add("second_mode_db", "peak of mode 2", "dB", "<=", lambda j: j.peak_db(2))
-    add("higher_modes_db", "peak of modes 3 and above", "dB", "<=", lambda j: j.higher_peak_db())
-    add("rigid_hz", "rigid-body frequency", "Hz", ">=", lambda j: j.rigid(wanted.rigid_body)[0])
-    add("rigid_zeta", "rigid-body damping ratio", "", ">=", lambda j: j.rigid(wanted.rigid_body)[1])
+    out = [Check("unstable_poles", "unstable poles", "", "<=", 0.0, unstable, time_s)]
+    for key, quantity in LIMITS.items():
+        asked = getattr(wanted, key)
+        if asked is None:
+            continue
+        limit, text = (0.0, quantity.text.format(asked)) if isinstance(asked, Zone) else (float(asked), quantity.text)
+        values = np.array([quantity.value(j, wanted) for j in judged])
+        out.append(Check(key, text, quantity.unit, quantity.sense, limit, values, time_s))
     if wanted.filter_gain_at_infinity is not None:
         value = np.array([gain_at_infinity(bending_filter(design))])
         limit = float(wanted.filter_gain_at_infinity)
@@ -205,7 +226,8 @@ def gain_at_infinity(flt: BendingFilter) -> float:
     return float(squares * math.prod(f.pole_hz / abs(f.zero_hz) for f in flt.first_order))
 
 
-def _clearance(j: Judged, zone: Zone) -> float:
+def _clearance(j: Judged, zone: Zone | None) -> float:
+    assert zone is not None
     known = next((c.value for c in j.margins.clearances if c.zone == zone), None)
     if known is not None or not j.margins.stable:
         return math.nan if known is None else known

@@ -1,4 +1,4 @@
-"""A designed case: the design as it is written, judged anew by what judges any design."""
+"""The result of a case: the design as it is written to its file, judged as any design is."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from maxq.design.case.read import LoadedCase
 from maxq.design.case.schema import Case
 from maxq.design.loop.fixed_path import Kind
 from maxq.design.model.node import Node
+from maxq.design.optimise.robust import deviated
 from maxq.design.optimise.solution import Solution
 from maxq.design.verify.judging import Check, Judged, Wanted, checks, judge
 from maxq.sim.scenario.schema_design import Design, Limits
@@ -31,12 +32,12 @@ class Outcome:
 
     @property
     def feasible(self) -> bool:
-        """All limits of the case are met; those of the loop that flies are told, and decide nothing."""
+        """All limits of the case are met. Those of the sampled loop are for information only."""
         return all(check.passed for check in (*self.found, *self.dispersed_found))
 
     @property
     def missed(self) -> list[str]:
-        """What stands in the way, and by how much."""
+        """Limits that are missed, and by how much."""
         out = []
         for where, found in (("", self.found), (" of dispersed plants", self.dispersed_found)):
             for check in found:
@@ -54,7 +55,7 @@ class Outcome:
 
 
 def make_design(loaded: LoadedCase, solution: Solution) -> Design:
-    """What is written; roll control as in the scenario's own design."""
+    """The design to be written; roll control as in the scenario's own design."""
     own = loaded.scenario.design
     state = "all limits met" if solution.feasible else "limits are missed"
     peak = f"; {objective_text(solution)}; {state}"
@@ -69,17 +70,16 @@ def make_design(loaded: LoadedCase, solution: Solution) -> Design:
 
 
 def objective_text(solution: Solution) -> str:
-    """What was reached, in words."""
+    """The objective that was reached, with its name."""
     if solution.case.objective.kind == "least-margin":
         return f"least |1 + L| {10.0 ** (-solution.objective_db / 20.0):.3f}"
     return f"largest peak of mode 1 {solution.objective_db:.2f} dB"
 
 
 def informative(case: Case) -> Limits:
-    """What the case asks for, as a design file states it."""
+    """The limits of the case, as a design file states them."""
     wanted = wanted_of(case)
-    names = Limits.model_fields
-    return Limits(**{name: getattr(wanted, name) for name in names})
+    return Limits(**{name: getattr(wanted, name) for name in Limits.model_fields})
 
 
 def wanted_of(case: Case) -> Wanted:
@@ -91,27 +91,27 @@ def wanted_of(case: Case) -> Wanted:
 
 
 def judge_solution(loaded: LoadedCase, solution: Solution, nodes: Sequence[Node]) -> Outcome:
-    """Judge the design as it is written, at the case's nodes and at the dispersed plants that the search has met."""
+    """Judge the design as it is written, at the case's nodes and at the dispersed plants of a robust search."""
     design, case = make_design(loaded, solution), loaded.case
-    dispersed = dispersed_nodes(solution, nodes)
-    kind: Kind = case.loop
     wanted = wanted_of(case)
-    judged = tuple(judge(nodes, design, kind))
-    found = tuple(checks(judged, design, wanted))
-    flown = judged if kind == "sampled" else tuple(judge(nodes, design, "sampled"))
-    flown_found = found if kind == "sampled" else tuple(checks(flown, design, wanted))
-    off = tuple(judge(dispersed, design, kind)) if case.robust is not None else ()
-    off_found = tuple(checks(off, design, Wanted.of(case.robust.limits))) if case.robust is not None and off else ()
-    return Outcome(loaded, design, judged, found, flown, flown_found, off, off_found, wanted)
+
+    def judged(at: Sequence[Node], kind: Kind, limits: Wanted) -> tuple[tuple[Judged, ...], tuple[Check, ...]]:
+        each = tuple(judge(at, design, kind))
+        return each, tuple(checks(each, design, limits))
+
+    own = judged(nodes, case.loop, wanted)
+    flown = own if case.loop == "sampled" else judged(nodes, "sampled", wanted)
+    off: tuple[tuple[Judged, ...], tuple[Check, ...]] = (), ()
+    if case.robust is not None and (dispersed := dispersed_nodes(solution, nodes)):
+        off = judged(dispersed, case.loop, Wanted.of(case.robust.limits))
+    return Outcome(loaded, design, *own, *flown, *off, wanted)
 
 
 def dispersed_nodes(solution: Solution, nodes: Sequence[Node]) -> list[Node]:
-    """The plants off the nominal one that a robust search has met, rebuilt from their labels."""
+    """The dispersed plants of a robust search, rebuilt from their labels."""
     ranges = solution.case.robust
     if ranges is None:
         return []
-    from maxq.design.optimise.robust import deviated  # noqa: PLC0415  # few cases are robust
-
     by_label = {node.label: node for node in nodes}
     out = []
     for label in dict.fromkeys(c.plant for c in solution.constraints if c.dispersed and c.plant is not None):

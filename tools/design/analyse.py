@@ -1,29 +1,45 @@
-"""`simdesign analyse DESIGN`: margins and pictures of any design at nodes of a flight."""
+"""`simdesign analyse DESIGN`: margins and pictures of a design at nodes of a flight.
+
+`simdesign errata`: what each erratum of the paper does to peaks and margins at every node.
+"""
 
 from __future__ import annotations
 
-import sys
-from collections.abc import Sequence
+import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
 
-from maxq.sim.files import FileError, check_writable
+from maxq.design import api
+from maxq.design.api import Plant
+from maxq.design.case.design_file import DESIGN_NAME, design_path, forget_pictures
+from maxq.design.loop.errata_effects import Effect, errata_effects, peaks_db
+from maxq.design.loop.fixed_path import Cut, Kind, fixed_path
+from maxq.design.margins.measure import margins
+from maxq.design.model.node import Node
+from maxq.design.model.vehicle_at import Plane
+from maxq.design.verify.judging import Wanted, checks, judge
+from maxq.sim.files import check_writable, write_whole
 from maxq.sim.scenario.errors import ScenarioError
-from maxq.tools.cli.terminal import Progress, printable
+from maxq.sim.scenario.loader import LoadedScenario, load_scenario
+from maxq.sim.scenario.schema_design import Design
+from maxq.tools.cli.frame import Exit
+from maxq.tools.cli.terminal import Progress, aligned
+from maxq.tools.design.record import analysis_record, write_record
+from maxq.tools.design.report import analysis_report, analysis_verdict
 
-if TYPE_CHECKING:
-    from maxq.design.api import Plant
-    from maxq.design.loop.fixed_path import Kind
-    from maxq.design.model.node import Node
-    from maxq.design.model.vehicle_at import Plane
-    from maxq.design.verify.judging import Check, Judged, Wanted
-    from maxq.sim.scenario.loader import LoadedScenario
-    from maxq.sim.scenario.schema_design import Design
-
-_PASSED, _FAILED, _BAD_INPUT = 0, 1, 2
 EVERY_S = 5.0
 RECORD_NAME = "analysis.json"
+DEFAULT_DESIGN = "ksr3-default"
+_UNSTABLE = "unstable"
+QUANTITIES = {
+    "peak 1": "peak of mode 1, dB",
+    "peak 2": "peak of mode 2, dB",
+    "peak 3": "peak of mode 3, dB",
+    "gain": "gain margin (least of up and down), dB",
+    "phase": "phase margin, deg",
+    "slosh": "highest peak of slosh, dB",
+}
 
 
 @dataclass(frozen=True)
@@ -42,58 +58,52 @@ class Order:
     pictures: bool = True
 
 
+@dataclass(frozen=True)
+class ErrataOrder:
+    """What the command line asks for."""
+
+    design: str = DEFAULT_DESIGN
+    scenario: str = "nominal"
+    vehicle: str | None = None
+    times_s: tuple[float, ...] = ()
+    plant: Plant = "flown"
+    out: str | None = None
+
+
 def execute(order: Order) -> int:
-    """Do it; returns the exit code. Whatever is wrong with the input is one line on stderr."""
-    try:
-        return _execute(order)
-    except (ScenarioError, FileError) as error:
-        print(f"simdesign: {printable(str(error))}", file=sys.stderr)
-        return _BAD_INPUT
-
-
-def _execute(order: Order) -> int:
-    from maxq.design.case.design_file import forget_pictures  # noqa: PLC0415  # lazy, as all here
-    from maxq.design.verify.judging import Wanted, checks, judge  # noqa: PLC0415  # lazy
-    from maxq.tools.design.record import analysis_record, write_record  # noqa: PLC0415  # lazy
-
+    """Do it; returns the exit code."""
     scenario, design = load(order.scenario, order.vehicle, order.design)
-    name = _name(order.design)
-    folder = _folder(order, name)
-    times_s = order.times_s or default_times_s(design)
+    path = Path(order.design)
+    name = path.parent.name if path.name == DESIGN_NAME and path.parent.name else path.name.removesuffix(".toml")
+    folder = Path(order.out) if order.out is not None else Path("runs") / f"analyse-{name}" if order.pictures else None
     with Progress() as progress:
-        nodes = find_nodes(scenario, times_s, order.axis, order.errata, order.plant)
+        nodes = find_nodes(scenario, order.times_s or default_times_s(design), order.axis, order.errata, order.plant)
         if folder is not None:
             check_writable(folder)
-        judged = judge(
-            nodes,
-            design,
-            order.kind,
-            lambda n: progress.show("measuring margins", n, len(nodes)),
-        )
+        judged = judge(nodes, design, order.kind, lambda n: progress.show("measuring margins", n, len(nodes)))
         wanted = Wanted.of(design.limits) if design.limits else Wanted()
         found = checks(judged, design, wanted)
         files = []
         if folder is not None:
             forget_pictures(folder)
-            title = f"{design.name or name}, {order.axis}, {order.kind}"
             files.append(write_record(folder / RECORD_NAME, analysis_record(name, order, judged, found)))
             if order.pictures:
-                files += _draw(folder, title, design, scenario, judged, wanted, progress)
-    print(report(name, order, design, judged, found))
+                from maxq.tools.design import pictures  # noqa: PLC0415  # lazy: matplotlib, not with --no-pictures
+
+                title = f"{design.name or name}, {order.axis}, {order.kind}"
+                files += pictures.draw_all(pictures.judged_sheets(judged, title, wanted), folder, progress.show)
+    print(analysis_report(name, order, design, judged, found))
     print(f"\n{len(files)} files in {folder}/" if files else "")
-    print(verdict(found))
-    return _PASSED if all(check.passed for check in found) else _FAILED
+    print(analysis_verdict(found))
+    return Exit.OK if all(check.passed for check in found) else Exit.FAILED
 
 
 def load(scenario: str, vehicle: str | None, design: str) -> tuple[LoadedScenario, Design]:
     """The scenario whose flight is linearised, and the design to judge. Raises ScenarioError.
 
-    The flight is that with the scenario's own design, as that of a case is: so a design is judged at the conditions for
-    which it was made. A scenario without one flies the design that is judged.
+    The flight is that with the scenario's own design, as for a case: so a design is judged at the conditions for which
+    it was made. A scenario without one flies the design that is judged.
     """
-    from maxq.design.case.design_file import design_path  # noqa: PLC0415  # lazy
-    from maxq.sim.scenario.loader import load_scenario  # noqa: PLC0415  # lazy
-
     changes = [f'vehicle="{vehicle}"'] if vehicle is not None else []
     with_it = load_scenario(scenario, [f'design="{design_path(design)}"', *changes])
     assert with_it.design is not None
@@ -116,69 +126,86 @@ def find_nodes(
     plant: Plant = "flown",
 ) -> list[Node]:
     """Nodes along the flight. Raises ScenarioError for a time outside the powered flight."""
-    from maxq.design import api  # noqa: PLC0415  # lazy
-
     try:
         nodes = api.nodes(scenario, times_s, plane=axis, errata=errata, plant=plant)
         for node in nodes:
-            _ = node.plant  # where there is none, say so before the work
+            _ = node.plant  # raises where there is none, before the long work
     except ValueError as error:
         raise ScenarioError(scenario.label, str(error), allowed="times under thrust") from None
     return nodes
 
 
-def report(name: str, order: Order, design: Design, judged: Sequence[Judged], found: Sequence[Check]) -> str:
-    """All that is printed."""
-    from maxq.tools.design import tables  # noqa: PLC0415  # lazy
-
-    what = {"sampled": "sampled, as it flies", "pade": "the paper's Pade approximants", "exact": "without aliasing"}
-    where = f"along {order.scenario}, {order.axis}; loop opened at the gimbal command; {what[order.kind]}"
-    if order.errata != "corrected" or order.plant != "flown":
-        where += f"; errata: {order.errata}; plant: {order.plant}"
-    head = [printable(f"{name}: {design.name}" if design.name else name), where]
-    parts = [
-        head, tables.margins_table(judged), tables.lobes_table(judged),
-        tables.budget_table(judged, "phase margin", "phase_deg"),
-        tables.budget_table(judged, "gain margin up", "gain_db"), tables.limits_table(found),
-    ]  # fmt: skip
-    if len(found) > 1:
-        parts.append(tables.nodes_table(found, [j.time_s for j in judged]))
-    return "\n\n".join("\n".join(part) for part in parts if part)
+# errata
 
 
-def verdict(found: Sequence[Check]) -> str:
-    """The last line."""
-    missed = [check.text for check in found if not check.passed]
-    if not missed:
-        return "PASSED: stable" + (
-            f", all {len(found) - 1} limits met" if len(found) > 1 else "; the design states no limits"
-        )
-    return "FAILED: " + ", ".join("unstable" if text == "unstable poles" else f"{text} missed" for text in missed)
-
-
-def _folder(order: Order, name: str) -> Path | None:
+def execute_errata(order: ErrataOrder) -> int:
+    """Do it; returns the exit code."""
+    scenario, design = load(order.scenario, order.vehicle, order.design)
+    with Progress() as progress:
+        nodes = find_nodes(scenario, order.times_s or default_times_s(design), plant=order.plant)
+        found: list[Effect] = []
+        for n, node in enumerate(nodes):
+            found += effects([node], design)
+            progress.show("switching errata", n + 1, len(nodes))
+    text = errata_report(found, order)
     if order.out is not None:
-        return Path(order.out)
-    return Path("runs") / f"analyse-{name}" if order.pictures else None
+        write_whole(Path(order.out), text + "\n")
+    print(text)
+    return Exit.OK
 
 
-def _name(design: str) -> str:
-    path = Path(design)
-    return path.parent.name if path.name == "design.toml" and path.parent.name else path.name.removesuffix(".toml")
+def effects(nodes: Sequence[Node], design: Design) -> list[Effect]:
+    """Of every erratum at every node, on the design's loop with the paper's Pade approximants."""
+    return errata_effects(nodes, lambda node, cut: _measure(node, cut, design))
 
 
-def _draw(
-    folder: Path, title: str, design: Design, scenario: LoadedScenario, judged: Sequence[Judged], wanted: Wanted,
-    progress: Any,
-) -> list[Path]:  # fmt: skip
-    from maxq.tools.design.album import loop_sheets, margin_sheets  # noqa: PLC0415  # lazy
+def _measure(node: Node, cut: Cut, design: Design) -> Mapping[str, float]:
+    """Peaks, and for the whole loop its margins; `unstable` is 1 where it is not stable."""
+    loop = api.close(fixed_path(node, "pade", cut), design)
+    peaks = peaks_db(loop)
+    out = {f"peak {i}": peaks[f"bending {i}"] for i in (1, 2, 3) if f"bending {i}" in peaks}
+    slosh = [db for name, db in peaks.items() if name.startswith("slosh")]
+    if slosh:
+        out["slosh"] = max(slosh)
+    if cut == "gimbal_command":
+        m = margins(loop, resonances=loop.fixed.resonances(), zones=())
+        out |= {"gain": min(m.gain_up_db.value, m.gain_down_db.value), "phase": m.phase_deg.value}
+        out[_UNSTABLE] = float(not m.stable)
+    return out
 
-    sheets = [*margin_sheets({"": judged}, wanted), *loop_sheets(judged, title, wanted)]
-    files = []
-    from maxq.tools.plots.style import drawing  # noqa: PLC0415  # lazy
 
-    with drawing():
-        for n, (stem, draw) in enumerate(sheets):
-            progress.show("drawing", n, len(sheets))
-            files += draw(folder / stem)
-    return files
+def errata_report(found: Sequence[Effect], order: ErrataOrder) -> str:
+    """A table of every quantity: a row an erratum, a column a node; printed less corrected."""
+    times = list(dict.fromkeys(e.node.time_s for e in found))
+    names = list(dict.fromkeys(e.erratum for e in found))
+    by_place = {(e.erratum, e.node.time_s): e for e in found}
+    about = {e.erratum: e.about for e in found}
+    head = [
+        "errata of Lee, Ahn & Roh: what each does, left in alone, to the open loop (cut at the gimbal command,",
+        f"paper's Pade approximants) of {order.design} along {order.scenario}; plant: {order.plant}",
+    ]
+    rows = [("nr", "switch", "equations", "as printed", "corrected")]
+    rows += [(a.number, name, a.equations, a.printed, a.corrected) for name, a in about.items()]
+    parts = [head, aligned(rows)]
+    for key, title in QUANTITIES.items():
+        if not any(key in e.corrected for e in found):
+            continue
+        table = [("time, s", *(f"{t:g}" for t in times))]
+        table.append(("corrected", *(_cell(by_place[names[0], t].corrected.get(key, math.nan)) for t in times)))
+        table += [(name, *(_change(by_place[name, t], key) for t in times)) for name in names]
+        right = tuple(range(1, 1 + len(times)))
+        parts.append([f"{title}: as printed less corrected", *aligned(table, "  ", right)])
+    legend = "unst.: the loop as printed is unstable and has no margin; -: the loop has none of it, or cannot be made"
+    errors = dict.fromkeys(f"{e.erratum}: {e.error}" for e in found if e.error)
+    parts.append([legend, *errors])
+    return "\n\n".join("\n".join(part) for part in parts)
+
+
+def _change(effect: Effect, key: str) -> str:
+    if key in ("gain", "phase") and effect.printed.get(_UNSTABLE, 0.0) > 0.0:
+        return "unst."
+    return _cell(effect.change(key), sign="+")
+
+
+def _cell(value: float, sign: str = "") -> str:
+    return "-" if math.isnan(value) else "inf" if math.isinf(value) else f"{value:{sign}.2f}"

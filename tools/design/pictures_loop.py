@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
-from pathlib import Path
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 from matplotlib.patches import Ellipse, Polygon, Rectangle
 
 from maxq.control.kernel.records import Array
@@ -16,7 +16,7 @@ from maxq.design.margins.distances import Zone
 from maxq.design.model.state_space import ComplexArray
 from maxq.design.verify.judging import Judged
 from maxq.tools.plots.palette import BLACK, BLUE, GREY, ON_LIGHT, RED
-from maxq.tools.plots.style import label, plain_numbers, save, sheet
+from maxq.tools.plots.style import label, plain_numbers, sheet
 
 BOTTOM_DB, TOP_DB = -50.0, 50.0  # of Bode and Nichols plots, where the curve goes farther
 LOWEST_HZ = 0.02
@@ -41,7 +41,6 @@ class LoopPicture:
     loop: ComplexArray
     marks: Sequence[Mark] = ()
     zones: Sequence[Zone] = ()
-    notes: Sequence[str] = field(default_factory=tuple)
 
 
 def picture_of(judged: Judged, title: str, zones: Sequence[Zone] = ()) -> LoopPicture:
@@ -72,19 +71,14 @@ def _short(text: str) -> str:
     return text.replace("bending ", "mode ")
 
 
-def draw_loop(picture: LoopPicture, stem: Path) -> list[Path]:
+def draw_loop(picture: LoopPicture) -> Figure:
     """Bode at the left, Nichols and Nyquist at the right."""
     figure, places = sheet(2, 2, height_in=3.3, width_in=8.4)
     _bode(picture, places[0], places[2])
-    _nichols(picture, places[1])
+    draw_nichols(picture, places[1])
     _nyquist(picture, places[3])
     figure.suptitle(picture.title, fontsize=10)
-    return save(figure, stem)
-
-
-def draw_nichols(picture: LoopPicture, place: Axes) -> None:
-    """The loop in the Nichols plane, with lobes and margins named and zones shaded."""
-    _nichols(picture, place)
+    return figure
 
 
 def _bode(picture: LoopPicture, gain: Axes, phase: Axes) -> None:
@@ -125,7 +119,8 @@ def _aside(hz: float, lobes: Sequence[float]) -> float:
     return 4.0 if any(other < hz < 1.3 * other for other in lobes) else 0.0
 
 
-def _nichols(picture: LoopPicture, place: Axes) -> None:
+def draw_nichols(picture: LoopPicture, place: Axes) -> None:
+    """The loop in the Nichols plane, with lobes and margins named and zones shaded."""
     level, turn = _decibels(picture.loop), _turn(picture.loop)
     for zone in picture.zones:
         _draw_zone(zone, place)

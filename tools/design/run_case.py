@@ -1,28 +1,34 @@
-"""`simdesign CASE`: optimise a case, judge what came of it, write and draw it."""
+"""`simdesign CASE`: optimise a case, judge the design, write and draw it.
+
+With --orders also over the paper's filters and gain schedules: its Fig. 9, and the designs of Figs 7, 8, 11 to 14.
+"""
 
 from __future__ import annotations
 
 import math
 import re
-import sys
 import time
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
 
-from maxq.sim.files import FileError, check_writable, write_whole
+from maxq.control.laws.structures import STRUCTURES as KNOWN
+from maxq.design import api
+from maxq.design.case.design_file import DESIGN_NAME, design_text, forget_pictures
+from maxq.design.case.read import LoadedCase, read_case
+from maxq.design.model.node import Node
+from maxq.design.optimise.plants import Plants
+from maxq.design.optimise.solution import Solution
+from maxq.design.optimise.solve import nominal_plants, solve
+from maxq.design.verify.outcome import Outcome, judge_solution, make_design, objective_text
+from maxq.sim.files import check_writable, write_whole
 from maxq.sim.scenario.errors import ScenarioError
-from maxq.tools.cli.terminal import Progress, printable
+from maxq.tools.cli.frame import Exit
+from maxq.tools.cli.interruption import Interruption
+from maxq.tools.cli.terminal import Progress, aligned
+from maxq.tools.design.record import case_record, write_record
+from maxq.tools.design.report import case_report, comments
 
-if TYPE_CHECKING:
-    from maxq.design.case.read import LoadedCase
-    from maxq.design.model.node import Node
-    from maxq.design.optimise.plants import Plants
-    from maxq.design.optimise.solution import Solution
-    from maxq.design.verify.outcome import Outcome
-    from maxq.tools.design.orders import Found
-
-_DESIGNED, _INFEASIBLE, _BAD_INPUT, _INTERRUPTED = 0, 1, 2, 130
 RECORD_NAME = "design.json"
 
 
@@ -41,17 +47,13 @@ class Order:
 
 @dataclass(frozen=True)
 class Made:
-    """What came of a case: the exit code, and the design in its folder. `orders`: those of --orders, else None."""
+    """The result of a case: the exit code, and the design in its folder. `orders`: those of --orders, else None."""
 
-    code: int
+    code: Exit
     folder: Path
     outcome: Outcome
     solution: Solution
     orders: Found | None
-
-    @property
-    def interrupted(self) -> bool:
-        return self.code == _INTERRUPTED
 
     @property
     def meets_limits(self) -> bool:
@@ -60,28 +62,16 @@ class Made:
 
 
 def execute(order: Order) -> int:
-    """Do it; returns the exit code. Whatever is wrong with the input is one line on stderr."""
-    try:
-        return make(order).code
-    except (ScenarioError, FileError) as error:
-        print(f"simdesign: {printable(str(error))}", file=sys.stderr)
-        return _BAD_INPUT
+    """Do it; returns the exit code."""
+    return make(order).code
 
 
 def make(order: Order) -> Made:
-    """Optimise the case, write and print what came of it. Raises ScenarioError."""
+    """Optimise the case, write and print the result. Raises ScenarioError and FileError."""
     begun_s = time.perf_counter()
-    from maxq.design.case.design_file import forget_pictures  # noqa: PLC0415
-    from maxq.design.case.read import read_case  # noqa: PLC0415  # lazy, as all imports here
-    from maxq.design.optimise.solve import nominal_plants, solve  # noqa: PLC0415  # lazy
-    from maxq.design.verify.outcome import judge_solution  # noqa: PLC0415
-    from maxq.tools.cli.interruption import Interruption  # noqa: PLC0415
-    from maxq.tools.design.case_report import report  # noqa: PLC0415
-
-    more = [
-        f"search.{key}={value}" for key, value in (("starts", order.starts), ("seed", order.seed)) if value is not None
-    ]
-    loaded = read_case(order.case, [*order.overrides, *more])
+    search = (("starts", order.starts), ("seed", order.seed))
+    overrides = (*order.overrides, *(f"search.{key}={value}" for key, value in search if value is not None))
+    loaded = read_case(order.case, overrides)
     folder = Path(order.out or Path("runs") / (re.sub(r"[^\w.-]+", "-", loaded.name).strip(".-") or "design"))
     with Progress() as progress, Interruption(at_once=True) as stop:
         try:
@@ -98,106 +88,148 @@ def make(order: Order) -> Made:
 
         show(0, 1, math.nan)
         solution = solve(loaded, plants, progress=show)  # Ctrl-C ends it with the best so far
-        orders, cut_short = None, False
-        if order.orders and solution.status != "interrupted":
+        orders, interrupted = None, solution.status == "interrupted"
+        if order.orders and not interrupted:
             try:
-                orders = _solve_orders(order, (*order.overrides, *more), plants, progress)
-            except KeyboardInterrupt:  # the design itself is there
-                cut_short = True
-        with Interruption() as interruption:  # what has been found is written, whatever is pressed now
+                tell = lambda n, of: progress.show("optimising: orders", n, of)  # noqa: E731  # one line of its own
+                orders = solve_orders(order.case, overrides, plants, tell)
+            except KeyboardInterrupt:  # the design itself is complete
+                interrupted = True
+        with Interruption() as interruption:  # the result is written, whatever is pressed now
             outcome = judge_solution(loaded, solution, [plant.node for plant in plants.each])
-            forget_pictures(folder)  # pictures that an earlier run has left there
+            forget_pictures(folder)
             files = _write(folder, outcome, solution, orders)
             if order.pictures and solution.status != "interrupted":
-                files += _draw(folder, outcome, progress, interruption)
-                if orders is not None:
-                    files += _draw_orders(folder, orders, plants)
-    print(report(loaded, outcome, solution))
+                files += _draw(folder, outcome, orders, progress, lambda: interruption.requested)
+    print(case_report(loaded, outcome, solution))
     if orders is not None:
-        from maxq.tools.design.orders import orders_table  # noqa: PLC0415
-
         print("\n" + "\n".join(orders_table(orders)))
     print(f"\n{len(files)} files in {folder}/; {time.perf_counter() - begun_s:.1f} s in all")
     print(_verdict(outcome, solution, folder))
-    if solution.status == "interrupted" or cut_short or interruption.requested:
-        code = _INTERRUPTED
-    else:
-        code = _DESIGNED if outcome.feasible and solution.feasible else _INFEASIBLE
+    met = outcome.feasible and solution.feasible
+    code = Exit.INTERRUPTED if interrupted or interruption.requested else Exit.OK if met else Exit.FAILED
     return Made(code, folder, outcome, solution, orders)
 
 
 def _verdict(outcome: Outcome, solution: Solution, folder: Path) -> str:
     """The last line."""
-    from maxq.design.verify.outcome import objective_text  # noqa: PLC0415  # lazy
-
-    fly = f"fly it with: simrun {outcome.loaded.case.scenario} --set design={folder}/design.toml"
     if solution.status == "interrupted":
         state = "it meets all limits" if outcome.feasible else "it misses limits"
         return f"INTERRUPTED: the best so far is kept; {state}"
     if outcome.feasible and solution.feasible:
+        fly = f"fly it with: simrun {outcome.loaded.case.scenario} --set design={folder}/design.toml"
         return f"DESIGNED: {objective_text(solution)}, all limits met; {fly}"
-    why = solution.explanation() or "; ".join(outcome.missed)
-    return f"INFEASIBLE: {why}"
-
-
-def _solve_orders(order: Order, overrides: tuple[str, ...], plants: Plants, progress: Progress) -> Found:
-    from maxq.tools.design.orders import solve_orders  # noqa: PLC0415  # lazy
-
-    return solve_orders(order.case, overrides, plants, lambda n, of: progress.show("optimising: orders", n, of))
-
-
-def _draw_orders(folder: Path, orders: Found, plants: Plants) -> list[Path]:
-    from maxq.tools.design.orders import draw_orders  # noqa: PLC0415  # lazy
-    from maxq.tools.plots.style import drawing  # noqa: PLC0415
-
-    with drawing():
-        return draw_orders(orders, plants, folder)
+    return f"INFEASIBLE: {solution.explanation() or '; '.join(outcome.missed)}"
 
 
 def _write(folder: Path, outcome: Outcome, solution: Solution, orders: Found | None) -> list[Path]:
-    from maxq.design.case.design_file import DESIGN_NAME, design_text  # noqa: PLC0415
-    from maxq.tools.design.case_report import comments  # noqa: PLC0415  # lazy
-    from maxq.tools.design.record import case_record, write_record  # noqa: PLC0415
-
-    text = design_text(outcome.design, comments(outcome, solution))
     record = case_record(outcome, solution)
     if orders is not None:
-        from maxq.tools.design.orders import orders_record, write_orders  # noqa: PLC0415  # lazy
-
         record["orders"] = orders_record(orders)
+    text = design_text(outcome.design, comments(outcome, solution))
     files = [write_whole(folder / DESIGN_NAME, text), write_record(folder / RECORD_NAME, record)]
     return files if orders is None else files + write_orders(orders, folder)
 
 
-def _draw(folder: Path, outcome: Outcome, progress: Progress, interruption: object) -> list[Path]:
-    from maxq.tools.design import album  # noqa: PLC0415  # lazy
-    from maxq.tools.plots.style import drawing  # noqa: PLC0415
+def _draw(
+    folder: Path, outcome: Outcome, orders: Found | None, progress: Progress, stop: Callable[[], bool]
+) -> list[Path]:
+    from maxq.tools.design import pictures  # noqa: PLC0415  # lazy: matplotlib, not with --no-pictures
 
-    loaded = outcome.loaded
-    nodes = [j.node for j in outcome.judged]
-    along = _along(loaded, nodes)
+    loaded, nodes = outcome.loaded, [j.node for j in outcome.judged]
+    tanks = [tank.name for tank in loaded.scenario.vehicle.stage[0].tank]
     sheets = [
-        *album.vehicle_sheets(along, [tank.name for tank in loaded.scenario.vehicle.stage[0].tank]),
-        *album.design_sheets({loaded.name: outcome.design}, nodes),
-        *album.margin_sheets({"": outcome.judged}, outcome.wanted),
-        *album.loop_sheets(outcome.judged, f"{loaded.name}, {loaded.case.loop}", outcome.wanted),
+        *pictures.case_sheets(loaded.name, outcome.design, nodes, _along(loaded, nodes), tanks),
+        *pictures.judged_sheets(outcome.judged, f"{loaded.name}, {loaded.case.loop}", outcome.wanted),
     ]
-    files: list[Path] = []
-    with drawing():
-        for n, (stem, draw) in enumerate(sheets):
-            if getattr(interruption, "requested", False):
-                break
-            progress.show("drawing", n, len(sheets))
-            files += draw(folder / stem)
-    return files
+    if orders is not None:
+        series = {
+            name: {f: _peak(orders[f, schedule][1]) for f in STRUCTURES} for schedule, name in SCHEDULES.items()
+        }  # fmt: skip
+        designs = {schedule: {f: make_design(*orders[f, schedule]) for f in STRUCTURES} for schedule in SCHEDULES}
+        sheets += pictures.order_sheets(series, designs, nodes)
+    return pictures.draw_all(sheets, folder, progress.show, stop)
 
 
-def _along(loaded: LoadedCase, nodes: list[Node]) -> list[Node]:
+def _along(loaded: LoadedCase, nodes: Sequence[Node]) -> list[Node]:
     """Nodes every half second between the first and the last, for curves over time."""
-    from maxq.design import api  # noqa: PLC0415  # lazy
-
-    case = loaded.case
-    first, last = nodes[0].time_s, nodes[-1].time_s
+    case, first, last = loaded.case, nodes[0].time_s, nodes[-1].time_s
     count = max(1, round(2.0 * (last - first)))
     times = [first + (last - first) * k / count for k in range(count + 1)]
     return api.nodes(loaded.scenario, times, plane=case.plane, errata=case.errata, plant=case.plant)
+
+
+# the paper's filters and gain schedules
+
+STRUCTURES = tuple(name for name, sections in KNOWN.items() if sum(sections))
+SCHEDULES = {"two-phase": "two-phase", "linear": "Subcase 1", "free": "Subcase 2"}
+Found = Mapping[tuple[str, str], tuple[LoadedCase, Solution]]
+"""By structure and schedule."""
+
+
+def solve_orders(name: str, overrides: tuple[str, ...], plants: Plants, tell: Callable[[int, int], None]) -> Found:
+    """Fifteen problems; each starts from the solutions it contains, too, so that more freedom is never worse.
+
+    Raises KeyboardInterrupt when one is interrupted.
+    """
+    out: dict[tuple[str, str], tuple[LoadedCase, Solution]] = {}
+    for structure in STRUCTURES:
+        for schedule in SCHEDULES:
+            tell(len(out), len(STRUCTURES) * len(SCHEDULES))
+            loaded = read_case(name, [*overrides, f"filter.structure={structure}", f"gains.schedule={schedule}"])
+            solution = solve(loaded, plants, list(_contained(out, structure, schedule)))
+            if solution.status == "interrupted":
+                raise KeyboardInterrupt
+            out[structure, schedule] = loaded, solution
+    return out
+
+
+def _contained(found: Found, structure: str, schedule: str) -> Iterator[Solution]:
+    schedules = tuple(SCHEDULES)
+    k, s = STRUCTURES.index(structure), schedules.index(schedule)
+    if k > 0:
+        yield found[STRUCTURES[k - 1], schedule][1]
+    if s > 0:
+        yield found[structure, schedules[s - 1]][1]
+
+
+def orders_table(found: Found) -> list[str]:
+    """The objective of each, in dB."""
+    rows = [("filter", *SCHEDULES.values(), "gained", "further")]
+    for structure in STRUCTURES:
+        peaks = [_peak(found[structure, schedule][1]) for schedule in SCHEDULES]
+        values = (*peaks, peaks[0] - peaks[1], peaks[1] - peaks[2])
+        rows.append((structure, *("infeasible" if math.isnan(x) else f"{x:.2f}" for x in values)))
+    return ["over the filter's order, dB", *aligned(rows, "  ", right=(1, 2, 3, 4, 5))]
+
+
+def orders_record(found: Found) -> list[dict[str, object]]:
+    """For design.json."""
+    return [
+        {"structure": structure, "schedule": schedule, "status": s.status, "objective_db": s.objective_db,
+         "violation_db": s.violation_db, "near_best": s.certificate.near_best, "starts": s.certificate.starts,
+         "gains": {"time_s": s.nodes_s.tolist(), "k_p": s.k_p.tolist(), "k_d_s": s.k_d_s.tolist()},
+         "filter": asdict(s.filter)}
+        for (structure, schedule), (_, s) in found.items()
+    ]  # fmt: skip
+
+
+def order_folder(folder: Path, structure: str, schedule: str) -> Path:
+    """Where the design of a filter and a schedule is written."""
+    return folder / f"{structure}-{schedule}"
+
+
+def write_orders(found: Found, folder: Path) -> list[Path]:
+    """A design file for each that meets its limits."""
+    return [
+        write_whole(
+            order_folder(folder, structure, schedule) / DESIGN_NAME,
+            design_text(make_design(loaded, solution), [f"{structure} with {schedule} gains, of --orders"]),
+        )
+        for (structure, schedule), (loaded, solution) in found.items()
+        if solution.feasible
+    ]
+
+
+def _peak(solution: Solution) -> float:
+    return solution.objective_db if solution.feasible else math.nan

@@ -33,7 +33,7 @@ from maxq.design.verify.judging import judge
 from maxq.sim.run.fly import fly
 from maxq.sim.scenario.loader import load_scenario
 from maxq.sim.scenario.schema_design import Design
-from maxq.tools.design.errata_table import effects
+from maxq.tools.design.analyse import effects
 
 DOCS = Path(__file__).resolve().parents[2] / "docs"
 PAGE, PARAMETERS, PICTURES = DOCS / "case-study.md", DOCS / "case-study.json", DOCS / "pictures" / "case-study"

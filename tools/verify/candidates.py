@@ -3,27 +3,22 @@
 from __future__ import annotations
 
 import shlex
-import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from maxq.design.case.design_file import design_path
+from maxq.design.verify import memory
 from maxq.design.verify.judging import judge
 from maxq.design.verify.outcome import make_design
-from maxq.design.verify.suite import UNDECIDED, read_suite
-from maxq.design.verify.verify import Verification
-from maxq.sim.campaign.error import CampaignError
-from maxq.sim.files import FileError
-from maxq.sim.scenario.errors import ScenarioError
+from maxq.design.verify.suite import ACCEPTED, UNDECIDED, read_suite
+from maxq.design.verify.verify import Verification, Watch, verify
 from maxq.sim.scenario.schema_design import Design
+from maxq.tools.cli.frame import Exit, say
 from maxq.tools.cli.interruption import Interruption
-from maxq.tools.cli.terminal import Progress, aligned, printable
+from maxq.tools.cli.terminal import Progress, aligned
 from maxq.tools.design import run_case
-from maxq.tools.design.orders import order_folder
-from maxq.tools.verify.in_order import try_in_order
-from maxq.tools.verify.run import write_pack
-
-_ACCEPTED, _NONE, _BAD_INPUT, _UNDECIDED, _INTERRUPTED = 0, 1, 2, 3, 130
+from maxq.tools.verify.report import headline, reasons, write_pack
 
 
 @dataclass(frozen=True)
@@ -38,19 +33,15 @@ class Candidate:
 
 
 def execute(orders: Sequence[run_case.Order], suite: str, pack: bool = True) -> int:
-    """Design each case, then verify in order of merit; returns the exit code. Wrong input is one line on stderr."""
-    try:
-        read_suite(suite)  # before minutes go into designing
-        made = []
-        for order in orders:
-            made.append(run_case.make(order))
-            if made[-1].interrupted:
-                return _INTERRUPTED
-            print()
-        return _verify([c for one in made for c in candidates(one)], suite, pack)
-    except (ScenarioError, CampaignError, FileError) as error:
-        print(f"simdesign: {printable(str(error))}", file=sys.stderr)
-        return _BAD_INPUT
+    """Design each case, then verify in order of merit; returns the exit code."""
+    read_suite(suite)  # a mistake in it is reported before the minutes of designing
+    made = []
+    for order in orders:
+        made.append(run_case.make(order))
+        if made[-1].code == Exit.INTERRUPTED:
+            return Exit.INTERRUPTED
+        print()
+    return _verify([c for one in made for c in candidates(one)], suite, pack)
 
 
 def candidates(made: run_case.Made) -> Iterator[Candidate]:
@@ -66,7 +57,7 @@ def candidates(made: run_case.Made) -> Iterator[Candidate]:
     )  # fmt: skip
     for (structure, schedule), (loaded, solution) in (made.orders or {}).items():
         if solution.feasible:
-            folder, design = order_folder(made.folder, structure, schedule), make_design(loaded, solution)
+            folder, design = run_case.order_folder(made.folder, structure, schedule), make_design(loaded, solution)
             yield Candidate(folder, True, kind, solution.objective_db, modulus(design))
 
 
@@ -97,12 +88,42 @@ def _verify(found: Sequence[Candidate], suite: str, pack: bool) -> int:
                 names, suite, keep=keep, watch=progress.show, stop=lambda: interruption.requested
             )  # fmt: skip
     except KeyboardInterrupt:
-        print("simdesign: interrupted; what was worked out is kept, the same command goes on", file=sys.stderr)
-        return _INTERRUPTED
+        say("simdesign", "interrupted; what was worked out is kept, the same command resumes")
+        return Exit.INTERRUPTED
     count = "the only candidate" if len(names) == 1 else f"candidate {len(every)} of {len(names)}"
     if accepted is not None:
         print(f"\nACCEPTED by the suite {suite}: {accepted}, {count}; its review: {accepted}/review.html")
-        return _ACCEPTED
+        return Exit.OK
     open_ = [name for name, v in zip(names, every, strict=True) if v.judgement == UNDECIDED]
     print(f"\nNONE ACCEPTED by the suite {suite}" + (f"; undecided: {', '.join(open_)}" if open_ else ""))
-    return _UNDECIDED if open_ else _NONE
+    return Exit.UNDECIDED if open_ else Exit.FAILED
+
+
+def try_in_order(
+    designs: Sequence[str],
+    suite: str = "standard",
+    overrides: Iterable[str] = (),
+    *,
+    tell: Callable[[str], None] = print,
+    keep: Callable[[str, Verification], None] = lambda design, found: None,
+    watch: Watch = lambda what, done, of: None,
+    stop: Callable[[], bool] = lambda: False,
+) -> tuple[str | None, list[Verification]]:
+    """Verify one design after the other up to the first that is accepted.
+
+    `designs` as for `simverify`, in order of preference. `tell` gets, line by line, the verdict on each and the
+    requirements not met; `keep` each verification when it is complete. An undecided design is not accepted. Returns the
+    accepted design, or None, and all verifications. Raises ScenarioError before anything is flown, KeyboardInterrupt
+    soon after `stop` returns True.
+    """
+    loaded, paths = read_suite(suite, overrides), [design_path(design) for design in designs]
+    every: list[Verification] = []
+    for design, path in zip(designs, paths, strict=True):
+        found = verify(path, loaded, memory=memory.default_folder(), watch=watch, stop=stop)
+        every.append(found)
+        keep(design, found)
+        for line in (headline(found, design), *reasons(found)):
+            tell(line)
+        if found.judgement == ACCEPTED:
+            return design, every
+    return None, every

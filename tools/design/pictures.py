@@ -1,0 +1,298 @@
+"""Pictures of a design: names of files, and what draws each. Figure numbers are those of the paper."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from maxq.control.filters import BendingFilter, DiscreteFilter
+from maxq.design.model.node import Node
+from maxq.design.model.plant import axial_load_mps2
+from maxq.design.model.vehicle_at import stability_derivatives
+from maxq.design.verify.judging import Judged, Wanted
+from maxq.sim.packing.computer import bending_filter
+from maxq.sim.scenario.schema_design import Design
+from maxq.tools.design.pictures_loop import draw_loop, picture_of
+from maxq.tools.plots.palette import BLACK, BLUE, GREY, RED
+from maxq.tools.plots.style import MARKERS, curve, drawing, label, plain_numbers, save, sheet
+
+_DERIVATIVES = {
+    "z_alpha_1ps": r"$Z_\alpha$, 1/s",
+    "m_alpha_1ps2": r"$M_\alpha$, 1/s$^2$",
+    "z_delta_1ps": r"$Z_\delta$, 1/s",
+    "m_delta_1ps2": r"$M_\delta$, 1/s$^2$",
+    "m_q_1ps": r"$M_q$, 1/s",
+}
+
+
+def derivatives(nodes: Sequence[Node]) -> Figure:
+    """Fig. 4: stability derivatives (eqs 4 to 8)."""
+    time_s = [node.time_s for node in nodes]
+    values = [stability_derivatives(node.vehicle, node.condition) for node in nodes]
+    figure, places = sheet(2, 3, height_in=2.0)
+    for place, (key, name) in zip(places, _DERIVATIVES.items(), strict=False):
+        place.plot(time_s, [getattr(v, key) for v in values], color=BLUE)
+        label(place, "time, s", name)
+    places[-1].axis("off")
+    return figure
+
+
+def bending_frequencies(nodes: Sequence[Node]) -> Figure:
+    """Fig. 5: frequencies of the free-free modes, uncoupled."""
+    time_s = [node.time_s for node in nodes]
+    most = max(len(node.vehicle.modes.omega_radps) for node in nodes)
+    figure, (place,) = sheet(1, 1, height_in=2.8)
+    for i in range(most):
+        hz = [_entry(node.vehicle.modes.omega_radps, i) / (2.0 * np.pi) for node in nodes]
+        place.plot(time_s, hz, **curve(i), label=f"mode {i + 1}")
+    sampled_hz = 0.5 / nodes[0].instruments.sample_s
+    if most and np.nanmax(np.concatenate([n.vehicle.modes.omega_radps for n in nodes])) / (2 * np.pi) > sampled_hz / 2:
+        place.axhline(sampled_hz, color=GREY, linewidth=0.8, linestyle=":", label="half the sample rate")
+    place.set_ylim(bottom=0.0)
+    label(place, "time, s", "frequency, Hz")
+    if most:
+        place.legend(loc="center left", bbox_to_anchor=(1.0, 0.5))
+    return figure
+
+
+def slosh_frequencies(nodes: Sequence[Node], tanks: Sequence[str]) -> Figure:
+    """Fig. 6: slosh frequencies of the liquids' pendulums, uncoupled, and their masses."""
+    time_s = [node.time_s for node in nodes]
+    figure, places = sheet(1, 2, height_in=2.6)
+    for k, name in enumerate(tanks):
+        hz, share = [], []
+        for node in nodes:
+            bobs = node.vehicle.pendulums
+            load = axial_load_mps2(node.vehicle, node.condition)
+            hz.append(np.sqrt(max(load, 0.0) / _entry(bobs.length_m, k)) / (2.0 * np.pi))
+            share.append(100.0 * _entry(bobs.mass_kg, k) / node.vehicle.body.total_mass_kg)
+        places[0].plot(time_s, hz, **curve(k), label=name)
+        places[1].plot(time_s, share, **curve(k), label=name)
+    for place in places:
+        place.set_ylim(bottom=0.0)
+    label(places[0], "time, s", "frequency, Hz")
+    label(places[1], "time, s", "sloshing mass, % of the vehicle")
+    if tanks:
+        places[0].legend()
+    return figure
+
+
+def _entry(values: np.ndarray, i: int) -> float:
+    """One of a vehicle's modes or tanks; NaN, which is not drawn, where it has fewer."""
+    return float(values[i]) if i < len(values) else float("nan")
+
+
+LOWEST_HZ, HIGHEST_HZ = 0.1, 100.0
+
+
+def gains(designs: Mapping[str, Design]) -> Figure:
+    """Figs 7, 11, 13: k_p and k_d over time, a point where the table has a row."""
+    figure, places = sheet(1, 2, height_in=2.8)
+    for k, (name, design) in enumerate(designs.items()):
+        axes = [("", design.gains.table)]
+        if design.gains.yaw_table is not None:
+            axes = [(", pitch", design.gains.table), (", yaw", design.gains.yaw_table)]
+        for n, (axis, table) in enumerate(axes):
+            for place, column in zip(places, ("k_p", "k_d_s"), strict=True):
+                style = curve(k + n)
+                mark = {"marker": MARKERS[k % len(MARKERS)], "markersize": 3}
+                place.plot(table["time_s"], table[column], **style, **mark, label=f"{name}{axis}")
+    for place, text in zip(places, (r"$k_P$, rad/rad", r"$k_D$, s"), strict=True):
+        place.set_ylim(bottom=0.0)
+        label(place, "time, s", text)
+    if len(designs) > 1 or any(d.gains.yaw_table is not None for d in designs.values()):
+        places[0].legend()
+    return figure
+
+
+def filters(designs: Mapping[str, Design], nodes: Sequence[Node]) -> Figure:
+    """Figs 8, 12, 14: Bode plot of the bending filters; thick the discrete filter that flies, thin the continuous one.
+
+    Shaded: bands of the bending frequencies over the nodes.
+    """
+    figure, places = sheet(2, 1, height_in=2.2)
+    sample_s, modes_hz = nodes[0].instruments.sample_s, mode_bands_hz(nodes)
+    nyquist_hz = 0.5 / sample_s
+    for low_hz, high_hz in modes_hz.values():
+        for place in places:
+            place.axvspan(low_hz, high_hz, color=GREY, alpha=0.18, linewidth=0)
+    for k, (name, design) in enumerate(designs.items()):
+        continuous = bending_filter(design)
+        discrete = continuous.discretize(sample_s, design.filter.discretization, design.filter.prewarp_hz)
+        _bode(places, continuous, HIGHEST_HZ, curve(k) | {"linewidth": 0.6, "alpha": 0.8})
+        _bode(places, discrete, nyquist_hz, curve(k) | {"label": name})
+    for name, (low_hz, high_hz) in modes_hz.items():
+        places[0].annotate(
+            name, (np.sqrt(low_hz * high_hz), 1.0), xycoords=("data", "axes fraction"),
+            ha="center", va="bottom", fontsize=7, color=BLACK,
+        )  # fmt: skip
+    for place in places:
+        place.set_xscale("log")
+        place.set_xlim(LOWEST_HZ, HIGHEST_HZ)
+        plain_numbers(place.xaxis)
+        place.axvline(nyquist_hz, color=GREY, linewidth=0.8, linestyle=":")
+    low_db, high_db = places[0].get_ylim()
+    places[0].set_ylim(max(low_db, -60.0), high_db)
+    label(places[0], y="gain, dB")
+    label(places[1], "frequency, Hz (dotted: half the sample rate)", "phase, deg")
+    if len(designs) > 1:
+        places[1].legend(loc="lower left")
+    return figure
+
+
+def _bode(
+    places: Sequence[Axes], flt: BendingFilter | DiscreteFilter, until_hz: float, style: Mapping[str, Any]
+) -> None:
+    frequency_hz = np.geomspace(LOWEST_HZ, until_hz * (1 - 1e-6), 1200)
+    response = flt.frequency_response(2 * np.pi * frequency_hz)
+    with np.errstate(divide="ignore"):
+        places[0].plot(frequency_hz, 20 * np.log10(np.abs(response)), **style)
+    places[1].plot(frequency_hz, np.degrees(np.unwrap(np.angle(response))), **style)
+
+
+def peaks_over_order(series: Mapping[str, Mapping[str, float]]) -> Figure:
+    """Fig. 9: worst first-mode peak of each design over the filter's structure; `series`: name -> structure -> dB."""
+    structures = sorted({structure for each in series.values() for structure in each})
+    figure, (place,) = sheet(1, 1, height_in=3.2)
+    for k, (name, each) in enumerate(series.items()):
+        at = [structures.index(structure) for structure in each]
+        place.plot(at, list(each.values()), marker=MARKERS[k % len(MARKERS)], **curve(k), label=name)
+    place.set_xticks(range(len(structures)), structures)
+    label(place, "filter", "largest first-mode peak, dB")
+    place.legend(loc="center left", bbox_to_anchor=(1.0, 0.5))
+    return figure
+
+
+def margins_over_time(judged: Sequence[Judged], wanted: Wanted) -> Figure:
+    """Gain margins up and down, phase and delay margin and the least |1 + L|; limits dotted.
+
+    An unstable loop has no margin: a cross at the bottom.
+    """
+    figure, places = sheet(2, 2, height_in=2.5)
+    time_s, measured = [j.time_s for j in judged], [j.margins for j in judged]
+    curves: tuple[tuple[int, str, list[float], float | None], ...] = (
+        (0, "gain margins, dB", [m.gain_up_db.value for m in measured], wanted.gain_margin_db),
+        (0, "gain margins, dB", [m.gain_down_db.value for m in measured], None),
+        (1, "phase margin, deg", [m.phase_deg.value for m in measured], wanted.phase_margin_deg),
+        (2, "delay margin, ms", [1e3 * m.delay_s.value for m in measured], None),
+        (3, "least |1 + L|, dB", [20.0 * np.log10(m.modulus) for m in measured], wanted.modulus_db),
+    )
+    for n, (at, text, values, limit) in enumerate(curves):
+        name = ("up", "down")[n] if at == 0 else ""
+        finite = np.where(np.isfinite(values), values, np.nan)
+        places[at].plot(time_s, finite, marker=MARKERS[0], **curve(int(name == "down")), label=name)
+        if limit is not None:
+            places[at].axhline(limit, color=RED, linewidth=0.9, linestyle=":")
+        label(places[at], "time, s", text)
+    lost = [j.time_s for j in judged if not j.margins.stable]
+    for place in places if lost else ():
+        style = {"color": RED, "markersize": 7, "linestyle": "none", "clip_on": False}
+        place.plot(lost, np.zeros(len(lost)), "x", transform=place.get_xaxis_transform(), **style)
+    for place in places[:3]:
+        place.set_ylim(bottom=0.0)
+    places[0].legend()
+    return figure
+
+
+def lobes_over_time(judged: Sequence[Judged], wanted: Wanted) -> Figure:
+    """Peak of every lobe; filled marks are phase-stabilised, hollow ones gain-stabilised."""
+    labels = list(dict.fromkeys(lobe.label for j in judged for lobe in j.lobes))
+    figure, (place,) = sheet(1, 1, height_in=3.2)
+    place.axhline(0.0, color=GREY, linewidth=0.8)
+    for k, name in enumerate(labels):
+        found = [(j.time_s, lobe) for j in judged for lobe in j.lobes if lobe.label == name]
+        style = curve(k)
+        place.plot([t for t, _ in found], [lobe.peak_db for _, lobe in found], **style, label=name)
+        for how in ("phase", "gain"):
+            some = [(t, lobe.peak_db) for t, lobe in found if lobe.stabilised == how]
+            face = style["color"] if how == "phase" else "white"
+            marks = {"color": style["color"], "markerfacecolor": face, "linestyle": "none"}
+            place.plot([t for t, _ in some], [db for _, db in some], MARKERS[k % len(MARKERS)], **marks)
+    for limit in (wanted.first_mode_db, wanted.second_mode_db):
+        if limit is not None:
+            place.axhline(limit, color=RED, linewidth=0.9, linestyle=":")
+    label(place, "time, s", "peak of |L|, dB (hollow: gain-stabilised)")
+    if labels:
+        place.legend(loc="center left", bbox_to_anchor=(1.0, 0.5))
+    return figure
+
+
+Sheet = tuple[str, Callable[[], Figure]]
+"""Name of the files without suffix, and what draws the picture."""
+
+
+def draw_all(
+    sheets: Sequence[Sheet],
+    folder: Path,
+    tell: Callable[[str, int, int], None],
+    stop: Callable[[], bool] = lambda: False,
+) -> list[Path]:
+    """Draw and save until `stop` returns True; returns the files."""
+    files: list[Path] = []
+    with drawing():
+        for n, (stem, draw) in enumerate(sheets):
+            if stop():
+                break
+            tell("drawing", n, len(sheets))
+            files += save(draw(), folder / stem)
+    return files
+
+
+def judged_sheets(judged: Sequence[Judged], title: str, wanted: Wanted) -> list[Sheet]:
+    """Margins and lobes over time; Bode, Nichols and Nyquist plots at every node."""
+    over_time: list[Sheet] = [
+        ("margins", lambda: margins_over_time(judged, wanted)),
+        ("lobes", lambda: lobes_over_time(judged, wanted)),
+    ]
+    zones = (wanted.zone,) if wanted.zone is not None else tuple(c.zone for c in judged[0].margins.clearances)
+    return [
+        *(over_time if len(judged) > 1 else ()),
+        *(
+            (f"loop-{_stamp(j.time_s)}", partial(draw_loop, picture_of(j, f"{title}, {j.time_s:g} s", zones)))
+            for j in judged
+        ),
+    ]
+
+
+def case_sheets(
+    name: str, design: Design, nodes: Sequence[Node], along: Sequence[Node], tanks: Sequence[str]
+) -> list[Sheet]:
+    """Gains and filter of a design at `nodes`; derivatives, bending and slosh frequencies `along` the flight."""
+    sheets: list[Sheet] = [("vehicle-derivatives", lambda: derivatives(along))]
+    if any(len(node.vehicle.modes.omega_radps) for node in along):
+        sheets.append(("vehicle-bending", lambda: bending_frequencies(along)))
+    if tanks:
+        sheets.append(("vehicle-slosh", lambda: slosh_frequencies(along, tanks)))
+    return [*sheets, ("gains", lambda: gains({name: design})), ("filter", lambda: filters({name: design}, nodes))]
+
+
+def order_sheets(
+    series: Mapping[str, Mapping[str, float]], designs: Mapping[str, Mapping[str, Design]], nodes: Sequence[Node]
+) -> list[Sheet]:
+    """Peaks over the filter's order by name and structure; gains and filters of all orders, by schedule."""
+    return [
+        ("orders-peaks", partial(peaks_over_order, series)),
+        *((f"orders-gains-{schedule}", partial(gains, each)) for schedule, each in designs.items()),
+        *((f"orders-filters-{schedule}", partial(filters, each, nodes)) for schedule, each in designs.items()),
+    ]
+
+
+def mode_bands_hz(nodes: Sequence[Node]) -> dict[str, tuple[float, float]]:
+    """Lowest and highest frequency of every bending mode over the nodes."""
+    most = max(len(node.vehicle.modes.omega_radps) for node in nodes)
+    out = {}
+    for i in range(most):
+        hz = [n.vehicle.modes.omega_radps[i] / (2 * np.pi) for n in nodes if len(n.vehicle.modes.omega_radps) > i]
+        out[f"mode {i + 1}"] = (float(min(hz)), float(max(hz)))
+    return out
+
+
+def _stamp(time_s: float) -> str:
+    """A time in a file's name: 005.0s sorts before 040.0s."""
+    return f"{time_s:05.1f}s" if round(time_s, 1) == round(time_s, 9) else f"{time_s:08.4f}s"

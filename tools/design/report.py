@@ -1,0 +1,214 @@
+"""What `simdesign` prints: limits, margins and lobes at every node; of a case also gains, filter and search."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Literal
+
+from maxq.design.case.read import LoadedCase
+from maxq.design.margins.lobes import Lobe
+from maxq.design.margins.measure import Bound
+from maxq.design.optimise.solution import Solution
+from maxq.design.verify.judging import LIMITS, Check, Judged
+from maxq.design.verify.outcome import Outcome
+from maxq.sim.scenario.schema_design import Design
+from maxq.tools.cli.terminal import aligned, printable
+
+if TYPE_CHECKING:
+    from maxq.tools.design.analyse import Order
+
+MET, MISSED = "met", "MISSED"
+_KINDS = {"sampled": "sampled, as it flies", "pade": "the paper's Pade approximants", "exact": "without aliasing"}
+_PARTS = {"rigid body": "rigid", "aerodynamics": "aero", "engine inertia": "engine"}
+
+
+def analysis_report(name: str, order: Order, design: Design, judged: Sequence[Judged], found: Sequence[Check]) -> str:
+    """Of `simdesign analyse`."""
+    where = f"along {order.scenario}, {order.axis}; loop opened at the gimbal command; {_KINDS[order.kind]}"
+    if order.errata != "corrected" or order.plant != "flown":
+        where += f"; errata: {order.errata}; plant: {order.plant}"
+    return _joined(
+        [printable(f"{name}: {design.name}" if design.name else name), where], margins_table(judged),
+        lobes_table(judged), budget_table(judged, "phase margin", "phase_deg"),
+        budget_table(judged, "gain margin up", "gain_db"), limits_table(found),
+        nodes_table(found, judged) if len(found) > 1 else [],
+    )  # fmt: skip
+
+
+def analysis_verdict(found: Sequence[Check]) -> str:
+    """The last line."""
+    missed = [check.text for check in found if not check.passed]
+    if missed:
+        return "FAILED: " + ", ".join("unstable" if text == "unstable poles" else f"{text} missed" for text in missed)
+    limits = f", all {len(found) - 1} limits met" if len(found) > 1 else "; the design states no limits"
+    return f"PASSED: stable{limits}"
+
+
+def case_report(loaded: LoadedCase, outcome: Outcome, solution: Solution) -> str:
+    """Of `simdesign CASE`."""
+    case = loaded.case
+    head = [
+        printable(f"{loaded.name}: {case.description}" if case.description else loaded.name),
+        f"{case.filter.structure}, {case.gains.schedule} gains; along {case.scenario}, {case.plane}; "
+        f"{_KINDS[case.loop]}; errata: {case.errata}; plant: {case.plant}",
+    ]
+    dispersed = f"limits of {len(outcome.dispersed)} dispersed plants"
+    return _joined(
+        head, design_table(outcome.design), search_table(solution), margins_table(outcome.judged),
+        lobes_table(outcome.judged), limits_table(outcome.found), nodes_table(outcome.found, outcome.judged),
+        limits_table(outcome.dispersed_found, dispersed) if outcome.dispersed_found else [],
+        limits_table(outcome.flown_found, "the same design as it flies (sampled)") if case.loop != "sampled" else [],
+    )  # fmt: skip
+
+
+def _joined(*parts: Sequence[str]) -> str:
+    return "\n\n".join("\n".join(part) for part in parts if part)
+
+
+def comments(outcome: Outcome, solution: Solution) -> list[str]:
+    """Lines at the head of the design file: which case made it, and whether it meets its limits."""
+    case, good = outcome.loaded.case, outcome.feasible
+    state = "INFEASIBLE: the best effort misses limits of the case:"
+    if solution.status == "interrupted":
+        state = f"INTERRUPTED: the best so far{', which meets all limits.' if good else '; it misses limits:'}"
+    elif good and solution.feasible:
+        state = "All limits of the case are met."
+    form = f"{case.filter.structure}, {case.gains.schedule} gains"
+    made = f"Written by simdesign for the case {outcome.loaded.name} ({form})."
+    return [made, state, *(f"  {line}" for line in outcome.missed)]
+
+
+# tables
+
+
+def limits_table(checks: Sequence[Check], title: str = "limits") -> list[str]:
+    """Every limit, its worst value and where."""
+    rows = [("limit", "wanted", "worst", "at", "")]
+    for check in checks:
+        k, unit = check.worst, f" {check.unit}" if check.unit else ""
+        at = f"{check.time_s[k]:g} s" if math.isfinite(check.time_s[k]) else "filter"
+        worst = number(float(check.values[k]), 3) + unit
+        limit = f"{check.sense} {check.limit:g}{unit}"
+        rows.append((check.text, limit, worst, at, MET if check.passed else MISSED))
+    return [title, *aligned(rows, "  ", right=(2, 3))]
+
+
+def nodes_table(checks: Sequence[Check], judged: Sequence[Judged]) -> list[str]:
+    """A row a node, a column a limit; what misses its limit is marked with !, and the row says so."""
+    shown = [check for check in checks if math.isfinite(check.time_s[0]) and check.key != "unstable_poles"]
+    stable = next((check for check in checks if check.key == "unstable_poles"), None)
+    rows = [
+        ("time, s", "loop", *(f"{LIMITS[c.key].short if c.key in LIMITS else c.text} " for c in shown), ""),
+        ("", "", *(f"{check.sense} {check.limit:g} " for check in shown), ""),
+    ]
+    for n, j in enumerate(judged):
+        good = stable is None or bool(stable.met()[n])
+        met = [bool(c.met()[n]) for c in shown]
+        cells = [number(float(c.values[n]), 3) + (" " if m else "!") for c, m in zip(shown, met, strict=True)]
+        passed = "pass" if good and all(met) else "FAIL"
+        rows.append((f"{j.time_s:g}", "stable" if good else "UNSTABLE", *cells, passed))
+    return ["at the nodes", *aligned(rows, "  ", right=(0, *range(2, 2 + len(shown))))]
+
+
+def margins_table(judged: Sequence[Judged]) -> list[str]:
+    """A row a node: margins up and down, by class, and the distances to -1."""
+    rows = [
+        ("time, s", "loop", "gain up", "down", "phase", "delay", "least", "diamond", "aero", "rigid", "rigid", "cross"),
+        ("", "", "dB", "dB", "deg", "ms", "|1+L|", "clear", "dB", "dB", "deg", "Hz"),
+    ]
+    for j in judged:
+        m = j.margins
+        rows.append(
+            (
+                f"{j.time_s:g}", "stable" if m.stable else f"{max(m.unstable_poles, 1)} UNSTABLE",
+                _bound(m.gain_up_db), _bound(m.gain_down_db), _bound(m.phase_deg, 1), _bound(m.delay_s, 1, 1e3),
+                number(m.modulus, 3), number(m.clearances[0].value, 2) if m.clearances else "-",
+                _bound(m.aero_gain_db), _bound(m.rigid_gain_db), _bound(m.rigid_phase_deg, 1),
+                number(m.crossover_hz, 3),
+            )
+        )  # fmt: skip
+    return ["margins over all crossings", *aligned(rows, "  ", right=(0, *range(2, 12)))]
+
+
+def lobes_table(judged: Sequence[Judged]) -> list[str]:
+    """A row a node, a column a lobe: its peak, and G for gain-stabilised, or P and the phase to instability."""
+    labels = list(dict.fromkeys(lobe.label for j in judged for lobe in j.lobes))
+    if not labels:
+        return []
+    rows = [("time, s", *labels)]
+    for j in judged:
+        by_label = {lobe.label: lobe for lobe in j.lobes}
+        rows.append((f"{j.time_s:g}", *(_lobe(by_label.get(label), j.margins.stable) for label in labels)))
+    head = "lobes: peak dB, and how it is stabilised (G gain; P phase, with the turn in degrees that would harm)"
+    return [head, *aligned(rows, "  ", right=tuple(range(1 + len(labels))))]
+
+
+def budget_table(judged: Sequence[Judged], crossing: str, column: Literal["gain_db", "phase_deg"]) -> list[str]:
+    """A row a node: what each part adds to gain or phase at the crossing that sets a margin, and the margin left."""
+    have = [j for j in judged if crossing in j.budgets]
+    if not have:
+        return []
+    parts = list(dict.fromkeys(share.part for j in have for share in j.budgets[crossing].shares))
+    unit, digits = ("deg", 1) if column == "phase_deg" else ("dB", 2)
+    rows = [("time, s", "at Hz", *(_PARTS.get(part, part) for part in parts), "sum", "left")]
+    for j in have:
+        budget = j.budgets[crossing]
+        shares = {share.part: getattr(share, column) for share in budget.shares}
+        left = abs(budget.phase_margin_deg) if column == "phase_deg" else abs(budget.gain_db)
+        values = [*(shares.get(part, math.nan) for part in parts), getattr(budget, column), left]
+        rows.append((f"{j.time_s:g}", f"{budget.frequency_hz:.3g}", *(number(value, digits) for value in values)))
+    return [f"budget at the {crossing}, {unit}", *aligned(rows, "  ", right=tuple(range(len(rows[0]))))]
+
+
+def design_table(design: Design) -> list[str]:
+    """Gains and filter."""
+    rows = [("time, s", "k_p", "k_d, s")]
+    for t, p, d in zip(*(design.gains.table[name] for name in ("time_s", "k_p", "k_d_s")), strict=True):
+        rows.append((f"{t:g}", f"{p:.4f}", f"{d:.4f}"))
+    sections = [("section", "zero Hz", "zeta", "pole Hz", "zeta")]
+    for q in design.filter.quadratic:
+        cells = (f"{q.zero_hz:.3f}", f"{q.zero_zeta:.4f}", f"{q.pole_hz:.3f}", f"{q.pole_zeta:.4f}")
+        sections.append(("quadratic", *cells))
+    for f in design.filter.first_order:
+        sections.append(("first order", f"{f.zero_hz:.3f}", "", f"{f.pole_hz:.3f}", ""))
+    head = ["gains", *aligned(rows, "  ", right=(0, 1, 2)), f"filter {design.filter.structure}"]
+    return [*head, *aligned(sections, "  ", right=(1, 2, 3, 4))]
+
+
+def search_table(solution: Solution) -> list[str]:
+    """How certain the optimum is."""
+    c = solution.certificate
+    counts = Counter(x.what for x in solution.constraints if x.active)
+    active = [f"{what} ({n} nodes)" if n > 1 else what for what, n in counts.items()]
+    active += [f"{b.variable} at its {b.side} bound" for b in solution.bounds]
+    rows = [
+        ("objective", f"{solution.objective_db:.4f} dB"),
+        ("starts", c.statement()),
+        ("ends, dB", ", ".join("-" if math.isnan(x) else f"{x:.2f}" for x in sorted(c.ends_db))),
+        ("KKT residual", f"{c.kkt_residual:.1e}"),
+        ("active", "; ".join(active) or "none"),
+        ("effort", f"{c.evaluations} evaluations, {c.seconds:.2f} s, seed {c.seed}"),
+    ]
+    return ["search", *aligned(rows, "  ")]
+
+
+def _lobe(lobe: Lobe | None, stable: bool) -> str:
+    if lobe is None:
+        return "-"
+    how = "G      " if lobe.stabilised == "gain" else f"P {number(lobe.phase_deg, 0):>4s}°"
+    return f"{lobe.peak_db:.2f} {how if stable else '       '}"
+
+
+def _bound(bound: Bound, digits: int = 2, scale: float = 1.0) -> str:
+    return number(scale * bound.value, digits)
+
+
+def number(value: float, digits: int) -> str:
+    """A value for a cell; `-` where there is none."""
+    if math.isnan(value):
+        return "-"
+    if math.isinf(value):
+        return "inf" if value > 0.0 else "-inf"
+    return f"{value:.{digits}f}"

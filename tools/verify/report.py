@@ -1,0 +1,194 @@
+"""What `simverify` prints and writes: tables of requirements, ranking, verdict.json and the review pack."""
+
+from __future__ import annotations
+
+import math
+import shutil
+import subprocess
+import tempfile
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from maxq.design.certificate.certificate import NodeCertificate
+from maxq.design.verify.suite import ACCEPTED, REJECTED, UNDECIDED
+from maxq.design.verify.verify import Verification
+from maxq.sim.files import write_whole
+from maxq.tools.cli.terminal import aligned, printable
+from maxq.tools.design.record import write_record
+from maxq.tools.pages.render import render
+
+SCHEMA = 1
+VERDICT_NAME, PAGE_NAME, PDF_NAME = "verdict.json", "review.html", "review.pdf"
+BROWSERS = ("chromium", "chromium-browser", "google-chrome", "chrome")
+_PRINT_S = 60.0
+
+
+def write_pack(found: Verification, folder: Path, command: str, pack: bool) -> list[Path]:
+    """Write verdict.json and, with `pack`, the review as HTML and PDF (where a browser can print). Raises FileError."""
+    files = [write_record(folder / VERDICT_NAME, verdict_record(found, command))]
+    if pack:
+        from maxq.tools.verify.pictures import pictures  # noqa: PLC0415  # lazy: matplotlib comes with it
+
+        files.append(write_whole(folder / PAGE_NAME, page_of(found, command, pictures(found))))
+        printed = print_page(files[-1], folder / PDF_NAME)
+        files += [printed] if printed is not None else []
+    return files
+
+
+def page_of(found: Verification, command: str, pictures: dict[str, bytes]) -> str:
+    """The review as HTML."""
+    return render("review.html.j2", found=found, command=command, pictures=pictures, headline=headline(found))
+
+
+def print_page(page: Path, pdf: Path) -> Path | None:
+    """The page as PDF by a headless browser; None where there is none, or it fails."""
+    browser = next((found for name in BROWSERS if (found := shutil.which(name))), None)
+    if browser is None:
+        return None
+    part = pdf.with_name(f".{pdf.name}.part")
+    with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as profile:
+        command = [
+            browser, "--headless", "--no-sandbox", "--disable-gpu", "--no-first-run", "--disable-background-networking",
+            "--disable-component-update", "--disable-sync", f"--user-data-dir={profile}", "--no-pdf-header-footer",
+            f"--print-to-pdf={part.resolve()}", page.resolve().as_uri(),
+        ]  # fmt: skip
+        try:
+            subprocess.run(command, capture_output=True, timeout=_PRINT_S, check=True)
+            part.replace(pdf)
+        except (OSError, subprocess.SubprocessError):
+            part.unlink(missing_ok=True)
+            return None
+    return pdf
+
+
+def report(found: Verification, title: str) -> list[str]:
+    """Every requirement, a row each, by part."""
+    rows = [("", "requirement", "wanted", "found", "room", "where", "verdict")]
+    last = ""
+    for r in found.requirements:
+        part = r.part if r.part != last else ""
+        last = r.part
+        room = f"{100.0 * r.room:.0f} %" if math.isfinite(r.room) else ""
+        rows.append((part, printable(r.name), r.wanted, printable(_short(r.found)), room, r.where, _mark(r.judgement)))
+    return [title, *aligned(rows, "  ", right=(4,))]
+
+
+def _short(text: str, most: int = 60) -> str:
+    return text if len(text) <= most else text[: most - 1] + "…"
+
+
+def _mark(judgement: str) -> str:
+    return judgement if judgement == ACCEPTED else judgement.upper()
+
+
+def reasons(found: Verification) -> list[str]:
+    """Why a design is not accepted, a line each, and what shows it."""
+    out = []
+    for r in (*found.of(REJECTED), *found.of(UNDECIDED)):
+        out.append(f"  {r.judgement}: {printable(r.reason)}")
+        if r.again:
+            out.append(f"      {r.again}")
+    return out
+
+
+def headline(found: Verification, name: str = "") -> str:
+    """The verdict; `name` is the design's for people."""
+    counts = [f"{len(found.of(j))} {j}" for j in (ACCEPTED, REJECTED, UNDECIDED) if found.of(j)]
+    more = f", {found.more_runs} more runs would settle it" if found.judgement == UNDECIDED and found.more_runs else ""
+    said = f"of {len(found.requirements)} requirements {', '.join(counts)}{more}"
+    return f"{found.judgement.upper()}: {printable(name or found.design)}; {said}"
+
+
+def ranked(every: Sequence[Verification]) -> list[Verification]:
+    """The best first."""
+    return sorted(every, key=lambda v: v.merit, reverse=True)
+
+
+def ranking(every: Sequence[Verification]) -> list[str]:
+    """Designs side by side, the best first."""
+    head = ("", "design", "verdict", "rejected", "undecided", "tightest", "room", "gain dB", "phase deg", "mode 1 deg")
+    rows: list[tuple[str, ...]] = [head]
+    for n, v in enumerate(ranked(every), 1):
+        finite = [r for r in v.requirements if math.isfinite(r.room)]
+        worst = min(finite, key=lambda r: r.room, default=None)
+        nominal = {r.name.partition(",")[0]: r.found for r in v.requirements if r.part == "margins"}
+        rows.append(
+            (
+                str(n), v.design, _mark(v.judgement), str(len(v.of(REJECTED))), str(len(v.of(UNDECIDED))),
+                printable(worst.name) if worst else "", f"{100.0 * worst.room:.0f} %" if worst else "",
+                _number(nominal.get("gain margin up", "")), _number(nominal.get("phase margin", "")),
+                _number(nominal.get("first mode: phase margin", "")),
+            )
+        )  # fmt: skip
+    return ["ranking", *aligned(rows, "  ", right=(0, 3, 4, 6, 7, 8, 9))]
+
+
+def _number(text: str) -> str:
+    return text.partition(" ")[0] if text else "-"
+
+
+# verdict.json
+
+
+def verdict_record(found: Verification, command: str) -> dict[str, Any]:
+    """All but histories."""
+    return {
+        "schema": SCHEMA,
+        "design": found.design,
+        "design_name": found.design_name,
+        "vehicle": found.vehicle,
+        "suite": found.suite.name,
+        "verdict": found.judgement,
+        "more_runs": found.more_runs,
+        "command": command,
+        "requirements": [
+            {
+                "part": r.part, "name": r.name, "wanted": r.wanted, "found": r.found, "verdict": r.judgement,
+                "room": r.room, "where": r.where, "more_runs": r.more_runs, "again": r.again,
+            }
+            for r in found.requirements
+        ],
+        "flights": [
+            {
+                "name": f.name, "outcome": f.outcome, "passed": f.passed, "failures": list(f.failures),
+                "metrics": f.metrics, "state_hash": f.state_hash, "again": f.again,
+            }
+            for f in found.flights
+        ],
+        "certificate": [_node(c) for c in found.certificates],
+        "authority": [vars(a) for a in found.authority],
+        "slosh": [vars(a) | {"in_band": a.in_band} for a in found.slosh],
+        "campaigns": [{"name": c.name, "runs": c.runs, "folder": str(c.folder)} for c in found.campaigns],
+        "hashes": {"design": found.design_hash, "scenario": found.vehicle_hash, "code": found.code},
+        "versions": found.versions,
+        "parts": {"recalled": found.recalled, "worked_out": found.worked_out},
+        "wall_s": found.wall_s,
+        "walls_s": found.walls_s,
+        "cpus_s": found.cpus_s,
+    }  # fmt: skip
+
+
+def _node(c: NodeCertificate) -> dict[str, Any]:
+    r = c.responses
+    return {
+        "time_s": c.time_s,
+        "plane": c.plane,
+        "agrees": c.agrees,
+        "unexplained": list(c.unexplained),
+        "margins": [vars(m) for m in c.margins],
+        "lines": [
+            {
+                "hz": r.lines_hz[i], "sampled_db": _db(r.sampled[i]), "pade_db": _db(r.pade[i]),
+                "difference_db": r.difference_db[i], "difference_deg": r.difference_deg[i],
+                "unrounded_db": r.unrounded_db[i], "unrounded_deg": r.unrounded_deg[i],
+                "coherence": r.coherence[i], "error": r.error[i], "nonlinear_db": r.nonlinear_db[i],
+                "reason": r.reason[i],
+            }
+            for i in range(len(r.lines_hz))
+        ],
+    }  # fmt: skip
+
+
+def _db(value: complex) -> float:
+    return 20.0 * math.log10(max(abs(value), 1e-300))
