@@ -30,7 +30,7 @@ from maxq.sim.campaign.analysis import DataSet, Judged, judged
 from maxq.sim.campaign.read import LoadedCampaign, description_of, load_campaign
 from maxq.sim.campaign.runner import Progress, run_campaign
 from maxq.sim.run.fly import fly
-from maxq.sim.run.metrics import METRIC_NAMES
+from maxq.sim.run.metrics import METRIC_NAMES, Verdict
 from maxq.sim.scenario.loader import LoadedScenario, load_scenario
 from maxq.sim.scenario.schema_scenario import Log
 
@@ -42,31 +42,6 @@ KEPT_HZ = 20.0
 
 
 @dataclass(frozen=True)
-class Asked:
-    """A requirement of a scenario, and the value in flight."""
-
-    name: str
-    metric: str
-    kind: str  # limit, minimum
-    bound: float
-    value: float
-    time_s: float
-    met: bool
-
-    @property
-    def room(self) -> float:
-        """Share of the bound that is left."""
-        if self.bound == 0.0:
-            return 1.0 if self.met else -1.0
-        left = room_left(self.value, self.bound, self.sense)
-        return left if math.isfinite(left) else -math.inf
-
-    @property
-    def sense(self) -> str:
-        return "<=" if self.kind == "limit" else ">="
-
-
-@dataclass(frozen=True)
 class FlownResult:
     """One flight of the suite. `time_s` and `histories` (by channel) are those under thrust, thinned out."""
 
@@ -74,7 +49,7 @@ class FlownResult:
     why: str
     outcome: str
     failures: tuple[str, ...]
-    asked: tuple[Asked, ...]
+    verdicts: tuple[Verdict, ...]
     metrics: dict[str, float]
     state_hash: str
     counts: bool
@@ -84,12 +59,25 @@ class FlownResult:
 
     @property
     def passed(self) -> bool:
-        return not self.failures and all(a.met for a in self.asked)
+        return not self.failures and all(v.met for v in self.verdicts)
 
     @property
-    def tightest(self) -> Asked | None:
+    def tightest(self) -> Verdict | None:
         """The requirement with the least room."""
-        return min(self.asked, key=lambda a: (a.met, a.room), default=None)
+        return min(self.verdicts, key=lambda v: (v.met, _room(v)), default=None)
+
+
+def _sense(kind: str) -> str:
+    return "<=" if kind == "limit" else ">="
+
+
+def _room(v: Verdict) -> float:
+    """Share of the bound that is left; 1 or -1 for a bound of zero, met or not."""
+    kind, bound = v.bound
+    if bound == 0.0:
+        return 1.0 if v.met else -1.0
+    left = room_left(v.value, bound, _sense(kind))
+    return left if math.isfinite(left) else -math.inf
 
 
 def design_changes(design: str, vehicle: str | None) -> list[str]:
@@ -139,16 +127,13 @@ def _fly(flown: Flown, loaded: LoadedScenario, again: str) -> FlownResult:
     log = Log(fast_hz=KEPT_HZ, slow_hz=KEPT_HZ, transform_hz=1.0)
     scenario = loaded.scenario.model_copy(update={"log": log})
     flight = fly(LoadedScenario(scenario, loaded.label, loaded.files))
-    asked = tuple(
-        Asked(v.name, v.requirement.metric, v.bound[0], v.bound[1], v.value, v.time_s, v.met) for v in flight.verdicts
-    )
     times = flight.time_s(KEPT[0])
     under_thrust = times[times <= np.nanmin([flight.event_s("burnout"), flight.end_s])]
     histories = {
         name: np.round(np.interp(under_thrust, flight.time_s(name), flight[name]), 6) for name in KEPT
     }  # fmt: skip
     return FlownResult(
-        flown.name, flown.why, flight.outcome, flight.failures, asked, flight.metrics, flight.state_hash,
+        flown.name, flown.why, flight.outcome, flight.failures, flight.verdicts, flight.metrics, flight.state_hash,
         flown.design_must_keep, again, under_thrust, histories,
     )  # fmt: skip
 
@@ -162,7 +147,8 @@ def flight_requirements(results: Sequence[FlownResult]) -> list[Requirement]:
         if r.failures:
             found, left = "; ".join(r.failures), -1.0
         elif worst is not None:
-            wanted, found, left = f"{worst.sense} {worst.bound:g}", f"{worst.name} {worst.value:.4g}", worst.room
+            kind, bound = worst.bound
+            wanted, found, left = f"{_sense(kind)} {bound:g}", f"{worst.name} {worst.value:.4g}", _room(worst)
             where = f"at {worst.time_s:.2f} s" if math.isfinite(worst.time_s) else ""
         judgement = ACCEPTED if r.passed else REJECTED
         if r.counts:
@@ -237,7 +223,7 @@ def campaign_requirements(result: CampaignResult) -> list[Requirement]:
     level = f"{100.0 * result.success:g} % with {100.0 * result.confidence:g} %"
     out = []
     for v in result.verdicts:
-        sense = "<=" if v.kind == "limit" else ">="
+        sense = _sense(v.kind)
         bound = f"{sense} {v.bound:g}, " if v.metric else ""
         worst = v.worst[0] if v.worst else None
         found = f"{v.shown.failures} of {v.shown.runs} failed" + (f", worst {worst.value:.4g}" if worst else "")

@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -19,10 +20,12 @@ from maxq.design.certificate.certificate import NodeCertificate, certify, certif
 from maxq.design.certificate.held_flight import hold
 from maxq.design.certificate.in_flight import InFlightResponse, in_flight_response
 from maxq.design.model.node import Node
+from maxq.design.model.vehicle_at import Plane
 from maxq.design.verify.flown import (
     CampaignResult,
     FlownResult,
     campaign_requirements,
+    design_changes,
     flight_requirements,
     fly_campaign,
     fly_suite,
@@ -39,8 +42,10 @@ from maxq.design.verify.linear import (
 from maxq.design.verify.memory import Memory, code_hash, content_hash
 from maxq.design.verify.slosh import SloshAdvice, advise, confirm
 from maxq.design.verify.suite import ACCEPTED, REJECTED, Judgement, LoadedSuite, Requirement, Suite, overall
+from maxq.sim.campaign.runner import Progress
 from maxq.sim.run.record import versions
 from maxq.sim.scenario.loader import LoadedScenario, load_scenario
+from maxq.sim.scenario.schema_design import Design
 
 Watch = Callable[[str, int, int], None]
 """Called with what is under way, how much of it is done, and of how much."""
@@ -48,9 +53,9 @@ Watch = Callable[[str, int, int], None]
 
 @dataclass(frozen=True)
 class Verification:
-    """A design, what it was asked, and what became of it. Parts that the suite does not ask for are empty."""
+    """A design, the requirements on it, and the results. Parts that the suite does not ask for are empty."""
 
-    design: str  # as the person named it
+    design: str  # as the user named it
     design_name: str
     vehicle: str
     suite: Suite
@@ -79,7 +84,7 @@ class Verification:
 
     @property
     def more_runs(self) -> int:
-        """That would settle what is undecided, if none of them fails."""
+        """Campaign runs that would settle what is undecided, if none of them fails."""
         return max((r.more_runs for r in self.requirements), default=0)
 
     def of(self, judgement: Judgement) -> list[Requirement]:
@@ -87,7 +92,7 @@ class Verification:
 
     @property
     def merit(self) -> tuple[int, int, float]:
-        """For ranking: fewer rejected, fewer undecided, then the tightest requirement with the most room."""
+        """For ranking: fewer rejected, fewer undecided, then more room at the tightest requirement."""
         rooms = [r.room for r in self.requirements if math.isfinite(r.room)]
         undecided = sum(r.judgement not in (ACCEPTED, REJECTED) for r in self.requirements)
         return (-len(self.of(REJECTED)), -undecided, min(rooms, default=math.nan))
@@ -105,55 +110,52 @@ def verify(
 ) -> Verification:
     """Judge a design by a suite. `design` as a scenario names it. `memory`: folder of parts, None for none.
 
-    Raises ScenarioError before anything is flown where an input is wrong; KeyboardInterrupt soon after `stop` says
-    True, what was worked out being kept.
+    Raises ScenarioError before anything is flown where an input is wrong; KeyboardInterrupt soon after `stop` returns
+    True (results up to then are kept).
     """
-    begun = time.perf_counter()
+    begun, walls, cpus = time.perf_counter(), {}, {}
 
-    def watched(what: str, done: int, of: int) -> None:
+    def interruptible(what: str, done: int, of: int) -> None:
         watch(what, done, of)
         if stop():
             raise KeyboardInterrupt
 
-    suite, kept = loaded.suite, Memory(memory)
-    changes = [f'design="{design}"'] + ([f'vehicle="{vehicle}"'] if vehicle is not None else [])
-    scenario = load_scenario(suite.scenario, changes)
-    assert scenario.design is not None
-    along = _along_what(suite, scenario, changes[1:])
-    for wanted in suite.campaign:
-        load_wanted(loaded, wanted, design, vehicle)
-    walls: dict[str, float] = {}
-    cpus: dict[str, float] = {}
-
-    def timed(what: str, since: tuple[float, float]) -> tuple[float, float]:
-        now = time.perf_counter(), time.process_time()
-        walls[what], cpus[what] = now[0] - since[0], now[1] - since[1]
+    @contextmanager
+    def timed(what: str) -> Iterator[None]:
+        wall, cpu = time.perf_counter(), time.process_time()
+        yield
+        walls[what], cpus[what] = time.perf_counter() - wall, time.process_time() - cpu
         if stop():
             raise KeyboardInterrupt
-        return now
 
-    at = begun, time.process_time()
-    flights = fly_suite(suite, design, vehicle, kept, lambda n, of: watched("scenarios", n, of), workers, loaded.label)
-    at = timed("scenarios", at)
-    margin = _margins(scenario, along, suite, kept, watched, workers)
-    limits = authority(_every_second(along, suite), _command_limit_rad(scenario))
-    slosh = _slosh(scenario, along, suite, kept)
-    at = timed("linear margins", at)
-    certificates, through = _certificates(scenario, along, suite, kept, watched, workers)
-    at = timed("certificate", at)
+    suite, kept = loaded.suite, Memory(memory)
+    changes = design_changes(design, vehicle)
+    scenario, own = load_scenario(suite.scenario, changes), load_scenario(suite.scenario, changes[1:])
+    assert scenario.design is not None
+    for wanted in suite.campaign:
+        load_wanted(loaded, wanted, design, vehicle)
+    job = _Job(suite, scenario, scenario.design, own if own.design else scenario, kept, interruptible, workers)
+    with timed("scenarios"):
+        flights = fly_suite(
+            suite, design, vehicle, kept, lambda n, of: interruptible("scenarios", n, of), workers, loaded.label
+        )
+    with timed("linear margins"):
+        margin, limits, slosh = job.margins(), job.authority(), job.slosh()
+    with timed("certificate"):
+        certificates, through = job.certificates()
     campaigns = []
-    for k, asked in enumerate(suite.campaign):
-        parts = memory if memory is not None else Path("runs")
+    with timed("campaigns"):
+        for k, asked in enumerate(suite.campaign):
 
-        def show(progress: object, k: int = k) -> None:
-            watch(f"campaign {k + 1}", getattr(progress, "done", 0), getattr(progress, "total", 1))
+            def show(progress: Progress, k: int = k) -> None:
+                watch(f"campaign {k + 1}", progress.done, progress.total)
 
-        campaigns.append(fly_campaign(loaded, asked, design, vehicle, parts, show, stop, memory is None))
-    timed("campaigns", at)
+            parts, afresh = memory or Path("runs"), memory is None
+            campaigns.append(fly_campaign(loaded, asked, design, vehicle, parts, show, stop, afresh))
     requirements = flight_requirements(flights)
-    for found in margin:
-        assert suite.margins is not None
-        requirements += margin_requirements(found, suite.margins)
+    if suite.margins is not None:
+        for found in margin:
+            requirements += margin_requirements(found, suite.margins)
     if suite.wind_limit_mps is not None:
         requirements.append(authority_requirement(limits, suite.wind_limit_mps))
     requirements += certificate_requirements(certificates, through)
@@ -170,127 +172,113 @@ def verify(
     )  # fmt: skip
 
 
-def certificate_requirements(
-    certificates: list[NodeCertificate], through: list[InFlightResponse]
-) -> list[Requirement]:  # fmt: skip
-    """That flight and linear loop agree at every node, and every difference of the in-flight response is explained."""
+@dataclass(frozen=True)
+class _Job:
+    """What the linear parts and the certificate work on.
+
+    `along`: the flight that the nodes lie on, that of the suite's scenario with its own design, as for `simdesign
+    analyse`. So all candidates are measured in the same conditions, and a changed gain leaves other nodes alone.
+    """
+
+    suite: Suite
+    scenario: LoadedScenario
+    design: Design
+    along: LoadedScenario
+    memory: Memory
+    watch: Watch
+    workers: int
+
+    def nodes(self, plane: Plane) -> list[Node]:
+        """Nodes of the linear margins, which depend on all of the flight."""
+        assert self.suite.margins is not None
+        times_s = self.suite.margins.times_s
+        depends = (self.along.as_flown, times_s, plane)
+        return self.memory.recall("nodes", depends, lambda: api.nodes(self.along, times_s, plane=plane))
+
+    def margins(self) -> list[MarginStudy]:
+        wanted = self.suite.margins
+        out = []
+        for plane in wanted.planes if wanted is not None else ():
+
+            def show(n: int, of: int, plane: Plane = plane) -> None:
+                self.watch(f"margins, {plane}", n, of)
+
+            assert wanted is not None
+            out.append(study(self.nodes(plane), self.design, wanted, self.memory, show, self.workers))
+        return out
+
+    def authority(self) -> list[Authority]:
+        """Every second between the first and the last time that the suite names."""
+        asked = (self.suite.margins, self.suite.certificate)
+        times = [t for part in asked if part is not None for t in part.times_s] or [5.0, 55.0]
+        computer = self.scenario.vehicle.computer
+        limit_rad = math.inf if computer is None else math.radians(computer.command_limit_deg)
+        return authority(api.nodes(self.along, np.arange(min(times), max(times) + 0.5, 1.0)), limit_rad)
+
+    def slosh(self) -> list[SloshAdvice]:
+        """Damping needed at every node; the worst case is flown."""
+        vehicle, wanted = self.scenario.vehicle, self.suite.margins
+        if wanted is None or not vehicle.stage[0].tank or not self.scenario.scenario.switches.slosh:
+            return []
+        nodes = self.nodes("pitch")
+        depends = (self.scenario.as_flown, wanted.times_s)
+        found = self.memory.recall("slosh", depends, lambda: advise(nodes, self.design))
+        worst = max((a for a in found if 0.0 < a.needed < math.inf), key=lambda a: a.needed, default=None)
+        if worst is None:
+            return found
+        node = next(n for n in nodes if n.time_s == worst.time_s)
+        flown = self.memory.recall("slosh-flown", (*depends, worst), lambda: confirm(self.scenario, node, worst))
+        return [flown if a is worst else a for a in found]
+
+    def certificates(self) -> tuple[list[NodeCertificate], list[InFlightResponse]]:
+        wanted, scenario, memory = self.suite.certificate, self.scenario, self.memory
+        if wanted is None:
+            return [], []
+        count, total = [0], len(wanted.times_s) * len(wanted.planes)
+
+        def one(loaded: LoadedScenario, node: Node) -> NodeCertificate:
+            held = hold(loaded, node)
+            law = api.law_at(self.design, node)
+            depends = (held.packed.parameters, held.packed.pool, held.packed.state, node, law)
+            return memory.recall("node", depends, lambda: certify_node(loaded, node))
+
+        def done(certificate: NodeCertificate) -> None:
+            count[0] += 1
+            self.watch("certificate", count[0], total)
+
+        self.watch("certificate", 0, total)
+        found = certify(
+            scenario, wanted.times_s, wanted.planes, workers=self.workers, watch=done, one=one, along=self.along
+        )
+        stable = [c.time_s for c in found if c.stable and c.plane == wanted.planes[0]]
+        through: list[InFlightResponse] = []
+        for plane in wanted.planes if wanted.in_flight and stable else ():
+
+            def fly(plane: Plane = plane) -> list[InFlightResponse]:
+                return in_flight_response(scenario, stable, plane)
+
+            through += memory.recall("through", (scenario.as_flown, stable, plane), fly)
+        return found, through
+
+
+def certificate_requirements(certificates: list[NodeCertificate], through: list[InFlightResponse]) -> list[Requirement]:
+    """Flight and linear loop agree at every node, and every difference of the in-flight response is explained."""
     out = []
+
+    def add(name: str, found: str, bad: Sequence[NodeCertificate | InFlightResponse]) -> None:
+        judgement, where = (REJECTED, f"{bad[0].time_s:g} s") if bad else (ACCEPTED, "")
+        out.append(
+            Requirement("certificate", name, "every difference explained", found, judgement, math.nan, where)
+        )  # fmt: skip
+
     for plane in dict.fromkeys(c.plane for c in certificates):
         mine = [c for c in certificates if c.plane == plane]
         bad = [c for c in mine if not c.agrees]
         found = f"{len(mine) - len(bad)} of {len(mine)} nodes" + (f": {bad[0].unexplained[0]}" if bad else "")
-        out.append(
-            Requirement(
-                "certificate", f"flight and linear loop agree, {plane}", "every difference explained", found,
-                REJECTED if bad else ACCEPTED, math.nan, f"{bad[0].time_s:g} s" if bad else "",
-            )
-        )  # fmt: skip
+        add(f"flight and linear loop agree, {plane}", found, bad)
     for plane in dict.fromkeys(f.plane for f in through):
-        off = [f for f in through if f.plane == plane and "unexplained" in f.reason]
-        count = sum(len(f.lines_hz) for f in through if f.plane == plane)
-        lines = sum(f.reason.count("unexplained") for f in off)
-        out.append(
-            Requirement(
-                "certificate", f"in-flight response, {plane}", "every difference explained",
-                f"{count - lines} of {count} lines", REJECTED if off else ACCEPTED, math.nan,
-                f"{off[0].time_s:g} s" if off else "",
-            )
-        )  # fmt: skip
+        flown = [f for f in through if f.plane == plane]
+        count, open_ = sum(len(f.lines_hz) for f in flown), sum(f.reason.count("unexplained") for f in flown)
+        off = [f for f in flown if "unexplained" in f.reason]
+        add(f"in-flight response, {plane}", f"{count - open_} of {count} lines", off)
     return out
-
-
-def _along_what(suite: Suite, scenario: LoadedScenario, changes: list[str]) -> LoadedScenario:
-    """Whose flight the nodes lie on: that of the suite's scenario with its own design, as for `simdesign analyse`.
-
-    So all candidates are measured at the same speeds in the same air, and a changed gain leaves other nodes alone.
-    """
-    own = load_scenario(suite.scenario, changes)
-    return scenario if own.design is None else own
-
-
-def _margins(
-    scenario: LoadedScenario, along: LoadedScenario, suite: Suite, memory: Memory, watch: Watch, workers: int
-) -> list[MarginStudy]:  # fmt: skip
-    if suite.margins is None:
-        return []
-    assert scenario.design is not None
-    out = []
-    for plane in suite.margins.planes:
-        nodes = _nodes(along, suite.margins.times_s, plane, memory)
-        out.append(
-            study(
-                nodes, scenario.design, suite.margins, memory,
-                lambda n, of, plane=plane: watch(f"margins, {plane}", n, of), workers,  # type: ignore[misc]  # a default binds the loop's value
-            )
-        )  # fmt: skip
-    return out
-
-
-def _certificates(
-    scenario: LoadedScenario, along: LoadedScenario, suite: Suite, memory: Memory, watch: Watch, workers: int
-) -> tuple[list[NodeCertificate], list[InFlightResponse]]:
-    wanted = suite.certificate
-    if wanted is None:
-        return [], []
-    count, total = [0], len(wanted.times_s) * len(wanted.planes)
-
-    def one(loaded: LoadedScenario, node: Node) -> NodeCertificate:
-        held = hold(loaded, node)
-        law = api.law_at(scenario.design, node) if scenario.design else None
-        depends = (held.packed.parameters, held.packed.pool, held.packed.state, node, law)
-        return memory.recall("node", depends, lambda: certify_node(loaded, node))
-
-    def done(certificate: NodeCertificate) -> None:
-        count[0] += 1
-        watch("certificate", count[0], total)
-
-    watch("certificate", 0, total)
-    found = certify(scenario, wanted.times_s, wanted.planes, workers=workers, watch=done, one=one, along=along)
-    through: list[InFlightResponse] = []
-    if wanted.in_flight:
-        stable = [c.time_s for c in found if c.stable and c.plane == wanted.planes[0]]
-        for plane in wanted.planes if stable else ():
-            depends = (scenario.as_flown, stable, plane)
-            through += memory.recall("through", depends, lambda p=plane: in_flight_response(scenario, stable, p))  # type: ignore[misc]  # a default binds the loop's value
-    return found, through
-
-
-def _nodes(scenario: LoadedScenario, times_s: tuple[float, ...], plane: str, memory: Memory) -> list[Node]:
-    """Nodes of a flight, which depend on all of it."""
-    depends = (scenario.as_flown, times_s, plane)
-    return memory.recall(
-        "nodes", depends, lambda: api.nodes(scenario, times_s, plane="yaw" if plane == "yaw" else "pitch")
-    )
-
-
-def _every_second(along: LoadedScenario, suite: Suite) -> list[Node]:
-    """Nodes every second between the first and the last that the suite names."""
-    times = (
-        *(suite.margins.times_s if suite.margins else ()),
-        *(suite.certificate.times_s if suite.certificate else ()),
-    )
-    first, last = (min(times), max(times)) if times else (5.0, 55.0)
-    return api.nodes(along, np.arange(first, last + 0.5, 1.0))
-
-
-def _command_limit_rad(scenario: LoadedScenario) -> float:
-    computer = scenario.vehicle.computer
-    return math.inf if computer is None else math.radians(computer.command_limit_deg)
-
-
-def _slosh(
-    scenario: LoadedScenario, along: LoadedScenario, suite: Suite, memory: Memory
-) -> list[SloshAdvice]:  # fmt: skip
-    if suite.margins is None or not scenario.vehicle.stage[0].tank or not scenario.scenario.switches.slosh:
-        return []
-    assert scenario.design is not None
-    design = scenario.design
-    nodes = _nodes(along, suite.margins.times_s, "pitch", memory)
-    depends = (scenario.as_flown, suite.margins.times_s)
-    found = memory.recall("slosh", depends, lambda: advise(nodes, design))
-    worst = max((a for a in found if 0.0 < a.needed < math.inf), key=lambda a: a.needed, default=None)
-    if worst is None:
-        return found
-    node = next(n for n in nodes if n.time_s == worst.time_s)
-    flown = memory.recall("slosh-flown", (*depends, worst), lambda: confirm(scenario, node, worst))
-    return [flown if a is worst else a for a in found]

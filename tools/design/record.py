@@ -7,51 +7,34 @@ import math
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
-from maxq.design.margins.measure import Bound
 from maxq.design.optimise.solution import Solution
-from maxq.design.verify.judging import Check, Judged
+from maxq.design.verify.judging import Check, Judged, RigidBody
 from maxq.design.verify.outcome import Outcome
 from maxq.sim.files import write_whole
 
 SCHEMA = 1
+_BOUNDS = {"gain_up": "db", "gain_down": "db", "phase": "deg", "delay": "s", "aero_gain": "db", "rigid_gain": "db",
+           "rigid_phase": "deg"}  # fmt: skip
+_NUMBERS = ("stable", "unstable_poles", "growth_1ps", "growth_hz", "crossover_hz", "modulus")
 
 
 def node_record(judged: Judged) -> dict[str, Any]:
     """One node."""
     m = judged.margins
-    rigid = {body: dict(zip(("hz", "zeta"), judged.rigid(body), strict=True)) for body in ("paper", "aerodynamic")}
-    disk = asdict(m.disks)
-    return {
-        "time_s": judged.time_s,
-        **judged.loop.law.gains,
-        "stable": m.stable,
-        "unstable_poles": m.unstable_poles,
-        "growth_1ps": m.growth_1ps,
-        "growth_hz": m.growth_hz,
-        "gain_up": _bound(m.gain_up_db, "db"),
-        "gain_down": _bound(m.gain_down_db, "db"),
-        "phase": _bound(m.phase_deg, "deg"),
-        "delay": _bound(m.delay_s, "s"),
-        "aero_gain": _bound(m.aero_gain_db, "db"),
-        "rigid_gain": _bound(m.rigid_gain_db, "db"),
-        "rigid_phase": _bound(m.rigid_phase_deg, "deg"),
-        "crossover_hz": m.crossover_hz,
-        "modulus": m.modulus,
-        "disks": disk,
-        "zones": [
-            {
-                "shape": c.zone.shape,
-                "gain_db": c.zone.gain_db,
-                "phase_deg": c.zone.phase_deg,
-                "clearance": c.value,
-                "at_hz": c.frequency_hz,
-            }
-            for c in m.clearances
-        ],
+    record: dict[str, Any] = {"time_s": judged.time_s, **judged.loop.law.gains}
+    record |= {key: getattr(m, key) for key in _NUMBERS}
+    for key, unit in _BOUNDS.items():
+        bound = getattr(m, f"{key}_{unit}")
+        record[key] = {unit: bound.value, "at_hz": bound.frequency_hz}
+    return record | {
+        "disks": asdict(m.disks),
+        "zones": [asdict(c.zone) | {"clearance": c.value, "at_hz": c.frequency_hz} for c in m.clearances],
         "lobes": [asdict(lobe) for lobe in judged.lobes],
-        "rigid_body": rigid,
+        "rigid_body": {
+            body: dict(zip(("hz", "zeta"), judged.rigid(body), strict=True)) for body in get_args(RigidBody)
+        },
         "budgets": {name: asdict(budget) for name, budget in judged.budgets.items()},
     }
 
@@ -79,11 +62,7 @@ def analysis_record(name: str, order: Any, judged: Sequence[Judged], checks: Seq
     return {
         "schema": SCHEMA,
         "design": name,
-        "scenario": order.scenario,
-        "axis": order.axis,
-        "kind": order.kind,
-        "errata": order.errata,
-        "plant": order.plant,
+        **{key: getattr(order, key) for key in ("scenario", "axis", "kind", "errata", "plant")},
         "passed": all(check.passed for check in checks),
         "limits": checks_record(checks),
         "nodes": [node_record(j) for j in judged],
@@ -130,7 +109,3 @@ def _plain(value: Any) -> Any:
     if hasattr(value, "item"):
         return _plain(value.item())
     return value
-
-
-def _bound(bound: Bound, unit: str) -> dict[str, float]:
-    return {unit: bound.value, "at_hz": bound.frequency_hz}

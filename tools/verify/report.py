@@ -22,6 +22,11 @@ SCHEMA = 1
 VERDICT_NAME, PAGE_NAME, PDF_NAME = "verdict.json", "review.html", "review.pdf"
 BROWSERS = ("chromium", "chromium-browser", "google-chrome", "chrome")
 _PRINT_S = 60.0
+_KEYS = {"judgement": "verdict"}  # of a requirement, as verdict.json has them
+_FLIGHT = ("name", "outcome", "passed", "failures", "metrics", "state_hash", "again")
+_LINE = (
+    "difference_db", "difference_deg", "unrounded_db", "unrounded_deg", "coherence", "error", "nonlinear_db", "reason",
+)  # fmt: skip
 
 
 def write_pack(found: Verification, folder: Path, command: str, pack: bool) -> list[Path]:
@@ -142,18 +147,9 @@ def verdict_record(found: Verification, command: str) -> dict[str, Any]:
         "verdict": found.judgement,
         "more_runs": found.more_runs,
         "command": command,
-        "requirements": [
-            {
-                "part": r.part, "name": r.name, "wanted": r.wanted, "found": r.found, "verdict": r.judgement,
-                "room": r.room, "where": r.where, "more_runs": r.more_runs, "again": r.again,
-            }
-            for r in found.requirements
-        ],
+        "requirements": [{_KEYS.get(key, key): value for key, value in vars(r).items()} for r in found.requirements],
         "flights": [
-            {
-                "name": f.name, "outcome": f.outcome, "passed": f.passed, "failures": list(f.failures),
-                "metrics": f.metrics, "state_hash": f.state_hash, "again": f.again,
-            }
+            {key: getattr(f, key) for key in _FLIGHT}
             for f in found.flights
         ],
         "certificate": [_node(c) for c in found.certificates],
@@ -178,13 +174,8 @@ def _node(c: NodeCertificate) -> dict[str, Any]:
         "unexplained": list(c.unexplained),
         "margins": [vars(m) for m in c.margins],
         "lines": [
-            {
-                "hz": r.lines_hz[i], "sampled_db": _db(r.sampled[i]), "pade_db": _db(r.pade[i]),
-                "difference_db": r.difference_db[i], "difference_deg": r.difference_deg[i],
-                "unrounded_db": r.unrounded_db[i], "unrounded_deg": r.unrounded_deg[i],
-                "coherence": r.coherence[i], "error": r.error[i], "nonlinear_db": r.nonlinear_db[i],
-                "reason": r.reason[i],
-            }
+            {"hz": r.lines_hz[i], "sampled_db": _db(r.sampled[i]), "pade_db": _db(r.pade[i])}
+            | {key: getattr(r, key)[i] for key in _LINE}
             for i in range(len(r.lines_hz))
         ],
     }  # fmt: skip
