@@ -121,7 +121,7 @@ def summary_frames(data: bytes) -> list[Frame] | None:
     return list(frames(data, record.summary_start, end))
 
 
-def chunk_frames(data: bytes, summary: list[Frame]) -> list[tuple[Frame, ChunkIndex]]:
+def chunk_frames(data: bytes, summary: list[Frame]) -> list[Frame]:
     """Places of all chunks by the summary's chunk index. Raises DamagedError where an index is not one.
 
     The opcode and length that stand at a place are compared with the index: a chunk whose frame is damaged
@@ -137,7 +137,7 @@ def chunk_frames(data: bytes, summary: list[Frame]) -> list[tuple[Frame, ChunkIn
         if body > end or end > len(data):
             raise DamagedError("a chunk index points outside the file")
         opcode, length = RECORD_PREFIX.unpack_from(data, start)
-        places.append((Frame(opcode if body + length == end else 0, start, body, end), index))
+        places.append(Frame(opcode if body + length == end else 0, start, body, end))
     return places
 
 
@@ -181,20 +181,20 @@ def message_runs(content: bytes) -> dict[int, list[Run]]:
 def _run_length(content: bytes, start: int, size: int) -> int:
     """How many records from `start` on have the same opcode, length and channel.
 
-    Looks at ever more records at once: short runs are common in files that other tools have rewritten.
+    Compares ever larger blocks: short runs are common in files that other tools have rewritten.
     """
-    kind = content[start : start + _RUN_PREFIX.size]
-    count, look = 1, _FIRST_BLOCK
+    prefix = content[start : start + _RUN_PREFIX.size]
+    count, block = 1, _FIRST_BLOCK
     while True:
         position = start + count * size
-        look = min(look, (len(content) - position) // size)
-        if look == 0 or content[position : position + _RUN_PREFIX.size] != kind:
+        block = min(block, (len(content) - position) // size)
+        if block == 0 or content[position : position + _RUN_PREFIX.size] != prefix:
             return count
-        rows = np.frombuffer(content, np.uint8, look * size, position).reshape(look, size)
-        same = (rows[:, : _RUN_PREFIX.size] == np.frombuffer(kind, np.uint8)).all(axis=1)
+        rows = np.frombuffer(content, np.uint8, block * size, position).reshape(block, size)
+        same = (rows[:, : _RUN_PREFIX.size] == np.frombuffer(prefix, np.uint8)).all(axis=1)
         if not same.all():
             return count + int(same.argmin())
-        count, look = count + look, 8 * look
+        count, block = count + block, 8 * block
 
 
 def gather(content: bytes, runs: list[Run], layout: np.dtype[np.void]) -> NDArray[np.void]:

@@ -39,6 +39,14 @@ from maxq.sim.log.mcap_read import MAGIC, MESSAGE_HEADER, RECORD_PREFIX, ZSTD, m
 
 _LEVEL = 1  # noisy numbers hardly compress: higher levels cost more time than they save space
 _LENGTH_WITHOUT_PAYLOAD = MESSAGE_HEADER.size - RECORD_PREFIX.size
+_SUMMARY_ORDER = (
+    Opcode.SCHEMA,
+    Opcode.CHANNEL,
+    Opcode.STATISTICS,
+    Opcode.CHUNK_INDEX,
+    Opcode.ATTACHMENT_INDEX,
+    Opcode.METADATA_INDEX,
+)
 _INDEX_HEADER = struct.Struct("<BQHI")  # opcode, length, channel, bytes of entries
 
 
@@ -77,14 +85,8 @@ class MessageBuffer:
 
 def single_message(channel_id: int, time_ns: int, sequence: int, payload: bytes) -> Block:
     """One message whose payload may have any size."""
-    header = MESSAGE_HEADER.pack(
-        Opcode.MESSAGE,
-        _LENGTH_WITHOUT_PAYLOAD + len(payload),
-        channel_id,
-        sequence & 0xFFFFFFFF,
-        time_ns,
-        time_ns,
-    )
+    length = _LENGTH_WITHOUT_PAYLOAD + len(payload)
+    header = MESSAGE_HEADER.pack(Opcode.MESSAGE, length, channel_id, sequence & 0xFFFFFFFF, time_ns, time_ns)
     record = np.frombuffer(header + payload, f"V{len(header) + len(payload)}")
     return Block(channel_id, np.array([time_ns], np.int64), record)
 
@@ -104,10 +106,10 @@ def _footer(summary_start: int, offsets_start: int, summary: bytes) -> bytes:
 
 
 class Container:
-    """Writes records in order, keeps what the summary will need, hands every chunk to the system.
+    """Writes records in order, keeps what the summary needs, and writes every chunk through to the system.
 
     Nothing in the file comes from the clock or the machine. `usable` is False after an error in the middle
-    of a chunk: what follows it could not be found, so nothing more must be written.
+    of a chunk: a reader could not find what follows it, so nothing more must be written.
     """
 
     def __init__(self, path: Path, profile: str, library: str) -> None:
@@ -116,44 +118,32 @@ class Container:
         self.size = 0
         self.crc = 0  # of all bytes so far; the data section ends with it
         self._compressor = zstandard.ZstdCompressor(level=_LEVEL)
-        self._schemas: list[McapRecord] = []
-        self._channels: list[McapRecord] = []
-        self._chunk_indexes: list[McapRecord] = []
-        self._attachment_indexes: list[McapRecord] = []
-        self._metadata_indexes: list[McapRecord] = []
-        self._counts: dict[int, int] = {}
+        self._summary: dict[Opcode, list[McapRecord]] = {opcode: [] for opcode in _SUMMARY_ORDER}
+        self._counts: dict[int, int] = {}  # of messages by channel
         self._first_ns: int | None = None
         self._last_ns = 0
         self._write(MAGIC + encode(Header(profile, library)))
 
     def add_channel(self, topic: str, message_type: str, schema: bytes, metadata: dict[str, str]) -> int:
         """Add a channel of protobuf messages with its schema; returns its id."""
-        number = len(self._channels) + 1
-        self._schemas.append(Schema(id=number, name=message_type, encoding="protobuf", data=schema))
-        self._channels.append(
-            Channel(id=number, topic=topic, message_encoding="protobuf", schema_id=number, metadata=metadata)
-        )
+        number = len(self._counts) + 1
+        schema_record = Schema(id=number, name=message_type, encoding="protobuf", data=schema)
+        channel = Channel(id=number, topic=topic, message_encoding="protobuf", schema_id=number, metadata=metadata)
+        self._summary[Opcode.SCHEMA].append(schema_record)
+        self._summary[Opcode.CHANNEL].append(channel)
         self._counts[number] = 0
-        self._write(encode(self._schemas[-1], self._channels[-1]))
+        self._write(encode(schema_record, channel))
         return number
 
     def add_attachment(self, name: str, media_type: str, data: bytes) -> None:
         record = encode(Attachment(create_time=0, log_time=0, name=name, media_type=media_type, data=data))
-        index = AttachmentIndex(
-            offset=self.size,
-            length=len(record),
-            create_time=0,
-            log_time=0,
-            data_size=len(data),
-            name=name,
-            media_type=media_type,
-        )
-        self._attachment_indexes.append(index)
+        place = {"offset": self.size, "length": len(record), "create_time": 0, "log_time": 0, "data_size": len(data)}
+        self._summary[Opcode.ATTACHMENT_INDEX].append(AttachmentIndex(**place, name=name, media_type=media_type))
         self._write(record)
 
     def add_metadata(self, name: str, metadata: dict[str, str]) -> None:
         record = encode(Metadata(name=name, metadata=metadata))
-        self._metadata_indexes.append(MetadataIndex(offset=self.size, length=len(record), name=name))
+        self._summary[Opcode.METADATA_INDEX].append(MetadataIndex(offset=self.size, length=len(record), name=name))
         self._write(record)
 
     def count(self, channel_id: int) -> int:
@@ -164,11 +154,12 @@ class Container:
         """Add one chunk of messages and its message indexes."""
         self.usable = False
         content = b"".join([block.records.tobytes() for block in blocks])
+        compressed = self._compressor.compress(content)
         first = min(int(block.times_ns.min()) for block in blocks)
         last = max(int(block.times_ns.max()) for block in blocks)
         chunk = Chunk(
             compression=ZSTD,
-            data=self._compressor.compress(content),
+            data=compressed,
             message_start_time=first,
             message_end_time=last,
             uncompressed_crc=zlib.crc32(content),
@@ -176,23 +167,20 @@ class Container:
         )
         record = encode(chunk)
         indexes = _message_indexes(blocks)
-        offsets, position = {}, self.size + len(record)
-        for channel_id, index in indexes.items():
-            offsets[channel_id] = position
-            position += len(index)
+        ends = np.cumsum([self.size + len(record), *map(len, indexes.values())]).tolist()
         chunk_index = ChunkIndex(
             chunk_start_offset=self.size,
             chunk_length=len(record),
             compression=ZSTD,
-            compressed_size=len(chunk.data),
+            compressed_size=len(compressed),
             uncompressed_size=len(content),
             message_start_time=first,
             message_end_time=last,
-            message_index_offsets=offsets,
-            message_index_length=position - self.size - len(record),
+            message_index_offsets=dict(zip(indexes, ends, strict=False)),
+            message_index_length=ends[-1] - ends[0],
         )
         self._write(b"".join([record, *indexes.values()]))
-        self._chunk_indexes.append(chunk_index)
+        self._summary[Opcode.CHUNK_INDEX].append(chunk_index)
         for block in blocks:
             self._counts[block.channel_id] += len(block.times_ns)
         self._first_ns = first if self._first_ns is None else min(self._first_ns, first)
@@ -202,28 +190,9 @@ class Container:
     def finish(self) -> None:
         """Write the end of the data section and the summary."""
         self._write(encode(DataEnd(self.crc)))
-        start = self.size
-        statistics = Statistics(
-            attachment_count=len(self._attachment_indexes),
-            channel_count=len(self._channels),
-            channel_message_counts=self._counts,
-            chunk_count=len(self._chunk_indexes),
-            message_count=sum(self._counts.values()),
-            message_start_time=self._first_ns or 0,
-            message_end_time=self._last_ns,
-            metadata_count=len(self._metadata_indexes),
-            schema_count=len(self._schemas),
-        )
-        groups: list[tuple[Opcode, list[McapRecord]]] = [
-            (Opcode.SCHEMA, self._schemas),
-            (Opcode.CHANNEL, self._channels),
-            (Opcode.STATISTICS, [statistics]),
-            (Opcode.CHUNK_INDEX, self._chunk_indexes),
-            (Opcode.ATTACHMENT_INDEX, self._attachment_indexes),
-            (Opcode.METADATA_INDEX, self._metadata_indexes),
-        ]
-        summary, offsets = b"", []
-        for opcode, records in groups:
+        start, summary, offsets = self.size, b"", []
+        self._summary[Opcode.STATISTICS] = [self._statistics()]
+        for opcode, records in self._summary.items():
             group = encode(*records)
             if group:
                 offsets.append(SummaryOffset(opcode, start + len(summary), len(group)))
@@ -231,6 +200,19 @@ class Container:
         offsets_start = start + len(summary)
         summary += encode(*offsets)
         self._write(summary + _footer(start, offsets_start, summary) + MAGIC)
+
+    def _statistics(self) -> Statistics:
+        return Statistics(
+            attachment_count=len(self._summary[Opcode.ATTACHMENT_INDEX]),
+            channel_count=len(self._counts),
+            channel_message_counts=self._counts,
+            chunk_count=len(self._summary[Opcode.CHUNK_INDEX]),
+            message_count=sum(self._counts.values()),
+            message_start_time=self._first_ns or 0,
+            message_end_time=self._last_ns,
+            metadata_count=len(self._summary[Opcode.METADATA_INDEX]),
+            schema_count=len(self._counts),
+        )
 
     def close(self) -> None:
         self._file.close()
@@ -248,17 +230,15 @@ def _message_indexes(blocks: Sequence[Block]) -> dict[int, bytes]:
     entries: dict[int, list[NDArray[np.uint64]]] = {}
     position = 0
     for block in blocks:
-        size = block.records.dtype.itemsize
-        rows = np.empty((len(block.times_ns), 2), "<u8")
+        size, count = block.records.dtype.itemsize, len(block.times_ns)
+        rows = np.empty((count, 2), "<u8")
         rows[:, 0] = block.times_ns
-        rows[:, 1] = position + size * np.arange(len(rows))
+        rows[:, 1] = position + size * np.arange(count)
         entries.setdefault(block.channel_id, []).append(rows)
-        position += size * len(rows)
+        position += size * count
     records = {}
     for channel_id, parts in entries.items():
-        rows = parts[0] if len(parts) == 1 else np.concatenate(parts)
-        if len(parts) > 1:
-            rows = rows[np.argsort(rows[:, 0], kind="stable")]
-        data = rows.tobytes()
+        rows = np.concatenate(parts)
+        data = rows[np.argsort(rows[:, 0], kind="stable")].tobytes()
         records[channel_id] = _INDEX_HEADER.pack(Opcode.MESSAGE_INDEX, 6 + len(data), channel_id, len(data)) + data
     return records

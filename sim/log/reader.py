@@ -105,7 +105,7 @@ class Log(LoggedRun):
         return self._values[self._topic(name)]
 
     def _topic(self, name: str) -> str:
-        """Name of the topic that is called so or has a channel called so."""
+        """Name of the topic of this name, or of the topic that holds the channel of this name."""
         if name in self._times_ns:
             return name
         if name in self.table:
@@ -116,6 +116,8 @@ class Log(LoggedRun):
 
 
 class _Head(NamedTuple):
+    """`end`: offset behind the head. `intact`: its checksum matches."""
+
     metadata: dict[str, str]
     attachments: dict[str, Attachment]
     table: ChannelTable
@@ -125,6 +127,8 @@ class _Head(NamedTuple):
 
 
 class _Places(NamedTuple):
+    """Where the chunks are, the record of the run's end where there is one, and notes on damage."""
+
     chunks: list[Frame]
     end_record: dict[str, str] | None
     notes: list[str]
@@ -190,9 +194,9 @@ def _read_frame(path: Path) -> tuple[bytes, _Head, _Places]:
 
 
 def _read_head(data: bytes) -> _Head:
-    """Raises ValueError, with the end of a sentence about the file, where the head cannot be made out."""
+    """Raises ValueError, with a message to follow the file's name, where the head cannot be read."""
     if not data.startswith(MAGIC):
-        raise ValueError("this is not a log: it does not begin as an MCAP file does")
+        raise ValueError("this is not a log: it does not begin like an MCAP file")
     metadata: dict[str, dict[str, str]] = {}
     attachments: dict[str, Attachment] = {}
     schemas: dict[int, records.Schema] = {}
@@ -255,10 +259,9 @@ def _find_chunks(data: bytes, start: int) -> _Places:
     try:
         summary = summary_frames(data)
         if summary is not None:
-            chunks = [frame for frame, _ in chunk_frames(data, summary)]
-            return _Places(chunks, *_read_end(data, summary))
+            return _Places(chunk_frames(data, summary), *_read_end(data, summary))
     except DamagedError:
-        pass  # the summary passes its checksum but was not written by maxq: do without
+        pass  # the summary passes its checksum but is not one that maxq wrote: ignore it
     chunks, last = [], start
     for frame in frames(data, start, len(data)):
         if frame.opcode == Opcode.DATA_END:
@@ -299,9 +302,9 @@ class _Columns:
         self._parts: dict[str, list[tuple[IntArray, Array]]] = {name: [] for name in self._topics}
 
     def add_chunk(self, content: bytes) -> list[Event]:
-        """Take in a chunk, whole or not at all; returns its events. Raises ValueError where it is damaged.
+        """Add a chunk, whole or not at all; returns its events. Raises ValueError where it is damaged.
 
-        Its numbers are copied out at once, while they are near in memory: nothing holds on to `content`.
+        Its numbers are copied at once, while they are in the cache: nothing keeps a reference to `content`.
         """
         events: list[Event] = []
         parts = []
