@@ -2,8 +2,8 @@
 
     flight = record(FlightRun(load_scenario("nominal")), Path("runs/nominal"))
 
-The log is written by a thread of its own, a segment behind the flight: the kernel and the compression both
-let go of the interpreter, so that they overlap. Memory holds a few segments, never the flight.
+The log is written by a thread of its own, a segment behind the flight: kernel and compression both release the
+interpreter's lock, so that they overlap. Memory holds a few segments, never the whole flight.
 """
 
 from __future__ import annotations
@@ -11,9 +11,9 @@ from __future__ import annotations
 import json
 import math
 import platform
-import queue
-import threading
+from collections import deque
 from collections.abc import Callable, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -41,7 +41,7 @@ _LEVELS = {CONTROL_LOST_NAME: foxglove.Level.ERROR, DIVERGED_NAME: foxglove.Leve
 
 
 class Interrupted(Exception):
-    """Said in the log of a flight that was stopped before its end."""
+    """The reason in the log of a flight that was stopped before its end."""
 
 
 def record(
@@ -60,11 +60,11 @@ def record(
     less); when `stop` then says True, the flight ends there with outcome "interrupted". `timing`: further
     entries for the summary's timing. The `Flight` that is returned has no rows: read the log.
 
-    Raises LogError where a file cannot be written; folders that were made for nothing are taken away again.
+    Raises LogError where a file cannot be written; folders made for it are then removed again.
     """
     made = _make(folder)
     try:
-        (folder / SUMMARY_NAME).unlink(missing_ok=True)  # it tells of another flight
+        (folder / SUMMARY_NAME).unlink(missing_ok=True)  # it describes another flight
         writer = LogWriter(folder / LOG_NAME, run.table, run_head(run.loaded, number)) if log else None
     except (OSError, LogError) as error:
         for empty in made:
@@ -98,7 +98,7 @@ def run_head(loaded: LoadedScenario, number: int = 0) -> RunHead:
 
 
 def result_record(flight: Flight) -> dict[str, str]:
-    """What the log says at its end: with this a log alone tells whether a second flight was the same."""
+    """The end record of the log: enough to compare a second flight with this one, bit by bit."""
     return {
         OUTCOME_KEY: flight.outcome,
         END_KEY: str(flight.end_ns),
@@ -147,55 +147,51 @@ def fly_to_end(
 
 
 class _LogThread:
-    """Writes segments while the flight goes on. An error comes out of the next `put`, or of `close`."""
+    """Writes segments while the flight goes on. An error comes out of a later `put`, or of `close`."""
 
     def __init__(self, writer: LogWriter, run: FlightRun) -> None:
-        scenario, parameters = run.loaded.scenario, run.packed.parameters[0]
+        scenario, earth = run.loaded.scenario, run.packed.parameters[0].environment.earth
+        transform_ns = period_ns(scenario.log.transform_hz)
         self._writer = writer
         self._run = run
-        self._frames = LaunchFrames(
-            run.table, LaunchSite(parameters.environment.earth, scenario.site), period_ns(scenario.log.transform_hz)
-        )
-        self._told: set[Event] = set()
-        self._queue: queue.Queue[tuple[Rows, list[foxglove.Event]] | None] = queue.Queue(_SEGMENTS_WAITING)
-        self._error: Exception | None = None
-        self._thread = threading.Thread(target=self._work, name="log", daemon=True)
-        self._thread.start()
+        self._frames = LaunchFrames(run.table, LaunchSite(earth, scenario.site), transform_ns)
+        self._written: set[Event] = set()
+        self._pool = ThreadPoolExecutor(1, "log")
+        self._waiting: deque[Future[None]] = deque()
 
     def put(self, rows: Rows, events: Sequence[Event]) -> None:
-        if self._error is not None:
-            raise self._error
-        new = [event for event in events if event not in self._told]
-        self._told.update(new)
-        self._queue.put((copied(rows), [self._said(event) for event in new]))
+        if len(self._waiting) == _SEGMENTS_WAITING:
+            self._waiting.popleft().result()
+        new = [event for event in events if event not in self._written]
+        self._written.update(new)
+        self._waiting.append(self._pool.submit(self._write, copied(rows), [self._message(event) for event in new]))
 
     def close(self, error: BaseException | None, flight: Flight | None) -> None:
         """Write what is waiting, then the end of the log."""
-        self._queue.put(None)
-        self._thread.join()
-        if self._error is not None and error is None:
-            self._writer.close(self._error)
-            raise self._error
-        self._writer.close(error, result_record(flight) if flight else None)
+        try:
+            while self._waiting:
+                self._waiting.popleft().result()
+        except Exception as failure:
+            self._pool.shutdown(cancel_futures=True)
+            self._writer.close(error or failure)
+            if error is None:
+                raise
+        else:
+            self._pool.shutdown()
+            self._writer.close(error, result_record(flight) if flight else None)
 
-    def _said(self, event: Event) -> foxglove.Event:
+    def _message(self, event: Event) -> foxglove.Event:
         stage = f" (stage {event.stage})" if event.stage else ""
         cause = self._run.cause_of(event)
         text = f"{event.name}{stage}" + (f": {cause}" if cause else "")
         return foxglove.Event(event.time_ns, _LEVELS.get(event.name, foxglove.Level.INFO), text, "flight")
 
-    def _work(self) -> None:
-        while (item := self._queue.get()) is not None:
-            rows, events = item
-            try:
-                if self._error is None:  # else drop what comes, so that nobody waits for room in the queue
-                    self._writer.write_block(rows, events, [self._frames.path(*rows[SLOW])])
-            except Exception as error:
-                self._error = error
+    def _write(self, rows: Rows, events: list[foxglove.Event]) -> None:
+        self._writer.write_block(rows, events, [self._frames.path(*rows[SLOW])])
 
 
 def summary_of(flight: Flight, log: str | None, timing: dict[str, float]) -> dict[str, Any]:
-    """All of a flight but its channels over time. A number that does not exist is None."""
+    """All of a flight except its channels over time. A number that is not finite is None."""
     scenario = flight.scenario.scenario
     return {
         "schema": SUMMARY_SCHEMA,
@@ -227,7 +223,7 @@ def summary_of(flight: Flight, log: str | None, timing: dict[str, float]) -> dic
 
 
 def versions() -> dict[str, str]:
-    """Of what the bits of a flight depend on."""
+    """Versions of what the bits of a flight depend on."""
     return {"python": platform.python_version()} | {name: version(name) for name in _PACKAGES}
 
 
