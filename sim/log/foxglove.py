@@ -60,77 +60,61 @@ class FramePath:
     rotation: Array
 
 
-def _file(name: str, *imports: str) -> descriptor_pb2.FileDescriptorProto:
-    return descriptor_pb2.FileDescriptorProto(
-        name=f"foxglove/{name}.proto", package="foxglove", syntax="proto3", dependency=imports
-    )
+_TIMESTAMP = "google.protobuf.Timestamp"  # written here so that a log does not vary with the protobuf release
+_MESSAGES: dict[str, dict[str, str | _Field.Type.ValueType]] = {
+    _TIMESTAMP: {"seconds": _Field.TYPE_INT64, "nanos": _Field.TYPE_INT32},
+    LOG_TYPE: {
+        "timestamp": _TIMESTAMP,
+        "level": "foxglove.LogLevel",
+        "message": _Field.TYPE_STRING,
+        "name": _Field.TYPE_STRING,
+        "file": _Field.TYPE_STRING,
+        "line": _Field.TYPE_FIXED32,
+    },
+    "foxglove.Vector3": dict.fromkeys("xyz", _Field.TYPE_DOUBLE),
+    "foxglove.Quaternion": dict.fromkeys("xyzw", _Field.TYPE_DOUBLE),
+    "foxglove.FrameTransform": {
+        "timestamp": _TIMESTAMP,
+        "parent_frame_id": _Field.TYPE_STRING,
+        "child_frame_id": _Field.TYPE_STRING,
+        "translation": "foxglove.Vector3",
+        "rotation": "foxglove.Quaternion",
+    },
+    FRAMES_TYPE: {"transforms": "foxglove.FrameTransform"},
+}
+"""Fields 1, 2, ... of each message by type: a scalar, or the name of a message or of the enumeration LogLevel."""
 
 
-def _add_message(
-    file: descriptor_pb2.FileDescriptorProto, name: str, *fields: tuple[str, str | _Field.Type.ValueType]
-) -> None:
-    """Add a message with fields 1, 2, ...; the type of a field is a scalar or the name of a message."""
-    message = file.message_type.add(name=name)
-    for number, (field_name, kind) in enumerate(fields, start=1):
-        field = message.field.add(name=field_name, number=number, label=_Field.LABEL_OPTIONAL)
+def _files_of(full_name: str) -> dict[str, descriptor_pb2.FileDescriptorProto]:
+    """The file of a message or enumeration after those that it imports, by type."""
+    package, _, name = full_name.rpartition(".")
+    fields = _MESSAGES.get(full_name, {})
+    files: dict[str, descriptor_pb2.FileDescriptorProto] = {}
+    for kind in fields.values():
         if isinstance(kind, str):
-            field.type, field.type_name = _Field.TYPE_MESSAGE, kind
+            files |= _files_of(kind)
+    path = timestamp_pb2.DESCRIPTOR.name if full_name == _TIMESTAMP else f"foxglove/{name}.proto"
+    imports = sorted({files[kind].name for kind in fields.values() if isinstance(kind, str)})
+    file = descriptor_pb2.FileDescriptorProto(name=path, package=package, syntax="proto3", dependency=imports)
+    if not fields:
+        enum = file.enum_type.add(name=name)
+        for member in Level:
+            enum.value.add(name=member.name, number=member.value)
+        return {full_name: file}
+    message = file.message_type.add(name=name)
+    for number, (field_name, kind) in enumerate(fields.items(), start=1):
+        label = _Field.LABEL_REPEATED if full_name == FRAMES_TYPE else _Field.LABEL_OPTIONAL
+        field = message.field.add(name=field_name, number=number, label=label)
+        if isinstance(kind, str):
+            field.type = _Field.TYPE_MESSAGE if kind in _MESSAGES else _Field.TYPE_ENUM
+            field.type_name = f".{kind}"
         else:
             field.type = kind
+    return files | {full_name: file}
 
 
-def _timestamp_file() -> descriptor_pb2.FileDescriptorProto:
-    """google/protobuf/timestamp.proto, written here so that a log does not vary with the protobuf release."""
-    file = descriptor_pb2.FileDescriptorProto(
-        name=timestamp_pb2.DESCRIPTOR.name, package="google.protobuf", syntax="proto3"
-    )
-    _add_message(file, "Timestamp", ("seconds", _Field.TYPE_INT64), ("nanos", _Field.TYPE_INT32))
-    return file
-
-
-def _log_schema() -> bytes:
-    timestamp = _timestamp_file()
-    level = _file("LogLevel")
-    enum = level.enum_type.add(name="LogLevel")
-    for member in Level:
-        enum.value.add(name=member.name, number=member.value)
-    log = _file("Log", level.name, timestamp.name)
-    _add_message(
-        log,
-        "Log",
-        ("timestamp", ".google.protobuf.Timestamp"),
-        ("level", _Field.TYPE_ENUM),
-        ("message", _Field.TYPE_STRING),
-        ("name", _Field.TYPE_STRING),
-        ("file", _Field.TYPE_STRING),
-        ("line", _Field.TYPE_FIXED32),
-    )
-    log.message_type[0].field[1].type_name = ".foxglove.LogLevel"
-    return serialise([timestamp, level, log])
-
-
-def _frames_schema() -> bytes:
-    timestamp, vector, quaternion = _timestamp_file(), _file("Vector3"), _file("Quaternion")
-    _add_message(vector, "Vector3", *((axis, _Field.TYPE_DOUBLE) for axis in "xyz"))
-    _add_message(quaternion, "Quaternion", *((axis, _Field.TYPE_DOUBLE) for axis in "xyzw"))
-    transform = _file("FrameTransform", quaternion.name, vector.name, timestamp.name)
-    _add_message(
-        transform,
-        "FrameTransform",
-        ("timestamp", ".google.protobuf.Timestamp"),
-        ("parent_frame_id", _Field.TYPE_STRING),
-        ("child_frame_id", _Field.TYPE_STRING),
-        ("translation", ".foxglove.Vector3"),
-        ("rotation", ".foxglove.Quaternion"),
-    )
-    transforms = _file("FrameTransforms", transform.name)
-    _add_message(transforms, "FrameTransforms", ("transforms", ".foxglove.FrameTransform"))
-    transforms.message_type[0].field[0].label = _Field.LABEL_REPEATED
-    return serialise([timestamp, vector, quaternion, transform, transforms])
-
-
-LOG_SCHEMA = _log_schema()
-FRAMES_SCHEMA = _frames_schema()
+LOG_SCHEMA = serialise(_files_of(LOG_TYPE).values())
+FRAMES_SCHEMA = serialise(_files_of(FRAMES_TYPE).values())
 _LogMessage: Any = message_class(LOG_SCHEMA, LOG_TYPE)  # its attributes are known at run time only
 
 
