@@ -11,7 +11,7 @@ import pytest
 from rerun.experimental import ViewerClient
 
 from maxq.tools.replay import viewer
-from maxq.tools.replay.error import ReplayError
+from maxq.tools.replay.viewer import ReplayError
 
 OLD_LOG = Path(__file__).parent / "data" / "logs" / "schema-1" / "flight.mcap"
 """14 s of `nominal` in wind that loses control at 9.66 s (tests/data/logs/NOTES.md): schema 1, for ever."""
@@ -21,7 +21,8 @@ OLD_LOG = Path(__file__).parent / "data" / "logs" / "schema-1" / "flight.mcap"
 def headless_viewer(window: str = "1280x720") -> Iterator[ViewerClient]:
     """A viewer to be driven. Skips where there is no driver to draw with; in CI that is a failure."""
     try:
-        with viewer.headless(window) as client:
+        with viewer.headless(window) as connected:
+            client = connected()
             client.take_screenshot()  # without a driver it stops here at the latest
             yield client
     except ReplayError as error:

@@ -8,11 +8,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from maxq.tools.replay.decimate import extremes
-from maxq.tools.replay.family import extremes_on_grid
-from maxq.tools.replay.sending import changed
-from maxq.tools.replay.sheets import binned
-from maxq.tools.replay.summary import sparkline
+from maxq.tools.replay.decimate import changed, extremes, extremes_on_grid
+from maxq.tools.replay.sheets import envelope
+from maxq.tools.replay.text import sparkline
 
 MS = 1_000_000
 VALUES = arrays(float, st.integers(0, 400), elements=st.one_of(st.floats(-1e3, 1e3), st.just(np.nan), st.just(0.5)))
@@ -84,11 +82,10 @@ def test_rows_that_are_not_sent_lie_within_the_tolerance_of_those_that_are(rows:
 
 def test_an_envelope_holds_every_sample() -> None:
     random = np.random.default_rng(1)
-    time_s = np.sort(random.uniform(0.0, 10.0, 5000))
+    times = np.sort(random.integers(0, 10_000 * MS, 5000))
     values = random.normal(size=5000)
-    edges = np.linspace(0.0, 10.0, 101)
-    low, high = binned(time_s, values, edges)
-    place = np.clip(np.searchsorted(edges, time_s, side="right") - 1, 0, 99)
+    low, high = envelope(times, values, (0, 10_000 * MS), 100)
+    place = times // (100 * MS)
     assert (values >= low[place]).all()
     assert (values <= high[place]).all()
 

@@ -9,17 +9,21 @@ import numpy as np
 import pytest
 from mcap.reader import make_reader
 from replaykit import OLD_LOG
-from scipy.spatial.transform import Rotation
 
 from maxq.sim.log.foxglove import FRAMES_SCHEMA, FRAMES_TYPE
 from maxq.sim.log.protobuf import message_class
-from maxq.tools.replay import mesh
-from maxq.tools.replay.bent_body import bent_line, modal_coordinates, nice_factor
-from maxq.tools.replay.convert import Options, exaggeration_of, place_of
-from maxq.tools.replay.earth_frame import path_of, turned
+from maxq.tools.replay import meshes
 from maxq.tools.replay.flight import ReplayFlight, launch_of, open_flight
+from maxq.tools.replay.launch_site import path_of, place_of
 from maxq.tools.replay.plots import tabs_of
-from maxq.tools.replay.vehicle_shape import VehicleShape, shape_of
+from maxq.tools.replay.vehicle_shape import (
+    VehicleShape,
+    bent_line,
+    exaggeration_of,
+    modal_coordinates,
+    nice_factor,
+    shape_of,
+)
 
 
 @cache
@@ -76,7 +80,7 @@ def test_pose_is_that_of_the_frames_in_the_log() -> None:
     place = place_of(flight())
     path = path_of(flight().log, place.frames(flight().log.table, 100_000_000))
     np.testing.assert_array_equal(path.times_ns, expected[:, 0])
-    np.testing.assert_allclose(path.position_m, expected[:, 1:4], atol=1e-6)
+    np.testing.assert_allclose(path.translation_m, expected[:, 1:4], atol=1e-6)
     np.testing.assert_allclose(path.rotation, expected[:, 4:], atol=1e-12)
 
 
@@ -86,17 +90,9 @@ def test_velocity_arrow_is_the_motion_of_the_picture() -> None:
     v_N = np.stack([log[f"v_N_{a}_mps"] for a in ("north", "east", "down")], axis=1)
     v = place.from_ned(log["latitude_deg"], log["longitude_deg"], v_N)
     time_s = path.times_ns / 1e9
-    moved = np.gradient(path.position_m, time_s, axis=0)
+    moved = np.gradient(path.translation_m, time_s, axis=0)
     inside = slice(5, 85)  # steady thrust: central differences of 0.1 s are good to a a' h^2 / 6
     np.testing.assert_allclose(moved[inside], v[: len(moved)][inside], atol=0.05)
-
-
-def test_a_vector_is_turned_as_scipy_turns_it() -> None:
-    random = np.random.default_rng(2)
-    q = random.normal(size=(20, 4))
-    q /= np.linalg.norm(q, axis=1, keepdims=True)
-    v = random.normal(size=(20, 3))
-    np.testing.assert_allclose(turned(q, v), Rotation.from_quat(q, scalar_first=True).apply(v), atol=1e-12)
 
 
 def test_the_ground_is_at_the_altitude_of_the_site() -> None:
@@ -113,8 +109,8 @@ def test_the_ground_is_at_the_altitude_of_the_site() -> None:
 def test_a_surface_stands_across_its_pendulum() -> None:
     pitch, yaw = math.radians(7.0), math.radians(-4.0)
     tilt = np.array([[math.tan(yaw), math.tan(pitch)]])
-    vertices = mesh.liquid_vertices(np.array([-11.0]), np.array([-9.0]), 0.5, tilt, np.zeros((1, 2, 2)))[0]
-    sides = mesh.SIDES
+    vertices = meshes.liquid_vertices(np.array([-11.0]), np.array([-9.0]), 0.5, tilt, np.zeros((1, 2, 2)))[0]
+    sides = meshes.SIDES
     surface = vertices[3 * sides : 4 * sides].astype(float)
     centre = vertices[4 * sides + 1].astype(float)
     pendulum = np.array([-1.0, math.tan(yaw), math.tan(pitch)])  # from the hinge to the bob, in B
@@ -125,12 +121,12 @@ def test_a_surface_stands_across_its_pendulum() -> None:
 
 def test_a_liquid_keeps_within_its_tank_and_normals_point_outwards() -> None:
     tilt = np.array([[3.0, 0.0]])
-    vertices = mesh.liquid_vertices(np.array([0.0]), np.array([0.1]), 0.5, tilt, np.zeros((1, 2, 2)))[0]
+    vertices = meshes.liquid_vertices(np.array([0.0]), np.array([0.1]), 0.5, tilt, np.zeros((1, 2, 2)))[0]
     assert vertices[:, 0].min() == 0.0
-    body = mesh.revolved([(0.0, 1.0), (2.0, 1.0)])
+    body = meshes.revolved([(0.0, 1.0), (2.0, 1.0)])
     outwards = (body.normals[:, 1:] * body.vertices[:, 1:]).sum(axis=1)
     assert (outwards > 0.99).all()
-    fin = mesh.plate([(0, 1, 0), (-0.5, 2, 0), (-1, 2, 0), (-1.5, 1, 0)], 0.1)
+    fin = meshes.plate([(0, 1, 0), (-0.5, 2, 0), (-1, 2, 0), (-1.5, 1, 0)], 0.1)
     middle = fin.vertices.mean(axis=0)
     assert (((fin.vertices - middle) * fin.normals).sum(axis=1) > 0.0).all()
 
@@ -156,9 +152,9 @@ def test_factors_are_round_and_keep_within_what_is_wanted(largest: float, wanted
 
 
 def test_the_factor_may_be_chosen() -> None:
-    chosen = exaggeration_of(flight(), shape(), Options(bend_factor=123.0, slosh_factor=4.0))
+    chosen = exaggeration_of(flight().log, shape(), 123.0, 4.0)
     assert (chosen.bending, chosen.slosh) == (123.0, 4.0)
-    assert exaggeration_of(flight(), shape(), Options()).bending > 1.0
+    assert exaggeration_of(flight().log, shape()).bending > 1.0
 
 
 def test_earth_and_site_read_by_themselves_are_those_of_the_scenario() -> None:

@@ -68,7 +68,7 @@ def test_a_viewer_ends_with_its_command(way: str, by: signal.Signals, tmp_path: 
 
 def test_a_viewer_ends_with_a_killed_test() -> None:
     """As pytest does it: in a `with` block that is never left."""
-    code = "import time; from maxq.tools.replay import viewer\nwith viewer.Headless(): time.sleep(600)"
+    code = "import time; from maxq.tools.replay import viewer\nwith viewer.headless(): time.sleep(600)"
     with subprocess.Popen([sys.executable, "-c", code]) as process:
         viewers = viewers_of(process)
         process.kill()
@@ -78,7 +78,7 @@ def test_a_viewer_ends_with_a_killed_test() -> None:
 
 def test_a_viewer_ends_with_its_block() -> None:
     def fail() -> None:
-        with viewer.Headless():
+        with viewer.headless():
             running.extend(c for c in psutil.Process().children() if is_viewer(c))
             raise ZeroDivisionError
 

@@ -24,8 +24,8 @@ from rerun.experimental import ViewerClient
 from maxq.tools import simreplay, simrun
 from maxq.tools.replay import viewer
 from maxq.tools.replay.convert import Options, save
-from maxq.tools.replay.error import ReplayError
 from maxq.tools.replay.flight import ReplayFlight, open_flight
+from maxq.tools.replay.viewer import ReplayError
 
 KEPT = Path(__file__).parent / "data" / "replay"
 TIMES_S = (0.3, 8.0, 9.4, 13.5)  # lift-off, pitching over, control being lost, tumbling

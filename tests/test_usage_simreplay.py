@@ -21,15 +21,14 @@ from replaykit import OLD_LOG
 
 from maxq.sim.log.reader import read_log
 from maxq.tools import simreplay
-from maxq.tools.replay import collect, viewer
 from maxq.tools.replay import flight as flight_module
+from maxq.tools.replay import viewer
 from maxq.tools.replay.convert import Options, save
-from maxq.tools.replay.error import ReplayError
 from maxq.tools.replay.flight import open_flight
-from maxq.tools.replay.phases import phases
 from maxq.tools.replay.sheets import write_sheets
-from maxq.tools.replay.summary import summary_text
-from maxq.tools.replay.web_page import LOCAL
+from maxq.tools.replay.stream import first_phase, phases
+from maxq.tools.replay.text import summary_text
+from maxq.tools.replay.viewer import LOCAL, ReplayError
 
 Printed = pytest.CaptureFixture[str]
 
@@ -132,7 +131,7 @@ def test_a_campaign_folder_gives_the_nominal_first_and_flights_by_their_names() 
     for name in ("run-000012", "run-000003", "nominal"):
         (Path("campaign/flights") / name).mkdir(parents=True)
         shutil.copy(OLD_LOG, f"campaign/flights/{name}/flight.mcap")
-    flights, complaints = collect.open_flights(["campaign"])
+    flights, complaints = flight_module.open_flights(["campaign"])
     assert [flight.label for flight in flights] == ["nominal", "run-000003", "run-000012"]
     assert complaints == []
 
@@ -141,8 +140,8 @@ def test_a_folder_of_runs_and_bare_logs_are_found() -> None:
     Path("runs/a").mkdir(parents=True)
     shutil.copy(OLD_LOG, "runs/a/flight.mcap")
     shutil.copy(OLD_LOG, "runs/bare.mcap")
-    assert [label for _, label in collect.find_logs(["runs"])] == ["a", "bare"]
-    flights, _ = collect.open_flights(["runs/a", "runs/bare.mcap"])
+    assert [label for _, label in flight_module.find_logs(["runs"])] == ["a", "bare"]
+    flights, _ = flight_module.open_flights(["runs/a", "runs/bare.mcap"])
     assert len({flight.label for flight in flights}) == 2
 
 
@@ -162,26 +161,26 @@ def test_of_many_flights_a_few_are_in_memory_and_plots_are_families(monkeypatch:
     for i in range(24):
         Path(f"c/flights/run-{i:06}").mkdir(parents=True)
         os.link(OLD_LOG, f"c/flights/run-{i:06}/flight.mcap")
-    flights, complaints = collect.open_flights(["c"], in_turn=True)
+    flights, complaints = flight_module.open_flights(["c"], in_turn=True)
     assert complaints == []
     assert len(flights) == 24
     read: list[Path] = []
     monkeypatch.setattr(flight_module, "read_log", lambda path: read.append(path) or read_log(path))
     save(flights, Options(), Path("many.rrd"))
-    assert len(read) <= 24 + 2 * collect.FEW
-    assert len(set(read)) >= 24 - collect.FEW - 1
+    assert len(read) <= 24 + 2 * flight_module.FEW
+    assert len(set(read)) >= 24 - flight_module.FEW - 1
     said = subprocess.run(
         [str(viewer.executable()), "rrd", "stats", "many.rrd"], capture_output=True, text=True, check=True
     ).stdout
     roots = {line.split("/plots/")[0] for line in said.splitlines() if "/plots/" in line}
-    assert roots == {"/family", *(f"/flights/run-{i:06}" for i in range(collect.FEW))}
+    assert roots == {"/family", *(f"/flights/run-{i:06}" for i in range(flight_module.FEW))}
 
 
 def test_many_flights_are_drawn_as_envelopes() -> None:
     for i in range(7):
         Path(f"c/kept/run-{i}").mkdir(parents=True)
         shutil.copy(OLD_LOG, f"c/kept/run-{i}/flight.mcap")
-    write_sheets(collect.open_flights(["c"])[0], Path("sheets"), only="gimbal")
+    write_sheets(flight_module.open_flights(["c"])[0], Path("sheets"), only="gimbal")
     assert "shaded: all" in Path("sheets/04-gimbal.svg").read_text(encoding="utf-8")
 
 
@@ -351,7 +350,5 @@ def test_version(capsys: Printed) -> None:
 def test_phases_follow_the_events() -> None:
     flight = open_flight(OLD_LOG)
     first = flight.moments[0]
-    from maxq.tools.replay.phases import first_phase  # noqa: PLC0415  # only here
-
     names = [phase.name for phase in phases(first_phase(flight.log, first.time_ns), flight.moments)]
     assert names == ["held down", "powered", "control lost", "tumbling"]

@@ -33,11 +33,11 @@ from maxq.tools.cli.frame import CommandError, Exit, say
 from maxq.tools.cli.interruption import Interruption
 from maxq.tools.cli.terminal import Progress, aligned, printable
 from maxq.tools.flight_report import report
-from maxq.tools.replay.error import ReplayError
+from maxq.tools.replay.viewer import ReplayError
 from maxq.tools.simrun_fly import announce_compilation, show_flight
 
 if TYPE_CHECKING:
-    from maxq.tools.replay.flown import FlownView
+    from maxq.tools.replay.live import FlownView
 
 _LINE_S = 30.0  # between two lines of progress in the log of a batch system
 _SEARCH_FLIGHTS = 2000
@@ -192,7 +192,7 @@ def _view(order: Order) -> FlownView | None:
     if not order.view:
         return None
     try:
-        from maxq.tools.replay.flown import FlownView  # noqa: PLC0415  # lazy: rerun takes half a second
+        from maxq.tools.replay.live import FlownView  # noqa: PLC0415  # lazy: rerun takes half a second
 
         return FlownView(order.view_port)
     except ReplayError as error:

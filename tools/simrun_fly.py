@@ -114,7 +114,7 @@ def _view(order: Order, loaded: LoadedScenario) -> LiveView | None:
     """The viewer, opened before anything is flown. Raises CommandError where there is none."""
     if not order.view:
         return None
-    from maxq.tools.replay.error import ReplayError  # noqa: PLC0415  # lazy
+    from maxq.tools.replay.viewer import ReplayError  # noqa: PLC0415  # lazy
 
     try:
         from maxq.tools.replay.live import LiveView  # noqa: PLC0415  # lazy: rerun takes half a second

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import rerun as rr
@@ -12,14 +12,12 @@ import rerun.blueprint as rrb
 from rerun.blueprint.encodings import TextLogColumn, TextLogColumnKind
 
 from maxq.control.kernel.records import Array
-from maxq.tools.replay.error import ReplayError
-from maxq.tools.replay.plot_stream import Axis, beyond_text, limits_root
-from maxq.tools.replay.plots import Plot, Tab
-from maxq.tools.replay.sending import TIMELINE
+from maxq.tools.replay.plots import Axis, Plot, Tab
+from maxq.tools.replay.stream import TIMELINE, limits_root
+from maxq.tools.replay.viewer import ReplayError
 
 _NIGHT, _DEEP = [24, 29, 38, 255], [13, 17, 24, 255]
 _LEGEND_MOST = 3  # names of more flights would cover the plot
-_TRAIL = "trail"
 
 
 @dataclass(frozen=True)
@@ -40,30 +38,27 @@ def eyes_for(length_m: float, azimuth_deg: float, positions_m: Array) -> Eyes:
     middle, wide, tall = 0.5 * (low + high), float(np.linalg.norm((high - low)[:2])), float((high - low)[2])
     away = max(0.72 * wide, 1.3 * tall, 8.0 * length_m)  # the view is twice as wide as high
     far = middle + away * (right - 0.25 * forward) + np.array([0.0, 0.0, 0.3 * away])
-    return Eyes(_three(close), _three(far), _three(middle))
-
-
-def _three(v: Array) -> tuple[float, float, float]:
-    return float(v[0]), float(v[1]), float(v[2])
+    return Eyes(*((float(x), float(y), float(z)) for x, y, z in (close, far, middle)))
 
 
 def plot_view(
     plot: Plot, axis: Axis | None, roots: Sequence[str], span_s: tuple[float, float], legend: bool
 ) -> rrb.TimeSeriesView:
-    """`axis`: None where the values are not known yet; `span_s` of no length: from there to the cursor."""
-    beyond = beyond_text(axis, plot.unit) if axis is not None else ""
+    """`axis`: None where the values are not known yet."""
+    beyond = axis.beyond_text(plot.unit) if axis is not None else ""
     return rrb.TimeSeriesView(
         name=f"{plot.heading}{f' - {beyond}' if beyond else ''}",
         origin="/",
         contents=[*(f"+ /{root}/plots/{plot.key}/**" for root in roots), f"+ /{limits_root(plot)}/**"],
-        axis_x=_time_axis(span_s),
+        axis_x=time_axis(span_s),
         axis_y=rrb.archetypes.ScalarAxis(range=(axis.low, axis.high)) if axis is not None else None,
         plot_legend=rrb.PlotLegend(rrb.Corner2D.RightTop, visible=legend),
     )
 
 
-def _time_axis(span_s: tuple[float, float]) -> rrb.archetypes.TimeAxis:
-    start, end = rr.TimeRangeBoundary.absolute(seconds=span_s[0]), rr.TimeRangeBoundary.absolute(seconds=span_s[1])
+def time_axis(span_s: tuple[float, float]) -> rrb.archetypes.TimeAxis:
+    """`span_s` of no length: from there to the cursor."""
+    start, end = (rr.TimeRangeBoundary.absolute(seconds=s) for s in span_s)
     if span_s[1] <= span_s[0]:
         end = rr.TimeRangeBoundary.cursor_relative()
     return rrb.archetypes.TimeAxis(view_range=rr.TimeRange(start=start, end=end))
@@ -82,27 +77,23 @@ def close_view(root: str, eyes: Eyes, name: str) -> rrb.Spatial3DView:
 
 
 def overview(roots: Sequence[str], eyes: Eyes, grid: str) -> rrb.Spatial3DView:
-    """The whole trajectory from aside."""
+    """The whole trajectory from aside; a trail shows everything flown so far."""
     contents = ["+ /ground/**", "- /ground/pad/**"]
     for root in roots:
         contents += [f"+ /{root}/{part}" for part in ("path", "trail", "marks", "vehicle/at")]
+    so_far = rrb.VisibleTimeRange(
+        TIMELINE, start=rrb.TimeRangeBoundary.infinite(), end=rrb.TimeRangeBoundary.cursor_relative()
+    )
+    trails: Any = {f"/{root}/trail": rrb.VisibleTimeRanges([so_far]) for root in roots}
     return rrb.Spatial3DView(
         name=f"Trajectory (grid {grid})",
         origin="/",
         contents=contents,
         background=_DEEP,
         line_grid=False,
-        overrides=_trails(roots),
+        overrides=trails,
         eye_controls=rrb.EyeControls3D(position=eyes.overview, look_target=eyes.aim, eye_up=(0, 0, 1)),
     )
-
-
-def _trails(roots: Sequence[str]) -> Any:
-    """A trail shows everything flown so far."""
-    so_far = rrb.VisibleTimeRange(
-        TIMELINE, start=rrb.TimeRangeBoundary.infinite(), end=rrb.TimeRangeBoundary.cursor_relative()
-    )
-    return {f"/{root}/{_TRAIL}": rrb.VisibleTimeRanges([so_far]) for root in roots}
 
 
 def _tab_number(tabs: Sequence[Tab], wanted: str | None) -> int:
@@ -117,19 +108,19 @@ def _tab_number(tabs: Sequence[Tab], wanted: str | None) -> int:
 
 def layout(
     roots: Sequence[str],
-    close: Sequence[rrb.Spatial3DView],
-    eyes: Eyes | None,
+    pictures: Sequence[rrb.View | rrb.Container],
     tabs: Sequence[Tab],
     axes: Mapping[str, Axis],
     span_s: tuple[float, float],
     *,
     plotted: Sequence[str] | None = None,
-    grid: str = "",
     live: bool = False,
-    side_by_side: bool = False,
     tab: str | None = None,
 ) -> rrb.Blueprint:
-    """The whole window; `plotted`: roots of what is plotted, where they are not those of the flights."""
+    """The whole window: `pictures` (close-up, overview) if there are any, plots in tabs, phases, events, a page.
+
+    `plotted`: roots of what is plotted, where they are not those of the flights.
+    """
     legend = len(roots) <= _LEGEND_MOST
     plotted = roots if plotted is None else plotted
     plots = rrb.Tabs(
@@ -143,45 +134,37 @@ def layout(
         active_tab=_tab_number(tabs, tab),
     )
     phases = rrb.StateTimelineView(
-        name="Phases",
-        origin="/",
-        contents=[f"+ /{root}/phase" for root in roots[:6]],
-        time_view=_time_axis(span_s),
+        name="Phases", origin="/", contents=[f"+ /{root}/phase" for root in roots[:6]], time_view=time_axis(span_s)
     )
-    columns_shown = [TextLogColumn(TextLogColumnKind.LogLevel), TextLogColumn(TextLogColumnKind.Body)]
+    shown = [TextLogColumn(TextLogColumnKind.LogLevel), TextLogColumn(TextLogColumnKind.Body)]
     if len(roots) > 1:
-        columns_shown.insert(0, TextLogColumn(TextLogColumnKind.EntityPath))
+        shown.insert(0, TextLogColumn(TextLogColumnKind.EntityPath))
     events = rrb.TextLogView(
         name="Events",
         origin="/",
         contents=[f"+ /{root}/events" for root in roots],
-        columns=rrb.archetypes.TextLogColumns(timeline_columns=[], text_log_columns=columns_shown),
+        columns=rrb.archetypes.TextLogColumns(timeline_columns=[], text_log_columns=shown),
     )
     about = rrb.TextDocumentView(name="About", origin="about")
-    pictures: list[rrb.Container | rrb.View] = []
-    if close:
-        pictures.append(
-            close[0]
-            if len(close) == 1
-            else rrb.Grid(contents=list(close))
-            if side_by_side
-            else rrb.Tabs(contents=list(close))
-        )
-    if eyes is not None:
-        pictures.append(overview(roots, eyes, grid))
-    columns: list[rrb.Container | rrb.View] = []
-    shares: list[float] = []
+    columns = [
+        rrb.Vertical(contents=[plots, phases], row_shares=[6, 1]),
+        rrb.Vertical(contents=[events, about], row_shares=[2, 3]),
+    ]
+    shares = [5, 2.4]
     if pictures:
-        columns.append(rrb.Vertical(contents=pictures, row_shares=[3, 2][: len(pictures)]))
-        shares.append(5)
-    columns.append(rrb.Vertical(contents=[plots, phases], row_shares=[6, 1]))
-    columns.append(rrb.Vertical(contents=[events, about], row_shares=[2, 3]))
-    shares += [5, 2.4]
+        columns.insert(0, rrb.Vertical(contents=list(pictures), row_shares=[3, 2][: len(pictures)]))
+        shares.insert(0, 5)
+    content = rrb.Horizontal(contents=columns, column_shares=shares)
+    return window(content, TIMELINE, "following" if live else "paused")
+
+
+def window(
+    content: rrb.Container, timeline: str, play_state: Literal["following", "paused"] | None = None
+) -> rrb.Blueprint:
+    """A window with this content and nothing around it but the time."""
     return rrb.Blueprint(
-        rrb.Horizontal(contents=columns, column_shares=shares),
-        rrb.TimePanel(
-            timeline=TIMELINE, state="collapsed", play_state="following" if live else "paused", playback_speed=1.0
-        ),
+        content,
+        rrb.TimePanel(timeline=timeline, state="collapsed", play_state=play_state, playback_speed=1.0),
         rrb.BlueprintPanel(state="hidden"),
         rrb.SelectionPanel(state="hidden"),
         auto_views=False,

@@ -11,8 +11,10 @@ from numpy.typing import NDArray
 
 from maxq.control.kernel.records import Array, IntArray
 
+Rows = NDArray[np.intp]
 
-def extremes(times_ns: IntArray, values: Array, interval_ns: int) -> NDArray[np.intp]:
+
+def extremes(times_ns: IntArray, values: Array, interval_ns: int) -> Rows:
     """Indices, rising, of the samples to keep of `values` (n,): smallest and largest in each interval.
 
     Gaps (nan) stay gaps: an interval without numbers keeps one nan. Samples inside a stretch that does not change are
@@ -25,46 +27,60 @@ def extremes(times_ns: IntArray, values: Array, interval_ns: int) -> NDArray[np.
     if interval_ns > 0:
         starts = np.flatnonzero(np.diff(times_ns // interval_ns, prepend=times_ns[0] // interval_ns - 1))
         if len(starts) * 2 < n:
-            kept = _of_intervals(values, starts)
-    return kept[_bends(values[kept])]
+            low, high = _first_of_each(values, starts, np.minimum), _first_of_each(values, starts, np.maximum)
+            kept = np.union1d(np.concatenate([low, high]), [0, n - 1])
+    line = values[kept]
+    same = (line[1:] == line[:-1]) | (np.isnan(line[1:]) & np.isnan(line[:-1]))
+    bends = np.ones(len(line), bool)
+    bends[1:-1] = ~(same[1:] & same[:-1])
+    return kept[bends]
 
 
-def _of_intervals(values: Array, starts: NDArray[np.intp]) -> NDArray[np.intp]:
-    """Where the smallest and largest value of each interval stand; `starts` are the intervals' first indices."""
-    n = len(values)
-    lengths = np.diff(starts, append=n)
-    if len(lengths) > 2 and (lengths[1:-1] == lengths[1]).all():  # evenly sampled: as a matrix
-        width, first = int(lengths[1]), int(starts[1])
-        whole = values[first : first + width * (len(lengths) - 2)].reshape(-1, width)
-        base = first + width * np.arange(len(whole))
-        low, high = _argmin(whole), _argmax(whole)
-        edges = [_piece(values, 0, first), _piece(values, first + whole.size, n)]
-        found = np.concatenate([base + low, base + high, *edges])
-    else:
-        found = np.concatenate([_piece(values, a, a + w) for a, w in zip(starts, lengths, strict=True)])
-    kept = np.zeros(n, bool)
-    kept[found] = kept[0] = kept[n - 1] = True
-    return np.flatnonzero(kept)
+def _first_of_each(values: Array, starts: Rows, extreme: np.ufunc) -> Rows:
+    """Where the extreme of each interval occurs first; `starts` are the intervals' first indices."""
+    lengths = np.diff(starts, append=len(values))
+    filled = np.where(np.isnan(values), np.inf if extreme is np.minimum else -np.inf, values)
+    at = np.flatnonzero(filled == np.repeat(extreme.reduceat(filled, starts), lengths))
+    interval = np.repeat(np.arange(len(starts)), lengths)[at]
+    return at[np.diff(interval, prepend=-1) > 0]
 
 
-def _piece(values: Array, start: int, end: int) -> NDArray[np.intp]:
-    part = values[start:end].reshape(1, -1)
-    if not part.size:
+def extremes_on_grid(times_ns: IntArray, values: Array, start_ns: int, interval_ns: int, count: int) -> Array:
+    """Smallest and largest of `values` (n,) in each of `count` intervals from `start_ns` on, as rows (2 count,).
+
+    The two are in the order of the trend. nan where an interval holds no number. Samples outside are left out.
+    """
+    out = np.full((count, 2), np.nan)
+    number = (times_ns - start_ns) // interval_ns
+    inside = np.flatnonzero((number >= 0) & (number < count))
+    if not len(inside):
+        return out.ravel()
+    some, number = values[inside], number[inside]
+    first = np.flatnonzero(np.diff(number, prepend=-1))
+    last = np.append(first[1:], len(some)) - 1
+    low, high = np.fmin.reduceat(some, first), np.fmax.reduceat(some, first)
+    falls = some[last] < some[first]
+    out[number[first], 0] = np.where(falls, high, low)
+    out[number[first], 1] = np.where(falls, low, high)
+    return out.ravel()
+
+
+def changed(values: Array, tolerance: float) -> Rows:
+    """Indices of the rows of `values` (n, ...) that differ from the row before by more than rounding to `tolerance`."""
+    steps = np.round(np.nan_to_num(values.reshape(len(values), -1)) / tolerance)
+    if not len(steps):
         return np.zeros(0, np.intp)
-    return start + np.array([_argmin(part)[0], _argmax(part)[0]], np.intp)
+    moved = (steps[1:] != steps[:-1]).any(axis=1)
+    keep = np.concatenate([[True], moved])
+    keep[:-1] |= moved  # the last row of a standstill, so that nothing creeps from its beginning to its end
+    return np.flatnonzero(keep)
 
 
-def _argmin(rows: Array) -> NDArray[np.intp]:
-    return np.asarray(np.argmin(np.where(np.isnan(rows), np.inf, rows), axis=1))
+def every(times_ns: IntArray, period_ns: int, last_period: int = -1) -> Rows:
+    """Indices of the first row in each period."""
+    return np.flatnonzero(np.diff(times_ns // period_ns, prepend=last_period) > 0)
 
 
-def _argmax(rows: Array) -> NDArray[np.intp]:
-    return np.asarray(np.argmax(np.where(np.isnan(rows), -np.inf, rows), axis=1))
-
-
-def _bends(values: Array) -> NDArray[np.bool_]:
-    """False inside stretches of equal values (or of nan)."""
-    same = (values[1:] == values[:-1]) | (np.isnan(values[1:]) & np.isnan(values[:-1]))
-    keep = np.ones(len(values), bool)
-    keep[1:-1] = ~(same[1:] & same[:-1])
-    return keep
+def last_before(times_ns: IntArray, at_ns: IntArray) -> Rows:
+    """Indices of the last rows at or before times of another rate."""
+    return np.clip(np.searchsorted(times_ns, at_ns, side="right") - 1, 0, None)

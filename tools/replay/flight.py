@@ -1,18 +1,19 @@
-"""One flight to be shown: its log, the scenario inside it, and how it ended.
+"""Flights to be shown: which logs a person means, the log of each, the scenario inside it, and how it ended.
 
 A log that is cut off or damaged is shown as far as it reaches. Where the scenario inside cannot be read (an older
 or a later maxq), numbers and trajectory are still shown, but no vehicle and no limits. Numbers of many flights do not
-fit into memory at once: a `LogShelf` holds those of the last few and reads the others again.
+fit into memory at once: those of the last few are held, the others are read again.
 """
 
 from __future__ import annotations
 
+import functools
 import json
 import re
 import tomllib
-from collections import OrderedDict
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any, Protocol
@@ -24,13 +25,19 @@ from maxq.sim.flight.channels import ChannelTable
 from maxq.sim.log.foxglove import Level
 from maxq.sim.log.head import LogError
 from maxq.sim.log.reader import Log, read_log
+from maxq.sim.run.metrics import unit_of
+from maxq.sim.run.record import LOG_NAME, SCENARIO_ATTACHMENT, SUMMARY_NAME
 from maxq.sim.scenario.errors import ScenarioError
+from maxq.sim.scenario.loader import load_scenario_text
 from maxq.sim.scenario.schema_environment import Earth, Site
 from maxq.sim.scenario.schema_scenario import Scenario
-from maxq.tools.replay.error import ReplayError
+from maxq.tools.replay.viewer import ReplayError
 
-SCENARIO_ATTACHMENT = "scenario.toml"
-_SUMMARY = "summary.json"
+KEPT = ("flights", "kept")  # folders of a campaign that hold whole flights
+MOST = 200
+"""Flights shown at once: more make a window nobody reads, and a lot of memory."""
+FEW = 4
+"""Flights of which every vehicle is drawn."""
 _FAULTS = ("control_lost", "diverged")
 
 
@@ -57,38 +64,27 @@ class Moment:
     def time_s(self) -> float:
         return self.time_ns / 1e9
 
+    @property
+    def label(self) -> str:
+        """Name and time, for a picture."""
+        return f"{self.name.replace('_', ' ')} {self.time_s:.1f} s"
+
+    @property
+    def line(self) -> str:
+        """Time and text, for a list."""
+        return f"{self.time_s:9.3f} s  {self.text}"
+
 
 @dataclass(frozen=True)
 class Requirement:
-    """What a scenario demands, and what the flight made of it as far as it is known."""
+    """What a scenario demands: `kind` "limit" or "minimum"; value and verdict are None where no summary holds them."""
 
     name: str
-    metric: str
-    limit: float | None
-    minimum: float | None
+    kind: str
+    bound: float
     unit: str
-    value: float | None = None
-    met: bool | None = None
-
-
-class LogShelf:
-    """Logs by their paths, the `most` last used in memory (None: all)."""
-
-    def __init__(self, most: int | None = None) -> None:
-        self._most = most
-        self._logs: OrderedDict[Path, Log] = OrderedDict()
-
-    def log(self, path: Path) -> Log:
-        """Raises ReplayError where it cannot be read."""
-        if path not in self._logs:
-            while self._most is not None and len(self._logs) >= self._most:
-                self._logs.popitem(last=False)
-            try:
-                self._logs[path] = read_log(path)
-            except LogError as error:
-                raise ReplayError(str(error)) from error
-        self._logs.move_to_end(path)
-        return self._logs[path]
+    value: float | None
+    met: bool | None
 
 
 @dataclass(frozen=True)
@@ -99,7 +95,7 @@ class ReplayFlight:
 
     path: Path
     label: str
-    shelf: LogShelf = field(repr=False)
+    read: Callable[[Path], Log] = field(repr=False)
     end: Mapping[str, str]
     moments: tuple[Moment, ...]
     span_s: tuple[float, float]
@@ -108,7 +104,7 @@ class ReplayFlight:
 
     @property
     def log(self) -> Log:
-        return self.shelf.log(self.path)
+        return self.read(self.path)
 
     @property
     def scenario(self) -> Scenario | None:
@@ -121,7 +117,13 @@ class ReplayFlight:
 
     @cached_property
     def _scenario_and_complaint(self) -> tuple[Scenario | None, tuple[str, ...]]:
-        return _scenario(self.log)
+        text = _scenario_text(self.log)
+        if text is None:
+            return None, ("the log holds no scenario: neither vehicle nor limits are shown",)
+        try:
+            return load_scenario_text(text, label="the scenario in the log").scenario, ()
+        except ScenarioError as error:
+            return None, (f"neither vehicle nor limits are shown: {error}",)
 
     @property
     def outcome(self) -> str:
@@ -130,10 +132,21 @@ class ReplayFlight:
 
     @cached_property
     def verdict(self) -> str:
-        """`passed`, `failed` or `unknown` (no summary.json beside the log, and no fault in it)."""
+        """`passed`, `failed` or `unknown` (no summary beside the log, and no fault in it)."""
         if isinstance(self.summary.get("passed"), bool):
             return "passed" if self.summary["passed"] else "failed"
         return "failed" if any(self.moment(name) for name in _FAULTS) else "unknown"
+
+    @property
+    def is_nominal(self) -> bool:
+        """The undispersed flight that a campaign keeps among the others."""
+        return "nominal" in self.label.lower().split("/")[-1]
+
+    @property
+    def burn_end_s(self) -> float:
+        """Last burn-out, or the end of the log where there is none."""
+        moment = self.moment("burnout")
+        return moment.time_s if moment is not None else self.span_s[1]
 
     def moment(self, name: str) -> Moment | None:
         """The last event of that name."""
@@ -142,53 +155,69 @@ class ReplayFlight:
     @cached_property
     def requirements(self) -> tuple[Requirement, ...]:
         """Those of the scenario; values from the summary beside the log."""
-        from maxq.sim.run.metrics import unit_of  # noqa: PLC0415  # lazy: loads the kernels' modules
-
-        if self.scenario is None:
-            return ()
         judged = {(r.get("name"), r.get("metric")): r for r in self.summary.get("requirements", [])}
         out = []
-        for r in self.scenario.requirement:
-            about = judged.get((r.name or r.metric, r.metric), {})
-            value, met = about.get("value"), about.get("met")
-            unit = unit_of(r.metric)
-            out.append(Requirement(r.name or r.metric, r.metric, r.limit, r.minimum, unit, value, met))
+        for r in self.scenario.requirement if self.scenario is not None else ():
+            name = r.name or r.metric
+            kind, bound = ("limit", r.limit) if r.limit is not None else ("minimum", r.minimum)
+            about = judged.get((name, r.metric), {})
+            assert bound is not None  # the schema asks for one of them
+            out.append(Requirement(name, kind, bound, unit_of(r.metric), about.get("value"), about.get("met")))
         return tuple(out)
 
 
-def open_flight(path: Path, label: str = "", shelf: LogShelf | None = None) -> ReplayFlight:
+def open_flight(path: Path, label: str = "", read: Callable[[Path], Log] | None = None) -> ReplayFlight:
     """Read a log and what belongs to it. Raises ReplayError where nothing of it can be shown."""
-    shelf = shelf or LogShelf()
-    log = shelf.log(path)
-    if not any(len(log.time_ns(topic.name)) for topic in log.table.topics):
+    read = read or _keeping(None)
+    log = read(path)
+    times = [log.time_ns(topic.name) for topic in log.table.topics]
+    ends = [(int(t[0]), int(t[-1])) for t in times if len(t)]
+    if not ends:
         raise ReplayError(f"{path}: the log holds no samples: there is nothing to show")
+    span_s = min(a for a, _ in ends) / 1e9, max(b for _, b in ends) / 1e9
     name = label or log.metadata.get("scenario") or path.stem
-    return ReplayFlight(path, name, shelf, log.end, _moments(log), _span_s(log), log.notes, _summary(log))
+    return ReplayFlight(path, name, read, log.end, _moments(log), span_s, log.notes, _summary(log))
+
+
+def _keeping(most: int | None) -> Callable[[Path], Log]:
+    """Reads logs and keeps the `most` last used in memory (None: all). Raises ReplayError where one cannot be read."""
+
+    @functools.lru_cache(most)
+    def read(path: Path) -> Log:
+        try:
+            return read_log(path)
+        except LogError as error:
+            raise ReplayError(str(error)) from error
+
+    return read
 
 
 def _moments(log: Log) -> tuple[Moment, ...]:
     found = [Moment(e.text.split(" ")[0].split(":")[0], e.time_ns, e.text, e.level) for e in log.events]
-    largest = largest_pressure(log, found)
-    return tuple(sorted([*found, *([largest] if largest else [])], key=lambda moment: moment.time_ns))
+    if not any(m.name == "max_q" for m in found) and (largest := _largest_pressure(log)) is not None:
+        found.append(largest)
+    return tuple(sorted(found, key=lambda moment: moment.time_ns))
 
 
-def _span_s(log: Log) -> tuple[float, float]:
-    times = [log.time_ns(topic.name) for topic in log.table.topics]
-    ends = [(int(t[0]), int(t[-1])) for t in times if len(t)]
-    return min(a for a, _ in ends) / 1e9, max(b for _, b in ends) / 1e9
+def _largest_pressure(log: Channels) -> Moment | None:
+    """The largest dynamic pressure under thrust, which engineers call max q; None without air or thrust."""
+    if "dynamic_pressure_Pa" not in log or "thrust_N" not in log:
+        return None
+    pressure, burning = log["dynamic_pressure_Pa"], log["thrust_N"] > 0.0
+    if len(pressure) != len(burning):
+        return None
+    powered = np.where(burning & np.isfinite(pressure), pressure, 0.0)
+    if powered.max(initial=0.0) < 1000.0:
+        return None
+    k = int(np.argmax(powered))
+    mach = f", Mach {log['mach'][k]:.2f}" if "mach" in log else ""
+    text = f"max q {powered[k] / 1000.0:.1f} kPa{mach}"
+    return Moment("max_q", int(log.time_ns("dynamic_pressure_Pa")[k]), text)
 
 
-def _scenario(log: Log) -> tuple[Scenario | None, tuple[str, ...]]:
-    from maxq.sim.scenario.loader import load_scenario_text  # noqa: PLC0415  # lazy: some logs hold none
-
+def _scenario_text(log: Log) -> str | None:
     attachment = log.attachments.get(SCENARIO_ATTACHMENT)
-    if attachment is None:
-        return None, ("the log holds no scenario: neither vehicle nor limits are shown",)
-    try:
-        text = attachment.data.decode(errors="replace")
-        return load_scenario_text(text, label="the scenario in the log").scenario, ()
-    except ScenarioError as error:
-        return None, (f"neither vehicle nor limits are shown: {error}",)
+    return attachment.data.decode(errors="replace") if attachment is not None else None
 
 
 def launch_of(log: Log) -> tuple[Earth, Site]:
@@ -196,9 +225,7 @@ def launch_of(log: Log) -> tuple[Earth, Site]:
 
     Where they cannot be read: WGS-84, and the site that the log's metadata name.
     """
-    attachment = log.attachments.get(SCENARIO_ATTACHMENT)
-    text = attachment.data.decode(errors="replace") if attachment is not None else ""
-    tables = re.findall(r"^\[(?:earth|site)\]\n(?:[^\[\n].*\n|\n)*", text, re.MULTILINE)
+    tables = re.findall(r"^\[(?:earth|site)\]\n(?:[^\[\n].*\n|\n)*", _scenario_text(log) or "", re.MULTILINE)
     try:
         found = tomllib.loads("".join(tables))
         if "site" in found:
@@ -217,26 +244,95 @@ def launch_of(log: Log) -> tuple[Earth, Site]:
 
 def _summary(log: Log) -> Mapping[str, Any]:
     """The summary beside the log, if it tells of the same flight."""
-    path = log.path.with_name(_SUMMARY)
     try:
-        summary = json.loads(path.read_text(encoding="utf-8"))
+        summary = json.loads(log.path.with_name(SUMMARY_NAME).read_text(encoding="utf-8"))
     except (OSError, ValueError):
         return {}
     same = isinstance(summary, dict) and summary.get("state_hash") == log.end.get("state_hash", "")
     return summary if same else {}
 
 
-def largest_pressure(log: Channels, events: list[Moment]) -> Moment | None:
-    """The largest dynamic pressure under thrust, which engineers call max q; None without air or thrust."""
-    if "dynamic_pressure_Pa" not in log or "thrust_N" not in log:
-        return None
-    pressure, burning = log["dynamic_pressure_Pa"], log["thrust_N"] > 0.0
-    times = log.time_ns("dynamic_pressure_Pa")
-    if len(times) != len(burning) or not burning.any():
-        return None
-    powered = np.where(burning & np.isfinite(pressure), pressure, 0.0)
-    k = int(np.argmax(powered))
-    if powered[k] < 1000.0 or any(m.name == "max_q" for m in events):
-        return None
-    mach = f", Mach {log['mach'][k]:.2f}" if "mach" in log else ""
-    return Moment("max_q", int(times[k]), f"max q {powered[k] / 1000.0:.1f} kPa{mach}")
+# -- which flights a person means ----------------------------------------------------------------------------------
+def find_logs(places: Sequence[str]) -> list[tuple[Path, str]]:
+    """Paths of logs with a label each. Raises ReplayError for a place that holds none."""
+    found: list[tuple[Path, str]] = []
+    for place in places:
+        path = Path(place)
+        if path.is_dir():
+            inside = _in_folder(path)
+            if not inside:
+                raise ReplayError(
+                    f"{place}: no flight in this folder ({LOG_NAME}, {KEPT[0]}/run-.../{LOG_NAME}, or any .mcap)"
+                )
+            found += inside
+        elif path.exists():
+            found.append((path, ""))
+        else:
+            raise ReplayError(f"{place}: no such file or folder")
+    unlike = {path.resolve(): (path, label) for path, label in reversed(found)}
+    return list(reversed(unlike.values()))
+
+
+def _in_folder(folder: Path) -> list[tuple[Path, str]]:
+    """The nominal first, then the runs in the order of their names."""
+    alone = folder / LOG_NAME
+    kept = sorted(path for name in KEPT for path in (folder / name).glob(f"*/{LOG_NAME}"))
+    if alone.is_file() and not kept:
+        return [(alone, "")]
+    logs = [*([alone] if alone.is_file() else []), *kept]
+    if not kept:
+        logs += sorted(folder.glob(f"*/{LOG_NAME}")) + sorted(p for p in folder.glob("*.mcap") if p != alone)
+    labels = [p.parent.name if p.name == LOG_NAME and p != alone else p.stem for p in logs]
+    named = [(path, "nominal" if path == alone else label) for path, label in zip(logs, labels, strict=True)]
+    return sorted(named, key=lambda pair: "nominal" not in pair[1])
+
+
+def open_flights(places: Sequence[str], *, in_turn: bool = False) -> tuple[list[ReplayFlight], list[str]]:
+    """All flights that can be read, and a complaint for each that cannot, or not whole.
+
+    `in_turn`: the caller goes through them one after the other, so that the numbers of a few in memory will do.
+    Raises ReplayError where none can be read.
+    """
+    logs = find_logs(places)
+    flights: list[ReplayFlight] = []
+    complaints: list[str] = []
+    if len(logs) > MOST:
+        complaints.append(f"{len(logs)} flights are too many to look at: the first {MOST} are shown")
+        logs = logs[:MOST]
+    read = _keeping(FEW if in_turn else None)
+    for path, label in logs:
+        try:
+            flights.append(open_flight(path, label, read))
+        except ReplayError as error:
+            complaints.append(str(error))
+    if not flights:
+        raise ReplayError("; ".join(complaints))
+    flights = _unlike_labels(flights)
+    near = closest(flights)
+    for i, flight in enumerate(flights):
+        complaints += [f"{flight.path}: {note}" for note in (flight.notes if i in near else flight.damage)]
+    return flights, complaints
+
+
+def closest(flights: Sequence[ReplayFlight]) -> set[int]:
+    """Of which flights vehicle and limits are drawn: the nominal, those that failed, then the first ones."""
+
+    def rank(i: int) -> tuple[bool, bool, int]:
+        return not flights[i].is_nominal, flights[i].verdict != "failed", i
+
+    return set(sorted(range(len(flights)), key=rank)[:FEW])
+
+
+def _unlike_labels(flights: Sequence[ReplayFlight]) -> list[ReplayFlight]:
+    """Labels that tell flights apart: the folder's name where two are alike, numbered where that is not enough."""
+    count = Counter(flight.label for flight in flights)
+    seen: Counter[str] = Counter()
+    out = []
+    for flight in flights:
+        label = flight.label
+        if count[label] > 1:
+            folder = flight.path.resolve().parent.name
+            label = folder if folder and folder != label else f"{label}, {flight.path}"
+        seen[label] += 1
+        out.append(replace(flight, label=label if seen[label] == 1 else f"{label} ({seen[label]})"))
+    return out

@@ -1,4 +1,4 @@
-"""A flight shown while it flies: blocks of 0.2 s of flight, sent to a viewer as they are computed.
+"""Flights shown in a viewer by `simrun`: while they fly, in blocks of 0.2 s of flight, or once they have been flown.
 
     run = LiveRun(loaded, packed, view)      # in place of FlightRun: same flight, same log, to the bit
 
@@ -8,9 +8,9 @@ A viewer that is closed in the middle is no reason to stop the flight.
 from __future__ import annotations
 
 import contextlib
-import subprocess
 import time
 from collections.abc import Callable
+from pathlib import Path
 
 import numpy as np
 import rerun as rr
@@ -24,38 +24,81 @@ from maxq.sim.packing.flight import Packed
 from maxq.sim.run.fly import CONTROL_LOST_NAME, DIVERGED_NAME, Event, Flight, FlightRun, Rows, copied
 from maxq.sim.scenario.loader import LoadedScenario
 from maxq.tools.replay import viewer
-from maxq.tools.replay.about import drawn_text, factors_text
-from maxq.tools.replay.blueprint import Eyes, close_view, eyes_for, layout
-from maxq.tools.replay.convert import DEFAULT_RATE_HZ, send_phases
-from maxq.tools.replay.earth_frame import LaunchSite, first_place, has_motion, launch_site
-from maxq.tools.replay.error import ReplayError
-from maxq.tools.replay.flight import Moment
-from maxq.tools.replay.ground import ground, tail_below_cg
-from maxq.tools.replay.phases import Phase, first_phase, phases
-from maxq.tools.replay.plot_stream import Style, send_curves, send_limit_lines, send_styles
+from maxq.tools.replay.blueprint import Eyes, close_view, eyes_for, layout, overview
+from maxq.tools.replay.convert import DEFAULT_RATE_HZ, Options, save, send_flights
+from maxq.tools.replay.flight import Moment, open_flight
+from maxq.tools.replay.launch_site import LaunchSite, has_motion, launch_site
 from maxq.tools.replay.plots import tabs_of
-from maxq.tools.replay.scene import Exaggeration, Scene
-from maxq.tools.replay.sending import APPLICATION
-from maxq.tools.replay.vehicle_shape import shape_of
-from maxq.tools.replay.web_page import LOCAL
+from maxq.tools.replay.run import temporary_recording
+from maxq.tools.replay.scene import Scene, send_ground, tail_below_cg
+from maxq.tools.replay.stream import (
+    APPLICATION,
+    Phase,
+    Style,
+    first_phase,
+    phases,
+    send_curves,
+    send_events,
+    send_limit_lines,
+    send_phases,
+    send_styles,
+)
+from maxq.tools.replay.text import drawn_text
+from maxq.tools.replay.vehicle_shape import Exaggeration, shape_of
+from maxq.tools.replay.viewer import LOCAL, ReplayError
 
 BLOCK_NS = 200_000_000
 BENDING, SLOSH = 1000.0, 5.0
 """Exaggeration of a flight whose largest bending and slosh angle are not known yet."""
 _ROOT = "flight"
-_PATIENCE_S = 5.0
+_PATIENCE_S, _FLOWN_PATIENCE_S = 5.0, 30.0
 _SCENE_EVERY_S, _PLOTS_EVERY_S = 0.15, 0.9
 _LEVELS = {CONTROL_LOST_NAME: Level.ERROR, DIVERGED_NAME: Level.FATAL}
-_TEXT_LEVELS = {Level.INFO: "INFO", Level.ERROR: "ERROR", Level.FATAL: "CRITICAL"}
+
+
+def _connected(name: str, port: int) -> rr.RecordingStream:
+    """A recording in the viewer that listens on `port`."""
+    recording = rr.RecordingStream(APPLICATION, recording_id=f"{name}, {time.time_ns()}")
+    recording.connect_grpc(f"rerun+http://{LOCAL}:{port}/proxy")
+    return recording
+
+
+class FlownView:
+    """Where the log of a flight will be shown once it has been flown: in a viewer that listens on `port` of this
+    machine, or in a window (None).
+
+    Made before the flight, so that nothing is flown for nothing. Raises ReplayError where there is no viewer.
+    """
+
+    def __init__(self, port: int | None) -> None:
+        self._port = viewer.listening(port)
+
+    def show(self, log: Path) -> None:
+        """Show it; a window is waited for. Raises ReplayError where the log or the viewer fails."""
+        flight = open_flight(log)
+        if self._port is None:
+            with temporary_recording() as path:
+                save([flight], Options(), path)
+                viewer.show(path)
+            return
+        recording = _connected(flight.label, self._port)
+        recording.send_blueprint(send_flights(recording, [flight], Options()), make_active=True, make_default=True)
+        try:
+            recording.flush(timeout_sec=_FLOWN_PATIENCE_S)
+        except (RuntimeError, ValueError) as error:
+            raise ReplayError(f"the viewer on port {self._port} does not take the flight: {error}") from error
+        recording.disconnect()
 
 
 class Block:
-    """Rows of a flight under way, by channel name."""
+    """Rows of a flight under way, by channel name; `start_place_deg`: latitude and longitude where it began."""
 
     def __init__(self, table: ChannelTable, rows: Rows, start_place_deg: tuple[float, float] | None) -> None:
         self.table = table
         self._rows = rows
-        self.start_place_deg = start_place_deg
+        self.start_place_deg = start_place_deg or (
+            float(self["latitude_deg"][0]), float(self["longitude_deg"][0])
+        )  # fmt: skip
 
     def __contains__(self, name: str) -> bool:
         return name in self.table
@@ -74,23 +117,19 @@ class LiveView:
     """
 
     def __init__(self, loaded: LoadedScenario, port: int | None = None) -> None:
-        if port is None:
-            viewer.check_display()
+        if viewer.listening(port) is None:
             port = viewer.free_port()
-            self._process: subprocess.Popen[bytes] | None = viewer.window(port)
-        else:
-            self._process = None
-            if viewer.port_is_free(port):
-                raise ReplayError(f"no viewer listens on port {port} of {LOCAL}")
-        scenario = loaded.scenario
+            self._process = viewer.window(port)
+        assert port is not None
         self._loaded = loaded
-        self._scenario = scenario
-        self._recording = rr.RecordingStream(APPLICATION, recording_id=f"{scenario.name}, {time.time_ns()}")
-        self._recording.connect_grpc(f"rerun+http://{LOCAL}:{port}/proxy")
+        self._scenario = scenario = loaded.scenario
+        self._recording = _connected(scenario.name, port)
         self._shape = shape_of(scenario.vehicle)
         self._place: LaunchSite | None = None
         self._exaggeration = Exaggeration(BENDING, SLOSH, 1.5 * self._shape.diameter_m)
+        self._start_s = scenario.run.start_s
         self._scene: Scene | None = None
+        self._grid = ""
         self._told: set[Event] = set()
         self._moments: list[Moment] = []
         self._phases: list[Phase] = []
@@ -99,7 +138,6 @@ class LiveView:
         self._for_scene: list[Rows] = []
         self._for_plots: list[Rows] = []
         self._scene_sent_s = self._plots_sent_s = -_PLOTS_EVERY_S
-
         self.stop: Callable[[], bool] = lambda: False
 
     def run(self, packed: Packed, factor: float | None) -> LiveRun:
@@ -115,35 +153,14 @@ class LiveView:
         """
         if not len(rows[SLOW][0]):
             return
-        for waiting in (self._for_scene, self._for_plots):
-            waiting.append(rows)
+        self._for_scene.append(rows)
+        self._for_plots.append(rows)
         now_s = time.monotonic()
         if now_s - self._scene_sent_s >= _SCENE_EVERY_S:
             self._send_scene(run)
         if now_s - self._plots_sent_s >= _PLOTS_EVERY_S:
             self._send_plots(run)
         self._send_events(run)
-
-    def _send_scene(self, run: FlightRun) -> None:
-        block = self._block(run, self._for_scene)
-        if self._scene is not None:
-            self._scene.add(block)
-        self._for_scene, self._scene_sent_s = [], time.monotonic()
-
-    def _send_plots(self, run: FlightRun) -> None:
-        block = self._block(run, self._for_plots)
-        send_curves(self._recording, _ROOT, self._tabs, block, round(1e9 / DEFAULT_RATE_HZ))
-        self._send_limits(int(block.time_ns("latitude_deg")[-1]), styled=False)
-        self._for_plots, self._plots_sent_s = [], time.monotonic()
-
-    def _block(self, run: FlightRun, parts: list[Rows]) -> Block:
-        block = Block(run.table, joined(parts), self._start_place)
-        if self._start_place is None:
-            self._start_place = float(block["latitude_deg"][0]), float(block["longitude_deg"][0])
-            block.start_place_deg = self._start_place
-        if self._table is None:
-            self._begin(block)
-        return block
 
     def end(self, run: FlightRun, flight: Flight) -> None:
         """Show the whole of it: fixed axes, how it ended."""
@@ -154,64 +171,73 @@ class LiveView:
         self._send_events(run)
         if self._table is None:
             return
-        span = self._start_s, max(flight.end_s, self._start_s + 1.0)
-        text = f"# {self._scenario.name}\n\n**Outcome:** {flight.outcome} at {flight.end_s:.1f} s, "
-        text += ("passed" if flight.passed else "FAILED") + "\n\n"
+        verdict = "passed" if flight.passed else "FAILED"
         wrong = [*flight.failures, *(f"{v.name}: {v.value:.4g}, MISSED" for v in flight.verdicts if not v.met)]
-        text += "".join(f"- {line}\n" for line in wrong) + "\n" + "\n".join(drawn_text(self._exaggeration, self._place))
-        self._recording.log("about", rr.TextDocument(text, media_type="text/markdown"), static=True)
-        eyes = self._eyes()
+        outcome = f"**Outcome:** {flight.outcome} at {flight.end_s:.1f} s, {verdict}"
+        self._send_about([outcome, "", *(f"- {line}" for line in wrong)])
+        eyes = self._first_eyes()
         if self._scene is not None and self._scene.track:
             positions = np.concatenate(self._scene.track)
             eyes = eyes_for(self._shape.length_m, self._scenario.site.azimuth_deg, positions)
-        self._send_layout(eyes, span, live=False)
+        self._send_layout(eyes, max(flight.end_s, self._start_s + 1.0), live=False)
         with contextlib.suppress(RuntimeError, ValueError):  # the viewer was closed: nobody looks
             self._recording.flush(timeout_sec=_PATIENCE_S)
         self._recording.disconnect()
 
-    # -- pieces ------------------------------------------------------------------------------------------------------
+    # -- pieces ----------------------------------------------------------------------------------------------------
+    def _send_scene(self, run: FlightRun) -> None:
+        block = self._block(run, self._for_scene)
+        if self._scene is not None:
+            self._scene.add(block)
+        self._for_scene, self._scene_sent_s = [], time.monotonic()
+
+    def _send_plots(self, run: FlightRun) -> None:
+        block = self._block(run, self._for_plots)
+        send_curves(self._recording, _ROOT, self._tabs, block, round(1e9 / DEFAULT_RATE_HZ))
+        self._send_limits(int(block.time_ns("latitude_deg")[-1]))
+        self._for_plots, self._plots_sent_s = [], time.monotonic()
+
+    def _block(self, run: FlightRun, parts: list[Rows]) -> Block:
+        block = Block(run.table, joined(parts), self._start_place)
+        self._start_place = block.start_place_deg
+        if self._table is None:
+            self._begin(block)
+        return block
+
     def _begin(self, block: Block) -> None:
-        recording = self._recording
+        recording, scenario = self._recording, self._scenario
         self._table = block.table
-        self._tabs = tabs_of(block.table, self._scenario, self._shape)
-        self._start_s = self._scenario.run.start_s
+        self._tabs = tabs_of(block.table, scenario, self._shape)
         recording.log("/", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
         send_styles(recording, _ROOT, self._tabs, Style())
         self._limits_until_ns = round(self._start_s * 1e9)
         self._send_limits(self._limits_until_ns, styled=True)
         if has_motion(block):
-            self._place = launch_site(pack_earth(self._scenario.earth), self._scenario.site, first_place(block))
+            self._place = launch_site(pack_earth(scenario.earth), scenario.site, block)
             self._scene = Scene(recording, _ROOT, self._place, self._shape, self._exaggeration)
-            self._grid = ground(recording, self._place, self._reach_m(), tail_below_cg(block, self._shape))
-        about = "\n".join(
-            [
-                f"# {self._scenario.name}",
-                "",
-                self._scenario.description,
-                "",
-                *drawn_text(self._exaggeration, self._place),
-            ]
-        )
-        recording.log("about", rr.TextDocument(about, media_type="text/markdown"), static=True)
-        self._send_layout(self._eyes(), (self._start_s, self._start_s), live=True)
+            self._grid = send_ground(recording, self._place, self._reach_m(), tail_below_cg(block, self._shape))
+        self._send_about([scenario.description])
+        self._send_layout(self._first_eyes(), self._start_s, live=True)
         self._phases = [first_phase(block, round(self._start_s * 1e9))]
         send_phases(recording, _ROOT, self._phases, styled=True)
 
-    def _send_limits(self, until_ns: int, *, styled: bool) -> None:
+    def _send_about(self, lines: list[str]) -> None:
+        text = [f"# {self._scenario.name}", "", *lines, "", *drawn_text(self._exaggeration, self._place)]
+        self._recording.log("about", rr.TextDocument("\n".join(text), media_type="text/markdown"), static=True)
+
+    def _send_limits(self, until_ns: int, *, styled: bool = False) -> None:
         """They reach as far as the flight does: the viewer's cursor follows the latest of all samples."""
-        for tab in self._tabs:
-            for plot in tab.plots:
-                send_limit_lines(self._recording, plot, (self._limits_until_ns, until_ns), styled)
+        for plot in (plot for tab in self._tabs for plot in tab.plots):
+            send_limit_lines(self._recording, plot, (self._limits_until_ns, until_ns), styled)
         self._limits_until_ns = until_ns
 
-    def _send_layout(self, eyes: Eyes, span: tuple[float, float], *, live: bool) -> None:
-        close = []
-        if self._scene is not None:
-            assert self._table is not None
-            factor = factors_text(self._exaggeration, self._table)
-            close = [close_view(_ROOT, eyes, f"Vehicle ({factor})" if factor else "Vehicle")]
-        shown = eyes if self._scene is not None else None
-        made = layout([_ROOT], close, shown, self._tabs, {}, span, grid=getattr(self, "_grid", ""), live=live)
+    def _send_layout(self, eyes: Eyes, end_s: float, *, live: bool) -> None:
+        pictures = []
+        if self._scene is not None and self._table is not None:
+            factor = self._exaggeration.text(self._table)
+            name = f"Vehicle ({factor})" if factor else "Vehicle"
+            pictures = [close_view(_ROOT, eyes, name), overview([_ROOT], eyes, self._grid)]
+        made = layout([_ROOT], pictures, self._tabs, {}, (self._start_s, end_s), live=live)
         self._recording.send_blueprint(made, make_active=True, make_default=True)
 
     def _send_events(self, run: FlightRun) -> None:
@@ -220,15 +246,11 @@ class LiveView:
                 continue
             self._told.add(event)
             cause = run.cause_of(event)
-            stage = f" (stage {event.stage})" if event.stage else ""
-            level = _LEVELS.get(event.name, Level.INFO)
-            text = f"{event.name}{stage}" + (f": {cause}" if cause else "")
-            self._moments.append(Moment(event.name, event.time_ns, text, level))
-            self._recording.set_time("sim_time", duration=np.timedelta64(event.time_ns, "ns"))
-            line = f"{event.time_s:9.3f} s  {text}"
-            self._recording.log(f"{_ROOT}/events", rr.TextLog(line, level=_TEXT_LEVELS[level]))
-            self._recording.reset_time()
-            now = list(phases(self._phases[0], self._moments))
+            text = event.name + (f" (stage {event.stage})" if event.stage else "") + (f": {cause}" if cause else "")
+            moment = Moment(event.name, event.time_ns, text, _LEVELS.get(event.name, Level.INFO))
+            self._moments.append(moment)
+            send_events(self._recording, _ROOT, [moment])
+            now = phases(self._phases[0], self._moments)
             send_phases(self._recording, _ROOT, [p for p in now if p not in self._phases], styled=False)
             self._phases = now
 
@@ -239,14 +261,13 @@ class LiveView:
             if stage.engine is None:
                 continue
             time_s, thrust = stage.engine.table["time_s"], stage.engine.table["thrust_vacuum_N"]
-            mass = stage.mass.mass_kg or 1.0
-            masses = np.full(len(time_s), mass)
+            mass = np.full(len(time_s), stage.mass.mass_kg or 1.0)
             if stage.mass.table is not None:
-                masses = np.interp(time_s, stage.mass.table["time_s"], stage.mass.table["mass_kg"])
-            speed += float(np.trapezoid(np.maximum(thrust / masses - 9.8, 0.0), time_s))
+                mass = np.interp(time_s, stage.mass.table["time_s"], stage.mass.table["mass_kg"])
+            speed += float(np.trapezoid(np.maximum(thrust / mass - 9.8, 0.0), time_s))
         return float(np.clip(0.5 * speed * speed / 9.8, 1000.0, 2e6))
 
-    def _eyes(self) -> Eyes:
+    def _first_eyes(self) -> Eyes:
         reach, a = self._reach_m(), np.radians(self._scenario.site.azimuth_deg)
         ahead = reach * np.array([np.sin(a), np.cos(a), 0.0])
         corners = np.array([[0.0, 0.0, 0.0], ahead, 0.5 * ahead + [0.0, 0.0, 0.5 * reach]])

@@ -23,9 +23,8 @@ from maxq.sim.log.protobuf import message_type
 from maxq.sim.log.reader import Log, read_log
 from maxq.sim.run.launch_frames import PARENT
 from maxq.tools.plots.palette import ON_DARK, rgba
-from maxq.tools.replay.error import ReplayError
-from maxq.tools.replay.viewer import port_is_free
-from maxq.tools.replay.web_page import LOCAL
+from maxq.tools.replay.blueprint import window
+from maxq.tools.replay.viewer import LOCAL, ReplayError, listening
 
 TIMELINE = "message_log_time"
 _AXES_M = 10.0  # length of the body's axes
@@ -51,14 +50,8 @@ def layout_of(log: Log) -> rrb.Blueprint:
         eye_controls=rrb.EyeControls3D(tracking_entity=FRAMES_TOPIC),
     )
     events = rrb.TextLogView(name="Events", origin=EVENTS_TOPIC)
-    return rrb.Blueprint(
-        rrb.Horizontal(rrb.Vertical(frames, events, row_shares=[3, 1]), rrb.Tabs(*tabs), column_shares=[2, 3]),
-        rrb.TimePanel(timeline=TIMELINE, state="collapsed"),
-        rrb.BlueprintPanel(state="hidden"),
-        rrb.SelectionPanel(state="hidden"),
-        auto_views=False,
-        auto_layout=False,
-    )
+    pictures = rrb.Vertical(frames, events, row_shares=[3, 1])
+    return window(rrb.Horizontal(pictures, rrb.Tabs(*tabs), column_shares=[2, 3]), TIMELINE)
 
 
 def selectors(topic: Topic) -> dict[str, list[str]]:
@@ -67,11 +60,6 @@ def selectors(topic: Topic) -> dict[str, list[str]]:
     for channel in topic.channels:
         by_unit.setdefault(channel.unit, []).append(channel.name)
     return {unit: names[:_MOST] for unit, names in by_unit.items()}
-
-
-def component(topic: Topic) -> str:
-    """What Rerun calls the messages of a topic."""
-    return f"{message_type(topic)}:message"
 
 
 def _plots(topic: Topic, whole: rrb.archetypes.TimeAxis) -> Iterator[rrb.TimeSeriesView]:
@@ -89,7 +77,7 @@ def _line(topic: Topic, name: str, number: int) -> rrb.Visualizer:
     source = VisualizerComponentMapping(
         "Scalars:scalars",
         ComponentSourceKind.SourceComponent,
-        source_component=component(topic),
+        source_component=f"{message_type(topic)}:message",  # what Rerun calls the messages of a topic
         selector=f".{name}",
     )
     look = rr.SeriesLines(names=name, colors=rgba(ON_DARK[number % len(ON_DARK)]), widths=1.2)
@@ -98,8 +86,7 @@ def _line(topic: Topic, name: str, number: int) -> rrb.Visualizer:
 
 def send_layout(log: Path, port: int) -> None:
     """Lay out the viewer that listens on `port` of this machine. Raises ReplayError, LogError."""
-    if port_is_free(port):
-        raise ReplayError(f"no viewer listens on port {port} of {LOCAL}")
+    listening(port)
     application = log.stem  # what Rerun calls the recordings that it makes of files of that name
     layout_of(read_log(log)).connect_grpc(application, url=f"rerun+http://{LOCAL}:{port}/proxy")
 

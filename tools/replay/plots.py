@@ -1,54 +1,79 @@
-"""What is plotted: one table for the viewer and for paper, with units and limits, sorted into tabs by subject."""
+"""What is plotted: one table for viewer, paper and terminal, with units and limits, sorted into tabs by subject."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+import math
+import re
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import partial
 
 import numpy as np
 
 from maxq.control.kernel.records import Array, IntArray
 from maxq.sim.flight.channels import ChannelTable
+from maxq.sim.flight.metrics import STANDARD_GRAVITY_MPS2
 from maxq.sim.scenario.schema_scenario import Scenario
-from maxq.tools.replay.bent_body import shapes_at
 from maxq.tools.replay.flight import Channels
-from maxq.tools.replay.limits import Limit, hardware, required
-from maxq.tools.replay.vehicle_shape import VehicleShape, shape_of
+from maxq.tools.replay.vehicle_shape import PLANES, VehicleShape, shape_of, shapes_at
 
-STANDARD_GRAVITY_MPS2 = 9.80665
+NEAR = 3.0
+"""A limit farther away than so many times the largest value is named, not drawn."""
 Values = tuple[IntArray, Array]
+Computed = Callable[[Channels, str, VehicleShape | None], Values]
+Condition = tuple[str, float]
+
+
+@dataclass(frozen=True)
+class Limit:
+    """A bound in a plot's unit. `upper`: values above it are not allowed (else: below)."""
+
+    value: float
+    label: str
+    upper: bool = True
+    required: bool = True  # by the scenario; else what the hardware cannot exceed
+
+    @property
+    def text(self) -> str:
+        return f"{self.label}: {abs(self.value):g}"
 
 
 @dataclass(frozen=True)
 class Curve:
-    """A line of a plot: a channel times a factor, or something computed from several (`compute`)."""
+    """A line of a plot: a channel, and how its values follow from it where they are not those of the log."""
 
     label: str
     channel: str
-    factor: float = 1.0
     compute: Callable[[Channels], Values] | None = None
 
     def values(self, channels: Channels) -> Values:
         """Times (n,) in ns and values (n,) in the plot's unit."""
         if self.compute is not None:
             return self.compute(channels)
-        values = channels[self.channel]
-        return channels.time_ns(self.channel), values if self.factor == 1.0 else values * self.factor
+        return channels.time_ns(self.channel), channels[self.channel]
 
 
 @dataclass(frozen=True)
 class Plot:
-    """`key` is its place below `plots/`, made of lower-case words; `unit` is "" for a bare number."""
+    """`key` is its place below `plots/`, made of lower-case words; `unit` is "" for a bare number.
+
+    `glance`: so many of its curves are shown in the terminal, under a name in which {} is the curve's label.
+    """
 
     key: str
     title: str
     unit: str
     curves: tuple[Curve, ...]
     limits: tuple[Limit, ...] = ()
+    glance: tuple[int, str] = (0, "")
 
     @property
     def heading(self) -> str:
         return f"{self.title} ({self.unit})" if self.unit else self.title
+
+    def value_range(self, channels: Channels) -> tuple[float, float] | None:
+        """Smallest and largest value of the curves that a flight has; None where there is no number."""
+        return range_of([c.values(channels)[1] for c in self.curves if c.channel in channels])
 
 
 @dataclass(frozen=True)
@@ -57,334 +82,255 @@ class Tab:
     plots: tuple[Plot, ...]
 
 
+@dataclass(frozen=True)
+class _Row:
+    """A row of the table below: what a plot becomes once channels, scenario and vehicle are known.
+
+    `curves`: label and channel; {} in both stands for each mode or tank that the log has channels of. Values are
+    multiplied by `factor`, or made by `compute`; elsewhere than where the condition `only` holds (a channel exceeds a
+    number) they are gaps. `limits`: metrics whose requirements are drawn, at either sign where `both` (the metric is
+    the larger of either sign); `hardware`: key and axis of the actuator's own limit, and its label.
+    """
+
+    key: str
+    title: str
+    unit: str
+    curves: Mapping[str, str]
+    factor: float = 1.0
+    compute: Mapping[str, Computed] = field(default_factory=dict)
+    only: Condition | None = None
+    limits: Sequence[str] = ()
+    both: bool = False
+    hardware: tuple[str, str, str] | None = None
+    glance: tuple[int, str] = (0, "")
+
+
+def _masked(channels: Channels, only: Condition | None, values: Values) -> Values:
+    if only is None or only[0] not in channels or len(channels[only[0]]) != len(values[1]):
+        return values
+    return values[0], np.where(channels[only[0]] > only[1], values[1], np.nan)
+
+
+def _lateral(channels: Channels, name: str, shape: VehicleShape | None) -> Values:
+    other = name.replace("_y_", "_z_")
+    return channels.time_ns(name), np.hypot(channels[name], channels[other]) / STANDARD_GRAVITY_MPS2
+
+
+def _distance_km(channels: Channels, name: str, shape: VehicleShape | None) -> Values:
+    """Great circle from the first point, good to half a percent; blocks of a flight under way bring the point along."""
+    lat, lon = np.radians(channels[name]), np.radians(channels["longitude_deg"])
+    start = getattr(channels, "start_place_deg", None)
+    lat0, lon0 = np.radians(start) if start is not None else (lat[0], lon[0])
+    haversine = np.sin(0.5 * (lat - lat0)) ** 2 + np.cos(lat) * np.cos(lat0) * np.sin(0.5 * (lon - lon0)) ** 2
+    return channels.time_ns(name), 2.0 * 6371.0 * np.arcsin(np.sqrt(np.clip(haversine, 0.0, 1.0)))
+
+
+def _gyro_rate_of_mode(channels: Channels, name: str, shape: VehicleShape | None) -> Values:
+    """Turning rate at the gyro by one mode: its slope there times the modal rate; `name` as eta_pitch_1_mps."""
+    _, axis, mode, _ = name.split("_")
+    ns, rate = channels.time_ns(name), channels[name]
+    assert shape is not None
+    stage = shape.stages[0]
+    table = stage.modes[PLANES.index(axis)]
+    if table is None or stage.gyro_station_m is None or int(mode) > table.modes or not len(ns):
+        return ns, np.full(len(rate), np.nan)
+    # the mode changes slowly: its slope at every 0.1 s, joined by lines
+    coarse = np.linspace(ns[0] / 1e9, ns[-1] / 1e9, max(2, int((ns[-1] - ns[0]) / 1e8)))
+    slopes = shapes_at(table, coarse * stage.clock_factor, np.array([stage.gyro_station_m]), "slope_pm")
+    slope = np.interp(ns / 1e9, coarse, slopes[:, int(mode) - 1, 0])
+    sign = 1.0 if axis == "pitch" else -1.0  # docs/model.md: yaw modes turn by minus their slope
+    return ns, np.degrees(sign * slope * rate)
+
+
+AXES, _XYZ = ("pitch", "yaw", "roll"), "xyz"
+_IN_AIR, _POWERED = ("dynamic_pressure_Pa", 1000.0), ("thrust_N", 0.0)
+_TABLE: dict[str, list[_Row]] = {
+    "Trajectory": [
+        _Row("altitude", "altitude and distance from the site", "km",
+             {"altitude": "altitude_m", "distance": "latitude_deg"}, 1e-3,
+             {"distance": _distance_km}, glance=(2, "{}")),
+        _Row("speed", "speed", "m/s",
+             {"over the ground": "speed_mps", "through the air": "airspeed_mps"}, glance=(1, "speed, {}")),
+        _Row("path_angle", "flight path and pitch above the horizon", "deg",
+             {"flight path": "flight_path_deg", "body axis": "pitch_deg"}, glance=(1, "{}")),
+        _Row("mach", "Mach number", "", {"Mach number": "mach"}, glance=(1, "{}")),
+    ],
+    "Air": [
+        _Row("pressure", "dynamic pressure", "kPa", {"dynamic pressure": "dynamic_pressure_Pa"}, 1e-3,
+             limits=("max_powered_dynamic_pressure_Pa", "max_dynamic_pressure_Pa"), glance=(1, "{}")),
+        _Row("incidence", "incidence where the dynamic pressure exceeds 1 kPa", "deg",
+             {"attack": "alpha_deg", "sideslip": "beta_deg", "total": "alpha_total_deg"},
+             only=_IN_AIR, limits=("max_alpha_deg",), glance=(3, "incidence, {}")),
+        _Row("wind", "wind: motion of the air", "m/s",
+             {"to north": "wind_N_north_mps", "to east": "wind_N_east_mps", "down": "wind_N_down_mps"}),
+        _Row("density", "density", "kg/m3", {"density": "density_kgpm3"}),
+    ],
+    "Attitude": [
+        *(_Row(axis, f"{axis}: turned since the start", "deg",
+               {f"{axis} commanded": f"{axis}_commanded_deg", f"{axis} by the gyro": f"{axis}_measured_deg"})
+          for axis in AXES),
+        _Row("error", "attitude error in the computer", "deg", {axis: f"error_{axis}_deg" for axis in AXES},
+             limits=("max_attitude_error_deg",), both=True, glance=(3, "error, {}")),
+        _Row("rate", "body rates", "deg/s", {axis: f"body_{axis}_rate_degps" for axis in AXES}),
+    ],
+    "Gimbal": [
+        *(_Row(axis, f"{axis} gimbal", "deg",
+               {f"{axis} command": f"gimbal_{axis}_command_deg", f"{axis} engine": f"gimbal_{axis}_angle_deg"},
+               limits=("max_gimbal_deg",), both=True,
+               hardware=("angle_limit_deg", axis, "stop of the gimbal"), glance=(2, "gimbal, {}"))
+          for axis in PLANES),
+        *(_Row(f"{axis}_rate", f"{axis} gimbal rate", "deg/s", {f"{axis} engine rate": f"gimbal_{axis}_rate_degps"},
+               limits=("max_gimbal_rate_degps",), both=True,
+               hardware=("rate_limit_degps", axis, "largest rate of the actuator"))
+          for axis in PLANES),
+    ],
+    "Bending": [
+        row for axis in PLANES for row in (
+            _Row(axis, f"{axis} bending: motion of the gimbal by modes", "mm",
+                 {f"{axis} mode {{}}": f"eta_{axis}_{{}}_m"}, 1e3,
+                 limits=("max_bending_m",), both=True, glance=(1, "bending, {}")),
+            _Row(f"{axis}_gyro", f"{axis} rate of bending at the gyro", "deg/s",
+                 {"all modes": f"bending_{axis}_rate_degps", "mode {}": f"eta_{axis}_{{}}_mps"},
+                 compute={"mode {}": _gyro_rate_of_mode}),
+        )
+    ],
+    "Slosh": [
+        *(_Row(axis, f"slosh pendulums, {axis} plane", "deg", {f"{{}} {axis}": f"slosh_{{}}_{axis}_deg"},
+               limits=("max_slosh_deg",), both=True, glance=(99, "slosh {}"))
+          for axis in PLANES),
+        _Row("rate", "slosh rates", "deg/s", {f"{{}} {axis}": f"slosh_{{}}_{axis}_rate_degps" for axis in PLANES}),
+        _Row("force", "force of the pendulums' rods", "kN", {"{}": "slosh_{}_tension_N"}, 1e-3),
+    ],
+    "Computer": [
+        _Row("counts", "V/F pulses in each sample", "counts", {axis: f"counts_{axis}" for axis in AXES}),
+        *(_Row(f"filter_{axis}", f"{axis} bending filter", "deg",
+               {f"{axis}: in, from the law": f"law_{axis}_deg", f"{axis}: out": f"filtered_{axis}_deg"})
+          for axis in PLANES),
+        _Row("states", "command at its limit (pitch, yaw), roll thrusters", "",
+             {"pitch at limit": "saturated_pitch", "yaw at limit": "saturated_yaw", "roll thrusters": "roll_thruster"}),
+    ],
+    "Loads": [
+        _Row("q_alpha", "q alpha under thrust", "kPa deg", {"q alpha": "q_alpha_Padeg"}, 1e-3, only=_POWERED,
+             limits=("max_q_alpha_Padeg",), glance=(1, "q alpha under thrust")),
+        _Row("force", "aerodynamic force in body axes", "kN", {a: f"aero_force_B_{a}_N" for a in _XYZ}, 1e-3),
+        _Row("moment", "aerodynamic moment about the CG", "kN m", {a: f"aero_moment_B_{a}_Nm" for a in _XYZ}, 1e-3),
+        _Row("axial", "axial load", "g",
+             {"sensed": "axial_load_g", "thrust over weight": "thrust_over_weight_g"},
+             limits=("max_axial_load_g", "max_thrust_over_weight_g"), glance=(1, "axial load, {}")),
+        _Row("lateral", "lateral load at the CG", "g", {"sensed": "specific_force_B_y_mps2"}, only=_POWERED,
+             compute={"sensed": _lateral}, limits=("max_lateral_load_g",), glance=(1, "lateral load at the CG")),
+    ],
+    "Vehicle": [
+        _Row("thrust", "thrust", "kN", {"thrust": "thrust_N"}, 1e-3, glance=(1, "{}")),
+        _Row("mass", "mass", "t", {"all": "mass_kg", "without slosh": "core_mass_kg"}, 1e-3, glance=(1, "mass, {}")),
+        _Row("cg", "CG aft of the nose", "m", {"core CG": "cg_station_m"}),
+        _Row("inertia", "core inertia", "t m2", {name: f"{name}_kgm2" for name in ("Ixx", "Iyy", "Izz")}, 1e-3),
+    ],
+}  # fmt: skip  # a table: a plot in each entry
+
+
 def tabs_of(table: ChannelTable, scenario: Scenario | None, shape: VehicleShape | None = None) -> tuple[Tab, ...]:
-    """All tabs that the channels of a log can fill."""
+    """All tabs that the channels of a log can fill; limits and bending at the gyro as far as the vehicle is known."""
     if shape is None and scenario is not None:
         shape = shape_of(scenario.vehicle)
-    made = (
-        _trajectory(),
-        _air(scenario),
-        _attitude(scenario),
-        _gimbal(scenario),
-        _bending(table, scenario, shape),
-        _slosh(table, scenario),
-        _computer(),
-        _loads(scenario),
-        _vehicle(),
-    )
+    tabs = []
+    for name, rows in _TABLE.items():
+        plots = tuple(
+            Plot(f"{name.lower()}/{row.key}", row.title, row.unit, curves, _limits(row, scenario), row.glance)
+            for row in rows
+            if (curves := _curves(row, table, shape))
+        )
+        if plots:
+            tabs.append(Tab(name, plots))
+    return tuple(tabs)
+
+
+def own_tabs(tabs: Sequence[Tab], table: ChannelTable, scenario: Scenario | None) -> list[Tab]:
+    """Those of `tabs` with the curves only that the channels of another log can fill."""
+    own = {plot.key: plot for tab in tabs_of(table, scenario) for plot in tab.plots}
+    return [replace(tab, plots=tuple(own[plot.key] for plot in tab.plots if plot.key in own)) for tab in tabs]
+
+
+def _curves(row: _Row, table: ChannelTable, shape: VehicleShape | None) -> tuple[Curve, ...]:
+    wild = {label: channel for label, channel in row.curves.items() if "{}" in channel}
+    found = [(label, label, channel) for label, channel in row.curves.items() if label not in wild]
+    if wild:
+        pattern = re.compile(re.escape(next(iter(wild.values()))).replace(r"\{\}", "(.+)"))
+        words = [match[1] for name in table.names if (match := pattern.fullmatch(name))]
+        found += [(label, label.format(w), channel.format(w)) for w in words for label, channel in wild.items()]
+    curves = []
+    for plan, label, channel in found:
+        compute = row.compute.get(plan)
+        if channel not in table or (compute is _gyro_rate_of_mode and shape is None):
+            continue
+        changed = compute is not None or row.factor != 1.0 or row.only is not None
+        curves.append(Curve(label, channel, partial(_values, row, channel, compute, shape) if changed else None))
+    return tuple(curves)
+
+
+def _values(row: _Row, channel: str, compute: Computed | None, shape: VehicleShape | None, of: Channels) -> Values:
+    values = (of.time_ns(channel), row.factor * of[channel]) if compute is None else compute(of, channel, shape)
+    return _masked(of, row.only, values)
+
+
+def _limits(row: _Row, scenario: Scenario | None) -> tuple[Limit, ...]:
+    """From the requirements of the scenario, and from what the actuator of the first stage that has one can do."""
+    if scenario is None:
+        return ()
     out = []
-    for tab in made:
-        plots = [_present(plot, table) for plot in tab.plots]
-        kept = tuple(plot for plot in plots if plot is not None)
-        if kept:
-            out.append(Tab(tab.name, kept))
+    for metric in row.limits:
+        for r in scenario.requirement:
+            if r.metric != metric:
+                continue
+            name = r.name or metric
+            if r.limit is not None and math.isfinite(r.limit):
+                out.append(Limit(row.factor * r.limit, name))
+                if row.both:
+                    out.append(Limit(-row.factor * r.limit, name, upper=False))
+            if r.minimum is not None and not row.both:
+                out.append(Limit(row.factor * r.minimum, name, upper=False))
+    actuator = next((stage.actuator for stage in scenario.vehicle.stage if stage.actuator is not None), None)
+    if row.hardware is not None and actuator is not None:
+        key, axis, label = row.hardware
+        value = float(getattr(actuator.axes[PLANES.index(axis)], key))
+        out += [Limit(value, label, required=False), Limit(-value, label, upper=False, required=False)]
     return tuple(out)
 
 
-def _present(plot: Plot, table: ChannelTable) -> Plot | None:
-    curves = tuple(curve for curve in plot.curves if curve.channel in table)
-    return Plot(plot.key, plot.title, plot.unit, curves, plot.limits) if curves else None
+# -- ranges --------------------------------------------------------------------------------------------------------
+def range_of(values: Sequence[Array]) -> tuple[float, float] | None:
+    """Smallest and largest of all that is finite; None where nothing is."""
+    ends = [(float(some.min()), float(some.max())) for v in values if len(some := v[np.isfinite(v)])]
+    return (min(a for a, _ in ends), max(b for _, b in ends)) if ends else None
 
 
-def _plot(key: str, title: str, unit: str, *curves: Curve, limits: list[Limit] | None = None) -> Plot:
-    return Plot(key, title, unit, curves, tuple(limits or ()))
+@dataclass(frozen=True)
+class Axis:
+    """The range of a plot's y axis, the limits within it and those beyond."""
+
+    low: float
+    high: float
+    drawn: tuple[Limit, ...]
+    beyond: tuple[Limit, ...]
+
+    def beyond_text(self, unit: str) -> str:
+        """What to say of limits that are not drawn: `limit 30 deg/s off the scale`."""
+        sizes = sorted({abs(limit.value) for limit in self.beyond})
+        if not sizes:
+            return ""
+        text = " and ".join(f"{size:g}" for size in sizes) + (f" {unit}" if unit else "")
+        return f"limit{'s' * (len(sizes) > 1)} {text} off the scale"
 
 
-def _trajectory() -> Tab:
-    return Tab(
-        "Trajectory",
-        (
-            _plot(
-                "trajectory/altitude", "altitude and distance from the site", "km",
-                Curve("altitude", "altitude_m", 1e-3),
-                Curve("distance along the ground", "latitude_deg", compute=_distance_km),
-            ),
-            _plot(
-                "trajectory/speed", "speed", "m/s",
-                Curve("over the ground", "speed_mps"), Curve("through the air", "airspeed_mps"),
-            ),
-            _plot("trajectory/path_angle", "flight path and pitch above the horizon", "deg",
-                Curve("flight path", "flight_path_deg"), Curve("body axis", "pitch_deg")),
-            _plot("trajectory/mach", "Mach number", "", Curve("Mach number", "mach")),
-        ),
-    )  # fmt: skip
-
-
-def _air(scenario: Scenario | None) -> Tab:
-    return Tab(
-        "Air",
-        (
-            _plot(
-                "air/pressure", "dynamic pressure", "kPa", Curve("dynamic pressure", "dynamic_pressure_Pa", 1e-3),
-                limits=required(scenario, "max_powered_dynamic_pressure_Pa", 1e-3)
-                + required(scenario, "max_dynamic_pressure_Pa", 1e-3),
-            ),
-            _plot(
-                "air/incidence", "incidence where the dynamic pressure exceeds 1 kPa", "deg",
-                Curve("attack", "alpha_deg", compute=_in_air("alpha_deg")),
-                Curve("sideslip", "beta_deg", compute=_in_air("beta_deg")),
-                Curve("total", "alpha_total_deg", compute=_in_air("alpha_total_deg")),
-                limits=required(scenario, "max_alpha_deg"),
-            ),
-            _plot(
-                "air/wind", "wind: motion of the air", "m/s",
-                Curve("to north", "wind_N_north_mps"), Curve("to east", "wind_N_east_mps"),
-                Curve("down", "wind_N_down_mps"),
-            ),
-            _plot("air/density", "density", "kg/m3", Curve("density", "density_kgpm3")),
-        ),
-    )  # fmt: skip
-
-
-def _attitude(scenario: Scenario | None) -> Tab:
-    limits = required(scenario, "max_attitude_error_deg", both=True)
-    axes = ("pitch", "yaw", "roll")
-    return Tab(
-        "Attitude",
-        (
-            *(
-                _plot(
-                    f"attitude/{axis}", f"{axis}: turned since the start", "deg",
-                    Curve(f"{axis} commanded", f"{axis}_commanded_deg"),
-                    Curve(f"{axis} by the gyro", f"{axis}_measured_deg"),
-                )
-                for axis in axes
-            ),
-            _plot(
-                "attitude/error", "attitude error in the computer", "deg",
-                *(Curve(axis, f"error_{axis}_deg") for axis in axes), limits=limits,
-            ),
-            _plot(
-                "attitude/rate", "body rates", "deg/s",
-                *(Curve(axis, f"body_{axis}_rate_degps") for axis in axes),
-            ),
-        ),
-    )  # fmt: skip
-
-
-def _gimbal(scenario: Scenario | None) -> Tab:
-    angle = required(scenario, "max_gimbal_deg", both=True)
-    rate = required(scenario, "max_gimbal_rate_degps", both=True)
-    return Tab(
-        "Gimbal",
-        (
-            *(
-                _plot(
-                    f"gimbal/{axis}", f"{axis} gimbal", "deg",
-                    Curve(f"{axis} command", f"gimbal_{axis}_command_deg"),
-                    Curve(f"{axis} engine", f"gimbal_{axis}_angle_deg"),
-                    limits=angle + hardware(scenario, "angle_limit_deg", i, "stop of the gimbal"),
-                )
-                for i, axis in enumerate(("pitch", "yaw"))
-            ),
-            *(
-                _plot(
-                    f"gimbal/{axis}_rate", f"{axis} gimbal rate", "deg/s",
-                    Curve(f"{axis} engine rate", f"gimbal_{axis}_rate_degps"),
-                    limits=rate + hardware(scenario, "rate_limit_degps", i, "most that the actuator does"),
-                )
-                for i, axis in enumerate(("pitch", "yaw"))
-            ),
-        ),
-    )  # fmt: skip
-
-
-def _bending(table: ChannelTable, scenario: Scenario | None, shape: VehicleShape | None) -> Tab:
-    plots = []
-    for axis in ("pitch", "yaw"):
-        modes = [i for i in range(1, 9) if f"eta_{axis}_{i}_m" in table]
-        plots.append(
-            _plot(
-                f"bending/{axis}", f"{axis} bending: motion of the gimbal by modes", "mm",
-                *(Curve(f"{axis} mode {i}", f"eta_{axis}_{i}_m", 1e3) for i in modes),
-                limits=required(scenario, "max_bending_m", 1e3, both=True),
-            )
-        )  # fmt: skip
-        by_mode = [Curve(f"mode {i}", f"eta_{axis}_{i}_mps", compute=_pick_up(shape, axis, i)) for i in modes]
-        plots.append(
-            _plot(
-                f"bending/{axis}_gyro", f"{axis} rate that the gyro picks up from bending", "deg/s",
-                Curve("all modes", f"bending_{axis}_rate_degps"),
-                *(by_mode if shape is not None else ()),
-            )
-        )  # fmt: skip
-    return Tab("Bending", tuple(plots))
-
-
-def _slosh(table: ChannelTable, scenario: Scenario | None) -> Tab:
-    tanks = tank_names(table)
-    limits = required(scenario, "max_slosh_deg", both=True)
-    return Tab(
-        "Slosh",
-        (
-            *(
-                _plot(
-                    f"slosh/{axis}", f"slosh pendulums, {axis} plane", "deg",
-                    *(Curve(f"{tank} {axis}", f"slosh_{tank}_{axis}_deg") for tank in tanks), limits=limits,
-                )
-                for axis in ("pitch", "yaw")
-            ),
-            _plot(
-                "slosh/rate", "slosh rates", "deg/s",
-                *(Curve(f"{tank} {axis}", f"slosh_{tank}_{axis}_rate_degps")
-                  for tank in tanks for axis in ("pitch", "yaw")),
-            ),
-            _plot("slosh/force", "force of the pendulums' rods", "kN",
-                *(Curve(tank, f"slosh_{tank}_tension_N", 1e-3) for tank in tanks)),
-        ),
-    )  # fmt: skip
-
-
-def _computer() -> Tab:
-    return Tab(
-        "Computer",
-        (
-            _plot(
-                "computer/counts", "V/F pulses in each sample", "counts",
-                *(Curve(axis, f"counts_{axis}") for axis in ("pitch", "yaw", "roll")),
-            ),
-            *(
-                _plot(
-                    f"computer/filter_{axis}", f"{axis} bending filter", "deg",
-                    Curve(f"{axis}: in, from the PD law", f"law_{axis}_deg"),
-                    Curve(f"{axis}: out", f"filtered_{axis}_deg"),
-                )
-                for axis in ("pitch", "yaw")
-            ),
-            _plot(
-                "computer/states", "command at its limit (pitch, yaw), roll thrusters", "",
-                Curve("pitch at limit", "saturated_pitch"), Curve("yaw at limit", "saturated_yaw"),
-                Curve("roll thrusters", "roll_thruster"),
-            ),
-        ),
-    )  # fmt: skip
-
-
-def _loads(scenario: Scenario | None) -> Tab:
-    return Tab(
-        "Loads",
-        (
-            _plot(
-                "loads/q_alpha", "q alpha under thrust", "kPa deg",
-                Curve("q alpha", "q_alpha_Padeg", compute=_powered("q_alpha_Padeg", 1e-3)),
-                limits=required(scenario, "max_q_alpha_Padeg", 1e-3),
-            ),
-            _plot(
-                "loads/force", "aerodynamic force in body axes", "kN",
-                *(Curve(a, f"aero_force_B_{a}_N", 1e-3) for a in "xyz"),
-            ),
-            _plot(
-                "loads/moment", "aerodynamic moment about the CG", "kN m",
-                *(Curve(a, f"aero_moment_B_{a}_Nm", 1e-3) for a in "xyz"),
-            ),
-            _plot(
-                "loads/axial", "axial load", "g", Curve("sensed", "axial_load_g"),
-                Curve("thrust over weight", "thrust_over_weight_g"),
-                limits=required(scenario, "max_axial_load_g")
-                + required(scenario, "max_thrust_over_weight_g"),
-            ),
-            _plot(
-                "loads/lateral", "lateral load at the CG", "g",
-                Curve("sensed", "specific_force_B_y_mps2", compute=_lateral),
-                limits=required(scenario, "max_lateral_load_g"),
-            ),
-        ),
-    )  # fmt: skip
-
-
-def _vehicle() -> Tab:
-    return Tab(
-        "Vehicle",
-        (
-            _plot("vehicle/thrust", "thrust", "kN", Curve("thrust", "thrust_N", 1e-3)),
-            _plot("vehicle/mass", "mass", "t",
-                Curve("all", "mass_kg", 1e-3), Curve("without slosh", "core_mass_kg", 1e-3)),
-            _plot("vehicle/cg", "CG aft of the nose", "m", Curve("core CG", "cg_station_m")),
-            _plot(
-                "vehicle/inertia", "core inertia", "t m2",
-                *(Curve(name, f"{name}_kgm2", 1e-3) for name in ("Ixx", "Iyy", "Izz")),
-            ),
-        ),
-    )  # fmt: skip
-
-
-def tank_names(table: ChannelTable) -> list[str]:
-    """Names of the tanks that a log has channels of."""
-    return [
-        c.name.removeprefix("slosh_").removesuffix("_tension_N")
-        for topic in table.topics
-        for c in topic.channels
-        if c.name.startswith("slosh_") and c.name.endswith("_tension_N")
-    ]
-
-
-# -- computed curves -----------------------------------------------------------------------------------------------
-def _in_air(name: str) -> Callable[[Channels], Values]:
-    """Incidence means nothing on the pad and above the air: there it is a gap."""
-
-    def compute(channels: Channels) -> Values:
-        values = channels[name]
-        if "dynamic_pressure_Pa" in channels:
-            values = np.where(channels["dynamic_pressure_Pa"] > 1000.0, values, np.nan)
-        return channels.time_ns(name), values
-
-    return compute
-
-
-def _powered(name: str, factor: float) -> Callable[[Channels], Values]:
-    """Loads are judged under thrust; a tumbling re-entry would hide them."""
-
-    def compute(channels: Channels) -> Values:
-        values = factor * channels[name]
-        if "thrust_N" in channels and len(channels["thrust_N"]) == len(values):
-            values = np.where(channels["thrust_N"] > 0.0, values, np.nan)
-        return channels.time_ns(name), values
-
-    return compute
-
-
-def _lateral(channels: Channels) -> Values:
-    lateral = np.hypot(channels["specific_force_B_y_mps2"], channels["specific_force_B_z_mps2"]) / STANDARD_GRAVITY_MPS2
-    if "thrust_N" in channels and len(channels["thrust_N"]) == len(lateral):
-        lateral = np.where(channels["thrust_N"] > 0.0, lateral, np.nan)
-    return channels.time_ns("specific_force_B_y_mps2"), lateral
-
-
-def _pick_up(shape: VehicleShape | None, axis: str, mode: int) -> Callable[[Channels], Values]:
-    """Turning rate at the gyro by one mode: its slope there times the modal rate."""
-
-    def compute(channels: Channels) -> Values:
-        name = f"eta_{axis}_{mode}_mps"
-        ns, rate = channels.time_ns(name), channels[name]
-        assert shape is not None
-        stage = shape.stages[0]
-        table = stage.modes[0 if axis == "pitch" else 1]
-        if table is None or stage.gyro_station_m is None or mode > table.modes or not len(ns):
-            return ns, np.full(len(rate), np.nan)
-        # the mode changes slowly: its slope at every 0.1 s, joined by lines
-        coarse = np.linspace(ns[0] / 1e9, ns[-1] / 1e9, max(2, int((ns[-1] - ns[0]) / 1e8)))
-        slopes = shapes_at(table, coarse * stage.clock_factor, np.array([stage.gyro_station_m]), "slope_pm")
-        slope = np.interp(ns / 1e9, coarse, slopes[:, mode - 1, 0])
-        sign = 1.0 if axis == "pitch" else -1.0  # docs/model.md: yaw modes turn by minus their slope
-        return ns, np.degrees(sign * slope * rate)
-
-    return compute
-
-
-def _distance_km(channels: Channels) -> Values:
-    """Great circle from the first point, good to half a percent."""
-    ns = channels.time_ns("latitude_deg")
-    first = _first_place(channels)
-    lat, lon = np.radians(channels["latitude_deg"]), np.radians(channels["longitude_deg"])
-    haversine = (
-        np.sin(0.5 * (lat - first[0])) ** 2 + np.cos(lat) * np.cos(first[0]) * np.sin(0.5 * (lon - first[1])) ** 2
-    )
-    return ns, 2.0 * 6371.0 * np.arcsin(np.sqrt(np.clip(haversine, 0.0, 1.0)))
-
-
-def _first_place(channels: Channels) -> tuple[float, float]:
-    """Where the flight began; blocks of a flight under way bring it along."""
-    start = getattr(channels, "start_place_deg", None)
-    if start is None:
-        start = float(channels["latitude_deg"][0]), float(channels["longitude_deg"][0])
-    return float(np.radians(start[0])), float(np.radians(start[1]))
+def axis_of(plot: Plot, found: tuple[float, float] | None) -> Axis:
+    """A range that shows the data, and each limit that is near enough not to squash them."""
+    low, high = found or (0.0, 1.0)
+    reach = max(abs(low), abs(high), 1e-12)
+    drawn = tuple(limit for limit in plot.limits if abs(limit.value) <= NEAR * reach)
+    beyond = tuple(limit for limit in plot.limits if limit not in drawn)
+    low, high = min([low, *(x.value for x in drawn)]), max([high, *(x.value for x in drawn)])
+    if high - low < 1e-9 * max(abs(high), abs(low), 1e-3):  # a constant
+        room = max(0.5 * abs(high), 1.0 if high == 0.0 else 0.0)
+        low, high = low - room, high + room
+    margin = 0.06 * (high - low)
+    return Axis(low - margin, high + margin, drawn, beyond)

@@ -1,4 +1,7 @@
-"""`simreplay` once its command line has been read: open the logs, show them, say what went wrong."""
+"""`simreplay` once its command line has been read: open the logs and show them.
+
+What loads Matplotlib or Rerun is imported where it is needed: a summary in the terminal needs neither.
+"""
 
 from __future__ import annotations
 
@@ -8,39 +11,44 @@ import ctypes
 import os
 import sys
 import tempfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from maxq.tools.cli.frame import Exit, say
-from maxq.tools.replay.collect import find_logs, open_flights
-from maxq.tools.replay.error import ReplayError
-from maxq.tools.replay.flight import ReplayFlight
-from maxq.tools.replay.web_page import LOCAL
+from maxq.tools.replay import viewer
+from maxq.tools.replay.flight import ReplayFlight, find_logs, open_flights
+from maxq.tools.replay.viewer import ReplayError
 
 if TYPE_CHECKING:
-    from maxq.tools.replay.viewer import Headless
+    from rerun.experimental import ViewerClient
 
 _WEB_PORT = 9090
 
 
 def execute(given: argparse.Namespace) -> int:
-    """Do what the command line asks for; returns the exit code."""
+    """Do what the command line asks for; returns the exit code. Raises ReplayError where nothing can be shown."""
     _check_before(given)
-    with _headless(given) as viewer:
+    with contextlib.ExitStack() as stack:
+        client = None
+        if given.screenshot:  # the viewer starts beside the reading of the logs
+            find_logs(given.logs)  # nothing is started for a name that was mistyped
+            client = stack.enter_context(viewer.headless(given.size or viewer.WINDOW))
         flights, complaints = open_flights(given.logs, in_turn=not (given.plots or given.summary))
-        for complaint in complaints:
-            say("simreplay", complaint)
-        done = _show(flights, given, viewer)
+        _complain(complaints)
+        done = _show(flights, given, client)
     return done or (Exit.FAILED if complaints else Exit.OK)
+
+
+def _complain(complaints: Sequence[str]) -> None:
+    for complaint in complaints:
+        say("simreplay", complaint)
 
 
 def _check_before(given: argparse.Namespace) -> None:
     """What can be known before the logs are read, which may take seconds."""
     if given.plots or given.summary or given.save:
         return
-    from maxq.tools.replay import viewer  # noqa: PLC0415  # lazy: not needed for plots
-
     viewer.executable()
     if given.web:
         viewer.check_port(_WEB_PORT if given.port is None else given.port)
@@ -50,22 +58,9 @@ def _check_before(given: argparse.Namespace) -> None:
         viewer.check_display()
 
 
-@contextlib.contextmanager
-def _headless(given: argparse.Namespace) -> Iterator[Headless | None]:
-    """The viewer for a picture: it starts beside the reading of the logs."""
-    if not given.screenshot:
-        yield None
-        return
-    from maxq.tools.replay import viewer  # noqa: PLC0415  # lazy
-
-    find_logs(given.logs)  # nothing is started for a name that was mistyped
-    with viewer.Headless(given.size or viewer.WINDOW) as running:
-        yield running
-
-
-def _show(flights: list[ReplayFlight], given: argparse.Namespace, viewer: Headless | None) -> int:
+def _show(flights: list[ReplayFlight], given: argparse.Namespace, client: Callable[[], ViewerClient] | None) -> int:
     if given.summary:
-        from maxq.tools.replay.summary import summary_text  # noqa: PLC0415  # lazy
+        from maxq.tools.replay.text import summary_text  # noqa: PLC0415  # lazy
 
         print("\n\n".join(summary_text(flight) for flight in flights))
         return Exit.OK
@@ -82,30 +77,22 @@ def _show(flights: list[ReplayFlight], given: argparse.Namespace, viewer: Headle
         _convert(flights, given, path)
         print(f"{path}   {path.stat().st_size / 1e6:.1f} MB")
         return Exit.OK
-    with _temporary() as path:
+    with temporary_recording() as path:
         _convert(flights, given, path)
         flights.clear()  # the viewer has what it needs: the memory of the logs is free for it
         _give_back_memory()
-        if viewer is not None:
-            return _screenshot(viewer, path, given)
+        if client is not None:
+            return _screenshot(client(), path, given)
         if given.web:
             return _web(path, _WEB_PORT if given.port is None else given.port)
-        return _window(path)
+        viewer.show(path)
+        return Exit.OK
 
 
 def _give_back_memory() -> None:
     """glibc keeps a hundred megabytes of what was freed unless it is asked."""
     if sys.platform.startswith("linux") and (trim := getattr(ctypes.CDLL(None), "malloc_trim", None)) is not None:
         trim(0)
-
-
-def window_of(flights: Sequence[ReplayFlight]) -> None:
-    """Show flights in a window and wait until it is closed. Raises ReplayError."""
-    from maxq.tools.replay.convert import Options, save  # noqa: PLC0415  # lazy: loads rerun
-
-    with _temporary() as path:
-        save(flights, Options(), path)
-        _window(path)
 
 
 def _convert(flights: Sequence[ReplayFlight], given: argparse.Namespace, path: Path) -> None:
@@ -125,19 +112,16 @@ def _check_writable(path: Path) -> None:
 
 
 @contextlib.contextmanager
-def _temporary() -> Iterator[Path]:
+def temporary_recording() -> Iterator[Path]:
     """A file for the viewer that is gone afterwards."""
     with tempfile.TemporaryDirectory(prefix="maxq-replay-") as folder:
         yield Path(folder) / "replay.rrd"
 
 
-def _screenshot(viewer: Headless, rrd: Path, given: argparse.Namespace) -> int:
-    from maxq.tools.replay.viewer import pictures  # noqa: PLC0415  # lazy
-
+def _screenshot(client: ViewerClient, rrd: Path, given: argparse.Namespace) -> int:
     target = Path(given.screenshot)
-    shots, complaints = pictures(viewer, rrd, given.at)
-    for complaint in complaints:
-        say("simreplay", complaint)
+    shots, complaints = viewer.pictures(client, rrd, given.at)
+    _complain(complaints)
     for time_s, shot in zip(given.at, shots, strict=True):
         path = target if len(shots) == 1 else target.with_name(f"{target.stem}-{time_s:g}{target.suffix or '.png'}")
         path.write_bytes(shot)
@@ -146,20 +130,9 @@ def _screenshot(viewer: Headless, rrd: Path, given: argparse.Namespace) -> int:
 
 
 def _web(rrd: Path, port: int) -> int:
-    from maxq.tools.replay import viewer  # noqa: PLC0415  # lazy
-
     with viewer.served(rrd, port) as (server, url):
-        print(f"open {url}\n(served on {LOCAL} only; Ctrl-C ends it)", flush=True)
+        print(f"open {url}\n(served on {viewer.LOCAL} only; Ctrl-C ends it)", flush=True)
         try:
             return Exit.OK if server.wait() == 0 else Exit.BAD_INPUT
         except KeyboardInterrupt:
             return Exit.OK
-
-
-def _window(rrd: Path) -> int:
-    from maxq.tools.replay import viewer  # noqa: PLC0415  # lazy
-
-    code = viewer.show(rrd)
-    if code:
-        raise ReplayError(f"the Rerun viewer ended with code {code}; --web or --screenshot may do instead")
-    return Exit.OK

@@ -7,29 +7,53 @@ the nominal on top.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 
 from maxq.control.kernel.records import Array, IntArray
-from maxq.tools.plots.palette import BLACK, GREY, LIMIT, VERDICT, rgba
-from maxq.tools.replay.collect import is_nominal
-from maxq.tools.replay.decimate import extremes
-from maxq.tools.replay.error import ReplayError
+from maxq.tools.plots.palette import BLACK, BLUE, GREY, LIMIT, VERDICT
+from maxq.tools.plots.style import curve as look_of
+from maxq.tools.plots.style import drawing, save, sheet
+from maxq.tools.replay.decimate import extremes, extremes_on_grid
 from maxq.tools.replay.flight import ReplayFlight
-from maxq.tools.replay.plot_stream import Axis, axis_of, beyond_text, value_range
-from maxq.tools.replay.plots import Curve, Plot, Tab, tabs_of
-from maxq.tools.replay.print_style import ROW_IN, WIDTH_IN, curve_look, in_style
-from maxq.tools.replay.special_sheets import special_sheets
+from maxq.tools.replay.plots import Axis, Curve, Plot, Tab, axis_of, range_of, tabs_of
+from maxq.tools.replay.viewer import ReplayError
 
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-
+WIDTH_IN, ROW_IN = 8.0, 1.9
+"""Of a sheet; of one plot in it."""
+_SETTINGS = {
+    "lines.linewidth": 1.1,
+    "savefig.dpi": 160,
+    "svg.fonttype": "none",  # text stays text: a review edits and searches it
+}
 _ENVELOPE_FROM = 6  # so many flights are drawn as envelope instead of one by one
-_BINS = 1500
+_BINS, _POINTS, _THIN_POINTS = 1500, 4000, 1500  # along a sheet: of an envelope, of a line, of one among many
 _EVENTS = ("liftoff", "max_q", "burnout", "separation", "apogee", "impact", "control_lost", "tumble", "diverged")
-_FORMATS = ("svg", "png")
+
+
+@dataclass(frozen=True)
+class Flights:
+    """What a set of sheets shows; the `reference` (the nominal, or the first) gives events and the thick lines."""
+
+    all: Sequence[ReplayFlight]
+    reference: ReplayFlight
+
+    @property
+    def many(self) -> bool:
+        return len(self.all) > 1
+
+    def look(self, flight: ReplayFlight) -> dict[str, Any]:
+        """How a flight's line looks where it is the only one of it in a plot."""
+        if not self.many:
+            return {"color": BLUE, "linewidth": 1.4}
+        if flight is self.reference:
+            return {"color": BLACK, "linewidth": 1.2, "zorder": 3.0, "label": self.reference.label}
+        return {"color": VERDICT[flight.verdict], "linewidth": 0.6, "alpha": 0.7}
 
 
 def write_sheets(flights: Sequence[ReplayFlight], folder: Path, only: str = "") -> list[Path]:
@@ -37,214 +61,158 @@ def write_sheets(flights: Sequence[ReplayFlight], folder: Path, only: str = "") 
 
     `only`: those of one tab, a part of its name.
     """
+    from maxq.tools.replay.special_sheets import special_sheets  # noqa: PLC0415  # it builds on this module
+
+    shown = Flights(flights, next((f for f in flights if f.is_nominal), flights[0]))
+    tabs = tabs_of(shown.reference.log.table, shown.reference.scenario)
+    written: list[Path] = []
     try:
         folder.mkdir(parents=True, exist_ok=True)
+        with drawing(settings=_SETTINGS):
+            for number, tab in enumerate(tabs, start=1):
+                if only in tab.name.lower() and _has_numbers(tab, flights):
+                    written += save(_sheet(tab, shown), folder / f"{number:02}-{tab.name.lower()}")
+            for name, figure in special_sheets(shown) if not only else ():
+                written += save(figure, folder / name)
     except OSError as error:
-        raise ReplayError(f"{folder}: cannot be written: {(error.strerror or str(error)).lower()}") from error
-    import matplotlib.pyplot as plt  # noqa: PLC0415  # lazy
-
-    written: list[Path] = []
-    with in_style():
-        reference = next((f for f in flights if is_nominal(f)), flights[0])
-        tabs = tabs_of(reference.log.table, reference.scenario)
-        for number, tab in enumerate(tabs, start=1):
-            if only not in tab.name.lower():
-                continue
-            if tab.name == "Trajectory" or any(_has_numbers(plot, flights) for plot in tab.plots):
-                figure = _sheet(tab, flights, reference)
-                written += _save(figure, folder / f"{number:02}-{tab.name.lower()}")
-                plt.close(figure)
-        for name, figure in special_sheets(flights, reference) if not only else ():
-            written += _save(figure, folder / name)
-            plt.close(figure)
+        at = error.filename or folder
+        raise ReplayError(f"{at}: cannot be written: {(error.strerror or str(error)).lower()}") from error
     return written
 
 
-def _save(figure: Any, stem: Path) -> list[Path]:
-    files = []
-    figure.canvas.draw()
-    figure.set_layout_engine("none")  # both files have the layout that it has now
-    for kind in _FORMATS:
-        path = stem.with_suffix(f".{kind}")
-        try:
-            figure.savefig(path, metadata={"Date": None} if kind == "svg" else {"Software": None})
-        except OSError as error:
-            raise ReplayError(f"{path}: cannot be written: {(error.strerror or str(error)).lower()}") from error
-        files.append(path)
-    return files
+def _has_numbers(tab: Tab, flights: Sequence[ReplayFlight]) -> bool:
+    return any(plot.value_range(f.log) is not None for plot in tab.plots for f in flights)
 
 
-def _has_numbers(plot: Plot, flights: Sequence[ReplayFlight]) -> bool:
-    return any(value_range(_of(plot, f), f.log) is not None for f in flights)
-
-
-def _of(plot: Plot, flight: ReplayFlight) -> Plot:
-    """The plot with those curves only that a flight has."""
-    curves = tuple(curve for curve in plot.curves if curve.channel in flight.log)
-    return Plot(plot.key, plot.title, plot.unit, curves, plot.limits)
-
-
-def _sheet(tab: Tab, flights: Sequence[ReplayFlight], reference: ReplayFlight) -> Any:
-    import matplotlib.pyplot as plt  # noqa: PLC0415  # lazy
-
-    count = len(tab.plots)
-    figure, places = plt.subplots(
-        count, 1, figsize=(WIDTH_IN, 0.9 + ROW_IN * count), sharex=True, squeeze=False, layout="constrained"
-    )
-    span = _span(tab, flights)
-    for place, plot in zip(places[:, 0], tab.plots, strict=True):
-        _draw(place, plot, flights, reference, span)
-    places[0, 0].set_xlim(span)
-    places[-1, 0].set_xlabel("time (s)")
+def _sheet(tab: Tab, shown: Flights) -> Figure:
+    figure, places = sheet(
+        len(tab.plots), height_in=ROW_IN, width_in=WIDTH_IN, title=_title(tab.name, shown), sharex=True
+    )  # fmt: skip
+    span_s = _span(tab, shown)
+    for place, plot in zip(places, tab.plots, strict=True):
+        _draw(place, plot, shown, span_s)
+    places[0].set_xlim(span_s)
+    places[-1].set_xlabel("time (s)")
     figure.align_ylabels()
-    mark_events(list(places[:, 0]), reference, span)
-    figure.suptitle(sheet_title(tab.name, flights, reference), fontsize=11, fontweight="bold", x=0.01, ha="left")
+    _mark_events(places, shown.reference, span_s)
     return figure
 
 
-def sheet_title(name: str, flights: Sequence[ReplayFlight], reference: ReplayFlight) -> str:
-    if len(flights) == 1:
-        outcome = f"{reference.outcome} at {reference.span_s[1]:.1f} s"
-        return f"{name} - {reference.label} ({outcome})"
-    failed = sum(f.verdict == "failed" for f in flights)
-    how = "shaded: all, " if len(flights) >= _ENVELOPE_FROM else ""
-    return f"{name} - {len(flights)} flights, {failed} failed ({how}thick: {reference.label}, thin red: failed)"
+def _title(name: str, shown: Flights) -> str:
+    reference = shown.reference
+    if not shown.many:
+        return f"{name} - {reference.label} ({reference.outcome} at {reference.span_s[1]:.1f} s)"
+    failed = sum(f.verdict == "failed" for f in shown.all)
+    how = "shaded: all, " if len(shown.all) >= _ENVELOPE_FROM else ""
+    return f"{name} - {len(shown.all)} flights, {failed} failed ({how}thick: {reference.label}, thin red: failed)"
 
 
-def _span(tab: Tab, flights: Sequence[ReplayFlight]) -> tuple[float, float]:
+def _span(tab: Tab, shown: Flights) -> tuple[float, float]:
     """The whole flight for what concerns all of it; else until shortly after burn-out, where the rest is at zero."""
-    start, end = min(f.span_s[0] for f in flights), max(f.span_s[1] for f in flights)
-    if tab.name in ("Trajectory", "Air"):
+    start, end = min(f.span_s[0] for f in shown.all), max(f.span_s[1] for f in shown.all)
+    burnouts = [m.time_s for f in shown.all if (m := f.moment("burnout")) is not None]
+    if tab.name in ("Trajectory", "Air") or not burnouts:
         return start, end
-    burnouts = [m.time_s for f in flights if (m := f.moment("burnout")) is not None]
-    return (start, min(end, max(burnouts) * 1.12)) if burnouts else (start, end)
+    return start, min(end, max(burnouts) * 1.12)
 
 
-def _draw(
-    place: Axes, plot: Plot, flights: Sequence[ReplayFlight], reference: ReplayFlight, span: tuple[float, float]
-) -> None:
-    ranges = []
-    if len(flights) == 1:
-        for number, curve in enumerate(_of(plot, reference).curves):
-            ns, values = _seen(curve, reference, span)
-            kept = extremes(ns, values, max(round((span[1] - span[0]) * 1e9 / 4000), 1))
-            place.plot(ns[kept] / 1e9, values[kept], label=curve.label, **curve_look(number))
-            ranges.append(values)
-    else:
-        for number, curve in enumerate(plot.curves):
-            ranges += _draw_many(place, curve, number, flights, reference, span)
-    numbers = np.concatenate(ranges) if ranges else np.zeros(0)
-    numbers = numbers[np.isfinite(numbers)]
-    axis = axis_of(plot, (float(numbers.min()), float(numbers.max())) if len(numbers) else None)
+def _draw(place: Axes, plot: Plot, shown: Flights, span_s: tuple[float, float]) -> None:
+    values: list[Array] = []
+    for number, curve in enumerate(plot.curves):
+        values += _draw_curve(place, curve, number, shown, span_s)
+    axis = axis_of(plot, range_of(values))
     place.set_ylim(axis.low, axis.high)
-    draw_limits(place, axis)
-    beyond = beyond_text(axis, plot.unit)
+    _draw_limits(place, axis)
+    beyond = axis.beyond_text(plot.unit)
     place.set_title(plot.title + (f"  [{beyond}]" if beyond else ""))
     place.set_ylabel(plot.unit or "1")
     if len(plot.curves) > 1 or axis.drawn:
         legend = place.legend(
-            loc="lower right", bbox_to_anchor=(1.0, 0.985), ncols=8, borderaxespad=0.0, handlelength=1.6
-        )
+            loc="lower right", bbox_to_anchor=(1.0, 0.985), ncols=8, borderaxespad=0.0, handlelength=1.6,
+            columnspacing=1.2, frameon=False,
+        )  # fmt: skip
         legend.set_in_layout(False)  # a long one does not squeeze the plot
 
 
-def _seen(curve: Curve, flight: ReplayFlight, span: tuple[float, float]) -> tuple[IntArray, Array]:
-    ns, values = curve.values(flight.log)
-    a, b = np.searchsorted(ns, [round(span[0] * 1e9), round(span[1] * 1e9) + 1])
-    return ns[a:b], values[a:b]
-
-
-def _draw_many(
-    place: Axes, curve: Curve, number: int, flights: Sequence[ReplayFlight], reference: ReplayFlight,
-    span: tuple[float, float],
+def _draw_curve(
+    place: Axes, curve: Curve, number: int, shown: Flights, span_s: tuple[float, float]
 ) -> list[Array]:  # fmt: skip
-    """Lines of a few flights, or the envelope of many with the failed ones and the reference as lines."""
-    edges = np.linspace(span[0], span[1], _BINS + 1)
-    look = curve_look(number)
-    lows, highs, drawn = [], [], []
-    for flight in flights:
+    """Lines of a few flights, or the envelope of many with the failed ones and the reference as lines; the values."""
+    span_ns = round(span_s[0] * 1e9), round(span_s[1] * 1e9) + 1
+    look = look_of(number)
+    envelopes, drawn = [], []
+
+    def line(ns: IntArray, values: Array, points: int, **how: Any) -> None:
+        kept = extremes(ns, values, max((span_ns[1] - span_ns[0]) // points, 1))
+        place.plot(ns[kept] / 1e9, values[kept], **(look | how))
+
+    for flight in shown.all:
         if curve.channel not in flight.log:
             continue
-        ns, values = _seen(curve, flight, span)
+        ns, values = curve.values(flight.log)
+        seen = slice(*np.searchsorted(ns, span_ns))
+        ns, values = ns[seen], values[seen]
         drawn.append(values)
-        low, high = binned(ns / 1e9, values, edges)
-        lows.append(low)
-        highs.append(high)
-        as_line = len(flights) < _ENVELOPE_FROM or flight.verdict == "failed"
-        if as_line and flight is not reference:
-            kept = extremes(ns, values, max(round((span[1] - span[0]) * 1e9 / 1500), 1))
-            colour = VERDICT[flight.verdict]
-            place.plot(
-                ns[kept] / 1e9, values[kept], color=colour, linewidth=0.6, alpha=0.7, linestyle=look["linestyle"]
-            )
-    if not lows:
-        return []
-    if len(flights) >= _ENVELOPE_FROM:
-        with np.errstate(all="ignore"):
-            bottom, top = np.fmin.reduce(lows), np.fmax.reduce(highs)
-        middle = 0.5 * (edges[1:] + edges[:-1])
-        place.fill_between(middle, bottom, top, color=look["color"], alpha=0.25, linewidth=0, label="_")
-    ns, values = (
-        _seen(curve, reference, span) if curve.channel in reference.log else (np.zeros(0, np.int64), np.zeros(0))
-    )
-    if len(ns):
-        kept = extremes(ns, values, max(round((span[1] - span[0]) * 1e9 / 4000), 1))
-        colour = BLACK if number == 0 else look["color"]
-        place.plot(
-            ns[kept] / 1e9, values[kept], color=colour, linestyle=look["linestyle"], linewidth=1.0,
-            label=curve.label,
-        )  # fmt: skip
+        if not shown.many:
+            line(ns, values, _POINTS, label=curve.label)
+        elif flight is shown.reference:
+            colour = BLACK if number == 0 else look["color"]
+            line(ns, values, _POINTS, label=curve.label, color=colour, linewidth=1.0, zorder=3.0)
+        elif len(shown.all) < _ENVELOPE_FROM or flight.verdict == "failed":
+            line(ns, values, _THIN_POINTS, color=VERDICT[flight.verdict], linewidth=0.6, alpha=0.7)
+        if len(shown.all) >= _ENVELOPE_FROM:
+            envelopes.append(envelope(ns, values, span_ns))
+    if envelopes:
+        middle_s = (span_ns[0] + (np.arange(_BINS) + 0.5) * (span_ns[1] - span_ns[0]) / _BINS) / 1e9
+        low, high = np.fmin.reduce([e[0] for e in envelopes]), np.fmax.reduce([e[1] for e in envelopes])
+        place.fill_between(middle_s, low, high, color=look["color"], alpha=0.25, linewidth=0, label="_")
     return drawn
 
 
-def binned(time_s: Array, values: Array, edges: Array) -> tuple[Array, Array]:
-    """Smallest and largest value in each interval; an interval without samples takes the value on the line."""
-    low, high = np.full(len(edges) - 1, np.inf), np.full(len(edges) - 1, -np.inf)
+def envelope(times_ns: IntArray, values: Array, span_ns: tuple[int, int], bins: int = _BINS) -> tuple[Array, Array]:
+    """Smallest and largest value in each of `bins` intervals of a span; one without samples takes the value on the
+    line between its neighbours."""
+    width_ns = -((span_ns[0] - span_ns[1]) // bins)
+    ends = extremes_on_grid(times_ns, values, span_ns[0], width_ns, bins).reshape(bins, 2)
+    low, high = ends.min(axis=1), ends.max(axis=1)
     finite = np.isfinite(values)
-    place = np.searchsorted(edges, time_s, side="right") - 1
-    inside = finite & (place >= 0) & (place < len(low))
-    np.minimum.at(low, place[inside], values[inside])
-    np.maximum.at(high, place[inside], values[inside])
-    empty = np.isinf(low)
-    if finite.any() and empty.any():
-        middle = 0.5 * (edges[1:] + edges[:-1])
-        between = np.interp(middle, time_s[finite], values[finite], left=np.nan, right=np.nan)
-        low[empty] = high[empty] = between[empty]
-    low[np.isinf(low)] = high[np.isinf(high)] = np.nan
+    if finite.any() and np.isnan(low).any():
+        middle_ns = span_ns[0] + (np.arange(bins) + 0.5) * width_ns
+        between = np.interp(middle_ns, times_ns[finite], values[finite], left=np.nan, right=np.nan)
+        low, high = (np.where(np.isnan(x), between, x) for x in (low, high))
     return low, high
 
 
-def draw_limits(place: Axes, axis: Axis) -> None:
+def _draw_limits(place: Axes, axis: Axis) -> None:
     """What is not allowed is shaded and hatched, so that it is seen without colour too."""
     named: set[str] = set()
     for limit in axis.drawn:
         colour = LIMIT if limit.required else GREY
         edge = axis.high if limit.upper else axis.low
-        text = f"{limit.label}: {abs(limit.value):g}"
-        label = None if text in named else text
-        named.add(text)
-        face = (*[c / 255 for c in rgba(colour)[:3]], 0.10)
-        hatch = "////" if limit.required else None
         place.axhspan(
-            limit.value, edge, facecolor=face, edgecolor=(*face[:3], 0.45), hatch=hatch, linewidth=0.0, zorder=0.5
-        )
+            limit.value, edge, facecolor=(colour, 0.10), edgecolor=(colour, 0.45), linewidth=0.0, zorder=0.5,
+            hatch="////" if limit.required else None,
+        )  # fmt: skip
+        label = None if limit.text in named else limit.text
+        named.add(limit.text)
         place.axhline(limit.value, color=colour, linewidth=0.9, label=label, zorder=1.5)
 
 
-def mark_events(places: Sequence[Axes], flight: ReplayFlight, span: tuple[float, float]) -> None:
+def _mark_events(places: Sequence[Axes], flight: ReplayFlight, span_s: tuple[float, float]) -> None:
     """Vertical lines through all plots, names above the first."""
+    start, width = span_s[0], span_s[1] - span_s[0]
     named: list[float] = []
     for moment in sorted(flight.moments, key=lambda m: m.level, reverse=True):  # what went wrong gets its name first
-        if moment.name not in _EVENTS or not span[0] <= moment.time_s <= span[1]:
+        if moment.name not in _EVENTS or not 0.0 <= moment.time_s - start <= width:
             continue
         for place in places:
             place.axvline(moment.time_s, color=GREY, linewidth=0.7, linestyle=(0, (2, 2)), zorder=1.0)
-        if any(abs(moment.time_s - other) < 0.02 * (span[1] - span[0]) for other in named):
+        if any(abs(moment.time_s - other) < 0.02 * width for other in named):
             continue
         named.append(moment.time_s)
-        right = moment.time_s > span[0] + 0.97 * (span[1] - span[0])
+        right = moment.time_s > start + 0.97 * width
         places[0].annotate(
-            f"{moment.name.replace('_', ' ')} {moment.time_s:.1f} s", (moment.time_s, 0.5),
-            xycoords=("data", "axes fraction"), xytext=(-2 if right else 2, 0), textcoords="offset points",
-            fontsize=6.5, color="#555555", rotation=90, ha="right" if right else "left", va="center", zorder=1.2,
+            moment.label, (moment.time_s, 0.5), xycoords=("data", "axes fraction"), xytext=(-2 if right else 2, 0),
+            textcoords="offset points", fontsize=6.5, color="#555555", rotation=90, ha="right" if right else "left",
+            va="center", zorder=1.2,
         )  # fmt: skip

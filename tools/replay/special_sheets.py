@@ -3,248 +3,202 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from scipy.signal import detrend
 
-from maxq.control.kernel.records import Array, IntArray
-from maxq.tools.plots.palette import BLACK, BLUE, GREEN, GREY, LIMIT, RED, VERDICT
-from maxq.tools.replay.about import plain
-from maxq.tools.replay.convert import place_of
-from maxq.tools.replay.earth_frame import has_motion, path_of
-from maxq.tools.replay.flight import ReplayFlight
-from maxq.tools.replay.print_style import WIDTH_IN, curve_look
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
+from maxq.control.kernel.records import Array
+from maxq.tools.plots.palette import BLACK, GREEN, GREY, LIMIT, RED
+from maxq.tools.plots.style import curve as look_of
+from maxq.tools.plots.style import sheet
+from maxq.tools.replay.flight import ReplayFlight, Requirement
+from maxq.tools.replay.launch_site import has_motion, path_of, place_of
+from maxq.tools.replay.plots import AXES
+from maxq.tools.replay.sheets import WIDTH_IN, Flights
+from maxq.tools.replay.text import plain
 
 _PATH_NS = 100_000_000
 _WINDOW_S, _HIGHEST_HZ, _FLOOR_DB = 2.0, 60.0, -80.0
-_SPECTRA = (
-    ("gyro_pitch_rate_degps", "gyro, pitch rate"),
-    ("gyro_yaw_rate_degps", "gyro, yaw rate"),
-    ("gimbal_pitch_angle_deg", "gimbal, pitch"),
-    ("gimbal_yaw_angle_deg", "gimbal, yaw"),
-)
+_SPECTRA = {
+    "gyro_pitch_rate_degps": "gyro, pitch rate",
+    "gyro_yaw_rate_degps": "gyro, yaw rate",
+    "gimbal_pitch_angle_deg": "gimbal, pitch",
+    "gimbal_yaw_angle_deg": "gimbal, yaw",
+}
+_IN_PATH = ("max_q", "burnout", "apogee", "impact", "control_lost", "diverged", "tumble")
+_MOST_USED = 3.0  # share of what is allowed at which a bar ends
 
 
-def special_sheets(flights: Sequence[ReplayFlight], reference: ReplayFlight) -> Iterator[tuple[str, Any]]:
+def special_sheets(shown: Flights) -> Iterator[tuple[str, Figure]]:
     """Name of the file and figure of each sheet that the logs have channels for."""
-    moving = [f for f in flights if has_motion(f.log)]
-    if moving:
-        yield "10-path", _path(moving, reference)
-    if all(name in reference.log for name in ("altitude_m", "dynamic_pressure_Pa", "mach")):
-        yield "11-altitude", _altitude(flights, reference)
-    if "error_pitch_deg" in reference.log and "measured_pitch_rate_degps" in reference.log:
-        yield "12-phase-plane", _phase_plane(flights, reference)
-    spectra = [(channel, label) for channel, label in _SPECTRA if channel in reference.log]
-    if spectra and _burn_end(reference) - reference.span_s[0] > 4.0 * _WINDOW_S:
+    reference, has = shown.reference, shown.reference.log
+    if moving := [f for f in shown.all if has_motion(f.log)]:
+        yield "10-path", _path(Flights(moving, reference))
+    if all(name in has for name in ("altitude_m", "dynamic_pressure_Pa", "mach")):
+        yield "11-altitude", _altitude(shown)
+    if "error_pitch_deg" in has and "measured_pitch_rate_degps" in has:
+        yield "12-phase-plane", _phase_plane(shown)
+    spectra = [channel for channel in _SPECTRA if channel in has]
+    if spectra and reference.burn_end_s - reference.span_s[0] > 4.0 * _WINDOW_S:
         yield "13-spectra", _spectra(spectra, reference)
-    judged = [f for f in flights if any(r.value is not None for r in f.requirements)]
-    if judged:
-        yield "14-requirements", _margins(judged, reference)
+    if judged := [f for f in shown.all if any(r.value is not None for r in f.requirements)]:
+        yield "14-requirements", _requirements(Flights(judged, reference))
 
 
-def _figure(rows: int, columns: int, height: float, title: str) -> tuple[Any, Any]:
-    import matplotlib.pyplot as plt  # noqa: PLC0415  # lazy
-
-    figure, places = plt.subplots(rows, columns, figsize=(WIDTH_IN, height), squeeze=False, layout="constrained")
-    figure.suptitle(title, fontsize=11, fontweight="bold", x=0.01, ha="left")
-    return figure, places
+def _figure(name: str, shown: Flights, rows: int, columns: int, height_in: float) -> tuple[Figure, Sequence[Axes]]:
+    of = f"{len(shown.all)} flights" if shown.many else shown.reference.label
+    return sheet(rows, columns, height_in, WIDTH_IN, f"{name} - {of}")
 
 
-def _title(name: str, flights: Sequence[ReplayFlight], reference: ReplayFlight) -> str:
-    return f"{name} - {reference.label if len(flights) == 1 else f'{len(flights)} flights'}"
-
-
-def _look(flight: ReplayFlight, reference: ReplayFlight, many: bool) -> dict[str, Any]:
-    if not many:
-        return {"color": BLUE, "linewidth": 1.4}
-    if flight is reference:
-        return {"color": BLACK, "linewidth": 1.2, "zorder": 3.0, "label": reference.label}
-    return {"color": VERDICT[flight.verdict], "linewidth": 0.6, "alpha": 0.7}
-
-
-def _path(flights: Sequence[ReplayFlight], reference: ReplayFlight) -> Any:
-    figure, places = _figure(2, 1, 7.0, _title("Path", flights, reference))
-    profile, above = places[:, 0]
-    many = len(flights) > 1
-    for flight in flights:
-        place = place_of(flight)
-        path = path_of(flight.log, place.frames(flight.log.table, _PATH_NS))
-        east, north = path.position_m[:, 0] / 1000.0, path.position_m[:, 1] / 1000.0
+def _path(shown: Flights) -> Figure:
+    figure, (profile, above) = _figure("Path", shown, 2, 1, 3.05)
+    for flight in shown.all:
+        path = path_of(flight.log, place_of(flight).frames(flight.log.table, _PATH_NS))
+        east, north = path.translation_m[:, 0] / 1000.0, path.translation_m[:, 1] / 1000.0
         altitude = np.interp(path.times_ns, flight.log.time_ns("altitude_m"), flight.log["altitude_m"]) / 1000.0
         along = np.hypot(east, north)
-        look = _look(flight, reference, many)
+        look = shown.look(flight)
         profile.plot(along, altitude, **look)
-        above.plot(east, north, **{k: v for k, v in look.items() if k != "label"})
-        if not many or flight.verdict == "failed":
+        above.plot(east, north, **(look | {"label": None}))
+        if not shown.many or flight.verdict == "failed":
             above.plot(east[-1:], north[-1:], "x", color=look["color"], markersize=5)
-        if flight is reference:
-            _powered_part(profile, flight, path.times_ns, along, altitude, many)
-            for moment in flight.moments:
+        if flight is not shown.reference:
+            continue
+        if "thrust_N" in flight.log and not shown.many:
+            burning = np.interp(path.times_ns, flight.log.time_ns("thrust_N"), flight.log["thrust_N"]) > 0.0
+            powered = np.where(burning, along, np.nan), np.where(burning, altitude, np.nan)
+            profile.plot(*powered, color=RED, linewidth=2.6, label="under thrust")
+        for moment in flight.moments:
+            if moment.name in _IN_PATH:
                 k = min(int(np.searchsorted(path.times_ns, moment.time_ns)), len(along) - 1)
-                if moment.name in ("max_q", "burnout", "apogee", "impact", "control_lost", "diverged", "tumble"):
-                    _label(profile, along[k], altitude[k], f"{moment.name.replace('_', ' ')} {moment.time_s:.1f} s")
-                    _label(above, east[k], north[k], moment.name.replace("_", " "))
+                _point(profile, along[k], altitude[k], moment.label)
+                _point(above, east[k], north[k], moment.name.replace("_", " "))
     profile.set(xlabel="horizontal distance from the site (km)", ylabel="altitude (km)", title="profile")
     above.set(xlabel="east of the site (km)", ylabel="north of the site (km)", title="from above")
     above.set_aspect("equal", adjustable="datalim")
     above.plot([0], [0], "s", color=BLACK, markersize=4)
-    if not many or any("label" in _look(f, reference, many) for f in flights):
-        profile.legend(loc="lower center") if profile.get_legend_handles_labels()[0] else None
+    if profile.get_legend_handles_labels()[0]:
+        profile.legend(loc="lower center")
     return figure
 
 
-def _powered_part(place: Axes, flight: ReplayFlight, ns: IntArray, x: Array, y: Array, many: bool) -> None:
-    if "thrust_N" not in flight.log or many:
-        return
-    thrust = np.interp(ns, flight.log.time_ns("thrust_N"), flight.log["thrust_N"])
-    burning = thrust > 0.0
-    place.plot(
-        np.where(burning, x, np.nan), np.where(burning, y, np.nan), color=RED, linewidth=2.6, label="under thrust"
-    )
-
-
-def _label(place: Axes, x: float, y: float, text: str) -> None:
+def _point(place: Axes, x: float, y: float, text: str) -> None:
     place.plot([x], [y], "o", color=GREY, markersize=3.5, zorder=4)
     place.annotate(text, (x, y), (5, 4), textcoords="offset points", fontsize=7.5)
 
 
-def _altitude(flights: Sequence[ReplayFlight], reference: ReplayFlight) -> Any:
-    figure, places = _figure(1, 3, 4.6, _title("Over altitude, going up", flights, reference))
-    many = len(flights) > 1
-    for flight in flights:
+def _altitude(shown: Flights) -> Figure:
+    figure, places = _figure("Over altitude, going up", shown, 1, 3, 3.7)
+    for flight in shown.all:
         log = flight.log
         apogee = flight.moment("apogee")
         rising = slice(0, int(np.searchsorted(log.time_ns("altitude_m"), apogee.time_ns)) if apogee else None)
         height = log["altitude_m"][rising] / 1000.0
-        look = _look(flight, reference, many)
-        places[0, 0].plot(log["dynamic_pressure_Pa"][rising] / 1000.0, height, **look)
-        places[0, 1].plot(log["mach"][rising], height, **look)
-        if "wind_N_north_mps" in log:
-            for k, (axis, label) in enumerate((("north", "to north"), ("east", "to east"))):
-                more = {**look, "label": label} if flight is reference else look
-                if not many:
-                    more = {**curve_look(k), "label": label}
-                else:
-                    more = {**more, "linestyle": curve_look(k)["linestyle"]}
-                places[0, 2].plot(log[f"wind_N_{axis}_mps"][rising], height, **more)
-    for place, label in zip(places[0], ("dynamic pressure (kPa)", "Mach number (1)", "wind (m/s)"), strict=True):
+        look = shown.look(flight)
+        places[0].plot(log["dynamic_pressure_Pa"][rising] / 1000.0, height, **look)
+        places[1].plot(log["mach"][rising], height, **look)
+        for k, axis in enumerate(("north", "east") if "wind_N_north_mps" in log else ()):
+            own = look | {"linestyle": look_of(k)["linestyle"]} if shown.many else look_of(k)
+            label = f"to {axis}" if flight is shown.reference else None
+            places[2].plot(log[f"wind_N_{axis}_mps"][rising], height, **(own | {"label": label}))
+    for place, label in zip(places, ("dynamic pressure (kPa)", "Mach number (1)", "wind (m/s)"), strict=True):
         place.set(xlabel=label, ylabel="altitude (km)")
-    places[0, 2].legend(loc="best")
+    if places[2].get_legend_handles_labels()[0]:
+        places[2].legend(loc="best")
     return figure
 
 
-def _phase_plane(flights: Sequence[ReplayFlight], reference: ReplayFlight) -> Any:
-    axes = ("pitch", "yaw", "roll")
-    figure, places = _figure(1, 3, 3.4, _title("Phase planes under thrust", flights, reference))
-    many = len(flights) > 1
-    for flight in flights:
-        ns = flight.log.time_ns("error_pitch_deg")
-        end = int(np.searchsorted(ns, _burn_end(flight) * 1e9))
-        for place, axis in zip(places[0], axes, strict=True):
+def _phase_plane(shown: Flights) -> Figure:
+    figure, places = _figure("Phase planes under thrust", shown, 1, 3, 2.5)
+    for place, axis in zip(places, AXES, strict=True):
+        for flight in shown.all:
+            end = int(np.searchsorted(flight.log.time_ns("error_pitch_deg"), flight.burn_end_s * 1e9))
             k = slice(0, end, max(1, end // 6000))
             error, rate = flight.log[f"error_{axis}_deg"][k], flight.log[f"body_{axis}_rate_degps"][k]
-            place.plot(error, rate, **{**_look(flight, reference, many), "linewidth": 0.7})
-    for place, axis in zip(places[0], axes, strict=True):
+            place.plot(error, rate, **(shown.look(flight) | {"linewidth": 0.7}))
         place.set(xlabel=f"{axis} error (deg)", ylabel=f"{axis} rate (deg/s)", title=axis)
         place.axhline(0.0, color=GREY, linewidth=0.6)
         place.axvline(0.0, color=GREY, linewidth=0.6)
     return figure
 
 
-def _spectra(channels: Sequence[tuple[str, str]], flight: ReplayFlight) -> Any:
+def _spectra(channels: Sequence[str], flight: ReplayFlight) -> Figure:
     """Amplitude over time and frequency, from overlapping windows of 2 s: where bending, slosh and loop live."""
-    figure, places = _figure(
-        len(channels), 1, 0.8 + 1.9 * len(channels), _title("Spectra under thrust", [flight], flight)
-    )
-    start, end = flight.span_s[0], _burn_end(flight)
-    for place, (channel, label) in zip(places[:, 0], channels, strict=True):
-        time_s, hertz, decibel = spectrogram(flight.log.time_ns(channel) / 1e9, flight.log[channel], start, end)
-        if not len(time_s):
+    figure, places = _figure("Spectra under thrust", Flights([flight], flight), len(channels), 1, 1.9)
+    for place, channel in zip(places, channels, strict=True):
+        time_s, values = flight.log.time_ns(channel) / 1e9, flight.log[channel]
+        times, hertz, decibel = spectrogram(time_s, values, flight.span_s[0], flight.burn_end_s)
+        if not len(times):
             continue
+        high = float(np.nanmax(decibel))
         image = place.pcolormesh(
-            time_s, hertz, decibel.T, cmap="cividis", shading="nearest", rasterized=True,
-            vmin=max(float(np.nanmax(decibel)) + _FLOOR_DB, float(np.nanmin(decibel))), vmax=float(np.nanmax(decibel)),
+            times, hertz, decibel, cmap="cividis", shading="nearest", rasterized=True,
+            vmin=max(high + _FLOOR_DB, float(np.nanmin(decibel))), vmax=high,
         )  # fmt: skip
-        place.set(ylabel="frequency (Hz)", title=f"{label}: amplitude, dB re 1 {flight.log.channel(channel).unit}")
+        unit = flight.log.channel(channel).unit
+        place.set(ylabel="frequency (Hz)", title=f"{_SPECTRA[channel]}: amplitude, dB re 1 {unit}")
         place.set_ylim(0.0, min(_HIGHEST_HZ, float(hertz[-1])))
         place.grid(False)
         figure.colorbar(image, ax=place, label="dB", pad=0.01)
-    places[-1, 0].set_xlabel("time (s)")
+    places[-1].set_xlabel("time (s)")
     return figure
 
 
 def spectrogram(time_s: Array, values: Array, start: float, end: float) -> tuple[Array, Array, Array]:
-    """Middle times (n,), frequencies (m,) and amplitudes (n, m) in dB of windows of 2 s that overlap by three quarters.
+    """Middle times (n,), frequencies (m,) and amplitudes (m, n) in dB of windows of 2 s that overlap by three quarters.
 
     A sine of amplitude 1 reads 0 dB (Hann window, trend taken out).
     """
     inside = (time_s >= start) & (time_s <= end) & np.isfinite(values)
     time_s, values = time_s[inside], values[inside]
-    if len(time_s) < 16:
-        return np.zeros(0), np.zeros(0), np.zeros((0, 0))
-    step = float(np.median(np.diff(time_s)))
+    step = float(np.median(np.diff(time_s))) if len(time_s) > 16 else np.inf
     length = round(_WINDOW_S / step)
     starts = np.arange(0, len(values) - length, max(length // 4, 1))
-    if not len(starts):
+    if not length or not len(starts):
         return np.zeros(0), np.zeros(0), np.zeros((0, 0))
+    pieces = detrend(values[starts[:, None] + np.arange(length)])
     window = np.hanning(length)
-    ramp = np.linspace(-1.0, 1.0, length)
-    pieces = values[starts[:, None] + np.arange(length)]
-    pieces = pieces - pieces.mean(axis=1, keepdims=True)
-    pieces = pieces - (pieces @ ramp / (ramp @ ramp))[:, None] * ramp
     amplitude = 2.0 * np.abs(np.fft.rfft(pieces * window, axis=1)) / window.sum()
-    hertz = np.fft.rfftfreq(length, step)
+    hertz = np.asarray(np.fft.rfftfreq(length, step), float)
     keep = hertz <= _HIGHEST_HZ
-    with np.errstate(divide="ignore"):
-        decibel = 20.0 * np.log10(np.maximum(amplitude[:, keep], 1e-12))
-    return time_s[starts + length // 2], np.asarray(hertz[keep], float), np.asarray(decibel)
+    decibel = np.asarray(20.0 * np.log10(np.maximum(amplitude[:, keep], 1e-12)), float)
+    return time_s[starts + length // 2], hertz[keep], decibel.T
 
 
-def _margins(flights: Sequence[ReplayFlight], reference: ReplayFlight) -> Any:
+def _requirements(shown: Flights) -> Figure:
     """Each requirement as a bar: how much of what is allowed was used."""
-    names = [r.name for r in reference.requirements]
-    figure, places = _figure(1, 1, 0.9 + 0.32 * max(len(names), 3), _title("Requirements", flights, reference))
-    place = places[0, 0]
-    many = len(flights) > 1
+    names = [r.name for r in shown.reference.requirements]
+    figure, (place,) = _figure("Requirements", shown, 1, 1, 0.32 * max(len(names), 3))
     widest = 1.2
     for row, name in enumerate(names):
-        for flight in flights:
+        for flight in shown.all:
             r = next((r for r in flight.requirements if r.name == name), None)
             if r is None or r.value is None:
                 continue
-            used = _used(r.value, r.limit, r.minimum)
-            widest = max(widest, min(used, 3.0) * 1.1)
+            used = min(_used(r.value, r), _MOST_USED)
+            widest = max(widest, used * 1.1)
             colour = GREEN if r.met else RED
-            if many:
-                place.plot([min(used, 3.0)], [row], "|", color=BLACK if flight is reference else colour, markersize=11)
-            else:
-                place.barh(
-                    row, min(used, 3.0), color=colour, height=0.62, hatch=None if r.met else "//", edgecolor="white"
-                )
-                bound = r.limit if r.limit is not None else r.minimum
-                unit = "" if r.unit == "1" else f" {r.unit}"
-                place.annotate(
-                    f"{plain(r.value)} of {bound:g}{unit}",
-                    (min(used, 3.0), row), (4, 0), textcoords="offset points", va="center", fontsize=7.5,
-                )  # fmt: skip
+            if shown.many:
+                colour = BLACK if flight is shown.reference else colour
+                place.plot([used], [row], "|", color=colour, markersize=11)
+                continue
+            place.barh(row, used, color=colour, height=0.62, hatch=None if r.met else "//", edgecolor="white")
+            text = f"{plain(r.value)} of {r.bound:g}{'' if r.unit == '1' else f' {r.unit}'}"
+            place.annotate(text, (used, row), (4, 0), textcoords="offset points", va="center", fontsize=7.5)
     place.axvline(1.0, color=LIMIT, linewidth=1.2)
     place.set_yticks(range(len(names)), names)
     place.invert_yaxis()
     place.set_xlim(0.0, widest + 0.35)
-    place.set_xlabel("share of what is allowed (1)" + (f"; black: {reference.label}" if many else ""))
+    place.set_xlabel("share of what is allowed (1)" + (f"; black: {shown.reference.label}" if shown.many else ""))
     place.grid(axis="y", visible=False)
     return figure
 
 
-def _used(value: float, limit: float | None, minimum: float | None) -> float:
-    if limit is not None:
-        return 0.0 if limit == 0.0 and value == 0.0 else abs(value / limit) if limit else 3.0
-    return abs(minimum / value) if minimum and value else 3.0
-
-
-def _burn_end(flight: ReplayFlight) -> float:
-    moment = flight.moment("burnout")
-    return moment.time_s if moment is not None else flight.span_s[1]
+def _used(value: float, r: Requirement) -> float:
+    if r.kind == "minimum":
+        return abs(r.bound / value) if r.bound and value else _MOST_USED
+    if r.bound == 0.0:
+        return 0.0 if value == 0.0 else _MOST_USED
+    return abs(value / r.bound)

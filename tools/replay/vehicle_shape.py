@@ -2,7 +2,8 @@
 
 Length and diameter, the gimbal, the nozzle's exit, the tanks with their levels and the places of nose and fins stand in
 the file. What it does not say is filled in: a tangent ogive whose length puts the nose's centre of pressure where the
-file has it, and four trapezoidal fins of customary proportions about the station where the fins' force acts.
+file has it, and four trapezoidal fins of customary proportions about the station where the fins' force
+acts. Bending is mode shapes times modal coordinates, drawn larger than life.
 """
 
 from __future__ import annotations
@@ -13,11 +14,17 @@ from dataclasses import dataclass
 import numpy as np
 
 from maxq.control.kernel.records import Array
+from maxq.sim.flight.channels import ChannelTable
 from maxq.sim.scenario.modes import ModeTable
 from maxq.sim.scenario.schema_aero import AeroSurface
 from maxq.sim.scenario.schema_vehicle import Stage, Vehicle
+from maxq.tools.replay.decimate import Rows, every
+from maxq.tools.replay.flight import Channels
 
 PIECES = 16  # of the body, each straight: enough for the third bending mode
+PLANES = ("pitch", "yaw")
+_LARGEST = 0.35  # of the diameter: how far the automatic factor lets the body bend
+_STEEPEST_DEG = 25.0  # how far the automatic factor lets a surface tilt
 
 
 @dataclass(frozen=True)
@@ -55,12 +62,11 @@ class EngineShape:
 class StageShape:
     """The part of the body that is dropped at the end of this stage, and what it holds.
 
-    `profile` lists (station, radius) from the front to the end. `modes`: pitch and yaw, on the stage clock, of the
-    whole vehicle while this stage flies.
+    `profile` (n, 2) lists station and radius from the front to the end. `modes`: pitch and yaw, on the stage clock, of
+    the whole vehicle while this stage flies.
     """
 
-    name: str
-    profile: tuple[tuple[float, float], ...]
+    profile: Array
     tanks: tuple[TankShape, ...]
     fins: Fins | None
     engine: EngineShape | None
@@ -70,11 +76,11 @@ class StageShape:
 
     @property
     def front_m(self) -> float:
-        return self.profile[0][0]
+        return float(self.profile[0, 0])
 
     @property
     def end_m(self) -> float:
-        return self.profile[-1][0]
+        return float(self.profile[-1, 0])
 
 
 @dataclass(frozen=True)
@@ -85,8 +91,7 @@ class VehicleShape:
 
     def joints(self, stage: int) -> Array:
         """Stations at which the body that flies in a stage is cut into straight pieces."""
-        start, end = 0.0, self.stages[stage].end_m
-        return np.linspace(start, end, PIECES + 1)
+        return np.linspace(0.0, self.stages[stage].end_m, PIECES + 1)
 
 
 def shape_of(vehicle: Vehicle) -> VehicleShape:
@@ -101,19 +106,16 @@ def shape_of(vehicle: Vehicle) -> VehicleShape:
     stages = []
     for k, stage in enumerate(vehicle.stage):
         front = ends[k + 1] if k + 1 < len(ends) else 0.0
-        profile = _body(nose, radius, front, ends[k])
+        bending, gyro, engine = stage.bending, stage.gyro, stage.engine
         stages.append(
             StageShape(
-                name=stage.name or str(k + 1),
-                profile=profile,
+                profile=_body(nose, radius, front, ends[k]),
                 tanks=tuple(_tank(stage, i, radius) for i in range(len(stage.tank))),
                 fins=_fins(stage, radius, ends[k]),
                 engine=_engine(stage),
-                modes=(
-                    (stage.bending.pitch_modes, stage.bending.yaw_modes) if stage.bending is not None else (None, None)
-                ),
-                gyro_station_m=stage.gyro.station_m if stage.gyro is not None else None,
-                clock_factor=stage.engine.mass_flow_factor if stage.engine is not None else 1.0,
+                modes=(bending.pitch_modes, bending.yaw_modes) if bending is not None else (None, None),
+                gyro_station_m=gyro.station_m if gyro is not None else None,
+                clock_factor=engine.mass_flow_factor if engine is not None else 1.0,
             )
         )
     return VehicleShape(length, 2.0 * radius, tuple(stages))
@@ -132,7 +134,8 @@ def _surface(stage: Stage, part: str) -> AeroSurface | None:
     return next((s for s in surfaces if part in s.name.lower()), None)
 
 
-def _nose(stage: Stage, radius: float, end: float) -> tuple[tuple[float, float], ...]:
+def _nose(stage: Stage, radius: float, end: float) -> Array:
+    """Stations and radii (n, 2) of a tangent ogive."""
     surface = _surface(stage, "nose")
     length = 1.5 * float(np.median(surface.table["station_m"])) if surface is not None else 5.0 * radius
     length = min(max(length, radius), 0.5 * end)
@@ -141,18 +144,17 @@ def _nose(stage: Stage, radius: float, end: float) -> tuple[tuple[float, float],
     rho = (radius * radius + length * length) / (2.0 * radius)
     stations = length * (1.0 - np.cos(np.linspace(0.0, 0.5 * math.pi, 14)))
     radii = np.sqrt(np.maximum(rho * rho - (length - stations) ** 2, 0.0)) + radius - rho
-    return tuple((float(s), max(float(r), 0.0)) for s, r in zip(stations, radii, strict=True))
+    return np.stack([stations, np.maximum(radii, 0.0)], axis=1)
 
 
-def _body(
-    nose: tuple[tuple[float, float], ...], radius: float, front: float, end: float
-) -> tuple[tuple[float, float], ...]:
+def _body(nose: Array, radius: float, front: float, end: float) -> Array:
     if front > 0.0:
-        return ((front, radius), (end, radius))
+        return np.array([[front, radius], [end, radius]])
+    tail = np.array([[end, radius]])
     if end <= 4.0 * radius:  # the ball: the nose at both ends
-        tail = tuple((end - s, r) for s, r in reversed(nose))
-        return (*nose, *(point for point in tail if point[0] > nose[-1][0]))
-    return (*nose, (end, radius))
+        tail = nose[::-1] * [-1.0, 1.0] + [end, 0.0]
+        tail = tail[tail[:, 0] > nose[-1, 0]]
+    return np.concatenate([nose, tail])
 
 
 def _tank(stage: Stage, i: int, body_radius: float) -> TankShape:
@@ -186,3 +188,104 @@ def _engine(stage: Stage) -> EngineShape | None:
     length = max(engine.exit_station_m - engine.gimbal_station_m, 0.1)
     exit_radius = math.sqrt(engine.exit_area_m2 / math.pi) if engine.exit_area_m2 > 0.0 else 0.3 * length
     return EngineShape(engine.gimbal_station_m, engine.gimbal_station_m + length, exit_radius)
+
+
+# -- bending and slosh ---------------------------------------------------------------------------------------------
+def modal_coordinates(channels: Channels, plane: str, at: Rows | slice = slice(None)) -> Array:
+    """Displacement coordinates (n, modes) of a plane, nan (a stage with fewer modes) as zero."""
+    names = [name for name in channels.table.names if name.startswith(f"eta_{plane}_") and name.endswith("_m")]
+    if not names:
+        return np.zeros((0, 0))
+    return np.nan_to_num(np.stack([channels[name][at] for name in names], axis=1))
+
+
+def shapes_at(table: ModeTable, clock_s: Array, stations_m: Array, column: str = "phi") -> Array:
+    """Mode shapes (n, modes, stations), or their slopes, at stage times (n,) and stations; linear between the rows."""
+    values: Array = getattr(table, column)
+    place = np.clip(stations_m, table.station_m[0], table.station_m[-1])
+    k = np.clip(np.searchsorted(table.station_m, place) - 1, 0, len(table.station_m) - 2)
+    part = (place - table.station_m[k]) / (table.station_m[k + 1] - table.station_m[k])
+    along = values[:, :, k] * (1.0 - part) + values[:, :, k + 1] * part
+    if len(table.time_s) == 1:
+        return np.broadcast_to(along[0], (len(clock_s), *along.shape[1:]))
+    now = np.clip(clock_s, table.time_s[0], table.time_s[-1])
+    t = np.clip(np.searchsorted(table.time_s, now) - 1, 0, len(table.time_s) - 2)
+    share = ((now - table.time_s[t]) / (table.time_s[t + 1] - table.time_s[t]))[:, None, None]
+    return np.asarray(along[t] * (1.0 - share) + along[t + 1] * share)
+
+
+def bent_line(
+    stage: StageShape, clock_s: Array, pitch: Array, yaw: Array, stations_m: Array, column: str = "phi"
+) -> Array:
+    """Displacement (n, stations, 2) of the axis along body y and z, true to scale; with `slope_pm` its slope."""
+    out = np.zeros((len(clock_s), len(stations_m), 2))
+    for axis, (table, eta) in enumerate(zip(reversed(stage.modes), (yaw, pitch), strict=True)):
+        if table is not None and eta.shape[1:] and eta.shape[1] >= table.modes:
+            shapes = shapes_at(table, clock_s, stations_m, column)
+            out[:, :, axis] = np.einsum("nm,nms->ns", eta[:, : table.modes], shapes)
+    return out
+
+
+def nice_factor(largest_m: float, wanted_m: float, most: float = 1e6) -> float:
+    """The largest of 1, 2, 5, 10, 20, ... that keeps `largest_m` times it below `wanted_m`; 1 for no bending at all."""
+    if not np.isfinite(largest_m) or largest_m <= 0.0 or largest_m >= wanted_m:
+        return 1.0
+    exact = min(wanted_m / largest_m, most)
+    power = 10.0 ** np.floor(np.log10(exact))
+    return float(power * max(step for step in (1.0, 2.0, 5.0) if step * power <= exact * (1 + 1e-12)))
+
+
+@dataclass(frozen=True)
+class Exaggeration:
+    """Factors by which bending and slosh angles are drawn larger, and the most that bending is drawn, m."""
+
+    bending: float
+    slosh: float
+    most_m: float
+
+    def text(self, table: ChannelTable) -> str:
+        """The factors in a few words, of what the vehicle has."""
+        factors = (("eta_", "bending", self.bending), ("slosh_", "slosh", self.slosh))
+        has = [(what, x) for start, what, x in factors if any(name.startswith(start) for name in table.names)]
+        return ", ".join(f"{what} x{x:g}" for what, x in has)
+
+
+def exaggeration_of(
+    channels: Channels, shape: VehicleShape | None, bending: float | None = None, slosh: float | None = None
+) -> Exaggeration:
+    """Factors as asked for, or so that the largest deflection and tilt of the flight can be seen."""
+    diameter = shape.diameter_m if shape is not None else 1.0
+    if bending is None:
+        bending = nice_factor(_largest_bending_m(channels, shape), _LARGEST * diameter)
+    if slosh is None:
+        slosh = min(nice_factor(_largest_slosh_deg(channels), _STEEPEST_DEG), 10.0)
+    return Exaggeration(bending, slosh, 1.5 * diameter)
+
+
+def _largest_bending_m(channels: Channels, shape: VehicleShape | None) -> float:
+    """Over all stations, at 100 Hz."""
+    name = next((name for name in channels.table.names if name.startswith("eta_")), None)
+    if shape is None or name is None:
+        return 0.0
+    ns = channels.time_ns(name)
+    k = every(ns, 10_000_000)
+    stage = shape.stages[0]
+    pitch, yaw = (modal_coordinates(channels, plane, k) for plane in PLANES)
+    bent = bent_line(stage, ns[k] / 1e9 * stage.clock_factor, pitch, yaw, shape.joints(0)[::3])
+    return float(np.abs(bent).max(initial=0.0))
+
+
+def _largest_slosh_deg(channels: Channels) -> float:
+    """The largest pendulum angle under thrust: without it a pendulum hangs anywhere."""
+    end_ns = None
+    if "thrust_N" in channels:
+        burning_ns = channels.time_ns("thrust_N")[channels["thrust_N"] > 0.0]
+        end_ns = burning_ns[-1] if len(burning_ns) else None
+    largest = 0.0
+    for name in channels.table.names:
+        if name.startswith("slosh_") and name.endswith(("_pitch_deg", "_yaw_deg")):
+            values = np.abs(channels[name])
+            if end_ns is not None:
+                values = values[channels.time_ns(name) <= end_ns]
+            largest = max(largest, float(np.nanmax(values, initial=0.0)))
+    return largest

@@ -1,36 +1,51 @@
 """The Rerun viewer as a program of its own: on the desktop, in a browser, or without any display.
 
 It listens on 127.0.0.1 only and reports nothing to anyone: it is run with a configuration folder of our own, in which
-its collection of usage data is switched off.
+its collection of usage data is switched off. A viewer without a window that outlives its command would hold memory and
+a port unseen. `finally` ends it as a rule, but not after SIGKILL: there Linux kills the child. On other systems a
+parent that is killed outright leaves its child.
 """
 
 from __future__ import annotations
 
 import contextlib
+import ctypes
 import functools
+import http.client
 import importlib.util
 import os
+import signal
 import socket
 import subprocess
 import sys
 import tempfile
+import threading
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
-from types import TracebackType
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
-from maxq.tools.replay.error import ReplayError
-from maxq.tools.replay.viewer_process import bound_process, end, run_bound
-from maxq.tools.replay.web_page import LOCAL, LocalPage
+from maxq.tools.cli.frame import CommandError
 
 if TYPE_CHECKING:
     from rerun.experimental import ViewerClient
 
+LOCAL = "127.0.0.1"
 WINDOW = "1920x1080"
-_START_S, _STEADY_S = 30.0, 120.0
+_START_S, _STEADY_S, _END_S = 30.0, 120.0, 5.0
 _LAYOUTS, _LAYOUT_S = 10, 0.02
 _INSTALL = "pip install 'rerun-sdk==0.41.*'"
+_NO_DRIVER = (
+    "no driver to draw with; where there is no graphics card, install software Vulkan "
+    "(Debian, Ubuntu: apt install mesa-vulkan-drivers)"
+)
+_SET_PARENT_DEATH_SIGNAL = 1  # PR_SET_PDEATHSIG of <linux/prctl.h>
+_KEPT_HEADERS = ("content-type", "content-encoding", "cache-control", "etag")
+
+
+class ReplayError(CommandError):
+    """Nothing can be shown; the text says why and what can be done."""
 
 
 def executable() -> Path:
@@ -45,14 +60,24 @@ def executable() -> Path:
 
 
 def environment() -> dict[str, str]:
-    """Environment of the viewer: no usage data, no chatter, a run-time folder even where there is none."""
+    """Environment of the viewer: no usage data, no log output, a run-time folder even where there is none.
+
+    Raises ReplayError where the viewer cannot be run.
+    """
     env = dict(os.environ)
     env.setdefault("RUST_LOG", "error")
     if sys.platform.startswith("linux"):
         if not env.get("XDG_RUNTIME_DIR"):
             env["XDG_RUNTIME_DIR"] = tempfile.gettempdir()
         env["XDG_CONFIG_HOME"] = str(_own_config())
-    _switch_off_analytics(env)
+    done = Path(env.get("XDG_CONFIG_HOME", tempfile.gettempdir())) / "rerun" / "analytics.json"
+    if done.is_file() and '"analytics_enabled": false' in done.read_text(encoding="utf-8"):
+        return env
+    command = [str(executable()), "analytics", "disable"]
+    try:
+        subprocess.run(command, env=env, check=False, timeout=10, capture_output=True)
+    except (OSError, subprocess.TimeoutExpired) as error:
+        raise ReplayError(f"the Rerun viewer cannot be run: {error}") from error
     return env
 
 
@@ -65,17 +90,6 @@ def _own_config() -> Path:
     except OSError:
         folder = Path(tempfile.mkdtemp(prefix="maxq-viewer-"))
     return folder
-
-
-def _switch_off_analytics(env: dict[str, str]) -> None:
-    done = Path(env.get("XDG_CONFIG_HOME", tempfile.gettempdir())) / "rerun" / "analytics.json"
-    if done.is_file() and '"analytics_enabled": false' in done.read_text(encoding="utf-8"):
-        return
-    command = [str(executable()), "analytics", "disable"]
-    try:
-        subprocess.run(command, env=env, check=False, timeout=10, capture_output=True)
-    except (OSError, subprocess.TimeoutExpired) as error:
-        raise ReplayError(f"the Rerun viewer cannot be run: {error}") from error
 
 
 def port_is_free(port: int) -> bool:
@@ -112,42 +126,45 @@ def check_display() -> None:
         )
 
 
-def show(rrd: Path) -> int:
-    """Open a recording in a window and wait until it is closed; returns the viewer's exit code."""
-    command = [str(executable()), str(rrd), "--bind", LOCAL, "--port", str(free_port())]
-    return run_bound([*command, "--hide-welcome-screen"], environment())
+# -- processes -------------------------------------------------------------------------------------------------------
+def _bind_to(parent: int) -> Callable[[], None] | None:
+    """What a child does between fork and exec; prctl is looked up before, since little is safe there."""
+    if not sys.platform.startswith("linux"):
+        return None
+    prctl = ctypes.CDLL(None, use_errno=True).prctl
 
+    def bind() -> None:
+        prctl(_SET_PARENT_DEATH_SIGNAL, signal.SIGKILL)
+        if os.getppid() != parent:  # it has died in between
+            os._exit(1)
 
-def window(port: int) -> subprocess.Popen[bytes]:
-    """A window that waits for a flight on `port`; it stays open when we are gone. Raises ReplayError."""
-    command = [str(executable()), "--bind", LOCAL, "--port", str(port), "--hide-welcome-screen", "--expect-data-soon"]
-    process = subprocess.Popen(
-        command, env=environment(), stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, start_new_session=True
-    )
-    _wait_for(process, port)
-    return process
+    return bind
 
 
 @contextlib.contextmanager
-def served(rrd: Path, port: int) -> Iterator[tuple[subprocess.Popen[bytes], str]]:
-    """Serve a recording to browsers of this machine; gives the server, which answers already, and the address.
+def _viewer(*options: str, quiet: bool = True) -> Iterator[subprocess.Popen[bytes]]:
+    """A viewer with these options, ended with the block, the calling thread or its process.
 
-    Raises ReplayError where it cannot be started.
+    `quiet`: its stderr can be read; else what it says goes where ours goes. Raises ReplayError, OSError.
     """
-    grpc, inner = free_port(), free_port()
-    command = [str(executable()), str(rrd), "--serve-web", "--bind", LOCAL]
-    command += ["--web-viewer-port", str(inner), "--port", str(grpc)]
-    server = bound_process(command, environment())
-    page = None
+    process = subprocess.Popen(
+        [str(executable()), *options, "--bind", LOCAL],
+        env=environment(),
+        stdout=subprocess.DEVNULL if quiet else None,
+        stderr=subprocess.PIPE if quiet else None,
+        preexec_fn=_bind_to(os.getpid()),  # noqa: PLW1509  # it calls C only and takes no lock
+    )
     try:
-        _wait_for(server, inner)
-        _wait_for(server, grpc)
-        page = LocalPage(port, inner, grpc)
-        yield server, f"http://{LOCAL}:{port}/?url=rerun%2Bhttp%3A%2F%2F{LOCAL}%3A{grpc}%2Fproxy"
+        yield process
     finally:
-        if page is not None:
-            page.close()
-        end(server)
+        process.terminate()
+        try:
+            process.wait(timeout=_END_S)
+        except subprocess.TimeoutExpired:
+            process.kill()
+            process.wait()
+        if process.stderr is not None:
+            process.stderr.close()
 
 
 def _wait_for(process: subprocess.Popen[bytes], port: int) -> None:
@@ -169,61 +186,128 @@ def _last_words(process: subprocess.Popen[bytes]) -> str:
     if "wgpu" in said or "adapter" in said.lower() or "graphics" in said.lower():
         return _NO_DRIVER
     lines = [line.strip() for line in said.splitlines() if line.strip()]
-    error = next((line for line in lines if line.startswith("Error:")), lines[-1] if lines else "without a word")
+    error = next((line for line in lines if line.startswith("Error:")), lines[-1] if lines else "without a message")
     return error[:300]
 
 
-_NO_DRIVER = (
-    "no driver to draw with; where there is no graphics card, install software Vulkan "
-    "(Debian, Ubuntu: apt install mesa-vulkan-drivers)"
-)
+# -- ways to show something ------------------------------------------------------------------------------------------
+def show(rrd: Path) -> None:
+    """Open a recording in a window and wait until it is closed. Raises ReplayError where the viewer fails."""
+    with _viewer(str(rrd), "--port", str(free_port()), "--hide-welcome-screen", quiet=False) as process:
+        if code := process.wait():
+            raise ReplayError(f"the Rerun viewer ended with code {code}; --web or --screenshot may do instead")
 
 
-class Headless:
-    """A viewer without a window. It starts at once, and beside whatever the caller does before `client`.
+def listening(port: int | None) -> int | None:
+    """`port`, on which a viewer listens; None where a window is wanted and there is a display for it.
 
-    Ends with its block, and with the thread that made it. Raises ReplayError where it cannot run.
+    Raises ReplayError otherwise.
     """
+    if port is None:
+        executable()
+        check_display()
+    elif port_is_free(port):
+        raise ReplayError(f"no viewer listens on port {port} of {LOCAL}")
+    return port
 
-    def __init__(self, window: str = WINDOW) -> None:
-        self._port = free_port()
-        command = [str(executable()), "--headless", "--bind", LOCAL, "--port", str(self._port)]
-        command += ["--window-size", window, "--hide-welcome-screen"]
-        self._process = bound_process(command, environment())
 
-    def __enter__(self) -> Headless:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        try:
-            if isinstance(error, RuntimeError | ConnectionError | TimeoutError):
-                raise self._explained(error) from error
-        finally:
-            end(self._process)
-
-    @functools.cached_property
-    def client(self) -> ViewerClient:
-        """Drives it; waits until it answers."""
-        from rerun.experimental import ViewerClient  # noqa: PLC0415  # lazy: a quarter of a second
-
-        _wait_for(self._process, self._port)
-        return ViewerClient.connect(f"rerun+http://{LOCAL}:{self._port}/proxy")
-
-    def _explained(self, error: BaseException) -> ReplayError:
-        with contextlib.suppress(subprocess.TimeoutExpired):
-            self._process.wait(timeout=2)  # the connection breaks before the program has ended
-        if self._process.returncode is not None:
-            return ReplayError(f"the Rerun viewer has stopped: {_last_words(self._process)}")
-        return ReplayError(f"the Rerun viewer does not do as it is told: {error}")
+def window(port: int) -> subprocess.Popen[bytes]:
+    """A window that waits for a flight on `port`; it stays open when we are gone. Raises ReplayError."""
+    command = [str(executable()), "--bind", LOCAL, "--port", str(port), "--hide-welcome-screen", "--expect-data-soon"]
+    process = subprocess.Popen(
+        command, env=environment(), stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, start_new_session=True
+    )
+    _wait_for(process, port)
+    return process
 
 
 @contextlib.contextmanager
-def headless(window: str = WINDOW) -> Iterator[ViewerClient]:
-    """A viewer without a window, to be driven. Raises ReplayError where it cannot run."""
-    with Headless(window) as viewer:
-        yield viewer.client
+def served(rrd: Path, port: int) -> Iterator[tuple[subprocess.Popen[bytes], str]]:
+    """Serve a recording to browsers of this machine; gives the server, which answers already, and the address.
+
+    Raises ReplayError where it cannot be started.
+    """
+    grpc, inner = free_port(), free_port()
+    options = ("--serve-web", "--web-viewer-port", str(inner), "--port", str(grpc))
+    with _viewer(str(rrd), *options) as server:
+        _wait_for(server, inner)
+        _wait_for(server, grpc)
+        with _local_page(port, inner, grpc):
+            yield server, f"http://{LOCAL}:{port}/?url=rerun%2Bhttp%3A%2F%2F{LOCAL}%3A{grpc}%2Fproxy"
+
+
+@contextlib.contextmanager
+def _local_page(port: int, inner_port: int, grpc_port: int) -> Iterator[None]:
+    """A server on `port` that passes on the page of the viewer's server on `inner_port`, for this machine alone.
+
+    The viewer's own page asks other machines for a font and tells its makers that it was opened. Here it is sent with
+    a content security policy: it may run the viewer it came with, and fetch the flight from its server.
+    """
+    here = "'self' data: blob:"
+    policy = (
+        f"default-src {here}; script-src {here} 'unsafe-inline' 'wasm-unsafe-eval'; style-src {here} 'unsafe-inline'; "
+        f"connect-src {here} http://{LOCAL}:{grpc_port}"
+    )
+
+    class Handler(BaseHTTPRequestHandler):
+        def do_GET(self) -> None:
+            connection = http.client.HTTPConnection(LOCAL, inner_port, timeout=30)
+            try:
+                connection.request("GET", self.path, headers={"Accept-Encoding": "identity"})
+                answer = connection.getresponse()
+                body = answer.read()
+            except OSError:
+                self.send_error(502, "the viewer's server does not answer")
+                return
+            finally:
+                connection.close()
+            self.send_response(answer.status)
+            for name, value in answer.getheaders():
+                if name.lower() in _KEPT_HEADERS:
+                    self.send_header(name, value)
+            self.send_header("Content-Length", str(len(body)))
+            self.send_header("Content-Security-Policy", policy)
+            self.send_header("Referrer-Policy", "no-referrer")
+            self.end_headers()
+            self.wfile.write(body)
+
+        def log_message(self, format: str, *args: Any) -> None:  # its name in the base class
+            """Say nothing."""
+
+    with ThreadingHTTPServer((LOCAL, port), Handler) as server:
+        server.daemon_threads = True
+        threading.Thread(target=server.serve_forever, name="page", daemon=True).start()
+        try:
+            yield
+        finally:
+            server.shutdown()
+
+
+@contextlib.contextmanager
+def headless(window: str = WINDOW) -> Iterator[Callable[[], ViewerClient]]:
+    """A viewer without a window. It starts at once; what is given drives it, and waits until it answers.
+
+    Ends with its block, and with the thread that made it. Raises ReplayError where it cannot run.
+    """
+    port = free_port()
+    options = ("--headless", "--port", str(port), "--window-size", window, "--hide-welcome-screen")
+    with _viewer(*options) as process:
+
+        @functools.cache
+        def client() -> ViewerClient:
+            from rerun.experimental import ViewerClient  # noqa: PLC0415  # lazy: a quarter of a second
+
+            _wait_for(process, port)
+            return ViewerClient.connect(f"rerun+http://{LOCAL}:{port}/proxy")
+
+        try:
+            yield client
+        except (RuntimeError, ConnectionError, TimeoutError) as error:
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                process.wait(timeout=2)  # the connection breaks before the program has ended
+            if process.returncode is not None:
+                raise ReplayError(f"the Rerun viewer has stopped: {_last_words(process)}") from error
+            raise ReplayError(f"the Rerun viewer does not answer as expected: {error}") from error
 
 
 def steady_picture(viewer: ViewerClient, view_id: str | None = None) -> bytes:
@@ -261,9 +345,8 @@ def open_whole(viewer: ViewerClient, rrd: Path) -> None:
     raise ReplayError("the viewer does not finish loading")
 
 
-def pictures(viewer: Headless, rrd: Path, times_s: Sequence[float]) -> tuple[list[bytes], list[str]]:
+def pictures(client: ViewerClient, rrd: Path, times_s: Sequence[float]) -> tuple[list[bytes], list[str]]:
     """Pictures (PNG) of the whole window at these times, and what views complained of."""
-    client = viewer.client
     open_whole(client, rrd)
     shots, complaints = [], []
     for time_s in times_s:

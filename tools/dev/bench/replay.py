@@ -100,7 +100,8 @@ def _picture(rrd: Path, time_s: float) -> dict[str, float]:
     from maxq.tools.replay import viewer  # noqa: PLC0415  # loads rerun
 
     start = time.perf_counter()
-    with viewer.headless() as client:
+    with viewer.headless() as connected:
+        client = connected()
         viewer.open_whole(client, rrd)
         client.set_time("sim_time", duration=time_s, play_state="paused")
         viewer.steady_picture(client)
@@ -121,7 +122,7 @@ def _picture(rrd: Path, time_s: float) -> dict[str, float]:
 
 def measure() -> dict[str, Any]:
     """All figures; what cannot be measured here is left out with the reason."""
-    from maxq.tools.replay.error import ReplayError  # noqa: PLC0415  # lazy
+    from maxq.tools.replay.viewer import ReplayError  # noqa: PLC0415  # lazy
 
     folder = Path(tempfile.mkdtemp(prefix="maxq-bench-"))
     try:

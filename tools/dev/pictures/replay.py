@@ -15,8 +15,8 @@ from PIL import Image
 
 from maxq.tools import simrun
 from maxq.tools.replay import viewer
-from maxq.tools.replay.collect import open_flights
 from maxq.tools.replay.convert import Options, save
+from maxq.tools.replay.flight import open_flights
 from maxq.tools.replay.log_layout import TIMELINE, send_layout
 from maxq.tools.replay.sheets import write_sheets
 
@@ -59,8 +59,8 @@ def main() -> int:
         for flights, time_s, tab, picture in SHOTS:
             opened, _ = open_flights([str(folder / flight) for flight in flights])
             save(opened, Options(tab=tab, side_by_side=True), folder / "shot.rrd")
-            with viewer.Headless() as running:
-                shots, complaints = viewer.pictures(running, folder / "shot.rrd", [time_s])
+            with viewer.headless() as client:
+                shots, complaints = viewer.pictures(client(), folder / "shot.rrd", [time_s])
             assert not complaints, complaints
             _keep(shots[0], target / f"{picture}.png")
         _as_rerun_shows_it(folder / "lost" / "flight.mcap", target)
@@ -74,7 +74,8 @@ def main() -> int:
 
 def _as_rerun_shows_it(log: Path, target: Path) -> None:
     """A log opened without us: as it is, and once it has been told what to plot."""
-    with viewer.headless() as client:
+    with viewer.headless() as start:
+        client = start()
         viewer.open_whole(client, log)
         for picture in ("rerun-alone", "rerun-laid-out"):
             if picture == "rerun-laid-out":

@@ -3,28 +3,22 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 
-from maxq.control.kernel.records import Array, IntArray
+from maxq.control.kernel.records import Array
 from maxq.sim.flight.channels import ChannelTable
+from maxq.sim.log.foxglove import FramePath
+from maxq.sim.packing.environment import pack_earth
 from maxq.sim.run import launch_frames
 from maxq.sim.run.launch_frames import ENU_NED, LaunchFrames
 from maxq.sim.scenario.schema_environment import Site
 from maxq.sim.world.earth import FLAT, Earth, wgs84
-from maxq.tools.replay.flight import Channels
+from maxq.tools.replay.flight import Channels, ReplayFlight, launch_of
 
-NEEDED = tuple(f"r_E_{a}_m" for a in "xyz") + tuple(f"q_BI_{c}" for c in "wxyz")
-
-
-@dataclass(frozen=True)
-class Path3D:
-    """Motion: `times_ns` (n,), `position_m` (n, 3) of the core CG, `rotation` (n, 4) from B to ENU, scalar first."""
-
-    times_ns: IntArray
-    position_m: Array
-    rotation: Array
+FAR_KM = 20.0
+"""A flight that begins farther from its site than this is shown in the axes of the place where it begins."""
+_NEEDED = tuple(f"r_E_{a}_m" for a in "xyz") + tuple(f"q_BI_{c}" for c in "wxyz")
 
 
 class LaunchSite(launch_frames.LaunchSite):
@@ -66,48 +60,35 @@ class LaunchSite(launch_frames.LaunchSite):
         return np.stack([east_m, north_m, -drop], axis=1)
 
 
-FAR_KM = 20.0
-"""A flight that begins farther from its site than this is shown in the axes of the place where it begins."""
+def place_of(flight: ReplayFlight) -> LaunchSite:
+    """The launch site's frame of a logged flight."""
+    earth, site = launch_of(flight.log)
+    return launch_site(pack_earth(earth), site, flight.log)
 
 
-def launch_site(earth: Earth | None, site: Site, start_deg: tuple[float, float] | None = None) -> LaunchSite:
-    """The frame to draw in; `earth`: None for WGS-84; `start_deg`: latitude and longitude of the first sample."""
+def launch_site(earth: Earth | None, site: Site, channels: Channels) -> LaunchSite:
+    """The frame to draw in; `earth`: None for WGS-84; `channels` say where the flight begins."""
     earth = earth or wgs84()
-    if start_deg is None or earth.figure == FLAT:
+    if earth.figure == FLAT or "latitude_deg" not in channels or not len(channels["latitude_deg"]):
         return LaunchSite(earth, site)
-    north = start_deg[0] - site.latitude_deg
-    east = (start_deg[1] - site.longitude_deg + 180.0) % 360.0 - 180.0
-    east *= math.cos(math.radians(site.latitude_deg))
+    start = float(channels["latitude_deg"][0]), float(channels["longitude_deg"][0])
+    north = start[0] - site.latitude_deg
+    east = ((start[1] - site.longitude_deg + 180.0) % 360.0 - 180.0) * math.cos(math.radians(site.latitude_deg))
     if 111.0 * math.hypot(north, east) < FAR_KM:
         return LaunchSite(earth, site)
-    moved = site.model_copy(update={"latitude_deg": start_deg[0], "longitude_deg": start_deg[1], "altitude_m": 0.0})
+    moved = site.model_copy(update={"latitude_deg": start[0], "longitude_deg": start[1], "altitude_m": 0.0})
     return LaunchSite(earth, moved, moved=True)
 
 
-def first_place(channels: Channels) -> tuple[float, float] | None:
-    """Latitude and longitude of the first sample, deg."""
-    if "latitude_deg" not in channels or not len(channels["latitude_deg"]):
-        return None
-    return float(channels["latitude_deg"][0]), float(channels["longitude_deg"][0])
-
-
-def path_of(channels: Channels, frames: LaunchFrames) -> Path3D:
+def path_of(channels: Channels, frames: LaunchFrames) -> FramePath:
     """The motion in a log or block; `frames` picks the poses and remembers where it was."""
     table = channels.table
-    group = table.topic(NEEDED[0]).group
-    rows = np.zeros((len(channels.time_ns(NEEDED[0])), len(table.columns(group))))
-    for name in NEEDED:
+    times_ns = channels.time_ns(_NEEDED[0])
+    rows = np.zeros((len(times_ns), len(table.columns(table.topic(_NEEDED[0]).group))))
+    for name in _NEEDED:
         rows[:, table.index(name)] = channels[name]
-    path = frames.path(channels.time_ns(NEEDED[0]), rows)
-    return Path3D(path.times_ns, path.translation_m, path.rotation)
+    return frames.path(times_ns, rows)
 
 
 def has_motion(channels: Channels) -> bool:
-    return all(name in channels for name in NEEDED)
-
-
-def turned(rotation: Array, v_B: Array) -> Array:
-    """Vectors (n, 3) in B, turned by unit quaternions (n, 4), scalar first."""
-    w, u = rotation[:, :1], rotation[:, 1:]
-    t = 2.0 * np.cross(u, v_B)
-    return np.asarray(v_B + w * t + np.cross(u, t))
+    return all(name in channels for name in _NEEDED)

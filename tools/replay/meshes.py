@@ -1,0 +1,238 @@
+"""Triangle meshes of a vehicle's parts, cut into pieces that bend: skin, ribs, tanks, fins, nozzle, liquids.
+
+Metres; axis x points to the nose, as in B.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import rerun as rr
+from numpy.typing import NDArray
+
+from maxq.control.kernel.records import Array
+from maxq.tools.plots.palette import ORANGE, SKY, rgba
+from maxq.tools.replay.vehicle_shape import StageShape, TankShape, VehicleShape
+
+SIDES = 24
+_SKIN, _WALL, _METAL, _LIQUIDS = [236, 240, 246, 58], [190, 200, 215, 40], [96, 100, 110, 255], (SKY, ORANGE)
+_FIN, _RIB = [150, 156, 166, 255], [120, 128, 140, 255]
+
+
+@dataclass(frozen=True)
+class Mesh:
+    """`vertices` (n, 3) float32, `triangles` (m, 3) and `normals` (n, 3) that point outwards."""
+
+    vertices: NDArray[np.float32]
+    triangles: NDArray[np.uint32]
+    normals: NDArray[np.float32]
+
+
+def circle(sides: int = SIDES) -> Array:
+    """Unit circle in the y-z plane (sides, 2)."""
+    angle = np.linspace(0.0, 2.0 * np.pi, sides, endpoint=False)
+    return np.stack([np.cos(angle), np.sin(angle)], axis=1)
+
+
+def revolved(profile: Sequence[tuple[float, float]], sides: int = SIDES) -> Mesh:
+    """A surface of revolution about x; `profile` lists (x, radius) from one end to the other."""
+    x, radius = np.array(profile, float).T
+    ring = circle(sides)
+    rows = len(x)
+    points = np.empty((rows, sides, 3))
+    points[:, :, 0] = x[:, None]
+    points[:, :, 1:] = radius[:, None, None] * ring
+    return with_normals(points.reshape(-1, 3), _strip_triangles(rows, sides))
+
+
+def _strip_triangles(rows: int, sides: int) -> NDArray[np.uint32]:
+    i, j = np.meshgrid(np.arange(rows - 1), np.arange(sides), indexing="ij")
+    a, b = i * sides + j, i * sides + (j + 1) % sides
+    c, d = a + sides, b + sides
+    return np.concatenate([np.stack([a, b, d], -1).reshape(-1, 3), np.stack([a, d, c], -1).reshape(-1, 3)]).astype("u4")
+
+
+def liquid_triangles(sides: int = SIDES) -> NDArray[np.uint32]:
+    """Triangles of `liquid_vertices`: wall, floor and surface of a body of liquid."""
+    wall = _strip_triangles(2, sides)
+    j = np.arange(sides)
+    following = (j + 1) % sides
+    floor = np.stack([np.full(sides, 4 * sides), 2 * sides + following, 2 * sides + j], 1)
+    surface = np.stack([np.full(sides, 4 * sides + 1), 3 * sides + j, 3 * sides + following], 1)
+    return np.concatenate([wall, floor, surface]).astype("u4")
+
+
+def liquid_vertices(floor_x: Array, surface_x: Array, radius: float, tilt: Array, shift: Array) -> NDArray[np.float32]:
+    """Vertices (n, 4 sides + 2, 3) of n states of a liquid in an upright cylinder.
+
+    `floor_x`, `surface_x` (n,): heights on the axis; `tilt` (n, 2): rise of the surface per metre along y and z;
+    `shift` (n, 2, 2): displacement in y and z of the floor and of the surface (bending). The surface does not go below
+    the floor. The rings of the wall and those of floor and surface are separate, so that edges look like edges.
+    """
+    ring = radius * circle()
+    n, sides = len(floor_x), len(ring)
+    out = np.empty((n, 4 * sides + 2, 3), np.float32)
+    top = np.maximum(surface_x[:, None] + tilt @ ring.T, floor_x[:, None])
+    low = np.broadcast_to(floor_x[:, None], top.shape)
+    for part, (x, end) in enumerate(((low, 0), (top, 1), (low, 0), (top, 1))):
+        here = out[:, part * sides : (part + 1) * sides]
+        here[:, :, 0] = x
+        here[:, :, 1:] = ring[None] + shift[:, None, end]
+    for k, (x, end) in enumerate(((floor_x, 0), (np.maximum(surface_x, floor_x), 1))):
+        out[:, 4 * sides + k, 0] = x
+        out[:, 4 * sides + k, 1:] = shift[:, end]
+    return out
+
+
+def liquid_normals() -> NDArray[np.float32]:
+    """Normals of `liquid_vertices`, for an upright surface."""
+    ring = circle()
+    sides = len(ring)
+    out = np.zeros((4 * sides + 2, 3), np.float32)
+    out[: 2 * sides, 1:] = np.concatenate([ring, ring])
+    out[2 * sides : 3 * sides, 0] = out[4 * sides, 0] = -1.0
+    out[3 * sides : 4 * sides, 0] = out[4 * sides + 1, 0] = 1.0
+    return out
+
+
+def plate(corners: Sequence[tuple[float, float, float]], thickness: float) -> Mesh:
+    """A flat plate with four corners, thickened across its plane."""
+    base = np.array(corners, float)
+    normal = np.cross(base[1] - base[0], base[2] - base[0])
+    normal *= 0.5 * thickness / np.linalg.norm(normal)
+    top, bottom = base + normal, base - normal
+    edges = [[bottom[i], bottom[i - 3], top[i - 3], top[i]] for i in range(4)]
+    points = np.concatenate([top, bottom[::-1], *edges])
+    face = np.array([[0, 1, 2], [0, 2, 3]])
+    return with_normals(points, np.concatenate([face + first for first in range(0, len(points), 4)]))
+
+
+def joined(meshes: Sequence[Mesh]) -> Mesh:
+    """Several meshes as one."""
+    starts = np.cumsum([0, *(len(m.vertices) for m in meshes[:-1])])
+    return Mesh(
+        np.concatenate([m.vertices for m in meshes]),
+        np.concatenate([m.triangles + np.uint32(s) for m, s in zip(meshes, starts, strict=True)]),
+        np.concatenate([m.normals for m in meshes]),
+    )
+
+
+def with_normals(vertices: Array, triangles: NDArray[np.uint32]) -> Mesh:
+    """A mesh whose normals are the means of the adjoining faces'."""
+    a, b, c = (vertices[triangles[:, k]] for k in range(3))
+    faces = np.cross(b - a, c - a)
+    normals = np.zeros_like(vertices)
+    for k in range(3):
+        np.add.at(normals, triangles[:, k], faces)
+    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
+    return Mesh(vertices.astype(np.float32), triangles.astype("u4"), normals.astype(np.float32))
+
+
+# -- a vehicle -----------------------------------------------------------------------------------------------------
+def vehicle_meshes(shape: VehicleShape, number: int) -> list[tuple[str, rr.AsComponents]]:
+    """What the vehicle of a stage is made of, piece by piece, in the coordinates of the pieces.
+
+    Entities are given relative to the stage's.
+    """
+    out: list[tuple[str, rr.AsComponents]] = []
+    flying = shape.stages[number:]
+    for i, (a, b) in enumerate(itertools.pairwise(shape.joints(number))):
+        radii = [(x, radius) for x in (a, b) if (radius := _radius(flying, x)) > 0.0]
+        parts: dict[str, tuple[list[int], Sequence[Mesh | None]]] = {
+            "skin": (_SKIN, [_skin(stage, a, b) for stage in flying]),
+            "rib": (_RIB, [revolved(_ring(x - a, radius), 32) for x, radius in radii]),
+            "tanks": (_WALL, [_tank_wall(tank, a, b) for stage in flying for tank in stage.tanks]),
+            "fins": (_FIN, [fin for stage in flying for fin in _fins(stage, a, b)]),
+        }
+        for name, (colour, meshes) in parts.items():
+            if there := [m for m in meshes if m is not None]:
+                out.append((f"piece_{i:02}/{name}", mesh3d(joined(there), colour)))
+    engine = shape.stages[number].engine
+    if engine is not None:
+        length = engine.exit_station_m - engine.gimbal_station_m
+        out.append(("engine/nozzle", mesh3d(revolved(_bell(length, engine.exit_radius_m)), _METAL)))
+        style = rr.Arrows3D.from_fields(colors=rgba(ORANGE), radii=0.012 * shape.length_m, show_labels=True)
+        out.append(("engine/thrust", style))
+    for k, tank in enumerate(t for stage in flying for t in stage.tanks):
+        body = rr.Mesh3D.from_fields(
+            triangle_indices=liquid_triangles(), vertex_normals=liquid_normals(), albedo_factor=rgba(_LIQUIDS[k % 2])
+        )
+        out.append((f"liquid/{tank.name}", body))
+    return out
+
+
+def mesh3d(body: Mesh, colour: Sequence[int]) -> rr.Mesh3D:
+    """A mesh for the viewer in one colour (RGBA)."""
+    return rr.Mesh3D(
+        vertex_positions=body.vertices,
+        triangle_indices=body.triangles,
+        vertex_normals=body.normals,
+        albedo_factor=colour,
+    )
+
+
+def _radius(stages: Sequence[StageShape], station: float) -> float:
+    for stage in reversed(stages):
+        if stage.front_m <= station <= stage.end_m:
+            return float(np.interp(station, *stage.profile.T))
+    return 0.0
+
+
+def _ring(x: float, radius: float) -> list[tuple[float, float]]:
+    """A thin hoop, so that the bent shape is seen through the skin."""
+    w = 0.02 * radius
+    return [(-x - w, 1.002 * radius), (-x, 1.012 * radius), (-x + w, 1.002 * radius)]
+
+
+def _skin(stage: StageShape, a: float, b: float) -> Mesh | None:
+    """The skin between two stations, in the piece's coordinates (x forward from station a)."""
+    front, end = max(a, stage.front_m), min(b, stage.end_m)
+    if end - front <= 1e-9:
+        return None
+    stations, radii = stage.profile.T
+    inside = stations[(stations > front) & (stations < end)]
+    cuts = np.concatenate([[front], inside, [end]])
+    values = np.interp(cuts, stations, radii)
+    return revolved([(a - s, r) for s, r in zip(cuts[::-1], values[::-1], strict=True)])
+
+
+def _tank_wall(tank: TankShape, a: float, b: float) -> Mesh | None:
+    front, end = max(a, tank.top_station_m), min(b, tank.bottom_station_m)
+    if end - front <= 1e-9:
+        return None
+    parts = [revolved([(a - end, tank.radius_m), (a - front, tank.radius_m)])]
+    for station, here in ((tank.top_station_m, front), (tank.bottom_station_m, end)):
+        if station == here:  # a rim where the tank ends
+            parts.append(revolved([(a - here, 0.0), (a - here, tank.radius_m)]))
+    return joined(parts)
+
+
+def _fins(stage: StageShape, a: float, b: float) -> list[Mesh]:
+    """Fins whose root's middle lies between two stations."""
+    fins = stage.fins
+    if fins is None or not a <= fins.root_station_m + 0.5 * fins.root_chord_m < b:
+        return []
+    corners = (
+        (fins.root_station_m, fins.root_radius_m),
+        (fins.tip_station_m, fins.tip_radius_m),
+        (fins.tip_station_m + fins.tip_chord_m, fins.tip_radius_m),
+        (fins.root_station_m + fins.root_chord_m, fins.root_radius_m),
+    )
+    angles = [2.0 * math.pi * (i + 0.5) / fins.count for i in range(fins.count)]
+    return [
+        plate([(a - x, math.cos(angle) * r, math.sin(angle) * r) for x, r in corners], 0.02 * fins.root_chord_m)
+        for angle in angles
+    ]
+
+
+def _bell(length: float, exit_radius: float) -> list[tuple[float, float]]:
+    """Chamber, throat and bell of a nozzle, from the exit to the gimbal at x = 0."""
+    throat = 0.4 * exit_radius
+    x = np.linspace(-length, -0.35 * length, 8)
+    share = (x + length) / (0.65 * length)
+    bell = [(float(a), float(exit_radius - (exit_radius - throat) * s**2)) for a, s in zip(x, share, strict=True)]
+    return [*bell, (-0.25 * length, 0.62 * exit_radius), (-0.02 * length, 0.62 * exit_radius), (0.0, 0.0)]

@@ -1,0 +1,224 @@
+"""What is sent to a recording over time: curves decimated to their extremes, limits, events and phases.
+
+An entity for each curve of each flight of a campaign, thousands of them, would keep the viewer busy for a minute: the
+curves of many flights are sent as families, an entity for each curve with a line for each flight in it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import pyarrow as pa
+import rerun as rr
+
+from maxq.control.kernel.records import Array, IntArray
+from maxq.sim.log.foxglove import Level
+from maxq.tools.plots.palette import BLUE, GREEN, GREY, LIMIT, ON_DARK, ORANGE, PURPLE, RED, SKY, rgba
+from maxq.tools.replay.decimate import extremes, extremes_on_grid
+from maxq.tools.replay.flight import Channels, Moment
+from maxq.tools.replay.plots import Axis, Curve, Plot, Tab
+
+TIMELINE = "sim_time"
+APPLICATION = "maxq"
+FAMILY = "family"
+"""Root of the curves of many flights."""
+FAMILY_FROM = 20
+"""So many flights, apart from those seen closely, become families."""
+PHASES = {
+    "held down": GREY, "powered": ORANGE, "coasting up": SKY, "falling": BLUE, "control lost": RED,
+    "tumbling": PURPLE, "ended": GREEN,
+}  # fmt: skip
+_BEGUN_BY = {
+    "liftoff": "powered", "ignition": "powered", "burnout": "coasting up", "apogee": "falling",
+    "control_lost": "control lost", "tumble": "tumbling", "impact": "ended", "diverged": "ended",
+}  # fmt: skip
+_WORSE = ("control lost", "tumbling")
+_LEVELS = {
+    Level.DEBUG: "DEBUG", Level.INFO: "INFO", Level.WARNING: "WARN", Level.ERROR: "ERROR", Level.FATAL: "CRITICAL",
+}  # fmt: skip
+_TEETH = 240  # of the hatching over the whole flight
+_MIN_MAX = rr.components.AggregationPolicy.MinMax  # no extreme may be averaged away when the viewer zooms out
+
+
+# -- columns -------------------------------------------------------------------------------------------------------
+def times(times_ns: IntArray) -> list[rr.TimeColumn]:
+    """The time column of `send_columns`."""
+    return [rr.TimeColumn(TIMELINE, duration=times_ns.astype("timedelta64[ns]"))]
+
+
+def set_time(recording: rr.RecordingStream, time_ns: int) -> None:
+    recording.set_time(TIMELINE, duration=np.timedelta64(time_ns, "ns"))
+
+
+def matrices(columns: Array) -> pa.Array:
+    """Matrices (n, 9), column by column, for `Transform3D.columns`, which would convert other forms one by one."""
+    kind = rr.components.TransformMat3x3Batch(np.eye(3)).pa_array.type
+    return pa.FixedSizeListArray.from_arrays(pa.array(columns.astype("f4").ravel()), type=kind)
+
+
+def send_scalars(recording: rr.RecordingStream, entity: str, times_ns: IntArray, values: Array) -> None:
+    recording.send_columns(entity, times(times_ns), rr.Scalars.columns(scalars=values))
+
+
+# -- curves --------------------------------------------------------------------------------------------------------
+@dataclass(frozen=True)
+class Style:
+    """How a flight's curves look: one colour for all of it, or one for each curve (None); a name put before labels."""
+
+    colour: str | None = None
+    prefix: str = ""
+    alpha: float = 1.0
+
+
+def _curves(root: str, tabs: Sequence[Tab]) -> Iterator[tuple[str, int, Plot, Curve]]:
+    """Entity and number of every curve of these tabs."""
+    for tab in tabs:
+        for plot in tab.plots:
+            for i, curve in enumerate(plot.curves):
+                yield f"{root}/plots/{plot.key}/curve_{i + 1}", i, plot, curve
+
+
+def send_styles(recording: rr.RecordingStream, root: str, tabs: Sequence[Tab], style: Style) -> None:
+    """Names and colours."""
+    for entity, i, _, curve in _curves(root, tabs):
+        colour = rgba(style.colour or ON_DARK[i % len(ON_DARK)], style.alpha)
+        lines = rr.SeriesLines(
+            names=style.prefix + curve.label, colors=colour, widths=1.4, aggregation_policy=_MIN_MAX
+        )  # fmt: skip
+        recording.log(entity, lines, static=True)
+
+
+def send_curves(
+    recording: rr.RecordingStream, root: str, tabs: Sequence[Tab], channels: Channels, interval_ns: int
+) -> None:
+    """The samples of a block or of a whole log."""
+    for entity, _, _, curve in _curves(root, tabs):
+        ns, values = curve.values(channels)
+        if len(ns):
+            kept = extremes(ns, values, interval_ns)
+            send_scalars(recording, entity, ns[kept], values[kept])
+
+
+class Family:
+    """Collects the curves of many flights, then sends them.
+
+    Lines of one entity share their times. So every interval gives two rows, a quarter and three quarters into it, of
+    its smallest and its largest value in the order of the trend: no value is changed, but each may stand up to three
+    quarters of an interval aside.
+    """
+
+    def __init__(self, span_s: tuple[float, float], interval_ns: int) -> None:
+        self._interval_ns = interval_ns
+        self._start_ns = round(span_s[0] * 1e9) // interval_ns * interval_ns
+        self._count = (round(span_s[1] * 1e9) - self._start_ns) // interval_ns + 1
+        self._lines: dict[tuple[str, str], list[tuple[str, str, Array]]] = {}
+
+    def add(self, label: str, colour: str, tabs: Sequence[Tab], channels: Channels) -> None:
+        """A flight's curves in these tabs, named after it."""
+        for _, _, plot, curve in _curves("", tabs):
+            ns, values = curve.values(channels)
+            rows = extremes_on_grid(ns, values, self._start_ns, self._interval_ns, self._count)
+            line = f"{label}: {curve.label}", colour, rows.astype("f4")
+            self._lines.setdefault((plot.key, curve.label), []).append(line)
+
+    def send(self, recording: rr.RecordingStream) -> None:
+        """Everything collected; it is forgotten on the way."""
+        row = np.arange(2 * self._count)
+        at = self._start_ns + row // 2 * self._interval_ns + np.where(row % 2, 3, 1) * self._interval_ns // 4
+        for number, key in enumerate(list(self._lines)):
+            names, colours, columns = zip(*self._lines.pop(key), strict=True)
+            entity = f"{FAMILY}/plots/{key[0]}/curve_{number + 1}"
+            style = rr.SeriesLines(
+                names=names,
+                colors=[rgba(colour, 0.5) for colour in colours],
+                widths=[1.2] * len(names),
+                aggregation_policy=_MIN_MAX,
+            )
+            recording.log(entity, style, static=True)
+            values = np.stack(columns, axis=1)
+            some = np.flatnonzero(np.isfinite(values).any(axis=1))
+            send_scalars(recording, entity, at[some], values[some].astype(float))
+
+
+# -- limits --------------------------------------------------------------------------------------------------------
+def limits_root(plot: Plot) -> str:
+    return f"limits/{plot.key}"
+
+
+def send_limits(recording: rr.RecordingStream, plot: Plot, axis: Axis, span_ns: tuple[int, int]) -> None:
+    """A line at each limit and hatching on the forbidden side."""
+    ends = np.array(span_ns, np.int64)
+    along = np.linspace(*span_ns, 2 * _TEETH + 1).astype(np.int64)
+    for i, limit in enumerate(axis.drawn):
+        colour = LIMIT if limit.required else GREY
+        teeth = np.where(np.arange(len(along)) % 2 == 0, limit.value, axis.high if limit.upper else axis.low)
+        line = "line", np.full(2, limit.value), ends, 1.6, 1.0
+        for part, values, at, width, alpha in (line, ("band", teeth, along, 1.0, 0.45)):
+            entity = f"{limits_root(plot)}/limit_{i + 1}/{part}"
+            style = rr.SeriesLines(names=f"limit: {limit.text}", colors=rgba(colour, alpha), widths=width)
+            recording.log(entity, style, static=True)
+            send_scalars(recording, entity, at, values)
+
+
+def send_limit_lines(recording: rr.RecordingStream, plot: Plot, span_ns: tuple[int, int], styled: bool) -> None:
+    """Requirements as lines alone, for a flight under way: between two times, with their style the first time."""
+    for i, limit in enumerate(x for x in plot.limits if x.required):
+        entity = f"{limits_root(plot)}/limit_{i + 1}/line"
+        if styled:
+            recording.log(entity, rr.SeriesLines(names=f"limit: {limit.text}", colors=rgba(LIMIT)), static=True)
+        send_scalars(recording, entity, np.array(span_ns, np.int64), np.full(2, limit.value))
+
+
+# -- events and phases ---------------------------------------------------------------------------------------------
+@dataclass(frozen=True)
+class Phase:
+    """A part of a flight as a person would name it, from `start_ns` on."""
+
+    name: str
+    start_ns: int
+
+
+def first_phase(channels: Channels, start_ns: int) -> Phase:
+    """What a flight begins with, from its first sample."""
+
+    def first(name: str) -> float:
+        return float(channels[name][0]) if name in channels and len(channels[name]) else 0.0
+
+    if first("on_pad") > 0.0:
+        return Phase("held down", start_ns)
+    if first("thrust_N") > 0.0:
+        return Phase("powered", start_ns)
+    return Phase("coasting up" if first("v_N_down_mps") < 0.0 else "falling", start_ns)
+
+
+def phases(first: Phase, moments: Iterable[Moment]) -> list[Phase]:
+    """Phases in order; once control is lost nothing milder is said but the end."""
+    out = [first]
+    for moment in sorted(moments, key=lambda m: m.time_ns):
+        name, now = _BEGUN_BY.get(moment.name), out[-1].name
+        if name is None or name == now or (moment.name == "ignition" and now == "held down"):
+            continue
+        if now in _WORSE and name not in (*_WORSE, "ended"):
+            continue
+        out.append(Phase(name, moment.time_ns))
+    return out
+
+
+def send_events(recording: rr.RecordingStream, root: str, moments: Iterable[Moment]) -> None:
+    for moment in moments:
+        set_time(recording, moment.time_ns)
+        recording.log(f"{root}/events", rr.TextLog(moment.line, level=_LEVELS[moment.level]))
+    recording.reset_time()
+
+
+def send_phases(recording: rr.RecordingStream, root: str, some: Iterable[Phase], *, styled: bool) -> None:
+    """Phases as a band of colours."""
+    if styled:
+        names, colours = list(PHASES), [rgba(colour) for colour in PHASES.values()]
+        recording.log(f"{root}/phase", rr.StateConfiguration(values=names, labels=names, colors=colours), static=True)
+    for phase in some:
+        set_time(recording, phase.start_ns)
+        recording.log(f"{root}/phase", rr.StateChange(state=phase.name))
+    recording.reset_time()

@@ -1,0 +1,190 @@
+"""Flights in words: the page beside the pictures of the viewer, and a glance for a terminal."""
+
+from __future__ import annotations
+
+import shutil
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from maxq.control.kernel.records import Array, IntArray
+from maxq.tools.replay.flight import ReplayFlight, Requirement
+from maxq.tools.replay.launch_site import LaunchSite
+from maxq.tools.replay.plots import Curve, Limit, Plot, tabs_of
+from maxq.tools.replay.vehicle_shape import Exaggeration
+
+_VERDICTS = {"passed": "passed", "failed": "FAILED", "unknown": "no verdict: there is no summary.json beside the log"}
+_BLOCKS, _PLAIN_BLOCKS = "▁▂▃▄▅▆▇█", "_.-=+*%#"
+_NARROWEST, _WIDEST = 20, 100
+
+
+def plain(value: float) -> str:
+    """Four significant digits, without powers of ten."""
+    return f"{value:.0f}" if abs(value) >= 1000.0 else f"{value:.4g}"
+
+
+# -- beside the pictures -------------------------------------------------------------------------------------------
+def about(flights: Sequence[ReplayFlight], drawn: Sequence[str]) -> str:
+    """A Markdown page on one flight or several, which ends with the section `drawn`."""
+    if len(flights) == 1:
+        return "\n".join([*_about_flight(flights[0]), *drawn])
+    lines = [f"# {len(flights)} flights", "", "| flight | outcome | verdict |", "|---|---|---|"]
+    lines += [f"| {f.label} | {f.outcome} at {f.span_s[1]:.1f} s | {f.verdict} |" for f in flights]
+    lines += ["", "Green: passed. Red: failed. Blue: no verdict known. Purple: the nominal.", ""]
+    lines += _notes([f"{f.label}: {note}" for f in flights for note in f.damage])
+    return "\n".join([*lines, *drawn])
+
+
+def _about_flight(flight: ReplayFlight) -> list[str]:
+    data = flight.log.metadata
+    facts = {
+        **{name: data.get(name, "") for name in ("vehicle", "design", "seed")},
+        "T0": data.get("t0_utc", ""),
+        "site": f"{data.get('site_latitude_deg', '?')} N, {data.get('site_longitude_deg', '?')} E",
+        "maxq": f"{data.get('maxq', '?')}, log schema {data.get('schema', '?')}",
+        "log": flight.path.name,
+    }
+    lines = [f"# {flight.label}", "", data.get("description", ""), ""]
+    lines += [f"**Outcome:** {flight.outcome} at {flight.span_s[1]:.1f} s, {_VERDICTS[flight.verdict]}", ""]
+    lines += ["| | |", "|---|---|", *(f"| {name} | {value} |" for name, value in facts.items() if value), ""]
+    lines += _notes(flight.notes)
+    if flight.requirements:
+        lines += ["## Requirements", "", *map(_requirement, flight.requirements), ""]
+    return lines
+
+
+def _notes(notes: Sequence[str]) -> list[str]:
+    return ["## What is missing", "", *(f"- {note}" for note in notes), ""] if notes else []
+
+
+def _requirement(r: Requirement) -> str:
+    bound = f"{r.bound:g} at {'most' if r.kind == 'limit' else 'least'}"
+    unit = "" if r.unit == "1" else f" {r.unit}"
+    value = f"{plain(r.value)}{unit}, " if isinstance(r.value, float | int) else ""
+    met = "" if r.met is None else ": met" if r.met else ": **MISSED**"
+    return f"- {r.name}{met} ({value}{bound})"
+
+
+def drawn_text(exaggeration: Exaggeration, place: LaunchSite | None = None) -> list[str]:
+    """How true the picture is."""
+    moved = ["- Axes: east, north, up where the flight began, which is far from the site."]
+    return [
+        "## How it is drawn",
+        "",
+        f"- Bending is drawn **{exaggeration.bending:g} times** as large as it is, "
+        f"at most {exaggeration.most_m:.2g} m of it.",
+        f"- Slosh angles are drawn **{exaggeration.slosh:g} times** as large; a surface stands across its pendulum.",
+        "- The gimbal's angle, attitude and trajectory are true to scale.",
+        "- Thrust pushes at the nozzle, its length goes by the root of the force. Green: direction of flight over the "
+        "ground. Blue: the wind, a vehicle's length for 60 m/s and for more.",
+        *(moved if place is not None and place.moved else []),
+        "- The ground is drawn under the vehicle; the simulation begins with the CG at the site's altitude.",
+        "- Red, green and blue axes: x, y and z of the body, from its CG.",
+        "- Skin, nose and fins follow the file of the vehicle; what it does not say has customary proportions.",
+        "",
+    ]
+
+
+# -- in a terminal -------------------------------------------------------------------------------------------------
+@dataclass(frozen=True)
+class _Row:
+    """A curve of the summary; `broken`: it goes beyond what the scenario allows, under thrust."""
+
+    name: str
+    ns: IntArray
+    values: Array
+    ends: str
+    broken: bool
+
+
+def summary_text(flight: ReplayFlight, width: int | None = None, ascii_only: bool | None = None) -> str:
+    """Plain text of at most `width` columns (default: the terminal's): events, requirements, the key channels as lines
+    of small blocks."""
+    width = width or shutil.get_terminal_size((100, 24)).columns
+    if ascii_only is None:
+        ascii_only = not _can_print_blocks()
+    rows = _rows(flight)
+    names = max((len(row.name) for row in rows), default=0)
+    numbers = max((len(row.ends) for row in rows), default=0)
+    cells = min(max(width - names - numbers - 6, _NARROWEST), _WIDEST)
+    start, end = flight.span_s
+    span_ns = round(start * 1e9), round(end * 1e9)
+    lines = [f"{flight.label}: {flight.outcome} at {end:.1f} s, {flight.verdict}"]
+    lines += [text] if (text := flight.log.metadata.get("description", "")) else []
+    lines += [*(f"incomplete: {note}" for note in flight.notes)]
+    lines += ["", *(f"  {m.line}" for m in flight.moments), ""]
+    left, right = f"{start:g} s", f"{end:.1f} s"
+    lines.append(f"{'':{names}}  {left}{' ' * max(cells - len(left) - len(right), 1)}{right}")
+    for row in rows:
+        line = sparkline(row.ns, row.values, span_ns, cells, _PLAIN_BLOCKS if ascii_only else _BLOCKS)
+        lines.append(f"{row.name:{names}}  {line}  {row.ends}{' !' if row.broken else ''}")
+    marks = [" "] * cells
+    for moment in flight.moments:
+        cell = int((moment.time_s - start) / max(end - start, 1e-9) * cells)
+        marks[min(max(cell, 0), cells - 1)] = "^"
+    lines.append(f"{'':{names}}  {''.join(marks)}")
+    if any(row.broken for row in rows):
+        lines.append("! goes beyond what the scenario allows")
+    for r in flight.requirements:
+        if r.met is False and r.value is not None:
+            lines.append(f"MISSED {r.name}: {plain(r.value)} instead of {r.bound:g} {r.unit}")
+    return "\n".join("".join(c if c.isprintable() else " " for c in line).rstrip() for line in lines)
+
+
+def _can_print_blocks() -> bool:
+    try:
+        _BLOCKS.encode(getattr(sys.stdout, "encoding", None) or "ascii")
+    except (UnicodeEncodeError, LookupError):
+        return False
+    return True
+
+
+def _rows(flight: ReplayFlight) -> list[_Row]:
+    plots = [plot for tab in tabs_of(flight.log.table, flight.scenario) for plot in tab.plots]
+    rows = [_row(plot, curve, flight) for plot in plots for curve in plot.curves[: plot.glance[0]]]
+    return [row for row in rows if row is not None]
+
+
+def _row(plot: Plot, curve: Curve, flight: ReplayFlight) -> _Row | None:
+    ns, values = curve.values(flight.log)
+    finite = np.isfinite(values)
+    if not finite.any():
+        return None
+    low, high = float(values[finite].min()), float(values[finite].max())
+    least = 1e-9 * max(abs(low), abs(high))
+    ends = " .. ".join(_number(0.0 if abs(x) < least else x) for x in (low, high))
+    burning = values[finite & (ns <= round(flight.burn_end_s * 1e9))]  # requirements are judged under thrust
+    broken = len(burning) > 0 and _is_broken(plot.limits, float(burning.min()), float(burning.max()))
+    return _Row(plot.glance[1].format(curve.label), ns, values, f"{ends} {plot.unit}".rstrip(), broken)
+
+
+def _number(value: float) -> str:
+    size = abs(value)
+    return "0" if size < 1e-12 else f"{value:.0f}" if size >= 1000.0 else f"{value:.3g}"
+
+
+def _is_broken(limits: Sequence[Limit], low: float, high: float) -> bool:
+    return any(high > x.value if x.upper else low < x.value for x in limits if x.required)
+
+
+def sparkline(ns: IntArray, values: Array, span_ns: tuple[int, int], cells: int, blocks: str = _BLOCKS) -> str:
+    """A character for each of `cells` intervals; where it swings, its largest excursion, so that no peak is lost."""
+    finite = np.isfinite(values)
+    if not finite.any():
+        return " " * cells
+    low, high = float(values[finite].min()), float(values[finite].max())
+    middle = float(np.median(values[finite]))
+    place = np.clip((ns - span_ns[0]) * cells // max(span_ns[1] - span_ns[0], 1), 0, cells - 1)
+    out = []
+    for cell in range(cells):
+        here = values[(place == cell) & finite]
+        if not len(here):
+            out.append(" ")
+            continue
+        swings = np.ptp(here) > 0.25 * (high - low)
+        value = float(here[np.argmax(np.abs(here - middle))]) if swings else float(here.mean())
+        share = 0.0 if high <= low else (value - low) / (high - low)
+        out.append(blocks[min(int(share * len(blocks)), len(blocks) - 1)])
+    return "".join(out)
