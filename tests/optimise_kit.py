@@ -9,11 +9,11 @@ import numpy as np
 
 from maxq.control.kernel.records import Array
 from maxq.design.case.read import LoadedCase, read_case
+from maxq.design.laws.pd import PdDesign, PdVariables
 from maxq.design.optimise.plants import Plants
 from maxq.design.optimise.problem import Problem
-from maxq.design.optimise.setup import form_of, make_problem
 from maxq.design.optimise.solution import Solution
-from maxq.design.optimise.solve import nominal_plants, solve
+from maxq.design.optimise.solve import make_problem, nominal_plants, solve
 
 
 @cache
@@ -41,19 +41,31 @@ def solution(*overrides: str) -> Solution:
 
 def problem(*overrides: str, on: Plants | None = None) -> Problem:
     loaded = case(*overrides)
-    return make_problem(loaded.case, all_nodes(loaded.case.loop) if on is None else on, form_of(loaded.case))
+    return make_problem(loaded.case, all_nodes(loaded.case.loop) if on is None else on)
+
+
+def pd(p: Problem) -> PdVariables:
+    """The problem's law."""
+    assert isinstance(p.law, PdVariables)
+    return p.law
+
+
+def designed(s: Solution) -> PdDesign:
+    """The solution's law."""
+    assert isinstance(s.law, PdDesign)
+    return s.law
 
 
 def some_point(p: Problem, seed: int = 0, **_: Any) -> Array:
     """A stable design with mild notches and gains near 1 and 0.45."""
     rng = np.random.default_rng(seed)
     y = []
-    for name in p.loops.filter.names:
+    for name in pd(p).filter.names:
         at = {
             "quadratic[0].zero_hz": np.log(9.5), "quadratic[0].zero_zeta": 0.3, "quadratic[0].pole_hz": np.log(6.0),
             "quadratic[1].zero_hz": np.log(25.0), "quadratic[1].zero_zeta": 0.3, "quadratic[1].pole_hz": np.log(20.0),
         }  # fmt: skip
         y.append(at.get(name, np.log(25.0) if name.endswith("hz") else 0.6))
-    n = p.loops.gains.size // 2
+    n = pd(p).gains.size // 2
     u = np.concatenate([np.full(n, np.log(1.05)), np.full(n, np.log(0.45))])
     return np.concatenate([np.array(y), u]) + 0.01 * rng.standard_normal(p.size)

@@ -11,9 +11,9 @@ from typing import Any
 import pytest
 
 from maxq.design.case import design_file
+from maxq.design.laws.registry import designed_law
 from maxq.sim.api import fly, load_scenario
 from maxq.sim.files import write_whole
-from maxq.sim.packing.computer import bending_filter
 from maxq.sim.scenario.builtin import builtin_files
 from maxq.sim.scenario.schema_design import Design
 from maxq.tools import simdesign
@@ -216,12 +216,9 @@ def test_the_list_names_designs(capsys: Printed) -> None:
 
 def test_a_design_that_is_written_reads_back_the_same_and_flies_the_same() -> None:
     design = default_design()
-    table = design.gains.table
     again = design_file.design_of(
         name=design.name, description=design.description, vehicle=design.vehicle,
-        time_s=table["time_s"], k_p=table["k_p"], k_d_s=table["k_d_s"], flt=bending_filter(design),
-        discretization=design.filter.discretization, prewarp_hz=design.filter.prewarp_hz,
-        roll=design.roll, limits=design.limits,
+        law=designed_law(design), roll=design.roll, limits=design.limits,
     )  # fmt: skip
     assert again == design
     write_whole(Path("again.toml"), design_file.design_text(again, ["a comment", "and one more"]))

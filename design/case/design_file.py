@@ -8,9 +8,7 @@ from typing import Any
 
 import tomli_w
 
-from maxq.control.filters import BendingFilter, Discretization
-from maxq.control.kernel.records import Array
-from maxq.control.laws.structures import structure_of
+from maxq.design.laws.law import DesignedLaw
 from maxq.sim.scenario.builtin import builtin_files
 from maxq.sim.scenario.documents import Source, adopt, plain
 from maxq.sim.scenario.errors import ScenarioError
@@ -46,33 +44,12 @@ def design_of(
     name: str,
     description: str,
     vehicle: str,
-    time_s: Sequence[float] | Array,
-    k_p: Sequence[float] | Array,
-    k_d_s: Sequence[float] | Array,
-    flt: BendingFilter,
-    discretization: Discretization,
-    prewarp_hz: float | None,
+    law: DesignedLaw,
     roll: Roll | None = None,
     limits: Limits | None = None,
 ) -> Design:
     """A design with numbers of nine digits: what is written, judged and flown are the same numbers."""
-    rows = [
-        {"time_s": _rounded(t), "k_p": _rounded(p), "k_d_s": _rounded(d)}
-        for t, p, d in zip(time_s, k_p, k_d_s, strict=True)
-    ]
-    keys = ("zero_hz", "zero_zeta", "pole_hz", "pole_zeta")
-    sections: dict[str, Any] = {
-        "quadratic": [{key: _rounded(getattr(q, key)) for key in keys} for q in flt.quadratic],
-        "first_order": [{key: _rounded(getattr(f, key)) for key in ("zero_hz", "pole_hz")} for f in flt.first_order],
-    }
-    structure = structure_of(len(flt.quadratic), len(flt.first_order))
-    filter_: dict[str, Any] = {"structure": structure, "discretization": discretization} | sections
-    if structure != "none" and prewarp_hz is not None:
-        filter_["prewarp_hz"] = _rounded(prewarp_hz)
-    given: dict[str, Any] = {
-        "schema": 1, "name": name, "description": description, "vehicle": vehicle,
-        "gains": {"table": rows, "yaw": "pitch"}, "filter": filter_,
-    }  # fmt: skip
+    given = {"schema": 1, "name": name, "description": description, "vehicle": vehicle, **_rounded(law.tables())}
     design = Design.model_validate(plain(adopt(given, Source("design"))))
     return design.model_copy(update={"roll": roll, "limits": limits})
 
@@ -99,5 +76,10 @@ def forget_pictures(folder: Path) -> None:
                 path.unlink(missing_ok=True)
 
 
-def _rounded(value: float) -> float:
-    return float(f"{value:.{_DIGITS}g}")
+def _rounded(value: Any) -> Any:
+    """Numbers in tables and lists to nine digits."""
+    if isinstance(value, dict):
+        return {key: _rounded(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_rounded(item) for item in value]
+    return float(f"{value:.{_DIGITS}g}") if isinstance(value, float) else value

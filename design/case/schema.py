@@ -10,12 +10,15 @@ from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
-from maxq.control.laws.structures import MAX_SECTIONS, STRUCTURES
+from maxq.control.laws.structures import MAX_SECTIONS, STRUCTURES, Law
 from maxq.sim.scenario.errors import refuse
 from maxq.sim.scenario.schema_values import NotNegative, Positive, Section, needs, only_with
 
 PAPER_TIMES_S = tuple(float(t) for t in range(5, 60, 5))
 LIMIT_NAMES = Literal["second_mode_db", "filter_gain_at_infinity", "rigid_hz", "rigid_zeta"]
+
+ObjectiveName = Literal["first-mode-peak", "least-margin"]
+"""Keys of `design.optimise.criteria.OBJECTIVES`."""
 
 Range = tuple[float, float]
 Margin = Annotated[float, Field(gt=0.0, le=90.0)]
@@ -116,7 +119,7 @@ class Filter(Section):
 class Objective(Section):
     """What is made best."""
 
-    kind: Literal["first-mode-peak", "least-margin"] = Field(
+    kind: ObjectiveName = Field(
         default="first-mode-peak",
         description="first-mode-peak: least peak of mode 1 over all nodes (42). least-margin: largest of the least "
         "|1 + L|; for plants whose first mode wanders so far that it is better phase-stabilised than notched",
@@ -239,6 +242,7 @@ class Case(Section):
     nodes_s: tuple[float, ...] = Field(
         default=PAPER_TIMES_S, description="vehicle times at which the limits are checked, s"
     )
+    law: Law = Field(default="pd", description="control law; pd: proportional-derivative with a bending filter")
     gains: Gains = Gains()
     filter: Filter = Filter()
     objective: Objective = Objective()

@@ -1,15 +1,31 @@
-"""The bending filter (paper, eqs 37 to 41) as a linear system: state space and poles."""
+"""The bending filter (paper, eqs 37 to 41): its state space and poles, and the filter as a vector of variables.
+
+Each quadratic section brings the variables ln(zero_hz), zero_zeta, ln(pole_hz), pole_zeta, then each first-order
+section ln(zero_hz), ln(pole_hz). In these ln|F(j inf)| is linear, and a trust region means the same everywhere.
+"""
 
 from __future__ import annotations
 
-import numpy as np
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
 
-from maxq.control.filters import BendingFilter, DiscreteFilter
+import numpy as np
+from numpy.typing import NDArray
+
+from maxq.control.filters import BendingFilter, DiscreteFilter, FirstOrderSection, QuadraticSection
 from maxq.control.kernel.records import Array
 from maxq.design.model.state_space import ComplexArray, StateSpace, chain
 
+Pair = tuple[float, float]
 AnyFilter = BendingFilter | DiscreteFilter | None
 """Continuous, discrete at the flight computer's period, or none: 1."""
+
+QUADRATIC, FIRST_ORDER = 4, 2  # variables of a section
+TWO_PI = 2.0 * np.pi
+SPAN = 2.0  # random frequencies lie within this factor squared around the first mode
 
 FASTEST = 1e-6  # |z| below it is a pole that a delay has left out, or as good as
 
@@ -68,3 +84,196 @@ def filter_poles(filter_: AnyFilter) -> ComplexArray:
         for _, q in filter_.polynomials():
             found += list(np.polynomial.polynomial.polyroots(np.trim_zeros(q, "b")).astype(np.complex128))
     return np.array(found, np.complex128)
+
+
+@dataclass(frozen=True)
+class FilterVariables:
+    """Layout of the vector: `quadratic` sections of four variables, then `first_order` of two."""
+
+    quadratic: int
+    first_order: int
+
+    @property
+    def size(self) -> int:
+        return QUADRATIC * self.quadratic + FIRST_ORDER * self.first_order
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        keys = ("zero_hz", "zero_zeta", "pole_hz", "pole_zeta")
+        out = [f"quadratic[{i}].{key}" for i in range(self.quadratic) for key in keys]
+        return (*out, *(f"first_order[{i}].{key}" for i in range(self.first_order) for key in ("zero_hz", "pole_hz")))
+
+    def _coefficients(self, y: Array) -> tuple[Array, Array, Array]:
+        """n1, n2 of every polynomial 1 + n1 s + n2 s^2, (..., polynomials), quadratics first, and their signs.
+
+        The sign is +1 for zeros, -1 for poles. `y` (..., size).
+        """
+        split, lead = QUADRATIC * self.quadratic, y.shape[:-1]
+        q = y[..., :split].reshape(*lead, 2 * self.quadratic, 2)
+        w = TWO_PI * np.exp(q[..., 0])
+        v = TWO_PI * np.exp(y[..., split:])
+        first = np.concatenate([2.0 * q[..., 1] / w, 1.0 / v], axis=-1)
+        second = np.concatenate([w**-2.0, np.zeros(v.shape)], axis=-1)
+        return first, second, self._sign
+
+    @cached_property
+    def _sign(self) -> Array:
+        return np.array([1.0, -1.0] * (self.quadratic + self.first_order))
+
+    def response(self, y: Array, s: ComplexArray) -> ComplexArray:
+        """F, same shape as `s`; `y` (size,)."""
+        first, second, sign = self._coefficients(y)
+        above, below = np.ones_like(s), np.ones_like(s)
+        for a, b, side in zip(first, second, sign, strict=True):
+            polynomial = 1.0 + s * (a + s * b) if b != 0.0 else 1.0 + s * a
+            if side > 0:
+                above *= polynomial
+            else:
+                below *= polynomial
+        return np.asarray(above / below)
+
+    def slopes(self, y: Array, s: ComplexArray) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
+        """ln F (principal sum), and its first and second derivative by s; each (points,).
+
+        `y` (size,), or (points, size) where each point has variables of its own.
+        """
+        first, second, sign = self._coefficients(y)
+        n = 1.0 + s[:, None] * (first + s[:, None] * second)
+        d1 = (first + 2.0 * s[:, None] * second) / n
+        d2 = 2.0 * second / n - d1 * d1
+        return _complex(np.log(n) @ sign), _complex(d1 @ sign), _complex(d2 @ sign)
+
+    def gradient(self, y: Array, s: ComplexArray) -> ComplexArray:
+        """d ln F / d y (points, size); `y` as in `slopes`."""
+        first, second, sign = self._coefficients(y)
+        column = s[:, None]
+        n = 1.0 + column * (first + column * second)
+        linear, square = column * first / n, column * column * second / n
+        out = np.empty((len(s), self.size), complex)
+        k, split = 2 * self.quadratic, QUADRATIC * self.quadratic
+        w = TWO_PI * np.exp(y[..., :split:2])
+        out[:, :split:2] = -sign[:k] * (linear[:, :k] + 2.0 * square[:, :k])
+        out[:, 1:split:2] = sign[:k] * (2.0 * column / w) / n[:, :k]
+        out[:, split:] = -sign[k:] * linear[:, k:]
+        return out
+
+    def log_gain_at_infinity(self) -> Array:
+        """Coefficients (size,) of ln|F(j inf)|, which is linear in the variables."""
+        out = np.zeros(self.size)
+        split = QUADRATIC * self.quadratic
+        out[:split:QUADRATIC], out[2:split:QUADRATIC] = -2.0, 2.0
+        out[split::FIRST_ORDER], out[split + 1 :: FIRST_ORDER] = -1.0, 1.0
+        return out
+
+    def filter(self, y: Array) -> BendingFilter:
+        """The filter that these variables mean."""
+        split = QUADRATIC * self.quadratic
+        q, f = y[:split].reshape(-1, QUADRATIC), np.exp(y[split:].reshape(-1, FIRST_ORDER))
+        return BendingFilter(
+            tuple(QuadraticSection(float(np.exp(r[0])), float(r[1]), float(np.exp(r[2])), float(r[3])) for r in q),
+            tuple(FirstOrderSection(float(r[0]), float(r[1])) for r in f),
+        )
+
+    def variables(self, filter_: BendingFilter) -> Array:
+        """The vector of a filter with these numbers of sections and zeros in the left half plane."""
+        if (len(filter_.quadratic), len(filter_.first_order)) != (self.quadratic, self.first_order):
+            raise ValueError(
+                f"the filter has {len(filter_.quadratic)} quadratic and {len(filter_.first_order)} first-order "
+                f"sections: allowed are {self.quadratic} and {self.first_order}"
+            )
+        parts = [[np.log(q.zero_hz), q.zero_zeta, np.log(q.pole_hz), q.pole_zeta] for q in filter_.quadratic]
+        for i, f in enumerate(filter_.first_order):
+            if f.zero_hz <= 0.0:
+                raise ValueError(f"first_order[{i}].zero_hz = {f.zero_hz}: allowed is a number above 0")
+            parts.append([np.log(f.zero_hz), np.log(f.pole_hz)])
+        return np.array([value for part in parts for value in part])
+
+
+def _complex(values: NDArray[Any]) -> ComplexArray:
+    return np.asarray(values, np.complex128)
+
+
+def laplace_axis(x: Array, sample_s: float | None, prewarp_hz: float | None) -> tuple[ComplexArray, ...]:
+    """s at which the filter's continuous form has the response at x = ln f, and its two derivatives by x.
+
+    A bilinear filter is the continuous one on a warped axis: s = j c tan(pi f T).
+    """
+    if sample_s is None or prewarp_hz is None:
+        s = 2j * np.pi * np.exp(x)
+        return s, s, s
+    c = 2.0 * np.pi * prewarp_hz / math.tan(math.pi * prewarp_hz * sample_s)
+    angle = np.pi * np.exp(x) * sample_s
+    tangent = np.tan(angle)
+    secant = 1.0 + tangent**2
+    rise = c * secant * angle
+    bend = rise * (1.0 + 2.0 * tangent * angle)
+    return (1j * c * tangent).astype(complex), (1j * rise).astype(complex), (1j * bend).astype(complex)
+
+
+def drawn_filters(layout: FilterVariables, mode_hz: float) -> Iterator[BendingFilter]:
+    """Notches at the first mode, with poles below it and lead or lag round it: what optima have come to look like."""
+    lead, lag, mild, roll_off = (0.5, 5.0), (0.3, 0.22), (4.0, 2.0), (1.2, 20.0)
+    notch, shelf = (1.0, 0.1, 0.5, 0.3), (0.65, 0.7, 0.5, 0.3)
+    shapes: tuple[tuple[tuple[tuple[float, ...], ...], tuple[tuple[float, float], ...]], ...] = (
+        # zero, zeta, pole, zeta of the quadratic sections, zero, pole of the first-order ones; relative to the mode
+        ((notch, notch), (lead, lag)),
+        ((notch, shelf), (lead, mild)),
+        ((notch, notch), (roll_off, lag)),
+        (((1.0, 0.12, 0.45, 0.35), (0.95, 1.1, 2.0, 1.0)), (mild, mild)),
+        (((1.0, 0.2, 0.65, 0.3), (2.5, 0.4, 2.0, 0.7)), (lead, lead)),
+    )
+    seen: set[tuple[object, ...]] = set()
+    for quadratic, first_order in shapes:
+        q = [*quadratic, *[(2.0 + k, 0.7, 2.0 + k, 0.7) for k in range(layout.quadratic)]][: layout.quadratic]
+        f = [*first_order, *[(4.0 + k, 4.0 + k) for k in range(layout.first_order)]][: layout.first_order]
+        if (*q, *f) not in seen:
+            seen.add((*q, *f))
+            yield BendingFilter(
+                tuple(QuadraticSection(z * mode_hz, a, p * mode_hz, b) for z, a, p, b in q),
+                tuple(FirstOrderSection(z * mode_hz, p * mode_hz) for z, p in f),
+            )
+
+
+def random_ranges(layout: FilterVariables, lower: Array, upper: Array, mode_hz: float) -> tuple[Array, Array]:
+    """Lower and upper ends of random starts' variables, (2, size) each: everywhere, and like a notch.
+
+    Everywhere: the bounds, but for frequencies farther than `SPAN` squared from the mode. Like a notch: a first
+    section that is a notch at the mode with poles below it; the others lead, lag or notch anywhere. With gains linear
+    in time, every second such start ends in the best valley of F3 to F5, every tenth of the whole bounds.
+    """
+    low, high = lower.copy(), upper.copy()
+    frequency = np.array([name.endswith("_hz") for name in layout.names], bool)
+    centre, reach = math.log(mode_hz), 2.0 * math.log(SPAN)
+    low[frequency] = np.clip(centre - reach, low[frequency], high[frequency])
+    high[frequency] = np.clip(centre + reach, low[frequency], high[frequency])
+
+    def ranges(zero: Pair, zero_zeta: Pair, pole: Pair, pole_zeta: Pair) -> list[Pair]:
+        hz = [tuple(math.log(x * mode_hz) for x in pair) for pair in (zero, pole)]
+        return [(hz[0][0], hz[0][1]), zero_zeta, (hz[1][0], hz[1][1]), pole_zeta]
+
+    notch = ranges((0.9, 1.1), (0.1, 0.3), (0.4, 0.8), (0.3, 0.6))
+    other = ranges((0.5, 3.0), (0.1, 0.8), (0.35, 3.0), (0.3, 1.0))
+    first_order = (math.log(0.2 * mode_hz), math.log(8.0 * mode_hz))
+    sections = [*notch, *other * layout.quadratic][: QUADRATIC * layout.quadratic]
+    likely = np.array([*sections, *[first_order, first_order] * layout.first_order]).reshape(-1, 2).T
+    return np.array([low, high]), likely
+
+
+def lifted(filter_: BendingFilter, layout: FilterVariables, mode_hz: float) -> BendingFilter | None:
+    """The same response from a filter of `layout`: cancelling pairs are added; None where that is not enough.
+
+    A first-order section that has no place becomes a quadratic one with a cancelling pair of its own.
+    """
+    quadratic, first_order = list(filter_.quadratic), list(filter_.first_order)
+    while len(first_order) > layout.first_order and len(quadratic) < layout.quadratic:
+        f = first_order.pop()
+        pair = math.sqrt(f.zero_hz * f.pole_hz)
+        zero, pole = math.sqrt(f.zero_hz * pair), math.sqrt(f.pole_hz * pair)
+        quadratic.append(QuadraticSection(zero, 0.5 * (f.zero_hz + pair) / zero, pole, 0.5 * (f.pole_hz + pair) / pole))
+    while len(quadratic) < layout.quadratic:
+        quadratic.append(QuadraticSection(2.0 * mode_hz, 0.7, 2.0 * mode_hz, 0.7))
+    while len(first_order) < layout.first_order:
+        first_order.append(FirstOrderSection(2.0 * mode_hz, 2.0 * mode_hz))
+    if (len(quadratic), len(first_order)) != (layout.quadratic, layout.first_order):
+        return None
+    return BendingFilter(tuple(quadratic), tuple(first_order))

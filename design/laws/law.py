@@ -21,11 +21,13 @@ and yaw, engines) gives a controller for each plane or engine that is asked for.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Protocol
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any, Protocol
 
 from numpy.typing import ArrayLike
 
+from maxq.control.kernel.records import Array, IntArray
 from maxq.design.model.state_space import ComplexArray, StateSpace
 from maxq.design.model.vehicle_at import Plane
 
@@ -84,4 +86,158 @@ class DesignedLaw(Protocol):
 
     def at(self, time_s: float, plane: Plane, sample_s: float | None) -> Controller:
         """The law at a vehicle time: as the flight computer runs it at the period, or continuous for None."""
+        ...
+
+    def tables(self) -> dict[str, Any]:
+        """What a design file says of the law, as plain tables: keys of the file, such as `gains` and `filter`."""
+        ...
+
+    def record(self) -> dict[str, Any]:
+        """The same for reports, as columns of numbers."""
+        ...
+
+
+Axis = tuple[ComplexArray, ...]
+"""What a law needs of frequencies, in arrays (points,); a law's own choice (`LawVariables.axis`)."""
+
+
+@dataclass(frozen=True)
+class LogResponse:
+    """C_i = exp(common) gains_i at points. `common` (points,) and `gains` (points, inputs), each with its first and
+    second derivative by x = ln f; None: zero.
+    """
+
+    common: tuple[ComplexArray, ComplexArray, ComplexArray]
+    gains: tuple[ComplexArray | Array, ComplexArray | None, ComplexArray | None]
+
+    def term(self, i: int) -> tuple[ComplexArray | Array, ComplexArray | None, ComplexArray | None]:
+        """Those of one input, (points,)."""
+        value, first, second = self.gains
+        return value[:, i], None if first is None else first[:, i], None if second is None else second[:, i]
+
+
+@dataclass(frozen=True)
+class LawLimit:
+    """A limit that belongs to no frequency. `linear`: its gradient by the own parameters is constant."""
+
+    text: str
+    unit: str
+    linear: bool
+
+
+@dataclass(frozen=True)
+class LimitValues:
+    """Limit number `number` of a law at some plants, (rows,): in the limit's own unit, and what it is exceeded by.
+
+    `plant` -1: of the law itself. `gradient` (rows, own parameters) of the excess.
+    """
+
+    number: int
+    plant: IntArray
+    value: Array
+    limit: Array
+    excess_db: Array
+    gradient: Array
+
+
+class LawVariables(Protocol):
+    """Laws of one form as a vector of variables, for all plants of a task.
+
+    At one plant a law has `own` parameters: numbers such as filter frequencies and logarithms of gains, which follow
+    from the variables (the gain schedules at that plant's time). The optimiser differentiates by the own parameters
+    of a plant, and goes on to the variables by `jacobian` and `bend`.
+
+    L must be free of poles in the right half plane that come from the law, and of poles at zero but those of the
+    measurements and `poles_at_zero`; the count of unstable poles relies on it.
+    """
+
+    @property
+    def inputs(self) -> tuple[str, ...]:
+        """Measurements, as of `Controller`; all of them."""
+        ...
+
+    @property
+    def poles_at_zero(self) -> int:
+        """Poles of C at s = 0 (z = 1)."""
+        ...
+
+    @property
+    def limits(self) -> tuple[LawLimit, ...]:
+        """Limits that the law knows of."""
+        ...
+
+    @property
+    def lower(self) -> Array:
+        """Bounds of the variables."""
+        ...
+
+    @property
+    def upper(self) -> Array:
+        """Bounds of the variables."""
+        ...
+
+    @property
+    def own_size(self) -> int:
+        """Number of own parameters."""
+        ...
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Of the variables."""
+        ...
+
+    def own(self, variables: Array) -> Array:
+        """Own parameters of each plant, (plants, own)."""
+        ...
+
+    def jacobian(self, variables: Array) -> Array:
+        """d own / d variables, (plants, own, variables)."""
+        ...
+
+    def bend(self, variables: Array, slopes: Array) -> Array:
+        """Sum of the second derivatives of all own parameters, weighted with `slopes` (plants, own), (size, size)."""
+        ...
+
+    def axis(self, x: Array) -> Axis:
+        """What `response` and `log_response` need of points at x = ln f."""
+        ...
+
+    def response(self, variables: Array, plant: IntArray, axis: Axis) -> tuple[ComplexArray, ComplexArray | Array]:
+        """C on a mesh, as a common factor (points,) and gains (points, inputs); `plant` is each point's."""
+        ...
+
+    def log_response(self, own: Array, axis: Axis) -> LogResponse:
+        """C at points of own parameters (points, own)."""
+        ...
+
+    def gradient(self, own: Array, axis: Axis, weights: ComplexArray) -> ComplexArray:
+        """d ln L / d own, (points, own). `weights` (points, inputs): ratio of measurement i over sum of gains_k P_k."""
+        ...
+
+    def limit_values(self, own: Array) -> list[LimitValues]:
+        """All limits that are asked for, at own parameters (plants, own)."""
+        ...
+
+    def controllers(self, variables: Array) -> list[Controller]:
+        """The law at each plant."""
+        ...
+
+    def designed(self, variables: Array) -> DesignedLaw:
+        """The law of the design file that these variables mean."""
+        ...
+
+    def variables_of(self, law: DesignedLaw) -> Array | None:
+        """Variables of a law that has been designed with as much freedom or less; None where it does not fit."""
+        ...
+
+    def starts(self, count: int, seed: int) -> list[Array]:
+        """Beginnings of the search, the most promising first."""
+        ...
+
+    def leap_size(self, number: int) -> Array:
+        """Standard deviations of the variables for a leap from an optimum; sizes vary from leap to leap."""
+        ...
+
+    def simpler(self) -> tuple[LawVariables, Callable[[Array], Array]] | None:
+        """Laws of fewer variables for rough searches, and how their variables become these; None: not worth it."""
         ...

@@ -4,21 +4,27 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
-from maxq.design.laws.law import DesignedLaw
-from maxq.design.laws.pd import PdDesign
+from maxq.design.laws.law import DesignedLaw, LawVariables
+from maxq.design.laws.pd import PdDesign, PdVariables
+from maxq.design.laws.task import Task
 from maxq.sim.scenario.schema_design import Design
 
 
 @dataclass(frozen=True)
 class LawKind:
-    """`of_design` reads the law from a design file; `frozen` gives the design with the gains of one instant (s)."""
+    """`of_design` reads the law from a design file; `frozen` gives the design with the gains of one instant (s).
+
+    `variables` are those of a task, like others of the same case.
+    """
 
     of_design: Callable[[Design], DesignedLaw]
     frozen: Callable[[Design, float], Design]
+    variables: Callable[[Task, Any], LawVariables]
 
 
-LAWS: dict[str, LawKind] = {"pd": LawKind(PdDesign.of, PdDesign.frozen)}
+LAWS: dict[str, LawKind] = {"pd": LawKind(PdDesign.of, PdDesign.frozen, PdVariables)}
 
 
 def designed_law(design: Design) -> DesignedLaw:

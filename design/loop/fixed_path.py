@@ -49,7 +49,7 @@ class FixedPath(abc.ABC):
             raise ValueError(f"cut = {cut!r}: allowed is {', '.join(CUTS)}")
         self.node, self.cut = node, cut
         self.takes_rate = cut == "gimbal_command"
-        self.measurements = MEASUREMENTS if self.takes_rate else MEASUREMENTS[:1]
+        self.measurements: tuple[str, ...] = MEASUREMENTS if self.takes_rate else MEASUREMENTS[:1]
         ideal = bool(node.actuator.ideal)
         output = "q_radps" if cut == "rate_command_to_q" else "local_rate_radps"
         # an ideal actuator is at rest between commands: the staircase's corners shake nothing

@@ -1,9 +1,9 @@
 """The fixed part of every plant's loop as a smooth curve over frequency, quick to evaluate anywhere.
 
-Peaks, crossings and their gradients are asked for hundreds of times at a few hundred frequencies while gains and
-filter change and the vehicle does not. So the exact response is computed once on a mesh that resolves every
-resonance, and ln P and ln of the integrator are joined by quintic splines over ln f. The mesh is halved wherever the
-spline misses the exact response by more than `TOLERANCE`: 2e-6 dB and 1e-5 deg, far below the 0.01 of the margins.
+Peaks, crossings and their gradients are asked for hundreds of times at a few hundred frequencies while the law changes
+and the vehicle does not. So the exact response is computed once on a mesh that resolves every resonance, and ln P and
+ln of each other measurement over P are joined by quintic splines over ln f. The mesh is halved wherever the spline
+misses the exact response by more than `TOLERANCE`: 2e-6 dB and 1e-5 deg, far below the 0.01 of the margins.
 """
 
 from __future__ import annotations
@@ -22,6 +22,7 @@ from maxq.design.model.state_space import ComplexArray
 
 Indices = NDArray[np.int64]
 
+BASE = "rate_radps"  # the measurement that the fixed path's response is to
 TOLERANCE = 2e-7  # of ln P
 LOWEST_HZ = 1e-5
 HIGHEST_HZ = 200.0  # of a loop that has no Nyquist frequency
@@ -30,26 +31,34 @@ PER_DECADE = 24
 MOST_ROUNDS = 14
 
 
-class FixedPath(Protocol):
-    """All of a loop but gains and filter: L = F (k_p integrator + k_d) response."""
+class Path(Protocol):
+    """All of a loop but its law (design/loop/fixed_path.py): L = response times the sum of C_i ratio_i."""
+
+    measurements: tuple[str, ...]
 
     def response(self, frequencies_hz: Array) -> ComplexArray: ...
 
-    def integrator(self, frequencies_hz: Array) -> ComplexArray: ...
+    def ratio(self, measurement: str, frequencies_hz: Array) -> ComplexArray: ...
 
     def poles(self) -> ComplexArray:
         """rad/s; those of a sampled path at z are log(z) / T."""
         ...
 
 
+Log = tuple[ComplexArray, ComplexArray, ComplexArray]
+
+
 @dataclass(frozen=True)
 class Points:
-    """Places on the curves, (points,), with the derivatives of ln P and ln I by x = ln f."""
+    """Places on the curves, (points,), with value, first and second derivative of logarithms by x = ln f.
+
+    `log_ratio` of each measurement over `BASE`, None for that itself.
+    """
 
     cell: Indices  # number of the mesh interval, over all plants
     x: Array
-    log_path: tuple[ComplexArray, ComplexArray, ComplexArray]  # value, first and second derivative
-    log_integrator: tuple[ComplexArray, ComplexArray, ComplexArray]
+    log_path: Log
+    log_ratio: dict[str, Log | None]
 
 
 class Curves:
@@ -57,7 +66,7 @@ class Curves:
 
     def __init__(
         self,
-        paths: Sequence[FixedPath],
+        paths: Sequence[Path],
         highest_hz: float | None,
         kept_hz: Sequence[Array],
         tolerance: float = TOLERANCE,
@@ -76,10 +85,13 @@ class Curves:
         self.x = np.concatenate([m.x for m in meshes])
         self.frequency_hz = np.exp(self.x)
         self.path = np.concatenate([m.path for m in meshes])
-        self.integrator = np.concatenate([m.integrator for m in meshes])
+        others = meshes[0].ratios
+        self.ratio: dict[str, ComplexArray] = {
+            name: np.concatenate([m.ratios[name] for m in meshes]) for name in others
+        }
         # a mesh of n points has n - 1 intervals: the last column of each plant is never used
         self._coefficients = np.concatenate(
-            [np.concatenate([m.spline.c, np.zeros((6, 1, 4))], axis=1) for m in meshes], axis=1
+            [np.concatenate([m.spline.c, np.zeros((6, 1, 2 + 2 * len(others)))], axis=1) for m in meshes], axis=1
         )
         self._meshes = meshes
 
@@ -87,7 +99,7 @@ class Curves:
     def plants(self) -> int:
         return len(self.sizes)
 
-    def extended(self, paths: Sequence[FixedPath], highest_hz: float | None, kept_hz: Sequence[Array]) -> Curves:
+    def extended(self, paths: Sequence[Path], highest_hz: float | None, kept_hz: Sequence[Array]) -> Curves:
         """These plants and then some more."""
         out = object.__new__(Curves)
         more = [_mesh(path, highest_hz, kept, TOLERANCE) for path, kept in zip(paths, kept_hz, strict=True)]
@@ -110,33 +122,41 @@ class Curves:
         value = ((((c[0] * t + c[1]) * t + c[2]) * t + c[3]) * t + c[4]) * t + c[5]
         first = (((5 * c[0] * t + 4 * c[1]) * t + 3 * c[2]) * t + 2 * c[3]) * t + c[4]
         second = ((20 * c[0] * t + 12 * c[1]) * t + 6 * c[2]) * t + 2 * c[3]
-        columns = (value, first, second)
-        path = tuple(v[:, 0] + 1j * v[:, 1] for v in columns)
-        integrator = tuple(v[:, 2] + 1j * v[:, 3] for v in columns)
-        return Points(cell, x, path, integrator)
+        path, *ratios = (
+            (
+                value[:, k] + 1j * value[:, k + 1],
+                first[:, k] + 1j * first[:, k + 1],
+                second[:, k] + 1j * second[:, k + 1],
+            )
+            for k in range(0, value.shape[1], 2)
+        )
+        return Points(cell, x, path, {BASE: None, **dict(zip(self.ratio, ratios, strict=True))})
 
 
 @dataclass(frozen=True)
 class _Mesh:
     x: Array
     path: ComplexArray
-    integrator: ComplexArray
-    spline: PPoly  # of Re ln P, Im ln P, Re ln I, Im ln I
+    ratios: dict[str, ComplexArray]  # of each measurement but BASE over that
+    spline: PPoly  # of Re ln P, Im ln P, then both of ln of each ratio
 
 
-def _mesh(path: FixedPath, highest_hz: float | None, kept_hz: Array, tolerance: float) -> _Mesh:
+def _mesh(path: Path, highest_hz: float | None, kept_hz: Array, tolerance: float) -> _Mesh:
     top = HIGHEST_HZ if highest_hz is None else highest_hz * NEAREST_NYQUIST
+    names = [name for name in path.measurements if name != BASE]
+
+    def exact(x: Array) -> ComplexArray:
+        """(1 + ratios, points)."""
+        f = np.exp(x)
+        return np.array([path.response(f), *(path.ratio(name, f) for name in names)])
+
     x = np.log(_first_frequencies(path, top, kept_hz))
-    response, integrator = path.response(np.exp(x)), path.integrator(np.exp(x))
+    known = exact(x)
     for _ in range(MOST_ROUNDS):
-        spline = _spline(x, response, integrator)  # as it comes: polynomials are made of the last one only
+        spline = _spline(x, known)  # as it comes: polynomials are made of the last one only
         middle = 0.5 * (x[1:] + x[:-1])
-        exact, exact_integrator = path.response(np.exp(middle)), path.integrator(np.exp(middle))
-        guess = spline(middle)
-        miss = np.maximum(
-            np.abs(np.exp(guess[:, 0] + 1j * guess[:, 1]) / exact - 1.0),
-            np.abs(np.exp(guess[:, 2] + 1j * guess[:, 3]) / exact_integrator - 1.0),
-        )
+        wanted, guess = exact(middle), spline(middle)
+        miss = np.abs(np.exp(guess[:, ::2] + 1j * guess[:, 1::2]).T / wanted - 1.0).max(axis=0)
         bad = ~(miss < tolerance)
         if not bad.any():
             break
@@ -145,27 +165,24 @@ def _mesh(path: FixedPath, highest_hz: float | None, kept_hz: Array, tolerance: 
         spread[1:] |= bad[:-1]
         spread[:-1] |= bad[1:]
         x = np.concatenate([x, middle[spread]])
-        response = np.concatenate([response, exact[spread]])
-        integrator = np.concatenate([integrator, exact_integrator[spread]])
+        known = np.concatenate([known, wanted[:, spread]], axis=1)
         order = np.argsort(x)
-        x, response, integrator = x[order], response[order], integrator[order]
-    spline = _spline(x, response, integrator)
+        x, known = x[order], known[:, order]
+    spline = _spline(x, known)
     # as polynomials of each interval: Taylor coefficients at its left end (BSpline is continuous from the right)
     orders = [spline.derivative(k)(x[:-1]) / math.factorial(k) if k else spline(x[:-1]) for k in range(6)]
-    return _Mesh(x, response, integrator, PPoly(np.stack(orders[::-1]), x))
+    return _Mesh(x, known[0], dict(zip(names, known[1:], strict=True)), PPoly(np.stack(orders[::-1]), x))
 
 
-def _spline(x: Array, response: ComplexArray, integrator: ComplexArray) -> BSpline:
-    if not (np.isfinite(response).all() and np.isfinite(integrator).all()):
+def _spline(x: Array, responses: ComplexArray) -> BSpline:
+    """Of Re ln and Im ln of each row of `responses`, as columns."""
+    if not np.isfinite(responses).all():
         raise ValueError("the response of a plant is not finite")
-    columns = [
-        np.log(np.abs(response)), np.unwrap(np.angle(response)),
-        np.log(np.abs(integrator)), np.unwrap(np.angle(integrator)),
-    ]  # fmt: skip
+    columns = [part for row in responses for part in (np.log(np.abs(row)), np.unwrap(np.angle(row)))]
     return make_interp_spline(x, np.stack(columns, axis=1), k=5)
 
 
-def _first_frequencies(path: FixedPath, top_hz: float, kept_hz: Array) -> Array:
+def _first_frequencies(path: Path, top_hz: float, kept_hz: Array) -> Array:
     """Geometric steps, thickened around every pole that swings."""
     decades = np.log10(top_hz / LOWEST_HZ)
     parts = [np.geomspace(LOWEST_HZ, top_hz, int(decades * PER_DECADE) + 1), np.asarray(kept_hz, float)]

@@ -21,8 +21,8 @@ smooth functions; where the least lies on a corner line, the same formula holds 
 
 from __future__ import annotations
 
-import math
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from enum import IntEnum
 from functools import cached_property
 
@@ -30,16 +30,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from maxq.control.kernel.records import Array
+from maxq.design.laws.law import Axis
+from maxq.design.laws.task import DB
 from maxq.design.model.state_space import ComplexArray
 from maxq.design.optimise.curves import Curves, Indices
 
 Mask = NDArray[np.bool_]
 
-
 REAL_WITHIN_RAD = 0.02
-
-
-DB = 20.0 / math.log(10.0)
+WIDEST_ZONE = 2.5  # approaches to a zone that are rows
 
 
 class Kind(IntEnum):
@@ -79,18 +78,27 @@ class Cross:
 
 @dataclass(frozen=True)
 class LogLoop:
-    """ln L at points, its derivatives by x = ln f, and g = k_p I / (k_p I + k_d)."""
+    """ln L at points, its derivatives by x = ln f, and what the law needs for its gradient there.
+
+    `weights` (points, inputs) as in `LawVariables.gradient`; `own` (points, own parameters).
+    """
 
     value: ComplexArray
     first: ComplexArray
     second: ComplexArray
-    proportional: ComplexArray
-    s: ComplexArray
+    weights: ComplexArray
+    own: Array
+    axis: Axis
 
     def beside(self, change: Array) -> LogLoop:
         """At x + change, for changes so small that nothing but ln L and its slope moves."""
         first = self.first + self.second * change
-        return LogLoop(self.value + 0.5 * (self.first + first) * change, first, self.second, self.proportional, self.s)
+        return replace(self, value=self.value + 0.5 * (self.first + first) * change, first=first)
+
+    def taken(self, i: Indices) -> LogLoop:
+        """Some of the points."""
+        axis = tuple(a[i] for a in self.axis)
+        return LogLoop(self.value[i], self.first[i], self.second[i], self.weights[i], self.own[i], axis)
 
 
 @dataclass(frozen=True)
@@ -119,26 +127,37 @@ class Bands:
     plant: Indices
 
     @cached_property
-    def _points(self) -> tuple[Indices, Indices, Indices, Indices]:
+    def points(self) -> tuple[Indices, Indices, Indices, Indices]:
         """Mesh points of all bands one after the other, their bands, and where each band starts and ends in these."""
         size = self.last - self.first + 1
         end = np.cumsum(size)
         tag = np.repeat(np.arange(len(size)), size)
         return np.arange(int(size.sum())) - (end - size)[tag] + self.first[tag], tag, end - size, end - 1
 
-    def peaks(self, curves: Curves, log_gain: Array) -> Places:
-        """Local maxima of each band: inner ones, and ends from which the curve falls inwards."""
-        k, tag, starts, ends = self._points
-        value = log_gain[k]
-        # beside a band there is nothing: its ends count where the curve falls inwards
-        before, after = np.append(-np.inf, value[:-1]), np.append(value[1:], -np.inf)
-        before[starts], after[ends] = -np.inf, -np.inf
-        found = np.flatnonzero((value > before) & (value >= after))
-        k, tag = k[found], tag[found]
-        inner = (k > self.first[tag]) & (k < self.last[tag])
-        at = curves.x[k]
-        at[inner] = vertex(curves.x, log_gain, k[inner])
-        return Places(np.full(len(k), Kind.PEAK, np.int8), k, at, tag, ~inner)
+
+@dataclass(frozen=True)
+class Mesh:
+    """All loops on the mesh of their curves: what features are searched on.
+
+    `beside`: arg L - 180 deg, rad. `cross` of each mesh point. `finite_at_zero` (plants,): L has no pole at s = 0.
+    """
+
+    curves: Curves
+    bands: Bands
+    loop: ComplexArray
+    cross: Cross
+    finite_at_zero: Mask
+
+    @cached_property
+    def log_gain(self) -> Array:
+        return np.asarray(np.log(np.abs(self.loop) + 1e-300))
+
+    @cached_property
+    def beside(self) -> Array:
+        return np.asarray(np.angle(-self.loop))
+
+
+Search = Callable[[Mesh], Places]
 
 
 def joined(parts: list[Places]) -> Places:
@@ -155,8 +174,25 @@ def _untagged(kind: NDArray[np.int8], cell: Indices, x: Array, fixed: bool = Fal
     return Places(kind, cell, x, np.zeros(len(cell), np.int64), np.full(len(cell), fixed))
 
 
-def crossings(curves: Curves, loop: ComplexArray, log_gain: Array) -> Places:
+def peaks(mesh: Mesh) -> Places:
+    """Local maxima of |L| in each band: inner ones, and ends from which the curve falls inwards."""
+    curves, bands = mesh.curves, mesh.bands
+    k, tag, starts, ends = bands.points
+    value = mesh.log_gain[k]
+    # beside a band there is nothing: its ends count where the curve falls inwards
+    before, after = np.append(-np.inf, value[:-1]), np.append(value[1:], -np.inf)
+    before[starts], after[ends] = -np.inf, -np.inf
+    found = np.flatnonzero((value > before) & (value >= after))
+    k, tag = k[found], tag[found]
+    inner = (k > bands.first[tag]) & (k < bands.last[tag])
+    at = curves.x[k]
+    at[inner] = vertex(curves.x, mesh.log_gain, k[inner])
+    return Places(np.full(len(k), Kind.PEAK, np.int8), k, at, tag, ~inner)
+
+
+def crossings(mesh: Mesh) -> Places:
     """Changes of sign of arg L - 180 deg and of ln|L| between neighbours on the mesh, by linear interpolation."""
+    curves, loop, log_gain = mesh.curves, mesh.loop, mesh.log_gain
     same = curves.plant[1:] == curves.plant[:-1]
     im, re = loop.imag, loop.real
     turned = same & (np.signbit(im[1:]) != np.signbit(im[:-1]))
@@ -174,12 +210,13 @@ def crossings(curves: Curves, loop: ComplexArray, log_gain: Array) -> Places:
     return _untagged(kind, cell, x)
 
 
-def ends(curves: Curves, loop: ComplexArray, finite_at_zero: Mask) -> Places:
+def ends(mesh: Mesh) -> Places:
     """First mesh points of loops that are finite at zero frequency, and last ones, where L points at -1.
 
     There L is real and cannot cross the axis, but a change of gain takes it to -1 all the same.
     """
-    points = np.concatenate([curves.start[:-1][finite_at_zero], curves.start[1:] - 1])
+    curves, loop = mesh.curves, mesh.loop
+    points = np.concatenate([curves.start[:-1][mesh.finite_at_zero], curves.start[1:] - 1])
     k = points[np.abs(np.angle(-loop[points])) < REAL_WITHIN_RAD]
     return _untagged(np.full(len(k), Kind.END, np.int8), k, curves.x[k], True)
 
@@ -205,8 +242,9 @@ def vertex(x: Array, value: Array, k: Indices) -> Array:
     return np.clip(at, x[k - 1], x[k + 1])
 
 
-def turns(curves: Curves, log_gain: Array, beside: Array, cross: Cross) -> Places:
+def turns(mesh: Mesh) -> Places:
     """Extremes that approach the cross |arg - 180| < phase at 0 dB, |ln L| < gain at 180 deg, without crossing it."""
+    curves, log_gain, beside, cross = mesh.curves, mesh.log_gain, mesh.beside, mesh.cross
     kinds, cells, xs = [], [], []
     for sign in (1.0, -1.0):
         k, x = _extremes(curves, log_gain, sign > 0, (sign * log_gain > 0) & (np.abs(beside) < cross.phase))
@@ -222,19 +260,21 @@ def turns(curves: Curves, log_gain: Array, beside: Array, cross: Cross) -> Place
     return _untagged(np.concatenate(kinds).astype(np.int8), np.concatenate(cells), np.concatenate(xs))
 
 
-def nearest(curves: Curves, value: Array, kind: Kind, below: float) -> Places:
-    """Local minima of `value` on the mesh that lie below a level."""
-    k, x = _extremes(curves, value, True, value < below)
-    return _untagged(np.full(len(k), kind, np.int8), k, x)
+def approaches(mesh: Mesh) -> Places:
+    """Local minima of |1 + L| on the mesh that lie below 1."""
+    distance = np.abs(1.0 + mesh.loop)
+    k, x = _extremes(mesh.curves, distance, True, distance < 1.0)
+    return _untagged(np.full(len(k), Kind.MODULUS, np.int8), k, x)
 
 
-def near_zone(curves: Curves, log_gain: Array, beside: Array, cross: Cross, below: float) -> Places:
+def near_zone(mesh: Mesh) -> Places:
     """Local minima of the zone's function: on a face, or for a rectangle where two faces meet.
 
     A diamond's edges lie on the axes of the cross, where the crossings are.
     """
+    curves, log_gain, beside, cross = mesh.curves, mesh.log_gain, mesh.beside, mesh.cross
     value = zone_value(log_gain, beside, cross)
-    k, x = _extremes(curves, value, True, value < below)
+    k, x = _extremes(curves, value, True, value < WIDEST_ZONE)
     if cross.zone == "ellipse":
         return _untagged(np.full(len(k), Kind.ZONE, np.int8), k, x)
     if cross.zone == "diamond":

@@ -1,4 +1,4 @@
-"""Plants for which a design is made: nodes with their fixed paths, bending bands and limits."""
+"""Plants for which a design is made: nodes with their fixed paths, bending bands and stability derivatives."""
 
 from __future__ import annotations
 
@@ -8,14 +8,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from maxq.design.case.schema import Case, MarginLimits
+from maxq.control.kernel.records import Array
+from maxq.design.case.schema import Case
+from maxq.design.laws.task import PlantLimits, Rigid, Task
 from maxq.design.loop.fixed_path import FixedPath, fixed_path
 from maxq.design.model.node import Node
 from maxq.design.model.vehicle_at import stability_derivatives
+from maxq.design.optimise.criteria import OBJECTIVES
 from maxq.design.optimise.curves import TOLERANCE, Curves, Indices
 from maxq.design.optimise.features import Bands
-from maxq.design.optimise.limits import Limits
-from maxq.design.optimise.problem import Rigid, bands_of
+from maxq.design.optimise.problem import bands_of
 
 MODE_BANDS_END = 0.999  # of the Nyquist frequency
 
@@ -37,7 +39,7 @@ class Plant:
         return self.node.label
 
     @property
-    def kept_hz(self) -> np.ndarray:
+    def kept_hz(self) -> Array:
         return np.array([value for band in self.bands_hz for value in band[1:]])
 
 
@@ -52,10 +54,11 @@ def make_plant(node: Node, case: Case, dispersed: bool = False) -> Plant:
         low, high = r.frequency_hz * (1.0 - share), min(r.frequency_hz * (1.0 + share), top)
         if low < high:
             bands.append((r.number, low, high))
-    if case.objective.kind == "first-mode-peak" and not any(mode == 1 for mode, *_ in bands):
+    if OBJECTIVES[case.objective.kind].needs_mode and not any(mode == 1 for mode, *_ in bands):
+        others = " or ".join(f'"{name}"' for name, objective in OBJECTIVES.items() if not objective.needs_mode)
         raise ValueError(
             f"node at {node.time_s:g} s: there is no first bending mode whose peak could be made small; "
-            'allowed is objective.kind = "least-margin"'
+            f"allowed is objective.kind = {others}"
         )
     d = stability_derivatives(node.vehicle, node.condition)
     return Plant(node, path, tuple(bands), d.m_delta_1ps2, d.m_alpha_1ps2, d.m_q_1ps, dispersed)
@@ -73,7 +76,7 @@ class Plants:
         return len(self.each)
 
     @property
-    def times_s(self) -> np.ndarray:
+    def times_s(self) -> Array:
         return np.array([p.node.time_s for p in self.each])
 
     @property
@@ -95,6 +98,13 @@ class Plants:
         low = [band for p in self.each for band in p.bands_hz if band[0] == 1]
         return float(np.mean([0.5 * (a + b) for _, a, b in low])) if low else 10.0
 
+    def task(self, case: Case) -> Task:
+        """What a law is designed for."""
+        off = case.robust.limits if case.robust is not None else case.limits
+        limits = PlantLimits([off if p.dispersed else case.limits for p in self.each])
+        dispersed = np.array([p.dispersed for p in self.each], bool)
+        return Task(case, self.times_s, dispersed, self.rigid, limits, self.sample_s, self.first_mode_hz)
+
     def and_also(self, more: Sequence[Plant]) -> Plants:
         """These plants and some more."""
         curves = self.curves.extended([p.path for p in more], _top(more), [p.kept_hz for p in more])
@@ -113,22 +123,3 @@ def make_plants(plants: Sequence[Plant], tolerance: float = TOLERANCE) -> Plants
         raise ValueError("there is no node to design for")
     curves = Curves([p.path for p in plants], _top(plants), [p.kept_hz for p in plants], tolerance)
     return Plants(tuple(plants), curves, bands_of(curves, [p.bands_hz for p in plants]))
-
-
-def limits_of(given: MarginLimits) -> Limits:
-    """The optimiser's form of a case's limits."""
-
-    def asked(name: str) -> float | None:
-        return None if name in given.without else float(getattr(given, name))
-
-    return Limits(
-        gain_margin_db=given.gain_margin_db,
-        phase_margin_deg=given.phase_margin_deg,
-        modulus_db=given.modulus_db,
-        first_mode_db=given.first_mode_db,
-        second_mode_db=asked("second_mode_db"),
-        higher_modes_db=given.higher_modes_db,
-        first_mode_phase_deg=given.first_mode_phase_deg,
-        rigid_hz=asked("rigid_hz"),
-        rigid_zeta=asked("rigid_zeta"),
-    )

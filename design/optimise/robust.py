@@ -22,9 +22,8 @@ from maxq.design.model.node import Node
 from maxq.design.optimise.plants import Plant, Plants, make_plant, make_plants
 from maxq.design.optimise.problem import Problem
 from maxq.design.optimise.search import Found, Progress, search
-from maxq.design.optimise.setup import form_of, make_problem
 from maxq.design.optimise.solution import Solution
-from maxq.design.optimise.solve import finished, search_form
+from maxq.design.optimise.solve import finished, make_problem, search_best
 
 DEVIATIONS = (
     "bending_frequency", "bending_slope", "slosh_frequency", "slosh_mass", "slosh_damping", "actuator_frequency",
@@ -98,8 +97,7 @@ class _Worst:
     def _score(self, node: Node, ends: tuple[int, ...]) -> float:
         plant = make_plant(deviated(node, self.ranges, ends), self.case, dispersed=True)
         few = make_plants([plant], COARSE)
-        fixed = self.problem.loops.gains.fixed
-        problem = make_problem(self.case, few, form_of(self.case), fixed)
+        problem = make_problem(self.case, few, self.problem.law)
         there = problem.evaluate(self.found.best.variables)
         worse = max(there.objective_db - self.found.best.objective_db, there.violation_db)
         return worse + UNSTABLE_DB * there.unstable
@@ -126,7 +124,7 @@ def solve_robust(
             first.append(make_plant(deviated(node, ranges, ends), case, dispersed=True))
             taken.add((node.time_s, tuple(ends)))
     plants = nominal.and_also(first)
-    problem, found = search_form(case, plants, form_of(case), also_from, progress)
+    problem, found = search_best(case, plants, also_from, progress)
     rng, tried, worst_db = np.random.default_rng(case.search.seed), 0, np.inf
     interrupted = found.interrupted
     try:
@@ -143,7 +141,7 @@ def solve_robust(
                 break
             taken.update((node.time_s, ends) for node, ends in new)
             plants = plants.and_also([make_plant(deviated(n, ranges, e), case, dispersed=True) for n, e in new])
-            problem = make_problem(case, plants, form_of(case), problem.loops.gains.fixed)
+            problem = make_problem(case, plants, problem.law)
             found = _again(problem, found)
             if found.interrupted:
                 interrupted = True

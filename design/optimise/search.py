@@ -1,10 +1,10 @@
 """Many starts, one answer, and how sure it is.
 
-All starts are brought down roughly, gains linear in time even where the answer has more of them (the filter decides
-which valley a start is in). What ends in the same valley is one candidate; each candidate that is not hopeless is
-then brought down to the end with all its variables. From the best, leaps: part of the variables thrown far off, and
-brought down again. Some find a better valley nearby; that the others come back is the best evidence that there is
-none. The best is polished by Newton's method.
+All starts are brought down roughly, with fewer variables where the law has a simpler form (with PD, gains linear in
+time: the filter decides which valley a start is in). What ends in the same valley is one candidate; each candidate that
+is not hopeless is then brought down to the end with all its variables. From the best, leaps: part of the variables
+thrown far off, and brought down again. Some find a better valley nearby; that the others come back is the best evidence
+that there is none. The best is polished by Newton's method.
 """
 
 from __future__ import annotations
@@ -17,9 +17,8 @@ from functools import partial
 import numpy as np
 
 from maxq.control.kernel.records import Array
-from maxq.design.optimise.descent import MET_DB, Descent, descend
-from maxq.design.optimise.newton_steps import Optimality, optimality, polished
 from maxq.design.optimise.problem import Evaluation, Problem
+from maxq.design.optimise.sqp import MET_DB, Descent, Optimality, descend, optimality, polished
 
 ROUGH_STEPS, ROUGH_DB = 40, 1e-3
 FINE_STEPS, FINE_DB = 150, 1e-8
@@ -29,9 +28,6 @@ MOST_CANDIDATES = 3
 NEAR_DB = 0.05
 PATIENCE = 10  # steps after which an unstable start is given up; twice as many for one that lies far behind
 FAR_MISSED_DB, FAR_BEHIND_DB = 0.3, 4.0
-# Sizes of leaps, taken in turn: of the filter's variables and of the gains'. Of sixteen leaps of each kind from the
-# second-best end of F3 with free gains, 6, 5 and 3 found the best.
-LEAPS = ((0.3, 0.0), (0.2, 0.1), (0.03, 0.15))
 FURTHER_DB = 0.002  # a leap's rough end that is better by more is a better valley
 
 Progress = Callable[[int, int, float], None]
@@ -127,11 +123,8 @@ def search(
 def _leapt(problem: Problem, best: Descent, leaps: int, seed: int) -> Iterator[tuple[Descent, float]]:
     """The best end so far after each leap from it, and where the leap ended, dB (nan: no stable design there)."""
     rng = np.random.default_rng(seed)
-    n = problem.loops.filter.size
     for number in range(leaps):
-        by_filter, by_gains = LEAPS[number % len(LEAPS)]
-        size = np.concatenate([np.full(n, by_filter), np.full(problem.size - n, by_gains)])
-        leap = best.end.variables + size * rng.standard_normal(problem.size)
+        leap = best.end.variables + problem.law.leap_size(number) * rng.standard_normal(problem.size)
         patience = partial(_hopeless, best.end.objective_db)
         end = descend(problem, leap, ROUGH_STEPS, ROUGH_DB, give_up=patience).end
         feasible = _feasible(end, 1e-3)

@@ -4,21 +4,17 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 
-from maxq.control.filters import BendingFilter
 from maxq.control.kernel.records import Array
-from maxq.control.laws.structures import MAX_SECTIONS, structure_of
 from maxq.design.case.schema import Case
+from maxq.design.laws.law import DesignedLaw
 from maxq.design.optimise.features import Kind
 from maxq.design.optimise.plants import Plants
-from maxq.design.optimise.problem import Problem
-from maxq.design.optimise.rows import NAMES, UNITS, What
+from maxq.design.optimise.problem import Evaluation, Problem
 from maxq.design.optimise.search import Found
-from maxq.sim.scenario.files import Reading
-from maxq.sim.scenario.schema_design import Design
 
 Status = Literal["optimal", "infeasible", "interrupted"]
 ACTIVE_DB = 1e-4
@@ -26,7 +22,7 @@ ACTIVE_DB = 1e-4
 
 @dataclass(frozen=True)
 class Constraint:
-    """The worst of one limit at one plant (`plant` None: of the filter). `value` and `limit` in `unit`.
+    """The worst of one limit at one plant (`plant` None: of the law itself). `value` and `limit` in `unit`.
 
     `excess_db` > 0 is a violation. `multiplier`: dB of the objective per dB by which the limit is moved; of an
     infeasible design the limit's share in the conflict.
@@ -86,17 +82,13 @@ class Certificate:
 
 @dataclass(frozen=True)
 class Solution:
-    """A design for a case. `objective_db`: largest peak of mode 1, or minus the least |1 + L|, over all plants."""
+    """A design for a case. `objective_db`: what the case makes small (`criteria.OBJECTIVES`), over all plants."""
 
     case: Case
     status: Status
     objective_db: float
     violation_db: float
-    nodes_s: Array  # of the gain table
-    k_p: Array
-    k_d_s: Array
-    filter: BendingFilter
-    prewarp_hz: float
+    law: DesignedLaw
     constraints: tuple[Constraint, ...]
     bounds: tuple[Bound, ...]
     certificate: Certificate
@@ -132,65 +124,9 @@ class Solution:
             return f"no stable design was found; of the limits {missed}"
         return f"the limits cannot be met together: {missed}"
 
-    def to_design(self, roll: Any = None) -> Design:
-        """The design that `simrun` flies. Raises ValueError for more sections than the flight computer runs."""
-        count = len(self.filter.quadratic) + len(self.filter.first_order)
-        if count > MAX_SECTIONS:
-            raise ValueError(f"the filter has {count} sections: the flight computer runs {MAX_SECTIONS}")
-        return Design.model_validate(self.design_document(roll), context=Reading())
 
-    def design_document(self, roll: Any = None) -> dict[str, Any]:
-        """The same as plain tables; `roll` is taken over from another design."""
-        rows = tuple(
-            {"time_s": float(t), "k_p": float(p), "k_d_s": float(d)}
-            for t, p, d in zip(self.nodes_s, self.k_p, self.k_d_s, strict=True)
-        )
-        sections = (len(self.filter.quadratic), len(self.filter.first_order))
-        limits = self.case.limits
-        document: dict[str, Any] = {
-            "schema": 1,
-            "name": self.case.name,
-            "description": self._description(),
-            "vehicle": "",
-            "gains": {"table": rows, "yaw": "pitch"},
-            "filter": {
-                "structure": structure_of(*sections),
-                "quadratic": tuple(
-                    {"zero_hz": q.zero_hz, "zero_zeta": q.zero_zeta, "pole_hz": q.pole_hz, "pole_zeta": q.pole_zeta}
-                    for q in self.filter.quadratic
-                ),
-                "first_order": tuple({"zero_hz": f.zero_hz, "pole_hz": f.pole_hz} for f in self.filter.first_order),
-                "discretization": "prewarped",
-                "prewarp_hz": self.prewarp_hz,
-            },
-            "limits": {
-                "gain_margin_db": limits.gain_margin_db,
-                "phase_margin_deg": limits.phase_margin_deg,
-                "rigid_hz": limits.rigid_hz,
-                "rigid_zeta": limits.rigid_zeta,
-                "second_mode_db": limits.second_mode_db,
-            },
-        }
-        if roll is not None:
-            document["roll"] = roll if isinstance(roll, dict) else roll.model_dump()
-        return document
-
-    def _description(self) -> str:
-        c = self.case
-        peak = "largest peak of mode 1" if c.objective.kind == "first-mode-peak" else "minus the least |1 + L|"
-        state = "all limits met" if self.feasible else f"NOT all limits met (worst by {self.violation_db:.3g} dB)"
-        return (
-            f"Optimised for case {c.name}: {c.filter.structure}, {c.gains.schedule} gains, loop {c.loop}; "
-            f"{peak} {self.objective_db:.3f} dB; {state}."
-        )
-
-
-def make_solution(
-    case: Case, plants: Plants, problem: Problem, found: Found, prewarp_hz: float, seconds: float, stable: bool
-) -> Solution:
+def make_solution(case: Case, plants: Plants, problem: Problem, found: Found, seconds: float, stable: bool) -> Solution:
     """From the best point of a search."""
-    y, u = problem.loops.split(found.best.variables)
-    k_p, k_d = problem.loops.gains.at_nodes(u)
     full = problem.evaluate(found.best.variables, complete=True)
     status: Status = "interrupted" if found.interrupted else "optimal" if found.feasible and stable else "infeasible"
     peak = full.rows.objective & ~np.array([plants.each[p].dispersed for p in full.rows.plant])
@@ -200,12 +136,8 @@ def make_solution(
         status=status,
         objective_db=full.objective_db,
         violation_db=full.violation_db,
-        nodes_s=problem.loops.gains.nodes_s,
-        k_p=np.asarray(k_p),
-        k_d_s=np.asarray(k_d),
-        filter=problem.loops.filter.filter(y),
-        prewarp_hz=prewarp_hz,
-        constraints=_constraints(plants, found, full),
+        law=problem.law.designed(found.best.variables),
+        constraints=_constraints(plants, problem, found, full),
         bounds=_bounds(problem, found),
         certificate=Certificate(
             starts=len(found.ends_db),
@@ -225,7 +157,7 @@ def make_solution(
     )
 
 
-def _constraints(plants: Plants, found: Found, full: Any) -> tuple[Constraint, ...]:
+def _constraints(plants: Plants, problem: Problem, found: Found, full: Evaluation) -> tuple[Constraint, ...]:
     rows, few = full.rows, found.best.rows
     weight: dict[tuple[int, int, bool], float] = {}
     for r, multiplier in enumerate(found.optimality.multipliers):
@@ -239,7 +171,7 @@ def _constraints(plants: Plants, found: Found, full: Any) -> tuple[Constraint, .
     out = []
     for key in sorted(worst, key=lambda k: (not k[2], k[0], k[1])):
         r = worst[key]
-        what, p = What(key[0]), key[1]
+        kind, p = problem.kinds[key[0]], key[1]
         plant = plants.each[p] if p >= 0 else None
         # near the cross without crossing it: an approach, not a margin
         approach = int(rows.feature[r]) in (Kind.GAIN_TURN, Kind.PHASE_TURN)
@@ -247,14 +179,14 @@ def _constraints(plants: Plants, found: Found, full: Any) -> tuple[Constraint, .
         frequency = float(rows.frequency_hz[r])
         out.append(
             Constraint(
-                NAMES[what] + (", approached without a crossing" if approach else ""),
+                kind.text + (", approached without a crossing" if approach else ""),
                 None if plant is None else plant.label,
                 None if plant is None else plant.node.time_s,
                 False if plant is None else plant.dispersed,
                 None if math.isnan(frequency) else frequency,
                 float(rows.value[r]),
                 None if math.isnan(rows.limit[r]) else float(rows.limit[r]),
-                UNITS[what],
+                kind.unit,
                 float(rows.excess_db[r]),
                 bool(active),
                 weight.get(key, 0.0),
@@ -265,7 +197,7 @@ def _constraints(plants: Plants, found: Found, full: Any) -> tuple[Constraint, .
 
 def _bounds(problem: Problem, found: Found) -> tuple[Bound, ...]:
     out = []
-    names = problem.names
+    names = problem.law.names
     for side, at in (("lower", found.optimality.lower), ("upper", found.optimality.upper)):
         for k in np.flatnonzero(at > 0.0):
             out.append(Bound(names[k], side, float(at[k])))  # type: ignore[arg-type]  # one of the two literals

@@ -10,6 +10,7 @@ from maxq.design.case.read import LoadedCase
 from maxq.design.case.schema import Case
 from maxq.design.loop.fixed_path import Kind
 from maxq.design.model.node import Node
+from maxq.design.optimise.criteria import OBJECTIVES
 from maxq.design.optimise.robust import deviated
 from maxq.design.optimise.solution import Solution
 from maxq.design.verify.judging import Check, Judged, Wanted, checks, judge
@@ -63,17 +64,13 @@ def make_design(loaded: LoadedCase, solution: Solution) -> Design:
     text = loaded.case.description
     return design_of(
         name=loaded.name, description=f"{text}. {made}" if text else made, vehicle=loaded.scenario.vehicle.name,
-        time_s=solution.nodes_s, k_p=solution.k_p, k_d_s=solution.k_d_s, flt=solution.filter,
-        discretization="prewarped", prewarp_hz=solution.prewarp_hz, roll=own.roll if own else None,
-        limits=informative(loaded.case),
+        law=solution.law, roll=own.roll if own else None, limits=informative(loaded.case),
     )  # fmt: skip
 
 
 def objective_text(solution: Solution) -> str:
-    """The objective that was reached, with its name."""
-    if solution.case.objective.kind == "least-margin":
-        return f"least |1 + L| {10.0 ** (-solution.objective_db / 20.0):.3f}"
-    return f"largest peak of mode 1 {solution.objective_db:.2f} dB"
+    """What was reached, in words."""
+    return OBJECTIVES[solution.case.objective.kind].reached(solution.objective_db)
 
 
 def informative(case: Case) -> Limits:

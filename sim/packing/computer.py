@@ -51,7 +51,7 @@ def pack_computer(scenario: Scenario, pool: Pool) -> Computer:
         dac_step_rad=math.radians(computer.dac_step_deg),
         angle_error_limit_rad=math.radians(computer.angle_error_limit_deg),
         command_limit_rad=math.radians(computer.command_limit_deg),
-        gains=gains_of(design) if design else None,
+        gains=_gains(design) if design else None,
         programme=_programme(scenario.guidance.programme, scenario.guidance.method),
         pitch_filter=_filter(design, computer.sample_s) if design else None,
         roll=_roll(design, sample_ns) if design else None,
@@ -62,10 +62,15 @@ def pack_computer(scenario: Scenario, pool: Pool) -> Computer:
 
 
 @cached_by_identity
-def gains_of(design: Design) -> Cubics:
-    """Columns of `pd.gains_table` over the vehicle clock."""
-    pitch, yaw = (GainSchedule(list(t["time_s"]), list(t["k_p"]), list(t["k_d_s"])) for t in design.gains.axes)
-    return gains_table(pitch, yaw)
+def _gains(design: Design) -> Cubics:
+    return gains_table(*gain_schedules(design))
+
+
+def gain_schedules(design: Design) -> tuple[GainSchedule, GainSchedule]:
+    """Gains over the vehicle clock in pitch and in yaw; the same object where yaw is as pitch."""
+    pitch, yaw = design.gains.axes
+    first = GainSchedule(*(list(pitch[name]) for name in ("time_s", "k_p", "k_d_s")))
+    return first, first if yaw is pitch else GainSchedule(*(list(yaw[name]) for name in ("time_s", "k_p", "k_d_s")))
 
 
 @cached_by_identity

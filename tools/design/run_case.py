@@ -9,7 +9,7 @@ import math
 import re
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 
 from maxq.control.laws.structures import STRUCTURES as KNOWN
@@ -208,8 +208,7 @@ def orders_record(found: Found) -> list[dict[str, object]]:
     return [
         {"structure": structure, "schedule": schedule, "status": s.status, "objective_db": s.objective_db,
          "violation_db": s.violation_db, "near_best": s.certificate.near_best, "starts": s.certificate.starts,
-         "gains": {"time_s": s.nodes_s.tolist(), "k_p": s.k_p.tolist(), "k_d_s": s.k_d_s.tolist()},
-         "filter": asdict(s.filter)}
+         **s.law.record()}
         for (structure, schedule), (_, s) in found.items()
     ]  # fmt: skip
 

@@ -29,12 +29,12 @@ from scipy.optimize import Bounds, OptimizeResult, differential_evolution
 from maxq.control.kernel.records import Array
 from maxq.design.case.read import read_case
 from maxq.design.case.schema import Case
-from maxq.design.optimise.descent import descend
+from maxq.design.laws.pd import PdVariables
 from maxq.design.optimise.plants import Plants
 from maxq.design.optimise.problem import Problem
-from maxq.design.optimise.setup import form_of, make_problem
 from maxq.design.optimise.solution import Solution
-from maxq.design.optimise.solve import nominal_plants, solve
+from maxq.design.optimise.solve import make_problem, nominal_plants, solve
+from maxq.design.optimise.sqp import descend
 
 CASE = "ksr3-identical"
 STRUCTURES, SCHEDULES = ("F2", "F3", "F4", "F5", "F6"), ("two-phase", "linear", "free")
@@ -50,7 +50,8 @@ class Rival:
     """Cost of a design for a search without gradients."""
 
     def __init__(self, case: Case, plants: Plants, problem: Problem) -> None:
-        self.case, self.problem = case, problem
+        assert isinstance(problem.law, PdVariables)
+        self.case, self.law = case, problem.law
         below = plants.curves.frequency_hz < HIGHEST_HZ
         f, at = plants.curves.frequency_hz[below], plants.curves.plant[below]
         self.s, self.plant = 2j * np.pi * f, at
@@ -71,17 +72,17 @@ class Rival:
 
     def __call__(self, x: Array) -> float:
         self.count += 1
-        limits, loops = self.case.limits, self.problem.loops
-        y, u = loops.split(x)
-        k_p, k_d = loops.gains.at_plants(u)
-        filter_ = loops.filter.filter(y)
-        missing = max(0.0, float(loops.filter.log_gain_at_infinity() @ y))
-        if loops.gains.size > 0:
+        limits, law = self.case.limits, self.law
+        y, u = law.split(x)
+        k_p, k_d = law.gains.at_plants(u)
+        filter_ = law.filter.filter(y)
+        missing = max(0.0, float(law.filter.log_gain_at_infinity() @ y))
+        if law.gains.size > 0:
             omega, zeta = np.sqrt(self.m_delta * k_p), 0.5 * k_d * np.sqrt(self.m_delta / k_p)
             missing += 9.0 * float(np.maximum(np.log(2 * np.pi * limits.rigid_hz / omega), 0.0).sum())
             missing += 9.0 * float(np.maximum(np.log(limits.rigid_zeta / zeta), 0.0).sum())
-        law = k_p[self.plant] * self.integrator + k_d[self.plant]
-        loop = filter_.frequency_response(self.s.imag) * law * self.path
+        gains = k_p[self.plant] * self.integrator + k_d[self.plant]
+        loop = filter_.frequency_response(self.s.imag) * gains * self.path
         size, beside = 20 * np.log10(np.abs(loop)), np.degrees(np.angle(-loop))
         peak = max(float(size[at].max(initial=-200.0)) for mode, at in self.bands if mode == 1)
         for mode, at in self.bands:
@@ -162,11 +163,11 @@ def compare(structure: str, schedule: str, method: str, seconds: float, seed: in
     begun = time.process_time()
     ours = solve(loaded, plants)
     took = time.process_time() - begun
-    problem = make_problem(loaded.case, plants, form_of(loaded.case))
+    problem = make_problem(loaded.case, plants)
     cost = Rival(loaded.case, plants, problem)
     own_cost = cost(ours.variables)
     lower, upper = problem.lower.copy(), problem.upper.copy()
-    n = problem.loops.filter.size
+    n = cost.law.filter.size
     lower[n:], upper[n:] = np.log(GAIN_BOUNDS[0]), np.log(GAIN_BOUNDS[1])
     begun, cost.count = time.process_time(), 0
     x, best = METHODS[method](cost, lower, upper, seconds, seed)

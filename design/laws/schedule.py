@@ -1,0 +1,87 @@
+"""Gain schedules as a vector of variables: the logarithm of each gain at gain nodes, linear in between (eq. 51)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import linprog
+
+from maxq.control.kernel.records import Array
+
+LEAST_GAIN, LARGEST_GAIN = 1e-4, 1e3  # bounds of the gains (49): ln k needs some
+
+
+def interpolation_weights(at_s: Array, nodes_s: Array) -> Array:
+    """(times, nodes): what linear interpolation, held outside, makes of the values at the nodes."""
+    return np.column_stack([np.interp(at_s, nodes_s, row) for row in np.eye(len(nodes_s))])
+
+
+@dataclass(frozen=True)
+class GainSchedules:
+    """Schedules of the gains `keys`, all positive, on common nodes.
+
+    `weights` (plants, nodes) give the gains of each plant. With `fixed` (gains, nodes) there is no variable.
+    """
+
+    keys: tuple[str, ...]
+    nodes_s: Array
+    weights: Array
+    fixed: Array | None = None
+
+    @property
+    def size(self) -> int:
+        return 0 if self.fixed is not None else len(self.keys) * len(self.nodes_s)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        if self.fixed is not None:
+            return ()
+        return tuple(f"{key} at {t:g} s" for key in self.keys for t in self.nodes_s)
+
+    def at_nodes(self, u: Array) -> Array:
+        """(gains, nodes)."""
+        return self.fixed if self.fixed is not None else np.exp(u.reshape(len(self.keys), -1))
+
+    def at_plants(self, u: Array) -> Array:
+        """(gains, plants)."""
+        return np.asarray(self.at_nodes(u) @ self.weights.T)
+
+    def log_gradients(self, u: Array) -> Array:
+        """d ln k / d u, (gains, plants, size)."""
+        n = len(self.nodes_s)
+        out = np.zeros((len(self.keys), len(self.weights), self.size))
+        if self.size > 0:
+            part = self.weights[None] * self.at_nodes(u)[:, None, :]
+            part /= part.sum(axis=2, keepdims=True)
+            for g in range(len(self.keys)):
+                out[g, :, g * n : (g + 1) * n] = part[g]
+        return out
+
+    def log_curvature(self, u: Array, slopes: Array) -> Array:
+        """Sum of d2 ln k / d u2, weighted with `slopes` (gains, plants): (size, size).
+
+        ln k = ln(sum of weights times exp(u)) bends with u: diag(share) - share share'.
+        """
+        out = np.zeros((self.size, self.size))
+        for by, slope in zip(self.log_gradients(u), slopes, strict=True):
+            out += np.diag(slope @ by) - (by.T * slope) @ by
+        return out
+
+    def from_nodes(self, nodes_s: Array, gains: Array) -> Array:
+        """Variables of schedules (gains, nodes) on other nodes, interpolated; empty where the gains are fixed."""
+        if self.size == 0:
+            return np.zeros(0)
+        return np.concatenate([np.log(np.interp(self.nodes_s, nodes_s, k)) for k in gains])
+
+
+def lowest_above(weights: Array, floor: Array) -> Array:
+    """Values at the nodes of the lowest schedule, in sum over the plants, that is nowhere below `floor` (plants,)."""
+    floor = np.maximum(floor, LEAST_GAIN)
+    found = linprog(
+        weights.sum(axis=0), A_ub=-weights, b_ub=-floor, bounds=(LEAST_GAIN, LARGEST_GAIN), method="highs-ds"
+    )
+    if found.x is None:
+        raise ValueError(f"no gain schedule meets the reference's rigid-body limits: {found.message}")
+    # off the limit by a rounding error, on the safe side
+    return np.asarray(found.x) * (1.0 + 1e-12)

@@ -1,0 +1,58 @@
+"""What a law is designed for: a case, its plants, and the limits that each of them is held to."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from maxq.control.kernel.records import Array
+from maxq.design.case.schema import Case, MarginLimits
+
+DB = 20.0 / math.log(10.0)  # dB of a change of a natural logarithm
+
+
+@dataclass(frozen=True)
+class Rigid:
+    """Derivatives of the vehicles, (plants,): M_delta, M_alpha (1/s2) and M_q (1/s)."""
+
+    m_delta: Array
+    m_alpha: Array
+    m_q: Array
+
+
+class PlantLimits:
+    """Limits of all plants by name, (plants,) each: nan where not asked for."""
+
+    def __init__(self, each: Sequence[MarginLimits]) -> None:
+        self._each = each
+        self._columns: dict[str, Array] = {}
+
+    def __getitem__(self, name: str) -> Array:
+        if name not in self._columns:
+            values = [None if name in limits.without else getattr(limits, name) for limits in self._each]
+            self._columns[name] = np.array([math.nan if value is None else value for value in values], float)
+        return self._columns[name]
+
+    def asked(self, name: str) -> bool:
+        """Whether any plant is held to it."""
+        return not bool(np.isnan(self[name]).all())
+
+
+@dataclass(frozen=True)
+class Task:
+    """A case at its plants. `sample_s`: period of sampled loops, None for continuous ones.
+
+    `first_mode_hz`: mean frequency of the first bending mode.
+    """
+
+    case: Case
+    times_s: Array  # (plants,)
+    dispersed: NDArray[np.bool_]  # (plants,)
+    rigid: Rigid
+    limits: PlantLimits
+    sample_s: float | None
+    first_mode_hz: float
