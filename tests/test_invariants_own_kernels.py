@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from maxq.control.kernel import jit
 from maxq.control.kernel.records import constants_in, pack, with_constants
 from maxq.sim.campaign import runs
 from maxq.sim.campaign.read import load_campaign
@@ -63,3 +64,17 @@ def test_stages_of_unlike_sizes_stay_with_the_common_kernels():
 def test_uncompiled_source_reads_the_record():
     sizes = with_constants(pack([Sizes(1, 2, 3, 4)]))[0]
     assert getattr(counts, "py_func", counts)(sizes) == (1, 2, 3, 4)
+
+
+def test_the_cache_follows_the_sources_wherever_they_lie(tmp_path, monkeypatch):
+    """A checkout below a folder named like one of sim's: its kernel sources count all the same."""
+    here = tmp_path / "run" / "control" / "kernel"
+    here.mkdir(parents=True)
+    monkeypatch.setattr(jit, "__file__", str(here / "jit.py"))
+    (here / "jit.py").write_text("a = 1\n")
+    before = jit.source_hash()
+    (here / "jit.py").write_text("a = 2\n")
+    assert jit.source_hash() != before
+    (tmp_path / "run" / "sim" / "log").mkdir(parents=True)
+    (tmp_path / "run" / "sim" / "log" / "writer.py").write_text("")
+    assert list(jit._source_files()) == [here / "jit.py"]  # what holds no kernel compiles nothing anew

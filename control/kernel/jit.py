@@ -36,7 +36,7 @@ def _source_files() -> Iterator[Path]:
     layers = Path(__file__).resolve().parents[2]
     for layer in ("control", "sim"):  # design/ and tools/ hold no kernels
         for path in sorted((layers / layer).rglob("*.py")):
-            if not _KERNEL_FREE.intersection(path.parts):
+            if not _KERNEL_FREE.intersection(path.relative_to(layers).parts):
                 yield path
 
 
