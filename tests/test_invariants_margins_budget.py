@@ -3,10 +3,10 @@
 | what | expected |
 |---|---|
 | sum of all shares | L's decibels and degrees to 1e-9, at every node, kind and crossing |
-| shares of series parts | the part's own response; a delay that eats more than 180 deg is followed |
+| shares of series parts | the part's own response; a delay of more than 180 deg is unwrapped |
 | build-up steps in another order | other shares, the same sum |
 | frozen liquid | the stability derivatives of the whole |
-| a vehicle without liquid, modes, lift, engine inertia | a share of nothing |
+| a vehicle without liquid, modes, lift, engine inertia | a share of zero |
 """
 
 from __future__ import annotations
@@ -42,16 +42,16 @@ def test_the_budget_closes_at_every_crossing(time_s, kind):
     loop = closed(node_at(time_s), kind)
     measured = margins(loop, resonances=loop.fixed.resonances())
     budgets = crossing_budgets(loop, measured)
-    assert {"crossover", "phase margin", "gain margin up"} <= set(budgets)
+    assert {"crossover", "phase margin", "upper gain margin"} <= set(budgets)
     for budget in budgets.values():
         assert abs(budget.left_db) < ROUNDING
         assert abs(budget.left_deg) < ROUNDING
     assert budgets["crossover"].gain_db == pytest.approx(0.0, abs=1e-8)
     assert abs(budgets["phase margin"].phase_margin_deg) == pytest.approx(measured.phase_deg.value, abs=1e-8)
-    assert budgets["gain margin up"].gain_db == pytest.approx(-measured.gain_up_db.value, abs=1e-8)
+    assert budgets["upper gain margin"].gain_db == pytest.approx(-measured.gain_up_db.value, abs=1e-8)
 
 
-def test_shares_are_what_they_are_called():
+def test_shares_of_delay_hold_and_converter_are_their_closed_forms():
     node = node_at(40.0)
     loop = closed(node, "exact")
     f = 8.0
@@ -65,7 +65,7 @@ def test_shares_are_what_they_are_called():
         budget.share("yaw")
 
 
-def test_a_vehicle_without_a_thing_has_nothing_to_pay_for_it():
+def test_an_absent_effect_has_no_share():
     node = without(node_at(20.0), modes=True, tanks=True)
     engine = dataclasses.replace(node.vehicle.engine, gimballed_mass_kg=0.0, inertia_about_gimbal_kgm2=0.0)
     node = dataclasses.replace(node, vehicle=dataclasses.replace(node.vehicle, engine=engine))
@@ -115,7 +115,7 @@ PARTS = st.lists(
 
 @settings(max_examples=60, deadline=None)
 @given(PARTS, PARTS, st.floats(0.01, 20.0), st.randoms(use_true_random=False))
-def test_any_budget_closes_and_its_sum_knows_no_order(series, stages, f, random):
+def test_any_budget_closes_whatever_the_order(series, stages, f, random):
     def whole(x: Array) -> ComplexArray:
         return np.asarray(np.prod([part(x) for part in series], axis=0) * stages[-1](x))
 
@@ -137,7 +137,7 @@ def test_any_budget_closes_and_its_sum_knows_no_order(series, stages, f, random)
     )
 
 
-def test_a_long_delay_is_followed_beyond_180_degrees():
+def test_the_phase_of_a_long_delay_is_unwrapped():
     (share,) = split(lag(1e6, 1.0, 0.7), 3.0, [("delay", lag(1e6, 1.0, 0.7))]).shares
     assert share.phase_deg == pytest.approx(-360.0 * 3.0 * 0.7, abs=0.01)
 

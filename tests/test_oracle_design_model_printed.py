@@ -3,7 +3,7 @@
 | what | against |
 |---|---|
 | preset `paper` | eqs 1 to 27 written out as the paper has them, with alpha, evaluated for each state |
-| preset `corrected` | the same vehicle derived by d'Alembert's principle (`vehicle_plant`): 1e-12 |
+| preset `corrected` | the same vehicle derived by d'Alembert's principle (oracles/dalembert_plant.py): 1e-12 |
 | single errata | the figures of the project's list of errata, which come from a study of its own |
 | tanks with the diameter for the radius | eqs 22, 23, 25 by hand |
 """
@@ -16,6 +16,7 @@ import math
 import numpy as np
 import pytest
 from design_nodes import TIMES_S, closed_damping, design, flown, node_at, without
+from oracles.dalembert_plant import dalembert_plant
 
 from maxq.control.kernel.records import Array
 from maxq.design import api
@@ -23,8 +24,7 @@ from maxq.design.loop.errata_effects import EXPLAINED, errata_effects, peaks_db
 from maxq.design.loop.fixed_path import Cut, PadeFixedPath
 from maxq.design.model.errata import ABOUT, CORRECTED, PAPER, PRESETS, Errata, one_at_a_time
 from maxq.design.model.node import Node
-from maxq.design.model.plant import axial_load_mps2, vehicle_plant
-from maxq.design.model.printed_plant import as_printed, printed_plant
+from maxq.design.model.plant import as_printed, axial_load_mps2, vehicle_plant
 from maxq.design.model.vehicle_at import stability_derivatives
 
 EVERY_NODE = pytest.mark.parametrize("time_s", TIMES_S)
@@ -35,8 +35,8 @@ XI = 1.84118378134066
 def test_all_errata_corrected_make_the_corrected_plant(time_s: float) -> None:
     node = node_at(time_s)
     ours, theirs = (
-        printed_plant(node.vehicle, node.condition, CORRECTED, node.liquids),
-        vehicle_plant(node.vehicle, node.condition),
+        vehicle_plant(node.vehicle, node.condition, CORRECTED, node.liquids),
+        dalembert_plant(node.vehicle, node.condition),
     )
     np.testing.assert_allclose(ours.a, theirs.a, rtol=1e-11, atol=1e-9)
     np.testing.assert_allclose(ours.b, theirs.b, rtol=1e-11, atol=1e-11)
@@ -132,7 +132,7 @@ def test_preset_paper_is_what_is_printed(time_s: float) -> None:
 @EVERY_NODE
 def test_switches_change_what_they_are_about_and_nothing_else(time_s: float) -> None:
     node = node_at(time_s)
-    right = printed_plant(node.vehicle, node.condition, CORRECTED, node.liquids)
+    right = vehicle_plant(node.vehicle, node.condition, CORRECTED, node.liquids)
     for name, errata in one_at_a_time():
         wrong = node.with_errata(errata)
         if name == "actuator_labels":

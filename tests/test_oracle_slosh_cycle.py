@@ -74,10 +74,10 @@ def test_pendulum_has_the_moment_of_the_wave() -> None:
     assert moment / (mass * length) == pytest.approx(SWING_PER_WAVE, rel=1e-4)
 
 
-@pytest.mark.parametrize("loudness", [1.0, 0.03], ids=["from above", "from below"])
-def test_slosh_ends_at_the_predicted_swing(held: HeldFlight, advice: SloshAdvice, loudness: float) -> None:
+@pytest.mark.parametrize("level", [1.0, 0.03], ids=["from above", "from below"])
+def test_slosh_ends_at_the_predicted_swing(held: HeldFlight, advice: SloshAdvice, level: float) -> None:
     hz, _ = _edge_hz(held, advice.needed / advice.damping)
-    found = fly_cycle(held, TANK, MIDWAY, hz, loudness)
+    found = fly_cycle(held, TANK, MIDWAY, hz, level)
     assert found.settled
     assert advice.midway_deg == pytest.approx(2.2, abs=0.1)
     assert found.swing_deg == pytest.approx(advice.midway_deg, rel=0.05)

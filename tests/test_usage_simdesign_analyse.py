@@ -52,7 +52,7 @@ def test_a_design_is_judged_at_every_node(capsys: Printed) -> None:
     assert "sampled, as it flies" in lines[1]
     for time_s in range(5, 60, 5):
         assert sum(line.split()[:2] == [str(time_s), "stable"] for line in lines) == 2
-        budget = next(line.split() for line in lines[lines.index("budget at the phase margin, deg") :]
+        budget = next(line.split() for line in lines[lines.index("margin budget at the phase margin, deg") :]
                       if line.split()[:1] == [str(time_s)])  # fmt: skip
         assert sum(map(float, budget[2:-2])) == pytest.approx(float(budget[-2]), abs=0.7), "digits of thirteen shares"
         assert 180.0 + float(budget[-2]) == pytest.approx(float(budget[-1]), abs=0.11)

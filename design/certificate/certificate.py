@@ -69,8 +69,8 @@ class MarginRow:
 
 @dataclass(frozen=True)
 class NodeCertificate:
-    """`stable`: the loop at the flown instant. `cycle`: what becomes in flight of a loop that is unstable when held, by
-    more than a drift."""
+    """`stable`: the loop at the flown instant. `cycle`: how a loop that is unstable when held, by more than a drift,
+    ends in flight."""
 
     time_s: float
     plane: Plane

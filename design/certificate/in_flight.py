@@ -6,7 +6,7 @@ estimated by least squares together with a slow trend. The window is short, so o
 be resolved.
 
 It differs from the held flight for two reasons, which the linear loop accounts for: the vehicle changes during the
-window (the sampled loop averaged over nodes across the window), and gravity is the real one (lowest lines only).
+window (the sampled loop at nodes across it says by how much), and gravity is the real one (lowest lines only).
 """
 
 from __future__ import annotations
@@ -42,18 +42,17 @@ TIME_VARIATION, SETTLING = "time variation", "settling"
 
 @dataclass(frozen=True)
 class InFlightResponse:
-    """L at lines (Hz) measured in the ascent around `time_s`, beside the sampled loop at that instant, `frozen`, and
-    averaged over the window, `passing`. `reason` is "" where the flight and the frozen loop agree to 0.5 dB and 4 deg,
-    "time variation" where the loop's own change in the window is as large as the difference, "converter noise" where
-    that together with its standard errors is, "settling" where an oscillation near a line has not decayed since
-    lift-off, else "unexplained"."""
+    """L at lines (Hz) measured in the ascent around `time_s`, beside the sampled loop at that instant, `frozen`.
+
+    `reason` is "" where the two agree to 0.5 dB and 4 deg, "time variation" where the loop's own change in the window
+    is as large as the difference, "converter noise" where that together with its standard errors is, "settling" where
+    an oscillation near a line has not decayed since lift-off, else "unexplained".
+    """
 
     time_s: float
     plane: Plane
     lines_hz: Array
     frozen: ComplexArray
-    passing: ComplexArray
-    spread_db: Array  # by which the sampled loop changes across the window
     measured: ComplexArray
     error: Array  # standard error of `measured` relative to it, from the residual
     reason: tuple[str, ...]
@@ -87,7 +86,7 @@ def in_flight_response(loaded: LoadedScenario, times_s: Sequence[float], plane: 
         (u, u_noise), (e, _) = (_at_lines(x, lines, sample_s) for x in (back, sent))
         mine = api.loops(nodes[k * len(ACROSS) : (k + 1) * len(ACROSS)], loaded.design)
         responses = np.stack([loop.response(lines) for loop in mine])
-        frozen, passing = responses[len(mine) // 2], responses.mean(axis=0)
+        frozen = responses[len(mine) // 2]
         measured = -u / e
         error = u_noise * np.abs(1.0 + measured) / np.abs(u)
         spread, turn = np.ptp(decibels(responses), axis=0), np.degrees(np.ptp(np.angle(responses / frozen), axis=0))
@@ -98,7 +97,7 @@ def in_flight_response(loaded: LoadedScenario, times_s: Sequence[float], plane: 
             _reason(complex(measured[i] / frozen[i]), float(error[i]), float(spread[i]), float(turn[i]), near[i])
             for i in range(len(lines))
         )
-        out.append(InFlightResponse(time_s, plane, lines, frozen, passing, spread, measured, error, reasons))
+        out.append(InFlightResponse(time_s, plane, lines, frozen, measured, error, reasons))
     return out
 
 

@@ -214,11 +214,11 @@ class PadeFixedPath(_ContinuousFixedPath):
     def __init__(self, node: Node, cut: Cut = "gimbal_command") -> None:
         super().__init__(node, cut)
         timing = node.instruments
-        self._computer: list[Rational] = [hold_pade(timing.tau_dz_s)]
-        if timing.tau_d_s > 0.0:
-            self._computer.append(delay_pade(timing.tau_d_s))
+        self._computer: list[Rational] = [hold_pade(timing.sample_s)]
+        if timing.delay_s > 0.0:
+            self._computer.append(delay_pade(timing.delay_s))
         if self.takes_rate:
-            self._computer.append(converter_pade(timing.tau_vf_s))
+            self._computer.append(converter_pade(timing.sample_s))
 
     @property
     def kind(self) -> Kind:
@@ -246,8 +246,8 @@ class ExactFixedPath(_ContinuousFixedPath):
 
     def computer_at(self, s: ComplexArray) -> ComplexArray:
         timing = self.node.instruments
-        out = average(s, timing.tau_dz_s) * np.exp(-timing.tau_d_s * np.asarray(s))
-        return np.asarray(out * average(s, timing.tau_vf_s) if self.takes_rate else out)
+        out = average(s, timing.sample_s) * np.exp(-timing.delay_s * np.asarray(s))
+        return np.asarray(out * average(s, timing.sample_s) if self.takes_rate else out)
 
     def state_space(self) -> StateSpace:
         raise ValueError("a transcendental transfer function has no state space: take the kind pade or sampled")

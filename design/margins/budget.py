@@ -1,4 +1,4 @@
-"""Margin budget: what each part of a loop does to its gain and phase at one frequency, adding up to the whole.
+"""Margin budget: gain and phase of each part of a loop at one frequency, adding up to the whole.
 
 Parts in series multiply, so their decibels and degrees add. What is not in series - aerodynamics, slosh, engine
 inertia, bending act on one another - is switched on one after the other in a stated order of build-up steps, and each
@@ -23,8 +23,7 @@ from maxq.design.margins.measure import Margins
 from maxq.design.margins.solving import DB, wrapped
 from maxq.design.model.instruments import actuator, gyro
 from maxq.design.model.node import Node
-from maxq.design.model.plant import INPUTS
-from maxq.design.model.printed_plant import Liquids
+from maxq.design.model.plant import INPUTS, Liquids
 from maxq.design.model.state_space import ComplexArray, Resolvent, StateSpace, channels
 from maxq.design.model.vehicle_at import Modes, Pendulums, VehicleAt
 
@@ -157,8 +156,8 @@ def crossing_budgets(loop: Loop, measured: Margins) -> dict[str, Budget]:
         "crossover": measured.crossover_hz,
         "phase margin": measured.phase_deg.frequency_hz,
         "delay margin": measured.delay_s.frequency_hz,
-        "gain margin up": measured.gain_up_db.frequency_hz,
-        "gain margin down": measured.gain_down_db.frequency_hz,
+        "upper gain margin": measured.gain_up_db.frequency_hz,
+        "lower gain margin": measured.gain_down_db.frequency_hz,
     }
     inside = {name: f for name, f in wanted.items() if 0.0 < f < np.inf}
     return dict(zip(inside, loop_budget(loop, list(inside.values())), strict=True))

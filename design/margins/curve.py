@@ -29,7 +29,7 @@ from maxq.design.margins.solving import (
 )
 from maxq.design.model.state_space import ComplexArray
 
-LOWEST_HZ = 1e-5  # what is slower than this (4 hours) is drift and not part of the loop's dynamics
+LOWEST_HZ = 1e-5  # a root slower than this (4 hours) is drift and not part of the loop's dynamics
 PER_DECADE = 16
 PER_DECADE_FLAT = 6  # below the slowest and above the fastest pole
 TURN_RAD = 0.6

@@ -27,6 +27,7 @@ VALLEY = 0.5  # a minimum of |L| below this share of the peak ends a lobe
 LEAST = 2.0
 LIGHT = 0.1  # damping ratio below which an unnamed pole makes a lobe
 VISIBLE = 0.01  # an unnamed pole whose term is a smaller share of |L| than this makes none
+ROUNDING_DB = 1e-9  # of a crossing of |L| = 1 at the end of a lobe
 
 Stabilised = Literal["gain", "phase"]
 
@@ -156,7 +157,7 @@ def _judge(
     peak_db = float(DB * np.log(max(size.max(), 1e-300)))
     at = (phase.frequency_hz >= low) & (phase.frequency_hz <= high)
     db = phase.gain_margin_db[at]
-    stabilised: Stabilised = "gain" if peak_db <= -limit_db else "phase"
+    stabilised: Stabilised = "gain" if peak_db <= ROUNDING_DB - limit_db else "phase"
     lag, lead = (np.inf, np.inf) if stabilised == "gain" else _turns(gain, loop, ends)
     return Lobe(
         label=pole.label or f"{pole.frequency_hz:.3g} Hz",

@@ -1,4 +1,4 @@
-"""What is wrong in the printed model of Lee, Ahn & Roh, each as a switch of its own.
+"""Errata of the printed model of Lee, Ahn & Roh, each a switch.
 
 `PAPER` is eqs 1 to 29 as they are printed, `CORRECTED` the physics that the simulator flies
 (design/model/plant.py). Numbers are those of the project's list of errata. What does not change a linear loop has
@@ -16,7 +16,7 @@ from typing import NamedTuple
 
 
 class Erratum(NamedTuple):
-    """What a switch of `Errata` stands for, in words."""
+    """Description of a switch of `Errata`."""
 
     number: str
     equations: str
@@ -26,7 +26,7 @@ class Erratum(NamedTuple):
 
 @dataclass(frozen=True)
 class Errata:
-    """One field an erratum: True is corrected, False as printed. `ABOUT` says what each is."""
+    """One field an erratum: True is corrected, False as printed. `ABOUT` describes each."""
 
     gyro_senses_rate: bool = True
     mode_force_sign: bool = True
@@ -40,7 +40,7 @@ class Errata:
     path_terms: bool = True
     jet_damping: bool = True
     damper_at_bob: bool = True
-    actuator_labels: bool = False  # as printed in both presets: nobody knows which of the two is the slip
+    actuator_labels: bool = False  # as printed in both presets: which of the two is wrong is unknown
 
     def switched(self, **fields: bool) -> Errata:
         """The same with some switches set otherwise. Raises ValueError for a name that is none."""
@@ -49,11 +49,6 @@ class Errata:
             if name not in names:
                 raise ValueError(f"erratum {name!r}: known are {', '.join(names)}")
         return dataclasses.replace(self, **fields)
-
-    @property
-    def changes_vehicle(self) -> bool:
-        """Whether the equations of the vehicle (1 to 27) differ from the corrected ones."""
-        return self.switched(actuator_labels=False) != CORRECTED
 
 
 ABOUT: dict[str, Erratum] = {

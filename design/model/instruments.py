@@ -23,20 +23,8 @@ class Instruments:
 
     actuator: Actuator
     gyro: Gyro
-    sample_s: float  # period of the computer: tau_VF of the converter (30) and tau_DZ of the hold (32)
+    sample_s: float  # period of the computer: tau_VF of the converter (30), tau_DZ of the hold (32)
     delay_s: float  # tau_D (31), from sample to command
-
-    @property
-    def tau_vf_s(self) -> float:
-        return self.sample_s
-
-    @property
-    def tau_d_s(self) -> float:
-        return self.delay_s
-
-    @property
-    def tau_dz_s(self) -> float:
-        return self.sample_s
 
 
 def instruments_of(row: Any, plane: Plane = "pitch") -> Instruments:

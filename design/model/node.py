@@ -14,8 +14,7 @@ import numpy as np
 from maxq.design.model.dispersion import Dispersion, disperse
 from maxq.design.model.errata import CORRECTED, Errata
 from maxq.design.model.instruments import Instruments, instruments_of
-from maxq.design.model.plant import vehicle_plant
-from maxq.design.model.printed_plant import Liquids, printed_plant
+from maxq.design.model.plant import Liquids, vehicle_plant
 from maxq.design.model.state_space import StateSpace
 from maxq.design.model.vehicle_at import FlightCondition, Plane, VehicleAt, vehicle_at
 from maxq.sim.packing.flight import Packed, pack_flight
@@ -49,9 +48,7 @@ class Node:
         Raises ValueError, naming the node, where no such system exists.
         """
         try:
-            if self.errata.changes_vehicle:
-                return printed_plant(self.vehicle, self.condition, self.errata, self.liquids)
-            return vehicle_plant(self.vehicle, self.condition)
+            return vehicle_plant(self.vehicle, self.condition, self.errata, self.liquids)
         except ValueError as problem:
             raise ValueError(f"node at {self.time_s:g} s: {problem}") from problem
 
@@ -115,9 +112,9 @@ def _node(run: FlightRun, time_s: float, plane: Plane, errata: Errata) -> Node:
         )
     stage = int(clock.stage)
     node = node_of(run.packed, at_ns / 1e9, stage, plane, errata)
-    course = run.packed.parameters[stage].timeline
-    clock_s = float(course.burn_rate) * (at_ns - int(course.stage_start_ns)) / 1e9
-    clock_s = float(course.frozen_s) if course.frozen == 1 else clock_s
+    timeline = run.packed.parameters[stage].timeline
+    clock_s = float(timeline.burn_rate) * (at_ns - int(timeline.stage_start_ns)) / 1e9
+    clock_s = float(timeline.frozen_s) if timeline.frozen == 1 else clock_s
     return dataclasses.replace(node, liquids=_liquids(run.loaded.scenario.vehicle.stage[stage], clock_s, node))
 
 

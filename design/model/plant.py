@@ -1,48 +1,34 @@
 """The vehicle as a linear system: small motions in one plane about flight along the body axis, time frozen.
 
-Derivation, by d'Alembert's principle
--------------------------------------
-Body axes at the core's CG, x forward, z down (pitch plane). The vehicle flies along x at speed U with
-specific axial force  a = (T - D) / m  and does not turn. Small: lateral speed w, rate q, pitch theta, modes
-eta_i, pendulum angles G_k (towards +z), engine angle delta. A particle at x (forward of the core's CG) with
-lateral displacement z has, to first order, the lateral and axial specific acceleration
+Body axes at the core's CG, x forward, z down (pitch plane); stations are metres aft of the nose. The vehicle flies
+along x at speed U without turning, under the specific axial force a = (T - D) / m. Equations are those of Lee, Ahn &
+Roh, 1 to 27, in the paper's form: forces and moments on a body of mass m and inertia I (1, 2), a modal force (14),
+pendulums driven by the motion of their hinge (21). Each erratum is a switch (errata.py): with `PAPER`
+they are the equations as printed, with `CORRECTED` the physics that the simulator flies. tests/oracles/
+dalembert_plant.py derives the corrected ones independently, by d'Alembert's principle.
 
-    f_z = s - x q' + z'',   s = w' - U q + g sin(theta_0) theta,      f_x = a.
-
-The constant g cos(theta_0) moves every particle alike and is left out: it is what bends the path (a gravity
-turn). Under a virtual motion  dZ, dTheta, d(eta_i), d(G_k)  the particle moves  dZ - x dTheta + dz  laterally
-and z dTheta + dx  along the axis, dx being of second order: that of a pendulum rising, of an engine swinging
-out, of a beam that bends and so draws its ends together. Sum m (f_z, f_x) . (displacement) = work of the
-loads, with
-
-    core      z = sum phi_i(x) eta_i, modes free-free: sum m phi = sum m x phi = 0, sum m phi_i phi_j = M_i
-              for i = j, else 0; bending draws its points together: work  -a K_ij eta_j d(eta_i),  K the
-              softening matrix (erratum 4), the engine behind the gimbal hanging and so stiffening
-    engine    on top of the core that holds it straight: a point r behind the gimbal moves by -r delta, and
-              forward by r (sigma_T eta - delta)^2 / 2, sigma_T the slope there
-    bob       x_b = x_h - L,  z = phi_h eta + L G,  and it rises by L G^2 / 2
-
-which gives the mass matrix `_mass_matrix`, the axial-load terms of `_stiffness`, and for the engine (I_E
-about the gimbal, S = m_E l_E, l_C from the core's CG aft to the gimbal, errata 8)
-
-    lateral  S delta''        rotation  (I_E + S l_C) delta'' + a S delta
-    mode i   (S phi_T,i + I_E sigma_T,i) delta'' + a S sigma_T,i delta.
-
-The engine's rate does not enter. Loads: thrust T at the displaced gimbal along the bent axis, (x, z) parts
-T (1, delta - sigma_T eta): moment T l_C (delta - sigma_T eta) + T phi_T eta (erratum 4). Each lifting
-surface: -q S CN_alpha (w/U + sigma_s eta + phi_s eta' / U) at its station. Rate damping Cmq (7). Drag along
-the wind: -q S CD w/U. Gravity does no work on a free-free mode (erratum 3). Modal damping. Mass flow:
-`_mass_flow`.
-
-Slosh damping is a force between bob and tank; its work is  -2 zeta w L m_p L G' d(G): it enters the
-pendulum's row only. In the language of (24) and (27) it reacts on the vehicle where the bob is:
+The constant g cos(theta_0) acts on every particle alike and is left out: it bends the path (gravity turn). Gravity does
+no work on a free-free mode (erratum 3). Thrust T acts at the displaced gimbal along the bent axis, each lifting surface
+on its local incidence, drag along the wind; the engine behind the gimbal (I_E about it, first moment S = m_E l_E)
+reacts to delta'' and hangs under the axial load (8). Its rate does not enter. Slosh damping is a force between bob and
+tank:
 
     M_S = - sum m_p [ a l_p G + 2 zeta w L (l_p - L) G' ],
 
-not with the hinge's arm l_p for both as (27) prints - a further erratum: the rod's pull acts at the hinge,
-the liquid's friction at the bob, l_p - L forward of the CG (equivalently: a torque about the hinge has a
-reaction that is a couple, and moves the force's line of action from hinge to bob). The printed form does not
-conserve angular momentum: its pair of damping forces is not on one line.
+not with the hinge's arm l_p for both as (27) prints (erratum 22): the rod's pull acts at the hinge, the liquid's
+friction at the bob, l_p - L forward of the CG. The printed pair of damping forces is not on one line and so does not
+conserve angular momentum.
+
+Where the paper leaves something open: delta_b = -sigma_T eta and alpha_b = sigma_s eta + phi_s eta' / U (16, 17), phi
+at the surface, gimbal or hinge at which a force acts, the derivatives (4 to 8) of the whole vehicle with its liquid
+frozen, I_E as that about the engine's CG (20), a_x = (T - D) / m, and W' - g_z - U q in (21) from (1).
+
+Lateral slosh of an upright cylinder as a pendulum (22, 23, 25, with errata 6 and 7): with the tank's radius R, the
+liquid's depth h and xi the first root of J1' (NASA SP-106, ch. 6; Dodge, The New "Dynamic Behavior of Liquids in
+Moving Containers", 2000),
+
+    L = R / (xi tanh(xi h / R)),    m_p = m 2 R tanh(xi h / R) / (xi h (xi^2 - 1)),
+    hinge above the liquid's CG by  h / 2 - (2 R / xi) tanh(xi h / (2 R)) + L.
 
 Yaw plane: the same with  w -> v, q -> -r, theta -> -psi, eta -> xi, delta -> -delta_yaw, gyro -> -gyro,  because B's
 z axis turned into y takes the pitch axis y into -z: a positive angle moves the gimbal's thrust to +z in pitch but to -y
@@ -52,37 +38,28 @@ in yaw. From command to gyro both signs change and the transfer function stays.
 from __future__ import annotations
 
 import dataclasses
-import math
 from dataclasses import dataclass
 
 import numpy as np
 
 from maxq.control.kernel.records import Array
+from maxq.design.model.errata import CORRECTED, Errata
 from maxq.design.model.state_space import StateSpace
-from maxq.design.model.vehicle_at import FlightCondition, VehicleAt
+from maxq.design.model.vehicle_at import FlightCondition, Pendulums, VehicleAt, with_pendulums
 
 INPUTS = ("delta_rad", "delta_accel_radps2")
 OUTPUTS = ("q_radps", "local_rate_radps", "w_mps", "theta_rad")
 
+XI = 1.84118378134066
+_SHALLOWEST = 1e-6  # depth in radii: the formulae have limits at zero
+
 
 @dataclass(frozen=True)
-class _Layout:
-    """Where coordinates stand in the second-order system: lateral, rotation, modes, pendulums."""
+class Liquids:
+    """Radius and liquid depth of each tank, (tanks,)."""
 
-    modes: int
-    tanks: int
-
-    @property
-    def size(self) -> int:
-        return 2 + self.modes + self.tanks
-
-    @property
-    def mode(self) -> slice:
-        return slice(2, 2 + self.modes)
-
-    @property
-    def pendulum(self) -> slice:
-        return slice(2 + self.modes, self.size)
+    radius_m: Array
+    height_m: Array
 
 
 def axial_load_mps2(vehicle: VehicleAt, condition: FlightCondition) -> float:
@@ -91,191 +68,150 @@ def axial_load_mps2(vehicle: VehicleAt, condition: FlightCondition) -> float:
     return (vehicle.engine.thrust_N(condition.pressure_Pa) - drag) / vehicle.body.total_mass_kg
 
 
-def vehicle_plant(vehicle: VehicleAt, condition: FlightCondition) -> StateSpace:
+def vehicle_plant(
+    vehicle: VehicleAt, condition: FlightCondition, errata: Errata = CORRECTED, liquids: Liquids | None = None
+) -> StateSpace:
     """Engine angle and acceleration -> rates, of body, modes and pendulums.
 
-    States w (m/s, of the body point at the core's CG), q (rad/s), theta (rad), eta (m), eta' (m/s), G (rad),
-    G' (rad/s); inputs and outputs as INPUTS and OUTPUTS, of which the local rate is that at the gyro, q + sum
-    sigma_G eta' (12 with erratum 1). Valid for thrust that presses the liquid aft; raises ValueError where
-    the axial load is not positive and there are pendulums.
+    States w (m/s, of the body point at the core's CG), q (rad/s), theta (rad), eta (m), eta' (m/s), G (rad), G'
+    (rad/s); inputs and outputs as INPUTS and OUTPUTS, of which the local rate is that at the gyro, q + sum sigma_G eta'
+    (12 with erratum 1). Raises ValueError where the axial load is not positive and there are pendulums, and where an
+    erratum of the tanks is left in and `liquids` does not say what they hold.
     """
-    at = _Layout(len(vehicle.modes.omega_radps), len(vehicle.pendulums.mass_kg))
     load = axial_load_mps2(vehicle, condition)
-    if at.tanks > 0 and load <= 0.0:
+    if len(vehicle.pendulums.mass_kg) and load <= 0.0:
         raise ValueError(f"a pendulum needs a positive axial load, not {load:g} m/s2")
-    mass = _mass_matrix(vehicle, at)
-    stiffness = _stiffness(vehicle, condition, load, at)
-    damping = _damping(vehicle, condition, load, at)
-    engine = _engine_columns(vehicle, condition, load, at)
-    empty = vehicle.pendulums.mass_kg == 0.0
-    if empty.any():  # such a bob swings and moves nothing: its row per unit of mass, where 0 = 0 would stand
-        bobs = dataclasses.replace(vehicle.pendulums, mass_kg=np.ones(at.tanks))
-        unit = dataclasses.replace(vehicle, pendulums=bobs)
-        rows = 2 + at.modes + np.flatnonzero(empty)
-        mass[rows] = _mass_matrix(unit, at)[rows]
-        stiffness[rows] = _stiffness(unit, condition, load, at)[rows]
-        damping[rows] = _damping(unit, condition, load, at)[rows]
-    # unknown of the first row is s, of the others the second derivatives
-    per_position = _solve(mass, -stiffness)  # column 0 is zero: nothing depends on a lateral position
-    per_rate = _solve(mass, -damping)
-    per_engine = _solve(mass, engine)
-    return _first_order(per_position, per_rate, per_engine, vehicle, condition, at)
+    return _Equations(_with_printed_tanks(vehicle, errata, liquids), condition, load, errata).state_space()
 
 
-def _solve(matrix: Array, right: Array) -> Array:
-    return np.asarray(np.linalg.solve(matrix, right), np.float64)
+def _with_printed_tanks(vehicle: VehicleAt, errata: Errata, liquids: Liquids | None) -> VehicleAt:
+    if (errata.tank_radius and errata.tank_liquid) or not len(vehicle.pendulums.mass_kg):
+        return vehicle
+    if liquids is None:
+        raise ValueError(
+            "errata tank_radius and tank_liquid need the tanks' radius_m and liquid_height_m, which this vehicle lacks"
+        )
+    return with_pendulums(vehicle, as_printed(vehicle.pendulums, liquids, errata.tank_radius, errata.tank_liquid))
 
 
-def _mass_matrix(vehicle: VehicleAt, at: _Layout) -> Array:
-    """Of the generalised accelerations s, q', eta'', G'' (symmetric)."""
-    body, bobs = vehicle.body, vehicle.pendulums
-    mass = np.zeros((at.size, at.size))
-    mass[0, 0], mass[1, 1] = body.core_mass_kg, body.core_inertia_kgm2
-    mass[at.mode, at.mode] = np.diag(vehicle.modes.generalized_mass_kg)
-    for k in range(at.tanks):
-        reach = _bob_reach(vehicle, at, k)
-        mass += bobs.mass_kg[k] * np.outer(reach, reach)
-    return mass
+class _Equations:
+    """Each quantity is a row of coefficients: per state, then per input."""
 
+    def __init__(self, vehicle: VehicleAt, condition: FlightCondition, load: float, errata: Errata) -> None:
+        self.vehicle, self.condition, self.load, self.errata = vehicle, condition, load, errata
+        self.modes, self.tanks = len(vehicle.modes.omega_radps), len(vehicle.pendulums.mass_kg)
+        self.names = state_names(self.modes, self.tanks)
+        n, m = self.modes, self.tanks
+        rows = np.eye(len(self.names) + 2)
+        self.w, self.q, self.theta = rows[0], rows[1], rows[2]
+        self.eta, self.eta_rate = rows[3 : 3 + n], rows[3 + n : 3 + 2 * n]
+        self.gamma, self.gamma_rate = rows[3 + 2 * n : 3 + 2 * n + m], rows[3 + 2 * n + m : 3 + 2 * n + 2 * m]
+        self.delta, self.delta_accel = rows[-2], rows[-1]
+        body = vehicle.body
+        self.mass, self.inertia, self.cg = (
+            (body.core_mass_kg, body.core_inertia_kgm2, body.core_cg_station_m)
+            if errata.core_mass
+            else (body.total_mass_kg, vehicle.total_inertia_kgm2, vehicle.total_cg_station_m)
+        )
+        self.force: Array = np.zeros(len(rows))
+        self.moment: Array = np.zeros(len(rows))
+        self.modal: Array = np.zeros((n, len(rows)))
+        self._aerodynamics()
+        self._thrust()
+        self._engine()
+        self._slosh()
+        if errata.jet_damping and vehicle.jet_damping:
+            momentum, turning = mass_flow_momentum(vehicle)
+            self.force = self.force + 2.0 * momentum * self.q
+            self.moment = self.moment - turning * self.q
 
-def _stiffness(vehicle: VehicleAt, condition: FlightCondition, load: float, at: _Layout) -> Array:
-    """Forces lost per unit of displacement: elastic, axial load, thrust and incidence of the bent body."""
-    modes, bobs, engine = vehicle.modes, vehicle.pendulums, vehicle.engine
-    k = np.zeros((at.size, at.size))
-    k[at.mode, at.mode] += np.diag(modes.generalized_mass_kg * modes.omega_radps**2)
-    k[at.mode, at.mode] -= load * modes.softening_kgpm
-    # a bob beside the axis pulls the nose round: moment of its axial inertia about the CG
-    k[1, at.mode] += load * modes.phi_hinge @ bobs.mass_kg
-    k[1, at.pendulum] += load * bobs.mass_kg * bobs.length_m
-    k[at.pendulum, at.pendulum] += load * np.diag(bobs.mass_kg * bobs.length_m)
-    thrust, arm = engine.thrust_N(condition.pressure_Pa), _gimbal_arm(vehicle)
-    tilt = -modes.slope_gimbal_pm if engine.follower else np.zeros(at.modes)
-    k[0, at.mode] -= thrust * tilt
-    k[1, at.mode] -= thrust * (arm * tilt + modes.phi_gimbal)
-    k[at.mode, at.mode] -= thrust * np.outer(modes.phi_gimbal, tilt)
-    for force, incidence in _surfaces(vehicle, condition, at):
-        k -= np.outer(force, condition.airspeed_mps * incidence[1])
-    return k
+    def _aerodynamics(self) -> None:
+        """(4), (6), (7), (17)."""
+        air, modes, speed = self.vehicle.aerodynamics, self.vehicle.modes, self.condition.airspeed_mps
+        flow = 0.5 * self.condition.density_kgpm3 * speed * air.area_m2
+        for k, slope in enumerate(air.slope_pr):
+            turned = speed * modes.slope_surface_pm[:, k] @ self.eta + modes.phi_surface[:, k] @ self.eta_rate
+            bent = turned if air.local_incidence else 0.0 * self.w
+            whole = self.w + (bent if self.errata.bent_body_loads else 0.0)
+            self.force = self.force - flow * slope * whole
+            self.moment = self.moment + flow * (slope * self.cg - air.moment_slope_mpr[k]) * whole
+            self.modal = self.modal - flow * slope * np.outer(modes.phi_surface[:, k], self.w + bent)
+        self.moment = self.moment + 0.5 * flow * air.chord_m**2 * air.rate_damping * self.q
+        if self.errata.path_terms:
+            self.force = self.force - flow * air.drag * self.w
 
+    def _thrust(self) -> None:
+        """(5), (8), (16)."""
+        engine, modes = self.vehicle.engine, self.vehicle.modes
+        thrust, arm = engine.thrust_N(self.condition.pressure_Pa), engine.gimbal_station_m - self.cg
+        tilt = -modes.slope_gimbal_pm @ self.eta if engine.follower else 0.0 * self.delta
+        self.modal = self.modal + thrust * np.outer(modes.phi_gimbal, self.delta + tilt)
+        whole, offset = self.delta, 0.0 * self.delta
+        if self.errata.bent_body_loads:
+            whole, offset = self.delta + tilt, modes.phi_gimbal @ self.eta
+        self.force = self.force + thrust * whole
+        self.moment = self.moment + thrust * (arm * whole + offset)
 
-def _damping(vehicle: VehicleAt, condition: FlightCondition, load: float, at: _Layout) -> Array:
-    """Forces lost per unit of rate; column 0 is that of w."""
-    modes, bobs, air = vehicle.modes, vehicle.pendulums, vehicle.aerodynamics
-    c = np.zeros((at.size, at.size))
-    c[at.mode, at.mode] += np.diag(2.0 * modes.damping_ratio * modes.omega_radps * modes.generalized_mass_kg)
-    omega = np.sqrt(load / bobs.length_m)
-    c[at.pendulum, at.pendulum] += np.diag(2.0 * bobs.damping_ratio * omega * bobs.mass_kg * bobs.length_m**2)
-    flow = 0.5 * condition.density_kgpm3 * condition.airspeed_mps * air.area_m2
-    c[0, 0] += flow * air.drag
-    c[1, 1] -= 0.5 * flow * air.chord_m**2 * air.rate_damping
-    for force, incidence in _surfaces(vehicle, condition, at):
-        c -= np.outer(force, incidence[0])
-    if vehicle.jet_damping:
-        c[:, 1] += _mass_flow(vehicle, at)
-    return c
+    def _engine(self) -> None:
+        """(18) to (20)."""
+        engine, modes = self.vehicle.engine, self.vehicle.modes
+        first = engine.gimballed_mass_kg * engine.cg_from_gimbal_m
+        inertia = engine.inertia_about_gimbal_kgm2
+        if not self.errata.engine_inertia:
+            inertia -= first * engine.cg_from_gimbal_m
+        self.force = self.force + first * self.delta_accel
+        self.moment = self.moment + (inertia + first * (engine.gimbal_station_m - self.cg)) * self.delta_accel
+        self.modal = self.modal + first * np.outer(modes.phi_gimbal, self.delta_accel)
+        if self.errata.engine_inertia:
+            self.modal = self.modal + inertia * np.outer(modes.slope_gimbal_pm, self.delta_accel)
+        if self.errata.engine_weight:
+            self.moment = self.moment + self.load * first * self.delta
+            self.modal = self.modal + self.load * first * np.outer(modes.slope_gimbal_pm, self.delta)
 
+    def _slosh(self) -> None:
+        """(24), (26), (27)."""
+        bobs, modes = self.vehicle.pendulums, self.vehicle.modes
+        for k in range(self.tanks):
+            rod = bobs.mass_kg[k] * self.load * self.gamma[k]
+            # force between bob and tank per rate of the pendulum's angle, a_x m_p 2 zeta / omega (24)
+            length, mass = bobs.length_m[k], bobs.mass_kg[k]
+            friction = 2.0 * bobs.damping_ratio[k] * np.sqrt(self.load / length) * length * mass * self.gamma_rate[k]
+            arm = self.cg - bobs.hinge_station_m[k]
+            self.force = self.force + rod + friction
+            self.moment = self.moment - arm * rod
+            self.moment = self.moment - (arm - bobs.length_m[k] if self.errata.damper_at_bob else arm) * friction
+            self.modal = self.modal + np.outer(modes.phi_hinge[:, k], rod + friction)
+            if self.errata.bent_body_loads:
+                self.moment = self.moment - self.load * bobs.mass_kg[k] * modes.phi_hinge[:, k] @ self.eta
 
-def _surfaces(vehicle: VehicleAt, condition: FlightCondition, at: _Layout) -> list[tuple[Array, tuple[Array, Array]]]:
-    """Per lifting surface: generalised force per local lateral speed; that speed per rate, U per bend."""
-    air, modes, out = vehicle.aerodynamics, vehicle.modes, []
-    flow = 0.5 * condition.density_kgpm3 * condition.airspeed_mps * air.area_m2
-    for k, slope in enumerate(air.slope_pr):
-        force, by_rate, by_bend = np.zeros(at.size), np.zeros(at.size), np.zeros(at.size)
-        force[0] = -flow * slope
-        force[1] = flow * (slope * vehicle.body.core_cg_station_m - air.moment_slope_mpr[k])
-        force[at.mode] = -flow * slope * modes.phi_surface[:, k]
-        by_rate[0] = 1.0
-        if air.local_incidence:
-            by_rate[at.mode], by_bend[at.mode] = modes.phi_surface[:, k], modes.slope_surface_pm[:, k]
-        out.append((force, (by_rate, by_bend)))
-    return out
-
-
-def _mass_flow(vehicle: VehicleAt, at: _Layout) -> Array:
-    """Generalised forces lost per pitch rate to what flows through the turning vehicle (jet damping).
-
-    The core is a vessel through which mass flows. Reynolds' transport theorem with the Coriolis acceleration
-    2 w x v_rel inside gives for the body point at its CG, and about it (W. T. Thomson, Introduction to Space
-    Dynamics, ch. 7),
-
-        m a = F - 2 w x P,   P = m dc/dt + sum of outflow times place,
-        I q' = M - (dI/dt + sum of outflow times place^2) q,
-
-    places forward of the CG, c the CG in the body. The gas leaves at the nozzle's exit. Liquid also goes over
-    from the bobs, which shrink, to the core, where they are; and the bobs travel aft with the liquid's
-    surface, which gives them a Coriolis acceleration.
-    """
-    bobs = vehicle.pendulums
-    momentum, turning = mass_flow_momentum(vehicle)
-    out = np.zeros(at.size)
-    for k in range(at.tanks):
-        out += 2.0 * bobs.mass_kg[k] * bobs.bob_station_rate_mps[k] * _bob_reach(vehicle, at, k)
-    out[0] -= 2.0 * momentum
-    out[1] += turning
-    return out
-
-
-def mass_flow_momentum(vehicle: VehicleAt) -> tuple[float, float]:
-    """What flows through the core: P (kg m/s) and the bracket of the moment (kg m2/s) of `_mass_flow`."""
-    body, bobs, cg = vehicle.body, vehicle.pendulums, vehicle.body.core_cg_station_m
-    exit_place, bob_place = cg - vehicle.engine.exit_station_m, cg - bobs.bob_station_m
-    momentum = body.mass_flow_kgps * exit_place - body.core_mass_kg * body.core_cg_rate_mps
-    turning = body.mass_flow_kgps * exit_place**2 + body.core_inertia_rate_kgm2ps
-    return (
-        float(momentum + bobs.mass_rate_kgps @ bob_place),
-        float(turning + bobs.mass_rate_kgps @ bob_place**2),
-    )
-
-
-def _bob_reach(vehicle: VehicleAt, at: _Layout, tank: int) -> Array:
-    """Lateral displacement of a bob per unit of each coordinate."""
-    bobs = vehicle.pendulums
-    reach = np.zeros(at.size)
-    reach[0], reach[1] = 1.0, -(vehicle.body.core_cg_station_m - bobs.bob_station_m[tank])
-    reach[at.mode] = vehicle.modes.phi_hinge[:, tank]
-    reach[2 + at.modes + tank] = bobs.length_m[tank]
-    return reach
-
-
-def _gimbal_arm(vehicle: VehicleAt) -> float:
-    """From the core's CG aft to the gimbal, m."""
-    return vehicle.engine.gimbal_station_m - vehicle.body.core_cg_station_m
-
-
-def _engine_columns(vehicle: VehicleAt, condition: FlightCondition, load: float, at: _Layout) -> Array:
-    """Generalised force per engine angle and per engine acceleration."""
-    engine, modes, arm = vehicle.engine, vehicle.modes, _gimbal_arm(vehicle)
-    thrust, inertia = engine.thrust_N(condition.pressure_Pa), engine.inertia_about_gimbal_kgm2
-    first_moment = engine.gimballed_mass_kg * engine.cg_from_gimbal_m
-    out = np.zeros((at.size, 2))
-    out[0] = thrust, first_moment
-    out[1] = thrust * arm + load * first_moment, inertia + first_moment * arm
-    out[at.mode, 0] = thrust * modes.phi_gimbal + load * first_moment * modes.slope_gimbal_pm
-    out[at.mode, 1] = first_moment * modes.phi_gimbal + inertia * modes.slope_gimbal_pm
-    return out
-
-
-def _first_order(
-    per_position: Array, per_rate: Array, per_engine: Array, vehicle: VehicleAt, condition: FlightCondition,
-    at: _Layout,
-) -> StateSpace:  # fmt: skip
-    """From second order in (lateral, theta, eta, G) to the states w, q, theta, eta, eta', G, G'."""
-    n, m = at.modes, at.tanks
-    eta, gamma = 3 + np.arange(n), 3 + 2 * n + np.arange(m)
-    positions = np.concatenate([[2], eta, gamma])
-    rates = np.concatenate([[0, 1], eta + n, gamma + m])
-    a, b = np.zeros((3 + 2 * (n + m), 3 + 2 * (n + m))), np.zeros((3 + 2 * (n + m), 2))
-    a[np.ix_(rates, positions)] = per_position[:, 1:]
-    a[np.ix_(rates, rates)] = per_rate
-    b[rates] = per_engine
-    a[positions, rates[1:]] = 1.0
-    # w' = s + U q - g sin(theta_0) theta, and the CG wanders to body points that the rotation moves otherwise
-    a[0, 1] += condition.airspeed_mps + vehicle.body.core_cg_rate_mps
-    a[0, 2] -= condition.gravity_mps2 * math.sin(condition.pitch_rad)
-    c = np.zeros((len(OUTPUTS), len(a)))
-    c[0, 1] = c[1, 1] = c[2, 0] = c[3, 2] = 1.0
-    c[1, eta + n] = vehicle.modes.slope_gyro_pm
-    return StateSpace(a, b, c, np.zeros((len(OUTPUTS), 2)), state_names(n, m), INPUTS, OUTPUTS)
+    def state_space(self) -> StateSpace:
+        modes, bobs = self.vehicle.modes, self.vehicle.pendulums
+        lateral, turning = self.force / self.mass, self.moment / self.inertia
+        force = self.modal if self.errata.mode_force_sign else -self.modal
+        if self.errata.axial_softening:
+            force = force + self.load * modes.softening_kgpm @ self.eta
+        omega = modes.omega_radps[:, None]
+        damping = 2.0 * modes.damping_ratio[:, None] * omega
+        bending = force / modes.generalized_mass_kg[:, None] - omega**2 * self.eta - damping * self.eta_rate
+        coriolis = (
+            bobs.bob_station_rate_mps if self.errata.jet_damping and self.vehicle.jet_damping else 0.0 * bobs.mass_kg
+        )
+        swing = np.zeros((self.tanks, len(self.w)))
+        for k in range(self.tanks):  # (21)
+            length, natural = bobs.length_m[k], np.sqrt(self.load / bobs.length_m[k])
+            arm = self.cg - bobs.hinge_station_m[k]
+            drive = lateral - (arm - length) * turning + modes.phi_hinge[:, k] @ bending + 2.0 * coriolis[k] * self.q
+            swing[k] = -(natural**2) * self.gamma[k] - 2.0 * bobs.damping_ratio[k] * natural * self.gamma_rate[k]
+            swing[k] -= drive / length
+        w_rate = lateral + self.condition.airspeed_mps * self.q
+        if self.errata.path_terms:
+            weight = self.condition.gravity_mps2 * np.sin(self.condition.pitch_rad)
+            w_rate = w_rate - weight * self.theta + self.vehicle.body.core_cg_rate_mps * self.q
+        system = np.concatenate([[w_rate, turning, self.q], self.eta_rate, bending, self.gamma_rate, swing])
+        n = len(self.names)
+        sensed = self.q + modes.slope_gyro_pm @ (self.eta_rate if self.errata.gyro_senses_rate else self.eta)
+        c = np.stack([self.q, sensed, self.w, self.theta])[:, :n]
+        return StateSpace(system[:, :n], system[:, n:], c, np.zeros((4, 2)), self.names, INPUTS, OUTPUTS)
 
 
 def state_names(modes: int, tanks: int) -> tuple[str, ...]:
@@ -286,3 +222,61 @@ def state_names(modes: int, tanks: int) -> tuple[str, ...]:
         *[f"eta_{i}_m" for i in mode], *[f"eta_{i}_rate_mps" for i in mode],
         *[f"slosh_{k}_rad" for k in tank], *[f"slosh_{k}_rate_radps" for k in tank],
     )  # fmt: skip
+
+
+def mass_flow_momentum(vehicle: VehicleAt) -> tuple[float, float]:
+    """Of the mass flow through the core: lateral momentum P (kg m/s) and pitch damping (kg m2/s) per pitch rate.
+
+    Reynolds' transport theorem with the Coriolis acceleration 2 w x v_rel of what flows through a turning vessel (W. T.
+    Thomson, Introduction to Space Dynamics, ch. 7): m a = F - 2 w x P, P = m dc/dt + sum of outflow times place, and
+    I q' = M - (dI/dt + sum of outflow times place^2) q, places forward of the CG, c the CG in the body. The gas leaves
+    at the nozzle's exit; liquid also goes over from the bobs, which shrink, to the core.
+    """
+    body, bobs, cg = vehicle.body, vehicle.pendulums, vehicle.body.core_cg_station_m
+    exit_place, bob_place = cg - vehicle.engine.exit_station_m, cg - bobs.bob_station_m
+    momentum = body.mass_flow_kgps * exit_place - body.core_mass_kg * body.core_cg_rate_mps
+    turning = body.mass_flow_kgps * exit_place**2 + body.core_inertia_rate_kgm2ps
+    return (
+        float(momentum + bobs.mass_rate_kgps @ bob_place),
+        float(turning + bobs.mass_rate_kgps @ bob_place**2),
+    )
+
+
+def as_printed(pendulums: Pendulums, liquids: Liquids, radius: bool, liquid: bool) -> Pendulums:
+    """The pendulums of eqs 22, 23 and 25 with their errata left in.
+
+    `radius` False: the diameter in place of the radius. `liquid` False: all propellant in place of that in the tank.
+    Mass and place of the liquid follow from the true pendulum; the hinge, which the paper does not give, is placed by
+    the formula above with the same radius. The damping ratio is kept.
+    """
+    r = liquids.radius_m
+    h = np.maximum(liquids.height_m, _SHALLOWEST * r)
+    used = r if radius else 2.0 * r
+    in_tank = pendulums.mass_kg / _mass_ratio(r, h)
+    counted = in_tank if liquid else np.full_like(in_tank, in_tank.sum())
+    centre = pendulums.hinge_station_m + _hinge_above(r, h, pendulums.length_m)
+    length = pendulums.length_m if radius else _length(used, h)
+    mass = counted * _mass_ratio(used, h)
+    there = pendulums.mass_kg > 0.0
+    grown = np.divide(mass, pendulums.mass_kg, out=np.ones_like(mass), where=there)
+    return dataclasses.replace(
+        pendulums,
+        mass_kg=mass,
+        mass_rate_kgps=pendulums.mass_rate_kgps * grown,
+        length_m=length,
+        hinge_station_m=centre - _hinge_above(used, h, length),
+    )
+
+
+def _length(radius: Array, height: Array) -> Array:
+    return np.asarray(radius / (XI * np.tanh(XI * height / radius)))
+
+
+def _mass_ratio(radius: Array, height: Array) -> Array:
+    x = XI * height / radius
+    return np.asarray(2.0 * np.tanh(x) / (x * (XI * XI - 1.0)))
+
+
+def _hinge_above(radius: Array, height: Array, length: Array) -> Array:
+    """Height of the hinge above the liquid's CG."""
+    return np.asarray(0.5 * height - 2.0 * radius / XI * np.tanh(0.5 * XI * height / radius) + length)

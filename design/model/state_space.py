@@ -117,7 +117,7 @@ _WORST_BASIS = 1e7  # condition number beyond which partial fractions lose half 
 class Resolvent:
     """C (s - A)^-1 B at many points s at once, exact at the sharpest resonance.
 
-    Partial fractions where A has a well-conditioned basis of eigenvectors, else back-substitution in its Schur form.
+    Partial fractions where A has a well-conditioned basis of eigenvectors, else a linear system solved at each point.
     `poles` are A's eigenvalues, (n,). Calling it with s (any shape) gives (*s.shape, outputs, inputs).
     """
 
@@ -132,23 +132,14 @@ class Resolvent:
             per_pole = np.linalg.solve(vectors, b) if len(a) else b
             self._residues = np.einsum("oi,ij->ioj", c @ vectors, per_pole).reshape(len(a), -1).astype(np.complex128)
         else:
-            self._triangle, basis = scipy.linalg.schur(scaled, output="complex")
-            self.poles = np.diag(self._triangle).copy()
-            self._b, self._c = basis.conj().T @ b, c @ basis
+            self._system = scaled, b, c
 
     def __call__(self, s: ComplexArray) -> ComplexArray:
         flat = np.asarray(s, np.complex128).reshape(-1)
-        out = self._by_fractions(flat) if self._fractions else self._by_substitution(flat)
-        return out.reshape(*np.shape(s), self._outputs, self._inputs)
-
-    def _by_fractions(self, s: ComplexArray) -> ComplexArray:
-        # not `@`: for so thin a product the linear-algebra library's threads cost more than they save
-        return np.asarray(np.einsum("sp,pk->sk", 1.0 / (s[:, None] - self.poles), self._residues))
-
-    def _by_substitution(self, s: ComplexArray) -> ComplexArray:
-        t, n = self._triangle, len(self._triangle)
-        x = np.zeros((n, len(s), self._inputs), np.complex128)
-        for i in range(n - 1, -1, -1):
-            right = self._b[i] + np.tensordot(t[i, i + 1 :], x[i + 1 :], axes=1)
-            x[i] = right / (s - t[i, i])[:, None]
-        return np.asarray(np.einsum("oi,isj->soj", self._c, x))
+        if self._fractions:
+            # not `@`: for so thin a product the linear-algebra library's threads cost more than they save
+            out = np.einsum("sp,pk->sk", 1.0 / (flat[:, None] - self.poles), self._residues)
+        else:
+            a, b, c = self._system
+            out = c @ np.linalg.solve(flat[:, None, None] * np.eye(len(a)) - a, b)
+        return np.asarray(out.reshape(*np.shape(s), self._outputs, self._inputs))

@@ -32,7 +32,7 @@ def analysis_report(name: str, order: Order, design: Design, judged: Sequence[Ju
     return _joined(
         [printable(f"{name}: {design.name}" if design.name else name), where], margins_table(judged),
         lobes_table(judged), budget_table(judged, "phase margin", "phase_deg"),
-        budget_table(judged, "gain margin up", "gain_db"), limits_table(found),
+        budget_table(judged, "upper gain margin", "gain_db"), limits_table(found),
         nodes_table(found, judged) if len(found) > 1 else [],
     )  # fmt: skip
 
@@ -159,7 +159,7 @@ def budget_table(judged: Sequence[Judged], crossing: str, column: Literal["gain_
         left = abs(budget.phase_margin_deg) if column == "phase_deg" else abs(budget.gain_db)
         values = [*(shares.get(part, math.nan) for part in parts), getattr(budget, column), left]
         rows.append((f"{j.time_s:g}", f"{budget.frequency_hz:.3g}", *(number(value, digits) for value in values)))
-    return [f"budget at the {crossing}, {unit}", *aligned(rows, "  ", right=tuple(range(len(rows[0]))))]
+    return [f"margin budget at the {crossing}, {unit}", *aligned(rows, "  ", right=tuple(range(len(rows[0]))))]
 
 
 def design_table(design: Design) -> list[str]:

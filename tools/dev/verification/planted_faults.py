@@ -2,7 +2,7 @@
 
 Each alters what has been packed for a flight: the table of the vehicle, the records of its components, the computer.
 Nothing is compiled anew, and the linear model knows nothing of it. A fault is found where a line of the frequency
-response or a margin broken in flight is off by more than is allowed without a reason that explains it.
+response or a measured margin is off by more than is allowed without a reason that explains it.
 
 `size` says how large the mistake is. Signs and exchanged numbers have no size; of what has one, the mistake is small.
 """
