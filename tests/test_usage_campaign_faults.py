@@ -305,7 +305,7 @@ def test_values_that_exclude_each_other_are_drawn_again(tmp_path: Path) -> None:
     assert sum(i.redraws > 0 for i in inputs) > 3
     assert campaign.inputs(9).recorded == inputs[9].recorded
     refusing = campaignkit.small(tmp_path, "refusing", inputs=EXCLUSIVE, campaign='outside = "refuse"')
-    with pytest.raises(CampaignError, match="no body has this inertia about the gimbal"):
+    with pytest.raises(CampaignError, match="no rigid body has this inertia about the gimbal"):
         run_campaign(refusing, tmp_path / "out")
 
 
@@ -320,16 +320,16 @@ def test_bounds_that_nothing_meets(tmp_path: Path) -> None:
     [
         ('key = "vehicle.stage.0.engine.thrust_facto"', "did you mean vehicle.stage.0.engine.thrust_factor?"),
         ('key = "vehicle.stage.7.engine"', "vehicle.stage has no element 7"),
-        ('key = "vehicle.stage.0.engine"', "is no single value"),
+        ('key = "vehicle.stage.0.engine"', "is not a single value"),
         ('key = "vehicle.stage.0.mass.table.x_cg"', "no column x_cg; did you mean x_cg_m?"),
         ('key = "vehicle.stage.0.mass.table.x_cg_m"', "mean: required key is missing"),
         ('key = "switches.slosh"\ndistribution = "choice"\nvalues = [1.0]', "is true or false"),
         ('key = "switches.gyro"', "switches.gyro holds no number"),
         ('key = "wind.factor"\ndistribution = "normal"', "needs one of sigma, three_sigma"),
-        ('key = "wind.factor"\ndistribution = "gauss"', "is none of the choices"),
+        ('key = "wind.factor"\ndistribution = "gauss"', "is not one of the choices"),
         ('key = "wind.factor"\ndistribution = "uniform"\nlow = 2.0\nhigh = 1.0', "low lies above high"),
         ('key = "wind.factor"\ndistribution = "normal"\nsigma = 1.0\nhigh = 1.0', "has no meaning here"),
-        ('keys = ["wind.factor"]\ndistribution = "normal"\ncovariance = [[1.0, 0.0]]', "is no matrix of 1 by 1"),
+        ('keys = ["wind.factor"]\ndistribution = "normal"\ncovariance = [[1.0, 0.0]]', "is not a matrix of 1 by 1"),
         ('distribution = "samples"\nkey = "wind.factor"\nfile = "none.csv"', "no such file"),
         ('key = "run.seed"\ndistribution = "uniform"\nlow = 0.0\nhigh = 9.0', "run.seed is dispersed"),
         ('name = "none"', "needs one of key, keys"),

@@ -40,7 +40,7 @@ def test_overrides_and_a_file_of_ones_own(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("override", "said"),
     [
-        ("filter.structure=F7", "is none of the choices"),
+        ("filter.structure=F7", "is not one of the choices"),
         ("filter.strukture=F4", "did you mean structure?"),
         ("limits.gain_margin_db=nan", "is not finite"),
         ("limits.gain_margin_db=-1", "is out of range"),
@@ -54,7 +54,7 @@ def test_overrides_and_a_file_of_ones_own(tmp_path: Path) -> None:
         ("gains.schedule=nodes", "required key is missing"),
         ("gains.nodes_s=[5.0]", 'this key with schedule = "nodes" only'),
         ("search.starts=0", "is out of range"),
-        ("limits.without=['gain_margin_db']", "is none of the choices"),
+        ("limits.without=['gain_margin_db']", "is not one of the choices"),
         ("robust.bending_slope=1.5", "is out of range"),
         ("scenario=nominl", "did you mean nominal?"),
     ],

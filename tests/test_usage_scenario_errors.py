@@ -136,7 +136,7 @@ def test_toml_that_python_cannot_hold(here: Path) -> None:
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="the system has no pipes")
 def test_what_is_no_ordinary_file(here: Path) -> None:
     os.mkfifo(here / "pipe.toml")
-    assert said_of("pipe.toml").startswith("pipe.toml: is no ordinary file; allowed: a scenario file")
+    assert said_of("pipe.toml").startswith("pipe.toml: is not an ordinary file; allowed: a scenario file")
 
 
 def test_a_file_that_may_not_be_read(here: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -166,9 +166,9 @@ def test_extends_of_what_is_not_there(here: Path) -> None:
     (here / "a.toml").write_text("extends = 3\n")
     assert said_of("a.toml").startswith("a.toml: extends = 3: has the wrong type; allowed: the name of ")
     (here / "a.toml").write_text('extends = "ascent.toml"\nunset = ["wind.profil"]\n')
-    assert said_of("a.toml") == ("a.toml: unset.wind.profil: there is no such key to take away; did you mean profile?")
+    assert said_of("a.toml") == ("a.toml: unset.wind.profil: there is no such key to remove; did you mean profile?")
     (here / "a.toml").write_text('unset = ["wind.profile"]\nvehicle = "vehicles/rocket"\n')
-    assert said_of("a.toml").startswith("a.toml: unset: there is nothing to take away from")
+    assert said_of("a.toml").startswith("a.toml: unset: there is nothing to remove keys from")
 
 
 def test_the_file_that_says_it_is_named(here: Path) -> None:
@@ -182,11 +182,11 @@ def test_the_file_that_says_it_is_named(here: Path) -> None:
 
 def test_overrides_that_are_wrong(here: Path) -> None:
     assert said_of("ascent.toml", "run.step_s").startswith("--set: run.step_s: has no '='; allowed: --set KEY=VALUE")
-    assert said_of("ascent.toml", "run..step_s=1").startswith("--set: run..step_s: is no path of a key")
+    assert said_of("ascent.toml", "run..step_s=1").startswith("--set: run..step_s: is not the path of a key")
     assert said_of("ascent.toml", "run.step=1") == "--set: run.step = 1: unknown key; did you mean step_s?"
     assert said_of("ascent.toml", "run.step_s=fast").startswith('--set: run.step_s = "fast": has the wrong type')
     assert said_of("ascent.toml", "vehicle.stage.1.name=x") == (
-        "--set: vehicle.stage.1.name: 1 is no element of this list; allowed: an index 0 .. 0"
+        "--set: vehicle.stage.1.name: 1 is not an element of this list; allowed: an index 0 .. 0"
     )
     assert said_of("ascent.toml", "vehicle.stage.0.tank.0.damping=0.1").startswith(
         "--set: vehicle.stage.0.tank.0.damping = 0.1: unknown key; did you mean damping_ratio?"
@@ -199,7 +199,7 @@ def test_overrides_that_are_wrong(here: Path) -> None:
         '--set: design.gain = {yaw = "pitch"}: unknown key; did you mean gains?'
     )
     assert said_of("ascent.toml", "wind.profil=") == (
-        "--set: wind.profil: there is no such key to take away; did you mean profile?"
+        "--set: wind.profil: there is no such key to remove; did you mean profile?"
     )
 
 
@@ -237,7 +237,7 @@ def test_inertia_that_no_body_can_have(tmp_path: Path, inertia: str) -> None:
     path = write_free(tmp_path)
     line = said_of(path, f"vehicle.stage.0.mass.inertia_kgm2={inertia}")
     assert line.startswith("--set: vehicle.stage.0.mass.inertia_kgm2 = [[")
-    assert "no body has this inertia" in line or "is symmetric" in line
+    assert "no rigid body has this inertia" in line or "is symmetric" in line
 
 
 def test_too_many_modes_and_tanks(here: Path) -> None:
@@ -256,7 +256,7 @@ def test_too_many_modes_and_tanks(here: Path) -> None:
 def test_text_from_a_log_cannot_name_files(here: Path) -> None:
     with pytest.raises(ScenarioError, match="names a file, which a scenario given as text cannot do"):
         load_scenario_text((here / ASCENT).read_text())
-    with pytest.raises(ScenarioError, match="stands alone"):
+    with pytest.raises(ScenarioError, match="self-contained"):
         load_scenario_text('extends = "ascent.toml"')
 
 

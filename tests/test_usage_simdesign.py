@@ -181,7 +181,7 @@ WRONG = {
     "unknown key": (["ksr3-identical", "--set", "limits.gain_margin=3"], "did you mean gain_margin_db?"),
     "bad value": (
         ["ksr3-identical", "--set", "filter.structure=F7"],
-        'filter.structure = "F7": is none of the choices',
+        'filter.structure = "F7": is not one of the choices',
     ),
     "no value": (["ksr3-identical", "--set", "limits"], "has no '='"),
     "nan": (["ksr3-identical", "--set", "limits.gain_margin_db=nan"], "limits.gain_margin_db = nan"),

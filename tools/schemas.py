@@ -20,7 +20,7 @@ _EXTENDS = {"type": "string", "description": "file on top of which this one lies
 _UNSET = {
     "type": "array",
     "items": {"type": "string"},
-    "description": "keys of the extended file that are taken away",
+    "description": "keys of the extended file to remove",
 }
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import os
 import sys
+import time
 from typing import NoReturn
 
 from maxq.tools.cli.frame import Exit, process, run
@@ -56,7 +57,7 @@ def _parser() -> Parser:
     )  # fmt: skip
     add(
         "--set", modes=(*_FLIGHTS, _CAMPAIGN), metavar="KEY=VALUE", action="append", default=[], dest="overrides",
-        help="override a value of the scenario, e.g. run.step_s=0.0005; KEY= takes the key away; repeatable",
+        help="override a value of the scenario, e.g. run.step_s=0.0005; KEY= removes the key; repeatable",
     )  # fmt: skip
     add("--no-log", modes=(*_FLIGHTS, _RUN), action="store_true", help="no flight.mcap: only the summary")
     add(
@@ -148,13 +149,31 @@ def _run(arguments: list[str], alone: bool) -> int:
     if options.realtime is not None and not options.view:
         parser.error("--realtime goes with --view")
     if mode in _FLIGHTS:
+        start_s = time.perf_counter()  # before the heavy imports
+        if alone:
+            _load_numba_without_blas()
         from maxq.tools import simrun_fly  # noqa: PLC0415  # lazy
 
-        return simrun_fly.execute(filled(simrun_fly.Order, options), alone=alone)
+        return simrun_fly.execute(filled(simrun_fly.Order, options), start_s)
     _check_campaign(options, mode, parser)
     from maxq.tools import simrun_campaign  # noqa: PLC0415  # lazy
 
     return simrun_campaign.execute(filled(simrun_campaign.Order, options, folder=options.log))
+
+
+def _load_numba_without_blas() -> None:
+    """Numba looks for BLAS where it first meets compiled code, by importing scipy.linalg: a fifth of a second.
+
+    Kernels use no linear algebra (CONTRIBUTING.md), so this process, which flies and ends, tells it that there is none.
+    """
+    blas = "scipy.linalg.cython_blas"
+    if blas in sys.modules:
+        return
+    sys.modules[blas] = None  # type: ignore[assignment]  # Python's way of saying "cannot be imported"
+    try:
+        import numba.np.arraymath  # noqa: F401, PLC0415  # its import is what looks
+    finally:
+        del sys.modules[blas]
 
 
 def _print_schema(kind: str) -> int:

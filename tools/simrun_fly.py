@@ -1,4 +1,7 @@
-"""`simrun SCENARIO` and `simrun --from LOG`: load, fly, write, compare, report."""
+"""`simrun SCENARIO` and `simrun --from LOG`: load, fly, write, compare, report.
+
+`simrun` imports this module only where a flight is asked for.
+"""
 
 from __future__ import annotations
 
@@ -9,14 +12,21 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from maxq.control.kernel.jit import cache_folder
 from maxq.sim.files import check_writable
+from maxq.sim.log.head import VERSION_KEY, LogError, maxq_version
+from maxq.sim.log.reader import LoggedRun, read_run
+from maxq.sim.packing.flight import pack_flight
+from maxq.sim.run import record
+from maxq.sim.run.fly import Flight, FlightRun
+from maxq.sim.run.metrics import METRIC_NAMES
+from maxq.sim.scenario.loader import LoadedScenario, load_scenario, load_scenario_text
 from maxq.tools.cli.frame import CommandError, Exit, say
+from maxq.tools.cli.interruption import Interruption
+from maxq.tools.cli.terminal import Progress
+from maxq.tools.flight_report import report
 
 if TYPE_CHECKING:
-    from maxq.sim.run.fly import FlightRun
-    from maxq.sim.scenario.loader import LoadedScenario
-    from maxq.tools.cli.terminal import Progress
-    from maxq.tools.comparison import Comparison
     from maxq.tools.replay.live import LiveView
 
 
@@ -34,19 +44,8 @@ class Order:
     realtime: float | None = None
 
 
-def execute(order: Order, *, alone: bool = False) -> int:
-    """Do it; returns the exit code. `alone`: nobody else uses Numba in this process."""
-    start_s = time.perf_counter()  # the clock starts before the heavy imports
-    if alone:
-        _load_numba_without_blas()
-    from maxq.sim.log.head import LogError  # noqa: PLC0415  # lazy
-    from maxq.sim.packing.flight import pack_flight  # noqa: PLC0415  # lazy
-    from maxq.sim.run import record  # noqa: PLC0415  # lazy
-    from maxq.sim.run.fly import FlightRun  # noqa: PLC0415  # lazy
-    from maxq.tools.cli.interruption import Interruption  # noqa: PLC0415  # lazy
-    from maxq.tools.cli.terminal import Progress  # noqa: PLC0415  # lazy
-    from maxq.tools.flight_report import report  # noqa: PLC0415  # lazy
-
+def execute(order: Order, start_s: float) -> int:
+    """Do it; returns the exit code. `start_s`: `time.perf_counter()` when the command began."""
     loaded, comparison = _load(order)
     packed = pack_flight(loaded.scenario)
     folder = _folder(order, loaded.name)
@@ -62,34 +61,26 @@ def execute(order: Order, *, alone: bool = False) -> int:
     prepared_s = time.perf_counter()
 
     def timing() -> dict[str, float]:
-        now_s = time.perf_counter()
-        return {
-            "load_s": loaded_s - start_s,
-            "prepare_s": prepared_s - loaded_s,
-            "total_s": now_s - start_s,
-        }
+        total_s = time.perf_counter() - start_s
+        return {"load_s": loaded_s - start_s, "prepare_s": prepared_s - loaded_s, "total_s": total_s}
 
     with Interruption() as interruption, Progress() as progress:
-        if view is not None:
-            view.stop = lambda: interruption.requested
+
+        def stop() -> bool:
+            return interruption.requested
 
         def watch(run: FlightRun) -> None:
             show_flight(progress, run)
             comparison.look(run)
 
+        if view is not None:
+            view.stop = stop
         comparison.look(run)
         try:
             if folder is None:
-                flight = record.fly_to_end(run, watch=watch, stop=lambda: interruption.requested)
+                flight = record.fly_to_end(run, watch=watch, stop=stop)
             else:
-                flight = record.record(
-                    run,
-                    folder,
-                    log=not order.no_log,
-                    watch=watch,
-                    stop=lambda: interruption.requested,
-                    timing=timing,
-                )
+                flight = record.record(run, folder, log=not order.no_log, watch=watch, stop=stop, timing=timing)
         except KeyboardInterrupt:
             say("simrun", "interrupted twice: no summary, the log ends early")
             return Exit.INTERRUPTED
@@ -114,44 +105,21 @@ def _view(order: Order, loaded: LoadedScenario) -> LiveView | None:
     """The viewer, opened before anything is flown. Raises CommandError where there is none."""
     if not order.view:
         return None
-    from maxq.tools.replay.viewer import ReplayError  # noqa: PLC0415  # lazy
-
     try:
         from maxq.tools.replay.live import LiveView  # noqa: PLC0415  # lazy: rerun takes half a second
 
         return LiveView(loaded, order.view_port)
-    except ReplayError as error:
+    except CommandError as error:
         raise CommandError(f"--view: {error}") from error
     except ImportError as error:
         raise CommandError(f"--view: a package is missing or broken: {error}") from error
 
 
-def _load_numba_without_blas() -> None:
-    """Numba looks for BLAS where it first meets compiled code, by importing scipy.linalg: a fifth of a second.
-
-    Kernels use no linear algebra (CONTRIBUTING.md), so this process, which flies and ends, tells it that there is none.
-    """
-    blas = "scipy.linalg.cython_blas"
-    if blas in sys.modules:
-        return
-    sys.modules[blas] = None  # type: ignore[assignment]  # Python's way of saying "cannot be imported"
-    try:
-        import numba.np.arraymath  # noqa: F401, PLC0415  # its import is what looks
-    finally:
-        del sys.modules[blas]
-
-
 def _load(order: Order) -> tuple[LoadedScenario, Comparison]:
-    from maxq.sim.log.reader import read_run  # noqa: PLC0415  # lazy
-    from maxq.sim.run.metrics import METRIC_NAMES  # noqa: PLC0415  # lazy
-    from maxq.sim.scenario.loader import load_scenario, load_scenario_text  # noqa: PLC0415  # lazy
-    from maxq.tools.comparison import Comparison, scenario_text  # noqa: PLC0415  # lazy
-
     if order.log is None:
-        assert order.scenario is not None
-        return load_scenario(order.scenario, order.overrides, METRIC_NAMES), Comparison(None)
+        return load_scenario(order.scenario or "", order.overrides, METRIC_NAMES), Comparison(None)
     logged = read_run(order.log)
-    loaded = load_scenario_text(scenario_text(logged), order.overrides, METRIC_NAMES, f"scenario in {order.log}")
+    loaded = load_scenario_text(_scenario_text(logged), order.overrides, METRIC_NAMES, f"scenario in {order.log}")
     return loaded, Comparison(logged, changed=bool(order.overrides))
 
 
@@ -159,11 +127,8 @@ def _folder(order: Order, name: str) -> Path | None:
     """Where to write; a log that is flown again leaves nothing unless told where."""
     if order.out is None:
         return None if order.log else Path("runs") / (re.sub(r"[^\w.-]+", "-", name).strip(".-") or "flight")
-    from maxq.sim.log.head import LogError  # noqa: PLC0415  # lazy
-    from maxq.sim.run.record import LOG_NAME  # noqa: PLC0415  # lazy
-
     folder = Path(order.out)
-    log = folder / LOG_NAME
+    log = folder / record.LOG_NAME
     if order.log and log.exists() and log.samefile(order.log):
         raise LogError(f"{log}: is the log that is to be flown again; choose another folder for --out")
     return folder
@@ -171,7 +136,54 @@ def _folder(order: Order, name: str) -> Path | None:
 
 def announce_compilation() -> None:
     """On a terminal, say why the first flight takes its time."""
-    from maxq.control.kernel.jit import cache_folder  # noqa: PLC0415  # lazy
-
     if sys.stderr.isatty() and not any(cache_folder().rglob("loop.advance*.nbc")):
         print("compiling the simulator, once for this version of it: about half a minute ...", file=sys.stderr)
+
+
+def _scenario_text(logged: LoggedRun) -> str:
+    """The scenario as flown that a log holds. Raises LogError where it holds none."""
+    attachment = logged.attachments.get(record.SCENARIO_ATTACHMENT)
+    if attachment is None:
+        raise LogError(f"{logged.path}: the log holds no scenario ({record.SCENARIO_ATTACHMENT})")
+    return attachment.data.decode(errors="replace")
+
+
+class Comparison:
+    """Whether a flight is the one in a log, by the hash of state, time, metrics and events when the log ends."""
+
+    def __init__(self, logged: LoggedRun | None, changed: bool = False) -> None:
+        self._logged = logged
+        self._changed = changed
+        end = logged.end.get(record.END_KEY, "") if logged else ""
+        self._end_ns = int(end) if end.isdecimal() else -1
+        self._hash = ""
+
+    def look(self, run: FlightRun) -> None:
+        """Call before the flight and after every segment."""
+        if int(run.memory.clock.now_ns) == self._end_ns:
+            self._hash = run.state_hash()
+
+    def verdict(self, flight: Flight) -> bool:
+        """Print how the flight compares. False where it differs, or cannot be compared though it should."""
+        if self._logged is None:
+            return True
+        path = self._logged.path
+        if self._changed:
+            print(f"not compared with {path}: --set changes the scenario")
+            return True
+        logged = self._logged.end.get(record.STATE_HASH_KEY)
+        if logged is None or self._end_ns < 0:
+            print(f"not compared with {path}: it was cut off and holds no final state")
+            return False
+        if flight.outcome == "interrupted" and not self._hash:
+            print(f"not compared with {path}: interrupted before its end at {self._end_ns / 1e9:.3f} s")
+            return False
+        if self._hash == logged:
+            early = "" if flight.end_ns == self._end_ns else f" at {self._end_ns / 1e9:.3f} s, where that ends"
+            print(f"SAME as {path}: equal state, bit by bit{early} ({logged[:16]})")
+            return True
+        written_by = self._logged.metadata.get(VERSION_KEY, "")
+        other = f"; that was flown by maxq {written_by}" if written_by != maxq_version() else ""
+        mine = self._hash[:16] or f"none at {self._end_ns / 1e9:.3f} s"
+        print(f"DIFFERENT from {path}: state hash {mine}, there {logged[:16]}{other}")
+        return False

@@ -235,7 +235,7 @@ def made_of(
     if file.wind_model is not None:
         model, scenario_wind = file.wind_model, loaded.scenario.wind
         if scenario_wind.speed_mps is not None:
-            raise _Misplaced(("wind_model", "model"), "cannot stand beside wind.speed_mps", model.model)
+            raise _Misplaced(("wind_model", "model"), "cannot be combined with wind.speed_mps", model.model)
         if model.model == "ensemble":
             wind = Ensemble(model)
         elif scenario_wind.profile is not None:

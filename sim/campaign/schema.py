@@ -219,7 +219,7 @@ class Disperse(Section):
         n = len(self.keys or ())
         c = np.array([row for row in matrix if len(row) == n])
         if n == 0 or len(c) != n or len(matrix) != n:
-            raise refuse(f"is no matrix of {n} by {n}", "a row of numbers for each of keys", key=("covariance",))
+            raise refuse(f"is not a matrix of {n} by {n}", "a row of numbers for each of keys", key=("covariance",))
         if (c != c.T).any() or np.linalg.eigvalsh(c).min() < -1e-12 * np.abs(c).max():
             raise refuse("is no covariance", "a symmetric matrix without negative eigenvalues", key=("covariance",))
 

@@ -124,7 +124,7 @@ def _leaf(key: str, path: tuple[str | int, ...], value: Any) -> Target:
     annotation, metadata = field_at(Scenario, path)
     if isinstance(value, Section | tuple):
         inside = ", ".join(list(_names(type(value)))[:6]) if isinstance(value, Section) else "0, 1, ..."
-        raise BadKey("is no single value", f"one of what is inside: {inside}")
+        raise BadKey("is not a single value", f"one of what is inside: {inside}")
     if isinstance(value, bool) or annotation is bool:
         raise BadKey("is true or false and cannot be drawn", "a number, a text, or a column of a table")
     if any(isinstance(mark, Columns) for mark in metadata):

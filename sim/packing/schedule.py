@@ -19,8 +19,8 @@ from maxq.control.kernel.tables import Cubics, Method, fit, merge, union
 from maxq.sim.packing.mode_shapes import ModeShapes
 from maxq.sim.packing.remembered import cached_by_identity
 from maxq.sim.scenario.modes import ModeTable
-from maxq.sim.scenario.schema_aero import AeroSurface
 from maxq.sim.scenario.schema_scenario import Switches
+from maxq.sim.scenario.schema_stage import AeroSurface
 from maxq.sim.scenario.schema_vehicle import Stage
 from maxq.sim.scenario.tables_csv import CsvTable
 from maxq.sim.vehicle import schedule as columns_of

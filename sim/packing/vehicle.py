@@ -10,9 +10,9 @@ from maxq.control.kernel.limits import MAX_MODES, MAX_TANKS
 from maxq.control.kernel.tables import NO_TABLE, Cubics, Method, Pool, fit, merge
 from maxq.sim.packing.remembered import cached_by_identity
 from maxq.sim.packing.schedule import has_remainder
-from maxq.sim.scenario import schema_aero as schema
-from maxq.sim.scenario.schema_engine import ActuatorAxis
+from maxq.sim.scenario import schema_stage as schema
 from maxq.sim.scenario.schema_scenario import Scenario
+from maxq.sim.scenario.schema_stage import ActuatorAxis
 from maxq.sim.scenario.schema_vehicle import Reference, Stage
 from maxq.sim.scenario.tables_csv import CsvTable
 from maxq.sim.vehicle.actuator import Actuator

@@ -127,7 +127,7 @@ def _step(tree: Table | Array, part: str | int, path: KeyPath, source: Source) -
         return str(part)
     allowed = f"an index 0 .. {len(tree) - 1}" if tree else "nothing: the list is empty"
     if not str(part).isdecimal() or int(part) >= len(tree):
-        raise source.error(path, f"{part!s} is no element of this list", allowed=allowed)
+        raise source.error(path, f"{part!s} is not an element of this list", allowed=allowed)
     return int(part)
 
 
@@ -159,7 +159,7 @@ def drop(tree: Table, path: KeyPath, source: Source, shift: KeyPath = ()) -> Non
         here = _step(at, part, place, source) if isinstance(at, Table | Array) else None
         if here is None or (isinstance(at, Table) and here not in at):
             hint = suggestion(str(part), at) if isinstance(at, Table) else ""
-            raise source.error(place, "there is no such key to take away" + (f"; {hint}" if hint else ""))
+            raise source.error(place, "there is no such key to remove" + (f"; {hint}" if hint else ""))
         if n == len(path) - 1:
             del at[here]
         else:
@@ -167,7 +167,7 @@ def drop(tree: Table, path: KeyPath, source: Source, shift: KeyPath = ()) -> Non
 
 
 def leaves(table: Table) -> Iterator[tuple[KeyPath, Any, Source]]:
-    """Every value below `table` that is no table, with path and source; keys such as "stage.0.name" are split."""
+    """Every value below `table` that is not a table, with path and source; keys such as "stage.0.name" are split."""
     for key, value in table.items():
         head: KeyPath = tuple(key.split("."))
         if isinstance(value, Table) and value:
@@ -215,7 +215,7 @@ def parse_override(text: str) -> Override:
     if not equals:
         raise ScenarioError(COMMAND_LINE, "has no '='", text, allowed=_USAGE)
     if not all(path):
-        raise ScenarioError(COMMAND_LINE, "is no path of a key", left or '""', allowed=_USAGE)
+        raise ScenarioError(COMMAND_LINE, "is not the path of a key", left or '""', allowed=_USAGE)
     right = right.strip()
     try:
         document = tomllib.loads(f"value = {right}")

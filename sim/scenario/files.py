@@ -77,7 +77,7 @@ def _not_found(name: Text, wanted: str, variants: Iterable[str]) -> tuple[str, s
     for folder in name.source.folders:
         here = kind(folder / name)
         if here:
-            return ("is a folder" if here == "folder" else "is no ordinary file"), wanted
+            return ("is a folder" if here == "folder" else "is not an ordinary file"), wanted
     folders = dict.fromkeys(f"{shown(folder)}/" for folder in name.source.folders)
     hint = _nearest(name, variants)
     return "no such file" + (f"; {hint}" if hint else ""), f"{wanted}, looked for in {', '.join(folders)}"
@@ -122,7 +122,7 @@ def locate(name: str, role: str) -> tuple[Path, str]:
     hint = suggestion(stem, known)
     as_a_file = not name.isidentifier() or hint  # a bare word may have been meant as one of ours
     missing = "no such file" if as_a_file else f"neither a file nor a built-in {role}"
-    problem = {"folder": "is a folder", "other": "is no ordinary file"}.get(there, missing)
+    problem = {"folder": "is a folder", "other": "is not an ordinary file"}.get(there, missing)
     listed = "" if hint else f", or a built-in {role} ({_LISTED_BY[role]} --list names them)"
     raise ScenarioError(name or '""', f"{problem}; {hint}" if hint else problem, allowed=WANTED[role] + listed)
 
@@ -187,7 +187,7 @@ class Reading:
         name, unset = table.pop("extends", None), table.pop("unset", None)
         if name is None:
             if unset is not None:
-                raise source.error((*within, "unset"), "there is nothing to take away from", allowed="with extends")
+                raise source.error((*within, "unset"), "there is nothing to remove keys from", allowed="with extends")
             return table
         where = (*within, "extends")
         if not isinstance(name, Text):

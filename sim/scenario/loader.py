@@ -120,10 +120,7 @@ def load_with_sections(
 
 
 def load_scenario_text(
-    text: str,
-    overrides: Iterable[str] = (),
-    known_metrics: tuple[str, ...] | None = None,
-    label: str = AS_FLOWN,
+    text: str, overrides: Iterable[str] = (), known_metrics: tuple[str, ...] | None = None, label: str = AS_FLOWN
 ) -> LoadedScenario:
     """The scenario that a self-contained TOML `text` holds, e.g. one from a log. Raises ScenarioError.
 
@@ -133,7 +130,7 @@ def load_scenario_text(
     tree = parse(text, Source(label))
     for key in ("extends", "unset"):
         if key in tree:
-            raise ScenarioError(label, "a scenario given as text stands alone", key, value=tree[key])
+            raise ScenarioError(label, "a scenario given as text must be self-contained", key, value=tree[key])
     reading = Reading(known_metrics)
     _assemble(reading, tree, parsed, ())
     return _scenario(reading, tree, label, "scenario")

@@ -24,14 +24,14 @@ _PROBLEMS = {
     "less_than": "is out of range",
     "less_than_equal": "is out of range",
     "finite_number": "is not finite",
-    "literal_error": "is none of the choices",
+    "literal_error": "is not one of the choices",
     "too_long": "has too many elements",
     "too_short": "has too few elements",
 }
 _MANY_KEYS = 24
 _IN_FILES_ONLY = {
     "extends": 'a file of your own that begins with, e.g., extends = "nominal"',
-    "unset": "--set KEY= to take a key away, or a file of your own with extends and unset",
+    "unset": "--set KEY= to remove a key, or a file of your own with extends and unset",
 }
 
 

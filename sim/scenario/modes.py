@@ -48,17 +48,18 @@ def mode_table(table: CsvTable, at: Path = ()) -> ModeTable:
     Raises the schema's refusal unless modes are numbered 1, 2, ... (8 at most), each time has each mode at
     each station exactly once, and frequency and generalised mass do not change along the stations.
     """
-    if table.derived is None:
-        table.keep(_mode_table(table, at))
-    assert isinstance(table.derived, ModeTable)
-    return table.derived
+    made = table.derived
+    if not isinstance(made, ModeTable):
+        made = _mode_table(table, at)
+        table.keep(made)
+    return made
 
 
 def _mode_table(table: CsvTable, at: Path) -> ModeTable:
     mode = table["mode"]
-    whole = np.array([m.is_integer() for m in mode.tolist()])
-    _refuse_where(table, ~whole, "mode", "is no whole number", allowed=f"mode numbers 1 .. {MAX_MODES}", at=at)
-    _refuse_where(table, mode > MAX_MODES, "mode", "too many modes", allowed=f"mode numbers 1 .. {MAX_MODES}", at=at)
+    numbers = f"mode numbers 1 .. {MAX_MODES}"
+    table.refuse_where(mode != np.floor(mode), "mode", "is not a whole number", numbers, at=at)
+    table.refuse_where(mode > MAX_MODES, "mode", "too many modes", numbers, at=at)
     times, time_at = np.unique(table["time_s"], return_inverse=True)
     stations, station_at = np.unique(table["station_m"], return_inverse=True)
     count = int(mode.max())
@@ -67,9 +68,7 @@ def _mode_table(table: CsvTable, at: Path) -> ModeTable:
     hits = np.zeros(shape, dtype=np.int64)
     np.add.at(hits, (time_at, mode_at, station_at), 1)
     twice = hits[time_at, mode_at, station_at] > 1
-    _refuse_where(
-        table, twice, "station_m", "this time, mode and station stands twice", allowed="one row for each", at=at
-    )
+    table.refuse_where(twice, "station_m", "this time, mode and station appears twice", "one row for each", at=at)
     if (hits == 0).any():
         t, m, s = (int(i) for i in np.argwhere(hits == 0)[0])
         raise table.refusal(
@@ -83,13 +82,10 @@ def _mode_table(table: CsvTable, at: Path) -> ModeTable:
         full[name][time_at, mode_at, station_at] = table[name]
     for name in ("frequency_hz", "generalized_mass_kg"):
         differs = table[name] != full[name][time_at, mode_at, 0]
-        _refuse_where(
-            table, differs, name, "changes along the stations of one mode", allowed="one value for each mode", at=at
-        )
-    differs = table["mass_forward_kg"] != full["mass_forward_kg"][time_at, 0, station_at]
-    _refuse_where(
-        table, differs, "mass_forward_kg", "differs between modes", allowed="one value for each station", at=at
-    )
+        table.refuse_where(differs, name, "changes along the stations of one mode", "one value for each mode", at=at)
+    name = "mass_forward_kg"
+    differs = table[name] != full[name][time_at, 0, station_at]
+    table.refuse_where(differs, name, "differs between modes", "one value for each station", at=at)
     return ModeTable(
         times,
         stations,
@@ -97,12 +93,5 @@ def _mode_table(table: CsvTable, at: Path) -> ModeTable:
         full["generalized_mass_kg"][:, :, 0],
         full["phi"],
         full["slope_pm"],
-        full["mass_forward_kg"][:, 0, :],
+        full[name][:, 0, :],
     )
-
-
-def _refuse_where(
-    table: CsvTable, wrong: NDArray[np.bool_], column: str, problem: str, *, allowed: str, at: Path
-) -> None:
-    if wrong.any():
-        raise table.refusal(problem, allowed, column, int(np.argmax(wrong)), at=at)

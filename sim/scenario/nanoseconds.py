@@ -20,14 +20,14 @@ def is_whole_ns(seconds: float) -> bool:
 def to_ns(seconds: float) -> int:
     """`seconds` in nanoseconds; ValueError unless that is a whole number."""
     if not is_whole_ns(seconds):
-        raise ValueError(f"{seconds!r} s is no whole number of nanoseconds")
+        raise ValueError(f"{seconds!r} s is not a whole number of nanoseconds")
     return round(seconds * NS_PER_S)
 
 
 def period_ns(rate_hz: float) -> int:
     """Period of `rate_hz` in nanoseconds; ValueError unless that is a whole number."""
     if not is_whole_period(rate_hz):
-        raise ValueError(f"the period of {rate_hz!r} Hz is no whole number of nanoseconds")
+        raise ValueError(f"the period of {rate_hz!r} Hz is not a whole number of nanoseconds")
     return round(NS_PER_S / rate_hz)
 
 

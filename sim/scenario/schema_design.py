@@ -26,7 +26,7 @@ class Gains(Section):
     @model_validator(mode="after")
     def _check(self) -> Gains:
         if self.yaw is not None and self.yaw_table is not None:
-            raise refuse("cannot stand beside yaw", "one of yaw, yaw_table", key=("yaw_table",), value={})
+            raise refuse("cannot be combined with yaw", "one of yaw, yaw_table", key=("yaw_table",), value={})
         return self
 
     @property

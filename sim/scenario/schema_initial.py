@@ -55,9 +55,11 @@ class Initial(Section):
             at_most_one(self, keys)
         if self.q_BI is not None and abs(float(np.linalg.norm(self.q_BI)) - 1.0) > _ORTHONORMAL:
             norm = float(np.linalg.norm(self.q_BI))
-            raise refuse("is no unit quaternion", f"norm 1 within 1e-6, not {norm:.9g}", key=("q_BI",))
+            raise refuse("is not a unit quaternion", f"norm 1 within 1e-6, not {norm:.9g}", key=("q_BI",))
         if self.dcm_BI is not None:
             dcm = np.array(self.dcm_BI)
             if np.abs(dcm @ dcm.T - np.eye(3)).max() > _ORTHONORMAL or np.linalg.det(dcm) < 0.0:
-                raise refuse("is no rotation", "orthonormal rows within 1e-6, determinant +1", key=("dcm_BI",))
+                raise refuse(
+                    "is not a rotation matrix", "orthonormal rows within 1e-6, determinant +1", key=("dcm_BI",)
+                )
         return self

@@ -22,7 +22,7 @@ def _whole_ns(seconds: float) -> float:
     if abs(seconds) > LONGEST_S:
         raise refuse("is longer than a flight can be", "times up to 9e9 s, which are 285 years")
     if not is_whole_ns(seconds):
-        raise refuse("is no whole number of nanoseconds", "multiples of 1e-9 s")
+        raise refuse("is not a whole number of nanoseconds", "multiples of 1e-9 s")
     return seconds
 
 
@@ -30,7 +30,7 @@ def _whole_period(rate_hz: float) -> float:
     if rate_hz * LONGEST_S < 1.0:
         raise refuse("is slower than a flight can be long", "a period of at most 9e9 s")
     if not is_whole_period(rate_hz):
-        raise refuse("its period is no whole number of nanoseconds", "rates that divide 1e9, e.g. 50, 100, 1000")
+        raise refuse("its period is not a whole number of nanoseconds", "rates that divide 1e9, e.g. 50, 100, 1000")
     return rate_hz
 
 
@@ -53,7 +53,7 @@ def at_most_one(section: Section, keys: tuple[str, ...]) -> None:
     """Refuse two of `keys` that exclude each other."""
     given = [key for key in keys if getattr(section, key) is not None]
     if len(given) > 1:
-        raise refuse(f"cannot stand beside {given[0]}", f"one of {', '.join(keys)}", key=(given[1],))
+        raise refuse(f"cannot be combined with {given[0]}", f"one of {', '.join(keys)}", key=(given[1],))
 
 
 def needs(section: Section, key: str, because: str, allowed: str = "") -> Any:

@@ -10,9 +10,7 @@ from pydantic import Field, model_validator
 from maxq.control.kernel.limits import MAX_MODES, MAX_STAGES, MAX_TANKS
 from maxq.sim.scenario.errors import refuse
 from maxq.sim.scenario.modes import MODE_COLUMNS, ModeTable, mode_table
-from maxq.sim.scenario.schema_aero import Aero
-from maxq.sim.scenario.schema_engine import Actuator, Engine, RollThrusters
-from maxq.sim.scenario.schema_mass import Mass, Tank
+from maxq.sim.scenario.schema_stage import Actuator, Aero, Engine, Mass, RollThrusters, Tank
 from maxq.sim.scenario.schema_values import (
     Fraction,
     NotNegative,

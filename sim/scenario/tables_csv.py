@@ -89,12 +89,17 @@ class CsvTable:
         key = (*at, column) if column else at
         return refuse(problem, allowed, key=(*key, row) if column and row >= 0 else key, value=value)
 
+    def refuse_where(self, wrong: NDArray[np.bool_], column: str, problem: str, allowed: str, *, at: Path = ()) -> None:
+        """Refuse the first row of `column` that is `wrong`."""
+        if wrong.any():
+            raise self.refusal(problem, allowed, column, int(np.argmax(wrong)), at=at)
+
 
 @dataclass(frozen=True)
 class Columns:
     """What a table must look like; annotates a field: `Annotated[CsvTable, Columns("time_s", ...)]`.
 
-    `axis`: the column over which the others are given. It must rise strictly (`repeats`: may stand still) and
+    `axis`: the column over which the others are given. It must increase strictly (`repeats`: may stand still) and
     begin at or before `begins_by`. `sets`: alternative sets of required columns, exactly one of which must be
     there in full. `positive`, `not_negative`: columns so bounded. Without an axis (empty) a table of samples: any
     columns.
@@ -163,7 +168,7 @@ class Columns:
         elif isinstance(value, tuple) and value and all(isinstance(row, Mapping) for row in value):
             table = self._from_rows(value)
         else:
-            raise refuse("is no table", f"the name of a CSV file, or {self.allowed()} written out")
+            raise refuse("is not a table", f"the name of a CSV file, or {self.allowed()} written out")
         self._check(table)
         object.__setattr__(table, "checked_as", self)
         return table
@@ -185,7 +190,7 @@ class Columns:
                 continue
             self._check_name(name, key=(name,))
             if not isinstance(numbers, tuple):
-                raise refuse("is no list of numbers", "a list of numbers", key=(name,))
+                raise refuse("is not a list of numbers", "a list of numbers", key=(name,))
             columns[name] = _column([_number(n, (name, row)) for row, n in enumerate(numbers)])
         return CsvTable(str(label), columns)
 
@@ -215,7 +220,7 @@ class Columns:
         also = {name for names in self.sets for name in names} - set(complete[0]) - set(self.optional)
         clash = [name for name in table.columns if name in also]
         if clash:
-            raise table.refusal(f"column {clash[0]} cannot stand beside {complete[0][0]}", self.allowed())
+            raise table.refusal(f"column {clash[0]} cannot be combined with {complete[0][0]}", self.allowed())
         lengths = {name: len(column) for name, column in table.columns.items()}
         if min(lengths.values(), default=0) == 0:
             raise table.refusal("the table has no rows", "one row or more")
@@ -227,28 +232,19 @@ class Columns:
 
     def _check_values(self, table: CsvTable) -> None:
         for name, column in table.columns.items():
-            _refuse_first(table, name, ~np.isfinite(column), "is not finite", "finite numbers")
-            allowed = f"numbers up to {LARGEST_NUMBER:g}"
-            _refuse_first(table, name, np.abs(column) > LARGEST_NUMBER, "is too large", allowed)
-        for name in self.positive:
-            if name in table:
-                _refuse_first(table, name, table[name] <= 0.0, "is not positive", "numbers > 0")
-        for name in self.not_negative:
-            if name in table:
-                _refuse_first(table, name, table[name] < 0.0, "is negative", "numbers >= 0")
-        if not self.axis:
-            return
+            table.refuse_where(~np.isfinite(column), name, "is not finite", "finite numbers")
+            too_large = np.abs(column) > LARGEST_NUMBER
+            table.refuse_where(too_large, name, "is too large", f"numbers up to {LARGEST_NUMBER:g}")
+            if name in self.positive:
+                table.refuse_where(column <= 0.0, name, "is not positive", "numbers > 0")
+            if name in self.not_negative:
+                table.refuse_where(column < 0.0, name, "is negative", "numbers >= 0")
         axis = table[self.axis]
-        falls = np.diff(axis) < 0.0 if self.repeats else np.diff(axis) <= 0.0
-        rule = "must not fall" if self.repeats else "must rise strictly"
-        _refuse_first(table, self.axis, np.concatenate(([False], falls)), f"{self.axis} {rule}", "rising numbers")
+        falls = np.diff(axis, prepend=-np.inf) < 0.0 if self.repeats else np.diff(axis, prepend=-np.inf) <= 0.0
+        rule = "must not decrease" if self.repeats else "must increase strictly"
+        table.refuse_where(falls, self.axis, f"{self.axis} {rule}", "increasing numbers")
         if self.begins_by is not None and axis[0] > self.begins_by:
             raise table.refusal("the table begins too late", f"a first {self.axis} <= {self.begins_by:g}", self.axis, 0)
-
-
-def _refuse_first(table: CsvTable, column: str, wrong: NDArray[np.bool_], problem: str, allowed: str) -> None:
-    if wrong.any():
-        raise table.refusal(problem, allowed, column, int(np.argmax(wrong)))
 
 
 def _column(numbers: list[float]) -> Column:
@@ -294,9 +290,9 @@ def _check_header(header: list[str], shown: str, number: int, columns: Columns) 
     place = f"line {number}"
     for i, name in enumerate(header):
         if name in header[:i]:
-            raise refuse(f"column {name} stands twice", columns.allowed(), file=shown, place=place)
+            raise refuse(f"column {name} appears twice", columns.allowed(), file=shown, place=place)
     if columns.axis and columns.axis not in header and not any(name in columns.known() for name in header):
-        raise refuse("is no line of column names", f"CSV with {columns.allowed()}", file=shown, place=place)
+        raise refuse("is not a line of column names", f"CSV with {columns.allowed()}", file=shown, place=place)
     for name in header:
         columns._check_name(name, file=shown, place=place)
 

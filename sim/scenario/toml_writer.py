@@ -17,12 +17,7 @@ from maxq.sim.scenario.tables_csv import FILE_KEY, CsvTable
 
 def to_toml(section: Section) -> str:
     """The section with every key that has a value, defaults included."""
-    return toml_text(_content(section))
-
-
-def toml_text(document: dict[str, Any]) -> str:
-    """A document of dicts, lists, texts, booleans and finite numbers as TOML."""
-    return "\n".join(_lines(document, ())) + "\n"
+    return "\n".join(_lines(_content(section), ())) + "\n"
 
 
 def _content(value: Any) -> Any:

@@ -16,7 +16,7 @@ import numpy as np
 from maxq.control.kernel.records import Array
 from maxq.sim.flight.channels import ChannelTable
 from maxq.sim.scenario.modes import ModeTable
-from maxq.sim.scenario.schema_aero import AeroSurface
+from maxq.sim.scenario.schema_stage import AeroSurface
 from maxq.sim.scenario.schema_vehicle import Stage, Vehicle
 from maxq.tools.replay.decimate import Rows, every
 from maxq.tools.replay.flight import Channels

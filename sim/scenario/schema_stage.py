@@ -1,0 +1,297 @@
+"""Parts of a stage: mass and inertia, tanks, engine, actuators, roll thrusters, aerodynamics."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field, model_validator
+
+from maxq.control.kernel.limits import MAX_SURFACES
+from maxq.sim.scenario.errors import refuse
+from maxq.sim.scenario.schema_values import (
+    Fraction,
+    Matrix,
+    NotNegative,
+    Pair,
+    Positive,
+    Section,
+    at_most_one,
+    needs,
+    only_with,
+)
+from maxq.sim.scenario.tables_csv import Columns, CsvTable
+
+MASS_COLUMNS = Columns(
+    "time_s",
+    sets=(("mass_kg", "x_cg_m", "Ixx_kgm2", "Iyy_kgm2", "Izz_kgm2"),),
+    optional=("y_cg_m", "z_cg_m", "Ixy_kgm2", "Ixz_kgm2", "Iyz_kgm2"),
+    positive=("mass_kg", "Ixx_kgm2", "Iyy_kgm2", "Izz_kgm2"),
+    begins_by=0.0,
+)
+TANK_COLUMNS = Columns(
+    "time_s",
+    sets=(("slosh_mass_kg", "pendulum_length_m", "hinge_station_m"),),
+    optional=("liquid_height_m",),
+    positive=("pendulum_length_m",),
+    not_negative=("slosh_mass_kg", "liquid_height_m"),
+    begins_by=0.0,
+)
+_SYMMETRY = 1e-9
+
+
+class Mass(Section):
+    """Mass properties of the whole vehicle while this stage flies: a table, or constants."""
+
+    table: Annotated[CsvTable, MASS_COLUMNS] | None = Field(
+        default=None,
+        description="whole vehicle, liquid included as if frozen, inertia about its CG, over the stage "
+        "clock; x_cg_m is the station aft of the nose, y and z are body axes; products of inertia are "
+        "integrals, Ixz = int x z dm",
+    )
+    mass_kg: Positive | None = Field(default=None, description="constant mass (at ignition, when it is expelled), kg")
+    x_cg_m: float | None = Field(default=None, description="station of the CG aft of the nose, m")
+    y_cg_m: float | None = Field(default=None, description="CG in body y, m (default 0)")
+    z_cg_m: float | None = Field(default=None, description="CG in body z, m (default 0)")
+    inertia_kgm2: Matrix | None = Field(
+        default=None, description="inertia tensor about the CG in B, kg m2: minus the products off the diagonal"
+    )
+    mass_flow_kgps: NotNegative | None = Field(default=None, description="mass expelled per second, kg/s (default 0)")
+    burn_s: NotNegative | None = Field(default=None, description="for how long it is expelled, s")
+
+    @model_validator(mode="after")
+    def _check(self) -> Mass:
+        if self.table is None:
+            self._check_constants()
+            return self
+        at_most_one(self, ("table", "mass_kg"))
+        constants = ("x_cg_m", "y_cg_m", "z_cg_m", "inertia_kgm2", "mass_flow_kgps", "burn_s")
+        only_with(self, constants, False, "constant mass_kg")
+        table = self.table
+        diagonal = np.stack([table[f"I{a}{a}_kgm2"] for a in "xyz"], axis=1)
+        products = np.stack([table.get(f"I{a}_kgm2") for a in ("xy", "xz", "yz")], axis=1)
+        found = first_impossible(tensors(diagonal, products))
+        if found:
+            row, problem = found
+            raise table.refusal(problem, column="Ixx_kgm2", row=row, value=diagonal[row].tolist(), at=("table",))
+        return self
+
+    def _check_constants(self) -> None:
+        mass = needs(self, "mass_kg", "mass needs a table or constants", "a number > 0")
+        needs(self, "x_cg_m", "mass_kg is given", "a number")
+        inertia = np.array(needs(self, "inertia_kgm2", "mass_kg is given", "a 3 x 3 tensor"))
+        if np.abs(inertia - inertia.T).max() > _SYMMETRY * np.abs(inertia).max():
+            raise refuse("an inertia tensor is symmetric", key=("inertia_kgm2",))
+        found = first_impossible(0.5 * (inertia + inertia.T)[None])
+        if found:
+            raise refuse(found[1], key=("inertia_kgm2",))
+        if (self.mass_flow_kgps is None) != (self.burn_s is None):
+            missing = "burn_s" if self.burn_s is None else "mass_flow_kgps"
+            raise refuse("required key is missing: they go together", "mass_flow_kgps and burn_s", key=(missing,))
+        if self.mass_flow_kgps is not None and self.burn_s is not None:
+            spent = self.mass_flow_kgps * self.burn_s
+            if spent >= mass:
+                raise refuse(f"expels {spent:g} kg of {mass:g} kg", f"burn_s * mass_flow_kgps < {mass:g}", ("burn_s",))
+
+
+class Tank(Section):
+    """One tank with a sloshing liquid: a spherical pendulum that hangs at its hinge."""
+
+    name: str = Field(default="", description="name of the tank in logs (default: its number)")
+    table: Annotated[CsvTable, TANK_COLUMNS] = Field(
+        description="pendulum over the stage clock; its mass is part of the stage's table of mass"
+    )
+    damping_ratio: Fraction = Field(description="of the pendulum, as a ratio to critical")
+    mass_factor: NotNegative = Field(
+        default=1.0, description="multiplies the sloshing mass; the vehicle's mass stays as it is"
+    )
+    length_factor: Positive = Field(
+        default=1.0, description="multiplies the pendulum's length: its frequency goes with 1/sqrt"
+    )
+    radius_m: Positive | None = Field(default=None, description="of the tank, m, for drawings")
+    bottom_station_m: float | None = Field(default=None, description="of the tank, m aft of the nose, for drawings")
+
+
+THRUST_COLUMNS = Columns("time_s", sets=(("thrust_vacuum_N",),), not_negative=("thrust_vacuum_N",), begins_by=0.0)
+GimbalAngle = Annotated[float, Field(ge=0.0, le=45.0)]
+Four = tuple[Positive, Positive, Positive, Positive]
+
+
+class Engine(Section):
+    """Gimballed engine."""
+
+    table: Annotated[CsvTable, THRUST_COLUMNS] = Field(description="thrust in vacuum over the stage clock")
+    exit_area_m2: NotNegative = Field(
+        default=0.0, description="nozzle exit area, m2: ambient pressure on it lessens thrust"
+    )
+    gimbal_station_m: float = Field(description="station of the gimbal, m aft of the nose")
+    exit_station_m: float = Field(description="station of the nozzle exit, m aft of the nose (jet damping)")
+    gimballed_mass_kg: NotNegative = Field(
+        default=0.0, description="mass that moves with the engine, kg; 0: no reaction"
+    )
+    cg_from_gimbal_m: float = Field(default=0.0, description="CG of the gimballed mass aft of the gimbal, m")
+    inertia_about_gimbal_kgm2: NotNegative = Field(
+        default=0.0, description="transverse inertia about the gimbal, kg m2"
+    )
+    misalignment_deg: Pair = Field(default=(0.0, 0.0), description="fixed angle of the thrust axis, pitch and yaw, deg")
+    offset_m: Pair = Field(default=(0.0, 0.0), description="of the gimbal from the body axis, y and z, m")
+    thrust_factor: NotNegative = Field(default=1.0, description="multiplies thrust")
+    mass_flow_factor: Positive = Field(default=1.0, description="burn rate: speeds up the stage's tables over time")
+
+    @model_validator(mode="after")
+    def _check(self) -> Engine:
+        least = self.gimballed_mass_kg * self.cg_from_gimbal_m**2
+        if self.inertia_about_gimbal_kgm2 < least:
+            raise refuse(
+                "no rigid body has this inertia about the gimbal",
+                f"at least gimballed_mass_kg * cg_from_gimbal_m^2 = {least:.6g}",
+                key=("inertia_about_gimbal_kgm2",),
+            )
+        return self
+
+
+class ActuatorAxis(Section):
+    """Sixth-order actuator of one axis (paper, eq. 28)."""
+
+    omega_hz: Four = Field(description="natural frequencies a1 .. a4, Hz")
+    zeta: Four = Field(description="damping ratios a1 .. a4")
+    exchange_a3_a4: bool = Field(default=False, description="exchange pole pair a3 and zero pair a4 (erratum 13)")
+    angle_limit_deg: GimbalAngle = Field(description="limit of the gimbal angle, deg")
+    rate_limit_degps: Positive = Field(description="limit of the gimbal rate, deg/s")
+    backlash_deg: NotNegative = Field(default=0.0, description="full width of the play, deg")
+
+
+class YawActuator(Section):
+    """What differs in the yaw actuator; every key is optional."""
+
+    omega_hz: Four | None = Field(default=None, description="natural frequencies a1 .. a4, Hz")
+    zeta: Four | None = Field(default=None, description="damping ratios a1 .. a4")
+    exchange_a3_a4: bool | None = Field(default=None, description="exchange pole pair a3 and zero pair a4")
+    angle_limit_deg: GimbalAngle | None = Field(default=None, description="limit of the gimbal angle, deg")
+    rate_limit_degps: Positive | None = Field(default=None, description="limit of the gimbal rate, deg/s")
+    backlash_deg: NotNegative | None = Field(default=None, description="full width of the play, deg")
+
+
+class Actuator(ActuatorAxis):
+    """Actuators of both axes, alike unless `yaw` says otherwise."""
+
+    bias_deg: Pair = Field(default=(0.0, 0.0), description="constant error of the angle, pitch and yaw, deg")
+    yaw: YawActuator | None = Field(default=None, description="keys that differ in the yaw axis")
+
+    @property
+    def axes(self) -> tuple[ActuatorAxis, ActuatorAxis]:
+        """Pitch and yaw axis in full."""
+        shared = {name: getattr(self, name) for name in ActuatorAxis.model_fields}
+        differing = self.yaw.model_dump(exclude_none=True) if self.yaw else {}
+        return ActuatorAxis(**shared), ActuatorAxis(**(shared | differing))
+
+
+class RollThrusters(Section):
+    """Cold-gas thrusters about the roll axis, on or off."""
+
+    torque_Nm: Positive = Field(description="torque of one direction while on, N m")
+
+
+COEFFICIENTS = (
+    "CA",
+    "CA_coast",
+    "CD",
+    "CN_alpha_pr",
+    "x_cp_m",
+    "Cm_alpha_pr",
+    "Cm0",
+    "Cmq",
+    "Cnr",
+    "Clp",
+    "C_crossflow",
+)
+AERO_COLUMNS = Columns("mach", optional=COEFFICIENTS, not_negative=("mach", "CA", "CA_coast", "CD", "C_crossflow"))
+SURFACE_COLUMNS = Columns("mach", sets=(("CN_alpha_pr", "station_m"),), not_negative=("mach",))
+
+
+class AeroSurface(Section):
+    """A lifting part, with its own incidence where the body bends."""
+
+    name: str = Field(default="", description="name of the part")
+    table: Annotated[CsvTable, SURFACE_COLUMNS] = Field(
+        description="normal force slope (1/rad) and its station over Mach"
+    )
+
+
+class Aero(Section):
+    """Coefficients over Mach number; outside the table the end values hold."""
+
+    table: Annotated[CsvTable, AERO_COLUMNS] = Field(
+        description="absent columns are 0 (CA_coast, engine off: as CA); CD acts along the relative wind; "
+        "CN_alpha_pr acts at x_cp_m, or gives Cm_alpha_pr about moment_reference_m; Cmq, Cnr, Clp damp rates"
+    )
+    interpolation: Literal["pchip", "linear"] = Field(default="pchip", description="between the rows")
+    moment_reference_m: float = Field(
+        default=0.0, description="station about which Cm_alpha_pr and Cm0 act, m aft of the nose"
+    )
+    crossflow_station_m: float | None = Field(
+        default=None, description="station of the cross-flow drag, m aft of the nose (default: half the length)"
+    )
+    force_factor: NotNegative = Field(default=1.0, description="multiplies normal force and cross-flow drag")
+    axial_factor: NotNegative = Field(default=1.0, description="multiplies axial force and drag (CA, CD)")
+    damping_factor: NotNegative = Field(default=1.0, description="multiplies the damping by body rates (Cmq, Cnr, Clp)")
+    centre_shift_m: float = Field(default=0.0, description="moves the centre of every lifting part aft, m")
+    rate_reference: Literal["inertial", "earth"] = Field(default="inertial", description="which body rates damp")
+    surface: tuple[AeroSurface, ...] = Field(
+        default=(), max_length=MAX_SURFACES, description="lifting parts; their sum is CN_alpha where the table has none"
+    )
+
+    @model_validator(mode="after")
+    def _check(self) -> Aero:
+        table = self.table
+        if "x_cp_m" in table and "Cm_alpha_pr" in table:
+            raise table.refusal(
+                "column Cm_alpha_pr cannot stand beside x_cp_m", "one of x_cp_m, Cm_alpha_pr", at=("table",)
+            )
+        if "x_cp_m" in table and "CN_alpha_pr" not in table:
+            raise table.refusal("column x_cp_m needs a column CN_alpha_pr", at=("table",))
+        placed = "x_cp_m" in table or "Cm_alpha_pr" in table or self.surface
+        if "CN_alpha_pr" in table and not placed:
+            raise table.refusal(
+                "the normal force has no place to act at", "x_cp_m or Cm_alpha_pr beside CN_alpha_pr", at=("table",)
+            )
+        return self
+
+
+_SLACK = 1e-9
+"""Rounding that is forgiven, relative to the largest principal moment."""
+
+
+def tensors(diagonal: NDArray[np.float64], products: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Inertia tensors (n, 3, 3) from Ixx, Iyy, Izz (n, 3) and the integrals Ixy, Ixz, Iyz (n, 3), positive
+    sign.
+    """
+    out = np.zeros((len(diagonal), 3, 3))
+    for axis in range(3):
+        out[:, axis, axis] = diagonal[:, axis]
+    for column, (i, j) in enumerate(((0, 1), (0, 2), (1, 2))):
+        out[:, i, j] = out[:, j, i] = -products[:, column]
+    return out
+
+
+def first_impossible(inertia: NDArray[np.float64]) -> tuple[int, str] | None:
+    """Row of the first tensor of (n, 3, 3) that no body can have, and why; None when all are possible.
+
+    A body's principal moments are positive, and none is larger than the sum of the other two.
+    """
+    moments = np.linalg.eigvalsh(inertia)
+    smallest, largest = moments[:, 0], moments[:, 2]
+    not_definite = smallest <= 0.0
+    not_a_triangle = largest > smallest + moments[:, 1] + _SLACK * np.abs(largest)
+    wrong = not_definite | not_a_triangle
+    if not wrong.any():
+        return None
+    row = int(np.argmax(wrong))
+    listed = ", ".join(f"{moment:.6g}" for moment in moments[row])
+    if not_definite[row]:
+        return row, f"no rigid body has this inertia: principal moments {listed} kg m2 are not all positive"
+    return (
+        row,
+        f"no rigid body has this inertia: of the principal moments {listed} kg m2 one exceeds the sum of the others",
+    )
