@@ -12,17 +12,26 @@ Triples are per body axis x, y, z (roll, pitch, yaw), pairs per gimbal axis (pit
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Annotated
+from typing import Annotated, NamedTuple
 
 import numpy as np
 
 from maxq.control.converter import Converter, ConverterState, convert, make_converter
 from maxq.control.filters import DiscreteFilter, filter_sample, settle_filter
 from maxq.control.guidance import GuidanceState, advance_guidance, start_guidance
-from maxq.control.kernel.jit import routine
+from maxq.control.kernel.jit import kernel, routine
 from maxq.control.kernel.records import Array, IntArray
+from maxq.control.kernel.rows import DEG, PitchYaw, RollPitchYaw, degrees
 from maxq.control.kernel.tables import NO_TABLE, Cubics, Pool, TableRef
-from maxq.control.laws.pd import Law, LawState, limit_and_quantise, proportional_derivative, update_angle_error
+from maxq.control.laws.pd import (
+    Law,
+    LawRow,
+    LawState,
+    law_row,
+    limit_and_quantise,
+    proportional_derivative,
+    update_angle_error,
+)
 from maxq.control.laws.structures import MAX_SECTIONS
 from maxq.control.roll import Roll, RollState, silence_roll, update_roll
 
@@ -286,3 +295,40 @@ def update_command(
     law.requested_rad[gimbal] = requested_rad
     law.command_limited[gimbal] = 1 if abs(requested_rad) > computer.law.command_limit_rad else 0
     state.command_rad[gimbal] = limit_and_quantise(computer.law, requested_rad)
+
+
+class ControlRow(NamedTuple):
+    """What is logged of the computer at the rate of the fast group."""
+
+    counts_axis: Annotated[RollPitchYaw, "1", "gyro pulses of the last sample"]
+    law: LawRow
+    filtered_axis_deg: Annotated[PitchYaw, "deg", "output of the bending filter"]
+    saturated_axis: Annotated[PitchYaw, "1", "1 while the command is at its limit"]
+    roll_thruster: Annotated[float, "1", "roll thrusters: -1, 0 or 1"]
+
+
+@kernel
+def control_row(state: ComputerState) -> ControlRow:
+    law, counts = state.law, state.converter.counts
+    return ControlRow(
+        counts_axis=RollPitchYaw(counts[0], counts[1], counts[2]),
+        law=law_row(law),
+        filtered_axis_deg=PitchYaw(DEG * law.filtered_rad[0], DEG * law.filtered_rad[1]),
+        saturated_axis=PitchYaw(law.command_limited[0], law.command_limited[1]),
+        roll_thruster=state.roll.demand,
+    )
+
+
+class GuidanceRow(NamedTuple):
+    """Attitude angles in the computer."""
+
+    axis_commanded_deg: Annotated[RollPitchYaw, "deg", "integral of the commanded rate"]
+    axis_measured_deg: Annotated[RollPitchYaw, "deg", "attitude angle: sum of the gyro pulses"]
+
+
+@kernel
+def guidance_row(state: ComputerState) -> GuidanceRow:
+    return GuidanceRow(
+        axis_commanded_deg=degrees(state.guidance.angle_rad),
+        axis_measured_deg=degrees(state.converter.angle_rad),
+    )

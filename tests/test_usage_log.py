@@ -283,8 +283,12 @@ def test_a_log_cut_in_its_head_says_so(tmp_path: Path) -> None:
         read_log(tmp_path / "a.mcap")
 
 
-class ExampleRow(NamedTuple):
+class TiltRow(NamedTuple):
     tilt_axis_deg: Annotated[PitchYaw, "deg", "tilt"]
+
+
+class ExampleRow(NamedTuple):
+    tilt: TiltRow
     wind_N_axis_mps: Annotated[NorthEastDown, "m/s", "wind"]
     eta_mode_m: Annotated[float, "m", "modal coordinate"]
     valve_open: Annotated[float, "1", "1 while open"]
@@ -293,8 +297,8 @@ class ExampleRow(NamedTuple):
 @entry
 def write_row(row: Array, first: int) -> int:
     """What a kernel does with a row; the count of the valve is an integer."""
-    tilt, wind = PitchYaw(pitch=1.0, yaw=2.0), NorthEastDown(east=4.0, north=3.0, down=5.0)
-    return put(row, first, ExampleRow(valve_open=1, eta_mode_m=6.0, wind_N_axis_mps=wind, tilt_axis_deg=tilt))
+    tilt, wind = TiltRow(PitchYaw(pitch=1.0, yaw=2.0)), NorthEastDown(east=4.0, north=3.0, down=5.0)
+    return put(row, first, ExampleRow(valve_open=1, eta_mode_m=6.0, wind_N_axis_mps=wind, tilt=tilt))
 
 
 def test_a_declared_row_is_written_in_the_order_of_its_channels() -> None:

@@ -7,13 +7,14 @@ A declaration is a NamedTuple whose fields are annotated with a type, a unit and
         mount_force_B_axis_N: Annotated[Xyz, "N", "force on the mount"]
 
 `sim/flight/channels.py` makes channels of it: here `thrust_N`, `mount_force_B_x_N`, `..._y_N`, `..._z_N`, as `axis` in
-a name stands for each component of the field's type. A kernel returns an instance of the class with values in the
-declared units, and `put` writes it into the log's row. So a field that is missing or unknown fails where the kernel is
-compiled, and no column has a number of its own.
+a name stands for each component of the field's type. A field may be a row itself (`law: LawRow`). A kernel returns an
+instance of the class with values in the declared units, and `put` writes it into the log's row. So a field that is
+missing or unknown fails where the kernel is compiled, and no column has a number of its own.
 """
 
 from __future__ import annotations
 
+import math
 from typing import Any, NamedTuple
 
 from numba import types
@@ -21,6 +22,8 @@ from numba.extending import intrinsic, overload
 
 from maxq.control.kernel.jit import kernel
 from maxq.control.kernel.records import Array
+
+DEG = 180.0 / math.pi
 
 
 class Xyz(NamedTuple):
@@ -57,6 +60,12 @@ class PitchYaw(NamedTuple):
 def xyz(values: Array, first: int) -> Xyz:
     """Three components that lie side by side."""
     return Xyz(values[first], values[first + 1], values[first + 2])
+
+
+@kernel
+def degrees(rad: Array, first: int = 0) -> RollPitchYaw:
+    """Three angles or rates that lie side by side, from rad to deg."""
+    return RollPitchYaw(DEG * rad[first], DEG * rad[first + 1], DEG * rad[first + 2])
 
 
 def put(row: Array, column: int, values: Any) -> int:

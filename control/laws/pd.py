@@ -10,13 +10,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Annotated
+from typing import Annotated, NamedTuple
 
 import numpy as np
 
 from maxq.control.converter import round_half_away
 from maxq.control.kernel.jit import kernel
 from maxq.control.kernel.records import Array, IntArray
+from maxq.control.kernel.rows import DEG, PitchYaw, RollPitchYaw, degrees
 from maxq.control.kernel.tables import Cubics, TableRef, fit, look_up, merge
 
 
@@ -127,3 +128,24 @@ def limit_and_quantise(law: Law, requested_rad: float) -> float:
     if abs(steps) * step_rad > limit_rad * (1.0 + 1.0e-12):
         steps -= 1 if steps > 0 else -1
     return steps * step_rad
+
+
+class LawRow(NamedTuple):
+    """What is logged of the law."""
+
+    error_axis_deg: Annotated[RollPitchYaw, "deg", "attitude error theta_e"]
+    measured_axis_rate_degps: Annotated[RollPitchYaw, "deg/s", "angular rate in the control law"]
+    k_p_axis: Annotated[PitchYaw, "1", "proportional gain"]
+    k_d_axis_s: Annotated[PitchYaw, "s", "rate gain"]
+    law_axis_deg: Annotated[PitchYaw, "deg", "output of the PD law"]
+
+
+@kernel
+def law_row(state: LawState) -> LawRow:
+    return LawRow(
+        error_axis_deg=degrees(state.theta_e_rad),
+        measured_axis_rate_degps=degrees(state.rate_radps),
+        k_p_axis=PitchYaw(state.k_p[0], state.k_p[1]),
+        k_d_axis_s=PitchYaw(state.k_d_s[0], state.k_d_s[1]),
+        law_axis_deg=PitchYaw(DEG * state.pd_rad[0], DEG * state.pd_rad[1]),
+    )

@@ -57,8 +57,11 @@ def declared_channels(row: type, part: str = "", label: str = "", suffix: str = 
     For what a vehicle has several of, `label` replaces the word `part` in the names (`eta_mode_m` -> `eta_pitch_1_m`)
     and `suffix` ends the descriptions.
     """
-    channels = []
+    channels: list[Channel] = []
     for name, hint in get_type_hints(row, include_extras=True).items():
+        if not get_args(hint):  # a row in this row
+            channels += declared_channels(hint, part, label, suffix)
+            continue
         kind, unit, description = get_args(hint)
         for axis in getattr(kind, "_fields", ("",)):
             words = [{part: label, "axis": axis}.get(word, word) for word in name.split("_")]

@@ -9,10 +9,10 @@ from __future__ import annotations
 import math
 from typing import Annotated, NamedTuple
 
-from maxq.control.computer import ComputerState
+from maxq.control.computer import ControlRow, GuidanceRow, control_row, guidance_row
 from maxq.control.kernel.jit import kernel, routine
 from maxq.control.kernel.records import Array
-from maxq.control.kernel.rows import NorthEastDown, PitchYaw, Quaternion, RollPitchYaw, Xyz, put, xyz
+from maxq.control.kernel.rows import DEG, NorthEastDown, PitchYaw, Quaternion, RollPitchYaw, Xyz, degrees, put, xyz
 from maxq.control.kernel.vectors import rotate, rotation_from_quaternion
 from maxq.sim.flight.channels import ChannelTable, Topic, declared_channels, declared_topics
 from maxq.sim.flight.metrics import STANDARD_GRAVITY_MPS2
@@ -56,13 +56,7 @@ from maxq.sim.vehicle.workspace import (
 )
 from maxq.sim.world.earth import FLAT, earth_rotation, geodetic, inertial_to_earth, ned_axes
 
-DEG = 180.0 / math.pi
 FAST, SLOW = "fast", "slow"
-
-
-@kernel
-def _degrees(rad: Array) -> RollPitchYaw:
-    return RollPitchYaw(DEG * rad[0], DEG * rad[1], DEG * rad[2])
 
 
 # --- fast group
@@ -95,36 +89,8 @@ class GyroRow(NamedTuple):
 def gyro_row(y: Array, aux: Array) -> GyroRow:
     return GyroRow(
         gyro_axis_rate_degps=RollPitchYaw(DEG * y[GYRO], DEG * y[GYRO + N_GYRO], DEG * y[GYRO + 2 * N_GYRO]),
-        body_axis_rate_degps=RollPitchYaw(DEG * y[W_BI_B], DEG * y[W_BI_B + 1], DEG * y[W_BI_B + 2]),
+        body_axis_rate_degps=degrees(y, W_BI_B),
         bending_axis_rate_degps=PitchYaw(DEG * aux[GYRO_BEND], DEG * aux[GYRO_BEND + 1]),
-    )
-
-
-class ControlRow(NamedTuple):
-    counts_axis: Annotated[RollPitchYaw, "1", "gyro pulses of the last sample"]
-    error_axis_deg: Annotated[RollPitchYaw, "deg", "attitude error theta_e"]
-    measured_axis_rate_degps: Annotated[RollPitchYaw, "deg/s", "angular rate in the control law"]
-    k_p_axis: Annotated[PitchYaw, "1", "proportional gain"]
-    k_d_axis_s: Annotated[PitchYaw, "s", "rate gain"]
-    law_axis_deg: Annotated[PitchYaw, "deg", "output of the PD law"]
-    filtered_axis_deg: Annotated[PitchYaw, "deg", "output of the bending filter"]
-    saturated_axis: Annotated[PitchYaw, "1", "1 while the command is at its limit"]
-    roll_thruster: Annotated[float, "1", "roll thrusters: -1, 0 or 1"]
-
-
-@kernel
-def control_row(computer: ComputerState) -> ControlRow:
-    law, counts = computer.law, computer.converter.counts
-    return ControlRow(
-        counts_axis=RollPitchYaw(counts[0], counts[1], counts[2]),
-        error_axis_deg=_degrees(law.theta_e_rad),
-        measured_axis_rate_degps=_degrees(law.rate_radps),
-        k_p_axis=PitchYaw(law.k_p[0], law.k_p[1]),
-        k_d_axis_s=PitchYaw(law.k_d_s[0], law.k_d_s[1]),
-        law_axis_deg=PitchYaw(DEG * law.pd_rad[0], DEG * law.pd_rad[1]),
-        filtered_axis_deg=PitchYaw(DEG * law.filtered_rad[0], DEG * law.filtered_rad[1]),
-        saturated_axis=PitchYaw(law.command_limited[0], law.command_limited[1]),
-        roll_thruster=computer.roll.demand,
     )
 
 
@@ -360,19 +326,6 @@ def vehicle_row(memory: Memory, props: Array, aux: Array) -> VehicleRow:
         Izz_kgm2=props[CORE_INERTIA + 2],
         stage=memory.clock.stage,
         on_pad=memory.held.on_pad,
-    )
-
-
-class GuidanceRow(NamedTuple):
-    axis_commanded_deg: Annotated[RollPitchYaw, "deg", "integral of the commanded rate"]
-    axis_measured_deg: Annotated[RollPitchYaw, "deg", "attitude angle: sum of the gyro pulses"]
-
-
-@kernel
-def guidance_row(computer: ComputerState) -> GuidanceRow:
-    return GuidanceRow(
-        axis_commanded_deg=_degrees(computer.guidance.angle_rad),
-        axis_measured_deg=_degrees(computer.converter.angle_rad),
     )
 
 
