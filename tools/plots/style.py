@@ -34,8 +34,8 @@ DASHES = ("-", "--", "-.", ":", (0, (3, 1, 1, 1, 1, 1)), (0, (6, 2)), (0, (1, 1)
 MARKERS = ("o", "s", "^", "D", "v", "P", "X")
 
 STYLE: Any = {  # newer stubs of Matplotlib want its keys as literals, older ones as text
-    "figure.dpi": 100,
-    "savefig.dpi": 120,
+    "figure.dpi": 120,
+    "savefig.dpi": "figure",  # hinted text is not as wide at another resolution than that of the layout
     "font.family": "DejaVu Sans",
     "font.size": 8.5,
     "axes.titlesize": 9.5,
@@ -123,7 +123,8 @@ def save(figure: Figure, stem: Path) -> list[Path]:
 def png(figure: Figure, dpi: float | None = None) -> bytes:
     """The picture in memory, `dpi` pixels an inch (None: as the style says)."""
     out = io.BytesIO()
-    figure.savefig(out, format="png", dpi=dpi, metadata=_METADATA["png"])
+    figure.set_dpi(dpi or figure.dpi)
+    figure.savefig(out, format="png", metadata=_METADATA["png"])
     return out.getvalue()
 
 

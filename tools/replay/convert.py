@@ -23,7 +23,6 @@ from maxq.tools.replay.stream import (
     FAMILY,
     FAMILY_FROM,
     Family,
-    Style,
     first_phase,
     phases,
     send_curves,
@@ -97,7 +96,7 @@ def send_flights(recording: rr.RecordingStream, flights: Sequence[ReplayFlight],
         else:
             plotted.append(root)
             prefix = f"{flight.label}: " if many else ""
-            send_styles(recording, root, own, Style(colour, prefix, alpha=1.0 if len(flights) <= FEW else 0.55))
+            send_styles(recording, root, own, colour, prefix, alpha=1.0 if len(flights) <= FEW else 0.55)
             send_curves(recording, root, own, flight.log, interval_ns)
         for plot in (plot for tab in own for plot in tab.plots):
             if (found := plot.value_range(flight.log)) is not None:
@@ -112,11 +111,11 @@ def send_flights(recording: rr.RecordingStream, flights: Sequence[ReplayFlight],
         family.send(recording)
     axes = {}
     for plot in (plot for tab in tabs for plot in tab.plots):
-        axes[plot.key] = axis_of(plot, range_of([np.array(r) for r in ranges.get(plot.key, [])]))
-        send_limits(recording, plot, axes[plot.key], (round(span_s[0] * 1e9), round(span_s[1] * 1e9)))
+        axis = axes[plot.key] = axis_of(plot, range_of([np.array(r) for r in ranges.get(plot.key, [])]))
+        send_limits(recording, plot, axis.drawn, (round(span_s[0] * 1e9), round(span_s[1] * 1e9)), axis)
     text = about(flights, drawn_text(exaggeration, None if many else drawn[0].place) if drawn else [])
     recording.log("about", rr.TextDocument(text, media_type="text/markdown"), static=True)
-    pictures = _pictures(recording, roots, drawn, exaggeration, options) if drawn else []
+    pictures = _pictures(recording, roots, drawn, exaggeration, options.side_by_side) if drawn else []
     return layout(roots, pictures, tabs, axes, span_s, plotted=plotted, tab=options.tab)
 
 
@@ -146,9 +145,8 @@ def _send_scene(
 
 
 def _pictures(
-    recording: rr.RecordingStream, roots: Sequence[str], drawn: Sequence[_Drawn], exaggeration: Exaggeration,
-    options: Options,
-) -> list[rrb.View | rrb.Container]:  # fmt: skip
+    recording: rr.RecordingStream, roots: Sequence[str], drawn: Sequence[_Drawn], ex: Exaggeration, side_by_side: bool
+) -> list[rrb.View | rrb.Container]:
     """The views in three dimensions: vehicles from near by, and the trajectories from aside."""
     first = drawn[0]
     positions = np.concatenate([each.path.translation_m for each in drawn])
@@ -156,7 +154,7 @@ def _pictures(
     length = first.shape.length_m if first.shape is not None else 10.0
     grid = send_ground(recording, first.place, max(reach, 100.0), tail_below_cg(first.flight.log, first.shape))
     eyes = eyes_for(length, first.place.site.azimuth_deg, positions)
-    factor = exaggeration.text(first.flight.log.table) if first.shape else ""
+    factor = ex.text(first.flight.log.table) if first.shape else ""
     close: list[rrb.View | rrb.Container] = []
     for each in drawn:
         if each.shape is None and (close or len(drawn) > FEW):
@@ -164,7 +162,7 @@ def _pictures(
         name = "Vehicle" if len(drawn) == 1 else each.flight.label
         close.append(close_view(each.root, eyes, f"{name} ({factor})" if factor and len(drawn) < 3 else name))
     if len(close) > 1:
-        close = [rrb.Grid(contents=close) if options.side_by_side else rrb.Tabs(contents=close)]
+        close = [rrb.Grid(contents=close) if side_by_side else rrb.Tabs(contents=close)]
     return [*close, overview(roots, eyes, grid)]
 
 

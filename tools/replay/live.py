@@ -34,12 +34,11 @@ from maxq.tools.replay.scene import Scene, send_ground, tail_below_cg
 from maxq.tools.replay.stream import (
     APPLICATION,
     Phase,
-    Style,
     first_phase,
     phases,
     send_curves,
     send_events,
-    send_limit_lines,
+    send_limits,
     send_phases,
     send_styles,
 )
@@ -96,9 +95,7 @@ class Block:
     def __init__(self, table: ChannelTable, rows: Rows, start_place_deg: tuple[float, float] | None) -> None:
         self.table = table
         self._rows = rows
-        self.start_place_deg = start_place_deg or (
-            float(self["latitude_deg"][0]), float(self["longitude_deg"][0])
-        )  # fmt: skip
+        self.start_place_deg = start_place_deg or (float(self["latitude_deg"][0]), float(self["longitude_deg"][0]))
 
     def __contains__(self, name: str) -> bool:
         return name in self.table
@@ -209,7 +206,7 @@ class LiveView:
         self._table = block.table
         self._tabs = tabs_of(block.table, scenario, self._shape)
         recording.log("/", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
-        send_styles(recording, _ROOT, self._tabs, Style())
+        send_styles(recording, _ROOT, self._tabs)
         self._limits_until_ns = round(self._start_s * 1e9)
         self._send_limits(self._limits_until_ns, styled=True)
         if has_motion(block):
@@ -228,7 +225,8 @@ class LiveView:
     def _send_limits(self, until_ns: int, *, styled: bool = False) -> None:
         """They reach as far as the flight does: the viewer's cursor follows the latest of all samples."""
         for plot in (plot for tab in self._tabs for plot in tab.plots):
-            send_limit_lines(self._recording, plot, (self._limits_until_ns, until_ns), styled)
+            required = [limit for limit in plot.limits if limit.required]
+            send_limits(self._recording, plot, required, (self._limits_until_ns, until_ns), styled=styled)
         self._limits_until_ns = until_ns
 
     def _send_layout(self, eyes: Eyes, end_s: float, *, live: bool) -> None:

@@ -83,12 +83,10 @@ class Scene:
     def _static(self) -> None:
         if self._shape is None:
             self._log("vehicle/body/marker", rr.Points3D([[0, 0, 0]], radii=rr.Radius.ui_points(6)))
-        axes = rr.Arrows3D(
-            vectors=0.45 * self._size * np.diag([1.35, 0.35, 0.35]),
-            colors=[rgba(c) for c in (RED, "#22aa55", "#4477ff")],
-            radii=0.004 * self._size, labels=["x", "y", "z"], show_labels=False,
-        )  # fmt: skip
-        self._log("vehicle/body/axes", axes)
+        axes, radius = 0.45 * self._size * np.diag([1.35, 0.35, 0.35]), 0.004 * self._size
+        colours = [rgba(colour) for colour in (RED, "#22aa55", "#4477ff")]
+        arrows = rr.Arrows3D(vectors=axes, colors=colours, radii=radius, labels=list("xyz"), show_labels=False)
+        self._log("vehicle/body/axes", arrows)
         for name, colour in (("velocity", "#4cd07d"), ("wind", SKY)):
             style = rr.Arrows3D.from_fields(colors=rgba(colour), radii=0.006 * self._size, show_labels=True)
             self._log(f"vehicle/{name}", style)
@@ -118,11 +116,9 @@ class Scene:
         if not moments or not len(path.times_ns):
             return
         k = np.clip(np.searchsorted(path.times_ns, [m.time_ns for m in moments]), 0, len(path.times_ns) - 1)
-        points = rr.Points3D(
-            path.translation_m[k], labels=[m.label for m in moments], show_labels=True, radii=rr.Radius.ui_points(4),
-            colors=rgba(WHITE),
-        )  # fmt: skip
-        self._log("marks", points)
+        labels, radius = [m.label for m in moments], rr.Radius.ui_points(4)
+        points = path.translation_m[k]
+        self._log("marks", rr.Points3D(points, labels=labels, show_labels=True, radii=radius, colors=rgba(WHITE)))
 
     def whole_path(self, path: FramePath, colour: str = GREY) -> None:
         """The whole trajectory as a thin line."""

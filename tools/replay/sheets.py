@@ -28,8 +28,17 @@ WIDTH_IN, ROW_IN = 8.0, 1.9
 """Of a sheet; of one plot in it."""
 _SETTINGS = {
     "lines.linewidth": 1.1,
-    "savefig.dpi": 160,
+    "figure.dpi": 160,
     "svg.fonttype": "none",  # text stays text: a review edits and searches it
+}
+_LEGEND: dict[str, Any] = {  # in one row above the plot
+    "loc": "lower right",
+    "bbox_to_anchor": (1.0, 0.985),
+    "ncols": 8,
+    "borderaxespad": 0.0,
+    "handlelength": 1.6,
+    "columnspacing": 1.2,
+    "frameon": False,
 }
 _ENVELOPE_FROM = 6  # so many flights are drawn as envelope instead of one by one
 _BINS, _POINTS, _THIN_POINTS = 1500, 4000, 1500  # along a sheet: of an envelope, of a line, of one among many
@@ -85,9 +94,8 @@ def _has_numbers(tab: Tab, flights: Sequence[ReplayFlight]) -> bool:
 
 
 def _sheet(tab: Tab, shown: Flights) -> Figure:
-    figure, places = sheet(
-        len(tab.plots), height_in=ROW_IN, width_in=WIDTH_IN, title=_title(tab.name, shown), sharex=True
-    )  # fmt: skip
+    title = _title(tab.name, shown)
+    figure, places = sheet(len(tab.plots), height_in=ROW_IN, width_in=WIDTH_IN, title=title, sharex=True)
     span_s = _span(tab, shown)
     for place, plot in zip(places, tab.plots, strict=True):
         _draw(place, plot, shown, span_s)
@@ -127,16 +135,10 @@ def _draw(place: Axes, plot: Plot, shown: Flights, span_s: tuple[float, float]) 
     place.set_title(plot.title + (f"  [{beyond}]" if beyond else ""))
     place.set_ylabel(plot.unit or "1")
     if len(plot.curves) > 1 or axis.drawn:
-        legend = place.legend(
-            loc="lower right", bbox_to_anchor=(1.0, 0.985), ncols=8, borderaxespad=0.0, handlelength=1.6,
-            columnspacing=1.2, frameon=False,
-        )  # fmt: skip
-        legend.set_in_layout(False)  # a long one does not squeeze the plot
+        place.legend(**_LEGEND).set_in_layout(False)  # a long one does not squeeze the plot
 
 
-def _draw_curve(
-    place: Axes, curve: Curve, number: int, shown: Flights, span_s: tuple[float, float]
-) -> list[Array]:  # fmt: skip
+def _draw_curve(place: Axes, curve: Curve, number: int, shown: Flights, span_s: tuple[float, float]) -> list[Array]:
     """Lines of a few flights, or the envelope of many with the failed ones and the reference as lines; the values."""
     span_ns = round(span_s[0] * 1e9), round(span_s[1] * 1e9) + 1
     look = look_of(number)
@@ -189,10 +191,9 @@ def _draw_limits(place: Axes, axis: Axis) -> None:
     for limit in axis.drawn:
         colour = LIMIT if limit.required else GREY
         edge = axis.high if limit.upper else axis.low
-        place.axhspan(
-            limit.value, edge, facecolor=(colour, 0.10), edgecolor=(colour, 0.45), linewidth=0.0, zorder=0.5,
-            hatch="////" if limit.required else None,
-        )  # fmt: skip
+        hatch = "////" if limit.required else None
+        look: Any = {"facecolor": (colour, 0.10), "edgecolor": (colour, 0.45), "linewidth": 0.0, "hatch": hatch}
+        place.axhspan(limit.value, edge, zorder=0.5, **look)
         label = None if limit.text in named else limit.text
         named.add(limit.text)
         place.axhline(limit.value, color=colour, linewidth=0.9, label=label, zorder=1.5)
@@ -210,9 +211,7 @@ def _mark_events(places: Sequence[Axes], flight: ReplayFlight, span_s: tuple[flo
         if any(abs(moment.time_s - other) < 0.02 * width for other in named):
             continue
         named.append(moment.time_s)
-        right = moment.time_s > start + 0.97 * width
-        places[0].annotate(
-            moment.label, (moment.time_s, 0.5), xycoords=("data", "axes fraction"), xytext=(-2 if right else 2, 0),
-            textcoords="offset points", fontsize=6.5, color="#555555", rotation=90, ha="right" if right else "left",
-            va="center", zorder=1.2,
-        )  # fmt: skip
+        aside, align = (-2, "right") if moment.time_s > start + 0.97 * width else (2, "left")
+        at: Any = {"xycoords": ("data", "axes fraction"), "textcoords": "offset points", "ha": align, "va": "center"}
+        look: Any = {"fontsize": 6.5, "color": "#555555", "rotation": 90, "zorder": 1.2}
+        places[0].annotate(moment.label, (moment.time_s, 0.5), (aside, 0), **at, **look)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -133,10 +134,8 @@ def _spectra(channels: Sequence[str], flight: ReplayFlight) -> Figure:
         if not len(times):
             continue
         high = float(np.nanmax(decibel))
-        image = place.pcolormesh(
-            times, hertz, decibel, cmap="cividis", shading="nearest", rasterized=True,
-            vmin=max(high + _FLOOR_DB, float(np.nanmin(decibel))), vmax=high,
-        )  # fmt: skip
+        scale: Any = {"cmap": "cividis", "vmin": max(high + _FLOOR_DB, float(np.nanmin(decibel))), "vmax": high}
+        image = place.pcolormesh(times, hertz, decibel, shading="nearest", rasterized=True, **scale)
         unit = flight.log.channel(channel).unit
         place.set(ylabel="frequency (Hz)", title=f"{_SPECTRA[channel]}: amplitude, dB re 1 {unit}")
         place.set_ylim(0.0, min(_HIGHEST_HZ, float(hertz[-1])))

@@ -18,7 +18,7 @@ from maxq.sim.log.foxglove import Level
 from maxq.tools.plots.palette import BLUE, GREEN, GREY, LIMIT, ON_DARK, ORANGE, PURPLE, RED, SKY, rgba
 from maxq.tools.replay.decimate import extremes, extremes_on_grid
 from maxq.tools.replay.flight import Channels, Moment
-from maxq.tools.replay.plots import Axis, Curve, Plot, Tab
+from maxq.tools.replay.plots import Axis, Curve, Limit, Plot, Tab
 
 TIMELINE = "sim_time"
 APPLICATION = "maxq"
@@ -27,17 +27,26 @@ FAMILY = "family"
 FAMILY_FROM = 20
 """So many flights, apart from those seen closely, become families."""
 PHASES = {
-    "held down": GREY, "powered": ORANGE, "coasting up": SKY, "falling": BLUE, "control lost": RED,
-    "tumbling": PURPLE, "ended": GREEN,
-}  # fmt: skip
+    "held down": GREY,
+    "powered": ORANGE,
+    "coasting up": SKY,
+    "falling": BLUE,
+    "control lost": RED,
+    "tumbling": PURPLE,
+    "ended": GREEN,
+}
 _BEGUN_BY = {
-    "liftoff": "powered", "ignition": "powered", "burnout": "coasting up", "apogee": "falling",
-    "control_lost": "control lost", "tumble": "tumbling", "impact": "ended", "diverged": "ended",
-}  # fmt: skip
+    "liftoff": "powered",
+    "ignition": "powered",
+    "burnout": "coasting up",
+    "apogee": "falling",
+    "control_lost": "control lost",
+    "tumble": "tumbling",
+    "impact": "ended",
+    "diverged": "ended",
+}
 _WORSE = ("control lost", "tumbling")
-_LEVELS = {
-    Level.DEBUG: "DEBUG", Level.INFO: "INFO", Level.WARNING: "WARN", Level.ERROR: "ERROR", Level.FATAL: "CRITICAL",
-}  # fmt: skip
+_LEVELS = {Level.WARNING: "WARN", Level.FATAL: "CRITICAL"}  # where the viewer has another name
 _TEETH = 240  # of the hatching over the whole flight
 _MIN_MAX = rr.components.AggregationPolicy.MinMax  # no extreme may be averaged away when the viewer zooms out
 
@@ -63,15 +72,6 @@ def send_scalars(recording: rr.RecordingStream, entity: str, times_ns: IntArray,
 
 
 # -- curves --------------------------------------------------------------------------------------------------------
-@dataclass(frozen=True)
-class Style:
-    """How a flight's curves look: one colour for all of it, or one for each curve (None); a name put before labels."""
-
-    colour: str | None = None
-    prefix: str = ""
-    alpha: float = 1.0
-
-
 def _curves(root: str, tabs: Sequence[Tab]) -> Iterator[tuple[str, int, Plot, Curve]]:
     """Entity and number of every curve of these tabs."""
     for tab in tabs:
@@ -80,13 +80,19 @@ def _curves(root: str, tabs: Sequence[Tab]) -> Iterator[tuple[str, int, Plot, Cu
                 yield f"{root}/plots/{plot.key}/curve_{i + 1}", i, plot, curve
 
 
-def send_styles(recording: rr.RecordingStream, root: str, tabs: Sequence[Tab], style: Style) -> None:
-    """Names and colours."""
+def send_styles(
+    recording: rr.RecordingStream,
+    root: str,
+    tabs: Sequence[Tab],
+    colour: str | None = None,
+    prefix: str = "",
+    alpha: float = 1.0,
+) -> None:
+    """Names and colours: one `colour` for all curves of a flight, or one for each (None); `prefix` begins the names."""
     for entity, i, _, curve in _curves(root, tabs):
-        colour = rgba(style.colour or ON_DARK[i % len(ON_DARK)], style.alpha)
-        lines = rr.SeriesLines(
-            names=style.prefix + curve.label, colors=colour, widths=1.4, aggregation_policy=_MIN_MAX
-        )  # fmt: skip
+        own = rgba(colour or ON_DARK[i % len(ON_DARK)], alpha)
+        name = prefix + curve.label
+        lines = rr.SeriesLines(names=name, colors=own, widths=1.4, aggregation_policy=_MIN_MAX)
         recording.log(entity, lines, static=True)
 
 
@@ -147,28 +153,33 @@ def limits_root(plot: Plot) -> str:
     return f"limits/{plot.key}"
 
 
-def send_limits(recording: rr.RecordingStream, plot: Plot, axis: Axis, span_ns: tuple[int, int]) -> None:
-    """A line at each limit and hatching on the forbidden side."""
+def send_limits(
+    recording: rr.RecordingStream,
+    plot: Plot,
+    limits: Sequence[Limit],
+    span_ns: tuple[int, int],
+    axis: Axis | None = None,
+    *,
+    styled: bool = True,
+) -> None:
+    """A line at each limit between two times, and hatching on the forbidden side as far as the axis, if it is known.
+
+    A flight under way sends them piece by piece: `styled` the first time.
+    """
     ends = np.array(span_ns, np.int64)
     along = np.linspace(*span_ns, 2 * _TEETH + 1).astype(np.int64)
-    for i, limit in enumerate(axis.drawn):
-        colour = LIMIT if limit.required else GREY
-        teeth = np.where(np.arange(len(along)) % 2 == 0, limit.value, axis.high if limit.upper else axis.low)
-        line = "line", np.full(2, limit.value), ends, 1.6, 1.0
-        for part, values, at, width, alpha in (line, ("band", teeth, along, 1.0, 0.45)):
+    for i, limit in enumerate(limits):
+        parts = [("line", ends, np.full(2, limit.value), 1.6, 1.0)]
+        if axis is not None:
+            teeth = np.where(np.arange(len(along)) % 2 == 0, limit.value, axis.high if limit.upper else axis.low)
+            parts.append(("band", along, teeth, 1.0, 0.45))
+        for part, at, values, width, alpha in parts:
             entity = f"{limits_root(plot)}/limit_{i + 1}/{part}"
-            style = rr.SeriesLines(names=f"limit: {limit.text}", colors=rgba(colour, alpha), widths=width)
-            recording.log(entity, style, static=True)
+            if styled:
+                colour = rgba(LIMIT if limit.required else GREY, alpha)
+                style = rr.SeriesLines(names=f"limit: {limit.text}", colors=colour, widths=width)
+                recording.log(entity, style, static=True)
             send_scalars(recording, entity, at, values)
-
-
-def send_limit_lines(recording: rr.RecordingStream, plot: Plot, span_ns: tuple[int, int], styled: bool) -> None:
-    """Requirements as lines alone, for a flight under way: between two times, with their style the first time."""
-    for i, limit in enumerate(x for x in plot.limits if x.required):
-        entity = f"{limits_root(plot)}/limit_{i + 1}/line"
-        if styled:
-            recording.log(entity, rr.SeriesLines(names=f"limit: {limit.text}", colors=rgba(LIMIT)), static=True)
-        send_scalars(recording, entity, np.array(span_ns, np.int64), np.full(2, limit.value))
 
 
 # -- events and phases ---------------------------------------------------------------------------------------------
@@ -209,7 +220,7 @@ def phases(first: Phase, moments: Iterable[Moment]) -> list[Phase]:
 def send_events(recording: rr.RecordingStream, root: str, moments: Iterable[Moment]) -> None:
     for moment in moments:
         set_time(recording, moment.time_ns)
-        recording.log(f"{root}/events", rr.TextLog(moment.line, level=_LEVELS[moment.level]))
+        recording.log(f"{root}/events", rr.TextLog(moment.line, level=_LEVELS.get(moment.level, moment.level.name)))
     recording.reset_time()
 
 
