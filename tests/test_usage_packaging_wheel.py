@@ -89,7 +89,8 @@ def files_of(wheel):
 def test_the_wheel_holds_every_module_and_every_scenario_file(source, wheel):
     files = {p for name in PACKAGES for p in (source / name).rglob("*") if p.is_file() and ".ns" not in p.parts}
     files = {p for p in files if p.relative_to(source).parts[:2] != ("tools", "dev")}
-    packaged = {p for p in files if p.suffix == ".py" or p.is_relative_to(source / "scenarios")}
+    data = (source / "scenarios", source / "tools" / "pages")
+    packaged = {p for p in files if p.suffix == ".py" or any(p.is_relative_to(folder) for folder in data)}
     assert packaged
     assert files_of(wheel) == {f"maxq/{p.relative_to(source)}" for p in packaged}
 
@@ -118,6 +119,12 @@ def test_simrun_names_the_built_in_scenarios(installed, cache, tmp_path):
     data = ("vehicles/", "designs/", "winds/", "campaigns/", "suites/")
     wanted = {name for name in names if not name.startswith(data)}
     assert {line.split()[0] for line in said.splitlines() if line.strip()} >= wanted
+
+
+@pytest.mark.parametrize("kind", ["scenario", "suite"])
+def test_simrun_prints_schemas_without_a_checkout(installed, cache, tmp_path, kind):
+    said = succeed([installed / "simrun", "--schema", kind], tmp_path, MAXQ_CACHE=cache)
+    assert "schema" in json.loads(said)["properties"]
 
 
 def test_simrun_flies_a_built_in_scenario_and_a_changed_copy(installed, cache, tmp_path):

@@ -353,12 +353,6 @@ def test_version(capsys: Printed) -> None:
     assert capsys.readouterr().out.startswith("maxq ")
 
 
-def test_help_names_every_exit_code(capsys: Printed) -> None:
-    assert run("--help") == 0
-    text = capsys.readouterr().out
-    assert all(f"\n  {code:>3}  " in text for code in (0, 1, 2, 70, 130))
-
-
 @pytest.mark.parametrize("option", ["--help", "--list", "--version"])
 def test_nothing_heavy_is_imported_without_need(option: str) -> None:
     code = (

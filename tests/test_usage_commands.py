@@ -1,0 +1,103 @@
+"""What all commands have in common: help, exit codes, errors on one line."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Callable
+
+import pytest
+
+from maxq.sim.scenario.errors import ScenarioError
+from maxq.tools import simdesign, simreplay, simrun, simverify
+from maxq.tools.cli import frame
+from maxq.tools.cli.frame import TRACEBACK, CommandError, Exit
+from maxq.tools.cli.interruption import Interruption
+from maxq.tools.cli.terminal import Progress
+
+Printed = pytest.CaptureFixture[str]
+COMMANDS = {"simrun": simrun, "simdesign": simdesign, "simverify": simverify, "simreplay": simreplay}
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_help_lists_every_exit_code(name: str, capsys: Printed) -> None:
+    with pytest.raises(SystemExit) as end:
+        COMMANDS[name].main(["--help"])
+    assert end.value.code == 0
+    text = capsys.readouterr().out
+    assert all(f"\n  {code:>3}  " in text for code in (0, 1, 2, 70, 130))
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_wrong_options_are_one_line(name: str, capsys: Printed) -> None:
+    with pytest.raises(SystemExit) as end:
+        COMMANDS[name].main(["--hlep"])
+    assert end.value.code == Exit.BAD_INPUT
+    assert capsys.readouterr().err == f"{name}: unknown option --hlep; did you mean --help?; see {name} --help\n"
+
+
+def raising(error: BaseException) -> Callable[[], int]:
+    def body() -> int:
+        raise error
+
+    return body
+
+
+@pytest.mark.parametrize(
+    ("error", "code", "says"),
+    [
+        (ScenarioError("a.toml", "is wrong", "x.y"), 2, "a.toml: x.y: is wrong"),
+        (CommandError("no viewer\nis there"), 2, "no viewer is there"),
+        (MemoryError(), 2, "not enough memory; fly less"),
+        (PermissionError(13, "Permission denied", "out/x"), 2, "out/x: permission denied"),
+        (ModuleNotFoundError("No module named 'rerun'", name="rerun"), 2, "a package is missing or broken: "),
+        (ImportError("cannot import name 'x'", name="maxq.sim"), 70, "internal error: ImportError: "),
+        (ZeroDivisionError("two\nlines"), 70, "internal error: ZeroDivisionError: two lines (test_usage_commands.py, "),
+        (KeyboardInterrupt(), 130, "stopped; nothing written"),
+    ],
+    ids=lambda value: type(value).__name__ if isinstance(value, BaseException) else "",
+)
+def test_every_error_is_one_line_with_its_exit_code(
+    error: BaseException, code: int, says: str, capsys: Printed, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delenv(TRACEBACK, raising=False)
+    assert frame.run("sim", raising(error), "stopped; nothing written", "fly less") == code
+    out, err = capsys.readouterr()
+    assert (out, err.count("\n")) == ("", 1)
+    assert err.startswith(f"sim: {says}")
+    assert (TRACEBACK in err) == (code == Exit.INTERNAL_ERROR)
+
+
+def test_the_traceback_is_shown_on_request(capsys: Printed, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv(TRACEBACK, "1")
+    assert frame.run("sim", raising(ZeroDivisionError())) == Exit.INTERNAL_ERROR
+    assert capsys.readouterr().err.startswith("Traceback (most recent call last):")
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_the_first_signal_is_a_request_the_second_interrupts(number: signal.Signals) -> None:
+    before = signal.getsignal(number)
+    with Interruption() as interruption:
+        signal.raise_signal(number)
+        assert interruption.requested
+        with pytest.raises(KeyboardInterrupt):
+            signal.raise_signal(number)
+    assert signal.getsignal(number) is before
+
+
+def test_sigterm_ends_a_process_like_ctrl_c() -> None:
+    code = (
+        "import os, signal\nfrom maxq.tools.cli.frame import process, run\n"
+        "process(lambda: run('sim', lambda: os.kill(os.getpid(), signal.SIGTERM), 'stopped'))"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False, env=os.environ)
+    assert (done.returncode, done.stdout, done.stderr) == (130, "", "sim: stopped\n")
+
+
+def test_progress_is_silent_without_a_terminal_unless_lines_are_wanted(capsys: Printed) -> None:
+    with Progress() as quiet, Progress(log_every_s=0.0) as lines:
+        quiet.show("flying", 1, 2)
+        lines.show("flying", 1, 2, "12 left")
+    assert capsys.readouterr().err == "flying: 1 of 2; 12 left\n"
