@@ -85,7 +85,7 @@ class Baffle:
 
 
 @dataclass(frozen=True)
-class LimitCycle:
+class SloshCycle:
     """Amplitude at which the swing of a tank's liquid ends in flight, deg, and that of the gimbal command.
 
     `settled`: no longer changing. NaN where the flight ended early.
@@ -102,7 +102,7 @@ def fly_cycle(
     baffle: Baffle,
     frequency_hz: float,
     level: float = 1.0,
-) -> LimitCycle:
+) -> SloshCycle:
     """Excite the held flight at the slosh frequency and let the baffle's damping follow the swing.
 
     `level` scales the burst of the certificate (`burst_rad`): the limit cycle is reached from above or from below.
@@ -122,10 +122,10 @@ def fly_cycle(
     values = fast_rows(run, follow)
     quarter = len(values) // 4
     if run.now_s < WATCHED_S - 1.0 or quarter < 8:
-        return LimitCycle(math.nan, False, math.nan)
+        return SloshCycle(math.nan, False, math.nan)
     command = values[3 * quarter :, run.table.index(f"gimbal_{held.plane}_command_deg")]
     before, after = amplitude(values[2 * quarter : 3 * quarter, column]), amplitude(values[3 * quarter :, column])
-    return LimitCycle(after, abs(after / before - 1.0) < SETTLED, amplitude(command))
+    return SloshCycle(after, abs(after / before - 1.0) < SETTLED, amplitude(command))
 
 
 NEAR, MIDWAY = Baffle(0.1, 0.25), Baffle(0.5, 0.25)

@@ -25,8 +25,7 @@ from maxq.sim.scenario.loader import LoadedScenario, load_scenario
 from maxq.sim.scenario.schema_design import Design
 from maxq.tools.cli.frame import Exit
 from maxq.tools.cli.terminal import Progress, aligned
-from maxq.tools.design.record import analysis_record, write_record
-from maxq.tools.design.report import analysis_report, analysis_verdict
+from maxq.tools.design.report import analysis_record, analysis_report, analysis_verdict, write_record
 
 EVERY_S = 5.0
 RECORD_NAME = "analysis.json"

@@ -20,14 +20,13 @@ from maxq.design.model.node import Node
 from maxq.design.optimise.plants import Plants
 from maxq.design.optimise.solution import Solution
 from maxq.design.optimise.solve import nominal_plants, solve
-from maxq.design.verify.outcome import Outcome, judge_solution, make_design, objective_text
+from maxq.design.verify.judging import Outcome, judge_solution, make_design, objective_text
 from maxq.sim.files import check_writable, write_whole
 from maxq.sim.scenario.errors import ScenarioError
 from maxq.tools.cli.frame import Exit
 from maxq.tools.cli.interruption import Interruption
 from maxq.tools.cli.terminal import Progress, aligned
-from maxq.tools.design.record import case_record, write_record
-from maxq.tools.design.report import case_report, comments
+from maxq.tools.design.report import case_record, case_report, comments, write_record
 
 RECORD_NAME = "design.json"
 

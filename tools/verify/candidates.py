@@ -9,8 +9,7 @@ from pathlib import Path
 
 from maxq.design.case.design_file import design_path
 from maxq.design.verify import memory
-from maxq.design.verify.judging import judge
-from maxq.design.verify.outcome import make_design
+from maxq.design.verify.judging import judge, make_design
 from maxq.design.verify.suite import ACCEPTED, UNDECIDED, read_suite
 from maxq.design.verify.verify import Verification, Watch, verify
 from maxq.sim.scenario.schema_design import Design

@@ -15,7 +15,7 @@ from maxq.design.verify.suite import ACCEPTED, REJECTED, UNDECIDED
 from maxq.design.verify.verify import Verification
 from maxq.sim.files import write_whole
 from maxq.tools.cli.terminal import aligned, printable
-from maxq.tools.design.record import write_record
+from maxq.tools.design.report import write_record
 from maxq.tools.pages.render import render
 
 SCHEMA = 1
