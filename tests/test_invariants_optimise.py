@@ -25,7 +25,7 @@ from maxq.design.optimise.plants import Plants
 from maxq.design.optimise.solution import Solution
 from maxq.design.optimise.solve import nominal_plants, solve
 from maxq.design.optimise.sqp import optimality
-from maxq.design.verify.outcome import make_design
+from maxq.design.verify.judging import make_design
 
 NODES = "nodes_s=[5.0, 30.0, 55.0]"
 

@@ -8,7 +8,7 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any, Literal, get_args
+from typing import TYPE_CHECKING, Any, Literal, get_args
 
 from maxq.design.case.read import LoadedCase
 from maxq.design.margins.lobes import Lobe
@@ -18,7 +18,9 @@ from maxq.design.verify.judging import LIMITS, Check, Judged, Outcome, RigidBody
 from maxq.sim.files import write_whole
 from maxq.sim.scenario.schema_design import Design
 from maxq.tools.cli.terminal import aligned, printable
-from maxq.tools.design.analyse import Order
+
+if TYPE_CHECKING:
+    from maxq.tools.design.analyse import Order
 
 MET, MISSED = "met", "MISSED"
 _KINDS = {"sampled": "sampled, as it flies", "pade": "the paper's Pade approximants", "exact": "without aliasing"}
