@@ -276,6 +276,15 @@ def test_a_log_of_schema_1_is_read_with_the_names_of_today() -> None:
     assert set(log.table.names) == set(channel_table(Sizes(3, 3, 2, 1), ("lox", "jeta1")).names)
 
 
+def test_a_kept_log_of_schema_2_is_read_as_it_was_written() -> None:
+    log = read_log(OLD_LOG.parents[1] / "schema-2" / "flight.mcap")
+    assert log.complete
+    assert log.metadata["schema"] == "2"
+    assert [event.text for event in log.events] == ["ignition (stage 1)"]
+    assert set(channel_table(Sizes(0, 0, 0, 1), ()).names) == set(log.table.names)
+    assert len(log["on_pad"]) == 21
+
+
 def test_a_log_cut_in_its_head_says_so(tmp_path: Path) -> None:
     data = write_example(tmp_path / "a.mcap")
     (tmp_path / "a.mcap").write_bytes(data[:1000])
