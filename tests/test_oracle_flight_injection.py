@@ -1,4 +1,4 @@
-"""Injected signals against their textbook forms, and the limits at which a state is no flight any more."""
+"""Injected signals against their textbook forms, and the limits beyond which a flight counts as diverged."""
 
 from __future__ import annotations
 

@@ -8,7 +8,7 @@ from importlib.metadata import version
 
 SCHEMA_VERSION = "2"
 NAMES_OF_SCHEMA_1 = {"felt_B": "specific_force_B", "counted_deg": "measured_deg", "held_down": "on_pad"}
-"""Parts of channel names that schema 1 had, and what they are called now."""
+"""Parts of channel names in schema 1, and what they are called now."""
 PROFILE = "maxq"  # MCAP header: by this a reader knows the file for a maxq log
 RUN_METADATA = "run"
 HEAD_METADATA = "head"  # the head's last record: CRC-32 of all bytes before it

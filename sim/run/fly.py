@@ -111,9 +111,9 @@ class Flight:
 
 
 class FlightRun:
-    """A flight under way: `fly_segment` until `finished`, then `result`.
+    """A flight in progress: `fly_segment` until `finished`, then `result`.
 
-    Making one loads the compiled kernels, or compiles them (about half a minute, once). `segment_ns`: length of a
+    The constructor loads the compiled kernels, or compiles them (about half a minute, once). `segment_ns`: length of a
     segment, a multiple of the step (default: 1 s, or less where that is many steps or log rows).
     """
 
@@ -202,7 +202,7 @@ class FlightRun:
         return rows
 
     def present(self) -> dict[str, float]:
-        """Every channel at this instant, in logged units. Changes nothing in the flight."""
+        """Every channel at this instant, in logged units. The flight is left unchanged."""
         memory, state = self.packed.memory.copy(), self.packed.state.copy()
         clock = self.memory.clock
         clock.finished, clock.started = 1, 1  # as at a flight's end, where the last instant is logged
@@ -277,7 +277,7 @@ def fly(loaded: LoadedScenario, *, log: bool = True, watch: Callable[[FlightRun,
     """Fly a scenario to its end. `log=False` keeps no channels and is fastest.
 
     `watch` is called after every segment (1 s of simulated time or less) with the run and its rows. A flight
-    that diverges is a result (`outcome`, `cause`), no exception.
+    that diverges is a result (`outcome`, `cause`), not an exception.
     """
     run = FlightRun(loaded, log=log)
     kept = KeptRows()
@@ -313,9 +313,9 @@ def copied(rows: Rows) -> Rows:
 
 
 class KeptRows:
-    """Rows of all segments so far, in arrays with room to spare: a long log is never in memory twice.
+    """Rows of all segments so far, in arrays larger than needed: a long log is never in memory twice.
 
-    Room that is not used costs address space only.
+    What is not used of them takes address space only.
     """
 
     def __init__(self) -> None:
@@ -344,7 +344,7 @@ class KeptRows:
 def _segment_ns(step_ns: int, shortest_log_ns: int) -> int:
     """Length of a segment: 1 s, or less where that is many steps or rows; a multiple of the step.
 
-    A flight can be interrupted and its rows written between two segments only.
+    Only between two segments can a flight be interrupted and are its rows written.
     """
     longest = min(LONGEST_SEGMENT_NS, _MOST_STEPS * step_ns, _MOST_ROWS * shortest_log_ns)
     return max(longest // step_ns, 1) * step_ns

@@ -38,9 +38,9 @@ class LaunchSite:
 
 
 class LaunchFrames:
-    """Poses of the body at a site, picked from the slow rows: the first row in each period of `transform_ns`.
+    """Poses of the body at a site, taken from the slow rows: the first row in each period of `transform_ns`.
 
-    So transforms come at most as often as slow rows do. Positions are differences to the site in double
+    So transforms are at most as frequent as slow rows. Positions are differences to the site in double
     precision: rounding is a few nanometres.
     """
 
@@ -83,5 +83,5 @@ def _product(p: Array, q: Array) -> Array:
 
 
 def _plain(function: Callable[..., Any]) -> Callable[..., Any]:
-    """A kernel that calls no other one, as the Python function it is: one call is not worth compiling it."""
+    """The Python function of a kernel that calls no other kernel: a single call does not justify compiling it."""
     return getattr(function, "py_func", function)

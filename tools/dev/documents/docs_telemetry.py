@@ -34,10 +34,10 @@ _EVENT_MEANINGS = {
     "burnout": "the engine of a stage stops",
     "separation": "a stage is dropped",
     "apogee": "the altitude begins to fall for the first time",
-    "impact": "the altitude falls below the ground: the lower one of the site and sea level",
+    "impact": "the altitude falls below the ground: the lower of the site and sea level",
     "control_lost": CONTROL_LOST_CAUSE,
     "tumble": "the total incidence exceeds 90 deg while the dynamic pressure exceeds 5 kPa",
-    "diverged": "the state is none of a flight any more; the text says why: "
+    "diverged": "the state is outside the bounds of a flight; the text gives the cause: "
     + ", or ".join(cause for cause in CAUSES if cause),
 }
 
@@ -54,11 +54,11 @@ def page() -> str:
 <!-- Written by `python -m maxq.tools.dev.documents.docs_telemetry`: change the channel table, not this file. -->
 
 `flight.mcap` is an MCAP file of protobuf messages that Foxglove, Rerun and PlotJuggler open; `read_log` reads
-it into arrays (docs/simrun.md). Times are nanoseconds of simulated time; T0 stands in the metadata.
+it into arrays (docs/simrun.md). Times are nanoseconds of simulated time; the metadata hold T0.
 
 Topics of the group `{FAST}` have `log.fast_hz` messages a second (default 1000), those of `{SLOW}`
-`log.slow_hz` (default 100), and both have one more at the flight's last instant. Rows fall on the instants of
-the flight: a log cannot be finer than its steps.
+`log.slow_hz` (default 100), and both have one more at the flight's last instant. Rows fall on
+the flight's steps: a log cannot be finer than these.
 
 Names end with the unit; a part of the name is the frame: I inertial, E Earth-fixed, N local
 north-east-down, B body (x forward, y right, z down). `1` stands for no unit. Angles are in degrees where the
@@ -98,7 +98,7 @@ schema 1 are read with the channel names of today.
 
 ## Metrics
 
-What `summary.json` and `[[requirement]]` call by name; gathered at every step, not from the log.
+The names used by `summary.json` and `[[requirement]]`; computed at every step, not from the log.
 
 {_rows(("metric", "unit", "meaning"), [(f"`{m.name}`", m.unit, m.description) for m in METRICS.values()])}"""
 
