@@ -25,7 +25,7 @@ fly: $(TO_FLY)  ## fly scenarios/nominal.toml; ARGS go to simrun
 
 test: $(TO_TEST)  ## run the tests; ARGS go to pytest (ARGS="-m 'not slow'" leaves out the slow ones)
 	@echo "Running the tests with pytest."
-	@$(PY) -m pytest $(ARGS)
+	@$(PY) -m pytest -n auto --dist worksteal $(ARGS)
 
 test-browser: $(TO_TEST)  ## open `simreplay --web` in headless Chromium, and look at the page
 	@echo "Opening simreplay --web in headless Chromium."

@@ -85,6 +85,7 @@ def test_rows_that_where_names() -> None:
     assert (after["slope_pm"][~second] == before["slope_pm"][~second]).all()
 
 
+@pytest.mark.slow
 def test_what_was_packed_before_changes_nothing(ksr3: LoadedCampaign) -> None:
     """Tables that were fitted once are kept: a process that has packed nothing else gives the same bits."""
     for run in range(20):

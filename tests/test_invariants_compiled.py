@@ -6,6 +6,8 @@ import os
 import subprocess
 import sys
 
+import pytest
+
 SEGMENT = """
 from maxq.sim.run.fly import fly
 from maxq.sim.scenario.loader import load_scenario
@@ -28,6 +30,7 @@ def _fly(disable_jit: str) -> str:
     return done.stdout
 
 
+@pytest.mark.slow
 def test_a_flight_without_compiler_is_the_same_to_the_bit() -> None:
     plain, compiled = _fly("1"), _fly("0")
     assert plain.startswith("100 ")

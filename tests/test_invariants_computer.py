@@ -130,6 +130,7 @@ def test_yaw_may_have_its_own_filter() -> None:
     assert flown.state.law.filtered_rad[0] != flown.state.law.pd_rad[0]
 
 
+@pytest.mark.slow
 def test_angle_error_is_the_exact_sum() -> None:
     """100,000 samples: counted less commanded angle to the rounding of one subtraction, no drift of sums."""
     flown = Flown(angle_error_limit_rad=np.inf, programme=rate_programme([0.0, 9.0], [0.02, -0.01]), pitch_filter=None)

@@ -26,6 +26,7 @@ def counted(count_rad: float, increments_rad: list[float]) -> list[ConverterStat
     return after
 
 
+@pytest.mark.slow
 @settings(deadline=None, max_examples=200)
 @given(COUNTS_RAD, INCREMENTS)
 def test_pulses_never_leave_the_true_angle(count_rad: float, increments_rad: list[float]) -> None:
@@ -40,6 +41,7 @@ def test_pulses_never_leave_the_true_angle(count_rad: float, increments_rad: lis
         assert state.angle_rad[1] == total * count_rad
 
 
+@pytest.mark.slow
 def test_a_long_flight_does_not_drift() -> None:
     """400 s at 100 Hz of a rate far below one pulse per sample, then of one far above."""
     count_rad = 1e-5

@@ -24,6 +24,7 @@ def demands(errors_rad: list[float], minimum_on_s: float = 0.0) -> list[int]:
     return out
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("rate_degps", [-3.0, 0.4, 3.0])
 @pytest.mark.parametrize("minimum_on_s", [0.0, 0.02])
 def test_limit_cycle_stays_in_the_dead_band(rate_degps: float, minimum_on_s: float) -> None:

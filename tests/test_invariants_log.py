@@ -116,6 +116,7 @@ def test_what_is_written_can_be_read_before_the_log_is_closed(tmp_path: Path) ->
     assert not read.complete
 
 
+@pytest.mark.slow
 def test_a_file_cut_anywhere_gives_every_whole_chunk(tmp_path: Path, example: bytes, chunks: list[ChunkIndex]) -> None:
     starts = [chunk.chunk_start_offset for chunk in chunks]
     ends = [chunk.chunk_start_offset + chunk.chunk_length for chunk in chunks]
@@ -160,6 +161,7 @@ def test_no_flipped_byte_goes_unnoticed(tmp_path: Path, example: bytes, place: i
     assert log.complete == (not log.notes)
 
 
+@pytest.mark.slow
 def test_every_flipped_byte_of_the_head_is_noticed(tmp_path: Path, example: bytes, chunks: list[ChunkIndex]) -> None:
     for place in range(0, chunks[0].chunk_start_offset, 5):
         data = bytearray(example)

@@ -70,6 +70,7 @@ def test_limits_hold_on_the_loop_built_anew(overrides: tuple[str, ...]) -> None:
     check_limits(s, plants)
 
 
+@pytest.mark.slow
 def test_exact_and_sampled_optima_are_alike_but_not_the_same() -> None:
     """The sampled loop leaves out what aliases: a little at mode 1."""
     peaks = []
@@ -79,6 +80,7 @@ def test_exact_and_sampled_optima_are_alike_but_not_the_same() -> None:
     assert 1e-4 < abs(peaks[0] - peaks[1]) < 1.0
 
 
+@pytest.mark.slow
 def test_the_paper_s_own_equations_make_a_design_where_they_can_be_stabilised() -> None:
     """As printed the gyro hardly feels the modes: -57 dB at three nodes. Over all eleven no loop is even stable."""
     few = (NODES, "filter.structure=F4", "search.starts=4", "search.leaps=1", "errata=paper")
@@ -96,6 +98,7 @@ def test_the_paper_s_own_equations_make_a_design_where_they_can_be_stabilised() 
     assert "limits are missed" in make_design(kit.case(*few[1:]), all_eleven).description
 
 
+@pytest.mark.slow
 def test_multipliers_cancel_the_gradients() -> None:
     s = kit.solution("filter.structure=F4", "gains.schedule=linear")
     p = kit.problem("filter.structure=F4", "gains.schedule=linear")
@@ -111,6 +114,7 @@ def test_multipliers_cancel_the_gradients() -> None:
     assert (q.multipliers[idle] == 0.0).all()
 
 
+@pytest.mark.slow
 def test_multipliers_are_what_a_limit_costs() -> None:
     """The gain margin moved by 0.02 dB either way: the optimum changes as the certificate says."""
     change = ("filter.structure=F2", "gains.schedule=linear", "search.starts=2", "search.leaps=2")
@@ -130,6 +134,7 @@ def test_multipliers_are_what_a_limit_costs() -> None:
     assert (tightened[1] - tightened[0]) / 0.04 == pytest.approx(paid, rel=0.02)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("structure", "known_db"), [("F3", -10.383), ("F6", -25.253)])
 def test_one_solve_finds_the_best_that_is_known(structure: str, known_db: float) -> None:
     """Free gains, by itself. All starts of F3 end at -10.15 dB or worse: leaps find -10.38, and come back to it."""

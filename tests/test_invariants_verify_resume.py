@@ -74,6 +74,7 @@ def test_second_time_everything_is_recalled(in_one_go: dict[str, Any]) -> None:
     assert in_one_go["runs"] == 8
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("number", "code", "parts"), [("SIGKILL", -9, 2), ("SIGKILL", -9, 8), ("SIGINT", 130, 3)]
 )  # fmt: skip
@@ -93,6 +94,7 @@ def _verified(design: Path, suite: LoadedSuite, memory: Path) -> Verification:
     return verify(str(design), suite, memory=memory)
 
 
+@pytest.mark.slow
 def test_one_changed_gain_redoes_what_depends_on_it(tmp_path: Path) -> None:
     (tmp_path / "suite.toml").write_text(SUITE)
     suite, memory = read_suite(tmp_path / "suite.toml"), tmp_path / "memory"

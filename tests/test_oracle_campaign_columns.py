@@ -40,6 +40,7 @@ def test_bits_of_numbers_are_kept() -> None:
     assert np.asarray(array_of(values, pa.float64())).tobytes() == np.array(values).tobytes()
 
 
+@pytest.mark.slow
 def test_without_pandas() -> None:
     """Whoever has pandas does not pay for it: it takes as long to import as five flights to fly."""
     code = (

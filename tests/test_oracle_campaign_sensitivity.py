@@ -129,6 +129,7 @@ def test_shrinking_what_does_not_fail(tmp_path: Path, capsys: pytest.CaptureFixt
     assert "does not fail" in capsys.readouterr().out
 
 
+@pytest.mark.slow
 def test_the_search_goes_into_the_worst_corner(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Thrust over mass grows with the thrust factor and with nothing else here: the corner is 3 sigma up."""
     campaign = campaignkit.small(tmp_path, runs=8)
@@ -177,6 +178,7 @@ def test_the_flights_that_are_kept(tmp_path: Path) -> None:
     assert summary["state_hash"] == hashes[7]
 
 
+@pytest.mark.slow
 def test_the_report_stands_alone(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     file = campaignkit.write_campaign(tmp_path, runs=40)
     file.write_text(file.read_text().replace('unset = ["requirement"]\n', "").replace("\nruns = 0", "\nruns = 40"))

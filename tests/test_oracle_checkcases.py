@@ -306,6 +306,7 @@ def two_stages_by_the_book() -> tuple[Vector, list[State]]:
     return np.concatenate([lower[:-1], upper]), states[:-1] + more
 
 
+@pytest.mark.slow
 def test_two_stages():
     times, states = two_stages_by_the_book()
     assert_within(differences(flown("two-stage"), times, states), 5e-4, 1e-5, 2e-8, 1e-8)

@@ -59,6 +59,7 @@ def fly(axis: int, sample_ns: int, duration_s: float) -> Array:
     return np.array(angles)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("axis", [PITCH, YAW])
 def test_sampled_closed_loop(axis: int) -> None:
     """z_k = (theta, q, theta of the sample before); delta_k = -k_p theta - k_d (theta - theta before)/T."""
@@ -74,6 +75,7 @@ def test_sampled_closed_loop(axis: int) -> None:
     np.testing.assert_allclose(fly(axis, 10_000_000, 4.0), expected, rtol=0, atol=1e-14)
 
 
+@pytest.mark.slow
 def test_closed_loop_approaches_equations_35_and_36() -> None:
     omega = math.sqrt(M_DELTA * K_P)  # eq 35
     zeta = 0.5 * K_D_S * math.sqrt(M_DELTA / K_P)  # eq 36
@@ -128,6 +130,7 @@ def test_error_beyond_the_limit_is_discarded_and_returns_at_once() -> None:
         assert law.error_limited[PITCH] == limited
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("limit_rad", [0.1, 0.1003])
 def test_command_keeps_to_limit_and_dac_steps(limit_rad: float) -> None:
     step_rad = 0.001

@@ -58,6 +58,7 @@ def images(node: Node, cut: Cut, count: int) -> ComplexArray:
     return np.asarray(sum(s_of(s + 1j * k * turn) for k in range(-count, count + 1)))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("delay_s", [0.0, 0.003, 0.01, 0.0237])
 @pytest.mark.parametrize("cut", CUTS)
 @SOME_NODES

@@ -115,6 +115,7 @@ def seen(made: Rig, state: State) -> tuple[Array, State]:
     return y, to_oracle(made, y)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(6))
 def test_free_multibody_system_agrees_with_lagrange(seed: int) -> None:
     rng = np.random.default_rng(seed)

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import control
 import numpy as np
+import pytest
 from hypothesis import HealthCheck, assume, given, settings
 from hypothesis import strategies as st
 from test_oracle_margins import GAINS, PAIRS
@@ -45,6 +46,7 @@ def outside(loop: TransferLoop, gain: float = 1.0) -> tuple[int, bool]:
     return int((np.abs(z) > 1.0).sum()), bool((np.abs(np.abs(z) - 1.0) > 1e-5).all())
 
 
+@pytest.mark.slow
 @settings(max_examples=200, deadline=None)
 @given(sampled_loops())
 def test_encirclements_of_sampled_loops(loop):
@@ -56,6 +58,7 @@ def test_encirclements_of_sampled_loops(loop):
     assert (m.encircled_poles, m.unstable_poles) == (count, count)
 
 
+@pytest.mark.slow
 @settings(max_examples=80, deadline=None, suppress_health_check=[HealthCheck.filter_too_much])  # few are stable
 @given(sampled_loops())
 def test_gain_margins_of_sampled_loops(loop):

@@ -141,6 +141,7 @@ def test_rotation_taking_one_vector_into_another(b: Floats) -> None:
 # --- oracle against oracle ---
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(6))
 def test_lagrange_agrees_with_mujoco(seed: int) -> None:
     rng = np.random.default_rng(seed)
@@ -520,6 +521,7 @@ def assert_momenta_kept(vehicle: Vehicle, states: list[State]) -> None:
         np.testing.assert_allclose(last[key], first[key], rtol=0.0, atol=1e-9 * scale, err_msg=key)
 
 
+@pytest.mark.slow
 def test_energy_and_momenta_are_kept_without_damping() -> None:
     vehicle, start = full_system(50)
     vehicle = undamped(vehicle)
@@ -532,6 +534,7 @@ def test_energy_and_momenta_are_kept_without_damping() -> None:
     assert np.min(np.sum(states[-1].u_B * states[0].u_B, axis=1)) < 0.9
 
 
+@pytest.mark.slow
 def test_energy_is_kept_under_uniform_gravitation() -> None:
     vehicle, start = full_system(51)
     vehicle = undamped(vehicle)
@@ -543,6 +546,7 @@ def test_energy_is_kept_under_uniform_gravitation() -> None:
     assert np.ptp(kinetic) > 1e-3 * max(kinetic)
 
 
+@pytest.mark.slow
 def test_damping_keeps_momenta_and_takes_energy() -> None:
     vehicle, start = full_system(52)
     states, _ = fly(multibody_sympy.accelerations, vehicle, start, 0.5)
@@ -551,6 +555,7 @@ def test_damping_keeps_momenta_and_takes_energy() -> None:
     assert np.all(np.diff(energies) < 0.0)
 
 
+@pytest.mark.slow
 def test_moving_engine_keeps_momenta_and_adds_the_work_of_its_actuators() -> None:
     vehicle, start = full_system(53)
     vehicle = undamped(vehicle)

@@ -275,6 +275,7 @@ def test_no_global_search_beats_the_optimum_of_f2() -> None:
     assert ours.objective_db - 0.05 < found.fun < ours.objective_db + 1.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "overrides",
     [

@@ -44,6 +44,7 @@ def test_monotone_cubics_are_those_of_scipy(table: tuple[Array, Array, Array]) -
     np.testing.assert_array_equal(fit(x, y).coefficients, rising_powers(PchipInterpolator(x, y, axis=0)))
 
 
+@pytest.mark.slow
 @given(tables())
 def test_hermite_cubics_are_those_of_scipy(table: tuple[Array, Array, Array]) -> None:
     x, y, slopes = table

@@ -164,6 +164,7 @@ def test_a_rigid_body_flies_the_programme() -> None:
     assert states[:, 2].max() == pytest.approx(850.0, abs=4)
 
 
+@pytest.mark.slow
 def test_the_fits_end_where_they_did() -> None:
     """Another processor ends 7e-5 away along the fits' flattest direction; the vehicle is the same to 1e-4."""
     ascent = fit_to_table_1()
@@ -173,6 +174,7 @@ def test_the_fits_end_where_they_did() -> None:
     assert fit_to_table_2(made().flight) == pytest.approx(np.array(TABLE_2), rel=1e-4)
 
 
+@pytest.mark.slow
 def test_the_files_are_what_the_build_writes(tmp_path: Path) -> None:
     write_tables(tmp_path, made())
     written = sorted(path.name for path in tmp_path.iterdir())

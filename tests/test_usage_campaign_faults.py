@@ -55,6 +55,7 @@ def test_kills_and_then_the_same_data_set(tmp_path: Path, kills: int, runs: int)
     assert left == []
 
 
+@pytest.mark.slow
 def test_ctrl_c_and_what_a_batch_system_sends(tmp_path: Path) -> None:
     """The command stops within seconds, says so, and the next one goes on."""
     file = campaignkit.write_campaign(tmp_path, runs=3000)

@@ -30,6 +30,7 @@ def tried(folder: Path, examples: str | None) -> str:
     return (folder / "tried.txt").read_text()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("examples", "equal"), [(None, True), ("same", True), ("random", False)])
 def test_examples_are_new_only_on_request(tmp_path: Path, examples: str | None, equal: bool) -> None:
     first, second = tried(tmp_path, examples), tried(tmp_path, examples)

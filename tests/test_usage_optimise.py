@@ -19,6 +19,7 @@ from maxq.design.verify.judging import make_design
 from maxq.sim.scenario.toml_writer import to_toml
 
 
+@pytest.mark.slow
 def test_more_freedom_is_never_worse() -> None:
     """With a smaller problem's answer among its starts: from two-phase to free, from F2 to F4."""
     plants, order = kit.all_nodes(), [("F2", "two-phase"), ("F2", "linear"), ("F3", "linear"), ("F4", "linear")]
@@ -51,6 +52,7 @@ def test_a_filter_of_higher_order_can_be_the_same() -> None:
     assert lifted(second, FilterVariables(0, 2), 9.7) is None
 
 
+@pytest.mark.slow
 def test_infeasible_limits_are_named() -> None:
     """F2 cannot leave both 10 dB and 60 deg: the answer says which limits conflict, where, and by how much."""
     loaded = kit.case("filter.structure=F2", "limits.gain_margin_db=10", "limits.phase_margin_deg=60")
@@ -91,6 +93,7 @@ def test_ctrl_c_keeps_the_best_so_far(monkeypatch: pytest.MonkeyPatch) -> None:
         solve(loaded, plants)
 
 
+@pytest.mark.slow
 def test_the_same_seed_gives_the_same_design() -> None:
     loaded, plants = kit.case("filter.structure=F2", "search.starts=6"), kit.all_nodes()
     first, second = solve(loaded, plants), solve(loaded, plants)

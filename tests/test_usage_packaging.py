@@ -48,6 +48,7 @@ def test_no_layer_can_shadow_another_package():
     assert [p for layer in LAYERS for p in (ROOT / layer).rglob("__init__.py")] == []
 
 
+@pytest.mark.slow
 def test_control_is_python_control_and_maxq_control_is_ours():
     assert control.tf([1], [1, 1]).poles() == [-1]
     code = "import control, maxq.control.laws.pd as m; print(control.tf([1], [1, 1]).poles()[0].real, m.__file__)"

@@ -46,6 +46,7 @@ def gone(processes: list[psutil.Process]) -> bool:
     return not alive
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("by", [signal.SIGKILL, signal.SIGTERM, signal.SIGINT], ids=lambda s: s.name)
 @pytest.mark.parametrize("way", ["screenshot", "web"])
 def test_a_viewer_ends_with_its_command(way: str, by: signal.Signals, tmp_path: Path) -> None:

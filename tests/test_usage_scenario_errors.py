@@ -310,6 +310,7 @@ def keys_below(value: object, path: str = "") -> list[str]:
     return found
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("odd", ODD_VALUES, ids=lambda odd: odd[:10] or "removed")
 def test_no_value_of_any_key_gives_a_traceback(here: Path, odd: str) -> None:
     """Every key of a full scenario takes an odd value in turn: it is refused in one line, or accepted."""

@@ -84,6 +84,7 @@ def test_equal_orders_give_equal_designs(capsys: Printed) -> None:
     assert texts[0] == texts[1]
 
 
+@pytest.mark.slow
 def test_pictures_are_those_of_the_paper(capsys: Printed) -> None:
     assert run(*SMALL[:-1], "--out", "out") == 0
     stems = ("filter", "gains", "lobes", "loop-010.0s", "loop-040.0s", "margins")
@@ -92,6 +93,7 @@ def test_pictures_are_those_of_the_paper(capsys: Printed) -> None:
     assert {path.name for path in Path("out").iterdir()} == names | {"design.json", "design.toml"}
 
 
+@pytest.mark.slow
 def test_orders_are_designed_besides(capsys: Printed, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(run_case, "STRUCTURES", ("F2", "F3"))
     assert run(*SMALL[:-1], "--starts", "1", "--orders", "--out", "out") == 0

@@ -43,6 +43,7 @@ def _run(*arguments: str) -> int:
         return int(str(end.code))
 
 
+@pytest.mark.slow
 def test_second_candidate_is_accepted_when_the_first_fails(capsys: Printed) -> None:
     """The relaxed case has the lower peak of mode 1, so it goes first; its aerodynamic margin is 9.6 dB."""
     assert _run(*CASES, *SMALL, "--verify", "--suite", _suite(10.0), "--out", "out") == 0
@@ -58,6 +59,7 @@ def test_second_candidate_is_accepted_when_the_first_fails(capsys: Printed) -> N
     assert verdicts == {"ksr3-identical": "accepted", "ksr3-relaxed": "rejected"}
 
 
+@pytest.mark.slow
 def test_none_accepted_says_what_each_failed(capsys: Printed) -> None:
     assert _run(*CASES, *SMALL, "--verify", "--suite", _suite(20.0), "--out", "out") == 1
     said = capsys.readouterr().out
@@ -65,6 +67,7 @@ def test_none_accepted_says_what_each_failed(capsys: Printed) -> None:
     assert said.splitlines()[-1] == "NONE ACCEPTED by the suite suite.toml"
 
 
+@pytest.mark.slow
 def test_designs_are_tried_until_one_is_accepted() -> None:
     """Of three the second is accepted (rigid phase margins 38 and 61 deg): the third is not looked at."""
     told: list[str] = []

@@ -79,6 +79,7 @@ def test_save_leaves_a_recording(capsys: Printed) -> None:
     assert checked.returncode == 0, checked.stderr
 
 
+@pytest.mark.slow
 def test_the_standard_set_has_every_subject_as_svg_and_png(capsys: Printed) -> None:
     assert run(OLD_LOG, "--plots", "sheets") == 0
     printed = capsys.readouterr().out.split()
@@ -97,6 +98,7 @@ def test_the_standard_set_has_every_subject_as_svg_and_png(capsys: Printed) -> N
         assert text in texts, text
 
 
+@pytest.mark.slow
 def test_equal_logs_give_equal_plots(tmp_path: Path) -> None:
     for folder in ("one", "two"):
         write_sheets([open_flight(OLD_LOG)], Path(folder), only="slosh")
@@ -176,6 +178,7 @@ def test_of_many_flights_a_few_are_in_memory_and_plots_are_families(monkeypatch:
     assert roots == {"/family", *(f"/flights/run-{i:06}" for i in range(flight_module.FEW))}
 
 
+@pytest.mark.slow
 def test_many_flights_are_drawn_as_envelopes() -> None:
     for i in range(7):
         Path(f"c/kept/run-{i}").mkdir(parents=True)

@@ -107,6 +107,7 @@ def test_letters_that_the_terminal_lacks_are_no_error() -> None:
     assert done.stdout.splitlines()[0] == "nominal: ?berflug"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("arguments", "code"),
     [
@@ -155,6 +156,7 @@ def on_a_terminal(arguments: list[str]) -> tuple[str, int]:
     return shown.decode(), process.wait()
 
 
+@pytest.mark.slow
 def test_a_long_flight_shows_its_progress_on_a_terminal() -> None:
     steps = ["--set", "run.step_s=0.00005", "--set", "run.duration_s=60.0"]
     shown, code = on_a_terminal([*SHORT, *steps, "--no-log"])
