@@ -18,7 +18,6 @@ from oracles import multibody_system as system
 from maxq.control.kernel.jit import bare_pointer, entry
 from maxq.control.kernel.records import Array
 from maxq.control.kernel.tables import find_interval
-from maxq.sim.flight import arena as flight_arena
 from maxq.sim.flight import events as flight_events
 from maxq.sim.flight import loop as flight_loop
 from maxq.sim.flight import step as flight_step
@@ -265,7 +264,7 @@ def _evaluate_at(P, pool, state, y, now_ns, elapsed_s, props, dy, work, aux):  #
     clock_s = flight_step.schedule_clock(p, now_ns, 1e-9)
     memory.clock.interval = find_interval(pool, p.vehicle.schedule, clock_s)
     flight_step.read_schedule(p, pool, memory, now_ns, elapsed_s, props)
-    flight_step.evaluate(p, pool, memory, now_ns, elapsed_s, props, y, dy, work, aux)
+    flight_step.evaluate(p, pool, memory, now_ns, elapsed_s, workspace.Evaluation(props, y, dy, aux), work)
 
 
 @entry
@@ -291,7 +290,7 @@ class Rig:
     dy: Array = field(default_factory=lambda: np.zeros(MAX_STATE))
     work: Array = field(default_factory=lambda: np.zeros(workspace.WORK_SIZE))
     aux: Array = field(default_factory=lambda: np.zeros(workspace.AUX_SIZE))
-    props: Array = field(default_factory=lambda: np.zeros(flight_arena.PROPERTIES_SIZE))
+    props: Array = field(default_factory=lambda: np.zeros(workspace.PROPERTIES_SIZE))
 
     @property
     def y(self) -> Array:

@@ -13,16 +13,15 @@ from maxq.control.kernel.jit import from_python
 from maxq.control.kernel.records import Array, pack
 from maxq.control.kernel.tables import NO_TABLE, Pool, TableRef, fit
 from maxq.sim.api import load_scenario
-from maxq.sim.flight import events, injection
-from maxq.sim.flight import parameters as named
+from maxq.sim.flight import injection
 from maxq.sim.flight.injection import MAX_INJECTIONS, MAX_TONES, Injections
 from maxq.sim.packing.flight import Packed, pack_flight
-from maxq.sim.vehicle.state import N_FIXED, Q_BI, R_I, V_I, W_BI_B
+from maxq.sim.vehicle.state import CAUSES, FINITE, N_FIXED, Q_BI, R_I, V_I, W_BI_B, divergence_cause
 
 SIGNAL, TOTAL, SWITCH = (
     from_python(kernel) for kernel in (injection.signal, injection.total_signal, injection.next_switch)
 )
-REPLACED, FAULT = from_python(injection.replaced), from_python(events.divergence_cause)
+REPLACED, DIVERGENCE_CAUSE = from_python(injection.replaced), from_python(divergence_cause)
 START_NS, STOP_NS = 2_000_000_000, 6_000_000_000
 TONES_HZ, PHASES = np.array([0.5, 1.25, 3.0]), np.array([0.1, -1.0, 2.0])
 TABLE_S, TABLE = np.array([2.0, 3.5, 5.0, 6.0]), np.array([[0.0, 1.0], [4.0, 2.0], [-1.0, 5.0], [0.0, 3.0]])
@@ -105,21 +104,26 @@ def packed() -> Packed:
 @pytest.mark.parametrize(
     ("index", "value", "cause"),
     [
-        (Q_BI, math.nan, named.NOT_FINITE),
-        (R_I + 2, math.inf, named.NOT_FINITE),
-        (N_FIXED, math.nan, named.NOT_FINITE),
-        (W_BI_B + 1, -1001.0, named.TURNS_TOO_FAST),
-        (N_FIXED, 10.5, named.BENDS_TOO_FAR),
-        (N_FIXED + 6, -10.5, named.BENDS_TOO_FAR),  # the first mode of the yaw plane, after three and their rates
-        (R_I, 1.1e9, named.LEAVES_THE_WORLD),
-        (V_I + 1, -1.1e5, named.LEAVES_THE_WORLD),
-        (W_BI_B, 999.0, named.FINITE),
-        (N_FIXED, 9.9, named.FINITE),
-        (N_FIXED + 3, 1e6, named.FINITE),  # a rate of bending
+        (Q_BI, math.nan, "a state is not finite"),
+        (R_I + 2, math.inf, "a state is not finite"),
+        (N_FIXED, math.nan, "a state is not finite"),
+        (W_BI_B + 1, -1001.0, "the vehicle turns faster than 1000 rad/s"),
+        (N_FIXED, 10.5, "a bending mode exceeds 10 m"),
+        (
+            N_FIXED + 6,
+            -10.5,
+            "a bending mode exceeds 10 m",
+        ),  # the first mode of the yaw plane, after three and their rates
+        (R_I, 1.1e9, "the position is more than 1e9 m away or the speed above 1e5 m/s"),
+        (V_I + 1, -1.1e5, "the position is more than 1e9 m away or the speed above 1e5 m/s"),
+        (W_BI_B, 999.0, ""),
+        (N_FIXED, 9.9, ""),
+        (N_FIXED + 3, 1e6, ""),  # a rate of bending
     ],
 )
-def test_what_is_no_flight_any_more_is_named(packed: Packed, index: int, value: float, cause: int) -> None:
+def test_divergence_of_a_state_is_detected_and_named(packed: Packed, index: int, value: float, cause: str) -> None:
     state = packed.state.copy()
-    assert FAULT(packed.parameters[0], state) == named.FINITE
+    sizes = packed.parameters[0].vehicle.sizes
+    assert DIVERGENCE_CAUSE(sizes, state) == FINITE
     state[index] = value
-    assert FAULT(packed.parameters[0], state) == cause
+    assert CAUSES[DIVERGENCE_CAUSE(sizes, state)] == cause

@@ -76,8 +76,11 @@ def kernel(function: Function) -> Function:
 
 
 def routine(function: Function) -> Function:
-    """As `kernel`, for what is large and called from several places: compiled once and called."""
-    return _for_kernels(function)
+    """As `kernel`, for what is large and called from several places: compiled once and called.
+
+    That it is not inlined is said outright: Numba hands `forceinline` on from a kernel to what it calls.
+    """
+    return _for_kernels(function, forceinline=False)
 
 
 def _for_kernels(function: Function, **options: bool) -> Function:

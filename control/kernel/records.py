@@ -18,7 +18,8 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 IntArray = NDArray[np.int64]
-
+Records = NDArray[Any]
+"""Rows of one record type (dtype_of a dataclass). A kernel annotates a single row, an np.record, with its dataclass."""
 
 Reader = tuple[Callable[[Any], tuple[Any, ...]], tuple[int, ...]]
 """Reads all fields of a dataclass at once; which of them are dataclasses themselves."""

@@ -5,9 +5,22 @@ from __future__ import annotations
 import math
 
 from maxq.control.kernel.jit import kernel
+from maxq.control.kernel.records import Array
 
 Vector = tuple[float, float, float]
 Matrix = tuple[float, float, float, float, float, float, float, float, float]
+
+
+@kernel
+def vector_at(values: Array, first: int) -> Vector:
+    """Three components that lie side by side in an array."""
+    return values[first], values[first + 1], values[first + 2]
+
+
+@kernel
+def set_vector(values: Array, first: int, a: Vector) -> None:
+    """Write three components side by side into an array."""
+    values[first], values[first + 1], values[first + 2] = a[0], a[1], a[2]
 
 
 @kernel
@@ -72,7 +85,7 @@ def rotation_from_quaternion(w: float, x: float, y: float, z: float) -> Matrix:
 
 @kernel
 def rotate(m: Matrix, a: Vector) -> Vector:
-    """m a"""
+    """m a: with the matrix of an attitude, from B to I."""
     return (
         m[0] * a[0] + m[1] * a[1] + m[2] * a[2],
         m[3] * a[0] + m[4] * a[1] + m[5] * a[2],
@@ -82,7 +95,7 @@ def rotate(m: Matrix, a: Vector) -> Vector:
 
 @kernel
 def rotate_back(m: Matrix, a: Vector) -> Vector:
-    """m' a"""
+    """m' a: with the matrix of an attitude, from I to B."""
     return (
         m[0] * a[0] + m[3] * a[1] + m[6] * a[2],
         m[1] * a[0] + m[4] * a[1] + m[7] * a[2],
@@ -91,6 +104,13 @@ def rotate_back(m: Matrix, a: Vector) -> Vector:
 
 
 Symmetric = tuple[float, float, float, float, float, float]  # xx, yy, zz, xy, xz, yz of an inertia *integral*
+
+
+@kernel
+def symmetric_at(values: Array, first: int) -> Symmetric:
+    """Six components that lie side by side in an array."""
+    i = first
+    return values[i], values[i + 1], values[i + 2], values[i + 3], values[i + 4], values[i + 5]
 
 
 @kernel

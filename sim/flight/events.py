@@ -12,52 +12,27 @@ from maxq.control.computer import computer_tick
 from maxq.control.kernel.jit import kernel, routine
 from maxq.control.kernel.noise import standard_normal
 from maxq.control.kernel.records import Array
-from maxq.control.kernel.vectors import cross, rotate, rotation_from_quaternion
+from maxq.control.kernel.vectors import cross, rotate, rotation_from_quaternion, vector_at
 from maxq.sim.flight.injection import GIMBAL_COMMAND, RATE_COMMAND, next_switch, replaced, total_signal
 from maxq.sim.flight.parameters import (
     APOGEE,
-    BENDS_TOO_FAR,
     BURNOUT,
     CONTROL_LOST,
-    FINITE,
-    LEAVES_THE_WORLD,
     LIFTOFF,
     NEVER,
-    NOT_FINITE,
     SEPARATION,
     TUMBLE,
-    TURNS_TOO_FAST,
     Memory,
     Parameters,
 )
 from maxq.sim.vehicle.actuator import after_backlash
+from maxq.sim.vehicle.block import Q_BI, R_I, V_I, W_BI_B
 from maxq.sim.vehicle.engine import thrust
 from maxq.sim.vehicle.environment import climb_rate
 from maxq.sim.vehicle.gyro import GYRO_STREAM
 from maxq.sim.vehicle.schedule import CORE_CG, THRUST_VACUUM, TOTAL_MASS
-from maxq.sim.vehicle.state import (
-    ACTUATOR,
-    GYRO,
-    GYRO_ANGLE,
-    N_ACTUATOR,
-    N_FIXED,
-    N_GYRO,
-    Q_BI,
-    R_I,
-    V_I,
-    W_BI_B,
-    counts,
-    eta_index,
-    pendulum_index,
-    state_size,
-    xi_index,
-)
-from maxq.sim.vehicle.workspace import (
-    AIRSPEED,
-    ALTITUDE,
-    DYNAMIC_PRESSURE,
-    FLOW,
-)
+from maxq.sim.vehicle.state import GYRO_ANGLE, start_states
+from maxq.sim.vehicle.workspace import AIRSPEED, ALTITUDE, AXIAL_LOAD, DYNAMIC_PRESSURE, FLOW, PRESSURE
 from maxq.sim.world.turbulence import turbulence_tick
 
 
@@ -189,14 +164,12 @@ def advance_schedule(p: Parameters, pool: Array, memory: Memory) -> None:
 
 
 @routine
-def event_function(
-    p: Parameters, memory: Memory, event: int, y: Array, properties: Array, pad_load: float, pressure: float
-) -> float:
-    """A number that turns positive as `event` happens."""
+def event_function(p: Parameters, event: int, y: Array, properties: Array, aux: Array) -> float:
+    """A number that turns positive as `event` happens; `aux` is that of the start of the step."""
     if event == LIFTOFF:
-        strength = thrust(p.vehicle.engine, properties[THRUST_VACUUM], pressure)
-        surplus: float = strength - properties[TOTAL_MASS] * pad_load
-        return surplus
+        thrust_N = thrust(p.vehicle.engine, properties[THRUST_VACUUM], aux[PRESSURE])
+        surplus_N: float = thrust_N - properties[TOTAL_MASS] * aux[AXIAL_LOAD]
+        return surplus_N
     altitude, climb = climb_rate(p.environment.earth, y)
     if event == APOGEE:
         return -climb
@@ -204,8 +177,8 @@ def event_function(
 
 
 @routine
-def detect_loss_of_control(p: Parameters, memory: Memory, y: Array, aux: Array) -> None:
-    """Events that are seen at a step's start: lost control, tumbling."""
+def detect_loss_of_control(p: Parameters, memory: Memory, aux: Array) -> None:
+    """Events that are detected at the start of a step: loss of control, tumbling."""
     if memory.held.on_pad == 1:
         return
     clock, timeline, law = memory.clock, p.timeline, memory.computer.law
@@ -220,83 +193,24 @@ def detect_loss_of_control(p: Parameters, memory: Memory, y: Array, aux: Array) 
 
 
 @routine
-def divergence_cause(p: Parameters, y: Array) -> int:
-    """Why a state is no flight any more, or FINITE. Written so that a NaN fails every comparison."""
-    turning = abs(y[W_BI_B]) + abs(y[W_BI_B + 1]) + abs(y[W_BI_B + 2])
-    place = abs(y[R_I]) + abs(y[R_I + 1]) + abs(y[R_I + 2])
-    speed = abs(y[V_I]) + abs(y[V_I + 1]) + abs(y[V_I + 2])
-    total = turning + 1e-6 * (place + speed)
-    for i in range(Q_BI, Q_BI + 4):
-        total += abs(y[i])
-    bend = 0.0
-    sizes = counts(p.vehicle.sizes)
-    size = state_size(sizes)
-    a, b, c, d = 0.0, 0.0, 0.0, 0.0  # four sums side by side: none waits for another; some of the last count twice
-    for i in range(ACTUATOR, size - 3, 4):
-        a, b, c, d = a + abs(y[i]), b + abs(y[i + 1]), c + abs(y[i + 2]), d + abs(y[i + 3])
-    for i in range(max(size - 3, ACTUATOR), size):
-        d += abs(y[i])
-    total += 1e-9 * (a + b + c + d)
-    eta, xi = eta_index(sizes), xi_index(sizes)
-    for i in range(sizes.pitch_modes):
-        bend = max(bend, abs(y[eta + i]))
-    for i in range(sizes.yaw_modes):
-        bend = max(bend, abs(y[xi + i]))
-    if not total < 1e300:
-        return NOT_FINITE
-    if turning > 1000.0:
-        return TURNS_TOO_FAST
-    if bend > 10.0:
-        return BENDS_TOO_FAR
-    if place > 1e9 or speed > 1e5:
-        return LEAVES_THE_WORLD
-    return FINITE
-
-
-@routine
 def transfer_state(before: Parameters, after: Parameters, memory: Memory, old: Array, new: Array, y: Array) -> None:
-    """Separation: the upper part flies on from where its own core CG is; modes and bobs start at rest.
+    """Separation: the upper stage flies on from its own core CG; engine, modes and bobs start at rest.
 
-    `old` and `new` are the schedules' rows on both sides. Stations run from the nose, which stays.
+    `old` and `new` are the properties before and after. Stations are measured from the nose, which stays.
     """
     rotation = rotation_from_quaternion(y[Q_BI], y[Q_BI + 1], y[Q_BI + 2], y[Q_BI + 3])
-    rate = (y[W_BI_B], y[W_BI_B + 1], y[W_BI_B + 2])
+    rate = vector_at(y, W_BI_B)
     shift = (
         old[CORE_CG] - new[CORE_CG],
         new[CORE_CG + 1] - old[CORE_CG + 1],
         new[CORE_CG + 2] - old[CORE_CG + 2],
     )
-    moved, swept = rotate(rotation, shift), rotate(rotation, cross(rate, shift))
+    shift_I, velocity_I = rotate(rotation, shift), rotate(rotation, cross(rate, shift))
     for j in range(3):
-        y[R_I + j] += moved[j]
-        y[V_I + j] += swept[j]
-    for i in range(ACTUATOR, ACTUATOR + 2 * N_ACTUATOR):
-        y[i] = 0.0
+        y[R_I + j] += shift_I[j]
+        y[V_I + j] += velocity_I[j]
     memory.held.command_pitch_rad, memory.held.command_yaw_rad = 0.0, 0.0
     memory.held.roll_torque_Nm, memory.held.burning = 0.0, 0
-    rest(after, rate, y)
+    start_states(after.vehicle.sizes, rate, 1, y)
     record_event(before, memory, SEPARATION, memory.clock.now_ns)
     memory.clock.stage_separation_ns[memory.clock.stage] = memory.clock.now_ns
-
-
-@routine
-def rest(p: Parameters, rate: tuple[float, float, float], y: Array) -> None:
-    """Flexible and sloshing states at rest relative to the body."""
-    sizes = p.vehicle.sizes
-    for i in range(N_FIXED, state_size(sizes)):
-        y[i] = 0.0
-    for tank in range(sizes.tanks):
-        i = pendulum_index(sizes, tank)
-        turning = cross(rate, (-1.0, 0.0, 0.0))
-        y[i] = -1.0
-        for j in range(3):
-            y[i + 3 + j] = turning[j]
-
-
-@kernel
-def settle_gyro(rate: tuple[float, float, float], y: Array) -> None:
-    """Gyro at the present rate."""
-    for axis in range(3):
-        y[GYRO + N_GYRO * axis] = rate[axis]
-        y[GYRO + N_GYRO * axis + 1] = 0.0
-        y[GYRO_ANGLE + axis] = 0.0

@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 from maxq.control.computer import start_computer
 from maxq.control.kernel.jit import bare_pointer, entry, kernel, routine
-from maxq.control.kernel.records import Array, IntArray
+from maxq.control.kernel.records import Array, IntArray, Records
 from maxq.control.kernel.tables import find_interval
-from maxq.sim.flight.arena import PROPERTIES_SIZE, workspace_of
 from maxq.sim.flight.events import (
     detect_loss_of_control,
-    divergence_cause,
     event_function,
     process_due_events,
     record_event,
@@ -22,7 +21,6 @@ from maxq.sim.flight.metrics import N_METRICS, gather
 from maxq.sim.flight.parameters import (
     APOGEE,
     DIVERGED,
-    FINITE,
     IMPACT,
     LIFTOFF,
     N_EVENTS,
@@ -30,12 +28,14 @@ from maxq.sim.flight.parameters import (
     Memory,
     Parameters,
 )
-from maxq.sim.flight.step import evaluate, read_schedule, runge_kutta, schedule_clock
+from maxq.sim.flight.step import Workspace, evaluate, read_schedule, runge_kutta, schedule_clock, workspace_of
 from maxq.sim.flight.telemetry import fill_fast, fill_slow
+from maxq.sim.vehicle.block import Sizes, counts
 from maxq.sim.vehicle.environment import climb_rate, climbs_certainly
 from maxq.sim.vehicle.nearby import ANCHOR_DUE
-from maxq.sim.vehicle.state import Sizes, counts, state_size
-from maxq.sim.vehicle.workspace import ALTITUDE, ANCHOR, AXIAL_LOAD, PRESSURE
+from maxq.sim.vehicle.schedule import properties_size
+from maxq.sim.vehicle.state import FINITE, divergence_cause, state_size
+from maxq.sim.vehicle.workspace import ALTITUDE, ANCHOR, Evaluation
 from maxq.sim.world.turbulence import turbulence_start
 
 
@@ -47,8 +47,18 @@ class Logged:
     sizes: Sizes
 
 
+class LogRows(NamedTuple):
+    """Where log rows go: times (ns) and values of both rate groups, and how many rows there are (2,)."""
+
+    fast_ns: IntArray
+    fast: Array
+    slow_ns: IntArray
+    slow: Array
+    counts: IntArray
+
+
 @entry
-def begin(P: Array, pool: Array, state: Array, y: Array) -> None:
+def begin(P: Records, pool: Array, state: Records, y: Array) -> None:
     """Set the memory of a flight to its start; `y` holds the initial state of the first stage already."""
     p, memory = P[0], state[0]
     clock = memory.clock
@@ -81,9 +91,9 @@ def start_stage(p: Parameters, pool: Array, memory: Memory) -> None:
 
 @entry
 def advance(
-    P: Array, pool: Array, state: Array, y: Array, arena: Array, until_ns: int, logged: Array,
+    P: Records, pool: Array, state: Records, y: Array, arena: Array, until_ns: int, logged: Records,
     fast_ns: IntArray, fast: Array, slow_ns: IntArray, slow: Array, rows: IntArray,
-) -> None:  # fmt: skip
+) -> None:  # fmt: skip  # fourteen lines otherwise
     """Fly until `until_ns` or the end of the flight, whichever comes first.
 
     `P` (stages,) of Parameters, `state` (1,) of Memory, `logged` (1,) of Logged. Log rows go to `fast`, `slow` with
@@ -92,77 +102,77 @@ def advance(
     """
     memory = state[0]
     clock = memory.clock
-    pool, y = bare_pointer(pool), bare_pointer(y)
-    y_end, y_stage, k_1, k, properties, properties_mid, properties_end, work, aux, aux_stage = workspace_of(arena)
-    swapped = 0
+    pool, space = bare_pointer(pool), workspace_of(arena, y)
+    now_at, log_rows = space.start, LogRows(fast_ns, fast, slow_ns, slow, rows)
     while clock.finished == 0 and clock.now_ns < until_ns:
         p = P[clock.stage]
         now = clock.now_ns
         if now >= p.timeline.separation_ns and clock.stage + 1 < len(P):
-            separate(P, pool, memory, y, properties, properties_end)
+            separate(P, pool, memory, now_at.y, now_at.properties, space.end.properties)
             clock.fresh = 1
             continue
-        if process_due_events(p, pool, memory, y, aux) == 1 or clock.fresh == 1:
-            read_schedule(p, pool, memory, now, 0.0, properties)
+        if process_due_events(p, pool, memory, now_at.y, now_at.aux) == 1 or clock.fresh == 1:
+            read_schedule(p, pool, memory, now, 0.0, now_at.properties)
             clock.fresh = 0
-        work[ANCHOR] = ANCHOR_DUE  # a step's start is worked out exactly; its stages are near it
-        evaluate(p, pool, memory, now, 0.0, properties, y, k_1, work, aux)
-        detect_loss_of_control(p, memory, y, aux)
+        evaluate_exactly(p, pool, memory, space)
+        detect_loss_of_control(p, memory, now_at.aux)
         if memory.held.on_pad == 1 and p.timeline.release_ns == NEVER:
-            if event_function(p, memory, LIFTOFF, y, properties, aux[AXIAL_LOAD], aux[PRESSURE]) >= 0.0:
-                memory.held.on_pad = 0
-                record_event(p, memory, LIFTOFF, now)
+            if event_function(p, LIFTOFF, now_at.y, now_at.properties, now_at.aux) >= 0.0:
+                apply_event(p, memory, LIFTOFF)
                 continue
-        log(p, memory, logged, properties, y, aux, fast_ns, fast, slow_ns, slow, rows, 0)
+        if logged[0].on == 1:
+            log(p, memory, logged, now_at, log_rows, 0)
         step_ns = step_length(p, pool, memory, until_ns)
-        gather(
-            memory.extremes, p.vehicle, p.environment.earth, memory.held, memory.computer, now, 1e-9 * step_ns,
-            properties, y, aux,
-        )  # fmt: skip
+        update_metrics(p, memory, 1e-9 * step_ns, now_at)
         if clock.finished == 1:
             break
-        runge_kutta(
-            p, pool, memory, now, step_ns, y, k_1, y_end, y_stage, k, properties_mid, properties_end, work, aux_stage
-        )
-        clock.cause = divergence_cause(p, y_end)
+        runge_kutta(p, pool, memory, now, step_ns, space)
+        clock.cause = divergence_cause(counts(p.vehicle.sizes), space.y_end)
         if clock.cause != FINITE:
             record_event(p, memory, DIVERGED, now)
             clock.finished = 1
             break
-        event = detect_crossing(p, memory, y_end, properties_end, aux)
+        event = detect_crossing(p, memory, space)
         if event >= 0:
-            step_ns = locate_event(
-                p, pool, memory, event, step_ns, y, k_1, y_end, y_stage, k, properties_mid, properties_end, work,
-                aux, aux_stage,
-            )  # fmt: skip
-        for i in range(state_size(counts(p.vehicle.sizes))):
-            y[i] = y_end[i]
-        properties, properties_end = properties_end, properties
-        swapped = 1 - swapped
+            step_ns = locate_event(p, pool, memory, event, step_ns, space)
+        sizes = counts(p.vehicle.sizes)
+        for i in range(state_size(sizes)):
+            now_at.y[i] = space.y_end[i]
+        for column in range(properties_size(sizes)):
+            now_at.properties[column] = space.end.properties[column]
         clock.now_ns = now + step_ns
         clock.steps += 1
         if event >= 0:
             apply_event(p, memory, event)
         if clock.now_ns >= p.timeline.stop_ns:
             clock.finished = 1
-    if swapped == 1:  # the next call finds the schedule's row where this one found it
-        for column in range(PROPERTIES_SIZE):
-            properties_end[column] = properties[column]
     if clock.finished == 1 and clock.started == 1:
         clock.started = 2
         p = P[clock.stage]
-        read_schedule(p, pool, memory, clock.now_ns, 0.0, properties)
-        work[ANCHOR] = ANCHOR_DUE
-        evaluate(p, pool, memory, clock.now_ns, 0.0, properties, y, k_1, work, aux)
-        gather(
-            memory.extremes, p.vehicle, p.environment.earth, memory.held, memory.computer, clock.now_ns, 0.0,
-            properties, y, aux,
-        )  # fmt: skip
-        log(p, memory, logged, properties, y, aux, fast_ns, fast, slow_ns, slow, rows, 1)
+        read_schedule(p, pool, memory, clock.now_ns, 0.0, now_at.properties)
+        evaluate_exactly(p, pool, memory, space)
+        update_metrics(p, memory, 0.0, now_at)
+        if logged[0].on == 1:
+            log(p, memory, logged, now_at, log_rows, 1)
+
+
+@kernel
+def evaluate_exactly(p: Parameters, pool: Array, memory: Memory, space: Workspace) -> None:
+    """Derivative at the start of a step. Its position becomes the anchor from which the later stages are near."""
+    space.work[ANCHOR] = ANCHOR_DUE
+    evaluate(p, pool, memory, memory.clock.now_ns, 0.0, space.start, space.work)
+
+
+@kernel
+def update_metrics(p: Parameters, memory: Memory, step_s: float, at: Evaluation) -> None:
+    gather(
+        memory.extremes, p.vehicle, p.environment.earth, memory.held, memory.computer, memory.clock.now_ns, step_s,
+        at.properties, at.y, at.aux,
+    )  # fmt: skip  # twelve lines otherwise
 
 
 @routine
-def separate(P: Array, pool: Array, memory: Memory, y: Array, properties: Array, properties_after: Array) -> None:
+def separate(P: Records, pool: Array, memory: Memory, y: Array, properties: Array, properties_after: Array) -> None:
     """Go over to the next stage."""
     clock = memory.clock
     before, after = P[clock.stage], P[clock.stage + 1]
@@ -177,32 +187,27 @@ def separate(P: Array, pool: Array, memory: Memory, y: Array, properties: Array,
 
 
 @kernel
-def detect_crossing(p: Parameters, memory: Memory, y: Array, properties: Array, aux: Array) -> int:
-    """The event that the step to `y` has passed, or -1."""
-    clock = memory.clock
+def detect_crossing(p: Parameters, memory: Memory, space: Workspace) -> int:
+    """The event that the step has passed, or -1."""
+    clock, aux, y, properties = memory.clock, space.start.aux, space.y_end, space.end.properties
     if memory.held.on_pad == 1:
-        if p.timeline.release_ns == NEVER:
-            if event_function(p, memory, LIFTOFF, y, properties, aux[AXIAL_LOAD], aux[PRESSURE]) >= 0.0:
-                return LIFTOFF
+        if p.timeline.release_ns == NEVER and event_function(p, LIFTOFF, y, properties, aux) >= 0.0:
+            return LIFTOFF
         return -1
     if clock.climbing == 1:
-        if (
-            not climbs_certainly(p.environment.earth, y)
-            and event_function(p, memory, APOGEE, y, properties, 0.0, 0.0) >= 0.0
-        ):
+        if not climbs_certainly(p.environment.earth, y) and event_function(p, APOGEE, y, properties, aux) >= 0.0:
             return APOGEE
         return -1
-    if aux[ALTITUDE] > p.timeline.ground_altitude_m:
-        if event_function(p, memory, IMPACT, y, properties, 0.0, 0.0) >= 0.0:
-            return IMPACT
-    if event_function(p, memory, APOGEE, y, properties, 0.0, 0.0) < 0.0:
+    if aux[ALTITUDE] > p.timeline.ground_altitude_m and event_function(p, IMPACT, y, properties, aux) >= 0.0:
+        return IMPACT
+    if event_function(p, APOGEE, y, properties, aux) < 0.0:
         clock.climbing = 1
     return -1
 
 
 @kernel
 def apply_event(p: Parameters, memory: Memory, event: int) -> None:
-    """A crossing has been met."""
+    """Effects of lift-off, apogee or impact at the present instant."""
     if event == LIFTOFF:
         memory.held.on_pad = 0
     if event == APOGEE:
@@ -211,16 +216,14 @@ def apply_event(p: Parameters, memory: Memory, event: int) -> None:
 
 
 @routine
-def locate_event(
-    p: Parameters, pool: Array, memory: Memory, event: int, step_ns: int, y: Array, k_1: Array, y_end: Array,
-    y_stage: Array, k: Array, properties_mid: Array, properties_end: Array, work: Array, aux: Array, aux_stage: Array,
-) -> int:  # fmt: skip
-    """Shortest step, in whole ns, after which `event` has happened; leaves the state there in `y_end`.
+def locate_event(p: Parameters, pool: Array, memory: Memory, event: int, step_ns: int, space: Workspace) -> int:
+    """Shortest step, in whole ns, after which `event` has happened; leaves the state there in `space.y_end`.
 
     Regula falsi with bisection every other time, on the step length; each trial repeats the step from its start.
     """
+    now = memory.clock.now_ns
     low, high = 0, step_ns
-    at_low, at_high = 0.0, event_function(p, memory, event, y_end, properties_end, aux[AXIAL_LOAD], aux[PRESSURE])
+    at_low, at_high = 0.0, event_function(p, event, space.y_end, space.end.properties, space.start.aux)
     best = high
     halve = 1
     while high - low > 1:
@@ -229,40 +232,29 @@ def locate_event(
             trial = low + int((high - low) * (-at_low) / (at_high - at_low))
             trial = min(max(trial, low + 1), high - 1)
         halve = 1 - halve
-        runge_kutta(
-            p, pool, memory, memory.clock.now_ns, trial, y, k_1, y_end, y_stage, k, properties_mid, properties_end,
-            work, aux_stage,
-        )  # fmt: skip
-        value = event_function(p, memory, event, y_end, properties_end, aux[AXIAL_LOAD], aux[PRESSURE])
+        runge_kutta(p, pool, memory, now, trial, space)
+        value = event_function(p, event, space.y_end, space.end.properties, space.start.aux)
         best = trial
         if value >= 0.0:
             high, at_high = trial, value
         else:
             low, at_low = trial, value
     if best != high:
-        runge_kutta(
-            p, pool, memory, memory.clock.now_ns, high, y, k_1, y_end, y_stage, k, properties_mid, properties_end, work,
-            aux_stage,
-        )  # fmt: skip
+        runge_kutta(p, pool, memory, now, high, space)
     return high
 
 
 @routine
-def log(
-    p: Parameters, memory: Memory, logged: Array, properties: Array, y: Array, aux: Array, fast_ns: IntArray,
-    fast: Array, slow_ns: IntArray, slow: Array, rows: IntArray, last: int,
-) -> None:  # fmt: skip
+def log(p: Parameters, memory: Memory, logged: Records, at: Evaluation, out: LogRows, last: int) -> None:
     """Write the rows that are due at this instant; at the flight's end both, whether due or not."""
-    if logged[0].on == 0:
-        return
-    now = memory.clock.now_ns
-    if rows[0] > 0 and fast_ns[rows[0] - 1] == now and last == 1:
+    now, rows = memory.clock.now_ns, out.counts
+    if rows[0] > 0 and out.fast_ns[rows[0] - 1] == now and last == 1:
         return  # the flight ended at an instant that has been logged already
     if now % p.timeline.fast_ns == 0 or last == 1:
-        fill_fast(p, logged[0].sizes, memory, properties, y, aux, fast[rows[0]])
-        fast_ns[rows[0]] = now
+        fill_fast(p, logged[0].sizes, memory, at.properties, at.y, at.aux, out.fast[rows[0]])
+        out.fast_ns[rows[0]] = now
         rows[0] += 1
     if now % p.timeline.slow_ns == 0 or last == 1:
-        fill_slow(p, memory, properties, y, aux, slow[rows[1]])
-        slow_ns[rows[1]] = now
+        fill_slow(p, memory, at.properties, at.y, at.aux, out.slow[rows[1]])
+        out.slow_ns[rows[1]] = now
         rows[1] += 1

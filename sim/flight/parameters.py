@@ -10,7 +10,7 @@ from maxq.control.kernel.limits import MAX_STAGES
 from maxq.control.kernel.records import Array, IntArray
 from maxq.sim.flight.injection import Injections
 from maxq.sim.flight.metrics import Extremes
-from maxq.sim.vehicle.derivative import Held, Vehicle
+from maxq.sim.vehicle.derivative import Held, StageInputs, Vehicle
 from maxq.sim.vehicle.environment import Environment
 from maxq.sim.world.turbulence import TurbulenceState
 
@@ -29,20 +29,6 @@ EVENT_NAMES = (
     "liftoff", "burnout", "separation", "apogee", "impact", "control_lost", "tumble", "diverged",
 )  # fmt: skip
 N_EVENTS = len(EVENT_NAMES)
-
-# why a flight diverged
-FINITE = 0
-NOT_FINITE = 1
-TURNS_TOO_FAST = 2
-BENDS_TOO_FAR = 3
-LEAVES_THE_WORLD = 4
-CAUSES = (
-    "",
-    "a state is not finite",
-    "the vehicle turns faster than 1000 rad/s",
-    "a bending mode exceeds 10 m",
-    "the position is more than 1e9 m away or the speed above 1e5 m/s",
-)
 
 
 @dataclass(frozen=True)
@@ -86,7 +72,7 @@ class Clock:
     stage: int
     started: int
     finished: int
-    cause: int
+    cause: int  # of divergence, see state.CAUSES
     steps: int
     interval: int  # of the schedule
     fresh: int  # 1: the schedule has to be read anew
@@ -110,6 +96,7 @@ class Memory:
 
     clock: Clock
     held: Held
+    inputs: StageInputs
     computer: ComputerState
     gusts: TurbulenceState
     extremes: Extremes

@@ -12,17 +12,18 @@ from typing import Annotated, NamedTuple
 from maxq.control.computer import ControlRow, GuidanceRow, control_row, guidance_row
 from maxq.control.kernel.jit import kernel, routine
 from maxq.control.kernel.records import Array
-from maxq.control.kernel.rows import DEG, NorthEastDown, PitchYaw, Quaternion, RollPitchYaw, Xyz, degrees, put, xyz
+from maxq.control.kernel.rows import DEG, NorthEastDown, Quaternion, Xyz, put, xyz
 from maxq.control.kernel.vectors import rotate, rotation_from_quaternion
 from maxq.sim.flight.channels import ChannelTable, Topic, declared_channels, declared_topics
 from maxq.sim.flight.metrics import STANDARD_GRAVITY_MPS2
 from maxq.sim.flight.parameters import Memory, Parameters
-from maxq.sim.vehicle.derivative import Held
+from maxq.sim.vehicle.actuator import ActuatorRow, actuator_row
+from maxq.sim.vehicle.bending import BendingRow, ModeRow, bending_row, put_modes
+from maxq.sim.vehicle.gyro import GyroRow, gyro_row
 from maxq.sim.vehicle.schedule import CORE_CG, CORE_INERTIA, CORE_MASS, MASS_FLOW, TOTAL_MASS
-from maxq.sim.vehicle.slosh import bob_mass
+from maxq.sim.vehicle.slosh import SloshRow, slosh_row
 from maxq.sim.vehicle.state import (
     GYRO,
-    N_GYRO,
     Q_BI,
     R_I,
     V_I,
@@ -39,18 +40,13 @@ from maxq.sim.vehicle.workspace import (
     ANGULAR_ACCEL,
     DENSITY,
     DYNAMIC_PRESSURE,
-    ENGINE_PITCH,
-    ENGINE_YAW,
     FLOW,
-    GIMBAL_BEND,
     GRAVITATION,
-    GYRO_BEND,
     MACH,
     PRESSURE,
     SOUND_SPEED,
     SPECIFIC_FORCE,
     TEMPERATURE,
-    TENSIONS,
     THRUST,
     WIND_N,
 )
@@ -62,108 +58,12 @@ FAST, SLOW = "fast", "slow"
 # --- fast group
 
 
-class ActuatorRow(NamedTuple):
-    gimbal_axis_command_deg: Annotated[PitchYaw, "deg", "command to the actuator"]
-    gimbal_axis_angle_deg: Annotated[PitchYaw, "deg", "engine angle"]
-    gimbal_axis_rate_degps: Annotated[PitchYaw, "deg/s", "engine rate"]
-    gimbal_axis_accel_degps2: Annotated[PitchYaw, "deg/s2", "engine acceleration"]
-
-
-@kernel
-def actuator_row(held: Held, aux: Array) -> ActuatorRow:
-    return ActuatorRow(
-        gimbal_axis_command_deg=PitchYaw(DEG * held.command_pitch_rad, DEG * held.command_yaw_rad),
-        gimbal_axis_angle_deg=PitchYaw(DEG * aux[ENGINE_PITCH], DEG * aux[ENGINE_YAW]),
-        gimbal_axis_rate_degps=PitchYaw(DEG * aux[ENGINE_PITCH + 1], DEG * aux[ENGINE_YAW + 1]),
-        gimbal_axis_accel_degps2=PitchYaw(DEG * aux[ENGINE_PITCH + 2], DEG * aux[ENGINE_YAW + 2]),
-    )
-
-
-class GyroRow(NamedTuple):
-    gyro_axis_rate_degps: Annotated[RollPitchYaw, "deg/s", "gyro output"]
-    body_axis_rate_degps: Annotated[RollPitchYaw, "deg/s", "true body rate"]
-    bending_axis_rate_degps: Annotated[PitchYaw, "deg/s", "rotation rate by bending at the gyro"]
-
-
-@kernel
-def gyro_row(y: Array, aux: Array) -> GyroRow:
-    return GyroRow(
-        gyro_axis_rate_degps=RollPitchYaw(DEG * y[GYRO], DEG * y[GYRO + N_GYRO], DEG * y[GYRO + 2 * N_GYRO]),
-        body_axis_rate_degps=degrees(y, W_BI_B),
-        bending_axis_rate_degps=PitchYaw(DEG * aux[GYRO_BEND], DEG * aux[GYRO_BEND + 1]),
-    )
-
-
 class FastRow(NamedTuple):
     """Topics of the fast group that every vehicle has."""
 
     actuator: Annotated[ActuatorRow, "gimbal command and engine motion"]
     gyro: Annotated[GyroRow, "rate gyro"]
     control: Annotated[ControlRow, "flight computer"]
-
-
-class ModeRow(NamedTuple):
-    """One bending mode."""
-
-    eta_mode_m: Annotated[float, "m", "modal coordinate (displacement of the gimbal)"]
-    eta_mode_mps: Annotated[float, "m/s", "modal rate"]
-
-
-class BendingRow(NamedTuple):
-    """All bending modes together."""
-
-    bend_axis_gimbal_m: Annotated[PitchYaw, "m", "displacement of the gimbal by bending"]
-    bend_axis_gimbal_deg: Annotated[PitchYaw, "deg", "rotation of the gimbal by bending"]
-
-
-@kernel
-def put_modes(row: Array, column: int, y: Array, first: int, count: int, logged: int) -> int:
-    """`logged` modes of one plane; nan where the stage has only `count`."""
-    for i in range(logged):
-        if i < count:
-            column = put(row, column, ModeRow(eta_mode_m=y[first + i], eta_mode_mps=y[first + count + i]))
-        else:
-            column = put(row, column, ModeRow(eta_mode_m=math.nan, eta_mode_mps=math.nan))
-    return column
-
-
-@kernel
-def bending_row(aux: Array) -> BendingRow:
-    return BendingRow(
-        bend_axis_gimbal_m=PitchYaw(aux[GIMBAL_BEND + 1], aux[GIMBAL_BEND]),
-        bend_axis_gimbal_deg=PitchYaw(DEG * aux[GIMBAL_BEND + 2], DEG * aux[GIMBAL_BEND + 3]),
-    )
-
-
-class SloshRow(NamedTuple):
-    """One slosh pendulum."""
-
-    slosh_tank_pitch_deg: Annotated[float, "deg", "pendulum angle in the pitch plane"]
-    slosh_tank_yaw_deg: Annotated[float, "deg", "pendulum angle in the yaw plane"]
-    slosh_tank_pitch_rate_degps: Annotated[float, "deg/s", "rate of that angle in the pitch plane"]
-    slosh_tank_yaw_rate_degps: Annotated[float, "deg/s", "rate of that angle in the yaw plane"]
-    slosh_tank_tension_N: Annotated[float, "N", "tension of the pendulum rod"]
-
-
-@kernel
-def slosh_row(p: Parameters, tank: int, props: Array, y: Array, aux: Array) -> SloshRow:
-    """Nan throughout for an empty tank and one that the stage does not have."""
-    sizes = p.vehicle.sizes
-    if tank >= sizes.tanks or bob_mass(p.vehicle.slosh, props, tank) <= 0.0:
-        return SloshRow(math.nan, math.nan, math.nan, math.nan, math.nan)
-    i = pendulum_index(sizes, tank)
-    u_x, u_y, u_z = -y[i], y[i + 1], y[i + 2]
-    # d(u)/dt in B = kappa - w x u
-    rate_x = -(y[i + 3] - (y[W_BI_B + 1] * u_z - y[W_BI_B + 2] * u_y))
-    rate_y = y[i + 4] - (-y[W_BI_B + 2] * u_x - y[W_BI_B] * u_z)
-    rate_z = y[i + 5] - (y[W_BI_B] * u_y + y[W_BI_B + 1] * u_x)
-    return SloshRow(
-        slosh_tank_pitch_deg=DEG * math.atan2(u_z, u_x),
-        slosh_tank_yaw_deg=DEG * math.atan2(u_y, u_x),
-        slosh_tank_pitch_rate_degps=DEG * ((u_x * rate_z - u_z * rate_x) / (u_x * u_x + u_z * u_z)),
-        slosh_tank_yaw_rate_degps=DEG * ((u_x * rate_y - u_y * rate_x) / (u_x * u_x + u_y * u_y)),
-        slosh_tank_tension_N=aux[TENSIONS + tank],
-    )
 
 
 @routine
@@ -174,8 +74,8 @@ def fill_fast(p: Parameters, logged: Sizes, memory: Memory, props: Array, y: Arr
         row,
         0,
         FastRow(
-            actuator=actuator_row(memory.held, aux),
-            gyro=gyro_row(y, aux),
+            actuator=actuator_row(memory.held.command_pitch_rad, memory.held.command_yaw_rad, aux),
+            gyro=gyro_row(y, GYRO, aux),
             control=control_row(memory.computer),
         ),
     )
@@ -184,7 +84,7 @@ def fill_fast(p: Parameters, logged: Sizes, memory: Memory, props: Array, y: Arr
         column = put_modes(row, column, y, xi_index(sizes), sizes.yaw_modes, logged.yaw_modes)
         column = put(row, column, bending_row(aux))
     for tank in range(logged.tanks):
-        column = put(row, column, slosh_row(p, tank, props, y, aux))
+        column = put(row, column, slosh_row(p.vehicle.slosh, sizes, tank, props, y, pendulum_index(sizes, tank), aux))
 
 
 # --- slow group

@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 from maxq.control.kernel.jit import from_python
 from maxq.control.kernel.records import Array, blank, pack, with_constants
 from maxq.control.kernel.tables import Pool
-from maxq.sim.flight import events
 from maxq.sim.flight.parameters import EVENT_NAMES, NEVER, Memory, Parameters, StageTimeline
 from maxq.sim.packing.computer import pack_computer, pack_injections
 from maxq.sim.packing.environment import pack_environment
@@ -23,13 +22,13 @@ from maxq.sim.scenario.coverage import burn_rate, stage_end_s, thrust_end_s
 from maxq.sim.scenario.nanoseconds import NS_PER_S, period_ns, to_ns
 from maxq.sim.scenario.schema_scenario import Scenario
 from maxq.sim.scenario.schema_vehicle import Stage
-from maxq.sim.vehicle.state import MAX_STATE, W_BI_B, Sizes
+from maxq.sim.vehicle.state import MAX_STATE, W_BI_B, Sizes, start_states
 
 CONTROL_LOST_RAD = math.radians(45.0)
 TUMBLE_RAD = math.radians(90.0)
 TUMBLE_PRESSURE_PA = 5000.0
 _ALWAYS = ("diverged",)
-_rest, _settle_gyro = from_python(events.rest), from_python(events.settle_gyro)
+_start_states = from_python(start_states)
 
 
 @dataclass(frozen=True)
@@ -61,8 +60,7 @@ def pack_flight(scenario: Scenario) -> Packed:
     y = np.zeros(MAX_STATE)
     initial_motion(scenario, y)
     rate = (float(y[W_BI_B]), float(y[W_BI_B + 1]), float(y[W_BI_B + 2]))
-    _rest(parameters[0], rate, y)
-    _settle_gyro(rate, y)
+    _start_states(parameters[0].vehicle.sizes, rate, 0, y)
     memory = blank(Memory)
     memory[0].clock.now_ns = to_ns(scenario.run.start_s)
     memory[0].held.on_pad = int(scenario.held)

@@ -13,19 +13,18 @@ from typing import Any
 import numpy as np
 
 from maxq.control.kernel.records import Array, IntArray, pack
-from maxq.sim.flight.arena import ARENA_SIZE
 from maxq.sim.flight.channels import ChannelTable
 from maxq.sim.flight.loop import Logged, advance, begin
 from maxq.sim.flight.metrics import MetricIndex
 from maxq.sim.flight.parameters import (
     BURNOUT,
-    CAUSES,
     CONTROL_LOST,
     DIVERGED,
     EVENT_NAMES,
     NEVER,
     SEPARATION,
 )
+from maxq.sim.flight.step import ARENA_SIZE
 from maxq.sim.flight.telemetry import FAST, SLOW, channel_table
 from maxq.sim.packing.flight import CONTROL_LOST_RAD, Packed, pack_flight
 from maxq.sim.run.metrics import METRIC_NAMES, Verdict, end_metrics, judge
@@ -33,7 +32,7 @@ from maxq.sim.scenario.loader import LoadedScenario
 from maxq.sim.scenario.nanoseconds import to_ns
 from maxq.sim.scenario.schema_scenario import Scenario
 from maxq.sim.scenario.schema_vehicle import Vehicle
-from maxq.sim.vehicle.state import Sizes
+from maxq.sim.vehicle.state import CAUSES, Sizes
 
 LONGEST_SEGMENT_NS = 1_000_000_000  # one log chunk
 _FIRST_ROOM = 400_000  # rows

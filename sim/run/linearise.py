@@ -29,16 +29,23 @@ from typing import Any
 import numpy as np
 
 from maxq.control.kernel.jit import bare_pointer, entry
-from maxq.control.kernel.records import Array
+from maxq.control.kernel.records import Array, Records
 from maxq.control.kernel.tables import find_interval
-from maxq.sim.flight.arena import PROPERTIES_SIZE
 from maxq.sim.flight.loop import begin
 from maxq.sim.flight.step import evaluate, read_schedule, schedule_clock
 from maxq.sim.packing.flight import Packed
 from maxq.sim.packing.initial import quaternion, rotation
 from maxq.sim.vehicle import state as layout
 from maxq.sim.vehicle.state import MAX_STATE
-from maxq.sim.vehicle.workspace import AUX_SIZE, ENGINE_PITCH, ENGINE_YAW, GYRO_BEND, WORK_SIZE
+from maxq.sim.vehicle.workspace import (
+    AUX_SIZE,
+    ENGINE_PITCH,
+    ENGINE_YAW,
+    GYRO_BEND,
+    PROPERTIES_SIZE,
+    WORK_SIZE,
+    Evaluation,
+)
 
 INPUTS = ("command_pitch_rad", "command_yaw_rad")
 OUTPUTS = ("delta_pitch_rad", "delta_yaw_rad", "local_rate_pitch_radps", "local_rate_yaw_radps")
@@ -137,9 +144,9 @@ def zero_incidence(packed: Packed, y: Array) -> Array:
 
 @entry
 def _evaluate(
-    P: Array,
+    P: Records,
     pool: Array,
-    state: Array,
+    state: Records,
     y: Array,
     now_ns: int,
     properties: Array,
@@ -154,7 +161,7 @@ def _evaluate(
     dy, work, aux = bare_pointer(dy), bare_pointer(work), bare_pointer(aux)
     memory.clock.interval = find_interval(pool, p.vehicle.schedule, schedule_clock(p, now_ns, 0.0))
     read_schedule(p, pool, memory, now_ns, 0.0, properties)
-    evaluate(p, pool, memory, now_ns, 0.0, properties, y, dy, work, aux)
+    evaluate(p, pool, memory, now_ns, 0.0, Evaluation(properties, y, dy, aux), work)
 
 
 class _Evaluation:

@@ -12,9 +12,18 @@ States: servo position, servo rate; H2 position, rate; w_3^2-scaled states of H3
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Annotated, NamedTuple
 
 from maxq.control.kernel.jit import kernel
 from maxq.control.kernel.records import Array
+from maxq.control.kernel.rows import DEG, PitchYaw
+from maxq.sim.vehicle.block import StateBlock
+from maxq.sim.vehicle.workspace import ENGINE_PITCH, ENGINE_YAW
+
+ACTUATORS = StateBlock(
+    {f"actuator_{{}}_{k}": "rad" if k % 2 else "rad/s" for k in range(1, 7)},  # positions and rates
+    parts=("pitch", "yaw"),
+)
 
 
 @dataclass(frozen=True)
@@ -84,3 +93,20 @@ def after_backlash(a: Actuator, played: float, command: float) -> float:
     """Command that reaches the servo through a play of `backlash_rad` (total), given what reached it before."""
     half = 0.5 * a.backlash_rad
     return min(max(played, command - half), command + half)
+
+
+class ActuatorRow(NamedTuple):
+    gimbal_axis_command_deg: Annotated[PitchYaw, "deg", "command to the actuator"]
+    gimbal_axis_angle_deg: Annotated[PitchYaw, "deg", "engine angle"]
+    gimbal_axis_rate_degps: Annotated[PitchYaw, "deg/s", "engine rate"]
+    gimbal_axis_accel_degps2: Annotated[PitchYaw, "deg/s2", "engine acceleration"]
+
+
+@kernel
+def actuator_row(command_pitch_rad: float, command_yaw_rad: float, aux: Array) -> ActuatorRow:
+    return ActuatorRow(
+        gimbal_axis_command_deg=PitchYaw(DEG * command_pitch_rad, DEG * command_yaw_rad),
+        gimbal_axis_angle_deg=PitchYaw(DEG * aux[ENGINE_PITCH], DEG * aux[ENGINE_YAW]),
+        gimbal_axis_rate_degps=PitchYaw(DEG * aux[ENGINE_PITCH + 1], DEG * aux[ENGINE_YAW + 1]),
+        gimbal_axis_accel_degps2=PitchYaw(DEG * aux[ENGINE_PITCH + 2], DEG * aux[ENGINE_YAW + 2]),
+    )

@@ -16,8 +16,8 @@ from maxq.control.kernel.records import Array
 from maxq.control.kernel.tables import TableRef, find_interval, interpolate_into
 from maxq.control.kernel.vectors import Vector
 from maxq.sim.vehicle.bending import add_to_modes, modal_sum, of_plane
+from maxq.sim.vehicle.block import Counts
 from maxq.sim.vehicle.schedule import CORE_CG, PITCH, YAW, mode_column, padded_modes, surface_row
-from maxq.sim.vehicle.state import Counts
 from maxq.sim.vehicle.workspace import ETA, FORCE, MACH_ROW, NU
 
 # columns of the Mach table

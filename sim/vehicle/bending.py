@@ -8,15 +8,19 @@ gyroscopic terms below (docs/model.md, section 4).
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
-from typing import Annotated
+from typing import Annotated, NamedTuple
 
 from maxq.control.kernel.jit import kernel
 from maxq.control.kernel.limits import MAX_MODES
 from maxq.control.kernel.records import Array
+from maxq.control.kernel.rows import DEG, PitchYaw, put
 from maxq.control.kernel.vectors import Vector
+from maxq.sim.vehicle.block import Counts, StateBlock
 from maxq.sim.vehicle.schedule import (
     MODE_DAMPING,
+    MODE_INVERSE_MASS,
     MODE_MASS,
     MODE_PHI_GIMBAL,
     MODE_SLOPE_GIMBAL,
@@ -24,15 +28,20 @@ from maxq.sim.vehicle.schedule import (
     MODE_STIFFNESS,
     PITCH,
     YAW,
-    following_column,
+    derived_column,
     mode_column,
     mode_groups,
     mode_rows,
     padded_modes,
     softening_row,
 )
-from maxq.sim.vehicle.state import Counts, eta_index, xi_index
-from maxq.sim.vehicle.workspace import ETA, FORCE, NU, RATE
+from maxq.sim.vehicle.workspace import ACCEL, ETA, FORCE, GIMBAL_BEND, NU, RATE
+
+_EXCESS = "a bending mode exceeds 10 m"
+ETA_STATES = StateBlock({"eta_{}_m": "m"}, "pitch_modes", bound=10.0, excess=_EXCESS)
+NU_PITCH_STATES = StateBlock({"nu_pitch_{}_mps": "m/s"}, "pitch_modes")
+XI_STATES = StateBlock({"xi_{}_m": "m"}, "yaw_modes", bound=10.0, excess=_EXCESS)
+NU_YAW_STATES = StateBlock({"nu_yaw_{}_mps": "m/s"}, "yaw_modes")
 
 
 @dataclass(frozen=True)
@@ -89,37 +98,37 @@ def _add_to_four(properties: Array, r: int, amount: float, work: Array, q: int) 
 
 
 @kernel
-def scale_modes(sizes: Counts, properties: Array, row: int, work: Array, quantity: int) -> None:
-    """Multiply a modal quantity by a row of the schedule."""
+def free_modal_accelerations(sizes: Counts, properties: Array, work: Array) -> None:
+    """Accelerations of the modes under their generalised forces, without the tensions of the pendulums."""
+    for plane in (PITCH, YAW):
+        row = derived_column(sizes, plane, MODE_INVERSE_MASS)
+        force, accel = of_plane(FORCE, plane), of_plane(ACCEL, plane)
+        if mode_groups(sizes) > 0:
+            _accelerate_four(properties, row, work, force, accel)
+        if mode_groups(sizes) > 1:
+            _accelerate_four(properties, row + 4, work, force + 4, accel + 4)
+
+
+@kernel
+def _accelerate_four(properties: Array, r: int, work: Array, force: int, accel: int) -> None:
+    a, b = work[force] * properties[r], work[force + 1] * properties[r + 1]
+    c, d = work[force + 2] * properties[r + 2], work[force + 3] * properties[r + 3]
+    work[accel], work[accel + 1], work[accel + 2], work[accel + 3] = a, b, c, d
+
+
+@kernel
+def modal_state(sizes: Counts, roll_rate: float, y: Array, eta: int, xi: int, work: Array) -> None:
+    """From the states at y[eta:] (pitch plane) and y[xi:] (yaw plane) into the workspace: modal coordinates,
+    quasi-velocities and from them d(eta)/dt, d(xi)/dt. Sets the generalised forces to zero.
+    """
     if mode_groups(sizes) > 0:
-        _scale_four(properties, row, work, quantity)
+        _state_of_four(sizes, 0, roll_rate, y, eta, xi, work)
     if mode_groups(sizes) > 1:
-        _scale_four(properties, row + 4, work, quantity + 4)
+        _state_of_four(sizes, 4, roll_rate, y, eta, xi, work)
 
 
 @kernel
-def _scale_four(properties: Array, r: int, work: Array, q: int) -> None:
-    a, b, c, d = (
-        work[q] * properties[r],
-        work[q + 1] * properties[r + 1],
-        work[q + 2] * properties[r + 2],
-        work[q + 3] * properties[r + 3],
-    )
-    work[q], work[q + 1], work[q + 2], work[q + 3] = a, b, c, d
-
-
-@kernel
-def modal_state(sizes: Counts, roll_rate: float, y: Array, work: Array) -> None:
-    """Modal coordinates, quasi-velocities and from them d(eta)/dt, d(xi)/dt; generalised forces set to zero."""
-    if mode_groups(sizes) > 0:
-        _state_of_four(sizes, 0, roll_rate, y, work)
-    if mode_groups(sizes) > 1:
-        _state_of_four(sizes, 4, roll_rate, y, work)
-
-
-@kernel
-def _state_of_four(sizes: Counts, first: int, roll_rate: float, y: Array, work: Array) -> None:
-    eta, xi = eta_index(sizes), xi_index(sizes)
+def _state_of_four(sizes: Counts, first: int, roll_rate: float, y: Array, eta: int, xi: int, work: Array) -> None:
     for i in range(first, first + 4):
         p, q = of_plane(0, PITCH) + i, of_plane(0, YAW) + i
         in_pitch, in_yaw, nu_pitch, nu_yaw, rate_pitch, rate_yaw = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
@@ -137,15 +146,14 @@ def _state_of_four(sizes: Counts, first: int, roll_rate: float, y: Array, work: 
 
 
 @kernel
-def modal_derivative(sizes: Counts, y: Array, dy: Array, work: Array) -> None:
-    """Derivatives of the modal part of the state, once FORCE holds the accelerations."""
-    eta, xi = eta_index(sizes), xi_index(sizes)
+def modal_derivative(sizes: Counts, eta: int, xi: int, dy: Array, work: Array) -> None:
+    """Derivatives of the states at y[eta:] and y[xi:], once the workspace holds the modal accelerations."""
     for i in range(sizes.pitch_modes):
         dy[eta + i] = work[of_plane(RATE, PITCH) + i]
-        dy[eta + sizes.pitch_modes + i] = work[of_plane(FORCE, PITCH) + i]
+        dy[eta + sizes.pitch_modes + i] = work[of_plane(ACCEL, PITCH) + i]
     for i in range(sizes.yaw_modes):
         dy[xi + i] = work[of_plane(RATE, YAW) + i]
-        dy[xi + sizes.yaw_modes + i] = work[of_plane(FORCE, YAW) + i]
+        dy[xi + sizes.yaw_modes + i] = work[of_plane(ACCEL, YAW) + i]
 
 
 @kernel
@@ -170,6 +178,11 @@ def bending_rate_at_gyro(sizes: Counts, properties: Array, work: Array) -> tuple
 
 
 GimbalLoad = tuple[float, float, float, float]  # forces along y and z, moments about y and z, at the gimbal, in B
+
+
+@kernel
+def add_gimbal_loads(a: GimbalLoad, b: GimbalLoad) -> GimbalLoad:
+    return a[0] + b[0], a[1] + b[1], a[2] + b[2], a[3] + b[3]
 
 
 @kernel
@@ -206,8 +219,8 @@ def _elastic_forces_on_four(
     sizes: Counts, plane: int, first: int, k_soft: float, properties: Array, work: Array
 ) -> float:  # fmt: skip
     """The same on four modes of one plane; returns the sum of their forces times the other plane's coordinates."""
-    s = following_column(sizes, plane, MODE_STIFFNESS) + first
-    d = following_column(sizes, plane, MODE_DAMPING) + first
+    s = derived_column(sizes, plane, MODE_STIFFNESS) + first
+    d = derived_column(sizes, plane, MODE_DAMPING) + first
     e, r, o = of_plane(ETA, plane) + first, of_plane(RATE, plane) + first, of_plane(ETA, 1 - plane) + first
     f_0 = -(properties[s] * work[e] + properties[d] * work[r])
     f_1 = -(properties[s + 1] * work[e + 1] + properties[d + 1] * work[r + 1])
@@ -263,3 +276,36 @@ def gyroscopic_forces(
                 h += work[ETA + j] * p_eta - work[ETA + i] * p_xi
                 roll -= p_eta * nu_xi - p_xi * nu_eta
     return (roll, -r * h, q * h)
+
+
+class ModeRow(NamedTuple):
+    """One bending mode."""
+
+    eta_mode_m: Annotated[float, "m", "modal coordinate (displacement of the gimbal)"]
+    eta_mode_mps: Annotated[float, "m/s", "modal rate"]
+
+
+class BendingRow(NamedTuple):
+    """All bending modes together."""
+
+    bend_axis_gimbal_m: Annotated[PitchYaw, "m", "displacement of the gimbal by bending"]
+    bend_axis_gimbal_deg: Annotated[PitchYaw, "deg", "rotation of the gimbal by bending"]
+
+
+@kernel
+def put_modes(row: Array, column: int, y: Array, first: int, count: int, logged: int) -> int:
+    """`logged` modes of one plane; nan where the stage has only `count`."""
+    for i in range(logged):
+        if i < count:
+            column = put(row, column, ModeRow(eta_mode_m=y[first + i], eta_mode_mps=y[first + count + i]))
+        else:
+            column = put(row, column, ModeRow(eta_mode_m=math.nan, eta_mode_mps=math.nan))
+    return column
+
+
+@kernel
+def bending_row(aux: Array) -> BendingRow:
+    return BendingRow(
+        bend_axis_gimbal_m=PitchYaw(aux[GIMBAL_BEND + 1], aux[GIMBAL_BEND]),
+        bend_axis_gimbal_deg=PitchYaw(DEG * aux[GIMBAL_BEND + 2], DEG * aux[GIMBAL_BEND + 3]),
+    )

@@ -10,12 +10,22 @@ from dataclasses import dataclass
 from maxq.control.kernel.jit import kernel, routine
 from maxq.control.kernel.records import Array
 from maxq.control.kernel.tables import TableRef
-from maxq.control.kernel.vectors import Vector, add, cross, inertia_times, rotation_from_quaternion, scaled
+from maxq.control.kernel.vectors import (
+    Vector,
+    add,
+    cross,
+    inertia_times,
+    rotation_from_quaternion,
+    scaled,
+    set_vector,
+    vector_at,
+)
 from maxq.sim.vehicle.actuator import Actuator, actuator_derivative, actuator_output
 from maxq.sim.vehicle.aero import Aero, body_loads, coefficients, surface_loads
 from maxq.sim.vehicle.bending import (
     Bending,
     GimbalLoad,
+    add_gimbal_loads,
     apply_gimbal_load,
     bending_rate_at_gyro,
     elastic_forces,
@@ -24,6 +34,7 @@ from maxq.sim.vehicle.bending import (
     modal_derivative,
     modal_state,
 )
+from maxq.sim.vehicle.block import Q_BI, W_BI_B, Counts, Sizes, counts
 from maxq.sim.vehicle.engine import Engine, thrust, thrust_axis_motion
 from maxq.sim.vehicle.environment import Environment, air_data, pad_acceleration
 from maxq.sim.vehicle.gyro import Gyro, gyro_derivative, sensed_rate
@@ -36,6 +47,7 @@ from maxq.sim.vehicle.rigid import (
     prepare_outflow,
 )
 from maxq.sim.vehicle.schedule import (
+    CORE_CG,
     INVERSE_TOTAL_MASS,
     PITCH,
     THRUST_VACUUM,
@@ -45,7 +57,16 @@ from maxq.sim.vehicle.schedule import (
 )
 from maxq.sim.vehicle.slosh import Slosh, pendulum_derivative, pendulum_loads
 from maxq.sim.vehicle.solve import accelerate
-from maxq.sim.vehicle.state import ACTUATOR, N_ACTUATOR, Q_BI, W_BI_B, Counts, Sizes, counts
+from maxq.sim.vehicle.state import (
+    ACTUATOR,
+    GYRO,
+    GYRO_ANGLE,
+    N_ACTUATOR,
+    N_PENDULUM,
+    eta_index,
+    pendulum_index,
+    xi_index,
+)
 from maxq.sim.vehicle.workspace import (
     AERO_FORCE,
     AERO_MOMENT,
@@ -63,9 +84,9 @@ from maxq.sim.vehicle.workspace import (
     TENSION,
     TENSIONS,
     THRUST,
+    Evaluation,
 )
 from maxq.sim.world.earth import gravity_gradient_torque
-from maxq.sim.world.turbulence import TurbulenceState
 
 
 @dataclass(frozen=True)
@@ -89,24 +110,32 @@ class Vehicle:
 
 @dataclass
 class Held:
-    """What is constant between two events of the flight, and the loads injected at the present stage."""
+    """What is constant between two events of the flight."""
 
     on_pad: int  # 1: held down
     burning: int
     command_pitch_rad: float
     command_yaw_rad: float
     roll_torque_Nm: float
+
+
+@dataclass
+class StageInputs:
+    """External inputs that vary within a step, evaluated at every stage of the Runge-Kutta method."""
+
     force_x_N: float  # injected, in B, at the core CG
     force_y_N: float
     force_z_N: float
     torque_x_Nm: float
     torque_y_Nm: float
     torque_z_Nm: float
-    turbulence_phase: float  # where the step's instant lies between two turbulence ticks, 0 to 1
+    gust_x_mps: float  # of the turbulence, in B
+    gust_y_mps: float
+    gust_z_mps: float
 
 
 @kernel
-def complete(vehicle: Vehicle, properties: Array) -> None:
+def derive_properties(vehicle: Vehicle, properties: Array) -> None:
     """Compute the derived properties, behind the columns of the schedule, once for all derivatives at an instant."""
     sizes, bending = counts(vehicle.sizes), vehicle.bending
     complete_modes(sizes, PITCH, sizes.pitch_modes, bending.zeta_pitch, bending.frequency_factor, properties)
@@ -116,32 +145,34 @@ def complete(vehicle: Vehicle, properties: Array) -> None:
 
 @routine
 def derivative(
-    vehicle: Vehicle, environment: Environment, pool: Array, held: Held, gusts: TurbulenceState, properties: Array,
-    y: Array, dy: Array, work: Array, aux: Array,
-) -> None:  # fmt: skip
-    """Derivative of `y` into `dy`; by-products into `aux`. `properties` are those of this instant (schedule.py)."""
+    vehicle: Vehicle, environment: Environment, pool: Array, held: Held, inputs: StageInputs, at: Evaluation,
+    work: Array,
+) -> None:  # fmt: skip  # nine lines otherwise
+    """Derivative of `at.y` into `at.dy`, auxiliary outputs into `at.aux`, with the properties of this instant."""
+    properties, y, dy, aux = at
     sizes = counts(vehicle.sizes)
-    rate = (y[W_BI_B], y[W_BI_B + 1], y[W_BI_B + 2])
+    eta, xi, pendulums = eta_index(sizes), xi_index(sizes), pendulum_index(sizes, 0)
+    rate = vector_at(y, W_BI_B)
     rotation = rotation_from_quaternion(y[Q_BI], y[Q_BI + 1], y[Q_BI + 2], y[Q_BI + 3])
 
-    gravitation = air_data(environment, pool, gusts, held.turbulence_phase, rotation, y, work, aux)
-    modal_state(sizes, rate[0], y, work)
+    gust = (inputs.gust_x_mps, inputs.gust_y_mps, inputs.gust_z_mps)
+    gravitation = air_data(environment, pool, gust, rotation, y, work, aux)
+    modal_state(sizes, rate[0], y, eta, xi, work)
     engine = engine_motion(vehicle, sizes, held, properties, y, aux)
 
     aero_force, aero_moment = aerodynamics(
         vehicle, sizes, environment, pool, held, rotation, rate, properties, work, aux
-    )
+    )  # fmt: skip  # twelve lines otherwise
     thrust_force, thrust_moment, gimbal_load = thrust_loads(vehicle, sizes, engine, properties, work, aux)
     inverse_mass = properties[schedule_width(sizes) + INVERSE_TOTAL_MASS]
     pad, axial_load = (0.0, 0.0, 0.0), (aero_force[0] + thrust_force[0]) * inverse_mass
     if held.on_pad == 1:
         pad = pad_acceleration(environment.earth, rotation, gravitation, y)
         axial_load = pad[0]
-    aux[AXIAL_LOAD] = axial_load
 
-    force = add(add(aero_force, thrust_force), (held.force_x_N, held.force_y_N, held.force_z_N))
+    force = add(add(aero_force, thrust_force), (inputs.force_x_N, inputs.force_y_N, inputs.force_z_N))
     moment = add(aero_moment, thrust_moment)
-    moment = add(moment, (held.roll_torque_Nm + held.torque_x_Nm, held.torque_y_Nm, held.torque_z_Nm))
+    moment = add(moment, (held.roll_torque_Nm + inputs.torque_x_Nm, inputs.torque_y_Nm, inputs.torque_z_Nm))
     if vehicle.gravity_gradient == 1:
         moment = add(moment, gravity_gradient_moment(environment, engine, rotation, y))
     if vehicle.jet_damping == 1:
@@ -150,51 +181,51 @@ def derivative(
     moment = add(moment, scaled(-1.0, cross(rate, inertia_times(engine.inertia, rate))))
 
     if vehicle.engine.gimballed_mass_kg > 0.0 or vehicle.engine.inertia_kgm2 > 0.0:
-        reaction_force, reaction_moment, at_gimbal = engine_reaction(vehicle.engine, engine, rate, axial_load)
+        reaction_force, reaction_moment, reaction_load = engine_reaction(vehicle.engine, engine, rate, axial_load)
         force, moment = add(force, reaction_force), add(moment, reaction_moment)
-        gimbal_load = (
-            gimbal_load[0] + at_gimbal[0],
-            gimbal_load[1] + at_gimbal[1],
-            gimbal_load[2] + at_gimbal[2],
-            gimbal_load[3] + at_gimbal[3],
-        )
+        gimbal_load = add_gimbal_loads(gimbal_load, reaction_load)
     if sizes.pitch_modes + sizes.yaw_modes > 0:
         apply_gimbal_load(sizes, properties, gimbal_load, work)
         gyroscopic = gyroscopic_forces(
             sizes, properties, rate, vehicle.engine.gimballed_mass_kg, vehicle.engine.cg_from_gimbal_m,
             vehicle.engine.inertia_kgm2, engine.delta_rate, engine.relative_rate[1], engine.relative_rate[2], work,
-        )  # fmt: skip
+        )  # fmt: skip  # twelve lines otherwise
         roll = elastic_forces(vehicle.bending, sizes, properties, axial_load, work)
         moment = add(moment, (gyroscopic[0] + roll, gyroscopic[1], gyroscopic[2]))
     for tank in range(sizes.tanks):
+        first = pendulums + N_PENDULUM * tank
         damper_force, damper_moment = pendulum_loads(
-            vehicle.slosh, sizes, tank, rate, axial_load, engine.offset, properties, y, work
-        )
+            vehicle.slosh, sizes, tank, rate, axial_load, engine.offset, properties, y, first, work
+        )  # fmt: skip  # twelve lines otherwise
         force, moment = add(force, damper_force), add(moment, damper_moment)
 
     specific_force, alpha = accelerate(
         vehicle.slosh, sizes, held.on_pad, engine.offset, engine.inverse_inertia, force, moment, pad, properties, y,
-        work,
-    )  # fmt: skip
+        pendulums, work,
+    )  # fmt: skip  # fourteen lines otherwise
 
     kinematics(environment.earth, held.on_pad, rotation, rate, specific_force, alpha, gravitation, properties, y, dy)
     actuator_derivative(vehicle.actuator_pitch, y, ACTUATOR, held.command_pitch_rad, dy)
     actuator_derivative(vehicle.actuator_yaw, y, ACTUATOR + N_ACTUATOR, held.command_yaw_rad, dy)
     bend_y, bend_z = bending_rate_at_gyro(sizes, properties, work)
-    gyro_derivative(vehicle.gyro, y, sensed_rate(vehicle.gyro, (rate[0], rate[1] + bend_y, rate[2] + bend_z)), dy)
-    modal_derivative(sizes, y, dy, work)
+    sensed = sensed_rate(vehicle.gyro, (rate[0], rate[1] + bend_y, rate[2] + bend_z))
+    gyro_derivative(vehicle.gyro, y, GYRO, GYRO_ANGLE, sensed, dy)
+    modal_derivative(sizes, eta, xi, dy, work)
     for tank in range(sizes.tanks):
-        pendulum_derivative(vehicle.slosh, sizes, tank, rate, specific_force, alpha, properties, y, dy, work)
+        first = pendulums + N_PENDULUM * tank
+        pendulum_derivative(vehicle.slosh, tank, rate, specific_force, alpha, properties, y, first, dy, work)
         aux[TENSIONS + tank] = work[TENSION + tank]
-    for j in range(3):
-        aux[SPECIFIC_FORCE + j] = specific_force[j]
-        aux[ANGULAR_ACCEL + j] = alpha[j]
+    aux[AXIAL_LOAD] = axial_load
+    set_vector(aux, AERO_FORCE, aero_force)
+    set_vector(aux, AERO_MOMENT, aero_moment)
+    set_vector(aux, SPECIFIC_FORCE, specific_force)
+    set_vector(aux, ANGULAR_ACCEL, alpha)
     aux[GYRO_BEND], aux[GYRO_BEND + 1] = bend_y, bend_z
 
 
 @kernel
 def engine_motion(vehicle: Vehicle, sizes: Counts, held: Held, properties: Array, y: Array, aux: Array) -> Deflected:
-    """Engine angles from the actuators, and the mass properties of the vehicle with the engine so deflected."""
+    """Mass properties with the engine deflected by its actuators; angles, rates, accelerations into `aux`."""
     pitch, pitch_rate, pitch_accel = actuator_output(vehicle.actuator_pitch, y, ACTUATOR, held.command_pitch_rad)
     yaw, yaw_rate, yaw_accel = actuator_output(vehicle.actuator_yaw, y, ACTUATOR + N_ACTUATOR, held.command_yaw_rad)
     aux[ENGINE_PITCH], aux[ENGINE_PITCH + 1], aux[ENGINE_PITCH + 2] = pitch, pitch_rate, pitch_accel
@@ -212,25 +243,18 @@ def aerodynamics(
     vehicle: Vehicle, sizes: Counts, environment: Environment, pool: Array, held: Held,
     rotation: tuple[float, ...], rate: Vector, properties: Array, work: Array, aux: Array,
 ) -> tuple[Vector, Vector]:  # fmt: skip
-    """Force and moment about the core CG in B; generalised forces into the workspace."""
+    """Force and moment about the core CG in B; adds to the generalised forces of the modes in `work`."""
     force, moment = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
     if vehicle.aero.on == 1 and aux[DENSITY] > 0.0:
-        flow = (aux[FLOW], aux[FLOW + 1], aux[FLOW + 2])
+        flow = vector_at(aux, FLOW)
         coefficients(vehicle.aero, pool, aux[MACH], work)
         if vehicle.aero.earth_rates == 1:
-            turning = environment.earth.rate_radps
-            rate = (
-                rate[0] - rotation[6] * turning,
-                rate[1] - rotation[7] * turning,
-                rate[2] - rotation[8] * turning,
-            )
-        cg = (properties[1], properties[2], properties[3])
+            spin = environment.earth.rate_radps
+            rate = (rate[0] - rotation[6] * spin, rate[1] - rotation[7] * spin, rate[2] - rotation[8] * spin)
+        cg = vector_at(properties, CORE_CG)
         force, moment = body_loads(vehicle.aero, aux[DENSITY], flow, rate, held.burning, cg, work)
         surface_force, surface_moment = surface_loads(vehicle.aero, sizes, aux[DENSITY], flow, properties, work)
         force, moment = add(force, surface_force), add(moment, surface_moment)
-    for j in range(3):
-        aux[AERO_FORCE + j] = force[j]
-        aux[AERO_MOMENT + j] = moment[j]
     return force, moment
 
 

@@ -1,4 +1,4 @@
-"""Where the vehicle is: gravitation, air and wind at its position, written into `aux` for all who need them."""
+"""The environment at the vehicle's position: gravitation, air, wind and turbulence."""
 
 from __future__ import annotations
 
@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 from maxq.control.kernel.jit import kernel, routine
 from maxq.control.kernel.records import Array
-from maxq.control.kernel.vectors import Matrix, Vector, add, cross, rotate_back, scaled
+from maxq.control.kernel.vectors import Matrix, Vector, add, cross, rotate_back, scaled, set_vector, vector_at
+from maxq.sim.vehicle.block import R_I, V_I
 from maxq.sim.vehicle.nearby import frame_and_air
-from maxq.sim.vehicle.state import R_I, V_I
 from maxq.sim.vehicle.workspace import (
     AIRSPEED,
     ALTITUDE,
@@ -25,7 +25,7 @@ from maxq.sim.vehicle.workspace import (
 )
 from maxq.sim.world.atmosphere import Atmosphere
 from maxq.sim.world.earth import FLAT, Earth, gravitation, ground_velocity, local_frame, ned_to_earth
-from maxq.sim.world.turbulence import Turbulence, TurbulenceState, turbulence_at
+from maxq.sim.world.turbulence import Turbulence
 from maxq.sim.world.wind import Wind, wind_ned
 
 
@@ -39,34 +39,30 @@ class Environment:
 
 @kernel
 def air_data(
-    environment: Environment, pool: Array, gusts: TurbulenceState, gust_phase: float, rotation: Matrix, y: Array,
-    work: Array, aux: Array,
-) -> Vector:  # fmt: skip
-    """Fill the air data of `aux`; returns the gravitation in I, m/s2."""
+    environment: Environment, pool: Array, gust: Vector, rotation: Matrix, y: Array, work: Array, aux: Array
+) -> Vector:  # fmt: skip  # nine lines otherwise
+    """Air data into `aux`; returns the gravitation in I, m/s2. `gust`: of the turbulence, B, m/s."""
     x, yy, z = y[R_I], y[R_I + 1], y[R_I + 2]
     gravity = gravitation(environment.earth, x, yy, z)
     frame, gas = frame_and_air(environment.earth, environment.atmosphere, pool, x, yy, z, work)
     altitude, sin_lat, cos_lat, sin_lon, cos_lon = frame
     density, pressure, temperature, sound_speed = gas
     wind = wind_ned(environment.wind, pool, altitude)
-    blowing = ned_to_earth(sin_lat, cos_lat, sin_lon, cos_lon, wind[0], wind[1], wind[2])
+    wind_I = ned_to_earth(sin_lat, cos_lat, sin_lon, cos_lon, wind[0], wind[1], wind[2])
     ground = ground_velocity(environment.earth, x, yy)
     relative = (
-        y[V_I] - ground[0] - blowing[0],
-        y[V_I + 1] - ground[1] - blowing[1],
-        y[V_I + 2] - ground[2] - blowing[2],
+        y[V_I] - ground[0] - wind_I[0],
+        y[V_I + 1] - ground[1] - wind_I[1],
+        y[V_I + 2] - ground[2] - wind_I[2],
     )
-    flow = rotate_back(rotation, relative)
-    if environment.turbulence.on == 1:
-        flow = add(flow, scaled(-1.0, turbulence_at(gusts, gust_phase)))
+    flow = add(rotate_back(rotation, relative), scaled(-1.0, gust))
     airspeed = math.sqrt(flow[0] * flow[0] + flow[1] * flow[1] + flow[2] * flow[2])
     aux[ALTITUDE], aux[DENSITY], aux[PRESSURE] = altitude, density, pressure
     aux[TEMPERATURE], aux[SOUND_SPEED], aux[AIRSPEED] = temperature, sound_speed, airspeed
     aux[MACH], aux[DYNAMIC_PRESSURE] = airspeed / sound_speed, 0.5 * density * airspeed * airspeed
-    for j in range(3):
-        aux[FLOW + j] = flow[j]
-        aux[WIND_N + j] = wind[j]
-        aux[GRAVITATION + j] = gravity[j]
+    set_vector(aux, FLOW, flow)
+    set_vector(aux, WIND_N, wind)
+    set_vector(aux, GRAVITATION, gravity)
     return gravity
 
 
@@ -74,14 +70,14 @@ def air_data(
 def pad_acceleration(earth: Earth, rotation: Matrix, gravity: Vector, y: Array) -> Vector:
     """Specific force that the pad exerts on a vehicle it carries along, in B, m/s2."""
     spin = (0.0, 0.0, earth.rate_radps)
-    carried = cross(spin, cross(spin, (y[R_I], y[R_I + 1], y[R_I + 2])))
+    carried = cross(spin, cross(spin, vector_at(y, R_I)))
     return rotate_back(rotation, add(carried, scaled(-1.0, gravity)))
 
 
 @kernel
 def climbs_certainly(earth: Earth, y: Array) -> bool:
-    """Whether the altitude rises whatever the figure of the Earth: the velocity is 1 degree above the horizontal of a
-    sphere, and no normal of the ellipsoid is inclined by more than 0.2 degrees to the radius. A flat Earth: never sure.
+    """Whether the altitude rises for any figure of the Earth: the velocity is 1 degree above the horizontal of a
+    sphere, and no normal of the ellipsoid is inclined by more than 0.2 degrees to the radius. A flat Earth: never.
     """
     x, yy, z = y[R_I], y[R_I + 1], y[R_I + 2]
     ground = ground_velocity(earth, x, yy)
@@ -93,7 +89,7 @@ def climbs_certainly(earth: Earth, y: Array) -> bool:
 
 @routine
 def climb_rate(earth: Earth, y: Array) -> tuple[float, float]:
-    """Altitude (m) and its rate (m/s) relative to the turning Earth."""
+    """Altitude (m) and its rate (m/s) relative to the rotating Earth."""
     altitude, sin_lat, cos_lat, sin_lon, cos_lon = local_frame(earth, y[R_I], y[R_I + 1], y[R_I + 2])
     ground = ground_velocity(earth, y[R_I], y[R_I + 1])
     vx, vy, vz = y[V_I] - ground[0], y[V_I + 1] - ground[1], y[V_I + 2] - ground[2]

@@ -7,12 +7,18 @@ r - sum(slope nu_yaw) in yaw (docs/model.md, section 2).
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Annotated, NamedTuple
 
 from maxq.control.kernel.jit import kernel
 from maxq.control.kernel.records import Array
+from maxq.control.kernel.rows import DEG, PitchYaw, RollPitchYaw
 from maxq.control.kernel.vectors import Vector
-from maxq.sim.vehicle.state import GYRO, GYRO_ANGLE, N_GYRO
+from maxq.sim.vehicle.block import W_BI_B, StateBlock
+from maxq.sim.vehicle.workspace import GYRO_BEND
 
+_AXES = ("roll", "pitch", "yaw")
+GYROS = StateBlock({"gyro_{}_radps": "rad/s", "gyro_{}_rate_radps2": "rad/s2"}, parts=_AXES)
+GYRO_ANGLES = StateBlock({"gyro_{}_rad": "rad"}, parts=_AXES)  # integral of the output since the last sample
 GYRO_STREAM = 16  # of the noise generator: one sequence an axis, 16 to 18
 
 
@@ -47,16 +53,38 @@ def sensed_rate(g: Gyro, rate: Vector) -> Vector:
 
 
 @kernel
-def gyro_derivative(g: Gyro, y: Array, sensed: Vector, dy: Array) -> None:
-    """Derivatives of the gyro's states and of the angle integrals."""
+def gyro_derivative(g: Gyro, y: Array, first: int, first_angle: int, sensed: Vector, dy: Array) -> None:
+    """Derivatives of the states (two an axis from y[first] on) and of the angle integrals (from y[first_angle] on)."""
     w2, damp = g.omega_radps * g.omega_radps, 2.0 * g.zeta * g.omega_radps
     for axis in range(3):
-        i = GYRO + N_GYRO * axis
+        i = first + 2 * axis
         if g.ideal == 1:
             dy[i] = 0.0
             dy[i + 1] = 0.0
-            dy[GYRO_ANGLE + axis] = sensed[axis]
+            dy[first_angle + axis] = sensed[axis]
         else:
             dy[i] = y[i + 1]
             dy[i + 1] = w2 * (sensed[axis] - y[i]) - damp * y[i + 1]
-            dy[GYRO_ANGLE + axis] = y[i]
+            dy[first_angle + axis] = y[i]
+
+
+@kernel
+def gyro_start(y: Array, first: int, rate: Vector) -> None:
+    """Steady state at the angular rate of the body (B, rad/s), without errors; the angle integrals start at 0."""
+    for axis in range(3):
+        y[first + 2 * axis] = rate[axis]
+
+
+class GyroRow(NamedTuple):
+    gyro_axis_rate_degps: Annotated[RollPitchYaw, "deg/s", "gyro output"]
+    body_axis_rate_degps: Annotated[RollPitchYaw, "deg/s", "true body rate"]
+    bending_axis_rate_degps: Annotated[PitchYaw, "deg/s", "rotation rate by bending at the gyro"]
+
+
+@kernel
+def gyro_row(y: Array, first: int, aux: Array) -> GyroRow:
+    return GyroRow(
+        gyro_axis_rate_degps=RollPitchYaw(DEG * y[first], DEG * y[first + 2], DEG * y[first + 4]),
+        body_axis_rate_degps=RollPitchYaw(DEG * y[W_BI_B], DEG * y[W_BI_B + 1], DEG * y[W_BI_B + 2]),
+        bending_axis_rate_degps=PitchYaw(DEG * aux[GYRO_BEND], DEG * aux[GYRO_BEND + 1]),
+    )

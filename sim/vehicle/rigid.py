@@ -16,8 +16,12 @@ from maxq.control.kernel.vectors import (
     inverse_inertia,
     rotate,
     scaled,
+    set_vector,
+    symmetric_at,
+    vector_at,
 )
 from maxq.sim.vehicle.bending import GimbalLoad
+from maxq.sim.vehicle.block import Q_BI, R_I, V_I, W_BI_B, Counts
 from maxq.sim.vehicle.engine import Engine
 from maxq.sim.vehicle.schedule import (
     CG_RATE,
@@ -37,7 +41,6 @@ from maxq.sim.vehicle.schedule import (
     tank_column,
 )
 from maxq.sim.vehicle.slosh import Slosh, pendulum_length
-from maxq.sim.vehicle.state import Q_BI, R_I, V_I, W_BI_B, Counts
 from maxq.sim.world.earth import Earth
 
 
@@ -69,14 +72,7 @@ def deflected_engine(
     delta = (arm * (1.0 - axis[0]), -arm * axis[1], -arm * axis[2])
     straight = (gimbal[0] - arm, gimbal[1], gimbal[2])
     moved = add(straight, delta)
-    core = (
-        properties[CORE_INERTIA],
-        properties[CORE_INERTIA + 1],
-        properties[CORE_INERTIA + 2],
-        properties[CORE_INERTIA + 3],
-        properties[CORE_INERTIA + 4],
-        properties[CORE_INERTIA + 5],
-    )
+    core = symmetric_at(properties, CORE_INERTIA)
     inertia = _plus_point(_plus_point(core, mass, moved), -mass, straight)
     offset = scaled(mass * properties[schedule_width(sizes) + INVERSE_CORE_MASS], delta)
     about_cg = _plus_point(inertia, -properties[CORE_MASS], offset)
@@ -143,15 +139,7 @@ def prepare_outflow(e: Engine, slosh: Slosh, sizes: Counts, properties: Array) -
     inner = add(
         scaled(mass, (-properties[CG_RATE], properties[CG_RATE + 1], properties[CG_RATE + 2])), scaled(flow, at)
     )
-    change = (
-        properties[INERTIA_RATE],
-        properties[INERTIA_RATE + 1],
-        properties[INERTIA_RATE + 2],
-        properties[INERTIA_RATE + 3],
-        properties[INERTIA_RATE + 4],
-        properties[INERTIA_RATE + 5],
-    )
-    damping = _plus_point(change, flow, at)
+    damping = _plus_point(symmetric_at(properties, INERTIA_RATE), flow, at)
     for tank in range(sizes.tanks):
         c = tank_column(tank)
         at = (
@@ -167,8 +155,7 @@ def prepare_outflow(e: Engine, slosh: Slosh, sizes: Counts, properties: Array) -
         1.0 / mass,
         1.0 / properties[TOTAL_MASS],
     )
-    for j in range(3):
-        properties[behind + INNER_FLOW + j] = inner[j]
+    set_vector(properties, behind + INNER_FLOW, inner)
     for j in range(6):
         properties[behind + JET_DAMPING + j] = damping[j]
 
@@ -176,16 +163,9 @@ def prepare_outflow(e: Engine, slosh: Slosh, sizes: Counts, properties: Array) -
 @kernel
 def coriolis_of_outflow(sizes: Counts, rate: Vector, properties: Array) -> tuple[Vector, Vector]:
     """Force and moment of the propellant that flows through a turning vehicle: jet damping."""
-    inner, j = schedule_width(sizes) + INNER_FLOW, schedule_width(sizes) + JET_DAMPING
-    force = scaled(-2.0, cross(rate, (properties[inner], properties[inner + 1], properties[inner + 2])))
-    damping = (
-        properties[j],
-        properties[j + 1],
-        properties[j + 2],
-        properties[j + 3],
-        properties[j + 4],
-        properties[j + 5],
-    )
+    behind = schedule_width(sizes)
+    force = scaled(-2.0, cross(rate, vector_at(properties, behind + INNER_FLOW)))
+    damping = symmetric_at(properties, behind + JET_DAMPING)
     return force, scaled(-1.0, inertia_times(damping, rate))
 
 
@@ -215,5 +195,4 @@ def kinematics(
     dy[Q_BI + 1] = 0.5 * (w * p + yy * r - z * q)
     dy[Q_BI + 2] = 0.5 * (w * q + z * p - x * r)
     dy[Q_BI + 3] = 0.5 * (w * r + x * q - yy * p)
-    for j in range(3):
-        dy[W_BI_B + j] = alpha[j]
+    set_vector(dy, W_BI_B, alpha)

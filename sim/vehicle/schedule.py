@@ -1,19 +1,20 @@
-"""The vehicle as a function of time: columns of one table per stage, and how they are laid out.
+"""The properties of a vehicle over time: columns of one table per stage, and how they are laid out.
 
 Mass, thrust, tanks and modes change as propellant leaves. All of it is one table over the stage's burn clock, so
-that a kernel finds the interval once and evaluates every column in one sweep. Fixed columns first, then five per
-tank, then the modes: row by row for all modes of a plane side by side (pitch plane, then yaw plane). A row has room
-for a multiple of four modes, with zeros where there is no mode, so that kernels take four modes at a time.
+that a kernel finds the interval once and evaluates every column in one sweep; its values at an instant are the array
+`properties` of the kernels. Fixed columns first, then five per tank, then the modes: row by row for all modes of a
+plane side by side (pitch plane, then yaw plane). A row has room for a multiple of four modes, with zeros where there is
+no mode, so that kernels take four modes at a time.
 
-Behind the table's columns stands what follows from them and does not change within an evaluation of the derivative;
-`complete_modes` and `rigid.prepare_outflow` fill it in.
+Behind the table's columns lie properties that are derived from them; `complete_modes` and `rigid.prepare_outflow`
+compute them.
 """
 
 from __future__ import annotations
 
 from maxq.control.kernel.jit import kernel
 from maxq.control.kernel.records import Array
-from maxq.sim.vehicle.state import Counts
+from maxq.sim.vehicle.block import Counts
 
 CORE_MASS = 0  # kg, without the sloshing masses
 CORE_CG = 1  # x_n aft of the nose, y, z, m
@@ -39,12 +40,12 @@ MODE_SLOPE_GIMBAL = 3  # d(phi)/d(x_n), 1/m
 MODE_SLOPE_GYRO = 4
 MODE_FIRST = 5  # then phi at each tank; phi, slope at each surface; axial softening by each mode, kg/m
 
-# behind the table
+# derived, behind the table
 INVERSE_CORE_MASS = 0  # 1/kg
 INVERSE_TOTAL_MASS = 1
 INNER_FLOW = 2  # momentum of the propellant relative to the body, B, kg m/s (3)
 JET_DAMPING = 5  # integrals, as of an inertia, that times the turning rate give minus its moment, kg m2/s (6)
-N_FOLLOWING = 11
+N_DERIVED = 11
 MODE_INVERSE_MASS = 0  # rows of a plane: 1/kg
 MODE_STIFFNESS = 1  # N/m
 MODE_DAMPING = 2  # N s/m
@@ -100,27 +101,33 @@ def schedule_width(sizes: Counts) -> int:
 
 
 @kernel
-def following_column(sizes: Counts, plane: int, row: int) -> int:
-    """As `mode_column`, of the rows behind the table."""
+def derived_column(sizes: Counts, plane: int, row: int) -> int:
+    """As `mode_column`, of the derived rows behind the table."""
     return (
-        schedule_width(sizes) + N_FOLLOWING + (plane * (MODE_TANK_COMPLIANCE + sizes.tanks) + row) * padded_modes(sizes)
+        schedule_width(sizes) + N_DERIVED + (plane * (MODE_TANK_COMPLIANCE + sizes.tanks) + row) * padded_modes(sizes)
     )
 
 
 @kernel
 def compliance_column(sizes: Counts, plane: int) -> int:
     """Behind the table's columns: sum over the modes of phi_k phi_j / M for tanks k, j."""
-    return following_column(sizes, 2, 0) + plane * sizes.tanks * sizes.tanks
+    return derived_column(sizes, 2, 0) + plane * sizes.tanks * sizes.tanks
+
+
+@kernel
+def properties_size(sizes: Counts) -> int:
+    """Columns of the table and what is derived from them."""
+    return derived_column(sizes, 2, 0) + 2 * sizes.tanks * sizes.tanks
 
 
 @kernel
 def complete_modes(
     sizes: Counts, plane: int, modes: int, zeta: Array, frequency_factor: Array, properties: Array
 ) -> None:  # fmt: skip
-    """Fill in one plane's rows behind the table: inverse mass, stiffness, damping, compliance."""
+    """Derived properties of one plane: inverse mass, stiffness, damping, compliance."""
     omega_at, mass_at = mode_column(sizes, plane, MODE_OMEGA), mode_column(sizes, plane, MODE_MASS)
-    inverse = following_column(sizes, plane, MODE_INVERSE_MASS)
-    stiffness, damping = following_column(sizes, plane, MODE_STIFFNESS), following_column(sizes, plane, MODE_DAMPING)
+    inverse = derived_column(sizes, plane, MODE_INVERSE_MASS)
+    stiffness, damping = derived_column(sizes, plane, MODE_STIFFNESS), derived_column(sizes, plane, MODE_DAMPING)
     for i in range(padded_modes(sizes)):
         if i < modes:
             omega = properties[omega_at + i] * frequency_factor[i]
@@ -133,7 +140,7 @@ def complete_modes(
     for k in range(n):
         at_k, yield_k = (
             mode_column(sizes, plane, MODE_FIRST + k),
-            following_column(sizes, plane, MODE_TANK_COMPLIANCE + k),
+            derived_column(sizes, plane, MODE_TANK_COMPLIANCE + k),
         )
         for i in range(padded_modes(sizes)):
             properties[yield_k + i] = properties[at_k + i] * properties[inverse + i]

@@ -1,88 +1,164 @@
-"""What is integrated: one definition of the state vector.
-
-The first `N_FIXED` entries are the same for every vehicle; bending and slosh follow, as many as the vehicle has:
+"""The list of state blocks, and the state vector that they make.
 
     r_I v_I q_BI w_BI_B | actuator pitch, yaw | gyro roll, pitch, yaw | gyro integrals
     eta[n_pitch] nu_pitch[n_pitch] xi[n_yaw] nu_yaw[n_yaw] | per tank: u_B (3), kappa_B (3)
 
+The first `N_FIXED` entries are the same for every vehicle; bending and slosh follow, as many as the vehicle has.
 Position and velocity are those of the *core* CG (the vehicle without its sloshing masses, engine straight), in the
-inertial frame. The modal rates are quasi-velocities that already hold the turning of the bending plane with the
-roll rate p:  nu_pitch = d(eta)/dt + p xi,  nu_yaw = d(xi)/dt - p eta.  A pendulum is the unit vector u_B from its
-hinge to its bob and kappa_B, the *inertial* derivative of that vector in body components (docs/model.md, section 3).
+inertial frame. The modal rates are quasi-velocities that include the rotation of the bending plane with the roll rate
+p:  nu_pitch = d(eta)/dt + p xi,  nu_yaw = d(xi)/dt - p eta.  A pendulum is the unit vector u_B from its hinge to its
+bob and kappa_B, the *inertial* derivative of that vector in body components (docs/model.md, section 3).
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import NamedTuple
+import math
 
-from maxq.control.kernel.jit import integer, kernel
-from maxq.control.kernel.limits import MAX_MODES, MAX_TANKS
+from maxq.control.kernel.jit import kernel, routine
+from maxq.control.kernel.records import Array
+from maxq.control.kernel.vectors import Vector
+from maxq.sim.vehicle.actuator import ACTUATORS
+from maxq.sim.vehicle.bending import ETA_STATES, NU_PITCH_STATES, NU_YAW_STATES, XI_STATES
+from maxq.sim.vehicle.block import (
+    ANGULAR_VELOCITY,
+    ATTITUDE,
+    LARGEST,
+    POSITION,
+    Q_BI,
+    R_I,
+    V_I,
+    VELOCITY,
+    W_BI_B,
+    Counts,
+    Sizes,
+    StateBlock,
+    counts,
+)
+from maxq.sim.vehicle.gyro import GYRO_ANGLES, GYROS, gyro_start
+from maxq.sim.vehicle.slosh import PENDULUMS, pendulum_start, restore_pendulum
 
-R_I = 0  # position of the core CG in I, m
-V_I = 3  # its velocity in I, m/s
-Q_BI = 6  # attitude quaternion, scalar first: v_I = q v_B q*
-W_BI_B = 10  # angular velocity of B relative to I, in B, rad/s
-ACTUATOR = 13  # six states an axis: pitch, yaw
-GYRO = 25  # two states an axis: roll, pitch, yaw
-GYRO_ANGLE = 31  # integral of the gyro's rate since the last sample, rad: roll, pitch, yaw
-N_FIXED = 34
+BLOCKS = (
+    POSITION, VELOCITY, ATTITUDE, ANGULAR_VELOCITY, ACTUATORS, GYROS, GYRO_ANGLES,
+    ETA_STATES, NU_PITCH_STATES, XI_STATES, NU_YAW_STATES, PENDULUMS,
+)  # fmt: skip  # a table
+BOUNDED = (ANGULAR_VELOCITY, ETA_STATES, XI_STATES, POSITION, VELOCITY)  # checked in this order
 
-N_ACTUATOR = 6
-N_GYRO = 2
-N_PENDULUM = 6
-
-MAX_STATE = N_FIXED + 4 * MAX_MODES + N_PENDULUM * MAX_TANKS
+Index = tuple[int, int, int, int]  # of a state: a constant, and what each pitch mode, yaw mode and tank adds to it
 
 
-@dataclass(frozen=True)
-class Sizes:
-    """How many flexible and sloshing parts a stage has: with them every index of the state is known."""
+def _index_of(block: StateBlock | None) -> Index:
+    """Index of a block's first state; without a block that of the end, which is the number of states."""
+    fixed, per = 0, {"pitch_modes": 0, "yaw_modes": 0, "tanks": 0}
+    for before in BLOCKS:
+        if before is block:
+            break
+        fixed += before.fixed_parts * len(before.states)
+        if before.counted_by:
+            per[before.counted_by] += len(before.states)
+    return fixed, per["pitch_modes"], per["yaw_modes"], per["tanks"]
 
-    pitch_modes: int
-    yaw_modes: int
-    tanks: int
-    surfaces: int
+
+def _parts_of(block: StateBlock) -> Index:
+    """Number of a block's parts, in the same form."""
+    pitch, yaw, tanks = (int(block.counted_by == field) for field in ("pitch_modes", "yaw_modes", "tanks"))
+    return block.fixed_parts, pitch, yaw, tanks
 
 
-class Counts(NamedTuple):
-    """Sizes as plain numbers: those of a record are read anew after every write to an array.
+ACTUATOR = _index_of(ACTUATORS)[0]
+GYRO = _index_of(GYROS)[0]
+GYRO_ANGLE = _index_of(GYRO_ANGLES)[0]
+_ETA, _XI, _PENDULUM, _END = _index_of(ETA_STATES), _index_of(XI_STATES), _index_of(PENDULUMS), _index_of(None)
+N_FIXED = _ETA[0]
+N_ACTUATOR, N_GYRO, N_PENDULUM = len(ACTUATORS.states), len(GYROS.states), len(PENDULUMS.states)
+MAX_STATE = sum(
+    len(b.states) * (getattr(LARGEST, b.counted_by) if b.counted_by else b.fixed_parts) for b in BLOCKS
+)  # fmt: skip  # one sum
 
-    In a kernel compiled for one vehicle (`records.with_constants`) they are constants, which takes the arithmetic of
-    indices and the ends of loops out of it: measured, a seventh of a flight's time.
-    """
-
-    pitch_modes: int
-    yaw_modes: int
-    tanks: int
-    surfaces: int
+FINITE, NOT_FINITE = 0, 1  # causes of divergence; 2 and on: a bounded block, in the order of BOUNDED
+CAUSES = ("", "a state is not finite", *(block.excess for block in BOUNDED))
+# of each bounded block: its first state, its number of parts, the states of a part, the bound
+_LIMITS: tuple[tuple[Index, Index, int, float], ...] = tuple(
+    (_index_of(b), _parts_of(b), len(b.states), b.bound) for b in BOUNDED
+)
 
 
 @kernel
-def counts(sizes: Sizes) -> Counts:
-    return Counts(
-        integer(sizes, "pitch_modes"), integer(sizes, "yaw_modes"), integer(sizes, "tanks"), integer(sizes, "surfaces")
-    )
+def _at(index: Index, sizes: Sizes | Counts) -> int:
+    return index[0] + index[1] * sizes.pitch_modes + index[2] * sizes.yaw_modes + index[3] * sizes.tanks
 
 
 @kernel
 def state_size(sizes: Sizes | Counts) -> int:
-    return N_FIXED + 2 * (sizes.pitch_modes + sizes.yaw_modes) + N_PENDULUM * sizes.tanks
+    return _at(_END, sizes)
 
 
 @kernel
 def eta_index(sizes: Sizes | Counts) -> int:
     """First of the pitch plane's modal coordinates; its rates follow after `pitch_modes` entries."""
-    return N_FIXED
+    return _at(_ETA, sizes)
 
 
 @kernel
 def xi_index(sizes: Sizes | Counts) -> int:
     """First of the yaw plane's modal coordinates; its rates follow after `yaw_modes` entries."""
-    return N_FIXED + 2 * sizes.pitch_modes
+    return _at(_XI, sizes)
 
 
 @kernel
 def pendulum_index(sizes: Sizes | Counts, tank: int) -> int:
     """u_B of a tank's pendulum; kappa_B follows after three entries."""
-    return N_FIXED + 2 * (sizes.pitch_modes + sizes.yaw_modes) + N_PENDULUM * tank
+    return _at(_PENDULUM, sizes) + N_PENDULUM * tank
+
+
+def state_names(sizes: Sizes) -> tuple[str, ...]:
+    return tuple(name for block in BLOCKS for name in block.names(sizes))
+
+
+@routine
+def start_states(sizes: Sizes, rate: Vector, separation: int, y: Array) -> None:
+    """Initial values of all blocks but the rigid body's, which turns at `rate` (B, rad/s).
+
+    With `separation` = 1 those of a stage that begins: the gyro, which flies on, keeps its state.
+    """
+    for i in range(ACTUATOR, state_size(sizes)):
+        if separation == 0 or i < GYRO or i >= N_FIXED:
+            y[i] = 0.0
+    if separation == 0:
+        gyro_start(y, GYRO, rate)
+    for tank in range(sizes.tanks):
+        pendulum_start(y, pendulum_index(sizes, tank), rate)
+
+
+@kernel
+def restore_constraints(sizes: Counts, y: Array) -> None:
+    """Bring the quaternion and the pendulums' unit vectors back to length one, and their rates at right angles."""
+    a, b, c, d = y[Q_BI], y[Q_BI + 1], y[Q_BI + 2], y[Q_BI + 3]
+    scale = 1.0 / math.sqrt(a * a + b * b + c * c + d * d)
+    for j in range(4):
+        y[Q_BI + j] *= scale
+    for tank in range(sizes.tanks):
+        restore_pendulum(y, pendulum_index(sizes, tank))
+
+
+@routine
+def divergence_cause(sizes: Counts, y: Array) -> int:
+    """Cause of divergence of a state (index into CAUSES), or FINITE."""
+    infinite = 0
+    for i in range(state_size(sizes)):  # without a way out: several states are compared at a time
+        infinite += 0 if abs(y[i]) < math.inf else 1  # a NaN fails every comparison
+    if infinite > 0:
+        return NOT_FINITE
+    for k in range(len(_LIMITS)):
+        first, parts, states, bound = _LIMITS[k]
+        i = _at(first, sizes)
+        for _ in range(_at(parts, sizes)):
+            magnitude = 0.0
+            for _ in range(states):
+                magnitude += abs(y[i])
+                i += 1
+            if magnitude > bound:
+                return 2 + k
+    return FINITE
+
+
+__all__ = ["Q_BI", "R_I", "V_I", "W_BI_B", "Counts", "Sizes", "counts"]

@@ -1,26 +1,43 @@
-"""Scratch memory of the derivative: a kernel allocates nothing, so its caller lends it these arrays.
+"""Memory of the derivative: a kernel allocates nothing, so its caller provides these arrays.
 
-`work` holds what is passed between the parts of one evaluation, `aux` what an evaluation knows besides the
-derivative (loads, air data): metrics and logs read it.
+`work` holds what the parts of one evaluation pass to each other, `aux` the auxiliary outputs of an evaluation (loads,
+air data), which metrics and logs read.
 """
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 from maxq.control.kernel.limits import MAX_MODES, MAX_SURFACES, MAX_TANKS
+from maxq.control.kernel.records import Array
+
+
+class Evaluation(NamedTuple):
+    """Arguments and results of one evaluation of the derivative."""
+
+    properties: Array  # of the vehicle at this instant, see schedule.py
+    y: Array
+    dy: Array
+    aux: Array
+
+
+# columns of the widest schedule (8 modes a plane, 8 tanks, 9 surfaces: 686) and derived properties (315)
+PROPERTIES_SIZE = 1024
 
 # --- work
 # of each mode, in pitch and then in yaw, zeros from the last mode to the next multiple of four
-FORCE = 0  # generalised force, N; later acceleration, m/s2
+FORCE = 0  # generalised force, N
 ETA = FORCE + 2 * MAX_MODES  # modal coordinate: eta in pitch, xi in yaw, m
 RATE = ETA + 2 * MAX_MODES  # its time derivative, m/s
 NU = RATE + 2 * MAX_MODES  # its quasi-velocity, m/s
-MACH_ROW = NU + 2 * MAX_MODES  # aerodynamic coefficients at the present Mach number
+ACCEL = NU + 2 * MAX_MODES  # modal acceleration: time derivative of the quasi-velocity, m/s2
+MACH_ROW = ACCEL + 2 * MAX_MODES  # aerodynamic coefficients at the present Mach number
 MACH_WIDTH = 8 + 2 * (MAX_SURFACES + 1)  # one more for the normal force of the table of coefficients beyond their sum
 PENDULUM = MACH_ROW + MACH_WIDTH  # per tank, see slosh.py
 PENDULUM_WIDTH = 24
-GRAM = PENDULUM + PENDULUM_WIDTH * MAX_TANKS  # coupling of the tensions among each other
+GRAM = PENDULUM + PENDULUM_WIDTH * MAX_TANKS  # matrix of the tensions, see solve.py
 TENSION = GRAM + MAX_TANKS * MAX_TANKS
-ANCHOR = TENSION + MAX_TANKS  # place about which its neighbourhood is known, see nearby.py
+ANCHOR = TENSION + MAX_TANKS  # see nearby.py
 ANCHOR_WIDTH = 28
 WORK_SIZE = ANCHOR + ANCHOR_WIDTH
 
@@ -42,9 +59,9 @@ ENGINE_YAW = 21
 SPECIFIC_FORCE = 24  # specific force at the core CG in B, m/s2 (3): acceleration less gravitation
 ANGULAR_ACCEL = 27  # B, rad/s2 (3)
 WIND_N = 30  # air's motion relative to the Earth, north, east, down, m/s (3)
-GYRO_BEND = 33  # turning rate that bending adds at the gyro: pitch, yaw, rad/s (2)
+GYRO_BEND = 33  # angular rate that bending adds at the gyro: pitch, yaw, rad/s (2)
 GRAVITATION = 35  # I, m/s2 (3)
-AXIAL_LOAD = 38  # axial specific force that stiffens and slackens the body, m/s2
-GIMBAL_BEND = 39  # by bending, of the gimbal: displacement along y and z (m), turning about y and z (rad)
-TENSIONS = 43  # of each pendulum's rod, N
+AXIAL_LOAD = 38  # axial specific force that softens the modes and drives the pendulums, m/s2
+GIMBAL_BEND = 39  # of the gimbal, by bending: displacement along y and z (m), rotation about y and z (rad)
+TENSIONS = 43  # tension of each pendulum's rod, N
 AUX_SIZE = TENSIONS + MAX_TANKS

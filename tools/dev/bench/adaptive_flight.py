@@ -16,13 +16,12 @@ from scipy.integrate import DOP853
 
 from maxq.control.kernel.jit import bare_pointer, entry
 from maxq.control.kernel.records import Array
-from maxq.sim.flight.arena import PROPERTIES_SIZE
 from maxq.sim.flight.events import process_due_events, step_length
 from maxq.sim.flight.parameters import NEVER
 from maxq.sim.flight.step import evaluate, read_schedule
 from maxq.sim.run.fly import FlightRun
 from maxq.sim.vehicle.state import MAX_STATE, R_I, V_I, state_size
-from maxq.sim.vehicle.workspace import AUX_SIZE, WORK_SIZE
+from maxq.sim.vehicle.workspace import AUX_SIZE, PROPERTIES_SIZE, WORK_SIZE, Evaluation
 
 _PROPS = 0
 _WORK = _PROPS + PROPERTIES_SIZE
@@ -39,7 +38,7 @@ def rates(P: Array, pool: Array, state: Array, y: Array, elapsed_s: float, dy: A
     aux = bare_pointer(scratch[_AUX:SCRATCH])
     now = memory.clock.now_ns
     read_schedule(p, pool, memory, now, elapsed_s, props)
-    evaluate(p, pool, memory, now, elapsed_s, props, y, dy, work, aux)
+    evaluate(p, pool, memory, now, elapsed_s, Evaluation(props, y, dy, aux), work)
 
 
 @entry

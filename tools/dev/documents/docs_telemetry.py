@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from maxq.sim.flight.channels import EVENTS_TOPIC, FRAMES_TOPIC, ChannelTable
-from maxq.sim.flight.parameters import CAUSES, EVENT_NAMES
+from maxq.sim.flight.parameters import EVENT_NAMES
 from maxq.sim.flight.telemetry import FAST, SLOW, channel_table
 from maxq.sim.log.head import END_METADATA, REASON_KEY, RUN_METADATA, SCHEMA_VERSION, STATUS_KEY
 from maxq.sim.packing.schedule import stage_sizes
@@ -26,6 +26,7 @@ from maxq.sim.run.record import (
     STEPS_KEY,
 )
 from maxq.sim.scenario.loader import load_scenario
+from maxq.sim.vehicle.state import CAUSES
 
 _EXAMPLE = "nominal"
 _EVENT_MEANINGS = {

@@ -1,0 +1,96 @@
+"""State blocks: how a component declares what is integrated of it.
+
+A component's module declares its states as a `StateBlock` and has kernels for their derivatives and initial values,
+which get the index of the first state as an argument. `state.py` holds the list of blocks and composes from it the
+state vector, its size, initial values, names and the bounds beyond which a flight counts as diverged. The log rows that
+show the states are declared in the same module (control/kernel/rows.py).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import NamedTuple
+
+from maxq.control.kernel.jit import integer, kernel
+from maxq.control.kernel.limits import MAX_MODES, MAX_SURFACES, MAX_TANKS
+
+
+@dataclass(frozen=True)
+class Sizes:
+    """How many flexible and sloshing parts a stage has: with them every index of the state is known."""
+
+    pitch_modes: int
+    yaw_modes: int
+    tanks: int
+    surfaces: int
+
+
+LARGEST = Sizes(MAX_MODES, MAX_MODES, MAX_TANKS, MAX_SURFACES + 1)
+
+
+class Counts(NamedTuple):
+    """Sizes as plain numbers: those of a record are read anew after every write to an array.
+
+    In a kernel compiled for one vehicle (`records.with_constants`) they are constants, which takes the arithmetic of
+    indices and the ends of loops out of it: measured, a seventh of a flight's time.
+    """
+
+    pitch_modes: int
+    yaw_modes: int
+    tanks: int
+    surfaces: int
+
+
+@kernel
+def counts(sizes: Sizes) -> Counts:
+    return Counts(
+        integer(sizes, "pitch_modes"), integer(sizes, "yaw_modes"), integer(sizes, "tanks"), integer(sizes, "surfaces")
+    )
+
+
+@dataclass(frozen=True)
+class StateBlock:
+    """States of one kind of part, all states of the first part, then those of the next.
+
+    `states`: name and unit of the states of a part, `{}` in a name standing for the part. `parts`: names of the parts,
+    or the field of `Sizes` that counts them. `bound`: the flight has diverged, for the cause `excess`, when the sum of
+    the magnitudes of a part's states exceeds it.
+    """
+
+    states: Mapping[str, str]
+    parts: tuple[str, ...] | str = ("",)
+    bound: float = math.inf
+    excess: str = ""
+
+    @property
+    def counted_by(self) -> str:
+        """The field of `Sizes` that counts the parts, or "" for a fixed number of them."""
+        return self.parts if isinstance(self.parts, str) else ""
+
+    @property
+    def fixed_parts(self) -> int:
+        return 0 if isinstance(self.parts, str) else len(self.parts)
+
+    def names(self, sizes: Sizes) -> Iterator[str]:
+        """Names of the states in their order; counted parts are numbered from 1."""
+        parts = range(1, int(getattr(sizes, self.parts)) + 1) if isinstance(self.parts, str) else self.parts
+        return (name.format(part) for part in parts for name in self.states)
+
+
+# The rigid body's states come first, for every vehicle.
+R_I = 0  # position of the core CG in I, m
+V_I = 3  # its velocity in I, m/s
+Q_BI = 6  # attitude quaternion, scalar first: v_I = q v_B q*
+W_BI_B = 10  # angular velocity of B relative to I, in B, rad/s
+
+_FAR = "the position is more than 1e9 m away or the speed above 1e5 m/s"
+POSITION = StateBlock({f"r_I_{axis}_m": "m" for axis in "xyz"}, bound=1e9, excess=_FAR)
+VELOCITY = StateBlock({f"v_I_{axis}_mps": "m/s" for axis in "xyz"}, bound=1e5, excess=_FAR)
+ATTITUDE = StateBlock({f"q_BI_{component}": "1" for component in "wxyz"})
+ANGULAR_VELOCITY = StateBlock(
+    {f"w_BI_B_{axis}_radps": "rad/s" for axis in "xyz"},
+    bound=1000.0,
+    excess="the vehicle turns faster than 1000 rad/s",
+)
