@@ -4,20 +4,20 @@
     poles = np.linalg.eigvals(model.a)
 
 The state vector of the simulator lies on a manifold (unit quaternion, unit vectors of the pendulums) and
-holds inertial and quasi-velocities. It is therefore looked at through local coordinates, all free and all
+holds inertial and quasi-velocities. It is therefore expressed in local coordinates, all independent and all
 small-signal quantities of flight mechanics, whose time derivatives follow exactly from the simulator's:
 
     r_I            position of the core's CG in I, m
     u, v, w        its velocity relative to the Earth, in B, m/s
-    rotation       rotation vector from the reference attitude, which turns on with the rate it has, in B, rad
+    rotation       rotation vector from the reference attitude, which rotates on at its own rate, in B, rad
     p, q, r        angular velocity relative to I, in B, rad/s
     actuators, gyros, gyro angles    as in the state
-    eta, eta', xi, xi'               true rates: the turning of the bending plane with p is taken out
+    eta, eta', xi, xi'               true rates: without the rotation of the bending plane with p
     per tank       angles atan2(u_z, -u_x), atan2(u_y, -u_x) and their rates, rad, rad/s
 
-Away from equilibrium (a rocket always is: it speeds up) a linear model belongs to its coordinates; these are
-the ones of design/model/plant.py. The schedule of the vehicle stands still at the instant, its rates (mass flow,
-moving CG) act. Between samples only: the flight computer is no part of it, commands are inputs.
+Away from equilibrium (an accelerating rocket always is) a linear model depends on its coordinates; these are those of
+design/model/plant.py. The vehicle's properties are frozen at the instant, their rates (mass flow, moving CG) act.
+The model is continuous: the flight computer is not part of it, commands are inputs.
 """
 
 from __future__ import annotations
@@ -36,6 +36,7 @@ from maxq.sim.flight.step import evaluate, read_schedule, schedule_clock
 from maxq.sim.packing.flight import Packed
 from maxq.sim.packing.initial import quaternion, rotation
 from maxq.sim.vehicle import state as layout
+from maxq.sim.vehicle.block import Sizes
 from maxq.sim.vehicle.state import MAX_STATE
 from maxq.sim.vehicle.workspace import (
     AUX_SIZE,
@@ -61,7 +62,7 @@ _STEP_FLAT, _STEP_BEND, _STEP_BEND_RATE, _STEP_SLOSH, _STEP_COMMAND = 2e-3, 2e-3
 
 @dataclass(frozen=True)
 class LinearModel:
-    """x' = rate + A x + B u, y = C x + D u about a state; `rate` is what the state does there by itself."""
+    """x' = rate + A x + B u, y = C x + D u about a state; `rate` is the derivative at the state itself."""
 
     a: Array  # (n, n)
     b: Array  # (n, inputs)
@@ -77,7 +78,7 @@ class LinearModel:
 
 @dataclass(frozen=True)
 class Instant:
-    """What the simulator says of a state: its derivative (MAX_STATE,) and `aux` (AUX_SIZE,)."""
+    """An evaluation of the simulator: derivative (MAX_STATE,) and `aux` (AUX_SIZE,)."""
 
     rate: Array
     aux: Array
@@ -118,10 +119,10 @@ def evaluate_at(packed: Packed, y: Array, time_s: float, command_rad: tuple[floa
 
 
 def zero_incidence(packed: Packed, y: Array) -> Array:
-    """The state `y` (MAX_STATE,) with all that swings at rest and the body along its velocity over ground.
+    """The state `y` (MAX_STATE,) with modes and pendulums at rest and the body along its velocity over ground.
 
-    Position and velocity stay, the attitude is turned the shortest way, body rates relative to I vanish, the
-    pendulums hang aft. Raises ValueError at rest, where there is no direction.
+    Position and velocity are kept, the attitude is rotated by the smallest angle, body rates relative to I are zero,
+    the pendulums point aft. Raises ValueError at rest, where there is no direction.
     """
     sizes = packed.parameters[int(packed.memory[0].clock.stage)].vehicle.sizes
     spin = np.array([0.0, 0.0, float(packed.parameters[0].environment.earth.rate_radps)])
@@ -136,7 +137,7 @@ def zero_incidence(packed: Packed, y: Array) -> Array:
     sine = float(np.linalg.norm(axis))
     angle = math.atan2(sine, float(over_ground[0]))
     turn = axis * (angle / sine) if sine > 0.0 else np.array([0.0, angle, 0.0])
-    out[layout.Q_BI : layout.Q_BI + 4] = quaternion(attitude @ _turned(turn))
+    out[layout.Q_BI : layout.Q_BI + 4] = quaternion(attitude @ _rotation_of(turn))
     for tank in range(int(sizes.tanks)):
         out[int(layout.pendulum_index(sizes, tank))] = -1.0
     return out
@@ -250,7 +251,7 @@ class _Chart:
     def _state(self, x: Array) -> Array:
         """The simulator's state at coordinates `x`."""
         y = np.zeros(MAX_STATE)
-        attitude = self._attitude @ _turned(x[_TURN])
+        attitude = self._attitude @ _rotation_of(x[_TURN])
         w = x[_W]
         y[layout.R_I : layout.R_I + 3] = x[_R]
         y[layout.V_I : layout.V_I + 3] = attitude @ x[_V] + np.cross(self._spin, x[_R])
@@ -276,9 +277,9 @@ class _Chart:
         eta, eta_rate, xi, xi_rate = np.split(x[_FLEXIBLE : _FLEXIBLE + 2 * (n + m)], [n, 2 * n, 2 * n + m])
         eta_accel = dy[self._eta + n] - w_rate[0] * _padded(xi, n) - w[0] * _padded(xi_rate, n)
         xi_accel = dy[self._xi + m] + w_rate[0] * _padded(eta, m) + w[0] * _padded(eta_rate, m)
-        turning = _turning_to_vector_rate(x[_TURN], w - _turned(x[_TURN]).T @ self._turning)
+        turning = _vector_rate(x[_TURN], w - _rotation_of(x[_TURN]).T @ self._turning)
         parts = [dy[layout.R_I : layout.R_I + 3], attitude.T @ moving - np.cross(w, x[_V]), turning, w_rate]
-        # eta' of the simulator is its own statement about its quasi-velocity: taken from it, not assumed
+        # eta' is taken from the simulator's derivative and not derived from the quasi-velocity here
         parts += [dy[layout.ACTUATOR : layout.N_FIXED], dy[self._eta], eta_accel, dy[self._xi], xi_accel]
         for i in self._tanks:
             u, kappa = y[i : i + 3], y[i + 3 : i + 6]
@@ -294,10 +295,7 @@ class _Chart:
     def _named(pitch: int, yaw: int, tanks: int) -> tuple[str, ...]:
         names = ["x_I_m", "y_I_m", "z_I_m", "u_mps", "v_mps", "w_mps", "phi_rad", "theta_rad", "psi_rad"]
         names += ["p_radps", "q_radps", "r_radps"]
-        names += [f"actuator_{axis}_{k + 1}" for axis in ("pitch", "yaw") for k in range(layout.N_ACTUATOR)]
-        axes = ("roll", "pitch", "yaw")
-        names += [f"gyro_{axis}{what}" for axis in axes for what in ("_radps", "_rate_radps2")]
-        names += [f"gyro_{axis}_rad" for axis in axes]
+        names += layout.state_names(Sizes(pitch, yaw, tanks, 0))[layout.ACTUATOR : layout.N_FIXED]
         for symbol, count in (("eta", pitch), ("xi", yaw)):
             names += [f"{symbol}_{i + 1}_m" for i in range(count)]
             names += [f"{symbol}_{i + 1}_rate_mps" for i in range(count)]
@@ -343,7 +341,7 @@ def _padded(values: Array, length: int) -> Array:
     return out
 
 
-def _turned(vector: Array) -> Array:
+def _rotation_of(vector: Array) -> Array:
     """Rotation matrix of a rotation vector."""
     angle = float(np.linalg.norm(vector))
     half = 0.5 * angle
@@ -351,7 +349,7 @@ def _turned(vector: Array) -> Array:
     return np.asarray(rotation(np.array([math.cos(half), *(scale * vector)])))
 
 
-def _turning_to_vector_rate(vector: Array, turning: Array) -> Array:
+def _vector_rate(vector: Array, turning: Array) -> Array:
     """Rate of a rotation vector from the angular velocity in turned axes.
 
     Inverse of the right Jacobian; small angles only (the series' next term is of order 8).
