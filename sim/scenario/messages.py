@@ -14,8 +14,8 @@ from maxq.sim.scenario.files import PARTS, WANTED
 from maxq.sim.scenario.schema_values import Section
 from maxq.sim.scenario.tables_csv import Columns
 
-DOCUMENT_KEYS = ("extends", "unset")
-SCENARIO_KEYS = (*DOCUMENT_KEYS, "vehicle_overrides", "design_overrides")
+_DOCUMENT_KEYS = ("extends", "unset")
+_SCENARIO_KEYS = (*_DOCUMENT_KEYS, *(f"{part}_overrides" for part in PARTS))
 """Keys that the loader uses up before the schema sees the document."""
 
 _PROBLEMS = {
@@ -92,9 +92,9 @@ def _unknown_key(path: Path, model: type[Section]) -> tuple[str, str]:
     section = section_of(unwrap(annotation)[0]) or model
     known = keys_of(section)
     if path[:-1] == ():
-        known += SCENARIO_KEYS
+        known += _SCENARIO_KEYS if "vehicle" in model.model_fields else _DOCUMENT_KEYS
     elif len(path) == 2 and path[0] in PARTS:
-        known += DOCUMENT_KEYS
+        known += _DOCUMENT_KEYS
     if path[-1] in _IN_FILES_ONLY and path[-1] in known:
         return "works in a file only", _IN_FILES_ONLY[str(path[-1])]
     hint = _elsewhere(str(path[-1]), model) if len(path) == 1 else ""
