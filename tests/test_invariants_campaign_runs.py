@@ -39,17 +39,17 @@ def test_parallel(campaign: LoadedCampaign, serial: Path, tmp_path: Path) -> Non
     assert [p.read_bytes() for p in ours] == [p.read_bytes() for p in theirs]
 
 
-@pytest.mark.parametrize("handful", [1, 3])
-def test_handfuls_of_any_size(
-    campaign: LoadedCampaign, serial: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, handful: int
+@pytest.mark.parametrize("chunk", [1, 3])
+def test_chunks_of_any_size(
+    campaign: LoadedCampaign, serial: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, chunk: int
 ) -> None:
     """What a run is prepared, flown and judged beside changes nothing in it."""
-    monkeypatch.setattr(runner, "HANDFUL", handful)
+    monkeypatch.setattr(runner, "CHUNK", chunk)
     run_campaign(campaign, tmp_path / "out", workers=1)
     assert campaignkit.same(campaignkit.data_set(tmp_path / "out"), campaignkit.data_set(serial))
 
 
-def test_given_up_within_a_handful(campaign: LoadedCampaign) -> None:
+def test_cancelled_within_a_chunk(campaign: LoadedCampaign) -> None:
     """What was flown before stays; the flight under way is dropped."""
     asked = iter([False] * 3 + [True])
     rows = fly_rows(campaign, [(campaign.batch(0, 8), run) for run in range(8)], lambda: next(asked))

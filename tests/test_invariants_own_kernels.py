@@ -35,7 +35,7 @@ def test_a_campaign_worth_it_flies_the_same_bits(campaign, monkeypatch):
 
 
 def test_every_log_row_is_the_same(campaign):
-    loaded = campaign.batch(0, 1).inputs(0).loaded
+    loaded = campaign.inputs(0, campaign.batch(0, 1)).loaded
     flights = [FlightRun(loaded, packing(loaded.scenario)) for packing in (pack_flight, pack_for_one_vehicle)]
     for _ in range(2):
         rows, own = (flight.fly_segment() for flight in flights)

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from maxq.sim.campaign.analysis import Band, DataSet, Judged, Lost, bands, failed_runs, redraws, summary_of
+from maxq.sim.campaign.analysis import Band, DataSet, Judged, Lost, bands, redraws, summary_of
 from maxq.sim.campaign.error import CampaignError
 from maxq.sim.campaign.plan import Draw
 from maxq.sim.campaign.read import channel_units
@@ -39,9 +38,9 @@ def write_report(
     inputs = inputs_of(sample) if len(data.runs) else {}
     found = [(v, drivers(sample, v.metric, inputs)) for v in _pressing(verdicts)]
     over_time = bands(data.folder, data.campaign)
-    summary = summary_of(data, total, {
+    summary = summary_of(data, verdicts, losses, total, {
         "sequential": settled,
-        "drivers": {v.name: [asdict(d) for d in ds[:_NAMED]] for v, ds in found},
+        "drivers": {v.name: ds[:_NAMED] for v, ds in found},
         "envelopes": [_numbers(band) for band in over_time],
     })  # fmt: skip
     files = [data.folder / "summary.json"]
@@ -65,9 +64,8 @@ def write_report(
     page = render(
         "campaign.html.j2", data=data, verdicts=verdicts, losses=losses, found=found, pictures=made, settled=settled,
         text=text, labels=labels, distribution=distribution, simulator=read_manifest(data.folder)["simulator"],
-        headline=text.headline(data, verdicts, len(failed_runs(data)) if len(data.runs) else 0),
-        mood="bad" if NOT_MET in judgements else "good" if judgements == {MET} and len(data.runs) else "open",
-        redraws=redraws(data) if len(data.runs) and redraws(data)[0] else None,
+        headline=text.headline(data, verdicts), redraws=redraws(data),
+        tone="bad" if NOT_MET in judgements else "good" if judgements == {MET} and len(data.runs) else "open",
     )  # fmt: skip
     files.append(write_whole(data.folder / "report.html", page, CampaignError))
     return files

@@ -8,7 +8,7 @@ from collections import Counter
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from maxq.sim.campaign.analysis import DataSet, Judged, Lost
+from maxq.sim.campaign.analysis import DataSet, Judged, Lost, failed_runs
 from maxq.sim.campaign.read import LoadedCampaign
 from maxq.sim.campaign.runner import Progress
 from maxq.sim.campaign.statistics import MET, NOT_MET
@@ -84,7 +84,7 @@ def value_text(value: object, digits: int = 5) -> str:
     return "" if value is None else str(value)
 
 
-def headline(data: DataSet, verdicts: Sequence[Judged], failed: int) -> str:
+def headline(data: DataSet, verdicts: Sequence[Judged]) -> str:
     """The campaign in one line."""
     campaign, runs = data.campaign.campaign, len(data.runs)
     level = f"{100 * campaign.success:g} % with {100 * campaign.confidence:g} % confidence"
@@ -92,7 +92,7 @@ def headline(data: DataSet, verdicts: Sequence[Judged], failed: int) -> str:
         return "NO RUNS: no verdict is possible"
     missed = [v.name for v in verdicts if v.shown.judgement == NOT_MET]
     still = [v for v in verdicts if v.shown.judgement not in (MET, NOT_MET)]
-    failures = f"{failed} of {runs} runs failed"
+    failures = f"{len(failed_runs(data))} of {runs} runs failed"
     if missed:
         return f"NOT MET ({level}): {', '.join(printable(name) for name in missed)}; {failures}"
     if still:
@@ -106,13 +106,20 @@ def replay(folder: Path, run: int | str) -> str:
     return f"simrun --from {shlex.quote(str(folder))} --run {run}"
 
 
-def report(data: DataSet, verdicts: Sequence[Judged], losses: Sequence[Lost], failed: int) -> list[str]:
+def report(data: DataSet, verdicts: Sequence[Judged], losses: Sequence[Lost]) -> list[str]:
     """All that is printed about a campaign's results, but the last line."""
     scenario = data.campaign.base.scenario
     title = printable(f"{scenario.name}: {scenario.description}" if scenario.description else scenario.name)
     ends = ", ".join(f"{count} {outcome}" for outcome, count in sorted(Counter(data.outcomes).items()))
     table = aligned([heads(data), *map(cells, verdicts)], "  ", right=range(1, 9))
-    lines = [title, "", f"{len(data.runs)} runs: {ends or 'none'}; {failed} failed", "", "requirements", *table]
+    lines = [
+        title,
+        "",
+        f"{len(data.runs)} runs: {ends or 'none'}; {len(failed_runs(data))} failed",
+        "",
+        "requirements",
+        *table,
+    ]
     rows = [(f"run {run.run}", run.outcome, printable(run.cause)[:90]) for run in losses[:5]]
     for v in verdicts:
         if v.metric and v.shown.failures and v.worst:

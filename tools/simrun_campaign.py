@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from maxq.sim.campaign.analysis import DataSet, failed_runs, judged, lost, selected
+from maxq.sim.campaign.analysis import DataSet, judged, lost, selected
 from maxq.sim.campaign.error import CampaignError
 from maxq.sim.campaign.investigation import flight_folder, refly, search_worst, shrink_run
 from maxq.sim.campaign.read import LoadedCampaign, load_campaign
@@ -125,13 +125,12 @@ def _flown(order: Order, campaign: LoadedCampaign, folder: Path, stop: Stop) -> 
 def _tell(data: DataSet, total: int, flown: str, order: Order, start_s: float, settled: bool) -> int:
     """Summary, pictures and report into the folder, the results to the terminal; returns the exit code."""
     verdicts, losses = judged(data), lost(data)
-    failed = len(failed_runs(data)) if len(data.runs) else 0
     files = write_report(data, verdicts, losses, total, settled=settled, pictures=not order.no_report)
-    print("\n".join(text.report(data, verdicts, losses, failed)))
+    print("\n".join(text.report(data, verdicts, losses)))
     print(f"\n{flown}; {text.duration(time.perf_counter() - start_s)} in all", *files, sep="\n")
     if settled:
         print("\nstopped early: every verdict is settled by a test that allows looking at any time")
-    print("\n" + text.headline(data, verdicts, failed))
+    print("\n" + text.headline(data, verdicts))
     judgements = {v.shown.judgement for v in verdicts}
     if NOT_MET in judgements:
         return Exit.FAILED

@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Iterable, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -26,7 +26,7 @@ from maxq.sim.run.metrics import unit_of
 from maxq.sim.scenario.schema_scenario import Requirement
 
 SUMMARY_SCHEMA = 1
-FLOWN_WELL = "control kept"
+CONTROL_KEPT = "control kept"
 """The requirement that every campaign has: no run diverges, loses control or is impossible."""
 _KEPT_RUNS = 100_000  # 80 MB or so with a hundred columns
 _WORST = 10  # flights that are named for each requirement
@@ -143,7 +143,7 @@ def _numbers(column: Any) -> Array:
 
 def requirements_of(campaign: LoadedCampaign) -> list[tuple[str, Requirement | None]]:
     """Name and requirement: first that control is kept (None), then those of the scenario."""
-    return [(FLOWN_WELL, None), *((r.name or r.metric, r) for r in campaign.base.scenario.requirement)]
+    return [(CONTROL_KEPT, None), *((r.name or r.metric, r) for r in campaign.base.scenario.requirement)]
 
 
 def judged(data: DataSet) -> list[Judged]:
@@ -209,12 +209,13 @@ def redraws(data: DataSet) -> tuple[int, int]:
     return int(count.sum()), int((count > 0).sum())
 
 
-def summary_of(data: DataSet, wanted: int, further: dict[str, Any]) -> dict[str, Any]:
-    """summary.json. A number that does not exist is None."""
+def summary_of(
+    data: DataSet, verdicts: Sequence[Judged], losses: Sequence[Lost], wanted: int, further: dict[str, Any]
+) -> dict[str, Any]:
+    """The content of summary.json."""
     campaign = data.campaign.campaign
-    verdicts = judged(data)
-    drawn, in_runs = redraws(data) if len(data.runs) else (0, 0)
-    content = {
+    drawn, in_runs = redraws(data)
+    return {
         "schema": SUMMARY_SCHEMA,
         "campaign": data.campaign.name,
         "description": data.campaign.base.scenario.description,
@@ -225,25 +226,12 @@ def summary_of(data: DataSet, wanted: int, further: dict[str, Any]) -> dict[str,
         "success": campaign.success,
         "confidence": campaign.confidence,
         "outcomes": dict(sorted(Counter(data.outcomes).items())),
-        "failed_runs": len(failed_runs(data)) if len(data.runs) else 0,
+        "failed_runs": len(failed_runs(data)),
         "redraws": {"draws": drawn, "runs": in_runs},
-        "requirements": [asdict(v) for v in verdicts],
-        "lost": [asdict(item) for item in lost(data)],
+        "requirements": verdicts,
+        "lost": losses,
         **further,
     }
-    return {name: _plain(value) for name, value in content.items()}
-
-
-def _plain(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {str(name): _plain(item) for name, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [_plain(item) for item in value]
-    if isinstance(value, float | np.floating):
-        return float(value) if math.isfinite(value) else None
-    if isinstance(value, np.integer | np.bool_):
-        return value.item()
-    return value
 
 
 def selected(data: DataSet, keep: Sequence[str]) -> list[int]:

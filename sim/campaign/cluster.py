@@ -22,7 +22,7 @@ from typing import Any
 
 from maxq.sim.campaign.error import CampaignError
 from maxq.sim.campaign.read import LoadedCampaign, campaign_from, description_of
-from maxq.sim.campaign.runner import AHEAD, HANDFUL, Gap, Outcome, Progress, fly_missing
+from maxq.sim.campaign.runner import AHEAD, CHUNK, Gap, Outcome, Progress, fly_missing
 from maxq.sim.campaign.runs import Row, fly_rows
 from maxq.sim.campaign.store import simulator
 
@@ -33,9 +33,9 @@ _SHARES = 4  # batches for each thread, at least
 def fly_batch(packed: bytes, first: int, size: int) -> tuple[list[Row], dict[str, str]]:
     """The task: fly runs `first` .. `first + size - 1`. Returns their rows, and what flew them."""
     campaign = _unpacked(packed)
-    inputs = campaign.batch(first, size)
-    orders = [(inputs, run) for run in range(first, first + size)]
-    return [row for k in range(0, size, HANDFUL) for row in fly_rows(campaign, orders[k : k + HANDFUL])], simulator()
+    drawn = campaign.batch(first, size)
+    orders = [(drawn, run) for run in range(first, first + size)]
+    return [row for k in range(0, size, CHUNK) for row in fly_rows(campaign, orders[k : k + CHUNK])], simulator()
 
 
 @lru_cache(maxsize=2)
@@ -70,7 +70,7 @@ def run_on_cluster(
 
 
 class _Cluster:
-    """The workers of a Dask client: a team, whose tasks are whole batches."""
+    """The workers of a Dask client: tasks are whole batches."""
 
     def __init__(self, campaign: LoadedCampaign, client: Any) -> None:
         self._given = campaign.campaign.batch is not None

@@ -72,8 +72,8 @@ class Drawn:
     columns: Columns | None = None  # see Plan.columns
 
 
-Columns = tuple[dict[str, list[Any]], dict[str, list[Any]]]
-"""One value for each run: by name of a change what stands in the scenario, by column what is recorded."""
+Columns = tuple[dict[tuple[str, int], list[Any]], dict[str, list[Any]]]
+"""One value for each run: by name and target what stands in the scenario, by column what is recorded."""
 
 
 @dataclass(frozen=True)
@@ -118,7 +118,7 @@ class Plan:
     def columns(self, drawn: Drawn) -> Columns:
         """The draws as Python's own numbers, texts and tables; made once for all runs of a batch. Without the wind."""
         if drawn.columns is None:
-            flown: dict[str, list[Any]] = {}
+            flown: dict[tuple[str, int], list[Any]] = {}
             recorded: dict[str, list[Any]] = {}
             for d in self.draws:
                 if d.is_text:
@@ -129,9 +129,9 @@ class Plan:
                 else:
                     lists = [drawn.results[d.name, n].tolist() for n in range(len(d.targets))]
                     recorded[d.name] = lists[0]
-                flown |= {f"{d.name}\0{n}": values for n, values in enumerate(lists)}
+                flown |= {(d.name, n): values for n, values in enumerate(lists)}
             if drawn.seeds is not None:
-                flown[SEED_KEY] = recorded[SEED_KEY] = drawn.seeds.tolist()
+                flown[SEED_KEY, 0] = recorded[SEED_KEY] = drawn.seeds.tolist()
             drawn.columns = flown, recorded
         return drawn.columns
 

@@ -10,7 +10,7 @@ What a campaign file disperses must be in its scenario, be dispersed once, and f
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import Annotated, Any
@@ -32,6 +32,8 @@ from maxq.sim.scenario.messages import explain, field_at
 from maxq.sim.scenario.schema_scenario import Scenario
 from maxq.sim.scenario.tables_csv import Columns, CsvTable
 
+Place = tuple[str, int]
+"""Name of a draw, and number of its target."""
 _JOINT = 1 << 20  # attempts of a run whose values exclude each other begin here, apart from those of single keys
 
 
@@ -70,63 +72,78 @@ class LoadedCampaign:
         file = self.file.model_copy(update={"campaign": campaign})
         return LoadedCampaign(self.base, file, Plan(campaign, self.plan.draws, self.plan.wind))
 
-    def batch(self, first: int, count: int) -> BatchInputs:
+    def batch(self, first: int, count: int) -> Drawn:
         """The draws of consecutive runs, made together."""
-        return BatchInputs(self, self.plan.draw(first, count))
+        return self.plan.draw(first, count)
 
-    def inputs(self, run: int) -> Inputs:
-        """Draws and scenario of one run. Raises CampaignError, or Refused where no scenario is possible."""
-        return self.batch(run, 1).inputs(run)
+    def inputs(self, run: int, drawn: Drawn | None = None) -> Inputs:
+        """Draws and scenario of one run, out of a batch where one is given; from several threads, too.
+
+        While its values exclude each other it is drawn anew as a whole. Raises CampaignError where the file refuses
+        that, Refused where it does not help.
+        """
+        redraws = 0
+        drawn = drawn or self.plan.draw(run, 1)
+        while True:
+            try:
+                loaded = self.mixed(drawn, run)
+                break
+            except Refused as refused:
+                if self.campaign.outside == "refuse":
+                    raise CampaignError(f"run {run}: {refused}; outside = 'resample' draws again") from None
+                redraws += 1
+                if redraws > MOST_ATTEMPTS or not self.plan.draws:
+                    raise
+                drawn = self.plan.draw(run, 1, _JOINT * redraws)
+        at = run - drawn.first
+        recorded = {name: values[at] for name, values in self.plan.columns(drawn)[1].items()}
+        if drawn.wind is not None and self.plan.wind is not None:
+            recorded |= self.plan.wind.recorded(drawn.wind[at])
+        return Inputs(run, recorded, int(drawn.redraws[at]) + redraws, loaded)
 
     def scenario_of(self, run: int) -> LoadedScenario:
         """What run `run` flies."""
         return self.inputs(run).loaded
 
-    def made(self, drawn: Drawn, run: int) -> Inputs:
-        """The scenario of one of the runs in `drawn`, and what is recorded of it. Raises Refused."""
-        at = run - drawn.first
-        recorded = {name: values[at] for name, values in self.plan.columns(drawn)[1].items()}
-        if drawn.wind is not None and self.plan.wind is not None:
-            recorded |= self.plan.wind.recorded(drawn.wind[at])
-        loaded = self._loaded(self.values_of(drawn, run, None))
-        return Inputs(run, recorded, int(drawn.redraws[at]), loaded)
+    def mixed(self, drawn: Drawn, run: int, kept: Iterable[str] | None = None) -> LoadedScenario:
+        """The scenario of a run; with only the inputs `kept` dispersed and all others nominal, if given.
 
-    def changed(self, draws: Mapping[str, float], further: Mapping[str, Any] | None = None) -> LoadedScenario:
+        Raises Refused.
+        """
+        return self._loaded(self.values_of(drawn, run, kept))
+
+    def changed(self, draws: Mapping[str, float], further: Mapping[Place, Any] | None = None) -> LoadedScenario:
         """The scenario in which these draws, by name, act, and all else is nominal. Raises Refused.
 
         `further`: what `values_of` gave of a run.
         """
-        values: dict[str, Any] = dict(further or {})
+        values: dict[Place, Any] = dict(further or {})
         for d in self.plan.draws:
             for n, target in enumerate(d.targets):
                 if d.name in draws:
-                    values[f"{d.name}\0{n}"] = float(target.result(d.spec.apply, np.array([float(draws[d.name])]))[0])
+                    values[d.name, n] = float(target.result(d.spec.apply, np.array([float(draws[d.name])]))[0])
         return self._loaded(values)
 
-    def mixed(self, drawn: Drawn, run: int, kept: Iterable[str]) -> LoadedScenario:
-        """The scenario of a run with only the named inputs dispersed, all others nominal. Raises Refused."""
-        return self._loaded(self.values_of(drawn, run, kept))
-
-    def values_of(self, drawn: Drawn, run: int, names: Iterable[str] | None) -> dict[str, Any]:
+    def values_of(self, drawn: Drawn, run: int, names: Iterable[str] | None) -> dict[Place, Any]:
         """What a run flies of the named inputs (None: of all), e.g. its wind and its noise: for `changed`."""
         at = run - drawn.first
-        values = {name: values[at] for name, values in self.plan.columns(drawn)[0].items()}
+        values = {place: values[at] for place, values in self.plan.columns(drawn)[0].items()}
         if drawn.wind is not None and self.plan.wind is not None:
-            values[WIND_KEY] = self.plan.wind.profile(drawn.wind[at])
+            values[WIND_KEY, 0] = self.plan.wind.profile(drawn.wind[at])
         wanted = None if names is None else set(names)
-        return {name: v for name, v in values.items() if wanted is None or name.partition("\0")[0] in wanted}
+        return {place: value for place, value in values.items() if wanted is None or place[0] in wanted}
 
-    def _loaded(self, values: Mapping[str, Any]) -> LoadedScenario:
+    def _loaded(self, values: Mapping[Place, Any]) -> LoadedScenario:
         return LoadedScenario(self._dispersed(values), self.base.label, self.base.files)
 
     @cached_property
     def _dispersed(self) -> Dispersed:
         changes = [
-            Change(t, d.spec.apply if t.kind == "column" else "set", f"{d.name}\0{n}", d.where)
+            Change(t, d.spec.apply if t.kind == "column" else "set", (d.name, n), d.where)
             for d in self.plan.draws
             for n, t in enumerate(d.targets)
         ]
-        changes += [Change(find_target(self.base.scenario, key), "set", key) for key in self._extra]
+        changes += [Change(find_target(self.base.scenario, key), "set", (key, 0)) for key in self._extra]
         return Dispersed(self.base.scenario, changes)
 
     @property
@@ -153,32 +170,6 @@ class LoadedCampaign:
             else:
                 out[d.name] = box(d.spec, d.nominal, sigmas)
         return out
-
-
-class BatchInputs:
-    """The inputs of consecutive runs; `inputs` may be called from several threads."""
-
-    def __init__(self, loaded: LoadedCampaign, drawn: Drawn) -> None:
-        self._loaded, self._drawn = loaded, drawn
-
-    def inputs(self, run: int) -> Inputs:
-        """Draws and scenario of a run; drawn anew as a whole while its values exclude each other.
-
-        Raises CampaignError where the file refuses that, Refused where it does not help.
-        """
-        loaded, drawn = self._loaded, self._drawn
-        redraws = 0
-        while True:
-            try:
-                made = loaded.made(drawn, run)
-                return replace(made, redraws=made.redraws + redraws)
-            except Refused as refused:
-                if loaded.campaign.outside == "refuse":
-                    raise CampaignError(f"run {run}: {refused}; outside = 'resample' draws again") from None
-                redraws += 1
-                if redraws > MOST_ATTEMPTS or not loaded.plan.draws:
-                    raise
-                drawn = loaded.plan.draw(run, 1, _JOINT * redraws)
 
 
 def load_campaign(path: str | Path, overrides: Iterable[str] = ()) -> LoadedCampaign:

@@ -2,7 +2,7 @@
 
     result = run_campaign(load_campaign("campaigns/first"), Path("runs/first"), workers=2)
 
-Runs are handed out in order, a handful at a time, over several batches; a batch is written as soon as its last run has
+Runs are submitted in order, in small chunks, over several batches; a batch is written as soon as its last run has
 landed. So memory holds the batches under way, however many runs there are, and no worker waits for another.
 """
 
@@ -33,9 +33,11 @@ from maxq.sim.run.fly import FlightRun
 from maxq.sim.run.metrics import judge
 from maxq.sim.scenario.schema_scenario import Requirement
 
-HANDFUL = 8  # runs of a handful; towards the end fewer, so that all workers end together
-AHEAD = 2  # tasks for each worker that are handed out before they are needed
-_LOOK_S = 0.2  # how often the caller is told, and asked whether to stop
+CHUNK = (
+    8  # runs that a thread prepares, flies and judges together; towards the end fewer, so that all workers end together
+)
+AHEAD = 2  # tasks for each worker that are submitted before they are needed
+_POLL_S = 0.2  # how often the caller is told, and asked whether to stop
 
 Gap = tuple[int, int]
 """Runs to be flown and written together: the first, and how many."""
@@ -143,24 +145,24 @@ class Outcome:
     notes: tuple[str, ...]
 
 
-class Team(Protocol):
-    """What flies tasks of some runs each: the threads of this process, or a cluster."""
+class Workers(Protocol):
+    """Flies tasks of some runs each: the threads of this process, or a cluster."""
 
     @property
     def ahead(self) -> int:
-        """Tasks that are handed out before they are needed."""
+        """Tasks that are submitted before they are needed."""
 
     def batch(self, usual: int, runs: int) -> int:
         """Runs in a batch of a campaign of `runs` runs."""
 
     def begin(self, gaps: list[Gap]) -> Iterator[Future[Any]]:
-        """Get ready; an iterator that hands out the next task."""
+        """Prepare; an iterator that submits the next task."""
 
     def collect(self, task: Future[Any]) -> list[Row] | Future[Any]:
         """Rows of a task that is done, or the task that is to be waited for instead. Raises CampaignError."""
 
     def end(self) -> None:
-        """Drop the tasks that have not begun, give up those under way."""
+        """Cancel the tasks that have not begun, abandon those under way."""
 
 
 def run_campaign(
@@ -183,17 +185,17 @@ def run_campaign(
 def fly_missing(
     campaign: LoadedCampaign,
     folder: Path,
-    team: Team,
+    workers: Workers,
     watch: Callable[[Progress], None],
     stop: Callable[[], bool],
     until_settled: bool,
 ) -> Outcome:
-    """As `run_campaign`, by any team."""
+    """As `run_campaign`, with any workers."""
     store, usual = open_store(folder, campaign)
     runs = campaign.campaign.runs
     try:
-        gaps = list(store.missing(runs, team.batch(usual, runs)))
-        tasks = team.begin(gaps)
+        gaps = list(store.missing(runs, workers.batch(usual, runs)))
+        tasks = workers.begin(gaps)
         interim = Interim(campaign)
         interim.read(folder, runs)
         progress = Progress(runs, runs - sum(size for _, size in gaps), interim)
@@ -206,12 +208,12 @@ def fly_missing(
             gc.freeze()  # searching what is there already for garbage takes a hundredth of a campaign's time
         try:
             while not (settled or stopped):
-                flying.update(islice(tasks, max(team.ahead - len(flying), 0)))
+                flying.update(islice(tasks, max(workers.ahead - len(flying), 0)))
                 if not flying:
                     break
-                landed, flying = wait(flying, timeout=_LOOK_S, return_when=FIRST_COMPLETED)
+                landed, flying = wait(flying, timeout=_POLL_S, return_when=FIRST_COMPLETED)
                 for task in landed:
-                    got = team.collect(task)
+                    got = workers.collect(task)
                     if isinstance(got, Future):
                         flying.add(got)
                     else:
@@ -222,10 +224,10 @@ def fly_missing(
         finally:
             if frozen:
                 gc.unfreeze()
-            team.end()
+            workers.end()
         for task in flying:
             if task.done() and not task.cancelled() and task.exception() is None:
-                got = team.collect(task)
+                got = workers.collect(task)
                 batches.enter(() if isinstance(got, Future) else got)
         batches.write_begun()
         watch(progress)
@@ -261,7 +263,7 @@ class _Batches:
 
 
 class Threads:
-    """Threads of this process: a team."""
+    """Threads of this process."""
 
     def __init__(self, campaign: LoadedCampaign, workers: int) -> None:
         self._campaign, self._workers = campaign, workers
@@ -280,12 +282,12 @@ class Threads:
 
     def _tasks(self, gaps: list[Gap]) -> Iterator[Future[list[Row]]]:
         batches = ((self._campaign.batch(first, size), first, size) for first, size in gaps)
-        orders = ((inputs, run) for inputs, first, size in batches for run in range(first, first + size))
+        orders = ((drawn, run) for drawn, first, size in batches for run in range(first, first + size))
         left = sum(size for _, size in gaps)
         sys.setswitchinterval(min(self._switch_s, 5e-4))  # a thread that comes back from the kernel waits no longer
-        while handful := list(islice(orders, min(max(left // (2 * self.ahead), 1), HANDFUL))):
-            left -= len(handful)
-            yield self._pool.submit(fly_rows, self._campaign, handful, self._stop.is_set)
+        while chunk := list(islice(orders, min(max(left // (2 * self.ahead), 1), CHUNK))):
+            left -= len(chunk)
+            yield self._pool.submit(fly_rows, self._campaign, chunk, self._stop.is_set)
 
     def collect(self, task: Future[list[Row]]) -> list[Row]:
         return task.result()

@@ -12,8 +12,8 @@ import pyarrow as pa
 from numpy.typing import NDArray
 
 from maxq.control.kernel.records import Array
-from maxq.sim.campaign.plan import SEED_KEY, WIND_KEY
-from maxq.sim.campaign.read import BatchInputs, Inputs, LoadedCampaign
+from maxq.sim.campaign.plan import SEED_KEY, WIND_KEY, Drawn
+from maxq.sim.campaign.read import Inputs, LoadedCampaign
 from maxq.sim.campaign.schema import Envelope
 from maxq.sim.campaign.targets import Refused
 from maxq.sim.flight.telemetry import SLOW
@@ -32,15 +32,15 @@ OWN_KERNELS_FROM = 500  # runs
 TIME_OF = "{}.time_s"
 """Column with the time of a metric."""
 
-Order = tuple[BatchInputs, int]
-"""A run, and where its draws are."""
+Order = tuple[Drawn, int]
+"""A run, and the draws of its batch."""
 Packing = Callable[[Scenario], Packed]
 
-_SEGMENT_NS = 60 * NS_PER_S  # of a flight, a tenth of a second's work: between two of them it can be given up
+_SEGMENT_NS = 60 * NS_PER_S  # of a flight, a tenth of a second's work: between two of them it can be cancelled
 
 
-class GivenUp(Exception):
-    """The campaign is to end: the flight is dropped."""
+class Cancelled(Exception):
+    """The campaign is to end: the flight under way is dropped."""
 
 
 @dataclass
@@ -92,16 +92,16 @@ def fly_rows(loaded: LoadedCampaign, orders: Iterable[Order], stop: Callable[[],
     for run in [_prepared(loaded, order, pack) for order in orders]:
         try:
             flown.append(run if isinstance(run, Row) else _flown(run, stop))
-        except GivenUp:
+        except Cancelled:
             break
     return [_row_of(run) for run in flown]
 
 
 def _prepared(loaded: LoadedCampaign, order: Order, pack: Packing) -> Begun | Row:
     """A run at its start, or the row of one that cannot be flown. Raises CampaignError."""
-    batch, run = order
+    drawn, run = order
     try:
-        made = batch.inputs(run)
+        made = loaded.inputs(run, drawn)
     except Refused as refused:
         return _void_row(run, REFUSED, f"no such scenario: {refused}")
     wanted = loaded.campaign.envelope
@@ -113,18 +113,18 @@ def _prepared(loaded: LoadedCampaign, order: Order, pack: Packing) -> Begun | Ro
 
 
 def _flown(run: Begun, stop: Callable[[], bool]) -> Begun | Row:
-    """Fly it to its end; of an envelope's channels keep times and values. Raises GivenUp."""
+    """Fly it to its end; of an envelope's channels keep times and values. Raises Cancelled."""
     flight, envelope = run.flight, run.envelope
     try:
         wanted = envelope.channels if envelope is not None else ()
         columns = [(flight.table.topic(channel).group, flight.table.index(channel)) for channel in wanted]
         while not flight.finished:
             if stop():
-                raise GivenUp
+                raise Cancelled
             rows = flight.fly_segment()
             if envelope is not None:
                 run.kept.append(_on_grid(rows, columns, envelope.rate_hz))
-    except GivenUp:
+    except Cancelled:
         raise
     except Exception as error:  # as above
         return _failed(run.made, error)

@@ -24,6 +24,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 from pydantic import ValidationError
+from pydantic_core import to_json
 
 from maxq.control.kernel.jit import source_hash
 from maxq.sim.campaign.error import CampaignError
@@ -212,7 +213,7 @@ def identity_of(campaign: LoadedCampaign) -> dict[str, Any]:
 
 
 def simulator() -> dict[str, str]:
-    """What of this program the bits of a flight depend on."""
+    """Versions that the bits of a flight depend on."""
     return {"kernels": source_hash(), **versions()}
 
 
@@ -267,6 +268,5 @@ def parts_in(folder: Path) -> list[Part]:
 
 
 def write_json(path: Path, content: dict[str, Any]) -> None:
-    """Write whole or not at all. Raises CampaignError."""
-    text = json.dumps(content, indent=1, ensure_ascii=False, allow_nan=False) + "\n"
-    write_whole(path, text, CampaignError, durable=True)
+    """Write whole or not at all; nan and infinity become null, dataclasses tables. Raises CampaignError."""
+    write_whole(path, to_json(content, indent=1, inf_nan_mode="null") + b"\n", CampaignError, durable=True)

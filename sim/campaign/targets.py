@@ -7,8 +7,8 @@ its name (vehicle.stage.0.mass.table.x_cg_m).
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Hashable, Iterable, Mapping
+from dataclasses import dataclass
 from functools import cache
 from typing import Any, Literal
 
@@ -24,11 +24,17 @@ from maxq.sim.scenario.schema_values import Section
 from maxq.sim.scenario.tables_csv import Columns, CsvTable
 
 Apply = Literal["set", "scale", "add"]
-Value = Any  # what a draw hands over: a number, a text, a table
+_BOUNDS: dict[str, tuple[Callable[..., Any], str]] = {
+    "gt": (np.greater, "above"),
+    "ge": (np.greater_equal, "at least"),
+    "lt": (np.less, "below"),
+    "le": (np.less_equal, "at most"),
+}
+"""Marks of pydantic that bound a number."""
 
 
 class BadKey(Exception):
-    """A key path that leads nowhere, or to what cannot be dispersed so: `problem` and `allowed` in words."""
+    """A key path without a value, or with one that cannot be dispersed: `problem` and `allowed` in words."""
 
     def __init__(self, problem: str, allowed: str = "") -> None:
         super().__init__(problem)
@@ -36,7 +42,7 @@ class BadKey(Exception):
 
 
 class Refused(Exception):
-    """A scenario that cannot be: in words, with the key."""
+    """Draws that make no possible scenario: why, with the key."""
 
 
 @dataclass(frozen=True)
@@ -47,20 +53,12 @@ class Target:
     path: tuple[str | int, ...]
     kind: Literal["number", "integer", "text", "column", "table"]
     nominal: float
-    least: float = -math.inf  # what the schema allows
-    most: float = math.inf
-    open_below: bool = False
-    open_above: bool = False
+    bounds: tuple[tuple[str, float], ...] = ()  # what the schema allows: ("gt", 0.0)
     whole_ns: bool = False
 
     def result(self, apply: Apply, draw: Array) -> Array:
         """What becomes of a number; of a column, the draw itself."""
-        if self.kind == "column" or apply == "set":
-            out = draw
-        elif apply == "scale":
-            out = np.asarray(self.nominal * draw)
-        else:
-            out = np.asarray(self.nominal + draw)
+        out = draw if self.kind == "column" else np.asarray(_applied(apply, self.nominal, draw))
         if self.kind == "integer":
             return np.rint(out)
         if self.whole_ns:
@@ -70,14 +68,17 @@ class Target:
 
     def allowed(self, value: Array) -> np.ndarray:
         """Where the schema's bounds hold."""
-        below = value > self.least if self.open_below else value >= self.least
-        above = value < self.most if self.open_above else value <= self.most
-        return np.asarray(below & above & np.isfinite(value) & (np.abs(value) <= LARGEST_NUMBER))
+        good = np.isfinite(value) & (np.abs(value) <= LARGEST_NUMBER)
+        for mark, bound in self.bounds:
+            good &= _BOUNDS[mark][0](value, bound)
+        return good
 
     def bounds_text(self) -> str:
-        low = "" if math.isinf(self.least) else f"{'above' if self.open_below else 'at least'} {self.least:g}"
-        high = "" if math.isinf(self.most) else f"{'below' if self.open_above else 'at most'} {self.most:g}"
-        return " and ".join(part for part in (low, high) if part)
+        return " and ".join(f"{_BOUNDS[mark][1]} {bound:g}" for mark, bound in self.bounds)
+
+
+def _applied(apply: Apply, value: Any, draw: Any) -> Any:
+    return value * draw if apply == "scale" else value + draw if apply == "add" else draw
 
 
 def find_target(scenario: Scenario, key: str) -> Target:
@@ -131,27 +132,13 @@ def _leaf(key: str, path: tuple[str | int, ...], value: Any) -> Target:
         return Target(key, path, "table", math.nan)
     if annotation is float or annotation is int:
         nominal = math.nan if value is None else float(value)
-        bounds = _bounds(metadata)
+        bounds = tuple((n, float(getattr(m, n))) for m in metadata for n in _BOUNDS if getattr(m, n, None) is not None)
         checks = {getattr(getattr(mark, "func", None), "__name__", "") for mark in metadata}
         whole = annotation is float and "_whole_ns" in checks
-        return Target(key, path, "integer" if annotation is int else "number", nominal, **bounds, whole_ns=whole)
+        return Target(key, path, "integer" if annotation is int else "number", nominal, bounds, whole)
     if isinstance(value, str) or value is None:
         return Target(key, path, "text", math.nan)
     raise BadKey("cannot be drawn", describe(annotation, metadata))
-
-
-def _bounds(metadata: Sequence[Any]) -> dict[str, Any]:
-    out: dict[str, Any] = {}
-    for mark in metadata:
-        for name, target, strict in (
-            ("gt", "least", "open_below"), ("ge", "least", ""), ("lt", "most", "open_above"), ("le", "most", ""),
-        ):  # fmt: skip
-            bound = getattr(mark, name, None)
-            if bound is not None:
-                out[target] = float(bound)
-                if strict:
-                    out[strict] = True
-    return out
 
 
 def _column(scenario: Scenario, key: str, path: list[str | int], table: CsvTable, name: str, rest: list[str]) -> Target:
@@ -165,106 +152,70 @@ def _column(scenario: Scenario, key: str, path: list[str | int], table: CsvTable
     return Target(key, (*path, name), "column", math.nan)
 
 
-@dataclass
-class _Node:
-    """What is to be done below one place of the scenario."""
-
-    below: dict[str | int, _Node] = field(default_factory=dict)
-    changes: list[Change] = field(default_factory=list)
-
-
 @dataclass(frozen=True)
 class Change:
     """One target, and how the draw named `draw` acts on it."""
 
     target: Target
     apply: Apply
-    draw: str
+    draw: Hashable
     where: tuple[tuple[str, float], ...] = ()
 
 
 class Dispersed:
     """Makes the scenario of a run: the same as loading a file with the changed values would give."""
 
-    def __init__(self, scenario: Scenario, changes: Sequence[Change]) -> None:
+    def __init__(self, scenario: Scenario, changes: Iterable[Change]) -> None:
         self._scenario = scenario
-        self._root = _Node()
+        self._tree: dict[Any, Any] = {}  # by part of the path; its leaves are lists of changes
         for change in changes:
-            node = self._root
-            for part in change.target.path:
-                node = node.below.setdefault(part, _Node())
-            node.changes.append(change)
+            *before, last = change.target.path
+            node = self._tree
+            for part in before:
+                node = node.setdefault(part, {})
+            node.setdefault(last, []).append(change)
 
-    def __call__(self, values: Mapping[str, Value]) -> Scenario:
+    def __call__(self, values: Mapping[Any, Any]) -> Scenario:
         """The scenario with the results of draws, by name, in place; where there is none, the value stays.
 
-        Raises Refused where such a scenario cannot be.
+        Raises Refused where such a scenario is not possible.
         """
-        if not self._root.below:
+        if not self._tree:
             return self._scenario
         try:
-            return Scenario.model_validate(_rebuilt(self._scenario, self._root, values))
+            return Scenario.model_validate(_rebuilt(self._scenario, self._tree, values))
         except ValidationError as error:
-            raise Refused(_in_words(error)) from None
+            first = error.errors(include_url=False)[0]
+            context = first.get("ctx", {})
+            problem = context.get("problem", first["msg"]) if first["type"] == "refused" else first["msg"]
+            key = ".".join(map(str, (*first["loc"], *context.get("key", ()))))
+            raise Refused(f"{key}: {problem}" if key else str(problem)) from None
 
 
-def _rebuilt(at: Any, node: _Node, values: Mapping[str, Value]) -> Any:
+def _rebuilt(at: Any, node: Any, values: Mapping[Any, Any]) -> Any:
     """The value with all changes below it: sections that change as their fields, to be checked once, together; what
     does not change is shared with the original."""
-    if node.changes:
-        return _changed_value(at, node.changes[0], values)
-    if isinstance(at, Section):
-        held = at.__dict__
-        fields = {alias: held[name] for alias, name in _names(type(at)).items()}
-        for part, below in node.below.items():
-            fields[str(part)] = _rebuilt(fields[str(part)], below, values)
-        return fields
+    if isinstance(node, list):
+        change = node[0]
+        value = values.get(change.draw, at)
+        return int(value) if change.target.kind == "integer" and change.draw in values else value
     if isinstance(at, CsvTable):
         return _changed_table(at, node, values)
-    out = list(at)
-    for part, below in node.below.items():
-        out[int(part)] = _rebuilt(out[int(part)], below, values)
-    return tuple(out)
+    out: Any = {alias: at.__dict__[n] for alias, n in _names(type(at)).items()} if isinstance(at, Section) else list(at)
+    for part, below in node.items():
+        out[part] = _rebuilt(out[part], below, values)
+    return out if isinstance(at, Section) else tuple(out)
 
 
-def _in_words(error: ValidationError) -> str:
-    first = error.errors(include_url=False)[0]
-    context = first.get("ctx", {})
-    problem = context.get("problem", first["msg"]) if first["type"] == "refused" else first["msg"]
-    key = ".".join(map(str, (*first["loc"], *context.get("key", ()))))
-    return f"{key}: {problem}" if key else str(problem)
-
-
-def _changed_value(at: Any, change: Change, values: Mapping[str, Value]) -> Any:
-    if change.draw not in values:
-        return at
-    value = values[change.draw]
-    return int(value) if change.target.kind == "integer" else value
-
-
-def _changed_table(table: CsvTable, node: _Node, values: Mapping[str, Value]) -> CsvTable:
+def _changed_table(table: CsvTable, node: dict[str, list[Change]], values: Mapping[Any, Any]) -> CsvTable:
     columns = dict(table.columns)
-    for part, below in node.below.items():
-        name = str(part)
-        column = columns.get(name, np.zeros(len(table)))
-        for change in below.changes:
+    for name, changes in node.items():
+        for change in changes:
             if change.draw in values:
-                column = _changed_column(table, column, change, float(values[change.draw]))
-                column.flags.writeable = False
-                columns[name] = column
+                rows = np.ones(len(table), bool)
+                for other, value in change.where:
+                    rows &= table[other] == value
+                column = columns.get(name, np.zeros(len(table)))
+                columns[name] = np.where(rows, _applied(change.apply, column, float(values[change.draw])), column)
+                columns[name].flags.writeable = False
     return CsvTable(table.file, columns)
-
-
-def _changed_column(table: CsvTable, column: Array, change: Change, draw: float) -> Array:
-    if change.apply == "scale":
-        new = column * draw
-    elif change.apply == "add":
-        new = column + draw
-    else:
-        new = np.full_like(column, draw)
-    if not change.where:
-        return np.asarray(new)
-    rows = np.ones(len(table), bool)
-    for name, value in change.where:
-        rows &= table[name] == value
-    return np.where(rows, new, column)

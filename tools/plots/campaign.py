@@ -70,7 +70,8 @@ def _histogram(axes: Axes, values: Array, v: Judged) -> None:
     low, high, upper = float(values.min()), float(values.max()), v.kind == "limit"
     width = high - low or max(abs(high), 1.0)
     edges = np.histogram_bin_edges(values, bins=min(max(round(math.sqrt(len(values))), 10), 60))
-    missed = edges[:-1] >= v.bound if upper else edges[1:] <= v.bound
+    beyond = edges[:-1] >= v.bound if upper else edges[1:] <= v.bound
+    missed = beyond & (v.shown.failures > 0)  # values at the limit meet it
     counts, _ = np.histogram(values, edges)
     axes.bar(edges[:-1], counts, np.diff(edges), align="edge", color=[LIMIT if m else BLUE for m in missed])
     near = low - 0.6 * width <= v.bound <= high + 1.5 * width

@@ -20,7 +20,7 @@ from typing import Any
 from unittest.mock import patch
 
 from maxq.sim.campaign import runs as campaign_runs
-from maxq.sim.campaign.read import BatchInputs, LoadedCampaign, load_campaign
+from maxq.sim.campaign.read import LoadedCampaign, load_campaign
 from maxq.sim.campaign.runner import Progress, cores, load_kernels, run_campaign
 from maxq.sim.campaign.store import Store
 from maxq.sim.flight import loop
@@ -76,7 +76,7 @@ def _timed(spent: dict[str, float], name: str, function: Callable[..., Any]) -> 
 
 PARTS: dict[str, tuple[Any, str]] = {
     "draws of a batch": (LoadedCampaign, "batch"),
-    "scenario: changed, checked": (BatchInputs, "inputs"),
+    "scenario: changed, checked": (LoadedCampaign, "inputs"),
     "packing": (campaign_runs, "_begun_flight"),
     "flight": (campaign_runs, "_flown"),
     "metrics, verdicts, row": (campaign_runs, "_row_of"),
