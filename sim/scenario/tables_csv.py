@@ -239,6 +239,8 @@ class Columns:
                 table.refuse_where(column <= 0.0, name, "is not positive", "numbers > 0")
             if name in self.not_negative:
                 table.refuse_where(column < 0.0, name, "is negative", "numbers >= 0")
+        if not self.axis:
+            return
         axis = table[self.axis]
         falls = np.diff(axis, prepend=-np.inf) < 0.0 if self.repeats else np.diff(axis, prepend=-np.inf) <= 0.0
         rule = "must not decrease" if self.repeats else "must increase strictly"
