@@ -40,7 +40,7 @@ _NOMINAL_COLOUR = PURPLE
 
 @dataclass(frozen=True)
 class Options:
-    """What a person may choose. None: chosen by what the flights hold."""
+    """Options of `simreplay`. None: a value that suits the flights."""
 
     rate_hz: float | None = None
     bend_factor: float | None = None

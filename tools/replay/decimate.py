@@ -1,7 +1,7 @@
-"""Fewer samples that lie about nothing: every point kept is a sample of the log, every extreme is kept.
+"""Decimation that keeps the extremes: every point kept is a sample of the log, at its own time.
 
 Averaging, or taking every n-th sample, shows an oscillation of 9 Hz too small or at a wrong frequency. Here the
-smallest and the largest sample of each interval stay, at their own times, and so do the first and the last sample.
+smallest and the largest sample of each interval are kept, and so are the first and the last sample.
 """
 
 from __future__ import annotations
@@ -27,8 +27,12 @@ def extremes(times_ns: IntArray, values: Array, interval_ns: int) -> Rows:
     if interval_ns > 0:
         starts = np.flatnonzero(np.diff(times_ns // interval_ns, prepend=times_ns[0] // interval_ns - 1))
         if len(starts) * 2 < n:
-            low, high = _first_of_each(values, starts, np.minimum), _first_of_each(values, starts, np.maximum)
-            kept = np.union1d(np.concatenate([low, high]), [0, n - 1])
+            chosen = np.zeros(n, bool)
+            chosen[_first_of_each(values, starts, np.minimum)] = chosen[_first_of_each(values, starts, np.maximum)] = (
+                True
+            )
+            chosen[[0, -1]] = True
+            kept = np.flatnonzero(chosen)
     line = values[kept]
     same = (line[1:] == line[:-1]) | (np.isnan(line[1:]) & np.isnan(line[:-1]))
     bends = np.ones(len(line), bool)
@@ -38,11 +42,11 @@ def extremes(times_ns: IntArray, values: Array, interval_ns: int) -> Rows:
 
 def _first_of_each(values: Array, starts: Rows, extreme: np.ufunc) -> Rows:
     """Where the extreme of each interval occurs first; `starts` are the intervals' first indices."""
+    gaps = np.isnan(values)
+    filled = np.where(gaps, np.inf if extreme is np.minimum else -np.inf, values) if gaps.any() else values
     lengths = np.diff(starts, append=len(values))
-    filled = np.where(np.isnan(values), np.inf if extreme is np.minimum else -np.inf, values)
     at = np.flatnonzero(filled == np.repeat(extreme.reduceat(filled, starts), lengths))
-    interval = np.repeat(np.arange(len(starts)), lengths)[at]
-    return at[np.diff(interval, prepend=-1) > 0]
+    return at[np.diff(np.searchsorted(starts, at, side="right"), prepend=0) > 0]
 
 
 def extremes_on_grid(times_ns: IntArray, values: Array, start_ns: int, interval_ns: int, count: int) -> Array:

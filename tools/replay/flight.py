@@ -1,4 +1,4 @@
-"""Flights to be shown: which logs a person means, the log of each, the scenario inside it, and how it ended.
+"""Flights to be shown: finding their logs, the log of each, the scenario inside it, and how it ended.
 
 A log that is cut off or damaged is shown as far as it reaches. Where the scenario inside cannot be read (an older
 or a later maxq), numbers and trajectory are still shown, but no vehicle and no limits. Numbers of many flights do not
@@ -252,7 +252,7 @@ def _summary(log: Log) -> Mapping[str, Any]:
     return summary if same else {}
 
 
-# -- which flights a person means ----------------------------------------------------------------------------------
+# -- finding logs ---------------------------------------------------------------------------------------------------
 def find_logs(places: Sequence[str]) -> list[tuple[Path, str]]:
     """Paths of logs with a label each. Raises ReplayError for a place that holds none."""
     found: list[tuple[Path, str]] = []

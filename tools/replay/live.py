@@ -2,7 +2,7 @@
 
     run = LiveRun(loaded, packed, view)      # in place of FlightRun: same flight, same log, to the bit
 
-A viewer that is closed in the middle is no reason to stop the flight.
+Closing the viewer does not stop the flight.
 """
 
 from __future__ import annotations
@@ -66,7 +66,7 @@ class FlownView:
     """Where the log of a flight will be shown once it has been flown: in a viewer that listens on `port` of this
     machine, or in a window (None).
 
-    Made before the flight, so that nothing is flown for nothing. Raises ReplayError where there is no viewer.
+    Made before the flight, so that a missing viewer is reported before anything is flown: raises ReplayError.
     """
 
     def __init__(self, port: int | None) -> None:
@@ -177,7 +177,7 @@ class LiveView:
             positions = np.concatenate(self._scene.track)
             eyes = eyes_for(self._shape.length_m, self._scenario.site.azimuth_deg, positions)
         self._send_layout(eyes, max(flight.end_s, self._start_s + 1.0), live=False)
-        with contextlib.suppress(RuntimeError, ValueError):  # the viewer was closed: nobody looks
+        with contextlib.suppress(RuntimeError, ValueError):  # the viewer was closed
             self._recording.flush(timeout_sec=_PATIENCE_S)
         self._recording.disconnect()
 
@@ -273,7 +273,7 @@ class LiveView:
 
 
 class LiveRun(FlightRun):
-    """A flight that shows itself. Its segments, rows and log are those of any `FlightRun`, bit by bit.
+    """A flight sent to a view block by block. Its segments, rows and log are those of any `FlightRun`, bit by bit.
 
     `factor`: so many seconds of flight in a second (1: real time), None: as fast as it goes. The view's `stop` is
     asked after every block, so that a flight in real time can be interrupted at once.

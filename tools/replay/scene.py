@@ -67,7 +67,7 @@ class Scene:
             self._static()
 
     def _log(self, entity: str, item: rr.AsComponents) -> None:
-        """What stays as it is during the whole flight."""
+        """Log static data."""
         self._rec.log(f"{self._root}/{entity}", item, static=True)
 
     def _send(self, entity: str, times_ns: IntArray, columns: Any) -> None:

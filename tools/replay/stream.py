@@ -111,8 +111,8 @@ class Family:
     """Collects the curves of many flights, then sends them.
 
     Lines of one entity share their times. So every interval gives two rows, a quarter and three quarters into it, of
-    its smallest and its largest value in the order of the trend: no value is changed, but each may stand up to three
-    quarters of an interval aside.
+    its smallest and its largest value in the order of the trend: no value is changed, but its time may be off by
+    up to three quarters of an interval.
     """
 
     def __init__(self, span_s: tuple[float, float], interval_ns: int) -> None:

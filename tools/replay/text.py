@@ -1,4 +1,4 @@
-"""Flights in words: the page beside the pictures of the viewer, and a glance for a terminal."""
+"""Flights in words: the page beside the views of the viewer, and the summary in a terminal."""
 
 from __future__ import annotations
 
@@ -75,10 +75,11 @@ def drawn_text(exaggeration: Exaggeration, place: LaunchSite | None = None) -> l
         "",
         f"- Bending is drawn **{exaggeration.bending:g} times** as large as it is, "
         f"at most {exaggeration.most_m:.2g} m of it.",
-        f"- Slosh angles are drawn **{exaggeration.slosh:g} times** as large; a surface stands across its pendulum.",
+        f"- Slosh angles are drawn **{exaggeration.slosh:g} times** as large; "
+        "the surface of a liquid is perpendicular to its pendulum.",
         "- The gimbal's angle, attitude and trajectory are true to scale.",
-        "- Thrust pushes at the nozzle, its length goes by the root of the force. Green: direction of flight over the "
-        "ground. Blue: the wind, a vehicle's length for 60 m/s and for more.",
+        "- The arrow of thrust ends at the nozzle; its length is proportional to the root of the force.",
+        "- Green: direction of flight over the ground. Blue: the wind, a vehicle's length for 60 m/s and for more.",
         *(moved if place is not None and place.moved else []),
         "- The ground is drawn under the vehicle; the simulation begins with the CG at the site's altitude.",
         "- Red, green and blue axes: x, y and z of the body, from its CG.",

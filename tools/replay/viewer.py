@@ -330,7 +330,7 @@ def steady_picture(viewer: ViewerClient, view_id: str | None = None) -> bytes:
         if picture == last and not viewer.get_state().loading:
             return picture
         last = picture
-    raise ReplayError("the picture does not come to rest")
+    raise ReplayError(f"the picture did not settle within {_STEADY_S:g} s")
 
 
 def open_whole(viewer: ViewerClient, rrd: Path) -> None:
@@ -342,7 +342,7 @@ def open_whole(viewer: ViewerClient, rrd: Path) -> None:
         if not state.loading and any(recording.timelines for recording in state.recordings):
             return
         time.sleep(_LAYOUT_S)
-    raise ReplayError("the viewer does not finish loading")
+    raise ReplayError(f"the viewer did not finish loading within {_STEADY_S:g} s")
 
 
 def pictures(client: ViewerClient, rrd: Path, times_s: Sequence[float]) -> tuple[list[bytes], list[str]]:
