@@ -6,41 +6,37 @@ import math
 
 import numpy as np
 
-from maxq.control.kernel.limits import MAX_MODES, MAX_TANKS
 from maxq.control.kernel.tables import NO_TABLE, Cubics, Method, Pool, fit, merge
 from maxq.sim.packing.remembered import cached_by_identity
 from maxq.sim.packing.schedule import has_remainder
 from maxq.sim.scenario import schema_stage as schema
 from maxq.sim.scenario.schema_scenario import Scenario
-from maxq.sim.scenario.schema_stage import ActuatorAxis
 from maxq.sim.scenario.schema_vehicle import Reference, Stage
 from maxq.sim.scenario.tables_csv import CsvTable
-from maxq.sim.vehicle.actuator import Actuator
+from maxq.sim.vehicle.actuator import pack_actuators
 from maxq.sim.vehicle.aero import FIRST_SURFACE, Aero
-from maxq.sim.vehicle.bending import Bending
+from maxq.sim.vehicle.bending import pack_bending
 from maxq.sim.vehicle.derivative import Vehicle
 from maxq.sim.vehicle.engine import Engine
-from maxq.sim.vehicle.gyro import Gyro
-from maxq.sim.vehicle.slosh import Slosh
+from maxq.sim.vehicle.gyro import pack_gyro
+from maxq.sim.vehicle.slosh import pack_slosh
 from maxq.sim.vehicle.state import Sizes
-
-_TWO_PI = 2.0 * math.pi
 
 
 def pack_vehicle(scenario: Scenario, stage: Stage, sizes: Sizes, schedule: Cubics, pool: Pool) -> Vehicle:
     """Parameters of one stage under the scenario's switches; its tables go into `pool`."""
     switches = scenario.switches
-    pitch, yaw = _actuators(scenario, stage)
+    pitch, yaw = pack_actuators(stage.actuator, switches.actuator)
     return Vehicle(
         sizes=sizes,
         schedule=pool.add(schedule),
         engine=_engine(scenario, stage),
         actuator_pitch=pitch,
         actuator_yaw=yaw,
-        gyro=_gyro(scenario, stage),
+        gyro=pack_gyro(stage.gyro, switches.gyro == "ideal"),
         aero=_aero(scenario, stage, pool),
-        bending=_bending(scenario, stage),
-        slosh=_slosh(stage, sizes),
+        bending=pack_bending(stage.bending, switches.bending_softening),
+        slosh=pack_slosh(stage.tank[: sizes.tanks], stage.bending),
         roll_torque_Nm=stage.roll_thrusters.torque_Nm if stage.roll_thrusters else 0.0,
         jet_damping=int(switches.jet_damping),
         follower_thrust=int(switches.follower_thrust),
@@ -68,84 +64,6 @@ def _engine(scenario: Scenario, stage: Stage) -> Engine:
         cg_from_gimbal_m=arm,
         inertia_kgm2=engine.inertia_about_gimbal_kgm2 - mass * arm * arm if moves else 0.0,
     )
-
-
-def _actuators(scenario: Scenario, stage: Stage) -> tuple[Actuator, Actuator]:
-    kind = scenario.switches.actuator
-    if stage.actuator is None or kind == "ideal":
-        bias = stage.actuator.bias_deg if stage.actuator else (0.0, 0.0)
-        ideal = [
-            Actuator(1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, np.inf, np.inf, math.radians(b), 0.0, 1) for b in bias
-        ]
-        return ideal[0], ideal[1]
-    axes = zip(stage.actuator.axes, stage.actuator.bias_deg, strict=True)
-    pitch, yaw = (_actuator(axis, bias, kind == "linear") for axis, bias in axes)
-    return pitch, yaw
-
-
-def _actuator(axis: ActuatorAxis, bias_deg: float, linear: bool) -> Actuator:
-    omega = [_TWO_PI * f for f in axis.omega_hz]
-    zeta = list(axis.zeta)
-    if axis.exchange_a3_a4:
-        omega[2], omega[3], zeta[2], zeta[3] = omega[3], omega[2], zeta[3], zeta[2]
-    return Actuator(
-        omega_1_radps=omega[0],
-        omega_2_radps=omega[1],
-        omega_3_radps=omega[2],
-        omega_4_radps=omega[3],
-        zeta_1=zeta[0],
-        zeta_2=zeta[1],
-        zeta_3=zeta[2],
-        zeta_4=zeta[3],
-        angle_limit_rad=np.inf if linear else math.radians(axis.angle_limit_deg),
-        rate_limit_radps=np.inf if linear else math.radians(axis.rate_limit_degps),
-        bias_rad=math.radians(bias_deg),
-        backlash_rad=0.0 if linear else math.radians(axis.backlash_deg),
-        ideal=0,
-    )
-
-
-def _gyro(scenario: Scenario, stage: Stage) -> Gyro:
-    gyro = stage.gyro
-    if gyro is None or scenario.switches.gyro == "ideal":
-        station = gyro.station_m if gyro else 0.0
-        return Gyro(station, 1.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1)
-    degph = math.radians(1.0) / 3600.0
-    return Gyro(
-        station_m=gyro.station_m,
-        omega_radps=_TWO_PI * gyro.omega_hz,
-        zeta=gyro.zeta,
-        bias_x_radps=degph * gyro.bias_degph[0],
-        bias_y_radps=degph * gyro.bias_degph[1],
-        bias_z_radps=degph * gyro.bias_degph[2],
-        scale_x=gyro.scale_factor[0],
-        scale_y=gyro.scale_factor[1],
-        scale_z=gyro.scale_factor[2],
-        misalignment_x_rad=math.radians(gyro.misalignment_deg[0]),
-        misalignment_y_rad=math.radians(gyro.misalignment_deg[1]),
-        misalignment_z_rad=math.radians(gyro.misalignment_deg[2]),
-        random_walk_rad_rts=math.radians(gyro.noise_deg_rt_h) / 60.0,
-        ideal=0,
-    )
-
-
-def _bending(scenario: Scenario, stage: Stage) -> Bending:
-    zeta, factor = np.zeros(MAX_MODES), np.ones(MAX_MODES)
-    if stage.bending is not None:
-        zeta[: len(stage.bending.damping_ratio)] = stage.bending.damping_ratio
-        factor[: len(stage.bending.frequency_factor)] = stage.bending.frequency_factor
-    softening = 1.0 if scenario.switches.bending_softening else 0.0
-    return Bending(zeta, zeta, factor, softening)
-
-
-def _planes_differ(stage: Stage) -> bool:
-    return stage.bending is not None and stage.bending.pitch != stage.bending.yaw
-
-
-def _slosh(stage: Stage, sizes: Sizes) -> Slosh:
-    zeta = np.zeros(MAX_TANKS)
-    zeta[: sizes.tanks] = [tank.damping_ratio for tank in stage.tank[: sizes.tanks]]
-    return Slosh(int(_planes_differ(stage)), zeta, np.ones(MAX_TANKS), np.ones(MAX_TANKS))
 
 
 def _aero(scenario: Scenario, stage: Stage, pool: Pool) -> Aero:

@@ -11,8 +11,9 @@ States: servo position, servo rate; H2 position, rate; w_3^2-scaled states of H3
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
-from typing import Annotated, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 from maxq.control.kernel.jit import kernel
 from maxq.control.kernel.records import Array
@@ -43,6 +44,41 @@ class Actuator:
     bias_rad: float
     backlash_rad: float
     ideal: int  # 1: the angle is the command, at rest between commands
+
+
+def pack_actuators(given: Any, kind: str) -> tuple[Actuator, Actuator]:
+    """Pitch and yaw from the stage's section `actuator` (or None) and the scenario's switch of that name."""
+    bias_deg = given.bias_deg if given else (0.0, 0.0)
+    if given is None or kind == "ideal":
+        pitch, yaw = (
+            Actuator(1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, math.inf, math.inf, math.radians(bias), 0.0, 1)
+            for bias in bias_deg
+        )
+    else:
+        axes = zip(given.axes, bias_deg, strict=True)
+        pitch, yaw = (_pack_axis(axis, bias, kind == "linear") for axis, bias in axes)
+    return pitch, yaw
+
+
+def _pack_axis(given: Any, bias_deg: float, linear: bool) -> Actuator:
+    omega, zeta = [2.0 * math.pi * f for f in given.omega_hz], list(given.zeta)
+    if given.exchange_a3_a4:
+        omega[2], omega[3], zeta[2], zeta[3] = omega[3], omega[2], zeta[3], zeta[2]
+    return Actuator(
+        omega_1_radps=omega[0],
+        omega_2_radps=omega[1],
+        omega_3_radps=omega[2],
+        omega_4_radps=omega[3],
+        zeta_1=zeta[0],
+        zeta_2=zeta[1],
+        zeta_3=zeta[2],
+        zeta_4=zeta[3],
+        angle_limit_rad=math.inf if linear else math.radians(given.angle_limit_deg),
+        rate_limit_radps=math.inf if linear else math.radians(given.rate_limit_degps),
+        bias_rad=math.radians(bias_deg),
+        backlash_rad=0.0 if linear else math.radians(given.backlash_deg),
+        ideal=0,
+    )
 
 
 @kernel

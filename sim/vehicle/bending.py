@@ -10,7 +10,9 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Annotated, NamedTuple
+from typing import Annotated, Any, NamedTuple
+
+import numpy as np
 
 from maxq.control.kernel.jit import kernel
 from maxq.control.kernel.limits import MAX_MODES
@@ -50,6 +52,15 @@ class Bending:
     zeta_yaw: Annotated[Array, (MAX_MODES,)]
     frequency_factor: Annotated[Array, (MAX_MODES,)]
     softening_factor: float  # 0 without axial softening
+
+
+def pack_bending(given: Any, softening: bool) -> Bending:
+    """From the stage's section `bending` (or None); both planes have the same damping ratios."""
+    zeta, factor = np.zeros(MAX_MODES), np.ones(MAX_MODES)
+    if given is not None:
+        zeta[: len(given.damping_ratio)] = given.damping_ratio
+        factor[: len(given.frequency_factor)] = given.frequency_factor
+    return Bending(zeta, zeta, factor, 1.0 if softening else 0.0)
 
 
 @kernel

@@ -60,7 +60,6 @@ from maxq.sim.vehicle.solve import accelerate
 from maxq.sim.vehicle.state import (
     ACTUATOR,
     GYRO,
-    GYRO_ANGLE,
     N_ACTUATOR,
     N_PENDULUM,
     eta_index,
@@ -209,7 +208,7 @@ def derivative(
     actuator_derivative(vehicle.actuator_yaw, y, ACTUATOR + N_ACTUATOR, held.command_yaw_rad, dy)
     bend_y, bend_z = bending_rate_at_gyro(sizes, properties, work)
     sensed = sensed_rate(vehicle.gyro, (rate[0], rate[1] + bend_y, rate[2] + bend_z))
-    gyro_derivative(vehicle.gyro, y, GYRO, GYRO_ANGLE, sensed, dy)
+    gyro_derivative(vehicle.gyro, y, GYRO, sensed, dy)
     modal_derivative(sizes, eta, xi, dy, work)
     for tank in range(sizes.tanks):
         first = pendulums + N_PENDULUM * tank

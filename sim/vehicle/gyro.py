@@ -6,8 +6,9 @@ r - sum(slope nu_yaw) in yaw (docs/model.md, section 2).
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
-from typing import Annotated, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 from maxq.control.kernel.jit import kernel
 from maxq.control.kernel.records import Array
@@ -40,6 +41,31 @@ class Gyro:
     ideal: int
 
 
+def pack_gyro(given: Any, ideal: bool) -> Gyro:
+    """From the stage's section `gyro`, None for a vehicle without one: then it is ideal."""
+    if given is None or ideal:
+        station_m = given.station_m if given else 0.0
+        return Gyro(station_m, 1.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1)
+    bias = [math.radians(1.0) / 3600.0 * each for each in given.bias_degph]
+    scale, misalignment = given.scale_factor, [math.radians(each) for each in given.misalignment_deg]
+    return Gyro(
+        station_m=given.station_m,
+        omega_radps=2.0 * math.pi * given.omega_hz,
+        zeta=given.zeta,
+        bias_x_radps=bias[0],
+        bias_y_radps=bias[1],
+        bias_z_radps=bias[2],
+        scale_x=scale[0],
+        scale_y=scale[1],
+        scale_z=scale[2],
+        misalignment_x_rad=misalignment[0],
+        misalignment_y_rad=misalignment[1],
+        misalignment_z_rad=misalignment[2],
+        random_walk_rad_rts=math.radians(given.noise_deg_rt_h) / 60.0,
+        ideal=0,
+    )
+
+
 @kernel
 def sensed_rate(g: Gyro, rate: Vector) -> Vector:
     """Steady-state output, rad/s, for the local angular rate in B: misalignment, scale factor, bias."""
@@ -53,19 +79,19 @@ def sensed_rate(g: Gyro, rate: Vector) -> Vector:
 
 
 @kernel
-def gyro_derivative(g: Gyro, y: Array, first: int, first_angle: int, sensed: Vector, dy: Array) -> None:
-    """Derivatives of the states (two an axis from y[first] on) and of the angle integrals (from y[first_angle] on)."""
+def gyro_derivative(g: Gyro, y: Array, first: int, sensed: Vector, dy: Array) -> None:
+    """Derivatives of the states (two an axis, from y[first] on) and of the angle integrals that follow them."""
     w2, damp = g.omega_radps * g.omega_radps, 2.0 * g.zeta * g.omega_radps
     for axis in range(3):
         i = first + 2 * axis
         if g.ideal == 1:
             dy[i] = 0.0
             dy[i + 1] = 0.0
-            dy[first_angle + axis] = sensed[axis]
+            dy[first + 6 + axis] = sensed[axis]
         else:
             dy[i] = y[i + 1]
             dy[i + 1] = w2 * (sensed[axis] - y[i]) - damp * y[i + 1]
-            dy[first_angle + axis] = y[i]
+            dy[first + 6 + axis] = y[i]
 
 
 @kernel

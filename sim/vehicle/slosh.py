@@ -12,8 +12,11 @@ For every tank a block of the workspace holds the quantities by which the couple
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Annotated, NamedTuple
+from typing import Annotated, Any, NamedTuple
+
+import numpy as np
 
 from maxq.control.kernel.jit import kernel
 from maxq.control.kernel.limits import MAX_TANKS
@@ -66,6 +69,14 @@ class Slosh:
     damping_ratio: Annotated[Array, (MAX_TANKS,)]  # of the pendulum under the present axial acceleration
     mass_factor: Annotated[Array, (MAX_TANKS,)]
     length_factor: Annotated[Array, (MAX_TANKS,)]
+
+
+def pack_slosh(tanks: Sequence[Any], bending: Any) -> Slosh:
+    """From the stage's sections `tank` that slosh, and `bending` (or None)."""
+    zeta = np.zeros(MAX_TANKS)
+    zeta[: len(tanks)] = [tank.damping_ratio for tank in tanks]
+    planes_differ = bending is not None and bending.pitch != bending.yaw
+    return Slosh(int(planes_differ), zeta, np.ones(MAX_TANKS), np.ones(MAX_TANKS))
 
 
 @kernel
