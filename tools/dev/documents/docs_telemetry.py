@@ -39,7 +39,7 @@ _EVENT_MEANINGS = {
     "control_lost": CONTROL_LOST_CAUSE,
     "tumble": "the total incidence exceeds 90 deg while the dynamic pressure exceeds 5 kPa",
     "diverged": "the state is outside the bounds of a flight; the text gives the cause: "
-    + ", or ".join(cause for cause in CAUSES if cause),
+    + ", or ".join(dict.fromkeys(cause for cause in CAUSES if cause)),
 }
 
 
