@@ -1,7 +1,10 @@
 """The flight computer: one sample instant, from gyro angle increments to gimbal and roll commands.
 
-    increments -> converter -> theta_e, rate -> PD law -> bending filter -> + injection -> limit -> DAC
-                  guidance ----^                          roll error and rate -> switching line -> thrusters
+    increments -> converter -> attitude error, rate -> law -> + injection -> limit -> DAC
+                  guidance ----^                       roll error and rate -> switching line -> thrusters
+
+The law is a module of control/laws: a parameter record, a memory record with its start, and a tick for each gimbal
+axis; what it works on is in attitude.py. Here stand its two records and two calls.
 
 The computer knows neither plant nor its own delay: it hands the command over at once, and whoever flies it
 lets the command take effect `delay_ns` later and holds it.
@@ -16,24 +19,23 @@ from typing import Annotated, NamedTuple
 
 import numpy as np
 
-from maxq.control.converter import Converter, ConverterState, convert, make_converter
-from maxq.control.filters import DiscreteFilter, filter_sample, settle_filter
+from maxq.control.attitude import AttitudeError, AttitudeRow, attitude_row, start_attitude_error, update_attitude_error
+from maxq.control.converter import (
+    Converter,
+    ConverterState,
+    convert,
+    make_converter,
+    round_half_away,
+    start_converter,
+)
+from maxq.control.filters import DiscreteFilter
 from maxq.control.guidance import GuidanceState, advance_guidance, start_guidance
 from maxq.control.kernel.jit import kernel, routine
 from maxq.control.kernel.records import Array, IntArray
-from maxq.control.kernel.rows import DEG, PitchYaw, RollPitchYaw, degrees
+from maxq.control.kernel.rows import PitchYaw, RollPitchYaw, degrees
 from maxq.control.kernel.tables import NO_TABLE, Cubics, Pool, TableRef
-from maxq.control.laws.pd import (
-    Law,
-    LawRow,
-    LawState,
-    law_row,
-    limit_and_quantise,
-    proportional_derivative,
-    update_angle_error,
-)
-from maxq.control.laws.structures import MAX_SECTIONS
-from maxq.control.roll import Roll, RollState, silence_roll, update_roll
+from maxq.control.laws.pd import LawRow, Pd, PdState, law_row, make_pd, start_pd, tick_pd
+from maxq.control.roll import Roll, RollState, silence_roll, start_roll, update_roll
 
 # No gyro measures, and no scenario means, a turn of more than this in one sample: beyond it lies a fault.
 INCREMENT_LIMIT_RAD = 1.0e3
@@ -42,21 +44,13 @@ _UNUSED_ROLL = Roll(0.0, 1.0, 0.0, 0)
 
 
 @dataclass(frozen=True)
-class FilterBank:
-    """Bending filters in pitch and yaw.
-
-    `sections` (2, MAX_SECTIONS, 5): b0, b1, b2, a1, a2 of each section; `n_sections` (2,).
-    """
-
-    sections: Annotated[Array, (2, MAX_SECTIONS, 5)]
-    n_sections: Annotated[IntArray, (2,)]
-
-
-@dataclass(frozen=True)
 class Computer:
     """Parameters.
 
     `sample_ns`: period of the ticks. `delay_ns`: from a tick to the effect of its command; read by the plant.
+
+    `angle_error_limit_rad`: clamp of theta_e. `command_limit_rad`: of each gimbal command. inf: no limit.
+    `dac_step_rad`: step of the digital-to-analogue converter; 0 is none.
 
     `programme`: table of `guidance.rate_programme`. The switches are 1 or 0: with `control_on` = 0 the law
     gives 0 (injected commands still pass), with `guidance_on` = 0 the programme stands still, with `roll_on`
@@ -70,8 +64,10 @@ class Computer:
     roll_on: int
     programme: TableRef
     converter: Converter
-    law: Law
-    filters: FilterBank
+    angle_error_limit_rad: float
+    law: Pd
+    command_limit_rad: float
+    dac_step_rad: float
     roll: Roll
 
 
@@ -79,17 +75,19 @@ class Computer:
 class ComputerState:
     """All that the computer remembers; made by `records.blank`, started by `start_computer`.
 
-    `ticks`: samples done. `invalid_inputs`: inputs refused so far (`computer_tick`). `filter_memory`: of each
-    gimbal axis and section. `command_rad`: gimbal command issued at the last tick; the roll demand is
-    `roll.demand`.
+    `ticks`: samples done. `invalid_inputs`: inputs refused so far (`computer_tick`). `requested_rad`: law with
+    injected command; `command_limited`: 1 where the limit then cut it. `command_rad`: gimbal command issued at the last
+    tick; the roll demand is `roll.demand`.
     """
 
     ticks: int
     invalid_inputs: int
     converter: ConverterState
     guidance: GuidanceState
-    law: LawState
-    filter_memory: Annotated[Array, (2, MAX_SECTIONS, 2)]
+    attitude: AttitudeError
+    law: PdState
+    requested_rad: Annotated[Array, (2,)]
+    command_limited: Annotated[IntArray, (2,)]
     command_rad: Annotated[Array, (2,)]
     roll: RollState
 
@@ -114,7 +112,7 @@ def build_computer(
 ) -> Computer:
     """Parameters of a computer; its tables go into `pool`.
 
-    `gains` comes from `law.gains_table`; without it the law gives 0. `programme` comes from
+    `gains` comes from `pd.gains_table`; without it the law gives 0. `programme` comes from
     `guidance.rate_programme`; without it the commanded rates are 0. Filters come from
     `BendingFilter.discretize`; without `yaw_filter` yaw is as pitch, without either the law's output passes
     as it is (a filter of no sections gives one axis none). `roll` comes from `roll.make_roll`; without it no
@@ -140,8 +138,10 @@ def build_computer(
         roll_on=int(roll_on and roll is not None),
         programme=_placed(pool, "programme", programme, 6),
         converter=make_converter(count_rad),
-        law=Law(_placed(pool, "gains", gains, 4), angle_error_limit_rad, command_limit_rad, dac_step_rad),
-        filters=_bank(sample_ns, pitch_filter, pitch_filter if yaw_filter is None else yaw_filter),
+        angle_error_limit_rad=angle_error_limit_rad,
+        law=make_pd(_placed(pool, "gains", gains, 4), sample_ns, pitch_filter, yaw_filter or pitch_filter),
+        command_limit_rad=command_limit_rad,
+        dac_step_rad=dac_step_rad,
         roll=roll or _UNUSED_ROLL,
     )
 
@@ -154,51 +154,20 @@ def _placed(pool: Pool, key: str, table: Cubics | None, n_columns: int) -> Table
     return pool.add(table)
 
 
-def _bank(sample_ns: int, *filters: DiscreteFilter | None) -> FilterBank:
-    """Raises ValueError for a filter made for another sample period."""
-    sections, n_sections = np.zeros((2, MAX_SECTIONS, 5)), np.zeros(2, np.int64)
-    for gimbal, discrete in enumerate(filters):
-        if discrete is None:
-            continue
-        if round(discrete.sample_s * 1e9) != sample_ns:
-            raise ValueError(f"filter's sample_s = {discrete.sample_s}: allowed is {sample_ns / 1e9}, the computer's")
-        sections[gimbal], n_sections[gimbal] = discrete.padded(), discrete.n_sections
-    return FilterBank(sections, n_sections)
-
-
 @routine
 def start_computer(computer: Computer, pool: Array, state: ComputerState, time_s: float) -> None:
-    """Sets all of `state` to 0 with the programme starting at `time_s`, the beginning of the first sample."""
+    """All of `state` at its start, with the programme starting at `time_s`, the beginning of the first sample."""
     state.ticks = 0
     state.invalid_inputs = 0
     start_guidance(pool, computer.programme, state.guidance, time_s)
-    for axis in range(3):
-        state.converter.counts[axis] = 0
-        state.converter.total_counts[axis] = 0
-        state.converter.residual_rad[axis] = 0.0
-        state.converter.increment_rad[axis] = 0.0
-        state.converter.angle_rad[axis] = 0.0
-        state.law.theta_e_rad[axis] = 0.0
-        state.law.discarded_rad[axis] = 0.0
-        state.law.error_limited[axis] = 0
-        state.law.rate_radps[axis] = 0.0
+    start_converter(state.converter)
+    start_attitude_error(state.attitude)
+    start_pd(computer.law, state.law)
+    start_roll(state.roll)
     for gimbal in range(2):
-        state.law.k_p[gimbal] = 0.0
-        state.law.k_d_s[gimbal] = 0.0
-        state.law.pd_rad[gimbal] = 0.0
-        state.law.filtered_rad[gimbal] = 0.0
-        state.law.requested_rad[gimbal] = 0.0
-        state.law.command_limited[gimbal] = 0
+        state.requested_rad[gimbal] = 0.0
+        state.command_limited[gimbal] = 0
         state.command_rad[gimbal] = 0.0
-        settle_filter(
-            computer.filters.sections[gimbal],
-            computer.filters.n_sections[gimbal],
-            state.filter_memory[gimbal],
-            0.0,
-        )
-    state.roll.switching_rad = 0.0
-    state.roll.firings = 0
-    silence_roll(state.roll)
 
 
 @routine
@@ -248,10 +217,14 @@ def computer_tick(
             injected_radps,
             rate_replaces[axis],
         )
-        update_angle_error(
-            computer.law, state.law, axis, state.converter.angle_rad[axis], state.guidance.angle_rad[axis]
+        update_attitude_error(
+            state.attitude,
+            axis,
+            state.converter.angle_rad[axis],
+            state.guidance.angle_rad[axis],
+            state.converter.increment_rad[axis] / sample_s,
+            computer.angle_error_limit_rad,
         )
-        state.law.rate_radps[axis] = state.converter.increment_rad[axis] / sample_s
     for gimbal in range(2):
         injected_rad = gimbal_injection_rad[gimbal]
         if not abs(injected_rad) <= INCREMENT_LIMIT_RAD:
@@ -259,7 +232,7 @@ def computer_tick(
             state.invalid_inputs += 1
         update_command(computer, pool, state, gimbal, time_s, injected_rad, gimbal_replaces[gimbal])
     if computer.roll_on != 0:
-        update_roll(computer.roll, state.roll, state.law.theta_e_rad[0], state.law.rate_radps[0])
+        update_roll(computer.roll, state.roll, state.attitude.theta_e_rad[0], state.attitude.rate_radps[0])
     else:
         silence_roll(state.roll)
     state.ticks += 1
@@ -275,46 +248,45 @@ def update_command(
     injected_rad: float,
     replaces: int,
 ) -> None:
-    """Command of gimbal axis `gimbal` (0 pitch, 1 yaw): law, filter, injection, limit, DAC.
+    """Command of gimbal axis `gimbal` (0 pitch, 1 yaw): law, injection, limit, DAC."""
+    law_rad = tick_pd(computer.law, pool, state.law, state.attitude, gimbal, time_s, computer.control_on)
+    requested_rad = injected_rad if replaces != 0 else law_rad + injected_rad
+    state.requested_rad[gimbal] = requested_rad
+    state.command_limited[gimbal] = 1 if abs(requested_rad) > computer.command_limit_rad else 0
+    state.command_rad[gimbal] = limit_and_quantise(requested_rad, computer.command_limit_rad, computer.dac_step_rad)
 
-    The filter runs on even while its output is replaced, so that it is settled when the law takes over again.
-    """
-    law = state.law
-    pd_rad = 0.0
-    if computer.control_on != 0:
-        pd_rad = proportional_derivative(computer.law, pool, law, gimbal, time_s)
-    law.pd_rad[gimbal] = pd_rad
-    filtered_rad = filter_sample(
-        computer.filters.sections[gimbal],
-        computer.filters.n_sections[gimbal],
-        state.filter_memory[gimbal],
-        pd_rad,
-    )
-    law.filtered_rad[gimbal] = filtered_rad
-    requested_rad = injected_rad if replaces != 0 else filtered_rad + injected_rad
-    law.requested_rad[gimbal] = requested_rad
-    law.command_limited[gimbal] = 1 if abs(requested_rad) > computer.law.command_limit_rad else 0
-    state.command_rad[gimbal] = limit_and_quantise(computer.law, requested_rad)
+
+@kernel
+def limit_and_quantise(requested_rad: float, limit_rad: float, step_rad: float) -> float:
+    """`requested_rad` within ±`limit_rad`, at the nearest DAC step that is not beyond the limit; no step is 0."""
+    command_rad = min(max(requested_rad, -limit_rad), limit_rad)
+    if step_rad == 0.0:
+        return command_rad
+    steps = round_half_away(command_rad / step_rad)
+    # The limit is in general no multiple of the step; the margin keeps rounding from refusing one that is.
+    if abs(steps) * step_rad > limit_rad * (1.0 + 1.0e-12):
+        steps -= 1 if steps > 0 else -1
+    return steps * step_rad
 
 
 class ControlRow(NamedTuple):
     """What is logged of the computer at the rate of the fast group."""
 
     counts_axis: Annotated[RollPitchYaw, "1", "gyro pulses of the last sample"]
+    attitude: AttitudeRow
     law: LawRow
-    filtered_axis_deg: Annotated[PitchYaw, "deg", "output of the bending filter"]
     saturated_axis: Annotated[PitchYaw, "1", "1 while the command is at its limit"]
     roll_thruster: Annotated[float, "1", "roll thrusters: -1, 0 or 1"]
 
 
 @kernel
 def control_row(state: ComputerState) -> ControlRow:
-    law, counts = state.law, state.converter.counts
+    counts, limited = state.converter.counts, state.command_limited
     return ControlRow(
         counts_axis=RollPitchYaw(counts[0], counts[1], counts[2]),
-        law=law_row(law),
-        filtered_axis_deg=PitchYaw(DEG * law.filtered_rad[0], DEG * law.filtered_rad[1]),
-        saturated_axis=PitchYaw(law.command_limited[0], law.command_limited[1]),
+        attitude=attitude_row(state.attitude),
+        law=law_row(state.law),
+        saturated_axis=PitchYaw(limited[0], limited[1]),
         roll_thruster=state.roll.demand,
     )
 

@@ -55,6 +55,17 @@ def round_half_away(value: float) -> int:
 
 
 @kernel
+def start_converter(state: ConverterState) -> None:
+    """Nothing counted."""
+    for axis in range(3):
+        state.counts[axis] = 0
+        state.total_counts[axis] = 0
+        state.residual_rad[axis] = 0.0
+        state.increment_rad[axis] = 0.0
+        state.angle_rad[axis] = 0.0
+
+
+@kernel
 def convert(converter: Converter, state: ConverterState, axis: int, increment_rad: float) -> None:
     """Counts the gyro angle `increment_rad` of one sample on body axis `axis` (0 roll, 1 pitch, 2 yaw).
 

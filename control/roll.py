@@ -89,3 +89,11 @@ def silence_roll(state: RollState) -> None:
     """Thrusters off at once: roll control is switched off."""
     state.demand = 0
     state.ticks_on = 0
+
+
+@kernel
+def start_roll(state: RollState) -> None:
+    """Thrusters off, none fired."""
+    state.switching_rad = 0.0
+    state.firings = 0
+    silence_roll(state)

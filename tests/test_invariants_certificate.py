@@ -121,7 +121,7 @@ def test_margin_is_found_again_from_an_altered_flight(held: HeldFlight) -> None:
 
     def more_gain(packed: Packed) -> None:
         computer = packed.parameters[0].computer
-        computer.filters.sections[0, 0, :3] *= 10.0**0.1
+        computer.law.sections[0, 0, :3] *= 10.0**0.1
 
     found = measure_margin(dataclasses.replace(held, fault=more_gain), loop, margins(loop), "gain_up")
     assert found.reason == ""
@@ -146,7 +146,7 @@ def test_what_grows_ends_as_a_limit_cycle_or_is_lost(held: HeldFlight) -> None:
 
     def over(db: float) -> Change:
         def change(packed: Packed) -> None:
-            filters = packed.parameters[0].computer.filters
+            filters = packed.parameters[0].computer.law
             filters.sections[0, int(filters.n_sections[0])] = [10.0 ** (db / 20.0), 0.0, 0.0, 0.0, 0.0]
             filters.n_sections[0] += 1
 

@@ -140,7 +140,7 @@ def test_angle_error_is_the_exact_sum() -> None:
         total += int(flown.state.converter.counts[PITCH])
     commanded = Fraction(45, 1000) - Fraction(1, 100) * (Fraction(100_000, 100) - 9)
     exact = float(total * Fraction(1e-5) - commanded)
-    assert flown.state.law.theta_e_rad[PITCH] == pytest.approx(exact, abs=1e-13)
+    assert flown.state.attitude.theta_e_rad[PITCH] == pytest.approx(exact, abs=1e-13)
 
 
 def test_law_sees_counts_only() -> None:
@@ -148,9 +148,9 @@ def test_law_sees_counts_only() -> None:
     flown = Flown(programme=None, angle_error_limit_rad=np.inf)
     for increment_rad in noise(samples=50):
         flown.tick(increment_rad)
-        converter, law = flown.state.converter, flown.state.law
-        np.testing.assert_array_equal(law.rate_radps, converter.counts * 1e-5 / SAMPLE_S)
-        np.testing.assert_array_equal(law.theta_e_rad, converter.total_counts * 1e-5)
+        converter, attitude = flown.state.converter, flown.state.attitude
+        np.testing.assert_array_equal(attitude.rate_radps, converter.counts * 1e-5 / SAMPLE_S)
+        np.testing.assert_array_equal(attitude.theta_e_rad, converter.total_counts * 1e-5)
         assert (converter.residual_rad != 0).all()
 
 
@@ -173,19 +173,19 @@ def test_injected_rate_adds_to_or_replaces_the_programme() -> None:
     for _ in range(100):
         flown.tick()
     assert flown.state.guidance.angle_rad == pytest.approx([0.1, 0.14, 0.13], rel=1e-12)
-    assert flown.state.law.theta_e_rad == pytest.approx([-0.1, -0.14, -0.13], rel=1e-12)
+    assert flown.state.attitude.theta_e_rad == pytest.approx([-0.1, -0.14, -0.13], rel=1e-12)
 
 
 def test_injected_gimbal_command_adds_or_replaces_before_limit_and_dac() -> None:
     flown = Flown(programme=None, dac_step_rad=0.001)
     flown.tick((0.0, 0.002, 0.002), gimbal_rad=(0.05, 0.05), gimbal_replaces=(0, 1))
-    law = flown.state.law
-    assert law.requested_rad[0] == law.filtered_rad[0] + 0.05
-    assert law.requested_rad[1] == 0.05
+    state = flown.state
+    assert state.requested_rad[0] == state.law.filtered_rad[0] + 0.05
+    assert state.requested_rad[1] == 0.05
     assert flown.state.command_rad[1] == pytest.approx(0.05, abs=1e-15)
-    assert abs(flown.state.command_rad[0] - law.requested_rad[0]) <= 0.0005
+    assert abs(flown.state.command_rad[0] - state.requested_rad[0]) <= 0.0005
     assert list(flown.tick(gimbal_rad=(9.0, -9.0), gimbal_replaces=(1, 1))[:2]) == pytest.approx([0.1, -0.1])
-    assert list(law.command_limited) == [1, 1]
+    assert list(state.command_limited) == [1, 1]
 
 
 def test_filter_goes_on_while_its_output_is_replaced() -> None:
@@ -201,7 +201,7 @@ def test_switches() -> None:
     commands = off.fly(noise())
     assert (commands[:, :2] == 0).all()
     assert off.tick(gimbal_rad=(0.01, 0.0))[0] == pytest.approx(0.01)
-    assert off.state.law.theta_e_rad[PITCH] != 0
+    assert off.state.attitude.theta_e_rad[PITCH] != 0
 
     off = Flown(guidance_on=False)
     off.fly(noise())

@@ -115,7 +115,7 @@ def test_command_is_equation_33_with_gains_of_the_moment() -> None:
 
 def test_error_beyond_the_limit_is_discarded_and_returns_at_once() -> None:
     flown = computer_of(10_000_000, constant(1.0, 0.0), angle_error_limit_rad=0.3)
-    law = flown[2].law
+    attitude = flown[2].attitude
     for increment, theta_e, discarded, limited in (
         (0.2, 0.2, 0.0, 0),
         (0.2, 0.3, 0.1, 1),
@@ -125,9 +125,9 @@ def test_error_beyond_the_limit_is_discarded_and_returns_at_once() -> None:
         (-0.2, -0.3, 0.1, 1),
     ):
         tick(flown, 0.0, np.array([0.0, increment, 0.0]))
-        assert law.theta_e_rad[PITCH] == pytest.approx(theta_e, abs=1e-15)
-        assert law.discarded_rad[PITCH] == pytest.approx(discarded, abs=1e-15)
-        assert law.error_limited[PITCH] == limited
+        assert attitude.theta_e_rad[PITCH] == pytest.approx(theta_e, abs=1e-15)
+        assert attitude.discarded_rad[PITCH] == pytest.approx(discarded, abs=1e-15)
+        assert attitude.error_limited[PITCH] == limited
 
 
 @pytest.mark.slow
@@ -142,7 +142,7 @@ def test_command_keeps_to_limit_and_dac_steps(limit_rad: float) -> None:
         assert abs(command[0] / step_rad - round(command[0] / step_rad)) < 1e-9
         within = min(max(requested, -limit_rad), limit_rad)
         assert abs(command[0] - within) <= 0.5 * step_rad * (1 + 1e-9)
-        assert flown[2].law.command_limited[0] == (abs(requested) > limit_rad)
+        assert flown[2].command_limited[0] == (abs(requested) > limit_rad)
     assert command[0] == pytest.approx(0.1, rel=1e-12)
 
 

@@ -45,8 +45,8 @@ def test_refused(changed: dict[str, Any], words: str) -> None:
 
 def test_all_that_is_left_out_is_ideal() -> None:
     computer = pack([build_computer(Pool(), sample_ns=SAMPLE_NS)])[0]
-    assert computer.converter.count_rad == computer.law.dac_step_rad == 0.0
-    assert computer.law.command_limit_rad == computer.law.angle_error_limit_rad == np.inf
+    assert computer.converter.count_rad == computer.dac_step_rad == 0.0
+    assert computer.command_limit_rad == computer.angle_error_limit_rad == np.inf
     assert computer.law.gains.n_breaks == computer.programme.n_breaks == 0
     assert computer.roll_on == 0
-    assert list(computer.filters.n_sections) == [0, 0]
+    assert list(computer.law.n_sections) == [0, 0]

@@ -1,9 +1,9 @@
-"""Attitude control law: proportional and derivative, on counted angles (Lee, Ahn & Roh eq 33).
+"""Attitude control law: proportional and derivative, then a bending filter (Lee, Ahn & Roh eqs 33, 37 to 41).
 
     delta_pd = -k_p theta_e - k_d q_g,    theta_e = integral of (q_g - q_c)
 
-theta_e is the counted angle minus the commanded angle, both kept whole, so it is an exact sum and never
-drifts. A positive error gives a negative command: a positive gimbal angle turns the body positively.
+A positive error gives a negative command: a positive gimbal angle turns the body positively. Its linear side is
+design/laws/pd.py.
 """
 
 from __future__ import annotations
@@ -14,11 +14,13 @@ from typing import Annotated, NamedTuple
 
 import numpy as np
 
-from maxq.control.converter import round_half_away
+from maxq.control.attitude import AttitudeError
+from maxq.control.filters import DiscreteFilter, filter_sample, settle_filter
 from maxq.control.kernel.jit import kernel
 from maxq.control.kernel.records import Array, IntArray
-from maxq.control.kernel.rows import DEG, PitchYaw, RollPitchYaw, degrees
+from maxq.control.kernel.rows import DEG, PitchYaw
 from maxq.control.kernel.tables import Cubics, TableRef, fit, look_up, merge
+from maxq.control.laws.structures import MAX_SECTIONS
 
 
 @dataclass(frozen=True)
@@ -33,41 +35,31 @@ class GainSchedule:
 
 
 @dataclass(frozen=True)
-class Law:
-    """`gains`: table over time of k_p, k_d in pitch, k_p, k_d in yaw (`gains_table`); none means a law that
-    gives 0.
+class Pd:
+    """Pairs are per gimbal axis (pitch, yaw).
 
-    `angle_error_limit_rad`: clamp of theta_e. `command_limit_rad`: of each gimbal command. inf: no limit.
-    `dac_step_rad`: step of the digital-to-analogue converter; 0 is none.
+    `gains`: table over time of k_p, k_d in pitch, k_p, k_d in yaw (`gains_table`); none means a law that gives 0.
+    `sections` (2, MAX_SECTIONS, 5): b0, b1, b2, a1, a2 of each section of the bending filters; `n_sections` (2,).
     """
 
     gains: TableRef
-    angle_error_limit_rad: float
-    command_limit_rad: float
-    dac_step_rad: float
+    sections: Annotated[Array, (2, MAX_SECTIONS, 5)]
+    n_sections: Annotated[IntArray, (2,)]
 
 
 @dataclass
-class LawState:
-    """Triples are per body axis (roll, pitch, yaw), pairs per gimbal axis (pitch, yaw).
+class PdState:
+    """Pairs are per gimbal axis (pitch, yaw).
 
-    `theta_e_rad`: clamped angle error; `discarded_rad`: what the clamp has taken out of it so far, so the
-    whole error is the sum of both; `error_limited`: 1 while clamped. `rate_radps`: measured rate q_g, the
-    increment over the sample. `k_p`, `k_d_s`: gains in use. `pd_rad`: delta_pd; `filtered_rad`: after the
-    bending filter; `requested_rad`: with the injected command; `command_limited`: 1 where the limit then cut
-    it.
+    `k_p`, `k_d_s`: gains in use. `pd_rad`: delta_pd; `filtered_rad`: after the bending filter; `filter_memory`: of
+    each section.
     """
 
-    theta_e_rad: Annotated[Array, (3,)]
-    discarded_rad: Annotated[Array, (3,)]
-    error_limited: Annotated[IntArray, (3,)]
-    rate_radps: Annotated[Array, (3,)]
     k_p: Annotated[Array, (2,)]
     k_d_s: Annotated[Array, (2,)]
     pd_rad: Annotated[Array, (2,)]
     filtered_rad: Annotated[Array, (2,)]
-    requested_rad: Annotated[Array, (2,)]
-    command_limited: Annotated[IntArray, (2,)]
+    filter_memory: Annotated[Array, (2, MAX_SECTIONS, 2)]
 
 
 def gains_table(pitch: GainSchedule, yaw: GainSchedule | None = None) -> Cubics:
@@ -85,67 +77,64 @@ def gains_table(pitch: GainSchedule, yaw: GainSchedule | None = None) -> Cubics:
     return merge(tables)
 
 
-@kernel
-def update_angle_error(law: Law, state: LawState, axis: int, angle_rad: float, commanded_rad: float) -> None:
-    """theta_e of body axis `axis` from the counted and the commanded angle.
+def make_pd(gains: TableRef, sample_ns: int, *filters: DiscreteFilter | None) -> Pd:
+    """`filters` in pitch and yaw, none passing its input on. Raises ValueError for one of another sample period."""
+    sections, n_sections = np.zeros((2, MAX_SECTIONS, 5)), np.zeros(2, np.int64)
+    for gimbal, discrete in enumerate(filters):
+        if discrete is None:
+            continue
+        if round(discrete.sample_s * 1e9) != sample_ns:
+            raise ValueError(f"filter's sample_s = {discrete.sample_s}: allowed is {sample_ns / 1e9}, the computer's")
+        sections[gimbal], n_sections[gimbal] = discrete.padded(), discrete.n_sections
+    return Pd(gains, sections, n_sections)
 
-    Anti-windup by conditional accumulation: at the limit, error that would go further out is discarded for
-    good, error that comes back counts at once. The law so answers a reversal without first unwinding, and
-    from then on holds the attitude at which the limit was left.
+
+@kernel
+def start_pd(law: Pd, state: PdState) -> None:
+    """Gains and outputs 0, filters settled at 0."""
+    for gimbal in range(2):
+        state.k_p[gimbal] = 0.0
+        state.k_d_s[gimbal] = 0.0
+        state.pd_rad[gimbal] = 0.0
+        state.filtered_rad[gimbal] = 0.0
+        settle_filter(law.sections[gimbal], law.n_sections[gimbal], state.filter_memory[gimbal], 0.0)
+
+
+@kernel
+def tick_pd(law: Pd, pool: Array, state: PdState, error: AttitudeError, gimbal: int, time_s: float, on: int) -> float:
+    """Filtered command, rad, of gimbal axis `gimbal` (0 pitch, 1 yaw) at `time_s` (eq 33).
+
+    With `on` = 0 the filter's input is 0. The filter runs on in any case, so that it is settled when the law takes
+    over again.
     """
-    error_rad = angle_rad - commanded_rad - state.discarded_rad[axis]
-    clamped_rad = min(max(error_rad, -law.angle_error_limit_rad), law.angle_error_limit_rad)
-    state.error_limited[axis] = 0
-    if clamped_rad != error_rad:
-        state.error_limited[axis] = 1
-        state.discarded_rad[axis] += error_rad - clamped_rad
-    state.theta_e_rad[axis] = clamped_rad
-
-
-@kernel
-def proportional_derivative(law: Law, pool: Array, state: LawState, gimbal: int, time_s: float) -> float:
-    """delta_pd, rad, of gimbal axis `gimbal` (0 pitch, 1 yaw) at `time_s` (eq 33); notes the gains."""
-    if law.gains.n_breaks == 0:
-        return 0.0
-    axis = gimbal + 1
-    k_p = look_up(pool, law.gains, time_s, 2 * gimbal)
-    k_d_s = look_up(pool, law.gains, time_s, 2 * gimbal + 1)
-    state.k_p[gimbal] = k_p
-    state.k_d_s[gimbal] = k_d_s
-    pd_rad: float = -k_p * state.theta_e_rad[axis] - k_d_s * state.rate_radps[axis]
-    return pd_rad
-
-
-@kernel
-def limit_and_quantise(law: Law, requested_rad: float) -> float:
-    """`requested_rad` within ±command_limit_rad, at the nearest DAC step that is not beyond the limit."""
-    limit_rad, step_rad = law.command_limit_rad, law.dac_step_rad
-    command_rad = min(max(requested_rad, -limit_rad), limit_rad)
-    if step_rad == 0.0:
-        return command_rad
-    steps = round_half_away(command_rad / step_rad)
-    # The limit is in general no multiple of the step; the margin keeps rounding from refusing one that is.
-    if abs(steps) * step_rad > limit_rad * (1.0 + 1.0e-12):
-        steps -= 1 if steps > 0 else -1
-    return steps * step_rad
+    pd_rad = 0.0
+    if on != 0 and law.gains.n_breaks != 0:
+        axis = gimbal + 1
+        k_p = look_up(pool, law.gains, time_s, 2 * gimbal)
+        k_d_s = look_up(pool, law.gains, time_s, 2 * gimbal + 1)
+        state.k_p[gimbal] = k_p
+        state.k_d_s[gimbal] = k_d_s
+        pd_rad = -k_p * error.theta_e_rad[axis] - k_d_s * error.rate_radps[axis]
+    state.pd_rad[gimbal] = pd_rad
+    filtered_rad = filter_sample(law.sections[gimbal], law.n_sections[gimbal], state.filter_memory[gimbal], pd_rad)
+    state.filtered_rad[gimbal] = filtered_rad
+    return filtered_rad
 
 
 class LawRow(NamedTuple):
     """What is logged of the law."""
 
-    error_axis_deg: Annotated[RollPitchYaw, "deg", "attitude error theta_e"]
-    measured_axis_rate_degps: Annotated[RollPitchYaw, "deg/s", "angular rate in the control law"]
     k_p_axis: Annotated[PitchYaw, "1", "proportional gain"]
     k_d_axis_s: Annotated[PitchYaw, "s", "rate gain"]
     law_axis_deg: Annotated[PitchYaw, "deg", "output of the PD law"]
+    filtered_axis_deg: Annotated[PitchYaw, "deg", "output of the bending filter"]
 
 
 @kernel
-def law_row(state: LawState) -> LawRow:
+def law_row(state: PdState) -> LawRow:
     return LawRow(
-        error_axis_deg=degrees(state.theta_e_rad),
-        measured_axis_rate_degps=degrees(state.rate_radps),
         k_p_axis=PitchYaw(state.k_p[0], state.k_p[1]),
         k_d_axis_s=PitchYaw(state.k_d_s[0], state.k_d_s[1]),
         law_axis_deg=PitchYaw(DEG * state.pd_rad[0], DEG * state.pd_rad[1]),
+        filtered_axis_deg=PitchYaw(DEG * state.filtered_rad[0], DEG * state.filtered_rad[1]),
     )

@@ -243,14 +243,14 @@ def growth_rate(
 
 def _longest_s(held: HeldFlight) -> float:
     """Delay for which the filter has sections left, two samples each."""
-    free = MAX_SECTIONS - int(held.packed.parameters[0].computer.filters.n_sections[held.axis])
+    free = MAX_SECTIONS - int(held.packed.parameters[0].computer.law.n_sections[held.axis])
     return 2.0 * free * held.sample_s
 
 
 def _alter(packed: Packed, held: HeldFlight, what: MarginName, amount: float) -> None:
     """Alter the packed flight's computer in place, on the held axis, by sections behind those of the filter."""
     row, axis = packed.parameters[0].computer, held.axis
-    sections, used = row.filters.sections[axis], int(row.filters.n_sections[axis])
+    sections, used = row.law.sections[axis], int(row.law.n_sections[axis])
     if what != "delay":
         extra = [[_gain(what, amount), 0.0, 0.0, 0.0, 0.0]]
     else:
@@ -261,7 +261,7 @@ def _alter(packed: Packed, held: HeldFlight, what: MarginName, amount: float) ->
         raise ValueError(f"a delay of {amount:g} s needs {len(extra)} filter sections: {MAX_SECTIONS - used} are free")
     for k, section in enumerate(extra):
         sections[used + k] = section
-    row.filters.n_sections[axis] = used + len(extra)
+    row.law.n_sections[axis] = used + len(extra)
 
 
 @dataclass(frozen=True)

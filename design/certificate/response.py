@@ -225,7 +225,7 @@ def _without_rounding(held: HeldFlight) -> HeldFlight:
         held.fault(packed)
         computer = packed.parameters[0].computer
         computer.converter.count_rad = 0.0
-        computer.law.dac_step_rad = 0.0
+        computer.dac_step_rad = 0.0
 
     return dataclasses.replace(held, fault=fault)
 

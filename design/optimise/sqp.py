@@ -9,6 +9,11 @@ to the real problem: all peaks and crossings are found and solved for anew, and 
 
 Linear programmes alone (B = 0) creep wherever fewer rows are active than there are variables: from one start of F6 with
 free gains they stood at -10.4 dB after 120 steps, this at -13.4 dB after 29.
+
+Why not a general solver: peaks and crossings appear and vanish with the variables, so the rows are no fixed set of
+functions, as SLSQP or IPOPT take them to be, and a step into instability has to be refused. Measured beside it were
+searches without gradients only: given 20 to 300 s of processor time, differential evolution and CMA-ES found nothing
+better than this in 0.6 to 2 s (docs/performance.md, tools/dev/bench/optimise.py).
 """
 
 from __future__ import annotations

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 
+from maxq.control.attitude import whole_error
 from maxq.control.computer import computer_tick
 from maxq.control.kernel.jit import kernel, routine
 from maxq.control.kernel.noise import standard_normal
@@ -181,10 +182,9 @@ def detect_loss_of_control(p: Parameters, memory: Memory, aux: Array) -> None:
     """Events that are detected at the start of a step: loss of control, tumbling."""
     if memory.held.on_pad == 1:
         return
-    clock, timeline, law = memory.clock, p.timeline, memory.computer.law
+    clock, timeline, attitude = memory.clock, p.timeline, memory.computer.attitude
     if memory.held.burning == 1 and clock.event_ns[CONTROL_LOST] < 0:
-        # the law clamps theta_e; what the clamp took away belongs to the error
-        pitch, yaw = law.theta_e_rad[1] + law.discarded_rad[1], law.theta_e_rad[2] + law.discarded_rad[2]
+        pitch, yaw = whole_error(attitude, 1), whole_error(attitude, 2)
         if max(abs(pitch), abs(yaw)) > timeline.control_lost_rad:
             record_event(p, memory, CONTROL_LOST, clock.now_ns)
     if aux[DYNAMIC_PRESSURE] > timeline.tumble_pressure_Pa and clock.event_ns[TUMBLE] < 0:

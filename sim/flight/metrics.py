@@ -10,6 +10,7 @@ import math
 from dataclasses import dataclass
 from typing import Annotated, NamedTuple
 
+from maxq.control.attitude import whole_error
 from maxq.control.computer import ComputerState
 from maxq.control.kernel.jit import kernel, routine
 from maxq.control.kernel.records import Array, IntArray
@@ -105,16 +106,16 @@ def gather(
         aux[SPECIFIC_FORCE + 1] * aux[SPECIFIC_FORCE + 1] + aux[SPECIFIC_FORCE + 2] * aux[SPECIFIC_FORCE + 2]
     )
     raise_to(extremes, METRIC.max_lateral_load_g, lateral_mps2 / STANDARD_GRAVITY_MPS2, now_ns)
-    law = computer.law
-    error = max(abs(law.theta_e_rad[1] + law.discarded_rad[1]), abs(law.theta_e_rad[2] + law.discarded_rad[2]))
+    attitude = computer.attitude
+    error = max(abs(whole_error(attitude, 1)), abs(whole_error(attitude, 2)))
     raise_to(extremes, METRIC.max_attitude_error_deg, math.degrees(error), now_ns)
-    raise_to(extremes, METRIC.max_roll_error_deg, math.degrees(abs(law.theta_e_rad[0] + law.discarded_rad[0])), now_ns)
+    raise_to(extremes, METRIC.max_roll_error_deg, math.degrees(abs(whole_error(attitude, 0))), now_ns)
     gimbal = max(abs(aux[ENGINE_PITCH]), abs(aux[ENGINE_YAW]))
     raise_to(extremes, METRIC.max_gimbal_deg, math.degrees(gimbal), now_ns)
     gimbal_rate = max(abs(aux[ENGINE_PITCH + 1]), abs(aux[ENGINE_YAW + 1]))
     raise_to(extremes, METRIC.max_gimbal_rate_degps, math.degrees(gimbal_rate), now_ns)
     _gather_slosh(extremes, vehicle, now_ns, props, y)
-    if computer.law.command_limited[0] == 1 or computer.law.command_limited[1] == 1:
+    if computer.command_limited[0] == 1 or computer.command_limited[1] == 1:
         extremes.value[METRIC.saturation_time_s] += step_s
         extremes.time_ns[METRIC.saturation_time_s] = now_ns
 

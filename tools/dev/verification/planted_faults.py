@@ -108,7 +108,7 @@ def _exchange_a3_a4(packed: Packed) -> None:
 
 
 def _sections(packed: Packed) -> Array:
-    filters = packed.parameters[0].computer.filters
+    filters = packed.parameters[0].computer.law
     out: Array = filters.sections[0, : int(filters.n_sections[0])]
     return out
 
@@ -121,7 +121,7 @@ def _coefficient(section: int, place: int, factor: float) -> Change:
 
 
 def _one_sample_late(packed: Packed) -> None:
-    filters = packed.parameters[0].computer.filters
+    filters = packed.parameters[0].computer.law
     used = int(filters.n_sections[0])
     assert used < MAX_SECTIONS
     filters.sections[0, used] = [0.0, 1.0, 0.0, 0.0, 0.0]
@@ -223,7 +223,7 @@ FAULTS: tuple[Fault, ...] = (
     Fault("filter not pre-warped", "filter", _without_prewarping),
     Fault("b0 of the first section, 2 %", "filter", _coefficient(0, 0, 1.02)),
     Fault("a2 of the second section, 2 %", "filter", _coefficient(1, 4, 1.02)),
-    Fault("second section left out", "filter", _set("computer.filters.n_sections", lambda v: v - 1)),
+    Fault("second section left out", "filter", _set("computer.law.n_sections", lambda v: v - 1)),
     Fault("gains of the row before", "law", _gains(lambda g: g * (1.0 + 0.034 / 0.838))),
     Fault("k_p and k_d exchanged", "law", _gains(lambda g: g[:, [1, 0, 3, 2]])),
     Fault("k_d, sign", "law", _gains(lambda g: g * [1.0, -1.0, 1.0, 1.0])),
