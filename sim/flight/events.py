@@ -1,4 +1,4 @@
-"""What happens at an instant: commands that take effect, ignition, burn-out, separation, and crossings of the state.
+"""Events: commands that take effect, ignition, burn-out, separation, and events that depend on the state.
 
 Instants known beforehand are met exactly, because no step reaches over them. Lift-off, apogee and impact depend on
 the state: a step that crosses one is repeated with ever better lengths until the crossing is known to the nanosecond.
@@ -39,7 +39,7 @@ from maxq.sim.world.turbulence import turbulence_tick
 
 @kernel
 def record_event(p: Parameters, memory: Memory, event: int, now_ns: int) -> None:
-    """Enter an event's first time; end the flight if the scenario says so."""
+    """Record the first time of an event; end the flight if it is an event of run.stop_at."""
     if memory.clock.event_ns[event] < 0:
         memory.clock.event_ns[event] = now_ns
     if (p.timeline.stop_mask >> event) & 1 == 1:
@@ -48,7 +48,7 @@ def record_event(p: Parameters, memory: Memory, event: int, now_ns: int) -> None
 
 @routine
 def process_due_events(p: Parameters, pool: Array, memory: Memory, y: Array, aux: Array) -> int:
-    """Everything that is due now. Returns 1 where the vehicle itself has changed (engine on or off)."""
+    """Process all events that are due now. Returns 1 if the engine has been ignited or cut off."""
     clock, held = memory.clock, memory.held
     now = clock.now_ns
     advance_schedule(p, pool, memory)
@@ -97,7 +97,7 @@ def apply_due_command(p: Parameters, memory: Memory) -> None:
 
 @routine
 def sample_computer(p: Parameters, pool: Array, memory: Memory, y: Array) -> None:
-    """One tick of the flight computer on what the gyro has turned since the last one."""
+    """One tick of the flight computer on the gyro's angle increments since the last one."""
     clock = memory.clock
     now = clock.now_ns
     begun = now - p.computer.sample_ns  # a rate is commanded over the sample that ends now
@@ -125,7 +125,7 @@ def sample_computer(p: Parameters, pool: Array, memory: Memory, y: Array) -> Non
 
 @kernel
 def step_length(p: Parameters, pool: Array, memory: Memory, until_ns: int) -> int:
-    """Nanoseconds to the next instant that no step may reach over."""
+    """Nanoseconds to the next instant at which a step must end."""
     clock, timeline = memory.clock, p.timeline
     now = clock.now_ns
     end = min((now // timeline.step_ns + 1) * timeline.step_ns, until_ns)
@@ -149,7 +149,7 @@ def step_length(p: Parameters, pool: Array, memory: Memory, until_ns: int) -> in
 
 @kernel
 def advance_schedule(p: Parameters, pool: Array, memory: Memory) -> None:
-    """Go over to the interval of the schedule that begins at or before now: rates may jump there."""
+    """Advance to the interval of the schedule that begins at or before now: rates may jump there."""
     schedule, clock = p.vehicle.schedule, memory.clock
     if clock.now_ns < clock.next_break_ns:
         return

@@ -1,4 +1,4 @@
-"""The flight: steps from instant to instant, with the computer's samples, events, metrics and log rows in between."""
+"""The flight loop: steps between events, with the computer's samples, metrics and log rows."""
 
 from __future__ import annotations
 
@@ -173,7 +173,7 @@ def update_metrics(p: Parameters, memory: Memory, step_s: float, at: Evaluation)
 
 @routine
 def separate(P: Records, pool: Array, memory: Memory, y: Array, properties: Array, properties_after: Array) -> None:
-    """Go over to the next stage."""
+    """Separate the stage that has burned out and continue with the next."""
     clock = memory.clock
     before, after = P[clock.stage], P[clock.stage + 1]
     read_schedule(before, pool, memory, clock.now_ns, 0.0, properties)
