@@ -12,7 +12,7 @@ from pydantic import Field, model_validator
 
 from maxq.control.laws.structures import MAX_SECTIONS, STRUCTURES, Law
 from maxq.sim.scenario.errors import refuse
-from maxq.sim.scenario.schema_values import NotNegative, Positive, Section, needs, only_with
+from maxq.sim.scenario.schema_values import NotNegative, Positive, Section, needs, only_with, optional
 
 PAPER_TIMES_S = tuple(float(t) for t in range(5, 60, 5))
 LIMIT_NAMES = Literal["second_mode_db", "filter_gain_at_infinity", "rigid_hz", "rigid_zeta"]
@@ -36,14 +36,12 @@ def _check_range(value: Range, key: str, lowest: float) -> None:
 class Gains(Section):
     """The gain schedules."""
 
-    schedule: Literal["two-phase", "linear", "free", "nodes"] = Field(
-        default="linear",
-        description="two-phase: the least linear ones that meet [reference], found before the filter (paper, 5.1); "
+    schedule: Literal["two-phase", "linear", "free", "nodes"] = optional(
+        "two-phase: the least linear ones that meet [reference], found before the filter (paper, 5.1); "
         "linear: values at the first and last node (Subcase 1); free: at every node (Subcase 2); nodes: at nodes_s",
+        "linear",
     )
-    nodes_s: tuple[float, ...] | None = Field(
-        default=None, description="vehicle times of the gain table, s; with nodes"
-    )
+    nodes_s: tuple[float, ...] | None = optional("vehicle times of the gain table, s; with nodes")
 
     @model_validator(mode="after")
     def _check(self) -> Gains:
@@ -66,20 +64,18 @@ class FilterBounds(Section):
     network).
     """
 
-    zero_hz: Range = Field(default=(3.0, 100.0), description="of quadratic sections; from twice the crossover")
-    zero_zeta: Range = Field(
-        default=(0.1, 1.2),
-        description="a notch of 0.01 is optimal on paper and brittle; one of 0.1 keeps 10 of its 14 dB "
-        "where a mode is 10 % off",
+    zero_hz: Range = optional("of quadratic sections; from twice the crossover", (3.0, 100.0))
+    zero_zeta: Range = optional(
+        "a notch of 0.01 is optimal on paper and brittle; one of 0.1 keeps 10 of its 14 dB where a mode is 10 % off",
+        (0.1, 1.2),
     )
-    pole_hz: Range = Field(default=(3.0, 100.0), description="of quadratic sections; from twice the crossover")
-    pole_zeta: Range = Field(
-        default=(0.3, 1.2),
-        description="below 0.3 a filter amplifies by more than 4 dB at its own resonance, and rings; "
-        "above 1 the roots are real",
+    pole_hz: Range = optional("of quadratic sections; from twice the crossover", (3.0, 100.0))
+    pole_zeta: Range = optional(
+        "below 0.3 a filter amplifies by more than 4 dB at its own resonance, and rings; above 1 the roots are real",
+        (0.3, 1.2),
     )
-    first_order_zero_hz: Range = Field(default=(2.0, 200.0), description="of first-order sections")
-    first_order_pole_hz: Range = Field(default=(2.0, 200.0), description="of first-order sections")
+    first_order_zero_hz: Range = optional("of first-order sections", (2.0, 200.0))
+    first_order_pole_hz: Range = optional("of first-order sections", (2.0, 200.0))
 
     @model_validator(mode="after")
     def _check(self) -> FilterBounds:
@@ -91,14 +87,13 @@ class FilterBounds(Section):
 class Filter(Section):
     """The bending filter's form."""
 
-    structure: Literal["F2", "F3", "F4", "F5", "F6", "sections"] = Field(
-        default="F4", description="of the paper (37 to 41), or sections: as many as quadratic and first_order say"
+    structure: Literal["F2", "F3", "F4", "F5", "F6", "sections"] = optional(
+        "of the paper (37 to 41), or sections: as many as quadratic and first_order say", "F4"
     )
-    quadratic: int | None = Field(default=None, ge=0, description="number of quadratic sections; with sections")
-    first_order: int | None = Field(default=None, ge=0, description="number of first-order sections; with sections")
-    prewarp_hz: Positive | None = Field(
-        default=None,
-        description="where the discrete filter equals the continuous one, Hz; default: mean first bending frequency",
+    quadratic: int | None = optional("number of quadratic sections; with sections", ge=0)
+    first_order: int | None = optional("number of first-order sections; with sections", ge=0)
+    prewarp_hz: Positive | None = optional(
+        "where the discrete filter equals the continuous one, Hz; default: mean first bending frequency"
     )
     bounds: FilterBounds = FilterBounds()
 
@@ -119,74 +114,63 @@ class Filter(Section):
 class Objective(Section):
     """What is made best."""
 
-    kind: ObjectiveName = Field(
-        default="first-mode-peak",
-        description="first-mode-peak: least peak of mode 1 over all nodes (42). least-margin: largest of the least "
+    kind: ObjectiveName = optional(
+        "first-mode-peak: least peak of mode 1 over all nodes (42). least-margin: largest of the least "
         "|1 + L|; for plants whose first mode wanders so far that it is better phase-stabilised than notched",
+        "first-mode-peak",
     )
-    band: Annotated[float, Field(gt=0.0, lt=0.5)] = Field(
-        default=0.03,
-        description="half width of the band around each coupled bending frequency in which its peak is sought, as a "
+    band: Annotated[float, Field(gt=0.0, lt=0.5)] = optional(
+        "half width of the band around each coupled bending frequency in which its peak is sought, as a "
         "share of it; the paper evaluates at the uncoupled frequency, which can miss the peak by 1 dB (erratum 17)",
+        0.03,
     )
 
 
 class MarginLimits(Section):
     """Limits of a loop; margins hold at every crossing, and the closed loop must be stable."""
 
-    gain_margin_db: Positive = Field(default=6.0, description="GM_R (44): customary, the paper gives none")
-    phase_margin_deg: Margin = Field(default=30.0, description="PM_R (45): customary, the paper gives none")
-    modulus_db: Annotated[float, Field(lt=0.0)] | None = Field(default=None, description="least |1 + L|")
-    first_mode_db: float | None = Field(default=None, description="largest peak of mode 1, where it is no objective")
-    second_mode_db: float = Field(
-        default=-6.0, description="P2_UL (43): as low as the gain margin asks; not in the paper"
+    gain_margin_db: Positive = optional("GM_R (44): customary, the paper gives none", 6.0)
+    phase_margin_deg: Margin = optional("PM_R (45): customary, the paper gives none", 30.0)
+    modulus_db: Annotated[float, Field(lt=0.0)] | None = optional("least |1 + L|")
+    first_mode_db: float | None = optional("largest peak of mode 1, where it is no objective")
+    second_mode_db: float = optional("P2_UL (43): as low as the gain margin asks; not in the paper", -6.0)
+    higher_modes_db: float | None = optional("largest peak of modes 3 and above; not in the paper")
+    first_mode_phase_deg: Margin | None = optional(
+        "phase margin at 0 dB inside the band of mode 1 (45 is customary for a phase-stabilised one)"
     )
-    higher_modes_db: float | None = Field(
-        default=None, description="largest peak of modes 3 and above; not in the paper"
-    )
-    first_mode_phase_deg: Margin | None = Field(
-        default=None,
-        description="phase margin at 0 dB inside the band of mode 1 (45 is customary for a phase-stabilised one)",
-    )
-    rigid_hz: Positive = Field(
-        default=0.5, description="omega_RB,min (47): what the paper's reference design was held to"
-    )
-    rigid_zeta: Positive = Field(default=0.7, description="zeta_RB,min (48): likewise")
-    without: tuple[LIMIT_NAMES, ...] = Field(default=(), description="limits that are not asked for")
+    rigid_hz: Positive = optional("omega_RB,min (47): what the paper's reference design was held to", 0.5)
+    rigid_zeta: Positive = optional("zeta_RB,min (48): likewise", 0.7)
+    without: tuple[LIMIT_NAMES, ...] = optional("limits that are not asked for", ())
 
 
 class Limits(MarginLimits):
     """Limits of the nominal plants, and those of filter and method."""
 
-    zone: Literal["none", "ellipse", "diamond", "rectangle"] = Field(
-        default="none",
-        description="keep L out of a zone around -1 in the Nichols plane, half axes gain_margin_db, phase_margin_deg",
+    zone: Literal["none", "ellipse", "diamond", "rectangle"] = optional(
+        "keep L out of a zone around -1 in the Nichols plane, half axes gain_margin_db, phase_margin_deg", "none"
     )
-    filter_gain_at_infinity: Positive = Field(
-        default=1.0, description="P^F, largest |F(j inf)| (46): 1, a filter that amplifies no noise; not in the paper"
+    filter_gain_at_infinity: Positive = optional(
+        "P^F, largest |F(j inf)| (46): 1, a filter that amplifies no noise; not in the paper", 1.0
     )
-    rigid_body: Literal["paper", "aerodynamic"] = Field(
-        default="paper",
-        description="frequency and damping ratio by (35), (36), or with M_alpha and M_q in them (erratum 12)",
+    rigid_body: Literal["paper", "aerodynamic"] = optional(
+        "frequency and damping ratio by (35), (36), or with M_alpha and M_q in them (erratum 12)", "paper"
     )
 
 
 class Reference(Section):
     """Phase 1 of the two-phase design: the least gains linear in time that meet these."""
 
-    rigid_hz: Positive = Field(default=0.5, description="natural frequency at every node, Hz (paper, 5.1)")
-    rigid_zeta: Positive = Field(default=0.7, description="damping ratio at every node (paper, 5.1)")
+    rigid_hz: Positive = optional("natural frequency at every node, Hz (paper, 5.1)", 0.5)
+    rigid_zeta: Positive = optional("damping ratio at every node (paper, 5.1)", 0.7)
 
 
 class DispersedLimits(MarginLimits):
     """Limits of the dispersed plants: half the nominal ones, as is practice."""
 
-    gain_margin_db: Positive = Field(default=3.0, description="customary: half the nominal one")
-    phase_margin_deg: Margin = Field(default=15.0, description="customary: half the nominal one")
-    second_mode_db: float = Field(default=-3.0, description="as low as the gain margin asks")
-    without: tuple[LIMIT_NAMES, ...] = Field(
-        default=("rigid_hz", "rigid_zeta"), description="limits that are not asked for"
-    )
+    gain_margin_db: Positive = optional("customary: half the nominal one", 3.0)
+    phase_margin_deg: Margin = optional("customary: half the nominal one", 15.0)
+    second_mode_db: float = optional("as low as the gain margin asks", -3.0)
+    without: tuple[LIMIT_NAMES, ...] = optional("limits that are not asked for", ("rigid_hz", "rigid_zeta"))
 
 
 class Robust(Section):
@@ -195,19 +179,19 @@ class Robust(Section):
     The defaults are 3-sigma ranges after a modal survey: bending 5, 10, 15 %, slopes 20 %.
     """
 
-    bending_frequency: tuple[Share, ...] = Field(default=(0.05, 0.10, 0.15), description="of each mode, all one way")
-    bending_slope: Share = Field(default=0.2, description="of all modes at the gyro")
-    slosh_frequency: Share = Field(default=0.05, description="of all tanks")
-    slosh_mass: Share = Field(default=0.1, description="of all tanks")
-    slosh_damping: Share = Field(default=0.5, description="of all tanks")
-    actuator_frequency: Share = Field(default=0.15, description="of the actuator's poles")
-    delay_s: NotNegative = Field(default=0.005, description="more delay in the computer, s; none is the other end")
-    thrust: Share = Field(default=0.03, description="of the gimbal's authority")
-    normal_force: Share = Field(default=0.15, description="of the slope of lift")
-    centre_of_pressure_m: NotNegative = Field(default=0.25, description="a quarter of the diameter")
-    inertia: Share = Field(default=0.05, description="of the core")
-    rounds: Annotated[int, Field(ge=1, le=50)] = Field(
-        default=8, description="times that the worst plants are searched, added, and the design is made anew"
+    bending_frequency: tuple[Share, ...] = optional("of each mode, all one way", (0.05, 0.10, 0.15))
+    bending_slope: Share = optional("of all modes at the gyro", 0.2)
+    slosh_frequency: Share = optional("of all tanks", 0.05)
+    slosh_mass: Share = optional("of all tanks", 0.1)
+    slosh_damping: Share = optional("of all tanks", 0.5)
+    actuator_frequency: Share = optional("of the actuator's poles", 0.15)
+    delay_s: NotNegative = optional("more delay in the computer, s; none is the other end", 0.005)
+    thrust: Share = optional("of the gimbal's authority", 0.03)
+    normal_force: Share = optional("of the slope of lift", 0.15)
+    centre_of_pressure_m: NotNegative = optional("a quarter of the diameter", 0.25)
+    inertia: Share = optional("of the core", 0.05)
+    rounds: Annotated[int, Field(ge=1, le=50)] = optional(
+        "times that the worst plants are searched, added, and the design is made anew", 8
     )
     limits: DispersedLimits = DispersedLimits()
 
@@ -215,40 +199,36 @@ class Robust(Section):
 class Search(Section):
     """The optimiser's starts."""
 
-    starts: Annotated[int, Field(ge=1, le=1000)] = Field(default=8, description="number of starts of the whole problem")
-    leaps: Annotated[int, Field(ge=0, le=1000)] = Field(
-        default=8, description="leaps from the best end: part of the variables thrown off, and brought down again"
+    starts: Annotated[int, Field(ge=1, le=1000)] = optional("number of starts of the whole problem", 8)
+    leaps: Annotated[int, Field(ge=0, le=1000)] = optional(
+        "leaps from the best end: part of the variables thrown off, and brought down again", 8
     )
-    seed: Annotated[int, Field(ge=0)] = Field(default=1, description="of the random ones among them")
+    seed: Annotated[int, Field(ge=0)] = optional("of the random ones among them", 1)
 
 
 class Case(Section):
     """A case file, in designs/cases/."""
 
-    schema_version: Literal[1] = Field(default=1, alias="schema", description="version of the format")
-    name: str = Field(default="", description="name of the case")
-    description: str = Field(default="", description="what it is, in a sentence")
-    scenario: str = Field(default="nominal", description="whose flight gives speed, air and attitude at the nodes")
-    plant: Literal["flown", "table2"] = Field(
-        default="flown", description="the scenario's vehicle, or with derivatives that span the paper's Table 2"
+    schema_version: Literal[1] = optional("version of the format", 1, alias="schema")
+    name: str = optional("name of the case", "")
+    description: str = optional("what it is, in a sentence", "")
+    scenario: str = optional("whose flight gives speed, air and attitude at the nodes", "nominal")
+    plant: Literal["flown", "table2"] = optional(
+        "the scenario's vehicle, or with derivatives that span the paper's Table 2", "flown"
     )
-    errata: Literal["corrected", "paper"] = Field(
-        default="corrected", description="the paper's model corrected or as printed"
+    errata: Literal["corrected", "paper"] = optional("the paper's model corrected or as printed", "corrected")
+    loop: Literal["pade", "sampled", "exact"] = optional(
+        "pade: the paper's continuous model (30 to 32); sampled: as the computer runs it", "sampled"
     )
-    loop: Literal["pade", "sampled", "exact"] = Field(
-        default="sampled", description="pade: the paper's continuous model (30 to 32); sampled: as the computer runs it"
-    )
-    plane: Literal["pitch", "yaw"] = Field(default="pitch", description="plane of the model")
-    nodes_s: tuple[float, ...] = Field(
-        default=PAPER_TIMES_S, description="vehicle times at which the limits are checked, s"
-    )
-    law: Law = Field(default="pd", description="control law; pd: proportional-derivative with a bending filter")
+    plane: Literal["pitch", "yaw"] = optional("plane of the model", "pitch")
+    nodes_s: tuple[float, ...] = optional("vehicle times at which the limits are checked, s", PAPER_TIMES_S)
+    law: Law = optional("control law; pd: proportional-derivative with a bending filter", "pd")
     gains: Gains = Gains()
     filter: Filter = Filter()
     objective: Objective = Objective()
     limits: Limits = Limits()
     reference: Reference = Reference()
-    robust: Robust | None = Field(default=None, description="absent: the nominal plants only")
+    robust: Robust | None = optional("absent: the nominal plants only")
     search: Search = Search()
 
     @model_validator(mode="after")

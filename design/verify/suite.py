@@ -19,7 +19,7 @@ from maxq.sim.campaign.statistics import MET, NOT_MET
 from maxq.sim.scenario.errors import ScenarioError, refuse, suggestion
 from maxq.sim.scenario.loader import load_file
 from maxq.sim.scenario.schema_scenario import Scenario
-from maxq.sim.scenario.schema_values import NotNegative, Positive, Section
+from maxq.sim.scenario.schema_values import NotNegative, Positive, Section, optional
 
 Judgement = Literal["accepted", "rejected", "undecided"]
 ACCEPTED: Judgement = "accepted"
@@ -95,64 +95,60 @@ class Flown(Section):
     """A scenario of the suite: the base scenario with changes, judged by its requirements."""
 
     name: str = Field(description="shown to people")
-    why: str = Field(default="", description="what it is to show, in a sentence")
-    scenario: str | None = Field(default=None, description="another base (default: the suite's)")
-    set: tuple[str, ...] = Field(default=(), description="changes, key=value as with simrun --set")
-    limits: Literal["own", "dispersed"] = Field(
-        default="own", description="the scenario's own limits, or those of [[dispersed_limit]] where there is one"
+    why: str = optional("what it is to show, in a sentence", "")
+    scenario: str | None = optional("another base (default: the suite's)")
+    set: tuple[str, ...] = optional("changes, key=value as with simrun --set", ())
+    limits: Literal["own", "dispersed"] = optional(
+        "the scenario's own limits, or those of [[dispersed_limit]] where there is one", "own"
     )
-    design_must_keep: bool = Field(default=True, description="false: flown and shown, but no reason to reject")
+    design_must_keep: bool = optional("false: flown and shown, but no reason to reject", True)
 
 
 class MarginLimits(Section):
     """Least margins; those that are absent are not asked for."""
 
-    gain_up_db: float | None = Field(default=None, description="gain that may be added, over all crossings, dB")
-    aero_gain_db: float | None = Field(default=None, description="gain that may be taken away, rigid body, dB")
-    phase_deg: float | None = Field(default=None, description="phase margin over rigid crossings, deg")
-    delay_ms: float | None = Field(default=None, description="delay margin over all crossings, ms")
-    slosh_phase_deg: float | None = Field(
-        default=None, description="phase margin of slosh lobes that are above slosh_peak_db, deg"
-    )
-    slosh_peak_db: float = Field(default=-6.0, description="slosh below this needs no phase, dB")
-    first_mode_phase_deg: float | None = Field(
-        default=None, description="phase margin of the first mode where it is above 0 dB, deg"
-    )
-    higher_modes_db: float | None = Field(default=None, description="peak of the second mode and above, dB")
+    gain_up_db: float | None = optional("gain that may be added, over all crossings, dB")
+    aero_gain_db: float | None = optional("gain that may be taken away, rigid body, dB")
+    phase_deg: float | None = optional("phase margin over rigid crossings, deg")
+    delay_ms: float | None = optional("delay margin over all crossings, ms")
+    slosh_phase_deg: float | None = optional("phase margin of slosh lobes that are above slosh_peak_db, deg")
+    slosh_peak_db: float = optional("slosh below this needs no phase, dB", -6.0)
+    first_mode_phase_deg: float | None = optional("phase margin of the first mode where it is above 0 dB, deg")
+    higher_modes_db: float | None = optional("peak of the second mode and above, dB")
 
 
 class Spread(Section):
     """3-sigma deviations, relative unless a unit is named."""
 
-    bending_frequency: tuple[NotNegative, ...] = Field(default=(0.05, 0.10, 0.15), description="of each mode")
-    bending_slope: NotNegative = Field(default=0.2, description="at the gyro")
-    bending_damping: NotNegative = Field(default=0.5, description="of all modes")
-    slosh_frequency: NotNegative = Field(default=0.05, description="of all tanks")
-    slosh_mass: NotNegative = Field(default=0.10, description="of all tanks")
-    slosh_damping: NotNegative = Field(default=0.5, description="of all tanks")
-    actuator_frequency: NotNegative = Field(default=0.15, description="poles of the actuator")
-    delay_s: NotNegative = Field(default=0.002, description="either way, s; never below no delay")
-    thrust: NotNegative = Field(default=0.03, description="lateral authority")
-    normal_force: NotNegative = Field(default=0.15, description="of all surfaces")
-    centre_of_pressure_m: NotNegative = Field(default=0.25, description="m")
-    inertia: NotNegative = Field(default=0.05, description="transverse")
+    bending_frequency: tuple[NotNegative, ...] = optional("of each mode", (0.05, 0.10, 0.15))
+    bending_slope: NotNegative = optional("at the gyro", 0.2)
+    bending_damping: NotNegative = optional("of all modes", 0.5)
+    slosh_frequency: NotNegative = optional("of all tanks", 0.05)
+    slosh_mass: NotNegative = optional("of all tanks", 0.10)
+    slosh_damping: NotNegative = optional("of all tanks", 0.5)
+    actuator_frequency: NotNegative = optional("poles of the actuator", 0.15)
+    delay_s: NotNegative = optional("either way, s; never below no delay", 0.002)
+    thrust: NotNegative = optional("lateral authority", 0.03)
+    normal_force: NotNegative = optional("of all surfaces", 0.15)
+    centre_of_pressure_m: NotNegative = optional("m", 0.25)
+    inertia: NotNegative = optional("transverse", 0.05)
 
 
 class LinearMargins(Section):
     """Margins of the exact sampled loop, as designed and dispersed."""
 
-    times_s: tuple[NotNegative, ...] = Field(
-        default=tuple(float(t) for t in range(5, 60, 5)), min_length=1, description="vehicle times, s"
+    times_s: tuple[NotNegative, ...] = optional(
+        "vehicle times, s", tuple(float(t) for t in range(5, 60, 5)), min_length=1
     )
-    planes: tuple[Plane, ...] = Field(default=("pitch",), min_length=1, description="pitch, yaw")
-    cases: Annotated[int, Field(ge=0, le=100000)] = Field(default=100, description="random vehicles")
-    seed: Annotated[int, Field(ge=0, lt=2**63)] = Field(default=1, description="of the random vehicles")
-    success: Level = Field(default=0.975, description="share of random vehicles that must keep the dispersed limits")
-    confidence: Level = Field(default=0.90, description="with which that is to be shown")
-    corner_sigmas: NotNegative = Field(
-        default=1.5,
-        description="deviation of every factor at the corners of the screening design, in sigma; 0: no corners. Twelve "
+    planes: tuple[Plane, ...] = optional("pitch, yaw", ("pitch",), min_length=1)
+    cases: Annotated[int, Field(ge=0, le=100000)] = optional("random vehicles", 100)
+    seed: Annotated[int, Field(ge=0, lt=2**63)] = optional("of the random vehicles", 1)
+    success: Level = optional("share of random vehicles that must keep the dispersed limits", 0.975)
+    confidence: Level = optional("with which that is to be shown", 0.90)
+    corner_sigmas: NotNegative = optional(
+        "deviation of every factor at the corners of the screening design, in sigma; 0: no corners. Twelve "
         "factors at 1.5 sigma together are as unlikely as one at 5",
+        1.5,
     )
     nominal: MarginLimits = MarginLimits()
     dispersed: MarginLimits = MarginLimits()
@@ -162,41 +158,41 @@ class LinearMargins(Section):
 class CertificateWanted(Section):
     """Where the loop is measured in flight, and taken to its stability limit."""
 
-    times_s: tuple[NotNegative, ...] = Field(
-        default=tuple(float(t) for t in range(5, 60, 5)), min_length=1, description="vehicle times, s"
+    times_s: tuple[NotNegative, ...] = optional(
+        "vehicle times, s", tuple(float(t) for t in range(5, 60, 5)), min_length=1
     )
-    planes: tuple[Plane, ...] = Field(default=("pitch", "yaw"), min_length=1, description="pitch, yaw")
-    in_flight: bool = Field(default=True, description="also in the ascent itself")
+    planes: tuple[Plane, ...] = optional("pitch, yaw", ("pitch", "yaw"), min_length=1)
+    in_flight: bool = optional("also in the ascent itself", True)
 
 
 class CampaignWanted(Section):
     """A campaign with its required confidence."""
 
     file: str = Field(description="a campaign file, or the name of a built-in one")
-    name: str = Field(default="", description="shown to people (default: the campaign's)")
-    set: tuple[str, ...] = Field(default=(), description="changes, key=value as with simrun --set")
-    limits: Literal["own", "dispersed"] = Field(default="own", description="as of a flight")
-    runs: Annotated[int, Field(gt=0)] | None = Field(default=None, description="default: the campaign's")
-    success: Level | None = Field(default=None, description="default: the campaign's")
-    confidence: Level | None = Field(default=None, description="default: the campaign's")
+    name: str = optional("shown to people (default: the campaign's)", "")
+    set: tuple[str, ...] = optional("changes, key=value as with simrun --set", ())
+    limits: Literal["own", "dispersed"] = optional("as of a flight", "own")
+    runs: Annotated[int, Field(gt=0)] | None = optional("default: the campaign's")
+    success: Level | None = optional("default: the campaign's")
+    confidence: Level | None = optional("default: the campaign's")
 
 
 class Suite(Section):
     """A suite file."""
 
-    schema_version: Literal[1] = Field(default=1, alias="schema", description="version of the format")
-    name: str = Field(default="", description="default: the file's name")
-    description: str = Field(default="", description="what it is for, in a sentence")
-    scenario: str = Field(default="nominal", description="base of the scenarios, and flight along which nodes lie")
-    flight: tuple[Flown, ...] = Field(default=(), description="scenarios, each judged by its requirements")
-    margins: LinearMargins | None = Field(default=None, description="absent: not asked for")
-    certificate: CertificateWanted | None = Field(default=None, description="absent: not asked for")
-    campaign: tuple[CampaignWanted, ...] = Field(default=(), description="campaigns")
-    dispersed_limit: tuple[DispersedLimit, ...] = Field(
-        default=(), description="limits of flights and campaigns with limits = 'dispersed'"
+    schema_version: Literal[1] = optional("version of the format", 1, alias="schema")
+    name: str = optional("default: the file's name", "")
+    description: str = optional("what it is for, in a sentence", "")
+    scenario: str = optional("base of the scenarios, and flight along which nodes lie", "nominal")
+    flight: tuple[Flown, ...] = optional("scenarios, each judged by its requirements", ())
+    margins: LinearMargins | None = optional("absent: not asked for")
+    certificate: CertificateWanted | None = optional("absent: not asked for")
+    campaign: tuple[CampaignWanted, ...] = optional("campaigns", ())
+    dispersed_limit: tuple[DispersedLimit, ...] = optional(
+        "limits of flights and campaigns with limits = 'dispersed'", ()
     )
-    wind_limit_mps: Positive | None = Field(
-        default=None, description="steady cross-wind that the gimbal must be able to trim at every time, m/s"
+    wind_limit_mps: Positive | None = optional(
+        "steady cross-wind that the gimbal must be able to trim at every time, m/s"
     )
 
     @model_validator(mode="after")

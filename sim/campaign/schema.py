@@ -12,7 +12,7 @@ from maxq.sim.run.metrics import METRIC_NAMES
 from maxq.sim.scenario.documents import Text
 from maxq.sim.scenario.errors import refuse
 from maxq.sim.scenario.schema_environment import WIND_COLUMNS
-from maxq.sim.scenario.schema_values import NotNegative, Positive, Section, needs, only_with
+from maxq.sim.scenario.schema_values import NotNegative, Positive, Section, needs, only_with, optional
 from maxq.sim.scenario.tables_csv import FILE_KEY, Columns, CsvTable
 
 WIND_MODEL_COLUMNS = Columns(
@@ -41,8 +41,9 @@ Samples = Annotated[CsvTable, Columns("")]
 class Envelope(Section):
     """Histories that are kept thinned out, for percentiles over time."""
 
-    channels: tuple[str, ...] = Field(
-        default=(
+    channels: tuple[str, ...] = optional(
+        "names of log channels (docs/telemetry.md)",
+        (
             "dynamic_pressure_Pa",
             "q_alpha_Padeg",
             "error_pitch_deg",
@@ -51,12 +52,11 @@ class Envelope(Section):
             "gimbal_yaw_angle_deg",
             "altitude_m",
         ),
-        description="names of log channels (docs/telemetry.md)",
     )
-    rate_hz: Annotated[float, Field(gt=0.0, le=100.0)] = Field(default=2.0, description="rows per second, Hz")
-    runs: Annotated[int, Field(ge=0)] = Field(default=1000, description="of the first so many runs")
-    percentiles: tuple[Annotated[float, Field(ge=0.0, le=100.0)], ...] = Field(
-        default=(0.135, 5.0, 50.0, 95.0, 99.865), description="lines of the envelope, %"
+    rate_hz: Annotated[float, Field(gt=0.0, le=100.0)] = optional("rows per second, Hz", 2.0)
+    runs: Annotated[int, Field(ge=0)] = optional("of the first so many runs", 1000)
+    percentiles: tuple[Annotated[float, Field(ge=0.0, le=100.0)], ...] = optional(
+        "lines of the envelope, %", (0.135, 5.0, 50.0, 95.0, 99.865)
     )
 
 
@@ -64,27 +64,24 @@ class Campaign(Section):
     """How many runs, from which draws, and what is to be shown."""
 
     runs: Annotated[int, Field(ge=0, lt=2**53)] = Field(description="number of flights")
-    seed: Annotated[int, Field(ge=0, lt=2**63)] = Field(default=1, description="all draws derive from it")
-    sampling: Literal["random", "latin-hypercube", "sobol"] = Field(
-        default="random", description="how the draws fill the space"
+    seed: Annotated[int, Field(ge=0, lt=2**63)] = optional("all draws derive from it", 1)
+    sampling: Literal["random", "latin-hypercube", "sobol"] = optional("how the draws fill the space", "random")
+    stratum: Annotated[int, Field(gt=0)] | None = optional(
+        "runs that make up one Latin hypercube (default: runs as this file says)"
     )
-    stratum: Annotated[int, Field(gt=0)] | None = Field(
-        default=None, description="runs that make up one Latin hypercube (default: runs as this file says)"
+    noise: Literal["each-run", "as-scenario"] = optional(
+        "each run has its own run.seed (turbulence, gyro noise), or all that of the file", "each-run"
     )
-    noise: Literal["each-run", "as-scenario"] = Field(
-        default="each-run",
-        description="each run has its own run.seed (turbulence, gyro noise), or all that of the file",
+    outside: Outside = optional(
+        "a draw outside its bounds is drawn again and counted, or ends the campaign", "resample"
     )
-    outside: Outside = Field(
-        default="resample", description="a draw outside its bounds is drawn again and counted, or ends the campaign"
+    success: Level = optional("share of flights that must meet a requirement", 0.9973)
+    confidence: Level = optional("confidence with which that is to be shown", 0.90)
+    batch: Annotated[int, Field(gt=0)] | None = optional(
+        "runs in a file of the data set (default: a 32nd of the runs, 64 to 1024)"
     )
-    success: Level = Field(default=0.9973, description="share of flights that must meet a requirement")
-    confidence: Level = Field(default=0.90, description="confidence with which that is to be shown")
-    batch: Annotated[int, Field(gt=0)] | None = Field(
-        default=None, description="runs in a file of the data set (default: a 32nd of the runs, 64 to 1024)"
-    )
-    keep: tuple[str, ...] = Field(
-        default=(), description="flights of which a full log is kept: 'worst:5', 'failed', 'failed:20', '0,17'"
+    keep: tuple[str, ...] = optional(
+        "flights of which a full log is kept: 'worst:5', 'failed', 'failed:20', '0,17'", ()
     )
     envelope: Envelope = Envelope()
 
@@ -113,40 +110,36 @@ _REQUIRED = {
 class Disperse(Section):
     """A value of the scenario that differs from run to run."""
 
-    key: str | None = Field(default=None, description="key path, e.g. vehicle.stage.0.engine.thrust_factor")
-    keys: tuple[str, ...] | None = Field(
-        default=None, description="several keys: with covariance a draw for each, else one draw for all"
+    key: str | None = optional("key path, e.g. vehicle.stage.0.engine.thrust_factor")
+    keys: tuple[str, ...] | None = optional("several keys: with covariance a draw for each, else one draw for all")
+    tag: str = optional("tells apart two draws that both act on a table's column", "")
+    name: str = optional("shown to people (default: the key)", "")
+    source: str = optional("where the numbers come from", "")
+    apply: Literal["set", "scale", "add"] = optional(
+        "the draw replaces the value, multiplies it, or is added to it", "set"
     )
-    tag: str = Field(default="", description="tells apart two draws that both act on a table's column")
-    name: str = Field(default="", description="shown to people (default: the key)")
-    source: str = Field(default="", description="where the numbers come from")
-    apply: Literal["set", "scale", "add"] = Field(
-        default="set", description="the draw replaces the value, multiplies it, or is added to it"
-    )
-    where: dict[str, float] | None = Field(
-        default=None, description="of a table: only rows in which these columns have these values, e.g. {mode = 1}"
+    where: dict[str, float] | None = optional(
+        "of a table: only rows in which these columns have these values, e.g. {mode = 1}"
     )
     distribution: Literal[
         "normal", "truncated-normal", "uniform", "log-normal", "triangular", "choice", "samples", "cases"
     ] = Field(description="what the draws follow")
-    mean: float | None = Field(default=None, description="normal (default: the value itself; 1 to scale, 0 to add)")
-    sigma: NotNegative | None = Field(default=None, description="normal: standard deviation; log-normal: of ln(x)")
-    three_sigma: NotNegative | None = Field(default=None, description="three times sigma, instead of it")
-    low: float | None = Field(default=None, description="uniform, triangular, truncated normal: least value")
-    high: float | None = Field(default=None, description="uniform, triangular, truncated normal: greatest value")
-    mode: float | None = Field(default=None, description="triangular: likeliest value")
-    median: Positive | None = Field(default=None, description="log-normal (default: 1 to scale, else the value)")
-    values: tuple[Choice, ...] | None = Field(default=None, description="choice: numbers, texts or files")
-    weights: tuple[NotNegative, ...] | None = Field(default=None, description="choice: how often each (default alike)")
-    file: Samples | None = Field(default=None, description="samples, cases: a CSV file")
-    column: str | None = Field(default=None, description="samples: column of the file (default: its only one)")
-    order: Order = Field(
-        default="random", description="samples, cases: a row at random, or row i for run i (again from the first)"
-    )
-    covariance: tuple[tuple[float, ...], ...] | None = Field(default=None, description="normal with keys: the matrix")
-    at_least: float | None = Field(default=None, description="the value that results is not below this")
-    at_most: float | None = Field(default=None, description="the value that results is not above this")
-    outside: Outside | None = Field(default=None, description="as campaign.outside, for this one")
+    mean: float | None = optional("normal (default: the value itself; 1 to scale, 0 to add)")
+    sigma: NotNegative | None = optional("normal: standard deviation; log-normal: of ln(x)")
+    three_sigma: NotNegative | None = optional("three times sigma, instead of it")
+    low: float | None = optional("uniform, triangular, truncated normal: least value")
+    high: float | None = optional("uniform, triangular, truncated normal: greatest value")
+    mode: float | None = optional("triangular: likeliest value")
+    median: Positive | None = optional("log-normal (default: 1 to scale, else the value)")
+    values: tuple[Choice, ...] | None = optional("choice: numbers, texts or files")
+    weights: tuple[NotNegative, ...] | None = optional("choice: how often each (default alike)")
+    file: Samples | None = optional("samples, cases: a CSV file")
+    column: str | None = optional("samples: column of the file (default: its only one)")
+    order: Order = optional("samples, cases: a row at random, or row i for run i (again from the first)", "random")
+    covariance: tuple[tuple[float, ...], ...] | None = optional("normal with keys: the matrix")
+    at_least: float | None = optional("the value that results is not below this")
+    at_most: float | None = optional("the value that results is not above this")
+    outside: Outside | None = optional("as campaign.outside, for this one")
 
     @property
     def sigma_of_normal(self) -> float:
@@ -230,19 +223,14 @@ class WindModel(Section):
     model: Literal["vector", "ensemble"] = Field(
         description="vector: normal deviations from wind.profile, correlated over altitude; ensemble: given profiles"
     )
-    source: str = Field(default="", description="where the numbers come from")
-    table: Annotated[CsvTable, WIND_MODEL_COLUMNS] | None = Field(
-        default=None,
-        description="vector: standard deviation of both components over altitude, and their correlation",
+    source: str = optional("where the numbers come from", "")
+    table: Annotated[CsvTable, WIND_MODEL_COLUMNS] | None = optional(
+        "vector: standard deviation of both components over altitude, and their correlation"
     )
-    correlation_length_m: Positive | None = Field(
-        default=None, description="vector: height over which the correlation falls to 1/e, m"
-    )
-    factor: NotNegative = Field(default=1.0, description="vector: multiplies the standard deviations")
-    profiles: tuple[Annotated[CsvTable, WIND_COLUMNS], ...] | None = Field(
-        default=None, description="ensemble: CSV files as for wind.profile"
-    )
-    order: Order = Field(default="random", description="ensemble: at random, or i for run i")
+    correlation_length_m: Positive | None = optional("vector: height over which the correlation falls to 1/e, m")
+    factor: NotNegative = optional("vector: multiplies the standard deviations", 1.0)
+    profiles: tuple[Annotated[CsvTable, WIND_COLUMNS], ...] | None = optional("ensemble: CSV files as for wind.profile")
+    order: Order = optional("ensemble: at random, or i for run i", "random")
 
     @model_validator(mode="after")
     def _check(self) -> WindModel:
@@ -263,8 +251,8 @@ class CampaignFile(Section):
     """What stands in a campaign file beside the scenario."""
 
     campaign: Campaign
-    disperse: tuple[Disperse, ...] = Field(default=(), description="what differs from run to run")
-    wind_model: WindModel | None = Field(default=None, description="absent: every run has the scenario's wind")
+    disperse: tuple[Disperse, ...] = optional("what differs from run to run", ())
+    wind_model: WindModel | None = optional("absent: every run has the scenario's wind")
 
     @model_validator(mode="after")
     def _check(self) -> CampaignFile:

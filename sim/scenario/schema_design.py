@@ -8,7 +8,7 @@ from pydantic import Field, model_validator
 
 from maxq.control.laws.structures import MAX_SECTIONS, STRUCTURES, Law, Structure
 from maxq.sim.scenario.errors import refuse
-from maxq.sim.scenario.schema_values import NotNegative, Positive, Section, needs
+from maxq.sim.scenario.schema_values import NotNegative, Positive, Section, needs, optional
 from maxq.sim.scenario.tables_csv import Columns, CsvTable
 
 GAIN_COLUMNS = Columns("time_s", sets=(("k_p", "k_d_s"),), not_negative=("k_p", "k_d_s"))
@@ -18,10 +18,8 @@ class Gains(Section):
     """Gains of the PD law (paper, eq. 33), linear in time, held outside the table."""
 
     table: Annotated[CsvTable, GAIN_COLUMNS] = Field(description="k_p (rad/rad) and k_d_s (s) over the vehicle clock")
-    yaw: Literal["pitch"] | None = Field(
-        default=None, description='"pitch": as in pitch (the default without yaw_table)'
-    )
-    yaw_table: Annotated[CsvTable, GAIN_COLUMNS] | None = Field(default=None, description="own gains of the yaw axis")
+    yaw: Literal["pitch"] | None = optional('"pitch": as in pitch (the default without yaw_table)')
+    yaw_table: Annotated[CsvTable, GAIN_COLUMNS] | None = optional("own gains of the yaw axis")
 
     @model_validator(mode="after")
     def _check(self) -> Gains:
@@ -69,17 +67,13 @@ class FirstOrder(Section):
 class Filter(Section):
     """Bending filter."""
 
-    structure: Structure = Field(
-        default="none", description=f"of the paper, or sections: 1 to {MAX_SECTIONS} of any kind, or none"
+    structure: Structure = optional(f"of the paper, or sections: 1 to {MAX_SECTIONS} of any kind, or none", "none")
+    quadratic: tuple[Quadratic, ...] = optional("second-order sections: F2, F3: 1; F4, F5, F6: 2", ())
+    first_order: tuple[FirstOrder, ...] = optional("first-order sections: F3, F5: 1; F6: 2", ())
+    discretization: Literal["prewarped", "bilinear", "matched", "zoh"] = optional(
+        "prewarped: bilinear, and exact at prewarp_hz", "prewarped"
     )
-    quadratic: tuple[Quadratic, ...] = Field(default=(), description="second-order sections: F2, F3: 1; F4, F5, F6: 2")
-    first_order: tuple[FirstOrder, ...] = Field(default=(), description="first-order sections: F3, F5: 1; F6: 2")
-    discretization: Literal["prewarped", "bilinear", "matched", "zoh"] = Field(
-        default="prewarped", description="prewarped: bilinear, and exact at prewarp_hz"
-    )
-    prewarp_hz: Positive | None = Field(
-        default=None, description="where prewarped is exact, Hz: the first bending frequency"
-    )
+    prewarp_hz: Positive | None = optional("where prewarped is exact, Hz: the first bending frequency")
 
     @model_validator(mode="after")
     def _check(self) -> Filter:
@@ -104,8 +98,8 @@ class Roll(Section):
 
     k_rate_s: NotNegative = Field(description="weight of the rate, s")
     dead_band_deg: Positive = Field(description="half width of the dead band, deg")
-    hysteresis_deg: NotNegative = Field(default=0.0, description="a thruster goes off at dead_band_deg less this, deg")
-    minimum_on_s: NotNegative = Field(default=0.0, description="shortest pulse, s")
+    hysteresis_deg: NotNegative = optional("a thruster goes off at dead_band_deg less this, deg", 0.0)
+    minimum_on_s: NotNegative = optional("shortest pulse, s", 0.0)
 
     @model_validator(mode="after")
     def _check(self) -> Roll:
@@ -117,22 +111,22 @@ class Roll(Section):
 class Limits(Section):
     """What the design was made to; for people, nothing in the flight depends on it."""
 
-    gain_margin_db: float | None = Field(default=None, description="least gain margin, dB")
-    phase_margin_deg: float | None = Field(default=None, description="least phase margin, deg")
-    rigid_hz: float | None = Field(default=None, description="least frequency of the rigid-body motion, Hz")
-    rigid_zeta: float | None = Field(default=None, description="least damping ratio of the rigid-body motion")
-    second_mode_db: float | None = Field(default=None, description="largest peak of the second bending mode, dB")
+    gain_margin_db: float | None = optional("least gain margin, dB")
+    phase_margin_deg: float | None = optional("least phase margin, deg")
+    rigid_hz: float | None = optional("least frequency of the rigid-body motion, Hz")
+    rigid_zeta: float | None = optional("least damping ratio of the rigid-body motion")
+    second_mode_db: float | None = optional("largest peak of the second bending mode, dB")
 
 
 class Design(Section):
     """A file in designs/."""
 
-    schema_version: Literal[1] = Field(default=1, alias="schema", description="version of the format")
-    name: str = Field(default="", description="name of the design")
-    description: str = Field(default="", description="what it is, in a sentence")
-    vehicle: str = Field(default="", description="the vehicle that it was made for; for people")
-    law: Law = Field(default="pd", description="control law; pd: proportional-derivative with a bending filter")
+    schema_version: Literal[1] = optional("version of the format", 1, alias="schema")
+    name: str = optional("name of the design", "")
+    description: str = optional("what it is, in a sentence", "")
+    vehicle: str = optional("the vehicle that it was made for; for people", "")
+    law: Law = optional("control law; pd: proportional-derivative with a bending filter", "pd")
     gains: Gains
     filter: Filter = Filter()
-    roll: Roll | None = Field(default=None, description="absent: no roll control")
-    limits: Limits | None = Field(default=None, description="what the design was made to; for people")
+    roll: Roll | None = optional("absent: no roll control")
+    limits: Limits | None = optional("what the design was made to; for people")

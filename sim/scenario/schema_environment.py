@@ -18,6 +18,7 @@ from maxq.sim.scenario.schema_values import (
     at_most_one,
     needs,
     only_with,
+    optional,
 )
 from maxq.sim.scenario.tables_csv import Columns, CsvTable
 
@@ -42,36 +43,28 @@ TURBULENCE_COLUMNS = Columns(
 class Site(Section):
     """Launch site."""
 
-    latitude_deg: Latitude = Field(default=0.0, description="geodetic latitude, deg, north positive")
-    longitude_deg: Longitude = Field(default=0.0, description="longitude, deg, east positive")
-    altitude_m: float = Field(default=0.0, description="height above the ellipsoid, m")
-    azimuth_deg: Angle = Field(
-        default=90.0, description="launch azimuth, deg from north through east: direction of body z on the pad"
-    )
-    utc: str = Field(default="", description="date and time of T0, for people only")
+    latitude_deg: Latitude = optional("geodetic latitude, deg, north positive", 0.0)
+    longitude_deg: Longitude = optional("longitude, deg, east positive", 0.0)
+    altitude_m: float = optional("height above the ellipsoid, m", 0.0)
+    azimuth_deg: Angle = optional("launch azimuth, deg from north through east: direction of body z on the pad", 90.0)
+    utc: str = optional("date and time of T0, for people only", "")
 
 
 class Earth(Section):
     """Shape, rotation and gravity."""
 
-    shape: Literal["wgs84", "sphere", "flat"] = Field(
-        default="wgs84", description="figure; flat: uniform and not rotating"
-    )
-    rotating: bool = Field(default=True, description="whether the Earth turns")
-    gravity: Literal["j2", "inverse_square", "uniform", "none"] = Field(default="j2", description="gravitation")
-    mu_m3ps2: Positive | None = Field(
-        default=None, description="gravitational parameter, m3/s2 (default: of the shape)"
-    )
-    j2: float | None = Field(default=None, description="oblateness coefficient (default: WGS-84)")
-    equatorial_radius_m: Positive | None = Field(default=None, description="of the ellipsoid, m (default: WGS-84)")
-    flattening: Annotated[float, Field(ge=0.0, lt=1.0)] | None = Field(default=None, description="of the ellipsoid")
-    sphere_radius_m: Positive | None = Field(default=None, description="of the sphere, m")
-    rate_radps: float | None = Field(default=None, description="rotation rate, rad/s (default: WGS-84)")
-    uniform_mps2: NotNegative | None = Field(default=None, description="uniform gravity, m/s2 (default 9.80665)")
-    gravity_radius_m: Positive | None = Field(
-        default=None, description="reference radius of J2, m (default: equatorial)"
-    )
-    gravity_gradient: bool = Field(default=False, description="whether gravity turns the vehicle")
+    shape: Literal["wgs84", "sphere", "flat"] = optional("figure; flat: uniform and not rotating", "wgs84")
+    rotating: bool = optional("whether the Earth turns", True)
+    gravity: Literal["j2", "inverse_square", "uniform", "none"] = optional("gravitation", "j2")
+    mu_m3ps2: Positive | None = optional("gravitational parameter, m3/s2 (default: of the shape)")
+    j2: float | None = optional("oblateness coefficient (default: WGS-84)")
+    equatorial_radius_m: Positive | None = optional("of the ellipsoid, m (default: WGS-84)")
+    flattening: Annotated[float, Field(ge=0.0, lt=1.0)] | None = optional("of the ellipsoid")
+    sphere_radius_m: Positive | None = optional("of the sphere, m")
+    rate_radps: float | None = optional("rotation rate, rad/s (default: WGS-84)")
+    uniform_mps2: NotNegative | None = optional("uniform gravity, m/s2 (default 9.80665)")
+    gravity_radius_m: Positive | None = optional("reference radius of J2, m (default: equatorial)")
+    gravity_gradient: bool = optional("whether gravity turns the vehicle", False)
 
     @model_validator(mode="after")
     def _check(self) -> Earth:
@@ -91,14 +84,12 @@ class Earth(Section):
 class Atmosphere(Section):
     """Air at rest relative to the Earth."""
 
-    model: Literal["us1976", "table", "constant", "vacuum"] = Field(
-        default="us1976", description="US Standard Atmosphere 1976"
-    )
-    table: Annotated[CsvTable, ATMOSPHERE_COLUMNS] | None = Field(default=None, description='for model = "table"')
-    density_kgpm3: NotNegative | None = Field(default=None, description='kg/m3, for model = "constant"')
-    temperature_K: Positive | None = Field(default=None, description='K, for model = "constant" (default 288.15)')
-    pressure_Pa: NotNegative | None = Field(default=None, description='Pa, for model = "constant" (default 101325)')
-    density_factor: NotNegative = Field(default=1.0, description="multiplies density")
+    model: Literal["us1976", "table", "constant", "vacuum"] = optional("US Standard Atmosphere 1976", "us1976")
+    table: Annotated[CsvTable, ATMOSPHERE_COLUMNS] | None = optional('for model = "table"')
+    density_kgpm3: NotNegative | None = optional('kg/m3, for model = "constant"')
+    temperature_K: Positive | None = optional('K, for model = "constant" (default 288.15)')
+    pressure_Pa: NotNegative | None = optional('Pa, for model = "constant" (default 101325)')
+    density_factor: NotNegative = optional("multiplies density", 1.0)
 
     @model_validator(mode="after")
     def _check(self) -> Atmosphere:
@@ -123,7 +114,7 @@ class Gust(Section):
     )
     altitude_m: float = Field(description="where it begins, m")
     thickness_m: Positive = Field(description="from its beginning to its end (edges included), m")
-    edge_m: Positive | None = Field(default=None, description="length of each edge, m (one-minus-cosine)")
+    edge_m: Positive | None = optional("length of each edge, m (one-minus-cosine)")
     speed_mps: NotNegative = Field(description="largest speed, m/s")
     from_deg: Angle = Field(description="direction it blows from, deg from north through east")
 
@@ -139,17 +130,15 @@ class Gust(Section):
 class Turbulence(Section):
     """Random wind."""
 
-    model: Literal["dryden"] = Field(default="dryden", description="Dryden spectra, MIL-F-8785C")
-    exceedance: Literal["light", "moderate", "severe"] | None = Field(default=None, description="severity")
-    table: Annotated[CsvTable, TURBULENCE_COLUMNS] | None = Field(
-        default=None, description="standard deviations along (u), across (v), down (w), instead of exceedance"
+    model: Literal["dryden"] = optional("Dryden spectra, MIL-F-8785C", "dryden")
+    exceedance: Literal["light", "moderate", "severe"] | None = optional("severity")
+    table: Annotated[CsvTable, TURBULENCE_COLUMNS] | None = optional(
+        "standard deviations along (u), across (v), down (w), instead of exceedance"
     )
-    length_u_m: Positive | None = Field(default=None, description="scale length along, m (default: MIL-F-8785C)")
-    length_v_m: Positive | None = Field(default=None, description="scale length across, m (default: MIL-F-8785C)")
-    length_w_m: Positive | None = Field(default=None, description="scale length down, m (default: MIL-F-8785C)")
-    seed: Annotated[int, Field(ge=0, lt=2**63)] | None = Field(
-        default=None, description="own seed (default: from run.seed)"
-    )
+    length_u_m: Positive | None = optional("scale length along, m (default: MIL-F-8785C)")
+    length_v_m: Positive | None = optional("scale length across, m (default: MIL-F-8785C)")
+    length_w_m: Positive | None = optional("scale length down, m (default: MIL-F-8785C)")
+    seed: Annotated[int, Field(ge=0, lt=2**63)] | None = optional("own seed (default: from run.seed)")
 
     @model_validator(mode="after")
     def _check(self) -> Turbulence:
@@ -162,17 +151,16 @@ class Turbulence(Section):
 class Wind(Section):
     """Motion of the air relative to the Earth."""
 
-    profile: Annotated[CsvTable, WIND_COLUMNS] | None = Field(default=None, description="wind over altitude")
-    speed_mps: NotNegative | None = Field(default=None, description="constant wind, m/s, instead of a profile")
-    from_deg: Angle | None = Field(default=None, description="direction it blows from, deg from north through east")
-    interpolation: Literal["linear", "pchip"] = Field(default="linear", description="between the rows of the profile")
-    outside: Literal["hold", "error"] = Field(
-        default="hold",
-        description="hold: end values hold outside the profile; error: a flight that rises above it has failed",
+    profile: Annotated[CsvTable, WIND_COLUMNS] | None = optional("wind over altitude")
+    speed_mps: NotNegative | None = optional("constant wind, m/s, instead of a profile")
+    from_deg: Angle | None = optional("direction it blows from, deg from north through east")
+    interpolation: Literal["linear", "pchip"] = optional("between the rows of the profile", "linear")
+    outside: Literal["hold", "error"] = optional(
+        "hold: end values hold outside the profile; error: a flight that rises above it has failed", "hold"
     )
-    factor: float = Field(default=1.0, description="multiplies profile or constant wind")
-    gust: tuple[Gust, ...] = Field(default=(), max_length=MAX_GUSTS, description="gusts and shear layers")
-    turbulence: Turbulence | None = Field(default=None, description="absent: none")
+    factor: float = optional("multiplies profile or constant wind", 1.0)
+    gust: tuple[Gust, ...] = optional("gusts and shear layers", (), max_length=MAX_GUSTS)
+    turbulence: Turbulence | None = optional("absent: none")
 
     @model_validator(mode="after")
     def _check(self) -> Wind:

@@ -6,7 +6,16 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from maxq.sim.scenario.errors import refuse
-from maxq.sim.scenario.schema_values import Latitude, Longitude, Matrix, Quaternion, Section, Triple, at_most_one
+from maxq.sim.scenario.schema_values import (
+    Latitude,
+    Longitude,
+    Matrix,
+    Quaternion,
+    Section,
+    Triple,
+    at_most_one,
+    optional,
+)
 
 _ORTHONORMAL = 1e-6
 POSITIONS = ("geodetic", "inertial_m", "earth_m")
@@ -26,28 +35,21 @@ class Geodetic(Section):
 class Initial(Section):
     """State at the start. Of each of position, velocity, attitude and rates at most one key is given."""
 
-    held: bool = Field(default=False, description="whether the vehicle is held down until release")
-    geodetic: Geodetic | None = Field(default=None, description="position (default: the site)")
-    inertial_m: Triple | None = Field(default=None, description="position in I, m")
-    earth_m: Triple | None = Field(default=None, description="position in E, m")
-    ned_mps: Triple | None = Field(
-        default=None, description="velocity relative to the Earth, north, east, down, m/s (default 0)"
+    held: bool = optional("whether the vehicle is held down until release", False)
+    geodetic: Geodetic | None = optional("position (default: the site)")
+    inertial_m: Triple | None = optional("position in I, m")
+    earth_m: Triple | None = optional("position in E, m")
+    ned_mps: Triple | None = optional("velocity relative to the Earth, north, east, down, m/s (default 0)")
+    inertial_mps: Triple | None = optional("inertial velocity in I, m/s")
+    earth_mps: Triple | None = optional("velocity relative to the Earth in E, m/s")
+    euler_deg: Triple | None = optional(
+        "yaw, pitch, roll (3-2-1) of B from north, east, down, deg (default: nose up, body z at azimuth)"
     )
-    inertial_mps: Triple | None = Field(default=None, description="inertial velocity in I, m/s")
-    earth_mps: Triple | None = Field(default=None, description="velocity relative to the Earth in E, m/s")
-    euler_deg: Triple | None = Field(
-        default=None,
-        description="yaw, pitch, roll (3-2-1) of B from north, east, down, deg (default: nose up, body z at azimuth)",
-    )
-    q_BI: Quaternion | None = Field(
-        default=None, description="unit quaternion, scalar first, turns B components into I"
-    )
-    dcm_BI: Matrix | None = Field(default=None, description="direction cosines, turns I components into B")
-    rate_BI_degps: Triple | None = Field(default=None, description="inertial rates p, q, r in B, deg/s")
-    rate_BI_radps: Triple | None = Field(default=None, description="inertial rates p, q, r in B, rad/s")
-    rate_BE_degps: Triple | None = Field(
-        default=None, description="rates relative to the Earth in B, deg/s (default 0)"
-    )
+    q_BI: Quaternion | None = optional("unit quaternion, scalar first, turns B components into I")
+    dcm_BI: Matrix | None = optional("direction cosines, turns I components into B")
+    rate_BI_degps: Triple | None = optional("inertial rates p, q, r in B, deg/s")
+    rate_BI_radps: Triple | None = optional("inertial rates p, q, r in B, rad/s")
+    rate_BE_degps: Triple | None = optional("rates relative to the Earth in B, deg/s (default 0)")
 
     @model_validator(mode="after")
     def _check(self) -> Initial:

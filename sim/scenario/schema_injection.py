@@ -8,7 +8,7 @@ from pydantic import Field, model_validator
 
 from maxq.control.kernel.limits import MAX_TONES
 from maxq.sim.scenario.errors import refuse
-from maxq.sim.scenario.schema_values import Positive, Seconds, Section, needs, only_with
+from maxq.sim.scenario.schema_values import Positive, Seconds, Section, needs, only_with, optional
 from maxq.sim.scenario.tables_csv import Columns, CsvTable
 
 SIGNAL_COLUMNS = Columns("time_s", sets=(("value",),))
@@ -46,20 +46,20 @@ class Injection(Section):
         description="shape; doublet: + in the first half of the time, - in the second; "
         "chirp: the frequency changes linearly"
     )
-    replaces: bool = Field(default=False, description="whether it replaces the command; false: is added to it")
-    amplitude_deg: float | None = Field(default=None, description="deg, at gimbal_command")
-    amplitude_degps: float | None = Field(default=None, description="deg/s, at rate_command")
-    amplitude_N: float | None = Field(default=None, description="N, at body_force")
-    amplitude_Nm: float | None = Field(default=None, description="N m, at body_torque")
-    start_s: Seconds = Field(default=0.0, description="begin on the vehicle clock, s, whole ns")
-    stop_s: Seconds | None = Field(default=None, description="end, s, whole ns (default: end of the flight)")
-    frequency_hz: Positive | None = Field(default=None, description="Hz, of sine; first of chirp")
-    stop_frequency_hz: Positive | None = Field(default=None, description="Hz, last of chirp")
-    frequencies_hz: Annotated[tuple[Positive, ...], Field(min_length=1, max_length=MAX_TONES)] | None = Field(
-        default=None, description="Hz, of multisine; all have the amplitude, with Schroeder phases"
+    replaces: bool = optional("whether it replaces the command; false: is added to it", False)
+    amplitude_deg: float | None = optional("deg, at gimbal_command")
+    amplitude_degps: float | None = optional("deg/s, at rate_command")
+    amplitude_N: float | None = optional("N, at body_force")
+    amplitude_Nm: float | None = optional("N m, at body_torque")
+    start_s: Seconds = optional("begin on the vehicle clock, s, whole ns", 0.0)
+    stop_s: Seconds | None = optional("end, s, whole ns (default: end of the flight)")
+    frequency_hz: Positive | None = optional("Hz, of sine; first of chirp")
+    stop_frequency_hz: Positive | None = optional("Hz, last of chirp")
+    frequencies_hz: Annotated[tuple[Positive, ...], Field(min_length=1, max_length=MAX_TONES)] | None = optional(
+        "Hz, of multisine; all have the amplitude, with Schroeder phases"
     )
-    table: Annotated[CsvTable, SIGNAL_COLUMNS] | None = Field(
-        default=None, description="signal over the vehicle clock in the unit of the target, for kind = table"
+    table: Annotated[CsvTable, SIGNAL_COLUMNS] | None = optional(
+        "signal over the vehicle clock in the unit of the target, for kind = table"
     )
 
     @model_validator(mode="after")

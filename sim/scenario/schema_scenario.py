@@ -13,7 +13,7 @@ from maxq.sim.scenario.schema_design import Design
 from maxq.sim.scenario.schema_environment import Atmosphere, Earth, Site, Wind
 from maxq.sim.scenario.schema_initial import Initial
 from maxq.sim.scenario.schema_injection import Injection
-from maxq.sim.scenario.schema_values import Period, Rate, Seconds, Section, at_most_one, needs, only_with
+from maxq.sim.scenario.schema_values import Period, Rate, Seconds, Section, at_most_one, needs, only_with, optional
 from maxq.sim.scenario.schema_vehicle import Vehicle
 from maxq.sim.scenario.tables_csv import Columns, CsvTable
 
@@ -24,14 +24,14 @@ Ending = Literal["impact", "apogee", "burnout", "tumble"]
 class Run(Section):
     """How long and how finely."""
 
-    duration_s: Period = Field(default=400.0, description="longest flight from start_s on, s, whole ns")
-    step_s: Annotated[Period, Field(le=1.0)] = Field(default=0.001, description="integrator step, s, whole ns")
-    seed: Annotated[int, Field(ge=0, lt=2**63)] = Field(default=1, description="all noise derives from it")
-    start_s: Seconds = Field(default=0.0, description="vehicle clock at the start, s, whole ns")
-    freeze_vehicle_at_s: Seconds | None = Field(
-        default=None, description="mass, thrust, modes, ... are held as at this vehicle clock, s (default: not)"
+    duration_s: Period = optional("longest flight from start_s on, s, whole ns", 400.0)
+    step_s: Annotated[Period, Field(le=1.0)] = optional("integrator step, s, whole ns", 0.001)
+    seed: Annotated[int, Field(ge=0, lt=2**63)] = optional("all noise derives from it", 1)
+    start_s: Seconds = optional("vehicle clock at the start, s, whole ns", 0.0)
+    freeze_vehicle_at_s: Seconds | None = optional(
+        "mass, thrust, modes, ... are held as at this vehicle clock, s (default: not)"
     )
-    stop_at: tuple[Ending, ...] = Field(default=("impact",), description="events that end the flight, any of them")
+    stop_at: tuple[Ending, ...] = optional("events that end the flight, any of them", ("impact",))
 
     @model_validator(mode="after")
     def _check(self) -> Run:
@@ -45,19 +45,17 @@ class Run(Section):
 class Guidance(Section):
     """Commanded body rates over time."""
 
-    programme: Annotated[CsvTable, PROGRAMME_COLUMNS] | None = Field(
-        default=None, description="commanded rates over the vehicle clock (default: zero)"
+    programme: Annotated[CsvTable, PROGRAMME_COLUMNS] | None = optional(
+        "commanded rates over the vehicle clock (default: zero)"
     )
-    method: Literal["linear", "pchip", "step"] = Field(default="linear", description="between the rows")
+    method: Literal["linear", "pchip", "step"] = optional("between the rows", "linear")
 
 
 class HoldDown(Section):
     """When a vehicle that is held down is let go."""
 
-    release: Literal["thrust", "time"] = Field(
-        default="thrust", description="when thrust exceeds weight, or at release_s"
-    )
-    release_s: Seconds | None = Field(default=None, description='on the vehicle clock, s, for release = "time"')
+    release: Literal["thrust", "time"] = optional("when thrust exceeds weight, or at release_s", "thrust")
+    release_s: Seconds | None = optional('on the vehicle clock, s, for release = "time"')
 
     @model_validator(mode="after")
     def _check(self) -> HoldDown:
@@ -70,42 +68,40 @@ class HoldDown(Section):
 class Switches(Section):
     """Each part of the model can be switched off or made ideal."""
 
-    aerodynamics: bool = Field(default=True, description="all aerodynamic forces")
-    thrust: bool = Field(default=True, description="thrust")
-    slosh: bool = Field(default=True, description="pendulums; off: the liquid is frozen")
-    bending: bool = Field(default=True, description="bending modes")
-    bending_softening: bool = Field(default=True, description="axial load softens the modes")
-    follower_thrust: bool = Field(default=True, description="thrust turns with the bent gimbal")
-    engine_inertia: bool = Field(default=True, description="reaction of the gimballed mass (tail wags dog)")
-    jet_damping: bool = Field(default=True, description="damping by the mass flow")
-    moving_cg: bool = Field(default=True, description="terms of CG and inertia that change")
-    actuator: Literal["full", "linear", "ideal"] = Field(
-        default="full", description="linear: no limits; ideal: angle = command"
-    )
-    gyro: Literal["full", "ideal"] = Field(default="full", description="ideal: measures the true rate")
-    converter: Literal["full", "ideal"] = Field(default="full", description="ideal: no quantisation")
-    delay: bool = Field(default=True, description="compute delay")
-    control: bool = Field(default=True, description="control law; off: command zero")
-    guidance: bool = Field(default=True, description="guidance programme; off: rates zero")
-    roll_control: bool = Field(default=True, description="roll thrusters")
-    local_incidence: bool = Field(default=True, description="bending changes the incidence of the lifting parts")
+    aerodynamics: bool = optional("all aerodynamic forces", True)
+    thrust: bool = optional("thrust", True)
+    slosh: bool = optional("pendulums; off: the liquid is frozen", True)
+    bending: bool = optional("bending modes", True)
+    bending_softening: bool = optional("axial load softens the modes", True)
+    follower_thrust: bool = optional("thrust turns with the bent gimbal", True)
+    engine_inertia: bool = optional("reaction of the gimballed mass (tail wags dog)", True)
+    jet_damping: bool = optional("damping by the mass flow", True)
+    moving_cg: bool = optional("terms of CG and inertia that change", True)
+    actuator: Literal["full", "linear", "ideal"] = optional("linear: no limits; ideal: angle = command", "full")
+    gyro: Literal["full", "ideal"] = optional("ideal: measures the true rate", "full")
+    converter: Literal["full", "ideal"] = optional("ideal: no quantisation", "full")
+    delay: bool = optional("compute delay", True)
+    control: bool = optional("control law; off: command zero", True)
+    guidance: bool = optional("guidance programme; off: rates zero", True)
+    roll_control: bool = optional("roll thrusters", True)
+    local_incidence: bool = optional("bending changes the incidence of the lifting parts", True)
 
 
 class Log(Section):
     """How often is logged."""
 
-    fast_hz: Rate = Field(default=1000.0, description="actuator, bending, slosh, control, gyro, Hz; must divide 1e9")
-    slow_hz: Rate = Field(default=100.0, description="the rest, Hz; must divide 1e9")
-    transform_hz: Rate = Field(default=50.0, description="transforms for 3-D viewers, Hz; must divide 1e9")
+    fast_hz: Rate = optional("actuator, bending, slosh, control, gyro, Hz; must divide 1e9", 1000.0)
+    slow_hz: Rate = optional("the rest, Hz; must divide 1e9", 100.0)
+    transform_hz: Rate = optional("transforms for 3-D viewers, Hz; must divide 1e9", 50.0)
 
 
 class Requirement(Section):
     """A number that the flight must keep to."""
 
     metric: str = Field(description="name of the metric")
-    limit: float | None = Field(default=None, description="at most this")
-    minimum: float | None = Field(default=None, description="at least this")
-    name: str = Field(default="", description="shown to people (default: the metric)")
+    limit: float | None = optional("at most this")
+    minimum: float | None = optional("at least this")
+    name: str = optional("shown to people (default: the metric)", "")
 
     @model_validator(mode="after")
     def _check(self, info: ValidationInfo) -> Requirement:
@@ -123,27 +119,23 @@ class Requirement(Section):
 class Scenario(Section):
     """A scenario with its vehicle and design in full, all `extends` and overrides applied."""
 
-    schema_version: Literal[1] = Field(default=1, alias="schema", description="version of the format")
-    name: str = Field(default="", description="default: the file's name")
-    description: str = Field(default="", description="what is flown, in a sentence")
+    schema_version: Literal[1] = optional("version of the format", 1, alias="schema")
+    name: str = optional("default: the file's name", "")
+    description: str = optional("what is flown, in a sentence", "")
     vehicle: Vehicle = Field(description="folder with vehicle.toml, a .toml file, or the vehicle itself")
-    design: Design | None = Field(
-        default=None, description="a design file, or the design itself (default: command zero)"
-    )
+    design: Design | None = optional("a design file, or the design itself (default: command zero)")
     run: Run = Run()
     site: Site = Site()
     earth: Earth = Earth()
     atmosphere: Atmosphere = Atmosphere()
     wind: Wind = Wind()
-    initial: Initial | None = Field(
-        default=None, description="absent: on the pad, nose up, at rest on the Earth, held down"
-    )
+    initial: Initial | None = optional("absent: on the pad, nose up, at rest on the Earth, held down")
     guidance: Guidance = Guidance()
     holddown: HoldDown = HoldDown()
-    injection: tuple[Injection, ...] = Field(default=(), max_length=MAX_INJECTIONS, description="signals for tests")
+    injection: tuple[Injection, ...] = optional("signals for tests", (), max_length=MAX_INJECTIONS)
     switches: Switches = Switches()
     log: Log = Log()
-    requirement: tuple[Requirement, ...] = Field(default=(), description="what the flight is judged by")
+    requirement: tuple[Requirement, ...] = optional("what the flight is judged by", ())
 
     @property
     def held(self) -> bool:

@@ -20,6 +20,7 @@ from maxq.sim.scenario.schema_values import (
     at_most_one,
     needs,
     only_with,
+    optional,
 )
 from maxq.sim.scenario.tables_csv import Columns, CsvTable
 
@@ -44,21 +45,20 @@ _SYMMETRY = 1e-9
 class Mass(Section):
     """Mass properties of the whole vehicle while this stage flies: a table, or constants."""
 
-    table: Annotated[CsvTable, MASS_COLUMNS] | None = Field(
-        default=None,
-        description="whole vehicle, liquid included as if frozen, inertia about its CG, over the stage "
+    table: Annotated[CsvTable, MASS_COLUMNS] | None = optional(
+        "whole vehicle, liquid included as if frozen, inertia about its CG, over the stage "
         "clock; x_cg_m is the station aft of the nose, y and z are body axes; products of inertia are "
-        "integrals, Ixz = int x z dm",
+        "integrals, Ixz = int x z dm"
     )
-    mass_kg: Positive | None = Field(default=None, description="constant mass (at ignition, when it is expelled), kg")
-    x_cg_m: float | None = Field(default=None, description="station of the CG aft of the nose, m")
-    y_cg_m: float | None = Field(default=None, description="CG in body y, m (default 0)")
-    z_cg_m: float | None = Field(default=None, description="CG in body z, m (default 0)")
-    inertia_kgm2: Matrix | None = Field(
-        default=None, description="inertia tensor about the CG in B, kg m2: minus the products off the diagonal"
+    mass_kg: Positive | None = optional("constant mass (at ignition, when it is expelled), kg")
+    x_cg_m: float | None = optional("station of the CG aft of the nose, m")
+    y_cg_m: float | None = optional("CG in body y, m (default 0)")
+    z_cg_m: float | None = optional("CG in body z, m (default 0)")
+    inertia_kgm2: Matrix | None = optional(
+        "inertia tensor about the CG in B, kg m2: minus the products off the diagonal"
     )
-    mass_flow_kgps: NotNegative | None = Field(default=None, description="mass expelled per second, kg/s (default 0)")
-    burn_s: NotNegative | None = Field(default=None, description="for how long it is expelled, s")
+    mass_flow_kgps: NotNegative | None = optional("mass expelled per second, kg/s (default 0)")
+    burn_s: NotNegative | None = optional("for how long it is expelled, s")
 
     @model_validator(mode="after")
     def _check(self) -> Mass:
@@ -98,19 +98,15 @@ class Mass(Section):
 class Tank(Section):
     """One tank with a sloshing liquid: a spherical pendulum that hangs at its hinge."""
 
-    name: str = Field(default="", description="name of the tank in logs (default: its number)")
+    name: str = optional("name of the tank in logs (default: its number)", "")
     table: Annotated[CsvTable, TANK_COLUMNS] = Field(
         description="pendulum over the stage clock; its mass is part of the stage's table of mass"
     )
     damping_ratio: Fraction = Field(description="of the pendulum, as a ratio to critical")
-    mass_factor: NotNegative = Field(
-        default=1.0, description="multiplies the sloshing mass; the vehicle's mass stays as it is"
-    )
-    length_factor: Positive = Field(
-        default=1.0, description="multiplies the pendulum's length: its frequency goes with 1/sqrt"
-    )
-    radius_m: Positive | None = Field(default=None, description="of the tank, m, for drawings")
-    bottom_station_m: float | None = Field(default=None, description="of the tank, m aft of the nose, for drawings")
+    mass_factor: NotNegative = optional("multiplies the sloshing mass; the vehicle's mass stays as it is", 1.0)
+    length_factor: Positive = optional("multiplies the pendulum's length: its frequency goes with 1/sqrt", 1.0)
+    radius_m: Positive | None = optional("of the tank, m, for drawings")
+    bottom_station_m: float | None = optional("of the tank, m aft of the nose, for drawings")
 
 
 THRUST_COLUMNS = Columns("time_s", sets=(("thrust_vacuum_N",),), not_negative=("thrust_vacuum_N",), begins_by=0.0)
@@ -122,22 +118,16 @@ class Engine(Section):
     """Gimballed engine."""
 
     table: Annotated[CsvTable, THRUST_COLUMNS] = Field(description="thrust in vacuum over the stage clock")
-    exit_area_m2: NotNegative = Field(
-        default=0.0, description="nozzle exit area, m2: ambient pressure on it lessens thrust"
-    )
+    exit_area_m2: NotNegative = optional("nozzle exit area, m2: ambient pressure on it lessens thrust", 0.0)
     gimbal_station_m: float = Field(description="station of the gimbal, m aft of the nose")
     exit_station_m: float = Field(description="station of the nozzle exit, m aft of the nose (jet damping)")
-    gimballed_mass_kg: NotNegative = Field(
-        default=0.0, description="mass that moves with the engine, kg; 0: no reaction"
-    )
-    cg_from_gimbal_m: float = Field(default=0.0, description="CG of the gimballed mass aft of the gimbal, m")
-    inertia_about_gimbal_kgm2: NotNegative = Field(
-        default=0.0, description="transverse inertia about the gimbal, kg m2"
-    )
-    misalignment_deg: Pair = Field(default=(0.0, 0.0), description="fixed angle of the thrust axis, pitch and yaw, deg")
-    offset_m: Pair = Field(default=(0.0, 0.0), description="of the gimbal from the body axis, y and z, m")
-    thrust_factor: NotNegative = Field(default=1.0, description="multiplies thrust")
-    mass_flow_factor: Positive = Field(default=1.0, description="burn rate: speeds up the stage's tables over time")
+    gimballed_mass_kg: NotNegative = optional("mass that moves with the engine, kg; 0: no reaction", 0.0)
+    cg_from_gimbal_m: float = optional("CG of the gimballed mass aft of the gimbal, m", 0.0)
+    inertia_about_gimbal_kgm2: NotNegative = optional("transverse inertia about the gimbal, kg m2", 0.0)
+    misalignment_deg: Pair = optional("fixed angle of the thrust axis, pitch and yaw, deg", (0.0, 0.0))
+    offset_m: Pair = optional("of the gimbal from the body axis, y and z, m", (0.0, 0.0))
+    thrust_factor: NotNegative = optional("multiplies thrust", 1.0)
+    mass_flow_factor: Positive = optional("burn rate: speeds up the stage's tables over time", 1.0)
 
     @model_validator(mode="after")
     def _check(self) -> Engine:
@@ -156,28 +146,28 @@ class ActuatorAxis(Section):
 
     omega_hz: Four = Field(description="natural frequencies a1 .. a4, Hz")
     zeta: Four = Field(description="damping ratios a1 .. a4")
-    exchange_a3_a4: bool = Field(default=False, description="exchange pole pair a3 and zero pair a4 (erratum 13)")
+    exchange_a3_a4: bool = optional("exchange pole pair a3 and zero pair a4 (erratum 13)", False)
     angle_limit_deg: GimbalAngle = Field(description="limit of the gimbal angle, deg")
     rate_limit_degps: Positive = Field(description="limit of the gimbal rate, deg/s")
-    backlash_deg: NotNegative = Field(default=0.0, description="full width of the play, deg")
+    backlash_deg: NotNegative = optional("full width of the play, deg", 0.0)
 
 
 class YawActuator(Section):
     """What differs in the yaw actuator; every key is optional."""
 
-    omega_hz: Four | None = Field(default=None, description="natural frequencies a1 .. a4, Hz")
-    zeta: Four | None = Field(default=None, description="damping ratios a1 .. a4")
-    exchange_a3_a4: bool | None = Field(default=None, description="exchange pole pair a3 and zero pair a4")
-    angle_limit_deg: GimbalAngle | None = Field(default=None, description="limit of the gimbal angle, deg")
-    rate_limit_degps: Positive | None = Field(default=None, description="limit of the gimbal rate, deg/s")
-    backlash_deg: NotNegative | None = Field(default=None, description="full width of the play, deg")
+    omega_hz: Four | None = optional("natural frequencies a1 .. a4, Hz")
+    zeta: Four | None = optional("damping ratios a1 .. a4")
+    exchange_a3_a4: bool | None = optional("exchange pole pair a3 and zero pair a4")
+    angle_limit_deg: GimbalAngle | None = optional("limit of the gimbal angle, deg")
+    rate_limit_degps: Positive | None = optional("limit of the gimbal rate, deg/s")
+    backlash_deg: NotNegative | None = optional("full width of the play, deg")
 
 
 class Actuator(ActuatorAxis):
     """Actuators of both axes, alike unless `yaw` says otherwise."""
 
-    bias_deg: Pair = Field(default=(0.0, 0.0), description="constant error of the angle, pitch and yaw, deg")
-    yaw: YawActuator | None = Field(default=None, description="keys that differ in the yaw axis")
+    bias_deg: Pair = optional("constant error of the angle, pitch and yaw, deg", (0.0, 0.0))
+    yaw: YawActuator | None = optional("keys that differ in the yaw axis")
 
     @property
     def axes(self) -> tuple[ActuatorAxis, ActuatorAxis]:
@@ -213,7 +203,7 @@ SURFACE_COLUMNS = Columns("mach", sets=(("CN_alpha_pr", "station_m"),), not_nega
 class AeroSurface(Section):
     """A lifting part, with its own incidence where the body bends."""
 
-    name: str = Field(default="", description="name of the part")
+    name: str = optional("name of the part", "")
     table: Annotated[CsvTable, SURFACE_COLUMNS] = Field(
         description="normal force slope (1/rad) and its station over Mach"
     )
@@ -226,20 +216,18 @@ class Aero(Section):
         description="absent columns are 0 (CA_coast, engine off: as CA); CD acts along the relative wind; "
         "CN_alpha_pr acts at x_cp_m, or gives Cm_alpha_pr about moment_reference_m; Cmq, Cnr, Clp damp rates"
     )
-    interpolation: Literal["pchip", "linear"] = Field(default="pchip", description="between the rows")
-    moment_reference_m: float = Field(
-        default=0.0, description="station about which Cm_alpha_pr and Cm0 act, m aft of the nose"
+    interpolation: Literal["pchip", "linear"] = optional("between the rows", "pchip")
+    moment_reference_m: float = optional("station about which Cm_alpha_pr and Cm0 act, m aft of the nose", 0.0)
+    crossflow_station_m: float | None = optional(
+        "station of the cross-flow drag, m aft of the nose (default: half the length)"
     )
-    crossflow_station_m: float | None = Field(
-        default=None, description="station of the cross-flow drag, m aft of the nose (default: half the length)"
-    )
-    force_factor: NotNegative = Field(default=1.0, description="multiplies normal force and cross-flow drag")
-    axial_factor: NotNegative = Field(default=1.0, description="multiplies axial force and drag (CA, CD)")
-    damping_factor: NotNegative = Field(default=1.0, description="multiplies the damping by body rates (Cmq, Cnr, Clp)")
-    centre_shift_m: float = Field(default=0.0, description="moves the centre of every lifting part aft, m")
-    rate_reference: Literal["inertial", "earth"] = Field(default="inertial", description="which body rates damp")
-    surface: tuple[AeroSurface, ...] = Field(
-        default=(), max_length=MAX_SURFACES, description="lifting parts; their sum is CN_alpha where the table has none"
+    force_factor: NotNegative = optional("multiplies normal force and cross-flow drag", 1.0)
+    axial_factor: NotNegative = optional("multiplies axial force and drag (CA, CD)", 1.0)
+    damping_factor: NotNegative = optional("multiplies the damping by body rates (Cmq, Cnr, Clp)", 1.0)
+    centre_shift_m: float = optional("moves the centre of every lifting part aft, m", 0.0)
+    rate_reference: Literal["inertial", "earth"] = optional("which body rates damp", "inertial")
+    surface: tuple[AeroSurface, ...] = optional(
+        "lifting parts; their sum is CN_alpha where the table has none", (), max_length=MAX_SURFACES
     )
 
     @model_validator(mode="after")

@@ -49,6 +49,11 @@ Quaternion = tuple[float, float, float, float]
 Matrix = tuple[Triple, Triple, Triple]
 
 
+def optional(description: str, default: Any = None, **constraints: Any) -> Any:
+    """A key that may be absent."""
+    return Field(default=default, description=description, **constraints)
+
+
 def at_most_one(section: Section, keys: tuple[str, ...]) -> None:
     """Refuse two of `keys` that exclude each other."""
     given = [key for key in keys if getattr(section, key) is not None]

@@ -20,6 +20,7 @@ from maxq.sim.scenario.schema_values import (
     Section,
     Triple,
     at_most_one,
+    optional,
 )
 from maxq.sim.scenario.tables_csv import CsvTable
 
@@ -58,11 +59,11 @@ def _ones(data: dict[str, Any]) -> tuple[float, ...]:
 class Bending(Section):
     """Free-free bending modes, engine locked and sloshing masses removed."""
 
-    pitch: Annotated[CsvTable, MODE_COLUMNS] | None = Field(
-        default=None, description="modes of the pitch plane, one row per time, mode and station (default: none)"
+    pitch: Annotated[CsvTable, MODE_COLUMNS] | None = optional(
+        "modes of the pitch plane, one row per time, mode and station (default: none)"
     )
-    yaw: Annotated[CsvTable, MODE_COLUMNS] | None = Field(
-        default=None, description="modes of the yaw plane; may be the same file (default: none)"
+    yaw: Annotated[CsvTable, MODE_COLUMNS] | None = optional(
+        "modes of the yaw plane; may be the same file (default: none)"
     )
     damping_ratio: tuple[Fraction, ...] = Field(max_length=MAX_MODES, description="of each mode, both planes alike")
     frequency_factor: tuple[Positive, ...] = Field(
@@ -101,10 +102,10 @@ class Gyro(Section):
     station_m: float = Field(description="station, m aft of the nose")
     omega_hz: Positive = Field(description="natural frequency, Hz")
     zeta: Positive = Field(description="damping ratio")
-    bias_degph: Triple = Field(default=(0.0, 0.0, 0.0), description="constant error about x, y, z, deg/h")
-    scale_factor: Triple = Field(default=(0.0, 0.0, 0.0), description="relative error of the scale about x, y, z")
-    misalignment_deg: Triple = Field(default=(0.0, 0.0, 0.0), description="small rotation about x, y, z, deg")
-    noise_deg_rt_h: NotNegative = Field(default=0.0, description="angle random walk, deg per root hour")
+    bias_degph: Triple = optional("constant error about x, y, z, deg/h", (0.0, 0.0, 0.0))
+    scale_factor: Triple = optional("relative error of the scale about x, y, z", (0.0, 0.0, 0.0))
+    misalignment_deg: Triple = optional("small rotation about x, y, z, deg", (0.0, 0.0, 0.0))
+    noise_deg_rt_h: NotNegative = optional("angle random walk, deg per root hour", 0.0)
 
 
 class Computer(Section):
@@ -113,7 +114,7 @@ class Computer(Section):
     sample_s: Period = Field(description="sample period, s, whole ns")
     delay_s: Seconds = Field(description="from sample to output, s, whole ns, at most sample_s")
     count_rad: NotNegative = Field(description="angle per pulse of the V/F converter, rad; 0: no quantisation")
-    dac_step_deg: NotNegative = Field(default=0.0, description="step of the output, deg; 0: no quantisation")
+    dac_step_deg: NotNegative = optional("step of the output, deg; 0: no quantisation", 0.0)
     angle_error_limit_deg: Positive = Field(description="clamp of the attitude error (anti-windup), deg")
     command_limit_deg: Positive = Field(description="clamp of the gimbal command, deg")
 
@@ -127,21 +128,19 @@ class Computer(Section):
 class Stage(Section):
     """One stage; its clock, on which its tables run, starts at the separation before."""
 
-    name: str = Field(default="", description="name of the stage in logs (default: its number)")
-    separation_s: Period | None = Field(default=None, description="end of this stage on its clock, s")
-    separation_after_burnout_s: Seconds | None = Field(default=None, description="end of this stage after burn-out, s")
-    ignition_s: Seconds = Field(default=0.0, description="the engine is off before this time on the stage clock, s")
-    interpolation: Literal["pchip", "linear"] = Field(
-        default="pchip", description="how the tables over time are joined"
-    )
+    name: str = optional("name of the stage in logs (default: its number)", "")
+    separation_s: Period | None = optional("end of this stage on its clock, s")
+    separation_after_burnout_s: Seconds | None = optional("end of this stage after burn-out, s")
+    ignition_s: Seconds = optional("the engine is off before this time on the stage clock, s", 0.0)
+    interpolation: Literal["pchip", "linear"] = optional("how the tables over time are joined", "pchip")
     mass: Mass
-    engine: Engine | None = Field(default=None, description="absent: no thrust")
-    actuator: Actuator | None = Field(default=None, description="absent: gimbal angle = command")
-    tank: tuple[Tank, ...] = Field(default=(), max_length=MAX_TANKS, description="tanks with sloshing liquid")
-    bending: Bending | None = Field(default=None, description="absent: rigid")
-    aero: Aero | None = Field(default=None, description="absent: no aerodynamic forces")
-    gyro: Gyro | None = Field(default=None, description="absent: ideal gyros")
-    roll_thrusters: RollThrusters | None = Field(default=None, description="absent: no roll control")
+    engine: Engine | None = optional("absent: no thrust")
+    actuator: Actuator | None = optional("absent: gimbal angle = command")
+    tank: tuple[Tank, ...] = optional("tanks with sloshing liquid", (), max_length=MAX_TANKS)
+    bending: Bending | None = optional("absent: rigid")
+    aero: Aero | None = optional("absent: no aerodynamic forces")
+    gyro: Gyro | None = optional("absent: ideal gyros")
+    roll_thrusters: RollThrusters | None = optional("absent: no roll control")
 
     @model_validator(mode="after")
     def _check(self) -> Stage:
@@ -210,12 +209,12 @@ class Stage(Section):
 class Vehicle(Section):
     """vehicle.toml."""
 
-    schema_version: Literal[1] = Field(default=1, alias="schema", description="version of the format")
-    name: str = Field(default="", description="name of the vehicle")
-    description: str = Field(default="", description="what it is, in a sentence")
+    schema_version: Literal[1] = optional("version of the format", 1, alias="schema")
+    name: str = optional("name of the vehicle", "")
+    description: str = optional("what it is, in a sentence", "")
     reference: Reference
     stage: tuple[Stage, ...] = Field(min_length=1, max_length=MAX_STAGES, description="stages in the order of flight")
-    computer: Computer | None = Field(default=None, description="absent: no flight computer, the gimbal stays at zero")
+    computer: Computer | None = optional("absent: no flight computer, the gimbal stays at zero")
 
     @model_validator(mode="after")
     def _check(self) -> Vehicle:
