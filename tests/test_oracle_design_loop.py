@@ -22,6 +22,7 @@ import numpy as np
 import pytest
 import scipy.linalg
 from design_nodes import TIMES_S, design, flown, ideal, node_at
+from oracles.linearised_simulator import linearise
 
 from maxq.control.computer import ComputerState, build_computer, computer_tick, start_computer
 from maxq.control.kernel.records import Array, blank, pack
@@ -37,8 +38,8 @@ from maxq.design.model.node import Node
 from maxq.design.model.state_space import ComplexArray, StateSpace
 from maxq.design.model.vehicle_at import FlightCondition, vehicle_at
 from maxq.sim.packing.flight import pack_flight
+from maxq.sim.run.evaluate import evaluate_at
 from maxq.sim.run.fly import fly
-from maxq.sim.run.linearise import evaluate_at, linearise
 from maxq.sim.scenario.loader import LoadedScenario, load_scenario
 from maxq.sim.vehicle.workspace import AIRSPEED, DENSITY, MACH, PRESSURE
 

@@ -29,6 +29,7 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 import scipy.optimize
+from oracles.linearised_simulator import LinearModel, linearise, zero_incidence
 
 from maxq.control.kernel.records import Array
 from maxq.design.model.instruments import ACTUATOR_OUTPUTS, actuator, gyro
@@ -37,8 +38,8 @@ from maxq.design.model.state_space import ComplexArray, StateSpace
 from maxq.design.model.vehicle_at import FlightCondition, Plane, stability_derivatives, vehicle_at
 from maxq.sim.packing.flight import Packed, pack_flight
 from maxq.sim.packing.initial import rotation
+from maxq.sim.run.evaluate import evaluate_at
 from maxq.sim.run.fly import Flight, FlightRun, fly
-from maxq.sim.run.linearise import LinearModel, evaluate_at, linearise, zero_incidence
 from maxq.sim.scenario.loader import load_scenario
 from maxq.sim.vehicle.state import Q_BI
 from maxq.sim.vehicle.workspace import AIRSPEED, DENSITY, GRAVITATION, MACH, PRESSURE

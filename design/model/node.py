@@ -19,8 +19,8 @@ from maxq.design.model.state_space import StateSpace
 from maxq.design.model.vehicle_at import FlightCondition, Plane, VehicleAt, vehicle_at
 from maxq.sim.packing.flight import Packed, pack_flight
 from maxq.sim.packing.initial import rotation
+from maxq.sim.run.evaluate import evaluate_at
 from maxq.sim.run.fly import FlightRun
-from maxq.sim.run.linearise import evaluate_at
 from maxq.sim.scenario.loader import LoadedScenario
 from maxq.sim.scenario.schema_vehicle import Stage
 from maxq.sim.vehicle.actuator import Actuator

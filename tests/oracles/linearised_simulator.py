@@ -22,31 +22,22 @@ The model is continuous: the flight computer is not part of it, commands are inp
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from maxq.control.kernel.jit import bare_pointer, entry
-from maxq.control.kernel.records import Array, Records
-from maxq.control.kernel.tables import find_interval
+from maxq.control.kernel.records import Array
 from maxq.sim.flight.loop import begin
-from maxq.sim.flight.step import evaluate, read_schedule, schedule_clock
 from maxq.sim.packing.flight import Packed
 from maxq.sim.packing.initial import quaternion, rotation
+from maxq.sim.run.evaluate import evaluate_at
 from maxq.sim.vehicle import state as layout
 from maxq.sim.vehicle.block import Sizes
 from maxq.sim.vehicle.state import MAX_STATE
-from maxq.sim.vehicle.workspace import (
-    AUX_SIZE,
-    ENGINE_PITCH,
-    ENGINE_YAW,
-    GYRO_BEND,
-    PROPERTIES_SIZE,
-    WORK_SIZE,
-    Evaluation,
-)
+from maxq.sim.vehicle.workspace import ENGINE_PITCH, ENGINE_YAW, GYRO_BEND
 
 INPUTS = ("command_pitch_rad", "command_yaw_rad")
 OUTPUTS = ("delta_pitch_rad", "delta_yaw_rad", "local_rate_pitch_radps", "local_rate_yaw_radps")
@@ -74,14 +65,6 @@ class LinearModel:
     states: tuple[str, ...]
     inputs: tuple[str, ...] = INPUTS
     outputs: tuple[str, ...] = OUTPUTS
-
-
-@dataclass(frozen=True)
-class Instant:
-    """An evaluation of the simulator: derivative (MAX_STATE,) and `aux` (AUX_SIZE,)."""
-
-    rate: Array
-    aux: Array
 
 
 def linearise(packed: Packed, y: Array, time_s: float) -> LinearModel:
@@ -113,11 +96,6 @@ def linearise(packed: Packed, y: Array, time_s: float) -> LinearModel:
     )
 
 
-def evaluate_at(packed: Packed, y: Array, time_s: float, command_rad: tuple[float, float] = (0.0, 0.0)) -> Instant:
-    """The simulator's derivative and loads at a state (MAX_STATE,) and flight time, gimbal commands held."""
-    return _Evaluation(packed, time_s)(y, command_rad)
-
-
 def zero_incidence(packed: Packed, y: Array) -> Array:
     """The state `y` (MAX_STATE,) with modes and pendulums at rest and the body along its velocity over ground.
 
@@ -143,68 +121,17 @@ def zero_incidence(packed: Packed, y: Array) -> Array:
     return out
 
 
-@entry
-def _evaluate(
-    P: Records,
-    pool: Array,
-    state: Records,
-    y: Array,
-    now_ns: int,
-    properties: Array,
-    dy: Array,
-    work: Array,
-    aux: Array,
-) -> None:
-    """Derivative of `y` and its by-products at the instant `now_ns`; `P` of Parameters, `state` of Memory."""
-    memory = state[0]
-    p = P[memory.clock.stage]
-    pool, y, properties = bare_pointer(pool), bare_pointer(y), bare_pointer(properties)
-    dy, work, aux = bare_pointer(dy), bare_pointer(work), bare_pointer(aux)
-    memory.clock.interval = find_interval(pool, p.vehicle.schedule, schedule_clock(p, now_ns, 0.0))
-    read_schedule(p, pool, memory, now_ns, 0.0, properties)
-    evaluate(p, pool, memory, now_ns, 0.0, Evaluation(properties, y, dy, aux), work)
-
-
-class _Evaluation:
-    """The derivative as a function of state and commands at one flight time, on memory of its own."""
-
-    def __init__(self, packed: Packed, time_s: float) -> None:
-        self._packed = packed
-        self._now_ns = round(1e9 * time_s)
-        self._memory = packed.memory.copy()
-        if self._memory[0].clock.started == 0:
-            begin(packed.parameters, packed.pool, self._memory, packed.state.copy())
-        self._props, self._work = np.zeros(PROPERTIES_SIZE), np.zeros(WORK_SIZE)
-
-    @property
-    def held_commands(self) -> Array:
-        """Gimbal commands (pitch, yaw) that the flight holds, rad."""
-        held = self._memory[0].held
-        return np.array([held.command_pitch_rad, held.command_yaw_rad])
-
-    @property
-    def stage(self) -> Any:
-        """Parameters of the stage that flies."""
-        return self._packed.parameters[int(self._memory[0].clock.stage)]
-
-    def __call__(self, y: Array, command_rad: tuple[float, float]) -> Instant:
-        held = self._memory[0].held
-        held.command_pitch_rad, held.command_yaw_rad = command_rad
-        dy, aux = np.zeros(MAX_STATE), np.zeros(AUX_SIZE)
-        _evaluate(
-            self._packed.parameters, self._packed.pool, self._memory, y, self._now_ns, self._props, dy,
-            self._work, aux,
-        )  # fmt: skip
-        return Instant(dy, aux)
-
-
 class _Chart:
     """Local coordinates about a state, and their rates."""
 
     def __init__(self, packed: Packed, y: Array, time_s: float) -> None:
-        self._evaluation = _Evaluation(packed, time_s)
-        self._command = self._evaluation.held_commands
-        stage = self._evaluation.stage
+        memory = packed.memory.copy()
+        if memory[0].clock.started == 0:
+            begin(packed.parameters, packed.pool, memory, packed.state.copy())
+        self._packed, self._time_s = dataclasses.replace(packed, memory=memory), time_s
+        self._held = memory[0].held
+        self._command = np.array([self._held.command_pitch_rad, self._held.command_yaw_rad])
+        stage = packed.parameters[int(memory[0].clock.stage)]
         self._sizes = stage.vehicle.sizes
         self._spin = np.array([0.0, 0.0, float(stage.environment.earth.rate_radps)])
         self._attitude = rotation(y[layout.Q_BI : layout.Q_BI + 4])
@@ -222,8 +149,8 @@ class _Chart:
         """Rates of the coordinates `offset` from the reference, then the outputs."""
         x = self._point + offset
         y = self._state(x)
-        commands = self._command + command
-        now = self._evaluation(y, (float(commands[0]), float(commands[1])))
+        self._held.command_pitch_rad, self._held.command_yaw_rad = self._command + command
+        now = evaluate_at(self._packed, y, self._time_s)
         w = x[_W]
         outputs = [
             now.aux[ENGINE_PITCH], now.aux[ENGINE_YAW], w[1] + now.aux[GYRO_BEND], w[2] + now.aux[GYRO_BEND +
