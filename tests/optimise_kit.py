@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from maxq.control.kernel.records import Array
-from maxq.design.case.read import LoadedCase, read_case
+from maxq.design.case.schema import LoadedCase, read_case
 from maxq.design.laws.pd import PdDesign, PdVariables
 from maxq.design.optimise.plants import Plants
 from maxq.design.optimise.problem import Problem

@@ -22,8 +22,7 @@ from design_nodes import design, node_at, without
 from pid_law import PID, Pid
 
 from maxq.design import api
-from maxq.design.case.read import LoadedCase
-from maxq.design.case.schema import ObjectiveName
+from maxq.design.case.schema import LoadedCase, ObjectiveName
 from maxq.design.laws import registry
 from maxq.design.loop.fixed_path import fixed_path
 from maxq.design.loop.loop import Loop

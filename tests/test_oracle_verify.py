@@ -98,8 +98,8 @@ def test_vehicle_that_does_not_deviate_has_the_margins_of_the_design(nodes: list
     found = study(nodes, design, LinearMargins(cases=1, corner_sigmas=0.0), Memory(None))
     for node, measured in zip(nodes, found.nominal.nodes, strict=True):
         expected = margins(api.loops([node], design)[0])
-        assert measured.of("gain_up_db") == pytest.approx(expected.gain_up_db.value, abs=1e-9)
-        assert measured.of("delay_ms") == pytest.approx(1e3 * expected.delay_s.value, abs=1e-9)
+        assert measured["gain_up_db"] == pytest.approx(expected.gain_up_db.value, abs=1e-9)
+        assert measured["delay_ms"] == pytest.approx(1e3 * expected.delay_s.value, abs=1e-9)
 
 
 def test_slosh_grows_with_less_damping_than_it_needs(nodes: list[Node], design: Design) -> None:

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from maxq.design.case.read import read_case
+from maxq.design.case.schema import read_case
 from maxq.sim.scenario.builtin import builtin_files
 from maxq.sim.scenario.errors import ScenarioError
 

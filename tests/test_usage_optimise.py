@@ -10,7 +10,7 @@ import numpy as np
 import optimise_kit as kit
 import pytest
 
-from maxq.design.case.read import read_case
+from maxq.design.case.schema import read_case
 from maxq.design.laws.bending_filter import FilterVariables, lifted
 from maxq.design.optimise import search as search_module
 from maxq.design.optimise.plants import make_plant, make_plants

@@ -145,7 +145,7 @@ set = ["vehicle.stage.0.tank.0.damping_ratio=0.1"]
 """)
     loaded = read_suite(path)
     design = "designs/ksr3-robust.toml"
-    flights = [load_flight(loaded.suite, flown, design, None) for flown in loaded.suite.flight]
+    flights = [load_flight(loaded, flown, design, None) for flown in loaded.suite.flight]
     bounds = [{r.name: r.limit for r in scenario.scenario.requirement} for scenario, _ in flights]
     assert [b["slosh angle"] for b in bounds] == [10.0, 17.0]
     assert bounds[0] | {"slosh angle": 17.0} == bounds[1]  # no other

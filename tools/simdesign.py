@@ -130,7 +130,7 @@ def _run(arguments: list[str]) -> int:
     if mode == _ERRATA:
         from maxq.tools.design import analyse  # noqa: PLC0415  # lazy
 
-        return analyse.execute_errata(filled(analyse.ErrataOrder, options, design=names[0] if names else None))
+        return analyse.execute_errata(filled(analyse.Order, options, design=names[0] if names else None))
     from maxq.tools.design import run_case  # noqa: PLC0415  # lazy
 
     orders = [

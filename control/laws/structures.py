@@ -7,7 +7,10 @@ from typing import Literal
 Law = Literal["pd"]
 """Modules of control/laws and design/laws."""
 
-Structure = Literal["none", "F2", "F3", "F4", "F5", "F6", "sections"]
+DesignedStructure = Literal["F2", "F3", "F4", "F5", "F6", "sections"]
+"""Filters to be optimised: `sections` has as many as one likes."""
+
+Structure = Literal["none", DesignedStructure]
 
 STRUCTURES: dict[str, tuple[int, int]] = {
     "none": (0, 0),

@@ -1,17 +1,25 @@
-"""What a person may write into a case file: problem (42) to (50) of Lee, Ahn & Roh, and what goes beyond it.
+"""Case files: what they may hold, problem (42) to (50) of Lee, Ahn & Roh and what goes beyond it, and reading them.
+
+    loaded = read_case("ksr3-identical", ["filter.structure='F6'"])
 
 The paper leaves the values of its limits and bounds open; each description says what is assumed and why.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+from dataclasses import dataclass
 from itertools import pairwise
+from pathlib import Path
 from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
-from maxq.control.laws.structures import MAX_SECTIONS, STRUCTURES, Law
-from maxq.sim.scenario.errors import refuse
+from maxq.control.laws.structures import MAX_SECTIONS, STRUCTURES, DesignedStructure, Law
+from maxq.sim.scenario.documents import Text
+from maxq.sim.scenario.errors import ScenarioError, refuse
+from maxq.sim.scenario.files import find
+from maxq.sim.scenario.loader import LoadedScenario, load_file, load_scenario
 from maxq.sim.scenario.schema_values import NotNegative, Positive, Section, needs, only_with, optional
 
 PAPER_TIMES_S = tuple(float(t) for t in range(5, 60, 5))
@@ -87,7 +95,7 @@ class FilterBounds(Section):
 class Filter(Section):
     """The bending filter's form."""
 
-    structure: Literal["F2", "F3", "F4", "F5", "F6", "sections"] = optional(
+    structure: DesignedStructure = optional(
         "of the paper (37 to 41), or sections: as many as quadratic and first_order say", "F4"
     )
     quadratic: int | None = optional("number of quadratic sections; with sections", ge=0)
@@ -235,3 +243,34 @@ class Case(Section):
     def _check(self) -> Case:
         _rising(self.nodes_s, "nodes_s")
         return self
+
+
+@dataclass(frozen=True)
+class LoadedCase:
+    """A case and the scenario whose flight it is about."""
+
+    case: Case
+    label: str
+    scenario: LoadedScenario
+
+    @property
+    def name(self) -> str:
+        return self.case.name
+
+
+def read_case(name: str | Path, overrides: Iterable[str] = ()) -> LoadedCase:
+    """The case in a file, or the built-in one of that name, with `key=value` overrides. Raises ScenarioError.
+
+    Its scenario is one beside the case, or as `load_scenario` finds it.
+    """
+    case, tree, file, label = load_file(Case, "case", name, overrides)
+    given = tree.get("scenario")
+    beside = find(given, ("{}", "{}.toml")) if isinstance(given, Text) else None
+    try:
+        scenario = load_scenario(beside if beside is not None and beside != file else case.scenario)
+    except ScenarioError as error:
+        if error.file == case.scenario:  # the name itself is wrong
+            source = tree.sources.get("scenario", tree.source)
+            raise source.error(("scenario",), error.problem, value=case.scenario, allowed=error.allowed) from None
+        raise
+    return LoadedCase(case, label, scenario)

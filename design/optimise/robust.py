@@ -16,8 +16,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from maxq.control.kernel.records import Array
-from maxq.design.case.read import LoadedCase
-from maxq.design.case.schema import Case, Robust
+from maxq.design.case.schema import Case, LoadedCase, Robust
 from maxq.design.model.node import Node
 from maxq.design.optimise.plants import Plant, Plants, make_plant, make_plants
 from maxq.design.optimise.problem import Problem

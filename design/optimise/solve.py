@@ -9,8 +9,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from maxq.design import api
-from maxq.design.case.read import LoadedCase
-from maxq.design.case.schema import Case
+from maxq.design.case.schema import Case, LoadedCase
 from maxq.design.laws.law import LawVariables
 from maxq.design.laws.registry import law_kind
 from maxq.design.loop.fixed_path import ExactFixedPath

@@ -21,7 +21,6 @@ from maxq.design.verify.suite import (
     Flown,
     LoadedSuite,
     Requirement,
-    Suite,
     judgement_of,
     limit_changes,
     room_left,
@@ -34,10 +33,7 @@ from maxq.sim.run.metrics import METRIC_NAMES, Verdict
 from maxq.sim.scenario.loader import LoadedScenario, load_scenario
 from maxq.sim.scenario.schema_scenario import Log
 
-KEPT = (
-    "dynamic_pressure_Pa", "alpha_total_deg", "gimbal_pitch_angle_deg", "gimbal_yaw_angle_deg", "error_pitch_deg",
-    "error_yaw_deg",
-)  # fmt: skip
+KEPT = ("gimbal_pitch_angle_deg", "gimbal_yaw_angle_deg", "error_pitch_deg", "error_yaw_deg")
 KEPT_HZ = 20.0
 
 
@@ -86,26 +82,26 @@ def design_changes(design: str, vehicle: str | None) -> list[str]:
 
 
 def load_flight(
-    suite: Suite, flown: Flown, design: str, vehicle: str | None, label: str = "suite"
+    loaded_suite: LoadedSuite, flown: Flown, design: str, vehicle: str | None
 ) -> tuple[LoadedScenario, list[str]]:
     """The scenario of one flight with the design in it, and what is changed in it. Raises ScenarioError."""
-    name, changes = flown.scenario or suite.scenario, [*design_changes(design, vehicle), *flown.set]
+    name, changes = flown.scenario or loaded_suite.suite.scenario, [*design_changes(design, vehicle), *flown.set]
     loaded = load_scenario(name, changes, METRIC_NAMES)
-    more = limit_changes(suite, flown.limits, loaded.scenario, label)
+    more = limit_changes(loaded_suite, flown.limits, loaded.scenario)
     return (load_scenario(name, [*changes, *more], METRIC_NAMES) if more else loaded), [*changes, *more]
 
 
 def fly_suite(
-    suite: Suite,
+    loaded_suite: LoadedSuite,
     design: str,
     vehicle: str | None,
     memory: Memory,
-    watch: Callable[[int, int], None] = lambda done, of: None,
-    workers: int = 2,
-    label: str = "suite",
+    watch: Callable[[int, int], None],
+    workers: int,
 ) -> list[FlownResult]:
     """All flights, in the suite's order. Raises ScenarioError before any is flown where one cannot be."""
-    loaded = [load_flight(suite, flown, design, vehicle, label) for flown in suite.flight]
+    suite = loaded_suite.suite
+    loaded = [load_flight(loaded_suite, flown, design, vehicle) for flown in suite.flight]
     done = [0]
 
     def one(job: tuple[Flown, tuple[LoadedScenario, list[str]]]) -> FlownResult:
@@ -179,7 +175,7 @@ def load_wanted(loaded_suite: LoadedSuite, wanted: CampaignWanted, design: str, 
     """The campaign with the design in it, and the suite's numbers and limits. Raises ScenarioError."""
     changes = [*design_changes(design, vehicle), *wanted.set]
     loaded = load_campaign(wanted.file, changes)
-    more = limit_changes(loaded_suite.suite, wanted.limits, loaded.base.scenario, loaded_suite.label)
+    more = limit_changes(loaded_suite, wanted.limits, loaded.base.scenario)
     loaded = load_campaign(wanted.file, [*changes, *more]) if more else loaded
     given = {key: getattr(wanted, key) for key in ("runs", "success", "confidence")}
     return loaded.with_campaign(**{key: value for key, value in given.items() if value is not None})
@@ -200,9 +196,9 @@ def fly_campaign(
     design: str,
     vehicle: str | None,
     parts: Path,
-    watch: Callable[[Progress], None] = lambda progress: None,
-    stop: Callable[[], bool] = lambda: False,
-    afresh: bool = False,
+    watch: Callable[[Progress], None],
+    stop: Callable[[], bool],
+    afresh: bool,
 ) -> CampaignResult:
     """Fly what is missing of a campaign, or all of it into a new folder. Raises ScenarioError, CampaignError."""
     loaded = load_wanted(loaded_suite, wanted, design, vehicle)

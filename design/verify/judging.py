@@ -17,8 +17,7 @@ from maxq.control.filters import BendingFilter
 from maxq.control.kernel.records import Array
 from maxq.design import api
 from maxq.design.case.design_file import design_of
-from maxq.design.case.read import LoadedCase
-from maxq.design.case.schema import Case
+from maxq.design.case.schema import Case, LoadedCase
 from maxq.design.loop.fixed_path import Kind
 from maxq.design.loop.loop import Loop
 from maxq.design.margins.budget import Budget, crossing_budgets

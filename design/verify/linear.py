@@ -13,19 +13,17 @@ to drift along. So the gimbal's limit is reached at a wind of U tan(delta_max |M
 
 from __future__ import annotations
 
-import dataclasses
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from maxq.control.kernel.records import Array
 from maxq.design import api
 from maxq.design.loop.fixed_path import fixed_path
 from maxq.design.loop.loop import Loop
-from maxq.design.margins.measure import Margins, margins
+from maxq.design.margins.measure import margins
 from maxq.design.model.dispersion import NOMINAL, Dispersion, disperse
 from maxq.design.model.node import Node
 from maxq.design.model.vehicle_at import stability_derivatives
@@ -60,15 +58,8 @@ _FACTORS = (
 )  # fmt: skip
 
 
-@dataclass(frozen=True)
-class Measured:
-    """Margins of one loop by the names of `MEASURES`; NaN where it is unstable, infinite where nothing limits them."""
-
-    stable: bool
-    values: dict[str, float]
-
-    def of(self, name: str) -> float:
-        return self.values[name]
+Measured = dict[str, float]
+"""Margins of a loop by the names of `MEASURES`; empty where it is unstable, infinite where nothing limits them."""
 
 
 @dataclass(frozen=True)
@@ -90,10 +81,6 @@ class MarginCase:
     def label(self) -> str:
         return self.vehicle.dispersion.label
 
-    @property
-    def stable(self) -> bool:
-        return all(n.stable for n in self.nodes)
-
 
 @dataclass(frozen=True)
 class MarginStudy:
@@ -108,9 +95,9 @@ class MarginStudy:
 
 def measured(loop: Loop, slosh_peak_db: float) -> Measured:
     """The margins of `MEASURES` of a loop."""
-    found: Margins = margins(loop, resonances=loop.fixed.resonances())
+    found = margins(loop, resonances=loop.fixed.resonances())
     if not found.stable:
-        return Measured(False, dict.fromkeys(MEASURES, math.nan))
+        return {}
     slosh = [x.phase_deg for x in found.lobes if x.kind == "slosh" and x.peak_db > slosh_peak_db]
     first = [x.phase_deg for x in found.lobes if x.label == "bending 1" and x.peak_db > 0.0]
     higher = [x.peak_db for x in found.lobes if x.kind == "bending" and x.label != "bending 1"]
@@ -123,24 +110,20 @@ def measured(loop: Loop, slosh_peak_db: float) -> Measured:
         min(first, default=math.inf),
         max(higher, default=-math.inf),
     )
-    return Measured(True, {name: float(v) for name, v in zip(MEASURES, values, strict=True)})
+    return {name: float(v) for name, v in zip(MEASURES, values, strict=True)}
 
 
 def vehicles(wanted: LinearMargins) -> tuple[list[Deviated], list[Deviated]]:
-    """Corners and random vehicles."""
+    """Corners, where thrust goes with the last factor, and random vehicles."""
     corners = []
     if wanted.corner_sigmas > 0.0:
         rows = [np.roll(_GENERATOR, k) for k in range(len(_GENERATOR))] + [-np.ones(len(_GENERATOR))]
         for n, row in enumerate(np.array([*rows, *[-np.asarray(r) for r in rows]], float)):
-            corners.append(_vehicle(wanted.three_sigma, _corner(row * (wanted.corner_sigmas / 3.0)), f"corner {n + 1}"))
+            signs = dict(zip(_FACTORS, (row * (wanted.corner_sigmas / 3.0)).tolist(), strict=True))
+            signs["thrust"] = signs[_FACTORS[-1]]
+            corners.append(_vehicle(wanted.three_sigma, signs.__getitem__, f"corner {n + 1}"))
     drawn = [_vehicle(wanted.three_sigma, _normal(wanted.seed, n), f"vehicle {n + 1}") for n in range(wanted.cases)]
     return corners, drawn
-
-
-def _corner(row: Array) -> Callable[[str], float]:
-    """Deviations of a corner by name, in units of three sigma; thrust goes with the last factor."""
-    signs = dict(zip(_FACTORS, (float(x) for x in row), strict=True)) | {"thrust": float(row[-1])}
-    return signs.__getitem__
 
 
 def _normal(seed: int, number: int) -> Callable[[str], float]:
@@ -191,8 +174,9 @@ def study(
         def work_out() -> list[Measured]:
             out = []
             for by in every:
-                delay = max(by.delay_s, -node.instruments.delay_s)
-                weak = _delayed(disperse(node, by.dispersion), delay)
+                weak = disperse(node, by.dispersion)
+                delay_s = weak.instruments.delay_s + max(by.delay_s, -node.instruments.delay_s)
+                weak = replace(weak, instruments=replace(weak.instruments, delay_s=delay_s))
                 out.append(measured(Loop(fixed_path(weak), law), peak_db))
                 done[0] += 1
                 if done[0] % 50 == 0:
@@ -210,50 +194,49 @@ def study(
     )
 
 
-def _delayed(node: Node, delay_s: float) -> Node:
-    """With that much added to the delay of the computer."""
-    timing = dataclasses.replace(node.instruments, delay_s=node.instruments.delay_s + delay_s)
-    return dataclasses.replace(node, instruments=timing)
-
-
 def margin_requirements(found: MarginStudy, wanted: LinearMargins) -> list[Requirement]:
     """Nominal limits, dispersed limits at the corners, and the share of random vehicles that keep them."""
-    out = [_stable("margins", "stable at every node", [found.nominal], found)]
-    out += _limits("margins", "as designed", [found.nominal], wanted.nominal, found)
+    out = _limits("margins", "at every node", "as designed", [found.nominal], wanted.nominal, found)
     if found.corners:
-        out.append(_stable("dispersed", "stable at every corner", found.corners, found))
-        out += _limits("dispersed", "corners", found.corners, wanted.dispersed, found)
+        out += _limits("dispersed", "at every corner", "corners", found.corners, wanted.dispersed, found)
     if found.random:
-        out.append(_share(found, wanted))
+        failures = [c.label for c in found.random if not meets_limits(c, wanted.dispersed)]
+        shown = judge_failures(len(failures), len(found.random), wanted.success, wanted.confidence)
+        share = (shown.success - wanted.success) / (1.0 - wanted.success)
+        out.append(
+            Requirement(
+                "dispersed", "random vehicles meet the dispersed limits",
+                f"{100.0 * wanted.success:g} % with {100.0 * wanted.confidence:g} % confidence",
+                f"{len(found.random) - len(failures)} of {len(found.random)}", judgement_of(shown.judgement),
+                share, failures[0] if failures else "", shown.more,
+            )
+        )  # fmt: skip
     return out
 
 
-def _stable(part: str, name: str, cases: Iterable[MarginCase], found: MarginStudy) -> Requirement:
-    bad = [(c, t) for c in cases for t, n in zip(found.times_s, c.nodes, strict=True) if not n.stable]
-    where = f"{bad[0][0].label + ', ' if bad[0][0].label else ''}{bad[0][1]:g} s, {found.plane}" if bad else ""
-    text = "stable" if not bad else f"{len(bad)} unstable"
-    return Requirement(
-        part, name, "stable", text, REJECTED if bad else ACCEPTED, math.nan if not bad else -1.0, where
-    )  # fmt: skip
-
-
 def _limits(
-    part: str, whose: str, cases: Sequence[MarginCase], limits: MarginLimits, found: MarginStudy
+    part: str, at: str, whose: str, cases: Sequence[MarginCase], limits: MarginLimits, found: MarginStudy
 ) -> list[Requirement]:
-    out = []
+    """Stability, and the limits on the stable loops."""
+    places = [
+        (", ".join(filter(None, (c.label, f"{t:g} s", found.plane))), n)
+        for c in cases
+        for t, n in zip(found.times_s, c.nodes, strict=True)
+    ]
+    bad = [where for where, n in places if not n]
+    state = (f"{len(bad)} unstable", REJECTED, -1.0, bad[0]) if bad else ("stable", ACCEPTED, math.nan, "")
+    out = [Requirement(part, f"stable {at}", "stable", *state)]
     for name, (title, unit, sense) in MEASURES.items():
         limit = getattr(limits, name)
-        rows = [(n.of(name), c.label, t) for c in cases for t, n in zip(found.times_s, c.nodes, strict=True)]
-        rows = [r for r in rows if not math.isnan(r[0])]  # unstable loops are reported by `_stable`
+        rows = [(n[name], where) for where, n in places if not math.isnan(n.get(name, math.nan))]
         if limit is None or not rows:
             continue
-        value, label, time_s = (min if sense == ">=" else max)(rows, key=lambda r: r[0])
+        value, where = (min if sense == ">=" else max)(rows, key=lambda r: r[0])
         out.append(
             Requirement(
                 part, f"{title}, {whose}", f"{sense} {limit:g} {unit}",
                 f"{value:.2f} {unit}" if math.isfinite(value) else "free",
-                ACCEPTED if _met(value, limit, sense) else REJECTED, room_left(value, limit, sense),
-                f"{label + ', ' if label else ''}{time_s:g} s, {found.plane}",
+                ACCEPTED if _met(value, limit, sense) else REJECTED, room_left(value, limit, sense), where,
             )
         )  # fmt: skip
     return out
@@ -266,18 +249,7 @@ def _met(value: float, limit: float, sense: str) -> bool:
 def meets_limits(case: MarginCase, limits: MarginLimits) -> bool:
     """Whether a vehicle is stable and meets every limit at every node."""
     asked = [(name, sense) for name, (_, _, sense) in MEASURES.items() if getattr(limits, name) is not None]
-    return case.stable and all(_met(n.of(k), getattr(limits, k), sense) for k, sense in asked for n in case.nodes)
-
-
-def _share(found: MarginStudy, wanted: LinearMargins) -> Requirement:
-    failures = [c.label for c in found.random if not meets_limits(c, wanted.dispersed)]
-    shown = judge_failures(len(failures), len(found.random), wanted.success, wanted.confidence)
-    return Requirement(
-        "dispersed", "random vehicles meet the dispersed limits",
-        f"{100.0 * wanted.success:g} % with {100.0 * wanted.confidence:g} % confidence",
-        f"{len(found.random) - len(failures)} of {len(found.random)}", judgement_of(shown.judgement),
-        (shown.success - wanted.success) / (1.0 - wanted.success), failures[0] if failures else "", shown.more,
-    )  # fmt: skip
+    return all(n and all(_met(n[k], getattr(limits, k), sense) for k, sense in asked) for n in case.nodes)
 
 
 @dataclass(frozen=True)
@@ -301,13 +273,9 @@ def authority(nodes: Sequence[Node], command_limit_rad: float) -> list[Authority
         limit = command_limit_rad if actuator.ideal else min(command_limit_rad, actuator.angle_limit_rad)
         ratio = abs(d.m_alpha_1ps2 / d.m_delta_1ps2)
         incidence = limit / ratio if ratio > 0.0 else math.inf
-        wind = node.condition.airspeed_mps * math.tan(incidence) if incidence < 0.5 * math.pi else math.inf
-        condition = node.condition
-        out.append(
-            Authority(
-                node.time_s, condition.airspeed_mps, condition.dynamic_pressure_Pa, ratio, math.degrees(limit), wind
-            )
-        )
+        speed, pressure = node.condition.airspeed_mps, node.condition.dynamic_pressure_Pa
+        wind = speed * math.tan(incidence) if incidence < 0.5 * math.pi else math.inf
+        out.append(Authority(node.time_s, speed, pressure, ratio, math.degrees(limit), wind))
     return out
 
 

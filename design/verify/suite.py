@@ -209,32 +209,30 @@ class Suite(Section):
 @dataclass(frozen=True)
 class LoadedSuite:
     suite: Suite
-    label: str
-    folder: Path
+    label: str  # as the user named it
 
 
 def read_suite(name: str | Path, overrides: Iterable[str] = ()) -> LoadedSuite:
     """The suite in a file, or the built-in one of that name, with `key=value` overrides. Raises ScenarioError."""
-    suite, _, file, label = load_file(Suite, "suite", name, overrides)
-    return LoadedSuite(suite, label, file.parent)
+    suite, _, _, label = load_file(Suite, "suite", name, overrides)
+    return LoadedSuite(suite, label)
 
 
-def limit_changes(suite: Suite, which: str, scenario: Scenario, label: str) -> list[str]:
+def limit_changes(loaded: LoadedSuite, which: str, scenario: Scenario) -> list[str]:
     """Overrides of the scenario's requirements by the suite's: `which` is "own" (none) or "dispersed".
 
-    `label`: the suite as the user named it. Raises ScenarioError where the scenario has no such requirement, or it is
-    no upper limit.
+    Raises ScenarioError where the scenario has no such requirement, or it is no upper limit.
     """
     if which == "own":
         return []
     limits = {r.name or r.metric: (n, r.limit) for n, r in enumerate(scenario.requirement)}
     out = []
-    for k, stated in enumerate(suite.dispersed_limit):
+    for k, stated in enumerate(loaded.suite.dispersed_limit):
         known = [name for name, (_, limit) in limits.items() if limit is not None]
         if stated.requirement not in known:
             hint = suggestion(stated.requirement, known)
             raise ScenarioError(
-                label, f"the scenario has no such limit{'; ' + hint if hint else ''}",
+                loaded.label, f"the scenario has no such limit{'; ' + hint if hint else ''}",
                 f"dispersed_limit[{k}].requirement", value=stated.requirement, allowed="" if hint else ", ".join(known),
             )  # fmt: skip
         out.append(f"requirement.{limits[stated.requirement][0]}.limit={stated.limit!r}")

@@ -11,6 +11,7 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -56,8 +57,6 @@ class Verification:
     """A design, the requirements on it, and the results. Parts that the suite does not ask for are empty."""
 
     design: str  # as the user named it
-    design_name: str
-    vehicle: str
     suite: Suite
     scenario: LoadedScenario = field(repr=False)
     requirements: tuple[Requirement, ...]
@@ -68,15 +67,13 @@ class Verification:
     campaigns: tuple[CampaignResult, ...] = field(repr=False)
     authority: tuple[Authority, ...] = field(repr=False)
     slosh: tuple[SloshAdvice, ...] = field(repr=False)
-    design_hash: str = ""
-    vehicle_hash: str = ""
-    code: str = ""
-    versions: dict[str, str] = field(default_factory=dict)
-    recalled: int = 0
-    worked_out: int = 0
-    wall_s: float = math.nan
-    walls_s: dict[str, float] = field(default_factory=dict)
-    cpus_s: dict[str, float] = field(default_factory=dict)  # of all threads
+    hashes: dict[str, str]  # of design, scenario (with its vehicle) and source code
+    versions: dict[str, str]
+    recalled: int
+    worked_out: int
+    wall_s: float
+    walls_s: dict[str, float]
+    cpus_s: dict[str, float]  # of all threads
 
     @property
     def judgement(self) -> Judgement:
@@ -136,9 +133,7 @@ def verify(
         load_wanted(loaded, wanted, design, vehicle)
     job = _Job(suite, scenario, scenario.design, own if own.design else scenario, kept, interruptible, workers)
     with timed("scenarios"):
-        flights = fly_suite(
-            suite, design, vehicle, kept, lambda n, of: interruptible("scenarios", n, of), workers, loaded.label
-        )
+        flights = fly_suite(loaded, design, vehicle, kept, partial(interruptible, "scenarios"), workers)
     with timed("linear margins"):
         margin, limits, slosh = job.margins(), job.authority(), job.slosh()
     with timed("certificate"):
@@ -161,14 +156,13 @@ def verify(
     requirements += certificate_requirements(certificates, through)
     for campaign in campaigns:
         requirements += campaign_requirements(campaign)
+    design_hash, scenario_hash = content_hash(repr(scenario.design)), content_hash(scenario.as_flown)
+    hashes = {"design": design_hash, "scenario": scenario_hash, "code": code_hash()}
     return Verification(
-        design=design, design_name=scenario.design.name, vehicle=scenario.vehicle.name, suite=suite, scenario=scenario,
-        requirements=tuple(requirements), flights=tuple(flights), margins=tuple(margin),
-        certificates=tuple(certificates), in_flight=tuple(through), campaigns=tuple(campaigns),
-        authority=tuple(limits), slosh=tuple(slosh), design_hash=content_hash(repr(scenario.design))[:16],
-        vehicle_hash=content_hash(scenario.as_flown)[:16], code=code_hash()[:16], versions=versions(),
-        recalled=kept.recalled, worked_out=kept.worked_out, wall_s=time.perf_counter() - begun, walls_s=walls,
-        cpus_s=cpus,
+        design, suite, scenario, tuple(requirements), tuple(flights), tuple(margin), tuple(certificates),
+        tuple(through), tuple(campaigns), tuple(limits), tuple(slosh),
+        hashes={name: text[:16] for name, text in hashes.items()}, versions=versions(), recalled=kept.recalled,
+        worked_out=kept.worked_out, wall_s=time.perf_counter() - begun, walls_s=walls, cpus_s=cpus,
     )  # fmt: skip
 
 
@@ -197,15 +191,15 @@ class _Job:
 
     def margins(self) -> list[MarginStudy]:
         wanted = self.suite.margins
-        out = []
-        for plane in wanted.planes if wanted is not None else ():
-
-            def show(n: int, of: int, plane: Plane = plane) -> None:
-                self.watch(f"margins, {plane}", n, of)
-
-            assert wanted is not None
-            out.append(study(self.nodes(plane), self.design, wanted, self.memory, show, self.workers))
-        return out
+        if wanted is None:
+            return []
+        return [
+            study(
+                self.nodes(plane), self.design, wanted, self.memory, partial(self.watch, f"margins, {plane}"),
+                self.workers,
+            )
+            for plane in wanted.planes
+        ]  # fmt: skip
 
     def authority(self) -> list[Authority]:
         """Every second between the first and the last time that the suite names."""
@@ -253,10 +247,7 @@ class _Job:
         stable = [c.time_s for c in found if c.stable and c.plane == wanted.planes[0]]
         through: list[InFlightResponse] = []
         for plane in wanted.planes if wanted.in_flight and stable else ():
-
-            def fly(plane: Plane = plane) -> list[InFlightResponse]:
-                return in_flight_response(scenario, stable, plane)
-
+            fly = partial(in_flight_response, scenario, stable, plane)
             through += memory.recall("through", (scenario.as_flown, stable, plane), fly)
         return found, through
 
@@ -267,9 +258,7 @@ def certificate_requirements(certificates: list[NodeCertificate], through: list[
 
     def add(name: str, found: str, bad: Sequence[NodeCertificate | InFlightResponse]) -> None:
         judgement, where = (REJECTED, f"{bad[0].time_s:g} s") if bad else (ACCEPTED, "")
-        out.append(
-            Requirement("certificate", name, "every difference explained", found, judgement, math.nan, where)
-        )  # fmt: skip
+        out.append(Requirement("certificate", name, "every difference explained", found, judgement, math.nan, where))
 
     for plane in dict.fromkeys(c.plane for c in certificates):
         mine = [c for c in certificates if c.plane == plane]

@@ -29,7 +29,6 @@ from maxq.tools.design.report import analysis_record, analysis_report, analysis_
 
 EVERY_S = 5.0
 RECORD_NAME = "analysis.json"
-DEFAULT_DESIGN = "ksr3-default"
 _UNSTABLE = "unstable"
 QUANTITIES = {
     "peak 1": "peak of mode 1, dB",
@@ -43,9 +42,9 @@ QUANTITIES = {
 
 @dataclass(frozen=True)
 class Order:
-    """What the command line asks for."""
+    """What the command line asks for; the errata take neither model, plane nor pictures."""
 
-    design: str
+    design: str = "ksr3-default"
     scenario: str = "nominal"
     vehicle: str | None = None
     times_s: tuple[float, ...] = ()
@@ -57,18 +56,6 @@ class Order:
     pictures: bool = True
 
 
-@dataclass(frozen=True)
-class ErrataOrder:
-    """What the command line asks for."""
-
-    design: str = DEFAULT_DESIGN
-    scenario: str = "nominal"
-    vehicle: str | None = None
-    times_s: tuple[float, ...] = ()
-    plant: Plant = "flown"
-    out: str | None = None
-
-
 def execute(order: Order) -> int:
     """Do it; returns the exit code."""
     scenario, design = load(order.scenario, order.vehicle, order.design)
@@ -76,7 +63,7 @@ def execute(order: Order) -> int:
     name = path.parent.name if path.name == DESIGN_NAME and path.parent.name else path.name.removesuffix(".toml")
     folder = Path(order.out) if order.out is not None else Path("runs") / f"analyse-{name}" if order.pictures else None
     with Progress() as progress:
-        nodes = find_nodes(scenario, order.times_s or default_times_s(design), order.axis, order.errata, order.plant)
+        nodes = find_nodes(scenario, design, order)
         if folder is not None:
             check_writable(folder)
         judged = judge(nodes, design, order.kind, lambda n: progress.show("measuring margins", n, len(nodes)))
@@ -110,23 +97,16 @@ def load(scenario: str, vehicle: str | None, design: str) -> tuple[LoadedScenari
     return (own if own.design is not None else with_it), with_it.design
 
 
-def default_times_s(design: Design) -> list[float]:
-    """The rows of the gain table, and every five seconds between its ends."""
+def find_nodes(scenario: LoadedScenario, design: Design, order: Order) -> list[Node]:
+    """Nodes along the flight, by default at the rows of the gain table and every five seconds between its ends.
+
+    Raises ScenarioError for a time outside the powered flight.
+    """
     rows = [float(t) for t in design.gains.table["time_s"]]
     count = int((rows[-1] - rows[0]) // EVERY_S)
-    return sorted({*rows, *(rows[0] + EVERY_S * k for k in range(count + 1))})
-
-
-def find_nodes(
-    scenario: LoadedScenario,
-    times_s: Sequence[float],
-    axis: Plane = "pitch",
-    errata: str = "corrected",
-    plant: Plant = "flown",
-) -> list[Node]:
-    """Nodes along the flight. Raises ScenarioError for a time outside the powered flight."""
+    times_s = order.times_s or sorted({*rows, *(rows[0] + EVERY_S * k for k in range(count + 1))})
     try:
-        nodes = api.nodes(scenario, times_s, plane=axis, errata=errata, plant=plant)
+        nodes = api.nodes(scenario, times_s, plane=order.axis, errata=order.errata, plant=order.plant)
         for node in nodes:
             _ = node.plant  # raises where there is none, before the long work
     except ValueError as error:
@@ -137,11 +117,11 @@ def find_nodes(
 # errata
 
 
-def execute_errata(order: ErrataOrder) -> int:
+def execute_errata(order: Order) -> int:
     """Do it; returns the exit code."""
     scenario, design = load(order.scenario, order.vehicle, order.design)
     with Progress() as progress:
-        nodes = find_nodes(scenario, order.times_s or default_times_s(design), plant=order.plant)
+        nodes = find_nodes(scenario, design, order)
         found: list[Effect] = []
         for n, node in enumerate(nodes):
             found += effects([node], design)
@@ -155,25 +135,25 @@ def execute_errata(order: ErrataOrder) -> int:
 
 def effects(nodes: Sequence[Node], design: Design) -> list[Effect]:
     """Of every erratum at every node, on the design's loop with the paper's Pade approximants."""
-    return errata_effects(nodes, lambda node, cut: _measure(node, cut, design))
+
+    def measure(node: Node, cut: Cut) -> Mapping[str, float]:
+        """Peaks, and for the whole loop its margins; `unstable` is 1 where it is not stable."""
+        loop = api.close(fixed_path(node, "pade", cut), design)
+        peaks = peaks_db(loop)
+        out = {f"peak {i}": peaks[f"bending {i}"] for i in (1, 2, 3) if f"bending {i}" in peaks}
+        slosh = [db for name, db in peaks.items() if name.startswith("slosh")]
+        if slosh:
+            out["slosh"] = max(slosh)
+        if cut == "gimbal_command":
+            m = margins(loop, resonances=loop.fixed.resonances(), zones=())
+            out |= {"gain": min(m.gain_up_db.value, m.gain_down_db.value), "phase": m.phase_deg.value}
+            out[_UNSTABLE] = float(not m.stable)
+        return out
+
+    return errata_effects(nodes, measure)
 
 
-def _measure(node: Node, cut: Cut, design: Design) -> Mapping[str, float]:
-    """Peaks, and for the whole loop its margins; `unstable` is 1 where it is not stable."""
-    loop = api.close(fixed_path(node, "pade", cut), design)
-    peaks = peaks_db(loop)
-    out = {f"peak {i}": peaks[f"bending {i}"] for i in (1, 2, 3) if f"bending {i}" in peaks}
-    slosh = [db for name, db in peaks.items() if name.startswith("slosh")]
-    if slosh:
-        out["slosh"] = max(slosh)
-    if cut == "gimbal_command":
-        m = margins(loop, resonances=loop.fixed.resonances(), zones=())
-        out |= {"gain": min(m.gain_up_db.value, m.gain_down_db.value), "phase": m.phase_deg.value}
-        out[_UNSTABLE] = float(not m.stable)
-    return out
-
-
-def errata_report(found: Sequence[Effect], order: ErrataOrder) -> str:
+def errata_report(found: Sequence[Effect], order: Order) -> str:
     """A table of every quantity: a row an erratum, a column a node; printed less corrected."""
     times = list(dict.fromkeys(e.node.time_s for e in found))
     names = list(dict.fromkeys(e.erratum for e in found))

@@ -10,7 +10,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, get_args
 
-from maxq.design.case.read import LoadedCase
+from maxq.design.case.schema import LoadedCase
 from maxq.design.margins.lobes import Lobe
 from maxq.design.margins.measure import Bound
 from maxq.design.optimise.solution import Solution

@@ -24,8 +24,7 @@ from typing import Any
 import numpy as np
 
 from maxq.design import api
-from maxq.design.case.read import read_case
-from maxq.design.case.schema import Robust
+from maxq.design.case.schema import Robust, read_case
 from maxq.design.loop.errata_effects import EXPLAINED
 from maxq.design.model.node import Node
 from maxq.design.optimise.robust import DEVIATIONS, deviated

@@ -68,9 +68,7 @@ def _margins(found: Verification, margin: MarginStudy) -> Figure:
 
 
 def _values(cases: tuple[MarginCase, ...] | list[MarginCase], name: str) -> Array:
-    if not cases:
-        return np.zeros((0, 0))
-    table = np.array([[n.of(name) for n in c.nodes] for c in cases])
+    table = np.array([[n.get(name, math.nan) for n in c.nodes] for c in cases])
     table[~np.isfinite(table)] = np.nan
     return table
 

@@ -27,8 +27,7 @@ from numpy.typing import NDArray
 from scipy.optimize import Bounds, OptimizeResult, differential_evolution
 
 from maxq.control.kernel.records import Array
-from maxq.design.case.read import read_case
-from maxq.design.case.schema import Case
+from maxq.design.case.schema import Case, read_case
 from maxq.design.laws.pd import PdVariables
 from maxq.design.optimise.plants import Plants
 from maxq.design.optimise.problem import Problem
