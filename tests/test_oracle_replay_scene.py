@@ -13,8 +13,7 @@ from replaykit import OLD_LOG
 from maxq.sim.log.foxglove import FRAMES_SCHEMA, FRAMES_TYPE
 from maxq.sim.log.protobuf import message_class
 from maxq.tools.replay import meshes
-from maxq.tools.replay.flight import ReplayFlight, launch_of, open_flight
-from maxq.tools.replay.launch_site import path_of, place_of
+from maxq.tools.replay.flight import ReplayFlight, launch_of, open_flight, path_of, place_of
 from maxq.tools.replay.plots import tabs_of
 from maxq.tools.replay.vehicle_shape import (
     VehicleShape,

@@ -29,11 +29,11 @@ class LaunchSite:
     def __init__(self, earth: Earth, site: Site) -> None:
         self.earth, self.site = earth, site
         latitude, longitude = math.radians(site.latitude_deg), math.radians(site.longitude_deg)
-        self.origin_E_m = np.array(_plain(earth_position)(earth, latitude, longitude, site.altitude_m))
+        self.origin_E_m = np.array(plain(earth_position)(earth, latitude, longitude, site.altitude_m))
         ned_E = np.eye(3)
         if earth.figure != FLAT:
             sines = math.sin(latitude), math.cos(latitude), math.sin(longitude), math.cos(longitude)
-            ned_E = np.array(_plain(ned_axes)(*sines)).reshape(3, 3)
+            ned_E = np.array(plain(ned_axes)(*sines)).reshape(3, 3)
         self.enu_E = ENU_NED @ ned_E
 
 
@@ -82,6 +82,6 @@ def _product(p: Array, q: Array) -> Array:
     )
 
 
-def _plain(function: Callable[..., Any]) -> Callable[..., Any]:
+def plain(function: Callable[..., Any]) -> Callable[..., Any]:
     """The Python function of a kernel that calls no other kernel: a single call does not justify compiling it."""
     return getattr(function, "py_func", function)

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import functools
 import json
+import math
 import re
 import tomllib
 from collections import Counter
@@ -22,15 +23,19 @@ import numpy as np
 
 from maxq.control.kernel.records import Array, IntArray
 from maxq.sim.flight.channels import ChannelTable
-from maxq.sim.log.foxglove import Level
+from maxq.sim.log.foxglove import FramePath, Level
 from maxq.sim.log.head import LogError
 from maxq.sim.log.reader import Log, read_log
+from maxq.sim.packing.environment import pack_earth
+from maxq.sim.run import launch_frames
+from maxq.sim.run.launch_frames import ENU_NED, LaunchFrames, plain
 from maxq.sim.run.metrics import unit_of
 from maxq.sim.run.record import LOG_NAME, SCENARIO_ATTACHMENT, SUMMARY_NAME
 from maxq.sim.scenario.errors import ScenarioError
 from maxq.sim.scenario.loader import load_scenario_text
 from maxq.sim.scenario.schema_environment import Earth, Site
 from maxq.sim.scenario.schema_scenario import Scenario
+from maxq.sim.world.earth import FLAT, ned_to_earth
 from maxq.tools.replay.viewer import ReplayError
 
 KEPT = ("flights", "kept")  # folders of a campaign that hold whole flights
@@ -38,7 +43,10 @@ MOST = 200
 """Flights shown at once: more make a window nobody reads, and a lot of memory."""
 FEW = 4
 """Flights of which every vehicle is drawn."""
+FAR_KM = 20.0
+"""A flight that begins farther from its site than this is shown in the axes of the place where it begins."""
 _FAULTS = ("control_lost", "diverged")
+_NEEDED = tuple(f"r_E_{a}_m" for a in "xyz") + tuple(f"q_BI_{c}" for c in "wxyz")
 
 
 class Channels(Protocol):
@@ -336,3 +344,70 @@ def _unlike_labels(flights: Sequence[ReplayFlight]) -> list[ReplayFlight]:
         seen[label] += 1
         out.append(replace(flight, label=label if seen[label] == 1 else f"{label} ({seen[label]})"))
     return out
+
+
+# -- the frame of the launch site: x east, y north, z up (the log's `launch_site`) -----------------------------------
+class LaunchSite(launch_frames.LaunchSite):
+    """The launch site's frame; `moved`: it lies where the flight begins instead."""
+
+    moved = False
+
+    def frames(self, table: ChannelTable, period_ns: int) -> LaunchFrames:
+        return LaunchFrames(table, self, period_ns)
+
+    def from_ned(self, latitude_deg: Array, longitude_deg: Array, v_N: Array) -> Array:
+        """Vectors (n, 3) given north, east, down at places (n,), in the axes of the site."""
+        if self.earth.figure == FLAT:
+            return np.asarray(v_N @ ENU_NED.T)
+        lat, lon = np.radians(latitude_deg), np.radians(longitude_deg)
+        v_E = plain(ned_to_earth)(np.sin(lat), np.cos(lat), np.sin(lon), np.cos(lon), *v_N.T)
+        return np.asarray(np.stack(v_E, axis=1) @ self.enu_E.T)
+
+    def ground(self, east_m: Array, north_m: Array) -> Array:
+        """Points (n, 3) on the ground at the site's altitude below points of the horizontal plane (n,)."""
+        if self.earth.figure == FLAT:
+            return np.stack([east_m, north_m, np.zeros_like(east_m)], axis=1)
+        flattening, a = self.earth.flattening, self.earth.equatorial_radius_m
+        height = self.site.altitude_m
+        semi = np.array([a + height, a + height, a * (1.0 - flattening) + height])
+        on_plane = self.origin_E_m + np.stack([east_m, north_m, np.zeros_like(east_m)], 1) @ self.enu_E
+        direction = -self.enu_E[2]  # straight down at the site, to the ellipsoid of the site's height
+        p, d = on_plane / semi, direction / semi
+        a2, b1, c0 = float(d @ d), p @ d, (p * p).sum(axis=1) - 1.0
+        root = np.sqrt(np.maximum(b1 * b1 - a2 * c0, 0.0))
+        drop = (-b1 - root) / a2
+        return np.stack([east_m, north_m, -drop], axis=1)
+
+
+def place_of(flight: ReplayFlight) -> LaunchSite:
+    """The launch site's frame of a logged flight."""
+    return launch_site(*launch_of(flight.log), flight.log)
+
+
+def launch_site(earth: Earth, site: Site, channels: Channels) -> LaunchSite:
+    """The frame to draw in; `channels` say where the flight begins."""
+    place = LaunchSite(pack_earth(earth), site)
+    if place.earth.figure == FLAT or "latitude_deg" not in channels or not len(channels["latitude_deg"]):
+        return place
+    start = float(channels["latitude_deg"][0]), float(channels["longitude_deg"][0])
+    north = start[0] - site.latitude_deg
+    east = ((start[1] - site.longitude_deg + 180.0) % 360.0 - 180.0) * math.cos(math.radians(site.latitude_deg))
+    if 111.0 * math.hypot(north, east) >= FAR_KM:
+        moved = site.model_copy(update={"latitude_deg": start[0], "longitude_deg": start[1], "altitude_m": 0.0})
+        place = LaunchSite(place.earth, moved)
+        place.moved = True
+    return place
+
+
+def path_of(channels: Channels, frames: LaunchFrames) -> FramePath:
+    """The motion in a log or block; `frames` picks the poses and remembers where it was."""
+    table = channels.table
+    times_ns = channels.time_ns(_NEEDED[0])
+    rows = np.zeros((len(times_ns), len(table.columns(table.topic(_NEEDED[0]).group))))
+    for name in _NEEDED:
+        rows[:, table.index(name)] = channels[name]
+    return frames.path(times_ns, rows)
+
+
+def has_motion(channels: Channels) -> bool:
+    return all(name in channels for name in _NEEDED)

@@ -19,15 +19,22 @@ from maxq.control.kernel.records import Array, IntArray
 from maxq.sim.flight.channels import ChannelTable
 from maxq.sim.flight.telemetry import FAST, SLOW
 from maxq.sim.log.foxglove import Level
-from maxq.sim.packing.environment import pack_earth
 from maxq.sim.packing.flight import Packed
 from maxq.sim.run.fly import CONTROL_LOST_NAME, DIVERGED_NAME, Event, Flight, FlightRun, Rows, copied
 from maxq.sim.scenario.loader import LoadedScenario
 from maxq.tools.replay import viewer
-from maxq.tools.replay.blueprint import Eyes, close_view, eyes_for, layout, overview
-from maxq.tools.replay.convert import DEFAULT_RATE_HZ, Options, save, send_flights
-from maxq.tools.replay.flight import Moment, open_flight
-from maxq.tools.replay.launch_site import LaunchSite, has_motion, launch_site
+from maxq.tools.replay.convert import (
+    DEFAULT_RATE_HZ,
+    Eyes,
+    Options,
+    close_view,
+    eyes_for,
+    layout,
+    overview,
+    save,
+    send_flights,
+)
+from maxq.tools.replay.flight import LaunchSite, Moment, has_motion, launch_site, open_flight
 from maxq.tools.replay.plots import tabs_of
 from maxq.tools.replay.run import temporary_recording
 from maxq.tools.replay.scene import Scene, send_ground, tail_below_cg
@@ -210,7 +217,7 @@ class LiveView:
         self._limits_until_ns = round(self._start_s * 1e9)
         self._send_limits(self._limits_until_ns, styled=True)
         if has_motion(block):
-            self._place = launch_site(pack_earth(scenario.earth), scenario.site, block)
+            self._place = launch_site(scenario.earth, scenario.site, block)
             self._scene = Scene(recording, _ROOT, self._place, self._shape, self._exaggeration)
             self._grid = send_ground(recording, self._place, self._reach_m(), tail_below_cg(block, self._shape))
         self._send_about([scenario.description])

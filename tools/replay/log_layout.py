@@ -23,7 +23,7 @@ from maxq.sim.log.protobuf import message_type
 from maxq.sim.log.reader import Log, read_log
 from maxq.sim.run.launch_frames import PARENT
 from maxq.tools.plots.palette import ON_DARK, rgba
-from maxq.tools.replay.blueprint import window
+from maxq.tools.replay.convert import window
 from maxq.tools.replay.viewer import LOCAL, ReplayError, listening
 
 TIMELINE = "message_log_time"

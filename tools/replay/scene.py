@@ -20,8 +20,7 @@ from maxq.sim.log.foxglove import FramePath
 from maxq.sim.run.launch_frames import LaunchFrames
 from maxq.tools.plots.palette import BLUE, GREY, ORANGE, RED, SKY, WHITE, rgba
 from maxq.tools.replay.decimate import Rows, changed, every, last_before
-from maxq.tools.replay.flight import Channels, Moment
-from maxq.tools.replay.launch_site import LaunchSite, path_of
+from maxq.tools.replay.flight import Channels, LaunchSite, Moment, path_of
 from maxq.tools.replay.meshes import liquid_vertices, mesh3d, plate, vehicle_meshes
 from maxq.tools.replay.stream import matrices, set_time, times
 from maxq.tools.replay.vehicle_shape import PLANES, Exaggeration, TankShape, VehicleShape, bent_line, modal_coordinates

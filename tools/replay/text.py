@@ -10,8 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from maxq.control.kernel.records import Array, IntArray
-from maxq.tools.replay.flight import ReplayFlight, Requirement
-from maxq.tools.replay.launch_site import LaunchSite
+from maxq.tools.replay.flight import LaunchSite, ReplayFlight, Requirement
 from maxq.tools.replay.plots import Curve, Limit, Plot, tabs_of
 from maxq.tools.replay.vehicle_shape import Exaggeration
 
