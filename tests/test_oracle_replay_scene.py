@@ -111,7 +111,7 @@ def test_a_surface_stands_across_its_pendulum() -> None:
     vertices = meshes.liquid_vertices(np.array([-11.0]), np.array([-9.0]), 0.5, tilt, np.zeros((1, 2, 2)))[0]
     sides = meshes.SIDES
     surface = vertices[3 * sides : 4 * sides].astype(float)
-    centre = vertices[4 * sides + 1].astype(float)
+    centre = surface.mean(axis=0)
     pendulum = np.array([-1.0, math.tan(yaw), math.tan(pitch)])  # from the hinge to the bob, in B
     across = (surface - centre) @ pendulum
     np.testing.assert_allclose(across, 0.0, atol=1e-6)

@@ -25,11 +25,19 @@ _FIN, _RIB = [150, 156, 166, 255], [120, 128, 140, 255]
 
 @dataclass(frozen=True)
 class Mesh:
-    """`vertices` (n, 3) float32, `triangles` (m, 3) and `normals` (n, 3) that point outwards."""
+    """`vertices` (n, 3) and `triangles` (m, 3), counter-clockwise from outside."""
 
-    vertices: NDArray[np.float32]
+    vertices: Array
     triangles: NDArray[np.uint32]
-    normals: NDArray[np.float32]
+
+    @property
+    def normals(self) -> Array:
+        """Outward normals (n, 3): the means of the adjoining faces'."""
+        a, b, c = (self.vertices[self.triangles[:, k]] for k in range(3))
+        normals = np.zeros_like(self.vertices)
+        for k in range(3):
+            np.add.at(normals, self.triangles[:, k], np.cross(b - a, c - a))
+        return np.asarray(normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12))
 
 
 def circle(sides: int = SIDES) -> Array:
@@ -41,12 +49,10 @@ def circle(sides: int = SIDES) -> Array:
 def revolved(profile: Sequence[tuple[float, float]], sides: int = SIDES) -> Mesh:
     """A surface of revolution about x; `profile` lists (x, radius) from one end to the other."""
     x, radius = np.array(profile, float).T
-    ring = circle(sides)
-    rows = len(x)
-    points = np.empty((rows, sides, 3))
+    points = np.empty((len(x), sides, 3))
     points[:, :, 0] = x[:, None]
-    points[:, :, 1:] = radius[:, None, None] * ring
-    return with_normals(points.reshape(-1, 3), _strip_triangles(rows, sides))
+    points[:, :, 1:] = radius[:, None, None] * circle(sides)
+    return Mesh(points.reshape(-1, 3), _strip_triangles(len(x), sides))
 
 
 def _strip_triangles(rows: int, sides: int) -> NDArray[np.uint32]:
@@ -56,47 +62,33 @@ def _strip_triangles(rows: int, sides: int) -> NDArray[np.uint32]:
     return np.concatenate([np.stack([a, b, d], -1).reshape(-1, 3), np.stack([a, d, c], -1).reshape(-1, 3)]).astype("u4")
 
 
-def liquid_triangles(sides: int = SIDES) -> NDArray[np.uint32]:
-    """Triangles of `liquid_vertices`: wall, floor and surface of a body of liquid."""
-    wall = _strip_triangles(2, sides)
-    j = np.arange(sides)
-    following = (j + 1) % sides
-    floor = np.stack([np.full(sides, 4 * sides), 2 * sides + following, 2 * sides + j], 1)
-    surface = np.stack([np.full(sides, 4 * sides + 1), 3 * sides + j, 3 * sides + following], 1)
-    return np.concatenate([wall, floor, surface]).astype("u4")
-
-
 def liquid_vertices(floor_x: Array, surface_x: Array, radius: float, tilt: Array, shift: Array) -> NDArray[np.float32]:
-    """Vertices (n, 4 sides + 2, 3) of n states of a liquid in an upright cylinder.
+    """Vertices (n, 4 sides, 3) of n states of a liquid in an upright cylinder: floor, wall (two rings), surface.
 
     `floor_x`, `surface_x` (n,): heights on the axis; `tilt` (n, 2): rise of the surface per metre along y and z;
     `shift` (n, 2, 2): displacement in y and z of the floor and of the surface (bending). The surface does not go below
     the floor. The rings of the wall and those of floor and surface are separate, so that edges look like edges.
     """
     ring = radius * circle()
-    n, sides = len(floor_x), len(ring)
-    out = np.empty((n, 4 * sides + 2, 3), np.float32)
     top = np.maximum(surface_x[:, None] + tilt @ ring.T, floor_x[:, None])
     low = np.broadcast_to(floor_x[:, None], top.shape)
-    for part, (x, end) in enumerate(((low, 0), (top, 1), (low, 0), (top, 1))):
-        here = out[:, part * sides : (part + 1) * sides]
-        here[:, :, 0] = x
-        here[:, :, 1:] = ring[None] + shift[:, None, end]
-    for k, (x, end) in enumerate(((floor_x, 0), (np.maximum(surface_x, floor_x), 1))):
-        out[:, 4 * sides + k, 0] = x
-        out[:, 4 * sides + k, 1:] = shift[:, end]
-    return out
+    out = np.empty((len(floor_x), 4, len(ring), 3), np.float32)
+    for part, (x, end) in enumerate(((low, 0), (low, 0), (top, 1), (top, 1))):
+        out[:, part, :, 0] = x
+        out[:, part, :, 1:] = ring + shift[:, None, end]
+    return out.reshape(len(floor_x), -1, 3)
 
 
-def liquid_normals() -> NDArray[np.float32]:
-    """Normals of `liquid_vertices`, for an upright surface."""
-    ring = circle()
-    sides = len(ring)
-    out = np.zeros((4 * sides + 2, 3), np.float32)
-    out[: 2 * sides, 1:] = np.concatenate([ring, ring])
-    out[2 * sides : 3 * sides, 0] = out[4 * sides, 0] = -1.0
-    out[3 * sides : 4 * sides, 0] = out[4 * sides + 1, 0] = 1.0
-    return out
+def _liquid(colour: str) -> rr.Mesh3D:
+    """What `liquid_vertices` is completed by: triangles, and the normals of an upright surface."""
+    middle = np.arange(1, SIDES - 1)
+    disc = np.stack([0 * middle, middle, middle + 1], axis=1)
+    triangles = np.concatenate([disc[:, ::-1], _strip_triangles(2, SIDES) + SIDES, disc + 3 * SIDES])
+    normals = np.zeros((4, SIDES, 3))
+    normals[0, :, 0], normals[1:3, :, 1:], normals[3, :, 0] = -1.0, circle(), 1.0
+    return rr.Mesh3D.from_fields(
+        triangle_indices=triangles, vertex_normals=normals.reshape(-1, 3), albedo_factor=rgba(colour)
+    )
 
 
 def plate(corners: Sequence[tuple[float, float, float]], thickness: float) -> Mesh:
@@ -108,28 +100,14 @@ def plate(corners: Sequence[tuple[float, float, float]], thickness: float) -> Me
     edges = [[bottom[i], bottom[i - 3], top[i - 3], top[i]] for i in range(4)]
     points = np.concatenate([top, bottom[::-1], *edges])
     face = np.array([[0, 1, 2], [0, 2, 3]])
-    return with_normals(points, np.concatenate([face + first for first in range(0, len(points), 4)]))
+    return Mesh(points, np.concatenate([face + first for first in range(0, len(points), 4)]).astype("u4"))
 
 
 def joined(meshes: Sequence[Mesh]) -> Mesh:
     """Several meshes as one."""
     starts = np.cumsum([0, *(len(m.vertices) for m in meshes[:-1])])
-    return Mesh(
-        np.concatenate([m.vertices for m in meshes]),
-        np.concatenate([m.triangles + np.uint32(s) for m, s in zip(meshes, starts, strict=True)]),
-        np.concatenate([m.normals for m in meshes]),
-    )
-
-
-def with_normals(vertices: Array, triangles: NDArray[np.uint32]) -> Mesh:
-    """A mesh whose normals are the means of the adjoining faces'."""
-    a, b, c = (vertices[triangles[:, k]] for k in range(3))
-    faces = np.cross(b - a, c - a)
-    normals = np.zeros_like(vertices)
-    for k in range(3):
-        np.add.at(normals, triangles[:, k], faces)
-    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
-    return Mesh(vertices.astype(np.float32), triangles.astype("u4"), normals.astype(np.float32))
+    triangles = [m.triangles + np.uint32(start) for m, start in zip(meshes, starts, strict=True)]
+    return Mesh(np.concatenate([m.vertices for m in meshes]), np.concatenate(triangles))
 
 
 # -- a vehicle -----------------------------------------------------------------------------------------------------
@@ -158,10 +136,7 @@ def vehicle_meshes(shape: VehicleShape, number: int) -> list[tuple[str, rr.AsCom
         style = rr.Arrows3D.from_fields(colors=rgba(ORANGE), radii=0.012 * shape.length_m, show_labels=True)
         out.append(("engine/thrust", style))
     for k, tank in enumerate(t for stage in flying for t in stage.tanks):
-        body = rr.Mesh3D.from_fields(
-            triangle_indices=liquid_triangles(), vertex_normals=liquid_normals(), albedo_factor=rgba(_LIQUIDS[k % 2])
-        )
-        out.append((f"liquid/{tank.name}", body))
+        out.append((f"liquid/{tank.name}", _liquid(_LIQUIDS[k % 2])))
     return out
 
 
@@ -222,7 +197,7 @@ def _fins(stage: StageShape, a: float, b: float) -> list[Mesh]:
         (fins.tip_station_m + fins.tip_chord_m, fins.tip_radius_m),
         (fins.root_station_m + fins.root_chord_m, fins.root_radius_m),
     )
-    angles = [2.0 * math.pi * (i + 0.5) / fins.count for i in range(fins.count)]
+    angles = 2.0 * np.pi * (np.arange(fins.count) + 0.5) / fins.count
     return [
         plate([(a - x, math.cos(angle) * r, math.sin(angle) * r) for x, r in corners], 0.02 * fins.root_chord_m)
         for angle in angles

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from scipy.signal import spectrogram
+from scipy.signal import detrend, spectrogram
 
 from maxq.control.kernel.records import Array, IntArray
 from maxq.tools.plots.palette import BLACK, BLUE, GREEN, GREY, LIMIT, RED, VERDICT
@@ -332,7 +332,7 @@ def _spectra(channels: Sequence[str], flight: ReplayFlight) -> Figure:
         if not 0 < length < inside.sum():
             continue
         options: Any = {"window": np.hanning(length), "noverlap": length - max(length // 4, 1), "scaling": "spectrum"}
-        hertz, times, power = spectrogram(values[inside], 1.0 / step_s, nperseg=length, detrend="linear", **options)
+        hertz, times, power = spectrogram(values[inside], 1.0 / step_s, nperseg=length, detrend=detrend, **options)
         times, hertz = times + time_s[inside][0], hertz[hertz <= _HIGHEST_HZ]
         decibel = 10.0 * np.log10(np.maximum(2.0 * power[: len(hertz)], 1e-24))  # amplitude squared: twice the power
         high = float(np.nanmax(decibel))

@@ -12,6 +12,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.interpolate import make_interp_spline
 
 from maxq.control.kernel.records import Array
 from maxq.sim.flight.channels import ChannelTable
@@ -202,16 +203,12 @@ def modal_coordinates(channels: Channels, plane: str, at: Rows | slice = slice(N
 def shapes_at(table: ModeTable, clock_s: Array, stations_m: Array, column: str = "phi") -> Array:
     """Mode shapes (n, modes, stations), or their slopes, at stage times (n,) and stations; linear between the rows."""
     values: Array = getattr(table, column)
-    place = np.clip(stations_m, table.station_m[0], table.station_m[-1])
-    k = np.clip(np.searchsorted(table.station_m, place) - 1, 0, len(table.station_m) - 2)
-    part = (place - table.station_m[k]) / (table.station_m[k + 1] - table.station_m[k])
-    along = values[:, :, k] * (1.0 - part) + values[:, :, k + 1] * part
+    at = np.clip(stations_m, table.station_m[0], table.station_m[-1])
+    along = make_interp_spline(table.station_m, values, k=1, axis=2)(at)
     if len(table.time_s) == 1:
         return np.broadcast_to(along[0], (len(clock_s), *along.shape[1:]))
     now = np.clip(clock_s, table.time_s[0], table.time_s[-1])
-    t = np.clip(np.searchsorted(table.time_s, now) - 1, 0, len(table.time_s) - 2)
-    share = ((now - table.time_s[t]) / (table.time_s[t + 1] - table.time_s[t]))[:, None, None]
-    return np.asarray(along[t] * (1.0 - share) + along[t + 1] * share)
+    return np.asarray(make_interp_spline(table.time_s, along, k=1, axis=0)(now))
 
 
 def bent_line(
