@@ -17,7 +17,7 @@ from maxq.sim.scenario import builtin
 from maxq.sim.scenario.builtin import builtin_files, builtin_names
 from maxq.sim.scenario.errors import ScenarioError
 from maxq.sim.scenario.loader import LoadedScenario, copy_scenario, load_scenario, load_scenario_text
-from maxq.sim.scenario.nanoseconds import is_whole_ns, period_ns, to_ns
+from maxq.sim.scenario.schema_values import is_whole_ns, period_ns, to_ns
 
 
 @pytest.fixture

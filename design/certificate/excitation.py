@@ -24,7 +24,7 @@ from maxq.design.model.instruments import actuator
 from maxq.design.model.node import Node
 from maxq.design.model.plant import OUTPUTS
 from maxq.design.model.state_space import ComplexArray
-from maxq.sim.scenario.schema_injection import Injection
+from maxq.sim.scenario.schema_scenario import Injection
 
 MOST_LEVELS, MOST_TONES = 16, 64  # of the simulator: signals at a time, tones of each
 DITHER_HZ = (0.525, 0.825)  # off the slosh of the built-in vehicles, where a loop responds and does not ring

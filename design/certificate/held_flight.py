@@ -33,11 +33,9 @@ from maxq.sim.packing.computer import pack_injections
 from maxq.sim.packing.flight import Packed, pack_flight
 from maxq.sim.run.fly import FlightRun, KeptRows
 from maxq.sim.scenario.loader import LoadedScenario
-from maxq.sim.scenario.nanoseconds import to_ns
 from maxq.sim.scenario.schema_environment import Atmosphere, Earth, Wind
-from maxq.sim.scenario.schema_initial import Geodetic, Initial
-from maxq.sim.scenario.schema_injection import Injection
-from maxq.sim.scenario.schema_scenario import Guidance, Log, Run, Scenario
+from maxq.sim.scenario.schema_scenario import Geodetic, Guidance, Initial, Injection, Log, Run, Scenario
+from maxq.sim.scenario.schema_values import to_ns
 from maxq.sim.world.atmosphere import HEAT_RATIO, GAS_CONSTANT_Jpkg_K
 
 ALTITUDE_M = 1.0e6  # high enough never to meet the ground; the air does not depend on it

@@ -28,8 +28,7 @@ from maxq.design.model.vehicle_at import Plane
 from maxq.sim.packing.flight import pack_flight
 from maxq.sim.run.fly import FlightRun
 from maxq.sim.scenario.loader import LoadedScenario
-from maxq.sim.scenario.schema_injection import Injection
-from maxq.sim.scenario.schema_scenario import Log
+from maxq.sim.scenario.schema_scenario import Injection, Log
 
 WINDOW_S = 8.0
 SETTLE_S = 2.5  # after lift-off

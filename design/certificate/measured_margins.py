@@ -36,7 +36,7 @@ from maxq.design.loop.loop import Loop
 from maxq.design.margins.measure import Bound, Margins, margins
 from maxq.design.model.dispersion import Dispersion, disperse
 from maxq.sim.packing.flight import Packed
-from maxq.sim.scenario.schema_injection import Injection
+from maxq.sim.scenario.schema_scenario import Injection
 
 MarginName = Literal["gain_up", "gain_down", "delay"]
 UNITS: dict[MarginName, str] = {"gain_up": "dB", "gain_down": "dB", "delay": "s"}

@@ -21,8 +21,8 @@ from maxq.sim.packing.flight import Packed, pack_flight, pack_for_one_vehicle
 from maxq.sim.run.fly import CONTROL_LOST_NAME, DIVERGED_NAME, Flight, FlightRun, Rows
 from maxq.sim.run.metrics import METRIC_NAMES
 from maxq.sim.scenario.loader import LoadedScenario
-from maxq.sim.scenario.nanoseconds import NS_PER_S
 from maxq.sim.scenario.schema_scenario import Scenario
+from maxq.sim.scenario.schema_values import NS_PER_S
 
 REFUSED, ERROR = "refused", "error"
 """Outcomes beside those of a flight: the draws make no possible scenario; an error of this program."""

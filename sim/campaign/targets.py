@@ -18,9 +18,8 @@ from pydantic import ValidationError
 from maxq.control.kernel.records import Array
 from maxq.sim.scenario.errors import LARGEST_NUMBER, suggestion
 from maxq.sim.scenario.messages import describe, field_at
-from maxq.sim.scenario.nanoseconds import LONGEST_S, NS_PER_S
 from maxq.sim.scenario.schema_scenario import Scenario
-from maxq.sim.scenario.schema_values import Section
+from maxq.sim.scenario.schema_values import LONGEST_S, NS_PER_S, Section
 from maxq.sim.scenario.tables_csv import Columns, CsvTable
 
 Apply = Literal["set", "scale", "add"]

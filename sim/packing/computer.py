@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 
 import numpy as np
 
@@ -16,10 +17,9 @@ from maxq.control.roll import Roll, make_roll
 from maxq.sim.flight import injection as signals
 from maxq.sim.flight.parameters import NEVER
 from maxq.sim.packing.remembered import cached_by_identity
-from maxq.sim.scenario.nanoseconds import to_ns
 from maxq.sim.scenario.schema_design import Design
-from maxq.sim.scenario.schema_injection import Injection
 from maxq.sim.scenario.schema_scenario import Scenario
+from maxq.sim.scenario.schema_values import to_ns
 from maxq.sim.scenario.tables_csv import CsvTable
 
 _WHERE = {
@@ -104,47 +104,34 @@ def _programme(table: CsvTable | None, method: Method) -> Cubics | None:
 
 def pack_injections(scenario: Scenario, pool: Pool) -> signals.Injections:
     given = scenario.injection
-    n = MAX_INJECTIONS
-    tables = [
-        fit(i.table["time_s"], i.table["value"], "linear") for i in given if i.table is not None
-    ]  # linear: steps are written as two rows close together, or with start_s and stop_s
-    out = signals.Injections(
+    # linear: steps are written as two rows close together, or with start_s and stop_s
+    tables = {k: fit(i.table["time_s"], i.table["value"], "linear") for k, i in enumerate(given) if i.table is not None}
+    tones = np.zeros((2, MAX_INJECTIONS, MAX_TONES))
+    for k, i in enumerate(given):
+        tone_hz = np.array(i.frequencies_hz or ())
+        # Schroeder phases keep the peak of the sum low (IEEE Trans. Information Theory 16(1), 1970, p. 85)
+        number = np.arange(1, len(tone_hz) + 1)
+        tones[:, k, : len(tone_hz)] = tone_hz, -np.pi * number * (number - 1) / max(len(tone_hz), 1)
+    unit = [math.radians(1.0) if i.at in _IN_RADIANS else 1.0 for i in given]
+    return signals.Injections(
         count=len(given),
-        where=_codes([_WHERE[i.at] for i in given], n),
-        axis=_codes([_AXIS[i.axis] for i in given], n),
-        form=_codes([_FORM[i.kind] for i in given], n),
-        replaces=_codes([int(i.replaces) for i in given], n),
-        start_ns=_codes([to_ns(i.start_s) for i in given], n),
-        stop_ns=_codes([to_ns(i.stop_s) if i.stop_s is not None else NEVER for i in given], n),
-        amplitude=np.zeros(n),
-        frequency_hz=np.zeros(n),
-        stop_frequency_hz=np.zeros(n),
-        tones=_codes([len(i.frequencies_hz or ()) for i in given], n),
-        tone_hz=np.zeros((n, MAX_TONES)),
-        tone_phase=np.zeros((n, MAX_TONES)),
-        column=np.zeros(n, np.int64),
-        table=pool.add(merge(tables)) if tables else NO_TABLE,
+        where=_padded(_WHERE[i.at] for i in given),
+        axis=_padded(_AXIS[i.axis] for i in given),
+        form=_padded(_FORM[i.kind] for i in given),
+        replaces=_padded(int(i.replaces) for i in given),
+        start_ns=_padded(to_ns(i.start_s) for i in given),
+        stop_ns=_padded(to_ns(i.stop_s) if i.stop_s is not None else NEVER for i in given),
+        amplitude=_padded((u * i.amplitude for u, i in zip(unit, given, strict=True)), float),
+        frequency_hz=_padded((i.frequency_hz or 0.0 for i in given), float),
+        stop_frequency_hz=_padded((i.stop_frequency_hz or 0.0 for i in given), float),
+        tones=_padded(len(i.frequencies_hz or ()) for i in given),
+        tone_hz=tones[0],
+        tone_phase=tones[1],
+        column=_padded(list(tables).index(k) if k in tables else 0 for k in range(len(given))),
+        table=pool.add(merge(list(tables.values()))) if tables else NO_TABLE,
     )
-    column = 0
-    for k, injection in enumerate(given):
-        _fill(out, k, injection)
-        if injection.table is not None:
-            out.column[k] = column
-            column += 1
-    return out
 
 
-def _codes(values: list[int], n: int) -> np.ndarray:
-    return np.array(values + [0] * (n - len(values)), np.int64)
-
-
-def _fill(out: signals.Injections, k: int, injection: Injection) -> None:
-    unit = math.radians(1.0) if injection.at in _IN_RADIANS else 1.0
-    out.amplitude[k] = unit * injection.amplitude
-    out.frequency_hz[k] = injection.frequency_hz or 0.0
-    out.stop_frequency_hz[k] = injection.stop_frequency_hz or 0.0
-    tones = np.array(injection.frequencies_hz or ())
-    out.tone_hz[k, : len(tones)] = tones
-    # Schroeder phases keep the peak of the sum low (IEEE Trans. Information Theory 16(1), 1970, p. 85)
-    number = np.arange(1, len(tones) + 1)
-    out.tone_phase[k, : len(tones)] = -np.pi * number * (number - 1) / max(len(tones), 1)
+def _padded(values: Iterable[float], kind: type = int) -> np.ndarray:
+    given = list(values)
+    return np.array(given + [0] * (MAX_INJECTIONS - len(given)), kind)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -11,6 +12,7 @@ from maxq.control.kernel.tables import NO_TABLE, Cubics, Pool, TableRef, fit
 from maxq.sim.packing.remembered import cached_by_identity
 from maxq.sim.scenario import schema_environment as schema
 from maxq.sim.scenario.schema_scenario import Scenario
+from maxq.sim.scenario.schema_values import Section
 from maxq.sim.vehicle.environment import Environment
 from maxq.sim.world import atmosphere as air
 from maxq.sim.world import earth as globe
@@ -20,6 +22,7 @@ from maxq.sim.world import wind as winds
 _GRAVITY = {
     "none": globe.NO_GRAVITY, "uniform": globe.UNIFORM, "inverse_square": globe.INVERSE_SQUARE, "j2": globe.J2,
 }  # fmt: skip
+_AIR = {"us1976": air.US1976, "table": air.TABLE, "constant": air.CONSTANT}
 _GUSTS = {"one-minus-cosine": winds.ONE_MINUS_COSINE, "shear": winds.SHEAR}
 
 
@@ -34,52 +37,29 @@ def pack_environment(scenario: Scenario, pool: Pool) -> Environment:
 
 def pack_earth(earth: schema.Earth) -> globe.Earth:
     """The figure's defaults with what the scenario gives in their place."""
-    if earth.shape == "flat":
-        default = globe.flat()
-        radius_m = default.equatorial_radius_m
-    elif earth.shape == "sphere":
-        default = globe.sphere()
-        radius_m = _or(earth.sphere_radius_m, default.equatorial_radius_m)
-    else:
-        default = globe.wgs84()
-        radius_m = _or(earth.equatorial_radius_m, default.equatorial_radius_m)
-    return replace(
-        default,
-        equatorial_radius_m=radius_m,
-        flattening=_or(earth.flattening, default.flattening),
-        rate_radps=_or(earth.rate_radps, default.rate_radps) if earth.rotating else 0.0,
-        gravity=_GRAVITY[earth.gravity],
-        mu_m3ps2=_or(earth.mu_m3ps2, default.mu_m3ps2),
-        j2=_or(earth.j2, default.j2),
-        gravity_radius_m=_or(earth.gravity_radius_m, default.gravity_radius_m),
-        uniform_mps2=_or(earth.uniform_mps2, default.uniform_mps2),
-    )
+    default = {"flat": globe.flat, "sphere": globe.sphere, "wgs84": globe.wgs84}[earth.shape]()
+    names = ("flattening", "rate_radps", "mu_m3ps2", "j2", "gravity_radius_m", "uniform_mps2")
+    given = _given(earth, *names, "equatorial_radius_m")
+    if earth.sphere_radius_m is not None:
+        given["equatorial_radius_m"] = earth.sphere_radius_m
+    if not earth.rotating:
+        given["rate_radps"] = 0.0
+    return replace(default, gravity=_GRAVITY[earth.gravity], **given)
 
 
-def _or(given: float | None, default: float) -> float:
-    return default if given is None else given
+def _given(section: Section, *names: str) -> dict[str, Any]:
+    """Those of the optional keys `names` that have a value."""
+    return {name: value for name in names if (value := getattr(section, name)) is not None}
 
 
 def _atmosphere(atmosphere: schema.Atmosphere, pool: Pool) -> air.Atmosphere:
-    factor = atmosphere.density_factor
-    if atmosphere.model == "us1976":
-        return air.Atmosphere(air.US1976, density_factor=factor)
     if atmosphere.model == "vacuum":
         return air.Atmosphere(air.VACUUM)
-    if atmosphere.model == "table":
-        t = atmosphere.table
-        assert t is not None
+    made = air.Atmosphere(_AIR[atmosphere.model], density_factor=atmosphere.density_factor)
+    if (t := atmosphere.table) is not None:
         columns = t["density_kgpm3"], t["pressure_Pa"], t["temperature_K"]
-        return air.Atmosphere(air.TABLE, pool.add(air.air_table(t["altitude_m"], *columns)), density_factor=factor)
-    assert atmosphere.density_kgpm3 is not None
-    default = air.Atmosphere()
-    return air.Atmosphere(
-        air.CONSTANT,
-        density_kgpm3=atmosphere.density_kgpm3,
-        pressure_Pa=_or(atmosphere.pressure_Pa, default.pressure_Pa),
-        temperature_K=_or(atmosphere.temperature_K, default.temperature_K),
-        density_factor=factor,
-    )
+        return replace(made, table=pool.add(air.air_table(t["altitude_m"], *columns)))
+    return replace(made, **_given(atmosphere, "density_kgpm3", "pressure_Pa", "temperature_K"))
 
 
 def pack_wind(wind: schema.Wind, pool: Pool) -> winds.Wind:
@@ -115,22 +95,16 @@ def _turbulence(scenario: Scenario, pool: Pool) -> dryden.Turbulence:
 
 @cached_by_identity
 def _intensity(turbulence: schema.Turbulence, ground_m: float) -> Cubics:
-    lengths = (turbulence.length_u_m, turbulence.length_v_m, turbulence.length_w_m)
     if turbulence.table is not None:
         t = turbulence.table
-        sigma = np.stack([t[f"sigma_{axis}_mps"] for axis in "uvw"], axis=1)
-        standard = dryden.exceedance_table("moderate", ground_m).at(t["altitude_m"])[:, 3:]
-        return dryden.intensity_table(t["altitude_m"], sigma, _with(standard, lengths))
-    assert turbulence.exceedance is not None
-    given = dryden.exceedance_table(turbulence.exceedance, ground_m)
-    rows = given.at(given.breaks)
-    return dryden.intensity_table(given.breaks, rows[:, :3], _with(rows[:, 3:], lengths))
-
-
-def _with(standard: np.ndarray, lengths: tuple[float | None, ...]) -> np.ndarray:
-    """The standard's scale lengths with those of the scenario in their place."""
-    out = standard.copy()
-    for axis, length in enumerate(lengths):
+        altitude_m, sigma = t["altitude_m"], np.stack([t[f"sigma_{axis}_mps"] for axis in "uvw"], axis=1)
+        lengths = dryden.exceedance_table("moderate", ground_m).at(altitude_m)[:, 3:].copy()
+    else:
+        assert turbulence.exceedance is not None
+        given = dryden.exceedance_table(turbulence.exceedance, ground_m)
+        altitude_m, rows = given.breaks, given.at(given.breaks)
+        sigma, lengths = rows[:, :3], rows[:, 3:].copy()
+    for axis, length in enumerate((turbulence.length_u_m, turbulence.length_v_m, turbulence.length_w_m)):
         if length is not None:
-            out[:, axis] = length
-    return out
+            lengths[:, axis] = length
+    return dryden.intensity_table(altitude_m, sigma, lengths)

@@ -19,8 +19,8 @@ from maxq.sim.packing.initial import initial_motion
 from maxq.sim.packing.schedule import stage_sizes, vehicle_schedule
 from maxq.sim.packing.vehicle import pack_vehicle
 from maxq.sim.scenario.coverage import burn_rate, stage_end_s, thrust_end_s
-from maxq.sim.scenario.nanoseconds import NS_PER_S, period_ns, to_ns
 from maxq.sim.scenario.schema_scenario import Scenario
+from maxq.sim.scenario.schema_values import NS_PER_S, period_ns, to_ns
 from maxq.sim.scenario.schema_vehicle import Stage
 from maxq.sim.vehicle.state import MAX_STATE, W_BI_B, Sizes, start_states
 

@@ -11,8 +11,7 @@ from maxq.control.kernel.records import Array, pack
 from maxq.sim.packing.environment import pack_earth
 from maxq.sim.packing.remembered import cached_by_identity
 from maxq.sim.scenario import schema_environment as schema
-from maxq.sim.scenario.schema_initial import Initial
-from maxq.sim.scenario.schema_scenario import Scenario
+from maxq.sim.scenario.schema_scenario import Initial, Scenario
 from maxq.sim.vehicle.state import Q_BI, R_I, V_I, W_BI_B
 from maxq.sim.world import earth as kernels
 from maxq.sim.world.earth import Earth

@@ -29,8 +29,8 @@ from maxq.sim.flight.telemetry import FAST, SLOW, channel_table
 from maxq.sim.packing.flight import CONTROL_LOST_RAD, Packed, pack_flight
 from maxq.sim.run.metrics import METRIC_NAMES, Verdict, end_metrics, judge
 from maxq.sim.scenario.loader import LoadedScenario
-from maxq.sim.scenario.nanoseconds import to_ns
 from maxq.sim.scenario.schema_scenario import Scenario
+from maxq.sim.scenario.schema_values import to_ns
 from maxq.sim.scenario.schema_vehicle import Vehicle
 from maxq.sim.vehicle.state import CAUSES, Sizes
 

@@ -27,7 +27,7 @@ from maxq.sim.run.fly import CONTROL_LOST_NAME, DIVERGED_NAME, Event, Flight, Fl
 from maxq.sim.run.launch_frames import LaunchFrames, LaunchSite
 from maxq.sim.run.metrics import Verdict, unit_of
 from maxq.sim.scenario.loader import LoadedScenario
-from maxq.sim.scenario.nanoseconds import period_ns
+from maxq.sim.scenario.schema_values import period_ns
 from maxq.sim.scenario.toml_writer import to_toml
 
 LOG_NAME, SUMMARY_NAME = "flight.mcap", "summary.json"

@@ -1,21 +1,171 @@
-"""The scenario: what is flown."""
+"""The scenario: what is flown, from which initial state, with which injected signals."""
 
 from __future__ import annotations
 
 from typing import Annotated, Literal
 
+import numpy as np
 from pydantic import Field, ValidationInfo, model_validator
 
-from maxq.control.kernel.limits import MAX_INJECTIONS
+from maxq.control.kernel.limits import MAX_INJECTIONS, MAX_TONES
 from maxq.sim.scenario.coverage import check_coverage
 from maxq.sim.scenario.errors import refuse, suggestion
 from maxq.sim.scenario.schema_design import Design
 from maxq.sim.scenario.schema_environment import Atmosphere, Earth, Site, Wind
-from maxq.sim.scenario.schema_initial import Initial
-from maxq.sim.scenario.schema_injection import Injection
-from maxq.sim.scenario.schema_values import Period, Rate, Seconds, Section, at_most_one, needs, only_with, optional
+from maxq.sim.scenario.schema_values import (
+    Latitude,
+    Longitude,
+    Matrix,
+    Period,
+    Positive,
+    Quaternion,
+    Rate,
+    Seconds,
+    Section,
+    Triple,
+    at_most_one,
+    needs,
+    only_with,
+    optional,
+)
 from maxq.sim.scenario.schema_vehicle import Vehicle
 from maxq.sim.scenario.tables_csv import Columns, CsvTable
+
+_ORTHONORMAL = 1e-6
+POSITIONS = ("geodetic", "inertial_m", "earth_m")
+VELOCITIES = ("ned_mps", "inertial_mps", "earth_mps")
+ATTITUDES = ("euler_deg", "q_BI", "dcm_BI")
+RATES = ("rate_BI_degps", "rate_BI_radps", "rate_BE_degps")
+
+
+class Geodetic(Section):
+    """A place on the Earth."""
+
+    latitude_deg: Latitude = Field(description="geodetic latitude, deg")
+    longitude_deg: Longitude = Field(description="longitude, deg")
+    altitude_m: float = Field(description="height above the ellipsoid, m")
+
+
+class Initial(Section):
+    """State at the start. Of each of position, velocity, attitude and rates at most one key is given."""
+
+    held: bool = optional("whether the vehicle is held down until release", False)
+    geodetic: Geodetic | None = optional("position (default: the site)")
+    inertial_m: Triple | None = optional("position in I, m")
+    earth_m: Triple | None = optional("position in E, m")
+    ned_mps: Triple | None = optional("velocity relative to the Earth, north, east, down, m/s (default 0)")
+    inertial_mps: Triple | None = optional("inertial velocity in I, m/s")
+    earth_mps: Triple | None = optional("velocity relative to the Earth in E, m/s")
+    euler_deg: Triple | None = optional(
+        "yaw, pitch, roll (3-2-1) of B from north, east, down, deg (default: nose up, body z at azimuth)"
+    )
+    q_BI: Quaternion | None = optional("unit quaternion, scalar first, turns B components into I")
+    dcm_BI: Matrix | None = optional("direction cosines, turns I components into B")
+    rate_BI_degps: Triple | None = optional("inertial rates p, q, r in B, deg/s")
+    rate_BI_radps: Triple | None = optional("inertial rates p, q, r in B, rad/s")
+    rate_BE_degps: Triple | None = optional("rates relative to the Earth in B, deg/s (default 0)")
+
+    @model_validator(mode="after")
+    def _check(self) -> Initial:
+        for keys in (POSITIONS, VELOCITIES, ATTITUDES, RATES):
+            at_most_one(self, keys)
+        if self.q_BI is not None and abs(float(np.linalg.norm(self.q_BI)) - 1.0) > _ORTHONORMAL:
+            norm = float(np.linalg.norm(self.q_BI))
+            raise refuse("is not a unit quaternion", f"norm 1 within 1e-6, not {norm:.9g}", key=("q_BI",))
+        if self.dcm_BI is not None:
+            dcm = np.array(self.dcm_BI)
+            if np.abs(dcm @ dcm.T - np.eye(3)).max() > _ORTHONORMAL or np.linalg.det(dcm) < 0.0:
+                raise refuse(
+                    "is not a rotation matrix", "orthonormal rows within 1e-6, determinant +1", key=("dcm_BI",)
+                )
+        return self
+
+
+SIGNAL_COLUMNS = Columns("time_s", sets=(("value",),))
+
+AMPLITUDES = {
+    "gimbal_command": "amplitude_deg",
+    "rate_command": "amplitude_degps",
+    "body_force": "amplitude_N",
+    "body_torque": "amplitude_Nm",
+}
+AXES = {
+    "gimbal_command": ("pitch", "yaw"),
+    "rate_command": ("pitch", "yaw", "roll"),
+    "body_force": ("x", "y", "z"),
+    "body_torque": ("x", "y", "z"),
+}
+FREQUENCIES = {
+    "step": (),
+    "doublet": (),
+    "sine": ("frequency_hz",),
+    "chirp": ("frequency_hz", "stop_frequency_hz"),
+    "multisine": ("frequencies_hz",),
+    "table": (),
+}
+
+
+class Injection(Section):
+    """One signal on one axis."""
+
+    at: Literal["gimbal_command", "rate_command", "body_force", "body_torque"] = Field(description="where it enters")
+    axis: Literal["pitch", "yaw", "roll", "x", "y", "z"] = Field(
+        description="gimbal_command: pitch, yaw; rate_command: pitch, yaw, roll; body_*: x, y, z"
+    )
+    kind: Literal["step", "doublet", "sine", "chirp", "multisine", "table"] = Field(
+        description="shape; doublet: + in the first half of the time, - in the second; "
+        "chirp: the frequency changes linearly"
+    )
+    replaces: bool = optional("whether it replaces the command; false: is added to it", False)
+    amplitude_deg: float | None = optional("deg, at gimbal_command")
+    amplitude_degps: float | None = optional("deg/s, at rate_command")
+    amplitude_N: float | None = optional("N, at body_force")
+    amplitude_Nm: float | None = optional("N m, at body_torque")
+    start_s: Seconds = optional("begin on the vehicle clock, s, whole ns", 0.0)
+    stop_s: Seconds | None = optional("end, s, whole ns (default: end of the flight)")
+    frequency_hz: Positive | None = optional("Hz, of sine; first of chirp")
+    stop_frequency_hz: Positive | None = optional("Hz, last of chirp")
+    frequencies_hz: Annotated[tuple[Positive, ...], Field(min_length=1, max_length=MAX_TONES)] | None = optional(
+        "Hz, of multisine; all have the amplitude, with Schroeder phases"
+    )
+    table: Annotated[CsvTable, SIGNAL_COLUMNS] | None = optional(
+        "signal over the vehicle clock in the unit of the target, for kind = table"
+    )
+
+    @model_validator(mode="after")
+    def _check(self) -> Injection:
+        if self.axis not in AXES[self.at]:
+            raise refuse(f"{self.at} has no such axis", ", ".join(AXES[self.at]), key=("axis",))
+        if self.replaces and self.at in ("body_force", "body_torque"):
+            raise refuse("there is no command to replace", f"false at {self.at}", key=("replaces",))
+        used = () if self.kind == "table" else (AMPLITUDES[self.at],)
+        for key in AMPLITUDES.values():
+            if key not in used and getattr(self, key) is not None:
+                allowed = used[0] if used else "the values of the table"
+                raise refuse(f"has no meaning with {self.kind} at {self.at}", allowed, key=(key,))
+        for key in used:
+            needs(self, key, f"at is {self.at}", "a number")
+        for key in ("frequency_hz", "stop_frequency_hz", "frequencies_hz"):
+            if key in FREQUENCIES[self.kind]:
+                needs(self, key, f"kind is {self.kind}", "numbers > 0, Hz")
+            else:
+                only_with(self, (key,), False, "kind = " + ", ".join(k for k, v in FREQUENCIES.items() if key in v))
+        if self.kind == "table":
+            needs(self, "table", "kind is table", SIGNAL_COLUMNS.allowed())
+        else:
+            only_with(self, ("table",), False, "kind = table")
+        if self.kind in ("doublet", "chirp"):
+            needs(self, "stop_s", f"kind is {self.kind}", "a number > start_s")
+        if self.stop_s is not None and self.stop_s <= self.start_s:
+            raise refuse("ends before it begins", f"more than start_s = {self.start_s:g}", key=("stop_s",))
+        return self
+
+    @property
+    def amplitude(self) -> float:
+        """In the unit of the target; 1 for a table."""
+        value: float | None = getattr(self, AMPLITUDES[self.at])
+        return 1.0 if value is None else value
+
 
 PROGRAMME_COLUMNS = Columns("time_s", sets=(("pitch_rate_degps",),), optional=("yaw_rate_degps", "roll_rate_degps"))
 Ending = Literal["impact", "apogee", "burnout", "tumble"]
