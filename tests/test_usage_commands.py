@@ -13,8 +13,7 @@ import pytest
 from maxq.sim.scenario.errors import ScenarioError
 from maxq.tools import simdesign, simreplay, simrun, simverify
 from maxq.tools.cli import frame
-from maxq.tools.cli.frame import TRACEBACK, CommandError, Exit
-from maxq.tools.cli.interruption import Interruption
+from maxq.tools.cli.frame import TRACEBACK, CommandError, Exit, Interruption
 from maxq.tools.cli.terminal import Progress
 
 Printed = pytest.CaptureFixture[str]

@@ -29,8 +29,7 @@ from maxq.sim.run.record import LOG_NAME, SUMMARY_NAME
 from maxq.sim.scenario.errors import suggestion
 from maxq.tools import campaign_text as text
 from maxq.tools.campaign_page import write_report
-from maxq.tools.cli.frame import CommandError, Exit, say
-from maxq.tools.cli.interruption import Interruption
+from maxq.tools.cli.frame import CommandError, Exit, Interruption, say
 from maxq.tools.cli.terminal import Progress, aligned, printable
 from maxq.tools.flight_report import report
 from maxq.tools.replay.viewer import ReplayError

@@ -21,8 +21,7 @@ from maxq.sim.run import record
 from maxq.sim.run.fly import Flight, FlightRun
 from maxq.sim.run.metrics import METRIC_NAMES
 from maxq.sim.scenario.loader import LoadedScenario, load_scenario, load_scenario_text
-from maxq.tools.cli.frame import CommandError, Exit, say
-from maxq.tools.cli.interruption import Interruption
+from maxq.tools.cli.frame import CommandError, Exit, Interruption, say
 from maxq.tools.cli.terminal import Progress
 from maxq.tools.flight_report import report
 

@@ -26,9 +26,8 @@ from maxq.sim.log.writer import LogWriter
 from maxq.sim.run.fly import CONTROL_LOST_NAME, DIVERGED_NAME, Event, Flight, FlightRun, Rows, copied
 from maxq.sim.run.launch_frames import LaunchFrames, LaunchSite
 from maxq.sim.run.metrics import Verdict, unit_of
-from maxq.sim.scenario.loader import LoadedScenario
+from maxq.sim.scenario.loader import LoadedScenario, to_toml
 from maxq.sim.scenario.schema_values import period_ns
-from maxq.sim.scenario.toml_writer import to_toml
 
 LOG_NAME, SUMMARY_NAME = "flight.mcap", "summary.json"
 SCENARIO_ATTACHMENT, DESIGN_ATTACHMENT = "scenario.toml", "design.toml"

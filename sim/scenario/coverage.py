@@ -10,6 +10,7 @@ import math
 from typing import TYPE_CHECKING
 
 import numpy as np
+from pydantic_core import PydanticCustomError
 
 from maxq.sim.scenario.errors import Path, refuse
 from maxq.sim.scenario.schema_vehicle import Stage
@@ -80,16 +81,8 @@ def _check_stage(stage: Stage, key: Path) -> None:
     if stage.bending is not None:
         tables += [(("bending", "pitch"), stage.bending.pitch), (("bending", "yaw"), stage.bending.yaw)]
     for place, table in tables:
-        if table is None or table["time_s"][0] == table["time_s"][-1]:
-            continue
-        if table["time_s"][-1] < end:
-            raise table.refusal(
-                "the table ends before the thrust does",
-                f"a last time_s >= {end:g}",
-                "time_s",
-                len(table) - 1,
-                at=key + place,
-            )
+        if table is not None and table["time_s"][0] < table["time_s"][-1] < end:
+            raise _ends_too_early(table, "the table ends before the thrust does", end, key + place)
     if stage.engine is not None and end > 0.0 and stage.ignition_s * burn_rate(stage) >= end:
         raise refuse("ignition comes after the end of thrust", f"less than {end:g}", key=(*key, "ignition_s"))
     mass = stage.mass
@@ -97,16 +90,18 @@ def _check_stage(stage: Stage, key: Path) -> None:
         raise refuse("mass flow ends before the thrust does", f"at least {end:g}", key=(*key, "mass", "burn_s"))
 
 
+def _ends_too_early(table: CsvTable, problem: str, end_s: float, key: Path) -> PydanticCustomError:
+    return table.refusal(problem, f"a last time_s >= {end_s:g}", "time_s", len(table) - 1, at=key)
+
+
 def _check_thrust_ends(stage: Stage, ends_s: float, key: Path) -> None:
     if stage.engine is None or len(stage.engine.table) == 1:
         return
-    table = stage.engine.table
+    table, column = stage.engine.table, "thrust_vacuum_N"
     last = float(table["time_s"][-1]) / burn_rate(stage)
-    if table["thrust_vacuum_N"][-1] > 0.0 and ends_s > last:
+    if table[column][-1] > 0.0 and ends_s > last:
         problem = f"thrust does not end at zero, and the flight goes on after {last:g} s"
-        raise table.refusal(
-            problem, "0 in the last row", "thrust_vacuum_N", len(table) - 1, at=(*key, "engine", "table")
-        )
+        raise table.refusal(problem, "0 in the last row", column, len(table) - 1, at=(*key, "engine", "table"))
 
 
 def _check_programme(table: CsvTable, start: float, end: float) -> None:
@@ -117,17 +112,16 @@ def _check_programme(table: CsvTable, start: float, end: float) -> None:
         raise table.refusal("the programme begins too late", f"a first time_s <= {start:g}", "time_s", 0, at=key)
     commands_nothing = all(column[-1] == 0.0 for name, column in table.columns.items() if name != "time_s")
     if table["time_s"][-1] < end and not commands_nothing:  # its last row holds: a rate that goes on is a mistake
-        raise table.refusal(
-            "the programme ends before the thrust does", f"a last time_s >= {end:g}", "time_s", len(table) - 1, at=key
-        )
+        raise _ends_too_early(table, "the programme ends before the thrust does", end, key)
 
 
 def _check_gains(table: CsvTable, key: Path, end: float) -> None:
     """Gains are held outside their table, but some of it must lie in the powered flight."""
     if len(table) == 1:
         return
-    if table["time_s"][0] > end:
-        allowed = f"a first time_s <= {end:g}"
-        raise table.refusal("all gains lie after the powered flight", allowed, "time_s", 0, at=key)
-    if table["time_s"][-1] < 0.0:
-        raise table.refusal("all gains lie before the flight", "a last time_s >= 0", "time_s", 0, at=key)
+    for wrong, problem, allowed in (
+        (table["time_s"][0] > end, "all gains lie after the powered flight", f"a first time_s <= {end:g}"),
+        (table["time_s"][-1] < 0.0, "all gains lie before the flight", "a last time_s >= 0"),
+    ):
+        if wrong:
+            raise table.refusal(problem, allowed, "time_s", 0, at=key)

@@ -93,9 +93,7 @@ def plain(value: Any) -> Any:
 def parse(text: str, source: Source) -> Table:
     """The document that `text` holds; ScenarioError with line and column where it is not TOML."""
     try:
-        content = tomllib.loads(text)
-        table = Table(source)
-        table.update((key, adopt(item, source)) for key, item in content.items())
+        table: Table = adopt(tomllib.loads(text), source)
     except (ValueError, RecursionError) as error:  # TOMLDecodeError, or a number with thousands of digits
         reason = "nested too deeply" if isinstance(error, RecursionError) else str(error)
         raise ScenarioError(source.label, f"is not valid TOML: {reason}{_quoted(text, reason)}") from None

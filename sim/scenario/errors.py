@@ -35,16 +35,13 @@ class ScenarioError(Exception):
     def __init__(
         self, file: str, problem: str, key: str = "", *, value: Any = NOTHING, allowed: str = "", more: int = 0
     ) -> None:
-        shown = "" if value is NOTHING else show_value(value)
         super().__init__(file, problem)  # an unpickled one is made of these, and takes over the attributes
         self.file, self.problem, self.key, self.allowed, self.more = file, problem, key, allowed, more
-        self.shown_value = shown
+        self.shown_value = "" if value is NOTHING else show_value(value)
 
     def __str__(self) -> str:
         place = f"{self.key} = {self.shown_value}" if self.shown_value else self.key
-        file = _printable(self.file, _LONGEST_FILE)
-        parts = [file, place, self.problem] if place else [file, self.problem]
-        line = ": ".join(parts)
+        line = ": ".join(part for part in (_printable(self.file, _LONGEST_FILE), place, self.problem) if part)
         if self.allowed:
             line += f"; allowed: {self.allowed}"
         if self.more:
@@ -65,7 +62,10 @@ def show_value(value: Any) -> str:
     elif isinstance(value, list | tuple):
         text = "[" + ", ".join(show_value(v) for v in value[:20]) + "]"
     else:
-        text = _number(value)
+        try:
+            text = repr(value)
+        except ValueError:  # Python refuses to write out integers of thousands of digits
+            text = "a number of thousands of digits"
     return _printable(text, _LONGEST_VALUE)
 
 
@@ -73,13 +73,6 @@ def _printable(text: str, longest: int) -> str:
     """`text` without line ends and other control characters, cut to a length."""
     text = text if text.isprintable() else text.encode("unicode_escape").decode()
     return text if len(text) <= longest else text[: longest - 4] + " ..."
-
-
-def _number(value: Any) -> str:
-    try:
-        return repr(value)
-    except ValueError:  # Python refuses to write out integers of thousands of digits
-        return "a number of thousands of digits"
 
 
 def refuse(

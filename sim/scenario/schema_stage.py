@@ -69,12 +69,13 @@ class Mass(Section):
         constants = ("x_cg_m", "y_cg_m", "z_cg_m", "inertia_kgm2", "mass_flow_kgps", "burn_s")
         only_with(self, constants, False, "constant mass_kg")
         table = self.table
-        diagonal = np.stack([table[f"I{a}{a}_kgm2"] for a in "xyz"], axis=1)
-        products = np.stack([table.get(f"I{a}_kgm2") for a in ("xy", "xz", "yz")], axis=1)
-        found = first_impossible(tensors(diagonal, products))
+        x, y, z = diagonal = [table[f"I{a}{a}_kgm2"] for a in "xyz"]
+        xy, xz, yz = (-table.get(f"I{a}_kgm2") for a in ("xy", "xz", "yz"))  # integrals, positive sign
+        found = first_impossible(np.stack([x, xy, xz, xy, y, yz, xz, yz, z], axis=1).reshape(-1, 3, 3))
         if found:
             row, problem = found
-            raise table.refusal(problem, column="Ixx_kgm2", row=row, value=diagonal[row].tolist(), at=("table",))
+            value = [float(moment[row]) for moment in diagonal]
+            raise table.refusal(problem, column="Ixx_kgm2", row=row, value=value, at=("table",))
         return self
 
     def _check_constants(self) -> None:
@@ -184,18 +185,8 @@ class RollThrusters(Section):
 
 
 COEFFICIENTS = (
-    "CA",
-    "CA_coast",
-    "CD",
-    "CN_alpha_pr",
-    "x_cp_m",
-    "Cm_alpha_pr",
-    "Cm0",
-    "Cmq",
-    "Cnr",
-    "Clp",
-    "C_crossflow",
-)
+    "CA", "CA_coast", "CD", "CN_alpha_pr", "x_cp_m", "Cm_alpha_pr", "Cm0", "Cmq", "Cnr", "Clp", "C_crossflow",
+)  # fmt: skip
 AERO_COLUMNS = Columns("mach", optional=COEFFICIENTS, not_negative=("mach", "CA", "CA_coast", "CD", "C_crossflow"))
 SURFACE_COLUMNS = Columns("mach", sets=(("CN_alpha_pr", "station_m"),), not_negative=("mach",))
 
@@ -249,18 +240,6 @@ class Aero(Section):
 
 _SLACK = 1e-9
 """Rounding that is forgiven, relative to the largest principal moment."""
-
-
-def tensors(diagonal: NDArray[np.float64], products: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Inertia tensors (n, 3, 3) from Ixx, Iyy, Izz (n, 3) and the integrals Ixy, Ixz, Iyz (n, 3), positive
-    sign.
-    """
-    out = np.zeros((len(diagonal), 3, 3))
-    for axis in range(3):
-        out[:, axis, axis] = diagonal[:, axis]
-    for column, (i, j) in enumerate(((0, 1), (0, 2), (1, 2))):
-        out[:, i, j] = out[:, j, i] = -products[:, column]
-    return out
 
 
 def first_impossible(inertia: NDArray[np.float64]) -> tuple[int, str] | None:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,17 +19,13 @@ from pydantic_core import CoreSchema, PydanticCustomError, core_schema
 from maxq.sim.scenario.documents import Text
 from maxq.sim.scenario.errors import LARGEST_NUMBER, NOTHING, Path, refuse, suggestion
 
+if TYPE_CHECKING:
+    from maxq.sim.scenario.files import Reading
+
 Column = NDArray[np.float64]
 
 FILE_KEY = "file"
 """In a table that is written out: the file it once came from, for people only."""
-
-
-class TableReader(Protocol):
-    """What the validation context must offer: finds and reads the file that a key names."""
-
-    def read_table(self, name: Text) -> tuple[str, str]:
-        """How the file is shown to people, and its text."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -134,25 +130,16 @@ class Columns:
         if not self.axis:
             lists = {"type": "array", "items": number, "minItems": 1}
             return {"anyOf": [{"type": "string"}, {"type": "object", "additionalProperties": lists}]}
-        lists = {name: {"type": "array", "items": number} for name in self.known()}
+
+        def table(item: dict[str, Any], **more: Any) -> dict[str, Any]:
+            properties = more | dict.fromkeys(self.known(), item)
+            return {"type": "object", "properties": properties, "required": [self.axis], "additionalProperties": False}
+
         return {
             "anyOf": [
                 {"type": "string", "description": f"name of a CSV file with {self.allowed()}"},
-                {
-                    "type": "object",
-                    "properties": {FILE_KEY: {"type": "string"}, **lists},
-                    "required": [self.axis],
-                    "additionalProperties": False,
-                },
-                {
-                    "type": "array",
-                    "items": {
-                        "type": "object",
-                        "properties": dict.fromkeys(self.known(), number),
-                        "required": [self.axis],
-                        "additionalProperties": False,
-                    },
-                },
+                table({"type": "array", "items": number}, **{FILE_KEY: {"type": "string"}}),
+                {"type": "array", "items": table(number)},
             ]
         }
 
@@ -176,8 +163,8 @@ class Columns:
     def _from_file(self, name: str, context: Any) -> CsvTable:
         if not isinstance(name, Text) or context is None:
             raise refuse("a file is named where none can be read", "the table itself")
-        reader: TableReader = context
-        shown, text = reader.read_table(name)
+        reading: Reading = context
+        shown, text = reading.read_table(name)
         return read_csv(text, str(name), shown, self)
 
     def _from_columns(self, value: Mapping[str, Any]) -> CsvTable:

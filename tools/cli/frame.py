@@ -8,12 +8,13 @@ from __future__ import annotations
 import contextlib
 import gc
 import os
+import signal
 import sys
 from collections.abc import Callable
 from enum import IntEnum
-from typing import NoReturn
+from types import FrameType
+from typing import Any, NoReturn, Self
 
-from maxq.tools.cli.interruption import terminate_like_ctrl_c
 from maxq.tools.cli.terminal import printable
 
 TRACEBACK = "MAXQ_TRACEBACK"
@@ -69,6 +70,44 @@ def run(command: str, body: Callable[[], int], interrupted: str = "interrupted",
         return Exit.BAD_INPUT if text else Exit.INTERNAL_ERROR
 
 
+class Interruption:
+    """Ctrl-C and SIGTERM (what a batch system sends before it kills), taken as a request so that files can be closed.
+
+    Within its block the first Ctrl-C or SIGTERM only sets `requested`; a second one raises KeyboardInterrupt.
+
+    `at_once`: the first one raises, too. A library's callback may swallow the exception (compilers print "Exception
+    ignored"); calling `check` now and then raises it again. Outside the main thread, where Python has no signals, the
+    block changes nothing.
+    """
+
+    def __init__(self, *, at_once: bool = False) -> None:
+        self.requested = False
+        self._at_once = at_once
+        self._before: dict[signal.Signals, Any] = {}
+
+    def __enter__(self) -> Self:
+        try:
+            self._before = {number: signal.signal(number, self._strike) for number in (signal.SIGINT, signal.SIGTERM)}
+        except ValueError:  # not the main thread
+            self._before = {}
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        for number, handler in self._before.items():
+            signal.signal(number, handler)
+
+    def check(self) -> None:
+        """Raises KeyboardInterrupt where an interruption was requested."""
+        if self.requested:
+            raise KeyboardInterrupt
+
+    def _strike(self, number: int, frame: FrameType | None) -> None:
+        if self._at_once or self.requested:
+            self.requested = True
+            raise KeyboardInterrupt
+        self.requested = True
+
+
 def process(main: Callable[[], int]) -> NoReturn:
     """A command as a process: `main`, then the end of the process without taking it apart.
 
@@ -76,7 +115,11 @@ def process(main: Callable[[], int]) -> NoReturn:
     by itself, took a quarter of a second.
     """
     gc.set_threshold(50_000)  # imports make much that stays: looking through it every 700 objects takes 0.05 s
-    terminate_like_ctrl_c()
+
+    def interrupt(number: int, frame: FrameType | None) -> NoReturn:
+        raise KeyboardInterrupt
+
+    signal.signal(signal.SIGTERM, interrupt)  # like Ctrl-C, so that every `finally` runs
     code = main()
     for stream in (sys.stdout, sys.stderr):
         with contextlib.suppress(OSError, ValueError):  # nobody is there to read it

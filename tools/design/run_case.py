@@ -23,8 +23,7 @@ from maxq.design.optimise.solve import nominal_plants, solve
 from maxq.design.verify.judging import Outcome, judge_solution, make_design, objective_text
 from maxq.sim.files import check_writable, write_whole
 from maxq.sim.scenario.errors import ScenarioError
-from maxq.tools.cli.frame import Exit
-from maxq.tools.cli.interruption import Interruption
+from maxq.tools.cli.frame import Exit, Interruption
 from maxq.tools.cli.terminal import Progress, aligned
 from maxq.tools.design.report import case_record, case_report, comments, write_record
 

@@ -13,8 +13,7 @@ from maxq.design.verify.judging import judge, make_design
 from maxq.design.verify.suite import ACCEPTED, UNDECIDED, read_suite
 from maxq.design.verify.verify import Verification, Watch, verify
 from maxq.sim.scenario.schema_design import Design
-from maxq.tools.cli.frame import Exit, say
-from maxq.tools.cli.interruption import Interruption
+from maxq.tools.cli.frame import Exit, Interruption, say
 from maxq.tools.cli.terminal import Progress, aligned
 from maxq.tools.design import run_case
 from maxq.tools.verify.report import headline, reasons, write_pack

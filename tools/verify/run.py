@@ -14,8 +14,7 @@ from maxq.design.verify.suite import ACCEPTED, REJECTED, UNDECIDED, Judgement, o
 from maxq.design.verify.verify import Verification, verify
 from maxq.sim.files import check_writable
 from maxq.sim.scenario.errors import ScenarioError
-from maxq.tools.cli.frame import Exit
-from maxq.tools.cli.interruption import Interruption
+from maxq.tools.cli.frame import Exit, Interruption
 from maxq.tools.cli.terminal import Progress
 from maxq.tools.verify import report
 
