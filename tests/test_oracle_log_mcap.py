@@ -18,9 +18,8 @@ from mcap.records import Channel, Chunk, Message, MessageIndex, Metadata, Schema
 from mcap.stream_reader import StreamReader
 from mcap.summary import Summary
 
-from maxq.sim.log.mcap_write import Container, single_message
 from maxq.sim.log.reader import read_log
-from maxq.sim.log.writer import LogWriter
+from maxq.sim.log.writer import Container, LogWriter, single_message
 
 
 @pytest.fixture(scope="module")

@@ -10,6 +10,7 @@ viewers show them.
 from __future__ import annotations
 
 import json
+import struct
 from collections.abc import Iterable, Mapping
 from typing import Any
 
@@ -27,6 +28,8 @@ MOST_FIELDS = 2047  # from field 2048 on, a tag takes three bytes
 _GROUP, _DESCRIPTION, _FIELD = "group", "description", "field."  # keys of the metadata
 _Field = descriptor_pb2.FieldDescriptorProto
 _WIRE_TYPE_64_BIT = 1
+RECORD_PREFIX = struct.Struct("<BQ")  # MCAP record: opcode, length of the content
+MESSAGE_HEADER = struct.Struct("<BQHIQQ")  # opcode, length, channel, sequence, log time, publish time
 _ONE_BYTE_TAGS = 15  # fields 1..15 have tags of one byte, all others here of two
 
 
@@ -117,6 +120,21 @@ def doubles_template(n_fields: int) -> NDArray[np.void]:
         wide = tags[n_narrow:]
         template["wide"]["tag"] = (wide & 0x7F | 0x80) | wide >> 7 << 8  # a varint: low seven bits first
     return template
+
+
+def message_dtype(payload: np.dtype[np.void]) -> np.dtype[np.void]:
+    """Layout of a message record around a payload of fixed size."""
+    return np.dtype(
+        [
+            ("opcode", "u1"),
+            ("length", "<u8"),
+            ("channel", "<u2"),
+            ("sequence", "<u4"),
+            ("log_time", "<u8"),
+            ("publish_time", "<u8"),
+            ("payload", payload),
+        ]
+    )
 
 
 def put_values(messages: NDArray[np.void], values: Array) -> None:

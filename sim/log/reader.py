@@ -1,54 +1,68 @@
-"""Reads the log of a flight back into arrays, also when the file is cut off or damaged."""
+"""Reads the log of a flight back into arrays, also when the file is cut off or damaged.
+
+Records are parsed by the `mcap` package. Its readers stop at the first flaw of a file and give messages one by one:
+finding records in a damaged file, and the messages of a chunk as arrays, is done here. Our writer lays the messages of
+a topic side by side, so that a chunk is a few runs of equally long records; other tools may reorder them: a run may be
+as short as one message. Format: MCAP specification, https://mcap.dev/spec.
+"""
 
 from __future__ import annotations
 
 import difflib
+import struct
 import zlib
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from io import BytesIO
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
-from mcap import records
+from mcap.data_stream import ReadDataStream
+from mcap.exceptions import McapError
 from mcap.opcode import Opcode
+from mcap.reader import make_reader
+from mcap.records import Attachment as AttachmentRecord
+from mcap.records import Channel as ChannelRecord
+from mcap.records import Chunk, Footer, Header, McapRecord, Metadata, Schema
+from mcap.stream_reader import CRCValidationError, StreamReader, get_chunk_data_stream
+from mcap.summary import Summary
+from mcap.writer import MCAP0_MAGIC as MAGIC
+from numpy.typing import NDArray
+from zstandard import ZstdError
 
 from maxq.control.kernel.records import Array, IntArray
-from maxq.sim.flight.channels import EVENTS_TOPIC, FRAMES_TOPIC, Channel, ChannelTable
+from maxq.sim.flight.channels import EVENTS_TOPIC, FRAMES_TOPIC, Channel, ChannelTable, Topic
+from maxq.sim.log import head as keys
 from maxq.sim.log.foxglove import Event, decode_event
-from maxq.sim.log.head import (
-    COMPLETE,
-    CRC_KEY,
-    END_METADATA,
-    HEAD_METADATA,
-    NAMES_OF_SCHEMA_1,
-    PROFILE,
-    REASON_KEY,
-    RUN_METADATA,
-    SCHEMA_KEY,
-    SCHEMA_VERSION,
-    STATUS_KEY,
-    VERSION_KEY,
-    Attachment,
-    LogError,
-)
-from maxq.sim.log.mcap_read import (
-    MAGIC,
-    DamagedError,
-    Frame,
-    chunk_content,
-    chunk_frames,
-    frames,
-    gather,
+from maxq.sim.log.head import SCHEMA_VERSION, Attachment, LogError
+from maxq.sim.log.protobuf import (
+    MESSAGE_HEADER,
+    RECORD_PREFIX,
+    doubles_template,
+    get_values,
     message_dtype,
-    message_runs,
-    parse,
-    payloads,
-    summary_frames,
+    topic_from,
 )
-from maxq.sim.log.protobuf import doubles_template, get_values, topic_from
 
 _HEAD_OPCODES = (Opcode.HEADER, Opcode.SCHEMA, Opcode.CHANNEL, Opcode.ATTACHMENT, Opcode.METADATA)
+_RUN_PREFIX = struct.Struct("<BQH")  # the part of the header that all messages of a run share
+_FIRST_BLOCK = 64  # records compared at once at first
+_FOOTER_SIZE = RECORD_PREFIX.size + 20
+_LAST_OPCODE = max(Opcode)
+_UNREADABLE = (McapError, CRCValidationError, ZstdError, struct.error, UnicodeDecodeError, OverflowError, MemoryError)
+
+
+class DamagedError(ValueError):
+    """A record's bytes do not make sense."""
+
+
+@dataclass(frozen=True)
+class _Run:
+    """`count` messages of one channel, each `size` bytes with header, from `start` on."""
+
+    start: int
+    count: int
+    size: int
 
 
 @dataclass(frozen=True)
@@ -115,221 +129,310 @@ class Log(LoggedRun):
         raise KeyError(f"{self.path} has no channel {name}{hint}")
 
 
-class _Head(NamedTuple):
-    """`end`: offset behind the head. `intact`: its checksum matches."""
-
-    metadata: dict[str, str]
-    attachments: dict[str, Attachment]
-    table: ChannelTable
-    topic_ids: dict[int, str]  # MCAP channel id -> topic, /events and /tf included
-    end: int
-    intact: bool
-
-
-class _Places(NamedTuple):
-    """Where the chunks are, the record of the run's end where there is one, and notes on damage."""
-
-    chunks: list[Frame]
-    end_record: dict[str, str] | None
-    notes: list[str]
-
-
 def read_log(path: str | Path) -> Log:
     """Read a log whole. All chunks that are whole are read, wherever the file is cut or damaged.
 
     Raises LogError where the file cannot be read, is not a log of maxq, was written by a later maxq, or is
     damaged or cut within its head, so that its content is unknown.
     """
-    path = Path(path)
-    data, head, places = _read_frame(path)
-    notes = places.notes
-    try:
-        columns = _Columns(head)
-    except ValueError as error:
-        raise LogError(f"{path}: {error}") from error
-    if not head.intact:
-        notes.insert(0, "the head is damaged: scenario, metadata and names may be wrong")
-
-    events: list[Event] = []
-    for number, frame in enumerate(places.chunks, start=1):
-        try:
-            events += columns.add_chunk(chunk_content(data, frame))
-        except ValueError as error:
-            notes.append(f"chunk {number} of {len(places.chunks)} was left out: {error}")
-    del data
-    times_ns, values = columns.arrays()
-
-    end = places.end_record or {}
-    if end.get(STATUS_KEY) != COMPLETE and end:
-        notes.append(f"the run was aborted: {end.get(REASON_KEY, 'no reason given')}")
+    file = _LogFile(Path(path))
+    if not file.intact:
+        file.notes.insert(0, "the head is damaged: scenario, metadata and names may be wrong")
+    events, times_ns, values = file.columns()
+    if file.end and file.end.get(keys.STATUS_KEY) != keys.COMPLETE:
+        file.notes.append(f"the run was aborted: {file.end.get(keys.REASON_KEY, 'no reason given')}")
     return Log(
-        path, head.metadata, head.attachments, end, head.table, tuple(events), not notes, tuple(notes), times_ns, values
-    )
+        file.path, file.metadata, file.attachments, file.end, file.table,
+        tuple(events), not file.notes, tuple(file.notes), times_ns, values,
+    )  # fmt: skip
 
 
 def read_run(path: str | Path) -> LoggedRun:
     """What a log says about its run, without reading the flight. Raises LogError as `read_log` does, and
     where the head is damaged.
     """
-    path = Path(path)
-    _, head, places = _read_frame(path)
-    if not head.intact:
+    file = _LogFile(Path(path))
+    if not file.intact:
         raise LogError(f"{path}: the head of the log is damaged: the scenario in it may be wrong")
-    return LoggedRun(path, head.metadata, head.attachments, places.end_record or {})
+    return LoggedRun(file.path, file.metadata, file.attachments, file.end)
 
 
-def _read_frame(path: Path) -> tuple[bytes, _Head, _Places]:
-    """The bytes of a log, its head, and where its chunks are. Raises LogError."""
-    try:
-        data = path.read_bytes()
-    except OSError as error:
-        raise LogError(f"{path}: the log cannot be read: {error.strerror or error}") from error
-    except ValueError as error:  # a NUL character in the name
-        raise LogError(f"{path}: this is not a file name") from error
-    try:
-        head = _read_head(data)
-        return data, head, _find_chunks(data, head.end)
-    except ValueError as error:
-        raise LogError(f"{path}: {error}") from error
+class _LogFile:
+    """The bytes of a log, its head, the places of its chunks, and the record of the run's end.
 
+    `intact`: the head's checksum matches. `end` is empty where it is missing. `notes` say what is damaged.
+    Raises LogError.
+    """
 
-def _read_head(data: bytes) -> _Head:
-    """Raises ValueError, with a message to follow the file's name, where the head cannot be read."""
-    if not data.startswith(MAGIC):
-        raise ValueError("this is not a log: it does not begin like an MCAP file")
-    metadata: dict[str, dict[str, str]] = {}
-    attachments: dict[str, Attachment] = {}
-    schemas: dict[int, records.Schema] = {}
-    channels: list[records.Channel] = []
-    end, intact = 0, False
-    for frame in frames(data, len(MAGIC), len(data)):
-        if frame.opcode not in _HEAD_OPCODES:
-            break
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.notes: list[str] = []
+        self.end: dict[str, str] = {}
+        self.attachments: dict[str, Attachment] = {}
         try:
-            if frame.start == len(MAGIC):
-                _check_header(data, frame)
-            elif frame.opcode == Opcode.SCHEMA:
-                schema = parse(records.Schema.read, data, frame)
-                schemas[schema.id] = schema
-            elif frame.opcode == Opcode.CHANNEL:
-                channels.append(parse(records.Channel.read, data, frame))
-            elif frame.opcode == Opcode.ATTACHMENT:
-                file = parse(records.Attachment.read, data, frame)
-                attachments[file.name] = Attachment(file.name, file.media_type, file.data)
-            elif frame.opcode == Opcode.METADATA:
-                record = parse(records.Metadata.read, data, frame)
-                metadata[record.name] = record.metadata
-                if record.name == HEAD_METADATA:
-                    end = frame.end
-                    intact = record.metadata.get(CRC_KEY) == f"{zlib.crc32(data[: frame.start]):08x}"
-                    break
-        except DamagedError as error:
-            raise ValueError(f"the head of the log is damaged: {error}") from error
-    run = metadata.get(RUN_METADATA, {})
-    schema = run.get(SCHEMA_KEY, SCHEMA_VERSION)
-    if schema not in ("1", SCHEMA_VERSION):
-        raise ValueError(
-            f"this log has schema {schema}, written by maxq {run.get(VERSION_KEY, '(unknown)')}; "
-            f"this maxq reads schemas up to {SCHEMA_VERSION}"
-        )
-    renamed = NAMES_OF_SCHEMA_1 if schema == "1" else {}
-    if not end:
-        raise ValueError("the log is cut off or damaged within its head: nothing of the flight can be read")
-    try:
-        topics = {
-            c.id: topic_from(c.topic, schemas[c.schema_id].data, c.metadata, renamed)
-            for c in channels
-            if c.topic not in (EVENTS_TOPIC, FRAMES_TOPIC)
-        }
-        table = ChannelTable(tuple(topics.values()))
-    except (ValueError, KeyError) as error:
-        raise ValueError(f"the head of the log is damaged: {error}") from error
-    return _Head(run, attachments, table, {c.id: c.topic for c in channels}, end, intact)
-
-
-def _check_header(data: bytes, frame: Frame) -> None:
-    header = parse(records.Header.read, data, frame) if frame.opcode == Opcode.HEADER else None
-    if header is None or header.profile != PROFILE:
-        by = f" (written by {header.library})" if header is not None and header.library else ""
-        raise ValueError(f"this is an MCAP file, but not a log of maxq{by}")
-
-
-def _find_chunks(data: bytes, start: int) -> _Places:
-    """All whole chunks: by the index at the end of the file, or record by record where there is none."""
-    try:
-        summary = summary_frames(data)
-        if summary is not None:
-            return _Places(chunk_frames(data, summary), *_read_end(data, summary))
-    except DamagedError:
-        pass  # the summary passes its checksum but is not one that maxq wrote: ignore it
-    chunks, last = [], start
-    for frame in frames(data, start, len(data)):
-        if frame.opcode == Opcode.DATA_END:
-            break
-        if frame.opcode == Opcode.CHUNK:
-            chunks.append(frame)
-        last = frame.end
-    note = f"the end of the log is missing or damaged: read up to byte {last} of {len(data)}"
-    return _Places(chunks, None, [note])
-
-
-def _read_end(data: bytes, summary: list[Frame]) -> tuple[dict[str, str] | None, list[str]]:
-    """The record that says how the run ended, and notes about it."""
-    for entry in summary:
-        if entry.opcode != Opcode.METADATA_INDEX:
-            continue
-        index = parse(records.MetadataIndex.read, data, entry)
-        if index.name != END_METADATA:
-            continue
-        place = next(frames(data, index.offset, min(index.offset + index.length, len(data))), None)
+            self._data = path.read_bytes()
+        except OSError as error:
+            raise LogError(f"{path}: the log cannot be read: {error.strerror or error}") from error
+        except ValueError as error:  # a NUL character in the name
+            raise LogError(f"{path}: this is not a file name") from error
         try:
-            if place is not None and place.opcode == Opcode.METADATA:
-                return parse(records.Metadata.read, data, place).metadata, []
+            head_end = self._read_head()
+        except ValueError as error:
+            raise LogError(f"{path}: {error}") from error
+        try:
+            self._chunks = self._indexed_chunks()
         except DamagedError:
-            break
-    return None, ["the record of how the run ended is missing or damaged"]
+            self._chunks = self._chunks_from(head_end)
 
+    def _read_head(self) -> int:
+        """Read the head; returns the offset behind it. Raises ValueError, with a message to follow the file's name."""
+        data = self._data
+        if not data.startswith(MAGIC):
+            raise ValueError("this is not a log: it does not begin like an MCAP file")
+        metadata: dict[str, dict[str, str]] = {}
+        schemas: dict[int, Schema] = {}
+        channels: list[ChannelRecord] = []
+        end, self.intact = 0, False
+        for opcode, start, stop in _frames(data, len(MAGIC)):
+            if start == len(MAGIC):
+                _check_header(data, start, stop)
+            if opcode not in _HEAD_OPCODES:
+                break
+            try:
+                record = _parse(data, start, stop)
+            except DamagedError as error:
+                raise ValueError(f"the head of the log is damaged: {error}") from error
+            if isinstance(record, Schema):
+                schemas[record.id] = record
+            elif isinstance(record, ChannelRecord):
+                channels.append(record)
+            elif isinstance(record, AttachmentRecord):
+                self.attachments[record.name] = Attachment(record.name, record.media_type, record.data)
+            elif isinstance(record, Metadata):
+                metadata[record.name] = record.metadata
+                if record.name == keys.HEAD_METADATA:
+                    end, self.intact = stop, record.metadata.get(keys.CRC_KEY) == f"{zlib.crc32(data[:start]):08x}"
+                    break
+        self.metadata = metadata.get(keys.RUN_METADATA, {})
+        schema = self.metadata.get(keys.SCHEMA_KEY, SCHEMA_VERSION)
+        if schema not in ("1", SCHEMA_VERSION):
+            raise ValueError(
+                f"this log has schema {schema}, written by maxq {self.metadata.get(keys.VERSION_KEY, '(unknown)')}; "
+                f"this maxq reads schemas up to {SCHEMA_VERSION}"
+            )
+        if not end:
+            raise ValueError("the log is cut off or damaged within its head: nothing of the flight can be read")
+        renamed = keys.NAMES_OF_SCHEMA_1 if schema == "1" else {}
+        self._topics: dict[int, Topic | str] = {}  # by MCAP channel; the name only of /events and /tf
+        try:
+            for c in channels:
+                own = c.topic in (EVENTS_TOPIC, FRAMES_TOPIC)
+                self._topics[c.id] = (
+                    c.topic if own else topic_from(c.topic, schemas[c.schema_id].data, c.metadata, renamed)
+                )
+            self.table = ChannelTable(tuple(topic for topic in self._topics.values() if isinstance(topic, Topic)))
+            self._layouts = {t.name: message_dtype(doubles_template(len(t.channels)).dtype) for t in self.table.topics}
+        except (ValueError, KeyError) as error:
+            raise ValueError(f"the head of the log is damaged: {error}") from error
+        return end
 
-class _Columns:
-    """Collects the messages of each topic chunk by chunk."""
+    def _indexed_chunks(self) -> list[tuple[int, int]]:
+        """Start and end of all chunks by the index at the end of the file, where the record of the run's end is too.
 
-    def __init__(self, head: _Head) -> None:
-        self._topics = {topic.name: topic for topic in head.table.topics}
-        self._topic_ids = head.topic_ids
-        self._layouts = {
-            topic.name: message_dtype(doubles_template(len(topic.channels)).dtype) for topic in head.table.topics
-        }
-        self._parts: dict[str, list[tuple[IntArray, Array]]] = {name: [] for name in self._topics}
+        Raises DamagedError where the index is missing or damaged.
+        """
+        summary, size = _summary(self._data), len(self._data)
+        places = [(i.chunk_start_offset, i.chunk_start_offset + i.chunk_length) for i in summary.chunk_indexes]
+        if any(start + RECORD_PREFIX.size > end or end > size for start, end in places):
+            raise DamagedError("a chunk index points outside the file")
+        for index in summary.metadata_indexes:
+            if index.name == keys.END_METADATA:
+                try:
+                    record = _parse(self._data, index.offset, index.offset + index.length)
+                except DamagedError:
+                    break
+                self.end = record.metadata if isinstance(record, Metadata) else {}
+        if not self.end:
+            self.notes.append("the record of how the run ended is missing or damaged")
+        return places
 
-    def add_chunk(self, content: bytes) -> list[Event]:
-        """Add a chunk, whole or not at all; returns its events. Raises ValueError where it is damaged.
+    def _chunks_from(self, start: int) -> list[tuple[int, int]]:
+        """Start and end of the chunks that are whole, record by record from byte `start` on."""
+        chunks, last = [], start
+        for opcode, begin, end in _frames(self._data, start):
+            if opcode == Opcode.DATA_END:
+                break
+            if opcode == Opcode.CHUNK:
+                chunks.append((begin, end))
+            last = end
+        self.notes.append(f"the end of the log is missing or damaged: read up to byte {last} of {len(self._data)}")
+        return chunks
 
-        Its numbers are copied at once, while they are in the cache: nothing keeps a reference to `content`.
+    def columns(self) -> tuple[list[Event], dict[str, IntArray], dict[str, dict[str, Array]]]:
+        """Events, times (n,) by topic, and values (n,) by topic and channel, each contiguous.
+
+        Damaged chunks are left out and noted. The numbers of a chunk are copied at once, while they are in the cache.
         """
         events: list[Event] = []
+        parts: dict[str, list[tuple[IntArray, Array]]] = {topic.name: [] for topic in self.table.topics}
+        for number, place in enumerate(self._chunks, start=1):
+            try:
+                new_events, new_parts = self._chunk_columns(_chunk_content(self._data, *place))
+            except ValueError as error:
+                self.notes.append(f"chunk {number} of {len(self._chunks)} was left out: {error}")
+                continue
+            events += new_events
+            for name, part in new_parts:
+                parts[name].append(part)
+        self._data = b""
+        times_ns: dict[str, IntArray] = {}
+        values: dict[str, dict[str, Array]] = {}
+        for topic in self.table.topics:
+            some = parts.pop(topic.name)
+            times_ns[topic.name] = np.concatenate([np.zeros(0, np.int64), *(times for times, _ in some)])
+            matrix = np.concatenate([np.empty((len(topic.channels), 0)), *(rows for _, rows in some)], axis=1)
+            values[topic.name] = {channel.name: matrix[i] for i, channel in enumerate(topic.channels)}
+        return events, times_ns, values
+
+    def _chunk_columns(self, content: bytes) -> tuple[list[Event], list[tuple[str, tuple[IntArray, Array]]]]:
+        """Events of a chunk, and by topic times (n,) and values (channels, n). Raises ValueError."""
+        events: list[Event] = []
         parts = []
-        for channel_id, runs in message_runs(content).items():
-            topic = self._topic_ids.get(channel_id)
+        for channel_id, runs in _message_runs(content).items():
+            topic = self._topics.get(channel_id)
             if topic is None:
                 raise DamagedError("it has messages of an unknown channel")
             if topic == EVENTS_TOPIC:
-                events += [decode_event(payload) for payload in payloads(content, runs)]
-            elif topic in self._layouts:
-                messages = gather(content, runs, self._layouts[topic])
-                values = np.empty((len(self._topics[topic].channels), len(messages)))
+                for run in runs:
+                    for start in range(run.start, run.start + run.count * run.size, run.size):
+                        events.append(decode_event(content[start + MESSAGE_HEADER.size : start + run.size]))
+            elif isinstance(topic, Topic):
+                messages = _gather(content, runs, self._layouts[topic.name])
+                values = np.empty((len(topic.channels), len(messages)))
                 get_values(messages["payload"], values)
-                parts.append((topic, messages["log_time"].astype(np.int64), values))
-        for topic, times_ns, values in parts:
-            self._parts[topic].append((times_ns, values))
-        return events
+                parts.append((topic.name, (messages["log_time"].astype(np.int64), values)))
+        return events, parts
 
-    def arrays(self) -> tuple[dict[str, IntArray], dict[str, dict[str, Array]]]:
-        """Times (n,) by topic, and values (n,) by topic and channel, each contiguous."""
-        times_ns: dict[str, IntArray] = {}
-        values: dict[str, dict[str, Array]] = {}
-        for name, topic in self._topics.items():
-            parts = self._parts.pop(name)
-            times_ns[name] = np.concatenate([np.zeros(0, np.int64), *(times for times, _ in parts)])
-            matrix = np.concatenate([np.empty((len(topic.channels), 0)), *(rows for _, rows in parts)], axis=1)
-            values[name] = {channel.name: matrix[i] for i, channel in enumerate(topic.channels)}
-        return times_ns, values
+
+def _frames(data: bytes, start: int) -> Iterator[tuple[int, int, int]]:
+    """Opcode, start and end of whole records; ends before the first that is cut off or has an impossible opcode."""
+    while start + RECORD_PREFIX.size <= len(data):
+        opcode, length = RECORD_PREFIX.unpack_from(data, start)
+        end = start + RECORD_PREFIX.size + length
+        if not 0 < opcode <= _LAST_OPCODE or end > len(data):
+            return
+        yield opcode, start, end
+        start = end
+
+
+class _Content(BytesIO):
+    """Bytes that end: reading beyond them is an error, where mcap takes what is left."""
+
+    def read(self, size: int | None = -1) -> bytes:
+        data = super().read(size)
+        if size is not None and len(data) < size:
+            raise DamagedError("its content is cut off")
+        return data
+
+
+def _parse(data: bytes, start: int, end: int) -> McapRecord:
+    """The record between two bytes. Raises DamagedError where there is none."""
+    try:
+        if RECORD_PREFIX.unpack_from(data, start)[1] != end - start - RECORD_PREFIX.size:
+            raise DamagedError("its length is wrong")
+        return next(StreamReader(_Content(data[start:end]), skip_magic=True, emit_chunks=True).records)
+    except _UNREADABLE as error:
+        raise DamagedError("its content cannot be read") from error
+
+
+def _check_header(data: bytes, start: int, end: int) -> None:
+    try:
+        header = _parse(data, start, end)
+    except DamagedError as error:
+        raise ValueError(f"the head of the log is damaged: {error}") from error
+    if not isinstance(header, Header) or header.profile != keys.PROFILE:
+        by = f" (written by {header.library})" if isinstance(header, Header) and header.library else ""
+        raise ValueError(f"this is an MCAP file, but not a log of maxq{by}")
+
+
+def _summary(data: bytes) -> Summary:
+    """The summary section. Raises DamagedError where it is missing or fails its checksum."""
+    end = len(data) - len(MAGIC) - _FOOTER_SIZE
+    try:
+        footer = Footer.read(ReadDataStream(_Content(data[max(end, 0) + RECORD_PREFIX.size :])))
+        checksum = zlib.crc32(data[footer.summary_start : -len(MAGIC) - 4])
+        if data.endswith(MAGIC) and len(MAGIC) <= footer.summary_start <= end and checksum == footer.summary_crc:
+            summary = make_reader(BytesIO(data)).get_summary()
+            if summary is not None:
+                return summary
+    except _UNREADABLE as error:
+        raise DamagedError("the summary cannot be read") from error
+    raise DamagedError("the summary is missing or damaged")
+
+
+def _chunk_content(data: bytes, start: int, end: int) -> bytes:
+    """Decompressed and checked content of the chunk between two bytes. Raises DamagedError."""
+    chunk = _parse(data, start, end)
+    if not isinstance(chunk, Chunk):
+        raise DamagedError("its first byte is wrong")
+    try:
+        stream, size = get_chunk_data_stream(chunk, validate_crc=True)
+        if size != chunk.uncompressed_size:
+            raise DamagedError("its size does not match")
+        return stream.read(size) if size else b""
+    except CRCValidationError as error:
+        raise DamagedError("its checksum does not match") from error
+    except _UNREADABLE as error:
+        raise DamagedError("it cannot be decompressed") from error
+
+
+def _message_runs(content: bytes) -> dict[int, list[_Run]]:
+    """Where the messages of each channel lie in the content of a chunk. Raises DamagedError."""
+    runs: dict[int, list[_Run]] = {}
+    position, end = 0, len(content)
+    while position < end:
+        if position + RECORD_PREFIX.size > end:
+            raise DamagedError("its last record is cut off")
+        opcode, length = RECORD_PREFIX.unpack_from(content, position)
+        size = RECORD_PREFIX.size + length
+        if position + size > end:
+            raise DamagedError("its last record is cut off")
+        count = 1
+        if opcode == Opcode.MESSAGE:
+            if size < MESSAGE_HEADER.size:
+                raise DamagedError("a message is too short")
+            count = _run_length(content, position, size)
+            channel_id = _RUN_PREFIX.unpack_from(content, position)[2]
+            runs.setdefault(channel_id, []).append(_Run(position, count, size))
+        position += count * size
+    return runs
+
+
+def _run_length(content: bytes, start: int, size: int) -> int:
+    """How many records from `start` on have the same opcode, length and channel.
+
+    Compares ever larger blocks: short runs are common in files that other tools have rewritten.
+    """
+    prefix = content[start : start + _RUN_PREFIX.size]
+    count, block = 1, _FIRST_BLOCK
+    while True:
+        position = start + count * size
+        block = min(block, (len(content) - position) // size)
+        if block == 0 or content[position : position + _RUN_PREFIX.size] != prefix:
+            return count
+        rows = np.frombuffer(content, np.uint8, block * size, position).reshape(block, size)
+        same = (rows[:, : _RUN_PREFIX.size] == np.frombuffer(prefix, np.uint8)).all(axis=1)
+        if not same.all():
+            return count + int(same.argmin())
+        count, block = count + block, 8 * block
+
+
+def _gather(content: bytes, runs: list[_Run], layout: np.dtype[np.void]) -> NDArray[np.void]:
+    """The messages of one channel as an array of `layout`. Raises DamagedError if one has another size."""
+    if any(run.size != layout.itemsize for run in runs):
+        raise DamagedError("a message does not have the size of its schema")
+    if len(runs) == 1:
+        return np.frombuffer(content, layout, runs[0].count, runs[0].start)
+    starts = np.concatenate([run.start + run.size * np.arange(run.count) for run in runs])
+    gathered = np.frombuffer(content, np.uint8)[starts[:, None] + np.arange(layout.itemsize)]
+    return gathered.view(layout).ravel()
