@@ -116,6 +116,7 @@ def _files_of(full_name: str) -> dict[str, descriptor_pb2.FileDescriptorProto]:
 LOG_SCHEMA = serialise(_files_of(LOG_TYPE).values())
 FRAMES_SCHEMA = serialise(_files_of(FRAMES_TYPE).values())
 _LogMessage: Any = message_class(LOG_SCHEMA, LOG_TYPE)  # its attributes are known at run time only
+_FramesMessage: Any = message_class(FRAMES_SCHEMA, FRAMES_TYPE)
 
 
 def encode_event(event: Event) -> bytes:
@@ -137,34 +138,27 @@ def decode_event(payload: bytes) -> Event:
 def frames_template(parent: str, child: str) -> NDArray[np.void]:
     """One FrameTransforms message of one transform as a structured array of length 1, numbers to be filled.
 
-    Times are varints stretched to five bytes, which every protobuf parser reads and which gives all
-    messages of a pair of frames one size.
+    Times are varints of five bytes, which every protobuf parser reads for smaller numbers too: so all messages of a
+    pair of frames have one size.
     """
-    names = _text(2, parent) + _text(3, child)
-    n_time, n_translation, n_rotation = 2 * (1 + 5), 3 * 9, 4 * 9
-    n_transform = 2 + n_time + len(names) + 2 + n_translation + 2 + n_rotation
-    layout: list[tuple[str, Any, Any]] = []
-    constants: list[tuple[str, bytes]] = []
-
-    def constant(data: bytes) -> None:
-        constants.append((f"constant_{len(constants)}", data))
-        layout.append((constants[-1][0], "u1", (len(data),)))
-
-    constant(b"\x0a" + varint(n_transform) + bytes([0x0A, n_time, 0x08]))
-    layout.append(("seconds", "u1", (5,)))
-    constant(b"\x10")
-    layout.append(("nanos", "u1", (5,)))
-    constant(names + bytes([0x22, n_translation]))
-    layout.append(("translation", [("tag", "u1"), ("value", "<f8")], (3,)))
-    constant(bytes([0x2A, n_rotation]))
-    layout.append(("rotation", [("tag", "u1"), ("value", "<f8")], (4,)))
-
-    template = np.zeros(1, np.dtype(layout))
-    for name, data in constants:
-        template[name] = np.frombuffer(data, "u1")
-    template["translation"]["tag"] = [0x09, 0x11, 0x19]
-    template["rotation"]["tag"] = [0x09, 0x11, 0x19, 0x21]
-    return template
+    message = _FramesMessage()
+    transform = message.transforms.add(parent_frame_id=parent, child_frame_id=child)
+    transform.timestamp.seconds, transform.timestamp.nanos = 2**35 - 1, 2**31 - 1  # the largest of five bytes
+    transform.translation.x = transform.translation.y = transform.translation.z = 1.0  # zeros would not be written
+    transform.rotation.x = transform.rotation.y = transform.rotation.z = transform.rotation.w = 1.0
+    data: bytes = message.SerializeToString(deterministic=True)
+    start, component = data.index(b"\xff\xff\xff\xff\x7f"), [("tag", "u1"), ("value", "<f8")]
+    layout: list[tuple[str, Any, tuple[int]]] = [
+        ("before_seconds", "u1", (start,)),
+        ("seconds", "u1", (5,)),
+        ("before_nanos", "u1", (1,)),
+        ("nanos", "u1", (5,)),
+        ("names", "u1", (len(data) - start - 5 - 1 - 5 - 3 * 9 - 2 - 4 * 9,)),
+        ("translation", component, (3,)),
+        ("before_rotation", "u1", (2,)),
+        ("rotation", component, (4,)),
+    ]
+    return np.frombuffer(data, np.dtype(layout))
 
 
 def put_frames(messages: NDArray[np.void], times_ns: IntArray, translation_m: Array, rotation: Array) -> None:
@@ -173,20 +167,6 @@ def put_frames(messages: NDArray[np.void], times_ns: IntArray, translation_m: Ar
     messages["nanos"] = _five_byte_varints(times_ns % _NS_PER_S)
     messages["translation"]["value"] = translation_m
     messages["rotation"]["value"] = rotation[:, [1, 2, 3, 0]]
-
-
-def varint(number: int) -> bytes:
-    """Protobuf's variable-length encoding of a number that is not negative."""
-    out = bytearray()
-    while number > 0x7F:
-        out.append(number & 0x7F | 0x80)
-        number >>= 7
-    return bytes([*out, number])
-
-
-def _text(field: int, text: str) -> bytes:
-    data = text.encode()
-    return bytes([field << 3 | 2]) + varint(len(data)) + data
 
 
 def _five_byte_varints(numbers: IntArray) -> NDArray[np.uint8]:

@@ -16,7 +16,6 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
 
 from maxq.sim.files import cannot_write, write_whole
 from maxq.sim.flight.telemetry import SLOW
@@ -25,7 +24,7 @@ from maxq.sim.log.head import Attachment, LogError, RunHead
 from maxq.sim.log.writer import LogWriter
 from maxq.sim.run.fly import CONTROL_LOST_NAME, DIVERGED_NAME, Event, Flight, FlightRun, Rows, copied
 from maxq.sim.run.launch_frames import LaunchFrames, LaunchSite
-from maxq.sim.run.metrics import Verdict, unit_of
+from maxq.sim.run.metrics import unit_of
 from maxq.sim.scenario.loader import LoadedScenario, to_toml
 from maxq.sim.scenario.schema_values import period_ns
 
@@ -189,19 +188,30 @@ class _LogThread:
         self._writer.write_block(rows, events, [self._frames.path(*rows[SLOW])])
 
 
-def summary_of(flight: Flight, log: str | None, timing: dict[str, float]) -> dict[str, Any]:
-    """All of a flight except its channels over time. A number that is not finite is None."""
+def versions() -> dict[str, str]:
+    """Versions of what the bits of a flight depend on."""
+    return {"python": platform.python_version()} | {name: version(name) for name in _PACKAGES}
+
+
+def write_summary(path: Path, flight: Flight, log: str | None, timing: dict[str, float]) -> None:
+    """Write all of a flight except its channels over time, whole or not at all. A number that is not finite is null.
+
+    Raises LogError where it cannot be written.
+    """
     scenario = flight.scenario.scenario
-    return {
+    summary = {
         "schema": SUMMARY_SCHEMA,
         "scenario": scenario.name,
         "description": scenario.description,
         "outcome": flight.outcome,
         "cause": flight.cause,
         "passed": flight.passed,
-        "failures": list(flight.failures),
+        "failures": flight.failures,
         "end_s": flight.end_s,
-        "events": [_event(event) for event in flight.events],
+        "events": [
+            {"name": event.name, "time_s": event.time_s} | ({"stage": event.stage} if event.stage else {})
+            for event in flight.events
+        ],
         "metrics": {
             name: {
                 "value": _number(value),
@@ -210,7 +220,18 @@ def summary_of(flight: Flight, log: str | None, timing: dict[str, float]) -> dic
             }
             for name, value in flight.metrics.items()
         },
-        "requirements": [_requirement(verdict) for verdict in flight.verdicts],
+        "requirements": [
+            {
+                "name": verdict.name,
+                "metric": verdict.requirement.metric,
+                verdict.bound[0]: verdict.bound[1],
+                "value": _number(verdict.value),
+                "unit": unit_of(verdict.requirement.metric),
+                "time_s": _number(verdict.time_s),
+                "met": verdict.met,
+            }
+            for verdict in flight.verdicts
+        ],
         "final": {name: _number(value) for name, value in flight.final.items()},
         "state_hash": flight.state_hash,
         "steps": flight.steps,
@@ -219,35 +240,8 @@ def summary_of(flight: Flight, log: str | None, timing: dict[str, float]) -> dic
         "timing": {"flight_s": flight.wall_s} | timing,
         "versions": versions(),
     }
-
-
-def versions() -> dict[str, str]:
-    """Versions of what the bits of a flight depend on."""
-    return {"python": platform.python_version()} | {name: version(name) for name in _PACKAGES}
-
-
-def write_summary(path: Path, flight: Flight, log: str | None, timing: dict[str, float]) -> None:
-    """Write the summary whole or not at all. Raises LogError where it cannot be written."""
-    text = json.dumps(summary_of(flight, log, timing), indent=2, ensure_ascii=False, allow_nan=False)
+    text = json.dumps(summary, indent=2, ensure_ascii=False, allow_nan=False)
     write_whole(path, text + "\n", LogError)
-
-
-def _event(event: Event) -> dict[str, Any]:
-    return {"name": event.name, "time_s": event.time_s} | ({"stage": event.stage} if event.stage else {})
-
-
-def _requirement(verdict: Verdict) -> dict[str, Any]:
-    kind, bound = verdict.bound
-    metric = verdict.requirement.metric
-    return {
-        "name": verdict.name,
-        "metric": metric,
-        kind: bound,
-        "value": _number(verdict.value),
-        "unit": unit_of(metric),
-        "time_s": _number(verdict.time_s),
-        "met": verdict.met,
-    }
 
 
 def _number(value: float) -> float | None:
