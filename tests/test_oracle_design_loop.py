@@ -33,10 +33,9 @@ from maxq.design.loop.fixed_path import CUTS, Cut, ExactFixedPath, PadeFixedPath
 from maxq.design.loop.loop import Loop
 from maxq.design.loop.rational import average, converter_pade, delay_pade, hold_pade
 from maxq.design.loop.sampling import exponential, sample
-from maxq.design.model.instruments import instruments_of
 from maxq.design.model.node import Node
 from maxq.design.model.state_space import ComplexArray, StateSpace
-from maxq.design.model.vehicle_at import FlightCondition, vehicle_at
+from maxq.design.model.vehicle_at import FlightCondition, instruments_of, vehicle_at
 from maxq.sim.packing.flight import pack_flight
 from maxq.sim.run.evaluate import evaluate_at
 from maxq.sim.run.fly import fly

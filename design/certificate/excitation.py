@@ -20,10 +20,10 @@ import numpy as np
 from maxq.control.kernel.records import Array
 from maxq.design.certificate.held_flight import HeldFlight, linear_limits
 from maxq.design.loop.loop import Loop
-from maxq.design.model.instruments import actuator
 from maxq.design.model.node import Node
 from maxq.design.model.plant import OUTPUTS
 from maxq.design.model.state_space import ComplexArray
+from maxq.design.model.vehicle_at import actuator
 from maxq.sim.scenario.schema_scenario import Injection
 
 MOST_LEVELS, MOST_TONES = 16, 64  # of the simulator: signals at a time, tones of each
@@ -178,18 +178,14 @@ def sine_burst(held: HeldFlight, frequency_hz: float, scale: float = 1.0) -> Inj
     return gimbal_injection(held.plane, "sine", amplitude, frequency_hz=hz, stop_s=round(3.0 / hz, 6))
 
 
-def linear_command_rad(held: HeldFlight, frequency_hz: float) -> float:
-    """Amplitude of the gimbal command at one frequency beyond which the actuator or the computer is not linear."""
-    return _linear_room(held, frequency_hz)[0]
-
-
 def burst_rad(held: HeldFlight, frequency_hz: float, growth: float = 1.0) -> float:
     """Amplitude of a burst at one frequency, far from every limit even after the loop has amplified it by `growth`."""
-    return SHARE_OF_BURST * min(_linear_room(held, frequency_hz)) / growth
+    return SHARE_OF_BURST * min(linear_room(held, frequency_hz)) / growth
 
 
-def _linear_room(held: HeldFlight, frequency_hz: float) -> tuple[float, float]:
-    """Amplitudes (rad) of the gimbal command at a frequency that reach a share of its limits, and INCIDENCE_RAD."""
+def linear_room(held: HeldFlight, frequency_hz: float) -> tuple[float, float]:
+    """Amplitudes (rad) of the gimbal command at a frequency: those that reach a share of the limits beyond which the
+    actuator or the computer is not linear, and INCIDENCE_RAD."""
     line = np.array([max(frequency_hz, LOWEST_BURST_HZ)])
     servo, incidence = (float(np.abs(x[0])) for x in _servo_and_incidence(held.node, line))
     angle, rate = linear_limits(held)

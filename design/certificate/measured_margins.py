@@ -27,9 +27,9 @@ from maxq.design.certificate.excitation import (
     dither,
     gimbal_injection,
     injections,
-    linear_command_rad,
+    linear_room,
     sine_burst,
-)
+)  # fmt: skip
 from maxq.design.certificate.held_flight import Change, HeldFlight, slosh_columns, unchanged
 from maxq.design.loop.fixed_path import fixed_path
 from maxq.design.loop.loop import Loop
@@ -204,7 +204,7 @@ def measured_growth(held: HeldFlight, loop: Loop, test: BurstTest, change: Chang
     run, values = held.fly(test.duration_s, signals, change)
     response = values[:, run.table.index(f"filtered_{held.plane}_deg")]
     first = round((test.burst_s + test.wait_s) / held.sample_s)
-    limit = math.degrees(linear_command_rad(held, test.frequency_hz))
+    limit = math.degrees(linear_room(held, test.frequency_hz)[0])
     if len(response) - first < 0.9 * test.watch_s / held.sample_s:
         return SATURATED if np.abs(response).max(initial=0.0) > limit else math.nan
     least = 0.15 * math.degrees(amplitude) * test.growth if sine else 0.0

@@ -21,8 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from maxq.control.kernel.records import Array, IntArray
-from maxq.design.margins.crossings import GainCrossings, PhaseCrossings
-from maxq.design.margins.curve import Curve, brackets
+from maxq.design.margins.curve import Curve, GainCrossings, PhaseCrossings, brackets
 from maxq.design.margins.solving import (
     DB,
     Objective,
@@ -35,7 +34,7 @@ from maxq.design.margins.solving import (
     sample,
     sensitivity,
     symmetric,
-)
+)  # fmt: skip
 from maxq.design.model.state_space import ComplexArray
 
 Shape = Literal["diamond", "rectangle", "ellipse"]

@@ -17,8 +17,7 @@ from numpy.typing import NDArray
 
 from maxq.control.kernel.records import Array
 from maxq.design.loop.resonance import Resonance
-from maxq.design.margins.crossings import GainCrossings, PhaseCrossings
-from maxq.design.margins.curve import Curve
+from maxq.design.margins.curve import Curve, GainCrossings, PhaseCrossings
 from maxq.design.margins.solving import DB, from_minus_one_deg, sample
 from maxq.design.model.state_space import ComplexArray
 

@@ -12,14 +12,17 @@ from numpy.typing import NDArray
 from maxq.control.kernel.records import Array
 from maxq.design.loop.open_loop import OpenLoop
 from maxq.design.loop.resonance import Resonance
-from maxq.design.margins.crossings import (
+from maxq.design.margins.curve import (
+    LOWEST_HZ,
+    Curve,
     GainCrossings,
     PhaseCrossings,
     encirclement_count,
     find_crossings,
+    refine_extremes,
+    trace,
     unstable,
-)
-from maxq.design.margins.curve import LOWEST_HZ, Curve, refine_extremes, trace
+)  # fmt: skip
 from maxq.design.margins.distances import NO_DISKS, Clearance, Disks, Zone, find_clearances, find_disks
 from maxq.design.margins.lobes import Lobe, find_lobes
 
@@ -88,18 +91,6 @@ class Margins:
     def growth_time_s(self) -> float:
         """Time in which an unstable loop grows e-fold; infinite for a stable one."""
         return 1.0 / self.growth_1ps if self.growth_1ps > 0.0 else np.inf
-
-    @property
-    def conditionally_stable(self) -> bool:
-        """Less gain would destabilise."""
-        return self.stable and bool(np.isfinite(self.gain_down_db.value))
-
-    def lobe(self, label: str) -> Lobe:
-        """By name. Raises KeyError, naming those that there are."""
-        for lobe in self.lobes:
-            if lobe.label == label:
-                return lobe
-        raise KeyError(f"no lobe {label!r}: there are {', '.join(lobe.label for lobe in self.lobes) or 'none'}")
 
 
 def margins(

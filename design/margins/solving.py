@@ -146,7 +146,7 @@ def minima(function: Function, points: Array, values: Array) -> Array:
             if not len(open_):
                 break
             i = open_
-            x, gain = _vertex(a[i], c[i], b[i], fa[i], fc[i], fb[i])
+            x, gain = vertex(a[i], c[i], b[i], fa[i], fc[i], fb[i])
             to_right = b[i] - c[i] > c[i] - a[i]
             golden = c[i] + GOLDEN * np.where(to_right, b[i] - c[i], a[i] - c[i])
             stalled = b[i] - a[i] > 0.5 * wide[i] if step % 3 == 2 else np.zeros(len(i), bool)
@@ -163,7 +163,7 @@ def minima(function: Function, points: Array, values: Array) -> Array:
     return np.asarray(c)
 
 
-def _vertex(a: Array, c: Array, b: Array, fa: Array, fc: Array, fb: Array) -> tuple[Array, Array]:
+def vertex(a: Array, c: Array, b: Array, fa: Array, fc: Array, fb: Array) -> tuple[Array, Array]:
     """Lowest point of the parabola through three points, and how far it lies below the middle one."""
     left, right = (fa - fc) / (c - a), (fb - fc) / (b - c)
     curvature = (left + right) / (b - a)

@@ -13,10 +13,9 @@ import numpy as np
 
 from maxq.design.model.dispersion import Dispersion, disperse
 from maxq.design.model.errata import CORRECTED, Errata
-from maxq.design.model.instruments import Instruments, instruments_of
 from maxq.design.model.plant import Liquids, vehicle_plant
 from maxq.design.model.state_space import StateSpace
-from maxq.design.model.vehicle_at import FlightCondition, Plane, VehicleAt, vehicle_at
+from maxq.design.model.vehicle_at import FlightCondition, Instruments, Plane, VehicleAt, instruments_of, vehicle_at
 from maxq.sim.packing.flight import Packed, pack_flight
 from maxq.sim.packing.initial import rotation
 from maxq.sim.run.evaluate import evaluate_at
