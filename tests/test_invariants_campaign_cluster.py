@@ -10,7 +10,6 @@ import campaignkit
 import pytest
 from dask_cluster import machines
 
-from maxq.sim.campaign.cluster import run_on_cluster
 from maxq.sim.campaign.error import CampaignError
 from maxq.sim.campaign.runner import run_campaign
 
@@ -35,7 +34,7 @@ def test_workers_that_come_and_go(tmp_path: Path, runs: int, parts: int) -> None
 
         thread = threading.Thread(target=kill)
         thread.start()
-        done = run_on_cluster(whole, tmp_path / "out", cluster.address)
+        done = run_campaign(whole, tmp_path / "out", cluster=cluster.address)
         thread.join()
         assert killed.is_set()
         assert done.flown == runs
@@ -55,4 +54,4 @@ def test_no_scheduler(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
     monkeypatch.setattr(distributed, "Client", Nobody)
     with pytest.raises(CampaignError, match=r"--dask tcp://127.0.0.1:1: no scheduler answers there"):
-        run_on_cluster(campaignkit.small(tmp_path), tmp_path / "out", "tcp://127.0.0.1:1")
+        run_campaign(campaignkit.small(tmp_path), tmp_path / "out", cluster="tcp://127.0.0.1:1")

@@ -19,7 +19,7 @@ from maxq.sim.campaign.analysis import DataSet, judged, lost, selected
 from maxq.sim.campaign.error import CampaignError
 from maxq.sim.campaign.investigation import flight_folder, refly, search_worst, shrink_run
 from maxq.sim.campaign.read import LoadedCampaign, load_campaign
-from maxq.sim.campaign.runner import Outcome, cores, run_campaign
+from maxq.sim.campaign.runner import cores, run_campaign
 from maxq.sim.campaign.statistics import MET, NOT_MET
 from maxq.sim.campaign.store import RUNS, campaign_in
 from maxq.sim.campaign.targets import Refused
@@ -29,11 +29,11 @@ from maxq.sim.run.record import LOG_NAME, SUMMARY_NAME
 from maxq.sim.scenario.errors import suggestion
 from maxq.tools import campaign_text as text
 from maxq.tools.campaign_page import write_report
-from maxq.tools.cli.frame import CommandError, Exit, Interruption, say
+from maxq.tools.cli.frame import Exit, Interruption, say
 from maxq.tools.cli.terminal import Progress, aligned, printable
 from maxq.tools.flight_report import report
 from maxq.tools.replay.viewer import ReplayError
-from maxq.tools.simrun_fly import announce_compilation, show_flight
+from maxq.tools.simrun_fly import announce_compilation, show_flight, viewer_needed
 
 if TYPE_CHECKING:
     from maxq.tools.replay.live import FlownView
@@ -69,7 +69,12 @@ class Order:
 
 def execute(order: Order) -> int:
     """Do it; returns the exit code. Raises what `cli.frame.run` answers with one line."""
-    view = _view(order)
+    view = None
+    if order.view:
+        with viewer_needed():
+            from maxq.tools.replay.live import FlownView  # noqa: PLC0415  # lazy: rerun takes half a second
+
+            view = FlownView(order.view_port)
     if order.dask is None and (order.scenario or order.run is not None or order.search):
         announce_compilation()
     with Interruption() as interruption:
@@ -91,7 +96,11 @@ def _fly(order: Order, stop: Stop) -> int:
     campaign = load_campaign(order.scenario or "", order.overrides).with_campaign(**changes)
     folder = Path(order.out) if order.out else default_folder(campaign.name)
     try:
-        outcome = _flown(order, campaign, folder, stop)
+        with Progress(_LINE_S) as progress:
+            outcome = run_campaign(
+                campaign, folder, workers=order.workers, cluster=order.dask, watch=text.watcher(progress), stop=stop,
+                until_settled=order.until_settled,
+            )  # fmt: skip
     except KeyboardInterrupt:
         say("simrun", "interrupted twice; whole batches are safe, the same command resumes the campaign")
         return Exit.INTERRUPTED
@@ -108,17 +117,6 @@ def _fly(order: Order, stop: Stop) -> int:
         print(f"INTERRUPTED: the data set in {folder / RUNS} is whole; the same command resumes the campaign")
         return Exit.INTERRUPTED
     return code
-
-
-def _flown(order: Order, campaign: LoadedCampaign, folder: Path, stop: Stop) -> Outcome:
-    settled = order.until_settled
-    with Progress(_LINE_S) as progress:
-        watch = text.watcher(progress)
-        if order.dask is None:
-            return run_campaign(campaign, folder, workers=order.workers, watch=watch, stop=stop, until_settled=settled)
-        from maxq.sim.campaign.cluster import run_on_cluster  # noqa: PLC0415  # lazy: an extra
-
-        return run_on_cluster(campaign, folder, order.dask, watch=watch, stop=stop, until_settled=settled)
 
 
 def _tell(data: DataSet, total: int, flown: str, order: Order, start_s: float, settled: bool) -> int:
@@ -183,20 +181,6 @@ def _refly(order: Order, folder: Path, run: int, stop: Stop, view: FlownView | N
         except ReplayError as error:  # the flight is flown and its log is written: the verdict stays as it is
             say("simrun", f"--view: {error}")
     return Exit.OK if again.flight.passed and again.same is not False else Exit.FAILED
-
-
-def _view(order: Order) -> FlownView | None:
-    """Where the flight will be shown, found before it is flown. Raises CommandError where there is no viewer."""
-    if not order.view:
-        return None
-    try:
-        from maxq.tools.replay.live import FlownView  # noqa: PLC0415  # lazy: rerun takes half a second
-
-        return FlownView(order.view_port)
-    except ReplayError as error:
-        raise CommandError(f"--view: {error}") from error
-    except ImportError as error:
-        raise CommandError(f"--view: a package is missing or broken: {error}") from error
 
 
 def _shrink(order: Order, folder: Path, run: int) -> int:

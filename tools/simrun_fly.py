@@ -8,9 +8,10 @@ from __future__ import annotations
 import re
 import sys
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from maxq.control.kernel.jit import cache_folder
 from maxq.sim.files import check_writable
@@ -24,9 +25,6 @@ from maxq.sim.scenario.loader import LoadedScenario, load_scenario, load_scenari
 from maxq.tools.cli.frame import CommandError, Exit, Interruption, say
 from maxq.tools.cli.terminal import Progress
 from maxq.tools.flight_report import report
-
-if TYPE_CHECKING:
-    from maxq.tools.replay.live import LiveView
 
 
 @dataclass(frozen=True)
@@ -51,7 +49,12 @@ def execute(order: Order, start_s: float) -> int:
     if folder is not None:
         check_writable(folder, LogError)
     loaded_s = time.perf_counter()
-    view = _view(order, loaded)
+    view = None
+    if order.view:
+        with viewer_needed():
+            from maxq.tools.replay.live import LiveView  # noqa: PLC0415  # lazy: rerun takes half a second
+
+            view = LiveView(loaded, order.view_port)
     announce_compilation()
     if view is None:
         run = FlightRun(loaded, packed, log=folder is not None and not order.no_log)
@@ -100,14 +103,11 @@ def show_flight(progress: Progress, run: FlightRun) -> None:
     progress.show("flying", run.now_s - limits.start_s, limits.duration_s, count=count)
 
 
-def _view(order: Order, loaded: LoadedScenario) -> LiveView | None:
-    """The viewer, opened before anything is flown. Raises CommandError where there is none."""
-    if not order.view:
-        return None
+@contextmanager
+def viewer_needed() -> Iterator[None]:
+    """The viewer is opened in here, before anything is flown. Raises CommandError where there is none."""
     try:
-        from maxq.tools.replay.live import LiveView  # noqa: PLC0415  # lazy: rerun takes half a second
-
-        return LiveView(loaded, order.view_port)
+        yield
     except CommandError as error:
         raise CommandError(f"--view: {error}") from error
     except ImportError as error:

@@ -1,43 +1,49 @@
-"""Flies a campaign on this machine: threads over the compiled kernel, which releases the interpreter's lock.
+"""Flies a campaign: on threads over the compiled kernel, which releases the interpreter's lock, or a Dask cluster.
 
     result = run_campaign(load_campaign("campaigns/first"), Path("runs/first"), workers=2)
+    result = run_campaign(load_campaign("campaigns/ksr3"), Path("runs/ksr3"), cluster=Client("tcp://head:8786"))
 
-Runs are submitted in order, in small chunks, over several batches; a batch is written as soon as its last run has
-landed. So memory holds the batches under way, however many runs there are, and no worker waits for another.
+Runs are submitted in order, over several batches; a batch is written, here, as soon as its last run has landed. So
+memory holds the batches under way, however many runs there are, and no worker waits for another.
 """
 
 from __future__ import annotations
 
 import gc
+import json
 import math
 import os
 import sys
 import threading
 import time
+import zlib
 from bisect import bisect_right
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
+from contextlib import ExitStack
 from dataclasses import dataclass, field
+from functools import lru_cache
 from itertools import count, islice, takewhile
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import pyarrow.parquet as pq
 
 from maxq.sim.campaign.analysis import requirements_of
-from maxq.sim.campaign.read import LoadedCampaign
+from maxq.sim.campaign.error import CampaignError
+from maxq.sim.campaign.read import LoadedCampaign, campaign_from, description_of
 from maxq.sim.campaign.runs import VOID, Row, fly_rows, packer
 from maxq.sim.campaign.statistics import OPEN, judge_any_time
-from maxq.sim.campaign.store import Store, open_store, parts_in
+from maxq.sim.campaign.store import Store, open_store, parts_in, simulator
 from maxq.sim.run.fly import FlightRun
 from maxq.sim.run.metrics import judge
 from maxq.sim.scenario.schema_scenario import Requirement
 
-CHUNK = (
-    8  # runs that a thread prepares, flies and judges together; towards the end fewer, so that all workers end together
-)
+CHUNK = 8  # runs that a thread prepares, flies and judges together; fewer towards the end, so that all end together
 AHEAD = 2  # tasks for each worker that are submitted before they are needed
 _POLL_S = 0.2  # how often the caller is told, and asked whether to stop
+_TRIES = 5  # of a batch whose workers die; Dask itself tries each one several times
+_SHARES = 4  # batches for each thread of a cluster, at least
 
 Gap = tuple[int, int]
 """Runs to be flown and written together: the first, and how many."""
@@ -145,95 +151,84 @@ class Outcome:
     notes: tuple[str, ...]
 
 
-class Workers(Protocol):
-    """Flies tasks of some runs each: the threads of this process, or a cluster."""
-
-    @property
-    def ahead(self) -> int:
-        """Tasks that are submitted before they are needed."""
-
-    def batch(self, usual: int, runs: int) -> int:
-        """Runs in a batch of a campaign of `runs` runs."""
-
-    def begin(self, gaps: list[Gap]) -> Iterator[Future[Any]]:
-        """Prepare; an iterator that submits the next task."""
-
-    def collect(self, task: Future[Any]) -> list[Row] | Future[Any]:
-        """Rows of a task that is done, or the task that is to be waited for instead. Raises CampaignError."""
-
-    def end(self) -> None:
-        """Cancel the tasks that have not begun, abandon those under way."""
-
-
 def run_campaign(
     campaign: LoadedCampaign,
     folder: Path,
     *,
     workers: int | None = None,
+    cluster: Any = None,
     watch: Callable[[Progress], None] = lambda _: None,
     stop: Callable[[], bool] = lambda: False,
     until_settled: bool = False,
 ) -> Outcome:
-    """Fly what is missing of a campaign into its folder.
+    """Fly what is missing of a campaign into its folder, on `workers` threads (default: one for each core).
 
+    `cluster`: the address of a Dask scheduler, or a dask Client, whose workers fly instead (maxq[dask]).
     `watch` is told of the progress a few times a second; when `stop` then says True, whole runs of the batch under way
     are written and it ends. Raises CampaignError.
     """
-    return fly_missing(campaign, folder, Threads(campaign, workers or cores()), watch, stop, until_settled)
-
-
-def fly_missing(
-    campaign: LoadedCampaign,
-    folder: Path,
-    workers: Workers,
-    watch: Callable[[Progress], None],
-    stop: Callable[[], bool],
-    until_settled: bool,
-) -> Outcome:
-    """As `run_campaign`, with any workers."""
-    store, usual = open_store(folder, campaign)
-    runs = campaign.campaign.runs
-    try:
-        gaps = list(store.missing(runs, workers.batch(usual, runs)))
-        tasks = workers.begin(gaps)
+    with ExitStack() as stack:
+        flyers: Threads | Cluster
+        if cluster is None:
+            flyers = Threads(campaign, workers or cores())
+        else:
+            client = stack.enter_context(_connected(cluster)) if isinstance(cluster, str) else cluster
+            flyers = Cluster(campaign, client)
+        store, usual = open_store(folder, campaign)
+        stack.callback(store.unlock)
+        runs = campaign.campaign.runs
+        gaps = list(store.missing(runs, flyers.batch(usual, runs)))
+        tasks = flyers.begin(gaps)
         interim = Interim(campaign)
         interim.read(folder, runs)
         progress = Progress(runs, runs - sum(size for _, size in gaps), interim)
         batches = _Batches(store, gaps, progress)
-        stopped, settled = False, until_settled and interim.settled()
-        flying: set[Future[Any]] = set()
-        watch(progress)
-        frozen = gc.get_freeze_count() == 0  # else another has frozen what was there, and it stays so
-        if frozen:
-            gc.freeze()  # searching what is there already for garbage takes a hundredth of a campaign's time
-        try:
-            while not (settled or stopped):
-                flying.update(islice(tasks, max(workers.ahead - len(flying), 0)))
-                if not flying:
-                    break
-                landed, flying = wait(flying, timeout=_POLL_S, return_when=FIRST_COMPLETED)
-                for task in landed:
-                    got = workers.collect(task)
-                    if isinstance(got, Future):
-                        flying.add(got)
-                    else:
-                        batches.enter(got)
-                stopped = stop()
-                settled = not stopped and until_settled and interim.settled()
-                watch(progress)
-        finally:
-            if frozen:
-                gc.unfreeze()
-            workers.end()
-        for task in flying:
-            if task.done() and not task.cancelled() and task.exception() is None:
-                got = workers.collect(task)
-                batches.enter(() if isinstance(got, Future) else got)
+        stopped, settled = _fly(flyers, tasks, batches, progress, watch, stop, until_settled)
         batches.write_begun()
         watch(progress)
         return Outcome(progress.flown, runs, stopped, settled, progress.elapsed_s, tuple(store.notes))
+
+
+def _fly(
+    workers: Threads | Cluster,
+    tasks: Iterator[Future[Any]],
+    batches: _Batches,
+    progress: Progress,
+    watch: Callable[[Progress], None],
+    stop: Callable[[], bool],
+    until_settled: bool,
+) -> tuple[bool, bool]:
+    """Fly the tasks; whether it was stopped, and whether it ended because every verdict was settled."""
+    stopped, settled = False, until_settled and progress.interim.settled()
+    flying: set[Future[Any]] = set()
+    watch(progress)
+    frozen = gc.get_freeze_count() == 0  # else another has frozen what was there, and it stays so
+    if frozen:
+        gc.freeze()  # searching what is there already for garbage takes a hundredth of a campaign's time
+    try:
+        while not (settled or stopped):
+            flying.update(islice(tasks, max(workers.ahead - len(flying), 0)))
+            if not flying:
+                break
+            landed, flying = wait(flying, timeout=_POLL_S, return_when=FIRST_COMPLETED)
+            for task in landed:
+                got = workers.collect(task)
+                if isinstance(got, Future):
+                    flying.add(got)
+                else:
+                    batches.enter(got)
+            stopped = stop()
+            settled = not stopped and until_settled and progress.interim.settled()
+            watch(progress)
     finally:
-        store.unlock()
+        if frozen:
+            gc.unfreeze()
+        workers.end()
+    for task in flying:
+        if task.done() and not task.cancelled() and task.exception() is None:
+            got = workers.collect(task)
+            batches.enter(() if isinstance(got, Future) else got)
+    return stopped, settled
 
 
 class _Batches:
@@ -276,6 +271,7 @@ class Threads:
         return usual
 
     def begin(self, gaps: list[Gap]) -> Iterator[Future[list[Row]]]:
+        """Load the kernels; an iterator that submits the next task."""
         if gaps:
             load_kernels(self._campaign)
         return self._tasks(gaps)
@@ -293,6 +289,7 @@ class Threads:
         return task.result()
 
     def end(self) -> None:
+        """Cancel the tasks that have not begun, abandon those under way."""
         self._stop.set()
         self._pool.shutdown(cancel_futures=True)
         sys.setswitchinterval(self._switch_s)
@@ -306,3 +303,83 @@ def load_kernels(campaign: LoadedCampaign) -> None:
 def cores() -> int:
     """Cores that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def _connected(address: str) -> Any:
+    """A client of the scheduler at an address. Raises CampaignError."""
+    try:
+        from distributed import Client  # noqa: PLC0415  # an extra
+
+        return Client(address, timeout=20, set_as_default=False)
+    except ImportError:
+        raise CampaignError("a cluster needs dask.distributed: pip install 'maxq[dask]'") from None
+    except (OSError, ValueError) as error:
+        raise CampaignError(f"--dask {address}: no scheduler answers there: {error}") from None
+
+
+class Cluster:
+    """The workers of a Dask client. A task gets the whole campaign and flies a batch: any worker can repeat it at any
+    time, workers may come and go, and its rows are bit for bit those of threads on this machine."""
+
+    def __init__(self, campaign: LoadedCampaign, client: Any) -> None:
+        self._given = campaign.campaign.batch is not None
+        self._packed = zlib.compress(json.dumps(description_of(campaign)).encode())
+        self._client, self._executor = client, client.get_executor(pure=False, retries=2)
+        self._out: dict[Future[Any], tuple[int, int, int]] = {}  # first run, size, tries
+
+    @property
+    def _threads(self) -> int:
+        return sum(self._client.nthreads().values())
+
+    @property
+    def ahead(self) -> int:
+        return max(AHEAD * self._threads, 2)
+
+    def batch(self, usual: int, runs: int) -> int:
+        """Small enough that no thread of a large cluster is left without one."""
+        return usual if self._given else min(usual, max(runs // (_SHARES * max(self._threads, 1)), 1))
+
+    def begin(self, gaps: list[Gap]) -> Iterator[Future[Any]]:
+        return (self._submit(first, size, 1) for first, size in gaps)
+
+    def _submit(self, first: int, size: int, tries: int) -> Future[Any]:
+        task: Future[Any] = self._executor.submit(fly_batch, self._packed, first, size, priority=-first)
+        self._out[task] = first, size, tries
+        return task
+
+    def collect(self, task: Future[Any]) -> list[Row] | Future[Any]:
+        """Rows of a task that is done, or the task that is to be waited for instead. Raises CampaignError."""
+        first, size, tries = self._out.pop(task)
+        try:
+            rows, theirs = task.result()
+        except CampaignError:
+            raise
+        except Exception as error:  # of Dask: its workers died, or it lost the task
+            if tries < _TRIES:
+                return self._submit(first, size, tries + 1)
+            raise CampaignError(
+                f"runs {first} to {first + size - 1} failed {tries} times on the cluster ({error!r}); "
+                "whole batches are safe, the same command continues"
+            ) from None
+        ours = simulator()
+        if theirs != ours:
+            others = {name: value for name, value in theirs.items() if ours.get(name) != value}
+            raise CampaignError(f"a worker has another simulator ({others}): install the same maxq everywhere")
+        return list(rows)
+
+    def end(self) -> None:
+        self._executor.shutdown(wait=False)
+
+
+def fly_batch(packed: bytes, first: int, size: int) -> tuple[list[Row], dict[str, str]]:
+    """The task: fly runs `first` .. `first + size - 1`. Returns their rows, and what flew them."""
+    campaign = _unpacked(packed)
+    drawn = campaign.batch(first, size)
+    orders = [(drawn, run) for run in range(first, first + size)]
+    return [row for k in range(0, size, CHUNK) for row in fly_rows(campaign, orders[k : k + CHUNK])], simulator()
+
+
+@lru_cache(maxsize=2)
+def _unpacked(packed: bytes) -> LoadedCampaign:
+    """The campaign of a task; a worker makes it once."""
+    return campaign_from(json.loads(zlib.decompress(packed)))

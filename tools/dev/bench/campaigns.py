@@ -156,8 +156,6 @@ def dask(runs: int = RUNS) -> dict[str, float]:
     """The same campaign on worker processes of one thread each, and on as many threads; batches of 2 s or more."""
     from distributed import Client, LocalCluster  # noqa: PLC0415  # an extra
 
-    from maxq.sim.campaign.cluster import run_on_cluster  # noqa: PLC0415  # an extra
-
     workers = cores()
     campaign = _ksr3().with_campaign(runs=runs)
     load_kernels(campaign)
@@ -166,12 +164,12 @@ def dask(runs: int = RUNS) -> dict[str, float]:
         LocalCluster(n_workers=workers, threads_per_worker=1, dashboard_address=None) as machines,
         Client(machines) as client,
     ):
-        run_on_cluster(campaign.with_campaign(runs=16 * workers), Path(scratch) / "warm", client)
+        run_campaign(campaign.with_campaign(runs=16 * workers), Path(scratch) / "warm", cluster=client)
         start = time.perf_counter()
         run_campaign(campaign, Path(scratch) / "threads", workers=workers)
         threads_s = time.perf_counter() - start
         start = time.perf_counter()
-        run_on_cluster(campaign, Path(scratch) / "dask", client)
+        run_campaign(campaign, Path(scratch) / "dask", cluster=client)
         dask_s = time.perf_counter() - start
     return {
         "threads_s": round(threads_s, 2),
