@@ -13,11 +13,10 @@ import pytest
 from scipy import integrate, stats
 
 from maxq.sim.api import fly, load_scenario
-from maxq.sim.campaign.analysis import DataSet, bands, failed_runs, selected
+from maxq.sim.campaign.analysis import DataSet, bands, borgonovo, failed_runs, first_order, rank_correlation, selected
 from maxq.sim.campaign.investigation import search_worst, shrink_run
 from maxq.sim.campaign.read import load_campaign
 from maxq.sim.campaign.runner import run_campaign
-from maxq.sim.campaign.sensitivity import borgonovo, first_order, rank_correlation
 from maxq.tools import simrun
 
 

@@ -27,8 +27,7 @@ from maxq.sim.files import write_whole
 from maxq.sim.run.metrics import METRIC_NAMES, unit_of
 from maxq.sim.run.record import LOG_NAME, SUMMARY_NAME
 from maxq.sim.scenario.errors import suggestion
-from maxq.tools import campaign_text as text
-from maxq.tools.campaign_page import write_report
+from maxq.tools import campaign_report as text
 from maxq.tools.cli.frame import Exit, Interruption, say
 from maxq.tools.cli.terminal import Progress, aligned, printable
 from maxq.tools.flight_report import report
@@ -122,7 +121,7 @@ def _fly(order: Order, stop: Stop) -> int:
 def _tell(data: DataSet, total: int, flown: str, order: Order, start_s: float, settled: bool) -> int:
     """Summary, pictures and report into the folder, the results to the terminal; returns the exit code."""
     verdicts, losses = judged(data), lost(data)
-    files = write_report(data, verdicts, losses, total, settled=settled, pictures=not order.no_report)
+    files = text.write_report(data, verdicts, losses, total, settled=settled, pictures=not order.no_report)
     print("\n".join(text.report(data, verdicts, losses)))
     print(f"\n{flown}; {text.duration(time.perf_counter() - start_s)} in all", *files, sep="\n")
     if settled:

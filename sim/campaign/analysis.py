@@ -1,6 +1,16 @@
-"""The results in a campaign's data set: verdicts, quantiles, worst flights, percentiles over time.
+"""The results in a campaign's data set: verdicts, quantiles, worst flights, percentiles over time, sensitivities.
 
-Read column by column, so that memory stays bounded however many runs there are.
+Read column by column, so that memory stays bounded however many runs there are. Global sensitivity of a metric to the
+dispersed inputs is estimated from the runs that were flown, without further runs:
+
+- rank correlation (Spearman): sign and strength of a monotone influence;
+- first-order Sobol' index: the share of the metric's variance that the input explains, as the variance between classes
+  of the input (Pearson's correlation ratio), corrected for the number of classes;
+- Borgonovo's delta: how far the metric's distribution moves, on average, when the input is known, as half the
+  difference between the histograms of a class and of all (Plischke, Borgonovo & Smith, EJOR 226, 2013), less what the
+  same number of runs gives for an independent input. It also detects an influence on the spread alone.
+
+All are of inputs one by one. Inputs that are correlated with each other (neighbouring winds) share their influence.
 """
 
 from __future__ import annotations
@@ -17,9 +27,10 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from maxq.control.kernel.records import Array
+from maxq.control.kernel.records import Array, IntArray
+from maxq.sim.campaign.plan import SEED_KEY
 from maxq.sim.campaign.read import LoadedCampaign
-from maxq.sim.campaign.runs import TIME_OF, VOID, schema_of
+from maxq.sim.campaign.runs import TIME_OF, VOID, input_types, schema_of
 from maxq.sim.campaign.statistics import OPEN, Judgement, Shown, judge_any_time, judge_failures, tolerance_bound
 from maxq.sim.campaign.store import HISTORIES, parts_in
 from maxq.sim.run.metrics import unit_of
@@ -30,6 +41,9 @@ CONTROL_KEPT = "control kept"
 """The requirement that every campaign has: no run diverges, loses control or is impossible."""
 _KEPT_RUNS = 100_000  # 80 MB or so with a hundred columns
 _WORST = 10  # flights that are named for each requirement
+_MOST_RUNS = 20_000  # of a sensitivity: more change nothing in the digits that are shown
+_FEWEST_RUNS = 30
+_SHUFFLES = 8
 
 
 @dataclass(frozen=True)
@@ -79,12 +93,16 @@ class DataSet:
     def parts(self) -> list[Path]:
         return [p.path for p in parts_in(self.folder) if self.limit is None or p.first < self.limit]
 
+    def _table(self, names: list[str]) -> pa.Table:
+        """Columns of all runs."""
+        whole = schema_of(self.campaign)
+        tables = [pa.schema([whole.field(name) for name in names]).empty_table()]
+        tables += [pq.read_table(path, columns=names, partitioning=None) for path in self.parts]
+        return pa.concat_tables(tables).slice(0, len(self.runs))
+
     def column(self, name: str) -> pa.ChunkedArray:
         """One column of all runs."""
-        kind = schema_of(self.campaign).field(name).type
-        chunks = [pq.read_table(path, columns=[name], partitioning=None)[name] for path in self.parts]
-        whole = pa.chunked_array([c for chunk in chunks for c in chunk.chunks], type=kind)
-        return whole if self.limit is None else whole.slice(0, int((self.runs < self.limit).sum()))
+        return self._table([name])[name]
 
     def numbers(self, name: str) -> Array:
         """One column of numbers; nan where there is none."""
@@ -92,19 +110,10 @@ class DataSet:
 
     def read(self, names: Iterable[str]) -> None:
         """Read columns of numbers together, which is faster, and keep them; not those of very many runs."""
-        wanted = [name for name in names if name not in self._kept]
-        if not wanted or len(self.runs) > _KEPT_RUNS:
-            return
-        room = {name: np.empty(len(self.runs)) for name in wanted}
-        at = 0
-        for path in self.parts:
-            with pq.ParquetFile(path) as file:
-                table = file.read(columns=wanted, use_threads=False)
-            count = min(len(table), len(self.runs) - at)
-            for name in wanted:
-                room[name][at : at + count] = _numbers(table[name])[:count]
-            at += count
-        self._kept |= room
+        wanted = [name for name in dict.fromkeys(names) if name not in self._kept]
+        if wanted and len(self.runs) <= _KEPT_RUNS:
+            table = self._table(wanted)
+            self._kept |= {name: _numbers(table[name]) for name in wanted}
 
     @cached_property
     def runs(self) -> np.ndarray:
@@ -298,3 +307,104 @@ def bands(folder: Path, campaign: LoadedCampaign) -> list[Band]:
 def _lists(file: Path, column: str) -> list[Array]:
     whole = pq.read_table(file, columns=[column], partitioning=None)[column]
     return [np.asarray(row) for row in whole.combine_chunks().to_numpy(zero_copy_only=False)]
+
+
+# sensitivities
+
+
+@dataclass(frozen=True)
+class Driver:
+    """Influence of an input on a metric. `noise`: bound of |rank| for an input without influence (2 sigma)."""
+
+    name: str
+    rank: float
+    first_order: float
+    delta: float
+    noise: float
+
+    @property
+    def matters(self) -> bool:
+        return abs(self.rank) > self.noise or self.delta > self.noise
+
+
+def rank_correlation(x: Array, y: Array) -> float:
+    """Spearman's; 0 where one of them does not vary."""
+    from scipy.stats import spearmanr  # noqa: PLC0415  # lazy: a second to import, at a campaign's end only
+
+    return float(spearmanr(x, y).statistic) if np.ptp(x) > 0.0 and np.ptp(y) > 0.0 else 0.0
+
+
+def first_order(x: Array, y: Array) -> float:
+    """First-order Sobol' index of x, 0 to 1."""
+    n, total = len(y), float(np.var(y))
+    classes = _classes(x)
+    count = np.bincount(classes)
+    used = int((count > 0).sum())
+    if total == 0.0 or used < 2 or n <= used:
+        return 0.0
+    sums = np.bincount(classes, weights=y)
+    means = sums[count > 0] / count[count > 0]
+    between = float((count[count > 0] * (means - y.mean()) ** 2).sum()) / n
+    return float(np.clip(1.0 - (1.0 - between / total) * (n - 1) / (n - used), 0.0, 1.0))
+
+
+def borgonovo(x: Array, y: Array) -> float:
+    """Borgonovo's delta of x, 0 to 1."""
+    classes, bins = _classes(x), _classes(y)
+    if classes.max(initial=0) < 1 or bins.max(initial=0) < 1:
+        return 0.0
+    rng = np.random.default_rng(20020412)  # the same noise is taken off every time
+    by_chance = np.mean([_distance(rng.permutation(classes), bins) for _ in range(_SHUFFLES)])
+    return float(np.clip((_distance(classes, bins) - by_chance) / (1.0 - by_chance), 0.0, 1.0))
+
+
+def _distance(classes: IntArray, bins: IntArray) -> float:
+    n, width = len(classes), int(bins.max()) + 1
+    table = np.bincount(classes * width + bins, minlength=(int(classes.max()) + 1) * width).reshape(-1, width)
+    share = table.sum(axis=1, keepdims=True)
+    inside = table / np.maximum(share, 1)
+    overall = table.sum(axis=0) / n
+    return float((share[:, 0] / n * 0.5 * np.abs(inside - overall).sum(axis=1)).sum())
+
+
+def _classes(x: Array) -> IntArray:
+    """Class of each value: about n^(1/3) classes of equally many."""
+    n = len(x)
+    count = int(np.clip(round(n ** (1.0 / 3.0)), 2, 40))
+    edges = np.quantile(x, np.linspace(0.0, 1.0, count + 1)[1:-1])
+    return np.searchsorted(np.unique(edges), x, side="right")
+
+
+def sample_of(data: DataSet) -> DataSet:
+    """The runs that the indices are estimated from."""
+    return data if len(data.runs) <= _MOST_RUNS else DataSet(data.folder, data.campaign, limit=_MOST_RUNS)
+
+
+def inputs_of(sample: DataSet) -> dict[str, Array]:
+    """Numeric inputs of the runs with usable metrics, by name; those that do not vary are left out."""
+    good = ~sample.void
+    out = {}
+    names = [n for n, kind in input_types(sample.campaign).items() if n != SEED_KEY and str(kind) != "string"]
+    sample.read(names)
+    for name in names:
+        values = sample.numbers(name)[good]
+        if len(values) and np.isfinite(values).all() and np.ptp(values) > 0.0:
+            out[name] = values
+    return out
+
+
+def drivers(sample: DataSet, metric: str, inputs: dict[str, Array]) -> list[Driver]:
+    """All inputs by their influence on a metric, the strongest first; none with fewer than 30 runs."""
+    y = sample.numbers(metric)[~sample.void]
+    good = np.isfinite(y)
+    n = int(good.sum())
+    if n < _FEWEST_RUNS or np.ptp(y[good]) == 0.0:
+        return []
+    noise = 2.0 / math.sqrt(n - 1)
+    found = [
+        Driver(
+            name, rank_correlation(x[good], y[good]), first_order(x[good], y[good]), borgonovo(x[good], y[good]), noise
+        )
+        for name, x in inputs.items()
+    ]
+    return sorted(found, key=lambda d: -max(abs(d.rank), d.delta))

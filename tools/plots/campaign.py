@@ -10,8 +10,7 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from maxq.control.kernel.records import Array
-from maxq.sim.campaign.analysis import Band, DataSet, Judged
-from maxq.sim.campaign.sensitivity import Driver
+from maxq.sim.campaign.analysis import Band, DataSet, Driver, Judged
 from maxq.tools.plots.palette import BLACK, BLUE, GREY, LIMIT
 from maxq.tools.plots.style import drawing, png, sheet
 

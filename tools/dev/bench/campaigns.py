@@ -106,7 +106,7 @@ def memory(runs: int = _FLOWN, rows: int = _ROWS) -> dict[str, float]:
     The data set that is judged holds the flown rows over and over, under new numbers.
     """
     from maxq.sim.campaign.analysis import DataSet, judged, lost  # noqa: PLC0415  # counts as memory
-    from maxq.tools.campaign_page import write_report  # noqa: PLC0415  # counts as memory
+    from maxq.tools.campaign_report import write_report  # noqa: PLC0415  # counts as memory
 
     campaign = load_campaign("campaigns/ksr3", SHORT).with_campaign(runs=runs)
     with tempfile.TemporaryDirectory() as scratch:
