@@ -8,7 +8,7 @@ import os
 import sys
 from typing import NoReturn
 
-from maxq.tools.cli.frame import Exit, process, run
+from maxq.tools.cli.frame import Exit, process, run, show_list
 from maxq.tools.cli.parser import Parser, count_from_1, filled, seconds
 
 _USAGE = """\
@@ -119,12 +119,10 @@ def _run(arguments: list[str]) -> int:
     if options.out == "":
         parser.error("--out needs the name of a folder")
     if options.list:
-        from maxq.tools.cli.builtin import show_list  # noqa: PLC0415  # lazy, as all imports here: --help is quick
-
         return show_list({"case": "cases (simdesign CASE)", "design": "designs (simdesign analyse DESIGN)"})
     pictures = not options.no_pictures
     if mode == _ANALYSE:
-        from maxq.tools.design import analyse  # noqa: PLC0415  # lazy
+        from maxq.tools.design import analyse  # noqa: PLC0415  # lazy, as all imports here: --help is quick
 
         return analyse.execute(filled(analyse.Order, options, design=names[0], pictures=pictures))
     if mode == _ERRATA:

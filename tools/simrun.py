@@ -8,7 +8,7 @@ import sys
 import time
 from typing import NoReturn
 
-from maxq.tools.cli.frame import Exit, process, run
+from maxq.tools.cli.frame import Exit, process, run, show_list
 from maxq.tools.cli.parser import Parser, count, filled
 
 _USAGE = """\
@@ -135,8 +135,6 @@ def _run(arguments: list[str], alone: bool) -> int:
     if options.schema:
         return _print_schema(options.schema)
     if options.list:
-        from maxq.tools.cli.builtin import show_list  # noqa: PLC0415  # lazy
-
         return show_list({"scenario": "scenarios (simrun SCENARIO)", "campaign": "campaigns (simrun CAMPAIGN)"})
     if options.copy:
         import shlex  # noqa: PLC0415  # lazy

@@ -6,7 +6,7 @@ from __future__ import annotations
 import sys
 from typing import NoReturn
 
-from maxq.tools.cli.frame import Exit, process, run
+from maxq.tools.cli.frame import Exit, process, run, show_list
 from maxq.tools.cli.parser import Parser, filled
 
 _USAGE = """\
@@ -67,14 +67,12 @@ def _run(arguments: list[str]) -> int:
     options = parser.read(arguments)
     parser.check(options, parser.only(options, "DESIGN", "--list", none="give a design, e.g. simverify ksr3-robust"))
     if options.list:
-        from maxq.tools.cli.builtin import show_list  # noqa: PLC0415  # lazy, as all imports here: --help is quick
-
         return show_list({"suite": "suites (simverify --suite SUITE)", "design": "designs (simverify DESIGN)"})
     if len(set(options.designs)) < len(options.designs):
         parser.error("a design is named twice")
     if options.out == "":
         parser.error("--out needs the name of a folder")
-    from maxq.tools.verify.run import Order, execute  # noqa: PLC0415  # lazy
+    from maxq.tools.verify.run import Order, execute  # noqa: PLC0415  # lazy: --help is quick
 
     return execute(filled(Order, options, pack=not options.no_pack, memory=not options.afresh))
 

@@ -27,7 +27,6 @@ from maxq.sim.vehicle.state import MAX_STATE, W_BI_B, Sizes, start_states
 CONTROL_LOST_RAD = math.radians(45.0)
 TUMBLE_RAD = math.radians(90.0)
 TUMBLE_PRESSURE_PA = 5000.0
-_ALWAYS = ("diverged",)
 _start_states = from_python(start_states)
 
 
@@ -86,10 +85,7 @@ def _timeline(scenario: Scenario, stage: Stage, stage_start_ns: int) -> StageTim
     if frozen_s is not None:
         burning = ignition_ns <= round(NS_PER_S * frozen_s) < burnout_ns
         ignition_ns, burnout_ns = (-NEVER, NEVER) if burning else (NEVER, NEVER)
-    release_ns = NEVER
-    if scenario.holddown.release_s is not None:
-        release_ns = to_ns(scenario.holddown.release_s)
-    stops = (*_ALWAYS, *run.stop_at)
+    release_s = scenario.holddown.release_s
     return StageTimeline(
         step_ns=to_ns(run.step_s),
         stage_start_ns=stage_start_ns,
@@ -99,10 +95,10 @@ def _timeline(scenario: Scenario, stage: Stage, stage_start_ns: int) -> StageTim
         burn_rate=rate,
         burnout_ns=burnout_ns,
         separation_ns=NEVER if math.isinf(end_s) else stage_start_ns + round(NS_PER_S * end_s),
-        release_ns=release_ns,
+        release_ns=NEVER if release_s is None else to_ns(release_s),
         stop_ns=start_ns + to_ns(run.duration_s),
         ground_altitude_m=min(0.0, scenario.site.altitude_m),
-        stop_mask=sum(1 << EVENT_NAMES.index(name) for name in stops),
+        stop_mask=sum(1 << EVENT_NAMES.index(name) for name in ("diverged", *run.stop_at)),
         control_lost_rad=CONTROL_LOST_RAD,
         tumble_rad=TUMBLE_RAD,
         tumble_pressure_Pa=TUMBLE_PRESSURE_PA,

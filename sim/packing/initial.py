@@ -38,7 +38,9 @@ def _motion(
     to_inertial = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
     spin_I = np.array([0.0, 0.0, earth.rate_radps])
     position_E = _position(given, site, earth, to_inertial)
-    ned_to_inertial = product(to_inertial, _ned(earth, position_E).T)
+    _, sin_lat, cos_lat, sin_lon, cos_lon = local_frame(earth, *position_E)
+    ned_E = np.array(ned_axes(sin_lat, cos_lat, sin_lon, cos_lon)).reshape(3, 3)  # rows north, east, down
+    ned_to_inertial = product(to_inertial, ned_E.T)
     position_I = product(to_inertial, position_E)
     ground_I = np.cross(spin_I, position_I)
     if given.inertial_mps is not None:
@@ -73,12 +75,6 @@ def _position(given: Initial, site: schema.Site, earth: Earth, to_inertial: Arra
     return np.array(
         earth_position(earth, math.radians(place.latitude_deg), math.radians(place.longitude_deg), place.altitude_m)
     )
-
-
-def _ned(earth: Earth, position_E: Array) -> Array:
-    """Rows north, east, down in E."""
-    _, sin_lat, cos_lat, sin_lon, cos_lon = local_frame(earth, *position_E)
-    return np.array(ned_axes(sin_lat, cos_lat, sin_lon, cos_lon)).reshape(3, 3)
 
 
 def _attitude(given: Initial, site: schema.Site, ned_to_inertial: Array) -> Array:

@@ -72,7 +72,10 @@ def vehicle_schedule(stage: Stage, sizes: Sizes, switches: Switches, frozen: boo
     """
     method: Method = stage.interpolation
     tanks = [_tank(stage, k, method) for k in range(sizes.tanks)]
-    parts = [_core(stage, tanks, method, switches.moving_cg and not frozen), _thrust(stage)]
+    thrust = fit([0.0], [[0.0]])
+    if stage.engine is not None:
+        thrust = fit(stage.engine.table["time_s"], stage.engine.table["thrust_vacuum_N"], method)
+    parts = [_core(stage, tanks, method, switches.moving_cg and not frozen), thrust]
     for tank in tanks:
         parts += [tank, _tank_rates(tank, switches.jet_damping, switches.jet_damping and not frozen)]
     if stage.bending is not None:
@@ -148,13 +151,6 @@ def _without_bobs(total: Array, bobs: list[Array]) -> Array:
         squares = [y_ * y_ + z_ * z_, x_ * x_ + z_ * z_, x_ * x_ + y_ * y_, x_ * y_, x_ * z_, y_ * z_]
         integrals += (m * np.stack(squares)).T
     return np.stack([core_mass, station - cg[0], y + cg[1], z + cg[2], *integrals.T], axis=1)
-
-
-def _thrust(stage: Stage) -> Cubics:
-    if stage.engine is None:
-        return fit([0.0], [[0.0]])
-    table = stage.engine.table
-    return fit(table["time_s"], table["thrust_vacuum_N"], stage.interpolation)
 
 
 def _tank(stage: Stage, k: int, method: Method) -> Cubics:

@@ -68,30 +68,28 @@ def _engine(scenario: Scenario, stage: Stage) -> Engine:
 
 def _aero(scenario: Scenario, stage: Stage, pool: Pool) -> Aero:
     reference: Reference = scenario.vehicle.reference
-    aero = stage.aero
-    on = int(aero is not None and scenario.switches.aerodynamics)
-    station = 0.5 * reference.length_m
-    if aero is not None and aero.crossflow_station_m is not None:
-        station = aero.crossflow_station_m
+    aero = stage.aero or schema.Aero.model_construct()  # its defaults, without a table
+    on = stage.aero is not None and scenario.switches.aerodynamics
+    table = NO_TABLE
+    if on:
+        shape = aero.table, aero.surface, aero.interpolation, aero.moment_reference_m
+        table = pool.add(_mach_table(*shape, reference.chord_m))
+    station = aero.crossflow_station_m
     return Aero(
-        on=on,
-        table=pool.add(_coefficients(aero, reference.chord_m)) if aero is not None and on else NO_TABLE,
+        on=int(on),
+        table=table,
         area_m2=reference.area_m2,
         chord_m=reference.chord_m,
         yaw_chord_m=reference.yaw_chord_m,
         span_m=reference.span_m,
-        crossflow_station_m=station,
-        earth_rates=int(aero is not None and aero.rate_reference == "earth"),
+        crossflow_station_m=0.5 * reference.length_m if station is None else station,
+        earth_rates=int(aero.rate_reference == "earth"),
         local_incidence=int(scenario.switches.local_incidence),
-        force_factor=aero.force_factor if aero else 1.0,
-        axial_factor=aero.axial_factor if aero else 1.0,
-        damping_factor=aero.damping_factor if aero else 1.0,
-        centre_shift_m=aero.centre_shift_m if aero else 0.0,
+        force_factor=aero.force_factor,
+        axial_factor=aero.axial_factor,
+        damping_factor=aero.damping_factor,
+        centre_shift_m=aero.centre_shift_m,
     )
-
-
-def _coefficients(aero: schema.Aero, chord_m: float) -> Cubics:
-    return _mach_table(aero.table, aero.surface, aero.interpolation, aero.moment_reference_m, chord_m)
 
 
 @cached_by_identity

@@ -13,9 +13,12 @@ import sys
 from collections.abc import Callable
 from enum import IntEnum
 from types import FrameType
-from typing import Any, NoReturn, Self
+from typing import TYPE_CHECKING, Any, NoReturn, Self
 
-from maxq.tools.cli.terminal import printable
+from maxq.tools.cli.terminal import aligned, printable
+
+if TYPE_CHECKING:
+    from pathlib import Path
 
 TRACEBACK = "MAXQ_TRACEBACK"
 """Environment variable with which an error shows its traceback, too."""
@@ -68,6 +71,27 @@ def run(command: str, body: Callable[[], int], interrupted: str = "interrupted",
         text = _explanation(error, memory)
         say(command, text or _internal(error))
         return Exit.BAD_INPUT if text else Exit.INTERNAL_ERROR
+
+
+def show_list(kinds: dict[str, str]) -> int:
+    """Print name and description of the built-in files of each kind (of builtin.FOLDERS), below its title: --list."""
+    from maxq.sim.scenario.builtin import builtin_files  # noqa: PLC0415  # lazy: --help is quick
+
+    for kind, title in kinds.items():
+        rows = [(name, _description(path)) for name, path in builtin_files(kind).items()]
+        print("\n".join([title, *aligned(rows, "  ")]))
+    return Exit.OK
+
+
+def _description(path: Path) -> str:
+    """A file's own description, its first sentence, or that of the file it extends."""
+    import tomllib  # noqa: PLC0415  # lazy
+
+    content = tomllib.loads(path.read_text(encoding="utf-8"))
+    if content.get("description"):
+        return printable(str(content["description"])).split(". ")[0].rstrip(".")
+    base = path.parent / f"{str(content.get('extends', '')).removesuffix('.toml')}.toml"
+    return _description(base) if base.is_file() else ""
 
 
 class Interruption:
