@@ -15,7 +15,7 @@ from rerun.blueprint.encodings import TextLogColumn, TextLogColumnKind
 
 from maxq.control.kernel.records import Array
 from maxq.sim.log.foxglove import FramePath
-from maxq.tools.plots.palette import BLUE, ORANGE, PURPLE, VERDICT
+from maxq.tools.plots.palette import BLUE, GREY, ORANGE, PURPLE, VERDICT
 from maxq.tools.replay.flight import FEW, LaunchSite, ReplayFlight, closest, has_motion, path_of, place_of
 from maxq.tools.replay.plots import Axis, Plot, Tab, axis_of, own_tabs, range_of, tabs_of
 from maxq.tools.replay.scene import FAR_NS, Scene, send_ground, tail_below_cg
@@ -142,10 +142,8 @@ def _send_scene(
     scene = Scene(recording, root, place, shape, exaggeration, trail=trail, near=near)
     scene.add(flight.log)
     path = path_of(flight.log, place.frames(flight.log.table, FAR_NS))
-    if colour is not None:
-        scene.whole_path(path, colour)
-    else:
-        scene.whole_path(path)
+    scene.whole_path(path, colour or GREY)
+    if colour is None:
         scene.mark(flight.moments, path)
     return _Drawn(root, flight, path, place, shape)
 

@@ -21,7 +21,6 @@ NEAR = 3.0
 """A limit farther away than so many times the largest value is named, not drawn."""
 Values = tuple[IntArray, Array]
 Computed = Callable[[Channels, str, VehicleShape | None], Values]
-Condition = tuple[str, float]
 
 
 @dataclass(frozen=True)
@@ -98,17 +97,11 @@ class _Row:
     curves: Mapping[str, str]
     factor: float = 1.0
     compute: Mapping[str, Computed] = field(default_factory=dict)
-    only: Condition | None = None
+    only: tuple[str, float] | None = None
     limits: Sequence[str] = ()
     both: bool = False
     hardware: tuple[str, str, str] | None = None
     glance: tuple[int, str] = (0, "")
-
-
-def _masked(channels: Channels, only: Condition | None, values: Values) -> Values:
-    if only is None or only[0] not in channels or len(channels[only[0]]) != len(values[1]):
-        return values
-    return values[0], np.where(channels[only[0]] > only[1], values[1], np.nan)
 
 
 def _lateral(channels: Channels, name: str, shape: VehicleShape | None) -> Values:
@@ -134,12 +127,9 @@ def _gyro_rate_of_mode(channels: Channels, name: str, shape: VehicleShape | None
     table = stage.modes[PLANES.index(axis)]
     if table is None or stage.gyro_station_m is None or int(mode) > table.modes or not len(ns):
         return ns, np.full(len(rate), np.nan)
-    # the mode changes slowly: its slope at every 0.1 s, joined by lines
-    coarse = np.linspace(ns[0] / 1e9, ns[-1] / 1e9, max(2, int((ns[-1] - ns[0]) / 1e8)))
-    slopes = shapes_at(table, coarse * stage.clock_factor, np.array([stage.gyro_station_m]), "slope_pm")
-    slope = np.interp(ns / 1e9, coarse, slopes[:, int(mode) - 1, 0])
+    slopes = shapes_at(table, ns / 1e9 * stage.clock_factor, np.array([stage.gyro_station_m]), "slope_pm")
     sign = 1.0 if axis == "pitch" else -1.0  # docs/model.md: yaw modes turn by minus their slope
-    return ns, np.degrees(sign * slope * rate)
+    return ns, np.degrees(sign * slopes[:, int(mode) - 1, 0] * rate)
 
 
 AXES, _XYZ = ("pitch", "yaw", "roll"), "xyz"
@@ -269,8 +259,11 @@ def _curves(row: _Row, table: ChannelTable, shape: VehicleShape | None) -> tuple
 
 
 def _values(row: _Row, channel: str, compute: Computed | None, shape: VehicleShape | None, of: Channels) -> Values:
-    values = (of.time_ns(channel), row.factor * of[channel]) if compute is None else compute(of, channel, shape)
-    return _masked(of, row.only, values)
+    ns, values = (of.time_ns(channel), row.factor * of[channel]) if compute is None else compute(of, channel, shape)
+    name, least = row.only or ("", 0.0)
+    if name in of and len(of[name]) == len(values):
+        values = np.where(of[name] > least, values, np.nan)
+    return ns, values
 
 
 def _limits(row: _Row, scenario: Scenario | None) -> tuple[Limit, ...]:
@@ -278,17 +271,14 @@ def _limits(row: _Row, scenario: Scenario | None) -> tuple[Limit, ...]:
     if scenario is None:
         return ()
     out = []
-    for metric in row.limits:
-        for r in scenario.requirement:
-            if r.metric != metric:
-                continue
-            name = r.name or metric
-            if r.limit is not None and math.isfinite(r.limit):
-                out.append(Limit(row.factor * r.limit, name))
-                if row.both:
-                    out.append(Limit(-row.factor * r.limit, name, upper=False))
-            if r.minimum is not None and not row.both:
-                out.append(Limit(row.factor * r.minimum, name, upper=False))
+    for r in (r for metric in row.limits for r in scenario.requirement if r.metric == metric):
+        name = r.name or r.metric
+        if r.limit is not None and math.isfinite(r.limit):
+            out.append(Limit(row.factor * r.limit, name))
+            if row.both:
+                out.append(Limit(-row.factor * r.limit, name, upper=False))
+        if r.minimum is not None and not row.both:
+            out.append(Limit(row.factor * r.minimum, name, upper=False))
     actuator = next((stage.actuator for stage in scenario.vehicle.stage if stage.actuator is not None), None)
     if row.hardware is not None and actuator is not None:
         key, axis, label = row.hardware

@@ -18,7 +18,7 @@ import rerun as rr
 from maxq.control.kernel.records import Array, IntArray
 from maxq.sim.log.foxglove import FramePath
 from maxq.sim.run.launch_frames import LaunchFrames
-from maxq.tools.plots.palette import BLUE, GREY, ORANGE, RED, SKY, WHITE, rgba
+from maxq.tools.plots.palette import BLUE, ORANGE, RED, SKY, WHITE, rgba
 from maxq.tools.replay.decimate import Rows, changed, every, last_before
 from maxq.tools.replay.flight import Channels, LaunchSite, Moment, path_of
 from maxq.tools.replay.meshes import liquid_vertices, mesh3d, plate, vehicle_meshes
@@ -119,7 +119,7 @@ class Scene:
         points = path.translation_m[k]
         self._log("marks", rr.Points3D(points, labels=labels, show_labels=True, radii=radius, colors=rgba(WHITE)))
 
-    def whole_path(self, path: FramePath, colour: str = GREY) -> None:
+    def whole_path(self, path: FramePath, colour: str) -> None:
         """The whole trajectory as a thin line."""
         points = path.translation_m[every(path.times_ns, 1_000_000_000)]
         self._log("path", rr.LineStrips3D([points], colors=rgba(colour, 0.7), radii=rr.Radius.ui_points(0.7)))
@@ -319,7 +319,8 @@ def send_ground(recording: rr.RecordingStream, place: LaunchSite, reach_m: float
     along, drop = np.linspace(-count * step, count * step, 16 * count + 1), np.array([0.0, 0.0, drop_m])
     offsets = [np.full(len(along), (i + 0.5) * step) for i in range(-count, count + 1)]  # beside the site
     pairs = [pair for across in offsets for pair in ((along, across), (across, along))]
-    lines("grid", (place.ground(*pair) - drop for pair in pairs), _GRID, rr.Radius.ui_points(0.5))
+    thin = rr.Radius.ui_points(0.5)
+    lines("grid", (place.ground(*pair) - drop for pair in pairs), _GRID, thin)
     x, y = np.meshgrid(np.linspace(-60.0, 60.0, 13), np.linspace(-60.0, 60.0, 13), indexing="ij")
     pad = np.stack([x, y, np.full_like(x, -drop_m)], axis=-1)
     lines("pad", [*pad, *pad.swapaxes(0, 1)], _PAD, 0.05)
@@ -329,9 +330,7 @@ def send_ground(recording: rr.RecordingStream, place: LaunchSite, reach_m: float
     ends = place.ground(np.array([0.12 * reach_m, 0.0]), np.array([0.0, 0.12 * reach_m]))
     arrows = rr.Arrows3D(vectors=ends, origins=np.zeros((2, 3)), colors=_COMPASS, radii=rr.Radius.ui_points(1.0))
     recording.log("ground/compass", arrows, static=True)
-    names = rr.Points3D(
-        1.15 * ends, labels=["E", "N"], show_labels=True, colors=_COMPASS, radii=rr.Radius.ui_points(0.5)
-    )
+    names = rr.Points3D(1.15 * ends, labels=["E", "N"], show_labels=True, colors=_COMPASS, radii=thin)
     recording.log("ground/compass/names", names, static=True)
     return f"{step / 1000.0:g} km" if step >= 1000.0 else f"{step:g} m"
 

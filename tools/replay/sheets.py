@@ -89,7 +89,8 @@ def write_sheets(flights: Sequence[ReplayFlight], folder: Path, only: str = "") 
         folder.mkdir(parents=True, exist_ok=True)
         with drawing(settings=_SETTINGS):
             for number, tab in enumerate(tabs, start=1):
-                if only in tab.name.lower() and _has_numbers(tab, flights):
+                ranges = (plot.value_range(f.log) for plot in tab.plots for f in flights)
+                if only in tab.name.lower() and any(found is not None for found in ranges):
                     written += save(_sheet(tab, shown), folder / f"{number:02}-{tab.name.lower()}")
             for name, figure in special_sheets(shown) if not only else ():
                 written += save(figure, folder / name)
@@ -97,10 +98,6 @@ def write_sheets(flights: Sequence[ReplayFlight], folder: Path, only: str = "") 
         at = error.filename or folder
         raise ReplayError(f"{at}: cannot be written: {(error.strerror or str(error)).lower()}") from error
     return written
-
-
-def _has_numbers(tab: Tab, flights: Sequence[ReplayFlight]) -> bool:
-    return any(plot.value_range(f.log) is not None for plot in tab.plots for f in flights)
 
 
 def _sheet(tab: Tab, shown: Flights) -> Figure:

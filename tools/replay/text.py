@@ -11,7 +11,7 @@ import numpy as np
 
 from maxq.control.kernel.records import Array, IntArray
 from maxq.tools.replay.flight import LaunchSite, ReplayFlight, Requirement
-from maxq.tools.replay.plots import Curve, Limit, Plot, tabs_of
+from maxq.tools.replay.plots import Curve, Plot, tabs_of
 from maxq.tools.replay.vehicle_shape import Exaggeration
 
 _VERDICTS = {"passed": "passed", "failed": "FAILED", "unknown": "no verdict: there is no summary.json beside the log"}
@@ -105,7 +105,9 @@ def summary_text(flight: ReplayFlight, width: int | None = None, ascii_only: boo
     width = width or shutil.get_terminal_size((100, 24)).columns
     if ascii_only is None:
         ascii_only = not _can_print_blocks()
-    rows = _rows(flight)
+    plots = [plot for tab in tabs_of(flight.log.table, flight.scenario) for plot in tab.plots]
+    tried = [_row(plot, curve, flight) for plot in plots for curve in plot.curves[: plot.glance[0]]]
+    rows = [row for row in tried if row is not None]
     names = max((len(row.name) for row in rows), default=0)
     numbers = max((len(row.ends) for row in rows), default=0)
     cells = min(max(width - names - numbers - 6, _NARROWEST), _WIDEST)
@@ -141,12 +143,6 @@ def _can_print_blocks() -> bool:
     return True
 
 
-def _rows(flight: ReplayFlight) -> list[_Row]:
-    plots = [plot for tab in tabs_of(flight.log.table, flight.scenario) for plot in tab.plots]
-    rows = [_row(plot, curve, flight) for plot in plots for curve in plot.curves[: plot.glance[0]]]
-    return [row for row in rows if row is not None]
-
-
 def _row(plot: Plot, curve: Curve, flight: ReplayFlight) -> _Row | None:
     ns, values = curve.values(flight.log)
     finite = np.isfinite(values)
@@ -156,17 +152,13 @@ def _row(plot: Plot, curve: Curve, flight: ReplayFlight) -> _Row | None:
     least = 1e-9 * max(abs(low), abs(high))
     ends = " .. ".join(_number(0.0 if abs(x) < least else x) for x in (low, high))
     burning = values[finite & (ns <= round(flight.burn_end_s * 1e9))]  # requirements are judged under thrust
-    broken = len(burning) > 0 and _is_broken(plot.limits, float(burning.min()), float(burning.max()))
+    broken = any((burning > x.value).any() if x.upper else (burning < x.value).any() for x in plot.limits if x.required)
     return _Row(plot.glance[1].format(curve.label), ns, values, f"{ends} {plot.unit}".rstrip(), broken)
 
 
 def _number(value: float) -> str:
     size = abs(value)
     return "0" if size < 1e-12 else f"{value:.0f}" if size >= 1000.0 else f"{value:.3g}"
-
-
-def _is_broken(limits: Sequence[Limit], low: float, high: float) -> bool:
-    return any(high > x.value if x.upper else low < x.value for x in limits if x.required)
 
 
 def sparkline(ns: IntArray, values: Array, span_ns: tuple[int, int], cells: int, blocks: str = _BLOCKS) -> str:

@@ -9,6 +9,7 @@ acts. Bending is mode shapes times modal coordinates, drawn larger than life.
 from __future__ import annotations
 
 import math
+import re
 from dataclasses import dataclass
 
 import numpy as np
@@ -24,6 +25,7 @@ from maxq.tools.replay.flight import Channels
 
 PIECES = 16  # of the body, each straight: enough for the third bending mode
 PLANES = ("pitch", "yaw")
+_FACTORS = [step * 10.0**power for power in range(6) for step in (1.0, 2.0, 5.0)]
 _LARGEST = 0.35  # of the diameter: how far the automatic factor lets the body bend
 _STEEPEST_DEG = 25.0  # how far the automatic factor lets a surface tilt
 
@@ -223,13 +225,11 @@ def bent_line(
     return out
 
 
-def nice_factor(largest_m: float, wanted_m: float, most: float = 1e6) -> float:
+def nice_factor(largest_m: float, wanted_m: float) -> float:
     """The largest of 1, 2, 5, 10, 20, ... that keeps `largest_m` times it below `wanted_m`; 1 for no bending at all."""
-    if not np.isfinite(largest_m) or largest_m <= 0.0 or largest_m >= wanted_m:
+    if not 0.0 < largest_m < wanted_m:
         return 1.0
-    exact = min(wanted_m / largest_m, most)
-    power = 10.0 ** np.floor(np.log10(exact))
-    return float(power * max(step for step in (1.0, 2.0, 5.0) if step * power <= exact * (1 + 1e-12)))
+    return max(x for x in _FACTORS if x <= wanted_m / largest_m * (1.0 + 1e-12))
 
 
 @dataclass(frozen=True)
@@ -274,15 +274,10 @@ def _largest_bending_m(channels: Channels, shape: VehicleShape | None) -> float:
 
 def _largest_slosh_deg(channels: Channels) -> float:
     """The largest pendulum angle under thrust: without it a pendulum hangs anywhere."""
-    end_ns = None
-    if "thrust_N" in channels:
-        burning_ns = channels.time_ns("thrust_N")[channels["thrust_N"] > 0.0]
-        end_ns = burning_ns[-1] if len(burning_ns) else None
-    largest = 0.0
-    for name in channels.table.names:
-        if name.startswith("slosh_") and name.endswith(("_pitch_deg", "_yaw_deg")):
-            values = np.abs(channels[name])
-            if end_ns is not None:
-                values = values[channels.time_ns(name) <= end_ns]
-            largest = max(largest, float(np.nanmax(values, initial=0.0)))
-    return largest
+    end_ns = np.iinfo(np.int64).max
+    if "thrust_N" in channels and (burning := channels["thrust_N"] > 0.0).any():
+        end_ns = int(channels.time_ns("thrust_N")[burning][-1])
+    angles = re.compile(r"slosh_.*_(pitch|yaw)_deg")
+    names = [name for name in channels.table.names if angles.fullmatch(name)]
+    powered = [np.abs(channels[name][channels.time_ns(name) <= end_ns]) for name in names]
+    return max((float(np.nanmax(values, initial=0.0)) for values in powered), default=0.0)

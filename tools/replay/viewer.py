@@ -51,11 +51,10 @@ class ReplayError(CommandError):
 def executable() -> Path:
     """The viewer that came with the Python package. Raises ReplayError where it is missing."""
     found = importlib.util.find_spec("rerun_cli")
-    folders = list(found.submodule_search_locations or []) if found is not None else []
-    for folder in folders:
-        for name in ("rerun", "rerun.exe"):
-            if (Path(folder) / name).is_file():
-                return Path(folder) / name
+    for folder in (found.submodule_search_locations or ()) if found is not None else ():
+        for path in (Path(folder) / "rerun", Path(folder) / "rerun.exe"):
+            if path.is_file():
+                return path
     raise ReplayError(f"the Rerun viewer is missing; install it with: {_INSTALL}")
 
 
