@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from maxq.tools import simdesign
-from maxq.tools.verify.candidates import Candidate, in_order, try_in_order
+from maxq.tools.verify.run import Candidate, in_order, try_in_order
 
 Printed = pytest.CaptureFixture[str]
 CASES = ("ksr3-identical", "ksr3-relaxed")

@@ -136,9 +136,9 @@ def _run(arguments: list[str]) -> int:
         for name in names
     ]
     if options.verify:
-        from maxq.tools.verify import candidates  # noqa: PLC0415  # lazy
+        from maxq.tools.verify.run import execute_cases  # noqa: PLC0415  # lazy
 
-        return candidates.execute(orders, options.suite or "standard", pictures)
+        return execute_cases(orders, options.suite or "standard", pictures)
     return run_case.execute(orders[0])
 
 

@@ -13,7 +13,6 @@ from typing import Any, Literal
 
 import numpy as np
 
-from maxq.control.filters import BendingFilter
 from maxq.control.kernel.records import Array
 from maxq.design import api
 from maxq.design.case.design_file import design_of
@@ -59,12 +58,9 @@ class Wanted:
         """From any object with attributes of these names: a design's limits, or a case's, less those in `without`."""
         names = [f.name for f in fields(Wanted) if f.name not in getattr(limits, "without", ())]
         known = {name: getattr(limits, name) for name in names if getattr(limits, name, None) is not None}
-        zone = known.pop("zone", None)
-        if isinstance(zone, Zone):
-            known["zone"] = zone
-        elif zone not in (None, "none"):
-            known["zone"] = Zone(zone, known["phase_margin_deg"], known["gain_margin_db"])
-        return Wanted(**known)
+        shape = known.pop("zone", "none")
+        zone = None if shape == "none" else Zone(shape, known["phase_margin_deg"], known["gain_margin_db"])
+        return Wanted(**known, zone=zone)
 
 
 @dataclass(frozen=True)
@@ -89,33 +85,29 @@ class Judged:
     @property
     def gain_margin_db(self) -> float:
         """The lesser of gain up and gain down over all crossings; NaN if unstable."""
-        return _least(self.margins.gain_up_db.value, self.margins.gain_down_db.value)
+        return float(np.minimum(self.margins.gain_up_db.value, self.margins.gain_down_db.value))
+
+    @cached_property
+    def bending(self) -> dict[int, Lobe]:
+        """Lobes of the bending modes below the loop's end, by number."""
+        return {int(lobe.label.split()[1]): lobe for lobe in self.lobes if lobe.kind == "bending"}
 
     def rigid(self, body: RigidBody) -> tuple[float, float]:
         """Frequency (Hz) and damping ratio: `paper` eqs 35, 36; `aerodynamic` with M_alpha and M_q (erratum 12)."""
         d = self.derivatives
         if d is None:
             return math.nan, math.nan
-        with_air = body == "aerodynamic"
-        square = d.m_delta_1ps2 * self.loop.law.static_gain("angle_rad") - (d.m_alpha_1ps2 if with_air else 0.0)
+        m_alpha, m_q = (d.m_alpha_1ps2, d.m_q_1ps) if body == "aerodynamic" else (0.0, 0.0)
+        square = d.m_delta_1ps2 * self.loop.law.static_gain("angle_rad") - m_alpha
         if square <= 0.0:
             return 0.0, math.nan
         omega = math.sqrt(square)
-        damping = d.m_delta_1ps2 * self.loop.law.static_gain("rate_radps") - (d.m_q_1ps if with_air else 0.0)
+        damping = d.m_delta_1ps2 * self.loop.law.static_gain("rate_radps") - m_q
         return omega / (2.0 * math.pi), damping / (2.0 * omega)
 
-    def peak_db(self, mode: int) -> float:
-        """Largest |L| in the lobe of a bending mode; NaN where there is none below the loop's end."""
-        return next((lobe.peak_db for lobe in self.lobes if lobe.label == f"bending {mode}"), math.nan)
-
-    def higher_peak_db(self) -> float:
-        """That of modes 3 and above."""
-        peaks = [lobe.peak_db for lobe in self.lobes if lobe.kind == "bending" and _number(lobe.label) >= 3]
-        return max(peaks, default=math.nan)
-
-    def mode_phase_deg(self, mode: int) -> float:
-        """Least of lag and lead at the lobe; infinite where it is gain-stabilised."""
-        return next((lobe.phase_deg for lobe in self.lobes if lobe.label == f"bending {mode}"), math.nan)
+    def peak_db(self, first: int, last: int) -> float:
+        """Largest |L| in the lobes of these bending modes; NaN where there is none below the loop's end."""
+        return max((lobe.peak_db for n, lobe in self.bending.items() if first <= n <= last), default=math.nan)
 
 
 @dataclass(frozen=True)
@@ -130,15 +122,15 @@ class Check:
     values: Array
     time_s: Array  # NaN for the filter
 
+    @property
+    def _margin(self) -> Array:
+        return self.values - self.limit if self.sense == ">=" else self.limit - self.values
+
     def met(self) -> np.ndarray:
         """For each value. NaN of an unstable loop is not met; a peak that does not exist is."""
-        margin = self.values - self.limit if self.sense == ">=" else self.limit - self.values
+        scale = 1.0 if self.unit in ("dB", "deg") else 0.2 * abs(self.limit)  # 1e-4 of it
         absent = np.isnan(self.values) & (self.key in PEAKS)
-        return np.asarray((margin >= -TOLERANCE * self._scale) | absent)
-
-    @property
-    def _scale(self) -> float:
-        return 1.0 if self.unit in ("dB", "deg") else 0.2 * abs(self.limit)  # 1e-4 of it
+        return np.asarray((self._margin >= -TOLERANCE * scale) | absent)
 
     @property
     def passed(self) -> bool:
@@ -147,7 +139,7 @@ class Check:
     @property
     def worst(self) -> int:
         """Index of the value nearest to, or farthest beyond, the limit; an unstable loop comes first."""
-        margin = self.values - self.limit if self.sense == ">=" else self.limit - self.values
+        margin = self._margin
         bad = np.isnan(self.values) & ~self.met()
         return int(np.argmax(bad)) if bad.any() else int(np.nanargmin(margin)) if np.isfinite(margin).any() else 0
 
@@ -186,23 +178,16 @@ class Limit:
     value: Callable[[Judged, Wanted], float]
 
 
+ZONE = "clear of the {0.shape} {0.gain_db:g} dB, {0.phase_deg:g} deg"
 LIMITS = {
     "gain_margin_db": Limit("gain margin", "gain dB", "dB", ">=", lambda j, _: j.gain_margin_db),
     "phase_margin_deg": Limit("phase margin", "phase deg", "deg", ">=", lambda j, _: j.margins.phase_deg.value),
-    "zone": Limit(
-        "clear of the {0.shape} {0.gain_db:g} dB, {0.phase_deg:g} deg",
-        "zone",
-        "",
-        ">=",
-        lambda j, w: _clearance(j, w.zone),
-    ),
+    "zone": Limit(ZONE, "zone", "", ">=", lambda j, w: _clearance(j, w.zone)),
     "modulus_db": Limit("least |1 + L|", "|1+L| dB", "dB", ">=", lambda j, _: _db(j.margins.modulus)),
-    "first_mode_db": Limit("peak of mode 1", "mode 1 dB", "dB", "<=", lambda j, _: j.peak_db(1)),
-    "first_mode_phase_deg": Limit(
-        "phase margin at mode 1", "mode 1 deg", "deg", ">=", lambda j, _: j.mode_phase_deg(1)
-    ),
-    "second_mode_db": Limit("peak of mode 2", "mode 2 dB", "dB", "<=", lambda j, _: j.peak_db(2)),
-    "higher_modes_db": Limit("peak of modes 3 and above", "modes 3+ dB", "dB", "<=", lambda j, _: j.higher_peak_db()),
+    "first_mode_db": Limit("peak of mode 1", "mode 1 dB", "dB", "<=", lambda j, _: j.peak_db(1, 1)),
+    "first_mode_phase_deg": Limit("phase margin at mode 1", "mode 1 deg", "deg", ">=", lambda j, _: _phase_deg(j)),
+    "second_mode_db": Limit("peak of mode 2", "mode 2 dB", "dB", "<=", lambda j, _: j.peak_db(2, 2)),
+    "higher_modes_db": Limit("peak of modes 3 and above", "modes 3+ dB", "dB", "<=", lambda j, _: j.peak_db(3, 99)),
     "rigid_hz": Limit("rigid-body frequency", "rigid Hz", "Hz", ">=", lambda j, w: j.rigid(w.rigid_body)[0]),
     "rigid_zeta": Limit("rigid-body damping ratio", "rigid zeta", "", ">=", lambda j, w: j.rigid(w.rigid_body)[1]),
 }
@@ -222,33 +207,26 @@ def checks(judged: Sequence[Judged], design: Design, wanted: Wanted) -> list[Che
         values = np.array([quantity.value(j, wanted) for j in judged])
         out.append(Check(key, text, quantity.unit, quantity.sense, limit, values, time_s))
     if wanted.filter_gain_at_infinity is not None:
-        value = np.array([gain_at_infinity(bending_filter(design))])
-        limit = float(wanted.filter_gain_at_infinity)
-        out.append(Check("filter_gain_at_infinity", "|F(j inf)|", "", "<=", limit, value, np.array([np.nan])))
+        flt, limit = bending_filter(design), float(wanted.filter_gain_at_infinity)
+        gain = math.prod((q.pole_hz / q.zero_hz) ** 2 for q in flt.quadratic)
+        gain *= math.prod(f.pole_hz / abs(f.zero_hz) for f in flt.first_order)
+        out.append(
+            Check("filter_gain_at_infinity", "|F(j inf)|", "", "<=", limit, np.array([gain], float), np.array([np.nan]))
+        )
     return out
-
-
-def gain_at_infinity(flt: BendingFilter) -> float:
-    """|F(j inf)| of the continuous filter."""
-    squares = math.prod((q.pole_hz / q.zero_hz) ** 2 for q in flt.quadratic)
-    return float(squares * math.prod(f.pole_hz / abs(f.zero_hz) for f in flt.first_order))
 
 
 def _clearance(j: Judged, zone: Zone | None) -> float:
     assert zone is not None
-    known = next((c.value for c in j.margins.clearances if c.zone == zone), None)
-    if known is not None or not j.margins.stable:
-        return math.nan if known is None else known
-    return margins(j.loop, resonances=(), zones=(zone,)).clearances[0].value
+    known = j.margins.clearances
+    if j.margins.stable and all(c.zone != zone for c in known):
+        known = margins(j.loop, resonances=(), zones=(zone,)).clearances
+    return next((c.value for c in known if c.zone == zone), math.nan)
 
 
-def _number(text: str) -> int:
-    digits = text.rpartition(" ")[2]
-    return int(digits) if digits.isdecimal() else 0
-
-
-def _least(a: float, b: float) -> float:
-    return math.nan if math.isnan(a) or math.isnan(b) else min(a, b)
+def _phase_deg(j: Judged) -> float:
+    """Least of lag and lead at the lobe of mode 1; infinite where it is gain-stabilised."""
+    return j.bending[1].phase_deg if 1 in j.bending else math.nan
 
 
 def _db(ratio: float) -> float:
@@ -261,12 +239,10 @@ class Outcome:
 
     loaded: LoadedCase
     design: Design
-    judged: tuple[Judged, ...]
-    found: tuple[Check, ...]
-    flown: tuple[Judged, ...]  # sampled; the same as `judged` where the case's loop is
-    flown_found: tuple[Check, ...]
-    dispersed: tuple[Judged, ...]  # worst plants of a robust case
-    dispersed_found: tuple[Check, ...]
+    judged: Sequence[Judged]
+    found: Sequence[Check]
+    flown_found: Sequence[Check]  # on the sampled loop; the same as `found` where the case's loop is
+    dispersed_found: Sequence[Check]  # at the worst plants of a robust case
     wanted: Wanted
 
     @property
@@ -279,12 +255,11 @@ class Outcome:
         """Limits that are missed, and by how much."""
         out = []
         for where, found in (("", self.found), (" of dispersed plants", self.dispersed_found)):
-            for check in found:
-                if not check.passed:
-                    k = check.worst
-                    by = f" by {abs(check.values[k] - check.limit):.3g} {check.unit}".rstrip()
-                    at = f" at {check.time_s[k]:g} s" if check.time_s[k] == check.time_s[k] else ""
-                    out.append(f"{check.text}{where} missed{'' if by.endswith('nan') else by}{at}")
+            for check in (c for c in found if not c.passed):
+                value, time_s = check.values[check.worst], check.time_s[check.worst]
+                by = "" if np.isnan(value) else f" by {abs(value - check.limit):.3g} {check.unit}".rstrip()
+                at = "" if np.isnan(time_s) else f" at {time_s:g} s"
+                out.append(f"{check.text}{where} missed{by}{at}")
         return out
 
 
@@ -319,27 +294,15 @@ def judge_solution(loaded: LoadedCase, solution: Solution, nodes: Sequence[Node]
     design, case = make_design(loaded, solution), loaded.case
     wanted = wanted_of(case)
 
-    def judged(at: Sequence[Node], kind: Kind, limits: Wanted) -> tuple[tuple[Judged, ...], tuple[Check, ...]]:
-        each = tuple(judge(at, design, kind))
-        return each, tuple(checks(each, design, limits))
-
-    own = judged(nodes, case.loop, wanted)
-    flown = own if case.loop == "sampled" else judged(nodes, "sampled", wanted)
-    off: tuple[tuple[Judged, ...], tuple[Check, ...]] = (), ()
-    if case.robust is not None and (dispersed := dispersed_nodes(solution, nodes)):
-        off = judged(dispersed, case.loop, Wanted.of(case.robust.limits))
-    return Outcome(loaded, design, *own, *flown, *off, wanted)
-
-
-def dispersed_nodes(solution: Solution, nodes: Sequence[Node]) -> list[Node]:
-    """The dispersed plants of a robust search, rebuilt from their labels."""
-    ranges = solution.case.robust
-    if ranges is None:
-        return []
-    by_label = {node.label: node for node in nodes}
-    out = []
+    judged = judge(nodes, design, case.loop)
+    found = checks(judged, design, wanted)
+    flown = found if case.loop == "sampled" else checks(judge(nodes, design, "sampled"), design, wanted)
+    if case.robust is None:
+        return Outcome(loaded, design, judged, found, flown, [], wanted)
+    by_label, dispersed = {node.label: node for node in nodes}, []  # rebuilt from the labels of the search
     for label in dict.fromkeys(c.plant for c in solution.constraints if c.dispersed and c.plant is not None):
         name, _, letters = label.removesuffix("]").rpartition(" [")
         ends = [{"-": -1, "0": 0, "+": 1}[letter] for letter in letters]
-        out.append(deviated(by_label[name], ranges, ends))
-    return out
+        dispersed.append(deviated(by_label[name], case.robust, ends))
+    off = checks(judge(dispersed, design, case.loop), design, Wanted.of(case.robust.limits)) if dispersed else []
+    return Outcome(loaded, design, judged, found, flown, off, wanted)

@@ -72,14 +72,10 @@ class Deviated:
 
 @dataclass(frozen=True)
 class MarginCase:
-    """A vehicle at all nodes, (nodes,)."""
+    """A vehicle, by its label, at all nodes, (nodes,)."""
 
-    vehicle: Deviated
+    label: str
     nodes: tuple[Measured, ...]
-
-    @property
-    def label(self) -> str:
-        return self.vehicle.dispersion.label
 
 
 @dataclass(frozen=True)
@@ -187,7 +183,7 @@ def study(
 
     with ThreadPoolExecutor(max_workers=workers) as pool:
         table = list(pool.map(at_node, nodes))
-    cases = [MarginCase(by, tuple(row[k] for row in table)) for k, by in enumerate(every)]
+    cases = [MarginCase(by.dispersion.label, tuple(row[k] for row in table)) for k, by in enumerate(every)]
     first = 1 + len(corners)
     return MarginStudy(
         nodes[0].plane, tuple(n.time_s for n in nodes), cases[0], tuple(cases[1:first]), tuple(cases[first:])

@@ -24,7 +24,6 @@ from maxq.control.kernel.jit import cache_folder
 from maxq.sim.files import FileError, write_whole
 
 T = TypeVar("T")
-_LAYERS = ("control", "sim", "design")
 
 
 def default_folder() -> Path:
@@ -37,7 +36,7 @@ def code_hash() -> str:
     """Of every module that can have a part in an answer."""
     top = Path(__file__).resolve().parents[2]
     digest = hashlib.sha256()
-    for layer in _LAYERS:
+    for layer in ("control", "sim", "design"):
         for path in sorted((top / layer).rglob("*.py")):
             digest.update(path.relative_to(top).as_posix().encode())
             digest.update(path.read_bytes())
@@ -61,18 +60,13 @@ def _feed(digest: Any, thing: Any) -> None:
         digest.update(repr(thing).encode() + b";")
     elif isinstance(thing, bytes):
         digest.update(thing)
-    elif isinstance(thing, np.ndarray | np.void | np.generic):
-        digest.update(str(thing.dtype).encode())
-        digest.update(str(np.shape(thing)).encode())
+    elif isinstance(thing, np.ndarray | np.generic):
+        digest.update(f"{thing.dtype}{np.shape(thing)}".encode())
         digest.update(thing.tobytes())
     elif dataclasses.is_dataclass(thing) and not isinstance(thing, type):
-        for f in dataclasses.fields(thing):
-            digest.update(f.name.encode())
-            _feed(digest, getattr(thing, f.name))
+        _feed(digest, {f.name: getattr(thing, f.name) for f in dataclasses.fields(thing)})
     elif isinstance(thing, Mapping):
-        for key, value in thing.items():
-            _feed(digest, key)
-            _feed(digest, value)
+        _feed(digest, [part for item in thing.items() for part in item])
     elif isinstance(thing, tuple | list):
         digest.update(str(len(thing)).encode())
         for item in thing:
@@ -100,11 +94,8 @@ class Memory:
         except (OSError, pickle.UnpicklingError, EOFError, AttributeError, ImportError):
             found = work_out()
             self.worked_out += 1
-            self._keep(path, found)
+            with contextlib.suppress(FileError):  # a memory that cannot be written costs time, no more
+                write_whole(path, pickle.dumps(found))
             return found
         self.recalled += 1
         return found
-
-    def _keep(self, path: Path, part: Any) -> None:
-        with contextlib.suppress(FileError):  # a memory that cannot be written costs time, no more
-            write_whole(path, pickle.dumps(part))

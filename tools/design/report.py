@@ -10,9 +10,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, get_args
 
-from maxq.design.case.schema import LoadedCase
 from maxq.design.margins.lobes import Lobe
-from maxq.design.margins.measure import Bound
 from maxq.design.optimise.solution import Solution
 from maxq.design.verify.judging import LIMITS, Check, Judged, Outcome, RigidBody
 from maxq.sim.files import write_whole
@@ -49,20 +47,20 @@ def analysis_verdict(found: Sequence[Check]) -> str:
     return f"PASSED: stable{limits}"
 
 
-def case_report(loaded: LoadedCase, outcome: Outcome, solution: Solution) -> str:
+def case_report(outcome: Outcome, solution: Solution) -> str:
     """Of `simdesign CASE`."""
-    case = loaded.case
+    loaded, case = outcome.loaded, outcome.loaded.case
     head = [
         printable(f"{loaded.name}: {case.description}" if case.description else loaded.name),
         f"{case.filter.structure}, {case.gains.schedule} gains; along {case.scenario}, {case.plane}; "
         f"{_KINDS[case.loop]}; errata: {case.errata}; plant: {case.plant}",
     ]
-    dispersed = f"limits of {len(outcome.dispersed)} dispersed plants"
+    off, flown = outcome.dispersed_found, outcome.flown_found
     return _joined(
         head, design_table(outcome.design), search_table(solution), margins_table(outcome.judged),
         lobes_table(outcome.judged), limits_table(outcome.found), nodes_table(outcome.found, outcome.judged),
-        limits_table(outcome.dispersed_found, dispersed) if outcome.dispersed_found else [],
-        limits_table(outcome.flown_found, "the same design as it flies (sampled)") if case.loop != "sampled" else [],
+        limits_table(off, f"limits of {len(off[0].values)} dispersed plants") if off else [],
+        limits_table(flown, "the same design as it flies (sampled)") if case.loop != "sampled" else [],
     )  # fmt: skip
 
 
@@ -126,10 +124,11 @@ def margins_table(judged: Sequence[Judged]) -> list[str]:
         rows.append(
             (
                 f"{j.time_s:g}", "stable" if m.stable else f"{max(m.unstable_poles, 1)} UNSTABLE",
-                _bound(m.gain_up_db), _bound(m.gain_down_db), _bound(m.phase_deg, 1), _bound(m.delay_s, 1, 1e3),
+                number(m.gain_up_db.value, 2), number(m.gain_down_db.value, 2), number(m.phase_deg.value, 1),
+                number(1e3 * m.delay_s.value, 1),
                 number(m.modulus, 3), number(m.clearances[0].value, 2) if m.clearances else "-",
-                _bound(m.aero_gain_db), _bound(m.rigid_gain_db), _bound(m.rigid_phase_deg, 1),
-                number(m.crossover_hz, 3),
+                number(m.aero_gain_db.value, 2), number(m.rigid_gain_db.value, 2),
+                number(m.rigid_phase_deg.value, 1), number(m.crossover_hz, 3),
             )
         )  # fmt: skip
     return ["margins over all crossings", *aligned(rows, "  ", right=(0, *range(2, 12)))]
@@ -204,17 +203,9 @@ def _lobe(lobe: Lobe | None, stable: bool) -> str:
     return f"{lobe.peak_db:.2f} {how if stable else '       '}"
 
 
-def _bound(bound: Bound, digits: int = 2, scale: float = 1.0) -> str:
-    return number(scale * bound.value, digits)
-
-
 def number(value: float, digits: int) -> str:
     """A value for a cell; `-` where there is none."""
-    if math.isnan(value):
-        return "-"
-    if math.isinf(value):
-        return "inf" if value > 0.0 else "-inf"
-    return f"{value:.{digits}f}"
+    return "-" if math.isnan(value) else f"{value:.{digits}f}"
 
 
 # JSON
@@ -248,18 +239,11 @@ def checks_record(checks: Sequence[Check]) -> list[dict[str, Any]]:
     """Limits beside what was reached."""
     return [
         {
-            "key": check.key,
-            "name": check.text,
-            "unit": check.unit,
-            "sense": check.sense,
-            "limit": check.limit,
-            "worst": float(check.values[check.worst]),
-            "at_s": float(check.time_s[check.worst]),
-            "met": check.passed,
-            "values": check.values.tolist(),
+            "key": c.key, "name": c.text, "unit": c.unit, "sense": c.sense, "limit": c.limit,
+            "worst": c.values[c.worst], "at_s": c.time_s[c.worst], "met": c.passed, "values": c.values.tolist(),
         }
-        for check in checks
-    ]
+        for c in checks
+    ]  # fmt: skip
 
 
 def analysis_record(name: str, order: Any, judged: Sequence[Judged], checks: Sequence[Check]) -> dict[str, Any]:

@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 import re
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -99,7 +99,7 @@ def make(order: Order) -> Made:
             files = _write(folder, outcome, solution, orders)
             if order.pictures and solution.status != "interrupted":
                 files += _draw(folder, outcome, orders, progress, lambda: interruption.requested)
-    print(case_report(loaded, outcome, solution))
+    print(case_report(outcome, solution))
     if orders is not None:
         print("\n" + "\n".join(orders_table(orders)))
     print(f"\n{len(files)} files in {folder}/; {time.perf_counter() - begun_s:.1f} s in all")
@@ -126,7 +126,11 @@ def _write(folder: Path, outcome: Outcome, solution: Solution, orders: Found | N
         record["orders"] = orders_record(orders)
     text = design_text(outcome.design, comments(outcome, solution))
     files = [write_whole(folder / DESIGN_NAME, text), write_record(folder / RECORD_NAME, record)]
-    return files if orders is None else files + write_orders(orders, folder)
+    for (structure, schedule), (loaded, found) in (orders or {}).items():
+        if found.feasible:
+            text = design_text(make_design(loaded, found), [f"{structure} with {schedule} gains, of --orders"])
+            files.append(write_whole(order_folder(folder, structure, schedule) / DESIGN_NAME, text))
+    return files
 
 
 def _draw(
@@ -175,20 +179,14 @@ def solve_orders(name: str, overrides: tuple[str, ...], plants: Plants, tell: Ca
         for schedule in SCHEDULES:
             tell(len(out), len(STRUCTURES) * len(SCHEDULES))
             loaded = read_case(name, [*overrides, f"filter.structure={structure}", f"gains.schedule={schedule}"])
-            solution = solve(loaded, plants, list(_contained(out, structure, schedule)))
+            k, s = STRUCTURES.index(structure), list(SCHEDULES).index(schedule)
+            contained = [(STRUCTURES[k - 1], schedule)] if k else []
+            contained += [(structure, list(SCHEDULES)[s - 1])] if s else []
+            solution = solve(loaded, plants, [out[key][1] for key in contained])
             if solution.status == "interrupted":
                 raise KeyboardInterrupt
             out[structure, schedule] = loaded, solution
     return out
-
-
-def _contained(found: Found, structure: str, schedule: str) -> Iterator[Solution]:
-    schedules = tuple(SCHEDULES)
-    k, s = STRUCTURES.index(structure), schedules.index(schedule)
-    if k > 0:
-        yield found[STRUCTURES[k - 1], schedule][1]
-    if s > 0:
-        yield found[structure, schedules[s - 1]][1]
 
 
 def orders_table(found: Found) -> list[str]:
@@ -214,18 +212,6 @@ def orders_record(found: Found) -> list[dict[str, object]]:
 def order_folder(folder: Path, structure: str, schedule: str) -> Path:
     """Where the design of a filter and a schedule is written."""
     return folder / f"{structure}-{schedule}"
-
-
-def write_orders(found: Found, folder: Path) -> list[Path]:
-    """A design file for each that meets its limits."""
-    return [
-        write_whole(
-            order_folder(folder, structure, schedule) / DESIGN_NAME,
-            design_text(make_design(loaded, solution), [f"{structure} with {schedule} gains, of --orders"]),
-        )
-        for (structure, schedule), (loaded, solution) in found.items()
-        if solution.feasible
-    ]
 
 
 def _peak(solution: Solution) -> float:

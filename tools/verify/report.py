@@ -18,10 +18,10 @@ from maxq.tools.cli.terminal import aligned, printable
 from maxq.tools.design.report import write_record
 from maxq.tools.pages.render import render
 
-SCHEMA = 1
 VERDICT_NAME, PAGE_NAME, PDF_NAME = "verdict.json", "review.html", "review.pdf"
 BROWSERS = ("chromium", "chromium-browser", "google-chrome", "chrome")
 _PRINT_S = 60.0
+_RANKED = ("gain margin up", "phase margin", "first mode: phase margin")
 _KEYS = {"judgement": "verdict"}  # of a requirement, as verdict.json has them
 _FLIGHT = ("name", "outcome", "passed", "failures", "metrics", "state_hash", "again")
 _LINE = (
@@ -91,9 +91,7 @@ def reasons(found: Verification) -> list[str]:
     """Why a design is not accepted, a line each, and what shows it."""
     out = []
     for r in (*found.of(REJECTED), *found.of(UNDECIDED)):
-        out.append(f"  {r.judgement}: {printable(r.reason)}")
-        if r.again:
-            out.append(f"      {r.again}")
+        out += [f"  {r.judgement}: {printable(r.reason)}", *([f"      {r.again}"] if r.again else [])]
     return out
 
 
@@ -122,15 +120,10 @@ def ranking(every: Sequence[Verification]) -> list[str]:
             (
                 str(n), v.design, _mark(v.judgement), str(len(v.of(REJECTED))), str(len(v.of(UNDECIDED))),
                 printable(worst.name) if worst else "", f"{100.0 * worst.room:.0f} %" if worst else "",
-                _number(nominal.get("gain margin up", "")), _number(nominal.get("phase margin", "")),
-                _number(nominal.get("first mode: phase margin", "")),
+                *(nominal.get(key, "-").partition(" ")[0] for key in _RANKED),
             )
         )  # fmt: skip
     return ["ranking", *aligned(rows, "  ", right=(0, 3, 4, 6, 7, 8, 9))]
-
-
-def _number(text: str) -> str:
-    return text.partition(" ")[0] if text else "-"
 
 
 # verdict.json
@@ -139,7 +132,7 @@ def _number(text: str) -> str:
 def verdict_record(found: Verification, command: str) -> dict[str, Any]:
     """All but histories."""
     return {
-        "schema": SCHEMA,
+        "schema": 1,
         "design": found.design,
         "design_name": found.scenario.design.name if found.scenario.design else "",
         "vehicle": found.scenario.vehicle.name,
@@ -148,10 +141,7 @@ def verdict_record(found: Verification, command: str) -> dict[str, Any]:
         "more_runs": found.more_runs,
         "command": command,
         "requirements": [{_KEYS.get(key, key): value for key, value in vars(r).items()} for r in found.requirements],
-        "flights": [
-            {key: getattr(f, key) for key in _FLIGHT}
-            for f in found.flights
-        ],
+        "flights": [{key: getattr(f, key) for key in _FLIGHT} for f in found.flights],
         "certificate": [_node(c) for c in found.certificates],
         "authority": [vars(a) for a in found.authority],
         "slosh": [vars(a) | {"in_band": a.in_band} for a in found.slosh],

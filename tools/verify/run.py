@@ -1,21 +1,29 @@
-"""`simverify DESIGN...`: judge designs by a suite, write verdicts and review packs, rank them."""
+"""`simverify DESIGN...`: judge designs by a suite, write verdicts and review packs, rank them.
+
+`simdesign CASE... --verify`: try what has been designed in order of merit until the suite accepts one.
+"""
 
 from __future__ import annotations
 
 import re
 import shlex
 import time
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from maxq.design.case.design_file import DESIGN_NAME, design_path
+from maxq.design.optimise.solution import Solution
 from maxq.design.verify import memory
+from maxq.design.verify.judging import judge, make_design
 from maxq.design.verify.suite import ACCEPTED, REJECTED, UNDECIDED, Judgement, overall, read_suite
-from maxq.design.verify.verify import Verification, verify
+from maxq.design.verify.verify import Verification, Watch, verify
 from maxq.sim.files import check_writable
 from maxq.sim.scenario.errors import ScenarioError
-from maxq.tools.cli.frame import Exit, Interruption
-from maxq.tools.cli.terminal import Progress
+from maxq.sim.scenario.schema_design import Design
+from maxq.tools.cli.frame import Exit, Interruption, say
+from maxq.tools.cli.terminal import Progress, aligned
+from maxq.tools.design import run_case
 from maxq.tools.verify import report
 
 _EXIT: dict[Judgement, Exit] = {ACCEPTED: Exit.OK, REJECTED: Exit.FAILED, UNDECIDED: Exit.UNDECIDED}
@@ -82,3 +90,109 @@ def folder_of(order: Order, design: str) -> Path:
     if order.out is None:
         return Path("runs") / f"verify-{plain}"
     return Path(order.out) if len(order.designs) == 1 else Path(order.out) / plain
+
+
+# candidates of simdesign
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """A design in a folder. `objective_db` is the case's, less is better; `modulus` the least |1 + L| as it flies."""
+
+    folder: Path
+    meets_limits: bool
+    kind: str
+    objective_db: float
+    modulus: float
+
+
+def candidates(made: run_case.Made) -> Iterator[Candidate]:
+    """The case's design, and with --orders those of every filter and schedule that meet the limits."""
+    nodes = [j.node for j in made.outcome.judged]
+
+    def candidate(folder: Path, meets_limits: bool, solution: Solution, design: Design) -> Candidate:
+        modulus = min(j.margins.modulus if j.margins.stable else -1.0 for j in judge(nodes, design, "sampled"))
+        return Candidate(folder, meets_limits, solution.case.objective.kind, solution.objective_db, modulus)
+
+    yield candidate(made.folder, made.meets_limits, made.solution, made.outcome.design)
+    for (structure, schedule), (loaded, solution) in (made.orders or {}).items():
+        if solution.feasible:
+            folder = run_case.order_folder(made.folder, structure, schedule)
+            yield candidate(folder, True, solution, make_design(loaded, solution))
+
+
+def in_order(found: Sequence[Candidate]) -> list[Candidate]:
+    """Those that meet their cases' limits first; then by the objective where all have the same, else by the least
+    |1 + L|, which can be compared."""
+    same = len({c.kind for c in found}) < 2
+    return sorted(found, key=lambda c: (not c.meets_limits, c.objective_db if same else -c.modulus))
+
+
+def execute_cases(orders: Sequence[run_case.Order], suite: str, pack: bool = True) -> int:
+    """Design each case, then verify in order of merit; returns the exit code."""
+    read_suite(suite)  # a mistake in it is reported before the minutes of designing
+    made = []
+    for order in orders:
+        made.append(run_case.make(order))
+        if made[-1].code == Exit.INTERRUPTED:
+            return Exit.INTERRUPTED
+        print()
+    ranked = in_order([c for one in made for c in candidates(one)])
+    rows = [("", "candidate", "objective, dB", "least |1 + L|", "limits of its case")]
+    rows += [
+        (str(n), str(c.folder), f"{c.objective_db:.3f}", f"{c.modulus:.3f}" if c.modulus > 0.0 else "unstable",
+         "met" if c.meets_limits else "MISSED")
+        for n, c in enumerate(ranked, 1)
+    ]  # fmt: skip
+    print("\n".join(["candidates in order of merit", *aligned(rows, "  ", right=(0, 2, 3))]) + "\n")
+
+    def keep(design: str, found: Verification) -> None:
+        command = shlex.join(["simverify", design, "--suite", suite, "--out", design])
+        report.write_pack(found, Path(design), command, pack)
+
+    names = [str(c.folder) for c in ranked]
+    try:
+        with Interruption() as stop, Progress() as progress:
+            accepted, every = try_in_order(
+                names, suite, keep=keep, watch=progress.show, stop=lambda: stop.requested
+            )  # fmt: skip
+    except KeyboardInterrupt:
+        say("simdesign", "interrupted; what was worked out is kept, the same command resumes")
+        return Exit.INTERRUPTED
+    if accepted is not None:
+        count = "the only candidate" if len(names) == 1 else f"candidate {len(every)} of {len(names)}"
+        print(f"\nACCEPTED by the suite {suite}: {accepted}, {count}; its review: {accepted}/review.html")
+        return Exit.OK
+    open_ = [name for name, v in zip(names, every, strict=True) if v.judgement == UNDECIDED]
+    print(f"\nNONE ACCEPTED by the suite {suite}" + (f"; undecided: {', '.join(open_)}" if open_ else ""))
+    return Exit.UNDECIDED if open_ else Exit.FAILED
+
+
+def try_in_order(
+    designs: Sequence[str],
+    suite: str = "standard",
+    overrides: Iterable[str] = (),
+    *,
+    tell: Callable[[str], None] = print,
+    keep: Callable[[str, Verification], None] = lambda design, found: None,
+    watch: Watch = lambda what, done, of: None,
+    stop: Callable[[], bool] = lambda: False,
+) -> tuple[str | None, list[Verification]]:
+    """Verify one design after the other up to the first that is accepted.
+
+    `designs` as for `simverify`, in order of preference. `tell` gets, line by line, the verdict on each and the
+    requirements not met; `keep` each verification when it is complete. An undecided design is not accepted. Returns the
+    accepted design, or None, and all verifications. Raises ScenarioError before anything is flown, KeyboardInterrupt
+    soon after `stop` returns True.
+    """
+    loaded, paths = read_suite(suite, overrides), [design_path(design) for design in designs]
+    every: list[Verification] = []
+    for design, path in zip(designs, paths, strict=True):
+        found = verify(path, loaded, memory=memory.default_folder(), watch=watch, stop=stop)
+        every.append(found)
+        keep(design, found)
+        for line in (report.headline(found, design), *report.reasons(found)):
+            tell(line)
+        if found.judgement == ACCEPTED:
+            return design, every
+    return None, every
