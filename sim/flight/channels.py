@@ -66,13 +66,10 @@ def declared_channels(row: type, part: str = "", label: str = "", suffix: str = 
         for axis in getattr(kind, "_fields", ("",)):
             words = [{part: label, "axis": axis}.get(word, word) for word in name.split("_")]
             text = ", ".join(filter(None, (description, axis, suffix)))
-            channels.append(Channel("_".join(words), unit, _frame_of(words, unit), text))
+            without_unit = words[:-1] if unit_suffix(unit) else words
+            frame = next((word for word in without_unit if word in _FRAMES), "")
+            channels.append(Channel("_".join(words), unit, frame, text))
     return tuple(channels)
-
-
-def _frame_of(words: list[str], unit: str) -> str:
-    """Frame in which a quantity is expressed: a word of its name other than the unit."""
-    return next((word for word in words[: -1 if unit_suffix(unit) else None] if word in _FRAMES), "")
 
 
 @dataclass(frozen=True)
@@ -128,10 +125,10 @@ class ChannelTable:
         _refuse_twice("protobuf message", [topic.message_name for topic in self.topics])
         _refuse_twice("channel", [channel.name for topic in self.topics for channel in topic.channels])
 
-    @cached_property
+    @property
     def groups(self) -> tuple[str, ...]:
         """Rate groups in order of first use."""
-        return tuple(dict.fromkeys(topic.group for topic in self.topics))
+        return tuple(self._columns)
 
     def columns(self, group: str) -> tuple[Channel, ...]:
         """Channels of a rate group in the order of its columns; none for an unknown group."""
@@ -159,10 +156,10 @@ class ChannelTable:
 
     @cached_property
     def _columns(self) -> dict[str, tuple[Channel, ...]]:
-        return {
-            group: tuple(channel for topic in self.topics if topic.group == group for channel in topic.channels)
-            for group in self.groups
-        }
+        columns: dict[str, tuple[Channel, ...]] = {}
+        for topic in self.topics:
+            columns[topic.group] = columns.get(topic.group, ()) + topic.channels
+        return columns
 
     @cached_property
     def _places(self) -> dict[str, tuple[Topic, int, Channel]]:

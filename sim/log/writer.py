@@ -89,12 +89,10 @@ class LogWriter:
     def _write_head(self, head: RunHead) -> None:
         container = self._container
         container.add_metadata(keys.RUN_METADATA, head.full_metadata())
-        self._buffers: dict[str, MessageBuffer] = {}
-        self._channel_ids: dict[str, int] = {}
+        self._templates: dict[str, tuple[int, NDArray[np.void]]] = {}  # channel and message, by topic
         for topic in self._table.topics:
             channel_id = container.add_channel(topic.name, message_type(topic), schema_of(topic), metadata_of(topic))
-            self._channel_ids[topic.name] = channel_id
-            self._buffers[topic.name] = MessageBuffer(channel_id, doubles_template(len(topic.channels)))
+            self._templates[topic.name] = channel_id, doubles_template(len(topic.channels))
         self._events_id = container.add_channel(EVENTS_TOPIC, LOG_TYPE, LOG_SCHEMA, {})
         self._frames_id = container.add_channel(FRAMES_TOPIC, FRAMES_TYPE, FRAMES_SCHEMA, {})
         for attachment in head.attachments:
@@ -158,7 +156,10 @@ class LogWriter:
         for event in events:
             _check_times("events", np.array([event.time_ns]))
         for path in frames:
-            _check_path(path)
+            n, what = len(path.times_ns), f"frame {path.child} in {path.parent}"
+            _check_times(what, path.times_ns)
+            if path.translation_m.shape != (n, 3) or path.rotation.shape != (n, 4):
+                raise ValueError(f"{what}: translation must be ({n}, 3) and rotation ({n}, 4)")
 
         sample_seconds = {name: times // _NS_PER_S for name, (times, _) in samples.items()}
         event_seconds = np.array([event.time_ns // _NS_PER_S for event in events], np.int64)
@@ -195,8 +196,8 @@ class LogWriter:
         if not len(times):
             return []
         first = self._table.index(topic.channels[0].name)
-        sequence = self._container.count(self._channel_ids[topic.name])
-        block = self._buffers[topic.name].block(times, sequence)
+        channel_id, template = self._templates[topic.name]
+        block = message_block(channel_id, template, times, self._container.count(channel_id))
         put_values(block.records["payload"], values[:, first : first + len(topic.channels)])
         return [block]
 
@@ -214,8 +215,7 @@ class LogWriter:
         for path, some in zip(paths, rows, strict=True):
             times = path.times_ns[some]
             if len(times):
-                buffer = MessageBuffer(self._frames_id, frames_template(path.parent, path.child))
-                block = buffer.block(times, sequence)
+                block = message_block(self._frames_id, frames_template(path.parent, path.child), times, sequence)
                 put_frames(block.records["payload"], times, path.translation_m[some], path.rotation[some])
                 blocks.append(block)
                 sequence += len(times)
@@ -225,14 +225,6 @@ class LogWriter:
 def _rows(seconds: IntArray, second: int) -> slice:
     """Rows of one second in sorted `seconds`."""
     return slice(*np.searchsorted(seconds, [second, second + 1]))
-
-
-def _check_path(path: FramePath) -> None:
-    n = len(path.times_ns)
-    what = f"frame {path.child} in {path.parent}"
-    _check_times(what, path.times_ns)
-    if path.translation_m.shape != (n, 3) or path.rotation.shape != (n, 4):
-        raise ValueError(f"{what}: translation must be ({n}, 3) and rotation ({n}, 4)")
 
 
 def _check_times(what: str, times_ns: IntArray, earliest: int = 0) -> None:
@@ -255,28 +247,15 @@ class Block:
     records: NDArray[np.void]
 
 
-class MessageBuffer:
-    """Records of one channel whose payloads differ in numbers only; reused from chunk to chunk."""
-
-    def __init__(self, channel_id: int, template: NDArray[np.void]) -> None:
-        self._channel_id = channel_id
-        self._template = template
-        self._rows = np.zeros(0, message_dtype(template.dtype))
-
-    def block(self, times_ns: IntArray, first_sequence: int) -> Block:
-        """Records with these times, payload to be filled by the caller; valid until the next call."""
-        n = len(times_ns)
-        if n > len(self._rows):
-            self._rows = np.zeros(n, self._rows.dtype)
-            self._rows["opcode"] = Opcode.MESSAGE
-            self._rows["length"] = _LENGTH_WITHOUT_PAYLOAD + self._template.dtype.itemsize
-            self._rows["channel"] = self._channel_id
-            self._rows["payload"] = self._template
-        rows = self._rows[:n]
-        rows["sequence"] = np.arange(first_sequence, first_sequence + n) & 0xFFFFFFFF
-        rows["log_time"] = times_ns
-        rows["publish_time"] = times_ns
-        return Block(self._channel_id, times_ns, rows)
+def message_block(channel_id: int, template: NDArray[np.void], times_ns: IntArray, first_sequence: int) -> Block:
+    """Messages with these times whose payloads differ from `template` in numbers only, which the caller fills."""
+    n = len(times_ns)
+    length = _LENGTH_WITHOUT_PAYLOAD + template.dtype.itemsize
+    record = MESSAGE_HEADER.pack(Opcode.MESSAGE, length, channel_id, 0, 0, 0) + template.tobytes()
+    rows = np.frombuffer(bytearray(record * n), message_dtype(template.dtype))
+    rows["sequence"] = np.arange(first_sequence, first_sequence + n) & 0xFFFFFFFF
+    rows["log_time"] = rows["publish_time"] = times_ns
+    return Block(channel_id, times_ns, rows)
 
 
 def single_message(channel_id: int, time_ns: int, sequence: int, payload: bytes) -> Block:
