@@ -1,7 +1,7 @@
 """Voltage-to-frequency converter: the gyro rate, integrated over a sample, becomes a whole number of pulses.
 
-A pulse is worth `count_rad`. What is left over after a sample stays in the integrator and is counted later,
-so the sum of the pulses follows the true angle to half a pulse for ever (Lee, Ahn & Roh 2.3; errata 15).
+A pulse is worth `count_rad`. The residual of a sample stays in the integrator and is counted later, so that the sum of
+the pulses equals the true angle within half a pulse at all times (Lee, Ahn & Roh 2.3; errata 15).
 """
 
 from __future__ import annotations
@@ -13,14 +13,14 @@ from typing import Annotated
 from maxq.control.kernel.jit import kernel
 from maxq.control.kernel.records import Array, IntArray
 
-# A pulse finer than this would let the rounding of the carried residual (1e-18 rad per sample) come near to a
-# count in a long flight, and let the total of an int64 come within sight of its end.
+# With a finer pulse the accumulated rounding of the residual (1e-18 rad per sample) could reach one count in a long
+# flight, and the int64 total could overflow.
 FINEST_COUNT_RAD = 1.0e-9
 
 
 @dataclass(frozen=True)
 class Converter:
-    """`count_rad`: angle per pulse, rad; 0 is the ideal converter, which hands the increment on as it is."""
+    """`count_rad`: angle per pulse, rad; 0: ideal converter, its output is the increment itself."""
 
     count_rad: float
 
@@ -56,7 +56,7 @@ def round_half_away(value: float) -> int:
 
 @kernel
 def start_converter(state: ConverterState) -> None:
-    """Nothing counted."""
+    """Reset all counts and angles."""
     for axis in range(3):
         state.counts[axis] = 0
         state.total_counts[axis] = 0
@@ -67,10 +67,10 @@ def start_converter(state: ConverterState) -> None:
 
 @kernel
 def convert(converter: Converter, state: ConverterState, axis: int, increment_rad: float) -> None:
-    """Counts the gyro angle `increment_rad` of one sample on body axis `axis` (0 roll, 1 pitch, 2 yaw).
+    """Count the gyro angle `increment_rad` of one sample on body axis `axis` (0 roll, 1 pitch, 2 yaw).
 
-    After it |residual_rad| <= count_rad/2, and angle_rad differs from the sum of all true increments by the
-    residual. Limit: the increment must be finite and below 9e18 count_rad; `computer_tick` sees to it.
+    Afterwards |residual_rad| <= count_rad/2, and angle_rad differs from the sum of all true increments by the
+    residual. Limit: the increment must be finite and below 9e18 count_rad; `computer_tick` ensures it.
     """
     if converter.count_rad == 0.0:
         state.increment_rad[axis] = increment_rad

@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from maxq.control.kernel.jit import kernel
 from maxq.control.kernel.records import Array
-from maxq.control.laws.structures import MAX_SECTIONS, STRUCTURES, Structure
+from maxq.control.laws.structures import MAX_SECTIONS
 
 Discretization = Literal["prewarped", "bilinear", "matched", "zoh"]
 ComplexArray = NDArray[np.complex128]
@@ -98,7 +98,7 @@ class BendingFilter:
         - `prewarped`: bilinear, s = c (z - 1)/(z + 1) with the one constant c = ω0/tan(ω0 T/2) in all
           sections, so that the response at ω0 = 2π `prewarp_hz` is the continuous one exactly.
         - `bilinear`: c = 2/T (Tustin).
-        - `matched`: poles and zeros go to exp(sT), DC gain to 1; refused where one would alias.
+        - `matched`: poles and zeros are mapped by exp(sT), with a DC gain of 1; refused where one would alias.
         - `zoh`: step-invariant. The cascade as a whole is, so its sections are not those of the continuous
           filter.
 
@@ -123,26 +123,6 @@ class BendingFilter:
         else:
             sections = _step_invariant(self.polynomials(), sample_s)
         return DiscreteFilter(np.array(sections).reshape(-1, 5), sample_s)
-
-
-def filter_of_structure(
-    structure: Structure,
-    quadratic: tuple[QuadraticSection, ...] = (),
-    first_order: tuple[FirstOrderSection, ...] = (),
-) -> BendingFilter:
-    """A filter whose numbers of sections are those of `structure`, else ValueError."""
-    if structure == "sections":
-        n = len(quadratic) + len(first_order)
-        _refuse_unless(n >= 1, "number of filter sections", n, f"1 .. {MAX_SECTIONS} with structure sections")
-        return BendingFilter(quadratic, first_order)
-    if structure not in STRUCTURES:
-        raise ValueError(f"structure = {structure!r}: allowed is {', '.join(get_args(Structure))}")
-    for key, given, wanted in zip(
-        ("quadratic", "first_order"), (quadratic, first_order), STRUCTURES[structure], strict=True
-    ):
-        if len(given) != wanted:
-            raise ValueError(f"{key} has {len(given)} sections: allowed with structure {structure} is {wanted}")
-    return BendingFilter(quadratic, first_order)
 
 
 @dataclass(frozen=True)
@@ -218,8 +198,7 @@ def _matched(numerator: Array, denominator: Array, sample_s: float) -> Array:
 def _step_invariant(polynomials: Array, sample_s: float) -> list[Array]:
     """Sections of the zero-order-hold equivalent of the whole cascade.
 
-    The product of the sections' own equivalents would not be it: between two sections the signal is not a
-    staircase.
+    The product of the sections' own equivalents would not be it: between two sections the signal is not a staircase.
     """
     from scipy.linalg import expm  # noqa: PLC0415  # lazy: scipy.signal takes 0.4 s to import, most flights
     from scipy.signal import zpk2sos  # noqa: PLC0415  # do not need it
@@ -272,7 +251,7 @@ def filter_sample(sections: Array, n_sections: int, memory: Array, value: float)
 
 @kernel
 def settle_filter(sections: Array, n_sections: int, memory: Array, value: float) -> None:
-    """Sets `memory` (>= n, 2) as if the input had been `value` for ever: no transient follows."""
+    """Set `memory` (>= n, 2) to the steady state at the constant input `value`: no transient follows."""
     for i in range(n_sections):
         b0, b1, b2 = sections[i, 0], sections[i, 1], sections[i, 2]
         a1, a2 = sections[i, 3], sections[i, 4]

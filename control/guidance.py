@@ -1,9 +1,9 @@
 """Guidance: a programme of commanded body rates over time, flown as the exact integral of the rates.
 
 The control law needs the commanded angle (Lee, Ahn & Roh eq 33: theta_e is the integral of q_g - q_c).
-Summing sampled rates would err by the sample; so the programme's table holds, beside the rates, the angle at
-each breakpoint, and the kernel integrates the interval's polynomial in closed form: cubic rates (pchip) give
-a quartic angle, linear rates a quadratic and stepwise rates a broken line, all exact to rounding.
+A sum of sampled rates would have a discretisation error; the programme's table therefore holds the angle at each
+breakpoint beside the rates, and the kernel integrates the interval's polynomial in closed form: cubic rates (pchip)
+give a quartic angle, linear rates a quadratic and stepwise rates a piecewise linear one, all exact to rounding.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 
 from maxq.control.kernel.jit import kernel
 from maxq.control.kernel.records import Array
-from maxq.control.kernel.tables import Cubics, Method, TableRef, find_interval, fit, look_up
+from maxq.control.kernel.tables import Cubics, Method, TableRef, find_interval, fit
 
 ROLL, PITCH, YAW = 0, 1, 2  # body axes x, y, z
 N_AXES = 3
@@ -26,10 +26,9 @@ N_AXES = 3
 class GuidanceState:
     """Per body axis x, y, z (roll, pitch, yaw).
 
-    `start_rad`: the programme's integral when the computer was started. `programme_rad`: the programme's
-    angle since. `injected_rad`: what injected rates have added to it. `angle_rad`: commanded angle, the sum
-    of both. `increment_rad`, `rate_radps`: change of the commanded angle in the last sample, and that over
-    the sample period.
+    `start_rad`: the programme's integral when the computer was started. `programme_rad`: its change since.
+    `injected_rad`: integral of the injected rates. `angle_rad`: commanded angle, the sum of both. `increment_rad`,
+    `rate_radps`: change of the commanded angle in the last sample, and that over the sample period.
     """
 
     start_rad: Annotated[Array, (3,)]
@@ -51,7 +50,7 @@ def rate_programme(
 
     Columns 0-2: commanded rates about x, y, z (roll, pitch, yaw), rad/s; columns 3-5: their integral from the
     first time to the beginning of each interval, rad. Outside `time_s` the end rates hold; with `step` each
-    rate holds up to the next time and the last one for ever. Raises ValueError as `tables.fit` does, and for
+    rate holds up to the next time and the last one indefinitely. Raises ValueError as `tables.fit` does, and for
     columns of other lengths.
     """
     times = np.atleast_1d(np.asarray(time_s, float))
@@ -65,7 +64,7 @@ def rate_programme(
         if column.shape not in ((), times.shape):
             raise ValueError(f"{key} has {column.size} values: allowed is 1 or {len(times)}, one for each time_s")
         rates[:, axis] = column
-    if method == "step":  # a stepwise table ends at its last point; one more lets the last rate hold
+    if method == "step":  # a stepwise table ends at its last point; with one more the last rate holds
         times, rates = np.append(times, times[-1] + 1.0), np.vstack([rates, rates[-1]])
     table = fit(times, rates, method)
     span = np.diff(table.breaks)[:, None]
@@ -74,14 +73,6 @@ def rate_programme(
     angles = np.zeros_like(c)
     angles[1:, 0] = np.cumsum(gains, axis=0)[:-1]
     return Cubics(table.breaks, np.concatenate([c, angles], axis=2))
-
-
-@kernel
-def programme_rate(pool: Array, programme: TableRef, time_s: float, axis: int) -> float:
-    """Commanded rate about body axis `axis` at `time_s`, rad/s; 0 without a programme."""
-    if programme.n_breaks == 0:
-        return 0.0
-    return look_up(pool, programme, time_s, axis)
 
 
 @kernel
@@ -108,7 +99,7 @@ def programme_angle(pool: Array, programme: TableRef, time_s: float, axis: int) 
 
 @kernel
 def start_guidance(pool: Array, programme: TableRef, state: GuidanceState, time_s: float) -> None:
-    """Begins at `time_s` with commanded angles of 0."""
+    """Start at `time_s` with commanded angles of 0."""
     for axis in range(3):
         state.start_rad[axis] = programme_angle(pool, programme, time_s, axis)
         state.programme_rad[axis] = 0.0
@@ -132,8 +123,8 @@ def advance_guidance(
 ) -> None:
     """Commanded angle of body axis `axis` at `time_s`, the end of a sample of `sample_s`.
 
-    `injected_radps` is a rate, taken as constant over that sample; it adds to the programme, or with
-    `replaces` stands in for it. With `on` = 0 the programme stands still.
+    `injected_radps` is a rate, taken as constant over that sample; it adds to the programme, or
+    with `replaces` = 1 takes its place. With `on` = 0 the programme's angle is held.
     """
     before_rad = state.programme_rad[axis]
     if on != 0:

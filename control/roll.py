@@ -13,9 +13,9 @@ from maxq.control.kernel.jit import kernel
 
 @dataclass(frozen=True)
 class Roll:
-    """Thrusters come on at |s| > dead_band_rad and go off at |s| < dead_band_rad - hysteresis_rad.
+    """Thrusters switch on at |s| > dead_band_rad and off at |s| < dead_band_rad - hysteresis_rad.
 
-    `k_rate_s`: weight of the rate, s. `minimum_on_ticks`: samples for which a firing lasts at least.
+    `k_rate_s`: weight of the rate, s. `minimum_on_ticks`: shortest firing, samples.
     """
 
     k_rate_s: float
@@ -51,17 +51,16 @@ def make_roll(
     ):
         if not (holds and math.isfinite(value)):
             raise ValueError(f"{key} = {value}: allowed is {allowed}")
-    # The small amount keeps 0.02 s of samples of 0.01 s from becoming three.
+    # 1e-9 absorbs the rounding of the quotient: 0.02 s are two samples of 0.01 s, not three.
     ticks = math.ceil(minimum_on_s * 1e9 / sample_ns - 1e-9)
     return Roll(k_rate_s, dead_band_rad, hysteresis_rad, max(ticks, 0))
 
 
 @kernel
 def update_roll(roll: Roll, state: RollState, phi_e_rad: float, p_radps: float) -> None:
-    """Demand for the coming sample from roll error and rate of the last one; a positive s asks for a negative
-    torque.
+    """Demand for the coming sample from roll error and rate of the last one; a positive s demands a negative torque.
 
-    A firing that has not lasted its minimum goes on, in its own direction, whatever s has become.
+    A firing continues in its direction until its minimum on time has passed, whatever s is.
     """
     s = phi_e_rad + roll.k_rate_s * p_radps
     state.switching_rad = s
@@ -86,7 +85,7 @@ def update_roll(roll: Roll, state: RollState, phi_e_rad: float, p_radps: float) 
 
 @kernel
 def silence_roll(state: RollState) -> None:
-    """Thrusters off at once: roll control is switched off."""
+    """Switch the thrusters off at once, with roll control."""
     state.demand = 0
     state.ticks_on = 0
 

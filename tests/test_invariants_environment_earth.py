@@ -20,7 +20,6 @@ from maxq.sim.world.earth import (
     Earth,
     earth_position,
     earth_rotation,
-    earth_to_inertial,
     earth_to_ned,
     flat,
     geodetic,
@@ -156,20 +155,20 @@ def test_inertial_positions_give_inertial_axes():
     earth = ROWS["wgs84"]
     cos, sin = earth_rotation(earth, 5000.0)
     in_e = (-3e6, 4e6, 4e6)
-    in_i = earth_to_inertial(cos, sin, *in_e)
+    in_i = inertial_to_earth(cos, -sin, *in_e)  # back by the negative angle
     from_e = ned_to_earth(*local_frame(earth, *in_e)[1:], 7.0, 8.0, 9.0)
     from_i = ned_to_earth(*local_frame(earth, *in_i)[1:], 7.0, 8.0, 9.0)
-    assert earth_to_inertial(cos, sin, *from_e) == pytest.approx(from_i, abs=1e-13)
+    assert inertial_to_earth(cos, -sin, *from_e) == pytest.approx(from_i, abs=1e-13)
 
 
 def test_earth_turns_eastward_at_its_rate():
     earth = ROWS["wgs84"]
     quarter = 0.5 * math.pi / earth.rate_radps
-    x, y, z = earth_to_inertial(*earth_rotation(earth, quarter), 1.0, 0.0, 5.0)
+    x, y, z = inertial_to_earth(*earth_rotation(earth, -quarter), 1.0, 0.0, 5.0)
     assert (x, y, z) == pytest.approx((0.0, 1.0, 5.0), abs=1e-12)
     assert inertial_to_earth(*earth_rotation(earth, quarter), x, y, z) == pytest.approx((1, 0, 5), abs=1e-15)
-    ahead = earth_to_inertial(*earth_rotation(earth, 0.5), 6e6, 1e6, 0.0)
-    behind = earth_to_inertial(*earth_rotation(earth, -0.5), 6e6, 1e6, 0.0)
+    ahead = inertial_to_earth(*earth_rotation(earth, -0.5), 6e6, 1e6, 0.0)
+    behind = inertial_to_earth(*earth_rotation(earth, 0.5), 6e6, 1e6, 0.0)
     assert ground_velocity(earth, 6e6, 1e6) == pytest.approx(tuple(np.subtract(ahead, behind)), abs=1e-6)
     assert earth_rotation(pack([wgs84(rate_radps=0.0)])[0], 1e4) == (1.0, 0.0)
 

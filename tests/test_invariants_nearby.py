@@ -7,13 +7,13 @@ import pytest
 
 from maxq.control.kernel.jit import from_python
 from maxq.control.kernel.records import pack
-from maxq.sim.vehicle import nearby
-from maxq.sim.vehicle.nearby import ANCHOR_DUE, ANCHOR_SET, NO_ANCHOR, NEAR_m
+from maxq.sim.vehicle import environment
+from maxq.sim.vehicle.environment import ANCHOR_DUE, ANCHOR_SET, NO_ANCHOR, NEAR_m
 from maxq.sim.vehicle.workspace import ANCHOR, WORK_SIZE
 from maxq.sim.world.atmosphere import US1976, VACUUM, Atmosphere, TOP_m, air
 from maxq.sim.world.earth import earth_position, flat, local_frame, sphere, wgs84
 
-frame_and_air = from_python(nearby.frame_and_air)
+frame_and_air = from_python(environment.frame_and_air)
 NO_POOL = np.zeros(1)
 AIR = pack([Atmosphere(US1976, density_factor=1.1)])[0]
 WGS84 = pack([wgs84()])[0]

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from scipy.interpolate import PchipInterpolator, PPoly
 
-from maxq.control.guidance import PITCH, ROLL, YAW, programme_angle, programme_rate, rate_programme
+from maxq.control.guidance import PITCH, ROLL, YAW, programme_angle, rate_programme
 from maxq.control.kernel.records import Array, pack
-from maxq.control.kernel.tables import NO_TABLE, Pool, TableRef, fit
+from maxq.control.kernel.tables import NO_TABLE, Pool, TableRef, fit, look_up
 
 TIME_S = np.array([2.0, 5.0, 6.5, 20.0, 55.0])
 PITCH_RADPS = np.array([0.01, -0.02, -0.015, -0.004, 0.003])
@@ -34,7 +34,7 @@ def test_angle_is_the_exact_integral_of_the_rate(method: str) -> None:
     rate = reference(method)
     angle = rate.antiderivative()
     for t in np.linspace(TIME_S[0], TIME_S[-1], 401)[:-1]:
-        assert programme_rate(pool, ref, t, PITCH) == pytest.approx(float(rate(t)), rel=1e-12, abs=1e-16)
+        assert look_up(pool, ref, t, PITCH) == pytest.approx(float(rate(t)), rel=1e-12, abs=1e-16)
         assert programme_angle(pool, ref, t, PITCH) == pytest.approx(float(angle(t)), rel=1e-12, abs=1e-16)
 
 
@@ -42,9 +42,9 @@ def test_angle_is_the_exact_integral_of_the_rate(method: str) -> None:
 def test_end_rates_hold_outside(method: str) -> None:
     pool, ref = placed(method)
     end_rad = float(reference(method).antiderivative()(TIME_S[-1]))
-    assert programme_rate(pool, ref, 70.0, PITCH) == pytest.approx(PITCH_RADPS[-1], rel=1e-12)
+    assert look_up(pool, ref, 70.0, PITCH) == pytest.approx(PITCH_RADPS[-1], rel=1e-12)
     assert programme_angle(pool, ref, 75.0, PITCH) == pytest.approx(end_rad + 20 * PITCH_RADPS[-1], rel=1e-12)
-    assert programme_rate(pool, ref, 0.0, PITCH) == PITCH_RADPS[0]
+    assert look_up(pool, ref, 0.0, PITCH) == PITCH_RADPS[0]
     assert programme_angle(pool, ref, 0.0, PITCH) == pytest.approx(-2.0 * PITCH_RADPS[0], rel=1e-12)
 
 
@@ -64,7 +64,6 @@ def test_one_point_is_a_constant_rate() -> None:
 
 def test_without_a_programme_nothing_is_commanded() -> None:
     ref = pack([NO_TABLE])[0]
-    assert programme_rate(np.zeros(1), ref, 5.0, PITCH) == 0.0
     assert programme_angle(np.zeros(1), ref, 5.0, PITCH) == 0.0
 
 

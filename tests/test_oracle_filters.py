@@ -23,8 +23,6 @@ from maxq.control.filters import (
     Discretization,
     FirstOrderSection,
     QuadraticSection,
-    Structure,
-    filter_of_structure,
     filter_sample,
     settle_filter,
 )
@@ -35,13 +33,13 @@ PREWARP_HZ = 9.2
 
 Q = (QuadraticSection(9.0, 0.3, 7.0, 0.7), QuadraticSection(24.0, 0.1, 12.0, 0.9))
 F = (FirstOrderSection(30.0, 5.0), FirstOrderSection(-14.0, 20.0))
-FILTERS: dict[Structure, BendingFilter] = {
-    "F2": filter_of_structure("F2", Q[:1]),
-    "F3": filter_of_structure("F3", Q[:1], F[:1]),
-    "F4": filter_of_structure("F4", Q),
-    "F5": filter_of_structure("F5", Q, F[:1]),
-    "F6": filter_of_structure("F6", Q, F),
-    "sections": filter_of_structure("sections", (*Q, QuadraticSection(15.0, 0.2, 11.0, 0.5))),
+FILTERS: dict[str, BendingFilter] = {
+    "F2": BendingFilter(Q[:1]),
+    "F3": BendingFilter(Q[:1], F[:1]),
+    "F4": BendingFilter(Q),
+    "F5": BendingFilter(Q, F[:1]),
+    "F6": BendingFilter(Q, F),
+    "sections": BendingFilter((*Q, QuadraticSection(15.0, 0.2, 11.0, 0.5))),
 }
 OVERDAMPED = BendingFilter((QuadraticSection(8.0, 1.7, 6.0, 1.3),))
 EVERY = pytest.mark.parametrize("bending", [*FILTERS.values(), OVERDAMPED], ids=[*FILTERS, "overdamped"])
@@ -143,7 +141,7 @@ def test_settled_filter_has_no_transient(bending: BendingFilter, method: Discret
 @METHODS
 def test_as_many_sections_fit_as_are_allowed(method: Discretization) -> None:
     more = [QuadraticSection(15.0 + k, 0.2, 11.0 + k, 0.5) for k in range(MAX_SECTIONS - len(Q))]
-    bending = filter_of_structure("sections", (*Q, *more))
+    bending = BendingFilter((*Q, *more))
     discrete = discretize(bending, method)
     assert discrete.n_sections == MAX_SECTIONS
     assert discrete.padded().shape == (MAX_SECTIONS, 5)
@@ -153,6 +151,6 @@ def test_as_many_sections_fit_as_are_allowed(method: Discretization) -> None:
 
 
 def test_no_sections_pass_the_signal_as_it_is() -> None:
-    discrete = filter_of_structure("none").discretize(SAMPLE_S)
+    discrete = BendingFilter().discretize(SAMPLE_S)
     assert discrete.n_sections == 0
     assert filter_sample(discrete.padded(), 0, np.zeros((MAX_SECTIONS, 2)), 0.123) == 0.123

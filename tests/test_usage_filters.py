@@ -3,19 +3,22 @@
 from __future__ import annotations
 
 import math
+import re
+from dataclasses import asdict
 
 import numpy as np
 import pytest
+from pydantic import ValidationError
 
 from maxq.control.filters import (
     BendingFilter,
     DiscreteFilter,
     FirstOrderSection,
     QuadraticSection,
-    filter_of_structure,
 )
 from maxq.sim.run.fly import fly
 from maxq.sim.scenario.loader import load_scenario
+from maxq.sim.scenario.schema_design import Filter
 
 GOOD = QuadraticSection(9.0, 0.3, 7.0, 0.7)
 SAMPLE_S = 0.01
@@ -83,17 +86,25 @@ def test_matched_refuses_what_would_alias(named: str) -> None:
 @pytest.mark.parametrize(
     ("structure", "quadratic", "first_order", "words"),
     [
-        ("F4", 1, 0, "quadratic has 1 sections: allowed with structure F4 is 2"),
-        ("F3", 1, 0, "first_order has 0 sections: allowed with structure F3 is 1"),
-        ("none", 1, 0, "quadratic has 1 sections: allowed with structure none is 0"),
-        ("F7", 1, 0, "structure = 'F7': allowed is none, F2, F3, F4, F5, F6, sections"),
-        ("sections", 0, 0, "number of filter sections = 0: allowed is 1 .. 8 with structure sections"),
-        ("sections", 5, 4, "number of filter sections = 9: allowed is at most 8"),
+        ("F4", 1, 0, "1 sections do not make F4.*2 sections.*quadratic"),
+        ("F3", 1, 0, "0 sections do not make F3.*1 sections.*first_order"),
+        ("none", 1, 0, "1 sections do not make none.*0 sections.*quadratic"),
+        ("F7", 1, 0, "'none', 'F2', 'F3', 'F4', 'F5', 'F6' or 'sections'"),
+        ("sections", 0, 0, "has 0 sections.*1 .. 8 sections"),
+        ("sections", 5, 4, "has 9 sections.*1 .. 8 sections"),
     ],
 )
 def test_structure_fixes_the_sections(structure: str, quadratic: int, first_order: int, words: str) -> None:
-    with pytest.raises(ValueError, match=words):
-        filter_of_structure(structure, (GOOD,) * quadratic, (FirstOrderSection(30.0, 5.0),) * first_order)
+    first = {"zero_hz": 30.0, "pole_hz": 5.0}
+    given = {"quadratic": (asdict(GOOD),) * quadratic, "first_order": (first,) * first_order, "prewarp_hz": 9.0}
+    with pytest.raises(ValidationError) as refused:
+        Filter.model_validate({"structure": structure, **given})
+    assert re.search(words, str(refused.value.errors()))
+
+
+def test_no_more_sections_than_the_computer_holds() -> None:
+    with pytest.raises(ValueError, match="number of filter sections = 9: allowed is at most 8"):
+        BendingFilter((GOOD,) * 5, (FirstOrderSection(30.0, 5.0),) * 4)
 
 
 @pytest.mark.parametrize("a", [(0.0, 1.0), (-2.1, 1.05), (2.0, 0.9), (math.nan, 0.0)])

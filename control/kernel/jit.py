@@ -2,8 +2,8 @@
 
 A kernel is a plain Python function over floats, flat arrays and records. `@kernel` marks the small pieces,
 `@routine` the large ones, `@entry` the few that Python calls: their machine code is kept in a cache folder whose name
-holds a hash of all of maxq's sources. Numba itself looks only at the file of the function that is called, so without
-this an edited callee would go on answering with its old code.
+holds a hash of all of maxq's sources. Numba itself looks only at the file of the function that is called, so that
+without this an edited callee would keep its old machine code.
 
 `NUMBA_DISABLE_JIT=1` runs the same functions as plain Python.
 """
@@ -70,7 +70,7 @@ def kernel(function: Function) -> Function:
 
     Division by zero gives inf or nan as in C (`error_model="numpy"`); the flight loop checks the state for it.
     Not cached by itself: its machine code is part of the entry that calls it. LLVM is told to inline it; measured, a
-    fifth of a flight's time went into handing three numbers from function to function.
+    fifth of a flight's time was spent on passing arguments.
     """
     return _for_kernels(function, forceinline=True)
 
@@ -78,13 +78,13 @@ def kernel(function: Function) -> Function:
 def routine(function: Function) -> Function:
     """As `kernel`, for what is large and called from several places: compiled once and called.
 
-    That it is not inlined is said outright: Numba hands `forceinline` on from a kernel to what it calls.
+    `forceinline=False` is explicit: Numba passes `forceinline` on from a kernel to its callees.
     """
     return _for_kernels(function, forceinline=False)
 
 
 def _for_kernels(function: Function, **options: bool) -> Function:
-    """Compile for callers that are compiled themselves, and a second time for Python, should it ever call.
+    """Compile for compiled callers, and a second time, on demand, for calls from Python.
 
     Without the wrappers that Python and C would call through, the first flight is compiled in a quarter less time.
     """
@@ -96,7 +96,7 @@ def _for_kernels(function: Function, **options: bool) -> Function:
 
 
 def _serve_python(compiled: Any, complete: Any) -> None:
-    """Answer calls from Python by `complete`: Numba's dispatcher would jump to the wrapper that was left out."""
+    """Route calls from Python to `complete`: Numba's dispatcher would jump to the wrapper that was left out."""
 
     def keep(result: Any) -> None:  # as Numba's own, but for telling the dispatcher's C code of the machine code
         compiled.overloads[tuple(result.signature.args)] = result
@@ -135,8 +135,8 @@ def bare_pointer(array: Array) -> Array:
     """The array's elements without the array, for use inside an entry only: its caller keeps the array alive.
 
     Numba counts references to an array, atomically, at every call it is passed to, and looks at the sign of every
-    index; measured, both were half of a flight's time. What is borrowed is a bare pointer: it can be indexed with
-    one non-negative index, and that is all. In plain Python it is just the array.
+    index; measured, both were half of a flight's time. A bare pointer supports one non-negative
+    index and nothing else. In plain Python it is just the array.
     """
     return array
 

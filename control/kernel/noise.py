@@ -1,14 +1,13 @@
-"""Random numbers that depend only on where they are used, never on what was drawn before.
+"""Counter-based random numbers: a draw does not depend on what was drawn before.
 
-A draw is a function of (seed, stream, index): the seed belongs to the flight, the stream to the component
-that draws, the index counts the draws of that component. There is no generator state to carry, save or
-split, so a flight that skips, repeats or reorders components still sees the same noise, and run i of a
-campaign can be replayed on its own.
+A draw is a function of (seed, stream, index): the seed belongs to the flight, the stream to the component that draws,
+the index counts the draws of that component. There is no generator state, so that a flight that skips, repeats or
+reorders components has the same noise, and run i of a campaign can be repeated on its own.
 
-The bits come from Philox4x32-10 (Salmon, Moraes, Dror & Shaw, "Parallel random numbers: as easy as 1, 2,
-3", SC11, 2011), the normal deviate from the inverse of the normal distribution (Wichura, algorithm AS 241,
-Applied Statistics 37, 1988; 16 digits). All integer arithmetic masks to 32 bits after every product, so
-that wrapping 64-bit integers (compiled) and unbounded ones (plain Python) give the same bits.
+The bits come from Philox4x32-10 (Salmon, Moraes, Dror & Shaw, "Parallel random numbers: as easy as 1, 2, 3", SC11,
+2011), the normal deviate from the inverse of the normal distribution (Wichura, algorithm AS 241, Applied Statistics 37,
+1988; 16 digits). All integer arithmetic masks to 32 bits after every product, so that wrapping 64-bit integers
+(compiled) and unbounded ones (plain Python) give the same bits.
 """
 
 from __future__ import annotations
@@ -31,9 +30,7 @@ _ROUNDS = 10
 
 @kernel
 def philox(c0: int, c1: int, c2: int, c3: int, k0: int, k1: int) -> tuple[int, int, int, int]:
-    """Philox4x32-10: four 32-bit words from a counter of four and a key of two 32-bit words (all in
-    0..2^32-1).
-    """
+    """Philox4x32-10: four 32-bit words from a counter of four and a key of two 32-bit words (all in 0..2^32-1)."""
     for _ in range(_ROUNDS):
         product_0 = _MULTIPLIER_0 * c0
         product_1 = _MULTIPLIER_1 * c2
@@ -75,17 +72,13 @@ def uniform_pair(seed: int, stream: int, index: int) -> tuple[float, float]:
 
 @routine
 def standard_normal(seed: int, stream: int, index: int) -> float:
-    """One draw of the standard normal distribution; |value| is at most 8.21 (the last cells of the
-    uniform).
-    """
+    """One draw of the standard normal distribution; |value| is at most 8.21 (the last cells of the uniform)."""
     return normal_quantile(uniform_pair(seed, stream, index)[0])
 
 
 @routine
 def standard_normal_pair(seed: int, stream: int, index: int) -> tuple[float, float]:
-    """Two independent standard normal draws for little more than the price of one; the first is
-    `standard_normal`.
-    """
+    """Two independent standard normal draws at little more than the cost of one; the first is `standard_normal`."""
     first, second = uniform_pair(seed, stream, index)
     return normal_quantile(first), normal_quantile(second)
 
@@ -135,8 +128,7 @@ def _ratio(coefficients: tuple[tuple[float, float], ...], r: float) -> float:
 
 @kernel
 def normal_quantile(probability: float) -> float:
-    """x with P(X <= x) = `probability` for a standard normal X; relative accuracy 1e-15; needs 0 <
-    probability < 1.
+    """x with P(X <= x) = `probability` for a standard normal X; relative accuracy 1e-15; needs 0 < probability < 1.
 
     Source: Wichura, AS 241, routine PPND16.
     """

@@ -2,7 +2,7 @@
 
 A kernel is handed `P[i]`, reads `P[i].engine.mass_kg`, and compiles once for every vehicle, because the layout
 holds no size that depends on the vehicle: arrays are bounded and come with a count. Where thousands of flights of one
-vehicle repay a compilation of its own, `with_constants` puts counts into the layout.
+vehicle justify a compilation of their own, `with_constants` puts counts into the layout.
 """
 
 from __future__ import annotations
@@ -97,7 +97,7 @@ def blank(schema: type) -> NDArray[Any]:
 
 
 def with_constants(rows: NDArray[Any], *path: str) -> NDArray[Any]:
-    """The same memory, with the integers of the nested record at `path` told in its type as well: kernels that read
+    """The same memory, with the integers of the nested record at `path` in its type as well: kernels that read
     them by `jit.integer` are compiled for these values, and compute the same bits. Unlike rows stay as they are.
     """
     nested = rows
@@ -110,7 +110,7 @@ def with_constants(rows: NDArray[Any], *path: str) -> NDArray[Any]:
 
 
 def constants_in(names: Iterable[str]) -> dict[str, int]:
-    """What the names of a record's fields tell, see `with_constants`."""
+    """Constants encoded in the names of a record's fields, see `with_constants`."""
     return {
         name: int(value)
         for encoded in names

@@ -6,7 +6,7 @@ one flat array, the *pool*; a `TableRef` in the parameter record says where. In 
     breaks[n_breaks]  then  coefficients[n_breaks - 1][4][n_columns],
 
 and column c on interval k is  sum_p coefficients[k][p][c] * (x - breaks[k])**p. Linear and stepwise tables are
-cubics with zero coefficients, so that a kernel knows one kind of table only.
+cubics with zero coefficients, so that kernels handle one kind of table only.
 """
 
 from __future__ import annotations
@@ -47,24 +47,18 @@ class Cubics:
 
     def __call__(self, x: float) -> Array:
         """All columns at `x`; outside the breakpoints the end values hold."""
-        x = float(np.clip(x, self.breaks[0], self.breaks[-1]))
-        k = int(np.clip(np.searchsorted(self.breaks, x, side="right") - 1, 0, len(self.breaks) - 2))
-        s, (c0, c1, c2, c3) = x - self.breaks[k], self.coefficients[k]
-        return np.asarray(c0 + s * (c1 + s * (c2 + s * c3)))
+        return np.asarray(self.at(x)[0])
 
     def at(self, xs: ArrayLike) -> Array:
-        """Rows of all columns at each of `xs`; as `__call__`, which gives the same bits."""
-        k, s = self._locate(np.atleast_1d(np.asarray(xs, float)))
+        """Rows of all columns at each of `xs`."""
+        k, s = _located(self.breaks.tobytes(), np.atleast_1d(np.asarray(xs, float)).tobytes())
         c = self.coefficients[k]
         return np.asarray(c[:, 0] + s * (c[:, 1] + s * (c[:, 2] + s * c[:, 3])))
-
-    def _locate(self, xs: Array) -> tuple[IntArray, Array]:
-        """Interval (n,) of each of `xs`, and how far into it they lie (n, 1); clamped to the table."""
-        return _located(self.breaks.tobytes(), xs.tobytes())
 
 
 @lru_cache(maxsize=128)  # a campaign's tables change in value, and hardly ever in breakpoints
 def _located(breaks: bytes, xs: bytes) -> tuple[IntArray, Array]:
+    """Interval (n,) of each of `xs`, and how far into it they lie (n, 1); clamped to the table."""
     b, x = np.frombuffer(breaks), np.frombuffer(xs)
     k = np.clip(np.searchsorted(b, x, side="right") - 1, 0, len(b) - 2)
     return k, (np.clip(x, b[0], b[-1]) - b[k])[:, None]
@@ -149,16 +143,14 @@ def merge(tables: Sequence[Cubics]) -> Cubics:
     place: dict[int, Array] = {}
     for group in groups.values():
         alike = list(group.values())
-        joined = alike[0] if len(alike) == 1 else _side_by_side(alike)
-        carried, at = _on(joined, breaks), 0
+        joined = alike[0].coefficients
+        if len(alike) > 1:
+            joined = np.concatenate([table.coefficients for table in alike], axis=2)
+        carried, at = _on(Cubics(alike[0].breaks, joined), breaks), 0
         for table in alike:
             place[id(table)] = carried[:, :, at : at + table.n_columns]
             at += table.n_columns
     return Cubics(breaks, np.concatenate([place[id(table)] for table in tables], axis=2))
-
-
-def _side_by_side(tables: Sequence[Cubics]) -> Cubics:
-    return Cubics(tables[0].breaks, np.concatenate([table.coefficients for table in tables], axis=2))
 
 
 def union(*tables: Cubics) -> Array:
@@ -178,7 +170,7 @@ def _on(table: Cubics, breaks: Array) -> Array:
     if len(breaks) == len(table.breaks) and (breaks == table.breaks).all():
         return table.coefficients
     x = breaks[:-1]
-    k, s = table._locate(x)
+    k, s = _located(table.breaks.tobytes(), x.tobytes())
     c = table.coefficients.take(k, axis=0)
     c[:, 0] += s * (c[:, 1] + s * (c[:, 2] + s * c[:, 3]))
     steeper = s * 3 * c[:, 3]

@@ -15,18 +15,8 @@ from maxq.control.kernel.limits import MAX_INJECTIONS, MAX_TONES
 from maxq.control.kernel.records import Array, IntArray
 from maxq.control.kernel.tables import TableRef, find_interval, interpolate
 
-# where a signal enters
-GIMBAL_COMMAND = 0
-RATE_COMMAND = 1
-BODY_FORCE = 2
-BODY_TORQUE = 3
-# its form
-STEP = 0
-DOUBLET = 1
-SINE = 2
-CHIRP = 3
-MULTISINE = 4
-TABLE = 5
+GIMBAL_COMMAND, RATE_COMMAND, BODY_FORCE, BODY_TORQUE = range(4)  # where a signal enters
+STEP, DOUBLET, SINE, CHIRP, MULTISINE, TABLE = range(6)  # its form
 
 
 @dataclass(frozen=True)

@@ -31,8 +31,7 @@ from maxq.sim.flight.parameters import (
 from maxq.sim.flight.step import Workspace, evaluate, read_schedule, runge_kutta, schedule_clock, workspace_of
 from maxq.sim.flight.telemetry import fill_fast, fill_slow
 from maxq.sim.vehicle.block import Sizes, counts
-from maxq.sim.vehicle.environment import climb_rate, climbs_certainly
-from maxq.sim.vehicle.nearby import ANCHOR_DUE
+from maxq.sim.vehicle.environment import ANCHOR_DUE, climb_rate, climbs_certainly
 from maxq.sim.vehicle.schedule import properties_size
 from maxq.sim.vehicle.state import FINITE, divergence_cause, state_size
 from maxq.sim.vehicle.workspace import ALTITUDE, ANCHOR, Evaluation

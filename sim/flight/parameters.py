@@ -16,19 +16,10 @@ from maxq.sim.world.turbulence import TurbulenceState
 
 NEVER = 2**62  # ns: an instant that does not come
 
-# events, in the order of the events' table
-LIFTOFF = 0
-BURNOUT = 1  # of the last stage that burned
-SEPARATION = 2
-APOGEE = 3
-IMPACT = 4
-CONTROL_LOST = 5
-TUMBLE = 6
-DIVERGED = 7
-EVENT_NAMES = (
-    "liftoff", "burnout", "separation", "apogee", "impact", "control_lost", "tumble", "diverged",
-)  # fmt: skip
+# events, in the order of the events' table; BURNOUT is that of the last stage that burned
+EVENT_NAMES = ("liftoff", "burnout", "separation", "apogee", "impact", "control_lost", "tumble", "diverged")
 N_EVENTS = len(EVENT_NAMES)
+LIFTOFF, BURNOUT, SEPARATION, APOGEE, IMPACT, CONTROL_LOST, TUMBLE, DIVERGED = range(N_EVENTS)
 
 
 @dataclass(frozen=True)

@@ -20,16 +20,9 @@ from maxq.sim.vehicle.block import Counts
 from maxq.sim.vehicle.schedule import CORE_CG, PITCH, YAW, mode_column, padded_modes, surface_row
 from maxq.sim.vehicle.workspace import ETA, FORCE, MACH_ROW, NU
 
-# columns of the Mach table
-CA = 0
-CA_COAST = 1
-CD = 2  # drag along the relative wind, whatever the attitude
-CMQ = 3
-CNR = 4
-CLP = 5
-CROSSFLOW = 6
-CM0 = 7
-FIRST_SURFACE = 8  # per surface CN_alpha and CN_alpha times its station
+# Columns of the Mach table; CD is the drag along the relative wind, whatever the attitude. From FIRST_SURFACE on, per
+# surface, CN_alpha and CN_alpha times its station.
+CA, CA_COAST, CD, CMQ, CNR, CLP, CROSSFLOW, CM0, FIRST_SURFACE = range(9)
 
 
 @dataclass(frozen=True)

@@ -55,8 +55,7 @@ from maxq.sim.vehicle.schedule import (
     complete_modes,
     schedule_width,
 )
-from maxq.sim.vehicle.slosh import Slosh, pendulum_derivative, pendulum_loads
-from maxq.sim.vehicle.solve import accelerate
+from maxq.sim.vehicle.slosh import Slosh, accelerate, pendulum_derivative, pendulum_loads
 from maxq.sim.vehicle.state import (
     ACTUATOR,
     GYRO,

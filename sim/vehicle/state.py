@@ -35,7 +35,7 @@ from maxq.sim.vehicle.block import (
     counts,
 )
 from maxq.sim.vehicle.gyro import GYRO_ANGLES, GYROS, gyro_start
-from maxq.sim.vehicle.slosh import PENDULUMS, pendulum_start, restore_pendulum
+from maxq.sim.vehicle.slosh import N_PENDULUM, PENDULUMS, pendulum_start, restore_pendulum
 
 BLOCKS = (
     POSITION, VELOCITY, ATTITUDE, ANGULAR_VELOCITY, ACTUATORS, GYROS, GYRO_ANGLES,
@@ -69,7 +69,7 @@ GYRO = _index_of(GYROS)[0]
 GYRO_ANGLE = _index_of(GYRO_ANGLES)[0]
 _ETA, _XI, _PENDULUM, _END = _index_of(ETA_STATES), _index_of(XI_STATES), _index_of(PENDULUMS), _index_of(None)
 N_FIXED = _ETA[0]
-N_ACTUATOR, N_GYRO, N_PENDULUM = len(ACTUATORS.states), len(GYROS.states), len(PENDULUMS.states)
+N_ACTUATOR = len(ACTUATORS.states)
 MAX_STATE = sum(
     len(b.states) * (getattr(LARGEST, b.counted_by) if b.counted_by else b.fixed_parts) for b in BLOCKS
 )  # fmt: skip  # one sum
@@ -161,4 +161,4 @@ def divergence_cause(sizes: Counts, y: Array) -> int:
     return FINITE
 
 
-__all__ = ["Q_BI", "R_I", "V_I", "W_BI_B", "Counts", "Sizes", "counts"]
+__all__ = ["N_PENDULUM", "Q_BI", "R_I", "V_I", "W_BI_B", "Counts", "Sizes", "counts"]

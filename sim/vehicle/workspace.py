@@ -35,9 +35,9 @@ MACH_ROW = ACCEL + 2 * MAX_MODES  # aerodynamic coefficients at the present Mach
 MACH_WIDTH = 8 + 2 * (MAX_SURFACES + 1)  # one more for the normal force of the table of coefficients beyond their sum
 PENDULUM = MACH_ROW + MACH_WIDTH  # per tank, see slosh.py
 PENDULUM_WIDTH = 24
-GRAM = PENDULUM + PENDULUM_WIDTH * MAX_TANKS  # matrix of the tensions, see solve.py
+GRAM = PENDULUM + PENDULUM_WIDTH * MAX_TANKS  # matrix of the tensions, see slosh.py
 TENSION = GRAM + MAX_TANKS * MAX_TANKS
-ANCHOR = TENSION + MAX_TANKS  # see nearby.py
+ANCHOR = TENSION + MAX_TANKS  # see environment.py
 ANCHOR_WIDTH = 28
 WORK_SIZE = ANCHOR + ANCHOR_WIDTH
 

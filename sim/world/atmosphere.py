@@ -5,11 +5,11 @@ US Standard Atmosphere 1976 (NOAA-S/T 76-1562) by its equations to 86 km, with i
 molecular-scale temperature, which exceeds the kinetic one by up to 0.08 K between 80 and 86 km.
 
 Beyond the standard's equations:
-- above 86 km the air stays isothermal at 186.946 K in hydrostatic equilibrium, as the standard itself has
-  it to 91 km. Density then falls monotonically to zero. Against the standard's tables it is 3 % high at
-  100 km, 24 % low at 120 km and 23 times too low at 150 km: right for an ascent, whose dynamic pressure is
-  gone by then, not for the lifetime of an orbit;
-- below sea level the first layer's equations go on to -5 km, the lower end of the standard's tables; deeper
+- above 86 km the air is isothermal at 186.946 K in hydrostatic equilibrium, as in the standard itself up to
+  91 km. Density then falls monotonically to zero. Against the standard's tables it is 3 % high at
+  100 km, 24 % low at 120 km and 23 times too low at 150 km: adequate for an ascent, whose dynamic pressure is
+  negligible there, not for orbital lifetimes;
+- below sea level the first layer's equations extend to -5 km, the lower end of the standard's tables; below it
   the values at -5 km hold.
 """
 
@@ -40,9 +40,8 @@ _G0_OVER_R_Kpm = 9.80665 / GAS_CONSTANT_Jpkg_K  # [K/m] pressure falls by exp(-g
 
 
 def _layers() -> tuple[Array, Array, Array, Array]:
-    """Bases of the standard's layers and of the isothermal one on top: geopotential altitude [m], lapse
-    rate [K/m], temperature [K], pressure [Pa]; the last two follow from the first, layer by layer, so that
-    all is continuous.
+    """Bases of the standard's layers and of the isothermal one on top: geopotential altitude [m], lapse rate [K/m],
+    temperature [K], pressure [Pa]; the last two follow from the first, layer by layer, so that all is continuous.
     """
     top = GEOPOTENTIAL_RADIUS_m * TOP_m / (GEOPOTENTIAL_RADIUS_m + TOP_m)
     base = np.array([0.0, 11e3, 20e3, 32e3, 47e3, 51e3, 71e3, top])
@@ -79,8 +78,7 @@ _CEILING_m = (*_FLOOR_m[1:], math.inf)
 
 @dataclass(frozen=True)
 class Atmosphere:
-    """Parameter record. `model`: VACUUM, US1976, TABLE (`table`, see `air_table`) or CONSTANT (the three
-    values).
+    """Parameter record. `model`: VACUUM, US1976, TABLE (`table`, see `air_table`) or CONSTANT (the three values).
 
     `density_factor` multiplies the density of every model and nothing else: a dispersion, not a gas law.
     """
@@ -120,9 +118,8 @@ def air_table(
 def air(atmosphere: Atmosphere, pool: Array, altitude_m: float) -> tuple[float, float, float, float]:
     """(density [kg/m3], pressure [Pa], temperature [K], speed of sound [m/s]) at a geometric altitude [m].
 
-    Temperature and speed of sound are positive everywhere, in a vacuum too (those of sea level), so that a
-    Mach number always exists. A table holds its first row below itself and continues isothermally above its
-    last.
+    Temperature and speed of sound are positive everywhere, in a vacuum too (those of sea level), so that a Mach number
+    always exists. A table holds its first row below itself and continues isothermally above its last.
     """
     if atmosphere.model == US1976:
         pressure, temperature = us1976(altitude_m)

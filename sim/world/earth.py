@@ -3,10 +3,9 @@
 Frames: I inertial and E Earth-fixed, both Earth-centred with z to the north pole, E = I at t = 0; N local
 North-East-Down on the geodetic normal. On a flat Earth I = E = N at the site (x north, y east, z down).
 
-Altitude and local axes do not change under a rotation about the pole. A kernel that has a position in I
-therefore gets altitude and the NED axes *in I* from it directly, without the Earth's rotation angle; only a
-longitude needs the position in E. The hot path (`local_frame`, `ned_to_earth`, ...) calls no trigonometric
-function.
+Altitude and local axes do not change under a rotation about the pole. A kernel that has a position in I therefore gets
+altitude and the NED axes *in I* from it directly, without the Earth's rotation angle; only a longitude needs the
+position in E. The hot path (`local_frame`, `ned_to_earth`, ...) calls no trigonometric function.
 
 Constants are those of the NESC check cases (NASA/TM-2015-218675): WGS-84 with the J2 of EGM.
 """
@@ -15,8 +14,10 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Any
 
 from maxq.control.kernel.jit import kernel, routine
+from maxq.control.kernel.vectors import Matrix, Symmetric, Vector
 
 FLAT, SPHERE, ELLIPSOID = 0, 1, 2  # Earth.figure
 NO_GRAVITY, UNIFORM, INVERSE_SQUARE, J2 = 0, 1, 2, 3  # Earth.gravity
@@ -41,15 +42,15 @@ class Earth:
     of `j2`. Raises ValueError for a combination that has no meaning.
     """
 
-    figure: int  # not "shape": on an uncompiled np.record that is the shape of an array
-    equatorial_radius_m: float
-    flattening: float
-    rate_radps: float  # rotation of E relative to I about z; 0: not rotating
-    gravity: int
-    mu_m3ps2: float
-    j2: float
-    gravity_radius_m: float
-    uniform_mps2: float
+    figure: int = ELLIPSOID  # not "shape": on an uncompiled np.record that is the shape of an array
+    equatorial_radius_m: float = WGS84_RADIUS_m
+    flattening: float = WGS84_FLATTENING
+    rate_radps: float = WGS84_RATE_radps  # rotation of E relative to I about z; 0: not rotating
+    gravity: int = J2
+    mu_m3ps2: float = WGS84_MU_m3ps2
+    j2: float = WGS84_J2
+    gravity_radius_m: float = WGS84_RADIUS_m
+    uniform_mps2: float = STANDARD_GRAVITY_mps2
 
     def __post_init__(self) -> None:
         if self.figure not in (FLAT, SPHERE, ELLIPSOID):
@@ -68,57 +69,28 @@ class Earth:
             raise ValueError("radii and mu of the Earth must be positive")
 
 
-def wgs84(
-    *,
-    equatorial_radius_m: float = WGS84_RADIUS_m,
-    flattening: float = WGS84_FLATTENING,
-    rate_radps: float = WGS84_RATE_radps,
-    gravity: int = J2,
-    mu_m3ps2: float = WGS84_MU_m3ps2,
-    j2: float = WGS84_J2,
-    gravity_radius_m: float = WGS84_RADIUS_m,
-    uniform_mps2: float = STANDARD_GRAVITY_mps2,
-) -> Earth:
-    """The rotating WGS-84 ellipsoid with J2; every value can be replaced."""
-    return Earth(
-        ELLIPSOID,
-        equatorial_radius_m,
-        flattening,
-        rate_radps,
-        gravity,
-        mu_m3ps2,
-        j2,
-        gravity_radius_m,
-        uniform_mps2,
-    )
+def wgs84(**replaced: Any) -> Earth:
+    """The rotating WGS-84 ellipsoid with J2; `replaced` are fields of `Earth`."""
+    return Earth(**replaced)
 
 
-def sphere(
-    *,
-    radius_m: float = MEAN_RADIUS_m,
-    rate_radps: float = WGS84_RATE_radps,
-    gravity: int = INVERSE_SQUARE,
-    mu_m3ps2: float = WGS84_MU_m3ps2,
-    j2: float = WGS84_J2,
-    gravity_radius_m: float = WGS84_RADIUS_m,
-    uniform_mps2: float = STANDARD_GRAVITY_mps2,
-) -> Earth:
-    """A rotating sphere with inverse-square gravitation (NESC cases 4, 5); every value can be replaced."""
-    return Earth(SPHERE, radius_m, 0.0, rate_radps, gravity, mu_m3ps2, j2, gravity_radius_m, uniform_mps2)
+def sphere(**replaced: Any) -> Earth:
+    """A rotating sphere with inverse-square gravitation (NESC cases 4, 5)."""
+    default = {"equatorial_radius_m": MEAN_RADIUS_m, "flattening": 0.0, "gravity": INVERSE_SQUARE}
+    return Earth(SPHERE, **(default | replaced))
 
 
-def flat(*, gravity: int = UNIFORM, uniform_mps2: float = STANDARD_GRAVITY_mps2) -> Earth:
+def flat(**replaced: Any) -> Earth:
     """A flat Earth at rest: I = E = NED at the site, altitude = -z."""
-    return Earth(FLAT, WGS84_RADIUS_m, 0.0, 0.0, gravity, WGS84_MU_m3ps2, WGS84_J2, WGS84_RADIUS_m, uniform_mps2)
+    return Earth(FLAT, **({"flattening": 0.0, "rate_radps": 0.0, "gravity": UNIFORM} | replaced))
 
 
 @kernel
-def gravitation(earth: Earth, x: float, y: float, z: float) -> tuple[float, float, float]:
+def gravitation(earth: Earth, x: float, y: float, z: float) -> Vector:
     """Gravitational acceleration (gx, gy, gz) [m/s2] at (x, y, z) [m], in the frame of the position: I or E.
 
-    Flat: (0, 0, +g), because I is NED there. J2: Vallado, Fundamentals of Astrodynamics, 4th ed., sec.
-    8.6.1, the gradient of mu/r (1 - J2 (R/r)^2 (3 sin^2 - 1)/2). Finite within a metre of the centre, but
-    without meaning.
+    Flat: (0, 0, +g), because I is NED there. J2: Vallado, Fundamentals of Astrodynamics, 4th ed., sec. 8.6.1, the
+    gradient of mu/r (1 - J2 (R/r)^2 (3 sin^2 - 1)/2). Finite within a metre of the centre, but without meaning.
     """
     if earth.gravity == NO_GRAVITY:
         return 0.0, 0.0, 0.0
@@ -142,9 +114,9 @@ def gravitation(earth: Earth, x: float, y: float, z: float) -> tuple[float, floa
 @kernel
 def gravity_gradient_torque(
     earth: Earth,
-    r_B: tuple[float, float, float],
-    inertia: tuple[float, float, float, float, float, float],
-) -> tuple[float, float, float]:
+    r_B: Vector,
+    inertia: Symmetric,
+) -> Vector:
     """Torque [N m] of the gravity gradient about the centre of mass, in B: 3 mu / r^5 (r x J r).
 
     `r_B` [m]: position of the centre of mass relative to the Earth's centre, in B. `inertia` [kg m2]:
@@ -168,18 +140,16 @@ def gravity_gradient_torque(
 def local_frame(earth: Earth, x: float, y: float, z: float) -> tuple[float, float, float, float, float]:
     """Altitude [m] and (sin latitude, cos latitude, sin longitude, cos longitude) at (x, y, z) [m].
 
-    From a position in E the longitude is the longitude; from one in I it is the inertial azimuth of the
-    meridian, and the axes that `ned_axes`, `ned_to_earth`, `earth_to_ned` make of the four numbers are NED
-    in I.
+    From a position in E the longitude is the longitude; from one in I it is the inertial azimuth of the meridian, and
+    the axes that `ned_axes`, `ned_to_earth`, `earth_to_ned` make of the four numbers are NED in I.
 
-    Method: Bowring's formula once (Survey Review 28, 1985), started from his corrected parametric latitude;
-    then h = p cos + z sin - a sqrt(1 - e^2 sin^2), in which an error of the latitude enters squared. From
-    -10 km up the altitude is right to rounding (2.5e-9 m up to 1000 km, 2e-8 m at 40 000 km) and the
-    latitude to 2.5e-13 rad.
+    Method: Bowring's formula once (Survey Review 28, 1985), started from his corrected parametric latitude; then h = p
+    cos + z sin - a sqrt(1 - e^2 sin^2), in which an error of the latitude enters squared. From -10 km up the altitude
+    is right to rounding (2.5e-9 m up to 1000 km, 2e-8 m at 40 000 km) and the latitude to 2.5e-13 rad.
 
-    On the polar axis the longitude is 0. Within 8 e^2 a = 340 km of the centre, where the geodetic normal
-    is not unique, latitude and altitude are geocentric. Flat: altitude -z and the four numbers (-1, 0, 0,
-    1), with which the NED axes are the identity.
+    On the polar axis the longitude is 0. Within 8 e^2 a = 340 km of the centre, where the geodetic normal is not
+    unique, latitude and altitude are geocentric. Flat: altitude -z and the four numbers (-1, 0, 0, 1), with which the
+    NED axes are the identity.
     """
     if earth.figure == FLAT:
         return -z, -1.0, 0.0, 0.0, 1.0
@@ -219,12 +189,11 @@ def _bowring(ratio: float, e2a: float, p: float, z: float, s: float, c: float) -
 
 
 @routine
-def geodetic(earth: Earth, x: float, y: float, z: float) -> tuple[float, float, float]:
+def geodetic(earth: Earth, x: float, y: float, z: float) -> Vector:
     """(latitude [rad], longitude [rad] in -pi..pi, altitude [m]) of the Earth-fixed position (x, y, z) [m].
 
-    A second pass of Bowring's formula brings the latitude to rounding (3e-16 rad) from -10 km up. Poles,
-    axis and centre as in `local_frame`. Flat: (0, 0, -z). For logs and set-up; the hot path is
-    `local_frame`.
+    A second pass of Bowring's formula brings the latitude to rounding (3e-16 rad) from -10 km up. Poles, axis and
+    centre as in `local_frame`. Flat: (0, 0, -z). For logs and set-up; the hot path is `local_frame`.
     """
     if earth.figure == FLAT:
         return 0.0, 0.0, -z
@@ -242,9 +211,7 @@ def geodetic(earth: Earth, x: float, y: float, z: float) -> tuple[float, float, 
 
 
 @kernel
-def earth_position(
-    earth: Earth, latitude_rad: float, longitude_rad: float, altitude_m: float
-) -> tuple[float, float, float]:
+def earth_position(earth: Earth, latitude_rad: float, longitude_rad: float, altitude_m: float) -> Vector:
     """Earth-fixed position (x, y, z) [m] of a geodetic one. Flat: (0, 0, -altitude), at the site."""
     if earth.figure == FLAT:
         return 0.0, 0.0, -altitude_m
@@ -260,9 +227,7 @@ def earth_position(
 
 
 @kernel
-def ned_axes(
-    sin_lat: float, cos_lat: float, sin_lon: float, cos_lon: float
-) -> tuple[float, float, float, float, float, float, float, float, float]:
+def ned_axes(sin_lat: float, cos_lat: float, sin_lon: float, cos_lon: float) -> Matrix:
     """The unit vectors north, east, down (three numbers each) in E, or in I if `local_frame` was given I.
 
     Read as rows they are the rotation matrix from E to N.
@@ -283,7 +248,7 @@ def ned_axes(
 @kernel
 def ned_to_earth(
     sin_lat: float, cos_lat: float, sin_lon: float, cos_lon: float, n: float, e: float, d: float
-) -> tuple[float, float, float]:
+) -> Vector:
     """Components in E (or I, see `local_frame`) of a vector with components (n, e, d) in N."""
     outward = -sin_lat * n - cos_lat * d
     return cos_lon * outward - sin_lon * e, sin_lon * outward + cos_lon * e, cos_lat * n - sin_lat * d
@@ -292,7 +257,7 @@ def ned_to_earth(
 @kernel
 def earth_to_ned(
     sin_lat: float, cos_lat: float, sin_lon: float, cos_lon: float, x: float, y: float, z: float
-) -> tuple[float, float, float]:
+) -> Vector:
     """Components (n, e, d) in N of a vector with components (x, y, z) in E (or I, see `local_frame`)."""
     outward = cos_lon * x + sin_lon * y
     return cos_lat * z - sin_lat * outward, cos_lon * y - sin_lon * x, -cos_lat * outward - sin_lat * z
@@ -308,18 +273,12 @@ def earth_rotation(earth: Earth, time_s: float) -> tuple[float, float]:
 
 
 @kernel
-def inertial_to_earth(cos: float, sin: float, x: float, y: float, z: float) -> tuple[float, float, float]:
+def inertial_to_earth(cos: float, sin: float, x: float, y: float, z: float) -> Vector:
     """Components in E of a vector (x, y, z) in I; (cos, sin) from `earth_rotation`."""
     return cos * x + sin * y, cos * y - sin * x, z
 
 
 @kernel
-def earth_to_inertial(cos: float, sin: float, x: float, y: float, z: float) -> tuple[float, float, float]:
-    """Components in I of a vector (x, y, z) in E; (cos, sin) from `earth_rotation`."""
-    return cos * x - sin * y, cos * y + sin * x, z
-
-
-@kernel
-def ground_velocity(earth: Earth, x: float, y: float) -> tuple[float, float, float]:
+def ground_velocity(earth: Earth, x: float, y: float) -> Vector:
     """Velocity relative to I [m/s] of the Earth-fixed point at (x, y, any z) [m], in the position's frame."""
     return -earth.rate_radps * y, earth.rate_radps * x, 0.0

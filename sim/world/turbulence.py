@@ -5,16 +5,14 @@ The vehicle flies through a frozen field of gusts whose spectra over the circula
     longitudinal     S_u = sigma^2 2 L / (pi V) / (1 + (L w / V)^2)
     lateral, normal  S_v = sigma^2 L / (pi V) (1 + 3 (L w / V)^2) / (1 + (L w / V)^2)^2
 
-with airspeed V, intensity sigma and scale length L. They are scaled white noise through 1/(1 + p) and
-(1 + sqrt(3) p)/(1 + p)^2, p the Laplace variable of the dimensionless time theta = V t / L. In theta the
-filters have constant coefficients and an output of unit variance, so airspeed, scale length and intensity
-may vary over the flight, and each tick is an exact discretisation whatever its length. With V -> 0 the field
-stands still and the gust with it.
+with airspeed V, intensity sigma and scale length L. They are scaled white noise through 1/(1 + p) and (1 + sqrt(3)
+p)/(1 + p)^2, p the Laplace variable of the dimensionless time theta = V t / L. In theta the filters have constant
+coefficients and an output of unit variance, so airspeed, scale length and intensity may vary over the flight, and each
+tick is an exact discretisation whatever its length. With V -> 0 the gust is constant.
 
-Approximations: the components are taken along the body axes x (u), y (v), z (w) instead of along the
-relative wind, which differ by the angle of incidence; below 1000 ft the standard's axes are horizontal and
-vertical, which is ignored; rotary gusts are left out, because their share is of the order of the span over
-the scale length.
+Approximations: the components are taken along the body axes x (u), y (v), z (w) instead of along the relative wind,
+which differ by the angle of incidence; below 1000 ft the standard's axes are horizontal and vertical, which is ignored;
+rotary gusts are left out, because their share is of the order of the span over the scale length.
 """
 
 from __future__ import annotations
@@ -34,7 +32,6 @@ from maxq.control.kernel.tables import NO_TABLE, Cubics, TableRef, find_interval
 
 FOOT_m = 0.3048
 KNOT_mps = 1852.0 / 3600.0
-SCALE_LENGTH_m = 1750.0 * FOOT_m  # MIL-F-8785C 3.7.2.1, medium and high altitude
 Exceedance = Literal["light", "moderate", "severe"]
 
 
@@ -50,9 +47,7 @@ class Turbulence:
 
 @dataclass
 class TurbulenceState:
-    """State record, changed in place: how many ticks were made, the filters of u (1), v (2) and w (2), and
-    the last two gusts.
-    """
+    """State record, changed in place: number of ticks, filter states of u (1), v (2), w (2), the last two gusts."""
 
     ticks: int
     filters: Annotated[Array, (5,)]
@@ -61,12 +56,11 @@ class TurbulenceState:
 
 
 def intensity_table(altitude_m: ArrayLike, sigma_mps: ArrayLike, scale_length_m: ArrayLike) -> Cubics:
-    """Table for `Turbulence.intensity`: columns sigma_u, sigma_v, sigma_w [m/s], L_u, L_v, L_w [m], linear
-    in altitude.
+    """Table for `Turbulence.intensity`: columns sigma_u, sigma_v, sigma_w [m/s], L_u, L_v, L_w [m], linear in altitude.
 
-    `sigma_mps` and `scale_length_m` are (n, 3) for n altitudes, or anything that broadcasts to it: one
-    number is a constant. L is the length in the spectra above (MIL-HDBK-1797 writes 2 L for L_v and L_w).
-    Outside the altitudes the end values hold. Raises ValueError unless sigma >= 0 and L > 0.
+    `sigma_mps` and `scale_length_m` are (n, 3) for n altitudes, or anything that broadcasts to it: one number is a
+    constant. L is the length in the spectra above (MIL-HDBK-1797 writes 2 L for L_v and L_w). Outside the altitudes the
+    end values hold. Raises ValueError unless sigma >= 0 and L > 0.
     """
     altitude = np.atleast_1d(np.asarray(altitude_m, float))
     shape = (len(altitude), 3)
@@ -95,7 +89,7 @@ def exceedance_table(level: Exceedance, ground_altitude_m: float = 0.0) -> Cubic
     To 1000 ft above the ground (3.7.3, figures 10 and 11, never below 10 ft): sigma_w = 0.1 of the wind at
     20 ft, L_w = h, sigma_u = sigma_v = sigma_w / k^0.4, L_u = L_v = h / k^1.2 with k = 0.177 + 0.000823
     h/ft. From 2000 ft up (3.7.2, figure 7): all equal, L = 1750 ft. Linear in between. `ground_altitude_m`
-    lifts only the lower part. Raises KeyError for another level.
+    shifts the lower part only. Raises KeyError for another level.
     """
     low = np.array([10.0, 20.0, 40.0, 70.0, 100.0, 150.0, 200.0, 300.0, 400.0, 600.0, 800.0, 1000.0])
     k = 0.177 + 0.000823 * low
@@ -167,13 +161,11 @@ def turbulence_tick(
 
 @kernel
 def turbulence_at(state: TurbulenceState, fraction: float) -> tuple[float, float, float]:
-    """Velocity of the air (u, v, w) [m/s] along body x, y, z, at `fraction` (0..1) of the way to the next
-    tick.
+    """Velocity of the air (u, v, w) [m/s] along body x, y, z, at `fraction` (0..1) of the way to the next tick.
 
-    Linear between the last two ticks: continuous for the integrator, and one tick late, because the line
-    ends at the gust that the last tick drew. The delay is that of a field `airspeed * tick` further on and
-    changes no statistics; the line takes a little of the variance above a quarter of the tick rate. Zero
-    before `turbulence_start`.
+    Linear between the last two ticks: continuous for the integrator, and one tick late, because the line ends at the
+    gust that the last tick drew. The delay is that of a field `airspeed * tick` further on and changes no statistics;
+    the line takes a little of the variance above a quarter of the tick rate. Zero before `turbulence_start`.
     """
     u, v, w = state.before_mps[0], state.before_mps[1], state.before_mps[2]
     return (
@@ -187,9 +179,8 @@ def turbulence_at(state: TurbulenceState, fraction: float) -> tuple[float, float
 def second_order_step(theta: float) -> tuple[float, float, float, float]:
     """Exact step of z_1' = -z_1 + white noise, z_2' = -z_2 + z_1 over the dimensionless time `theta` >= 0.
 
-    Returns (decay, l_11, l_21, l_22): z_1 -> decay z_1 + l_11 a, z_2 -> decay (z_2 + theta z_1) + l_21 a +
-    l_22 b with independent unit normals a, b; the l are the Cholesky factor of integral(exp(-2 s) [[1, s],
-    [s, s^2]] ds).
+    Returns (decay, l_11, l_21, l_22): z_1 -> decay z_1 + l_11 a, z_2 -> decay (z_2 + theta z_1) + l_21 a + l_22 b with
+    independent unit normals a, b; the l are the Cholesky factor of integral(exp(-2 s) [[1, s], [s, s^2]] ds).
     """
     decay = math.exp(-theta)
     q_11 = -0.5 * math.expm1(-2.0 * theta)

@@ -1,6 +1,4 @@
-"""Motion of the air relative to the Earth, in local North-East-Down, over altitude: a profile plus discrete
-gusts.
-"""
+"""Motion of the air relative to the Earth, in local North-East-Down, over altitude: a profile plus discrete gusts."""
 
 from __future__ import annotations
 
