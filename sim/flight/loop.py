@@ -18,16 +18,7 @@ from maxq.sim.flight.events import (
     transfer_state,
 )
 from maxq.sim.flight.metrics import N_METRICS, gather
-from maxq.sim.flight.parameters import (
-    APOGEE,
-    DIVERGED,
-    IMPACT,
-    LIFTOFF,
-    N_EVENTS,
-    NEVER,
-    Memory,
-    Parameters,
-)
+from maxq.sim.flight.parameters import APOGEE, DIVERGED, IMPACT, LIFTOFF, N_EVENTS, NEVER, Memory, Parameters
 from maxq.sim.flight.step import Workspace, evaluate, read_schedule, runge_kutta, schedule_clock, workspace_of
 from maxq.sim.flight.telemetry import fill_fast, fill_slow
 from maxq.sim.vehicle.block import Sizes, counts

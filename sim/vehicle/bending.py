@@ -240,10 +240,8 @@ def _elastic_forces_on_four(
     for half in range(2):
         if half < mode_groups(sizes):
             for k in range(4 * half, 4 * half + 4):
-                c, taken = (
-                    mode_column(sizes, plane, softening_row(sizes, k)) + first,
-                    k_soft * work[of_plane(ETA, plane) + k],
-                )
+                c = mode_column(sizes, plane, softening_row(sizes, k)) + first
+                taken = k_soft * work[of_plane(ETA, plane) + k]
                 f_0 += taken * properties[c]
                 f_1 += taken * properties[c + 1]
                 f_2 += taken * properties[c + 2]

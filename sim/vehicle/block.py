@@ -90,7 +90,5 @@ POSITION = StateBlock({f"r_I_{axis}_m": "m" for axis in "xyz"}, bound=1e9, exces
 VELOCITY = StateBlock({f"v_I_{axis}_mps": "m/s" for axis in "xyz"}, bound=1e5, excess=_FAR)
 ATTITUDE = StateBlock({f"q_BI_{component}": "1" for component in "wxyz"})
 ANGULAR_VELOCITY = StateBlock(
-    {f"w_BI_B_{axis}_radps": "rad/s" for axis in "xyz"},
-    bound=1000.0,
-    excess="the vehicle turns faster than 1000 rad/s",
+    {f"w_BI_B_{axis}_radps": "rad/s" for axis in "xyz"}, bound=1000.0, excess="the vehicle turns faster than 1000 rad/s"
 )

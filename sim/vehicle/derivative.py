@@ -56,15 +56,7 @@ from maxq.sim.vehicle.schedule import (
     schedule_width,
 )
 from maxq.sim.vehicle.slosh import Slosh, accelerate, pendulum_derivative, pendulum_loads
-from maxq.sim.vehicle.state import (
-    ACTUATOR,
-    GYRO,
-    N_ACTUATOR,
-    N_PENDULUM,
-    eta_index,
-    pendulum_index,
-    xi_index,
-)
+from maxq.sim.vehicle.state import ACTUATOR, GYRO, N_ACTUATOR, N_PENDULUM, eta_index, pendulum_index, xi_index
 from maxq.sim.vehicle.workspace import (
     AERO_FORCE,
     AERO_MOMENT,

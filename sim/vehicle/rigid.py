@@ -151,10 +151,8 @@ def prepare_outflow(e: Engine, slosh: Slosh, sizes: Counts, properties: Array) -
         inner = add(inner, scaled(growth, at))
         damping = _plus_point(damping, growth, at)
     behind = schedule_width(sizes)
-    properties[behind + INVERSE_CORE_MASS], properties[behind + INVERSE_TOTAL_MASS] = (
-        1.0 / mass,
-        1.0 / properties[TOTAL_MASS],
-    )
+    properties[behind + INVERSE_CORE_MASS] = 1.0 / mass
+    properties[behind + INVERSE_TOTAL_MASS] = 1.0 / properties[TOTAL_MASS]
     set_vector(properties, behind + INNER_FLOW, inner)
     for j in range(6):
         properties[behind + JET_DAMPING + j] = damping[j]

@@ -138,10 +138,8 @@ def complete_modes(
             properties[inverse + i], properties[stiffness + i], properties[damping + i] = 0.0, 0.0, 0.0
     n, compliance = sizes.tanks, compliance_column(sizes, plane)
     for k in range(n):
-        at_k, yield_k = (
-            mode_column(sizes, plane, MODE_FIRST + k),
-            derived_column(sizes, plane, MODE_TANK_COMPLIANCE + k),
-        )
+        at_k = mode_column(sizes, plane, MODE_FIRST + k)
+        yield_k = derived_column(sizes, plane, MODE_TANK_COMPLIANCE + k)
         for i in range(padded_modes(sizes)):
             properties[yield_k + i] = properties[at_k + i] * properties[inverse + i]
         for j in range(k, n):

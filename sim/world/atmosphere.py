@@ -127,11 +127,7 @@ def air(atmosphere: Atmosphere, pool: Array, altitude_m: float) -> tuple[float, 
     elif atmosphere.model == TABLE:
         density, pressure, temperature = _table_air(pool, atmosphere.table, altitude_m)
     elif atmosphere.model == CONSTANT:
-        density, pressure, temperature = (
-            atmosphere.density_kgpm3,
-            atmosphere.pressure_Pa,
-            atmosphere.temperature_K,
-        )
+        density, pressure, temperature = atmosphere.density_kgpm3, atmosphere.pressure_Pa, atmosphere.temperature_K
     else:
         density, pressure, temperature = 0.0, 0.0, SEA_LEVEL_TEMPERATURE_K
     return atmosphere.density_factor * density, pressure, temperature, speed_of_sound(temperature)

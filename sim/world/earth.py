@@ -112,11 +112,7 @@ def gravitation(earth: Earth, x: float, y: float, z: float) -> Vector:
 
 
 @kernel
-def gravity_gradient_torque(
-    earth: Earth,
-    r_B: Vector,
-    inertia: Symmetric,
-) -> Vector:
+def gravity_gradient_torque(earth: Earth, r_B: Vector, inertia: Symmetric) -> Vector:
     """Torque [N m] of the gravity gradient about the centre of mass, in B: 3 mu / r^5 (r x J r).
 
     `r_B` [m]: position of the centre of mass relative to the Earth's centre, in B. `inertia` [kg m2]:
