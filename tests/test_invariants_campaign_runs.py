@@ -52,7 +52,7 @@ def test_chunks_of_any_size(
 def test_cancelled_within_a_chunk(campaign: LoadedCampaign) -> None:
     """What was flown before stays; the flight under way is dropped."""
     asked = iter([False] * 3 + [True])
-    rows = fly_rows(campaign, [(campaign.batch(0, 8), run) for run in range(8)], lambda: next(asked))
+    rows = fly_rows(campaign, [(campaign.plan.draw(0, 8), run) for run in range(8)], lambda: next(asked))
     assert [row.run for row in rows] == [0, 1, 2]
     assert all(row.outcome == "duration" for row in rows)
 

@@ -25,9 +25,9 @@ def test_a_campaign_worth_it_flies_the_same_bits(campaign, monkeypatch):
     assert runs.packer(campaign.with_campaign(runs=runs.OWN_KERNELS_FROM)) is pack_for_one_vehicle
     few = campaign.with_campaign(runs=runs.OWN_KERNELS_FROM - 1)
     assert runs.packer(few) is pack_flight
-    common = fly_rows(few, [(few.batch(0, 3), run) for run in range(3)])
+    common = fly_rows(few, [(few.plan.draw(0, 3), run) for run in range(3)])
     monkeypatch.setattr(runs, "OWN_KERNELS_FROM", 1)
-    own = fly_rows(few, [(few.batch(0, 3), run) for run in range(3)])
+    own = fly_rows(few, [(few.plan.draw(0, 3), run) for run in range(3)])
     assert {row.outcome for row in common} == {"duration"}
     assert [row.state_hash for row in own] == [row.state_hash for row in common]
     assert list(map(repr, own)) == list(map(repr, common))  # repr: nan is nan, and digits are all there
@@ -35,7 +35,7 @@ def test_a_campaign_worth_it_flies_the_same_bits(campaign, monkeypatch):
 
 
 def test_every_log_row_is_the_same(campaign):
-    loaded = campaign.inputs(0, campaign.batch(0, 1)).loaded
+    loaded = campaign.inputs(0, campaign.plan.draw(0, 1)).loaded
     flights = [FlightRun(loaded, packing(loaded.scenario)) for packing in (pack_flight, pack_for_one_vehicle)]
     for _ in range(2):
         rows, own = (flight.fly_segment() for flight in flights)

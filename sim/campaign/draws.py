@@ -119,10 +119,6 @@ def _scrambled(x: NDArray[np.uint32], seed: np.uint32) -> NDArray[np.uint32]:
     return _reversed_bits(x)
 
 
-def standard_normal(u: Array) -> Array:
-    return np.asarray(ndtri(u))
-
-
 def quantile(spec: Disperse, u: Array, nominal: float) -> Array:
     """Draws of a distribution over numbers. `nominal`: the centre where the file names none.
 
@@ -131,11 +127,11 @@ def quantile(spec: Disperse, u: Array, nominal: float) -> Array:
     """
     centre, sigma, (low, high) = spec.centre(nominal), spec.sigma_of_normal, spec.ends
     if spec.distribution == "normal":
-        return np.asarray(centre + sigma * standard_normal(u))
+        return np.asarray(centre + sigma * ndtri(u))
     if spec.distribution == "truncated-normal":
         return _truncated(centre, sigma, low, high, u)
     if spec.distribution == "log-normal":
-        return np.asarray((spec.median or centre) * np.exp(sigma * standard_normal(u)))
+        return np.asarray((spec.median or centre) * np.exp(sigma * ndtri(u)))
     if spec.distribution == "uniform":
         return np.asarray(low + (high - low) * u)
     assert spec.mode is not None

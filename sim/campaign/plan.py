@@ -9,17 +9,18 @@ with an analytic correlation in place of its tables of monthly statistics.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
 import numpy as np
+from scipy.special import ndtri
 
 from maxq.control.kernel.records import Array
-from maxq.sim.campaign.draws import Sobol, chosen, correlated, latin, quantile, seeds, standard_normal, uniforms
+from maxq.sim.campaign.draws import Sobol, chosen, correlated, latin, quantile, seeds, uniforms
 from maxq.sim.campaign.error import CampaignError
 from maxq.sim.campaign.schema import Campaign, Disperse, WindModel
-from maxq.sim.campaign.targets import Target
+from maxq.sim.campaign.targets import BOUNDS, Target
 from maxq.sim.scenario.tables_csv import CsvTable
 from maxq.sim.world.wind import wind_components
 
@@ -68,7 +69,7 @@ class Drawn:
     results: dict[tuple[str, int], Array]  # by name and target: what stands in the scenario
     seeds: np.ndarray | None
     wind: np.ndarray | None
-    redraws: np.ndarray = field(default_factory=lambda: np.zeros(0, np.int64))
+    redraws: np.ndarray
     columns: Columns | None = None  # see Plan.columns
 
 
@@ -153,7 +154,7 @@ class Plan:
             if entry not in groups:
                 members = [other for other in self.draws if other.entry == entry]
                 assert spec.covariance is not None
-                groups[entry] = correlated(spec.covariance, [standard_normal(raw[m.name]) for m in members])
+                groups[entry] = correlated(spec.covariance, [ndtri(raw[m.name]) for m in members])
             return np.asarray(spec.centre(d.nominal) + groups[entry][position])
         if spec.values is not None:
             index = chosen(spec, u)
@@ -213,7 +214,7 @@ class Plan:
 
 
 def _bounds_text(d: Draw) -> str:
-    words = [d.targets[0].bounds_text()]
+    words = [" and ".join(f"{BOUNDS[mark][1]} {bound:g}" for mark, bound in d.targets[0].bounds)]
     words += [f"at_least = {d.spec.at_least:g}"] if d.spec.at_least is not None else []
     words += [f"at_most = {d.spec.at_most:g}"] if d.spec.at_most is not None else []
     given = ", ".join(word for word in words if word)
@@ -274,7 +275,7 @@ class VectorWind:
         for level in range(levels):
             for axis in range(2):
                 u = uniforms(seed, WIND_KEY, first, count, attempt, component=2 * level + axis)
-                z[:, level, axis] = standard_normal(u)
+                z[:, level, axis] = ndtri(u)
         for level in range(1, levels):  # a Markov chain over altitude has an exponential correlation
             rho = self._along[level - 1]
             z[:, level] = rho * z[:, level - 1] + np.sqrt(1.0 - rho * rho) * z[:, level]

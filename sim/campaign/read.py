@@ -17,15 +17,17 @@ from typing import Annotated, Any
 
 import numpy as np
 from pydantic import TypeAdapter, ValidationError
+from pydantic_core import PydanticCustomError
 
 from maxq.sim.campaign.draws import box
 from maxq.sim.campaign.error import CampaignError
 from maxq.sim.campaign.plan import MOST_ATTEMPTS, SEED_KEY, WIND_KEY, Draw, Drawn, Ensemble, Plan, VectorWind
 from maxq.sim.campaign.schema import Campaign, CampaignFile, Disperse, plain_value, tuples
-from maxq.sim.campaign.targets import BadKey, Change, Dispersed, Refused, Target, find_target
+from maxq.sim.campaign.targets import Change, Dispersed, Refused, Target, find_target
 from maxq.sim.run.metrics import METRIC_NAMES
 from maxq.sim.scenario.documents import plain, source_of
 from maxq.sim.scenario.errors import Path as KeyPath
+from maxq.sim.scenario.errors import refuse
 from maxq.sim.scenario.files import Reading
 from maxq.sim.scenario.loader import CAMPAIGN_SECTIONS, LoadedScenario, load_scenario_text, load_with_sections
 from maxq.sim.scenario.messages import explain, field_at
@@ -71,10 +73,6 @@ class LoadedCampaign:
         campaign = before.model_copy(update=changes)
         file = self.file.model_copy(update={"campaign": campaign})
         return LoadedCampaign(self.base, file, Plan(campaign, self.plan.draws, self.plan.wind))
-
-    def batch(self, first: int, count: int) -> Drawn:
-        """The draws of consecutive runs, made together."""
-        return self.plan.draw(first, count)
 
     def inputs(self, run: int, drawn: Drawn | None = None) -> Inputs:
         """Draws and scenario of one run, out of a batch where one is given; from several threads, too.
@@ -162,10 +160,8 @@ class LoadedCampaign:
             if d.is_text or d.spec.distribution in ("choice", "samples", "cases"):
                 continue
             if d.group is not None and d.spec.covariance is not None:
-                centre, reach = (
-                    d.spec.centre(d.nominal),
-                    sigmas * float(np.sqrt(d.spec.covariance[d.group[1]][d.group[1]])),
-                )
+                centre = d.spec.centre(d.nominal)
+                reach = sigmas * float(np.sqrt(d.spec.covariance[d.group[1]][d.group[1]]))
                 out[d.name] = (centre - reach, centre + reach)
             else:
                 out[d.name] = box(d.spec, d.nominal, sigmas)
@@ -180,10 +176,10 @@ def load_campaign(path: str | Path, overrides: Iterable[str] = ()) -> LoadedCamp
         return made_of(loaded, file, reading)
     except ValidationError as error:
         raise explain(error, tree, CampaignFile) from None
-    except _Misplaced as wrong:
-        raise source_of(tree, wrong.path).error(
-            wrong.path, wrong.problem, allowed=wrong.allowed, **({"value": wrong.value} if wrong.value else {})
-        ) from None
+    except PydanticCustomError as wrong:
+        found = wrong.context or {}
+        at = found["key"]
+        raise source_of(tree, at).error(at, found["problem"], allowed=found["allowed"], value=found["value"]) from None
 
 
 def description_of(campaign: LoadedCampaign) -> dict[str, Any]:
@@ -202,14 +198,6 @@ def campaign_from(description: Mapping[str, Any], label: str = "campaign") -> Lo
     return made_of(loaded, file, given=tuples(description.get("tables", {})))
 
 
-class _Misplaced(Exception):
-    """A mistake in a campaign file that only the scenario shows."""
-
-    def __init__(self, path: KeyPath, problem: str, value: Any = "", allowed: str = "") -> None:
-        super().__init__(problem)
-        self.path, self.problem, self.value, self.allowed = path, problem, value, allowed
-
-
 def made_of(
     loaded: LoadedScenario,
     file: CampaignFile,
@@ -226,19 +214,19 @@ def made_of(
     if file.wind_model is not None:
         model, scenario_wind = file.wind_model, loaded.scenario.wind
         if scenario_wind.speed_mps is not None:
-            raise _Misplaced(("wind_model", "model"), "cannot be combined with wind.speed_mps", model.model)
+            raise refuse("cannot be combined with wind.speed_mps", key=("wind_model", "model"), value=model.model)
         if model.model == "ensemble":
             wind = Ensemble(model)
         elif scenario_wind.profile is not None:
             wind = VectorWind(model, scenario_wind.profile)
         else:
             problem = "there is no wind.profile to deviate from"
-            raise _Misplaced(("wind_model", "model"), problem, "vector", "wind.profile")
+            raise refuse(problem, "wind.profile", ("wind_model", "model"), value="vector")
     known = channel_units(loaded)
     for n, channel in enumerate(file.campaign.envelope.channels):
         if channel not in known:
             path = ("campaign", "envelope", "channels", n)
-            raise _Misplaced(path, "is no log channel (docs/telemetry.md)", channel)
+            raise refuse("is no log channel (docs/telemetry.md)", key=path, value=channel)
     return LoadedCampaign(loaded, file, Plan(file.campaign, tuple(found), wind))
 
 
@@ -252,13 +240,13 @@ def _check_overlaps(file: CampaignFile, found: list[Draw]) -> None:
             place = (target.key, d.where, d.spec.tag if in_column else None)
             if place in taken:
                 allowed = "two draws that scale or add to a column, each with a tag" if in_column else ""
-                raise _Misplaced(key, "is dispersed twice", target.key, allowed)
+                raise refuse("is dispersed twice", allowed, key, value=target.key)
             taken.add(place)
             if target.key == WIND_KEY and file.wind_model is not None:
-                raise _Misplaced(key, "is drawn by [wind_model] already", target.key)
+                raise refuse("is drawn by [wind_model] already", key=key, value=target.key)
             if target.key == SEED_KEY and file.campaign.noise == "each-run":
                 allowed = "'as-scenario' with such a draw"
-                raise _Misplaced(("campaign", "noise"), "run.seed is dispersed", allowed=allowed)
+                raise refuse("run.seed is dispersed", allowed, ("campaign", "noise"))
 
 
 def channel_units(loaded: LoadedScenario) -> dict[str, str]:
@@ -286,8 +274,9 @@ def _draws(
     def target_of(key: str, where: KeyPath) -> Target:
         try:
             target = find_target(loaded.scenario, key)
-        except BadKey as bad:
-            raise _Misplaced(where, bad.problem, key, bad.allowed) from None
+        except PydanticCustomError as bad:
+            found = bad.context or {}
+            raise refuse(found["problem"], found["allowed"], where, value=key) from None
         _check_fits(spec, target, here)
         return target
 
@@ -319,20 +308,20 @@ def _check_fits(spec: Disperse, target: Target, at: KeyPath) -> None:
     """A distribution and the value it is for, one against the other."""
     if target.kind in ("text", "table"):
         if spec.distribution != "choice" or spec.apply != "set":
-            raise _Misplaced((*at, "distribution"), f"{target.key} holds no number", spec.distribution, "'choice'")
+            raise refuse(f"{target.key} holds no number", "'choice'", (*at, "distribution"), value=spec.distribution)
         if not all(isinstance(value, str) for value in spec.values or ()):
-            raise _Misplaced((*at, "values"), f"{target.key} holds no number", allowed="texts")
+            raise refuse(f"{target.key} holds no number", "texts", (*at, "values"))
         return
     if any(isinstance(value, str) for value in spec.values or ()):
-        raise _Misplaced((*at, "values"), f"{target.key} holds a number", allowed="numbers")
+        raise refuse(f"{target.key} holds a number", "numbers", (*at, "values"))
     if spec.where is not None and target.kind != "column":
-        raise _Misplaced((*at, "where"), f"{target.key} is no column of a table")
+        raise refuse(f"{target.key} is no column of a table", key=(*at, "where"))
     is_column = target.kind == "column"
     if spec.apply != "set" and not is_column and np.isnan(target.nominal):
-        raise _Misplaced((*at, "apply"), f"{target.key} has no value to start from", spec.apply, "'set'")
+        raise refuse(f"{target.key} has no value to start from", "'set'", (*at, "apply"), value=spec.apply)
     centre = {"normal": "mean", "truncated-normal": "mean", "log-normal": "median"}.get(spec.distribution)
     if spec.apply == "set" and centre is not None and getattr(spec, centre) is None and np.isnan(target.nominal):
-        raise _Misplaced((*at, centre), f"required key is missing: {target.key} has no value of its own")
+        raise refuse(f"required key is missing: {target.key} has no value of its own", key=(*at, centre))
 
 
 def _tables(
@@ -348,5 +337,5 @@ def _tables(
         except ValidationError as error:
             context = error.errors(include_url=False)[0].get("ctx", {})
             problem, allowed = context.get("problem", "is no such table"), context.get("allowed", "")
-            raise _Misplaced((*here, "values", n), problem, str(value), allowed) from None
+            raise refuse(problem, allowed, (*here, "values", n), value=str(value)) from None
     return tuple(out)

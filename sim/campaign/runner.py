@@ -277,7 +277,7 @@ class Threads:
         return self._tasks(gaps)
 
     def _tasks(self, gaps: list[Gap]) -> Iterator[Future[list[Row]]]:
-        batches = ((self._campaign.batch(first, size), first, size) for first, size in gaps)
+        batches = ((self._campaign.plan.draw(first, size), first, size) for first, size in gaps)
         orders = ((drawn, run) for drawn, first, size in batches for run in range(first, first + size))
         left = sum(size for _, size in gaps)
         sys.setswitchinterval(min(self._switch_s, 5e-4))  # a thread that comes back from the kernel waits no longer
@@ -374,7 +374,7 @@ class Cluster:
 def fly_batch(packed: bytes, first: int, size: int) -> tuple[list[Row], dict[str, str]]:
     """The task: fly runs `first` .. `first + size - 1`. Returns their rows, and what flew them."""
     campaign = _unpacked(packed)
-    drawn = campaign.batch(first, size)
+    drawn = campaign.plan.draw(first, size)
     orders = [(drawn, run) for run in range(first, first + size)]
     return [row for k in range(0, size, CHUNK) for row in fly_rows(campaign, orders[k : k + CHUNK])], simulator()
 

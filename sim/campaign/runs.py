@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field
+from itertools import takewhile
 from typing import Any
 
 import numpy as np
@@ -39,10 +41,6 @@ Packing = Callable[[Scenario], Packed]
 _SEGMENT_NS = 60 * NS_PER_S  # of a flight, a tenth of a second's work: between two of them it can be cancelled
 
 
-class Cancelled(Exception):
-    """The campaign is to end: the flight under way is dropped."""
-
-
 @dataclass
 class Row:
     """What is recorded of one run. The fields of `_COLUMNS` are columns of the data set by their names."""
@@ -70,16 +68,6 @@ class History:
     values: NDArray[np.float32]
 
 
-@dataclass
-class Begun:
-    """A run that is prepared, under way or flown: its draws and its flight."""
-
-    made: Inputs
-    flight: FlightRun
-    envelope: Envelope | None  # whose channels it keeps
-    kept: list[tuple[Array, Array]] = field(default_factory=list, repr=False)
-
-
 def fly_rows(loaded: LoadedCampaign, orders: Iterable[Order], stop: Callable[[], bool] = lambda: False) -> list[Row]:
     """Fly these runs, one after the other; the rows of those that were flown before `stop` said so, in their order.
 
@@ -87,48 +75,64 @@ def fly_rows(loaded: LoadedCampaign, orders: Iterable[Order], stop: Callable[[],
     drives Python's code and data out of the processor's caches, and to fetch them again for each run costs as much as
     the preparation itself. Raises CampaignError where the file refuses the draws.
     """
-    flown: list[Begun | Row] = []
     pack = packer(loaded)
-    for run in [_prepared(loaded, order, pack) for order in orders]:
+    runs = [_Run(loaded, drawn, run, pack) for drawn, run in orders]
+    return [run.recorded() for run in takewhile(lambda run: run.fly(stop), runs)]
+
+
+class _Run:
+    """A run that is prepared, flown and recorded. Where it cannot be, `row` is there at once, and says why."""
+
+    def __init__(self, loaded: LoadedCampaign, drawn: Drawn, run: int, pack: Packing) -> None:
+        wanted = loaded.campaign.envelope
+        self.envelope = wanted if run < wanted.runs and wanted.channels else None
+        self.kept: list[tuple[Array, Array]] = []  # times and values of the envelope's channels, by segment
+        self.row: Row | None = None
         try:
-            flown.append(run if isinstance(run, Row) else _flown(run, stop))
-        except Cancelled:
-            break
-    return [_row_of(run) for run in flown]
+            self.made = loaded.inputs(run, drawn)
+        except Refused as refused:
+            self.row = _void_row(run, REFUSED, f"no such scenario: {refused}")
+            return
+        with self._errors_recorded():
+            self.flight = _begun_flight(self.made.loaded, self.envelope, pack)
 
+    @contextmanager
+    def _errors_recorded(self) -> Iterator[None]:
+        """One run in ten thousand must not end a campaign. Memory that is short is the machine's: raised again."""
+        try:
+            yield
+        except MemoryError:
+            raise
+        except Exception as error:
+            self.row = _void_row(self.made.run, ERROR, f"{type(error).__name__}: {error}")
+            self.row.inputs, self.row.redraws = self.made.recorded, self.made.redraws
 
-def _prepared(loaded: LoadedCampaign, order: Order, pack: Packing) -> Begun | Row:
-    """A run at its start, or the row of one that cannot be flown. Raises CampaignError."""
-    drawn, run = order
-    try:
-        made = loaded.inputs(run, drawn)
-    except Refused as refused:
-        return _void_row(run, REFUSED, f"no such scenario: {refused}")
-    wanted = loaded.campaign.envelope
-    envelope = wanted if run < wanted.runs and wanted.channels else None
-    try:
-        return Begun(made, _begun_flight(made.loaded, envelope, pack), envelope)
-    except Exception as error:  # one run in ten thousand must not end a campaign: the row says what happened
-        return _failed(made, error)
+    def fly(self, stop: Callable[[], bool]) -> bool:
+        """Fly it to its end; False where `stop` said so before."""
+        if self.row is not None:
+            return True
+        with self._errors_recorded():
+            table, wanted = self.flight.table, self.envelope.channels if self.envelope is not None else ()
+            columns = [(table.topic(channel).group, table.index(channel)) for channel in wanted]
+            while not self.flight.finished:
+                if stop():
+                    return False
+                rows = self.flight.fly_segment()
+                if self.envelope is not None:
+                    self.kept.append(_on_grid(rows, columns, self.envelope.rate_hz))
+        return True
 
-
-def _flown(run: Begun, stop: Callable[[], bool]) -> Begun | Row:
-    """Fly it to its end; of an envelope's channels keep times and values. Raises Cancelled."""
-    flight, envelope = run.flight, run.envelope
-    try:
-        wanted = envelope.channels if envelope is not None else ()
-        columns = [(flight.table.topic(channel).group, flight.table.index(channel)) for channel in wanted]
-        while not flight.finished:
-            if stop():
-                raise Cancelled
-            rows = flight.fly_segment()
-            if envelope is not None:
-                run.kept.append(_on_grid(rows, columns, envelope.rate_hz))
-    except Cancelled:
-        raise
-    except Exception as error:  # as above
-        return _failed(run.made, error)
-    return run
+    def recorded(self) -> Row:
+        """The row of a run that has been flown."""
+        if self.row is None:
+            with self._errors_recorded():
+                row = recorded_row(self.made, self.flight.result())
+                if self.envelope is not None:
+                    times, values = (np.concatenate([part[i] for part in self.kept], axis=-1) for i in (0, 1))
+                    row.history = History(times.astype(np.float32), values.astype(np.float32))
+                self.row = row
+        assert self.row is not None
+        return self.row
 
 
 def _on_grid(rows: Rows, columns: Sequence[tuple[str, int]], rate_hz: float) -> tuple[Array, Array]:
@@ -136,20 +140,6 @@ def _on_grid(rows: Rows, columns: Sequence[tuple[str, int]], rate_hz: float) -> 
     times = rows[SLOW][0] / NS_PER_S
     on_grid = np.abs(times * rate_hz - np.rint(times * rate_hz)) < 1e-6
     return times[on_grid], np.array([rows[group][1][: len(times), column][on_grid] for group, column in columns])
-
-
-def _row_of(run: Begun | Row) -> Row:
-    """The row of a run that has been flown."""
-    if isinstance(run, Row):
-        return run
-    try:
-        row = recorded_row(run.made, run.flight.result())
-        if run.envelope is not None:
-            times, values = (np.concatenate([part[i] for part in run.kept], axis=-1) for i in (0, 1))
-            row.history = History(times.astype(np.float32), values.astype(np.float32))
-        return row
-    except Exception as error:  # as above
-        return _failed(run.made, error)
 
 
 def packer(loaded: LoadedCampaign) -> Packing:
@@ -198,15 +188,6 @@ def recorded_row(made: Inputs, flight: Flight) -> Row:
 def _void_row(run: int, outcome: str, cause: str) -> Row:
     nothing = dict.fromkeys(METRIC_NAMES, math.nan)
     return Row(run, outcome, False, cause, math.nan, math.nan, 0, 0, "", {}, nothing, dict(nothing))
-
-
-def _failed(made: Inputs, error: Exception) -> Row:
-    """A run that met an error of this program. Memory that is short is the machine's: raised again."""
-    if isinstance(error, MemoryError):
-        raise error
-    row = _void_row(made.run, ERROR, f"{type(error).__name__}: {error}")
-    row.inputs, row.redraws = made.recorded, made.redraws
-    return row
 
 
 # the data set's columns

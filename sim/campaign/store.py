@@ -173,7 +173,9 @@ def _same_campaign(folder: Path, campaign: LoadedCampaign) -> int:
 
     Where the file does not give one: a 32nd of the runs, rounded down to a power of two from 64 to 1024.
     """
-    identity = identity_of(campaign)
+    identity = description_of(campaign) | {"simulator": simulator()}
+    if campaign.campaign.sampling == "latin-hypercube":
+        identity["campaign"]["stratum"] = campaign.campaign.stratum or max(campaign.campaign.runs, 1)
     path = folder / MANIFEST
     if not path.exists():
         runs = campaign.campaign.runs
@@ -202,14 +204,6 @@ def read_manifest(folder: Path) -> dict[str, Any]:
     if content.get("layout") != LAYOUT:
         raise CampaignError(f"{path}: has layout {content.get('layout')}, this maxq knows {LAYOUT}")
     return content
-
-
-def identity_of(campaign: LoadedCampaign) -> dict[str, Any]:
-    """All that the flights depend on, and that makes the same campaign again (`campaign_in`)."""
-    description = description_of(campaign)
-    if campaign.campaign.sampling == "latin-hypercube":
-        description["campaign"]["stratum"] = campaign.campaign.stratum or max(campaign.campaign.runs, 1)
-    return description | {"simulator": simulator()}
 
 
 def simulator() -> dict[str, str]:

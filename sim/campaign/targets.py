@@ -16,28 +16,20 @@ import numpy as np
 from pydantic import ValidationError
 
 from maxq.control.kernel.records import Array
-from maxq.sim.scenario.errors import LARGEST_NUMBER, suggestion
+from maxq.sim.scenario.errors import LARGEST_NUMBER, refuse, suggestion
 from maxq.sim.scenario.messages import describe, field_at
 from maxq.sim.scenario.schema_scenario import Scenario
 from maxq.sim.scenario.schema_values import LONGEST_S, NS_PER_S, Section
 from maxq.sim.scenario.tables_csv import Columns, CsvTable
 
 Apply = Literal["set", "scale", "add"]
-_BOUNDS: dict[str, tuple[Callable[..., Any], str]] = {
+BOUNDS: dict[str, tuple[Callable[..., Any], str]] = {
     "gt": (np.greater, "above"),
     "ge": (np.greater_equal, "at least"),
     "lt": (np.less, "below"),
     "le": (np.less_equal, "at most"),
 }
 """Marks of pydantic that bound a number."""
-
-
-class BadKey(Exception):
-    """A key path without a value, or with one that cannot be dispersed: `problem` and `allowed` in words."""
-
-    def __init__(self, problem: str, allowed: str = "") -> None:
-        super().__init__(problem)
-        self.problem, self.allowed = problem, allowed
 
 
 class Refused(Exception):
@@ -69,11 +61,8 @@ class Target:
         """Where the schema's bounds hold."""
         good = np.isfinite(value) & (np.abs(value) <= LARGEST_NUMBER)
         for mark, bound in self.bounds:
-            good &= _BOUNDS[mark][0](value, bound)
+            good &= BOUNDS[mark][0](value, bound)
         return good
-
-    def bounds_text(self) -> str:
-        return " and ".join(f"{_BOUNDS[mark][1]} {bound:g}" for mark, bound in self.bounds)
 
 
 def _applied(apply: Apply, value: Any, draw: Any) -> Any:
@@ -81,7 +70,7 @@ def _applied(apply: Apply, value: Any, draw: Any) -> Any:
 
 
 def find_target(scenario: Scenario, key: str) -> Target:
-    """The place that a key path names. Raises BadKey."""
+    """The place that a key path names. Raises PydanticCustomError, see `refuse`."""
     path: list[str | int] = []
     at: Any = scenario
     parts = key.split(".")
@@ -90,20 +79,20 @@ def find_target(scenario: Scenario, key: str) -> Target:
         if isinstance(at, Section):
             names = _names(type(at))
             if part not in names:
-                raise BadKey("is no key of the scenario" + _hint(part, names, parts[:n]))
+                raise refuse("is no key of the scenario" + _hint(part, names, parts[:n]))
             at = getattr(at, names[part])
             path.append(part)
         elif isinstance(at, tuple):
             if not part.isdecimal() or int(part) >= len(at):
-                raise BadKey(f"{so_far} has no element {part}", f"0 .. {len(at) - 1}" if at else "nothing: it is empty")
+                raise refuse(f"{so_far} has no element {part}", f"0 .. {len(at) - 1}" if at else "nothing: it is empty")
             at = at[int(part)]
             path.append(int(part))
         elif isinstance(at, CsvTable):
             return _column(scenario, key, path, at, part, parts[n + 1 :])
         elif at is None:
-            raise BadKey(f"the scenario has no {so_far}")
+            raise refuse(f"the scenario has no {so_far}")
         else:
-            raise BadKey(f"{so_far} is a value and has no keys below it")
+            raise refuse(f"{so_far} is a value and has no keys below it")
     return _leaf(key, tuple(path), at)
 
 
@@ -124,30 +113,30 @@ def _leaf(key: str, path: tuple[str | int, ...], value: Any) -> Target:
     annotation, metadata = field_at(Scenario, path)
     if isinstance(value, Section | tuple):
         inside = ", ".join(list(_names(type(value)))[:6]) if isinstance(value, Section) else "0, 1, ..."
-        raise BadKey("is not a single value", f"one of what is inside: {inside}")
+        raise refuse("is not a single value", f"one of what is inside: {inside}")
     if isinstance(value, bool) or annotation is bool:
-        raise BadKey("is true or false and cannot be drawn", "a number, a text, or a column of a table")
+        raise refuse("is true or false and cannot be drawn", "a number, a text, or a column of a table")
     if any(isinstance(mark, Columns) for mark in metadata):
         return Target(key, path, "table", math.nan)
     if annotation is float or annotation is int:
         nominal = math.nan if value is None else float(value)
-        bounds = tuple((n, float(getattr(m, n))) for m in metadata for n in _BOUNDS if getattr(m, n, None) is not None)
+        bounds = tuple((n, float(getattr(m, n))) for m in metadata for n in BOUNDS if getattr(m, n, None) is not None)
         checks = {getattr(getattr(mark, "func", None), "__name__", "") for mark in metadata}
         whole = annotation is float and "_whole_ns" in checks
         return Target(key, path, "integer" if annotation is int else "number", nominal, bounds, whole)
     if isinstance(value, str) or value is None:
         return Target(key, path, "text", math.nan)
-    raise BadKey("cannot be drawn", describe(annotation, metadata))
+    raise refuse("cannot be drawn", describe(annotation, metadata))
 
 
 def _column(scenario: Scenario, key: str, path: list[str | int], table: CsvTable, name: str, rest: list[str]) -> Target:
     _, metadata = field_at(Scenario, tuple(path))
     columns = next(mark for mark in metadata if isinstance(mark, Columns))
     if rest:
-        raise BadKey(f"column {name} is the end of a key path")
+        raise refuse(f"column {name} is the end of a key path")
     if name not in columns.known():
         hint = suggestion(name, columns.known())
-        raise BadKey(f"the table has no column {name}" + (f"; {hint}" if hint else ""), ", ".join(table.columns))
+        raise refuse(f"the table has no column {name}" + (f"; {hint}" if hint else ""), ", ".join(table.columns))
     return Target(key, (*path, name), "column", math.nan)
 
 
