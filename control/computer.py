@@ -20,14 +20,7 @@ from typing import Annotated, NamedTuple
 import numpy as np
 
 from maxq.control.attitude import AttitudeError, AttitudeRow, attitude_row, start_attitude_error, update_attitude_error
-from maxq.control.converter import (
-    Converter,
-    ConverterState,
-    convert,
-    make_converter,
-    round_half_away,
-    start_converter,
-)
+from maxq.control.converter import Converter, ConverterState, convert, make_converter, round_half_away, start_converter
 from maxq.control.filters import DiscreteFilter
 from maxq.control.guidance import GuidanceState, advance_guidance, start_guidance
 from maxq.control.kernel.jit import kernel, routine
@@ -301,6 +294,5 @@ class GuidanceRow(NamedTuple):
 @kernel
 def guidance_row(state: ComputerState) -> GuidanceRow:
     return GuidanceRow(
-        axis_commanded_deg=degrees(state.guidance.angle_rad),
-        axis_measured_deg=degrees(state.converter.angle_rad),
+        axis_commanded_deg=degrees(state.guidance.angle_rad), axis_measured_deg=degrees(state.converter.angle_rad)
     )

@@ -126,4 +126,4 @@ def loop(
 __all__ = [
     "PAPER_TIMES_S", "Dispersion", "Errata", "Loop", "Node", "close", "disperse", "fixed_path", "law_at",
     "load_design", "loop", "loops", "nodes", "preset",
-]  # fmt: skip
+]  # fmt: skip  # twelve more lines otherwise

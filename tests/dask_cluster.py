@@ -21,7 +21,7 @@ class Machines:
         command = [
             sys.executable, "-m", "distributed.cli.dask_worker", self.address, "--nthreads", "1", "--no-nanny",
             "--no-dashboard", "--host", "127.0.0.1", "--local-directory", str(self.folder / "dask"),
-        ]  # fmt: skip
+        ]  # fmt: skip  # ten more lines otherwise
         with open(self.folder / f"worker-{len(self.processes)}.log", "wb") as log:
             self.processes.append(subprocess.Popen(command, stdout=log, stderr=log))
         return self.processes[-1]
@@ -33,7 +33,7 @@ def machines(folder: Path, workers: int) -> Iterator[Machines]:
     command = [
         sys.executable, "-m", "distributed.cli.dask_scheduler", "--host", "127.0.0.1", "--port", "0",
         "--no-dashboard", "--no-show", "--scheduler-file", str(file),
-    ]  # fmt: skip
+    ]  # fmt: skip  # nine more lines otherwise
     with open(folder / "scheduler.log", "wb") as log:
         scheduler = subprocess.Popen(command, stdout=log, stderr=log)
     made = Machines("", folder, [scheduler])

@@ -57,11 +57,7 @@ EVENTS = (
     Event(3 * SECOND, Level.FATAL, "q·alpha out of bounds"),
 )
 FRAMES = FramePath(
-    "I",
-    "B",
-    SLOW[0],
-    np.arange(3.0 * len(SLOW[0])).reshape(-1, 3),
-    np.tile([0.5, -0.5, 0.1, 0.7], (len(SLOW[0]), 1)),
+    "I", "B", SLOW[0], np.arange(3.0 * len(SLOW[0])).reshape(-1, 3), np.tile([0.5, -0.5, 0.1, 0.7], (len(SLOW[0]), 1))
 )
 
 

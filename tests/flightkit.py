@@ -89,11 +89,7 @@ class Parts:
 
     core_mass_kg: float = 4000.0
     core_cg: tuple[float, float, float] = (7.0, 0.0, 0.0)  # station, y, z
-    core_inertia: tuple[tuple[float, float, float], ...] = (
-        (700.0, 0.0, 0.0),
-        (0.0, 5.0e4, 0.0),
-        (0.0, 0.0, 5.0e4),
-    )
+    core_inertia: tuple[tuple[float, float, float], ...] = ((700.0, 0.0, 0.0), (0.0, 5.0e4, 0.0), (0.0, 0.0, 5.0e4))
     tanks: tuple[Tank, ...] = ()
     stations_m: tuple[float, ...] = (0.0, 3.0, 5.0, 10.0, 12.0, 14.0)
     mass_forward_kg: tuple[float, ...] = (0.0, 600.0, 1500.0, 3200.0, 3800.0, 4200.0)
@@ -164,11 +160,9 @@ def mode_rows(parts: Parts, modes: tuple[Mode, ...]) -> list[Tree]:
 def stage_of(parts: Parts) -> Tree:
     mass, cg, inertia = composed(parts)
     stage: Tree = {
-        "mass": {
-            "mass_kg": mass, "x_cg_m": cg[0], "y_cg_m": cg[1], "z_cg_m": cg[2], "inertia_kgm2": inertia,
-        },
+        "mass": {"mass_kg": mass, "x_cg_m": cg[0], "y_cg_m": cg[1], "z_cg_m": cg[2], "inertia_kgm2": inertia},
         "gyro": {"station_m": parts.gyro_station_m, "omega_hz": 60.0, "zeta": 0.65},
-    }  # fmt: skip
+    }
     if parts.engine:
         stage["engine"] = {
             "table": [{"time_s": 0.0, "thrust_vacuum_N": parts.thrust_N}],
@@ -233,7 +227,7 @@ def oracle_vehicle(parts: Parts, damping_1ps: tuple[float, ...] = ()) -> system.
             a.slope_pm[at[parts.gimbal_station_m]], b.slope_pm[at[parts.gimbal_station_m]],
         )
         for a, b in zip(parts.pitch, parts.yaw, strict=True)
-    )  # fmt: skip
+    )  # fmt: skip  # seven more lines otherwise
     pendulums = tuple(
         system.Pendulum(
             tank.mass_kg,
@@ -325,7 +319,7 @@ class Rig:
         _evaluate_at(
             self.packed.parameters, self.packed.pool, self.packed.memory, full, now_ns, elapsed_s,
             self.props, self.dy, self.work, self.aux,
-        )  # fmt: skip
+        )  # fmt: skip  # eight more lines otherwise
         return self.dy[: self.n].copy()
 
     def run(self) -> FlightRun:
@@ -363,14 +357,7 @@ def flown(made: Rig, duration_s: float, every_s: float | None = None) -> Array:
 def meet(made: Rig, until_ns: int) -> int:
     """Everything that is due now (samples, commands, ignition); nanoseconds to the next such instant."""
     return int(
-        _meet(
-            made.packed.parameters,
-            made.packed.pool,
-            made.packed.memory,
-            made.packed.state,
-            made.aux,
-            until_ns,
-        )
+        _meet(made.packed.parameters, made.packed.pool, made.packed.memory, made.packed.state, made.aux, until_ns)
     )
 
 

@@ -57,9 +57,11 @@ def test_nodes_are_those_of_the_flight_that_is_logged() -> None:
     flight = fly(nominal("run.duration_s=42"))
     for node in nodes:
         for name, ours in (
-            ("airspeed_mps", node.condition.airspeed_mps), ("mach", node.condition.mach),
-            ("density_kgpm3", node.condition.density_kgpm3), ("pressure_Pa", node.condition.pressure_Pa),
-        ):  # fmt: skip
+            ("airspeed_mps", node.condition.airspeed_mps),
+            ("mach", node.condition.mach),
+            ("density_kgpm3", node.condition.density_kgpm3),
+            ("pressure_Pa", node.condition.pressure_Pa),
+        ):
             there = np.interp(node.time_s, flight.time_s(name), flight[name])
             np.testing.assert_allclose(ours, there, rtol=1e-6)
 
@@ -148,8 +150,9 @@ def test_deviations_of_modes_and_instruments() -> None:
     np.testing.assert_allclose(after.z_alpha_1ps / before.z_alpha_1ps, 1.15)
     assert after.m_delta_1ps2 > 1.03 * before.m_delta_1ps2
     assert after.m_alpha_1ps2 < before.m_alpha_1ps2
-    np.testing.assert_allclose(axial_load_mps2(stronger.vehicle, stronger.condition),
-                               axial_load_mps2(node.vehicle, node.condition))  # fmt: skip
+    np.testing.assert_allclose(
+        axial_load_mps2(stronger.vehicle, stronger.condition), axial_load_mps2(node.vehicle, node.condition)
+    )
 
 
 @pytest.mark.parametrize(
@@ -178,9 +181,9 @@ def test_too_many_factors_and_too_much_slosh() -> None:
 def test_zero_slosh_mass_is_no_tank() -> None:
     node = node_at(40.0).with_(slosh_mass=(1.0, 0.0))
     keep = dataclasses.replace(
-        node.vehicle.pendulums, **{f.name: getattr(node.vehicle.pendulums, f.name)[:1] for f in
-                                   dataclasses.fields(node.vehicle.pendulums)}
-    )  # fmt: skip
+        node.vehicle.pendulums,
+        **{f.name: getattr(node.vehicle.pendulums, f.name)[:1] for f in dataclasses.fields(node.vehicle.pendulums)},
+    )
     modes = dataclasses.replace(node.vehicle.modes, phi_hinge=node.vehicle.modes.phi_hinge[:, :1])
     single = dataclasses.replace(node, vehicle=dataclasses.replace(node.vehicle, pendulums=keep, modes=modes))
     for kind in KINDS:
@@ -199,8 +202,9 @@ def test_a_rigid_body_with_ideal_instruments(kind: api.Kind) -> None:
     """In vacuum q' = M_delta delta exactly: the loop has its closed form."""
     node = ideal(without(node_at(40.0), modes=True, tanks=True), actuator=True, gyro=True)
     condition = dataclasses.replace(node.condition, density_kgpm3=0.0)
-    vehicle = dataclasses.replace(node.vehicle, jet_damping=False, engine=dataclasses.replace(
-        node.vehicle.engine, gimballed_mass_kg=0.0))  # fmt: skip
+    vehicle = dataclasses.replace(
+        node.vehicle, jet_damping=False, engine=dataclasses.replace(node.vehicle.engine, gimballed_mass_kg=0.0)
+    )
     node = dataclasses.replace(node, condition=condition, vehicle=vehicle)
     path = fixed_path(node, kind)
     assert path.continuous.states == ("q_radps",)
@@ -324,8 +328,10 @@ def test_literal_cuts_of_eq_42() -> None:
         s = loop.state_space()
         direct = s.response(F)[:, 0, 0]
         np.testing.assert_allclose(loop.response(F), direct, rtol=1e-5)
-    peak = {cut: peaks_db(api.loop(node, design(), kind="pade", cut=cut))["bending 1"]  # type: ignore[arg-type]  # a Literal, from a loop
-            for cut in ("gimbal_command", "rate_command_to_q", "rate_command_to_q_m")}  # fmt: skip
+    peak = {
+        cut: peaks_db(api.loop(node, design(), kind="pade", cut=cut))["bending 1"]  # type: ignore[arg-type]  # a Literal, from a loop
+        for cut in ("gimbal_command", "rate_command_to_q", "rate_command_to_q_m")
+    }
     assert peak["gimbal_command"] > 10.0 > -15.0 > peak["rate_command_to_q_m"] > peak["rate_command_to_q"] + 15.0
 
 
@@ -344,8 +350,11 @@ def test_imposed_derivatives_span_table_2() -> None:
     for k, name in enumerate(COLUMNS):
         np.testing.assert_allclose((found[:, k].min(), found[:, k].max()), ends[name], rtol=1e-12)
     for before, after in zip(flown(), nodes, strict=True):
-        np.testing.assert_allclose(axial_load_mps2(after.vehicle, after.condition),
-                                   axial_load_mps2(before.vehicle, before.condition), rtol=1e-12)  # fmt: skip
+        np.testing.assert_allclose(
+            axial_load_mps2(after.vehicle, after.condition),
+            axial_load_mps2(before.vehicle, before.condition),
+            rtol=1e-12,
+        )
         rates = [stability_derivatives(n.vehicle, n.condition).m_q_1ps for n in (before, after)]
         np.testing.assert_allclose(rates[0], rates[1], rtol=1e-12)
         assert after.vehicle.modes is before.vehicle.modes

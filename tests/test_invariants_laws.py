@@ -46,7 +46,7 @@ def case_of(kind: str) -> LoadedCase:
     loaded = kit.case(
         "objective.kind=least-margin", "limits.modulus_db=-6", f"loop={kind}", "search.starts=3", "search.leaps=2",
         "nodes_s=[20.0, 40.0]",
-    )  # fmt: skip
+    )  # fmt: skip  # four more lines otherwise
     return replace(loaded, case=loaded.case.model_copy(update={"law": "pid"}))
 
 

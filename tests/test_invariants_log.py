@@ -14,18 +14,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from example_log import (
-    EVENTS,
-    FAST,
-    FRAMES,
-    HEAD,
-    SECOND,
-    SLOW,
-    TABLE,
-    holds_exactly,
-    same_bits,
-    write_example,
-)
+from example_log import EVENTS, FAST, FRAMES, HEAD, SECOND, SLOW, TABLE, holds_exactly, same_bits, write_example
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from mcap.reader import make_reader

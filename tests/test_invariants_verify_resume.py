@@ -63,7 +63,7 @@ def _killed(folder: Path, parts: int, number: str) -> dict[str, Any]:
     run = subprocess.run(
         [sys.executable, str(script), str(suite), str(folder), str(parts), number],
         capture_output=True, text=True, timeout=600, check=True, env=os.environ | {"OPENBLAS_NUM_THREADS": "1"},
-    )  # fmt: skip
+    )  # fmt: skip  # four more lines otherwise
     told: dict[str, Any] = json.loads(run.stdout)
     return told
 
@@ -75,9 +75,7 @@ def test_second_time_everything_is_recalled(in_one_go: dict[str, Any]) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    ("number", "code", "parts"), [("SIGKILL", -9, 2), ("SIGKILL", -9, 8), ("SIGINT", 130, 3)]
-)  # fmt: skip
+@pytest.mark.parametrize(("number", "code", "parts"), [("SIGKILL", -9, 2), ("SIGKILL", -9, 8), ("SIGINT", 130, 3)])
 def test_an_interrupted_verification_goes_on(
     tmp_path: Path, number: str, code: int, parts: int, in_one_go: dict[str, Any]
 ) -> None:

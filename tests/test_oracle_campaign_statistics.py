@@ -14,8 +14,7 @@ from maxq.sim.campaign.schema import Disperse
 
 
 @pytest.mark.parametrize(
-    ("success", "runs"),
-    [(0.9973, [852, 1440, 1970, 2473, 2959]), (0.99865, [1705, 2880, 3941, 4947])],
+    ("success", "runs"), [(0.9973, [852, 1440, 1970, 2473, 2959]), (0.99865, [1705, 2880, 3941, 4947])]
 )
 def test_runs_that_show_it_with_k_failures(success: float, runs: list[int]) -> None:
     """The table of shared/design/practice.md (Hanson & Beard, NASA/TP-2010-216447), 90 % confidence."""

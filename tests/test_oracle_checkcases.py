@@ -9,18 +9,7 @@ from functools import cache
 
 import numpy as np
 import pytest
-from oracles.textbook_flight import (
-    RATE,
-    Air,
-    Body,
-    State,
-    Vector,
-    cross,
-    geodetic,
-    integrate,
-    ned_axes,
-    start,
-)
+from oracles.textbook_flight import RATE, Air, Body, State, Vector, cross, geodetic, integrate, ned_axes, start
 from scipy.integrate import solve_ivp
 
 from maxq.sim.run.fly import Flight, fly
@@ -45,9 +34,7 @@ def drag(air: Air, area: float, coefficient: float) -> Vector:
 
 def sphere() -> Body:
     return Body(
-        lambda t: SLUG,
-        lambda t: SPHERE_INERTIA * np.eye(3),
-        lambda t, air: (drag(air, SPHERE_AREA, 0.1), NOTHING),
+        lambda t: SLUG, lambda t: SPHERE_INERTIA * np.eye(3), lambda t, air: (drag(air, SPHERE_AREA, 0.1), NOTHING)
     )
 
 
@@ -238,10 +225,7 @@ class Stage:
 FIRST = Stage(
     0.0,
     [0.0, 40.0],
-    [
-        [3000, 6.1, 0.004, -0.002, 310, 21000, 21100, 6, 14, -3],
-        [1500, 5.3, 0.008, -0.005, 190, 13000, 13050, 4, 9, -2],
-    ],
+    [[3000, 6.1, 0.004, -0.002, 310, 21000, 21100, 6, 14, -3], [1500, 5.3, 0.008, -0.005, 190, 13000, 13050, 4, 9, -2]],
     [0.0, 39.8, 40.0],
     [62000.0, 68000.0, 0.0],
     (0.12, 10.2, (0.003, 0.001), (0.02, -0.03)),
@@ -296,10 +280,7 @@ def two_stages_by_the_book() -> tuple[Vector, list[State]]:
     shift = SECOND.place(SEPARATION, 0.0) - FIRST.place(SEPARATION, 0.0)
     turning = end.rate - end.attitude.T @ np.array([0.0, 0.0, RATE])
     after = State(
-        end.position - end.attitude @ shift,
-        end.velocity - end.attitude @ cross(turning, shift),
-        end.attitude,
-        end.rate,
+        end.position - end.attitude @ shift, end.velocity - end.attitude @ cross(turning, shift), end.attitude, end.rate
     )
     flight = SECOND.body((IGNITION_2, BURN_2), earth_rates=True)
     more = integrate(flight, after, upper, (IGNITION_2, 67.9, BURN_2), wind_of_two_stages)

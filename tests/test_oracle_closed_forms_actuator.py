@@ -10,19 +10,7 @@ import math
 
 import numpy as np
 import pytest
-from flightkit import (
-    Mode,
-    Parts,
-    Rig,
-    composed,
-    engine_states,
-    flown,
-    merged,
-    rig,
-    scenario_of,
-    to_oracle,
-    with_stage,
-)
+from flightkit import Mode, Parts, Rig, composed, engine_states, flown, merged, rig, scenario_of, to_oracle, with_stage
 from scipy.linalg import expm
 from scipy.signal import tf2ss
 
@@ -159,13 +147,7 @@ def test_gyro_step_response(axis: int) -> None:
 
 
 # --- engine reaction
-ENGINE = Parts(
-    core_cg=(7.0, 0.0, 0.0),
-    engine_mass_kg=180.0,
-    engine_cg_m=0.4,
-    engine_inertia_kgm2=20.0,
-    thrust_N=1.2e5,
-)
+ENGINE = Parts(core_cg=(7.0, 0.0, 0.0), engine_mass_kg=180.0, engine_cg_m=0.4, engine_inertia_kgm2=20.0, thrust_N=1.2e5)
 
 
 def moment_per_angle(made: Rig, axis: int) -> tuple[float, float]:

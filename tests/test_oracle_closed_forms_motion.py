@@ -340,14 +340,7 @@ def burning(rows: list[dict[str, float]], rate: Array) -> Rig:
 
 def row(time_s: float, mass_kg: float, x_cg_m: float, inertia: tuple[float, float, float]) -> dict[str, float]:
     x, y, z = inertia
-    return {
-        "time_s": time_s,
-        "mass_kg": mass_kg,
-        "x_cg_m": x_cg_m,
-        "Ixx_kgm2": x,
-        "Iyy_kgm2": y,
-        "Izz_kgm2": z,
-    }
+    return {"time_s": time_s, "mass_kg": mass_kg, "x_cg_m": x_cg_m, "Ixx_kgm2": x, "Iyy_kgm2": y, "Izz_kgm2": z}
 
 
 @pytest.mark.parametrize("axis", [1, 2])

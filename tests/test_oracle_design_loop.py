@@ -213,10 +213,12 @@ def _instruments_at(path: PadeFixedPath, s: complex) -> complex:
     i = path.node.instruments
     out = 1.0 + 0.0j
     for omega, zeta, power in (
-        (i.actuator.omega_1_radps, i.actuator.zeta_1, -1), (i.actuator.omega_2_radps, i.actuator.zeta_2, -1),
-        (i.actuator.omega_3_radps, i.actuator.zeta_3, -1), (i.actuator.omega_4_radps, i.actuator.zeta_4, 1),
+        (i.actuator.omega_1_radps, i.actuator.zeta_1, -1),
+        (i.actuator.omega_2_radps, i.actuator.zeta_2, -1),
+        (i.actuator.omega_3_radps, i.actuator.zeta_3, -1),
+        (i.actuator.omega_4_radps, i.actuator.zeta_4, 1),
         (i.gyro.omega_radps, i.gyro.zeta, -1),
-    ):  # fmt: skip
+    ):
         out *= (1.0 + 2.0 * zeta * s / omega + (s / omega) ** 2) ** power
     return out
 
@@ -247,9 +249,11 @@ def _fly_computer(node: Node, loop: Loop, samples: int, kick: float) -> Array:
     pool = Pool()
     gains = gains_table(GainSchedule([0.0], *([gain] for gain in loop.law.gains.values())))
     built = build_computer(
-        pool, sample_ns=round(1e9 * timing.sample_s), gains=gains,
+        pool,
+        sample_ns=round(1e9 * timing.sample_s),
+        gains=gains,
         pitch_filter=loop.law.filter,  # type: ignore[attr-defined]  # a Pd
-    )  # fmt: skip
+    )
     computer, tables, state = pack([built])[0], pool.array(), blank(ComputerState)[0]
     start_computer(computer, tables, state, 0.0)
     n = len(plant.states)
@@ -289,7 +293,7 @@ def frozen(time_s: float, *overrides: str) -> tuple[LoadedScenario, Node]:
         "initial.geodetic.latitude_deg=0", "initial.geodetic.longitude_deg=0",
         f"initial.geodetic.altitude_m={altitude}", f"initial.euler_deg=[0, {float(np.degrees(path))!r}, 0]",
         f"initial.ned_mps={velocity!r}", *overrides,
-    ])  # fmt: skip
+    ])  # fmt: skip  # fourteen more lines otherwise
     packed = pack_flight(loaded.scenario)
     air = evaluate_at(packed, packed.state, time_s).aux
     condition = FlightCondition(

@@ -99,7 +99,7 @@ def printed_rates(node: Node, x: dict[str, Array], delta: float, delta_accel: fl
     return {
         "alpha": np.array(alpha_rate), "q": np.array(q_rate), "theta": np.array(q), "eta": x["eta_rate"],
         "eta_rate": eta_accel, "gamma": x["gamma_rate"], "gamma_rate": gamma_accel, "q_m": np.array(q_m),
-    }  # fmt: skip
+    }  # fmt: skip  # six more lines otherwise
 
 
 @EVERY_NODE

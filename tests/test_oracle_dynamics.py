@@ -205,10 +205,7 @@ def thrust_load(parts: Parts, state: State, follower: bool) -> tuple[Load, float
     assert vehicle.engine is not None
     g = parts.stations_m.index(parts.gimbal_station_m)
     phi_z, phi_y = np.array([m.phi[g] for m in parts.pitch]), np.array([m.phi[g] for m in parts.yaw])
-    slope_z, slope_y = (
-        np.array([m.slope_pm[g] for m in parts.pitch]),
-        np.array([m.slope_pm[g] for m in parts.yaw]),
-    )
+    slope_z, slope_y = (np.array([m.slope_pm[g] for m in parts.pitch]), np.array([m.slope_pm[g] for m in parts.yaw]))
     turning = np.array([0.0, slope_z @ state.eta_m, -slope_y @ state.xi_m])
     moved = np.array([0.0, phi_y @ state.xi_m, phi_z @ state.eta_m])
     straight = thrust_direction(*state.deflection_rad)
@@ -250,10 +247,7 @@ def test_switches_take_away_what_they_name() -> None:
     made = rig(scenario_of(parts, switches={"bending_softening": False}))
     y, state = seen(made, random_state(rng, 2))
     load, axial = thrust_load(parts, state, True)
-    soft = (
-        axial * softening(parts, parts.pitch) @ state.eta_m,
-        axial * softening(parts, parts.yaw) @ state.xi_m,
-    )
+    soft = (axial * softening(parts, parts.pitch) @ state.eta_m, axial * softening(parts, parts.yaw) @ state.xi_m)
     assert load.modal_z_N is not None
     assert load.modal_y_N is not None
     load = replace(load, modal_z_N=load.modal_z_N - soft[0], modal_y_N=load.modal_y_N - soft[1])

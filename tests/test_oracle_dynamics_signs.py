@@ -11,19 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from flightkit import (
-    Mode,
-    Parts,
-    Rig,
-    Tank,
-    Tree,
-    engine_states,
-    flown,
-    merged,
-    rig,
-    scenario_of,
-    with_stage,
-)
+from flightkit import Mode, Parts, Rig, Tank, Tree, engine_states, flown, merged, rig, scenario_of, with_stage
 from oracles.multibody_system import rotation_from_quaternion
 
 from maxq.control.kernel.records import Array
@@ -175,8 +163,7 @@ def test_compression_softens_and_tension_stiffens(plane: int) -> None:
     off = stiffness(scenario_of(parts, switches=switches | {"bending_softening": False}))
     braked = stiffness(
         with_stage(
-            scenario_of(replace(parts, thrust_N=0.0), switches=switches, initial=start, atmosphere=air),
-            aero=drag,
+            scenario_of(replace(parts, thrust_N=0.0), switches=switches, initial=start, atmosphere=air), aero=drag
         )
     )
     assert np.isclose(alone, STIFFNESS, rtol=1e-12)
@@ -402,8 +389,7 @@ def test_drag_beside_a_cg_off_the_axis() -> None:
 
 
 @pytest.mark.parametrize(
-    ("from_deg", "wanted"),
-    [(270.0, [0.0, 1.0]), (180.0, [1.0, 0.0]), (90.0, [0.0, -1.0]), (0.0, [-1.0, 0.0])],
+    ("from_deg", "wanted"), [(270.0, [0.0, 1.0]), (180.0, [1.0, 0.0]), (90.0, [0.0, -1.0]), (0.0, [-1.0, 0.0])]
 )
 def test_wind_blows_from_where_it_is_said_to(from_deg: float, wanted: list[float]) -> None:
     """At rest, pointing at the zenith, body z to the north: the wind drags along with it."""

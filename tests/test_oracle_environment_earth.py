@@ -158,11 +158,7 @@ def test_gravity_gradient_torque_is_the_moment_of_the_attraction_of_many_masses(
 
 @pytest.mark.parametrize("earth", [flat(), wgs84(gravity=UNIFORM), wgs84(gravity=NO_GRAVITY)])
 def test_no_gravity_gradient_without_an_inverse_square_field(earth):
-    assert gravity_gradient_torque(record(earth), (7e6, 1e6, 0.0), (1.0, 2.0, 3.0, 0.1, 0.2, 0.3)) == (
-        0,
-        0,
-        0,
-    )
+    assert gravity_gradient_torque(record(earth), (7e6, 1e6, 0.0), (1.0, 2.0, 3.0, 0.1, 0.2, 0.3)) == (0, 0, 0)
 
 
 def test_a_long_body_is_pulled_upright():

@@ -35,7 +35,7 @@ def one_minus_cosine(altitude_m, thickness_m, speed_mps, from_deg, edge_m):
     return schema.Gust(
         kind="one-minus-cosine", altitude_m=altitude_m, thickness_m=thickness_m, speed_mps=speed_mps,
         from_deg=from_deg, edge_m=edge_m,
-    )  # fmt: skip
+    )  # fmt: skip  # four more lines otherwise
 
 
 def gusty(*gusts):

@@ -78,9 +78,7 @@ def test_discrete_response_is_that_of_python_control(bending: BendingFilter, met
     reference = control.sample_system(transfer_function(bending), SAMPLE_S, named, prewarp_frequency=warp)
     # The oracle multiplies its polynomials out: with up to six poles near z = 1 that costs it some digits.
     np.testing.assert_allclose(
-        discretize(bending, method).frequency_response(OMEGA),
-        reference(np.exp(1j * OMEGA * SAMPLE_S)),
-        rtol=1e-8,
+        discretize(bending, method).frequency_response(OMEGA), reference(np.exp(1j * OMEGA * SAMPLE_S)), rtol=1e-8
     )
 
 

@@ -39,7 +39,7 @@ def injected(form: int, *, replaces: int = 0, table: TableRef = NO_TABLE) -> Any
         start_ns=whole + START_NS, stop_ns=whole + STOP_NS, amplitude=amplitude, frequency_hz=real + 0.75,
         stop_frequency_hz=real + 2.5, tones=whole + 3, tone_hz=tones[0], tone_phase=tones[1], column=whole + 1,
         table=table,
-    )  # fmt: skip
+    )  # fmt: skip  # eleven more lines otherwise
     return pack([signals])[0]
 
 
@@ -58,8 +58,7 @@ def expected(form: int, since: Array) -> Array:
 
 
 @pytest.mark.parametrize(
-    "form",
-    [injection.STEP, injection.DOUBLET, injection.SINE, injection.CHIRP, injection.MULTISINE, injection.TABLE],
+    "form", [injection.STEP, injection.DOUBLET, injection.SINE, injection.CHIRP, injection.MULTISINE, injection.TABLE]
 )
 def test_a_signal_has_its_form_while_it_is_on_and_is_zero_else(form: int) -> None:
     pool = Pool()

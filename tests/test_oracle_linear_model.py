@@ -92,7 +92,7 @@ class Node:
         return StateSpace(
             s.a[np.ix_(i, i)], s.b[np.ix_(i, [j])], c, np.zeros((2, 1)), tuple(plane_states(plane)),
             ("command_rad",), ("gyro_radps", "delta_rad"),
-        )  # fmt: skip
+        )  # fmt: skip  # five more lines otherwise
 
 
 def linear_plant(packed: Packed, condition: FlightCondition, plane: Plane = "pitch") -> StateSpace:
@@ -130,7 +130,7 @@ def flat_earth(flight: Flight, time_s: float, *overrides: str) -> tuple[Packed, 
         "initial.geodetic.latitude_deg=0", "initial.geodetic.longitude_deg=0",
         f"initial.geodetic.altitude_m={altitude!r}", f"initial.euler_deg=[0, {path_deg!r}, 0]",
         f"initial.ned_mps={velocity!r}",
-    ]  # fmt: skip
+    ]  # fmt: skip  # five more lines otherwise
     packed = pack_flight(load_scenario("nominal", [*start, *overrides]).scenario)
     air = evaluate_at(packed, packed.state, time_s).aux
     condition = FlightCondition(
@@ -335,7 +335,7 @@ def flown_nodes() -> dict[tuple[int, str], Node]:
             condition = FlightCondition(
                 time_s, float(air[AIRSPEED]), float(air[DENSITY]), float(air[PRESSURE]), float(air[MACH]),
                 float(np.arcsin(-forward @ gravitation / gravity)), gravity,
-            )  # fmt: skip
+            )  # fmt: skip  # five more lines otherwise
             out[time_s, name] = Node(packed, condition, linearise(packed, y, time_s), linear_plant(packed, condition))
     return out
 

@@ -47,9 +47,7 @@ def random_pairs(rng: np.random.Generator, symmetric: bool = False) -> tuple[Mod
         if symmetric:
             mass_y, phi_y, sigma_y = mass_z, phi_z, sigma_z
         omega_y = omega if symmetric else 1.1 * omega
-        pairs.append(
-            ModePair(mass_z, mass_y, omega, omega_y, 0.01, 0.02, phi_z, phi_y, sigma_z, sigma_y),
-        )
+        pairs.append(ModePair(mass_z, mass_y, omega, omega_y, 0.01, 0.02, phi_z, phi_y, sigma_z, sigma_y))
     return tuple(pairs)
 
 
@@ -414,10 +412,7 @@ def test_period_of_a_large_swing_under_acceleration() -> None:
     acceleration, length = 15.0, 0.6
     vehicle = Vehicle(2000.0, INERTIA, None, (), (Pendulum(700.0, length, np.zeros(3)),))
     amplitude = np.deg2rad(120.0)
-    start = State(
-        u_B=np.array([[-np.cos(amplitude), 0.0, np.sin(amplitude)]]),
-        udot_B_1ps=np.zeros((1, 3)),
-    )
+    start = State(u_B=np.array([[-np.cos(amplitude), 0.0, np.sin(amplitude)]]), udot_B_1ps=np.zeros((1, 3)))
     quarter = np.sqrt(length / acceleration) * ellipk(np.sin(amplitude / 2.0) ** 2)
     load = Load(force_B_N=np.array([acceleration * vehicle.mass_kg, 0.0, 0.0]))
     states, _ = fly(multibody_sympy.accelerations, vehicle, start, quarter, load=load)
@@ -563,11 +558,7 @@ def test_moving_engine_keeps_momenta_and_adds_the_work_of_its_actuators() -> Non
 
     def deflection(time: float) -> tuple[Floats, Floats, Floats]:
         phase = rate * time + np.array([0.3, 1.0])
-        return (
-            amplitude * np.sin(phase),
-            amplitude * rate * np.cos(phase),
-            -amplitude * rate**2 * np.sin(phase),
-        )
+        return (amplitude * np.sin(phase), amplitude * rate * np.cos(phase), -amplitude * rate**2 * np.sin(phase))
 
     states, work = fly(multibody_sympy.accelerations, vehicle, start, 0.5, deflection=deflection)
     assert_momenta_kept(vehicle, states)

@@ -47,11 +47,7 @@ def test_philox_known_answers(counter, key, expected):
 
 def test_quantile_is_the_inverse_normal():
     p = np.concatenate(
-        [
-            np.linspace(1e-6, 1 - 1e-6, 3001),
-            np.geomspace(1.2e-16, 0.1, 400),
-            1 - np.geomspace(1.2e-16, 0.1, 50),
-        ]
+        [np.linspace(1e-6, 1 - 1e-6, 3001), np.geomspace(1.2e-16, 0.1, 400), 1 - np.geomspace(1.2e-16, 0.1, 50)]
     )
     got = np.array([normal_quantile(float(v)) for v in p])
     assert got == pytest.approx(scipy.special.ndtri(p), rel=2e-14, abs=1e-15)

@@ -141,6 +141,6 @@ def test_reference_integrator_agrees(actuator: str) -> None:
     limits = {
         "position": 1e-6, "velocity": 1e-8, "attitude": 1e-11, "rates": 1e-10, "actuators": 1e-8,
         "gyros": 1e-6, "bending": 1e-8, "slosh": 1e-7,
-    }  # fmt: skip
+    }  # fmt: skip  # six more lines otherwise
     for group, where in GROUPS.items():
         assert np.linalg.norm((ours - theirs)[where]) < limits[group], group

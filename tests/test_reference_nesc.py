@@ -10,13 +10,7 @@ import pytest
 from maxq.sim.run.fly import Flight, fly
 from maxq.sim.scenario.loader import load_scenario
 from maxq.tools.dev.verification import nesc
-from maxq.tools.dev.verification.nesc_cases import (
-    ALL_CASES,
-    ATMOSPHERIC,
-    Difference,
-    fly_case,
-    read_tolerances,
-)
+from maxq.tools.dev.verification.nesc_cases import ALL_CASES, ATMOSPHERIC, Difference, fly_case, read_tolerances
 
 
 @cache
@@ -54,8 +48,10 @@ WRONG = {
     "rate of the Earth": ("01", "earth.rate_radps=7.2921159e-5"),
     "oblateness": ("01", "earth.j2=1.0827e-3"),
     "size of the Earth": ("09", "earth.equatorial_radius_m=6378138.0"),
-    "inertia": ("02", "vehicle.stage.0.mass.inertia_kgm2="
-                "[[0.002568, 0.0, 0.0], [0.0, 0.008422, 0.0], [0.0, 0.0, 0.009755]]"),
+    "inertia": (
+        "02",
+        "vehicle.stage.0.mass.inertia_kgm2=[[0.002568, 0.0, 0.0], [0.0, 0.008422, 0.0], [0.0, 0.0, 0.009755]]",
+    ),
     "radius of the sphere": ("04", "earth.sphere_radius_m=6371008.8"),
     "rotation of the sphere": ("05", "earth.rotating=false"),
     "drag": ("06", "vehicle.stage.0.aero.table.CD=[0.1001]"),
@@ -66,7 +62,7 @@ WRONG = {
     "gravitational parameter": ("exo 8A", "earth.mu_m3ps2=3.986004418e14"),
     "torque": ("exo 9B", "injection.0.stop_s=2000.001"),
     "gravity gradient": ("exo 10D", "earth.gravity_gradient=false"),
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize("mistake", WRONG)

@@ -335,7 +335,7 @@ def test_bounds_that_nothing_meets(tmp_path: Path) -> None:
         ('key = "run.seed"\ndistribution = "uniform"\nlow = 0.0\nhigh = 9.0', "run.seed is dispersed"),
         ('name = "none"', "needs one of key, keys"),
     ],
-)  # fmt: skip
+)
 def test_mistakes_in_a_campaign_are_said_in_one_line(tmp_path: Path, inputs: str, says: str) -> None:
     law = "" if "distribution" in inputs else '\ndistribution = "normal"\nsigma = 1.0'
     file = campaignkit.write_campaign(tmp_path, inputs=f"[[disperse]]\n{inputs}{law}\n")

@@ -28,10 +28,7 @@ SAMPLE_NS = 10_000_000
         ({"angle_error_limit_rad": 0.0}, "angle_error_limit_rad = 0.0: allowed is above 0"),
         ({"command_limit_rad": np.nan}, "command_limit_rad = nan: allowed is above 0"),
         ({"gains": rate_programme([0.0], [1.0])}, "gains has 6 columns: allowed is 4"),
-        (
-            {"programme": gains_table(GainSchedule([0.0], [1.0], [1.0]))},
-            "programme has 4 columns: allowed is 6",
-        ),
+        ({"programme": gains_table(GainSchedule([0.0], [1.0], [1.0]))}, "programme has 4 columns: allowed is 6"),
         (
             {"pitch_filter": BendingFilter((QuadraticSection(9.0, 0.3, 7.0, 0.7),)).discretize(0.02, "zoh")},
             "filter's sample_s = 0.02: allowed is 0.01, the computer's",

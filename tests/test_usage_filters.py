@@ -10,12 +10,7 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
-from maxq.control.filters import (
-    BendingFilter,
-    DiscreteFilter,
-    FirstOrderSection,
-    QuadraticSection,
-)
+from maxq.control.filters import BendingFilter, DiscreteFilter, FirstOrderSection, QuadraticSection
 from maxq.sim.run.fly import fly
 from maxq.sim.scenario.loader import load_scenario
 from maxq.sim.scenario.schema_design import Filter

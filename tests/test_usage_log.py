@@ -31,15 +31,7 @@ ALPHA = Channel("alpha_deg", "deg", "", "angle of attack")
 
 @pytest.mark.parametrize(
     ("unit", "suffix"),
-    [
-        ("m", "m"),
-        ("rad/s", "radps"),
-        ("m/s^2", "mps2"),
-        ("N m", "Nm"),
-        ("1/s", "ps"),
-        ("1", ""),
-        ("%", "pct"),
-    ],
+    [("m", "m"), ("rad/s", "radps"), ("m/s^2", "mps2"), ("N m", "Nm"), ("1/s", "ps"), ("1", ""), ("%", "pct")],
 )
 def test_unit_suffix(unit: str, suffix: str) -> None:
     assert unit_suffix(unit) == suffix

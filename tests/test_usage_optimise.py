@@ -46,8 +46,11 @@ def test_a_filter_of_higher_order_can_be_the_same() -> None:
         assert same is not None
         assert (len(same.quadratic), len(same.first_order)) == (form.quadratic, form.first_order)
         np.testing.assert_allclose(same.frequency_response(omega), second.frequency_response(omega), rtol=1e-12)
-    fourth = lifted(dataclasses.replace(third, first_order=(dataclasses.replace(third.first_order[0], pole_hz=9.0),)),
-                    FilterVariables(2, 0), 9.7)  # fmt: skip
+    fourth = lifted(
+        dataclasses.replace(third, first_order=(dataclasses.replace(third.first_order[0], pole_hz=9.0),)),
+        FilterVariables(2, 0),
+        9.7,
+    )
     assert fourth is not None
     assert lifted(second, FilterVariables(0, 2), 9.7) is None
 
@@ -113,9 +116,12 @@ def test_one_node_and_gain_nodes_anywhere() -> None:
     assert s.feasible
     assert len(kit.designed(s).pitch.k_p) == 1
     anywhere = kit.case(
-        "nodes_s=[10.0, 30.0, 50.0]", "filter.structure=F2", "gains.schedule=nodes", "gains.nodes_s=[0.0, 22.5, 60.0]",
+        "nodes_s=[10.0, 30.0, 50.0]",
+        "filter.structure=F2",
+        "gains.schedule=nodes",
+        "gains.nodes_s=[0.0, 22.5, 60.0]",
         "search.starts=2",
-    )  # fmt: skip
+    )
     s = solve(anywhere)
     assert s.feasible
     assert kit.designed(s).pitch.time_s == [0.0, 22.5, 60.0]
@@ -123,9 +129,12 @@ def test_one_node_and_gain_nodes_anywhere() -> None:
 
 def test_filter_of_sections() -> None:
     loaded = kit.case(
-        "filter.structure=sections", "filter.quadratic=3", "filter.first_order=1", "search.starts=1",
+        "filter.structure=sections",
+        "filter.quadratic=3",
+        "filter.first_order=1",
+        "search.starts=1",
         "nodes_s=[5.0, 30.0, 55.0]",
-    )  # fmt: skip
+    )
     s = solve(loaded)
     assert s.feasible
     design = make_design(loaded, s)

@@ -39,11 +39,7 @@ def test_imports_point_one_way():
     ("module", "line", "broken"),
     [
         ("control/upward.py", "import maxq.sim.world.wind", "maxq.control is not allowed to import maxq.sim"),
-        (
-            "sim/log/upward.py",
-            "import maxq.tools.plots.style",
-            "maxq.sim is not allowed to import maxq.tools",
-        ),
+        ("sim/log/upward.py", "import maxq.tools.plots.style", "maxq.sim is not allowed to import maxq.tools"),
         ("control/laws/pd.py", "import pydantic", "maxq.control is not allowed to import pydantic"),
         ("sim/flight/loop.py", "import rich", "maxq.sim.flight is not allowed to import rich"),
         (

@@ -271,11 +271,7 @@ def test_overrides_on_the_command_line(ascent: Path) -> None:
 
 def test_files_that_were_read(ascent: Path) -> None:
     files = load_scenario("ascent.toml").files
-    assert [f.shown for f in files][:3] == [
-        "ascent.toml",
-        "vehicles/rocket/vehicle.toml",
-        "designs/trial.toml",
-    ]
+    assert [f.shown for f in files][:3] == ["ascent.toml", "vehicles/rocket/vehicle.toml", "designs/trial.toml"]
     assert {f.path.name for f in files} >= {*TABLES, "modes.csv", "programme.csv", "west.csv"}
     assert len({f.path for f in files}) == len(files) == 11
     assert files[0].content == ascent.read_bytes()
@@ -407,15 +403,7 @@ def test_the_folder_of_scenarios_is_the_repositorys() -> None:
 
 @pytest.mark.parametrize(
     ("seconds", "whole"),
-    [
-        (0.001, True),
-        (0.003, True),
-        (1 / 128, True),
-        (0.1 + 0.2, True),
-        (1e-9, True),
-        (1 / 3, False),
-        (1e-10, False),
-    ],
+    [(0.001, True), (0.003, True), (1 / 128, True), (0.1 + 0.2, True), (1e-9, True), (1 / 3, False), (1e-10, False)],
 )
 def test_whole_nanoseconds(seconds: float, whole: bool) -> None:
     assert is_whole_ns(seconds) is whole
@@ -427,12 +415,7 @@ def test_whole_nanoseconds(seconds: float, whole: bool) -> None:
 
 
 def test_periods() -> None:
-    assert [period_ns(rate) for rate in (1000.0, 100.0, 50.0, 0.5)] == [
-        1_000_000,
-        10_000_000,
-        20_000_000,
-        2 * 10**9,
-    ]
+    assert [period_ns(rate) for rate in (1000.0, 100.0, 50.0, 0.5)] == [1_000_000, 10_000_000, 20_000_000, 2 * 10**9]
     with pytest.raises(ValueError, match="whole number of nanoseconds"):
         period_ns(300.0)
 

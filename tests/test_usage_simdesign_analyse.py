@@ -52,8 +52,11 @@ def test_a_design_is_judged_at_every_node(capsys: Printed) -> None:
     assert "sampled, as it flies" in lines[1]
     for time_s in range(5, 60, 5):
         assert sum(line.split()[:2] == [str(time_s), "stable"] for line in lines) == 2
-        budget = next(line.split() for line in lines[lines.index("margin budget at the phase margin, deg") :]
-                      if line.split()[:1] == [str(time_s)])  # fmt: skip
+        budget = next(
+            line.split()
+            for line in lines[lines.index("margin budget at the phase margin, deg") :]
+            if line.split()[:1] == [str(time_s)]
+        )
         assert sum(map(float, budget[2:-2])) == pytest.approx(float(budget[-2]), abs=0.7), "digits of thirteen shares"
         assert 180.0 + float(budget[-2]) == pytest.approx(float(budget[-1]), abs=0.11)
     assert lines[-1] == "PASSED: stable, all 5 limits met"
@@ -220,7 +223,7 @@ def test_a_design_that_is_written_reads_back_the_same_and_flies_the_same() -> No
     again = design_file.design_of(
         name=design.name, description=design.description, vehicle=design.vehicle,
         law=designed_law(design), roll=design.roll, limits=design.limits,
-    )  # fmt: skip
+    )  # fmt: skip  # four more lines otherwise
     assert again == design
     write_whole(Path("again.toml"), design_file.design_text(again, ["a comment", "and one more"]))
     assert Path("again.toml").read_text().startswith("# a comment\n# and one more\nschema = 1\n")

@@ -87,7 +87,7 @@ def test_the_standard_set_has_every_subject_as_svg_and_png(capsys: Printed) -> N
     assert [name.split("-", 1)[1] for name in names] == [
         "trajectory", "air", "attitude", "gimbal", "bending", "slosh", "computer", "loads", "vehicle",
         "path", "altitude", "phase-plane", "spectra", "requirements",
-    ]  # fmt: skip
+    ]  # fmt: skip  # twelve more lines otherwise
     for name in names:
         picture = np.asarray(Image.open(f"sheets/{name}.png").convert("L"), float)
         assert picture.std() > 5.0, f"{name} is blank"

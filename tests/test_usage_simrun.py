@@ -71,12 +71,7 @@ def test_a_flight_leaves_log_and_summary_and_says_what_happened(capsys: Printed)
     assert lines[-1] == "PASSED: 1 requirement met"
     assert sorted(path.name for path in Path("out").iterdir()) == ["flight.mcap", "summary.json"]
     told = summary()
-    assert (told["outcome"], told["passed"], told["end_s"], told["log"]) == (
-        "duration",
-        True,
-        1.5,
-        "flight.mcap",
-    )
+    assert (told["outcome"], told["passed"], told["end_s"], told["log"]) == ("duration", True, 1.5, "flight.mcap")
     assert [event["name"] for event in told["events"]] == ["ignition", "liftoff"]
     assert told["metrics"]["max_speed_mps"]["unit"] == "m/s"
     assert told["metrics"]["max_speed_mps"]["time_s"] == 1.5

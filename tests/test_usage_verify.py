@@ -84,7 +84,7 @@ def test_accepted_design_leaves_verdict_and_pack(
 
 def test_rejected_and_undecided_have_their_codes(
     tmp_path: Path, suite: Path, capsys: pytest.CaptureFixture[str]
-) -> None:  # fmt: skip
+) -> None:
     quick = ("--suite", str(suite), "--out", str(tmp_path / "out"), "--no-pack", "--afresh")
     suite.write_text(SMALL.format(gain_db=30.0))
     code, said, _ = _run(capsys, "ksr3-robust", *quick)

@@ -67,7 +67,7 @@ def heads(data: DataSet) -> tuple[str, ...]:
     quantile, bound = f"{100 * campaign.success:g} %", f"bound at {100 * campaign.confidence:g} %"
     return (
         "requirement", "limit", "median", quantile, bound, "worst", "run", "failed", "allowed", "success", "verdict",
-    )  # fmt: skip
+    )  # fmt: skip  # ten more lines otherwise
 
 
 def cells(v: Judged) -> tuple[str, ...]:
@@ -166,7 +166,7 @@ def write_report(
         "sequential": settled,
         "drivers": {v.name: ds[:_NAMED] for v, ds in found},
         "envelopes": [_numbers(band) for band in over_time],
-    })  # fmt: skip
+    })  # fmt: skip  # six more lines otherwise
     files = [data.folder / "summary.json"]
     write_json(files[0], summary)
     if not pictures:
@@ -191,7 +191,7 @@ def write_report(
         simulator=read_manifest(data.folder)["simulator"],
         headline=headline(data, verdicts), redraws=analysis.redraws(data),
         tone="bad" if NOT_MET in judgements else "good" if judgements == {MET} and len(data.runs) else "open",
-    )  # fmt: skip
+    )  # fmt: skip  # eleven more lines otherwise
     files.append(write_whole(data.folder / "report.html", page, CampaignError))
     return files
 

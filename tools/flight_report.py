@@ -13,7 +13,7 @@ _FINAL = (
     "altitude_m", "speed_mps", "yaw_deg", "pitch_deg", "roll_deg", "alpha_total_deg", "dynamic_pressure_Pa",
     "body_roll_rate_degps", "body_pitch_rate_degps", "body_yaw_rate_degps", "gimbal_pitch_angle_deg",
     "gimbal_yaw_angle_deg", "bend_pitch_gimbal_m", "bend_yaw_gimbal_m",
-)  # fmt: skip
+)  # fmt: skip  # eleven more lines otherwise
 """The state that a person wants to see of a flight that went wrong; summary.json has all of it."""
 
 

@@ -14,14 +14,10 @@ from maxq.sim.scenario.schema_vehicle import Vehicle
 
 _MODELS: dict[str, type[Section]] = {
     "scenario": Scenario, "vehicle": Vehicle, "design": Design, "campaign": CampaignFile, "case": Case, "suite": Suite,
-}  # fmt: skip
+}  # fmt: skip  # five more lines otherwise
 KINDS = tuple(_MODELS)
 _EXTENDS = {"type": "string", "description": "file on top of which this one lies"}
-_UNSET = {
-    "type": "array",
-    "items": {"type": "string"},
-    "description": "keys of the extended file to remove",
-}
+_UNSET = {"type": "array", "items": {"type": "string"}, "description": "keys of the extended file to remove"}
 
 
 def json_schema(kind: str) -> dict[str, Any]:

@@ -48,44 +48,59 @@ def _parser() -> Parser:
     parser = Parser("simdesign", _USAGE, about, _EXAMPLES, _EXITS)
     add = parser.option
     add(
-        "words", nargs="*", metavar="CASE", default=[],
+        "words",
+        nargs="*",
+        metavar="CASE",
+        default=[],
         help="case file (.toml), or name of a built-in case; or a command as above",
-    )  # fmt: skip
+    )
     add(
-        "--out", modes=(*_CASES, *_JUDGED), metavar="DIR",
+        "--out",
+        modes=(*_CASES, *_JUDGED),
+        metavar="DIR",
         help="where to write (default: runs/<name of the case>, or runs/analyse-<name>)",
-    )  # fmt: skip
+    )
     add("--starts", modes=_CASES, type=count_from_1, metavar="N", help="starts of the optimiser instead of the case's")
     add("--seed", modes=_CASES, type=int, metavar="N", help="seed of the starts instead of the case's")
     add(
         "--set", modes=_CASES, metavar="KEY=VALUE", action="append", default=[], dest="overrides",
         help="override a value of the case, e.g. limits.gain_margin_db=7; repeatable",
-    )  # fmt: skip
+    )  # fmt: skip  # five more lines otherwise
     add(
-        "--orders", modes=_CASES, action="store_true",
+        "--orders",
+        modes=_CASES,
+        action="store_true",
         help="also F2 to F6 with all three gain schedules: the paper's Fig. 9",
-    )  # fmt: skip
+    )
     add(
-        "--verify", modes=_CASES, action="store_true",
+        "--verify",
+        modes=_CASES,
+        action="store_true",
         help="then try what was designed, best first, until simverify accepts one",
-    )  # fmt: skip
+    )
     add("--suite", modes=(_VERIFY,), metavar="SUITE", help="what has to be passed (default: standard)")
     add("--at", modes=_JUDGED, type=seconds, metavar="T", action="append", dest="times_s", help="vehicle time, s")
     add("--scenario", modes=_JUDGED, metavar="S", help="scenario whose flight gives the nodes (default: nominal)")
     add("--vehicle", modes=_JUDGED, metavar="V", help="vehicle folder instead of the scenario's")
     add(
-        "--kind", modes=(_ANALYSE,), choices=("sampled", "pade", "exact"),
+        "--kind",
+        modes=(_ANALYSE,),
+        choices=("sampled", "pade", "exact"),
         help="model of the computer (default: sampled, as it flies)",
-    )  # fmt: skip
+    )
     add("--axis", modes=(_ANALYSE,), choices=("pitch", "yaw"), help="plane (default: pitch)")
     add(
-        "--errata", modes=(_ANALYSE,), choices=("corrected", "paper"),
+        "--errata",
+        modes=(_ANALYSE,),
+        choices=("corrected", "paper"),
         help="equations corrected (default) or as the paper prints them",
-    )  # fmt: skip
+    )
     add(
-        "--plant", modes=_JUDGED, choices=("flown", "table2"),
+        "--plant",
+        modes=_JUDGED,
+        choices=("flown", "table2"),
         help="vehicle as flown (default), or with the ranges of Table 2",
-    )  # fmt: skip
+    )
     add("--no-pictures", modes=(*_CASES, _ANALYSE), action="store_true", help="tables and files only")
     add("--list", action="store_true", help="name the built-in cases and designs")
     parser.version_and_help()

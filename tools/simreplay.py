@@ -61,9 +61,12 @@ def _parser() -> Parser:
     add("--port", modes=("--web",), metavar="N", type=int, help="of --web (default 9090)")
     add("--tab", modes=_SCENES, metavar="NAME", help="the tab of plots that is in front, e.g. Bending")
     add(
-        "--rate", modes=_SCENES, metavar="HZ", type=positive,
+        "--rate",
+        modes=_SCENES,
+        metavar="HZ",
+        type=positive,
         help="plots keep the smallest and the largest sample of each 1/HZ s (default 50; 10 for more than 4 flights)",
-    )  # fmt: skip
+    )
     add("--bend-factor", modes=_SCENES, metavar="X", type=positive, help="how much larger bending is drawn")
     add("--slosh-factor", modes=_SCENES, metavar="X", type=positive, help="how much larger slosh angles are drawn")
     add("--side-by-side", modes=_SCENES, action="store_true", help="vehicles of several flights beside each other")

@@ -52,26 +52,30 @@ def _parser() -> Parser:
     add = parser.option
     add("scenario", nargs="?", metavar="SCENARIO", help="scenario or campaign file (.toml), or name of a built-in one")
     add(
-        "--out", modes=(*_FLIGHTS, _CAMPAIGN, _RUN), metavar="DIR",
+        "--out",
+        modes=(*_FLIGHTS, _CAMPAIGN, _RUN),
+        metavar="DIR",
         help="where to write (default: runs/<name of the scenario>)",
-    )  # fmt: skip
+    )
     add(
         "--set", modes=(*_FLIGHTS, _CAMPAIGN), metavar="KEY=VALUE", action="append", default=[], dest="overrides",
         help="override a value of the scenario, e.g. run.step_s=0.0005; KEY= removes the key; repeatable",
-    )  # fmt: skip
+    )  # fmt: skip  # five more lines otherwise
     add("--no-log", modes=(*_FLIGHTS, _RUN), action="store_true", help="no flight.mcap: only the summary")
     add(
-        "--from", metavar="LOG", dest="log",
+        "--from",
+        metavar="LOG",
+        dest="log",
         help="fly the scenario in a log again and compare the final states; writes nothing without --out; "
         "or the folder of a campaign: report on it again, or fly one --run",
-    )  # fmt: skip
+    )
     shown = (*_FLIGHTS, _RUN)
     add("--view", modes=shown, action="store_true", help="show the flight in the Rerun viewer while it flies")
     add("--view-port", modes=shown, type=int, metavar="N", help="show it in a viewer that listens on this port already")
     add(
         "--realtime", modes=_FLIGHTS, nargs="?", const="1", metavar="X",
         help="with --view: X seconds of flight in a second (default 1)",
-    )  # fmt: skip
+    )  # fmt: skip  # four more lines otherwise
     group = parser.add_argument_group("campaigns")
 
     def campaign(*names: str, modes: tuple[str, ...] = (_CAMPAIGN,), **how: object) -> None:
@@ -85,7 +89,7 @@ def _parser() -> Parser:
     campaign(
         "--keep", modes=(_CAMPAIGN, _FOLDER), metavar="WHICH", action="append", default=[],
         help="keep full logs of: worst:5 (of each requirement), worst:5:METRIC, failed, failed:20, 0,17; repeatable",
-    )  # fmt: skip
+    )  # fmt: skip  # four more lines otherwise
     campaign("--until-settled", action="store_true", help="stop when every verdict is settled")
     campaign("--dask", metavar="ADDRESS", help="fly on the workers of a dask.distributed scheduler")
     campaign(
@@ -113,10 +117,11 @@ def main(arguments: list[str] | None = None, *, alone: bool = False) -> int:
     """
     given = sys.argv[1:] if arguments is None else arguments
     return run(
-        "simrun", lambda: _run(given, alone),
+        "simrun",
+        lambda: _run(given, alone),
         interrupted="interrupted before the flight began; nothing written",
         memory="shorten the flight, log less often, or use fewer --workers",
-    )  # fmt: skip
+    )
 
 
 def _run(arguments: list[str], alone: bool) -> int:

@@ -99,7 +99,7 @@ def _fly(order: Order, stop: Stop) -> int:
             outcome = run_campaign(
                 campaign, folder, workers=order.workers, cluster=order.dask, watch=text.watcher(progress), stop=stop,
                 until_settled=order.until_settled,
-            )  # fmt: skip
+            )  # fmt: skip  # five more lines otherwise
     except KeyboardInterrupt:
         say("simrun", "interrupted twice; whole batches are safe, the same command resumes the campaign")
         return Exit.INTERRUPTED

@@ -34,15 +34,18 @@ def _parser() -> Parser:
     parser = Parser("simverify", _USAGE, about, _EXAMPLES, _EXITS)
     add = parser.option
     add(
-        "designs", nargs="*", metavar="DESIGN", default=[],
+        "designs",
+        nargs="*",
+        metavar="DESIGN",
+        default=[],
         help="design file, folder with a design.toml, or a built-in design",
-    )  # fmt: skip
+    )
     add("--suite", modes=_DESIGN, metavar="SUITE", help="suite file or name of a built-in one (default: standard)")
     add("--vehicle", modes=_DESIGN, metavar="V", help="vehicle folder instead of the scenario's")
     add(
         "--set", modes=_DESIGN, metavar="KEY=VALUE", action="append", default=[], dest="overrides",
         help="override a value of the suite, e.g. margins.cases=1000; repeatable",
-    )  # fmt: skip
+    )  # fmt: skip  # five more lines otherwise
     add("--out", modes=_DESIGN, metavar="DIR", help="where to write (default: runs/verify-<name of the design>)")
     add("--no-pack", modes=_DESIGN, action="store_true", help="verdict.json only, no review pack")
     add("--afresh", modes=_DESIGN, action="store_true", help="work out everything anew, and keep nothing")

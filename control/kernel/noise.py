@@ -56,12 +56,7 @@ def uniform_pair(seed: int, stream: int, index: int) -> tuple[float, float]:
     # int() turns NumPy scalars (records hold them) into plain integers: those wrap without a warning.
     seed, stream, index = int(seed), int(stream), int(index)
     w0, w1, w2, w3 = philox(
-        index & _MASK,
-        (index >> 32) & _MASK,
-        stream & _MASK,
-        (stream >> 32) & _MASK,
-        seed & _MASK,
-        (seed >> 32) & _MASK,
+        index & _MASK, (index >> 32) & _MASK, stream & _MASK, (stream >> 32) & _MASK, seed & _MASK, (seed >> 32) & _MASK
     )
     # 52 bits and a half are exact in a double, 53 and a half are not and could round to 1.
     return (

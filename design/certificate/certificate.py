@@ -22,7 +22,7 @@ from maxq.design.certificate.measured_margins import (
     drift,
     limit_cycle,
     measure_margin,
-)  # fmt: skip
+)
 from maxq.design.certificate.response import BANDS, UNEXPLAINED, ResponseTable, measured_response
 from maxq.design.margins.measure import Margins, margins
 from maxq.design.model.node import Node

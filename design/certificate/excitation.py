@@ -72,7 +72,7 @@ class Band:
 
 def band(
     low_hz: float, high_hz: float, lines: int, period_s: float, settle_s: float, periods: int, dithered: bool = False
-) -> Band:  # fmt: skip
+) -> Band:
     """About `lines` lines from low to high, evenly on a logarithmic scale.
 
     Raises ValueError if the lowest line does not fit the period.

@@ -82,9 +82,12 @@ class HeldFlight:
         scenario = self.loaded.scenario.model_copy(update={"injection": injections, "run": run})
         kept = self.packed
         packed = dataclasses.replace(
-            kept, parameters=kept.parameters.copy(), pool=kept.pool.copy(), memory=kept.memory.copy(),
+            kept,
+            parameters=kept.parameters.copy(),
+            pool=kept.pool.copy(),
+            memory=kept.memory.copy(),
             state=kept.state.copy(),
-        )  # fmt: skip
+        )
         row = packed.parameters[0]
         row.injections = pack([pack_injections(scenario, Pool())])[0]
         row.timeline.stop_ns = int(packed.memory[0].clock.now_ns) + to_ns(duration_s)

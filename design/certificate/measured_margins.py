@@ -29,7 +29,7 @@ from maxq.design.certificate.excitation import (
     injections,
     linear_room,
     sine_burst,
-)  # fmt: skip
+)
 from maxq.design.certificate.held_flight import Change, HeldFlight, slosh_columns, unchanged
 from maxq.design.loop.fixed_path import fixed_path
 from maxq.design.loop.loop import Loop

@@ -207,9 +207,8 @@ def measured_response(
     sampled = loop.response(lines)
     saturated = max(s.saturated_s for s in seen) > 0.0
     reasons = tuple(
-        _reason(*line, saturated)
-        for line in zip(error, coherence, response / sampled, clean / sampled, strict=True)
-    )  # fmt: skip
+        _reason(*line, saturated) for line in zip(error, coherence, response / sampled, clean / sampled, strict=True)
+    )
     return ResponseTable(lines, pade.response(lines), sampled, response, clean, coherence, error, change, reasons)
 
 

@@ -40,7 +40,7 @@ class Rational:
         return StateSpace(
             a / self.tau_s, b / self.tau_s, c[None], np.array([[through]]), states, (f"{self.name}_in",),
             (f"{self.name}_out",),
-        )  # fmt: skip
+        )  # fmt: skip  # five more lines otherwise
 
 
 def converter_pade(tau_s: float) -> Rational:

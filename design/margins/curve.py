@@ -36,7 +36,7 @@ from maxq.design.margins.solving import (
     symmetric,
     vertex,
     wrapped,
-)  # fmt: skip
+)
 from maxq.design.model.state_space import ComplexArray
 
 LOWEST_HZ = 1e-5  # a root slower than this (4 hours) is drift and not part of the loop's dynamics

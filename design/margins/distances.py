@@ -34,7 +34,7 @@ from maxq.design.margins.solving import (
     sample,
     sensitivity,
     symmetric,
-)  # fmt: skip
+)
 from maxq.design.model.state_space import ComplexArray
 
 Shape = Literal["diamond", "rectangle", "ellipse"]

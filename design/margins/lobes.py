@@ -69,11 +69,7 @@ class Lobe:
 
 
 def find_lobes(
-    curve: Curve,
-    gain: GainCrossings,
-    phase: PhaseCrossings,
-    resonances: Sequence[Resonance] | None,
-    limit_db: float,
+    curve: Curve, gain: GainCrossings, phase: PhaseCrossings, resonances: Sequence[Resonance] | None, limit_db: float
 ) -> tuple[Lobe, ...]:
     """Lobes of the named resonances, or of every lightly damped pole that shows; `curve` holds extremes, crossings."""
     f, loop = curve.frequency_hz, curve.loop

@@ -22,7 +22,7 @@ from maxq.design.margins.curve import (
     refine_extremes,
     trace,
     unstable,
-)  # fmt: skip
+)
 from maxq.design.margins.distances import NO_DISKS, Clearance, Disks, Zone, find_clearances, find_disks
 from maxq.design.margins.lobes import Lobe, find_lobes
 
@@ -117,7 +117,7 @@ def margins(
     facts: dict[str, Any] = {
         "stable": stable, "unstable_poles": len(growing), "encircled_poles": encircled, "growth_1ps": growth,
         "growth_hz": growth_hz, "gain_crossings": gain, "phase_crossings": phase, "curve": curve,
-    }  # fmt: skip
+    }  # fmt: skip  # six more lines otherwise
     if not stable:
         nothing = complex(np.nan, np.nan)
         return Margins(**facts, clearances=tuple(Clearance(zone, np.nan, np.nan, nothing) for zone in zones))

@@ -78,7 +78,7 @@ ABOUT: dict[str, Erratum] = {
         "13", "28", "zero 15.6 Hz, pole 52.6 Hz (a piston's response)",
         "a3 and a4 exchanged: pole 15.6 Hz, zero 52.6 Hz (an engine's response)",
     ),
-}  # fmt: skip
+}  # fmt: skip  # six more lines otherwise
 
 CORRECTED = Errata()
 PAPER = Errata(**dict.fromkeys(ABOUT, False))

@@ -221,7 +221,7 @@ def state_names(modes: int, tanks: int) -> tuple[str, ...]:
         "w_mps", "q_radps", "theta_rad",
         *[f"eta_{i}_m" for i in mode], *[f"eta_{i}_rate_mps" for i in mode],
         *[f"slosh_{k}_rad" for k in tank], *[f"slosh_{k}_rate_radps" for k in tank],
-    )  # fmt: skip
+    )  # fmt: skip  # four more lines otherwise
 
 
 def mass_flow_momentum(vehicle: VehicleAt) -> tuple[float, float]:
@@ -236,10 +236,7 @@ def mass_flow_momentum(vehicle: VehicleAt) -> tuple[float, float]:
     exit_place, bob_place = cg - vehicle.engine.exit_station_m, cg - bobs.bob_station_m
     momentum = body.mass_flow_kgps * exit_place - body.core_mass_kg * body.core_cg_rate_mps
     turning = body.mass_flow_kgps * exit_place**2 + body.core_inertia_rate_kgm2ps
-    return (
-        float(momentum + bobs.mass_rate_kgps @ bob_place),
-        float(turning + bobs.mass_rate_kgps @ bob_place**2),
-    )
+    return (float(momentum + bobs.mass_rate_kgps @ bob_place), float(turning + bobs.mass_rate_kgps @ bob_place**2))
 
 
 def as_printed(pendulums: Pendulums, liquids: Liquids, radius: bool, liquid: bool) -> Pendulums:

@@ -367,4 +367,4 @@ def gyro(record: Any) -> StateSpace:
     return StateSpace(
         a, np.array([[0.0], [w * w]]), np.array([[1.0, 0.0]]), np.zeros((1, 1)),
         ("gyro_radps", "gyro_rate_radps2"), ("local_rate_radps",), ("gyro_radps",),
-    )  # fmt: skip
+    )  # fmt: skip  # five more lines otherwise

@@ -65,11 +65,7 @@ class Curves:
     """Meshes of all plants, one after the other."""
 
     def __init__(
-        self,
-        paths: Sequence[Path],
-        highest_hz: float | None,
-        kept_hz: Sequence[Array],
-        tolerance: float = TOLERANCE,
+        self, paths: Sequence[Path], highest_hz: float | None, kept_hz: Sequence[Array], tolerance: float = TOLERANCE
     ) -> None:
         """`kept_hz`: frequencies of each plant that must be mesh points (ends of bands).
 

@@ -138,7 +138,7 @@ class Problem:
         return Rows(
             kinds, plant, value, limit, excess, kinds == 0, np.asarray((c[:, None] * self.loops.own_gradient(at)).real),
             kind, places.cell[i], places.x[i], places.fixed[i],
-        )  # fmt: skip
+        )  # fmt: skip  # nine more lines otherwise
 
     # --- curvature
     def curvature(self, at: Evaluation, multipliers: Array, step: float = 1e-5) -> Array:

@@ -27,7 +27,7 @@ from maxq.design.optimise.solve import finished, make_problem, search_best
 DEVIATIONS = (
     "bending_frequency", "bending_slope", "slosh_frequency", "slosh_mass", "slosh_damping", "actuator_frequency",
     "delay_s", "thrust", "normal_force", "centre_of_pressure_m", "inertia",
-)  # fmt: skip
+)  # fmt: skip  # nine more lines otherwise
 WORSE_DB = 0.01  # plants that are worse by less are let be
 BEGINNINGS = 4
 COARSE = 1e-4  # tolerance of the curves in the search for the worst: 1e-3 dB
@@ -133,9 +133,8 @@ def solve_robust(
             tried += worst.tried
             worst_db = max(score for _, score, _ in results)
             new = [
-                (node, ends) for node, score, ends in results
-                if score > WORSE_DB and (node.time_s, ends) not in taken
-            ]  # fmt: skip
+                (node, ends) for node, score, ends in results if score > WORSE_DB and (node.time_s, ends) not in taken
+            ]
             if not new:
                 break
             taken.update((node.time_s, ends) for node, ends in new)

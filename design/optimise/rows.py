@@ -69,4 +69,4 @@ def law_rows(what: int, of: LimitValues) -> Rows:
         what=np.full(n, what, np.int8), plant=of.plant, value=of.value, limit=of.limit, excess_db=of.excess_db,
         objective=np.zeros(n, bool), own=of.gradient, feature=np.full(n, -1, np.int8), cell=np.zeros(n, np.int64),
         x=np.zeros(n), fixed=np.ones(n, bool),
-    )  # fmt: skip
+    )  # fmt: skip  # eight more lines otherwise

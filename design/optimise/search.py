@@ -138,7 +138,7 @@ def _leapt(problem: Problem, best: Descent, leaps: int, seed: int) -> Iterator[t
 def _answer(
     problem: Problem, ends: list[tuple[Evaluation, Array]], own: int, fine: dict[int, Descent], leapt: Descent | None,
     interrupted: bool,
-) -> Found:  # fmt: skip
+) -> Found:  # fmt: skip  # four more lines otherwise
     best = min((d.end for d in [*fine.values(), *([leapt] if leapt is not None else [])]), key=_rank)
     feasible = _feasible(best, 10.0 * MET_DB)
     if feasible:

@@ -125,13 +125,11 @@ def _fly(flown: Flown, loaded: LoadedScenario, again: str) -> FlownResult:
     flight = fly(LoadedScenario(scenario, loaded.label, loaded.files))
     times = flight.time_s(KEPT[0])
     under_thrust = times[times <= np.nanmin([flight.event_s("burnout"), flight.end_s])]
-    histories = {
-        name: np.round(np.interp(under_thrust, flight.time_s(name), flight[name]), 6) for name in KEPT
-    }  # fmt: skip
+    histories = {name: np.round(np.interp(under_thrust, flight.time_s(name), flight[name]), 6) for name in KEPT}
     return FlownResult(
         flown.name, flown.why, flight.outcome, flight.failures, flight.verdicts, flight.metrics, flight.state_hash,
         flown.design_must_keep, again, under_thrust, histories,
-    )  # fmt: skip
+    )  # fmt: skip  # nine more lines otherwise
 
 
 def flight_requirements(results: Sequence[FlownResult]) -> list[Requirement]:
@@ -211,7 +209,7 @@ def fly_campaign(
     return CampaignResult(
         wanted.name or loaded.name, wanted.file, folder, len(data.runs), outcome.stopped, loaded.campaign.success,
         loaded.campaign.confidence, tuple(judged(data)),
-    )  # fmt: skip
+    )  # fmt: skip  # six more lines otherwise
 
 
 def campaign_requirements(result: CampaignResult) -> list[Requirement]:
@@ -230,5 +228,5 @@ def campaign_requirements(result: CampaignResult) -> list[Requirement]:
                 "campaign", f"{result.name}: {v.name}", bound + level, found, judgement_of(v.shown.judgement), left,
                 f"run {worst.run}" if worst else "", v.shown.more, again,
             )
-        )  # fmt: skip
+        )  # fmt: skip  # seven more lines otherwise
     return out

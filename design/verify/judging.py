@@ -270,10 +270,13 @@ def make_design(loaded: LoadedCase, solution: Solution) -> Design:
     made = f"{case.filter.structure}, {case.gains.schedule} gains, {case.loop} loop; {reached}"
     text = f"{case.description}. {made}" if case.description else made
     return design_of(
-        name=loaded.name, description=text, vehicle=loaded.scenario.vehicle.name,
-        law=solution.law, roll=own.roll if own else None,
+        name=loaded.name,
+        description=text,
+        vehicle=loaded.scenario.vehicle.name,
+        law=solution.law,
+        roll=own.roll if own else None,
         limits=Limits(**{name: getattr(wanted, name) for name in Limits.model_fields}),
-    )  # fmt: skip
+    )
 
 
 def objective_text(solution: Solution) -> str:

@@ -55,7 +55,7 @@ _GENERATOR = (1, 1, -1, 1, 1, 1, -1, -1, -1, 1, -1)  # first row of the Plackett
 _FACTORS = (
     "bending_frequency", "bending_slope", "bending_damping", "slosh_frequency", "slosh_mass", "slosh_damping",
     "actuator_frequency", "delay_s", "normal_force", "centre_of_pressure_m", "inertia",
-)  # fmt: skip
+)  # fmt: skip  # nine more lines otherwise
 
 
 Measured = dict[str, float]
@@ -141,12 +141,15 @@ def _vehicle(spread: Spread, draw: Callable[[str], float], label: str) -> Deviat
             "bending_slope", "bending_damping", "slosh_frequency", "slosh_mass", "slosh_damping", "actuator_frequency",
             "thrust", "normal_force",
         )
-    }  # fmt: skip
+    }  # fmt: skip  # six more lines otherwise
     shift_m = spread.centre_of_pressure_m * draw("centre_of_pressure_m")
     by = Dispersion(
-        **scaled, bending_frequency=modes, centre_of_pressure_m=shift_m, inertia=factor("inertia", spread.inertia),
+        **scaled,
+        bending_frequency=modes,
+        centre_of_pressure_m=shift_m,
+        inertia=factor("inertia", spread.inertia),
         label=label,
-    )  # fmt: skip
+    )
     return Deviated(by, spread.delay_s * draw("delay_s"))
 
 
@@ -206,7 +209,7 @@ def margin_requirements(found: MarginStudy, wanted: LinearMargins) -> list[Requi
                 f"{len(found.random) - len(failures)} of {len(found.random)}", judgement_of(shown.judgement),
                 share, failures[0] if failures else "", shown.more,
             )
-        )  # fmt: skip
+        )  # fmt: skip  # four more lines otherwise
     return out
 
 
@@ -234,7 +237,7 @@ def _limits(
                 f"{value:.2f} {unit}" if math.isfinite(value) else "free",
                 ACCEPTED if _met(value, limit, sense) else REJECTED, room_left(value, limit, sense), where,
             )
-        )  # fmt: skip
+        )  # fmt: skip  # four more lines otherwise
     return out
 
 
@@ -281,4 +284,4 @@ def authority_requirement(found: Sequence[Authority], wind_mps: float) -> Requir
     return Requirement(
         "authority", "gimbal trims a steady cross-wind", f">= {wind_mps:g} m/s", f"{worst.wind_mps:.1f} m/s",
         ACCEPTED if worst.wind_mps >= wind_mps else REJECTED, worst.wind_mps / wind_mps - 1.0, f"{worst.time_s:g} s",
-    )  # fmt: skip
+    )  # fmt: skip  # five more lines otherwise

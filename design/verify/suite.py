@@ -232,8 +232,11 @@ def limit_changes(loaded: LoadedSuite, which: str, scenario: Scenario) -> list[s
         if stated.requirement not in known:
             hint = suggestion(stated.requirement, known)
             raise ScenarioError(
-                loaded.label, f"the scenario has no such limit{'; ' + hint if hint else ''}",
-                f"dispersed_limit[{k}].requirement", value=stated.requirement, allowed="" if hint else ", ".join(known),
-            )  # fmt: skip
+                loaded.label,
+                f"the scenario has no such limit{'; ' + hint if hint else ''}",
+                f"dispersed_limit[{k}].requirement",
+                value=stated.requirement,
+                allowed="" if hint else ", ".join(known),
+            )
         out.append(f"requirement.{limits[stated.requirement][0]}.limit={stated.limit!r}")
     return out

@@ -250,7 +250,7 @@ def search_worst(
         differential_evolution(
             cost, box, init=first, workers=together, updating="deferred", polish=False, tol=1e-6,
             maxiter=max(flights // population - 1, 0), rng=np.random.default_rng(seed), callback=enough,
-        )  # fmt: skip
+        )  # fmt: skip  # eight more lines otherwise
     scenario = scenario_of(best[0][1])
     flight = fly_scenario(scenario)
     draws = dict(zip(names, best[0][1].tolist(), strict=True))

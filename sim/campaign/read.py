@@ -262,11 +262,7 @@ def channel_units(loaded: LoadedScenario) -> dict[str, str]:
 
 
 def _draws(
-    loaded: LoadedScenario,
-    spec: Disperse,
-    entry: int,
-    reading: Reading | None,
-    given: Mapping[str, tuple[Any, ...]],
+    loaded: LoadedScenario, spec: Disperse, entry: int, reading: Reading | None, given: Mapping[str, tuple[Any, ...]]
 ) -> Iterator[Draw]:
     """The draws of an entry of [[disperse]]."""
     here: KeyPath = ("disperse", entry)

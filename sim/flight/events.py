@@ -116,7 +116,7 @@ def sample_computer(p: Parameters, pool: Array, memory: Memory, y: Array) -> Non
     computer_tick(
         p.computer, pool, memory.computer, 1e-9 * now, memory.increment_rad, memory.rate_injection_radps,
         memory.rate_replaces, memory.gimbal_injection_rad, memory.gimbal_replaces,
-    )  # fmt: skip
+    )  # fmt: skip  # seven more lines otherwise
     clock.pending_pitch_rad = memory.computer.command_rad[0]
     clock.pending_yaw_rad = memory.computer.command_rad[1]
     clock.pending_roll = memory.computer.roll.demand
@@ -200,11 +200,7 @@ def transfer_state(before: Parameters, after: Parameters, memory: Memory, old: A
     """
     rotation = rotation_from_quaternion(y[Q_BI], y[Q_BI + 1], y[Q_BI + 2], y[Q_BI + 3])
     rate = vector_at(y, W_BI_B)
-    shift = (
-        old[CORE_CG] - new[CORE_CG],
-        new[CORE_CG + 1] - old[CORE_CG + 1],
-        new[CORE_CG + 2] - old[CORE_CG + 2],
-    )
+    shift = (old[CORE_CG] - new[CORE_CG], new[CORE_CG + 1] - old[CORE_CG + 1], new[CORE_CG + 2] - old[CORE_CG + 2])
     shift_I, velocity_I = rotate(rotation, shift), rotate(rotation, cross(rate, shift))
     for j in range(3):
         y[R_I + j] += shift_I[j]

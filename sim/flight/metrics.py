@@ -85,7 +85,7 @@ def raise_to(extremes: Extremes, metric: int, value: float, now_ns: int) -> None
 def gather(
     extremes: Extremes, vehicle: Vehicle, earth: Earth, held: Held, computer: ComputerState, now_ns: int,
     step_s: float, props: Array, y: Array, aux: Array,
-) -> None:  # fmt: skip
+) -> None:  # fmt: skip  # eight more lines otherwise
     """Update all metrics at the start of a step of `step_s`."""
     turning = earth.rate_radps
     vx, vy, vz = y[V_I] + turning * y[R_I + 1], y[V_I + 1] - turning * y[R_I], y[V_I + 2]

@@ -22,17 +22,7 @@ from maxq.sim.vehicle.bending import BendingRow, ModeRow, bending_row, put_modes
 from maxq.sim.vehicle.gyro import GyroRow, gyro_row
 from maxq.sim.vehicle.schedule import CORE_CG, CORE_INERTIA, CORE_MASS, MASS_FLOW, TOTAL_MASS
 from maxq.sim.vehicle.slosh import SloshRow, slosh_row
-from maxq.sim.vehicle.state import (
-    GYRO,
-    Q_BI,
-    R_I,
-    V_I,
-    W_BI_B,
-    Sizes,
-    eta_index,
-    pendulum_index,
-    xi_index,
-)
+from maxq.sim.vehicle.state import GYRO, Q_BI, R_I, V_I, W_BI_B, Sizes, eta_index, pendulum_index, xi_index
 from maxq.sim.vehicle.workspace import (
     AERO_FORCE,
     AERO_MOMENT,

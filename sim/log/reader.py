@@ -35,14 +35,7 @@ from maxq.sim.flight.channels import EVENTS_TOPIC, FRAMES_TOPIC, Channel, Channe
 from maxq.sim.log import head as keys
 from maxq.sim.log.foxglove import Event, decode_event
 from maxq.sim.log.head import SCHEMA_VERSION, Attachment, LogError
-from maxq.sim.log.protobuf import (
-    MESSAGE_HEADER,
-    RECORD_PREFIX,
-    doubles_template,
-    get_values,
-    message_dtype,
-    topic_from,
-)
+from maxq.sim.log.protobuf import MESSAGE_HEADER, RECORD_PREFIX, doubles_template, get_values, message_dtype, topic_from
 
 _HEAD_OPCODES = (Opcode.HEADER, Opcode.SCHEMA, Opcode.CHANNEL, Opcode.ATTACHMENT, Opcode.METADATA)
 _RUN_PREFIX = struct.Struct("<BQH")  # the part of the header that all messages of a run share
@@ -144,7 +137,7 @@ def read_log(path: str | Path) -> Log:
     return Log(
         file.path, file.metadata, file.attachments, file.end, file.table,
         tuple(events), not file.notes, tuple(file.notes), times_ns, values,
-    )  # fmt: skip
+    )  # fmt: skip  # eight more lines otherwise
 
 
 def read_run(path: str | Path) -> LoggedRun:

@@ -23,13 +23,15 @@ from maxq.sim.scenario.schema_values import to_ns
 from maxq.sim.scenario.tables_csv import CsvTable
 
 _WHERE = {
-    "gimbal_command": signals.GIMBAL_COMMAND, "rate_command": signals.RATE_COMMAND,
-    "body_force": signals.BODY_FORCE, "body_torque": signals.BODY_TORQUE,
-}  # fmt: skip
+    "gimbal_command": signals.GIMBAL_COMMAND,
+    "rate_command": signals.RATE_COMMAND,
+    "body_force": signals.BODY_FORCE,
+    "body_torque": signals.BODY_TORQUE,
+}
 _FORM = {
     "step": signals.STEP, "doublet": signals.DOUBLET, "sine": signals.SINE, "chirp": signals.CHIRP,
     "multisine": signals.MULTISINE, "table": signals.TABLE,
-}  # fmt: skip
+}  # fmt: skip  # four more lines otherwise
 _AXIS = {"roll": 0, "pitch": 1, "yaw": 2, "x": 0, "y": 1, "z": 2}
 _IN_RADIANS = ("gimbal_command", "rate_command")
 

@@ -19,9 +19,7 @@ from maxq.sim.world import earth as globe
 from maxq.sim.world import turbulence as dryden
 from maxq.sim.world import wind as winds
 
-_GRAVITY = {
-    "none": globe.NO_GRAVITY, "uniform": globe.UNIFORM, "inverse_square": globe.INVERSE_SQUARE, "j2": globe.J2,
-}  # fmt: skip
+_GRAVITY = {"none": globe.NO_GRAVITY, "uniform": globe.UNIFORM, "inverse_square": globe.INVERSE_SQUARE, "j2": globe.J2}
 _AIR = {"us1976": air.US1976, "table": air.TABLE, "constant": air.CONSTANT}
 _GUSTS = {"one-minus-cosine": winds.ONE_MINUS_COSINE, "shear": winds.SHEAR}
 

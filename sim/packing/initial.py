@@ -32,7 +32,7 @@ def initial_motion(scenario: Scenario, y: Array) -> None:
 @cached_by_identity
 def _motion(
     initial: Initial | None, site: schema.Site, given_earth: schema.Earth, start_s: float
-) -> tuple[Array, Array, Array, Array]:  # fmt: skip
+) -> tuple[Array, Array, Array, Array]:
     given, earth = initial or Initial(), pack([pack_earth(given_earth)])[0]
     cos, sin = earth_rotation(earth, start_s)
     to_inertial = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])

@@ -95,7 +95,7 @@ def _aero(scenario: Scenario, stage: Stage, pool: Pool) -> Aero:
 @cached_by_identity
 def _mach_table(
     table: CsvTable, surfaces: tuple[schema.AeroSurface, ...], method: Method, reference_m: float, chord_m: float
-) -> Cubics:  # fmt: skip
+) -> Cubics:
     """Columns of dynamics/aero.py over Mach number.
 
     Normal force enters as slope and slope times station, so that a moment about a fixed reference is carried over
@@ -115,9 +115,7 @@ def _mach_table(
     return merge(parts)
 
 
-def _remainder(
-    table: CsvTable, surfaces: list[Cubics], method: Method, reference_m: float, chord_m: float
-) -> Cubics:  # fmt: skip
+def _remainder(table: CsvTable, surfaces: list[Cubics], method: Method, reference_m: float, chord_m: float) -> Cubics:
     """Normal force that the table of coefficients has beyond the surfaces' sum."""
     slope = table.get("CN_alpha_pr")
     if "x_cp_m" in table:

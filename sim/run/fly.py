@@ -16,14 +16,7 @@ from maxq.control.kernel.records import Array, IntArray, pack
 from maxq.sim.flight.channels import ChannelTable
 from maxq.sim.flight.loop import Logged, advance, begin
 from maxq.sim.flight.metrics import MetricIndex
-from maxq.sim.flight.parameters import (
-    BURNOUT,
-    CONTROL_LOST,
-    DIVERGED,
-    EVENT_NAMES,
-    NEVER,
-    SEPARATION,
-)
+from maxq.sim.flight.parameters import BURNOUT, CONTROL_LOST, DIVERGED, EVENT_NAMES, NEVER, SEPARATION
 from maxq.sim.flight.step import ARENA_SIZE
 from maxq.sim.flight.telemetry import FAST, SLOW, channel_table
 from maxq.sim.packing.flight import CONTROL_LOST_RAD, Packed, pack_flight
@@ -267,7 +260,7 @@ class FlightRun:
         advance(
             self.packed.parameters, self.packed.pool, self.packed.memory, self.packed.state, self._arena,
             until_ns, logged, fast_ns, fast, slow_ns, slow, counts,
-        )  # fmt: skip
+        )  # fmt: skip  # ten more lines otherwise
         n, m = counts
         return {FAST: (fast_ns[:n], fast[:n]), SLOW: (slow_ns[:m], slow[:m])}
 

@@ -213,11 +213,7 @@ def write_summary(path: Path, flight: Flight, log: str | None, timing: dict[str,
             for event in flight.events
         ],
         "metrics": {
-            name: {
-                "value": _number(value),
-                "unit": unit_of(name),
-                "time_s": _number(flight.metric_times_s[name]),
-            }
+            name: {"value": _number(value), "unit": unit_of(name), "time_s": _number(flight.metric_times_s[name])}
             for name, value in flight.metrics.items()
         },
         "requirements": [

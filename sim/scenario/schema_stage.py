@@ -186,7 +186,7 @@ class RollThrusters(Section):
 
 COEFFICIENTS = (
     "CA", "CA_coast", "CD", "CN_alpha_pr", "x_cp_m", "Cm_alpha_pr", "Cm0", "Cmq", "Cnr", "Clp", "C_crossflow",
-)  # fmt: skip
+)  # fmt: skip  # ten more lines otherwise
 AERO_COLUMNS = Columns("mach", optional=COEFFICIENTS, not_negative=("mach", "CA", "CA_coast", "CD", "C_crossflow"))
 SURFACE_COLUMNS = Columns("mach", sets=(("CN_alpha_pr", "station_m"),), not_negative=("mach",))
 

@@ -228,7 +228,7 @@ def elastic_forces(bending: Bending, sizes: Counts, properties: Array, axial_loa
 @kernel
 def _elastic_forces_on_four(
     sizes: Counts, plane: int, first: int, k_soft: float, properties: Array, work: Array
-) -> float:  # fmt: skip
+) -> float:
     """The same on four modes of one plane; returns the sum of their forces times the other plane's coordinates."""
     s = derived_column(sizes, plane, MODE_STIFFNESS) + first
     d = derived_column(sizes, plane, MODE_DAMPING) + first
@@ -257,7 +257,7 @@ def _elastic_forces_on_four(
 def gyroscopic_forces(
     sizes: Counts, properties: Array, rate: Vector, engine_mass: float, engine_arm: float, engine_inertia: float,
     delta_rate: Vector, relative_rate_y: float, relative_rate_z: float, work: Array,
-) -> Vector:  # fmt: skip
+) -> Vector:  # fmt: skip  # eight more lines otherwise
     """Roll-rate coupling of the two planes, and the moment of the modes' angular momentum about x on the body.
 
     `delta_rate` is the velocity of the engine's CG relative to the straight engine, `relative_rate_*` the angular

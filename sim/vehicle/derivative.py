@@ -222,9 +222,8 @@ def engine_motion(vehicle: Vehicle, sizes: Counts, held: Held, properties: Array
     aux[ENGINE_YAW], aux[ENGINE_YAW + 1], aux[ENGINE_YAW + 2] = yaw, yaw_rate, yaw_accel
     e = vehicle.engine
     axis, axis_rate, axis_accel = thrust_axis_motion(
-        pitch + e.misalignment_pitch_rad, pitch_rate, pitch_accel,
-        yaw + e.misalignment_yaw_rad, yaw_rate, yaw_accel,
-    )  # fmt: skip
+        pitch + e.misalignment_pitch_rad, pitch_rate, pitch_accel, yaw + e.misalignment_yaw_rad, yaw_rate, yaw_accel
+    )
     return deflected_engine(e, sizes, axis, axis_rate, axis_accel, properties)
 
 
@@ -232,7 +231,7 @@ def engine_motion(vehicle: Vehicle, sizes: Counts, held: Held, properties: Array
 def aerodynamics(
     vehicle: Vehicle, sizes: Counts, environment: Environment, pool: Array, held: Held,
     rotation: tuple[float, ...], rate: Vector, properties: Array, work: Array, aux: Array,
-) -> tuple[Vector, Vector]:  # fmt: skip
+) -> tuple[Vector, Vector]:  # fmt: skip  # eight more lines otherwise
     """Force and moment about the core CG in B; adds to the generalised forces of the modes in `work`."""
     force, moment = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
     if vehicle.aero.on == 1 and aux[DENSITY] > 0.0:

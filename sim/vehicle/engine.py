@@ -39,11 +39,7 @@ def thrust_axis_motion(
     sy, cy = sine_cosine(yaw)
     p2, y2, py = pitch_rate * pitch_rate, yaw_rate * yaw_rate, 2.0 * pitch_rate * yaw_rate
     axis = (cp * cy, -sy, sp * cy)
-    rate = (
-        -sp * cy * pitch_rate - cp * sy * yaw_rate,
-        -cy * yaw_rate,
-        cp * cy * pitch_rate - sp * sy * yaw_rate,
-    )
+    rate = (-sp * cy * pitch_rate - cp * sy * yaw_rate, -cy * yaw_rate, cp * cy * pitch_rate - sp * sy * yaw_rate)
     accel = (
         -sp * cy * pitch_accel - cp * sy * yaw_accel - cp * cy * (p2 + y2) + sp * sy * py,
         -cy * yaw_accel + sy * y2,

@@ -69,11 +69,7 @@ def air_data(
     wind = wind_ned(environment.wind, pool, altitude)
     wind_I = ned_to_earth(sin_lat, cos_lat, sin_lon, cos_lon, wind[0], wind[1], wind[2])
     ground = ground_velocity(environment.earth, x, yy)
-    relative = (
-        y[V_I] - ground[0] - wind_I[0],
-        y[V_I + 1] - ground[1] - wind_I[1],
-        y[V_I + 2] - ground[2] - wind_I[2],
-    )
+    relative = (y[V_I] - ground[0] - wind_I[0], y[V_I + 1] - ground[1] - wind_I[1], y[V_I + 2] - ground[2] - wind_I[2])
     flow = add(rotate_back(rotation, relative), scaled(-1.0, gust))
     airspeed = math.sqrt(flow[0] * flow[0] + flow[1] * flow[1] + flow[2] * flow[2])
     aux[ALTITUDE], aux[DENSITY], aux[PRESSURE] = altitude, density, pressure
@@ -155,7 +151,7 @@ def frame_and_air(
 @kernel
 def _set_anchor(
     earth: Earth, atmosphere: Atmosphere, x: float, y: float, z: float, frame: Frame, gas: Gas, work: Array
-) -> None:  # fmt: skip
+) -> None:
     """Remember a place, unless there is no ellipsoid or a pole is so near that meridians converge within metres."""
     altitude, sin_lat, cos_lat, _, _ = frame
     if earth.figure == FLAT or cos_lat < 0.1 or altitude < -1e5:
@@ -206,9 +202,7 @@ def _frame_nearby(dx: float, dy: float, dz: float, work: Array) -> Frame:
 def _air_nearby(atmosphere: Atmosphere, rise: float, work: Array) -> Gas:
     """The standard atmosphere `rise` metres above the anchor, in the same layer."""
     geopotential = work[_GEOPOTENTIAL] * rise * (1.0 - rise * work[_GEOPOTENTIAL + 1])
-    pressure, warmer = us1976_nearby(
-        work[_GAS + 1], work[_INVERSE_TEMPERATURE], work[_GEOPOTENTIAL + 2], geopotential
-    )  # fmt: skip
+    pressure, warmer = us1976_nearby(work[_GAS + 1], work[_INVERSE_TEMPERATURE], work[_GEOPOTENTIAL + 2], geopotential)
     temperature = warmer * work[_GAS + 2]
     density = atmosphere.density_factor * pressure / (GAS_CONSTANT_Jpkg_K * temperature)
     return density, pressure, temperature, speed_of_sound(temperature)

@@ -123,7 +123,7 @@ def properties_size(sizes: Counts) -> int:
 @kernel
 def complete_modes(
     sizes: Counts, plane: int, modes: int, zeta: Array, frequency_factor: Array, properties: Array
-) -> None:  # fmt: skip
+) -> None:
     """Derived properties of one plane: inverse mass, stiffness, damping, compliance."""
     omega_at, mass_at = mode_column(sizes, plane, MODE_OMEGA), mode_column(sizes, plane, MODE_MASS)
     inverse = derived_column(sizes, plane, MODE_INVERSE_MASS)

@@ -144,11 +144,7 @@ def pendulum_loads(
     b, column = tank_block(tank), tank_column(tank)
     u, kappa = vector_at(y, first), vector_at(y, first + 3)
     length = pendulum_length(slosh, properties, tank)
-    hinge = (
-        properties[CORE_CG] - properties[column + TANK_HINGE],
-        -properties[CORE_CG + 1],
-        -properties[CORE_CG + 2],
-    )
+    hinge = (properties[CORE_CG] - properties[column + TANK_HINGE], -properties[CORE_CG + 1], -properties[CORE_CG + 2])
     shift_y, shift_z, shift_rate_y, shift_rate_z, nu_y, nu_z = _bending_at_tank(sizes, tank, properties, work)
     # velocity of the hinge by bending, with the rotation of the bent axis (docs/model.md, eq. 5.3)
     bend = (q * shift_z - r * shift_y, nu_y, nu_z)

@@ -215,11 +215,7 @@ def earth_position(earth: Earth, latitude_rad: float, longitude_rad: float, alti
     e2 = earth.flattening * (2.0 - earth.flattening)
     normal = earth.equatorial_radius_m / math.sqrt(1.0 - e2 * sin_lat * sin_lat)
     p = (normal + altitude_m) * cos_lat
-    return (
-        p * math.cos(longitude_rad),
-        p * math.sin(longitude_rad),
-        (normal * (1.0 - e2) + altitude_m) * sin_lat,
-    )
+    return (p * math.cos(longitude_rad), p * math.sin(longitude_rad), (normal * (1.0 - e2) + altitude_m) * sin_lat)
 
 
 @kernel

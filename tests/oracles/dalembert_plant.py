@@ -224,9 +224,8 @@ def _engine_columns(vehicle: VehicleAt, condition: FlightCondition, load: float,
 
 
 def _first_order(
-    per_position: Array, per_rate: Array, per_engine: Array, vehicle: VehicleAt, condition: FlightCondition,
-    at: _Layout,
-) -> StateSpace:  # fmt: skip
+    per_position: Array, per_rate: Array, per_engine: Array, vehicle: VehicleAt, condition: FlightCondition, at: _Layout
+) -> StateSpace:
     """From second order in (lateral, theta, eta, G) to the states w, q, theta, eta, eta', G, G'."""
     n, m = at.modes, at.tanks
     eta, gamma = 3 + np.arange(n), 3 + 2 * n + np.arange(m)

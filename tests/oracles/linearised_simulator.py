@@ -152,10 +152,7 @@ class _Chart:
         self._held.command_pitch_rad, self._held.command_yaw_rad = self._command + command
         now = evaluate_at(self._packed, y, self._time_s)
         w = x[_W]
-        outputs = [
-            now.aux[ENGINE_PITCH], now.aux[ENGINE_YAW], w[1] + now.aux[GYRO_BEND], w[2] + now.aux[GYRO_BEND +
-            1],
-        ]  # fmt: skip
+        outputs = [now.aux[ENGINE_PITCH], now.aux[ENGINE_YAW], w[1] + now.aux[GYRO_BEND], w[2] + now.aux[GYRO_BEND + 1]]
         return np.concatenate([self._rates(x, y, now.rate), outputs])
 
     def _read(self, y: Array) -> Array:

@@ -6,14 +6,7 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
-from oracles.multibody_system import (
-    Floats,
-    Load,
-    State,
-    Vehicle,
-    quaternion_from_rotation,
-    rotation_from_quaternion,
-)
+from oracles.multibody_system import Floats, Load, State, Vehicle, quaternion_from_rotation, rotation_from_quaternion
 from scipy.integrate import solve_ivp
 
 Accelerations = Callable[[Vehicle, State, Load], dict[str, Floats]]
@@ -91,12 +84,7 @@ def fly(
         p, q, r = state.w_BI_B_radps
         q0, q1, q2, q3 = vector[6:10]
         quaternion_rate = 0.5 * np.array(
-            [
-                -q1 * p - q2 * q - q3 * r,
-                q0 * p + q2 * r - q3 * q,
-                q0 * q + q3 * p - q1 * r,
-                q0 * r + q1 * q - q2 * p,
-            ]
+            [-q1 * p - q2 * q - q3 * r, q0 * p + q2 * r - q3 * q, q0 * q + q3 * p - q1 * r, q0 * r + q1 * q - q2 * p]
         )
         torque = answer.get("actuator_torque_Nm", np.zeros(2))
         return np.concatenate(

@@ -25,15 +25,7 @@ from functools import lru_cache
 
 import mujoco
 import numpy as np
-from oracles.multibody_system import (
-    Engine,
-    Floats,
-    Load,
-    State,
-    Vehicle,
-    quaternion_from_rotation,
-    rotation_taking,
-)
+from oracles.multibody_system import Engine, Floats, Load, State, Vehicle, quaternion_from_rotation, rotation_taking
 
 BOB_INERTIA_RATIO = 1e-12
 _X_HAT = np.array([1.0, 0.0, 0.0])
@@ -216,11 +208,7 @@ def energy(
 
 
 def momentum(
-    vehicle: Vehicle,
-    state: State,
-    *,
-    bob_inertia_ratio: float = BOB_INERTIA_RATIO,
-    roll_free_gimbal: bool = True,
+    vehicle: Vehicle, state: State, *, bob_inertia_ratio: float = BOB_INERTIA_RATIO, roll_free_gimbal: bool = True
 ) -> dict[str, Floats]:
     """MuJoCo's momenta, with the keys of `multibody_sympy.momentum`."""
     model, data, _, _ = _set_up(vehicle, state, np.zeros(3), bob_inertia_ratio, roll_free_gimbal)

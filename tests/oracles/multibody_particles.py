@@ -16,16 +16,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from oracles.multibody_system import (
-    Engine,
-    Floats,
-    Load,
-    ModePair,
-    State,
-    Vehicle,
-    rotation_taking,
-    thrust_direction,
-)
+from oracles.multibody_system import Engine, Floats, Load, ModePair, State, Vehicle, rotation_taking, thrust_direction
 
 # (phi_z, phi_y) of a point -> its flexible shift, the rate of that shift, its partial velocities; all in B.
 Flexible = Callable[[Floats, Floats], tuple[Floats, Floats, Floats]]
@@ -63,13 +54,7 @@ def inertia(beam: Beam) -> Floats:
 
 
 def mode_pairs(
-    beam: Beam,
-    *,
-    omega_radps: Floats,
-    zeta: Floats,
-    engine_particle: int,
-    engine_length_m: float,
-    slope_1pm: Floats,
+    beam: Beam, *, omega_radps: Floats, zeta: Floats, engine_particle: int, engine_length_m: float, slope_1pm: Floats
 ) -> tuple[ModePair, ...]:
     """Symmetric pairs whose gimbal shape puts phi_E = phi_gimbal + l_E * slope on the engine's particle."""
     pairs = []

@@ -233,10 +233,7 @@ def _kinematics() -> tuple[Numeric, Numeric]:
     u_dot = _rate(u, _PENDULUM_ANGLES, _PENDULUM_RATES)
     rest = _rate(u_dot, _PENDULUM_ANGLES, _PENDULUM_RATES)
     direction = sp.lambdify(
-        (*_PENDULUM_ANGLES, *_PENDULUM_RATES),
-        [*u, *u.jacobian(_PENDULUM_ANGLES), *rest],
-        modules="math",
-        cse=True,
+        (*_PENDULUM_ANGLES, *_PENDULUM_RATES), [*u, *u.jacobian(_PENDULUM_ANGLES), *rest], modules="math", cse=True
     )
     return attitude, direction
 
@@ -280,16 +277,7 @@ def _chart(state: State, euler: tuple[float, float, float], angles: tuple[float,
         pendulum_rates += list(rates)
 
     return _Chart(
-        q=np.concatenate(
-            (
-                c_ij.T @ state.r_I_m,
-                euler,
-                state.eta_m,
-                state.xi_m,
-                pendulum_angles,
-                state.deflection_rad,
-            )
-        ),
+        q=np.concatenate((c_ij.T @ state.r_I_m, euler, state.eta_m, state.xi_m, pendulum_angles, state.deflection_rad)),
         q_dot=np.concatenate(
             (
                 c_ij.T @ state.v_I_mps,
@@ -347,12 +335,7 @@ def _pieces(vehicle: Vehicle, axes: list[Floats]) -> list[tuple[_Compiled, Float
     for k, pendulum in enumerate(vehicle.pendulums):
         start = 6 + 2 * n_pairs + 2 * k
         selection = np.vstack(
-            (
-                rigid,
-                _shape(pendulum.phi_y, n_pairs) @ xi,
-                _shape(pendulum.phi_z, n_pairs) @ eta,
-                eye[start : start + 2],
-            )
+            (rigid, _shape(pendulum.phi_y, n_pairs) @ xi, _shape(pendulum.phi_z, n_pairs) @ eta, eye[start : start + 2])
         )
         constants = np.concatenate(((pendulum.mass_kg, pendulum.length_m), pendulum.hinge_B_m, axes[k].ravel()))
         pieces.append((_pendulum(), constants, selection))
@@ -453,11 +436,7 @@ def energy(vehicle: Vehicle, state: State, gravitation_I_mps2: Floats | None = N
         q, q_dot = selection @ chart.q, selection @ chart.q_dot
         kinetic += compiled.momenta(*v_b, *state.w_BI_B_radps, *q[6:], *q_dot[6:], *constants, *g_j)[0]
         potential += compiled.potential(*q, *constants, *g_j)[0]
-    return {
-        "kinetic_J": float(kinetic),
-        "potential_J": float(potential),
-        "total_J": float(kinetic + potential),
-    }
+    return {"kinetic_J": float(kinetic), "potential_J": float(potential), "total_J": float(kinetic + potential)}
 
 
 def momentum(vehicle: Vehicle, state: State) -> dict[str, Floats]:

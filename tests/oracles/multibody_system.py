@@ -157,10 +157,4 @@ def rotation_taking(a: Floats, b: Floats) -> Floats:
 
 def thrust_direction(pitch_rad: float, yaw_rad: float) -> Floats:
     """d (3,) in B of the contract: positive angles make positive moments."""
-    return np.array(
-        [
-            np.cos(pitch_rad) * np.cos(yaw_rad),
-            -np.sin(yaw_rad),
-            np.sin(pitch_rad) * np.cos(yaw_rad),
-        ]
-    )
+    return np.array([np.cos(pitch_rad) * np.cos(yaw_rad), -np.sin(yaw_rad), np.sin(pitch_rad) * np.cos(yaw_rad)])

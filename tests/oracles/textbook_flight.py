@@ -19,15 +19,7 @@ Vector = NDArray[np.float64]
 MU, RADIUS, FLATTENING, RATE, J2 = 3.986004418e14, 6378137.0, 1 / 298.257223563, 7.292115e-5, 1.08262982e-3
 SPIN = np.array([0.0, 0.0, RATE])
 GAS = 8314.32 / 28.9644
-LAYERS = (
-    (0.0, -6.5e-3),
-    (11e3, 0.0),
-    (20e3, 1e-3),
-    (32e3, 2.8e-3),
-    (47e3, 0.0),
-    (51e3, -2.8e-3),
-    (71e3, -2e-3),
-)
+LAYERS = ((0.0, -6.5e-3), (11e3, 0.0), (20e3, 1e-3), (32e3, 2.8e-3), (47e3, 0.0), (51e3, -2.8e-3), (71e3, -2e-3))
 
 
 @dataclass(frozen=True)
@@ -107,11 +99,7 @@ def earth_fixed(latitude_deg: float, longitude_deg: float, altitude_m: float) ->
     normal = RADIUS / np.sqrt(1 - e2 * np.sin(latitude) ** 2)
     across = (normal + altitude_m) * np.cos(latitude)
     return np.array(
-        [
-            across * np.cos(longitude),
-            across * np.sin(longitude),
-            (normal * (1 - e2) + altitude_m) * np.sin(latitude),
-        ]
+        [across * np.cos(longitude), across * np.sin(longitude), (normal * (1 - e2) + altitude_m) * np.sin(latitude)]
     )
 
 
@@ -172,11 +160,7 @@ def no_wind(altitude_m: float) -> Vector:
 
 
 def integrate(
-    body: Body,
-    state: State,
-    times: Vector,
-    kinks: Sequence[float] = (),
-    wind_ned: Callable[[float], Vector] = no_wind,
+    body: Body, state: State, times: Vector, kinks: Sequence[float] = (), wind_ned: Callable[[float], Vector] = no_wind
 ) -> list[State]:
     """States at `times` (rising; the first is the start). The integration restarts at each of `kinks`."""
 

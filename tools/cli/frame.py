@@ -161,9 +161,9 @@ def _tolerate_letters() -> None:
 def _explanation(error: Exception, memory: str) -> str:
     """What the person can do about an error that input or system cause; empty for a fault of ours."""
     from maxq.sim.campaign.error import CampaignError  # noqa: PLC0415  # lazy, as the next: needed by an error only
-    from maxq.sim.files import FileError  # noqa: PLC0415
-    from maxq.sim.log.head import LogError  # noqa: PLC0415
-    from maxq.sim.scenario.errors import ScenarioError  # noqa: PLC0415
+    from maxq.sim.files import FileError  # noqa: PLC0415  # lazy
+    from maxq.sim.log.head import LogError  # noqa: PLC0415  # lazy
+    from maxq.sim.scenario.errors import ScenarioError  # noqa: PLC0415  # lazy
 
     if isinstance(error, CommandError | ScenarioError | CampaignError | LogError | FileError):
         return str(error)

@@ -16,9 +16,7 @@ if TYPE_CHECKING:
 
 Order = TypeVar("Order", bound="DataclassInstance")
 
-_EVERY_COMMAND = {
-    Exit.INTERNAL_ERROR: f"a fault of maxq itself; {TRACEBACK}=1 in the environment shows the traceback",
-}
+_EVERY_COMMAND = {Exit.INTERNAL_ERROR: f"a fault of maxq itself; {TRACEBACK}=1 in the environment shows the traceback"}
 
 
 class Parser(argparse.ArgumentParser):
@@ -34,7 +32,7 @@ class Parser(argparse.ArgumentParser):
         super().__init__(
             prog=prog, usage=usage, description=description, epilog=f"examples:\n{examples}\nexit code:\n{listed}",
             formatter_class=argparse.RawDescriptionHelpFormatter, allow_abbrev=False, add_help=False,
-        )  # fmt: skip
+        )  # fmt: skip  # five more lines otherwise
         self._modes: dict[str, tuple[str, ...]] = {}
 
     def option(
@@ -96,7 +94,7 @@ class Parser(argparse.ArgumentParser):
     def error(self, message: str) -> NoReturn:
         self.exit(
             Exit.BAD_INPUT, f"{self.prog}: {printable(message.removeprefix('argument '))}; see {self.prog} --help\n"
-        )  # fmt: skip
+        )
 
 
 class _Version(argparse.Action):

@@ -131,7 +131,7 @@ def filters(designs: Mapping[str, Design], nodes: Sequence[Node]) -> Figure:
         places[0].annotate(
             name, (np.sqrt(low_hz * high_hz), 1.0), xycoords=("data", "axes fraction"),
             ha="center", va="bottom", fontsize=7, color=BLACK,
-        )  # fmt: skip
+        )  # fmt: skip  # five more lines otherwise
     for place in places:
         place.set_xscale("log")
         place.set_xlim(LOWEST_HZ, HIGHEST_HZ)

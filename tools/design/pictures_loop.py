@@ -98,7 +98,7 @@ def _bode(picture: LoopPicture, gain: Axes, phase: Axes) -> None:
             gain.annotate(
                 mark.text, (mark.frequency_hz, min(top, TOP_DB)), xytext=(_aside(mark.frequency_hz, lobes), 5),
                 textcoords="offset points", rotation=90, ha="center", va="bottom", fontsize=6.5, color=_colour(n),
-            )  # fmt: skip
+            )  # fmt: skip  # seven more lines otherwise
             phase.plot(mark.frequency_hz, np.degrees(np.angle(mark.loop)), "o", color=_colour(n), markersize=3)
     seen = level[f >= LOWEST_HZ]
     gain.set_ylim(max(float(seen.min()), BOTTOM_DB), min(float(seen.max()) + 24.0, TOP_DB + 10.0))
@@ -184,7 +184,7 @@ def _mark(place: Axes, mark: Mark, n: int, x: float, y: float, outward: tuple[fl
     place.annotate(
         mark.text, (x, y), xytext=shift, textcoords="offset points", fontsize=6.5, color=colour,
         ha="left" if shift[0] >= 0.0 else "right", va="center",
-    )  # fmt: skip
+    )  # fmt: skip  # six more lines otherwise
 
 
 def _draw_zone(zone: Zone, place: Axes) -> None:

@@ -31,11 +31,14 @@ def analysis_report(name: str, order: Order, design: Design, judged: Sequence[Ju
     if order.errata != "corrected" or order.plant != "flown":
         where += f"; errata: {order.errata}; plant: {order.plant}"
     return _joined(
-        [printable(f"{name}: {design.name}" if design.name else name), where], margins_table(judged),
-        lobes_table(judged), budget_table(judged, "phase margin", "phase_deg"),
-        budget_table(judged, "upper gain margin", "gain_db"), limits_table(found),
+        [printable(f"{name}: {design.name}" if design.name else name), where],
+        margins_table(judged),
+        lobes_table(judged),
+        budget_table(judged, "phase margin", "phase_deg"),
+        budget_table(judged, "upper gain margin", "gain_db"),
+        limits_table(found),
         nodes_table(found, judged) if len(found) > 1 else [],
-    )  # fmt: skip
+    )
 
 
 def analysis_verdict(found: Sequence[Check]) -> str:
@@ -61,7 +64,7 @@ def case_report(outcome: Outcome, solution: Solution) -> str:
         lobes_table(outcome.judged), limits_table(outcome.found), nodes_table(outcome.found, outcome.judged),
         limits_table(off, f"limits of {len(off[0].values)} dispersed plants") if off else [],
         limits_table(flown, "the same design as it flies (sampled)") if case.loop != "sampled" else [],
-    )  # fmt: skip
+    )  # fmt: skip  # five more lines otherwise
 
 
 def _joined(*parts: Sequence[str]) -> str:
@@ -130,7 +133,7 @@ def margins_table(judged: Sequence[Judged]) -> list[str]:
                 number(m.aero_gain_db.value, 2), number(m.rigid_gain_db.value, 2),
                 number(m.rigid_phase_deg.value, 1), number(m.crossover_hz, 3),
             )
-        )  # fmt: skip
+        )  # fmt: skip  # six more lines otherwise
     return ["margins over all crossings", *aligned(rows, "  ", right=(0, *range(2, 12)))]
 
 
@@ -212,7 +215,7 @@ def number(value: float, digits: int) -> str:
 
 SCHEMA = 1
 _BOUNDS = {"gain_up": "db", "gain_down": "db", "phase": "deg", "delay": "s", "aero_gain": "db", "rigid_gain": "db",
-           "rigid_phase": "deg"}  # fmt: skip
+           "rigid_phase": "deg"}  # fmt: skip  # seven more lines otherwise
 _NUMBERS = ("stable", "unstable_poles", "growth_1ps", "growth_hz", "crossover_hz", "modulus")
 
 
@@ -243,7 +246,7 @@ def checks_record(checks: Sequence[Check]) -> list[dict[str, Any]]:
             "worst": c.values[c.worst], "at_s": c.time_s[c.worst], "met": c.passed, "values": c.values.tolist(),
         }
         for c in checks
-    ]  # fmt: skip
+    ]  # fmt: skip  # seven more lines otherwise
 
 
 def analysis_record(name: str, order: Any, judged: Sequence[Judged], checks: Sequence[Check]) -> dict[str, Any]:

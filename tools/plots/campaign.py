@@ -36,7 +36,7 @@ def _panels(
         figure.subplots_adjust(
             left=left / _WIDTH_IN, right=1.0 - 0.12 / _WIDTH_IN, bottom=0.5 / tall, top=1.0 - 0.3 / tall,
             wspace=left / (across - left), hspace=0.85 / (height - 0.85),
-        )  # fmt: skip
+        )  # fmt: skip  # four more lines otherwise
         for axes, item in zip(panels, items, strict=False):
             draw(axes, item)
         for axes in panels[len(items) :]:

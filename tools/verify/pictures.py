@@ -144,7 +144,7 @@ def _flights(found: Verification) -> Figure:
             place.plot(
                 flight.time_s, size, color=tone, linewidth=1.1 if n < 3 else 0.5, zorder=3 if n < 3 else 1,
                 label=flight.name if n < 3 else None,
-            )  # fmt: skip
+            )  # fmt: skip  # four more lines otherwise
         label(place, "time, s", "deg", title)
     if found.authority:
         places[0].axhline(found.authority[0].gimbal_limit_deg, color=RED, linewidth=0.9)
@@ -166,7 +166,7 @@ def _slosh(found: Verification) -> Figure:
     places[0].fill_between(
         times, [a.percussion_station_m for a in one], [a.cg_station_m for a in one], color=RED, alpha=0.15,
         label="centre of percussion to CG: slosh harms",
-    )  # fmt: skip
+    )  # fmt: skip  # four more lines otherwise
     for n, tank in enumerate(tanks):
         mine = [a for a in found.slosh if a.tank == tank]
         tone, style = (BLUE, GREEN, ORANGE, BLACK)[n % 4], ("-", "--", ":", "-.")[n % 4]

@@ -26,7 +26,7 @@ _KEYS = {"judgement": "verdict"}  # of a requirement, as verdict.json has them
 _FLIGHT = ("name", "outcome", "passed", "failures", "metrics", "state_hash", "again")
 _LINE = (
     "difference_db", "difference_deg", "unrounded_db", "unrounded_deg", "coherence", "error", "nonlinear_db", "reason",
-)  # fmt: skip
+)  # fmt: skip  # seven more lines otherwise
 
 
 def write_pack(found: Verification, folder: Path, command: str, pack: bool) -> list[Path]:
@@ -57,7 +57,7 @@ def print_page(page: Path, pdf: Path) -> Path | None:
             browser, "--headless", "--no-sandbox", "--disable-gpu", "--no-first-run", "--disable-background-networking",
             "--disable-component-update", "--disable-sync", f"--user-data-dir={profile}", "--no-pdf-header-footer",
             f"--print-to-pdf={part.resolve()}", page.resolve().as_uri(),
-        ]  # fmt: skip
+        ]  # fmt: skip  # nine more lines otherwise
         try:
             subprocess.run(command, capture_output=True, timeout=_PRINT_S, check=True)
             part.replace(pdf)
@@ -122,7 +122,7 @@ def ranking(every: Sequence[Verification]) -> list[str]:
                 printable(worst.name) if worst else "", f"{100.0 * worst.room:.0f} %" if worst else "",
                 *(nominal.get(key, "-").partition(" ")[0] for key in _RANKED),
             )
-        )  # fmt: skip
+        )  # fmt: skip  # five more lines otherwise
     return ["ranking", *aligned(rows, "  ", right=(0, 3, 4, 6, 7, 8, 9))]
 
 
@@ -152,7 +152,7 @@ def verdict_record(found: Verification, command: str) -> dict[str, Any]:
         "wall_s": found.wall_s,
         "walls_s": found.walls_s,
         "cpus_s": found.cpus_s,
-    }  # fmt: skip
+    }
 
 
 def _node(c: NodeCertificate) -> dict[str, Any]:
@@ -168,7 +168,7 @@ def _node(c: NodeCertificate) -> dict[str, Any]:
             | {key: getattr(r, key)[i] for key in _LINE}
             for i in range(len(r.lines_hz))
         ],
-    }  # fmt: skip
+    }
 
 
 def _db(value: complex) -> float:

@@ -56,7 +56,7 @@ def execute(order: Order) -> int:
                 one = verify(
                     path, loaded, vehicle=order.vehicle, memory=memory.default_folder() if order.memory else None,
                     watch=progress.show, stop=lambda: interruption.requested,
-                )  # fmt: skip
+                )  # fmt: skip  # four more lines otherwise
             except ValueError as error:
                 if not str(error).startswith("node at"):
                     raise
@@ -65,8 +65,10 @@ def execute(order: Order) -> int:
             progress.show(f"writing {name}", 0, 1)
             files = report.write_pack(one, folder, command_of(order, name), order.pack)
             print("\n".join([*report.report(one, f"{name} by the suite {one.suite.name}"), *report.reasons(one)]))
-            print(f"\n{len(files)} files in {folder}/; {time.perf_counter() - begun:.1f} s, "
-                  f"{one.recalled} results reused from earlier runs\n{report.headline(one)}\n")  # fmt: skip
+            print(
+                f"\n{len(files)} files in {folder}/; {time.perf_counter() - begun:.1f} s, "
+                f"{one.recalled} results reused from earlier runs\n{report.headline(one)}\n"
+            )
     if len(found) > 1:
         print("\n".join(report.ranking(found)))
     return _EXIT[overall(report.ranked(found)[0].requirements)]
@@ -143,7 +145,7 @@ def execute_cases(orders: Sequence[run_case.Order], suite: str, pack: bool = Tru
         (str(n), str(c.folder), f"{c.objective_db:.3f}", f"{c.modulus:.3f}" if c.modulus > 0.0 else "unstable",
          "met" if c.meets_limits else "MISSED")
         for n, c in enumerate(ranked, 1)
-    ]  # fmt: skip
+    ]  # fmt: skip  # five more lines otherwise
     print("\n".join(["candidates in order of merit", *aligned(rows, "  ", right=(0, 2, 3))]) + "\n")
 
     def keep(design: str, found: Verification) -> None:
@@ -153,9 +155,7 @@ def execute_cases(orders: Sequence[run_case.Order], suite: str, pack: bool = Tru
     names = [str(c.folder) for c in ranked]
     try:
         with Interruption() as stop, Progress() as progress:
-            accepted, every = try_in_order(
-                names, suite, keep=keep, watch=progress.show, stop=lambda: stop.requested
-            )  # fmt: skip
+            accepted, every = try_in_order(names, suite, keep=keep, watch=progress.show, stop=lambda: stop.requested)
     except KeyboardInterrupt:
         say("simdesign", "interrupted; what was worked out is kept, the same command resumes")
         return Exit.INTERRUPTED

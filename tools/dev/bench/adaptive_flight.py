@@ -88,9 +88,8 @@ class AdaptiveFlight:
             length_s = 1e-9 * length_ns
             y = packed.state[: self._n]
             solver = DOP853(
-                self._rates, 0.0, y.copy(), length_s, rtol=self._relative, atol=self._absolute,
-                first_step=length_s,
-            )  # fmt: skip
+                self._rates, 0.0, y.copy(), length_s, rtol=self._relative, atol=self._absolute, first_step=length_s
+            )
             while solver.status == "running":
                 solver.step()
             if solver.status == "failed":

@@ -18,11 +18,7 @@ from Basilisk.simulation import (  # type: ignore[import-not-found]  # in .venv-
     spacecraft,
     svIntegrators,
 )
-from Basilisk.utilities import (  # type: ignore[import-not-found]  # in .venv-bench only
-    SimulationBaseClass,
-    macros,
-    simIncludeGravBody,
-)
+from Basilisk.utilities import SimulationBaseClass, macros, simIncludeGravBody  # type: ignore[import-not-found]  # in .venv-bench only
 
 from maxq.tools.dev.bench.serve import serve
 

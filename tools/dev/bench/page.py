@@ -34,9 +34,9 @@ def _peers(result: dict[str, Any]) -> str:
             f"{case['wall_s_median']:.3f} / {case['wall_s_min']:.3f}",
             f"{case['steps'] / case['cpu_s_median']:,.0f}",
             ratio, low, f"{case['needed']:g}" if case["needed"] else "",
-        ])  # fmt: skip
+        ])  # fmt: skip  # five more lines otherwise
     head = ("program", "flight", "CPU, s (median / min)", "wall, s (median / min)", "steps/s",
-            "ratio to maxq (medians)", "(minima)", "needed")  # fmt: skip
+            "ratio to maxq (medians)", "(minima)", "needed")  # fmt: skip  # eight more lines otherwise
     return _table(head, rows)
 
 
@@ -60,8 +60,9 @@ def _latency(result: dict[str, Any]) -> str:
             rows.append([what, "skipped: " + case["skipped"], bound, ""])
         else:
             met = "" if limit is None else "yes" if case[quantity] <= limit else "no"
-            rows.append([what, f"{case[quantity]:.2f} {unit}" if unit == "s" else f"{case[quantity]:.0f} MB",
-                         bound, met])  # fmt: skip
+            rows.append(
+                [what, f"{case[quantity]:.2f} {unit}" if unit == "s" else f"{case[quantity]:.0f} MB", bound, met]
+            )
     return _table(("what", "measured", "at most", "met"), rows)
 
 
@@ -116,13 +117,13 @@ def _optimise(result: dict[str, Any]) -> str:
         ["its nodes, flown and sampled", f"{one['seconds_plants']:.1f} s", "", ""],
         [f"the {len(optima)} optima of one table", f"{sum(o['seconds'] for o in optima):.1f} s", "45 s",
          _met(sum(o["seconds"] for o in optima), 45.0)],
-    ]  # fmt: skip
+    ]  # fmt: skip  # four more lines otherwise
     text = _table(("what", "CPU", "at most", "met"), rows)
     rows = [
         [f"{o['structure']}, {o['schedule']}", f"{o['objective_db']:.3f}", f"{o['near_best']} of {o['starts']}",
          f"{o['leaps_back']} of {o['leaps']}", f"{o['kkt_residual']:.0e}", f"{o['seconds']:.1f}"]
         for o in optima
-    ]  # fmt: skip
+    ]  # fmt: skip  # six more lines otherwise
     head = ("optimum", "peak of mode 1, dB", "starts at the best", "leaps back at it", "KKT residual", "CPU, s")
     text += "\n\n" + _table(head, rows)
     rows = [
@@ -130,11 +131,11 @@ def _optimise(result: dict[str, Any]) -> str:
          f"{r['found_db']:.3f}" if r["found_db"] < BROKEN_DB else "none", f"{r['found_violation_db']:.3f}",
          "none" if r["exact_db"] is None else f"{r['exact_db']:.3f}", f"{r['seconds']:.0f}", f"{r['evaluations']:,}"]
         for r in result["searches"]
-    ]  # fmt: skip
+    ]  # fmt: skip  # eight more lines otherwise
     columns = (
         "problem", "search", "ours, dB", "CPU, s", "its best, dB", "which misses limits by, dB", "limits met, dB",
         "CPU, s ", "evaluations",
-    )  # fmt: skip
+    )  # fmt: skip  # seven more lines otherwise
     ahead = min(r["exact_db"] - r["ours_db"] for r in result["searches"] if r["exact_db"] is not None)
     told = f"The best of these with all limits met lies {abs(ahead):.3f} dB {'above' if ahead >= 0 else 'below'} ours."
     return "\n\n".join([text, _table(columns, rows), told])

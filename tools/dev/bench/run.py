@@ -57,12 +57,20 @@ def _machine() -> dict[str, Any]:
 
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--peers", type=Path, default=REPOSITORY / ".venv-bench/bin/python",
-                        help="Python of the environment that holds the programs compared with")  # fmt: skip
+    parser.add_argument(
+        "--peers",
+        type=Path,
+        default=REPOSITORY / ".venv-bench/bin/python",
+        help="Python of the environment that holds the programs compared with",
+    )
     parser.add_argument("--rounds", type=int, default=5, help="flights of each of these programs (default 5)")
     parser.add_argument("--repetitions", type=int, default=5, help="runs of each command (default 5)")
-    parser.add_argument("--search-seconds", type=float, default=20.0,
-                        help="CPU time of each search beside the optimiser (default 20; long run: 1800)")  # fmt: skip
+    parser.add_argument(
+        "--search-seconds",
+        type=float,
+        default=20.0,
+        help="CPU time of each search beside the optimiser (default 20; long run: 1800)",
+    )
     parser.add_argument("--only", default="", help="comma-separated parts; the others keep their last results")
     choice = parser.parse_args()
     parts: dict[str, Callable[[], Any]] = {

@@ -35,8 +35,4 @@ def serve(about: dict[str, Any], prepare: Prepare) -> None:
         wall, cpu = time.perf_counter(), time.process_time()
         steps = fly()
         cpu, wall = time.process_time() - cpu, time.perf_counter() - wall
-        print(
-            json.dumps({"cpu_s": cpu, "wall_s": wall, "set_up_s": set_up, "steps": steps}),
-            file=answers,
-            flush=True,
-        )
+        print(json.dumps({"cpu_s": cpu, "wall_s": wall, "set_up_s": set_up, "steps": steps}), file=answers, flush=True)

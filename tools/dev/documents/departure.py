@@ -51,10 +51,7 @@ class Departure:
 
 
 def departure(
-    node: Node,
-    continuous: Controller,
-    discrete: Controller,
-    frequencies_hz: ArrayLike | None = None,
+    node: Node, continuous: Controller, discrete: Controller, frequencies_hz: ArrayLike | None = None
 ) -> Departure:
     """Compare the loops of a design at a node: by default at 400 frequencies and every resonance up to Nyquist."""
     paths = PadeFixedPath(node), ExactFixedPath(node), SampledFixedPath(node)

@@ -17,14 +17,7 @@ from maxq.sim.packing.schedule import stage_sizes
 from maxq.sim.run.fly import CONTROL_LOST_CAUSE, IGNITION_NAME
 from maxq.sim.run.launch_frames import CHILD, PARENT
 from maxq.sim.run.metrics import METRICS
-from maxq.sim.run.record import (
-    DESIGN_ATTACHMENT,
-    END_KEY,
-    OUTCOME_KEY,
-    SCENARIO_ATTACHMENT,
-    STATE_HASH_KEY,
-    STEPS_KEY,
-)
+from maxq.sim.run.record import DESIGN_ATTACHMENT, END_KEY, OUTCOME_KEY, SCENARIO_ATTACHMENT, STATE_HASH_KEY, STEPS_KEY
 from maxq.sim.scenario.loader import load_scenario
 from maxq.sim.vehicle.state import CAUSES
 

@@ -21,28 +21,7 @@ from maxq.tools.dev.ksr3.trajectory import Flight, forces
 SHAPE_STATIONS_M = np.append(beam.NODES_M[::3], a.GIMBAL_STATION_M)  # nodes of the beam: nothing is interpolated
 MODE_TIMES_S = np.arange(0.0, 58.0, 2.5)
 LIFT_MACH = np.array(
-    [
-        0.0,
-        0.25,
-        0.5,
-        0.65,
-        0.8,
-        0.875,
-        0.95,
-        1.025,
-        1.1,
-        1.175,
-        1.25,
-        1.375,
-        1.5,
-        1.625,
-        1.75,
-        2.0,
-        2.25,
-        2.5,
-        3.0,
-        5.0,
-    ]
+    [0.0, 0.25, 0.5, 0.65, 0.8, 0.875, 0.95, 1.025, 1.1, 1.175, 1.25, 1.375, 1.5, 1.625, 1.75, 2.0, 2.25, 2.5, 3.0, 5.0]
 )
 
 
@@ -79,14 +58,7 @@ def _write_mass_and_thrust(folder: Path, made: Reconstruction) -> None:
     for t in burn.times_s:
         p = mass_properties(burn, t)
         rows.append(
-            (
-                t,
-                float(burn.mass_kg(t)),
-                p.x_cg_m,
-                p.roll_inertia_kgm2,
-                p.pitch_inertia_kgm2,
-                p.pitch_inertia_kgm2,
-            )
+            (t, float(burn.mass_kg(t)), p.x_cg_m, p.roll_inertia_kgm2, p.pitch_inertia_kgm2, p.pitch_inertia_kgm2)
         )
     header = "time_s,mass_kg,x_cg_m,Ixx_kgm2,Iyy_kgm2,Izz_kgm2"
     write_table(folder / "mass.csv", header, rows, digits=13)

@@ -179,4 +179,4 @@ def _inertial_to_body(q: Array) -> Array:
             2 * (x * y - w * z), 1 - 2 * (x * x + z * z), 2 * (y * z + w * x),
             2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y),
         ]
-    )  # fmt: skip
+    )  # fmt: skip  # six more lines otherwise

@@ -228,4 +228,4 @@ FAULTS: tuple[Fault, ...] = (
     Fault("k_p and k_d exchanged", "law", _gains(lambda g: g[:, [1, 0, 3, 2]])),
     Fault("k_d, sign", "law", _gains(lambda g: g * [1.0, -1.0, 1.0, 1.0])),
     Fault("yaw's gains in pitch, 5 % apart", "law", _gains(lambda g: g * [1.05, 1.05, 1.0, 1.0])),
-)  # fmt: skip
+)  # fmt: skip  # six more lines otherwise
