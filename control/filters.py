@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from maxq.control.kernel.jit import kernel
 from maxq.control.kernel.records import Array
-from maxq.control.laws.structures import MAX_SECTIONS
+from maxq.control.structures import MAX_SECTIONS
 
 Discretization = Literal["prewarped", "bilinear", "matched", "zoh"]
 ComplexArray = NDArray[np.complex128]

@@ -26,7 +26,7 @@ from maxq.control.filters import (
     filter_sample,
     settle_filter,
 )
-from maxq.control.laws.structures import MAX_SECTIONS
+from maxq.control.structures import MAX_SECTIONS
 
 SAMPLE_S = 0.01
 PREWARP_HZ = 9.2

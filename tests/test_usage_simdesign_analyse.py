@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from maxq.design.case import design_file
+from maxq.design.laws import design_file
 from maxq.design.laws.registry import designed_law
 from maxq.sim.api import fly, load_scenario
 from maxq.sim.files import write_whole

@@ -20,7 +20,7 @@ from maxq.control.kernel.jit import kernel
 from maxq.control.kernel.records import Array, IntArray
 from maxq.control.kernel.rows import DEG, PitchYaw
 from maxq.control.kernel.tables import Cubics, TableRef, fit, look_up, merge
-from maxq.control.laws.structures import MAX_SECTIONS
+from maxq.control.structures import MAX_SECTIONS
 
 
 @dataclass(frozen=True)

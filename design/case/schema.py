@@ -15,7 +15,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
-from maxq.control.laws.structures import MAX_SECTIONS, STRUCTURES, DesignedStructure, Law
+from maxq.control.structures import MAX_SECTIONS, STRUCTURES, DesignedStructure, Law
 from maxq.sim.scenario.documents import Text
 from maxq.sim.scenario.errors import ScenarioError, refuse
 from maxq.sim.scenario.files import find

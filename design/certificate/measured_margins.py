@@ -20,7 +20,7 @@ from typing import Literal
 import numpy as np
 
 from maxq.control.kernel.records import Array
-from maxq.control.laws.structures import MAX_SECTIONS
+from maxq.control.structures import MAX_SECTIONS
 from maxq.design.certificate.excitation import (
     DITHER_HZ,
     burst_rad,

@@ -21,7 +21,7 @@ from maxq.control.filters import BendingFilter, Discretization
 from maxq.control.kernel.records import Array, IntArray
 from maxq.control.kernel.tables import Cubics
 from maxq.control.laws.pd import GainSchedule, gains_table
-from maxq.control.laws.structures import structure_of
+from maxq.control.structures import structure_of
 from maxq.design.case.schema import Case
 from maxq.design.laws.bending_filter import (
     AnyFilter,

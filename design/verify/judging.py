@@ -15,8 +15,8 @@ import numpy as np
 
 from maxq.control.kernel.records import Array
 from maxq.design import api
-from maxq.design.case.design_file import design_of
 from maxq.design.case.schema import Case, LoadedCase
+from maxq.design.laws.design_file import design_of
 from maxq.design.loop.fixed_path import Kind
 from maxq.design.loop.loop import Loop
 from maxq.design.margins.budget import Budget, crossing_budgets

@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
-from maxq.control.laws.structures import MAX_SECTIONS, STRUCTURES, Law, Structure
+from maxq.control.structures import MAX_SECTIONS, STRUCTURES, Law, Structure
 from maxq.sim.scenario.errors import refuse
 from maxq.sim.scenario.schema_values import NotNegative, Positive, Section, needs, optional
 from maxq.sim.scenario.tables_csv import Columns, CsvTable

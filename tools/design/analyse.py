@@ -12,7 +12,7 @@ from pathlib import Path
 
 from maxq.design import api
 from maxq.design.api import Plant
-from maxq.design.case.design_file import DESIGN_NAME, design_path, forget_pictures
+from maxq.design.laws.design_file import DESIGN_NAME, design_path, forget_pictures
 from maxq.design.loop.errata_effects import Effect, errata_effects, peaks_db
 from maxq.design.loop.fixed_path import Cut, Kind, fixed_path
 from maxq.design.margins.measure import margins

@@ -12,10 +12,10 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from maxq.control.laws.structures import STRUCTURES as KNOWN
+from maxq.control.structures import STRUCTURES as KNOWN
 from maxq.design import api
-from maxq.design.case.design_file import DESIGN_NAME, design_text, forget_pictures
 from maxq.design.case.schema import LoadedCase, read_case
+from maxq.design.laws.design_file import DESIGN_NAME, design_text, forget_pictures
 from maxq.design.model.node import Node
 from maxq.design.optimise.plants import Plants
 from maxq.design.optimise.solution import Solution

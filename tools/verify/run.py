@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from maxq.design.case.design_file import DESIGN_NAME, design_path
+from maxq.design.laws.design_file import DESIGN_NAME, design_path
 from maxq.design.optimise.solution import Solution
 from maxq.design.verify import memory
 from maxq.design.verify.judging import judge, make_design

@@ -17,7 +17,7 @@ import numpy as np
 
 from maxq.control.kernel.records import Array
 from maxq.control.kernel.tables import table_in
-from maxq.control.laws.structures import MAX_SECTIONS
+from maxq.control.structures import MAX_SECTIONS
 from maxq.design.certificate.held_flight import Change
 from maxq.sim.packing.flight import Packed
 from maxq.sim.vehicle import schedule
