@@ -1,7 +1,7 @@
 """The pictures of docs/replay.md and the one README.md opens with: `python -m maxq.tools.dev.pictures.replay [DIR]`.
 
 Flies the nominal scenario, the same in the November wind and in four times that wind, and one that loses control; then
-takes pictures of what `simreplay` shows of them, and draws two sheets of the standard set. Needs no display.
+takes pictures of what `simreplay` shows of them, and draws a sheet of the standard set. Needs no display.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ SHOTS = (  # flights, time, tab, name of the picture
     (("lost",), 9.6, "Attitude", "control-lost"),
     (("nominal", "windy", "failing"), 47.0, "Loads", "several"),
 )
-SHEETS = (("failing", "gimbal"), ("windy", "bending"))
+SHEETS = (("failing", "gimbal"),)
 WIDTH = 1280  # of a picture in the repository
 
 
