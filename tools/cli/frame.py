@@ -160,6 +160,8 @@ def _tolerate_letters() -> None:
 
 def _explanation(error: Exception, memory: str) -> str:
     """What the person can do about an error that input or system cause; empty for a fault of ours."""
+    if isinstance(error, ImportError) and not (error.name or "").startswith("maxq"):
+        return f"a package is missing or broken: {error}; install maxq again (pip install maxq)"
     from maxq.sim.campaign.error import CampaignError  # noqa: PLC0415  # lazy, as the next: needed by an error only
     from maxq.sim.files import FileError  # noqa: PLC0415  # lazy
     from maxq.sim.log.head import LogError  # noqa: PLC0415  # lazy
@@ -171,8 +173,6 @@ def _explanation(error: Exception, memory: str) -> str:
         return f"not enough memory{'; ' if memory else ''}{memory}"
     if isinstance(error, OSError):
         return f"{error.filename or 'a file'}: {(error.strerror or str(error)).lower()}"
-    if isinstance(error, ImportError) and not (error.name or "").startswith("maxq"):
-        return f"a package is missing or broken: {error}; install maxq again (pip install maxq)"
     return ""
 
 
