@@ -20,6 +20,7 @@ from typing import Any
 from unittest.mock import patch
 
 from maxq.sim.campaign import runs as campaign_runs
+from maxq.sim.campaign.plan import Plan
 from maxq.sim.campaign.read import LoadedCampaign, load_campaign
 from maxq.sim.campaign.runner import Progress, cores, load_kernels, run_campaign
 from maxq.sim.campaign.store import Store
@@ -75,11 +76,11 @@ def _timed(spent: dict[str, float], name: str, function: Callable[..., Any]) -> 
 
 
 PARTS: dict[str, tuple[Any, str]] = {
-    "draws of a batch": (LoadedCampaign, "batch"),
+    "draws of a batch": (Plan, "draw"),
     "scenario: changed, checked": (LoadedCampaign, "inputs"),
     "packing": (campaign_runs, "_begun_flight"),
-    "flight": (campaign_runs, "_flown"),
-    "metrics, verdicts, row": (campaign_runs, "_row_of"),
+    "flight": (campaign_runs._Run, "fly"),
+    "metrics, verdicts, row": (campaign_runs._Run, "recorded"),
     "Arrow tables, Parquet files": (Store, "write"),
 }
 """Where a campaign's time goes: functions that each do one part of it, called one after the other."""
