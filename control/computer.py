@@ -6,7 +6,7 @@
 The law is a module of control/laws: a parameter record, a memory record with its start, and a tick for each gimbal
 axis; what it works on is in attitude.py. Here stand its two records and two calls.
 
-The computer knows neither plant nor its own delay: it hands the command over at once, and whoever flies it
+The computer knows neither plant nor its own delay: it hands the command over at once, and its caller
 lets the command take effect `delay_ns` later and holds it.
 
 Triples are per body axis x, y, z (roll, pitch, yaw), pairs per gimbal axis (pitch, yaw).

@@ -14,7 +14,7 @@ _FINAL = (
     "body_roll_rate_degps", "body_pitch_rate_degps", "body_yaw_rate_degps", "gimbal_pitch_angle_deg",
     "gimbal_yaw_angle_deg", "bend_pitch_gimbal_m", "bend_yaw_gimbal_m",
 )  # fmt: skip  # eleven more lines otherwise
-"""The state that a person wants to see of a flight that went wrong; summary.json has all of it."""
+"""State shown of a flight that failed; summary.json has all of it."""
 
 
 def report(flight: Flight, files: list[Path], total_s: float) -> str:

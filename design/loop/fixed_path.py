@@ -86,7 +86,7 @@ class FixedPath(abc.ABC):
     def ratio(self, measurement: str, frequencies_hz: ArrayLike) -> ComplexArray:
         """A measurement over the mean rate, same shape as the frequencies; 0 where the cut leaves it out.
 
-        Raises ValueError for a measurement that there is none of.
+        Raises ValueError for an unknown measurement.
         """
         f = np.asarray(frequencies_hz, float)
         if measurement not in MEASUREMENTS:

@@ -18,7 +18,8 @@ from maxq.design.model.state_space import ComplexArray, StateSpace, chain, close
 class Loop:
     """Open loop L = sum of C_i P_i over the law's inputs, closed on 1 + L = 0 (design/loop/open_loop.py).
 
-    Raises ValueError where path and law do not fit: a period, or a measurement that there is none of.
+    Raises ValueError where path and law do not fit: their sample periods differ, or the path lacks a
+    measurement that the law needs.
     """
 
     fixed: FixedPath

@@ -57,7 +57,7 @@ def vehicle_poles(plant: StateSpace) -> list[NamedPole]:
 
     A pole's participation in a state is the product of its right and left eigenvectors there: free of units, and
     one in sum (Perez-Arriaga, Verghese & Schweppe, IEEE Trans. PAS-101, 1982). Each oscillator gives its name to
-    one pair, so that two tanks of equal frequency are told apart even where their motion mixes.
+    one pair, so that two tanks of equal frequency are distinguished even where their motion mixes.
     """
     poles, vectors = np.linalg.eig(plant.a) if len(plant.a) else (np.zeros(0), np.zeros((0, 0)))
     poles = poles.astype(np.complex128)

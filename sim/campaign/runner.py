@@ -41,7 +41,7 @@ from maxq.sim.scenario.schema_scenario import Requirement
 
 CHUNK = 8  # runs that a thread prepares, flies and judges together; fewer towards the end, so that all end together
 AHEAD = 2  # tasks for each worker that are submitted before they are needed
-_POLL_S = 0.2  # how often the caller is told, and asked whether to stop
+_POLL_S = 0.2  # interval of progress reports and of queries whether to stop
 _TRIES = 5  # of a batch whose workers die; Dask itself tries each one several times
 _SHARES = 4  # batches for each thread of a cluster, at least
 
@@ -164,8 +164,8 @@ def run_campaign(
     """Fly what is missing of a campaign into its folder, on `workers` threads (default: one for each core).
 
     `cluster`: the address of a Dask scheduler, or a dask Client, whose workers fly instead (maxq[dask]).
-    `watch` is told of the progress a few times a second; when `stop` then says True, whole runs of the batch under way
-    are written and it ends. Raises CampaignError.
+    `watch` is called with the progress a few times a second; when `stop` then says True, whole runs of the batch under
+    way are written and it ends. Raises CampaignError.
     """
     with ExitStack() as stack:
         flyers: Threads | Cluster

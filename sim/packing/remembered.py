@@ -12,7 +12,7 @@ _MOST = 64
 
 
 def cached_by_identity(function: Callable[..., Answer]) -> Callable[..., Answer]:
-    """Remember answers by the identity of the arguments, which nobody may change, as nobody may change the answer.
+    """Remember answers by the identity of the arguments, which must not be changed, nor must the answers.
 
     Numbers and texts are told by their value, tuples by what is in them. Comparing sections of a scenario by value
     would take longer than most answers.

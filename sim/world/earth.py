@@ -54,9 +54,9 @@ class Earth:
 
     def __post_init__(self) -> None:
         if self.figure not in (FLAT, SPHERE, ELLIPSOID):
-            raise ValueError(f"Earth.figure {self.figure} is none of 0 flat, 1 sphere, 2 ellipsoid")
+            raise ValueError(f"Earth.figure = {self.figure} must be 0 flat, 1 sphere or 2 ellipsoid")
         if self.gravity not in (NO_GRAVITY, UNIFORM, INVERSE_SQUARE, J2):
-            raise ValueError(f"Earth.gravity {self.gravity} is none of 0 none, 1 uniform, 2 inverse square, 3 J2")
+            raise ValueError(f"Earth.gravity = {self.gravity} must be 0 none, 1 uniform, 2 inverse square or 3 J2")
         if self.figure == FLAT and self.gravity not in (NO_GRAVITY, UNIFORM):
             raise ValueError("a flat Earth has no centre: its gravity is uniform or none")
         if self.figure == FLAT and self.rate_radps != 0.0:

@@ -40,7 +40,7 @@ from maxq.tools.replay.viewer import ReplayError
 
 KEPT = ("flights", "kept")  # folders of a campaign that hold whole flights
 MOST = 200
-"""Flights shown at once: more make a window nobody reads, and a lot of memory."""
+"""Flights shown at once: more cannot be read in one window, and take much memory."""
 FEW = 4
 """Flights of which every vehicle is drawn."""
 FAR_KM = 20.0
@@ -251,7 +251,7 @@ def launch_of(log: Log) -> tuple[Earth, Site]:
 
 
 def _summary(log: Log) -> Mapping[str, Any]:
-    """The summary beside the log, if it tells of the same flight."""
+    """The summary beside the log, if it belongs to the same flight."""
     try:
         summary = json.loads(log.path.with_name(SUMMARY_NAME).read_text(encoding="utf-8"))
     except (OSError, ValueError):

@@ -3,7 +3,7 @@
     rerun flight.mcap &
     python -m maxq.tools.replay.log_layout flight.mcap [PORT]
 
-Rerun reads the numbers of an MCAP log, but plots none of them by itself: somebody must say which. Here every channel of
+Rerun reads the numbers of an MCAP log, but plots none of them by itself: a layout must say which. Here every channel of
 the log is plotted, by topic and unit, beside the body's axes and the events.
 """
 
