@@ -43,25 +43,20 @@ BLOCKS = (
 )  # fmt: skip  # a table
 BOUNDED = (ANGULAR_VELOCITY, ETA_STATES, XI_STATES, POSITION, VELOCITY)  # checked in this order
 
-Index = tuple[int, int, int, int]  # of a state: a constant, and what each pitch mode, yaw mode and tank adds to it
+Index = tuple[int, ...]  # of a state: a constant, and what each part of a field of `Counts` adds to it
+_NO_PARTS: Index = (0,) * (1 + len(Counts._fields))
 
 
 def _index_of(block: StateBlock | None) -> Index:
     """Index of a block's first state; without a block that of the end, which is the number of states."""
-    fixed, per = 0, {"pitch_modes": 0, "yaw_modes": 0, "tanks": 0}
-    for before in BLOCKS:
-        if before is block:
-            break
-        fixed += before.fixed_parts * len(before.states)
-        if before.counted_by:
-            per[before.counted_by] += len(before.states)
-    return fixed, per["pitch_modes"], per["yaw_modes"], per["tanks"]
+    before = BLOCKS if block is None else BLOCKS[: BLOCKS.index(block)]
+    widths = [tuple(len(b.states) * parts for parts in _parts_of(b)) for b in before]
+    return tuple(sum(column) for column in zip(*widths, strict=True)) or _NO_PARTS
 
 
 def _parts_of(block: StateBlock) -> Index:
     """Number of a block's parts, in the same form."""
-    pitch, yaw, tanks = (int(block.counted_by == field) for field in ("pitch_modes", "yaw_modes", "tanks"))
-    return block.fixed_parts, pitch, yaw, tanks
+    return block.fixed_parts, *(int(block.counted_by == field) for field in Counts._fields)
 
 
 ACTUATOR = _index_of(ACTUATORS)[0]
@@ -84,7 +79,9 @@ _LIMITS: tuple[tuple[Index, Index, int, float], ...] = tuple(
 
 @kernel
 def _at(index: Index, sizes: Sizes | Counts) -> int:
-    return index[0] + index[1] * sizes.pitch_modes + index[2] * sizes.yaw_modes + index[3] * sizes.tanks
+    """With the fields of `Counts` in their order: a loop over them would not become one constant expression."""
+    modes = index[1] * sizes.pitch_modes + index[2] * sizes.yaw_modes
+    return index[0] + modes + index[3] * sizes.tanks + index[4] * sizes.surfaces
 
 
 @kernel
