@@ -42,13 +42,13 @@ def main(suite: str, folder: Path, parts: int, number: int) -> None:
     if child == 0:
         os._exit(verify(suite, folder / "first"))
     until = time.monotonic() + 240.0
-    while len(list(memory.glob("*.pickle"))) < parts:
+    while len(list(memory.glob("*.json"))) < parts:
         if time.monotonic() > until or os.waitpid(child, os.WNOHANG)[0]:
             sys.exit(f"there are never {parts} parts")
         time.sleep(0.005)
     os.kill(child, number)
     _, status = os.waitpid(child, 0)
-    told = {"code": os.waitstatus_to_exitcode(status), "parts": len(list(memory.glob("*.pickle"))), "runs": runs_kept()}
+    told = {"code": os.waitstatus_to_exitcode(status), "parts": len(list(memory.glob("*.json"))), "runs": runs_kept()}
     again = os.fork()
     if again == 0:
         os._exit(verify(suite, folder / "second"))

@@ -11,9 +11,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from maxq.design.model.dispersion import NOMINAL
+from maxq.design.model.dispersion import NOMINAL, Dispersion
 from maxq.design.verify.flown import load_flight, load_wanted
-from maxq.design.verify.memory import Memory, content_hash
+from maxq.design.verify.memory import Memory, content_hash, from_plain, to_plain
 from maxq.design.verify.suite import ACCEPTED, REJECTED, UNDECIDED, LinearMargins, Requirement, overall, read_suite
 from maxq.sim.scenario.builtin import builtin_files
 from maxq.sim.scenario.schema_values import Section
@@ -201,10 +201,37 @@ def test_memory_works_out_once_and_again_when_a_file_is_damaged(tmp_path: Path) 
     assert [memory.recall("part", (1.0,), work_out) for _ in range(3)] == [7, 7, 7]
     assert memory.recall("part", (2.0,), work_out) == 7
     assert count == [2]
-    for file in tmp_path.glob("*.pickle"):
-        file.write_bytes(b"")
-    assert memory.recall("part", (1.0,), work_out) == 7
-    assert count == [3]
+    for made, damage in enumerate((b"", b"\x80\x04N.", whole(tmp_path).replace(b"7", b"8"), whole(tmp_path)[:-1]), 3):
+        for file in tmp_path.glob("part-*"):
+            file.write_bytes(damage)
+        assert memory.recall("part", (1.0,), work_out) == 7
+        assert count == [made]
+
+
+def whole(folder: Path) -> bytes:
+    return next(folder.glob("part-*")).read_bytes()
+
+
+def test_memory_gives_back_what_it_was_given() -> None:
+    node = Dispersion(label="a", thrust=1.1)
+    things = [
+        None, True, 3, -0.0, math.inf, "text", (1, [2.0, ()]), {1: "a", "b": (2,)}, 1 + 2j, Path("a/b"), node,
+        np.float64(0.1), np.int64(3), np.arange(6.0).reshape(2, 3), np.zeros((0, 2)), np.array([1 + 1e-30j]),
+    ]  # fmt: skip  # a table
+    again = from_plain(json.loads(json.dumps(to_plain(things))))
+    for thing, other in zip(things, again, strict=True):
+        assert type(other) is type(thing)
+        assert np.array_equal(other, thing) if isinstance(thing, np.ndarray) else other == thing
+    with pytest.raises(TypeError, match="results hold no object"):
+        to_plain(object())
+
+
+@pytest.mark.parametrize(
+    "name", ["os:system", "maxq.sim.files:write_whole", "maxq.sim.nothing:X", "builtins:eval", "maxq.sim.files:Path"]
+)
+def test_memory_makes_nothing_but_results(name: str) -> None:
+    with pytest.raises((ValueError, TypeError, ImportError)):
+        from_plain({name: ["true"]})
 
 
 def test_every_key_of_a_suite_says_what_it_means() -> None:

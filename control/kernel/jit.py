@@ -10,7 +10,10 @@ without this an edited callee would keep its old machine code.
 
 from __future__ import annotations
 
+import contextlib
+import errno
 import hashlib
+import io
 import os
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -19,6 +22,7 @@ from typing import Any, TypeVar
 import numba
 import numpy as np
 from numba import types
+from numba.core.caching import IndexDataCacheFile
 from numba.extending import intrinsic, overload
 from numpy.typing import NDArray
 
@@ -49,15 +53,65 @@ def source_hash() -> str:
     return digest.hexdigest()[:16]
 
 
-def cache_folder() -> Path:
-    """Folder of the compiled kernels: `$MAXQ_CACHE`, else the user's cache folder."""
+def own_cache(name: str) -> Path:
+    """A folder for machine code or results, made where it is missing: in `$MAXQ_CACHE`, else the user's cache folder.
+
+    Raises PermissionError where another user owns it or may write to it: what lies there is run and believed.
+    """
     base = os.environ.get("MAXQ_CACHE") or os.path.join(
         os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache"), "maxq"
     )
-    return Path(base) / f"kernels-{source_hash()}"
+    for folder in (Path(base), Path(base) / name):
+        with contextlib.suppress(OSError):  # where nothing can be kept, everything is worked out anew
+            folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+        if hasattr(os, "getuid") and folder.exists():
+            status = folder.stat()
+            advice = "give a cache folder of your own to which no one else may write (chmod go-w)"
+            if status.st_uid != os.getuid():
+                raise PermissionError(errno.EACCES, f"this cache belongs to another user; {advice}", str(folder))
+            if status.st_mode & 0o022:
+                raise PermissionError(errno.EACCES, f"other users may write to this cache; {advice}", str(folder))
+    return Path(base) / name
+
+
+def cache_folder() -> Path:
+    """Folder of the compiled kernels."""
+    return own_cache(f"kernels-{source_hash()}")
 
 
 _FOLDER = str(cache_folder())
+
+
+class _CheckedFile(IndexDataCacheFile):  # type: ignore[misc]  # Numba has no types
+    """Numba's files of one function's machine code, each with its SHA-256 at the end: a damaged one is made anew.
+
+    Numba reads neither file to its end, and takes the index as empty and code as missing where that is returned here.
+    """
+
+    @contextlib.contextmanager
+    def _open_for_write(self, filepath: str) -> Iterator[io.BytesIO]:
+        content = io.BytesIO()
+        yield content
+        with super()._open_for_write(filepath) as file:
+            file.write(content.getvalue() + hashlib.sha256(content.getvalue()).digest())
+
+    def _load_index(self) -> dict[Any, str]:
+        return super()._load_index() if _is_whole(self._index_path) else {}
+
+    def _load_data(self, name: str) -> Any:
+        path = self._data_path(name)
+        if not _is_whole(path):
+            raise OSError(errno.EIO, "this machine code is damaged", path)
+        return super()._load_data(name)
+
+
+def _is_whole(path: str) -> bool:
+    try:
+        content = Path(path).read_bytes()
+    except OSError:
+        return False
+    return hashlib.sha256(content[:-32]).digest() == content[-32:]
+
 
 # LLVM joins like operations that stand side by side into vector instructions: the same arithmetic, bit by bit;
 # measured, a twentieth of a flight's time. Numba looks at this whenever it compiles, so that it holds for all of the
@@ -111,6 +165,8 @@ def entry(function: Function) -> Function:
     numba.config.CACHE_DIR = _FOLDER  # read at decoration time; restored so that no other library is touched
     try:
         compiled = numba.njit(function, nogil=True, cache=True, error_model="numpy")
+        if not numba.config.DISABLE_JIT:
+            compiled._cache._cache_file.__class__ = _CheckedFile
         return compiled  # type: ignore[no-any-return]  # Numba has no types
     finally:
         numba.config.CACHE_DIR = saved

@@ -9,10 +9,12 @@ same part, whatever design or scenario asks for it: of a design with one changed
 
 from __future__ import annotations
 
+import base64
 import contextlib
 import dataclasses
 import hashlib
-import pickle
+import importlib
+import json
 from collections.abc import Callable, Mapping
 from functools import lru_cache
 from pathlib import Path
@@ -20,15 +22,16 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from maxq.control.kernel.jit import cache_folder
+from maxq.control.kernel.jit import own_cache
 from maxq.sim.files import FileError, write_whole
+from maxq.sim.scenario.schema_values import Section
 
 T = TypeVar("T")
 
 
 def default_folder() -> Path:
-    """Beside the compiled kernels: `$MAXQ_CACHE`, else the user's cache folder."""
-    return cache_folder().parent / "verified"
+    """Beside the compiled kernels. Raises PermissionError where another user may write to it."""
+    return own_cache("verified")
 
 
 @lru_cache(maxsize=1)
@@ -75,8 +78,78 @@ def _feed(digest: Any, thing: Any) -> None:
         raise TypeError(f"no way to tell two {type(thing).__name__} apart")
 
 
+def to_plain(thing: Any) -> Any:
+    """A result as JSON holds it: what JSON lacks is an object with one key that says what it is.
+
+    Raises TypeError for a type that `from_plain` would not know.
+    """
+    if isinstance(thing, np.ndarray | np.generic) and thing.dtype.kind in "biufc":
+        return {"array": [thing.dtype.str, np.shape(thing), base64.b64encode(thing.tobytes()).decode()]}
+    if thing is None or isinstance(thing, bool | int | float | str):
+        return thing
+    if isinstance(thing, list):
+        return [to_plain(item) for item in thing]
+    if isinstance(thing, Mapping):
+        return {"mapping": [[to_plain(key), to_plain(value)] for key, value in thing.items()]}
+    if isinstance(thing, complex):
+        return {"complex": [thing.real, thing.imag]}
+    if isinstance(thing, Path):
+        return {"path": str(thing)}
+    kind = type(thing)
+    name = f"{kind.__module__}:{kind.__qualname__}"
+    if dataclasses.is_dataclass(thing) or isinstance(thing, Section):
+        return {name: {field: to_plain(getattr(thing, field)) for field in _fields(kind)}}
+    if isinstance(thing, tuple):
+        return {name if hasattr(kind, "_fields") else "tuple": [to_plain(item) for item in thing]}
+    raise TypeError(f"results hold no {kind.__name__}")
+
+
+def from_plain(plain: Any) -> Any:
+    """What `to_plain` was given. Raises ValueError or TypeError for anything that it cannot have written."""
+    if isinstance(plain, list):
+        return [from_plain(item) for item in plain]
+    if not isinstance(plain, dict):
+        return plain
+    ((name, content),) = plain.items()
+    if name == "mapping":
+        return {from_plain(key): from_plain(value) for key, value in content}
+    if name == "array":
+        array = np.frombuffer(base64.b64decode(content[2]), np.dtype(content[0])).reshape(content[1]).copy()
+        return array if content[1] else array[()]
+    if name == "complex":
+        return complex(*content)
+    if name == "path":
+        return Path(content)
+    if name == "tuple":
+        return tuple(from_plain(item) for item in content)
+    module, _, kind_name = name.partition(":")
+    if not module.startswith("maxq."):
+        raise ValueError(f"{name} is no type of maxq")
+    kind = getattr(importlib.import_module(module), kind_name, None)
+    if not isinstance(kind, type):
+        raise ValueError(f"{name} is no type of a result")
+    if issubclass(kind, tuple):
+        return kind(*(from_plain(item) for item in content))
+    fields = {field: from_plain(content[field]) for field in _fields(kind)}
+    if issubclass(kind, Section):
+        return kind.model_construct(**fields)
+    made = object.__new__(kind)
+    for field, value in fields.items():
+        object.__setattr__(made, field, value)
+    return made
+
+
+def _fields(kind: Any) -> list[str]:
+    """Of a dataclass or a section of a file. Raises TypeError for other types."""
+    return list(kind.model_fields) if issubclass(kind, Section) else [f.name for f in dataclasses.fields(kind)]
+
+
 class Memory:
-    """Parts in a folder, a file each; `folder` None remembers nothing. Threads may share one."""
+    """Parts in a folder, a file each; `folder` None remembers nothing. Threads may share one.
+
+    A file is the SHA-256 of the rest, the hash of what the part depends on, and the part as JSON, a line each. One that
+    is damaged or belongs elsewhere is worked out anew. No file can name code to run.
+    """
 
     def __init__(self, folder: Path | None) -> None:
         self._folder = folder
@@ -88,14 +161,19 @@ class Memory:
         if self._folder is None:
             self.worked_out += 1
             return work_out()
-        path = self._folder / f"{kind}-{content_hash(code_hash(), kind, depends_on)[:32]}.pickle"
+        key = content_hash(code_hash(), kind, depends_on)
+        path = self._folder / f"{kind}-{key[:32]}.json"
         try:
-            found: T = pickle.loads(path.read_bytes())
-        except (OSError, pickle.UnpicklingError, EOFError, AttributeError, ImportError):
-            found = work_out()
-            self.worked_out += 1
-            with contextlib.suppress(FileError):  # a memory that cannot be written costs time, no more
-                write_whole(path, pickle.dumps(found))
-            return found
-        self.recalled += 1
+            checksum, _, rest = path.read_bytes().partition(b"\n")
+            if checksum.decode() == hashlib.sha256(rest).hexdigest() and rest.startswith(key.encode()):
+                found: T = from_plain(json.loads(rest[len(key) :]))
+                self.recalled += 1
+                return found
+        except (OSError, ValueError, TypeError):
+            pass
+        found = work_out()
+        self.worked_out += 1
+        rest = f"{key}\n{json.dumps(to_plain(found))}".encode()
+        with contextlib.suppress(FileError):  # a memory that cannot be written costs time, no more
+            write_whole(path, hashlib.sha256(rest).hexdigest().encode() + b"\n" + rest)
         return found

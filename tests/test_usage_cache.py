@@ -1,0 +1,64 @@
+"""The folder of compiled kernels: who may write to it, and what becomes of damaged files in it."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+CALL = """
+from maxq.control.kernel.jit import from_python
+from maxq.control.kernel.vectors import cross
+print(from_python(cross)((1.0, 2.0, 3.0), (4.0, 5.0, 7.0)))
+"""
+ANSWER = "(-1.0, 5.0, -3.0)"
+
+
+def call(cache: Path, *words: str) -> subprocess.CompletedProcess[str]:
+    environment = os.environ | {"MAXQ_CACHE": str(cache)}
+    command = [sys.executable, *(words or ("-c", CALL))]
+    return subprocess.run(command, check=False, env=environment, capture_output=True, text=True, timeout=120)
+
+
+@pytest.mark.slow
+def test_damaged_machine_code_is_compiled_again(tmp_path: Path) -> None:
+    cache = tmp_path / "cache"
+    assert call(cache).stdout.strip() == ANSWER
+    assert cache.stat().st_mode & 0o077 == 0
+    (code,), (index,) = cache.rglob("*.nbc"), cache.rglob("*.nbi")
+    whole = {path: path.read_bytes() for path in (code, index)}
+    assert call(cache).stdout.strip() == ANSWER
+    assert code.read_bytes() == whole[code]
+    for path, content in whole.items():
+        flipped = bytearray(content)
+        flipped[len(content) // 2] ^= 1
+        for damaged in (bytes(flipped), content[: len(content) // 2], b""):
+            path.write_bytes(damaged)
+            again = call(cache)
+            assert (again.stdout.strip(), again.stderr) == (ANSWER, "")
+            assert path.read_bytes() != damaged
+
+
+@pytest.mark.skipif(not hasattr(os, "getuid"), reason="no owners of files on this system")
+@pytest.mark.parametrize("part", ["", "verified"])
+def test_cache_to_which_others_may_write_is_refused(tmp_path: Path, part: str) -> None:
+    cache = tmp_path / "cache"
+    (cache / part).mkdir(parents=True)
+    (cache / part).chmod(0o777)
+    code = "from maxq.control.kernel.jit import own_cache; own_cache('verified')"
+    refused = call(cache, "-c", code)
+    assert refused.returncode == 1
+    assert "other users may write to this cache" in refused.stderr
+
+
+def test_command_refuses_such_a_cache_in_one_line(tmp_path: Path) -> None:
+    tmp_path.chmod(0o777)
+    refused = call(tmp_path, "-m", "maxq.tools.simrun", "nominal", "--no-log")
+    assert refused.returncode == 2
+    assert refused.stderr.strip() == (
+        f"simrun: {tmp_path}: other users may write to this cache; "
+        "give a cache folder of your own to which no one else may write (chmod go-w)"
+    )
