@@ -47,9 +47,9 @@ def verdict_line(flight: Flight) -> str:
 
 
 def _events(flight: Flight) -> list[str]:
-    rows = [(e.name + (f" (stage {e.stage})" if e.stage else ""), f"{e.time_s:.3f} s") for e in flight.events]
+    rows = [(e.title, f"{e.time_s:.3f} s", e.detail) for e in flight.events]
     if flight.outcome in ("duration", "interrupted"):
-        rows.append((f"end ({flight.outcome})", f"{flight.end_s:.3f} s"))
+        rows.append((f"end ({flight.outcome})", f"{flight.end_s:.3f} s", ""))
     return ["events", *aligned(rows, "  ", right=(1,))]
 
 

@@ -10,4 +10,6 @@ MAX_MODES = 8  # of a stage, per plane
 MAX_SURFACES = 8  # lifting surfaces of a stage
 MAX_GUSTS = 16
 MAX_INJECTIONS = 16
+MAX_FAULTS = 16
+MAX_FAULT_WRITES = 6 * MAX_FAULTS  # two on each of three axes
 MAX_TONES = 64  # of a multisine

@@ -14,6 +14,7 @@ from maxq.control.kernel.jit import kernel, routine
 from maxq.control.kernel.noise import standard_normal
 from maxq.control.kernel.records import Array
 from maxq.control.kernel.vectors import cross, rotate, rotation_from_quaternion, vector_at
+from maxq.sim.flight.faults import switch_faults
 from maxq.sim.flight.injection import GIMBAL_COMMAND, RATE_COMMAND, next_switch, replaced, total_signal
 from maxq.sim.flight.parameters import (
     APOGEE,
@@ -30,6 +31,7 @@ from maxq.sim.vehicle.actuator import after_backlash
 from maxq.sim.vehicle.block import Q_BI, R_I, V_I, W_BI_B
 from maxq.sim.vehicle.engine import thrust
 from maxq.sim.vehicle.environment import climb_rate
+from maxq.sim.vehicle.faults import ANY_FAULT, GYRO_WALK
 from maxq.sim.vehicle.gyro import GYRO_STREAM
 from maxq.sim.vehicle.schedule import CORE_CG, THRUST_VACUUM, TOTAL_MASS
 from maxq.sim.vehicle.state import GYRO_ANGLE, start_states
@@ -42,6 +44,8 @@ def record_event(p: Parameters, memory: Memory, event: int, now_ns: int) -> None
     """Record the first time of an event; end the flight if it is an event of run.stop_at."""
     if memory.clock.event_ns[event] < 0:
         memory.clock.event_ns[event] = now_ns
+        if event == LIFTOFF and p.faults.count > 0:
+            memory.faults.next_ns = now_ns  # what counts from lift-off has its instants now
     if (p.timeline.stop_mask >> event) & 1 == 1:
         memory.clock.finished = 1
 
@@ -65,6 +69,9 @@ def process_due_events(p: Parameters, pool: Array, memory: Memory, y: Array, aux
     if held.on_pad == 1 and now >= p.timeline.release_ns:
         held.on_pad = 0
         record_event(p, memory, LIFTOFF, now)
+    if now >= memory.faults.next_ns:
+        liftoff_ns = clock.event_ns[LIFTOFF]
+        switch_faults(p.faults, memory.faults, now, liftoff_ns, NEVER, clock.stage, y, held.faults)
     if now >= clock.next_gust_ns:
         clock.next_gust_ns = now + p.environment.turbulence.tick_ns
         if clock.steps > 0:  # the first gust was drawn at the start
@@ -104,6 +111,9 @@ def sample_computer(p: Parameters, pool: Array, memory: Memory, y: Array) -> Non
     walk = p.vehicle.gyro.random_walk_rad_rts * math.sqrt(1e-9 * p.computer.sample_ns)
     for axis in range(3):
         memory.increment_rad[axis] = y[GYRO_ANGLE + axis]
+        if memory.held.faults[ANY_FAULT] > 0.0:
+            noisy = memory.held.faults[GYRO_WALK + axis]
+            walk = math.sqrt(1e-9 * p.computer.sample_ns * (p.vehicle.gyro.random_walk_rad_rts**2 + noisy * noisy))
         if walk > 0.0:
             memory.increment_rad[axis] += walk * standard_normal(p.timeline.seed, GYRO_STREAM + axis, clock.samples)
         y[GYRO_ANGLE + axis] = 0.0
@@ -133,6 +143,7 @@ def step_length(p: Parameters, pool: Array, memory: Memory, until_ns: int) -> in
         clock.next_sample_ns,
         clock.command_due_ns,
         clock.next_gust_ns,
+        memory.faults.next_ns,
         timeline.burn_start_ns,
         timeline.burnout_ns,
         timeline.separation_ns,

@@ -76,6 +76,7 @@ def start_stage(p: Parameters, pool: Array, memory: Memory) -> None:
     now = clock.now_ns
     clock.interval = find_interval(pool, p.vehicle.schedule, schedule_clock(p, now, 0.0))
     clock.fresh, clock.next_break_ns = 1, now
+    memory.faults.next_ns = now if p.faults.count > 0 else NEVER
     memory.held.burning = 1 if p.timeline.burn_start_ns <= now < p.timeline.burnout_ns else 0
 
 

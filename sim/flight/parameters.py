@@ -8,6 +8,7 @@ from typing import Annotated
 from maxq.control.computer import Computer, ComputerState
 from maxq.control.kernel.limits import MAX_STAGES
 from maxq.control.kernel.records import Array, IntArray
+from maxq.sim.flight.faults import FaultMemory, Faults
 from maxq.sim.flight.injection import Injections
 from maxq.sim.flight.metrics import Extremes
 from maxq.sim.vehicle.derivative import Held, StageInputs, Vehicle
@@ -52,6 +53,7 @@ class Parameters:
     environment: Environment
     computer: Computer
     injections: Injections
+    faults: Faults
     timeline: StageTimeline
 
 
@@ -88,6 +90,7 @@ class Memory:
     clock: Clock
     held: Held
     inputs: StageInputs
+    faults: FaultMemory
     computer: ComputerState
     gusts: TurbulenceState
     extremes: Extremes

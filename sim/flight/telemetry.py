@@ -65,7 +65,7 @@ def fill_fast(p: Parameters, logged: Sizes, memory: Memory, props: Array, y: Arr
         0,
         FastRow(
             actuator=actuator_row(memory.held.command_pitch_rad, memory.held.command_yaw_rad, aux),
-            gyro=gyro_row(y, GYRO, aux),
+            gyro=gyro_row(y, GYRO, memory.held.faults, aux),
             control=control_row(memory.computer),
         ),
     )

@@ -15,6 +15,7 @@ from maxq.control.kernel.tables import Pool
 from maxq.sim.flight.parameters import EVENT_NAMES, NEVER, Memory, Parameters, StageTimeline
 from maxq.sim.packing.computer import pack_computer, pack_injections
 from maxq.sim.packing.environment import pack_environment
+from maxq.sim.packing.faults import pack_faults
 from maxq.sim.packing.initial import initial_motion
 from maxq.sim.packing.schedule import stage_sizes, vehicle_schedule
 from maxq.sim.packing.vehicle import pack_vehicle
@@ -45,7 +46,7 @@ def pack_flight(scenario: Scenario) -> Packed:
     """Everything the kernel needs; the scenario is not looked at again."""
     pool = Pool()
     environment, computer = pack_environment(scenario, pool), pack_computer(scenario, pool)
-    injections = pack_injections(scenario, pool)
+    injections, faults = pack_injections(scenario, pool), pack_faults(scenario)
     rows, stage_start_ns = [], 0
     all_sizes = [stage_sizes(stage, scenario.switches) for stage in scenario.vehicle.stage]
     frozen = scenario.run.freeze_vehicle_at_s is not None
@@ -53,7 +54,7 @@ def pack_flight(scenario: Scenario) -> Packed:
         schedule = vehicle_schedule(stage, sizes, scenario.switches, frozen)
         vehicle = pack_vehicle(scenario, stage, sizes, schedule, pool)
         timeline = _timeline(scenario, stage, stage_start_ns)
-        rows.append(Parameters(vehicle, environment, computer, injections, timeline))
+        rows.append(Parameters(vehicle, environment, computer, injections, faults, timeline))
         stage_start_ns = timeline.separation_ns
     parameters = pack(rows)
     y = np.zeros(MAX_STATE)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from functools import lru_cache
 from typing import Any
@@ -16,7 +16,7 @@ from maxq.control.kernel.records import Array, IntArray, pack
 from maxq.sim.flight.channels import ChannelTable
 from maxq.sim.flight.loop import Logged, advance, begin
 from maxq.sim.flight.metrics import MetricIndex
-from maxq.sim.flight.parameters import BURNOUT, CONTROL_LOST, DIVERGED, EVENT_NAMES, NEVER, SEPARATION
+from maxq.sim.flight.parameters import BURNOUT, CONTROL_LOST, DIVERGED, EVENT_NAMES, LIFTOFF, NEVER, SEPARATION
 from maxq.sim.flight.step import ARENA_SIZE
 from maxq.sim.flight.telemetry import FAST, SLOW, channel_table
 from maxq.sim.packing.flight import CONTROL_LOST_RAD, Packed, pack_flight
@@ -31,7 +31,7 @@ LONGEST_SEGMENT_NS = 1_000_000_000  # one log chunk
 _FIRST_ROOM = 400_000  # rows
 _MOST_STEPS, _MOST_ROWS = 20_000, 20_000  # of a segment: tens of milliseconds of work, 10 MB of rows
 
-IGNITION_NAME = "ignition"
+IGNITION_NAME, FAULT_NAME, FAULT_END_NAME = "ignition", "fault", "fault_end"
 _OF_STAGES = EVENT_NAMES[BURNOUT], EVENT_NAMES[SEPARATION]  # which each stage has
 CONTROL_LOST_NAME, DIVERGED_NAME = EVENT_NAMES[CONTROL_LOST], EVENT_NAMES[DIVERGED]
 CONTROL_LOST_CAUSE = f"the attitude error exceeds {math.degrees(CONTROL_LOST_RAD):.3g} deg under thrust"
@@ -44,15 +44,28 @@ Rows = dict[str, tuple[IntArray, Array]]
 
 @dataclass(frozen=True)
 class Event:
-    """`stage` counts from 1 on a vehicle of several stages; 0 for an event of the whole vehicle."""
+    """`stage` counts from 1 on a vehicle of several stages; 0 for an event of the whole vehicle. `detail`: what has
+    failed, or why the flight did.
+    """
 
     name: str
     time_ns: int
     stage: int = 0
+    detail: str = ""
 
     @property
     def time_s(self) -> float:
         return self.time_ns / 1e9
+
+    @property
+    def title(self) -> str:
+        """Name and stage, for people."""
+        return self.name + (f" (stage {self.stage})" if self.stage else "")
+
+    @property
+    def text(self) -> str:
+        """Name, stage and detail, for people."""
+        return self.title + (f": {self.detail}" if self.detail else "")
 
 
 @dataclass(frozen=True)
@@ -157,7 +170,9 @@ class FlightRun:
                     found.append(Event(name, int(times_ns[index]), number))
         for name, time_ns in zip(EVENT_NAMES, clock.event_ns, strict=True):
             if time_ns >= 0 and name not in _OF_STAGES:
-                found.append(Event(name, int(time_ns)))
+                causes = {DIVERGED_NAME: CAUSES[int(clock.cause)], CONTROL_LOST_NAME: CONTROL_LOST_CAUSE}
+                found.append(Event(name, int(time_ns), detail=causes.get(name, "")))
+        found += self._faults(start_ns)
         return tuple(sorted(found, key=lambda event: event.time_ns))
 
     @property
@@ -175,11 +190,22 @@ class FlightRun:
                 return name
         return "duration"
 
-    def cause_of(self, event: Event) -> str:
-        """Cause of a failure; empty for any other event."""
-        if event.name == DIVERGED_NAME:
-            return CAUSES[int(self.memory.clock.cause)]
-        return CONTROL_LOST_CAUSE if event.name == CONTROL_LOST_NAME else ""
+    def _faults(self, start_ns: int) -> Iterator[Event]:
+        """Begin and end of the faults that have shown so far: of a stage's while that stage flies."""
+        clock, stages = self.memory.clock, len(self.packed.parameters)
+        left_ns = [int(t) if t >= 0 else NEVER for t in clock.stage_separation_ns[:stages]]
+        for fault in self.loaded.scenario.fault:
+            zero_ns = int(clock.event_ns[LIFTOFF]) if fault.since == "liftoff" else 0
+            first, last = (0, stages - 1) if fault.stage is None else (fault.stage, fault.stage)
+            begin_ns = max(zero_ns + to_ns(fault.at_s), left_ns[first - 1] if first > 0 else start_ns)
+            end_ns = NEVER if fault.until_s is None else zero_ns + to_ns(fault.until_s)
+            flies_until_ns = min(int(clock.now_ns), left_ns[last] - 1)
+            if zero_ns < 0 or begin_ns >= end_ns or begin_ns > flies_until_ns:
+                continue
+            number = first + 1 if fault.stage is not None and stages > 1 else 0
+            yield Event(FAULT_NAME, begin_ns, number, fault.text)
+            if end_ns <= flies_until_ns:
+                yield Event(FAULT_END_NAME, end_ns, number, fault.text)
 
     def fly_segment(self, length_ns: int | None = None) -> Rows:
         """Fly on to the next multiple of `length_ns`, itself a multiple of the step (default: `segment_ns`).
@@ -217,7 +243,7 @@ class FlightRun:
         earth = self.packed.parameters[0].environment.earth
         end = end_metrics(final, earth, scenario.site, self.now_s - lift_off_s)
         metrics = dict(zip(MetricIndex._fields, extremes.value.tolist(), strict=True)) | end._asdict()
-        causes = [(e, self.cause_of(e)) for e in events]
+        failed = [e for e in events if e.name in (CONTROL_LOST_NAME, DIVERGED_NAME)]
         return Flight(
             scenario=self.loaded,
             table=self.table,
@@ -227,11 +253,11 @@ class FlightRun:
             metric_times_s=metric_times_s,
             verdicts=tuple(judge(r, metrics, metric_times_s) for r in scenario.requirement),
             failures=(
-                *(f"{e.name.replace('_', ' ')} at {e.time_s:.3f} s: {cause}" for e, cause in causes if cause),
+                *(f"{e.name.replace('_', ' ')} at {e.time_s:.3f} s: {e.detail}" for e in failed),
                 *_above_the_wind(scenario, metrics["max_altitude_m"]),
             ),
             outcome=outcome,
-            cause=next((cause for e, cause in causes if cause and e.name == outcome), ""),
+            cause=next((e.detail for e in failed if e.name == outcome), ""),
             end_s=self.now_s,
             end_ns=int(clock.now_ns),
             steps=int(clock.steps),

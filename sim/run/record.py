@@ -22,7 +22,7 @@ from maxq.sim.flight.telemetry import SLOW
 from maxq.sim.log import foxglove
 from maxq.sim.log.head import Attachment, LogError, RunHead
 from maxq.sim.log.writer import LogWriter
-from maxq.sim.run.fly import CONTROL_LOST_NAME, DIVERGED_NAME, Event, Flight, FlightRun, Rows, copied
+from maxq.sim.run.fly import CONTROL_LOST_NAME, DIVERGED_NAME, FAULT_NAME, Event, Flight, FlightRun, Rows, copied
 from maxq.sim.run.launch_frames import LaunchFrames, LaunchSite
 from maxq.sim.run.metrics import unit_of
 from maxq.sim.scenario.loader import LoadedScenario, to_toml
@@ -35,7 +35,11 @@ SUMMARY_SCHEMA = 2  # 2: channel names of log schema 2 under `final`
 _PACKAGES = ("maxq", "numpy", "numba")
 _TOML = "application/toml"
 _SEGMENTS_WAITING = 4
-_LEVELS = {CONTROL_LOST_NAME: foxglove.Level.ERROR, DIVERGED_NAME: foxglove.Level.FATAL}
+LEVELS = {
+    FAULT_NAME: foxglove.Level.WARNING,
+    CONTROL_LOST_NAME: foxglove.Level.ERROR,
+    DIVERGED_NAME: foxglove.Level.FATAL,
+}
 
 
 class Interrupted(Exception):
@@ -179,10 +183,7 @@ class _LogThread:
             self._writer.close(error, result_record(flight) if flight else None)
 
     def _message(self, event: Event) -> foxglove.Event:
-        stage = f" (stage {event.stage})" if event.stage else ""
-        cause = self._run.cause_of(event)
-        text = f"{event.name}{stage}" + (f": {cause}" if cause else "")
-        return foxglove.Event(event.time_ns, _LEVELS.get(event.name, foxglove.Level.INFO), text, "flight")
+        return foxglove.Event(event.time_ns, LEVELS.get(event.name, foxglove.Level.INFO), event.text, "flight")
 
     def _write(self, rows: Rows, events: list[foxglove.Event]) -> None:
         self._writer.write_block(rows, events, [self._frames.path(*rows[SLOW])])
@@ -209,7 +210,8 @@ def write_summary(path: Path, flight: Flight, log: str | None, timing: dict[str,
         "failures": flight.failures,
         "end_s": flight.end_s,
         "events": [
-            {"name": event.name, "time_s": event.time_s} | ({"stage": event.stage} if event.stage else {})
+            {"name": event.name, "time_s": event.time_s}
+            | {key: value for key, value in (("stage", event.stage), ("detail", event.detail)) if value}
             for event in flight.events
         ],
         "metrics": {

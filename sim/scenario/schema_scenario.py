@@ -7,11 +7,12 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import Field, ValidationInfo, model_validator
 
-from maxq.control.kernel.limits import MAX_INJECTIONS, MAX_TONES
+from maxq.control.kernel.limits import MAX_FAULTS, MAX_INJECTIONS, MAX_TONES
 from maxq.sim.scenario.coverage import check_coverage
 from maxq.sim.scenario.errors import refuse, suggestion
 from maxq.sim.scenario.schema_design import Design
 from maxq.sim.scenario.schema_environment import Atmosphere, Earth, Site, Wind
+from maxq.sim.scenario.schema_fault import KINDS, Fault
 from maxq.sim.scenario.schema_values import (
     Latitude,
     Longitude,
@@ -283,6 +284,9 @@ class Scenario(Section):
     guidance: Guidance = Guidance()
     holddown: HoldDown = HoldDown()
     injection: tuple[Injection, ...] = optional("signals for tests", (), max_length=MAX_INJECTIONS)
+    fault: tuple[Fault, ...] = optional(
+        "what fails; of two faults of one thing the later one here holds", (), max_length=MAX_FAULTS
+    )
     switches: Switches = Switches()
     log: Log = Log()
     requirement: tuple[Requirement, ...] = optional("what the flight is judged by", ())
@@ -295,6 +299,7 @@ class Scenario(Section):
     @model_validator(mode="after")
     def _check(self) -> Scenario:
         self._check_control()
+        self._check_faults()
         self._check_hold_down()
         self._check_wind()
         check_coverage(self)
@@ -319,6 +324,21 @@ class Scenario(Section):
                 raise refuse("the vehicle has no engine", "body_force, body_torque", key=key)
             if injection.at == "rate_command" and computer is None:
                 raise refuse("the vehicle has no [computer]", "body_force, body_torque", key=key)
+
+    def _check_faults(self) -> None:
+        for n, fault in enumerate(self.fault):
+            part, stages = KINDS[fault.kind].part, self.vehicle.stage
+            if fault.stage is not None and fault.stage >= len(stages):
+                raise refuse("the vehicle has no such stage", f"0 .. {len(stages) - 1}", key=("fault", n, "stage"))
+            concerned = stages if fault.stage is None else stages[fault.stage : fault.stage + 1]
+            if not any(getattr(stage, part) for stage in concerned):
+                raise refuse(
+                    f"there is no {part} to fail", f"with [{part}] in the stage only", key=("fault", n, "kind")
+                )
+            if getattr(self.switches, part, "") == "ideal":
+                raise refuse(f"an ideal {part} cannot fail", f"switches.{part} = 'full'", key=("fault", n, "kind"))
+            if fault.since == "liftoff" and not self.held:
+                raise refuse("the flight begins in the air", "clock", key=("fault", n, "since"))
 
     def _check_hold_down(self) -> None:
         engine = self.vehicle.stage[0].engine

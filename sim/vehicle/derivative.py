@@ -6,6 +6,7 @@ Every line of `derivative` is one part of the model; docs/model.md derives them 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Annotated
 
 from maxq.control.kernel.jit import kernel, routine
 from maxq.control.kernel.records import Array
@@ -37,6 +38,7 @@ from maxq.sim.vehicle.bending import (
 from maxq.sim.vehicle.block import Q_BI, W_BI_B, Counts, Sizes, counts
 from maxq.sim.vehicle.engine import Engine, thrust, thrust_axis_motion
 from maxq.sim.vehicle.environment import Environment, air_data, pad_acceleration
+from maxq.sim.vehicle.faults import N_FAULT_SLOTS
 from maxq.sim.vehicle.gyro import Gyro, gyro_derivative, sensed_rate
 from maxq.sim.vehicle.rigid import (
     Deflected,
@@ -107,6 +109,7 @@ class Held:
     command_pitch_rad: float
     command_yaw_rad: float
     roll_torque_Nm: float
+    faults: Annotated[Array, (N_FAULT_SLOTS,)]  # see faults.py
 
 
 @dataclass
@@ -199,7 +202,7 @@ def derivative(
     actuator_derivative(vehicle.actuator_yaw, y, ACTUATOR + N_ACTUATOR, held.command_yaw_rad, dy)
     bend_y, bend_z = bending_rate_at_gyro(sizes, properties, work)
     sensed = sensed_rate(vehicle.gyro, (rate[0], rate[1] + bend_y, rate[2] + bend_z))
-    gyro_derivative(vehicle.gyro, y, GYRO, sensed, dy)
+    gyro_derivative(vehicle.gyro, y, GYRO, sensed, held.faults, dy)
     modal_derivative(sizes, eta, xi, dy, work)
     for tank in range(sizes.tanks):
         first = pendulums + N_PENDULUM * tank

@@ -15,6 +15,7 @@ from maxq.control.kernel.records import Array
 from maxq.control.kernel.rows import DEG, PitchYaw, RollPitchYaw
 from maxq.control.kernel.vectors import Vector
 from maxq.sim.vehicle.block import W_BI_B, StateBlock
+from maxq.sim.vehicle.faults import ANY_FAULT, GYRO_ADDED, GYRO_LOST
 from maxq.sim.vehicle.workspace import GYRO_BEND
 
 _AXES = ("roll", "pitch", "yaw")
@@ -79,7 +80,16 @@ def sensed_rate(g: Gyro, rate: Vector) -> Vector:
 
 
 @kernel
-def gyro_derivative(g: Gyro, y: Array, first: int, sensed: Vector, dy: Array) -> None:
+def after_fault(faults: Array, axis: int, rate: float) -> float:
+    """What leaves the gyro, rad/s, where a healthy one would give `rate`."""
+    if faults[ANY_FAULT] == 0.0:
+        return rate
+    faulty: float = (1.0 - faults[GYRO_LOST + axis]) * rate + faults[GYRO_ADDED + axis]
+    return faulty
+
+
+@kernel
+def gyro_derivative(g: Gyro, y: Array, first: int, sensed: Vector, faults: Array, dy: Array) -> None:
     """Derivatives of the states (two an axis, from y[first] on) and of the angle integrals that follow them."""
     w2, damp = g.omega_radps * g.omega_radps, 2.0 * g.zeta * g.omega_radps
     for axis in range(3):
@@ -91,7 +101,7 @@ def gyro_derivative(g: Gyro, y: Array, first: int, sensed: Vector, dy: Array) ->
         else:
             dy[i] = y[i + 1]
             dy[i + 1] = w2 * (sensed[axis] - y[i]) - damp * y[i + 1]
-            dy[first + 6 + axis] = y[i]
+            dy[first + 6 + axis] = after_fault(faults, axis, y[i])
 
 
 @kernel
@@ -108,9 +118,12 @@ class GyroRow(NamedTuple):
 
 
 @kernel
-def gyro_row(y: Array, first: int, aux: Array) -> GyroRow:
+def gyro_row(y: Array, first: int, faults: Array, aux: Array) -> GyroRow:
+    roll, pitch, yaw = (
+        after_fault(faults, 0, y[first]), after_fault(faults, 1, y[first + 2]), after_fault(faults, 2, y[first + 4]),
+    )  # fmt: skip  # five lines otherwise
     return GyroRow(
-        gyro_axis_rate_degps=RollPitchYaw(DEG * y[first], DEG * y[first + 2], DEG * y[first + 4]),
+        gyro_axis_rate_degps=RollPitchYaw(DEG * roll, DEG * pitch, DEG * yaw),
         body_axis_rate_degps=RollPitchYaw(DEG * y[W_BI_B], DEG * y[W_BI_B + 1], DEG * y[W_BI_B + 2]),
         bending_axis_rate_degps=PitchYaw(DEG * aux[GYRO_BEND], DEG * aux[GYRO_BEND + 1]),
     )

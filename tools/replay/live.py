@@ -20,7 +20,8 @@ from maxq.sim.flight.channels import ChannelTable
 from maxq.sim.flight.telemetry import FAST, SLOW
 from maxq.sim.log.foxglove import Level
 from maxq.sim.packing.flight import Packed
-from maxq.sim.run.fly import CONTROL_LOST_NAME, DIVERGED_NAME, Event, Flight, FlightRun, Rows, copied
+from maxq.sim.run.fly import Event, Flight, FlightRun, Rows, copied
+from maxq.sim.run.record import LEVELS
 from maxq.sim.scenario.loader import LoadedScenario
 from maxq.tools.replay import viewer
 from maxq.tools.replay.convert import (
@@ -59,7 +60,6 @@ BENDING, SLOSH = 1000.0, 5.0
 _ROOT = "flight"
 _PATIENCE_S, _FLOWN_PATIENCE_S = 5.0, 30.0
 _SCENE_EVERY_S, _PLOTS_EVERY_S = 0.15, 0.9
-_LEVELS = {CONTROL_LOST_NAME: Level.ERROR, DIVERGED_NAME: Level.FATAL}
 
 
 def _connected(name: str, port: int) -> rr.RecordingStream:
@@ -250,9 +250,7 @@ class LiveView:
             if event in self._told:
                 continue
             self._told.add(event)
-            cause = run.cause_of(event)
-            text = event.name + (f" (stage {event.stage})" if event.stage else "") + (f": {cause}" if cause else "")
-            moment = Moment(event.name, event.time_ns, text, _LEVELS.get(event.name, Level.INFO))
+            moment = Moment(event.name, event.time_ns, event.text, LEVELS.get(event.name, Level.INFO))
             self._moments.append(moment)
             send_events(self._recording, _ROOT, [moment])
             now = phases(self._phases[0], self._moments)

@@ -52,9 +52,11 @@ _SPECTRA = {
     "gimbal_pitch_angle_deg": "gimbal, pitch",
     "gimbal_yaw_angle_deg": "gimbal, yaw",
 }
-_IN_PATH = ("max_q", "burnout", "apogee", "impact", "control_lost", "diverged", "tumble")
+_IN_PATH = ("max_q", "burnout", "apogee", "impact", "fault", "control_lost", "diverged", "tumble")
 _MOST_USED = 3.0  # share of what is allowed at which a bar ends
-_EVENTS = ("liftoff", "max_q", "burnout", "separation", "apogee", "impact", "control_lost", "tumble", "diverged")
+_EVENTS = (
+    "liftoff", "max_q", "burnout", "separation", "apogee", "impact", "fault", "control_lost", "tumble", "diverged",
+)  # fmt: skip  # eleven more lines otherwise
 
 
 @dataclass(frozen=True)

@@ -14,7 +14,7 @@ from maxq.sim.flight.parameters import EVENT_NAMES
 from maxq.sim.flight.telemetry import FAST, SLOW, channel_table
 from maxq.sim.log.head import END_METADATA, REASON_KEY, RUN_METADATA, SCHEMA_VERSION, STATUS_KEY
 from maxq.sim.packing.schedule import stage_sizes
-from maxq.sim.run.fly import CONTROL_LOST_CAUSE, IGNITION_NAME
+from maxq.sim.run.fly import CONTROL_LOST_CAUSE, FAULT_END_NAME, FAULT_NAME, IGNITION_NAME
 from maxq.sim.run.launch_frames import CHILD, PARENT
 from maxq.sim.run.metrics import METRICS
 from maxq.sim.run.record import DESIGN_ATTACHMENT, END_KEY, OUTCOME_KEY, SCENARIO_ATTACHMENT, STATE_HASH_KEY, STEPS_KEY
@@ -22,6 +22,7 @@ from maxq.sim.scenario.loader import load_scenario
 from maxq.sim.vehicle.state import CAUSES
 
 _EXAMPLE = "nominal"
+_EVENTS = (IGNITION_NAME, *EVENT_NAMES, FAULT_NAME, FAULT_END_NAME)
 _EVENT_MEANINGS = {
     IGNITION_NAME: "the engine of a stage begins to burn",
     "liftoff": "hold-down is released: thrust exceeds weight, or at holddown.release_s",
@@ -31,6 +32,8 @@ _EVENT_MEANINGS = {
     "impact": "the altitude falls below the ground: the lower of the site and sea level",
     "control_lost": CONTROL_LOST_CAUSE,
     "tumble": "the total incidence exceeds 90 deg while the dynamic pressure exceeds 5 kPa",
+    FAULT_NAME: "a fault of the scenario begins; the text says which",
+    FAULT_END_NAME: "it ends",
     "diverged": "the state is outside the bounds of a flight; the text gives the cause: "
     + ", or ".join(dict.fromkeys(cause for cause in CAUSES if cause)),
 }
@@ -67,7 +70,7 @@ is nan.
 `foxglove.Log` messages from `flight`; the text begins with the name, followed by the stage on a vehicle of
 several.
 
-{_rows(("event", "when"), [(f"`{name}`", _EVENT_MEANINGS[name]) for name in (IGNITION_NAME, *EVENT_NAMES)])}
+{_rows(("event", "when"), [(f"`{name}`", _EVENT_MEANINGS[name]) for name in _EVENTS])}
 ## `{FRAMES_TOPIC}`
 
 `foxglove.FrameTransforms`: frame `{CHILD}` (B, origin at the core CG) in `{PARENT}` (x east, y north, z up at

@@ -1,0 +1,78 @@
+"""Faults: what fails, when, and for how long.
+
+A kind of fault is an entry of KINDS (which keys it has), its name in FaultKind, and an entry in sim/packing/faults.py
+(what it does). Keys that no kind had before are fields of Fault.
+"""
+
+from __future__ import annotations
+
+from typing import Literal, NamedTuple
+
+from pydantic import Field, model_validator
+
+from maxq.control.kernel.limits import MAX_STAGES
+from maxq.sim.scenario.errors import refuse
+from maxq.sim.scenario.schema_values import Positive, Seconds, Section, needs, only_with, optional
+
+FaultKind = Literal["gyro-stuck", "gyro-dead", "gyro-bias", "gyro-noisy"]
+
+
+class Kind(NamedTuple):
+    """What a kind of fault is about: `part` is the key of the stage's section that must be there."""
+
+    part: str
+    axes: tuple[str, ...] = ()  # that `axis` may name
+    targets: tuple[str, ...] = ()  # optional keys that name what fails
+    values: tuple[str, ...] = ()  # required keys
+
+
+_TURNS = ("roll", "pitch", "yaw")
+KINDS: dict[FaultKind, Kind] = {
+    "gyro-stuck": Kind("gyro", _TURNS, ("axis",)),
+    "gyro-dead": Kind("gyro", _TURNS, ("axis",)),
+    "gyro-bias": Kind("gyro", _TURNS, ("axis",), ("bias_degps",)),
+    "gyro-noisy": Kind("gyro", _TURNS, ("axis",), ("noise_deg_rt_h",)),
+}
+_OF_KINDS = tuple(dict.fromkeys(key for kind in KINDS.values() for key in (*kind.targets, *kind.values)))
+
+
+class Fault(Section):
+    """A part that fails at an instant, for good or for a time."""
+
+    kind: FaultKind = Field(
+        description="gyro-stuck: the output stays as it is; gyro-dead: it is zero; gyro-bias, gyro-noisy: a rate or "
+        "noise is added to it"
+    )
+    at_s: Seconds = Field(description="when, s, whole ns")
+    since: Literal["clock", "liftoff"] = optional("at_s and until_s on the vehicle clock, or from lift-off on", "clock")
+    until_s: Seconds | None = optional("when the part works again, s, whole ns (default: never)")
+    stage: int | None = optional("of which stage, from 0 (default: of whichever flies)", None, ge=0, lt=MAX_STAGES)
+    axis: Literal["roll", "pitch", "yaw"] | None = optional("which axis (default: all)")
+    bias_degps: float | None = optional("gyro-bias: added to the output, deg/s")
+    noise_deg_rt_h: Positive | None = optional("gyro-noisy: angle random walk beside the gyro's own, deg/sqrt(h)")
+
+    @model_validator(mode="after")
+    def _check(self) -> Fault:
+        kind = KINDS[self.kind]
+        for key in _OF_KINDS:
+            named = ", ".join(name for name, other in KINDS.items() if key in (*other.targets, *other.values))
+            only_with(self, (key,), key in (*kind.targets, *kind.values), f"kind = {named}")
+        for key in kind.values:
+            needs(self, key, f"kind is {self.kind}", "a number")
+        if self.axis is not None and self.axis not in kind.axes:
+            raise refuse(f"{self.kind} has no such axis", ", ".join(kind.axes), key=("axis",))
+        if self.until_s is not None and self.until_s <= self.at_s:
+            raise refuse("ends before it begins", f"more than at_s = {self.at_s:g}", key=("until_s",))
+        return self
+
+    @property
+    def axes(self) -> tuple[str, ...]:
+        """Those that fail."""
+        return KINDS[self.kind].axes if self.axis is None else (self.axis,)
+
+    @property
+    def text(self) -> str:
+        """Kind and target, for people."""
+        targets = [(key, getattr(self, key)) for key in KINDS[self.kind].targets]
+        named = [value if isinstance(value, str) else f"{key} {value}" for key, value in targets if value is not None]
+        return " ".join((self.kind, *named))

@@ -1,0 +1,13 @@
+"""What is at fault at present: one array of numbers, all zero in a healthy vehicle, which the components read.
+
+A fault of the scenario writes into slots of this array while it lasts (sim/flight/faults.py); what a number means is
+the component's affair. A slot that is zero changes nothing.
+"""
+
+from __future__ import annotations
+
+ANY_FAULT = 0  # 1 while any slot is in use
+GYRO_LOST = 1  # of each axis: share of the gyro's output that is lost
+GYRO_ADDED = 4  # of each axis: rate added to what is left, rad/s
+GYRO_WALK = 7  # of each axis: angle random walk beside the gyro's own, rad / sqrt(s)
+N_FAULT_SLOTS = 10
