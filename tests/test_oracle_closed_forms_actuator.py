@@ -74,6 +74,64 @@ def test_step_response_against_the_matrix_exponential(axis: int, exchanged: bool
     assert np.all(states[:14, layout.ACTUATOR : layout.ACTUATOR + 12] == 0.0)  # nothing moves before the command
 
 
+MODELS = {"second-order": 1, "fourth-order": 2, "sixth-order": 4}
+
+
+def modelled(model: str, **more: object) -> dict[str, object]:
+    """Keys of an actuator of this order with the paper's first frequencies."""
+    n = MODELS[model]
+    return {"model": model, "omega_hz": [5.8, 7.2, 52.6, 15.6][:n], "zeta": [0.87, 0.49, 0.15, 0.042][:n], **more}
+
+
+@pytest.mark.parametrize("limits_act_on", ["servo", "engine"])
+@pytest.mark.parametrize("model", MODELS)
+def test_step_response_of_each_model(model: str, limits_act_on: str) -> None:
+    """Below the limits the place of the servo changes nothing: both are the product of the sections."""
+    w, z = 2.0 * np.pi * np.array([5.8, 7.2, 52.6, 15.6]), [0.87, 0.49, 0.15, 0.042]
+    quadratics = [np.array([1.0, 2.0 * d * x, x * x]) for x, d in zip(w, z, strict=True)]
+    below, above = np.array([1.0]), np.array([1.0])
+    for k in range(min(MODELS[model], 3)):
+        below, above = np.polymul(below, quadratics[k]), above * w[k] ** 2
+    if model == "sixth-order":
+        above = above * quadratics[3] / w[3] ** 2
+    a, b, c, d = tf2ss(above, below)
+    assert np.all(d == 0.0)
+    made = moving("pitch", STEP_DEG, **modelled(model, limits_act_on=limits_act_on))
+    states = flown(made, 0.4, 0.001)
+    size, step = math.radians(STEP_DEG), math.radians(STEP_DEG)
+    for k in range(14, 401, 9):
+        x = balanced_step(a, b[:, 0], 0.001 * k - EFFECT_S)
+        accel = c[0] @ a @ a @ x + c[0] @ a @ b[:, 0]  # the command is there: order two has it in its acceleration
+        state = to_oracle(made, states[k])
+        assert np.isclose(state.deflection_rad[0], step * c[0] @ x, rtol=0.0, atol=2e-7 * size)
+        assert np.isclose(state.deflection_radps[0], step * c[0] @ a @ x, rtol=0.0, atol=1e-5 * size)
+        assert np.isclose(state.deflection_radps2[0], step * accel, rtol=0.0, atol=1e-3 * size)
+
+
+@pytest.mark.parametrize("model", ["fourth-order", "sixth-order"])
+def test_where_the_limits_act(model: str) -> None:
+    """With 30 deg/s at the servo the sections behind it overshoot, to 36 deg/s in order six; at the engine none do."""
+    rates = {}
+    for where in ("servo", "engine"):
+        made = moving(
+            "pitch", 20.0, **modelled(model, angle_limit_deg=30.0, rate_limit_degps=30.0, limits_act_on=where)
+        )
+        swept = [to_oracle(made, y) for y in flown(made, 1.5, 0.002)]
+        rates[where] = max(abs(math.degrees(state.deflection_radps[0])) for state in swept)
+        assert np.isclose(math.degrees(swept[-1].deflection_rad[0]), 20.0, rtol=1e-3)
+    assert rates["engine"] <= 30.0 * (1.0 + 1e-12)
+    assert rates["servo"] > 31.0
+
+
+def test_engine_rests_on_its_stop() -> None:
+    made = moving("yaw", -8.0, angle_limit_deg=6.0, stop_deg=5.5, limits_act_on="engine")
+    states = flown(made, 1.0, 0.001)
+    angles = np.degrees([to_oracle(made, y).deflection_rad[1] for y in states])
+    assert angles.min() == -5.5
+    last = to_oracle(made, states[-1])
+    assert last.deflection_radps[1] == last.deflection_radps2[1] == 0.0
+
+
 def test_dc_gain_is_one_and_bias_adds() -> None:
     made = moving("yaw", STEP_DEG, bias_deg=[0.3, -0.2])
     flown(made, 3.0)

@@ -106,12 +106,14 @@ def linear_plant(packed: Packed, condition: FlightCondition, plane: Plane = "pit
     a[:n, :n], a[:n, n : n + m] = body.a, body.b @ moves.c[[0, 2]]  # engine angle and acceleration
     a[n : n + m, n : n + m], a[n + m :, n + m :] = moves.a, senses.a
     a[n + m :, :n] = np.outer(senses.b[:, 0], local)
-    b[n : n + m] = moves.b
+    b[:n], b[n : n + m] = body.b @ moves.d[[0, 2]], moves.b
     outputs = (*senses.outputs, *ACTUATOR_OUTPUTS, *body.outputs)
     c = np.zeros((len(outputs), n + m + p))
     c[0, n + m :], c[1:4, n : n + m], c[4:, :n] = senses.c[0], moves.c, body.c
     states = (*body.states, *moves.states, *senses.states)
-    return StateSpace(a, b, c, np.zeros((len(outputs), 1)), states, moves.inputs, outputs)
+    d = np.zeros((len(outputs), 1))
+    d[1:4] = moves.d
+    return StateSpace(a, b, c, d, states, moves.inputs, outputs)
 
 
 @pytest.fixture(scope="module")
@@ -224,6 +226,21 @@ def test_frequency_responses_are_equal(nodes: dict[int, Node], time_s: int) -> N
     rate[0, 1] = 1.0
     theirs_q = dataclasses.replace(block, c=rate, d=np.zeros((1, 1)), outputs=("q_radps",)).response(FREQUENCIES_HZ)
     np.testing.assert_allclose(theirs_q[:, 0, 0] / theirs[:, 1], ours[:, q] / ours[:, delta], rtol=TOLERANCE)
+
+
+@pytest.mark.parametrize(("model", "sections"), [("second-order", 1), ("fourth-order", 2)])
+@pytest.mark.parametrize("limits_act_on", ["servo", "engine"])
+def test_actuators_of_lower_order(flight: Flight, model: str, sections: int, limits_act_on: str) -> None:
+    actuator = "vehicle.stage.0.actuator."
+    packed, condition = flat_earth(
+        flight, 30, f"{actuator}model='{model}'", f"{actuator}omega_hz={[5.8, 7.2][:sections]}",
+        f"{actuator}zeta={[0.87, 0.49][:sections]}", f"{actuator}limits_act_on='{limits_act_on}'",
+    )  # fmt: skip  # six more lines otherwise
+    node = Node(packed, condition, linearise(packed, packed.state, 30), linear_plant(packed, condition))
+    theirs = node.block("pitch").response(FREQUENCIES_HZ)[:, :, 0]
+    for k, output in enumerate(("gyro_radps", "delta_rad")):
+        ours = node.model.channel(output, "command_rad", FREQUENCIES_HZ)
+        np.testing.assert_allclose(theirs[:, k], ours, rtol=TOLERANCE)
 
 
 @EVERY_NODE

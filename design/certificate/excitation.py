@@ -220,4 +220,5 @@ def _servo_and_incidence(node: Node, lines_hz: Array) -> tuple[ComplexArray, Com
     angle = actuator(record).channel("delta_rad", "command_rad", lines_hz)
     followed = 1.0 / (1.0 + x * (2.0 * record.zeta_1 + x))
     commanded = record.omega_1_radps / (2.0 * record.zeta_1) * (1.0 - followed)
-    return np.asarray(commanded), np.asarray(angle * (per_engine[:, 0] + s * s * per_engine[:, 1]))
+    ahead = angle / followed if record.limits_on_engine else np.ones_like(s)  # sections that come before the servo
+    return np.asarray(ahead * commanded), np.asarray(angle * (per_engine[:, 0] + s * s * per_engine[:, 1]))

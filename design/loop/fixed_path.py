@@ -32,7 +32,7 @@ from maxq.design.loop.sampling import SampledPlant, sample
 from maxq.design.model.node import Node
 from maxq.design.model.plant import INPUTS
 from maxq.design.model.state_space import ComplexArray, Resolvent, StateSpace, chain, channels
-from maxq.design.model.vehicle_at import actuator, gyro
+from maxq.design.model.vehicle_at import actuator, actuator_poles, gyro
 
 Kind = Literal["sampled", "pade", "exact"]
 Cut = Literal["gimbal_command", "rate_command_to_q", "rate_command_to_q_m"]
@@ -157,9 +157,7 @@ class FixedPath(abc.ABC):
         """Of actuator, vehicle and gyro, each by itself: in a row they stay what they are."""
         out = vehicle_poles(self._vehicle)
         if self._actuator is not None:
-            a = self.node.actuator
-            sections = ((a.omega_1_radps, a.zeta_1), (a.omega_2_radps, a.zeta_2), (a.omega_3_radps, a.zeta_3))
-            for k, (omega, zeta) in enumerate(sections):
+            for k, (omega, zeta) in enumerate(actuator_poles(self.node.actuator)):
                 out += named(_pair(omega, zeta), "actuator", k + 1)
         if self._gyro is not None:
             out += named(_pair(self.node.instruments.gyro.omega_radps, self.node.instruments.gyro.zeta), "gyro")
@@ -197,8 +195,10 @@ class _ContinuousFixedPath(FixedPath):
         out = body[..., 0] if self._actuator is None else body[..., 0] + s * s * body[..., 1]
         if self._actuator is not None:
             a = self.node.actuator
-            out = out * _lag(s, a.omega_1_radps, a.zeta_1) * _lag(s, a.omega_2_radps, a.zeta_2)
-            out = out * _lag(s, a.omega_3_radps, a.zeta_3) / _lag(s, a.omega_4_radps, a.zeta_4)
+            for omega, zeta in actuator_poles(a):
+                out = out * _lag(s, omega, zeta)
+            if a.order == 6:
+                out = out / _lag(s, a.omega_4_radps, a.zeta_4)
         if self._gyro is not None:
             out = out * _lag(s, self.node.instruments.gyro.omega_radps, self.node.instruments.gyro.zeta)
         return np.asarray(out)

@@ -55,7 +55,7 @@ class Node:
     def actuator(self) -> Actuator:
         """The actuator, with a3 and a4 exchanged where the errata say so."""
         a = self.instruments.actuator
-        if not self.errata.actuator_labels or a.ideal:
+        if not self.errata.actuator_labels or a.ideal or a.order < 6:
             return a
         return dataclasses.replace(
             a, omega_3_radps=a.omega_4_radps, omega_4_radps=a.omega_3_radps, zeta_3=a.zeta_4, zeta_4=a.zeta_3

@@ -333,31 +333,41 @@ def instruments_of(row: Any, plane: Plane = "pitch") -> Instruments:
     )
 
 
-def actuator(record: Any) -> StateSpace:
-    """Command -> angle, rate and acceleration of the engine (28), six states; `record` is a packed `Actuator`.
+def actuator_poles(record: Any) -> list[tuple[float, float]]:
+    """Frequency (rad/s) and damping ratio of each pair of poles of a packed `Actuator`."""
+    return [
+        (getattr(record, f"omega_{k}_radps"), getattr(record, f"zeta_{k}")) for k in range(1, record.order // 2 + 1)
+    ]
 
-    A chain of second-order sections, each with its position and rate as states. The denominator of (28) is four
-    orders above its numerator: C B = C A B = 0, so rate and acceleration are C A x, C A^2 x.
+
+def actuator(record: Any) -> StateSpace:
+    """Command -> angle, rate and acceleration of the engine, as many states as the order; `record`: packed `Actuator`.
+
+    A chain of second-order sections, each with its position and rate as states; in which order they come matters to
+    the limits only. That of order six is (28), the denominator four orders above the numerator.
     """
-    omega = np.array([record.omega_1_radps, record.omega_2_radps, record.omega_3_radps])
-    zeta = np.array([record.zeta_1, record.zeta_2, record.zeta_3])
-    a, b = np.zeros((6, 6)), np.zeros((6, 1))
-    for k in range(3):
+    poles = actuator_poles(record)
+    n = 2 * len(poles)
+    a, b = np.zeros((n, n)), np.zeros((n, 1))
+    for k, (omega, zeta) in enumerate(poles):
         i = 2 * k
         a[i, i + 1] = 1.0
-        a[i + 1, i], a[i + 1, i + 1] = -(omega[k] ** 2), -2.0 * zeta[k] * omega[k]
+        a[i + 1, i], a[i + 1, i + 1] = -(omega**2), -2.0 * zeta * omega
         if k == 0:
-            b[1, 0] = omega[0] ** 2
+            b[1, 0] = omega**2
         else:
-            a[i + 1, i - 2] = omega[k] ** 2
-    # the last numerator, s^2 + 2 z w s + w^2 over w^2, acts on its section's state: s^2 is that rate's row
-    omega_4, zeta_4 = float(record.omega_4_radps), float(record.zeta_4)
-    angle = a[5] / omega_4**2
-    angle[4] += 1.0
-    angle[5] += 2.0 * zeta_4 / omega_4
+            a[i + 1, i - 2] = omega**2
+    angle = np.eye(n)[n - 2]
+    if record.order == 6:
+        # the last numerator, s^2 + 2 z w s + w^2 over w^2, acts on its section's state: s^2 is that rate's row
+        omega_4, zeta_4 = float(record.omega_4_radps), float(record.zeta_4)
+        angle = a[5] / omega_4**2
+        angle[4] += 1.0
+        angle[5] += 2.0 * zeta_4 / omega_4
     c = np.stack([angle, angle @ a, angle @ a @ a])
-    states = tuple(f"actuator_{k + 1}{what}" for k in range(3) for what in ("", "_rate"))
-    return StateSpace(a, b, c, np.zeros((3, 1)), states, ("command_rad",), ACTUATOR_OUTPUTS)
+    d = np.stack([np.zeros(1), angle @ b, angle @ a @ b])
+    states = tuple(f"actuator_{k + 1}{what}" for k in range(len(poles)) for what in ("", "_rate"))
+    return StateSpace(a, b, c, d, states, ("command_rad",), ACTUATOR_OUTPUTS)
 
 
 def gyro(record: Any) -> StateSpace:

@@ -112,7 +112,6 @@ class Tank(Section):
 
 THRUST_COLUMNS = Columns("time_s", sets=(("thrust_vacuum_N",),), not_negative=("thrust_vacuum_N",), begins_by=0.0)
 GimbalAngle = Annotated[float, Field(ge=0.0, le=45.0)]
-Four = tuple[Positive, Positive, Positive, Positive]
 
 
 class Engine(Section):
@@ -142,25 +141,53 @@ class Engine(Section):
         return self
 
 
-class ActuatorAxis(Section):
-    """Sixth-order actuator of one axis (paper, eq. 28)."""
+SECTIONS = {"second-order": 1, "fourth-order": 2, "sixth-order": 4}
+"""Frequencies and damping ratios of an actuator by its model; the fourth of the sixth order is the zero."""
 
-    omega_hz: Four = Field(description="natural frequencies a1 .. a4, Hz")
-    zeta: Four = Field(description="damping ratios a1 .. a4")
+
+class ActuatorAxis(Section):
+    """Actuator of one axis."""
+
+    model: Literal["second-order", "fourth-order", "sixth-order"] = optional(
+        "poles: the servo; servo and a second pair; servo and two pairs with a pair of zeros (paper, eq. 28)",
+        "sixth-order",
+    )
+    omega_hz: tuple[Positive, ...] = Field(
+        description="natural frequencies, Hz: servo a1, from the fourth order a2, in the sixth a3 and the zero a4"
+    )
+    zeta: tuple[Positive, ...] = Field(description="damping ratios in the same order")
     exchange_a3_a4: bool = optional("exchange pole pair a3 and zero pair a4 (erratum 13)", False)
     angle_limit_deg: GimbalAngle = Field(description="limit of the gimbal angle, deg")
     rate_limit_degps: Positive = Field(description="limit of the gimbal rate, deg/s")
+    limits_act_on: Literal["servo", "engine"] = optional(
+        "servo: the other poles come behind it and may carry the engine past both limits; engine: they come ahead of "
+        "it, and the engine's rate stays within its limit",
+        "servo",
+    )
+    stop_deg: GimbalAngle | None = optional("hard stop of the engine's own angle, deg (default: none)")
     backlash_deg: NotNegative = optional("full width of the play, deg", 0.0)
+
+    @model_validator(mode="after")
+    def _check(self) -> ActuatorAxis:
+        count = SECTIONS[self.model]
+        for key in ("omega_hz", "zeta"):
+            given = len(getattr(self, key))
+            if given != count:
+                raise refuse(f"has {given} numbers in a {self.model} model", f"a list of {count}", key=(key,))
+        if self.exchange_a3_a4 and count < 4:
+            raise refuse(f"a {self.model} model has no a3 and a4", "false, or sixth-order", key=("exchange_a3_a4",))
+        return self
 
 
 class YawActuator(Section):
     """What differs in the yaw actuator; every key is optional."""
 
-    omega_hz: Four | None = optional("natural frequencies a1 .. a4, Hz")
-    zeta: Four | None = optional("damping ratios a1 .. a4")
+    omega_hz: tuple[Positive, ...] | None = optional("natural frequencies, Hz")
+    zeta: tuple[Positive, ...] | None = optional("damping ratios")
     exchange_a3_a4: bool | None = optional("exchange pole pair a3 and zero pair a4")
     angle_limit_deg: GimbalAngle | None = optional("limit of the gimbal angle, deg")
     rate_limit_degps: Positive | None = optional("limit of the gimbal rate, deg/s")
+    stop_deg: GimbalAngle | None = optional("hard stop of the engine's own angle, deg")
     backlash_deg: NotNegative | None = optional("full width of the play, deg")
 
 
@@ -169,6 +196,15 @@ class Actuator(ActuatorAxis):
 
     bias_deg: Pair = optional("constant error of the angle, pitch and yaw, deg", (0.0, 0.0))
     yaw: YawActuator | None = optional("keys that differ in the yaw axis")
+
+    @model_validator(mode="after")
+    def _check_yaw(self) -> Actuator:
+        count = SECTIONS[self.model]
+        for key in ("omega_hz", "zeta"):
+            given = getattr(self.yaw, key, None)
+            if given is not None and len(given) != count:
+                raise refuse(f"has {len(given)} numbers in a {self.model} model", f"a list of {count}", ("yaw", key))
+        return self
 
     @property
     def axes(self) -> tuple[ActuatorAxis, ActuatorAxis]:

@@ -1,11 +1,16 @@
-"""Thrust-vector actuator of one axis: the paper's sixth-order transfer function (28) in state space, with limits.
+"""Thrust-vector actuator of one axis, of order two, four or six, with limits and a hard stop.
 
-    delta / command = H1 H2 H3,   H_i = w_i^2 / (s^2 + 2 z_i w_i s + w_i^2) for i = 1, 2,
-    H3 = (w_3^2 / w_4^2) (s^2 + 2 z_4 w_4 s + w_4^2) / (s^2 + 2 z_3 w_3 s + w_3^2)
+    delta / command = H1, H1 H2 or H1 H2 H3,   H_i = w_i^2 / (s^2 + 2 z_i w_i s + w_i^2) for i = 1, 2,
+    H3 = (w_3^2 / w_4^2) (s^2 + 2 z_4 w_4 s + w_4^2) / (s^2 + 2 z_3 w_3 s + w_3^2);
 
-H1 is the servo: position error -> rate command -> rate. Written as a loop, the rate *command* saturates and so does
-the rate, with no wind-up; in its linear range the loop is H1 exactly. The position command is limited before it.
-H2 and H3 follow as linear sections: their resonances may carry the engine slightly past both limits.
+order six is the paper's (28), w_4 its zero. H1 is the servo: position error -> rate command -> rate. Written as a loop,
+the rate *command* saturates and so does the rate, with no wind-up; in its linear range the loop is H1 exactly. The
+position command is limited before it.
+
+Where the limits act: on the servo, with H2 and H3 behind it as linear sections whose resonances may carry the engine
+past both limits (as 36 deg/s against 30); or on the engine, with H2 and H3 ahead of it, so that the servo's rate is the
+engine's. Linear sections in series may be exchanged: below the limits both are the same actuator. A hard stop holds
+the engine's own angle: it rests there, without rate and acceleration, as long as the sections would carry it on.
 States: servo position, servo rate; H2 position, rate; w_3^2-scaled states of H3 and its rate.
 """
 
@@ -27,9 +32,12 @@ ACTUATORS = StateBlock(
 )
 
 
+ORDERS = {"second-order": 2, "fourth-order": 4, "sixth-order": 6}
+
+
 @dataclass(frozen=True)
 class Actuator:
-    """`omega_radps` and zeta of the sections 1, 2, 3 (pole), 4 (zero); limits in rad and rad/s."""
+    """Sections 1, 2, 3 (pole), 4 (zero) as far as the order goes; limits in rad and rad/s."""
 
     omega_1_radps: float
     omega_2_radps: float
@@ -44,6 +52,9 @@ class Actuator:
     bias_rad: float
     backlash_rad: float
     ideal: int  # 1: the angle is the command, at rest between commands
+    order: int  # 2, 4 or 6
+    limits_on_engine: int  # 1: the servo with its limits is the last section
+    stop_rad: float  # hard stop of the engine's own angle
 
 
 def pack_actuators(given: Any, kind: str) -> tuple[Actuator, Actuator]:
@@ -51,7 +62,9 @@ def pack_actuators(given: Any, kind: str) -> tuple[Actuator, Actuator]:
     bias_deg = given.bias_deg if given else (0.0, 0.0)
     if given is None or kind == "ideal":
         pitch, yaw = (
-            Actuator(1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, math.inf, math.inf, math.radians(bias), 0.0, 1)
+            Actuator(
+                1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, math.inf, math.inf, math.radians(bias), 0.0, 1, 2, 0, math.inf
+            )
             for bias in bias_deg
         )
     else:
@@ -62,6 +75,8 @@ def pack_actuators(given: Any, kind: str) -> tuple[Actuator, Actuator]:
 
 def _pack_axis(given: Any, bias_deg: float, linear: bool) -> Actuator:
     omega, zeta = [2.0 * math.pi * f for f in given.omega_hz], list(given.zeta)
+    count = len(omega)
+    omega, zeta = omega + [1.0] * (4 - count), zeta + [1.0] * (4 - count)
     if given.exchange_a3_a4:
         omega[2], omega[3], zeta[2], zeta[3] = omega[3], omega[2], zeta[3], zeta[2]
     return Actuator(
@@ -78,6 +93,9 @@ def _pack_axis(given: Any, bias_deg: float, linear: bool) -> Actuator:
         bias_rad=math.radians(bias_deg),
         backlash_rad=0.0 if linear else math.radians(given.backlash_deg),
         ideal=0,
+        order=ORDERS[given.model],
+        limits_on_engine=int(given.limits_act_on == "engine"),
+        stop_rad=math.inf if linear or given.stop_deg is None else math.radians(given.stop_deg),
     )
 
 
@@ -85,23 +103,64 @@ def _pack_axis(given: Any, bias_deg: float, linear: bool) -> Actuator:
 def actuator_output(a: Actuator, y: Array, i: int, command: float) -> tuple[float, float, float]:
     """Engine angle, rate and acceleration (rad, rad/s, rad/s2) from the states at y[i:i+6].
 
-    Three orders of differentiation lie between command and angle at least, so that all three are functions of the
-    state and no derivative of the command is needed.
+    Between command and angle lie two orders of differentiation at least, so that no derivative of the command is
+    needed.
     """
     if a.ideal == 1:
-        return command + a.bias_rad, 0.0, 0.0
-    w2, w3, w4 = a.omega_2_radps, a.omega_3_radps, a.omega_4_radps
+        angle, rate, accel = command, 0.0, 0.0
+    elif a.limits_on_engine == 1 or a.order == 2:
+        angle, rate = y[i], y[i + 1]
+        accel = _servo_acceleration(a, _servo_target(a, y, i, command), angle, rate)
+    elif a.order == 4:
+        angle, rate = y[i + 2], y[i + 3]
+        accel = _section_acceleration(a.omega_2_radps, a.zeta_2, y[i], angle, rate)
+    else:
+        angle, rate, accel = _third_section(a, y, i, y[i])
+    angle += a.bias_rad
+    if abs(angle) > a.stop_rad:
+        return math.copysign(a.stop_rad, angle), 0.0, 0.0
+    return angle, rate, accel
+
+
+@kernel
+def _section_acceleration(omega: float, zeta: float, drive: float, x: float, x_rate: float) -> float:
+    accel: float = omega * omega * (drive - x) - 2.0 * zeta * omega * x_rate
+    return accel
+
+
+@kernel
+def _third_section(a: Actuator, y: Array, i: int, into_second: float) -> tuple[float, float, float]:
+    """Output of H3 with two time derivatives, H2 before it driven by `into_second`."""
+    w3, w4 = a.omega_3_radps, a.omega_4_radps
     x, x_rate, z, z_rate = y[i + 2], y[i + 3], y[i + 4], y[i + 5]
-    x_accel = w2 * w2 * (y[i] - x) - 2.0 * a.zeta_2 * w2 * x_rate
+    x_accel = _section_acceleration(a.omega_2_radps, a.zeta_2, into_second, x, x_rate)
     damp_3, damp_4 = 2.0 * a.zeta_3 * w3, 2.0 * a.zeta_4 * w4
     z_2 = w3 * w3 * (x - z) - damp_3 * z_rate
     z_3 = w3 * w3 * (x_rate - z_rate) - damp_3 * z_2
     z_4 = w3 * w3 * (x_accel - z_2) - damp_3 * z_3
     k = 1.0 / (w4 * w4)
-    angle = k * (z_2 + damp_4 * z_rate) + z + a.bias_rad
-    rate = k * (z_3 + damp_4 * z_2) + z_rate
-    accel = k * (z_4 + damp_4 * z_3) + z_2
-    return angle, rate, accel
+    return k * (z_2 + damp_4 * z_rate) + z, k * (z_3 + damp_4 * z_2) + z_rate, k * (z_4 + damp_4 * z_3) + z_2
+
+
+@kernel
+def _servo_target(a: Actuator, y: Array, i: int, command: float) -> float:
+    """Position that the servo is sent to, within its limit."""
+    if a.limits_on_engine == 1 and a.order == 6:
+        command = _third_section(a, y, i, command)[0]
+    elif a.limits_on_engine == 1 and a.order == 4:
+        command = y[i + 2]
+    target: float = min(max(command, -a.angle_limit_rad), a.angle_limit_rad)
+    return target
+
+
+@kernel
+def _servo_acceleration(a: Actuator, target: float, angle: float, rate: float) -> float:
+    w1 = a.omega_1_radps
+    damp_1 = 2.0 * a.zeta_1 * w1
+    rate_command = w1 * w1 / damp_1 * (target - angle)
+    rate_command = min(max(rate_command, -a.rate_limit_radps), a.rate_limit_radps)
+    accel: float = damp_1 * (rate_command - rate)
+    return accel
 
 
 @kernel
@@ -111,17 +170,17 @@ def actuator_derivative(a: Actuator, y: Array, i: int, command: float, dy: Array
         for j in range(6):
             dy[i + j] = 0.0
         return
-    w1, w2, w3 = a.omega_1_radps, a.omega_2_radps, a.omega_3_radps
-    target = min(max(command, -a.angle_limit_rad), a.angle_limit_rad)
-    damp_1 = 2.0 * a.zeta_1 * w1
-    rate_command = w1 * w1 / damp_1 * (target - y[i])
-    rate_command = min(max(rate_command, -a.rate_limit_radps), a.rate_limit_radps)
     dy[i] = y[i + 1]
-    dy[i + 1] = damp_1 * (rate_command - y[i + 1])
-    dy[i + 2] = y[i + 3]
-    dy[i + 3] = w2 * w2 * (y[i] - y[i + 2]) - 2.0 * a.zeta_2 * w2 * y[i + 3]
-    dy[i + 4] = y[i + 5]
-    dy[i + 5] = w3 * w3 * (y[i + 2] - y[i + 4]) - 2.0 * a.zeta_3 * w3 * y[i + 5]
+    dy[i + 1] = _servo_acceleration(a, _servo_target(a, y, i, command), y[i], y[i + 1])
+    into_second = command if a.limits_on_engine == 1 else y[i]
+    for j in range(2, 6):
+        dy[i + j] = 0.0
+    if a.order >= 4:
+        dy[i + 2] = y[i + 3]
+        dy[i + 3] = _section_acceleration(a.omega_2_radps, a.zeta_2, into_second, y[i + 2], y[i + 3])
+    if a.order == 6:
+        dy[i + 4] = y[i + 5]
+        dy[i + 5] = _section_acceleration(a.omega_3_radps, a.zeta_3, y[i + 2], y[i + 4], y[i + 5])
 
 
 @kernel
