@@ -183,6 +183,21 @@ class _Equations:
             self.modal = self.modal + np.outer(modes.phi_hinge[:, k], rod + friction)
             if self.errata.bent_body_loads:
                 self.moment = self.moment - self.load * bobs.mass_kg[k] * modes.phi_hinge[:, k] @ self.eta
+            if self.vehicle.slosh_exchange and bobs.mass_kg[k] > 0.0:
+                self._exchange(k, arm - length)
+
+    def _exchange(self, k: int, arm: float) -> None:
+        """Liquid that goes over from bob to core, at the bob, `arm` forward of the CG.
+
+        It keeps its velocity, and pushes the modes by that relative to the bent axis. (What a bob gains brakes the
+        bob: `state_space`.)
+        """
+        bobs, modes = self.vehicle.pendulums, self.vehicle.modes
+        flow, swung = max(-float(bobs.mass_rate_kgps[k]), 0.0), bobs.length_m[k] * self.gamma_rate[k]
+        push = flow * (swung + modes.phi_hinge[:, k] @ self.eta_rate)
+        self.force = self.force + push
+        self.moment = self.moment - arm * push
+        self.modal = self.modal + flow * np.outer(modes.phi_hinge[:, k], swung)
 
     def state_space(self) -> StateSpace:
         modes, bobs = self.vehicle.modes, self.vehicle.pendulums
@@ -203,6 +218,10 @@ class _Equations:
             drive = lateral - (arm - length) * turning + modes.phi_hinge[:, k] @ bending + 2.0 * coriolis[k] * self.q
             swing[k] = -(natural**2) * self.gamma[k] - 2.0 * bobs.damping_ratio[k] * natural * self.gamma_rate[k]
             swing[k] -= drive / length
+            gained = max(float(bobs.mass_rate_kgps[k]), 0.0)
+            if self.vehicle.slosh_exchange and bobs.mass_kg[k] > 0.0:
+                relative = self.gamma_rate[k] + modes.phi_hinge[:, k] @ self.eta_rate / length
+                swing[k] -= gained / bobs.mass_kg[k] * relative
         w_rate = lateral + self.condition.airspeed_mps * self.q
         if self.errata.path_terms:
             weight = self.condition.gravity_mps2 * np.sin(self.condition.pitch_rad)

@@ -129,6 +129,7 @@ class VehicleAt:
     engine: GimballedEngine
     aerodynamics: Aerodynamics
     jet_damping: bool
+    slosh_exchange: bool = False  # liquid that goes over from bob to core takes its momentum along
 
     @property
     def total_cg_station_m(self) -> float:
@@ -170,6 +171,7 @@ def vehicle_at(packed: Packed, time_s: float, mach: float, plane: Plane = "pitch
         engine=_engine(vehicle, float(props[schedule.THRUST_VACUUM])),
         aerodynamics=_aerodynamics(packed.pool, vehicle, sizes, mach, plane),
         jet_damping=bool(vehicle.jet_damping),
+        slosh_exchange=bool(vehicle.slosh.exchange),
     )
 
 

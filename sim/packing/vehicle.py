@@ -36,7 +36,7 @@ def pack_vehicle(scenario: Scenario, stage: Stage, sizes: Sizes, schedule: Cubic
         gyro=pack_gyro(stage.gyro, switches.gyro == "ideal"),
         aero=_aero(scenario, stage, pool),
         bending=pack_bending(stage.bending, switches.bending_softening),
-        slosh=pack_slosh(stage.tank[: sizes.tanks], stage.bending),
+        slosh=pack_slosh(stage.tank[: sizes.tanks], stage.bending, switches.slosh_exchange),
         roll_torque_Nm=stage.roll_thrusters.torque_Nm if stage.roll_thrusters else 0.0,
         jet_damping=int(switches.jet_damping),
         follower_thrust=int(switches.follower_thrust),

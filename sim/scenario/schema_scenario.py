@@ -222,6 +222,10 @@ class Switches(Section):
     aerodynamics: bool = optional("all aerodynamic forces", True)
     thrust: bool = optional("thrust", True)
     slosh: bool = optional("pendulums; off: the liquid is frozen", True)
+    slosh_exchange: bool = optional(
+        "liquid that goes over from a pendulum's bob to the core takes its momentum along (off: it arrives at rest)",
+        False,
+    )
     bending: bool = optional("bending modes", True)
     bending_softening: bool = optional("axial load softens the modes", True)
     follower_thrust: bool = optional("thrust turns with the bent gimbal", True)

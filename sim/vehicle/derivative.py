@@ -57,7 +57,7 @@ from maxq.sim.vehicle.schedule import (
     complete_modes,
     schedule_width,
 )
-from maxq.sim.vehicle.slosh import Slosh, accelerate, pendulum_derivative, pendulum_loads
+from maxq.sim.vehicle.slosh import Slosh, accelerate, exchange_loads, pendulum_derivative, pendulum_loads
 from maxq.sim.vehicle.state import ACTUATOR, GYRO, N_ACTUATOR, N_PENDULUM, eta_index, pendulum_index, xi_index
 from maxq.sim.vehicle.workspace import (
     AERO_FORCE,
@@ -191,6 +191,9 @@ def derivative(
             vehicle.slosh, sizes, tank, rate, axial_load, engine.offset, properties, y, first, work
         )  # fmt: skip  # twelve lines otherwise
         force, moment = add(force, damper_force), add(moment, damper_moment)
+    if vehicle.slosh.exchange == 1:
+        liquid_force, liquid_moment = exchange_loads(vehicle.slosh, sizes, rate, properties, y, pendulums, work)
+        force, moment = add(force, liquid_force), add(moment, liquid_moment)
 
     specific_force, alpha = accelerate(
         vehicle.slosh, sizes, held.on_pad, engine.offset, engine.inverse_inertia, force, moment, pad, properties, y,

@@ -41,12 +41,14 @@ from maxq.sim.vehicle.block import W_BI_B, Counts, Sizes, StateBlock
 from maxq.sim.vehicle.schedule import (
     CORE_CG,
     INVERSE_CORE_MASS,
+    INVERSE_TOTAL_MASS,
     MODE_FIRST,
     MODE_TANK_COMPLIANCE,
     PITCH,
     TANK_HINGE,
     TANK_LENGTH,
     TANK_MASS,
+    TANK_MASS_RATE,
     TANK_TRAVEL,
     YAW,
     compliance_column,
@@ -74,6 +76,8 @@ DAMPING = 15  # acceleration of the bob by damping, B, m/s2 (3)
 ASYMMETRY = 18  # see `_plane_asymmetry`: y, z, m (2)
 DAMPER_FORCE = 20  # lateral force of the damper on the bent axis: y, z, N (2)
 BENDING_ACCEL = 22  # acceleration of the hinge by bending: y, z, m/s2 (2)
+BOB_PLACE = 24  # bob relative to the core CG, B, m (3); this and the next only with `Slosh.exchange`
+BOB_VELOCITY = 27  # bob's velocity relative to the core CG, B, m/s (3)
 
 
 @kernel
@@ -88,14 +92,15 @@ class Slosh:
     damping_ratio: Annotated[Array, (MAX_TANKS,)]  # of the pendulum under the present axial acceleration
     mass_factor: Annotated[Array, (MAX_TANKS,)]
     length_factor: Annotated[Array, (MAX_TANKS,)]
+    exchange: int  # 1: mass that goes over between bob and core takes its momentum along
 
 
-def pack_slosh(tanks: Sequence[Any], bending: Any) -> Slosh:
+def pack_slosh(tanks: Sequence[Any], bending: Any, exchange: bool) -> Slosh:
     """From the stage's sections `tank` that slosh, and `bending` (or None)."""
     zeta = np.zeros(MAX_TANKS)
     zeta[: len(tanks)] = [tank.damping_ratio for tank in tanks]
     planes_differ = bending is not None and bending.pitch != bending.yaw
-    return Slosh(int(planes_differ), zeta, np.ones(MAX_TANKS), np.ones(MAX_TANKS))
+    return Slosh(int(planes_differ), zeta, np.ones(MAX_TANKS), np.ones(MAX_TANKS), int(exchange))
 
 
 @kernel
@@ -171,9 +176,64 @@ def pendulum_loads(
     set_vector(work, b + DAMPING, damping)
     force = scaled(-bob_mass(slosh, properties, tank), damping)
     work[b + DAMPER_FORCE], work[b + DAMPER_FORCE + 1] = force[1], force[2]
+    if slosh.exchange == 1:
+        place = add((hinge[0], hinge[1] + shift_y, hinge[2] + shift_z), scaled(length, u))
+        velocity = add(add(cross(rate, place), scaled(length, u_rate)), (0.0, shift_rate_y, shift_rate_z))
+        set_vector(work, b + BOB_PLACE, place)
+        set_vector(work, b + BOB_VELOCITY, velocity)
     moment = cross(add(hinge, scaled(length, u)), force)
     roll = moment[0] + asymmetry_y * force[2] - asymmetry_z * force[1]
     return force, (roll, moment[1] + shift_z * force[0], moment[2] - shift_y * force[0])
+
+
+@kernel
+def exchange_loads(
+    slosh: Slosh, sizes: Counts, rate: Vector, properties: Array, y: Array, first: int, work: Array
+) -> tuple[Vector, Vector]:
+    """Force and moment (about the core CG, B) on the core by the liquid that goes over between bobs and core.
+
+    Liquid takes the velocity along that it has where it comes from: what a bob loses exerts a force on the core and,
+    at its place, on the modes; what a bob gains slows the bob down. Together with the flow that `prepare_outflow` lets
+    enter the core where the bob rests, linear momentum and the angular momentum about the common CG are constant, and
+    no energy is gained (docs/model.md, eqs. 8.2 and 8.3).
+    """
+    drift = (0.0, 0.0, 0.0)  # of the common CG relative to the core CG
+    share = properties[schedule_width(sizes) + INVERSE_TOTAL_MASS]
+    for tank in range(sizes.tanks):
+        mass = bob_mass(slosh, properties, tank)
+        drift = add(drift, scaled(share * mass, vector_at(work, tank_block(tank) + BOB_VELOCITY)))
+    force, moment = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
+    for tank in range(sizes.tanks):
+        b, mass = tank_block(tank), bob_mass(slosh, properties, tank)
+        flow = -properties[tank_column(tank) + TANK_MASS_RATE] * slosh.mass_factor[tank]  # from bob to core
+        if flow == 0.0 or mass <= 0.0:
+            continue
+        hinge, place = vector_at(work, b + HINGE), vector_at(work, b + BOB_PLACE)
+        velocity = vector_at(work, b + BOB_VELOCITY)
+        rest = (hinge[0] - pendulum_length(slosh, properties, tank), hinge[1], hinge[2])
+        rest_velocity = cross(rate, rest)
+        carried = velocity if flow > 0.0 else rest_velocity
+        push = scaled(flow, add(carried, scaled(-1.0, rest_velocity)))
+        force = add(force, push)
+        spin = cross(place, add(carried, scaled(-1.0, drift)))
+        spin = add(spin, scaled(-1.0, cross(rest, add(rest_velocity, scaled(-1.0, drift)))))
+        moment = add(moment, scaled(flow, spin))
+        if flow > 0.0:  # pushes the modes, by the velocity relative to the bent axis
+            shift_y, shift_z, shift_rate_y, shift_rate_z, _, _ = _bending_at_tank(sizes, tank, properties, work)
+            push_y, push_z = push[1] - flow * shift_rate_y, push[2] - flow * shift_rate_z
+            work[b + DAMPER_FORCE] += push_y
+            work[b + DAMPER_FORCE + 1] += push_z
+            # the part of the roll moment that the modes take (docs/model.md, eq. 4.4)
+            by_modes = (shift_y - work[b + ASYMMETRY]) * push_z - (shift_z - work[b + ASYMMETRY + 1]) * push_y
+            moment = (moment[0] - by_modes, moment[1], moment[2])
+        else:
+            u = vector_at(y, first + N_PENDULUM * tank)
+            brake = scaled(flow / mass, add(velocity, scaled(-1.0, rest_velocity)))
+            along = dot(brake, u)
+            work[b + DEMAND] += along
+            for j in range(3):
+                work[b + DAMPING + j] += brake[j] - along * u[j]
+    return force, moment
 
 
 @kernel
