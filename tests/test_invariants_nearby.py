@@ -7,15 +7,18 @@ import pytest
 
 from maxq.control.kernel.jit import from_python
 from maxq.control.kernel.records import pack
+from maxq.control.kernel.tables import Pool
 from maxq.sim.vehicle import environment
 from maxq.sim.vehicle.environment import ANCHOR_DUE, ANCHOR_SET, NO_ANCHOR, NEAR_m
 from maxq.sim.vehicle.workspace import ANCHOR, WORK_SIZE
 from maxq.sim.world.atmosphere import US1976, VACUUM, Atmosphere, TOP_m, air
 from maxq.sim.world.earth import earth_position, flat, local_frame, sphere, wgs84
+from maxq.sim.world.thermosphere import upper_air
 
 frame_and_air = from_python(environment.frame_and_air)
-NO_POOL = np.zeros(1)
-AIR = pack([Atmosphere(US1976, density_factor=1.1)])[0]
+_pool = Pool()
+AIR = pack([Atmosphere(US1976, table=_pool.add(upper_air()), density_factor=1.1)])[0]
+POOL = _pool.array()
 WGS84 = pack([wgs84()])[0]
 # geopotential bases of the standard's layers in geometric metres: series may not cross them
 EDGES_m = [6356766.0 * h / (6356766.0 - h) for h in (11e3, 20e3, 32e3, 47e3, 51e3, 71e3)] + [TOP_m]
@@ -24,13 +27,13 @@ EDGES_m = [6356766.0 * h / (6356766.0 - h) for h in (11e3, 20e3, 32e3, 47e3, 51e
 def anchored(earth, atmosphere, place):
     work = np.zeros(WORK_SIZE)
     work[ANCHOR] = ANCHOR_DUE
-    frame_and_air(earth, atmosphere, NO_POOL, *place, work)
+    frame_and_air(earth, atmosphere, POOL, *place, work)
     return work
 
 
 def exact(earth, atmosphere, place):
     frame = local_frame(earth, *place)
-    return np.array(frame), np.array(air(atmosphere, NO_POOL, frame[0]))
+    return np.array(frame), np.array(air(atmosphere, POOL, frame[0]))
 
 
 @pytest.mark.parametrize("earth", [wgs84(), sphere()], ids=["ellipsoid", "sphere"])
@@ -46,7 +49,7 @@ def test_a_neighbour_is_where_the_exact_formulas_have_it(earth, distance_m):
         there = place + distance_m * direction / np.linalg.norm(direction)
         work = anchored(earth, AIR, place)
         assert work[ANCHOR] == ANCHOR_SET
-        frame, gas = frame_and_air(earth, AIR, NO_POOL, *there, work)
+        frame, gas = frame_and_air(earth, AIR, POOL, *there, work)
         frame_there, gas_there = exact(earth, AIR, there)
         # rounding of the exact altitude, and the third powers
         assert abs(frame[0] - frame_there[0]) < 5e-9
@@ -60,10 +63,10 @@ def test_the_series_is_used_at_all():
     place = np.array(earth_position(WGS84, 0.6, 2.2, 5000.0))
     work = anchored(WGS84, AIR, place)
     there = place + np.array([3.0, 4.0, 5.0])
-    near, far = frame_and_air(WGS84, AIR, NO_POOL, *there, work)[0], exact(WGS84, AIR, there)[0]
+    near, far = frame_and_air(WGS84, AIR, POOL, *there, work)[0], exact(WGS84, AIR, there)[0]
     assert near[1] != far[1]
     beyond = place + np.array([0.0, 0.0, 1.01 * NEAR_m])
-    assert frame_and_air(WGS84, AIR, NO_POOL, *beyond, work)[0] == tuple(exact(WGS84, AIR, beyond)[0])
+    assert frame_and_air(WGS84, AIR, POOL, *beyond, work)[0] == tuple(exact(WGS84, AIR, beyond)[0])
 
 
 @pytest.mark.parametrize("edge_m", EDGES_m)
@@ -73,7 +76,7 @@ def test_no_series_reaches_into_another_layer(edge_m):
         place = np.array(earth_position(WGS84, latitude, longitude, edge_m - below_m))
         there = np.array(earth_position(WGS84, latitude, longitude, edge_m - below_m + rise_m))
         work = anchored(WGS84, AIR, place)
-        _, gas = frame_and_air(WGS84, AIR, NO_POOL, *there, work)
+        _, gas = frame_and_air(WGS84, AIR, POOL, *there, work)
         assert np.abs(np.array(gas) / exact(WGS84, AIR, there)[1] - 1.0).max() < 1e-11
 
 
@@ -84,7 +87,7 @@ def test_what_is_not_near_anything_is_exact():
     assert anchored(WGS84, AIR, pole)[ANCHOR] == NO_ANCHOR
     place = earth_position(WGS84, 0.6, 2.2, 5000.0)
     work = np.zeros(WORK_SIZE)  # nobody has dropped an anchor
-    frame, gas = frame_and_air(WGS84, AIR, NO_POOL, *place, work)
+    frame, gas = frame_and_air(WGS84, AIR, POOL, *place, work)
     assert work[ANCHOR] == NO_ANCHOR
     assert frame == tuple(exact(WGS84, AIR, place)[0])
     assert gas == tuple(exact(WGS84, AIR, place)[1])
@@ -94,11 +97,11 @@ def test_other_atmospheres_are_not_continued():
     vacuum = pack([Atmosphere(VACUUM)])[0]
     place = np.array(earth_position(WGS84, 0.6, 2.2, 5000.0))
     work = anchored(WGS84, vacuum, place)
-    _, gas = frame_and_air(WGS84, vacuum, NO_POOL, *(place + 1.0), work)
+    _, gas = frame_and_air(WGS84, vacuum, POOL, *(place + 1.0), work)
     assert gas[0] == 0.0
 
 
 def test_a_place_that_is_no_number_is_not_near():
     work = anchored(WGS84, AIR, earth_position(WGS84, 0.6, 2.2, 5000.0))
-    frame, _ = frame_and_air(WGS84, AIR, NO_POOL, math.nan, 0.0, 0.0, work)
+    frame, _ = frame_and_air(WGS84, AIR, POOL, math.nan, 0.0, 0.0, work)
     assert math.isnan(frame[0])

@@ -18,6 +18,7 @@ from maxq.sim.world import atmosphere as air
 from maxq.sim.world import earth as globe
 from maxq.sim.world import turbulence as dryden
 from maxq.sim.world import wind as winds
+from maxq.sim.world.thermosphere import upper_air
 
 _GRAVITY = {"none": globe.NO_GRAVITY, "uniform": globe.UNIFORM, "inverse_square": globe.INVERSE_SQUARE, "j2": globe.J2}
 _AIR = {"us1976": air.US1976, "table": air.TABLE, "constant": air.CONSTANT}
@@ -54,6 +55,8 @@ def _atmosphere(atmosphere: schema.Atmosphere, pool: Pool) -> air.Atmosphere:
     if atmosphere.model == "vacuum":
         return air.Atmosphere(air.VACUUM)
     made = air.Atmosphere(_AIR[atmosphere.model], density_factor=atmosphere.density_factor)
+    if atmosphere.model == "us1976":
+        return replace(made, table=pool.add(upper_air()))
     if (t := atmosphere.table) is not None:
         columns = t["density_kgpm3"], t["pressure_Pa"], t["temperature_K"]
         return replace(made, table=pool.add(air.air_table(t["altitude_m"], *columns)))

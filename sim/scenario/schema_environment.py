@@ -84,7 +84,9 @@ class Earth(Section):
 class Atmosphere(Section):
     """Air at rest relative to the Earth."""
 
-    model: Literal["us1976", "table", "constant", "vacuum"] = optional("US Standard Atmosphere 1976", "us1976")
+    model: Literal["us1976", "table", "constant", "vacuum"] = optional(
+        "us1976: US Standard Atmosphere 1976, from -5 to 1000 km (no air above); vacuum: none at all", "us1976"
+    )
     table: Annotated[CsvTable, ATMOSPHERE_COLUMNS] | None = optional('for model = "table"')
     density_kgpm3: NotNegative | None = optional('kg/m3, for model = "constant"')
     temperature_K: Positive | None = optional('K, for model = "constant" (default 288.15)')

@@ -8,7 +8,7 @@ stores nothing: each evaluation is then independent, as numerical differentiatio
 Within `NEAR_m`, and at that distance: altitude to 3e-11 m (third powers omitted), pressure to 3e-13 relative, the
 directions of north and east to 1e-10 rad (squares omitted; near the poles, where they are not small, no anchor is set).
 A step of 1 ms at 1 km/s covers a tenth of it: 1e-13 m, 1e-16 and 1e-12 rad. Farther away, in another layer of the
-atmosphere, over a flat Earth and in other atmospheres than US 1976 the exact formulas are used.
+atmosphere, above 86 km, over a flat Earth and in other atmospheres than US 1976 the exact formulas are used.
 """
 
 from __future__ import annotations
@@ -38,6 +38,7 @@ from maxq.sim.world.atmosphere import (
     US1976,
     Atmosphere,
     GAS_CONSTANT_Jpkg_K,
+    TOP_m,
     air,
     speed_of_sound,
     us1976_about,
@@ -168,7 +169,7 @@ def _set_anchor(
     work[_CURVATURE_EAST] = 1.0 / (normal + altitude)
     work[_LONGITUDE] = work[_CURVATURE_EAST] / cos_lat
     work[_REACH_DOWN], work[_REACH_UP] = 0.0, 0.0
-    if atmosphere.model == US1976:
+    if atmosphere.model == US1976 and altitude < TOP_m:
         for j in range(4):
             work[_GAS + j] = gas[j]
         work[_INVERSE_TEMPERATURE] = 1.0 / gas[2]

@@ -1,16 +1,14 @@
 """The air at rest: density, pressure, temperature and speed of sound over geometric altitude.
 
-US Standard Atmosphere 1976 (NOAA-S/T 76-1562) by its equations to 86 km, with its own constants
-(R* = 8314.32 N m/(kmol K), M = 28.9644 kg/kmol, gamma = 1.4, r0 = 6356.766 km). Temperature is the
-molecular-scale temperature, which exceeds the kinetic one by up to 0.08 K between 80 and 86 km.
-
-Beyond the standard's equations:
-- above 86 km the air is isothermal at 186.946 K in hydrostatic equilibrium, as in the standard itself up to
-  91 km. Density then falls monotonically to zero. Against the standard's tables it is 3 % high at
-  100 km, 24 % low at 120 km and 23 times too low at 150 km: adequate for an ascent, whose dynamic pressure is
-  negligible there, not for orbital lifetimes;
-- below sea level the first layer's equations extend to -5 km, the lower end of the standard's tables; below it
-  the values at -5 km hold.
+US Standard Atmosphere 1976 (NOAA-S/T 76-1562), with its own constants (R* = 8314.32 N m/(kmol K), M = 28.9644
+kg/kmol, gamma = 1.4, r0 = 6356.766 km):
+- to 86 km by its closed formulas. Temperature is the molecular-scale temperature, which exceeds the kinetic one by up
+  to 0.08 K between 80 and 86 km; below sea level the first layer's equations extend to -5 km, the lower end of the
+  standard's tables; below it the values at -5 km hold;
+- from 86 to 1000 km by cubics through what its equations give (`thermosphere.upper_air`), with the kinetic temperature.
+  Where the two meet, density and pressure step by 1e-5. The standard gives no speed of sound there: sqrt(gamma p / rho)
+  is carried on, so that a Mach number exists;
+- above 1000 km, where the standard ends, there is no air.
 """
 
 from __future__ import annotations
@@ -34,23 +32,22 @@ SEA_LEVEL_TEMPERATURE_K = 288.15
 SEA_LEVEL_DENSITY_kgpm3 = SEA_LEVEL_PRESSURE_Pa / (GAS_CONSTANT_Jpkg_K * SEA_LEVEL_TEMPERATURE_K)
 GEOPOTENTIAL_RADIUS_m = 6356766.0
 LOWEST_m = -5000.0  # geometric
-TOP_m = 86000.0  # geometric
+TOP_m = 86000.0  # geometric: of the closed formulas
 
 _G0_OVER_R_Kpm = 9.80665 / GAS_CONSTANT_Jpkg_K  # [K/m] pressure falls by exp(-g0 dH / (R T))
 
 
 def _layers() -> tuple[Array, Array, Array, Array]:
-    """Bases of the standard's layers and of the isothermal one on top: geopotential altitude [m], lapse rate [K/m],
-    temperature [K], pressure [Pa]; the last two follow from the first, layer by layer, so that all is continuous.
+    """Bases of the standard's layers: geopotential altitude [m], lapse rate [K/m], temperature [K], pressure [Pa];
+    the last two follow from the first, layer by layer, so that all is continuous.
     """
-    top = GEOPOTENTIAL_RADIUS_m * TOP_m / (GEOPOTENTIAL_RADIUS_m + TOP_m)
-    base = np.array([0.0, 11e3, 20e3, 32e3, 47e3, 51e3, 71e3, top])
-    lapse = np.array([-6.5e-3, 0.0, 1.0e-3, 2.8e-3, 0.0, -2.8e-3, -2.0e-3, 0.0])
-    temperature, pressure = np.empty(8), np.empty(8)
+    base = np.array([0.0, 11e3, 20e3, 32e3, 47e3, 51e3, 71e3])
+    lapse = np.array([-6.5e-3, 0.0, 1.0e-3, 2.8e-3, 0.0, -2.8e-3, -2.0e-3])
+    temperature, pressure = np.empty(7), np.empty(7)
     t, p = SEA_LEVEL_TEMPERATURE_K, SEA_LEVEL_PRESSURE_Pa
-    for i in range(8):
+    for i in range(7):
         temperature[i], pressure[i] = t, p
-        if i < 7:
+        if i < 6:
             rise = float(base[i + 1] - base[i])
             if lapse[i] == 0.0:
                 p *= math.exp(-_G0_OVER_R_Kpm * rise / t)
@@ -73,12 +70,13 @@ _EXPONENT = tuple(
 )
 # Geometric altitudes between which a layer's formula holds.
 _FLOOR_m = (LOWEST_m, *(GEOPOTENTIAL_RADIUS_m * h / (GEOPOTENTIAL_RADIUS_m - h) for h in _BASE_m[1:]))
-_CEILING_m = (*_FLOOR_m[1:], math.inf)
+_CEILING_m = (*_FLOOR_m[1:], TOP_m)
 
 
 @dataclass(frozen=True)
 class Atmosphere:
-    """Parameter record. `model`: VACUUM, US1976, TABLE (`table`, see `air_table`) or CONSTANT (the three values).
+    """Parameter record. `model`: VACUUM, US1976 (`table`: `thermosphere.upper_air`), TABLE (`table`, see `air_table`),
+    CONSTANT (the three values).
 
     `density_factor` multiplies the density of every model and nothing else: a dispersion, not a gas law.
     """
@@ -122,6 +120,9 @@ def air(atmosphere: Atmosphere, pool: Array, altitude_m: float) -> tuple[float, 
     always exists. A table holds its first row below itself and continues isothermally above its last.
     """
     if atmosphere.model == US1976:
+        if altitude_m >= TOP_m:
+            density, pressure, temperature, sound = _upper_air(pool, atmosphere.table, altitude_m)
+            return atmosphere.density_factor * density, pressure, temperature, sound
         pressure, temperature = us1976(altitude_m)
         density = pressure / (GAS_CONSTANT_Jpkg_K * temperature)
     elif atmosphere.model == TABLE:
@@ -141,7 +142,7 @@ def speed_of_sound(temperature_K: float) -> float:
 
 @kernel
 def us1976(altitude_m: float) -> tuple[float, float]:
-    """(pressure [Pa], temperature [K]) of the standard atmosphere: one power or one exponential a call."""
+    """(pressure [Pa], temperature [K]) of the standard below 86 km: one power or one exponential a call."""
     h = max(altitude_m, LOWEST_m)
     geopotential = GEOPOTENTIAL_RADIUS_m * h / (GEOPOTENTIAL_RADIUS_m + h)
     i = _layer(geopotential)
@@ -155,7 +156,7 @@ def us1976(altitude_m: float) -> tuple[float, float]:
 @kernel
 def _layer(geopotential_m: float) -> int:
     i = 0
-    while i < 7 and geopotential_m >= _BASE_m[i + 1]:
+    while i < 6 and geopotential_m >= _BASE_m[i + 1]:
         i += 1
     return i
 
@@ -187,6 +188,19 @@ def us1976_nearby(
     third = second * (first - 2.0 * lapse) * (1.0 / 3.0)
     d = geopotential_rise_m
     return pressure_Pa * (1.0 + d * (first + d * (second + d * third))), 1.0 + d * lapse
+
+
+@kernel
+def _upper_air(pool: Array, table: TableRef, altitude_m: float) -> tuple[float, float, float, float]:
+    """(density, pressure, temperature, speed of sound) of the standard above 86 km; none of the air above its end."""
+    k = find_interval(pool, table, altitude_m)
+    log_density = interpolate(pool, table, k, altitude_m, 0)
+    log_pressure = interpolate(pool, table, k, altitude_m, 1)
+    temperature = interpolate(pool, table, k, altitude_m, 2)
+    sound = math.sqrt(HEAT_RATIO * math.exp(log_pressure - log_density))
+    if altitude_m > pool[table.offset + table.n_breaks - 1]:
+        return 0.0, 0.0, temperature, sound
+    return math.exp(log_density), math.exp(log_pressure), temperature, sound
 
 
 @kernel
