@@ -11,7 +11,7 @@ from maxq.sim.campaign.runs import fly_rows
 from maxq.sim.packing.flight import pack_flight, pack_for_one_vehicle
 from maxq.sim.run.fly import FlightRun
 from maxq.sim.scenario.loader import load_scenario
-from maxq.sim.vehicle.state import Sizes, counts
+from maxq.sim.vehicle.state import Counts, Sizes, counts
 
 SHORT = ["run.duration_s=12.0", "run.stop_at=[]", "campaign.keep=[]"]
 
@@ -62,8 +62,9 @@ def test_stages_of_unlike_sizes_stay_with_the_common_kernels():
 
 
 def test_uncompiled_source_reads_the_record():
-    sizes = with_constants(pack([Sizes(1, 2, 3, 4)]))[0]
-    assert getattr(counts, "py_func", counts)(sizes) == (1, 2, 3, 4)
+    numbers = tuple(range(1, 1 + len(Counts._fields)))
+    sizes = with_constants(pack([Sizes(*numbers)]))[0]
+    assert getattr(counts, "py_func", counts)(sizes) == numbers
 
 
 def test_the_cache_follows_the_sources_wherever_they_lie(tmp_path, monkeypatch):

@@ -87,7 +87,7 @@ def _fitted(x_bytes: bytes, y_bytes: bytes, columns: int, method: Method) -> Cub
     if len(x) == 1:
         x, y = np.array([x[0], x[0] + 1.0]), np.repeat(y, 2, axis=0)
     if method == "pchip" and len(x) > 2:
-        c = hermite(x, y, _monotone_slopes(x, y)).coefficients
+        c = hermite(x, y, monotone_slopes(x, y)).coefficients
     else:
         c = np.zeros((len(x) - 1, 4, columns))
         c[:, 0] = y[:-1]
@@ -100,7 +100,7 @@ def _fitted(x_bytes: bytes, y_bytes: bytes, columns: int, method: Method) -> Cub
 def hermite(x: Array, y: Array, slopes: Array) -> Cubics:
     """Piecewise cubics with values `y` and derivatives `slopes`, both (n, m), at `x` (n,), which rises strictly.
 
-    This and `_monotone_slopes` do what SciPy's CubicHermiteSpline and PchipInterpolator do, in the same order of
+    This and `monotone_slopes` do what SciPy's CubicHermiteSpline and PchipInterpolator do, in the same order of
     operations: importing them takes longer than flying (0.5 s, measured by python -X importtime).
     """
     h = np.diff(x)[:, None]
@@ -109,7 +109,7 @@ def hermite(x: Array, y: Array, slopes: Array) -> Cubics:
     return Cubics(x, np.stack([y[:-1], slopes[:-1], (secant - slopes[:-1]) / h - bend, bend / h], axis=1))
 
 
-def _monotone_slopes(x: Array, y: Array) -> Array:
+def monotone_slopes(x: Array, y: Array) -> Array:
     """Derivatives (n, m) at three points or more with which the cubics do not overshoot (Fritsch & Butland 1984)."""
     h = np.diff(x)[:, None]
     secant = np.diff(y, axis=0) / h
@@ -188,11 +188,15 @@ class Pool:
         self._size = 0
 
     def add(self, table: Cubics) -> TableRef:
-        ref = TableRef(self._size, len(table.breaks), table.n_columns)
-        for part in (table.breaks, table.coefficients.ravel()):
-            self._parts.append(np.ascontiguousarray(part, dtype=float))
+        return TableRef(self.put(table.breaks, table.coefficients), len(table.breaks), table.n_columns)
+
+    def put(self, *parts: Array) -> int:
+        """Append arrays; returns where the first one begins."""
+        offset = self._size
+        for part in parts:
+            self._parts.append(np.ascontiguousarray(part, dtype=float).ravel())
             self._size += part.size
-        return ref
+        return offset
 
     def array(self) -> Array:
         return np.concatenate(self._parts) if self._parts else np.zeros(1)

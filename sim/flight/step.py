@@ -72,7 +72,7 @@ def read_schedule(p: Parameters, pool: Array, memory: Memory, now_ns: int, elaps
     """Properties of the vehicle `elapsed_s` after `now_ns`; no thrust from an engine that does not burn."""
     clock_s = schedule_clock(p, now_ns, elapsed_s)
     interpolate_into(pool, p.vehicle.schedule, memory.clock.interval, clock_s, properties, 0)
-    derive_properties(p.vehicle, properties)
+    derive_properties(p.vehicle, pool, clock_s, properties)
     if memory.held.burning == 0:
         properties[THRUST_VACUUM] = 0.0
 

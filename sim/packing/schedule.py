@@ -39,16 +39,22 @@ def stage_sizes(stage: Stage, switches: Switches) -> Sizes:
         pitch = pitch_table.modes if pitch_table else 0
         yaw = yaw_table.modes if yaw_table else 0
     tanks = len(stage.tank) if switches.slosh else 0
-    return Sizes(pitch, yaw, tanks, len(surface_stations(stage)))
+    tables = 0 if stage.aero is None else len(stage.aero.coefficients)
+    return Sizes(pitch, yaw, tanks, len(surface_stations(stage)), tables)
 
 
 def surface_stations(stage: Stage) -> tuple[float, ...]:
-    """Station of each lifting surface at which it meets the mode shapes: the mean over its Mach table, m.
+    """Station of each lifting surface at which it meets mode shapes and wind: the mean over its Mach table, m.
 
-    The last one stands for the normal force that the table of coefficients has beyond the surfaces' sum.
+    Behind the surfaces one for the normal force that the table of coefficients has beyond their sum, then those of the
+    tables over incidence.
     """
     aero = stage.aero
-    return () if aero is None else _stations(aero.table, aero.surface, aero.moment_reference_m)
+    if aero is None:
+        return ()
+    reference_m = float(aero.moment_reference[1]["station_m"].mean())
+    tables = (reference_m if table.station_m is None else table.station_m for table in aero.coefficients)
+    return (*_stations(aero.table, aero.surface, reference_m), *tables)
 
 
 @cached_by_identity

@@ -195,6 +195,9 @@ class Stage(Section):
         for n, surface in enumerate(self.aero.surface if self.aero is not None else ()):
             place = surface.table["station_m"]
             needed += [(("aero", "surface", n, "table"), float(x)) for x in (place.min(), place.max())]
+        for n, table in enumerate(self.aero.coefficients if self.aero is not None else ()):
+            if table.station_m is not None:
+                needed.append((("aero", "coefficients", n, "station_m"), table.station_m))
         for modes in (self.bending.pitch_modes, self.bending.yaw_modes):
             if modes is None:
                 continue

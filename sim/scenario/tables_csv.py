@@ -98,7 +98,8 @@ class Columns:
     `axis`: the column over which the others are given. It must increase strictly (`repeats`: may stand still) and
     begin at or before `begins_by`. `sets`: alternative sets of required columns, exactly one of which must be
     there in full. `positive`, `not_negative`: columns so bounded. Without an axis (empty) a table of samples: any
-    columns.
+    columns. `grid`: instead of one axis any of these, at least one, and the others at each combination of their
+    values (grids.py).
     """
 
     axis: str
@@ -108,13 +109,22 @@ class Columns:
     not_negative: tuple[str, ...] = ()
     begins_by: float | None = None
     repeats: bool = False
+    grid: tuple[str, ...] = ()
+
+    @property
+    def named(self) -> bool:
+        """Whether only certain columns are known."""
+        return bool(self.axis or self.grid)
 
     def known(self) -> list[str]:
         """All names that a column may have."""
-        return list(dict.fromkeys([self.axis, *(name for names in self.sets for name in names), *self.optional]))
+        axes = [self.axis] if self.axis else [*self.grid]
+        return list(dict.fromkeys([*axes, *(name for names in self.sets for name in names), *self.optional]))
 
     def allowed(self) -> str:
         """The columns in words."""
+        if self.grid:
+            return f"columns {', '.join(self.grid)} (one or more), {', '.join(self.optional)} (one or more)"
         if not self.axis:
             return "a line of column names, then lines of numbers"
         either = " or ".join(", ".join((self.axis, *names)) for names in self.sets)
@@ -127,13 +137,14 @@ class Columns:
 
     def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: GetJsonSchemaHandler) -> dict[str, Any]:
         number = {"type": "number"}
-        if not self.axis:
+        if not self.named:
             lists = {"type": "array", "items": number, "minItems": 1}
             return {"anyOf": [{"type": "string"}, {"type": "object", "additionalProperties": lists}]}
 
         def table(item: dict[str, Any], **more: Any) -> dict[str, Any]:
             properties = more | dict.fromkeys(self.known(), item)
-            return {"type": "object", "properties": properties, "required": [self.axis], "additionalProperties": False}
+            required = [self.axis] if self.axis else []
+            return {"type": "object", "properties": properties, "required": required, "additionalProperties": False}
 
         return {
             "anyOf": [
@@ -193,7 +204,7 @@ class Columns:
         return CsvTable("", {name: _column(numbers) for name, numbers in cells.items()})
 
     def _check_name(self, name: str, key: Path = (), file: str = "", place: str = "") -> None:
-        if self.axis and name not in self.known():
+        if self.named and name not in self.known():
             hint = suggestion(name, self.known())
             problem = f'unknown column "{name}"' + (f"; {hint}" if hint else "")
             raise refuse(problem, self.allowed(), key=key, file=file, place=place)
@@ -204,6 +215,9 @@ class Columns:
             short = min(self.sets, key=lambda names: sum(name not in table for name in names))
             missing = [name for name in (self.axis, *short) if name not in table]
             raise table.refusal(f"column {missing[0]} is missing", self.allowed())
+        for names, what in ((self.grid, "an axis"), (self.optional, "a coefficient")):
+            if self.grid and not any(name in table for name in names):
+                raise table.refusal(f"the table has no column of {what}", self.allowed())
         also = {name for names in self.sets for name in names} - set(complete[0]) - set(self.optional)
         clash = [name for name in table.columns if name in also]
         if clash:
@@ -280,7 +294,7 @@ def _check_header(header: list[str], shown: str, number: int, columns: Columns) 
     for i, name in enumerate(header):
         if name in header[:i]:
             raise refuse(f"column {name} appears twice", columns.allowed(), file=shown, place=place)
-    if columns.axis and columns.axis not in header and not any(name in columns.known() for name in header):
+    if columns.named and columns.axis not in header and not any(name in columns.known() for name in header):
         raise refuse("is not a line of column names", f"CSV with {columns.allowed()}", file=shown, place=place)
     for name in header:
         columns._check_name(name, file=shown, place=place)

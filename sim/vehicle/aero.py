@@ -1,28 +1,44 @@
-"""Aerodynamic forces and moments over the full circle of incidence.
+"""Aerodynamic forces and moments over the full circle of incidence, by slopes over Mach number.
 
 With the velocity relative to the air (U, V, W) in B and rho S / 2 in front, the normal force of a lifting surface is
 -CN_alpha |U| W_k, the cross-flow drag -C_c |(V, W)| W, the axial force -CA U |U|: for small incidence these are
 q S CN_alpha alpha and q S CA, at 90 degrees only the cross-flow is left, and nothing is undefined at rest
 (docs/model.md, section 6). W_k is the local cross flow: bending turns the surface (slope) and moves it (rate).
+Beside the slopes, or in their place, stand tables over Mach number and incidence (incidence.py).
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Annotated
 
 from maxq.control.kernel.jit import kernel
+from maxq.control.kernel.limits import MAX_SURFACES
 from maxq.control.kernel.records import Array
-from maxq.control.kernel.tables import TableRef, find_interval, interpolate_into
-from maxq.control.kernel.vectors import Vector
+from maxq.control.kernel.tables import TableRef, find_interval, interpolate_into, look_up
+from maxq.control.kernel.vectors import Vector, add, cross, scaled
 from maxq.sim.vehicle.bending import add_to_modes, modal_sum, of_plane
 from maxq.sim.vehicle.block import Counts
-from maxq.sim.vehicle.schedule import CORE_CG, PITCH, YAW, mode_column, padded_modes, surface_row
+from maxq.sim.vehicle.incidence import ALWAYS, POWER_ON, IncidenceTables, rate_loads, static_loads, table_coefficients
+from maxq.sim.vehicle.schedule import (
+    CORE_CG,
+    MOMENT_REFERENCE,
+    PITCH,
+    TOTAL_MASS,
+    YAW,
+    mode_column,
+    padded_modes,
+    schedule_width,
+    surface_row,
+)
 from maxq.sim.vehicle.workspace import ETA, FORCE, MACH_ROW, NU
 
 # Columns of the Mach table; CD is the drag along the relative wind, whatever the attitude. From FIRST_SURFACE on, per
 # surface, CN_alpha and CN_alpha times its station.
 CA, CA_COAST, CD, CMQ, CNR, CLP, CROSSFLOW, CM0, FIRST_SURFACE = range(9)
+
+FIXED, OVER_TIME, OVER_MASS = range(3)  # how the moment reference moves
 
 
 @dataclass(frozen=True)
@@ -40,6 +56,20 @@ class Aero:
     axial_factor: float  # on CA and CD
     damping_factor: float
     centre_shift_m: float  # moves every surface aft
+    airspeed_floor_mps: float  # no aerodynamic force below it
+    tables: IncidenceTables
+    station_m: Annotated[Array, (MAX_SURFACES + 1,)]  # of each surface and table: where it meets modes and wind
+    reference: TableRef  # station about which moments of tables, and of the slopes of `remainder`, are given
+    reference_moves: int  # FIXED, OVER_TIME, OVER_MASS
+    remainder: int  # the surface whose moment goes by a reference that moves, or -1
+
+
+@kernel
+def moment_reference(aero: Aero, sizes: Counts, pool: Array, clock_s: float, properties: Array) -> None:
+    """Station of the moment reference at this instant into the derived properties."""
+    if sizes.tables > 0 or aero.reference_moves != FIXED:
+        x = properties[TOTAL_MASS] if aero.reference_moves == OVER_MASS else clock_s
+        properties[schedule_width(sizes) + MOMENT_REFERENCE] = look_up(pool, aero.reference, x, 0)
 
 
 @kernel
@@ -82,21 +112,17 @@ def surface_loads(
     aero: Aero, sizes: Counts, density: float, flow: Vector, properties: Array, work: Array
 ) -> tuple[Vector, Vector]:
     """Normal force of the lifting surfaces with their local incidence; adds to the modes' generalised forces."""
-    u, v, w = flow
-    half = 0.5 * density * aero.area_m2 * aero.force_factor * abs(u)
+    half = 0.5 * density * aero.area_m2 * aero.force_factor * abs(flow[0])
     x_cg, y_cg, z_cg = properties[CORE_CG], properties[CORE_CG + 1], properties[CORE_CG + 2]
     fy, fz, mx, my, mz = 0.0, 0.0, 0.0, 0.0, 0.0
-    for s in range(sizes.surfaces):
+    for s in range(sizes.surfaces - sizes.tables):
         cn = work[MACH_ROW + FIRST_SURFACE + 2 * s]
         cn_x = work[MACH_ROW + FIRST_SURFACE + 2 * s + 1] + cn * aero.centre_shift_m
+        if s == aero.remainder:
+            cn_x += cn * properties[schedule_width(sizes) + MOMENT_REFERENCE]
         in_pitch = mode_column(sizes, PITCH, surface_row(sizes, s))
         in_yaw = mode_column(sizes, YAW, surface_row(sizes, s))
-        w_local, v_local = w, v
-        if aero.local_incidence == 1:
-            w_local += u * modal_sum(sizes, properties, in_pitch + padded_modes(sizes), work, of_plane(ETA, PITCH))
-            w_local += modal_sum(sizes, properties, in_pitch, work, of_plane(NU, PITCH))
-            v_local += u * modal_sum(sizes, properties, in_yaw + padded_modes(sizes), work, of_plane(ETA, YAW))
-            v_local += modal_sum(sizes, properties, in_yaw, work, of_plane(NU, YAW))
+        v_local, w_local = local_flow(aero, sizes, s, flow, properties, work)[1:]
         force_y, force_z = -half * cn * v_local, -half * cn * w_local
         add_to_modes(sizes, properties, in_pitch, force_z, work, of_plane(FORCE, PITCH))
         add_to_modes(sizes, properties, in_yaw, force_y, work, of_plane(FORCE, YAW))
@@ -106,3 +132,63 @@ def surface_loads(
         my += half * w_local * (cn * x_cg - cn_x)
         mz -= half * v_local * (cn * x_cg - cn_x)
     return (0.0, fy, fz), (mx, my, mz)
+
+
+@kernel
+def local_flow(aero: Aero, sizes: Counts, s: int, flow: Vector, properties: Array, work: Array) -> Vector:
+    """Flow at surface or table `s` of the bent body, B, m/s."""
+    u, v, w = flow
+    if aero.local_incidence == 1:
+        in_pitch = mode_column(sizes, PITCH, surface_row(sizes, s))
+        in_yaw = mode_column(sizes, YAW, surface_row(sizes, s))
+        w += u * modal_sum(sizes, properties, in_pitch + padded_modes(sizes), work, of_plane(ETA, PITCH))
+        w += modal_sum(sizes, properties, in_pitch, work, of_plane(NU, PITCH))
+        v += u * modal_sum(sizes, properties, in_yaw + padded_modes(sizes), work, of_plane(ETA, YAW))
+        v += modal_sum(sizes, properties, in_yaw, work, of_plane(NU, YAW))
+    return u, v, w
+
+
+@kernel
+def table_loads(
+    aero: Aero, sizes: Counts, pool: Array, density: float, mach: float, flow: Vector, rate: Vector, burning: int,
+    properties: Array, work: Array,
+) -> tuple[Vector, Vector]:  # fmt: skip  # eleven more lines otherwise
+    """Forces and moments of the tables over incidence about the core CG in B; adds to the modes' generalised forces."""
+    lengths = (aero.span_m, aero.chord_m, aero.yaw_chord_m)
+    reference_m = properties[schedule_width(sizes) + MOMENT_REFERENCE]
+    cg = properties[CORE_CG]
+    arm = (cg - reference_m, -properties[CORE_CG + 1], -properties[CORE_CG + 2])
+    total_force, total_moment = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
+    for j in range(sizes.tables):
+        power = aero.tables.power[j]
+        if power == ALWAYS or (power == POWER_ON) == (burning == 1):
+            s = sizes.surfaces - sizes.tables + j
+            local = local_flow(aero, sizes, s, flow, properties, work)
+            table_coefficients(aero.tables, pool, j, mach, local, work)
+            half = 0.5 * density * aero.area_m2
+            square = local[0] * local[0] + local[1] * local[1] + local[2] * local[2]
+            axial, lateral, couple = static_loads(
+                aero.tables, j, local, lengths, aero.axial_factor, aero.force_factor, work
+            )  # fmt: skip  # three more lines otherwise
+            axial, lateral, couple = (
+                scaled(half * square, axial), scaled(half * square, lateral), scaled(half * square, couple)
+            )  # fmt: skip  # two more lines otherwise
+            if aero.tables.any_rates[j] == 1:
+                damping = 0.5 * half * aero.damping_factor * math.sqrt(square)
+                by_rate, couple_by_rate = rate_loads(rate, lengths, work)
+                lateral = add(lateral, scaled(damping, by_rate))
+                couple = add(couple, scaled(damping, couple_by_rate))
+            moment = add(couple, add(cross(arm, axial), cross((arm[0] - aero.centre_shift_m, arm[1], arm[2]), lateral)))
+            total_force = add(total_force, add(axial, lateral))
+            total_moment = add(total_moment, moment)
+            # on the modes: the force at the table's station, and its moment about that
+            forward = aero.station_m[s] - reference_m - aero.centre_shift_m
+            couple_y, couple_z = couple[1] - forward * lateral[2], couple[2] + forward * lateral[1]
+            in_pitch = mode_column(sizes, PITCH, surface_row(sizes, s))
+            in_yaw = mode_column(sizes, YAW, surface_row(sizes, s))
+            slopes = padded_modes(sizes)
+            add_to_modes(sizes, properties, in_pitch, lateral[2], work, of_plane(FORCE, PITCH))
+            add_to_modes(sizes, properties, in_pitch + slopes, couple_y, work, of_plane(FORCE, PITCH))
+            add_to_modes(sizes, properties, in_yaw, lateral[1], work, of_plane(FORCE, YAW))
+            add_to_modes(sizes, properties, in_yaw + slopes, -couple_z, work, of_plane(FORCE, YAW))
+    return total_force, total_moment

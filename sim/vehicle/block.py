@@ -24,10 +24,11 @@ class Sizes:
     pitch_modes: int
     yaw_modes: int
     tanks: int
-    surfaces: int
+    surfaces: int  # places at which the air acts on the bent body: lifting surfaces, then tables of coefficients
+    tables: int = 0  # of these, tables of coefficients over incidence
 
 
-LARGEST = Sizes(MAX_MODES, MAX_MODES, MAX_TANKS, MAX_SURFACES + 1)
+LARGEST = Sizes(MAX_MODES, MAX_MODES, MAX_TANKS, MAX_SURFACES + 1, MAX_SURFACES)
 
 
 class Counts(NamedTuple):
@@ -41,13 +42,15 @@ class Counts(NamedTuple):
     yaw_modes: int
     tanks: int
     surfaces: int
+    tables: int
 
 
 @kernel
 def counts(sizes: Sizes) -> Counts:
     return Counts(
-        integer(sizes, "pitch_modes"), integer(sizes, "yaw_modes"), integer(sizes, "tanks"), integer(sizes, "surfaces")
-    )
+        integer(sizes, "pitch_modes"), integer(sizes, "yaw_modes"), integer(sizes, "tanks"), integer(sizes, "surfaces"),
+        integer(sizes, "tables"),
+    )  # fmt: skip  # three more lines otherwise
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,7 @@ from typing import Annotated
 
 from maxq.control.kernel.jit import kernel, routine
 from maxq.control.kernel.records import Array
-from maxq.control.kernel.tables import TableRef
+from maxq.control.kernel.tables import TableRef, find_interval, interpolate_into
 from maxq.control.kernel.vectors import (
     Vector,
     add,
@@ -22,7 +22,7 @@ from maxq.control.kernel.vectors import (
     vector_at,
 )
 from maxq.sim.vehicle.actuator import Actuator, actuator_derivative, actuator_output
-from maxq.sim.vehicle.aero import Aero, body_loads, coefficients, surface_loads
+from maxq.sim.vehicle.aero import Aero, body_loads, coefficients, moment_reference, surface_loads, table_loads
 from maxq.sim.vehicle.bending import (
     Bending,
     GimbalLoad,
@@ -52,6 +52,7 @@ from maxq.sim.vehicle.schedule import (
     CORE_CG,
     INVERSE_TOTAL_MASS,
     PITCH,
+    RATE_DAMPING,
     THRUST_VACUUM,
     YAW,
     complete_modes,
@@ -62,6 +63,7 @@ from maxq.sim.vehicle.state import ACTUATOR, GYRO, N_ACTUATOR, N_PENDULUM, eta_i
 from maxq.sim.vehicle.workspace import (
     AERO_FORCE,
     AERO_MOMENT,
+    AIRSPEED,
     ANGULAR_ACCEL,
     AXIAL_LOAD,
     DENSITY,
@@ -94,6 +96,7 @@ class Vehicle:
     aero: Aero
     bending: Bending
     slosh: Slosh
+    rate_damping: TableRef  # columns about x, y, z over the schedule's clock, N m s/rad; none: no such damping
     roll_torque_Nm: float
     jet_damping: int
     follower_thrust: int
@@ -128,12 +131,16 @@ class StageInputs:
 
 
 @kernel
-def derive_properties(vehicle: Vehicle, properties: Array) -> None:
+def derive_properties(vehicle: Vehicle, pool: Array, clock_s: float, properties: Array) -> None:
     """Compute the derived properties, behind the columns of the schedule, once for all derivatives at an instant."""
     sizes, bending = counts(vehicle.sizes), vehicle.bending
     complete_modes(sizes, PITCH, sizes.pitch_modes, bending.zeta_pitch, bending.frequency_factor, properties)
     complete_modes(sizes, YAW, sizes.yaw_modes, bending.zeta_yaw, bending.frequency_factor, properties)
     prepare_outflow(vehicle.engine, vehicle.slosh, sizes, properties)
+    moment_reference(vehicle.aero, sizes, pool, clock_s, properties)
+    if vehicle.rate_damping.n_columns > 0:
+        k = find_interval(pool, vehicle.rate_damping, clock_s)
+        interpolate_into(pool, vehicle.rate_damping, k, clock_s, properties, schedule_width(sizes) + RATE_DAMPING)
 
 
 @routine
@@ -171,6 +178,12 @@ def derivative(
     if vehicle.jet_damping == 1:
         jet_force, jet_moment = coriolis_of_outflow(sizes, rate, properties)
         force, moment = add(force, jet_force), add(moment, jet_moment)
+    if vehicle.rate_damping.n_columns > 0:
+        behind = schedule_width(sizes) + RATE_DAMPING
+        moment = add(
+            moment,
+            (-properties[behind] * rate[0], -properties[behind + 1] * rate[1], -properties[behind + 2] * rate[2]),
+        )
     moment = add(moment, scaled(-1.0, cross(rate, inertia_times(engine.inertia, rate))))
 
     if vehicle.engine.gimballed_mass_kg > 0.0 or vehicle.engine.inertia_kgm2 > 0.0:
@@ -240,7 +253,7 @@ def aerodynamics(
 ) -> tuple[Vector, Vector]:  # fmt: skip  # eight more lines otherwise
     """Force and moment about the core CG in B; adds to the generalised forces of the modes in `work`."""
     force, moment = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
-    if vehicle.aero.on == 1 and aux[DENSITY] > 0.0:
+    if vehicle.aero.on == 1 and aux[DENSITY] > 0.0 and aux[AIRSPEED] >= vehicle.aero.airspeed_floor_mps:
         flow = vector_at(aux, FLOW)
         coefficients(vehicle.aero, pool, aux[MACH], work)
         if vehicle.aero.earth_rates == 1:
@@ -250,6 +263,11 @@ def aerodynamics(
         force, moment = body_loads(vehicle.aero, aux[DENSITY], flow, rate, held.burning, cg, work)
         surface_force, surface_moment = surface_loads(vehicle.aero, sizes, aux[DENSITY], flow, properties, work)
         force, moment = add(force, surface_force), add(moment, surface_moment)
+        if sizes.tables > 0:
+            table_force, table_moment = table_loads(
+                vehicle.aero, sizes, pool, aux[DENSITY], aux[MACH], flow, rate, held.burning, properties, work
+            )  # fmt: skip  # twelve lines otherwise
+            force, moment = add(force, table_force), add(moment, table_moment)
     return force, moment
 
 

@@ -39,7 +39,9 @@ GRAM = PENDULUM + PENDULUM_WIDTH * MAX_TANKS  # matrix of the tensions, see slos
 TENSION = GRAM + MAX_TANKS * MAX_TANKS
 ANCHOR = TENSION + MAX_TANKS  # see environment.py
 ANCHOR_WIDTH = 28
-WORK_SIZE = ANCHOR + ANCHOR_WIDTH
+GRID_ROW = ANCHOR + ANCHOR_WIDTH  # columns of a table of coefficients over incidence
+COEFFICIENTS = GRID_ROW + 14  # and what they are, see incidence.py
+WORK_SIZE = COEFFICIENTS + 14
 
 # --- aux
 ALTITUDE = 0  # m above the ellipsoid, sphere or plane

@@ -1,0 +1,129 @@
+"""Aerodynamic coefficients over Mach number and incidence: forces and moments of the whole vehicle or of parts of it.
+
+Coefficients of a table are referred to body axes (CX, CY, CZ and Cl, Cm, Cn about x, y, z), or to the aeroballistic
+ones: x, and z' in the plane of total incidence, on the side to which the vehicle moves through the air, y' across.
+Lift and drag (-CZ and -CX) are turned by the incidence in that plane. All tables are summed, each with the flow at
+its own station. Derivatives by the body rates are in body axes (docs/model.md, section 6).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Annotated
+
+from maxq.control.kernel.grids import N_COLUMNS, GridRefs, interpolate_grid
+from maxq.control.kernel.jit import kernel
+from maxq.control.kernel.limits import MAX_SURFACES
+from maxq.control.kernel.records import Array, IntArray
+from maxq.control.kernel.vectors import Vector
+from maxq.sim.vehicle.workspace import COEFFICIENTS, GRID_ROW
+
+NO_AXIS, MACH_AXIS, TOTAL, ROLL, ALPHA, BETA = range(6)  # what a grid's variables are
+BODY_AXES, AEROBALLISTIC = 0, 1
+ALWAYS, POWER_ON, POWER_OFF = range(3)
+# What the columns of a table are. Forces and moments first; then derivatives by p span / 2V, q chord / 2V and
+# r yaw chord / 2V.
+ROLES = ("CX", "CY", "CZ", "Cl", "Cm", "Cn", "Clp", "Clr", "Cmq", "Cnr", "Cnp", "CYp", "CYr", "CNq")
+CX, CY, CZ, CL, CM, CN, CLP, CLR, CMQ, CNR, CNP, CYP, CYR, CNQ = range(len(ROLES))
+N_ROLES = len(ROLES)
+
+
+@dataclass(frozen=True)
+class IncidenceTables:
+    """How many there are says `Sizes.tables`."""
+
+    grid: GridRefs
+    axis: Annotated[IntArray, (MAX_SURFACES, 3)]  # NO_AXIS ... BETA
+    role: Annotated[IntArray, (MAX_SURFACES, N_ROLES)]  # of each column
+    axes: Annotated[IntArray, (MAX_SURFACES,)]  # BODY_AXES, AEROBALLISTIC
+    along_wind: Annotated[IntArray, (MAX_SURFACES,)]  # 1: CX and CZ are minus drag and minus lift
+    power: Annotated[IntArray, (MAX_SURFACES,)]
+    first_roll_rad: Annotated[Array, (MAX_SURFACES,)]  # where the roll angle's circle begins
+    any_rates: Annotated[IntArray, (MAX_SURFACES,)]  # 1: has derivatives by the body rates
+
+
+@kernel
+def _angle(kind: int, mach: float, flow: Vector, lateral: float, first_roll: float) -> float:
+    """The variable of a grid, rad; `lateral` is the speed across the axis."""
+    u, v, w = flow
+    if kind == MACH_AXIS:
+        return mach
+    if kind == TOTAL:
+        return math.atan2(lateral, u)
+    if kind == ALPHA:
+        return math.atan2(w, u)
+    if kind == BETA:
+        return math.atan2(v, math.sqrt(u * u + w * w))
+    if kind == ROLL:
+        angle = math.atan2(v, w)
+        return angle - 2.0 * math.pi * math.floor((angle - first_roll) / (2.0 * math.pi))
+    return 0.0
+
+
+@kernel
+def table_coefficients(tables: IncidenceTables, pool: Array, j: int, mach: float, flow: Vector, work: Array) -> None:
+    """Coefficients of table `j` in the local flow (B, m/s) into the workspace, those it does not have as zero."""
+    lateral = math.sqrt(flow[1] * flow[1] + flow[2] * flow[2])
+    first_roll = float(tables.first_roll_rad[j])
+    interpolate_grid(
+        pool, tables.grid, j,
+        _angle(tables.axis[j, 0], mach, flow, lateral, first_roll),
+        _angle(tables.axis[j, 1], mach, flow, lateral, first_roll),
+        _angle(tables.axis[j, 2], mach, flow, lateral, first_roll),
+        work, GRID_ROW,
+    )  # fmt: skip  # ten lines otherwise
+    for role in range(N_ROLES):
+        work[COEFFICIENTS + role] = 0.0
+    for c in range(tables.grid.at[j, N_COLUMNS]):
+        work[COEFFICIENTS + tables.role[j, c]] = work[GRID_ROW + c]
+
+
+@kernel
+def static_loads(
+    tables: IncidenceTables, j: int, flow: Vector, lengths: Vector, axial_factor: float, force_factor: float,
+    work: Array,
+) -> tuple[Vector, Vector, Vector]:  # fmt: skip  # seven more lines otherwise
+    """From the workspace, per dynamic pressure and area: axial force (B), lateral force (B), moment (B, m).
+
+    `lengths`: references of roll, pitch and yaw moment, m. Along the wind the axial force includes drag and lift.
+    """
+    u, v, w = flow
+    lateral, across_y, across_z = 0.0, 0.0, 1.0  # unit vector of z'
+    if tables.axes[j] == AEROBALLISTIC:
+        lateral = math.sqrt(v * v + w * w)
+        across_z = 0.0  # along the axis all that depends on the plane is zero
+        if lateral > 0.0:
+            across_y, across_z = v / lateral, w / lateral
+    x = axial_factor * work[COEFFICIENTS + CX]
+    y, z = force_factor * work[COEFFICIENTS + CY], force_factor * work[COEFFICIENTS + CZ]
+    if tables.along_wind[j] == 1:
+        in_plane = lateral if tables.axes[j] == AEROBALLISTIC else w
+        speed = math.sqrt(u * u + in_plane * in_plane)
+        if speed > 0.0:
+            cosine, sine = u / speed, in_plane / speed
+            x, z = cosine * x - sine * z, sine * x + cosine * z
+    yaw_length = lengths[1] if tables.axes[j] == AEROBALLISTIC else lengths[2]
+    roll = lengths[0] * work[COEFFICIENTS + CL]
+    pitch, yaw = lengths[1] * work[COEFFICIENTS + CM], yaw_length * work[COEFFICIENTS + CN]
+    moment = (
+        force_factor * roll,
+        force_factor * (pitch * across_z + yaw * across_y),
+        force_factor * (yaw * across_z - pitch * across_y),
+    )
+    return (x, 0.0, 0.0), (0.0, y * across_z + z * across_y, z * across_z - y * across_y), moment
+
+
+@kernel
+def rate_loads(rate: Vector, lengths: Vector, work: Array) -> tuple[Vector, Vector]:
+    """From the workspace, per air density, speed and area over four: lateral force (B, m2/s), moment (B, m3/s)."""
+    p, q, r = lengths[0] * rate[0], lengths[1] * rate[1], lengths[2] * rate[2]
+    c = COEFFICIENTS
+    return (
+        (0.0, work[c + CYP] * p + work[c + CYR] * r, -work[c + CNQ] * q),
+        (
+            lengths[0] * (work[c + CLP] * p + work[c + CLR] * r),
+            lengths[1] * work[c + CMQ] * q,
+            lengths[2] * (work[c + CNR] * r + work[c + CNP] * p),
+        ),
+    )
