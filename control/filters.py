@@ -230,7 +230,8 @@ def _step_invariant(polynomials: Array, sample_s: float) -> list[Array]:
 
 def _normalised(b: Array, a: Array) -> Array:
     """[b0, b1, b2, a1, a2] for a0 = 1 and unit DC gain."""
-    b = b * (a.sum() / b.sum())
+    with np.errstate(all="ignore"):  # what is not finite is refused by DiscreteFilter
+        b = b * (a.sum() / b.sum())
     return np.concatenate([b / a[0], a[1:] / a[0]])
 
 

@@ -109,7 +109,7 @@ def test_what_works_in_a_file_only(here: Path, key: str) -> None:
 def test_times_that_no_flight_lasts(here: Path) -> None:
     assert said_of("ascent.toml", "run.duration_s=1e12") == (
         "--set: run.duration_s = 1000000000000.0: is longer than a flight can be; "
-        "allowed: times up to 9e9 s, which are 285 years"
+        "allowed: times up to 1e+08 s, which are three years"
     )
     assert "log.fast_hz = 1e-12: is slower than a flight can be long" in said_of("ascent.toml", "log.fast_hz=1e-12")
 
@@ -244,7 +244,7 @@ def test_too_many_modes_and_tanks(here: Path) -> None:
     (here / MODES).write_text(modes_csv(modes=9))
     assert said_of("ascent.toml") == f"{MODES}: line 26, mode = 9.0: too many modes; allowed: mode numbers 1 .. 8"
     (here / MODES).write_text(modes_csv())
-    tank = '[[stage.tank]]\nname = "more"\ntable = "tank.csv"\ndamping_ratio = 0.02\n'
+    tank = '[[stage.tank]]\ntable = "tank.csv"\ndamping_ratio = 0.02\n'
     text = (here / VEHICLE).read_text()
     (here / VEHICLE).write_text(text.replace("[stage.bending]", 7 * tank + "[stage.bending]"))
     assert len(load_scenario("ascent.toml").vehicle.stage[0].tank) == 8

@@ -7,6 +7,7 @@ from typing import Any
 from maxq.design.case.schema import Case
 from maxq.design.verify.suite import Suite
 from maxq.sim.campaign.schema import CampaignFile
+from maxq.sim.scenario.ranges import range_of
 from maxq.sim.scenario.schema_design import Design
 from maxq.sim.scenario.schema_scenario import Scenario
 from maxq.sim.scenario.schema_values import Section
@@ -35,7 +36,7 @@ def json_schema(kind: str) -> dict[str, Any]:
     properties |= {"extends": _EXTENDS, "unset": _UNSET}
     if required := schema.pop("required", []):
         schema["anyOf"] = [{"required": required}, {"required": ["extends"]}]
-    cleaned: dict[str, Any] = _without_null(schema)
+    cleaned: dict[str, Any] = _within_ranges(_without_null(schema))
     return {"$schema": "https://json-schema.org/draft/2020-12/schema"} | cleaned
 
 
@@ -58,10 +59,30 @@ def _without_null(node: Any) -> Any:
     return out
 
 
+def _within_ranges(node: Any, name: str = "") -> Any:
+    """The schema with the range of each number by the `name` of its key or column, where it has no bound of its own."""
+    if isinstance(node, list):
+        return [_within_ranges(item, name) for item in node]
+    if not isinstance(node, dict):
+        return node
+    out = {
+        key: {n: _within_ranges(item, n) for n, item in below.items()}
+        if key in ("properties", "$defs")
+        else _within_ranges(below, name)
+        for key, below in node.items()
+        if key not in ("default", "enum", "required")
+    } | {key: node[key] for key in ("default", "enum", "required") if key in node}
+    if out.get("type") in ("number", "integer"):
+        most = range_of(name).most
+        ends = {"minimum": -most, "maximum": most}
+        out |= {end: value for end, value in ends.items() if end not in out and f"exclusiveM{end[1:]}" not in out}
+    return out
+
+
 def _campaign() -> dict[str, Any]:
     """A scenario with the sections that make it a campaign."""
     schema = json_schema("scenario")
-    further = _without_null(CampaignFile.model_json_schema(by_alias=True))
+    further = _within_ranges(_without_null(CampaignFile.model_json_schema(by_alias=True)))
     further["$defs"]["Campaign"].pop("required")  # the file that is extended may be a campaign already
     return schema | {
         "description": CampaignFile.__doc__,

@@ -9,7 +9,7 @@ import time
 from typing import NoReturn
 
 from maxq.tools.cli.frame import Exit, process, run, show_list
-from maxq.tools.cli.parser import Parser, count, filled
+from maxq.tools.cli.parser import Parser, count, count_of_runs, filled
 
 _USAGE = """\
 simrun SCENARIO [--set KEY=VALUE]... [--out DIR] [--no-log] [--view [--realtime [X]]]
@@ -81,7 +81,13 @@ def _parser() -> Parser:
     def campaign(*names: str, modes: tuple[str, ...] = (_CAMPAIGN,), **how: object) -> None:
         add(*names, modes=modes, group=group, **how)
 
-    campaign("--runs", modes=(_CAMPAIGN, _SEARCH), metavar="N", type=count, help="number of runs instead of the file's")
+    campaign(
+        "--runs",
+        modes=(_CAMPAIGN, _SEARCH),
+        metavar="N",
+        type=count_of_runs,
+        help="number of runs instead of the file's",
+    )
     campaign("--seed", metavar="S", type=count, help="seed of all draws instead of the file's")
     campaign(
         "--workers", modes=(_CAMPAIGN, _SHRINK, _SEARCH), metavar="K", type=count, help="threads (default: all cores)"

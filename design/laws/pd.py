@@ -35,7 +35,14 @@ from maxq.design.laws.bending_filter import (
     random_ranges,
 )
 from maxq.design.laws.law import Axis, Controller, DesignedLaw, LawLimit, LimitValues, LogResponse
-from maxq.design.laws.schedule import LARGEST_GAIN, LEAST_GAIN, GainSchedules, interpolation_weights, lowest_above
+from maxq.design.laws.schedule import (
+    LARGEST_GAIN,
+    LEAST_GAIN,
+    GainSchedules,
+    UnsolvableError,
+    interpolation_weights,
+    lowest_above,
+)
 from maxq.design.laws.task import DB, Rigid, Task
 from maxq.design.model.state_space import ComplexArray, StateSpace, chain
 from maxq.design.model.vehicle_at import Plane
@@ -197,6 +204,11 @@ class PdVariables:
         self.schedule = schedule or case.gains.schedule
         self.filter = FilterVariables(*case.filter.sections)
         self.prewarp_hz = case.filter.prewarp_hz or round(task.first_mode_hz, 1)
+        if task.sample_s is not None and self.prewarp_hz >= 0.5 / task.sample_s:
+            raise UnsolvableError(
+                f"filter.prewarp_hz = {self.prewarp_hz:g}: lies above half the sample rate; "
+                f"allowed are frequencies below {0.5 / task.sample_s:g} Hz"
+            )
         self.full = case.limits.rigid_body == "aerodynamic"
         linear = not self.full
         self.limits = (

@@ -12,6 +12,10 @@ from maxq.control.kernel.records import Array
 LEAST_GAIN, LARGEST_GAIN = 1e-4, 1e3  # bounds of the gains (49): ln k needs some
 
 
+class UnsolvableError(ValueError):
+    """A case that no law can be found for: keys, why, and what is allowed."""
+
+
 def interpolation_weights(at_s: Array, nodes_s: Array) -> Array:
     """(times, nodes): what linear interpolation, held outside, makes of the values at the nodes."""
     return np.column_stack([np.interp(at_s, nodes_s, row) for row in np.eye(len(nodes_s))])
@@ -78,10 +82,15 @@ class GainSchedules:
 def lowest_above(weights: Array, floor: Array) -> Array:
     """Values at the nodes of the lowest schedule, in sum over the plants, that is nowhere below `floor` (plants,)."""
     floor = np.maximum(floor, LEAST_GAIN)
-    found = linprog(
-        weights.sum(axis=0), A_ub=-weights, b_ub=-floor, bounds=(LEAST_GAIN, LARGEST_GAIN), method="highs-ds"
+    bounds = (LEAST_GAIN, LARGEST_GAIN)
+    finite = np.isfinite(floor).all()  # not where an engine has no authority
+    found = (
+        linprog(weights.sum(axis=0), A_ub=-weights, b_ub=-floor, bounds=bounds, method="highs-ds") if finite else None
     )
-    if found.x is None:
-        raise ValueError(f"no gain schedule meets the reference's rigid-body limits: {found.message}")
+    if found is None or found.x is None:
+        raise UnsolvableError(
+            f"rigid_hz, rigid_zeta: no schedule of gains up to {LARGEST_GAIN:g} is above {floor.max():.4g} at the node "
+            "that needs most; allowed are limits, or nodes, that such gains can meet"
+        )
     # off the limit by a rounding error, on the safe side
     return np.asarray(found.x) * (1.0 + 1e-12)

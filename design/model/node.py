@@ -21,6 +21,7 @@ from maxq.sim.packing.initial import rotation
 from maxq.sim.run.evaluate import evaluate_at
 from maxq.sim.run.fly import FlightRun
 from maxq.sim.scenario.loader import LoadedScenario
+from maxq.sim.scenario.ranges import LONGEST_S
 from maxq.sim.scenario.schema_vehicle import Stage
 from maxq.sim.vehicle.actuator import Actuator
 from maxq.sim.vehicle.state import Q_BI
@@ -82,8 +83,8 @@ def nodes_along(
     if not wanted:
         return []
     for time_s in wanted:
-        if not math.isfinite(time_s):
-            raise ValueError(f"node at {time_s} s: allowed are finite times")
+        if not abs(time_s) <= LONGEST_S:
+            raise ValueError(f"node at {time_s} s: allowed are times up to {LONGEST_S:g} s")
     run = FlightRun(scenario, pack_flight(scenario.scenario), log=False)
     found = {}
     for time_s in sorted(set(wanted)):

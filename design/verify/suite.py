@@ -75,6 +75,8 @@ def room_left(value: float, bound: float, sense: str) -> float:
 
 Level = Annotated[float, Field(gt=0.0, lt=1.0)]
 Plane = Literal["pitch", "yaw"]
+Share = Annotated[float, Field(ge=0.0, lt=1.0)]
+"""Of a deviation; one of 1 would turn the sign of what deviates."""
 
 
 class DispersedLimit(Section):
@@ -120,18 +122,18 @@ class MarginLimits(Section):
 class Spread(Section):
     """3-sigma deviations, relative unless a unit is named."""
 
-    bending_frequency: tuple[NotNegative, ...] = optional("of each mode", (0.05, 0.10, 0.15))
-    bending_slope: NotNegative = optional("at the gyro", 0.2)
-    bending_damping: NotNegative = optional("of all modes", 0.5)
-    slosh_frequency: NotNegative = optional("of all tanks", 0.05)
-    slosh_mass: NotNegative = optional("of all tanks", 0.10)
-    slosh_damping: NotNegative = optional("of all tanks", 0.5)
-    actuator_frequency: NotNegative = optional("poles of the actuator", 0.15)
+    bending_frequency: tuple[Share, ...] = optional("of each mode", (0.05, 0.10, 0.15))
+    bending_slope: Share = optional("at the gyro", 0.2)
+    bending_damping: Share = optional("of all modes", 0.5)
+    slosh_frequency: Share = optional("of all tanks", 0.05)
+    slosh_mass: Share = optional("of all tanks", 0.10)
+    slosh_damping: Share = optional("of all tanks", 0.5)
+    actuator_frequency: Share = optional("poles of the actuator", 0.15)
     delay_s: NotNegative = optional("either way, s; never below no delay", 0.002)
-    thrust: NotNegative = optional("lateral authority", 0.03)
-    normal_force: NotNegative = optional("of all surfaces", 0.15)
+    thrust: Share = optional("lateral authority", 0.03)
+    normal_force: Share = optional("of all surfaces", 0.15)
     centre_of_pressure_m: NotNegative = optional("m", 0.25)
-    inertia: NotNegative = optional("transverse", 0.05)
+    inertia: Share = optional("transverse", 0.05)
 
 
 class LinearMargins(Section):

@@ -131,7 +131,8 @@ def quantile(spec: Disperse, u: Array, nominal: float) -> Array:
     if spec.distribution == "truncated-normal":
         return _truncated(centre, sigma, low, high, u)
     if spec.distribution == "log-normal":
-        return np.asarray((spec.median or centre) * np.exp(sigma * ndtri(u)))
+        with np.errstate(over="ignore"):  # what is infinite is out of range, and drawn again
+            return np.asarray((spec.median or centre) * np.exp(sigma * ndtri(u)))
     if spec.distribution == "uniform":
         return np.asarray(low + (high - low) * u)
     assert spec.mode is not None

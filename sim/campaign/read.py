@@ -312,6 +312,9 @@ def _check_fits(spec: Disperse, target: Target, at: KeyPath) -> None:
         raise refuse(f"{target.key} holds a number", "numbers", (*at, "values"))
     if spec.where is not None and target.kind != "column":
         raise refuse(f"{target.key} is no column of a table", key=(*at, "where"))
+    for name, value in (spec.where or {}).items():
+        if name not in target.columns:
+            raise refuse("the table has no such column", ", ".join(target.columns), (*at, "where", name), value=value)
     is_column = target.kind == "column"
     if spec.apply != "set" and not is_column and np.isnan(target.nominal):
         raise refuse(f"{target.key} has no value to start from", "'set'", (*at, "apply"), value=spec.apply)

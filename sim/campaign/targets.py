@@ -16,10 +16,12 @@ import numpy as np
 from pydantic import ValidationError
 
 from maxq.control.kernel.records import Array
-from maxq.sim.scenario.errors import LARGEST_NUMBER, refuse, suggestion
+from maxq.sim.scenario.documents import index_in
+from maxq.sim.scenario.errors import refuse, suggestion
 from maxq.sim.scenario.messages import describe, field_at
+from maxq.sim.scenario.ranges import LONGEST_S, range_of
 from maxq.sim.scenario.schema_scenario import Scenario
-from maxq.sim.scenario.schema_values import LONGEST_S, NS_PER_S, Section
+from maxq.sim.scenario.schema_values import NS_PER_S, Section
 from maxq.sim.scenario.tables_csv import Columns, CsvTable
 
 Apply = Literal["set", "scale", "add"]
@@ -46,6 +48,7 @@ class Target:
     nominal: float
     bounds: tuple[tuple[str, float], ...] = ()  # what the schema allows: ("gt", 0.0)
     whole_ns: bool = False
+    columns: tuple[str, ...] = ()  # of the table that holds a column
 
     def result(self, apply: Apply, draw: Array) -> Array:
         """What becomes of a number; of a column, the draw itself."""
@@ -59,7 +62,8 @@ class Target:
 
     def allowed(self, value: Array) -> np.ndarray:
         """Where the schema's bounds hold."""
-        good = np.isfinite(value) & (np.abs(value) <= LARGEST_NUMBER)
+        name = next(part for part in reversed(self.path) if isinstance(part, str))
+        good = range_of("" if self.kind == "column" else name).holds(value)
         for mark, bound in self.bounds:
             good &= BOUNDS[mark][0](value, bound)
         return good
@@ -83,10 +87,11 @@ def find_target(scenario: Scenario, key: str) -> Target:
             at = getattr(at, names[part])
             path.append(part)
         elif isinstance(at, tuple):
-            if not part.isdecimal() or int(part) >= len(at):
+            index = index_in(part, len(at))
+            if index is None:
                 raise refuse(f"{so_far} has no element {part}", f"0 .. {len(at) - 1}" if at else "nothing: it is empty")
-            at = at[int(part)]
-            path.append(int(part))
+            at = at[index]
+            path.append(index)
         elif isinstance(at, CsvTable):
             return _column(scenario, key, path, at, part, parts[n + 1 :])
         elif at is None:
@@ -137,7 +142,7 @@ def _column(scenario: Scenario, key: str, path: list[str | int], table: CsvTable
     if name not in columns.known():
         hint = suggestion(name, columns.known())
         raise refuse(f"the table has no column {name}" + (f"; {hint}" if hint else ""), ", ".join(table.columns))
-    return Target(key, (*path, name), "column", math.nan)
+    return Target(key, (*path, name), "column", math.nan, columns=tuple(table.columns))
 
 
 @dataclass(frozen=True)

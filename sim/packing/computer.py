@@ -8,7 +8,7 @@ from collections.abc import Iterable
 import numpy as np
 
 from maxq.control.computer import Computer, build_computer
-from maxq.control.filters import BendingFilter, DiscreteFilter, FirstOrderSection, QuadraticSection
+from maxq.control.filters import BendingFilter, DiscreteFilter
 from maxq.control.guidance import rate_programme
 from maxq.control.kernel.limits import MAX_INJECTIONS, MAX_TONES
 from maxq.control.kernel.tables import NO_TABLE, Cubics, Method, Pool, fit, merge
@@ -82,10 +82,7 @@ def _filter(design: Design, sample_s: float) -> DiscreteFilter:
 
 def bending_filter(design: Design) -> BendingFilter:
     """The design's continuous filter."""
-    return BendingFilter(
-        tuple(QuadraticSection(q.zero_hz, q.zero_zeta, q.pole_hz, q.pole_zeta) for q in design.filter.quadratic),
-        tuple(FirstOrderSection(f.zero_hz, f.pole_hz) for f in design.filter.first_order),
-    )
+    return design.filter.continuous()
 
 
 def _roll(design: Design, sample_ns: int) -> Roll | None:

@@ -124,9 +124,14 @@ def _step(tree: Table | Array, part: str | int, path: KeyPath, source: Source) -
     if isinstance(tree, Table):
         return str(part)
     allowed = f"an index 0 .. {len(tree) - 1}" if tree else "nothing: the list is empty"
-    if not str(part).isdecimal() or int(part) >= len(tree):
-        raise source.error(path, f"{part!s} is not an element of this list", allowed=allowed)
+    if index_in(str(part), len(tree)) is None:
+        raise source.error(path, f"{part!s:.40} is not an element of this list", allowed=allowed)
     return int(part)
+
+
+def index_in(text: str, length: int) -> int | None:
+    """The index that `text` means in a list of `length`; None where it means none."""
+    return int(text) if text.isdecimal() and len(text) < 10 and int(text) < length else None
 
 
 def put(tree: Table, path: KeyPath, value: Any, source: Source) -> None:

@@ -18,11 +18,9 @@ Path = tuple[str | int, ...]
 NOTHING: Any = object()
 """Marks that there is no value to show (a key that is missing)."""
 
-LARGEST_NUMBER = 1e30
-"""No quantity of a flight is larger in SI units, and products of a few such numbers are still finite."""
-
 _LONGEST_VALUE = 60
 _LONGEST_FILE = 240
+_LONGEST_WORDS = 1000
 
 
 class ScenarioError(Exception):
@@ -40,10 +38,12 @@ class ScenarioError(Exception):
         self.shown_value = "" if value is NOTHING else show_value(value)
 
     def __str__(self) -> str:
-        place = f"{self.key} = {self.shown_value}" if self.shown_value else self.key
-        line = ": ".join(part for part in (_printable(self.file, _LONGEST_FILE), place, self.problem) if part)
-        if self.allowed:
-            line += f"; allowed: {self.allowed}"
+        key = _printable(self.key, _LONGEST_FILE)
+        place = f"{key} = {self.shown_value}" if self.shown_value else key
+        problem, allowed = (_printable(text, _LONGEST_WORDS) for text in (self.problem, self.allowed))
+        line = ": ".join(part for part in (_printable(self.file, _LONGEST_FILE), place, problem) if part)
+        if allowed:
+            line += f"; allowed: {allowed}"
         if self.more:
             line += f" (and {self.more} more)"
         return " ".join(line.split())

@@ -35,9 +35,10 @@ from maxq.sim.scenario.documents import (
     source_of,
     walk,
 )
-from maxq.sim.scenario.errors import LARGEST_NUMBER, ScenarioError, suggestion
+from maxq.sim.scenario.errors import ScenarioError, suggestion
 from maxq.sim.scenario.files import PARTS, VEHICLE_FILE, WANTED, ReadFile, Reading, find, locate
 from maxq.sim.scenario.messages import explain
+from maxq.sim.scenario.ranges import LARGEST_NUMBER
 from maxq.sim.scenario.schema_design import Design
 from maxq.sim.scenario.schema_scenario import Scenario
 from maxq.sim.scenario.schema_values import Section
@@ -153,6 +154,7 @@ def load_file(
 
 
 def _validated(model: type[Model], tree: Table, reading: Reading) -> Model:
+    _refuse_huge_numbers(tree)
     try:
         return model.model_validate(plain(tree), context=reading)
     except ValidationError as error:
@@ -161,7 +163,6 @@ def _validated(model: type[Model], tree: Table, reading: Reading) -> Model:
 
 def _scenario(reading: Reading, tree: Table, label: str, name: str) -> LoadedScenario:
     tree.setdefault("name", name)
-    _refuse_huge_numbers(tree)
     return LoadedScenario(_validated(Scenario, tree, reading), label, tuple(reading.files.values()))
 
 

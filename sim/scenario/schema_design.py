@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from functools import lru_cache
+from typing import TYPE_CHECKING, Annotated, Literal
 
 from pydantic import Field, model_validator
 
@@ -10,6 +11,9 @@ from maxq.control.structures import MAX_SECTIONS, STRUCTURES, Law, Structure
 from maxq.sim.scenario.errors import refuse
 from maxq.sim.scenario.schema_values import NotNegative, Positive, Section, needs, optional
 from maxq.sim.scenario.tables_csv import Columns, CsvTable
+
+if TYPE_CHECKING:
+    from maxq.control.filters import BendingFilter
 
 GAIN_COLUMNS = Columns("time_s", sets=(("k_p", "k_d_s"),), not_negative=("k_p", "k_d_s"))
 
@@ -91,6 +95,26 @@ class Filter(Section):
         if self.structure != "none" and self.discretization == "prewarped":
             needs(self, "prewarp_hz", "discretization is prewarped", "a number > 0, Hz")
         return self
+
+    def continuous(self) -> BendingFilter:
+        """The filter before it is discretised."""
+        from maxq.control import filters  # noqa: PLC0415  # lazy: imports Numba, which reading a file does not need
+
+        return filters.BendingFilter(
+            tuple(filters.QuadraticSection(q.zero_hz, q.zero_zeta, q.pole_hz, q.pole_zeta) for q in self.quadratic),
+            tuple(filters.FirstOrderSection(f.zero_hz, f.pole_hz) for f in self.first_order),
+        )
+
+    @lru_cache(maxsize=64)  # a campaign asks for every flight  # noqa: B019  # frozen, and few at a time
+    def unfit(self, sample_s: float) -> str:
+        """Why no computer of this period can run the filter; empty where one can."""
+        if self.structure == "none":
+            return ""
+        try:
+            self.continuous().discretize(sample_s, self.discretization, self.prewarp_hz)
+        except ValueError as error:
+            return str(error)
+        return ""
 
 
 class Roll(Section):

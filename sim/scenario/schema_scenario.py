@@ -322,6 +322,12 @@ class Scenario(Section):
                 raise refuse(
                     "lies above half the sample rate", f"less than {nyquist:g}", ("design", "filter", "prewarp_hz")
                 )
+            if unfit := self.design.filter.unfit(computer.sample_s):
+                raise refuse(
+                    f"cannot be run every {computer.sample_s:g} s: {unfit}",
+                    key=("design", "filter", "structure"),
+                    value=self.design.filter.structure,
+                )
         for n, injection in enumerate(self.injection):
             key = ("injection", n, "at")
             if injection.at == "gimbal_command" and not any(stage.engine for stage in self.vehicle.stage):

@@ -12,6 +12,7 @@ from maxq.control.kernel.limits import MAX_SURFACES
 from maxq.sim.scenario.errors import refuse
 from maxq.sim.scenario.grids import COEFFICIENT_COLUMNS, GridTable, grid_table
 from maxq.sim.scenario.schema_values import (
+    ChannelPart,
     Fraction,
     Matrix,
     NotNegative,
@@ -106,7 +107,7 @@ class Mass(Section):
 class Tank(Section):
     """One tank with a sloshing liquid: a spherical pendulum that hangs at its hinge."""
 
-    name: str = optional("name of the tank in logs (default: its number)", "")
+    name: ChannelPart = optional("name of the tank in logs (default: its number)", "")
     table: Annotated[CsvTable, TANK_COLUMNS] = Field(
         description="pendulum over the stage clock; its mass is part of the stage's table of mass"
     )

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import math
+import re
 from typing import Annotated, Any
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationInfo, field_validator
 
 from maxq.sim.scenario.errors import refuse
+from maxq.sim.scenario.ranges import LONGEST_S, first_beyond, range_of
 
 NS_PER_S = 1_000_000_000
-LONGEST_S = 9.0e9
-"""About 285 years: more does not fit into 64 bits of nanoseconds."""
 
 
 def is_whole_ns(seconds: float) -> bool:
@@ -43,16 +43,24 @@ def is_whole_period(rate_hz: float) -> bool:
 
 
 class Section(BaseModel):
-    """A table of a TOML file. Unknown keys, numbers as text, NaN and infinity are refused; nothing can be
-    changed.
+    """A table of a TOML file. Unknown keys, numbers as text, NaN, infinity and what is beyond the range of a key
+    (`ranges.py`) are refused; nothing can be changed.
     """
 
     model_config = ConfigDict(strict=True, extra="forbid", frozen=True, allow_inf_nan=False)
 
+    @field_validator("*")
+    @classmethod
+    def _within_range(cls, value: Any, info: ValidationInfo) -> Any:
+        name = info.field_name or ""
+        if isinstance(value, int | float | tuple) and (found := first_beyond(name, value)):
+            raise refuse("is out of range", range_of(name).allowed(), found[0], value=found[1])
+        return value
+
 
 def _whole_ns(seconds: float) -> float:
     if abs(seconds) > LONGEST_S:
-        raise refuse("is longer than a flight can be", "times up to 9e9 s, which are 285 years")
+        raise refuse("is longer than a flight can be", f"times up to {LONGEST_S:g} s, which are three years")
     if not is_whole_ns(seconds):
         raise refuse("is not a whole number of nanoseconds", "multiples of 1e-9 s")
     return seconds
@@ -60,11 +68,20 @@ def _whole_ns(seconds: float) -> float:
 
 def _whole_period(rate_hz: float) -> float:
     if rate_hz * LONGEST_S < 1.0:
-        raise refuse("is slower than a flight can be long", "a period of at most 9e9 s")
+        raise refuse("is slower than a flight can be long", f"a period of at most {LONGEST_S:g} s")
     if not is_whole_period(rate_hz):
         raise refuse("its period is not a whole number of nanoseconds", "rates that divide 1e9, e.g. 50, 100, 1000")
     return rate_hz
 
+
+def _channel_part(name: str) -> str:
+    if not re.fullmatch(r"[A-Za-z0-9_]{0,40}", name):
+        raise refuse("cannot be part of a channel's name", "at most 40 letters a-z, digits and underscores")
+    return name
+
+
+ChannelPart = Annotated[str, AfterValidator(_channel_part)]
+"""A name that becomes a part of the names of log channels."""
 
 Positive = Annotated[float, Field(gt=0.0)]
 NotNegative = Annotated[float, Field(ge=0.0)]

@@ -149,6 +149,10 @@ class Stage(Section):
             raise refuse("the stage has no engine", "separation_s", key=("separation_after_burnout_s",))
         if self.actuator is not None and self.engine is None:
             raise refuse("the stage has no engine to move", "[stage.engine]", key=("actuator",), value={})
+        names = [tank.name or str(n + 1) for n, tank in enumerate(self.tank)]
+        for n, name in enumerate(names):
+            if name in names[:n]:
+                raise refuse("is the name of another tank already", "each name once", ("tank", n, "name"), value=name)
         self._check_slosh_mass()
         self._check_stations()
         return self

@@ -17,12 +17,16 @@ from pydantic import GetJsonSchemaHandler
 from pydantic_core import CoreSchema, PydanticCustomError, core_schema
 
 from maxq.sim.scenario.documents import Text
-from maxq.sim.scenario.errors import LARGEST_NUMBER, NOTHING, Path, refuse, suggestion
+from maxq.sim.scenario.errors import NOTHING, Path, refuse, show_value, suggestion
+from maxq.sim.scenario.ranges import range_of
 
 if TYPE_CHECKING:
     from maxq.sim.scenario.files import Reading
 
 Column = NDArray[np.float64]
+
+LEAST_STEP = 1e-9
+"""From row to row of what a table is given over, in its unit: slopes between rows must stay finite."""
 
 FILE_KEY = "file"
 """In a table that is written out: the file it once came from, for people only."""
@@ -206,7 +210,7 @@ class Columns:
     def _check_name(self, name: str, key: Path = (), file: str = "", place: str = "") -> None:
         if self.named and name not in self.known():
             hint = suggestion(name, self.known())
-            problem = f'unknown column "{name}"' + (f"; {hint}" if hint else "")
+            problem = f"unknown column {show_value(name)}" + (f"; {hint}" if hint else "")
             raise refuse(problem, self.allowed(), key=key, file=file, place=place)
 
     def _check(self, table: CsvTable) -> None:
@@ -234,8 +238,8 @@ class Columns:
     def _check_values(self, table: CsvTable) -> None:
         for name, column in table.columns.items():
             table.refuse_where(~np.isfinite(column), name, "is not finite", "finite numbers")
-            too_large = np.abs(column) > LARGEST_NUMBER
-            table.refuse_where(too_large, name, "is too large", f"numbers up to {LARGEST_NUMBER:g}")
+            beyond, allowed = ~range_of(name).holds(column), range_of(name).allowed()
+            table.refuse_where(beyond, name, "is out of range", allowed)
             if name in self.positive:
                 table.refuse_where(column <= 0.0, name, "is not positive", "numbers > 0")
             if name in self.not_negative:
@@ -243,9 +247,13 @@ class Columns:
         if not self.axis:
             return
         axis = table[self.axis]
-        falls = np.diff(axis, prepend=-np.inf) < 0.0 if self.repeats else np.diff(axis, prepend=-np.inf) <= 0.0
+        steps = np.diff(axis, prepend=-np.inf)
+        falls = steps < LEAST_STEP
+        if self.repeats:
+            falls &= steps != 0.0
         rule = "must not decrease" if self.repeats else "must increase strictly"
-        table.refuse_where(falls, self.axis, f"{self.axis} {rule}", "increasing numbers")
+        allowed = f"increasing numbers, by {LEAST_STEP:g} or more"
+        table.refuse_where(falls, self.axis, f"{self.axis} {rule}", allowed)
         if self.begins_by is not None and axis[0] > self.begins_by:
             raise table.refusal("the table begins too late", f"a first {self.axis} <= {self.begins_by:g}", self.axis, 0)
 

@@ -114,11 +114,20 @@ def filled(kind: type[Order], options: argparse.Namespace, **more: Any) -> Order
 # types of arguments
 
 
-def count(text: str, least: int = 0) -> int:
-    """A whole number of at least `least`."""
+def count(text: str, least: int = 0, most: int = 2**63 - 1) -> int:
+    """A whole number of at least `least` and at most `most`."""
+    if text.isdecimal() and (len(text) > 19 or int(text) > most):
+        raise argparse.ArgumentTypeError(f"{text[:20]}{'...' * (len(text) > 20)} is too large: at most {most}")
     if not text.isdecimal() or int(text) < least:
         raise argparse.ArgumentTypeError(f"{text!r} is not a whole number of at least {least}")
     return int(text)
+
+
+def count_of_runs(text: str) -> int:
+    """How many flights a campaign has."""
+    from maxq.sim.scenario.ranges import MOST_RUNS  # noqa: PLC0415  # lazy: --help is quick
+
+    return count(text, 0, MOST_RUNS)
 
 
 def count_from_1(text: str) -> int:

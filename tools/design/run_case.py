@@ -16,6 +16,7 @@ from maxq.control.structures import STRUCTURES as KNOWN
 from maxq.design import api
 from maxq.design.case.schema import LoadedCase, read_case
 from maxq.design.laws.design_file import DESIGN_NAME, design_text, forget_pictures
+from maxq.design.laws.schedule import UnsolvableError
 from maxq.design.model.node import Node
 from maxq.design.optimise.plants import Plants
 from maxq.design.optimise.solution import Solution
@@ -85,7 +86,10 @@ def make(order: Order) -> Made:
             progress.show("optimising: starts", done, of, note)
 
         show(0, 1, math.nan)
-        solution = solve(loaded, plants, progress=show)  # Ctrl-C ends it with the best so far
+        try:
+            solution = solve(loaded, plants, progress=show)  # Ctrl-C ends it with the best so far
+        except UnsolvableError as error:
+            raise ScenarioError(loaded.label, str(error)) from None
         orders, interrupted = None, solution.status == "interrupted"
         if order.orders and not interrupted:
             try:

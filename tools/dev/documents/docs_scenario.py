@@ -15,6 +15,7 @@ from pydantic_core import PydanticUndefined
 
 from maxq.sim.scenario.errors import show_value
 from maxq.sim.scenario.messages import describe, section_of, unwrap
+from maxq.sim.scenario.ranges import LARGEST_NUMBER, RANGES
 from maxq.sim.scenario.schema_design import Design
 from maxq.sim.scenario.schema_scenario import Scenario
 from maxq.sim.scenario.schema_values import Section
@@ -62,7 +63,24 @@ def page() -> str:
     ):
         parts.append(f"## {title}\n")
         parts.append("\n".join(_section(model, name)))
+    parts.append("\n".join(_ranges()))
     return "\n".join(parts).rstrip() + "\n"
+
+
+def _ranges() -> Iterator[str]:
+    """What numbers may be, by the names of keys and columns."""
+    yield "## Ranges of numbers\n"
+    yield "Beside what a key allows itself, its magnitude, and that of a column in a table, lies in the range of its"
+    yield "name or, where the name is not listed, of its unit, the end of the name; 0 is within. Beyond it lies what no"
+    yield f"vehicle can have. Numbers of neither are {LARGEST_NUMBER:g} at most.\n"
+    yield "| names | least | most | why |"
+    yield "|---|---|---|---|"
+    for r in RANGES:
+        names = ", ".join(f"`{name}`" if name[0] != "_" else f"`...{name}`" for name in r.names)
+        yield (
+            f"| {names} | {r.least:g} | {r.most:g} | {r.why} |" if r.least else f"| {names} | | {r.most:g} | {r.why} |"
+        )
+    yield ""
 
 
 def _section(model: type[Section], path: str) -> Iterator[str]:
