@@ -30,7 +30,7 @@ from maxq.sim.flight.parameters import (
 from maxq.sim.vehicle.actuator import after_backlash
 from maxq.sim.vehicle.block import Q_BI, R_I, V_I, W_BI_B
 from maxq.sim.vehicle.engine import thrust
-from maxq.sim.vehicle.environment import climb_rate
+from maxq.sim.vehicle.environment import climb_rate, flight_direction
 from maxq.sim.vehicle.faults import ANY_FAULT, GYRO_WALK
 from maxq.sim.vehicle.gyro import GYRO_STREAM
 from maxq.sim.vehicle.schedule import CORE_CG, THRUST_VACUUM, TOTAL_MASS
@@ -75,7 +75,8 @@ def process_due_events(p: Parameters, pool: Array, memory: Memory, y: Array, aux
     if now >= clock.next_gust_ns:
         clock.next_gust_ns = now + p.environment.turbulence.tick_ns
         if clock.steps > 0:  # the first gust was drawn at the start
-            turbulence_tick(p.environment.turbulence, pool, memory.gusts, aux[AIRSPEED], aux[ALTITUDE])
+            along_N = flight_direction(p.environment, pool, y)
+            turbulence_tick(p.environment.turbulence, pool, memory.gusts, aux[AIRSPEED], aux[ALTITUDE], along_N)
     apply_due_command(p, memory)  # before the sample: its command replaces what is pending
     if now >= clock.next_sample_ns:
         sample_computer(p, pool, memory, y)

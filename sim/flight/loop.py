@@ -22,7 +22,7 @@ from maxq.sim.flight.parameters import APOGEE, DIVERGED, IMPACT, LIFTOFF, N_EVEN
 from maxq.sim.flight.step import Workspace, evaluate, read_schedule, runge_kutta, schedule_clock, workspace_of
 from maxq.sim.flight.telemetry import fill_fast, fill_slow
 from maxq.sim.vehicle.block import Sizes, counts
-from maxq.sim.vehicle.environment import ANCHOR_DUE, climb_rate, climbs_certainly
+from maxq.sim.vehicle.environment import ANCHOR_DUE, climb_rate, climbs_certainly, flight_direction
 from maxq.sim.vehicle.schedule import properties_size
 from maxq.sim.vehicle.state import FINITE, divergence_cause, state_size
 from maxq.sim.vehicle.workspace import ALTITUDE, ANCHOR, Evaluation
@@ -63,7 +63,8 @@ def begin(P: Records, pool: Array, state: Records, y: Array) -> None:
         memory.extremes.time_ns[metric] = -1
     clock.command_due_ns = NEVER
     clock.next_gust_ns = clock.now_ns if p.environment.turbulence.on == 1 else NEVER
-    turbulence_start(p.environment.turbulence, pool, memory.gusts, climb_rate(p.environment.earth, y)[0])
+    altitude_m, along_N = climb_rate(p.environment.earth, y)[0], flight_direction(p.environment, pool, y)
+    turbulence_start(p.environment.turbulence, pool, memory.gusts, altitude_m, along_N)
     start_computer(p.computer, pool, memory.computer, 1e-9 * clock.now_ns)
     clock.next_sample_ns = clock.now_ns + p.computer.sample_ns
     start_stage(p, pool, memory)

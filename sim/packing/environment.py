@@ -16,7 +16,7 @@ from maxq.sim.scenario.schema_values import Section
 from maxq.sim.vehicle.environment import Environment
 from maxq.sim.world import atmosphere as air
 from maxq.sim.world import earth as globe
-from maxq.sim.world import turbulence as dryden
+from maxq.sim.world import turbulence as gusts
 from maxq.sim.world import wind as winds
 from maxq.sim.world.thermosphere import upper_air
 
@@ -86,12 +86,16 @@ def _wind_profile(wind: schema.Wind, pool: Pool) -> TableRef:
     return pool.add(fit(table["altitude_m"], columns, wind.interpolation))
 
 
-def _turbulence(scenario: Scenario, pool: Pool) -> dryden.Turbulence:
+def _turbulence(scenario: Scenario, pool: Pool) -> gusts.Turbulence:
     turbulence = scenario.wind.turbulence
     if turbulence is None:
-        return dryden.Turbulence()
+        return gusts.Turbulence()
     seed = scenario.run.seed if turbulence.seed is None else turbulence.seed
-    return dryden.Turbulence(1, pool.add(_intensity(turbulence, scenario.site.altitude_m)), seed)
+    if (t := turbulence.spectrum) is not None:
+        return gusts.Turbulence(1, seed=seed, **gusts.spectral_lines(t["wave_number_pm"], t["density_m3ps2"], seed))
+    mixture = gusts.scale_mixture(gusts.VON_KARMAN if turbulence.model == "von-karman" else gusts.DRYDEN)
+    frame = gusts.HORIZONTAL if turbulence.frame == "horizontal" else gusts.BODY
+    return gusts.Turbulence(1, pool.add(_intensity(turbulence, scenario.site.altitude_m)), seed, frame=frame, **mixture)
 
 
 @cached_by_identity
@@ -99,13 +103,13 @@ def _intensity(turbulence: schema.Turbulence, ground_m: float) -> Cubics:
     if turbulence.table is not None:
         t = turbulence.table
         altitude_m, sigma = t["altitude_m"], np.stack([t[f"sigma_{axis}_mps"] for axis in "uvw"], axis=1)
-        lengths = dryden.exceedance_table("moderate", ground_m).at(altitude_m)[:, 3:].copy()
+        lengths = gusts.exceedance_table("moderate", ground_m).at(altitude_m)[:, 3:].copy()
     else:
         assert turbulence.exceedance is not None
-        given = dryden.exceedance_table(turbulence.exceedance, ground_m)
+        given = gusts.exceedance_table(turbulence.exceedance, ground_m)
         altitude_m, rows = given.breaks, given.at(given.breaks)
         sigma, lengths = rows[:, :3], rows[:, 3:].copy()
     for axis, length in enumerate((turbulence.length_u_m, turbulence.length_v_m, turbulence.length_w_m)):
         if length is not None:
             lengths[:, axis] = length
-    return dryden.intensity_table(altitude_m, sigma, lengths)
+    return gusts.intensity_table(altitude_m, sigma, lengths)

@@ -38,6 +38,7 @@ TURBULENCE_COLUMNS = Columns(
     sets=(("sigma_u_mps", "sigma_v_mps", "sigma_w_mps"),),
     not_negative=("sigma_u_mps", "sigma_v_mps", "sigma_w_mps"),
 )
+SPECTRUM_COLUMNS = Columns("wave_number_pm", sets=(("density_m3ps2",),), positive=("wave_number_pm", "density_m3ps2"))
 
 
 class Site(Section):
@@ -132,7 +133,19 @@ class Gust(Section):
 class Turbulence(Section):
     """Random wind."""
 
-    model: Literal["dryden"] = optional("Dryden spectra, MIL-F-8785C", "dryden")
+    model: Literal["dryden", "von-karman", "spectrum"] = optional(
+        "dryden, von-karman: spectra of MIL-F-8785C along the path; spectrum: of the horizontal wind over altitude",
+        "dryden",
+    )
+    frame: Literal["body", "horizontal"] = optional(
+        "axes of u, v, w: body x, y, z, or north, east, down with the spectra by the direction of flight, as a vehicle "
+        "that rises needs near the ground (spectrum: always horizontal)",
+        "body",
+    )
+    spectrum: Annotated[CsvTable, SPECTRUM_COLUMNS] | None = optional(
+        "one-sided power spectrum of the north and of the east wind, (m/s)^2 per cycle/m, over the vertical wave "
+        'number, cycles/m, for model = "spectrum"'
+    )
     exceedance: Literal["light", "moderate", "severe"] | None = optional("severity")
     table: Annotated[CsvTable, TURBULENCE_COLUMNS] | None = optional(
         "standard deviations along (u), across (v), down (w), instead of exceedance"
@@ -145,7 +158,14 @@ class Turbulence(Section):
     @model_validator(mode="after")
     def _check(self) -> Turbulence:
         at_most_one(self, ("exceedance", "table"))
-        if self.table is None:
+        along_path = ("exceedance", "table", "length_u_m", "length_v_m", "length_w_m")
+        only_with(self, along_path, self.model != "spectrum", "model = 'dryden', 'von-karman'")
+        only_with(self, ("spectrum",), self.model == "spectrum", "model = 'spectrum'")
+        if self.model == "spectrum":
+            table: CsvTable = needs(self, "spectrum", "model is 'spectrum'", SPECTRUM_COLUMNS.allowed())
+            if len(table) < 2:
+                raise table.refusal("has one row only", "at least two rows")
+        elif self.table is None:
             needs(self, "exceedance", "turbulence needs a strength", "'light', 'moderate', 'severe', or a table")
         return self
 

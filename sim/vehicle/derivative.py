@@ -125,7 +125,7 @@ class StageInputs:
     torque_x_Nm: float
     torque_y_Nm: float
     torque_z_Nm: float
-    gust_x_mps: float  # of the turbulence, in B
+    gust_x_mps: float  # of the turbulence, in its frame: B, or north, east, down
     gust_y_mps: float
     gust_z_mps: float
 

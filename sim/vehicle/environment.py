@@ -45,7 +45,7 @@ from maxq.sim.world.atmosphere import (
     us1976_nearby,
 )
 from maxq.sim.world.earth import FLAT, Earth, gravitation, ground_velocity, local_frame, ned_to_earth
-from maxq.sim.world.turbulence import Turbulence
+from maxq.sim.world.turbulence import HORIZONTAL, Turbulence
 from maxq.sim.world.wind import Wind, wind_ned
 
 
@@ -61,7 +61,7 @@ class Environment:
 def air_data(
     environment: Environment, pool: Array, gust: Vector, rotation: Matrix, y: Array, work: Array, aux: Array
 ) -> Vector:  # fmt: skip  # nine lines otherwise
-    """Air data into `aux`; returns the gravitation in I, m/s2. `gust`: of the turbulence, B, m/s."""
+    """Air data into `aux`; returns the gravitation in I, m/s2. `gust`: of the turbulence, in its frame, m/s."""
     x, yy, z = y[R_I], y[R_I + 1], y[R_I + 2]
     gravity = gravitation(environment.earth, x, yy, z)
     frame, gas = frame_and_air(environment.earth, environment.atmosphere, pool, x, yy, z, work)
@@ -71,6 +71,8 @@ def air_data(
     wind_I = ned_to_earth(sin_lat, cos_lat, sin_lon, cos_lon, wind[0], wind[1], wind[2])
     ground = ground_velocity(environment.earth, x, yy)
     relative = (y[V_I] - ground[0] - wind_I[0], y[V_I + 1] - ground[1] - wind_I[1], y[V_I + 2] - ground[2] - wind_I[2])
+    if environment.turbulence.frame == HORIZONTAL:
+        gust = rotate_back(rotation, ned_to_earth(sin_lat, cos_lat, sin_lon, cos_lon, gust[0], gust[1], gust[2]))
     flow = add(rotate_back(rotation, relative), scaled(-1.0, gust))
     airspeed = math.sqrt(flow[0] * flow[0] + flow[1] * flow[1] + flow[2] * flow[2])
     aux[ALTITUDE], aux[DENSITY], aux[PRESSURE] = altitude, density, pressure
@@ -110,6 +112,26 @@ def climb_rate(earth: Earth, y: Array) -> tuple[float, float]:
     ground = ground_velocity(earth, y[R_I], y[R_I + 1])
     vx, vy, vz = y[V_I] - ground[0], y[V_I + 1] - ground[1], y[V_I + 2] - ground[2]
     return altitude, cos_lat * (cos_lon * vx + sin_lon * vy) + sin_lat * vz
+
+
+@routine
+def flight_direction(environment: Environment, pool: Array, y: Array) -> Vector:
+    """Unit vector of the velocity relative to the air, north, east, down; up where there is none. In the frame BODY of
+    the turbulence, which does without it: up."""
+    if environment.turbulence.frame != HORIZONTAL:
+        return 0.0, 0.0, -1.0
+    earth = environment.earth
+    altitude, sin_lat, cos_lat, sin_lon, cos_lon = local_frame(earth, y[R_I], y[R_I + 1], y[R_I + 2])
+    ground, wind = ground_velocity(earth, y[R_I], y[R_I + 1]), wind_ned(environment.wind, pool, altitude)
+    vx, vy, vz = y[V_I] - ground[0], y[V_I + 1] - ground[1], y[V_I + 2] - ground[2]
+    outward = cos_lon * vx + sin_lon * vy
+    north = cos_lat * vz - sin_lat * outward - wind[0]
+    east = cos_lon * vy - sin_lon * vx - wind[1]
+    down = -cos_lat * outward - sin_lat * vz - wind[2]
+    speed = math.sqrt(north * north + east * east + down * down)
+    if speed < 1e-6:
+        return 0.0, 0.0, -1.0
+    return north / speed, east / speed, down / speed
 
 
 NO_ANCHOR, ANCHOR_DUE, ANCHOR_SET = 0.0, 1.0, 2.0  # of the workspace's anchor

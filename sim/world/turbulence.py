@@ -1,6 +1,8 @@
-"""Continuous turbulence: the Dryden model of MIL-F-8785C (1980), section 3.7.
+"""Continuous turbulence: the Dryden and von Karman models of MIL-F-8785C (1980), section 3.7, and a spectrum over
+altitude.
 
-The vehicle flies through a frozen field of gusts whose spectra over the circular frequency w, one-sided, are
+The vehicle flies through a frozen field of gusts whose spectra over the circular frequency w, one-sided, are in the
+Dryden model
 
     longitudinal     S_u = sigma^2 2 L / (pi V) / (1 + (L w / V)^2)
     lateral, normal  S_v = sigma^2 L / (pi V) (1 + 3 (L w / V)^2) / (1 + (L w / V)^2)^2
@@ -10,26 +12,59 @@ p)/(1 + p)^2, p the Laplace variable of the dimensionless time theta = V t / L. 
 coefficients and an output of unit variance, so airspeed, scale length and intensity may vary over the flight, and each
 tick is an exact discretisation whatever its length. With V -> 0 the gust is constant.
 
-Approximations: the components are taken along the body axes x (u), y (v), z (w) instead of along the relative wind,
-which differ by the angle of incidence; below 1000 ft the standard's axes are horizontal and vertical, which is ignored;
-rotary gusts are left out, because their share is of the order of the span over the scale length.
+The von Karman spectra, with x = 1.339 L w / V,
+
+    S_u = sigma^2 2 L / (pi V) (1 + x^2)^(-5/6),   S_v = sigma^2 L / (pi V) (1 + 8/3 x^2) (1 + x^2)^(-11/6)
+
+are sums of Dryden fields of several scale lengths: (1 + x^2)^(-5/6) is a Stieltjes function of x^2, so that it is a
+mixture of 1 / (k^2 + x^2) with positive weights, and the lateral spectrum follows from the longitudinal one in both
+models by S_v = (S_u - w dS_u/dw) / 2. Six lengths meet both spectra within 0.8 % up to x = 1500 (VON_KARMAN).
+
+In the frame BODY the components lie along the body axes x (u), y (v), z (w), as of an aircraft whose nose points where
+it flies. In the frame HORIZONTAL intensities and lengths belong to the horizon and spectra to the direction of flight e
+(relative to the air): three independent components of unit variance, the longitudinal one along e, are turned into
+north, east, down by the shortest rotation from up to e, and multiplied by sigma_u, sigma_v, sigma_w. The variances are
+then those of the horizon's axes in any attitude. A component's length is that of its direction: L_w by the square of
+its vertical part, L_u or L_v by the rest. A vehicle that rises has the longitudinal spectrum vertically and lateral
+ones in both horizontal axes, all with the horizon's intensities; high up, where these are equal, both frames mean the
+same but for roll and incidence. In vertical descent the rotation is not defined (half a turn about north is taken).
+
+A spectrum over altitude is a fixed field of horizontal wind, the sum of SPECTRAL_LINES cosines of altitude with random
+phases, the form in which handbooks (NASA-HDBK-1001) give the small-scale wind that a rising launch vehicle meets.
+
+Rotary gusts are left out, because their share is of the order of the span over the scale length.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, field
 from functools import lru_cache
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from maxq.control.kernel.jit import kernel, routine
-from maxq.control.kernel.noise import TURBULENCE_STREAM, standard_normal, standard_normal_pair
+from maxq.control.kernel.noise import TURBULENCE_STREAM, standard_normal, standard_normal_pair, uniform_pair
 from maxq.control.kernel.records import Array
 from maxq.control.kernel.tables import NO_TABLE, Cubics, TableRef, find_interval, fit, interpolate
+from maxq.control.kernel.vectors import Vector, add, cross, scaled
 
+BODY, HORIZONTAL = 0, 1  # Turbulence.frame
+MOST_SCALES, SPECTRAL_LINES = 6, 64
+DRYDEN = ((1.0, 1.0),)
+VON_KARMAN = (
+    (0.74338, 1.0728),
+    (0.16136, 3.2928),
+    (0.060757, 14.068),
+    (0.022563, 62.429),
+    (0.0083847, 278.99),
+    (0.0035554, 1365.5),
+)
+"""Share of the variance, and 1.339 L over the Dryden length: least largest error of both spectra, x = 0 .. 1500."""
+_VON_KARMAN_LENGTH = math.gamma(1 / 3) / (math.sqrt(math.pi) * math.gamma(5 / 6))  # 1.339: makes the variance 1
 FOOT_m = 0.3048
 KNOT_mps = 1852.0 / 3600.0
 Exceedance = Literal["light", "moderate", "severe"]
@@ -37,20 +72,34 @@ Exceedance = Literal["light", "moderate", "severe"]
 
 @dataclass(frozen=True)
 class Turbulence:
-    """Parameter record. `intensity`: see `intensity_table`; `tick_ns`: period of `turbulence_tick`."""
+    """Parameter record. `intensity`: see `intensity_table`; `tick_ns`: period of `turbulence_tick`.
+
+    `scales` Dryden fields make up the gust, each with its `amplitude` and a scale length divided by `shorter`; or,
+    where `lines` is not 0, so many cosines of altitude.
+    """
 
     on: int = 0
     intensity: TableRef = NO_TABLE
     seed: int = 0
     tick_ns: int = 10_000_000
+    frame: int = BODY
+    scales: int = 1
+    amplitude: Annotated[Array, (MOST_SCALES,)] = field(default_factory=lambda: np.ones(MOST_SCALES))
+    shorter: Annotated[Array, (MOST_SCALES,)] = field(default_factory=lambda: np.ones(MOST_SCALES))
+    lines: int = 0
+    line_radpm: Annotated[Array, (SPECTRAL_LINES,)] = field(default_factory=lambda: np.zeros(SPECTRAL_LINES))
+    line_mps: Annotated[Array, (SPECTRAL_LINES,)] = field(default_factory=lambda: np.zeros(SPECTRAL_LINES))
+    phase_north_rad: Annotated[Array, (SPECTRAL_LINES,)] = field(default_factory=lambda: np.zeros(SPECTRAL_LINES))
+    phase_east_rad: Annotated[Array, (SPECTRAL_LINES,)] = field(default_factory=lambda: np.zeros(SPECTRAL_LINES))
 
 
 @dataclass
 class TurbulenceState:
-    """State record, changed in place: number of ticks, filter states of u (1), v (2), w (2), the last two gusts."""
+    """State record, changed in place: number of ticks, filter states of u (1), v (2), w (2) of each scale, the last two
+    gusts."""
 
     ticks: int
-    filters: Annotated[Array, (5,)]
+    filters: Annotated[Array, (5 * MOST_SCALES,)]
     before_mps: Annotated[Array, (3,)]
     now_mps: Annotated[Array, (3,)]
 
@@ -111,57 +160,120 @@ def exceedance_table(level: Exceedance, ground_altitude_m: float = 0.0) -> Cubic
 _ROOT_3 = math.sqrt(3.0)
 
 
+def scale_mixture(mixture: Sequence[tuple[float, float]]) -> dict[str, Any]:
+    """Fields of `Turbulence` for DRYDEN or VON_KARMAN."""
+    amplitude, shorter = np.ones(MOST_SCALES), np.ones(MOST_SCALES)
+    total = sum(share for share, _ in mixture)
+    for k, (share, pole) in enumerate(mixture):
+        amplitude[k] = math.sqrt(share / total)
+        shorter[k] = pole if len(mixture) == 1 else pole / _VON_KARMAN_LENGTH
+    return {"scales": len(mixture), "amplitude": amplitude, "shorter": shorter}
+
+
+def spectral_lines(wave_number_pm: Array, density_m3ps2: Array, seed: int) -> dict[str, Any]:
+    """Fields of `Turbulence` for a one-sided power spectrum of each horizontal component over the vertical wave number.
+
+    `wave_number_pm` (n,) in cycles per m, rising; `density_m3ps2` (n,) in (m/s)^2 per (cycle per m), both > 0. Between
+    the rows the logarithms are interpolated; there is nothing outside them. The range is cut into as many cells of
+    equal ratio as there are lines; each has the variance of its cell, at a random place in it, with random phases.
+    """
+    ends = np.geomspace(wave_number_pm[0], wave_number_pm[-1], SPECTRAL_LINES + 1)
+    inside = np.geomspace(ends[:-1], ends[1:], 33)
+    density = np.exp(np.interp(np.log(inside), np.log(wave_number_pm), np.log(density_m3ps2)))
+    variance = (0.5 * (density[1:] + density[:-1]) * np.diff(inside, axis=0)).sum(axis=0)
+    drawn = np.array(
+        [[uniform_pair(seed, TURBULENCE_STREAM, 2 * k + j) for j in (0, 1)] for k in range(SPECTRAL_LINES)]
+    )
+    return {
+        "lines": SPECTRAL_LINES,
+        "frame": HORIZONTAL,
+        "line_radpm": 2.0 * math.pi * ends[:-1] * (ends[1:] / ends[:-1]) ** drawn[:, 0, 0],
+        "line_mps": np.sqrt(2.0 * variance),
+        "phase_north_rad": 2.0 * math.pi * drawn[:, 0, 1],
+        "phase_east_rad": 2.0 * math.pi * drawn[:, 1, 0],
+    }
+
+
 @routine
-def turbulence_start(turbulence: Turbulence, pool: Array, state: TurbulenceState, altitude_m: float) -> None:
-    """Draw the filters' states from their stationary distribution and set the gust: there is no spin-up."""
+def turbulence_start(
+    turbulence: Turbulence, pool: Array, state: TurbulenceState, altitude_m: float, along_N: Vector
+) -> None:  # fmt: skip  # nine lines otherwise
+    """Draw the filters' states from their stationary distribution and set the gust: there is no spin-up.
+
+    `along_N`: direction of flight relative to the air, north, east, down; counts in the frame HORIZONTAL only.
+    """
     if turbulence.on == 0:
         return
     seed = turbulence.seed
     state.ticks = 0
-    state.filters[0] = standard_normal(seed, TURBULENCE_STREAM, 0)
-    for i in range(2):
-        # the two stages have the covariance [[1/2, 1/4], [1/4, 1/4]]; this is its Cholesky factor
-        first, second = standard_normal_pair(seed, TURBULENCE_STREAM, 1 + i)
-        state.filters[1 + 2 * i] = math.sqrt(0.5) * first
-        state.filters[2 + 2 * i] = math.sqrt(0.125) * (first + second)
-    _set_gust(turbulence, pool, state, altitude_m)
+    for scale in range(turbulence.scales):
+        first_state, index = 5 * scale, 3 * scale
+        state.filters[first_state] = standard_normal(seed, TURBULENCE_STREAM, index)
+        for i in range(2):
+            # the two stages have the covariance [[1/2, 1/4], [1/4, 1/4]]; this is its Cholesky factor
+            first, second = standard_normal_pair(seed, TURBULENCE_STREAM, index + 1 + i)
+            state.filters[first_state + 1 + 2 * i] = math.sqrt(0.5) * first
+            state.filters[first_state + 2 + 2 * i] = math.sqrt(0.125) * (first + second)
+    _set_gust(turbulence, pool, state, altitude_m, along_N)
     for j in range(3):
         state.before_mps[j] = state.now_mps[j]
 
 
 @routine
 def turbulence_tick(
-    turbulence: Turbulence, pool: Array, state: TurbulenceState, airspeed_mps: float, altitude_m: float
-) -> None:
-    """Advance the gust by one tick at the present airspeed [m/s] and altitude [m]; called every `tick_ns`."""
+    turbulence: Turbulence, pool: Array, state: TurbulenceState, airspeed_mps: float, altitude_m: float, along_N: Vector
+) -> None:  # fmt: skip  # nine lines otherwise
+    """Advance the gust by one tick at the present airspeed [m/s] and altitude [m]; called every `tick_ns`.
+
+    `along_N` as for `turbulence_start`.
+    """
     if turbulence.on == 0:
         return
-    k = find_interval(pool, turbulence.intensity, altitude_m)
-    way = airspeed_mps * 1e-9 * turbulence.tick_ns
-    seed = turbulence.seed
     state.ticks += 1
-    index = 3 * state.ticks
+    if turbulence.lines == 0:
+        way = airspeed_mps * 1e-9 * turbulence.tick_ns
+        lengths = _lengths(turbulence, pool, altitude_m, along_N)
+        for scale in range(turbulence.scales):
+            index = 3 * (state.ticks * turbulence.scales + scale)
+            _advance(turbulence.shorter[scale] * way, lengths, turbulence.seed, index, 5 * scale, state)
+    for j in range(3):
+        state.before_mps[j] = state.now_mps[j]
+    _set_gust(turbulence, pool, state, altitude_m, along_N)
 
-    theta = way / interpolate(pool, turbulence.intensity, k, altitude_m, 3)
-    state.filters[0] = math.exp(-theta) * state.filters[0] + math.sqrt(-math.expm1(-2.0 * theta)) * standard_normal(
+
+@kernel
+def _lengths(turbulence: Turbulence, pool: Array, altitude_m: float, along_N: Vector) -> Vector:
+    """Scale length of each component, m."""
+    k = find_interval(pool, turbulence.intensity, altitude_m)
+    u = interpolate(pool, turbulence.intensity, k, altitude_m, 3)
+    v = interpolate(pool, turbulence.intensity, k, altitude_m, 4)
+    w = interpolate(pool, turbulence.intensity, k, altitude_m, 5)
+    if turbulence.frame == BODY:
+        return u, v, w
+    north, east, down = along_N  # vertical parts of the turned north and east axes are those of e along them
+    return u + (w - u) * down * down, v + (w - v) * north * north, v + (w - v) * east * east
+
+
+@kernel
+def _advance(way: float, lengths: Vector, seed: int, index: int, f: int, state: TurbulenceState) -> None:
+    """One scale's filters, from state.filters[f] on, by `way` metres."""
+    theta = way / lengths[0]
+    state.filters[f] = math.exp(-theta) * state.filters[f] + math.sqrt(-math.expm1(-2.0 * theta)) * standard_normal(
         seed, TURBULENCE_STREAM, index
     )
     for i in range(2):
-        theta = way / interpolate(pool, turbulence.intensity, k, altitude_m, 4 + i)
+        theta = way / lengths[1 + i]
         decay, l_11, l_21, l_22 = second_order_step(theta)
         first, second = standard_normal_pair(seed, TURBULENCE_STREAM, index + 1 + i)
-        z_1, z_2 = state.filters[1 + 2 * i], state.filters[2 + 2 * i]
-        state.filters[1 + 2 * i] = decay * z_1 + l_11 * first
-        state.filters[2 + 2 * i] = decay * (z_2 + theta * z_1) + l_21 * first + l_22 * second
-
-    for j in range(3):
-        state.before_mps[j] = state.now_mps[j]
-    _set_gust(turbulence, pool, state, altitude_m)
+        z_1, z_2 = state.filters[f + 1 + 2 * i], state.filters[f + 2 + 2 * i]
+        state.filters[f + 1 + 2 * i] = decay * z_1 + l_11 * first
+        state.filters[f + 2 + 2 * i] = decay * (z_2 + theta * z_1) + l_21 * first + l_22 * second
 
 
 @kernel
 def turbulence_at(state: TurbulenceState, fraction: float) -> tuple[float, float, float]:
-    """Velocity of the air (u, v, w) [m/s] along body x, y, z, at `fraction` (0..1) of the way to the next tick.
+    """Velocity of the air [m/s] in the turbulence's frame (body x, y, z, or north, east, down), at `fraction` (0..1) of
+    the way to the next tick.
 
     Linear between the last two ticks: continuous for the integrator, and one tick late, because the line ends at the
     gust that the last tick drew. The delay is that of a field `airspeed * tick` further on and changes no statistics;
@@ -200,10 +312,40 @@ def second_order_step(theta: float) -> tuple[float, float, float, float]:
 
 
 @kernel
-def _set_gust(turbulence: Turbulence, pool: Array, state: TurbulenceState, altitude_m: float) -> None:
-    """The gust of the filters' present states: outputs of unit variance times the intensities."""
+def _set_gust(
+    turbulence: Turbulence, pool: Array, state: TurbulenceState, altitude_m: float, along_N: Vector
+) -> None:  # fmt: skip  # nine lines otherwise
+    """The gust of the filters' present states: outputs of unit variance times the intensities; or that of the lines."""
+    if turbulence.lines > 0:
+        state.now_mps[0], state.now_mps[1], state.now_mps[2] = 0.0, 0.0, 0.0
+        for line in range(turbulence.lines):
+            turns = turbulence.line_radpm[line] * altitude_m
+            state.now_mps[0] += turbulence.line_mps[line] * math.cos(turns + turbulence.phase_north_rad[line])
+            state.now_mps[1] += turbulence.line_mps[line] * math.cos(turns + turbulence.phase_east_rad[line])
+        return
+    u, v, w = 0.0, 0.0, 0.0
+    for scale in range(turbulence.scales):
+        amplitude, f = turbulence.amplitude[scale], 5 * scale
+        u += amplitude * state.filters[f]
+        v += amplitude * (_ROOT_3 * state.filters[f + 1] + (1.0 - _ROOT_3) * state.filters[f + 2])
+        w += amplitude * (_ROOT_3 * state.filters[f + 3] + (1.0 - _ROOT_3) * state.filters[f + 4])
+    unit = (u, v, w)
+    if turbulence.frame == HORIZONTAL:
+        unit = turned_from_up(along_N, (v, w, -u))
     k = find_interval(pool, turbulence.intensity, altitude_m)
-    state.now_mps[0] = interpolate(pool, turbulence.intensity, k, altitude_m, 0) * state.filters[0]
-    for i in range(2):
-        unit = _ROOT_3 * state.filters[1 + 2 * i] + (1.0 - _ROOT_3) * state.filters[2 + 2 * i]
-        state.now_mps[1 + i] = interpolate(pool, turbulence.intensity, k, altitude_m, 1 + i) * unit
+    for j in range(3):
+        state.now_mps[j] = interpolate(pool, turbulence.intensity, k, altitude_m, j) * unit[j]
+
+
+@kernel
+def turned_from_up(along_N: Vector, vector: Vector) -> Vector:
+    """`vector` (north, east, down) turned by the shortest rotation from up to the unit vector `along_N`.
+
+    v + a x v + a x (a x v) / (1 + c) with a = up x e, c = up . e (Rodrigues); from up to down half a turn about north.
+    """
+    north, east, down = along_N
+    if 1.0 - down < 1e-9:
+        return vector[0], -vector[1], -vector[2]
+    axis = (east, -north, 0.0)
+    once = cross(axis, vector)
+    return add(add(vector, once), scaled(1.0 / (1.0 - down), cross(axis, once)))
