@@ -14,7 +14,7 @@ from scipy.interpolate import CubicHermiteSpline, PchipInterpolator
 
 from maxq.control.kernel.records import Array
 from maxq.control.kernel.tables import fit, hermite, merge
-from maxq.sim.packing.schedule import ModeShapes
+from maxq.sim.packing.modes import ModeShapes
 from maxq.sim.scenario.modes import ModeTable
 
 EPS = float(np.finfo(float).eps)

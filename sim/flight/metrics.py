@@ -141,7 +141,7 @@ def _gather_incidence(extremes: Extremes, q: float, aux: Array, now_ns: int) -> 
 @kernel
 def _gather_bending(extremes: Extremes, vehicle: Vehicle, now_ns: int, aux: Array) -> None:
     sizes = counts(vehicle.sizes)
-    if sizes.pitch_modes + sizes.yaw_modes > 0:
+    if sizes.pitch_modes + sizes.yaw_modes + sizes.spatial_modes > 0:
         move_y, move_z = aux[GIMBAL_BEND], aux[GIMBAL_BEND + 1]
         raise_to(extremes, METRIC.max_bending_m, math.sqrt(move_y * move_y + move_z * move_z), now_ns)
 

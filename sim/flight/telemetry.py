@@ -22,7 +22,18 @@ from maxq.sim.vehicle.bending import BendingRow, ModeRow, bending_row, put_modes
 from maxq.sim.vehicle.gyro import GyroRow, gyro_row
 from maxq.sim.vehicle.schedule import CORE_CG, CORE_INERTIA, CORE_MASS, MASS_FLOW, TOTAL_MASS
 from maxq.sim.vehicle.slosh import SloshRow, slosh_row
-from maxq.sim.vehicle.state import GYRO, Q_BI, R_I, V_I, W_BI_B, Sizes, eta_index, pendulum_index, xi_index
+from maxq.sim.vehicle.state import (
+    GYRO,
+    Q_BI,
+    R_I,
+    V_I,
+    W_BI_B,
+    Sizes,
+    eta_index,
+    pendulum_index,
+    spatial_index,
+    xi_index,
+)
 from maxq.sim.vehicle.workspace import (
     AERO_FORCE,
     AERO_MOMENT,
@@ -69,9 +80,10 @@ def fill_fast(p: Parameters, logged: Sizes, memory: Memory, props: Array, y: Arr
             control=control_row(memory.computer),
         ),
     )
-    if logged.pitch_modes + logged.yaw_modes > 0:
+    if logged.pitch_modes + logged.yaw_modes + logged.spatial_modes > 0:
         column = put_modes(row, column, y, eta_index(sizes), sizes.pitch_modes, logged.pitch_modes)
         column = put_modes(row, column, y, xi_index(sizes), sizes.yaw_modes, logged.yaw_modes)
+        column = put_modes(row, column, y, spatial_index(sizes), sizes.spatial_modes, logged.spatial_modes)
         column = put(row, column, bending_row(aux))
     for tank in range(logged.tanks):
         column = put(row, column, slosh_row(p.vehicle.slosh, sizes, tank, props, y, pendulum_index(sizes, tank), aux))
@@ -245,10 +257,9 @@ def fill_slow(p: Parameters, memory: Memory, props: Array, y: Array, aux: Array,
 def channel_table(sizes: Sizes, tanks: tuple[str, ...]) -> ChannelTable:
     """Channels of a vehicle with so many modes and these tanks, in the order of the kernels' columns."""
     topics = declared_topics(FAST, FastRow)
-    modes = [("pitch", i) for i in range(1, sizes.pitch_modes + 1)] + [
-        ("yaw", i) for i in range(1, sizes.yaw_modes + 1)
-    ]
-    bending = [declared_channels(ModeRow, "mode", f"{plane}_{i}", f"{plane} mode {i}") for plane, i in modes]
+    kinds = (("pitch", sizes.pitch_modes), ("yaw", sizes.yaw_modes), ("spatial", sizes.spatial_modes))
+    modes = [(kind, i) for kind, count in kinds for i in range(1, count + 1)]
+    bending = [declared_channels(ModeRow, "mode", f"{kind}_{i}", f"{kind} mode {i}") for kind, i in modes]
     if bending:
         channels = (*sum(bending, ()), *declared_channels(BendingRow))
         topics.append(Topic("/bending", FAST, channels, "bending modes"))

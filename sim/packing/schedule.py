@@ -7,18 +7,16 @@ loses (docs/model.md, section 8).
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
-from functools import lru_cache
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from maxq.control.kernel.jit import from_python
 from maxq.control.kernel.records import Array, pack
-from maxq.control.kernel.tables import Cubics, Method, fit, hermite, merge, union
+from maxq.control.kernel.tables import Cubics, Method, fit, merge, union
+from maxq.sim.packing.modes import Places, mode_values, spatial_values
 from maxq.sim.packing.remembered import cached_by_identity
-from maxq.sim.scenario.modes import ModeTable
+from maxq.sim.scenario.modes import ModeTable, SpatialModeTable
 from maxq.sim.scenario.schema_scenario import Switches
 from maxq.sim.scenario.schema_stage import AeroSurface
 from maxq.sim.scenario.schema_vehicle import Stage
@@ -27,8 +25,8 @@ from maxq.sim.vehicle import schedule as columns_of
 from maxq.sim.vehicle.state import Sizes
 
 _schedule_width = from_python(columns_of.schedule_width)
+_gimbal_place = from_python(columns_of.gimbal_place)
 _padded_modes, _mode_rows = from_python(columns_of.padded_modes), from_python(columns_of.mode_rows)
-_GAUSS_NODES, _GAUSS_WEIGHTS = np.polynomial.legendre.leggauss(4)
 
 
 def stage_sizes(stage: Stage, switches: Switches) -> Sizes:
@@ -40,7 +38,8 @@ def stage_sizes(stage: Stage, switches: Switches) -> Sizes:
         yaw = yaw_table.modes if yaw_table else 0
     tanks = len(stage.tank) if switches.slosh else 0
     tables = 0 if stage.aero is None else len(stage.aero.coefficients)
-    return Sizes(pitch, yaw, tanks, len(surface_stations(stage)), tables)
+    spatial = stage.spatial_modes.modes.modes if stage.spatial_modes is not None and switches.bending else 0
+    return Sizes(pitch, yaw, tanks, len(surface_stations(stage)), tables, spatial)
 
 
 def surface_stations(stage: Stage) -> tuple[float, ...]:
@@ -90,6 +89,8 @@ def vehicle_schedule(stage: Stage, sizes: Sizes, switches: Switches, frozen: boo
         alike = sizes.yaw_modes == sizes.pitch_modes and bending.yaw == bending.pitch
         yaw_table = bending.yaw_modes if sizes.yaw_modes > 0 and not alike else None
         parts += [pitch, pitch if alike else _modes(stage, yaw_table, sizes, tanks, method)]
+    if sizes.spatial_modes > 0:
+        parts.append(_spatial_modes(stage, sizes, tanks, method))
     schedule = merge(parts)
     assert schedule.n_columns == _schedule_width(pack([sizes])[0])
     return schedule
@@ -198,13 +199,8 @@ def _modes(stage: Stage, table: ModeTable | None, sizes: Sizes, tanks: Sequence[
     rows, padded_modes = int(_mode_rows(record)), int(_padded_modes(record))
     if table is None or rows * padded_modes == 0:
         return fit([0.0], np.zeros((1, rows * padded_modes)))
-    engine, bending = stage.engine, stage.bending
-    gimbal_m = engine.gimbal_station_m if engine else float(table.station_m[-1])
-    gyro_m = stage.gyro.station_m if stage.gyro else float(table.station_m[0])
-    hanging_kgm = engine.gimballed_mass_kg * engine.cg_from_gimbal_m if engine else 0.0
-    hinges_m = tuple(tank.at(table.time_s)[:, 2].tobytes() for tank in tanks)
-    surfaces_m = surface_stations(stage)
-    values = _mode_values(table, (rows, padded_modes), gimbal_m, gyro_m, hinges_m, surfaces_m, hanging_kgm)
+    bending = stage.bending
+    values = mode_values(table, (rows, padded_modes), _places(stage, table, tanks))
     joined = fit(table.time_s, values, method)
     assert bending is not None
     factors = np.ones((rows, padded_modes))
@@ -214,79 +210,24 @@ def _modes(stage: Stage, table: ModeTable | None, sizes: Sizes, tanks: Sequence[
     return Cubics(joined.breaks, joined.coefficients * factors.ravel())
 
 
-class ModeShapes:
-    """Shapes of the T times and M modes of a table: cubics with its `phi` and `slope_pm` at the stations.
-
-    Beyond the first and last station the cubics there go on.
-    """
-
-    def __init__(self, table: ModeTable) -> None:
-        self._of = table.phi.shape[:2]
-        stations = len(table.station_m)
-        columns = (values.reshape(-1, stations).T for values in (table.phi, table.slope_pm))
-        self._cubics = hermite(table.station_m, *columns)
-
-    def value(self, station_m: ArrayLike) -> Array:
-        """phi (P, T, M) at stations (P,)."""
-        s, (c0, c1, c2, c3) = self._at(station_m)
-        return np.reshape(c0 + c1 * s + c2 * (s * s) + c3 * (s * s * s), (-1, *self._of))
-
-    def slope(self, station_m: ArrayLike) -> Array:
-        """d(phi)/d(station) (P, T, M) at stations (P,), 1/m."""
-        s, (_, c1, c2, c3) = self._at(station_m)
-        return np.reshape(c1 + c2 * s * 2.0 + c3 * (s * s) * 3.0, (-1, *self._of))
-
-    def _at(self, station_m: ArrayLike) -> tuple[Array, Array]:
-        """Distance (P, 1) into the interval of each station, and its coefficients (4, P, T M)."""
-        x, breaks = np.atleast_1d(np.asarray(station_m, float)), self._cubics.breaks
-        k = np.clip(np.searchsorted(breaks, x, side="right") - 1, 0, len(breaks) - 2)
-        return (x - breaks[k])[:, None], self._cubics.coefficients[k].transpose(1, 0, 2)
+def _places(stage: Stage, table: ModeTable | SpatialModeTable, tanks: Sequence[Cubics]) -> Places:
+    engine = stage.engine
+    gimbal_m = engine.gimbal_station_m if engine else float(table.station_m[-1])
+    gyro_m = stage.gyro.station_m if stage.gyro else float(table.station_m[0])
+    hanging_kgm = engine.gimballed_mass_kg * engine.cg_from_gimbal_m if engine else 0.0
+    hinges_m = tuple(tank.at(table.time_s)[:, 2].tobytes() for tank in tanks)
+    return Places(gimbal_m, gyro_m, hinges_m, surface_stations(stage), hanging_kgm)
 
 
-@lru_cache(maxsize=16)  # a campaign packs the same modes thousands of times; a table has two planes, or one for both
-def _mode_values(
-    table: ModeTable,
-    shape: tuple[int, int],
-    gimbal_m: float,
-    gyro_m: float,
-    hinges_m: tuple[bytes, ...],
-    surfaces_m: tuple[float, ...],
-    hanging_kgm: float,
-) -> Array:
-    """Rows and lanes (`shape`) of a plane over the table's times, (T, rows times lanes).
-
-    `hinges_m`: stations (T,) of each tank's hinge, as bytes.
-    """
-    (rows, padded_modes), n, shapes = shape, table.modes, ModeShapes(table)
-    columns = [2.0 * np.pi * table.frequency_hz, table.generalized_mass_kg]  # each of them (times, modes)
-    columns += [shapes.value(gimbal_m)[0], shapes.slope(gimbal_m)[0], shapes.slope(gyro_m)[0]]
-    for hinge in hinges_m:  # at each time the hinge of that time
-        columns.append(np.diagonal(shapes.value(np.frombuffer(hinge))).T)
-    for station in surfaces_m:
-        columns += [shapes.value(station)[0], shapes.slope(station)[0]]
-    values = np.zeros((len(table.time_s), rows, padded_modes))
-    values[:, : len(columns), :n] = np.stack(columns, axis=1)
-    first = rows - padded_modes
-    values[:, first : first + n, :n] = _softening(table, shapes, gimbal_m, hanging_kgm).transpose(0, 2, 1)
-    return values.reshape(len(table.time_s), -1)
-
-
-def _softening(table: ModeTable, shapes: ModeShapes, gimbal_m: float, hanging_kgm: float) -> Array:
-    """Generalised stiffness per unit of axial acceleration that the axial load takes from the modes, kg/m.
-
-    At each time (times, modes, modes): integral of m_forward phi_i' phi_j' dx up to the gimbal, less what the engine
-    behind it gives back: it hangs in tension (docs/model.md, section 4; the axial force at a station is the mass
-    forward of it times the acceleration).
-    """
-    x = table.station_m
-    inside = np.unique(np.append(x[x < gimbal_m], gimbal_m))
-    half = 0.5 * np.diff(inside)
-    points = (0.5 * (inside[1:] + inside[:-1]) + np.outer(_GAUSS_NODES, half)).ravel()
-    weights = np.outer(_GAUSS_WEIGHTS, half).ravel()
-    slopes = shapes.slope(points).transpose(1, 2, 0)  # (times, modes, points)
-    loads = [weights * np.interp(points, x, forward) for forward in table.mass_forward_kg]
-    # math.fsum, not a matrix product: BLAS rounds as it likes, another way on each processor, and a flight would too
-    matrices = np.array(
-        [[[math.fsum(a * b * load) for b in slope] for a in slope] for slope, load in zip(slopes, loads, strict=True)]
-    )
-    return matrices - hanging_kgm * np.array([np.outer(slope, slope) for slope in shapes.slope(gimbal_m)[0]])
+def _spatial_modes(stage: Stage, sizes: Sizes, tanks: Sequence[Cubics], method: Method) -> Cubics:
+    """Columns of all spatial modes."""
+    given = stage.spatial_modes
+    assert given is not None
+    table, n, record = given.modes, sizes.spatial_modes, pack([sizes])[0]
+    mass, _, inertia = np.split(_mass_table(stage)[1][0], [1, 4])
+    values = spatial_values(table, _places(stage, table, tanks), float(inertia[0] / mass[0]))
+    joined = fit(table.time_s, values, method)
+    factors = np.ones((values.shape[1] // n, n))
+    gyro, gimbal = (columns_of.SPATIAL_FIRST + 6 * p for p in (columns_of.GYRO_PLACE, int(_gimbal_place(record))))
+    factors[gyro + 3 : gyro + 6], factors[gimbal : gimbal + 6] = given.gyro_slope_factor, given.gimbal_shape_factor
+    return Cubics(joined.breaks, joined.coefficients * factors.ravel())

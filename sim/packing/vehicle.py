@@ -11,7 +11,7 @@ from maxq.sim.packing.aero import pack_aero
 from maxq.sim.scenario.schema_scenario import Scenario
 from maxq.sim.scenario.schema_vehicle import Stage
 from maxq.sim.vehicle.actuator import pack_actuators
-from maxq.sim.vehicle.bending import pack_bending
+from maxq.sim.vehicle.bending import pack_bending, pack_spatial_modes
 from maxq.sim.vehicle.derivative import Vehicle
 from maxq.sim.vehicle.engine import Engine
 from maxq.sim.vehicle.gyro import pack_gyro
@@ -32,6 +32,7 @@ def pack_vehicle(scenario: Scenario, stage: Stage, sizes: Sizes, schedule: Cubic
         gyro=pack_gyro(stage.gyro, switches.gyro == "ideal"),
         aero=pack_aero(scenario, stage, pool),
         bending=pack_bending(stage.bending, switches.bending_softening),
+        spatial_modes=pack_spatial_modes(stage.spatial_modes),
         slosh=pack_slosh(stage.tank[: sizes.tanks], stage.bending, switches.slosh_exchange),
         rate_damping=_rate_damping(stage, pool),
         roll_torque_Nm=stage.roll_thrusters.torque_Nm if stage.roll_thrusters else 0.0,

@@ -21,6 +21,18 @@ MODE_COLUMNS = Columns(
 )
 
 
+SPATIAL_SHAPES = ("phi_x", "phi_y", "phi_z", "theta_x_pm", "theta_y_pm", "theta_z_pm")
+SPATIAL_COLUMNS = Columns(
+    "time_s",
+    sets=(("mode", "frequency_hz", "generalized_mass_kg", "station_m", *SPATIAL_SHAPES, "mass_forward_kg"),),
+    optional=("mass_kg", "roll_inertia_kgm2"),
+    positive=("mode", "frequency_hz", "generalized_mass_kg"),
+    not_negative=("mass_forward_kg", "mass_kg", "roll_inertia_kgm2"),
+    begins_by=0.0,
+    repeats=True,
+)
+
+
 @dataclass(frozen=True, eq=False)
 class ModeTable:
     """Bending modes of one plane over time: T times, M modes, S stations (metres aft of the nose).
@@ -42,20 +54,71 @@ class ModeTable:
         return int(self.frequency_hz.shape[1])
 
 
+@dataclass(frozen=True, eq=False)
+class SpatialModeTable:
+    """Spatial modes over time, as `ModeTable`: displacements and rotations (T, M, S, 3) along and about x, y, z of B.
+
+    `mass_kg` and `roll_inertia_kgm2` (T, S) are lumped at the stations; None where the file does not give them.
+    """
+
+    time_s: NDArray[np.float64]
+    station_m: NDArray[np.float64]
+    frequency_hz: NDArray[np.float64]
+    generalized_mass_kg: NDArray[np.float64]
+    displacement: NDArray[np.float64]
+    rotation_pm: NDArray[np.float64]
+    mass_forward_kg: NDArray[np.float64]
+    mass_kg: NDArray[np.float64] | None
+    roll_inertia_kgm2: NDArray[np.float64] | None
+
+    @property
+    def modes(self) -> int:
+        return int(self.frequency_hz.shape[1])
+
+    def lateral(self) -> tuple[ModeTable, ModeTable]:
+        """What the modes do along y and along z, as those of a yaw and of a pitch plane."""
+        phi, theta = self.displacement, self.rotation_pm
+        given = self.time_s, self.station_m, self.frequency_hz, self.generalized_mass_kg
+        return (
+            ModeTable(*given, phi[..., 1], -theta[..., 2], self.mass_forward_kg),
+            ModeTable(*given, phi[..., 2], theta[..., 1], self.mass_forward_kg),
+        )
+
+
 def mode_table(table: CsvTable, at: Path = ()) -> ModeTable:
     """The arrays of a mode table whose columns have been checked; `at` is its key.
 
-    Raises the schema's refusal unless modes are numbered 1, 2, ... (8 at most), each time has each mode at
+    Raises the schema's refusal unless modes are numbered 1, 2, ... (12 at most), each time has each mode at
     each station exactly once, and frequency and generalised mass do not change along the stations.
     """
     made = table.derived
     if not isinstance(made, ModeTable):
-        made = _mode_table(table, at)
+        times, stations, full = _arrays(table, ("phi", "slope_pm"), ("mass_forward_kg",), at)
+        made = ModeTable(times, stations, *full)
         table.keep(made)
     return made
 
 
-def _mode_table(table: CsvTable, at: Path) -> ModeTable:
+def spatial_mode_table(table: CsvTable, at: Path = ()) -> SpatialModeTable:
+    """As `mode_table`, of a table of spatial modes."""
+    made = table.derived
+    if not isinstance(made, SpatialModeTable):
+        lumped = tuple(name for name in ("mass_kg", "roll_inertia_kgm2") if name in table)
+        times, stations, full = _arrays(table, SPATIAL_SHAPES, ("mass_forward_kg", *lumped), at)
+        frequency, mass, *rest = full
+        shapes, forward, given = np.stack(rest[:6], axis=-1), rest[6], dict(zip(lumped, rest[7:], strict=True))
+        made = SpatialModeTable(
+            times, stations, frequency, mass, shapes[..., :3], shapes[..., 3:], forward,
+            given.get("mass_kg"), given.get("roll_inertia_kgm2"),
+        )  # fmt: skip  # nine lines otherwise
+        table.keep(made)
+    return made
+
+
+def _arrays(
+    table: CsvTable, shapes: tuple[str, ...], of_stations: tuple[str, ...], at: Path
+) -> tuple[NDArray[np.float64], NDArray[np.float64], list[NDArray[np.float64]]]:
+    """Times, stations, and arrays: frequency and generalised mass (T, M), shapes (T, M, S), `of_stations` (T, S)."""
     mode = table["mode"]
     numbers = f"mode numbers 1 .. {MAX_MODES}"
     table.refuse_where(mode != np.floor(mode), "mode", "is not a whole number", numbers, at=at)
@@ -77,21 +140,15 @@ def _mode_table(table: CsvTable, at: Path) -> ModeTable:
             at=at,
         )
     full = {}
-    for name in ("frequency_hz", "generalized_mass_kg", "phi", "slope_pm", "mass_forward_kg"):
+    of_modes = ("frequency_hz", "generalized_mass_kg")
+    for name in (*of_modes, *shapes, *of_stations):
         full[name] = np.empty(shape)
         full[name][time_at, mode_at, station_at] = table[name]
-    for name in ("frequency_hz", "generalized_mass_kg"):
+    for name in of_modes:
         differs = table[name] != full[name][time_at, mode_at, 0]
         table.refuse_where(differs, name, "changes along the stations of one mode", "one value for each mode", at=at)
-    name = "mass_forward_kg"
-    differs = table[name] != full[name][time_at, 0, station_at]
-    table.refuse_where(differs, name, "differs between modes", "one value for each station", at=at)
-    return ModeTable(
-        times,
-        stations,
-        full["frequency_hz"][:, :, 0],
-        full["generalized_mass_kg"][:, :, 0],
-        full["phi"],
-        full["slope_pm"],
-        full[name][:, 0, :],
-    )
+    for name in of_stations:
+        differs = table[name] != full[name][time_at, 0, station_at]
+        table.refuse_where(differs, name, "differs between modes", "one value for each station", at=at)
+    made = [full[name][:, :, 0] for name in of_modes] + [full[name] for name in shapes]
+    return times, stations, made + [full[name][:, 0, :] for name in of_stations]

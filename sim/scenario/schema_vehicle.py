@@ -9,7 +9,14 @@ from pydantic import Field, model_validator
 
 from maxq.control.kernel.limits import MAX_MODES, MAX_STAGES, MAX_TANKS
 from maxq.sim.scenario.errors import refuse
-from maxq.sim.scenario.modes import MODE_COLUMNS, ModeTable, mode_table
+from maxq.sim.scenario.modes import (
+    MODE_COLUMNS,
+    SPATIAL_COLUMNS,
+    ModeTable,
+    SpatialModeTable,
+    mode_table,
+    spatial_mode_table,
+)
 from maxq.sim.scenario.schema_stage import Actuator, Aero, Engine, Mass, RollThrusters, Tank
 from maxq.sim.scenario.schema_values import (
     Fraction,
@@ -78,11 +85,7 @@ class Bending(Section):
 
     @model_validator(mode="after")
     def _check(self) -> Bending:
-        count = max((table.modes for table in (self.pitch_modes, self.yaw_modes) if table), default=0)
-        for key in ("damping_ratio", "frequency_factor", "gyro_slope_factor", "gimbal_shape_factor"):
-            given = len(getattr(self, key))
-            if given != count:
-                raise refuse(f"has {given} numbers for {count} modes", f"a list of {count} numbers", key=(key,))
+        _refuse_other_counts(self, max((t.modes for t in (self.pitch_modes, self.yaw_modes) if t), default=0))
         return self
 
     @property
@@ -94,6 +97,43 @@ class Bending(Section):
     def yaw_modes(self) -> ModeTable | None:
         """Modes of the yaw plane as arrays."""
         return None if self.yaw is None else mode_table(self.yaw, ("yaw",))
+
+
+class SpatialModes(Section):
+    """Coupled three-dimensional free-free modes, engine locked and sloshing masses removed; beside the planar ones."""
+
+    table: Annotated[CsvTable, SPATIAL_COLUMNS] = Field(
+        description="one row per time, mode and station: displacement phi along, rotation theta about x, y, z; "
+        "mass_kg and roll_inertia_kgm2 are lumped at the stations"
+    )
+    damping_ratio: tuple[Fraction, ...] = Field(max_length=MAX_MODES, description="of each mode")
+    frequency_factor: tuple[Positive, ...] = Field(
+        default_factory=_ones, description="multiplies the frequency of each mode (default ones)"
+    )
+    gyro_slope_factor: tuple[float, ...] = Field(
+        default_factory=_ones, description="multiplies the rotation of each mode at the gyro (default ones)"
+    )
+    gimbal_shape_factor: tuple[float, ...] = Field(
+        default_factory=_ones,
+        description="multiplies displacement and rotation of each mode at the gimbal (default ones)",
+    )
+
+    @model_validator(mode="after")
+    def _check(self) -> SpatialModes:
+        _refuse_other_counts(self, self.modes.modes)
+        return self
+
+    @property
+    def modes(self) -> SpatialModeTable:
+        """The modes as arrays."""
+        return spatial_mode_table(self.table, ("table",))
+
+
+def _refuse_other_counts(modes: Bending | SpatialModes, count: int) -> None:
+    for key in ("damping_ratio", "frequency_factor", "gyro_slope_factor", "gimbal_shape_factor"):
+        given = len(getattr(modes, key))
+        if given != count:
+            raise refuse(f"has {given} numbers for {count} modes", f"a list of {count} numbers", key=(key,))
 
 
 class Gyro(Section):
@@ -137,7 +177,8 @@ class Stage(Section):
     engine: Engine | None = optional("absent: no thrust")
     actuator: Actuator | None = optional("absent: gimbal angle = command")
     tank: tuple[Tank, ...] = optional("tanks with sloshing liquid", (), max_length=MAX_TANKS)
-    bending: Bending | None = optional("absent: rigid")
+    bending: Bending | None = optional("absent: rigid, but for spatial modes")
+    spatial_modes: SpatialModes | None = optional("absent: none")
     aero: Aero | None = optional("absent: no aerodynamic forces")
     gyro: Gyro | None = optional("absent: ideal gyros")
     roll_thrusters: RollThrusters | None = optional("absent: no roll control")
@@ -186,8 +227,11 @@ class Stage(Section):
 
     def _check_stations(self) -> None:
         """The mode shapes must reach every station at which something acts or measures."""
-        if self.bending is None:
-            return
+        tables: list[ModeTable | SpatialModeTable | None] = []
+        if self.bending is not None:
+            tables += [self.bending.pitch_modes, self.bending.yaw_modes]
+        if self.spatial_modes is not None:
+            tables.append(self.spatial_modes.modes)
         needed: list[tuple[tuple[str | int, ...], float]] = []
         if self.engine is not None:
             needed.append((("engine", "gimbal_station_m"), self.engine.gimbal_station_m))
@@ -202,7 +246,7 @@ class Stage(Section):
         for n, table in enumerate(self.aero.coefficients if self.aero is not None else ()):
             if table.station_m is not None:
                 needed.append((("aero", "coefficients", n, "station_m"), table.station_m))
-        for modes in (self.bending.pitch_modes, self.bending.yaw_modes):
+        for modes in tables:
             if modes is None:
                 continue
             nose, tail = float(modes.station_m[0]), float(modes.station_m[-1])

@@ -30,9 +30,11 @@ from maxq.sim.vehicle.schedule import (
     mode_column,
     padded_modes,
     schedule_width,
+    surface_place,
     surface_row,
 )
-from maxq.sim.vehicle.workspace import ETA, FORCE, MACH_ROW, NU
+from maxq.sim.vehicle.spatial_modes import outer_spatial_load, spatial_motion
+from maxq.sim.vehicle.workspace import ETA, FORCE, MACH_ROW, NU, SPATIAL_ETA, SPATIAL_NU
 
 # Columns of the Mach table; CD is the drag along the relative wind, whatever the attitude. From FIRST_SURFACE on, per
 # surface, CN_alpha and CN_alpha times its station.
@@ -126,6 +128,10 @@ def surface_loads(
         force_y, force_z = -half * cn * v_local, -half * cn * w_local
         add_to_modes(sizes, properties, in_pitch, force_z, work, of_plane(FORCE, PITCH))
         add_to_modes(sizes, properties, in_yaw, force_y, work, of_plane(FORCE, YAW))
+        if sizes.spatial_modes > 0:
+            load = (0.0, force_y, force_z, 0.0, 0.0, 0.0)
+            moved = outer_spatial_load(sizes, properties, surface_place(sizes, s), load, work)
+            mx, my, mz = mx + moved[0], my + moved[1], mz + moved[2]
         fy += force_y
         fz += force_z
         mx += -y_cg * force_z + z_cg * force_y
@@ -145,6 +151,10 @@ def local_flow(aero: Aero, sizes: Counts, s: int, flow: Vector, properties: Arra
         w += modal_sum(sizes, properties, in_pitch, work, of_plane(NU, PITCH))
         v += u * modal_sum(sizes, properties, in_yaw + padded_modes(sizes), work, of_plane(ETA, YAW))
         v += modal_sum(sizes, properties, in_yaw, work, of_plane(NU, YAW))
+        if sizes.spatial_modes > 0:
+            turned = spatial_motion(sizes, properties, surface_place(sizes, s), work, SPATIAL_ETA)
+            moving = spatial_motion(sizes, properties, surface_place(sizes, s), work, SPATIAL_NU)
+            v, w = v + (moving[1] - flow[0] * turned[5]), w + (moving[2] + flow[0] * turned[4])
     return u, v, w
 
 
@@ -191,4 +201,8 @@ def table_loads(
             add_to_modes(sizes, properties, in_pitch + slopes, couple_y, work, of_plane(FORCE, PITCH))
             add_to_modes(sizes, properties, in_yaw, lateral[1], work, of_plane(FORCE, YAW))
             add_to_modes(sizes, properties, in_yaw + slopes, -couple_z, work, of_plane(FORCE, YAW))
+            if sizes.spatial_modes > 0:
+                load = (axial[0], lateral[1], lateral[2], couple[0], couple_y, couple_z)
+                moved = outer_spatial_load(sizes, properties, surface_place(sizes, s), load, work)
+                total_moment = add(total_moment, moved)
     return total_force, total_moment

@@ -37,6 +37,7 @@ from maxq.sim.vehicle.schedule import (
     padded_modes,
     softening_row,
 )
+from maxq.sim.vehicle.spatial_modes import Load, SpatialModes
 from maxq.sim.vehicle.workspace import ACCEL, ETA, FORCE, GIMBAL_BEND, NU, RATE
 
 _EXCESS = "a bending mode exceeds 10 m"
@@ -63,14 +64,20 @@ def pack_bending(given: Any, softening: bool) -> Bending:
     return Bending(zeta, zeta, factor, 1.0 if softening else 0.0)
 
 
+def pack_spatial_modes(given: Any) -> SpatialModes:
+    """From the stage's section `spatial_modes` (or None)."""
+    one = pack_bending(given, softening=False)
+    return SpatialModes(one.zeta_pitch, one.frequency_factor)
+
+
 @kernel
 def of_plane(quantity: int, plane: int) -> int:
     """Where the workspace holds a modal quantity (FORCE, ETA, ...) of the plane PITCH or YAW."""
     return quantity + plane * MAX_MODES
 
 
-# A plane has room for MAX_MODES = 8 modes, processed four at a time without a loop: LLVM would unroll a loop of unknown
-# length for lengths that do not occur.
+# A plane has room for MAX_MODES = 12 modes, processed four at a time without a loop: LLVM would unroll a loop of
+# unknown length for lengths that do not occur.
 
 
 @kernel
@@ -81,6 +88,8 @@ def modal_sum(sizes: Counts, properties: Array, row: int, work: Array, quantity:
         total = _sum_of_four(properties, row, work, quantity)
     if mode_groups(sizes) > 1:
         total += _sum_of_four(properties, row + 4, work, quantity + 4)
+    if mode_groups(sizes) > 2:
+        total += _sum_of_four(properties, row + 8, work, quantity + 8)
     return total
 
 
@@ -99,6 +108,8 @@ def add_to_modes(sizes: Counts, properties: Array, row: int, amount: float, work
         _add_to_four(properties, row, amount, work, quantity)
     if mode_groups(sizes) > 1:
         _add_to_four(properties, row + 4, amount, work, quantity + 4)
+    if mode_groups(sizes) > 2:
+        _add_to_four(properties, row + 8, amount, work, quantity + 8)
 
 
 @kernel
@@ -118,6 +129,8 @@ def free_modal_accelerations(sizes: Counts, properties: Array, work: Array) -> N
             _accelerate_four(properties, row, work, force, accel)
         if mode_groups(sizes) > 1:
             _accelerate_four(properties, row + 4, work, force + 4, accel + 4)
+        if mode_groups(sizes) > 2:
+            _accelerate_four(properties, row + 8, work, force + 8, accel + 8)
 
 
 @kernel
@@ -136,6 +149,8 @@ def modal_state(sizes: Counts, roll_rate: float, y: Array, eta: int, xi: int, wo
         _state_of_four(sizes, 0, roll_rate, y, eta, xi, work)
     if mode_groups(sizes) > 1:
         _state_of_four(sizes, 4, roll_rate, y, eta, xi, work)
+    if mode_groups(sizes) > 2:
+        _state_of_four(sizes, 8, roll_rate, y, eta, xi, work)
 
 
 @kernel
@@ -188,18 +203,10 @@ def bending_rate_at_gyro(sizes: Counts, properties: Array, work: Array) -> tuple
     )
 
 
-GimbalLoad = tuple[float, float, float, float]  # forces along y and z, moments about y and z, at the gimbal, in B
-
-
 @kernel
-def add_gimbal_loads(a: GimbalLoad, b: GimbalLoad) -> GimbalLoad:
-    return a[0] + b[0], a[1] + b[1], a[2] + b[2], a[3] + b[3]
-
-
-@kernel
-def apply_gimbal_load(sizes: Counts, properties: Array, load: GimbalLoad, work: Array) -> None:
+def apply_gimbal_load(sizes: Counts, properties: Array, load: Load, work: Array) -> None:
     """Add the generalised forces of a load on the body at the gimbal."""
-    force_y, force_z, moment_y, moment_z = load
+    _, force_y, force_z, _, moment_y, moment_z = load
     pitch, yaw = of_plane(FORCE, PITCH), of_plane(FORCE, YAW)
     add_to_modes(sizes, properties, mode_column(sizes, PITCH, MODE_PHI_GIMBAL), force_z, work, pitch)
     add_to_modes(sizes, properties, mode_column(sizes, PITCH, MODE_SLOPE_GIMBAL), moment_y, work, pitch)
@@ -222,6 +229,9 @@ def elastic_forces(bending: Bending, sizes: Counts, properties: Array, axial_loa
     if mode_groups(sizes) > 1:
         roll += _elastic_forces_on_four(sizes, YAW, 4, k_soft, properties, work)
         roll -= _elastic_forces_on_four(sizes, PITCH, 4, k_soft, properties, work)
+    if mode_groups(sizes) > 2:
+        roll += _elastic_forces_on_four(sizes, YAW, 8, k_soft, properties, work)
+        roll -= _elastic_forces_on_four(sizes, PITCH, 8, k_soft, properties, work)
     return roll
 
 
@@ -237,9 +247,9 @@ def _elastic_forces_on_four(
     f_1 = -(properties[s + 1] * work[e + 1] + properties[d + 1] * work[r + 1])
     f_2 = -(properties[s + 2] * work[e + 2] + properties[d + 2] * work[r + 2])
     f_3 = -(properties[s + 3] * work[e + 3] + properties[d + 3] * work[r + 3])
-    for half in range(2):
-        if half < mode_groups(sizes):
-            for k in range(4 * half, 4 * half + 4):
+    for four in range(3):
+        if four < mode_groups(sizes):
+            for k in range(4 * four, 4 * four + 4):
                 c = mode_column(sizes, plane, softening_row(sizes, k)) + first
                 taken = k_soft * work[of_plane(ETA, plane) + k]
                 f_0 += taken * properties[c]
@@ -270,9 +280,9 @@ def gyroscopic_forces(
     angular_y = engine_arm * momentum_z + engine_inertia * relative_rate_y
     angular_z = engine_arm * momentum_y - engine_inertia * relative_rate_z
     h, roll = 0.0, 0.0
-    for half in range(2):
-        if half < mode_groups(sizes):
-            for i in range(4 * half, 4 * half + 4):
+    for four in range(3):
+        if four < mode_groups(sizes):
+            for i in range(4 * four, 4 * four + 4):
                 j = i + of_plane(0, YAW)
                 nu_eta, nu_xi = work[NU + i], work[NU + j]
                 p_eta = (

@@ -26,9 +26,10 @@ class Sizes:
     tanks: int
     surfaces: int  # places at which the air acts on the bent body: lifting surfaces, then tables of coefficients
     tables: int = 0  # of these, tables of coefficients over incidence
+    spatial_modes: int = 0
 
 
-LARGEST = Sizes(MAX_MODES, MAX_MODES, MAX_TANKS, MAX_SURFACES + 1, MAX_SURFACES)
+LARGEST = Sizes(MAX_MODES, MAX_MODES, MAX_TANKS, MAX_SURFACES + 1, MAX_SURFACES, MAX_MODES)
 
 
 class Counts(NamedTuple):
@@ -43,13 +44,14 @@ class Counts(NamedTuple):
     tanks: int
     surfaces: int
     tables: int
+    spatial_modes: int
 
 
 @kernel
 def counts(sizes: Sizes) -> Counts:
     return Counts(
         integer(sizes, "pitch_modes"), integer(sizes, "yaw_modes"), integer(sizes, "tanks"), integer(sizes, "surfaces"),
-        integer(sizes, "tables"),
+        integer(sizes, "tables"), integer(sizes, "spatial_modes"),
     )  # fmt: skip  # three more lines otherwise
 
 

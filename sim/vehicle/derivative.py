@@ -25,8 +25,6 @@ from maxq.sim.vehicle.actuator import Actuator, actuator_derivative, actuator_ou
 from maxq.sim.vehicle.aero import Aero, body_loads, coefficients, moment_reference, surface_loads, table_loads
 from maxq.sim.vehicle.bending import (
     Bending,
-    GimbalLoad,
-    add_gimbal_loads,
     apply_gimbal_load,
     bending_rate_at_gyro,
     elastic_forces,
@@ -44,6 +42,7 @@ from maxq.sim.vehicle.rigid import (
     Deflected,
     coriolis_of_outflow,
     deflected_engine,
+    engine_momentum,
     engine_reaction,
     kinematics,
     prepare_outflow,
@@ -56,10 +55,33 @@ from maxq.sim.vehicle.schedule import (
     THRUST_VACUUM,
     YAW,
     complete_modes,
+    complete_spatial_modes,
+    gimbal_place,
     schedule_width,
 )
 from maxq.sim.vehicle.slosh import Slosh, accelerate, exchange_loads, pendulum_derivative, pendulum_loads
-from maxq.sim.vehicle.state import ACTUATOR, GYRO, N_ACTUATOR, N_PENDULUM, eta_index, pendulum_index, xi_index
+from maxq.sim.vehicle.spatial_modes import (
+    Load,
+    SpatialModes,
+    apply_spatial_load,
+    outer_spatial_load,
+    spatial_derivative,
+    spatial_elastic_forces,
+    spatial_gyroscopic,
+    spatial_motion,
+    spatial_rate_at_gyro,
+    spatial_state,
+)
+from maxq.sim.vehicle.state import (
+    ACTUATOR,
+    GYRO,
+    N_ACTUATOR,
+    N_PENDULUM,
+    eta_index,
+    pendulum_index,
+    spatial_index,
+    xi_index,
+)
 from maxq.sim.vehicle.workspace import (
     AERO_FORCE,
     AERO_MOMENT,
@@ -74,6 +96,9 @@ from maxq.sim.vehicle.workspace import (
     GYRO_BEND,
     MACH,
     PRESSURE,
+    SPATIAL_ETA,
+    SPATIAL_FORCE,
+    SPATIAL_MOMENTUM,
     SPECIFIC_FORCE,
     TENSION,
     TENSIONS,
@@ -95,6 +120,7 @@ class Vehicle:
     gyro: Gyro
     aero: Aero
     bending: Bending
+    spatial_modes: SpatialModes
     slosh: Slosh
     rate_damping: TableRef  # columns about x, y, z over the schedule's clock, N m s/rad; none: no such damping
     roll_torque_Nm: float
@@ -136,6 +162,8 @@ def derive_properties(vehicle: Vehicle, pool: Array, clock_s: float, properties:
     sizes, bending = counts(vehicle.sizes), vehicle.bending
     complete_modes(sizes, PITCH, sizes.pitch_modes, bending.zeta_pitch, bending.frequency_factor, properties)
     complete_modes(sizes, YAW, sizes.yaw_modes, bending.zeta_yaw, bending.frequency_factor, properties)
+    if sizes.spatial_modes > 0:
+        complete_spatial_modes(sizes, vehicle.spatial_modes.zeta, vehicle.spatial_modes.frequency_factor, properties)
     prepare_outflow(vehicle.engine, vehicle.slosh, sizes, properties)
     moment_reference(vehicle.aero, sizes, pool, clock_s, properties)
     if vehicle.rate_damping.n_columns > 0:
@@ -151,13 +179,14 @@ def derivative(
     """Derivative of `at.y` into `at.dy`, auxiliary outputs into `at.aux`, with the properties of this instant."""
     properties, y, dy, aux = at
     sizes = counts(vehicle.sizes)
-    eta, xi, pendulums = eta_index(sizes), xi_index(sizes), pendulum_index(sizes, 0)
+    eta, xi, spatial, pendulums = eta_index(sizes), xi_index(sizes), spatial_index(sizes), pendulum_index(sizes, 0)
     rate = vector_at(y, W_BI_B)
     rotation = rotation_from_quaternion(y[Q_BI], y[Q_BI + 1], y[Q_BI + 2], y[Q_BI + 3])
 
     gust = (inputs.gust_x_mps, inputs.gust_y_mps, inputs.gust_z_mps)
     gravitation = air_data(environment, pool, gust, rotation, y, work, aux)
     modal_state(sizes, rate[0], y, eta, xi, work)
+    spatial_state(sizes, rate[0], properties, y, spatial, work)
     engine = engine_motion(vehicle, sizes, held, properties, y, aux)
 
     aero_force, aero_moment = aerodynamics(
@@ -186,10 +215,21 @@ def derivative(
         )
     moment = add(moment, scaled(-1.0, cross(rate, inertia_times(engine.inertia, rate))))
 
+    if sizes.spatial_modes > 0:
+        moment = add(moment, outer_spatial_load(sizes, properties, gimbal_place(sizes), gimbal_load, work))
     if vehicle.engine.gimballed_mass_kg > 0.0 or vehicle.engine.inertia_kgm2 > 0.0:
         reaction_force, reaction_moment, reaction_load = engine_reaction(vehicle.engine, engine, rate, axial_load)
         force, moment = add(force, reaction_force), add(moment, reaction_moment)
-        gimbal_load = add_gimbal_loads(gimbal_load, reaction_load)
+        gimbal_load = (
+            gimbal_load[0], gimbal_load[1] + reaction_load[1], gimbal_load[2] + reaction_load[2],
+            gimbal_load[3], gimbal_load[4] + reaction_load[4], gimbal_load[5] + reaction_load[5],
+        )  # fmt: skip  # four more lines otherwise
+        if sizes.spatial_modes > 0:
+            place = gimbal_place(sizes)
+            apply_spatial_load(sizes, properties, place, reaction_load, work, SPATIAL_FORCE)
+            apply_spatial_load(
+                sizes, properties, place, engine_momentum(vehicle.engine, engine), work, SPATIAL_MOMENTUM
+            )
     if sizes.pitch_modes + sizes.yaw_modes > 0:
         apply_gimbal_load(sizes, properties, gimbal_load, work)
         gyroscopic = gyroscopic_forces(
@@ -198,6 +238,10 @@ def derivative(
         )  # fmt: skip  # twelve lines otherwise
         roll = elastic_forces(vehicle.bending, sizes, properties, axial_load, work)
         moment = add(moment, (gyroscopic[0] + roll, gyroscopic[1], gyroscopic[2]))
+    if sizes.spatial_modes > 0:
+        moment = add(moment, spatial_gyroscopic(sizes, properties, rate, work))
+        k_soft = vehicle.bending.softening_factor * axial_load
+        moment = add(moment, (spatial_elastic_forces(sizes, properties, k_soft, work), 0.0, 0.0))
     for tank in range(sizes.tanks):
         first = pendulums + N_PENDULUM * tank
         damper_force, damper_moment = pendulum_loads(
@@ -217,12 +261,17 @@ def derivative(
     actuator_derivative(vehicle.actuator_pitch, y, ACTUATOR, held.command_pitch_rad, dy)
     actuator_derivative(vehicle.actuator_yaw, y, ACTUATOR + N_ACTUATOR, held.command_yaw_rad, dy)
     bend_y, bend_z = bending_rate_at_gyro(sizes, properties, work)
-    sensed = sensed_rate(vehicle.gyro, (rate[0], rate[1] + bend_y, rate[2] + bend_z))
+    local = (rate[0], rate[1] + bend_y, rate[2] + bend_z)
+    if sizes.spatial_modes > 0:
+        added = spatial_rate_at_gyro(sizes, rate[0], properties, work)
+        local, bend_y, bend_z = add(local, added), bend_y + added[1], bend_z + added[2]
+    sensed = sensed_rate(vehicle.gyro, local)
     gyro_derivative(vehicle.gyro, y, GYRO, sensed, held.faults, dy)
     modal_derivative(sizes, eta, xi, dy, work)
+    spatial_derivative(sizes, spatial, dy, work)
     for tank in range(sizes.tanks):
         first = pendulums + N_PENDULUM * tank
-        pendulum_derivative(vehicle.slosh, tank, rate, specific_force, alpha, properties, y, first, dy, work)
+        pendulum_derivative(vehicle.slosh, sizes, tank, rate, specific_force, alpha, properties, y, first, dy, work)
         aux[TENSIONS + tank] = work[TENSION + tank]
     aux[AXIAL_LOAD] = axial_load
     set_vector(aux, AERO_FORCE, aero_force)
@@ -274,23 +323,34 @@ def aerodynamics(
 @kernel
 def thrust_loads(
     vehicle: Vehicle, sizes: Counts, engine: Deflected, properties: Array, work: Array, aux: Array
-) -> tuple[Vector, Vector, GimbalLoad]:
-    """Thrust along the deflected engine on the bent body: force, moment about the core CG, load on the modes."""
+) -> tuple[Vector, Vector, Load]:
+    """Thrust along the deflected engine on the bent body: force, moment about the core CG, load on the modes.
+
+    The moment on what spatial modes displace is left to `outer_spatial_load`.
+    """
     strength = thrust(vehicle.engine, properties[THRUST_VACUUM], aux[PRESSURE])
     aux[THRUST] = strength
     shift_y, shift_z, slope_y, slope_z = gimbal_displacement(sizes, properties, work)
     aux[GIMBAL_BEND], aux[GIMBAL_BEND + 1] = shift_y, shift_z
     aux[GIMBAL_BEND + 2], aux[GIMBAL_BEND + 3] = slope_y, slope_z
+    twist = 0.0
+    if sizes.spatial_modes > 0:
+        moved = spatial_motion(sizes, properties, gimbal_place(sizes), work, SPATIAL_ETA)
+        for j in range(2):
+            aux[GIMBAL_BEND + j] += moved[1 + j]
+            aux[GIMBAL_BEND + 2 + j] += moved[4 + j]
+        twist, slope_y, slope_z = moved[3], slope_y + moved[4], slope_z + moved[5]
     if strength <= 0.0:
-        return (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 0.0)
+        return (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
     axis = engine.axis
     if vehicle.follower_thrust == 1:
-        axis = add(axis, cross((0.0, slope_y, slope_z), axis))
+        axis = add(axis, cross((twist, slope_y, slope_z), axis))
     force = scaled(strength, axis)
     moment = cross(engine.gimbal, force)
     moment = (moment[0], moment[1] + shift_z * force[0], moment[2] - shift_y * force[0])
     off_y, off_z = vehicle.engine.gimbal_offset_y_m, vehicle.engine.gimbal_offset_z_m
-    return force, moment, (force[1], force[2], off_z * force[0], -off_y * force[0])
+    couple = (off_y * force[2] - off_z * force[1], off_z * force[0], -off_y * force[0])
+    return force, moment, (force[0], force[1], force[2], couple[0], couple[1], couple[2])
 
 
 @kernel

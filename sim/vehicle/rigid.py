@@ -20,7 +20,6 @@ from maxq.control.kernel.vectors import (
     symmetric_at,
     vector_at,
 )
-from maxq.sim.vehicle.bending import GimbalLoad
 from maxq.sim.vehicle.block import Q_BI, R_I, V_I, W_BI_B, Counts
 from maxq.sim.vehicle.engine import Engine
 from maxq.sim.vehicle.schedule import (
@@ -41,6 +40,7 @@ from maxq.sim.vehicle.schedule import (
     tank_column,
 )
 from maxq.sim.vehicle.slosh import Slosh, pendulum_length
+from maxq.sim.vehicle.spatial_modes import Load
 from maxq.sim.world.earth import Earth
 
 
@@ -105,7 +105,7 @@ def _plus_point(j: Symmetric, mass: float, at: Vector) -> Symmetric:
 
 
 @kernel
-def engine_reaction(e: Engine, engine: Deflected, rate: Vector, axial_load: float) -> tuple[Vector, Vector, GimbalLoad]:
+def engine_reaction(e: Engine, engine: Deflected, rate: Vector, axial_load: float) -> tuple[Vector, Vector, Load]:
     """Force and moment (about the core CG) of the moving engine on the vehicle, in B ("tail wags dog").
 
     The third result is the load at the gimbal that excites the modes.
@@ -123,7 +123,8 @@ def engine_reaction(e: Engine, engine: Deflected, rate: Vector, axial_load: floa
     inertial = scaled(-mass, engine.delta_accel)
     moment_y = arm * inertial[2] - e.inertia_kgm2 * engine.relative_accel[1] - mass * axial_load * engine.delta[2]
     moment_z = -arm * inertial[1] - e.inertia_kgm2 * engine.relative_accel[2] + mass * axial_load * engine.delta[1]
-    return force, moment, (inertial[1], inertial[2], moment_y, moment_z)
+    moment_x = -e.inertia_kgm2 * engine.relative_accel[0]
+    return force, moment, (inertial[0], inertial[1], inertial[2], moment_x, moment_y, moment_z)
 
 
 @kernel
@@ -194,3 +195,11 @@ def kinematics(
     dy[Q_BI + 2] = 0.5 * (w * q + z * p - x * r)
     dy[Q_BI + 3] = 0.5 * (w * r + x * q - yy * p)
     set_vector(dy, W_BI_B, alpha)
+
+
+@kernel
+def engine_momentum(e: Engine, engine: Deflected) -> Load:
+    """What the moving engine adds to the momentum of the modes, as a load at the gimbal: N s, N m s (eq. 4.9)."""
+    x, y, z = scaled(e.gimballed_mass_kg, engine.delta_rate)
+    spin, arm = scaled(e.inertia_kgm2, engine.relative_rate), e.cg_from_gimbal_m
+    return x, y, z, spin[0], spin[1] + arm * z, spin[2] - arm * y

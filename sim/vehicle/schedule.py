@@ -4,7 +4,9 @@ Mass, thrust, tanks and modes change as propellant leaves. All of it is one tabl
 that a kernel finds the interval once and evaluates every column in one sweep; its values at an instant are the array
 `properties` of the kernels. Fixed columns first, then five per tank, then the modes: row by row for all modes of a
 plane side by side (pitch plane, then yaw plane). A row has room for a multiple of four modes, with zeros where there is
-no mode, so that kernels take four modes at a time.
+no mode, so that kernels take four modes at a time. Last the spatial modes, row by row for all of them side by side:
+frequency and mass, six rows for each place at which a mode is felt (displacement along x, y, z, rotation about x, y,
+z), softening and turning.
 
 Behind the table's columns lie properties that are derived from them; `complete_modes` and `rigid.prepare_outflow`
 compute them.
@@ -40,6 +42,11 @@ MODE_SLOPE_GIMBAL = 3  # d(phi)/d(x_n), 1/m
 MODE_SLOPE_GYRO = 4
 MODE_FIRST = 5  # then phi at each tank; phi, slope at each surface; axial softening by each mode, kg/m
 
+SPATIAL_OMEGA = 0  # rows of the spatial modes: rad/s
+SPATIAL_MASS = 1  # generalised mass, kg
+SPATIAL_FIRST = 2  # then six at each place; axial softening by each mode, kg/m; turning by each mode (eq. 4.7)
+GYRO_PLACE = 0
+
 # derived, behind the table
 INVERSE_CORE_MASS = 0  # 1/kg
 INVERSE_TOTAL_MASS = 1
@@ -48,7 +55,7 @@ JET_DAMPING = 5  # integrals, as of an inertia, that times the turning rate give
 MOMENT_REFERENCE = 11  # station about which the aerodynamic moments are given, m aft of the nose
 RATE_DAMPING = 12  # moments against body rates that are given with the mass properties, N m s/rad (3)
 N_DERIVED = 15
-MODE_INVERSE_MASS = 0  # rows of a plane: 1/kg
+MODE_INVERSE_MASS = 0  # rows of a plane, and of the spatial modes: 1/kg
 MODE_STIFFNESS = 1  # N/m
 MODE_DAMPING = 2  # N s/m
 MODE_TANK_COMPLIANCE = 3  # then the acceleration per newton at each tank, 1/kg
@@ -98,8 +105,47 @@ def surface_row(sizes: Counts, surface: int) -> int:
 
 
 @kernel
+def tank_place(tank: int) -> int:
+    return 1 + tank
+
+
+@kernel
+def surface_place(sizes: Counts, surface: int) -> int:
+    return 1 + sizes.tanks + surface
+
+
+@kernel
+def gimbal_place(sizes: Counts) -> int:
+    return 1 + sizes.tanks + sizes.surfaces
+
+
+@kernel
+def spatial_column(sizes: Counts, row: int) -> int:
+    """First spatial mode's column of a row; the other modes follow."""
+    return mode_column(sizes, 2, 0) + row * sizes.spatial_modes
+
+
+@kernel
+def place_column(sizes: Counts, place: int, component: int) -> int:
+    """As `spatial_column`, of a component of the shapes at a place: 0 to 2 displacement, 3 to 5 rotation (1/m), B."""
+    return spatial_column(sizes, SPATIAL_FIRST + 6 * place + component)
+
+
+@kernel
+def spatial_softening_row(sizes: Counts, mode: int) -> int:
+    """Row of what `mode`'s displacement takes from the stiffness of each spatial mode under axial load."""
+    return SPATIAL_FIRST + 6 * (gimbal_place(sizes) + 1) + mode
+
+
+@kernel
+def turning_row(sizes: Counts, mode: int) -> int:
+    """Row of the share of each spatial mode in the shape of `mode` turned by a right angle about x."""
+    return spatial_softening_row(sizes, sizes.spatial_modes) + mode
+
+
+@kernel
 def schedule_width(sizes: Counts) -> int:
-    return mode_column(sizes, 2, 0)
+    return spatial_column(sizes, turning_row(sizes, sizes.spatial_modes))
 
 
 @kernel
@@ -117,9 +163,15 @@ def compliance_column(sizes: Counts, plane: int) -> int:
 
 
 @kernel
+def spatial_derived(sizes: Counts, row: int) -> int:
+    """As `spatial_column`, of the derived rows behind the table."""
+    return compliance_column(sizes, 2) + row * sizes.spatial_modes
+
+
+@kernel
 def properties_size(sizes: Counts) -> int:
     """Columns of the table and what is derived from them."""
-    return derived_column(sizes, 2, 0) + 2 * sizes.tanks * sizes.tanks
+    return spatial_derived(sizes, MODE_TANK_COMPLIANCE)
 
 
 @kernel
@@ -151,3 +203,16 @@ def complete_modes(
                 total += properties[yield_k + i] * properties[at_j + i]
             properties[compliance + k * n + j] = total
             properties[compliance + j * n + k] = total
+
+
+@kernel
+def complete_spatial_modes(sizes: Counts, zeta: Array, frequency_factor: Array, properties: Array) -> None:
+    """Derived properties of the spatial modes: inverse mass, stiffness, damping."""
+    omega_at, mass_at = spatial_column(sizes, SPATIAL_OMEGA), spatial_column(sizes, SPATIAL_MASS)
+    inverse = spatial_derived(sizes, MODE_INVERSE_MASS)
+    stiffness, damping = spatial_derived(sizes, MODE_STIFFNESS), spatial_derived(sizes, MODE_DAMPING)
+    for i in range(sizes.spatial_modes):
+        omega, mass = properties[omega_at + i] * frequency_factor[i], properties[mass_at + i]
+        properties[inverse + i] = 1.0 / mass
+        properties[stiffness + i] = mass * omega * omega
+        properties[damping + i] = 2.0 * zeta[i] * mass * omega

@@ -56,8 +56,36 @@ from maxq.sim.vehicle.schedule import (
     mode_column,
     schedule_width,
     tank_column,
+    tank_place,
 )
-from maxq.sim.vehicle.workspace import ACCEL, ETA, FORCE, GRAM, NU, PENDULUM, PENDULUM_WIDTH, RATE, TENSION, TENSIONS
+from maxq.sim.vehicle.spatial_modes import (
+    add_tension_to_spatial,
+    apply_spatial_load,
+    free_spatial_accelerations,
+    roll_defect,
+    spatial_along_rod,
+    spatial_compliance,
+    spatial_motion,
+)
+from maxq.sim.vehicle.workspace import (
+    ACCEL,
+    ETA,
+    FORCE,
+    GRAM,
+    NU,
+    PENDULUM,
+    PENDULUM_WIDTH,
+    RATE,
+    SPATIAL_ACCEL,
+    SPATIAL_ETA,
+    SPATIAL_FORCE,
+    SPATIAL_NU,
+    SPATIAL_RATE,
+    SPATIAL_TURNED,
+    SPATIAL_TURNED_RATE,
+    TENSION,
+    TENSIONS,
+)
 
 # The unit vector u_B from the hinge to the bob, and kappa_B, its inertial derivative in body components.
 PENDULUMS = StateBlock(
@@ -78,6 +106,7 @@ DAMPER_FORCE = 20  # lateral force of the damper on the bent axis: y, z, N (2)
 BENDING_ACCEL = 22  # acceleration of the hinge by bending: y, z, m/s2 (2)
 BOB_PLACE = 24  # bob relative to the core CG, B, m (3); this and the next only with `Slosh.exchange`
 BOB_VELOCITY = 27  # bob's velocity relative to the core CG, B, m/s (3)
+ALONG_X = 30  # by spatial modes, along x: SHIFT, ASYMMETRY, DAMPER_FORCE, BENDING_ACCEL (4)
 
 
 @kernel
@@ -157,14 +186,38 @@ def pendulum_loads(
     if slosh.planes_differ == 1:
         asymmetry_y, asymmetry_z, asymmetry_rate_y, asymmetry_rate_z = _plane_asymmetry(sizes, tank, properties, work)
         bend = (bend[0], bend[1] - p * asymmetry_z, bend[2] + p * asymmetry_y)
+    shift_x, shift_rate_x, asymmetry_x, asymmetry_rate_x = 0.0, 0.0, 0.0, 0.0
+    if sizes.spatial_modes > 0:
+        place = tank_place(tank)
+        moved = spatial_motion(sizes, properties, place, work, SPATIAL_ETA)
+        moving = spatial_motion(sizes, properties, place, work, SPATIAL_RATE)
+        nu = spatial_motion(sizes, properties, place, work, SPATIAL_NU)
+        defect = roll_defect(sizes, properties, place, work, SPATIAL_ETA, SPATIAL_TURNED)
+        defect_rate = roll_defect(sizes, properties, place, work, SPATIAL_RATE, SPATIAL_TURNED_RATE)
+        shift_x, shift_y, shift_z = moved[0], shift_y + moved[1], shift_z + moved[2]
+        shift_rate_x = moving[0]
+        shift_rate_y, shift_rate_z = shift_rate_y + moving[1], shift_rate_z + moving[2]
+        asymmetry_x, asymmetry_y, asymmetry_z = defect[0], asymmetry_y + defect[2], asymmetry_z - defect[1]
+        asymmetry_rate_x = defect_rate[0]
+        asymmetry_rate_y, asymmetry_rate_z = asymmetry_rate_y + defect_rate[2], asymmetry_rate_z - defect_rate[1]
+        bend = (
+            bend[0] + q * moved[2] - r * moved[1] + nu[0] + p * defect[0],
+            bend[1] + r * moved[0] + nu[1] + p * defect[1],
+            bend[2] - q * moved[0] + nu[2] + p * defect[2],
+        )
     accel = add(cross(rate, cross(rate, hinge)), cross(rate, bend))
+    if sizes.spatial_modes > 0:
+        accel = (accel[0] + p * asymmetry_rate_x, accel[1] + r * shift_rate_x, accel[2] - q * shift_rate_x)
     accel = (accel[0], accel[1] - p * asymmetry_rate_z, accel[2] + p * asymmetry_rate_y)
     # with the liquid's surface the bob travels aft, which gives it a Coriolis acceleration
     travel = 2.0 * properties[column + TANK_TRAVEL]
     accel = (accel[0] + q * shift_rate_z - r * shift_rate_y, accel[1] - travel * r, accel[2] + travel * q)
     arm = cross((hinge[0] - offset[0], hinge[1] - offset[1], hinge[2] - offset[2]), u)
     roll_arm = arm[0] + asymmetry_y * u[2] - asymmetry_z * u[1]
-    set_vector(work, b + ARM, (roll_arm, arm[1] + shift_z * u[0], arm[2] - shift_y * u[0]))
+    arm = (roll_arm, arm[1] + shift_z * u[0], arm[2] - shift_y * u[0])
+    if sizes.spatial_modes > 0:
+        arm = (arm[0] + asymmetry_x * u[0], arm[1] - shift_x * u[2], arm[2] + shift_x * u[1])
+    set_vector(work, b + ARM, arm)
     set_vector(work, b + HINGE_ACCEL, accel)
     set_vector(work, b + HINGE, hinge)
     work[b + SHIFT], work[b + SHIFT + 1] = shift_y, shift_z
@@ -177,13 +230,19 @@ def pendulum_loads(
     force = scaled(-bob_mass(slosh, properties, tank), damping)
     work[b + DAMPER_FORCE], work[b + DAMPER_FORCE + 1] = force[1], force[2]
     if slosh.exchange == 1:
-        place = add((hinge[0], hinge[1] + shift_y, hinge[2] + shift_z), scaled(length, u))
-        velocity = add(add(cross(rate, place), scaled(length, u_rate)), (0.0, shift_rate_y, shift_rate_z))
+        place = add((hinge[0] + shift_x, hinge[1] + shift_y, hinge[2] + shift_z), scaled(length, u))
+        velocity = add(add(cross(rate, place), scaled(length, u_rate)), (shift_rate_x, shift_rate_y, shift_rate_z))
         set_vector(work, b + BOB_PLACE, place)
         set_vector(work, b + BOB_VELOCITY, velocity)
     moment = cross(add(hinge, scaled(length, u)), force)
     roll = moment[0] + asymmetry_y * force[2] - asymmetry_z * force[1]
-    return force, (roll, moment[1] + shift_z * force[0], moment[2] - shift_y * force[0])
+    moment = (roll, moment[1] + shift_z * force[0], moment[2] - shift_y * force[0])
+    if sizes.spatial_modes > 0:
+        moment = (
+            moment[0] + asymmetry_x * force[0], moment[1] - shift_x * force[2], moment[2] + shift_x * force[1]
+        )  # fmt: skip  # five lines otherwise
+        work[b + ALONG_X], work[b + ALONG_X + 1], work[b + ALONG_X + 2] = shift_x, asymmetry_x, force[0]
+    return force, moment
 
 
 @kernel
@@ -219,12 +278,20 @@ def exchange_loads(
         spin = add(spin, scaled(-1.0, cross(rest, add(rest_velocity, scaled(-1.0, drift)))))
         moment = add(moment, scaled(flow, spin))
         if flow > 0.0:  # pushes the modes, by the velocity relative to the bent axis
-            shift_y, shift_z, shift_rate_y, shift_rate_z, _, _ = _bending_at_tank(sizes, tank, properties, work)
+            _, _, shift_rate_y, shift_rate_z, _, _ = _bending_at_tank(sizes, tank, properties, work)
+            by_modes = 0.0
+            if sizes.spatial_modes > 0:
+                moving = spatial_motion(sizes, properties, tank_place(tank), work, SPATIAL_RATE)
+                shift_rate_y, shift_rate_z = shift_rate_y + moving[1], shift_rate_z + moving[2]
+                push_x = push[0] - flow * moving[0]
+                work[b + ALONG_X + 2] += push_x
+                by_modes = -work[b + ALONG_X + 1] * push_x
+            shift_y, shift_z = work[b + SHIFT], work[b + SHIFT + 1]
             push_y, push_z = push[1] - flow * shift_rate_y, push[2] - flow * shift_rate_z
             work[b + DAMPER_FORCE] += push_y
             work[b + DAMPER_FORCE + 1] += push_z
             # the part of the roll moment that the modes take (docs/model.md, eq. 4.4)
-            by_modes = (shift_y - work[b + ASYMMETRY]) * push_z - (shift_z - work[b + ASYMMETRY + 1]) * push_y
+            by_modes += (shift_y - work[b + ASYMMETRY]) * push_z - (shift_z - work[b + ASYMMETRY + 1]) * push_y
             moment = (moment[0] - by_modes, moment[1], moment[2])
         else:
             u = vector_at(y, first + N_PENDULUM * tank)
@@ -273,8 +340,8 @@ def _plane_asymmetry(sizes: Counts, tank: int, properties: Array, work: Array) -
 
 @kernel
 def pendulum_derivative(
-    slosh: Slosh, tank: int, rate: Vector, specific_force: Vector, alpha: Vector, properties: Array, y: Array,
-    first: int, dy: Array, work: Array,
+    slosh: Slosh, sizes: Counts, tank: int, rate: Vector, specific_force: Vector, alpha: Vector, properties: Array,
+    y: Array, first: int, dy: Array, work: Array,
 ) -> None:  # fmt: skip  # eleven lines otherwise
     """Derivative of the states at y[first:first+6] once the body's accelerations are known.
 
@@ -296,6 +363,11 @@ def pendulum_derivative(
         accel[1] + specific_force[1] + tangential[1] + bend_y - alpha[0] * asymmetry_z,
         accel[2] + specific_force[2] + tangential[2] + bend_z + alpha[0] * asymmetry_y,
     )
+    if sizes.spatial_modes > 0:
+        shift_x, asymmetry_x, bend_x = work[b + ALONG_X], work[b + ALONG_X + 1], work[b + ALONG_X + 3]
+        hinge = (
+            hinge[0] + bend_x + alpha[0] * asymmetry_x, hinge[1] + alpha[2] * shift_x, hinge[2] - alpha[1] * shift_x
+        )  # fmt: skip  # five lines otherwise
     per_length = 1.0 / pendulum_length(slosh, properties, tank)
     along = per_length * dot(hinge, u) - dot(kappa, kappa)
     spin_u, spin_kappa = cross(rate, u), cross(rate, kappa)
@@ -355,12 +427,20 @@ def accelerate(
         _add_damper_to_modes(sizes, k, work[b + DAMPER_FORCE], work[b + DAMPER_FORCE + 1], properties, work)
         set_vector(work, b + ALPHA, symmetric_times(inverse, vector_at(work, b + ARM)))
     free_modal_accelerations(sizes, properties, work)
+    free_spatial_accelerations(sizes, properties, work)
     _solve_tensions(slosh, sizes, inverse_mass, accel, alpha, properties, y, first, work)
     for k in range(sizes.tanks):
         u, tension = vector_at(y, first + N_PENDULUM * k), work[TENSION + k]
         accel = add(accel, scaled(inverse_mass * tension, u))
         alpha = add(alpha, scaled(tension, vector_at(work, tank_block(k) + ALPHA)))
         _add_tension_to_modes(sizes, k, tension * u[1], tension * u[2], properties, work)
+        add_tension_to_spatial(sizes, properties, k, tension, work)
+    if sizes.spatial_modes > 0:
+        for k in range(sizes.tanks):
+            b, moved = tank_block(k), spatial_motion(sizes, properties, tank_place(k), work, SPATIAL_ACCEL)
+            work[b + ALONG_X + 3] = moved[0]
+            work[b + BENDING_ACCEL] += moved[1]
+            work[b + BENDING_ACCEL + 1] += moved[2]
     return add(accel, cross(offset, alpha)), alpha
 
 
@@ -372,6 +452,9 @@ def _add_damper_to_modes(
     in_pitch, in_yaw = mode_column(sizes, PITCH, MODE_FIRST + k), mode_column(sizes, YAW, MODE_FIRST + k)
     add_to_modes(sizes, properties, in_pitch, force_z, work, of_plane(FORCE, PITCH))
     add_to_modes(sizes, properties, in_yaw, force_y, work, of_plane(FORCE, YAW))
+    if sizes.spatial_modes > 0:
+        load = (work[tank_block(k) + ALONG_X + 2], force_y, force_z, 0.0, 0.0, 0.0)
+        apply_spatial_load(sizes, properties, tank_place(k), load, work, SPATIAL_FORCE)
 
 
 @kernel
@@ -410,12 +493,16 @@ def _solve_tensions(
         bend_y = modal_sum(sizes, properties, mode_column(sizes, YAW, MODE_FIRST + k), work, of_plane(ACCEL, YAW))
         work[b + BENDING_ACCEL], work[b + BENDING_ACCEL + 1] = bend_y, bend_z
         along = dot(u, accel) + dot(arm, alpha) + u[1] * bend_y + u[2] * bend_z
+        if sizes.spatial_modes > 0:
+            along += spatial_along_rod(sizes, properties, tank_place(k), k, u, work)
         work[TENSION + k] = mass * (work[b + DEMAND] - along)
         for j in range(k + 1):
             u_j = vector_at(y, first + N_PENDULUM * j)
             g = inverse_mass * dot(u, u_j)
             g += dot(arm, vector_at(work, tank_block(j) + ALPHA))
             g += properties[in_pitch + k * n + j] * u[2] * u_j[2] + properties[in_yaw + k * n + j] * u[1] * u_j[1]
+            if sizes.spatial_modes > 0:
+                g += spatial_compliance(sizes, properties, k, j, work)
             work[_gram(j, k)] = bob_mass(slosh, properties, j) * g
             work[_gram(k, j)] = mass * g
         work[_gram(k, k)] += 1.0

@@ -1,7 +1,8 @@
 """The list of state blocks, and the state vector that they make.
 
     r_I v_I q_BI w_BI_B | actuator pitch, yaw | gyro roll, pitch, yaw | gyro integrals
-    eta[n_pitch] nu_pitch[n_pitch] xi[n_yaw] nu_yaw[n_yaw] | per tank: u_B (3), kappa_B (3)
+    eta[n_pitch] nu_pitch[n_pitch] xi[n_yaw] nu_yaw[n_yaw] | eta[n_spatial] nu[n_spatial]
+    per tank: u_B (3), kappa_B (3)
 
 The first `N_FIXED` entries are the same for every vehicle; bending and slosh follow, as many as the vehicle has.
 Position and velocity are those of the *core* CG (the vehicle without its sloshing masses, engine straight), in the
@@ -36,12 +37,13 @@ from maxq.sim.vehicle.block import (
 )
 from maxq.sim.vehicle.gyro import GYRO_ANGLES, GYROS, gyro_start
 from maxq.sim.vehicle.slosh import N_PENDULUM, PENDULUMS, pendulum_start, restore_pendulum
+from maxq.sim.vehicle.spatial_modes import NU_SPATIAL_STATES, SPATIAL_STATES
 
 BLOCKS = (
     POSITION, VELOCITY, ATTITUDE, ANGULAR_VELOCITY, ACTUATORS, GYROS, GYRO_ANGLES,
-    ETA_STATES, NU_PITCH_STATES, XI_STATES, NU_YAW_STATES, PENDULUMS,
+    ETA_STATES, NU_PITCH_STATES, XI_STATES, NU_YAW_STATES, SPATIAL_STATES, NU_SPATIAL_STATES, PENDULUMS,
 )  # fmt: skip  # a table
-BOUNDED = (ANGULAR_VELOCITY, ETA_STATES, XI_STATES, POSITION, VELOCITY)  # checked in this order
+BOUNDED = (ANGULAR_VELOCITY, ETA_STATES, XI_STATES, SPATIAL_STATES, POSITION, VELOCITY)  # checked in this order
 
 Index = tuple[int, ...]  # of a state: a constant, and what each part of a field of `Counts` adds to it
 _NO_PARTS: Index = (0,) * (1 + len(Counts._fields))
@@ -62,7 +64,8 @@ def _parts_of(block: StateBlock) -> Index:
 ACTUATOR = _index_of(ACTUATORS)[0]
 GYRO = _index_of(GYROS)[0]
 GYRO_ANGLE = _index_of(GYRO_ANGLES)[0]
-_ETA, _XI, _PENDULUM, _END = _index_of(ETA_STATES), _index_of(XI_STATES), _index_of(PENDULUMS), _index_of(None)
+_ETA, _XI, _SPATIAL = _index_of(ETA_STATES), _index_of(XI_STATES), _index_of(SPATIAL_STATES)
+_PENDULUM, _END = _index_of(PENDULUMS), _index_of(None)
 N_FIXED = _ETA[0]
 N_ACTUATOR = len(ACTUATORS.states)
 MAX_STATE = sum(
@@ -81,7 +84,8 @@ _LIMITS: tuple[tuple[Index, Index, int, float], ...] = tuple(
 def _at(index: Index, sizes: Sizes | Counts) -> int:
     """With the fields of `Counts` in their order: a loop over them would not become one constant expression."""
     modes = index[1] * sizes.pitch_modes + index[2] * sizes.yaw_modes
-    return index[0] + modes + index[3] * sizes.tanks + index[4] * sizes.surfaces
+    rest = index[3] * sizes.tanks + index[4] * sizes.surfaces + index[5] * sizes.tables
+    return index[0] + modes + rest + index[6] * sizes.spatial_modes
 
 
 @kernel
@@ -99,6 +103,12 @@ def eta_index(sizes: Sizes | Counts) -> int:
 def xi_index(sizes: Sizes | Counts) -> int:
     """First of the yaw plane's modal coordinates; its rates follow after `yaw_modes` entries."""
     return _at(_XI, sizes)
+
+
+@kernel
+def spatial_index(sizes: Sizes | Counts) -> int:
+    """First of the spatial modes' coordinates; their rates follow after `spatial_modes` entries."""
+    return _at(_SPATIAL, sizes)
 
 
 @kernel

@@ -21,8 +21,9 @@ class Evaluation(NamedTuple):
     aux: Array
 
 
-# columns of the widest schedule (8 modes a plane, 8 tanks, 9 surfaces: 686) and derived properties (315)
-PROPERTIES_SIZE = 1024
+# columns of the widest schedule (12 modes a plane, 12 spatial modes, 8 tanks, 9 surfaces: 2734) and derived
+# properties (439)
+PROPERTIES_SIZE = 3328
 
 # --- work
 # of each mode, in pitch and then in yaw, zeros from the last mode to the next multiple of four
@@ -34,10 +35,20 @@ ACCEL = NU + 2 * MAX_MODES  # modal acceleration: time derivative of the quasi-v
 MACH_ROW = ACCEL + 2 * MAX_MODES  # aerodynamic coefficients at the present Mach number
 MACH_WIDTH = 8 + 2 * (MAX_SURFACES + 1)  # one more for the normal force of the table of coefficients beyond their sum
 PENDULUM = MACH_ROW + MACH_WIDTH  # per tank, see slosh.py
-PENDULUM_WIDTH = 30
+PENDULUM_WIDTH = 34
 GRAM = PENDULUM + PENDULUM_WIDTH * MAX_TANKS  # matrix of the tensions, see slosh.py
 TENSION = GRAM + MAX_TANKS * MAX_TANKS
-ANCHOR = TENSION + MAX_TANKS  # see environment.py
+# of each spatial mode, see spatial_modes.py
+SPATIAL_FORCE = TENSION + MAX_TANKS
+SPATIAL_ETA = SPATIAL_FORCE + MAX_MODES
+SPATIAL_RATE = SPATIAL_ETA + MAX_MODES
+SPATIAL_NU = SPATIAL_RATE + MAX_MODES
+SPATIAL_ACCEL = SPATIAL_NU + MAX_MODES
+SPATIAL_TURNED = SPATIAL_ACCEL + MAX_MODES  # A eta (eq. 4.7), m
+SPATIAL_TURNED_RATE = SPATIAL_TURNED + MAX_MODES  # A d(eta)/dt, m/s
+SPATIAL_MOMENTUM = SPATIAL_TURNED_RATE + MAX_MODES  # what the moving engine adds to the modal momentum, N s
+SPATIAL_ALONG = SPATIAL_MOMENTUM + MAX_MODES  # per tank: shape at the hinge along the rod
+ANCHOR = SPATIAL_ALONG + MAX_TANKS * MAX_MODES  # see environment.py
 ANCHOR_WIDTH = 28
 GRID_ROW = ANCHOR + ANCHOR_WIDTH  # columns of a table of coefficients over incidence
 COEFFICIENTS = GRID_ROW + 14  # and what they are, see incidence.py

@@ -1,0 +1,228 @@
+"""Spatial modes: coupled three-dimensional free-free modes of the vehicle, engine locked and sloshing masses removed.
+
+Mode i displaces the point of the body axis at station x by the vector Phi_i(x) eta_i and rotates the section there by
+Theta_i(x) eta_i: along and about all three axes of B, so that bending in both planes, torsion and axial motion may be
+coupled. A planar mode of bending.py is the special case Phi = (0, 0, phi), Theta = (0, slope, 0) in pitch and
+Phi = (0, phi, 0), Theta = (0, 0, -slope) in yaw. The quasi-velocities nu = d(eta)/dt + p A eta hold the rotation with
+the roll rate; A is the share of each mode in the shape of another turned by a right angle about x (docs/model.md,
+section 4).
+
+A *place* is a station at which the modes act or are felt (schedule.py), a load six numbers: force (N) and moment (N m)
+in B on the section there; likewise six a motion: displacement and rotation.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated
+
+from maxq.control.kernel.jit import kernel
+from maxq.control.kernel.limits import MAX_MODES
+from maxq.control.kernel.records import Array
+from maxq.control.kernel.vectors import Vector
+from maxq.sim.vehicle.block import Counts, StateBlock
+from maxq.sim.vehicle.schedule import (
+    GYRO_PLACE,
+    MODE_DAMPING,
+    MODE_INVERSE_MASS,
+    MODE_STIFFNESS,
+    SPATIAL_MASS,
+    place_column,
+    spatial_column,
+    spatial_derived,
+    spatial_softening_row,
+    turning_row,
+)
+from maxq.sim.vehicle.workspace import (
+    SPATIAL_ACCEL,
+    SPATIAL_ALONG,
+    SPATIAL_ETA,
+    SPATIAL_FORCE,
+    SPATIAL_MOMENTUM,
+    SPATIAL_NU,
+    SPATIAL_RATE,
+    SPATIAL_TURNED,
+    SPATIAL_TURNED_RATE,
+)
+
+SPATIAL_STATES = StateBlock(
+    {"eta_spatial_{}_m": "m"}, "spatial_modes", bound=10.0, excess="a spatial mode exceeds 10 m"
+)
+NU_SPATIAL_STATES = StateBlock({"nu_spatial_{}_mps": "m/s"}, "spatial_modes")
+
+Load = tuple[float, float, float, float, float, float]  # force and moment of B, or displacement and rotation
+
+
+@dataclass(frozen=True)
+class SpatialModes:
+    zeta: Annotated[Array, (MAX_MODES,)]
+    frequency_factor: Annotated[Array, (MAX_MODES,)]
+
+
+@kernel
+def spatial_state(sizes: Counts, roll_rate: float, properties: Array, y: Array, first: int, work: Array) -> None:
+    """From the states at y[first:] into the workspace; sets the generalised forces to zero."""
+    n = sizes.spatial_modes
+    for i in range(n):
+        work[SPATIAL_ETA + i], work[SPATIAL_NU + i] = y[first + i], y[first + n + i]
+        work[SPATIAL_FORCE + i], work[SPATIAL_MOMENTUM + i] = 0.0, 0.0
+    _turn(sizes, properties, work, SPATIAL_ETA, SPATIAL_TURNED)
+    for i in range(n):
+        work[SPATIAL_RATE + i] = work[SPATIAL_NU + i] - roll_rate * work[SPATIAL_TURNED + i]
+    _turn(sizes, properties, work, SPATIAL_RATE, SPATIAL_TURNED_RATE)
+
+
+@kernel
+def _turn(sizes: Counts, properties: Array, work: Array, quantity: int, turned: int) -> None:
+    """A times a modal quantity."""
+    for i in range(sizes.spatial_modes):
+        total = 0.0
+        for j in range(sizes.spatial_modes):
+            total += properties[spatial_column(sizes, turning_row(sizes, j)) + i] * work[quantity + j]
+        work[turned + i] = total
+
+
+@kernel
+def spatial_derivative(sizes: Counts, first: int, dy: Array, work: Array) -> None:
+    """Derivatives of the states at y[first:], once the workspace holds the modal accelerations."""
+    for i in range(sizes.spatial_modes):
+        dy[first + i] = work[SPATIAL_RATE + i]
+        dy[first + sizes.spatial_modes + i] = work[SPATIAL_ACCEL + i]
+
+
+@kernel
+def spatial_motion(sizes: Counts, properties: Array, place: int, work: Array, quantity: int) -> Load:
+    """Motion of a place: its shapes times a modal quantity (SPATIAL_ETA, SPATIAL_NU, ...)."""
+    x, y, z, about_x, about_y, about_z = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    n, c = sizes.spatial_modes, place_column(sizes, place, 0)
+    for i in range(n):
+        amount = work[quantity + i]
+        x += properties[c + i] * amount
+        y += properties[c + n + i] * amount
+        z += properties[c + 2 * n + i] * amount
+        about_x += properties[c + 3 * n + i] * amount
+        about_y += properties[c + 4 * n + i] * amount
+        about_z += properties[c + 5 * n + i] * amount
+    return x, y, z, about_x, about_y, about_z
+
+
+@kernel
+def roll_defect(sizes: Counts, properties: Array, place: int, work: Array, quantity: int, turned: int) -> Load:
+    """Motion of a place per roll rate beyond what the quasi-velocities hold: (x cross Phi) eta - Phi A eta, eq. 4.8.
+
+    `quantity`, `turned`: SPATIAL_ETA with SPATIAL_TURNED, or their rates. Zero where the turned shapes are modes, too.
+    """
+    whole = spatial_motion(sizes, properties, place, work, quantity)
+    held = spatial_motion(sizes, properties, place, work, turned)
+    return -held[0], -whole[2] - held[1], whole[1] - held[2], -held[3], -whole[5] - held[4], whole[4] - held[5]
+
+
+@kernel
+def apply_spatial_load(sizes: Counts, properties: Array, place: int, load: Load, work: Array, quantity: int) -> None:
+    """Add the generalised forces of a load at a place to a modal quantity (SPATIAL_FORCE, SPATIAL_MOMENTUM)."""
+    n, c = sizes.spatial_modes, place_column(sizes, place, 0)
+    for i in range(n):
+        force = properties[c + i] * load[0] + properties[c + n + i] * load[1] + properties[c + 2 * n + i] * load[2]
+        moment = properties[c + 3 * n + i] * load[3] + properties[c + 4 * n + i] * load[4]
+        work[quantity + i] += force + (moment + properties[c + 5 * n + i] * load[5])
+
+
+@kernel
+def outer_spatial_load(sizes: Counts, properties: Array, place: int, load: Load, work: Array) -> Vector:
+    """As `apply_spatial_load`, of a load from outside (thrust, air, a pendulum) on the displaced place.
+
+    Returns the moment on the body (B, N m) that comes on top of that of the force at the undisplaced place.
+    """
+    apply_spatial_load(sizes, properties, place, load, work, SPATIAL_FORCE)
+    moved = spatial_motion(sizes, properties, place, work, SPATIAL_ETA)
+    defect = roll_defect(sizes, properties, place, work, SPATIAL_ETA, SPATIAL_TURNED)
+    roll = defect[0] * load[0] + defect[1] * load[1] + defect[2] * load[2]
+    roll += defect[3] * load[3] + defect[4] * load[4] + defect[5] * load[5]
+    return roll, moved[2] * load[0] - moved[0] * load[2], moved[0] * load[1] - moved[1] * load[0]
+
+
+@kernel
+def spatial_rate_at_gyro(sizes: Counts, roll_rate: float, properties: Array, work: Array) -> Vector:
+    """Angular rate (B, rad/s) that the modes add at the gyro."""
+    of_modes = spatial_motion(sizes, properties, GYRO_PLACE, work, SPATIAL_NU)
+    defect = roll_defect(sizes, properties, GYRO_PLACE, work, SPATIAL_ETA, SPATIAL_TURNED)
+    return (
+        of_modes[3] + roll_rate * defect[3],
+        of_modes[4] + roll_rate * defect[4],
+        of_modes[5] + roll_rate * defect[5],
+    )
+
+
+@kernel
+def spatial_elastic_forces(sizes: Counts, properties: Array, k_soft: float, work: Array) -> float:
+    """Add stiffness, damping and axial softening to the generalised forces; returns their roll moment on the body."""
+    roll = 0.0
+    stiffness, damping = spatial_derived(sizes, MODE_STIFFNESS), spatial_derived(sizes, MODE_DAMPING)
+    for i in range(sizes.spatial_modes):
+        force = -(properties[stiffness + i] * work[SPATIAL_ETA + i] + properties[damping + i] * work[SPATIAL_RATE + i])
+        for j in range(sizes.spatial_modes):
+            taken = properties[spatial_column(sizes, spatial_softening_row(sizes, j)) + i]
+            force += k_soft * taken * work[SPATIAL_ETA + j]
+        work[SPATIAL_FORCE + i] += force
+        roll -= force * work[SPATIAL_TURNED + i]
+    return roll
+
+
+@kernel
+def spatial_gyroscopic(sizes: Counts, properties: Array, rate: Vector, work: Array) -> Vector:
+    """Roll-rate coupling of the modes, and the moment of their angular momentum about x on the body (eq. 4.9).
+
+    SPATIAL_MOMENTUM holds what moving engines add to the modal momenta.
+    """
+    p, q, r = rate
+    mass, n = spatial_column(sizes, SPATIAL_MASS), sizes.spatial_modes
+    h, roll = 0.0, 0.0
+    for i in range(n):
+        momentum = properties[mass + i] * work[SPATIAL_NU + i] + work[SPATIAL_MOMENTUM + i]
+        h += momentum * work[SPATIAL_TURNED + i]
+        for j in range(n):
+            share = properties[spatial_column(sizes, turning_row(sizes, j)) + i]  # A_ij
+            work[SPATIAL_FORCE + j] += p * (share * momentum)
+            roll -= momentum * (share * work[SPATIAL_NU + j])
+    return roll, -r * h, q * h
+
+
+@kernel
+def free_spatial_accelerations(sizes: Counts, properties: Array, work: Array) -> None:
+    """Accelerations of the modes under their generalised forces, without the tensions of the pendulums."""
+    inverse = spatial_derived(sizes, MODE_INVERSE_MASS)
+    for i in range(sizes.spatial_modes):
+        work[SPATIAL_ACCEL + i] = properties[inverse + i] * work[SPATIAL_FORCE + i]
+
+
+@kernel
+def spatial_along_rod(sizes: Counts, properties: Array, place: int, tank: int, u: Vector, work: Array) -> float:
+    """Keep the shapes at a hinge along its rod `u`; returns the acceleration of the hinge along it, m/s2."""
+    n, c, total = sizes.spatial_modes, place_column(sizes, place, 0), 0.0
+    for i in range(n):
+        along = properties[c + i] * u[0] + properties[c + n + i] * u[1] + properties[c + 2 * n + i] * u[2]
+        work[_along(tank) + i] = along
+        total += along * work[SPATIAL_ACCEL + i]
+    return total
+
+
+@kernel
+def spatial_compliance(sizes: Counts, properties: Array, k: int, j: int, work: Array) -> float:
+    """How much the hinge of tank k accelerates along its rod per newton of tension in tank j, 1/kg."""
+    inverse, total = spatial_derived(sizes, MODE_INVERSE_MASS), 0.0
+    for i in range(sizes.spatial_modes):
+        total += work[_along(k) + i] * (work[_along(j) + i] * properties[inverse + i])
+    return total
+
+
+@kernel
+def add_tension_to_spatial(sizes: Counts, properties: Array, tank: int, tension: float, work: Array) -> None:
+    """Add the pull of the rod of a tank to the modal accelerations."""
+    inverse = spatial_derived(sizes, MODE_INVERSE_MASS)
+    for i in range(sizes.spatial_modes):
+        work[SPATIAL_ACCEL + i] += tension * (work[_along(tank) + i] * properties[inverse + i])
+
+
+@kernel
+def _along(tank: int) -> int:
+    return SPATIAL_ALONG + tank * MAX_MODES
