@@ -188,12 +188,12 @@ def pendulum_loads(
         bend = (bend[0], bend[1] - p * asymmetry_z, bend[2] + p * asymmetry_y)
     shift_x, shift_rate_x, asymmetry_x, asymmetry_rate_x = 0.0, 0.0, 0.0, 0.0
     if sizes.spatial_modes > 0:
-        place = tank_place(tank)
-        moved = spatial_motion(sizes, properties, place, work, SPATIAL_ETA)
-        moving = spatial_motion(sizes, properties, place, work, SPATIAL_RATE)
-        nu = spatial_motion(sizes, properties, place, work, SPATIAL_NU)
-        defect = roll_defect(sizes, properties, place, work, SPATIAL_ETA, SPATIAL_TURNED)
-        defect_rate = roll_defect(sizes, properties, place, work, SPATIAL_RATE, SPATIAL_TURNED_RATE)
+        at = tank_place(tank)
+        moved = spatial_motion(sizes, properties, at, work, SPATIAL_ETA)
+        moving = spatial_motion(sizes, properties, at, work, SPATIAL_RATE)
+        nu = spatial_motion(sizes, properties, at, work, SPATIAL_NU)
+        defect = roll_defect(sizes, properties, at, work, SPATIAL_ETA, SPATIAL_TURNED)
+        defect_rate = roll_defect(sizes, properties, at, work, SPATIAL_RATE, SPATIAL_TURNED_RATE)
         shift_x, shift_y, shift_z = moved[0], shift_y + moved[1], shift_z + moved[2]
         shift_rate_x = moving[0]
         shift_rate_y, shift_rate_z = shift_rate_y + moving[1], shift_rate_z + moving[2]
