@@ -174,6 +174,7 @@ def rod(component: int, yaw_rad: float = 0.0, **engine: Any) -> Rig:
         **engine,
     )
     tree = scenario_of(parts, run={"step_s": 0.0001}, switches={"gyro": "ideal", "actuator": "ideal"})
+    tree["vehicle"]["computer"]["sample_s"] = 1.0  # a sample takes what the gyro has counted
     bias = {"bias_deg": (0.0, float(np.degrees(yaw_rad)))}
     return rig(with_stage(tree, actuator=bias, spatial_modes=spatial_section(ROD_STATIONS, forward, modes)))
 
