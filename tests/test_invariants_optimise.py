@@ -18,19 +18,22 @@ import optimise_kit as kit
 import pytest
 from threadpoolctl import threadpool_info
 
+from maxq.design import api
+from maxq.design.case.schema import LoadedCase
 from maxq.design.laws.pd import Pd
 from maxq.design.loop.loop import Loop
 from maxq.design.margins.measure import margins
-from maxq.design.optimise.plants import Plants
+from maxq.design.optimise.plants import Plants, make_plant, make_plants
 from maxq.design.optimise.solution import Solution
 from maxq.design.optimise.solve import nominal_plants, solve
 from maxq.design.optimise.sqp import optimality
-from maxq.design.verify.judging import make_design
+from maxq.design.verify.judging import judge, judge_solution, make_design
+from maxq.sim.scenario.errors import ScenarioError
 
 NODES = "nodes_s=[5.0, 30.0, 55.0]"
 
 
-def check_limits(s: Solution, plants: Plants) -> None:
+def check_limits(s: Solution, plants: Plants, rigid_hz: bool = True) -> None:
     """Limits of a design by the loop's own margins, not the optimiser's curves."""
     limits = s.case.limits
     law = kit.designed(s)
@@ -52,7 +55,8 @@ def check_limits(s: Solution, plants: Plants) -> None:
                 peaks.append(peak)
             elif mode == 2:
                 assert peak < limits.second_mode_db + 1e-3
-        assert math.sqrt(plant.m_delta * p) / (2 * math.pi) > limits.rigid_hz - 1e-6
+        if rigid_hz:
+            assert math.sqrt(plant.m_delta * p) / (2 * math.pi) > limits.rigid_hz - 1e-6
         assert 0.5 * d * math.sqrt(plant.m_delta / p) > limits.rigid_zeta - 1e-6
     assert max(peaks) == pytest.approx(s.objective_db, abs=1e-3)
 
@@ -68,6 +72,55 @@ def test_limits_hold_on_the_loop_built_anew(overrides: tuple[str, ...]) -> None:
     assert s.status == "optimal"
     assert s.certificate.kkt_residual < 1e-6
     check_limits(s, plants)
+
+
+LATE = ("nodes_s=[45.0, 50.0, 55.0]", "filter.structure=F4", "search.starts=3", "search.leaps=2")
+
+
+def missed_between(s: Solution, loaded: LoadedCase) -> float:
+    """By how many dB (0.2 dB/deg) the worst instant of each tenth of a second misses the margins, by design/margins."""
+    nodes = api.nodes(loaded.scenario, np.arange(45.0, 55.05, 0.1).round(3))
+    found = judge(nodes, make_design(loaded, s), "pade")
+    assert all(j.margins.stable for j in found)
+    gain, phase = min(j.gain_margin_db for j in found), min(j.margins.phase_deg.value for j in found)
+    return max(6.0 - gain, 0.2 * (30.0 - phase))
+
+
+@pytest.mark.slow
+def test_limits_hold_between_the_nodes_where_they_are_asked_to() -> None:
+    """The peak of LOX slosh passes 0 dB between 50 and 55 s: 30 deg at both, 24 between."""
+    at_nodes, loaded = kit.case(*LATE), kit.case(*LATE, "between_nodes='hold'")
+    plain, held = solve(at_nodes), solve(loaded)
+    assert held.feasible
+    assert missed_between(plain, at_nodes) > 1.0
+    assert missed_between(held, loaded) < 0.025
+    assert held.certificate.worst_instant_db < 0.02
+    assert {45.0, 50.0, 55.0} < {node.time_s for node in held.nodes}
+    assert held.objective_db > plain.objective_db + 1.0
+    assert judge_solution(loaded, held).feasible
+
+
+def test_an_unstable_body_is_stabilised_without_limits_that_ask_for_gain() -> None:
+    """The centre of pressure 3 m further forward: M_alpha > 0, no feedback is unstable by itself."""
+    loaded = kit.case(NODES, "filter.structure=F3", "search.starts=3", "search.leaps=0", "limits.without=['rigid_hz']")
+    nodes = [p.node.with_(centre_of_pressure_m=-3.0) for p in kit.plants(NODES).each]
+    plants = make_plants([make_plant(node, loaded.case) for node in nodes])
+    assert (plants.rigid.m_alpha > 0.4).all()
+    s = solve(loaded, plants)
+    assert s.feasible
+    check_limits(s, plants, rigid_hz=False)
+
+
+def test_limit_that_no_stable_loop_meets_is_named() -> None:
+    s = solve(kit.case(NODES, "filter.structure=F2", "search.starts=3", "search.leaps=0", "limits.rigid_hz=5.0"))
+    assert not s.feasible
+    assert s.stable_without == ("rigid_hz",)
+    assert s.explanation().startswith("no stable design was found; without limits.rigid_hz one is")
+
+
+def test_dispersed_plants_are_not_searched_between_nodes() -> None:
+    with pytest.raises(ScenarioError, match=r"between_nodes.*not searched for dispersed plants"):
+        kit.case("between_nodes='hold'", name="ksr3-robust")
 
 
 @pytest.mark.slow

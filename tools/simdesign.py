@@ -9,7 +9,7 @@ import sys
 from typing import NoReturn
 
 from maxq.tools.cli.frame import Exit, process, run, show_list
-from maxq.tools.cli.parser import Parser, count_from_1, filled, seconds
+from maxq.tools.cli.parser import Parser, count_from_1, filled, positive, seconds
 
 _USAGE = """\
 simdesign CASE [--out DIR] [--starts N] [--seed N] [--set KEY=VALUE]... [--orders] [--no-pictures]
@@ -80,6 +80,10 @@ def _parser() -> Parser:
     )
     add("--suite", modes=(_VERIFY,), metavar="SUITE", help="what has to be passed (default: standard)")
     add("--at", modes=_JUDGED, type=seconds, metavar="T", action="append", dest="times_s", help="vehicle time, s")
+    add(
+        "--every", modes=(_ANALYSE,), type=positive, metavar="S", dest="every_s",
+        help="seconds between the nodes, where no --at is given (default: 5); 0.25 finds what lies between",
+    )  # fmt: skip  # four more lines otherwise
     add("--scenario", modes=_JUDGED, metavar="S", help="scenario whose flight gives the nodes (default: nominal)")
     add("--vehicle", modes=_JUDGED, metavar="V", help="vehicle folder instead of the scenario's")
     add(
@@ -131,6 +135,8 @@ def _run(arguments: list[str]) -> int:
         parser.error("give a case, e.g. simdesign ksr3-identical, or analyse DESIGN")
     parser.check(options, "--list" if options.list else mode)
     _check_names(names, mode, parser)
+    if options.every_s is not None and options.every_s < 0.01:
+        parser.error("--every takes 0.01 s or more")
     if options.out == "":
         parser.error("--out needs the name of a folder")
     if options.list:

@@ -230,6 +230,11 @@ class Case(Section):
     )
     plane: Literal["pitch", "yaw"] = optional("plane of the model", "pitch")
     nodes_s: tuple[float, ...] = optional("vehicle times at which the limits are checked, s", PAPER_TIMES_S)
+    between_nodes: Literal["ignore", "hold"] = optional(
+        "ignore: limits at the nodes only, as in the paper; hold: instants between the nodes that are worse by "
+        "0.02 dB or 0.1 deg are searched and become nodes, until none is found; not with [robust]",
+        "ignore",
+    )
     law: Law = optional("control law; pd: proportional-derivative with a bending filter", "pd")
     gains: Gains = Gains()
     filter: Filter = Filter()
@@ -242,6 +247,8 @@ class Case(Section):
     @model_validator(mode="after")
     def _check(self) -> Case:
         _rising(self.nodes_s, "nodes_s")
+        if self.between_nodes == "hold" and self.robust is not None:
+            raise refuse("is not searched for dispersed plants", '"ignore" beside [robust]', key=("between_nodes",))
         return self
 
 

@@ -181,6 +181,7 @@ class PdDesign:
 LEAPS = ((0.3, 0.0), (0.2, 0.1), (0.03, 0.15))
 """Sizes of leaps, taken in turn: of the filter's variables and of the gains'. Of sixteen leaps of each kind from the
 second-best end of F3 with free gains, 6, 5 and 3 found the best."""
+START_HZ, START_ZETA = 0.3, 0.5  # of the rigid body with its aerodynamics, where no limit asks for more
 GAIN_FACTOR = 1.02  # of starting gains over the least that meet the limits
 HERTZ, ZETA, AT_INFINITY = range(3)  # numbers of `PdVariables.limits`
 
@@ -365,11 +366,18 @@ class PdVariables:
         return [self._clipped(np.concatenate([y, gains])) for y in filters]
 
     def _start_gains(self) -> Array:
-        """The gain variables a little above the least that meet the limits; those of (47) and (48) as printed."""
+        """The gain variables a little above the least that meet the limits, those of (47) and (48) as printed.
+
+        And above what an unstable body needs to be as fast as `START_HZ` with M_alpha and M_q in it (erratum 12); the
+        help of a stable one is not counted on, for without gains its path diverges slowly.
+        """
         if self.gains.size == 0:
             return np.zeros(0)
         hz, zeta = (float(np.nanmax(np.append(x, low))) for x, low in ((self.rigid_hz, 0.1), (self.rigid_zeta, 0.3)))
-        return np.log(GAIN_FACTOR * least_gains(self.task.rigid, self.gains.weights, hz, zeta, False)).ravel()
+        asked = least_gains(self.task.rigid, self.gains.weights, hz, zeta, False)
+        rigid = replace(self.task.rigid, m_alpha=np.maximum(self.task.rigid.m_alpha, 0.0))
+        needed = least_gains(rigid, self.gains.weights, START_HZ, START_ZETA, True)
+        return np.log(GAIN_FACTOR * np.maximum(asked, needed)).ravel()
 
     def leap_size(self, number: int) -> Array:
         by_filter, by_gains = LEAPS[number % len(LEAPS)]

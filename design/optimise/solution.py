@@ -11,6 +11,7 @@ import numpy as np
 from maxq.control.kernel.records import Array
 from maxq.design.case.schema import Case
 from maxq.design.laws.law import DesignedLaw
+from maxq.design.model.node import Node
 from maxq.design.optimise.features import Kind
 from maxq.design.optimise.plants import Plants
 from maxq.design.optimise.problem import Evaluation, Problem
@@ -69,6 +70,8 @@ class Certificate:
     plants: int  # for which the design was made
     searched: int = 0  # dispersed plants that were tried besides, in search of the worst
     worst_found_db: float = 0.0  # by how much the worst of those misses the objective or a limit
+    instants: int = 0  # between the nodes that were tried, in search of the worst
+    worst_instant_db: float = 0.0  # by how much the worst of those misses what the worst node has
     leaps: int = 0  # from the best end, thrown off and brought down again
     leaps_back: int = 0  # of these ended within 0.05 dB of the best
 
@@ -94,6 +97,8 @@ class Solution:
     certificate: Certificate
     variables: Array
     nominal_objective_db: float  # over the nominal plants alone
+    nodes: tuple[Node, ...]  # of the nominal plants
+    stable_without: tuple[str, ...] = ()  # limits, where no design is stable: without any one of these one is
 
     @property
     def feasible(self) -> bool:
@@ -112,8 +117,10 @@ class Solution:
         """One sentence about an infeasible design; empty for a feasible one."""
         if self.feasible:
             return ""
+        alone = " or ".join(f"limits.{name}" for name in self.stable_without)
+        unstable = f"no stable design was found{f'; without {alone} one is' if alone else ''}"
         if not self.in_the_way:
-            return "no stable design was found"
+            return unstable
         parts = []
         for c in self.in_the_way[:4]:
             where = f" at {c.plant}" if c.plant is not None else ""
@@ -121,7 +128,7 @@ class Solution:
             parts.append(f"{c.what}{where} ({c.value:.4g}{' ' + c.unit if c.unit else ''}{limit})")
         missed = f"at best {self.violation_db:.3g} dB are missing; in the way: " + "; ".join(parts)
         if not self.certificate.stable:
-            return f"no stable design was found; of the limits {missed}"
+            return f"{unstable}; of the limits {missed}"
         return f"the limits cannot be met together: {missed}"
 
 
@@ -154,6 +161,7 @@ def make_solution(case: Case, plants: Plants, problem: Problem, found: Found, se
         ),
         variables=found.best.variables,
         nominal_objective_db=nominal,
+        nodes=tuple(p.node for p in plants.each if not p.dispersed),
     )
 
 

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
+from dataclasses import replace
+from typing import get_args
 
 import numpy as np
 from threadpoolctl import threadpool_limits
 
 from maxq.design import api
-from maxq.design.case.schema import Case, LoadedCase
+from maxq.design.case.schema import LIMIT_NAMES, Case, LoadedCase
 from maxq.design.laws.law import LawVariables
 from maxq.design.laws.registry import law_kind
 from maxq.design.loop.fixed_path import ExactFixedPath
@@ -53,14 +55,36 @@ def solve(
     """
     # with matrices of forty rows, threads of the linear-algebra library only wait for each other: twice the CPU time
     with threadpool_limits(limits=1, user_api="blas"):
-        begun = time.perf_counter()
+        from maxq.design.optimise.over_time import solve_over_time  # noqa: PLC0415  # it needs this module, as the next
+        from maxq.design.optimise.robust import solve_robust  # noqa: PLC0415
+
         plants = nominal_plants(loaded) if plants is None else plants
         if loaded.case.robust is not None:
-            from maxq.design.optimise.robust import solve_robust  # noqa: PLC0415  # it needs this module
-
             return solve_robust(loaded, plants, also_from, progress)
-        problem, found = search_best(loaded.case, plants, also_from, progress)
-        return finished(loaded.case, plants, problem, found, begun)
+        method = solve_over_time if loaded.case.between_nodes == "hold" else solve_at_nodes
+        return method(loaded, plants, also_from, progress)
+
+
+def solve_at_nodes(
+    loaded: LoadedCase, plants: Plants, also_from: Sequence[Solution] = (), progress: Progress | None = None
+) -> Solution:
+    """The best design found for the plants at the case's nodes.
+
+    Where none is stable, the limits are tried without each of those that a case can leave out, from two starts each.
+    """
+    begun, case = time.perf_counter(), loaded.case
+    problem, found = search_best(case, plants, also_from, progress)
+    solution = finished(case, plants, problem, found, begun)
+    if solution.certificate.stable or solution.status == "interrupted":
+        return solution
+    freed = []
+    for name in (n for n in get_args(LIMIT_NAMES) if n not in case.limits.without):
+        limits = case.limits.model_copy(update={"without": (*case.limits.without, name)})
+        fewer = case.search.model_copy(update={"starts": 2, "leaps": 0})
+        freer = case.model_copy(update={"limits": limits, "search": fewer})
+        if finished(freer, plants, *search_best(freer, plants), begun).certificate.stable:
+            freed.append(name)
+    return replace(solution, stable_without=tuple(freed))
 
 
 def finished(case: Case, plants: Plants, problem: Problem, found: Found, begun: float) -> Solution:

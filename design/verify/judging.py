@@ -292,9 +292,9 @@ def wanted_of(case: Case) -> Wanted:
     return wanted
 
 
-def judge_solution(loaded: LoadedCase, solution: Solution, nodes: Sequence[Node]) -> Outcome:
-    """Judge the design as it is written, at the case's nodes and at the dispersed plants of a robust search."""
-    design, case = make_design(loaded, solution), loaded.case
+def judge_solution(loaded: LoadedCase, solution: Solution) -> Outcome:
+    """Judge the design as it is written, at the search's nodes and at the dispersed plants of a robust search."""
+    design, case, nodes = make_design(loaded, solution), loaded.case, solution.nodes
     wanted = wanted_of(case)
 
     judged = judge(nodes, design, case.loop)

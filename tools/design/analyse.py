@@ -10,6 +10,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
+
 from maxq.design import api
 from maxq.design.api import Plant
 from maxq.design.laws.design_file import DESIGN_NAME, design_path, forget_pictures
@@ -27,7 +29,6 @@ from maxq.tools.cli.frame import Exit
 from maxq.tools.cli.terminal import Progress, aligned
 from maxq.tools.design.report import analysis_record, analysis_report, analysis_verdict, write_record
 
-EVERY_S = 5.0
 RECORD_NAME = "analysis.json"
 _UNSTABLE = "unstable"
 QUANTITIES = {
@@ -48,6 +49,7 @@ class Order:
     scenario: str = "nominal"
     vehicle: str | None = None
     times_s: tuple[float, ...] = ()
+    every_s: float = 5.0
     kind: Kind = "sampled"
     axis: Plane = "pitch"
     errata: str = "corrected"
@@ -98,13 +100,13 @@ def load(scenario: str, vehicle: str | None, design: str) -> tuple[LoadedScenari
 
 
 def find_nodes(scenario: LoadedScenario, design: Design, order: Order) -> list[Node]:
-    """Nodes along the flight, by default at the rows of the gain table and every five seconds between its ends.
+    """Nodes along the flight, by default at the rows of the gain table and every `every_s` between its ends.
 
     Raises ScenarioError for a time outside the powered flight.
     """
     rows = [float(t) for t in design.gains.table["time_s"]]
-    count = int((rows[-1] - rows[0]) // EVERY_S)
-    times_s = order.times_s or sorted({*rows, *(rows[0] + EVERY_S * k for k in range(count + 1))})
+    between = (round(float(t), 9) for t in np.arange(rows[0], rows[-1], order.every_s))
+    times_s = order.times_s or sorted({*rows, *between})
     try:
         nodes = api.nodes(scenario, times_s, plane=order.axis, errata=order.errata, plant=order.plant)
         for node in nodes:

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, get_args
 
 from maxq.design.margins.lobes import Lobe
-from maxq.design.optimise.solution import Solution
+from maxq.design.optimise.solution import Certificate, Solution
 from maxq.design.verify.judging import LIMITS, Check, Judged, Outcome, RigidBody
 from maxq.sim.files import write_whole
 from maxq.sim.scenario.schema_design import Design
@@ -194,9 +194,16 @@ def search_table(solution: Solution) -> list[str]:
         ("ends, dB", ", ".join("-" if math.isnan(x) else f"{x:.2f}" for x in sorted(c.ends_db))),
         ("KKT residual", f"{c.kkt_residual:.1e}"),
         ("active", "; ".join(active) or "none"),
+        *([("between", _between(c))] if c.instants else []),
         ("effort", f"{c.evaluations} evaluations, {c.seconds:.2f} s, seed {c.seed}"),
     ]
     return ["search", *aligned(rows, "  ")]
+
+
+def _between(c: Certificate) -> str:
+    """What was found between the nodes."""
+    found = f"{c.worst_instant_db:.2g} dB" if c.worst_instant_db > 0.0 else "no"
+    return f"{c.instants} instants tried; {found} worse than the worst node at most"
 
 
 def _lobe(lobe: Lobe | None, stable: bool) -> str:

@@ -98,7 +98,7 @@ def make(order: Order) -> Made:
             except KeyboardInterrupt:  # the design itself is complete
                 interrupted = True
         with Interruption() as interruption:  # the result is written, whatever is pressed now
-            outcome = judge_solution(loaded, solution, [plant.node for plant in plants.each])
+            outcome = judge_solution(loaded, solution)
             forget_pictures(folder)
             files = _write(folder, outcome, solution, orders)
             if order.pictures and solution.status != "interrupted":

@@ -147,6 +147,32 @@ def claims() -> list[str]:
     return table(["claim of the paper", *(f"{plant}, {limits}" for plant, limits in pairs)], rows)
 
 
+def between() -> list[str]:
+    """Identical limits: what the optima do between their eleven nodes, and what it costs to hold the limits there."""
+    folder, at_nodes, rows = RUNS / "optima-flown-identical", orders("flown", "identical"), []
+    kept(f"{folder.name}/design.json", "simdesign", "ksr3-identical", "--orders", *set_(["plant=flown"]))
+    changes = set_(["between_nodes=hold"])
+    record = kept("between/design.json", "simdesign", "ksr3-identical", "--orders", "--no-pictures", *changes)
+    held = {(o["structure"], o["schedule"]): o for o in record["orders"]}
+    nodes = api.nodes("nominal", np.arange(5.0, 55.01, 0.25))
+    for (f, s), o in at_nodes.items():
+        found = judge(nodes, api.load_design(folder / f"{f}-{s}" / "design.toml"), "pade")
+        gain, phase = ([j.gain_margin_db for j in found], [j.margins.phase_deg.value for j in found])
+        least = [f"{min(v):.{d}f} at {nodes[int(np.argmin(v))].time_s:g} s" for v, d in ((gain, 2), (phase, 1))]
+        cost = peak(held[f, s]) - peak(o)
+        rows.append((f, s, _n(peak(o)), *least, _n(peak(held[f, s])), _n(cost)))
+    head = (
+        "filter",
+        "gains",
+        "peak, dB",
+        "least gain margin, dB",
+        "least phase margin, deg",
+        "peak held, dB",
+        "cost, dB",
+    )
+    return table(head, rows)
+
+
 def parameters(limits: str) -> list[str]:
     """Gains at first and last node, and the filter, of every optimum of the reconstructed vehicle."""
     rows = []
@@ -396,6 +422,7 @@ TABLES: dict[str, Callable[[], list[str]]] = {
     "claims": claims,
     "peaks": peaks,
     "relaxing": relaxing,
+    "between": between,
     "parameters": lambda: parameters("identical"),
     "parameters-relaxed": lambda: parameters("relaxed"),
     "robust": robust,

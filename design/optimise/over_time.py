@@ -1,0 +1,105 @@
+"""A design that holds between its nodes: instants at which it is worse are searched and become nodes, until none is.
+
+The same exchange method as for dispersed plants (robust.py; Blankenship & Falk, J. Optim. Theory Appl. 19, 1976), with
+time as the parameter. What is found depends on the grid of instants: the certificate names their number.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from maxq.control.kernel.records import Array, IntArray
+from maxq.design import api
+from maxq.design.case.schema import Gains, LoadedCase
+from maxq.design.laws.law import LawVariables
+from maxq.design.optimise.plants import Plant, Plants, make_plant, make_plants
+from maxq.design.optimise.search import Progress
+from maxq.design.optimise.solution import Solution
+from maxq.design.optimise.solve import make_problem, solve_at_nodes
+
+INSTANTS_S = 0.25  # apart, all along
+FINE_S = 0.05  # apart, beside the worst of those
+WORSE_DB = 0.02  # instants that are worse by less are let be: 0.02 dB, 0.1 deg
+COARSE = 1e-4  # tolerance of the curves between nodes: 1e-3 dB
+ROUNDS = 12
+UNSTABLE_DB = 1e3
+
+
+@dataclass
+class _Instants:
+    """The case at any instant; its plants are made once."""
+
+    loaded: LoadedCase
+    known: dict[float, Plant]
+    tried: int = 0
+
+    def plants(self, times_s: Sequence[float]) -> list[Plant]:
+        case, missing = self.loaded.case, [t for t in times_s if t not in self.known]
+        if missing:
+            nodes = api.nodes(self.loaded.scenario, missing, plane=case.plane, errata=case.errata, plant=case.plant)
+            self.known |= {t: make_plant(node, case) for t, node in zip(missing, nodes, strict=True)}
+            self.tried += len(missing)
+        return [self.known[t] for t in times_s]
+
+    def over(self, times_s: Sequence[float], plants: Plants, law: LawVariables, solution: Solution) -> Array:
+        """(kinds of rows, times): by how many dB the design is worse there than at its worst node."""
+        case = self.loaded.case.model_copy(update={"nodes_s": tuple(times_s)})
+        problem = make_problem(case, plants, law)
+        there = problem.evaluate(solution.variables, complete=True)
+        rows, out = there.rows, np.full((len(problem.kinds), len(times_s)), -np.inf)
+        level = np.where(rows.objective, solution.objective_db, max(solution.violation_db, 0.0))
+        of_plant = rows.plant >= 0
+        np.maximum.at(out, (rows.what[of_plant], rows.plant[of_plant]), (rows.excess_db - level)[of_plant])
+        if there.unstable:
+            out[0, problem.loops.unstable_poles(problem.loops.response(solution.variables)) > 0] = UNSTABLE_DB
+        return out
+
+
+def solve_over_time(
+    loaded: LoadedCase, nominal: Plants, also_from: Sequence[Solution] = (), progress: Progress | None = None
+) -> Solution:
+    """The best design found that no instant between the first and the last node makes worse by WORSE_DB.
+
+    Gains that are free at every node stay free at the nodes of the case only.
+    """
+    case = loaded.case
+    if case.gains.schedule == "free":
+        case = case.model_copy(update={"gains": Gains(schedule="nodes", nodes_s=case.nodes_s)})
+    loaded = replace(loaded, case=case)
+    first, last = case.nodes_s[0], case.nodes_s[-1]
+    grid = np.linspace(first, last, max(2, round((last - first) / INSTANTS_S) + 1)).round(9).tolist()
+    instants = _Instants(loaded, dict(zip(case.nodes_s, nominal.each, strict=True)))
+    everywhere, plants = make_plants(instants.plants(grid), COARSE), nominal
+    solution = solve_at_nodes(loaded, plants, also_from, progress)
+    worst_db = 0.0
+    for _ in range(ROUNDS if solution.status != "interrupted" else 0):
+        law = make_problem(loaded.case, plants).law
+        over = instants.over(grid, everywhere, law, solution)
+        beside = {t + k * FINE_S for t in np.array(grid)[_peaks(over)] for k in range(-4, 5)}
+        new: set[float] = set()
+        if beside:
+            # with the first and the last node: linear gains are numbers at both ends of a problem
+            fine = sorted({first, last, *(round(t, 9) for t in beside if first <= t <= last)})
+            over = instants.over(fine, make_plants(instants.plants(fine), COARSE), law, solution)
+            new = set(np.array(fine)[_peaks(over)].tolist()) - set(loaded.case.nodes_s)
+        worst_db = float(over.max(initial=0.0))
+        if not new:
+            break
+        times_s = sorted({*loaded.case.nodes_s, *new})
+        loaded = replace(loaded, case=loaded.case.model_copy(update={"nodes_s": tuple(times_s)}))
+        plants = make_plants(instants.plants(times_s))
+        solution = solve_at_nodes(loaded, plants, [solution], progress)
+        if solution.status == "interrupted":
+            break
+    certificate = replace(solution.certificate, instants=instants.tried, worst_instant_db=worst_db)
+    return replace(solution, certificate=certificate)
+
+
+def _peaks(over: Array) -> IntArray:
+    """Instants at which some kind of row is worst among its neighbours, and matters."""
+    padded = np.pad(over, ((0, 0), (1, 1)), constant_values=-np.inf)
+    top = (over > WORSE_DB) & (over >= padded[:, :-2]) & (over > padded[:, 2:])
+    return np.flatnonzero(top.any(axis=0))
