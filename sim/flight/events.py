@@ -36,6 +36,7 @@ from maxq.sim.vehicle.gyro import GYRO_STREAM
 from maxq.sim.vehicle.schedule import CORE_CG, THRUST_VACUUM, TOTAL_MASS
 from maxq.sim.vehicle.state import GYRO_ANGLE, start_states
 from maxq.sim.vehicle.workspace import AIRSPEED, ALTITUDE, AXIAL_LOAD, DYNAMIC_PRESSURE, FLOW, PRESSURE
+from maxq.sim.world.gust_history import history_tick
 from maxq.sim.world.turbulence import turbulence_tick
 
 
@@ -77,6 +78,9 @@ def process_due_events(p: Parameters, pool: Array, memory: Memory, y: Array, aux
         if clock.steps > 0:  # the first gust was drawn at the start
             along_N = flight_direction(p.environment, pool, y)
             turbulence_tick(p.environment.turbulence, pool, memory.gusts, aux[AIRSPEED], aux[ALTITUDE], along_N)
+            if p.environment.penetration == 1:
+                way_m = aux[AIRSPEED] * 1e-9 * p.environment.turbulence.tick_ns
+                history_tick(memory.history, memory.gusts, way_m, p.environment.reach_m)
     apply_due_command(p, memory)  # before the sample: its command replaces what is pending
     if now >= clock.next_sample_ns:
         sample_computer(p, pool, memory, y)

@@ -26,6 +26,7 @@ from maxq.sim.vehicle.environment import ANCHOR_DUE, climb_rate, climbs_certainl
 from maxq.sim.vehicle.schedule import properties_size
 from maxq.sim.vehicle.state import FINITE, divergence_cause, state_size
 from maxq.sim.vehicle.workspace import ALTITUDE, ANCHOR, Evaluation
+from maxq.sim.world.gust_history import history_start
 from maxq.sim.world.turbulence import turbulence_start
 
 
@@ -65,6 +66,7 @@ def begin(P: Records, pool: Array, state: Records, y: Array) -> None:
     clock.next_gust_ns = clock.now_ns if p.environment.turbulence.on == 1 else NEVER
     altitude_m, along_N = climb_rate(p.environment.earth, y)[0], flight_direction(p.environment, pool, y)
     turbulence_start(p.environment.turbulence, pool, memory.gusts, altitude_m, along_N)
+    history_start(memory.history, memory.gusts)
     start_computer(p.computer, pool, memory.computer, 1e-9 * clock.now_ns)
     clock.next_sample_ns = clock.now_ns + p.computer.sample_ns
     start_stage(p, pool, memory)

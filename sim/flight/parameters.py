@@ -13,6 +13,7 @@ from maxq.sim.flight.injection import Injections
 from maxq.sim.flight.metrics import Extremes
 from maxq.sim.vehicle.derivative import Held, StageInputs, Vehicle
 from maxq.sim.vehicle.environment import Environment
+from maxq.sim.world.gust_history import GustHistory
 from maxq.sim.world.turbulence import TurbulenceState
 
 NEVER = 2**62  # ns: an instant that does not come
@@ -93,6 +94,7 @@ class Memory:
     faults: FaultMemory
     computer: ComputerState
     gusts: TurbulenceState
+    history: GustHistory
     extremes: Extremes
     increment_rad: Annotated[Array, (3,)]
     rate_injection_radps: Annotated[Array, (3,)]

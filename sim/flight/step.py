@@ -7,13 +7,15 @@ from typing import NamedTuple
 from maxq.control.kernel.jit import bare_pointer, kernel, routine
 from maxq.control.kernel.records import Array
 from maxq.control.kernel.tables import interpolate_into
+from maxq.control.kernel.vectors import Vector, add, scaled, set_vector
 from maxq.sim.flight.injection import BODY_FORCE, BODY_TORQUE, total_signal
 from maxq.sim.flight.parameters import Memory, Parameters
 from maxq.sim.vehicle.block import counts
 from maxq.sim.vehicle.derivative import derivative, derive_properties
-from maxq.sim.vehicle.schedule import THRUST_VACUUM
+from maxq.sim.vehicle.schedule import CORE_CG, THRUST_VACUUM
 from maxq.sim.vehicle.state import MAX_STATE, restore_constraints, state_size
-from maxq.sim.vehicle.workspace import AUX_SIZE, PROPERTIES_SIZE, WORK_SIZE, Evaluation
+from maxq.sim.vehicle.workspace import AUX_SIZE, CROSSFLOW_PART, PART_WIND, PROPERTIES_SIZE, WORK_SIZE, Evaluation
+from maxq.sim.world.gust_history import gust_behind
 from maxq.sim.world.turbulence import turbulence_at
 
 
@@ -94,8 +96,24 @@ def evaluate(
         tick = p.environment.turbulence.tick_ns
         since_s = 1e-9 * (now_ns - memory.clock.next_gust_ns + tick) + elapsed_s
         gust = turbulence_at(memory.gusts, 1e9 * since_s / tick)
+        if p.environment.penetration == 1:
+            gust = gusts_along_body(p, memory, 1e9 * since_s / tick, at.properties[CORE_CG], work)
         inputs.gust_x_mps, inputs.gust_y_mps, inputs.gust_z_mps = gust
     derivative(p.vehicle, p.environment, pool, memory.held, inputs, at, work)
+
+
+@kernel
+def gusts_along_body(p: Parameters, memory: Memory, fraction: float, cg_m: float, work: Array) -> Vector:
+    """Turbulence at the core CG; at each part, less that, into the workspace. The nose meets it first."""
+    here = gust_behind(memory.history, memory.gusts, fraction, max(cg_m, 0.0))
+    parts = counts(p.vehicle.sizes).surfaces
+    for k in range(parts + 1):
+        station, at = (
+            (p.vehicle.aero.crossflow_station_m, CROSSFLOW_PART) if k == parts else (p.vehicle.aero.station_m[k], k)
+        )
+        there = gust_behind(memory.history, memory.gusts, fraction, max(station, 0.0))
+        set_vector(work, PART_WIND + 3 * at, add(there, scaled(-1.0, here)))
+    return here
 
 
 @routine

@@ -62,6 +62,7 @@ def pack_aero(scenario: Scenario, stage: Stage, pool: Pool) -> Aero:
         crossflow_station_m=0.5 * reference.length_m if station is None else station,
         earth_rates=int(aero.rate_reference == "earth"),
         local_incidence=int(scenario.switches.local_incidence),
+        penetration=int(scenario.switches.gust_penetration),
         force_factor=aero.force_factor,
         axial_factor=aero.axial_factor,
         damping_factor=aero.damping_factor,

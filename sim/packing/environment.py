@@ -31,6 +31,8 @@ def pack_environment(scenario: Scenario, pool: Pool) -> Environment:
         atmosphere=_atmosphere(scenario.atmosphere, pool),
         wind=pack_wind(scenario.wind, pool),
         turbulence=_turbulence(scenario, pool),
+        penetration=int(scenario.switches.gust_penetration),
+        reach_m=scenario.vehicle.reference.length_m,
     )
 
 

@@ -240,6 +240,10 @@ class Switches(Section):
     guidance: bool = optional("guidance programme; off: rates zero", True)
     roll_control: bool = optional("roll thrusters", True)
     local_incidence: bool = optional("bending changes the incidence of the lifting parts", True)
+    gust_penetration: bool = optional(
+        "each lifting part meets wind, gusts and turbulence at its own place along the body (off: all those at the CG)",
+        False,
+    )
 
 
 class Log(Section):

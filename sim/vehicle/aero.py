@@ -17,7 +17,7 @@ from maxq.control.kernel.jit import kernel
 from maxq.control.kernel.limits import MAX_SURFACES
 from maxq.control.kernel.records import Array
 from maxq.control.kernel.tables import TableRef, find_interval, interpolate_into, look_up
-from maxq.control.kernel.vectors import Vector, add, cross, scaled
+from maxq.control.kernel.vectors import Vector, add, cross, scaled, vector_at
 from maxq.sim.vehicle.bending import add_to_modes, modal_sum, of_plane
 from maxq.sim.vehicle.block import Counts
 from maxq.sim.vehicle.incidence import ALWAYS, POWER_ON, IncidenceTables, rate_loads, static_loads, table_coefficients
@@ -34,7 +34,7 @@ from maxq.sim.vehicle.schedule import (
     surface_row,
 )
 from maxq.sim.vehicle.spatial_modes import outer_spatial_load, spatial_motion
-from maxq.sim.vehicle.workspace import ETA, FORCE, MACH_ROW, NU, SPATIAL_ETA, SPATIAL_NU
+from maxq.sim.vehicle.workspace import CROSSFLOW_PART, ETA, FORCE, MACH_ROW, NU, PART_WIND, SPATIAL_ETA, SPATIAL_NU
 
 # Columns of the Mach table; CD is the drag along the relative wind, whatever the attitude. From FIRST_SURFACE on, per
 # surface, CN_alpha and CN_alpha times its station.
@@ -54,6 +54,7 @@ class Aero:
     crossflow_station_m: float
     earth_rates: int  # 1: damping acts on rates relative to the Earth, 0: on inertial ones
     local_incidence: int  # 1: bending changes the incidence of the surfaces
+    penetration: int  # 1: each part has the wind of its own place
     force_factor: float  # on CN_alpha and cross-flow
     axial_factor: float  # on CA and CD
     damping_factor: float
@@ -89,12 +90,16 @@ def body_loads(
     u, v, w = flow
     half = 0.5 * density * aero.area_m2
     speed = math.sqrt(u * u + v * v + w * w)
-    lateral = math.sqrt(v * v + w * w)
+    v_cross, w_cross = v, w
+    if aero.penetration == 1:
+        v_cross -= work[PART_WIND + 3 * CROSSFLOW_PART + 1]
+        w_cross -= work[PART_WIND + 3 * CROSSFLOW_PART + 2]
+    lateral = math.sqrt(v_cross * v_cross + w_cross * w_cross)
     axial = work[MACH_ROW + CA] if burning == 1 else work[MACH_ROW + CA_COAST]
     drag = half * aero.axial_factor * work[MACH_ROW + CD] * speed
     cross = half * aero.force_factor * work[MACH_ROW + CROSSFLOW] * lateral
     fx = -half * aero.axial_factor * axial * u * abs(u) - drag * u
-    fy_cross, fz_cross = -cross * v, -cross * w
+    fy_cross, fz_cross = -cross * v_cross, -cross * w_cross
     arm = cg[0] - aero.crossflow_station_m
     damping = 0.5 * half * aero.damping_factor * speed
     mx = damping * aero.span_m * aero.span_m * work[MACH_ROW + CLP] * rate[0]
@@ -114,7 +119,7 @@ def surface_loads(
     aero: Aero, sizes: Counts, density: float, flow: Vector, properties: Array, work: Array
 ) -> tuple[Vector, Vector]:
     """Normal force of the lifting surfaces with their local incidence; adds to the modes' generalised forces."""
-    half = 0.5 * density * aero.area_m2 * aero.force_factor * abs(flow[0])
+    whole = 0.5 * density * aero.area_m2 * aero.force_factor
     x_cg, y_cg, z_cg = properties[CORE_CG], properties[CORE_CG + 1], properties[CORE_CG + 2]
     fy, fz, mx, my, mz = 0.0, 0.0, 0.0, 0.0, 0.0
     for s in range(sizes.surfaces - sizes.tables):
@@ -124,7 +129,8 @@ def surface_loads(
             cn_x += cn * properties[schedule_width(sizes) + MOMENT_REFERENCE]
         in_pitch = mode_column(sizes, PITCH, surface_row(sizes, s))
         in_yaw = mode_column(sizes, YAW, surface_row(sizes, s))
-        v_local, w_local = local_flow(aero, sizes, s, flow, properties, work)[1:]
+        u_local, v_local, w_local = local_flow(aero, sizes, s, flow, properties, work)
+        half = whole * abs(u_local)
         force_y, force_z = -half * cn * v_local, -half * cn * w_local
         add_to_modes(sizes, properties, in_pitch, force_z, work, of_plane(FORCE, PITCH))
         add_to_modes(sizes, properties, in_yaw, force_y, work, of_plane(FORCE, YAW))
@@ -144,6 +150,8 @@ def surface_loads(
 def local_flow(aero: Aero, sizes: Counts, s: int, flow: Vector, properties: Array, work: Array) -> Vector:
     """Flow at surface or table `s` of the bent body, B, m/s."""
     u, v, w = flow
+    if aero.penetration == 1:
+        u, v, w = add(flow, scaled(-1.0, vector_at(work, PART_WIND + 3 * s)))
     if aero.local_incidence == 1:
         in_pitch = mode_column(sizes, PITCH, surface_row(sizes, s))
         in_yaw = mode_column(sizes, YAW, surface_row(sizes, s))
@@ -201,6 +209,10 @@ def table_loads(
             add_to_modes(sizes, properties, in_pitch + slopes, couple_y, work, of_plane(FORCE, PITCH))
             add_to_modes(sizes, properties, in_yaw, lateral[1], work, of_plane(FORCE, YAW))
             add_to_modes(sizes, properties, in_yaw + slopes, -couple_z, work, of_plane(FORCE, YAW))
+            if sizes.spatial_modes > 0:
+                load = (axial[0], lateral[1], lateral[2], couple[0], couple_y, couple_z)
+                moved = outer_spatial_load(sizes, properties, surface_place(sizes, s), load, work)
+                total_moment = add(total_moment, (moved[0], moved[1], moved[2]))
             if sizes.spatial_modes > 0:
                 load = (axial[0], lateral[1], lateral[2], couple[0], couple_y, couple_z)
                 moved = outer_spatial_load(sizes, properties, surface_place(sizes, s), load, work)

@@ -12,6 +12,7 @@ from maxq.control.kernel.jit import kernel, routine
 from maxq.control.kernel.records import Array
 from maxq.control.kernel.tables import TableRef, find_interval, interpolate_into
 from maxq.control.kernel.vectors import (
+    Matrix,
     Vector,
     add,
     cross,
@@ -35,7 +36,7 @@ from maxq.sim.vehicle.bending import (
 )
 from maxq.sim.vehicle.block import Q_BI, W_BI_B, Counts, Sizes, counts
 from maxq.sim.vehicle.engine import Engine, thrust, thrust_axis_motion
-from maxq.sim.vehicle.environment import Environment, air_data, pad_acceleration
+from maxq.sim.vehicle.environment import Environment, air_data, pad_acceleration, winds_along_body
 from maxq.sim.vehicle.faults import N_FAULT_SLOTS
 from maxq.sim.vehicle.gyro import Gyro, gyro_derivative, sensed_rate
 from maxq.sim.vehicle.rigid import (
@@ -190,7 +191,7 @@ def derivative(
     engine = engine_motion(vehicle, sizes, held, properties, y, aux)
 
     aero_force, aero_moment = aerodynamics(
-        vehicle, sizes, environment, pool, held, rotation, rate, properties, work, aux
+        vehicle, sizes, environment, pool, held, rotation, rate, properties, y, work, aux
     )  # fmt: skip  # twelve lines otherwise
     thrust_force, thrust_moment, gimbal_load = thrust_loads(vehicle, sizes, engine, properties, work, aux)
     inverse_mass = properties[schedule_width(sizes) + INVERSE_TOTAL_MASS]
@@ -298,8 +299,8 @@ def engine_motion(vehicle: Vehicle, sizes: Counts, held: Held, properties: Array
 @kernel
 def aerodynamics(
     vehicle: Vehicle, sizes: Counts, environment: Environment, pool: Array, held: Held,
-    rotation: tuple[float, ...], rate: Vector, properties: Array, work: Array, aux: Array,
-) -> tuple[Vector, Vector]:  # fmt: skip  # eight more lines otherwise
+    rotation: Matrix, rate: Vector, properties: Array, y: Array, work: Array, aux: Array,
+) -> tuple[Vector, Vector]:  # fmt: skip  # nine more lines otherwise
     """Force and moment about the core CG in B; adds to the generalised forces of the modes in `work`."""
     force, moment = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
     if vehicle.aero.on == 1 and aux[DENSITY] > 0.0 and aux[AIRSPEED] >= vehicle.aero.airspeed_floor_mps:
@@ -309,6 +310,11 @@ def aerodynamics(
             spin = environment.earth.rate_radps
             rate = (rate[0] - rotation[6] * spin, rate[1] - rotation[7] * spin, rate[2] - rotation[8] * spin)
         cg = vector_at(properties, CORE_CG)
+        if environment.penetration == 1:
+            winds_along_body(
+                environment, pool, vehicle.aero.station_m, sizes.surfaces, vehicle.aero.crossflow_station_m, cg[0],
+                rotation, y, work, aux,
+            )  # fmt: skip  # eleven lines otherwise
         force, moment = body_loads(vehicle.aero, aux[DENSITY], flow, rate, held.burning, cg, work)
         surface_force, surface_moment = surface_loads(vehicle.aero, sizes, aux[DENSITY], flow, properties, work)
         force, moment = add(force, surface_force), add(moment, surface_moment)

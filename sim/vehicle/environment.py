@@ -24,11 +24,13 @@ from maxq.sim.vehicle.workspace import (
     AIRSPEED,
     ALTITUDE,
     ANCHOR,
+    CROSSFLOW_PART,
     DENSITY,
     DYNAMIC_PRESSURE,
     FLOW,
     GRAVITATION,
     MACH,
+    PART_WIND,
     PRESSURE,
     SOUND_SPEED,
     TEMPERATURE,
@@ -55,6 +57,8 @@ class Environment:
     atmosphere: Atmosphere
     wind: Wind
     turbulence: Turbulence
+    penetration: int  # 1: each part of the vehicle meets the wind at its own place
+    reach_m: float  # how far behind the nose parts lie
 
 
 @kernel
@@ -82,6 +86,31 @@ def air_data(
     set_vector(aux, WIND_N, wind)
     set_vector(aux, GRAVITATION, gravity)
     return gravity
+
+
+@kernel
+def winds_along_body(
+    environment: Environment, pool: Array, stations_m: Array, parts: int, crossflow_m: float, cg_m: float,
+    rotation: Matrix, y: Array, work: Array, aux: Array,
+) -> None:  # fmt: skip  # ten lines otherwise
+    """Air's velocity at each part less that at the core CG, in B, into the workspace.
+
+    Profile and gusts at the part's own altitude, along the straight axis. The turbulence's difference is there already.
+    """
+    frame, _ = frame_and_air(environment.earth, environment.atmosphere, pool, y[R_I], y[R_I + 1], y[R_I + 2], work)
+    altitude, sin_lat, cos_lat, sin_lon, cos_lon = frame
+    upward = cos_lat * (cos_lon * rotation[0] + sin_lon * rotation[3]) + sin_lat * rotation[6]  # of the x axis
+    here = vector_at(aux, WIND_N)
+    for k in range(parts + 1):
+        station, at = (crossflow_m, CROSSFLOW_PART) if k == parts else (stations_m[k], k)
+        there = wind_ned(environment.wind, pool, altitude + (cg_m - station) * upward)
+        more, turbulence = add(there, scaled(-1.0, here)), (0.0, 0.0, 0.0)
+        if environment.turbulence.on == 1:
+            turbulence = vector_at(work, PART_WIND + 3 * at)
+        if environment.turbulence.frame == HORIZONTAL:
+            more, turbulence = add(more, turbulence), (0.0, 0.0, 0.0)
+        more_I = ned_to_earth(sin_lat, cos_lat, sin_lon, cos_lon, more[0], more[1], more[2])
+        set_vector(work, PART_WIND + 3 * at, add(rotate_back(rotation, more_I), turbulence))
 
 
 @kernel

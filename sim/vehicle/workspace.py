@@ -52,7 +52,11 @@ ANCHOR = SPATIAL_ALONG + MAX_TANKS * MAX_MODES  # see environment.py
 ANCHOR_WIDTH = 28
 GRID_ROW = ANCHOR + ANCHOR_WIDTH  # columns of a table of coefficients over incidence
 COEFFICIENTS = GRID_ROW + 14  # and what they are, see incidence.py
-WORK_SIZE = COEFFICIENTS + 14
+PART_WIND = (
+    COEFFICIENTS + 14
+)  # air's velocity at each surface, then at the cross-flow's station, less that at C, m/s (3)
+CROSSFLOW_PART = MAX_SURFACES + 1  # the last of them
+WORK_SIZE = PART_WIND + 3 * (CROSSFLOW_PART + 1)
 
 # --- aux
 ALTITUDE = 0  # m above the ellipsoid, sphere or plane

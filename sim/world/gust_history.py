@@ -1,0 +1,78 @@
+"""Turbulence at places behind the nose: the frozen field that the nose has flown through (Taylor's hypothesis).
+
+The nose meets the turbulence first; what it met at the travelled distance s - x is at x metres behind it now (flight
+along the body axis; s is the integral of the airspeed). The history keeps the gusts of the last ticks over that
+distance, as far back as the vehicle is long; slow ticks that lie nearer to each other than a sixtieth of that
+share a place. Before the first tick the field is the first gust everywhere.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated
+
+from maxq.control.kernel.jit import kernel, routine
+from maxq.control.kernel.records import Array
+from maxq.sim.world.turbulence import TurbulenceState, turbulence_at
+
+N_PLACES = 64
+_LONG_AGO_m = -1e30
+
+
+@dataclass
+class GustHistory:
+    """State record. `before_m`, `now_m`: travelled distance at the last tick but one and at the last tick."""
+
+    last: int  # newest place in the ring: the last tick but one
+    before_m: float
+    now_m: float
+    place_m: Annotated[Array, (N_PLACES,)]
+    gust_mps: Annotated[Array, (N_PLACES, 3)]
+
+
+@routine
+def history_start(history: GustHistory, gusts: TurbulenceState) -> None:
+    """From `turbulence_start`."""
+    history.last, history.before_m, history.now_m = 0, 0.0, 0.0
+    for i in range(N_PLACES):
+        history.place_m[i] = _LONG_AGO_m
+        for j in range(3):
+            history.gust_mps[i, j] = gusts.now_mps[j]
+    history.place_m[0] = 0.0
+
+
+@routine
+def history_tick(history: GustHistory, gusts: TurbulenceState, way_m: float, reach_m: float) -> None:
+    """After a `turbulence_tick` over `way_m`; the history is to reach `reach_m` back."""
+    previous = (history.last + N_PLACES - 1) % N_PLACES
+    if history.place_m[history.last] - history.place_m[previous] >= reach_m / (N_PLACES - 4):
+        history.last = (history.last + 1) % N_PLACES
+    history.before_m = history.now_m
+    history.now_m += way_m
+    history.place_m[history.last] = history.before_m
+    for j in range(3):
+        history.gust_mps[history.last, j] = gusts.before_mps[j]
+
+
+@kernel
+def gust_behind(
+    history: GustHistory, gusts: TurbulenceState, fraction: float, behind_m: float
+) -> tuple[float, float, float]:
+    """As `turbulence_at`, `behind_m` >= 0 metres behind the nose."""
+    target = history.before_m + fraction * (history.now_m - history.before_m) - behind_m
+    if target >= history.before_m:
+        return turbulence_at(gusts, fraction - behind_m / max(history.now_m - history.before_m, 1e-12))
+    newer = history.last
+    for _ in range(N_PLACES - 1):
+        older = (newer + N_PLACES - 1) % N_PLACES
+        if history.place_m[older] <= target:
+            span = history.place_m[newer] - history.place_m[older]
+            share = (target - history.place_m[older]) / span
+            g = history.gust_mps
+            return (
+                g[older, 0] + share * (g[newer, 0] - g[older, 0]),
+                g[older, 1] + share * (g[newer, 1] - g[older, 1]),
+                g[older, 2] + share * (g[newer, 2] - g[older, 2]),
+            )
+        newer = older
+    return history.gust_mps[newer, 0], history.gust_mps[newer, 1], history.gust_mps[newer, 2]
