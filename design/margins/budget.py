@@ -221,8 +221,9 @@ def build_up(node: Node) -> list[tuple[str, Node]]:
     frozen = _frozen(light)
     none = np.zeros_like(full.aerodynamics.slope_pr)
     air = dataclasses.replace(
-        full.aerodynamics, drag=0.0, rate_damping=0.0, slope_pr=none, moment_slope_mpr=none.copy()
-    )
+        full.aerodynamics, drag=0.0, rate_damping=0.0, slope_pr=none, moment_slope_mpr=none,
+        rate_slope_m=none, rate_moment_m2=none,
+    )  # fmt: skip  # five more lines otherwise
     bare = dataclasses.replace(frozen, aerodynamics=air)
     vehicles = (bare, frozen, light, stiff)
     out = [(name, _with(node, vehicle)) for name, vehicle in zip(BUILD_UP, vehicles, strict=False)]

@@ -111,6 +111,7 @@ def _vehicle(node: Node, by: Dispersion) -> VehicleAt:
         air,
         slope_pr=air.slope_pr * by.normal_force,
         moment_slope_mpr=by.normal_force * (air.moment_slope_mpr + air.slope_pr * by.centre_of_pressure_m),
+        rate_moment_m2=air.rate_moment_m2 + air.rate_slope_m * by.centre_of_pressure_m,
     )
     out = dataclasses.replace(vehicle, body=body, modes=modes, pendulums=changed, aerodynamics=air)
     return with_lateral_thrust(out, node, by.thrust)
@@ -224,6 +225,8 @@ def impose(node: Node, z_alpha_1ps: float, m_alpha_1ps2: float, z_delta_1ps: flo
                 slope_pr=slope,
                 moment_slope_mpr=moment + slope * shift,
                 rate_damping=air.rate_damping * inertia / old,
+                rate_slope_m=air.rate_slope_m * inertia / old,
+                rate_moment_m2=air.rate_moment_m2 * inertia / old,
             ),
         ),
     )

@@ -11,11 +11,20 @@ from typing import Any
 
 import numpy as np
 
+from maxq.control.kernel.records import Array
 from maxq.design.model.dispersion import Dispersion, disperse
 from maxq.design.model.errata import CORRECTED, Errata
 from maxq.design.model.plant import Liquids, vehicle_plant
 from maxq.design.model.state_space import StateSpace
-from maxq.design.model.vehicle_at import FlightCondition, Instruments, Plane, VehicleAt, instruments_of, vehicle_at
+from maxq.design.model.vehicle_at import (
+    FlightCondition,
+    Instruments,
+    Plane,
+    Trim,
+    VehicleAt,
+    instruments_of,
+    vehicle_at,
+)
 from maxq.sim.packing.flight import Packed, pack_flight
 from maxq.sim.packing.initial import rotation
 from maxq.sim.run.evaluate import evaluate_at
@@ -25,7 +34,7 @@ from maxq.sim.scenario.ranges import LONGEST_S
 from maxq.sim.scenario.schema_vehicle import Stage
 from maxq.sim.vehicle.actuator import Actuator
 from maxq.sim.vehicle.state import Q_BI
-from maxq.sim.vehicle.workspace import AIRSPEED, DENSITY, GRAVITATION, MACH, PRESSURE
+from maxq.sim.vehicle.workspace import AIRSPEED, DENSITY, FLOW, GRAVITATION, MACH, PRESSURE
 
 
 @dataclass(frozen=True)
@@ -76,8 +85,8 @@ def nodes_along(
     """Nodes at vehicle times (s) of a flight of the scenario, flown once and without a log.
 
     Speed, air and attitude are those flown, at the integrator's step nearest to each time; incidence and rotation
-    are taken as zero. Nodes come in the order of `times_s`. Raises ValueError, naming node and range, for a time
-    outside the powered flight.
+    are taken as zero, but for the slopes of tables over incidence, which are those at the flown angles. Nodes come in
+    the order of `times_s`. Raises ValueError, naming node and range, for a time outside the powered flight.
     """
     wanted = [float(t) for t in times_s]
     if not wanted:
@@ -118,6 +127,12 @@ def _node(run: FlightRun, time_s: float, plane: Plane, errata: Errata) -> Node:
     return dataclasses.replace(node, liquids=_liquids(run.loaded.scenario.vehicle.stage[stage], clock_s, node))
 
 
+def _trim(flow: Array) -> Trim:
+    """Angles of attack and sideslip, rad, of the velocity relative to the air in B."""
+    u, v, w = (float(x) for x in flow)
+    return math.atan2(w, u), math.atan2(v, math.hypot(u, w))
+
+
 def _liquids(stage: Stage, clock_s: float, node: Node) -> Liquids | None:
     """Radius and depth of the liquid, if the vehicle's tables give them."""
     tanks = stage.tank[: len(node.vehicle.pendulums.mass_kg)]
@@ -134,20 +149,21 @@ def node_of(packed: Packed, time_s: float, stage: int = 0, plane: Plane = "pitch
     gravity = float(np.linalg.norm(gravitation))
     forward = rotation(packed.state[Q_BI : Q_BI + 4])[:, 0]
     pitch = math.asin(max(-1.0, min(1.0, float(-forward @ gravitation) / gravity))) if gravity > 0.0 else 0.0
+    row = packed.parameters[stage]
+    flies = air[AIRSPEED] >= row.vehicle.aero.airspeed_floor_mps  # below it no air acts, and its pressure does
     condition = FlightCondition(
         time_s=time_s,
         airspeed_mps=float(air[AIRSPEED]),
-        density_kgpm3=float(air[DENSITY]),
+        density_kgpm3=float(air[DENSITY]) if flies else 0.0,
         pressure_Pa=float(air[PRESSURE]),
         mach=float(air[MACH]),
         pitch_rad=pitch,
         gravity_mps2=gravity,
     )
-    row = packed.parameters[stage]
     clock_s = time_s - 1e-9 * int(row.timeline.stage_start_ns)
     return Node(
         time_s=time_s,
-        vehicle=vehicle_at(packed, clock_s, condition.mach, plane, stage),
+        vehicle=vehicle_at(packed, clock_s, condition.mach, plane, stage, _trim(air[FLOW : FLOW + 3])),
         condition=condition,
         instruments=instruments_of(row, plane),
         plane=plane,

@@ -129,6 +129,7 @@ class _Equations:
         """(4), (6), (7), (17)."""
         air, modes, speed = self.vehicle.aerodynamics, self.vehicle.modes, self.condition.airspeed_mps
         flow = 0.5 * self.condition.density_kgpm3 * speed * air.area_m2
+        couples, rate_couples = air.modal_couples()
         for k, slope in enumerate(air.slope_pr):
             turned = speed * modes.slope_surface_pm[:, k] @ self.eta + modes.phi_surface[:, k] @ self.eta_rate
             bent = turned if air.local_incidence else 0.0 * self.w
@@ -136,7 +137,14 @@ class _Equations:
             self.force = self.force - flow * slope * whole
             self.moment = self.moment + flow * (slope * self.cg - air.moment_slope_mpr[k]) * whole
             self.modal = self.modal - flow * slope * np.outer(modes.phi_surface[:, k], self.w + bent)
+            self.modal = self.modal + flow * couples[k] * np.outer(modes.slope_surface_pm[:, k], self.w + bent)
+            by_rate, moment = air.rate_slope_m[k], air.rate_moment_m2[k]
+            self.force = self.force - flow * by_rate * self.q
+            self.moment = self.moment + flow * (by_rate * self.cg - moment) * self.q
+            on_modes = modes.slope_surface_pm[:, k] * rate_couples[k] - modes.phi_surface[:, k] * by_rate
+            self.modal = self.modal + flow * np.outer(on_modes, self.q)
         self.moment = self.moment + 0.5 * flow * air.chord_m**2 * air.rate_damping * self.q
+        self.moment = self.moment - self.vehicle.body.rate_damping_Nms * self.q
         if self.errata.path_terms:
             self.force = self.force - flow * air.drag * self.w
 

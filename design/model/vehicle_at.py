@@ -15,6 +15,7 @@ import numpy as np
 
 from maxq.control.kernel.records import Array
 from maxq.control.kernel.tables import Cubics, table_in
+from maxq.design.model.incidence import reference_station_m, table_slopes
 from maxq.design.model.state_space import StateSpace
 from maxq.sim.packing.flight import Packed
 from maxq.sim.vehicle import aero, schedule
@@ -22,6 +23,7 @@ from maxq.sim.vehicle.actuator import Actuator
 from maxq.sim.vehicle.gyro import Gyro
 
 Plane = Literal["pitch", "yaw"]
+Trim = tuple[float, float]
 ACTUATOR_OUTPUTS = ("delta_rad", "delta_rate_radps", "delta_accel_radps2")
 
 
@@ -53,6 +55,7 @@ class Body:
     core_inertia_rate_kgm2ps: float
     total_mass_kg: float
     mass_flow_kgps: float  # out of the nozzle
+    rate_damping_Nms: float  # moment against turning that is given with the mass properties
 
 
 @dataclass(frozen=True)
@@ -114,9 +117,19 @@ class Aerodynamics:
     axial: float  # CA + CD
     drag: float  # CD: the part that acts along the wind
     rate_damping: float  # Cmq, or Cnr in yaw; per rate times chord / (2 U)
-    slope_pr: Array  # CN_alpha of each surface, 1/rad
-    moment_slope_mpr: Array  # CN_alpha times station of each surface, m/rad
+    slope_pr: Array  # CN_alpha of each surface, then of each table over incidence at the trim, 1/rad
+    moment_slope_mpr: Array  # CN_alpha times station of each of them, m/rad
+    rate_slope_m: Array  # the same by the turning rate: normal force per rho U S / 2, m
+    rate_moment_m2: Array  # and times station, m2
+    couple_station_m: Array  # where tables load the modes, also by their moment about that; nan of a surface
     local_incidence: bool
+
+    def modal_couples(self) -> tuple[Array, Array]:
+        """Moments about `couple_station_m` that turn the modes' slopes: by incidence (m/rad), by turning rate (m2)."""
+        at = np.nan_to_num(self.couple_station_m)
+        acts = np.isfinite(self.couple_station_m)
+        by_flow = acts * (self.slope_pr * at - self.moment_slope_mpr)
+        return by_flow, acts * (self.rate_slope_m * at - self.rate_moment_m2)
 
 
 @dataclass(frozen=True)
@@ -146,8 +159,13 @@ class VehicleAt:
         return float(core + p.mass_kg @ (p.bob_station_m - cg) ** 2)
 
 
-def vehicle_at(packed: Packed, time_s: float, mach: float, plane: Plane = "pitch", stage: int = 0) -> VehicleAt:
-    """Read a burning stage at `time_s` of its own clock and a Mach number."""
+def vehicle_at(
+    packed: Packed, time_s: float, mach: float, plane: Plane = "pitch", stage: int = 0, trim: Trim = (0.0, 0.0)
+) -> VehicleAt:
+    """Read a burning stage at `time_s` of its own clock and a Mach number.
+
+    `trim`: angles of attack and sideslip, rad, at which tables over incidence have their slopes.
+    """
     row = packed.parameters[stage]
     vehicle, sizes = row.vehicle, row.vehicle.sizes
     table = table_in(packed.pool, vehicle.schedule)
@@ -163,13 +181,14 @@ def vehicle_at(packed: Packed, time_s: float, mach: float, plane: Plane = "pitch
         core_inertia_rate_kgm2ps=float(props[turn]),
         total_mass_kg=float(props[schedule.TOTAL_MASS]),
         mass_flow_kgps=float(props[schedule.MASS_FLOW]),
+        rate_damping_Nms=_rate_damping(packed.pool, vehicle, clock_s, plane),
     )
     return VehicleAt(
         body=body,
         pendulums=_pendulums(vehicle, sizes, props, rates),
         modes=_modes(vehicle, sizes, props, plane),
         engine=_engine(vehicle, float(props[schedule.THRUST_VACUUM])),
-        aerodynamics=_aerodynamics(packed.pool, vehicle, sizes, mach, plane),
+        aerodynamics=_aerodynamics(packed.pool, vehicle, props, clock_s, mach, plane, trim),
         jet_damping=bool(vehicle.jet_damping),
         slosh_exchange=bool(vehicle.slosh.exchange),
     )
@@ -240,21 +259,41 @@ def _engine(vehicle: Any, vacuum_thrust_N: float) -> GimballedEngine:
     )
 
 
-def _aerodynamics(pool: Array, vehicle: Any, sizes: Any, mach: float, plane: Plane) -> Aerodynamics:
-    a, surfaces = vehicle.aero, int(sizes.surfaces)
+def _rate_damping(pool: Array, vehicle: Any, clock_s: float, plane: Plane) -> float:
+    if vehicle.rate_damping.n_columns == 0:
+        return 0.0
+    return float(table_in(pool, vehicle.rate_damping)(clock_s)[1 if plane == "pitch" else 2])
+
+
+def _aerodynamics(
+    pool: Array, vehicle: Any, props: Array, clock_s: float, mach: float, plane: Plane, trim: Trim
+) -> Aerodynamics:
+    a, tables = vehicle.aero, int(vehicle.sizes.tables)
+    surfaces = int(vehicle.sizes.surfaces) - tables
     if a.on == 0:
-        return Aerodynamics(0.0, 1.0, 0.0, 0.0, 0.0, np.zeros(surfaces), np.zeros(surfaces), False)
+        none = np.zeros(surfaces + tables)
+        return Aerodynamics(0.0, 1.0, 0.0, 0.0, 0.0, none, none, none, none, none, local_incidence=False)
     row = table_in(pool, a.table)(mach)
     slope = row[aero.FIRST_SURFACE : aero.FIRST_SURFACE + 2 * surfaces : 2]
-    moment = row[aero.FIRST_SURFACE + 1 : aero.FIRST_SURFACE + 2 * surfaces : 2]
+    moment = row[aero.FIRST_SURFACE + 1 : aero.FIRST_SURFACE + 2 * surfaces : 2].copy()
+    if a.remainder >= 0:
+        moment[a.remainder] += slope[a.remainder] * reference_station_m(pool, a, props, clock_s)
+    moment = a.force_factor * (moment + slope * float(a.centre_shift_m))
+    parts = np.stack([a.force_factor * slope, moment, 0.0 * slope, 0.0 * slope, np.full_like(slope, np.nan)])
+    over = table_slopes(pool, vehicle, props, clock_s, mach, *trim)
+    more = np.array([(*table.plane(plane), table.station_m) for table in over]).reshape(-1, 5)
+    of_parts = np.concatenate([parts, more.T], axis=1)
     return Aerodynamics(
         area_m2=float(a.area_m2),
         chord_m=float(a.chord_m if plane == "pitch" else a.yaw_chord_m),
-        axial=float(a.axial_factor * (row[aero.CA] + row[aero.CD])),
+        axial=float(a.axial_factor * (row[aero.CA] + row[aero.CD])) - sum(float(table.force[0]) for table in over),
         drag=float(a.axial_factor * row[aero.CD]),
         rate_damping=float(a.damping_factor * row[aero.CMQ if plane == "pitch" else aero.CNR]),
-        slope_pr=a.force_factor * slope,
-        moment_slope_mpr=a.force_factor * (moment + slope * float(a.centre_shift_m)),
+        slope_pr=of_parts[0],
+        moment_slope_mpr=of_parts[1],
+        rate_slope_m=of_parts[2],
+        rate_moment_m2=of_parts[3],
+        couple_station_m=of_parts[4],
         local_incidence=bool(a.local_incidence),
     )
 
@@ -304,7 +343,8 @@ def stability_derivatives(vehicle: VehicleAt, condition: FlightCondition) -> Sta
     slope = float(a.slope_pr.sum())
     # normal force acts upwards (-z) at its own station; aft of the CG it turns the nose down
     moment_slope_m = slope * cg - float(a.moment_slope_mpr.sum())
-    damping = 0.25 * condition.density_kgpm3 * speed * a.area_m2 * a.chord_m**2 * a.rate_damping
+    by_rate = 0.5 * a.chord_m**2 * a.rate_damping + float((a.rate_slope_m * cg - a.rate_moment_m2).sum())
+    damping = 0.5 * condition.density_kgpm3 * speed * a.area_m2 * by_rate
     return StabilityDerivatives(
         z_alpha_1ps=-force_area * slope / (mass * speed),
         m_alpha_1ps2=force_area * moment_slope_m / inertia,
