@@ -10,6 +10,7 @@ from __future__ import annotations
 import contextlib
 import errno
 import os
+import re
 import threading
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -51,6 +52,11 @@ def whole_file(path: Path, raises: Raises = FileError, *, durable: bool = False)
     finally:
         with contextlib.suppress(OSError):
             part.unlink(missing_ok=True)
+
+
+def plain_name(name: str, otherwise: str) -> str:
+    """A name from a file or a person as one part of a path: no separators, no dots at its ends, not long."""
+    return re.sub(r"[^\w.-]+", "-", name)[:80].strip(".-") or otherwise
 
 
 def check_writable(folder: Path, raises: Raises = FileError) -> None:

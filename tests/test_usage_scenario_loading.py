@@ -301,11 +301,11 @@ def test_one_bit_makes_another_scenario(ascent: Path) -> None:
 
 def test_odd_texts_and_numbers_survive(tmp_path: Path) -> None:
     path = write_free(tmp_path)
-    text = 'tab\\t quote \\" backslash \\\\ del \\u007f line\\nend é \\u0001'
+    text = 'tab\\t quote \\" backslash \\\\ line\\nend é \\U0001f680'
     path.write_text(f'description = "{text}"\n' + path.read_text())
     loaded = load_scenario(path, ["site.longitude_deg=-0.0", "initial.ned_mps=[1e-300, 1e4, 0.1]"])
     again = load_scenario_text(loaded.as_flown)
-    assert again.scenario.description == 'tab\t quote " backslash \\ del \x7f line\nend é \x01'
+    assert again.scenario.description == 'tab\t quote " backslash \\ line\nend é \U0001f680'
     assert str(again.scenario.site.longitude_deg) == "-0.0"
     assert same_bits(again, loaded)
 

@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-import re
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -23,7 +22,7 @@ from maxq.sim.campaign.runner import cores, run_campaign
 from maxq.sim.campaign.statistics import MET, NOT_MET
 from maxq.sim.campaign.store import RUNS, campaign_in
 from maxq.sim.campaign.targets import Refused
-from maxq.sim.files import write_whole
+from maxq.sim.files import plain_name, write_whole
 from maxq.sim.run.metrics import METRIC_NAMES, unit_of
 from maxq.sim.run.record import LOG_NAME, SUMMARY_NAME
 from maxq.sim.scenario.errors import suggestion
@@ -260,4 +259,4 @@ def _search(order: Order, folder: Path, stop: Stop) -> int:
 
 
 def default_folder(name: str) -> Path:
-    return Path("runs") / (re.sub(r"[^\w.-]+", "-", name).strip(".-") or "campaign")
+    return Path("runs") / plain_name(name, "campaign")

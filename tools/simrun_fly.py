@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-import re
 import sys
 import time
 from collections.abc import Iterator
@@ -14,7 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from maxq.control.kernel.jit import cache_folder
-from maxq.sim.files import check_writable
+from maxq.sim.files import check_writable, plain_name
 from maxq.sim.log.head import VERSION_KEY, LogError, maxq_version
 from maxq.sim.log.reader import LoggedRun, read_run
 from maxq.sim.packing.flight import pack_flight
@@ -125,7 +124,7 @@ def _load(order: Order) -> tuple[LoadedScenario, Comparison]:
 def _folder(order: Order, name: str) -> Path | None:
     """Where to write; a log that is flown again leaves nothing unless told where."""
     if order.out is None:
-        return None if order.log else Path("runs") / (re.sub(r"[^\w.-]+", "-", name).strip(".-") or "flight")
+        return None if order.log else Path("runs") / plain_name(name, "flight")
     folder = Path(order.out)
     log = folder / record.LOG_NAME
     if order.log and log.exists() and log.samefile(order.log):

@@ -28,6 +28,7 @@ from maxq.design.verify.suite import (
 from maxq.sim.campaign.analysis import DataSet, Judged, judged
 from maxq.sim.campaign.read import LoadedCampaign, description_of, load_campaign
 from maxq.sim.campaign.runner import Progress, run_campaign
+from maxq.sim.files import plain_name
 from maxq.sim.run.fly import fly
 from maxq.sim.run.metrics import METRIC_NAMES, Verdict
 from maxq.sim.scenario.loader import LoadedScenario, load_scenario
@@ -185,7 +186,7 @@ def campaign_folder(loaded: LoadedCampaign, parts: Path) -> Path:
     drawn = {key: loaded.file.campaign.model_dump(mode="json")[key] for key in ("seed", "sampling", "noise", "outside")}
     stratum = loaded.campaign.stratum or 0
     key = content_hash(code_hash(), json.dumps({**said, "campaign": drawn}, sort_keys=True), stratum)
-    return parts / f"campaign-{loaded.name}-{key[:16]}"
+    return parts / f"campaign-{plain_name(loaded.name, 'unnamed')}-{key[:16]}"
 
 
 def fly_campaign(

@@ -25,14 +25,13 @@ from typing import Any
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.parquet as pq
 
 from maxq.control.kernel.records import Array, IntArray
 from maxq.sim.campaign.plan import SEED_KEY
 from maxq.sim.campaign.read import LoadedCampaign
 from maxq.sim.campaign.runs import TIME_OF, VOID, input_types, schema_of
 from maxq.sim.campaign.statistics import OPEN, Judgement, Shown, judge_any_time, judge_failures, tolerance_bound
-from maxq.sim.campaign.store import HISTORIES, parts_in
+from maxq.sim.campaign.store import HISTORIES, parts_in, read_part
 from maxq.sim.run.metrics import unit_of
 from maxq.sim.scenario.schema_scenario import Requirement
 
@@ -97,7 +96,7 @@ class DataSet:
         """Columns of all runs."""
         whole = schema_of(self.campaign)
         tables = [pa.schema([whole.field(name) for name in names]).empty_table()]
-        tables += [pq.read_table(path, columns=names, partitioning=None) for path in self.parts]
+        tables += [read_part(path, names) for path in self.parts]
         return pa.concat_tables(tables).slice(0, len(self.runs))
 
     def column(self, name: str) -> pa.ChunkedArray:
@@ -117,7 +116,7 @@ class DataSet:
 
     @cached_property
     def runs(self) -> np.ndarray:
-        chunks = [pq.read_table(p, columns=["run"], partitioning=None)["run"].to_numpy() for p in self.parts]
+        chunks = [read_part(p, ["run"])["run"].to_numpy() for p in self.parts]
         runs = np.concatenate(chunks) if chunks else np.zeros(0, np.int64)
         return runs if self.limit is None else runs[runs < self.limit]
 
@@ -140,7 +139,7 @@ class DataSet:
         """All that is recorded of one run."""
         for part in parts_in(self.folder):
             if part.first <= run <= part.last:
-                table = pq.read_table(part.path, partitioning=None)
+                table = read_part(part.path)
                 return dict(table.slice(run - part.first, 1).to_pylist()[0])
         return None
 
@@ -305,7 +304,7 @@ def bands(folder: Path, campaign: LoadedCampaign) -> list[Band]:
 
 
 def _lists(file: Path, column: str) -> list[Array]:
-    whole = pq.read_table(file, columns=[column], partitioning=None)[column]
+    whole = read_part(file, [column])[column]
     return [np.asarray(row) for row in whole.combine_chunks().to_numpy(zero_copy_only=False)]
 
 

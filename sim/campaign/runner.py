@@ -27,14 +27,12 @@ from itertools import count, islice, takewhile
 from pathlib import Path
 from typing import Any
 
-import pyarrow.parquet as pq
-
 from maxq.sim.campaign.analysis import requirements_of
 from maxq.sim.campaign.error import CampaignError
 from maxq.sim.campaign.read import LoadedCampaign, campaign_from, description_of
 from maxq.sim.campaign.runs import VOID, Row, fly_rows, packer
 from maxq.sim.campaign.statistics import OPEN, judge_any_time
-from maxq.sim.campaign.store import Store, open_store, parts_in, simulator
+from maxq.sim.campaign.store import Store, open_store, parts_in, read_part, simulator
 from maxq.sim.run.fly import FlightRun
 from maxq.sim.run.metrics import judge
 from maxq.sim.scenario.schema_scenario import Requirement
@@ -93,7 +91,7 @@ class Interim:
         wanted = ["run", "outcome", "passed", "cause", *metrics]
         for part in parts_in(folder):
             if part.first < runs:
-                table = pq.read_table(part.path, columns=wanted, partitioning=None).slice(0, runs - part.first)
+                table = read_part(part.path, wanted).slice(0, runs - part.first)
                 for row in table.to_pylist():
                     self.add(row["run"], row["outcome"], row["passed"], row["cause"], row)
 

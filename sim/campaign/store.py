@@ -34,6 +34,8 @@ from maxq.sim.files import cannot_write, reason, whole_file, write_whole
 from maxq.sim.run.record import versions
 from maxq.sim.scenario.errors import ScenarioError
 
+MOST_BYTES = 1 << 32
+"""Of a file of the data set in memory: a thousand runs take a megabyte."""
 MANIFEST, RUNS, HISTORIES, LOCK = "campaign.json", "runs", "histories", "lock"
 LAYOUT = 1
 _NOT_IDENTITY = tuple(f"campaign.{key}" for key in ("runs", "batch", "keep", "success", "confidence"))
@@ -126,14 +128,30 @@ class Store:
     def _problem(self, part: Part) -> str:
         """What is wrong with a part; empty where it is whole."""
         try:
-            with pq.ParquetFile(part.path, page_checksum_verification=True) as file:
-                if not file.schema_arrow.equals(self.schema):
-                    return "its columns are not those of this campaign"
-                runs = file.read()["run"].to_numpy()
-        except (OSError, pa.ArrowException) as error:
-            return f"it cannot be read ({str(error).splitlines()[0][:100]})"
+            runs = read_part(part.path, schema=self.schema)["run"].to_numpy()
+        except CampaignError as error:
+            return str(error).removeprefix(f"{part.path}: ")
         whole = np.array_equal(runs, np.arange(part.first, part.last + 1))
         return "" if whole else "its rows are not the runs of its name"
+
+
+def read_part(path: Path, columns: list[str] | None = None, schema: pa.Schema | None = None) -> pa.Table:
+    """A file of the data set, or some of its columns. Raises CampaignError where it cannot be read, would take more
+    than MOST_BYTES of memory, or has not the columns of `schema`.
+    """
+    try:
+        with pq.ParquetFile(path, page_checksum_verification=True) as file:
+            if schema is not None and not file.schema_arrow.equals(schema):
+                raise CampaignError(f"{path}: its columns are not those of this campaign")
+            about = file.metadata
+            size = sum(about.row_group(n).total_byte_size for n in range(about.num_row_groups))
+            size = max(size, 8 * about.num_rows * about.num_columns)  # runs of equal values take next to nothing
+            if size > MOST_BYTES:
+                most = f"{MOST_BYTES / 1e9:.1f} GB"
+                raise CampaignError(f"{path}: decompresses to {size / 1e9:.1f} GB; {most} is the most that is read")
+            return file.read(columns)
+    except (OSError, pa.ArrowException) as error:
+        raise CampaignError(f"{path}: it cannot be read ({str(error).splitlines()[0][:100]})") from None
 
 
 def _write_table(table: pa.Table, path: Path) -> None:

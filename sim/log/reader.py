@@ -17,6 +17,7 @@ from io import BytesIO
 from pathlib import Path
 
 import numpy as np
+import zstandard
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
@@ -24,7 +25,7 @@ from mcap.reader import make_reader
 from mcap.records import Attachment as AttachmentRecord
 from mcap.records import Channel as ChannelRecord
 from mcap.records import Chunk, Footer, Header, McapRecord, Metadata, Schema
-from mcap.stream_reader import CRCValidationError, StreamReader, get_chunk_data_stream
+from mcap.stream_reader import CRCValidationError, StreamReader
 from mcap.summary import Summary
 from mcap.writer import MCAP0_MAGIC as MAGIC
 from numpy.typing import NDArray
@@ -42,7 +43,14 @@ _RUN_PREFIX = struct.Struct("<BQH")  # the part of the header that all messages 
 _FIRST_BLOCK = 64  # records compared at once at first
 _FOOTER_SIZE = RECORD_PREFIX.size + 20
 _LAST_OPCODE = max(Opcode)
-_UNREADABLE = (McapError, CRCValidationError, ZstdError, struct.error, UnicodeDecodeError, OverflowError, MemoryError)
+_UNREADABLE = (
+    McapError, CRCValidationError, ZstdError, struct.error, UnicodeDecodeError, OverflowError, MemoryError,
+    RuntimeError,  # of lz4
+)  # fmt: skip  # six more lines otherwise
+MOST_CHUNK_BYTES = 1 << 28
+"""Of a chunk's content: ours hold a second of flight, a megabyte or so."""
+MOST_LOG_BYTES = 1 << 34
+"""Of the content of all chunks: a thousand times a flight of 400 s."""
 
 
 class DamagedError(ValueError):
@@ -268,9 +276,15 @@ class _LogFile:
         """
         events: list[Event] = []
         parts: dict[str, list[tuple[IntArray, Array]]] = {topic.name: [] for topic in self.table.topics}
+        total = 0
         for number, place in enumerate(self._chunks, start=1):
             try:
-                new_events, new_parts = self._chunk_columns(_chunk_content(self._data, *place))
+                content = _chunk_content(self._data, *place)
+                total += len(content)
+                if total > MOST_LOG_BYTES:
+                    most = f"{MOST_LOG_BYTES / 1e9:.0f} GB"
+                    raise LogError(f"{self.path}: the log decompresses to more than {most}, the most that is read")
+                new_events, new_parts = self._chunk_columns(content)
             except ValueError as error:
                 self.notes.append(f"chunk {number} of {len(self._chunks)} was left out: {error}")
                 continue
@@ -368,15 +382,34 @@ def _chunk_content(data: bytes, start: int, end: int) -> bytes:
     chunk = _parse(data, start, end)
     if not isinstance(chunk, Chunk):
         raise DamagedError("its first byte is wrong")
+    if chunk.uncompressed_size > MOST_CHUNK_BYTES:
+        size = f"{chunk.uncompressed_size / 1e6:.0f} MB"
+        raise DamagedError(f"it says that it decompresses to {size}; at most {MOST_CHUNK_BYTES / 1e6:.0f} MB are read")
     try:
-        stream, size = get_chunk_data_stream(chunk, validate_crc=True)
-        if size != chunk.uncompressed_size:
-            raise DamagedError("its size does not match")
-        return stream.read(size) if size else b""
-    except CRCValidationError as error:
-        raise DamagedError("its checksum does not match") from error
+        content = _decompressed(chunk)
     except _UNREADABLE as error:
         raise DamagedError("it cannot be decompressed") from error
+    if len(content) != chunk.uncompressed_size:
+        raise DamagedError("its size does not match")
+    if chunk.uncompressed_crc not in (0, zlib.crc32(content)):
+        raise DamagedError("its checksum does not match")
+    return content
+
+
+def _decompressed(chunk: Chunk) -> bytes:
+    """The content of a chunk; of one that is longer than it says no more than that comes into memory."""
+    size = chunk.uncompressed_size
+    if chunk.compression == "":
+        return bytes(chunk.data)
+    if chunk.compression == "zstd":
+        if zstandard.frame_content_size(chunk.data) not in (size, -1):  # known, it would count for more than `size`
+            raise DamagedError("its size does not match")
+        return zstandard.decompress(chunk.data, max_output_size=size)
+    if chunk.compression == "lz4":
+        from lz4.frame import LZ4FrameDecompressor  # noqa: PLC0415  # lazy: we write zstd; it comes with mcap
+
+        return bytes(LZ4FrameDecompressor().decompress(chunk.data, max_length=size + 1))
+    raise DamagedError(f"its compression {chunk.compression!r} is not known")
 
 
 def _message_runs(content: bytes) -> dict[int, list[_Run]]:

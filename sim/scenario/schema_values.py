@@ -12,6 +12,9 @@ from maxq.sim.scenario.errors import refuse
 from maxq.sim.scenario.ranges import LONGEST_S, first_beyond, range_of
 
 NS_PER_S = 1_000_000_000
+_LONGEST_NAME, _LONGEST_TEXT = 200, 20_000
+_ACTS = re.compile("[\x00-\x08\x0b\x0c\x0e-\x1f\x7f-\x9f\u202a-\u202e\u2066-\u2069]")
+"""Control characters but for tabs and line ends, and those that turn the direction of writing."""
 
 
 def is_whole_ns(seconds: float) -> bool:
@@ -43,18 +46,24 @@ def is_whole_period(rate_hz: float) -> bool:
 
 
 class Section(BaseModel):
-    """A table of a TOML file. Unknown keys, numbers as text, NaN, infinity and what is beyond the range of a key
-    (`ranges.py`) are refused; nothing can be changed.
+    """A table of a TOML file. Unknown keys, numbers as text, NaN, infinity, what is beyond the range of a key
+    (`ranges.py`), and texts that would do something to a terminal are refused; nothing can be changed.
     """
 
     model_config = ConfigDict(strict=True, extra="forbid", frozen=True, allow_inf_nan=False)
 
     @field_validator("*")
     @classmethod
-    def _within_range(cls, value: Any, info: ValidationInfo) -> Any:
+    def _can_be_meant(cls, value: Any, info: ValidationInfo) -> Any:
         name = info.field_name or ""
         if isinstance(value, int | float | tuple) and (found := first_beyond(name, value)):
             raise refuse("is out of range", range_of(name).allowed(), found[0], value=found[1])
+        if isinstance(value, str):
+            if _ACTS.search(value):
+                raise refuse("holds a control character", "text")
+            longest = _LONGEST_NAME if name == "name" else _LONGEST_TEXT
+            if len(value) > longest:
+                raise refuse(f"has {len(value)} characters", f"a text of at most {longest}")
         return value
 
 

@@ -6,7 +6,6 @@ With --orders also over the paper's filters and gain schedules: its Fig. 9, and 
 from __future__ import annotations
 
 import math
-import re
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -22,7 +21,7 @@ from maxq.design.optimise.plants import Plants
 from maxq.design.optimise.solution import Solution
 from maxq.design.optimise.solve import nominal_plants, solve
 from maxq.design.verify.judging import Outcome, judge_solution, make_design, objective_text
-from maxq.sim.files import check_writable, write_whole
+from maxq.sim.files import check_writable, plain_name, write_whole
 from maxq.sim.scenario.errors import ScenarioError
 from maxq.tools.cli.frame import Exit, Interruption
 from maxq.tools.cli.terminal import Progress, aligned
@@ -71,7 +70,7 @@ def make(order: Order) -> Made:
     search = (("starts", order.starts), ("seed", order.seed))
     overrides = (*order.overrides, *(f"search.{key}={value}" for key, value in search if value is not None))
     loaded = read_case(order.case, overrides)
-    folder = Path(order.out or Path("runs") / (re.sub(r"[^\w.-]+", "-", loaded.name).strip(".-") or "design"))
+    folder = Path(order.out or Path("runs") / plain_name(loaded.name, "design"))
     with Progress() as progress, Interruption(at_once=True) as stop:
         try:
             plants = nominal_plants(loaded)

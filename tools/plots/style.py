@@ -24,6 +24,8 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.axis import Axis
 from matplotlib.figure import Figure
+from matplotlib.mathtext import MathTextParser
+from matplotlib.text import Text
 from matplotlib.ticker import FuncFormatter, NullFormatter
 from numpy.typing import NDArray
 
@@ -71,6 +73,7 @@ PAGE_IN = 7.0  # width of a page between its margins
 _TITLE_IN = 0.9  # a title, and the names of the axes of the lowest row
 FORMATS = ("svg", "png")
 _METADATA = {"svg": {"Date": None, "Creator": "maxq"}, "png": {"Software": "maxq"}}
+_MATHEMATICS: Any = MathTextParser("path")
 _formats: ContextVar[tuple[str, ...]] = ContextVar("formats", default=FORMATS)
 
 
@@ -108,6 +111,7 @@ def save(figure: Figure, stem: Path) -> list[Path]:
 
     Each under a temporary name first, so that there is a whole one or none.
     """
+    _take_as_written(figure)
     layout, files = figure.get_layout_engine(), []
     if layout is not None:  # once for all formats: it takes as long as the drawing
         layout.execute(figure)
@@ -120,8 +124,20 @@ def save(figure: Figure, stem: Path) -> list[Path]:
     return files
 
 
+def _take_as_written(figure: Figure) -> None:
+    """Names in files may hold dollar signs that are no mathematics: such texts are drawn as they are."""
+    for text in figure.findobj(Text):
+        assert isinstance(text, Text)
+        if text.get_text().count("$") > 1:
+            try:
+                _MATHEMATICS.parse(text.get_text())
+            except ValueError:
+                text.set_parse_math(False)
+
+
 def png(figure: Figure, dpi: float | None = None) -> bytes:
     """The picture in memory, `dpi` pixels an inch (None: as the style says)."""
+    _take_as_written(figure)
     out = io.BytesIO()
     figure.set_dpi(dpi or figure.dpi)
     figure.savefig(out, format="png", metadata=_METADATA["png"])

@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-import re
 import shlex
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -18,7 +17,7 @@ from maxq.design.verify import memory
 from maxq.design.verify.judging import judge, make_design
 from maxq.design.verify.suite import ACCEPTED, REJECTED, UNDECIDED, Judgement, overall, read_suite
 from maxq.design.verify.verify import Verification, Watch, verify
-from maxq.sim.files import check_writable
+from maxq.sim.files import check_writable, plain_name
 from maxq.sim.scenario.errors import ScenarioError
 from maxq.sim.scenario.schema_design import Design
 from maxq.tools.cli.frame import Exit, Interruption, say
@@ -88,7 +87,7 @@ def folder_of(order: Order, design: str) -> Path:
     """Where a design's pack goes; several designs get a folder each inside --out."""
     path = Path(design)
     name = path.parent.name if path.name == DESIGN_NAME else path.name.removesuffix(".toml")
-    plain = re.sub(r"[^\w.-]+", "-", name).strip(".-") or "design"
+    plain = plain_name(name, "design")
     if order.out is None:
         return Path("runs") / f"verify-{plain}"
     return Path(order.out) if len(order.designs) == 1 else Path(order.out) / plain

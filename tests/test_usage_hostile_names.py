@@ -1,0 +1,193 @@
+"""Names and texts from files are shown as they are: they do nothing to a page, a picture or a terminal."""
+
+from __future__ import annotations
+
+import io
+import sys
+from html.parser import HTMLParser
+from pathlib import Path
+
+import pytest
+from matplotlib.text import Text
+from scenario_files import write_ascent
+
+from maxq.design.verify.suite import read_suite
+from maxq.design.verify.verify import verify
+from maxq.sim.campaign.analysis import DataSet, judged, lost
+from maxq.sim.campaign.read import load_campaign
+from maxq.sim.campaign.runner import run_campaign
+from maxq.sim.run.fly import fly
+from maxq.sim.scenario.errors import ScenarioError
+from maxq.sim.scenario.loader import load_scenario
+from maxq.tools.campaign_report import report as campaign_text
+from maxq.tools.campaign_report import write_report
+from maxq.tools.cli.terminal import Progress
+from maxq.tools.flight_report import report as flight_text
+from maxq.tools.plots.style import drawing, png, sheet
+from maxq.tools.verify.pictures import pictures
+from maxq.tools.verify.report import page_of
+from maxq.tools.verify.report import report as review_text
+
+SCRIPT = "</td></title><script>alert(1)</script><img src=x onerror=alert(1)>"
+NAME = f"{SCRIPT} {{{{7*7}}}} [red]&amp; $\\frac$"
+"""HTML, a template, rich's markup, an entity, mathematics that is none."""
+QUOTED = NAME.replace("\\", "\\\\")
+
+SHORT = f"""\
+schema = 1
+extends = "ascent.toml"
+name = "{QUOTED}"
+description = "{QUOTED} described"
+unset = ["injection", "requirement"]
+[run]
+duration_s = 60.0
+[vehicle_overrides]
+name = "{QUOTED} vehicle"
+stage.0.name = "{QUOTED} stage"
+stage.0.aero.surface.0.name = "{QUOTED} surface"
+[design_overrides]
+name = "{QUOTED} design"
+description = "{QUOTED} of the design"
+[[requirement]]
+name = "{QUOTED} requirement"
+metric = "max_speed_mps"
+limit = 1000.0
+"""
+CAMPAIGN = f"""\
+schema = 1
+extends = "short.toml"
+name = "{QUOTED} campaign"
+[run]
+duration_s = 0.2
+[campaign]
+runs = 12
+[[disperse]]
+key = "vehicle.stage.0.engine.thrust_factor"
+name = "{QUOTED} thrust"
+source = "{QUOTED} source"
+distribution = "normal"
+three_sigma = 0.03
+"""
+SUITE = f"""\
+schema = 1
+name = "{QUOTED} suite"
+scenario = "short.toml"
+[[flight]]
+name = "{QUOTED} flight"
+why = "{QUOTED} why"
+[[dispersed_limit]]
+requirement = "{QUOTED} requirement"
+limit = 1000.0
+why = "{QUOTED} reason"
+"""
+
+
+@pytest.fixture
+def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.chdir(tmp_path)
+    write_ascent(tmp_path)
+    for name, text in (("short", SHORT), ("campaign", CAMPAIGN), ("suite", SUITE)):
+        (tmp_path / f"{name}.toml").write_text(text)
+    return tmp_path
+
+
+class Page(HTMLParser):
+    """What a browser would make of a page."""
+
+    def __init__(self, page: str) -> None:
+        super().__init__()
+        self.acts: list[str] = []
+        self.words = ""
+        self.feed(page)
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        if tag in ("script", "iframe", "object", "link", "a"):
+            self.acts.append(tag)
+        for name, value in attrs:
+            outside = name in ("src", "href") and not (value or "").startswith("data:image/png;base64,")
+            if name.startswith("on") or outside:
+                self.acts.append(f"{tag} {name}={value}")
+
+    def handle_data(self, data: str) -> None:
+        self.words += data
+
+
+def only_shows(page: str, *names: str) -> None:
+    found = Page(page)
+    assert found.acts == []
+    for name in names:
+        assert f"{NAME} {name}".strip() in found.words, name
+    assert "alert(1)" not in page.replace("&lt;script&gt;alert(1)", "").replace("onerror=alert(1)&gt;", "")
+
+
+def test_a_page_that_acts_is_found() -> None:
+    """The check can fail."""
+    assert Page(f"<td>{SCRIPT}</td>").acts == ["script", "img src=x", "img onerror=alert(1)"]
+
+
+@pytest.mark.slow
+def test_pages_and_texts_of_a_campaign(here: Path) -> None:
+    campaign, folder = load_campaign("campaign.toml"), here / "out"
+    run_campaign(campaign, folder, workers=1)
+    data = DataSet(folder, campaign)
+    write_report(data, judged(data), lost(data), 12)
+    page = (folder / "report.html").read_text(encoding="utf-8")
+    only_shows(page, "campaign", "described", "requirement", "thrust", "source")
+    assert f"{NAME} requirement" in "\n".join(campaign_text(data, judged(data), lost(data)))
+
+
+@pytest.mark.slow
+def test_page_and_text_of_a_review(here: Path) -> None:
+    found = verify("designs/trial.toml", read_suite("suite.toml"), workers=1)
+    page = page_of(found, f"simverify {NAME} command", pictures(found))
+    only_shows(page, "vehicle", "suite", "flight", "why", "reason", "requirement", "command")
+    assert f"{NAME} flight" in "\n".join(review_text(found, "title"))
+
+
+@pytest.mark.slow
+def test_text_of_a_flight(here: Path) -> None:
+    assert f"{NAME} requirement" in flight_text(fly(load_scenario("short.toml")), [], 1.0)
+
+
+def test_rich_shows_markup_as_it_is(monkeypatch: pytest.MonkeyPatch) -> None:
+    class Terminal(io.StringIO):
+        def isatty(self) -> bool:
+            return True
+
+    shown = Terminal()
+    monkeypatch.setattr(sys, "stderr", shown)
+    monkeypatch.setattr("maxq.tools.cli.terminal._PATIENCE_S", 0.0)
+    monkeypatch.setenv("COLUMNS", "200")
+    with Progress() as progress:
+        progress.show("[red]flying[/red]", 1, 2, "[blink]name[/blink] [/nothing]")
+    assert "[red]flying[/red]" in shown.getvalue()
+    assert "[blink]name[/blink] [/nothing]" in shown.getvalue()
+
+
+@pytest.mark.parametrize("name", [NAME, "$\\frac$", "$x$ and $", "\\$", "a $ b"])
+def test_pictures_draw_every_name(name: str) -> None:
+    with drawing():
+        figure, (place, *_) = sheet(1, 1, title=name)
+        place.set_title(name)
+        place.plot([0, 1], [0, 1], label=name)
+        place.set_xlabel(r"$Z_\alpha$, 1/s")
+        place.legend()
+        assert png(figure, 20).startswith(b"\x89PNG")
+        own = next(text for text in figure.findobj(Text) if text.get_text().startswith("$Z"))
+        assert own.get_parse_math()
+
+
+@pytest.mark.parametrize("odd", ["\\u0000", "\\u001b[31m", "\\u0007", "\\u007f", "\\u009b31m", "\\u202e", "\\u2066"])
+@pytest.mark.parametrize("key", ["name", "description", "vehicle.name", "vehicle.stage.0.name", "design.description"])
+def test_texts_cannot_act_on_a_terminal(here: Path, key: str, odd: str) -> None:
+    with pytest.raises(ScenarioError, match="holds a control character; allowed: text") as caught:
+        load_scenario("ascent.toml", [f'{key}="a{odd}b"'])
+    assert str(caught.value).isprintable()
+
+
+def test_texts_have_a_length(here: Path) -> None:
+    assert load_scenario("ascent.toml", [f'name="{"x" * 200}"']).name == "x" * 200
+    with pytest.raises(ScenarioError, match="has 201 characters; allowed: a text of at most 200"):
+        load_scenario("ascent.toml", [f'name="{"x" * 201}"'])
+    with pytest.raises(ScenarioError, match="has 20001 characters"):
+        load_scenario("ascent.toml", [f'description="{"x" * 20001}"'])

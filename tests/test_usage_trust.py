@@ -1,0 +1,208 @@
+"""Files of others: logs and data sets that unpack to more than they are, and logs whose scenario names files."""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+import zstandard
+from example_log import TABLE, write_example
+from lz4.frame import compress as lz4_compress
+from scenario_files import write_ascent
+
+from maxq.sim.campaign import store
+from maxq.sim.campaign.error import CampaignError
+from maxq.sim.files import plain_name
+from maxq.sim.log import reader
+from maxq.sim.log.head import Attachment, LogError, RunHead
+from maxq.sim.log.reader import read_log, read_run
+from maxq.sim.log.writer import LogWriter
+from maxq.sim.run.record import SCENARIO_ATTACHMENT
+from maxq.sim.scenario.errors import ScenarioError
+from maxq.sim.scenario.loader import load_scenario, load_scenario_text
+from maxq.tools import simrun
+
+
+def chunk(content: bytes, compression: str, packed: bytes, says: int | None = None) -> bytes:
+    """An MCAP chunk record: specification, https://mcap.dev/spec, opcode 0x06."""
+    size = len(content) if says is None else says
+    name = compression.encode()
+    body = struct.pack("<QQQI", 0, 1, size, zlib.crc32(content)) + struct.pack("<I", len(name)) + name
+    body += struct.pack("<Q", len(packed)) + packed
+    return struct.pack("<BQ", 6, len(body)) + body
+
+
+def with_chunks(folder: Path, *chunks: bytes) -> Path:
+    """The example's head with these chunks behind it, and no end."""
+    whole = write_example(folder / "example.mcap")
+    first = next(start for opcode, start, _ in reader._frames(whole, 8) if opcode == 6)
+    path = folder / "made.mcap"
+    path.write_bytes(whole[:first] + b"".join(chunks))
+    return path
+
+
+def own_chunk(folder: Path) -> bytes:
+    """The content of the example's first chunk."""
+    whole = write_example(folder / "example.mcap")
+    start, end = next((start, end) for opcode, start, end in reader._frames(whole, 8) if opcode == 6)
+    return reader._chunk_content(whole, start, end)
+
+
+PACKED = {"": lambda content: content, "zstd": zstandard.compress, "lz4": lz4_compress}
+
+
+@pytest.mark.parametrize("compression", PACKED)
+def test_chunks_of_every_compression_are_read(tmp_path: Path, compression: str) -> None:
+    content = own_chunk(tmp_path)
+    path = with_chunks(tmp_path, chunk(content, compression, PACKED[compression](content)))
+    log = read_log(path)
+    assert not [note for note in log.notes if "left out" in note]
+    assert len(log.time_ns(TABLE.topics[0].name)) > 0
+
+
+@pytest.mark.parametrize("compression", PACKED)
+def test_a_chunk_that_is_larger_than_is_read(tmp_path: Path, compression: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(reader, "MOST_CHUNK_BYTES", 1_000_000)
+    content = own_chunk(tmp_path)
+    bomb = bytes(5_000_000)
+    path = with_chunks(
+        tmp_path,
+        chunk(bomb, compression, PACKED[compression](bomb)),
+        chunk(content, compression, PACKED[compression](content)),
+    )
+    log = read_log(path)
+    said = "chunk 1 of 2 was left out: it says that it decompresses to 5 MB; at most 1 MB are read"
+    assert said in log.notes
+    assert len(log.time_ns(TABLE.topics[0].name)) > 0  # the other one is there
+
+
+@pytest.mark.parametrize("compression", PACKED)
+def test_a_chunk_that_is_larger_than_it_says(tmp_path: Path, compression: str) -> None:
+    bomb = bytes(50_000_000)
+    path = with_chunks(tmp_path, chunk(bomb, compression, PACKED[compression](bomb), says=1000))
+    assert any("chunk 1 of 1 was left out: " in note for note in read_log(path).notes)
+
+
+def test_a_frame_that_claims_a_terabyte_takes_no_memory(tmp_path: Path) -> None:
+    """Its header is a frame's word, and the decompressor would reserve what it says."""
+    frame = b"\x28\xb5\x2f\xfd" + bytes([0b11100000]) + struct.pack("<Q", 1 << 40) + b"\x01\x00\x00"
+    assert zstandard.frame_content_size(frame) == 1 << 40
+    path = with_chunks(tmp_path, chunk(bytes(1000), "zstd", frame))
+    assert "chunk 1 of 1 was left out: its size does not match" in read_log(path).notes
+
+
+def test_a_frame_of_unknown_length(tmp_path: Path) -> None:
+    bomb = bytes(50_000_000)
+    packed = zstandard.ZstdCompressor(write_content_size=False).compress(bomb)
+    path = with_chunks(tmp_path, chunk(bomb, "zstd", packed, says=1000))
+    assert "chunk 1 of 1 was left out: it cannot be decompressed" in read_log(path).notes
+
+
+def test_a_log_that_is_larger_than_is_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    content = own_chunk(tmp_path)
+    path = with_chunks(tmp_path, *[chunk(content, "zstd", PACKED["zstd"](content))] * 20)
+    read_log(path)
+    monkeypatch.setattr(reader, "MOST_LOG_BYTES", 10 * len(content))
+    with pytest.raises(LogError, match=r"made\.mcap: the log decompresses to more than 0 GB, the most that is read"):
+        read_log(path)
+
+
+# data sets
+
+
+def test_a_part_that_is_larger_than_is_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "runs-0000000000-0000000009.parquet"
+    pq.write_table(pa.table({"run": np.zeros(1_000_000, np.int64)}), path, use_dictionary=True)
+    assert path.stat().st_size < 10_000
+    assert len(store.read_part(path)) == 1_000_000
+    monkeypatch.setattr(store, "MOST_BYTES", 1_000_000)
+    with pytest.raises(CampaignError, match=r"decompresses to 0\.0 GB; 0.0 GB is the most that is read"):
+        store.read_part(path)
+    path.write_bytes(path.read_bytes()[:-50])
+    with pytest.raises(CampaignError, match="it cannot be read"):
+        store.read_part(path)
+
+
+# a log's own scenario
+
+
+def log_with(folder: Path, scenario: str) -> Path:
+    path = folder / "flight.mcap"
+    writer = LogWriter(
+        path, TABLE, RunHead({}, (Attachment(SCENARIO_ATTACHMENT, "application/toml", scenario.encode()),))
+    )
+    writer.close(None, None)
+    return path
+
+
+NAMES = ("../../etc/passwd", "/etc/passwd", "ascent.toml", "nominal", "vehicles/rocket", "winds/west.csv", "tank.csv")
+PLACES = (
+    'extends = "{}"\n',
+    'vehicle = "{}"\n',
+    'design = "{}"\n',
+    "[vehicle]\nextends = '{}'\n",
+    "[design]\nextends = '{}'\n",
+    'vehicle_overrides = {{extends = "{}"}}\nvehicle = {{}}\n',
+    '[wind]\nprofile = "{}"\n',
+    '[atmosphere]\nmodel = "table"\ntable = "{}"\n',
+    '[guidance]\nprogramme = "{}"\n',
+)
+
+
+@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("place", PLACES)
+def test_a_scenario_in_a_log_reads_no_file(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], place: str, name: str
+) -> None:
+    """Not beside the log, not in the working folder, not among the built-in ones, not anywhere else."""
+    monkeypatch.chdir(tmp_path)
+    write_ascent(tmp_path)
+    whole = load_scenario("ascent.toml").as_flown
+    given = place.format(name)
+    key = given.split(" ", 1)[0].strip("[]\n")
+    keep = key in ("wind", "guidance", "atmosphere")
+    text = "\n".join(f"[{part}" for part in whole.split("\n[") if not part.startswith(key)) if keep else ""
+    text = text.removeprefix("[") + "\n" + given if keep else given
+    opened: list[Path] = []
+    real = Path.read_bytes
+    monkeypatch.setattr(Path, "read_bytes", lambda path: (opened.append(path), real(path))[1])
+    with pytest.raises(
+        ScenarioError, match=r"cannot do|self-contained|no such key|unknown key|has no|required key|in a file only"
+    ):
+        load_scenario_text(text)
+    assert opened == []
+    log = log_with(tmp_path, text)
+    assert simrun.main(["--from", str(log)]) == 2
+    assert {path.name for path in opened} <= {"flight.mcap"}
+    said = capsys.readouterr().err
+    assert "root:" not in said
+    assert said.count("\n") == 1
+
+
+def test_attachments_are_never_unpacked(tmp_path: Path) -> None:
+    path = tmp_path / "deep" / "flight.mcap"
+    path.parent.mkdir()
+    odd = Attachment("../../out.toml", "application/toml", b"x = 1")
+    LogWriter(path, TABLE, RunHead({}, (odd,))).close(None, None)
+    assert "../../out.toml" in read_run(path).attachments
+    assert [p.name for p in tmp_path.rglob("*")] == ["deep", "flight.mcap"]
+
+
+@pytest.mark.parametrize(
+    ("name", "folder"),
+    [
+        ("../../etc", "etc"),
+        ("..", "else"),
+        ("", "else"),
+        ("a/b\\c:d", "a-b-c-d"),
+        ("x" * 300, "x" * 80),
+        ("é 1.2", "é-1.2"),
+    ],
+)
+def test_names_make_one_folder(name: str, folder: str) -> None:
+    assert plain_name(name, "else") == folder
