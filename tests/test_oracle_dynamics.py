@@ -41,7 +41,8 @@ STATIONS = (0.0, 3.0, 5.0, 10.0, 12.0, 14.0)  # 5 and 10: hinges, 12: gimbal
 
 
 def a_mode(rng: np.random.Generator, frequency_hz: float, zeta: float = 0.0) -> Mode:
-    phi, slope = rng.normal(0.0, 0.8, len(STATIONS)), rng.normal(0.0, 0.3, len(STATIONS))
+    phi = rng.normal(0.0, 0.8, len(STATIONS))
+    slope = np.gradient(phi, STATIONS) + rng.normal(0.0, 0.05, len(STATIONS))  # a shape that the file may hold
     return Mode(frequency_hz, rng.uniform(300.0, 900.0), tuple(phi), tuple(slope), zeta)
 
 
@@ -51,7 +52,7 @@ def same_at_hinges(mode: Mode, partner: Mode) -> Mode:
     for k, station in enumerate(STATIONS):
         if station in (5.0, 10.0):
             phi[k] = mode.phi[k]
-    return replace(partner, phi=tuple(phi))
+    return replace(partner, phi=tuple(phi), slope_pm=tuple(np.gradient(phi, STATIONS)))
 
 
 def random_parts(rng: np.random.Generator, modes: int = 2, zeta: float = 0.0, alike: bool = True) -> Parts:

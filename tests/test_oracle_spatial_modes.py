@@ -6,6 +6,7 @@
 | the same with both planes turned about x | the same motion |
 | thrust step and torque step at the end of a uniform rod | d'Alembert's travelling waves |
 | lateral modes of unlike planes, at any rates | Kane's method on a core made of particles |
+| linear model of both planes | the simulator, linearised numerically |
 | free flight of coupled modes, axial and torsion included, with tanks | energy and momenta written out here |
 """
 
@@ -16,10 +17,14 @@ from typing import Any
 
 import numpy as np
 import pytest
-from flightkit import Mode, Parts, Rig, Tank, Tree, flown, rig, scenario_of, with_stage
+from flightkit import Mode, Parts, Rig, Tank, Tree, flown, merged, rig, scenario_of, with_stage
+from oracles.linearised_simulator import linearise, zero_incidence
 from oracles.multibody_system import rotation_from_quaternion
 
 from maxq.control.kernel.records import Array
+from maxq.design.model.plant import vehicle_plant
+from maxq.design.model.vehicle_at import FlightCondition, vehicle_at
+from maxq.sim.run.evaluate import evaluate_at
 from maxq.sim.vehicle import state as layout
 from maxq.sim.vehicle import workspace
 
@@ -349,3 +354,62 @@ def test_coupled_modes_conserve_energy_and_momenta() -> None:
     assert drifts[1][0] < 1e-6
     assert drifts[1][1:].max() < 1e-8
     assert drifts[0][0] / drifts[1][0] > 15.0  # order four at least
+
+
+# --- the linear model
+def test_linear_model_of_both_planes_is_the_linearised_simulator() -> None:
+    """Modes that bend in both planes at once and twist, of unlike frequencies: all axes in one state space."""
+    angle = np.radians(30.0)
+    section, rest = as_spatial(
+        replace(PARTS, yaw=tuple(replace(m, frequency_hz=1.2 * m.frequency_hz) for m in MODES)), angle
+    )
+    for row in section["table"]:
+        row["theta_x_pm"] = 0.1 * row["mode"] * np.cos(row["station_m"])
+    straight = replace(
+        rest,
+        core_cg=(7.0, 0.0, 0.0),
+        core_inertia=((8e3, 0.0, 0.0), (0.0, 5.0e4, 0.0), (0.0, 0.0, 5.2e4)),
+        gimbal_offset_m=(0.0, 0.0),
+    )
+    path = np.radians(50.0)
+    velocity = [float(200.0 * np.cos(path)), 0.0, float(-200.0 * np.sin(path))]
+    start = {"initial": {"ned_mps": velocity, "euler_deg": [0.0, 50.0, 0.0]}, "earth": {"gravity": "uniform"}}
+    tree = merged(scenario_of(straight, **AIR), start)
+    packed = rig(with_stage(tree, aero=AERO, spatial_modes=section)).packed
+    air = evaluate_at(packed, packed.state, 0.0).aux
+    condition = FlightCondition(
+        0.0, float(air[workspace.AIRSPEED]), float(air[workspace.DENSITY]), float(air[workspace.PRESSURE]),
+        float(air[workspace.MACH]), float(path), float(np.linalg.norm(air[workspace.GRAVITATION :][:3])),
+    )  # fmt: skip  # five more lines otherwise
+    theirs = linearise(packed, zero_incidence(packed, packed.state), 0.0)
+    modes = [f"spatial_{i}_{what}" for what in ("m", "rate_mps") for i in range(1, 5)]
+
+    def slosh(plane: str) -> list[str]:
+        return [f"slosh_{k}_{plane}{what}" for what in ("_rad", "_rate_radps") for k in (1, 2)]
+
+    for plane, across in (("pitch", "yaw"), ("yaw", "pitch")):
+        motion = {"pitch": ["w_mps", "q_radps", "theta_rad"], "yaw": ["v_mps", "r_radps", "psi_rad"]}
+        names = [*motion[plane], *modes, *slosh(plane), *motion[across], *slosh(across)]
+        turned = {"r_radps", "psi_rad"}
+        sign = np.array([-1.0 if name in turned else 1.0 for name in names])
+        i = [theirs.states.index(name) for name in names]
+        a = sign[:, None] * theirs.a[np.ix_(i, i)] * sign
+        plant = vehicle_plant(vehicle_at(packed, 0.0, condition.mach, plane), condition)
+        scale = 1e-8 * np.abs(plant.a).max(axis=1, keepdims=True)
+        assert np.abs(a - plant.a).max() < 2e-5
+        np.testing.assert_array_less(np.abs(a - plant.a), 1e-8 * np.abs(plant.a) + 1e-3 * scale + 1e-8)
+        for k, (p, output) in enumerate(((plane, "local_rate_radps"), (across, "across_local_rate_radps"))):
+            columns = [theirs.states.index(f"actuator_{p}_{j}") for j in range(1, 7)]
+            angle_row = theirs.c[theirs.outputs.index(f"delta_{p}_rad")][columns]
+            rates = theirs.a[np.ix_(columns, columns)]
+            motions = np.stack([angle_row, angle_row @ rates, angle_row @ rates @ rates], axis=1)
+            through = np.linalg.lstsq(motions, theirs.a[np.ix_(i, columns)].T, rcond=None)[0].T
+            through = sign[:, None] * through * (1.0 if p == "pitch" else -1.0)
+            np.testing.assert_allclose(through[:, [0, 2]], plant.b[:, 2 * k : 2 * k + 2], rtol=1e-8, atol=1e-8)
+            sensed = theirs.c[theirs.outputs.index(f"local_rate_{p}_radps")][i] * sign * (1.0 if p == "pitch" else -1.0)
+            np.testing.assert_allclose(sensed, plant.c[plant.outputs.index(output)], rtol=1e-8, atol=1e-10)
+        roll = (
+            theirs.a[theirs.states.index("gyro_roll_rate_radps2")][i]
+            / theirs.a[theirs.states.index("gyro_roll_rate_radps2"), theirs.states.index("p_radps")]
+        )
+        np.testing.assert_allclose(roll, plant.c[-1], rtol=1e-8, atol=1e-10)

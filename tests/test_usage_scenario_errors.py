@@ -241,8 +241,8 @@ def test_inertia_that_no_body_can_have(tmp_path: Path, inertia: str) -> None:
 
 
 def test_too_many_modes_and_tanks(here: Path) -> None:
-    (here / MODES).write_text(modes_csv(modes=9))
-    assert said_of("ascent.toml") == f"{MODES}: line 26, mode = 9.0: too many modes; allowed: mode numbers 1 .. 8"
+    (here / MODES).write_text(modes_csv(modes=13))
+    assert said_of("ascent.toml") == f"{MODES}: line 38, mode = 13.0: too many modes; allowed: mode numbers 1 .. 12"
     (here / MODES).write_text(modes_csv())
     tank = '[[stage.tank]]\ntable = "tank.csv"\ndamping_ratio = 0.02\n'
     text = (here / VEHICLE).read_text()

@@ -30,6 +30,10 @@ Moving Containers", 2000),
     L = R / (xi tanh(xi h / R)),    m_p = m 2 R tanh(xi h / R) / (xi h (xi^2 - 1)),
     hinge above the liquid's CG by  h / 2 - (2 R / xi) tanh(xi h / (2 R)) + L.
 
+Spatial modes move in both planes: the plant of one plane then has the states of the other as well ("across"), with the
+same equations, and a spatial mode's force is the sum of both. Motion along the body axis and torsion meet the gimbal
+only in the second order and are left out, but for the rotation that the roll gyro feels.
+
 Yaw plane: the same with  w -> v, q -> -r, theta -> -psi, eta -> xi, delta -> -delta_yaw, gyro -> -gyro,  because B's
 z axis turned into y takes the pitch axis y into -z: a positive angle moves the gimbal's thrust to +z in pitch but to -y
 in yaw. From command to gyro both signs change and the transfer function stays.
@@ -49,6 +53,8 @@ from maxq.design.model.vehicle_at import FlightCondition, Pendulums, VehicleAt, 
 
 INPUTS = ("delta_rad", "delta_accel_radps2")
 OUTPUTS = ("q_radps", "local_rate_radps", "w_mps", "theta_rad")
+INPUTS_ACROSS = tuple(f"across_{name}" for name in INPUTS)
+OUTPUTS_ACROSS = (*(f"across_{name}" for name in OUTPUTS), "roll_bending_radps")
 
 XI = 1.84118378134066
 _SHALLOWEST = 1e-6  # depth in radii: the formulae have limits at zero
@@ -75,13 +81,53 @@ def vehicle_plant(
 
     States w (m/s, of the body point at the core's CG), q (rad/s), theta (rad), eta (m), eta' (m/s), G (rad), G'
     (rad/s); inputs and outputs as INPUTS and OUTPUTS, of which the local rate is that at the gyro, q + sum sigma_G eta'
-    (12 with erratum 1). Raises ValueError where the axial load is not positive and there are pendulums, and where an
-    erratum of the tanks is left in and `liquids` does not say what they hold.
+    (12 with erratum 1). A vehicle with spatial modes has the states, inputs and outputs of the other plane besides (its
+    modes and tanks are numbered on), and the roll rate of its modes at the gyro. Raises ValueError where the axial load
+    is not positive and there are pendulums, and where an erratum of the tanks is left in and `liquids` does not say
+    what they hold.
     """
     load = axial_load_mps2(vehicle, condition)
     if len(vehicle.pendulums.mass_kg) and load <= 0.0:
         raise ValueError(f"a pendulum needs a positive axial load, not {load:g} m/s2")
-    return _Equations(_with_printed_tanks(vehicle, errata, liquids), condition, load, errata).state_space()
+    one = _Equations(_with_printed_tanks(vehicle, errata, liquids), condition, load, errata)
+    if vehicle.across is None:
+        return one.state_space()
+    # both planes have the spatial modes' softening: it counts once
+    softening = vehicle.across.modes.softening_kgpm.copy()
+    softening[: vehicle.modes.spatial, : vehicle.modes.spatial] = 0.0
+    modes = dataclasses.replace(vehicle.across.modes, softening_kgpm=softening)
+    across = _with_printed_tanks(dataclasses.replace(vehicle.across, modes=modes), errata, liquids)
+    return _coupled(one, _Equations(across, condition, load, errata))
+
+
+def _coupled(one: _Equations, across: _Equations) -> StateSpace:
+    """Both planes and the spatial modes that they share."""
+    shared, plants = one.vehicle.modes.spatial, (one.state_space(), across.state_space())
+    n, k = len(one.names), len(across.names)
+    common = [*(3 + np.arange(shared)), *(3 + across.modes + np.arange(shared))]
+    own = np.setdiff1d(np.arange(k), common)
+    size = n + len(own)
+    # from a plane's states and inputs to those of the whole
+    embed = np.zeros((n + 2, size + 4)), np.zeros((k + 2, size + 4))
+    embed[0][:n, :n], embed[0][n:, size : size + 2] = np.eye(n), np.eye(2)
+    embed[1][own, n + np.arange(len(own))], embed[1][k:, size + 2 :] = 1.0, np.eye(2)
+    embed[1][common, [*(3 + np.arange(shared)), *(3 + one.modes + np.arange(shared))]] = 1.0
+    systems = [np.hstack([p.a, p.b]) @ e for p, e in zip(plants, embed, strict=True)]
+    drives = [plane.drive()[:shared] @ e for plane, e in zip((one, across), embed, strict=True)]
+    for plane, system, drive in ((one, systems[0], drives[1]), (across, systems[1], drives[0])):
+        system[3 + plane.modes : 3 + plane.modes + shared] += drive
+        bobs, hinges = plane.vehicle.pendulums, plane.vehicle.modes.phi_hinge[:shared]
+        system[len(system) - plane.tanks :] -= (hinges / bobs.length_m).T @ drive
+    whole = np.concatenate([systems[0], systems[1][own]])
+    rolls = np.zeros(size)
+    rolls[3 + one.modes : 3 + one.modes + shared] = one.vehicle.modes.roll_gyro_pm
+    seen = [p.c @ e[: len(p.states), :size] for p, e in zip(plants, embed, strict=True)]
+    every = state_names(one.modes + across.modes - shared, one.tanks + across.tanks)
+    states = (*one.names, *(f"across_{name}" for name in across.names[:3]), *(x for x in every if x not in one.names))
+    return StateSpace(
+        whole[:, :size], whole[:, size:], np.concatenate([*seen, rolls[None]]), np.zeros((len(OUTPUTS) * 2 + 1, 4)),
+        states, (*INPUTS, *INPUTS_ACROSS), (*OUTPUTS, *OUTPUTS_ACROSS),
+    )  # fmt: skip  # five more lines otherwise
 
 
 def _with_printed_tanks(vehicle: VehicleAt, errata: Errata, liquids: Liquids | None) -> VehicleAt:
@@ -207,15 +253,20 @@ class _Equations:
         self.moment = self.moment - arm * push
         self.modal = self.modal + flow * np.outer(modes.phi_hinge[:, k], swung)
 
-    def state_space(self) -> StateSpace:
-        modes, bobs = self.vehicle.modes, self.vehicle.pendulums
-        lateral, turning = self.force / self.mass, self.moment / self.inertia
+    def drive(self) -> Array:
+        """Modal accelerations by all but the modes' own stiffness and damping, (modes, row)."""
+        modes = self.vehicle.modes
         force = self.modal if self.errata.mode_force_sign else -self.modal
         if self.errata.axial_softening:
             force = force + self.load * modes.softening_kgpm @ self.eta
+        return np.asarray(force / modes.generalized_mass_kg[:, None])
+
+    def state_space(self) -> StateSpace:
+        modes, bobs = self.vehicle.modes, self.vehicle.pendulums
+        lateral, turning = self.force / self.mass, self.moment / self.inertia
         omega = modes.omega_radps[:, None]
         damping = 2.0 * modes.damping_ratio[:, None] * omega
-        bending = force / modes.generalized_mass_kg[:, None] - omega**2 * self.eta - damping * self.eta_rate
+        bending = self.drive() - omega**2 * self.eta - damping * self.eta_rate
         coriolis = (
             bobs.bob_station_rate_mps if self.errata.jet_damping and self.vehicle.jet_damping else 0.0 * bobs.mass_kg
         )

@@ -78,7 +78,8 @@ class Pendulums:
 class Modes:
     """One entry a mode, (modes,), and where shapes are met elsewhere (modes, places).
 
-    phi is positive in +z (pitch) or +y (yaw); slopes are d(phi)/d(station), 1/m.
+    phi is positive in +z (pitch) or +y (yaw); slopes are d(phi)/d(station), 1/m. The first `spatial` are spatial modes,
+    with the part that they have in this plane, the same ones in both; then those of the plane.
     """
 
     omega_radps: Array
@@ -90,7 +91,9 @@ class Modes:
     phi_hinge: Array  # (modes, tanks)
     phi_surface: Array  # (modes, surfaces)
     slope_surface_pm: Array  # (modes, surfaces)
-    softening_kgpm: Array  # (modes, modes): stiffness lost per m/s2 of axial load
+    softening_kgpm: Array  # (modes, modes): stiffness lost per m/s2 of axial load; of spatial modes that of both planes
+    spatial: int = 0
+    roll_gyro_pm: Array = dataclasses.field(default_factory=lambda: np.zeros(0))  # rotation of spatial modes about x
 
 
 @dataclass(frozen=True)
@@ -143,6 +146,7 @@ class VehicleAt:
     aerodynamics: Aerodynamics
     jet_damping: bool
     slosh_exchange: bool = False  # liquid that goes over from bob to core takes its momentum along
+    across: VehicleAt | None = None  # the same in the other plane, where spatial modes couple both
 
     @property
     def total_cg_station_m(self) -> float:
@@ -166,6 +170,14 @@ def vehicle_at(
 
     `trim`: angles of attack and sideslip, rad, at which tables over incidence have their slopes.
     """
+    one = _in_plane(packed, time_s, mach, plane, stage, trim)
+    if one.modes.spatial == 0:
+        return one
+    other: Plane = "yaw" if plane == "pitch" else "pitch"
+    return dataclasses.replace(one, across=_in_plane(packed, time_s, mach, other, stage, trim))
+
+
+def _in_plane(packed: Packed, time_s: float, mach: float, plane: Plane, stage: int, trim: Trim) -> VehicleAt:
     row = packed.parameters[stage]
     vehicle, sizes = row.vehicle, row.vehicle.sizes
     table = table_in(packed.pool, vehicle.schedule)
@@ -230,7 +242,7 @@ def _modes(vehicle: Any, sizes: Any, props: Array, plane: Plane) -> Modes:
     def row(which: int) -> Array:
         return np.array(rows(which, 1)[:, 0])
 
-    return Modes(
+    of_plane = Modes(
         omega_radps=vehicle.bending.frequency_factor[:n] * row(schedule.MODE_OMEGA),
         damping_ratio=np.array(zeta[:n]),
         generalized_mass_kg=row(schedule.MODE_MASS),
@@ -242,6 +254,43 @@ def _modes(vehicle: Any, sizes: Any, props: Array, plane: Plane) -> Modes:
         slope_surface_pm=rows(shapes + 1, surfaces, 2),
         softening_kgpm=float(vehicle.bending.softening_factor) * rows(shapes + 2 * surfaces, n),
     )
+    return of_plane if int(sizes.spatial_modes) == 0 else _with_spatial(vehicle, sizes, props, plane, of_plane)
+
+
+def _with_spatial(vehicle: Any, sizes: Any, props: Array, plane: Plane, of_plane: Modes) -> Modes:
+    n, k = int(sizes.spatial_modes), len(of_plane.omega_radps)
+    across, about, sign = (2, 4, 1.0) if plane == "pitch" else (1, 5, -1.0)
+
+    def row(which: int) -> Array:
+        first = int(schedule.spatial_column(sizes, which))
+        return np.array(props[first : first + n])
+
+    def at(place: int, component: int) -> Array:
+        return row(schedule.SPATIAL_FIRST + 6 * place + component)
+
+    def each(first: int, count: int, component: int) -> Array:
+        return np.array([at(first + i, component) for i in range(count)]).reshape(count, n).T
+
+    tanks, surfaces = int(sizes.tanks), int(sizes.surfaces)
+    gimbal, gyro_at = schedule.gimbal_place(sizes), schedule.GYRO_PLACE
+    tank, surface = schedule.tank_place(0), schedule.surface_place(sizes, 0)
+    softening = np.array([row(schedule.spatial_softening_row(sizes, i)) for i in range(n)])
+    both = np.zeros((n + k, n + k))
+    both[:n, :n], both[n:, n:] = float(vehicle.bending.softening_factor) * softening, of_plane.softening_kgpm
+    given = vehicle.spatial_modes
+    mine = {
+        "omega_radps": given.frequency_factor[:n] * row(schedule.SPATIAL_OMEGA),
+        "damping_ratio": np.array(given.zeta[:n]),
+        "generalized_mass_kg": row(schedule.SPATIAL_MASS),
+        "phi_gimbal": at(gimbal, across),
+        "slope_gimbal_pm": sign * at(gimbal, about),
+        "slope_gyro_pm": sign * at(gyro_at, about),
+        "phi_hinge": each(tank, tanks, across),
+        "phi_surface": each(surface, surfaces, across),
+        "slope_surface_pm": sign * each(surface, surfaces, about),
+    }
+    joined = {name: np.concatenate([values, getattr(of_plane, name)]) for name, values in mine.items()}
+    return dataclasses.replace(of_plane, **joined, softening_kgpm=both, spatial=n, roll_gyro_pm=at(gyro_at, 3))
 
 
 def _engine(vehicle: Any, vacuum_thrust_N: float) -> GimballedEngine:

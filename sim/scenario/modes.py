@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from maxq.control.kernel.limits import MAX_MODES
 from maxq.sim.scenario.errors import Path
+from maxq.sim.scenario.mode_checks import refuse_impossible
 from maxq.sim.scenario.tables_csv import Columns, CsvTable
 
 MODE_COLUMNS = Columns(
@@ -53,6 +54,20 @@ class ModeTable:
     def modes(self) -> int:
         return int(self.frequency_hz.shape[1])
 
+    # as mode_checks.py sees it
+
+    @property
+    def moved(self) -> NDArray[np.float64]:
+        return self.phi
+
+    @property
+    def bent(self) -> tuple[tuple[NDArray[np.float64], NDArray[np.float64]], ...]:
+        return ((self.phi, self.slope_pm),)
+
+    @property
+    def products(self) -> None:
+        return None
+
 
 @dataclass(frozen=True, eq=False)
 class SpatialModeTable:
@@ -75,6 +90,28 @@ class SpatialModeTable:
     def modes(self) -> int:
         return int(self.frequency_hz.shape[1])
 
+    # as mode_checks.py sees it
+
+    @property
+    def moved(self) -> NDArray[np.float64]:
+        span = self.station_m[-1] - self.station_m[0]
+        parts = [*np.moveaxis(self.displacement, -1, 0), span * self.rotation_pm[..., 0]]
+        return np.concatenate(parts, axis=2)
+
+    @property
+    def bent(self) -> tuple[tuple[NDArray[np.float64], NDArray[np.float64]], ...]:
+        return tuple((plane.phi, plane.slope_pm) for plane in self.lateral())
+
+    @property
+    def products(self) -> NDArray[np.float64] | None:
+        if self.mass_kg is None:
+            return None
+        products = np.einsum("ts,tmsk,tnsk->tmn", self.mass_kg, self.displacement, self.displacement)
+        if self.roll_inertia_kgm2 is not None:
+            twist = self.rotation_pm[..., 0]
+            products = products + np.einsum("ts,tms,tns->tmn", self.roll_inertia_kgm2, twist, twist)
+        return np.asarray(products)
+
     def lateral(self) -> tuple[ModeTable, ModeTable]:
         """What the modes do along y and along z, as those of a yaw and of a pitch plane."""
         phi, theta = self.displacement, self.rotation_pm
@@ -89,12 +126,14 @@ def mode_table(table: CsvTable, at: Path = ()) -> ModeTable:
     """The arrays of a mode table whose columns have been checked; `at` is its key.
 
     Raises the schema's refusal unless modes are numbered 1, 2, ... (12 at most), each time has each mode at
-    each station exactly once, and frequency and generalised mass do not change along the stations.
+    each station exactly once, frequency and generalised mass do not change along the stations, and the shapes are
+    possible (mode_checks.py).
     """
     made = table.derived
     if not isinstance(made, ModeTable):
         times, stations, full = _arrays(table, ("phi", "slope_pm"), ("mass_forward_kg",), at)
         made = ModeTable(times, stations, *full)
+        refuse_impossible(table, made, at)
         table.keep(made)
     return made
 
@@ -111,6 +150,7 @@ def spatial_mode_table(table: CsvTable, at: Path = ()) -> SpatialModeTable:
             times, stations, frequency, mass, shapes[..., :3], shapes[..., 3:], forward,
             given.get("mass_kg"), given.get("roll_inertia_kgm2"),
         )  # fmt: skip  # nine lines otherwise
+        refuse_impossible(table, made, at)
         table.keep(made)
     return made
 

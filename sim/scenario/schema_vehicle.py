@@ -198,6 +198,18 @@ class Stage(Section):
         self._check_stations()
         return self
 
+    def mode_tables(self) -> list[tuple[str, ModeTable | SpatialModeTable]]:
+        """Tables of modes and their keys; one that serves both planes once."""
+        out: list[tuple[str, ModeTable | SpatialModeTable]] = []
+        bending = self.bending
+        if bending is not None:
+            planes = [("bending.pitch", bending.pitch_modes)]
+            planes += [("bending.yaw", bending.yaw_modes)] if bending.yaw != bending.pitch else []
+            out += [(key, table) for key, table in planes if table is not None]
+        if self.spatial_modes is not None:
+            out.append(("spatial_modes.table", self.spatial_modes.modes))
+        return out
+
     def _check_slosh_mass(self) -> None:
         """What sloshes, and the gimballed engine, are parts of the vehicle's mass."""
         tables = [tank.table for tank in self.tank]
@@ -227,11 +239,6 @@ class Stage(Section):
 
     def _check_stations(self) -> None:
         """The mode shapes must reach every station at which something acts or measures."""
-        tables: list[ModeTable | SpatialModeTable | None] = []
-        if self.bending is not None:
-            tables += [self.bending.pitch_modes, self.bending.yaw_modes]
-        if self.spatial_modes is not None:
-            tables.append(self.spatial_modes.modes)
         needed: list[tuple[tuple[str | int, ...], float]] = []
         if self.engine is not None:
             needed.append((("engine", "gimbal_station_m"), self.engine.gimbal_station_m))
@@ -246,9 +253,7 @@ class Stage(Section):
         for n, table in enumerate(self.aero.coefficients if self.aero is not None else ()):
             if table.station_m is not None:
                 needed.append((("aero", "coefficients", n, "station_m"), table.station_m))
-        for modes in tables:
-            if modes is None:
-                continue
+        for _, modes in self.mode_tables():
             nose, tail = float(modes.station_m[0]), float(modes.station_m[-1])
             for key, station in needed:
                 if not nose <= station <= tail:

@@ -13,6 +13,7 @@ small-signal quantities of flight mechanics, whose time derivatives follow exact
     p, q, r        angular velocity relative to I, in B, rad/s
     actuators, gyros, gyro angles    as in the state
     eta, eta', xi, xi'               true rates: without the rotation of the bending plane with p
+    spatial, nu                      of spatial modes as in the state: the same where roll rate and modes are at rest
     per tank       angles atan2(u_z, -u_x), atan2(u_y, -u_x) and their rates, rad, rad/s
 
 Away from equilibrium (an accelerating rocket always is) a linear model depends on its coordinates; these are those of
@@ -139,11 +140,13 @@ class _Chart:
         pitch, yaw, tanks = (int(self._sizes[k]) for k in ("pitch_modes", "yaw_modes", "tanks"))
         self._eta = layout.N_FIXED + np.arange(pitch)
         self._xi = layout.N_FIXED + 2 * pitch + np.arange(yaw)
-        self._tanks = [layout.N_FIXED + 2 * (pitch + yaw) + layout.N_PENDULUM * k for k in range(tanks)]
+        first, spatial = int(layout.spatial_index(self._sizes)), int(self._sizes["spatial_modes"])
+        self._spatial = slice(first, first + 2 * spatial)
+        self._tanks = [int(layout.pendulum_index(self._sizes, k)) for k in range(tanks)]
         self._point = self._read(y)
-        self.names = self._named(pitch, yaw, tanks)
+        self.names = self._named(pitch, yaw, spatial, tanks)
         self.size = len(self.names)
-        self.steps = self._step_sizes(pitch, yaw, tanks)
+        self.steps = self._step_sizes(pitch, yaw, spatial, tanks)
 
     def motion(self, offset: Array, command: Array) -> Array:
         """Rates of the coordinates `offset` from the reference, then the outputs."""
@@ -163,7 +166,7 @@ class _Chart:
         eta_rate = y[self._eta + len(eta)] - w[0] * _padded(xi, len(eta))
         xi_rate = y[self._xi + len(xi)] + w[0] * _padded(eta, len(xi))
         parts = [y[layout.R_I : layout.R_I + 3], self._attitude.T @ over_ground, np.zeros(3), w]
-        parts += [y[layout.ACTUATOR : layout.N_FIXED], eta, eta_rate, xi, xi_rate]
+        parts += [y[layout.ACTUATOR : layout.N_FIXED], eta, eta_rate, xi, xi_rate, y[self._spatial]]
         for i in self._tanks:
             u = y[i : i + 3]
             u_rate = y[i + 3 : i + 6] - np.cross(w, u)
@@ -186,8 +189,10 @@ class _Chart:
         eta, eta_rate, xi, xi_rate = np.split(x[_FLEXIBLE : _FLEXIBLE + 2 * (n + m)], [n, 2 * n, 2 * n + m])
         y[self._eta], y[self._eta + n] = eta, eta_rate + w[0] * _padded(xi, n)
         y[self._xi], y[self._xi + m] = xi, xi_rate - w[0] * _padded(eta, m)
+        flexible = _FLEXIBLE + 2 * (n + m) + self._spatial.stop - self._spatial.start
+        y[self._spatial] = x[_FLEXIBLE + 2 * (n + m) : flexible]
         for k, i in enumerate(self._tanks):
-            pitch, pitch_rate, yaw, yaw_rate = x[_FLEXIBLE + 2 * (n + m) + 4 * k :][:4]
+            pitch, pitch_rate, yaw, yaw_rate = x[flexible + 4 * k :][:4]
             u, u_rate = _bob(pitch, pitch_rate, yaw, yaw_rate)
             y[i : i + 3], y[i + 3 : i + 6] = u, u_rate + np.cross(w, u)
         return y
@@ -205,6 +210,7 @@ class _Chart:
         parts = [dy[layout.R_I : layout.R_I + 3], attitude.T @ moving - np.cross(w, x[_V]), turning, w_rate]
         # eta' is taken from the simulator's derivative and not derived from the quasi-velocity here
         parts += [dy[layout.ACTUATOR : layout.N_FIXED], dy[self._eta], eta_accel, dy[self._xi], xi_accel]
+        parts.append(dy[self._spatial])
         for i in self._tanks:
             u, kappa = y[i : i + 3], y[i + 3 : i + 6]
             u_rate = dy[i : i + 3]
@@ -216,22 +222,24 @@ class _Chart:
         return np.concatenate(parts)
 
     @staticmethod
-    def _named(pitch: int, yaw: int, tanks: int) -> tuple[str, ...]:
+    def _named(pitch: int, yaw: int, spatial: int, tanks: int) -> tuple[str, ...]:
         names = ["x_I_m", "y_I_m", "z_I_m", "u_mps", "v_mps", "w_mps", "phi_rad", "theta_rad", "psi_rad"]
         names += ["p_radps", "q_radps", "r_radps"]
         names += layout.state_names(Sizes(pitch, yaw, tanks, 0))[layout.ACTUATOR : layout.N_FIXED]
         for symbol, count in (("eta", pitch), ("xi", yaw)):
             names += [f"{symbol}_{i + 1}_m" for i in range(count)]
             names += [f"{symbol}_{i + 1}_rate_mps" for i in range(count)]
+        for what in ("m", "rate_mps"):
+            names += [f"spatial_{i + 1}_{what}" for i in range(spatial)]
         for k in range(tanks):
             names += [f"slosh_{k + 1}_{p}{what}" for p in ("pitch", "yaw") for what in ("_rad", "_rate_radps")]
         return tuple(names)
 
     @staticmethod
-    def _step_sizes(pitch: int, yaw: int, tanks: int) -> Array:
+    def _step_sizes(pitch: int, yaw: int, spatial: int, tanks: int) -> Array:
         steps = [_STEP_R] * 3 + [_STEP_V] * 3 + [_STEP_TURN] * 3 + [_STEP_W] * 3
         steps += [_STEP_FLAT] * (_FLAT.stop - _FLAT.start)
-        for count in (pitch, yaw):
+        for count in (pitch, yaw, spatial):
             steps += [_STEP_BEND] * count + [_STEP_BEND_RATE] * count
         return np.array(steps + [_STEP_SLOSH] * (4 * tanks))
 

@@ -1,0 +1,127 @@
+"""Mode tables that cannot be right are refused, those that are unlikely are doubted; good ones pass in silence."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from flightkit import Parts, Tree, load, scenario_of, with_stage
+
+from maxq.sim.scenario.errors import ScenarioError
+from maxq.sim.scenario.loader import load_scenario
+
+LENGTH_M = 14.0
+STATIONS = np.linspace(0.0, LENGTH_M, 29)
+ROOTS = (4.730040744862704, 7.853204624095838, 10.995607838001671)
+
+
+def beam(n: int) -> tuple[np.ndarray, np.ndarray]:
+    """Shape and slope of mode n of a uniform free-free beam, 1 at the nose (Blevins, table 8-1)."""
+    root, x = ROOTS[n], STATIONS / LENGTH_M
+    k = (np.cosh(root) - np.cos(root)) / (np.sinh(root) - np.sin(root))
+    phi = np.cosh(root * x) + np.cos(root * x) - k * (np.sinh(root * x) + np.sin(root * x))
+    slope = np.sinh(root * x) - np.sin(root * x) - k * (np.cosh(root * x) + np.cos(root * x))
+    return phi / 2.0, root / LENGTH_M * slope / 2.0
+
+
+def rows(
+    change: Callable[[dict[str, float]], None] = lambda row: None, times: tuple[float, ...] = (0.0, 50.0)
+) -> list[Tree]:
+    """Two times of a uniform beam of 4200 kg; `change` alters a row."""
+    out = []
+    for time_s in times:
+        for n in range(3):
+            phi, slope = beam(n)
+            for x, value, turn in zip(STATIONS, phi, slope, strict=True):
+                row = {
+                    "time_s": time_s, "mode": n + 1, "frequency_hz": 9.0 * (ROOTS[n] / ROOTS[0]) ** 2,
+                    "generalized_mass_kg": 4200.0 / 4.0, "station_m": x, "phi": value, "slope_pm": turn,
+                    "mass_forward_kg": 4200.0 * x / LENGTH_M,
+                }  # fmt: skip  # eight lines otherwise
+                change(row)
+                out.append(row)
+    return out
+
+
+def planar(table: list[Tree]) -> Tree:
+    return with_stage(scenario_of(Parts()), bending={"pitch": table, "damping_ratio": [0.005] * 3})
+
+
+def spatial(table: list[Tree], weight: float = 1.0) -> Tree:
+    turned = []
+    for row in table:
+        phi, slope = row.pop("phi"), row.pop("slope_pm")
+        end = 0.5 if row["station_m"] in (0.0, LENGTH_M) else 1.0
+        mass = {"mass_kg": weight * end * 4200.0 / 28.0}
+        shape = {"phi_x": 0.0, "phi_y": -0.6 * phi, "phi_z": 0.8 * phi, "theta_x_pm": 0.0}
+        turned.append(row | shape | {"theta_y_pm": 0.8 * slope, "theta_z_pm": 0.6 * slope} | mass)
+    return with_stage(scenario_of(Parts()), spatial_modes={"table": turned, "damping_ratio": [0.005] * 3})
+
+
+def test_the_modes_of_a_beam_are_not_doubted() -> None:
+    for tree in (planar(rows()), spatial(rows())):
+        assert load(tree).doubts == ()
+    assert load_scenario("nominal").doubts == ()
+
+
+def flip_slope(row: dict[str, float]) -> None:
+    row["slope_pm"] = -row["slope_pm"]
+
+
+def flip_late(row: dict[str, float]) -> None:
+    if row["time_s"] > 0.0 and row["mode"] == 2:
+        row["phi"], row["slope_pm"] = -row["phi"], -row["slope_pm"]
+
+
+def swap_late(row: dict[str, float]) -> None:
+    if row["time_s"] > 0.0 and row["mode"] > 1:
+        row["mode"] = 5 - row["mode"]
+
+
+@pytest.mark.parametrize(
+    ("change", "problem"),
+    [
+        (flip_slope, "slope of mode 1 at time_s = 0 has the opposite sign"),
+        (flip_late, "mode 2 changes its sign between time_s = 0 and 50"),
+        (swap_late, "mode 2 becomes mode 3 between time_s = 0 and 50"),
+    ],
+)
+def test_impossible_shapes_are_refused(change: Callable[[dict[str, float]], None], problem: str) -> None:
+    for make in (planar, spatial):
+        with pytest.raises(ScenarioError, match=problem):
+            load(make(rows(change)))
+
+
+def test_masses_at_the_stations_must_fit() -> None:
+    with pytest.raises(ScenarioError, match="are 3.02 to 3.06 of the generalised masses"):
+        load(spatial(rows(), weight=3.0))
+    assert "are 1.21 to 1.22 of the generalised masses" in load(spatial(rows(), weight=1.2)).doubts[0]
+
+
+def halve(key: str, factor: float) -> Callable[[dict[str, float]], None]:
+    def change(row: dict[str, float]) -> None:
+        row[key] = factor * row[key]
+
+    return change
+
+
+def late_frequency(row: dict[str, float]) -> None:
+    row["frequency_hz"] *= 1.5 if row["time_s"] > 0.0 else 1.0
+
+
+def falling(row: dict[str, float]) -> None:
+    row["frequency_hz"] = 1000.0 / row["frequency_hz"]
+
+
+@pytest.mark.parametrize(
+    ("change", "doubt"),
+    [
+        (halve("slope_pm", 0.5), "deviates by 50 % from the shape's derivative"),
+        (halve("generalized_mass_kg", 1e-3), "at 0 s is 1.05 kg, where shape and mass_forward_kg give"),
+        (late_frequency, "Hz between 0 and 50 s"),
+        (falling, "frequencies of modes 1 and 2 at 0 s are not in rising order"),
+    ],
+)
+def test_unlikely_tables_are_doubted(change: Callable[[dict[str, float]], None], doubt: str) -> None:
+    assert any(doubt in text for text in load(planar(rows(change))).doubts)
