@@ -162,7 +162,7 @@ def local_flow(aero: Aero, sizes: Counts, s: int, flow: Vector, properties: Arra
         if sizes.spatial_modes > 0:
             turned = spatial_motion(sizes, properties, surface_place(sizes, s), work, SPATIAL_ETA)
             moving = spatial_motion(sizes, properties, surface_place(sizes, s), work, SPATIAL_NU)
-            v, w = v + (moving[1] - flow[0] * turned[5]), w + (moving[2] + flow[0] * turned[4])
+            v, w = v + (moving[1] - u * turned[5]), w + (moving[2] + u * turned[4])
     return u, v, w
 
 
