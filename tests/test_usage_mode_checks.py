@@ -94,7 +94,7 @@ def test_impossible_shapes_are_refused(change: Callable[[dict[str, float]], None
 
 
 def test_masses_at_the_stations_must_fit() -> None:
-    with pytest.raises(ScenarioError, match="are 3.02 to 3.06 of the generalised masses"):
+    with pytest.raises(ScenarioError, match=r"are 3\.02 to 3\.06 of the generalised masses"):
         load(spatial(rows(), weight=3.0))
     assert "are 1.21 to 1.22 of the generalised masses" in load(spatial(rows(), weight=1.2)).doubts[0]
 
