@@ -39,7 +39,7 @@ def one_minus_cosine(altitude_m, thickness_m, speed_mps, from_deg, edge_m):
 
 
 def gusty(*gusts):
-    return pack([pack_wind(schema.Wind(gust=gusts), Pool())])[0]
+    return pack([pack_wind(schema.Wind(gust=gusts), Pool(), 0.0)])[0]
 
 
 @pytest.mark.parametrize(
@@ -68,7 +68,7 @@ def test_profile_is_interpolated_held_and_scaled():
 def test_factor_leaves_the_gusts_alone():
     pool = Pool()
     wind = schema.Wind(speed_mps=10.0, from_deg=180.0, factor=3.0, gust=(shear(0.0, 1.0, 7.0, 180.0),))
-    row = pack([pack_wind(wind, pool)])[0]
+    row = pack([pack_wind(wind, pool, 0.0)])[0]
     assert wind_ned(row, pool.array(), 500.0) == pytest.approx((37.0, 0.0, 0.0), abs=1e-12)
 
 

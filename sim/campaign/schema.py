@@ -6,13 +6,21 @@ import math
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import Field, ValidatorFunctionWrapHandler, WrapValidator, model_validator
+from pydantic import (
+    BeforeValidator,
+    Field,
+    ValidationInfo,
+    ValidatorFunctionWrapHandler,
+    WrapValidator,
+    model_validator,
+)
 
 from maxq.sim.run.metrics import METRIC_NAMES
 from maxq.sim.scenario.documents import Text
 from maxq.sim.scenario.errors import refuse
 from maxq.sim.scenario.schema_environment import WIND_COLUMNS
 from maxq.sim.scenario.schema_values import NotNegative, Positive, Section, needs, only_with, optional
+from maxq.sim.scenario.soundings import each_sounding
 from maxq.sim.scenario.tables_csv import FILE_KEY, Columns, CsvTable
 
 WIND_MODEL_COLUMNS = Columns(
@@ -32,6 +40,11 @@ def _as_read(value: Any, usual: ValidatorFunctionWrapHandler) -> Any:
     return value if isinstance(value, Text) else usual(value)
 
 
+def _each_sounding(value: Any, info: ValidationInfo) -> Any:
+    return each_sounding(value, info.context, WIND_COLUMNS)
+
+
+Profiles = tuple[Annotated[CsvTable, WIND_COLUMNS], ...]
 Choice = Annotated[float | int | str, WrapValidator(_as_read)]
 
 
@@ -229,7 +242,9 @@ class WindModel(Section):
     )
     correlation_length_m: Positive | None = optional("vector: height over which the correlation falls to 1/e, m")
     factor: NotNegative = optional("vector: multiplies the standard deviations", 1.0)
-    profiles: tuple[Annotated[CsvTable, WIND_COLUMNS], ...] | None = optional("ensemble: CSV files as for wind.profile")
+    profiles: Annotated[Profiles | None, BeforeValidator(_each_sounding)] = optional(
+        "ensemble: files as for wind.profile; a folder: all files in it; a file of several soundings: each of them"
+    )
     order: Order = optional("ensemble: at random, or i for run i", "random")
 
     @model_validator(mode="after")

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from maxq.control.kernel.limits import MAX_GUSTS
+from maxq.control.kernel.records import Array
 from maxq.control.kernel.tables import NO_TABLE, Cubics, Pool, TableRef, fit
 from maxq.sim.packing.remembered import cached_by_identity
 from maxq.sim.scenario import schema_environment as schema
@@ -29,7 +31,7 @@ def pack_environment(scenario: Scenario, pool: Pool) -> Environment:
     return Environment(
         earth=pack_earth(scenario.earth),
         atmosphere=_atmosphere(scenario.atmosphere, pool),
-        wind=pack_wind(scenario.wind, pool),
+        wind=pack_wind(scenario.wind, pool, scenario.site.altitude_m),
         turbulence=_turbulence(scenario, pool),
         penetration=int(scenario.switches.gust_penetration),
         reach_m=scenario.vehicle.reference.length_m,
@@ -65,16 +67,16 @@ def _atmosphere(atmosphere: schema.Atmosphere, pool: Pool) -> air.Atmosphere:
     return replace(made, **_given(atmosphere, "density_kgpm3", "pressure_Pa", "temperature_K"))
 
 
-def pack_wind(wind: schema.Wind, pool: Pool) -> winds.Wind:
+def pack_wind(wind: schema.Wind, pool: Pool, ground_m: float) -> winds.Wind:
     columns = np.zeros((6, MAX_GUSTS))
     for i, g in enumerate(wind.gust):
         north, east, _ = winds.wind_components(g.speed_mps, g.from_deg)[0]
         columns[:, i] = _GUSTS[g.kind], g.altitude_m, g.thickness_m, g.edge_m or 0.0, north, east
     kinds = columns[0].astype(np.int64)
-    return winds.Wind(_wind_profile(wind, pool), wind.factor, len(wind.gust), kinds, *columns[1:])
+    return winds.Wind(_wind_profile(wind, pool, ground_m), wind.factor, len(wind.gust), kinds, *columns[1:])
 
 
-def _wind_profile(wind: schema.Wind, pool: Pool) -> TableRef:
+def _wind_profile(wind: schema.Wind, pool: Pool, ground_m: float) -> TableRef:
     if wind.speed_mps is not None and wind.from_deg is not None:
         return pool.add(fit([0.0], winds.wind_components(wind.speed_mps, wind.from_deg).reshape(1, 3)))
     if wind.profile is None:
@@ -85,7 +87,36 @@ def _wind_profile(wind: schema.Wind, pool: Pool) -> TableRef:
         columns[:, 2] = table.get("down_mps")
     else:
         columns = np.stack([table["north_mps"], table["east_mps"], table.get("down_mps")], axis=1)
-    return pool.add(fit(table["altitude_m"], columns, wind.interpolation))
+    altitude_m = table["altitude_m"]
+    if wind.ground is not None:
+        altitude_m, columns = _to_the_ground(wind.ground, altitude_m, columns, ground_m)
+    return pool.add(fit(altitude_m, columns, wind.interpolation))
+
+
+# straight lines between them are within 1 % of both laws from a hundredth of the height up
+_SHEAR_ROWS = np.concatenate([[0.0, 0.002, 0.005], np.geomspace(0.01, 1.0, 21)])
+
+
+def _to_the_ground(
+    shear: schema.GroundShear, altitude_m: Array, columns: Array, ground_m: float
+) -> tuple[Array, Array]:
+    """The profile with rows of a shear law below its lowest level, or below the wind measured near the ground."""
+    height, lowest = altitude_m - ground_m, shear.height_m
+    if shear.speed_mps is not None and shear.from_deg is not None:
+        kept = height > lowest
+        reference = winds.wind_components(shear.speed_mps, shear.from_deg)[0]
+    else:
+        first = min(int(np.searchsorted(height, 0.0)), len(height) - 1)  # levels below the ground do not count
+        lowest, reference = max(lowest, float(height[first])), columns[first]
+        kept = height > lowest
+    below = lowest * _SHEAR_ROWS
+    if shear.law == "power":
+        share = (below / lowest) ** (1.0 / 7.0 if shear.exponent is None else shear.exponent)
+    else:
+        roughness_m = 0.03 if shear.roughness_m is None else shear.roughness_m
+        share = np.log1p(below / roughness_m) / math.log1p(lowest / roughness_m)
+    rows = share[:, None] * reference
+    return np.append(ground_m + below, altitude_m[kept]), np.concatenate([rows, columns[kept]])
 
 
 def _turbulence(scenario: Scenario, pool: Pool) -> gusts.Turbulence:

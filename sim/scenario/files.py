@@ -7,6 +7,7 @@ import os
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 from maxq.sim.scenario.builtin import FOLDERS, builtin_files, scenarios_folder
 from maxq.sim.scenario.documents import Array, Source, Table, Text, drop, merge, parse
@@ -133,6 +134,7 @@ class Reading:
 
     known_metrics: tuple[str, ...] | None = None
     files: dict[Path, ReadFile] = field(default_factory=dict)
+    soundings: dict[str, Any] = field(default_factory=dict)  # of wind files that hold them, see soundings.py
 
     def text(self, path: Path, label: str, what: str) -> str:
         """Content of a file as text; noted among `files`. `what` names what was expected."""
@@ -159,6 +161,16 @@ class Reading:
             raise refuse(*_not_found(name, "a CSV file", TABLE_VARIANTS))
         label = shown(path)
         return label, self.text(path, label, "a CSV file")
+
+    def files_in(self, name: Text) -> list[Text]:
+        """The files in a folder, in the order of their names; `name` itself where it is no folder."""
+        for folder in name.source.folders:
+            if kind(folder / name) == "folder":
+                found = [Text(f"{name}/{p.name}") for p in sorted((folder / name).iterdir()) if kind(p) == "file"]
+                for text in found:
+                    text.source = name.source
+                return found
+        return [name]
 
     def document(self, path: Path, label: str, role: str, chain: tuple[Path, ...] = ()) -> Table:
         """The document in a file, with what it extends below it. `role` is a kind of WANTED."""

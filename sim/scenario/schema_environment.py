@@ -10,6 +10,7 @@ from maxq.control.kernel.limits import MAX_GUSTS
 from maxq.sim.scenario.errors import refuse
 from maxq.sim.scenario.schema_values import (
     Angle,
+    Fraction,
     Latitude,
     Longitude,
     NotNegative,
@@ -20,6 +21,7 @@ from maxq.sim.scenario.schema_values import (
     only_with,
     optional,
 )
+from maxq.sim.scenario.soundings import WindColumns
 from maxq.sim.scenario.tables_csv import Columns, CsvTable
 
 ATMOSPHERE_COLUMNS = Columns(
@@ -27,7 +29,7 @@ ATMOSPHERE_COLUMNS = Columns(
     sets=(("density_kgpm3", "temperature_K", "pressure_Pa"),),
     positive=("temperature_K", "density_kgpm3", "pressure_Pa"),
 )
-WIND_COLUMNS = Columns(
+WIND_COLUMNS = WindColumns(
     "altitude_m",
     sets=(("speed_mps", "from_deg"), ("north_mps", "east_mps")),
     optional=("down_mps",),
@@ -170,10 +172,37 @@ class Turbulence(Section):
         return self
 
 
+class GroundShear(Section):
+    """Wind between the ground and the lowest level of the profile, in the direction that it has there."""
+
+    law: Literal["power", "log"] = Field(
+        description="speed over the height h above the site: power: h^exponent; log: ln(1 + h / roughness_m)"
+    )
+    exponent: Fraction | None = optional("power (default 1/7)")
+    roughness_m: Positive | None = optional("log: roughness length, m (default 0.03, open grass)")
+    height_m: Positive = optional(
+        "height above the site of speed_mps; without it the least height at which the lowest level counts as "
+        "measured: a surface report gives that of the station",
+        10.0,
+    )
+    speed_mps: NotNegative | None = optional("measured at height_m; levels of the profile below are left out, m/s")
+    from_deg: Angle | None = optional("direction it blows from, deg from north through east")
+
+    @model_validator(mode="after")
+    def _check(self) -> GroundShear:
+        only_with(self, ("exponent",), self.law == "power", "law = 'power'")
+        only_with(self, ("roughness_m",), self.law == "log", "law = 'log'")
+        for key, other in (("speed_mps", "from_deg"), ("from_deg", "speed_mps")):
+            if getattr(self, key) is not None:
+                needs(self, other, f"{key} is given", "a number")
+        return self
+
+
 class Wind(Section):
     """Motion of the air relative to the Earth."""
 
     profile: Annotated[CsvTable, WIND_COLUMNS] | None = optional("wind over altitude")
+    ground: GroundShear | None = optional("absent: the lowest level of the profile holds to the ground")
     speed_mps: NotNegative | None = optional("constant wind, m/s, instead of a profile")
     from_deg: Angle | None = optional("direction it blows from, deg from north through east")
     interpolation: Literal["linear", "pchip"] = optional("between the rows of the profile", "linear")
@@ -188,6 +217,7 @@ class Wind(Section):
     def _check(self) -> Wind:
         at_most_one(self, ("profile", "speed_mps"))
         at_most_one(self, ("profile", "from_deg"))
+        only_with(self, ("ground",), self.profile is not None, "profile")
         if self.speed_mps is not None:
             needs(self, "from_deg", "speed_mps is given", "a number -360 .. 360")
         if self.from_deg is not None:

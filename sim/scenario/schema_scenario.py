@@ -366,6 +366,8 @@ class Scenario(Section):
 
     def _check_wind(self) -> None:
         profile = self.wind.profile
+        if self.wind.ground is not None:
+            return
         if profile is not None and self.wind.outside == "error" and profile["altitude_m"][0] > self.site.altitude_m:
             raise profile.refusal(
                 "the profile begins above the site",

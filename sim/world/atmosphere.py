@@ -89,6 +89,17 @@ class Atmosphere:
     density_factor: float = 1.0
 
 
+def pressure_altitude(pressure_Pa: Array) -> Array:
+    """Geometric altitude (n,), m, at which the standard atmosphere has these pressures, to its 71 km; nan stays nan."""
+    i = np.clip(np.searchsorted(-_pressure, -pressure_Pa, side="right") - 1, 0, len(_pressure) - 1)
+    lapse, fall = _lapse[i], pressure_Pa / _pressure[i]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        linear = _temperature[i] * (fall ** (-lapse / _G0_OVER_R_Kpm) - 1.0) / lapse
+    isothermal = -np.log(fall) * _temperature[i] / _G0_OVER_R_Kpm
+    geopotential = _base[i] + np.where(lapse == 0.0, isothermal, linear)
+    return np.asarray(GEOPOTENTIAL_RADIUS_m * geopotential / (GEOPOTENTIAL_RADIUS_m - geopotential))
+
+
 def air_table(
     altitude_m: ArrayLike,
     density_kgpm3: ArrayLike,

@@ -36,6 +36,11 @@ files too, and they name tables in CSV files. Units are in the keys. Unknown key
 - **CSV files**: one line of column names, numbers separated by commas; lines that begin with `#` are
   skipped. A table with a single row is constant. Tables over time begin at or before 0 and reach to the end
   of thrust; gains are held outside their table.
+- **Soundings**: `wind.profile` and the profiles of an ensemble may name a sounding as it comes: University of Wyoming
+  (text, HTML page, CSV), IGRA version 2, or CSV with units in the column names (`altitude_ft`, `geopotential
+  height_m` or `pressure_hPa`; `speed_kt` and `wind direction_degree`, or `u_m/s` and `v_m/s`; other columns are passed
+  over). Rows may be in any order and have gaps; heights that are missing follow from pressure. `station.txt#12` is the
+  twelfth sounding of a file.
 - **`extends = "nominal.toml"`** (also in vehicle and design files): this file lies on top of the other one,
   table by table and key by key; lists and lists of tables are replaced as a whole. `unset =
   ["wind.profile"]` takes away keys of the extended file. The name is not inherited.
