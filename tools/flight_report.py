@@ -6,6 +6,7 @@ import math
 from pathlib import Path
 
 from maxq.sim.run.fly import DIVERGED_NAME, Flight
+from maxq.sim.run.integration import worst_error
 from maxq.sim.run.metrics import Verdict, unit_of
 from maxq.tools.cli.terminal import aligned, printable
 
@@ -24,6 +25,8 @@ def report(flight: Flight, files: list[Path], total_s: float) -> str:
     parts = [[title], _events(flight), _metrics(flight), _requirements(flight.verdicts)]
     if flight.outcome == DIVERGED_NAME:
         parts.append(_state(flight))
+    error = worst_error(scenario)
+    parts.append([f"warning: {printable(error.text)}"] if error is not None and error.text else [])
     parts.append(_timing(flight, files, total_s))
     parts.append([verdict_line(flight)])
     return "\n\n".join("\n".join(part) for part in parts if part)

@@ -23,6 +23,7 @@ from maxq.sim.log import foxglove
 from maxq.sim.log.head import Attachment, LogError, RunHead
 from maxq.sim.log.writer import LogWriter
 from maxq.sim.run.fly import CONTROL_LOST_NAME, DIVERGED_NAME, FAULT_NAME, Event, Flight, FlightRun, Rows, copied
+from maxq.sim.run.integration import MethodError, worst_error
 from maxq.sim.run.launch_frames import LaunchFrames, LaunchSite
 from maxq.sim.run.metrics import unit_of
 from maxq.sim.scenario.loader import LoadedScenario, to_toml
@@ -233,6 +234,7 @@ def write_summary(path: Path, flight: Flight, log: str | None, timing: dict[str,
         "final": {name: _number(value) for name, value in flight.final.items()},
         "state_hash": flight.state_hash,
         "steps": flight.steps,
+        "integration": _integration(worst_error(scenario)),
         "seed": scenario.run.seed,
         "log": log,
         "timing": {"flight_s": flight.wall_s} | timing,
@@ -240,6 +242,18 @@ def write_summary(path: Path, flight: Flight, log: str | None, timing: dict[str,
     }
     text = json.dumps(summary, indent=2, ensure_ascii=False, allow_nan=False)
     write_whole(path, text + "\n", LogError)
+
+
+def _integration(error: MethodError | None) -> dict[str, object] | None:
+    """What the method does to the oscillation that it changes the most."""
+    if error is None:
+        return None
+    return error.oscillation._asdict() | {
+        "step_s": error.step_s,
+        "added_damping_ratio": error.added_damping_ratio,
+        "frequency_error": error.frequency_error,
+        "warning": error.text,
+    }
 
 
 def _number(value: float) -> float | None:

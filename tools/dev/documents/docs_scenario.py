@@ -58,6 +58,32 @@ Times marked "whole ns" must be whole numbers of nanoseconds. *required* marks k
 """
 
 
+_VALIDITY = """\
+## Where the environment models hold
+
+| key | holds | beyond |
+|---|---|---|
+| `earth.shape` `wgs84`, `sphere` | everywhere; altitude is geodetic, or above the sphere | |
+| `earth.shape` `flat` | while the distance flown is small beside the Earth's radius | the same plane |
+| `earth.gravity` `j2` | outside the Earth; left out are harmonics beyond J2 (1e-6 of gravity each), local anomalies \
+(to 1e-4), Moon and Sun | the same formula |
+| `earth.gravity` `inverse_square`, `uniform` | while J2 (1e-3) does not matter; at small altitudes | the same |
+| `atmosphere.model` `us1976` | -5 to 1000 km: a steady mean year at 45 deg; the thermosphere varies with the Sun by \
+factors | below, the values at -5 km; above, no air |
+| `atmosphere.model` `table` | its rows | below, the first row; above, isothermal from the last |
+| `wind.profile` | its rows | the end rows, or a failure (`wind.outside`) |
+| `wind.ground` | a neutral surface layer, some 100 m above the site | used below the profile only |
+| `wind.turbulence` `dryden`, `von-karman` | MIL-F-8785C: 10 to 1000 ft above the site by the surface wind, 2000 to \
+80,000 ft by exceedance, linear between | the end values; no dependence on weather or terrain |
+| the same, `frame = "body"` | where the nose points along the path and intensities are alike in all directions: \
+aircraft, and rockets above 1000 ft | near the ground a vertical vehicle's pitch axis gets the weak vertical component |
+| the same, `frame = "horizontal"` | any attitude but vertical descent | |
+| `wind.turbulence` `spectrum` | between its wave numbers, at the altitudes that its source says | the same everywhere |
+
+Turbulence is drawn at 100 Hz and joined by straight lines: waves shorter than the way flown in 40 ms are weakened.
+"""
+
+
 def page() -> str:
     """The page in Markdown."""
     parts = [_INTRODUCTION]
@@ -69,7 +95,7 @@ def page() -> str:
         parts.append(f"## {title}\n")
         parts.append("\n".join(_section(model, name)))
     parts.append("\n".join(_ranges()))
-    return "\n".join(parts).rstrip() + "\n"
+    return "\n".join([*parts, _VALIDITY]).rstrip() + "\n"
 
 
 def _ranges() -> Iterator[str]:

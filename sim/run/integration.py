@@ -1,0 +1,108 @@
+"""What the Runge-Kutta method adds by itself to the vehicle's fast oscillations.
+
+An oscillation exp(s t) becomes R(s h) a step, R(z) = 1 + z + z^2/2 + z^3/6 + z^4/24, that is exp(s' t) with
+s' = ln R(s h) / h. For an undamped one of w rad/s the damping ratio grows by (w h)^5 / 144 and the frequency falls by
+(w h)^4 / 120 of itself, to leading order; from w h = 2.83 on it grows without bound.
+"""
+
+from __future__ import annotations
+
+import cmath
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import NamedTuple
+
+from maxq.sim.scenario.modes import ModeTable, SpatialModeTable
+from maxq.sim.scenario.schema_scenario import Scenario
+from maxq.sim.scenario.schema_vehicle import Bending, SpatialModes, Stage
+
+SHARE = 0.1
+"""Of an oscillation's own damping ratio: what the method may add before it is said."""
+_LEAST = 1e-5  # damping ratio that is not worth saying, whatever its share
+
+
+class Oscillation(NamedTuple):
+    """A pair of poles as the files give it: uncoupled, unsoftened, at its highest frequency of the flight."""
+
+    name: str
+    frequency_hz: float
+    damping_ratio: float
+
+
+@dataclass(frozen=True)
+class MethodError:
+    """What a step of `step_s` does to an oscillation; `frequency_error` is relative."""
+
+    oscillation: Oscillation
+    step_s: float
+    added_damping_ratio: float
+    frequency_error: float
+
+    @property
+    def share(self) -> float:
+        """Of the added damping ratio in the oscillation's own; negative where the method takes damping away."""
+        own = self.oscillation.damping_ratio
+        return self.added_damping_ratio / own if own > 0.0 else math.copysign(math.inf, self.added_damping_ratio)
+
+    @property
+    def text(self) -> str:
+        """A sentence for people where more than SHARE is added; else empty."""
+        if abs(self.added_damping_ratio) <= max(SHARE * self.oscillation.damping_ratio, _LEAST):
+            return ""
+        o, added = self.oscillation, self.added_damping_ratio
+        verb = "adds {:.2g} to" if added > 0.0 else "takes {:.2g} from"
+        return (
+            f"the integrator {verb.format(abs(added))} the damping ratio {o.damping_ratio:g} of {o.name} "
+            f"({o.frequency_hz:.4g} Hz) at run.step_s = {self.step_s:g}"
+        )
+
+
+def method_error(oscillation: Oscillation, step_s: float) -> MethodError:
+    """Of the classical Runge-Kutta method, for a damping ratio below 1. Source: Hairer & Wanner, Solving Ordinary
+    Differential Equations II, section IV.2 (stability function).
+    """
+    w, zeta = 2.0 * math.pi * oscillation.frequency_hz, oscillation.damping_ratio
+    z = complex(-zeta, math.sqrt(1.0 - zeta * zeta)) * w * step_s
+    s = cmath.log(1.0 + z * (1.0 + z / 2.0 * (1.0 + z / 3.0 * (1.0 + z / 4.0)))) / step_s
+    return MethodError(oscillation, step_s, -s.real / abs(s) - zeta, abs(s) / w - 1.0)
+
+
+def worst_error(scenario: Scenario) -> MethodError | None:
+    """The oscillation of which the method changes the damping by the largest share; None where nothing oscillates."""
+    errors = [method_error(o, scenario.run.step_s) for o in oscillations(scenario) if o.damping_ratio < 1.0]
+    return max(errors, key=lambda error: (abs(error.share), abs(error.added_damping_ratio)), default=None)
+
+
+def oscillations(scenario: Scenario) -> Iterator[Oscillation]:
+    """Modes, actuators and gyro of all stages, as far as they are switched on."""
+    several = len(scenario.vehicle.stage) > 1
+    for number, stage in enumerate(scenario.vehicle.stage, start=1):
+        for name, frequency_hz, zeta in _of_stage(scenario, stage):
+            yield Oscillation(name + (f" (stage {number})" if several else ""), frequency_hz, zeta)
+
+
+def _of_stage(scenario: Scenario, stage: Stage) -> Iterator[tuple[str, float, float]]:
+    switches = scenario.switches
+    if switches.bending and stage.bending is not None:
+        yield from _modes("pitch mode", stage.bending, stage.bending.pitch_modes)
+        yield from _modes("yaw mode", stage.bending, stage.bending.yaw_modes)
+    if switches.bending and stage.spatial_modes is not None:
+        yield from _modes("spatial mode", stage.spatial_modes, stage.spatial_modes.modes)
+    if stage.actuator is not None and switches.actuator != "ideal":
+        for plane, axis in zip(("pitch", "yaw"), stage.actuator.axes, strict=True):
+            last = 3 if axis.exchange_a3_a4 else 2  # of a3 and a4 one is a pair of zeros
+            for k in (0, 1, last)[: len(axis.omega_hz)]:
+                yield f"{plane} actuator, a{k + 1}", axis.omega_hz[k], axis.zeta[k]
+    if stage.gyro is not None and switches.gyro != "ideal":
+        yield "gyro", stage.gyro.omega_hz, stage.gyro.zeta
+
+
+def _modes(
+    name: str, given: Bending | SpatialModes, table: ModeTable | SpatialModeTable | None
+) -> Iterator[tuple[str, float, float]]:
+    """At each mode's highest frequency."""
+    highest = [] if table is None else table.frequency_hz.max(axis=0).tolist()
+    factors = zip(highest, given.frequency_factor, given.damping_ratio, strict=False)
+    for number, (frequency_hz, factor, zeta) in enumerate(factors, start=1):
+        yield f"{name} {number}", factor * frequency_hz, zeta
