@@ -135,8 +135,8 @@ def test_command_knows_nothing_of_the_future(start_s: float) -> None:
         a, b = run.memory, other.memory
         if now <= start_s:
             assert np.array_equal(disturbed.y, calm.y)
-        pending = (float(a.clock.pending_pitch_rad), float(b.clock.pending_pitch_rad))
-        held = (float(a.held.command_pitch_rad), float(b.held.command_pitch_rad))
+        pending = (float(a.clock.pending_rad[0]), float(b.clock.pending_rad[0]))
+        held = (float(a.held.command_rad[0]), float(b.held.command_rad[0]))
         if now <= sample_s + 1e-9:  # a segment ends before the sample at its end is taken
             assert pending[0] == pending[1]
         elif pending[0] != pending[1]:

@@ -54,7 +54,7 @@ def test_deflected_thrust_pushes_and_turns(plane: int) -> None:
     parts = Parts(thrust_N=1.0e5)
     made = rig(ideal(parts))
     angle = 0.05
-    made.held["command_pitch_rad" if plane == PITCH else "command_yaw_rad"] = angle
+    made.held["command_rad"][plane] = angle
     felt, alpha = answer(made)
     assert np.isclose(felt[ALONG[plane]], SIGN[plane] * 1.0e5 * math.sin(angle) / 4000.0, rtol=1e-12)
     assert np.isclose(alpha[ABOUT[plane]], 1.0e5 * math.sin(angle) * 5.0 / 5.0e4, rtol=1e-12)
@@ -117,7 +117,7 @@ def test_displaced_gimbal_gives_thrust_an_arm(plane: int) -> None:
 def test_deflected_thrust_bends_the_body(plane: int) -> None:
     parts = Parts(thrust_N=1.0e5, **planes(MOVED))
     made = rig(ideal(parts))
-    made.held["command_pitch_rad" if plane == PITCH else "command_yaw_rad"] = 0.05
+    made.held["command_rad"][plane] = 0.05
     dy = made.derivative(made.y)
     wanted = SIGN[plane] * 0.6 * 1.0e5 * math.sin(0.05) / 500.0
     assert np.isclose(dy[mode_index(made, plane) + 1], wanted, rtol=1e-12)

@@ -272,7 +272,7 @@ def _with_spatial(vehicle: Any, sizes: Any, props: Array, plane: Plane, of_plane
         return np.array([at(first + i, component) for i in range(count)]).reshape(count, n).T
 
     tanks, surfaces = int(sizes.tanks), int(sizes.surfaces)
-    gimbal, gyro_at = schedule.gimbal_place(sizes), schedule.GYRO_PLACE
+    gimbal, gyro_at = schedule.gimbal_place(sizes, 0), schedule.GYRO_PLACE
     tank, surface = schedule.tank_place(0), schedule.surface_place(sizes, 0)
     softening = np.array([row(schedule.spatial_softening_row(sizes, i)) for i in range(n)])
     both = np.zeros((n + k, n + k))
@@ -295,15 +295,15 @@ def _with_spatial(vehicle: Any, sizes: Any, props: Array, plane: Plane, of_plane
 
 def _engine(vehicle: Any, vacuum_thrust_N: float) -> GimballedEngine:
     e = vehicle.engine
-    mass, arm = float(e.gimballed_mass_kg), float(e.cg_from_gimbal_m)
+    mass, arm = float(e.gimballed_mass_kg[0]), float(e.cg_from_gimbal_m[0])
     return GimballedEngine(
-        vacuum_thrust_N=float(e.thrust_factor) * vacuum_thrust_N,
-        exit_area_m2=float(e.exit_area_m2),
-        gimbal_station_m=float(e.gimbal_station_m),
-        exit_station_m=float(e.exit_station_m),
+        vacuum_thrust_N=float(e.thrust_factor[0]) * vacuum_thrust_N,
+        exit_area_m2=float(e.exit_area_m2[0]),
+        gimbal_station_m=float(e.gimbal_station_m[0]),
+        exit_station_m=float(e.exit_station_m[0]),
         gimballed_mass_kg=mass,
         cg_from_gimbal_m=arm,
-        inertia_about_gimbal_kgm2=float(e.inertia_kgm2) + mass * arm * arm,
+        inertia_about_gimbal_kgm2=float(e.inertia_kgm2[0]) + mass * arm * arm,
         follower=bool(vehicle.follower_thrust),
     )
 

@@ -11,6 +11,7 @@ import math
 from maxq.control.attitude import whole_error
 from maxq.control.computer import computer_tick
 from maxq.control.kernel.jit import kernel, routine
+from maxq.control.kernel.limits import MAX_ENGINES
 from maxq.control.kernel.noise import standard_normal
 from maxq.control.kernel.records import Array
 from maxq.control.kernel.vectors import cross, rotate, rotation_from_quaternion, vector_at
@@ -28,12 +29,12 @@ from maxq.sim.flight.parameters import (
     Parameters,
 )
 from maxq.sim.vehicle.actuator import after_backlash
-from maxq.sim.vehicle.block import Q_BI, R_I, V_I, W_BI_B
-from maxq.sim.vehicle.engine import thrust
+from maxq.sim.vehicle.block import Q_BI, R_I, V_I, W_BI_B, counts
+from maxq.sim.vehicle.engine import total_thrust
 from maxq.sim.vehicle.environment import climb_rate, flight_direction
 from maxq.sim.vehicle.faults import ANY_FAULT, GYRO_WALK
 from maxq.sim.vehicle.gyro import GYRO_STREAM
-from maxq.sim.vehicle.schedule import CORE_CG, THRUST_VACUUM, TOTAL_MASS
+from maxq.sim.vehicle.schedule import CORE_CG, TOTAL_MASS
 from maxq.sim.vehicle.state import GYRO_ANGLE, start_states
 from maxq.sim.vehicle.workspace import AIRSPEED, ALTITUDE, AXIAL_LOAD, DYNAMIC_PRESSURE, FLOW, PRESSURE
 from maxq.sim.world.gust_history import history_tick
@@ -97,12 +98,13 @@ def apply_due_command(p: Parameters, memory: Memory) -> None:
     """
     clock, held = memory.clock, memory.held
     if clock.now_ns >= clock.command_due_ns:
-        if clock.stage_burnout_ns[clock.stage] >= 0:
-            clock.pending_pitch_rad, clock.pending_yaw_rad = 0.0, 0.0
-        held.command_pitch_rad = after_backlash(
-            p.vehicle.actuator_pitch, held.command_pitch_rad, clock.pending_pitch_rad
-        )
-        held.command_yaw_rad = after_backlash(p.vehicle.actuator_yaw, held.command_yaw_rad, clock.pending_yaw_rad)
+        command, pending = held.command_rad, clock.pending_rad
+        for group in range(1 + p.vehicle.sizes.further_groups):
+            i = 2 * group
+            if clock.stage_burnout_ns[clock.stage] >= 0:
+                pending[i], pending[i + 1] = 0.0, 0.0
+            command[i] = after_backlash(p.vehicle.actuator_pitch, command[i], pending[i])
+            command[i + 1] = after_backlash(p.vehicle.actuator_yaw, command[i + 1], pending[i + 1])
         held.roll_torque_Nm = p.vehicle.roll_torque_Nm * clock.pending_roll
         clock.command_due_ns = NEVER
 
@@ -132,8 +134,9 @@ def sample_computer(p: Parameters, pool: Array, memory: Memory, y: Array) -> Non
         p.computer, pool, memory.computer, 1e-9 * now, memory.increment_rad, memory.rate_injection_radps,
         memory.rate_replaces, memory.gimbal_injection_rad, memory.gimbal_replaces,
     )  # fmt: skip  # seven more lines otherwise
-    clock.pending_pitch_rad = memory.computer.command_rad[0]
-    clock.pending_yaw_rad = memory.computer.command_rad[1]
+    for group in range(1 + p.vehicle.sizes.further_groups):
+        clock.pending_rad[2 * group] = memory.computer.command_rad[0]
+        clock.pending_rad[2 * group + 1] = memory.computer.command_rad[1]
     clock.pending_roll = memory.computer.roll.demand
     clock.command_due_ns = now + p.computer.delay_ns
 
@@ -184,7 +187,7 @@ def advance_schedule(p: Parameters, pool: Array, memory: Memory) -> None:
 def event_function(p: Parameters, event: int, y: Array, properties: Array, aux: Array) -> float:
     """A number that turns positive as `event` happens; `aux` is that of the start of the step."""
     if event == LIFTOFF:
-        thrust_N = thrust(p.vehicle.engine, properties[THRUST_VACUUM], aux[PRESSURE])
+        thrust_N = total_thrust(p.vehicle.engine, counts(p.vehicle.sizes), properties, aux[PRESSURE])
         surplus_N: float = thrust_N - properties[TOTAL_MASS] * aux[AXIAL_LOAD]
         return surplus_N
     altitude, climb = climb_rate(p.environment.earth, y)
@@ -221,7 +224,8 @@ def transfer_state(before: Parameters, after: Parameters, memory: Memory, old: A
     for j in range(3):
         y[R_I + j] += shift_I[j]
         y[V_I + j] += velocity_I[j]
-    memory.held.command_pitch_rad, memory.held.command_yaw_rad = 0.0, 0.0
+    for channel in range(2 * MAX_ENGINES):
+        memory.held.command_rad[channel] = 0.0
     memory.held.roll_torque_Nm, memory.held.burning = 0.0, 0
     start_states(after.vehicle.sizes, rate, 1, y)
     record_event(before, memory, SEPARATION, memory.clock.now_ns)

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Annotated
 
 from maxq.control.computer import Computer, ComputerState
-from maxq.control.kernel.limits import MAX_STAGES
+from maxq.control.kernel.limits import MAX_ENGINES, MAX_STAGES
 from maxq.control.kernel.records import Array, IntArray
 from maxq.sim.flight.faults import FaultMemory, Faults
 from maxq.sim.flight.injection import Injections
@@ -73,8 +73,7 @@ class Clock:
     next_break_ns: int  # of the schedule
     next_sample_ns: int
     command_due_ns: int  # when the pending command takes effect
-    pending_pitch_rad: float
-    pending_yaw_rad: float
+    pending_rad: Annotated[Array, (2 * MAX_ENGINES,)]
     pending_roll: int
     next_gust_ns: int
     samples: int  # of the gyro, for its noise

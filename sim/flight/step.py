@@ -12,7 +12,7 @@ from maxq.sim.flight.injection import BODY_FORCE, BODY_TORQUE, total_signal
 from maxq.sim.flight.parameters import Memory, Parameters
 from maxq.sim.vehicle.block import counts
 from maxq.sim.vehicle.derivative import derivative, derive_properties
-from maxq.sim.vehicle.schedule import CORE_CG, THRUST_VACUUM
+from maxq.sim.vehicle.schedule import CORE_CG, thrust_column
 from maxq.sim.vehicle.state import MAX_STATE, restore_constraints, state_size
 from maxq.sim.vehicle.workspace import AUX_SIZE, CROSSFLOW_PART, PART_WIND, PROPERTIES_SIZE, WORK_SIZE, Evaluation
 from maxq.sim.world.gust_history import gust_behind
@@ -76,7 +76,9 @@ def read_schedule(p: Parameters, pool: Array, memory: Memory, now_ns: int, elaps
     interpolate_into(pool, p.vehicle.schedule, memory.clock.interval, clock_s, properties, 0)
     derive_properties(p.vehicle, pool, clock_s, properties)
     if memory.held.burning == 0:
-        properties[THRUST_VACUUM] = 0.0
+        sizes = counts(p.vehicle.sizes)
+        for curve in range(sizes.thrust_curves):
+            properties[thrust_column(sizes, curve)] = 0.0
 
 
 @routine

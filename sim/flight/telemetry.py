@@ -75,7 +75,7 @@ def fill_fast(p: Parameters, logged: Sizes, memory: Memory, props: Array, y: Arr
         row,
         0,
         FastRow(
-            actuator=actuator_row(memory.held.command_pitch_rad, memory.held.command_yaw_rad, aux),
+            actuator=actuator_row(memory.held.command_rad[0], memory.held.command_rad[1], aux),
             gyro=gyro_row(y, GYRO, memory.held.faults, aux),
             control=control_row(memory.computer),
         ),

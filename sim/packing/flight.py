@@ -112,8 +112,8 @@ def _timeline(scenario: Scenario, stage: Stage, stage_start_ns: int) -> StageTim
 def _burn(stage: Stage, stage_start_ns: int) -> tuple[int, int]:
     """Ignition and burn-out; a single row of thrust burns for ever, no engine never."""
     ignition_ns = stage_start_ns + round(NS_PER_S * stage.ignition_s)
-    if stage.engine is None:
+    if not stage.engines:
         return NEVER, NEVER
-    if len(stage.engine.table) == 1:
+    if any(len(engine.table) == 1 for engine in stage.engines):
         return ignition_ns, NEVER
     return ignition_ns, stage_start_ns + round(NS_PER_S * thrust_end_s(stage) / burn_rate(stage))

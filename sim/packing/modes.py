@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 
 from maxq.control.kernel.records import Array
 from maxq.control.kernel.tables import fit, hermite
+from maxq.sim.packing.engines import Mount
 from maxq.sim.scenario.errors import refuse
 from maxq.sim.scenario.modes import ModeTable, SpatialModeTable
 
@@ -20,11 +21,10 @@ _GAUSS_NODES, _GAUSS_WEIGHTS = np.polynomial.legendre.leggauss(4)
 class Places(NamedTuple):
     """Stations (m) at which modes act or are felt."""
 
-    gimbal_m: float
+    mounts: tuple[Mount, ...]  # of engines
     gyro_m: float
     hinges_m: tuple[bytes, ...]  # of each tank at each time (T,), as bytes
     surfaces_m: tuple[float, ...]
-    hanging_kgm: float  # first moment of the engine that hangs on the gimbal
 
 
 class ModeShapes:
@@ -60,28 +60,38 @@ class ModeShapes:
 def mode_values(table: ModeTable, shape: tuple[int, int], at: Places) -> Array:
     """Rows and lanes (`shape`) of a plane over the table's times, (T, rows times lanes)."""
     (rows, padded_modes), n, shapes = shape, table.modes, ModeShapes(table)
-    gimbal_m, gyro_m, hinges_m, surfaces_m, hanging_kgm = at
+    mounts, gyro_m, hinges_m, surfaces_m = at
+    gimbals = [shape(mount.station_m)[0] for mount in mounts for shape in (shapes.value, shapes.slope)]
     columns = [2.0 * np.pi * table.frequency_hz, table.generalized_mass_kg]  # each of them (times, modes)
-    columns += [shapes.value(gimbal_m)[0], shapes.slope(gimbal_m)[0], shapes.slope(gyro_m)[0]]
+    columns += [*gimbals[:2], shapes.slope(gyro_m)[0]]
     for hinge in hinges_m:  # at each time the hinge of that time
         columns.append(np.diagonal(shapes.value(np.frombuffer(hinge))).T)
     for station in surfaces_m:
         columns += [shapes.value(station)[0], shapes.slope(station)[0]]
+    columns += gimbals[2:]
     values = np.zeros((len(table.time_s), rows, padded_modes))
     values[:, : len(columns), :n] = np.stack(columns, axis=1)
     first = rows - padded_modes
-    values[:, first : first + n, :n] = _softening(table, shapes, gimbal_m, hanging_kgm).transpose(0, 2, 1)
+    values[:, first : first + n, :n] = _softening(table, shapes, mounts).transpose(0, 2, 1)
     return values.reshape(len(table.time_s), -1)
 
 
-def _softening(table: ModeTable, shapes: ModeShapes, gimbal_m: float, hanging_kgm: float) -> Array:
+def _softening(table: ModeTable, shapes: ModeShapes, mounts: tuple[Mount, ...]) -> Array:
+    """Of engines at several stations each station carries its share of the thrust."""
+    first, *others = (_softening_up_to(table, shapes, mount) for mount in mounts)
+    for other in others:
+        first = first + other
+    return first
+
+
+def _softening_up_to(table: ModeTable, shapes: ModeShapes, mount: Mount) -> Array:
     """Generalised stiffness per unit of axial acceleration that the axial load takes from the modes, kg/m.
 
     At each time (times, modes, modes): integral of m_forward phi_i' phi_j' dx up to the gimbal, less what the engine
     behind it gives back: it hangs in tension (docs/model.md, section 4; the axial force at a station is the mass
     forward of it times the acceleration).
     """
-    x = table.station_m
+    x, gimbal_m = table.station_m, mount.station_m
     inside = np.unique(np.append(x[x < gimbal_m], gimbal_m))
     half = 0.5 * np.diff(inside)
     points = (0.5 * (inside[1:] + inside[:-1]) + np.outer(_GAUSS_NODES, half)).ravel()
@@ -92,7 +102,8 @@ def _softening(table: ModeTable, shapes: ModeShapes, gimbal_m: float, hanging_kg
     matrices = np.array(
         [[[math.fsum(a * b * load) for b in slope] for a in slope] for slope, load in zip(slopes, loads, strict=True)]
     )
-    return matrices - hanging_kgm * np.array([np.outer(slope, slope) for slope in shapes.slope(gimbal_m)[0]])
+    hanging = mount.hanging_kgm * np.array([np.outer(slope, slope) for slope in shapes.slope(gimbal_m)[0]])
+    return np.asarray(mount.thrust_share * matrices - hanging)
 
 
 @lru_cache(maxsize=16)
@@ -116,11 +127,9 @@ def spatial_values(table: SpatialModeTable, at: Places, gyration_m2: float) -> A
     columns += [*shapes(at.gyro_m)[0]]
     for hinge in at.hinges_m:  # at each time the hinge of that time
         columns += [*np.diagonal(shapes(np.frombuffer(hinge)), axis1=0, axis2=2).transpose(0, 2, 1)]
-    for station in (*at.surfaces_m, at.gimbal_m):
+    for station in (*at.surfaces_m, *(mount.station_m for mount in at.mounts)):
         columns += [*shapes(station)[0]]
-    softening = sum(
-        _softening(p, s, at.gimbal_m, at.hanging_kgm) for p, s in zip(table.lateral(), lateral, strict=True)
-    )
+    softening = sum(_softening(p, s, at.mounts) for p, s in zip(table.lateral(), lateral, strict=True))
     rows = [np.stack(columns, axis=1), np.transpose(softening, (0, 2, 1)), _turning(table, gyration_m2)]
     return np.concatenate(rows, axis=1).reshape(len(table.time_s), -1)
 

@@ -14,6 +14,7 @@ import numpy as np
 from maxq.control.kernel.jit import from_python
 from maxq.control.kernel.records import Array, pack
 from maxq.control.kernel.tables import Cubics, Method, fit, merge, union
+from maxq.sim.packing.engines import Mount, cluster_of, engine_mounts, thrust_curves
 from maxq.sim.packing.modes import Places, mode_values, spatial_values
 from maxq.sim.packing.remembered import cached_by_identity
 from maxq.sim.scenario.modes import ModeTable, SpatialModeTable
@@ -27,6 +28,7 @@ from maxq.sim.vehicle.state import Sizes
 _schedule_width = from_python(columns_of.schedule_width)
 _gimbal_place = from_python(columns_of.gimbal_place)
 _padded_modes, _mode_rows = from_python(columns_of.padded_modes), from_python(columns_of.mode_rows)
+_gimbal_row = from_python(columns_of.gimbal_row)
 
 
 def stage_sizes(stage: Stage, switches: Switches) -> Sizes:
@@ -39,7 +41,11 @@ def stage_sizes(stage: Stage, switches: Switches) -> Sizes:
     tanks = len(stage.tank) if switches.slosh else 0
     tables = 0 if stage.aero is None else len(stage.aero.coefficients)
     spatial = stage.spatial_modes.modes.modes if stage.spatial_modes is not None and switches.bending else 0
-    return Sizes(pitch, yaw, tanks, len(surface_stations(stage)), tables, spatial)
+    cluster = cluster_of(stage)
+    return Sizes(
+        pitch, yaw, tanks, len(surface_stations(stage)), tables, spatial, len(cluster.groups) - 1,
+        max(len(cluster.alike), 1), max(len(cluster.gimbals_m), 1), max(len(cluster.curves), 1),
+    )  # fmt: skip  # ten lines otherwise
 
 
 def surface_stations(stage: Stage) -> tuple[float, ...]:
@@ -77,9 +83,7 @@ def vehicle_schedule(stage: Stage, sizes: Sizes, switches: Switches, frozen: boo
     """
     method: Method = stage.interpolation
     tanks = [_tank(stage, k, method) for k in range(sizes.tanks)]
-    thrust = fit([0.0], [[0.0]])
-    if stage.engine is not None:
-        thrust = fit(stage.engine.table["time_s"], stage.engine.table["thrust_vacuum_N"], method)
+    thrust, *further_thrusts = thrust_curves(stage, method)
     parts = [_core(stage, tanks, method, switches.moving_cg and not frozen), thrust]
     for tank in tanks:
         parts += [tank, _tank_rates(tank, switches.jet_damping, switches.jet_damping and not frozen)]
@@ -91,7 +95,7 @@ def vehicle_schedule(stage: Stage, sizes: Sizes, switches: Switches, frozen: boo
         parts += [pitch, pitch if alike else _modes(stage, yaw_table, sizes, tanks, method)]
     if sizes.spatial_modes > 0:
         parts.append(_spatial_modes(stage, sizes, tanks, method))
-    schedule = merge(parts)
+    schedule = merge(parts + further_thrusts)
     assert schedule.n_columns == _schedule_width(pack([sizes])[0])
     return schedule
 
@@ -205,18 +209,20 @@ def _modes(stage: Stage, table: ModeTable | None, sizes: Sizes, tanks: Sequence[
     assert bending is not None
     factors = np.ones((rows, padded_modes))
     factors[columns_of.MODE_SLOPE_GYRO, : table.modes] = bending.gyro_slope_factor[: table.modes]
-    for row in (columns_of.MODE_PHI_GIMBAL, columns_of.MODE_SLOPE_GIMBAL):
-        factors[row, : table.modes] = bending.gimbal_shape_factor[: table.modes]
+    for gimbal in range(sizes.gimbals):
+        row = int(_gimbal_row(record, gimbal))
+        factors[row : row + 2, : table.modes] = bending.gimbal_shape_factor[: table.modes]
     return Cubics(joined.breaks, joined.coefficients * factors.ravel())
 
 
 def _places(stage: Stage, table: ModeTable | SpatialModeTable, tanks: Sequence[Cubics]) -> Places:
-    engine = stage.engine
-    gimbal_m = engine.gimbal_station_m if engine else float(table.station_m[-1])
     gyro_m = stage.gyro.station_m if stage.gyro else float(table.station_m[0])
-    hanging_kgm = engine.gimballed_mass_kg * engine.cg_from_gimbal_m if engine else 0.0
     hinges_m = tuple(tank.at(table.time_s)[:, 2].tobytes() for tank in tanks)
-    return Places(gimbal_m, gyro_m, hinges_m, surface_stations(stage), hanging_kgm)
+    return Places(_mounts(stage, table), gyro_m, hinges_m, surface_stations(stage))
+
+
+def _mounts(stage: Stage, table: ModeTable | SpatialModeTable) -> tuple[Mount, ...]:
+    return engine_mounts(stage) or (Mount(float(table.station_m[-1]), 1.0, 0.0),)
 
 
 def _spatial_modes(stage: Stage, sizes: Sizes, tanks: Sequence[Cubics], method: Method) -> Cubics:
@@ -228,6 +234,7 @@ def _spatial_modes(stage: Stage, sizes: Sizes, tanks: Sequence[Cubics], method: 
     values = spatial_values(table, _places(stage, table, tanks), float(inertia[0] / mass[0]))
     joined = fit(table.time_s, values, method)
     factors = np.ones((values.shape[1] // n, n))
-    gyro, gimbal = (columns_of.SPATIAL_FIRST + 6 * p for p in (columns_of.GYRO_PLACE, int(_gimbal_place(record))))
-    factors[gyro + 3 : gyro + 6], factors[gimbal : gimbal + 6] = given.gyro_slope_factor, given.gimbal_shape_factor
+    gyro, gimbal = (columns_of.SPATIAL_FIRST + 6 * p for p in (columns_of.GYRO_PLACE, int(_gimbal_place(record, 0))))
+    factors[gyro + 3 : gyro + 6] = given.gyro_slope_factor
+    factors[gimbal : gimbal + 6 * sizes.gimbals] = given.gimbal_shape_factor
     return Cubics(joined.breaks, joined.coefficients * factors.ravel())

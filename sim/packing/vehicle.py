@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 
 from maxq.control.kernel.tables import NO_TABLE, Cubics, Pool, TableRef, fit
 from maxq.sim.packing.aero import pack_aero
+from maxq.sim.packing.engines import pack_engines
 from maxq.sim.scenario.schema_scenario import Scenario
 from maxq.sim.scenario.schema_vehicle import Stage
 from maxq.sim.vehicle.actuator import pack_actuators
 from maxq.sim.vehicle.bending import pack_bending, pack_spatial_modes
 from maxq.sim.vehicle.derivative import Vehicle
-from maxq.sim.vehicle.engine import Engine
 from maxq.sim.vehicle.gyro import pack_gyro
 from maxq.sim.vehicle.slosh import pack_slosh
 from maxq.sim.vehicle.state import Sizes
@@ -26,7 +24,7 @@ def pack_vehicle(scenario: Scenario, stage: Stage, sizes: Sizes, schedule: Cubic
     return Vehicle(
         sizes=sizes,
         schedule=pool.add(schedule),
-        engine=_engine(scenario, stage),
+        engine=pack_engines(stage, switches),
         actuator_pitch=pitch,
         actuator_yaw=yaw,
         gyro=pack_gyro(stage.gyro, switches.gyro == "ideal"),
@@ -39,28 +37,6 @@ def pack_vehicle(scenario: Scenario, stage: Stage, sizes: Sizes, schedule: Cubic
         jet_damping=int(switches.jet_damping),
         follower_thrust=int(switches.follower_thrust),
         gravity_gradient=int(scenario.earth.gravity_gradient),
-    )
-
-
-def _engine(scenario: Scenario, stage: Stage) -> Engine:
-    engine = stage.engine
-    if engine is None:
-        return Engine(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-    moves = scenario.switches.engine_inertia
-    mass, arm = engine.gimballed_mass_kg, engine.cg_from_gimbal_m
-    on = 1.0 if scenario.switches.thrust else 0.0
-    return Engine(
-        exit_area_m2=engine.exit_area_m2,
-        thrust_factor=on * engine.thrust_factor * engine.mass_flow_factor,
-        gimbal_station_m=engine.gimbal_station_m,
-        exit_station_m=engine.exit_station_m,
-        gimbal_offset_y_m=engine.offset_m[0],
-        gimbal_offset_z_m=engine.offset_m[1],
-        misalignment_pitch_rad=math.radians(engine.misalignment_deg[0]),
-        misalignment_yaw_rad=math.radians(engine.misalignment_deg[1]),
-        gimballed_mass_kg=mass if moves else 0.0,
-        cg_from_gimbal_m=arm,
-        inertia_kgm2=engine.inertia_about_gimbal_kgm2 - mass * arm * arm if moves else 0.0,
     )
 
 

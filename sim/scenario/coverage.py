@@ -26,10 +26,13 @@ def thrust_end_s(stage: Stage) -> float:
 
     When the thrust table does not end at zero, its last time.
     """
-    if stage.engine is None or len(stage.engine.table) == 1:
+    if any(len(engine.table) == 1 for engine in stage.engines):
         return 0.0
-    time, thrust = stage.engine.table["time_s"], stage.engine.table["thrust_vacuum_N"]
-    burning = np.flatnonzero(thrust > 0.0)
+    return max((_table_end_s(engine.table) for engine in stage.engines), default=0.0)
+
+
+def _table_end_s(table: CsvTable) -> float:
+    time, burning = table["time_s"], np.flatnonzero(table["thrust_vacuum_N"] > 0.0)
     if len(burning) == 0:
         return 0.0
     return float(time[min(int(burning[-1]) + 1, len(time) - 1)])
@@ -37,7 +40,12 @@ def thrust_end_s(stage: Stage) -> float:
 
 def burn_rate(stage: Stage) -> float:
     """Seconds of the tables' clock per second of the stage clock."""
-    return 1.0 if stage.engine is None else stage.engine.mass_flow_factor
+    rates = {engine.mass_flow_factor for engine in stage.engines}
+    if len(rates) < 2:
+        return rates.pop() if rates else 1.0
+    peak_N = [float(engine.table["thrust_vacuum_N"].max()) for engine in stage.engines]
+    burnt = sum(peak * engine.mass_flow_factor for peak, engine in zip(peak_N, stage.engines, strict=True))
+    return burnt / sum(peak_N)
 
 
 def stage_end_s(stage: Stage) -> float:
@@ -83,7 +91,7 @@ def _check_stage(stage: Stage, key: Path) -> None:
     for place, table in tables:
         if table is not None and table["time_s"][0] < table["time_s"][-1] < end:
             raise _ends_too_early(table, "the table ends before the thrust does", end, key + place)
-    if stage.engine is not None and end > 0.0 and stage.ignition_s * burn_rate(stage) >= end:
+    if stage.engines and end > 0.0 and stage.ignition_s * burn_rate(stage) >= end:
         raise refuse("ignition comes after the end of thrust", f"less than {end:g}", key=(*key, "ignition_s"))
     mass = stage.mass
     if mass.burn_s is not None and mass.mass_flow_kgps and mass.burn_s < end:
@@ -95,13 +103,13 @@ def _ends_too_early(table: CsvTable, problem: str, end_s: float, key: Path) -> P
 
 
 def _check_thrust_ends(stage: Stage, ends_s: float, key: Path) -> None:
-    if stage.engine is None or len(stage.engine.table) == 1:
-        return
-    table, column = stage.engine.table, "thrust_vacuum_N"
-    last = float(table["time_s"][-1]) / burn_rate(stage)
-    if table[column][-1] > 0.0 and ends_s > last:
-        problem = f"thrust does not end at zero, and the flight goes on after {last:g} s"
-        raise table.refusal(problem, "0 in the last row", column, len(table) - 1, at=(*key, "engine", "table"))
+    column = "thrust_vacuum_N"
+    for n, table in enumerate(engine.table for engine in stage.engines):
+        last = float(table["time_s"][-1]) / burn_rate(stage)
+        if len(table) > 1 and table[column][-1] > 0.0 and ends_s > last:
+            problem = f"thrust does not end at zero, and the flight goes on after {last:g} s"
+            at = (*key, *stage.engine_key(n), "table")
+            raise table.refusal(problem, "0 in the last row", column, len(table) - 1, at=at)
 
 
 def _check_programme(table: CsvTable, start: float, end: float) -> None:

@@ -11,7 +11,7 @@ from pydantic.fields import FieldInfo
 from maxq.sim.scenario.documents import Table, source_of
 from maxq.sim.scenario.errors import NOTHING, Path, ScenarioError, suggestion
 from maxq.sim.scenario.files import PARTS, WANTED
-from maxq.sim.scenario.schema_values import Section
+from maxq.sim.scenario.schema_values import LIST_FORM, TABLE_FORM, Section
 from maxq.sim.scenario.tables_csv import Columns
 
 _DOCUMENT_KEYS = ("extends", "unset")
@@ -38,7 +38,7 @@ _IN_FILES_ONLY = {
 def explain(error: ValidationError, tree: Table, model: type[Section]) -> ScenarioError:
     """The first mistake (unknown keys first: they explain missing ones), and how many more there are."""
     order = {"extra_forbidden": 0, "missing": 2}
-    found = error.errors(include_url=False)
+    found = [{**detail, "loc": _without_forms(detail["loc"])} for detail in error.errors(include_url=False)]
     details = sorted(_causes(found), key=lambda detail: order.get(detail["type"], 1))
     first = details[0]
     path, context = tuple(first["loc"]), first.get("ctx", {})
@@ -57,11 +57,17 @@ def explain(error: ValidationError, tree: Table, model: type[Section]) -> Scenar
         allowed = WANTED[str(path[0])] if len(path) == 1 and path[0] in PARTS else allowed
     else:
         problem = _PROBLEMS.get(first["type"], "has the wrong type")
+        if first["type"] == "too_long" and not allowed.startswith("a list"):
+            allowed = f"{allowed}, or a list of at most {context['max_length']}"
         if first["type"] == "literal_error":
             hint = suggestion(str(value), [c.strip("'") for c in allowed.split(", ")])
             problem += f"; {hint}" if hint else ""
     source = source_of(tree, path)
     return source.error(path, problem, value=value, allowed=allowed, more=more)
+
+
+def _without_forms(path: Path) -> Path:
+    return tuple(part for part in path if part not in (TABLE_FORM, LIST_FORM))
 
 
 def _causes(found: list[Any]) -> list[Any]:
@@ -160,6 +166,8 @@ def field_at(model: type[Section], path: Path) -> tuple[Any, list[Any]]:
     metadata: list[Any] = []
     for part in path:
         if isinstance(annotation, type) and issubclass(annotation, Section):
+            if isinstance(part, int):
+                continue  # of a key that holds a table or a list of such
             field = next((f for n, f in annotation.model_fields.items() if (f.alias or n) == part), None)
             if field is None:
                 return None, []

@@ -355,8 +355,8 @@ class Scenario(Section):
                 raise refuse("the flight begins in the air", "clock", key=("fault", n, "since"))
 
     def _check_hold_down(self) -> None:
-        engine = self.vehicle.stage[0].engine
-        if self.held and self.holddown.release == "thrust" and (engine is None or not self.switches.thrust):
+        no_thrust = not (self.vehicle.stage[0].engines and self.switches.thrust)
+        if self.held and self.holddown.release == "thrust" and no_thrust:
             raise refuse(
                 "the vehicle is held down until thrust exceeds weight, but it has no thrust",
                 "[initial] with held = false, or holddown.release = 'time'",

@@ -118,14 +118,32 @@ class Tank(Section):
     bottom_station_m: float | None = optional("of the tank, m aft of the nose, for drawings")
 
 
-THRUST_COLUMNS = Columns("time_s", sets=(("thrust_vacuum_N",),), not_negative=("thrust_vacuum_N",), begins_by=0.0)
+THRUST_COLUMNS = Columns(
+    "time_s",
+    sets=(("thrust_vacuum_N",),),
+    optional=("mass_flow_kgps",),
+    not_negative=("thrust_vacuum_N", "mass_flow_kgps"),
+    begins_by=0.0,
+)
 GimbalAngle = Annotated[float, Field(ge=0.0, le=45.0)]
 
 
-class Engine(Section):
-    """Gimballed engine."""
+GimbalPlanes = Literal["both", "pitch", "yaw", "fixed"]
 
-    table: Annotated[CsvTable, THRUST_COLUMNS] = Field(description="thrust in vacuum over the stage clock")
+
+class Engine(Section):
+    """Gimballed engine: one table for a single engine, or a list, one table for each engine."""
+
+    name: ChannelPart = optional("name of the engine in logs and faults (default: its number)", "")
+    table: Annotated[CsvTable, THRUST_COLUMNS] = Field(
+        description="thrust in vacuum over the stage clock; mass_flow_kgps counts in relation to the other engines' "
+        "(default: in proportion to thrust), the vehicle's mass is that of its own table"
+    )
+    gimbal: GimbalPlanes = optional("planes in which the engine is gimballed", "both")
+    group: ChannelPart = optional("engines of a group have the same gimbal angles", "")
+    cant_deg: Pair = optional(
+        "angle of the axis at rest, pitch and yaw, deg; the table of mass holds the engine so", (0.0, 0.0)
+    )
     exit_area_m2: NotNegative = optional("nozzle exit area, m2: ambient pressure on it lessens thrust", 0.0)
     gimbal_station_m: float = Field(description="station of the gimbal, m aft of the nose")
     exit_station_m: float = Field(description="station of the nozzle exit, m aft of the nose (jet damping)")
@@ -146,6 +164,8 @@ class Engine(Section):
                 f"at least gimballed_mass_kg * cg_from_gimbal_m^2 = {least:.6g}",
                 key=("inertia_about_gimbal_kgm2",),
             )
+        if self.gimbal == "fixed" and self.group:
+            raise refuse("a fixed engine moves with no group", "this key with a gimballed engine only", key=("group",))
         return self
 
 

@@ -45,6 +45,10 @@ def is_whole_period(rate_hz: float) -> bool:
     return 1.0 <= ns <= LONGEST_S * NS_PER_S and abs(ns - round(ns)) <= 4.0 * math.ulp(ns)
 
 
+TABLE_FORM, LIST_FORM = "<table>", "<list>"
+"""Tags of a key that holds one table or a list of such; no part of a key path."""
+
+
 class Section(BaseModel):
     """A table of a TOML file. Unknown keys, numbers as text, NaN, infinity, what is beyond the range of a key
     (`ranges.py`), and texts that would do something to a terminal are refused; nothing can be changed.

@@ -5,9 +5,9 @@ from __future__ import annotations
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import Field, model_validator
+from pydantic import Discriminator, Field, Tag, model_validator
 
-from maxq.control.kernel.limits import MAX_MODES, MAX_STAGES, MAX_TANKS
+from maxq.control.kernel.limits import MAX_ENGINES, MAX_MODES, MAX_STAGES, MAX_TANKS
 from maxq.sim.scenario.errors import refuse
 from maxq.sim.scenario.modes import (
     MODE_COLUMNS,
@@ -19,6 +19,8 @@ from maxq.sim.scenario.modes import (
 )
 from maxq.sim.scenario.schema_stage import Actuator, Aero, Engine, Mass, RollThrusters, Tank
 from maxq.sim.scenario.schema_values import (
+    LIST_FORM,
+    TABLE_FORM,
     Fraction,
     NotNegative,
     Period,
@@ -165,6 +167,17 @@ class Computer(Section):
         return self
 
 
+def _engines_form(value: Any) -> str:
+    return LIST_FORM if isinstance(value, list | tuple) else TABLE_FORM
+
+
+Engines = Annotated[
+    Annotated[Engine, Tag(TABLE_FORM)]
+    | Annotated[tuple[Engine, ...], Field(min_length=1, max_length=MAX_ENGINES), Tag(LIST_FORM)],
+    Discriminator(_engines_form),
+]
+
+
 class Stage(Section):
     """One stage; its clock, on which its tables run, starts at the separation before."""
 
@@ -174,7 +187,7 @@ class Stage(Section):
     ignition_s: Seconds = optional("the engine is off before this time on the stage clock, s", 0.0)
     interpolation: Literal["pchip", "linear"] = optional("how the tables over time are joined", "pchip")
     mass: Mass
-    engine: Engine | None = optional("absent: no thrust")
+    engine: Engines | None = optional(f"one table, or up to {MAX_ENGINES} as a list [[...]]; absent: no thrust")
     actuator: Actuator | None = optional("absent: gimbal angle = command")
     tank: tuple[Tank, ...] = optional("tanks with sloshing liquid", (), max_length=MAX_TANKS)
     bending: Bending | None = optional("absent: rigid, but for spatial modes")
@@ -183,17 +196,32 @@ class Stage(Section):
     gyro: Gyro | None = optional("absent: ideal gyros")
     roll_thrusters: RollThrusters | None = optional("absent: no roll control")
 
+    @property
+    def engines(self) -> tuple[Engine, ...]:
+        """All engines, none where there is no thrust."""
+        return (self.engine,) if isinstance(self.engine, Engine) else self.engine or ()
+
+    @property
+    def engine_groups(self) -> tuple[str, ...]:
+        """Groups of engines that move together, in the order in which the engines name them; one at least."""
+        return tuple(dict.fromkeys(e.group for e in self.engines if e.gimbal != "fixed")) or ("",)
+
+    def engine_key(self, number: int) -> tuple[str | int, ...]:
+        """Where an engine stands in the stage."""
+        return ("engine", number) if isinstance(self.engine, tuple) else ("engine",)
+
     @model_validator(mode="after")
     def _check(self) -> Stage:
         at_most_one(self, ("separation_s", "separation_after_burnout_s"))
         if self.separation_after_burnout_s is not None and self.engine is None:
             raise refuse("the stage has no engine", "separation_s", key=("separation_after_burnout_s",))
-        if self.actuator is not None and self.engine is None:
+        if self.actuator is not None and all(engine.gimbal == "fixed" for engine in self.engines):
             raise refuse("the stage has no engine to move", "[stage.engine]", key=("actuator",), value={})
         names = [tank.name or str(n + 1) for n, tank in enumerate(self.tank)]
         for n, name in enumerate(names):
             if name in names[:n]:
                 raise refuse("is the name of another tank already", "each name once", ("tank", n, "name"), value=name)
+        self._check_engines()
         self._check_slosh_mass()
         self._check_stations()
         return self
@@ -209,6 +237,17 @@ class Stage(Section):
         if self.spatial_modes is not None:
             out.append(("spatial_modes.table", self.spatial_modes.modes))
         return out
+
+    def _check_engines(self) -> None:
+        names = [engine.name for engine in self.engines]
+        for n, engine in enumerate(self.engines):
+            if engine.name and names.index(engine.name) != n:
+                raise refuse("another engine has this name", "a name for each engine", (*self.engine_key(n), "name"))
+            if ("mass_flow_kgps" in engine.table) != ("mass_flow_kgps" in self.engines[0].table):
+                raise engine.table.refusal(
+                    "some engines have a column mass_flow_kgps and some have none", "all or none",
+                    at=(*self.engine_key(n), "table"),
+                )  # fmt: skip  # six lines otherwise
 
     def _check_slosh_mass(self) -> None:
         """What sloshes, and the gimballed engine, are parts of the vehicle's mass."""
@@ -230,18 +269,18 @@ class Stage(Section):
                 "sloshing masses below the mass of the vehicle",
                 key=("tank",),
             )
-        if self.engine is not None and self.engine.gimballed_mass_kg >= float((total - moving).min()):
+        if self.engines and sum(e.gimballed_mass_kg for e in self.engines) >= float((total - moving).min()):
             raise refuse(
                 "the gimballed mass is more than the vehicle's",
                 f"less than {float((total - moving).min()):g}",
-                key=("engine", "gimballed_mass_kg"),
+                key=(*self.engine_key(0), "gimballed_mass_kg"),
             )
 
     def _check_stations(self) -> None:
         """The mode shapes must reach every station at which something acts or measures."""
         needed: list[tuple[tuple[str | int, ...], float]] = []
-        if self.engine is not None:
-            needed.append((("engine", "gimbal_station_m"), self.engine.gimbal_station_m))
+        for n, engine in enumerate(self.engines):
+            needed.append(((*self.engine_key(n), "gimbal_station_m"), engine.gimbal_station_m))
         if self.gyro is not None:
             needed.append((("gyro", "station_m"), self.gyro.station_m))
         for n, tank in enumerate(self.tank):

@@ -30,6 +30,10 @@ ACTUATORS = StateBlock(
     {f"actuator_{{}}_{k}": "rad" if k % 2 else "rad/s" for k in range(1, 7)},  # positions and rates
     parts=("pitch", "yaw"),
 )
+FURTHER_ACTUATORS = StateBlock(  # of every further group of engines: pitch, then yaw
+    {f"group_{{}}_{name.format(axis)}": unit for axis in ("pitch", "yaw") for name, unit in ACTUATORS.states.items()},
+    "further_groups",
+)
 
 
 ORDERS = {"second-order": 2, "fourth-order": 4, "sixth-order": 6}

@@ -24,13 +24,12 @@ from maxq.sim.vehicle.schedule import (
     MODE_DAMPING,
     MODE_INVERSE_MASS,
     MODE_MASS,
-    MODE_PHI_GIMBAL,
-    MODE_SLOPE_GIMBAL,
     MODE_SLOPE_GYRO,
     MODE_STIFFNESS,
     PITCH,
     YAW,
     derived_column,
+    gimbal_row,
     mode_column,
     mode_groups,
     mode_rows,
@@ -183,14 +182,16 @@ def modal_derivative(sizes: Counts, eta: int, xi: int, dy: Array, work: Array) -
 
 
 @kernel
-def gimbal_displacement(sizes: Counts, properties: Array, work: Array) -> tuple[float, float, float, float]:
-    """Displacement along y and z (m) and rotation about y and z (rad) of the gimbal by bending."""
-    pitch, yaw = of_plane(ETA, PITCH), of_plane(ETA, YAW)
+def gimbal_displacement(
+    sizes: Counts, properties: Array, gimbal: int, work: Array
+) -> tuple[float, float, float, float]:
+    """Displacement along y and z (m) and rotation about y and z (rad) of a gimbal's station by bending."""
+    pitch, yaw, phi = of_plane(ETA, PITCH), of_plane(ETA, YAW), gimbal_row(sizes, gimbal)
     return (
-        modal_sum(sizes, properties, mode_column(sizes, YAW, MODE_PHI_GIMBAL), work, yaw),
-        modal_sum(sizes, properties, mode_column(sizes, PITCH, MODE_PHI_GIMBAL), work, pitch),
-        modal_sum(sizes, properties, mode_column(sizes, PITCH, MODE_SLOPE_GIMBAL), work, pitch),
-        -modal_sum(sizes, properties, mode_column(sizes, YAW, MODE_SLOPE_GIMBAL), work, yaw),
+        modal_sum(sizes, properties, mode_column(sizes, YAW, phi), work, yaw),
+        modal_sum(sizes, properties, mode_column(sizes, PITCH, phi), work, pitch),
+        modal_sum(sizes, properties, mode_column(sizes, PITCH, phi + 1), work, pitch),
+        -modal_sum(sizes, properties, mode_column(sizes, YAW, phi + 1), work, yaw),
     )
 
 
@@ -204,14 +205,14 @@ def bending_rate_at_gyro(sizes: Counts, properties: Array, work: Array) -> tuple
 
 
 @kernel
-def apply_gimbal_load(sizes: Counts, properties: Array, load: Load, work: Array) -> None:
-    """Add the generalised forces of a load on the body at the gimbal."""
+def apply_gimbal_load(sizes: Counts, properties: Array, gimbal: int, load: Load, work: Array) -> None:
+    """Add the generalised forces of a load on the body at a gimbal's station."""
     _, force_y, force_z, _, moment_y, moment_z = load
-    pitch, yaw = of_plane(FORCE, PITCH), of_plane(FORCE, YAW)
-    add_to_modes(sizes, properties, mode_column(sizes, PITCH, MODE_PHI_GIMBAL), force_z, work, pitch)
-    add_to_modes(sizes, properties, mode_column(sizes, PITCH, MODE_SLOPE_GIMBAL), moment_y, work, pitch)
-    add_to_modes(sizes, properties, mode_column(sizes, YAW, MODE_PHI_GIMBAL), force_y, work, yaw)
-    add_to_modes(sizes, properties, mode_column(sizes, YAW, MODE_SLOPE_GIMBAL), -moment_z, work, yaw)
+    pitch, yaw, phi = of_plane(FORCE, PITCH), of_plane(FORCE, YAW), gimbal_row(sizes, gimbal)
+    add_to_modes(sizes, properties, mode_column(sizes, PITCH, phi), force_z, work, pitch)
+    add_to_modes(sizes, properties, mode_column(sizes, PITCH, phi + 1), moment_y, work, pitch)
+    add_to_modes(sizes, properties, mode_column(sizes, YAW, phi), force_y, work, yaw)
+    add_to_modes(sizes, properties, mode_column(sizes, YAW, phi + 1), -moment_z, work, yaw)
 
 
 @kernel
@@ -265,30 +266,28 @@ def _elastic_forces_on_four(
 
 @kernel
 def gyroscopic_forces(
-    sizes: Counts, properties: Array, rate: Vector, engine_mass: float, engine_arm: float, engine_inertia: float,
-    delta_rate: Vector, relative_rate_y: float, relative_rate_z: float, work: Array,
-) -> Vector:  # fmt: skip  # eight more lines otherwise
+    sizes: Counts, properties: Array, gimbal: int, rate: Vector, engines: Load, work: Array
+) -> Vector:
     """Roll-rate coupling of the two planes, and the moment of the modes' angular momentum about x on the body.
 
-    `delta_rate` is the velocity of the engine's CG relative to the straight engine, `relative_rate_*` the angular
-    velocity of the engine relative to that of the gimbal: both enter the modal momenta (docs/model.md, eq. 4.6).
+    `engines` is the momentum of the engines at a gimbal's station relative to the body, and its moment about the axis
+    there (`rigid.engine_momentum`): both enter the modal momenta (docs/model.md, eq. 4.1). The modes' own momentum
+    counts at the first station only.
     """
     p, q, r = rate
     mass, apart = mode_column(sizes, PITCH, MODE_MASS), mode_rows(sizes) * padded_modes(sizes)
-    phi, slope = mode_column(sizes, PITCH, MODE_PHI_GIMBAL), mode_column(sizes, PITCH, MODE_SLOPE_GIMBAL)
-    momentum_z, momentum_y = engine_mass * delta_rate[2], engine_mass * delta_rate[1]
-    angular_y = engine_arm * momentum_z + engine_inertia * relative_rate_y
-    angular_z = engine_arm * momentum_y - engine_inertia * relative_rate_z
-    h, roll = 0.0, 0.0
+    phi = mode_column(sizes, PITCH, gimbal_row(sizes, gimbal))
+    slope = phi + padded_modes(sizes)
+    momentum_y, momentum_z, angular_y, angular_z = engines[1], engines[2], engines[4], -engines[5]
+    own, h, roll = 1.0 if gimbal == 0 else 0.0, 0.0, 0.0
     for four in range(3):
         if four < mode_groups(sizes):
             for i in range(4 * four, 4 * four + 4):
                 j = i + of_plane(0, YAW)
                 nu_eta, nu_xi = work[NU + i], work[NU + j]
-                p_eta = (
-                    properties[mass + i] * nu_eta + properties[phi + i] * momentum_z + properties[slope + i] * angular_y
-                )
-                p_xi = properties[mass + apart + i] * nu_xi + properties[phi + apart + i] * momentum_y
+                p_eta = own * properties[mass + i] * nu_eta + properties[phi + i] * momentum_z
+                p_eta += properties[slope + i] * angular_y
+                p_xi = own * properties[mass + apart + i] * nu_xi + properties[phi + apart + i] * momentum_y
                 p_xi += properties[slope + apart + i] * angular_z
                 work[FORCE + i] -= p * p_xi
                 work[FORCE + j] += p * p_eta

@@ -14,12 +14,12 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 from maxq.control.kernel.jit import integer, kernel
-from maxq.control.kernel.limits import MAX_MODES, MAX_SURFACES, MAX_TANKS
+from maxq.control.kernel.limits import MAX_ENGINES, MAX_MODES, MAX_SURFACES, MAX_TANKS
 
 
 @dataclass(frozen=True)
 class Sizes:
-    """How many flexible and sloshing parts a stage has: with them every index of the state is known."""
+    """How many flexible, sloshing and moving parts a stage has: with them every index of the state is known."""
 
     pitch_modes: int
     yaw_modes: int
@@ -27,9 +27,16 @@ class Sizes:
     surfaces: int  # places at which the air acts on the bent body: lifting surfaces, then tables of coefficients
     tables: int = 0  # of these, tables of coefficients over incidence
     spatial_modes: int = 0
+    further_groups: int = 0  # of engines that move together, beyond the first
+    engines: int = 1  # alike engines of a group count once (engine.py); 1 without an engine
+    gimbals: int = 1  # stations of gimbals, at which the engines meet the mode shapes
+    thrust_curves: int = 1  # columns of the schedule
 
 
-LARGEST = Sizes(MAX_MODES, MAX_MODES, MAX_TANKS, MAX_SURFACES + 1, MAX_SURFACES, MAX_MODES)
+LARGEST = Sizes(
+    MAX_MODES, MAX_MODES, MAX_TANKS, MAX_SURFACES + 1, MAX_SURFACES, MAX_MODES, MAX_ENGINES - 1, MAX_ENGINES,
+    MAX_ENGINES, MAX_ENGINES,
+)  # fmt: skip  # a row
 
 
 class Counts(NamedTuple):
@@ -45,14 +52,19 @@ class Counts(NamedTuple):
     surfaces: int
     tables: int
     spatial_modes: int
+    further_groups: int
+    engines: int
+    gimbals: int
+    thrust_curves: int
 
 
 @kernel
 def counts(sizes: Sizes) -> Counts:
     return Counts(
         integer(sizes, "pitch_modes"), integer(sizes, "yaw_modes"), integer(sizes, "tanks"), integer(sizes, "surfaces"),
-        integer(sizes, "tables"), integer(sizes, "spatial_modes"),
-    )  # fmt: skip  # three more lines otherwise
+        integer(sizes, "tables"), integer(sizes, "spatial_modes"), integer(sizes, "further_groups"),
+        integer(sizes, "engines"), integer(sizes, "gimbals"), integer(sizes, "thrust_curves"),
+    )  # fmt: skip  # eleven lines otherwise
 
 
 @dataclass(frozen=True)

@@ -6,13 +6,15 @@ Every line of `derivative` is one part of the model; docs/model.md derives them 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Annotated
+from typing import Annotated, NamedTuple
 
 from maxq.control.kernel.jit import kernel, routine
+from maxq.control.kernel.limits import MAX_ENGINES
 from maxq.control.kernel.records import Array
 from maxq.control.kernel.tables import TableRef, find_interval, interpolate_into
 from maxq.control.kernel.vectors import (
     Matrix,
+    Symmetric,
     Vector,
     add,
     cross,
@@ -35,18 +37,22 @@ from maxq.sim.vehicle.bending import (
     modal_state,
 )
 from maxq.sim.vehicle.block import Q_BI, W_BI_B, Counts, Sizes, counts
-from maxq.sim.vehicle.engine import Engine, thrust, thrust_axis_motion
+from maxq.sim.vehicle.engine import Engine, engine_axis_motion, group_angles, thrust
 from maxq.sim.vehicle.environment import Environment, air_data, pad_acceleration, winds_along_body
 from maxq.sim.vehicle.faults import N_FAULT_SLOTS
 from maxq.sim.vehicle.gyro import Gyro, gyro_derivative, sensed_rate
 from maxq.sim.vehicle.rigid import (
+    Balance,
     Deflected,
+    balance,
     coriolis_of_outflow,
+    deflected_at,
     deflected_engine,
     engine_momentum,
     engine_reaction,
     kinematics,
     prepare_outflow,
+    put_deflected,
 )
 from maxq.sim.vehicle.schedule import (
     CORE_CG,
@@ -59,6 +65,7 @@ from maxq.sim.vehicle.schedule import (
     complete_spatial_modes,
     gimbal_place,
     schedule_width,
+    thrust_column,
 )
 from maxq.sim.vehicle.slosh import Slosh, accelerate, exchange_loads, pendulum_derivative, pendulum_loads
 from maxq.sim.vehicle.spatial_modes import (
@@ -74,10 +81,10 @@ from maxq.sim.vehicle.spatial_modes import (
     spatial_state,
 )
 from maxq.sim.vehicle.state import (
-    ACTUATOR,
     GYRO,
     N_ACTUATOR,
     N_PENDULUM,
+    actuator_index,
     eta_index,
     pendulum_index,
     spatial_index,
@@ -91,7 +98,7 @@ from maxq.sim.vehicle.workspace import (
     AXIAL_LOAD,
     DENSITY,
     ENGINE_PITCH,
-    ENGINE_YAW,
+    ENGINE_THRUSTS,
     FLOW,
     GIMBAL_BEND,
     GYRO_BEND,
@@ -136,8 +143,7 @@ class Held:
 
     on_pad: int  # 1: held down
     burning: int
-    command_pitch_rad: float
-    command_yaw_rad: float
+    command_rad: Annotated[Array, (2 * MAX_ENGINES,)]  # to the actuators: pitch, yaw of each group of engines
     roll_torque_Nm: float
     faults: Annotated[Array, (N_FAULT_SLOTS,)]  # see faults.py
 
@@ -188,7 +194,7 @@ def derivative(
     gravitation = air_data(environment, pool, gust, rotation, y, work, aux)
     modal_state(sizes, rate[0], y, eta, xi, work)
     spatial_state(sizes, rate[0], properties, y, spatial, work)
-    engine = engine_motion(vehicle, sizes, held, properties, y, aux)
+    engine, balanced = engine_motion(vehicle, sizes, held, properties, y, work, aux)
 
     aero_force, aero_moment = aerodynamics(
         vehicle, sizes, environment, pool, held, rotation, rate, properties, y, work, aux
@@ -204,7 +210,7 @@ def derivative(
     moment = add(aero_moment, thrust_moment)
     moment = add(moment, (held.roll_torque_Nm + inputs.torque_x_Nm, inputs.torque_y_Nm, inputs.torque_z_Nm))
     if vehicle.gravity_gradient == 1:
-        moment = add(moment, gravity_gradient_moment(environment, engine, rotation, y))
+        moment = add(moment, gravity_gradient_moment(environment, balanced.inertia, rotation, y))
     if vehicle.jet_damping == 1:
         jet_force, jet_moment = coriolis_of_outflow(sizes, rate, properties)
         force, moment = add(force, jet_force), add(moment, jet_moment)
@@ -214,29 +220,25 @@ def derivative(
             moment,
             (-properties[behind] * rate[0], -properties[behind + 1] * rate[1], -properties[behind + 2] * rate[2]),
         )
-    moment = add(moment, scaled(-1.0, cross(rate, inertia_times(engine.inertia, rate))))
+    moment = add(moment, scaled(-1.0, cross(rate, inertia_times(balanced.inertia, rate))))
 
     if sizes.spatial_modes > 0:
-        moment = add(moment, outer_spatial_load(sizes, properties, gimbal_place(sizes), gimbal_load, work))
-    if vehicle.engine.gimballed_mass_kg > 0.0 or vehicle.engine.inertia_kgm2 > 0.0:
-        reaction_force, reaction_moment, reaction_load = engine_reaction(vehicle.engine, engine, rate, axial_load)
+        moment = add(moment, outer_spatial_load(sizes, properties, gimbal_place(sizes, 0), gimbal_load, work))
+    reaction_load, momentum = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0), engine_momentum(vehicle.engine, 0, engine)
+    if vehicle.engine.gimballed_mass_kg[0] > 0.0 or vehicle.engine.inertia_kgm2[0] > 0.0:
+        reaction_force, reaction_moment, reaction_load = engine_reaction(vehicle.engine, 0, engine, rate, axial_load)
         force, moment = add(force, reaction_force), add(moment, reaction_moment)
-        gimbal_load = (
-            gimbal_load[0], gimbal_load[1] + reaction_load[1], gimbal_load[2] + reaction_load[2],
-            gimbal_load[3], gimbal_load[4] + reaction_load[4], gimbal_load[5] + reaction_load[5],
-        )  # fmt: skip  # four more lines otherwise
-        if sizes.spatial_modes > 0:
-            place = gimbal_place(sizes)
-            apply_spatial_load(sizes, properties, place, reaction_load, work, SPATIAL_FORCE)
-            apply_spatial_load(
-                sizes, properties, place, engine_momentum(vehicle.engine, engine), work, SPATIAL_MOMENTUM
-            )
-    if sizes.pitch_modes + sizes.yaw_modes > 0:
-        apply_gimbal_load(sizes, properties, gimbal_load, work)
-        gyroscopic = gyroscopic_forces(
-            sizes, properties, rate, vehicle.engine.gimballed_mass_kg, vehicle.engine.cg_from_gimbal_m,
-            vehicle.engine.inertia_kgm2, engine.delta_rate, engine.relative_rate[1], engine.relative_rate[2], work,
+    if sizes.engines > 1:
+        further_force, further_moment, reaction_load, momentum = further_reactions(
+            vehicle.engine, vehicle.sizes, rate, axial_load, reaction_load, momentum, properties, work
         )  # fmt: skip  # twelve lines otherwise
+        force, moment = add(force, further_force), add(moment, further_moment)
+    if sizes.spatial_modes > 0:
+        apply_spatial_load(sizes, properties, gimbal_place(sizes, 0), reaction_load, work, SPATIAL_FORCE)
+        apply_spatial_load(sizes, properties, gimbal_place(sizes, 0), momentum, work, SPATIAL_MOMENTUM)
+    if sizes.pitch_modes + sizes.yaw_modes > 0:
+        apply_gimbal_load(sizes, properties, 0, sum_of_loads(gimbal_load, reaction_load), work)
+        gyroscopic = gyroscopic_forces(sizes, properties, 0, rate, momentum, work)
         roll = elastic_forces(vehicle.bending, sizes, properties, axial_load, work)
         moment = add(moment, (gyroscopic[0] + roll, gyroscopic[1], gyroscopic[2]))
     if sizes.spatial_modes > 0:
@@ -246,7 +248,7 @@ def derivative(
     for tank in range(sizes.tanks):
         first = pendulums + N_PENDULUM * tank
         damper_force, damper_moment = pendulum_loads(
-            vehicle.slosh, sizes, tank, rate, axial_load, engine.offset, properties, y, first, work
+            vehicle.slosh, sizes, tank, rate, axial_load, balanced.offset, properties, y, first, work
         )  # fmt: skip  # twelve lines otherwise
         force, moment = add(force, damper_force), add(moment, damper_moment)
     if vehicle.slosh.exchange == 1:
@@ -254,13 +256,15 @@ def derivative(
         force, moment = add(force, liquid_force), add(moment, liquid_moment)
 
     specific_force, alpha = accelerate(
-        vehicle.slosh, sizes, held.on_pad, engine.offset, engine.inverse_inertia, force, moment, pad, properties, y,
-        pendulums, work,
+        vehicle.slosh, sizes, held.on_pad, balanced.offset, balanced.inverse_inertia, force, moment, pad, properties,
+        y, pendulums, work,
     )  # fmt: skip  # fourteen lines otherwise
 
     kinematics(environment.earth, held.on_pad, rotation, rate, specific_force, alpha, gravitation, properties, y, dy)
-    actuator_derivative(vehicle.actuator_pitch, y, ACTUATOR, held.command_pitch_rad, dy)
-    actuator_derivative(vehicle.actuator_yaw, y, ACTUATOR + N_ACTUATOR, held.command_yaw_rad, dy)
+    for group in range(1 + sizes.further_groups):
+        i = actuator_index(sizes, group)
+        actuator_derivative(vehicle.actuator_pitch, y, i, held.command_rad[2 * group], dy)
+        actuator_derivative(vehicle.actuator_yaw, y, i + N_ACTUATOR, held.command_rad[2 * group + 1], dy)
     bend_y, bend_z = bending_rate_at_gyro(sizes, properties, work)
     local = (rate[0], rate[1] + bend_y, rate[2] + bend_z)
     if sizes.spatial_modes > 0:
@@ -283,17 +287,31 @@ def derivative(
 
 
 @kernel
-def engine_motion(vehicle: Vehicle, sizes: Counts, held: Held, properties: Array, y: Array, aux: Array) -> Deflected:
-    """Mass properties with the engine deflected by its actuators; angles, rates, accelerations into `aux`."""
-    pitch, pitch_rate, pitch_accel = actuator_output(vehicle.actuator_pitch, y, ACTUATOR, held.command_pitch_rad)
-    yaw, yaw_rate, yaw_accel = actuator_output(vehicle.actuator_yaw, y, ACTUATOR + N_ACTUATOR, held.command_yaw_rad)
-    aux[ENGINE_PITCH], aux[ENGINE_PITCH + 1], aux[ENGINE_PITCH + 2] = pitch, pitch_rate, pitch_accel
-    aux[ENGINE_YAW], aux[ENGINE_YAW + 1], aux[ENGINE_YAW + 2] = yaw, yaw_rate, yaw_accel
-    e = vehicle.engine
-    axis, axis_rate, axis_accel = thrust_axis_motion(
-        pitch + e.misalignment_pitch_rad, pitch_rate, pitch_accel, yaw + e.misalignment_yaw_rad, yaw_rate, yaw_accel
-    )
-    return deflected_engine(e, sizes, axis, axis_rate, axis_accel, properties)
+def engine_motion(
+    vehicle: Vehicle, sizes: Counts, held: Held, properties: Array, y: Array, work: Array, aux: Array
+) -> tuple[Deflected, Balance]:
+    """The first engine, deflected by its actuators, further ones into `work`; CG and inertia with all of them.
+
+    Angles, rates and accelerations of each group go into `aux`.
+    """
+    for group in range(1 + sizes.further_groups):
+        i, at = actuator_index(sizes, group), group_angles(group)
+        set_vector(aux, at, actuator_output(vehicle.actuator_pitch, y, i, held.command_rad[2 * group]))
+        in_yaw = actuator_output(vehicle.actuator_yaw, y, i + N_ACTUATOR, held.command_rad[2 * group + 1])
+        set_vector(aux, at + 3, in_yaw)
+    axis, axis_rate, axis_accel = engine_axis_motion(vehicle.engine, 0, aux, ENGINE_PITCH)
+    first = deflected_engine(vehicle.engine, 0, axis, axis_rate, axis_accel, properties)
+    if sizes.engines > 1:
+        further_motion(vehicle.engine, vehicle.sizes, properties, work, aux)
+    return first, balance(vehicle.engine, sizes, first, properties, work)
+
+
+@routine
+def further_motion(e: Engine, of: Sizes, properties: Array, work: Array, aux: Array) -> None:
+    """The engines beyond the first, deflected, into `work`."""
+    for k in range(1, of.engines):
+        axis, axis_rate, axis_accel = engine_axis_motion(e, k, aux, group_angles(e.group[k]))
+        put_deflected(work, k, deflected_engine(e, k, axis, axis_rate, axis_accel, properties))
 
 
 @kernel
@@ -330,44 +348,130 @@ def aerodynamics(
 def thrust_loads(
     vehicle: Vehicle, sizes: Counts, engine: Deflected, properties: Array, work: Array, aux: Array
 ) -> tuple[Vector, Vector, Load]:
-    """Thrust along the deflected engine on the bent body: force, moment about the core CG, load on the modes.
+    """Thrust along the deflected engines on the bent body: force, moment about the core CG, load on the modes.
 
-    The moment on what spatial modes displace is left to `outer_spatial_load`.
+    The load is that at the first station of gimbals; loads at others have gone to the modes. The moment on what spatial
+    modes displace is left to `outer_spatial_load`.
     """
-    strength = thrust(vehicle.engine, properties[THRUST_VACUUM], aux[PRESSURE])
-    aux[THRUST] = strength
-    shift_y, shift_z, slope_y, slope_z = gimbal_displacement(sizes, properties, work)
-    aux[GIMBAL_BEND], aux[GIMBAL_BEND + 1] = shift_y, shift_z
-    aux[GIMBAL_BEND + 2], aux[GIMBAL_BEND + 3] = slope_y, slope_z
-    twist = 0.0
+    strength = thrust(vehicle.engine, 0, properties[THRUST_VACUUM], aux[PRESSURE])
+    aux[ENGINE_THRUSTS], aux[THRUST] = strength, vehicle.engine.rest_x[0] * strength
+    bend = gimbal_bend(sizes, properties, 0, work)
+    aux[GIMBAL_BEND], aux[GIMBAL_BEND + 1] = bend.moved_y, bend.moved_z
+    aux[GIMBAL_BEND + 2], aux[GIMBAL_BEND + 3] = bend.slope_y, bend.slope_z
+    force, moment, load = thrust_load(vehicle.engine, 0, engine, strength, vehicle.follower_thrust, bend)
+    if sizes.engines > 1:
+        further_force, further_moment, load = further_thrusts(
+            vehicle.engine, vehicle.sizes, vehicle.follower_thrust, load, bend, properties, work, aux
+        )  # fmt: skip  # ten lines otherwise
+        force, moment = add(force, further_force), add(moment, further_moment)
+    return force, moment, load
+
+
+class Bend(NamedTuple):
+    """Motion of a gimbal's station by bending: displacement (m) and rotation (rad) in B."""
+
+    shift_y: float  # of planar modes
+    shift_z: float
+    moved_y: float  # of all modes
+    moved_z: float
+    twist: float
+    slope_y: float
+    slope_z: float
+
+
+@kernel
+def gimbal_bend(sizes: Counts, properties: Array, gimbal: int, work: Array) -> Bend:
+    shift_y, shift_z, slope_y, slope_z = gimbal_displacement(sizes, properties, gimbal, work)
+    moved_y, moved_z, twist = shift_y, shift_z, 0.0
     if sizes.spatial_modes > 0:
-        moved = spatial_motion(sizes, properties, gimbal_place(sizes), work, SPATIAL_ETA)
-        for j in range(2):
-            aux[GIMBAL_BEND + j] += moved[1 + j]
-            aux[GIMBAL_BEND + 2 + j] += moved[4 + j]
-        twist, slope_y, slope_z = moved[3], slope_y + moved[4], slope_z + moved[5]
+        spatial = spatial_motion(sizes, properties, gimbal_place(sizes, gimbal), work, SPATIAL_ETA)
+        moved_y, moved_z = shift_y + spatial[1], shift_z + spatial[2]
+        twist, slope_y, slope_z = spatial[3], slope_y + spatial[4], slope_z + spatial[5]
+    return Bend(shift_y, shift_z, moved_y, moved_z, twist, slope_y, slope_z)
+
+
+@kernel
+def thrust_load(
+    e: Engine, k: int, engine: Deflected, strength: float, follower: int, bend: Bend
+) -> tuple[Vector, Vector, Load]:
+    """As `thrust_loads`, of engine k, whose gimbal is displaced by `bend`."""
     if strength <= 0.0:
         return (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
     axis = engine.axis
-    if vehicle.follower_thrust == 1:
-        axis = add(axis, cross((twist, slope_y, slope_z), axis))
+    if follower == 1:
+        axis = add(axis, cross((bend.twist, bend.slope_y, bend.slope_z), axis))
     force = scaled(strength, axis)
     moment = cross(engine.gimbal, force)
-    moment = (moment[0], moment[1] + shift_z * force[0], moment[2] - shift_y * force[0])
-    off_y, off_z = vehicle.engine.gimbal_offset_y_m, vehicle.engine.gimbal_offset_z_m
+    moment = (moment[0], moment[1] + bend.shift_z * force[0], moment[2] - bend.shift_y * force[0])
+    off_y, off_z = e.gimbal_offset_y_m[k], e.gimbal_offset_z_m[k]
     couple = (off_y * force[2] - off_z * force[1], off_z * force[0], -off_y * force[0])
     return force, moment, (force[0], force[1], force[2], couple[0], couple[1], couple[2])
 
 
 @kernel
-def gravity_gradient_moment(
-    environment: Environment, engine: Deflected, rotation: tuple[float, ...], y: Array
-) -> Vector:
+def sum_of_loads(a: Load, b: Load) -> Load:
+    return a[0] + b[0], a[1] + b[1], a[2] + b[2], a[3] + b[3], a[4] + b[4], a[5] + b[5]
+
+
+@routine
+def further_thrusts(
+    e: Engine, of: Sizes, follower: int, load: Load, first_bend: Bend, properties: Array, work: Array, aux: Array
+) -> tuple[Vector, Vector, Load]:
+    """Force and moment of the engines beyond the first, and `load` with theirs at the first station of gimbals."""
+    sizes = counts(of)
+    force, moment = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
+    for k in range(1, sizes.engines):
+        strength = thrust(e, k, properties[thrust_column(sizes, e.curve[k])], aux[PRESSURE])
+        aux[ENGINE_THRUSTS + k] = strength
+        aux[THRUST] += e.rest_x[k] * strength
+        gimbal, bend = e.gimbal[k], first_bend
+        if gimbal > 0:
+            bend = gimbal_bend(sizes, properties, gimbal, work)
+        own_force, own_moment, own_load = thrust_load(e, k, deflected_at(work, k), strength, follower, bend)
+        force, moment = add(force, own_force), add(moment, own_moment)
+        if gimbal == 0:
+            load = sum_of_loads(load, own_load)
+            continue
+        apply_gimbal_load(sizes, properties, gimbal, own_load, work)
+        if sizes.spatial_modes > 0:
+            place = gimbal_place(sizes, gimbal)
+            moment = add(moment, outer_spatial_load(sizes, properties, place, own_load, work))
+    return force, moment, load
+
+
+@routine
+def further_reactions(
+    e: Engine, of: Sizes, rate: Vector, axial_load: float, load: Load, momentum: Load, properties: Array, work: Array
+) -> tuple[Vector, Vector, Load, Load]:
+    """Reaction of the engines beyond the first: force, moment; `load` and `momentum` with theirs at the first station.
+
+    What acts at other stations goes to the modes at once, and their gyroscopic moment into the moment.
+    """
+    sizes = counts(of)
+    force, moment = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
+    for k in range(1, sizes.engines):
+        engine, gimbal = deflected_at(work, k), e.gimbal[k]
+        own_force, own_moment, own_load = engine_reaction(e, k, engine, rate, axial_load)
+        own_momentum = engine_momentum(e, k, engine)
+        force, moment = add(force, own_force), add(moment, own_moment)
+        if gimbal == 0:
+            load, momentum = sum_of_loads(load, own_load), sum_of_loads(momentum, own_momentum)
+            continue
+        apply_gimbal_load(sizes, properties, gimbal, own_load, work)
+        moment = add(moment, gyroscopic_forces(sizes, properties, gimbal, rate, own_momentum, work))
+        if sizes.spatial_modes > 0:
+            place = gimbal_place(sizes, gimbal)
+            apply_spatial_load(sizes, properties, place, own_load, work, SPATIAL_FORCE)
+            apply_spatial_load(sizes, properties, place, own_momentum, work, SPATIAL_MOMENTUM)
+    return force, moment, load, momentum
+
+
+@kernel
+def gravity_gradient_moment(environment: Environment, j: Symmetric, rotation: tuple[float, ...], y: Array) -> Vector:
     """Gravity-gradient moment on the core."""
     r = (
         rotation[0] * y[0] + rotation[3] * y[1] + rotation[6] * y[2],
         rotation[1] * y[0] + rotation[4] * y[1] + rotation[7] * y[2],
         rotation[2] * y[0] + rotation[5] * y[1] + rotation[8] * y[2],
     )
-    j = engine.inertia
     return gravity_gradient_torque(environment.earth, r, (j[0], j[1], j[2], -j[3], -j[4], -j[5]))

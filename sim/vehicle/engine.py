@@ -1,30 +1,86 @@
-"""Gimballed engine: thrust, and direction of the thrust with its time derivatives.
+"""Engines: thrust, and direction of the thrust with its time derivatives.
 
-The engine is mounted on a gimbal behind the vehicle and follows the actuators exactly. With the engine straight its
-mass is part of the core; `rigid.engine_reaction` adds the effects of a deflection ("tail wags dog").
+An engine is mounted on a gimbal behind the vehicle and follows the actuators of its group exactly, in two planes, in
+one, or not at all. At rest its mass is part of the core; `rigid.engine_reaction` adds the effects of a deflection
+("tail wags dog").
+
+Engines that are alike in all but their lateral position and move together are one engine here, of n-fold thrust, mass
+and inertia at the mean of their positions: that is exact (docs/model.md, section 3), and nine of them cost as much as
+one.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Annotated
 
 from maxq.control.kernel.jit import kernel
+from maxq.control.kernel.limits import MAX_ENGINES
+from maxq.control.kernel.records import Array, IntArray
 from maxq.control.kernel.vectors import Vector, sine_cosine
+from maxq.sim.vehicle.block import Counts
+from maxq.sim.vehicle.schedule import THRUST_VACUUM, thrust_column
+from maxq.sim.vehicle.workspace import ENGINE_PITCH, GROUPS
+
+_PER_ENGINE = (MAX_ENGINES,)
+Numbers = Annotated[Array, _PER_ENGINE]
+Indices = Annotated[IntArray, _PER_ENGINE]
 
 
 @dataclass(frozen=True)
 class Engine:
-    exit_area_m2: float
-    thrust_factor: float
-    gimbal_station_m: float
-    exit_station_m: float
-    gimbal_offset_y_m: float
-    gimbal_offset_z_m: float
-    misalignment_pitch_rad: float
-    misalignment_yaw_rad: float
-    gimballed_mass_kg: float
-    cg_from_gimbal_m: float  # aft of the gimbal, along the engine's axis
-    inertia_kgm2: float  # about the engine's own CG, taken as isotropic
+    """All engines of a stage; `Sizes.engines` of them count.
+
+    `turned_*_rad`: cant and misalignment, which add to the gimbal's angles. `rest_*`: thrust axis canted, neither
+    deflected nor misaligned, B. `lever_*_m`: from the body axis at the gimbal's station to the engine's CG at rest
+    (aft, y, z), as the modes see it; y and z count for canted engines only, without cant they are of second order.
+    `exit_*`: centre and second moments of the nozzle exits about it, for jet damping.
+    """
+
+    exit_area_m2: Numbers
+    thrust_factor: Numbers
+    curve: Indices  # of vacuum thrust
+    group: Indices
+    follows_pitch: Numbers  # 1 where the engine follows its group in that plane, else 0
+    follows_yaw: Numbers
+    gimbal: Indices  # station of gimbals, as the mode shapes know them
+    gimbal_station_m: Numbers
+    gimbal_offset_y_m: Numbers
+    gimbal_offset_z_m: Numbers
+    turned_pitch_rad: Numbers
+    turned_yaw_rad: Numbers
+    rest_x: Numbers
+    rest_y: Numbers
+    rest_z: Numbers
+    gimballed_mass_kg: Numbers
+    cg_from_gimbal_m: Numbers  # aft of the gimbal, along the engine's axis
+    inertia_kgm2: Numbers  # about the engine's own CG, taken as isotropic
+    lever_x_m: Numbers
+    lever_y_m: Numbers
+    lever_z_m: Numbers
+    exit_station_m: Numbers
+    exit_y_m: Numbers
+    exit_z_m: Numbers
+    exit_yy_m2: Numbers
+    exit_zz_m2: Numbers
+    exit_yz_m2: Numbers
+    flow_weight: Numbers  # mass flow per newton of the curve, relative to the other engines'
+
+
+@kernel
+def group_angles(group: int) -> int:
+    """Where aux holds angle, rate and acceleration of a group in pitch and then in yaw."""
+    return ENGINE_PITCH if group == 0 else GROUPS + 6 * (group - 1)
+
+
+@kernel
+def engine_axis_motion(e: Engine, k: int, aux: Array, at: int) -> tuple[Vector, Vector, Vector]:
+    """`thrust_axis_motion` of engine k, its group's angles standing at aux[at]."""
+    in_pitch, in_yaw = e.follows_pitch[k], e.follows_yaw[k]
+    return thrust_axis_motion(
+        in_pitch * aux[at] + e.turned_pitch_rad[k], in_pitch * aux[at + 1], in_pitch * aux[at + 2],
+        in_yaw * aux[at + 3] + e.turned_yaw_rad[k], in_yaw * aux[at + 4], in_yaw * aux[at + 5],
+    )  # fmt: skip  # eight lines otherwise
 
 
 @kernel
@@ -49,6 +105,30 @@ def thrust_axis_motion(
 
 
 @kernel
-def thrust(engine: Engine, vacuum_thrust_N: float, ambient_pressure_Pa: float) -> float:
-    """Thrust against the ambient pressure, N; never negative: so weak a flow separates from the nozzle."""
-    return max(engine.thrust_factor * vacuum_thrust_N - ambient_pressure_Pa * engine.exit_area_m2, 0.0)
+def thrust(e: Engine, k: int, vacuum_thrust_N: float, ambient_pressure_Pa: float) -> float:
+    """Thrust of engine k against the ambient pressure, N; never negative: so weak a flow separates from the nozzle."""
+    strength: float = max(e.thrust_factor[k] * vacuum_thrust_N - ambient_pressure_Pa * e.exit_area_m2[k], 0.0)
+    return strength
+
+
+@kernel
+def total_thrust(e: Engine, sizes: Counts, properties: Array, ambient_pressure_Pa: float) -> float:
+    """Thrust of all engines at rest, along the body axis, N."""
+    total: float = e.rest_x[0] * thrust(e, 0, properties[THRUST_VACUUM], ambient_pressure_Pa)
+    for k in range(1, sizes.engines):
+        vacuum_N = properties[thrust_column(sizes, e.curve[k])]
+        total += e.rest_x[k] * thrust(e, k, vacuum_N, ambient_pressure_Pa)
+    return total
+
+
+@kernel
+def flow_share(e: Engine, sizes: Counts, k: int, properties: Array) -> float:
+    """Engine k's share of the mass flow."""
+    if sizes.engines == 1:
+        return 1.0
+    own, total = 0.0, 0.0
+    for j in range(sizes.engines):
+        flow = e.flow_weight[j] * properties[thrust_column(sizes, e.curve[j])]
+        own = flow if j == k else own
+        total += flow
+    return own / total if total > 0.0 else 0.0

@@ -21,7 +21,7 @@ from maxq.control.kernel.vectors import (
     vector_at,
 )
 from maxq.sim.vehicle.block import Q_BI, R_I, V_I, W_BI_B, Counts
-from maxq.sim.vehicle.engine import Engine
+from maxq.sim.vehicle.engine import Engine, flow_share
 from maxq.sim.vehicle.schedule import (
     CG_RATE,
     CORE_CG,
@@ -41,53 +41,104 @@ from maxq.sim.vehicle.schedule import (
 )
 from maxq.sim.vehicle.slosh import Slosh, pendulum_length
 from maxq.sim.vehicle.spatial_modes import Load
+from maxq.sim.vehicle.workspace import ENGINE, ENGINE_WIDTH
 from maxq.sim.world.earth import Earth
 
 
 class Deflected(NamedTuple):
-    """The engine of this instant, in B (m, kg m2)."""
+    """One engine of this instant, in B (m)."""
 
     axis: Vector  # unit vector of the thrust
     gimbal: Vector  # gimbal point relative to the core CG
-    delta: Vector  # engine CG relative to where it is with the engine straight, and derivatives
+    delta: Vector  # engine CG relative to where it is at rest, and derivatives
     delta_rate: Vector
     delta_accel: Vector
     relative_rate: Vector  # angular velocity of the engine relative to the body, and derivative
     relative_accel: Vector
-    offset: Vector  # CG with the engine deflected, relative to the core CG
-    inertia: Symmetric  # about the core CG, engine deflected
-    inverse_inertia: Symmetric  # inverse of the tensor about the CG with the engine deflected
+
+
+class Balance(NamedTuple):
+    """CG and inertia with all engines deflected, in B (m, kg m2)."""
+
+    offset: Vector  # of the CG from the core CG
+    inertia: Symmetric  # about the core CG
+    inverse_inertia: Symmetric  # inverse of the tensor about that CG
 
 
 @kernel
 def deflected_engine(
-    e: Engine, sizes: Counts, axis: Vector, axis_rate: Vector, axis_accel: Vector, properties: Array
+    e: Engine, k: int, axis: Vector, axis_rate: Vector, axis_accel: Vector, properties: Array
 ) -> Deflected:
-    arm, mass = e.cg_from_gimbal_m, e.gimballed_mass_kg
-    gimbal = (
-        properties[CORE_CG] - e.gimbal_station_m,
-        e.gimbal_offset_y_m - properties[CORE_CG + 1],
-        e.gimbal_offset_z_m - properties[CORE_CG + 2],
-    )
-    delta = (arm * (1.0 - axis[0]), -arm * axis[1], -arm * axis[2])
-    straight = (gimbal[0] - arm, gimbal[1], gimbal[2])
-    moved = add(straight, delta)
-    core = symmetric_at(properties, CORE_INERTIA)
-    inertia = _plus_point(_plus_point(core, mass, moved), -mass, straight)
-    offset = scaled(mass * properties[schedule_width(sizes) + INVERSE_CORE_MASS], delta)
-    about_cg = _plus_point(inertia, -properties[CORE_MASS], offset)
+    arm = e.cg_from_gimbal_m[k]
     return Deflected(
         axis,
-        gimbal,
-        delta,
+        gimbal_point(e, k, properties),
+        scaled(arm, (e.rest_x[k] - axis[0], e.rest_y[k] - axis[1], e.rest_z[k] - axis[2])),
         scaled(-arm, axis_rate),
         scaled(-arm, axis_accel),
         cross(axis, axis_rate),
         cross(axis, axis_accel),
-        offset,
-        inertia,
-        inverse_inertia(about_cg),
     )
+
+
+@kernel
+def gimbal_point(e: Engine, k: int, properties: Array) -> Vector:
+    """Gimbal of engine k relative to the core CG, B, m."""
+    return (
+        properties[CORE_CG] - e.gimbal_station_m[k],
+        e.gimbal_offset_y_m[k] - properties[CORE_CG + 1],
+        e.gimbal_offset_z_m[k] - properties[CORE_CG + 2],
+    )
+
+
+@kernel
+def _at_rest(e: Engine, k: int, gimbal: Vector) -> Vector:
+    """CG of engine k at rest relative to the core CG."""
+    arm = e.cg_from_gimbal_m[k]
+    return gimbal[0] - arm * e.rest_x[k], gimbal[1] - arm * e.rest_y[k], gimbal[2] - arm * e.rest_z[k]
+
+
+@kernel
+def displaced_inertia(e: Engine, k: int, engine: Deflected, inertia: Symmetric) -> Symmetric:
+    """`inertia` about the core CG after engine k has moved from its place at rest."""
+    mass, rest = e.gimballed_mass_kg[k], _at_rest(e, k, engine.gimbal)
+    return _plus_point(_plus_point(inertia, mass, add(rest, engine.delta)), -mass, rest)
+
+
+@kernel
+def balance(e: Engine, sizes: Counts, first: Deflected, properties: Array, work: Array) -> Balance:
+    """With the first engine as it is, and further ones as the workspace holds them."""
+    inverse_mass = properties[schedule_width(sizes) + INVERSE_CORE_MASS]
+    inertia = displaced_inertia(e, 0, first, symmetric_at(properties, CORE_INERTIA))
+    offset = scaled(e.gimballed_mass_kg[0] * inverse_mass, first.delta)
+    for k in range(1, sizes.engines):
+        engine = deflected_at(work, k)
+        inertia = displaced_inertia(e, k, engine, inertia)
+        offset = add(offset, scaled(e.gimballed_mass_kg[k] * inverse_mass, engine.delta))
+    about_cg = _plus_point(inertia, -properties[CORE_MASS], offset)
+    return Balance(offset, inertia, inverse_inertia(about_cg))
+
+
+@kernel
+def put_deflected(work: Array, k: int, engine: Deflected) -> None:
+    """Keep an engine beyond the first in the workspace."""
+    at = ENGINE + ENGINE_WIDTH * (k - 1)
+    set_vector(work, at, engine.axis)
+    set_vector(work, at + 3, engine.gimbal)
+    set_vector(work, at + 6, engine.delta)
+    set_vector(work, at + 9, engine.delta_rate)
+    set_vector(work, at + 12, engine.delta_accel)
+    set_vector(work, at + 15, engine.relative_rate)
+    set_vector(work, at + 18, engine.relative_accel)
+
+
+@kernel
+def deflected_at(work: Array, k: int) -> Deflected:
+    at = ENGINE + ENGINE_WIDTH * (k - 1)
+    return Deflected(
+        vector_at(work, at), vector_at(work, at + 3), vector_at(work, at + 6), vector_at(work, at + 9),
+        vector_at(work, at + 12), vector_at(work, at + 15), vector_at(work, at + 18),
+    )  # fmt: skip  # nine lines otherwise
 
 
 @kernel
@@ -105,26 +156,48 @@ def _plus_point(j: Symmetric, mass: float, at: Vector) -> Symmetric:
 
 
 @kernel
-def engine_reaction(e: Engine, engine: Deflected, rate: Vector, axial_load: float) -> tuple[Vector, Vector, Load]:
-    """Force and moment (about the core CG) of the moving engine on the vehicle, in B ("tail wags dog").
+def engine_reaction(
+    e: Engine, k: int, engine: Deflected, rate: Vector, axial_load: float
+) -> tuple[Vector, Vector, Load]:
+    """Force and moment (about the core CG) of the moving engine k on the vehicle, in B ("tail wags dog").
 
     The third result is the load at the gimbal that excites the modes.
 
-    Terms in the unknown accelerations are in the mass matrix (`Deflected.offset`, `.inertia`). The axial load on the
-    displaced engine bends the body as well: a first-order effect of the deflection.
+    Terms in the unknown accelerations are in the mass matrix (`Balance`). The axial load on the displaced engine bends
+    the body as well: a first-order effect of the deflection.
     """
-    mass, arm = e.gimballed_mass_kg, e.cg_from_gimbal_m
+    mass, inertia = e.gimballed_mass_kg[k], e.inertia_kgm2[k]
     relative = add(engine.delta_accel, scaled(2.0, cross(rate, engine.delta_rate)))
     force = scaled(-mass, add(relative, cross(rate, cross(rate, engine.delta))))
-    at = add((engine.gimbal[0] - arm, engine.gimbal[1], engine.gimbal[2]), engine.delta)
+    at = add(_at_rest(e, k, engine.gimbal), engine.delta)
     moment = scaled(-mass, cross(at, relative))
     spin = add(engine.relative_accel, cross(rate, engine.relative_rate))
-    moment = add(moment, scaled(-e.inertia_kgm2, spin))
+    moment = add(moment, scaled(-inertia, spin))
+    aft, to_y, to_z = e.lever_x_m[k], e.lever_y_m[k], e.lever_z_m[k]
     inertial = scaled(-mass, engine.delta_accel)
-    moment_y = arm * inertial[2] - e.inertia_kgm2 * engine.relative_accel[1] - mass * axial_load * engine.delta[2]
-    moment_z = -arm * inertial[1] - e.inertia_kgm2 * engine.relative_accel[2] + mass * axial_load * engine.delta[1]
-    moment_x = -e.inertia_kgm2 * engine.relative_accel[0]
+    moment_y = aft * inertial[2] - inertia * engine.relative_accel[1] - mass * axial_load * engine.delta[2]
+    moment_z = -aft * inertial[1] - inertia * engine.relative_accel[2] + mass * axial_load * engine.delta[1]
+    moment_y, moment_z = moment_y + to_z * inertial[0], moment_z - to_y * inertial[0]
+    beside_y, beside_z = _beside_axis(e, k)
+    moment_x = beside_y * inertial[2] - beside_z * inertial[1] - inertia * engine.relative_accel[0]
     return force, moment, (inertial[0], inertial[1], inertial[2], moment_x, moment_y, moment_z)
+
+
+@kernel
+def engine_momentum(e: Engine, k: int, engine: Deflected) -> Load:
+    """What the moving engine k adds to the momentum of the modes, as a load at its gimbal: N s, N m s (3.4, 4.9)."""
+    x, y, z = scaled(e.gimballed_mass_kg[k], engine.delta_rate)
+    spin, aft = scaled(e.inertia_kgm2[k], engine.relative_rate), e.lever_x_m[k]
+    beside_y, beside_z = _beside_axis(e, k)
+    about_x = spin[0] + (beside_y * z - beside_z * y)
+    return x, y, z, about_x, spin[1] + aft * z + e.lever_z_m[k] * x, spin[2] - aft * y - e.lever_y_m[k] * x
+
+
+@kernel
+def _beside_axis(e: Engine, k: int) -> tuple[float, float]:
+    """CG of engine k at rest from the body axis along y and z, m."""
+    arm = e.cg_from_gimbal_m[k]
+    return e.gimbal_offset_y_m[k] - arm * e.rest_y[k], e.gimbal_offset_z_m[k] - arm * e.rest_z[k]
 
 
 @kernel
@@ -135,12 +208,20 @@ def prepare_outflow(e: Engine, slosh: Slosh, sizes: Counts, properties: Array) -
     -(dJ/dt) w - mdot r_exit x (w x r_exit) about the core CG (docs/model.md, section 8; Eke 1998, Meirovitch 1970):
     that of a point of "mass" mdot at the exit. What a bob loses flows into the core at the bob's position.
     """
-    flow, mass = properties[MASS_FLOW], properties[CORE_MASS]
-    at = (properties[CORE_CG] - e.exit_station_m, -properties[CORE_CG + 1], -properties[CORE_CG + 2])
-    inner = add(
-        scaled(mass, (-properties[CG_RATE], properties[CG_RATE + 1], properties[CG_RATE + 2])), scaled(flow, at)
-    )
-    damping = _plus_point(symmetric_at(properties, INERTIA_RATE), flow, at)
+    mass = properties[CORE_MASS]
+    inner = scaled(mass, (-properties[CG_RATE], properties[CG_RATE + 1], properties[CG_RATE + 2]))
+    damping = symmetric_at(properties, INERTIA_RATE)
+    for k in range(sizes.engines):
+        flow = properties[MASS_FLOW] * flow_share(e, sizes, k, properties)
+        at = (
+            properties[CORE_CG] - e.exit_station_m[k],
+            e.exit_y_m[k] - properties[CORE_CG + 1],
+            e.exit_z_m[k] - properties[CORE_CG + 2],
+        )
+        inner = add(inner, scaled(flow, at))
+        yy, zz, yz = flow * e.exit_yy_m2[k], flow * e.exit_zz_m2[k], flow * e.exit_yz_m2[k]
+        m = _plus_point(damping, flow, at)
+        damping = (m[0] + (yy + zz), m[1] + zz, m[2] + yy, m[3], m[4], m[5] + yz)
     for tank in range(sizes.tanks):
         c = tank_column(tank)
         at = (
@@ -195,11 +276,3 @@ def kinematics(
     dy[Q_BI + 2] = 0.5 * (w * q + z * p - x * r)
     dy[Q_BI + 3] = 0.5 * (w * r + x * q - yy * p)
     set_vector(dy, W_BI_B, alpha)
-
-
-@kernel
-def engine_momentum(e: Engine, engine: Deflected) -> Load:
-    """What the moving engine adds to the momentum of the modes, as a load at the gimbal: N s, N m s (eq. 4.9)."""
-    x, y, z = scaled(e.gimballed_mass_kg, engine.delta_rate)
-    spin, arm = scaled(e.inertia_kgm2, engine.relative_rate), e.cg_from_gimbal_m
-    return x, y, z, spin[0], spin[1] + arm * z, spin[2] - arm * y

@@ -6,7 +6,7 @@ that a kernel finds the interval once and evaluates every column in one sweep; i
 plane side by side (pitch plane, then yaw plane). A row has room for a multiple of four modes, with zeros where there is
 no mode, so that kernels take four modes at a time. Last the spatial modes, row by row for all of them side by side:
 frequency and mass, six rows for each place at which a mode is felt (displacement along x, y, z, rotation about x, y,
-z), softening and turning.
+z), softening and turning. Behind them further curves of thrust.
 
 Behind the table's columns lie properties that are derived from them; `complete_modes` and `rigid.prepare_outflow`
 compute them.
@@ -25,7 +25,7 @@ CG_RATE = 10  # time derivative of CORE_CG, m/s
 INERTIA_RATE = 13  # time derivative of CORE_INERTIA, kg m2/s
 TOTAL_MASS = 19  # kg, sloshing masses included
 MASS_FLOW = 20  # kg/s, minus the derivative of TOTAL_MASS
-THRUST_VACUUM = 21  # N
+THRUST_VACUUM = 21  # N, the first curve; see `thrust_column` for further ones
 N_CONSTANT = 22
 
 TANK_MASS = 0  # kg
@@ -40,7 +40,7 @@ MODE_MASS = 1  # generalised mass, kg
 MODE_PHI_GIMBAL = 2
 MODE_SLOPE_GIMBAL = 3  # d(phi)/d(x_n), 1/m
 MODE_SLOPE_GYRO = 4
-MODE_FIRST = 5  # then phi at each tank; phi, slope at each surface; axial softening by each mode, kg/m
+MODE_FIRST = 5  # then phi at each tank; phi, slope at each surface and further gimbal; axial softening by each, kg/m
 
 SPATIAL_OMEGA = 0  # rows of the spatial modes: rad/s
 SPATIAL_MASS = 1  # generalised mass, kg
@@ -95,7 +95,7 @@ def mode_column(sizes: Counts, plane: int, row: int) -> int:
 @kernel
 def softening_row(sizes: Counts, mode: int) -> int:
     """Row of what `mode`'s displacement takes from the stiffness of each mode under axial load."""
-    return MODE_FIRST + sizes.tanks + 2 * sizes.surfaces + mode
+    return gimbal_row(sizes, sizes.gimbals) + mode
 
 
 @kernel
@@ -115,8 +115,8 @@ def surface_place(sizes: Counts, surface: int) -> int:
 
 
 @kernel
-def gimbal_place(sizes: Counts) -> int:
-    return 1 + sizes.tanks + sizes.surfaces
+def gimbal_place(sizes: Counts, gimbal: int) -> int:
+    return 1 + sizes.tanks + sizes.surfaces + gimbal
 
 
 @kernel
@@ -134,7 +134,7 @@ def place_column(sizes: Counts, place: int, component: int) -> int:
 @kernel
 def spatial_softening_row(sizes: Counts, mode: int) -> int:
     """Row of what `mode`'s displacement takes from the stiffness of each spatial mode under axial load."""
-    return SPATIAL_FIRST + 6 * (gimbal_place(sizes) + 1) + mode
+    return SPATIAL_FIRST + 6 * gimbal_place(sizes, sizes.gimbals) + mode
 
 
 @kernel
@@ -144,8 +144,20 @@ def turning_row(sizes: Counts, mode: int) -> int:
 
 
 @kernel
+def gimbal_row(sizes: Counts, gimbal: int) -> int:
+    """Row of the shapes at a station of gimbals; that of the slopes is the next."""
+    return MODE_PHI_GIMBAL if gimbal == 0 else surface_row(sizes, sizes.surfaces) + 2 * (gimbal - 1)
+
+
+@kernel
+def thrust_column(sizes: Counts, curve: int) -> int:
+    """Column of a curve of vacuum thrust: further ones stand behind the modes."""
+    return THRUST_VACUUM if curve == 0 else spatial_column(sizes, turning_row(sizes, sizes.spatial_modes)) + curve - 1
+
+
+@kernel
 def schedule_width(sizes: Counts) -> int:
-    return spatial_column(sizes, turning_row(sizes, sizes.spatial_modes))
+    return thrust_column(sizes, sizes.thrust_curves)
 
 
 @kernel

@@ -3,6 +3,7 @@
     r_I v_I q_BI w_BI_B | actuator pitch, yaw | gyro roll, pitch, yaw | gyro integrals
     eta[n_pitch] nu_pitch[n_pitch] xi[n_yaw] nu_yaw[n_yaw] | eta[n_spatial] nu[n_spatial]
     per tank: u_B (3), kappa_B (3)
+    per further group of engines: actuator pitch, yaw
 
 The first `N_FIXED` entries are the same for every vehicle; bending and slosh follow, as many as the vehicle has.
 Position and velocity are those of the *core* CG (the vehicle without its sloshing masses, engine straight), in the
@@ -18,7 +19,7 @@ import math
 from maxq.control.kernel.jit import kernel, routine
 from maxq.control.kernel.records import Array
 from maxq.control.kernel.vectors import Vector
-from maxq.sim.vehicle.actuator import ACTUATORS
+from maxq.sim.vehicle.actuator import ACTUATORS, FURTHER_ACTUATORS
 from maxq.sim.vehicle.bending import ETA_STATES, NU_PITCH_STATES, NU_YAW_STATES, XI_STATES
 from maxq.sim.vehicle.block import (
     ANGULAR_VELOCITY,
@@ -42,6 +43,7 @@ from maxq.sim.vehicle.spatial_modes import NU_SPATIAL_STATES, SPATIAL_STATES
 BLOCKS = (
     POSITION, VELOCITY, ATTITUDE, ANGULAR_VELOCITY, ACTUATORS, GYROS, GYRO_ANGLES,
     ETA_STATES, NU_PITCH_STATES, XI_STATES, NU_YAW_STATES, SPATIAL_STATES, NU_SPATIAL_STATES, PENDULUMS,
+    FURTHER_ACTUATORS,
 )  # fmt: skip  # a table
 BOUNDED = (ANGULAR_VELOCITY, ETA_STATES, XI_STATES, SPATIAL_STATES, POSITION, VELOCITY)  # checked in this order
 
@@ -66,6 +68,7 @@ GYRO = _index_of(GYROS)[0]
 GYRO_ANGLE = _index_of(GYRO_ANGLES)[0]
 _ETA, _XI, _SPATIAL = _index_of(ETA_STATES), _index_of(XI_STATES), _index_of(SPATIAL_STATES)
 _PENDULUM, _END = _index_of(PENDULUMS), _index_of(None)
+_FURTHER_ACTUATORS = _index_of(FURTHER_ACTUATORS)
 N_FIXED = _ETA[0]
 N_ACTUATOR = len(ACTUATORS.states)
 MAX_STATE = sum(
@@ -85,7 +88,7 @@ def _at(index: Index, sizes: Sizes | Counts) -> int:
     """With the fields of `Counts` in their order: a loop over them would not become one constant expression."""
     modes = index[1] * sizes.pitch_modes + index[2] * sizes.yaw_modes
     rest = index[3] * sizes.tanks + index[4] * sizes.surfaces + index[5] * sizes.tables
-    return index[0] + modes + rest + index[6] * sizes.spatial_modes
+    return index[0] + modes + rest + index[6] * sizes.spatial_modes + index[7] * sizes.further_groups
 
 
 @kernel
@@ -115,6 +118,12 @@ def spatial_index(sizes: Sizes | Counts) -> int:
 def pendulum_index(sizes: Sizes | Counts, tank: int) -> int:
     """u_B of a tank's pendulum; kappa_B follows after three entries."""
     return _at(_PENDULUM, sizes) + N_PENDULUM * tank
+
+
+@kernel
+def actuator_index(sizes: Sizes | Counts, group: int) -> int:
+    """First state of the pitch actuator of a group of engines; that of yaw follows after `N_ACTUATOR`."""
+    return ACTUATOR if group == 0 else _at(_FURTHER_ACTUATORS, sizes) + 2 * N_ACTUATOR * (group - 1)
 
 
 def state_names(sizes: Sizes) -> tuple[str, ...]:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from maxq.control.kernel.limits import MAX_MODES, MAX_SURFACES, MAX_TANKS
+from maxq.control.kernel.limits import MAX_ENGINES, MAX_MODES, MAX_SURFACES, MAX_TANKS
 from maxq.control.kernel.records import Array
 
 
@@ -21,9 +21,9 @@ class Evaluation(NamedTuple):
     aux: Array
 
 
-# columns of the widest schedule (12 modes a plane, 12 spatial modes, 8 tanks, 9 surfaces: 2734) and derived
-# properties (439)
-PROPERTIES_SIZE = 3328
+# columns of the widest schedule (12 modes a plane, 12 spatial modes, 8 tanks, 9 surfaces, 9 engines at as many
+# stations: 3700) and derived properties (439)
+PROPERTIES_SIZE = 4224
 
 # --- work
 # of each mode, in pitch and then in yaw, zeros from the last mode to the next multiple of four
@@ -56,7 +56,9 @@ PART_WIND = (
     COEFFICIENTS + 14
 )  # air's velocity at each surface, then at the cross-flow's station, less that at C, m/s (3)
 CROSSFLOW_PART = MAX_SURFACES + 1  # the last of them
-WORK_SIZE = PART_WIND + 3 * (CROSSFLOW_PART + 1)
+ENGINE = PART_WIND + 3 * (CROSSFLOW_PART + 1)  # per engine beyond the first, see rigid.py
+ENGINE_WIDTH = 24
+WORK_SIZE = ENGINE + ENGINE_WIDTH * (MAX_ENGINES - 1)
 
 # --- aux
 ALTITUDE = 0  # m above the ellipsoid, sphere or plane
@@ -71,7 +73,7 @@ DYNAMIC_PRESSURE = 10
 AERO_FORCE = 11  # B, N (3)
 AERO_MOMENT = 14  # about the core CG in B, N m (3)
 THRUST = 17  # N
-ENGINE_PITCH = 18  # angle, rate, acceleration: rad, rad/s, rad/s2
+ENGINE_PITCH = 18  # angle, rate, acceleration of the first group of engines: rad, rad/s, rad/s2
 ENGINE_YAW = 21
 SPECIFIC_FORCE = 24  # specific force at the core CG in B, m/s2 (3): acceleration less gravitation
 ANGULAR_ACCEL = 27  # B, rad/s2 (3)
@@ -81,4 +83,6 @@ GRAVITATION = 35  # I, m/s2 (3)
 AXIAL_LOAD = 38  # axial specific force that softens the modes and drives the pendulums, m/s2
 GIMBAL_BEND = 39  # of the gimbal, by bending: displacement along y and z (m), rotation about y and z (rad)
 TENSIONS = 43  # tension of each pendulum's rod, N
-AUX_SIZE = TENSIONS + MAX_TANKS
+GROUPS = TENSIONS + MAX_TANKS  # pitch and yaw of every further group of engines, as of the first (6)
+ENGINE_THRUSTS = GROUPS + 6 * (MAX_ENGINES - 1)  # thrust of every engine of engine.py, N
+AUX_SIZE = ENGINE_THRUSTS + MAX_ENGINES

@@ -131,7 +131,7 @@ class _Chart:
             begin(packed.parameters, packed.pool, memory, packed.state.copy())
         self._packed, self._time_s = dataclasses.replace(packed, memory=memory), time_s
         self._held = memory[0].held
-        self._command = np.array([self._held.command_pitch_rad, self._held.command_yaw_rad])
+        self._command = np.array(self._held.command_rad[:2])
         stage = packed.parameters[int(memory[0].clock.stage)]
         self._sizes = stage.vehicle.sizes
         self._spin = np.array([0.0, 0.0, float(stage.environment.earth.rate_radps)])
@@ -152,7 +152,7 @@ class _Chart:
         """Rates of the coordinates `offset` from the reference, then the outputs."""
         x = self._point + offset
         y = self._state(x)
-        self._held.command_pitch_rad, self._held.command_yaw_rad = self._command + command
+        self._held.command_rad[:2] = self._command + command
         now = evaluate_at(self._packed, y, self._time_s)
         w = x[_W]
         outputs = [now.aux[ENGINE_PITCH], now.aux[ENGINE_YAW], w[1] + now.aux[GYRO_BEND], w[2] + now.aux[GYRO_BEND + 1]]

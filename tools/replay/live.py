@@ -261,9 +261,10 @@ class LiveView:
         """How far it may fly, roughly: what the first stages' thrust gives without drag, thrown at 45 deg, halved."""
         speed = 0.0
         for stage in self._scenario.vehicle.stage:
-            if stage.engine is None:
+            if not stage.engines:
                 continue
-            time_s, thrust = stage.engine.table["time_s"], stage.engine.table["thrust_vacuum_N"]
+            time_s = np.unique(np.concatenate([e.table["time_s"] for e in stage.engines]))
+            thrust = sum(np.interp(time_s, e.table["time_s"], e.table["thrust_vacuum_N"]) for e in stage.engines)
             mass = np.full(len(time_s), stage.mass.mass_kg or 1.0)
             if stage.mass.table is not None:
                 mass = np.interp(time_s, stage.mass.table["time_s"], stage.mass.table["mass_kg"])

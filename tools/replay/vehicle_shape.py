@@ -17,6 +17,7 @@ from scipy.interpolate import make_interp_spline
 
 from maxq.control.kernel.records import Array
 from maxq.sim.flight.channels import ChannelTable
+from maxq.sim.scenario.coverage import burn_rate
 from maxq.sim.scenario.modes import ModeTable
 from maxq.sim.scenario.schema_stage import AeroSurface
 from maxq.sim.scenario.schema_vehicle import Stage, Vehicle
@@ -109,7 +110,7 @@ def shape_of(vehicle: Vehicle) -> VehicleShape:
     stages = []
     for k, stage in enumerate(vehicle.stage):
         front = ends[k + 1] if k + 1 < len(ends) else 0.0
-        bending, gyro, engine = stage.bending, stage.gyro, stage.engine
+        bending, gyro = stage.bending, stage.gyro
         stages.append(
             StageShape(
                 profile=_body(nose, radius, front, ends[k]),
@@ -118,7 +119,7 @@ def shape_of(vehicle: Vehicle) -> VehicleShape:
                 engine=_engine(stage),
                 modes=(bending.pitch_modes, bending.yaw_modes) if bending is not None else (None, None),
                 gyro_station_m=gyro.station_m if gyro is not None else None,
-                clock_factor=engine.mass_flow_factor if engine is not None else 1.0,
+                clock_factor=burn_rate(stage),
             )
         )
     return VehicleShape(length, 2.0 * radius, tuple(stages))
@@ -126,10 +127,8 @@ def shape_of(vehicle: Vehicle) -> VehicleShape:
 
 def _end(stage: Stage, otherwise: float) -> float:
     """Where the skin of a stage ends: a little behind the gimbal, so that the engine is seen."""
-    if stage.engine is None:
-        return otherwise
-    gimbal, exit_ = stage.engine.gimbal_station_m, stage.engine.exit_station_m
-    return gimbal + 0.1 * max(exit_ - gimbal, 0.0)
+    ends = [e.gimbal_station_m + 0.1 * max(e.exit_station_m - e.gimbal_station_m, 0.0) for e in stage.engines]
+    return max(ends, default=otherwise)
 
 
 def _surface(stage: Stage, part: str) -> AeroSurface | None:
@@ -185,9 +184,9 @@ def _fins(stage: Stage, radius: float, end: float) -> Fins | None:
 
 
 def _engine(stage: Stage) -> EngineShape | None:
-    engine = stage.engine
-    if engine is None:
+    if not stage.engines:
         return None
+    engine = stage.engines[0]
     length = max(engine.exit_station_m - engine.gimbal_station_m, 0.1)
     exit_radius = math.sqrt(engine.exit_area_m2 / math.pi) if engine.exit_area_m2 > 0.0 else 0.3 * length
     return EngineShape(engine.gimbal_station_m, engine.gimbal_station_m + length, exit_radius)

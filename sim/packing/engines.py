@@ -1,0 +1,161 @@
+"""The engines of a stage as the kernels see them: alike ones of a group together, and their curves of thrust."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, fields
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from maxq.control.kernel.jit import from_python
+from maxq.control.kernel.limits import MAX_ENGINES
+from maxq.control.kernel.records import Array
+from maxq.control.kernel.tables import Cubics, Method, fit
+from maxq.sim.packing.remembered import cached_by_identity
+from maxq.sim.scenario.schema_scenario import Switches
+from maxq.sim.scenario.schema_stage import Engine as Given
+from maxq.sim.scenario.schema_vehicle import Stage
+from maxq.sim.scenario.tables_csv import CsvTable
+from maxq.sim.vehicle.engine import Engine, thrust_axis_motion
+
+_thrust_axis_motion = from_python(thrust_axis_motion)
+
+
+@dataclass(frozen=True)
+class Alike:
+    """Engines that differ in their lateral position only and move together: numbers in the stage, and one of them."""
+
+    numbers: tuple[int, ...]
+    one: Given
+
+
+@dataclass(frozen=True)
+class Cluster:
+    """What the kernels are told of a stage's engines."""
+
+    alike: tuple[Alike, ...]
+    groups: tuple[str, ...]
+    gimbals_m: tuple[float, ...]  # stations
+    curves: tuple[CsvTable, ...]  # of thrust, each once
+
+
+@cached_by_identity
+def cluster_of(stage: Stage) -> Cluster:
+    """Of a stage with an engine or without."""
+    alike: list[Alike] = []
+    for n, engine in enumerate(stage.engines):
+        same = engine.model_copy(update={"offset_m": (0.0, 0.0), "name": ""})
+        k = next((k for k, known in enumerate(alike) if known.one == same), None)
+        if k is None:
+            alike.append(Alike((n,), same))
+        else:
+            alike[k] = Alike((*alike[k].numbers, n), same)
+    curves: list[CsvTable] = []
+    for each in alike:
+        if each.one.table not in curves:
+            curves.append(each.one.table)
+    stations = tuple(dict.fromkeys(each.one.gimbal_station_m for each in alike))
+    return Cluster(tuple(alike), stage.engine_groups, stations, tuple(curves))
+
+
+def thrust_curves(stage: Stage, method: Method) -> list[Cubics]:
+    """Vacuum thrust over the clock of the stage's tables, N; zero without an engine."""
+    curves = [fit(table["time_s"], table["thrust_vacuum_N"], method) for table in cluster_of(stage).curves]
+    return curves or [fit([0.0], [[0.0]])]
+
+
+class Mount(NamedTuple):
+    """A station of gimbals: the share of the thrust that it carries, and the moment of the mass that hangs on it."""
+
+    station_m: float
+    thrust_share: float
+    hanging_kgm: float
+
+
+def engine_mounts(stage: Stage) -> tuple[Mount, ...]:
+    """By station, in the order of `Cluster.gimbals_m`; shares are those of the largest thrusts."""
+    alike, out = cluster_of(stage).alike, []
+    strengths = [len(a.numbers) * a.one.thrust_factor * float(a.one.table["thrust_vacuum_N"].max()) for a in alike]
+    for station_m in cluster_of(stage).gimbals_m:
+        there = [k for k, a in enumerate(alike) if a.one.gimbal_station_m == station_m]
+        share = 1.0
+        if sum(strengths) > 0.0 and len(there) < len(alike):
+            share = sum(strengths[k] for k in there) / sum(strengths)
+        hanging = sum(len(alike[k].numbers) * _hanging_kgm(alike[k].one) for k in there)
+        out.append(Mount(station_m, share, hanging))
+    return tuple(out)
+
+
+def _hanging_kgm(e: Given) -> float:
+    cos_pitch, cos_yaw = (math.cos(math.radians(angle)) for angle in e.cant_deg)
+    return e.gimballed_mass_kg * e.cg_from_gimbal_m * (cos_pitch * cos_yaw)
+
+
+def pack_engines(stage: Stage, switches: Switches) -> Engine:
+    """The record of all engines; without one it is zero, but for an axis."""
+    columns: dict[str, Any] = {f.name: np.zeros(MAX_ENGINES) for f in fields(Engine)}
+    for name in ("curve", "group", "gimbal"):
+        columns[name] = np.zeros(MAX_ENGINES, np.int64)
+    columns["rest_x"][:] = 1.0
+    cluster = cluster_of(stage)
+    for k, alike in enumerate(cluster.alike):
+        for name, value in _columns(stage, cluster, alike, switches).items():
+            columns[name][k] = value
+    return Engine(**columns)
+
+
+def _columns(stage: Stage, cluster: Cluster, alike: Alike, switches: Switches) -> dict[str, float]:
+    e, n = alike.one, len(alike.numbers)
+    places = np.array([stage.engines[number].offset_m for number in alike.numbers])
+    offset_y, offset_z = (float(x) for x in places.mean(axis=0))
+    cant = np.radians(e.cant_deg)
+    rest = _thrust_axis_motion(float(cant[0]), 0.0, 0.0, float(cant[1]), 0.0, 0.0)[0]
+    moves = 1.0 if switches.engine_inertia else 0.0
+    on = 1.0 if switches.thrust else 0.0
+    mass, arm = e.gimballed_mass_kg, e.cg_from_gimbal_m
+    exits = np.zeros((n, 2))
+    if isinstance(stage.engine, tuple):  # a single engine's gas leaves on the body axis
+        behind = e.exit_station_m - e.gimbal_station_m
+        exits = places - behind / rest[0] * np.array(rest[1:])
+    centre = exits.mean(axis=0)
+    spread = (exits - centre).T @ (exits - centre) / n
+    canted = any(e.cant_deg)
+    return {
+        "exit_area_m2": n * e.exit_area_m2,
+        "thrust_factor": n * (on * e.thrust_factor * e.mass_flow_factor),
+        "curve": cluster.curves.index(e.table),
+        "group": cluster.groups.index(e.group) if e.gimbal != "fixed" else 0,
+        "follows_pitch": float(e.gimbal in ("both", "pitch")),
+        "follows_yaw": float(e.gimbal in ("both", "yaw")),
+        "gimbal": cluster.gimbals_m.index(e.gimbal_station_m),
+        "gimbal_station_m": e.gimbal_station_m,
+        "gimbal_offset_y_m": offset_y,
+        "gimbal_offset_z_m": offset_z,
+        "turned_pitch_rad": math.radians(e.misalignment_deg[0]) + float(cant[0]),
+        "turned_yaw_rad": math.radians(e.misalignment_deg[1]) + float(cant[1]),
+        "rest_x": rest[0],
+        "rest_y": rest[1],
+        "rest_z": rest[2],
+        "gimballed_mass_kg": n * mass * moves,
+        "cg_from_gimbal_m": arm,
+        "inertia_kgm2": n * (e.inertia_about_gimbal_kgm2 - mass * arm * arm) * moves,
+        "lever_x_m": arm * rest[0],
+        "lever_y_m": offset_y - arm * rest[1] if canted else 0.0,
+        "lever_z_m": offset_z - arm * rest[2] if canted else 0.0,
+        "exit_station_m": e.exit_station_m,
+        "exit_y_m": centre[0],
+        "exit_z_m": centre[1],
+        "exit_yy_m2": spread[0, 0],
+        "exit_zz_m2": spread[1, 1],
+        "exit_yz_m2": spread[0, 1],
+        "flow_weight": n * e.mass_flow_factor * _flow_per_newton(e),
+    }
+
+
+def _flow_per_newton(e: Given) -> float:
+    """Of the mean thrust; 1 where the engine's table does not say: then flow goes with thrust."""
+    thrust: Array = e.table["thrust_vacuum_N"]
+    if "mass_flow_kgps" not in e.table or not thrust.any():
+        return 1.0
+    return float(e.table["mass_flow_kgps"].mean() / thrust.mean())
