@@ -8,6 +8,7 @@ from pathlib import Path
 from maxq.sim.run.fly import DIVERGED_NAME, Flight
 from maxq.sim.run.integration import worst_error
 from maxq.sim.run.metrics import Verdict, unit_of
+from maxq.sim.scenario.schema_loads import SECTION_PREFIX
 from maxq.tools.cli.terminal import aligned, printable
 
 _FINAL = (
@@ -59,6 +60,8 @@ def _events(flight: Flight) -> list[str]:
 def _metrics(flight: Flight) -> list[str]:
     rows = []
     for name, value in flight.metrics.items():
+        if name.startswith(SECTION_PREFIX) and math.isnan(value):
+            continue
         unit, time_s = unit_of(name), flight.metric_times_s[name]
         at = f"at {time_s:.3f} s" if math.isfinite(time_s) else ""
         if name.startswith(("final_", "flight_time", "range")):

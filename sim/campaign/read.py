@@ -257,7 +257,7 @@ def channel_units(loaded: LoadedScenario) -> dict[str, str]:
 
     stages = loaded.vehicle.stage
     widest = max((stage_sizes(stage, loaded.scenario.switches) for stage in stages), key=lambda s: s.tanks)
-    table = logged_channels(loaded.vehicle, widest)
+    table = logged_channels(loaded.scenario, widest)
     return {channel.name: channel.unit for group in (FAST, SLOW) for channel in table.columns(group)}
 
 

@@ -23,7 +23,8 @@ from maxq.sim.flight.step import Workspace, evaluate, read_schedule, runge_kutta
 from maxq.sim.flight.telemetry import fill_fast, fill_slow
 from maxq.sim.vehicle.block import Sizes, counts
 from maxq.sim.vehicle.environment import ANCHOR_DUE, climb_rate, climbs_certainly, flight_direction
-from maxq.sim.vehicle.schedule import properties_size
+from maxq.sim.vehicle.loads import evaluate_sections, gather_sections
+from maxq.sim.vehicle.schedule import CORE_CG, CORE_MASS, properties_size
 from maxq.sim.vehicle.state import FINITE, divergence_cause, state_size
 from maxq.sim.vehicle.workspace import ALTITUDE, ANCHOR, Evaluation
 from maxq.sim.world.gust_history import history_start
@@ -32,10 +33,11 @@ from maxq.sim.world.turbulence import turbulence_start
 
 @dataclass(frozen=True)
 class Logged:
-    """How wide a log's bending and slosh rows are: the widest stage's; `on` = 0 for no log."""
+    """How wide a log's rows of bending, slosh and section loads are: the widest stage's; `on` = 0 for no log."""
 
     on: int
     sizes: Sizes
+    stations: int  # of section loads
 
 
 class LogRows(NamedTuple):
@@ -59,6 +61,9 @@ def begin(P: Records, pool: Array, state: Records, y: Array) -> None:
     for stage in range(len(P)):
         clock.stage_burnout_ns[stage] = -1
         clock.stage_separation_ns[stage] = -1
+    for extreme in range(len(memory.sections.value_ns)):
+        memory.sections.value_ns[extreme], memory.sections.ratio_ns[extreme] = -1, -1
+    memory.sections.mismatch_ns = -1
     for metric in range(N_METRICS):
         memory.extremes.value[metric] = 0.0
         memory.extremes.time_ns[metric] = -1
@@ -114,6 +119,8 @@ def advance(
             if event_function(p, LIFTOFF, now_at.y, now_at.properties, now_at.aux) >= 0.0:
                 apply_event(p, memory, LIFTOFF)
                 continue
+        if p.loads.stations > 0:
+            track_sections(p, pool, memory, space, logged[0].on, 0)
         if logged[0].on == 1:
             log(p, memory, logged, now_at, log_rows, 0)
         step_ns = step_length(p, pool, memory, until_ns)
@@ -145,6 +152,8 @@ def advance(
         p = P[clock.stage]
         read_schedule(p, pool, memory, clock.now_ns, 0.0, now_at.properties)
         evaluate_exactly(p, pool, memory, space)
+        if p.loads.stations > 0:
+            track_sections(p, pool, memory, space, logged[0].on, 1)
         update_metrics(p, memory, 0.0, now_at)
         if logged[0].on == 1:
             log(p, memory, logged, now_at, log_rows, 1)
@@ -155,6 +164,24 @@ def evaluate_exactly(p: Parameters, pool: Array, memory: Memory, space: Workspac
     """Derivative at the start of a step. Its position becomes the anchor from which the later stages are near."""
     space.work[ANCHOR] = ANCHOR_DUE
     evaluate(p, pool, memory, memory.clock.now_ns, 0.0, space.start, space.work)
+
+
+@routine
+def track_sections(p: Parameters, pool: Array, memory: Memory, space: Workspace, logged: int, last: int) -> None:
+    """Section loads where they are due, for the extremes or for a log row; right after `evaluate_exactly`."""
+    now, sections, at = memory.clock.now_ns, memory.sections, space.start
+    due = now >= sections.due_ns
+    if not due and (logged == 0 or (now % p.timeline.slow_ns != 0 and last == 0)):
+        return
+    clock_s = schedule_clock(p, now, 0.0)
+    evaluate_sections(p.loads, p.vehicle, memory.inputs, pool, clock_s, at, space.work, space.columns, sections)
+    if due:
+        sections.due_ns = (now // p.loads.period_ns + 1) * p.loads.period_ns
+        if memory.held.burning == 1 or memory.held.on_pad == 1 or p.loads.coast == 1:
+            mass, cg_m = at.properties[CORE_MASS], at.properties[CORE_CG]
+            gather_sections(
+                p.loads, counts(p.vehicle.sizes), memory.clock.stage, now, mass, cg_m, space.columns, sections
+            )
 
 
 @kernel
@@ -249,6 +276,6 @@ def log(p: Parameters, memory: Memory, logged: Records, at: Evaluation, out: Log
         out.fast_ns[rows[0]] = now
         rows[0] += 1
     if now % p.timeline.slow_ns == 0 or last == 1:
-        fill_slow(p, memory, at.properties, at.y, at.aux, out.slow[rows[1]])
+        fill_slow(p, logged[0].stations, memory, at.properties, at.y, at.aux, out.slow[rows[1]])
         out.slow_ns[rows[1]] = now
         rows[1] += 1

@@ -13,6 +13,7 @@ from maxq.sim.flight.injection import Injections
 from maxq.sim.flight.metrics import Extremes
 from maxq.sim.vehicle.derivative import Held, StageInputs, Vehicle
 from maxq.sim.vehicle.environment import Environment
+from maxq.sim.vehicle.loads import Loads, SectionLoads
 from maxq.sim.world.gust_history import GustHistory
 from maxq.sim.world.turbulence import TurbulenceState
 
@@ -51,6 +52,7 @@ class StageTimeline:
 @dataclass(frozen=True)
 class Parameters:
     vehicle: Vehicle
+    loads: Loads
     environment: Environment
     computer: Computer
     injections: Injections
@@ -95,6 +97,7 @@ class Memory:
     gusts: TurbulenceState
     history: GustHistory
     extremes: Extremes
+    sections: SectionLoads
     increment_rad: Annotated[Array, (3,)]
     rate_injection_radps: Annotated[Array, (3,)]
     rate_replaces: Annotated[IntArray, (3,)]

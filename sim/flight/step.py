@@ -12,6 +12,7 @@ from maxq.sim.flight.injection import BODY_FORCE, BODY_TORQUE, total_signal
 from maxq.sim.flight.parameters import Memory, Parameters
 from maxq.sim.vehicle.block import counts
 from maxq.sim.vehicle.derivative import derivative, derive_properties
+from maxq.sim.vehicle.loads import MAX_LOAD_COLUMNS
 from maxq.sim.vehicle.schedule import CORE_CG, thrust_column
 from maxq.sim.vehicle.state import MAX_STATE, restore_constraints, state_size
 from maxq.sim.vehicle.workspace import AUX_SIZE, CROSSFLOW_PART, PART_WIND, PROPERTIES_SIZE, WORK_SIZE, Evaluation
@@ -27,6 +28,7 @@ class Workspace(NamedTuple):
     end: Evaluation
     y_end: Array  # state at the end of the step
     work: Array  # scratch memory of the derivative
+    columns: Array  # of the section loads
 
 
 _Y_END = 0
@@ -39,14 +41,15 @@ _END = _MIDDLE + PROPERTIES_SIZE
 _WORK = _END + PROPERTIES_SIZE
 _AUX = _WORK + WORK_SIZE
 _AUX_STAGE = _AUX + AUX_SIZE
-ARENA_SIZE = _AUX_STAGE + AUX_SIZE
+_COLUMNS = _AUX_STAGE + AUX_SIZE
+ARENA_SIZE = _COLUMNS + MAX_LOAD_COLUMNS
 
 
 @kernel
 def workspace_of(arena: Array, y: Array) -> Workspace:
     """Parts of `arena` (ARENA_SIZE,) and the state `y`, as bare pointers."""
     y_stage, k = bare_pointer(arena[_Y_STAGE:_K_1]), bare_pointer(arena[_K:_START])
-    aux = bare_pointer(arena[_AUX_STAGE:ARENA_SIZE])
+    aux = bare_pointer(arena[_AUX_STAGE:_COLUMNS])
     return Workspace(
         start=Evaluation(
             bare_pointer(arena[_START:_MIDDLE]),
@@ -58,6 +61,7 @@ def workspace_of(arena: Array, y: Array) -> Workspace:
         end=Evaluation(bare_pointer(arena[_END:_WORK]), y_stage, k, aux),
         y_end=bare_pointer(arena[_Y_END:_Y_STAGE]),
         work=bare_pointer(arena[_WORK:_AUX]),
+        columns=bare_pointer(arena[_COLUMNS:ARENA_SIZE]),
     )
 
 

@@ -20,6 +20,7 @@ from maxq.sim.flight.parameters import Memory, Parameters
 from maxq.sim.vehicle.actuator import ActuatorRow, actuator_row
 from maxq.sim.vehicle.bending import BendingRow, ModeRow, bending_row, put_modes
 from maxq.sim.vehicle.gyro import GyroRow, gyro_row
+from maxq.sim.vehicle.loads import SectionRow, section_row
 from maxq.sim.vehicle.schedule import CORE_CG, CORE_INERTIA, CORE_MASS, MASS_FLOW, TOTAL_MASS
 from maxq.sim.vehicle.slosh import SloshRow, slosh_row
 from maxq.sim.vehicle.state import (
@@ -242,8 +243,10 @@ class SlowRow(NamedTuple):
 
 
 @routine
-def fill_slow(p: Parameters, memory: Memory, props: Array, y: Array, aux: Array, row: Array) -> None:
-    """One row of the slow group."""
+def fill_slow(
+    p: Parameters, stations: int, memory: Memory, props: Array, y: Array, aux: Array, row: Array
+) -> None:  # fmt: skip  # as ruff would, but for a line of one bracket
+    """One row of the slow group; `stations` is how many sections the log has columns for."""
     values = SlowRow(
         truth=motion_row(p, memory, y),
         air=air_row(aux),
@@ -251,11 +254,16 @@ def fill_slow(p: Parameters, memory: Memory, props: Array, y: Array, aux: Array,
         vehicle=vehicle_row(memory, props, aux),
         guidance=guidance_row(memory.computer),
     )
-    put(row, 0, values)
+    column = put(row, 0, values)
+    for station in range(stations):
+        column = put(row, column, section_row(memory.sections, p.loads.stations, station))
 
 
-def channel_table(sizes: Sizes, tanks: tuple[str, ...]) -> ChannelTable:
-    """Channels of a vehicle with so many modes and these tanks, in the order of the kernels' columns."""
+def channel_table(sizes: Sizes, tanks: tuple[str, ...], stations: tuple[str, ...] = ()) -> ChannelTable:
+    """Channels of a vehicle with so many modes, these tanks and sections, in the order of the kernels' columns.
+
+    `stations`: what is said of each station of the section loads; in names they go by their numbers, from 1.
+    """
     topics = declared_topics(FAST, FastRow)
     kinds = (("pitch", sizes.pitch_modes), ("yaw", sizes.yaw_modes), ("spatial", sizes.spatial_modes))
     modes = [(kind, i) for kind, count in kinds for i in range(1, count + 1)]
@@ -266,4 +274,8 @@ def channel_table(sizes: Sizes, tanks: tuple[str, ...]) -> ChannelTable:
     slosh = [declared_channels(SloshRow, "tank", tank, f"tank {tank}") for tank in tanks]
     if slosh:
         topics.append(Topic("/slosh", FAST, sum(slosh, ()), "slosh pendulums"))
-    return ChannelTable((*topics, *declared_topics(SLOW, SlowRow)))
+    topics += declared_topics(SLOW, SlowRow)
+    sections = [declared_channels(SectionRow, "place", str(i), place) for i, place in enumerate(stations, start=1)]
+    if sections:
+        topics.append(Topic("/sections", SLOW, sum(sections, ()), "section loads"))
+    return ChannelTable(tuple(topics))

@@ -17,6 +17,7 @@ from maxq.sim.packing.computer import pack_computer, pack_injections
 from maxq.sim.packing.environment import pack_environment
 from maxq.sim.packing.faults import pack_faults
 from maxq.sim.packing.initial import initial_motion
+from maxq.sim.packing.loads import pack_loads
 from maxq.sim.packing.schedule import stage_sizes, vehicle_schedule
 from maxq.sim.packing.vehicle import pack_vehicle
 from maxq.sim.scenario.coverage import burn_rate, stage_end_s, thrust_end_s
@@ -54,7 +55,8 @@ def pack_flight(scenario: Scenario) -> Packed:
         schedule = vehicle_schedule(stage, sizes, scenario.switches, frozen)
         vehicle = pack_vehicle(scenario, stage, sizes, schedule, pool)
         timeline = _timeline(scenario, stage, stage_start_ns)
-        rows.append(Parameters(vehicle, environment, computer, injections, faults, timeline))
+        loads = pack_loads(scenario, stage, sizes, pool)
+        rows.append(Parameters(vehicle, loads, environment, computer, injections, faults, timeline))
         stage_start_ns = timeline.separation_ns
     parameters = pack(rows)
     y = np.zeros(MAX_STATE)

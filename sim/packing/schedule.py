@@ -19,7 +19,7 @@ from maxq.sim.packing.modes import Places, mode_values, spatial_values
 from maxq.sim.packing.remembered import cached_by_identity
 from maxq.sim.scenario.modes import ModeTable, SpatialModeTable
 from maxq.sim.scenario.schema_scenario import Switches
-from maxq.sim.scenario.schema_stage import AeroSurface
+from maxq.sim.scenario.schema_stage import AeroSurface, Tank
 from maxq.sim.scenario.schema_vehicle import Stage
 from maxq.sim.scenario.tables_csv import CsvTable
 from maxq.sim.vehicle import schedule as columns_of
@@ -82,7 +82,7 @@ def vehicle_schedule(stage: Stage, sizes: Sizes, switches: Switches, frozen: boo
     `frozen`: the CG does not wander (the schedule stands still).
     """
     method: Method = stage.interpolation
-    tanks = [_tank(stage, k, method) for k in range(sizes.tanks)]
+    tanks = [tank_curves(tank, method) for tank in stage.tank[: sizes.tanks]]
     thrust, *further_thrusts = thrust_curves(stage, method)
     parts = [_core(stage, tanks, method, switches.moving_cg and not frozen), thrust]
     for tank in tanks:
@@ -164,8 +164,9 @@ def _without_bobs(total: Array, bobs: list[Array]) -> Array:
     return np.stack([core_mass, station - cg[0], y + cg[1], z + cg[2], *integrals.T], axis=1)
 
 
-def _tank(stage: Stage, k: int, method: Method) -> Cubics:
-    tank, table = stage.tank[k], stage.tank[k].table
+def tank_curves(tank: Tank, method: Method) -> Cubics:
+    """Mass, length and hinge station of a pendulum over the clock of its table."""
+    table = tank.table
     names = ("slosh_mass_kg", "pendulum_length_m", "hinge_station_m")
     joined = fit(table["time_s"], np.stack([table[n] for n in names], axis=1), method)
     return Cubics(joined.breaks, joined.coefficients * np.array([tank.mass_factor, tank.length_factor, 1.0]))

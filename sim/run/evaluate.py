@@ -12,15 +12,19 @@ from maxq.control.kernel.tables import find_interval
 from maxq.sim.flight.loop import begin
 from maxq.sim.flight.step import evaluate, read_schedule, schedule_clock
 from maxq.sim.packing.flight import Packed
+from maxq.sim.vehicle.loads import MAX_LOAD_COLUMNS, SECTION_WIDTH, evaluate_sections
 from maxq.sim.vehicle.state import MAX_STATE
 from maxq.sim.vehicle.workspace import AUX_SIZE, PROPERTIES_SIZE, WORK_SIZE, Evaluation
 
 
 class Instant(NamedTuple):
-    """An evaluation of the simulator: derivative (MAX_STATE,) and `aux` (AUX_SIZE,)."""
+    """An evaluation of the simulator: derivative (MAX_STATE,), `aux` (AUX_SIZE,) and section loads (stations, 5):
+    axial force, shear along y and z (N), bending moment about y and z (N m), as sim/vehicle/loads.py signs them.
+    """
 
     rate: Array
     aux: Array
+    sections: Array
 
 
 def evaluate_at(packed: Packed, y: Array, time_s: float) -> Instant:
@@ -32,9 +36,11 @@ def evaluate_at(packed: Packed, y: Array, time_s: float) -> Instant:
     memory = packed.memory.copy()
     if memory[0].clock.started == 0:
         begin(packed.parameters, packed.pool, memory, packed.state.copy())
-    properties, dy, work, aux = (np.zeros(n) for n in (PROPERTIES_SIZE, MAX_STATE, WORK_SIZE, AUX_SIZE))
-    _evaluate(packed.parameters, packed.pool, memory, y, round(1e9 * time_s), properties, dy, work, aux)
-    return Instant(dy, aux)
+    sizes = (PROPERTIES_SIZE, MAX_STATE, WORK_SIZE, AUX_SIZE, MAX_LOAD_COLUMNS)
+    properties, dy, work, aux, columns = (np.zeros(n) for n in sizes)
+    _evaluate(packed.parameters, packed.pool, memory, y, round(1e9 * time_s), properties, dy, work, aux, columns)
+    stations = int(packed.parameters[int(memory[0].clock.stage)].loads.stations)
+    return Instant(dy, aux, memory[0].sections.section.reshape(-1, SECTION_WIDTH)[:stations].copy())
 
 
 @entry
@@ -48,6 +54,7 @@ def _evaluate(
     dy: Array,
     work: Array,
     aux: Array,
+    columns: Array,
 ) -> None:
     """Derivative of `y` and its by-products at the instant `now_ns`; `P` of Parameters, `state` of Memory."""
     memory = state[0]
@@ -56,4 +63,9 @@ def _evaluate(
     dy, work, aux = bare_pointer(dy), bare_pointer(work), bare_pointer(aux)
     memory.clock.interval = find_interval(pool, p.vehicle.schedule, schedule_clock(p, now_ns, 0.0))
     read_schedule(p, pool, memory, now_ns, 0.0, properties)
-    evaluate(p, pool, memory, now_ns, 0.0, Evaluation(properties, y, dy, aux), work)
+    at = Evaluation(properties, y, dy, aux)
+    evaluate(p, pool, memory, now_ns, 0.0, at, work)
+    if p.loads.stations > 0:
+        columns = bare_pointer(columns)
+        clock_s = schedule_clock(p, now_ns, 0.0)
+        evaluate_sections(p.loads, p.vehicle, memory.inputs, pool, clock_s, at, work, columns, memory.sections)

@@ -20,11 +20,18 @@ from maxq.sim.flight.parameters import BURNOUT, CONTROL_LOST, DIVERGED, EVENT_NA
 from maxq.sim.flight.step import ARENA_SIZE
 from maxq.sim.flight.telemetry import FAST, SLOW, channel_table
 from maxq.sim.packing.flight import CONTROL_LOST_RAD, Packed, pack_flight
-from maxq.sim.run.metrics import METRIC_NAMES, Verdict, end_metrics, judge
+from maxq.sim.run.metrics import (
+    METRIC_NAMES,
+    SectionExtreme,
+    Verdict,
+    end_metrics,
+    judge,
+    section_extremes,
+    section_metrics,
+)
 from maxq.sim.scenario.loader import LoadedScenario
 from maxq.sim.scenario.schema_scenario import Scenario
 from maxq.sim.scenario.schema_values import to_ns
-from maxq.sim.scenario.schema_vehicle import Vehicle
 from maxq.sim.vehicle.state import CAUSES, Sizes, state_names
 
 LONGEST_SEGMENT_NS = 1_000_000_000  # one log chunk
@@ -85,6 +92,7 @@ class Flight:
     metrics: dict[str, float]
     metric_times_s: dict[str, float]
     verdicts: tuple[Verdict, ...]
+    section_extremes: tuple[SectionExtreme, ...]
     failures: tuple[str, ...]  # what went wrong and when: control lost, diverged, above the wind profile
     outcome: str
     cause: str
@@ -127,8 +135,9 @@ class FlightRun:
     ) -> None:
         self.loaded = loaded
         self.packed = packed or pack_flight(loaded.scenario)
-        self.table = logged_channels(loaded.vehicle, self.packed.sizes)
-        self._on, self._off = (pack([Logged(on, self.packed.sizes)]) for on in (1, 0))
+        self.table = logged_channels(loaded.scenario, self.packed.sizes)
+        stations = len(load_stations(loaded.scenario))
+        self._on, self._off = (pack([Logged(on, self.packed.sizes, stations)]) for on in (1, 0))
         self._arena = np.zeros(ARENA_SIZE)
         timeline = self.packed.parameters[0].timeline
         periods_ns = {FAST: int(timeline.fast_ns), SLOW: int(timeline.slow_ns)}
@@ -242,7 +251,11 @@ class FlightRun:
         lift_off_s = next((e.time_s for e in events if e.name == "liftoff"), scenario.run.start_s)
         earth = self.packed.parameters[0].environment.earth
         end = end_metrics(final, earth, scenario.site, self.now_s - lift_off_s)
-        metrics = dict(zip(MetricIndex._fields, extremes.value.tolist(), strict=True)) | end._asdict()
+        loads = section_extremes(self.packed.parameters, self.memory.sections)
+        of_sections, section_times = section_metrics(loads, self.memory.sections)
+        metrics = dict(zip(MetricIndex._fields, extremes.value.tolist(), strict=True))
+        metrics |= of_sections._asdict() | end._asdict()
+        metric_times_s |= section_times._asdict()
         failed = [e for e in events if e.name in (CONTROL_LOST_NAME, DIVERGED_NAME)]
         return Flight(
             scenario=self.loaded,
@@ -252,6 +265,7 @@ class FlightRun:
             metrics=metrics,
             metric_times_s=metric_times_s,
             verdicts=tuple(judge(r, metrics, metric_times_s) for r in scenario.requirement),
+            section_extremes=loads,
             failures=(
                 *(f"{e.name.replace('_', ' ')} at {e.time_s:.3f} s: {e.detail}" for e in failed),
                 *_above_the_wind(scenario, metrics["max_altitude_m"]),
@@ -309,10 +323,20 @@ def fly(loaded: LoadedScenario, *, log: bool = True, watch: Callable[[FlightRun,
     return run.result(kept.rows() if log else None)
 
 
-def logged_channels(vehicle: Vehicle, sizes: Sizes) -> ChannelTable:
-    """Channels of a vehicle's flights; `sizes`: of the widest stage. A tank without a name goes by its number."""
-    tanks = max((stage.tank for stage in vehicle.stage), key=len)
-    return _channel_table(sizes, tuple(tank.name or str(i + 1) for i, tank in enumerate(tanks[: sizes.tanks])))
+def logged_channels(scenario: Scenario, sizes: Sizes) -> ChannelTable:
+    """Channels of a scenario's flights; `sizes`: of the widest stage. A tank without a name goes by its number."""
+    tanks = max((stage.tank for stage in scenario.vehicle.stage), key=len)
+    names = tuple(tank.name or str(i + 1) for i, tank in enumerate(tanks[: sizes.tanks]))
+    return _channel_table(sizes, names, load_stations(scenario))
+
+
+def load_stations(scenario: Scenario) -> tuple[str, ...]:
+    """What is said of the stations of the section loads: where each is, on the stages that have it."""
+    if not scenario.switches.section_loads:
+        return ()
+    of_stages = [stage.loads.stations_m for stage in scenario.vehicle.stage if stage.loads is not None]
+    places = ([f"{s[i]:g} m" for s in of_stages if i < len(s)] for i in range(max(map(len, of_stages), default=0)))
+    return tuple(f"station {i} at {' or '.join(dict.fromkeys(place))}" for i, place in enumerate(places, start=1))
 
 
 def _above_the_wind(scenario: Scenario, highest_m: float) -> tuple[str, ...]:

@@ -1,7 +1,7 @@
 """Metrics of a flight by name, those of its end included, and the verdicts on a scenario's requirements.
 
 A metric is declared once: as a field of `MetricIndex` (sim/flight/metrics.py) where the kernel gathers it, or of
-`EndMetrics` where it follows from the flight's last instant.
+`SectionMetrics` or `EndMetrics` where it follows from the extremes of the sections or the flight's last instant.
 """
 
 from __future__ import annotations
@@ -11,14 +11,18 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Annotated, NamedTuple
 
+from maxq.control.kernel.jit import from_python
+from maxq.control.kernel.records import Records
 from maxq.sim.flight.channels import declared_channels
 from maxq.sim.flight.metrics import MetricIndex
 from maxq.sim.scenario.schema_environment import Site
 from maxq.sim.scenario.schema_scenario import Requirement
+from maxq.sim.vehicle.loads import BENDING, COMPRESSION, KINDS, SHEAR, TENSILE, SectionLoads, extreme_index
 from maxq.sim.world.earth import FLAT, Earth
 
 _ITERATIONS = 200
 _CONVERGED_RAD = 1e-13
+_extreme_index = from_python(extreme_index)
 
 
 class EndMetrics(NamedTuple):
@@ -34,7 +38,24 @@ class EndMetrics(NamedTuple):
     final_speed_mps: Annotated[float, "m/s", "speed relative to the Earth at the end"]
 
 
-METRICS = {metric.name: metric for metric in (*declared_channels(MetricIndex), *declared_channels(EndMetrics))}
+class SectionMetrics(NamedTuple):
+    """Of the section loads, under thrust and on the pad (with loads.coast always); nan without them."""
+
+    max_section_bending_moment_Nm: Annotated[float, "N m", "largest bending moment of a section, both planes together"]
+    max_section_bending_moment_station_m: Annotated[float, "m", "its station, aft of the nose"]
+    max_section_shear_N: Annotated[float, "N", "largest shear of a section, both planes together"]
+    max_section_compression_N: Annotated[float, "N", "largest axial compression of a section"]
+    max_section_tension_N: Annotated[float, "N", "largest axial tension of a section"]
+    max_section_load_ratio: Annotated[float, "1", "largest ratio of a section's load to its limit (loads.limits)"]
+    max_section_load_ratio_station_m: Annotated[float, "m", "its station, aft of the nose"]
+    max_section_mass_mismatch: Annotated[
+        float, "1", "largest relative difference between line mass and core: of the mass, of the CG over the length"
+    ]
+
+
+METRICS = {
+    metric.name: metric for kind in (MetricIndex, SectionMetrics, EndMetrics) for metric in declared_channels(kind)
+}
 METRIC_NAMES = tuple(METRICS)
 """Names that a requirement may use."""
 
@@ -65,6 +86,63 @@ def end_metrics(final: Mapping[str, float], earth: Earth, site: Site, flight_tim
         final_altitude_m=final["altitude_m"],
         final_speed_mps=final["speed_mps"],
     )
+
+
+@dataclass(frozen=True)
+class SectionExtreme:
+    """The largest load of a kind (sim/vehicle/loads.py, KINDS) at a station, and the largest ratio to its limit.
+
+    Zero where the load never was positive, and a ratio of 0 where there is no limit; times are nan then.
+    """
+
+    stage: int  # from 1
+    station_m: float
+    kind: str
+    value: float
+    time_s: float
+    ratio: float
+    ratio_time_s: float
+
+
+def section_extremes(parameters: Records, sections: SectionLoads) -> tuple[SectionExtreme, ...]:
+    """All extremes of a flight's section loads, stage by stage, station by station; `parameters` of every stage."""
+    out = []
+    for stage, p in enumerate(parameters):
+        for n in range(int(p.loads.stations)):
+            for kind, name in enumerate(KINDS):
+                e = _extreme_index(stage, kind, n)
+                times_s = (_time_s(int(times_ns[e])) for times_ns in (sections.value_ns, sections.ratio_ns))
+                pairs = zip((float(sections.value[e]), float(sections.ratio[e])), times_s, strict=True)
+                out.append(
+                    SectionExtreme(stage + 1, float(p.loads.station_m[n]), name, *(x for pair in pairs for x in pair))
+                )
+    return tuple(out)
+
+
+def section_metrics(
+    extremes: tuple[SectionExtreme, ...], sections: SectionLoads
+) -> tuple[SectionMetrics, SectionMetrics]:
+    """The metrics of these extremes, and their times, s."""
+    if not extremes:
+        nothing = SectionMetrics(*[math.nan] * len(SectionMetrics._fields))
+        return nothing, nothing
+    largest = {
+        kind: max((e for e in extremes if e.kind == KINDS[kind]), key=lambda e: e.value)
+        for kind in (BENDING, SHEAR, COMPRESSION, TENSILE)
+    }
+    worst = max(extremes, key=lambda e: e.ratio)
+    bending, shear, compression, tension = largest.values()
+    mismatch_s = _time_s(int(sections.mismatch_ns))
+    values = (worst.ratio, worst.station_m, float(sections.mismatch))
+    times = (worst.ratio_time_s, worst.ratio_time_s, mismatch_s)
+    return (
+        SectionMetrics(bending.value, bending.station_m, shear.value, compression.value, tension.value, *values),
+        SectionMetrics(bending.time_s, bending.time_s, shear.time_s, compression.time_s, tension.time_s, *times),
+    )
+
+
+def _time_s(time_ns: int) -> float:
+    return time_ns / 1e9 if time_ns >= 0 else math.nan
 
 
 @dataclass(frozen=True)

@@ -14,6 +14,7 @@ import platform
 from collections import deque
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import asdict
 from importlib.metadata import version
 from pathlib import Path
 
@@ -240,6 +241,11 @@ def write_summary(path: Path, flight: Flight, log: str | None, timing: dict[str,
         "timing": {"flight_s": flight.wall_s} | timing,
         "versions": versions(),
     }
+    if flight.section_extremes:
+        summary["section_loads"] = [
+            {name: _number(value) if isinstance(value, float) else value for name, value in asdict(extreme).items()}
+            for extreme in flight.section_extremes
+        ]
     text = json.dumps(summary, indent=2, ensure_ascii=False, allow_nan=False)
     write_whole(path, text + "\n", LogError)
 

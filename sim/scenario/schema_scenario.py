@@ -13,6 +13,7 @@ from maxq.sim.scenario.errors import refuse, suggestion
 from maxq.sim.scenario.schema_design import Design
 from maxq.sim.scenario.schema_environment import Atmosphere, Earth, Site, Wind
 from maxq.sim.scenario.schema_fault import KINDS, Fault
+from maxq.sim.scenario.schema_loads import SECTION_PREFIX
 from maxq.sim.scenario.schema_values import (
     Latitude,
     Longitude,
@@ -239,6 +240,7 @@ class Switches(Section):
     control: bool = optional("control law; off: command zero", True)
     guidance: bool = optional("guidance programme; off: rates zero", True)
     roll_control: bool = optional("roll thrusters", True)
+    section_loads: bool = optional("section loads at the stations of [stage.loads]", False)
     local_incidence: bool = optional("bending changes the incidence of the lifting parts", True)
     gust_penetration: bool = optional(
         "each lifting part meets wind, gusts and turbulence at its own place along the body (off: all those at the CG)",
@@ -310,6 +312,7 @@ class Scenario(Section):
         self._check_faults()
         self._check_hold_down()
         self._check_wind()
+        self._check_section_loads()
         check_coverage(self)
         return self
 
@@ -363,6 +366,14 @@ class Scenario(Section):
                 key=("holddown", "release"),
                 value="thrust",
             )
+
+    def _check_section_loads(self) -> None:
+        if self.switches.section_loads and not any(stage.loads for stage in self.vehicle.stage):
+            raise refuse("no stage has [stage.loads]", "false", key=("switches", "section_loads"), value=True)
+        for n, requirement in enumerate(self.requirement):
+            if requirement.metric.startswith(SECTION_PREFIX) and not self.switches.section_loads:
+                problem = "section loads are switched off"
+                raise refuse(problem, "switches.section_loads = true", ("requirement", n, "metric"))
 
     def _check_wind(self) -> None:
         profile = self.wind.profile

@@ -17,6 +17,7 @@ from maxq.sim.scenario.modes import (
     mode_table,
     spatial_mode_table,
 )
+from maxq.sim.scenario.schema_loads import Loads, check_loads
 from maxq.sim.scenario.schema_stage import Actuator, Aero, Engine, Mass, RollThrusters, Tank
 from maxq.sim.scenario.schema_values import (
     LIST_FORM,
@@ -195,6 +196,7 @@ class Stage(Section):
     aero: Aero | None = optional("absent: no aerodynamic forces")
     gyro: Gyro | None = optional("absent: ideal gyros")
     roll_thrusters: RollThrusters | None = optional("absent: no roll control")
+    loads: Loads | None = optional("absent: no section loads")
 
     @property
     def engines(self) -> tuple[Engine, ...]:
@@ -224,6 +226,8 @@ class Stage(Section):
         self._check_engines()
         self._check_slosh_mass()
         self._check_stations()
+        if self.loads is not None:
+            check_loads(self.loads, self)
         return self
 
     def mode_tables(self) -> list[tuple[str, ModeTable | SpatialModeTable]]:

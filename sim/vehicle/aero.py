@@ -34,7 +34,20 @@ from maxq.sim.vehicle.schedule import (
     surface_row,
 )
 from maxq.sim.vehicle.spatial_modes import outer_spatial_load, spatial_motion
-from maxq.sim.vehicle.workspace import CROSSFLOW_PART, ETA, FORCE, MACH_ROW, NU, PART_WIND, SPATIAL_ETA, SPATIAL_NU
+from maxq.sim.vehicle.workspace import (
+    AIRSPEED,
+    CROSSFLOW_PART,
+    DENSITY,
+    ETA,
+    FORCE,
+    MACH_ROW,
+    NU,
+    PART_WIND,
+    SPATIAL_ETA,
+    SPATIAL_NU,
+    SURFACE_LOAD,
+    SURFACE_LOAD_WIDTH,
+)
 
 # Columns of the Mach table; CD is the drag along the relative wind, whatever the attitude. From FIRST_SURFACE on, per
 # surface, CN_alpha and CN_alpha times its station.
@@ -65,6 +78,13 @@ class Aero:
     reference: TableRef  # station about which moments of tables, and of the slopes of `remainder`, are given
     reference_moves: int  # FIXED, OVER_TIME, OVER_MASS
     remainder: int  # the surface whose moment goes by a reference that moves, or -1
+
+
+@kernel
+def air_acts(aero: Aero, aux: Array) -> bool:
+    """Whether there are aerodynamic forces: where the air is, above the floor of the airspeed."""
+    acts: bool = aero.on == 1 and aux[DENSITY] > 0.0 and aux[AIRSPEED] >= aero.airspeed_floor_mps
+    return acts
 
 
 @kernel
@@ -140,6 +160,8 @@ def surface_loads(
             mx, my, mz = mx + moved[0], my + moved[1], mz + moved[2]
         fy += force_y
         fz += force_z
+        kept = SURFACE_LOAD + SURFACE_LOAD_WIDTH * s
+        work[kept], work[kept + 1], work[kept + 2], work[kept + 3] = force_y, force_z, cn, cn_x
         mx += -y_cg * force_z + z_cg * force_y
         my += half * w_local * (cn * x_cg - cn_x)
         mz -= half * v_local * (cn * x_cg - cn_x)
@@ -179,6 +201,8 @@ def table_loads(
     total_force, total_moment = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
     for j in range(sizes.tables):
         power = aero.tables.power[j]
+        kept = SURFACE_LOAD + SURFACE_LOAD_WIDTH * (sizes.surfaces - sizes.tables + j)
+        work[kept], work[kept + 1] = 0.0, 0.0
         if power == ALWAYS or (power == POWER_ON) == (burning == 1):
             s = sizes.surfaces - sizes.tables + j
             local = local_flow(aero, sizes, s, flow, properties, work)
@@ -201,6 +225,7 @@ def table_loads(
             total_moment = add(total_moment, moment)
             # on the modes: the force at the table's station, and its moment about that
             forward = aero.station_m[s] - reference_m - aero.centre_shift_m
+            work[kept], work[kept + 1], work[kept + 2], work[kept + 3] = lateral[1], lateral[2], 1.0, aero.station_m[s]
             couple_y, couple_z = couple[1] - forward * lateral[2], couple[2] + forward * lateral[1]
             in_pitch = mode_column(sizes, PITCH, surface_row(sizes, s))
             in_yaw = mode_column(sizes, YAW, surface_row(sizes, s))

@@ -25,7 +25,7 @@ from maxq.control.kernel.vectors import (
     vector_at,
 )
 from maxq.sim.vehicle.actuator import Actuator, actuator_derivative, actuator_output
-from maxq.sim.vehicle.aero import Aero, body_loads, coefficients, moment_reference, surface_loads, table_loads
+from maxq.sim.vehicle.aero import Aero, air_acts, body_loads, coefficients, moment_reference, surface_loads, table_loads
 from maxq.sim.vehicle.bending import (
     Bending,
     apply_gimbal_load,
@@ -93,7 +93,6 @@ from maxq.sim.vehicle.state import (
 from maxq.sim.vehicle.workspace import (
     AERO_FORCE,
     AERO_MOMENT,
-    AIRSPEED,
     ANGULAR_ACCEL,
     AXIAL_LOAD,
     DENSITY,
@@ -321,7 +320,7 @@ def aerodynamics(
 ) -> tuple[Vector, Vector]:  # fmt: skip  # nine more lines otherwise
     """Force and moment about the core CG in B; adds to the generalised forces of the modes in `work`."""
     force, moment = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
-    if vehicle.aero.on == 1 and aux[DENSITY] > 0.0 and aux[AIRSPEED] >= vehicle.aero.airspeed_floor_mps:
+    if air_acts(vehicle.aero, aux):
         flow = vector_at(aux, FLOW)
         coefficients(vehicle.aero, pool, aux[MACH], work)
         if vehicle.aero.earth_rates == 1:

@@ -92,6 +92,7 @@ FIN_ROLL_INERTIA_KGM2 = 180.0 * 1.2**2
 # Assumed: bending. First free-free mode at lift-off, all else follows from the shape of EI.
 FIRST_MODE_HZ = 9.0
 BENDING_DAMPING = 0.005
+SHELL_MODULUS_PA, SHELL_STRESS_PA = 70.0e9, 150.0e6  # stiffened aluminium: what sections bear
 BEAM_ELEMENTS = 127
 MODE_COUNT = 3
 

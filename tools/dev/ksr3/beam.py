@@ -43,6 +43,12 @@ def bending_stiffness_Nm2(station_m: float) -> float:
     return next(stiffness for end, stiffness in SECTIONS if station_m < end)
 
 
+def shell_strength_N(stiffness_scale: float, station_m: float) -> float:
+    """Axial load at the allowable stress of a thin shell with the beam's EI (area 2 pi R t, EI = E pi R^3 t)."""
+    stiffness = stiffness_scale * bending_stiffness_Nm2(station_m)
+    return 2.0 * stiffness * a.SHELL_STRESS_PA / (a.SHELL_MODULUS_PA * (a.DIAMETER_M / 2) ** 2)
+
+
 def line_density_kgpm(parts: list[Part]) -> Array:
     """Mass per length of each element; a part is spread over the elements it overlaps."""
     density = np.zeros(a.BEAM_ELEMENTS)

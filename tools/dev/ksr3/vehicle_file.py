@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from maxq.tools.dev.ksr3 import assumptions as a
 from maxq.tools.dev.ksr3.aerodynamics import cross_flow
+from maxq.tools.dev.ksr3.write_files import LOAD_STATIONS_M
 
 
 def vehicle_toml() -> str:
@@ -84,6 +85,22 @@ zeta = 0.65                  # [sourced] Table 4
 
 [stage.roll_thrusters]
 torque_Nm = 150.0            # [assumed]; cold gas in roll is [sourced]
+
+[stage.loads]                # read with switches.section_loads
+stations_m = {list(LOAD_STATIONS_M)}
+line_mass = "line_mass.csv"  # [assumed] the parts of mass.csv
+limits = "section_limits.csv"  # [assumed] 150 MPa in an aluminium shell with the EI of the beam
+axial_force = {{station_m = [1.0, 11.9, 13.0], share = [0.5, 0.25, 0.25]}}  # [assumed] nose, fins, base
+
+[[stage.loads.liquid]]
+tank = "lox"
+table = "liquid_lox.csv"
+bottom_station_m = {a.LOX.bottom_station_m:g}
+
+[[stage.loads.liquid]]
+tank = "jeta1"
+table = "liquid_jeta1.csv"
+bottom_station_m = {a.JET_A1.bottom_station_m:g}
 
 [computer]
 sample_s = 0.01              # [sourced] Table 4, tau_VF = tau_DZ

@@ -15,10 +15,11 @@ from maxq.tools.dev.ksr3 import beam, pitch_programme, slosh
 from maxq.tools.dev.ksr3.aerodynamics import Lift, cross_flow
 from maxq.tools.dev.ksr3.drag import MACH as DRAG_MACH
 from maxq.tools.dev.ksr3.gains import LinearGains
-from maxq.tools.dev.ksr3.mass_model import fills, mass_properties
+from maxq.tools.dev.ksr3.mass_model import dry_parts, engine_part, fills, mass_properties
 from maxq.tools.dev.ksr3.trajectory import Flight, forces
 
 SHAPE_STATIONS_M = np.append(beam.NODES_M[::3], a.GIMBAL_STATION_M)  # nodes of the beam: nothing is interpolated
+LOAD_STATIONS_M = (1.0, 2.0, 3.0, 3.6, 4.5, 5.4, 6.0, 6.8, 7.6, 8.1, 9.0, 10.0, 11.0, 11.6, 12.2, 12.6)
 MODE_TIMES_S = np.arange(0.0, 58.0, 2.5)
 LIFT_MACH = np.array(
     [0.0, 0.25, 0.5, 0.65, 0.8, 0.875, 0.95, 1.025, 1.1, 1.175, 1.25, 1.375, 1.5, 1.625, 1.75, 2.0, 2.25, 2.5, 3.0, 5.0]
@@ -44,6 +45,7 @@ def write_tables(folder: Path, made: Reconstruction) -> None:
     """All the csv files of the vehicle, into an existing folder."""
     _write_mass_and_thrust(folder, made)
     _write_tanks(folder, made)
+    _write_line_mass(folder, made)
     _write_modes(folder, made)
     _write_aero(folder, made)
     _write_programme(folder, made)
@@ -80,6 +82,18 @@ def _write_tanks(folder: Path, made: Reconstruction) -> None:
     for tank, table in zip(a.TANKS, tables, strict=True):
         header = "time_s,slosh_mass_kg,pendulum_length_m,hinge_station_m,liquid_height_m"
         write_table(folder / f"tank_{tank.name}.csv", header, table, digits=12)
+
+
+def _write_line_mass(folder: Path, made: Reconstruction) -> None:
+    burn = made.flight.ascent.burn
+    parts = sorted((*dry_parts(burn), engine_part()), key=lambda part: (part.front_station_m, part.rear_station_m))
+    rows = [(part.front_station_m, part.rear_station_m, part.mass_kg) for part in parts]
+    write_table(folder / "line_mass.csv", "front_station_m,rear_station_m,mass_kg", rows)
+    for k, tank in enumerate(a.TANKS):
+        table = [(t, fills(burn, t)[k].mass_kg, fills(burn, t)[k].surface_station_m) for t in burn.times_s]
+        write_table(folder / f"liquid_{tank.name}.csv", "time_s,mass_kg,front_station_m", table, digits=12)
+    strength = [(x, a.DIAMETER_M / 2, beam.shell_strength_N(made.stiffness_scale, x)) for x in LOAD_STATIONS_M]
+    write_table(folder / "section_limits.csv", "station_m,radius_m,equivalent_compression_N", strength, digits=4)
 
 
 def _write_modes(folder: Path, made: Reconstruction) -> None:
