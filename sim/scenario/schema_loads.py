@@ -120,6 +120,8 @@ def check_loads(loads: Loads, stage: Stage) -> None:
             "lies behind the gimbal: what is behind it is the engine", f"at most {gimbal:g}",
             ("loads", "stations_m", len(loads.stations_m) - 1), value=loads.stations_m[-1],
         )  # fmt: skip  # four lines otherwise
+    if stage.spatial_modes is not None:
+        raise refuse("section loads know planar modes only", "[stage.bending] instead", ("spatial_modes",), value={})
     names = [tank.name or str(n + 1) for n, tank in enumerate(stage.tank)]
     given = [liquid.tank for liquid in loads.liquid if liquid.tank]
     for n, liquid in enumerate(loads.liquid):
