@@ -114,7 +114,7 @@ def check_loads(loads: Loads, stage: Stage) -> None:
     """Refuse stations behind the engine's gimbal, tanks without liquid, and a mass along the body that is not the
     stage's: sum, CG and transverse inertia at every instant of the tables.
     """
-    gimbal = None if stage.engine is None else stage.engine.gimbal_station_m
+    gimbal = min((engine.gimbal_station_m for engine in stage.engines), default=None)
     if gimbal is not None and loads.stations_m[-1] > gimbal:
         raise refuse(
             "lies behind the gimbal: what is behind it is the engine", f"at most {gimbal:g}",
