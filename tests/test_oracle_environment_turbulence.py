@@ -14,7 +14,7 @@ import scipy.spatial.transform
 from maxq.control.kernel.jit import from_python
 from maxq.control.kernel.records import blank, pack
 from maxq.control.kernel.tables import Pool
-from maxq.sim.api import load_scenario
+from maxq.sim.api import load_scenario, load_scenario_text
 from maxq.sim.packing.flight import pack_flight
 from maxq.sim.vehicle import environment as surroundings
 from maxq.sim.vehicle.workspace import AUX_SIZE, FLOW, WORK_SIZE
@@ -355,3 +355,15 @@ def test_the_gust_enters_the_flow_in_its_frame(frame, turned):
         assert along == pytest.approx(axes @ attitude.apply(flows[0]) / np.linalg.norm(flows[0]), abs=1e-9)
     else:
         assert tuple(along) == (0.0, 0.0, -1.0)
+
+
+def test_a_scenario_names_a_spectrum_and_flies_the_same_from_its_log():
+    spectrum = "spectrum={wave_number_pm=[0.0005,0.05],density_m3ps2=[1000.0,0.1]}"
+    loaded = load_scenario("nominal", (f"wind.turbulence={{model='spectrum',{spectrum},seed=4}}",))
+    packed, again = pack_flight(loaded.scenario), pack_flight(load_scenario_text(loaded.as_flown).scenario)
+    given = packed.parameters[0].environment.turbulence
+    assert (given.lines, given.frame, given.on) == (64, HORIZONTAL, 1)
+    assert packed.parameters.tobytes() == again.parameters.tobytes()
+    # a straight line in the logarithms: E = 1000 (k / 0.0005)^-2
+    variance = 1000.0 * 0.0005**2 * (1.0 / 0.0005 - 1.0 / 0.05)
+    assert 0.5 * (given.line_mps**2).sum() == pytest.approx(variance, rel=2e-3)

@@ -81,6 +81,8 @@ RANGES = (
     Range(("_mps",), 0.0, 1e3, "winds up to those of the thermosphere, m/s"),
     Range(("_mps2",), 0.0, 1e3, "gravity of planets, m/s2"),
     Range(("_m3ps2",), 1.0, 1e21, "the Sun has 1.3e20 m3/s2"),
+    Range(("density_m3ps2",), 1e-12, 1e9, "spectra of winds, (m/s)2 per cycle/m"),
+    Range(("wave_number_pm",), 1e-6, 10.0, "waves of 10 cm to 1000 km, cycles/m"),
     Range(("j2",), 0.0, 1.0, "planets have up to 0.016"),
     Range(("_K",), 1.0, 1e5, "atmospheres, K"),
     Range(("_kgpm3",), 0.0, 1e4, "atmospheres, kg/m3"),
