@@ -11,6 +11,7 @@ import pytest
 
 from maxq.sim.campaign import draws
 from maxq.sim.campaign.read import LoadedCampaign, load_campaign
+from maxq.sim.scenario.errors import ScenarioError
 
 SAMPLINGS = ("random", "latin-hypercube", "sobol")
 FURTHER = """\
@@ -55,6 +56,21 @@ def test_the_order_of_keys_changes_nothing(tmp_path: Path, sampling: str) -> Non
     before = drawn(campaignkit.small(tmp_path, "last", inputs=campaignkit.INPUTS + FURTHER, **chosen), 0, 50)
     for name, values in before.items():
         assert after[name].tobytes() == values.tobytes()
+
+
+def test_an_asterisk_draws_for_each_mode_of_the_vehicle(tmp_path: Path) -> None:
+    """The same numbers as with a key for each."""
+    law = 'distribution = "normal"\nsigma = 0.1\n'
+    key = "vehicle.stage.0.bending.frequency_factor"
+    each = "".join(f'[[disperse]]\nkey = "{key}.{n}"\n{law}' for n in range(3))
+    all_ = f'[[disperse]]\nkey = "{key}.*"\nname = "frequency"\n{law}'
+    one, other = (campaignkit.small(tmp_path, name, inputs=text) for name, text in (("each", each), ("all", all_)))
+    assert [d.name for d in other.plan.draws] == [f"{key}.{n}" for n in range(3)]
+    assert [d.label for d in other.plan.draws] == ["frequency 1", "frequency 2", "frequency 3"]
+    before, after = drawn(one, 0, 20), drawn(other, 0, 20)
+    assert all(after[name].tobytes() == values.tobytes() for name, values in before.items())
+    with pytest.raises(ScenarioError, match="is a value and has no keys below it"):
+        campaignkit.small(tmp_path, "none", inputs=all_.replace("frequency_factor", "damping_ratio.0"))
 
 
 def test_the_seed_and_the_key_change_everything() -> None:

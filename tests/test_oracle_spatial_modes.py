@@ -17,13 +17,16 @@ from typing import Any
 
 import numpy as np
 import pytest
-from flightkit import Mode, Parts, Rig, Tank, Tree, flown, merged, rig, scenario_of, with_stage
+from flightkit import Mode, Parts, Rig, Tank, Tree, flown, load, merged, rig, scenario_of, with_stage
 from oracles.linearised_simulator import linearise, zero_incidence
 from oracles.multibody_system import rotation_from_quaternion
 
 from maxq.control.kernel.records import Array
+from maxq.design.model.dispersion import Dispersion, disperse
+from maxq.design.model.node import node_of
 from maxq.design.model.plant import vehicle_plant
 from maxq.design.model.vehicle_at import FlightCondition, vehicle_at
+from maxq.sim.packing.flight import pack_flight
 from maxq.sim.run.evaluate import evaluate_at
 from maxq.sim.vehicle import state as layout
 from maxq.sim.vehicle import workspace
@@ -413,3 +416,22 @@ def test_linear_model_of_both_planes_is_the_linearised_simulator() -> None:
             / theirs.a[theirs.states.index("gyro_roll_rate_radps2"), theirs.states.index("p_radps")]
         )
         np.testing.assert_allclose(roll, plant.c[-1], rtol=1e-8, atol=1e-10)
+
+
+def test_a_plane_of_the_coupled_plant_holds_the_other() -> None:
+    """Planar pairs written as spatial modes in their own planes: the loop's plant is that of the planar vehicle."""
+    section, rest = as_spatial(PARTS)
+    start = {"initial": {"ned_mps": [200.0, 0.0, 0.0]}, "earth": {"gravity": "uniform"}}
+    made = []
+    for parts, more in ((PARTS, {}), (rest, {"spatial_modes": section})):
+        straight = replace(parts, core_cg=(7.0, 0.0, 0.0), gimbal_offset_m=(0.0, 0.0))
+        tree = with_stage(merged(scenario_of(straight, **AIR), start), aero=AERO, **more)
+        made.append(node_of(pack_flight(load(tree).scenario), 0.0))
+    planar, spatial = made
+    frequencies = np.array([0.3, 1.0, 3.1, 5.2, 20.0])
+    ours, theirs = (node.plant.response(frequencies) for node in (spatial, planar))
+    np.testing.assert_allclose(ours, theirs, rtol=1e-9, atol=1e-12)
+    weak = [disperse(node, Dispersion(bending_slope=1.2, thrust=1.0, slosh_mass=0.9)) for node in made]
+    ours, theirs = (node.plant.response(frequencies) for node in weak[::-1])
+    np.testing.assert_allclose(ours, theirs, rtol=1e-9, atol=1e-12)
+    assert len(spatial.whole.states) == len(spatial.plant.states) + 3 + 2 * 2

@@ -74,7 +74,7 @@ def test_gimbal_trims_just_the_wind_that_takes_all_of_it(nodes: list[Node]) -> N
 
 
 def test_corners_are_balanced_and_uncorrelated() -> None:
-    corners, _ = vehicles(LinearMargins(cases=0, corner_sigmas=3.0))
+    corners, _ = vehicles(LinearMargins(cases=0, corner_sigmas=3.0), 3)
     assert len(corners) == 24
     rows = []
     for c in corners:
@@ -89,9 +89,19 @@ def test_corners_are_balanced_and_uncorrelated() -> None:
 
 
 def test_random_vehicles_do_not_depend_on_how_many_there_are() -> None:
-    few, many = (vehicles(LinearMargins(cases=n, seed=5))[1] for n in (3, 9))
+    few, many = (vehicles(LinearMargins(cases=n, seed=5), 3)[1] for n in (3, 9))
     assert many[:3] == few
-    assert vehicles(LinearMargins(cases=3, seed=6))[1] != few
+    assert vehicles(LinearMargins(cases=3, seed=6), 3)[1] != few
+
+
+def test_every_mode_of_the_vehicle_deviates() -> None:
+    """Beyond the last share given the last one holds, and the numbers of the modes before stay what they are."""
+    three, five, two = (
+        vehicles(LinearMargins(cases=1, corner_sigmas=0.0, seed=5), n)[1][0].dispersion for n in (3, 5, 2)
+    )
+    assert len(np.unique(five.bending_frequency)) == 5
+    assert five.bending_frequency[:3] == three.bending_frequency
+    assert two.bending_frequency == three.bending_frequency[:2]
 
 
 def test_vehicle_that_does_not_deviate_has_the_margins_of_the_design(nodes: list[Node], design: Design) -> None:

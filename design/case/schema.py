@@ -187,7 +187,9 @@ class Robust(Section):
     The defaults are 3-sigma ranges after a modal survey: bending 5, 10, 15 %, slopes 20 %.
     """
 
-    bending_frequency: tuple[Share, ...] = optional("of each mode, all one way", (0.05, 0.10, 0.15))
+    bending_frequency: tuple[Share, ...] = optional(
+        "of each mode, all one way; the last for all beyond", (0.05, 0.10, 0.15)
+    )
     bending_slope: Share = optional("of all modes at the gyro", 0.2)
     slosh_frequency: Share = optional("of all tanks", 0.05)
     slosh_mass: Share = optional("of all tanks", 0.1)

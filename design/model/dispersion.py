@@ -113,6 +113,9 @@ def _vehicle(node: Node, by: Dispersion) -> VehicleAt:
         moment_slope_mpr=by.normal_force * (air.moment_slope_mpr + air.slope_pr * by.centre_of_pressure_m),
         rate_moment_m2=air.rate_moment_m2 + air.rate_slope_m * by.centre_of_pressure_m,
     )
+    if vehicle.across is not None:
+        across = _vehicle(dataclasses.replace(node, vehicle=vehicle.across), by)
+        vehicle = dataclasses.replace(vehicle, across=across)
     out = dataclasses.replace(vehicle, body=body, modes=modes, pendulums=changed, aerodynamics=air)
     return with_lateral_thrust(out, node, by.thrust)
 
@@ -141,6 +144,12 @@ def _instruments(instruments: Instruments, by: Dispersion) -> Instruments:
         gyro=dataclasses.replace(g, omega_radps=g.omega_radps * by.gyro_frequency),
         delay_s=instruments.delay_s + by.delay_s,
     )
+
+
+def for_each(values: Sequence[float], count: int) -> tuple[float, ...]:
+    """One value each: those given, the last for all beyond them; zeros where none is."""
+    given = (*values, *([values[-1] if values else 0.0] * count))
+    return tuple(given[:count])
 
 
 def _each(factors: Factors, count: int, name: str) -> Array:

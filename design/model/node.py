@@ -14,7 +14,7 @@ import numpy as np
 from maxq.control.kernel.records import Array
 from maxq.design.model.dispersion import Dispersion, disperse
 from maxq.design.model.errata import CORRECTED, Errata
-from maxq.design.model.plant import Liquids, vehicle_plant
+from maxq.design.model.plant import INPUTS, OUTPUTS, Liquids, state_names, vehicle_plant
 from maxq.design.model.state_space import StateSpace
 from maxq.design.model.vehicle_at import (
     FlightCondition,
@@ -54,8 +54,23 @@ class Node:
     def plant(self) -> StateSpace:
         """(delta, delta'') -> rates, of body, modes and pendulums, with the node's errata.
 
+        With spatial modes those of this plane: body, liquid and gimbal of the other plane are held, so that the loop
+        is judged one axis at a time (`whole` has them all).
         Raises ValueError, naming the node, where no such system exists.
         """
+        whole = self.whole
+        if self.vehicle.across is None:
+            return whole
+        n, m = len(state_names(len(self.vehicle.modes.omega_radps), len(self.vehicle.pendulums.mass_kg))), len(INPUTS)
+        outputs = len(OUTPUTS)
+        return StateSpace(
+            whole.a[:n, :n], whole.b[:n, :m], whole.c[:outputs, :n], whole.d[:outputs, :m], whole.states[:n],
+            INPUTS, OUTPUTS,
+        )  # fmt: skip  # five more lines otherwise
+
+    @cached_property
+    def whole(self) -> StateSpace:
+        """The same with both planes, where spatial modes couple them."""
         try:
             return vehicle_plant(self.vehicle, self.condition, self.errata, self.liquids)
         except ValueError as problem:

@@ -17,6 +17,7 @@ import numpy as np
 
 from maxq.control.kernel.records import Array
 from maxq.design.case.schema import Case, LoadedCase, Robust
+from maxq.design.model.dispersion import for_each
 from maxq.design.model.node import Node
 from maxq.design.optimise.plants import Plant, Plants, make_plant, make_plants
 from maxq.design.optimise.problem import Problem
@@ -41,7 +42,7 @@ def deviated(node: Node, ranges: Robust, ends: Sequence[int]) -> Node:
     for name in DEVIATIONS:
         end, size = at[name], getattr(ranges, name)
         if name == "bending_frequency":
-            factors[name] = tuple(1.0 + end * share for share in size[: len(node.vehicle.modes.omega_radps)])
+            factors[name] = tuple(1.0 + end * share for share in for_each(size, len(node.vehicle.modes.omega_radps)))
         elif name == "delay_s":
             factors[name] = max(end, 0) * size  # no computer is faster than the nominal one
         elif name == "centre_of_pressure_m":

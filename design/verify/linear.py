@@ -24,7 +24,7 @@ from maxq.design import api
 from maxq.design.loop.fixed_path import fixed_path
 from maxq.design.loop.loop import Loop
 from maxq.design.margins.measure import margins
-from maxq.design.model.dispersion import NOMINAL, Dispersion, disperse
+from maxq.design.model.dispersion import NOMINAL, Dispersion, disperse, for_each
 from maxq.design.model.node import Node
 from maxq.design.model.vehicle_at import stability_derivatives
 from maxq.design.verify.memory import Memory
@@ -109,16 +109,18 @@ def measured(loop: Loop, slosh_peak_db: float) -> Measured:
     return {name: float(v) for name, v in zip(MEASURES, values, strict=True)}
 
 
-def vehicles(wanted: LinearMargins) -> tuple[list[Deviated], list[Deviated]]:
-    """Corners, where thrust goes with the last factor, and random vehicles."""
+def vehicles(wanted: LinearMargins, modes: int) -> tuple[list[Deviated], list[Deviated]]:
+    """Corners, where thrust goes with the last factor, and random vehicles; each of so many modes deviates."""
     corners = []
     if wanted.corner_sigmas > 0.0:
         rows = [np.roll(_GENERATOR, k) for k in range(len(_GENERATOR))] + [-np.ones(len(_GENERATOR))]
         for n, row in enumerate(np.array([*rows, *[-np.asarray(r) for r in rows]], float)):
             signs = dict(zip(_FACTORS, (row * (wanted.corner_sigmas / 3.0)).tolist(), strict=True))
             signs["thrust"] = signs[_FACTORS[-1]]
-            corners.append(_vehicle(wanted.three_sigma, signs.__getitem__, f"corner {n + 1}"))
-    drawn = [_vehicle(wanted.three_sigma, _normal(wanted.seed, n), f"vehicle {n + 1}") for n in range(wanted.cases)]
+            corners.append(_vehicle(wanted.three_sigma, modes, signs.__getitem__, f"corner {n + 1}"))
+    drawn = [
+        _vehicle(wanted.three_sigma, modes, _normal(wanted.seed, n), f"vehicle {n + 1}") for n in range(wanted.cases)
+    ]
     return corners, drawn
 
 
@@ -128,13 +130,13 @@ def _normal(seed: int, number: int) -> Callable[[str], float]:
     return lambda name: float(generator.normal() / 3.0)
 
 
-def _vehicle(spread: Spread, draw: Callable[[str], float], label: str) -> Deviated:
+def _vehicle(spread: Spread, modes: int, draw: Callable[[str], float], label: str) -> Deviated:
     """Deviations; `draw` gives each in units of three sigma."""
 
     def factor(name: str, three_sigma: float) -> float:
         return max(1.0 + three_sigma * draw(name), 0.05)
 
-    modes = tuple(factor("bending_frequency", size) for size in spread.bending_frequency)
+    frequencies = tuple(factor("bending_frequency", size) for size in for_each(spread.bending_frequency, modes))
     scaled = {
         name: factor(name, getattr(spread, name))
         for name in (
@@ -145,7 +147,7 @@ def _vehicle(spread: Spread, draw: Callable[[str], float], label: str) -> Deviat
     shift_m = spread.centre_of_pressure_m * draw("centre_of_pressure_m")
     by = Dispersion(
         **scaled,
-        bending_frequency=modes,
+        bending_frequency=frequencies,
         centre_of_pressure_m=shift_m,
         inertia=factor("inertia", spread.inertia),
         label=label,
@@ -162,7 +164,7 @@ def study(
     workers: int = 2,
 ) -> MarginStudy:
     """Margins at all nodes of one plane, of the vehicle as it is, at the corners and of random ones."""
-    corners, drawn = vehicles(wanted)
+    corners, drawn = vehicles(wanted, len(nodes[0].vehicle.modes.omega_radps))
     every = [Deviated(), *corners, *drawn]
     done = [0]
 

@@ -122,7 +122,7 @@ class MarginLimits(Section):
 class Spread(Section):
     """3-sigma deviations, relative unless a unit is named."""
 
-    bending_frequency: tuple[Share, ...] = optional("of each mode", (0.05, 0.10, 0.15))
+    bending_frequency: tuple[Share, ...] = optional("of each mode; the last for all beyond", (0.05, 0.10, 0.15))
     bending_slope: Share = optional("at the gyro", 0.2)
     bending_damping: Share = optional("of all modes", 0.5)
     slosh_frequency: Share = optional("of all tanks", 0.05)

@@ -261,6 +261,19 @@ def channel_units(loaded: LoadedScenario) -> dict[str, str]:
     return {channel.name: channel.unit for group in (FAST, SLOW) for channel in table.columns(group)}
 
 
+def _elements(scenario: Scenario, key: str, where: KeyPath) -> list[Target]:
+    """The places that a key path with `*` for its last part names: all elements of a list."""
+    found: list[Target] = []
+    while True:
+        try:
+            found.append(find_target(scenario, f"{key[:-1]}{len(found)}"))
+        except PydanticCustomError as bad:
+            context = bad.context or {}
+            if found and "has no element" in context["problem"]:
+                return found
+            raise refuse(context["problem"], context["allowed"], where, value=key) from None
+
+
 def _draws(
     loaded: LoadedScenario, spec: Disperse, entry: int, reading: Reading | None, given: Mapping[str, tuple[Any, ...]]
 ) -> Iterator[Draw]:
@@ -284,6 +297,12 @@ def _draws(
     if spec.distribution == "cases" and spec.file is not None:
         for key, column in spec.file.columns.items():
             yield Draw(named(key), key, entry, spec, (target_of(key, (*here, "file")),), samples=column)
+        return
+    if spec.key is not None and spec.key.endswith(".*"):
+        for n, target in enumerate(_elements(loaded.scenario, spec.key, (*here, "key"))):
+            _check_fits(spec, target, here)
+            label = f"{spec.name} {n + 1}" if spec.name else target.key
+            yield Draw(named(target.key), label, entry, spec, (target,))
         return
     if spec.key is not None:
         keys, targets = [spec.key], [target_of(spec.key, (*here, "key"))]

@@ -123,7 +123,9 @@ _REQUIRED = {
 class Disperse(Section):
     """A value of the scenario that differs from run to run."""
 
-    key: str | None = optional("key path, e.g. vehicle.stage.0.engine.thrust_factor")
+    key: str | None = optional(
+        "key path, e.g. vehicle.stage.0.engine.thrust_factor; * for its last part: a draw for each element of a list"
+    )
     keys: tuple[str, ...] | None = optional("several keys: with covariance a draw for each, else one draw for all")
     tag: str = optional("tells apart two draws that both act on a table's column", "")
     name: str = optional("shown to people (default: the key)", "")
