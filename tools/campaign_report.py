@@ -126,6 +126,7 @@ def report(data: DataSet, verdicts: Sequence[Judged], losses: Sequence[Lost]) ->
     table = aligned([heads(data), *map(cells, verdicts)], "  ", right=range(1, 9))
     lines = [
         title,
+        *(f"warning: {printable(doubt)}" for doubt in data.campaign.doubts),
         "",
         f"{len(data.runs)} runs: {ends or 'none'}; {len(failed_runs(data))} failed",
         "",

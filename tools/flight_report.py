@@ -23,7 +23,8 @@ def report(flight: Flight, files: list[Path], total_s: float) -> str:
     """All that is said about a flight, in plain text."""
     scenario = flight.scenario.scenario
     title = printable(f"{scenario.name}: {scenario.description}" if scenario.description else scenario.name)
-    parts = [[title], _events(flight), _metrics(flight), _requirements(flight.verdicts)]
+    head = [title, *(f"warning: {printable(doubt)}" for doubt in flight.scenario.doubts)]
+    parts = [head, _events(flight), _metrics(flight), _requirements(flight.verdicts)]
     if flight.outcome == DIVERGED_NAME:
         parts.append(_state(flight))
     error = worst_error(scenario)

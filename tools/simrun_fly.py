@@ -43,8 +43,6 @@ class Order:
 def execute(order: Order, start_s: float) -> int:
     """Do it; returns the exit code. `start_s`: `time.perf_counter()` when the command began."""
     loaded, comparison = _load(order)
-    for doubt in loaded.doubts:
-        say("simrun", f"doubtful: {doubt}")
     packed = pack_flight(loaded.scenario)
     folder = _folder(order, loaded.name)
     if folder is not None:

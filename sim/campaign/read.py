@@ -36,6 +36,7 @@ from maxq.sim.scenario.tables_csv import Columns, CsvTable
 
 Place = tuple[str, int]
 """Name of a draw, and number of its target."""
+_DOUBTED_SIGMAS = 3.0
 _JOINT = 1 << 20  # attempts of a run whose values exclude each other begin here, apart from those of single keys
 
 
@@ -166,6 +167,26 @@ class LoadedCampaign:
             else:
                 out[d.name] = box(d.spec, d.nominal, sigmas)
         return out
+
+    @cached_property
+    def doubts(self) -> tuple[str, ...]:
+        """What scenario and dispersions hold and is hardly meant, a line each."""
+        boxes, found = self.boxes(_DOUBTED_SIGMAS), []
+        for d in self.plan.draws:
+            if d.name not in boxes or d.targets[0].is_angle:
+                continue
+            low, high = (float(d.targets[0].result(d.spec.apply, np.array([end]))[0]) for end in boxes[d.name])
+            spec = d.spec
+            low = low if spec.at_least is None else max(low, spec.at_least)
+            high = high if spec.at_most is None else min(high, spec.at_most)
+            of_factor = d.targets[0].kind == "column" and d.spec.apply == "scale"
+            centre = 1.0 if of_factor else d.nominal
+            if (of_factor or d.targets[0].kind == "number") and low * centre < 0.0 < high * centre:
+                found.append(
+                    f"{d.name} is hardly meant to change its sign, as it does between {low:.4g} and {high:.4g} "
+                    f"({_DOUBTED_SIGMAS:g} sigma); usual: a smaller spread, or at_least and at_most"
+                )
+        return (*self.base.doubts, *found)
 
 
 def load_campaign(path: str | Path, overrides: Iterable[str] = ()) -> LoadedCampaign:

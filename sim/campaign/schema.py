@@ -18,6 +18,7 @@ from pydantic import (
 from maxq.sim.run.metrics import METRIC_NAMES
 from maxq.sim.scenario.documents import Text
 from maxq.sim.scenario.errors import refuse
+from maxq.sim.scenario.ranges import MOST_TOGETHER
 from maxq.sim.scenario.schema_environment import WIND_COLUMNS
 from maxq.sim.scenario.schema_values import NotNegative, Positive, Section, needs, only_with, optional
 from maxq.sim.scenario.soundings import each_sounding
@@ -97,6 +98,16 @@ class Campaign(Section):
         "flights of which a full log is kept: 'worst:5', 'failed', 'failed:20', '0,17'", ()
     )
     envelope: Envelope = Envelope()
+
+    @model_validator(mode="after")
+    def _check(self) -> Campaign:
+        if self.sampling == "latin-hypercube" and self.stratum is None and self.runs > MOST_TOGETHER:
+            raise refuse(
+                f"required key is missing: one hypercube of {self.runs} runs takes too much memory",
+                f"at most {MOST_TOGETHER}",
+                key=("stratum",),
+            )
+        return self
 
 
 _MEANINGFUL: dict[str, tuple[str, ...]] = {

@@ -50,6 +50,11 @@ class Target:
     whole_ns: bool = False
     columns: tuple[str, ...] = ()  # of the table that holds a column
 
+    @property
+    def is_angle(self) -> bool:
+        """Whether either sign is as good as the other: an angle or a rate of one."""
+        return any(isinstance(part, str) and "deg" in part.rpartition("_")[2] for part in self.path[-2:])
+
     def result(self, apply: Apply, draw: Array) -> Array:
         """What becomes of a number; of a column, the draw itself."""
         out = draw if self.kind == "column" else np.asarray(_applied(apply, self.nominal, draw))

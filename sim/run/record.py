@@ -210,6 +210,7 @@ def write_summary(path: Path, flight: Flight, log: str | None, timing: dict[str,
         "cause": flight.cause,
         "passed": flight.passed,
         "failures": flight.failures,
+        "warnings": flight.scenario.doubts,
         "end_s": flight.end_s,
         "events": [
             {"name": event.name, "time_s": event.time_s}

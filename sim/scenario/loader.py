@@ -35,10 +35,10 @@ from maxq.sim.scenario.documents import (
     source_of,
     walk,
 )
+from maxq.sim.scenario.doubts import doubts
 from maxq.sim.scenario.errors import ScenarioError, suggestion
 from maxq.sim.scenario.files import PARTS, VEHICLE_FILE, WANTED, ReadFile, Reading, find, locate
 from maxq.sim.scenario.messages import explain
-from maxq.sim.scenario.mode_checks import doubts
 from maxq.sim.scenario.ranges import LARGEST_NUMBER
 from maxq.sim.scenario.schema_design import Design
 from maxq.sim.scenario.schema_scenario import Scenario
@@ -75,12 +75,8 @@ class LoadedScenario:
 
     @cached_property
     def doubts(self) -> tuple[str, ...]:
-        """What is unlikely in the vehicle's mode tables, for people to look at; it is flown all the same."""
-        out = []
-        for number, stage in enumerate(self.vehicle.stage):
-            for key, table in stage.mode_tables():
-                out += [f"vehicle.stage.{number}.{key}: {doubt}" for doubt in doubts(table)]
-        return tuple(out)
+        """What it holds and is hardly meant, a line each."""
+        return doubts(self.scenario)
 
     @cached_property
     def as_flown(self) -> str:

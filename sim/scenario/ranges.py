@@ -20,7 +20,7 @@ LONGEST_S = 1.0e8
 LARGEST_NUMBER = 1e30
 """Where a name says nothing: products of a few such numbers are still finite."""
 
-MOST_RUNS = 10**9
+MOST_RUNS, MOST_TOGETHER = 10**9, 10**6
 
 
 @dataclass(frozen=True)
@@ -103,7 +103,7 @@ RANGES = (
     Range(("factor", "_factor"), 0.0, 1e3, "factors on what is nominal"),
     Range(("seed",), 0, 2**63 - 1, "64 bits"),
     Range(("runs",), 0, MOST_RUNS, "flights"),
-    Range(("stratum", "batch"), 0, 1e7, "flights whose draws are in memory together"),
+    Range(("stratum", "batch"), 0, MOST_TOGETHER, "flights whose draws are in memory together"),
 )
 # fmt: on
 _ANY = Range((), 0.0, LARGEST_NUMBER, "what the arithmetic of a flight can hold")

@@ -104,6 +104,8 @@ def _ranges() -> Iterator[str]:
     yield "Beside what a key allows itself, its magnitude, and that of a column in a table, lies in the range of its"
     yield "name or, where the name is not listed, of its unit, the end of the name; 0 is within. Beyond it lies what no"
     yield f"vehicle can have. Numbers of neither are {LARGEST_NUMBER:g} at most.\n"
+    yield "What is possible and hardly meant, such as a reference length of 180 m on a vehicle of 14 m or a dispersion"
+    yield "that turns a sign within 3 sigma, is flown, with a warning in report and summary.\n"
     yield "| names | least | most | why |"
     yield "|---|---|---|---|"
     for r in RANGES:

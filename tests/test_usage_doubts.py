@@ -1,0 +1,125 @@
+"""What is possible and hardly meant is flown, with a warning that names key, value and what is usual."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+from scenario_files import write_ascent
+
+from maxq.sim.campaign.read import load_campaign
+from maxq.sim.scenario.loader import load_scenario
+from maxq.tools import simrun
+
+SPHERE = "vehicle.stage.0.mass.inertia_kgm2 = 4.88094 is hardly meant; usual: at most 0.169 kg m2"
+
+
+@pytest.fixture
+def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.chdir(tmp_path)
+    write_ascent(tmp_path)
+    return tmp_path
+
+
+def test_what_is_usual_is_not_doubted() -> None:
+    assert load_scenario("nominal").doubts == ()
+    assert load_campaign("campaigns/ksr3").doubts == ()
+    assert load_campaign("campaigns/first").doubts == ()
+
+
+def test_the_sphere_of_the_check_cases_is_none() -> None:
+    """NESC's sphere of 6 inches and 1 slug has the inertia of one of 13 feet: as published, and said."""
+    assert [doubt[: len(SPHERE)] for doubt in load_scenario("checkcases/nesc-01").doubts] == [SPHERE]
+
+
+@pytest.mark.parametrize(
+    ("overrides", "says"),
+    [
+        (["reference.length_m=180.0"], "reference.length_m = 180 is hardly meant; usual: the hindmost station, 14"),
+        (["reference.length_m=1.4"], "vehicle.reference.length_m = 1.4 is"),
+        (["reference.diameter_m=100.0"], "diameter_m = 100 is hardly meant; usual: less than the length"),
+        (["reference.area_m2=78.5"], "area_m2 = 78.5 is hardly meant; usual: about that of the diameter"),
+        (["reference.chord_m=140.0"], "vehicle.reference.chord_m = 140 is"),
+        (["stage.0.mass.table.mass_kg=[6e7,5e7,4e7]"], "vehicle.stage.0.mass.table.mass_kg = 6e+07 is hardly meant"),
+        (["stage.0.mass.table.x_cg_m=[76.0,7.5,7.2]"], "mass.table.x_cg_m = 76 is hardly meant; usual: inside"),
+        ([f"stage.0.mass.table.I{axis}_kgm2=[65893e3,60000e3,50000e3]" for axis in ("yy", "zz")],
+         "vehicle.stage.0.mass.table.Iyy_kgm2 = 6.5893e+07 is hardly meant; usual: at most 3e+05"),
+        (["stage.0.engine.thrust_factor=100.0"], "engine.table.thrust_vacuum_N = 1.5e+07 is hardly meant"),
+        (["stage.0.engine.thrust_factor=0.1"], "usual: more than the weight of 2.627e+04 N, or it is never"),
+    ],
+)  # fmt: skip  # twice as many lines otherwise
+def test_vehicles_that_are_hardly_meant(here: Path, overrides: list[str], says: str) -> None:
+    text = load_scenario("ascent.toml").as_flown
+    (here / "whole.toml").write_text(text)
+    found = load_scenario("whole.toml", [f"vehicle.{override}" for override in overrides]).doubts
+    assert any(says in doubt for doubt in found), found
+
+
+@pytest.mark.parametrize(
+    ("overrides", "says"),
+    [
+        (["site.altitude_m=3e5"], "site.altitude_m = 300000 is hardly meant; usual: a place on the ground"),
+        (["wind.factor=-5.0"], "wind.profile = 200 is hardly meant; usual: less than 150 m/s below 30000 m"),
+        (
+            ["run.step_s=1e-6", "run.duration_s=1e4"],
+            "run.step_s = 1e-06 is hardly meant; usual: fewer than 1e+09 steps",
+        ),
+        (
+            ["log.fast_hz=1e6", "run.duration_s=1e4"],
+            "log.fast_hz = 1e+06 is hardly meant; usual: fewer than 1e+09 rows",
+        ),
+    ],
+)
+def test_flights_that_are_hardly_meant(here: Path, overrides: list[str], says: str) -> None:
+    found = load_scenario("ascent.toml", overrides).doubts
+    assert len(found) == 1
+    assert says in found[0]
+
+
+DISPERSED = """\
+schema = 1
+extends = "ascent.toml"
+unset = ["requirement"]
+[campaign]
+runs = 4
+[[disperse]]
+key = "{key}"
+{rest}
+"""
+
+
+@pytest.mark.parametrize(
+    ("key", "rest", "doubted"),
+    [
+        ("vehicle.stage.0.engine.thrust_factor", 'distribution = "normal"\nthree_sigma = 1.2', True),
+        ("vehicle.stage.0.engine.thrust_factor", 'distribution = "normal"\nthree_sigma = 1.2\nat_least = 0.5', False),
+        ("vehicle.stage.0.engine.thrust_factor", 'distribution = "normal"\nthree_sigma = 0.9', False),
+        ("vehicle.stage.0.mass.table.Iyy_kgm2", 'apply = "scale"\ndistribution = "normal"\nthree_sigma = 1.1', True),
+        ("vehicle.stage.0.mass.table.Ixx_kgm2", 'apply = "scale"\ndistribution = "uniform"\nlow = 0.5\nhigh = 1', 0),
+        ("wind.factor", 'distribution = "uniform"\nlow = -1.0\nhigh = 1.0', True),
+        ("vehicle.stage.0.aero.centre_shift_m", 'distribution = "normal"\nsigma = 0.3', False),  # about nothing
+        ("vehicle.stage.0.engine.gimbal_station_m", 'apply = "add"\ndistribution = "normal"\nsigma = 9.0', True),
+        ("site.azimuth_deg", 'apply = "add"\ndistribution = "normal"\nsigma = 50.0', False),  # an angle
+    ],
+)  # fmt: skip  # more lines otherwise
+def test_dispersions_that_turn_a_sign(here: Path, key: str, rest: str, doubted: bool) -> None:
+    (here / "campaign.toml").write_text(DISPERSED.format(key=key, rest=rest))
+    found = load_campaign("campaign.toml").doubts
+    assert [doubt.startswith(f"{key} is hardly meant to change its sign") for doubt in found] == [True] * doubted
+
+
+@pytest.mark.slow
+def test_warnings_in_summary_and_report(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    overrides = ["vehicle.reference.length_m=180.0", "run.duration_s=0.1", "requirement="]
+    code = simrun.main(["ascent.toml", "--no-log", "--out", "out", *(x for o in overrides for x in ("--set", o))])
+    assert code == 0
+    line = "vehicle.reference.length_m = 180 is hardly meant; usual: the hindmost station, 14 m, or a little more"
+    assert f"warning: {line}\n" in capsys.readouterr().out
+    assert line in json.loads((here / "out" / "summary.json").read_text())["warnings"]
+    sign = 'distribution = "normal"\nthree_sigma = 1.2\n[run]\nduration_s = 0.1'
+    (here / "campaign.toml").write_text(DISPERSED.format(key="vehicle.stage.0.engine.thrust_factor", rest=sign))
+    simrun.main(["campaign.toml", "--out", "flown"])
+    assert "warning: vehicle.stage.0.engine.thrust_factor is hardly meant to" in capsys.readouterr().out
+    assert "is hardly meant to change its sign" in (here / "flown" / "report.html").read_text()
+    assert len(json.loads((here / "flown" / "summary.json").read_text())["warnings"]) == 1
