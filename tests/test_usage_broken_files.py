@@ -75,7 +75,7 @@ _BREAKS = [
     ("campaign", "runs = 20", f"seed = {2**63}\nruns = 20", f"seed = {2**63}: is out of range; allowed: a whole"),
     ("campaign", "runs = 20", f"runs = {2**52}", f"runs = {2**52}: is out of range; allowed: magnitudes up to 1e+09"),
     ("campaign", "runs = 20", f"stratum = {2**62}\nruns = 20", f"stratum = {2**62}: is out of range"),
-    ("campaign", "runs = 20", "runs = 10000000", "campaign.stratum: required key is missing: one hypercube of 10000000"),
+    ("campaign", "runs = 20", "runs = 10000000", "stratum: required key is missing: one hypercube of 10000000"),
     ("campaign", 'values = ["hold", "error"]', f'values = ["hold", {10**400}]', "values.1 = 10000000"),
     ("scenario", "duration_s = 300.0", f"seed = {2**64}", f"run.seed = {2**64}: is out of range"),
     ("scenario", "duration_s = 300.0", f"duration_s = {2**64}", "is longer than a flight can be"),

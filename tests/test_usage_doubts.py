@@ -22,6 +22,11 @@ def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path
 
 
+def meant(doubts: tuple[str, ...]) -> list[str]:
+    """Without those about the mode tables, which are made up."""
+    return [doubt for doubt in doubts if "hardly meant" in doubt]
+
+
 def test_what_is_usual_is_not_doubted() -> None:
     assert load_scenario("nominal").doubts == ()
     assert load_campaign("campaigns/ksr3").doubts == ()
@@ -72,7 +77,7 @@ def test_vehicles_that_are_hardly_meant(here: Path, overrides: list[str], says: 
     ],
 )
 def test_flights_that_are_hardly_meant(here: Path, overrides: list[str], says: str) -> None:
-    found = load_scenario("ascent.toml", overrides).doubts
+    found = meant(load_scenario("ascent.toml", overrides).doubts)
     assert len(found) == 1
     assert says in found[0]
 
@@ -105,7 +110,7 @@ key = "{key}"
 )  # fmt: skip  # more lines otherwise
 def test_dispersions_that_turn_a_sign(here: Path, key: str, rest: str, doubted: bool) -> None:
     (here / "campaign.toml").write_text(DISPERSED.format(key=key, rest=rest))
-    found = load_campaign("campaign.toml").doubts
+    found = meant(load_campaign("campaign.toml").doubts)
     assert [doubt.startswith(f"{key} is hardly meant to change its sign") for doubt in found] == [True] * doubted
 
 
@@ -122,4 +127,4 @@ def test_warnings_in_summary_and_report(here: Path, capsys: pytest.CaptureFixtur
     simrun.main(["campaign.toml", "--out", "flown"])
     assert "warning: vehicle.stage.0.engine.thrust_factor is hardly meant to" in capsys.readouterr().out
     assert "is hardly meant to change its sign" in (here / "flown" / "report.html").read_text()
-    assert len(json.loads((here / "flown" / "summary.json").read_text())["warnings"]) == 1
+    assert len(meant(json.loads((here / "flown" / "summary.json").read_text())["warnings"])) == 1
