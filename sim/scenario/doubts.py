@@ -31,7 +31,8 @@ def doubts(scenario: Scenario) -> tuple[str, ...]:
         found += [(f"vehicle.stage.{n}.{key}", value, usual) for key, value, usual in _stage(stage, reference)]
     if any(stage.aero is not None for stage in scenario.vehicle.stage):
         tails = [tail for stage in scenario.vehicle.stage for tail in _tails(stage)]
-        found += [(f"vehicle.reference.{key}", *rest) for key, *rest in _reference(reference, max(tails, default=0.0))]
+        doubted = _reference(reference, max(tails, default=0.0))
+        found += [(f"vehicle.reference.{key}", value, usual) for key, value, usual in doubted]
     if scenario.held and scenario.holddown.release == "thrust":
         found += _lift_off(scenario.vehicle.stage[0])
     said = [f"{key} = {value:.6g} is hardly meant; usual: {usual}" for key, value, usual in found]
@@ -41,7 +42,7 @@ def doubts(scenario: Scenario) -> tuple[str, ...]:
     return tuple(said)
 
 
-def _reference(reference: Reference, tail_m: float) -> Iterator[tuple[str, float, str]]:
+def _reference(reference: Reference, tail_m: float) -> Iterator[Doubt]:
     """Lengths against each other; `tail_m`: the hindmost station that the files name, 0 where there is none."""
     length, diameter, area = reference.length_m, reference.diameter_m, reference.area_m2
     if tail_m > 0.0 and not 0.9 * tail_m <= length <= 2.0 * tail_m:
