@@ -28,7 +28,8 @@ PARTS = Parts(
     mass_forward_kg=(0.0, 600.0, 3200.0, 3700.0, 3800.0, 4200.0),
 )
 SHAPES = ((1.0, 0.4, -0.3, 0.5, 0.7, 1.2), (-0.2, -0.15, 0.1, 0.3, 0.35, 0.4))
-PITCH = (Mode(9.0, 1700.0, *SHAPES), Mode(23.0, 900.0, tuple(-x for x in SHAPES[0]), SHAPES[1]))
+OTHER = (tuple(-2.0 * x for x in SHAPES[0]), tuple(-1.5 * x for x in SHAPES[1]))
+PITCH = (Mode(9.0, 1700.0, *SHAPES), Mode(23.0, 900.0, *OTHER))
 BENT = replace(PARTS, pitch=PITCH, yaw=PITCH)
 
 

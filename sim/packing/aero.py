@@ -8,9 +8,11 @@ from maxq.control.kernel.grids import Extension, Grid, GridRefs, fit_grid
 from maxq.control.kernel.limits import MAX_SURFACES
 from maxq.control.kernel.records import Array
 from maxq.control.kernel.tables import NO_TABLE, Cubics, Method, Pool, fit, merge
+from maxq.sim.packing.engines import on_clock
 from maxq.sim.packing.remembered import cached_by_identity
 from maxq.sim.packing.schedule import has_remainder, surface_stations
 from maxq.sim.scenario import schema_stage as schema
+from maxq.sim.scenario.burn import Burn
 from maxq.sim.scenario.grids import grid_table
 from maxq.sim.scenario.schema_scenario import Scenario
 from maxq.sim.scenario.schema_vehicle import Reference, Stage
@@ -35,7 +37,7 @@ _EXTENSIONS: dict[str, Extension] = {"total_deg": "mirror", "roll_deg": "periodi
 _ACROSS = (incidence.CY, incidence.CZ, incidence.CM, incidence.CN)
 
 
-def pack_aero(scenario: Scenario, stage: Stage, pool: Pool) -> Aero:
+def pack_aero(scenario: Scenario, stage: Stage, burn: Burn, pool: Pool) -> Aero:
     """The stage's aerodynamics under the scenario's switches; its tables go into `pool`."""
     reference: Reference = scenario.vehicle.reference
     aero = stage.aero or schema.Aero.model_construct()  # its defaults, without a table
@@ -48,7 +50,8 @@ def pack_aero(scenario: Scenario, stage: Stage, pool: Pool) -> Aero:
     if on:
         fixed_m = 0.0 if moves else aero.moment_reference_m
         mach_table = pool.add(_mach_table(aero.table, aero.surface, aero.interpolation, fixed_m, reference.chord_m))
-        moving = pool.add(fit(table[moves], table["station_m"], stage.interpolation if moves else "linear"))
+        joined = fit(table[moves], table["station_m"], stage.interpolation if moves else "linear")
+        moving = pool.add(on_clock(joined, burn) if moves == "time_s" else joined)
         if moves and has_remainder(aero.table) and "x_cp_m" not in aero.table:
             remainder = len(aero.surface)
     station = aero.crossflow_station_m

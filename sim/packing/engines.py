@@ -13,6 +13,7 @@ from maxq.control.kernel.limits import MAX_ENGINES
 from maxq.control.kernel.records import Array
 from maxq.control.kernel.tables import Cubics, Method, fit
 from maxq.sim.packing.remembered import cached_by_identity
+from maxq.sim.scenario.burn import Burn, EngineFault
 from maxq.sim.scenario.schema_scenario import Switches
 from maxq.sim.scenario.schema_stage import Engine as Given
 from maxq.sim.scenario.schema_vehicle import Stage
@@ -28,6 +29,12 @@ class Alike:
 
     numbers: tuple[int, ...]
     one: Given
+    faults: tuple[EngineFault, ...]
+
+    @property
+    def curve(self) -> tuple[CsvTable, CsvTable | None, tuple[EngineFault, ...]]:
+        """What makes their thrust over time."""
+        return self.one.table, self.one.throttle, self.faults
 
 
 @dataclass(frozen=True)
@@ -37,32 +44,75 @@ class Cluster:
     alike: tuple[Alike, ...]
     groups: tuple[str, ...]
     gimbals_m: tuple[float, ...]  # stations
-    curves: tuple[CsvTable, ...]  # of thrust, each once
+    curves: tuple[Alike, ...]  # those whose curves of thrust differ
 
 
 @cached_by_identity
-def cluster_of(stage: Stage) -> Cluster:
+def cluster_of(stage: Stage, faults: tuple[EngineFault, ...]) -> Cluster:
     """Of a stage with an engine or without."""
     alike: list[Alike] = []
     for n, engine in enumerate(stage.engines):
         same = engine.model_copy(update={"offset_m": (0.0, 0.0), "name": ""})
-        k = next((k for k, known in enumerate(alike) if known.one == same), None)
+        own = tuple(fault for fault in faults if fault.befalls(n))
+        k = next((k for k, known in enumerate(alike) if (known.one, known.faults) == (same, own)), None)
         if k is None:
-            alike.append(Alike((n,), same))
+            alike.append(Alike((n,), same, own))
         else:
-            alike[k] = Alike((*alike[k].numbers, n), same)
-    curves: list[CsvTable] = []
+            alike[k] = Alike((*alike[k].numbers, n), same, own)
+    curves: list[Alike] = []
     for each in alike:
-        if each.one.table not in curves:
-            curves.append(each.one.table)
+        if all(each.curve != known.curve for known in curves):
+            curves.append(each)
     stations = tuple(dict.fromkeys(each.one.gimbal_station_m for each in alike))
     return Cluster(tuple(alike), stage.engine_groups, stations, tuple(curves))
 
 
-def thrust_curves(stage: Stage, method: Method) -> list[Cubics]:
-    """Vacuum thrust over the clock of the stage's tables, N; zero without an engine."""
-    curves = [fit(table["time_s"], table["thrust_vacuum_N"], method) for table in cluster_of(stage).curves]
+def thrust_curves(stage: Stage, burn: Burn, method: Method) -> list[Cubics]:
+    """Vacuum thrust over the clock of the schedule, N; zero without an engine."""
+    curves = []
+    for each in cluster_of(stage, burn.faults).curves:
+        nominal = fit(each.one.table["time_s"], each.one.table["thrust_vacuum_N"], method)
+        curves.append(on_clock(nominal, burn, each.numbers[0]))
     return curves or [fit([0.0], [[0.0]])]
+
+
+def on_clock(table: Cubics, burn: Burn, engine: int | None = None) -> Cubics:
+    """A table over the tables' clock as one over the schedule's, times what an engine gives, if one is named.
+
+    The two differ where engines are throttled or fail. On each interval the cubic with the values and slopes at both
+    ends: exact where the rate of the clock and the share are constant, else good to the fourth order of the interval's
+    length (`burn.table_clock`).
+    """
+    clock = burn.clock
+    if clock is None:
+        return table
+    reached = clock.when(table.breaks)
+    breaks = np.unique(np.concatenate([clock.time_s, reached[np.isfinite(reached)]]))
+    breaks = breaks[np.append(True, np.diff(breaks) > 1e-9)]
+    if len(breaks) == 1:
+        breaks = np.append(breaks, breaks[0] + 1.0)
+    begin, length = breaks[:-1], np.diff(breaks)
+    k, middle_s, _ = clock.at(begin + 0.5 * length)
+    slope = clock.slopes()[k]
+    piece = np.clip(np.searchsorted(table.breaks, middle_s, side="right") - 1, 0, len(table.breaks) - 2)
+    inside = (middle_s > table.breaks[0]) & (middle_s < table.breaks[-1])
+    c, ends = table.coefficients[piece], []
+    for dt in (begin - clock.time_s[k], begin - clock.time_s[k] + length):
+        s = clock.table_s[k] + dt * (clock.rate[k, 0] + 0.5 * slope * dt)
+        x = (np.clip(s, table.breaks[0], table.breaks[-1]) - table.breaks[piece])[:, None]
+        value = c[:, 0] + x * (c[:, 1] + x * (c[:, 2] + x * c[:, 3]))
+        change = c[:, 1] + x * (2.0 * c[:, 2] + x * 3.0 * c[:, 3])
+        change = change * ((clock.rate[k, 0] + slope * dt) * inside)[:, None]
+        if engine is not None:
+            share = clock.share[engine, k]
+            grows = ((share[:, 1] - share[:, 0]) / np.append(np.diff(clock.time_s), np.inf)[k])[:, None]
+            left = share[:, :1] + grows * dt[:, None]
+            value, change = value * left, change * left + value * grows
+        ends.append((value, change))
+    (v_0, d_0), (v_1, d_1), h = *ends, length[:, None]
+    secant = (v_1 - v_0) / h
+    bend = (d_0 + d_1 - 2.0 * secant) / h
+    return Cubics(breaks, np.stack([v_0, d_0, (secant - d_0) / h - bend, bend / h], axis=1))
 
 
 class Mount(NamedTuple):
@@ -73,11 +123,11 @@ class Mount(NamedTuple):
     hanging_kgm: float
 
 
-def engine_mounts(stage: Stage) -> tuple[Mount, ...]:
+def engine_mounts(stage: Stage, burn: Burn) -> tuple[Mount, ...]:
     """By station, in the order of `Cluster.gimbals_m`; shares are those of the largest thrusts."""
-    alike, out = cluster_of(stage).alike, []
+    alike, out = cluster_of(stage, burn.faults).alike, []
     strengths = [len(a.numbers) * a.one.thrust_factor * float(a.one.table["thrust_vacuum_N"].max()) for a in alike]
-    for station_m in cluster_of(stage).gimbals_m:
+    for station_m in cluster_of(stage, burn.faults).gimbals_m:
         there = [k for k, a in enumerate(alike) if a.one.gimbal_station_m == station_m]
         share = 1.0
         if sum(strengths) > 0.0 and len(there) < len(alike):
@@ -92,13 +142,13 @@ def _hanging_kgm(e: Given) -> float:
     return e.gimballed_mass_kg * e.cg_from_gimbal_m * (cos_pitch * cos_yaw)
 
 
-def pack_engines(stage: Stage, switches: Switches) -> Engine:
+def pack_engines(stage: Stage, burn: Burn, switches: Switches) -> Engine:
     """The record of all engines; without one it is zero, but for an axis."""
     columns: dict[str, Any] = {f.name: np.zeros(MAX_ENGINES) for f in fields(Engine)}
     for name in ("curve", "group", "gimbal"):
         columns[name] = np.zeros(MAX_ENGINES, np.int64)
     columns["rest_x"][:] = 1.0
-    cluster = cluster_of(stage)
+    cluster = cluster_of(stage, burn.faults)
     for k, alike in enumerate(cluster.alike):
         for name, value in _columns(stage, cluster, alike, switches).items():
             columns[name][k] = value
@@ -124,7 +174,7 @@ def _columns(stage: Stage, cluster: Cluster, alike: Alike, switches: Switches) -
     return {
         "exit_area_m2": n * e.exit_area_m2,
         "thrust_factor": n * (on * e.thrust_factor * e.mass_flow_factor),
-        "curve": cluster.curves.index(e.table),
+        "curve": [known.curve for known in cluster.curves].index(alike.curve),
         "group": cluster.groups.index(e.group) if e.gimbal != "fixed" else 0,
         "follows_pitch": float(e.gimbal in ("both", "pitch")),
         "follows_yaw": float(e.gimbal in ("both", "yaw")),

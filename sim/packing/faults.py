@@ -44,7 +44,14 @@ def _gyro_noisy(fault: Fault, axis: int) -> tuple[Write, ...]:
     return (Write(GYRO_WALK + axis, math.radians(fault.noise_deg_rt_h or 0.0) / 60.0),)
 
 
+def _nothing(fault: Fault, axis: int) -> tuple[Write, ...]:
+    """What an engine does over time is known beforehand, and stands in the stage's tables (packing/schedule.py)."""
+    return ()
+
+
 WRITES: dict[FaultKind, Callable[[Fault, int], tuple[Write, ...]]] = {
+    "engine-off": _nothing,
+    "thrust-loss": _nothing,
     "gyro-stuck": _gyro_stuck,
     "gyro-dead": _gyro_dead,
     "gyro-bias": _gyro_bias,

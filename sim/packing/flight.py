@@ -20,7 +20,8 @@ from maxq.sim.packing.initial import initial_motion
 from maxq.sim.packing.loads import pack_loads
 from maxq.sim.packing.schedule import stage_sizes, vehicle_schedule
 from maxq.sim.packing.vehicle import pack_vehicle
-from maxq.sim.scenario.coverage import burn_rate, stage_end_s, thrust_end_s
+from maxq.sim.scenario.burn import Burn, stage_burns
+from maxq.sim.scenario.coverage import burn_rate
 from maxq.sim.scenario.schema_scenario import Scenario
 from maxq.sim.scenario.schema_values import NS_PER_S, period_ns, to_ns
 from maxq.sim.scenario.schema_vehicle import Stage
@@ -48,14 +49,16 @@ def pack_flight(scenario: Scenario) -> Packed:
     pool = Pool()
     environment, computer = pack_environment(scenario, pool), pack_computer(scenario, pool)
     injections, faults = pack_injections(scenario, pool), pack_faults(scenario)
-    rows, stage_start_ns = [], 0
-    all_sizes = [stage_sizes(stage, scenario.switches) for stage in scenario.vehicle.stage]
+    rows, stage_start_ns, burns = [], 0, stage_burns(scenario)
+    all_sizes = [
+        stage_sizes(stage, scenario.switches, burn) for stage, burn in zip(scenario.vehicle.stage, burns, strict=True)
+    ]
     frozen = scenario.run.freeze_vehicle_at_s is not None
-    for stage, sizes in zip(scenario.vehicle.stage, all_sizes, strict=True):
-        schedule = vehicle_schedule(stage, sizes, scenario.switches, frozen)
-        vehicle = pack_vehicle(scenario, stage, sizes, schedule, pool)
-        timeline = _timeline(scenario, stage, stage_start_ns)
-        loads = pack_loads(scenario, stage, sizes, pool)
+    for stage, burn, sizes in zip(scenario.vehicle.stage, burns, all_sizes, strict=True):
+        schedule = vehicle_schedule(stage, burn, sizes, scenario.switches, frozen)
+        vehicle = pack_vehicle(scenario, stage, burn, sizes, schedule, pool)
+        timeline = _timeline(scenario, stage, burn, stage_start_ns)
+        loads = pack_loads(scenario, stage, burn, sizes, pool)
         rows.append(Parameters(vehicle, loads, environment, computer, injections, faults, timeline))
         stage_start_ns = timeline.separation_ns
     parameters = pack(rows)
@@ -79,11 +82,11 @@ def pack_for_one_vehicle(scenario: Scenario) -> Packed:
     return replace(packed, parameters=with_constants(packed.parameters, "vehicle", "sizes"))
 
 
-def _timeline(scenario: Scenario, stage: Stage, stage_start_ns: int) -> StageTimeline:
-    run, rate = scenario.run, burn_rate(stage)
+def _timeline(scenario: Scenario, stage: Stage, burn: Burn, stage_start_ns: int) -> StageTimeline:
+    run, rate = scenario.run, burn_rate(stage) if burn.clock is None else 1.0
     start_ns = to_ns(run.start_s)
-    ignition_ns, burnout_ns = _burn(stage, stage_start_ns)
-    end_s = stage_end_s(stage)
+    ignition_ns, burnout_ns = _burn(stage, burn, stage_start_ns)
+    end_s = burn.end_s
     frozen_s = run.freeze_vehicle_at_s
     if frozen_s is not None:
         burning = ignition_ns <= round(NS_PER_S * frozen_s) < burnout_ns
@@ -111,11 +114,11 @@ def _timeline(scenario: Scenario, stage: Stage, stage_start_ns: int) -> StageTim
     )
 
 
-def _burn(stage: Stage, stage_start_ns: int) -> tuple[int, int]:
+def _burn(stage: Stage, burn: Burn, stage_start_ns: int) -> tuple[int, int]:
     """Ignition and burn-out; a single row of thrust burns for ever, no engine never."""
     ignition_ns = stage_start_ns + round(NS_PER_S * stage.ignition_s)
     if not stage.engines:
         return NEVER, NEVER
-    if any(len(engine.table) == 1 for engine in stage.engines):
+    if any(len(engine.table) == 1 for engine in stage.engines) and burn.burnout_s == 0.0:
         return ignition_ns, NEVER
-    return ignition_ns, stage_start_ns + round(NS_PER_S * thrust_end_s(stage) / burn_rate(stage))
+    return ignition_ns, stage_start_ns + round(NS_PER_S * burn.burnout_s)

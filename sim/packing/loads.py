@@ -10,9 +10,11 @@ import numpy as np
 from maxq.control.kernel.limits import MAX_LOAD_STATIONS, MAX_SURFACES, MAX_TANKS
 from maxq.control.kernel.records import Array
 from maxq.control.kernel.tables import NO_TABLE, Cubics, Method, Pool, fit
+from maxq.sim.packing.engines import on_clock
 from maxq.sim.packing.remembered import cached_by_identity
 from maxq.sim.packing.schedule import tank_curves
 from maxq.sim.scenario import schema_loads as schema
+from maxq.sim.scenario.burn import Burn
 from maxq.sim.scenario.modes import ModeTable
 from maxq.sim.scenario.schema_scenario import Scenario
 from maxq.sim.scenario.schema_stage import Tank
@@ -25,7 +27,7 @@ from maxq.sim.vehicle.state import Sizes
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(4)  # exact to the seventh power; mass times shape has the fifth
 
 
-def pack_loads(scenario: Scenario, stage: Stage, sizes: Sizes, pool: Pool) -> Loads:
+def pack_loads(scenario: Scenario, stage: Stage, burn: Burn, sizes: Sizes, pool: Pool) -> Loads:
     """Section loads of a stage; none unless they are switched on."""
     given = stage.loads
     stations, bottoms = np.zeros(MAX_LOAD_STATIONS), np.full(MAX_TANKS, -np.inf)
@@ -51,7 +53,7 @@ def pack_loads(scenario: Scenario, stage: Stage, sizes: Sizes, pool: Pool) -> Lo
         period_ns=to_ns(given.period_s),
         coast=int(given.coast),
         alike=int(alike),
-        table=pool.add(_table(given, tanks, pitch, yaw, stage.interpolation)),
+        table=pool.add(on_clock(_table(given, tanks, pitch, yaw, stage.interpolation), burn)),
         nose_m=given.nose_station_m,
         tail_m=min(ends) if stage.engines else max(ends),
         station_m=stations,

@@ -14,9 +14,10 @@ import numpy as np
 from maxq.control.kernel.jit import from_python
 from maxq.control.kernel.records import Array, pack
 from maxq.control.kernel.tables import Cubics, Method, fit, merge, union
-from maxq.sim.packing.engines import Mount, cluster_of, engine_mounts, thrust_curves
+from maxq.sim.packing.engines import Mount, cluster_of, engine_mounts, on_clock, thrust_curves
 from maxq.sim.packing.modes import Places, mode_values, spatial_values
 from maxq.sim.packing.remembered import cached_by_identity
+from maxq.sim.scenario.burn import NOMINAL, Burn
 from maxq.sim.scenario.modes import ModeTable, SpatialModeTable
 from maxq.sim.scenario.schema_scenario import Switches
 from maxq.sim.scenario.schema_stage import AeroSurface, Tank
@@ -31,7 +32,7 @@ _padded_modes, _mode_rows = from_python(columns_of.padded_modes), from_python(co
 _gimbal_row = from_python(columns_of.gimbal_row)
 
 
-def stage_sizes(stage: Stage, switches: Switches) -> Sizes:
+def stage_sizes(stage: Stage, switches: Switches, burn: Burn = NOMINAL) -> Sizes:
     """How many modes, tanks and surfaces are flown with these switches."""
     pitch = yaw = 0
     if stage.bending is not None and switches.bending:
@@ -41,7 +42,7 @@ def stage_sizes(stage: Stage, switches: Switches) -> Sizes:
     tanks = len(stage.tank) if switches.slosh else 0
     tables = 0 if stage.aero is None else len(stage.aero.coefficients)
     spatial = stage.spatial_modes.modes.modes if stage.spatial_modes is not None and switches.bending else 0
-    cluster = cluster_of(stage)
+    cluster = cluster_of(stage, burn.faults)
     return Sizes(
         pitch, yaw, tanks, len(surface_stations(stage)), tables, spatial, len(cluster.groups) - 1,
         max(len(cluster.alike), 1), max(len(cluster.gimbals_m), 1), max(len(cluster.curves), 1),
@@ -76,25 +77,25 @@ def has_remainder(table: CsvTable) -> bool:
     return "CN_alpha_pr" in table or "Cm_alpha_pr" in table
 
 
-def vehicle_schedule(stage: Stage, sizes: Sizes, switches: Switches, frozen: bool) -> Cubics:
-    """All columns of dynamics/schedule.py over the clock of the stage's tables, s.
+def vehicle_schedule(stage: Stage, burn: Burn, sizes: Sizes, switches: Switches, frozen: bool) -> Cubics:
+    """All columns of vehicle/schedule.py over the clock of the stage's tables or, where they differ, the stage's own.
 
     `frozen`: the CG does not wander (the schedule stands still).
     """
     method: Method = stage.interpolation
     tanks = [tank_curves(tank, method) for tank in stage.tank[: sizes.tanks]]
-    thrust, *further_thrusts = thrust_curves(stage, method)
-    parts = [_core(stage, tanks, method, switches.moving_cg and not frozen), thrust]
-    for tank in tanks:
+    thrust, *further_thrusts = thrust_curves(stage, burn, method)
+    parts = [_core(stage, burn, tanks, method, switches.moving_cg and not frozen), thrust]
+    for tank in (on_clock(tank, burn) for tank in tanks):
         parts += [tank, _tank_rates(tank, switches.jet_damping, switches.jet_damping and not frozen)]
     if stage.bending is not None:
         bending = stage.bending
-        pitch = _modes(stage, bending.pitch_modes if sizes.pitch_modes > 0 else None, sizes, tanks, method)
+        pitch = _modes(stage, burn, bending.pitch_modes if sizes.pitch_modes > 0 else None, sizes, tanks, method)
         alike = sizes.yaw_modes == sizes.pitch_modes and bending.yaw == bending.pitch
         yaw_table = bending.yaw_modes if sizes.yaw_modes > 0 and not alike else None
-        parts += [pitch, pitch if alike else _modes(stage, yaw_table, sizes, tanks, method)]
+        parts += [pitch, pitch if alike else _modes(stage, burn, yaw_table, sizes, tanks, method)]
     if sizes.spatial_modes > 0:
-        parts.append(_spatial_modes(stage, sizes, tanks, method))
+        parts.append(_spatial_modes(stage, burn, sizes, tanks, method))
     schedule = merge(parts + further_thrusts)
     assert schedule.n_columns == _schedule_width(pack([sizes])[0])
     return schedule
@@ -126,13 +127,14 @@ def _mass_table(stage: Stage) -> tuple[Array, Array]:
     return np.array([begin_s, begin_s + mass.burn_s]), np.stack([row, end])
 
 
-def _core(stage: Stage, tanks: Sequence[Cubics], method: Method, moving_cg: bool) -> Cubics:
+def _core(stage: Stage, burn: Burn, tanks: Sequence[Cubics], method: Method, moving_cg: bool) -> Cubics:
     """Columns CORE_MASS to MASS_FLOW."""
     total = fit(*_mass_table(stage), method)
     core = merge([total])
     if tanks:
         breaks = union(total, *tanks)
         core = fit(breaks, _without_bobs(total.at(breaks), [tank.at(breaks) for tank in tanks]), method)
+    core, total = on_clock(core, burn), on_clock(total, burn)
     rates = _derivative(core)
     if not moving_cg:
         rates.coefficients[:, :, 1:4] = 0.0
@@ -198,14 +200,16 @@ def _columns(table: Cubics, columns: list[int]) -> Cubics:
     return Cubics(table.breaks, table.coefficients[:, :, columns].copy())
 
 
-def _modes(stage: Stage, table: ModeTable | None, sizes: Sizes, tanks: Sequence[Cubics], method: Method) -> Cubics:
+def _modes(
+    stage: Stage, burn: Burn, table: ModeTable | None, sizes: Sizes, tanks: Sequence[Cubics], method: Method
+) -> Cubics:
     """Columns of all modes of one plane; zeros without a table."""
     record = pack([sizes])[0]
     rows, padded_modes = int(_mode_rows(record)), int(_padded_modes(record))
     if table is None or rows * padded_modes == 0:
         return fit([0.0], np.zeros((1, rows * padded_modes)))
     bending = stage.bending
-    values = mode_values(table, (rows, padded_modes), _places(stage, table, tanks))
+    values = mode_values(table, (rows, padded_modes), _places(stage, burn, table, tanks))
     joined = fit(table.time_s, values, method)
     assert bending is not None
     factors = np.ones((rows, padded_modes))
@@ -213,29 +217,26 @@ def _modes(stage: Stage, table: ModeTable | None, sizes: Sizes, tanks: Sequence[
     for gimbal in range(sizes.gimbals):
         row = int(_gimbal_row(record, gimbal))
         factors[row : row + 2, : table.modes] = bending.gimbal_shape_factor[: table.modes]
-    return Cubics(joined.breaks, joined.coefficients * factors.ravel())
+    return on_clock(Cubics(joined.breaks, joined.coefficients * factors.ravel()), burn)
 
 
-def _places(stage: Stage, table: ModeTable | SpatialModeTable, tanks: Sequence[Cubics]) -> Places:
+def _places(stage: Stage, burn: Burn, table: ModeTable | SpatialModeTable, tanks: Sequence[Cubics]) -> Places:
+    mounts = engine_mounts(stage, burn) or (Mount(float(table.station_m[-1]), 1.0, 0.0),)
     gyro_m = stage.gyro.station_m if stage.gyro else float(table.station_m[0])
     hinges_m = tuple(tank.at(table.time_s)[:, 2].tobytes() for tank in tanks)
-    return Places(_mounts(stage, table), gyro_m, hinges_m, surface_stations(stage))
+    return Places(mounts, gyro_m, hinges_m, surface_stations(stage))
 
 
-def _mounts(stage: Stage, table: ModeTable | SpatialModeTable) -> tuple[Mount, ...]:
-    return engine_mounts(stage) or (Mount(float(table.station_m[-1]), 1.0, 0.0),)
-
-
-def _spatial_modes(stage: Stage, sizes: Sizes, tanks: Sequence[Cubics], method: Method) -> Cubics:
+def _spatial_modes(stage: Stage, burn: Burn, sizes: Sizes, tanks: Sequence[Cubics], method: Method) -> Cubics:
     """Columns of all spatial modes."""
     given = stage.spatial_modes
     assert given is not None
     table, n, record = given.modes, sizes.spatial_modes, pack([sizes])[0]
     mass, _, inertia = np.split(_mass_table(stage)[1][0], [1, 4])
-    values = spatial_values(table, _places(stage, table, tanks), float(inertia[0] / mass[0]))
+    values = spatial_values(table, _places(stage, burn, table, tanks), float(inertia[0] / mass[0]))
     joined = fit(table.time_s, values, method)
     factors = np.ones((values.shape[1] // n, n))
     gyro, gimbal = (columns_of.SPATIAL_FIRST + 6 * p for p in (columns_of.GYRO_PLACE, int(_gimbal_place(record, 0))))
     factors[gyro + 3 : gyro + 6] = given.gyro_slope_factor
     factors[gimbal : gimbal + 6 * sizes.gimbals] = given.gimbal_shape_factor
-    return Cubics(joined.breaks, joined.coefficients * factors.ravel())
+    return on_clock(Cubics(joined.breaks, joined.coefficients * factors.ravel()), burn)

@@ -6,7 +6,8 @@ import numpy as np
 
 from maxq.control.kernel.tables import NO_TABLE, Cubics, Pool, TableRef, fit
 from maxq.sim.packing.aero import pack_aero
-from maxq.sim.packing.engines import pack_engines
+from maxq.sim.packing.engines import on_clock, pack_engines
+from maxq.sim.scenario.burn import Burn
 from maxq.sim.scenario.schema_scenario import Scenario
 from maxq.sim.scenario.schema_vehicle import Stage
 from maxq.sim.vehicle.actuator import pack_actuators
@@ -17,22 +18,22 @@ from maxq.sim.vehicle.slosh import pack_slosh
 from maxq.sim.vehicle.state import Sizes
 
 
-def pack_vehicle(scenario: Scenario, stage: Stage, sizes: Sizes, schedule: Cubics, pool: Pool) -> Vehicle:
+def pack_vehicle(scenario: Scenario, stage: Stage, burn: Burn, sizes: Sizes, schedule: Cubics, pool: Pool) -> Vehicle:
     """Parameters of one stage under the scenario's switches; its tables go into `pool`."""
     switches = scenario.switches
     pitch, yaw = pack_actuators(stage.actuator, switches.actuator)
     return Vehicle(
         sizes=sizes,
         schedule=pool.add(schedule),
-        engine=pack_engines(stage, switches),
+        engine=pack_engines(stage, burn, switches),
         actuator_pitch=pitch,
         actuator_yaw=yaw,
         gyro=pack_gyro(stage.gyro, switches.gyro == "ideal"),
-        aero=pack_aero(scenario, stage, pool),
+        aero=pack_aero(scenario, stage, burn, pool),
         bending=pack_bending(stage.bending, switches.bending_softening),
         spatial_modes=pack_spatial_modes(stage.spatial_modes),
         slosh=pack_slosh(stage.tank[: sizes.tanks], stage.bending, switches.slosh_exchange),
-        rate_damping=_rate_damping(stage, pool),
+        rate_damping=_rate_damping(stage, burn, pool),
         roll_torque_Nm=stage.roll_thrusters.torque_Nm if stage.roll_thrusters else 0.0,
         jet_damping=int(switches.jet_damping),
         follower_thrust=int(switches.follower_thrust),
@@ -40,9 +41,9 @@ def pack_vehicle(scenario: Scenario, stage: Stage, sizes: Sizes, schedule: Cubic
     )
 
 
-def _rate_damping(stage: Stage, pool: Pool) -> TableRef:
+def _rate_damping(stage: Stage, burn: Burn, pool: Pool) -> TableRef:
     table = stage.mass.rate_damping
     if table is None:
         return NO_TABLE
     columns = np.stack([table[f"{axis}_Nms"] for axis in "xyz"], axis=1)
-    return pool.add(fit(table["time_s"], columns, stage.interpolation))
+    return pool.add(on_clock(fit(table["time_s"], columns, stage.interpolation), burn))

@@ -6,15 +6,16 @@ A kind of fault is an entry of KINDS (which keys it has), its name in FaultKind,
 
 from __future__ import annotations
 
-from typing import Literal, NamedTuple
+from typing import Annotated, Literal, NamedTuple
 
 from pydantic import Field, model_validator
 
-from maxq.control.kernel.limits import MAX_STAGES
+from maxq.control.kernel.limits import MAX_ENGINES, MAX_STAGES
 from maxq.sim.scenario.errors import refuse
-from maxq.sim.scenario.schema_values import Positive, Seconds, Section, needs, only_with, optional
+from maxq.sim.scenario.schema_values import Fraction, Positive, Seconds, Section, needs, only_with, optional
+from maxq.sim.scenario.tables_csv import Columns, CsvTable
 
-FaultKind = Literal["gyro-stuck", "gyro-dead", "gyro-bias", "gyro-noisy"]
+FaultKind = Literal["engine-off", "thrust-loss", "gyro-stuck", "gyro-dead", "gyro-bias", "gyro-noisy"]
 
 
 class Kind(NamedTuple):
@@ -24,24 +25,32 @@ class Kind(NamedTuple):
     axes: tuple[str, ...] = ()  # that `axis` may name
     targets: tuple[str, ...] = ()  # optional keys that name what fails
     values: tuple[str, ...] = ()  # required keys
+    options: tuple[str, ...] = ()  # other optional keys
+
+    @property
+    def keys(self) -> tuple[str, ...]:
+        return *self.targets, *self.values, *self.options
 
 
 _TURNS = ("roll", "pitch", "yaw")
+TAIL_OFF_COLUMNS = Columns("time_s", sets=(("share",),), not_negative=("time_s", "share"), begins_by=0.0)
 KINDS: dict[FaultKind, Kind] = {
+    "engine-off": Kind("engine", (), ("engine",), (), ("tail_off", "reallocate_after_s")),
+    "thrust-loss": Kind("engine", (), ("engine",), ("loss",), ("reallocate_after_s",)),
     "gyro-stuck": Kind("gyro", _TURNS, ("axis",)),
     "gyro-dead": Kind("gyro", _TURNS, ("axis",)),
     "gyro-bias": Kind("gyro", _TURNS, ("axis",), ("bias_degps",)),
     "gyro-noisy": Kind("gyro", _TURNS, ("axis",), ("noise_deg_rt_h",)),
 }
-_OF_KINDS = tuple(dict.fromkeys(key for kind in KINDS.values() for key in (*kind.targets, *kind.values)))
+_OF_KINDS = tuple(dict.fromkeys(key for kind in KINDS.values() for key in kind.keys))
 
 
 class Fault(Section):
     """A part that fails at an instant, for good or for a time."""
 
     kind: FaultKind = Field(
-        description="gyro-stuck: the output stays as it is; gyro-dead: it is zero; gyro-bias, gyro-noisy: a rate or "
-        "noise is added to it"
+        description="engine-off: no thrust and no flow; thrust-loss: a share of both; gyro-stuck: the output stays as "
+        "it is; gyro-dead: it is zero; gyro-bias, gyro-noisy: a rate or noise is added to it"
     )
     at_s: Seconds = Field(description="when, s, whole ns")
     since: Literal["clock", "liftoff"] = optional("at_s and until_s on the vehicle clock, or from lift-off on", "clock")
@@ -50,20 +59,35 @@ class Fault(Section):
     axis: Literal["roll", "pitch", "yaw"] | None = optional("which axis (default: all)")
     bias_degps: float | None = optional("gyro-bias: added to the output, deg/s")
     noise_deg_rt_h: Positive | None = optional("gyro-noisy: angle random walk beside the gyro's own, deg/sqrt(h)")
+    engine: int | None = optional("its number in the stage, from 0 (default: all)", None, ge=0, lt=MAX_ENGINES)
+    loss: Fraction | None = optional("thrust-loss: share of thrust and mass flow that is lost")
+    tail_off: Annotated[CsvTable, TAIL_OFF_COLUMNS] | None = optional(
+        "engine-off: share of thrust and mass flow that is left over the time since at_s (default: none at once)"
+    )
+    reallocate_after_s: Seconds | None = optional(
+        "when the computer allocates its commands to what is left, s after at_s (default: never)"
+    )
 
     @model_validator(mode="after")
     def _check(self) -> Fault:
         kind = KINDS[self.kind]
         for key in _OF_KINDS:
-            named = ", ".join(name for name, other in KINDS.items() if key in (*other.targets, *other.values))
-            only_with(self, (key,), key in (*kind.targets, *kind.values), f"kind = {named}")
+            named = ", ".join(name for name, other in KINDS.items() if key in other.keys)
+            only_with(self, (key,), key in kind.keys, f"kind = {named}")
         for key in kind.values:
             needs(self, key, f"kind is {self.kind}", "a number")
+        if self.of_engines and self.since != "clock":
+            raise refuse("faults of engines count on the vehicle clock", "clock", key=("since",))
         if self.axis is not None and self.axis not in kind.axes:
             raise refuse(f"{self.kind} has no such axis", ", ".join(kind.axes), key=("axis",))
         if self.until_s is not None and self.until_s <= self.at_s:
             raise refuse("ends before it begins", f"more than at_s = {self.at_s:g}", key=("until_s",))
         return self
+
+    @property
+    def of_engines(self) -> bool:
+        """Whether thrust and mass flow change: what packing knows beforehand."""
+        return KINDS[self.kind].part == "engine"
 
     @property
     def axes(self) -> tuple[str, ...]:

@@ -30,7 +30,7 @@ from maxq.sim.scenario.schema_values import (
     only_with,
     optional,
 )
-from maxq.sim.scenario.schema_vehicle import Vehicle
+from maxq.sim.scenario.schema_vehicle import Stage, Vehicle
 from maxq.sim.scenario.tables_csv import Columns, CsvTable
 
 _ORTHONORMAL = 1e-6
@@ -354,8 +354,17 @@ class Scenario(Section):
                 )
             if getattr(self.switches, part, "") == "ideal":
                 raise refuse(f"an ideal {part} cannot fail", f"switches.{part} = 'full'", key=("fault", n, "kind"))
+            if fault.of_engines:
+                self._check_engine_fault(n, fault, concerned)
             if fault.since == "liftoff" and not self.held:
                 raise refuse("the flight begins in the air", "clock", key=("fault", n, "since"))
+
+    def _check_engine_fault(self, n: int, fault: Fault, concerned: tuple[Stage, ...]) -> None:
+        if sum(bool(stage.engines) for stage in concerned) > 1:
+            raise refuse("required key is missing: several stages have engines", "its number", ("fault", n, "stage"))
+        engines = next(len(stage.engines) for stage in concerned if stage.engines)
+        if fault.engine is not None and fault.engine >= engines:
+            raise refuse("the stage has no such engine", f"0 .. {engines - 1}", ("fault", n, "engine"))
 
     def _check_hold_down(self) -> None:
         no_thrust = not (self.vehicle.stage[0].engines and self.switches.thrust)

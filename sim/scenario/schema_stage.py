@@ -128,6 +128,7 @@ THRUST_COLUMNS = Columns(
 GimbalAngle = Annotated[float, Field(ge=0.0, le=45.0)]
 
 
+THROTTLE_COLUMNS = Columns("time_s", sets=(("throttle",),), not_negative=("throttle",), begins_by=0.0)
 GimbalPlanes = Literal["both", "pitch", "yaw", "fixed"]
 
 
@@ -138,6 +139,10 @@ class Engine(Section):
     table: Annotated[CsvTable, THRUST_COLUMNS] = Field(
         description="thrust in vacuum over the stage clock; mass_flow_kgps counts in relation to the other engines' "
         "(default: in proportion to thrust), the vehicle's mass is that of its own table"
+    )
+    throttle: Annotated[CsvTable, THROTTLE_COLUMNS] | None = optional(
+        "share of the table's thrust and mass flow over the stage clock, linear between; tables over time then run on "
+        "the propellant spent (default: 1)"
     )
     gimbal: GimbalPlanes = optional("planes in which the engine is gimballed", "both")
     group: ChannelPart = optional("engines of a group have the same gimbal angles", "")
