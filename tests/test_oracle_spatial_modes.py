@@ -30,6 +30,7 @@ from maxq.sim.packing.flight import pack_flight
 from maxq.sim.run.evaluate import evaluate_at
 from maxq.sim.vehicle import state as layout
 from maxq.sim.vehicle import workspace
+from maxq.tools.replay.vehicle_shape import bent_line, shape_of
 
 STATIONS = (0.0, 3.0, 5.0, 10.0, 12.0, 14.0)
 MODES = (
@@ -435,3 +436,20 @@ def test_a_plane_of_the_coupled_plant_holds_the_other() -> None:
     ours, theirs = (node.plant.response(frequencies) for node in weak[::-1])
     np.testing.assert_allclose(ours, theirs, rtol=1e-9, atol=1e-12)
     assert len(spatial.whole.states) == len(spatial.plant.states) + 3 + 2 * 2
+
+
+def test_the_replay_bends_the_same() -> None:
+    """Pairs turned by 30 deg and written as spatial modes draw the line that the planar modes draw."""
+    angle = np.radians(30.0)
+    section, rest = as_spatial(PARTS, angle)
+    planar, spatial = (
+        shape_of(load(tree).vehicle).stages[0]
+        for tree in (scenario_of(PARTS), with_stage(scenario_of(rest), spatial_modes=section))
+    )
+    rng = np.random.default_rng(9)
+    pitch, yaw = rng.normal(size=(2, 3, 2))
+    turned = np.concatenate([pitch, yaw], axis=1) @ turning(2, angle).T
+    for column in ("phi", "slope_pm"):
+        wanted = bent_line(planar, np.zeros(3), pitch, yaw, np.array(STATIONS), column)
+        ours = bent_line(spatial, np.zeros(3), *np.zeros((2, 3, 0)), np.array(STATIONS), column, turned)
+        np.testing.assert_allclose(ours, wanted, atol=1e-12)

@@ -136,15 +136,19 @@ class Reading:
     files: dict[Path, ReadFile] = field(default_factory=dict)
     soundings: dict[str, Any] = field(default_factory=dict)  # of wind files that hold them, see soundings.py
 
-    def text(self, path: Path, label: str, what: str) -> str:
-        """Content of a file as text; noted among `files`. `what` names what was expected."""
+    def content(self, path: Path, label: str) -> bytes:
+        """Content of a file; noted among `files`."""
         if path not in self.files:
             try:
                 self.files[path] = ReadFile(path, label, path.read_bytes())
             except OSError as error:
                 reason = (error.strerror or str(error)).lower()
                 raise ScenarioError(label, f"cannot be read: {reason}", allowed="a file you may read") from None
-        content = self.files[path].content
+        return self.files[path].content
+
+    def text(self, path: Path, label: str, what: str) -> str:
+        """Content of a file as text; noted among `files`. `what` names what was expected."""
+        content = self.content(path, label)
         try:
             text = content.decode("utf-8-sig")
         except UnicodeDecodeError as error:

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from maxq.control.kernel.limits import MAX_MODES
 from maxq.sim.scenario.errors import Path
 from maxq.sim.scenario.mode_checks import refuse_impossible
+from maxq.sim.scenario.nastran import ModeColumns
 from maxq.sim.scenario.tables_csv import Columns, CsvTable
 
 MODE_COLUMNS = Columns(
@@ -23,7 +24,7 @@ MODE_COLUMNS = Columns(
 
 
 SPATIAL_SHAPES = ("phi_x", "phi_y", "phi_z", "theta_x_pm", "theta_y_pm", "theta_z_pm")
-SPATIAL_COLUMNS = Columns(
+SPATIAL_COLUMNS = ModeColumns(
     "time_s",
     sets=(("mode", "frequency_hz", "generalized_mass_kg", "station_m", *SPATIAL_SHAPES, "mass_forward_kg"),),
     optional=("mass_kg", "roll_inertia_kgm2"),

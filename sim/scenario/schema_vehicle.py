@@ -107,7 +107,7 @@ class SpatialModes(Section):
 
     table: Annotated[CsvTable, SPATIAL_COLUMNS] = Field(
         description="one row per time, mode and station: displacement phi along, rotation theta about x, y, z; "
-        "mass_kg and roll_inertia_kgm2 are lumped at the stations"
+        "mass_kg and roll_inertia_kgm2 are lumped at the stations; or a NASTRAN file (op2, f06) of normal modes"
     )
     damping_ratio: tuple[Fraction, ...] = Field(max_length=MAX_MODES, description="of each mode")
     frequency_factor: tuple[Positive, ...] = Field(

@@ -209,14 +209,14 @@ class Scene:
             return
         at = ns[k]
         clock_s = (at - self._stage_start_ns) / 1e9 * stage.clock_factor
-        pitch, yaw = (modal_coordinates(channels, plane, k) for plane in PLANES)
+        pitch, yaw, spatial = (modal_coordinates(channels, kind, k) for kind in (*PLANES, "spatial"))
         joints = shape.joints(number)
         gimbal = stage.engine.gimbal_station_m if stage.engine is not None else joints[-1]
         tanks = [tank for s in shape.stages[number:] for tank in s.tanks]
         ends = [x for tank in tanks for x in (tank.bottom_station_m, tank.top_station_m)]
         stations = np.concatenate([joints, [gimbal], ends])
-        bent = bent_line(stage, clock_s, pitch, yaw, stations)
-        turn = bent_line(stage, clock_s, pitch, yaw, np.array([gimbal]), "slope_pm")[:, 0]
+        bent = bent_line(stage, clock_s, pitch, yaw, stations, spatial=spatial)
+        turn = bent_line(stage, clock_s, pitch, yaw, np.array([gimbal]), "slope_pm", spatial)[:, 0]
         largest = np.maximum(np.abs(bent).max(axis=(1, 2)) * self._ex.bending, 1e-9)
         factor = self._ex.bending * np.minimum(1.0, self._ex.most_m / largest)
         bent, turn = bent * factor[:, None, None], turn * factor[:, None]

@@ -75,6 +75,7 @@ class StageShape:
     fins: Fins | None
     engine: EngineShape | None
     modes: tuple[ModeTable | None, ModeTable | None]
+    spatial: tuple[ModeTable, ModeTable] | None  # what spatial modes do along y and along z
     gyro_station_m: float | None
     clock_factor: float
 
@@ -118,6 +119,7 @@ def shape_of(vehicle: Vehicle) -> VehicleShape:
                 fins=_fins(stage, radius, ends[k]),
                 engine=_engine(stage),
                 modes=(bending.pitch_modes, bending.yaw_modes) if bending is not None else (None, None),
+                spatial=stage.spatial_modes.modes.lateral() if stage.spatial_modes is not None else None,
                 gyro_station_m=gyro.station_m if gyro is not None else None,
                 clock_factor=burn_rate(stage),
             )
@@ -213,14 +215,21 @@ def shapes_at(table: ModeTable, clock_s: Array, stations_m: Array, column: str =
 
 
 def bent_line(
-    stage: StageShape, clock_s: Array, pitch: Array, yaw: Array, stations_m: Array, column: str = "phi"
-) -> Array:
-    """Displacement (n, stations, 2) of the axis along body y and z, true to scale; with `slope_pm` its slope."""
+    stage: StageShape, clock_s: Array, pitch: Array, yaw: Array, stations_m: Array, column: str = "phi",
+    spatial: Array | None = None,
+) -> Array:  # fmt: skip  # seven lines otherwise
+    """Displacement (n, stations, 2) of the axis along body y and z, true to scale; with `slope_pm` its slope.
+
+    `pitch`, `yaw`, `spatial`: coordinates (n, modes) of each kind of modes.
+    """
     out = np.zeros((len(clock_s), len(stations_m), 2))
-    for axis, (table, eta) in enumerate(zip(reversed(stage.modes), (yaw, pitch), strict=True)):
+    moves = [(0, stage.modes[1], yaw), (1, stage.modes[0], pitch)]
+    if stage.spatial is not None and spatial is not None:
+        moves += [(axis, table, spatial) for axis, table in enumerate(stage.spatial)]
+    for axis, table, eta in moves:
         if table is not None and eta.shape[1:] and eta.shape[1] >= table.modes:
             shapes = shapes_at(table, clock_s, stations_m, column)
-            out[:, :, axis] = np.einsum("nm,nms->ns", eta[:, : table.modes], shapes)
+            out[:, :, axis] += np.einsum("nm,nms->ns", eta[:, : table.modes], shapes)
     return out
 
 
@@ -266,8 +275,8 @@ def _largest_bending_m(channels: Channels, shape: VehicleShape | None) -> float:
     ns = channels.time_ns(name)
     k = every(ns, 10_000_000)
     stage = shape.stages[0]
-    pitch, yaw = (modal_coordinates(channels, plane, k) for plane in PLANES)
-    bent = bent_line(stage, ns[k] / 1e9 * stage.clock_factor, pitch, yaw, shape.joints(0)[::3])
+    pitch, yaw, spatial = (modal_coordinates(channels, kind, k) for kind in (*PLANES, "spatial"))
+    bent = bent_line(stage, ns[k] / 1e9 * stage.clock_factor, pitch, yaw, shape.joints(0)[::3], spatial=spatial)
     return float(np.abs(bent).max(initial=0.0))
 
 
