@@ -17,6 +17,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from aero_tables import OVER_ALPHA_BETA
 from flightkit import Mode, Parts, Rig, Tank, Tree, flown, load, merged, rig, scenario_of, with_stage
 from oracles.linearised_simulator import linearise, zero_incidence
 from oracles.multibody_system import rotation_from_quaternion
@@ -56,6 +57,7 @@ AERO: Tree = {
         {"table": [{"mach": 0.0, "CN_alpha_pr": 9.0, "station_m": 12.0}]},
     ],
 }
+TABLES: Tree = {"moment_reference_m": 6.0, "coefficients": [{"table": OVER_ALPHA_BETA, "station_m": 5.0}]}
 AIR: Tree = {"atmosphere": {"model": "us1976"}, "initial": {"ned_mps": [200.0, 20.0, -15.0]}}
 SHAPES = ("phi_x", "phi_y", "phi_z", "theta_x_pm", "theta_y_pm", "theta_z_pm")
 
@@ -114,8 +116,8 @@ def spatial_state(made: Rig, planar: Rig, y: Array, angle: float) -> Array:
 
 def rigs(angle: float, **more: Any) -> tuple[Rig, Rig]:
     section, rest = as_spatial(PARTS, angle)
-    tree = with_stage(scenario_of(PARTS, **AIR, **more), aero=AERO)
-    spatial = with_stage(scenario_of(rest, **AIR, **more), aero=AERO, spatial_modes=section)
+    tree = with_stage(scenario_of(PARTS, **AIR, **more), aero=AERO | TABLES)
+    spatial = with_stage(scenario_of(rest, **AIR, **more), aero=AERO | TABLES, spatial_modes=section)
     return rig(tree), rig(spatial)
 
 

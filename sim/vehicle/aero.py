@@ -33,7 +33,7 @@ from maxq.sim.vehicle.schedule import (
     surface_place,
     surface_row,
 )
-from maxq.sim.vehicle.spatial_modes import outer_spatial_load, spatial_motion
+from maxq.sim.vehicle.spatial_modes import apply_spatial_load, outer_spatial_load, spatial_motion
 from maxq.sim.vehicle.workspace import (
     AIRSPEED,
     CROSSFLOW_PART,
@@ -44,6 +44,7 @@ from maxq.sim.vehicle.workspace import (
     NU,
     PART_WIND,
     SPATIAL_ETA,
+    SPATIAL_FORCE,
     SPATIAL_NU,
     SURFACE_LOAD,
     SURFACE_LOAD_WIDTH,
@@ -235,11 +236,8 @@ def table_loads(
             add_to_modes(sizes, properties, in_yaw, lateral[1], work, of_plane(FORCE, YAW))
             add_to_modes(sizes, properties, in_yaw + slopes, -couple_z, work, of_plane(FORCE, YAW))
             if sizes.spatial_modes > 0:
-                load = (axial[0], lateral[1], lateral[2], couple[0], couple_y, couple_z)
-                moved = outer_spatial_load(sizes, properties, surface_place(sizes, s), load, work)
-                total_moment = add(total_moment, (moved[0], moved[1], moved[2]))
-            if sizes.spatial_modes > 0:
-                load = (axial[0], lateral[1], lateral[2], couple[0], couple_y, couple_z)
-                moved = outer_spatial_load(sizes, properties, surface_place(sizes, s), load, work)
+                place, load = surface_place(sizes, s), (0.0, lateral[1], lateral[2], couple[0], couple_y, couple_z)
+                moved = outer_spatial_load(sizes, properties, place, load, work)
+                apply_spatial_load(sizes, properties, place, (axial[0], 0.0, 0.0, 0.0, 0.0, 0.0), work, SPATIAL_FORCE)
                 total_moment = add(total_moment, moved)
     return total_force, total_moment
