@@ -161,6 +161,15 @@ def test_limits_that_no_schedule_meets() -> None:
         lowest_above(np.eye(2), np.array([1.0, np.inf]))
 
 
+@pytest.mark.slow
+def test_a_case_that_no_schedule_meets(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    changes = ["gains.schedule=two-phase", "reference.rigid_hz=500.0", "loop=pade", "robust="]
+    assert simdesign.main(["case.toml", *(word for change in changes for word in ("--set", change))]) == 2
+    said = capsys.readouterr().err
+    assert said.startswith("simdesign: case.toml: rigid_hz, rigid_zeta: no schedule of gains up to 1000 is above ")
+    assert said.count("\n") == 1
+
+
 def test_all_that_is_shipped_is_within_the_ranges() -> None:
     for kind, read in (
         ("scenario", load_scenario),

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from typing import Any
 
 import numpy as np
 
@@ -60,16 +59,12 @@ def _reference(reference: Reference, tail_m: float) -> Iterator[Doubt]:
 
 def _tails(stage: Stage) -> Iterator[float]:
     """Stations of what sits at the tail."""
-    for engine in _engines(stage):
+    for engine in stage.engines:
         yield max(engine.exit_station_m, engine.gimbal_station_m)
     if stage.bending is not None:
         for table in (stage.bending.pitch, stage.bending.yaw):
             if table is not None:
                 yield float(table["station_m"].max())
-
-
-def _engines(stage: Stage) -> tuple[Any, ...]:
-    return stage.engine if isinstance(stage.engine, tuple) else (stage.engine,) if stage.engine is not None else ()
 
 
 def _stage(stage: Stage, reference: Reference) -> Iterator[Doubt]:
@@ -81,10 +76,11 @@ def _stage(stage: Stage, reference: Reference) -> Iterator[Doubt]:
         tensor = np.array(mass.inertia_kgm2)
         kg, cg_m, lateral = (np.array([x]) for x in (mass.mass_kg, mass.x_cg_m, max(tensor[1, 1], tensor[2, 2])))
         where = "mass."
-    for engine in _engines(stage):
+    for n, engine in enumerate(stage.engines):
         thrust = engine.thrust_factor * float(engine.table["thrust_vacuum_N"].max())
         if thrust > 1000.0 * float(kg.min()):
-            yield "engine.table.thrust_vacuum_N", thrust, f"less than 100 g on {float(kg.min()):g} kg"
+            key = ".".join(map(str, (*stage.engine_key(n), "table.thrust_vacuum_N")))
+            yield key, thrust, f"less than 100 g on {float(kg.min()):g} kg"
     if stage.aero is None:
         return  # nobody needs the reference lengths: they may be anything
     volume = 0.25 * math.pi * reference.diameter_m**2 * length
@@ -104,11 +100,11 @@ def _stage(stage: Stage, reference: Reference) -> Iterator[Doubt]:
 
 def _lift_off(stage: Stage) -> Iterator[Doubt]:
     """A vehicle that is held down until thrust exceeds weight, and never is let go."""
-    thrust = sum(engine.thrust_factor * float(engine.table["thrust_vacuum_N"].max()) for engine in _engines(stage))
+    thrust = sum(engine.thrust_factor * float(engine.table["thrust_vacuum_N"].max()) for engine in stage.engines)
     kg = stage.mass.mass_kg if stage.mass.table is None else float(stage.mass.table["mass_kg"].min())
-    if _engines(stage) and thrust < _G * (kg or 0.0):
+    if stage.engines and thrust < _G * (kg or 0.0):
         usual = f"more than the weight of {_G * (kg or 0.0):.4g} N, or it is never let go"
-        yield "vehicle.stage.0.engine.table.thrust_vacuum_N", thrust, usual
+        yield "vehicle.stage.0.engine", thrust, usual
 
 
 def _run(scenario: Scenario) -> Iterator[Doubt]:

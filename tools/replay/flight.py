@@ -256,8 +256,11 @@ def _summary(log: Log) -> Mapping[str, Any]:
         summary = json.loads(log.path.with_name(SUMMARY_NAME).read_text(encoding="utf-8"))
     except (OSError, ValueError):
         return {}
-    same = isinstance(summary, dict) and summary.get("state_hash") == log.end.get("state_hash", "")
-    return summary if same else {}
+    if not isinstance(summary, dict) or summary.get("state_hash") != log.end.get("state_hash", ""):
+        return {}
+    judged = summary.get("requirements")  # of a file that anyone may have written
+    whole = isinstance(judged, list) and all(isinstance(r, dict) for r in judged)
+    return summary if whole else summary | {"requirements": []}
 
 
 # -- finding logs ---------------------------------------------------------------------------------------------------
