@@ -214,8 +214,8 @@ def build_up(node: Node) -> list[tuple[str, Node]]:
     load on liquid and engine; without engine inertia the gimbal moves a massless engine.
     """
     full = node.vehicle
-    modes = dataclasses.replace(_emptied(full.modes), softening_kgpm=np.zeros((0, 0)))
-    stiff = dataclasses.replace(full, modes=modes)
+    modes = dataclasses.replace(_emptied(full.modes), softening_kgpm=np.zeros((0, 0)), spatial=0)
+    stiff = dataclasses.replace(full, modes=modes, across=None)
     engine = dataclasses.replace(full.engine, gimballed_mass_kg=0.0, inertia_about_gimbal_kgm2=0.0)
     light = dataclasses.replace(stiff, engine=engine)
     frozen = _frozen(light)
@@ -251,4 +251,5 @@ def _frozen(vehicle: VehicleAt) -> VehicleAt:
 
 def _emptied(record: _Arrays) -> _Arrays:
     """The record of arrays without any entry in them."""
-    return dataclasses.replace(record, **{f.name: getattr(record, f.name)[:0] for f in dataclasses.fields(record)})
+    values = ((f.name, getattr(record, f.name)) for f in dataclasses.fields(record))
+    return dataclasses.replace(record, **{name: value[:0] for name, value in values if isinstance(value, np.ndarray)})
