@@ -11,7 +11,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -251,5 +251,5 @@ def _frozen(vehicle: VehicleAt) -> VehicleAt:
 
 def _emptied(record: _Arrays) -> _Arrays:
     """The record of arrays without any entry in them."""
-    values = ((f.name, getattr(record, f.name)) for f in dataclasses.fields(record))
-    return dataclasses.replace(record, **{name: value[:0] for name, value in values if isinstance(value, np.ndarray)})
+    values: dict[str, Any] = {f.name: getattr(record, f.name) for f in dataclasses.fields(record)}
+    return dataclasses.replace(record, **{name: x[:0] for name, x in values.items() if isinstance(x, np.ndarray)})
