@@ -251,5 +251,6 @@ def _frozen(vehicle: VehicleAt) -> VehicleAt:
 
 def _emptied(record: _Arrays) -> _Arrays:
     """The record of arrays without any entry in them."""
-    values: dict[str, Any] = {f.name: getattr(record, f.name) for f in dataclasses.fields(record)}
-    return dataclasses.replace(record, **{name: x[:0] for name, x in values.items() if isinstance(x, np.ndarray)})
+    values = ((f.name, getattr(record, f.name)) for f in dataclasses.fields(record))
+    arrays: dict[str, Any] = {name: value[:0] for name, value in values if isinstance(value, np.ndarray)}
+    return dataclasses.replace(record, **arrays)
