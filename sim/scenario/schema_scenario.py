@@ -13,7 +13,7 @@ from maxq.sim.scenario.errors import refuse, suggestion
 from maxq.sim.scenario.schema_design import Design
 from maxq.sim.scenario.schema_environment import Atmosphere, Earth, Site, Wind
 from maxq.sim.scenario.schema_fault import KINDS, Fault
-from maxq.sim.scenario.schema_loads import SECTION_PREFIX
+from maxq.sim.scenario.schema_loads import SECTION_PREFIX, check_line_mass
 from maxq.sim.scenario.schema_values import (
     Latitude,
     Longitude,
@@ -379,6 +379,9 @@ class Scenario(Section):
     def _check_section_loads(self) -> None:
         if self.switches.section_loads and not any(stage.loads for stage in self.vehicle.stage):
             raise refuse("no stage has [stage.loads]", "false", key=("switches", "section_loads"), value=True)
+        for n, stage in enumerate(self.vehicle.stage):
+            if self.switches.section_loads and stage.loads is not None:
+                check_line_mass(stage.loads, stage, ("vehicle", "stage", n))
         for n, requirement in enumerate(self.requirement):
             if requirement.metric.startswith(SECTION_PREFIX) and not self.switches.section_loads:
                 problem = "section loads are switched off"

@@ -132,6 +132,16 @@ def _gyro_rate_of_mode(channels: Channels, name: str, shape: VehicleShape | None
     return ns, np.degrees(sign * slopes[:, int(mode) - 1, 0] * rate)
 
 
+def _largest_section(channels: Channels, name: str, shape: VehicleShape | None) -> Values:
+    """Largest of all stations, kN or kN m: axial compression, or magnitude of both planes; `name` is station 1's."""
+    of_all = [n for n in channels.table.names if re.fullmatch(name.replace("_1_", r"_\d+_"), n)]
+    if "_axial_" in name:
+        values = [-channels[n] for n in of_all]
+    else:
+        values = [np.hypot(channels[n], channels[n.replace("_pitch_", "_yaw_")]) for n in of_all]
+    return channels.time_ns(name), np.fmax.reduce(values) / 1e3
+
+
 AXES, _XYZ = ("pitch", "yaw", "roll"), "xyz"
 _IN_AIR, _POWERED = ("dynamic_pressure_Pa", 1000.0), ("thrust_N", 0.0)
 _TABLE: dict[str, list[_Row]] = {
@@ -202,6 +212,12 @@ _TABLE: dict[str, list[_Row]] = {
     "Loads": [
         _Row("q_alpha", "q alpha under thrust", "kPa deg", {"q alpha": "q_alpha_Padeg"}, 1e-3, only=_POWERED,
              limits=("max_q_alpha_Padeg",), glance=(1, "q alpha under thrust")),
+        _Row("bending", "largest bending moment of a section under thrust", "kN m",
+             {"bending moment": "section_1_bending_pitch_Nm"}, 1e-3, {"bending moment": _largest_section},
+             only=_POWERED, limits=("max_section_bending_moment_Nm",), glance=(1, "bending moment")),
+        _Row("compression", "largest axial compression of a section under thrust", "kN",
+             {"compression": "section_1_axial_N"}, 1e-3, {"compression": _largest_section},
+             only=_POWERED, limits=("max_section_compression_N",)),
         _Row("force", "aerodynamic force in body axes", "kN", {a: f"aero_force_B_{a}_N" for a in _XYZ}, 1e-3),
         _Row("moment", "aerodynamic moment about the CG", "kN m", {a: f"aero_moment_B_{a}_Nm" for a in _XYZ}, 1e-3),
         _Row("axial", "axial load", "g",

@@ -17,6 +17,7 @@ from matplotlib.figure import Figure
 from scipy.signal import detrend, spectrogram
 
 from maxq.control.kernel.records import Array, IntArray
+from maxq.sim.scenario.schema_loads import Loads
 from maxq.tools.plots.palette import BLACK, BLUE, GREEN, GREY, LIMIT, RED, VERDICT
 from maxq.tools.plots.style import curve as look_of
 from maxq.tools.plots.style import drawing, save, sheet
@@ -241,6 +242,10 @@ def special_sheets(shown: Flights) -> Iterator[tuple[str, Figure]]:
         yield "13-spectra", _spectra(spectra, reference)
     if judged := [f for f in shown.all if any(r.value is not None for r in f.requirements)]:
         yield "14-requirements", _requirements(Flights(judged, reference))
+    if "section_1_axial_N" in has and reference.scenario is not None:
+        for stage, loads in enumerate(s.loads for s in reference.scenario.vehicle.stage):
+            if loads is not None:
+                yield f"15-sections-{stage + 1}", _sections(shown, stage, loads)
 
 
 def _figure(name: str, shown: Flights, rows: int, columns: int, height_in: float) -> tuple[Figure, Sequence[Axes]]:
@@ -373,6 +378,61 @@ def _requirements(shown: Flights) -> Figure:
     place.set_xlabel("share of what is allowed (1)" + (f"; black: {shown.reference.label}" if shown.many else ""))
     place.grid(axis="y", visible=False)
     return figure
+
+
+def _sections(shown: Flights, stage: int, loads: Loads) -> Figure:
+    """Envelopes of the section loads over the stations, on the pad and under thrust, with what the sections bear."""
+    radius = _borne(loads, "radius_m")
+    rows = ["axial force (kN)", "shear (kN)", "bending moment (kN m)"]
+    rows += [] if radius is None else ["equivalent axial load (kN)"]
+    figure, places = _figure(f"Section loads, stage {stage + 1}", shown, len(rows), 1, ROW_IN)
+    stations = np.array(loads.stations_m)
+    for flight in shown.all:
+        log = flight.log
+        if "section_1_axial_N" not in log:
+            continue
+        seen = (log["stage"] == stage) & ((log["thrust_N"] > 0.0) | (log["on_pad"] > 0.5))
+        if not seen.any():
+            continue
+        number = range(1, len(stations) + 1)
+        axial, *lateral = (
+            np.array([log[f"section_{n}_{quantity}"][seen] for n in number]) / 1e3  # (stations, instants)
+            for quantity in ("axial_N", "shear_pitch_N", "shear_yaw_N", "bending_pitch_Nm", "bending_yaw_Nm")
+        )
+        shear, bending = np.hypot(lateral[0], lateral[1]), np.hypot(lateral[2], lateral[3])
+        lines = [(axial.min(axis=1), axial.max(axis=1)), (shear.max(axis=1),), (bending.max(axis=1),)]
+        if radius is not None:
+            edge = 2.0 * bending / radius[:, None]
+            lines.append(((axial - edge).min(axis=1), (axial + edge).max(axis=1)))
+        for place, envelopes in zip(places, lines, strict=True):
+            for k, values in enumerate(envelopes):
+                place.plot(stations, values, **(shown.look(flight) | ({"label": None} if k else {})))
+    bounds = (
+        (("compression_N", -1.0), ("tension_N", 1.0)), (("shear_N", 1.0),), (("bending_moment_Nm", 1.0),),
+        (("equivalent_compression_N", -1.0), ("equivalent_tension_N", 1.0)),
+    )  # fmt: skip  # a row in each entry
+    for place, row, of_row in zip(places, rows, bounds, strict=False):
+        place.set(title=row.split(" (")[0], ylabel=row.split("(")[1].rstrip(")"))
+        for name, sign in of_row:
+            limit = _borne(loads, name)
+            if limit is not None:
+                label = name.rsplit("_", 1)[0].replace("_", " ") + ": limit"
+                place.plot(stations, sign * limit / 1e3, color=LIMIT, linewidth=1.2, linestyle="--", label=label)
+        if place.get_legend_handles_labels()[0]:
+            place.legend(**_LEGEND).set_in_layout(False)
+    places[-1].set_xlabel("station (m aft of the nose)")
+    figure.align_ylabels()
+    return figure
+
+
+def _borne(loads: Loads, column: str) -> Array | None:
+    """A column of the limits at the stations: the least over time; None where there is none."""
+    table = loads.limits
+    if table is None or column not in table:
+        return None
+    places = np.unique(table["station_m"])
+    least = [float(table[column][table["station_m"] == x].min()) for x in places]
+    return np.asarray(np.interp(loads.stations_m, places, least))
 
 
 def _used(value: float, r: Requirement) -> float:
