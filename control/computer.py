@@ -2,6 +2,7 @@
 
     increments -> converter -> attitude error, rate -> law -> + injection -> limit -> DAC
                   guidance ----^                       roll error and rate -> switching line -> thrusters
+    several groups of engines: pitch, yaw and roll -> allocation -> limit -> DAC, for each group (allocation.py)
 
 The law is a module of control/laws: a parameter record, a memory record with its start, and a tick for each gimbal
 axis; what it works on is in attitude.py. Here stand its two records and two calls.
@@ -19,6 +20,7 @@ from typing import Annotated, NamedTuple
 
 import numpy as np
 
+from maxq.control.allocation import ONE_GROUP, Allocation, AllocationState, allocate, roll_command, start_allocation
 from maxq.control.attitude import AttitudeError, AttitudeRow, attitude_row, start_attitude_error, update_attitude_error
 from maxq.control.converter import Converter, ConverterState, convert, make_converter, round_half_away, start_converter
 from maxq.control.filters import DiscreteFilter
@@ -62,6 +64,7 @@ class Computer:
     command_limit_rad: float
     dac_step_rad: float
     roll: Roll
+    allocation: Allocation  # of the stage that flies
 
 
 @dataclass
@@ -83,6 +86,7 @@ class ComputerState:
     command_limited: Annotated[IntArray, (2,)]
     command_rad: Annotated[Array, (2,)]
     roll: RollState
+    allocation: AllocationState
 
 
 def build_computer(
@@ -136,6 +140,7 @@ def build_computer(
         command_limit_rad=command_limit_rad,
         dac_step_rad=dac_step_rad,
         roll=roll or _UNUSED_ROLL,
+        allocation=ONE_GROUP,
     )
 
 
@@ -157,6 +162,7 @@ def start_computer(computer: Computer, pool: Array, state: ComputerState, time_s
     start_attitude_error(state.attitude)
     start_pd(computer.law, state.law)
     start_roll(state.roll)
+    start_allocation(state.allocation)
     for gimbal in range(2):
         state.requested_rad[gimbal] = 0.0
         state.command_limited[gimbal] = 0
@@ -182,7 +188,8 @@ def computer_tick(
     `rate_replaces` (3,) is not 0. `gimbal_injection_rad` (2,), `gimbal_replaces` (2,): the same for the
     filtered command, before limit and DAC.
 
-    Gives `state.command_rad` (2,), pitch and yaw, and `state.roll.demand`.
+    Gives `state.command_rad` (2,), pitch and yaw, `state.roll.demand`, and in `state.allocation` the angles of each
+    group of engines.
 
     An input that is not finite, or an angle beyond `INCREMENT_LIMIT_RAD` in one sample, counts as 0 and is
     noted in `state.invalid_inputs`: one bad sample cannot poison sums and filters. The caller has to look
@@ -228,7 +235,27 @@ def computer_tick(
         update_roll(computer.roll, state.roll, state.attitude.theta_e_rad[0], state.attitude.rate_radps[0])
     else:
         silence_roll(state.roll)
+    allocate_commands(computer, pool, state, time_s)
     state.ticks += 1
+
+
+@routine
+def allocate_commands(computer: Computer, pool: Array, state: ComputerState, time_s: float) -> None:
+    """The commands in pitch, yaw and roll to the groups of engines: limit and DAC act on each group's angles."""
+    a, angles = computer.allocation, state.allocation.angle_rad
+    if a.groups == 1:
+        angles[0], angles[1] = state.command_rad[0], state.command_rad[1]
+        return
+    roll_rad = 0.0
+    if computer.control_on != 0:
+        roll_rad = roll_command(a, state.attitude.theta_e_rad[0], state.attitude.rate_radps[0])
+    pitch_rad, yaw_rad = state.requested_rad[0], state.requested_rad[1]
+    limit_rad = computer.command_limit_rad
+    if allocate(a, pool, state.allocation, time_s, pitch_rad, yaw_rad, roll_rad, limit_rad) == 1:
+        for gimbal in range(2):
+            state.command_limited[gimbal] = 1
+    for channel in range(2 * a.groups):
+        angles[channel] = limit_and_quantise(angles[channel], limit_rad, computer.dac_step_rad)
 
 
 @routine

@@ -134,9 +134,8 @@ def sample_computer(p: Parameters, pool: Array, memory: Memory, y: Array) -> Non
         p.computer, pool, memory.computer, 1e-9 * now, memory.increment_rad, memory.rate_injection_radps,
         memory.rate_replaces, memory.gimbal_injection_rad, memory.gimbal_replaces,
     )  # fmt: skip  # seven more lines otherwise
-    for group in range(1 + p.vehicle.sizes.further_groups):
-        clock.pending_rad[2 * group] = memory.computer.command_rad[0]
-        clock.pending_rad[2 * group + 1] = memory.computer.command_rad[1]
+    for channel in range(2 + 2 * p.vehicle.sizes.further_groups):
+        clock.pending_rad[channel] = memory.computer.allocation.angle_rad[channel]
     clock.pending_roll = memory.computer.roll.demand
     clock.command_due_ns = now + p.computer.delay_ns
 

@@ -203,6 +203,14 @@ def _columns(stage: Stage, cluster: Cluster, alike: Alike, switches: Switches) -
     }
 
 
+def thrust_slopes(e: Given) -> tuple[tuple[float, ...], tuple[float, ...]]:
+    """Change of the thrust's direction (B) per radian of the pitch and the yaw angle, about the engine at rest."""
+    pitch, yaw = (math.radians(angle) for angle in e.cant_deg)
+    return _thrust_axis_motion(pitch, 1.0, 0.0, yaw, 0.0, 0.0)[1], _thrust_axis_motion(pitch, 0.0, 0.0, yaw, 1.0, 0.0)[
+        1
+    ]
+
+
 def _flow_per_newton(e: Given) -> float:
     """Of the mean thrust; 1 where the engine's table does not say: then flow goes with thrust."""
     thrust: Array = e.table["thrust_vacuum_N"]

@@ -13,6 +13,7 @@ from maxq.control.kernel.jit import from_python
 from maxq.control.kernel.records import Array, blank, pack, with_constants
 from maxq.control.kernel.tables import Pool
 from maxq.sim.flight.parameters import EVENT_NAMES, NEVER, Memory, Parameters, StageTimeline
+from maxq.sim.packing.allocation import pack_allocation
 from maxq.sim.packing.computer import pack_computer, pack_injections
 from maxq.sim.packing.environment import pack_environment
 from maxq.sim.packing.faults import pack_faults
@@ -59,7 +60,8 @@ def pack_flight(scenario: Scenario) -> Packed:
         vehicle = pack_vehicle(scenario, stage, burn, sizes, schedule, pool)
         timeline = _timeline(scenario, stage, burn, stage_start_ns)
         loads = pack_loads(scenario, stage, burn, sizes, pool)
-        rows.append(Parameters(vehicle, loads, environment, computer, injections, faults, timeline))
+        flies = replace(computer, allocation=pack_allocation(scenario, stage, burn, pool))
+        rows.append(Parameters(vehicle, loads, environment, flies, injections, faults, timeline))
         stage_start_ns = timeline.separation_ns
     parameters = pack(rows)
     y = np.zeros(MAX_STATE)

@@ -132,6 +132,14 @@ class Roll(Section):
         return self
 
 
+class RollGimbal(Section):
+    """Roll control by the gimbals of two or more groups of engines: -k_p times roll angle, -k_d_s times roll rate."""
+
+    k_p: NotNegative = Field(description="rad of deflection per rad of roll error")
+    k_d_s: NotNegative = Field(description="rad of deflection per rad/s of roll rate, s")
+    limit_deg: Positive = Field(description="limit of the command, deg; pitch and yaw come before it")
+
+
 class Limits(Section):
     """What the design was made to; for people, nothing in the flight depends on it."""
 
@@ -152,5 +160,6 @@ class Design(Section):
     law: Law = optional("control law; pd: proportional-derivative with a bending filter", "pd")
     gains: Gains
     filter: Filter = Filter()
-    roll: Roll | None = optional("absent: no roll control")
+    roll: Roll | None = optional("absent: no roll control by thrusters")
+    roll_gimbal: RollGimbal | None = optional("absent: no roll control by gimbals")
     limits: Limits | None = optional("what the design was made to; for people")
