@@ -49,7 +49,7 @@ import numpy as np
 from maxq.control.kernel.records import Array
 from maxq.design.model.errata import CORRECTED, Errata
 from maxq.design.model.state_space import StateSpace
-from maxq.design.model.vehicle_at import FlightCondition, Pendulums, VehicleAt, with_pendulums
+from maxq.design.model.vehicle_at import FlightCondition, GimballedEngine, Pendulums, VehicleAt, with_pendulums
 
 INPUTS = ("delta_rad", "delta_accel_radps2")
 OUTPUTS = ("q_radps", "local_rate_radps", "w_mps", "theta_rad")
@@ -71,7 +71,7 @@ class Liquids:
 def axial_load_mps2(vehicle: VehicleAt, condition: FlightCondition) -> float:
     """Axial specific force of the whole vehicle, (thrust - drag) / mass."""
     drag = condition.dynamic_pressure_Pa * vehicle.aerodynamics.area_m2 * vehicle.aerodynamics.axial
-    return (vehicle.engine.thrust_N(condition.pressure_Pa) - drag) / vehicle.body.total_mass_kg
+    return (vehicle.thrust_N(condition.pressure_Pa) - drag) / vehicle.body.total_mass_kg
 
 
 def vehicle_plant(
@@ -163,8 +163,9 @@ class _Equations:
         self.moment: Array = np.zeros(len(rows))
         self.modal: Array = np.zeros((n, len(rows)))
         self._aerodynamics()
-        self._thrust()
-        self._engine()
+        for engine in vehicle.engines:
+            self._thrust(engine)
+            self._engine(engine)
         self._slosh()
         if errata.jet_damping and vehicle.jet_damping:
             momentum, turning = mass_flow_momentum(vehicle)
@@ -194,33 +195,45 @@ class _Equations:
         if self.errata.path_terms:
             self.force = self.force - flow * air.drag * self.w
 
-    def _thrust(self) -> None:
-        """(5), (8), (16)."""
-        engine, modes = self.vehicle.engine, self.vehicle.modes
+    def _thrust(self, engine: GimballedEngine) -> None:
+        """(5), (8), (16), of one engine; beside the axis, or canted, its axial thrust changes and bends the body."""
         thrust, arm = engine.thrust_N(self.condition.pressure_Pa), engine.gimbal_station_m - self.cg
-        tilt = -modes.slope_gimbal_pm @ self.eta if engine.follower else 0.0 * self.delta
-        self.modal = self.modal + thrust * np.outer(modes.phi_gimbal, self.delta + tilt)
-        whole, offset = self.delta, 0.0 * self.delta
+        phi, slope = self.vehicle.modes.at_gimbal(engine.gimbal)
+        (ahead, across), (ahead_slope, across_slope) = engine.rest, engine.slope
+        bent = -slope @ self.eta if engine.follower else 0.0 * self.delta
+        delta, tilt = across_slope * engine.gain * self.delta, ahead * bent
+        turned = ahead_slope * engine.gain * self.delta
+        self.modal = self.modal + thrust * np.outer(phi, delta + tilt)
+        whole, offset = delta, 0.0 * self.delta
         if self.errata.bent_body_loads:
-            whole, offset = self.delta + tilt, modes.phi_gimbal @ self.eta
+            whole, offset = delta + tilt, ahead * phi @ self.eta
         self.force = self.force + thrust * whole
         self.moment = self.moment + thrust * (arm * whole + offset)
+        if engine.beside_m != 0.0 or engine.from_cg_m != 0.0:
+            forward = turned - across * bent
+            self.modal = self.modal + thrust * engine.beside_m * np.outer(slope, forward)
+            self.moment = self.moment + thrust * engine.from_cg_m * forward
 
-    def _engine(self) -> None:
-        """(18) to (20)."""
-        engine, modes = self.vehicle.engine, self.vehicle.modes
-        first = engine.gimballed_mass_kg * engine.cg_from_gimbal_m
-        inertia = engine.inertia_about_gimbal_kgm2
-        if not self.errata.engine_inertia:
-            inertia -= first * engine.cg_from_gimbal_m
-        self.force = self.force + first * self.delta_accel
-        self.moment = self.moment + (inertia + first * (engine.gimbal_station_m - self.cg)) * self.delta_accel
-        self.modal = self.modal + first * np.outer(modes.phi_gimbal, self.delta_accel)
+    def _engine(self, engine: GimballedEngine) -> None:
+        """(18) to (20), of one engine."""
+        phi, slope = self.vehicle.modes.at_gimbal(engine.gimbal)
+        (ahead, across), (ahead_slope, across_slope), length = engine.rest, engine.slope, engine.cg_from_gimbal_m
+        first = engine.gimballed_mass_kg * length
+        own = engine.inertia_about_gimbal_kgm2 - first * length
+        delta, accel = engine.gain * self.delta, engine.gain * self.delta_accel
+        turning = ahead * across_slope - across * ahead_slope
+        inertia = own * turning + (first * length if self.errata.engine_inertia else 0.0) * turning
+        lateral = first * across_slope
+        self.force = self.force + lateral * accel
+        besides = first * engine.from_cg_m * ahead_slope
+        self.moment = self.moment + (inertia + lateral * (engine.gimbal_station_m - self.cg) + besides) * accel
+        self.modal = self.modal + lateral * np.outer(phi, accel)
         if self.errata.engine_inertia:
-            self.modal = self.modal + inertia * np.outer(modes.slope_gimbal_pm, self.delta_accel)
+            bends = inertia + first * engine.beside_m * ahead_slope
+            self.modal = self.modal + bends * np.outer(slope, accel)
         if self.errata.engine_weight:
-            self.moment = self.moment + self.load * first * self.delta
-            self.modal = self.modal + self.load * first * np.outer(modes.slope_gimbal_pm, self.delta)
+            self.moment = self.moment + self.load * lateral * delta
+            self.modal = self.modal + self.load * lateral * np.outer(slope, delta)
 
     def _slosh(self) -> None:
         """(24), (26), (27)."""
@@ -311,9 +324,12 @@ def mass_flow_momentum(vehicle: VehicleAt) -> tuple[float, float]:
     at the nozzle's exit; liquid also goes over from the bobs, which shrink, to the core.
     """
     body, bobs, cg = vehicle.body, vehicle.pendulums, vehicle.body.core_cg_station_m
-    exit_place, bob_place = cg - vehicle.engine.exit_station_m, cg - bobs.bob_station_m
-    momentum = body.mass_flow_kgps * exit_place - body.core_mass_kg * body.core_cg_rate_mps
-    turning = body.mass_flow_kgps * exit_place**2 + body.core_inertia_rate_kgm2ps
+    bob_place = cg - bobs.bob_station_m
+    momentum, turning = -body.core_mass_kg * body.core_cg_rate_mps, body.core_inertia_rate_kgm2ps
+    for engine in vehicle.engines:
+        flow, exit_place = engine.flow_share * body.mass_flow_kgps, cg - engine.exit_station_m
+        momentum += flow * exit_place
+        turning += flow * (exit_place**2 + engine.exit_square_m2)
     return (float(momentum + bobs.mass_rate_kgps @ bob_place), float(turning + bobs.mass_rate_kgps @ bob_place**2))
 
 

@@ -8,6 +8,7 @@ given as the linear systems (28) and (29).
 from __future__ import annotations
 
 import dataclasses
+import math
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -94,6 +95,11 @@ class Modes:
     softening_kgpm: Array  # (modes, modes): stiffness lost per m/s2 of axial load; of spatial modes that of both planes
     spatial: int = 0
     roll_gyro_pm: Array = dataclasses.field(default_factory=lambda: np.zeros(0))  # rotation of spatial modes about x
+    further_gimbals: tuple[tuple[Array, Array], ...] = ()  # shapes and slopes at stations of gimbals beyond the first
+
+    def at_gimbal(self, gimbal: int) -> tuple[Array, Array]:
+        """Shapes and slopes at one of the gimbals' stations."""
+        return (self.phi_gimbal, self.slope_gimbal_pm) if gimbal == 0 else self.further_gimbals[gimbal - 1]
 
 
 @dataclass(frozen=True)
@@ -106,6 +112,14 @@ class GimballedEngine:
     cg_from_gimbal_m: float
     inertia_about_gimbal_kgm2: float
     follower: bool  # thrust turns with the bent gimbal
+    gain: float = 1.0  # angle per command of the law, by allocation; 0 for an engine fixed in this plane
+    gimbal: int = 0  # which of the gimbals' stations
+    beside_m: float = 0.0  # gimbal from the body axis across the plane's axis of turning: z in pitch, y in yaw
+    from_cg_m: float = 0.0  # and from the core's CG
+    rest: tuple[float, float] = (1.0, 0.0)  # thrust axis at rest: forward, across
+    slope: tuple[float, float] = (0.0, 1.0)  # its change per radian
+    flow_share: float = 1.0  # of the mass flow
+    exit_square_m2: float = 0.0  # mean square of the nozzle exits' distance across from the CG
 
     def thrust_N(self, pressure_Pa: float) -> float:
         return max(self.vacuum_thrust_N - pressure_Pa * self.exit_area_m2, 0.0)
@@ -147,6 +161,16 @@ class VehicleAt:
     jet_damping: bool
     slosh_exchange: bool = False  # liquid that goes over from bob to core takes its momentum along
     across: VehicleAt | None = None  # the same in the other plane, where spatial modes couple both
+    further_engines: tuple[GimballedEngine, ...] = ()
+
+    @property
+    def engines(self) -> tuple[GimballedEngine, ...]:
+        return self.engine, *self.further_engines
+
+    def thrust_N(self, pressure_Pa: float) -> float:
+        """Of all engines at rest, along the body axis."""
+        first, *others = (engine.rest[0] * engine.thrust_N(pressure_Pa) for engine in self.engines)
+        return first + sum(others) if others else first
 
     @property
     def total_cg_station_m(self) -> float:
@@ -195,11 +219,13 @@ def _in_plane(packed: Packed, time_s: float, mach: float, plane: Plane, stage: i
         mass_flow_kgps=float(props[schedule.MASS_FLOW]),
         rate_damping_Nms=_rate_damping(packed.pool, vehicle, clock_s, plane),
     )
+    engines = _engines(packed, row, props, time_s, plane)
     return VehicleAt(
         body=body,
         pendulums=_pendulums(vehicle, sizes, props, rates),
         modes=_modes(vehicle, sizes, props, plane),
-        engine=_engine(vehicle, float(props[schedule.THRUST_VACUUM])),
+        engine=engines[0],
+        further_engines=engines[1:],
         aerodynamics=_aerodynamics(packed.pool, vehicle, props, clock_s, mach, plane, trim),
         jet_damping=bool(vehicle.jet_damping),
         slosh_exchange=bool(vehicle.slosh.exchange),
@@ -252,7 +278,10 @@ def _modes(vehicle: Any, sizes: Any, props: Array, plane: Plane) -> Modes:
         phi_hinge=rows(schedule.MODE_FIRST, tanks),
         phi_surface=rows(shapes, surfaces, 2),
         slope_surface_pm=rows(shapes + 1, surfaces, 2),
-        softening_kgpm=float(vehicle.bending.softening_factor) * rows(shapes + 2 * surfaces, n),
+        softening_kgpm=float(vehicle.bending.softening_factor) * rows(int(schedule.softening_row(sizes, 0)), n),
+        further_gimbals=tuple(
+            (row(at), row(at + 1)) for at in (int(schedule.gimbal_row(sizes, k)) for k in range(1, int(sizes.gimbals)))
+        ),
     )
     return of_plane if int(sizes.spatial_modes) == 0 else _with_spatial(vehicle, sizes, props, plane, of_plane)
 
@@ -290,22 +319,61 @@ def _with_spatial(vehicle: Any, sizes: Any, props: Array, plane: Plane, of_plane
         "slope_surface_pm": sign * each(surface, surfaces, about),
     }
     joined = {name: np.concatenate([values, getattr(of_plane, name)]) for name, values in mine.items()}
-    return dataclasses.replace(of_plane, **joined, softening_kgpm=both, spatial=n, roll_gyro_pm=at(gyro_at, 3))
-
-
-def _engine(vehicle: Any, vacuum_thrust_N: float) -> GimballedEngine:
-    e = vehicle.engine
-    mass, arm = float(e.gimballed_mass_kg[0]), float(e.cg_from_gimbal_m[0])
-    return GimballedEngine(
-        vacuum_thrust_N=float(e.thrust_factor[0]) * vacuum_thrust_N,
-        exit_area_m2=float(e.exit_area_m2[0]),
-        gimbal_station_m=float(e.gimbal_station_m[0]),
-        exit_station_m=float(e.exit_station_m[0]),
-        gimballed_mass_kg=mass,
-        cg_from_gimbal_m=arm,
-        inertia_about_gimbal_kgm2=float(e.inertia_kgm2[0]) + mass * arm * arm,
-        follower=bool(vehicle.follower_thrust),
+    places = [int(schedule.gimbal_place(sizes, k)) for k in range(1, int(sizes.gimbals))]
+    further = tuple(
+        (np.concatenate([at(p, across), phi]), np.concatenate([sign * at(p, about), slope]))
+        for p, (phi, slope) in zip(places, of_plane.further_gimbals, strict=True)
     )
+    return dataclasses.replace(
+        of_plane, **joined, softening_kgpm=both, spatial=n, roll_gyro_pm=at(gyro_at, 3), further_gimbals=further
+    )
+
+
+def _engines(packed: Packed, row: Any, props: Array, time_s: float, plane: Plane) -> tuple[GimballedEngine, ...]:
+    """Each of the simulator's engines. Angles of the other plane, and what allocation sends there, are left out."""
+    vehicle, e, sizes = row.vehicle, row.vehicle.engine, row.vehicle.sizes
+    pitch, n = plane == "pitch", int(sizes.engines)
+    thrusts = [props[schedule.thrust_column(sizes, int(e.curve[k]))] for k in range(n)]
+    flows = [float(e.flow_weight[k] * thrusts[k]) for k in range(n)]
+    gains, out = _gains(packed, row, time_s, plane), []
+    for k in range(n):
+        mass, arm = float(e.gimballed_mass_kg[k]), float(e.cg_from_gimbal_m[k])
+        side, cg = ("z", props[schedule.CORE_CG + 2]) if pitch else ("y", props[schedule.CORE_CG + 1])
+        beside, nozzle = float(e[f"gimbal_offset_{side}_m"][k]), float(e[f"exit_{side}_m"][k]) - float(cg)
+        x, y, z = float(e.rest_x[k]), float(e.rest_y[k]), float(e.rest_z[k])
+        level = math.sqrt(1.0 - y * y)
+        follows = float((e.follows_pitch if pitch else e.follows_yaw)[k])
+        out.append(
+            GimballedEngine(
+                vacuum_thrust_N=float(e.thrust_factor[k]) * float(thrusts[k]),
+                exit_area_m2=float(e.exit_area_m2[k]),
+                gimbal_station_m=float(e.gimbal_station_m[k]),
+                exit_station_m=float(e.exit_station_m[k]),
+                gimballed_mass_kg=mass,
+                cg_from_gimbal_m=arm,
+                inertia_about_gimbal_kgm2=float(e.inertia_kgm2[k]) + mass * arm * arm,
+                follower=bool(vehicle.follower_thrust),
+                gain=follows * gains[int(e.group[k])],
+                gimbal=int(e.gimbal[k]),
+                beside_m=beside,
+                from_cg_m=beside - float(cg),
+                rest=(x, z) if pitch else (x, y),
+                slope=(-z, x) if pitch else (-y * x / level, level),
+                flow_share=1.0 if n == 1 else flows[k] / sum(flows) if sum(flows) > 0.0 else 0.0,
+                exit_square_m2=nozzle * nozzle + float(e[f"exit_{side}{side}_m2"][k]),
+            )
+        )
+    return tuple(out)
+
+
+def _gains(packed: Packed, row: Any, time_s: float, plane: Plane) -> list[float]:
+    """Angle of each group per command of the law in this plane."""
+    a, axis = row.computer.allocation, 0 if plane == "pitch" else 1
+    if a.groups == 1:
+        return [1.0]
+    now_s = time_s + 1e-9 * int(row.timeline.stage_start_ns)
+    matrix = table_in(packed.pool, a.matrix)(now_s).reshape(-1, 3)
+    return [float(matrix[2 * group + axis, axis]) for group in range(int(a.groups))]
 
 
 def _rate_damping(pool: Array, vehicle: Any, clock_s: float, plane: Plane) -> float:
@@ -388,7 +456,8 @@ def stability_derivatives(vehicle: VehicleAt, condition: FlightCondition) -> Sta
     a, speed = vehicle.aerodynamics, condition.airspeed_mps
     mass, inertia, cg = vehicle.body.total_mass_kg, vehicle.total_inertia_kgm2, vehicle.total_cg_station_m
     force_area = condition.dynamic_pressure_Pa * a.area_m2
-    thrust = vehicle.engine.thrust_N(condition.pressure_Pa)
+    pushes = [(e, e.gain * e.slope[1] * e.thrust_N(condition.pressure_Pa)) for e in vehicle.engines]
+    moment = sum(push * (e.gimbal_station_m - cg) for e, push in pushes)
     slope = float(a.slope_pr.sum())
     # normal force acts upwards (-z) at its own station; aft of the CG it turns the nose down
     moment_slope_m = slope * cg - float(a.moment_slope_mpr.sum())
@@ -397,8 +466,8 @@ def stability_derivatives(vehicle: VehicleAt, condition: FlightCondition) -> Sta
     return StabilityDerivatives(
         z_alpha_1ps=-force_area * slope / (mass * speed),
         m_alpha_1ps2=force_area * moment_slope_m / inertia,
-        z_delta_1ps=thrust / (mass * speed),
-        m_delta_1ps2=thrust * (vehicle.engine.gimbal_station_m - cg) / inertia,
+        z_delta_1ps=sum(push for _, push in pushes) / (mass * speed),
+        m_delta_1ps2=moment / inertia,
         m_q_1ps=damping / inertia,
     )
 

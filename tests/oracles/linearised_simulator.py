@@ -68,15 +68,17 @@ class LinearModel:
     outputs: tuple[str, ...] = OUTPUTS
 
 
-def linearise(packed: Packed, y: Array, time_s: float) -> LinearModel:
+def linearise(packed: Packed, y: Array, time_s: float, follow: Array | None = None) -> LinearModel:
     """Linear model of the derivative about the state `y` (MAX_STATE,) at the flight time `time_s`.
 
     `packed` may be at its start or in mid-flight (its stage, and whether it burns or is held down, count); it
     is not changed. Derivatives are central differences, extrapolated to step zero over all powers of the step
     (Ridders 1982; odd powers too, because of terms like |w| w), with the best entry of each tableau by its
     error estimate.
+
+    `follow` (groups, 2): angles of each further group of engines in pitch and yaw, as multiples of the first group's.
     """
-    frame = _Chart(packed, y, time_s)
+    frame = _Chart(packed, y, time_s, np.zeros((0, 2)) if follow is None else follow)
     zero, command = np.zeros(frame.size), np.zeros(2)
     n = frame.size
 
@@ -125,7 +127,8 @@ def zero_incidence(packed: Packed, y: Array) -> Array:
 class _Chart:
     """Local coordinates about a state, and their rates."""
 
-    def __init__(self, packed: Packed, y: Array, time_s: float) -> None:
+    def __init__(self, packed: Packed, y: Array, time_s: float, follow: Array) -> None:
+        self._follow = follow
         memory = packed.memory.copy()
         if memory[0].clock.started == 0:
             begin(packed.parameters, packed.pool, memory, packed.state.copy())
@@ -153,6 +156,8 @@ class _Chart:
         x = self._point + offset
         y = self._state(x)
         self._held.command_rad[:2] = self._command + command
+        for group, multiples in enumerate(self._follow):
+            self._held.command_rad[2 * group + 2 : 2 * group + 4] = multiples * (self._command + command)
         now = evaluate_at(self._packed, y, self._time_s)
         w = x[_W]
         outputs = [now.aux[ENGINE_PITCH], now.aux[ENGINE_YAW], w[1] + now.aux[GYRO_BEND], w[2] + now.aux[GYRO_BEND + 1]]
@@ -195,6 +200,10 @@ class _Chart:
             pitch, pitch_rate, yaw, yaw_rate = x[flexible + 4 * k :][:4]
             u, u_rate = _bob(pitch, pitch_rate, yaw, yaw_rate)
             y[i : i + 3], y[i + 3 : i + 6] = u, u_rate + np.cross(w, u)
+        n = layout.N_ACTUATOR
+        for group, multiples in enumerate(self._follow):
+            first = int(layout.actuator_index(self._sizes, group + 1))
+            y[first : first + 2 * n] = np.repeat(multiples, n) * y[layout.ACTUATOR : layout.ACTUATOR + 2 * n]
         return y
 
     def _rates(self, x: Array, y: Array, dy: Array) -> Array:

@@ -1,0 +1,108 @@
+"""The linear model of a cluster equals the linearised simulator: nine engines, canted, in groups, at two stations.
+
+Both planes; what the law commands goes through the allocation's columns. The two share the packed tables only.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from oracles.linearised_simulator import linearise
+
+from maxq.control.kernel.records import Array
+from maxq.control.kernel.tables import table_in
+from maxq.design.model.plant import vehicle_plant
+from maxq.design.model.vehicle_at import FlightCondition, Plane, stability_derivatives, vehicle_at
+from maxq.sim.packing.flight import Packed, pack_flight
+from maxq.sim.run.evaluate import evaluate_at
+from maxq.sim.scenario.loader import load_scenario
+from maxq.sim.vehicle.workspace import DENSITY, MACH, PRESSURE
+
+NINE = "tests/data/nine-engines/flight.toml"
+# at a row of the mass table: between them the total mass is not quite that of core and bobs
+TIME_S, SPEED_MPS, PATH_DEG, GRAVITY_MPS2 = 60.0, 220.0, 70.0, 9.80665
+TOLERANCE = 1e-8
+MODES, TANKS = 2, 2
+
+
+def cluster(cant_deg: float, *more: str) -> Packed:
+    """The ring canted outwards, the engines in groups of opposite ones, the middle one further forward and heavier."""
+    path = np.radians(PATH_DEG)
+    velocity = [float(SPEED_MPS * np.cos(path)), 0.0, float(-SPEED_MPS * np.sin(path))]
+    changes = [
+        "earth.shape='flat'", "earth.rotating=false", "earth.gravity='uniform'", f"run.start_s={TIME_S}",
+        "initial.geodetic.latitude_deg=0", "initial.geodetic.longitude_deg=0", "initial.geodetic.altitude_m=3000.0",
+        f"initial.euler_deg=[0, {PATH_DEG!r}, 0]", f"initial.ned_mps={velocity!r}",
+        "vehicle.stage.0.engine.8.group='middle'", "vehicle.stage.0.engine.8.gimbal_station_m=38.0",
+        "vehicle.stage.0.engine.8.gimballed_mass_kg=450.0", "vehicle.stage.0.engine.8.inertia_about_gimbal_kgm2=400.0",
+        "vehicle.stage.0.engine.8.exit_station_m=40.0",
+    ]  # fmt: skip  # nine more lines otherwise
+    for k in range(8):
+        angle = 2.0 * np.pi * k / 8
+        cant = [float(cant_deg * np.sin(angle)), float(-cant_deg * np.cos(angle))]
+        changes += [
+            f"vehicle.stage.0.engine.{k}.group='{'ab'[k % 2]}'",
+            f"vehicle.stage.0.engine.{k}.cant_deg={cant!r}",
+        ]
+    return pack_flight(load_scenario(NINE, [*changes, *more]).scenario)
+
+
+def condition_of(packed: Packed) -> FlightCondition:
+    air = evaluate_at(packed, packed.state, TIME_S).aux
+    values = [float(air[i]) for i in (DENSITY, PRESSURE, MACH)]
+    return FlightCondition(TIME_S, SPEED_MPS, *values, float(np.radians(PATH_DEG)), GRAVITY_MPS2)
+
+
+def follow_of(packed: Packed) -> tuple[Array, Array]:
+    """Angles per command of the law (groups, 2), and those of further groups as multiples of the first's."""
+    a = packed.parameters[0].computer.allocation
+    matrix = table_in(packed.pool, a.matrix)(TIME_S).reshape(-1, 3)
+    gains = np.array([[matrix[2 * g, 0], matrix[2 * g + 1, 1]] for g in range(int(a.groups))])
+    return gains, gains[1:] / gains[0]
+
+
+def states_of(plane: Plane) -> list[str]:
+    bend, motion = ("eta", ["w_mps", "q_radps", "theta_rad"])
+    if plane == "yaw":
+        bend, motion = "xi", ["v_mps", "r_radps", "psi_rad"]
+    names = motion + [f"{bend}_{i + 1}{what}" for what in ("_m", "_rate_mps") for i in range(MODES)]
+    names += [f"slosh_{k + 1}_{plane}{what}" for what in ("_rad", "_rate_radps") for k in range(TANKS)]
+    return names + [f"actuator_{plane}_{k + 1}" for k in range(6)]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("cant_deg", [0.0, 5.0])
+def test_plant_of_a_cluster_is_the_linearised_simulator(cant_deg: float) -> None:
+    packed = cluster(cant_deg)
+    sizes = packed.parameters[0].vehicle.sizes
+    assert (int(sizes.further_groups), int(sizes.gimbals)) == (2, 2)
+    gains, follow = follow_of(packed)
+    simulated = linearise(packed, packed.state, TIME_S, follow)
+    n = 3 + 2 * (MODES + TANKS)
+    mirror = np.ones(n)  # yaw: w -> v, q -> -r, theta -> -psi, delta -> -delta
+    mirror[1:3] = -1.0
+    for axis, plane in enumerate(("pitch", "yaw")):
+        vehicle = vehicle_at(packed, TIME_S, condition_of(packed).mach, plane)
+        model = vehicle_plant(vehicle, condition_of(packed))
+        i = [simulated.states.index(name) for name in states_of(plane)]
+        a = simulated.a[np.ix_(i, i)]
+        signs = mirror if plane == "yaw" else np.ones(n)
+        ours = signs[:, None] * model.a * signs
+        np.testing.assert_allclose(a[:n, :n], ours, rtol=TOLERANCE, atol=1e-8)
+        own, angle = a[n:, n:], simulated.c[axis, i[n:]]
+        motion = np.stack([angle, angle @ own, angle @ own @ own], axis=1)
+        through = np.linalg.lstsq(motion, a[:n, n:].T, rcond=None)[0].T
+        per_command = signs[:, None] * model.b * (1.0 if plane == "pitch" else -1.0)
+        np.testing.assert_allclose(through[:, [0, 2]] * gains[0, axis], per_command, rtol=TOLERANCE, atol=2e-8)
+        np.testing.assert_allclose(through[:, 1], 0.0, atol=1e-7)
+
+
+def test_stability_derivatives_count_every_engine_with_its_gain() -> None:
+    packed = cluster(0.0)
+    vehicle, condition = vehicle_at(packed, TIME_S, condition_of(packed).mach), condition_of(packed)
+    d = stability_derivatives(vehicle, condition)
+    thrust = 9 * (4e5 - 0.6 * condition.pressure_Pa)
+    assert vehicle.thrust_N(condition.pressure_Pa) == pytest.approx(thrust, rel=1e-12)
+    arm = d.m_delta_1ps2 * vehicle.total_inertia_kgm2 / (d.z_delta_1ps * vehicle.body.total_mass_kg * SPEED_MPS)
+    cg = vehicle.total_cg_station_m
+    assert 38.0 - cg < arm < 38.6 - cg
