@@ -30,7 +30,7 @@ def tabulated(tmp_path: Path) -> Path:
             for angle in TOTAL_DEG:
                 t = np.radians(angle)
                 cn = 0.0 if angle == 180.0 else float(slope * np.sin(t) * abs(np.cos(t)))
-                rows.append(f"{mach!r},{angle!r},{cn!r},{-cn * float(station) / chord!r}")
+                rows.append(f"{float(mach)!r},{angle!r},{cn!r},{-cn * float(station) / chord!r}")
         (tmp_path / f"{surface.name}.csv").write_text("\n".join(rows) + "\n")
         station_m = float(surface.table["station_m"].mean())
         entries.append(f'{{table = "{surface.name}.csv", station_m = {station_m!r}}}')

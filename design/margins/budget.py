@@ -250,7 +250,7 @@ def _frozen(vehicle: VehicleAt) -> VehicleAt:
 
 
 def _emptied(record: _Arrays) -> _Arrays:
-    """The record of arrays without any entry in them."""
+    """The record of arrays without any entry in them; a count is zero."""
     values = ((f.name, getattr(record, f.name)) for f in dataclasses.fields(record))
-    arrays: dict[str, Any] = {name: value[:0] for name, value in values if isinstance(value, np.ndarray)}
-    return dataclasses.replace(record, **arrays)
+    nothing: dict[str, Any] = {name: value[:0] if isinstance(value, np.ndarray) else 0 for name, value in values}
+    return dataclasses.replace(record, **nothing)
