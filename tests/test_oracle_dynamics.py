@@ -40,9 +40,15 @@ from maxq.control.kernel.records import Array
 STATIONS = (0.0, 3.0, 5.0, 10.0, 12.0, 14.0)  # 5 and 10: hinges, 12: gimbal
 
 
+def slopes_of(phi: Array | list[float]) -> Array:
+    """The smallest slopes whose mean between stations is the shape's difference there: as a file may hold them."""
+    means = 0.5 * (np.eye(len(STATIONS))[:-1] + np.eye(len(STATIONS))[1:])
+    return np.asarray(np.linalg.lstsq(means, np.diff(phi) / np.diff(STATIONS), rcond=None)[0])
+
+
 def a_mode(rng: np.random.Generator, frequency_hz: float, zeta: float = 0.0) -> Mode:
     phi = rng.normal(0.0, 0.8, len(STATIONS))
-    slope = np.gradient(phi, STATIONS) + rng.normal(0.0, 0.05, len(STATIONS))  # a shape that the file may hold
+    slope = slopes_of(phi) + rng.normal(0.0, 0.05, len(STATIONS))
     return Mode(frequency_hz, rng.uniform(300.0, 900.0), tuple(phi), tuple(slope), zeta)
 
 
@@ -52,7 +58,7 @@ def same_at_hinges(mode: Mode, partner: Mode) -> Mode:
     for k, station in enumerate(STATIONS):
         if station in (5.0, 10.0):
             phi[k] = mode.phi[k]
-    return replace(partner, phi=tuple(phi), slope_pm=tuple(np.gradient(phi, STATIONS)))
+    return replace(partner, phi=tuple(phi), slope_pm=tuple(slopes_of(phi)))
 
 
 def random_parts(rng: np.random.Generator, modes: int = 2, zeta: float = 0.0, alike: bool = True) -> Parts:
