@@ -44,11 +44,12 @@ def verdict_line(flight: Flight) -> str:
         wrong.append(f"requirement missed: {printable(missed[0].name)}: {_bounded(missed[0])}")
     elif missed:
         wrong.append(f"{len(missed)} requirements missed: {', '.join(printable(v.name) for v in missed)}")
+    beyond = "".join(f"; beyond the model: {what}" for what in flight.beyond_model)
     if wrong:
-        return "FAILED: " + "; ".join(wrong)
+        return "FAILED: " + "; ".join(wrong) + beyond
     count = len(flight.verdicts)
     met = "no requirements" if count == 0 else "1 requirement met" if count == 1 else f"all {count} requirements met"
-    return f"PASSED: {met}"
+    return f"PASSED: {met}{beyond}"
 
 
 def _events(flight: Flight) -> list[str]:
@@ -61,7 +62,7 @@ def _events(flight: Flight) -> list[str]:
 def _metrics(flight: Flight) -> list[str]:
     rows = []
     for name, value in flight.metrics.items():
-        if name.startswith(SECTION_PREFIX) and math.isnan(value):
+        if name.startswith((SECTION_PREFIX, "max_wave")) and math.isnan(value):
             continue
         unit, time_s = unit_of(name), flight.metric_times_s[name]
         at = f"at {time_s:.3f} s" if math.isfinite(time_s) else ""

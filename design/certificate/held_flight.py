@@ -103,16 +103,11 @@ class HeldFlight:
         return run, fast_rows(run)
 
 
-def fast_rows(run: FlightRun, watch: Callable[[Array], None] = lambda rows: None) -> Array:
-    """Fly to the end: all rows of the fast channels, (rows, channels); a column by `run.table.index(name)`.
-
-    `watch` is called with the rows of each segment of the flight.
-    """
+def fast_rows(run: FlightRun) -> Array:
+    """Fly to the end: all rows of the fast channels, (rows, channels); a column by `run.table.index(name)`."""
     kept = KeptRows()
     while not run.finished:
-        rows = run.fly_segment()
-        kept.add(rows)
-        watch(rows[FAST][1])
+        kept.add(run.fly_segment())
     return kept.rows()[FAST][1]
 
 

@@ -103,6 +103,7 @@ def _vehicle(node: Node, by: Dispersion) -> VehicleAt:
         mass_rate_kgps=bobs.mass_rate_kgps * mass,
         length_m=bobs.length_m / _each(by.slosh_frequency, m, "slosh_frequency") ** 2,
         damping_ratio=bobs.damping_ratio * _each(by.slosh_damping, m, "slosh_damping"),
+        viscous=bobs.viscous * _each(by.slosh_damping, m, "slosh_damping"),
     )
     if by.slosh_mass != 1.0 or by.slosh_frequency != 1.0:
         vehicle = with_pendulums(vehicle, changed)

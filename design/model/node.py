@@ -151,7 +151,8 @@ def _trim(flow: Array) -> Trim:
 def _liquids(stage: Stage, clock_s: float, node: Node) -> Liquids | None:
     """Radius and depth of the liquid, if the vehicle's tables give them."""
     tanks = stage.tank[: len(node.vehicle.pendulums.mass_kg)]
-    if any(tank.radius_m is None or "liquid_height_m" not in tank.table for tank in tanks):
+    known = all(tank.radius_m is not None and "liquid_height_m" in tank.table for tank in tanks)
+    if not known or any(tank.pendulums > 1 for tank in tanks):
         return None
     heights = [float(np.interp(clock_s, tank.table["time_s"], tank.table["liquid_height_m"])) for tank in tanks]
     return Liquids(np.array([tank.radius_m for tank in tanks], float), np.array(heights))

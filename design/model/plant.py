@@ -159,6 +159,7 @@ class _Equations:
             if errata.core_mass
             else (body.total_mass_kg, vehicle.total_inertia_kgm2, vehicle.total_cg_station_m)
         )
+        self.slosh_damping = vehicle.pendulums.small_wave_damping(load)
         self.force: Array = np.zeros(len(rows))
         self.moment: Array = np.zeros(len(rows))
         self.modal: Array = np.zeros((n, len(rows)))
@@ -242,7 +243,7 @@ class _Equations:
             rod = bobs.mass_kg[k] * self.load * self.gamma[k]
             # force between bob and tank per rate of the pendulum's angle, a_x m_p 2 zeta / omega (24)
             length, mass = bobs.length_m[k], bobs.mass_kg[k]
-            friction = 2.0 * bobs.damping_ratio[k] * np.sqrt(self.load / length) * length * mass * self.gamma_rate[k]
+            friction = 2.0 * self.slosh_damping[k] * np.sqrt(self.load / length) * length * mass * self.gamma_rate[k]
             arm = self.cg - bobs.hinge_station_m[k]
             self.force = self.force + rod + friction
             self.moment = self.moment - arm * rod
@@ -288,7 +289,7 @@ class _Equations:
             length, natural = bobs.length_m[k], np.sqrt(self.load / bobs.length_m[k])
             arm = self.cg - bobs.hinge_station_m[k]
             drive = lateral - (arm - length) * turning + modes.phi_hinge[:, k] @ bending + 2.0 * coriolis[k] * self.q
-            swing[k] = -(natural**2) * self.gamma[k] - 2.0 * bobs.damping_ratio[k] * natural * self.gamma_rate[k]
+            swing[k] = -(natural**2) * self.gamma[k] - 2.0 * self.slosh_damping[k] * natural * self.gamma_rate[k]
             swing[k] -= drive / length
             gained = max(float(bobs.mass_rate_kgps[k]), 0.0)
             if self.vehicle.slosh_exchange and bobs.mass_kg[k] > 0.0:

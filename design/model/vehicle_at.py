@@ -61,7 +61,7 @@ class Body:
 
 @dataclass(frozen=True)
 class Pendulums:
-    """One entry a tank, (tanks,)."""
+    """One entry a slosh mode, tank by tank, (pendulums,)."""
 
     mass_kg: Array
     mass_rate_kgps: Array
@@ -69,6 +69,11 @@ class Pendulums:
     hinge_station_m: Array
     bob_station_rate_mps: Array  # hinge and bob follow the surface of the liquid
     damping_ratio: Array
+    viscous: Array  # what a smooth wall adds to it, times the fourth root of the axial load, (m/s2)^(1/4)
+
+    def small_wave_damping(self, load_mps2: float) -> Array:
+        """Damping ratio in small waves, where baffles do nothing yet, under an axial load."""
+        return np.asarray(self.damping_ratio + self.viscous * max(load_mps2, 1e-9) ** -0.25)
 
     @property
     def bob_station_m(self) -> Array:
@@ -250,6 +255,7 @@ def _pendulums(vehicle: Any, sizes: Any, props: Array, rates: Array) -> Pendulum
         hinge_station_m=props[first + schedule.TANK_HINGE],
         bob_station_rate_mps=props[first + schedule.TANK_TRAVEL],
         damping_ratio=np.array(vehicle.slosh.damping_ratio[:n]),
+        viscous=vehicle.slosh.law_factor[:n] * props[first + schedule.TANK_VISCOUS],
     )
 
 

@@ -10,17 +10,16 @@ A ring baffle damps the more the higher the wave (Miles, J. Aero. Sci. 25, 1958;
     zeta = 2.83 exp(-4.6 d / R) a^(3/2) sqrt(eta / R)
 
 with d the depth of the ring below the surface, a the share of the surface that it covers, eta the height of the wave at
-the wall. A loop that needs the damping zeta lets slosh grow while the wave is lower than that and damps it above: the
-wave where the formula gives zeta is a limit cycle. Equal moments of liquid and pendulum about the axis,
-rho pi R^3 eta / xi^2 and m L theta, turn the wave of the first mode (xi = 1.841) into the swing of the pendulum,
+the wall: the law of the simulator's baffles (docs/model.md, section 5). A loop that needs the damping zeta lets slosh
+grow while the wave is lower than that and damps it above: the wave where the formula gives zeta is a limit cycle. The
+wave of the first mode (xi = 1.841) is a swing of the pendulum of
 
     theta = (xi^2 - 1) / 2  eta / R
 
-whatever the depth. The worst tank is flown (`confirm`): with just the damping needed a burst neither grows nor decays,
-and with the baffle's law the swing ends at the predicted amplitude. The simulator's pendulums have constant damping; in
-`fly_cycle` it follows the swing of the past second (equivalent viscous damping). Nothing else limits slosh before the
-model does: without baffles, gimbal and servo stay far from their limits until the liquid has swung through a right
-angle (tests/test_oracle_slosh_cycle.py), where waves would long have broken.
+whatever the depth (sim/packing/pendulums.py). The worst tank is flown (`confirm`): with just the damping needed a burst
+neither grows nor decays, and with the baffle's law the swing ends at the predicted amplitude (`fly_cycle`). Nothing
+else limits slosh before the model does: without baffles, gimbal and servo stay far from their limits until the liquid
+has swung through a right angle (tests/test_oracle_slosh_cycle.py), where waves would long have broken.
 """
 
 from __future__ import annotations
@@ -29,6 +28,7 @@ import dataclasses
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -46,14 +46,15 @@ from maxq.design.certificate.measured_margins import (
 )
 from maxq.design.loop.fixed_path import fixed_path
 from maxq.design.loop.loop import Loop
-from maxq.design.model.dispersion import Dispersion, disperse
 from maxq.design.model.node import Node
+from maxq.design.model.plant import axial_load_mps2
 from maxq.design.model.state_space import ComplexArray
 from maxq.sim.packing.flight import Packed
+from maxq.sim.packing.pendulums import WAVE_PER_SWING, ring_damping
 from maxq.sim.scenario.loader import LoadedScenario
 from maxq.sim.scenario.schema_design import Design
 
-SWING_PER_WAVE = (1.8412**2 - 1.0) / 2.0  # rad of the pendulum for a wave at the wall as high as the radius
+SWING_PER_WAVE = 1.0 / WAVE_PER_SWING[0]  # rad of the pendulum for a wave at the wall as high as the radius
 WATCHED_S = 400.0  # several time constants of a limit cycle that settles within a minute
 SETTLED = 0.03  # relative difference allowed between the last two quarters' amplitudes
 _HALVINGS = 12
@@ -69,19 +70,15 @@ class Baffle:
 
     def damping(self, swing_rad: float) -> float:
         """Damping ratio of a pendulum swinging so far."""
-        return self._per_root * math.sqrt(abs(swing_rad) / SWING_PER_WAVE)
+        return ring_damping(self.depth_r, self.cover, abs(swing_rad) / SWING_PER_WAVE)
 
     def wave_m(self, damping: float, radius_m: float) -> float:
         """Height of the wave at the wall that gives this damping ratio."""
-        return radius_m * (damping / self._per_root) ** 2
+        return radius_m * (damping / ring_damping(self.depth_r, self.cover, 1.0)) ** 2
 
     def swing_deg(self, damping: float) -> float:
         """Swing of the pendulum that gives this damping ratio."""
         return math.degrees(SWING_PER_WAVE * self.wave_m(damping, 1.0))
-
-    @property
-    def _per_root(self) -> float:
-        return 2.83 * math.exp(-4.6 * self.depth_r) * math.pow(self.cover, 1.5)
 
 
 @dataclass(frozen=True)
@@ -97,29 +94,30 @@ class SloshCycle:
 
 
 def fly_cycle(held: HeldFlight, tank: int, baffle: Baffle, frequency_hz: float, level: float = 1.0) -> SloshCycle:
-    """Excite the held flight at the slosh frequency and let the baffle's damping follow the swing.
+    """Excite the held flight at the slosh frequency, with the baffle alone in the tank.
 
     `level` scales the burst of the certificate (`burst_rad`): the limit cycle is reached from above or from below.
     """
 
-    def undamped(packed: Packed) -> None:
-        packed.parameters[0].vehicle.slosh.damping_ratio[tank] = 0.0
+    def baffled(packed: Packed) -> None:
+        slosh = packed.parameters[0].vehicle.slosh
+        _damp(slosh, tank, 0.0)
+        slosh.law, slosh.ring_damping[tank] = 1, baffle.damping(1.0)
 
-    run = held.run(WATCHED_S, (sine_burst(held, frequency_hz, level),), undamped)
+    run = held.run(WATCHED_S, (sine_burst(held, frequency_hz, level),), baffled)
     column = slosh_columns(run, held.plane)[tank]
-    damping = run.packed.parameters[0].vehicle.slosh.damping_ratio
-
-    def follow(rows: Array) -> None:
-        if len(rows):
-            damping[tank] = baffle.damping(math.radians(amplitude(rows[:, column])))
-
-    values = fast_rows(run, follow)
+    values = fast_rows(run)
     quarter = len(values) // 4
     if run.now_s < WATCHED_S - 1.0 or quarter < 8:
         return SloshCycle(math.nan, False, math.nan)
     command = values[3 * quarter :, run.table.index(f"gimbal_{held.plane}_command_deg")]
     before, after = amplitude(values[2 * quarter : 3 * quarter, column]), amplitude(values[3 * quarter :, column])
     return SloshCycle(after, abs(after / before - 1.0) < SETTLED, amplitude(command))
+
+
+def _damp(slosh: Any, tank: int, ratio: float) -> None:
+    """Give a packed pendulum a constant damping ratio in place of all that it has."""
+    slosh.damping_ratio[tank], slosh.law_factor[tank] = ratio, 0.0
 
 
 NEAR, MIDWAY = Baffle(0.1, 0.25), Baffle(0.5, 0.25)
@@ -176,38 +174,46 @@ def advise(nodes: Sequence[Node], design: Design) -> list[SloshAdvice]:
             out.append(
                 SloshAdvice(
                     node.time_s, k, float(bobs.bob_station_m[k]), node.vehicle.total_cg_station_m,
-                    percussion_station_m(node), float(bobs.damping_ratio[k]), needed, NEAR.wave_m(needed, radius),
+                    percussion_station_m(node), float(_has(node)[k]), needed, NEAR.wave_m(needed, radius),
                     MIDWAY.wave_m(needed, radius), MIDWAY.swing_deg(needed),
                 )
             )  # fmt: skip  # seven more lines otherwise
     return out
 
 
+def _has(node: Node) -> Array:
+    """Damping ratios of the tanks in small waves."""
+    return node.vehicle.pendulums.small_wave_damping(axial_load_mps2(node.vehicle, node.condition))
+
+
 def _needed(node: Node, design: Design, tank: int) -> float:
     """Damping ratio of one tank below which the closed loop grows; 0 if it never does."""
-    have = float(node.vehicle.pendulums.damping_ratio[tank])
-    if have <= 0.0:
-        return math.nan
+    have = float(_has(node)[tank]) or 0.01  # with baffles alone there is none yet
     if _growth(node, design, tank, 0.0) < 0.0:
         return 0.0
     low, high = 0.0, 1.0
-    while _growth(node, design, tank, high) >= 0.0:
+    while _growth(node, design, tank, have * high) >= 0.0:
         low, high = high, 2.0 * high
         if high > 64.0:
             return math.inf
     for _ in range(_HALVINGS):
         middle = 0.5 * (low + high)
-        low, high = (middle, high) if _growth(node, design, tank, middle) >= 0.0 else (low, middle)
+        low, high = (middle, high) if _growth(node, design, tank, have * middle) >= 0.0 else (low, middle)
     return have * high
 
 
-def _growth(node: Node, design: Design, tank: int, factor: float) -> float:
-    """Greatest real part (1/s) of the loop's oscillating poles below 5 Hz with a tank's damping times `factor`."""
-    factors = [1.0] * len(node.vehicle.pendulums.mass_kg)
-    factors[tank] = factor
-    weak = disperse(node, Dispersion(slosh_damping=tuple(factors)))
-    loop = api.close(fixed_path(weak), design)
+def _growth(node: Node, design: Design, tank: int, ratio: float) -> float:
+    """Greatest real part (1/s) of the loop's oscillating poles below 5 Hz with a damping ratio in place of a tank's."""
+    loop = api.close(fixed_path(_damped(node, tank, ratio)), design)
     return float(_oscillating(loop).real.max(initial=-math.inf))
+
+
+def _damped(node: Node, tank: int, ratio: float) -> Node:
+    bobs = node.vehicle.pendulums
+    ratios, viscous = bobs.damping_ratio.copy(), bobs.viscous.copy()
+    ratios[tank], viscous[tank] = ratio, 0.0
+    bobs = dataclasses.replace(bobs, damping_ratio=ratios, viscous=viscous)
+    return dataclasses.replace(node, vehicle=dataclasses.replace(node.vehicle, pendulums=bobs))
 
 
 def _oscillating(loop: Loop) -> ComplexArray:
@@ -222,14 +228,12 @@ def confirm(loaded: LoadedScenario, node: Node, advice: SloshAdvice) -> SloshAdv
         return advice
 
     def fault(packed: Packed) -> None:
-        packed.parameters[0].vehicle.slosh.damping_ratio[advice.tank] = advice.needed
+        _damp(packed.parameters[0].vehicle.slosh, advice.tank, advice.needed)
 
     held = hold(loaded, node, fault)
     assert loaded.design is not None
     loop = api.loops([held.node], loaded.design)[0]
-    bobs = held.node.vehicle.pendulums
-    weak = tuple(advice.needed / z if k == advice.tank else 1.0 for k, z in enumerate(bobs.damping_ratio))
-    edge = api.loops([disperse(held.node, Dispersion(slosh_damping=weak))], loaded.design)[0]
+    edge = api.loops([_damped(held.node, advice.tank, advice.needed)], loaded.design)[0]
     poles = _oscillating(edge)
     hz = float(poles[int(np.argmax(poles.real))].imag) / (2.0 * math.pi)
     growth = measured_growth(held, loop, burst_test(hz, build_up_rate(edge, hz)))

@@ -38,6 +38,7 @@ class Logged:
     on: int
     sizes: Sizes
     stations: int  # of section loads
+    waves: int  # 1: with the height of the waves
 
 
 class LogRows(NamedTuple):
@@ -67,6 +68,9 @@ def begin(P: Records, pool: Array, state: Records, y: Array) -> None:
     for metric in range(N_METRICS):
         memory.extremes.value[metric] = 0.0
         memory.extremes.time_ns[metric] = -1
+    for pendulum in range(len(memory.waves.largest)):
+        memory.waves.largest[pendulum] = 0.0
+        memory.waves.largest_ns[pendulum], memory.waves.broke_ns[pendulum] = -1, -1
     clock.command_due_ns = NEVER
     clock.next_gust_ns = clock.now_ns if p.environment.turbulence.on == 1 else NEVER
     altitude_m, along_N = climb_rate(p.environment.earth, y)[0], flight_direction(p.environment, pool, y)
@@ -187,8 +191,8 @@ def track_sections(p: Parameters, pool: Array, memory: Memory, space: Workspace,
 @kernel
 def update_metrics(p: Parameters, memory: Memory, step_s: float, at: Evaluation) -> None:
     gather(
-        memory.extremes, p.vehicle, p.environment.earth, memory.held, memory.computer, memory.clock.now_ns, step_s,
-        at.properties, at.y, at.aux,
+        memory.extremes, memory.waves, memory.clock.stage, p.vehicle, p.environment.earth, memory.held,
+        memory.computer, memory.clock.now_ns, step_s, at.properties, at.y, at.aux,
     )  # fmt: skip  # twelve lines otherwise
 
 
@@ -272,7 +276,7 @@ def log(p: Parameters, memory: Memory, logged: Records, at: Evaluation, out: Log
     if rows[0] > 0 and out.fast_ns[rows[0] - 1] == now and last == 1:
         return  # the flight ended at an instant that has been logged already
     if now % p.timeline.fast_ns == 0 or last == 1:
-        fill_fast(p, logged[0].sizes, memory, at.properties, at.y, at.aux, out.fast[rows[0]])
+        fill_fast(p, logged[0].sizes, logged[0].waves, memory, at.properties, at.y, at.aux, out.fast[rows[0]])
         out.fast_ns[rows[0]] = now
         rows[0] += 1
     if now % p.timeline.slow_ns == 0 or last == 1:

@@ -13,10 +13,11 @@ from typing import Annotated, NamedTuple
 from maxq.control.attitude import whole_error
 from maxq.control.computer import ComputerState
 from maxq.control.kernel.jit import kernel, routine
+from maxq.control.kernel.limits import MAX_STAGES, MAX_TANKS
 from maxq.control.kernel.records import Array, IntArray
 from maxq.sim.vehicle.derivative import Held, Vehicle
 from maxq.sim.vehicle.schedule import TOTAL_MASS
-from maxq.sim.vehicle.slosh import bob_mass
+from maxq.sim.vehicle.slosh import bob_mass, wave_share
 from maxq.sim.vehicle.state import R_I, V_I, counts, pendulum_index
 from maxq.sim.vehicle.workspace import (
     AERO_FORCE,
@@ -74,6 +75,17 @@ class Extremes:
     time_ns: Annotated[IntArray, (N_METRICS,)]
 
 
+@dataclass
+class Waves:
+    """Of each pendulum, stage by stage with room for MAX_TANKS each: the largest wave under thrust over the height at
+    which it breaks, its time, and the first time at which it is as high (-1: none).
+    """
+
+    largest: Annotated[Array, (MAX_STAGES * MAX_TANKS,)]
+    largest_ns: Annotated[IntArray, (MAX_STAGES * MAX_TANKS,)]
+    broke_ns: Annotated[IntArray, (MAX_STAGES * MAX_TANKS,)]
+
+
 @kernel
 def raise_to(extremes: Extremes, metric: int, value: float, now_ns: int) -> None:
     if value > extremes.value[metric]:
@@ -83,8 +95,8 @@ def raise_to(extremes: Extremes, metric: int, value: float, now_ns: int) -> None
 
 @routine
 def gather(
-    extremes: Extremes, vehicle: Vehicle, earth: Earth, held: Held, computer: ComputerState, now_ns: int,
-    step_s: float, props: Array, y: Array, aux: Array,
+    extremes: Extremes, waves: Waves, stage: int, vehicle: Vehicle, earth: Earth, held: Held,
+    computer: ComputerState, now_ns: int, step_s: float, props: Array, y: Array, aux: Array,
 ) -> None:  # fmt: skip  # eight more lines otherwise
     """Update all metrics at the start of a step of `step_s`."""
     turning = earth.rate_radps
@@ -114,7 +126,7 @@ def gather(
     raise_to(extremes, METRIC.max_gimbal_deg, math.degrees(gimbal), now_ns)
     gimbal_rate = max(abs(aux[ENGINE_PITCH + 1]), abs(aux[ENGINE_YAW + 1]))
     raise_to(extremes, METRIC.max_gimbal_rate_degps, math.degrees(gimbal_rate), now_ns)
-    _gather_slosh(extremes, vehicle, now_ns, props, y)
+    _gather_slosh(extremes, waves, stage, vehicle, now_ns, props, y)
     if computer.command_limited[0] == 1 or computer.command_limited[1] == 1:
         extremes.value[METRIC.saturation_time_s] += step_s
         extremes.time_ns[METRIC.saturation_time_s] = now_ns
@@ -147,7 +159,9 @@ def _gather_bending(extremes: Extremes, vehicle: Vehicle, now_ns: int, aux: Arra
 
 
 @kernel
-def _gather_slosh(extremes: Extremes, vehicle: Vehicle, now_ns: int, props: Array, y: Array) -> None:
+def _gather_slosh(
+    extremes: Extremes, waves: Waves, stage: int, vehicle: Vehicle, now_ns: int, props: Array, y: Array
+) -> None:  # fmt: skip  # as ruff would, but for a line of one bracket
     sizes = counts(vehicle.sizes)
     for tank in range(sizes.tanks):
         if bob_mass(vehicle.slosh, props, tank) > 0.0:
@@ -159,3 +173,9 @@ def _gather_slosh(extremes: Extremes, vehicle: Vehicle, now_ns: int, props: Arra
                 angle_above(lateral, -y[i], extremes.value[METRIC.max_slosh_deg]),
                 now_ns,
             )
+            share = wave_share(vehicle.slosh, tank, props, lateral)
+            k = stage * MAX_TANKS + tank
+            if share > waves.largest[k]:
+                waves.largest[k], waves.largest_ns[k] = share, now_ns
+                if share >= 1.0 and waves.broke_ns[k] < 0:
+                    waves.broke_ns[k] = now_ns

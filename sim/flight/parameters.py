@@ -10,7 +10,7 @@ from maxq.control.kernel.limits import MAX_ENGINES, MAX_STAGES
 from maxq.control.kernel.records import Array, IntArray
 from maxq.sim.flight.faults import FaultMemory, Faults
 from maxq.sim.flight.injection import Injections
-from maxq.sim.flight.metrics import Extremes
+from maxq.sim.flight.metrics import Extremes, Waves
 from maxq.sim.vehicle.derivative import Held, StageInputs, Vehicle
 from maxq.sim.vehicle.environment import Environment
 from maxq.sim.vehicle.loads import Loads, SectionLoads
@@ -98,6 +98,7 @@ class Memory:
     history: GustHistory
     extremes: Extremes
     sections: SectionLoads
+    waves: Waves
     increment_rad: Annotated[Array, (3,)]
     rate_injection_radps: Annotated[Array, (3,)]
     rate_replaces: Annotated[IntArray, (3,)]

@@ -22,7 +22,7 @@ from maxq.sim.vehicle.bending import BendingRow, ModeRow, bending_row, put_modes
 from maxq.sim.vehicle.gyro import GyroRow, gyro_row
 from maxq.sim.vehicle.loads import SectionRow, section_row
 from maxq.sim.vehicle.schedule import CORE_CG, CORE_INERTIA, CORE_MASS, MASS_FLOW, TOTAL_MASS
-from maxq.sim.vehicle.slosh import SloshRow, slosh_row
+from maxq.sim.vehicle.slosh import SloshRow, WaveRow, slosh_row, wave_row
 from maxq.sim.vehicle.state import (
     GYRO,
     Q_BI,
@@ -69,8 +69,10 @@ class FastRow(NamedTuple):
 
 
 @routine
-def fill_fast(p: Parameters, logged: Sizes, memory: Memory, props: Array, y: Array, aux: Array, row: Array) -> None:
-    """One row of the fast group; `logged` is how many modes and tanks the log has columns for."""
+def fill_fast(
+    p: Parameters, logged: Sizes, waves: int, memory: Memory, props: Array, y: Array, aux: Array, row: Array
+) -> None:  # fmt: skip  # as ruff would, but for a line of one bracket
+    """One row of the fast group; `logged`: how many modes and pendulums the log has columns for; `waves` = 1: waves."""
     sizes = p.vehicle.sizes
     column = put(
         row,
@@ -88,6 +90,8 @@ def fill_fast(p: Parameters, logged: Sizes, memory: Memory, props: Array, y: Arr
         column = put(row, column, bending_row(aux))
     for tank in range(logged.tanks):
         column = put(row, column, slosh_row(p.vehicle.slosh, sizes, tank, props, y, pendulum_index(sizes, tank), aux))
+    for tank in range(logged.tanks * waves):
+        column = put(row, column, wave_row(p.vehicle.slosh, sizes, tank, props, y, pendulum_index(sizes, tank)))
 
 
 # --- slow group
@@ -259,10 +263,13 @@ def fill_slow(
         column = put(row, column, section_row(memory.sections, p.loads.stations, station))
 
 
-def channel_table(sizes: Sizes, tanks: tuple[str, ...], stations: tuple[str, ...] = ()) -> ChannelTable:
-    """Channels of a vehicle with so many modes, these tanks and sections, in the order of the kernels' columns.
+def channel_table(
+    sizes: Sizes, tanks: tuple[str, ...], stations: tuple[str, ...] = (), waves: bool = False
+) -> ChannelTable:  # fmt: skip  # as ruff would, but for a line of one bracket
+    """Channels of a vehicle with so many modes, these pendulums and sections, in the order of the kernels' columns.
 
-    `stations`: what is said of each station of the section loads; in names they go by their numbers, from 1.
+    `stations`: what is said of each station of the section loads; in names they go by their numbers, from 1. `waves`:
+    with the height of the pendulums' waves.
     """
     topics = declared_topics(FAST, FastRow)
     kinds = (("pitch", sizes.pitch_modes), ("yaw", sizes.yaw_modes), ("spatial", sizes.spatial_modes))
@@ -272,6 +279,8 @@ def channel_table(sizes: Sizes, tanks: tuple[str, ...], stations: tuple[str, ...
         channels = (*sum(bending, ()), *declared_channels(BendingRow))
         topics.append(Topic("/bending", FAST, channels, "bending modes"))
     slosh = [declared_channels(SloshRow, "tank", tank, f"tank {tank}") for tank in tanks]
+    if waves:
+        slosh += [declared_channels(WaveRow, "tank", tank, f"tank {tank}") for tank in tanks]
     if slosh:
         topics.append(Topic("/slosh", FAST, sum(slosh, ()), "slosh pendulums"))
     topics += declared_topics(SLOW, SlowRow)

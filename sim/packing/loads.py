@@ -11,13 +11,13 @@ from maxq.control.kernel.limits import MAX_LOAD_STATIONS, MAX_SURFACES, MAX_TANK
 from maxq.control.kernel.records import Array
 from maxq.control.kernel.tables import NO_TABLE, Cubics, Method, Pool, fit
 from maxq.sim.packing.engines import on_clock
+from maxq.sim.packing.pendulums import pendulum_curves
 from maxq.sim.packing.remembered import cached_by_identity
-from maxq.sim.packing.schedule import tank_curves
 from maxq.sim.scenario import schema_loads as schema
 from maxq.sim.scenario.burn import Burn
 from maxq.sim.scenario.modes import ModeTable
 from maxq.sim.scenario.schema_scenario import Scenario
-from maxq.sim.scenario.schema_stage import Tank
+from maxq.sim.scenario.schema_tank import Tank
 from maxq.sim.scenario.schema_values import to_ns
 from maxq.sim.scenario.schema_vehicle import Stage
 from maxq.sim.vehicle import loads as columns_of
@@ -35,9 +35,11 @@ def pack_loads(scenario: Scenario, stage: Stage, burn: Burn, sizes: Sizes, pool:
     if given is None or not scenario.switches.section_loads:
         return Loads(0, 1, 0, 1, NO_TABLE, 0.0, 1.0, stations, bottoms, 0, places, shares)
     stations[: len(given.stations_m)] = given.stations_m
-    tanks = stage.tank[: sizes.tanks]
-    for k, liquid in enumerate(_liquids_of(given, tanks)):
-        bottoms[k] = liquid.bottom_station_m
+    tanks = stage.tank if sizes.tanks > 0 else ()
+    below = [
+        q.bottom_station_m for q, t in zip(_liquids_of(given, tanks), tanks, strict=True) for _ in range(t.pendulums)
+    ]
+    bottoms[: len(below)] = below
     points = 1
     places[0], shares[0] = given.nose_station_m, 1.0
     if given.axial_force is not None:
@@ -136,17 +138,18 @@ class _Body:
         bobs = dict(zip((tank.name or str(n + 1) for n, tank in enumerate(tanks)), tanks, strict=True))
         for liquid in loads.liquid:
             tank = bobs.get(liquid.tank)
-            self._add_liquid(liquid, None if tank is None else tank_curves(tank, method).at(times), ends)
+            bobs_of_tank = [] if tank is None else [joined.at(times) for joined, _ in pendulum_curves(tank, method)]
+            self._add_liquid(liquid, bobs_of_tank, ends)
         self.totals = [np.asarray(sum((p.mass * p.x**k).sum(axis=(1, 2)) for p in self.parts)) for k in range(3)]
 
-    def _add_liquid(self, liquid: schema.Liquid, bob: Array | None, ends: Array) -> None:
+    def _add_liquid(self, liquid: schema.Liquid, bobs: Sequence[Array], ends: Array) -> None:
         columns = np.stack([liquid.table["mass_kg"], liquid.table["front_station_m"]], axis=1)
         mass, surface = fit(liquid.table["time_s"], columns, self.method).at(self.times).T
         bottom = liquid.bottom_station_m
         middle, length = 0.5 * (surface + bottom), bottom - surface
         first = np.zeros_like(mass)  # moment of the rest about the middle of the column
-        if bob is not None:
-            first = -bob[:, 0] * (bob[:, 1] + bob[:, 2] - middle)
+        for bob in bobs:
+            first = first - bob[:, 0] * (bob[:, 1] + bob[:, 2] - middle)
             mass = mass - bob[:, 0]
         inside = ends[ends <= bottom]
         x, weights = _gauss(*(np.maximum(edge, surface[:, None]) for edge in (inside[:-1], inside[1:])))

@@ -16,11 +16,12 @@ from maxq.control.kernel.records import Array, pack
 from maxq.control.kernel.tables import Cubics, Method, fit, merge, union
 from maxq.sim.packing.engines import Mount, cluster_of, engine_mounts, on_clock, thrust_curves
 from maxq.sim.packing.modes import Places, mode_values, spatial_values
+from maxq.sim.packing.pendulums import pendulums
 from maxq.sim.packing.remembered import cached_by_identity
 from maxq.sim.scenario.burn import NOMINAL, Burn
 from maxq.sim.scenario.modes import ModeTable, SpatialModeTable
 from maxq.sim.scenario.schema_scenario import Switches
-from maxq.sim.scenario.schema_stage import AeroSurface, Tank
+from maxq.sim.scenario.schema_stage import AeroSurface
 from maxq.sim.scenario.schema_vehicle import Stage
 from maxq.sim.scenario.tables_csv import CsvTable
 from maxq.sim.vehicle import schedule as columns_of
@@ -39,7 +40,7 @@ def stage_sizes(stage: Stage, switches: Switches, burn: Burn = NOMINAL) -> Sizes
         pitch_table, yaw_table = stage.bending.pitch_modes, stage.bending.yaw_modes
         pitch = pitch_table.modes if pitch_table else 0
         yaw = yaw_table.modes if yaw_table else 0
-    tanks = len(stage.tank) if switches.slosh else 0
+    tanks = len(stage.pendulum_names) if switches.slosh else 0
     tables = 0 if stage.aero is None else len(stage.aero.coefficients)
     spatial = stage.spatial_modes.modes.modes if stage.spatial_modes is not None and switches.bending else 0
     cluster = cluster_of(stage, burn.faults)
@@ -83,11 +84,14 @@ def vehicle_schedule(stage: Stage, burn: Burn, sizes: Sizes, switches: Switches,
     `frozen`: the CG does not wander (the schedule stands still).
     """
     method: Method = stage.interpolation
-    tanks = [tank_curves(tank, method) for tank in stage.tank[: sizes.tanks]]
+    swinging = pendulums(stage)[: sizes.tanks]
+    tanks = [pendulum.joined for pendulum in swinging]
     thrust, *further_thrusts = thrust_curves(stage, burn, method)
     parts = [_core(stage, burn, tanks, method, switches.moving_cg and not frozen), thrust]
-    for tank in (on_clock(tank, burn) for tank in tanks):
-        parts += [tank, _tank_rates(tank, switches.jet_damping, switches.jet_damping and not frozen)]
+    for pendulum in swinging:
+        tank = on_clock(pendulum.joined, burn)
+        rates = _tank_rates(tank, switches.jet_damping, switches.jet_damping and not frozen)
+        parts += [tank, rates, on_clock(pendulum.waves, burn)]
     if stage.bending is not None:
         bending = stage.bending
         pitch = _modes(stage, burn, bending.pitch_modes if sizes.pitch_modes > 0 else None, sizes, tanks, method)
@@ -164,14 +168,6 @@ def _without_bobs(total: Array, bobs: list[Array]) -> Array:
         squares = [y_ * y_ + z_ * z_, x_ * x_ + z_ * z_, x_ * x_ + y_ * y_, x_ * y_, x_ * z_, y_ * z_]
         integrals += (m * np.stack(squares)).T
     return np.stack([core_mass, station - cg[0], y + cg[1], z + cg[2], *integrals.T], axis=1)
-
-
-def tank_curves(tank: Tank, method: Method) -> Cubics:
-    """Mass, length and hinge station of a pendulum over the clock of its table."""
-    table = tank.table
-    names = ("slosh_mass_kg", "pendulum_length_m", "hinge_station_m")
-    joined = fit(table["time_s"], np.stack([table[n] for n in names], axis=1), method)
-    return Cubics(joined.breaks, joined.coefficients * np.array([tank.mass_factor, tank.length_factor, 1.0]))
 
 
 def _tank_rates(tank: Cubics, shrinks: bool, travels: bool) -> Cubics:

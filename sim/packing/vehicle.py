@@ -7,6 +7,7 @@ import numpy as np
 from maxq.control.kernel.tables import NO_TABLE, Cubics, Pool, TableRef, fit
 from maxq.sim.packing.aero import pack_aero
 from maxq.sim.packing.engines import on_clock, pack_engines
+from maxq.sim.packing.pendulums import pendulums
 from maxq.sim.scenario.burn import Burn
 from maxq.sim.scenario.schema_scenario import Scenario
 from maxq.sim.scenario.schema_vehicle import Stage
@@ -32,7 +33,7 @@ def pack_vehicle(scenario: Scenario, stage: Stage, burn: Burn, sizes: Sizes, sch
         aero=pack_aero(scenario, stage, burn, pool),
         bending=pack_bending(stage.bending, switches.bending_softening),
         spatial_modes=pack_spatial_modes(stage.spatial_modes),
-        slosh=pack_slosh(stage.tank[: sizes.tanks], stage.bending, switches.slosh_exchange),
+        slosh=pack_slosh(pendulums(stage)[: sizes.tanks], stage.bending, switches.slosh_exchange),
         rate_damping=_rate_damping(stage, burn, pool),
         roll_torque_Nm=stage.roll_thrusters.torque_Nm if stage.roll_thrusters else 0.0,
         jet_damping=int(switches.jet_damping),

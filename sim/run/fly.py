@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from maxq.control.kernel.limits import MAX_TANKS
 from maxq.control.kernel.records import Array, IntArray, pack
 from maxq.sim.flight.channels import ChannelTable
 from maxq.sim.flight.loop import Logged, advance, begin
@@ -24,6 +25,7 @@ from maxq.sim.run.metrics import (
     METRIC_NAMES,
     SectionExtreme,
     Verdict,
+    WaveMetrics,
     end_metrics,
     judge,
     section_extremes,
@@ -41,6 +43,8 @@ _MOST_STEPS, _MOST_ROWS = 20_000, 20_000  # of a segment: tens of milliseconds o
 IGNITION_NAME, FAULT_NAME, FAULT_END_NAME = "ignition", "fault", "fault_end"
 _OF_STAGES = EVENT_NAMES[BURNOUT], EVENT_NAMES[SEPARATION]  # which each stage has
 CONTROL_LOST_NAME, DIVERGED_NAME = EVENT_NAMES[CONTROL_LOST], EVENT_NAMES[DIVERGED]
+WAVE_BREAKING_NAME = "wave_breaking"
+BROKEN_WAVE = "the wave is as high as it can be; from here on the pendulum is no picture of the liquid"
 CONTROL_LOST_CAUSE = f"the attitude error exceeds {math.degrees(CONTROL_LOST_RAD):.3g} deg under thrust"
 
 _channel_table = lru_cache(maxsize=8)(channel_table)
@@ -118,6 +122,15 @@ class Flight:
         return max((e.time_s for e in self.events if e.name == name), default=math.nan)
 
     @property
+    def beyond_model(self) -> tuple[str, ...]:
+        """Where the flight left what its model describes, and since when: waves that break."""
+        return tuple(
+            f"wave breaks at {e.time_s:.3f} s in {e.detail.split(':')[0]}"
+            for e in self.events
+            if e.name == WAVE_BREAKING_NAME
+        )
+
+    @property
     def passed(self) -> bool:
         """Flown to its end without a failure, all requirements met."""
         return self.outcome != "interrupted" and not self.failures and all(v.met for v in self.verdicts)
@@ -137,7 +150,8 @@ class FlightRun:
         self.packed = packed or pack_flight(loaded.scenario)
         self.table = logged_channels(loaded.scenario, self.packed.sizes)
         stations = len(load_stations(loaded.scenario))
-        self._on, self._off = (pack([Logged(on, self.packed.sizes, stations)]) for on in (1, 0))
+        waves = int(_logs_waves(loaded.scenario, self.packed.sizes))
+        self._on, self._off = (pack([Logged(on, self.packed.sizes, stations, waves)]) for on in (1, 0))
         self._arena = np.zeros(ARENA_SIZE)
         timeline = self.packed.parameters[0].timeline
         periods_ns = {FAST: int(timeline.fast_ns), SLOW: int(timeline.slow_ns)}
@@ -182,7 +196,28 @@ class FlightRun:
                 causes = {DIVERGED_NAME: CAUSES[int(clock.cause)], CONTROL_LOST_NAME: CONTROL_LOST_CAUSE}
                 found.append(Event(name, int(time_ns), detail=causes.get(name, "")))
         found += self._faults(start_ns)
+        found += self._broken_waves()
         return tuple(sorted(found, key=lambda event: event.time_ns))
+
+    def _broken_waves(self) -> list[Event]:
+        """The first time at which a wave breaks in each tank, of the stages so far."""
+        found = []
+        for index, stage in enumerate(self.loaded.vehicle.stage[: int(self.memory.clock.stage) + 1]):
+            broke_ns = self.memory.waves.broke_ns[index * MAX_TANKS :].tolist()
+            for name, time_ns in zip(stage.pendulum_names, broke_ns, strict=False):
+                if time_ns >= 0:
+                    number = index + 1 if len(self.packed.parameters) > 1 else 0
+                    found.append(Event(WAVE_BREAKING_NAME, time_ns, number, f"tank {name}: {BROKEN_WAVE}"))
+        return found
+
+    def _largest_wave(self) -> tuple[float, float]:
+        """Metric `max_wave_share` and its time, s."""
+        waves = self.memory.waves
+        if all(tank.radius_m is None for stage in self.loaded.vehicle.stage for tank in stage.tank):
+            return math.nan, math.nan
+        k = int(np.argmax(waves.largest))
+        at_ns = int(waves.largest_ns[k])
+        return float(waves.largest[k]), at_ns / 1e9 if at_ns >= 0 else math.nan
 
     @property
     def outcome(self) -> str:
@@ -251,10 +286,11 @@ class FlightRun:
         lift_off_s = next((e.time_s for e in events if e.name == "liftoff"), scenario.run.start_s)
         earth = self.packed.parameters[0].environment.earth
         end = end_metrics(final, earth, scenario.site, self.now_s - lift_off_s)
+        wave, metric_times_s["max_wave_share"] = self._largest_wave()
         loads = section_extremes(self.packed.parameters, self.memory.sections)
         of_sections, section_times = section_metrics(loads, self.memory.sections)
         metrics = dict(zip(MetricIndex._fields, extremes.value.tolist(), strict=True))
-        metrics |= of_sections._asdict() | end._asdict()
+        metrics |= of_sections._asdict() | end._asdict() | WaveMetrics(wave)._asdict()
         metric_times_s |= section_times._asdict()
         failed = [e for e in events if e.name in (CONTROL_LOST_NAME, DIVERGED_NAME)]
         return Flight(
@@ -325,9 +361,9 @@ def fly(loaded: LoadedScenario, *, log: bool = True, watch: Callable[[FlightRun,
 
 def logged_channels(scenario: Scenario, sizes: Sizes) -> ChannelTable:
     """Channels of a scenario's flights; `sizes`: of the widest stage. A tank without a name goes by its number."""
-    tanks = max((stage.tank for stage in scenario.vehicle.stage), key=len)
-    names = tuple(tank.name or str(i + 1) for i, tank in enumerate(tanks[: sizes.tanks]))
-    return _channel_table(sizes, names, load_stations(scenario))
+    names = max((stage.pendulum_names for stage in scenario.vehicle.stage), key=len)
+    waves = _logs_waves(scenario, sizes)
+    return _channel_table(sizes, names[: sizes.tanks], load_stations(scenario), waves)
 
 
 def load_stations(scenario: Scenario) -> tuple[str, ...]:
@@ -337,6 +373,10 @@ def load_stations(scenario: Scenario) -> tuple[str, ...]:
     of_stages = [stage.loads.stations_m for stage in scenario.vehicle.stage if stage.loads is not None]
     places = ([f"{s[i]:g} m" for s in of_stages if i < len(s)] for i in range(max(map(len, of_stages), default=0)))
     return tuple(f"station {i} at {' or '.join(dict.fromkeys(place))}" for i, place in enumerate(places, start=1))
+
+
+def _logs_waves(scenario: Scenario, sizes: Sizes) -> bool:
+    return sizes.tanks > 0 and any(tank.shows_waves for stage in scenario.vehicle.stage for tank in stage.tank)
 
 
 def _above_the_wind(scenario: Scenario, highest_m: float) -> tuple[str, ...]:

@@ -1,7 +1,8 @@
 """Metrics of a flight by name, those of its end included, and the verdicts on a scenario's requirements.
 
 A metric is declared once: as a field of `MetricIndex` (sim/flight/metrics.py) where the kernel gathers it, or of
-`SectionMetrics` or `EndMetrics` where it follows from the extremes of the sections or the flight's last instant.
+`SectionMetrics`, `WaveMetrics` or `EndMetrics` where it follows from the extremes of sections and waves or the
+flight's last instant.
 """
 
 from __future__ import annotations
@@ -53,8 +54,18 @@ class SectionMetrics(NamedTuple):
     ]
 
 
+class WaveMetrics(NamedTuple):
+    """Over all tanks; nan for a vehicle that says nothing about the shape of any."""
+
+    max_wave_share: Annotated[
+        float, "1", "largest height of a wave in a tank under thrust, over that at which it counts as breaking"
+    ]
+
+
 METRICS = {
-    metric.name: metric for kind in (MetricIndex, SectionMetrics, EndMetrics) for metric in declared_channels(kind)
+    metric.name: metric
+    for kind in (MetricIndex, SectionMetrics, EndMetrics, WaveMetrics)
+    for metric in declared_channels(kind)
 }
 METRIC_NAMES = tuple(METRICS)
 """Names that a requirement may use."""

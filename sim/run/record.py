@@ -23,7 +23,17 @@ from maxq.sim.flight.telemetry import SLOW
 from maxq.sim.log import foxglove
 from maxq.sim.log.head import Attachment, LogError, RunHead
 from maxq.sim.log.writer import LogWriter
-from maxq.sim.run.fly import CONTROL_LOST_NAME, DIVERGED_NAME, FAULT_NAME, Event, Flight, FlightRun, Rows, copied
+from maxq.sim.run.fly import (
+    CONTROL_LOST_NAME,
+    DIVERGED_NAME,
+    FAULT_NAME,
+    WAVE_BREAKING_NAME,
+    Event,
+    Flight,
+    FlightRun,
+    Rows,
+    copied,
+)
 from maxq.sim.run.integration import MethodError, worst_error
 from maxq.sim.run.launch_frames import LaunchFrames, LaunchSite
 from maxq.sim.run.metrics import unit_of
@@ -39,6 +49,7 @@ _TOML = "application/toml"
 _SEGMENTS_WAITING = 4
 LEVELS = {
     FAULT_NAME: foxglove.Level.WARNING,
+    WAVE_BREAKING_NAME: foxglove.Level.WARNING,
     CONTROL_LOST_NAME: foxglove.Level.ERROR,
     DIVERGED_NAME: foxglove.Level.FATAL,
 }
@@ -211,6 +222,7 @@ def write_summary(path: Path, flight: Flight, log: str | None, timing: dict[str,
         "passed": flight.passed,
         "failures": flight.failures,
         "warnings": flight.scenario.doubts,
+        "beyond_model": flight.beyond_model,
         "end_s": flight.end_s,
         "events": [
             {"name": event.name, "time_s": event.time_s}

@@ -13,7 +13,6 @@ from maxq.sim.scenario.errors import refuse
 from maxq.sim.scenario.grids import COEFFICIENT_COLUMNS, GridTable, grid_table
 from maxq.sim.scenario.schema_values import (
     ChannelPart,
-    Fraction,
     Matrix,
     NotNegative,
     Pair,
@@ -35,14 +34,6 @@ MASS_COLUMNS = Columns(
 )
 RATE_DAMPING_COLUMNS = Columns(
     "time_s", sets=(("x_Nms", "y_Nms", "z_Nms"),), not_negative=("x_Nms", "y_Nms", "z_Nms"), begins_by=0.0
-)
-TANK_COLUMNS = Columns(
-    "time_s",
-    sets=(("slosh_mass_kg", "pendulum_length_m", "hinge_station_m"),),
-    optional=("liquid_height_m",),
-    positive=("pendulum_length_m",),
-    not_negative=("slosh_mass_kg", "liquid_height_m"),
-    begins_by=0.0,
 )
 _SYMMETRY = 1e-9
 
@@ -102,20 +93,6 @@ class Mass(Section):
             spent = self.mass_flow_kgps * self.burn_s
             if spent >= mass:
                 raise refuse(f"expels {spent:g} kg of {mass:g} kg", f"burn_s * mass_flow_kgps < {mass:g}", ("burn_s",))
-
-
-class Tank(Section):
-    """One tank with a sloshing liquid: a spherical pendulum that hangs at its hinge."""
-
-    name: ChannelPart = optional("name of the tank in logs (default: its number)", "")
-    table: Annotated[CsvTable, TANK_COLUMNS] = Field(
-        description="pendulum over the stage clock; its mass is part of the stage's table of mass"
-    )
-    damping_ratio: Fraction = Field(description="of the pendulum, as a ratio to critical")
-    mass_factor: NotNegative = optional("multiplies the sloshing mass; the vehicle's mass stays as it is", 1.0)
-    length_factor: Positive = optional("multiplies the pendulum's length: its frequency goes with 1/sqrt", 1.0)
-    radius_m: Positive | None = optional("of the tank, m, for drawings")
-    bottom_station_m: float | None = optional("of the tank, m aft of the nose, for drawings")
 
 
 THRUST_COLUMNS = Columns(

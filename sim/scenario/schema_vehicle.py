@@ -18,7 +18,8 @@ from maxq.sim.scenario.modes import (
     spatial_mode_table,
 )
 from maxq.sim.scenario.schema_loads import Loads, check_loads
-from maxq.sim.scenario.schema_stage import Actuator, Aero, Engine, Mass, RollThrusters, Tank
+from maxq.sim.scenario.schema_stage import Actuator, Aero, Engine, Mass, RollThrusters
+from maxq.sim.scenario.schema_tank import SECOND_MODE, Tank
 from maxq.sim.scenario.schema_values import (
     LIST_FORM,
     TABLE_FORM,
@@ -224,6 +225,9 @@ class Stage(Section):
             if name in names[:n]:
                 raise refuse("is the name of another tank already", "each name once", ("tank", n, "name"), value=name)
         self._check_engines()
+        if len(self.pendulum_names) > MAX_TANKS:
+            problem = f"{len(self.pendulum_names)} slosh modes in all"
+            raise refuse(problem, f"up to {MAX_TANKS} of all tanks of a stage", key=("tank",), value=len(self.tank))
         self._check_slosh_mass()
         self._check_stations()
         if self.loads is not None:
@@ -253,6 +257,12 @@ class Stage(Section):
                     at=(*self.engine_key(n), "table"),
                 )  # fmt: skip  # six lines otherwise
 
+    @property
+    def pendulum_names(self) -> tuple[str, ...]:
+        """Of the slosh modes that are flown, tank by tank, as the log calls them."""
+        names = [(tank.name or str(n + 1), tank.pendulums) for n, tank in enumerate(self.tank)]
+        return tuple(name + ("" if mode == 0 else f"_{mode + 1}") for name, modes in names for mode in range(modes))
+
     def _check_slosh_mass(self) -> None:
         """What sloshes, and the gimballed engine, are parts of the vehicle's mass."""
         tables = [tank.table for tank in self.tank]
@@ -265,7 +275,9 @@ class Stage(Section):
             total = (self.mass.mass_kg or 0.0) - flow * np.clip(times, 0.0, burn)
         moving = np.zeros(len(times))
         for factor, table in zip((tank.mass_factor for tank in self.tank), tables, strict=True):
-            moving += factor * np.interp(times, table["time_s"], table["slosh_mass_kg"])
+            of_liquid = "liquid_mass_kg" in table  # of a shape all of it, which is more than what sloshes
+            mass = table["liquid_mass_kg"] if of_liquid else table["slosh_mass_kg"] + table.get(SECOND_MODE[0])
+            moving += factor * np.interp(times, table["time_s"], mass)
         if (moving >= total).any():
             worst = int(np.argmax(moving - total))
             raise refuse(
@@ -288,8 +300,14 @@ class Stage(Section):
         if self.gyro is not None:
             needed.append((("gyro", "station_m"), self.gyro.station_m))
         for n, tank in enumerate(self.tank):
-            hinge = tank.table["hinge_station_m"]
-            needed += [(("tank", n, "table"), float(x)) for x in (hinge.min(), hinge.max())]
+            for name in ("hinge_station_m", SECOND_MODE[2]):
+                if name in tank.table:
+                    hinge = tank.table[name]
+                    needed += [(("tank", n, "table"), float(x)) for x in (hinge.min(), hinge.max())]
+            if tank.shape is not None:
+                bottom = tank.bottom_station_m or 0.0
+                top = bottom - (tank.radius_m or 0.0) * tank.profile.height
+                needed += [(("tank", n, "bottom_station_m"), station) for station in (top, bottom)]
         for n, surface in enumerate(self.aero.surface if self.aero is not None else ()):
             place = surface.table["station_m"]
             needed += [(("aero", "surface", n, "table"), float(x)) for x in (place.min(), place.max())]

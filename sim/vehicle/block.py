@@ -23,7 +23,7 @@ class Sizes:
 
     pitch_modes: int
     yaw_modes: int
-    tanks: int
+    tanks: int  # pendulums: slosh modes of all tanks
     surfaces: int  # places at which the air acts on the bent body: lifting surfaces, then tables of coefficients
     tables: int = 0  # of these, tables of coefficients over incidence
     spatial_modes: int = 0

@@ -2,7 +2,7 @@
 
 Mass, thrust, tanks and modes change as propellant leaves. All of it is one table over the stage's burn clock, so
 that a kernel finds the interval once and evaluates every column in one sweep; its values at an instant are the array
-`properties` of the kernels. Fixed columns first, then five per tank, then the modes: row by row for all modes of a
+`properties` of the kernels. Fixed columns first, then eight per tank, then the modes: row by row for all modes of a
 plane side by side (pitch plane, then yaw plane). A row has room for a multiple of four modes, with zeros where there is
 no mode, so that kernels take four modes at a time. Last the spatial modes, row by row for all of them side by side:
 frequency and mass, six rows for each place at which a mode is felt (displacement along x, y, z, rotation about x, y,
@@ -33,7 +33,10 @@ TANK_LENGTH = 1  # pendulum length, m
 TANK_HINGE = 2  # station of the hinge, m aft of the nose
 TANK_MASS_RATE = 3  # kg/s
 TANK_TRAVEL = 4  # rate at which the bob moves aft with the liquid, m/s: of hinge plus length
-TANK_WIDTH = 5
+TANK_VISCOUS = 5  # damping ratio of a smooth wall times the fourth root of the axial load, (m/s2)^(1/4)
+TANK_RING = 6  # damping ratio of ring baffles over the root of the swing
+TANK_WAVE = 7  # height of the wave per sine of the swing, m; 0: not known
+TANK_WIDTH = 8
 
 MODE_OMEGA = 0  # rows of a plane: rad/s
 MODE_MASS = 1  # generalised mass, kg

@@ -1,4 +1,6 @@
-"""Sloshing propellant: one spherical pendulum per tank, at any angle, coupled through the tension of its rod.
+"""Sloshing propellant: spherical pendulums, at any angle, coupled through the tension of their rods.
+
+One for each slosh mode of a tank that is flown; "tank", here and in `Sizes`, stands for one of them.
 
 The bob of mass m hangs on a massless rod of length L from a hinge on the bent body axis. Only the rod's tension and
 the damping act between bob and body. Damping is viscous, on the velocity of the bob relative to the point of
@@ -49,7 +51,10 @@ from maxq.sim.vehicle.schedule import (
     TANK_LENGTH,
     TANK_MASS,
     TANK_MASS_RATE,
+    TANK_RING,
     TANK_TRAVEL,
+    TANK_VISCOUS,
+    TANK_WAVE,
     YAW,
     compliance_column,
     derived_column,
@@ -93,6 +98,9 @@ PENDULUMS = StateBlock(
 )
 N_PENDULUM = len(PENDULUMS.states)
 
+# 1 over the first Fourier coefficient of |cos|^(1/2) cos
+RING_DRAG = 0.5 * math.sqrt(math.pi) * math.gamma(2.25) / math.gamma(1.75)
+
 # a tank's block of the workspace
 ARM = 0  # moment of a unit tension about the CG with the engine deflected, B, m (3)
 HINGE_ACCEL = 3  # acceleration of the hinge that does not depend on the accelerations sought, B, m/s2 (3)
@@ -121,15 +129,21 @@ class Slosh:
     damping_ratio: Annotated[Array, (MAX_TANKS,)]  # of the pendulum under the present axial acceleration
     mass_factor: Annotated[Array, (MAX_TANKS,)]
     length_factor: Annotated[Array, (MAX_TANKS,)]
+    law: int  # 1: a pendulum's damping has more parts than its ratio
+    law_factor: Annotated[Array, (MAX_TANKS,)]  # of the columns TANK_VISCOUS and TANK_RING
+    ring_damping: Annotated[Array, (MAX_TANKS,)]  # beside column TANK_RING, which see
+    breaking_height_m: Annotated[Array, (MAX_TANKS,)]  # of a wave; 0: where it falls with the axial load
     exchange: int  # 1: mass that goes over between bob and core takes its momentum along
 
 
-def pack_slosh(tanks: Sequence[Any], bending: Any, exchange: bool) -> Slosh:
-    """From the stage's sections `tank` that slosh, and `bending` (or None)."""
-    zeta = np.zeros(MAX_TANKS)
-    zeta[: len(tanks)] = [tank.damping_ratio for tank in tanks]
+def pack_slosh(pendulums: Sequence[Any], bending: Any, exchange: bool) -> Slosh:
+    """From the stage's pendulums (sim/packing/pendulums.py), and `bending` (or None)."""
+    n = len(pendulums)
+    zeta, height, ones, none = np.zeros(MAX_TANKS), np.zeros(MAX_TANKS), np.ones(MAX_TANKS), np.zeros(MAX_TANKS)
+    zeta[:n], height[:n] = [p.damping_ratio for p in pendulums], [p.breaking_height_m for p in pendulums]
+    law = any(p.has_law for p in pendulums)
     planes_differ = bending is not None and bending.pitch != bending.yaw
-    return Slosh(int(planes_differ), zeta, np.ones(MAX_TANKS), np.ones(MAX_TANKS), int(exchange))
+    return Slosh(int(planes_differ), zeta, ones, ones, int(law), ones, none, height, int(exchange))
 
 
 @kernel
@@ -226,6 +240,9 @@ def pendulum_loads(
     u_rate = add(kappa, scaled(-1.0, cross(rate, u)))  # d(u)/dt in B
     # 2 zeta omega L with omega = sqrt(a / L)
     damping = scaled(-2.0 * slosh.damping_ratio[tank] * math.sqrt(abs(axial_load) * length), u_rate)
+    if slosh.law == 1:
+        drag = wall_and_ring_damping(slosh, tank, length, abs(axial_load), math.sqrt(dot(u_rate, u_rate)), properties)
+        damping = add(damping, scaled(-drag, u_rate))
     set_vector(work, b + DAMPING, damping)
     force = scaled(-bob_mass(slosh, properties, tank), damping)
     work[b + DAMPER_FORCE], work[b + DAMPER_FORCE + 1] = force[1], force[2]
@@ -243,6 +260,25 @@ def pendulum_loads(
         )  # fmt: skip  # five lines otherwise
         work[b + ALONG_X], work[b + ALONG_X + 1], work[b + ALONG_X + 2] = shift_x, asymmetry_x, force[0]
     return force, moment
+
+
+@kernel
+def wall_and_ring_damping(
+    slosh: Slosh, tank: int, length: float, axial_load: float, rate: float, properties: Array
+) -> float:
+    """Acceleration by a smooth wall and ring baffles, over the rate `rate` (rad/s) of the swing, m/s (5.7, 5.8).
+
+    zeta = viscous / a^(1/4) + ring sqrt(swing), as 2 zeta omega L. The drag of a ring grows with the 3/2-th power of
+    the velocity; RING_DRAG is what makes it dissipate, at any amplitude of a plane swing, as much as that ratio does.
+    """
+    column = tank_column(tank)
+    viscous = slosh.law_factor[tank] * properties[column + TANK_VISCOUS]
+    ring = slosh.law_factor[tank] * properties[column + TANK_RING] + slosh.ring_damping[tank]
+    root = math.sqrt(axial_load)
+    drag: float = viscous * math.sqrt(root * length)
+    drag += RING_DRAG * ring * math.sqrt(rate * root * length * math.sqrt(length))
+    drag *= 2.0
+    return drag
 
 
 @kernel
@@ -404,6 +440,38 @@ def slosh_row(slosh: Slosh, sizes: Sizes, tank: int, properties: Array, y: Array
         slosh_tank_yaw_rate_degps=DEG * ((u_x * rate_y - u_y * rate_x) / (u_x * u_x + u_y * u_y)),
         slosh_tank_tension_N=aux[TENSIONS + tank],
     )
+
+
+@kernel
+def wave_share(slosh: Slosh, tank: int, properties: Array, lateral: float) -> float:
+    """Height of a wave over that at which it counts as breaking; 0 where it is not known.
+
+    `lateral`: sine of the swing. By default a wave breaks where its surface falls with the axial load, which in linear
+    theory is at the height of the pendulum's length.
+    """
+    breaking = slosh.breaking_height_m[tank]
+    if breaking == 0.0:
+        breaking = pendulum_length(slosh, properties, tank)
+    share: float = lateral * properties[tank_column(tank) + TANK_WAVE] / breaking
+    return share
+
+
+class WaveRow(NamedTuple):
+    """The wave of one slosh pendulum."""
+
+    slosh_tank_wave_m: Annotated[
+        float, "m", "height of the wave: highest point of the surface above the liquid at rest"
+    ]
+
+
+@kernel
+def wave_row(slosh: Slosh, sizes: Sizes, tank: int, properties: Array, y: Array, first: int) -> WaveRow:
+    """Nan as in `slosh_row`, and where the tank says nothing about its shape."""
+    if tank >= sizes.tanks or bob_mass(slosh, properties, tank) <= 0.0:
+        return WaveRow(math.nan)
+    wave = properties[tank_column(tank) + TANK_WAVE]
+    lateral = math.sqrt(y[first + 1] * y[first + 1] + y[first + 2] * y[first + 2])
+    return WaveRow(wave * lateral if wave > 0.0 else math.nan)
 
 
 @kernel

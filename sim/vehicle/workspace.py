@@ -22,7 +22,7 @@ class Evaluation(NamedTuple):
 
 
 # columns of the widest schedule (12 modes a plane, 12 spatial modes, 8 tanks, 9 surfaces, 9 engines at as many
-# stations: 3700) and derived properties (439)
+# stations: 3724) and derived properties (439)
 PROPERTIES_SIZE = 4224
 
 # --- work

@@ -142,7 +142,7 @@ def _draw(
     from maxq.tools.design import pictures  # noqa: PLC0415  # lazy: matplotlib, not with --no-pictures
 
     loaded, nodes = outcome.loaded, [j.node for j in outcome.judged]
-    tanks = [tank.name for tank in loaded.scenario.vehicle.stage[0].tank]
+    tanks = loaded.scenario.vehicle.stage[0].pendulum_names
     sheets = [
         *pictures.case_sheets(loaded.name, outcome.design, nodes, _along(loaded, nodes), tanks),
         *pictures.judged_sheets(outcome.judged, f"{loaded.name}, {loaded.case.loop}", outcome.wanted),

@@ -165,7 +165,12 @@ def _tank(stage: Stage, i: int, body_radius: float) -> TankShape:
     tank = stage.tank[i]
     table = tank.table
     radius = min(tank.radius_m or 0.9 * body_radius, 0.98 * body_radius)
-    if "liquid_height_m" in table and tank.bottom_station_m is not None:
+    if tank.shape is not None:
+        assert tank.radius_m is not None
+        assert tank.density_kgpm3 is not None
+        bottom = tank.bottom_station_m or 0.0
+        height = tank.radius_m * tank.profile.depth(table["liquid_mass_kg"] / (tank.density_kgpm3 * tank.radius_m**3))
+    elif "liquid_height_m" in table and tank.bottom_station_m is not None:
         height, bottom = table["liquid_height_m"], tank.bottom_station_m
     else:  # what is known is where the pendulum hangs, which is near the surface
         bottom = float((table["hinge_station_m"] + table["pendulum_length_m"]).max()) + radius

@@ -160,7 +160,7 @@ def _peak(flight: FlownResult, names: tuple[str, str]) -> float:
 def _slosh(found: Verification) -> Figure:
     figure, places = sheet(1, 2, height_in=2.6, width_in=8.4)
     tanks = sorted({a.tank for a in found.slosh})
-    names = [t.name or str(n + 1) for n, t in enumerate(found.scenario.vehicle.stage[0].tank)]
+    names = found.scenario.vehicle.stage[0].pendulum_names
     one = [a for a in found.slosh if a.tank == tanks[0]]
     times = [a.time_s for a in one]
     places[0].fill_between(

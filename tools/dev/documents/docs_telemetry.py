@@ -14,7 +14,7 @@ from maxq.sim.flight.parameters import EVENT_NAMES
 from maxq.sim.flight.telemetry import FAST, SLOW, channel_table
 from maxq.sim.log.head import END_METADATA, REASON_KEY, RUN_METADATA, SCHEMA_VERSION, STATUS_KEY
 from maxq.sim.packing.schedule import stage_sizes
-from maxq.sim.run.fly import CONTROL_LOST_CAUSE, FAULT_END_NAME, FAULT_NAME, IGNITION_NAME
+from maxq.sim.run.fly import CONTROL_LOST_CAUSE, FAULT_END_NAME, FAULT_NAME, IGNITION_NAME, WAVE_BREAKING_NAME
 from maxq.sim.run.launch_frames import CHILD, PARENT
 from maxq.sim.run.metrics import METRICS
 from maxq.sim.run.record import DESIGN_ATTACHMENT, END_KEY, OUTCOME_KEY, SCENARIO_ATTACHMENT, STATE_HASH_KEY, STEPS_KEY
@@ -22,7 +22,7 @@ from maxq.sim.scenario.loader import load_scenario
 from maxq.sim.vehicle.state import CAUSES
 
 _EXAMPLE = "nominal"
-_EVENTS = (IGNITION_NAME, *EVENT_NAMES, FAULT_NAME, FAULT_END_NAME)
+_EVENTS = (IGNITION_NAME, *EVENT_NAMES, FAULT_NAME, FAULT_END_NAME, WAVE_BREAKING_NAME)
 _EVENT_MEANINGS = {
     IGNITION_NAME: "the engine of a stage begins to burn",
     "liftoff": "hold-down is released: thrust exceeds weight, or at holddown.release_s",
@@ -34,6 +34,7 @@ _EVENT_MEANINGS = {
     "tumble": "the total incidence exceeds 90 deg while the dynamic pressure exceeds 5 kPa",
     FAULT_NAME: "a fault of the scenario begins; the text says which",
     FAULT_END_NAME: "it ends",
+    WAVE_BREAKING_NAME: "a wave in a tank is as high as it can be (docs/model.md, section 5); the text says in which",
     "diverged": "the state is outside the bounds of a flight; the text gives the cause: "
     + ", or ".join(dict.fromkeys(cause for cause in CAUSES if cause)),
 }
@@ -46,7 +47,7 @@ def page() -> str:
     sizes = stage_sizes(stage, loaded.scenario.switches)
     assert stage.loads is not None
     first = f"station 1 at {stage.loads.stations_m[0]:g} m"
-    table = channel_table(sizes, tuple(tank.name for tank in stage.tank), (first,))
+    table = channel_table(sizes, stage.pendulum_names, (first,))
     return f"""\
 # Telemetry
 
