@@ -143,9 +143,12 @@ def interpolate_grid(
     first = offset + n_1 + n_2 + n_3
     for c in range(columns):
         out[at + c] = 0.0
-    for corner in range(8):
+    corners = 8  # and as many terms: variables that do not exist are the last ones
+    if n_3 == 1:
+        corners = 4 if n_2 > 1 else 2
+    for corner in range(corners):
         i, j, m = corner & 1, (corner >> 1) & 1, corner >> 2
-        for term in range(terms):
+        for term in range(min(terms, corners)):
             weight = of_1[i + 2 * (term & 1)] * of_2[j + 2 * ((term >> 1) & 1)] * of_3[m + 2 * (term >> 2)]
             if weight != 0.0:
                 node = (((k_1 + i) * n_2 + k_2 + j) * n_3 + k_3 + m) * terms + term
