@@ -61,13 +61,14 @@ MODES, TANKS = 3, 2
 VEHICLE_STATES = 3 + 2 * (MODES + TANKS)
 
 
-def plane_states(plane: str) -> list[str]:
+def plane_states(plane: str, tvc_load: bool = False) -> list[str]:
     """The simulator's coordinates in the order of the model's states of the vehicle and the gyro."""
     bend, motion = "eta", ["w_mps", "q_radps", "theta_rad"]
     if plane == "yaw":
         bend, motion = "xi", ["v_mps", "r_radps", "psi_rad"]
     names = motion + [f"{bend}_{i + 1}{what}" for what in ("_m", "_rate_mps") for i in range(MODES)]
     names += [f"slosh_{k + 1}_{plane}{what}" for what in ("_rad", "_rate_radps") for k in range(TANKS)]
+    names += [f"tvc_load_1_{plane}_{what}" for what in ("rad", "rate_radps") if tvc_load]
     names += [f"actuator_{plane}_{k + 1}" for k in range(6)]
     return [*names, f"gyro_{plane}_radps", f"gyro_{plane}_rate_radps2"]
 
@@ -84,13 +85,14 @@ class Node:
     def block(self, plane: str) -> StateSpace:
         """The simulator's coordinates of one plane alone."""
         s = self.simulated
-        i = [s.states.index(name) for name in plane_states(plane)]
+        names = plane_states(plane, "tvc_load_1_pitch_rad" in s.states)
+        i = [s.states.index(name) for name in names]
         j = 0 if plane == "pitch" else 1
         gyro = np.zeros((1, len(i)))
         gyro[0, -2] = 1.0
         c = np.concatenate([gyro, s.c[np.ix_([j], i)]])
         return StateSpace(
-            s.a[np.ix_(i, i)], s.b[np.ix_(i, [j])], c, np.zeros((2, 1)), tuple(plane_states(plane)),
+            s.a[np.ix_(i, i)], s.b[np.ix_(i, [j])], c, np.zeros((2, 1)), tuple(names),
             ("command_rad",), ("gyro_radps", "delta_rad"),
         )  # fmt: skip  # five more lines otherwise
 
@@ -103,10 +105,11 @@ def linear_plant(packed: Packed, condition: FlightCondition, plane: Plane = "pit
     n, m, p = len(body.states), len(moves.states), len(senses.states)
     local = body.c[OUTPUTS.index("local_rate_radps")]
     a, b = np.zeros((n + m + p, n + m + p)), np.zeros((n + m + p, 1))
-    a[:n, :n], a[:n, n : n + m] = body.a, body.b @ moves.c[[0, 2]]  # engine angle and acceleration
+    drives = [moves.outputs.index(name) for name in body.inputs]
+    a[:n, :n], a[:n, n : n + m] = body.a, body.b @ moves.c[drives]
     a[n : n + m, n : n + m], a[n + m :, n + m :] = moves.a, senses.a
     a[n + m :, :n] = np.outer(senses.b[:, 0], local)
-    b[:n], b[n : n + m] = body.b @ moves.d[[0, 2]], moves.b
+    b[:n], b[n : n + m] = body.b @ moves.d[drives], moves.b
     outputs = (*senses.outputs, *ACTUATOR_OUTPUTS, *body.outputs)
     c = np.zeros((len(outputs), n + m + p))
     c[0, n + m :], c[1:4, n : n + m], c[4:, :n] = senses.c[0], moves.c, body.c
@@ -241,6 +244,23 @@ def test_actuators_of_lower_order(flight: Flight, model: str, sections: int, lim
     for k, output in enumerate(("gyro_radps", "delta_rad")):
         ours = node.model.channel(output, "command_rad", FREQUENCIES_HZ)
         np.testing.assert_allclose(theirs[:, k], ours, rtol=TOLERANCE)
+
+
+@pytest.mark.parametrize("time_s", [5, 30, 55])
+@pytest.mark.parametrize(
+    "load", ["frequency_hz=15.6, damping_ratio=0.042", "stiffness_Nmprad=2.5e6, damping_ratio=0.3"]
+)
+def test_engine_on_its_compliance(flight: Flight, time_s: int, load: str) -> None:
+    """Matrices, entry by entry, in both planes; and from command to gyro."""
+    packed, condition = flat_earth(flight, time_s, f"vehicle.stage.0.tvc_load={{{load}}}")
+    node = Node(packed, condition, linearise(packed, packed.state, time_s), linear_plant(packed, condition))
+    n = VEHICLE_STATES + 2
+    block = node.block("pitch")
+    np.testing.assert_allclose(block.a[:n, :n], node.model.a[:n, :n], rtol=TOLERANCE, atol=1e-6)
+    assert pole_differences(node.model.poles(), block.poles()).max() < TOLERANCE
+    for plane in ("pitch", "yaw"):
+        ours = linear_plant(packed, condition, plane).channel("gyro_radps", "command_rad", FREQUENCIES_HZ)
+        np.testing.assert_allclose(node.block(plane).response(FREQUENCIES_HZ)[:, 0, 0], ours, rtol=TOLERANCE)
 
 
 @EVERY_NODE

@@ -10,6 +10,7 @@ MAX_ENGINES = 9  # of a stage
 MAX_MODES = 12  # of a stage: in each plane, and of spatial modes
 MAX_SURFACES = 8  # lifting surfaces of a stage
 MAX_LOAD_STATIONS = 24  # stations of a stage at which section loads are evaluated
+MAX_TVC_LOADS = 1  # of a stage: engines on the compliance of their mount
 MAX_GUSTS = 16
 MAX_INJECTIONS = 16
 MAX_FAULTS = 16

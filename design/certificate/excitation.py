@@ -21,7 +21,7 @@ from maxq.control.kernel.records import Array
 from maxq.design.certificate.held_flight import HeldFlight, linear_limits
 from maxq.design.loop.loop import Loop
 from maxq.design.model.node import Node
-from maxq.design.model.plant import OUTPUTS
+from maxq.design.model.plant import OUTPUTS, per_actuator_angle
 from maxq.design.model.state_space import ComplexArray
 from maxq.design.model.vehicle_at import actuator
 from maxq.sim.scenario.schema_scenario import Injection
@@ -211,7 +211,7 @@ def _peaks(held: HeldFlight, loop: Loop, groups: Groups, band: Band) -> tuple[fl
 
 def _servo_and_incidence(node: Node, lines_hz: Array) -> tuple[ComplexArray, ComplexArray]:
     """Rate that the servo commands (1/s; sim/vehicle/actuator.py), and incidence w / U, per gimbal command."""
-    s = 2j * np.pi * lines_hz
+    s = np.asarray(2j * np.pi * lines_hz, np.complex128)
     record = node.instruments.actuator
     per_engine = node.plant.response(lines_hz)[:, OUTPUTS.index("w_mps"), :] / max(node.condition.airspeed_mps, 1.0)
     if record.ideal:
@@ -221,4 +221,5 @@ def _servo_and_incidence(node: Node, lines_hz: Array) -> tuple[ComplexArray, Com
     followed = 1.0 / (1.0 + x * (2.0 * record.zeta_1 + x))
     commanded = record.omega_1_radps / (2.0 * record.zeta_1) * (1.0 - followed)
     ahead = angle / followed if record.limits_on_engine else np.ones_like(s)  # sections that come before the servo
-    return np.asarray(ahead * commanded), np.asarray(angle * (per_engine[:, 0] + s * s * per_engine[:, 1]))
+    turned = per_actuator_angle(s, np.asarray(per_engine, np.complex128), node.plant.inputs[:2])
+    return np.asarray(ahead * commanded), np.asarray(angle * turned)

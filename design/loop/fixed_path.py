@@ -30,7 +30,7 @@ from maxq.design.loop.rational import Rational, average, converter_pade, delay_p
 from maxq.design.loop.resonance import NamedPole, Resonance, named, resonances, vehicle_poles
 from maxq.design.loop.sampling import SampledPlant, sample
 from maxq.design.model.node import Node
-from maxq.design.model.plant import INPUTS
+from maxq.design.model.plant import per_actuator_angle
 from maxq.design.model.state_space import ComplexArray, Resolvent, StateSpace, chain, channels
 from maxq.design.model.vehicle_at import actuator, actuator_poles, gyro
 
@@ -53,7 +53,8 @@ class FixedPath(abc.ABC):
         ideal = bool(node.actuator.ideal)
         output = "q_radps" if cut == "rate_command_to_q" else "local_rate_radps"
         # an ideal actuator is at rest between commands: the staircase's corners shake nothing
-        self._vehicle = channels(node.plant, (output,), INPUTS[:1] if ideal else INPUTS)
+        inputs = node.plant.inputs[: 1 if ideal else 2]  # those of this plane
+        self._vehicle = channels(node.plant, (output,), inputs)
         self._actuator = None if ideal else actuator(node.actuator)
         self._gyro = gyro(node.instruments.gyro) if self.takes_rate and not node.instruments.gyro.ideal else None
 
@@ -133,7 +134,7 @@ class FixedPath(abc.ABC):
         """Actuator, vehicle and gyro in a row."""
         parts = []
         if self._actuator is not None:
-            parts.append(channels(self._actuator, ("delta_rad", "delta_accel_radps2")))
+            parts.append(channels(self._actuator, self._vehicle.inputs))
         parts.append(self._vehicle)
         if self._gyro is not None:
             parts.append(self._gyro)
@@ -191,8 +192,7 @@ class _ContinuousFixedPath(FixedPath):
 
     def plant_at(self, s: ComplexArray) -> ComplexArray:
         """Actuator, vehicle and gyro."""
-        body = self._turning(s)[..., 0, :]
-        out = body[..., 0] if self._actuator is None else body[..., 0] + s * s * body[..., 1]
+        out = per_actuator_angle(s, self._turning(s)[..., 0, :], self._vehicle.inputs)
         if self._actuator is not None:
             a = self.node.actuator
             for omega, zeta in actuator_poles(a):

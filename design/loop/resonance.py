@@ -20,7 +20,7 @@ class Resonance:
     `pole_radps` is the pole itself, with positive imaginary part. `number` counts from 1 (tank, mode, section).
     """
 
-    kind: str  # "bending", "slosh", "actuator", "gyro", "body", "converter", "delay", "hold"
+    kind: str  # "bending", "slosh", "engine" on its compliance, "actuator", "gyro", "body", "hold", ...
     number: int
     frequency_hz: float
     pole_radps: complex
@@ -79,6 +79,8 @@ def vehicle_poles(plant: StateSpace) -> list[NamedPole]:
 
 def _owner(state: str) -> tuple[str, int]:
     found = re.match(r"(eta|slosh)_(\d+)_", state)
+    if state.startswith("engine_"):
+        return "engine", 0
     if found is None:
         return "body", 0
     return ("bending" if found[1] == "eta" else "slosh"), int(found[2])

@@ -22,7 +22,7 @@ from maxq.design.loop.rational import average, converter_pade, delay_pade, hold_
 from maxq.design.margins.measure import Margins
 from maxq.design.margins.solving import DB, wrapped
 from maxq.design.model.node import Node
-from maxq.design.model.plant import INPUTS, Liquids
+from maxq.design.model.plant import Liquids, per_actuator_angle
 from maxq.design.model.state_space import ComplexArray, Resolvent, StateSpace, channels
 from maxq.design.model.vehicle_at import Modes, Pendulums, VehicleAt, actuator, gyro
 
@@ -191,14 +191,14 @@ def _channel(system: StateSpace) -> Response:
 
 
 def _vehicle(node: Node) -> Response:
-    """Engine angle -> local rate at the gyro, the engine's acceleration going with its angle."""
+    """Angle of the engine, or of its actuator where it is on a compliance -> local rate at the gyro."""
     ideal = bool(node.instruments.actuator.ideal)
-    system = channels(node.plant, ("local_rate_radps",), INPUTS[:1] if ideal else INPUTS)
+    inputs = node.plant.inputs[: 1 if ideal else 2]  # those of this plane
+    system = channels(node.plant, ("local_rate_radps",), inputs)
     resolvent = Resolvent(system.a, system.b, system.c)
 
     def response(s: ComplexArray) -> ComplexArray:
-        body = resolvent(s)[..., 0, :]
-        return np.asarray(body[..., 0] if ideal else body[..., 0] + s * s * body[..., 1])
+        return per_actuator_angle(s, resolvent(s)[..., 0, :], inputs)
 
     return _of_s(response)
 
@@ -217,7 +217,7 @@ def build_up(node: Node) -> list[tuple[str, Node]]:
     modes = dataclasses.replace(_emptied(full.modes), softening_kgpm=np.zeros((0, 0)), spatial=0)
     stiff = dataclasses.replace(full, modes=modes, across=None)
     engine = dataclasses.replace(full.engine, gimballed_mass_kg=0.0, inertia_about_gimbal_kgm2=0.0)
-    light = dataclasses.replace(stiff, engine=engine)
+    light = dataclasses.replace(stiff, engine=engine, tvc_load=None)
     frozen = _frozen(light)
     none = np.zeros_like(full.aerodynamics.slope_pr)
     air = dataclasses.replace(

@@ -52,7 +52,7 @@ class Node:
 
     @cached_property
     def plant(self) -> StateSpace:
-        """(delta, delta'') -> rates, of body, modes and pendulums, with the node's errata.
+        """Engine or actuator motion -> rates, of body, modes and pendulums, with the node's errata.
 
         With spatial modes those of this plane: body, liquid and gimbal of the other plane are held, so that the loop
         is judged one axis at a time (`whole` has them all).

@@ -19,6 +19,10 @@ not with the hinge's arm l_p for both as (27) prints (erratum 22): the rod's pul
 friction at the bob, l_p - L forward of the CG. The printed pair of damping forces is not on one line and so does not
 conserve angular momentum.
 
+With a TVC load (docs/model.md, section 14) the engine's angle is a state and its acceleration an unknown: it is driven
+by spring and damper to the actuator, by the axial load on its mass, and by what the vehicle's accelerations do to the
+hinge, which by reciprocity is what its acceleration does to the vehicle.
+
 Where the paper leaves something open: delta_b = -sigma_T eta and alpha_b = sigma_s eta + phi_s eta' / U (16, 17), phi
 at the surface, gimbal or hinge at which a force acts, the derivatives (4 to 8) of the whole vehicle with its liquid
 frozen, I_E as that about the engine's CG (20), a_x = (T - D) / m, and W' - g_z - U q in (21) from (1).
@@ -48,10 +52,11 @@ import numpy as np
 
 from maxq.control.kernel.records import Array
 from maxq.design.model.errata import CORRECTED, Errata
-from maxq.design.model.state_space import StateSpace
+from maxq.design.model.state_space import ComplexArray, StateSpace
 from maxq.design.model.vehicle_at import FlightCondition, GimballedEngine, Pendulums, VehicleAt, with_pendulums
 
-INPUTS = ("delta_rad", "delta_accel_radps2")
+INPUTS = ("delta_rad", "delta_accel_radps2")  # of the engine, which follows its actuator
+LOADED_INPUTS = ("delta_rad", "delta_rate_radps")  # of the actuator, on whose compliance the engine swings
 OUTPUTS = ("q_radps", "local_rate_radps", "w_mps", "theta_rad")
 INPUTS_ACROSS = tuple(f"across_{name}" for name in INPUTS)
 OUTPUTS_ACROSS = (*(f"across_{name}" for name in OUTPUTS), "roll_bending_radps")
@@ -77,14 +82,14 @@ def axial_load_mps2(vehicle: VehicleAt, condition: FlightCondition) -> float:
 def vehicle_plant(
     vehicle: VehicleAt, condition: FlightCondition, errata: Errata = CORRECTED, liquids: Liquids | None = None
 ) -> StateSpace:
-    """Engine angle and acceleration -> rates, of body, modes and pendulums.
+    """Motion of the engine, or with a TVC load of its actuator -> rates, of body, modes and pendulums.
 
     States w (m/s, of the body point at the core's CG), q (rad/s), theta (rad), eta (m), eta' (m/s), G (rad), G'
-    (rad/s); inputs and outputs as INPUTS and OUTPUTS, of which the local rate is that at the gyro, q + sum sigma_G eta'
-    (12 with erratum 1). A vehicle with spatial modes has the states, inputs and outputs of the other plane besides (its
-    modes and tanks are numbered on), and the roll rate of its modes at the gyro. Raises ValueError where the axial load
-    is not positive and there are pendulums, and where an erratum of the tanks is left in and `liquids` does not say
-    what they hold.
+    (rad/s), with a TVC load the engine's angle and rate; inputs INPUTS or LOADED_INPUTS, outputs OUTPUTS, of which the
+    local rate is that at the gyro, q + sum sigma_G eta' (12 with erratum 1). A vehicle with spatial modes has the
+    states, inputs and outputs of the other plane besides (its modes and tanks are numbered on), and the roll rate of
+    its modes at the gyro. Raises ValueError where the axial load is not positive and there are pendulums, and where an
+    erratum of the tanks is left in and `liquids` does not say what they hold.
     """
     load = axial_load_mps2(vehicle, condition)
     if len(vehicle.pendulums.mass_kg) and load <= 0.0:
@@ -146,13 +151,17 @@ class _Equations:
     def __init__(self, vehicle: VehicleAt, condition: FlightCondition, load: float, errata: Errata) -> None:
         self.vehicle, self.condition, self.load, self.errata = vehicle, condition, load, errata
         self.modes, self.tanks = len(vehicle.modes.omega_radps), len(vehicle.pendulums.mass_kg)
-        self.names = state_names(self.modes, self.tanks)
+        self.names = state_names(self.modes, self.tanks, vehicle.tvc_load is not None)
+        self.inputs = INPUTS if vehicle.tvc_load is None else LOADED_INPUTS
         n, m = self.modes, self.tanks
-        rows = np.eye(len(self.names) + 2)
+        # the last column is the engine's acceleration: an input, or behind them the unknown of a TVC load
+        rows = np.eye(len(self.names) + (2 if vehicle.tvc_load is None else 3))
         self.w, self.q, self.theta = rows[0], rows[1], rows[2]
         self.eta, self.eta_rate = rows[3 : 3 + n], rows[3 + n : 3 + 2 * n]
         self.gamma, self.gamma_rate = rows[3 + 2 * n : 3 + 2 * n + m], rows[3 + 2 * n + m : 3 + 2 * n + 2 * m]
         self.delta, self.delta_accel = rows[-2], rows[-1]
+        if vehicle.tvc_load is not None:
+            self.delta, self.delta_rate, self.actuator, self.actuator_rate = rows[-5:-1]
         body = vehicle.body
         self.mass, self.inertia, self.cg = (
             (body.core_mass_kg, body.core_inertia_kgm2, body.core_cg_station_m)
@@ -225,6 +234,7 @@ class _Equations:
         turning = ahead * across_slope - across * ahead_slope
         inertia = own * turning + (first * length if self.errata.engine_inertia else 0.0) * turning
         lateral = first * across_slope
+        self.hinge_inertia = inertia  # of the only engine, where there is a TVC load
         self.force = self.force + lateral * accel
         besides = first * engine.from_cg_m * ahead_slope
         self.moment = self.moment + (inertia + lateral * (engine.gimbal_station_m - self.cg) + besides) * accel
@@ -300,19 +310,41 @@ class _Equations:
             weight = self.condition.gravity_mps2 * np.sin(self.condition.pitch_rad)
             w_rate = w_rate - weight * self.theta + self.vehicle.body.core_cg_rate_mps * self.q
         system = np.concatenate([[w_rate, turning, self.q], self.eta_rate, bending, self.gamma_rate, swing])
+        if self.vehicle.tvc_load is not None:
+            swing_rows = self._hinge(lateral, turning, bending)
+            system = np.concatenate([system, [self.delta_rate, self.delta_accel]])
+            system = system[:, :-1] + np.outer(system[:, -1], swing_rows)
         n = len(self.names)
         sensed = self.q + modes.slope_gyro_pm @ (self.eta_rate if self.errata.gyro_senses_rate else self.eta)
         c = np.stack([self.q, sensed, self.w, self.theta])[:, :n]
-        return StateSpace(system[:, :n], system[:, n:], c, np.zeros((4, 2)), self.names, INPUTS, OUTPUTS)
+        return StateSpace(system[:, :n], system[:, n:], c, np.zeros((4, 2)), self.names, self.inputs, OUTPUTS)
+
+    def _hinge(self, lateral: Array, turning: Array, bending: Array) -> Array:
+        """Acceleration of the engine on its compliance, without the column of that acceleration."""
+        engine, load = self.vehicle.engine, self.vehicle.tvc_load
+        assert load is not None
+        first = engine.gimballed_mass_kg * engine.cg_from_gimbal_m if self.errata.engine_weight else 0.0
+        moment = load.stiffness_Nmprad * (self.actuator - self.delta)
+        moment = moment + load.damping_Nmsprad * (self.actuator_rate - self.delta_rate)
+        moment = moment - self.load * first * (self.delta - self.vehicle.modes.slope_gimbal_pm @ self.eta)
+        moment = moment + self.force[-1] * lateral + self.moment[-1] * turning + self.modal[:, -1] @ bending
+        return np.asarray(moment[:-1] / (self.hinge_inertia - moment[-1]))
 
 
-def state_names(modes: int, tanks: int) -> tuple[str, ...]:
+def per_actuator_angle(s: ComplexArray, response: ComplexArray, inputs: tuple[str, ...]) -> ComplexArray:
+    """Response (..., inputs) of a plant, its inputs all derivatives of one angle, per that angle."""
+    orders = {"delta_rad": 0, "delta_rate_radps": 1, "delta_accel_radps2": 2}
+    return np.asarray(sum(s ** orders[name] * response[..., k] for k, name in enumerate(inputs)))
+
+
+def state_names(modes: int, tanks: int, tvc_load: bool = False) -> tuple[str, ...]:
     """States of the plant."""
     mode, tank = range(1, modes + 1), range(1, tanks + 1)
     return (
         "w_mps", "q_radps", "theta_rad",
         *[f"eta_{i}_m" for i in mode], *[f"eta_{i}_rate_mps" for i in mode],
         *[f"slosh_{k}_rad" for k in tank], *[f"slosh_{k}_rate_radps" for k in tank],
+        *(("engine_rad", "engine_rate_radps") if tvc_load else ()),
     )  # fmt: skip  # four more lines otherwise
 
 

@@ -131,6 +131,14 @@ class GimballedEngine:
 
 
 @dataclass(frozen=True)
+class TvcLoad:
+    """Compliance between engine and actuators, about the gimbal; friction and stops are not linear."""
+
+    stiffness_Nmprad: float
+    damping_Nmsprad: float
+
+
+@dataclass(frozen=True)
 class Aerodynamics:
     """Coefficients at one Mach number, referred to `area_m2` and `chord_m`."""
 
@@ -166,6 +174,7 @@ class VehicleAt:
     jet_damping: bool
     slosh_exchange: bool = False  # liquid that goes over from bob to core takes its momentum along
     across: VehicleAt | None = None  # the same in the other plane, where spatial modes couple both
+    tvc_load: TvcLoad | None = None  # None: the engine follows its actuators
     further_engines: tuple[GimballedEngine, ...] = ()
 
     @property
@@ -234,6 +243,7 @@ def _in_plane(packed: Packed, time_s: float, mach: float, plane: Plane, stage: i
         aerodynamics=_aerodynamics(packed.pool, vehicle, props, clock_s, mach, plane, trim),
         jet_damping=bool(vehicle.jet_damping),
         slosh_exchange=bool(vehicle.slosh.exchange),
+        tvc_load=_tvc_load(vehicle) if sizes.tvc_loads > 0 else None,
     )
 
 
@@ -380,6 +390,10 @@ def _gains(packed: Packed, row: Any, time_s: float, plane: Plane) -> list[float]
     now_s = time_s + 1e-9 * int(row.timeline.stage_start_ns)
     matrix = table_in(packed.pool, a.matrix)(now_s).reshape(-1, 3)
     return [float(matrix[2 * group + axis, axis]) for group in range(int(a.groups))]
+
+
+def _tvc_load(vehicle: Any) -> TvcLoad:
+    return TvcLoad(float(vehicle.tvc_load.stiffness_Nmprad), float(vehicle.tvc_load.damping_Nmsprad))
 
 
 def _rate_damping(pool: Array, vehicle: Any, clock_s: float, plane: Plane) -> float:

@@ -35,6 +35,7 @@ from maxq.sim.vehicle.state import (
     spatial_index,
     xi_index,
 )
+from maxq.sim.vehicle.tvc_load import TvcLoadRow, tvc_load_row
 from maxq.sim.vehicle.workspace import (
     AERO_FORCE,
     AERO_MOMENT,
@@ -92,6 +93,8 @@ def fill_fast(
         column = put(row, column, slosh_row(p.vehicle.slosh, sizes, tank, props, y, pendulum_index(sizes, tank), aux))
     for tank in range(logged.tanks * waves):
         column = put(row, column, wave_row(p.vehicle.slosh, sizes, tank, props, y, pendulum_index(sizes, tank)))
+    if logged.tvc_loads > 0:
+        put(row, column, tvc_load_row(sizes, aux))
 
 
 # --- slow group
@@ -283,6 +286,8 @@ def channel_table(
         slosh += [declared_channels(WaveRow, "tank", tank, f"tank {tank}") for tank in tanks]
     if slosh:
         topics.append(Topic("/slosh", FAST, sum(slosh, ()), "slosh pendulums"))
+    if sizes.tvc_loads > 0:
+        topics.append(Topic("/tvc_load", FAST, declared_channels(TvcLoadRow), "engine on its compliance"))
     topics += declared_topics(SLOW, SlowRow)
     sections = [declared_channels(SectionRow, "place", str(i), place) for i, place in enumerate(stations, start=1)]
     if sections:

@@ -47,6 +47,7 @@ def stage_sizes(stage: Stage, switches: Switches, burn: Burn = NOMINAL) -> Sizes
     return Sizes(
         pitch, yaw, tanks, len(surface_stations(stage)), tables, spatial, len(cluster.groups) - 1,
         max(len(cluster.alike), 1), max(len(cluster.gimbals_m), 1), max(len(cluster.curves), 1),
+        int(stage.tvc_load is not None and switches.tvc_load and switches.engine_inertia),
     )  # fmt: skip  # ten lines otherwise
 
 

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import math
+from dataclasses import replace
+
 import numpy as np
 
 from maxq.control.kernel.tables import NO_TABLE, Cubics, Pool, TableRef, fit
@@ -17,18 +20,24 @@ from maxq.sim.vehicle.derivative import Vehicle
 from maxq.sim.vehicle.gyro import pack_gyro
 from maxq.sim.vehicle.slosh import pack_slosh
 from maxq.sim.vehicle.state import Sizes
+from maxq.sim.vehicle.tvc_load import pack_tvc_load
 
 
 def pack_vehicle(scenario: Scenario, stage: Stage, burn: Burn, sizes: Sizes, schedule: Cubics, pool: Pool) -> Vehicle:
     """Parameters of one stage under the scenario's switches; its tables go into `pool`."""
     switches = scenario.switches
     pitch, yaw = pack_actuators(stage.actuator, switches.actuator)
+    engine = pack_engines(stage, burn, switches)
+    load = pack_tvc_load(stage.tvc_load, engine, pitch.stop_rad, yaw.stop_rad)
+    if sizes.tvc_loads > 0:  # the stop is the engine's, not the actuator's
+        pitch, yaw = replace(pitch, stop_rad=math.inf), replace(yaw, stop_rad=math.inf)
     return Vehicle(
         sizes=sizes,
         schedule=pool.add(schedule),
-        engine=pack_engines(stage, burn, switches),
+        engine=engine,
         actuator_pitch=pitch,
         actuator_yaw=yaw,
+        tvc_load=load,
         gyro=pack_gyro(stage.gyro, switches.gyro == "ideal"),
         aero=pack_aero(scenario, stage, burn, pool),
         bending=pack_bending(stage.bending, switches.bending_softening),

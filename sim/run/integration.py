@@ -94,6 +94,11 @@ def _of_stage(scenario: Scenario, stage: Stage) -> Iterator[tuple[str, float, fl
             last = 3 if axis.exchange_a3_a4 else 2  # of a3 and a4 one is a pair of zeros
             for k in (0, 1, last)[: len(axis.omega_hz)]:
                 yield f"{plane} actuator, a{k + 1}", axis.omega_hz[k], axis.zeta[k]
+    if (load := stage.tvc_load) is not None and switches.tvc_load and switches.engine_inertia:
+        inertia = sum(engine.inertia_about_gimbal_kgm2 for engine in stage.engines)
+        stiffness = load.stiffness_Nmprad
+        own_hz = load.frequency_hz if stiffness is None else math.sqrt(stiffness / inertia) / (2.0 * math.pi)
+        yield "TVC load", own_hz or 0.0, load.damping_ratio
     if stage.gyro is not None and switches.gyro != "ideal":
         yield "gyro", stage.gyro.omega_hz, stage.gyro.zeta
 

@@ -231,6 +231,7 @@ class Switches(Section):
     bending_softening: bool = optional("axial load softens the modes", True)
     follower_thrust: bool = optional("thrust turns with the bent gimbal", True)
     engine_inertia: bool = optional("reaction of the gimballed mass (tail wags dog)", True)
+    tvc_load: bool = optional("engine on its compliance; off: it follows its actuators exactly", True)
     jet_damping: bool = optional("damping by the mass flow", True)
     moving_cg: bool = optional("terms of CG and inertia that change", True)
     actuator: Literal["full", "linear", "ideal"] = optional("linear: no limits; ideal: angle = command", "full")

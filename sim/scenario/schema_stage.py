@@ -224,6 +224,26 @@ class Actuator(ActuatorAxis):
         return ActuatorAxis(**shared), ActuatorAxis(**(shared | differing))
 
 
+class TvcLoad(Section):
+    """The engine on the compliance of actuators and mount: a degree of freedom of its own in both planes."""
+
+    frequency_hz: Positive | None = optional("of the engine on its compliance, actuators locked, vehicle fixed, Hz")
+    stiffness_Nmprad: Positive | None = optional("of the compliance, all engines together, N m/rad")
+    damping_ratio: Fraction = Field(description="of that vibration: the damper lies beside the spring")
+    friction_Nm: NotNegative = optional("Coulomb torque of the gimbal's bearings, N m (Dahl's model)", 0.0)
+    friction_angle_deg: Positive = optional("over which the friction builds up, deg", 0.05)
+    stop_stiffness_Nmprad: Positive | None = optional(
+        "of the contact at the actuator's stop_deg, N m/rad (default: ten times that of the compliance)"
+    )
+
+    @model_validator(mode="after")
+    def _check(self) -> TvcLoad:
+        at_most_one(self, ("frequency_hz", "stiffness_Nmprad"))
+        if self.stiffness_Nmprad is None:
+            needs(self, "frequency_hz", "stiffness_Nmprad is not given", "a number > 0")
+        return self
+
+
 class RollThrusters(Section):
     """Cold-gas thrusters about the roll axis, on or off."""
 

@@ -18,7 +18,7 @@ from maxq.sim.scenario.modes import (
     spatial_mode_table,
 )
 from maxq.sim.scenario.schema_loads import Loads, check_loads
-from maxq.sim.scenario.schema_stage import Actuator, Aero, Engine, Mass, RollThrusters
+from maxq.sim.scenario.schema_stage import Actuator, Aero, Engine, Mass, RollThrusters, TvcLoad
 from maxq.sim.scenario.schema_tank import SECOND_MODE, Tank
 from maxq.sim.scenario.schema_values import (
     LIST_FORM,
@@ -191,6 +191,7 @@ class Stage(Section):
     mass: Mass
     engine: Engines | None = optional(f"one table, or up to {MAX_ENGINES} as a list [[...]]; absent: no thrust")
     actuator: Actuator | None = optional("absent: gimbal angle = command")
+    tvc_load: TvcLoad | None = optional("absent: the engine follows its actuators exactly")
     tank: tuple[Tank, ...] = optional("tanks with sloshing liquid", (), max_length=MAX_TANKS)
     bending: Bending | None = optional("absent: rigid, but for spatial modes")
     spatial_modes: SpatialModes | None = optional("absent: none")
@@ -228,6 +229,7 @@ class Stage(Section):
         if len(self.pendulum_names) > MAX_TANKS:
             problem = f"{len(self.pendulum_names)} slosh modes in all"
             raise refuse(problem, f"up to {MAX_TANKS} of all tanks of a stage", key=("tank",), value=len(self.tank))
+        self._check_tvc_load()
         self._check_slosh_mass()
         self._check_stations()
         if self.loads is not None:
@@ -262,6 +264,23 @@ class Stage(Section):
         """Of the slosh modes that are flown, tank by tank, as the log calls them."""
         names = [(tank.name or str(n + 1), tank.pendulums) for n, tank in enumerate(self.tank)]
         return tuple(name + ("" if mode == 0 else f"_{mode + 1}") for name, modes in names for mode in range(modes))
+
+    def _check_tvc_load(self) -> None:
+        if self.tvc_load is None:
+            return
+        first = self.engines[0] if self.engines else None
+        if first is None or first.inertia_about_gimbal_kgm2 == 0.0:
+            raise refuse("no engine with an inertia", "engine.inertia_about_gimbal_kgm2 > 0", key=("tvc_load",))
+        place: dict[str, Any] = {"offset_m": first.offset_m, "name": first.name}
+        unlike = any(engine.model_copy(update=place) != first for engine in self.engines)
+        if unlike or first.gimbal != "both" or first.cant_deg != (0.0, 0.0):
+            raise refuse(
+                "the engines do not swing as one",
+                "engines of one group, alike but for their place, gimballed in both planes, without cant",
+                key=("tvc_load",),
+            )
+        if self.spatial_modes is not None:
+            raise refuse("does not go with spatial_modes", "modes of the two planes in bending", key=("tvc_load",))
 
     def _check_slosh_mass(self) -> None:
         """What sloshes, and the gimballed engine, are parts of the vehicle's mass."""

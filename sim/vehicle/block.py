@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 from maxq.control.kernel.jit import integer, kernel
-from maxq.control.kernel.limits import MAX_ENGINES, MAX_MODES, MAX_SURFACES, MAX_TANKS
+from maxq.control.kernel.limits import MAX_ENGINES, MAX_MODES, MAX_SURFACES, MAX_TANKS, MAX_TVC_LOADS
 
 
 @dataclass(frozen=True)
@@ -31,11 +31,12 @@ class Sizes:
     engines: int = 1  # alike engines of a group count once (engine.py); 1 without an engine
     gimbals: int = 1  # stations of gimbals, at which the engines meet the mode shapes
     thrust_curves: int = 1  # columns of the schedule
+    tvc_loads: int = 0  # engines on the compliance of their mount
 
 
 LARGEST = Sizes(
     MAX_MODES, MAX_MODES, MAX_TANKS, MAX_SURFACES + 1, MAX_SURFACES, MAX_MODES, MAX_ENGINES - 1, MAX_ENGINES,
-    MAX_ENGINES, MAX_ENGINES,
+    MAX_ENGINES, MAX_ENGINES, MAX_TVC_LOADS,
 )  # fmt: skip  # a row
 
 
@@ -56,6 +57,7 @@ class Counts(NamedTuple):
     engines: int
     gimbals: int
     thrust_curves: int
+    tvc_loads: int
 
 
 @kernel
@@ -64,6 +66,7 @@ def counts(sizes: Sizes) -> Counts:
         integer(sizes, "pitch_modes"), integer(sizes, "yaw_modes"), integer(sizes, "tanks"), integer(sizes, "surfaces"),
         integer(sizes, "tables"), integer(sizes, "spatial_modes"), integer(sizes, "further_groups"),
         integer(sizes, "engines"), integer(sizes, "gimbals"), integer(sizes, "thrust_curves"),
+        integer(sizes, "tvc_loads"),
     )  # fmt: skip  # eleven lines otherwise
 
 

@@ -88,9 +88,13 @@ from maxq.sim.vehicle.state import (
     eta_index,
     pendulum_index,
     spatial_index,
+    tvc_load_index,
     xi_index,
 )
+from maxq.sim.vehicle.tvc_load import N_AXIS, TvcLoad, load_derivative, prepare_load
 from maxq.sim.vehicle.workspace import (
+    ACTUATOR_PITCH,
+    ACTUATOR_YAW,
     AERO_FORCE,
     AERO_MOMENT,
     ANGULAR_ACCEL,
@@ -124,6 +128,7 @@ class Vehicle:
     engine: Engine
     actuator_pitch: Actuator
     actuator_yaw: Actuator
+    tvc_load: TvcLoad
     gyro: Gyro
     aero: Aero
     bending: Bending
@@ -186,6 +191,7 @@ def derivative(
     properties, y, dy, aux = at
     sizes = counts(vehicle.sizes)
     eta, xi, spatial, pendulums = eta_index(sizes), xi_index(sizes), spatial_index(sizes), pendulum_index(sizes, 0)
+    loads = tvc_load_index(sizes)
     rate = vector_at(y, W_BI_B)
     rotation = rotation_from_quaternion(y[Q_BI], y[Q_BI + 1], y[Q_BI + 2], y[Q_BI + 3])
 
@@ -254,6 +260,11 @@ def derivative(
         liquid_force, liquid_moment = exchange_loads(vehicle.slosh, sizes, rate, properties, y, pendulums, work)
         force, moment = add(force, liquid_force), add(moment, liquid_moment)
 
+    if sizes.tvc_loads > 0:
+        prepare_load(
+            vehicle.tvc_load, vehicle.engine, engine, balanced.offset, sizes, rate, axial_load, properties, y, loads,
+            work, aux,
+        )  # fmt: skip  # twelve lines otherwise
     specific_force, alpha = accelerate(
         vehicle.slosh, sizes, held.on_pad, balanced.offset, balanced.inverse_inertia, force, moment, pad, properties,
         y, pendulums, work,
@@ -277,6 +288,9 @@ def derivative(
         first = pendulums + N_PENDULUM * tank
         pendulum_derivative(vehicle.slosh, sizes, tank, rate, specific_force, alpha, properties, y, first, dy, work)
         aux[TENSIONS + tank] = work[TENSION + tank]
+    if sizes.tvc_loads > 0:
+        load_derivative(vehicle.tvc_load, sizes, y, loads, dy, work)
+        aux[ENGINE_PITCH + 2], aux[ENGINE_PITCH + 5] = dy[loads + 1], dy[loads + N_AXIS + 1]
     aux[AXIAL_LOAD] = axial_load
     set_vector(aux, AERO_FORCE, aero_force)
     set_vector(aux, AERO_MOMENT, aero_moment)
@@ -298,6 +312,12 @@ def engine_motion(
         set_vector(aux, at, actuator_output(vehicle.actuator_pitch, y, i, held.command_rad[2 * group]))
         in_yaw = actuator_output(vehicle.actuator_yaw, y, i + N_ACTUATOR, held.command_rad[2 * group + 1])
         set_vector(aux, at + 3, in_yaw)
+    if sizes.tvc_loads > 0:  # the actuators' position is the spring's other end; the engine has angles of its own
+        i = tvc_load_index(sizes)
+        aux[ACTUATOR_PITCH], aux[ACTUATOR_PITCH + 1] = aux[ENGINE_PITCH], aux[ENGINE_PITCH + 1]
+        aux[ACTUATOR_YAW], aux[ACTUATOR_YAW + 1] = aux[ENGINE_PITCH + 3], aux[ENGINE_PITCH + 4]
+        set_vector(aux, ENGINE_PITCH, (y[i], y[i + 1], 0.0))
+        set_vector(aux, ENGINE_PITCH + 3, (y[i + N_AXIS], y[i + N_AXIS + 1], 0.0))
     axis, axis_rate, axis_accel = engine_axis_motion(vehicle.engine, 0, aux, ENGINE_PITCH)
     first = deflected_engine(vehicle.engine, 0, axis, axis_rate, axis_accel, properties)
     if sizes.engines > 1:

@@ -72,11 +72,23 @@ from maxq.sim.vehicle.spatial_modes import (
     spatial_compliance,
     spatial_motion,
 )
+from maxq.sim.vehicle.tvc_load import ALPHA as LOAD_ALPHA
+from maxq.sim.vehicle.tvc_load import (
+    INERTIA,
+    KNOWN,
+    RIGID_ACCEL,
+    add_load_to_modes,
+    load_block,
+    load_modal,
+    load_responses,
+    moment_about_hinge,
+)
 from maxq.sim.vehicle.workspace import (
     ACCEL,
     ETA,
     FORCE,
     GRAM,
+    MAX_UNKNOWNS,
     NU,
     PENDULUM,
     PENDULUM_WIDTH,
@@ -496,6 +508,7 @@ def accelerate(
         set_vector(work, b + ALPHA, symmetric_times(inverse, vector_at(work, b + ARM)))
     free_modal_accelerations(sizes, properties, work)
     free_spatial_accelerations(sizes, properties, work)
+    load_responses(sizes, inverse_mass, inverse, properties, work)
     _solve_tensions(slosh, sizes, inverse_mass, accel, alpha, properties, y, first, work)
     for k in range(sizes.tanks):
         u, tension = vector_at(y, first + N_PENDULUM * k), work[TENSION + k]
@@ -509,6 +522,11 @@ def accelerate(
             work[b + ALONG_X + 3] = moved[0]
             work[b + BENDING_ACCEL] += moved[1]
             work[b + BENDING_ACCEL + 1] += moved[2]
+    for k in range(2 * sizes.tvc_loads):
+        b, swing = load_block(k), work[TENSION + sizes.tanks + k]
+        accel = add(accel, scaled(swing, vector_at(work, b + RIGID_ACCEL)))
+        alpha = add(alpha, scaled(swing, vector_at(work, b + LOAD_ALPHA)))
+        add_load_to_modes(sizes, k, swing, work)
     return add(accel, cross(offset, alpha)), alpha
 
 
@@ -539,7 +557,7 @@ def _add_tension_to_modes(
 @kernel
 def _gram(row: int, column: int) -> int:
     """Where the workspace holds an entry of the matrix of the tensions."""
-    return GRAM + row * MAX_TANKS + column
+    return GRAM + row * MAX_UNKNOWNS + column
 
 
 @kernel
@@ -557,8 +575,7 @@ def _solve_tensions(
     for k in range(n):
         b, u, mass = tank_block(k), vector_at(y, first + N_PENDULUM * k), bob_mass(slosh, properties, k)
         arm = vector_at(work, b + ARM)
-        bend_z = modal_sum(sizes, properties, mode_column(sizes, PITCH, MODE_FIRST + k), work, of_plane(ACCEL, PITCH))
-        bend_y = modal_sum(sizes, properties, mode_column(sizes, YAW, MODE_FIRST + k), work, of_plane(ACCEL, YAW))
+        bend_y, bend_z = _bending_acceleration(sizes, k, properties, work, ACCEL)
         work[b + BENDING_ACCEL], work[b + BENDING_ACCEL + 1] = bend_y, bend_z
         along = dot(u, accel) + dot(arm, alpha) + u[1] * bend_y + u[2] * bend_z
         if sizes.spatial_modes > 0:
@@ -574,20 +591,64 @@ def _solve_tensions(
             work[_gram(j, k)] = bob_mass(slosh, properties, j) * g
             work[_gram(k, j)] = mass * g
         work[_gram(k, k)] += 1.0
-    _eliminate(n, work)
+    if sizes.tvc_loads > 0:
+        _add_loads(slosh, sizes, accel, alpha, properties, y, first, work)
+    _eliminate(n + 2 * sizes.tvc_loads, work)
     for k in range(n):  # the tensions accelerate the hinges, too
         u, tension = vector_at(y, first + N_PENDULUM * k), work[TENSION + k]
         for j in range(n):
             b = tank_block(j)
             work[b + BENDING_ACCEL] += properties[in_yaw + k * n + j] * (tension * u[1])
             work[b + BENDING_ACCEL + 1] += properties[in_pitch + k * n + j] * (tension * u[2])
+    for k in range(2 * sizes.tvc_loads):  # and so does the engine's swing
+        for j in range(n):
+            b, swing = tank_block(j), work[TENSION + n + k]
+            bend_y, bend_z = _bending_acceleration(sizes, j, properties, work, load_modal(k, 1))
+            work[b + BENDING_ACCEL] += swing * bend_y
+            work[b + BENDING_ACCEL + 1] += swing * bend_z
+
+
+@kernel
+def _bending_acceleration(
+    sizes: Counts, k: int, properties: Array, work: Array, quantity: int
+) -> tuple[float, float]:  # fmt: skip  # as ruff would, but for a line of one bracket
+    """Acceleration of the hinge of tank k along y and z, from the modal accelerations at `quantity`."""
+    bend_z = modal_sum(sizes, properties, mode_column(sizes, PITCH, MODE_FIRST + k), work, of_plane(quantity, PITCH))
+    bend_y = modal_sum(sizes, properties, mode_column(sizes, YAW, MODE_FIRST + k), work, of_plane(quantity, YAW))
+    return bend_y, bend_z
+
+
+@kernel
+def _add_loads(
+    slosh: Slosh, sizes: Counts, accel: Vector, alpha: Vector, properties: Array, y: Array, first: int, work: Array
+) -> None:  # fmt: skip  # ten lines otherwise
+    """Rows and columns of the engine's angular accelerations s in the system of the tensions (docs/model.md, 14.4):
+
+        I_i s_i - sum_j (b_i . Y_j) s_j - sum_k h_ki T_k = known_i + b_i . X,
+
+    and m_k h_ki s_i in the row of tank k, h_ki the acceleration of its hinge along the rod per unit of s_i.
+    """
+    n = sizes.tanks
+    for i in range(2 * sizes.tvc_loads):
+        b, modal, row = load_block(i), load_modal(i, 1), n + i
+        rigid, turning = vector_at(work, b + RIGID_ACCEL), vector_at(work, b + LOAD_ALPHA)
+        for k in range(n):
+            u, arm = vector_at(y, first + N_PENDULUM * k), vector_at(work, tank_block(k) + ARM)
+            bend_y, bend_z = _bending_acceleration(sizes, k, properties, work, modal)
+            along = dot(u, rigid) + dot(arm, turning) + u[1] * bend_y + u[2] * bend_z
+            work[_gram(k, row)] = bob_mass(slosh, properties, k) * along
+            work[_gram(row, k)] = -along
+        for j in range(2 * sizes.tvc_loads):
+            work[_gram(n + j, row)] = -moment_about_hinge(sizes, j, rigid, turning, modal, work)
+        work[_gram(row, row)] += work[b + INERTIA]
+        work[TENSION + row] = work[b + KNOWN] + moment_about_hinge(sizes, i, accel, alpha, ACCEL, work)
 
 
 @kernel
 def _eliminate(n: int, work: Array) -> None:
     """Solve GRAM T = TENSION in place, right-hand side in, tensions out.
 
-    The symmetric form of the matrix is positive definite, so that no pivoting is needed.
+    No pivoting is needed: brought to symmetric form, tensions first, the matrix is definite in every pivot.
     """
     if n == 2:
         a, b, c, d = work[_gram(0, 0)], work[_gram(0, 1)], work[_gram(1, 0)], work[_gram(1, 1)]

@@ -2,8 +2,8 @@
 
     r_I v_I q_BI w_BI_B | actuator pitch, yaw | gyro roll, pitch, yaw | gyro integrals
     eta[n_pitch] nu_pitch[n_pitch] xi[n_yaw] nu_yaw[n_yaw] | eta[n_spatial] nu[n_spatial]
-    per tank: u_B (3), kappa_B (3)
-    per further group of engines: actuator pitch, yaw
+    per tank: u_B (3), kappa_B (3) | per further group of engines: actuator pitch, yaw
+    per TVC load: angle, rate, friction in pitch and yaw
 
 The first `N_FIXED` entries are the same for every vehicle; bending and slosh follow, as many as the vehicle has.
 Position and velocity are those of the *core* CG (the vehicle without its sloshing masses, engine straight), in the
@@ -39,11 +39,12 @@ from maxq.sim.vehicle.block import (
 from maxq.sim.vehicle.gyro import GYRO_ANGLES, GYROS, gyro_start
 from maxq.sim.vehicle.slosh import N_PENDULUM, PENDULUMS, pendulum_start, restore_pendulum
 from maxq.sim.vehicle.spatial_modes import NU_SPATIAL_STATES, SPATIAL_STATES
+from maxq.sim.vehicle.tvc_load import TVC_LOADS
 
 BLOCKS = (
     POSITION, VELOCITY, ATTITUDE, ANGULAR_VELOCITY, ACTUATORS, GYROS, GYRO_ANGLES,
     ETA_STATES, NU_PITCH_STATES, XI_STATES, NU_YAW_STATES, SPATIAL_STATES, NU_SPATIAL_STATES, PENDULUMS,
-    FURTHER_ACTUATORS,
+    FURTHER_ACTUATORS, TVC_LOADS,
 )  # fmt: skip  # a table
 BOUNDED = (ANGULAR_VELOCITY, ETA_STATES, XI_STATES, SPATIAL_STATES, POSITION, VELOCITY)  # checked in this order
 
@@ -67,7 +68,7 @@ ACTUATOR = _index_of(ACTUATORS)[0]
 GYRO = _index_of(GYROS)[0]
 GYRO_ANGLE = _index_of(GYRO_ANGLES)[0]
 _ETA, _XI, _SPATIAL = _index_of(ETA_STATES), _index_of(XI_STATES), _index_of(SPATIAL_STATES)
-_PENDULUM, _END = _index_of(PENDULUMS), _index_of(None)
+_PENDULUM, _TVC_LOAD, _END = _index_of(PENDULUMS), _index_of(TVC_LOADS), _index_of(None)
 _FURTHER_ACTUATORS = _index_of(FURTHER_ACTUATORS)
 N_FIXED = _ETA[0]
 N_ACTUATOR = len(ACTUATORS.states)
@@ -88,7 +89,8 @@ def _at(index: Index, sizes: Sizes | Counts) -> int:
     """With the fields of `Counts` in their order: a loop over them would not become one constant expression."""
     modes = index[1] * sizes.pitch_modes + index[2] * sizes.yaw_modes
     rest = index[3] * sizes.tanks + index[4] * sizes.surfaces + index[5] * sizes.tables
-    return index[0] + modes + rest + index[6] * sizes.spatial_modes + index[7] * sizes.further_groups
+    more = index[7] * sizes.further_groups + index[11] * sizes.tvc_loads
+    return index[0] + modes + rest + index[6] * sizes.spatial_modes + more
 
 
 @kernel
@@ -124,6 +126,12 @@ def pendulum_index(sizes: Sizes | Counts, tank: int) -> int:
 def actuator_index(sizes: Sizes | Counts, group: int) -> int:
     """First state of the pitch actuator of a group of engines; that of yaw follows after `N_ACTUATOR`."""
     return ACTUATOR if group == 0 else _at(_FURTHER_ACTUATORS, sizes) + 2 * N_ACTUATOR * (group - 1)
+
+
+@kernel
+def tvc_load_index(sizes: Sizes | Counts) -> int:
+    """Angle, rate and friction of the first TVC load, pitch and yaw."""
+    return _at(_TVC_LOAD, sizes)
 
 
 def state_names(sizes: Sizes) -> tuple[str, ...]:
@@ -177,4 +185,4 @@ def divergence_cause(sizes: Counts, y: Array) -> int:
     return FINITE
 
 
-__all__ = ["N_PENDULUM", "Q_BI", "R_I", "V_I", "W_BI_B", "Counts", "Sizes", "counts"]
+__all__ = ["N_PENDULUM", "Q_BI", "R_I", "TVC_LOADS", "V_I", "W_BI_B", "Counts", "Sizes", "counts"]

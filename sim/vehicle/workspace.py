@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from maxq.control.kernel.limits import MAX_ENGINES, MAX_MODES, MAX_SURFACES, MAX_TANKS
+from maxq.control.kernel.limits import MAX_ENGINES, MAX_MODES, MAX_SURFACES, MAX_TANKS, MAX_TVC_LOADS
 from maxq.control.kernel.records import Array
 
 
@@ -39,9 +39,10 @@ SURFACE_LOAD_WIDTH = 4
 PENDULUM = SURFACE_LOAD + SURFACE_LOAD_WIDTH * (MAX_SURFACES + 1)  # per tank, see slosh.py
 PENDULUM_WIDTH = 34
 GRAM = PENDULUM + PENDULUM_WIDTH * MAX_TANKS  # matrix of the tensions, see slosh.py
-TENSION = GRAM + MAX_TANKS * MAX_TANKS
+MAX_UNKNOWNS = MAX_TANKS + 2 * MAX_TVC_LOADS  # tensions, and angular accelerations of the engine
+TENSION = GRAM + MAX_UNKNOWNS * MAX_UNKNOWNS
 # of each spatial mode, see spatial_modes.py
-SPATIAL_FORCE = TENSION + MAX_TANKS
+SPATIAL_FORCE = TENSION + MAX_UNKNOWNS
 SPATIAL_ETA = SPATIAL_FORCE + MAX_MODES
 SPATIAL_RATE = SPATIAL_ETA + MAX_MODES
 SPATIAL_NU = SPATIAL_RATE + MAX_MODES
@@ -50,7 +51,11 @@ SPATIAL_TURNED = SPATIAL_ACCEL + MAX_MODES  # A eta (eq. 4.7), m
 SPATIAL_TURNED_RATE = SPATIAL_TURNED + MAX_MODES  # A d(eta)/dt, m/s
 SPATIAL_MOMENTUM = SPATIAL_TURNED_RATE + MAX_MODES  # what the moving engine adds to the modal momentum, N s
 SPATIAL_ALONG = SPATIAL_MOMENTUM + MAX_MODES  # per tank: shape at the hinge along the rod
-ANCHOR = SPATIAL_ALONG + MAX_TANKS * MAX_MODES  # see environment.py
+LOAD = SPATIAL_ALONG + MAX_TANKS * MAX_MODES  # per unknown of a TVC load, see tvc_load.py
+LOAD_WIDTH = 14
+LOAD_MODAL = LOAD + 2 * MAX_TVC_LOADS * LOAD_WIDTH
+LOAD_MODAL_WIDTH = 2 * MAX_MODES
+ANCHOR = LOAD_MODAL + 4 * MAX_TVC_LOADS * LOAD_MODAL_WIDTH  # see environment.py
 ANCHOR_WIDTH = 28
 GRID_ROW = ANCHOR + ANCHOR_WIDTH  # columns of a table of coefficients over incidence
 COEFFICIENTS = GRID_ROW + 14  # and what they are, see incidence.py
@@ -87,4 +92,7 @@ GIMBAL_BEND = 39  # of the gimbal, by bending: displacement along y and z (m), r
 TENSIONS = 43  # tension of each pendulum's rod, N
 GROUPS = TENSIONS + MAX_TANKS  # pitch and yaw of every further group of engines, as of the first (6)
 ENGINE_THRUSTS = GROUPS + 6 * (MAX_ENGINES - 1)  # thrust of every engine of engine.py, N
-AUX_SIZE = ENGINE_THRUSTS + MAX_ENGINES
+ACTUATOR_PITCH = ENGINE_THRUSTS + MAX_ENGINES  # with a TVC load: angle and rate of the actuator, rad, rad/s
+ACTUATOR_YAW = ACTUATOR_PITCH + 2
+HINGE_MOMENT = ACTUATOR_YAW + 2  # with a TVC load: on the engine about its gimbal, pitch and yaw, N m
+AUX_SIZE = HINGE_MOMENT + 2

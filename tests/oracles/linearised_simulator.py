@@ -15,6 +15,7 @@ small-signal quantities of flight mechanics, whose time derivatives follow exact
     eta, eta', xi, xi'               true rates: without the rotation of the bending plane with p
     spatial, nu                      of spatial modes as in the state: the same where roll rate and modes are at rest
     per tank       angles atan2(u_z, -u_x), atan2(u_y, -u_x) and their rates, rad, rad/s
+    TVC load       as in the state
 
 Away from equilibrium (an accelerating rocket always is) a linear model depends on its coordinates; these are those of
 design/model/plant.py. The vehicle's properties are frozen at the instant, their rates (mass flow, moving CG) act.
@@ -50,6 +51,7 @@ _FLEXIBLE = _FLAT.stop
 _LEVELS = 6  # of the extrapolation: each halves the step
 _STEP_R, _STEP_V, _STEP_TURN, _STEP_W = 8.0, 0.5, 4e-3, 1e-2
 _STEP_FLAT, _STEP_BEND, _STEP_BEND_RATE, _STEP_SLOSH, _STEP_COMMAND = 2e-3, 2e-3, 0.1, 8e-3, 4e-3
+_STEP_LOAD = 2e-3
 
 
 @dataclass(frozen=True)
@@ -146,10 +148,13 @@ class _Chart:
         first, spatial = int(layout.spatial_index(self._sizes)), int(self._sizes["spatial_modes"])
         self._spatial = slice(first, first + 2 * spatial)
         self._tanks = [int(layout.pendulum_index(self._sizes, k)) for k in range(tanks)]
+        end = int(layout.tvc_load_index(self._sizes))
+        self._loads = slice(end, int(layout.state_size(self._sizes)))
         self._point = self._read(y)
-        self.names = self._named(pitch, yaw, spatial, tanks)
+        loads = tuple(layout.TVC_LOADS.names(self._sizes))
+        self.names = (*self._named(pitch, yaw, spatial, tanks), *loads)
         self.size = len(self.names)
-        self.steps = self._step_sizes(pitch, yaw, spatial, tanks)
+        self.steps = np.concatenate([self._step_sizes(pitch, yaw, spatial, tanks), np.full(len(loads), _STEP_LOAD)])
 
     def motion(self, offset: Array, command: Array) -> Array:
         """Rates of the coordinates `offset` from the reference, then the outputs."""
@@ -178,7 +183,7 @@ class _Chart:
             for across in (2, 1):
                 angle, rate, _ = _angle(u, u_rate, np.zeros(3), across)
                 parts.append(np.array([angle, rate]))
-        return np.concatenate(parts)
+        return np.concatenate([*parts, y[self._loads]])
 
     def _state(self, x: Array) -> Array:
         """The simulator's state at coordinates `x`."""
@@ -204,6 +209,7 @@ class _Chart:
         for group, multiples in enumerate(self._follow):
             first = int(layout.actuator_index(self._sizes, group + 1))
             y[first : first + 2 * n] = np.repeat(multiples, n) * y[layout.ACTUATOR : layout.ACTUATOR + 2 * n]
+        y[self._loads] = x[len(x) - (self._loads.stop - self._loads.start) :]
         return y
 
     def _rates(self, x: Array, y: Array, dy: Array) -> Array:
@@ -228,7 +234,7 @@ class _Chart:
             for across in (2, 1):
                 _, rate, accel = _angle(u, u_rate, u_accel, across)
                 parts.append(np.array([rate, accel]))
-        return np.concatenate(parts)
+        return np.concatenate([*parts, dy[self._loads]])
 
     @staticmethod
     def _named(pitch: int, yaw: int, spatial: int, tanks: int) -> tuple[str, ...]:
