@@ -132,6 +132,41 @@ def test_engine_rests_on_its_stop() -> None:
     assert last.deflection_radps[1] == last.deflection_radps2[1] == 0.0
 
 
+def failing(fault: dict[str, object], **actuator: object) -> Rig:
+    """A step of 2 deg at the start, and a fault of the pitch actuator."""
+    keys = {"angle_limit_deg": 6.0, "rate_limit_degps": 30.0, **actuator}
+    tree = scenario_of(Parts(), injection=command("pitch", STEP_DEG), run={"step_s": 0.0005}, fault=[fault])
+    return rig(with_stage(tree, actuator=keys))
+
+
+@pytest.mark.parametrize("limits_act_on", ["servo", "engine"])
+def test_stuck_servo_stands_until_it_works_again(limits_act_on: str) -> None:
+    made = failing(
+        {"kind": "actuator-stuck", "at_s": 0.05, "until_s": 1.0, "axis": "pitch"}, limits_act_on=limits_act_on
+    )
+    servo = flown(made, 2.0, 0.05)[:, layout.ACTUATOR]
+    assert 0.0 < servo[1] < math.radians(STEP_DEG)
+    assert np.all(servo[1:20] == servo[1])
+    assert np.isclose(servo[-1], math.radians(STEP_DEG), rtol=1e-6)
+
+
+def test_hard_over_goes_to_its_angle_at_the_limit_of_the_rate() -> None:
+    made = failing({"kind": "actuator-hard-over", "at_s": 0.0, "angle_deg": -8.0}, limits_act_on="engine")
+    states = flown(made, 1.0, 0.005)
+    engine = [to_oracle(made, y) for y in states]
+    rates = np.degrees([state.deflection_radps for state in engine])
+    assert np.all(np.abs(rates) <= 30.0 * (1.0 + 1e-12))
+    assert np.allclose(rates.min(axis=0), -30.0, rtol=1e-3)  # both axes, and whatever the computer commands
+    assert np.allclose(np.degrees(engine[-1].deflection_rad), -6.0, rtol=1e-6)
+
+
+def test_floating_servo_goes_to_its_middle() -> None:
+    made = failing({"kind": "actuator-floating", "at_s": 0.5, "axis": "pitch"})
+    angles = np.degrees([to_oracle(made, y).deflection_rad[0] for y in flown(made, 1.5, 0.5)])
+    assert np.isclose(angles[1], STEP_DEG, rtol=1e-3)
+    assert abs(angles[-1]) < 1e-4
+
+
 def test_dc_gain_is_one_and_bias_adds() -> None:
     made = moving("yaw", STEP_DEG, bias_deg=[0.3, -0.2])
     flown(made, 3.0)

@@ -55,7 +55,7 @@ def parts_of(rng: np.random.Generator) -> Parts:
     inertia = np.diag([8.0e3, 5.0e4, 5.2e4]) + 100.0 * (a + a.T)
 
     def mode(frequency_hz: float, phi: Array) -> Mode:
-        slope = rng.normal(0.0, 0.3, len(STATIONS))
+        slope = np.gradient(phi, STATIONS) + rng.normal(0.0, 0.05, len(STATIONS))  # a shape that the file may hold
         return Mode(frequency_hz, rng.uniform(300.0, 900.0), tuple(phi), tuple(slope), 0.01)
 
     shapes = rng.normal(0.0, 0.8, (2, len(STATIONS)))
@@ -159,6 +159,23 @@ def test_engine_and_body_are_two_inertias_on_a_spring(axis: int) -> None:
     swing = held.derivative(with_engine(held, held.y, angle, 0.0 * rate))[first + 1]
     weight = parts.engine_mass_kg * parts.engine_cg_m * 9.8
     assert np.isclose(swing / 1e-4, -((2.0 * np.pi * FREQUENCY_HZ) ** 2 + weight / about_gimbal), rtol=1e-6)
+
+
+def test_floating_engine_hangs_on_its_gimbal() -> None:
+    """On the hold-down, without the actuators' force: a pendulum under the body's specific force."""
+    parts = stiff()
+    made = loaded(
+        parts, earth={"gravity": "uniform", "uniform_mps2": 9.8}, initial={"euler_deg": [0.0, 90.0, 0.0]},
+        fault=[{"kind": "actuator-floating", "at_s": 0.0, "axis": "yaw"}],
+    )  # fmt: skip  # four more lines otherwise
+    flown(made, 0.001)
+    made.held.on_pad = 1
+    angles, first = np.array([1e-4, 1e-4]), int(layout.tvc_load_index(made.sizes))
+    rates = made.derivative(with_engine(made, made.y, angles, np.zeros(2)))
+    about_gimbal = parts.engine_inertia_kgm2 + parts.engine_mass_kg * parts.engine_cg_m**2
+    weight = parts.engine_mass_kg * parts.engine_cg_m * 9.8 / about_gimbal
+    assert np.isclose(rates[first + 4] / 1e-4, -weight, rtol=1e-6)
+    assert np.isclose(rates[first + 1] / 1e-4, -weight - (2.0 * np.pi * FREQUENCY_HZ) ** 2, rtol=1e-6)
 
 
 def test_energy_and_momentum_are_conserved() -> None:

@@ -14,7 +14,16 @@ from maxq.sim.flight.parameters import NEVER
 from maxq.sim.scenario.schema_fault import Fault, FaultKind
 from maxq.sim.scenario.schema_scenario import Scenario
 from maxq.sim.scenario.schema_values import to_ns
-from maxq.sim.vehicle.faults import GYRO_ADDED, GYRO_LOST, GYRO_WALK
+from maxq.sim.vehicle.faults import (
+    ACTUATOR_ANGLE,
+    ACTUATOR_FAULT,
+    FLOATING,
+    GYRO_ADDED,
+    GYRO_LOST,
+    GYRO_WALK,
+    HARD_OVER,
+    STUCK,
+)
 from maxq.sim.vehicle.state import GYRO
 
 _AXIS = {"roll": 0, "pitch": 1, "yaw": 2}
@@ -49,6 +58,13 @@ def _nothing(fault: Fault, axis: int) -> tuple[Write, ...]:
     return ()
 
 
+def _actuator(fault: Fault, axis: int) -> tuple[Write, ...]:
+    channel = 2 * (fault.group or 0) + axis - 1
+    state = {"actuator-stuck": STUCK, "actuator-hard-over": HARD_OVER, "actuator-floating": FLOATING}[fault.kind]
+    angle = math.radians(fault.angle_deg or 0.0)
+    return Write(ACTUATOR_FAULT + channel, state), Write(ACTUATOR_ANGLE + channel, angle)
+
+
 WRITES: dict[FaultKind, Callable[[Fault, int], tuple[Write, ...]]] = {
     "engine-off": _nothing,
     "thrust-loss": _nothing,
@@ -56,6 +72,9 @@ WRITES: dict[FaultKind, Callable[[Fault, int], tuple[Write, ...]]] = {
     "gyro-dead": _gyro_dead,
     "gyro-bias": _gyro_bias,
     "gyro-noisy": _gyro_noisy,
+    "actuator-stuck": _actuator,
+    "actuator-hard-over": _actuator,
+    "actuator-floating": _actuator,
 }
 """What a kind of fault does on an axis (0 roll, 1 pitch, 2 yaw; 0 where the kind has no axes)."""
 

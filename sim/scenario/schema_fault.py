@@ -15,7 +15,10 @@ from maxq.sim.scenario.errors import refuse
 from maxq.sim.scenario.schema_values import Fraction, Positive, Seconds, Section, needs, only_with, optional
 from maxq.sim.scenario.tables_csv import Columns, CsvTable
 
-FaultKind = Literal["engine-off", "thrust-loss", "gyro-stuck", "gyro-dead", "gyro-bias", "gyro-noisy"]
+FaultKind = Literal[
+    "engine-off", "thrust-loss", "gyro-stuck", "gyro-dead", "gyro-bias", "gyro-noisy", "actuator-stuck",
+    "actuator-hard-over", "actuator-floating",
+]  # fmt: skip  # eight more lines otherwise
 
 
 class Kind(NamedTuple):
@@ -32,7 +35,7 @@ class Kind(NamedTuple):
         return *self.targets, *self.values, *self.options
 
 
-_TURNS = ("roll", "pitch", "yaw")
+_TURNS, _GIMBALS = ("roll", "pitch", "yaw"), ("pitch", "yaw")
 TAIL_OFF_COLUMNS = Columns("time_s", sets=(("share",),), not_negative=("time_s", "share"), begins_by=0.0)
 KINDS: dict[FaultKind, Kind] = {
     "engine-off": Kind("engine", (), ("engine",), (), ("tail_off", "reallocate_after_s")),
@@ -41,6 +44,9 @@ KINDS: dict[FaultKind, Kind] = {
     "gyro-dead": Kind("gyro", _TURNS, ("axis",)),
     "gyro-bias": Kind("gyro", _TURNS, ("axis",), ("bias_degps",)),
     "gyro-noisy": Kind("gyro", _TURNS, ("axis",), ("noise_deg_rt_h",)),
+    "actuator-stuck": Kind("actuator", _GIMBALS, ("axis", "group")),
+    "actuator-hard-over": Kind("actuator", _GIMBALS, ("axis", "group"), ("angle_deg",)),
+    "actuator-floating": Kind("actuator", _GIMBALS, ("axis", "group")),
 }
 _OF_KINDS = tuple(dict.fromkeys(key for kind in KINDS.values() for key in kind.keys))
 
@@ -50,13 +56,17 @@ class Fault(Section):
 
     kind: FaultKind = Field(
         description="engine-off: no thrust and no flow; thrust-loss: a share of both; gyro-stuck: the output stays as "
-        "it is; gyro-dead: it is zero; gyro-bias, gyro-noisy: a rate or noise is added to it"
+        "it is; gyro-dead: it is zero; gyro-bias, gyro-noisy: a rate or noise is added to it; actuator-stuck: the servo "
+        "stays where it is; actuator-hard-over: it goes to angle_deg as fast as its limits let it; actuator-floating: "
+        "it gives no force and the engine swings freely on its gimbal (without a TVC load the servo goes to its middle)"
     )
     at_s: Seconds = Field(description="when, s, whole ns")
     since: Literal["clock", "liftoff"] = optional("at_s and until_s on the vehicle clock, or from lift-off on", "clock")
     until_s: Seconds | None = optional("when the part works again, s, whole ns (default: never)")
     stage: int | None = optional("of which stage, from 0 (default: of whichever flies)", None, ge=0, lt=MAX_STAGES)
     axis: Literal["roll", "pitch", "yaw"] | None = optional("which axis (default: all)")
+    group: int | None = optional("group of engines, from 0 as they name them (default: 0)", None, ge=0, lt=MAX_ENGINES)
+    angle_deg: float | None = optional("actuator-hard-over: to which angle, deg; its limit of the angle holds")
     bias_degps: float | None = optional("gyro-bias: added to the output, deg/s")
     noise_deg_rt_h: Positive | None = optional("gyro-noisy: angle random walk beside the gyro's own, deg/sqrt(h)")
     engine: int | None = optional("its number in the stage, from 0 (default: all)", None, ge=0, lt=MAX_ENGINES)

@@ -349,6 +349,9 @@ class Scenario(Section):
             if fault.stage is not None and fault.stage >= len(stages):
                 raise refuse("the vehicle has no such stage", f"0 .. {len(stages) - 1}", key=("fault", n, "stage"))
             concerned = stages if fault.stage is None else stages[fault.stage : fault.stage + 1]
+            groups = max(len(stage.engine_groups) for stage in concerned)
+            if fault.group is not None and fault.group >= groups:
+                raise refuse("the vehicle has no such group", f"0 .. {groups - 1}", key=("fault", n, "group"))
             if not any(getattr(stage, part) for stage in concerned):
                 raise refuse(
                     f"there is no {part} to fail", f"with [{part}] in the stage only", key=("fault", n, "kind")

@@ -24,6 +24,7 @@ from maxq.control.kernel.jit import kernel
 from maxq.control.kernel.records import Array
 from maxq.control.kernel.rows import DEG, PitchYaw
 from maxq.sim.vehicle.block import StateBlock
+from maxq.sim.vehicle.faults import ACTUATOR_ANGLE, ACTUATOR_FAULT, ANY_FAULT, FLOATING, HARD_OVER, STUCK
 from maxq.sim.vehicle.workspace import ENGINE_PITCH, ENGINE_YAW
 
 ACTUATORS = StateBlock(
@@ -185,6 +186,41 @@ def actuator_derivative(a: Actuator, y: Array, i: int, command: float, dy: Array
     if a.order == 6:
         dy[i + 4] = y[i + 5]
         dy[i + 5] = _section_acceleration(a.omega_3_radps, a.zeta_3, y[i + 2], y[i + 4], y[i + 5])
+
+
+@kernel
+def actuator_motion(
+    a: Actuator, faults: Array, channel: int, y: Array, i: int, command: float
+) -> tuple[float, float, float]:
+    """`actuator_output` with the faults of this actuator; `channel` is twice its group, one more in yaw."""
+    if faults[ANY_FAULT] == 0.0:
+        return actuator_output(a, y, i, command)
+    angle, rate, accel = actuator_output(a, y, i, _faulty_command(faults, channel, command))
+    if faults[ACTUATOR_FAULT + channel] == STUCK and (a.order == 2 or a.limits_on_engine == 1):
+        return angle, 0.0, 0.0
+    return angle, rate, accel
+
+
+@kernel
+def actuator_rates(
+    a: Actuator, faults: Array, channel: int, y: Array, i: int, command: float, dy: Array
+) -> None:  # fmt: skip  # as ruff would, but for a line of one bracket
+    """`actuator_derivative` with the faults of this actuator. A stuck servo stands; its rate state dies away."""
+    if faults[ANY_FAULT] == 0.0:
+        actuator_derivative(a, y, i, command, dy)
+        return
+    actuator_derivative(a, y, i, _faulty_command(faults, channel, command), dy)
+    if faults[ACTUATOR_FAULT + channel] == STUCK:
+        dy[i], dy[i + 1] = 0.0, -2.0 * a.zeta_1 * a.omega_1_radps * y[i + 1]
+
+
+@kernel
+def _faulty_command(faults: Array, channel: int, command: float) -> float:
+    if faults[ACTUATOR_FAULT + channel] == HARD_OVER:
+        command = faults[ACTUATOR_ANGLE + channel]
+    if faults[ACTUATOR_FAULT + channel] == FLOATING:
+        command = 0.0
+    return command
 
 
 @kernel

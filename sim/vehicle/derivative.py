@@ -24,7 +24,7 @@ from maxq.control.kernel.vectors import (
     set_vector,
     vector_at,
 )
-from maxq.sim.vehicle.actuator import Actuator, actuator_derivative, actuator_output
+from maxq.sim.vehicle.actuator import Actuator, actuator_motion, actuator_rates
 from maxq.sim.vehicle.aero import Aero, air_acts, body_loads, coefficients, moment_reference, surface_loads, table_loads
 from maxq.sim.vehicle.bending import (
     Bending,
@@ -263,8 +263,8 @@ def derivative(
     if sizes.tvc_loads > 0:
         prepare_load(
             vehicle.tvc_load, vehicle.engine, engine, balanced.offset, sizes, rate, axial_load, properties, y, loads,
-            work, aux,
-        )  # fmt: skip  # twelve lines otherwise
+            held.faults, work, aux,
+        )  # fmt: skip  # thirteen lines otherwise
     specific_force, alpha = accelerate(
         vehicle.slosh, sizes, held.on_pad, balanced.offset, balanced.inverse_inertia, force, moment, pad, properties,
         y, pendulums, work,
@@ -273,8 +273,10 @@ def derivative(
     kinematics(environment.earth, held.on_pad, rotation, rate, specific_force, alpha, gravitation, properties, y, dy)
     for group in range(1 + sizes.further_groups):
         i = actuator_index(sizes, group)
-        actuator_derivative(vehicle.actuator_pitch, y, i, held.command_rad[2 * group], dy)
-        actuator_derivative(vehicle.actuator_yaw, y, i + N_ACTUATOR, held.command_rad[2 * group + 1], dy)
+        actuator_rates(vehicle.actuator_pitch, held.faults, 2 * group, y, i, held.command_rad[2 * group], dy)
+        actuator_rates(
+            vehicle.actuator_yaw, held.faults, 2 * group + 1, y, i + N_ACTUATOR, held.command_rad[2 * group + 1], dy
+        )  # fmt: skip  # nine lines otherwise
     bend_y, bend_z = bending_rate_at_gyro(sizes, properties, work)
     local = (rate[0], rate[1] + bend_y, rate[2] + bend_z)
     if sizes.spatial_modes > 0:
@@ -309,8 +311,9 @@ def engine_motion(
     """
     for group in range(1 + sizes.further_groups):
         i, at = actuator_index(sizes, group), group_angles(group)
-        set_vector(aux, at, actuator_output(vehicle.actuator_pitch, y, i, held.command_rad[2 * group]))
-        in_yaw = actuator_output(vehicle.actuator_yaw, y, i + N_ACTUATOR, held.command_rad[2 * group + 1])
+        pitch, yaw = held.command_rad[2 * group], held.command_rad[2 * group + 1]
+        set_vector(aux, at, actuator_motion(vehicle.actuator_pitch, held.faults, 2 * group, y, i, pitch))
+        in_yaw = actuator_motion(vehicle.actuator_yaw, held.faults, 2 * group + 1, y, i + N_ACTUATOR, yaw)
         set_vector(aux, at + 3, in_yaw)
     if sizes.tvc_loads > 0:  # the actuators' position is the spring's other end; the engine has angles of its own
         i = tvc_load_index(sizes)

@@ -39,6 +39,7 @@ from maxq.control.kernel.vectors import (
 from maxq.sim.vehicle.bending import add_to_modes, modal_sum, of_plane
 from maxq.sim.vehicle.block import Counts, Sizes, StateBlock
 from maxq.sim.vehicle.engine import Engine
+from maxq.sim.vehicle.faults import ACTUATOR_FAULT, FLOATING
 from maxq.sim.vehicle.schedule import (
     MODE_INVERSE_MASS,
     MODE_PHI_GIMBAL,
@@ -130,10 +131,11 @@ def load_modal(unknown: int, accelerations: int) -> int:
 
 
 @kernel
-def hinge_moment(load: TvcLoad, y: Array, i: int, position: float, rate: float, stop: float) -> float:
-    """Moment of spring, damper, friction and stop on the engine about its hinge, N m; its states lie at y[i:i+3]."""
-    moment: float = -load.stiffness_Nmprad * (y[i] - position) - load.damping_Nmsprad * (y[i + 1] - rate)
-    moment -= load.friction_Nm * y[i + 2]
+def hinge_moment(load: TvcLoad, y: Array, i: int, position: float, rate: float, stop: float, floating: int) -> float:
+    """Moment of spring, damper, friction and stop on the engine about its hinge, N m; states at y[i:i+3]."""
+    moment: float = -load.friction_Nm * y[i + 2]
+    if floating == 0:
+        moment -= load.stiffness_Nmprad * (y[i] - position) + load.damping_Nmsprad * (y[i + 1] - rate)
     if abs(y[i]) > stop:
         moment -= load.stop_stiffness_Nmprad * (y[i] - math.copysign(stop, y[i]))
     return moment
@@ -142,8 +144,8 @@ def hinge_moment(load: TvcLoad, y: Array, i: int, position: float, rate: float, 
 @kernel
 def prepare_load(
     load: TvcLoad, e: Engine, engine: Deflected, offset: Vector, sizes: Counts, rate: Vector, axial_load: float,
-    properties: Array, y: Array, first: int, work: Array, aux: Array,
-) -> None:  # fmt: skip  # thirteen lines otherwise
+    properties: Array, y: Array, first: int, faults: Array, work: Array, aux: Array,
+) -> None:  # fmt: skip  # fourteen lines otherwise
     """Fill the blocks of both unknowns of the load whose states lie at y[first:first+6].
 
     `offset` leads from the core CG to the CG with the engine deflected.
@@ -160,12 +162,10 @@ def prepare_load(
     felt = add(cross(rate, cross(rate, at)), scaled(2.0, cross(rate, engine.delta_rate)))
     axis_rate = cross(engine.relative_rate, engine.axis)
     spin = scaled(2.0, cross((rate[0], rate[1] + turning_y, rate[2] + turning_z), axis_rate))
-    aux[HINGE_MOMENT] = hinge_moment(
-        load, y, first, aux[ACTUATOR_PITCH], aux[ACTUATOR_PITCH + 1], load.stop_pitch_rad
-    )  # fmt: skip  # four lines otherwise
-    aux[HINGE_MOMENT + 1] = hinge_moment(
-        load, y, first + N_AXIS, aux[ACTUATOR_YAW], aux[ACTUATOR_YAW + 1], load.stop_yaw_rad
-    )  # fmt: skip  # four lines otherwise
+    for k in range(2):
+        at_k, stop = ACTUATOR_PITCH + 2 * k, load.stop_pitch_rad if k == 0 else load.stop_yaw_rad
+        floating = 1 if faults[ACTUATOR_FAULT + k] == FLOATING else 0
+        aux[HINGE_MOMENT + k] = hinge_moment(load, y, first + N_AXIS * k, aux[at_k], aux[at_k + 1], stop, floating)
     for k in range(2):
         if k == 0:  # derivative of the thrust axis by the angle, and that angle's own centrifugal terms
             along, lever, own = (-sp * cy, 0.0, cp * cy), cy * cy, 2.0 * cy * sy * pitch_rate * yaw_rate
