@@ -57,8 +57,9 @@ class Fault(Section):
     kind: FaultKind = Field(
         description="engine-off: no thrust and no flow; thrust-loss: a share of both; gyro-stuck: the output stays as "
         "it is; gyro-dead: it is zero; gyro-bias, gyro-noisy: a rate or noise is added to it; actuator-stuck: the "
-        "servo stays as it is; actuator-hard-over: it goes to angle_deg as fast as its limits let it; actuator-floating: "
-        "it gives no force and the engine swings freely on its gimbal (without a TVC load the servo goes to its middle)"
+        "servo stays as it is; actuator-hard-over: it goes to angle_deg as fast as its limits let it; "
+        "actuator-floating: it gives no force and the engine swings freely on its gimbal (without a TVC load the servo "
+        "goes to its middle)"
     )
     at_s: Seconds = Field(description="when, s, whole ns")
     since: Literal["clock", "liftoff"] = optional("at_s and until_s on the vehicle clock, or from lift-off on", "clock")

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 from maxq.sim.flight.channels import EVENTS_TOPIC, FRAMES_TOPIC, ChannelTable
@@ -44,7 +45,7 @@ def page() -> str:
     """The whole page."""
     loaded = load_scenario(_EXAMPLE)
     stage = loaded.vehicle.stage[0]
-    sizes = stage_sizes(stage, loaded.scenario.switches)
+    sizes = replace(stage_sizes(stage, loaded.scenario.switches), tvc_loads=1)  # and what that vehicle lacks
     assert stage.loads is not None
     first = f"station 1 at {stage.loads.stations_m[0]:g} m"
     table = channel_table(sizes, stage.pendulum_names, (first,))
@@ -65,8 +66,8 @@ north-east-down, B body (x forward, y right, z down). `1` stands for no unit. An
 name says so. The tables are those of the built-in `{_EXAMPLE}`: {sizes.pitch_modes} bending modes in pitch,
 {sizes.yaw_modes} in yaw, {len(stage.tank)} tanks. `/bending` and `/slosh` have as many columns as the vehicle
 has modes and tanks, and are missing where it has none; spatial modes are `eta_spatial_N_m` and
-`eta_spatial_N_mps`. `/sections` is there with `switches.section_loads`, and has the same five columns for every
-station of `[stage.loads]` (docs/model.md, section 13, for the signs). What a stage
+`eta_spatial_N_mps`. `/tvc_load` is there with `[stage.tvc_load]`. `/sections` is there with `switches.section_loads`, and
+has the same five columns for every station of `[stage.loads]` (docs/model.md, section 13, for the signs). What a stage
 lacks, and the pendulum of an empty tank, is nan.
 
 {topics_markdown(table)}
