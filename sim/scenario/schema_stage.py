@@ -13,6 +13,7 @@ from maxq.sim.scenario.errors import refuse
 from maxq.sim.scenario.grids import COEFFICIENT_COLUMNS, GridTable, grid_table
 from maxq.sim.scenario.schema_values import (
     ChannelPart,
+    Fraction,
     Matrix,
     NotNegative,
     Pair,
