@@ -11,13 +11,15 @@ from collections.abc import Callable
 import pytest
 
 from maxq.sim.scenario.errors import ScenarioError
-from maxq.tools import simdesign, simreplay, simrun, simverify
+from maxq.tools import simdesign, simreplay, simrun, simvehicle, simverify
 from maxq.tools.cli import frame
 from maxq.tools.cli.frame import TRACEBACK, CommandError, Exit, Interruption
 from maxq.tools.cli.terminal import Progress
 
 Printed = pytest.CaptureFixture[str]
-COMMANDS = {"simrun": simrun, "simdesign": simdesign, "simverify": simverify, "simreplay": simreplay}
+COMMANDS = {
+    "simrun": simrun, "simdesign": simdesign, "simverify": simverify, "simreplay": simreplay, "simvehicle": simvehicle,
+}  # fmt: skip  # five more lines otherwise
 
 
 @pytest.mark.parametrize("name", COMMANDS)

@@ -12,9 +12,11 @@ from maxq.sim.scenario.schema_design import Design
 from maxq.sim.scenario.schema_scenario import Scenario
 from maxq.sim.scenario.schema_values import Section
 from maxq.sim.scenario.schema_vehicle import Vehicle
+from maxq.tools.vehicle.layout import Layout
 
 _MODELS: dict[str, type[Section]] = {
     "scenario": Scenario, "vehicle": Vehicle, "design": Design, "campaign": CampaignFile, "case": Case, "suite": Suite,
+    "layout": Layout,
 }  # fmt: skip  # five more lines otherwise
 KINDS = tuple(_MODELS)
 _EXTENDS = {"type": "string", "description": "file on top of which this one lies"}

@@ -5,10 +5,13 @@ from __future__ import annotations
 import importlib
 from pathlib import Path
 
-DATA_FOLDERS = ("vehicles", "designs", "winds", "campaigns", "suites")
+DATA_FOLDERS = ("vehicles", "designs", "winds", "campaigns", "suites", "layouts")
 """Folders of data that scenarios name; their files are no scenarios."""
 
-FOLDERS = {"scenario": "", "campaign": "campaigns", "design": "designs", "case": "designs/cases", "suite": "suites"}
+FOLDERS = {
+    "scenario": "", "campaign": "campaigns", "design": "designs", "case": "designs/cases", "suite": "suites",
+    "layout": "layouts",
+}  # fmt: skip  # a table
 """Below scenarios/, by the kind of file."""
 
 

@@ -23,13 +23,14 @@ WANTED = {
     "design": "a design file (.toml)",
     "case": "a case file (.toml)",
     "suite": "a suite (.toml)",
+    "layout": "a layout file (.toml)",
 }
 """What is allowed where a file of this kind is named."""
 
 PARTS = ("vehicle", "design")
 """What a scenario names by file, besides tables."""
 
-_LISTED_BY = {"scenario": "simrun", "case": "simdesign", "suite": "simverify"}
+_LISTED_BY = {"scenario": "simrun", "case": "simdesign", "suite": "simverify", "layout": "simvehicle"}
 
 
 @dataclass(frozen=True)
@@ -179,7 +180,7 @@ class Reading:
     def document(self, path: Path, label: str, role: str, chain: tuple[Path, ...] = ()) -> Table:
         """The document in a file, with what it extends below it. `role` is a kind of WANTED."""
         within = (role,) if role in PARTS else ()
-        beside = scenarios_folder() / FOLDERS[role] if role in ("case", "suite") else scenarios_folder()
+        beside = scenarios_folder() / FOLDERS[role] if role in ("case", "suite", "layout") else scenarios_folder()
         source = Source(label, (path.parent, beside), within)
         return self.extended(parse(self.text(path, label, "a TOML file"), source), role, (*chain, path))
 

@@ -89,6 +89,7 @@ RANGES = (
     Range(("_K",), 1.0, 1e5, "atmospheres, K"),
     Range(("_kgpm3",), 0.0, 1e5, "atmospheres and liquids, kg/m3"),
     Range(("_m2ps",), 1e-10, 1e2, "kinematic viscosities of liquids, m2/s"),
+    Range(("modulus_Pa",), 1e6, 1e13, "stiffness of materials, Pa"),
     Range(("_Pa",), 0.0, 1e9, "atmospheres, Pa"),
     Range(("_hz",), 1e-6, 1e6, "what loops, structures and logs can have, Hz"),
     Range(("zero_zeta",), 0.0, 1e3, "damping ratios"),

@@ -1,0 +1,82 @@
+"""The command `simvehicle`: from a layout to a vehicle that flies. Nothing heavy is imported before it has to be."""
+
+from __future__ import annotations
+
+import re
+import sys
+from pathlib import Path
+from typing import NoReturn
+
+from maxq.tools.cli.frame import Exit, process, run, show_list
+from maxq.tools.cli.parser import Parser
+
+_USAGE = """\
+simvehicle LAYOUT [--out DIR]
+       simvehicle --list | --version | --help"""
+_EXAMPLES = """\
+  simvehicle petrel                               a built-in layout, into runs/petrel
+  simvehicle mine.toml --out mine                 then: simrun mine/scenario.toml
+"""
+_EXITS = {
+    Exit.OK: "the vehicle is written",
+    Exit.FAILED: "written, but its gimbals are too weak for its aerodynamics; it says where",
+    Exit.BAD_INPUT: "bad input, or a layout that cannot fly; nothing written",
+    Exit.INTERRUPTED: "interrupted; nothing written",
+}
+
+
+def _parser() -> Parser:
+    about = "Work out a vehicle from a layout: masses, modes, slosh, aerodynamics, pitch programme, first gains."
+    parser = Parser("simvehicle", _USAGE, about, _EXAMPLES, _EXITS)
+    parser.option("layout", nargs="?", metavar="LAYOUT", help="layout file, or a built-in one (docs/simvehicle.md)")
+    parser.option("--out", metavar="DIR", help="where to write (default: runs/<name of the layout>)")
+    parser.option("--list", action="store_true", help="name the built-in layouts")
+    parser.version_and_help()
+    return parser
+
+
+def command() -> NoReturn:
+    """`simvehicle` as a process."""
+    process(main)
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Run the command; returns the exit code."""
+    given = sys.argv[1:] if arguments is None else arguments
+    return run("simvehicle", lambda: _run(given), "interrupted; nothing written")
+
+
+def _run(arguments: list[str]) -> int:
+    parser = _parser()
+    options = parser.read(arguments)
+    if options.list:
+        return show_list({"layout": "layouts (simvehicle LAYOUT)"})
+    if options.layout is None:
+        parser.error("give a layout, e.g. simvehicle petrel")
+    if options.out == "":
+        parser.error("--out needs the name of a folder")
+    from maxq.sim.files import check_writable  # noqa: PLC0415  # lazy, as all imports here: --help is quick
+    from maxq.sim.scenario.errors import ScenarioError  # noqa: PLC0415
+    from maxq.tools.vehicle.build import build, too_weak, write  # noqa: PLC0415
+    from maxq.tools.vehicle.layout import read_layout  # noqa: PLC0415
+    from maxq.tools.vehicle.report import report  # noqa: PLC0415
+
+    layout = read_layout(options.layout)
+    folder = Path(options.out or Path("runs") / (re.sub(r"[^\w.-]+", "-", layout.name).strip(".-") or "vehicle"))
+    check_writable(folder)
+    try:
+        built = build(layout)
+    except ValueError as error:
+        raise ScenarioError(options.layout, str(error)) from None
+    files = write(built, folder)
+    print(report(built))
+    print(f"\n{len(files)} files in {folder}/")
+    if weak := too_weak(built):
+        print(f"TOO WEAK: {'; '.join(weak)}")
+        return Exit.FAILED
+    print(f"BUILT: {layout.name}; fly it with: simrun {folder}/scenario.toml")
+    return Exit.OK
+
+
+if __name__ == "__main__":
+    command()

@@ -1,0 +1,87 @@
+"""Free-free bending modes of a stack: Euler-Bernoulli elements with cubic shapes (Hermite), engines locked as a rigid
+mass behind the last node, sloshing masses removed.
+
+No shear, no rotary inertia of the sections, no compliance of joints beyond EI. Shapes are 1 at the gimbal; the slope is
+d(phi)/d(station). (Przemieniecki, Theory of Matrix Structural Analysis, sections 5.6 and 11.5.)
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import eigh
+
+from maxq.control.kernel.records import Array
+from maxq.tools.vehicle.masses import Rod, Stack, line_density_kgpm
+
+ELEMENTS = 120
+_LEAST_SHARE = 1e-4  # of the mean mass per length: an element without mass has no mass matrix
+
+
+@dataclass(frozen=True)
+class Mode:
+    """At the nodes of the beam."""
+
+    frequency_hz: float
+    generalized_mass_kg: float
+    phi: Array
+    slope_pm: Array
+
+
+@dataclass(frozen=True)
+class Beam:
+    """The structure of a stack: nodes, and the bending stiffness of the elements between them."""
+
+    nodes_m: Array
+    stiffness_Nm2: Array
+
+    @staticmethod
+    def of(stack: Stack) -> Beam:
+        """From the nose to the gimbal of the burning engines."""
+        nodes = np.linspace(0.0, stack.tail_m, ELEMENTS + 1)
+        middles, stiffness = 0.5 * (nodes[1:] + nodes[:-1]), np.zeros(ELEMENTS)
+        for stage in reversed(stack.layout.stage[stack.number :]):
+            for s in stage.shell:
+                radius = s.radius_m or 0.5 * stage.diameter_m
+                value = s.EI_Nm2 or math.pi * (s.modulus_Pa or 0.0) * radius**3 * (s.wall_m or 0.0)
+                stiffness[(middles >= s.front_station_m) & (middles <= s.rear_station_m)] = value
+        return Beam(nodes, stiffness)
+
+    def modes(self, rods: Sequence[Rod], count: int) -> list[Mode]:
+        """The first `count` bending modes with these masses on the beam."""
+        density, behind = line_density_kgpm(rods, self.nodes_m)
+        k, m = self._matrices(np.maximum(density, _LEAST_SHARE * density.mean()))
+        m[-2:, -2:] += np.array([[behind[0], behind[1]], [behind[1], behind[2]]])
+        squares, vectors = eigh(k, m, subset_by_index=[2, 1 + count])  # 0 and 1 are the rigid motions
+        out = []
+        for square, vector in zip(squares, vectors.T, strict=True):
+            shape = vector / vector[-2]
+            out.append(Mode(math.sqrt(square) / (2.0 * math.pi), float(shape @ m @ shape), shape[::2], shape[1::2]))
+        return out
+
+    def _matrices(self, density_kgpm: Array) -> tuple[Array, Array]:
+        """Stiffness and consistent mass over (displacement, slope) of each node."""
+        h = float(self.nodes_m[1] - self.nodes_m[0])
+        k_unit = np.array(
+            [[12, 6 * h, -12, 6 * h], [6 * h, 4 * h * h, -6 * h, 2 * h * h],
+             [-12, -6 * h, 12, -6 * h], [6 * h, 2 * h * h, -6 * h, 4 * h * h]]
+        ) / h**3  # fmt: skip  # seven more lines otherwise
+        m_unit = np.array(
+            [[156, 22 * h, 54, -13 * h], [22 * h, 4 * h * h, 13 * h, -3 * h * h],
+             [54, 13 * h, 156, -22 * h], [-13 * h, -3 * h * h, -22 * h, 4 * h * h]]
+        ) * h / 420.0  # fmt: skip  # eight more lines otherwise
+        size = 2 * len(self.nodes_m)
+        k, m = np.zeros((size, size)), np.zeros((size, size))
+        for e in range(len(density_kgpm)):
+            span = slice(2 * e, 2 * e + 4)
+            k[span, span] += self.stiffness_Nm2[e] * k_unit
+            m[span, span] += density_kgpm[e] * m_unit
+        return k, m
+
+    def mass_forward_kg(self, rods: Sequence[Rod]) -> Array:
+        """Mass ahead of each node: times the axial acceleration, the compression there."""
+        density, _ = line_density_kgpm(rods, self.nodes_m)
+        return np.concatenate([[0.0], np.cumsum(density * np.diff(self.nodes_m))])

@@ -1,0 +1,414 @@
+"""From a layout to what simrun, simdesign and simverify read: the vehicle's tables, a pitch programme, a first design,
+a scenario, a campaign, a case and a suite.
+
+Every number is an estimate to begin with. What was assumed beyond the layout is listed in `Built.assumed`.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import tomli_w
+
+from maxq.control.kernel.records import Array
+from maxq.sim.files import write_whole
+from maxq.sim.packing.slosh_modes import modes_over
+from maxq.tools.vehicle.aerodynamics import MACH, Aerodynamics, aerodynamics
+from maxq.tools.vehicle.beam import Beam, Mode
+from maxq.tools.vehicle.layout import Layout, Tank
+from maxq.tools.vehicle.masses import Rod, Stack, engine_inertia, stacks
+from maxq.tools.vehicle.trajectory import Ascent, Point, ascent
+
+MASS_ROWS, MODE_ROWS, SHAPE_STATIONS = 41, 13, 41
+MOST_RIGID_HZ = 0.4
+SPREAD = {"thrust at equal impulse": 0.03, "normal force": 0.15, "axial force": 0.1, "frequency of mode 1": 0.05}
+Table = tuple[str, Sequence[tuple[Any, ...]]]  # head and rows of a CSV file
+
+
+@dataclass(frozen=True)
+class Built:
+    """A layout worked out. `modes`: of each stage, at times of its clock."""
+
+    layout: Layout
+    stacks: list[Stack]
+    aero: list[Aerodynamics]
+    modes: list[tuple[Array, list[list[Mode]]]]
+    flight: Ascent
+    gains: list[tuple[float, float, float]]  # flight time, k_p, k_d
+    assumed: list[str] = field(default_factory=list)
+
+    @property
+    def mode_1_hz(self) -> float:
+        """Of the first stage, mean over its burn; infinite without modes."""
+        found = [modes[0].frequency_hz for modes in self.modes[0][1] if modes]
+        return float(np.mean(found)) if found else math.inf
+
+
+def build(layout: Layout) -> Built:
+    """Work out a layout. Raises ValueError where it cannot fly."""
+    every = stacks(layout)
+    aero = [aerodynamics(stack) for stack in every]
+    modes = [_modes(stack) for stack in every]
+    flight = ascent(layout, every, aero)
+    found = Built(layout, every, aero, modes, flight, [])
+    rigid_hz = layout.control.rigid_hz or min(MOST_RIGID_HZ, found.mode_1_hz / 8.0)
+    found.gains.extend(_gains(found, rigid_hz))
+    found.assumed.extend(_assumed(found, rigid_hz))
+    return found
+
+
+def slosh_kg(tank: Tank, liquid_kg: float) -> float:
+    """Mass of the first slosh mode of a tank's liquid."""
+    scale = tank.density_kgpm3 * tank.radius_m**3
+    depth = tank.profile.depth(np.array([liquid_kg / scale]))
+    return float(scale * modes_over(tank.profile, depth, 1)[0].mass[0])
+
+
+def _modes(stack: Stack) -> tuple[Array, list[list[Mode]]]:
+    times, beam = np.linspace(0.0, stack.burn.end_s, MODE_ROWS), Beam.of(stack)
+    out = []
+    for t in times:
+        rods = list(stack.dry)
+        for tank, liquid in zip(stack.stage.tank, stack.liquids(float(t)), strict=True):
+            left = liquid.mass_kg - slosh_kg(tank, liquid.mass_kg)
+            rods.append(Rod(left, liquid.front_station_m, liquid.rear_station_m, 0.0, 0.0))
+        out.append(beam.modes(rods, stack.stage.modes) if stack.stage.modes else [])
+    return times, out
+
+
+def m_alpha_1ps2(built: Built, p: Point) -> float:
+    """Angular acceleration per incidence, positive for an unstable vehicle."""
+    aero, props = built.aero[p.number], built.stacks[p.number].mass_properties(p.clock_s)
+    slope, centre = aero.normal(p.mach)
+    return slope * p.dynamic_pressure_Pa * aero.area_m2 * (props.x_cg_m - centre) / props.pitch_kgm2
+
+
+def m_delta_1ps2(built: Built, p: Point) -> float:
+    """Angular acceleration per gimbal angle."""
+    stack = built.stacks[p.number]
+    props = stack.mass_properties(p.clock_s)
+    return p.thrust_N * (stack.stage.engine.gimbal_station_m - props.x_cg_m) / props.pitch_kgm2
+
+
+def burning(built: Built) -> list[Point]:
+    """Points at full thrust."""
+    out = []
+    for p in built.flight.points:
+        burn, e = built.stacks[p.number].burn, built.layout.stage[p.number].engine
+        if burn.start_s + e.ramp_s <= p.clock_s <= burn.end_s - e.tail_off_s:
+            out.append(p)
+    return out
+
+
+def _gains(built: Built, rigid_hz: float) -> list[tuple[float, float, float]]:
+    """Gains that give the rigid body its frequency and damping with M_alpha in it, at a dozen times a stage."""
+    omega, zeta, rows = 2.0 * math.pi * rigid_hz, built.layout.control.rigid_zeta, []
+    for n in range(len(built.stacks)):
+        points = [p for p in burning(built) if p.number == n]
+        for k in np.unique(np.linspace(0, len(points) - 1, 12).astype(int)):
+            p = points[k]
+            delta, alpha = m_delta_1ps2(built, p), max(m_alpha_1ps2(built, p), 0.0)
+            rows.append((round(p.time_s, 3), (omega**2 + alpha) / delta, 2.0 * zeta * omega / delta))
+    return rows
+
+
+def _assumed(built: Built, rigid_hz: float) -> list[str]:
+    layout = built.layout
+    lines = [
+        "axial force: a curve of a clean launcher over Mach number"
+        + (f", times {layout.axial_factor:g}" if layout.axial_factor != 1.0 else ""),
+        "normal force: slender-body theory and Barrowman's fins, over Mach number by a curve of our own",
+        "liquids drain in proportion to their load; they do not turn about the axis",
+        f"first gains: {rigid_hz:.3g} Hz and {layout.control.rigid_zeta:g} of the rigid body with M_alpha in it",
+    ]
+    for stage in layout.stage:
+        e = stage.engine
+        if e.gimballed_mass_kg is None or e.cg_from_gimbal_m is None:
+            mass, arm, _ = engine_inertia(e)
+            lines.append(f"{stage.name}: {mass:.4g} kg of each engine move, their CG {arm:.3g} m aft of the gimbal")
+    return lines
+
+
+INCIDENCE_deg = 5.0
+
+
+def too_weak(built: Built) -> list[str]:
+    """Stages whose gimbals cannot hold `INCIDENCE_deg`; empty where all can."""
+    out = []
+    for n, stage in enumerate(built.layout.stage):
+        points = [p for p in burning(built) if p.number == n]
+        worst = max(points, key=lambda p: m_alpha_1ps2(built, p) / m_delta_1ps2(built, p))
+        needed = INCIDENCE_deg * m_alpha_1ps2(built, worst) / m_delta_1ps2(built, worst)
+        if needed > stage.engine.angle_limit_deg:
+            out.append(
+                f"{stage.name}: at {worst.time_s:.0f} s {INCIDENCE_deg:g} deg of incidence need {needed:.1f} deg "
+                f"of the gimbals' {stage.engine.angle_limit_deg:g}"
+            )
+    return out
+
+
+def warnings(built: Built) -> list[str]:
+    """What may be meant, but is unusual."""
+    out, half_hz = [], 0.5 / built.layout.control.sample_s
+    for stack, (_, modes) in zip(built.stacks, built.modes, strict=True):
+        for k, mode in enumerate(modes[0]):
+            if mode.frequency_hz > half_hz:
+                what = f"mode {k + 1} at {mode.frequency_hz:.1f} Hz lies above half the sample rate, {half_hz:g} Hz"
+                out.append(f"{stack.stage.name}: {what}")
+    if built.mode_1_hz < 6.0 * MOST_RIGID_HZ:
+        out.append(f"mode 1 at {built.mode_1_hz:.2f} Hz is less than six times the rigid body's {MOST_RIGID_HZ:g} Hz")
+    return out
+
+
+# files
+
+
+def write(built: Built, folder: Path) -> list[Path]:
+    """All files, into a folder; returns them."""
+    layout, files = built.layout, []
+    tables = {f"vehicle/{name}": table for n in range(len(built.stacks)) for name, table in _tables(built, n).items()}
+    tables["vehicle/pitch_programme.csv"] = _programme(built)
+    for name, (head, rows) in tables.items():
+        text = "\n".join([head, *(",".join(f"{v:.10g}" for v in row) for row in rows)]) + "\n"
+        files.append(write_whole(folder / name, text))
+    made = f"# {layout.name}: an estimate from a layout by simvehicle, to begin with.\n"
+    documents = {
+        "vehicle/vehicle.toml": _vehicle(built), "design.toml": _design(built), "scenario.toml": _scenario(built),
+        "campaign.toml": _campaign(built), "case.toml": _case(built), "suite.toml": _suite(built),
+    }  # fmt: skip  # seven more lines otherwise
+    for name, content in documents.items():
+        files.append(write_whole(folder / name, made + tomli_w.dumps(content)))
+    return files
+
+
+def _prefix(built: Built, n: int) -> str:
+    return f"stage{n + 1}_" if len(built.stacks) > 1 else ""
+
+
+def _tables(built: Built, n: int) -> dict[str, Table]:
+    stack, aero, prefix = built.stacks[n], built.aero[n], _prefix(built, n)
+    burn, e = stack.burn, stack.stage.engine
+    count = len(e.positions_m)
+    times = np.unique(np.concatenate([burn.times_s, np.linspace(0.0, burn.end_s, MASS_ROWS)]).round(6))
+    rows = []
+    for t in times:
+        p = stack.mass_properties(float(t))
+        rows.append((t, p.mass_kg, p.x_cg_m, p.roll_kgm2, p.pitch_kgm2, p.pitch_kgm2))
+    out: dict[str, Table] = {
+        "mass.csv": ("time_s,mass_kg,x_cg_m,Ixx_kgm2,Iyy_kgm2,Izz_kgm2", rows),
+        "thrust.csv": ("time_s,thrust_vacuum_N", list(zip(burn.times_s, burn.thrust_N / count, strict=True))),
+    }
+    for tank in stack.stage.tank:
+        liquid = [(t, stack.liquid_kg(tank, float(t))) for t in times]
+        out[f"tank_{tank.name}.csv"] = ("time_s,liquid_mass_kg", liquid)
+    if stack.stage.modes:
+        out["modes.csv"] = _mode_table(built, n)
+    cg = _cg_over_mach(built, n)
+    damping = np.array([aero.pitch_damping(x)[k] for k, x in enumerate(cg)])
+    columns = (MACH, aero.axial, aero.axial_coast, damping, aero.roll_damping, np.full(len(MACH), aero.crossflow))
+    out["aero.csv"] = ("mach,CA,CA_coast,Cmq,Clp,C_crossflow", list(zip(*columns, strict=True)))
+    for s in aero.surfaces:
+        out[f"aero_{s.name}.csv"] = (
+            "mach,CN_alpha_pr,station_m",
+            list(zip(MACH, s.slope_pr, s.station_m, strict=True)),
+        )
+    return {prefix + name: table for name, table in out.items()}
+
+
+def _mode_table(built: Built, n: int) -> Table:
+    stack, beam, rows = built.stacks[n], Beam.of(built.stacks[n]), []
+    nodes = np.unique(np.linspace(0, len(beam.nodes_m) - 1, SHAPE_STATIONS).astype(int))
+    for t, modes in zip(*built.modes[n], strict=True):
+        forward = beam.mass_forward_kg([*stack.dry, *stack.liquids(float(t))])
+        for number, mode in enumerate(modes, start=1):
+            given = (t, number, mode.frequency_hz, mode.generalized_mass_kg)
+            rows += [(*given, beam.nodes_m[k], mode.phi[k], mode.slope_pm[k], forward[k]) for k in nodes]
+    return "time_s,mode,frequency_hz,generalized_mass_kg,station_m,phi,slope_pm,mass_forward_kg", rows
+
+
+def _cg_over_mach(built: Built, n: int) -> Array:
+    """CG at the time of each Mach number in the ascent."""
+    points = [p for p in built.flight.points if p.number == n]
+    order = np.argsort([p.mach for p in points])
+    cg = [built.stacks[n].mass_properties(p.clock_s).x_cg_m for p in points]
+    return np.asarray(np.interp(MACH, np.array([p.mach for p in points])[order], np.array(cg)[order]))
+
+
+def _programme(built: Built) -> Table:
+    """Pitch rate of the point-mass path; the law damps the whole rate, and the command leads by what that costs."""
+    points, gains = built.flight.points, np.array(built.gains)
+    t, theta = np.array([p.time_s for p in points]), np.array([p.pitch_rad for p in points])
+    end = float(t[-1])
+    fine = np.linspace(0.0, end, 20 * math.ceil(end) + 1)
+    attitude = np.interp(fine, t, theta)
+    rate = np.gradient(attitude, fine)
+    command = attitude + np.interp(fine, gains[:, 0], gains[:, 2] / gains[:, 1]) * rate
+    spacing = 0.5 if end < 300.0 else 1.0
+    rows = np.arange(0.0, end, spacing)
+    ahead, behind = (np.interp(np.clip(rows + side * spacing / 2, 0.0, end), fine, command) for side in (1, -1))
+    rates = np.degrees(ahead - behind) / spacing
+    rates[rows < built.layout.trajectory.pitch_over_start_s] = 0.0
+    table = [*zip(rows, rates.round(6), strict=True), (end, 0.0)]
+    return "time_s,pitch_rate_degps", [(float(a), float(b)) for a, b in table]
+
+
+def _vehicle(built: Built) -> dict[str, Any]:
+    layout, widest = built.layout, max(s.diameter_m for s in built.layout.stage)
+    control, first = layout.control, layout.stage[0].engine
+    return {
+        "schema": 1,
+        "name": layout.name,
+        "reference": {
+            "length_m": max(first.exit_station_m, layout.stage[0].rear_station_m), "diameter_m": widest,
+            "area_m2": 0.25 * math.pi * widest**2,
+        },
+        "stage": [_stage(built, n) for n in range(len(built.stacks))],
+        "computer": {
+            "sample_s": control.sample_s, "delay_s": control.delay_s, "count_rad": 1e-5, "dac_step_deg": 0.001,
+            "angle_error_limit_deg": 20.0, "command_limit_deg": min(s.engine.angle_limit_deg for s in layout.stage),
+        },
+    }  # fmt: skip  # five more lines otherwise
+
+
+def _stage(built: Built, n: int) -> dict[str, Any]:
+    stack, aero, prefix, control = built.stacks[n], built.aero[n], _prefix(built, n), built.layout.control
+    stage, e, last = stack.stage, stack.stage.engine, n == len(built.stacks) - 1
+    mass, arm, inertia = engine_inertia(e)
+    engine = {
+        "table": f"{prefix}thrust.csv", "exit_area_m2": e.exit_area_m2, "gimbal_station_m": e.gimbal_station_m,
+        "exit_station_m": e.exit_station_m, "gimballed_mass_kg": mass, "cg_from_gimbal_m": arm,
+        "inertia_about_gimbal_kgm2": inertia,
+    }  # fmt: skip  # three more lines otherwise
+    many = len(e.positions_m) > 1
+    engines = [engine | ({"name": f"E{k + 1}", "group": "all"} if many else {}) | {"offset_m": list(at)}
+               for k, at in enumerate(e.positions_m)]  # fmt: skip  # one line more otherwise
+    out: dict[str, Any] = {"name": stage.name}
+    if not last:
+        out["separation_after_burnout_s"] = stage.separation_after_s
+    if stack.burn.start_s > 0.0 and n > 0:
+        out["ignition_s"] = stage.ignition_after_s
+    out["mass"] = {"table": f"{prefix}mass.csv"}
+    out["engine"] = engines if many else engines[0]
+    out["actuator"] = {
+        "model": "second-order", "omega_hz": [e.servo_hz], "zeta": [e.servo_zeta],
+        "angle_limit_deg": e.angle_limit_deg, "rate_limit_degps": e.rate_limit_degps,
+    }  # fmt: skip  # two more lines otherwise
+    out["tank"] = [
+        {"name": t.name, "table": f"{prefix}tank_{t.name}.csv", "damping_ratio": t.damping_ratio, "shape": "cylinder",
+         "radius_m": t.radius_m, "bottom_station_m": t.bottom_station_m, "height_m": t.height_m,
+         "dome_m": list(t.dome_m), "density_kgpm3": t.density_kgpm3}
+        for t in stage.tank
+    ]  # fmt: skip  # eight more lines otherwise
+    if stage.modes:
+        damping = [stage.bending_damping] * stage.modes
+        out["bending"] = {"pitch": f"{prefix}modes.csv", "yaw": f"{prefix}modes.csv", "damping_ratio": damping}
+    out["aero"] = {
+        "table": f"{prefix}aero.csv", "crossflow_station_m": aero.crossflow_station_m,
+        "surface": [{"name": s.name, "table": f"{prefix}aero_{s.name}.csv"} for s in aero.surfaces],
+    }  # fmt: skip  # two more lines otherwise
+    out["gyro"] = {"station_m": control.gyro_station_m, "omega_hz": control.gyro_hz, "zeta": control.gyro_zeta}
+    roll = stage.roll_torque_Nm or math.radians(5.0) * stack.mass_properties(0.0).roll_kgm2
+    out["roll_thrusters"] = {"torque_Nm": roll}
+    return out
+
+
+def _sections(built: Built) -> list[dict[str, float]]:
+    """A first filter: a wide notch at each of the first two modes of the first stage, poles below them."""
+    modes = built.modes[0][1]
+    if not modes or not modes[0]:
+        return []
+    means = [float(np.mean([m[k].frequency_hz for m in modes])) for k in range(min(2, len(modes[0])))]
+    return [{"zero_hz": f, "zero_zeta": 0.4, "pole_hz": 0.8 * f, "pole_zeta": 0.8} for f in means]
+
+
+def _design(built: Built) -> dict[str, Any]:
+    sections = _sections(built)
+    table = [{"time_s": t, "k_p": float(f"{k_p:.6g}"), "k_d_s": float(f"{k_d:.6g}")} for t, k_p, k_d in built.gains]
+    out: dict[str, Any] = {
+        "schema": 1, "name": f"{built.layout.name}, first gains", "vehicle": built.layout.name,
+        "gains": {"table": table, "yaw": "pitch"},
+    }  # fmt: skip  # two more lines otherwise
+    if sections:
+        out["filter"] = {
+            "structure": "F2" if len(sections) == 1 else "F4", "quadratic": sections,
+            "discretization": "prewarped", "prewarp_hz": sections[0]["zero_hz"],
+        }  # fmt: skip  # two more lines otherwise
+    out["roll"] = {"k_rate_s": 0.5, "dead_band_deg": 1.0, "hysteresis_deg": 0.2, "minimum_on_s": 0.02}
+    return out
+
+
+def _scenario(built: Built) -> dict[str, Any]:
+    site, last = built.layout.site, built.flight.points[-1]
+    return {
+        "schema": 1, "name": built.layout.name, "description": f"{built.layout.name}, powered ascent without wind",
+        "vehicle": "vehicle", "design": "design.toml",
+        "run": {"duration_s": float(math.ceil(last.time_s + 5.0))},
+        "site": {"latitude_deg": site.latitude_deg, "longitude_deg": site.longitude_deg,
+                 "altitude_m": site.altitude_m, "azimuth_deg": site.azimuth_deg},
+        "guidance": {"programme": "vehicle/pitch_programme.csv"},
+        "requirement": [
+            {"name": "attitude error", "metric": "max_attitude_error_deg", "limit": 10.0},
+            {"name": "gimbal angle", "metric": "max_gimbal_deg",
+             "limit": 0.8 * min(s.engine.angle_limit_deg for s in built.layout.stage)},
+        ],
+    }  # fmt: skip  # ten more lines otherwise
+
+
+def _campaign(built: Built) -> dict[str, Any]:
+    first = built.layout.stage[0]
+    engine = "vehicle.stage.0.engine" + (".{}" if len(first.engine.positions_m) > 1 else "")
+    flow = [f"{engine.format(k)}.mass_flow_factor" for k in range(len(first.engine.positions_m))]
+    keys = {
+        "thrust at equal impulse": flow, "normal force": ["vehicle.stage.0.aero.force_factor"],
+        "axial force": ["vehicle.stage.0.aero.axial_factor"],
+    }  # fmt: skip  # three more lines otherwise
+    if first.modes:
+        keys["frequency of mode 1"] = ["vehicle.stage.0.bending.frequency_factor.0"]
+    spread = [
+        {"keys": k, "name": name, "apply": "scale", "distribution": "normal", "three_sigma": SPREAD[name],
+         "source": "assumed, to begin with"}
+        for name, k in keys.items()
+    ]  # fmt: skip  # five more lines otherwise
+    burnout = built.flight.begins_s[0] + built.stacks[0].burn.end_s
+    return {
+        "schema": 1, "extends": "scenario.toml", "description": f"{built.layout.name}, first stage, dispersed",
+        "campaign": {"runs": 100, "seed": 1},
+        "run": {"duration_s": float(math.floor(burnout))}, "disperse": spread,
+    }  # fmt: skip  # three more lines otherwise
+
+
+def nodes_s(built: Built) -> list[float]:
+    """Eleven times of the first stage at full thrust, from a tenth of its burn to its end."""
+    points = [p.time_s for p in burning(built) if p.number == 0]
+    return [float(t) for t in np.linspace(0.1 * points[-1], math.floor(points[-1]), 11).round(1)]
+
+
+def _case(built: Built) -> dict[str, Any]:
+    times, hz = nodes_s(built), built.mode_1_hz
+    sections = len(_sections(built))
+    rigid = built.layout.control.rigid_hz or min(MOST_RIGID_HZ, hz / 8.0)
+    low = round(min(3.0, 0.6 * hz), 2)
+    return {
+        "schema": 1, "description": f"{built.layout.name}, first stage: largest least |1 + L|",
+        "scenario": "scenario.toml", "nodes_s": times,
+        "gains": {"schedule": "free"}, "objective": {"kind": "least-margin"},
+        "filter": {"structure": "F4" if sections > 1 else "F2",
+                   "bounds": {"zero_hz": [low, 100.0], "pole_hz": [low, 100.0]}},
+        "limits": {"rigid_body": "aerodynamic", "rigid_hz": round(0.8 * rigid, 3), "rigid_zeta": 0.5,
+                   "without": ["second_mode_db"]},
+    }  # fmt: skip  # twelve more lines otherwise
+
+
+def _suite(built: Built) -> dict[str, Any]:
+    times, wanted = nodes_s(built), {"gain_up_db": 6.0, "gain_down_db": 6.0, "phase_deg": 30.0}
+    return {
+        "schema": 1, "description": f"{built.layout.name}, to begin with", "scenario": "scenario.toml",
+        "margins": {"times_s": times, "cases": 20, "nominal": wanted},
+        "certificate": {"times_s": [times[len(times) // 2]]},
+        "flight": [{"name": "calm air", "why": "the ascent as planned"}],
+    }  # fmt: skip  # four more lines otherwise

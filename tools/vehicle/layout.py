@@ -1,0 +1,217 @@
+"""The layout of a launcher: what a designer knows before there are tables. Stations in m aft of the nose of the whole
+vehicle; a stage flies with all that is ahead of it.
+"""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from pathlib import Path
+from typing import Annotated, Literal
+
+from pydantic import Field, model_validator
+
+from maxq.control.kernel.limits import MAX_STAGES, MAX_TANKS
+from maxq.sim.scenario.errors import refuse
+from maxq.sim.scenario.loader import load_file
+from maxq.sim.scenario.schema_values import (
+    Angle,
+    ChannelPart,
+    Fraction,
+    Latitude,
+    Longitude,
+    NotNegative,
+    Pair,
+    Period,
+    Positive,
+    Seconds,
+    Section,
+    optional,
+)
+from maxq.sim.scenario.tank_profile import Profile
+
+
+class Between(Section):
+    """Something between two stations."""
+
+    front_station_m: float = Field(description="forward end, m aft of the nose")
+    rear_station_m: float = Field(description="aft end, m aft of the nose")
+
+    @model_validator(mode="after")
+    def _check(self) -> Between:
+        if self.rear_station_m <= self.front_station_m:
+            raise refuse("ends where it begins, or before", f"above {self.front_station_m:g}", ("rear_station_m",))
+        return self
+
+
+class Part(Between):
+    """A dry mass, uniform between two stations, on a thin ring."""
+
+    name: str = Field(description="name of the part")
+    mass_kg: Positive = Field(description="kg")
+    radius_m: Positive | None = optional("of the ring, m (default: the radius of its stage)")
+
+
+class Shell(Between):
+    """A section of the load-carrying structure: its bending stiffness, and its mass where no part holds it."""
+
+    EI_Nm2: Positive | None = optional("bending stiffness, N m2")
+    radius_m: Positive | None = optional("of a thin wall, m (default: the radius of its stage)")
+    wall_m: Positive | None = optional("of that wall, m: EI = pi E r^3 t")
+    modulus_Pa: Positive | None = optional("Young's modulus of that wall, Pa")
+    density_kgpm3: NotNegative = optional("of that wall, kg/m3; 0: its mass is listed with the parts", 0.0)
+
+    @model_validator(mode="after")
+    def _check_stiffness(self) -> Shell:
+        wall = self.wall_m is not None and self.modulus_Pa is not None
+        if (self.EI_Nm2 is None) == (not wall):
+            raise refuse("no stiffness, or two", "EI_Nm2, or wall_m with modulus_Pa", ("EI_Nm2",))
+        return self
+
+
+class Tank(Section):
+    """An upright tank on the axis with the propellant in it."""
+
+    name: ChannelPart = Field(description="name of the tank in logs")
+    liquid_mass_kg: Positive = Field(description="propellant at lift-off, kg")
+    residual_kg: NotNegative = optional("of it left at burn-out, kg", 0.0)
+    density_kgpm3: Positive = Field(description="of the propellant, kg/m3")
+    radius_m: Positive = Field(description="inside, m")
+    height_m: Positive = Field(description="inside, domes included, m")
+    dome_m: Pair = optional("heights of half-ellipsoidal domes, bottom and top, m; 0: flat", (0.0, 0.0))
+    bottom_station_m: float = Field(description="aft end, m aft of the nose")
+    damping_ratio: Fraction = optional("of the slosh mode; 0.01 to 0.03 with ring baffles", 0.01)
+
+    @property
+    def profile(self) -> Profile:
+        """In radii."""
+        bottom, top = (dome / self.radius_m for dome in self.dome_m)
+        return Profile(bottom, self.height_m / self.radius_m - bottom - top, top)
+
+
+class Engines(Section):
+    """The engines of a stage, all alike, gimballed together."""
+
+    positions_m: tuple[Pair, ...] = optional("of each engine's gimbal, y and z, m", ((0.0, 0.0),), min_length=1)
+    thrust_vacuum_N: Positive = Field(description="of each, N")
+    isp_vacuum_s: Positive = Field(description="specific impulse in vacuum, s")
+    exit_area_m2: NotNegative = optional("nozzle exit of each, m2", 0.0)
+    gimbal_station_m: float = Field(description="of the gimbals, m aft of the nose: the end of the beam")
+    exit_station_m: float = Field(description="of the nozzle exits, m aft of the nose")
+    mass_kg: Positive = Field(description="of each, kg; between gimbal and exit")
+    gimballed_mass_kg: NotNegative | None = optional("that moves, kg (default: 0.8 of mass_kg)")
+    cg_from_gimbal_m: NotNegative | None = optional("of that mass aft of the gimbal, m (default: 0.3 of the length)")
+    angle_limit_deg: Positive = optional("of the gimbal, deg", 6.0)
+    rate_limit_degps: Positive = optional("of the gimbal, deg/s", 30.0)
+    servo_hz: Positive = optional("natural frequency of the actuator, Hz", 7.0)
+    servo_zeta: Positive = optional("its damping ratio", 0.7)
+    ramp_s: Positive = optional("from ignition to full thrust, s", 0.3)
+    tail_off_s: Positive = optional("from full thrust to none, s", 0.3)
+
+
+class Fins(Section):
+    """Fins of trapezoidal planform."""
+
+    count: Annotated[int, Field(ge=3, le=8)] = optional("number of fins", 4)
+    root_chord_m: Positive = Field(description="at the body's wall, m")
+    tip_chord_m: NotNegative = Field(description="at the tip, m")
+    semispan_m: Positive = Field(description="from the body's wall, m")
+    leading_edge_station_m: float = Field(description="of the root, m aft of the nose")
+    sweep_m: NotNegative = optional("tip's leading edge aft of the root's, m", 0.0)
+
+
+class Stage(Between):
+    """A stage with its extent in the vehicle."""
+
+    name: ChannelPart = Field(description="name of the stage")
+    diameter_m: Positive = Field(description="m")
+    part: tuple[Part, ...] = optional("dry parts, engines apart", ())
+    shell: tuple[Shell, ...] = Field(min_length=1, description="structure from the front to the rear of the stage")
+    tank: tuple[Tank, ...] = Field(min_length=1, max_length=MAX_TANKS)
+    engine: Engines
+    fins: Fins | None = optional("absent: none")
+    modes: Annotated[int, Field(ge=0, le=8)] = optional("bending modes", 3)
+    bending_damping: Fraction = optional("damping ratio of all modes", 0.005)
+    roll_torque_Nm: Positive | None = optional("of roll thrusters, N m (default: what turns by 5 deg/s2 at ignition)")
+    separation_after_s: Seconds = optional("from burn-out to separation, s", 1.0)
+    ignition_after_s: Seconds = optional("from separation of the stage before to ignition, s", 2.0)
+
+    @model_validator(mode="after")
+    def _check_shells(self) -> Stage:
+        ends = [self.front_station_m, *(x for s in self.shell for x in (s.front_station_m, s.rear_station_m))]
+        for n, (before, begins) in enumerate(zip(ends[::2], ends[1::2], strict=False)):
+            if abs(before - begins) > 1e-6:
+                raise refuse("leaves a gap or overlaps", f"{before:g}", ("shell", n, "front_station_m"), value=begins)
+        if self.shell[-1].rear_station_m < self.engine.gimbal_station_m - 1e-6:
+            raise refuse(
+                "the structure ends ahead of the gimbal", f"from {self.engine.gimbal_station_m:g}",
+                ("shell", len(self.shell) - 1, "rear_station_m"), value=self.shell[-1].rear_station_m,
+            )  # fmt: skip  # two more lines otherwise
+        return self
+
+
+class Site(Section):
+    """Where it is launched."""
+
+    latitude_deg: Latitude = Field(description="geodetic, deg")
+    longitude_deg: Longitude = Field(description="east, deg")
+    altitude_m: float = optional("above the ellipsoid, m", 0.0)
+    azimuth_deg: Angle = Field(description="of the launch, deg from north")
+
+
+class Trajectory(Section):
+    """Straight up, pitched over, gravity turn."""
+
+    pitch_over_start_s: Positive = optional("end of the vertical rise, s after ignition", 5.0)
+    pitch_over_s: Positive = optional("duration of the pitch-over, s", 12.0)
+    final_path_angle_deg: Annotated[float, Field(gt=-30.0, lt=85.0)] = optional(
+        "of the path above the local horizon at the last burn-out, deg: sets the pitch-over", 20.0
+    )
+
+
+class Control(Section):
+    """Flight computer, gyro and the first gains."""
+
+    sample_s: Period = optional("sample period, s", 0.01)
+    delay_s: Seconds = optional("from sample to command, s", 0.003)
+    gyro_station_m: float = Field(description="station of the rate gyros, m aft of the nose; in the last stage")
+    gyro_hz: Positive = optional("natural frequency, Hz", 60.0)
+    gyro_zeta: Positive = optional("damping ratio", 0.7)
+    rigid_hz: Positive | None = optional("of the first gains, Hz (default: 0.4, or an eighth of mode 1)")
+    rigid_zeta: Positive = optional("of the first gains", 0.7)
+
+
+class Layout(Section):
+    """A layout file."""
+
+    schema_version: Literal[1] = optional("version of the format", 1, alias="schema")
+    name: str = optional("name of the vehicle", "")
+    description: str = optional("what it is, in a sentence", "")
+    nose: Literal["ogive", "cone"] = optional("shape of the nose", "ogive")
+    nose_length_m: Positive = Field(description="m")
+    axial_factor: Positive = optional("on the assumed axial force coefficient", 1.0)
+    site: Site
+    trajectory: Trajectory = Trajectory()
+    control: Control
+    stage: tuple[Stage, ...] = Field(min_length=1, max_length=MAX_STAGES, description="in the order of flight")
+
+    @model_validator(mode="after")
+    def _check(self) -> Layout:
+        for n, (lower, upper) in enumerate(pairwise(self.stage)):
+            if upper.rear_station_m > lower.front_station_m + 1e-6:
+                raise refuse(
+                    f"the next stage reaches to {upper.rear_station_m:g} m", f"from {upper.rear_station_m:g}",
+                    ("stage", n, "front_station_m"),
+                )  # fmt: skip  # two more lines otherwise
+        last = self.stage[-1]
+        if abs(last.front_station_m) > 1e-9:
+            raise refuse("the last stage holds the nose", "0", ("stage", len(self.stage) - 1, "front_station_m"))
+        if not last.front_station_m <= self.control.gyro_station_m <= last.rear_station_m:
+            raise refuse(
+                "the gyro is not in the last stage", f"0 .. {last.rear_station_m:g}", ("control", "gyro_station_m")
+            )
+        return self
+
+
+def read_layout(name: str | Path) -> Layout:
+    """The layout in a file. Raises ScenarioError."""
+    return load_file(Layout, "layout", name, ())[0]

@@ -1,0 +1,210 @@
+"""Mass, CG and inertia of a layout over a stage's burn, and what of it loads the beam."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from scipy.interpolate import PchipInterpolator
+
+from maxq.control.kernel.records import Array
+from maxq.tools.vehicle.layout import Engines, Layout, Stage, Tank
+
+STANDARD_GRAVITY_mps2 = 9.80665
+_RAMP_ROWS = 9
+
+
+@dataclass(frozen=True)
+class Rod:
+    """A mass spread evenly between two stations, with gyration radii squared of its cross-section."""
+
+    mass_kg: float
+    front_station_m: float
+    rear_station_m: float
+    roll_m2: float  # Ixx / m
+    across_m2: float  # of the transverse inertia / m, beside L^2 / 12
+
+    @property
+    def station_m(self) -> float:
+        return 0.5 * (self.front_station_m + self.rear_station_m)
+
+    @property
+    def inertia_kgm2(self) -> float:
+        """Transverse, about its own CG."""
+        length = self.rear_station_m - self.front_station_m
+        return self.mass_kg * (length**2 / 12.0 + self.across_m2)
+
+
+def ring(mass_kg: float, front_m: float, rear_m: float, radius_m: float) -> Rod:
+    """A thin ring or tube."""
+    return Rod(mass_kg, front_m, rear_m, radius_m**2, 0.5 * radius_m**2)
+
+
+@dataclass(frozen=True)
+class MassProperties:
+    """About the CG, body axes; the liquids are frozen across and do not turn about the axis."""
+
+    mass_kg: float
+    x_cg_m: float
+    roll_kgm2: float
+    pitch_kgm2: float
+
+
+@dataclass(frozen=True)
+class Burn:
+    """Thrust in vacuum and flow of all engines of a stage over its clock; the rows, joined by PCHIP, are the thrust.
+
+    The flow is proportional to the thrust, and its integral is the usable propellant.
+    """
+
+    times_s: Array
+    thrust_N: Array
+    usable_kg: float
+
+    @cached_property
+    def _thrust(self) -> PchipInterpolator:
+        return PchipInterpolator(self.times_s, self.thrust_N)
+
+    @cached_property
+    def _impulse(self) -> PchipInterpolator:
+        return self._thrust.antiderivative()
+
+    @property
+    def start_s(self) -> float:
+        return float(self.times_s[1])  # the first row is at 0, the second at ignition
+
+    @property
+    def end_s(self) -> float:
+        return float(self.times_s[-1])
+
+    def thrust_vacuum_N(self, t: float) -> float:
+        return float(self._thrust(t)) if 0.0 <= t <= self.end_s else 0.0
+
+    def used(self, t: float) -> float:
+        """Share of the usable propellant burned by t, 0 to exactly 1."""
+        return float(np.clip(self._impulse(np.clip(t, 0.0, self.end_s)) / self._impulse(self.end_s), 0.0, 1.0))
+
+
+def burn_of(stage: Stage, ignition_s: float) -> Burn:
+    """Smooth steps up and down; full thrust lasts so long that the impulse is that of the usable propellant."""
+    e = stage.engine
+    usable = sum(t.liquid_mass_kg - t.residual_kg for t in stage.tank)
+    full = e.thrust_vacuum_N * len(e.positions_m)
+    steady_s = usable * STANDARD_GRAVITY_mps2 * e.isp_vacuum_s / full - 0.5 * (e.ramp_s + e.tail_off_s)
+    if steady_s <= 0.0:
+        raise ValueError(f"stage {stage.name}: {usable:g} kg of propellant last for less than ramp and tail-off")
+    x = np.linspace(0.0, 1.0, _RAMP_ROWS)
+    step = x * x * (3.0 - 2.0 * x)
+    fall_s = e.ramp_s + steady_s
+    times = [e.ramp_s * x, e.ramp_s + steady_s * np.arange(1, 20) / 20.0, fall_s + e.tail_off_s * x]
+    thrust = [full * step, np.full(19, full), full * step[::-1]]
+    before = [] if ignition_s == 0.0 else [np.array([0.0])]
+    at_rest = [np.zeros(1)] * len(before)
+    rows = np.round(np.concatenate([*before, *(ignition_s + t for t in times)]), 6)
+    return Burn(rows, np.concatenate([*at_rest, *thrust]), usable)
+
+
+@dataclass(frozen=True)
+class Stack:
+    """What flies while one stage burns: the stage and all that is ahead of it."""
+
+    layout: Layout
+    number: int
+    burn: Burn
+
+    @property
+    def stage(self) -> Stage:
+        return self.layout.stage[self.number]
+
+    @property
+    def tail_m(self) -> float:
+        """End of the beam: the gimbal of the burning engines."""
+        return self.stage.engine.gimbal_station_m
+
+    @cached_property
+    def dry(self) -> list[Rod]:
+        """Structure, engines and, of the stages ahead, full tanks."""
+        rods = []
+        for stage in self.layout.stage[self.number :]:
+            radius, e = 0.5 * stage.diameter_m, stage.engine
+            rods += [ring(p.mass_kg, p.front_station_m, p.rear_station_m, p.radius_m or radius) for p in stage.part]
+            for s in stage.shell:
+                r = s.radius_m or radius
+                wall = 2.0 * math.pi * r * (s.wall_m or 0.0) * s.density_kgpm3
+                mass = wall * (s.rear_station_m - s.front_station_m)
+                rods += [ring(mass, s.front_station_m, s.rear_station_m, r)] if mass > 0.0 else []
+            spread = float(np.mean([y * y + z * z for y, z in e.positions_m])) + 0.05
+            mass = e.mass_kg * len(e.positions_m)
+            rods.append(Rod(mass, e.gimbal_station_m, e.exit_station_m, spread, 0.5 * spread))
+        for stage in self.layout.stage[self.number + 1 :]:
+            rods += [_column(tank, tank.liquid_mass_kg) for tank in stage.tank]
+        return rods
+
+    def liquid_kg(self, tank: Tank, t: float) -> float:
+        """In a tank of the burning stage; all drain in proportion."""
+        return tank.liquid_mass_kg - (tank.liquid_mass_kg - tank.residual_kg) * self.burn.used(t)
+
+    def liquids(self, t: float) -> list[Rod]:
+        return [_column(tank, self.liquid_kg(tank, t)) for tank in self.stage.tank]
+
+    @cached_property
+    def _known(self) -> dict[float, MassProperties]:
+        return {}
+
+    def mass_properties(self, t: float) -> MassProperties:
+        """At `t` of the stage's clock; worked out once."""
+        if t not in self._known:
+            self._known[t] = self._mass_properties(t)
+        return self._known[t]
+
+    def _mass_properties(self, t: float) -> MassProperties:
+        rods = [*self.dry, *self.liquids(t)]
+        mass = sum(r.mass_kg for r in rods)
+        cg = sum(r.mass_kg * r.station_m for r in rods) / mass
+        pitch = sum(r.inertia_kgm2 + r.mass_kg * (r.station_m - cg) ** 2 for r in rods)
+        return MassProperties(mass, cg, sum(r.mass_kg * r.roll_m2 for r in rods), pitch)
+
+
+def _column(tank: Tank, mass_kg: float) -> Rod:
+    """A liquid as a rod with its centroid and depth; in a dome the depth is that of the same centroid."""
+    profile, r = tank.profile, tank.radius_m
+    depth = float(profile.depth(np.array(mass_kg / (tank.density_kgpm3 * r**3))))
+    z = np.linspace(0.0, depth, 201)
+    area = profile.surface_radius(z) ** 2
+    total = float(np.trapezoid(area, z))
+    centroid = float(np.trapezoid(area * z, z)) / total if total > 0.0 else 0.0
+    middle = tank.bottom_station_m - r * centroid
+    half = r * min(centroid, depth - centroid)
+    return Rod(mass_kg, middle - max(half, 1e-4), middle + max(half, 1e-4), 0.0, 0.25 * r * r)
+
+
+def stacks(layout: Layout) -> list[Stack]:
+    """One for each stage, in the order of flight. Raises ValueError for a burn too short for its ramps."""
+    return [
+        Stack(layout, n, burn_of(stage, stage.ignition_after_s if n else 0.0)) for n, stage in enumerate(layout.stage)
+    ]
+
+
+def engine_inertia(e: Engines) -> tuple[float, float, float]:
+    """Gimballed mass, its CG aft of the gimbal, transverse inertia about the gimbal, of one engine."""
+    length = e.exit_station_m - e.gimbal_station_m
+    mass = 0.8 * e.mass_kg if e.gimballed_mass_kg is None else e.gimballed_mass_kg
+    arm = 0.3 * length if e.cg_from_gimbal_m is None else e.cg_from_gimbal_m
+    return mass, arm, mass * (arm**2 + length**2 / 12.0)
+
+
+def line_density_kgpm(rods: Sequence[Rod], edges_m: Array) -> tuple[Array, tuple[float, float, float]]:
+    """Mass per length of the elements between `edges_m`; mass, moment, inertia about their end of what lies behind."""
+    density, behind = np.zeros(len(edges_m) - 1), np.zeros(3)
+    end, element = float(edges_m[-1]), np.diff(edges_m)
+    for rod in rods:
+        length = rod.rear_station_m - rod.front_station_m
+        inside = np.minimum(edges_m[1:], rod.rear_station_m) - np.maximum(edges_m[:-1], rod.front_station_m)
+        density += rod.mass_kg / length * np.maximum(inside, 0.0) / element
+        a, b = max(rod.front_station_m, end) - end, max(rod.rear_station_m, end) - end
+        per_m = rod.mass_kg / length
+        behind += per_m * np.array([b - a, (b * b - a * a) / 2.0, (b**3 - a**3) / 3.0])
+    return density, (float(behind[0]), float(behind[1]), float(behind[2]))

@@ -1,0 +1,64 @@
+"""What `simvehicle` prints: stages, bending modes, control over time, and what was assumed."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from maxq.tools.cli.terminal import aligned, printable
+from maxq.tools.vehicle.build import Built, burning, m_alpha_1ps2, m_delta_1ps2, warnings
+from maxq.tools.vehicle.masses import STANDARD_GRAVITY_mps2
+
+
+def report(built: Built) -> str:
+    """All of it."""
+    head = printable(f"{built.layout.name}: {built.layout.description}".rstrip(": "))
+    parts = [[head], _stages(built), _modes(built), _control(built)]
+    for title, lines in (("assumed beyond the layout", built.assumed), ("unusual", warnings(built))):
+        parts.append([title, *(f"  {line}" for line in lines)] if lines else [])
+    return "\n\n".join("\n".join(part) for part in parts if part)
+
+
+def _stages(built: Built) -> list[str]:
+    rows = [("stage", "begins, kg", "ends, kg", "burn, s", "T/W", "delta-v, m/s", "ends at m/s", "km", "path, deg")]
+    for n, stack in enumerate(built.stacks):
+        first, last = (stack.mass_properties(t).mass_kg for t in (0.0, stack.burn.end_s))
+        e, point = stack.stage.engine, [p for p in built.flight.points if p.number == n][-1]
+        thrust = e.thrust_vacuum_N * len(e.positions_m)
+        gained = STANDARD_GRAVITY_mps2 * e.isp_vacuum_s * math.log(first / last)
+        rows.append(
+            (
+                stack.stage.name, f"{first:.0f}", f"{last:.0f}", f"{stack.burn.end_s - stack.burn.start_s:.1f}",
+                f"{thrust / first / STANDARD_GRAVITY_mps2:.2f}", f"{gained:.0f}", f"{point.speed_mps:.0f}",
+                f"{point.altitude_m / 1e3:.1f}", f"{math.degrees(point.path_rad):.1f}",
+            )
+        )  # fmt: skip  # six more lines otherwise
+    return ["stages (point mass, vacuum thrust over weight)", *aligned(rows, "  ", right=range(1, 9))]
+
+
+def _modes(built: Built) -> list[str]:
+    rows = [("stage", "mode", "Hz at ignition", "Hz at burn-out", "mass, kg", "slope at gyro, 1/m")]
+    gyro = built.layout.control.gyro_station_m
+    for stack, (_, modes) in zip(built.stacks, built.modes, strict=True):
+        stations = np.linspace(0.0, stack.tail_m, len(modes[0][0].phi)) if modes[0] else np.zeros(0)
+        for k, mode in enumerate(modes[0]):
+            slope = float(np.interp(gyro, stations, mode.slope_pm))
+            ends = (f"{mode.frequency_hz:.2f}", f"{modes[-1][k].frequency_hz:.2f}", f"{mode.generalized_mass_kg:.4g}")
+            rows.append((stack.stage.name, str(k + 1), *ends, f"{slope:.3f}"))
+    return ["bending, free-free, 1 at the gimbal", *aligned(rows, "  ", right=range(1, 6))] if len(rows) > 1 else []
+
+
+def _control(built: Built) -> list[str]:
+    rows = [("stage", "time, s", "Mach", "q, kPa", "CG, m", "CP, m", "M_alpha, 1/s2", "M_delta, 1/s2", "k_p", "k_d, s")]
+    gains = np.array(built.gains)
+    for n, stack in enumerate(built.stacks):
+        points = [p for p in burning(built) if p.number == n]
+        for k in np.unique(np.linspace(0, len(points) - 1, 6).astype(int)):
+            p = points[k]
+            cg, cp = stack.mass_properties(p.clock_s).x_cg_m, built.aero[n].normal(p.mach)[1]
+            k_p, k_d = (float(np.interp(p.time_s, gains[:, 0], gains[:, i])) for i in (1, 2))
+            cells = (f"{p.time_s:.1f}", f"{p.mach:.2f}", f"{p.dynamic_pressure_Pa / 1e3:.2f}", f"{cg:.2f}", f"{cp:.2f}")
+            turn = (f"{m_alpha_1ps2(built, p):.3f}", f"{m_delta_1ps2(built, p):.3f}", f"{k_p:.3f}", f"{k_d:.3f}")
+            rows.append((stack.stage.name, *cells, *turn))
+    return ["control (M_alpha > 0: unstable)", *aligned(rows, "  ", right=range(1, 10))]
