@@ -65,3 +65,10 @@ def test_on_a_flat_earth_the_range_is_the_horizontal_distance() -> None:
     x, y = flight.final["r_E_x_m"], flight.final["r_E_y_m"]
     assert flight.metrics["range_m"] == pytest.approx(math.hypot(x, y), rel=1e-12)
     assert math.isnan(flight.metrics["final_latitude_deg"])
+
+
+@pytest.mark.parametrize("site_m", [0.0, -12.5])
+def test_a_vehicle_that_leaves_a_pad_at_ground_level_has_not_come_down(site_m: float) -> None:
+    """The pad moves with the Earth: a nanometre of rounding above the ground is no flight, and back on it no impact."""
+    flight = fly(load_scenario("nominal", [f"site.altitude_m={site_m}", "run.duration_s=2.0"]), log=False)
+    assert [e.name for e in flight.events if e.name in ("liftoff", "impact")] == ["liftoff"]

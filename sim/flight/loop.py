@@ -223,7 +223,9 @@ def detect_crossing(p: Parameters, memory: Memory, space: Workspace) -> int:
         if not climbs_certainly(p.environment.earth, y) and event_function(p, APOGEE, y, properties, aux) >= 0.0:
             return APOGEE
         return -1
-    if aux[ALTITUDE] > p.timeline.ground_altitude_m and event_function(p, IMPACT, y, properties, aux) >= 0.0:
+    # a vehicle that has just left a pad on the ground has not come down
+    above = aux[ALTITUDE] > p.timeline.ground_altitude_m + 1e-3
+    if above and event_function(p, IMPACT, y, properties, aux) >= 0.0:
         return IMPACT
     if event_function(p, APOGEE, y, properties, aux) < 0.0:
         clock.climbing = 1
