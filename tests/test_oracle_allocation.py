@@ -136,7 +136,7 @@ def test_gimbals_hold_roll_against_a_torque_as_the_pd_law_says() -> None:
     expected = np.degrees(20000.0 / (0.4 * per_radian))  # the PD law's own error under a constant torque
     assert error_deg == pytest.approx(expected, rel=0.05)
     calm = fly(load_scenario(NINE, [*SINGLY, torque, "run.duration_s=20.0", *NO_MODES]))
-    assert abs(float(calm["error_roll_deg"][-1])) > 20.0 * abs(error_deg)
+    assert abs(float(calm["error_roll_deg"][-1])) > 9.9  # at the clamp of the error, and on its way
 
 
 @pytest.mark.slow

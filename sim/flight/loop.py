@@ -39,6 +39,7 @@ class Logged:
     sizes: Sizes
     stations: int  # of section loads
     waves: int  # 1: with the height of the waves
+    engines: int  # 0 for vehicles of one engine
 
 
 class LogRows(NamedTuple):
@@ -278,7 +279,17 @@ def log(p: Parameters, memory: Memory, logged: Records, at: Evaluation, out: Log
     if rows[0] > 0 and out.fast_ns[rows[0] - 1] == now and last == 1:
         return  # the flight ended at an instant that has been logged already
     if now % p.timeline.fast_ns == 0 or last == 1:
-        fill_fast(p, logged[0].sizes, logged[0].waves, memory, at.properties, at.y, at.aux, out.fast[rows[0]])
+        fill_fast(
+            p,
+            logged[0].sizes,
+            logged[0].waves,
+            logged[0].engines,
+            memory,
+            at.properties,
+            at.y,
+            at.aux,
+            out.fast[rows[0]],
+        )
         out.fast_ns[rows[0]] = now
         rows[0] += 1
     if now % p.timeline.slow_ns == 0 or last == 1:

@@ -19,6 +19,7 @@ from maxq.sim.flight.metrics import STANDARD_GRAVITY_MPS2
 from maxq.sim.flight.parameters import Memory, Parameters
 from maxq.sim.vehicle.actuator import ActuatorRow, actuator_row
 from maxq.sim.vehicle.bending import BendingRow, ModeRow, bending_row, put_modes
+from maxq.sim.vehicle.engine import EngineRow, GroupRow, engine_row, group_row
 from maxq.sim.vehicle.gyro import GyroRow, gyro_row
 from maxq.sim.vehicle.loads import SectionRow, section_row
 from maxq.sim.vehicle.schedule import CORE_CG, CORE_INERTIA, CORE_MASS, MASS_FLOW, TOTAL_MASS
@@ -71,9 +72,11 @@ class FastRow(NamedTuple):
 
 @routine
 def fill_fast(
-    p: Parameters, logged: Sizes, waves: int, memory: Memory, props: Array, y: Array, aux: Array, row: Array
-) -> None:  # fmt: skip  # as ruff would, but for a line of one bracket
-    """One row of the fast group; `logged`: how many modes and pendulums the log has columns for; `waves` = 1: waves."""
+    p: Parameters, logged: Sizes, waves: int, engines: int, memory: Memory, props: Array, y: Array, aux: Array,
+    row: Array,
+) -> None:  # fmt: skip  # nine lines otherwise
+    """One row of the fast group; `logged`: how many modes and pendulums the log has columns for; `waves` = 1: waves;
+    `engines`: how many of several engines."""
     sizes = p.vehicle.sizes
     column = put(
         row,
@@ -94,7 +97,12 @@ def fill_fast(
     for tank in range(logged.tanks * waves):
         column = put(row, column, wave_row(p.vehicle.slosh, sizes, tank, props, y, pendulum_index(sizes, tank)))
     if logged.tvc_loads > 0:
-        put(row, column, tvc_load_row(sizes, aux))
+        column = put(row, column, tvc_load_row(sizes, aux))
+    if logged.further_groups > 0:
+        for group in range(1 + logged.further_groups):
+            column = put(row, column, group_row(sizes.further_groups, group, memory.held.command_rad, aux))
+    for number in range(engines):
+        column = put(row, column, engine_row(p.vehicle.engine, number, aux))
 
 
 # --- slow group
@@ -267,8 +275,9 @@ def fill_slow(
 
 
 def channel_table(
-    sizes: Sizes, tanks: tuple[str, ...], stations: tuple[str, ...] = (), waves: bool = False
-) -> ChannelTable:  # fmt: skip  # as ruff would, but for a line of one bracket
+    sizes: Sizes, tanks: tuple[str, ...], stations: tuple[str, ...] = (), waves: bool = False,
+    groups: tuple[str, ...] = (), engines: tuple[str, ...] = (),
+) -> ChannelTable:  # fmt: skip  # eight lines otherwise
     """Channels of a vehicle with so many modes, these pendulums and sections, in the order of the kernels' columns.
 
     `stations`: what is said of each station of the section loads; in names they go by their numbers, from 1. `waves`:
@@ -288,6 +297,10 @@ def channel_table(
         topics.append(Topic("/slosh", FAST, sum(slosh, ()), "slosh pendulums"))
     if sizes.tvc_loads > 0:
         topics.append(Topic("/tvc_load", FAST, declared_channels(TvcLoadRow), "engine on its compliance"))
+    moved = [declared_channels(GroupRow, "group", f"group_{name}", f"group {name}") for name in groups]
+    thrusts = [declared_channels(EngineRow, "engine", f"engine_{name}", f"engine {name}") for name in engines]
+    if moved or thrusts:
+        topics.append(Topic("/engines", FAST, sum(moved + thrusts, ()), "groups of engines, and engines"))
     topics += declared_topics(SLOW, SlowRow)
     sections = [declared_channels(SectionRow, "place", str(i), place) for i, place in enumerate(stations, start=1)]
     if sections:

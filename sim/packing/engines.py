@@ -145,13 +145,15 @@ def _hanging_kgm(e: Given) -> float:
 def pack_engines(stage: Stage, burn: Burn, switches: Switches) -> Engine:
     """The record of all engines; without one it is zero, but for an axis."""
     columns: dict[str, Any] = {f.name: np.zeros(MAX_ENGINES) for f in fields(Engine)}
-    for name in ("curve", "group", "gimbal"):
+    for name in ("curve", "group", "gimbal", "taken_as"):
         columns[name] = np.zeros(MAX_ENGINES, np.int64)
     columns["rest_x"][:] = 1.0
     cluster = cluster_of(stage, burn.faults)
     for k, alike in enumerate(cluster.alike):
         for name, value in _columns(stage, cluster, alike, switches).items():
             columns[name][k] = value
+        for number in alike.numbers:
+            columns["taken_as"][number], columns["parts"][number] = k, len(alike.numbers)
     return Engine(**columns)
 
 

@@ -151,7 +151,8 @@ class FlightRun:
         self.table = logged_channels(loaded.scenario, self.packed.sizes)
         stations = len(load_stations(loaded.scenario))
         waves = int(_logs_waves(loaded.scenario, self.packed.sizes))
-        self._on, self._off = (pack([Logged(on, self.packed.sizes, stations, waves)]) for on in (1, 0))
+        engines = len(engine_names(loaded.scenario))
+        self._on, self._off = (pack([Logged(on, self.packed.sizes, stations, waves, engines)]) for on in (1, 0))
         self._arena = np.zeros(ARENA_SIZE)
         timeline = self.packed.parameters[0].timeline
         periods_ns = {FAST: int(timeline.fast_ns), SLOW: int(timeline.slow_ns)}
@@ -363,7 +364,15 @@ def logged_channels(scenario: Scenario, sizes: Sizes) -> ChannelTable:
     """Channels of a scenario's flights; `sizes`: of the widest stage. A tank without a name goes by its number."""
     names = max((stage.pendulum_names for stage in scenario.vehicle.stage), key=len)
     waves = _logs_waves(scenario, sizes)
-    return _channel_table(sizes, names[: sizes.tanks], load_stations(scenario), waves)
+    groups = max((stage.engine_groups for stage in scenario.vehicle.stage), key=len)
+    groups = tuple(name or str(i + 1) for i, name in enumerate(groups)) if len(groups) > 1 else ()
+    return _channel_table(sizes, names[: sizes.tanks], load_stations(scenario), waves, groups, engine_names(scenario))
+
+
+def engine_names(scenario: Scenario) -> tuple[str, ...]:
+    """Of the stage with the most engines, a name or number each; none for a vehicle of single engines."""
+    engines = max((stage.engines for stage in scenario.vehicle.stage), key=len)
+    return tuple(e.name or str(i + 1) for i, e in enumerate(engines)) if len(engines) > 1 else ()
 
 
 def load_stations(scenario: Scenario) -> tuple[str, ...]:

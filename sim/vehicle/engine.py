@@ -11,16 +11,18 @@ one.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
-from typing import Annotated
+from typing import Annotated, NamedTuple
 
 from maxq.control.kernel.jit import kernel
 from maxq.control.kernel.limits import MAX_ENGINES
 from maxq.control.kernel.records import Array, IntArray
+from maxq.control.kernel.rows import DEG, PitchYaw
 from maxq.control.kernel.vectors import Vector, sine_cosine
 from maxq.sim.vehicle.block import Counts
 from maxq.sim.vehicle.schedule import THRUST_VACUUM, thrust_column
-from maxq.sim.vehicle.workspace import ENGINE_PITCH, GROUPS
+from maxq.sim.vehicle.workspace import ENGINE_PITCH, ENGINE_THRUSTS, GROUPS
 
 _PER_ENGINE = (MAX_ENGINES,)
 Numbers = Annotated[Array, _PER_ENGINE]
@@ -65,6 +67,8 @@ class Engine:
     exit_zz_m2: Numbers
     exit_yz_m2: Numbers
     flow_weight: Numbers  # mass flow per newton of the curve, relative to the other engines'
+    taken_as: Indices  # of each engine of the vehicle: which of these it is part of
+    parts: Numbers  # and how many those are
 
 
 @kernel
@@ -132,3 +136,39 @@ def flow_share(e: Engine, sizes: Counts, k: int, properties: Array) -> float:
         own = flow if j == k else own
         total += flow
     return own / total if total > 0.0 else 0.0
+
+
+class GroupRow(NamedTuple):
+    """One group of engines, of a vehicle that has several."""
+
+    gimbal_group_axis_command_deg: Annotated[PitchYaw, "deg", "command to the actuators"]
+    gimbal_group_axis_angle_deg: Annotated[PitchYaw, "deg", "gimbal angle"]
+    gimbal_group_axis_rate_degps: Annotated[PitchYaw, "deg/s", "gimbal rate"]
+
+
+@kernel
+def group_row(further_groups: int, group: int, command_rad: Array, aux: Array) -> GroupRow:
+    """Nan throughout for a group that the stage does not have."""
+    if group > further_groups:
+        none = PitchYaw(math.nan, math.nan)
+        return GroupRow(none, none, none)
+    at = group_angles(group)
+    return GroupRow(
+        gimbal_group_axis_command_deg=PitchYaw(DEG * command_rad[2 * group], DEG * command_rad[2 * group + 1]),
+        gimbal_group_axis_angle_deg=PitchYaw(DEG * aux[at], DEG * aux[at + 3]),
+        gimbal_group_axis_rate_degps=PitchYaw(DEG * aux[at + 1], DEG * aux[at + 4]),
+    )
+
+
+class EngineRow(NamedTuple):
+    """One engine, of a vehicle that has several."""
+
+    thrust_engine_N: Annotated[float, "N", "thrust at ambient pressure"]
+
+
+@kernel
+def engine_row(e: Engine, number: int, aux: Array) -> EngineRow:
+    """Nan for an engine that the stage does not have."""
+    if e.parts[number] == 0.0:
+        return EngineRow(math.nan)
+    return EngineRow(thrust_engine_N=aux[ENGINE_THRUSTS + e.taken_as[number]] / e.parts[number])

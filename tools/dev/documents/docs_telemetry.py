@@ -66,7 +66,9 @@ north-east-down, B body (x forward, y right, z down). `1` stands for no unit. An
 name says so. The tables are those of the built-in `{_EXAMPLE}`: {sizes.pitch_modes} bending modes in pitch,
 {sizes.yaw_modes} in yaw, {len(stage.tank)} tanks. `/bending` and `/slosh` have as many columns as the vehicle
 has modes and tanks, and are missing where it has none; spatial modes are `eta_spatial_N_m` and
-`eta_spatial_N_mps`. `/tvc_load` is there with `[stage.tvc_load]`. `/sections` is there with
+`eta_spatial_N_mps`. Of several engines `/engines` has each group's command, angle and rate
+(`gimbal_group_NAME_pitch_angle_deg`), where there are several groups, and each engine's thrust
+(`thrust_engine_NAME_N`); `/actuator` is that of the first group. `/tvc_load` is there with `[stage.tvc_load]`. `/sections` is there with
 `switches.section_loads`, and has the same five columns for every station of `[stage.loads]` (docs/model.md,
 section 13, for the signs). What a stage
 lacks, and the pendulum of an empty tank, is nan.
