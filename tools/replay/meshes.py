@@ -131,8 +131,9 @@ def vehicle_meshes(shape: VehicleShape, number: int) -> list[tuple[str, rr.AsCom
                 out.append((f"piece_{i:02}/{name}", mesh3d(joined(there), colour)))
     engine = shape.stages[number].engine
     if engine is not None:
-        length = engine.exit_station_m - engine.gimbal_station_m
-        out.append(("engine/nozzle", mesh3d(revolved(_bell(length, engine.exit_radius_m)), _METAL)))
+        for name, one in shape.stages[number].nozzles:
+            bell = _bell(one.exit_station_m - one.gimbal_station_m, one.exit_radius_m)
+            out.append((f"{name}/nozzle", mesh3d(revolved(bell), _METAL)))
         style = rr.Arrows3D.from_fields(colors=rgba(ORANGE), radii=0.012 * shape.length_m, show_labels=True)
         out.append(("engine/thrust", style))
     for k, tank in enumerate(t for stage in flying for t in stage.tanks):

@@ -23,7 +23,15 @@ from maxq.tools.replay.decimate import Rows, changed, every, last_before
 from maxq.tools.replay.flight import Channels, LaunchSite, Moment, path_of
 from maxq.tools.replay.meshes import liquid_vertices, mesh3d, plate, vehicle_meshes
 from maxq.tools.replay.stream import matrices, set_time, times
-from maxq.tools.replay.vehicle_shape import PLANES, Exaggeration, TankShape, VehicleShape, bent_line, modal_coordinates
+from maxq.tools.replay.vehicle_shape import (
+    PLANES,
+    EngineShape,
+    Exaggeration,
+    TankShape,
+    VehicleShape,
+    bent_line,
+    modal_coordinates,
+)
 
 MOTION_NS, ARROWS_NS, TRAIL_NS = 20_000_000, 40_000_000, 200_000_000
 FAR_NS = 100_000_000
@@ -222,7 +230,9 @@ class Scene:
         bent, turn = bent * factor[:, None, None], turn * factor[:, None]
         self._send_pieces(hull, at, joints, bent)
         if stage.engine is not None:
-            self._send_engine(shape, hull, channels, k, at, bent[:, len(joints)], turn)
+            for name, engine in stage.nozzles:
+                self._send_nozzle(f"{hull}/{name}", engine, channels, k, at, bent[:, len(joints)], turn)
+            self._send_thrust(shape, f"{hull}/engine/thrust", stage.engine, channels, at)
         for i, tank in enumerate(tanks):
             first = len(joints) + 1 + 2 * i
             self._send_liquid(f"{hull}/liquid/{tank.name}", channels, tank, at, clock_s, bent[:, first : first + 2], k)
@@ -237,24 +247,28 @@ class Scene:
             columns = rr.Transform3D.columns(translation=move, mat3x3=matrices(matrix))
             self._send(f"{hull}/piece_{i:02}", at[k], columns)
 
-    def _send_engine(
-        self, shape: VehicleShape, hull: str, channels: Channels, k: Rows, at: IntArray, shift: Array, slope: Array
+    def _send_nozzle(
+        self, entity: str, engine: EngineShape, channels: Channels, k: Rows, at: IntArray, shift: Array, slope: Array
     ) -> None:
-        engine = shape.stages[self._stage].engine
-        assert engine is not None
-        pitch, yaw = np.zeros((2, len(at)))
-        if "gimbal_pitch_angle_deg" in channels:
-            pitch, yaw = (np.radians(np.nan_to_num(channels[f"gimbal_{axis}_angle_deg"][k])) for axis in PLANES)
+        pitch, yaw = np.zeros((2, len(at))) + np.radians(engine.cant_deg)[:, None]
+        if f"{engine.channels}_pitch_angle_deg" in channels:
+            names = [f"{engine.channels}_{axis}_angle_deg" for axis in PLANES]
+            moved = [np.radians(np.nan_to_num(channels[name][k])) for name in names]
+            pitch, yaw = pitch + engine.follows[0] * moved[0], yaw + engine.follows[1] * moved[1]
         # the axis is (cos p cos y, -sin y, sin p cos y); bending turns it by its slope with the station
         tilt_y, tilt_z = -np.sin(yaw) - slope[:, 0], np.sin(pitch) * np.cos(yaw) - slope[:, 1]
         axis = np.stack([np.ones(len(at)), tilt_y, tilt_z], axis=1)
         axis /= np.linalg.norm(axis, axis=1, keepdims=True)
         quaternion = np.stack([0 * pitch, -axis[:, 2], axis[:, 1], 1.0 + axis[:, 0]], axis=1)  # turns x into the axis
         quaternion /= np.linalg.norm(quaternion, axis=1, keepdims=True)
-        moves = np.concatenate([np.full((len(at), 1), -engine.gimbal_station_m), shift], axis=1)
+        moves = np.concatenate([np.full((len(at), 1), -engine.gimbal_station_m), shift + engine.offset_m], axis=1)
         sent = changed(np.concatenate([np.degrees(axis[:, 1:]), 50.0 * moves[:, 1:]], axis=1), _ANGLE_STEP_DEG * 5)
         turned = rr.Transform3D.columns(translation=moves[sent], quaternion=quaternion[sent])
-        self._send(f"{hull}/engine", at[sent], turned)
+        self._send(entity, at[sent], turned)
+
+    def _send_thrust(
+        self, shape: VehicleShape, entity: str, engine: EngineShape, channels: Channels, at: IntArray
+    ) -> None:
         if "thrust_N" not in channels:
             return
         thrust = np.nan_to_num(_at(channels, "thrust_N", at))
@@ -270,7 +284,7 @@ class Scene:
             origins=np.stack([-back - length, zero, zero], 1),
             labels=[f"thrust {x / 1000.0:.3g} kN" if x > 0 else "" for x in thrust[some]],
         )
-        self._send(f"{hull}/engine/thrust", at[some], arrows)
+        self._send(entity, at[some], arrows)
 
     def _send_liquid(
         self, entity: str, channels: Channels, tank: TankShape, at: IntArray, clock_s: Array, shift: Array, k: Rows

@@ -8,6 +8,7 @@ acts. Bending is mode shapes times modal coordinates, drawn larger than life.
 
 from __future__ import annotations
 
+import dataclasses
 import math
 import re
 from dataclasses import dataclass
@@ -57,9 +58,15 @@ class Fins:
 
 @dataclass(frozen=True)
 class EngineShape:
+    """One engine; `channels` begins the names of its gimbal's channels, `follows` says in which planes it moves."""
+
     gimbal_station_m: float
     exit_station_m: float
     exit_radius_m: float
+    offset_m: tuple[float, float] = (0.0, 0.0)
+    cant_deg: tuple[float, float] = (0.0, 0.0)
+    follows: tuple[bool, bool] = (True, True)
+    channels: str = "gimbal"
 
 
 @dataclass(frozen=True)
@@ -78,6 +85,13 @@ class StageShape:
     spatial: tuple[ModeTable, ModeTable] | None  # what spatial modes do along y and along z
     gyro_station_m: float | None
     clock_factor: float
+    further_engines: tuple[EngineShape, ...] = ()
+
+    @property
+    def nozzles(self) -> list[tuple[str, EngineShape]]:
+        """All engines by the names of their entities."""
+        first = [("engine", self.engine)] if self.engine is not None else []
+        return first + [(f"engine_{n}", engine) for n, engine in enumerate(self.further_engines, start=2)]
 
     @property
     def front_m(self) -> float:
@@ -117,7 +131,8 @@ def shape_of(vehicle: Vehicle) -> VehicleShape:
                 profile=_body(nose, radius, front, ends[k]),
                 tanks=tuple(_tank(stage, i, radius) for i in range(len(stage.tank))),
                 fins=_fins(stage, radius, ends[k]),
-                engine=_engine(stage),
+                engine=_engine(stage, 0) if stage.engines else None,
+                further_engines=tuple(_engine(stage, n) for n in range(1, len(stage.engines))),
                 modes=(bending.pitch_modes, bending.yaw_modes) if bending is not None else (None, None),
                 spatial=stage.spatial_modes.modes.lateral() if stage.spatial_modes is not None else None,
                 gyro_station_m=gyro.station_m if gyro is not None else None,
@@ -190,13 +205,19 @@ def _fins(stage: Stage, radius: float, end: float) -> Fins | None:
     return Fins(4, trailing - root, root, trailing - tip, tip, radius, radius + span)
 
 
-def _engine(stage: Stage) -> EngineShape | None:
-    if not stage.engines:
-        return None
-    engine = stage.engines[0]
+def _engine(stage: Stage, number: int) -> EngineShape:
+    engine, groups = stage.engines[number], stage.engine_groups
     length = max(engine.exit_station_m - engine.gimbal_station_m, 0.1)
     exit_radius = math.sqrt(engine.exit_area_m2 / math.pi) if engine.exit_area_m2 > 0.0 else 0.3 * length
-    return EngineShape(engine.gimbal_station_m, engine.gimbal_station_m + length, exit_radius)
+    shape = EngineShape(engine.gimbal_station_m, engine.gimbal_station_m + length, exit_radius)
+    if len(stage.engines) == 1:
+        return shape
+    name = engine.group or str(groups.index(engine.group) + 1) if engine.gimbal != "fixed" else ""
+    return dataclasses.replace(
+        shape, offset_m=engine.offset_m, cant_deg=engine.cant_deg,
+        follows=(engine.gimbal in ("both", "pitch"), engine.gimbal in ("both", "yaw")),
+        channels=f"gimbal_group_{name}" if len(groups) > 1 and name else "gimbal",
+    )  # fmt: skip  # eight lines otherwise
 
 
 # -- bending and slosh ---------------------------------------------------------------------------------------------
