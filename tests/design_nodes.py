@@ -13,7 +13,7 @@ from maxq.design import api
 from maxq.design.loop.fixed_path import folded
 from maxq.design.loop.loop import Loop
 from maxq.design.model.node import Node
-from maxq.design.model.vehicle_at import Plane
+from maxq.design.model.vehicle_at import Modes, Plane
 from maxq.sim.scenario.loader import LoadedScenario, load_scenario
 from maxq.sim.scenario.schema_design import Design
 
@@ -41,6 +41,13 @@ def design() -> Design:
     return found
 
 
+def no_modes(modes: Modes) -> Modes:
+    """None of them."""
+    cut: dict[str, Any] = {f.name: getattr(modes, f.name) for f in dataclasses.fields(modes)}
+    cut = {name: value[:0] if isinstance(value, np.ndarray) else 0 for name, value in cut.items()}
+    return dataclasses.replace(modes, **cut | {"softening_kgpm": np.zeros((0, 0))})
+
+
 def without(node: Node, *, modes: bool = False, tanks: bool = False) -> Node:
     """The node without its bending modes, or its pendulums (their mass is then missing)."""
     vehicle = node.vehicle
@@ -49,8 +56,7 @@ def without(node: Node, *, modes: bool = False, tanks: bool = False) -> Node:
         bobs = dataclasses.replace(bobs, **{f.name: getattr(bobs, f.name)[:0] for f in dataclasses.fields(bobs)})
         bends = dataclasses.replace(bends, phi_hinge=bends.phi_hinge[:, :0])
     if modes:
-        cut: dict[str, Any] = {f.name: getattr(bends, f.name)[:0] for f in dataclasses.fields(bends)}
-        bends = dataclasses.replace(bends, **cut | {"softening_kgpm": np.zeros((0, 0))})
+        bends = no_modes(bends)
     return dataclasses.replace(node, vehicle=dataclasses.replace(vehicle, pendulums=bobs, modes=bends))
 
 

@@ -242,7 +242,8 @@ def test_two_modes_of_equal_frequency(kind: api.Kind) -> None:
     m = node.vehicle.modes
 
     def pick(which: list[int]) -> Node:
-        chosen = {f.name: getattr(m, f.name)[which] for f in dataclasses.fields(m) if f.name != "softening_kgpm"}
+        rows = {f.name: getattr(m, f.name) for f in dataclasses.fields(m) if f.name != "softening_kgpm"}
+        chosen = {name: value[which] for name, value in rows.items() if isinstance(value, np.ndarray) and len(value)}
         return with_modes(node, **chosen, softening_kgpm=np.zeros((len(which), len(which))))
 
     twice, once = pick([0, 0]), pick([0])

@@ -13,7 +13,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
 
 import numpy as np
@@ -300,7 +300,7 @@ def stiff_air(vehicle: VehicleAt) -> VehicleAt:
         vehicle,
         modes=bare,
         body=replace(body, core_cg_rate_mps=0.0, total_mass_kg=body.core_mass_kg),
-        pendulums=type(vehicle.pendulums)(*(np.zeros(0) for _ in range(6))),
+        pendulums=type(vehicle.pendulums)(*(np.zeros(0) for _ in fields(vehicle.pendulums))),
         jet_damping=False,
     )
 

@@ -169,6 +169,6 @@ def test_the_vehicle_flies_the_point_mass_s_path(tmp_path: Path, built: Built) -
     for n, stack in enumerate(built.stacks):
         at = built.flight.begins_s[n] + stack.burn.end_s
         point = [p for p in built.flight.points if p.number == n][-1]
-        k = int(np.argmin(np.abs(flight["time_s"] - at)))
+        k = int(np.argmin(np.abs(flight.time_s("altitude_m") - at)))
         assert flight["altitude_m"][k] == pytest.approx(point.altitude_m, rel=0.06)
     assert len(nodes_s(built)) == 11

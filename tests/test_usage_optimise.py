@@ -9,6 +9,7 @@ from itertools import pairwise
 import numpy as np
 import optimise_kit as kit
 import pytest
+from design_nodes import no_modes
 
 from maxq.design.case.schema import read_case
 from maxq.design.laws.bending_filter import FilterVariables, lifted
@@ -144,14 +145,7 @@ def test_filter_of_sections() -> None:
 
 def test_without_a_bending_mode_there_is_a_least_margin_but_no_peak() -> None:
     node = kit.all_nodes().each[6].node
-    modes = node.vehicle.modes
-    none = dataclasses.replace(
-        modes,
-        **{
-            f.name: getattr(modes, f.name)[:0, :0] if f.name == "softening_kgpm" else getattr(modes, f.name)[:0]
-            for f in dataclasses.fields(modes)
-        },
-    )
+    none = no_modes(node.vehicle.modes)
     stiff = dataclasses.replace(node, vehicle=dataclasses.replace(node.vehicle, modes=none))
     with pytest.raises(ValueError, match="no first bending mode"):
         make_plant(stiff, kit.case().case)

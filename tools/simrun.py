@@ -43,7 +43,7 @@ _EXITS = {
 _SCENARIO, _CAMPAIGN, _LOG, _FOLDER = "SCENARIO", "CAMPAIGN", "--from LOG", "--from DIR"
 _RUN, _SHRINK, _SEARCH = "--from DIR --run N", "--from DIR --run N --shrink", "--from DIR --search METRIC"
 _FLIGHTS = (_SCENARIO, _LOG)
-_KINDS = ("scenario", "vehicle", "design", "campaign", "case", "suite")
+_KINDS = ("scenario", "vehicle", "design", "campaign", "case", "suite", "layout")
 
 
 def _parser() -> Parser:

@@ -179,14 +179,16 @@ def modes_over(profile: Profile, depths: Array, modes: int) -> list[ModeAt]:
     inside = np.clip(depths, knots[0], knots[-1])
     surface, held = profile.surface_radius(inside), profile.surface_radius(depths)
     volume = np.maximum(profile.volume(depths), 1e-300)
-    out = []
+    out: list[ModeAt] = []
+    left = profile.volume(depths)  # of the liquid: the modes' masses are interpolated each on its own
     for table in tables:
         kappa, mass, bob, wave, loss = table.at(inside).T
         steady = np.clip(depths, _FLATTEST, None) if profile.bottom == 0.0 else depths
         at = np.clip(steady, knots[0], knots[-1])
         kappa = table.at(at)[:, 0] / _narrowing(profile, at)
         mass = mass / (1.0 / volume + 1.0 / (np.pi * np.maximum(held, 1e-12) ** 3))
-        mass = np.where((depths > 0.0) & (held > 0.0), mass, 0.0)
+        mass = np.minimum(np.where((depths > 0.0) & (held > 0.0), mass, 0.0), left)
+        left = left - mass
         bob = bob * np.minimum(1.0, depths / inside)
         out.append(ModeAt(1.0 / kappa, mass, bob, wave * surface, loss * (1.0 + 1.0 / inside)))
     return out

@@ -148,5 +148,6 @@ def upper_air() -> Cubics:
     columns = np.stack([np.log(mass / _AVOGADRO), np.log(total * _BOLTZMANN * degrees), degrees], axis=1)
     slopes = np.gradient(columns, _STEP_m, axis=0)
     slopes[:, 2] = slope
+    columns, slopes = columns.round(8), slopes.round(11)  # processors differ in the last digits of an exponential
     nodes = np.rint((_NODES_m - BOTTOM_m) / _STEP_m).astype(int)
     return hermite(z_m[nodes], columns[nodes], slopes[nodes])
