@@ -109,13 +109,13 @@ def newton_euler(made: Rig, given: list[Tree], w: Array) -> tuple[Array, Array]:
     total = PARTS.core_mass_kg
     hull_mass = total - masses.sum()
     hull_cg = -sum(m * r for m, (_, r) in zip(masses, rest, strict=True)) / hull_mass
-    point = lambda m, r: m * (r @ r * np.eye(3) - np.outer(r, r))  # noqa: E731
+    point = lambda m, r: m * (r @ r * np.eye(3) - np.outer(r, r))  # noqa: E731  # a formula
     hull = np.array(PARTS.core_inertia)  # about the core CG, engines taken out
     for m, i, (_, r) in zip(masses, own, rest, strict=True):
         hull = hull - point(m, r) - i * np.eye(3)
     matrix, known = np.zeros((6, 6)), np.zeros(6)
     force, moment = np.zeros(3), np.zeros(3)
-    skew = lambda r: np.array([[0, -r[2], r[1]], [r[2], 0, -r[0]], [-r[1], r[0], 0]])  # noqa: E731
+    skew = lambda r: np.array([[0, -r[2], r[1]], [r[2], 0, -r[0]], [-r[1], r[0], 0]])  # noqa: E731  # a formula
 
     def body(m: float, r: Array, v: Array, a: Array) -> None:
         """A mass at r that moves with v, a relative to the body."""

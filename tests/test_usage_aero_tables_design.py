@@ -50,7 +50,7 @@ def loaded(file: Path | str) -> LoadedScenario:
 def test_derivatives_and_flight_are_those_of_the_slopes(tabulated: Path) -> None:
     """To the coarseness of the table: CN bends between its points, and pchip has its own slopes there."""
     for plane in ("pitch", "yaw"):
-        both = [nodes_along(loaded(name), [10.0, 30.0, 50.0], plane) for name in (tabulated, "nominal")]  # type: ignore[arg-type]
+        both = [nodes_along(loaded(name), [10.0, 30.0, 50.0], plane) for name in (tabulated, "nominal")]  # type: ignore[arg-type]  # one of the two planes
         for ours, theirs in zip(*both, strict=True):
             a, b = (dataclasses.astuple(stability_derivatives(n.vehicle, n.condition)) for n in (ours, theirs))
             np.testing.assert_allclose(a, b, rtol=5e-3)

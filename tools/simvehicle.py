@@ -56,10 +56,10 @@ def _run(arguments: list[str]) -> int:
     if options.out == "":
         parser.error("--out needs the name of a folder")
     from maxq.sim.files import check_writable  # noqa: PLC0415  # lazy, as all imports here: --help is quick
-    from maxq.sim.scenario.errors import ScenarioError  # noqa: PLC0415
-    from maxq.tools.vehicle.build import build, too_weak, write  # noqa: PLC0415
-    from maxq.tools.vehicle.layout import read_layout  # noqa: PLC0415
-    from maxq.tools.vehicle.report import report  # noqa: PLC0415
+    from maxq.sim.scenario.errors import ScenarioError  # noqa: PLC0415  # lazy
+    from maxq.tools.vehicle.build import build, too_weak, write  # noqa: PLC0415  # lazy
+    from maxq.tools.vehicle.layout import read_layout  # noqa: PLC0415  # lazy
+    from maxq.tools.vehicle.report import report  # noqa: PLC0415  # lazy
 
     layout = read_layout(options.layout)
     folder = Path(options.out or Path("runs") / (re.sub(r"[^\w.-]+", "-", layout.name).strip(".-") or "vehicle"))

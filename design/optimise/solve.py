@@ -56,7 +56,7 @@ def solve(
     # with matrices of forty rows, threads of the linear-algebra library only wait for each other: twice the CPU time
     with threadpool_limits(limits=1, user_api="blas"):
         from maxq.design.optimise.over_time import solve_over_time  # noqa: PLC0415  # it needs this module, as the next
-        from maxq.design.optimise.robust import solve_robust  # noqa: PLC0415
+        from maxq.design.optimise.robust import solve_robust  # noqa: PLC0415  # likewise
 
         plants = nominal_plants(loaded) if plants is None else plants
         if loaded.case.robust is not None:
