@@ -198,7 +198,8 @@ def derivative(
     gust = (inputs.gust_x_mps, inputs.gust_y_mps, inputs.gust_z_mps)
     gravitation = air_data(environment, pool, gust, rotation, y, work, aux)
     modal_state(sizes, rate[0], y, eta, xi, work)
-    spatial_state(sizes, rate[0], properties, y, spatial, work)
+    if sizes.spatial_modes > 0:
+        spatial_state(sizes, rate[0], properties, y, spatial, work)
     engine, balanced = engine_motion(vehicle, sizes, held, properties, y, work, aux)
 
     aero_force, aero_moment = aerodynamics(
@@ -285,7 +286,8 @@ def derivative(
     sensed = sensed_rate(vehicle.gyro, local)
     gyro_derivative(vehicle.gyro, y, GYRO, sensed, held.faults, dy)
     modal_derivative(sizes, eta, xi, dy, work)
-    spatial_derivative(sizes, spatial, dy, work)
+    if sizes.spatial_modes > 0:
+        spatial_derivative(sizes, spatial, dy, work)
     for tank in range(sizes.tanks):
         first = pendulums + N_PENDULUM * tank
         pendulum_derivative(vehicle.slosh, sizes, tank, rate, specific_force, alpha, properties, y, first, dy, work)

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from typing import Annotated
 
 from maxq.control.kernel.grids import N_COLUMNS, GridRefs, interpolate_grid
-from maxq.control.kernel.jit import kernel
+from maxq.control.kernel.jit import kernel, routine
 from maxq.control.kernel.limits import MAX_SURFACES
 from maxq.control.kernel.records import Array, IntArray
 from maxq.control.kernel.vectors import Vector
@@ -61,7 +61,7 @@ def _angle(kind: int, mach: float, flow: Vector, lateral: float, first_roll: flo
     return 0.0
 
 
-@kernel
+@routine
 def table_coefficients(tables: IncidenceTables, pool: Array, j: int, mach: float, flow: Vector, work: Array) -> None:
     """Coefficients of table `j` in the local flow (B, m/s) into the workspace, those it does not have as zero."""
     lateral = math.sqrt(flow[1] * flow[1] + flow[2] * flow[2])
@@ -79,7 +79,7 @@ def table_coefficients(tables: IncidenceTables, pool: Array, j: int, mach: float
         work[COEFFICIENTS + tables.role[j, c]] = work[GRID_ROW + c]
 
 
-@kernel
+@routine
 def static_loads(
     tables: IncidenceTables, j: int, flow: Vector, lengths: Vector, axial_factor: float, force_factor: float,
     work: Array,
@@ -114,7 +114,7 @@ def static_loads(
     return (x, 0.0, 0.0), (0.0, y * across_z + z * across_y, z * across_z - y * across_y), moment
 
 
-@kernel
+@routine
 def rate_loads(rate: Vector, lengths: Vector, work: Array) -> tuple[Vector, Vector]:
     """From the workspace, per air density, speed and area over four: lateral force (B, m2/s), moment (B, m3/s)."""
     p, q, r = lengths[0] * rate[0], lengths[1] * rate[1], lengths[2] * rate[2]

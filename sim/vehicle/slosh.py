@@ -23,7 +23,7 @@ from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 
-from maxq.control.kernel.jit import kernel
+from maxq.control.kernel.jit import kernel, routine
 from maxq.control.kernel.limits import MAX_TANKS
 from maxq.control.kernel.records import Array
 from maxq.control.kernel.rows import DEG
@@ -274,7 +274,7 @@ def pendulum_loads(
     return force, moment
 
 
-@kernel
+@routine
 def wall_and_ring_damping(
     slosh: Slosh, tank: int, length: float, axial_load: float, rate: float, properties: Array
 ) -> float:
@@ -293,7 +293,7 @@ def wall_and_ring_damping(
     return drag
 
 
-@kernel
+@routine
 def exchange_loads(
     slosh: Slosh, sizes: Counts, rate: Vector, properties: Array, y: Array, first: int, work: Array
 ) -> tuple[Vector, Vector]:

@@ -16,7 +16,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Annotated
 
-from maxq.control.kernel.jit import kernel
+from maxq.control.kernel.jit import kernel, routine
 from maxq.control.kernel.limits import MAX_MODES
 from maxq.control.kernel.records import Array
 from maxq.control.kernel.vectors import Vector
@@ -59,7 +59,7 @@ class SpatialModes:
     frequency_factor: Annotated[Array, (MAX_MODES,)]
 
 
-@kernel
+@routine
 def spatial_state(sizes: Counts, roll_rate: float, properties: Array, y: Array, first: int, work: Array) -> None:
     """From the states at y[first:] into the workspace; sets the generalised forces to zero."""
     n = sizes.spatial_modes
@@ -82,7 +82,7 @@ def _turn(sizes: Counts, properties: Array, work: Array, quantity: int, turned: 
         work[turned + i] = total
 
 
-@kernel
+@routine
 def spatial_derivative(sizes: Counts, first: int, dy: Array, work: Array) -> None:
     """Derivatives of the states at y[first:], once the workspace holds the modal accelerations."""
     for i in range(sizes.spatial_modes):
@@ -90,7 +90,7 @@ def spatial_derivative(sizes: Counts, first: int, dy: Array, work: Array) -> Non
         dy[first + sizes.spatial_modes + i] = work[SPATIAL_ACCEL + i]
 
 
-@kernel
+@routine
 def spatial_motion(sizes: Counts, properties: Array, place: int, work: Array, quantity: int) -> Load:
     """Motion of a place: its shapes times a modal quantity (SPATIAL_ETA, SPATIAL_NU, ...)."""
     x, y, z, about_x, about_y, about_z = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
@@ -117,7 +117,7 @@ def roll_defect(sizes: Counts, properties: Array, place: int, work: Array, quant
     return -held[0], -whole[2] - held[1], whole[1] - held[2], -held[3], -whole[5] - held[4], whole[4] - held[5]
 
 
-@kernel
+@routine
 def apply_spatial_load(sizes: Counts, properties: Array, place: int, load: Load, work: Array, quantity: int) -> None:
     """Add the generalised forces of a load at a place to a modal quantity (SPATIAL_FORCE, SPATIAL_MOMENTUM)."""
     n, c = sizes.spatial_modes, place_column(sizes, place, 0)
@@ -127,7 +127,7 @@ def apply_spatial_load(sizes: Counts, properties: Array, place: int, load: Load,
         work[quantity + i] += force + (moment + properties[c + 5 * n + i] * load[5])
 
 
-@kernel
+@routine
 def outer_spatial_load(sizes: Counts, properties: Array, place: int, load: Load, work: Array) -> Vector:
     """As `apply_spatial_load`, of a load from outside (thrust, air, a pendulum) on the displaced place.
 
@@ -141,7 +141,7 @@ def outer_spatial_load(sizes: Counts, properties: Array, place: int, load: Load,
     return roll, moved[2] * load[0] - moved[0] * load[2], moved[0] * load[1] - moved[1] * load[0]
 
 
-@kernel
+@routine
 def spatial_rate_at_gyro(sizes: Counts, roll_rate: float, properties: Array, work: Array) -> Vector:
     """Angular rate (B, rad/s) that the modes add at the gyro."""
     of_modes = spatial_motion(sizes, properties, GYRO_PLACE, work, SPATIAL_NU)
@@ -153,7 +153,7 @@ def spatial_rate_at_gyro(sizes: Counts, roll_rate: float, properties: Array, wor
     )
 
 
-@kernel
+@routine
 def spatial_elastic_forces(sizes: Counts, properties: Array, k_soft: float, work: Array) -> float:
     """Add stiffness, damping and axial softening to the generalised forces; returns their roll moment on the body."""
     roll = 0.0
@@ -168,7 +168,7 @@ def spatial_elastic_forces(sizes: Counts, properties: Array, k_soft: float, work
     return roll
 
 
-@kernel
+@routine
 def spatial_gyroscopic(sizes: Counts, properties: Array, rate: Vector, work: Array) -> Vector:
     """Roll-rate coupling of the modes, and the moment of their angular momentum about x on the body (eq. 4.9).
 
@@ -187,7 +187,7 @@ def spatial_gyroscopic(sizes: Counts, properties: Array, rate: Vector, work: Arr
     return roll, -r * h, q * h
 
 
-@kernel
+@routine
 def free_spatial_accelerations(sizes: Counts, properties: Array, work: Array) -> None:
     """Accelerations of the modes under their generalised forces, without the tensions of the pendulums."""
     inverse = spatial_derived(sizes, MODE_INVERSE_MASS)
@@ -195,7 +195,7 @@ def free_spatial_accelerations(sizes: Counts, properties: Array, work: Array) ->
         work[SPATIAL_ACCEL + i] = properties[inverse + i] * work[SPATIAL_FORCE + i]
 
 
-@kernel
+@routine
 def spatial_along_rod(sizes: Counts, properties: Array, place: int, tank: int, u: Vector, work: Array) -> float:
     """Keep the shapes at a hinge along its rod `u`; returns the acceleration of the hinge along it, m/s2."""
     n, c, total = sizes.spatial_modes, place_column(sizes, place, 0), 0.0
@@ -206,7 +206,7 @@ def spatial_along_rod(sizes: Counts, properties: Array, place: int, tank: int, u
     return total
 
 
-@kernel
+@routine
 def spatial_compliance(sizes: Counts, properties: Array, k: int, j: int, work: Array) -> float:
     """How much the hinge of tank k accelerates along its rod per newton of tension in tank j, 1/kg."""
     inverse, total = spatial_derived(sizes, MODE_INVERSE_MASS), 0.0
@@ -215,7 +215,7 @@ def spatial_compliance(sizes: Counts, properties: Array, k: int, j: int, work: A
     return total
 
 
-@kernel
+@routine
 def add_tension_to_spatial(sizes: Counts, properties: Array, tank: int, tension: float, work: Array) -> None:
     """Add the pull of the rod of a tank to the modal accelerations."""
     inverse = spatial_derived(sizes, MODE_INVERSE_MASS)

@@ -21,7 +21,7 @@ import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
-from maxq.control.kernel.jit import kernel
+from maxq.control.kernel.jit import kernel, routine
 from maxq.control.kernel.records import Array
 from maxq.control.kernel.rows import DEG, PitchYaw
 from maxq.control.kernel.vectors import (
@@ -141,7 +141,7 @@ def hinge_moment(load: TvcLoad, y: Array, i: int, position: float, rate: float, 
     return moment
 
 
-@kernel
+@routine
 def prepare_load(
     load: TvcLoad, e: Engine, engine: Deflected, offset: Vector, sizes: Counts, rate: Vector, axial_load: float,
     properties: Array, y: Array, first: int, faults: Array, work: Array, aux: Array,
@@ -198,7 +198,7 @@ def _modal_forces(
     add_to_modes(sizes, properties, mode_column(sizes, YAW, MODE_SLOPE_GIMBAL), -about_z, work, yaw)
 
 
-@kernel
+@routine
 def load_responses(sizes: Counts, inverse_mass: float, inverse: Symmetric, properties: Array, work: Array) -> None:
     """Accelerations of body and modes per unit of each unknown, without pendulums."""
     for k in range(2 * sizes.tvc_loads):
@@ -211,7 +211,7 @@ def load_responses(sizes: Counts, inverse_mass: float, inverse: Symmetric, prope
                 work[of_plane(accel, plane) + j] = work[of_plane(force, plane) + j] * properties[inverse_at + j]
 
 
-@kernel
+@routine
 def moment_about_hinge(sizes: Counts, k: int, accel: Vector, alpha: Vector, modal: int, work: Array) -> float:
     """Moment on the hinge of unknown k by accelerations of the CG, of the body's rotation and of the modes, N m."""
     b, force = load_block(k), load_modal(k, 0)
@@ -222,7 +222,7 @@ def moment_about_hinge(sizes: Counts, k: int, accel: Vector, alpha: Vector, moda
     return total
 
 
-@kernel
+@routine
 def add_load_to_modes(sizes: Counts, k: int, amount: float, work: Array) -> None:
     """Add what the acceleration `amount` of unknown k does to the modal accelerations."""
     modal = load_modal(k, 1)
@@ -231,7 +231,7 @@ def add_load_to_modes(sizes: Counts, k: int, amount: float, work: Array) -> None
             work[of_plane(ACCEL, plane) + j] += amount * work[of_plane(modal, plane) + j]
 
 
-@kernel
+@routine
 def load_derivative(load: TvcLoad, sizes: Counts, y: Array, first: int, dy: Array, work: Array) -> None:
     """Derivatives of the states at y[first:first+6] once the accelerations are known."""
     for k in range(2):
