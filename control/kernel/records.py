@@ -1,13 +1,14 @@
 """Frozen dataclasses are the schema of a parameter set; a packed `np.record` is what a kernel reads.
 
 A kernel is handed `P[i]`, reads `P[i].engine.mass_kg`, and compiles once for every vehicle, because the layout
-holds no size that depends on the vehicle: arrays are bounded and come with a count. Where thousands of flights of one
-vehicle justify a compilation of their own, `with_constants` puts counts into the layout.
+holds no size that depends on the vehicle: arrays are bounded and come with a count. `with_constants` puts counts into
+the layout: those of parts that few vehicles have, and all where thousands of flights of one vehicle justify a
+compilation of their own.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import fields, is_dataclass
 from functools import lru_cache
 from operator import attrgetter
@@ -96,16 +97,19 @@ def blank(schema: type) -> NDArray[Any]:
     return np.zeros(1, dtype_of(schema))
 
 
-def with_constants(rows: NDArray[Any], *path: str) -> NDArray[Any]:
+def with_constants(rows: NDArray[Any], *path: str, only: Sequence[str] = ()) -> NDArray[Any]:
     """The same memory, with the integers of the nested record at `path` in its type as well: kernels that read
     them by `jit.integer` are compiled for these values, and compute the same bits. Unlike rows stay as they are.
+
+    `only`: the integers that are told; all without it.
     """
     nested = rows
     for name in path:
         nested = nested[name]
-    if len(rows) > 1 and (nested != nested[0]).any():
+    names = only or nested.dtype.names or ()
+    if any((nested[name] != nested[name][0]).any() for name in names):
         return rows
-    encoded = ",".join(f"{name}={int(nested[0][name])}" for name in nested.dtype.names or ())
+    encoded = ",".join(f"{name}={int(nested[name][0])}" for name in names)
     return rows.view(_with_constant_names(rows.dtype, path, encoded))
 
 

@@ -507,15 +507,18 @@ def accelerate(
         _add_damper_to_modes(sizes, k, work[b + DAMPER_FORCE], work[b + DAMPER_FORCE + 1], properties, work)
         set_vector(work, b + ALPHA, symmetric_times(inverse, vector_at(work, b + ARM)))
     free_modal_accelerations(sizes, properties, work)
-    free_spatial_accelerations(sizes, properties, work)
-    load_responses(sizes, inverse_mass, inverse, properties, work)
+    if sizes.spatial_modes > 0:
+        free_spatial_accelerations(sizes, properties, work)
+    if sizes.tvc_loads > 0:
+        load_responses(sizes, inverse_mass, inverse, properties, work)
     _solve_tensions(slosh, sizes, inverse_mass, accel, alpha, properties, y, first, work)
     for k in range(sizes.tanks):
         u, tension = vector_at(y, first + N_PENDULUM * k), work[TENSION + k]
         accel = add(accel, scaled(inverse_mass * tension, u))
         alpha = add(alpha, scaled(tension, vector_at(work, tank_block(k) + ALPHA)))
         _add_tension_to_modes(sizes, k, tension * u[1], tension * u[2], properties, work)
-        add_tension_to_spatial(sizes, properties, k, tension, work)
+        if sizes.spatial_modes > 0:
+            add_tension_to_spatial(sizes, properties, k, tension, work)
     if sizes.spatial_modes > 0:
         for k in range(sizes.tanks):
             b, moved = tank_block(k), spatial_motion(sizes, properties, tank_place(k), work, SPATIAL_ACCEL)
