@@ -125,7 +125,7 @@ def constants_in(names: Iterable[str]) -> dict[str, int]:
 
 @lru_cache(maxsize=64)
 def _with_constant_names(layout: np.dtype[Any], path: tuple[str, ...], encoded: str) -> np.dtype[Any]:
-    """`layout` with a further name for the first number of the record at `path`."""
+    """`layout` with a further field, without size, behind those of the record at `path`."""
     of: dict[str, Any] = dict(layout.fields or {})
     names = list(layout.names or ())
     formats = [of[name][0] for name in names]
@@ -133,6 +133,6 @@ def _with_constant_names(layout: np.dtype[Any], path: tuple[str, ...], encoded: 
     if path:
         formats[names.index(path[0])] = _with_constant_names(formats[names.index(path[0])], path[1:], encoded)
     else:
-        names, formats, offsets = [*names, encoded], [*formats, formats[0]], [*offsets, offsets[0]]
+        names, formats, offsets = [*names, encoded], [*formats, ("i8", (0,))], [*offsets, layout.itemsize]
     spelt = {"names": names, "formats": formats, "offsets": offsets, "itemsize": layout.itemsize}
     return np.dtype((np.record, spelt))  # type: ignore[arg-type,unused-ignore]  # NumPy's stubs lack such a spelling
