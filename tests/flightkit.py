@@ -395,7 +395,7 @@ def to_simulator(made: Rig, state: system.State) -> Array:
     y[i : i + n], y[j : j + n] = state.eta_m, state.xi_m
     y[i + n : i + 2 * n] = state.etadot_mps + w[0] * state.xi_m
     y[j + n : j + 2 * n] = state.xidot_mps - w[0] * state.eta_m
-    for k in range(int(made.sizes.tanks)):
+    for k in range(int(made.sizes.pendulums)):
         i = int(layout.pendulum_index(made.sizes, k))
         y[i : i + 3] = state.u_B[k]
         y[i + 3 : i + 6] = state.udot_B_1ps[k] + np.cross(w, state.u_B[k])
@@ -408,7 +408,7 @@ def to_oracle(made: Rig, y: Array) -> system.State:
     pitch, yaw = workspace.ENGINE_PITCH, workspace.ENGINE_YAW
     engine = np.array([made.aux[pitch : pitch + 3], made.aux[yaw : yaw + 3]])
     w = y[layout.W_BI_B : layout.W_BI_B + 3].copy()
-    n, tanks = int(made.sizes.pitch_modes), int(made.sizes.tanks)
+    n, tanks = int(made.sizes.pitch_modes), int(made.sizes.pendulums)
     i, j = int(layout.eta_index(made.sizes)), int(layout.xi_index(made.sizes))
     eta, xi = y[i : i + n].copy(), y[j : j + n].copy()
     u, u_dot = np.zeros((tanks, 3)), np.zeros((tanks, 3))

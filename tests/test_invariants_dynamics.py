@@ -390,7 +390,7 @@ def rolled(made: Rig, y: Array) -> Array:
     out[i + 2], out[i + 1] = y[i + 1], -y[i + 2]
     eta, xi = layout.eta_index(made.sizes), layout.xi_index(made.sizes)
     out[xi : xi + 4], out[eta : eta + 4] = -y[eta : eta + 4], y[xi : xi + 4]
-    for k in range(int(made.sizes.tanks)):
+    for k in range(int(made.sizes.pendulums)):
         for j in (0, 3):
             b = int(layout.pendulum_index(made.sizes, k)) + j
             out[b : b + 3] = turn @ y[b : b + 3]
@@ -414,7 +414,7 @@ def mirrored(made: Rig, y: Array) -> Array:
     out[i + 2] *= -1.0
     xi = layout.xi_index(made.sizes)
     out[xi : xi + 4] *= -1.0
-    for k in range(int(made.sizes.tanks)):
+    for k in range(int(made.sizes.pendulums)):
         for j in (0, 3):
             out[int(layout.pendulum_index(made.sizes, k)) + j + 1] *= -1.0
     return out

@@ -60,7 +60,7 @@ def test_the_type_tells_the_sizes():
 
 def test_stages_of_unlike_sizes_stay_with_the_common_kernels():
     rows = np.zeros(2, pack_flight(load_scenario("nominal").scenario).parameters.dtype)
-    rows["vehicle"]["sizes"]["tanks"] = 1, 2
+    rows["vehicle"]["sizes"]["pendulums"] = 1, 2
     assert with_constants(rows, "vehicle", "sizes") is rows
 
 

@@ -129,7 +129,7 @@ def stirred(made: Rig, rng: np.random.Generator) -> Array:
     first = int(layout.eta_index(made.sizes))
     n = int(made.sizes.pitch_modes)
     y[first : first + 4 * n] = rng.normal(size=4 * n) * np.repeat([0.05, 1.0, 0.05, 1.0], n)
-    for k in range(int(made.sizes.tanks)):
+    for k in range(int(made.sizes.pendulums)):
         i = int(layout.pendulum_index(made.sizes, k))
         u = np.array([-1.0, 0.0, 0.0]) + 0.4 * rng.normal(size=3)
         y[i : i + 3] = u / np.linalg.norm(u)

@@ -5,7 +5,7 @@ nothing.
 """
 
 MAX_STAGES = 8
-MAX_TANKS = 8  # of a stage
+MAX_PENDULUMS = 8  # of a stage: slosh modes of all its tanks, and so the tanks as well
 MAX_ENGINES = 9  # of a stage
 MAX_MODES = 12  # of a stage: in each plane, and of spatial modes
 MAX_SURFACES = 8  # lifting surfaces of a stage

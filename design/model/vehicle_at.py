@@ -255,7 +255,7 @@ def _slope(table: Cubics, x: float) -> Array:
 
 
 def _pendulums(vehicle: Any, sizes: Any, props: Array, rates: Array) -> Pendulums:
-    n = int(sizes.tanks)
+    n = int(sizes.pendulums)
     first = np.array([schedule.tank_column(k) for k in range(n)], int)
     mass_factor, length_factor = vehicle.slosh.mass_factor[:n], vehicle.slosh.length_factor[:n]
     return Pendulums(
@@ -272,7 +272,7 @@ def _pendulums(vehicle: Any, sizes: Any, props: Array, rates: Array) -> Pendulum
 def _modes(vehicle: Any, sizes: Any, props: Array, plane: Plane) -> Modes:
     pitch = plane == "pitch"
     n = int(sizes.pitch_modes if pitch else sizes.yaw_modes)
-    tanks, surfaces = int(sizes.tanks), int(sizes.surfaces)
+    tanks, surfaces = int(sizes.pendulums), int(sizes.surfaces)
     zeta = vehicle.bending.zeta_pitch if pitch else vehicle.bending.zeta_yaw
     shapes = schedule.MODE_FIRST + tanks
 
@@ -316,7 +316,7 @@ def _with_spatial(vehicle: Any, sizes: Any, props: Array, plane: Plane, of_plane
     def each(first: int, count: int, component: int) -> Array:
         return np.array([at(first + i, component) for i in range(count)]).reshape(count, n).T
 
-    tanks, surfaces = int(sizes.tanks), int(sizes.surfaces)
+    tanks, surfaces = int(sizes.pendulums), int(sizes.surfaces)
     gimbal, gyro_at = schedule.gimbal_place(sizes, 0), schedule.GYRO_PLACE
     tank, surface = schedule.tank_place(0), schedule.surface_place(sizes, 0)
     softening = np.array([row(schedule.spatial_softening_row(sizes, i)) for i in range(n)])

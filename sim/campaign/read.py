@@ -277,7 +277,7 @@ def channel_units(loaded: LoadedScenario) -> dict[str, str]:
     from maxq.sim.run.fly import logged_channels  # noqa: PLC0415  # lazy: as above
 
     stages = loaded.vehicle.stage
-    widest = max((stage_sizes(stage, loaded.scenario.switches) for stage in stages), key=lambda s: s.tanks)
+    widest = max((stage_sizes(stage, loaded.scenario.switches) for stage in stages), key=lambda s: s.pendulums)
     table = logged_channels(loaded.scenario, widest)
     return {channel.name: channel.unit for group in (FAST, SLOW) for channel in table.columns(group)}
 

@@ -13,7 +13,7 @@ from typing import Annotated, NamedTuple
 from maxq.control.attitude import whole_error
 from maxq.control.computer import ComputerState
 from maxq.control.kernel.jit import kernel, routine
-from maxq.control.kernel.limits import MAX_STAGES, MAX_TANKS
+from maxq.control.kernel.limits import MAX_PENDULUMS, MAX_STAGES
 from maxq.control.kernel.records import Array, IntArray
 from maxq.sim.vehicle.derivative import Held, Vehicle
 from maxq.sim.vehicle.schedule import TOTAL_MASS
@@ -77,13 +77,13 @@ class Extremes:
 
 @dataclass
 class Waves:
-    """Of each pendulum, stage by stage with room for MAX_TANKS each: the largest wave under thrust over the height at
-    which it breaks, its time, and the first time at which it is as high (-1: none).
+    """Of each pendulum, stage by stage with room for MAX_PENDULUMS each: the largest wave under thrust over the height
+    at which it breaks, its time, and the first time at which it is as high (-1: none).
     """
 
-    largest: Annotated[Array, (MAX_STAGES * MAX_TANKS,)]
-    largest_ns: Annotated[IntArray, (MAX_STAGES * MAX_TANKS,)]
-    broke_ns: Annotated[IntArray, (MAX_STAGES * MAX_TANKS,)]
+    largest: Annotated[Array, (MAX_STAGES * MAX_PENDULUMS,)]
+    largest_ns: Annotated[IntArray, (MAX_STAGES * MAX_PENDULUMS,)]
+    broke_ns: Annotated[IntArray, (MAX_STAGES * MAX_PENDULUMS,)]
 
 
 @kernel
@@ -163,7 +163,7 @@ def _gather_slosh(
     extremes: Extremes, waves: Waves, stage: int, vehicle: Vehicle, now_ns: int, props: Array, y: Array
 ) -> None:  # fmt: skip  # as ruff would, but for a line of one bracket
     sizes = counts(vehicle.sizes)
-    for tank in range(sizes.tanks):
+    for tank in range(sizes.pendulums):
         if bob_mass(vehicle.slosh, props, tank) > 0.0:
             i = pendulum_index(sizes, tank)
             lateral = math.sqrt(y[i + 1] * y[i + 1] + y[i + 2] * y[i + 2])
@@ -174,7 +174,7 @@ def _gather_slosh(
                 now_ns,
             )
             share = wave_share(vehicle.slosh, tank, props, lateral)
-            k = stage * MAX_TANKS + tank
+            k = stage * MAX_PENDULUMS + tank
             if share > waves.largest[k]:
                 waves.largest[k], waves.largest_ns[k] = share, now_ns
                 if share >= 1.0 and waves.broke_ns[k] < 0:

@@ -92,9 +92,9 @@ def fill_fast(
         column = put_modes(row, column, y, xi_index(sizes), sizes.yaw_modes, logged.yaw_modes)
         column = put_modes(row, column, y, spatial_index(sizes), sizes.spatial_modes, logged.spatial_modes)
         column = put(row, column, bending_row(aux))
-    for tank in range(logged.tanks):
+    for tank in range(logged.pendulums):
         column = put(row, column, slosh_row(p.vehicle.slosh, sizes, tank, props, y, pendulum_index(sizes, tank), aux))
-    for tank in range(logged.tanks * waves):
+    for tank in range(logged.pendulums * waves):
         column = put(row, column, wave_row(p.vehicle.slosh, sizes, tank, props, y, pendulum_index(sizes, tank)))
     if logged.tvc_loads > 0:
         column = put(row, column, tvc_load_row(sizes, aux))

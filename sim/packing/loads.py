@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from maxq.control.kernel.limits import MAX_LOAD_STATIONS, MAX_SURFACES, MAX_TANKS
+from maxq.control.kernel.limits import MAX_LOAD_STATIONS, MAX_PENDULUMS, MAX_SURFACES
 from maxq.control.kernel.records import Array
 from maxq.control.kernel.tables import NO_TABLE, Cubics, Method, Pool, fit
 from maxq.sim.packing.engines import on_clock
@@ -30,12 +30,12 @@ _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(4)  # exact to the seventh po
 def pack_loads(scenario: Scenario, stage: Stage, burn: Burn, sizes: Sizes, pool: Pool) -> Loads:
     """Section loads of a stage; none unless they are switched on."""
     given = stage.loads
-    stations, bottoms = np.zeros(MAX_LOAD_STATIONS), np.full(MAX_TANKS, -np.inf)
+    stations, bottoms = np.zeros(MAX_LOAD_STATIONS), np.full(MAX_PENDULUMS, -np.inf)
     places, shares = np.zeros(MAX_SURFACES), np.zeros(MAX_SURFACES)
     if given is None or not scenario.switches.section_loads:
         return Loads(0, 1, 0, 1, NO_TABLE, 0.0, 1.0, stations, bottoms, 0, places, shares)
     stations[: len(given.stations_m)] = given.stations_m
-    tanks = stage.tank if sizes.tanks > 0 else ()
+    tanks = stage.tank if sizes.pendulums > 0 else ()
     below = [
         q.bottom_station_m for q, t in zip(_liquids_of(given, tanks), tanks, strict=True) for _ in range(t.pendulums)
     ]

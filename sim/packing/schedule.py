@@ -34,18 +34,18 @@ _gimbal_row = from_python(columns_of.gimbal_row)
 
 
 def stage_sizes(stage: Stage, switches: Switches, burn: Burn = NOMINAL) -> Sizes:
-    """How many modes, tanks and surfaces are flown with these switches."""
+    """How many modes, pendulums and surfaces are flown with these switches."""
     pitch = yaw = 0
     if stage.bending is not None and switches.bending:
         pitch_table, yaw_table = stage.bending.pitch_modes, stage.bending.yaw_modes
         pitch = pitch_table.modes if pitch_table else 0
         yaw = yaw_table.modes if yaw_table else 0
-    tanks = len(stage.pendulum_names) if switches.slosh else 0
+    swinging = len(stage.pendulum_names) if switches.slosh else 0
     tables = 0 if stage.aero is None else len(stage.aero.coefficients)
     spatial = stage.spatial_modes.modes.modes if stage.spatial_modes is not None and switches.bending else 0
     cluster = cluster_of(stage, burn.faults)
     return Sizes(
-        pitch, yaw, tanks, len(surface_stations(stage)), tables, spatial, len(cluster.groups) - 1,
+        pitch, yaw, swinging, len(surface_stations(stage)), tables, spatial, len(cluster.groups) - 1,
         max(len(cluster.alike), 1), max(len(cluster.gimbals_m), 1), max(len(cluster.curves), 1),
         int(stage.tvc_load is not None and switches.tvc_load and switches.engine_inertia),
     )  # fmt: skip  # ten lines otherwise
@@ -85,7 +85,7 @@ def vehicle_schedule(stage: Stage, burn: Burn, sizes: Sizes, switches: Switches,
     `frozen`: the CG does not wander (the schedule stands still).
     """
     method: Method = stage.interpolation
-    swinging = pendulums(stage)[: sizes.tanks]
+    swinging = pendulums(stage)[: sizes.pendulums]
     tanks = [pendulum.joined for pendulum in swinging]
     thrust, *further_thrusts = thrust_curves(stage, burn, method)
     parts = [_core(stage, burn, tanks, method, switches.moving_cg and not frozen), thrust]

@@ -42,7 +42,7 @@ def pack_vehicle(scenario: Scenario, stage: Stage, burn: Burn, sizes: Sizes, sch
         aero=pack_aero(scenario, stage, burn, pool),
         bending=pack_bending(stage.bending, switches.bending_softening),
         spatial_modes=pack_spatial_modes(stage.spatial_modes),
-        slosh=pack_slosh(pendulums(stage)[: sizes.tanks], stage.bending, switches.slosh_exchange),
+        slosh=pack_slosh(pendulums(stage)[: sizes.pendulums], stage.bending, switches.slosh_exchange),
         rate_damping=_rate_damping(stage, burn, pool),
         roll_torque_Nm=stage.roll_thrusters.torque_Nm if stage.roll_thrusters else 0.0,
         jet_damping=int(switches.jet_damping),

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from maxq.control.kernel.limits import MAX_TANKS
+from maxq.control.kernel.limits import MAX_PENDULUMS
 from maxq.control.kernel.records import Array, IntArray, pack
 from maxq.sim.flight.channels import ChannelTable
 from maxq.sim.flight.loop import Logged, advance, begin
@@ -204,7 +204,7 @@ class FlightRun:
         """The first time at which a wave breaks in each tank, of the stages so far."""
         found = []
         for index, stage in enumerate(self.loaded.vehicle.stage[: int(self.memory.clock.stage) + 1]):
-            broke_ns = self.memory.waves.broke_ns[index * MAX_TANKS :].tolist()
+            broke_ns = self.memory.waves.broke_ns[index * MAX_PENDULUMS :].tolist()
             for name, time_ns in zip(stage.pendulum_names, broke_ns, strict=False):
                 if time_ns >= 0:
                     number = index + 1 if len(self.packed.parameters) > 1 else 0
@@ -366,7 +366,9 @@ def logged_channels(scenario: Scenario, sizes: Sizes) -> ChannelTable:
     waves = _logs_waves(scenario, sizes)
     groups = max((stage.engine_groups for stage in scenario.vehicle.stage), key=len)
     groups = tuple(name or str(i + 1) for i, name in enumerate(groups)) if len(groups) > 1 else ()
-    return _channel_table(sizes, names[: sizes.tanks], load_stations(scenario), waves, groups, engine_names(scenario))
+    return _channel_table(
+        sizes, names[: sizes.pendulums], load_stations(scenario), waves, groups, engine_names(scenario)
+    )
 
 
 def engine_names(scenario: Scenario) -> tuple[str, ...]:
@@ -385,7 +387,7 @@ def load_stations(scenario: Scenario) -> tuple[str, ...]:
 
 
 def _logs_waves(scenario: Scenario, sizes: Sizes) -> bool:
-    return sizes.tanks > 0 and any(tank.shows_waves for stage in scenario.vehicle.stage for tank in stage.tank)
+    return sizes.pendulums > 0 and any(tank.shows_waves for stage in scenario.vehicle.stage for tank in stage.tank)
 
 
 def _above_the_wind(scenario: Scenario, highest_m: float) -> tuple[str, ...]:

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
-from maxq.control.kernel.limits import MAX_LOAD_STATIONS, MAX_SURFACES, MAX_TANKS
+from maxq.control.kernel.limits import MAX_LOAD_STATIONS, MAX_PENDULUMS, MAX_SURFACES
 from maxq.sim.scenario.errors import Path, refuse
 from maxq.sim.scenario.schema_values import Fraction, Period, Section, optional
 from maxq.sim.scenario.tables_csv import Columns, CsvTable
@@ -51,7 +51,9 @@ class Loads(Section):
     line_mass: Annotated[CsvTable, LINE_MASS_COLUMNS] = Field(
         description="all that is not liquid, engine included: masses spread evenly between two stations, or points"
     )
-    liquid: tuple[Liquid, ...] = optional("liquids, of every tank that sloshes and of others", (), max_length=MAX_TANKS)
+    liquid: tuple[Liquid, ...] = optional(
+        "liquids, of every tank that sloshes and of others", (), max_length=MAX_PENDULUMS
+    )
     limits: Annotated[CsvTable, LIMIT_COLUMNS] | None = optional(
         "what sections bear, linear between stations (at each the same time_s, on the stage clock); "
         "equivalent axial loads are N +- 2 M / radius_m"

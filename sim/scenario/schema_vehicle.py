@@ -7,7 +7,7 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import Discriminator, Field, Tag, model_validator
 
-from maxq.control.kernel.limits import MAX_ENGINES, MAX_MODES, MAX_STAGES, MAX_TANKS
+from maxq.control.kernel.limits import MAX_ENGINES, MAX_MODES, MAX_PENDULUMS, MAX_STAGES
 from maxq.sim.scenario.errors import refuse
 from maxq.sim.scenario.modes import (
     MODE_COLUMNS,
@@ -192,7 +192,7 @@ class Stage(Section):
     engine: Engines | None = optional(f"one table, or up to {MAX_ENGINES} as a list [[...]]; absent: no thrust")
     actuator: Actuator | None = optional("absent: gimbal angle = command")
     tvc_load: TvcLoad | None = optional("absent: the engine follows its actuators exactly")
-    tank: tuple[Tank, ...] = optional("tanks with sloshing liquid", (), max_length=MAX_TANKS)
+    tank: tuple[Tank, ...] = optional("tanks with sloshing liquid", (), max_length=MAX_PENDULUMS)
     bending: Bending | None = optional("absent: rigid, but for spatial modes")
     spatial_modes: SpatialModes | None = optional("absent: none")
     aero: Aero | None = optional("absent: no aerodynamic forces")
@@ -226,9 +226,9 @@ class Stage(Section):
             if name in names[:n]:
                 raise refuse("is the name of another tank already", "each name once", ("tank", n, "name"), value=name)
         self._check_engines()
-        if len(self.pendulum_names) > MAX_TANKS:
+        if len(self.pendulum_names) > MAX_PENDULUMS:
             problem = f"{len(self.pendulum_names)} slosh modes in all"
-            raise refuse(problem, f"up to {MAX_TANKS} of all tanks of a stage", key=("tank",), value=len(self.tank))
+            raise refuse(problem, f"up to {MAX_PENDULUMS} of all tanks of a stage", key=("tank",), value=len(self.tank))
         self._check_tvc_load()
         self._check_slosh_mass()
         self._check_stations()

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 from maxq.control.kernel.jit import integer, kernel
-from maxq.control.kernel.limits import MAX_ENGINES, MAX_MODES, MAX_SURFACES, MAX_TANKS, MAX_TVC_LOADS
+from maxq.control.kernel.limits import MAX_ENGINES, MAX_MODES, MAX_PENDULUMS, MAX_SURFACES, MAX_TVC_LOADS
 
 
 @dataclass(frozen=True)
@@ -23,7 +23,7 @@ class Sizes:
 
     pitch_modes: int
     yaw_modes: int
-    tanks: int  # pendulums: slosh modes of all tanks
+    pendulums: int  # slosh modes of all tanks
     surfaces: int  # places at which the air acts on the bent body: lifting surfaces, then tables of coefficients
     tables: int = 0  # of these, tables of coefficients over incidence
     spatial_modes: int = 0
@@ -35,7 +35,7 @@ class Sizes:
 
 
 LARGEST = Sizes(
-    MAX_MODES, MAX_MODES, MAX_TANKS, MAX_SURFACES + 1, MAX_SURFACES, MAX_MODES, MAX_ENGINES - 1, MAX_ENGINES,
+    MAX_MODES, MAX_MODES, MAX_PENDULUMS, MAX_SURFACES + 1, MAX_SURFACES, MAX_MODES, MAX_ENGINES - 1, MAX_ENGINES,
     MAX_ENGINES, MAX_ENGINES, MAX_TVC_LOADS,
 )  # fmt: skip  # a row
 
@@ -49,7 +49,7 @@ class Counts(NamedTuple):
 
     pitch_modes: int
     yaw_modes: int
-    tanks: int
+    pendulums: int
     surfaces: int
     tables: int
     spatial_modes: int
@@ -63,10 +63,10 @@ class Counts(NamedTuple):
 @kernel
 def counts(sizes: Sizes) -> Counts:
     return Counts(
-        integer(sizes, "pitch_modes"), integer(sizes, "yaw_modes"), integer(sizes, "tanks"), integer(sizes, "surfaces"),
-        integer(sizes, "tables"), integer(sizes, "spatial_modes"), integer(sizes, "further_groups"),
-        integer(sizes, "engines"), integer(sizes, "gimbals"), integer(sizes, "thrust_curves"),
-        integer(sizes, "tvc_loads"),
+        integer(sizes, "pitch_modes"), integer(sizes, "yaw_modes"), integer(sizes, "pendulums"),
+        integer(sizes, "surfaces"), integer(sizes, "tables"), integer(sizes, "spatial_modes"),
+        integer(sizes, "further_groups"), integer(sizes, "engines"), integer(sizes, "gimbals"),
+        integer(sizes, "thrust_curves"), integer(sizes, "tvc_loads"),
     )  # fmt: skip  # eleven lines otherwise
 
 

@@ -251,7 +251,7 @@ def derivative(
         moment = add(moment, spatial_gyroscopic(sizes, properties, rate, work))
         k_soft = vehicle.bending.softening_factor * axial_load
         moment = add(moment, (spatial_elastic_forces(sizes, properties, k_soft, work), 0.0, 0.0))
-    for tank in range(sizes.tanks):
+    for tank in range(sizes.pendulums):
         first = pendulums + N_PENDULUM * tank
         damper_force, damper_moment = pendulum_loads(
             vehicle.slosh, sizes, tank, rate, axial_load, balanced.offset, properties, y, first, work
@@ -288,7 +288,7 @@ def derivative(
     modal_derivative(sizes, eta, xi, dy, work)
     if sizes.spatial_modes > 0:
         spatial_derivative(sizes, spatial, dy, work)
-    for tank in range(sizes.tanks):
+    for tank in range(sizes.pendulums):
         first = pendulums + N_PENDULUM * tank
         pendulum_derivative(vehicle.slosh, sizes, tank, rate, specific_force, alpha, properties, y, first, dy, work)
         aux[TENSIONS + tank] = work[TENSION + tank]

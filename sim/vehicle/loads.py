@@ -17,7 +17,7 @@ from dataclasses import dataclass
 from typing import Annotated, NamedTuple
 
 from maxq.control.kernel.jit import kernel, routine
-from maxq.control.kernel.limits import MAX_LOAD_STATIONS, MAX_MODES, MAX_STAGES, MAX_SURFACES, MAX_TANKS
+from maxq.control.kernel.limits import MAX_LOAD_STATIONS, MAX_MODES, MAX_PENDULUMS, MAX_STAGES, MAX_SURFACES
 from maxq.control.kernel.records import Array, IntArray
 from maxq.control.kernel.rows import PitchYaw
 from maxq.control.kernel.tables import TableRef, find_interval, interpolate_into
@@ -82,7 +82,7 @@ class Loads:
     nose_m: float  # the body's ends, over which the rest of the aerodynamic force is spread
     tail_m: float
     station_m: Annotated[Array, (MAX_LOAD_STATIONS,)]
-    bottom_m: Annotated[Array, (MAX_TANKS,)]  # station at which a tank's liquid hangs on the body
+    bottom_m: Annotated[Array, (MAX_PENDULUMS,)]  # station at which a tank's liquid hangs on the body
     axial_points: int  # of the axial aerodynamic force
     axial_m: Annotated[Array, (MAX_SURFACES,)]
     axial_share: Annotated[Array, (MAX_SURFACES,)]
@@ -150,7 +150,7 @@ def evaluate_sections(
         station, c = loads.station_m[n], STATIONS + width * n
         total, shift_y, shift_z = _inertia(sizes, loads.alike, drivers, station, roll, work, columns, c)
         total = _add(total, _aerodynamic(loads, drivers, station, shift_y, shift_z, at.aux, work))
-        for tank in range(sizes.tanks):
+        for tank in range(sizes.pendulums):
             total = _add(total, _of_pendulum(loads, vehicle, sizes, tank, station, shift_y, shift_z, at, work))
         if drivers.cg[0] <= station:
             force = (inputs.force_x_N, inputs.force_y_N, inputs.force_z_N)

@@ -222,7 +222,7 @@ def prepare_outflow(e: Engine, slosh: Slosh, sizes: Counts, properties: Array) -
         yy, zz, yz = flow * e.exit_yy_m2[k], flow * e.exit_zz_m2[k], flow * e.exit_yz_m2[k]
         m = _plus_point(damping, flow, at)
         damping = (m[0] + (yy + zz), m[1] + zz, m[2] + yy, m[3], m[4], m[5] + yz)
-    for tank in range(sizes.tanks):
+    for tank in range(sizes.pendulums):
         c = tank_column(tank)
         at = (
             properties[CORE_CG] - properties[c + TANK_HINGE] - pendulum_length(slosh, properties, tank),

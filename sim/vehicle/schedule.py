@@ -92,7 +92,7 @@ def mode_rows(sizes: Counts) -> int:
 @kernel
 def mode_column(sizes: Counts, plane: int, row: int) -> int:
     """First mode's column of a row of a plane (PITCH, YAW); the other modes follow."""
-    return N_CONSTANT + TANK_WIDTH * sizes.tanks + (plane * mode_rows(sizes) + row) * padded_modes(sizes)
+    return N_CONSTANT + TANK_WIDTH * sizes.pendulums + (plane * mode_rows(sizes) + row) * padded_modes(sizes)
 
 
 @kernel
@@ -104,7 +104,7 @@ def softening_row(sizes: Counts, mode: int) -> int:
 @kernel
 def surface_row(sizes: Counts, surface: int) -> int:
     """Row of the shapes at a lifting surface; that of the slopes is the next."""
-    return MODE_FIRST + sizes.tanks + 2 * surface
+    return MODE_FIRST + sizes.pendulums + 2 * surface
 
 
 @kernel
@@ -114,12 +114,12 @@ def tank_place(tank: int) -> int:
 
 @kernel
 def surface_place(sizes: Counts, surface: int) -> int:
-    return 1 + sizes.tanks + surface
+    return 1 + sizes.pendulums + surface
 
 
 @kernel
 def gimbal_place(sizes: Counts, gimbal: int) -> int:
-    return 1 + sizes.tanks + sizes.surfaces + gimbal
+    return 1 + sizes.pendulums + sizes.surfaces + gimbal
 
 
 @kernel
@@ -167,14 +167,16 @@ def schedule_width(sizes: Counts) -> int:
 def derived_column(sizes: Counts, plane: int, row: int) -> int:
     """As `mode_column`, of the derived rows behind the table."""
     return (
-        schedule_width(sizes) + N_DERIVED + (plane * (MODE_TANK_COMPLIANCE + sizes.tanks) + row) * padded_modes(sizes)
+        schedule_width(sizes)
+        + N_DERIVED
+        + (plane * (MODE_TANK_COMPLIANCE + sizes.pendulums) + row) * padded_modes(sizes)
     )
 
 
 @kernel
 def compliance_column(sizes: Counts, plane: int) -> int:
     """Behind the table's columns: sum over the modes of phi_k phi_j / M for tanks k, j."""
-    return derived_column(sizes, 2, 0) + plane * sizes.tanks * sizes.tanks
+    return derived_column(sizes, 2, 0) + plane * sizes.pendulums * sizes.pendulums
 
 
 @kernel
@@ -205,7 +207,7 @@ def complete_modes(
             properties[damping + i] = 2.0 * zeta[i] * properties[mass_at + i] * omega
         else:
             properties[inverse + i], properties[stiffness + i], properties[damping + i] = 0.0, 0.0, 0.0
-    n, compliance = sizes.tanks, compliance_column(sizes, plane)
+    n, compliance = sizes.pendulums, compliance_column(sizes, plane)
     for k in range(n):
         at_k = mode_column(sizes, plane, MODE_FIRST + k)
         yield_k = derived_column(sizes, plane, MODE_TANK_COMPLIANCE + k)

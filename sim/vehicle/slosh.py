@@ -24,7 +24,7 @@ from typing import Annotated, Any, NamedTuple
 import numpy as np
 
 from maxq.control.kernel.jit import kernel, routine
-from maxq.control.kernel.limits import MAX_TANKS
+from maxq.control.kernel.limits import MAX_PENDULUMS
 from maxq.control.kernel.records import Array
 from maxq.control.kernel.rows import DEG
 from maxq.control.kernel.vectors import (
@@ -106,7 +106,7 @@ from maxq.sim.vehicle.workspace import (
 
 # The unit vector u_B from the hinge to the bob, and kappa_B, its inertial derivative in body components.
 PENDULUMS = StateBlock(
-    {f"slosh_{{}}_u_{a}": "1" for a in "xyz"} | {f"slosh_{{}}_kappa_{a}_1ps": "1/s" for a in "xyz"}, "tanks"
+    {f"slosh_{{}}_u_{a}": "1" for a in "xyz"} | {f"slosh_{{}}_kappa_{a}_1ps": "1/s" for a in "xyz"}, "pendulums"
 )
 N_PENDULUM = len(PENDULUMS.states)
 
@@ -138,20 +138,25 @@ def tank_block(tank: int) -> int:
 @dataclass(frozen=True)
 class Slosh:
     planes_differ: int  # 1: pitch and yaw modes have other shapes, or one plane has none
-    damping_ratio: Annotated[Array, (MAX_TANKS,)]  # of the pendulum under the present axial acceleration
-    mass_factor: Annotated[Array, (MAX_TANKS,)]
-    length_factor: Annotated[Array, (MAX_TANKS,)]
+    damping_ratio: Annotated[Array, (MAX_PENDULUMS,)]  # of the pendulum under the present axial acceleration
+    mass_factor: Annotated[Array, (MAX_PENDULUMS,)]
+    length_factor: Annotated[Array, (MAX_PENDULUMS,)]
     law: int  # 1: a pendulum's damping has more parts than its ratio
-    law_factor: Annotated[Array, (MAX_TANKS,)]  # of the columns TANK_VISCOUS and TANK_RING
-    ring_damping: Annotated[Array, (MAX_TANKS,)]  # beside column TANK_RING, which see
-    breaking_height_m: Annotated[Array, (MAX_TANKS,)]  # of a wave; 0: where it falls with the axial load
+    law_factor: Annotated[Array, (MAX_PENDULUMS,)]  # of the columns TANK_VISCOUS and TANK_RING
+    ring_damping: Annotated[Array, (MAX_PENDULUMS,)]  # beside column TANK_RING, which see
+    breaking_height_m: Annotated[Array, (MAX_PENDULUMS,)]  # of a wave; 0: where it falls with the axial load
     exchange: int  # 1: mass that goes over between bob and core takes its momentum along
 
 
 def pack_slosh(pendulums: Sequence[Any], bending: Any, exchange: bool) -> Slosh:
     """From the stage's pendulums (sim/packing/pendulums.py), and `bending` (or None)."""
     n = len(pendulums)
-    zeta, height, ones, none = np.zeros(MAX_TANKS), np.zeros(MAX_TANKS), np.ones(MAX_TANKS), np.zeros(MAX_TANKS)
+    zeta, height, ones, none = (
+        np.zeros(MAX_PENDULUMS),
+        np.zeros(MAX_PENDULUMS),
+        np.ones(MAX_PENDULUMS),
+        np.zeros(MAX_PENDULUMS),
+    )
     zeta[:n], height[:n] = [p.damping_ratio for p in pendulums], [p.breaking_height_m for p in pendulums]
     law = any(p.has_law for p in pendulums)
     planes_differ = bending is not None and bending.pitch != bending.yaw
@@ -306,11 +311,11 @@ def exchange_loads(
     """
     drift = (0.0, 0.0, 0.0)  # of the common CG relative to the core CG
     share = properties[schedule_width(sizes) + INVERSE_TOTAL_MASS]
-    for tank in range(sizes.tanks):
+    for tank in range(sizes.pendulums):
         mass = bob_mass(slosh, properties, tank)
         drift = add(drift, scaled(share * mass, vector_at(work, tank_block(tank) + BOB_VELOCITY)))
     force, moment = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
-    for tank in range(sizes.tanks):
+    for tank in range(sizes.pendulums):
         b, mass = tank_block(tank), bob_mass(slosh, properties, tank)
         flow = -properties[tank_column(tank) + TANK_MASS_RATE] * slosh.mass_factor[tank]  # from bob to core
         if flow == 0.0 or mass <= 0.0:
@@ -437,7 +442,7 @@ class SloshRow(NamedTuple):
 @kernel
 def slosh_row(slosh: Slosh, sizes: Sizes, tank: int, properties: Array, y: Array, first: int, aux: Array) -> SloshRow:
     """Nan throughout for an empty tank and one that the stage does not have."""
-    if tank >= sizes.tanks or bob_mass(slosh, properties, tank) <= 0.0:
+    if tank >= sizes.pendulums or bob_mass(slosh, properties, tank) <= 0.0:
         return SloshRow(math.nan, math.nan, math.nan, math.nan, math.nan)
     i = first
     u_x, u_y, u_z = -y[i], y[i + 1], y[i + 2]
@@ -479,7 +484,7 @@ class WaveRow(NamedTuple):
 @kernel
 def wave_row(slosh: Slosh, sizes: Sizes, tank: int, properties: Array, y: Array, first: int) -> WaveRow:
     """Nan as in `slosh_row`, and where the tank says nothing about its shape."""
-    if tank >= sizes.tanks or bob_mass(slosh, properties, tank) <= 0.0:
+    if tank >= sizes.pendulums or bob_mass(slosh, properties, tank) <= 0.0:
         return WaveRow(math.nan)
     wave = properties[tank_column(tank) + TANK_WAVE]
     lateral = math.sqrt(y[first + 1] * y[first + 1] + y[first + 2] * y[first + 2])
@@ -502,7 +507,7 @@ def accelerate(
     if on_pad == 1:
         inverse_mass, accel, inverse = 0.0, pad_accel, (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
     alpha = symmetric_times(inverse, add(moment, scaled(-1.0, cross(offset, force))))
-    for k in range(sizes.tanks):
+    for k in range(sizes.pendulums):
         b = tank_block(k)
         _add_damper_to_modes(sizes, k, work[b + DAMPER_FORCE], work[b + DAMPER_FORCE + 1], properties, work)
         set_vector(work, b + ALPHA, symmetric_times(inverse, vector_at(work, b + ARM)))
@@ -512,7 +517,7 @@ def accelerate(
     if sizes.tvc_loads > 0:
         load_responses(sizes, inverse_mass, inverse, properties, work)
     _solve_tensions(slosh, sizes, inverse_mass, accel, alpha, properties, y, first, work)
-    for k in range(sizes.tanks):
+    for k in range(sizes.pendulums):
         u, tension = vector_at(y, first + N_PENDULUM * k), work[TENSION + k]
         accel = add(accel, scaled(inverse_mass * tension, u))
         alpha = add(alpha, scaled(tension, vector_at(work, tank_block(k) + ALPHA)))
@@ -520,13 +525,13 @@ def accelerate(
         if sizes.spatial_modes > 0:
             add_tension_to_spatial(sizes, properties, k, tension, work)
     if sizes.spatial_modes > 0:
-        for k in range(sizes.tanks):
+        for k in range(sizes.pendulums):
             b, moved = tank_block(k), spatial_motion(sizes, properties, tank_place(k), work, SPATIAL_ACCEL)
             work[b + ALONG_X + 3] = moved[0]
             work[b + BENDING_ACCEL] += moved[1]
             work[b + BENDING_ACCEL + 1] += moved[2]
     for k in range(2 * sizes.tvc_loads):
-        b, swing = load_block(k), work[TENSION + sizes.tanks + k]
+        b, swing = load_block(k), work[TENSION + sizes.pendulums + k]
         accel = add(accel, scaled(swing, vector_at(work, b + RIGID_ACCEL)))
         alpha = add(alpha, scaled(swing, vector_at(work, b + LOAD_ALPHA)))
         add_load_to_modes(sizes, k, swing, work)
@@ -573,7 +578,7 @@ def _solve_tensions(
     G is symmetric: how much the hinge of k accelerates along its rod per newton of tension in l. With arms about the CG
     of the deflected vehicle the rigid part of it is u_k.u_l / m + arm_k.(J^-1 arm_l). Both sides are multiplied by m_k.
     """
-    n = sizes.tanks
+    n = sizes.pendulums
     in_pitch, in_yaw = compliance_column(sizes, PITCH), compliance_column(sizes, YAW)
     for k in range(n):
         b, u, mass = tank_block(k), vector_at(y, first + N_PENDULUM * k), bob_mass(slosh, properties, k)
@@ -631,7 +636,7 @@ def _add_loads(
 
     and m_k h_ki s_i in the row of tank k, h_ki the acceleration of its hinge along the rod per unit of s_i.
     """
-    n = sizes.tanks
+    n = sizes.pendulums
     for i in range(2 * sizes.tvc_loads):
         b, modal, row = load_block(i), load_modal(i, 1), n + i
         rigid, turning = vector_at(work, b + RIGID_ACCEL), vector_at(work, b + LOAD_ALPHA)

@@ -88,7 +88,7 @@ _LIMITS: tuple[tuple[Index, Index, int, float], ...] = tuple(
 def _at(index: Index, sizes: Sizes | Counts) -> int:
     """With the fields of `Counts` in their order: a loop over them would not become one constant expression."""
     modes = index[1] * sizes.pitch_modes + index[2] * sizes.yaw_modes
-    rest = index[3] * sizes.tanks + index[4] * sizes.surfaces + index[5] * sizes.tables
+    rest = index[3] * sizes.pendulums + index[4] * sizes.surfaces + index[5] * sizes.tables
     more = index[7] * sizes.further_groups + index[11] * sizes.tvc_loads
     return index[0] + modes + rest + index[6] * sizes.spatial_modes + more
 
@@ -149,7 +149,7 @@ def start_states(sizes: Sizes, rate: Vector, separation: int, y: Array) -> None:
             y[i] = 0.0
     if separation == 0:
         gyro_start(y, GYRO, rate)
-    for tank in range(sizes.tanks):
+    for tank in range(sizes.pendulums):
         pendulum_start(y, pendulum_index(sizes, tank), rate)
 
 
@@ -160,7 +160,7 @@ def restore_constraints(sizes: Counts, y: Array) -> None:
     scale = 1.0 / math.sqrt(a * a + b * b + c * c + d * d)
     for j in range(4):
         y[Q_BI + j] *= scale
-    for tank in range(sizes.tanks):
+    for tank in range(sizes.pendulums):
         restore_pendulum(y, pendulum_index(sizes, tank))
 
 

@@ -236,7 +236,7 @@ def load_derivative(load: TvcLoad, sizes: Counts, y: Array, first: int, dy: Arra
     """Derivatives of the states at y[first:first+6] once the accelerations are known."""
     for k in range(2):
         i = first + N_AXIS * k
-        dy[i], dy[i + 1], dy[i + 2] = y[i + 1], work[TENSION + sizes.tanks + k], 0.0
+        dy[i], dy[i + 1], dy[i + 2] = y[i + 1], work[TENSION + sizes.pendulums + k], 0.0
         if load.friction_Nm > 0.0:
             dy[i + 2] = (y[i + 1] - abs(y[i + 1]) * y[i + 2]) / load.friction_angle_rad
 

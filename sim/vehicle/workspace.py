@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from maxq.control.kernel.limits import MAX_ENGINES, MAX_MODES, MAX_SURFACES, MAX_TANKS, MAX_TVC_LOADS
+from maxq.control.kernel.limits import MAX_ENGINES, MAX_MODES, MAX_PENDULUMS, MAX_SURFACES, MAX_TVC_LOADS
 from maxq.control.kernel.records import Array
 
 
@@ -38,8 +38,8 @@ SURFACE_LOAD = MACH_ROW + MACH_WIDTH  # of each lifting surface: force y, z (N),
 SURFACE_LOAD_WIDTH = 4
 PENDULUM = SURFACE_LOAD + SURFACE_LOAD_WIDTH * (MAX_SURFACES + 1)  # per tank, see slosh.py
 PENDULUM_WIDTH = 34
-GRAM = PENDULUM + PENDULUM_WIDTH * MAX_TANKS  # matrix of the tensions, see slosh.py
-MAX_UNKNOWNS = MAX_TANKS + 2 * MAX_TVC_LOADS  # tensions, and angular accelerations of the engine
+GRAM = PENDULUM + PENDULUM_WIDTH * MAX_PENDULUMS  # matrix of the tensions, see slosh.py
+MAX_UNKNOWNS = MAX_PENDULUMS + 2 * MAX_TVC_LOADS  # tensions, and angular accelerations of the engine
 TENSION = GRAM + MAX_UNKNOWNS * MAX_UNKNOWNS
 # of each spatial mode, see spatial_modes.py
 SPATIAL_FORCE = TENSION + MAX_UNKNOWNS
@@ -51,7 +51,7 @@ SPATIAL_TURNED = SPATIAL_ACCEL + MAX_MODES  # A eta (eq. 4.7), m
 SPATIAL_TURNED_RATE = SPATIAL_TURNED + MAX_MODES  # A d(eta)/dt, m/s
 SPATIAL_MOMENTUM = SPATIAL_TURNED_RATE + MAX_MODES  # what the moving engine adds to the modal momentum, N s
 SPATIAL_ALONG = SPATIAL_MOMENTUM + MAX_MODES  # per tank: shape at the hinge along the rod
-LOAD = SPATIAL_ALONG + MAX_TANKS * MAX_MODES  # per unknown of a TVC load, see tvc_load.py
+LOAD = SPATIAL_ALONG + MAX_PENDULUMS * MAX_MODES  # per unknown of a TVC load, see tvc_load.py
 LOAD_WIDTH = 14
 LOAD_MODAL = LOAD + 2 * MAX_TVC_LOADS * LOAD_WIDTH
 LOAD_MODAL_WIDTH = 2 * MAX_MODES
@@ -90,7 +90,7 @@ GRAVITATION = 35  # I, m/s2 (3)
 AXIAL_LOAD = 38  # axial specific force that softens the modes and drives the pendulums, m/s2
 GIMBAL_BEND = 39  # of the gimbal, by bending: displacement along y and z (m), rotation about y and z (rad)
 TENSIONS = 43  # tension of each pendulum's rod, N
-GROUPS = TENSIONS + MAX_TANKS  # pitch and yaw of every further group of engines, as of the first (6)
+GROUPS = TENSIONS + MAX_PENDULUMS  # pitch and yaw of every further group of engines, as of the first (6)
 ENGINE_THRUSTS = GROUPS + 6 * (MAX_ENGINES - 1)  # thrust of every engine of engine.py, N
 ACTUATOR_PITCH = ENGINE_THRUSTS + MAX_ENGINES  # with a TVC load: angle and rate of the actuator, rad, rad/s
 ACTUATOR_YAW = ACTUATOR_PITCH + 2

@@ -121,7 +121,7 @@ def zero_incidence(packed: Packed, y: Array) -> Array:
     angle = math.atan2(sine, float(over_ground[0]))
     turn = axis * (angle / sine) if sine > 0.0 else np.array([0.0, angle, 0.0])
     out[layout.Q_BI : layout.Q_BI + 4] = quaternion(attitude @ _rotation_of(turn))
-    for tank in range(int(sizes.tanks)):
+    for tank in range(int(sizes.pendulums)):
         out[int(layout.pendulum_index(sizes, tank))] = -1.0
     return out
 
@@ -142,7 +142,7 @@ class _Chart:
         self._spin = np.array([0.0, 0.0, float(stage.environment.earth.rate_radps)])
         self._attitude = rotation(y[layout.Q_BI : layout.Q_BI + 4])
         self._turning = y[layout.W_BI_B : layout.W_BI_B + 3].copy()
-        pitch, yaw, tanks = (int(self._sizes[k]) for k in ("pitch_modes", "yaw_modes", "tanks"))
+        pitch, yaw, tanks = (int(self._sizes[k]) for k in ("pitch_modes", "yaw_modes", "pendulums"))
         self._eta = layout.N_FIXED + np.arange(pitch)
         self._xi = layout.N_FIXED + 2 * pitch + np.arange(yaw)
         first, spatial = int(layout.spatial_index(self._sizes)), int(self._sizes["spatial_modes"])

@@ -10,7 +10,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
-from maxq.control.kernel.limits import MAX_STAGES, MAX_TANKS
+from maxq.control.kernel.limits import MAX_PENDULUMS, MAX_STAGES
 from maxq.sim.scenario.errors import refuse
 from maxq.sim.scenario.loader import load_file
 from maxq.sim.scenario.schema_values import (
@@ -126,7 +126,7 @@ class Stage(Between):
     diameter_m: Positive = Field(description="m")
     part: tuple[Part, ...] = optional("dry parts, engines apart", ())
     shell: tuple[Shell, ...] = Field(min_length=1, description="structure from the front to the rear of the stage")
-    tank: tuple[Tank, ...] = Field(min_length=1, max_length=MAX_TANKS, description="with propellant")
+    tank: tuple[Tank, ...] = Field(min_length=1, max_length=MAX_PENDULUMS, description="with propellant")
     engine: Engines
     fins: Fins | None = optional("absent: none")
     modes: Annotated[int, Field(ge=0, le=8)] = optional("bending modes", 3)

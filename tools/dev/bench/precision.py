@@ -90,7 +90,7 @@ def differences(a: Array, b: Array, sizes: Any) -> dict[str, float]:
     q, p = a[Q_BI : Q_BI + 4], b[Q_BI : Q_BI + 4]
     eta, xi = int(eta_index(sizes)), int(xi_index(sizes))
     modes = [*range(eta, eta + sizes.pitch_modes), *range(xi, xi + sizes.yaw_modes)]
-    bobs = [int(pendulum_index(sizes, tank)) for tank in range(sizes.tanks)]
+    bobs = [int(pendulum_index(sizes, tank)) for tank in range(sizes.pendulums)]
     return {
         "attitude_deg": 2.0 * min(_angle_deg(q, p), _angle_deg(q, -p)),
         "bending_m": float(np.max(np.abs(a[modes] - b[modes]))),
@@ -115,7 +115,7 @@ def _errors(course: Course, reference: Course) -> dict[str, Any]:
 def _sizes_of_motion(course: Course) -> dict[str, float]:
     """How far the parts move in this flight: what the errors are to be compared with."""
     sizes, upright = course.sizes, np.array([-1.0, 0.0, 0.0])
-    first, bobs = int(eta_index(sizes)), [int(pendulum_index(sizes, k)) for k in range(sizes.tanks)]
+    first, bobs = int(eta_index(sizes)), [int(pendulum_index(sizes, k)) for k in range(sizes.pendulums)]
     modes = [first + i for i in range(sizes.pitch_modes)]
     late = [y for t, y in course.states.items() if t > AFLOAT_NS]
     return {

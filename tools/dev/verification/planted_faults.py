@@ -70,7 +70,7 @@ def _tank(column: int, factor: float = 1.0, shift: float = 0.0) -> Change:
     """A column of every tank."""
 
     def plant(packed: Packed) -> None:
-        for k in range(int(packed.parameters[0].vehicle.sizes.tanks)):
+        for k in range(int(packed.parameters[0].vehicle.sizes.pendulums)):
             _columns(packed, [schedule.tank_column(k) + column], factor, shift)
 
     return plant
