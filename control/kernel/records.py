@@ -125,7 +125,11 @@ def constants_in(names: Iterable[str]) -> dict[str, int]:
 
 @lru_cache(maxsize=64)
 def _with_constant_names(layout: np.dtype[Any], path: tuple[str, ...], encoded: str) -> np.dtype[Any]:
-    """`layout` with a further field, without size, behind those of the record at `path`."""
+    """`layout` with a further field, without size, before those of the record at `path`.
+
+    Without size, since NumPy hands no buffer to a record whose fields overlap; before them, since Numba takes a record
+    with more fields behind for a subtype, and would call kernels of other constants with it.
+    """
     of: dict[str, Any] = dict(layout.fields or {})
     names = list(layout.names or ())
     formats = [of[name][0] for name in names]
@@ -133,6 +137,6 @@ def _with_constant_names(layout: np.dtype[Any], path: tuple[str, ...], encoded: 
     if path:
         formats[names.index(path[0])] = _with_constant_names(formats[names.index(path[0])], path[1:], encoded)
     else:
-        names, formats, offsets = [*names, encoded], [*formats, ("i8", (0,))], [*offsets, layout.itemsize]
+        names, formats, offsets = [encoded, *names], [("i8", (0,)), *formats], [0, *offsets]
     spelt = {"names": names, "formats": formats, "offsets": offsets, "itemsize": layout.itemsize}
     return np.dtype((np.record, spelt))  # type: ignore[arg-type,unused-ignore]  # NumPy's stubs lack such a spelling
