@@ -42,16 +42,17 @@ def nodes(
     plane: Plane = "pitch",
     errata: Errata | str = CORRECTED,
     plant: Plant = "flown",
+    faults: bool = False,
 ) -> list[Node]:
     """Nodes along a flight of the scenario (loaded, a file, or a built-in name), at vehicle times in s.
 
     `plant`: the vehicle as flown, or with the derivatives of the paper's Table 2 (design/model/dispersion.py).
-    `errata`: switches, or the name of a preset.
+    `errata`: switches, or the name of a preset. `faults`: with what the scenario lets fail.
     """
     if plant not in ("flown", "table2"):
         raise ValueError(f"plant = {plant!r}: allowed is flown, table2")
     loaded = scenario if isinstance(scenario, LoadedScenario) else load_scenario(scenario)
-    found = nodes_along(loaded, times_s, plane, preset(errata))
+    found = nodes_along(loaded, times_s, plane, preset(errata), faults)
     return imposed(found, read_derivatives()) if plant == "table2" else found
 
 

@@ -33,6 +33,7 @@ from maxq.design.model.plant import axial_load_mps2
 from maxq.design.model.state_space import Resolvent
 from maxq.design.model.vehicle_at import stability_derivatives
 from maxq.sim.run.fly import fly
+from maxq.sim.scenario.loader import load_scenario
 from maxq.tools.dev.documents.departure import PARTS, departure
 
 F = np.geomspace(0.01, 49.0, 120)
@@ -412,3 +413,12 @@ def test_closed_damping_follows_slosh() -> None:
     again = closed_damping(off)
     np.testing.assert_allclose([again[k] for k in free], list(free.values()), rtol=1e-6)
     assert closed["slosh 2"] < free["slosh 2"]
+
+
+def test_nodes_are_those_of_a_flight_without_its_faults() -> None:
+    loss = "fault=[{kind='thrust-loss',at_s=0.5,loss=0.4}]"
+    sound, nominal = (nodes_along(load_scenario("nominal", more), [1.0])[0] for more in ([loss], []))
+    weak = nodes_along(load_scenario("nominal", [loss]), [1.0], faults=True)[0]
+    assert sound.condition == nominal.condition
+    assert sound.vehicle.engine == nominal.vehicle.engine
+    assert weak.vehicle.engine.vacuum_thrust_N == pytest.approx(0.6 * sound.vehicle.engine.vacuum_thrust_N, rel=1e-2)

@@ -28,6 +28,7 @@ from maxq.sim.vehicle import schedule
 
 NINE = "tests/data/nine-engines/flight.toml"
 OFF = "fault=[{kind='engine-off',engine=8,at_s=20.0}]"
+LOST = ("thrust_N", "mass_flow_kgps")
 NO_SLOSH = "switches.slosh=false"  # with it the core's interpolation is fitted anew on the tanks' breakpoints
 
 
@@ -153,6 +154,28 @@ def test_all_engines_off_is_burn_out_and_leaves_the_propellant() -> None:
     assert table(45.0)[schedule.MASS_FLOW] == 0.0
 
 
+def test_a_tail_off_ends_where_its_table_does() -> None:
+    """45.0 + 0.3 - 45.0 is less than 0.3: the share left there is none for all that."""
+    tail = "tail_off=[{time_s=0.0,share=1.0},{time_s=0.3,share=0.0}]"
+    made = packed(f"fault=[{{kind='engine-off',at_s=45.0,{tail}}}]")
+    assert int(made.parameters[0].timeline.burnout_ns) == 45_300_000_000
+
+
+def test_burn_rate_speeds_up_all_that_flows() -> None:
+    """One engine at 1.1 times its flow: at the same clock of the tables every rate is 1.1 times the nominal one."""
+    nominal, made = (
+        pack_flight(load_scenario("nominal", [f"vehicle.stage.0.engine.mass_flow_factor={k}"]).scenario)
+        for k in (1.0, 1.1)
+    )
+    rates = [*range(schedule.CG_RATE, schedule.TOTAL_MASS), schedule.MASS_FLOW]
+    rates += [schedule.tank_column(k) + column for k in (0, 1) for column in (3, 4)]
+    for clock_s in (3.3, 27.9, 51.0):
+        a, b = table_of(nominal)(clock_s), table_of(made)(clock_s)
+        np.testing.assert_allclose(b[rates], 1.1 * a[rates], rtol=1e-14)
+        assert b[schedule.MASS_FLOW] > 0.0
+        assert (np.delete(b, rates) == np.delete(a, rates)).all()
+
+
 def test_an_engine_that_returns_burns_as_before() -> None:
     made = packed("fault=[{kind='engine-off',engine=0,at_s=30.0,until_s=39.0}]")
     delayed, nominal = table_of(made)(80.0), table_of(packed())(79.0)
@@ -166,7 +189,6 @@ def test_an_engine_that_returns_burns_as_before() -> None:
         ("{kind='engine-off',engine=9,at_s=1.0}", "fault.0.engine"),
         ("{kind='engine-off',engine=4,at_s=1.0,loss=0.5}", "kind = thrust-loss"),
         ("{kind='thrust-loss',engine=4,at_s=1.0}", "required key is missing"),
-        ("{kind='engine-off',engine=4,at_s=1.0,since='liftoff'}", "count on the vehicle clock"),
         ("{kind='engine-off',at_s=1.0,tail_off=[{time_s=1.0,share=0.0}]}", "tail_off"),
     ],
 )
@@ -184,3 +206,11 @@ def test_a_flight_with_an_engine_off_weighs_what_it_has_left() -> None:
     at = float(np.interp(spent_s, nominal.time_s("mass_kg"), nominal["mass_kg"]))
     assert flight["mass_kg"][-1] == pytest.approx(at, rel=1e-9)
     assert [e.name for e in flight.events].count("fault") == 1
+    # from lift-off on, which is an event of the flight: the tables know its instant beforehand
+    since = "fault=[{kind='engine-off',engine=8,at_s=0.5,since='liftoff'}]"
+    flight = fly(load_scenario(NINE, [since, "run.duration_s=2.0"]))
+    fault_s = next(e.time_s for e in flight.events if e.name == "fault")
+    assert fault_s == flight.event_s("liftoff") + 0.5
+    thrust_N, flow = (np.interp(fault_s + np.array([-0.01, 0.01]), flight.time_s(n), flight[n]) for n in LOST)
+    assert thrust_N[1] / thrust_N[0] == pytest.approx(8.0 / 9.0, rel=2e-3)
+    assert flow[1] / flow[0] == pytest.approx(8.0 / 9.0, rel=2e-3)  # which grows by 7 % a second

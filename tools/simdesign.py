@@ -105,6 +105,7 @@ def _parser() -> Parser:
         choices=("flown", "table2"),
         help="vehicle as flown (default), or with the ranges of Table 2",
     )
+    add("--faults", modes=(_ANALYSE,), action="store_true", help="nodes of the flight with the scenario's faults")
     add("--no-pictures", modes=(*_CASES, _ANALYSE), action="store_true", help="tables and files only")
     add("--list", action="store_true", help="name the built-in cases and designs")
     parser.version_and_help()

@@ -161,6 +161,7 @@ def _stillness(scenario: Scenario, node: Node, load_mps2: float) -> dict[str, ob
         ),
         "guidance": Guidance(),
         "injection": (),
+        "fault": (),
         "requirement": (),
         "run": Run(step_s=scenario.run.step_s, seed=scenario.run.seed, freeze_vehicle_at_s=node.time_s, stop_at=()),
         "log": Log(fast_hz=fast, slow_hz=1.0, transform_hz=1.0),

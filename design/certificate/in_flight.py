@@ -138,7 +138,7 @@ def _flown(loaded: LoadedScenario, signals: tuple[Injection, ...], plane: Plane,
     assert computer is not None
     run_s = scenario.run.model_copy(update={"duration_s": math.ceil(end_s - scenario.run.start_s) + 1.0})
     log = Log(fast_hz=1.0 / computer.sample_s, slow_hz=1.0, transform_hz=1.0)
-    scenario = scenario.model_copy(update={"injection": signals, "run": run_s, "log": log})
+    scenario = scenario.model_copy(update={"injection": signals, "fault": (), "run": run_s, "log": log})
     run = FlightRun(dataclasses.replace(loaded, scenario=scenario), pack_flight(scenario))
     rows = fast_rows(run)
     events = {e.name: e.time_s for e in run.events}

@@ -95,13 +95,15 @@ class Node:
 
 
 def nodes_along(
-    scenario: LoadedScenario, times_s: Iterable[float], plane: Plane = "pitch", errata: Errata = CORRECTED
-) -> list[Node]:
+    scenario: LoadedScenario, times_s: Iterable[float], plane: Plane = "pitch", errata: Errata = CORRECTED,
+    faults: bool = False,
+) -> list[Node]:  # fmt: skip  # seven lines otherwise
     """Nodes at vehicle times (s) of a flight of the scenario, flown once and without a log.
 
     Speed, air and attitude are those flown, at the integrator's step nearest to each time; incidence and rotation
-    are taken as zero, but for the slopes of tables over incidence, which are those at the flown angles. Nodes come in
-    the order of `times_s`. Raises ValueError, naming node and range, for a time outside the powered flight.
+    are taken as zero, but for the slopes of tables over incidence, which are those at the flown angles. What the
+    scenario lets fail works, but with `faults`. Nodes come in the order of `times_s`. Raises ValueError, naming node
+    and range, for a time outside the powered flight.
     """
     wanted = [float(t) for t in times_s]
     if not wanted:
@@ -109,7 +111,8 @@ def nodes_along(
     for time_s in wanted:
         if not abs(time_s) <= LONGEST_S:
             raise ValueError(f"node at {time_s} s: allowed are times up to {LONGEST_S:g} s")
-    run = FlightRun(scenario, pack_flight(scenario.scenario), log=False)
+    flown = scenario.scenario if faults else scenario.scenario.model_copy(update={"fault": ()})
+    run = FlightRun(dataclasses.replace(scenario, scenario=flown), pack_flight(flown), log=False)
     found = {}
     for time_s in sorted(set(wanted)):
         found[time_s] = _node(run, time_s, plane, errata)

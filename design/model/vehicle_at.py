@@ -15,7 +15,7 @@ from typing import Any, Literal
 import numpy as np
 
 from maxq.control.kernel.records import Array
-from maxq.control.kernel.tables import Cubics, table_in
+from maxq.control.kernel.tables import table_in
 from maxq.design.model.incidence import reference_station_m, table_slopes
 from maxq.design.model.state_space import StateSpace
 from maxq.sim.packing.flight import Packed
@@ -220,7 +220,7 @@ def _in_plane(packed: Packed, time_s: float, mach: float, plane: Plane, stage: i
     vehicle, sizes = row.vehicle, row.vehicle.sizes
     table = table_in(packed.pool, vehicle.schedule)
     clock_s = float(row.timeline.frozen_s) if row.timeline.frozen == 1 else float(row.timeline.burn_rate) * time_s
-    props, rates = table(clock_s), _slope(table, clock_s)
+    props = table(clock_s)
     inertia = schedule.CORE_INERTIA + (1 if plane == "pitch" else 2)
     turn = schedule.INERTIA_RATE + (1 if plane == "pitch" else 2)
     body = Body(
@@ -236,7 +236,7 @@ def _in_plane(packed: Packed, time_s: float, mach: float, plane: Plane, stage: i
     engines = _engines(packed, row, props, time_s, plane)
     return VehicleAt(
         body=body,
-        pendulums=_pendulums(vehicle, sizes, props, rates),
+        pendulums=_pendulums(vehicle, sizes, props),
         modes=_modes(vehicle, sizes, props, plane),
         engine=engines[0],
         further_engines=engines[1:],
@@ -247,14 +247,7 @@ def _in_plane(packed: Packed, time_s: float, mach: float, plane: Plane, stage: i
     )
 
 
-def _slope(table: Cubics, x: float) -> Array:
-    """Derivative of all columns."""
-    k = int(np.clip(np.searchsorted(table.breaks, x, side="right") - 1, 0, len(table.breaks) - 2))
-    s, c = x - table.breaks[k], table.coefficients[k]
-    return np.asarray(c[1] + s * (2.0 * c[2] + s * 3.0 * c[3]))
-
-
-def _pendulums(vehicle: Any, sizes: Any, props: Array, rates: Array) -> Pendulums:
+def _pendulums(vehicle: Any, sizes: Any, props: Array) -> Pendulums:
     n = int(sizes.pendulums)
     first = np.array([schedule.tank_column(k) for k in range(n)], int)
     mass_factor, length_factor = vehicle.slosh.mass_factor[:n], vehicle.slosh.length_factor[:n]

@@ -17,7 +17,7 @@ from maxq.sim.packing.allocation import pack_allocation
 from maxq.sim.packing.computer import pack_computer, pack_injections
 from maxq.sim.packing.environment import pack_environment
 from maxq.sim.packing.faults import pack_faults
-from maxq.sim.packing.initial import initial_motion
+from maxq.sim.packing.initial import initial_motion, thrust_exceeds_weight_s
 from maxq.sim.packing.loads import pack_loads
 from maxq.sim.packing.schedule import stage_sizes, vehicle_schedule
 from maxq.sim.packing.vehicle import pack_vehicle
@@ -63,7 +63,7 @@ def _pack(scenario: Scenario) -> Packed:
     pool = Pool()
     environment, computer = pack_environment(scenario, pool), pack_computer(scenario, pool)
     injections, faults = pack_injections(scenario, pool), pack_faults(scenario)
-    rows, stage_start_ns, burns = [], 0, stage_burns(scenario)
+    rows, stage_start_ns, burns = [], 0, stage_burns(scenario, _liftoff_s(scenario))
     all_sizes = [
         stage_sizes(stage, scenario.switches, burn) for stage, burn in zip(scenario.vehicle.stage, burns, strict=True)
     ]
@@ -95,6 +95,18 @@ def pack_for_one_vehicle(scenario: Scenario) -> Packed:
     """
     packed = _pack(scenario)
     return replace(packed, parameters=with_constants(packed.parameters, "vehicle", "sizes"))
+
+
+def _liftoff_s(scenario: Scenario) -> float:
+    """When the vehicle lifts off, on its clock, if engines fail in relation to it; else infinite."""
+    counted = [fault for fault in scenario.fault if fault.of_engines and fault.since == "liftoff"]
+    if not counted:
+        return math.inf
+    if scenario.holddown.release_s is not None:
+        return scenario.holddown.release_s
+    others = tuple(fault for fault in scenario.fault if fault not in counted)
+    before = _pack(scenario.model_copy(update={"fault": others}))
+    return thrust_exceeds_weight_s(before.parameters[0], before.pool, before.state)
 
 
 def _timeline(scenario: Scenario, stage: Stage, burn: Burn, stage_start_ns: int) -> StageTimeline:

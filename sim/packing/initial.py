@@ -3,20 +3,29 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 
-from maxq.control.kernel.jit import from_python
+from maxq.control.kernel.jit import entry, from_python
 from maxq.control.kernel.records import Array, pack
+from maxq.control.kernel.tables import table_in
+from maxq.control.kernel.vectors import rotation_from_quaternion
 from maxq.sim.packing.environment import pack_earth
 from maxq.sim.packing.remembered import cached_by_identity
 from maxq.sim.scenario import schema_environment as schema
 from maxq.sim.scenario.schema_scenario import Initial, Scenario
+from maxq.sim.scenario.schema_values import NS_PER_S
+from maxq.sim.vehicle.engine import total_thrust
+from maxq.sim.vehicle.environment import Environment, air_data, pad_acceleration
+from maxq.sim.vehicle.schedule import TOTAL_MASS
 from maxq.sim.vehicle.state import Q_BI, R_I, V_I, W_BI_B
+from maxq.sim.vehicle.workspace import AUX_SIZE, PRESSURE, WORK_SIZE
 from maxq.sim.world import earth as kernels
 from maxq.sim.world.earth import Earth
 
 earth_rotation, earth_position = from_python(kernels.earth_rotation), from_python(kernels.earth_position)
+_total_thrust = from_python(total_thrust)
 local_frame, ned_axes = from_python(kernels.local_frame), from_python(kernels.ned_axes)
 
 
@@ -136,3 +145,37 @@ def quaternion(matrix: Array) -> Array:
         q[1 + h] = m[h, i] + m[i, h]
     q /= math.hypot(*q)
     return np.asarray(q if q[0] >= 0 else -q)
+
+
+def thrust_exceeds_weight_s(p: Any, pool: Array, y: Array) -> float:
+    """When a vehicle that is held down lifts off, on its clock; infinite if it does not. `p`: packed first stage.
+
+    Till then it stands still in air that does not change, so that thrust and mass over time tell: to the nanosecond
+    where the flight finds it, but for rounding.
+    """
+    pressure_Pa, load_mps2 = _on_the_pad(p.environment, pool, y, np.zeros(WORK_SIZE), np.zeros(AUX_SIZE))
+    table, timeline = table_in(pool, p.vehicle.schedule), p.timeline
+    start_ns, burnout_ns = (int(timeline[f"{name}_ns"]) for name in ("burn_start", "burnout"))
+
+    def lifts(now_ns: int) -> bool:
+        row = table(float(timeline.burn_rate) * now_ns / NS_PER_S)
+        thrust_N = _total_thrust(p.vehicle.engine, p.vehicle.sizes, row, pressure_Pa)
+        return start_ns <= now_ns < burnout_ns and bool(thrust_N >= row[TOTAL_MASS] * load_mps2)
+
+    first, last, step = start_ns, min(int(timeline.stop_ns), burnout_ns), int(timeline.step_ns)
+    high = next((now_ns for now_ns in range(first, last, step) if lifts(now_ns)), None)
+    if high is None:
+        return math.inf
+    low = max(high - step, first)
+    while high - low > 1:
+        middle = (low + high) // 2
+        low, high = (low, middle) if lifts(middle) else (middle, high)
+    return high / NS_PER_S
+
+
+@entry
+def _on_the_pad(environment: Environment, pool: Array, y: Array, work: Array, aux: Array) -> tuple[float, float]:
+    """Pressure, Pa, and axial specific force, m/s2, of a vehicle that the Earth carries along."""
+    rotation = rotation_from_quaternion(y[Q_BI], y[Q_BI + 1], y[Q_BI + 2], y[Q_BI + 3])
+    gravity = air_data(environment, pool, (0.0, 0.0, 0.0), rotation, y, work, aux)
+    return aux[PRESSURE], pad_acceleration(environment.earth, rotation, gravity, y)[0]

@@ -19,6 +19,7 @@ from maxq.sim.packing.modes import Places, mode_values, spatial_values
 from maxq.sim.packing.pendulums import pendulums
 from maxq.sim.packing.remembered import cached_by_identity
 from maxq.sim.scenario.burn import NOMINAL, Burn
+from maxq.sim.scenario.coverage import burn_rate
 from maxq.sim.scenario.modes import ModeTable, SpatialModeTable
 from maxq.sim.scenario.schema_scenario import Switches
 from maxq.sim.scenario.schema_stage import AeroSurface
@@ -91,7 +92,7 @@ def vehicle_schedule(stage: Stage, burn: Burn, sizes: Sizes, switches: Switches,
     parts = [_core(stage, burn, tanks, method, switches.moving_cg and not frozen), thrust]
     for pendulum in swinging:
         tank = on_clock(pendulum.joined, burn)
-        rates = _tank_rates(tank, switches.jet_damping, switches.jet_damping and not frozen)
+        rates = _tank_rates(tank, _pace(stage, burn), switches.jet_damping, switches.jet_damping and not frozen)
         parts += [tank, rates, on_clock(pendulum.waves, burn)]
     if stage.bending is not None:
         bending = stage.bending
@@ -140,10 +141,10 @@ def _core(stage: Stage, burn: Burn, tanks: Sequence[Cubics], method: Method, mov
         breaks = union(total, *tanks)
         core = fit(breaks, _without_bobs(total.at(breaks), [tank.at(breaks) for tank in tanks]), method)
     core, total = on_clock(core, burn), on_clock(total, burn)
-    rates = _derivative(core)
+    rates = _derivative(core, _pace(stage, burn))
     if not moving_cg:
         rates.coefficients[:, :, 1:4] = 0.0
-    flow = _derivative(total)
+    flow = _derivative(total, _pace(stage, burn))
     mass, outflow = _columns(total, [0]), _columns(flow, [0])
     outflow.coefficients[:] *= -1.0
     # order: core mass, CG, inertia | rates of CG and inertia | total mass, mass flow
@@ -171,9 +172,9 @@ def _without_bobs(total: Array, bobs: list[Array]) -> Array:
     return np.stack([core_mass, station - cg[0], y + cg[1], z + cg[2], *integrals.T], axis=1)
 
 
-def _tank_rates(tank: Cubics, shrinks: bool, travels: bool) -> Cubics:
+def _tank_rates(tank: Cubics, pace: float, shrinks: bool, travels: bool) -> Cubics:
     """Rates of a bob's mass and of its station."""
-    derivative = _derivative(tank)
+    derivative = _derivative(tank, pace)
     rates = derivative.coefficients
     out = np.zeros((*rates.shape[:2], 2))
     if shrinks:
@@ -183,13 +184,18 @@ def _tank_rates(tank: Cubics, shrinks: bool, travels: bool) -> Cubics:
     return Cubics(derivative.breaks, out)
 
 
-def _derivative(table: Cubics) -> Cubics:
-    """Exact derivative; zero outside the table, where its end values hold."""
+def _pace(stage: Stage, burn: Burn) -> float:
+    """Seconds of the schedule's clock per second of flight."""
+    return burn_rate(stage) if burn.clock is None else 1.0
+
+
+def _derivative(table: Cubics, pace: float) -> Cubics:
+    """Exact derivative by the time of flight; zero outside the table, where its end values hold."""
     n, _, columns = table.coefficients.shape
     breaks = np.concatenate([[table.breaks[0] - 1.0], table.breaks, [table.breaks[-1] + 1.0]])
     out = np.zeros((n + 2, 4, columns))
     for power in range(3):
-        out[1:-1, power] = (power + 1) * table.coefficients[:, power + 1]
+        out[1:-1, power] = pace * (power + 1) * table.coefficients[:, power + 1]
     return Cubics(breaks, out)
 
 

@@ -53,7 +53,7 @@ class EngineFault:
             return 1.0
         if self.fault.tail_off is not None:
             table = self.fault.tail_off
-            return float(np.interp(time_s - self.at_s, table["time_s"], table["share"]))
+            return float(np.interp(time_s, self.at_s + table["time_s"], table["share"]))  # as `instants`, to the bit
         return 0.0 if self.fault.loss is None else 1.0 - self.fault.loss
 
     def instants(self) -> list[float]:
@@ -120,17 +120,17 @@ NOMINAL = Burn(0.0, 0.0, math.inf, None, ())
 """A stage by itself: all engines burn by their tables."""
 
 
-def stage_burns(scenario: Scenario) -> tuple[Burn, ...]:
-    """Of each stage."""
+def stage_burns(scenario: Scenario, liftoff_s: float = math.inf) -> tuple[Burn, ...]:
+    """Of each stage. What fails after lift-off does so where `liftoff_s`, on the vehicle clock, is finite."""
     out: list[Burn] = []
     start_s = 0.0
     for n, stage in enumerate(scenario.vehicle.stage):
+        own = [(f, (liftoff_s if f.since == "liftoff" else 0.0) - start_s) for f in scenario.fault if f.of_engines]
         faults = tuple(
-            EngineFault(f, max(f.at_s - start_s, 0.0), math.inf if f.until_s is None else f.until_s - start_s)
-            for f in scenario.fault
-            if f.of_engines and f.stage in (None, n)
+            EngineFault(f, max(zero_s + f.at_s, 0.0), math.inf if f.until_s is None else zero_s + f.until_s)
+            for f, zero_s in own
+            if f.stage in (None, n) and math.isfinite(zero_s) and (f.until_s is None or zero_s + f.until_s > 0.0)
         )
-        faults = tuple(f for f in faults if f.until_s > 0.0)
         clock, burnout_s, end_s = None, thrust_end_s(stage) / burn_rate(stage), stage_end_s(stage)
         unlike = len({e.mass_flow_factor for e in stage.engines}) > 1
         if faults or unlike or any(e.throttle is not None for e in stage.engines):

@@ -87,8 +87,6 @@ class Fault(Section):
             only_with(self, (key,), key in kind.keys, f"kind = {named}")
         for key in kind.values:
             needs(self, key, f"kind is {self.kind}", "a number")
-        if self.of_engines and self.since != "clock":
-            raise refuse("faults of engines count on the vehicle clock", "clock", key=("since",))
         if self.axis is not None and self.axis not in kind.axes:
             raise refuse(f"{self.kind} has no such axis", ", ".join(kind.axes), key=("axis",))
         if self.until_s is not None and self.until_s <= self.at_s:

@@ -54,6 +54,7 @@ class Order:
     axis: Plane = "pitch"
     errata: str = "corrected"
     plant: Plant = "flown"
+    faults: bool = False
     out: str | None = None
     pictures: bool = True
 
@@ -108,7 +109,9 @@ def find_nodes(scenario: LoadedScenario, design: Design, order: Order) -> list[N
     between = (round(float(t), 9) for t in np.arange(rows[0], rows[-1], order.every_s))
     times_s = order.times_s or sorted({*rows, *between})
     try:
-        nodes = api.nodes(scenario, times_s, plane=order.axis, errata=order.errata, plant=order.plant)
+        nodes = api.nodes(
+            scenario, times_s, plane=order.axis, errata=order.errata, plant=order.plant, faults=order.faults
+        )  # fmt: skip  # nine lines otherwise
         for node in nodes:
             _ = node.plant  # raises where there is none, before the long work
     except ValueError as error:

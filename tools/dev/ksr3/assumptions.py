@@ -54,7 +54,9 @@ GIMBAL_STATION_M = 12.70
 ENGINE_MASS_KG = 220.0
 ENGINE_END_STATION_M = 13.60
 ENGINE_CG_BEHIND_GIMBAL_M = 0.40  # of all 220 kg, for the beam
-ENGINE_GYRATION_M2 = 0.05  # about its own CG
+ENGINE_GYRATION_M2 = (
+    0.05  # about its own CG: too little, the 40 kg that stay are left with -9.4 kg m2 (from 0.093 on it is a body)
+)
 GIMBALLED_MASS_KG = 180.0
 GIMBALLED_CG_BEHIND_GIMBAL_M = 0.38
 GIMBALLED_INERTIA_KGM2 = GIMBALLED_MASS_KG * GIMBALLED_CG_BEHIND_GIMBAL_M**2 + 20.0  # about the gimbal
