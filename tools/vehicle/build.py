@@ -51,10 +51,10 @@ class Built:
 
 def build(layout: Layout) -> Built:
     """Work out a layout. Raises ValueError where it cannot fly."""
-    every = stacks(layout)
-    aero = [aerodynamics(stack) for stack in every]
-    modes = [_modes(stack) for stack in every]
-    flight = ascent(layout, every, aero)
+    whole = stacks(layout)
+    flight = ascent(layout, whole, [aerodynamics(stack) for stack in whole])
+    every = flight.stacks
+    aero, modes = [aerodynamics(stack) for stack in every], [_modes(stack) for stack in every]
     found = Built(layout, every, aero, modes, flight, [])
     rigid_hz = layout.control.rigid_hz or min(MOST_RIGID_HZ, found.mode_1_hz / 8.0)
     found.gains.extend(_gains(found, rigid_hz))
@@ -99,8 +99,8 @@ def burning(built: Built) -> list[Point]:
     """Points at full thrust."""
     out = []
     for p in built.flight.points:
-        burn, e = built.stacks[p.number].burn, built.layout.stage[p.number].engine
-        if burn.start_s + e.ramp_s <= p.clock_s <= burn.end_s - e.tail_off_s:
+        begin, end = built.stacks[p.number].burn.full_s
+        if begin <= p.clock_s <= end:
             out.append(p)
     return out
 
@@ -126,6 +126,10 @@ def _assumed(built: Built, rigid_hz: float) -> list[str]:
         "liquids drain in proportion to their load; they do not turn about the axis",
         f"first gains: {rigid_hz:.3g} Hz and {layout.control.rigid_zeta:g} of the rigid body with M_alpha in it",
     ]
+    if layout.fairing is not None:
+        dropped = [n for n, stack in enumerate(built.stacks) if stack.drops_fairing]
+        at = f"dropped at {built.flight.begins_s[dropped[0] + 1]:.1f} s" if dropped else "never dropped: too low"
+        lines.append(f"fairing: {at}; the aerodynamics and the beam stay as with it")
     for stage in layout.stage:
         e = stage.engine
         if e.gimballed_mass_kg is None or e.cg_from_gimbal_m is None:
@@ -140,13 +144,13 @@ INCIDENCE_deg = 5.0
 def too_weak(built: Built) -> list[str]:
     """Stages whose gimbals cannot hold `INCIDENCE_deg`; empty where all can."""
     out = []
-    for n, stage in enumerate(built.layout.stage):
-        points = [p for p in burning(built) if p.number == n]
+    for n, stack in enumerate(built.stacks):
+        stage, points = stack.stage, [p for p in burning(built) if p.number == n]
         worst = max(points, key=lambda p: m_alpha_1ps2(built, p) / m_delta_1ps2(built, p))
         needed = INCIDENCE_deg * m_alpha_1ps2(built, worst) / m_delta_1ps2(built, worst)
         if needed > stage.engine.angle_limit_deg:
             out.append(
-                f"{stage.name}: at {worst.time_s:.0f} s {INCIDENCE_deg:g} deg of incidence need {needed:.1f} deg "
+                f"{stack.name}: at {worst.time_s:.0f} s {INCIDENCE_deg:g} deg of incidence need {needed:.1f} deg "
                 f"of the gimbals' {stage.engine.angle_limit_deg:g}"
             )
     return out
@@ -159,7 +163,7 @@ def warnings(built: Built) -> list[str]:
         for k, mode in enumerate(modes[0]):
             if mode.frequency_hz > half_hz:
                 what = f"mode {k + 1} at {mode.frequency_hz:.1f} Hz lies above half the sample rate, {half_hz:g} Hz"
-                out.append(f"{stack.stage.name}: {what}")
+                out.append(f"{stack.name}: {what}")
     if built.mode_1_hz < 6.0 * MOST_RIGID_HZ:
         out.append(f"mode 1 at {built.mode_1_hz:.2f} Hz is less than six times the rigid body's {MOST_RIGID_HZ:g} Hz")
     return out
@@ -239,21 +243,45 @@ def _cg_over_mach(built: Built, n: int) -> Array:
     return np.asarray(np.interp(MACH, np.array([p.mach for p in points])[order], np.array(cg)[order]))
 
 
+def _lead_rad(built: Built, p: Point, k_p: float, k_d: float, rate_radps: float) -> tuple[float, float]:
+    """Incidence along the path at an instant, and by how much the command leads so that the law holds it.
+
+    Static trim: the incidence that turns the path, the gimbal angle that holds it against M_alpha and pitch damping;
+    the law (-k_p error - k_d rate) has no integral and needs an error for all of that.
+    """
+    stack, aero = built.stacks[p.number], built.aero[p.number]
+    if p.thrust_N <= 0.0 or p.excess_radps == p.incidence_rad == p.dynamic_pressure_Pa == 0.0:
+        return p.incidence_rad, k_d / k_p * rate_radps
+    props, (slope, centre) = stack.mass_properties(p.clock_s), aero.normal(p.mach)
+    arm, normal = stack.stage.engine.gimbal_station_m - props.x_cg_m, slope * p.dynamic_pressure_Pa * aero.area_m2
+    holds = normal * (centre - props.x_cg_m) / (p.thrust_N * arm)  # gimbal angle per incidence
+    across = p.thrust_N * (1.0 - holds) + normal
+    incidence = p.incidence_rad + props.mass_kg * p.speed_mps * p.excess_radps / across
+    damping = float(np.interp(p.mach, MACH, aero.pitch_damping(props.x_cg_m)))
+    damping *= -0.5 * p.dynamic_pressure_Pa * aero.area_m2 * aero.diameter_m**2 / max(p.speed_mps, 1.0)
+    gimbal = holds * incidence + damping / (p.thrust_N * arm) * rate_radps
+    return incidence, (gimbal + k_d * rate_radps) / k_p
+
+
 def _programme(built: Built) -> Table:
-    """Pitch rate of the point-mass path; the law damps the whole rate, and the command leads by what that costs."""
+    """Pitch rate that makes the law fly the point-mass path."""
     points, gains = built.flight.points, np.array(built.gains)
-    t, theta = np.array([p.time_s for p in points]), np.array([p.pitch_rad for p in points])
-    end = float(t[-1])
-    fine = np.linspace(0.0, end, 20 * math.ceil(end) + 1)
-    attitude = np.interp(fine, t, theta)
-    rate = np.gradient(attitude, fine)
-    command = attitude + np.interp(fine, gains[:, 0], gains[:, 2] / gains[:, 1]) * rate
+    t, end = np.array([p.time_s for p in points]), built.flight.points[-1].time_s
+    k_p, k_d = (np.interp(t, gains[:, 0], gains[:, k]) for k in (1, 2))
+    incidence = [
+        _lead_rad(built, p, p_gain, d_gain, 0.0)[0] for p, p_gain, d_gain in zip(points, k_p, k_d, strict=True)
+    ]
+    theta = np.array([p.pitch_rad - p.incidence_rad for p in points]) + incidence
+    rate = np.gradient(theta, t)
+    lead = [_lead_rad(built, p, k_p[k], k_d[k], rate[k])[1] for k, p in enumerate(points)]
     spacing = 0.5 if end < 300.0 else 1.0
-    rows = np.arange(0.0, end, spacing)
-    ahead, behind = (np.interp(np.clip(rows + side * spacing / 2, 0.0, end), fine, command) for side in (1, -1))
-    rates = np.degrees(ahead - behind) / spacing
+    rows = np.append(np.arange(0.0, end - spacing, spacing), end)
+    fine = np.linspace(0.0, end, 20 * math.ceil(end) + 1)
+    command = np.interp(fine, t, theta + np.array(lead))
+    before, behind = np.clip(rows - spacing / 2, 0.0, end), np.clip(rows + spacing / 2, 0.0, end)
+    rates = np.degrees(np.interp(behind, fine, command) - np.interp(before, fine, command)) / (behind - before)
     rates[rows < built.layout.trajectory.pitch_over_start_s] = 0.0
-    table = [*zip(rows, rates.round(6), strict=True), (end, 0.0)]
+    table = [*zip(rows, rates.round(6), strict=True), (end + 0.1, 0.0)]
     return "time_s,pitch_rate_degps", [(float(a), float(b)) for a, b in table]
 
 
@@ -263,6 +291,7 @@ def _vehicle(built: Built) -> dict[str, Any]:
     return {
         "schema": 1,
         "name": layout.name,
+        "description": "an estimate from a layout",
         "reference": {
             "length_m": max(first.exit_station_m, layout.stage[0].rear_station_m), "diameter_m": widest,
             "area_m2": 0.25 * math.pi * widest**2,
@@ -287,8 +316,10 @@ def _stage(built: Built, n: int) -> dict[str, Any]:
     many = len(e.positions_m) > 1
     engines = [engine | ({"name": f"E{k + 1}", "group": "all"} if many else {}) | {"offset_m": list(at)}
                for k, at in enumerate(e.positions_m)]  # fmt: skip  # one line more otherwise
-    out: dict[str, Any] = {"name": stage.name}
-    if not last:
+    out: dict[str, Any] = {"name": stack.name}
+    if stack.drops_fairing:
+        out["separation_s"] = stack.burn.end_s
+    elif not last:
         out["separation_after_burnout_s"] = stage.separation_after_s
     if stack.burn.start_s > 0.0 and n > 0:
         out["ignition_s"] = stage.ignition_after_s

@@ -104,6 +104,9 @@ class Engines(Section):
     rate_limit_degps: Positive = optional("of the gimbal, deg/s", 30.0)
     servo_hz: Positive = optional("natural frequency of the actuator, Hz", 7.0)
     servo_zeta: Positive = optional("its damping ratio", 0.7)
+    thrust_end_share: Annotated[float, Field(gt=0.0, le=1.5)] = optional(
+        "thrust at the end of the burn over that at its beginning: falls linearly (a pressure-fed chamber)", 1.0
+    )
     ramp_s: Positive = optional("from ignition to full thrust, s", 0.3)
     tail_off_s: Positive = optional("from full thrust to none, s", 0.3)
 
@@ -158,13 +161,24 @@ class Site(Section):
     azimuth_deg: Angle = Field(description="of the launch, deg from north")
 
 
+class Fairing(Between):
+    """Dropped while an upper stage burns; its shell counts as the last stage's structure."""
+
+    mass_kg: Positive = Field(description="kg")
+    jettison_altitude_m: Positive = optional("dropped when a stage burns above this altitude, m", 110e3)
+
+
 class Trajectory(Section):
-    """Straight up, pitched over, gravity turn."""
+    """Straight up, pitched over, gravity turn; to an orbit the upper stages steer by a linear tangent law."""
 
     pitch_over_start_s: Positive = optional("end of the vertical rise, s after ignition", 5.0)
     pitch_over_s: Positive = optional("duration of the pitch-over, s", 12.0)
     final_path_angle_deg: Annotated[float, Field(gt=-30.0, lt=85.0)] = optional(
         "of the path above the local horizon at the last burn-out, deg: sets the pitch-over", 20.0
+    )
+    orbit_altitude_m: Annotated[float, Field(ge=100e3, le=2e6)] | None = optional(
+        "of the last burn-out above the Earth's equatorial radius, path level there: the perigee of an orbit, if the "
+        "speed suffices; instead of final_path_angle_deg"
     )
 
 
@@ -192,6 +206,7 @@ class Layout(Section):
     site: Site
     trajectory: Trajectory = Trajectory()
     control: Control
+    fairing: Fairing | None = optional("absent: none, or never dropped")
     stage: tuple[Stage, ...] = Field(min_length=1, max_length=MAX_STAGES, description="in the order of flight")
 
     @model_validator(mode="after")
@@ -202,6 +217,10 @@ class Layout(Section):
                     f"the next stage reaches to {upper.rear_station_m:g} m", f"from {upper.rear_station_m:g}",
                     ("stage", n, "front_station_m"),
                 )  # fmt: skip  # two more lines otherwise
+        if self.trajectory.orbit_altitude_m is not None and len(self.stage) == 1:
+            raise refuse(
+                "a single stage does not steer to an orbit", "two stages or more", ("trajectory", "orbit_altitude_m")
+            )
         last = self.stage[-1]
         if abs(last.front_station_m) > 1e-9:
             raise refuse("the last stage holds the nose", "0", ("stage", len(self.stage) - 1, "front_station_m"))

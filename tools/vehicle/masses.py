@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -14,7 +14,7 @@ from maxq.control.kernel.records import Array
 from maxq.tools.vehicle.layout import Engines, Layout, Stage, Tank
 
 STANDARD_GRAVITY_mps2 = 9.80665
-_RAMP_ROWS = 9
+_RAMP_ROWS, _STEADY_ROWS = 9, 20
 
 
 @dataclass(frozen=True)
@@ -57,12 +57,15 @@ class MassProperties:
 class Burn:
     """Thrust in vacuum and flow of all engines of a stage over its clock; the rows, joined by PCHIP, are the thrust.
 
-    The flow is proportional to the thrust, and its integral is the usable propellant.
+    The flow is proportional to the thrust. `used_shares`: of the usable propellant, burned before and at the end.
     """
 
     times_s: Array
     thrust_N: Array
     usable_kg: float
+    start_s: float
+    full_s: tuple[float, float]  # from, to: full thrust
+    used_shares: tuple[float, float] = (0.0, 1.0)
 
     @cached_property
     def _thrust(self) -> PchipInterpolator:
@@ -73,47 +76,68 @@ class Burn:
         return self._thrust.antiderivative()
 
     @property
-    def start_s(self) -> float:
-        return float(self.times_s[1])  # the first row is at 0, the second at ignition
-
-    @property
     def end_s(self) -> float:
         return float(self.times_s[-1])
 
     def thrust_vacuum_N(self, t: float) -> float:
-        return float(self._thrust(t)) if 0.0 <= t <= self.end_s else 0.0
+        return float(np.interp(t, self.times_s, self.thrust_N)) if 0.0 <= t <= self.end_s else 0.0
 
     def used(self, t: float) -> float:
         """Share of the usable propellant burned by t, 0 to exactly 1."""
-        return float(np.clip(self._impulse(np.clip(t, 0.0, self.end_s)) / self._impulse(self.end_s), 0.0, 1.0))
+        share = float(np.clip(self._impulse(np.clip(t, 0.0, self.end_s)) / self._impulse(self.end_s), 0.0, 1.0))
+        before, after = self.used_shares
+        return before * (1.0 - share) + after * share
+
+    def split(self, t: float) -> tuple[Burn, Burn]:
+        """What burns up to t, and the rest on a clock that begins then."""
+        at, early, late = float(self._thrust(t)), self.times_s < t - 1e-6, self.times_s > t + 1e-6
+        first = np.append(self.times_s[early], t), np.append(self.thrust_N[early], at)
+        rest = np.insert(self.times_s[late] - t, 0, 0.0).round(6), np.insert(self.thrust_N[late], 0, at)
+        (begin, end), (before, after), used = self.full_s, self.used_shares, self.used(t)
+        return (
+            Burn(*first, self.usable_kg, self.start_s, (begin, t), (before, used)),
+            Burn(*rest, self.usable_kg, 0.0, (0.0, end - t), (used, after)),
+        )
 
 
 def burn_of(stage: Stage, ignition_s: float) -> Burn:
-    """Smooth steps up and down; full thrust lasts so long that the impulse is that of the usable propellant."""
+    """Smooth steps up and down; full thrust lasts so long that the impulse is that of the usable propellant.
+
+    Between them the thrust falls linearly to `thrust_end_share` of what it was.
+    """
     e = stage.engine
     usable = sum(t.liquid_mass_kg - t.residual_kg for t in stage.tank)
     full = e.thrust_vacuum_N * len(e.positions_m)
-    steady_s = usable * STANDARD_GRAVITY_mps2 * e.isp_vacuum_s / full - 0.5 * (e.ramp_s + e.tail_off_s)
+    impulse = usable * STANDARD_GRAVITY_mps2 * e.isp_vacuum_s
+    x, share = np.linspace(0.0, 1.0, _RAMP_ROWS), e.thrust_end_share
+    step = x * x * (3.0 - 2.0 * x)
+    ramps = 0.5 * full * (e.ramp_s + share * e.tail_off_s)
+    steady_s = (impulse - ramps) / (0.5 * full * (1.0 + share))
     if steady_s <= 0.0:
         raise ValueError(f"stage {stage.name}: {usable:g} kg of propellant last for less than ramp and tail-off")
-    x = np.linspace(0.0, 1.0, _RAMP_ROWS)
-    step = x * x * (3.0 - 2.0 * x)
-    fall_s = e.ramp_s + steady_s
-    times = [e.ramp_s * x, e.ramp_s + steady_s * np.arange(1, 20) / 20.0, fall_s + e.tail_off_s * x]
-    thrust = [full * step, np.full(19, full), full * step[::-1]]
+    fall_s, rows = e.ramp_s + steady_s, np.arange(1, _STEADY_ROWS) / _STEADY_ROWS
+    times = [e.ramp_s * x, e.ramp_s + steady_s * rows, fall_s + e.tail_off_s * x]
+    thrust = [full * step, full * (1.0 - (1.0 - share) * rows), share * full * step[::-1]]
     before = [] if ignition_s == 0.0 else [np.array([0.0])]
     at_rest = [np.zeros(1)] * len(before)
-    rows = np.round(np.concatenate([*before, *(ignition_s + t for t in times)]), 6)
-    return Burn(rows, np.concatenate([*at_rest, *thrust]), usable)
+    found = np.round(np.concatenate([*before, *(ignition_s + t for t in times)]), 6)
+    whole = np.concatenate([*at_rest, *thrust])
+    return Burn(found, whole, usable, ignition_s, (ignition_s + e.ramp_s, ignition_s + fall_s))
 
 
 @dataclass(frozen=True)
 class Stack:
-    """What flies while one stage burns: the stage and all that is ahead of it."""
+    """What flies while one stage burns: the stage and all that is ahead of it.
+
+    A stage that drops the fairing while it burns makes two of them.
+    """
 
     layout: Layout
-    number: int
+    number: int  # of the stage
     burn: Burn
+    fairing: bool
+    name: str
+    drops_fairing: bool = False  # at the end of this part of the burn
 
     @property
     def stage(self) -> Stage:
@@ -127,7 +151,7 @@ class Stack:
     @cached_property
     def dry(self) -> list[Rod]:
         """Structure, engines and, of the stages ahead, full tanks."""
-        rods = []
+        rods = [self.fairing_ring] if self.fairing and self.layout.fairing else []
         for stage in self.layout.stage[self.number :]:
             radius, e = 0.5 * stage.diameter_m, stage.engine
             rods += [ring(p.mass_kg, p.front_station_m, p.rear_station_m, p.radius_m or radius) for p in stage.part]
@@ -142,6 +166,12 @@ class Stack:
         for stage in self.layout.stage[self.number + 1 :]:
             rods += [_column(tank, tank.liquid_mass_kg) for tank in stage.tank]
         return rods
+
+    @property
+    def fairing_ring(self) -> Rod:
+        f = self.layout.fairing
+        assert f is not None
+        return ring(f.mass_kg, f.front_station_m, f.rear_station_m, 0.5 * self.layout.stage[-1].diameter_m)
 
     def liquid_kg(self, tank: Tank, t: float) -> float:
         """In a tank of the burning stage; all drain in proportion."""
@@ -182,10 +212,20 @@ def _column(tank: Tank, mass_kg: float) -> Rod:
 
 
 def stacks(layout: Layout) -> list[Stack]:
-    """One for each stage, in the order of flight. Raises ValueError for a burn too short for its ramps."""
+    """One for each stage, in the order of flight, all with the fairing. Raises ValueError for too short a burn."""
     return [
-        Stack(layout, n, burn_of(stage, stage.ignition_after_s if n else 0.0)) for n, stage in enumerate(layout.stage)
+        Stack(layout, n, burn_of(stage, stage.ignition_after_s if n else 0.0), layout.fairing is not None, stage.name)
+        for n, stage in enumerate(layout.stage)
     ]
+
+
+def without_fairing(every: Sequence[Stack], number: int, clock_s: float) -> list[Stack]:
+    """The stacks where the fairing is dropped at `clock_s` of the burn of stack `number`."""
+    out = list(every[:number])
+    first, rest = every[number].burn.split(clock_s)
+    out.append(replace(every[number], burn=first, drops_fairing=True))
+    out.append(replace(every[number], burn=rest, fairing=False, name=f"{every[number].name}, fairing off"))
+    return out + [replace(stack, fairing=False) for stack in every[number + 1 :]]
 
 
 def engine_inertia(e: Engines) -> tuple[float, float, float]:

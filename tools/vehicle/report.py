@@ -25,16 +25,22 @@ def _stages(built: Built) -> list[str]:
     for n, stack in enumerate(built.stacks):
         first, last = (stack.mass_properties(t).mass_kg for t in (0.0, stack.burn.end_s))
         e, point = stack.stage.engine, [p for p in built.flight.points if p.number == n][-1]
-        thrust = e.thrust_vacuum_N * len(e.positions_m)
+        thrust = float(stack.burn.thrust_N.max())
         gained = STANDARD_GRAVITY_mps2 * e.isp_vacuum_s * math.log(first / last)
         rows.append(
             (
-                stack.stage.name, f"{first:.0f}", f"{last:.0f}", f"{stack.burn.end_s - stack.burn.start_s:.1f}",
+                stack.name, f"{first:.0f}", f"{last:.0f}", f"{stack.burn.end_s - stack.burn.start_s:.1f}",
                 f"{thrust / first / STANDARD_GRAVITY_mps2:.2f}", f"{gained:.0f}", f"{point.speed_mps:.0f}",
                 f"{point.altitude_m / 1e3:.1f}", f"{math.degrees(point.path_rad):.1f}",
             )
         )  # fmt: skip  # six more lines otherwise
-    return ["stages (point mass, vacuum thrust over weight)", *aligned(rows, "  ", right=range(1, 9))]
+    orbit = built.flight.orbit
+    ends = (
+        ""
+        if orbit.perigee_m < 0.0
+        else (f"; the last burn-out is in an orbit of {orbit.perigee_m / 1e3:.0f} by {orbit.apogee_m / 1e3:.0f} km")
+    )
+    return [f"stages (point mass, vacuum thrust over weight{ends})", *aligned(rows, "  ", right=range(1, 9))]
 
 
 def _modes(built: Built) -> list[str]:
@@ -45,7 +51,7 @@ def _modes(built: Built) -> list[str]:
         for k, mode in enumerate(modes[0]):
             slope = float(np.interp(gyro, stations, mode.slope_pm))
             ends = (f"{mode.frequency_hz:.2f}", f"{modes[-1][k].frequency_hz:.2f}", f"{mode.generalized_mass_kg:.4g}")
-            rows.append((stack.stage.name, str(k + 1), *ends, f"{slope:.3f}"))
+            rows.append((stack.name, str(k + 1), *ends, f"{slope:.3f}"))
     return ["bending, free-free, 1 at the gimbal", *aligned(rows, "  ", right=range(1, 6))] if len(rows) > 1 else []
 
 
@@ -60,5 +66,5 @@ def _control(built: Built) -> list[str]:
             k_p, k_d = (float(np.interp(p.time_s, gains[:, 0], gains[:, i])) for i in (1, 2))
             cells = (f"{p.time_s:.1f}", f"{p.mach:.2f}", f"{p.dynamic_pressure_Pa / 1e3:.2f}", f"{cg:.2f}", f"{cp:.2f}")
             turn = (f"{m_alpha_1ps2(built, p):.3f}", f"{m_delta_1ps2(built, p):.3f}", f"{k_p:.3f}", f"{k_d:.3f}")
-            rows.append((stack.stage.name, *cells, *turn))
+            rows.append((stack.name, *cells, *turn))
     return ["control (M_alpha > 0: unstable)", *aligned(rows, "  ", right=range(1, 10))]

@@ -1,33 +1,47 @@
-"""Point-mass ascent of a layout: straight up, pitched over, gravity turn through all stages, over a round Earth that
-stands still, without wind. Angles in rad; the path angle is above the local horizon.
+"""Point-mass ascent of a layout in the plane of the launch, over a round Earth that turns: straight up, pitched over,
+gravity turn; to an orbit the upper stages steer by a linear tangent law. No wind; the air turns with the Earth.
+
+Speed and path angle are relative to the Earth, the path angle above the local horizon, in rad. Gravity has its J2 term
+along the vertical. Across the plane the Earth's turning adds a speed that counts in the orbit and nowhere else.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
-from functools import partial
+from dataclasses import dataclass, replace
+from functools import cached_property, partial
+from itertools import pairwise
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.integrate import solve_ivp
-from scipy.optimize import brentq
+from scipy.optimize import brentq, minimize
 
 from maxq.control.kernel.jit import from_python
 from maxq.control.kernel.records import Array
 from maxq.sim.world.atmosphere import HEAT_RATIO, GAS_CONSTANT_Jpkg_K, TOP_m, us1976
 from maxq.sim.world.thermosphere import upper_air
 from maxq.tools.vehicle.aerodynamics import MACH, Aerodynamics
-from maxq.tools.vehicle.layout import Layout
-from maxq.tools.vehicle.masses import Stack, STANDARD_GRAVITY_mps2
+from maxq.tools.vehicle.layout import Layout, Site
+from maxq.tools.vehicle.masses import Stack, without_fairing
 
-EARTH_RADIUS_m = 6_371_000.0
+MU_m3ps2, J2, EQUATOR_m, FLATTENING, SPIN_radps = (
+    3.986004418e14,
+    1.08262982e-3,
+    6378137.0,
+    1 / 298.257223563,
+    7.292115e-5,
+)
+STEERING_BLEND_s = 15.0  # from the gravity turn's attitude to that of the tangent law
 _LEAST_SPEED_mps = 1.0
+_STEP_s = 10.0
+State = tuple[float, float, float, float]  # range m, altitude m, speed m/s, path angle rad
 
 
 @dataclass(frozen=True)
 class Point:
-    """An instant of the ascent: stage and its clock, flight time, and what acts."""
+    """An instant of the ascent: stack and its clock, flight time, and what acts."""
 
     number: int
     clock_s: float
@@ -39,20 +53,68 @@ class Point:
     thrust_N: float
     dynamic_pressure_Pa: float
     mach: float
+    incidence_rad: float  # of the steering
+    excess_radps: float  # turn of the path by pitch-over, beyond gravity's
+    horizon_rad: float  # turn of the local horizon since lift-off, in inertial space
 
     @property
     def pitch_rad(self) -> float:
-        """Attitude above the launch site's horizon, no incidence."""
-        return self.path_rad - self.range_m / EARTH_RADIUS_m
+        """Attitude above the launch site's horizon at lift-off."""
+        return self.path_rad + self.incidence_rad - self.horizon_rad
+
+
+class Orbit(NamedTuple):
+    """Heights of perigee and apogee above the equatorial radius, m (apogee infinite: it escapes)."""
+
+    perigee_m: float
+    apogee_m: float
+
+    @staticmethod
+    def of(radius_m: float, horizontal_mps: float, vertical_mps: float) -> Orbit:
+        """From inertial velocity along and across the local horizon."""
+        momentum = radius_m * horizontal_mps
+        energy = 0.5 * (horizontal_mps**2 + vertical_mps**2) - MU_m3ps2 / radius_m
+        e = math.sqrt(max(1.0 + 2.0 * energy * (momentum / MU_m3ps2) ** 2, 0.0))
+        p = momentum**2 / MU_m3ps2
+        return Orbit(p / (1.0 + e) - EQUATOR_m, p / (1.0 - e) - EQUATOR_m if e < 1.0 else math.inf)
 
 
 @dataclass(frozen=True)
 class Ascent:
-    """Points along the powered flight, and when each stage begins, s of flight time."""
+    """Points along the powered flight, the stacks that fly it, and when each begins, s of flight time."""
 
     points: list[Point]
-    begins_s: tuple[float, ...]
+    stacks: list[Stack]
+    begins_s: list[float]
     kick_rad: float
+    tangents: tuple[float, float] | None
+    orbit: Orbit
+
+
+class _Place(NamedTuple):
+    """What the launch site gives: local radius, turning about the plane's normal and along it, and the latitude."""
+
+    radius_m: float
+    spin_radps: float
+    across_mps: float
+    sin_latitude: float
+    cos_north: float  # of latitude, times that of azimuth
+
+    @staticmethod
+    def of(site: Site) -> _Place:
+        latitude, azimuth = math.radians(site.latitude_deg), math.radians(site.azimuth_deg)
+        radius = EQUATOR_m * (1.0 - FLATTENING * math.sin(latitude) ** 2)
+        turning = SPIN_radps * math.cos(latitude)
+        return _Place(
+            radius, turning * math.sin(azimuth), turning * math.cos(azimuth) * radius, math.sin(latitude),
+            math.cos(latitude) * math.cos(azimuth),
+        )  # fmt: skip  # three more lines otherwise
+
+    def gravity_mps2(self, radius_m: float, angle_rad: float) -> float:
+        """Towards the centre, `angle_rad` along the plane from the site."""
+        sin_latitude = self.sin_latitude * math.cos(angle_rad) + self.cos_north * math.sin(angle_rad)
+        flattened = 1.0 - 1.5 * J2 * (EQUATOR_m / radius_m) ** 2 * (3.0 * sin_latitude**2 - 1.0)
+        return MU_m3ps2 / radius_m**2 * flattened
 
 
 @dataclass
@@ -60,8 +122,30 @@ class _Model:
     layout: Layout
     stacks: Sequence[Stack]
     aero: Sequence[Aerodynamics]
-    masses: list[tuple[Array, Array]]  # of each stage: clock, mass
     kick_rad: float = 0.0
+    tangents: tuple[float, float] | None = None
+
+    @cached_property
+    def place(self) -> _Place:
+        return _Place.of(self.layout.site)
+
+    @cached_property
+    def masses(self) -> list[tuple[Array, Array]]:
+        """Of each stack: clock, mass."""
+        out = []
+        for stack in self.stacks:
+            clock = np.linspace(0.0, stack.burn.end_s, 201)
+            dry = sum(rod.mass_kg for rod in stack.dry)
+            out.append((clock, np.array([dry + sum(stack.liquid_kg(k, t) for k in stack.stage.tank) for t in clock])))
+        return out
+
+    @cached_property
+    def steering_s(self) -> tuple[float, float]:
+        """Flight time between which the upper stages steer."""
+        first = self.stacks[0]
+        begin = first.burn.end_s + first.stage.separation_after_s
+        ends = [s.burn.end_s + s.stage.separation_after_s for s in self.stacks[1:]]
+        return begin + self.stacks[1].burn.start_s, begin + sum(ends) - self.stacks[-1].stage.separation_after_s
 
     def acts(self, n: int, t: float, altitude: float, speed: float) -> tuple[float, float, float, float]:
         """Thrust N, drag N, dynamic pressure Pa, Mach number."""
@@ -73,18 +157,33 @@ class _Model:
         coefficient = float(np.interp(mach, MACH, aero.axial if vacuum > 0.0 else aero.axial_coast))
         return thrust, q * aero.area_m2 * coefficient, q, mach
 
-    def rate(self, n: int, begin_s: float, t: float, y: Array) -> list[float]:
-        _, altitude, speed, path = y
+    def incidence(self, n: int, time_s: float, path: float) -> float:
+        """Attitude above the path: 0, but where the tangent law steers."""
+        if self.tangents is None or n == 0:
+            return 0.0
+        begin, end = self.steering_s
+        wanted = math.atan(float(np.interp(time_s, (begin, end), self.tangents)))
+        x = min(max((time_s - begin) / STEERING_BLEND_s, 0.0), 1.0)
+        return x * x * (3.0 - 2.0 * x) * (wanted - path)
+
+    def rate(self, n: int, begin_s: float, dropped_kg: float, t: float, y: Sequence[float]) -> State:
+        reach, altitude, speed, path = y
         thrust, drag, _, _ = self.acts(n, t, altitude, speed)
-        mass = float(np.interp(t, *self.masses[n]))
-        radius = EARTH_RADIUS_m + altitude
-        gravity = STANDARD_GRAVITY_mps2 * (EARTH_RADIUS_m / radius) ** 2
-        free = (speed / radius - gravity / max(speed, _LEAST_SPEED_mps)) * math.cos(path)
-        push, share = self._pitch_over(begin_s + t)
-        accel = (thrust - drag) / mass - gravity * math.sin(path)
+        mass = float(np.interp(t, *self.masses[n])) - dropped_kg
+        place, incidence = self.place, self.incidence(n, begin_s + t, path)
+        radius = place.radius_m + altitude
+        gravity = place.gravity_mps2(radius, reach / place.radius_m) - place.spin_radps**2 * radius
+        accel = (thrust * math.cos(incidence) - drag) / mass - gravity * math.sin(path)
         if n == 0 and speed <= 0.0 and accel < 0.0:
             accel = 0.0  # on the pad
-        return [speed * math.cos(path) * EARTH_RADIUS_m / radius, speed * math.sin(path), accel, push + share * free]
+        fast = max(speed, _LEAST_SPEED_mps)
+        push, share = self._pitch_over(begin_s + t) if n == 0 else (0.0, 1.0)
+        turn = push + share * self._free(radius, fast, path, gravity) + thrust * math.sin(incidence) / (mass * fast)
+        return speed * math.cos(path) * place.radius_m / radius, speed * math.sin(path), accel, turn
+
+    def _free(self, radius: float, speed: float, path: float, gravity: float) -> float:
+        """Turn of the path by gravity, the Earth's curvature and its turning (Coriolis), rad/s."""
+        return (speed / radius - gravity / speed) * math.cos(path) + 2.0 * self.place.spin_radps
 
     def _pitch_over(self, time_s: float) -> tuple[float, float]:
         """Turn by the pitch-over, rad/s (a raised cosine), and the share of gravity's turn, 1 behind it."""
@@ -94,26 +193,81 @@ class _Model:
         late = min(max(2.0 * x - 1.0, 0.0), 1.0)
         return push, late * late * (3.0 - 2.0 * late)
 
-    def fly(self, kick_rad: float, points: int) -> Ascent:
-        """All stages; `points` of each burn are kept."""
-        self.kick_rad = kick_rad
-        y, time_s, kept, begins = np.array([0.0, self.layout.site.altitude_m, 0.0, 0.5 * math.pi]), 0.0, [], []
-        for n, stage in enumerate(self.layout.stage):
-            burn = self.stacks[n].burn
+    def point(self, n: int, begin_s: float, t: float, y: State) -> Point:
+        reach, altitude, speed, path = y
+        thrust, _, q, mach = self.acts(n, t, altitude, speed)
+        time_s, radius = begin_s + t, self.place.radius_m + altitude
+        push, share = self._pitch_over(time_s) if n == 0 else (0.0, 1.0)
+        gravity = self.place.gravity_mps2(radius, reach / self.place.radius_m) - self.place.spin_radps**2 * radius
+        excess = push + (share - 1.0) * self._free(radius, max(speed, _LEAST_SPEED_mps), path, gravity)
+        if time_s <= self.layout.trajectory.pitch_over_start_s:
+            excess = 0.0  # the pad, and straight up
+        horizon = reach / self.place.radius_m + self.place.spin_radps * time_s
+        incidence = self.incidence(n, time_s, path)
+        return Point(n, t, time_s, reach, altitude, speed, path, thrust, q, mach, incidence, excess, horizon)
+
+    def fly(self, points: int) -> tuple[list[Point], list[float], tuple[int, float] | None]:
+        """All stages: `points` of each burn, when each begins, and stack and clock at which the fairing is dropped."""
+        fairing, wanted = self.layout.fairing, self.layout.trajectory
+        y: State = (0.0, self.layout.site.altitude_m, 0.0, 0.5 * math.pi)
+        time_s, kept, begins, dropped = 0.0, list[Point](), list[float](), None
+        for n, stack in enumerate(self.stacks):
+            burn, stage = stack.burn, stack.stage
             begins.append(time_s)
-            last = n == len(self.layout.stage) - 1
-            end = burn.end_s + (0.0 if last else stage.separation_after_s)
-            at = np.linspace(0.0 if n == 0 else burn.start_s, burn.end_s, points)
-            found = solve_ivp(
-                partial(self.rate, n, time_s), (0.0, end), y, t_eval=at if last else np.append(at, end),
-                rtol=1e-6, atol=[1.0, 1.0, 1e-3, 1e-6], max_step=1.0,
-            )  # fmt: skip  # five more lines otherwise
-            for t, state in zip(found.t[:points], found.y.T, strict=False):
-                reach, altitude, speed, path = (float(v) for v in state)
-                thrust, _, q, mach = self.acts(n, float(t), altitude, speed)
-                kept.append(Point(n, float(t), time_s + float(t), reach, altitude, speed, path, thrust, q, mach))
-            y, time_s = found.y[:, -1], time_s + end
-        return Ascent(kept, tuple(begins), kick_rad)
+            end = burn.end_s + (0.0 if n == len(self.stacks) - 1 else stage.separation_after_s)
+            start = wanted.pitch_over_start_s
+            kinks = [start, start + 0.5 * wanted.pitch_over_s, start + wanted.pitch_over_s] if n == 0 else []
+            edges = np.unique([0.0, burn.start_s, *burn.full_s, burn.end_s, end, *(k for k in kinks if k < end)])
+            at = np.linspace(0.0 if n == 0 else burn.start_s, burn.end_s, points)[:-1]  # and the end, below
+            spans = list(pairwise(float(edge) for edge in edges))
+            while spans:
+                a, b = spans.pop(0)
+                can_drop = n > 0 and fairing is not None and dropped is None and burn.full_s[0] <= a < burn.full_s[1]
+                if can_drop and fairing is not None and y[1] >= fairing.jettison_altitude_m:
+                    dropped, can_drop = (n, max(a, burn.full_s[0] + 1.0)), False
+                gone = fairing.mass_kg if fairing is not None and dropped is not None else 0.0
+                found = solve_ivp(
+                    partial(self.rate, n, time_s, gone), (a, b), y, t_eval=np.unique([*at[(at >= a) & (at < b)], b]),
+                    rtol=1e-7, atol=[1.0, 1.0, 1e-4, 1e-7], max_step=_STEP_s,
+                    events=_Above(fairing.jettison_altitude_m) if can_drop and fairing is not None else None,
+                )  # fmt: skip  # five more lines otherwise
+                rows = np.reshape(found.y, (4, -1)).T
+                for t, row in zip(found.t, rows, strict=True):
+                    if t < b or b == burn.end_s:
+                        kept.append(self.point(n, time_s, float(t), _state(row)))
+                if (
+                    found.y_events and found.t_events and len(found.y_events[0]) and fairing
+                ):  # at the fairing's altitude: on without it
+                    reach, _, speed, path = _state(found.y_events[0][0])
+                    y = (reach, fairing.jettison_altitude_m, speed, path)
+                    spans.insert(0, (float(found.t_events[0][0]), b))
+                else:
+                    y = _state(rows[-1])
+            time_s += end
+        return kept, begins, dropped
+
+    def orbit(self, last: Point) -> Orbit:
+        radius = self.place.radius_m + last.altitude_m
+        along = last.speed_mps * math.cos(last.path_rad) + self.place.spin_radps * radius
+        across = self.place.across_mps * radius / self.place.radius_m
+        return Orbit.of(radius, math.hypot(along, across), last.speed_mps * math.sin(last.path_rad))
+
+
+def _state(row: Array) -> State:
+    reach, altitude, speed, path = (float(v) for v in row)
+    return reach, altitude, speed, path
+
+
+class _Above:
+    """The event that ends an integration: rising through an altitude."""
+
+    terminal, direction = True, 1.0
+
+    def __init__(self, altitude_m: float) -> None:
+        self.altitude_m = altitude_m
+
+    def __call__(self, _: float, y: Array) -> float:
+        return float(y[1]) - self.altitude_m
 
 
 _standard, _upper = from_python(us1976), upper_air()
@@ -134,27 +288,86 @@ def air(altitude_m: float) -> tuple[float, float, float]:
 
 
 def ascent(layout: Layout, stacks: Sequence[Stack], aero: Sequence[Aerodynamics], points: int = 241) -> Ascent:
-    """The ascent whose last burn-out has the path angle asked for. Raises ValueError where no pitch-over gives it."""
-    masses = []
-    for stack in stacks:
-        clock = np.linspace(0.0, stack.burn.end_s, 101)
-        masses.append((clock, np.array([stack.mass_properties(float(t)).mass_kg for t in clock])))
-    model, wanted = _Model(layout, stacks, aero, masses), math.radians(layout.trajectory.final_path_angle_deg)
-    weight = masses[0][1][0] * STANDARD_GRAVITY_mps2
-    thrust = model.acts(
-        0, float(stacks[0].burn.times_s[len(stacks[0].burn.times_s) // 2]), layout.site.altitude_m, 0.0
-    )[0]
+    """The ascent whose last burn-out is as asked for. Raises ValueError where no pitch-over gives it."""
+    model, wanted = _Model(layout, stacks, aero), layout.trajectory
+    weight = float(model.masses[0][1][0]) * model.place.gravity_mps2(model.place.radius_m, 0.0)
+    begin, end = stacks[0].burn.full_s
+    thrust = model.acts(0, 0.5 * (begin + end), layout.site.altitude_m, 0.0)[0]
     if thrust <= 1.02 * weight:
         raise ValueError(f"the first stage pushes {thrust:.4g} N at the ground and weighs {weight:.4g} N")
+    if wanted.orbit_altitude_m is None:
+        _turn_to(model, math.radians(wanted.final_path_angle_deg))
+    else:
+        _steer_to(model, wanted.orbit_altitude_m)
+    kept, begins, dropped = model.fly(points)
+    flown, orbit = list(stacks), model.orbit(kept[-1])
+    if dropped is not None:
+        n, clock_s = dropped[0], round(dropped[1], 3)
+        flown = without_fairing(flown, n, clock_s)
+        begins.insert(n + 1, begins[n] + clock_s)
+        kept = [
+            p if p.number < n or (p.number == n and p.clock_s < clock_s)
+            else replace(p, number=p.number + 1, clock_s=p.clock_s - (clock_s if p.number == n else 0.0))
+            for p in kept
+        ]  # fmt: skip  # one more line otherwise
+    return Ascent(kept, flown, begins, model.kick_rad, model.tangents, orbit)
+
+
+def _turn_to(model: _Model, path_rad: float) -> None:
+    """The pitch-over of a gravity turn that ends at this path angle."""
 
     def beyond(kick_rad: float) -> float:
-        return model.fly(kick_rad, 5).points[-1].path_rad - wanted
+        model.kick_rad = kick_rad
+        return model.fly(2)[0][-1].path_rad - path_rad
 
     low, high = 1e-4, 0.9
     if beyond(low) < 0.0 or beyond(high) > 0.0:
         raise ValueError(
-            f"no pitch-over ends at a path angle of {layout.trajectory.final_path_angle_deg:g} deg: one of "
-            f"{math.degrees(low):.2g} deg ends at {math.degrees(beyond(low) + wanted):.1f}, one of "
-            f"{math.degrees(high):.2g} deg at {math.degrees(beyond(high) + wanted):.1f} deg"
+            f"no pitch-over ends at a path angle of {math.degrees(path_rad):g} deg: one of "
+            f"{math.degrees(low):.2g} deg ends at {math.degrees(beyond(low) + path_rad):.1f}, one of "
+            f"{math.degrees(high):.2g} deg at {math.degrees(beyond(high) + path_rad):.1f} deg"
         )
-    return model.fly(float(brentq(beyond, low, high, xtol=1e-7)), points)
+    model.kick_rad = float(brentq(beyond, low, high, xtol=1e-7))
+
+
+def _steer_to(model: _Model, altitude_m: float) -> None:
+    """Pitch-over and tangents of the largest speed at a level last burn-out at this altitude.
+
+    Raises ValueError where there is none, or the speed is short of an orbit's.
+    """
+    radius, flown = EQUATOR_m + altitude_m, dict[tuple[float, ...], Array]()
+
+    def ends(x: Array) -> Array:
+        """Height above the altitude wanted, path angle and speed at the end, each over its scale; x likewise."""
+        given = tuple(float(v) for v in x)
+        if given not in flown:
+            model.kick_rad, model.tangents = 0.1 * given[0], (given[1], given[2])
+            last = model.fly(2)[0][-1]
+            height = model.place.radius_m + last.altitude_m - radius
+            flown[given] = np.array([height / 1e5, 10.0 * last.path_rad, last.speed_mps / 1e3])
+        return flown[given]
+
+    def missed(x: Array) -> float:
+        return float(np.abs(ends(x)[:2]).sum())
+
+    def slowness(x: Array, *_: object) -> float:
+        return -float(ends(x)[2])
+
+    trials = [np.array([kick, tangent, -0.1]) for kick in (0.2, 0.4, 0.6, 0.8, 1.0, 1.5) for tangent in (0.3, 0.7, 1.2)]
+    level: Any = [{"type": "eq", "fun": lambda x: ends(x)[:2]}]
+    how: Any = {"ftol": 1e-5, "maxiter": 60, "eps": 1e-5}
+    for start in sorted(trials, key=missed)[:3]:
+        bounds = [(0.01, 9.0), (-2.0, 5.0), (-3.0, 2.0)]
+        found = minimize(slowness, start, method="SLSQP", bounds=bounds, constraints=level, options=how)
+        if missed(found.x) < 1e-2:
+            break
+    else:
+        raise ValueError(f"no ascent of its stages ends level at {altitude_m / 1e3:g} km")
+    model.kick_rad, model.tangents = 0.1 * float(found.x[0]), (float(found.x[1]), float(found.x[2]))
+    last = model.fly(2)[0][-1]
+    if (at := model.orbit(last)).perigee_m < altitude_m - 20e3:
+        speed, circular = last.speed_mps, math.sqrt(MU_m3ps2 / radius)
+        raise ValueError(
+            f"level at {altitude_m / 1e3:g} km it flies {speed:.0f} m/s relative to the Earth, short of the "
+            f"{circular:.0f} m/s (inertial) of an orbit: perigee {at.perigee_m / 1e3:.0f} km"
+        )
