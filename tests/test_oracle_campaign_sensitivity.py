@@ -13,11 +13,22 @@ import pytest
 from scipy import integrate, stats
 
 from maxq.sim.api import fly, load_scenario
-from maxq.sim.campaign.analysis import DataSet, bands, borgonovo, failed_runs, first_order, rank_correlation, selected
+from maxq.sim.campaign.analysis import (
+    DataSet,
+    bands,
+    borgonovo,
+    failed_runs,
+    first_order,
+    judged,
+    rank_correlation,
+    selected,
+)
+from maxq.sim.campaign.error import CampaignError
 from maxq.sim.campaign.investigation import search_worst, shrink_run
 from maxq.sim.campaign.read import load_campaign
 from maxq.sim.campaign.runner import run_campaign
 from maxq.tools import simrun
+from maxq.tools.campaign_report import tested
 
 
 def test_first_order_indices_of_ishigamis_function() -> None:
@@ -192,7 +203,7 @@ def test_the_report_stands_alone(tmp_path: Path, capsys: pytest.CaptureFixture[s
     assert summary["outcomes"] == {"duration": 40}
     first = summary["requirements"][1]
     assert first["shown"]["failures"] == 0
-    assert first["shown"]["more"] == 812
+    assert first["shown"]["more"] == 1104 - 40
     assert {p.name for p in (tmp_path / "out" / "pictures").iterdir()} >= {"histograms.png", "envelopes.png"}
     before = capsys.readouterr().out
     assert simrun.main(["--from", str(tmp_path / "out")]) == 3
@@ -211,6 +222,29 @@ def test_a_campaign_stops_when_its_verdicts_are_settled(tmp_path: Path) -> None:
     assert done.settled
     assert 8 < done.flown < 120
     assert run_campaign(campaign, tmp_path / "out", until_settled=True).flown == 0
+
+
+def test_a_fixed_number_of_runs_is_recorded_and_an_extension_said(tmp_path: Path) -> None:
+    """Judged at the recorded number only, whatever the file says later; another test is another campaign."""
+    file = campaignkit.write_campaign(tmp_path, runs=30, campaign='success = 0.9\ntest = "fixed"')
+    campaign, out = load_campaign(file), tmp_path / "out"
+    shown = {}
+    for runs in (30, 20, 34):
+        run_campaign(campaign.with_campaign(runs=max(runs, 30)), out)
+        shown[runs] = judged(DataSet(out, campaign, limit=runs))[0].shown
+    assert (shown[20].judgement, shown[20].more) == ("not yet enough runs", 10)
+    assert (shown[30].judgement, shown[30].test) == ("met", "fixed test of 30 runs")
+    assert shown[34].test.startswith("any-time test at")  # 0.9^30 = 4.2 % are spent
+    assert "5.8 % risk, which the fixed test of 30 runs left" in shown[34].test
+    with pytest.raises(CampaignError, match="looks at any time"):
+        run_campaign(campaign, out, until_settled=True)
+    file.write_text(file.read_text().replace('"fixed"', '"any-time"'))
+    with pytest.raises(CampaignError, match=r"campaign.test was \"fixed\", is \"any-time\""):
+        run_campaign(load_campaign(file), out)
+    (out / "runs" / "runs-0000000008-0000000015.parquet").unlink()  # as an interruption leaves it
+    data = DataSet(out, campaign)
+    assert (data.in_order, judged(data)[0].shown.runs) == (8, 8)
+    assert "runs from 8 on are not judged" in tested(data, judged(data))
 
 
 @pytest.mark.parametrize("reader", ["pandas", "polars", "duckdb"])

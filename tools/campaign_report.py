@@ -18,7 +18,7 @@ from maxq.sim.campaign.error import CampaignError
 from maxq.sim.campaign.plan import Draw
 from maxq.sim.campaign.read import LoadedCampaign, channel_units
 from maxq.sim.campaign.runner import Progress
-from maxq.sim.campaign.statistics import MET, NOT_MET
+from maxq.sim.campaign.statistics import ANY_TIME, MET, NOT_MET
 from maxq.sim.campaign.store import read_manifest, write_json
 from maxq.sim.files import write_whole
 from maxq.tools.cli import terminal
@@ -113,6 +113,15 @@ def headline(data: DataSet, verdicts: Sequence[Judged]) -> str:
     return f"MET ({level}): all {len(verdicts)} requirements; {failures}"
 
 
+def tested(data: DataSet, verdicts: Sequence[Judged]) -> str:
+    """How the verdicts were reached, in a sentence."""
+    said = f"judged by the {verdicts[0].shown.test}" if verdicts else ""
+    if verdicts and verdicts[0].shown.test == ANY_TIME:
+        said += ": verdicts hold whenever one looks, stops or flies on"
+    missing = len(data.runs) - data.in_order
+    return said + (f"; runs from {data.in_order} on are not judged: one before them is missing" if missing else "")
+
+
 def replay(folder: Path, run: int | str) -> str:
     """The command that flies a run again."""
     return f"simrun --from {shlex.quote(str(folder))} --run {run}"
@@ -132,6 +141,7 @@ def report(data: DataSet, verdicts: Sequence[Judged], losses: Sequence[Lost]) ->
         "",
         "requirements",
         *table,
+        f"  {tested(data, verdicts)}",
     ]
     rows = [(f"run {run.run}", run.outcome, printable(run.cause)[:90]) for run in losses[:5]]
     for v in verdicts:
@@ -190,7 +200,7 @@ def write_report(
         "campaign.html.j2", data=data, verdicts=verdicts, losses=losses, found=found, pictures=made, settled=settled,
         labels=labels, distribution=distribution, heads=heads(data), cells=cells, replay=replay,
         simulator=read_manifest(data.folder)["simulator"],
-        headline=headline(data, verdicts), redraws=analysis.redraws(data),
+        headline=headline(data, verdicts), tested=tested(data, verdicts), redraws=analysis.redraws(data),
         tone="bad" if NOT_MET in judgements else "good" if judgements == {MET} and len(data.runs) else "open",
     )  # fmt: skip  # eleven more lines otherwise
     files.append(write_whole(data.folder / "report.html", page, CampaignError))

@@ -124,7 +124,7 @@ def _tell(data: DataSet, total: int, flown: str, order: Order, start_s: float, s
     print("\n".join(text.report(data, verdicts, losses)))
     print(f"\n{flown}; {text.duration(time.perf_counter() - start_s)} in all", *files, sep="\n")
     if settled:
-        print("\nstopped early: every verdict is settled by a test that allows looking at any time")
+        print("\nstopped early: every verdict was settled")
     print("\n" + text.headline(data, verdicts))
     judgements = {v.shown.judgement for v in verdicts}
     if NOT_MET in judgements:

@@ -30,8 +30,8 @@ from maxq.control.kernel.records import Array, IntArray
 from maxq.sim.campaign.plan import SEED_KEY
 from maxq.sim.campaign.read import LoadedCampaign
 from maxq.sim.campaign.runs import TIME_OF, VOID, input_types, schema_of
-from maxq.sim.campaign.statistics import OPEN, Judgement, Shown, judge_any_time, judge_failures, tolerance_bound
-from maxq.sim.campaign.store import HISTORIES, parts_in, read_part
+from maxq.sim.campaign.statistics import Shown, judge_failures, tolerance_bound
+from maxq.sim.campaign.store import HISTORIES, parts_in, read_manifest, read_part
 from maxq.sim.run.metrics import unit_of
 from maxq.sim.scenario.schema_scenario import Requirement
 
@@ -62,10 +62,9 @@ class Judged:
     kind: str  # limit or minimum; empty as well
     bound: float
     shown: Shown
-    any_time: Judgement  # verdict that holds however often one looked
     median: float
     quantile: float  # of the share `success`, by the samples alone
-    tolerance: float  # bound of that quantile with confidence; nan: too few runs
+    tolerance: float  # bound of that quantile, as sure as the verdict; nan: too few runs
     worst: tuple[Worst, ...]
 
 
@@ -121,6 +120,20 @@ class DataSet:
         return runs if self.limit is None else runs[runs < self.limit]
 
     @cached_property
+    def in_order(self) -> int:
+        """Runs without a gap from the first one on: what verdicts are taken on. An interruption leaves gaps behind runs
+        that took long, and may have done so because they fail."""
+        gaps = np.flatnonzero(self.runs != np.arange(len(self.runs)))
+        return int(gaps[0]) if len(gaps) else len(self.runs)
+
+    @cached_property
+    def planned(self) -> int | None:
+        """Runs after which the fixed test judges, as recorded before the first was flown; None: the any-time test."""
+        if self.campaign.campaign.test != "fixed":
+            return None
+        return int(read_manifest(self.folder)["campaign"]["runs"])
+
+    @cached_property
     def outcomes(self) -> list[str]:
         return [str(outcome) for outcome in self.column("outcome").to_pylist()]
 
@@ -163,15 +176,14 @@ def judged(data: DataSet) -> list[Judged]:
 
 
 def _judged(data: DataSet, name: str, requirement: Requirement | None) -> Judged:
-    campaign, n = data.campaign.campaign, len(data.runs)
+    campaign, n = data.campaign.campaign, data.in_order
     level = campaign.success, campaign.confidence
 
-    def verdicts(failures: int) -> tuple[Shown, Judgement]:
-        return judge_failures(failures, n, *level), judge_any_time(failures, n, *level) if n else OPEN
+    def verdict(missed: np.ndarray) -> Shown:
+        return judge_failures(int(missed[:n].sum()), n, *level, data.planned)
 
     if requirement is None:
-        failures = int((~data.kept).sum())
-        return Judged(name, "", "", "", math.nan, *verdicts(failures), math.nan, math.nan, math.nan, ())
+        return Judged(name, "", "", "", math.nan, verdict(~data.kept), math.nan, math.nan, math.nan, ())
     kind, bound = ("limit", requirement.limit) if requirement.limit is not None else ("minimum", requirement.minimum)
     assert bound is not None
     upper = kind == "limit"
@@ -182,16 +194,17 @@ def _judged(data: DataSet, name: str, requirement: Requirement | None) -> Judged
     ranked = np.argsort(-values if upper else values, kind="stable")  # nan comes last
     order = [int(i) for i in ranked[:_WORST] if not np.isnan(values[i])]
     times = data.numbers(TIME_OF.format(requirement.metric)) if order else np.zeros(0)
+    shown = verdict(missed)
     return Judged(
         name,
         requirement.metric,
         unit_of(requirement.metric),
         kind,
         bound,
-        *verdicts(int(missed.sum())),
+        shown,
         median=float(np.median(good)) if len(good) else math.nan,
         quantile=float(np.quantile(good, level[0] if upper else 1.0 - level[0])) if len(good) else math.nan,
-        tolerance=tolerance_bound(values, *level, upper),
+        tolerance=tolerance_bound(values[:n], shown.allowed, upper),
         worst=tuple(Worst(int(data.runs[i]), float(values[i]), float(times[i])) for i in order),
     )
 
@@ -229,6 +242,8 @@ def summary_of(
         "description": data.campaign.base.scenario.description,
         "runs": len(data.runs),
         "wanted": wanted,
+        "judged_runs": data.in_order,
+        "test": verdicts[0].shown.test if verdicts else "",
         "seed": campaign.seed,
         "sampling": campaign.sampling,
         "success": campaign.success,

@@ -31,7 +31,7 @@ from maxq.sim.campaign.analysis import requirements_of
 from maxq.sim.campaign.error import CampaignError
 from maxq.sim.campaign.read import LoadedCampaign, campaign_from, description_of
 from maxq.sim.campaign.runs import VOID, Row, fly_rows, packer
-from maxq.sim.campaign.statistics import OPEN, judge_any_time
+from maxq.sim.campaign.statistics import OPEN, judge_failures
 from maxq.sim.campaign.store import Store, open_store, parts_in, read_part, simulator
 from maxq.sim.run.fly import FlightRun
 from maxq.sim.run.metrics import judge
@@ -106,7 +106,9 @@ class Interim:
     def settled(self) -> bool:
         """Whether the verdict on every requirement stands, however often one has looked."""
         n = self._in_order
-        return n > 0 and all(judge_any_time(t.failures_in_order, n, *self._level) != OPEN for t in self.tallies)
+        return n > 0 and all(
+            judge_failures(t.failures_in_order, n, *self._level).judgement != OPEN for t in self.tallies
+        )
 
 
 @dataclass
@@ -165,6 +167,8 @@ def run_campaign(
     `watch` is called with the progress a few times a second; when `stop` then says True, whole runs of the batch under
     way are written and it ends. Raises CampaignError.
     """
+    if until_settled and campaign.campaign.test == "fixed":
+        raise CampaignError(f"{campaign.name}: --until-settled looks at any time; campaign.test = 'fixed' does not")
     with ExitStack() as stack:
         flyers: Threads | Cluster
         if cluster is None:

@@ -89,6 +89,12 @@ class Campaign(Section):
     outside: Outside = optional(
         "a draw outside its bounds is drawn again and counted, or ends the campaign", "resample"
     )
+    test: Literal["any-time", "fixed"] = optional(
+        "how verdicts are reached: valid however often one looks and goes on, or after the number of runs that is "
+        "recorded before the first one is flown (a campaign that is extended is judged by the other one, with the risk "
+        "that is left)",
+        "any-time",
+    )
     success: Level = optional("share of flights that must meet a requirement", 0.9973)
     confidence: Level = optional("confidence with which that is to be shown", 0.90)
     batch: Annotated[int, Field(gt=0)] | None = optional(

@@ -1,8 +1,18 @@
-"""Exact verdicts from a number of flights: binomial confidence bounds and order statistics.
+"""Verdicts from a number of flights: tests that allow looking at any time, binomial bounds, order statistics.
 
-A requirement asks that a share `success` of all flights meets a limit, shown with `confidence`. With n flights of which
-k failed, it is shown to be met when flights that fail with probability 1 - success would give k failures or fewer in at
-most 1 - confidence of all campaigns (consumer's risk: Hanson & Beard, NASA/TP-2010-216447). All bounds are one-sided.
+A requirement asks that a share `success` of all flights meets a limit, shown with `confidence`: of all campaigns of a
+vehicle that fails with probability p0 = 1 - success or more, a share of at most 1 - confidence may ever be called met
+(consumer's risk: Hanson & Beard, NASA/TP-2010-216447), and as few of a vehicle that fails less often not met. All
+bounds are one-sided.
+
+*Any-time test*, the usual one. An e-value is the likelihood of what was seen under a mixture of failure probabilities
+on one side of p0, over that at p0. For a vehicle on the other side it is a supermartingale, so it ever exceeds 1/risk
+with probability at most `risk` (Ville's inequality; Robbins, Ann. Math. Statist. 41, 1970; Howard et al., Ann. Statist.
+49, 2021). So the verdict holds whenever one looks, stops or goes on.
+
+*Fixed test*: exact binomial, at a number of runs recorded before the first is flown. It has a size below the risk, as
+failures are counted in whole numbers. A campaign that is flown on is judged by the any-time test with the risk that is
+left, so that both together stay within it (union bound).
 
 The functions are those of scipy.special: scipy.stats takes a second to import, and a campaign needs these at its start.
 """
@@ -10,12 +20,13 @@ The functions are those of scipy.special: scipy.stats takes a second to import, 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Literal
 
 import numpy as np
-from scipy.special import bdtr, bdtrik, bdtrin, betainc, betaincc, betaincinv, betaln
+from scipy.special import bdtr, bdtrc, bdtrik, betainc, betaincc, betaincinv, betaln
 
 from maxq.control.kernel.records import Array
 
@@ -23,6 +34,8 @@ Judgement = Literal["met", "not met", "not yet enough runs"]
 MET: Judgement = "met"
 NOT_MET: Judgement = "not met"
 OPEN: Judgement = "not yet enough runs"
+_MOST_RUNS = 1 << 50
+_POWER = 0.5  # of the density of failure probabilities below p0, p^(_POWER - 1): few runs where none or few fail
 
 
 def failure_upper(failures: int, runs: int, confidence: float) -> float:
@@ -36,30 +49,20 @@ def failure_lower(failures: int, runs: int, confidence: float) -> float:
 
 
 @lru_cache(maxsize=1024)
-def runs_for(failures: int, success: float, confidence: float) -> int:
-    """Least number of runs with which `failures` of them still show that the requirement is met."""
-    runs = max(math.ceil(bdtrin(failures, 1.0 - confidence, 1.0 - success)), failures + 1)
-    while _shown(failures, runs - 1, success, confidence):  # the inverse may be a rounding error off
-        runs -= 1
-    while not _shown(failures, runs, success, confidence):
-        runs += 1
-    return runs
-
-
 def allowed_failures(runs: int, success: float, confidence: float) -> int:
-    """Most failures in `runs` with which the requirement is shown to be met; -1: not even with none."""
-    if not runs or not _shown(0, runs, success, confidence):
+    """Most failures with which a fixed test of `runs` shows the requirement to be met; -1: not even with none."""
+
+    def shown(failures: int) -> bool:
+        return bool(bdtr(failures, runs, 1.0 - success) <= 1.0 - confidence)
+
+    if not runs or not shown(0):
         return -1
     allowed = max(math.floor(bdtrik(1.0 - confidence, runs, 1.0 - success)), 0)
-    while not _shown(allowed, runs, success, confidence):  # as above
+    while not shown(allowed):  # the inverse may be a rounding error off
         allowed -= 1
-    while _shown(allowed + 1, runs, success, confidence):
+    while shown(allowed + 1):
         allowed += 1
     return allowed
-
-
-def _shown(failures: int, runs: int, success: float, confidence: float) -> bool:
-    return bool(bdtr(failures, runs, 1.0 - success) <= 1.0 - confidence)
 
 
 @dataclass(frozen=True)
@@ -70,78 +73,135 @@ class Shown:
     runs: int
     failures: int
     success: float  # estimate
-    success_least: float  # lower confidence bound
+    success_least: float  # lower confidence bound, by the test that judges
     success_most: float  # upper confidence bound
-    allowed: int  # failures with which it would be met; -1: too few runs for any
+    allowed: int  # failures with which it would be met after so many runs; -1: too few runs for any
     more: int  # further runs needed, all of them without failure; 0 where it is settled
+    test: str  # by which test, in words
 
 
-def judge_failures(failures: int, runs: int, success: float, confidence: float) -> Shown:
-    """Verdict on a requirement after a number of runs that was fixed beforehand."""
-    if runs == 0:
-        return Shown(OPEN, 0, 0, math.nan, 0.0, 1.0, -1, runs_for(0, success, confidence))
-    upper, lower = failure_upper(failures, runs, confidence), failure_lower(failures, runs, confidence)
-    judgement: Judgement = OPEN
-    more = 0
-    if _shown(failures, runs, success, confidence):
-        judgement = MET
-    elif lower > 1.0 - success:
-        judgement = NOT_MET
-    else:
-        more = runs_for(failures, success, confidence) - runs
-    allowed = allowed_failures(runs, success, confidence)
-    return Shown(judgement, runs, failures, 1.0 - failures / runs, 1.0 - upper, 1.0 - lower, allowed, more)
+ANY_TIME = "any-time test"
 
 
-def tolerance_bound(values: Array, success: float, confidence: float, largest: bool = True) -> float:
-    """Value that a share `success` of all flights does not exceed, with `confidence`: an order statistic.
+@lru_cache(maxsize=4096)
+def judge_failures(failures: int, runs: int, success: float, confidence: float, planned: int | None = None) -> Shown:
+    """Verdict on a requirement; the runs are the first ones in order, without a gap.
 
-    With k allowed failures it is the (k + 1)-th largest value; nan where there are too few. `largest` False: the value
-    that they do not fall short of. nan among the values counts as worst.
+    `planned`: the number of runs recorded beforehand, at which the fixed test judges; None: the any-time test.
     """
-    k = allowed_failures(len(values), success, confidence)
-    if k < 0:
+    p, risk = 1.0 - success, 1.0 - confidence
+    estimate = 1.0 - failures / runs if runs else math.nan
+    judgement, test, risks = OPEN, ANY_TIME, (risk, risk)
+    if planned is not None:
+        test = f"fixed test of {planned} runs"
+        allowed, refused = allowed_failures(planned, success, confidence), _least_refused(planned, p, risk)
+        if runs <= planned:
+            if runs == planned:
+                judgement = MET if failures <= allowed else NOT_MET if failures >= refused else OPEN
+            low, high = failure_lower(failures, runs, confidence), failure_upper(failures, runs, confidence)
+            more = planned - runs
+            if runs == planned and judgement == OPEN:
+                more = _runs_needed(failures, runs + 1, p, _left(risk, allowed, refused, planned, p)[0]) - runs
+            return Shown(judgement, runs, failures, estimate, 1.0 - high, 1.0 - low, allowed, more, test)
+        risks = _left(risk, allowed, refused, planned, p)
+        test = f"{ANY_TIME} at {100.0 * risks[0]:.2g} % risk, which the {test} left"
+    if runs and evidence_missed(failures, runs, p) >= -math.log(risks[1]):
+        judgement = NOT_MET
+    elif runs and evidence_met(failures, runs, p) >= -math.log(risks[0]):
+        judgement = MET
+    low, high = confidence_sequence(failures, runs, confidence)
+    more = _runs_needed(failures, runs, p, risks[0]) - runs if judgement == OPEN else 0
+    allowed = _allowed_any_time(runs, p, risks[0])
+    return Shown(judgement, runs, failures, estimate, 1.0 - high, 1.0 - low, allowed, more, test)
+
+
+def _left(risk: float, allowed: int, refused: int, planned: int, p: float) -> tuple[float, float]:
+    """Risks, of a false "met" and a false "not met", that a fixed test leaves to runs beyond it."""
+    spent = (float(bdtr(allowed, planned, p)) if allowed >= 0 else 0.0, float(bdtrc(refused - 1, planned, p)))
+    return max(risk - spent[0], 1e-300), max(risk - spent[1], 1e-300)
+
+
+def _least_refused(runs: int, p: float, risk: float) -> int:
+    """Fewest failures with which a fixed test of `runs` shows that the requirement is not met; runs + 1: none do."""
+    return _least(lambda k: k > runs or bool(bdtrc(k - 1, runs, p) <= risk), 1)
+
+
+def _runs_needed(failures: int, runs: int, p: float, risk: float) -> int:
+    """Least number of runs, `runs` or more, with which so many failures are shown to be few enough at any time."""
+
+    def enough(n: int) -> bool:
+        return evidence_met(failures, n, p) >= -math.log(risk)
+
+    return _least(enough, max(runs, failures, 1))
+
+
+def _least(holds: Callable[[int], bool], first: int) -> int:
+    """Least whole number from `first` on for which a monotone condition holds."""
+    step = 1
+    while not holds(first + step - 1) and step < _MOST_RUNS:
+        step *= 2
+    low, high = first + step // 2, first + step - 1
+    while low < high:
+        middle = (low + high) // 2
+        low, high = (low, middle) if holds(middle) else (middle + 1, high)
+    return high
+
+
+def _allowed_any_time(runs: int, p: float, risk: float) -> int:
+    if not runs:
+        return -1
+    return _least(lambda k: k > runs or evidence_met(k, runs, p) < -math.log(risk), 0) - 1
+
+
+def confidence_sequence(failures: int, runs: int, confidence: float) -> tuple[float, float]:
+    """Bounds of the probability of failure, each with `confidence` at all times together: what the tests let stand."""
+    needed = -math.log(1.0 - confidence)
+    share = failures / runs if runs else 0.0
+
+    def bound(evidence: Callable[[int, int, float], float], inside: float, end: float) -> float:
+        if runs == 0 or evidence(failures, runs, end) < needed:
+            return round(end)
+        outside = end
+        for _ in range(45):
+            middle = 0.5 * (inside + outside)
+            rejected = evidence(failures, runs, middle) >= needed
+            inside, outside = (inside, middle) if rejected else (middle, outside)
+        return outside
+
+    return bound(evidence_missed, share, 1e-12), bound(evidence_met, share, 1.0 - 1e-12)
+
+
+def tolerance_bound(values: Array, allowed: int, largest: bool = True) -> float:
+    """The (allowed + 1)-th largest of `values`, an order statistic; nan where none is allowed.
+
+    With the failures that a test allows (`Shown.allowed`), the share `success` of all flights does not exceed it, with
+    that test's confidence. `largest` False: the value that they do not fall short of. nan counts as worst.
+    """
+    if allowed < 0:
         return math.nan
     worst = np.where(np.isnan(values), np.inf, values if largest else -values)
-    found = float(np.partition(worst, len(worst) - 1 - k)[len(worst) - 1 - k])
+    found = float(np.partition(worst, len(worst) - 1 - allowed)[len(worst) - 1 - allowed])
     return found if largest else -found
 
 
-def evidence_met(failures: int, runs: int, success: float) -> float:
-    """log of an e-value against "fails too often": a mixture of likelihood ratios, at any number of runs.
-
-    Under a probability of failure p >= p0 = 1 - success the mixture over p uniform below p0 is a supermartingale, so it
-    ever exceeds 1/(1 - confidence) with probability at most 1 - confidence (Ville): one may look after every run.
-    """
-    p, k, n = 1.0 - success, failures, runs
-    inside = float(betainc(k + 1, n - k + 1, p))
+def evidence_met(failures: int, runs: int, p: float) -> float:
+    """log of the e-value against "fails with probability p or more"; the mixture has the density q^-0.5 below p."""
+    k, n = failures, runs
+    inside = float(betainc(k + _POWER, n - k + 1, p))
     if inside <= 0.0:
         return -math.inf
-    mixture = float(betaln(k + 1, n - k + 1)) + math.log(inside) - math.log(p)
-    return mixture - _log_likelihood(k, n, p)
+    mixture = float(betaln(k + _POWER, n - k + 1)) + math.log(inside)
+    return mixture + math.log(_POWER) - _POWER * math.log(p) - _log_likelihood(k, n, p)
 
 
-def evidence_missed(failures: int, runs: int, success: float) -> float:
-    """log of an e-value against "fails rarely enough"; the mixture is log-uniform over p above p0."""
-    p, k, n = 1.0 - success, failures, runs
-    if k == 0:
-        return -math.inf
-    outside = float(betaincc(k, n - k + 1, p))
+def evidence_missed(failures: int, runs: int, p: float) -> float:
+    """log of the e-value against "fails with probability p or less"; the mixture is log-uniform above p."""
+    k, n = failures, runs
+    outside = float(betaincc(k, n - k + 1, p)) if k else 0.0
     if outside <= 0.0:
         return -math.inf
     mixture = float(betaln(k, n - k + 1)) + math.log(outside) - math.log(math.log(1.0 / p))
     return mixture - _log_likelihood(k, n, p)
-
-
-def judge_any_time(failures: int, runs: int, success: float, confidence: float) -> Judgement:
-    """Verdict that stays true however often one looks: what a sequential campaign stops at.
-
-    It asks for more runs than a number fixed beforehand: 1337 instead of 852 without failure for 99.73 % at 90 %.
-    """
-    needed = -math.log(1.0 - confidence)
-    if evidence_met(failures, runs, success) >= needed:
-        return MET
-    return NOT_MET if evidence_missed(failures, runs, success) >= needed else OPEN
 
 
 def _log_likelihood(k: int, n: int, p: float) -> float:
