@@ -25,26 +25,25 @@ from maxq.design.loop.fixed_path import Cut, FixedPath, Kind, fixed_path
 from maxq.design.loop.loop import Loop
 from maxq.design.model.dispersion import Dispersion, disperse, imposed, read_derivatives
 from maxq.design.model.errata import CORRECTED, PRESETS, Errata
-from maxq.design.model.node import Node, nodes_along
+from maxq.design.model.node import Node, node_times, nodes_along
 from maxq.design.model.vehicle_at import Plane
 from maxq.sim.scenario.loader import LoadedScenario, load_scenario
 from maxq.sim.scenario.schema_design import Design
 
 Plant = Literal["flown", "table2"]
-PAPER_TIMES_S = tuple(float(t) for t in range(5, 60, 5))
-"""The paper's nodes."""
 
 
 def nodes(
     scenario: LoadedScenario | str | Path,
-    times_s: Iterable[float] = PAPER_TIMES_S,
+    times_s: Iterable[float] | None = None,
     *,
     plane: Plane = "pitch",
     errata: Errata | str = CORRECTED,
     plant: Plant = "flown",
     faults: bool = False,
 ) -> list[Node]:
-    """Nodes along a flight of the scenario (loaded, a file, or a built-in name), at vehicle times in s.
+    """Nodes along a flight of the scenario (loaded, a file, or a built-in name), at vehicle times in s; by default at
+    such as suit the flight, stage by stage under full thrust (`node_times`).
 
     `plant`: the vehicle as flown, or with the derivatives of the paper's Table 2 (design/model/dispersion.py).
     `errata`: switches, or the name of a preset. `faults`: with what the scenario lets fail.
@@ -52,7 +51,8 @@ def nodes(
     if plant not in ("flown", "table2"):
         raise ValueError(f"plant = {plant!r}: allowed is flown, table2")
     loaded = scenario if isinstance(scenario, LoadedScenario) else load_scenario(scenario)
-    found = nodes_along(loaded, times_s, plane, preset(errata), faults)
+    times = node_times(loaded) if times_s is None else times_s
+    found = nodes_along(loaded, times, plane, preset(errata), faults)
     return imposed(found, read_derivatives()) if plant == "table2" else found
 
 
@@ -125,6 +125,6 @@ def loop(
 
 
 __all__ = [
-    "PAPER_TIMES_S", "Dispersion", "Errata", "Loop", "Node", "close", "disperse", "fixed_path", "law_at",
-    "load_design", "loop", "loops", "nodes", "preset",
+    "Dispersion", "Errata", "Loop", "Node", "close", "disperse", "fixed_path", "law_at",
+    "load_design", "loop", "loops", "node_times", "nodes", "preset",
 ]  # fmt: skip  # twelve more lines otherwise

@@ -25,7 +25,7 @@ from maxq.design.certificate.measured_margins import (
 )
 from maxq.design.certificate.response import BANDS, UNEXPLAINED, ResponseTable, measured_response
 from maxq.design.margins.measure import Margins, margins
-from maxq.design.model.node import Node
+from maxq.design.model.node import Node, node_times
 from maxq.design.model.vehicle_at import Plane
 from maxq.sim.scenario.loader import LoadedScenario
 
@@ -106,7 +106,7 @@ class NodeCertificate:
 
 def certify(
     loaded: LoadedScenario,
-    times_s: Iterable[float] = api.PAPER_TIMES_S,
+    times_s: Iterable[float] | None = None,
     planes: Iterable[Plane] = PLANES,
     *,
     workers: int = 2,
@@ -116,10 +116,12 @@ def certify(
 ) -> list[NodeCertificate]:
     """Certificates of the scenario's design, planes within nodes, whatever the number of workers.
 
+    `times_s`: vehicle times; None for such as suit the flight (`api.nodes`).
+
     `one` certifies a node, by default `certify_node` (design/verify/verify.py gives one that remembers). `along`: the
     scenario whose flight gives the nodes their speed and air, by default the same.
     """
-    times = list(times_s)
+    times = node_times(along or loaded) if times_s is None else tuple(times_s)
     found = {plane: api.nodes(along or loaded, times, plane=plane) for plane in planes}
     jobs = [node for each in zip(*found.values(), strict=True) for node in each]
 

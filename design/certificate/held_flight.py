@@ -120,14 +120,14 @@ def slosh_columns(run: FlightRun, plane: Plane) -> list[int]:
 def hold(loaded: LoadedScenario, node: Node, fault: Change | None = None) -> HeldFlight:
     """Hold the scenario at a node of its flight, in the node's plane.
 
-    Valid for a vehicle of one stage under thrust. Raises ValueError where the axial load is not positive, the
-    scenario has no design, or the vehicle has several stages.
+    Valid under thrust: of several stages the one that burns at the node is held, by itself. Raises ValueError where
+    the axial load is not positive, the scenario has no design, or something of that later stage fails.
     """
     scenario = loaded.scenario
     if scenario.design is None:
         raise ValueError(f"{loaded.label}: there is no design, and so no loop to hold")
-    if len(scenario.vehicle.stage) > 1:
-        raise ValueError(f"{loaded.label}: only vehicles of one stage can be held, this one has several")
+    if node.stage > 0 and any(fault.stage in (None, node.stage) for fault in scenario.fault):
+        raise ValueError(f"{loaded.label}: faults of stage {node.stage + 1} cannot be held")
     load = axial_load_mps2(node.vehicle, node.condition)
     if load <= 0.0:
         raise ValueError(f"node at {node.time_s:g} s: the axial load is {load:g} m/s2: allowed is above 0")
@@ -137,7 +137,9 @@ def hold(loaded: LoadedScenario, node: Node, fault: Change | None = None) -> Hel
         label=f"{loaded.label} held at {node.time_s:g} s",
     )
     packed = pack_flight(held.scenario)
-    same = dataclasses.replace(node_of(packed, node.time_s, 0, node.plane, node.errata), liquids=node.liquids)
+    same = dataclasses.replace(
+        node_of(packed, node.time_s, 0, node.plane, node.errata), liquids=node.liquids, stage=node.stage
+    )
     return HeldFlight(held, packed, same, node.time_s, node.plane, fault or unchanged)
 
 
@@ -147,7 +149,11 @@ def _stillness(scenario: Scenario, node: Node, load_mps2: float) -> dict[str, ob
     temperature = (air.airspeed_mps / air.mach) ** 2 / (HEAT_RATIO * GAS_CONSTANT_Jpkg_K) if air.mach > 0 else 288.15
     fast = 1.0 / node.instruments.sample_s
     assert scenario.design is not None
+    vehicle = scenario.vehicle
+    alone = vehicle.stage[node.stage].model_copy(update={"separation_s": None, "separation_after_burnout_s": None})
     return {
+        "vehicle": vehicle.model_copy(update={"stage": (alone,)}),
+        "fault": scenario.fault if node.stage == 0 else (),
         "design": law_kind(scenario.design.law).frozen(scenario.design, node.time_s),
         "earth": Earth(shape="flat", rotating=False, gravity="uniform", uniform_mps2=load_mps2),
         "atmosphere": Atmosphere(
@@ -163,7 +169,12 @@ def _stillness(scenario: Scenario, node: Node, load_mps2: float) -> dict[str, ob
         "injection": (),
         "fault": (),
         "requirement": (),
-        "run": Run(step_s=scenario.run.step_s, seed=scenario.run.seed, freeze_vehicle_at_s=node.time_s, stop_at=()),
+        "run": Run(
+            step_s=scenario.run.step_s,
+            seed=scenario.run.seed,
+            freeze_vehicle_at_s=round(node.time_s - node.stage_start_s, 9),
+            stop_at=(),
+        ),
         "log": Log(fast_hz=fast, slow_hz=1.0, transform_hz=1.0),
     }
 

@@ -23,6 +23,7 @@ from maxq.design import api
 from maxq.design.certificate.excitation import SHARE_OF_BURST, gimbal_injection
 from maxq.design.certificate.held_flight import fast_rows
 from maxq.design.certificate.response import NOISE, NOISE_SIGMAS, UNEXPLAINED, decibels, degrees
+from maxq.design.model.node import Span, spans_of
 from maxq.design.model.state_space import ComplexArray
 from maxq.design.model.vehicle_at import Plane
 from maxq.sim.packing.flight import pack_flight
@@ -74,8 +75,10 @@ def in_flight_response(loaded: LoadedScenario, times_s: Sequence[float], plane: 
     end_s = max(times_s) + 0.5 * WINDOW_S
     quiet, excited = (_flown(loaded, signals, plane, end_s) for signals in ((), (signal,)))
     sample_s = quiet.sample_s
-    windows = [_window(t, quiet.powered_s, min(quiet.ends_s, excited.ends_s)) for t in times_s]
+    spans = [Span(a.stage, a.begin_s, min(a.end_s, b.end_s)) for a, b in zip(quiet.spans, excited.spans, strict=False)]
+    windows = [_window(t, spans) for t in times_s]
     across = [tuple(t + share * (w[1] - w[0]) for share in ACROSS) for t, w in zip(times_s, windows, strict=True)]
+    begun_s = [next(span.begin_s for span in spans if span.holds(t)) for t in times_s]
     nodes = api.nodes(loaded, [x for each in across for x in each], plane=plane)
     out = []
     for k, (time_s, (begin, end)) in enumerate(zip(times_s, windows, strict=True)):
@@ -90,7 +93,7 @@ def in_flight_response(loaded: LoadedScenario, times_s: Sequence[float], plane: 
         error = u_noise * np.abs(1.0 + measured) / np.abs(u)
         spread, turn = np.ptp(decibels(responses), axis=0), np.degrees(np.ptp(np.angle(responses / frozen), axis=0))
         poles = mine[len(mine) // 2].closed_poles()
-        rings = poles[-poles.real * (begin - quiet.powered_s) < 3.0]
+        rings = poles[-poles.real * (begin - begun_s[k]) < 3.0]
         near = [bool((np.abs(np.abs(rings.imag) / (2.0 * np.pi) - f) < 0.5).any()) for f in lines]
         reasons = tuple(
             _reason(complex(measured[i] / frozen[i]), float(error[i]), float(spread[i]), float(turn[i]), near[i])
@@ -100,36 +103,48 @@ def in_flight_response(loaded: LoadedScenario, times_s: Sequence[float], plane: 
     return out
 
 
-def _window(time_s: float, from_s: float, to_s: float) -> tuple[float, float]:
+def _half(time_s: float, span: Span) -> float:
+    """Half the length of the window about a time."""
+    return min(0.5 * WINDOW_S, time_s - span.begin_s - SETTLE_S, span.end_s - time_s - 0.1)
+
+
+def fits(time_s: float, spans: Sequence[Span]) -> bool:
+    """Whether a window about a time lies within a powered span."""
+    return any(_half(time_s, span) >= 0.2 * WINDOW_S for span in spans)
+
+
+def _window(time_s: float, spans: Sequence[Span]) -> tuple[float, float]:
     """About a time, of equal length on both sides."""
-    half = min(0.5 * WINDOW_S, time_s - from_s - SETTLE_S, to_s - time_s - 0.1)
-    if half < 0.2 * WINDOW_S:
+    if not fits(time_s, spans):
+        least, allowed = SETTLE_S + 0.2 * WINDOW_S, []
+        for span in spans:
+            allowed.append(f"{span.begin_s + least:.6g} s to {span.end_s - 0.1 - 0.2 * WINDOW_S:.6g} s")
         raise ValueError(
-            f"{time_s:g} s is too near to the flight's ends: allowed is {from_s + SETTLE_S + 2:g} s and on"
+            f"node at {time_s:g} s: too near to the ends of thrust to be measured in flight; "
+            f"allowed is {', '.join(allowed)}, or certificate.in_flight = false"
         )
+    half = max(_half(time_s, span) for span in spans)
     return time_s - half, time_s + half
 
 
 def _amplitude_deg(loaded: LoadedScenario) -> float:
-    """Of each line: together they stay below the share of gimbal rate and angle that a burst may take."""
-    stage = loaded.vehicle.stage[0]
-    if stage.actuator is None:
-        return COMMAND_DEG
-    together = math.sqrt(2.0 * len(LINES_HZ))  # crest of many sines
-    omega, zeta = 2.0 * math.pi * stage.actuator.omega_hz[0], stage.actuator.zeta[0]
-    by_rate = SHARE_OF_BURST * stage.actuator.rate_limit_degps * 2.0 * zeta / omega / together
-    return min(COMMAND_DEG, by_rate)
+    """Of each line: together they stay below the share of every stage's gimbal rate and angle that a burst may take."""
+    out = COMMAND_DEG
+    for actuator in (stage.actuator for stage in loaded.vehicle.stage if stage.actuator is not None):
+        together = math.sqrt(2.0 * len(LINES_HZ))  # crest of many sines
+        omega, zeta = 2.0 * math.pi * actuator.omega_hz[0], actuator.zeta[0]
+        out = min(out, SHARE_OF_BURST * actuator.rate_limit_degps * 2.0 * zeta / omega / together)
+    return out
 
 
 @dataclass(frozen=True)
 class _Ascent:
-    """Filter output and gimbal command (deg), one entry a sample from time zero; powered from and until, s."""
+    """Filter output and gimbal command (deg), one entry a sample from time zero, and where stages were powered."""
 
     filtered: Array
     command: Array
     sample_s: float
-    powered_s: float
-    ends_s: float
+    spans: tuple[Span, ...]
 
 
 def _flown(loaded: LoadedScenario, signals: tuple[Injection, ...], plane: Plane, end_s: float) -> _Ascent:
@@ -141,13 +156,10 @@ def _flown(loaded: LoadedScenario, signals: tuple[Injection, ...], plane: Plane,
     scenario = scenario.model_copy(update={"injection": signals, "fault": (), "run": run_s, "log": log})
     run = FlightRun(dataclasses.replace(loaded, scenario=scenario), pack_flight(scenario))
     rows = fast_rows(run)
-    events = {e.name: e.time_s for e in run.events}
     filtered, command = (
         rows[:, run.table.index(name)] for name in (f"filtered_{plane}_deg", f"gimbal_{plane}_command_deg")
     )
-    powered_s = events.get("liftoff", scenario.run.start_s)
-    ends_s = min(events.get("burnout", run.now_s), run.now_s)
-    return _Ascent(filtered, command, computer.sample_s, powered_s, ends_s)
+    return _Ascent(filtered, command, computer.sample_s, spans_of(run.events, len(scenario.vehicle.stage), run.now_s))
 
 
 def _at_lines(samples: Array, lines_hz: Array, sample_s: float) -> tuple[ComplexArray, float]:

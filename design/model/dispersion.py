@@ -122,16 +122,17 @@ def _vehicle(node: Node, by: Dispersion) -> VehicleAt:
 
 
 def with_lateral_thrust(vehicle: VehicleAt, node: Node, factor: float) -> VehicleAt:
-    """The vehicle with `factor` times the thrust; drag makes up for it, so that the axial load stays."""
+    """The vehicle with `factor` times the thrust; drag makes up for it, so that the axial load stays. Where there is no
+    air the axial load changes with the thrust.
+    """
     if factor == 1.0:
         return vehicle
     air, condition = vehicle.aerodynamics, node.condition
     more = (factor - 1.0) * vehicle.thrust_N(condition.pressure_Pa)
-    if condition.dynamic_pressure_Pa * air.area_m2 == 0.0:
-        raise ValueError("lateral thrust can be changed on its own only where there is drag to make up for it")
     each = [(e, (factor - 1.0) * e.thrust_N(condition.pressure_Pa)) for e in vehicle.engines]
     engine, *others = (dataclasses.replace(e, vacuum_thrust_N=e.vacuum_thrust_N + own) for e, own in each)
-    air = dataclasses.replace(air, axial=air.axial + more / (condition.dynamic_pressure_Pa * air.area_m2))
+    if condition.dynamic_pressure_Pa * air.area_m2 > 0.0:
+        air = dataclasses.replace(air, axial=air.axial + more / (condition.dynamic_pressure_Pa * air.area_m2))
     return dataclasses.replace(vehicle, engine=engine, further_engines=tuple(others), aerodynamics=air)
 
 

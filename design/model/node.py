@@ -25,10 +25,13 @@ from maxq.design.model.vehicle_at import (
     instruments_of,
     vehicle_at,
 )
+from maxq.sim.flight.parameters import NEVER
 from maxq.sim.packing.flight import Packed, pack_flight
 from maxq.sim.packing.initial import rotation
 from maxq.sim.run.evaluate import evaluate_at
-from maxq.sim.run.fly import FlightRun
+from maxq.sim.run.fly import IGNITION_NAME, Event, FlightRun
+from maxq.sim.scenario.burn import Burn, stage_burns
+from maxq.sim.scenario.coverage import burn_rate
 from maxq.sim.scenario.loader import LoadedScenario
 from maxq.sim.scenario.ranges import LONGEST_S
 from maxq.sim.scenario.schema_vehicle import Stage
@@ -49,6 +52,8 @@ class Node:
     errata: Errata = CORRECTED
     liquids: Liquids | None = None  # needed only for the errata of the tanks; of the nominal vehicle
     label: str = ""
+    stage: int = 0  # which one burns, from 0
+    stage_start_s: float = 0.0  # zero of that stage's clock on the vehicle clock
 
     @cached_property
     def plant(self) -> StateSpace:
@@ -94,6 +99,78 @@ class Node:
         return disperse(self, Dispersion(**deviations))
 
 
+@dataclass(frozen=True)
+class Span:
+    """A stretch of the flight, s on the vehicle clock, in which a stage is under thrust and off the pad."""
+
+    stage: int  # from 0
+    begin_s: float
+    end_s: float
+
+    def holds(self, time_s: float) -> bool:
+        return self.begin_s <= time_s <= self.end_s
+
+
+def powered_spans(scenario: LoadedScenario) -> tuple[Span, ...]:
+    """Of each stage that burns, flown up to the last burn-out without a log."""
+    run = FlightRun(scenario, pack_flight(scenario.scenario), log=False)
+    last = len(run.packed.parameters) - 1
+    while not run.finished and int(run.memory.clock.stage_burnout_ns[last]) < 0:
+        run.fly_segment()
+    return spans_of(run.events, len(run.packed.parameters), run.now_s)
+
+
+def spans_of(events: Iterable[Event], stages: int, now_s: float) -> tuple[Span, ...]:
+    """What the events of a flight of so many stages say of its powered spans up to `now_s`."""
+    found = list(events)
+    lift_off_s = next((e.time_s for e in found if e.name == "liftoff"), -math.inf)
+    out = []
+    for n in range(stages):
+        mine = [e for e in found if e.stage == (n + 1 if stages > 1 else 0)]
+        begin_s = next((e.time_s for e in mine if e.name == IGNITION_NAME), math.inf)
+        end_s = min([now_s, *(e.time_s for e in mine if e.name in ("burnout", "separation"))])
+        if max(begin_s, lift_off_s) < end_s:
+            out.append(Span(n, max(begin_s, lift_off_s), end_s))
+    return tuple(out)
+
+
+NODES_PER_STAGE = 11
+_FULL = 0.5  # share of a stage's largest thrust that nodes need
+_EDGES = 0.05, 0.02  # shares of a span that nodes keep off its ends
+
+
+def node_times(scenario: LoadedScenario, count: int = NODES_PER_STAGE, stage: int | None = None) -> tuple[float, ...]:
+    """Times of nodes that suit a flight: `count` in each stage (or one of them), evenly under full thrust.
+
+    Stages whose engines cannot be moved have none. Raises ValueError where there is no stage left.
+    """
+    times: list[float] = []
+    stages, burns = scenario.vehicle.stage, stage_burns(scenario.scenario)
+    for span in powered_spans(scenario):
+        mine = stages[span.stage]
+        if stage in (None, span.stage) and any(engine.gimbal != "fixed" for engine in mine.engines):
+            full = _full_thrust(mine, burns[span.stage])
+            begin, end = max(span.begin_s, full[0]), min(span.end_s, full[1])
+            edges = (begin + _EDGES[0] * (end - begin), end - _EDGES[1] * (end - begin))
+            times += [round(float(t), 3) for t in np.linspace(*edges, count)]
+    if not times:
+        which = "no stage" if stage is None else f"stage {stage + 1} not"
+        raise ValueError(f"{scenario.label}: {which} under thrust by engines that can be moved; there is no node")
+    return tuple(times)
+
+
+def _full_thrust(stage: Stage, burn: Burn) -> tuple[float, float]:
+    """First and last instant on the vehicle clock of half the largest thrust by the tables."""
+    tables = [engine.table for engine in stage.engines]
+    if any(len(table) == 1 for table in tables):
+        return -math.inf, math.inf
+    times = np.unique(np.concatenate([table["time_s"] for table in tables]))
+    thrust = sum(np.interp(times, table["time_s"], table["thrust_vacuum_N"], right=0.0) for table in tables)
+    ends = times[thrust >= _FULL * np.max(thrust)][[0, -1]]
+    begin, end = ends / burn_rate(stage) if burn.clock is None else burn.clock.when(ends)
+    return burn.start_s + float(begin), burn.start_s + float(end)
+
+
 def nodes_along(
     scenario: LoadedScenario, times_s: Iterable[float], plane: Plane = "pitch", errata: Errata = CORRECTED,
     faults: bool = False,
@@ -124,25 +201,34 @@ def _node(run: FlightRun, time_s: float, plane: Plane, errata: Errata) -> Node:
     at_ns = round(time_s * 1e9 / step_ns) * step_ns
     begins_s = run.now_s
     if at_ns < round(begins_s * 1e9):
-        raise ValueError(f"node at {time_s:g} s: the flight begins at {begins_s:g} s")
+        raise ValueError(f"node at {time_s:g} s: the flight begins at {begins_s:g} s; {_allowed(run)}")
     if round(run.now_s * 1e9) < at_ns:
         run.fly_segment(at_ns)
-    events = ", ".join(f"{e.name} at {e.time_s:.4g} s" for e in run.events)
     if round(run.now_s * 1e9) != at_ns:
+        events = ", ".join(f"{e.title} at {e.time_s:.4g} s" for e in run.events)
         raise ValueError(f"node at {time_s:g} s: the flight ends at {run.now_s:.6g} s ({events or 'no events'})")
     clock = run.memory.clock
     held = run.memory.held
     if held.on_pad == 1 or held.burning == 0:
         why = "the vehicle is held down" if held.on_pad == 1 else "the engine does not burn"
-        raise ValueError(
-            f"node at {time_s:g} s: {why} ({events or 'no events yet'}); allowed is from lift-off to burn-out"
-        )
+        raise ValueError(f"node at {time_s:g} s: {why}; {_allowed(run)}")
     stage = int(clock.stage)
     node = node_of(run.packed, at_ns / 1e9, stage, plane, errata)
     timeline = run.packed.parameters[stage].timeline
     clock_s = float(timeline.burn_rate) * (at_ns - int(timeline.stage_start_ns)) / 1e9
     clock_s = float(timeline.frozen_s) if timeline.frozen == 1 else clock_s
     return dataclasses.replace(node, liquids=_liquids(run.loaded.scenario.vehicle.stage[stage], clock_s, node))
+
+
+def _allowed(run: FlightRun) -> str:
+    """Times under thrust, as the stages' timelines have them."""
+    spans: list[str] = []
+    for row in run.packed.parameters:
+        begin_ns, end_ns = int(row.timeline.burn_start_ns), int(row.timeline.burnout_ns)
+        if begin_ns < end_ns:
+            begin = f"{max(begin_ns, 0) / 1e9:.6g} s" if spans else "lift-off"
+            spans.append(f"{begin} to {f'{end_ns / 1e9:.6g} s' if end_ns < NEVER else 'the end'}")
+    return f"allowed are times under thrust: {', '.join(spans) or 'there are none'}"
 
 
 def _trim(flow: Array) -> Trim:
@@ -188,4 +274,6 @@ def node_of(packed: Packed, time_s: float, stage: int = 0, plane: Plane = "pitch
         plane=plane,
         errata=errata,
         label=f"{time_s:g} s",
+        stage=stage,
+        stage_start_s=1e-9 * int(row.timeline.stage_start_ns),
     )

@@ -80,8 +80,12 @@ class MarginCase:
 
 @dataclass(frozen=True)
 class MarginStudy:
-    """Margins of a design in one plane: nominal vehicle, corners, and random vehicles."""
+    """Margins of a design in one plane of one stage: nominal vehicle, corners, and random vehicles.
 
+    `stage`: its name, "" of the only one.
+    """
+
+    stage: str
     plane: str
     times_s: tuple[float, ...]
     nominal: MarginCase
@@ -162,8 +166,9 @@ def study(
     memory: Memory,
     watch: Callable[[int, int], None] = lambda done, of: None,
     workers: int = 2,
+    stage: str = "",
 ) -> MarginStudy:
-    """Margins at all nodes of one plane, of the vehicle as it is, at the corners and of random ones."""
+    """Margins at all nodes of one plane and stage, of the vehicle as it is, at the corners and of random ones."""
     corners, drawn = vehicles(wanted, len(nodes[0].vehicle.modes.omega_radps))
     every = [Deviated(), *corners, *drawn]
     done = [0]
@@ -191,7 +196,7 @@ def study(
     cases = [MarginCase(by.dispersion.label, tuple(row[k] for row in table)) for k, by in enumerate(every)]
     first = 1 + len(corners)
     return MarginStudy(
-        nodes[0].plane, tuple(n.time_s for n in nodes), cases[0], tuple(cases[1:first]), tuple(cases[first:])
+        stage, nodes[0].plane, tuple(n.time_s for n in nodes), cases[0], tuple(cases[1:first]), tuple(cases[first:])
     )
 
 
@@ -201,12 +206,13 @@ def margin_requirements(found: MarginStudy, wanted: LinearMargins) -> list[Requi
     if found.corners:
         out += _limits("dispersed", "at every corner", "corners", found.corners, wanted.dispersed, found)
     if found.random:
+        whose = f", {found.stage}" if found.stage else ""
         failures = [c.label for c in found.random if not meets_limits(c, wanted.dispersed)]
         shown = judge_failures(len(failures), len(found.random), wanted.success, wanted.confidence)
         share = (shown.success - wanted.success) / (1.0 - wanted.success)
         out.append(
             Requirement(
-                "dispersed", "random vehicles meet the dispersed limits",
+                "dispersed", f"random vehicles meet the dispersed limits{whose}",
                 f"{100.0 * wanted.success:g} % with {100.0 * wanted.confidence:g} % confidence",
                 f"{len(found.random) - len(failures)} of {len(found.random)}", judgement_of(shown.judgement),
                 share, failures[0] if failures else "", shown.more,
@@ -219,6 +225,7 @@ def _limits(
     part: str, at: str, whose: str, cases: Sequence[MarginCase], limits: MarginLimits, found: MarginStudy
 ) -> list[Requirement]:
     """Stability, and the limits on the stable loops."""
+    stage = f", {found.stage}" if found.stage else ""
     places = [
         (", ".join(filter(None, (c.label, f"{t:g} s", found.plane))), n)
         for c in cases
@@ -226,7 +233,7 @@ def _limits(
     ]
     bad = [where for where, n in places if not n]
     state = (f"{len(bad)} unstable", REJECTED, -1.0, bad[0]) if bad else ("stable", ACCEPTED, math.nan, "")
-    out = [Requirement(part, f"stable {at}", "stable", *state)]
+    out = [Requirement(part, f"stable {at}{stage}", "stable", *state)]
     for name, (title, unit, sense) in MEASURES.items():
         limit = getattr(limits, name)
         rows = [(n[name], where) for where, n in places if not math.isnan(n.get(name, math.nan))]
@@ -235,7 +242,7 @@ def _limits(
         value, where = (min if sense == ">=" else max)(rows, key=lambda r: r[0])
         out.append(
             Requirement(
-                part, f"{title}, {whose}", f"{sense} {limit:g} {unit}",
+                part, f"{title}, {whose}{stage}", f"{sense} {limit:g} {unit}",
                 f"{value:.2f} {unit}" if math.isfinite(value) else "free",
                 ACCEPTED if _met(value, limit, sense) else REJECTED, room_left(value, limit, sense), where,
             )

@@ -136,6 +136,7 @@ class SloshAdvice:
     """
 
     time_s: float
+    stage: int  # from 0
     tank: int
     bob_station_m: float
     cg_station_m: float
@@ -173,7 +174,7 @@ def advise(nodes: Sequence[Node], design: Design) -> list[SloshAdvice]:
             radius = float(node.liquids.radius_m[k]) if node.liquids is not None else math.nan
             out.append(
                 SloshAdvice(
-                    node.time_s, k, float(bobs.bob_station_m[k]), node.vehicle.total_cg_station_m,
+                    node.time_s, node.stage, k, float(bobs.bob_station_m[k]), node.vehicle.total_cg_station_m,
                     percussion_station_m(node), float(_has(node)[k]), needed, NEAR.wave_m(needed, radius),
                     MIDWAY.wave_m(needed, radius), MIDWAY.swing_deg(needed),
                 )

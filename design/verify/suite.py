@@ -15,6 +15,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
+from maxq.design.model.node import NODES_PER_STAGE
 from maxq.sim.campaign.statistics import MET, NOT_MET
 from maxq.sim.scenario.errors import ScenarioError, refuse, suggestion
 from maxq.sim.scenario.loader import load_file
@@ -136,12 +137,14 @@ class Spread(Section):
     inertia: Share = optional("transverse", 0.05)
 
 
+TIMES = "vehicle times, s (default: chosen from the flight, in every stage under full thrust)"
+
+
 class LinearMargins(Section):
     """Margins of the exact sampled loop, as designed and dispersed."""
 
-    times_s: tuple[NotNegative, ...] = optional(
-        "vehicle times, s", tuple(float(t) for t in range(5, 60, 5)), min_length=1
-    )
+    times_s: tuple[NotNegative, ...] | None = optional(TIMES, min_length=1)
+    nodes_per_stage: Annotated[int, Field(ge=1, le=1000)] = optional("where times_s is not given", NODES_PER_STAGE)
     planes: tuple[Plane, ...] = optional("pitch, yaw", ("pitch",), min_length=1)
     cases: Annotated[int, Field(ge=0, le=100000)] = optional("random vehicles", 100)
     seed: Annotated[int, Field(ge=0, lt=2**63)] = optional("of the random vehicles", 1)
@@ -160,11 +163,12 @@ class LinearMargins(Section):
 class CertificateWanted(Section):
     """Where the loop is measured in flight, and taken to its stability limit."""
 
-    times_s: tuple[NotNegative, ...] = optional(
-        "vehicle times, s", tuple(float(t) for t in range(5, 60, 5)), min_length=1
-    )
+    times_s: tuple[NotNegative, ...] | None = optional(TIMES, min_length=1)
+    nodes_per_stage: Annotated[int, Field(ge=1, le=1000)] = optional("where times_s is not given", NODES_PER_STAGE)
     planes: tuple[Plane, ...] = optional("pitch, yaw", ("pitch", "yaw"), min_length=1)
-    in_flight: bool = optional("also in the ascent itself", True)
+    in_flight: bool = optional(
+        "also in the ascent itself, where thrust lasts for some seconds before and after the time", True
+    )
 
 
 class CampaignWanted(Section):

@@ -12,6 +12,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import partial
+from itertools import groupby
 from pathlib import Path
 
 import numpy as np
@@ -19,8 +20,8 @@ import numpy as np
 from maxq.design import api
 from maxq.design.certificate.certificate import NodeCertificate, certify, certify_node
 from maxq.design.certificate.held_flight import hold
-from maxq.design.certificate.in_flight import InFlightResponse, in_flight_response
-from maxq.design.model.node import Node
+from maxq.design.certificate.in_flight import InFlightResponse, fits, in_flight_response
+from maxq.design.model.node import Node, node_times, powered_spans
 from maxq.design.model.vehicle_at import Plane
 from maxq.design.verify.flown import (
     CampaignResult,
@@ -42,11 +43,22 @@ from maxq.design.verify.linear import (
 )
 from maxq.design.verify.memory import Memory, code_hash, content_hash
 from maxq.design.verify.slosh import SloshAdvice, advise, confirm
-from maxq.design.verify.suite import ACCEPTED, REJECTED, Judgement, LoadedSuite, Requirement, Suite, overall
+from maxq.design.verify.suite import (
+    ACCEPTED,
+    REJECTED,
+    CertificateWanted,
+    Judgement,
+    LinearMargins,
+    LoadedSuite,
+    Requirement,
+    Suite,
+    overall,
+)
 from maxq.sim.campaign.runner import Progress
 from maxq.sim.run.record import versions
 from maxq.sim.scenario.loader import LoadedScenario, load_scenario
 from maxq.sim.scenario.schema_design import Design
+from maxq.sim.scenario.schema_vehicle import Vehicle
 
 Watch = Callable[[str, int, int], None]
 """Called with what is under way, how much of it is done, and of how much."""
@@ -182,40 +194,51 @@ class _Job:
     watch: Watch
     workers: int
 
+    def times_s(self, part: LinearMargins | CertificateWanted) -> tuple[float, ...]:
+        """Of a part's nodes: the suite's, or such as suit the flight."""
+        if part.times_s is not None:
+            return part.times_s
+        depends = (self.along.as_flown, part.nodes_per_stage)
+        return self.memory.recall("times", depends, lambda: node_times(self.along, part.nodes_per_stage))
+
     def nodes(self, plane: Plane) -> list[Node]:
         """Nodes of the linear margins, which depend on all of the flight."""
         assert self.suite.margins is not None
-        times_s = self.suite.margins.times_s
+        times_s = self.times_s(self.suite.margins)
         depends = (self.along.as_flown, times_s, plane)
         return self.memory.recall("nodes", depends, lambda: api.nodes(self.along, times_s, plane=plane))
 
     def margins(self) -> list[MarginStudy]:
-        wanted = self.suite.margins
-        if wanted is None:
-            return []
-        return [
-            study(
-                self.nodes(plane), self.design, wanted, self.memory, partial(self.watch, f"margins, {plane}"),
-                self.workers,
-            )
-            for plane in wanted.planes
-        ]  # fmt: skip  # four more lines otherwise
+        """Of every stage that has nodes, plane by plane."""
+        wanted, out = self.suite.margins, []
+        for plane in wanted.planes if wanted is not None else ():
+            for stage, nodes in groupby(sorted(self.nodes(plane), key=_stage_of), _stage_of):
+                assert wanted is not None
+                name = stage_name(self.scenario.vehicle, stage)
+                watch = partial(self.watch, ", ".join(filter(None, ("margins", plane, name))))
+                out.append(study(list(nodes), self.design, wanted, self.memory, watch, self.workers, name))
+        return out
 
     def authority(self) -> list[Authority]:
-        """Every second between the first and the last time that the suite names."""
-        asked = (self.suite.margins, self.suite.certificate)
-        times = [t for part in asked if part is not None for t in part.times_s] or [5.0, 55.0]
+        """Every second between the first and the last time that the suite names in each stage."""
+        asked = [part for part in (self.suite.margins, self.suite.certificate) if part is not None]
+        named = {t for part in asked for t in self.times_s(part)} or set(node_times(self.along))
+        times: list[float] = []
+        for span in powered_spans(self.along):
+            mine = [t for t in named if span.holds(t)]
+            times += [t for t in np.arange(min(mine), max(mine) + 0.5, 1.0).tolist() if t <= max(mine)] if mine else []
         computer = self.scenario.vehicle.computer
         limit_rad = math.inf if computer is None else math.radians(computer.command_limit_deg)
-        return authority(api.nodes(self.along, np.arange(min(times), max(times) + 0.5, 1.0)), limit_rad)
+        return authority(api.nodes(self.along, times), limit_rad)
 
     def slosh(self) -> list[SloshAdvice]:
         """Damping needed at every node; the worst case is flown."""
         vehicle, wanted = self.scenario.vehicle, self.suite.margins
-        if wanted is None or not vehicle.stage[0].tank or not self.scenario.scenario.switches.slosh:
+        tanks = any(stage.tank for stage in vehicle.stage)
+        if wanted is None or not tanks or not self.scenario.scenario.switches.slosh:
             return []
         nodes = self.nodes("pitch")
-        depends = (self.scenario.as_flown, wanted.times_s)
+        depends = (self.scenario.as_flown, self.times_s(wanted))
         found = self.memory.recall("slosh", depends, lambda: advise(nodes, self.design))
         worst = max((a for a in found if 0.0 < a.needed < math.inf), key=lambda a: a.needed, default=None)
         if worst is None:
@@ -228,7 +251,8 @@ class _Job:
         wanted, scenario, memory = self.suite.certificate, self.scenario, self.memory
         if wanted is None:
             return [], []
-        count, total = [0], len(wanted.times_s) * len(wanted.planes)
+        times_s = self.times_s(wanted)
+        count, total = [0], len(times_s) * len(wanted.planes)
 
         def one(loaded: LoadedScenario, node: Node) -> NodeCertificate:
             held = hold(loaded, node)
@@ -241,15 +265,34 @@ class _Job:
             self.watch("certificate", count[0], total)
 
         self.watch("certificate", 0, total)
-        found = certify(
-            scenario, wanted.times_s, wanted.planes, workers=self.workers, watch=done, one=one, along=self.along
-        )
+        found = certify(scenario, times_s, wanted.planes, workers=self.workers, watch=done, one=one, along=self.along)
         stable = [c.time_s for c in found if c.stable and c.plane == wanted.planes[0]]
+        if wanted.times_s is None and wanted.in_flight:  # what the flight chooses may lie at the ends of thrust
+            spans = powered_spans(scenario)
+            stable = [t for t in stable if fits(t, spans)]
         through: list[InFlightResponse] = []
         for plane in wanted.planes if wanted.in_flight and stable else ():
             fly = partial(in_flight_response, scenario, stable, plane)
             through += memory.recall("through", (scenario.as_flown, stable, plane), fly)
         return found, through
+
+
+def _stage_of(node: Node) -> int:
+    return node.stage
+
+
+def stage_name(vehicle: Vehicle, stage: int) -> str:
+    """For people; "" of the only one."""
+    if len(vehicle.stage) == 1:
+        return ""
+    name = vehicle.stage[stage].name
+    return f"stage {stage + 1}" + (f" ({name})" if name and name != str(stage + 1) else "")
+
+
+def tank_name(vehicle: Vehicle, stage: int, tank: int) -> str:
+    """Of a slosh mode, for people; with its stage where there are several."""
+    name = vehicle.stage[stage].pendulum_names[tank]
+    return name if len(vehicle.stage) == 1 else f"{name}, stage {stage + 1}"
 
 
 def certificate_requirements(certificates: list[NodeCertificate], through: list[InFlightResponse]) -> list[Requirement]:

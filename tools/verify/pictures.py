@@ -13,7 +13,7 @@ from maxq.design import api
 from maxq.design.verify.flown import FlownResult
 from maxq.design.verify.judging import judge
 from maxq.design.verify.linear import MEASURES, MarginCase, MarginStudy
-from maxq.design.verify.verify import Verification
+from maxq.design.verify.verify import Verification, tank_name
 from maxq.tools.design.pictures_loop import draw_nichols, picture_of
 from maxq.tools.plots.palette import BLACK, BLUE, GREEN, GREY, ORANGE, PALE, RED
 from maxq.tools.plots.style import drawing, label, plain_numbers, png, sheet
@@ -25,7 +25,7 @@ def pictures(found: Verification) -> dict[str, bytes]:
     """All that can be drawn of what was found, by name."""
     draw: dict[str, Callable[[], Figure]] = {}
     if found.margins:
-        draw["margins"] = lambda: _margins(found, found.margins[0])
+        draw["margins"] = lambda: _margins(found, [m for m in found.margins if m.plane == found.margins[0].plane])
         draw["nichols"] = lambda: _nichols(found)
     if found.certificates and any(len(c.responses.lines_hz) for c in found.certificates):
         draw["certificate"] = lambda: _certificate(found)
@@ -42,21 +42,22 @@ def pictures(found: Verification) -> dict[str, bytes]:
     return out
 
 
-def _margins(found: Verification, margin: MarginStudy) -> Figure:
+def _margins(found: Verification, studies: list[MarginStudy]) -> Figure:
     figure, places = sheet(3, 2, height_in=1.75, width_in=8.4)
-    times = np.array(margin.times_s)
     wanted = found.suite.margins
     assert wanted is not None
     for place, name in zip(places, _SHOWN, strict=True):
         title, unit, sense = MEASURES[name]
-        both = (*margin.corners, *margin.random)
-        table = _values(both, name)
-        if len(table):
-            worst = np.nanmin(table, axis=0) if sense == ">=" else np.nanmax(table, axis=0)
-            place.plot(times, worst, "s--", color=ORANGE, label=f"worst of {len(both)} dispersed")
-            for row in table[:100]:
-                place.plot(times, row, color=PALE, linewidth=0.5, zorder=1)
-        place.plot(times, _values([margin.nominal], name)[0], "o-", color=BLUE, label="as designed")
+        for margin in studies:  # a stage each
+            times, both = np.array(margin.times_s), (*margin.corners, *margin.random)
+            table = _values(both, name)
+            if len(table):
+                known = ~np.isnan(table).all(axis=0)
+                worst = np.nanmin(table[:, known], axis=0) if sense == ">=" else np.nanmax(table[:, known], axis=0)
+                place.plot(times[known], worst, "s--", color=ORANGE, label=f"worst of {len(both)} dispersed")
+                for row in table[:100]:
+                    place.plot(times, row, color=PALE, linewidth=0.5, zorder=1)
+            place.plot(times, _values([margin.nominal], name)[0], "o-", color=BLUE, label="as designed")
         for limits, style, text in ((wanted.nominal, "-", "limit"), (wanted.dispersed, "--", "limit, dispersed")):
             limit = getattr(limits, name)
             if limit is not None:
@@ -77,7 +78,8 @@ def _nichols(found: Verification) -> Figure:
     design, wanted = found.scenario.design, found.suite.margins
     assert design is not None
     assert wanted is not None
-    judged = judge(api.nodes(found.scenario, wanted.times_s), design)
+    times_s = [t for m in found.margins if m.plane == found.margins[0].plane for t in m.times_s]
+    judged = judge(api.nodes(found.scenario, times_s), design)
     columns = min(len(judged), 3)  # eleven nodes fit on a printed page
     figure, places = sheet(math.ceil(len(judged) / columns), columns, height_in=2.5, width_in=8.4)
     for place, one in zip(places, judged, strict=False):
@@ -159,20 +161,18 @@ def _peak(flight: FlownResult, names: tuple[str, str]) -> float:
 
 def _slosh(found: Verification) -> Figure:
     figure, places = sheet(1, 2, height_in=2.6, width_in=8.4)
-    tanks = sorted({a.tank for a in found.slosh})
-    names = found.scenario.vehicle.stage[0].pendulum_names
-    one = [a for a in found.slosh if a.tank == tanks[0]]
-    times = [a.time_s for a in one]
-    places[0].fill_between(
-        times, [a.percussion_station_m for a in one], [a.cg_station_m for a in one], color=RED, alpha=0.15,
-        label="centre of percussion to CG: slosh harms",
-    )  # fmt: skip  # four more lines otherwise
-    for n, tank in enumerate(tanks):
-        mine = [a for a in found.slosh if a.tank == tank]
+    for n, stage in enumerate(sorted({a.stage for a in found.slosh})):
+        one = list({a.time_s: a for a in found.slosh if a.stage == stage}.values())
+        places[0].fill_between(
+            [a.time_s for a in one], [a.percussion_station_m for a in one], [a.cg_station_m for a in one],
+            color=RED, alpha=0.15, label=None if n else "centre of percussion to CG: slosh harms",
+        )  # fmt: skip  # four more lines otherwise
+    for n, (stage, tank) in enumerate(sorted({(a.stage, a.tank) for a in found.slosh})):
+        mine = [a for a in found.slosh if (a.stage, a.tank) == (stage, tank)]
         tone, style = (BLUE, GREEN, ORANGE, BLACK)[n % 4], ("-", "--", ":", "-.")[n % 4]
-        here = [a.time_s for a in mine]
-        places[0].plot(here, [a.bob_station_m for a in mine], color=tone, linestyle=style, label=names[tank])
-        places[1].plot(here, [a.needed for a in mine], color=tone, linestyle=style, label=f"{names[tank]}, needed")
+        here, name = [a.time_s for a in mine], tank_name(found.scenario.vehicle, stage, tank)
+        places[0].plot(here, [a.bob_station_m for a in mine], color=tone, linestyle=style, label=name)
+        places[1].plot(here, [a.needed for a in mine], color=tone, linestyle=style, label=f"{name}, needed")
         places[1].plot(here, [a.damping for a in mine], color=tone, linestyle=style, linewidth=0.6, alpha=0.7)
     low, high = places[0].get_ylim()
     places[0].set_ylim(high + 0.4 * (high - low), low)  # aft is below, and the legend under all of it

@@ -12,7 +12,7 @@ from typing import Any
 
 from maxq.design.certificate.certificate import NodeCertificate
 from maxq.design.verify.suite import ACCEPTED, REJECTED, UNDECIDED
-from maxq.design.verify.verify import Verification
+from maxq.design.verify.verify import Verification, tank_name
 from maxq.sim.files import write_whole
 from maxq.tools.cli.terminal import aligned, printable
 from maxq.tools.design.report import write_record
@@ -43,7 +43,10 @@ def write_pack(found: Verification, folder: Path, command: str, pack: bool) -> l
 
 def page_of(found: Verification, command: str, pictures: dict[str, bytes]) -> str:
     """The review as HTML."""
-    return render("review.html.j2", found=found, command=command, pictures=pictures, headline=headline(found))
+    return render(
+        "review.html.j2", found=found, command=command, pictures=pictures, headline=headline(found),
+        tank_name=tank_name,
+    )  # fmt: skip  # five more lines otherwise
 
 
 def print_page(page: Path, pdf: Path) -> Path | None:
