@@ -214,6 +214,9 @@ def test_gain_margins_of_random_loops_are_where_a_pole_meets_the_axis(loop):
     if not m.stable:
         assert np.isnan([m.gain_up_db.value, m.gain_down_db.value, m.phase_deg.value, m.modulus]).all()
         return
+    drift = loop.closed_poles()
+    if ((np.abs(drift) <= m.curve.lowest_radps) & (drift.real > 0.0)).any():
+        return  # more gain makes dynamics of it
     for bound, sign in ((m.gain_up_db, 1.0), (m.gain_down_db, -1.0)):
         end = min(bound.value, 60.0)
         for share in (0.3, 0.9, 1.0 - 1e-5):

@@ -48,6 +48,7 @@ NARROW = 1e-12  # relative: an interval that is not halved any more
 MOST_POINTS = 200_000
 FARTHEST = 1e9  # a sign change of Im L where |L| is beyond this, or below its inverse, is a pole or zero on the axis
 REAL = 1e-6  # |Im L| / |L| below which the end of the curve is real
+ASYMPTOTIC, DRIFT_UP_TO_HZ = 4.0, 1e-3  # a factor in frequency; a quarter of an hour
 ON_AXIS = 1e-9  # |Re p| / |p| below which a pole lies on the axis
 OSCILLATING = 0.5  # damping ratio below which a pole gets points of its own
 
@@ -117,6 +118,18 @@ class Curve:
     def lowest_radps(self) -> float:
         """Poles slower than this are drift."""
         return float(2.0 * np.pi * self.frequency_hz[0])
+
+
+def lowest_hz_of(open_poles: ComplexArray) -> float:
+    """Where the curve of a loop with these poles (rad/s) begins: LOWEST_HZ, or above drift that it would begin amid.
+
+    In thin air path and attitude have slow roots of a few hours, beside which L has no asymptote to begin on.
+    """
+    low = LOWEST_HZ
+    for hz in np.sort(np.abs(open_poles[np.isfinite(open_poles)])) / (2.0 * np.pi):
+        if low / ASYMPTOTIC < hz < ASYMPTOTIC * low:
+            low = ASYMPTOTIC * float(hz)
+    return low if low <= DRIFT_UP_TO_HZ else LOWEST_HZ
 
 
 def trace(loop: OpenLoop, lowest_hz: float = LOWEST_HZ) -> Curve:
@@ -389,11 +402,11 @@ def encirclement_count(curve: Curve, crossings: PhaseCrossings) -> int:
 def _first_turn(curve: Curve) -> float:
     """Turn of 1 + L from the positive real axis to the first point, on a small quarter circle about the origin."""
     first = curve.loop[0]
-    order = max(-curve.slope_at_zero, 0) if abs(first) > 1.0 else 0
+    order = -curve.slope_at_zero if abs(first) > 1.0 else 0
     if order == 0:
         begin = float(np.angle(complex((1.0 + first).real)))
         return wrapped(float(np.angle(1.0 + first)) - begin, np.pi)
-    # L = K / s^n is real at the beginning, and large against 1
+    # L = K / s^n is real at the beginning, and large against 1; with n < 0 it has zeros, and 1 + L drift, below
     begin = float(np.angle(complex((first * 1j**order).real)))
     arrived = begin - order * np.pi / 2.0
     return arrived - begin + wrapped(float(np.angle(1.0 + first)) - arrived, np.pi)

@@ -13,12 +13,12 @@ from maxq.control.kernel.records import Array
 from maxq.design.loop.open_loop import OpenLoop
 from maxq.design.loop.resonance import Resonance
 from maxq.design.margins.curve import (
-    LOWEST_HZ,
     Curve,
     GainCrossings,
     PhaseCrossings,
     encirclement_count,
     find_crossings,
+    lowest_hz_of,
     refine_extremes,
     trace,
     unstable,
@@ -99,16 +99,17 @@ def margins(
     resonances: Sequence[Resonance] | None = None,
     zones: Sequence[Zone] = (DIAMOND,),
     gain_stabilised_db: float = 0.0,
-    lowest_hz: float = LOWEST_HZ,
+    lowest_hz: float | None = None,
 ) -> Margins:
     """Measure a loop. Crossings and distances are solved for: 1e-8 dB and degrees where L itself is as good.
 
     `resonances` name the lobes; of those only bending and slosh are looked at. Without them every open-loop pole
     with a damping ratio below 0.1 that shows in L is a lobe. A lobe that peaks below minus `gain_stabilised_db` is
-    gain-stabilised. Poles slower than `lowest_hz` (integrators among them) are drift: they neither count as
-    unstable nor are looked for in L. Raises ValueError for a response that is not finite, and for an improper loop.
+    gain-stabilised. Poles slower than `lowest_hz` (integrators among them; default: `curve.lowest_hz_of`) are drift:
+    they neither count as unstable nor are looked for in L.
+    Raises ValueError for a response that is not finite, and for an improper loop.
     """
-    curve = trace(loop, lowest_hz)
+    curve = trace(loop, lowest_hz_of(np.asarray(loop.open_poles())) if lowest_hz is None else lowest_hz)
     gain, phase, curve = find_crossings(refine_extremes(curve))
     growing = unstable(curve.closed_poles, curve.lowest_radps)
     encircled = encirclement_count(curve, phase)

@@ -18,13 +18,13 @@ from numpy.typing import NDArray
 from scipy.interpolate import BSpline, PPoly, make_interp_spline
 
 from maxq.control.kernel.records import Array
+from maxq.design.margins.curve import lowest_hz_of
 from maxq.design.model.state_space import ComplexArray
 
 Indices = NDArray[np.int64]
 
 BASE = "rate_radps"  # the measurement that the fixed path's response is to
 TOLERANCE = 2e-7  # of ln P
-LOWEST_HZ = 1e-5
 HIGHEST_HZ = 200.0  # of a loop that has no Nyquist frequency
 NEAREST_NYQUIST = 1.0 - 1e-6
 PER_DECADE = 24
@@ -180,14 +180,15 @@ def _spline(x: Array, responses: ComplexArray) -> BSpline:
 
 def _first_frequencies(path: Path, top_hz: float, kept_hz: Array) -> Array:
     """Geometric steps, thickened around every pole that swings."""
-    decades = np.log10(top_hz / LOWEST_HZ)
-    parts = [np.geomspace(LOWEST_HZ, top_hz, int(decades * PER_DECADE) + 1), np.asarray(kept_hz, float)]
+    low_hz = lowest_hz_of(path.poles())
+    decades = np.log10(top_hz / low_hz)
+    parts = [np.geomspace(low_hz, top_hz, int(decades * PER_DECADE) + 1), np.asarray(kept_hz, float)]
     spread = np.sinh(np.linspace(-4.0, 4.0, 33))
     for pole in path.poles() / (2.0 * np.pi):
         if pole.imag > 0.0 and abs(pole.real) < 0.3 * pole.imag:
             parts.append(pole.imag + abs(pole.real) * spread)
     joined = np.unique(np.concatenate(parts))
-    joined = joined[(joined >= LOWEST_HZ) & (joined <= top_hz)]
+    joined = joined[(joined >= low_hz) & (joined <= top_hz)]
     # no two points closer than the spline can bear; the kept ones stay
     apart = np.concatenate([[True], np.diff(np.log(joined)) > 1e-6]) | np.isin(joined, kept_hz)
     return np.asarray(joined[apart])

@@ -51,7 +51,10 @@ class Loops:
         step = np.angle(distance[1:] * np.conj(distance[:-1]))
         step[self.curves.start[1:-1] - 1] = 0.0
         turned = np.add.reduceat(np.append(step, 0.0), self.curves.start[:-1])
-        poles = self.unstable_open + 0.5 * np.maximum(self.poles_at_zero, 0) - turned / np.pi
+        # with zeros there (n < 0) and L large, 1 + L has zeros below the lowest frequency: drift, which does not count
+        large = np.abs(loop[self.curves.start[:-1]]) > 1.0
+        at_zero = np.where(large, self.poles_at_zero, np.maximum(self.poles_at_zero, 0))
+        poles = self.unstable_open + 0.5 * at_zero - turned / np.pi
         return np.maximum(np.rint(poles), 0.0).astype(np.int64)
 
     def log_loop(self, own: Array, cell: Indices, x: Array) -> LogLoop:

@@ -12,6 +12,7 @@ from maxq.control.kernel.records import Array
 from maxq.design.case.schema import Case
 from maxq.design.laws.task import PlantLimits, Rigid, Task
 from maxq.design.loop.fixed_path import FixedPath, fixed_path
+from maxq.design.margins.curve import lowest_hz_of
 from maxq.design.model.node import Node
 from maxq.design.model.vehicle_at import stability_derivatives
 from maxq.design.optimise.criteria import OBJECTIVES
@@ -86,7 +87,9 @@ class Plants:
     @property
     def unstable_open(self) -> Indices:
         """Poles of each fixed path in the right half plane."""
-        return np.array([int((p.path.poles().real > 1e-9).sum()) for p in self.each], np.int64)
+        every = [p.path.poles() for p in self.each]
+        fast = [poles[np.abs(poles) > 2.0 * np.pi * lowest_hz_of(poles)] for poles in every]  # the rest is drift
+        return np.array([int((poles.real > 1e-9).sum()) for poles in fast], np.int64)
 
     @property
     def sample_s(self) -> float | None:

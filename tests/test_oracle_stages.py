@@ -1,0 +1,98 @@
+"""Every stage of a vehicle of several (petrel): nodes chosen from the flight, loops, held flights."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+import petrelkit as petrel
+import pytest
+from scipy.interpolate import PchipInterpolator
+
+from maxq.design import api
+from maxq.design.certificate.certificate import certify_node
+from maxq.design.certificate.held_flight import hold
+from maxq.design.margins.measure import margins
+from maxq.design.model.node import Span, node_times, nodes_along, powered_spans, spans_of
+from maxq.sim.run.fly import Event
+from maxq.sim.scenario.burn import stage_burns
+
+
+@pytest.fixture(scope="module")
+def spans() -> tuple[Span, ...]:
+    return powered_spans(petrel.scenario())
+
+
+def test_spans_and_nodes_lie_under_full_thrust_of_every_stage(spans: tuple[Span, ...]) -> None:
+    """By the thrust tables themselves, on each stage's clock."""
+    stages, burns = petrel.scenario().vehicle.stage, stage_burns(petrel.scenario().scenario)
+    assert [span.stage for span in spans] == list(range(len(stages)))
+    assert all(a.end_s <= b.begin_s for a, b in pairwise(spans))  # and coast in none
+    times = np.array(node_times(petrel.scenario(), 5))
+    assert len(times) == 5 * len(stages)
+    for span, mine in zip(spans, times.reshape(-1, 5), strict=True):
+        table = stages[span.stage].engines[0].table
+        thrust = np.interp(mine - burns[span.stage].start_s, table["time_s"], table["thrust_vacuum_N"])
+        assert (thrust >= 0.5 * table["thrust_vacuum_N"].max()).all()
+        assert span.begin_s < mine[0]
+        assert mine[-1] < span.end_s
+        assert mine[-1] - mine[0] > 0.8 * (span.end_s - span.begin_s)
+
+
+def test_spans_begin_off_the_pad_and_need_thrust() -> None:
+    events = [Event("ignition", 0, 1), Event("liftoff", 2 * 10**9), Event("burnout", 9 * 10**9, 1),
+              Event("separation", 10 * 10**9, 1), Event("ignition", 12 * 10**9, 2)]  # fmt: skip  # one a line otherwise
+    assert spans_of(events, 2, 20.0) == (Span(0, 2.0, 9.0), Span(1, 12.0, 20.0))
+    assert spans_of(events[:1], 2, 20.0) == (Span(0, 0.0, 20.0),)
+    assert spans_of([], 1, 5.0) == ()
+
+
+def test_nodes_in_the_coast_are_refused_with_the_times_under_thrust(spans: tuple[Span, ...]) -> None:
+    coast = 0.5 * (spans[0].end_s + spans[1].begin_s)
+    with pytest.raises(ValueError, match="the engine does not burn; allowed are times under thrust: lift-off to") as e:
+        nodes_along(petrel.scenario(), [coast])
+    assert str(e.value).count("allowed") == 1
+    assert f"{spans[1].begin_s:.6g} s to" in str(e.value)
+
+
+def test_held_flight_of_a_later_stage_is_that_stage_frozen(spans: tuple[Span, ...]) -> None:
+    """Mass and CG against the stage's table; the loop is the flown one but for gravity, which moves the slowest root."""
+    time_s = round(0.4 * spans[1].begin_s + 0.6 * spans[1].end_s, 3)
+    (node,) = petrel.nodes(time_s)
+    assert node.stage == 1
+    held = hold(petrel.scenario(), node)
+    table = petrel.scenario().vehicle.stage[1].mass.table
+    assert table is not None
+    clock = time_s - stage_burns(petrel.scenario().scenario)[1].start_s
+    mass, cg = (float(PchipInterpolator(table["time_s"], table[key])(clock)) for key in ("mass_kg", "x_cg_m"))
+    for mine in (node.vehicle, held.node.vehicle):
+        assert mine.body.total_mass_kg == pytest.approx(mass, rel=1e-12)
+        assert mine.total_cg_station_m == pytest.approx(cg, rel=1e-6)
+    design = petrel.scenario().design
+    assert design is not None
+    flown, stood = (loop.response([0.3, 1.0, 7.0, 20.0]) for loop in api.loops([node, held.node], design))
+    assert stood == pytest.approx(flown, rel=1e-3)
+
+
+def test_loops_in_thin_air_are_stable_by_encirclements_as_by_poles(spans: tuple[Span, ...]) -> None:
+    """There path and attitude have open-loop roots of hours, and curves that began amid them counted wrongly."""
+    last = spans[-1]
+    nodes = petrel.nodes(*(round(last.begin_s + x * (last.end_s - last.begin_s), 3) for x in (0.05, 0.35, 0.65, 0.95)))
+    assert nodes[1].condition.dynamic_pressure_Pa < 1.0
+    design = petrel.scenario().design
+    assert design is not None
+    for loop in api.loops(nodes, design):
+        found, slow = margins(loop), np.abs(loop.closed_poles()) < 1e-4
+        assert (loop.closed_poles()[~slow].real < 0.0).all()
+        assert found.stable
+        assert found.encircled_poles == found.unstable_poles == 0
+
+
+@pytest.mark.slow
+def test_certificate_of_a_later_stage_agrees(spans: tuple[Span, ...]) -> None:
+    """Gain margin of the second stage in the nonlinear simulator: where the linear loop has it."""
+    (node,) = petrel.nodes(round(0.5 * (spans[1].begin_s + spans[1].end_s), 3))
+    found = certify_node(petrel.scenario(), node, bands=(), names=("gain_up",))
+    assert found.stable
+    assert found.unexplained == ()
+    assert abs(found.margins[0].difference) < 0.2
