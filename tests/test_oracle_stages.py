@@ -56,7 +56,7 @@ def test_nodes_in_the_coast_are_refused_with_the_times_under_thrust(spans: tuple
 
 
 def test_held_flight_of_a_later_stage_is_that_stage_frozen(spans: tuple[Span, ...]) -> None:
-    """Mass and CG against the stage's table; the loop is the flown one but for gravity, which moves the slowest root."""
+    """Mass and CG against the stage's table; the loop is the flown one but for gravity (slowest root)."""
     time_s = round(0.4 * spans[1].begin_s + 0.6 * spans[1].end_s, 3)
     (node,) = petrel.nodes(time_s)
     assert node.stage == 1

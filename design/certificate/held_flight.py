@@ -121,13 +121,11 @@ def hold(loaded: LoadedScenario, node: Node, fault: Change | None = None) -> Hel
     """Hold the scenario at a node of its flight, in the node's plane.
 
     Valid under thrust: of several stages the one that burns at the node is held, by itself. Raises ValueError where
-    the axial load is not positive, the scenario has no design, or something of that later stage fails.
+    the axial load is not positive, or the scenario has no design.
     """
     scenario = loaded.scenario
     if scenario.design is None:
         raise ValueError(f"{loaded.label}: there is no design, and so no loop to hold")
-    if node.stage > 0 and any(fault.stage in (None, node.stage) for fault in scenario.fault):
-        raise ValueError(f"{loaded.label}: faults of stage {node.stage + 1} cannot be held")
     load = axial_load_mps2(node.vehicle, node.condition)
     if load <= 0.0:
         raise ValueError(f"node at {node.time_s:g} s: the axial load is {load:g} m/s2: allowed is above 0")
@@ -153,7 +151,6 @@ def _stillness(scenario: Scenario, node: Node, load_mps2: float) -> dict[str, ob
     alone = vehicle.stage[node.stage].model_copy(update={"separation_s": None, "separation_after_burnout_s": None})
     return {
         "vehicle": vehicle.model_copy(update={"stage": (alone,)}),
-        "fault": scenario.fault if node.stage == 0 else (),
         "design": law_kind(scenario.design.law).frozen(scenario.design, node.time_s),
         "earth": Earth(shape="flat", rotating=False, gravity="uniform", uniform_mps2=load_mps2),
         "atmosphere": Atmosphere(

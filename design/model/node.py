@@ -112,8 +112,8 @@ class Span:
 
 
 def powered_spans(scenario: LoadedScenario) -> tuple[Span, ...]:
-    """Of each stage that burns, flown up to the last burn-out without a log."""
-    run = FlightRun(scenario, pack_flight(scenario.scenario), log=False)
+    """Of each stage that burns, flown up to the last burn-out without faults and without a log."""
+    run = _flown_run(scenario, faults=False)
     last = len(run.packed.parameters) - 1
     while not run.finished and int(run.memory.clock.stage_burnout_ns[last]) < 0:
         run.fly_segment()
@@ -188,12 +188,16 @@ def nodes_along(
     for time_s in wanted:
         if not abs(time_s) <= LONGEST_S:
             raise ValueError(f"node at {time_s} s: allowed are times up to {LONGEST_S:g} s")
-    flown = scenario.scenario if faults else scenario.scenario.model_copy(update={"fault": ()})
-    run = FlightRun(dataclasses.replace(scenario, scenario=flown), pack_flight(flown), log=False)
+    run = _flown_run(scenario, faults)
     found = {}
     for time_s in sorted(set(wanted)):
         found[time_s] = _node(run, time_s, plane, errata)
     return [found[time_s] for time_s in wanted]
+
+
+def _flown_run(scenario: LoadedScenario, faults: bool) -> FlightRun:
+    flown = scenario.scenario if faults else scenario.scenario.model_copy(update={"fault": ()})
+    return FlightRun(dataclasses.replace(scenario, scenario=flown), pack_flight(flown), log=False)
 
 
 def _node(run: FlightRun, time_s: float, plane: Plane, errata: Errata) -> Node:
