@@ -5,7 +5,8 @@
     several groups of engines: pitch, yaw and roll -> allocation -> limit -> DAC, for each group (allocation.py)
 
 The law is a module of control/laws: a parameter record, a memory record with its start, and a tick for each gimbal
-axis; what it works on is in attitude.py. Here stand its two records and two calls.
+axis; what it works on is in attitude.py. Here stand its two records and two calls. Flight code from outside takes the
+place of law, roll control and roll command (external.py).
 
 The computer knows neither plant nor its own delay: it hands the command over at once, and its caller
 lets the command take effect `delay_ns` later and holds it.
@@ -23,6 +24,7 @@ import numpy as np
 from maxq.control.allocation import ONE_GROUP, Allocation, AllocationState, allocate, roll_command, start_allocation
 from maxq.control.attitude import AttitudeError, AttitudeRow, attitude_row, start_attitude_error, update_attitude_error
 from maxq.control.converter import Converter, ConverterState, convert, make_converter, round_half_away, start_converter
+from maxq.control.external import ExternalState, step_external
 from maxq.control.filters import DiscreteFilter
 from maxq.control.guidance import GuidanceState, advance_guidance, start_guidance
 from maxq.control.kernel.jit import kernel, routine
@@ -49,11 +51,14 @@ class Computer:
 
     `programme`: table of `guidance.rate_programme`. The switches are 1 or 0: with `control_on` = 0 the law
     gives 0 (injected commands still pass), with `guidance_on` = 0 the programme stands still, with `roll_on`
-    = 0 no thruster fires.
+    = 0 no thruster fires. `external`: 1 where flight code from outside is called; with `held_time_s` above 0 it is told
+    this time, s, at all samples.
     """
 
     sample_ns: int
     delay_ns: int
+    external: int
+    held_time_s: float
     control_on: int
     guidance_on: int
     roll_on: int
@@ -87,6 +92,7 @@ class ComputerState:
     command_rad: Annotated[Array, (2,)]
     roll: RollState
     allocation: AllocationState
+    external: ExternalState
 
 
 def build_computer(
@@ -106,6 +112,7 @@ def build_computer(
     control_on: bool = True,
     guidance_on: bool = True,
     roll_on: bool = True,
+    external: bool = False,
 ) -> Computer:
     """Parameters of a computer; its tables go into `pool`.
 
@@ -130,9 +137,11 @@ def build_computer(
     return Computer(
         sample_ns=sample_ns,
         delay_ns=delay_ns,
+        external=int(external),
+        held_time_s=0.0,
         control_on=int(control_on),
         guidance_on=int(guidance_on),
-        roll_on=int(roll_on and roll is not None),
+        roll_on=int(roll_on and (external or roll is not None)),
         programme=_placed(pool, "programme", programme, 6),
         converter=make_converter(count_rad),
         angle_error_limit_rad=angle_error_limit_rad,
@@ -225,18 +234,43 @@ def computer_tick(
             state.converter.increment_rad[axis] / sample_s,
             computer.angle_error_limit_rad,
         )
+    if computer.external != 0:
+        call_external(computer, state, time_s)
     for gimbal in range(2):
         injected_rad = gimbal_injection_rad[gimbal]
         if not abs(injected_rad) <= INCREMENT_LIMIT_RAD:
             injected_rad = 0.0
             state.invalid_inputs += 1
         update_command(computer, pool, state, gimbal, time_s, injected_rad, gimbal_replaces[gimbal])
-    if computer.roll_on != 0:
+    if computer.external != 0:
+        state.roll.demand = state.external.outputs.roll_thruster * computer.roll_on
+    elif computer.roll_on != 0:
         update_roll(computer.roll, state.roll, state.attitude.theta_e_rad[0], state.attitude.rate_radps[0])
     else:
         silence_roll(state.roll)
     allocate_commands(computer, pool, state, time_s)
     state.ticks += 1
+
+
+@routine
+def call_external(computer: Computer, state: ComputerState, time_s: float) -> None:
+    """Hand the sample to the flight code from outside; what it gives is in `state.external.outputs`."""
+    inputs, converter, guidance, attitude = state.external.inputs, state.converter, state.guidance, state.attitude
+    inputs.tick, inputs.time_s = state.ticks, time_s
+    if computer.held_time_s > 0.0:
+        inputs.time_s = computer.held_time_s
+    inputs.time_ns = round(1.0e9 * inputs.time_s)
+    inputs.health = 1 if state.invalid_inputs == state.external.invalid_before else 0
+    state.external.invalid_before = state.invalid_inputs
+    for axis in range(3):
+        inputs.counts[axis] = converter.counts[axis]
+        inputs.delta_angle_rad[axis] = converter.increment_rad[axis]
+        inputs.angle_rad[axis] = converter.angle_rad[axis]
+        inputs.rate_radps[axis] = attitude.rate_radps[axis]
+        inputs.commanded_angle_rad[axis] = guidance.angle_rad[axis]
+        inputs.commanded_rate_radps[axis] = guidance.rate_radps[axis]
+        inputs.attitude_error_rad[axis] = attitude.theta_e_rad[axis]
+    step_external(state.external)
 
 
 @routine
@@ -247,7 +281,9 @@ def allocate_commands(computer: Computer, pool: Array, state: ComputerState, tim
         angles[0], angles[1] = state.command_rad[0], state.command_rad[1]
         return
     roll_rad = 0.0
-    if computer.control_on != 0:
+    if computer.external != 0:
+        roll_rad = state.external.outputs.roll_gimbal_rad * computer.control_on
+    elif computer.control_on != 0:
         roll_rad = roll_command(a, state.attitude.theta_e_rad[0], state.attitude.rate_radps[0])
     pitch_rad, yaw_rad = state.requested_rad[0], state.requested_rad[1]
     limit_rad = computer.command_limit_rad
@@ -269,7 +305,11 @@ def update_command(
     replaces: int,
 ) -> None:
     """Command of gimbal axis `gimbal` (0 pitch, 1 yaw): law, injection, limit, DAC."""
-    law_rad = tick_pd(computer.law, pool, state.law, state.attitude, gimbal, time_s, computer.control_on)
+    if computer.external != 0:
+        law_rad = state.external.outputs.gimbal_rad[gimbal] * computer.control_on
+        state.law.pd_rad[gimbal], state.law.filtered_rad[gimbal] = law_rad, law_rad
+    else:
+        law_rad = tick_pd(computer.law, pool, state.law, state.attitude, gimbal, time_s, computer.control_on)
     requested_rad = injected_rad if replaces != 0 else law_rad + injected_rad
     state.requested_rad[gimbal] = requested_rad
     state.command_limited[gimbal] = 1 if abs(requested_rad) > computer.command_limit_rad else 0

@@ -43,7 +43,7 @@ _EXITS = {
 _SCENARIO, _CAMPAIGN, _LOG, _FOLDER = "SCENARIO", "CAMPAIGN", "--from LOG", "--from DIR"
 _RUN, _SHRINK, _SEARCH = "--from DIR --run N", "--from DIR --run N --shrink", "--from DIR --search METRIC"
 _FLIGHTS = (_SCENARIO, _LOG)
-_KINDS = ("scenario", "vehicle", "design", "campaign", "case", "suite", "layout")
+_KINDS = ("scenario", "vehicle", "design", "campaign", "case", "suite", "layout", "flight-software")
 
 
 def _parser() -> Parser:
@@ -105,7 +105,12 @@ def _parser() -> Parser:
     campaign("--shrink", modes=(_SHRINK,), action="store_true", help="with --run: the fewest dispersions that fail")
     campaign("--search", modes=(_SEARCH,), metavar="METRIC", help="with --from DIR: the worst flight within 3 sigma")
     add("--list", action="store_true", help="name the built-in scenarios")
-    add("--schema", choices=_KINDS, metavar="KIND", help=f"print the JSON Schema of a file: {', '.join(_KINDS)}")
+    add(
+        "--schema",
+        choices=_KINDS,
+        metavar="KIND",
+        help=f"print the JSON Schema of a file: {', '.join(_KINDS[:-1])}; or flight-software: the C header maxq_fsw.h",
+    )
     add("--copy", nargs=2, metavar=("NAME", "DIR"), help="copy a built-in scenario with all it refers to")
     parser.version_and_help()
     return parser
@@ -186,6 +191,11 @@ def _load_numba_without_blas() -> None:
 
 
 def _print_schema(kind: str) -> int:
+    if kind == "flight-software":
+        from maxq.control.external import HEADER  # noqa: PLC0415  # lazy
+
+        print(HEADER.read_text(encoding="utf-8"), end="")
+        return Exit.OK
     import json  # noqa: PLC0415  # lazy
 
     from maxq.tools.schemas import json_schema  # noqa: PLC0415  # lazy

@@ -20,7 +20,7 @@ from maxq.sim.campaign.schema import Envelope
 from maxq.sim.campaign.targets import Refused
 from maxq.sim.flight.telemetry import SLOW
 from maxq.sim.packing.flight import Packed, pack_flight, pack_for_one_vehicle
-from maxq.sim.run.fly import CONTROL_LOST_NAME, DIVERGED_NAME, Flight, FlightRun, Rows
+from maxq.sim.run.fly import CONTROL_LOST_NAME, DIVERGED_NAME, SOFTWARE_NAME, Flight, FlightRun, Rows
 from maxq.sim.run.metrics import METRIC_NAMES
 from maxq.sim.scenario.loader import LoadedScenario
 from maxq.sim.scenario.schema_scenario import Scenario
@@ -28,7 +28,7 @@ from maxq.sim.scenario.schema_values import NS_PER_S
 
 REFUSED, ERROR = "refused", "error"
 """Outcomes beside those of a flight: the draws make no possible scenario; an error of this program."""
-VOID = (DIVERGED_NAME, REFUSED, ERROR)
+VOID = (DIVERGED_NAME, SOFTWARE_NAME, REFUSED, ERROR)
 """Outcomes without usable metrics: such a run misses every requirement."""
 OWN_KERNELS_FROM = 500  # runs
 TIME_OF = "{}.time_s"

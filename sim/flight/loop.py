@@ -40,6 +40,7 @@ class Logged:
     stations: int  # of section loads
     waves: int  # 1: with the height of the waves
     engines: int  # 0 for vehicles of one engine
+    external: int  # 1: with the monitors of flight code from outside
 
 
 class LogRows(NamedTuple):
@@ -284,6 +285,7 @@ def log(p: Parameters, memory: Memory, logged: Records, at: Evaluation, out: Log
             logged[0].sizes,
             logged[0].waves,
             logged[0].engines,
+            logged[0].external,
             memory,
             at.properties,
             at.y,

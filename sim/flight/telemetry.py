@@ -10,6 +10,7 @@ import math
 from typing import Annotated, NamedTuple
 
 from maxq.control.computer import ControlRow, GuidanceRow, control_row, guidance_row
+from maxq.control.external import MonitorRow, monitor_row
 from maxq.control.kernel.jit import kernel, routine
 from maxq.control.kernel.records import Array
 from maxq.control.kernel.rows import DEG, NorthEastDown, Quaternion, Xyz, put, xyz
@@ -72,11 +73,11 @@ class FastRow(NamedTuple):
 
 @routine
 def fill_fast(
-    p: Parameters, logged: Sizes, waves: int, engines: int, memory: Memory, props: Array, y: Array, aux: Array,
-    row: Array,
-) -> None:  # fmt: skip  # nine lines otherwise
+    p: Parameters, logged: Sizes, waves: int, engines: int, external: int, memory: Memory, props: Array, y: Array,
+    aux: Array, row: Array,
+) -> None:  # fmt: skip  # ten lines otherwise
     """One row of the fast group; `logged`: how many modes and pendulums the log has columns for; `waves` = 1: waves;
-    `engines`: how many of several engines."""
+    `engines`: how many of several engines; `external` = 1: what flight code from outside monitors."""
     sizes = p.vehicle.sizes
     column = put(
         row,
@@ -103,6 +104,8 @@ def fill_fast(
             column = put(row, column, group_row(sizes.further_groups, group, memory.held.command_rad, aux))
     for number in range(engines):
         column = put(row, column, engine_row(p.vehicle.engine, number, aux))
+    if external == 1:
+        column = put(row, column, monitor_row(memory.computer.external))
 
 
 # --- slow group
@@ -276,12 +279,12 @@ def fill_slow(
 
 def channel_table(
     sizes: Sizes, tanks: tuple[str, ...], stations: tuple[str, ...] = (), waves: bool = False,
-    groups: tuple[str, ...] = (), engines: tuple[str, ...] = (),
+    groups: tuple[str, ...] = (), engines: tuple[str, ...] = (), external: bool = False,
 ) -> ChannelTable:  # fmt: skip  # eight lines otherwise
     """Channels of a vehicle with so many modes, these pendulums and sections, in the order of the kernels' columns.
 
     `stations`: what is said of each station of the section loads; in names they go by their numbers, from 1. `waves`:
-    with the height of the pendulums' waves.
+    with the height of the pendulums' waves. `external`: with what flight code from outside monitors.
     """
     topics = declared_topics(FAST, FastRow)
     kinds = (("pitch", sizes.pitch_modes), ("yaw", sizes.yaw_modes), ("spatial", sizes.spatial_modes))
@@ -301,6 +304,8 @@ def channel_table(
     thrusts = [declared_channels(EngineRow, "engine", f"engine_{name}", f"engine {name}") for name in engines]
     if moved or thrusts:
         topics.append(Topic("/engines", FAST, sum(moved + thrusts, ()), "groups of engines, and engines"))
+    if external:
+        topics.append(Topic("/flight_code", FAST, declared_channels(MonitorRow), "flight code from outside"))
     topics += declared_topics(SLOW, SlowRow)
     sections = [declared_channels(SectionRow, "place", str(i), place) for i, place in enumerate(stations, start=1)]
     if sections:

@@ -60,6 +60,7 @@ def pack_computer(scenario: Scenario, pool: Pool) -> Computer:
         control_on=switches.control,
         guidance_on=switches.guidance,
         roll_on=switches.roll_control,
+        external=computer.law == "external",
     )
 
 

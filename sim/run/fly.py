@@ -6,9 +6,9 @@ import hashlib
 import math
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -36,6 +36,9 @@ from maxq.sim.scenario.schema_scenario import Scenario
 from maxq.sim.scenario.schema_values import to_ns
 from maxq.sim.vehicle.state import CAUSES, Sizes, state_names
 
+if TYPE_CHECKING:
+    from maxq.sim.run.flight_software import FlightSoftware
+
 LONGEST_SEGMENT_NS = 1_000_000_000  # one log chunk
 _FIRST_ROOM = 400_000  # rows
 _MOST_STEPS, _MOST_ROWS = 20_000, 20_000  # of a segment: tens of milliseconds of work, 10 MB of rows
@@ -44,6 +47,7 @@ IGNITION_NAME, FAULT_NAME, FAULT_END_NAME = "ignition", "fault", "fault_end"
 _OF_STAGES = EVENT_NAMES[BURNOUT], EVENT_NAMES[SEPARATION]  # which each stage has
 CONTROL_LOST_NAME, DIVERGED_NAME = EVENT_NAMES[CONTROL_LOST], EVENT_NAMES[DIVERGED]
 WAVE_BREAKING_NAME = "wave_breaking"
+SOFTWARE_NAME = "flight_software"  # the flight code from outside has ended the flight
 BROKEN_WAVE = "the wave is as high as it can be; from here on the pendulum is no picture of the liquid"
 CONTROL_LOST_CAUSE = f"the attitude error exceeds {math.degrees(CONTROL_LOST_RAD):.3g} deg under thrust"
 
@@ -152,7 +156,9 @@ class FlightRun:
         stations = len(load_stations(loaded.scenario))
         waves = int(_logs_waves(loaded.scenario, self.packed.sizes))
         engines = len(engine_names(loaded.scenario))
-        self._on, self._off = (pack([Logged(on, self.packed.sizes, stations, waves, engines)]) for on in (1, 0))
+        external = int(self.packed.parameters[0].computer.external)
+        widths = self.packed.sizes, stations, waves, engines, external
+        self._on, self._off = (pack([Logged(on, *widths)]) for on in (1, 0))
         self._arena = np.zeros(ARENA_SIZE)
         timeline = self.packed.parameters[0].timeline
         periods_ns = {FAST: int(timeline.fast_ns), SLOW: int(timeline.slow_ns)}
@@ -163,8 +169,25 @@ class FlightRun:
             for group, period_ns in periods_ns.items()
         }
         self.wall_s = 0.0
+        self._counts = np.zeros(2, np.int64)
+        self._software = self._flight_software()
         begin(self.packed.parameters, self.packed.pool, self.packed.memory, self.packed.state)
         self._advance(int(self.memory.clock.now_ns), self._logged, self._rows)
+        if self._software is not None:
+            self._software.start(lambda until_ns: self._kernel(until_ns, self._logged, self._rows))
+
+    def _flight_software(self) -> FlightSoftware | None:
+        """Of a flight with flight code from outside; where that is guarded, all that changes is in shared memory."""
+        if int(self.packed.parameters[0].computer.external) == 0:
+            return None
+        from maxq.sim.run.flight_software import FlightSoftware, shared  # noqa: PLC0415  # lazy: few flights have any
+
+        if FlightSoftware.guards(self.loaded):
+            memory, state = shared(self.packed.memory), shared(self.packed.state)
+            self.packed = replace(self.packed, memory=memory, state=state)
+            self._arena, self._counts = shared(self._arena), shared(self._counts)
+            self._rows = {group: (shared(times), shared(values)) for group, (times, values) in self._rows.items()}
+        return FlightSoftware(self.loaded, self.packed)
 
     @property
     def memory(self) -> Any:
@@ -198,6 +221,8 @@ class FlightRun:
                 found.append(Event(name, int(time_ns), detail=causes.get(name, "")))
         found += self._faults(start_ns)
         found += self._broken_waves()
+        if self._software is not None and (said := self._software.complaint):
+            found.append(Event(SOFTWARE_NAME, int(clock.now_ns), detail=said))
         return tuple(sorted(found, key=lambda event: event.time_ns))
 
     def _broken_waves(self) -> list[Event]:
@@ -224,6 +249,8 @@ class FlightRun:
     def outcome(self) -> str:
         """`diverged`, the event of run.stop_at that ended the flight, `duration`, or `interrupted`."""
         clock = self.memory.clock
+        if self.memory.computer.external.fault != 0:
+            return SOFTWARE_NAME
         stop_mask = int(self.packed.parameters[int(clock.stage)].timeline.stop_mask)
         events_ns, now_ns = clock.event_ns.tolist(), int(clock.now_ns)
         if events_ns[DIVERGED] >= 0:
@@ -260,7 +287,9 @@ class FlightRun:
         length_ns = length_ns or self.segment_ns
         until = (int(self.memory.clock.now_ns) // length_ns + 1) * length_ns
         start = time.perf_counter()
-        rows = self._advance(until, self._logged, self._rows)
+        rows = self._advance(until, self._logged, self._rows, self._software)
+        if self._software is not None and self.finished:
+            self._software.close()
         self.wall_s += time.perf_counter() - start
         return rows
 
@@ -293,7 +322,7 @@ class FlightRun:
         metrics = dict(zip(MetricIndex._fields, extremes.value.tolist(), strict=True))
         metrics |= of_sections._asdict() | end._asdict() | WaveMetrics(wave)._asdict()
         metric_times_s |= section_times._asdict()
-        failed = [e for e in events if e.name in (CONTROL_LOST_NAME, DIVERGED_NAME)]
+        failed = [e for e in events if e.name in (CONTROL_LOST_NAME, DIVERGED_NAME, SOFTWARE_NAME)]
         return Flight(
             scenario=self.loaded,
             table=self.table,
@@ -331,16 +360,23 @@ class FlightRun:
     def _blank(self, group: str, room: int) -> tuple[IntArray, Array]:
         return np.zeros(room, np.int64), np.zeros((room, len(self.table.columns(group))))
 
-    def _advance(self, until_ns: int, logged: Any, room: Rows) -> Rows:
+    def _advance(self, until_ns: int, logged: Any, room: Rows, software: FlightSoftware | None = None) -> Rows:
         """Fly until `until_ns`; the log rows as views of `room`."""
+        self._counts[:] = 0
+        if software is not None:
+            software.advance(until_ns)
+        else:
+            self._kernel(until_ns, logged, room)
         (fast_ns, fast), (slow_ns, slow) = room[FAST], room[SLOW]
-        counts = np.zeros(2, np.int64)
+        n, m = self._counts
+        return {FAST: (fast_ns[:n], fast[:n]), SLOW: (slow_ns[:m], slow[:m])}
+
+    def _kernel(self, until_ns: int, logged: Any, room: Rows) -> None:
+        (fast_ns, fast), (slow_ns, slow) = room[FAST], room[SLOW]
         advance(
             self.packed.parameters, self.packed.pool, self.packed.memory, self.packed.state, self._arena,
-            until_ns, logged, fast_ns, fast, slow_ns, slow, counts,
+            until_ns, logged, fast_ns, fast, slow_ns, slow, self._counts,
         )  # fmt: skip  # ten more lines otherwise
-        n, m = counts
-        return {FAST: (fast_ns[:n], fast[:n]), SLOW: (slow_ns[:m], slow[:m])}
 
 
 def fly(loaded: LoadedScenario, *, log: bool = True, watch: Callable[[FlightRun, Rows], None] | None = None) -> Flight:
@@ -366,9 +402,9 @@ def logged_channels(scenario: Scenario, sizes: Sizes) -> ChannelTable:
     waves = _logs_waves(scenario, sizes)
     groups = max((stage.engine_groups for stage in scenario.vehicle.stage), key=len)
     groups = tuple(name or str(i + 1) for i, name in enumerate(groups)) if len(groups) > 1 else ()
-    return _channel_table(
-        sizes, names[: sizes.pendulums], load_stations(scenario), waves, groups, engine_names(scenario)
-    )
+    computer, tanks = scenario.vehicle.computer, names[: sizes.pendulums]
+    external = computer is not None and computer.law == "external"
+    return _channel_table(sizes, tanks, load_stations(scenario), waves, groups, engine_names(scenario), external)
 
 
 def engine_names(scenario: Scenario) -> tuple[str, ...]:

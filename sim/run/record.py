@@ -27,6 +27,7 @@ from maxq.sim.run.fly import (
     CONTROL_LOST_NAME,
     DIVERGED_NAME,
     FAULT_NAME,
+    SOFTWARE_NAME,
     WAVE_BREAKING_NAME,
     Event,
     Flight,
@@ -52,6 +53,7 @@ LEVELS = {
     WAVE_BREAKING_NAME: foxglove.Level.WARNING,
     CONTROL_LOST_NAME: foxglove.Level.ERROR,
     DIVERGED_NAME: foxglove.Level.FATAL,
+    SOFTWARE_NAME: foxglove.Level.FATAL,
 }
 
 

@@ -72,7 +72,7 @@ def find(name: Text, variants: Iterable[str] = TABLE_VARIANTS) -> Path | None:
     return None
 
 
-def _not_found(name: Text, wanted: str, variants: Iterable[str]) -> tuple[str, str]:
+def not_found(name: Text, wanted: str, variants: Iterable[str]) -> tuple[str, str]:
     """What is wrong with a name for which `find` found none of the `variants`, and what is allowed."""
     if not name.source.folders:
         return "names a file, which a scenario given as text cannot do", "the content itself"
@@ -163,7 +163,7 @@ class Reading:
         """How the CSV file `name` is shown to people, and its text (for the schema)."""
         path = find(name)
         if path is None:
-            raise refuse(*_not_found(name, "a CSV file", TABLE_VARIANTS))
+            raise refuse(*not_found(name, "a CSV file", TABLE_VARIANTS))
         label = shown(path)
         return label, self.text(path, label, "a CSV file")
 
@@ -189,7 +189,7 @@ class Reading:
         variants = _VARIANTS.get(role, _FILE_VARIANTS)
         path = find(name, variants)
         if path is None:
-            problem, allowed = _not_found(name, WANTED[role], variants)
+            problem, allowed = not_found(name, WANTED[role], variants)
             if role == "vehicle" and any(kind(folder / name) == "folder" for folder in name.source.folders):
                 problem = "the folder has no vehicle.toml"
             raise where.error(key, problem, value=name, allowed=allowed)

@@ -9,6 +9,7 @@ from pydantic import Discriminator, Field, Tag, model_validator
 
 from maxq.control.kernel.limits import MAX_ENGINES, MAX_MODES, MAX_PENDULUMS, MAX_STAGES
 from maxq.sim.scenario.errors import refuse
+from maxq.sim.scenario.flight_code import Address, LibraryFile, PythonClass, Settings
 from maxq.sim.scenario.modes import (
     MODE_COLUMNS,
     SPATIAL_COLUMNS,
@@ -31,6 +32,7 @@ from maxq.sim.scenario.schema_values import (
     Section,
     Triple,
     at_most_one,
+    only_with,
     optional,
 )
 from maxq.sim.scenario.tables_csv import CsvTable
@@ -152,6 +154,9 @@ class Gyro(Section):
     noise_deg_rt_h: NotNegative = optional("angle random walk, deg per root hour", 0.0)
 
 
+_CODE = ("library", "python", "address")
+
+
 class Computer(Section):
     """Flight computer: converter, sampling, delay and output."""
 
@@ -161,9 +166,27 @@ class Computer(Section):
     dac_step_deg: NotNegative = optional("step of the output, deg; 0: no quantisation", 0.0)
     angle_error_limit_deg: Positive = Field(description="clamp of the attitude error (anti-windup), deg")
     command_limit_deg: Positive = Field(description="clamp of the gimbal command, deg")
+    law: Literal["design", "external"] = optional(
+        "external: flight code from outside in place of the design's", "design"
+    )
+    library: LibraryFile | None = optional("flight code: shared library (C ABI of maxq_fsw.h)")
+    python: PythonClass | None = optional("flight code: Python class, file.py:Class")
+    address: Address | None = optional("flight code: computer behind a socket, tcp://127.0.0.1:PORT or udp://...")
+    settings: Settings = optional("text that the flight code gets at its start", "")
+    timeout_s: Positive = optional("longest time that the flight code may take for one sample, s", 2.0)
+    guard: bool = optional("flight code in a process of its own; off: a crash ends maxq, for debuggers", True)
+
+    @property
+    def code_keys(self) -> tuple[str, ...]:
+        """Which of the keys that name flight code are given."""
+        return tuple(key for key in _CODE if getattr(self, key) is not None)
 
     @model_validator(mode="after")
     def _check(self) -> Computer:
+        only_with(self, _CODE, self.law == "external", "law = 'external'")
+        at_most_one(self, _CODE)
+        if self.law == "external" and not self.code_keys:
+            raise refuse("names no flight code", f"external with one of {', '.join(_CODE)}", ("law",))
         if self.delay_s > self.sample_s:
             raise refuse("is longer than the sample period", f"0 .. sample_s = {self.sample_s:g}", ("delay_s",))
         return self

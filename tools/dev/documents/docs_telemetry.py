@@ -15,7 +15,14 @@ from maxq.sim.flight.parameters import EVENT_NAMES
 from maxq.sim.flight.telemetry import FAST, SLOW, channel_table
 from maxq.sim.log.head import END_METADATA, REASON_KEY, RUN_METADATA, SCHEMA_VERSION, STATUS_KEY
 from maxq.sim.packing.schedule import stage_sizes
-from maxq.sim.run.fly import CONTROL_LOST_CAUSE, FAULT_END_NAME, FAULT_NAME, IGNITION_NAME, WAVE_BREAKING_NAME
+from maxq.sim.run.fly import (
+    CONTROL_LOST_CAUSE,
+    FAULT_END_NAME,
+    FAULT_NAME,
+    IGNITION_NAME,
+    SOFTWARE_NAME,
+    WAVE_BREAKING_NAME,
+)
 from maxq.sim.run.launch_frames import CHILD, PARENT
 from maxq.sim.run.metrics import METRICS
 from maxq.sim.run.record import DESIGN_ATTACHMENT, END_KEY, OUTCOME_KEY, SCENARIO_ATTACHMENT, STATE_HASH_KEY, STEPS_KEY
@@ -23,7 +30,7 @@ from maxq.sim.scenario.loader import load_scenario
 from maxq.sim.vehicle.state import CAUSES
 
 _EXAMPLE = "nominal"
-_EVENTS = (IGNITION_NAME, *EVENT_NAMES, FAULT_NAME, FAULT_END_NAME, WAVE_BREAKING_NAME)
+_EVENTS = (IGNITION_NAME, *EVENT_NAMES, FAULT_NAME, FAULT_END_NAME, WAVE_BREAKING_NAME, SOFTWARE_NAME)
 _EVENT_MEANINGS = {
     IGNITION_NAME: "the engine of a stage begins to burn",
     "liftoff": "hold-down is released: thrust exceeds weight, or at holddown.release_s",
@@ -36,6 +43,7 @@ _EVENT_MEANINGS = {
     FAULT_NAME: "a fault of the scenario begins; the text says which",
     FAULT_END_NAME: "it ends",
     WAVE_BREAKING_NAME: "a wave in a tank is as high as it can be (docs/model.md, section 5); the text says in which",
+    SOFTWARE_NAME: "flight code from outside has ended the flight; the text says why (docs/flight-software.md)",
     "diverged": "the state is outside the bounds of a flight; the text gives the cause: "
     + ", or ".join(dict.fromkeys(cause for cause in CAUSES if cause)),
 }
@@ -48,7 +56,7 @@ def page() -> str:
     sizes = replace(stage_sizes(stage, loaded.scenario.switches), tvc_loads=1)  # and what that vehicle lacks
     assert stage.loads is not None
     first = f"station 1 at {stage.loads.stations_m[0]:g} m"
-    table = channel_table(sizes, stage.pendulum_names, (first,))
+    table = channel_table(sizes, stage.pendulum_names, (first,), external=True)
     return f"""\
 # Telemetry
 
@@ -68,7 +76,8 @@ name says so. The tables are those of the built-in `{_EXAMPLE}`: {sizes.pitch_mo
 has modes and tanks, and are missing where it has none; spatial modes are `eta_spatial_N_m` and
 `eta_spatial_N_mps`. Of several engines `/engines` has each group's command, angle and rate
 (`gimbal_group_NAME_pitch_angle_deg`), where there are several groups, and each engine's thrust
-(`thrust_engine_NAME_N`); `/actuator` is that of the first group. `/tvc_load` is there with `[stage.tvc_load]`.
+(`thrust_engine_NAME_N`); `/actuator` is that of the first group. `/tvc_load` is there with `[stage.tvc_load]`,
+`/flight_code` with `computer.law = "external"`.
 `/sections` is there with `switches.section_loads`, and has the same five columns for every station of `[stage.loads]`
 (docs/model.md, section 13, for the signs). What a stage
 lacks, and the pendulum of an empty tank, is nan.

@@ -1,0 +1,79 @@
+/* maxq_fsw.h: own flight code in maxq's simulator, version 1 of the interface.
+ *
+ * A shared library exports the five functions at the end; `[computer] law = "external"` and `library = "libfsw.so"` in a
+ * vehicle file let it fly. SI units; body axes x forward, y, z, as in docs/model.md; triples are roll, pitch, yaw.
+ * Every field has eight bytes. Later versions only add fields at the end of a struct: `bytes` tells how many there are.
+ *
+ * The simulator calls maxq_fsw_step once each sample. It owns the memory of an instance, so that the code need not
+ * allocate any: several instances fly side by side as long as nothing is kept elsewhere.
+ */
+#ifndef MAXQ_FSW_H
+#define MAXQ_FSW_H
+
+#include <stdint.h>
+
+#ifdef __cplusplus
+extern "C" {
+#endif
+
+#define MAXQ_FSW_ABI 1
+#define MAXQ_FSW_HEALTH_GYRO 1 /* bit of health: all gyro increments of the sample were valid */
+
+typedef struct maxq_fsw_setup {
+    int64_t bytes;               /* size of this struct */
+    int64_t abi;                 /* MAXQ_FSW_ABI of the simulator */
+    int64_t sample_ns;           /* sample period */
+    int64_t delay_ns;            /* from a sample to the effect of its command */
+    int64_t start_ns;            /* vehicle clock at the start; the first sample ends sample_ns later */
+    int64_t groups;              /* groups of engines that move together, of the first stage */
+    double count_rad;            /* angle per gyro pulse; 0: not quantised */
+    double dac_step_rad;         /* step of the output converter; 0: not quantised */
+    double command_limit_rad;    /* of the gimbal command */
+    double angle_error_limit_rad;/* of the built-in law's attitude error */
+    char settings[256];          /* text of the key settings, ends with a zero */
+} maxq_fsw_setup;
+
+typedef struct maxq_fsw_inputs {
+    int64_t bytes;                  /* size of this struct */
+    int64_t time_ns;                /* vehicle clock at the end of the sample */
+    int64_t tick;                   /* samples before this one */
+    int64_t stage;                  /* that flies, from 0 */
+    int64_t health;                 /* bits MAXQ_FSW_HEALTH_... */
+    double time_s;                  /* time_ns / 1e9 */
+    int64_t counts[3];              /* gyro pulses of the sample; 0 where not quantised */
+    double delta_angle_rad[3];      /* what they mean */
+    double angle_rad[3];            /* their sum since the start */
+    double rate_radps[3];           /* delta_angle_rad / sample period */
+    double commanded_angle_rad[3];  /* guidance programme: sum of the commanded rates */
+    double commanded_rate_radps[3]; /* mean over the sample */
+    double attitude_error_rad[3];   /* angle less commanded angle, limited, as the built-in law has it */
+} maxq_fsw_inputs;
+
+typedef struct maxq_fsw_outputs { /* all 0 before each call, but for bytes */
+    int64_t bytes;           /* size of this struct */
+    double gimbal_rad[2];    /* command in pitch and in yaw; limit and converter come after it */
+    double roll_gimbal_rad;  /* command in roll by gimbals, for several groups of engines */
+    int64_t roll_thruster;   /* -1, 0, 1: torque about x by thrusters */
+    double monitor[8];       /* free; monitor_1 ... monitor_8 of the log */
+} maxq_fsw_outputs;
+
+#if defined(_WIN32)
+#define MAXQ_FSW_EXPORT __declspec(dllexport)
+#elif defined(__GNUC__)
+#define MAXQ_FSW_EXPORT __attribute__((visibility("default")))
+#else
+#define MAXQ_FSW_EXPORT
+#endif
+
+MAXQ_FSW_EXPORT int32_t maxq_fsw_abi(void);   /* returns MAXQ_FSW_ABI */
+MAXQ_FSW_EXPORT int64_t maxq_fsw_bytes(void); /* memory of one instance */
+/* self: that memory, zeroed, aligned to 64 bytes. These two return 0, or 1 to 99 to end the flight. */
+MAXQ_FSW_EXPORT int32_t maxq_fsw_init(void *self, const maxq_fsw_setup *setup);
+MAXQ_FSW_EXPORT int32_t maxq_fsw_step(void *self, const maxq_fsw_inputs *in, maxq_fsw_outputs *out);
+MAXQ_FSW_EXPORT void maxq_fsw_close(void *self);
+
+#ifdef __cplusplus
+}
+#endif
+
+#endif

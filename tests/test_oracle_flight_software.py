@@ -1,0 +1,103 @@
+"""Flight code from outside against the built-in law, and the interface as a C compiler sees it.
+
+| what is checked | against |
+|---|---|
+| layout of the structs | offsetof and sizeof of a C compiler |
+| PD law by hand in C and in Python, and with an observer | the built-in law, over the nominal flight |
+| the observer's estimate | angular acceleration of the log less the gimbal's part |
+"""
+
+from __future__ import annotations
+
+import ctypes
+import subprocess
+from pathlib import Path
+
+import numpy as np
+import pytest
+from flight_code import EXAMPLES, compiled, flies, needs_compiler
+
+from maxq.control.external import FswInputs, FswOutputs
+from maxq.control.kernel.records import dtype_of
+from maxq.sim.run.flight_software import Setup
+from maxq.sim.run.fly import Flight, fly
+from maxq.sim.scenario.loader import load_scenario
+
+POWERED = ["run.duration_s=59", "requirement="]
+COMMANDS = ("gimbal_pitch_command_deg", "gimbal_yaw_command_deg")
+
+
+@needs_compiler
+def test_the_structs_are_those_of_the_header(tmp_path: Path) -> None:
+    expected, lines = [], []
+    for struct, layout in (("inputs", dtype_of(FswInputs)), ("outputs", dtype_of(FswOutputs))):
+        places = {name: place[1] for name, place in (layout.fields or {}).items()}
+        places |= {"": layout.itemsize}
+        expected += list(places.values())
+        lines += [_asked(f"maxq_fsw_{struct}", name) for name in places]
+    setup = {name: getattr(Setup, name).offset for name, _ in Setup._fields_} | {"": ctypes.sizeof(Setup)}
+    expected += list(setup.values())
+    lines += [_asked("maxq_fsw_setup", name) for name in setup]
+    source = tmp_path / "layout.c"
+    head = '#include <stddef.h>\n#include <stdio.h>\n#include "maxq_fsw.h"\n'
+    source.write_text(f"{head}int main(void)\n{{\n" + "\n".join(lines) + "\nreturn 0;\n}\n")
+    said = subprocess.run(
+        [compiled(tmp_path, source, "layout", program=True)], capture_output=True, text=True, check=True
+    )
+    assert [int(word) for word in said.stdout.split()] == expected
+
+
+def _asked(struct: str, name: str) -> str:
+    what = f"offsetof({struct}, {name})" if name else f"sizeof({struct})"
+    return f'printf("%lu\\n", (unsigned long){what});'
+
+
+@pytest.fixture(scope="module")
+def built_in() -> Flight:
+    return fly(load_scenario("nominal", POWERED))
+
+
+def farthest_deg(flight: Flight, other: Flight) -> float:
+    return max(float(np.abs(flight[c] - other[c]).max()) for c in COMMANDS)
+
+
+@needs_compiler
+@pytest.mark.parametrize("guard", ["true", "false"])
+def test_the_law_by_hand_in_c_flies_as_the_built_in(tmp_path: Path, built_in: Flight, guard: str) -> None:
+    library = compiled(tmp_path, EXAMPLES / "pd_law.c", "pd_law")
+    flight = fly(load_scenario("nominal", [*POWERED, *flies(library=library, guard=guard)]))
+    assert flight.outcome == "duration"
+    assert farthest_deg(flight, built_in) <= 1.001 * built_in.scenario.vehicle.computer.dac_step_deg  # type: ignore[union-attr]
+
+
+@needs_compiler
+def test_a_sign_error_shows(tmp_path: Path, built_in: Flight) -> None:
+    text = (EXAMPLES / "pd.h").read_text().replace("- k_d_s * in->rate", "+ k_d_s * in->rate")
+    (tmp_path / "pd.h").write_text(text)
+    (tmp_path / "pd_law.c").write_text((EXAMPLES / "pd_law.c").read_text())
+    wrong = fly(
+        load_scenario("nominal", [*POWERED, *flies(library=compiled(tmp_path, tmp_path / "pd_law.c", "wrong"))])
+    )
+    n = len(wrong[COMMANDS[0]])
+    assert max(float(np.abs(wrong[c] - built_in[c][:n]).max()) for c in COMMANDS) > 1.0
+
+
+def test_the_law_by_hand_in_python_flies_as_the_built_in(built_in: Flight) -> None:
+    flight = fly(load_scenario("nominal", [*POWERED, *flies(python=f"{EXAMPLES}/pd_law.py:Autopilot")]))
+    assert flight.outcome == "duration"
+    assert farthest_deg(flight, built_in) <= 1.001 * built_in.scenario.vehicle.computer.dac_step_deg  # type: ignore[union-attr]
+
+
+@needs_compiler
+def test_an_observer_beside_the_law_sees_a_disturbance(tmp_path: Path, built_in: Flight) -> None:
+    """A steady moment of known angular acceleration appears in the estimate, within its model's accuracy."""
+    library = compiled(tmp_path, EXAMPLES / "pd_observer.c", "pd_observer")
+    flight = fly(load_scenario("nominal", [*POWERED, *flies(library=library)]))
+    assert farthest_deg(flight, built_in) <= 1.001 * built_in.scenario.vehicle.computer.dac_step_deg  # type: ignore[union-attr]
+    pushed_Nm = 20_000.0
+    push = f'injection=[{{at="body_torque",axis="y",kind="step",amplitude_Nm={pushed_Nm},start_s=5.0}}]'
+    pushed = fly(load_scenario("nominal", ["run.duration_s=9", "requirement=", push, *flies(library=library)]))
+    at = np.searchsorted(pushed.time_s("monitor_1"), 8.5)
+    change = pushed["monitor_1"][at] - flight["monitor_1"][at]
+    inertia = pushed["Iyy_kgm2"][np.searchsorted(pushed.time_s("Iyy_kgm2"), 8.5)]
+    assert change == pytest.approx(pushed_Nm / inertia, rel=0.25)

@@ -1,0 +1,154 @@
+"""Flight code from outside at work: what a person gets to see when it fails, and when a log is flown again."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from flight_code import EXAMPLES, compiled, flies, needs_compiler
+
+from maxq.control.external import HEADER
+from maxq.sim.log.reader import read_log
+from maxq.tools import simrun
+
+Printed = pytest.CaptureFixture[str]
+
+WRONG = """
+#include "maxq_fsw.h"
+#include <math.h>
+#ifndef MISSING
+int32_t maxq_fsw_abi(void) { return ABI; }
+#endif
+int64_t maxq_fsw_bytes(void) { return 8; }
+int32_t maxq_fsw_init(void *self, const maxq_fsw_setup *setup) { (void)self; (void)setup; return INIT; }
+int32_t maxq_fsw_step(void *self, const maxq_fsw_inputs *in, maxq_fsw_outputs *out)
+{
+    volatile int64_t *nowhere = (volatile int64_t *)0;
+    (void)self, (void)out;
+    if (in->time_s > 1.205) { STEP; }
+    return nowhere == (volatile int64_t *)1;
+}
+void maxq_fsw_close(void *self) { (void)self; CLOSE; }
+"""
+SOUND = {"ABI": "1", "INIT": "0", "STEP": "(void)out", "CLOSE": ""}
+
+
+@pytest.fixture(autouse=True)
+def _in_an_empty_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+
+
+def fly(*overrides: str) -> int:
+    given = ["run.duration_s=2", "requirement=", *overrides]
+    return simrun.main(["nominal", "--out", "out", *(word for change in given for word in ("--set", change))])
+
+
+def wrong(folder: Path, **macros: str) -> Path:
+    source = folder / "wrong.c"
+    source.write_text(WRONG)
+    flags = [f"-D{name}={text}" for name, text in (SOUND | macros).items()]
+    return compiled(folder, source, "wrong", *flags)
+
+
+@needs_compiler
+@pytest.mark.parametrize(
+    ("macros", "said"),
+    [
+        ({"STEP": "return 7"}, "its step returned 7"),
+        ({"STEP": "out->gimbal_rad[1]=sqrt(-1.0)"}, "gave gimbal_rad[1], yaw: not a finite number"),
+        ({"STEP": "out->roll_thruster=2"}, "gave roll_thruster = 2"),
+        ({"STEP": "*nowhere=1"}, "crashed in its step: SIGSEGV"),
+        ({"STEP": "for(;;){}"}, "did not return within 0.5 s in its step"),
+    ],
+)
+def test_code_that_fails_in_flight_ends_it_with_a_closed_log(
+    tmp_path: Path, capsys: Printed, macros: dict[str, str], said: str
+) -> None:
+    assert fly(*flies(library=wrong(tmp_path, **macros), timeout_s=0.5)) == 1
+    printed = capsys.readouterr().out
+    assert f"FAILED: flight software at 1.210 s: {said}" in printed.splitlines()[-1]
+    log = read_log("out/flight.mcap")
+    assert log.complete
+    assert log.end["outcome"] == "flight_software"
+    assert log.time_s("gyro_pitch_rate_degps")[-1] == pytest.approx(1.21, abs=0.0011)
+
+
+@needs_compiler
+@pytest.mark.parametrize(
+    ("macros", "said"),
+    [
+        ({"MISSING": "1"}, "has no function maxq_fsw_abi"),
+        ({"ABI": "9"}, "is made for version 9 of maxq_fsw.h, this is version 1"),
+        ({"INIT": "3"}, "maxq_fsw_init returned 3"),
+        ({"INIT": "(int32_t)*(volatile char*)setup->bytes"}, "crashed at its start: SIGSEGV"),
+    ],
+)
+def test_code_that_cannot_be_started_is_bad_input(
+    tmp_path: Path, capsys: Printed, macros: dict[str, str], said: str
+) -> None:
+    assert fly(*flies(library=wrong(tmp_path, **macros))) == 2
+    errors = capsys.readouterr().err
+    assert said in errors.splitlines()[-1]
+    assert "vehicle.computer.library" in errors
+    assert not Path("out/flight.mcap").exists()
+
+
+@needs_compiler
+def test_code_that_does_not_close_is_left_behind(tmp_path: Path) -> None:
+    assert fly(*flies(library=wrong(tmp_path, CLOSE="for(;;){}"), timeout_s=0.3)) == 0
+
+
+@pytest.mark.parametrize(
+    ("text", "code", "said"),
+    [
+        ("class Autopilot:\n  def __init__(self, s): self.n = 0\n  def step(self, i): return {1: 1 / 0}", 1, "line 3"),
+        ("class Autopilot:\n  def __init__(self, s): pass\n  def step(self, i): return {'gimbal': 1}", 1, "gimbal"),
+        ("class Autopilot:\n  def __init__(self, s): pass\n  def step(self, i): raise SystemExit(3)", 1, "SystemExit"),
+        ("class Autopilot:\n  def __init__(self, s): raise ValueError('no')\n  def step(self, i): pass", 2, "no"),
+        ("class Other: pass", 2, "has no class Autopilot"),
+        ("class Autopilot: pass", 2, "has no method step"),
+        ("import nothing_of_the_sort", 2, "ModuleNotFoundError"),
+    ],
+)
+@pytest.mark.parametrize("guard", ["true", "false"])
+def test_wrong_python_is_told_in_a_line(capsys: Printed, text: str, code: int, said: str, guard: str) -> None:
+    Path("my_fsw.py").write_text(text)
+    assert fly(*flies(python="my_fsw.py:Autopilot", guard=guard)) == code
+    printed = capsys.readouterr()
+    assert said in (printed.out if code == 1 else printed.err).splitlines()[-1]
+
+
+@pytest.mark.parametrize(
+    ("computer", "said"),
+    [
+        ({}, "names no flight code"),
+        ({"library": "none.so"}, "no such file"),
+        ({"python": "my_fsw.py"}, "names no class"),
+        ({"python": "none.py:A", "address": "tcp://127.0.0.1:1"}, "no such file"),
+        ({"address": "tcp://10.0.0.1:5000"}, "is not on this machine"),
+        ({"address": "127.0.0.1"}, "is no address"),
+        ({"address": "tcp://127.0.0.1:1"}, "connection refused"),
+    ],
+)
+def test_a_wrong_name_is_told_in_a_line(capsys: Printed, computer: dict[str, str], said: str) -> None:
+    assert fly(*flies(**computer)) == 2
+    assert said in capsys.readouterr().err.splitlines()[-1]
+
+
+def test_a_log_is_flown_again_with_the_same_code_only(capsys: Printed, caplog: pytest.LogCaptureFixture) -> None:
+    own = Path("own_fsw.py")
+    own.write_text((EXAMPLES / "pd_law.py").read_text())
+    assert fly(*flies(python="own_fsw.py:Autopilot")) == 0
+    caplog.clear()
+    assert simrun.main(["--from", "out/flight.mcap"]) == 0
+    assert "SAME" in capsys.readouterr().out
+    own.write_text(own.read_text() + "\n# changed\n")
+    assert simrun.main(["--from", "out/flight.mcap"]) == 2
+    assert "is not the flight code that was flown" in capsys.readouterr().err
+    assert simrun.main(["--from", "out/flight.mcap", "--set", "vehicle.computer.python=own_fsw.py:Autopilot"]) == 0
+    assert "own_fsw.py:Autopilot (sha256 " in caplog.text
+
+
+def test_the_header_is_printed(capsys: Printed) -> None:
+    assert simrun.main(["--schema", "flight-software"]) == 0
+    assert capsys.readouterr().out == HEADER.read_text()
