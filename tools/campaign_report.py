@@ -22,7 +22,7 @@ from maxq.sim.campaign.statistics import ANY_TIME, MET, NOT_MET
 from maxq.sim.campaign.store import read_manifest, write_json
 from maxq.sim.files import write_whole
 from maxq.tools.cli import terminal
-from maxq.tools.cli.terminal import aligned, printable
+from maxq.tools.cli.terminal import aligned, figures, printable
 
 _DRIVEN = 6  # requirements whose drivers are shown: those nearest to their limits
 _NAMED = 8  # drivers in the summary of each
@@ -66,7 +66,7 @@ def heads(data: DataSet) -> tuple[str, ...]:
     campaign = data.campaign.campaign
     quantile, bound = f"{100 * campaign.success:g} %", f"bound at {100 * campaign.confidence:g} %"
     return (
-        "requirement", "limit", "median", quantile, bound, "worst", "run", "failed", "allowed", "success", "verdict",
+        "requirement", "verdict", "limit", "worst", "run", "failed", "allowed", "median", quantile, bound, "success",
     )  # fmt: skip  # ten more lines otherwise
 
 
@@ -78,21 +78,21 @@ def cells(v: Judged) -> tuple[str, ...]:
     settled = shown.judgement in (MET, NOT_MET)
     return (
         printable(v.name),
+        shown.judgement if settled else f"not yet: {shown.more} more runs without failure",
         f"{sign} {v.bound:g}{unit}" if v.metric else "",
-        *(value_text(value) for value in (v.median, v.quantile, v.tolerance)),
         value_text(worst.value) if worst else "",
         str(worst.run) if worst else "",
         str(shown.failures),
         str(shown.allowed) if shown.allowed >= 0 else "",
+        *(value_text(value) for value in (v.median, v.quantile, v.tolerance)),
         success if shown.runs else "",
-        shown.judgement if settled else f"not yet: {shown.more} more runs without failure",
     )
 
 
-def value_text(value: object, digits: int = 5) -> str:
+def value_text(value: object, digits: int = 4) -> str:
     """A number with so many digits; nothing for what is missing or nan."""
     if isinstance(value, float):
-        return "" if math.isnan(value) else f"{value:.{digits}g}"
+        return "" if math.isnan(value) else figures(value, digits)
     return "" if value is None else str(value)
 
 
@@ -132,7 +132,7 @@ def report(data: DataSet, verdicts: Sequence[Judged], losses: Sequence[Lost]) ->
     scenario = data.campaign.base.scenario
     title = printable(f"{scenario.name}: {scenario.description}" if scenario.description else scenario.name)
     ends = ", ".join(f"{count} {outcome}" for outcome, count in sorted(Counter(data.outcomes).items()))
-    table = aligned([heads(data), *map(cells, verdicts)], "  ", right=range(1, 9))
+    table = aligned([heads(data), *map(cells, verdicts)], "  ", right=range(3, 10), drop=(10, 6, 9, 8, 7))
     lines = [
         title,
         *(f"warning: {printable(doubt)}" for doubt in data.campaign.doubts),

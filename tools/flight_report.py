@@ -7,9 +7,8 @@ from pathlib import Path
 
 from maxq.sim.run.fly import DIVERGED_NAME, Flight
 from maxq.sim.run.integration import worst_error
-from maxq.sim.run.metrics import Verdict, unit_of
-from maxq.sim.scenario.schema_loads import SECTION_PREFIX
-from maxq.tools.cli.terminal import aligned, printable
+from maxq.sim.run.metrics import Verdict, title_of, unit_of
+from maxq.tools.cli.terminal import aligned, figures, printable
 
 _FINAL = (
     "altitude_m", "speed_mps", "yaw_deg", "pitch_deg", "roll_deg", "alpha_total_deg", "dynamic_pressure_Pa",
@@ -24,7 +23,7 @@ def report(flight: Flight, files: list[Path], total_s: float) -> str:
     scenario = flight.scenario.scenario
     title = printable(f"{scenario.name}: {scenario.description}" if scenario.description else scenario.name)
     head = [title, *(f"warning: {printable(doubt)}" for doubt in flight.scenario.doubts)]
-    parts = [head, _events(flight), _metrics(flight), _requirements(flight.verdicts)]
+    parts = [head, _requirements(flight.verdicts), _events(flight), _metrics(flight)]
     if flight.outcome == DIVERGED_NAME:
         parts.append(_state(flight))
     error = worst_error(scenario)
@@ -62,13 +61,13 @@ def _events(flight: Flight) -> list[str]:
 def _metrics(flight: Flight) -> list[str]:
     rows = []
     for name, value in flight.metrics.items():
-        if name.startswith((SECTION_PREFIX, "max_wave")) and math.isnan(value):
+        if math.isnan(value):  # it has none of it
             continue
         unit, time_s = unit_of(name), flight.metric_times_s[name]
         at = f"at {time_s:.3f} s" if math.isfinite(time_s) else ""
         if name.startswith(("final_", "flight_time", "range")):
             at = "at the end"
-        rows.append((name, _value(value), "" if unit == "1" else unit, at))
+        rows.append((title_of(name), figures(value), "" if unit == "1" else unit, at))
     return ["metrics", *aligned(rows, "  ", right=(1,))]
 
 
@@ -80,12 +79,14 @@ def _requirements(verdicts: tuple[Verdict, ...]) -> list[str]:
         kind, bound = verdict.bound
         unit = unit_of(verdict.requirement.metric)
         limit = f"{'<=' if kind == 'limit' else '>='} {_value(bound)} {'' if unit == '1' else unit}".rstrip()
-        rows.append((printable(verdict.name), _value(verdict.value), limit, "met" if verdict.met else "MISSED"))
-    return ["requirements", *aligned(rows, "  ", right=(1,))]
+        at = f"at {verdict.time_s:.3f} s" if math.isfinite(verdict.time_s) else ""
+        value = figures(verdict.value, 4 if verdict.met else 7)  # rounded more, a missed one may look like the limit
+        rows.append((printable(verdict.name), "met" if verdict.met else "MISSED", value, limit, at))
+    return ["requirements", *aligned(rows, "  ", right=(2,), drop=(4,))]
 
 
 def _state(flight: Flight) -> list[str]:
-    rows = [(name, _value(flight.final[name])) for name in _FINAL if name in flight.final]
+    rows = [(name, figures(flight.final[name])) for name in _FINAL if name in flight.final]
     return [f"state at {flight.end_s:.3f} s, before it diverged", *aligned(rows, "  ", right=(1,))]
 
 

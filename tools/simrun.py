@@ -14,7 +14,7 @@ from maxq.tools.cli.parser import Parser, count, count_of_runs, filled
 _USAGE = """\
 simrun SCENARIO [--set KEY=VALUE]... [--out DIR] [--no-log] [--view [--realtime [X]]]
        simrun CAMPAIGN [--runs N] [--seed S] [--workers K] [--keep WHICH]... [--until-settled]
-                       [--dask ADDRESS] [--set KEY=VALUE]... [--out DIR] [--no-report]
+           [--dask ADDRESS] [--set KEY=VALUE]... [--out DIR] [--no-report]
        simrun --from LOG [--set KEY=VALUE]... [--out DIR] [--view [--realtime [X]]]
        simrun --from DIR [--keep WHICH]... [--no-report]
        simrun --from DIR --run N [--view | --shrink] [--out DIR]

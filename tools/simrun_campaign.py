@@ -28,10 +28,10 @@ from maxq.sim.run.record import LOG_NAME, SUMMARY_NAME
 from maxq.sim.scenario.errors import suggestion
 from maxq.tools import campaign_report as text
 from maxq.tools.cli.frame import Exit, Interruption, say
-from maxq.tools.cli.terminal import Progress, aligned, printable
+from maxq.tools.cli.terminal import Progress, aligned, printable, tell
 from maxq.tools.flight_report import report
 from maxq.tools.replay.viewer import ReplayError
-from maxq.tools.simrun_fly import announce_compilation, show_flight, viewer_needed
+from maxq.tools.simrun_fly import show_flight, viewer_needed
 
 if TYPE_CHECKING:
     from maxq.tools.replay.live import FlownView
@@ -73,8 +73,6 @@ def execute(order: Order) -> int:
             from maxq.tools.replay.live import FlownView  # noqa: PLC0415  # lazy: rerun takes half a second
 
             view = FlownView(order.view_port)
-    if order.dask is None and (order.scenario or order.run is not None or order.search):
-        announce_compilation()
     with Interruption() as interruption:
 
         def stop() -> bool:
@@ -112,7 +110,7 @@ def _fly(order: Order, stop: Stop) -> int:
         flown = f"all {outcome.total} runs were flown before; --runs N with a larger number flies more"
     code = _tell(DataSet(folder, campaign), outcome.total, flown, order, start_s, outcome.settled)
     if outcome.stopped:
-        print(f"INTERRUPTED: the data set in {folder / RUNS} is whole; the same command resumes the campaign")
+        tell(f"INTERRUPTED: the data set in {folder / RUNS} is whole; the same command resumes the campaign")
         return Exit.INTERRUPTED
     return code
 
@@ -121,11 +119,11 @@ def _tell(data: DataSet, total: int, flown: str, order: Order, start_s: float, s
     """Summary, pictures and report into the folder, the results to the terminal; returns the exit code."""
     verdicts, losses = judged(data), lost(data)
     files = text.write_report(data, verdicts, losses, total, settled=settled, pictures=not order.no_report)
-    print("\n".join(text.report(data, verdicts, losses)))
-    print(f"\n{flown}; {text.duration(time.perf_counter() - start_s)} in all", *files, sep="\n")
+    tell(*text.report(data, verdicts, losses))
+    tell(f"\n{flown}; {text.duration(time.perf_counter() - start_s)} in all", *files)
     if settled:
-        print("\nstopped early: every verdict was settled")
-    print("\n" + text.headline(data, verdicts))
+        tell("\nstopped early: every verdict was settled")
+    tell("\n" + text.headline(data, verdicts))
     judgements = {v.shown.judgement for v in verdicts}
     if NOT_MET in judgements:
         return Exit.FAILED
@@ -163,16 +161,16 @@ def _refly(order: Order, folder: Path, run: int, stop: Stop, view: FlownView | N
         watch = partial(show_flight, progress)
         again = refly(folder, run, out, log=not order.no_log, watch=watch, stop=stop)
     names = [LOG_NAME] * (not order.no_log) + [SUMMARY_NAME]
-    print(report(again.flight, [again.folder / name for name in names], time.perf_counter() - start_s))
+    tell(report(again.flight, [again.folder / name for name in names], time.perf_counter() - start_s))
     if again.flight.outcome == "interrupted":
         return Exit.INTERRUPTED
     of = f"run {run} of {folder}"
     if again.same is None:
-        print(f"not compared: {of} has not been flown")
+        tell(f"not compared: {of} has not been flown")
     elif again.same:
-        print(f"SAME as {of}: inputs, metrics and final state are equal, bit by bit ({again.flight.state_hash[:16]})")
+        tell(f"SAME as {of}: inputs, metrics and final state are equal, bit by bit ({again.flight.state_hash[:16]})")
     else:
-        print(f"DIFFERENT from {of}: {printable(again.differences[0])} ({len(again.differences)} columns differ)")
+        tell(f"DIFFERENT from {of}: {printable(again.differences[0])} ({len(again.differences)} columns differ)")
     if view is not None:
         try:
             view.show(again.folder / LOG_NAME)
@@ -195,22 +193,22 @@ def _shrink(order: Order, folder: Path, run: int) -> int:
         except Refused as refused:
             raise CampaignError(f"run {run} of {folder} has no scenario: {refused}") from None
     if found is None:
-        print(f"run {run} of {folder} does not fail: there is nothing to shrink")
+        tell(f"run {run} of {folder} does not fail: there is nothing to shrink")
         return Exit.OK
     path = folder / "shrunk" / f"run-{run:06d}.toml"
     write_whole(path, found.scenario.as_flown, CampaignError)
-    print(f"run {run} fails in: {printable(found.failure)}")
+    tell(f"run {run} fails in: {printable(found.failure)}")
     if not found.inputs:
-        print(f"it does so without any of its {count} dispersions ({found.flights} flights)")
+        tell(f"it does so without any of its {count} dispersions ({found.flights} flights)")
     else:
-        print(f"{len(found.inputs)} of {count} dispersions are enough ({found.flights} flights); none of them can go:")
+        tell(f"{len(found.inputs)} of {count} dispersions are enough ({found.flights} flights); none of them can go:")
         labels, recorded = text.labels_of(campaign), campaign.inputs(run).recorded
         rows = [(printable(labels.get(n, "")), n, text.value_text(recorded.get(n), 6)) for n in found.inputs]
-        print("\n".join(aligned(rows, "  ")))
+        tell(*aligned(rows, "  "))
     for verdict in found.flight.verdicts:
         if verdict.name == found.failure:
-            print(f"{verdict.requirement.metric} is then {verdict.value:.6g}")
-    print(path)
+            tell(f"{verdict.requirement.metric} is then {verdict.value:.6g}")
+    tell(path)
     return Exit.FAILED
 
 
@@ -240,21 +238,21 @@ def _search(order: Order, folder: Path, stop: Stop) -> int:
     path = folder / "worst" / f"{metric}.toml"
     write_whole(path, found.scenario.as_flown, CampaignError)
     unit = "" if unit_of(metric) == "1" else f" {unit_of(metric)}"
-    print(f"worst {metric} within 3 sigma: {found.value:.6g}{unit} ({found.flights} flights)")
+    tell(f"worst {metric} within 3 sigma: {found.value:.6g}{unit} ({found.flights} flights)")
     if at is not None:
         worst = float(values[at])
         more = f"{100.0 * (found.value / worst - 1.0):+.1f} %" if worst else f"{found.value - worst:+.4g}{unit}"
-        print(f"worst of the campaign's {len(data.runs)} runs: {worst:.6g}{unit} (run {start}): {more};")
-        print("the search has that run's wind and noise")
+        tell(f"worst of the campaign's {len(data.runs)} runs: {worst:.6g}{unit} (run {start}): {more};")
+        tell("the search has that run's wind and noise")
     boxes, labels = campaign.boxes(), text.labels_of(campaign)
     rows = []
     for name, value in found.draws.items():
         low, high = boxes[name]
         place = 2.0 * (value - low) / (high - low) - 1.0 if high > low else 0.0
         rows.append((printable(labels.get(name, name)), name, f"{value:.6g}", f"{place:+.2f}"))
-    print("draws, and where they lie in the box (-1 .. 1):")
-    print("\n".join(aligned(rows, "  ", right=(2, 3))))
-    print(f"{path}: fly it with simrun {path}")
+    tell("draws, and where they lie in the box (-1 .. 1):")
+    tell(*aligned(rows, "  ", right=(2, 3)))
+    tell(f"{path}: fly it with simrun {path}")
     return Exit.OK if found.flight.passed else Exit.FAILED
 
 

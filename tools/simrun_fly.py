@@ -5,14 +5,12 @@
 
 from __future__ import annotations
 
-import sys
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
-from maxq.control.kernel.jit import cache_folder
 from maxq.sim.files import check_writable, plain_name
 from maxq.sim.log.head import VERSION_KEY, LogError, maxq_version
 from maxq.sim.log.reader import LoggedRun, read_run
@@ -22,7 +20,7 @@ from maxq.sim.run.fly import Flight, FlightRun
 from maxq.sim.run.metrics import METRIC_NAMES
 from maxq.sim.scenario.loader import LoadedScenario, load_scenario, load_scenario_text
 from maxq.tools.cli.frame import CommandError, Exit, Interruption, say
-from maxq.tools.cli.terminal import Progress
+from maxq.tools.cli.terminal import Progress, tell
 from maxq.tools.flight_report import report
 
 
@@ -54,11 +52,11 @@ def execute(order: Order, start_s: float) -> int:
             from maxq.tools.replay.live import LiveView  # noqa: PLC0415  # lazy: rerun takes half a second
 
             view = LiveView(loaded, order.view_port)
-    announce_compilation()
-    if view is None:
-        run = FlightRun(loaded, packed, log=folder is not None and not order.no_log)
-    else:
-        run = view.run(packed, order.realtime)
+    with Progress():  # which says so where kernels are compiled
+        if view is None:
+            run = FlightRun(loaded, packed, log=folder is not None and not order.no_log)
+        else:
+            run = view.run(packed, order.realtime)
     prepared_s = time.perf_counter()
 
     def timing() -> dict[str, float]:
@@ -88,7 +86,7 @@ def execute(order: Order, start_s: float) -> int:
     files = []
     if folder is not None:
         files = [folder / record.LOG_NAME] * (not order.no_log) + [folder / record.SUMMARY_NAME]
-    print(report(flight, files, timing()["total_s"]))
+    tell(report(flight, files, timing()["total_s"]))
     same = comparison.verdict(flight)
     if flight.outcome == "interrupted":
         return Exit.INTERRUPTED
@@ -132,12 +130,6 @@ def _folder(order: Order, name: str) -> Path | None:
     return folder
 
 
-def announce_compilation() -> None:
-    """On a terminal, say why the first flight takes its time."""
-    if sys.stderr.isatty() and not any(cache_folder().rglob("loop.advance*.nbc")):
-        print("compiling the simulator, once for this version of it: about half a minute ...", file=sys.stderr)
-
-
 def _scenario_text(logged: LoggedRun) -> str:
     """The scenario as flown that a log holds. Raises LogError where it holds none."""
     attachment = logged.attachments.get(record.SCENARIO_ATTACHMENT)
@@ -167,21 +159,21 @@ class Comparison:
             return True
         path = self._logged.path
         if self._changed:
-            print(f"not compared with {path}: --set changes the scenario")
+            tell(f"not compared with {path}: --set changes the scenario")
             return True
         logged = self._logged.end.get(record.STATE_HASH_KEY)
         if logged is None or self._end_ns < 0:
-            print(f"not compared with {path}: it was cut off and holds no final state")
+            tell(f"not compared with {path}: it was cut off and holds no final state")
             return False
         if flight.outcome == "interrupted" and not self._hash:
-            print(f"not compared with {path}: interrupted before its end at {self._end_ns / 1e9:.3f} s")
+            tell(f"not compared with {path}: interrupted before its end at {self._end_ns / 1e9:.3f} s")
             return False
         if self._hash == logged:
             early = "" if flight.end_ns == self._end_ns else f" at {self._end_ns / 1e9:.3f} s, where that ends"
-            print(f"SAME as {path}: equal state, bit by bit{early} ({logged[:16]})")
+            tell(f"SAME as {path}: equal state, bit by bit{early} ({logged[:16]})")
             return True
         written_by = self._logged.metadata.get(VERSION_KEY, "")
         other = f"; that was flown by maxq {written_by}" if written_by != maxq_version() else ""
         mine = self._hash[:16] or f"none at {self._end_ns / 1e9:.3f} s"
-        print(f"DIFFERENT from {path}: state hash {mine}, there {logged[:16]}{other}")
+        tell(f"DIFFERENT from {path}: state hash {mine}, there {logged[:16]}{other}")
         return False

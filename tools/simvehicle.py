@@ -9,6 +9,7 @@ from typing import NoReturn
 
 from maxq.tools.cli.frame import Exit, process, run, show_list
 from maxq.tools.cli.parser import Parser
+from maxq.tools.cli.terminal import tell
 
 _USAGE = """\
 simvehicle LAYOUT [--out DIR]
@@ -69,12 +70,12 @@ def _run(arguments: list[str]) -> int:
     except ValueError as error:
         raise ScenarioError(options.layout, str(error)) from None
     files = write(built, folder)
-    print(report(built))
-    print(f"\n{len(files)} files in {folder}/")
+    tell(report(built))
+    tell(f"\n{len(files)} files in {folder}/")
     if weak := too_weak(built):
-        print(f"TOO WEAK: {'; '.join(weak)}")
+        tell(f"TOO WEAK: {'; '.join(weak)}")
         return Exit.FAILED
-    print(f"BUILT: {layout.name}; fly it with: simrun {folder}/scenario.toml")
+    tell(f"BUILT: {layout.name}; fly it with: simrun {folder}/scenario.toml")
     return Exit.OK
 
 

@@ -71,6 +71,31 @@ METRIC_NAMES = tuple(METRICS)
 """Names that a requirement may use."""
 
 
+_SHORT = {  # where a name without its unit says less than it should
+    "max_alpha_deg": "largest angle of attack",
+    "max_q_alpha_Padeg": "largest q alpha",
+    "max_powered_dynamic_pressure_Pa": "largest dynamic pressure under thrust",
+    "max_bending_m": "largest bending at the gimbal",
+    "max_slosh_deg": "largest slosh angle",
+    "max_thrust_over_weight_g": "largest thrust over weight",
+    "max_section_bending_moment_station_m": "station of the largest bending moment",
+    "max_section_load_ratio": "largest section load over its limit",
+    "max_section_load_ratio_station_m": "its station",
+    "max_wave_share": "largest wave over the breaking one",
+    "saturation_time_s": "gimbal command at its limit",
+}
+
+
+def title_of(metric: str) -> str:
+    """A metric's name for people, without its unit: "largest gimbal rate" for max_gimbal_rate_degps. A name that is no
+    metric's is returned as it is.
+    """
+    if metric in _SHORT or metric not in METRICS:
+        return _SHORT.get(metric, metric)
+    name = metric if unit_of(metric) == "1" else metric.rpartition("_")[0]
+    return name.replace("max_", "largest ", 1).replace("_", " ").replace(" mach", " Mach number")
+
+
 def unit_of(metric: str) -> str:
     """Unit of a metric; KeyError for an unknown name."""
     return METRICS[metric].unit

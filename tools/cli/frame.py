@@ -15,11 +15,13 @@ from enum import IntEnum
 from types import FrameType
 from typing import TYPE_CHECKING, Any, NoReturn, Self
 
-from maxq.tools.cli.terminal import aligned, printable
+from maxq.tools.cli.terminal import aligned, columns, folded, printable, tell
 
 if TYPE_CHECKING:
     from pathlib import Path
 
+FIRST = ("nominal", "campaigns/first", "ksr3-identical", "ksr3-default", "standard")
+"""Built-in files with which to begin: --list names them first."""
 TRACEBACK = "MAXQ_TRACEBACK"
 """Environment variable with which an error shows its traceback, too."""
 
@@ -41,8 +43,8 @@ class CommandError(Exception):
 
 
 def say(command: str, text: str) -> None:
-    """A message for the person, one line on stderr."""
-    print(f"{command}: {printable(text)}", file=sys.stderr)
+    """A message for the person, one line on stderr (folded at spaces on a terminal)."""
+    print(folded(f"{command}: {printable(text)}", columns(sys.stderr)), file=sys.stderr)
 
 
 def run(command: str, body: Callable[[], int], interrupted: str = "interrupted", memory: str = "") -> int:
@@ -78,8 +80,8 @@ def show_list(kinds: dict[str, str]) -> int:
     from maxq.sim.scenario.builtin import builtin_files  # noqa: PLC0415  # lazy: --help is quick
 
     for kind, title in kinds.items():
-        rows = [(name, _description(path)) for name, path in builtin_files(kind).items()]
-        print("\n".join([title, *aligned(rows, "  ")]))
+        files = sorted(builtin_files(kind).items(), key=lambda item: (item[0] not in FIRST, "/" in item[0], item[0]))
+        tell(title, *aligned([(name, _description(path)) for name, path in files], "  "))
     return Exit.OK
 
 

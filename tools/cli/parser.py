@@ -5,6 +5,9 @@ from __future__ import annotations
 import argparse
 import difflib
 import math
+import re
+import shutil
+import textwrap
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, NoReturn, TypeVar
 
@@ -28,9 +31,14 @@ class Parser(argparse.ArgumentParser):
 
     def __init__(self, prog: str, usage: str, description: str, examples: str, exits: Mapping[Exit, str]) -> None:
         codes = sorted((_EVERY_COMMAND | dict(exits)).items())
-        listed = "\n".join(f"{code:5d}  {text}" for code, text in codes)
+        width = shutil.get_terminal_size().columns - 2  # as argparse has it
+        listed = "\n".join(_hung(f"{code:5d}  ", " ".join(text.split()), width) for code, text in codes)
+        calls = "\n       ".join(
+            _hung("", call.strip(), width - 7, 7 + 4) for call in re.sub(r"\n +(?=\[)", " ", usage).splitlines()
+        )
         super().__init__(
-            prog=prog, usage=usage, description=description, epilog=f"examples:\n{examples}\nexit code:\n{listed}",
+            prog=prog, usage=calls, description=_hung("", description, width),
+            epilog=f"examples:\n{_examples(examples, width)}\n\nexit code:\n{listed}",
             formatter_class=argparse.RawDescriptionHelpFormatter, allow_abbrev=False, add_help=False,
         )  # fmt: skip  # five more lines otherwise
         self._modes: dict[str, tuple[str, ...]] = {}
@@ -95,6 +103,31 @@ class Parser(argparse.ArgumentParser):
         self.exit(
             Exit.BAD_INPUT, f"{self.prog}: {printable(message.removeprefix('argument '))}; see {self.prog} --help\n"
         )
+
+
+def _hung(head: str, text: str, width: int, indent: int | None = None) -> str:
+    """`text` behind `head`, folded at spaces that are in no brackets, further lines `indent` to the right."""
+    depth, whole = 0, ""
+    for letter in text:
+        depth += (letter == "[") - (letter == "]")
+        whole += "\0" if letter == " " and depth else letter
+    lines = textwrap.wrap(whole, width - len(head), break_long_words=False, break_on_hyphens=False)
+    return head + ("\n" + " " * (len(head) if indent is None else indent)).join(lines).replace("\0", " ")
+
+
+_BESIDE = 40  # column in which examples are explained
+
+
+def _examples(text: str, width: int) -> str:
+    """Commands, and what each does beside it or below: two spaces or more part them."""
+    lines = re.sub(r"\n {8,}", " ", text).splitlines()
+    rows = [re.split(r" {2,}", line.strip(), maxsplit=1) for line in lines]
+    out = []
+    for command, about in ([*row, ""][:2] for row in rows):
+        below = not about or len(command) > _BESIDE - 4
+        head = " " * _BESIDE if below else f"  {command}".ljust(_BESIDE)
+        out += [f"  {command}"] * below + ([_hung(head, about, width)] if about else [])
+    return "\n".join(out)
 
 
 class _Version(argparse.Action):

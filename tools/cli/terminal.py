@@ -1,13 +1,33 @@
-"""Text for terminals and files: tables with aligned columns, messages on one line, a progress bar."""
+"""Text for terminals and files: tables and sentences that fit the width, colours of verdicts, a progress bar.
+
+On a terminal nothing is wider than it and no word is cut; COLUMNS in the environment sets another width, also for pipes
+and files, which otherwise get whole lines. Colours are for terminals only, and not with NO_COLOR in the environment.
+"""
 
 from __future__ import annotations
 
+import math
+import os
+import re
+import shutil
 import sys
+import textwrap
+import threading
 import time
 from collections.abc import Sequence
-from typing import Any, Self
+from typing import Any, Self, TextIO
 
 _PATIENCE_S = 1.0  # what is done sooner shows no progress
+_GOOD = "met|MET|BUILT|PASSED|ACCEPTED|accepted|DESIGNED|SAME|pass"
+_BAD = (
+    "MISSED|FAILED|FAIL|REJECTED|rejected|NOT MET|not met|TOO WEAK|INFEASIBLE|UNSTABLE|DIFFERENT|NONE ACCEPTED|NO RUNS"
+)
+_OPEN = "UNDECIDED|undecided|NOT YET SETTLED|NOT YET|INTERRUPTED|warning"
+_TONES = {"32": _GOOD, "1;31": _BAD, "33": _OPEN}  # green, bold red, yellow
+_VERDICTS = re.compile(  # as a cell of a table, or at the head of a line
+    "|".join(rf"(?:(?<=  )|^)(?P<t{code.replace(';', '_')}>{words})(?=  |$|:| \()" for code, words in _TONES.items())
+)
+_COMMAND = re.compile(r"\s*(sim(run|design|verify|replay|vehicle)|/|\S+$)")  # is copied, or has no place to break
 
 
 def printable(text: str) -> str:
@@ -15,19 +35,129 @@ def printable(text: str) -> str:
     return "".join(c if c.isprintable() else " " for c in " ".join(text.split()))
 
 
-def aligned(rows: Sequence[Sequence[str]], indent: str = "", right: Sequence[int] = ()) -> list[str]:
-    """Rows of cells as lines with aligned columns; the columns in `right` are right-aligned."""
-    widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))] if rows else []
-    lines = []
-    for row in rows:
-        cells = [c.rjust(w) if i in right else c.ljust(w) for i, (c, w) in enumerate(zip(row, widths, strict=True))]
-        lines.append((indent + "  ".join(cells)).rstrip())
+def columns(stream: TextIO | None = None) -> int:
+    """Width to fit, of stdout or another stream; a million where there is none, in pipes and files."""
+    if not (os.environ.get("COLUMNS", "").isdecimal() or (stream or sys.stdout).isatty()):
+        return 1_000_000
+    return max(shutil.get_terminal_size().columns, 40)
+
+
+def aligned(
+    rows: Sequence[Sequence[str]],
+    indent: str = "",
+    right: Sequence[int] = (),
+    drop: Sequence[int] = (),
+    width: int | None = None,
+) -> list[str]:
+    """Rows of cells as lines with aligned columns; the columns in `right` are right-aligned.
+
+    Where a line is wider than `width` (None: that of the terminal), columns of text are wrapped at spaces, then those
+    in `drop` are left out, the first one first, and then columns follow each other in blocks that repeat the first one.
+    """
+    if not rows:
+        return []
+    room = (columns() if width is None else width) - len(indent)
+    shown = list(range(len(rows[0])))
+    for out in (None, *drop):
+        shown = [i for i in shown if i != out]
+        widths = _fitted(rows, shown, right, room)
+        if sum(widths) + 2 * len(widths) - 2 <= room:
+            return _lines(rows, shown, widths, indent, right)
+    blocks, used = [[shown[0]]], widths[0]
+    for i, w in zip(shown[1:], widths[1:], strict=True):
+        if used + 2 + w > room and len(blocks[-1]) > 1:
+            blocks.append([shown[0]])
+            used = widths[0]
+        blocks[-1].append(i)
+        used += 2 + w
+    lines: list[str] = []
+    for block in blocks:
+        lines += [""] * bool(lines) + _lines(rows, block, _fitted(rows, block, right, room), indent, right)
     return lines
 
 
+def _fitted(rows: Sequence[Sequence[str]], shown: Sequence[int], right: Sequence[int], room: int) -> list[int]:
+    """Widths of columns: the widest columns of text give way, down to their longest words."""
+    widths = [max(len(row[i]) for row in rows) for i in shown]
+    least = [
+        w if i in right else max((len(word) for row in rows for word in row[i].split()), default=0)
+        for i, w in zip(shown, widths, strict=True)
+    ]
+    while sum(widths) + 2 * len(widths) - 2 > room and widths != least:
+        k = max((k for k in range(len(widths)) if widths[k] > least[k]), key=lambda k: widths[k])
+        widths[k] -= 1
+    return widths
+
+
+def _lines(
+    rows: Sequence[Sequence[str]], shown: Sequence[int], widths: Sequence[int], indent: str, right: Sequence[int]
+) -> list[str]:
+    lines = []
+    for row in rows:
+        cells = [_wrapped(row[i], w) for i, w in zip(shown, widths, strict=True)]
+        for n in range(max(len(cell) for cell in cells)):
+            parts = [cell[n] if n < len(cell) else "" for cell in cells]
+            parts = [p.rjust(w) if i in right else p.ljust(w) for i, p, w in zip(shown, parts, widths, strict=True)]
+            lines.append((indent + "  ".join(parts)).rstrip())
+    return lines
+
+
+def _wrapped(text: str, width: int) -> list[str]:
+    if len(text) <= width:
+        return [text]
+    return textwrap.wrap(text, max(width, 1), break_long_words=False, break_on_hyphens=False) or [""]
+
+
+def folded(text: str, width: int | None = None) -> str:
+    """`text`, its long lines broken at spaces and indented below themselves; commands stay whole to be copied."""
+    room, lines = columns() if width is None else width, []
+    for line in text.split("\n"):
+        if len(line) <= room or _COMMAND.match(line):
+            lines.append(line)
+            continue
+        indent = line[: len(line) - len(line.lstrip())]
+        lines += textwrap.wrap(
+            line, room, initial_indent=indent, subsequent_indent=indent + "    ", drop_whitespace=True,
+            break_long_words=False, break_on_hyphens=False, replace_whitespace=False,
+        )  # fmt: skip  # four more lines otherwise
+    return "\n".join(lines)
+
+
+def painted(text: str, stream: TextIO | None = None) -> str:
+    """`text` with its verdicts in colour, where the stream is a terminal that shows colours."""
+    if os.environ.get("NO_COLOR") or os.environ.get("TERM") == "dumb" or not (stream or sys.stdout).isatty():
+        return text
+    return "\n".join(_VERDICTS.sub(_paint, line) for line in text.split("\n"))
+
+
+def _paint(found: re.Match[str]) -> str:
+    return f"\x1b[{(found.lastgroup or 't0')[1:].replace('_', ';')}m{found[0]}\x1b[0m"
+
+
+def tell(*texts: object) -> None:
+    """Print lines for a person: folded to the terminal, verdicts in colour."""
+    print(painted(folded("\n".join(str(text) for text in texts))))
+
+
+_LARGE, _DIGITS = 1e7, 4
+
+
+def figures(value: float, digits: int = _DIGITS) -> str:
+    """A value with so many significant digits, without exponent from 1e-4 to 1e7; what is below 1e-6 is 0."""
+    if not math.isfinite(value):
+        return "-" if math.isnan(value) else f"{value}"
+    if abs(value) < 1e-6:
+        return "0"
+    text = f"{value:.{digits}g}"
+    if "e" not in text or not 1e-4 <= abs(value) < _LARGE:
+        return text
+    return f"{value:.0f}"
+
+
 class Progress:
-    """A progress bar on stderr that disappears at the end of its block. Nothing is shown in the first second, nor
-    where stderr is not a terminal; there `log_every_s` prints a line at this interval, for the logs of batch systems.
+    """A progress bar on stderr that disappears at the end of its block; any thread may move it. Nothing is shown in the
+    first second, nor where stderr is not a terminal; there `log_every_s` prints a line at this interval, for the logs
+    of batch systems. While kernels are compiled the bar says so.
     """
 
     def __init__(self, log_every_s: float | None = None) -> None:
@@ -36,25 +166,51 @@ class Progress:
         self._last_s = time.monotonic()
         self._bar: Any = None  # rich is imported when it is needed
         self._task: Any = None
+        self._lock = threading.RLock()
+        self._shown: dict[str, Any] = {}
+        self._listener: Any = None
+        self._open = False
 
     def __enter__(self) -> Self:
+        self._open = True
+        if self._terminal and "numba" in sys.modules:
+            self._listener = _listen(self)
         return self
 
     def __exit__(self, *error: object) -> None:
-        if self._bar is not None:
-            self._bar.stop()
+        with self._lock:
+            self._open = False
+            if self._listener is not None:
+                _forget(self._listener)
+            if self._bar is not None:
+                self._bar.stop()
 
     def show(self, what: str, done: float, of: float, note: str = "", count: str | None = None) -> None:
-        """`done` of `of` steps of `what`; `note` follows behind. `count` replaces the text "done of of"."""
-        if self._bar is None and not self._due():
-            return
-        count = f"{done:g} of {of:g}" if count is None else count
-        if not self._terminal:
-            print(f"{what}: {count}{'; ' if note else ''}{printable(note)}", file=sys.stderr, flush=True)
-            return
-        if self._bar is None:
-            self._open()
-        self._bar.update(self._task, completed=done, total=of, what=what, count=count, note=printable(note))
+        """`done` of `of` steps of `what`; `note` follows behind. `count` replaces the text "done of of"; 0 as `of`: it
+        is not known how many there are."""
+        with self._lock:
+            if not self._open or (self._bar is None and not self._due()):
+                return
+            count = f"{done:g} of {of:g}" if count is None else count
+            if not self._terminal:
+                print(f"{what}: {count}{'; ' if note else ''}{printable(note)}", file=sys.stderr, flush=True)
+                return
+            if self._bar is None:
+                self._begin()
+            if what != self._shown.get("what"):
+                self._bar.reset(self._task)  # the clock beside it is that of this part
+            self._shown = {"what": what, "completed": done, "total": of or None, "count": count}
+            self._bar.update(self._task, **self._shown, note=printable(note))
+
+    def compiling(self, name: str) -> None:
+        """The kernel `name` is being compiled; empty: compiling has ended."""
+        with self._lock:
+            before = self._shown
+            if name:
+                self.show("compiling", 0, 0, name, "once for this version of the simulator")
+                self._shown = before
+            elif self._bar is not None and self._open:
+                self._bar.update(self._task, **({"what": "", "count": "", "note": ""} | before))
 
     def _due(self) -> bool:
         wait_s = _PATIENCE_S if self._terminal else self._log_every_s
@@ -63,17 +219,44 @@ class Progress:
         self._last_s = time.monotonic()
         return True
 
-    def _open(self) -> None:
+    def _begin(self) -> None:
         from rich.console import Console  # noqa: PLC0415  # lazy: most work is done before it is loaded
-        from rich.progress import BarColumn, TextColumn  # noqa: PLC0415  # lazy
+        from rich.progress import BarColumn, TextColumn, TimeElapsedColumn  # noqa: PLC0415  # lazy
         from rich.progress import Progress as Bar  # noqa: PLC0415  # lazy
         from rich.table import Column  # noqa: PLC0415  # lazy
 
-        def text(field: str) -> TextColumn:
-            column = Column(no_wrap=True, overflow="ellipsis")
+        def text(field: str, ratio: int | None = None) -> TextColumn:
+            column = Column(no_wrap=True, overflow="ellipsis", ratio=ratio)
             return TextColumn(f"{{task.fields[{field}]}}", markup=False, table_column=column)
 
-        columns = (text("what"), BarColumn(), text("count"), text("note"))
-        self._bar = Bar(*columns, console=Console(stderr=True), transient=True)
+        shown = (text("what"), BarColumn(20), text("count"), TimeElapsedColumn(), text("note", 1))
+        self._bar = Bar(*shown, console=Console(stderr=True), transient=True, expand=True)
         self._task = self._bar.add_task("", total=1, what="", count="", note="")
         self._bar.start()
+
+
+def _listen(progress: Progress) -> Any:
+    """Tells `progress` of each kernel that Numba compiles (not of those that it loads)."""
+    from numba.core import event  # noqa: PLC0415  # lazy: loaded already where it is called
+
+    class Listener(event.Listener):  # type: ignore[misc]  # Numba has no types
+        depth = 0
+
+        def on_start(self, found: Any) -> None:
+            self.depth += 1
+            progress.compiling(found.data["dispatcher"].py_func.__name__)
+
+        def on_end(self, found: Any) -> None:
+            self.depth -= 1
+            if self.depth == 0:
+                progress.compiling("")
+
+    listener = Listener()
+    event.register("numba:compile", listener)
+    return listener
+
+
+def _forget(listener: Any) -> None:
+    from numba.core import event  # noqa: PLC0415  # lazy
+
+    event.unregister("numba:compile", listener)

@@ -26,10 +26,11 @@ from maxq.sim.scenario.errors import ScenarioError
 from maxq.sim.scenario.loader import LoadedScenario, load_scenario
 from maxq.sim.scenario.schema_design import Design
 from maxq.tools.cli.frame import Exit
-from maxq.tools.cli.terminal import Progress, aligned
+from maxq.tools.cli.terminal import Progress, aligned, tell
 from maxq.tools.design.report import analysis_record, analysis_report, analysis_verdict, write_record
 
 RECORD_NAME = "analysis.json"
+_FILE_WIDTH = 1_000_000  # whole rows
 _UNSTABLE = "unstable"
 QUANTITIES = {
     "peak 1": "peak of mode 1, dB",
@@ -81,9 +82,9 @@ def execute(order: Order) -> int:
 
                 title = f"{design.name or name}, {order.axis}, {order.kind}"
                 files += pictures.draw_all(pictures.judged_sheets(judged, title, wanted), folder, progress.show)
-    print(analysis_report(name, order, design, judged, found))
-    print(f"\n{len(files)} files in {folder}/" if files else "")
-    print(analysis_verdict(found))
+    tell(analysis_report(name, order, design, judged, found))
+    tell(f"\n{len(files)} files in {folder}/" if files else "")
+    tell(analysis_verdict(found))
     return Exit.OK if all(check.passed for check in found) else Exit.FAILED
 
 
@@ -131,10 +132,9 @@ def execute_errata(order: Order) -> int:
         for n, node in enumerate(nodes):
             found += effects([node], design)
             progress.show("switching errata", n + 1, len(nodes))
-    text = errata_report(found, order)
     if order.out is not None:
-        write_whole(Path(order.out), text + "\n")
-    print(text)
+        write_whole(Path(order.out), errata_report(found, order, _FILE_WIDTH) + "\n")
+    tell(errata_report(found, order))
     return Exit.OK
 
 
@@ -158,7 +158,7 @@ def effects(nodes: Sequence[Node], design: Design) -> list[Effect]:
     return errata_effects(nodes, measure)
 
 
-def errata_report(found: Sequence[Effect], order: Order) -> str:
+def errata_report(found: Sequence[Effect], order: Order, width: int | None = None) -> str:
     """A table of every quantity: a row an erratum, a column a node; printed less corrected."""
     times = list(dict.fromkeys(e.node.time_s for e in found))
     names = list(dict.fromkeys(e.erratum for e in found))
@@ -170,7 +170,7 @@ def errata_report(found: Sequence[Effect], order: Order) -> str:
     ]
     rows = [("nr", "switch", "equations", "as printed", "corrected")]
     rows += [(a.number, name, a.equations, a.printed, a.corrected) for name, a in about.items()]
-    parts = [head, aligned(rows)]
+    parts = [head, aligned(rows, width=width)]
     for key, title in QUANTITIES.items():
         if not any(key in e.corrected for e in found):
             continue
@@ -178,7 +178,7 @@ def errata_report(found: Sequence[Effect], order: Order) -> str:
         table.append(("corrected", *(_cell(by_place[names[0], t].corrected.get(key, math.nan)) for t in times)))
         table += [(name, *(_change(by_place[name, t], key) for t in times)) for name in names]
         right = tuple(range(1, 1 + len(times)))
-        parts.append([f"{title}: as printed less corrected", *aligned(table, "  ", right)])
+        parts.append([f"{title}: as printed less corrected", *aligned(table, "  ", right, width=width)])
     legend = "unst.: the loop as printed is unstable and has no margin; -: the loop has none of it, or cannot be made"
     errors = dict.fromkeys(f"{e.erratum}: {e.error}" for e in found if e.error)
     parts.append([legend, *errors])

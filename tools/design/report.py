@@ -89,14 +89,14 @@ def comments(outcome: Outcome, solution: Solution) -> list[str]:
 
 def limits_table(checks: Sequence[Check], title: str = "limits") -> list[str]:
     """Every limit, its worst value and where."""
-    rows = [("limit", "wanted", "worst", "at", "")]
+    rows = [("limit", "verdict", "wanted", "worst", "at")]
     for check in checks:
         k, unit = check.worst, f" {check.unit}" if check.unit else ""
         at = f"{check.time_s[k]:g} s" if math.isfinite(check.time_s[k]) else "filter"
         worst = number(float(check.values[k]), 3) + unit
         limit = f"{check.sense} {check.limit:g}{unit}"
-        rows.append((check.text, limit, worst, at, MET if check.passed else MISSED))
-    return [title, *aligned(rows, "  ", right=(2, 3))]
+        rows.append((check.text, MET if check.passed else MISSED, limit, worst, at))
+    return [title, *aligned(rows, "  ", right=(3, 4))]
 
 
 def nodes_table(checks: Sequence[Check], judged: Sequence[Judged]) -> list[str]:

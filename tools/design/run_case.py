@@ -24,7 +24,7 @@ from maxq.design.verify.judging import Outcome, judge_solution, make_design, obj
 from maxq.sim.files import check_writable, plain_name, write_whole
 from maxq.sim.scenario.errors import ScenarioError
 from maxq.tools.cli.frame import Exit, Interruption
-from maxq.tools.cli.terminal import Progress, aligned
+from maxq.tools.cli.terminal import Progress, aligned, tell
 from maxq.tools.design.report import case_record, case_report, comments, write_record
 
 RECORD_NAME = "design.json"
@@ -92,8 +92,8 @@ def make(order: Order) -> Made:
         orders, interrupted = None, solution.status == "interrupted"
         if order.orders and not interrupted:
             try:
-                tell = lambda n, of: progress.show("optimising: orders", n, of)  # noqa: E731  # one line of its own
-                orders = solve_orders(order.case, overrides, plants, tell)
+                watch = lambda n, of: progress.show("optimising: orders", n, of)  # noqa: E731  # one line of its own
+                orders = solve_orders(order.case, overrides, plants, watch)
             except KeyboardInterrupt:  # the design itself is complete
                 interrupted = True
         with Interruption() as interruption:  # the result is written, whatever is pressed now
@@ -102,11 +102,11 @@ def make(order: Order) -> Made:
             files = _write(folder, outcome, solution, orders)
             if order.pictures and solution.status != "interrupted":
                 files += _draw(folder, outcome, orders, progress, lambda: interruption.requested)
-    print(case_report(outcome, solution))
+    tell(case_report(outcome, solution))
     if orders is not None:
-        print("\n" + "\n".join(orders_table(orders)))
-    print(f"\n{len(files)} files in {folder}/; {time.perf_counter() - begun_s:.1f} s in all")
-    print(_verdict(outcome, solution, folder))
+        tell("\n" + "\n".join(orders_table(orders)))
+    tell(f"\n{len(files)} files in {folder}/; {time.perf_counter() - begun_s:.1f} s in all")
+    tell(_verdict(outcome, solution, folder))
     met = outcome.feasible and solution.feasible
     code = Exit.INTERRUPTED if interrupted or interruption.requested else Exit.OK if met else Exit.FAILED
     return Made(code, folder, outcome, solution, orders)
@@ -170,7 +170,7 @@ Found = Mapping[tuple[str, str], tuple[LoadedCase, Solution]]
 """By structure and schedule."""
 
 
-def solve_orders(name: str, overrides: tuple[str, ...], plants: Plants, tell: Callable[[int, int], None]) -> Found:
+def solve_orders(name: str, overrides: tuple[str, ...], plants: Plants, watch: Callable[[int, int], None]) -> Found:
     """Fifteen problems; each starts from the solutions it contains, too, so that more freedom is never worse.
 
     Raises KeyboardInterrupt when one is interrupted.
@@ -178,7 +178,7 @@ def solve_orders(name: str, overrides: tuple[str, ...], plants: Plants, tell: Ca
     out: dict[tuple[str, str], tuple[LoadedCase, Solution]] = {}
     for structure in STRUCTURES:
         for schedule in SCHEDULES:
-            tell(len(out), len(STRUCTURES) * len(SCHEDULES))
+            watch(len(out), len(STRUCTURES) * len(SCHEDULES))
             loaded = read_case(name, [*overrides, f"filter.structure={structure}", f"gains.schedule={schedule}"])
             k, s = STRUCTURES.index(structure), list(SCHEDULES).index(schedule)
             contained = [(STRUCTURES[k - 1], schedule)] if k else []

@@ -72,18 +72,14 @@ def print_page(page: Path, pdf: Path) -> Path | None:
 
 def report(found: Verification, title: str) -> list[str]:
     """Every requirement, a row each, by part."""
-    rows = [("", "requirement", "wanted", "found", "room", "where", "verdict")]
+    rows = [("", "requirement", "verdict", "wanted", "found", "room", "where")]
     last = ""
     for r in found.requirements:
         part = r.part if r.part != last else ""
         last = r.part
         room = f"{100.0 * r.room:.0f} %" if math.isfinite(r.room) else ""
-        rows.append((part, printable(r.name), r.wanted, printable(_short(r.found)), room, r.where, _mark(r.judgement)))
-    return [title, *aligned(rows, "  ", right=(4,))]
-
-
-def _short(text: str, most: int = 60) -> str:
-    return text if len(text) <= most else text[: most - 1] + "…"
+        rows.append((part, printable(r.name), _mark(r.judgement), r.wanted, printable(r.found), room, r.where))
+    return [title, *aligned(rows, "  ", right=(5,), drop=(6,))]
 
 
 def _mark(judgement: str) -> str:

@@ -21,7 +21,7 @@ from maxq.sim.files import check_writable, plain_name
 from maxq.sim.scenario.errors import ScenarioError
 from maxq.sim.scenario.schema_design import Design
 from maxq.tools.cli.frame import Exit, Interruption, say
-from maxq.tools.cli.terminal import Progress, aligned
+from maxq.tools.cli.terminal import Progress, aligned, tell
 from maxq.tools.design import run_case
 from maxq.tools.verify import report
 
@@ -63,13 +63,13 @@ def execute(order: Order) -> int:
             found.append(one)
             progress.show(f"writing {name}", 0, 1)
             files = report.write_pack(one, folder, command_of(order, name), order.pack)
-            print("\n".join([*report.report(one, f"{name} by the suite {one.suite.name}"), *report.reasons(one)]))
-            print(
+            tell(*report.report(one, f"{name} by the suite {one.suite.name}"), *report.reasons(one))
+            tell(
                 f"\n{len(files)} files in {folder}/; {time.perf_counter() - begun:.1f} s, "
                 f"{one.recalled} results reused from earlier runs\n{report.headline(one)}\n"
             )
     if len(found) > 1:
-        print("\n".join(report.ranking(found)))
+        tell(*report.ranking(found))
     return _EXIT[overall(report.ranked(found)[0].requirements)]
 
 
@@ -137,7 +137,7 @@ def execute_cases(orders: Sequence[run_case.Order], suite: str, pack: bool = Tru
         made.append(run_case.make(order))
         if made[-1].code == Exit.INTERRUPTED:
             return Exit.INTERRUPTED
-        print()
+        tell()
     ranked = in_order([c for one in made for c in candidates(one)])
     rows = [("", "candidate", "objective, dB", "least |1 + L|", "limits of its case")]
     rows += [
@@ -145,7 +145,7 @@ def execute_cases(orders: Sequence[run_case.Order], suite: str, pack: bool = Tru
          "met" if c.meets_limits else "MISSED")
         for n, c in enumerate(ranked, 1)
     ]  # fmt: skip  # five more lines otherwise
-    print("\n".join(["candidates in order of merit", *aligned(rows, "  ", right=(0, 2, 3))]) + "\n")
+    tell("candidates in order of merit", *aligned(rows, "  ", right=(0, 2, 3)), "")
 
     def keep(design: str, found: Verification) -> None:
         command = shlex.join(["simverify", design, "--suite", suite, "--out", design])
@@ -160,10 +160,10 @@ def execute_cases(orders: Sequence[run_case.Order], suite: str, pack: bool = Tru
         return Exit.INTERRUPTED
     if accepted is not None:
         count = "the only candidate" if len(names) == 1 else f"candidate {len(every)} of {len(names)}"
-        print(f"\nACCEPTED by the suite {suite}: {accepted}, {count}; its review: {accepted}/review.html")
+        tell(f"\nACCEPTED by the suite {suite}: {accepted}, {count}; its review: {accepted}/review.html")
         return Exit.OK
     open_ = [name for name, v in zip(names, every, strict=True) if v.judgement == UNDECIDED]
-    print(f"\nNONE ACCEPTED by the suite {suite}" + (f"; undecided: {', '.join(open_)}" if open_ else ""))
+    tell(f"\nNONE ACCEPTED by the suite {suite}" + (f"; undecided: {', '.join(open_)}" if open_ else ""))
     return Exit.UNDECIDED if open_ else Exit.FAILED
 
 
@@ -172,7 +172,7 @@ def try_in_order(
     suite: str = "standard",
     overrides: Iterable[str] = (),
     *,
-    tell: Callable[[str], None] = print,
+    tell: Callable[[str], None] = tell,
     keep: Callable[[str, Verification], None] = lambda design, found: None,
     watch: Watch = lambda what, done, of: None,
     stop: Callable[[], bool] = lambda: False,

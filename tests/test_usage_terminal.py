@@ -1,0 +1,199 @@
+"""What commands print fits the terminal: no line is wider, no word is cut; colours and pipes."""
+
+from __future__ import annotations
+
+import contextlib
+import fcntl
+import io
+import os
+import pty
+import re
+import struct
+import subprocess
+import sys
+import termios
+import threading
+import time
+from collections import Counter
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from rich.cells import cell_len
+
+from maxq.tools import simdesign, simreplay, simrun, simvehicle, simverify
+from maxq.tools.cli import terminal
+from maxq.tools.cli.terminal import aligned, figures, folded, painted
+
+WIDTHS = (80, 120)
+CELLS = st.text("abcdefgh ij", max_size=40).map(lambda text: " ".join(text.split()))
+TABLES = st.integers(1, 9).flatmap(lambda n: st.lists(st.lists(CELLS, min_size=n, max_size=n), min_size=1, max_size=6))
+
+
+def on_a_terminal(code: str, width: int = 80, **environment: str) -> str:
+    """What Python code shows on a terminal of this width."""
+    ours, theirs = pty.openpty()
+    fcntl.ioctl(theirs, termios.TIOCSWINSZ, struct.pack("HHHH", 40, width, 0, 0))
+    plain = {key: value for key, value in os.environ.items() if key not in ("COLUMNS", "NO_COLOR")}
+    process = subprocess.Popen(
+        [sys.executable, "-c", code],
+        stdin=theirs,
+        stdout=theirs,
+        stderr=theirs,
+        env=plain | {"TERM": "xterm"} | environment,
+    )
+    os.close(theirs)
+    shown = b""
+    with contextlib.suppress(OSError):  # Linux's way of saying that the other side is closed
+        while piece := os.read(ours, 65536):
+            shown += piece
+    os.close(ours)
+    assert process.wait() == 0, shown.decode()
+    return shown.decode().replace("\r\n", "\n")
+
+
+@given(rows=TABLES, width=st.integers(50, 120))
+def test_a_table_keeps_every_word_and_fits(rows: list[list[str]], width: int) -> None:
+    """A line may be wider only where the first column and another one, unbroken, are."""
+    lines = aligned(rows, "  ", width=width)
+    words = Counter(word for row in rows for cell in row for word in cell.split())
+    shown = Counter(word for line in lines for word in line.split())
+    first = Counter(word for row in rows for word in row[0].split())
+    assert set(shown) == set(words)
+    assert all(words[w] <= shown[w] for w in words)
+    assert all(shown[w] - words[w] <= len(rows[0]) * first[w] for w in words)  # blocks repeat the first column
+    longest = [max((len(word) for row in rows for word in row[i].split()), default=0) for i in range(len(rows[0]))]
+    assert max(cell_len(line) for line in lines) <= max(width, 2 + longest[0] + 2 + max(longest))
+
+
+def test_columns_are_dropped_in_order_and_only_where_needed() -> None:
+    rows = [("name", "verdict", "value", "spare", "rare"), ("q alpha", "met", "1.0", "x" * 20, "y" * 20)]
+    assert "spare" in aligned(rows, drop=(4, 3), width=80)[0]
+    assert aligned(rows, drop=(4, 3), width=45)[0].split() == ["name", "verdict", "value", "spare"]
+    assert "rare" not in "".join(aligned(rows, drop=(4, 3), width=30))
+
+
+def test_numbers_stay_whole_and_right() -> None:
+    rows = [("requirement of a long name indeed", "1.25"), ("b", "1000")]
+    lines = aligned(rows, right=(1,), width=24)
+    assert all(len(line) <= 24 for line in lines)
+    assert lines[0].endswith("1.25")
+    assert lines[-1].endswith("1000")
+
+
+@pytest.mark.parametrize("width", WIDTHS)
+@pytest.mark.parametrize("command", [simrun, simdesign, simverify, simreplay, simvehicle])
+def test_help_fits(command: object, width: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("COLUMNS", str(width))
+    shown = command._parser().format_help()  # type: ignore[attr-defined]
+    assert max(cell_len(line) for line in shown.splitlines()) <= width
+    assert not re.search(r"\w-\n +\w", shown)
+    assert "examples:" in shown
+
+
+@pytest.mark.parametrize("width", WIDTHS)
+@pytest.mark.parametrize("command", [simrun, simdesign, simverify])
+def test_lists_fit_and_begin_with_what_to_begin_with(
+    command: object, width: int, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("COLUMNS", str(width))
+    assert command.main(["--list"]) == 0  # type: ignore[attr-defined]
+    lines = capsys.readouterr().out.splitlines()
+    assert max(cell_len(line) for line in lines) <= width
+    first = {simrun: "nominal", simdesign: "ksr3-identical", simverify: "standard"}[command]  # type: ignore[index]
+    assert lines[1].split()[0] == first
+
+
+def test_sentences_are_folded_at_spaces_and_commands_stay_whole() -> None:
+    text = "  rejected: " + "word " * 40
+    assert all(len(line) <= 80 for line in folded(text, 80).splitlines())
+    assert folded(text, 80).split() == text.split()
+    command = "  simrun --from " + "runs/" * 30 + " --run 17"
+    assert folded(command, 80) == command
+
+
+def test_verdicts_are_coloured_as_cells_and_heads_of_lines_only() -> None:
+    shown = on_a_terminal(
+        "from maxq.tools.cli.terminal import tell\n"
+        "tell('  q alpha  met     1  <= 2', '  lateral  MISSED  3', 'FAILED: 2 requirements missed', 'it met with')"
+    )
+    assert "\x1b[32mmet\x1b[0m     1" in shown
+    assert "\x1b[1;31mMISSED\x1b[0m  3" in shown
+    assert shown.splitlines()[2] == "\x1b[1;31mFAILED\x1b[0m: 2 requirements missed"
+    assert shown.splitlines()[3] == "it met with"
+
+
+def test_no_color_dumb_terminals_and_pipes_have_no_colours(monkeypatch: pytest.MonkeyPatch) -> None:
+    code = "from maxq.tools.cli.terminal import tell; tell('FAILED: x')"
+    assert "\x1b" not in on_a_terminal(code, NO_COLOR="1")
+    assert "\x1b" not in on_a_terminal(code, TERM="dumb")
+    monkeypatch.delenv("NO_COLOR", raising=False)
+    assert painted("FAILED: x", io.StringIO()) == "FAILED: x"
+
+
+def test_a_pipe_gets_whole_lines_unless_columns_are_given(monkeypatch: pytest.MonkeyPatch) -> None:
+    long = " ".join(["word"] * 60)
+    monkeypatch.delenv("COLUMNS", raising=False)
+    assert aligned([("a", long)], width=None) == [f"a  {long}"]
+    monkeypatch.setenv("COLUMNS", "80")
+    assert max(map(len, aligned([("a", long)]))) <= 80
+
+
+@pytest.mark.parametrize(
+    ("value", "text"),
+    [
+        (49820.6, "49821"), (852.139, "852.1"), (0.00630254, "0.006303"), (-1.31316e-07, "0"), (0.0, "0"),
+        (-4.25, "-4.25"), (float("nan"), "-"), (float("inf"), "inf"), (3.6e9, "3.6e+09"), (2.5e-5, "2.5e-05"),
+    ],
+)  # fmt: skip  # ten more lines otherwise
+def test_four_significant_digits(value: float, text: str) -> None:
+    assert figures(value) == text
+
+
+def test_many_threads_move_one_bar_that_goes_away() -> None:
+    """Two bars flickered where two threads opened it at once, and one stayed."""
+    shown = on_a_terminal(
+        "import threading\n"
+        "from maxq.tools.cli import terminal\n"
+        "terminal._PATIENCE_S = 0.0\n"
+        "with terminal.Progress() as progress:\n"
+        "    ts = [threading.Thread(target=lambda k=k: [progress.show('margins', n, 50, f'{k}') for n in range(50)])"
+        " for k in range(8)]\n"
+        "    [t.start() for t in ts], [t.join() for t in ts]\n"
+        "progress.show('margins', 50, 50)\n"
+        "print('END')"
+    )
+    assert shown.rstrip().endswith("END")
+    assert shown.count("\x1b[?25l") == 1  # the cursor is hidden once, by one bar
+    assert shown.count("\x1b[?25h") == 1
+    assert shown.rindex("margins") < shown.rindex("\x1b[2K") < shown.rindex("END")  # wiped before the end
+    plain = re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "\r", shown)
+    assert max(cell_len(part) for part in re.split(r"[\r\n]", plain)) <= 80
+
+
+def test_compiling_says_what_and_gives_the_bar_back() -> None:
+    shown = on_a_terminal(
+        "import numba\n"
+        "from maxq.tools.cli import terminal\n"
+        "terminal._PATIENCE_S = 0.0\n"
+        "def circumference(x): return x * 3.0\n"
+        "with terminal.Progress() as progress:\n"
+        "    progress.show('flying', 1, 2)\n"
+        "    numba.njit(circumference)(1.0)\n"
+        "    progress._bar.refresh()\n",
+        width=120,
+    )
+    assert "compiling" in shown
+    assert "circumference" in shown
+    assert shown.rindex("flying") > shown.rindex("circumference")
+
+
+def test_a_bar_after_its_block_shows_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(terminal, "_PATIENCE_S", 0.0)
+    with terminal.Progress(0.0) as progress:
+        pass
+    progress._terminal = False
+    before = threading.active_count()
+    progress.show("late", 1, 2)
+    time.sleep(0.01)
+    assert threading.active_count() == before
