@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 from flightkit import Mode, Parts, Rig, Tank, composed, flown, merged, rig, scenario_of, with_stage
 from oracles.multibody_system import quaternion_from_rotation, rotation_from_quaternion
-from scipy.linalg import eigh
 from scipy.optimize import brentq
 from scipy.special import ellipj, ellipk
 
@@ -19,7 +18,6 @@ from maxq.control.kernel.records import Array
 from maxq.sim.vehicle import state as layout
 from maxq.sim.vehicle import workspace
 from maxq.sim.vehicle.schedule import PITCH, mode_column, softening_row
-from maxq.tools.dev.ksr3 import beam
 
 BARE = Parts(engine=False)
 HANGING = Tank(1.0e-3, 0.5, 5.0)
@@ -238,26 +236,6 @@ def test_axial_load_takes_stiffness_by_the_closed_form() -> None:
         bent[first] = 0.01
         accel = made.derivative(bent)[first + 1] / 0.01
         assert np.isclose(accel, -((2 * math.pi * 7.0) ** 2) + load * held / 500.0, rtol=1e-12)
-
-
-def test_uniform_beam_has_its_textbook_frequencies() -> None:
-    """Finite elements of the vehicle study: cos(bL) cosh(bL) = 1, and shapes that carry no momentum."""
-    stiffness, density = 3.0e7, 250.0
-    k, m = beam.assemble(np.full(len(beam.MIDDLES_M), stiffness), np.full(len(beam.MIDDLES_M), density))
-    length = float(beam.NODES_M[-1])
-    squares, vectors = eigh(k, m, subset_by_index=[0, 5])
-    for root, square, vector in zip(
-        (4.730040744862704, 7.853204624095838, 10.995607838001671), squares[2:5], vectors.T[2:5], strict=True
-    ):
-        wanted = root**2 * math.sqrt(stiffness / density) / length**2
-        assert np.isclose(math.sqrt(square), wanted, rtol=1e-5)
-        rigid = np.zeros(len(vector))
-        rigid[0::2] = 1.0
-        turning = np.zeros(len(vector))
-        turning[0::2], turning[1::2] = beam.NODES_M, 1.0
-        size = math.sqrt(float(vector @ m @ vector) * float(rigid @ m @ rigid))
-        assert abs(rigid @ m @ vector) < 1e-6 * size
-        assert abs(turning @ m @ vector) < 1e-6 * size * length
 
 
 # --- on the pad

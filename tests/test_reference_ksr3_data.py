@@ -2,36 +2,25 @@
 
 from __future__ import annotations
 
+import dataclasses
 from functools import cache
-from pathlib import Path
 
 import numpy as np
 import pytest
 from oracles import pitch_plane
 from oracles.pitch_plane import ModeShapes, VehicleFolder, quantities, read_rows
-from oracles.planar_flight import PlanarFlight
-from oracles.sampled_pitch_loop import DESIGN_FILE, Design, Verdict, all_cases, judge, sampled_plant
+from oracles.sampled_pitch_loop import DESIGN_FILE, VEHICLE_FOLDER, Design, Verdict, all_cases, judge, sampled_plant
 from scipy.interpolate import PchipInterpolator
-from scipy.linalg import eigh
 
 from maxq.control.kernel.records import Array
-from maxq.tools.dev.ksr3 import assumptions as a
-from maxq.tools.dev.ksr3 import beam, build
-from maxq.tools.dev.ksr3.aerodynamics import fit_to_table_2
-from maxq.tools.dev.ksr3.build import VEHICLE_FOLDER
-from maxq.tools.dev.ksr3.fitted import TABLE_2
-from maxq.tools.dev.ksr3.trajectory import ascent_from, fit_to_table_1, fly, summarise
-from maxq.tools.dev.ksr3.write_files import Reconstruction, write_tables
+from maxq.tools.vehicle.build import Built, build, write
+from maxq.tools.vehicle.compare import Difference, compared
+from maxq.tools.vehicle.layout import read_layout
 
 
 @cache
 def vehicle() -> VehicleFolder:
     return VehicleFolder(VEHICLE_FOLDER)
-
-
-@cache
-def made() -> Reconstruction:
-    return build.reconstruct()
 
 
 @cache
@@ -138,15 +127,6 @@ def test_modes() -> None:
     assert end == pytest.approx(6100.0 - 220.0, rel=1e-6)
 
 
-def test_beam_elements_give_a_uniform_free_beam() -> None:
-    stiffness, density = 2.0e7, 300.0
-    k, m = beam.assemble(np.full(a.BEAM_ELEMENTS, stiffness), np.full(a.BEAM_ELEMENTS, density))
-    omega = np.sqrt(eigh(k, m, eigvals_only=True, subset_by_index=[2, 4]))
-    roots = np.array([4.730040745, 7.853204624, 10.995607838])  # cos(x) cosh(x) = 1
-    exact = (roots / a.GIMBAL_STATION_M) ** 2 * np.sqrt(stiffness / density)
-    np.testing.assert_allclose(omega, exact, rtol=2e-6)
-
-
 def test_pitch_programme() -> None:
     times, rates = rows_of("pitch_programme.csv").T
     assert (rates[times < 5.0] == 0).all()
@@ -156,35 +136,45 @@ def test_pitch_programme() -> None:
     assert np.trapezoid(rates, times) == pytest.approx(55.93 - 90.0 - 0.25, abs=0.3)
 
 
-def test_a_rigid_body_flies_the_programme() -> None:
-    flight = PlanarFlight(made(), VEHICLE_FOLDER / "pitch_programme.csv")
-    times, states = flight.fly()
-    planned = np.array([made().flight.state_at(t)[3] for t in times])
-    assert np.degrees(np.abs(states[:, 3] - planned)).max() < 0.2
-    assert states[:, 2].max() == pytest.approx(850.0, abs=4)
+@pytest.fixture(scope="module")
+def from_layout(tmp_path_factory: pytest.TempPathFactory) -> tuple[Built, list[Difference]]:
+    folder = tmp_path_factory.mktemp("ksr3")
+    built = build(read_layout("ksr3"))
+    write(built, folder)
+    return built, compared(built, folder, "vehicles/ksr3")
 
 
-@pytest.mark.slow
-def test_the_fits_end_where_they_did() -> None:
-    """Another processor ends 7e-5 away along the fits' flattest direction; the vehicle is the same to 1e-4."""
-    ascent = fit_to_table_1()
-    flight, kept = summarise(fly(ascent_from(ascent))), summarise(made().flight)
-    for name in ("max_speed_mps", "apogee_km", "range_km", "flight_s", "max_thrust_to_mass_g"):
-        assert getattr(flight, name) == pytest.approx(getattr(kept, name), rel=1e-4)
-    assert fit_to_table_2(made().flight) == pytest.approx(np.array(TABLE_2), rel=1e-4)
+def test_the_layout_makes_the_vehicle_that_is_flown(from_layout: tuple[Built, list[Difference]]) -> None:
+    """The tables are of an earlier programme with its own beam, liquids and ascent: within these shares."""
+    allowed = {
+        "body.total": 1e-3, "total_": 3e-3, "body.core_mass": 3e-3, "body.core_inertia_kgm2": 6e-3, "modes.omega": 4e-3,
+        "modes.slope": 3e-2, "modes.phi_surface": 2e-2, "pendulums.length": 3e-3, "pendulums.hinge": 1e-3,
+        "engine": 2e-3, "aerodynamics": 1e-6, "pendulums.mass_kg": 4e-2,
+    }  # fmt: skip  # eleven more lines otherwise
+    found = {d.name: d for d in from_layout[1]}
+    for start, most in allowed.items():
+        named = [d for name, d in found.items() if name.startswith(start)]
+        assert named, start
+        for d in named:
+            assert d.largest <= most, d.name
 
 
-@pytest.mark.slow
-def test_the_files_are_what_the_build_writes(tmp_path: Path) -> None:
-    write_tables(tmp_path, made())
-    written = sorted(path.name for path in tmp_path.iterdir())
-    assert written == sorted(path.name for path in VEHICLE_FOLDER.glob("*.csv"))
-    for name in written:
-        fresh, kept = np.array(read_rows(tmp_path / name)), rows_of(name)
-        scale = np.abs(kept).max(axis=0)
-        np.testing.assert_allclose(
-            fresh / np.where(scale > 0, scale, 1), kept / np.where(scale > 0, scale, 1), atol=1e-5
-        )
+def test_the_layout_flies_the_fitted_trajectory(from_layout: tuple[Built, list[Difference]]) -> None:
+    times, _, altitude, speed, path = rows_of("point_mass_flight.csv").T[:5]
+    for point in from_layout[0].flight.points[::20]:
+        at = point.time_s
+        assert point.altitude_m == pytest.approx(np.interp(at, times, altitude), rel=5e-3, abs=10.0)
+        assert point.speed_mps == pytest.approx(np.interp(at, times, speed), rel=5e-3, abs=2.0)
+        assert np.degrees(point.path_rad) == pytest.approx(np.interp(at, times, path), abs=0.5)
+
+
+def test_pitch_damping_is_that_of_the_strips(from_layout: tuple[Built, list[Difference]]) -> None:
+    """Cmq is among the tables that are given: without it the surfaces give the same, at the CG of that Mach number."""
+    built = from_layout[0]
+    aero, cg = built.aero[0], built.stacks[0].mass_properties(1.0).x_cg_m
+    estimate = dataclasses.replace(aero, damping=None)
+    assert aero.damping is not None
+    assert estimate.pitch_damping(cg)[0] == pytest.approx(aero.damping[0], rel=1e-3)
 
 
 def test_default_gains_meet_the_rigid_requirement_at_every_node() -> None:
@@ -228,7 +218,7 @@ def test_actuator_and_gyro_are_equations_28_and_29() -> None:
         eye = np.eye(len(system.a))
         return np.array([system.c @ np.linalg.solve(v * eye - system.a, system.b) for v in s])
 
-    hz, zeta = list(a.ACTUATOR_HZ), list(a.ACTUATOR_ZETA)
+    hz, zeta = [5.8, 7.2, 52.6, 15.6], [0.87, 0.49, 0.15, 0.042]
     expected = block(5.8, 0.87) * block(7.2, 0.49) * block(52.6, 0.15) / block(15.6, 0.042)
     np.testing.assert_allclose(response(pitch_plane.actuator(hz, zeta)), expected, rtol=1e-9)
     np.testing.assert_allclose(response(pitch_plane.gyro(60.0, 0.65)), block(60.0, 0.65), rtol=1e-9)

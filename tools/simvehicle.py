@@ -12,11 +12,12 @@ from maxq.tools.cli.parser import Parser
 from maxq.tools.cli.terminal import tell
 
 _USAGE = """\
-simvehicle LAYOUT [--out DIR]
+simvehicle LAYOUT [--out DIR] [--compare VEHICLE]
        simvehicle --list | --version | --help"""
 _EXAMPLES = """\
   simvehicle petrel                               a built-in layout, into runs/petrel
   simvehicle mine.toml --out mine                 then: simrun mine/scenario.toml
+  simvehicle ksr3 --compare vehicles/ksr3         how far it differs from tables that are given
 """
 _EXITS = {
     Exit.OK: "the vehicle is written",
@@ -31,6 +32,7 @@ def _parser() -> Parser:
     parser = Parser("simvehicle", _USAGE, about, _EXAMPLES, _EXITS)
     parser.option("layout", nargs="?", metavar="LAYOUT", help="layout file, or a built-in one (docs/simvehicle.md)")
     parser.option("--out", metavar="DIR", help="where to write (default: runs/<name of the layout>)")
+    parser.option("--compare", metavar="VEHICLE", help="folder of a vehicle, or a built-in one: print differences")
     parser.option("--list", action="store_true", help="name the built-in layouts")
     parser.version_and_help()
     return parser
@@ -71,6 +73,13 @@ def _run(arguments: list[str]) -> int:
         raise ScenarioError(options.layout, str(error)) from None
     files = write(built, folder)
     tell(report(built))
+    if options.compare is not None:
+        from maxq.tools.vehicle.compare import compared, comparison  # noqa: PLC0415  # lazy: loads the linear model
+
+        try:
+            tell(f"\n{comparison(compared(built, folder, options.compare), options.compare)}")
+        except ValueError as error:
+            raise ScenarioError("--compare", str(error)) from None
     tell(f"\n{len(files)} files in {folder}/")
     if weak := too_weak(built):
         tell(f"TOO WEAK: {'; '.join(weak)}")

@@ -18,7 +18,6 @@ from scipy.interpolate import CubicHermiteSpline
 
 from maxq.control.kernel.records import Array
 from maxq.control.kernel.tables import Cubics, fit
-from maxq.tools.dev.ksr3.assumptions import STANDARD_GRAVITY_MPS2
 
 
 @dataclass(frozen=True)
@@ -124,7 +123,7 @@ def snapshot(vehicle: VehicleFolder, t: float) -> Snapshot:
     core_mass, core_cg, core_inertia = _without_bobs(mass, x_cg, inertia, tanks)
     grid = vehicle.modes.at(t)
     shape = _Shape(vehicle.modes.stations_m, grid[:, :, 5], grid[:, :, 6])
-    gravity = STANDARD_GRAVITY_MPS2 * (6371e3 / (6371e3 + altitude)) ** 2
+    gravity = 9.80665 * (6371e3 / (6371e3 + altitude)) ** 2
     area = vehicle.description["reference"]["area_m2"]
     chord = vehicle.description["reference"]["chord_m"]
     engine, gyro = vehicle.stage["engine"], vehicle.stage["gyro"]

@@ -21,8 +21,10 @@ from scipy.linalg import expm
 from scipy.signal import bilinear, tf2ss
 
 from maxq.control.kernel.records import Array
-from maxq.tools.dev.ksr3.assumptions import NODES_S
-from maxq.tools.dev.ksr3.build import VEHICLE_FOLDER
+from maxq.sim.scenario.builtin import scenarios_folder
+
+VEHICLE_FOLDER = scenarios_folder() / "vehicles" / "ksr3"
+NODES_S = tuple(float(t) for t in range(5, 56, 5))
 
 Response = NDArray[np.complex128]
 

@@ -8,12 +8,16 @@ drag 1.2 on the planform. Rate damping by strips. The axial force is an assumed 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
+from scipy.interpolate import PchipInterpolator
 
 from maxq.control.kernel.records import Array
+from maxq.sim.scenario.grids import GridTable
+from maxq.sim.scenario.schema_stage import Aero
+from maxq.sim.scenario.tables_csv import CsvTable
 from maxq.tools.vehicle.layout import Fins
 from maxq.tools.vehicle.masses import Stack
 
@@ -29,7 +33,7 @@ NOSE_CENTRE = {"ogive": 0.466, "cone": 2.0 / 3.0}  # of the nose's length
 
 @dataclass(frozen=True)
 class Surface:
-    """A lifting part: normal force slope (1/rad, on the reference area) and station, over MACH."""
+    """A lifting part: normal force slope (1/rad, on the reference area) and station, over the Mach numbers."""
 
     name: str
     slope_pr: Array
@@ -38,8 +42,9 @@ class Surface:
 
 @dataclass(frozen=True)
 class Aerodynamics:
-    """Of a stack, over MACH; the reference is the largest diameter of the whole vehicle."""
+    """Of a stack, over `mach`; the reference is the largest diameter of the whole vehicle."""
 
+    mach: Array
     diameter_m: float
     surfaces: tuple[Surface, ...]
     crossflow: float
@@ -47,6 +52,7 @@ class Aerodynamics:
     roll_damping: Array
     axial: Array
     axial_coast: Array
+    damping: Array | None = None  # Cmq that is given
 
     @property
     def area_m2(self) -> float:
@@ -54,13 +60,15 @@ class Aerodynamics:
 
     def normal(self, mach: float) -> tuple[float, float]:
         """Slope, 1/rad, and centre of pressure, m aft of the nose."""
-        slopes = [float(np.interp(mach, MACH, s.slope_pr)) for s in self.surfaces]
-        stations = [float(np.interp(mach, MACH, s.station_m)) for s in self.surfaces]
-        return sum(slopes), float(np.dot(slopes, stations)) / sum(slopes)
+        slopes = [float(np.interp(mach, self.mach, s.slope_pr)) for s in self.surfaces]
+        stations = [float(np.interp(mach, self.mach, s.station_m)) for s in self.surfaces]
+        return sum(slopes), float(np.dot(slopes, stations)) / (sum(slopes) or math.nan)
 
     def pitch_damping(self, x_cg_m: float) -> Array:
-        """Cmq about a CG, per q d / (2 U), over MACH."""
-        moment = sum((s.slope_pr * (s.station_m - x_cg_m) ** 2 for s in self.surfaces), np.zeros(len(MACH)))
+        """Cmq about a CG, per q d / (2 U), over the Mach numbers."""
+        if self.damping is not None:
+            return self.damping
+        moment = sum((s.slope_pr * (s.station_m - x_cg_m) ** 2 for s in self.surfaces), np.zeros(len(self.mach)))
         return np.asarray(-2.0 * moment / self.diameter_m**2)
 
 
@@ -92,10 +100,90 @@ def aerodynamics(stack: Stack) -> Aerodynamics:
     total = sum(a for a, _ in planform)
     share = (max(s.diameter_m for s in stages) / diameter) ** 2
     axial = layout.axial_factor * share * _AXIAL
-    return Aerodynamics(
-        diameter, tuple(surfaces), CROSSFLOW * total / (0.25 * math.pi * diameter**2),
+    found = Aerodynamics(
+        MACH, diameter, tuple(surfaces), CROSSFLOW * total / (0.25 * math.pi * diameter**2),
         sum(a * x for a, x in planform) / total, roll, axial, axial + share * _BASE,
     )  # fmt: skip  # four more lines otherwise
+    return found if stack.stage.aero is None else _with_given(found, stack.stage.aero)
+
+
+def _with_given(estimate: Aerodynamics, given: Aero) -> Aerodynamics:
+    """What a section of a vehicle file gives, at small incidence and under thrust, instead of the estimate."""
+    tables = [given.table, *(s.table for s in given.surface)]
+    grids = [c.grid for c in given.coefficients]
+    machs = [*(t["mach"] for t in tables), *(g.breaks[0] for g in grids if g.axes[0] == "mach")]
+    mach = np.unique(np.concatenate([estimate.mach, *machs]))
+
+    def of(table: CsvTable, name: str) -> Array:
+        smooth = len(table) > 1 and given.interpolation == "pchip"
+        at = np.clip(mach, table["mach"][0], table["mach"][-1])
+        return np.asarray(
+            PchipInterpolator(table["mach"], table[name])(at) if smooth else np.interp(at, table["mach"], table[name])
+        )
+
+    def either(name: str, other: Array) -> Array:
+        return of(given.table, name) if name in given.table else np.interp(mach, estimate.mach, other)
+
+    surfaces = [Surface(s.name or str(n + 1), of(s.table, "CN_alpha_pr"), of(s.table, "station_m"))
+                for n, s in enumerate(given.surface)]  # fmt: skip  # one line more otherwise
+    if "CN_alpha_pr" in given.table and not given.surface:
+        slope = of(given.table, "CN_alpha_pr")
+        turned = given.moment_reference_m - estimate.diameter_m * either("Cm_alpha_pr", 0.0 * estimate.mach) / slope
+        surfaces.append(Surface("body", slope, of(given.table, "x_cp_m") if "x_cp_m" in given.table else turned))
+    axial = coast = np.zeros(len(mach))
+    for n, (table, grid) in enumerate(zip(given.coefficients, grids, strict=True)):
+        force, moment, along = _small_incidence(grid, mach)
+        coast = coast + along * (table.power != "on")
+        if table.power == "off":
+            continue
+        axial = axial + along
+        station = given.moment_reference_m - estimate.diameter_m * moment / np.where(force == 0.0, np.inf, force)
+        surfaces.append(Surface(table.name or f"table {n + 1}", force, station))
+    if "CA" in given.table or "CD" in given.table:
+        power_on = sum((of(given.table, name) for name in ("CA", "CD") if name in given.table), np.zeros(len(mach)))
+        base = of(given.table, "CA_coast") - of(given.table, "CA") if "CA_coast" in given.table else 0.0
+        axial, coast = axial + power_on, coast + power_on + base
+    elif not axial.any():
+        axial, coast = either("", estimate.axial), either("", estimate.axial_coast)
+    lifting = surfaces or [replace(s, slope_pr=either("", s.slope_pr), station_m=either("", s.station_m))
+                           for s in estimate.surfaces]  # fmt: skip  # one line more otherwise
+    across = given.crossflow_station_m
+    return Aerodynamics(
+        mach, estimate.diameter_m, tuple(lifting),
+        float(given.table["C_crossflow"][0]) if "C_crossflow" in given.table else estimate.crossflow,
+        estimate.crossflow_station_m if across is None else across, either("Clp", estimate.roll_damping), axial, coast,
+        of(given.table, "Cmq") if "Cmq" in given.table else None,
+    )  # fmt: skip  # four more lines otherwise
+
+
+def _small_incidence(grid: GridTable, mach: Array) -> tuple[Array, Array, Array]:
+    """Slopes of normal force and pitch moment, 1/rad, and the axial force coefficient, at no incidence over Mach."""
+    values = grid.values
+    for axis in reversed(range(len(grid.axes))):
+        if grid.axes[axis] not in ("mach", "total_deg", "alpha_deg"):
+            values = np.take(values, int(np.argmin(np.abs(grid.breaks[axis]))), axis)
+    if grid.axes[0] != "mach":
+        values = values[None]
+    columns = {name: values[..., k] for k, name in enumerate(grid.names)}
+    breaks = grid.breaks[0] if grid.axes[0] == "mach" else np.zeros(1)
+    angles = next((grid.breaks[k] for k, a in enumerate(grid.axes) if a in ("total_deg", "alpha_deg")), None)
+
+    def over_mach(column: Array) -> Array:
+        return np.interp(mach, breaks, column)
+
+    if angles is None:
+        return 0.0 * mach, 0.0 * mach, over_mach(sum((columns[n] for n in ("CA", "CD") if n in columns), 0.0 * breaks))
+    k = int(np.argmin(np.abs(angles)))
+    low, high = max(k - 1, 0), min(k + 1, len(angles) - 1)
+    step = math.radians(float(angles[high] - angles[low])) or math.inf
+    at_zero = {name: column[:, k] for name, column in columns.items()}
+    slope = {name: (column[:, high] - column[:, low]) / step for name, column in columns.items()}
+    none = np.zeros(len(breaks))
+    along = at_zero.get("CA", none) - at_zero.get("CX", none) + at_zero.get("CD", none)
+    force = slope.get("CN", none) - slope.get("CZ", none)
+    if "CL" in slope:
+        force = slope["CL"] + at_zero.get("CD", none)
+    return over_mach(force), over_mach(slope.get("Cm", none)), over_mach(along)
 
 
 def _fins(fins: Fins, name: str, radius_m: float, reference_m: float) -> tuple[Surface, Array, float]:

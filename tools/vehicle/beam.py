@@ -23,8 +23,9 @@ _LEAST_SHARE = 1e-4  # of the mean mass per length: an element without mass has 
 
 @dataclass(frozen=True)
 class Mode:
-    """At the nodes of the beam."""
+    """A mode shape at stations."""
 
+    station_m: Array
     frequency_hz: float
     generalized_mass_kg: float
     phi: Array
@@ -45,21 +46,26 @@ class Beam:
         middles, stiffness = 0.5 * (nodes[1:] + nodes[:-1]), np.zeros(ELEMENTS)
         for stage in reversed(stack.layout.stage[stack.number :]):
             for s in stage.shell:
-                radius = s.radius_m or 0.5 * stage.diameter_m
-                value = s.EI_Nm2 or math.pi * (s.modulus_Pa or 0.0) * radius**3 * (s.wall_m or 0.0)
-                stiffness[(middles >= s.front_station_m) & (middles <= s.rear_station_m)] = value
+                for k in np.flatnonzero((middles >= s.front_station_m) & (middles <= s.rear_station_m)):
+                    stiffness[k] = s.stiffness_Nm2(float(middles[k]), 0.5 * stage.diameter_m)
         return Beam(nodes, stiffness)
 
-    def modes(self, rods: Sequence[Rod], count: int) -> list[Mode]:
-        """The first `count` bending modes with these masses on the beam."""
+    def modes(self, rods: Sequence[Rod], count: int, *, clamped: bool = False) -> list[Mode]:
+        """The first `count` bending modes with these masses on the beam; `clamped` at its end, where it is held down.
+
+        Free shapes are 1 at the gimbal, clamped ones at the nose.
+        """
         density, behind = line_density_kgpm(rods, self.nodes_m)
         k, m = self._matrices(np.maximum(density, _LEAST_SHARE * density.mean()))
         m[-2:, -2:] += np.array([[behind[0], behind[1]], [behind[1], behind[2]]])
-        squares, vectors = eigh(k, m, subset_by_index=[2, 1 + count])  # 0 and 1 are the rigid motions
+        free, first = (slice(0, -2), 0) if clamped else (slice(None), 2)  # 0 and 1 of a free body are its rigid motions
+        squares, vectors = eigh(k[free, free], m[free, free], subset_by_index=[first, first + count - 1])
         out = []
         for square, vector in zip(squares, vectors.T, strict=True):
-            shape = vector / vector[-2]
-            out.append(Mode(math.sqrt(square) / (2.0 * math.pi), float(shape @ m @ shape), shape[::2], shape[1::2]))
+            whole = np.append(vector, [0.0, 0.0]) if clamped else vector
+            shape = whole / whole[0 if clamped else -2]
+            hz = math.sqrt(square) / (2.0 * math.pi)
+            out.append(Mode(self.nodes_m, hz, float(shape @ m @ shape), shape[::2], shape[1::2]))
         return out
 
     def _matrices(self, density_kgpm: Array) -> tuple[Array, Array]:

@@ -18,7 +18,11 @@ import tomli_w
 from maxq.control.kernel.records import Array
 from maxq.sim.files import write_whole
 from maxq.sim.packing.slosh_modes import modes_over
-from maxq.tools.vehicle.aerodynamics import MACH, Aerodynamics, aerodynamics
+from maxq.sim.scenario.modes import ModeTable
+from maxq.sim.scenario.schema_stage import SECTIONS
+from maxq.sim.scenario.schema_values import Section
+from maxq.sim.scenario.tables_csv import CsvTable
+from maxq.tools.vehicle.aerodynamics import Aerodynamics, aerodynamics
 from maxq.tools.vehicle.beam import Beam, Mode
 from maxq.tools.vehicle.layout import Layout, Tank
 from maxq.tools.vehicle.masses import Rod, Stack, engine_inertia, stacks
@@ -28,6 +32,7 @@ MASS_ROWS, MODE_ROWS, SHAPE_STATIONS = 41, 13, 41
 MOST_RIGID_HZ = 0.4
 SPREAD = {"thrust at equal impulse": 0.03, "normal force": 0.15, "axial force": 0.1, "frequency of mode 1": 0.05}
 Table = tuple[str, Sequence[tuple[Any, ...]]]  # head and rows of a CSV file
+Tables = dict[str, Table]  # by the file's name
 
 
 @dataclass(frozen=True)
@@ -70,15 +75,33 @@ def slosh_kg(tank: Tank, liquid_kg: float) -> float:
 
 
 def _modes(stack: Stack) -> tuple[Array, list[list[Mode]]]:
-    times, beam = np.linspace(0.0, stack.burn.end_s, MODE_ROWS), Beam.of(stack)
-    out = []
-    for t in times:
-        rods = list(stack.dry)
-        for tank, liquid in zip(stack.stage.tank, stack.liquids(float(t)), strict=True):
-            left = liquid.mass_kg - slosh_kg(tank, liquid.mass_kg)
-            rods.append(Rod(left, liquid.front_station_m, liquid.rear_station_m, 0.0, 0.0))
-        out.append(beam.modes(rods, stack.stage.modes) if stack.stage.modes else [])
-    return times, out
+    stage, times = stack.stage, np.linspace(0.0, stack.burn.end_s, MODE_ROWS)
+    if (bending := stage.bending) is not None:
+        table = bending.pitch_modes or bending.yaw_modes
+        return times, [[] if table is None else _mode_of(table, t) for t in times]
+    if (spatial := stage.spatial_modes) is not None:
+        in_pitch = spatial.modes.lateral()[1]
+        return times, [_mode_of(in_pitch, t) for t in times]
+    beam = Beam.of(stack)
+    return times, [beam.modes(beam_load(stack, float(t)), stage.modes) if stage.modes else [] for t in times]
+
+
+def beam_load(stack: Stack, t: float) -> list[Rod]:
+    """What rides on the beam at `t` of the stage's clock: all but what sloshes."""
+    rods = [*stack.dry, *stack.grains(t)]
+    for tank, liquid in zip(stack.stage.tank, stack.liquids(t), strict=True):
+        left = liquid.mass_kg - slosh_kg(tank, liquid.mass_kg)
+        rods.append(Rod(left, liquid.front_station_m, liquid.rear_station_m, 0.0, 0.0))
+    return rods
+
+
+def _mode_of(table: ModeTable, t: float) -> list[Mode]:
+    """Modes that are given, at the row nearest to a time."""
+    k = int(np.argmin(np.abs(table.time_s - t)))
+    return [
+        Mode(table.station_m, float(hz), float(kg), table.phi[k, m], table.slope_pm[k, m])
+        for m, (hz, kg) in enumerate(zip(table.frequency_hz[k], table.generalized_mass_kg[k], strict=True))
+    ]
 
 
 def m_alpha_1ps2(built: Built, p: Point) -> float:
@@ -119,11 +142,13 @@ def _gains(built: Built, rigid_hz: float) -> list[tuple[float, float, float]]:
 
 def _assumed(built: Built, rigid_hz: float) -> list[str]:
     layout = built.layout
-    lines = [
-        "axial force: a curve of a clean launcher over Mach number"
-        + (f", times {layout.axial_factor:g}" if layout.axial_factor != 1.0 else ""),
-        "normal force: slender-body theory and Barrowman's fins, over Mach number by a curve of our own",
-        "liquids drain in proportion to their load; they do not turn about the axis",
+    lines = []
+    if any(stage.aero is None for stage in layout.stage):
+        factor = f", times {layout.axial_factor:g}" if layout.axial_factor != 1.0 else ""
+        lines.append(f"axial force: a curve of a clean launcher over Mach number{factor}")
+        lines.append("normal force: slender-body theory and Barrowman's fins, over Mach number by a curve of our own")
+    lines += [
+        "propellants drain in proportion to their load; liquids do not turn about the axis but by their roll_share",
         f"first gains: {rigid_hz:.3g} Hz and {layout.control.rigid_zeta:g} of the rigid body with M_alpha in it",
     ]
     if layout.fairing is not None:
@@ -175,14 +200,14 @@ def warnings(built: Built) -> list[str]:
 def write(built: Built, folder: Path) -> list[Path]:
     """All files, into a folder; returns them."""
     layout, files = built.layout, []
-    tables = {f"vehicle/{name}": table for n in range(len(built.stacks)) for name, table in _tables(built, n).items()}
-    tables["vehicle/pitch_programme.csv"] = _programme(built)
+    tables: Tables = {"pitch_programme.csv": _programme(built)}
+    vehicle = _vehicle(built, tables)
     for name, (head, rows) in tables.items():
-        text = "\n".join([head, *(",".join(f"{v:.10g}" for v in row) for row in rows)]) + "\n"
-        files.append(write_whole(folder / name, text))
+        text = "\n".join([head, *(",".join(f"{v:.12g}" for v in row) for row in rows)]) + "\n"
+        files.append(write_whole(folder / "vehicle" / name, text))
     made = f"# {layout.name}: an estimate from a layout by simvehicle, to begin with.\n"
     documents = {
-        "vehicle/vehicle.toml": _vehicle(built), "design.toml": _design(built), "scenario.toml": _scenario(built),
+        "vehicle/vehicle.toml": vehicle, "design.toml": _design(built), "scenario.toml": _scenario(built),
         "campaign.toml": _campaign(built), "case.toml": _case(built), "suite.toml": _suite(built),
     }  # fmt: skip  # seven more lines otherwise
     for name, content in documents.items():
@@ -194,41 +219,88 @@ def _prefix(built: Built, n: int) -> str:
     return f"stage{n + 1}_" if len(built.stacks) > 1 else ""
 
 
-def _tables(built: Built, n: int) -> dict[str, Table]:
-    stack, aero, prefix = built.stacks[n], built.aero[n], _prefix(built, n)
-    burn, e = stack.burn, stack.stage.engine
-    count = len(e.positions_m)
-    times = np.unique(np.concatenate([burn.times_s, np.linspace(0.0, burn.end_s, MASS_ROWS)]).round(6))
+def _times_s(stack: Stack) -> Array:
+    """Rows of tables of what the burn changes."""
+    burn = stack.burn
+    return np.unique(np.concatenate([burn.times_s, np.linspace(0.0, burn.end_s, MASS_ROWS)]).round(6))
+
+
+def _mass(stack: Stack) -> Table:
     rows = []
-    for t in times:
+    for t in _times_s(stack):
         p = stack.mass_properties(float(t))
         rows.append((t, p.mass_kg, p.x_cg_m, p.roll_kgm2, p.pitch_kgm2, p.pitch_kgm2))
-    out: dict[str, Table] = {
-        "mass.csv": ("time_s,mass_kg,x_cg_m,Ixx_kgm2,Iyy_kgm2,Izz_kgm2", rows),
-        "thrust.csv": ("time_s,thrust_vacuum_N", list(zip(burn.times_s, burn.thrust_N / count, strict=True))),
-    }
-    for tank in stack.stage.tank:
-        liquid = [(t, stack.liquid_kg(tank, float(t))) for t in times]
-        out[f"tank_{tank.name}.csv"] = ("time_s,liquid_mass_kg", liquid)
-    if stack.stage.modes:
-        out["modes.csv"] = _mode_table(built, n)
-    cg = _cg_over_mach(built, n)
-    damping = np.array([aero.pitch_damping(x)[k] for k, x in enumerate(cg)])
-    columns = (MACH, aero.axial, aero.axial_coast, damping, aero.roll_damping, np.full(len(MACH), aero.crossflow))
-    out["aero.csv"] = ("mach,CA,CA_coast,Cmq,Clp,C_crossflow", list(zip(*columns, strict=True)))
-    for s in aero.surfaces:
-        out[f"aero_{s.name}.csv"] = (
-            "mach,CN_alpha_pr,station_m",
-            list(zip(MACH, s.slope_pr, s.station_m, strict=True)),
-        )
-    return {prefix + name: table for name, table in out.items()}
+    return "time_s,mass_kg,x_cg_m,Ixx_kgm2,Iyy_kgm2,Izz_kgm2", rows
+
+
+def _copied(value: Any, name: str, tables: Tables) -> Any:
+    """A section as a file holds it, its tables (into `tables`) named `name` and key."""
+    if isinstance(value, CsvTable):
+        tables[f"{name}.csv"] = ",".join(value.columns), list(zip(*value.columns.values(), strict=True))
+        return f"{name}.csv"
+    if isinstance(value, Section):
+        given = [key for key in type(value).model_fields if key in value.model_fields_set]
+        parts = {key: _copied(getattr(value, key), f"{name}_{key}", tables) for key in given}
+        return {key: part for key, part in parts.items() if part is not None}
+    if isinstance(value, tuple):
+        return [_copied(item, f"{name}{n + 1}", tables) for n, item in enumerate(value)]
+    return value
+
+
+def _aero(built: Built, n: int, tables: Tables) -> dict[str, Any]:
+    aero, given, name = built.aero[n], built.stacks[n].stage.aero, f"{_prefix(built, n)}aero"
+    table = {} if given is None else dict(given.table.columns)
+    damping = [aero.pitch_damping(x)[k] for k, x in enumerate(_cg_over_mach(built, n))]
+    worked_out = {"CA": aero.axial, "CA_coast": aero.axial_coast, "Cmq": damping, "Clp": aero.roll_damping,
+                  "C_crossflow": np.full(len(aero.mach), aero.crossflow)}  # fmt: skip  # five more lines otherwise
+    if given is not None and given.coefficients:  # what stands there acts besides
+        worked_out = {key: worked_out[key] for key in ("Cmq", "Clp", "C_crossflow")}
+    out = {} if given is None else _copied(given, name, tables)
+    if missing := {key: column for key, column in worked_out.items() if key not in table}:
+        kept = {key: np.interp(aero.mach, table["mach"], column) for key, column in table.items() if key != "mach"}
+        columns = {"mach": aero.mach, **kept, **missing}
+        tables[f"{name}_table.csv"] = ",".join(columns), list(zip(*columns.values(), strict=True))
+    out |= {"table": f"{name}_table.csv", "crossflow_station_m": aero.crossflow_station_m}
+    if given is None or not (given.surface or given.coefficients or "CN_alpha_pr" in table):
+        out["surface"] = []
+        for surface in aero.surfaces:
+            rows = list(zip(aero.mach, surface.slope_pr, surface.station_m, strict=True))
+            tables[f"{name}_{surface.name}.csv"] = "mach,CN_alpha_pr,station_m", rows
+            out["surface"].append({"name": surface.name, "table": f"{name}_{surface.name}.csv"})
+    return out
+
+
+def _loads(stack: Stack, prefix: str, tables: Tables) -> dict[str, Any]:
+    """Masses along the body, what the shells bear, and the liquids, for section loads."""
+    stage, layout = stack.stage, stack.layout
+    assert stage.loads is not None
+    dry = sorted((r.front_station_m, r.rear_station_m, r.mass_kg) for r in stack.dry)
+    tables[f"{prefix}line_mass.csv"] = "front_station_m,rear_station_m,mass_kg", dry
+    out = _copied(stage.loads, f"{prefix}loads", tables) | {"line_mass": f"{prefix}line_mass.csv", "liquid": []}
+    limits = []
+    for x in stage.loads.stations_m:
+        for above in layout.stage[stack.number :]:
+            for shell in above.shell:
+                if shell.front_station_m <= x < shell.rear_station_m and shell.strength_Pa and shell.modulus_Pa:
+                    radius = shell.radius_m or 0.5 * above.diameter_m  # of a thin wall: EI = E pi R^3 t, area 2 pi R t
+                    area = 2.0 * shell.stiffness_Nm2(x, 0.5 * above.diameter_m) / (shell.modulus_Pa * radius**2)
+                    limits.append((x, radius, area * shell.strength_Pa))
+    if limits:
+        tables[f"{prefix}section_limits.csv"] = "station_m,radius_m,equivalent_compression_N", limits
+        out["limits"] = f"{prefix}section_limits.csv"
+    for k, tank in enumerate(stage.tank):
+        columns = [(t, stack.liquids(float(t))[k]) for t in _times_s(stack)]
+        name = f"{prefix}liquid_{tank.name}.csv"
+        tables[name] = "time_s,mass_kg,front_station_m", [(t, r.mass_kg, r.front_station_m) for t, r in columns]
+        out["liquid"].append({"tank": tank.name, "table": name, "bottom_station_m": tank.bottom_station_m})
+    return dict(out)
 
 
 def _mode_table(built: Built, n: int) -> Table:
     stack, beam, rows = built.stacks[n], Beam.of(built.stacks[n]), []
     nodes = np.unique(np.linspace(0, len(beam.nodes_m) - 1, SHAPE_STATIONS).astype(int))
     for t, modes in zip(*built.modes[n], strict=True):
-        forward = beam.mass_forward_kg([*stack.dry, *stack.liquids(float(t))])
+        forward = beam.mass_forward_kg([*stack.dry, *stack.liquids(float(t)), *stack.grains(float(t))])
         for number, mode in enumerate(modes, start=1):
             given = (t, number, mode.frequency_hz, mode.generalized_mass_kg)
             rows += [(*given, beam.nodes_m[k], mode.phi[k], mode.slope_pm[k], forward[k]) for k in nodes]
@@ -240,7 +312,7 @@ def _cg_over_mach(built: Built, n: int) -> Array:
     points = [p for p in built.flight.points if p.number == n]
     order = np.argsort([p.mach for p in points])
     cg = [built.stacks[n].mass_properties(p.clock_s).x_cg_m for p in points]
-    return np.asarray(np.interp(MACH, np.array([p.mach for p in points])[order], np.array(cg)[order]))
+    return np.asarray(np.interp(built.aero[n].mach, np.array([p.mach for p in points])[order], np.array(cg)[order]))
 
 
 def _lead_rad(built: Built, p: Point, k_p: float, k_d: float, rate_radps: float) -> tuple[float, float]:
@@ -257,7 +329,7 @@ def _lead_rad(built: Built, p: Point, k_p: float, k_d: float, rate_radps: float)
     holds = normal * (centre - props.x_cg_m) / (p.thrust_N * arm)  # gimbal angle per incidence
     across = p.thrust_N * (1.0 - holds) + normal
     incidence = p.incidence_rad + props.mass_kg * p.speed_mps * p.excess_radps / across
-    damping = float(np.interp(p.mach, MACH, aero.pitch_damping(props.x_cg_m)))
+    damping = float(np.interp(p.mach, aero.mach, aero.pitch_damping(props.x_cg_m)))
     damping *= -0.5 * p.dynamic_pressure_Pa * aero.area_m2 * aero.diameter_m**2 / max(p.speed_mps, 1.0)
     gimbal = holds * incidence + damping / (p.thrust_N * arm) * rate_radps
     return incidence, (gimbal + k_d * rate_radps) / k_p
@@ -285,7 +357,7 @@ def _programme(built: Built) -> Table:
     return "time_s,pitch_rate_degps", [(float(a), float(b)) for a, b in table]
 
 
-def _vehicle(built: Built) -> dict[str, Any]:
+def _vehicle(built: Built, tables: Tables) -> dict[str, Any]:
     layout, widest = built.layout, max(s.diameter_m for s in built.layout.stage)
     control, first = layout.control, layout.stage[0].engine
     return {
@@ -296,7 +368,7 @@ def _vehicle(built: Built) -> dict[str, Any]:
             "length_m": max(first.exit_station_m, layout.stage[0].rear_station_m), "diameter_m": widest,
             "area_m2": 0.25 * math.pi * widest**2,
         },
-        "stage": [_stage(built, n) for n in range(len(built.stacks))],
+        "stage": [_stage(built, n, tables) for n in range(len(built.stacks))],
         "computer": {
             "sample_s": control.sample_s, "delay_s": control.delay_s, "count_rad": 1e-5, "dac_step_deg": 0.001,
             "angle_error_limit_deg": 20.0, "command_limit_deg": min(s.engine.angle_limit_deg for s in layout.stage),
@@ -304,9 +376,15 @@ def _vehicle(built: Built) -> dict[str, Any]:
     }  # fmt: skip  # five more lines otherwise
 
 
-def _stage(built: Built, n: int) -> dict[str, Any]:
-    stack, aero, prefix, control = built.stacks[n], built.aero[n], _prefix(built, n), built.layout.control
+def _stage(built: Built, n: int, tables: Tables) -> dict[str, Any]:
+    stack, prefix, control = built.stacks[n], _prefix(built, n), built.layout.control
     stage, e, last = stack.stage, stack.stage.engine, n == len(built.stacks) - 1
+    thrust = zip(stack.burn.times_s, stack.burn.thrust_N / len(e.positions_m), strict=True)
+    tables[f"{prefix}thrust.csv"] = "time_s,thrust_vacuum_N", list(thrust)
+    tables[f"{prefix}mass.csv"] = _mass(stack)
+    for tank in stage.tank:
+        liquid = [(t, stack.liquid_kg(tank, float(t))) for t in _times_s(stack)]
+        tables[f"{prefix}tank_{tank.name}.csv"] = "time_s,liquid_mass_kg", liquid
     mass, arm, inertia = engine_inertia(e)
     engine = {
         "table": f"{prefix}thrust.csv", "exit_area_m2": e.exit_area_m2, "gimbal_station_m": e.gimbal_station_m,
@@ -326,7 +404,8 @@ def _stage(built: Built, n: int) -> dict[str, Any]:
     out["mass"] = {"table": f"{prefix}mass.csv"}
     out["engine"] = engines if many else engines[0]
     out["actuator"] = {
-        "model": "second-order", "omega_hz": [e.servo_hz], "zeta": [e.servo_zeta],
+        "model": next(model for model, count in SECTIONS.items() if count == len(e.servo_hz)),
+        "omega_hz": list(e.servo_hz), "zeta": list(e.servo_zeta),
         "angle_limit_deg": e.angle_limit_deg, "rate_limit_degps": e.rate_limit_degps,
     }  # fmt: skip  # two more lines otherwise
     out["tank"] = [
@@ -335,13 +414,16 @@ def _stage(built: Built, n: int) -> dict[str, Any]:
          "dome_m": list(t.dome_m), "density_kgpm3": t.density_kgpm3}
         for t in stage.tank
     ]  # fmt: skip  # eight more lines otherwise
-    if stage.modes:
+    if stage.bending is not None or stage.spatial_modes is not None:
+        key = "bending" if stage.bending is not None else "spatial_modes"
+        out[key] = _copied(getattr(stage, key), f"{prefix}{key}", tables)
+    elif stage.modes:
+        tables[f"{prefix}modes.csv"] = _mode_table(built, n)
         damping = [stage.bending_damping] * stage.modes
         out["bending"] = {"pitch": f"{prefix}modes.csv", "yaw": f"{prefix}modes.csv", "damping_ratio": damping}
-    out["aero"] = {
-        "table": f"{prefix}aero.csv", "crossflow_station_m": aero.crossflow_station_m,
-        "surface": [{"name": s.name, "table": f"{prefix}aero_{s.name}.csv"} for s in aero.surfaces],
-    }  # fmt: skip  # two more lines otherwise
+    out["aero"] = _aero(built, n, tables)
+    if stage.loads is not None:
+        out["loads"] = _loads(stack, prefix, tables)
     out["gyro"] = {"station_m": control.gyro_station_m, "omega_hz": control.gyro_hz, "zeta": control.gyro_zeta}
     roll = stage.roll_torque_Nm or math.radians(5.0) * stack.mass_properties(0.0).roll_kgm2
     out["roll_thrusters"] = {"torque_Nm": roll}

@@ -4,15 +4,18 @@ vehicle; a stage flies with all that is ahead of it.
 
 from __future__ import annotations
 
+import math
 from itertools import pairwise
 from pathlib import Path
 from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
-from maxq.control.kernel.limits import MAX_PENDULUMS, MAX_STAGES
+from maxq.control.kernel.limits import MAX_LOAD_STATIONS, MAX_PENDULUMS, MAX_STAGES
 from maxq.sim.scenario.errors import refuse
 from maxq.sim.scenario.loader import load_file
+from maxq.sim.scenario.schema_loads import SHARE_COLUMNS
+from maxq.sim.scenario.schema_stage import SECTIONS, THRUST_COLUMNS, Aero
 from maxq.sim.scenario.schema_values import (
     Angle,
     ChannelPart,
@@ -25,8 +28,12 @@ from maxq.sim.scenario.schema_values import (
     Positive,
     Seconds,
     Section,
+    at_most_one,
+    needs,
     optional,
 )
+from maxq.sim.scenario.schema_vehicle import Bending, SpatialModes
+from maxq.sim.scenario.tables_csv import CsvTable
 from maxq.sim.scenario.tank_profile import Profile
 
 
@@ -49,15 +56,18 @@ class Part(Between):
     name: str = Field(description="name of the part")
     mass_kg: Positive = Field(description="kg")
     radius_m: Positive | None = optional("of the ring, m (default: the radius of its stage)")
+    gyration_m: Pair | None = optional("of its cross-section about the axis and across it, m (default: the ring's)")
 
 
 class Shell(Between):
     """A section of the load-carrying structure: its bending stiffness, and its mass where no part holds it."""
 
     EI_Nm2: Positive | None = optional("bending stiffness, N m2")
+    rear_EI_Nm2: Positive | None = optional("at the aft end, linear between, N m2 (default: EI_Nm2)")
     radius_m: Positive | None = optional("of a thin wall, m (default: the radius of its stage)")
     wall_m: Positive | None = optional("of that wall, m: EI = pi E r^3 t")
     modulus_Pa: Positive | None = optional("Young's modulus of that wall, Pa")
+    strength_Pa: Positive | None = optional("stress that it bears: with modulus_Pa the limit of section loads, Pa")
     density_kgpm3: NotNegative = optional("of that wall, kg/m3; 0: its mass is listed with the parts", 0.0)
 
     @model_validator(mode="after")
@@ -66,6 +76,13 @@ class Shell(Between):
         if (self.EI_Nm2 is None) == (not wall):
             raise refuse("no stiffness, or two", "EI_Nm2, or wall_m with modulus_Pa", ("EI_Nm2",))
         return self
+
+    def stiffness_Nm2(self, station_m: float, radius_m: float) -> float:
+        """Bending stiffness at a station; `radius_m`: of the stage."""
+        if self.EI_Nm2 is None:
+            return math.pi * (self.modulus_Pa or 0.0) * (self.radius_m or radius_m) ** 3 * (self.wall_m or 0.0)
+        share = (station_m - self.front_station_m) / (self.rear_station_m - self.front_station_m)
+        return self.EI_Nm2 + share * ((self.rear_EI_Nm2 or self.EI_Nm2) - self.EI_Nm2)
 
 
 class Tank(Section):
@@ -80,6 +97,7 @@ class Tank(Section):
     dome_m: Pair = optional("heights of half-ellipsoidal domes, bottom and top, m; 0: flat", (0.0, 0.0))
     bottom_station_m: float = Field(description="aft end, m aft of the nose")
     damping_ratio: Fraction = optional("of the slosh mode; 0.01 to 0.03 with ring baffles", 0.01)
+    roll_share: Fraction = optional("of the roll inertia of the liquid as a solid that turns with the walls", 0.0)
 
     @property
     def profile(self) -> Profile:
@@ -88,27 +106,57 @@ class Tank(Section):
         return Profile(bottom, self.height_m / self.radius_m - bottom - top, top)
 
 
+class Grain(Between):
+    """Solid propellant: burns everywhere alike, does not slosh."""
+
+    mass_kg: Positive = Field(description="kg")
+    radius_m: Positive | None = optional("outside, m (default: the radius of its stage)")
+
+
+class LoadSections(Section):
+    """Where section loads are wanted (switches.section_loads)."""
+
+    stations_m: tuple[float, ...] = Field(min_length=1, max_length=MAX_LOAD_STATIONS, description="m aft of the nose")
+    axial_force: Annotated[CsvTable, SHARE_COLUMNS] | None = optional("as in a vehicle file")
+
+
 class Engines(Section):
     """The engines of a stage, all alike, gimballed together."""
 
     positions_m: tuple[Pair, ...] = optional("of each engine's gimbal, y and z, m", ((0.0, 0.0),), min_length=1)
-    thrust_vacuum_N: Positive = Field(description="of each, N")
-    isp_vacuum_s: Positive = Field(description="specific impulse in vacuum, s")
+    thrust: Annotated[CsvTable, THRUST_COLUMNS] | None = optional(
+        "of each over time from ignition, CSV or a RASP file (.eng): instead of thrust_vacuum_N, isp_vacuum_s and ramps"
+    )
+    thrust_vacuum_N: Positive | None = optional("of each, N")
+    isp_vacuum_s: Positive | None = optional("specific impulse in vacuum, s")
     exit_area_m2: NotNegative = optional("nozzle exit of each, m2", 0.0)
     gimbal_station_m: float = Field(description="of the gimbals, m aft of the nose: the end of the beam")
     exit_station_m: float = Field(description="of the nozzle exits, m aft of the nose")
     mass_kg: Positive = Field(description="of each, kg; between gimbal and exit")
+    rear_station_m: float | None = optional("end of that mass, m aft of the nose (default: exit_station_m)")
     gimballed_mass_kg: NotNegative | None = optional("that moves, kg (default: 0.8 of mass_kg)")
     cg_from_gimbal_m: NotNegative | None = optional("of that mass aft of the gimbal, m (default: 0.3 of the length)")
+    inertia_about_gimbal_kgm2: Positive | None = optional("of that mass (default: of a rod from gimbal to exit)")
     angle_limit_deg: Positive = optional("of the gimbal, deg", 6.0)
     rate_limit_degps: Positive = optional("of the gimbal, deg/s", 30.0)
-    servo_hz: Positive = optional("natural frequency of the actuator, Hz", 7.0)
-    servo_zeta: Positive = optional("its damping ratio", 0.7)
+    servo_hz: tuple[Positive, ...] = optional("natural frequencies of the actuator, one, two or four, Hz", (7.0,))
+    servo_zeta: tuple[Positive, ...] = optional("its damping ratios", (0.7,))
     thrust_end_share: Annotated[float, Field(gt=0.0, le=1.5)] = optional(
         "thrust at the end of the burn over that at its beginning: falls linearly (a pressure-fed chamber)", 1.0
     )
     ramp_s: Positive = optional("from ignition to full thrust, s", 0.3)
     tail_off_s: Positive = optional("from full thrust to none, s", 0.3)
+
+    @model_validator(mode="after")
+    def _check(self) -> Engines:
+        at_most_one(self, ("thrust", "thrust_vacuum_N"))
+        if self.thrust is None:
+            needs(self, "thrust_vacuum_N", "thrust is not given", "a number > 0")
+            needs(self, "isp_vacuum_s", "thrust is not given", "a number > 0")
+        if len(self.servo_hz) != len(self.servo_zeta) or len(self.servo_hz) not in SECTIONS.values():
+            allowed = "as many of each: one, two or four"
+            raise refuse(f"{len(self.servo_hz)} frequencies, {len(self.servo_zeta)} ratios", allowed, ("servo_hz",))
+        return self
 
 
 class Fins(Section):
@@ -129,17 +177,30 @@ class Stage(Between):
     diameter_m: Positive = Field(description="m")
     part: tuple[Part, ...] = optional("dry parts, engines apart", ())
     shell: tuple[Shell, ...] = Field(min_length=1, description="structure from the front to the rear of the stage")
-    tank: tuple[Tank, ...] = Field(min_length=1, max_length=MAX_PENDULUMS, description="with propellant")
+    tank: tuple[Tank, ...] = optional("with liquid propellant", (), max_length=MAX_PENDULUMS)
+    grain: tuple[Grain, ...] = optional("solid propellant", ())
     engine: Engines
     fins: Fins | None = optional("absent: none")
-    modes: Annotated[int, Field(ge=0, le=8)] = optional("bending modes", 3)
+    aero: Aero | None = optional("as in a vehicle file: what it gives is not worked out (CSV, DATCOM's for006)")
+    bending: Bending | None = optional("as in a vehicle file, instead of the beam's modes")
+    spatial_modes: SpatialModes | None = optional("likewise (CSV, NASTRAN's op2 or f06)")
+    loads: LoadSections | None = optional("absent: no section loads")
+    modes: Annotated[int, Field(ge=0, le=8)] = optional("bending modes of the beam", 3)
     bending_damping: Fraction = optional("damping ratio of all modes", 0.005)
     roll_torque_Nm: Positive | None = optional("of roll thrusters, N m (default: what turns by 5 deg/s2 at ignition)")
     separation_after_s: Seconds = optional("from burn-out to separation, s", 1.0)
     ignition_after_s: Seconds = optional("from separation of the stage before to ignition, s", 2.0)
 
+    @property
+    def usable_kg(self) -> float:
+        """Propellant that burns."""
+        return sum(t.liquid_mass_kg - t.residual_kg for t in self.tank) + sum(g.mass_kg for g in self.grain)
+
     @model_validator(mode="after")
     def _check_shells(self) -> Stage:
+        if self.usable_kg <= 0.0:
+            raise refuse("no propellant", "tanks with more than their residual, or a grain", ("tank",))
+        at_most_one(self, ("bending", "spatial_modes"))
         ends = [self.front_station_m, *(x for s in self.shell for x in (s.front_station_m, s.rear_station_m))]
         for n, (before, begins) in enumerate(zip(ends[::2], ends[1::2], strict=False)):
             if abs(before - begins) > 1e-6:

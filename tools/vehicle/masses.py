@@ -11,7 +11,8 @@ import numpy as np
 from scipy.interpolate import PchipInterpolator
 
 from maxq.control.kernel.records import Array
-from maxq.tools.vehicle.layout import Engines, Layout, Stage, Tank
+from maxq.sim.scenario.tables_csv import CsvTable
+from maxq.tools.vehicle.layout import Engines, Grain, Layout, Part, Stage, Tank
 
 STANDARD_GRAVITY_mps2 = 9.80665
 _RAMP_ROWS, _STEADY_ROWS = 9, 20
@@ -79,6 +80,10 @@ class Burn:
     def end_s(self) -> float:
         return float(self.times_s[-1])
 
+    @property
+    def impulse_Ns(self) -> float:
+        return float(self._impulse(self.end_s))
+
     def thrust_vacuum_N(self, t: float) -> float:
         return float(np.interp(t, self.times_s, self.thrust_N)) if 0.0 <= t <= self.end_s else 0.0
 
@@ -105,8 +110,11 @@ def burn_of(stage: Stage, ignition_s: float) -> Burn:
 
     Between them the thrust falls linearly to `thrust_end_share` of what it was.
     """
-    e = stage.engine
-    usable = sum(t.liquid_mass_kg - t.residual_kg for t in stage.tank)
+    e, usable = stage.engine, stage.usable_kg
+    if e.thrust is not None:
+        return _burn_of_table(e.thrust, len(e.positions_m), usable, ignition_s)
+    assert e.thrust_vacuum_N is not None
+    assert e.isp_vacuum_s is not None
     full = e.thrust_vacuum_N * len(e.positions_m)
     impulse = usable * STANDARD_GRAVITY_mps2 * e.isp_vacuum_s
     x, share = np.linspace(0.0, 1.0, _RAMP_ROWS), e.thrust_end_share
@@ -123,6 +131,16 @@ def burn_of(stage: Stage, ignition_s: float) -> Burn:
     found = np.round(np.concatenate([*before, *(ignition_s + t for t in times)]), 6)
     whole = np.concatenate([*at_rest, *thrust])
     return Burn(found, whole, usable, ignition_s, (ignition_s + e.ramp_s, ignition_s + fall_s))
+
+
+def _burn_of_table(table: CsvTable, engines: int, usable_kg: float, ignition_s: float) -> Burn:
+    """A curve of thrust as it is given, from ignition; full thrust is what is above half its mean."""
+    times, thrust = ignition_s + table["time_s"] - table["time_s"][0], engines * table["thrust_vacuum_N"]
+    high = np.flatnonzero(thrust > 0.5 * np.trapezoid(thrust, times) / (times[-1] - times[0]))
+    full = (float(times[high[0]]), float(times[high[-1]]))
+    if times[0] > 0.0:
+        times, thrust = np.insert(times, 0, 0.0), np.insert(thrust, 0, 0.0)
+    return Burn(times, thrust, usable_kg, ignition_s, full)
 
 
 @dataclass(frozen=True)
@@ -154,7 +172,7 @@ class Stack:
         rods = [self.fairing_ring] if self.fairing and self.layout.fairing else []
         for stage in self.layout.stage[self.number :]:
             radius, e = 0.5 * stage.diameter_m, stage.engine
-            rods += [ring(p.mass_kg, p.front_station_m, p.rear_station_m, p.radius_m or radius) for p in stage.part]
+            rods += [_part(p, p.radius_m or radius) for p in stage.part]
             for s in stage.shell:
                 r = s.radius_m or radius
                 wall = 2.0 * math.pi * r * (s.wall_m or 0.0) * s.density_kgpm3
@@ -162,9 +180,10 @@ class Stack:
                 rods += [ring(mass, s.front_station_m, s.rear_station_m, r)] if mass > 0.0 else []
             spread = float(np.mean([y * y + z * z for y, z in e.positions_m])) + 0.05
             mass = e.mass_kg * len(e.positions_m)
-            rods.append(Rod(mass, e.gimbal_station_m, e.exit_station_m, spread, 0.5 * spread))
+            rods.append(Rod(mass, e.gimbal_station_m, e.rear_station_m or e.exit_station_m, spread, 0.5 * spread))
         for stage in self.layout.stage[self.number + 1 :]:
             rods += [_column(tank, tank.liquid_mass_kg) for tank in stage.tank]
+            rods += [_grain(grain, grain.mass_kg, 0.5 * stage.diameter_m) for grain in stage.grain]
         return rods
 
     @property
@@ -180,6 +199,10 @@ class Stack:
     def liquids(self, t: float) -> list[Rod]:
         return [_column(tank, self.liquid_kg(tank, t)) for tank in self.stage.tank]
 
+    def grains(self, t: float) -> list[Rod]:
+        left = 1.0 - self.burn.used(t)
+        return [_grain(grain, left * grain.mass_kg, 0.5 * self.stage.diameter_m) for grain in self.stage.grain]
+
     @cached_property
     def _known(self) -> dict[float, MassProperties]:
         return {}
@@ -191,11 +214,23 @@ class Stack:
         return self._known[t]
 
     def _mass_properties(self, t: float) -> MassProperties:
-        rods = [*self.dry, *self.liquids(t)]
+        rods = [*self.dry, *self.liquids(t), *self.grains(t)]
         mass = sum(r.mass_kg for r in rods)
         cg = sum(r.mass_kg * r.station_m for r in rods) / mass
         pitch = sum(r.inertia_kgm2 + r.mass_kg * (r.station_m - cg) ** 2 for r in rods)
         return MassProperties(mass, cg, sum(r.mass_kg * r.roll_m2 for r in rods), pitch)
+
+
+def _part(part: Part, radius_m: float) -> Rod:
+    if part.gyration_m is None:
+        return ring(part.mass_kg, part.front_station_m, part.rear_station_m, radius_m)
+    roll, across = part.gyration_m
+    return Rod(part.mass_kg, part.front_station_m, part.rear_station_m, roll**2, across**2)
+
+
+def _grain(grain: Grain, mass_kg: float, radius_m: float) -> Rod:
+    square = 0.5 * (grain.radius_m or radius_m) ** 2  # a solid cylinder's; a bore widens as it burns, which is left out
+    return Rod(mass_kg, grain.front_station_m, grain.rear_station_m, square, 0.5 * square)
 
 
 def _column(tank: Tank, mass_kg: float) -> Rod:
@@ -208,7 +243,7 @@ def _column(tank: Tank, mass_kg: float) -> Rod:
     centroid = float(np.trapezoid(area * z, z)) / total if total > 0.0 else 0.0
     middle = tank.bottom_station_m - r * centroid
     half = r * min(centroid, depth - centroid)
-    return Rod(mass_kg, middle - max(half, 1e-4), middle + max(half, 1e-4), 0.0, 0.25 * r * r)
+    return Rod(mass_kg, middle - max(half, 1e-4), middle + max(half, 1e-4), 0.5 * tank.roll_share * r * r, 0.25 * r * r)
 
 
 def stacks(layout: Layout) -> list[Stack]:
@@ -233,7 +268,7 @@ def engine_inertia(e: Engines) -> tuple[float, float, float]:
     length = e.exit_station_m - e.gimbal_station_m
     mass = 0.8 * e.mass_kg if e.gimballed_mass_kg is None else e.gimballed_mass_kg
     arm = 0.3 * length if e.cg_from_gimbal_m is None else e.cg_from_gimbal_m
-    return mass, arm, mass * (arm**2 + length**2 / 12.0)
+    return mass, arm, e.inertia_about_gimbal_kgm2 or mass * (arm**2 + length**2 / 12.0)
 
 
 def line_density_kgpm(rods: Sequence[Rod], edges_m: Array) -> tuple[Array, tuple[float, float, float]]:

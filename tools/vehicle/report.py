@@ -24,9 +24,9 @@ def _stages(built: Built) -> list[str]:
     rows = [("stage", "begins, kg", "ends, kg", "burn, s", "T/W", "delta-v, m/s", "ends at m/s", "km", "path, deg")]
     for n, stack in enumerate(built.stacks):
         first, last = (stack.mass_properties(t).mass_kg for t in (0.0, stack.burn.end_s))
-        e, point = stack.stage.engine, [p for p in built.flight.points if p.number == n][-1]
+        point = [p for p in built.flight.points if p.number == n][-1]
         thrust = float(stack.burn.thrust_N.max())
-        gained = STANDARD_GRAVITY_mps2 * e.isp_vacuum_s * math.log(first / last)
+        gained = stack.burn.impulse_Ns / (first - last) * math.log(first / last)
         rows.append(
             (
                 stack.name, f"{first:.0f}", f"{last:.0f}", f"{stack.burn.end_s - stack.burn.start_s:.1f}",
@@ -47,9 +47,8 @@ def _modes(built: Built) -> list[str]:
     rows = [("stage", "mode", "Hz at ignition", "Hz at burn-out", "mass, kg", "slope at gyro, 1/m")]
     gyro = built.layout.control.gyro_station_m
     for stack, (_, modes) in zip(built.stacks, built.modes, strict=True):
-        stations = np.linspace(0.0, stack.tail_m, len(modes[0][0].phi)) if modes[0] else np.zeros(0)
         for k, mode in enumerate(modes[0]):
-            slope = float(np.interp(gyro, stations, mode.slope_pm))
+            slope = float(np.interp(gyro, mode.station_m, mode.slope_pm))
             ends = (f"{mode.frequency_hz:.2f}", f"{modes[-1][k].frequency_hz:.2f}", f"{mode.generalized_mass_kg:.4g}")
             rows.append((stack.name, str(k + 1), *ends, f"{slope:.3f}"))
     return ["bending, free-free, 1 at the gimbal", *aligned(rows, "  ", right=range(1, 6))] if len(rows) > 1 else []

@@ -22,7 +22,7 @@ from maxq.control.kernel.jit import from_python
 from maxq.control.kernel.records import Array
 from maxq.sim.world.atmosphere import HEAT_RATIO, GAS_CONSTANT_Jpkg_K, TOP_m, us1976
 from maxq.sim.world.thermosphere import upper_air
-from maxq.tools.vehicle.aerodynamics import MACH, Aerodynamics
+from maxq.tools.vehicle.aerodynamics import Aerodynamics
 from maxq.tools.vehicle.layout import Layout, Site
 from maxq.tools.vehicle.masses import Stack, without_fairing
 
@@ -135,8 +135,11 @@ class _Model:
         out = []
         for stack in self.stacks:
             clock = np.linspace(0.0, stack.burn.end_s, 201)
-            dry = sum(rod.mass_kg for rod in stack.dry)
-            out.append((clock, np.array([dry + sum(stack.liquid_kg(k, t) for k in stack.stage.tank) for t in clock])))
+            dry, gone = sum(rod.mass_kg for rod in stack.dry), stack.stage.usable_kg
+            full = (
+                dry + sum(tank.liquid_mass_kg for tank in stack.stage.tank) + sum(g.mass_kg for g in stack.stage.grain)
+            )
+            out.append((clock, np.array([full - gone * stack.burn.used(float(t)) for t in clock])))
         return out
 
     @cached_property
@@ -154,7 +157,7 @@ class _Model:
         burn, e, aero = self.stacks[n].burn, self.layout.stage[n].engine, self.aero[n]
         vacuum = burn.thrust_vacuum_N(t)
         thrust = max(vacuum - pressure * e.exit_area_m2 * len(e.positions_m), 0.0) if vacuum > 0.0 else 0.0
-        coefficient = float(np.interp(mach, MACH, aero.axial if vacuum > 0.0 else aero.axial_coast))
+        coefficient = float(np.interp(mach, aero.mach, aero.axial if vacuum > 0.0 else aero.axial_coast))
         return thrust, q * aero.area_m2 * coefficient, q, mach
 
     def incidence(self, n: int, time_s: float, path: float) -> float:

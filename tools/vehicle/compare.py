@@ -1,0 +1,90 @@
+"""A vehicle worked out from a layout beside one that is given: what the linear model reads of both, over the burns."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from maxq.control.kernel.records import Array
+from maxq.design.model.vehicle_at import vehicle_at
+from maxq.sim.packing.flight import pack_flight
+from maxq.sim.scenario.builtin import scenarios_folder
+from maxq.sim.scenario.loader import LoadedScenario, load_scenario
+from maxq.tools.cli.terminal import aligned
+from maxq.tools.vehicle.build import Built, burning
+
+ALIKE = 1e-3
+TIMES = 11  # of each burn, at full thrust
+_NOT_COMPARED = ("follower", "gimbal", "rest", "slope", "flow_share", "gain", "spatial", "local_incidence")
+
+
+@dataclasses.dataclass(frozen=True)
+class Difference:
+    """A quantity at the times of all burns: of the layout and of the given vehicle."""
+
+    name: str
+    here: Array
+    there: Array
+
+    @property
+    def largest(self) -> float:
+        """Relative to the largest value of the given vehicle."""
+        scale = float(np.abs(self.there).max())
+        return float(np.abs(self.here - self.there).max()) / (scale or 1.0)
+
+
+def compared(built: Built, folder: Path, vehicle: str) -> list[Difference]:
+    """Of the files in `folder`, written from `built`, and the vehicle in a folder or of that built-in name.
+
+    Raises ScenarioError for a vehicle that cannot be read, ValueError for one of other stages, tanks or modes.
+    """
+    path = Path(vehicle) if Path(vehicle).exists() else scenarios_folder() / vehicle
+    ours = load_scenario(folder / "scenario.toml")
+    theirs = load_scenario(folder / "scenario.toml", [f'vehicle="{path.resolve().as_posix()}"'])
+    if len(ours.vehicle.stage) != len(theirs.vehicle.stage):
+        raise ValueError(
+            f"{vehicle} has {len(theirs.vehicle.stage)} stages, the layout makes {len(ours.vehicle.stage)}"
+        )
+    columns = [_quantities(built, loaded) for loaded in (ours, theirs)]
+    if other := sorted(set(columns[0]) ^ set(columns[1])):
+        raise ValueError(f"{vehicle} has other tanks, modes or surfaces: {other[0]}")
+    return [Difference(name, columns[0][name], columns[1][name]) for name in columns[0] if columns[1][name].any()]
+
+
+def _quantities(built: Built, loaded: LoadedScenario) -> dict[str, Array]:
+    packed, found = pack_flight(loaded.scenario), dict[str, list[float]]()
+    for n in range(len(built.stacks)):
+        points = [p for p in burning(built) if p.number == n]
+        for k in np.unique(np.linspace(0, len(points) - 1, TIMES).astype(int)):
+            at = vehicle_at(packed, points[k].clock_s, points[k].mach, stage=n)
+            for part in ("body", "pendulums", "modes", "engine", "aerodynamics"):
+                for name, value in _numbers(getattr(at, part), part):
+                    found.setdefault(name, []).append(value)
+            found.setdefault("total_cg_station_m", []).append(at.total_cg_station_m)
+            found.setdefault("total_inertia_kgm2", []).append(at.total_inertia_kgm2)
+    return {name: np.array(values) for name, values in found.items()}
+
+
+def _numbers(part: Any, name: str) -> Iterator[tuple[str, float]]:
+    for field in dataclasses.fields(part):
+        value = getattr(part, field.name)
+        if field.name not in _NOT_COMPARED and isinstance(value, float | np.ndarray):
+            flat = np.ravel(value)
+            for k, number in enumerate(flat):
+                yield f"{name}.{field.name}" + (f".{k + 1}" if np.ndim(value) else ""), float(np.nan_to_num(number))
+
+
+def comparison(found: list[Difference], vehicle: str) -> str:
+    """The differences as a table, largest first."""
+    rows = [("quantity", "here", vehicle, "difference, % of the largest")]
+    alike = [d for d in found if d.largest < ALIKE]
+    for d in sorted((d for d in found if d.largest >= ALIKE), key=lambda d: -d.largest):
+        k = int(np.argmax(np.abs(d.here - d.there)))
+        rows.append((d.name, f"{d.here[k]:.6g}", f"{d.there[k]:.6g}", f"{100.0 * d.largest:.3g}"))
+    head = f"compared with {vehicle}, {TIMES} times of each burn; values where they differ most"
+    rest = f"  {len(alike)} more differ by less than {100.0 * ALIKE:g} %"
+    return "\n".join([head, *aligned(rows, "  ", right=range(1, 4)), rest])
