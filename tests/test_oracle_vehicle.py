@@ -20,6 +20,7 @@ from maxq.tools.vehicle.beam import ELEMENTS, Beam
 from maxq.tools.vehicle.build import Built, build, m_alpha_1ps2, m_delta_1ps2, nodes_s
 from maxq.tools.vehicle.layout import Layout, read_layout
 from maxq.tools.vehicle.masses import Rod, stacks
+from maxq.tools.vehicle.pictures import page
 from maxq.tools.vehicle.trajectory import EQUATOR_m, MU_m3ps2, Orbit, ascent
 
 
@@ -65,6 +66,26 @@ def test_engine_behind_the_beam_is_a_rigid_mass_with_a_lever() -> None:
     for rigid, on_engine in ((np.ones_like(x), np.ones_like(behind)), (x, 10.0 + behind)):
         momentum = np.trapezoid(50.0 * shape * rigid, x) + np.trapezoid(80.0 * engine * on_engine, behind)
         assert abs(momentum) < 2e-3 * 500.0
+
+
+def test_a_beam_held_at_its_tail_is_a_cantilever() -> None:
+    """beta L = 1.87510, 4.69409; 1 at the free end the generalised mass is a quarter of it, too."""
+    length, mass, stiffness = 12.0, 480.0, 3e7
+    beam = Beam(np.linspace(0.0, length, ELEMENTS + 1), np.full(ELEMENTS, stiffness))
+    modes = beam.modes([Rod(mass, 0.0, length, 0.0, 0.0)], 2, clamped=True)
+    for mode, beta in zip(modes, (1.875104, 4.694091), strict=True):
+        wanted = (beta / length) ** 2 * math.sqrt(stiffness * length / mass) / (2.0 * math.pi)
+        assert mode.frequency_hz == pytest.approx(wanted, rel=1e-6)
+        assert mode.generalized_mass_kg == pytest.approx(0.25 * mass, rel=1e-5)
+        assert (mode.phi[0], mode.phi[-1], mode.slope_pm[-1]) == (1.0, 0.0, 0.0)
+
+
+def test_page_holds_all_pictures(built: Built) -> None:
+    text = page(built)
+    for name in ("drawing", "masses", "modes", "aerodynamics", "control", "ascent"):
+        assert f'alt="{name}"' in text or (name == "drawing" and 'alt="Vehicle"' in text)
+    assert "second, fairing off" in text
+    assert "held at the tail on the pad" in text
 
 
 def test_masses_add_up_and_the_propellant_is_burned(layout: Layout) -> None:

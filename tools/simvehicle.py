@@ -58,10 +58,11 @@ def _run(arguments: list[str]) -> int:
         parser.error("give a layout, e.g. simvehicle petrel")
     if options.out == "":
         parser.error("--out needs the name of a folder")
-    from maxq.sim.files import check_writable  # noqa: PLC0415  # lazy, as all imports here: --help is quick
+    from maxq.sim.files import check_writable, write_whole  # noqa: PLC0415  # lazy, as all imports here: --help is quick
     from maxq.sim.scenario.errors import ScenarioError  # noqa: PLC0415  # lazy
     from maxq.tools.vehicle.build import build, too_weak, write  # noqa: PLC0415  # lazy
     from maxq.tools.vehicle.layout import read_layout  # noqa: PLC0415  # lazy
+    from maxq.tools.vehicle.pictures import page  # noqa: PLC0415  # lazy
     from maxq.tools.vehicle.report import report  # noqa: PLC0415  # lazy
 
     layout = read_layout(options.layout)
@@ -71,7 +72,7 @@ def _run(arguments: list[str]) -> int:
         built = build(layout)
     except ValueError as error:
         raise ScenarioError(options.layout, str(error)) from None
-    files = write(built, folder)
+    files = [*write(built, folder), write_whole(folder / "vehicle.html", page(built))]
     tell(report(built))
     if options.compare is not None:
         from maxq.tools.vehicle.compare import compared, comparison  # noqa: PLC0415  # lazy: loads the linear model

@@ -95,6 +95,14 @@ def beam_load(stack: Stack, t: float) -> list[Rod]:
     return rods
 
 
+def on_the_pad(built: Built) -> list[Mode]:
+    """Bending modes of the full vehicle held at its tail; none where the beam is not used."""
+    stack = built.stacks[0]
+    if not stack.stage.modes or stack.stage.bending is not None or stack.stage.spatial_modes is not None:
+        return []
+    return Beam.of(stack).modes(beam_load(stack, 0.0), min(stack.stage.modes, 3), clamped=True)
+
+
 def _mode_of(table: ModeTable, t: float) -> list[Mode]:
     """Modes that are given, at the row nearest to a time."""
     k = int(np.argmin(np.abs(table.time_s - t)))

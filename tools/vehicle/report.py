@@ -7,21 +7,35 @@ import math
 import numpy as np
 
 from maxq.tools.cli.terminal import aligned, printable
-from maxq.tools.vehicle.build import Built, burning, m_alpha_1ps2, m_delta_1ps2, warnings
+from maxq.tools.vehicle.build import Built, burning, m_alpha_1ps2, m_delta_1ps2, on_the_pad, warnings
 from maxq.tools.vehicle.masses import STANDARD_GRAVITY_mps2
+
+Rows = list[tuple[str, ...]]  # the first is the head
 
 
 def report(built: Built) -> str:
     """All of it."""
-    head = printable(f"{built.layout.name}: {built.layout.description}".rstrip(": "))
-    parts = [[head], _stages(built), _modes(built), _control(built)]
-    for title, lines in (("assumed beyond the layout", built.assumed), ("unusual", warnings(built))):
-        parts.append([title, *(f"  {line}" for line in lines)] if lines else [])
-    return "\n\n".join("\n".join(part) for part in parts if part)
+    parts = [[printable(f"{built.layout.name}: {built.layout.description}".rstrip(": "))]]
+    parts += [[title, *aligned(rows, "  ", right=range(1, len(rows[0])))] for title, rows in tables(built)]
+    parts += [[title, *(f"  {line}" for line in lines)] for title, lines in notes(built)]
+    return "\n\n".join("\n".join(part) for part in parts)
 
 
-def _stages(built: Built) -> list[str]:
-    rows = [("stage", "begins, kg", "ends, kg", "burn, s", "T/W", "delta-v, m/s", "ends at m/s", "km", "path, deg")]
+def tables(built: Built) -> list[tuple[str, Rows]]:
+    """Titles and rows."""
+    return [found for found in (_stages(built), _modes(built), _control(built)) if len(found[1]) > 1]
+
+
+def notes(built: Built) -> list[tuple[str, list[str]]]:
+    """What was assumed, and what is unusual."""
+    both = (("assumed beyond the layout", built.assumed), ("unusual", warnings(built)))
+    return [(title, lines) for title, lines in both if lines]
+
+
+def _stages(built: Built) -> tuple[str, Rows]:
+    rows: Rows = [
+        ("stage", "begins, kg", "ends, kg", "burn, s", "T/W", "delta-v, m/s", "ends at m/s", "km", "path, deg")
+    ]
     for n, stack in enumerate(built.stacks):
         first, last = (stack.mass_properties(t).mass_kg for t in (0.0, stack.burn.end_s))
         point = [p for p in built.flight.points if p.number == n][-1]
@@ -40,22 +54,25 @@ def _stages(built: Built) -> list[str]:
         if orbit.perigee_m < 0.0
         else (f"; the last burn-out is in an orbit of {orbit.perigee_m / 1e3:.0f} by {orbit.apogee_m / 1e3:.0f} km")
     )
-    return [f"stages (point mass, vacuum thrust over weight{ends})", *aligned(rows, "  ", right=range(1, 9))]
+    return f"stages (point mass, vacuum thrust over weight{ends})", rows
 
 
-def _modes(built: Built) -> list[str]:
-    rows = [("stage", "mode", "Hz at ignition", "Hz at burn-out", "mass, kg", "slope at gyro, 1/m")]
+def _modes(built: Built) -> tuple[str, Rows]:
+    rows: Rows = [("stage", "mode", "Hz at ignition", "Hz at burn-out", "mass, kg", "slope at gyro, 1/m")]
     gyro = built.layout.control.gyro_station_m
     for stack, (_, modes) in zip(built.stacks, built.modes, strict=True):
         for k, mode in enumerate(modes[0]):
             slope = float(np.interp(gyro, mode.station_m, mode.slope_pm))
             ends = (f"{mode.frequency_hz:.2f}", f"{modes[-1][k].frequency_hz:.2f}", f"{mode.generalized_mass_kg:.4g}")
             rows.append((stack.name, str(k + 1), *ends, f"{slope:.3f}"))
-    return ["bending, free-free, 1 at the gimbal", *aligned(rows, "  ", right=range(1, 6))] if len(rows) > 1 else []
+    held = ", ".join(f"{mode.frequency_hz:.2f}" for mode in on_the_pad(built))
+    return "bending, free-free, 1 at the gimbal" + (f"; held at the tail on the pad: {held} Hz" if held else ""), rows
 
 
-def _control(built: Built) -> list[str]:
-    rows = [("stage", "time, s", "Mach", "q, kPa", "CG, m", "CP, m", "M_alpha, 1/s2", "M_delta, 1/s2", "k_p", "k_d, s")]
+def _control(built: Built) -> tuple[str, Rows]:
+    rows: Rows = [
+        ("stage", "time, s", "Mach", "q, kPa", "CG, m", "CP, m", "M_alpha, 1/s2", "M_delta, 1/s2", "k_p", "k_d, s")
+    ]
     gains = np.array(built.gains)
     for n, stack in enumerate(built.stacks):
         points = [p for p in burning(built) if p.number == n]
@@ -66,4 +83,4 @@ def _control(built: Built) -> list[str]:
             cells = (f"{p.time_s:.1f}", f"{p.mach:.2f}", f"{p.dynamic_pressure_Pa / 1e3:.2f}", f"{cg:.2f}", f"{cp:.2f}")
             turn = (f"{m_alpha_1ps2(built, p):.3f}", f"{m_delta_1ps2(built, p):.3f}", f"{k_p:.3f}", f"{k_d:.3f}")
             rows.append((stack.name, *cells, *turn))
-    return ["control (M_alpha > 0: unstable)", *aligned(rows, "  ", right=range(1, 10))]
+    return "control (M_alpha > 0: unstable)", rows
