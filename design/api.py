@@ -10,6 +10,9 @@
     weak = node.with_(bending_frequency=0.9, delay_s=0.005)  # deviations: design/model/dispersion.py
     api.loop(weak, "designs/ksr3-default", kind="pade")
 
+    scenario = load_scenario("nominal")                      # pitch, yaw and roll together
+    multiloop_margins(api.multiloops(scenario, scenario.design, [40.0])[0])
+
 Wrong input is a ValueError of one line, in scenario and design files a `maxq.sim.api.ScenarioError`.
 """
 
@@ -23,6 +26,7 @@ from maxq.design.laws.law import Controller
 from maxq.design.laws.registry import designed_law
 from maxq.design.loop.fixed_path import Cut, FixedPath, Kind, fixed_path
 from maxq.design.loop.loop import Loop
+from maxq.design.loop.multiloop import multiloops
 from maxq.design.model.dispersion import Dispersion, disperse, imposed, read_derivatives
 from maxq.design.model.errata import CORRECTED, PRESETS, Errata
 from maxq.design.model.node import Node, node_times, nodes_along
@@ -126,5 +130,5 @@ def loop(
 
 __all__ = [
     "Dispersion", "Errata", "Loop", "Node", "close", "disperse", "fixed_path", "law_at",
-    "load_design", "loop", "loops", "node_times", "nodes", "preset",
+    "load_design", "loop", "loops", "multiloops", "node_times", "nodes", "preset",
 ]  # fmt: skip  # twelve more lines otherwise

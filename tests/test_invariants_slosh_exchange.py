@@ -16,11 +16,11 @@ import numpy as np
 import pytest
 from flightkit import Mode, Parts, Rig, Tank, oracle_vehicle, rig, scenario_of, to_oracle, with_stage
 from oracles import multibody_sympy
-from oracles.linearised_simulator import linearise
 from scipy.interpolate import PchipInterpolator
 from test_oracle_linear_model import TOLERANCE, VEHICLE_STATES, flat_earth, plane_states
 
 from maxq.control.kernel.records import Array
+from maxq.design.model.linearised import linearise
 from maxq.design.model.plant import vehicle_plant
 from maxq.design.model.vehicle_at import vehicle_at
 from maxq.sim.run.fly import Flight, fly

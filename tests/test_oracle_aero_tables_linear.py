@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 from aero_tables import AIR, MODES, OVER_ALPHA_BETA, OVER_TOTAL, PARTS, RATES, REFERENCE, STABILITY, WIND_PLANE, table
 from flightkit import Parts, Rig, Tank, Tree, merged, rig, scenario_of, with_stage
-from oracles.linearised_simulator import LinearModel, linearise
 
 from maxq.control.kernel.records import Array
 from maxq.design.model.incidence import table_slopes
+from maxq.design.model.linearised import LinearModel, linearise
 from maxq.design.model.node import node_of
 from maxq.design.model.plant import vehicle_plant
 from maxq.design.model.vehicle_at import Plane, stability_derivatives

@@ -5,12 +5,14 @@ Both planes; what the law commands goes through the allocation's columns. The tw
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
-from oracles.linearised_simulator import linearise
 
 from maxq.control.kernel.records import Array
 from maxq.control.kernel.tables import table_in
+from maxq.design.model.linearised import LinearModel, linearise
 from maxq.design.model.plant import vehicle_plant
 from maxq.design.model.vehicle_at import FlightCondition, Plane, stability_derivatives, vehicle_at
 from maxq.sim.packing.flight import Packed, pack_flight
@@ -61,6 +63,17 @@ def follow_of(packed: Packed) -> tuple[Array, Array]:
     return gains, gains[1:] / gains[0]
 
 
+def together(model: LinearModel, follow: Array) -> LinearModel:
+    """The same with the actuators of each further group at the multiples `follow` (groups, 2) of the first's."""
+    a, c, first = model.a.copy(), model.c.copy(), model.states.index("actuator_pitch_1")
+    for group, multiples in enumerate(follow):
+        theirs = model.states.index(f"group_{group + 1}_actuator_pitch_1")
+        for k, multiple in enumerate(np.repeat(multiples, 6)):
+            a[:, first + k] += multiple * a[:, theirs + k]
+            c[:, first + k] += multiple * c[:, theirs + k]
+    return replace(model, a=a, c=c)
+
+
 def states_of(plane: Plane) -> list[str]:
     bend, motion = ("eta", ["w_mps", "q_radps", "theta_rad"])
     if plane == "yaw":
@@ -77,7 +90,7 @@ def test_plant_of_a_cluster_is_the_linearised_simulator(cant_deg: float) -> None
     sizes = packed.parameters[0].vehicle.sizes
     assert (int(sizes.further_groups), int(sizes.gimbals)) == (2, 2)
     gains, follow = follow_of(packed)
-    simulated = linearise(packed, packed.state, TIME_S, follow)
+    simulated = together(linearise(packed, packed.state, TIME_S), follow)
     n = 3 + 2 * (MODES + TANKS)
     mirror = np.ones(n)  # yaw: w -> v, q -> -r, theta -> -psi, delta -> -delta
     mirror[1:3] = -1.0

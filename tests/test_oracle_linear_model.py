@@ -29,9 +29,9 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 import scipy.optimize
-from oracles.linearised_simulator import LinearModel, linearise, zero_incidence
 
 from maxq.control.kernel.records import Array
+from maxq.design.model.linearised import LinearModel, linearise, zero_incidence
 from maxq.design.model.plant import OUTPUTS, vehicle_plant
 from maxq.design.model.state_space import ComplexArray, StateSpace
 from maxq.design.model.vehicle_at import (

@@ -19,10 +19,10 @@ from typing import Any
 import numpy as np
 import pytest
 from flightkit import Parts, Rig, Tank, flown, rig, scenario_of, with_stage
-from oracles.linearised_simulator import linearise
 from test_oracle_linear_model import TOLERANCE, flat_earth
 
 from maxq.control.kernel.records import Array
+from maxq.design.model.linearised import linearise
 from maxq.design.model.plant import state_names, vehicle_plant
 from maxq.design.model.vehicle_at import vehicle_at
 from maxq.sim.packing.pendulums import pendulums

@@ -19,11 +19,11 @@ import numpy as np
 import pytest
 from aero_tables import OVER_ALPHA_BETA
 from flightkit import Mode, Parts, Rig, Tank, Tree, flown, load, merged, rig, scenario_of, with_stage
-from oracles.linearised_simulator import linearise, zero_incidence
 from oracles.multibody_system import rotation_from_quaternion
 
 from maxq.control.kernel.records import Array
 from maxq.design.model.dispersion import Dispersion, disperse
+from maxq.design.model.linearised import linearise, zero_incidence
 from maxq.design.model.node import node_of
 from maxq.design.model.plant import vehicle_plant
 from maxq.design.model.vehicle_at import FlightCondition, vehicle_at

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import math
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -19,6 +21,7 @@ from maxq.sim.scenario.schema_design import Design
 from maxq.tools import simdesign
 
 Printed = pytest.CaptureFixture[str]
+ROOT = Path(__file__).parents[1]
 QUICK = ["--no-pictures", "--at", "40"]
 
 
@@ -51,7 +54,7 @@ def test_a_design_is_judged_at_every_node(capsys: Printed) -> None:
     assert lines[0] == "ksr3-default: KSR-III default"
     assert "sampled, as it flies" in lines[1]
     for time_s in range(5, 60, 5):
-        assert sum(line.split()[:2] == [str(time_s), "stable"] for line in lines) == 2
+        assert sum(line.split()[:2] == [str(time_s), "stable"] for line in lines) == 3
         budget = next(
             line.split()
             for line in lines[lines.index("margin budget at the phase margin, deg") :]
@@ -59,7 +62,7 @@ def test_a_design_is_judged_at_every_node(capsys: Printed) -> None:
         )
         assert sum(map(float, budget[2:-2])) == pytest.approx(float(budget[-2]), abs=0.7), "digits of thirteen shares"
         assert 180.0 + float(budget[-2]) == pytest.approx(float(budget[-1]), abs=0.11)
-    assert lines[-1] == "PASSED: stable, all 5 limits met"
+    assert lines[-1] == "PASSED: stable, all 9 limits met"
     assert any(line.split()[:2] == ["phase", "margin"] and "  met  " in line for line in lines)
     assert printed.err == ""
     assert list(Path().iterdir()) == []
@@ -85,7 +88,9 @@ def test_limits_that_are_missed_are_said_so(capsys: Printed) -> None:
     Path("stricter.toml").write_text(text.replace("gain_margin_db = 6.0", "gain_margin_db = 9.6"))
     assert run("analyse", "stricter.toml", *QUICK) == 1
     printed = capsys.readouterr().out.splitlines()
-    assert printed[-1] == "FAILED: gain margin missed"
+    assert printed[-1] == "FAILED: gain margin missed, " + ", ".join(
+        f"gain margin, {axis}, other axes closed missed" for axis in ("pitch", "yaw")
+    )
     assert any(line.lstrip().startswith("40") and line.endswith("FAIL") for line in printed)
 
 
@@ -251,3 +256,22 @@ def test_every_option_is_in_the_documentation() -> None:
     for action in simdesign._parser()._actions:
         for option in action.option_strings:
             assert option == "-h" or f"`{option}" in page, option
+
+
+def test_axes_that_a_product_of_inertia_couples_are_judged_together(capsys: Printed) -> None:
+    """With Ixy^2 = 0.42 Ixx Iyy a core free to roll pitches as if it had 0.58 of its inertia; no plane sees it."""
+    text = builtin_files("design")["ksr3-default"].read_text()
+    Path("mine.toml").write_text(text.replace("gain_margin_db = 6.0", "gain_margin_db = 8.0"))
+    shutil.copytree(ROOT / "scenarios" / "vehicles" / "ksr3", "tilted")
+    names, *rows = Path("tilted/mass.csv").read_text().splitlines()
+    x, y = (names.split(",").index(f"I{axis}{axis}_kgm2") for axis in "xy")
+    products = [0.65 * math.sqrt(float(row.split(",")[x]) * float(row.split(",")[y])) for row in rows]
+    tilted = [f"{row},{product!r}" for row, product in zip(rows, products, strict=True)]
+    Path("tilted/mass.csv").write_text("\n".join([f"{names},Ixy_kgm2", *tilted]))
+    assert run("analyse", "mine.toml", *QUICK, "--vehicle", "tilted/vehicle.toml", "--out", "here") == 1
+    assert capsys.readouterr().out.splitlines()[-1] == "FAILED: gain margin, pitch, other axes closed missed"
+    told = json.loads(Path("here/analysis.json").read_text())
+    plane, whole = told["nodes"][0], told["all_axes"][0]
+    assert whole["yaw"]["gain_up"]["db"] == pytest.approx(plane["gain_up"]["db"], abs=0.05)
+    assert -4.8 < whole["pitch"]["gain_up"]["db"] - plane["gain_up"]["db"] < -2.4, "the liquid keeps its own inertia"
+    assert whole["disk"]["gain_up_db"] < whole["pitch"]["gain_up"]["db"]

@@ -280,7 +280,7 @@ class SampledFixedPath(FixedPath):
         return self.node.instruments.sample_s
 
     def response(self, frequencies_hz: ArrayLike) -> ComplexArray:
-        return self.sampled.at(self.z(frequencies_hz), self._resolvent)
+        return np.asarray(self.sampled.at(self.z(frequencies_hz), self._resolvent)[..., 0, 0])
 
     def integrator(self, frequencies_hz: ArrayLike) -> ComplexArray:
         turn = 2j * np.pi * self.sample_s * np.asarray(frequencies_hz, float)

@@ -1,4 +1,4 @@
-"""A continuous plant as a computer sees it: a held command that comes late goes in, counted angles come out."""
+"""A continuous plant as a computer sees it: held commands that come late go in, counted angles come out."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _TERMS = 16  # of the series for a norm of a half: 2^-17 / 17! is 2e-20
 
 @dataclass(frozen=True)
 class SampledPlant:
-    """Command u_k, which takes effect at k T + delay and is held -> mean of the plant's output over the last period.
+    """Commands u_k, which take effect at k T + delay and are held -> means of the plant's outputs over the last period.
 
         x_k+1    = phi x_k + late u_(k-m) + early u_(k-m-1)
         rate_k+1 = (psi x_k + rate_late u_(k-m) + rate_early u_(k-m-1)) / T,
@@ -31,11 +31,11 @@ class SampledPlant:
     rest_s: float
     states: tuple[str, ...]
     phi: Array  # (n, n)
-    late: Array  # (n,)
-    early: Array  # (n,)
-    psi: Array  # (n,)
-    rate_late: float
-    rate_early: float
+    late: Array  # (n, inputs)
+    early: Array  # (n, inputs)
+    psi: Array  # (outputs, n)
+    rate_late: Array  # (outputs, inputs)
+    rate_early: Array
 
     @property
     def stored(self) -> int:
@@ -43,59 +43,62 @@ class SampledPlant:
         return self.whole_periods + (1 if self.rest_s > 0.0 else 0)
 
     def state_space(self) -> StateSpace:
-        """In z: the plant's states, the commands on their way, and the mean rate as it is read."""
-        n, m = len(self.states), self.stored
-        a, b = np.zeros((n + m + 1, n + m + 1)), np.zeros((n + m + 1, 1))
-        a[:n, :n], a[-1, :n] = self.phi, self.psi / self.sample_s
+        """In z: the plant's states, the commands on their way, and the mean rates as they are read."""
+        (n, inputs), m, outputs = self.late.shape, self.stored, len(self.psi)
+        size = n + m * inputs + outputs
+        a, b = np.zeros((size, size)), np.zeros((size, inputs))
+        a[:n, :n], a[-outputs:, :n] = self.phi, self.psi / self.sample_s
         for ago, x, rate in (
             (self.whole_periods, self.late, self.rate_late),
             (self.whole_periods + 1, self.early, self.rate_early),
         ):
-            column = b[:, 0] if ago == 0 else a[:, n + ago - 1] if ago <= m else None
-            if column is not None:
-                column[:n] += x
-                column[-1] += rate / self.sample_s
+            columns = b if ago == 0 else a[:, n + (ago - 1) * inputs : n + ago * inputs] if ago <= m else None
+            if columns is not None:
+                columns[:n] += x
+                columns[-outputs:] += rate / self.sample_s
         if m > 0:
-            b[n, 0] = 1.0
-            a[n + 1 : n + m, n : n + m - 1] = np.eye(m - 1)
-        states = (*self.states, *(f"command_{k + 1}_ago_rad" for k in range(m)), "mean_rate_radps")
-        c = np.zeros((1, n + m + 1))
-        c[0, -1] = 1.0
-        return StateSpace(a, b, c, np.zeros((1, 1)), states, ("command_rad",), ("mean_rate_radps",))
+            b[n : n + inputs] = np.eye(inputs)
+            a[n + inputs : n + m * inputs, n : n + (m - 1) * inputs] = np.eye((m - 1) * inputs)
+        commands, rates = (
+            tuple(f"{what}{i}" for i in ("", *(f"_{k}" for k in range(2, count + 1))))
+            for what, count in (("command_rad", inputs), ("mean_rate_radps", outputs))
+        )
+        on_their_way = (name.replace("_rad", f"_{k + 1}_ago_rad") for k in range(m) for name in commands)
+        c, d = np.eye(size)[-outputs:], np.zeros((outputs, inputs))
+        return StateSpace(a, b, c, d, (*self.states, *on_their_way, *rates), commands, rates)
 
     def resolvent(self) -> Resolvent:
-        return Resolvent(self.phi, np.stack([self.late, self.early], axis=1), self.psi[None])
+        return Resolvent(self.phi, np.concatenate([self.late, self.early], axis=1), self.psi)
 
     def at(self, z: ComplexArray, resolvent: Resolvent) -> ComplexArray:
-        """Transfer function at z."""
-        way = resolvent(z)[..., 0, :] + np.array([self.rate_late, self.rate_early])
-        late = 1.0 / z
-        out = (way[..., 0] + way[..., 1] * late) * late / self.sample_s
+        """Transfer functions at z, (*z.shape, outputs, inputs)."""
+        way = resolvent(z) + np.concatenate([self.rate_late, self.rate_early], axis=1)
+        late, inputs = (1.0 / z)[..., None, None], self.late.shape[1]
+        out = (way[..., :inputs] + way[..., inputs:] * late) * late / self.sample_s
         for _ in range(self.whole_periods):
             out = out * late
         return np.asarray(out)
 
 
 def sample(plant: StateSpace, sample_s: float, delay_s: float) -> SampledPlant:
-    """Sample a continuous system of one input and one output.
+    """Sample a continuous system.
 
     Raises ValueError for a period that is not positive or a delay that is negative.
     """
     if not (sample_s > 0.0 and 0.0 <= delay_s < math.inf):
         raise ValueError(f"sample_s = {sample_s}, delay_s = {delay_s}: allowed are a period above 0, a delay from 0")
-    n = len(plant.states)
+    n, inputs, outputs = len(plant.states), len(plant.inputs), len(plant.outputs)
     a, (scale, _) = scipy.linalg.matrix_balance(plant.a, permute=False, separate=True) if n else (plant.a, (1.0, None))
-    b, c, through = plant.b[:, 0] / scale, plant.c[0] * scale, float(plant.d[0, 0])
     whole = int(delay_s / sample_s * (1.0 + 1e-12))
     rest = delay_s - whole * sample_s
     rest = 0.0 if rest < 1e-9 * sample_s else rest
-    # x, integral of the output, constant command
-    augmented = np.zeros((n + 2, n + 2))
-    augmented[:n, :n], augmented[:n, n + 1], augmented[n, :n], augmented[n, n + 1] = a, b, c, through
+    # states, integrals of the outputs, constant commands
+    k, size = n + outputs, n + outputs + inputs
+    augmented = np.zeros((size, size))
+    augmented[:n, :n], augmented[:n, k:] = a, (plant.b.T / scale).T
+    augmented[n:k, :n], augmented[n:k, k:] = plant.c * scale, plant.d
     before, after = exponential(augmented * rest), exponential(augmented * (sample_s - rest))
-    free = (after[:, : n + 1] @ before[: n + 1, : n + 1])[: n + 1]
-    early = (after[:, : n + 1] @ before[: n + 1, n + 1])[: n + 1]
-    late = after[: n + 1, n + 1]
+    free, early, late = after[:k, :k] @ before[:k, :k], after[:k, :k] @ before[:k, k:], after[:k, k:]
     return SampledPlant(
         sample_s=sample_s,
         whole_periods=whole,
@@ -104,9 +107,9 @@ def sample(plant: StateSpace, sample_s: float, delay_s: float) -> SampledPlant:
         phi=np.asarray(free[:n, :n]),
         late=np.asarray(late[:n]),
         early=np.asarray(early[:n]),
-        psi=np.asarray(free[n, :n]),
-        rate_late=float(late[n]),
-        rate_early=float(early[n]),
+        psi=np.asarray(free[n:, :n]),
+        rate_late=np.asarray(late[n:]),
+        rate_early=np.asarray(early[n:]),
     )
 
 

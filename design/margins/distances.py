@@ -73,11 +73,15 @@ def find_disks(curve: Curve) -> Disks:
     from_s = Disk(size, f, _db(1.0 + size), -_db(1.0 - size), _phase_deg(size))
     size, f = _least_distance(curve, complementary)
     from_t = Disk(size, f, -_db(1.0 - size), _db(1.0 + size), _phase_deg(size))
-    half, f = _least_distance(curve, symmetric)
-    both = -_db((1.0 - half) / (1.0 + half))
+    return Disks(from_s, from_t, symmetric_disk(*_least_distance(curve, symmetric)))
+
+
+def symmetric_disk(half: float, frequency_hz: float) -> Disk:
+    """From alpha / 2, the least |1 + L| / |1 - L|."""
+    both = -_db((1.0 - half) / (1.0 + half)) if half < 1.0 else np.inf if half >= 1.0 else np.nan
     # |1 + L| < |1 - L| only where Re L < 0: elsewhere the disk is the half plane
-    half = min(half, 1.0)
-    return Disks(from_s, from_t, Disk(2.0 * half, f, both, both, float(np.degrees(2.0 * np.arctan(half)))))
+    half = min(half, 1.0) if half >= 0.0 else half
+    return Disk(2.0 * half, frequency_hz, both, both, float(np.degrees(2.0 * np.arctan(half))))
 
 
 def _least_distance(curve: Curve, objective: Objective) -> tuple[float, float]:

@@ -88,6 +88,11 @@ class Margins:
         return self.disks.sensitivity.size
 
     @property
+    def gain_db(self) -> float:
+        """The lesser of gain up and gain down over all crossings; NaN if unstable."""
+        return float(np.minimum(self.gain_up_db.value, self.gain_down_db.value))
+
+    @property
     def growth_time_s(self) -> float:
         """Time in which an unstable loop grows e-fold; infinite for a stable one."""
         return 1.0 / self.growth_1ps if self.growth_1ps > 0.0 else np.inf

@@ -113,7 +113,7 @@ class Span:
 
 def powered_spans(scenario: LoadedScenario) -> tuple[Span, ...]:
     """Of each stage that burns, flown up to the last burn-out without faults and without a log."""
-    run = _flown_run(scenario, faults=False)
+    run = flown_run(scenario, faults=False)
     last = len(run.packed.parameters) - 1
     while not run.finished and int(run.memory.clock.stage_burnout_ns[last]) < 0:
         run.fly_segment()
@@ -188,19 +188,31 @@ def nodes_along(
     for time_s in wanted:
         if not abs(time_s) <= LONGEST_S:
             raise ValueError(f"node at {time_s} s: allowed are times up to {LONGEST_S:g} s")
-    run = _flown_run(scenario, faults)
+    run = flown_run(scenario, faults)
     found = {}
     for time_s in sorted(set(wanted)):
         found[time_s] = _node(run, time_s, plane, errata)
     return [found[time_s] for time_s in wanted]
 
 
-def _flown_run(scenario: LoadedScenario, faults: bool) -> FlightRun:
+def flown_run(scenario: LoadedScenario, faults: bool) -> FlightRun:
+    """A flight at its start, without a log."""
     flown = scenario.scenario if faults else scenario.scenario.model_copy(update={"fault": ()})
     return FlightRun(dataclasses.replace(scenario, scenario=flown), pack_flight(flown), log=False)
 
 
 def _node(run: FlightRun, time_s: float, plane: Plane, errata: Errata) -> Node:
+    at_ns = flown_to(run, time_s)
+    stage = int(run.memory.clock.stage)
+    node = node_of(run.packed, at_ns / 1e9, stage, plane, errata)
+    timeline = run.packed.parameters[stage].timeline
+    clock_s = float(timeline.burn_rate) * (at_ns - int(timeline.stage_start_ns)) / 1e9
+    clock_s = float(timeline.frozen_s) if timeline.frozen == 1 else clock_s
+    return dataclasses.replace(node, liquids=_liquids(run.loaded.scenario.vehicle.stage[stage], clock_s, node))
+
+
+def flown_to(run: FlightRun, time_s: float) -> int:
+    """Fly on to the integrator's step nearest to a vehicle time, in ns. Raises ValueError where no engine burns."""
     step_ns = int(run.packed.parameters[0].timeline.step_ns)
     at_ns = round(time_s * 1e9 / step_ns) * step_ns
     begins_s = run.now_s
@@ -211,17 +223,11 @@ def _node(run: FlightRun, time_s: float, plane: Plane, errata: Errata) -> Node:
     if round(run.now_s * 1e9) != at_ns:
         events = ", ".join(f"{e.title} at {e.time_s:.4g} s" for e in run.events)
         raise ValueError(f"node at {time_s:g} s: the flight ends at {run.now_s:.6g} s ({events or 'no events'})")
-    clock = run.memory.clock
     held = run.memory.held
     if held.on_pad == 1 or held.burning == 0:
         why = "the vehicle is held down" if held.on_pad == 1 else "the engine does not burn"
         raise ValueError(f"node at {time_s:g} s: {why}; {_allowed(run)}")
-    stage = int(clock.stage)
-    node = node_of(run.packed, at_ns / 1e9, stage, plane, errata)
-    timeline = run.packed.parameters[stage].timeline
-    clock_s = float(timeline.burn_rate) * (at_ns - int(timeline.stage_start_ns)) / 1e9
-    clock_s = float(timeline.frozen_s) if timeline.frozen == 1 else clock_s
-    return dataclasses.replace(node, liquids=_liquids(run.loaded.scenario.vehicle.stage[stage], clock_s, node))
+    return at_ns
 
 
 def _allowed(run: FlightRun) -> str:

@@ -23,6 +23,7 @@ from maxq.design.margins.budget import Budget, crossing_budgets
 from maxq.design.margins.distances import Zone
 from maxq.design.margins.lobes import Lobe, find_lobes
 from maxq.design.margins.measure import Margins, margins
+from maxq.design.margins.multiloop import MultiloopMargins
 from maxq.design.model.node import Node
 from maxq.design.model.vehicle_at import StabilityDerivatives, stability_derivatives
 from maxq.design.optimise.criteria import OBJECTIVES
@@ -85,7 +86,7 @@ class Judged:
     @property
     def gain_margin_db(self) -> float:
         """The lesser of gain up and gain down over all crossings; NaN if unstable."""
-        return float(np.minimum(self.margins.gain_up_db.value, self.margins.gain_down_db.value))
+        return self.margins.gain_db
 
     @cached_property
     def bending(self) -> dict[int, Lobe]:
@@ -213,6 +214,24 @@ def checks(judged: Sequence[Judged], design: Design, wanted: Wanted) -> list[Che
         out.append(
             Check("filter_gain_at_infinity", "|F(j inf)|", "", "<=", limit, np.array([gain], float), np.array([np.nan]))
         )
+    return out
+
+
+def multiloop_checks(found: Sequence[MultiloopMargins], wanted: Wanted) -> list[Check]:
+    """The limits on gain and phase margin for each axis with the loops of the others closed; stability first."""
+    if not found:
+        return []
+    time_s = np.array([m.time_s for m in found])
+    unstable = np.array([float(not m.stable) for m in found])
+    out = [Check("coupled_unstable", "unstable with all axes", "", "<=", 0.0, unstable, time_s)]
+    measures: dict[str, Callable[[Margins], float]] = {
+        "gain_margin_db": lambda m: m.gain_db, "phase_margin_deg": lambda m: m.phase_deg.value,
+    }  # fmt: skip  # a line more otherwise
+    for key, measure in measures.items():
+        limit, about = getattr(wanted, key), LIMITS[key]
+        for k, axis in enumerate(found[0].axes if limit is not None else ()):
+            values, text = np.array([measure(m.each[k]) for m in found]), f"{about.text}, {axis}, other axes closed"
+            out.append(Check(f"coupled_{axis}_{key}", text, about.unit, about.sense, float(limit), values, time_s))
     return out
 
 

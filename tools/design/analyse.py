@@ -18,9 +18,10 @@ from maxq.design.laws.design_file import DESIGN_NAME, design_path, forget_pictur
 from maxq.design.loop.errata_effects import Effect, errata_effects, peaks_db
 from maxq.design.loop.fixed_path import Cut, Kind, fixed_path
 from maxq.design.margins.measure import margins
+from maxq.design.margins.multiloop import MultiloopMargins, multiloop_margins
 from maxq.design.model.node import Node
 from maxq.design.model.vehicle_at import Plane
-from maxq.design.verify.judging import Wanted, checks, judge
+from maxq.design.verify.judging import Wanted, checks, judge, multiloop_checks
 from maxq.sim.files import check_writable, write_whole
 from maxq.sim.scenario.errors import ScenarioError
 from maxq.sim.scenario.loader import LoadedScenario, load_scenario
@@ -72,20 +73,37 @@ def execute(order: Order) -> int:
             check_writable(folder)
         judged = judge(nodes, design, order.kind, lambda n: progress.show("measuring margins", n, len(nodes)))
         wanted = Wanted.of(design.limits) if design.limits else Wanted()
+        together = all_axes(scenario, design, [node.time_s for node in nodes], order, progress)
         found = checks(judged, design, wanted)
+        coupled = multiloop_checks(together, wanted)
         files = []
         if folder is not None:
             forget_pictures(folder)
-            files.append(write_record(folder / RECORD_NAME, analysis_record(name, order, judged, found)))
+            files.append(
+                write_record(folder / RECORD_NAME, analysis_record(name, order, judged, [*found, *coupled], together))
+            )
             if order.pictures:
                 from maxq.tools.design import pictures  # noqa: PLC0415  # lazy: matplotlib, not with --no-pictures
 
                 title = f"{design.name or name}, {order.axis}, {order.kind}"
                 files += pictures.draw_all(pictures.judged_sheets(judged, title, wanted), folder, progress.show)
-    tell(analysis_report(name, order, design, judged, found))
+    tell(analysis_report(name, order, design, judged, found, together, coupled))
     tell(f"\n{len(files)} files in {folder}/" if files else "")
-    tell(analysis_verdict(found))
-    return Exit.OK if all(check.passed for check in found) else Exit.FAILED
+    tell(analysis_verdict([*found, *coupled]))
+    return Exit.OK if all(check.passed for check in (*found, *coupled)) else Exit.FAILED
+
+
+def all_axes(
+    scenario: LoadedScenario, design: Design, times_s: Sequence[float], order: Order, progress: Progress
+) -> list[MultiloopMargins]:
+    """Margins of all axes together; none of a vehicle or a computer other than what flies."""
+    if (order.kind, order.errata, order.plant) != ("sampled", "corrected", "flown"):
+        return []
+    out = []
+    for loop in api.multiloops(scenario, design, times_s):
+        out.append(multiloop_margins(loop))
+        progress.show("measuring all axes together", len(out), len(set(times_s)))
+    return out
 
 
 def load(scenario: str, vehicle: str | None, design: str) -> tuple[LoadedScenario, Design]:

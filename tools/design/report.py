@@ -11,6 +11,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, get_args
 
 from maxq.design.margins.lobes import Lobe
+from maxq.design.margins.measure import Margins
+from maxq.design.margins.multiloop import MultiloopMargins
 from maxq.design.optimise.solution import Certificate, Solution
 from maxq.design.verify.judging import LIMITS, Check, Judged, Outcome, RigidBody
 from maxq.sim.files import write_whole
@@ -25,7 +27,10 @@ _KINDS = {"sampled": "sampled, as it flies", "pade": "the paper's Pade approxima
 _PARTS = {"rigid body": "rigid", "aerodynamics": "aero", "engine inertia": "engine"}
 
 
-def analysis_report(name: str, order: Order, design: Design, judged: Sequence[Judged], found: Sequence[Check]) -> str:
+def analysis_report(
+    name: str, order: Order, design: Design, judged: Sequence[Judged], found: Sequence[Check],
+    together: Sequence[MultiloopMargins], coupled: Sequence[Check],
+) -> str:  # fmt: skip  # seven more lines otherwise
     """Of `simdesign analyse`."""
     where = f"along {order.scenario}, {order.axis}; loop opened at the gimbal command; {_KINDS[order.kind]}"
     if order.errata != "corrected" or order.plant != "flown":
@@ -36,17 +41,20 @@ def analysis_report(name: str, order: Order, design: Design, judged: Sequence[Ju
         lobes_table(judged),
         budget_table(judged, "phase margin", "phase_deg"),
         budget_table(judged, "upper gain margin", "gain_db"),
-        limits_table(found),
+        multiloop_table(together),
+        limits_table([*found, *coupled]),
         nodes_table(found, judged) if len(found) > 1 else [],
     )
 
 
 def analysis_verdict(found: Sequence[Check]) -> str:
     """The last line."""
-    missed = [check.text for check in found if not check.passed]
+    missed = [check for check in found if not check.passed]
     if missed:
-        return "FAILED: " + ", ".join("unstable" if text == "unstable poles" else f"{text} missed" for text in missed)
-    limits = f", all {len(found) - 1} limits met" if len(found) > 1 else "; the design states no limits"
+        words = {"unstable_poles": "unstable", "coupled_unstable": "unstable with all axes"}
+        return "FAILED: " + ", ".join(words.get(c.key, f"{c.text} missed") for c in missed)
+    asked = sum(check.key not in ("unstable_poles", "coupled_unstable") for check in found)
+    limits = f", all {asked} limits met" if asked else "; the design states no limits"
     return f"PASSED: stable{limits}"
 
 
@@ -135,6 +143,24 @@ def margins_table(judged: Sequence[Judged]) -> list[str]:
             )
         )  # fmt: skip  # six more lines otherwise
     return ["margins over all crossings", *aligned(rows, "  ", right=(0, *range(2, 12)))]
+
+
+def multiloop_table(together: Sequence[MultiloopMargins]) -> list[str]:
+    """A row a node: of each axis the lesser gain margin and the phase margin, and the disk of all."""
+    if not together:
+        return []
+    axes = together[0].axes
+    rows = [
+        ("time, s", "loops", *(x for axis in axes for x in (axis, "phase")), "all", "phase", "at"),
+        ("", "", *(x for _ in axes for x in ("gain dB", "deg")), "gain dB", "deg", "Hz"),
+    ]
+    for m in together:
+        each = [x for one in m.each for x in (number(one.gain_db, 2), number(one.phase_deg.value, 1))]
+        disk = number(m.disk.gain_up_db, 2), number(m.disk.phase_deg, 1), number(m.disk.frequency_hz, 3)
+        rows.append((f"{m.time_s:g}", "stable" if m.stable else "UNSTABLE", *each, *disk))
+    head = ["all axes together: margins of each loop with the others closed; all: of every loop at once (disk)"]
+    head += [] if "roll" in axes else ["  no linear loop holds the roll: its rate is free"]
+    return [*head, *aligned(rows, "  ", right=(0, *range(2, len(rows[0]))))]
 
 
 def lobes_table(judged: Sequence[Judged]) -> list[str]:
@@ -226,14 +252,19 @@ _BOUNDS = {"gain_up": "db", "gain_down": "db", "phase": "deg", "delay": "s", "ae
 _NUMBERS = ("stable", "unstable_poles", "growth_1ps", "growth_hz", "crossover_hz", "modulus")
 
 
-def node_record(judged: Judged) -> dict[str, Any]:
-    """One node."""
-    m = judged.margins
-    record: dict[str, Any] = {"time_s": judged.time_s, **judged.loop.law.gains}
-    record |= {key: getattr(m, key) for key in _NUMBERS}
+def margins_record(m: Margins) -> dict[str, Any]:
+    """Stability and margins with their frequencies."""
+    record: dict[str, Any] = {key: getattr(m, key) for key in _NUMBERS}
     for key, unit in _BOUNDS.items():
         bound = getattr(m, f"{key}_{unit}")
         record[key] = {unit: bound.value, "at_hz": bound.frequency_hz}
+    return record
+
+
+def node_record(judged: Judged) -> dict[str, Any]:
+    """One node."""
+    m = judged.margins
+    record = {"time_s": judged.time_s, **judged.loop.law.gains, **margins_record(m)}
     return record | {
         "disks": asdict(m.disks),
         "zones": [asdict(c.zone) | {"clearance": c.value, "at_hz": c.frequency_hz} for c in m.clearances],
@@ -256,7 +287,9 @@ def checks_record(checks: Sequence[Check]) -> list[dict[str, Any]]:
     ]  # fmt: skip  # seven more lines otherwise
 
 
-def analysis_record(name: str, order: Any, judged: Sequence[Judged], checks: Sequence[Check]) -> dict[str, Any]:
+def analysis_record(
+    name: str, order: Any, judged: Sequence[Judged], checks: Sequence[Check], together: Sequence[MultiloopMargins]
+) -> dict[str, Any]:
     """Of `simdesign analyse`."""
     return {
         "schema": SCHEMA,
@@ -265,6 +298,14 @@ def analysis_record(name: str, order: Any, judged: Sequence[Judged], checks: Seq
         "passed": all(check.passed for check in checks),
         "limits": checks_record(checks),
         "nodes": [node_record(j) for j in judged],
+        "all_axes": [
+            {
+                "time_s": m.time_s,
+                **{axis: margins_record(one) for axis, one in zip(m.axes, m.each, strict=True)},
+                "disk": asdict(m.disk),
+            }
+            for m in together
+        ],
     }
 
 

@@ -1,7 +1,10 @@
-"""The simulator's own equations, linearised numerically at a frozen instant.
+"""The simulator's own equations, linearised numerically at a frozen instant: all axes with all that couples them.
 
     model = linearise(packed, zero_incidence(packed, y), time_s)
     poles = np.linalg.eigvals(model.a)
+
+It shares nothing with design/model/plant.py, whose oracle it is in the tests; the loops of several axes
+(design/loop/multiloop.py) stand on it.
 
 The state vector of the simulator lies on a manifold (unit quaternion, unit vectors of the pendulums) and
 holds inertial and quasi-velocities. It is therefore expressed in local coordinates, all independent and all
@@ -15,11 +18,12 @@ small-signal quantities of flight mechanics, whose time derivatives follow exact
     eta, eta', xi, xi'               true rates: without the rotation of the bending plane with p
     spatial, nu                      of spatial modes as in the state: the same where roll rate and modes are at rest
     per tank       angles atan2(u_z, -u_x), atan2(u_y, -u_x) and their rates, rad, rad/s
-    TVC load       as in the state
+    actuators of further groups, TVC load      as in the state
 
 Away from equilibrium (an accelerating rocket always is) a linear model depends on its coordinates; these are those of
 design/model/plant.py. The vehicle's properties are frozen at the instant, their rates (mass flow, moving CG) act.
-The model is continuous: the flight computer is not part of it, commands are inputs.
+The model is continuous: the flight computer is not part of it; inputs are the commands of each group of engines in
+pitch and yaw.
 """
 
 from __future__ import annotations
@@ -41,7 +45,6 @@ from maxq.sim.vehicle.block import Sizes
 from maxq.sim.vehicle.state import MAX_STATE
 from maxq.sim.vehicle.workspace import ENGINE_PITCH, ENGINE_YAW, GYRO_BEND
 
-INPUTS = ("command_pitch_rad", "command_yaw_rad")
 OUTPUTS = ("delta_pitch_rad", "delta_yaw_rad", "local_rate_pitch_radps", "local_rate_yaw_radps")
 
 _R, _V, _TURN, _W = slice(0, 3), slice(3, 6), slice(6, 9), slice(9, 12)
@@ -51,7 +54,6 @@ _FLEXIBLE = _FLAT.stop
 _LEVELS = 6  # of the extrapolation: each halves the step
 _STEP_R, _STEP_V, _STEP_TURN, _STEP_W = 8.0, 0.5, 4e-3, 1e-2
 _STEP_FLAT, _STEP_BEND, _STEP_BEND_RATE, _STEP_SLOSH, _STEP_COMMAND = 2e-3, 2e-3, 0.1, 8e-3, 4e-3
-_STEP_LOAD = 2e-3
 
 
 @dataclass(frozen=True)
@@ -66,29 +68,26 @@ class LinearModel:
     error_a: Array  # estimated error of each entry of `a`
     error_b: Array
     states: tuple[str, ...]
-    inputs: tuple[str, ...] = INPUTS
+    inputs: tuple[str, ...]
     outputs: tuple[str, ...] = OUTPUTS
 
 
-def linearise(packed: Packed, y: Array, time_s: float, follow: Array | None = None) -> LinearModel:
+def linearise(packed: Packed, y: Array, time_s: float) -> LinearModel:
     """Linear model of the derivative about the state `y` (MAX_STATE,) at the flight time `time_s`.
 
     `packed` may be at its start or in mid-flight (its stage, and whether it burns or is held down, count); it
     is not changed. Derivatives are central differences, extrapolated to step zero over all powers of the step
     (Ridders 1982; odd powers too, because of terms like |w| w), with the best entry of each tableau by its
     error estimate.
-
-    `follow` (groups, 2): angles of each further group of engines in pitch and yaw, as multiples of the first group's.
     """
-    frame = _Chart(packed, y, time_s, np.zeros((0, 2)) if follow is None else follow)
-    zero, command = np.zeros(frame.size), np.zeros(2)
-    n = frame.size
+    frame = _Chart(packed, y, time_s)
+    n, inputs = len(frame.names), frame.inputs
 
     def motion(offset: Array) -> Array:
         return frame.motion(offset[:n], offset[n:])
 
-    at_rest = motion(np.concatenate([zero, command]))
-    slopes, errors = _jacobian(motion, np.concatenate([frame.steps, np.full(2, _STEP_COMMAND)]))
+    at_rest = motion(np.zeros(n + len(inputs)))
+    slopes, errors = _jacobian(motion, np.concatenate([frame.steps, np.full(len(inputs), _STEP_COMMAND)]))
     return LinearModel(
         a=slopes[:n, :n],
         b=slopes[:n, n:],
@@ -98,6 +97,7 @@ def linearise(packed: Packed, y: Array, time_s: float, follow: Array | None = No
         error_a=errors[:n, :n],
         error_b=errors[:n, n:],
         states=frame.names,
+        inputs=inputs,
     )
 
 
@@ -112,11 +112,11 @@ def zero_incidence(packed: Packed, y: Array) -> Array:
     out = np.zeros(MAX_STATE)
     out[: layout.W_BI_B] = y[: layout.W_BI_B]
     attitude = rotation(y[layout.Q_BI : layout.Q_BI + 4])
-    over_ground = attitude.T @ (y[layout.V_I : layout.V_I + 3] - np.cross(spin, y[layout.R_I : layout.R_I + 3]))
+    over_ground = attitude.T @ (y[layout.V_I : layout.V_I + 3] - _cross(spin, y[layout.R_I : layout.R_I + 3]))
     speed = float(np.linalg.norm(over_ground))
     if speed == 0.0:
         raise ValueError("a vehicle at rest has no direction of flight")
-    axis = np.cross([1.0, 0.0, 0.0], over_ground)
+    axis = _cross([1.0, 0.0, 0.0], over_ground)
     sine = float(np.linalg.norm(axis))
     angle = math.atan2(sine, float(over_ground[0]))
     turn = axis * (angle / sine) if sine > 0.0 else np.array([0.0, angle, 0.0])
@@ -129,14 +129,12 @@ def zero_incidence(packed: Packed, y: Array) -> Array:
 class _Chart:
     """Local coordinates about a state, and their rates."""
 
-    def __init__(self, packed: Packed, y: Array, time_s: float, follow: Array) -> None:
-        self._follow = follow
+    def __init__(self, packed: Packed, y: Array, time_s: float) -> None:
         memory = packed.memory.copy()
         if memory[0].clock.started == 0:
             begin(packed.parameters, packed.pool, memory, packed.state.copy())
         self._packed, self._time_s = dataclasses.replace(packed, memory=memory), time_s
         self._held = memory[0].held
-        self._command = np.array(self._held.command_rad[:2])
         stage = packed.parameters[int(memory[0].clock.stage)]
         self._sizes = stage.vehicle.sizes
         self._spin = np.array([0.0, 0.0, float(stage.environment.earth.rate_radps)])
@@ -148,21 +146,21 @@ class _Chart:
         first, spatial = int(layout.spatial_index(self._sizes)), int(self._sizes["spatial_modes"])
         self._spatial = slice(first, first + 2 * spatial)
         self._tanks = [int(layout.pendulum_index(self._sizes, k)) for k in range(tanks)]
-        end = int(layout.tvc_load_index(self._sizes))
-        self._loads = slice(end, int(layout.state_size(self._sizes)))
+        self._rest = slice(int(layout.pendulum_index(self._sizes, tanks)), int(layout.state_size(self._sizes)))
         self._point = self._read(y)
-        loads = tuple(layout.TVC_LOADS.names(self._sizes))
-        self.names = (*self._named(pitch, yaw, spatial, tanks), *loads)
-        self.size = len(self.names)
-        self.steps = np.concatenate([self._step_sizes(pitch, yaw, spatial, tanks), np.full(len(loads), _STEP_LOAD)])
+        rest = layout.state_names(self._sizes)[self._rest]
+        self.names = (*self._named(pitch, yaw, spatial, tanks), *rest)
+        self.steps = np.concatenate([self._step_sizes(pitch, yaw, spatial, tanks), np.full(len(rest), _STEP_FLAT)])
+        channels = 2 * (1 + int(self._sizes.further_groups))
+        self._command = np.array(self._held.command_rad[:channels])
+        numbered = ["", *(f"_{group}" for group in range(2, channels // 2 + 1))]
+        self.inputs = tuple(f"command_{axis}{n}_rad" for n in numbered for axis in ("pitch", "yaw"))
 
     def motion(self, offset: Array, command: Array) -> Array:
         """Rates of the coordinates `offset` from the reference, then the outputs."""
         x = self._point + offset
         y = self._state(x)
-        self._held.command_rad[:2] = self._command + command
-        for group, multiples in enumerate(self._follow):
-            self._held.command_rad[2 * group + 2 : 2 * group + 4] = multiples * (self._command + command)
+        self._held.command_rad[: len(command)] = self._command + command
         now = evaluate_at(self._packed, y, self._time_s)
         w = x[_W]
         outputs = [now.aux[ENGINE_PITCH], now.aux[ENGINE_YAW], w[1] + now.aux[GYRO_BEND], w[2] + now.aux[GYRO_BEND + 1]]
@@ -170,7 +168,7 @@ class _Chart:
 
     def _read(self, y: Array) -> Array:
         """Coordinates of a state with the reference attitude."""
-        over_ground = y[layout.V_I : layout.V_I + 3] - np.cross(self._spin, y[layout.R_I : layout.R_I + 3])
+        over_ground = y[layout.V_I : layout.V_I + 3] - _cross(self._spin, y[layout.R_I : layout.R_I + 3])
         w = y[layout.W_BI_B : layout.W_BI_B + 3]
         eta, xi = y[self._eta], y[self._xi]
         eta_rate = y[self._eta + len(eta)] - w[0] * _padded(xi, len(eta))
@@ -179,11 +177,11 @@ class _Chart:
         parts += [y[layout.ACTUATOR : layout.N_FIXED], eta, eta_rate, xi, xi_rate, y[self._spatial]]
         for i in self._tanks:
             u = y[i : i + 3]
-            u_rate = y[i + 3 : i + 6] - np.cross(w, u)
+            u_rate = y[i + 3 : i + 6] - _cross(w, u)
             for across in (2, 1):
                 angle, rate, _ = _angle(u, u_rate, np.zeros(3), across)
                 parts.append(np.array([angle, rate]))
-        return np.concatenate([*parts, y[self._loads]])
+        return np.concatenate([*parts, y[self._rest]])
 
     def _state(self, x: Array) -> Array:
         """The simulator's state at coordinates `x`."""
@@ -191,7 +189,7 @@ class _Chart:
         attitude = self._attitude @ _rotation_of(x[_TURN])
         w = x[_W]
         y[layout.R_I : layout.R_I + 3] = x[_R]
-        y[layout.V_I : layout.V_I + 3] = attitude @ x[_V] + np.cross(self._spin, x[_R])
+        y[layout.V_I : layout.V_I + 3] = attitude @ x[_V] + _cross(self._spin, x[_R])
         y[layout.Q_BI : layout.Q_BI + 4] = quaternion(attitude)
         y[layout.W_BI_B : layout.W_BI_B + 3] = w
         y[layout.ACTUATOR : layout.N_FIXED] = x[_FLAT]
@@ -204,37 +202,31 @@ class _Chart:
         for k, i in enumerate(self._tanks):
             pitch, pitch_rate, yaw, yaw_rate = x[flexible + 4 * k :][:4]
             u, u_rate = _bob(pitch, pitch_rate, yaw, yaw_rate)
-            y[i : i + 3], y[i + 3 : i + 6] = u, u_rate + np.cross(w, u)
-        n = layout.N_ACTUATOR
-        for group, multiples in enumerate(self._follow):
-            first = int(layout.actuator_index(self._sizes, group + 1))
-            y[first : first + 2 * n] = np.repeat(multiples, n) * y[layout.ACTUATOR : layout.ACTUATOR + 2 * n]
-        y[self._loads] = x[len(x) - (self._loads.stop - self._loads.start) :]
+            y[i : i + 3], y[i + 3 : i + 6] = u, u_rate + _cross(w, u)
+        y[self._rest] = x[len(x) - (self._rest.stop - self._rest.start) :]
         return y
 
     def _rates(self, x: Array, y: Array, dy: Array) -> Array:
         """Time derivative of the coordinates from that of the state."""
         attitude = rotation(y[layout.Q_BI : layout.Q_BI + 4])
         w, w_rate = x[_W], dy[layout.W_BI_B : layout.W_BI_B + 3]
-        moving = dy[layout.V_I : layout.V_I + 3] - np.cross(self._spin, y[layout.V_I : layout.V_I + 3])
+        moving = dy[layout.V_I : layout.V_I + 3] - _cross(self._spin, y[layout.V_I : layout.V_I + 3])
         n, m = len(self._eta), len(self._xi)
         eta, eta_rate, xi, xi_rate = np.split(x[_FLEXIBLE : _FLEXIBLE + 2 * (n + m)], [n, 2 * n, 2 * n + m])
         eta_accel = dy[self._eta + n] - w_rate[0] * _padded(xi, n) - w[0] * _padded(xi_rate, n)
         xi_accel = dy[self._xi + m] + w_rate[0] * _padded(eta, m) + w[0] * _padded(eta_rate, m)
         turning = _vector_rate(x[_TURN], w - _rotation_of(x[_TURN]).T @ self._turning)
-        parts = [dy[layout.R_I : layout.R_I + 3], attitude.T @ moving - np.cross(w, x[_V]), turning, w_rate]
+        parts = [dy[layout.R_I : layout.R_I + 3], attitude.T @ moving - _cross(w, x[_V]), turning, w_rate]
         # eta' is taken from the simulator's derivative and not derived from the quasi-velocity here
         parts += [dy[layout.ACTUATOR : layout.N_FIXED], dy[self._eta], eta_accel, dy[self._xi], xi_accel]
         parts.append(dy[self._spatial])
         for i in self._tanks:
-            u, kappa = y[i : i + 3], y[i + 3 : i + 6]
-            u_rate = dy[i : i + 3]
-            u_accel = dy[i + 3 : i + 6] - np.cross(w_rate, u) - np.cross(w, u_rate)
-            assert np.allclose(u_rate, kappa - np.cross(w, u), rtol=1e-9, atol=1e-9)
+            u, u_rate = y[i : i + 3], dy[i : i + 3]
+            u_accel = dy[i + 3 : i + 6] - _cross(w_rate, u) - _cross(w, u_rate)
             for across in (2, 1):
                 _, rate, accel = _angle(u, u_rate, u_accel, across)
                 parts.append(np.array([rate, accel]))
-        return np.concatenate([*parts, dy[self._loads]])
+        return np.concatenate([*parts, dy[self._rest]])
 
     @staticmethod
     def _named(pitch: int, yaw: int, spatial: int, tanks: int) -> tuple[str, ...]:
@@ -288,6 +280,12 @@ def _padded(values: Array, length: int) -> Array:
     return out
 
 
+def _cross(a: Any, b: Array) -> Array:
+    """Of two vectors; NumPy's takes thirty times as long."""
+    (a0, a1, a2), (b0, b1, b2) = a, b
+    return np.array([a1 * b2 - a2 * b1, a2 * b0 - a0 * b2, a0 * b1 - a1 * b0])
+
+
 def _rotation_of(vector: Array) -> Array:
     """Rotation matrix of a rotation vector."""
     angle = float(np.linalg.norm(vector))
@@ -303,8 +301,8 @@ def _vector_rate(vector: Array, turning: Array) -> Array:
     """
     square = float(vector @ vector)
     factor = 1.0 / 12.0 + square * (1.0 / 720.0 + square / 30240.0)
-    once = np.cross(vector, turning)
-    return np.asarray(turning + 0.5 * once + factor * np.cross(vector, once))
+    once = _cross(vector, turning)
+    return np.asarray(turning + 0.5 * once + factor * _cross(vector, once))
 
 
 def _angle(u: Array, u_rate: Array, u_accel: Array, across: int) -> tuple[float, float, float]:
@@ -324,3 +322,19 @@ def _bob(pitch: float, pitch_rate: float, yaw: float, yaw_rate: float) -> tuple[
     length = float(np.linalg.norm(along))
     u = along / length
     return u, (along_rate - u * (u @ along_rate)) / length
+
+
+def at_rest(packed: Packed) -> tuple[Packed, Array]:
+    """A packed flight where it stands, with its modes, pendulums and engines at rest and no command: flight and state.
+
+    Place, attitude, velocity and roll rate are kept; rates in pitch and yaw are zero, the gyros' output with them.
+    """
+    memory, out = packed.memory.copy(), np.zeros(MAX_STATE)
+    memory[0].held.command_rad[:] = 0.0
+    out[: layout.W_BI_B + 1] = packed.state[: layout.W_BI_B + 1]
+    out[layout.GYRO] = out[layout.W_BI_B]
+    sizes = packed.parameters[int(memory[0].clock.stage)].vehicle.sizes
+    for tank in range(int(sizes.pendulums)):
+        first = int(layout.pendulum_index(sizes, tank))
+        out[first] = -1.0
+    return dataclasses.replace(packed, memory=memory), out

@@ -1,0 +1,159 @@
+"""The loops of pitch, yaw and roll together, coupled by the vehicle as the simulator flies it.
+
+    L(f) = C(f) P(f),    C = diag(C_pitch, C_yaw, C_roll)
+
+closed on det(1 + L) = 0. P is the sampled response from the law's commands, through allocation, to the mean rates that
+the computer counts about all axes; the plant behind it is the linearised simulator (design/model/linearised.py): with
+products of inertia, a roll rate, spatial modes with their torsion and axial motion, engines beside the axis, and tanks
+that swing in both planes. Attitude angles are sums of the counts about each body axis, as the computer has them.
+
+Roll takes part where gimbals control it. Thrusters that switch have no linear loop: the roll rate is then free, as it
+is inside their dead band, and the roll angle, which acts through gravity alone, is held.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import scipy.linalg
+
+from maxq.control.kernel.records import Array
+from maxq.control.kernel.tables import table_in
+from maxq.design.laws.bending_filter import FASTEST
+from maxq.design.laws.law import Controller
+from maxq.design.laws.pd import Pd
+from maxq.design.laws.registry import designed_law
+from maxq.design.loop.sampling import SampledPlant, sample
+from maxq.design.model.linearised import at_rest, linearise
+from maxq.design.model.node import flown_run, flown_to
+from maxq.design.model.state_space import ComplexArray, Resolvent, StateSpace, chain, channels
+from maxq.sim.packing.flight import Packed
+from maxq.sim.scenario.loader import LoadedScenario
+from maxq.sim.scenario.schema_design import Design
+
+AXES = ("pitch", "yaw", "roll")
+_HELD = ("x_I_m", "y_I_m", "z_I_m", "u_mps")  # place and speed, as in the model of one plane
+
+
+@dataclass(frozen=True)
+class Multiloop:
+    """Loops of `axes`, each with its law, round one plant; `path` from commands to mean rates in their order."""
+
+    time_s: float
+    axes: tuple[str, ...]
+    path: SampledPlant
+    laws: tuple[Controller, ...]
+
+    @property
+    def highest_hz(self) -> float:
+        return 0.5 / self.path.sample_s
+
+    def response(self, frequencies_hz: Array) -> ComplexArray:
+        """L, (*frequencies.shape, axes, axes): rows are commands that return, columns commands given."""
+        f = np.asarray(frequencies_hz, float)
+        z = np.exp(2j * np.pi * self.path.sample_s * f)
+        return np.asarray(self._controllers(f, z)[..., None] * self.path.at(z, self._resolvent))
+
+    def _controllers(self, f: Array, z: ComplexArray) -> ComplexArray:
+        """From the mean rate of each axis to its command, (..., axes)."""
+        ratio = {"angle_rad": self.path.sample_s * z / (z - 1.0), "rate_radps": np.ones_like(z)}
+        parts = [law.response(f) * np.stack([ratio[name] for name in law.inputs], axis=-1) for law in self.laws]
+        return np.stack([part.sum(axis=-1) for part in parts], axis=-1)
+
+    @cached_property
+    def _resolvent(self) -> Resolvent:
+        return self.path.resolvent()
+
+    @cached_property
+    def state_space(self) -> StateSpace:
+        """L in z, from the commands round to minus themselves."""
+        t, parts = self.path.sample_s, []
+        for law in self.laws:
+            rows = {"angle_rad": (1.0, t), "rate_radps": (0.0, 1.0)}  # of the sum so far, and of the new rate
+            c, d = (np.array([[rows[name][k]] for name in law.inputs]) for k in (0, 1))
+            summed = StateSpace(np.eye(1), np.full((1, 1), t), c, d, ("angle_rad",), ("rate",), law.inputs)
+            parts.append(chain(summed, law.state_space()))
+        a, b, c, d = (scipy.linalg.block_diag(*(getattr(part, name) for part in parts)) for name in "abcd")
+        states = tuple(f"{axis}_{name}" for axis, p in zip(self.axes, parts, strict=True) for name in p.states)
+        return chain(self.path.state_space(), StateSpace(a, b, c, d, states, self.axes, self.axes))
+
+    def poles(self, closed: Iterable[int]) -> ComplexArray:
+        """Poles with the loops of these axes closed, log(z) / T in rad/s."""
+        s, i = self.state_space, list(closed)
+        z = np.linalg.eigvals(s.a - s.b[:, i] @ s.c[i]).astype(np.complex128)
+        return np.asarray(np.log(z[np.abs(z) > FASTEST]) / self.path.sample_s)
+
+    def one(self, axis: str) -> OneLoop:
+        """The loop of one axis, opened at its command with the others closed."""
+        return OneLoop(self, self.axes.index(axis))
+
+
+@dataclass(frozen=True)
+class OneLoop:
+    """An `OpenLoop`: what returns to the command of one axis while the others are closed,
+
+    L_ii - L_io (1 + L_oo)^-1 L_oi
+    """
+
+    whole: Multiloop
+    axis: int
+
+    @property
+    def highest_hz(self) -> float:
+        return self.whole.highest_hz
+
+    @property
+    def _others(self) -> list[int]:
+        return [k for k in range(len(self.whole.axes)) if k != self.axis]
+
+    def response(self, frequencies_hz: Array) -> ComplexArray:
+        whole, i, o = self.whole.response(frequencies_hz), self.axis, self._others
+        around = whole[..., o, :][..., :, o] + np.eye(len(o))
+        through = np.linalg.solve(around, whole[..., o, i][..., None])[..., 0]
+        return np.asarray(whole[..., i, i] - (whole[..., i, o] * through).sum(axis=-1))
+
+    def open_poles(self) -> ComplexArray:
+        return self.whole.poles(self._others)
+
+    def closed_poles(self) -> ComplexArray:
+        return self.whole.poles(range(len(self.whole.axes)))
+
+
+def multiloops(scenario: LoadedScenario, design: Design, times_s: Iterable[float]) -> list[Multiloop]:
+    """At vehicle times (s), in rising order, of a flight of the scenario, which flies with its own design.
+
+    Raises ValueError, naming node and range, for a time outside the powered flight.
+    """
+    run, out = flown_run(scenario, faults=False), []
+    for time_s in sorted(set(times_s)):
+        flown_to(run, time_s)
+        out.append(multiloop(run.packed, design, run.now_s))
+    return out
+
+
+def multiloop(packed: Packed, design: Design, time_s: float) -> Multiloop:
+    """Of a packed flight where it stands: place, attitude, velocity and roll rate as flown.
+
+    Modes, pendulums and engines are at rest, pitch and yaw rate zero.
+    """
+    model, matrix = linearise(*at_rest(packed), time_s), np.eye(2, 3)
+    row = packed.parameters[int(packed.memory[0].clock.stage)]
+    allocation, t = row.computer.allocation, 1e-9 * int(row.computer.sample_ns)
+    axes: tuple[str, ...] = AXES[:2]
+    law, roll = designed_law(design), Pd(float(allocation.k_p), float(allocation.k_d_s))
+    laws: tuple[Controller, ...] = (law.at(time_s, "pitch", t), law.at(time_s, "yaw", t))
+    if int(allocation.groups) > 1:
+        matrix = table_in(packed.pool, allocation.matrix)(time_s).reshape(-1, 3)
+        if matrix[:, 2].any() and (roll.k_p, roll.k_d_s) != (0.0, 0.0):
+            axes, laws = AXES, (*laws, roll)
+    held = (*_HELD, *(f"gyro_{axis}_rad" for axis in AXES), *(() if "roll" in axes else ("phi_rad",)))
+    kept = [k for k, name in enumerate(model.states) if name not in held]
+    counted = [model.states.index(f"gyro_{axis}_rad") for axis in axes]  # the integrals of what the gyros put out
+    plant = StateSpace(
+        model.a[np.ix_(kept, kept)], model.b[kept] @ matrix[:, : len(axes)], model.a[np.ix_(counted, kept)],
+        np.zeros((len(axes),) * 2), tuple(model.states[k] for k in kept), axes, axes,
+    )  # fmt: skip  # four more lines otherwise
+    return Multiloop(time_s, axes, sample(channels(plant, axes), t, 1e-9 * int(row.computer.delay_ns)), laws)

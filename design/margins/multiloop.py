@@ -1,0 +1,109 @@
+"""Margins of several loops at once: each with the others closed, and the disk margin of the whole.
+
+The disk margin of several loops (Seiler, Packard & Gahinet, An Introduction to Disk Margins, IEEE CSM 40(5), 2020): the
+loops stay stable while each command is multiplied by a factor of its own,
+
+    f_i = (1 + d_i / 2) / (1 - d_i / 2),   |d_i| < alpha,   alpha = 1 / (largest mu(S - 1/2) over frequency)
+
+with S = (1 + L)^-1 and mu the structured singular value for complex d_i on the diagonal. Up to three loops mu is its
+upper bound, the least of the greatest singular value of D (S - 1/2) D^-1 over diagonal D (Packard & Doyle, Automatica
+29(1), 1993). A law that treats each axis by itself has the same margin at its measurements: it is itself such a D.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.optimize
+
+from maxq.control.kernel.records import Array
+from maxq.design.loop.multiloop import Multiloop
+from maxq.design.margins.distances import Disk, symmetric_disk
+from maxq.design.margins.measure import Margins, margins
+from maxq.design.model.state_space import ComplexArray
+
+LOWEST_HZ = 1e-3  # slower than any flight: what gravity, place and speed do there is held, and roots are drift
+_CLOSE = 1e-9  # relative, of mu
+
+
+@dataclass(frozen=True)
+class MultiloopMargins:
+    """Of each axis with the others closed, in the order of `axes`, and the disk of all; NaN for an unstable loop."""
+
+    time_s: float
+    axes: tuple[str, ...]
+    each: tuple[Margins, ...]
+    disk: Disk
+
+    @property
+    def stable(self) -> bool:
+        return all(m.stable for m in self.each)
+
+
+def multiloop_margins(loop: Multiloop) -> MultiloopMargins:
+    """Measure. The disk is sought where any of the single loops turns, and between these frequencies."""
+    each = tuple(margins(loop.one(axis), zones=(), lowest_hz=LOWEST_HZ) for axis in loop.axes)
+    size, frequency_hz = np.nan, np.nan
+    if all(m.stable for m in each):
+        size, frequency_hz = _least_disk(loop, np.unique(np.concatenate([m.curve.frequency_hz for m in each])))
+    return MultiloopMargins(loop.time_s, loop.axes, each, symmetric_disk(size, frequency_hz))
+
+
+def _least_disk(loop: Multiloop, frequencies_hz: Array) -> tuple[float, float]:
+    """alpha / 2 and its frequency: exact mu where its bound by balancing is not below the greatest found."""
+    matrices = _half(loop, frequencies_hz)
+    bounds, best, at = _balanced(matrices), 0.0, 0
+    for k in np.argsort(-bounds):
+        if bounds[k] <= best:
+            break
+        found = structured_singular_value(matrices[k])
+        best, at = max((best, at), (found, int(k)))
+    low, high = frequencies_hz[max(at - 1, 0)], frequencies_hz[min(at + 1, len(frequencies_hz) - 1)]
+    near = scipy.optimize.minimize_scalar(
+        lambda f: -structured_singular_value(_half(loop, np.array([f]))[0]),
+        bounds=(low, high), method="bounded", options={"xatol": 1e-9 * high},
+    )  # fmt: skip  # three more lines otherwise
+    return (0.5 / -near.fun, float(near.x)) if -near.fun > best else (0.5 / best, float(frequencies_hz[at]))
+
+
+def _half(loop: Multiloop, frequencies_hz: Array) -> ComplexArray:
+    eye = np.eye(len(loop.axes))
+    return np.asarray(np.linalg.inv(eye + loop.response(frequencies_hz)) - 0.5 * eye)
+
+
+def structured_singular_value(matrix: ComplexArray) -> float:
+    """Upper bound of mu for complex scalars on the diagonal, to 1e-9 of itself; equal to mu up to three of them."""
+    scales = _log_scales(matrix[None])[0]
+
+    def size(x: Array) -> float:
+        d = np.exp(np.append(0.0, x))
+        return float(np.linalg.norm(matrix * (d[:, None] / d), 2))
+
+    best = size(scales[1:] - scales[0])
+    if len(matrix) > 2:  # two are balanced where their greatest singular value is least
+        start = scales[1:] - scales[0]
+        for _ in range(3):  # convex, with kinks where singular values meet
+            found = scipy.optimize.minimize(size, start, method="Nelder-Mead", options={"xatol": 1e-7, "fatol": 0.0})
+            if found.fun > best * (1.0 - _CLOSE):
+                break
+            best, start = float(found.fun), found.x
+    return best
+
+
+def _balanced(matrices: ComplexArray) -> Array:
+    d = np.exp(_log_scales(matrices))
+    return np.asarray(np.linalg.norm(matrices * (d[:, :, None] / d[:, None, :]), 2, axis=(1, 2)))
+
+
+def _log_scales(matrices: ComplexArray) -> Array:
+    """Of the D that balances rows with columns (Osborne, J. ACM 7, 1960), (matrices, n): of two the best there is."""
+    n = matrices.shape[-1]
+    square, out = np.abs(matrices) ** 2 * (1.0 - np.eye(n)), np.zeros(matrices.shape[:2])
+    floor = 1e-24 * (np.abs(matrices) ** 2).max(axis=(1, 2))  # a loop that no other acts on has no scale
+    for _ in range(1 if n < 3 else 30):
+        for i in range(n):
+            weight = np.exp(2.0 * (out[:, :, None] - out[:, None, :]))
+            row, column = (square * weight)[:, i, :].sum(axis=1), (square * weight)[:, :, i].sum(axis=1)
+            out[:, i] += 0.25 * np.log((column + floor) / (row + floor))
+    return out
