@@ -160,12 +160,14 @@ def run_campaign(
     watch: Callable[[Progress], None] = lambda _: None,
     stop: Callable[[], bool] = lambda: False,
     until_settled: bool = False,
+    elsewhere: str = "give another --out",
 ) -> Outcome:
     """Fly what is missing of a campaign into its folder, on `workers` threads (default: one for each core).
 
     `cluster`: the address of a Dask scheduler, or a dask Client, whose workers fly instead (maxq[dask]).
     `watch` is called with the progress a few times a second; when `stop` then says True, whole runs of the batch under
-    way are written and it ends. Raises CampaignError.
+    way are written and it ends. `elsewhere`: what helps where the folder is in use or holds something else. Raises
+    CampaignError.
     """
     if until_settled and campaign.campaign.test == "fixed":
         raise CampaignError(f"{campaign.name}: --until-settled looks at any time; campaign.test = 'fixed' does not")
@@ -176,7 +178,7 @@ def run_campaign(
         else:
             client = stack.enter_context(_connected(cluster)) if isinstance(cluster, str) else cluster
             flyers = Cluster(campaign, client)
-        store, usual = open_store(folder, campaign)
+        store, usual = open_store(folder, campaign, elsewhere)
         stack.callback(store.unlock)
         runs = campaign.campaign.runs
         gaps = list(store.missing(runs, flyers.batch(usual, runs)))

@@ -83,7 +83,7 @@ class Store:
             _write_table(histories, self.folder / HISTORIES / name)
         _write_table(table, self.folder / RUNS / name)
 
-    def lock(self) -> None:
+    def lock(self, elsewhere: str) -> None:
         """Take the lock, or raise CampaignError: another process writes here. It ends with the process."""
         path = self.folder / LOCK
         try:
@@ -94,9 +94,7 @@ class Store:
             with contextlib.suppress(OSError):
                 other = path.read_text(errors="replace").strip()
             who = f"process {other}" if other else "another process"
-            raise CampaignError(
-                f"{self.folder}: {who} is flying this campaign; wait for it, or give another --out"
-            ) from None
+            raise CampaignError(f"{self.folder}: {who} is flying this campaign; wait for it, or {elsewhere}") from None
         except OSError as error:
             self._lock.release()
             raise CampaignError(cannot_write(path, error)) from error
@@ -160,7 +158,7 @@ def _write_table(table: pa.Table, path: Path) -> None:
         pq.write_table(table, file, compression="snappy", use_dictionary=texts, write_page_checksum=True)
 
 
-def open_store(folder: Path, campaign: LoadedCampaign) -> tuple[Store, int]:
+def open_store(folder: Path, campaign: LoadedCampaign, elsewhere: str = "give another --out") -> tuple[Store, int]:
     """The folder of a campaign, made and locked, and the size of its batches.
 
     Raises CampaignError where it cannot be written, holds something else or another campaign, or is in use.
@@ -170,12 +168,12 @@ def open_store(folder: Path, campaign: LoadedCampaign) -> tuple[Store, int]:
         if folder.exists() and not folder.is_dir():
             raise CampaignError(f"{folder}: is a file; a campaign needs a folder")
         if there and MANIFEST not in there and LOCK not in there:
-            raise CampaignError(f"{folder}: holds other files ({there[0]}); give another --out")
+            raise CampaignError(f"{folder}: holds other files ({there[0]}); {elsewhere}")
         folder.mkdir(parents=True, exist_ok=True)
         store = Store(folder, campaign)
-        store.lock()
+        store.lock(elsewhere)
         try:
-            batch = _same_campaign(folder, campaign)
+            batch = _same_campaign(folder, campaign, elsewhere)
             (folder / RUNS).mkdir(exist_ok=True)
             store.sweep()
         except BaseException:
@@ -186,7 +184,7 @@ def open_store(folder: Path, campaign: LoadedCampaign) -> tuple[Store, int]:
     return store, batch
 
 
-def _same_campaign(folder: Path, campaign: LoadedCampaign) -> int:
+def _same_campaign(folder: Path, campaign: LoadedCampaign, elsewhere: str) -> int:
     """Write what is flown here, or check that it is the same. Returns the size of batches.
 
     Where the file does not give one: a 32nd of the runs, rounded down to a power of two from 64 to 1024.
@@ -204,7 +202,7 @@ def _same_campaign(folder: Path, campaign: LoadedCampaign) -> int:
     changed = differences(before, identity)
     if changed:
         more = f" (and {len(changed) - 1} more)" if len(changed) > 1 else ""
-        raise CampaignError(f"{folder}: another campaign was flown here: {changed[0]}{more}; give another --out")
+        raise CampaignError(f"{folder}: another campaign was flown here: {changed[0]}{more}; {elsewhere}")
     return int(before["batch"])
 
 

@@ -1,6 +1,6 @@
 """A flight as files: DIR/flight.mcap while it is flown, DIR/summary.json at its end.
 
-    flight = record(FlightRun(load_scenario("nominal")), Path("runs/nominal"))
+    flight = record(FlightRun(load_scenario("nominal")), "runs/nominal")
 
 The log is written by a thread of its own, a segment behind the flight: kernel and compression both release the
 interpreter's lock, so that they overlap. Memory holds a few segments, never the whole flight.
@@ -63,7 +63,7 @@ class Interrupted(Exception):
 
 def record(
     run: FlightRun,
-    folder: Path,
+    folder: str | Path,
     *,
     log: bool = True,
     watch: Callable[[FlightRun], None] | None = None,
@@ -79,6 +79,7 @@ def record(
 
     Raises LogError where a file cannot be written; folders made for it are then removed again.
     """
+    folder = Path(folder)
     made = _make(folder)
     try:
         (folder / SUMMARY_NAME).unlink(missing_ok=True)  # it describes another flight

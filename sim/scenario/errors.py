@@ -90,14 +90,14 @@ def refuse(
     )
 
 
-def suggestion(word: str, known: Iterable[str]) -> str:
+def suggestion(word: str, known: Iterable[str], cutoff: float = 0.6) -> str:
     """`did you mean x?`, or an empty string. A key that differs in its unit only (`_km` for `_m`) comes
-    first.
+    first. `cutoff`: how alike they must be, from 0 to 1 (difflib).
     """
     choices = list(known)
     stem = word.rpartition("_")[0]
     same_stem = [c for c in choices if c == stem or ("_" in c and c.rpartition("_")[0] in (stem, word))]
-    near = difflib.get_close_matches(word, choices, n=1, cutoff=0.6)
+    near = difflib.get_close_matches(word, choices, n=1, cutoff=cutoff)
     if same_stem and stem:
         near = difflib.get_close_matches(word, same_stem, n=1, cutoff=0.0)
     elif not near and same_stem:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import glob
 import os
 from collections.abc import Iterable
 from dataclasses import dataclass, field
@@ -109,6 +110,15 @@ def _nearest(name: Text, variants: Iterable[str]) -> str:
     return suggestion(str(name), beside)
 
 
+def _below(path: Path) -> str:
+    """`did you mean x?` for a file of this name one or two folders below: --copy keeps the folders of its files."""
+    with contextlib.suppress(OSError, ValueError):
+        for pattern in ("*/", "*/*/"):
+            for found in sorted(path.parent.glob(pattern + glob.escape(path.name))) if path.parent != Path() else ():
+                return f"did you mean {found}?"
+    return ""
+
+
 def locate(name: str, role: str) -> tuple[Path, str]:
     """The file that a person means by `name`, or the built-in one of that name, with or without `.toml`; and how it is
     shown. `role` is a kind of WANTED. Raises ScenarioError where there is neither.
@@ -121,7 +131,7 @@ def locate(name: str, role: str) -> tuple[Path, str]:
         known |= builtin_files("campaign")
     if stem in known:
         return known[stem], shown(known[stem])
-    hint = suggestion(stem, known)
+    hint = _below(Path(f"{stem}.toml")) or suggestion(stem, known)
     as_a_file = not name.isidentifier() or hint  # a bare word may have been meant as one of ours
     missing = "no such file" if as_a_file else f"neither a file nor a built-in {role}"
     problem = {"folder": "is a folder", "other": "is not an ordinary file"}.get(there, missing)

@@ -90,8 +90,10 @@ class CsvTable:
         return refuse(problem, allowed, key=(*key, row) if column and row >= 0 else key, value=value)
 
     def refuse_where(self, wrong: NDArray[np.bool_], column: str, problem: str, allowed: str, *, at: Path = ()) -> None:
-        """Refuse the first row of `column` that is `wrong`."""
+        """Refuse the first row of `column` that is `wrong`, and say in how many more rows it is."""
         if wrong.any():
+            more = int(wrong.sum()) - 1
+            problem += f" (and in {more} more {'row' if more == 1 else 'rows'})" if more else ""
             raise self.refusal(problem, allowed, column, int(np.argmax(wrong)), at=at)
 
 
@@ -209,7 +211,7 @@ class Columns:
 
     def _check_name(self, name: str, key: Path = (), file: str = "", place: str = "") -> None:
         if self.named and name not in self.known():
-            hint = suggestion(name, self.known())
+            hint = suggestion(name, self.known(), cutoff=0.75)  # else the list says more
             problem = f"unknown column {show_value(name)}" + (f"; {hint}" if hint else "")
             raise refuse(problem, self.allowed(), key=key, file=file, place=place)
 
@@ -236,14 +238,13 @@ class Columns:
         self._check_values(table)
 
     def _check_values(self, table: CsvTable) -> None:
+        refusals = []
         for name, column in table.columns.items():
-            table.refuse_where(~np.isfinite(column), name, "is not finite", "finite numbers")
-            beyond, allowed = ~range_of(name).holds(column), range_of(name).allowed()
-            table.refuse_where(beyond, name, "is out of range", allowed)
-            if name in self.positive:
-                table.refuse_where(column <= 0.0, name, "is not positive", "numbers > 0")
-            if name in self.not_negative:
-                table.refuse_where(column < 0.0, name, "is negative", "numbers >= 0")
+            try:
+                self._check_column(table, name, column)
+            except PydanticCustomError as refusal:
+                refusals.append(refusal)
+        raise_together(refusals)
         if not self.axis:
             return
         axis = table[self.axis]
@@ -256,6 +257,34 @@ class Columns:
         table.refuse_where(falls, self.axis, f"{self.axis} {rule}", allowed)
         if self.begins_by is not None and axis[0] > self.begins_by:
             raise table.refusal("the table begins too late", f"a first {self.axis} <= {self.begins_by:g}", self.axis, 0)
+
+    def _check_column(self, table: CsvTable, name: str, column: Column) -> None:
+        table.refuse_where(~np.isfinite(column), name, "is not finite", "finite numbers")
+        beyond, allowed = ~range_of(name).holds(column), range_of(name).allowed()
+        table.refuse_where(beyond, name, "is out of range", allowed)
+        if name in self.positive:
+            table.refuse_where(column <= 0.0, name, "is not positive", "numbers > 0")
+        if name in self.not_negative:
+            table.refuse_where(column < 0.0, name, "is negative", "numbers >= 0")
+
+
+_ALSO = 4  # mistakes of a table that are named beside the first
+
+
+def raise_together(refusals: list[PydanticCustomError]) -> None:
+    """Raise the first of these, if there is one; it names the others, too."""
+    if not refusals:
+        return
+    first, *others = (dict(refusal.context or {}) for refusal in refusals)
+    also = []
+    for other in others[:_ALSO]:
+        value = other["value"]
+        place = other["place"] or ".".join(map(str, other["key"]))
+        also.append(f"{place}{'' if value is NOTHING else f' = {show_value(value)}'}: {other['problem']}")
+    if len(others) > _ALSO:
+        also.append(f"and {len(others) - _ALSO} more mistakes")
+    problem = "; also ".join([first.pop("problem"), *([", ".join(also)] if also else [])])
+    raise refuse(problem, **first)
 
 
 def _column(numbers: list[float]) -> Column:
@@ -278,6 +307,7 @@ def read_csv(text: str, name: str, shown: str, columns: Columns) -> CsvTable:
     header: list[str] = []
     lines: list[int] = []
     rows: list[list[float]] = []
+    refusals: list[PydanticCustomError] = []
     for number, line in enumerate(text.splitlines(), start=1):
         if not line.strip() or line.lstrip().startswith("#"):
             continue
@@ -288,9 +318,13 @@ def read_csv(text: str, name: str, shown: str, columns: Columns) -> CsvTable:
             continue
         if len(cells) != len(header):
             problem = f"has {len(cells)} columns, the first line has {len(header)}"
-            raise refuse(problem, f"{len(header)} numbers", file=shown, place=f"line {number}")
-        rows.append(_row(cells, header, shown, number))
+            refusals.append(refuse(problem, f"{len(header)} numbers", file=shown, place=f"line {number}"))
+            continue
+        rows.append(
+            [_cell(cell, f"line {number}, {h}", shown, refusals) for cell, h in zip(cells, header, strict=True)]
+        )
         lines.append(number)
+    raise_together(refusals)
     if not header:
         raise refuse("the file is empty", f"CSV with {columns.allowed()}", file=shown)
     numbers = np.array(rows, dtype=np.float64).reshape(len(rows), len(header))
@@ -303,19 +337,31 @@ def _check_header(header: list[str], shown: str, number: int, columns: Columns) 
         if name in header[:i]:
             raise refuse(f"column {name} appears twice", columns.allowed(), file=shown, place=place)
     if columns.named and columns.axis not in header and not any(name in columns.known() for name in header):
-        raise refuse("is not a line of column names", f"CSV with {columns.allowed()}", file=shown, place=place)
+        numbers = all(_is_number(cell) for cell in header)
+        problem = (
+            "is not a line of column names" if numbers else f"unknown columns {', '.join(map(show_value, header))}"
+        )
+        raise refuse(problem, f"CSV with {columns.allowed()}", file=shown, place=place)
+    refusals = []
     for name in header:
-        columns._check_name(name, file=shown, place=place)
+        try:
+            columns._check_name(name, file=shown, place=place)
+        except PydanticCustomError as refusal:
+            refusals.append(refusal)
+    raise_together(refusals)
 
 
-def _row(cells: list[str], header: list[str], shown: str, number: int) -> list[float]:
+def _is_number(cell: str) -> bool:
     try:
-        return [float(cell) for cell in cells]
+        float(cell)
     except ValueError:
-        for cell, name in zip(cells, header, strict=True):
-            try:
-                float(cell)
-            except ValueError:
-                place = f"line {number}, {name}"
-                raise refuse("is not a number", "numbers", value=cell, file=shown, place=place) from None
-        raise
+        return False
+    return True
+
+
+def _cell(cell: str, place: str, shown: str, refusals: list[PydanticCustomError]) -> float:
+    try:
+        return float(cell)
+    except ValueError:
+        refusals.append(refuse("is not a number", "numbers", value=cell, file=shown, place=place))
+        return np.nan

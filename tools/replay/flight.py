@@ -11,6 +11,7 @@ import functools
 import json
 import math
 import re
+import shlex
 import tomllib
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
@@ -272,6 +273,13 @@ def find_logs(places: Sequence[str]) -> list[tuple[Path, str]]:
         if path.is_dir():
             inside = _in_folder(path)
             if not inside:
+                from maxq.sim.campaign.store import MANIFEST  # noqa: PLC0415  # lazy: loads pyarrow
+
+                if (path / MANIFEST).is_file():
+                    how = f"simrun --from {shlex.quote(place)} --keep worst:5"
+                    raise ReplayError(
+                        f"{place}: this campaign has kept no logs; {how} keeps those of the worst flights"
+                    )
                 raise ReplayError(
                     f"{place}: no flight in this folder ({LOG_NAME}, {KEPT[0]}/run-.../{LOG_NAME}, or any .mcap)"
                 )

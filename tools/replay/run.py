@@ -28,11 +28,11 @@ _WEB_PORT = 9090
 
 def execute(given: argparse.Namespace) -> int:
     """Do what the command line asks for; returns the exit code. Raises ReplayError where nothing can be shown."""
+    find_logs(given.logs)  # a name that was mistyped is the greater trouble
     _check_before(given)
     with contextlib.ExitStack() as stack:
         client = None
         if given.screenshot:  # the viewer starts beside the reading of the logs
-            find_logs(given.logs)  # nothing is started for a name that was mistyped
             client = stack.enter_context(viewer.headless(given.size or viewer.WINDOW))
         flights, complaints = open_flights(given.logs, in_turn=not (given.plots or given.summary))
         _complain(complaints)
