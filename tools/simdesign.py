@@ -16,6 +16,7 @@ simdesign CASE [--out DIR] [--starts N] [--seed N] [--set KEY=VALUE]... [--order
        simdesign CASE... --verify [--suite SUITE] [and the options of CASE]
        simdesign analyse DESIGN [--at T]... [--scenario S] [--kind K] [--axis A] [--out DIR] [--no-pictures]
        simdesign errata [DESIGN] [--at T]... [--scenario S] [--out FILE]
+       simdesign export DESIGN --c DIR | --format F [--out FILE] [--at T]... [--axis A] [--scenario S]
        simdesign --list | --version | --help"""
 _EXAMPLES = """\
   simdesign ksr3-identical                 optimise the built-in case of that name
@@ -28,6 +29,8 @@ _EXAMPLES = """\
                                            there, at two times
   simdesign errata                         what each erratum of the paper does to
                                            peaks and margins
+  simdesign export ksr3-robust --c law     the law as C99 sources, with a unit test
+  simdesign export ksr3-robust --format mat   plant, law and loop as matrices
   simdesign --list                         built-in cases and designs
 """
 _EXITS = {
@@ -39,8 +42,9 @@ _EXITS = {
     Exit.UNDECIDED: "--verify: none is accepted, and one needs more runs",
     Exit.INTERRUPTED: "interrupted, the best design so far is kept",
 }
-_CASE, _VERIFY, _ANALYSE, _ERRATA = "CASE", "CASE --verify", "analyse", "errata"
+_CASE, _VERIFY, _ANALYSE, _ERRATA, _EXPORT = "CASE", "CASE --verify", "analyse", "errata", "export"
 _CASES, _JUDGED = (_CASE, _VERIFY), (_ANALYSE, _ERRATA)
+_ON_A_DESIGN = (*_JUDGED, _EXPORT)
 
 
 def _parser() -> Parser:
@@ -56,7 +60,7 @@ def _parser() -> Parser:
     )
     add(
         "--out",
-        modes=(*_CASES, *_JUDGED),
+        modes=(*_CASES, *_ON_A_DESIGN),
         metavar="DIR",
         help="where to write (default: runs/<name of the case>, or runs/analyse-<name>)",
     )
@@ -79,20 +83,29 @@ def _parser() -> Parser:
         help="then try what was designed, best first, until simverify accepts one",
     )
     add("--suite", modes=(_VERIFY,), metavar="SUITE", help="what has to be passed (default: standard)")
-    add("--at", modes=_JUDGED, type=seconds, metavar="T", action="append", dest="times_s", help="vehicle time, s")
+    add("--at", modes=_ON_A_DESIGN, type=seconds, metavar="T", action="append", dest="times_s", help="vehicle time, s")
     add(
         "--every", modes=(_ANALYSE,), type=positive, metavar="S", dest="every_s",
         help="seconds between the nodes, where no --at is given (default: 5); 0.25 finds what lies between",
     )  # fmt: skip  # four more lines otherwise
-    add("--scenario", modes=_JUDGED, metavar="S", help="scenario whose flight gives the nodes (default: nominal)")
-    add("--vehicle", modes=_JUDGED, metavar="V", help="vehicle folder instead of the scenario's")
+    add("--scenario", modes=_ON_A_DESIGN, metavar="S", help="scenario whose flight gives the nodes (default: nominal)")
+    add("--vehicle", modes=_ON_A_DESIGN, metavar="V", help="vehicle folder instead of the scenario's")
     add(
         "--kind",
         modes=(_ANALYSE,),
         choices=("sampled", "pade", "exact"),
         help="model of the computer (default: sampled, as it flies)",
     )
-    add("--axis", modes=(_ANALYSE,), choices=("pitch", "yaw"), help="plane (default: pitch)")
+    add(
+        "--axis", modes=(_ANALYSE, _EXPORT), choices=("pitch", "yaw"), help="plane (default: pitch; of an export: both)"
+    )
+    add("--c", modes=(_EXPORT,), metavar="DIR", help="the law as C99 sources with tables, unit test and CMake file")
+    add(
+        "--format",
+        modes=(_EXPORT,),
+        choices=("mat", "npz", "json"),
+        help="plant, law and loop at the nodes as A, B, C, D for MATLAB, NumPy or any reader",
+    )
     add(
         "--errata",
         modes=(_ANALYSE,),
@@ -126,7 +139,7 @@ def main(arguments: list[str] | None = None) -> int:
 def _run(arguments: list[str]) -> int:
     parser = _parser()
     options = parser.read(arguments)
-    if options.words and options.words[0] in _JUDGED:
+    if options.words and options.words[0] in _ON_A_DESIGN:
         mode, names = options.words[0], options.words[1:]
     else:
         mode, names = _VERIFY if options.verify else _CASE, options.words
@@ -147,6 +160,14 @@ def _run(arguments: list[str]) -> int:
         from maxq.tools.design import analyse  # noqa: PLC0415  # lazy, as all imports here: --help is quick
 
         return analyse.execute(filled(analyse.Order, options, design=names[0], pictures=pictures))
+    if mode == _EXPORT:
+        from maxq.tools.design import export  # noqa: PLC0415  # lazy
+
+        if (options.c is None) == (options.format is None):
+            parser.error("export takes one of --c DIR and --format F")
+        if options.c is not None and (options.out or options.times_s or options.axis):
+            parser.error("--out, --at and --axis go with --format")
+        return export.execute(filled(export.Order, options, design=names[0]))
     if mode == _ERRATA:
         from maxq.tools.design import analyse  # noqa: PLC0415  # lazy
 
@@ -166,11 +187,11 @@ def _run(arguments: list[str]) -> int:
 
 def _check_names(names: list[str], mode: str, parser: Parser) -> None:
     if len(names) > 1 and mode != _VERIFY:
-        close = difflib.get_close_matches(names[0], (*_JUDGED, "analyze"), 1, 0.7)
+        close = difflib.get_close_matches(names[0], (*_ON_A_DESIGN, "analyze"), 1, 0.7)
         hint = f"did you mean {_ANALYSE if close[0] == 'analyze' else close[0]}?" if close else "one at a time"
         parser.error(f"what is {names[0 if close else 1]!r}? {hint}")
-    if mode == _ANALYSE and not names:
-        parser.error("give a design, e.g. simdesign analyse ksr3-default")
+    if mode in (_ANALYSE, _EXPORT) and not names:
+        parser.error(f"give a design, e.g. simdesign {mode} ksr3-default")
     if len(set(names)) < len(names):
         parser.error("a case is named twice")
 

@@ -1,0 +1,172 @@
+#include "flight_law.h"
+
+#include "flight_law_tables.h"
+
+/* Products and sums are rounded one by one, so that every compiler gives the same bits. */
+#if !defined(__GNUC__) || defined(__clang__)
+#pragma STDC FP_CONTRACT OFF
+#endif
+
+#define REAL(number) ((law_real)(number))
+
+static law_real limited(law_real value, law_real limit)
+{
+    law_real out = value;
+    if (out < -limit) {
+        out = -limit;
+    }
+    if (out > limit) {
+        out = limit;
+    }
+    return out;
+}
+
+/* Gains at a time: k_p and k_d_s in pitch, then in yaw. A cubic in each interval, end values outside. */
+static void look_up(law_real time_s, law_real gains[4])
+{
+    law_real inside_s = time_s;
+    law_real s;
+    int32_t low = 0;
+    int32_t high = LAW_GAIN_BREAKS - 1;
+    int32_t column;
+    while (high - low > 1) {
+        const int32_t middle = (low + high) / 2;
+        if (law_gain_time_s[middle] <= time_s) {
+            low = middle;
+        } else {
+            high = middle;
+        }
+    }
+    if (inside_s < law_gain_time_s[0]) {
+        inside_s = law_gain_time_s[0];
+    }
+    if (inside_s > law_gain_time_s[LAW_GAIN_BREAKS - 1]) {
+        inside_s = law_gain_time_s[LAW_GAIN_BREAKS - 1];
+    }
+    s = inside_s - law_gain_time_s[low];
+    for (column = 0; column < 4; ++column) {
+        const law_real c0 = law_gain[low][0][column];
+        const law_real c1 = law_gain[low][1][column];
+        const law_real c2 = law_gain[low][2][column];
+        const law_real c3 = law_gain[low][3][column];
+        gains[column] = c0 + s * (c1 + s * (c2 + s * c3));
+    }
+}
+
+/* Bending filter: second-order sections in transposed direct form II. */
+static law_real filtered(int32_t axis, law_real memory[LAW_MOST_SECTIONS][2], law_real input)
+{
+    law_real value = input;
+    int32_t i;
+    for (i = 0; i < law_sections[axis]; ++i) {
+        const law_real *const section = law_section[axis][i]; /* b0, b1, b2, a1, a2 */
+        const law_real out = section[0] * value + memory[i][0];
+        memory[i][0] = section[1] * value - section[3] * out + memory[i][1];
+        memory[i][1] = section[2] * value - section[4] * out;
+        value = out;
+    }
+    return value;
+}
+
+/* Limit, then the nearest step of the output converter that is not beyond it; halves away from zero. */
+static law_real converted(law_real requested_rad, int64_t *steps)
+{
+    const law_real step_rad = REAL(LAW_DAC_STEP_RAD);
+    const law_real limit_rad = REAL(LAW_COMMAND_LIMIT_RAD);
+    law_real command_rad = limited(requested_rad, limit_rad);
+    *steps = 0;
+    if (step_rad > REAL(0.0)) {
+        const law_real ratio = command_rad / step_rad;
+        law_real size_rad;
+        *steps = (int64_t)(ratio + ((ratio < REAL(0.0)) ? REAL(-0.5) : REAL(0.5)));
+        size_rad = ((*steps < 0) ? -(law_real)*steps : (law_real)*steps) * step_rad;
+        if (size_rad > limit_rad * REAL(1.0 + 1.0e-12)) {
+            *steps += (*steps > 0) ? -1 : 1;
+        }
+        command_rad = (law_real)*steps * step_rad;
+    }
+    return command_rad;
+}
+
+/* Switching line with dead band, hysteresis and a shortest firing; a positive s demands a negative torque. */
+static int32_t fire(law_state *state, law_real error_rad, law_real rate_radps)
+{
+    const law_real s = error_rad + REAL(LAW_ROLL_K_RATE_S) * rate_radps;
+    const law_real on_rad = REAL(LAW_ROLL_DEAD_BAND_RAD);
+    const law_real off_rad = on_rad - REAL(LAW_ROLL_HYSTERESIS_RAD);
+    int32_t demand = 0;
+    if ((state->roll_thruster != 0) && (state->ticks_on < LAW_ROLL_SHORTEST_TICKS)) {
+        demand = state->roll_thruster;
+    } else if ((s > on_rad) || ((state->roll_thruster < 0) && (s > off_rad))) {
+        demand = -1;
+    } else if ((s < -on_rad) || ((state->roll_thruster > 0) && (s < -off_rad))) {
+        demand = 1;
+    }
+    if (demand == 0) {
+        state->ticks_on = 0;
+    } else if (demand == state->roll_thruster) {
+        state->ticks_on += 1;
+    } else {
+        state->ticks_on = 1;
+    }
+    state->roll_thruster = demand;
+    return demand;
+}
+
+void law_start(law_state *state)
+{
+    int32_t axis;
+    int32_t i;
+    for (axis = 0; axis < 3; ++axis) {
+        state->total_counts[axis] = 0;
+        state->angle_rad[axis] = REAL(0.0);
+        state->discarded_rad[axis] = REAL(0.0);
+    }
+    for (axis = 0; axis < 2; ++axis) {
+        for (i = 0; i < LAW_MOST_SECTIONS; ++i) {
+            state->filter[axis][i][0] = REAL(0.0);
+            state->filter[axis][i][1] = REAL(0.0);
+        }
+    }
+    state->roll_thruster = 0;
+    state->ticks_on = 0;
+}
+
+void law_step(law_state *state, const law_inputs *in, law_outputs *out)
+{
+    law_real gains[4];
+    law_real error_rad[3];
+    law_real rate_radps[3];
+    int32_t axis;
+    for (axis = 0; axis < 3; ++axis) {
+        law_real increment_rad = in->delta_angle_rad[axis];
+        law_real whole_rad;
+        if (REAL(LAW_COUNT_RAD) > REAL(0.0)) { /* the sum of the pulses is exact */
+            increment_rad = (law_real)in->counts[axis] * REAL(LAW_COUNT_RAD);
+            state->total_counts[axis] += in->counts[axis];
+            state->angle_rad[axis] = (law_real)state->total_counts[axis] * REAL(LAW_COUNT_RAD);
+        } else {
+            state->angle_rad[axis] += increment_rad;
+        }
+        rate_radps[axis] = increment_rad / REAL(LAW_SAMPLE_S);
+        /* at its limit, error that would go further out is discarded for good */
+        whole_rad = state->angle_rad[axis] - in->commanded_angle_rad[axis] - state->discarded_rad[axis];
+        error_rad[axis] = limited(whole_rad, REAL(LAW_ANGLE_ERROR_LIMIT_RAD));
+        state->discarded_rad[axis] += whole_rad - error_rad[axis];
+    }
+    look_up(in->time_s, gains);
+    for (axis = 0; axis < 2; ++axis) {
+        const law_real k_p = gains[2 * axis];
+        const law_real k_d_s = gains[2 * axis + 1];
+        const law_real wanted_rad = -k_p * error_rad[axis + 1] - k_d_s * rate_radps[axis + 1];
+        out->requested_rad[axis] = filtered(axis, state->filter[axis], wanted_rad);
+        out->command_rad[axis] = converted(out->requested_rad[axis], &out->converter[axis]);
+    }
+    out->roll_gimbal_rad = limited(
+        -REAL(LAW_ROLL_GIMBAL_K_P) * error_rad[0] - REAL(LAW_ROLL_GIMBAL_K_D_S) * rate_radps[0],
+        REAL(LAW_ROLL_GIMBAL_LIMIT_RAD));
+    out->roll_thruster = 0;
+    if (LAW_ROLL_THRUSTERS != 0) {
+        out->roll_thruster = fire(state, error_rad[0], rate_radps[0]);
+    }
+}

@@ -1,0 +1,50 @@
+/* Attitude control law of a flight computer: gyro pulses and commanded angles to gimbal and thruster commands.
+ *
+ * C99 without library, allocation or global variables. Triples are per body axis (roll, pitch, yaw), pairs per gimbal axis
+ * (pitch, yaw). The numbers of the design are in flight_law_tables.h. With LAW_FLOAT all arithmetic but the sum of the
+ * pulses is in single precision.
+ */
+#ifndef FLIGHT_LAW_H
+#define FLIGHT_LAW_H
+
+#include <stdint.h>
+
+#ifdef LAW_FLOAT
+typedef float law_real;
+#else
+typedef double law_real;
+#endif
+
+#define LAW_MOST_SECTIONS 8
+
+typedef struct {
+    law_real time_s;                 /* vehicle clock at the end of the sample */
+    int64_t counts[3];               /* gyro pulses of the sample */
+    law_real delta_angle_rad[3];     /* of the sample; used instead of pulses where LAW_COUNT_RAD is 0 */
+    law_real commanded_angle_rad[3]; /* sum of the commanded rates since the start */
+} law_inputs;
+
+typedef struct {
+    law_real requested_rad[2]; /* before limit and converter */
+    law_real command_rad[2];   /* what the output converter gives */
+    int64_t converter[2];      /* its steps; 0 where LAW_DAC_STEP_RAD is 0 */
+    law_real roll_gimbal_rad;  /* command in roll to several groups of engines */
+    int32_t roll_thruster;     /* -1, 0, 1: torque about x */
+} law_outputs;
+
+typedef struct {
+    int64_t total_counts[3];
+    law_real angle_rad[3];
+    law_real discarded_rad[3]; /* of the attitude error, by its limit */
+    law_real filter[2][LAW_MOST_SECTIONS][2];
+    int32_t roll_thruster;
+    int32_t ticks_on; /* samples of the present firing */
+} law_state;
+
+/* Everything at rest. */
+void law_start(law_state *state);
+
+/* One sample. */
+void law_step(law_state *state, const law_inputs *in, law_outputs *out);
+
+#endif

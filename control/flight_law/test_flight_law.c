@@ -1,0 +1,46 @@
+/* The law on samples of a simulated flight: with doubles the outputs are equal to the last bit. */
+#include <stdio.h>
+
+#include "flight_law.h"
+#include "flight_law_tables.h"
+#include "test_vectors.h"
+
+#ifdef LAW_FLOAT
+#define TOLERANCE_RAD 2.0e-6
+#else
+#define TOLERANCE_RAD 0.0
+#endif
+
+static int differs(double value, double expected, double tolerance)
+{
+    const double difference = value - expected;
+    return !((difference <= tolerance) && (difference >= -tolerance));
+}
+
+int main(void)
+{
+    law_state state;
+    law_outputs out;
+    int wrong = 0;
+    int n;
+    law_start(&state);
+    for (n = 0; n < TEST_SAMPLES; ++n) {
+        law_inputs in;
+        int i;
+        in.time_s = (law_real)test_time_s[n];
+        for (i = 0; i < 3; ++i) {
+            in.counts[i] = (int64_t)test_counts[n][i];
+            in.delta_angle_rad[i] = (law_real)test_delta_angle_rad[n][i];
+            in.commanded_angle_rad[i] = (law_real)test_commanded_angle_rad[n][i];
+        }
+        law_step(&state, &in, &out);
+        for (i = 0; i < 2; ++i) {
+            const double step_rad = (TOLERANCE_RAD > 0.0) ? TOLERANCE_RAD + 1.001 * LAW_DAC_STEP_RAD : 0.0;
+            wrong += differs((double)out.requested_rad[i], test_requested_rad[n][i], TOLERANCE_RAD);
+            wrong += differs((double)out.command_rad[i], test_command_rad[n][i], step_rad);
+        }
+        wrong += (TOLERANCE_RAD > 0.0) ? 0 : (out.roll_thruster != test_roll_thruster[n]);
+    }
+    printf("%d samples, %d differences\n", TEST_SAMPLES, wrong);
+    return (wrong == 0) ? 0 : 1;
+}

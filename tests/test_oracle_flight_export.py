@@ -1,0 +1,199 @@
+"""The exported law against the flown one, bit by bit, and exported matrices against python-control.
+
+| what is checked | against |
+|---|---|
+| C sources, double: unit test, commands of whole ascents | the built-in law, equal bits |
+| C sources, float | the built-in law, within what a gyro pulse does |
+| matrices: frequency response of the loop, its parts in series | the loop as `simdesign` sees it, python-control |
+"""
+
+from __future__ import annotations
+
+import json
+import subprocess
+from pathlib import Path
+
+import control
+import numpy as np
+import pytest
+from flight_code import COMPILER, STRICT, flies, needs_compiler
+from scipy.io import loadmat
+
+from maxq.design import api
+from maxq.sim.campaign.read import load_campaign
+from maxq.sim.campaign.runs import fly_rows
+from maxq.sim.run.fly import Flight, fly
+from maxq.sim.scenario.loader import load_scenario
+from maxq.tools import simdesign, simvehicle
+
+POWERED = ["run.duration_s=59", "requirement="]
+COMMANDS = ("gimbal_pitch_command_deg", "gimbal_yaw_command_deg")
+ODD = """
+schema = 1
+name = "odd"
+[gains]
+table = [{time_s=2.0, k_p=1.1, k_d_s=0.47}, {time_s=20.0, k_p=0.9, k_d_s=0.45}, {time_s=50.0, k_p=0.7, k_d_s=0.37}]
+yaw_table = [{time_s=5.0, k_p=1.0, k_d_s=0.48}, {time_s=55.0, k_p=0.75, k_d_s=0.36}]
+[filter]
+structure = "sections"
+quadratic = [
+    {zero_hz=28.48, zero_zeta=0.315, pole_hz=13.7, pole_zeta=1.2},
+    {zero_hz=3.77, zero_zeta=1.2, pole_hz=5.73, pole_zeta=0.3},
+]
+first_order = [{zero_hz=9.0, pole_hz=9.5}, {zero_hz=8.0, pole_hz=8.2}, {zero_hz=30.0, pole_hz=33.0}]
+discretization = "bilinear"
+"""
+BARE = """
+schema = 1
+name = "bare"
+[gains]
+table = [{time_s=5.0, k_p=1.1, k_d_s=0.47}]
+yaw = "pitch"
+"""
+
+
+def built(folder: Path, design: str, *more: str, single: bool = False) -> Path:
+    """The exported law as a library, after its unit test has passed. Warnings are errors."""
+    assert simdesign.main(["export", design, "--c", str(folder / "law"), *more]) == 0
+    flags = [*STRICT, *(["-DLAW_FLOAT"] if single else [])]
+    sources = [folder / "law" / name for name in ("flight_law.c", "flight_law_tables.c")]
+    for what, also in (("test", ["test_flight_law.c"]), ("lib", ["flight_law_fsw.c", "-shared", "-fPIC"])):
+        own = [str(folder / "law" / also[0]), *also[1:]]
+        made = subprocess.run(
+            [str(COMPILER), *flags, "-o", str(folder / what), *map(str, sources), *own],
+            capture_output=True, text=True, check=False,
+        )  # fmt: skip  # three more lines otherwise
+        assert made.returncode == 0, made.stderr
+    said = subprocess.run([folder / "test"], capture_output=True, text=True, check=False)
+    assert (said.returncode, said.stdout) == (0, "600 samples, 0 differences\n")
+    return folder / "lib"
+
+
+def assert_same_commands(own: Flight, built_in: Flight) -> None:
+    """Each command and the state to the last bit; the C code's own output converter gives what the simulator's does."""
+    for command, monitor in zip(COMMANDS, ("monitor_1", "monitor_2"), strict=True):
+        assert (own[command] == built_in[command]).all()
+        late = np.radians(own[command][13::10])  # the command takes effect 3 ms after its sample
+        assert np.abs(late - own[monitor][13::10]).max() < 1e-15
+    assert own.state_hash == built_in.state_hash
+
+
+@needs_compiler
+@pytest.mark.parametrize("name", ["robust", "odd", "bare"])
+def test_the_c_sources_give_the_commands_of_the_flown_law(tmp_path: Path, name: str) -> None:
+    design = "ksr3-robust"
+    if name != "robust":
+        (tmp_path / "d.toml").write_text({"odd": ODD, "bare": BARE}[name])
+        design = str(tmp_path / "d.toml")
+    changes = [] if name == "robust" else [f"design={design}"]
+    changes += ["vehicle.computer.count_rad=0.0"] if name == "odd" else []
+    library = built(tmp_path, design) if name != "odd" else built(tmp_path, design, "--vehicle", _unquantised(tmp_path))
+    built_in = fly(load_scenario("nominal", [*POWERED, *changes]))
+    own = fly(load_scenario("nominal", [*POWERED, *changes, *flies(library=library)]))
+    assert_same_commands(own, built_in)
+
+
+def _unquantised(folder: Path) -> str:
+    (folder / "vehicle.toml").write_text('extends = "vehicles/ksr3"\n[computer]\ncount_rad = 0.0\n')
+    return str(folder / "vehicle.toml")
+
+
+@needs_compiler
+def test_single_precision_stays_within_what_a_gyro_pulse_does(tmp_path: Path) -> None:
+    """A command that rounds the other way shifts the pulses that follow: one more in a sample is 0.057 deg/s."""
+    library = built(tmp_path, "ksr3-robust", single=True)
+    built_in = fly(load_scenario("nominal", POWERED))
+    own = fly(load_scenario("nominal", [*POWERED, *flies(library=library)]))
+    pulse_deg = np.degrees(1.0e-5) / 0.01 * 0.467
+    farthest = max(float(np.abs(own[c] - built_in[c]).max()) for c in COMMANDS)
+    assert 0.0 < farthest <= 2.0 * pulse_deg
+
+
+@needs_compiler
+@pytest.mark.slow
+def test_dispersed_flights_have_the_same_bits(tmp_path: Path) -> None:
+    runs = 10
+    library = built(tmp_path, "ksr3-robust")
+    hashes = []
+    for changes in ([], flies(library=library)):
+        campaign = load_campaign(
+            "campaigns/ksr3", ["run.duration_s=70", "campaign.keep=[]", f"campaign.runs={runs}", *changes]
+        )
+        drawn = campaign.plan.draw(0, runs)
+        hashes.append([row.state_hash for row in fly_rows(campaign, [(drawn, run) for run in range(runs)])])
+    assert hashes[0] == hashes[1]
+    assert len(set(hashes[0])) == runs
+
+
+@needs_compiler
+@pytest.mark.slow
+def test_a_vehicle_of_several_stages_and_groups(tmp_path: Path) -> None:
+    folder = tmp_path / "petrel"
+    assert simvehicle.main(["petrel", "--out", str(folder)]) == 0
+    scenario = folder / "scenario.toml"
+    library = built(tmp_path, str(folder / "design.toml"), "--scenario", str(scenario))
+    built_in, own = (
+        fly(load_scenario(scenario, ["run.duration_s=160", "requirement=", *changes]), log=False)
+        for changes in ([], flies(library=library))
+    )
+    assert own.state_hash == built_in.state_hash
+
+
+@pytest.fixture(scope="module")
+def matrices(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("matrices")
+    for form in ("mat", "npz", "json"):
+        words = ["export", "ksr3-robust", "--at", "30", "--at", "50", "--axis", "yaw", "--format", form]
+        assert simdesign.main([*words, "--out", str(folder / f"loop.{form}")]) == 0
+    return folder
+
+
+def test_exported_matrices_are_the_loop_for_python_control(matrices: Path) -> None:
+    """The loop has the response that simdesign judges; path and law in series are the loop."""
+    nodes = json.loads((matrices / "loop.json").read_text())["nodes"]
+    hz = np.array([0.1, 0.5, 3.0, 9.5, 27.0])
+    for node, time_s in zip(nodes, (30.0, 50.0), strict=True):
+        assert (node["time_s"], node["axis"]) == (time_s, "yaw")
+        system = {
+            name: control.ss(*(np.array(node[name][m]) for m in "ABCD"), node[name]["sample_time_s"])
+            for name in ("path", "law", "loop")
+        }
+        assert system["loop"].dt == 0.01
+        expected = api.loop("nominal", None, time_s, plane="yaw").response(hz)
+        found = np.array([system["loop"](np.exp(2j * np.pi * f * 0.01)) for f in hz])
+        assert np.abs(found / expected - 1.0).max() < 1e-6
+        row = system["law"] * system["path"]
+        again = np.array([np.squeeze(row(np.exp(2j * np.pi * f * 0.01))) for f in hz])
+        assert np.abs(again / found - 1.0).max() < 1e-6
+        assert node["plant"]["sample_time_s"] == 0.0
+        assert node["plant"]["state_units"][node["plant"]["state_names"].index("theta_rad")] == "rad"
+
+
+def test_all_formats_hold_the_same(matrices: Path) -> None:
+    nodes = json.loads((matrices / "loop.json").read_text())["nodes"]
+    of_numpy = np.load(matrices / "loop.npz", allow_pickle=False)
+    of_matlab = loadmat(matrices / "loop.mat", simplify_cells=True)["nodes"]
+    about = json.loads(str(of_numpy["about"]))
+    for n, node in enumerate(nodes):
+        for name in ("plant", "path", "law", "loop"):
+            for part in "ABCD":
+                expected = np.array(node[name][part])
+                assert (of_numpy[f"{name}_{n}_{part}"] == expected).all()
+                assert (np.reshape(of_matlab[n][name][part], expected.shape) == expected).all()
+            assert list(np.atleast_1d(of_matlab[n][name]["input_names"])) == node[name]["input_names"]
+            assert about[n][name]["output_units"] == node[name]["output_units"]
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        ([], "export takes one of --c DIR and --format F"),
+        (["--c", "x", "--format", "mat"], "export takes one of --c DIR and --format F"),
+        (["--c", "x", "--at", "3"], "--out, --at and --axis go with --format"),
+    ],
+)
+def test_wrong_words_are_told(capsys: pytest.CaptureFixture[str], words: list[str], said: str) -> None:
+    with pytest.raises(SystemExit) as end:
+        simdesign.main(["export", "ksr3-robust", *words])
+    assert end.value.code == 2
+    assert said in capsys.readouterr().err
