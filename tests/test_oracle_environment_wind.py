@@ -13,6 +13,7 @@ from maxq.control.kernel.records import pack
 from maxq.control.kernel.tables import Pool, fit
 from maxq.sim.packing.environment import pack_wind
 from maxq.sim.scenario import schema_environment as schema
+from maxq.sim.scenario.tables_csv import CsvTable
 from maxq.sim.world.wind import Wind, wind_components, wind_ned
 
 NO_POOL = np.zeros(1)
@@ -63,6 +64,19 @@ def test_profile_is_interpolated_held_and_scaled():
     assert wind_ned(row, pool, 1250.0) == pytest.approx((25.0, -4.0, 3.0))
     assert wind_ned(row, pool, 0.0) == (20.0, -8.0, 2.0)
     assert wind_ned(row, pool, 9e4) == (40.0, 8.0, 6.0)
+
+
+@pytest.mark.parametrize("turn_deg", [90.0, 137.0, -45.0])
+def test_a_turned_profile_blows_from_a_turned_direction(turn_deg):
+    def packed(directions, **more):
+        table = CsvTable("", {"altitude_m": levels, "speed_mps": np.array([5.0, 20.0, 12.0]), "from_deg": directions})
+        pool = Pool()
+        wind = pack([pack_wind(schema.Wind(profile=table, **more), pool, 0.0)])[0]
+        return [wind_ned(wind, pool.array(), altitude) for altitude in (0.0, 400.0, 2000.0)]
+
+    levels, directions = np.array([0.0, 1000.0, 2000.0]), np.array([330.0, 20.0, 180.0])
+    turned = packed(directions, turn_deg=turn_deg)
+    assert np.allclose(turned, packed((directions + turn_deg) % 360.0), rtol=0, atol=1e-12)
 
 
 def test_factor_leaves_the_gusts_alone():

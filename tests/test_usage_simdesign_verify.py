@@ -51,12 +51,15 @@ def test_second_candidate_is_accepted_when_the_first_fails(capsys: Printed) -> N
     table = said[said.index("candidates in order of merit") :]
     assert table[2].split()[:2] == ["1", "out/ksr3-relaxed"]
     assert table[3].split()[:2] == ["2", "out/ksr3-identical"]
-    failed = next(n for n, line in enumerate(said) if line.startswith("REJECTED: out/ksr3-relaxed"))
+    failed = next(
+        n for n, line in enumerate(said) if line.startswith("REJECTED AT THE SCREENING") and "ksr3-relaxed" in line
+    )
     assert said[failed + 1].startswith("  rejected: aerodynamic gain margin, as designed: 9.6")
-    assert any(line.startswith("ACCEPTED: out/ksr3-identical") for line in said[failed:])
-    assert said[-1].startswith("ACCEPTED by the suite suite.toml: out/ksr3-identical, candidate 2 of 2")
+    assert said[failed + 2].split()[:3] == ["simverify", str(Path("out/ksr3-relaxed/design.toml").resolve()), "--suite"]
+    assert any(line.startswith("PASSED SCREENING: no dispersed flight flown") for line in said[failed:])
+    assert said[-1].startswith("PASSED SCREENING by the suite suite.toml: out/ksr3-identical, candidate 2 of 2")
     verdicts = {case: json.loads(Path("out", case, "verdict.json").read_text())["verdict"] for case in CASES}
-    assert verdicts == {"ksr3-identical": "accepted", "ksr3-relaxed": "rejected"}
+    assert verdicts == {"ksr3-identical": "passed screening", "ksr3-relaxed": "rejected"}
 
 
 @pytest.mark.slow
@@ -64,7 +67,7 @@ def test_none_accepted_says_what_each_failed(capsys: Printed) -> None:
     assert _run(*CASES, *SMALL, "--verify", "--suite", _suite(20.0), "--out", "out") == 1
     said = capsys.readouterr().out
     assert said.count("  rejected: aerodynamic gain margin, as designed") == 2
-    assert said.splitlines()[-1] == "NONE ACCEPTED by the suite suite.toml"
+    assert said.splitlines()[-1] == "NONE PASSED the suite suite.toml"
 
 
 @pytest.mark.slow
@@ -74,14 +77,16 @@ def test_designs_are_tried_until_one_is_accepted() -> None:
     kept: list[str] = []
     designs = ("ksr3-two-phase", "ksr3-robust", "ksr3-default")
     accepted, every = try_in_order(
-        designs, _suite(6.0), ["margins.nominal.phase_deg=50.0"], tell=told.append, keep=lambda d, _: kept.append(d)
+        designs, _suite(6.0), ["margins.nominal.phase_deg=50.0"], tell=told.append, keep=lambda d, *_: kept.append(d)
     )
     assert accepted == "ksr3-robust"
-    assert [v.judgement for v in every] == ["rejected", "accepted"]
+    assert [v.judgement for v in every] == ["rejected", "passed screening"]
     assert kept == ["ksr3-two-phase", "ksr3-robust"]
-    assert told[0].startswith("REJECTED: ksr3-two-phase")
+    assert told[0].startswith("REJECTED AT THE SCREENING: no dispersed flight flown")
     assert told[1].startswith("  rejected: phase margin, rigid body, as designed: 38.47 deg")
-    assert told[-1].startswith("ACCEPTED: ksr3-robust")
+    assert told[-1].startswith(
+        "PASSED SCREENING: no dispersed flight flown, no dispersed vehicle, no certificate; ksr3-robust"
+    )
     nothing, all_ = try_in_order(designs, _suite(50.0), tell=told.append)
     assert nothing is None
     assert [v.judgement for v in all_] == ["rejected"] * 3

@@ -10,7 +10,8 @@ from maxq.tools.cli.frame import Exit, process, run, show_list
 from maxq.tools.cli.parser import Parser, filled
 
 _USAGE = """\
-simverify DESIGN... [--suite SUITE] [--vehicle V] [--set KEY=VALUE]... [--out DIR] [--no-pack] [--afresh]
+simverify DESIGN... [--suite SUITE] [--vehicle V] [--set KEY=VALUE]... [--only PART] [--out DIR]
+                        [--no-pack] [--afresh]
        simverify --list | --version | --help"""
 _EXAMPLES = """\
   simverify ksr3-robust                           judge a built-in design
@@ -20,7 +21,8 @@ _EXAMPLES = """\
 """
 _EXITS = {
     Exit.OK: "accepted: every requirement is met, and shown with the confidence that\n"
-    "       is asked for (of several designs: the best is)",
+    "       is asked for (of several designs: by the best); by a suite that asks for\n"
+    "       too little to accept anything: passed the screening",
     Exit.FAILED: "rejected: at least one requirement is not met",
     Exit.BAD_INPUT: "bad input, nothing flown, or files that cannot be read or written",
     Exit.UNDECIDED: "undecided: more runs are needed; it says how many",
@@ -46,6 +48,7 @@ def _parser() -> Parser:
         "--set", modes=_DESIGN, metavar="KEY=VALUE", action="append", default=[], dest="overrides",
         help="override a value of the suite, e.g. margins.cases=1000; repeatable",
     )  # fmt: skip  # five more lines otherwise
+    add("--only", modes=_DESIGN, metavar="PART", help="repeat one part: a flight's name, 'vehicle 15', 'corner 3', ...")
     add("--out", modes=_DESIGN, metavar="DIR", help="where to write (default: runs/verify-<name of the design>)")
     add("--no-pack", modes=_DESIGN, action="store_true", help="verdict.json only, no review pack")
     add("--afresh", modes=_DESIGN, action="store_true", help="work out everything anew, and keep nothing")

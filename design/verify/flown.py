@@ -25,7 +25,7 @@ from maxq.design.verify.suite import (
     limit_changes,
     room_left,
 )
-from maxq.sim.campaign.analysis import DataSet, Judged, judged
+from maxq.sim.campaign.analysis import DataSet, Judged, Lost, judged, lost
 from maxq.sim.campaign.read import LoadedCampaign, description_of, load_campaign
 from maxq.sim.campaign.runner import Progress, run_campaign
 from maxq.sim.files import plain_name
@@ -139,8 +139,12 @@ def flight_requirements(results: Sequence[FlownResult]) -> list[Requirement]:
     for r in results:
         worst = r.tightest
         wanted, found, where, left = "control kept", "flown to its end", "", math.nan
+        missed = [v for v in r.verdicts if not v.met]
         if r.failures:
             found, left = "; ".join(r.failures), -1.0
+        elif len(missed) > 1:
+            wanted, left = "all limits", _room(worst) if worst is not None else -1.0
+            found = "; ".join(f"{v.name} {v.value:.4g}, wanted {_sense(v.bound[0])} {v.bound[1]:g}" for v in missed)
         elif worst is not None:
             kind, bound = worst.bound
             wanted, found, left = f"{_sense(kind)} {bound:g}", f"{worst.name} {worst.value:.4g}", _room(worst)
@@ -163,6 +167,8 @@ class CampaignResult:
     success: float
     confidence: float
     verdicts: tuple[Judged, ...]
+    why: str
+    first_lost: Lost | None  # the first run that lost control or did not come to its end
 
     @property
     def worst_runs(self) -> list[int]:
@@ -176,14 +182,17 @@ def load_wanted(loaded_suite: LoadedSuite, wanted: CampaignWanted, design: str, 
     loaded = load_campaign(wanted.file, changes)
     more = limit_changes(loaded_suite, wanted.limits, loaded.base.scenario)
     loaded = load_campaign(wanted.file, [*changes, *more]) if more else loaded
-    given = {key: getattr(wanted, key) for key in ("runs", "success", "confidence")}
+    given = {key: getattr(wanted, key) for key in ("runs", "seed", "success", "confidence")}
     return loaded.with_campaign(**{key: value for key, value in given.items() if value is not None})
 
 
 def campaign_folder(loaded: LoadedCampaign, parts: Path) -> Path:
     """Folder of its runs, named by a hash of all that they depend on, so that no run is flown twice."""
     said = description_of(loaded)
-    drawn = {key: loaded.file.campaign.model_dump(mode="json")[key] for key in ("seed", "sampling", "noise", "outside")}
+    drawn = {
+        key: loaded.file.campaign.model_dump(mode="json")[key]
+        for key in ("seed", "test", "sampling", "noise", "outside")
+    }
     stratum = loaded.campaign.stratum or 0
     key = content_hash(code_hash(), json.dumps({**said, "campaign": drawn}, sort_keys=True), stratum)
     return parts / f"campaign-{plain_name(loaded.name, 'unnamed')}-{key[:16]}"
@@ -209,7 +218,7 @@ def fly_campaign(
     data = DataSet(folder, loaded, loaded.campaign.runs)
     return CampaignResult(
         wanted.name or loaded.name, wanted.file, folder, len(data.runs), outcome.stopped, loaded.campaign.success,
-        loaded.campaign.confidence, tuple(judged(data)),
+        loaded.campaign.confidence, tuple(judged(data)), wanted.why, next(iter(lost(data, 1)), None),
     )  # fmt: skip  # six more lines otherwise
 
 
@@ -223,11 +232,14 @@ def campaign_requirements(result: CampaignResult) -> list[Requirement]:
         worst = v.worst[0] if v.worst else None
         found = f"{v.shown.failures} of {v.shown.runs} failed" + (f", worst {worst.value:.4g}" if worst else "")
         left = room_left(worst.value, v.bound, sense) if worst is not None else math.nan
-        again = f"simrun --from {result.folder} --run {worst.run}" if worst else ""
+        run, gone = worst.run if worst else None, result.first_lost
+        if not v.metric and gone is not None:
+            run, found = gone.run, f"{found}, first: {gone.cause or gone.outcome}"
+        again = shlex.join(["simrun", "--from", str(result.folder), "--run", str(run)]) if run is not None else ""
         out.append(
             Requirement(
                 "campaign", f"{result.name}: {v.name}", bound + level, found, judgement_of(v.shown.judgement), left,
-                f"run {worst.run}" if worst else "", v.shown.more, again,
+                f"run {run}" if run is not None else "", v.shown.more, again,
             )
         )  # fmt: skip  # seven more lines otherwise
     return out

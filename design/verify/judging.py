@@ -29,10 +29,10 @@ from maxq.design.model.vehicle_at import StabilityDerivatives, stability_derivat
 from maxq.design.optimise.criteria import OBJECTIVES
 from maxq.design.optimise.robust import deviated
 from maxq.design.optimise.solution import Solution
+from maxq.design.verify.suite import beyond
 from maxq.sim.packing.computer import bending_filter
 from maxq.sim.scenario.schema_design import Design, Limits
 
-TOLERANCE = 5e-4  # dB, deg: a limit that a design lies on counts as met; rounding of the file's digits is far less
 PEAKS = ("first_mode_db", "second_mode_db", "higher_modes_db")
 RigidBody = Literal["paper", "aerodynamic"]
 
@@ -129,9 +129,8 @@ class Check:
 
     def met(self) -> np.ndarray:
         """For each value. NaN of an unstable loop is not met; a peak that does not exist is."""
-        scale = 1.0 if self.unit in ("dB", "deg") else 0.2 * abs(self.limit)  # 1e-4 of it
         absent = np.isnan(self.values) & (self.key in PEAKS)
-        return np.asarray((self._margin >= -TOLERANCE * scale) | absent)
+        return np.asarray((beyond(self.values, self.limit, self.sense, self.unit) <= 0.0) | absent)
 
     @property
     def passed(self) -> bool:

@@ -30,11 +30,14 @@ from maxq.design.model.vehicle_at import stability_derivatives
 from maxq.design.verify.memory import Memory
 from maxq.design.verify.suite import (
     ACCEPTED,
+    AS_DESIGNED,
     REJECTED,
+    VEHICLE_LABEL,
     LinearMargins,
     MarginLimits,
     Requirement,
     Spread,
+    beyond,
     judgement_of,
     room_left,
 )
@@ -114,7 +117,10 @@ def measured(loop: Loop, slosh_peak_db: float) -> Measured:
 
 
 def vehicles(wanted: LinearMargins, modes: int) -> tuple[list[Deviated], list[Deviated]]:
-    """Corners, where thrust goes with the last factor, and random vehicles; each of so many modes deviates."""
+    """Corners, where thrust goes with the last factor, and random vehicles; each of so many modes deviates.
+
+    Where `wanted.only` names one, this alone, whatever the number of random vehicles.
+    """
     corners = []
     if wanted.corner_sigmas > 0.0:
         rows = [np.roll(_GENERATOR, k) for k in range(len(_GENERATOR))] + [-np.ones(len(_GENERATOR))]
@@ -122,10 +128,12 @@ def vehicles(wanted: LinearMargins, modes: int) -> tuple[list[Deviated], list[De
             signs = dict(zip(_FACTORS, (row * (wanted.corner_sigmas / 3.0)).tolist(), strict=True))
             signs["thrust"] = signs[_FACTORS[-1]]
             corners.append(_vehicle(wanted.three_sigma, modes, signs.__getitem__, f"corner {n + 1}"))
-    drawn = [
-        _vehicle(wanted.three_sigma, modes, _normal(wanted.seed, n), f"vehicle {n + 1}") for n in range(wanted.cases)
-    ]
-    return corners, drawn
+    found = VEHICLE_LABEL.fullmatch(wanted.only)
+    numbers = range(0 if wanted.only else wanted.cases)
+    if found is not None and found[1] == "vehicle":
+        numbers = range(int(found[2]) - 1, int(found[2]))
+    drawn = [_vehicle(wanted.three_sigma, modes, _normal(wanted.seed, n), f"vehicle {n + 1}") for n in numbers]
+    return [c for c in corners if wanted.only in ("", c.dispersion.label)], drawn
 
 
 def _normal(seed: int, number: int) -> Callable[[str], float]:
@@ -200,64 +208,83 @@ def study(
     )
 
 
-def margin_requirements(found: MarginStudy, wanted: LinearMargins) -> list[Requirement]:
-    """Nominal limits, dispersed limits at the corners, and the share of random vehicles that keep them."""
-    out = _limits("margins", "at every node", "as designed", [found.nominal], wanted.nominal, found)
+def margin_requirements(
+    found: MarginStudy, wanted: LinearMargins, again: Callable[[str], str] = lambda label: ""
+) -> list[Requirement]:
+    """Nominal limits, dispersed limits at the corners, and the share of random vehicles that keep them.
+
+    `again`: the command that measures the vehicle of a label alone.
+    """
+    out = []
+    if wanted.only in ("", AS_DESIGNED):
+        out += _limits("margins", "at every node", AS_DESIGNED, [found.nominal], wanted.nominal, found, again)
     if found.corners:
-        out += _limits("dispersed", "at every corner", "corners", found.corners, wanted.dispersed, found)
-    if found.random:
+        out += _limits("dispersed", "at every corner", "corners", found.corners, wanted.dispersed, found, again)
+    if found.random and wanted.only:
+        out += _limits("dispersed", "at every node", wanted.only, found.random, wanted.dispersed, found, again)
+    elif found.random:
         whose = f", {found.stage}" if found.stage else ""
-        failures = [c.label for c in found.random if not meets_limits(c, wanted.dispersed)]
+        failures = [c for c in found.random if not meets_limits(c, wanted.dispersed)]
         shown = judge_failures(len(failures), len(found.random), wanted.success, wanted.confidence)
         share = (shown.success - wanted.success) / (1.0 - wanted.success)
+        missed = _limits("dispersed", "", "", failures, wanted.dispersed, found, again) if failures else []
+        worst = min((r for r in missed if r.judgement == REJECTED), key=lambda r: r.room, default=None)
+        said = f"{len(found.random) - len(failures)} of {len(found.random)}"
+        if worst is not None:
+            said += f"; {worst.name.strip(', ')}: {worst.found}, wanted {worst.wanted}"
         out.append(
             Requirement(
                 "dispersed", f"random vehicles meet the dispersed limits{whose}",
                 f"{100.0 * wanted.success:g} % with {100.0 * wanted.confidence:g} % confidence",
-                f"{len(found.random) - len(failures)} of {len(found.random)}", judgement_of(shown.judgement),
-                share, failures[0] if failures else "", shown.more,
+                said, judgement_of(shown.judgement), share, worst.where if worst else "", shown.more,
+                worst.again if worst else "",
             )
         )  # fmt: skip  # four more lines otherwise
     return out
 
 
 def _limits(
-    part: str, at: str, whose: str, cases: Sequence[MarginCase], limits: MarginLimits, found: MarginStudy
+    part: str,
+    at: str,
+    whose: str,
+    cases: Sequence[MarginCase],
+    limits: MarginLimits,
+    found: MarginStudy,
+    again: Callable[[str], str],
 ) -> list[Requirement]:
     """Stability, and the limits on the stable loops."""
     stage = f", {found.stage}" if found.stage else ""
     places = [
-        (", ".join(filter(None, (c.label, f"{t:g} s", found.plane))), n)
+        (", ".join(filter(None, (c.label, f"{t:g} s", found.plane))), n, again(c.label or AS_DESIGNED))
         for c in cases
         for t, n in zip(found.times_s, c.nodes, strict=True)
     ]
-    bad = [where for where, n in places if not n]
-    state = (f"{len(bad)} unstable", REJECTED, -1.0, bad[0]) if bad else ("stable", ACCEPTED, math.nan, "")
+    bad = [(where, command) for where, n, command in places if not n]
+    state = ("stable", ACCEPTED, math.nan, "", 0, "")
+    if bad:
+        state = (f"{len(bad)} of {len(places)} loops unstable", REJECTED, -1.0, bad[0][0], 0, bad[0][1])
     out = [Requirement(part, f"stable {at}{stage}", "stable", *state)]
     for name, (title, unit, sense) in MEASURES.items():
         limit = getattr(limits, name)
-        rows = [(n[name], where) for where, n in places if not math.isnan(n.get(name, math.nan))]
+        rows = [(n[name], where, command) for where, n, command in places if not math.isnan(n.get(name, math.nan))]
         if limit is None or not rows:
             continue
-        value, where = (min if sense == ">=" else max)(rows, key=lambda r: r[0])
+        value, where, command = (min if sense == ">=" else max)(rows, key=lambda r: r[0])
         out.append(
             Requirement(
                 part, f"{title}, {whose}{stage}", f"{sense} {limit:g} {unit}",
                 f"{value:.2f} {unit}" if math.isfinite(value) else "free",
-                ACCEPTED if _met(value, limit, sense) else REJECTED, room_left(value, limit, sense), where,
+                REJECTED if beyond(value, limit, sense, unit) > 0.0 else ACCEPTED,
+                room_left(value, limit, sense, unit), where, again=command,
             )
         )  # fmt: skip  # four more lines otherwise
     return out
 
 
-def _met(value: float, limit: float, sense: str) -> bool:
-    return value >= limit if sense == ">=" else value <= limit
-
-
 def meets_limits(case: MarginCase, limits: MarginLimits) -> bool:
     """Whether a vehicle is stable and meets every limit at every node."""
-    asked = [(name, sense) for name, (_, _, sense) in MEASURES.items() if getattr(limits, name) is not None]
-    return all(n and all(_met(n[k], getattr(limits, k), sense) for k, sense in asked) for n in case.nodes)
+    asked = [(k, sense, unit) for k, (_, unit, sense) in MEASURES.items() if getattr(limits, k) is not None]
+    return all(n and all(beyond(n[k], getattr(limits, k), *how) <= 0.0 for k, *how in asked) for n in case.nodes)
 
 
 @dataclass(frozen=True)
@@ -287,10 +314,11 @@ def authority(nodes: Sequence[Node], command_limit_rad: float) -> list[Authority
     return out
 
 
-def authority_requirement(found: Sequence[Authority], wind_mps: float) -> Requirement:
+def authority_requirement(found: Sequence[Authority], wind_mps: float, again: str = "") -> Requirement:
     """A steady cross-wind can be trimmed at every time."""
     worst = min(found, key=lambda a: a.wind_mps)
     return Requirement(
         "authority", "gimbal trims a steady cross-wind", f">= {wind_mps:g} m/s", f"{worst.wind_mps:.1f} m/s",
         ACCEPTED if worst.wind_mps >= wind_mps else REJECTED, worst.wind_mps / wind_mps - 1.0, f"{worst.time_s:g} s",
+        again=again,
     )  # fmt: skip  # five more lines otherwise

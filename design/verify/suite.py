@@ -8,24 +8,31 @@ Every mistake in a file is a ScenarioError of one line.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
-from dataclasses import dataclass
+import re
+import shlex
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+from itertools import product
 from pathlib import Path
-from typing import Annotated, Literal
+from string import Template
+from typing import Annotated, Any, Literal
 
 from pydantic import Field, model_validator
 
 from maxq.design.model.node import NODES_PER_STAGE
+from maxq.sim.campaign.schema import Campaign
 from maxq.sim.campaign.statistics import MET, NOT_MET
 from maxq.sim.scenario.errors import ScenarioError, refuse, suggestion
 from maxq.sim.scenario.loader import load_file
 from maxq.sim.scenario.schema_scenario import Scenario
 from maxq.sim.scenario.schema_values import NotNegative, Positive, Section, optional
 
-Judgement = Literal["accepted", "rejected", "undecided"]
+Judgement = Literal["accepted", "passed screening", "rejected", "undecided"]
 ACCEPTED: Judgement = "accepted"
+SCREENED: Judgement = "passed screening"  # every requirement of a suite that asks too little to accept anything
 REJECTED: Judgement = "rejected"
 UNDECIDED: Judgement = "undecided"
+TOLERANCE = 5e-4  # dB, deg: a limit that a design lies on counts as met; rounding of a file's digits is far less
 
 
 @dataclass(frozen=True)
@@ -56,10 +63,11 @@ class Requirement:
         return f"{said}; not settled" + (f": {self.more_runs} more runs" if self.more_runs else "")
 
 
-def overall(requirements: Iterable[Requirement]) -> Judgement:
-    """Rejected if one is, else undecided if one is, or if there is none."""
+def overall(requirements: Iterable[Requirement], suite: Suite | None = None) -> Judgement:
+    """Rejected if one is, else undecided if one is, or if there is none; accepted by a suite that lacks nothing."""
     found = {r.judgement for r in requirements} or {UNDECIDED}
-    return REJECTED if REJECTED in found else UNDECIDED if UNDECIDED in found else ACCEPTED
+    passed = SCREENED if suite is not None and suite.lacks else ACCEPTED
+    return REJECTED if REJECTED in found else UNDECIDED if UNDECIDED in found else passed
 
 
 def judgement_of(shown: str) -> Judgement:
@@ -67,13 +75,29 @@ def judgement_of(shown: str) -> Judgement:
     return ACCEPTED if shown == MET else REJECTED if shown == NOT_MET else UNDECIDED
 
 
-def room_left(value: float, bound: float, sense: str) -> float:
-    """Share of a bound that is left, negative beyond it; `sense` "<=" or ">="; NaN for a bound of zero."""
+def beyond(value: Any, limit: float, sense: str, unit: str) -> Any:
+    """By how much margins of the loop miss a limit (`sense` "<=" or ">="); 0 or less: it is met.
+
+    What lies on its limit within the tolerance of the search that put it there is met: TOLERANCE in dB and deg, 1e-4
+    of the limit in other units. simdesign and simverify both judge by this. `value`: a number or an array; NaN stays.
+    """
+    tolerance = TOLERANCE if unit in ("dB", "deg") else 1e-4 * abs(limit)
+    return (value - limit if sense == "<=" else limit - value) - tolerance
+
+
+def room_left(value: float, bound: float, sense: str, unit: str = "") -> float:
+    """Share of a bound that is left, negative beyond it; `sense` "<=" or ">="; NaN for a bound of zero.
+
+    `unit` of a margin: where it is met within the tolerance of `beyond` no room is left, and none is missing.
+    """
     if bound == 0.0:
         return math.nan
-    return (bound - value if sense == "<=" else value - bound) / abs(bound)
+    left = (bound - value if sense == "<=" else value - bound) / abs(bound)
+    return max(left, 0.0) if unit and beyond(value, bound, sense, unit) <= 0.0 else left
 
 
+AS_DESIGNED, CERTIFICATE = "as designed", "certificate"
+VEHICLE_LABEL = re.compile(r"(corner|vehicle) ([1-9][0-9]*)")
 Level = Annotated[float, Field(gt=0.0, lt=1.0)]
 Plane = Literal["pitch", "yaw"]
 Share = Annotated[float, Field(ge=0.0, lt=1.0)]
@@ -94,10 +118,16 @@ class DispersedLimit(Section):
         return self
 
 
+Each = dict[str, Annotated[tuple[float | str, ...], Field(min_length=1)]]
+
+
 class Flown(Section):
     """A scenario of the suite: the base scenario with changes, judged by its requirements."""
 
     name: str = Field(description="shown to people")
+    each: Each = optional(
+        "a flight for each of these values (of several: for each combination), which stand for $KEY in name and set", {}
+    )
     why: str = optional("what it is to show, in a sentence", "")
     scenario: str | None = optional("another base (default: the suite's)")
     set: tuple[str, ...] = optional("changes, key=value as with simrun --set", ())
@@ -105,6 +135,22 @@ class Flown(Section):
         "the scenario's own limits, or those of [[dispersed_limit]] where there is one", "own"
     )
     design_must_keep: bool = optional("false: flown and shown, but no reason to reject", True)
+
+    @model_validator(mode="after")
+    def _check(self) -> Flown:
+        for key in self.each:
+            if f"${key}" not in self.name:
+                raise refuse(f"does not tell the flights of ${key} apart", f"a name with ${key}", key=("name",))
+        return self
+
+    def flights(self) -> list[Flown]:
+        """One for each combination of `each`, or this one."""
+        out = []
+        for values in product(*self.each.values()):
+            said = dict(zip(self.each, (f"{v:g}" if isinstance(v, float) else v for v in values), strict=True))
+            name, *changes = (Template(text).safe_substitute(said) for text in (self.name, *self.set))
+            out.append(self.model_copy(update={"name": name, "set": tuple(changes), "each": {}}))
+        return out
 
 
 class MarginLimits(Section):
@@ -146,10 +192,12 @@ class LinearMargins(Section):
     times_s: tuple[NotNegative, ...] | None = optional(TIMES, min_length=1)
     nodes_per_stage: Annotated[int, Field(ge=1, le=1000)] = optional("where times_s is not given", NODES_PER_STAGE)
     planes: tuple[Plane, ...] = optional("pitch, yaw", ("pitch",), min_length=1)
-    cases: Annotated[int, Field(ge=0, le=100000)] = optional("random vehicles", 100)
+    cases: Annotated[int, Field(ge=0, le=100000)] = optional("random vehicles", 150)
+    only: str = optional("'as designed', 'corner N' or 'vehicle N': measure this one alone", "")
     seed: Annotated[int, Field(ge=0, lt=2**63)] = optional("of the random vehicles", 1)
     success: Level = optional("share of random vehicles that must keep the dispersed limits", 0.975)
     confidence: Level = optional("with which that is to be shown", 0.90)
+    why: str = optional("the reason for this level and confidence, shown in the review pack", "")
     corner_sigmas: NotNegative = optional(
         "deviation of every factor at the corners of the screening design, in sigma; 0: no corners. Twelve "
         "factors at 1.5 sigma together are as unlikely as one at 5",
@@ -176,9 +224,11 @@ class CampaignWanted(Section):
 
     file: str = Field(description="a campaign file, or the name of a built-in one")
     name: str = optional("shown to people (default: the campaign's)", "")
+    why: str = optional("the reason for its level and confidence, shown in the review pack", "")
     set: tuple[str, ...] = optional("changes, key=value as with simrun --set", ())
     limits: Literal["own", "dispersed"] = optional("as of a flight", "own")
     runs: Annotated[int, Field(gt=0)] | None = optional("default: the campaign's")
+    seed: Annotated[int, Field(ge=0, lt=2**63)] | None = optional("default: the campaign's")
     success: Level | None = optional("default: the campaign's")
     confidence: Level | None = optional("default: the campaign's")
 
@@ -201,6 +251,16 @@ class Suite(Section):
         "steady cross-wind that the gimbal must be able to trim at every time, m/s"
     )
 
+    @property
+    def lacks(self) -> list[str]:
+        """What it does not ask for, without which nothing is accepted: such a suite is a screening."""
+        out = [] if self.campaign else ["no dispersed flight flown"]
+        out += [] if self.margins is not None and self.margins.cases else ["no dispersed vehicle"]
+        if self.certificate is None:
+            return [*out, "no certificate"]
+        one = self.certificate.times_s is not None and len(self.certificate.times_s) * len(self.certificate.planes) == 1
+        return [*out, "one certificate node"] if one else out
+
     @model_validator(mode="after")
     def _check(self) -> Suite:
         names = [f.name for f in self.flight]
@@ -216,12 +276,61 @@ class Suite(Section):
 class LoadedSuite:
     suite: Suite
     label: str  # as the user named it
+    overrides: tuple[str, ...] = ()
+
+    def command(self, design: str, vehicle: str | None = None, *more: str) -> str:
+        """The command that judges a design by this suite; `more`: further words."""
+        built_in = design.startswith("designs/")
+        words = ["simverify", Path(design).stem if built_in else design]
+        words += ["--suite", self.label] if self.label != "standard" else []
+        words += ["--vehicle", vehicle] if vehicle is not None else []
+        return shlex.join([*words, *(word for change in self.overrides for word in ("--set", change)), *more])
+
+    def only(self, label: str) -> LoadedSuite:
+        """The same with nothing but one flight, one vehicle of the linear margins, or the certificate. Raises
+        ScenarioError."""
+        suite = self.suite
+        flights = tuple(f for f in suite.flight if f.name == label)
+        margins = suite.margins if label == AS_DESIGNED or VEHICLE_LABEL.fullmatch(label) else None
+        certificate = suite.certificate if label == CERTIFICATE else None
+        if not flights and margins is None and certificate is None:
+            allowed = ", ".join([*(f.name for f in suite.flight), AS_DESIGNED, "corner N", "vehicle N", CERTIFICATE])
+            raise ScenarioError(self.label, "the suite has no such part", "--only", value=label, allowed=allowed)
+        if margins is not None:
+            margins = margins.model_copy(update={"only": label})
+        wind = suite.wind_limit_mps if label == AS_DESIGNED else None
+        update = {"flight": flights, "margins": margins, "certificate": certificate, "campaign": ()}
+        return replace(self, suite=suite.model_copy(update={**update, "wind_limit_mps": wind}))
 
 
 def read_suite(name: str | Path, overrides: Iterable[str] = ()) -> LoadedSuite:
     """The suite in a file, or the built-in one of that name, with `key=value` overrides. Raises ScenarioError."""
-    suite, _, _, label = load_file(Suite, "suite", name, overrides)
-    return LoadedSuite(suite, label)
+    changes = tuple(overrides)
+    suite, _, _, _ = load_file(Suite, "suite", name, changes)
+    flights = tuple(one for flown in suite.flight for one in flown.flights())
+    return LoadedSuite(suite.model_copy(update={"flight": flights}), str(name), changes)
+
+
+def shared_risk(loaded: LoadedSuite, campaigns: Sequence[Campaign], designs: int, number: int = 0) -> list[str]:
+    """Overrides that judge one of several designs so that the risk of accepting a bad one among all of them stays.
+
+    A design that is picked from many because it passed has had as many chances to pass by luck: each gets its share of
+    the risk (Bonferroni). `campaigns`: those of the suite, as loaded. `number` above 0 also gives design `number` its
+    own seeds, so that it is judged by draws that no other one was chosen on.
+    """
+    suite, out = loaded.suite, []
+
+    def add(part: str, confidence: float, seed: int) -> None:
+        if designs > 1:
+            out.append(f"{part}.confidence={1.0 - (1.0 - confidence) / designs:.12g}")
+        if number:
+            out.append(f"{part}.seed={seed + number}")
+
+    if suite.margins is not None and suite.margins.cases:
+        add("margins", suite.margins.confidence, suite.margins.seed)
+    for n, campaign in enumerate(campaigns):
+        add(f"campaign.{n}", campaign.confidence, campaign.seed)
+    return out
 
 
 def limit_changes(loaded: LoadedSuite, which: str, scenario: Scenario) -> list[str]:

@@ -45,6 +45,8 @@ from maxq.design.verify.memory import Memory, code_hash, content_hash
 from maxq.design.verify.slosh import SloshAdvice, advise, confirm
 from maxq.design.verify.suite import (
     ACCEPTED,
+    AS_DESIGNED,
+    CERTIFICATE,
     REJECTED,
     CertificateWanted,
     Judgement,
@@ -89,7 +91,7 @@ class Verification:
 
     @property
     def judgement(self) -> Judgement:
-        return overall(self.requirements)
+        return overall(self.requirements, self.suite)
 
     @property
     def more_runs(self) -> int:
@@ -160,12 +162,23 @@ def verify(
             parts, afresh = memory or Path("runs"), memory is None
             campaigns.append(fly_campaign(loaded, asked, design, vehicle, parts, show, stop, afresh))
     requirements = flight_requirements(flights)
+
+    def again(label: str) -> str:
+        return loaded.command(design, vehicle, "--only", label)
+
     if suite.margins is not None:
         for found in margin:
-            requirements += margin_requirements(found, suite.margins)
+            requirements += margin_requirements(found, suite.margins, again)
     if suite.wind_limit_mps is not None:
-        requirements.append(authority_requirement(limits, suite.wind_limit_mps))
-    requirements += certificate_requirements(certificates, through)
+        requirements.append(authority_requirement(limits, suite.wind_limit_mps, again(AS_DESIGNED)))
+
+    def at_node(c: NodeCertificate | InFlightResponse) -> str:
+        changes = (f"certificate.times_s=[{c.time_s!r}]", f"certificate.planes=['{c.plane}']")
+        return loaded.command(
+            design, vehicle, *(x for change in changes for x in ("--set", change)), "--only", CERTIFICATE
+        )
+
+    requirements += certificate_requirements(certificates, through, at_node)
     for campaign in campaigns:
         requirements += campaign_requirements(campaign)
     design_hash, scenario_hash = content_hash(repr(scenario.design)), content_hash(scenario.as_flown)
@@ -295,13 +308,18 @@ def tank_name(vehicle: Vehicle, stage: int, tank: int) -> str:
     return name if len(vehicle.stage) == 1 else f"{name}, stage {stage + 1}"
 
 
-def certificate_requirements(certificates: list[NodeCertificate], through: list[InFlightResponse]) -> list[Requirement]:
+def certificate_requirements(
+    certificates: list[NodeCertificate],
+    through: list[InFlightResponse],
+    again: Callable[[NodeCertificate | InFlightResponse], str] = lambda node: "",
+) -> list[Requirement]:
     """Flight and linear loop agree at every node, and every difference of the in-flight response is explained."""
     out = []
 
     def add(name: str, found: str, bad: Sequence[NodeCertificate | InFlightResponse]) -> None:
         judgement, where = (REJECTED, f"{bad[0].time_s:g} s") if bad else (ACCEPTED, "")
-        out.append(Requirement("certificate", name, "every difference explained", found, judgement, math.nan, where))
+        command, wanted = again(bad[0]) if bad else "", "every difference explained"
+        out.append(Requirement("certificate", name, wanted, found, judgement, math.nan, where, again=command))
 
     for plane in dict.fromkeys(c.plane for c in certificates):
         mine = [c for c in certificates if c.plane == plane]

@@ -90,6 +90,10 @@ def _wind_profile(wind: schema.Wind, pool: Pool, ground_m: float) -> TableRef:
     altitude_m = table["altitude_m"]
     if wind.ground is not None:
         altitude_m, columns = _to_the_ground(wind.ground, altitude_m, columns, ground_m)
+    if wind.turn_deg:
+        c, s = math.cos(math.radians(wind.turn_deg)), math.sin(math.radians(wind.turn_deg))
+        north, east, down = columns.T
+        columns = np.stack([c * north - s * east, s * north + c * east, down], axis=1)
     return pool.add(fit(altitude_m, columns, wind.interpolation))
 
 

@@ -210,6 +210,7 @@ class Wind(Section):
         "hold: end values hold outside the profile; error: a flight that rises above it has failed", "hold"
     )
     factor: float = optional("multiplies profile or constant wind", 1.0)
+    turn_deg: Angle = optional("turns the profile (with its ground shear): added to where it blows from, deg", 0.0)
     gust: tuple[Gust, ...] = optional("gusts and shear layers", (), max_length=MAX_GUSTS)
     turbulence: Turbulence | None = optional("absent: none")
 

@@ -11,8 +11,9 @@ from pathlib import Path
 from typing import Any
 
 from maxq.design.certificate.certificate import NodeCertificate
-from maxq.design.verify.suite import ACCEPTED, REJECTED, UNDECIDED
+from maxq.design.verify.suite import ACCEPTED, REJECTED, SCREENED, UNDECIDED
 from maxq.design.verify.verify import Verification, tank_name
+from maxq.sim.campaign.statistics import MET
 from maxq.sim.files import write_whole
 from maxq.tools.cli.terminal import aligned, printable
 from maxq.tools.design.report import write_record
@@ -22,6 +23,7 @@ VERDICT_NAME, PAGE_NAME, PDF_NAME = "verdict.json", "review.html", "review.pdf"
 BROWSERS = ("chromium", "chromium-browser", "google-chrome", "chrome")
 _PRINT_S = 60.0
 _RANKED = ("gain margin up", "phase margin", "first mode: phase margin")
+WORDS = {ACCEPTED: MET, REJECTED: REJECTED, UNDECIDED: UNDECIDED}  # of a single requirement
 _KEYS = {"judgement": "verdict"}  # of a requirement, as verdict.json has them
 _FLIGHT = ("name", "outcome", "passed", "failures", "metrics", "state_hash", "again")
 _LINE = (
@@ -78,16 +80,16 @@ def report(found: Verification, title: str) -> list[str]:
         part = r.part if r.part != last else ""
         last = r.part
         room = f"{100.0 * r.room:.0f} %" if math.isfinite(r.room) else ""
-        rows.append((part, printable(r.name), _mark(r.judgement), r.wanted, printable(r.found), room, r.where))
+        rows.append((part, printable(r.name), _mark(WORDS[r.judgement]), r.wanted, printable(r.found), room, r.where))
     return [title, *aligned(rows, "  ", right=(5,), drop=(6,))]
 
 
 def _mark(judgement: str) -> str:
-    return judgement if judgement == ACCEPTED else judgement.upper()
+    return judgement if judgement in (ACCEPTED, SCREENED, MET) else judgement.upper()
 
 
 def reasons(found: Verification) -> list[str]:
-    """Why a design is not accepted, a line each, and what shows it."""
+    """Why a design is not accepted, a line each, and the command that shows it."""
     out = []
     for r in (*found.of(REJECTED), *found.of(UNDECIDED)):
         out += [f"  {r.judgement}: {printable(r.reason)}", *([f"      {r.again}"] if r.again else [])]
@@ -96,10 +98,12 @@ def reasons(found: Verification) -> list[str]:
 
 def headline(found: Verification, name: str = "") -> str:
     """The verdict; `name` is the design's for people."""
-    counts = [f"{len(found.of(j))} {j}" for j in (ACCEPTED, REJECTED, UNDECIDED) if found.of(j)]
+    counts = [f"{len(found.of(j))} {WORDS[j]}" for j in (ACCEPTED, REJECTED, UNDECIDED) if found.of(j)]
     more = f", {found.more_runs} more runs would settle it" if found.judgement == UNDECIDED and found.more_runs else ""
     said = f"of {len(found.requirements)} requirements {', '.join(counts)}{more}"
-    return f"{found.judgement.upper()}: {printable(name or found.design)}; {said}"
+    lacks = f"{', '.join(found.suite.lacks)}; " if found.suite.lacks else ""
+    word = f"{found.judgement.upper()}{' AT THE SCREENING' if lacks and found.judgement != SCREENED else ''}"
+    return f"{word}: {lacks}{printable(name or found.design)}; {said}"
 
 
 def ranked(every: Sequence[Verification]) -> list[Verification]:
@@ -137,6 +141,7 @@ def verdict_record(found: Verification, command: str) -> dict[str, Any]:
         "vehicle": found.scenario.vehicle.name,
         "suite": found.suite.name,
         "verdict": found.judgement,
+        "lacks": found.suite.lacks,
         "more_runs": found.more_runs,
         "command": command,
         "requirements": [{_KEYS.get(key, key): value for key, value in vars(r).items()} for r in found.requirements],

@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-import shlex
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
@@ -14,9 +13,20 @@ from pathlib import Path
 from maxq.design.laws.design_file import DESIGN_NAME, design_path
 from maxq.design.optimise.solution import Solution
 from maxq.design.verify import memory
+from maxq.design.verify.flown import load_wanted
 from maxq.design.verify.judging import judge, make_design
-from maxq.design.verify.suite import ACCEPTED, REJECTED, UNDECIDED, Judgement, overall, read_suite
+from maxq.design.verify.suite import (
+    ACCEPTED,
+    REJECTED,
+    SCREENED,
+    UNDECIDED,
+    Judgement,
+    LoadedSuite,
+    read_suite,
+    shared_risk,
+)
 from maxq.design.verify.verify import Verification, Watch, verify
+from maxq.sim.campaign.schema import Campaign
 from maxq.sim.files import check_writable, plain_name
 from maxq.sim.scenario.errors import ScenarioError
 from maxq.sim.scenario.schema_design import Design
@@ -25,7 +35,7 @@ from maxq.tools.cli.terminal import Progress, aligned, tell
 from maxq.tools.design import run_case
 from maxq.tools.verify import report
 
-_EXIT: dict[Judgement, Exit] = {ACCEPTED: Exit.OK, REJECTED: Exit.FAILED, UNDECIDED: Exit.UNDECIDED}
+_EXIT: dict[Judgement, Exit] = {ACCEPTED: Exit.OK, SCREENED: Exit.OK, REJECTED: Exit.FAILED, UNDECIDED: Exit.UNDECIDED}
 
 
 @dataclass(frozen=True)
@@ -37,14 +47,21 @@ class Order:
     overrides: tuple[str, ...] = ()
     vehicle: str | None = None
     out: str | None = None
+    only: str | None = None
     pack: bool = True
     memory: bool = True
 
 
 def execute(order: Order) -> int:
     """Do it; returns the exit code."""
-    loaded = read_suite(order.suite, order.overrides)
     paths, folders = [design_path(name) for name in order.designs], [folder_of(order, name) for name in order.designs]
+    loaded = read_suite(order.suite, order.overrides)
+    changes = shared_risk(loaded, campaigns_of(loaded, paths[0], order.vehicle), len(paths))
+    if changes:
+        loaded = read_suite(order.suite, [*order.overrides, *changes])
+        tell(f"{len(paths)} designs share the risk of a wrong acceptance: {', '.join(changes)}\n")
+    words = ("--only", order.only) if order.only else ()
+    loaded = loaded.only(order.only) if order.only else loaded
     for folder in folders:
         check_writable(folder)
     found: list[Verification] = []
@@ -62,7 +79,7 @@ def execute(order: Order) -> int:
                 raise ScenarioError(loaded.label, str(error)) from None  # the suite's times are wrong
             found.append(one)
             progress.show(f"writing {name}", 0, 1)
-            files = report.write_pack(one, folder, command_of(order, name), order.pack)
+            files = report.write_pack(one, folder, loaded.command(name, order.vehicle, *words), order.pack)
             tell(*report.report(one, f"{name} by the suite {one.suite.name}"), *report.reasons(one))
             tell(
                 f"\n{len(files)} files in {folder}/; {time.perf_counter() - begun:.1f} s, "
@@ -70,17 +87,12 @@ def execute(order: Order) -> int:
             )
     if len(found) > 1:
         tell(*report.ranking(found))
-    return _EXIT[overall(report.ranked(found)[0].requirements)]
+    return _EXIT[report.ranked(found)[0].judgement]
 
 
-def command_of(order: Order, design: str) -> str:
-    """The command that repeats the verification of one design."""
-    words = ["simverify", design]
-    if order.suite != "standard":
-        words += ["--suite", order.suite]
-    if order.vehicle is not None:
-        words += ["--vehicle", order.vehicle]
-    return shlex.join([*words, *(word for change in order.overrides for word in ("--set", change))])
+def campaigns_of(loaded: LoadedSuite, design: str, vehicle: str | None = None) -> list[Campaign]:
+    """What the suite's campaigns ask for. Raises ScenarioError."""
+    return [load_wanted(loaded, wanted, design, vehicle).campaign for wanted in loaded.suite.campaign]
 
 
 def folder_of(order: Order, design: str) -> Path:
@@ -89,7 +101,7 @@ def folder_of(order: Order, design: str) -> Path:
     name = path.parent.name if path.name == DESIGN_NAME else path.name.removesuffix(".toml")
     plain = plain_name(name, "design")
     if order.out is None:
-        return Path("runs") / f"verify-{plain}"
+        return Path("runs") / "-".join(filter(None, ("verify", plain, plain_name(order.only or "", ""))))
     return Path(order.out) if len(order.designs) == 1 else Path(order.out) / plain
 
 
@@ -147,9 +159,8 @@ def execute_cases(orders: Sequence[run_case.Order], suite: str, pack: bool = Tru
     ]  # fmt: skip  # five more lines otherwise
     tell("candidates in order of merit", *aligned(rows, "  ", right=(0, 2, 3)), "")
 
-    def keep(design: str, found: Verification) -> None:
-        command = shlex.join(["simverify", design, "--suite", suite, "--out", design])
-        report.write_pack(found, Path(design), command, pack)
+    def keep(design: str, found: Verification, loaded: LoadedSuite) -> None:
+        report.write_pack(found, Path(design), loaded.command(design, None, "--out", design), pack)
 
     names = [str(c.folder) for c in ranked]
     try:
@@ -160,10 +171,11 @@ def execute_cases(orders: Sequence[run_case.Order], suite: str, pack: bool = Tru
         return Exit.INTERRUPTED
     if accepted is not None:
         count = "the only candidate" if len(names) == 1 else f"candidate {len(every)} of {len(names)}"
-        tell(f"\nACCEPTED by the suite {suite}: {accepted}, {count}; its review: {accepted}/review.html")
+        verdict = every[-1].judgement.upper()
+        tell(f"\n{verdict} by the suite {suite}: {accepted}, {count}; its review: {accepted}/review.html")
         return Exit.OK
     open_ = [name for name, v in zip(names, every, strict=True) if v.judgement == UNDECIDED]
-    tell(f"\nNONE ACCEPTED by the suite {suite}" + (f"; undecided: {', '.join(open_)}" if open_ else ""))
+    tell(f"\nNONE PASSED the suite {suite}" + (f"; undecided: {', '.join(open_)}" if open_ else ""))
     return Exit.UNDECIDED if open_ else Exit.FAILED
 
 
@@ -173,25 +185,28 @@ def try_in_order(
     overrides: Iterable[str] = (),
     *,
     tell: Callable[[str], None] = tell,
-    keep: Callable[[str, Verification], None] = lambda design, found: None,
+    keep: Callable[[str, Verification, LoadedSuite], None] = lambda design, found, loaded: None,
     watch: Watch = lambda what, done, of: None,
     stop: Callable[[], bool] = lambda: False,
 ) -> tuple[str | None, list[Verification]]:
-    """Verify one design after the other up to the first that is accepted.
+    """Verify one design after the other up to the first that is accepted, or passes where the suite is a screening.
 
-    `designs` as for `simverify`, in order of preference. `tell` gets, line by line, the verdict on each and the
-    requirements not met; `keep` each verification when it is complete. An undecided design is not accepted. Returns the
-    accepted design, or None, and all verifications. Raises ScenarioError before anything is flown, KeyboardInterrupt
-    soon after `stop` returns True.
+    Each candidate has its share of the risk of a wrong acceptance, and draws of its own (`shared_risk`). `designs` as
+    for `simverify`, in order of preference. `tell` gets, line by line, the verdict on each and the requirements not
+    met; `keep` each verification when it is complete, with the suite that it was judged by. An undecided design is not
+    accepted. Returns the accepted design, or None, and all verifications. Raises ScenarioError before anything is
+    flown, KeyboardInterrupt soon after `stop` returns True.
     """
-    loaded, paths = read_suite(suite, overrides), [design_path(design) for design in designs]
+    wanted, paths = read_suite(suite, overrides), [design_path(design) for design in designs]
+    campaigns, given = campaigns_of(wanted, paths[0]), wanted.overrides
     every: list[Verification] = []
-    for design, path in zip(designs, paths, strict=True):
+    for number, (design, path) in enumerate(zip(designs, paths, strict=True)):
+        loaded = read_suite(suite, [*given, *shared_risk(wanted, campaigns, len(paths), number)])
         found = verify(path, loaded, memory=memory.default_folder(), watch=watch, stop=stop)
         every.append(found)
-        keep(design, found)
+        keep(design, found, loaded)
         for line in (report.headline(found, design), *report.reasons(found)):
             tell(line)
-        if found.judgement == ACCEPTED:
+        if found.judgement in (ACCEPTED, SCREENED):
             return design, every
     return None, every
