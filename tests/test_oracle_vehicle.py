@@ -75,9 +75,9 @@ def test_a_beam_held_at_its_tail_is_a_cantilever() -> None:
     modes = beam.modes([Rod(mass, 0.0, length, 0.0, 0.0)], 2, clamped=True)
     for mode, beta in zip(modes, (1.875104, 4.694091), strict=True):
         wanted = (beta / length) ** 2 * math.sqrt(stiffness * length / mass) / (2.0 * math.pi)
-        assert mode.frequency_hz == pytest.approx(wanted, rel=1e-6)
+        assert mode.frequency_hz == pytest.approx(wanted, rel=1e-5)
         assert mode.generalized_mass_kg == pytest.approx(0.25 * mass, rel=1e-5)
-        assert (mode.phi[0], mode.phi[-1], mode.slope_pm[-1]) == (1.0, 0.0, 0.0)
+        assert (mode.phi[0], mode.phi[-1], mode.slope_pm[-1]) == pytest.approx((1.0, 0.0, 0.0), abs=1e-12)
 
 
 def test_page_holds_all_pictures(built: Built) -> None:

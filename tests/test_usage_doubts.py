@@ -3,14 +3,21 @@
 from __future__ import annotations
 
 import json
+import re
+import tomllib
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
+import tomli_w
 from scenario_files import write_ascent
 
 from maxq.sim.campaign.read import load_campaign
 from maxq.sim.scenario.loader import load_scenario
 from maxq.tools import simrun
+from maxq.tools.vehicle.build import build, write
+from maxq.tools.vehicle.layout import read_layout
 
 SPHERE = "vehicle.stage.0.mass.inertia_kgm2 = 4.88094 is hardly meant; usual: at most 0.169 kg m2"
 
@@ -59,6 +66,62 @@ def test_vehicles_that_are_hardly_meant(here: Path, overrides: list[str], says: 
     (here / "whole.toml").write_text(text)
     found = load_scenario("whole.toml", [f"vehicle.{override}" for override in overrides]).doubts
     assert any(says in doubt for doubt in found), found
+
+
+@pytest.fixture(scope="module")
+def from_layout(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("petrel")
+    write(build(read_layout("petrel")), folder)
+    text = load_scenario(folder / "scenario.toml").as_flown
+    (folder / "whole.toml").write_text(text)
+    return folder
+
+
+FAST = (
+    "computer.sample_s = 0.01 is hardly meant; usual: below 0.00627 s: the first mode of second, fairing off reaches 79"
+)
+
+
+def test_a_vehicle_from_a_layout_is_doubted_only_for_its_sample_rate(from_layout: Path) -> None:
+    assert [
+        doubt.removeprefix("vehicle.")[: len(FAST)] for doubt in load_scenario(from_layout / "whole.toml").doubts
+    ] == [FAST]
+
+
+@pytest.mark.parametrize("vehicle", ["ksr3", "petrel"])
+@pytest.mark.parametrize(
+    ("break_it", "says"),
+    [
+        (lambda stage: scaled(stage["mass"]["table"], 1e-3, "Ixx_kgm2", "Iyy_kgm2", "Izz_kgm2"), "as gyration radius"),
+        (lambda stage: scaled(stage["mass"]["table"], 10.0, "x_cg_m"), "x_cg_m = .* usual: inside the vehicle"),
+        (lambda stage: engines(stage, gimbal_station_m=2.0), "gimbal_station_m = 2 .* turns the wrong way"),
+        (lambda stage: stage["aero"].update(centre_shift_m=-30.0), "aero.surface = .* a centre of pressure inside 0"),
+        (lambda stage: engines(stage, thrust_factor=0.15), r"angle_limit_deg = 6 .* \|M_alpha\| / M_delta takes"),
+        (lambda stage: [tank.update(damping_ratio=0.002) for tank in stage["tank"]],
+         "damping_ratio = 0.002 .* between centre of percussion and CG"),
+        (lambda stage: scaled(stage["bending"]["pitch"], 10.0, "frequency_hz"), "sample_s = 0.01 .* Hz and aliases"),
+    ],
+)  # fmt: skip  # three times as many lines otherwise
+def test_broken_copies_of_both_vehicles(
+    vehicle: str, break_it: Callable[[Any], Any], says: str, from_layout: Path, tmp_path: Path
+) -> None:
+    text = load_scenario("nominal").as_flown if vehicle == "ksr3" else (from_layout / "whole.toml").read_text()
+    tree = tomllib.loads(text)
+    break_it(tree["vehicle"]["stage"][0])
+    (tmp_path / "broken.toml").write_text(tomli_w.dumps(tree))
+    found = load_scenario(tmp_path / "broken.toml").doubts
+    assert any(re.search(says, doubt) for doubt in found), found
+
+
+def scaled(table: dict[str, Any], factor: float, *columns: str) -> None:
+    for name in columns:
+        table[name] = [factor * value for value in table[name]]
+
+
+def engines(stage: dict[str, Any], **change: float) -> None:
+    stage.pop("loads", None)  # their stations reach to the gimbal
+    for engine in stage["engine"] if isinstance(stage["engine"], list) else [stage["engine"]]:
+        engine.update(change)
 
 
 @pytest.mark.parametrize(

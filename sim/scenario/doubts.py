@@ -9,17 +9,25 @@ import math
 from collections.abc import Iterator
 
 import numpy as np
+from numpy.typing import NDArray
 
 from maxq.sim.scenario import mode_checks
 from maxq.sim.scenario.schema_scenario import Scenario
+from maxq.sim.scenario.schema_tank import Tank
 from maxq.sim.scenario.schema_vehicle import Reference, Stage
 
+Floats = NDArray[np.float64]
 Doubt = tuple[str, float, str]
 """Key, value, and what it should be like."""
 
 _LONG_RUN = 1e9  # steps or log rows: hours, and hundreds of gigabytes
 _WEATHER_M, _WEATHER_MPS = 30e3, 150.0  # the strongest jet streams have 110 m/s
 _G = 9.8
+_LEAST_GYRATION = 0.03  # of the length: a rod has 0.29, a sphere 0.32 of its diameter
+_MOST_MARGIN = 0.6  # static margin, of the length
+_INCIDENCE_deg, _HELD_Pa = 5.0, 8e3  # launchers pass 15 to 80 kPa
+_DAMPED = 0.01  # damping ratio of what baffles damp
+_ROOT = 1.8412  # first zero of J1'
 
 
 def doubts(scenario: Scenario) -> tuple[str, ...]:
@@ -27,7 +35,9 @@ def doubts(scenario: Scenario) -> tuple[str, ...]:
     found: list[Doubt] = [*_run(scenario), *_surroundings(scenario)]
     reference = scenario.vehicle.reference
     for n, stage in enumerate(scenario.vehicle.stage):
-        found += [(f"vehicle.stage.{n}.{key}", value, usual) for key, value, usual in _stage(stage, reference)]
+        of_stage = [*_stage(stage, reference), *_control(stage, reference, first=n == 0), *_liquids(stage)]
+        found += [(f"vehicle.stage.{n}.{key}", value, usual) for key, value, usual in of_stage]
+    found += _sampling(scenario)
     if any(stage.aero is not None for stage in scenario.vehicle.stage):
         tails = [tail for stage in scenario.vehicle.stage for tail in _tails(stage)]
         doubted = _reference(reference, max(tails, default=0.0))
@@ -87,6 +97,15 @@ def _stage(stage: Stage, reference: Reference) -> Iterator[Doubt]:
     heaviest = float(kg.max())
     if not 1.0 <= heaviest / volume <= 2e4:
         yield f"{where}mass_kg", heaviest, f"1 to 20,000 kg/m3 of a body of {reference.diameter_m:g} m by {length:g} m"
+    least = kg * (_LEAST_GYRATION * length) ** 2
+    if (lateral < least).any():
+        at = int(np.argmax(lateral < least))
+        key = f"{where}Iyy_kgm2" if table is not None else f"{where}inertia_kgm2"
+        yield (
+            key,
+            float(lateral[at]),
+            f"from {least[at]:.3g} kg m2, {_LEAST_GYRATION:g} of {length:g} m as gyration radius",
+        )
     outside = (cg_m < 0.0) | (cg_m > length)
     if outside.any():
         yield f"{where}x_cg_m", float(cg_m[np.argmax(outside)]), f"inside the vehicle, 0 .. {length:g} m"
@@ -96,6 +115,117 @@ def _stage(stage: Stage, reference: Reference) -> Iterator[Doubt]:
         at = int(np.argmax(too_much))
         key = f"{where}Iyy_kgm2" if table is not None else f"{where}inertia_kgm2"
         yield key, float(lateral[at]), f"at most {most[at]:.3g} kg m2, all of the mass at the ends of {length:g} m"
+
+
+def _control(stage: Stage, reference: Reference, *, first: bool) -> Iterator[Doubt]:
+    """Gimbals against CG, centre of pressure against body and CG, and what incidence the first stage can hold."""
+    mass, engines = stage.mass.table, [e for e in stage.engines if e.gimbal != "fixed"]
+    if mass is None or stage.aero is None:
+        return
+    cg_m, times = mass["x_cg_m"], mass["time_s"]
+    for n, engine in enumerate(stage.engines):
+        if engine in engines and engine.gimbal_station_m <= float(cg_m.max()):
+            key = ".".join(map(str, (*stage.engine_key(n), "gimbal_station_m")))
+            yield (
+                key,
+                engine.gimbal_station_m,
+                f"aft of the CG, {float(cg_m.max()):.4g} m: else the gimbal turns the wrong way",
+            )
+            return
+    lift = _lift(stage)
+    if lift is None:
+        return
+    slope, centre_m = lift
+    length, diameter = reference.length_m, reference.diameter_m
+    outside = (centre_m < 0.0) | (centre_m > length)
+    if outside.any():
+        yield "aero.surface", float(centre_m[np.argmax(outside)]), f"a centre of pressure inside 0 .. {length:g} m"
+        return
+    margin = (centre_m[None, :] - cg_m[:, None]) / diameter
+    largest, most = margin.ravel()[np.argmax(np.abs(margin))], _MOST_MARGIN * length / diameter
+    if abs(largest) > most:
+        usual = f"a static margin within {most:.3g} diameters; over time and Mach number it is "
+        yield "aero.surface", float(largest), f"{usual}{margin.min():.3g} to {margin.max():.3g}"
+    if not (first and engines and stage.actuator):
+        return
+    thrust = sum(e.thrust_factor * np.interp(times, e.table["time_s"], e.table["thrust_vacuum_N"]) for e in engines)
+    arm_m, burns = min(e.gimbal_station_m for e in engines) - cg_m, thrust > 0.5 * np.max(thrust)
+    limit_deg = stage.actuator.angle_limit_deg
+    per_pressure = _INCIDENCE_deg * reference.area_m2 * slope[None, :] * np.abs(centre_m[None, :] - cg_m[:, None])
+    held_Pa = limit_deg * thrust * arm_m / np.maximum(per_pressure.max(axis=1), 1e-9)
+    if (lowest := float(held_Pa[burns].min())) < _HELD_Pa:
+        usual = f"more: |M_alpha| / M_delta takes all of it at {_INCIDENCE_deg:g} deg of incidence from "
+        yield "actuator.angle_limit_deg", limit_deg, f"{usual}{lowest / 1e3:.3g} kPa on"
+
+
+def _lift(stage: Stage) -> tuple[Floats, Floats] | None:
+    """Slope of the normal force, 1/rad, and its station, m aft of the nose, over Mach; None where tables hold it."""
+    aero = stage.aero
+    if aero is None or aero.coefficients:
+        return None
+    if aero.surface:
+        mach = np.unique(np.concatenate([part.table["mach"] for part in aero.surface]))
+        parts = [
+            [np.interp(mach, part.table["mach"], part.table[name]) for name in ("CN_alpha_pr", "station_m")]
+            for part in aero.surface
+        ]
+        slope = sum((each for each, _ in parts), np.zeros(len(mach)))
+        moment = sum((each * station for each, station in parts), np.zeros(len(mach)))
+    elif "x_cp_m" in aero.table:
+        slope, moment = aero.table["CN_alpha_pr"], aero.table["CN_alpha_pr"] * aero.table["x_cp_m"]
+    else:
+        return None
+    lifts = slope > 0.0
+    return (slope[lifts], moment[lifts] / slope[lifts] + aero.centre_shift_m) if lifts.any() else None
+
+
+def _liquids(stage: Stage) -> Iterator[Doubt]:
+    """Hardly damped liquid between CG and centre of percussion, where a loop about the attitude excites it.
+
+    (Greensite, Analysis and Design of Space Vehicle Flight Control Systems, vol. 1, section 3: of a body turned at its
+    gimbal the centre of percussion lies I / (m l) ahead of the CG.)
+    """
+    mass, gimbals = stage.mass.table, [e.gimbal_station_m for e in stage.engines if e.gimbal != "fixed"]
+    if mass is None or not gimbals or (mass["x_cg_m"] >= min(gimbals)).any():
+        return
+    for n, tank in enumerate(stage.tank):
+        if tank.damping_ratio >= _DAMPED or tank.baffles is not None:
+            continue
+        times, bob_m, kg = _bob(tank)
+        total, cg_m, lateral = (np.interp(times, mass["time_s"], mass[k]) for k in ("mass_kg", "x_cg_m", "Iyy_kgm2"))
+        percussion_m = cg_m - lateral / (total * (min(gimbals) - cg_m))
+        between = (percussion_m < bob_m) & (bob_m < cg_m) & (kg > 0.01 * total)
+        if between.any():
+            when = f"{times[between][0]:.3g} s" if len(times) > 1 else "all times"
+            usual = f"from {_DAMPED:g}: from {when} on it swings between centre of percussion and CG"
+            yield f"tank.{n}.damping_ratio", tank.damping_ratio, usual
+
+
+def _bob(tank: Tank) -> tuple[Floats, Floats, Floats]:
+    """Times, station and mass of the first slosh mode; of a shape as of a cylinder with its depth (NASA SP-106)."""
+    table = tank.table
+    if "slosh_mass_kg" in table:
+        return table["time_s"], table["hinge_station_m"] + table["pendulum_length_m"], table["slosh_mass_kg"]
+    radius, density, kg = tank.radius_m or 1.0, tank.density_kgpm3 or 1.0, table["liquid_mass_kg"]
+    depth = np.maximum(tank.profile.depth(kg / (density * radius**3)), 1e-9)
+    below = 2.0 * radius / _ROOT * np.tanh(0.5 * _ROOT * depth)
+    share = 2.0 * np.tanh(_ROOT * depth) / (_ROOT * depth * (_ROOT**2 - 1.0))
+    return table["time_s"], (tank.bottom_station_m or 0.0) - radius * depth + below, share * kg
+
+
+def _sampling(scenario: Scenario) -> Iterator[Doubt]:
+    """The first bending mode against the computer's sample rate."""
+    computer = scenario.vehicle.computer
+    if computer is None:
+        return
+    for stage in scenario.vehicle.stage:
+        for _, modes in stage.mode_tables():
+            lowest = float(modes.frequency_hz[:, 0].max())
+            if lowest > 0.5 / computer.sample_s:
+                name = f"of {stage.name}" if stage.name else "here"
+                usual = f"below {0.5 / lowest:.3g} s: the first mode {name} reaches {lowest:.3g} Hz and aliases"
+                yield "vehicle.computer.sample_s", computer.sample_s, usual
+                return
 
 
 def _lift_off(stage: Stage) -> Iterator[Doubt]:

@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from maxq.control.kernel.records import Array
 from maxq.tools.pages.render import render
 from maxq.tools.plots.palette import BLACK, BLUE, GREEN, GREY, ORANGE, PALE, PURPLE, RED, SKY
-from maxq.tools.plots.style import curve, drawing, label, png, sheet
+from maxq.tools.plots.style import curve, drawing, label, plain_numbers, png, sheet
 from maxq.tools.vehicle.build import Built, burning, m_alpha_1ps2, m_delta_1ps2, on_the_pad
 from maxq.tools.vehicle.layout import Stage, Tank
 from maxq.tools.vehicle.report import notes, tables
@@ -64,7 +64,7 @@ def _drawing(built: Built) -> Figure:
     place.grid(visible=False, axis="y")
     place.spines["left"].set_visible(False)
     label(place, "station, m aft of the nose", title="" if wider == 1 else f"widths {wider:g} times as large")
-    place.legend(loc="upper center", bbox_to_anchor=(0.5, -0.28), ncols=4)
+    figure.legend(loc="outside lower center", ncols=4)
     return figure
 
 
@@ -135,6 +135,7 @@ def _masses(built: Built) -> Figure:
         roll = [stack.mass_properties(t).roll_kgm2 / 1e3 for t in (0.0, stack.burn.end_s)]
         places[2].plot(times, roll, ":", color=GREY, label="roll" if n == 0 else None)
     places[2].set_yscale("log")
+    plain_numbers(places[2].yaxis)
     label(places[0], "flight time, s", "t", "mass")
     label(places[1], "flight time, s", "m aft of the nose", "centre of gravity")
     label(places[2], "flight time, s", "t m2", "moments of inertia")
@@ -170,6 +171,7 @@ def _modes(built: Built) -> Figure:
             )
     places[-1].axhline(0.5 / built.layout.control.sample_s, color=RED, linewidth=0.8, label="half the sample rate")
     places[-1].set_yscale("log")
+    plain_numbers(places[-1].yaxis)
     label(places[-1], "flight time, s", "Hz", "frequencies")
     places[-1].legend(loc="center left", bbox_to_anchor=(1.0, 0.5))
     return figure
