@@ -10,6 +10,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 import subprocess
 from pathlib import Path
 
@@ -107,6 +108,15 @@ def test_single_precision_stays_within_what_a_gyro_pulse_does(tmp_path: Path) ->
     pulse_deg = np.degrees(1.0e-5) / 0.01 * 0.467
     farthest = max(float(np.abs(own[c] - built_in[c]).max()) for c in COMMANDS)
     assert 0.0 < farthest <= 2.0 * pulse_deg
+
+
+@needs_compiler
+@pytest.mark.skipif(shutil.which("cmake") is None, reason="there is no cmake on this machine")
+def test_the_cmake_file_builds_and_tests(tmp_path: Path) -> None:
+    assert simdesign.main(["export", "ksr3-robust", "--c", str(tmp_path)]) == 0
+    for command in (["cmake", "-S", ".", "-B", "build"], ["cmake", "--build", "build"], ["build/test_flight_law"]):
+        done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
+        assert done.returncode == 0, done.stdout + done.stderr
 
 
 @needs_compiler

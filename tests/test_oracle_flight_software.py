@@ -4,13 +4,16 @@
 |---|---|
 | layout of the structs | offsetof and sizeof of a C compiler |
 | PD law by hand in C and in Python, and with an observer | the built-in law, over the nominal flight |
+| the same law in a process of its own, over TCP and UDP | the built-in law |
 | the observer's estimate | angular acceleration of the log less the gimbal's part |
 """
 
 from __future__ import annotations
 
 import ctypes
+import socket
 import subprocess
+import threading
 from pathlib import Path
 
 import numpy as np
@@ -19,11 +22,12 @@ from flight_code import EXAMPLES, compiled, flies, needs_compiler
 
 from maxq.control.external import FswInputs, FswOutputs
 from maxq.control.kernel.records import dtype_of
-from maxq.sim.run.flight_software import Setup
+from maxq.sim.run.flight_software import Outputs, Setup
 from maxq.sim.run.fly import Flight, fly
 from maxq.sim.scenario.loader import load_scenario
 
 POWERED = ["run.duration_s=59", "requirement="]
+DAC_STEP_DEG = 0.001  # of KSR-III
 COMMANDS = ("gimbal_pitch_command_deg", "gimbal_yaw_command_deg")
 
 
@@ -67,7 +71,7 @@ def test_the_law_by_hand_in_c_flies_as_the_built_in(tmp_path: Path, built_in: Fl
     library = compiled(tmp_path, EXAMPLES / "pd_law.c", "pd_law")
     flight = fly(load_scenario("nominal", [*POWERED, *flies(library=library, guard=guard)]))
     assert flight.outcome == "duration"
-    assert farthest_deg(flight, built_in) <= 1.001 * built_in.scenario.vehicle.computer.dac_step_deg  # type: ignore[union-attr]
+    assert farthest_deg(flight, built_in) <= 1.001 * DAC_STEP_DEG
 
 
 @needs_compiler
@@ -85,7 +89,7 @@ def test_a_sign_error_shows(tmp_path: Path, built_in: Flight) -> None:
 def test_the_law_by_hand_in_python_flies_as_the_built_in(built_in: Flight) -> None:
     flight = fly(load_scenario("nominal", [*POWERED, *flies(python=f"{EXAMPLES}/pd_law.py:Autopilot")]))
     assert flight.outcome == "duration"
-    assert farthest_deg(flight, built_in) <= 1.001 * built_in.scenario.vehicle.computer.dac_step_deg  # type: ignore[union-attr]
+    assert farthest_deg(flight, built_in) <= 1.001 * DAC_STEP_DEG
 
 
 @needs_compiler
@@ -93,7 +97,7 @@ def test_an_observer_beside_the_law_sees_a_disturbance(tmp_path: Path, built_in:
     """A steady moment of known angular acceleration appears in the estimate, within its model's accuracy."""
     library = compiled(tmp_path, EXAMPLES / "pd_observer.c", "pd_observer")
     flight = fly(load_scenario("nominal", [*POWERED, *flies(library=library)]))
-    assert farthest_deg(flight, built_in) <= 1.001 * built_in.scenario.vehicle.computer.dac_step_deg  # type: ignore[union-attr]
+    assert farthest_deg(flight, built_in) <= 1.001 * DAC_STEP_DEG
     pushed_Nm = 20_000.0
     push = f'injection=[{{at="body_torque",axis="y",kind="step",amplitude_Nm={pushed_Nm},start_s=5.0}}]'
     pushed = fly(load_scenario("nominal", ["run.duration_s=9", "requirement=", push, *flies(library=library)]))
@@ -101,3 +105,59 @@ def test_an_observer_beside_the_law_sees_a_disturbance(tmp_path: Path, built_in:
     change = pushed["monitor_1"][at] - flight["monitor_1"][at]
     inertia = pushed["Iyy_kgm2"][np.searchsorted(pushed.time_s("Iyy_kgm2"), 8.5)]
     assert change == pytest.approx(pushed_Nm / inertia, rel=0.25)
+
+
+@needs_compiler
+@pytest.mark.parametrize("kind", ["tcp", "udp"])
+def test_a_computer_behind_a_socket_flies_as_the_built_in(tmp_path: Path, built_in: Flight, kind: str) -> None:
+    """A process of its own in lock-step, linked with the C law; twice, one flight after the other."""
+    program = compiled(tmp_path, EXAMPLES / "computer.c", "computer", str(EXAMPLES / "pd_law.c"), program=True)
+    with subprocess.Popen([program, kind, "0"], stdout=subprocess.PIPE, text=True) as process:
+        try:
+            assert process.stdout is not None
+            port = int(process.stdout.readline())
+            address = flies(address=f"{kind}://127.0.0.1:{port}")
+            if kind == "tcp":
+                fly(load_scenario("nominal", ["run.duration_s=1", "requirement=", *address]))
+            flight = fly(load_scenario("nominal", [*POWERED, *address]))
+            assert flight.outcome == "duration"
+            assert farthest_deg(flight, built_in) <= 1.001 * DAC_STEP_DEG
+        finally:
+            process.kill()
+
+
+def test_a_computer_that_does_not_answer_ends_the_flight() -> None:
+    """Silent, wrong, and lost computers, over TCP and UDP."""
+    loaded = {}
+    for name, kind in (("silent", socket.SOCK_STREAM), ("garbled", socket.SOCK_STREAM), ("lost", socket.SOCK_DGRAM)):
+        with socket.socket(socket.AF_INET, kind) as mute:
+            mute.bind(("127.0.0.1", 0))
+            port = mute.getsockname()[1]
+            if kind == socket.SOCK_STREAM:
+                mute.listen()
+            thread = threading.Thread(target=_answers_three, args=(mute, name), daemon=True)
+            thread.start()
+            scheme = "udp" if kind == socket.SOCK_DGRAM else "tcp"
+            more = flies(address=f"{scheme}://127.0.0.1:{port}", timeout_s=0.3)
+            flight = fly(load_scenario("nominal", ["run.duration_s=1", "requirement=", *more]))
+            loaded[name] = (flight.outcome, flight.failures[0].partition(": ")[2], flight.end_s)
+            thread.join(2.0)
+    assert loaded["silent"] == ("flight_software", "no answer within 0.3 s", 0.03)
+    assert loaded["lost"] == ("flight_software", "no answer within 0.3 s", 0.03)
+    assert loaded["garbled"][0] == "flight_software"
+    assert loaded["garbled"][1] == "an answer that does not begin with MAXQ"
+
+
+def _answers_three(where: socket.socket, name: str) -> None:
+    """A computer that answers its setup and two samples, and then no more, or nonsense."""
+    peer = where.accept()[0] if where.type == socket.SOCK_STREAM else where
+    try:
+        for number in range(4):
+            got, sender = peer.recvfrom(4096) if peer is where else (peer.recv(4096), None)
+            size = 0 if number == 0 else ctypes.sizeof(Outputs)
+            said = got[:16] + bytes(8 + size) if number < 3 else bytes(24 + size) if name == "garbled" else b""
+            if said:
+                peer.sendto(said, sender) if sender else peer.sendall(said)
+        peer.recv(4096)
+    except OSError:
+        pass

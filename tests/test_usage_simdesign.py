@@ -195,7 +195,7 @@ WRONG = {
         ["ksr3-identical", "--set", "scenario=nowhere"],
         'scenario = "nowhere": neither a file nor a built-in scenario',
     ),
-    "option of analyse": (["ksr3-identical", "--at", "3"], "--at goes with analyse or errata, not with CASE"),
+    "option of analyse": (["ksr3-identical", "--at", "3"], "--at goes with analyse, errata or export, not with CASE"),
 }
 
 

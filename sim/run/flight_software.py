@@ -266,7 +266,9 @@ class _Remote(_InPython):
         size = HEADER.size + _CODE.size + expected
         while True:
             answer = self._received(size, until)
-            if len(answer) != size or answer[:4] != MAGIC:
+            if answer[:4] != MAGIC:
+                raise OSError("an answer that does not begin with MAXQ")
+            if len(answer) != size:
                 raise OSError(f"an answer of {len(answer)} bytes, not the {size} of maxq_fsw.h")
             if HEADER.unpack_from(answer) == (MAGIC, kind, self._number):
                 return _CODE.unpack_from(answer, HEADER.size)[0], answer[HEADER.size + _CODE.size :]
