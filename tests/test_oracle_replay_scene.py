@@ -3,19 +3,26 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
 import pytest
+import rerun as rr
 from mcap.reader import make_reader
 from replaykit import OLD_LOG
+from rerun import ComponentColumn
 
 from maxq.sim.log.foxglove import FRAMES_SCHEMA, FRAMES_TYPE
 from maxq.sim.log.protobuf import message_class
 from maxq.tools.replay import meshes
 from maxq.tools.replay.flight import ReplayFlight, launch_of, open_flight, path_of, place_of
 from maxq.tools.replay.plots import tabs_of
+from maxq.tools.replay.scene import Scene
 from maxq.tools.replay.vehicle_shape import (
+    SECTION,
+    Sections,
     VehicleShape,
     bent_line,
     exaggeration_of,
@@ -160,3 +167,60 @@ def test_earth_and_site_read_by_themselves_are_those_of_the_scenario() -> None:
     scenario = flight().scenario
     assert scenario is not None
     assert launch_of(flight().log) == (scenario.earth, scenario.site)
+
+
+class Loaded:
+    """The flight with section loads at both ends: 3 : 4 about y and z, 100 N m a second aft, none in front."""
+
+    def __init__(self) -> None:
+        self.log = flight().log
+        self.table = self.log.table
+        self.own = {f"section_{n}_bending_{plane}_Nm": 0.0 for n in (1, 2) for plane in ("pitch", "yaw")}
+        self.own |= {"section_2_bending_pitch_Nm": 60.0, "section_2_bending_yaw_Nm": -80.0}
+
+    def __contains__(self, name: str) -> bool:
+        return name in self.own or name in self.log
+
+    def __getitem__(self, name: str) -> np.ndarray:
+        return self.own[name] * self.time_ns(name) / 1e9 if name in self.own else self.log[name]
+
+    def time_ns(self, name: str) -> np.ndarray:
+        return self.log.time_ns("cg_station_m" if name in self.own else name)
+
+
+@pytest.mark.parametrize("limit_Nm", [None, np.array([500.0, 500.0])])
+def test_skin_has_the_colour_of_its_bending_moment(
+    limit_Nm: np.ndarray | None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of sixteen pieces the last, 31/32 of the way aft, carries 31/32 of 100 t N m."""
+    sent: dict[str, tuple[np.ndarray, np.ndarray]] = {}
+    said: list[str] = []
+
+    def keep(_: Scene, entity: str, times_ns: np.ndarray, columns: Iterable[ComponentColumn]) -> None:
+        if entity.endswith("skin"):
+            sent[entity] = times_ns, np.concatenate([c.as_arrow_array().flatten().to_numpy() for c in columns])
+
+    def note(_: Scene, entity: str, item: object) -> None:
+        if entity == "vehicle/legend/shares":
+            said.append(str(item.labels.as_arrow_array().to_pylist()[-1]))  # type: ignore[attr-defined]
+
+    monkeypatch.setattr(Scene, "_send", keep)
+    monkeypatch.setattr(Scene, "_log", note)
+    stage = shape().stages[0]
+    sections = Sections(np.array([0.0, stage.end_m]), limit_Nm)
+    drawn = replace(shape(), stages=(replace(stage, sections=sections),))
+    scene = Scene(rr.RecordingStream("test"), "flight", place_of(flight()), drawn, exaggeration_of(flight().log, drawn))
+    scene.add(Loaded())
+    times_ns, colours = sent["vehicle/body/hull/stage1/piece_15/skin"]
+    largest_Nm = 100.0 * Loaded().time_ns(SECTION)[-1] / 1e9
+    share = 31.0 / 32.0 * 100.0 * times_ns / 1e9 / (largest_Nm if limit_Nm is None else 500.0)
+    red, violet = (205 << 24 | 30 << 16 | 40 << 8 | 235), (150 << 24 | 30 << 16 | 190 << 8 | 255)
+    assert (np.diff(colours[share < 0.9].astype(np.int64) & 255) >= 0).all(), "ever less transparent"
+    assert not set(colours[share < 0.98].tolist()) & {red, violet}
+    if limit_Nm is not None:
+        assert set(colours[share > 1.03].tolist()) == {violet}
+        assert said[-1] == "100 % of the limit"
+    else:
+        assert abs(int(colours[-1] >> 24) - 205) < 8, "the flight's largest, less a thirty-second: all but red"
+        assert said[-1] == f"{largest_Nm / 1e3:.3g} kN m: the largest so far"
+    assert (sent["vehicle/body/hull/stage1/piece_00/skin"][1] & 255 < 90).all(), "a thirty-second of it: all but plain"

@@ -93,3 +93,17 @@ def test_positions_may_stand_in_a_file_beside(tmp_path: Path) -> None:
         "GRID,101,,0.,0.,0.\nGRID*                102                           1.5+0       0.\n*       0.\n"
     )
     assert read_nastran(tmp_path / "beam.op2").position_m.tolist() == [[0.0, 0.0, 0.0], [1.5, 0.0, 0.0]]
+
+
+def test_pages_that_msc_nastran_printed() -> None:
+    """A cantilever's first bending mode, its torsion and its axial mode, from a run of MSC.Nastran 2005."""
+    modes = read_nastran(DATA / "msc2005_beam.f06")
+    assert modes.frequency_hz.tolist() == [456.6603, 3554.923, 4507.487]
+    assert modes.generalized_mass_kg.tolist() == [8.719168e-3, 3.668128e-3, 1.334596e-2]
+    assert modes.position_m.tolist() == [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [2.0, 0.0, 0.0], [10.0, 0.0, 0.0]]
+    x, bending = modes.position_m[:, 0], modes.shape[0]
+    for across, about, sign in ((1, 5, 1.0), (2, 4, -1.0)):  # rotations are the slopes of a beam: R3 = T2', R2 = -T3'
+        by_polynomial = np.polynomial.Polynomial.fit(x[:3], bending[:3, across], 2).deriv()(x[1])
+        assert sign * bending[1, about] == pytest.approx(by_polynomial, rel=0.1)
+    assert modes.shape[1, :, 3].tolist() == [0.0, 0.1014664, 0.2029328, 1.0]
+    assert modes.shape[2, :, 0].tolist() == [0.0, 0.142823, 0.2827877, 1.0]

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from flightkit import Tree, load, merged
 
+from maxq.design.model.node import surface_radii_m
 from maxq.sim.packing.schedule import stage_sizes
 from maxq.sim.run.fly import logged_channels
 from maxq.sim.scenario.errors import ScenarioError
@@ -33,6 +34,23 @@ def test_names_of_second_modes_and_waves() -> None:
     assert stage.pendulum_names == ("lox", "lox_2", "2")
     names = logged_channels(loaded.scenario, stage_sizes(stage, loaded.scenario.switches)).names
     assert {"slosh_lox_pitch_deg", "slosh_lox_2_pitch_deg", "slosh_lox_2_wave_m", "slosh_2_wave_m"} <= set(names)
+
+
+def test_surface_of_the_liquid_by_the_shape_of_its_tank() -> None:
+    """A sphere half full and nearly empty; a cylinder's wall; an ellipsoid, from the volume of its cap."""
+    half = 1141.0 * 2.0 / 3.0 * np.pi * 0.6**3
+    sphere = merged(SPHERE, {"modes": 2, "table": {"time_s": [0.0, 10.0], "liquid_mass_kg": [half, 0.0]}})
+    wall = merged(SPHERE, {"name": "wall", "shape": "cylinder", "height_m": 2.0})
+    egg = merged(sphere, {"name": "egg", "shape": "ellipsoid", "height_m": 2.4})
+    first, second, cylinder, *ellipsoid = surface_radii_m(load(scenario(sphere, wall, egg)).vehicle.stage[0], 5.0)
+    depth = np.roots([-1.0, 3.0, 0.0, -1.0])  # a cap of half of half a unit sphere: d^2 (3 - d) = 1
+    depth = float(depth[(depth > 0.0) & (depth < 1.0)][0])
+    assert first == second == pytest.approx(0.6 * np.sqrt(1.0 - (1.0 - depth) ** 2), rel=1e-9)
+    assert cylinder == 0.6
+    # twice as high: a quarter of its lower half
+    low = np.roots([-1.0, 3.0, 0.0, -0.5])
+    low = float(low[(low > 0.0) & (low < 1.0)][0])
+    assert ellipsoid == pytest.approx([0.6 * np.sqrt(1.0 - (1.0 - low) ** 2)] * 2, rel=1e-9)
 
 
 CYLINDER: Tree = {"shape": "cylinder", "height_m": 2.0}

@@ -136,8 +136,9 @@ def hold(loaded: LoadedScenario, node: Node, fault: Change | None = None) -> Hel
     )
     packed = pack_flight(held.scenario)
     same = dataclasses.replace(
-        node_of(packed, node.time_s, 0, node.plane, node.errata), liquids=node.liquids, stage=node.stage
-    )
+        node_of(packed, node.time_s, 0, node.plane, node.errata),
+        liquids=node.liquids, stage=node.stage, surface_radius_m=node.surface_radius_m,
+    )  # fmt: skip  # two more lines otherwise
     return HeldFlight(held, packed, same, node.time_s, node.plane, fault or unchanged)
 
 

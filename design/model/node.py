@@ -51,6 +51,7 @@ class Node:
     plane: Plane = "pitch"
     errata: Errata = CORRECTED
     liquids: Liquids | None = None  # needed only for the errata of the tanks; of the nominal vehicle
+    surface_radius_m: tuple[float, ...] = ()  # of the liquid under each pendulum, nan if unknown; nominal vehicle
     label: str = ""
     stage: int = 0  # which one burns, from 0
     stage_start_s: float = 0.0  # zero of that stage's clock on the vehicle clock
@@ -208,7 +209,10 @@ def _node(run: FlightRun, time_s: float, plane: Plane, errata: Errata) -> Node:
     timeline = run.packed.parameters[stage].timeline
     clock_s = float(timeline.burn_rate) * (at_ns - int(timeline.stage_start_ns)) / 1e9
     clock_s = float(timeline.frozen_s) if timeline.frozen == 1 else clock_s
-    return dataclasses.replace(node, liquids=_liquids(run.loaded.scenario.vehicle.stage[stage], clock_s, node))
+    given = run.loaded.scenario.vehicle.stage[stage]
+    return dataclasses.replace(
+        node, liquids=_liquids(given, clock_s, node), surface_radius_m=surface_radii_m(given, clock_s)
+    )
 
 
 def flown_to(run: FlightRun, time_s: float) -> int:
@@ -255,6 +259,19 @@ def _liquids(stage: Stage, clock_s: float, node: Node) -> Liquids | None:
         return None
     heights = [float(np.interp(clock_s, tank.table["time_s"], tank.table["liquid_height_m"])) for tank in tanks]
     return Liquids(np.array([tank.radius_m for tank in tanks], float), np.array(heights))
+
+
+def surface_radii_m(stage: Stage, clock_s: float) -> tuple[float, ...]:
+    """Radius of the surface at rest in the tank of each pendulum; nan where the file does not tell it."""
+    out: list[float] = []
+    for tank in stage.tank:
+        radius = math.nan if tank.radius_m is None else tank.radius_m
+        if tank.shape is not None and tank.density_kgpm3 is not None:
+            mass = np.interp(clock_s, tank.table["time_s"], tank.table["liquid_mass_kg"])
+            depth = tank.profile.depth(np.array(mass / (tank.density_kgpm3 * radius**3)))
+            radius *= float(tank.profile.surface_radius(depth))
+        out += [radius] * tank.pendulums
+    return tuple(out)
 
 
 def node_of(packed: Packed, time_s: float, stage: int = 0, plane: Plane = "pitch", errata: Errata = CORRECTED) -> Node:

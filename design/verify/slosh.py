@@ -171,7 +171,7 @@ def advise(nodes: Sequence[Node], design: Design) -> list[SloshAdvice]:
             if bobs.mass_kg[k] <= 0.0:
                 continue
             needed = _needed(node, design, k)
-            radius = float(node.liquids.radius_m[k]) if node.liquids is not None else math.nan
+            radius = node.surface_radius_m[k] if k < len(node.surface_radius_m) else math.nan
             out.append(
                 SloshAdvice(
                     node.time_s, node.stage, k, float(bobs.bob_station_m[k]), node.vehicle.total_cg_station_m,

@@ -14,12 +14,13 @@ import numpy as np
 import rerun as rr
 from numpy.typing import NDArray
 
-from maxq.control.kernel.records import Array
+from maxq.control.kernel.records import Array, IntArray
 from maxq.tools.plots.palette import ORANGE, SKY, rgba
 from maxq.tools.replay.vehicle_shape import StageShape, TankShape, VehicleShape
 
 SIDES = 24
 _SKIN, _WALL, _METAL, _LIQUIDS = [236, 240, 246, 58], [190, 200, 215, 40], [96, 100, 110, 255], (SKY, ORANGE)
+LOAD_SHARES = (0.0, 0.33, 0.67, 1.0, 1.02)
 _FIN, _RIB = [150, 156, 166, 255], [120, 128, 140, 255]
 
 
@@ -111,10 +112,10 @@ def joined(meshes: Sequence[Mesh]) -> Mesh:
 
 
 # -- a vehicle -----------------------------------------------------------------------------------------------------
-def vehicle_meshes(shape: VehicleShape, number: int) -> list[tuple[str, rr.AsComponents]]:
+def vehicle_meshes(shape: VehicleShape, number: int, loaded: bool) -> list[tuple[str, rr.AsComponents]]:
     """What the vehicle of a stage is made of, piece by piece, in the coordinates of the pieces.
 
-    Entities are given relative to the stage's.
+    Entities are given relative to the stage's. `loaded`: the skin's colour, its load, comes with time.
     """
     out: list[tuple[str, rr.AsComponents]] = []
     flying = shape.stages[number:]
@@ -128,7 +129,9 @@ def vehicle_meshes(shape: VehicleShape, number: int) -> list[tuple[str, rr.AsCom
         }
         for name, (colour, meshes) in parts.items():
             if there := [m for m in meshes if m is not None]:
-                out.append((f"piece_{i:02}/{name}", mesh3d(joined(there), colour)))
+                out.append(
+                    (f"piece_{i:02}/{name}", mesh3d(joined(there), None if loaded and name == "skin" else colour))
+                )
     engine = shape.stages[number].engine
     if engine is not None:
         for name, one in shape.stages[number].nozzles:
@@ -141,14 +144,21 @@ def vehicle_meshes(shape: VehicleShape, number: int) -> list[tuple[str, rr.AsCom
     return out
 
 
-def mesh3d(body: Mesh, colour: Sequence[int]) -> rr.Mesh3D:
-    """A mesh for the viewer in one colour (RGBA)."""
+def mesh3d(body: Mesh, colour: Sequence[int] | None) -> rr.Mesh3D:
+    """A mesh for the viewer in one colour (RGBA), or in one that is sent by itself."""
     return rr.Mesh3D(
         vertex_positions=body.vertices,
         triangle_indices=body.triangles,
         vertex_normals=body.normals,
         albedo_factor=colour,
     )
+
+
+def load_colours(shares: Array) -> IntArray:
+    """RGBA as 32-bit words for shares of a limit: the plain skin at 0, over yellow to red at 1, violet above."""
+    scale = np.array([_SKIN, [250, 205, 90, 150], [240, 120, 40, 200], [205, 30, 40, 235], [150, 30, 190, 255]])
+    rgba = np.stack([np.interp(shares, LOAD_SHARES, channel) for channel in scale.T], axis=-1).round().astype("u4")
+    return np.asarray(rgba @ np.array([1 << 24, 1 << 16, 1 << 8, 1], "u4"))
 
 
 def _radius(stages: Sequence[StageShape], station: float) -> float:

@@ -21,12 +21,14 @@ from maxq.sim.run.launch_frames import LaunchFrames
 from maxq.tools.plots.palette import BLUE, ORANGE, RED, SKY, WHITE, rgba
 from maxq.tools.replay.decimate import Rows, changed, every, last_before
 from maxq.tools.replay.flight import Channels, LaunchSite, Moment, path_of
-from maxq.tools.replay.meshes import liquid_vertices, mesh3d, plate, vehicle_meshes
+from maxq.tools.replay.meshes import liquid_vertices, load_colours, mesh3d, plate, vehicle_meshes
 from maxq.tools.replay.stream import matrices, set_time, times
 from maxq.tools.replay.vehicle_shape import (
     PLANES,
+    SECTION,
     EngineShape,
     Exaggeration,
+    Sections,
     TankShape,
     VehicleShape,
     bent_line,
@@ -37,6 +39,7 @@ MOTION_NS, ARROWS_NS, TRAIL_NS = 20_000_000, 40_000_000, 200_000_000
 FAR_NS = 100_000_000
 """Between positions of flights that are not seen closely."""
 _BEND_STEP_M, _LEVEL_STEP_M, _ANGLE_STEP_DEG = 2e-4, 1e-3, 2e-3  # smaller changes are not sent
+_LOAD_STEP = 0.02  # of the limit
 _STEEPEST = math.tan(math.radians(60.0))
 _NO_SHAPE_M = 10.0  # length of a vehicle that is not known
 _GRID, _PAD, _BLOCK, _COMPASS = [74, 88, 106, 150], [96, 112, 132, 255], [110, 100, 88, 255], [150, 160, 175, 255]
@@ -65,7 +68,8 @@ class Scene:
         self.track: list[Array] = []
         """Positions so far."""
         self._last: dict[str, int] = {}  # period of the last row that was sent, by what was sent
-        self._largest_thrust_N = 1.0
+        self._largest_thrust_N, self._largest_moment_Nm = 1.0, 0.0
+        self._loaded = False
         self._stage = -1
         self._stage_start_ns = 0
         self._trail_end: Array | None = None
@@ -97,6 +101,20 @@ class Scene:
         for name, colour in (("velocity", "#4cd07d"), ("wind", SKY)):
             style = rr.Arrows3D.from_fields(colors=rgba(colour), radii=0.006 * self._size, show_labels=True)
             self._log(f"vehicle/{name}", style)
+
+    def _legend(self, sections: Sections) -> None:
+        """A scale of the skin's colours, upright beside the vehicle, against the direction of flight."""
+        azimuth = math.radians(self._place.site.azimuth_deg)
+        forward = np.array([math.sin(azimuth), math.cos(azimuth), 0.0])
+        share = np.linspace(0.0, 1.0, 21)
+        points = self._size * (-0.62 * forward + (share[:, None] - 0.5) * np.array([0.0, 0.0, 0.7]))
+        colours = load_colours(0.5 * (share[1:] + share[:-1])) | np.uint32(255)
+        strips = rr.LineStrips3D(np.stack([points[:-1], points[1:]], axis=1), colors=colours, radii=0.012 * self._size)
+        self._log("vehicle/legend", strips)
+        largest = f"{self._largest_moment_Nm / 1e3:.3g} kN m: the largest so far"
+        labels = ["bending moment: 0", "50 %", largest if sections.limit_Nm is None else "100 % of the limit"]
+        marks = rr.Points3D(points[::10], labels=labels, show_labels=True, radii=0.0, colors=rgba(WHITE))
+        self._log("vehicle/legend/shares", marks)
 
     # -- blocks ----------------------------------------------------------------------------------------------------
     def add(self, channels: Channels) -> None:
@@ -182,6 +200,7 @@ class Scene:
     # -- the vehicle -----------------------------------------------------------------------------------------------
     def _vehicle(self, channels: Channels) -> None:
         assert self._shape is not None
+        self._loaded = SECTION in channels
         ns = channels.time_ns("cg_station_m")
         numbers = np.nan_to_num(channels["stage"]).astype(int)
         for number in np.unique(numbers).tolist():
@@ -194,6 +213,29 @@ class Scene:
             shift = np.stack([cg[k], 0.0 * cg[k], 0.0 * cg[k]], axis=1)
             self._send("vehicle/body/hull", ns[rows][k], rr.Transform3D.columns(translation=shift))
             self._bend(self._shape, channels, begin_ns, end_ns)
+            if self._loaded and (sections := self._shape.stages[number].sections) is not None:
+                self._send_loads(self._shape, sections, channels, begin_ns, end_ns)
+
+    def _send_loads(
+        self, shape: VehicleShape, sections: Sections, channels: Channels, begin_ns: int, end_ns: int
+    ) -> None:
+        """Colour of each piece by the bending moment in its middle."""
+        ns = channels.time_ns(SECTION)
+        inside = slice(*np.searchsorted(ns, [begin_ns, end_ns + 1]))
+        k = self._due(f"loads{self._stage}", ns[inside], ARROWS_NS) + inside.start
+        names = [f"section_{n}_bending_{{}}_Nm" for n in range(1, len(sections.station_m) + 1)]
+        pitch, yaw = (np.stack([channels[name.format(plane)][k] for name in names], axis=1) for plane in PLANES)
+        moments = np.nan_to_num(np.hypot(pitch, yaw))
+        if (largest_Nm := float(moments.max(initial=0.0))) > self._largest_moment_Nm:
+            self._largest_moment_Nm = largest_Nm
+            self._legend(sections)
+        joints = shape.joints(self._stage)
+        shares = sections.shares(moments, self._largest_moment_Nm, 0.5 * (joints[1:] + joints[:-1]))
+        colours = load_colours(shares)
+        for i in range(len(joints) - 1):
+            some = changed(shares[:, i : i + 1], _LOAD_STEP)
+            columns = rr.Mesh3D.columns(albedo_factor=colours[some, i])
+            self._send(f"vehicle/body/hull/stage{self._stage + 1}/piece_{i:02}/skin", ns[k][some], columns)
 
     def _change_stage(self, shape: VehicleShape, number: int, begin_ns: int) -> None:
         hull = f"{self._root}/vehicle/body/hull"
@@ -202,7 +244,7 @@ class Scene:
             self._rec.log(f"{hull}/stage{self._stage + 1}", rr.Clear(recursive=True))
             self._stage_start_ns = begin_ns
         self._stage = number
-        for entity, item in vehicle_meshes(shape, number):
+        for entity, item in vehicle_meshes(shape, number, self._loaded):
             self._rec.log(f"{hull}/stage{number + 1}/{entity}", item, static=len(shape.stages) == 1)
         self._rec.reset_time()
 

@@ -25,6 +25,7 @@ from maxq.tools.replay.decimate import extremes, extremes_on_grid
 from maxq.tools.replay.flight import ReplayFlight, Requirement, has_motion, path_of, place_of
 from maxq.tools.replay.plots import AXES, Axis, Curve, Plot, Tab, axis_of, range_of, tabs_of
 from maxq.tools.replay.text import plain
+from maxq.tools.replay.vehicle_shape import borne
 from maxq.tools.replay.viewer import ReplayError
 
 WIDTH_IN, ROW_IN = 8.0, 1.9
@@ -382,7 +383,7 @@ def _requirements(shown: Flights) -> Figure:
 
 def _sections(shown: Flights, stage: int, loads: Loads) -> Figure:
     """Envelopes of the section loads over the stations, on the pad and under thrust, with what the sections bear."""
-    radius = _borne(loads, "radius_m")
+    radius = borne(loads, "radius_m")
     rows = ["axial force (kN)", "shear (kN)", "bending moment (kN m)"]
     rows += [] if radius is None else ["equivalent axial load (kN)"]
     figure, places = _figure(f"Section loads, stage {stage + 1}", shown, len(rows), 1, ROW_IN)
@@ -414,7 +415,7 @@ def _sections(shown: Flights, stage: int, loads: Loads) -> Figure:
     for place, row, of_row in zip(places, rows, bounds, strict=False):
         place.set(title=row.split(" (")[0], ylabel=row.split("(")[1].rstrip(")"))
         for name, sign in of_row:
-            limit = _borne(loads, name)
+            limit = borne(loads, name)
             if limit is not None:
                 label = name.rsplit("_", 1)[0].replace("_", " ") + ": limit"
                 place.plot(stations, sign * limit / 1e3, color=LIMIT, linewidth=1.2, linestyle="--", label=label)
@@ -423,16 +424,6 @@ def _sections(shown: Flights, stage: int, loads: Loads) -> Figure:
     places[-1].set_xlabel("station (m aft of the nose)")
     figure.align_ylabels()
     return figure
-
-
-def _borne(loads: Loads, column: str) -> Array | None:
-    """A column of the limits at the stations: the least over time; None where there is none."""
-    table = loads.limits
-    if table is None or column not in table:
-        return None
-    places = np.unique(table["station_m"])
-    least = [float(table[column][table["station_m"] == x].min()) for x in places]
-    return np.asarray(np.interp(loads.stations_m, places, least))
 
 
 def _used(value: float, r: Requirement) -> float:

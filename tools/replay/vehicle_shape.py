@@ -20,6 +20,7 @@ from maxq.control.kernel.records import Array
 from maxq.sim.flight.channels import ChannelTable
 from maxq.sim.scenario.coverage import burn_rate
 from maxq.sim.scenario.modes import ModeTable
+from maxq.sim.scenario.schema_loads import Loads
 from maxq.sim.scenario.schema_stage import AeroSurface
 from maxq.sim.scenario.schema_vehicle import Stage, Vehicle
 from maxq.tools.replay.decimate import Rows, every
@@ -27,6 +28,7 @@ from maxq.tools.replay.flight import Channels
 
 PIECES = 16  # of the body, each straight: enough for the third bending mode
 PLANES = ("pitch", "yaw")
+SECTION = "section_1_bending_pitch_Nm"  # a channel of every log with section loads
 _FACTORS = [step * 10.0**power for power in range(6) for step in (1.0, 2.0, 5.0)]
 _LARGEST = 0.35  # of the diameter: how far the automatic factor lets the body bend
 _STEEPEST_DEG = 25.0  # how far the automatic factor lets a surface tilt
@@ -70,6 +72,19 @@ class EngineShape:
 
 
 @dataclass(frozen=True)
+class Sections:
+    """Stations at which section loads are known, and the bending moment that they bear, where that is known."""
+
+    station_m: Array
+    limit_Nm: Array | None
+
+    def shares(self, moments_Nm: Array, largest_Nm: float, at_m: Array) -> Array:
+        """Of moments (times, stations): share of the limit, or of the largest of all, at places (times, places)."""
+        of = moments_Nm / (self.limit_Nm if self.limit_Nm is not None else max(largest_Nm, 1e-9))
+        return np.array([np.interp(at_m, self.station_m, row) for row in of]).reshape(len(of), len(at_m))
+
+
+@dataclass(frozen=True)
 class StageShape:
     """The part of the body that is dropped at the end of this stage, and what it holds.
 
@@ -85,6 +100,7 @@ class StageShape:
     spatial: tuple[ModeTable, ModeTable] | None  # what spatial modes do along y and along z
     gyro_station_m: float | None
     clock_factor: float
+    sections: Sections | None = None
     further_engines: tuple[EngineShape, ...] = ()
 
     @property
@@ -137,9 +153,24 @@ def shape_of(vehicle: Vehicle) -> VehicleShape:
                 spatial=stage.spatial_modes.modes.lateral() if stage.spatial_modes is not None else None,
                 gyro_station_m=gyro.station_m if gyro is not None else None,
                 clock_factor=burn_rate(stage),
+                sections=_sections(stage.loads),
             )
         )
     return VehicleShape(length, 2.0 * radius, tuple(stages))
+
+
+def _sections(loads: Loads | None) -> Sections | None:
+    return None if loads is None else Sections(np.array(loads.stations_m), borne(loads, "bending_moment_Nm"))
+
+
+def borne(loads: Loads, column: str) -> Array | None:
+    """A column of the limits at the stations: the least over time; None where there is none."""
+    table = loads.limits
+    if table is None or column not in table:
+        return None
+    places = np.unique(table["station_m"])
+    least = [float(table[column][table["station_m"] == x].min()) for x in places]
+    return np.asarray(np.interp(loads.stations_m, places, least))
 
 
 def _end(stage: Stage, otherwise: float) -> float:
@@ -277,8 +308,8 @@ class Exaggeration:
     def text(self, table: ChannelTable) -> str:
         """The factors in a few words, of what the vehicle has."""
         factors = (("eta_", "bending", self.bending), ("slosh_", "slosh", self.slosh))
-        has = [(what, x) for start, what, x in factors if any(name.startswith(start) for name in table.names)]
-        return ", ".join(f"{what} x{x:g}" for what, x in has)
+        has = [f"{what} x{x:g}" for start, what, x in factors if any(name.startswith(start) for name in table.names)]
+        return ", ".join([*has, *(["skin: bending moment"] if SECTION in table.names else [])])
 
 
 def exaggeration_of(

@@ -31,6 +31,7 @@ def _described(text: str) -> list[str]:
 FLIGHTS = {
     "nominal": [],
     "windy": [*WIND, *_described("November wind of Anheung")],
+    "loaded": ["--set", "switches.section_loads=true"],
     "failing": [*WIND, *_described("four times the November wind of Anheung"), "--set", "wind.factor=4"],
     "lost": [*WIND, *_described("a torque of 300 kN m from 9 s on"), "--set", "run.duration_s=14", "--set",
              'injection=[{at="body_torque",axis="y",kind="step",amplitude_Nm=3e5,start_s=9.0}]'],
@@ -41,6 +42,7 @@ SHOTS = (  # flights, time, tab, name of the picture
     (("nominal",), 43.2, "Loads", "max-q"),
     (("nominal",), 59.4, "Gimbal", "burnout"),
     (("nominal",), 127.0, "Trajectory", "apogee"),
+    (("loaded",), 12.5, "Loads", "section-loads"),
     (("failing",), 44.8, "Loads", "failing"),
     (("lost",), 9.6, "Attitude", "control-lost"),
     (("nominal", "windy", "failing"), 47.0, "Loads", "several"),
