@@ -42,6 +42,7 @@ class Allocation:
     k_p: float
     k_d_s: float
     roll_limit_rad: float
+    limit_rad: Annotated[Array, (2 * MAX_ENGINES,)]  # of each channel's actuator
 
 
 @dataclass
@@ -52,7 +53,7 @@ class AllocationState:
     angle_rad: Annotated[Array, (2 * MAX_ENGINES,)]
 
 
-ONE_GROUP = Allocation(1, NO_TABLE, 0.0, 0.0, 0.0)
+ONE_GROUP = Allocation(1, NO_TABLE, 0.0, 0.0, 0.0, np.zeros(2 * MAX_ENGINES))
 
 
 def pseudo_inverse(effect: Array, scales: Sequence[float], authority: Array) -> Array:
@@ -116,7 +117,10 @@ def allocate(
     a: Allocation, pool: Array, state: AllocationState, time_s: float, pitch_rad: float, yaw_rad: float,
     roll_rad: float, limit_rad: float,
 ) -> int:  # fmt: skip  # ten lines otherwise
-    """Angles of all channels into `state.angle_rad`; 1 where pitch and yaw alone exceed a limit, which cuts them."""
+    """Angles of all channels into `state.angle_rad`; 1 where pitch and yaw alone exceed a limit, which cuts them.
+
+    A channel's limit is the lower one of `limit_rad` and its actuator's.
+    """
     state.roll_rad = roll_rad
     k = find_interval(pool, a.matrix, time_s)
     share, cut = 1.0, 0
@@ -124,11 +128,12 @@ def allocate(
         first = interpolate(pool, a.matrix, k, time_s, 3 * channel) * pitch_rad
         wanted = first + interpolate(pool, a.matrix, k, time_s, 3 * channel + 1) * yaw_rad
         turning = abs(interpolate(pool, a.matrix, k, time_s, 3 * channel + 2) * roll_rad)
-        cut = 1 if abs(wanted) > limit_rad else cut
-        kept = min(max(wanted, -limit_rad), limit_rad)
+        limit = min(limit_rad, a.limit_rad[channel])
+        cut = 1 if abs(wanted) > limit else cut
+        kept = min(max(wanted, -limit), limit)
         state.angle_rad[channel] = kept
         if turning > 0.0:
-            share = min(share, (limit_rad - abs(kept)) / turning)
+            share = min(share, (limit - abs(kept)) / turning)
     for channel in range(2 * a.groups):
         turning = interpolate(pool, a.matrix, k, time_s, 3 * channel + 2) * roll_rad
         state.angle_rad[channel] += share * turning

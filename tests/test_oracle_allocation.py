@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from maxq.control.allocation import Allocation, AllocationState, allocate, pseudo_inverse, roll_command
+from maxq.control.kernel.limits import MAX_ENGINES
 from maxq.control.kernel.records import Array, blank, pack
 from maxq.control.kernel.tables import Pool, fit, table_in
 from maxq.sim.packing.allocation import moments
@@ -111,7 +112,8 @@ def test_after_a_fault_the_computer_allocates_to_what_is_left() -> None:
 def test_roll_takes_what_pitch_and_yaw_leave_by_one_factor() -> None:
     matrix = np.array([[1.0, 0.0, 1.0], [0.0, 1.0, 0.0], [1.0, 0.0, -1.0], [0.0, 1.0, 0.5]])
     pool = Pool()
-    made = Allocation(2, pool.add(fit([0.0], matrix.reshape(1, -1), "step")), 2.0, 3.0, 0.05)
+    table = pool.add(fit([0.0], matrix.reshape(1, -1), "step"))
+    made = Allocation(2, table, 2.0, 3.0, 0.05, np.ones(2 * MAX_ENGINES))
     a, state = pack([made])[0], blank(AllocationState)[0]
     assert roll_command(a, 0.01, 0.005) == pytest.approx(-0.035)
     assert roll_command(a, -1.0, 0.0) == 0.05

@@ -18,7 +18,7 @@ from maxq.control.kernel.records import Array
 from maxq.sim.scenario.errors import ScenarioError
 from maxq.sim.scenario.loader import load_scenario, load_scenario_text
 from maxq.sim.vehicle import state as layout
-from maxq.sim.vehicle.workspace import AXIAL_LOAD, ENGINE_PITCH, GROUPS, SPECIFIC_FORCE, THRUST
+from maxq.sim.vehicle.workspace import AXIAL_LOAD, ENGINE_PITCH, GROUPS, HINGE_MOMENT, SPECIFIC_FORCE, SWING, THRUST
 
 NINE = "tests/data/nine-engines/flight.toml"
 PARTS = Parts(
@@ -53,9 +53,16 @@ UNLIKE = [
 ]
 
 
-def with_engines(parts: Parts, engines: list[Tree]) -> Rig:
+LOADS = [
+    {"group": "c", "frequency_hz": 11.0, "damping_ratio": 0.05},
+    {"group": "a", "stiffness_Nmprad": 2.0e5, "damping_ratio": 0.02, "friction_Nm": 40.0},
+]
+SWINGING = (0, 2, 3)  # of UNLIKE: the groups a and c
+
+
+def with_engines(parts: Parts, engines: list[Tree], **more: Any) -> Rig:
     tree = scenario_of(replace(parts, engine=True))
-    tree["vehicle"]["stage"][0]["engine"] = engines
+    tree["vehicle"]["stage"][0] |= {"engine": engines} | more
     return rig(tree)
 
 
@@ -68,24 +75,30 @@ def moving(made: Rig, seed: int, rate: float = 0.6) -> Array:
     for group in range(1 + int(made.sizes.further_groups)):
         i = int(layout.actuator_index(made.sizes, group))
         y[i : i + 12] = same if seed % 2 == 0 else 0.1 * rng.normal(size=12)
+    loads = y[int(layout.tvc_load_index(made.sizes)) :].reshape(-1, 2, 3)  # load, plane; angle, rate, friction
+    loads[:, :, :2] = rng.normal(0.0, (0.1, 0.1 + rate), (len(loads), 2, 2))
+    for load, engine in zip(loads, SWINGING, strict=False):  # an engine does not leave its plane
+        load[[UNLIKE[engine].get("gimbal") == "yaw", UNLIKE[engine].get("gimbal") == "pitch"]] = 0.0
     return y
 
 
-def motions(made: Rig, given: list[Tree]) -> list[tuple[Array, Array, Array, Array]]:
-    """Thrust axis at rest and now, and its two derivatives, of each engine."""
+def motions(made: Rig, given: list[Tree]) -> list[tuple[Array, ...]]:
+    """Thrust axis at rest and now, its two derivatives, and what it changes by per pitch and yaw, of each engine."""
     dp, dy, t = (sp.Function("dp"), sp.Function("dy"), sp.Symbol("t"))
     axis = sp.Matrix([sp.cos(dp(t)) * sp.cos(dy(t)), -sp.sin(dy(t)), sp.sin(dp(t)) * sp.cos(dy(t))])
     names = sp.symbols("p p1 p2 y y1 y2")
     known = {dp(t).diff(t, 2): names[2], dy(t).diff(t, 2): names[5], dp(t).diff(t): names[1], dy(t).diff(t): names[4]}
     known_last = {dp(t): names[0], dy(t): names[3]}
-    rows = [axis, axis.diff(t), axis.diff(t, 2)]
+    rows = [axis, axis.diff(t), axis.diff(t, 2), axis.diff(dp(t)), axis.diff(dy(t))]
     numeric = sp.lambdify(names, [list(row.subs(known).subs(known_last)) for row in rows])
     groups = list(dict.fromkeys(e.get("group", "") for e in given if e.get("gimbal") != "fixed"))
     out = []
-    for e in given:
+    for number, e in enumerate(given):
         planes = e.get("gimbal", "both")
         group = groups.index(e.get("group", "")) if planes != "fixed" else 0
         at = ENGINE_PITCH if group == 0 else GROUPS + 6 * (group - 1)
+        if made.sizes.tvc_loads > 0 and number in SWINGING:
+            at = SWING + 6 * SWINGING.index(number)
         angles = made.aux[at : at + 6].copy()
         angles[:3] *= planes in ("both", "pitch")
         angles[3:] *= planes in ("both", "yaw")
@@ -134,7 +147,7 @@ def newton_euler(made: Rig, given: list[Tree], w: Array) -> tuple[Array, Array]:
     matrix[3:, 3:] += hull
     known[:3] += hull_mass * np.cross(w, np.cross(w, hull_cg))
     known[3:] += np.cross(w, hull @ w)
-    for e, i, (gimbal, _), (_, d, d1, d2) in zip(given, own, rest, motions(made, given), strict=True):
+    for e, i, (gimbal, _), (_, d, d1, d2, *_) in zip(given, own, rest, motions(made, given), strict=True):
         arm = e["cg_from_gimbal_m"]
         body(e["gimballed_mass_kg"], gimbal - arm * d, -arm * d1, -arm * d2)
         spin, spin_rate = np.cross(d, d1), np.cross(d, d2)
@@ -147,28 +160,67 @@ def newton_euler(made: Rig, given: list[Tree], w: Array) -> tuple[Array, Array]:
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("loads", [[], LOADS], ids=["locked", "swinging"])
 @pytest.mark.parametrize("seed", [1, 3])
-def test_unlike_engines_obey_newton_and_euler_body_by_body(seed: int) -> None:
-    made = with_engines(PARTS, UNLIKE)
+def test_unlike_engines_obey_newton_and_euler_body_by_body(seed: int, loads: list[Tree]) -> None:
+    made = with_engines(PARTS, UNLIKE, **({"tvc_load": loads} if loads else {}))
     assert (int(made.sizes.engines), int(made.sizes.further_groups), int(made.sizes.gimbals)) == (5, 2, 2)
     y = moving(made, seed)
     dy = made.derivative(y)
-    accel, alpha = newton_euler(made, UNLIKE, y[layout.W_BI_B : layout.W_BI_B + 3])
+    w = y[layout.W_BI_B : layout.W_BI_B + 3]
+    accel, alpha = newton_euler(made, UNLIKE, w)
     np.testing.assert_allclose(made.aux[SPECIFIC_FORCE : SPECIFIC_FORCE + 3], accel, rtol=1e-11)
     np.testing.assert_allclose(dy[layout.W_BI_B : layout.W_BI_B + 3], alpha, rtol=1e-10)
+    if loads:
+        still = [(np.zeros(3), np.zeros(3))] * len(UNLIKE)
+        check_hinges(made, y, w, accel, alpha, still)
+
+
+def check_hinges(made: Rig, y: Array, w: Array, accel: Array, alpha: Array, bend: list[tuple[Array, Array]]) -> None:
+    """D'Alembert of each engine on its load: the work of its inertia on a turn about the hinge is the hinge moment's.
+
+    `bend`: acceleration and angular acceleration of the gimbal by the modes. Thrust goes through the gimbal: no work.
+    """
+    x, cg_y, cg_z = PARTS.core_cg
+    states = y[int(layout.tvc_load_index(made.sizes)) :].reshape(-1, 2, 3)
+    assert len(states) == len(SWINGING)
+    for n, number in enumerate(SWINGING):
+        e, (d0, d, d1, d2, *by) = UNLIKE[number], motions(made, UNLIKE)[number]
+        mass, arm = e["gimballed_mass_kg"], e["cg_from_gimbal_m"]
+        own = e["inertia_about_gimbal_kgm2"] - mass * arm**2
+        gimbal = np.array([x - e["gimbal_station_m"], e["offset_m"][0] - cg_y, e["offset_m"][1] - cg_z])
+        at, v = gimbal - arm * d, -arm * d1
+        shift, turn = bend[number]
+        felt = accel + np.cross(alpha, at) + np.cross(w, np.cross(w, at)) + 2.0 * np.cross(w, v) - arm * d2
+        lever = np.array([0.0, *e["offset_m"]]) if any(e.get("cant_deg", [0, 0])) else np.zeros(3)
+        felt = felt + shift + np.cross(turn, lever - arm * d0)
+        turning = alpha + turn + np.cross(d, d2)
+        for plane in range(2):
+            if e.get("gimbal", "both") not in ("both", ("pitch", "yaw")[plane]):
+                assert made.aux[SWING + 6 * n + 3 * plane + 2] == 0.0
+                continue
+            work = mass * felt @ (-arm * by[plane]) + own * turning @ np.cross(d, by[plane])
+            work += (
+                2.0 * own * w @ np.cross(d1, by[plane])
+            )  # by Lagrange, the engine's roll about its own axis left out
+            # what the axial load does through the gimbal's slope is left to the caller
+            assert made.aux[HINGE_MOMENT + 2 * n + plane] == pytest.approx(work, rel=1e-9)
+            assert abs(made.aux[SWING + 6 * n + 3 * plane + 2]) > 1.0
 
 
 @pytest.mark.slow
-def test_loads_on_the_modes_are_the_virtual_work_of_thrust_and_reaction() -> None:
+@pytest.mark.parametrize("loads", [[], LOADS], ids=["locked", "swinging"])
+def test_loads_on_the_modes_are_the_virtual_work_of_thrust_and_reaction(loads: list[Tree]) -> None:
     """At rest and straight: each force times the displacement that a mode gives its point."""
-    made = with_engines(BENT, UNLIKE)
+    made = with_engines(BENT, UNLIKE, **({"tvc_load": loads} if loads else {}))
     y = moving(made, 5, rate=0.0)
     dy = made.derivative(y)
     load = made.aux[AXIAL_LOAD]
+    bend = [(np.zeros(3), np.zeros(3)) for _ in UNLIKE]
     for plane, lateral in (("pitch", 2), ("yaw", 1)):
         for number, mode in enumerate(PITCH):
             work = 0.0
-            for e, (d0, d, _, d2) in zip(UNLIKE, motions(made, UNLIKE), strict=True):
+            for e, (d0, d, _, d2, *_) in zip(UNLIKE, motions(made, UNLIKE), strict=True):
                 at = BENT.stations_m.index(e["gimbal_station_m"])
                 turn = np.zeros(3)  # rotation of the section for a unit of the modal coordinate
                 turn[3 - lateral] = mode.slope_pm[at] * (1.0 if plane == "pitch" else -1.0)
@@ -185,6 +237,13 @@ def test_loads_on_the_modes_are_the_virtual_work_of_thrust_and_reaction() -> Non
                 work += -mass * load * np.array([1.0, 0, 0]) @ np.cross(turn, -arm * (d - d0))
             i = int((layout.eta_index if plane == "pitch" else layout.xi_index)(made.sizes)) + 2 + number
             assert dy[i] == pytest.approx(work / mode.mass_kg, rel=1e-9)
+            for (shift, turn), e in zip(bend, UNLIKE, strict=True):
+                at = BENT.stations_m.index(e["gimbal_station_m"])
+                shift[lateral] += mode.phi[at] * dy[i]
+                turn[3 - lateral] += mode.slope_pm[at] * (1.0 if plane == "pitch" else -1.0) * dy[i]
+    if loads:
+        accel, alpha = made.aux[SPECIFIC_FORCE : SPECIFIC_FORCE + 3], dy[layout.W_BI_B : layout.W_BI_B + 3]
+        check_hinges(made, y, np.zeros(3), accel, alpha, bend)
 
 
 @pytest.mark.slow

@@ -26,7 +26,7 @@ from maxq.design.model.dispersion import Dispersion, disperse
 from maxq.design.model.linearised import linearise, zero_incidence
 from maxq.design.model.node import node_of
 from maxq.design.model.plant import vehicle_plant
-from maxq.design.model.vehicle_at import FlightCondition, vehicle_at
+from maxq.design.model.vehicle_at import FlightCondition, actuator, vehicle_at
 from maxq.sim.packing.flight import pack_flight
 from maxq.sim.run.evaluate import evaluate_at
 from maxq.sim.vehicle import state as layout
@@ -114,10 +114,13 @@ def spatial_state(made: Rig, planar: Rig, y: Array, angle: float) -> Array:
     return np.concatenate([y[:first], bent, y[first + 4 * n :]])
 
 
-def rigs(angle: float, **more: Any) -> tuple[Rig, Rig]:
+ON_LOAD: Tree = {"tvc_load": {"frequency_hz": 14.0, "damping_ratio": 0.05}}
+
+
+def rigs(angle: float, stage: Tree, **more: Any) -> tuple[Rig, Rig]:
     section, rest = as_spatial(PARTS, angle)
-    tree = with_stage(scenario_of(PARTS, **AIR, **more), aero=AERO | TABLES)
-    spatial = with_stage(scenario_of(rest, **AIR, **more), aero=AERO | TABLES, spatial_modes=section)
+    tree = with_stage(scenario_of(PARTS, **AIR, **more), aero=AERO | TABLES, **stage)
+    spatial = with_stage(scenario_of(rest, **AIR, **more), aero=AERO | TABLES, spatial_modes=section, **stage)
     return rig(tree), rig(spatial)
 
 
@@ -134,13 +137,16 @@ def stirred(made: Rig, rng: np.random.Generator) -> Array:
         u = np.array([-1.0, 0.0, 0.0]) + 0.4 * rng.normal(size=3)
         y[i : i + 3] = u / np.linalg.norm(u)
         y[i + 3 : i + 6] = np.cross(rng.normal(size=3), y[i : i + 3])
+    first = int(layout.tvc_load_index(made.sizes))
+    y[first:] = 0.1 * rng.normal(size=made.n - first)
     return y
 
 
+@pytest.mark.parametrize("stage", [{}, ON_LOAD], ids=["locked", "swinging"])
 @pytest.mark.parametrize("angle_deg", [0.0, 30.0])
-def test_pairs_written_as_spatial_modes_have_the_same_derivative(angle_deg: float) -> None:
+def test_pairs_written_as_spatial_modes_have_the_same_derivative(angle_deg: float, stage: Tree) -> None:
     rng, angle = np.random.default_rng(3), np.radians(angle_deg)
-    planar, spatial = rigs(angle)
+    planar, spatial = rigs(angle, stage)
     for _ in range(20):
         y = stirred(planar, rng)
         wanted = spatial_state(spatial, planar, planar.derivative(y), angle)
@@ -154,7 +160,7 @@ def test_pairs_written_as_spatial_modes_have_the_same_derivative(angle_deg: floa
 @pytest.mark.parametrize("angle_deg", [0.0, 30.0])
 def test_pairs_written_as_spatial_modes_fly_the_same(angle_deg: float) -> None:
     angle = np.radians(angle_deg)
-    planar, spatial = rigs(angle)
+    planar, spatial = rigs(angle, {})
     y = stirred(planar, np.random.default_rng(5))
     planar.y[:], spatial.y[:] = y, spatial_state(spatial, planar, y, angle)
     theirs, ours = flown(planar, 2.0)[-1], flown(spatial, 2.0)[-1]
@@ -363,7 +369,8 @@ def test_coupled_modes_conserve_energy_and_momenta() -> None:
 
 
 # --- the linear model
-def test_linear_model_of_both_planes_is_the_linearised_simulator() -> None:
+@pytest.mark.parametrize("stage", [{}, ON_LOAD], ids=["locked", "swinging"])
+def test_linear_model_of_both_planes_is_the_linearised_simulator(stage: Tree) -> None:
     """Modes that bend in both planes at once and twist, of unlike frequencies: all axes in one state space."""
     angle = np.radians(30.0)
     section, rest = as_spatial(
@@ -381,7 +388,7 @@ def test_linear_model_of_both_planes_is_the_linearised_simulator() -> None:
     velocity = [float(200.0 * np.cos(path)), 0.0, float(-200.0 * np.sin(path))]
     start = {"initial": {"ned_mps": velocity, "euler_deg": [0.0, 50.0, 0.0]}, "earth": {"gravity": "uniform"}}
     tree = merged(scenario_of(straight, **AIR), start)
-    packed = rig(with_stage(tree, aero=AERO, spatial_modes=section)).packed
+    packed = rig(with_stage(tree, aero=AERO, spatial_modes=section, **stage)).packed
     air = evaluate_at(packed, packed.state, 0.0).aux
     condition = FlightCondition(
         0.0, float(air[workspace.AIRSPEED]), float(air[workspace.DENSITY]), float(air[workspace.PRESSURE]),
@@ -391,27 +398,31 @@ def test_linear_model_of_both_planes_is_the_linearised_simulator() -> None:
     modes = [f"spatial_{i}_{what}" for what in ("m", "rate_mps") for i in range(1, 5)]
 
     def slosh(plane: str) -> list[str]:
-        return [f"slosh_{k}_{plane}{what}" for what in ("_rad", "_rate_radps") for k in (1, 2)]
+        engine = [f"tvc_load_1_{plane}_{what}" for what in ("rad", "rate_radps") if stage]
+        return [f"slosh_{k}_{plane}{what}" for what in ("_rad", "_rate_radps") for k in (1, 2)] + engine
 
     for plane, across in (("pitch", "yaw"), ("yaw", "pitch")):
         motion = {"pitch": ["w_mps", "q_radps", "theta_rad"], "yaw": ["v_mps", "r_radps", "psi_rad"]}
         names = [*motion[plane], *modes, *slosh(plane), *motion[across], *slosh(across)]
-        turned = {"r_radps", "psi_rad"}
+        turned = {"r_radps", "psi_rad", "tvc_load_1_yaw_rad", "tvc_load_1_yaw_rate_radps"}
         sign = np.array([-1.0 if name in turned else 1.0 for name in names])
         i = [theirs.states.index(name) for name in names]
         a = sign[:, None] * theirs.a[np.ix_(i, i)] * sign
         plant = vehicle_plant(vehicle_at(packed, 0.0, condition.mach, plane), condition)
         scale = 1e-8 * np.abs(plant.a).max(axis=1, keepdims=True)
-        assert np.abs(a - plant.a).max() < 2e-5
+        assert np.abs(a - plant.a).max() < 1e-8 * np.abs(plant.a).max()
         np.testing.assert_array_less(np.abs(a - plant.a), 1e-8 * np.abs(plant.a) + 1e-3 * scale + 1e-8)
         for k, (p, output) in enumerate(((plane, "local_rate_radps"), (across, "across_local_rate_radps"))):
             columns = [theirs.states.index(f"actuator_{p}_{j}") for j in range(1, 7)]
             angle_row = theirs.c[theirs.outputs.index(f"delta_{p}_rad")][columns]
             rates = theirs.a[np.ix_(columns, columns)]
+            if stage:  # the angle that is put out is the engine's
+                angle_row = actuator(packed.parameters[0].vehicle[f"actuator_{p}"]).c[0]
             motions = np.stack([angle_row, angle_row @ rates, angle_row @ rates @ rates], axis=1)
             through = np.linalg.lstsq(motions, theirs.a[np.ix_(i, columns)].T, rcond=None)[0].T
             through = sign[:, None] * through * (1.0 if p == "pitch" else -1.0)
-            np.testing.assert_allclose(through[:, [0, 2]], plant.b[:, 2 * k : 2 * k + 2], rtol=1e-8, atol=1e-8)
+            felt = [0, 1] if stage else [0, 2]  # angle and rate of the actuator, or acceleration of the engine
+            np.testing.assert_allclose(through[:, felt], plant.b[:, 2 * k : 2 * k + 2], rtol=1e-8, atol=1e-8)
             sensed = theirs.c[theirs.outputs.index(f"local_rate_{p}_radps")][i] * sign * (1.0 if p == "pitch" else -1.0)
             np.testing.assert_allclose(sensed, plant.c[plant.outputs.index(output)], rtol=1e-8, atol=1e-10)
         roll = (

@@ -311,7 +311,7 @@ def test_axial_load_and_bent_gimbal_agree_with_lagrange() -> None:
     vehicle = stiff_air(node.vehicle)
     condition = replace(node.condition, airspeed_mps=0.0, gravity_mps2=0.0)
     plant = vehicle_plant(vehicle, condition)
-    engine, modes, load = vehicle.engine, vehicle.modes, vehicle.tvc_load
+    engine, modes, load = vehicle.engine, vehicle.modes, vehicle.engine.tvc_load
     assert load is not None
     mass, arm = engine.gimballed_mass_kg, engine.cg_from_gimbal_m
     axial = engine.thrust_N(condition.pressure_Pa) / vehicle.body.core_mass_kg

@@ -30,7 +30,8 @@ _READERS: dict[type, Reader] = {}
 
 
 def dtype_of(schema: type) -> np.dtype[Any]:
-    """Record layout of a dataclass of `float`, `int`, `Annotated[Array, shape]` and nested dataclasses.
+    """Record layout of a dataclass of `float`, `int`, `Annotated[Array, shape]`, nested dataclasses and tuples of them
+    (`Annotated[tuple[X, ...], shape]`).
 
     Raises TypeError for any other field type, and for a name that np.record has itself.
     """
@@ -54,6 +55,8 @@ def _column(hint: Any) -> tuple[Any, ...]:
         return ("i8",)
     if get_origin(hint) is Annotated:
         array, shape = get_args(hint)
+        if get_origin(array) is tuple:
+            return (dtype_of(get_args(array)[0]), shape)
         kind = "i8" if array == IntArray else "f8"
         return (kind, shape)
     if is_dataclass(hint) and isinstance(hint, type):
@@ -79,14 +82,14 @@ def _values(instance: Any) -> tuple[Any, ...]:
         return values
     filled = list(values)
     for k in nested:
-        filled[k] = _values(filled[k])
+        filled[k] = [_values(x) for x in filled[k]] if isinstance(filled[k], tuple) else _values(filled[k])
     return tuple(filled)
 
 
 def _reader(schema: type) -> Reader:
     names = [f.name for f in fields(schema)]
     hints = get_type_hints(schema)
-    nested = tuple(k for k, name in enumerate(names) if is_dataclass(hints[name]))
+    nested = tuple(k for k, name in enumerate(names) if is_dataclass(hints[name]) or get_origin(hints[name]) is tuple)
     if len(names) == 1:
         return lambda instance: (getattr(instance, names[0]),), nested
     return attrgetter(*names), nested

@@ -187,7 +187,7 @@ def linear_room(held: HeldFlight, frequency_hz: float) -> tuple[float, float]:
     """Amplitudes (rad) of the gimbal command at a frequency: those that reach a share of the limits beyond which the
     actuator or the computer is not linear, and INCIDENCE_RAD."""
     line = np.array([max(frequency_hz, LOWEST_BURST_HZ)])
-    servo, incidence = (float(np.abs(x[0])) for x in _servo_and_incidence(held.node, line))
+    servo, incidence = (float(np.abs(x[..., 0]).max()) for x in _servo_and_incidence(held.node, line))
     angle, rate = linear_limits(held)
     return SHARE_OF_LIMITS * min(angle, rate / servo), INCIDENCE_RAD / incidence
 
@@ -206,20 +206,29 @@ def _peaks(held: HeldFlight, loop: Loop, groups: Groups, band: Band) -> tuple[fl
         spectrum[bins] = -0.5j * samples * command * gain
         return float(np.abs(np.fft.irfft(spectrum, samples)).max())
 
-    return peak(np.ones_like(servo)), peak(servo), peak(incidence)
+    return peak(np.ones_like(incidence)), max(peak(one) for one in servo), peak(incidence)
 
 
 def _servo_and_incidence(node: Node, lines_hz: Array) -> tuple[ComplexArray, ComplexArray]:
-    """Rate that the servo commands (1/s; sim/vehicle/actuator.py), and incidence w / U, per gimbal command."""
+    """Rate that each drive's servo commands, (drives, lines) in 1/s as if all had the lowest limit of it
+    (sim/vehicle/actuator.py), and incidence w / U, per gimbal command.
+    """
     s = np.asarray(2j * np.pi * lines_hz, np.complex128)
-    record = node.instruments.actuator
+    records, inputs = node.instruments.actuators, node.plant.inputs
     per_engine = node.plant.response(lines_hz)[:, OUTPUTS.index("w_mps"), :] / max(node.condition.airspeed_mps, 1.0)
-    if record.ideal:
-        return np.ones_like(s), np.asarray(per_engine[:, 0])
-    x = s / record.omega_1_radps
-    angle = actuator(record).channel("delta_rad", "command_rad", lines_hz)
-    followed = 1.0 / (1.0 + x * (2.0 * record.zeta_1 + x))
-    commanded = record.omega_1_radps / (2.0 * record.zeta_1) * (1.0 - followed)
-    ahead = angle / followed if record.limits_on_engine else np.ones_like(s)  # sections that come before the servo
-    turned = per_actuator_angle(s, np.asarray(per_engine, np.complex128), node.plant.inputs[:2])
-    return np.asarray(ahead * commanded), np.asarray(angle * turned)
+    if records[0].ideal:
+        angles = [k for k, name in enumerate(inputs) if name.startswith("delta_rad")]
+        return np.ones_like(s)[None], np.asarray(per_engine[:, angles].sum(axis=1))
+    lowest = min(record.rate_limit_radps for record in records)
+    servos, incidence = [], np.zeros_like(s)
+    turned = per_actuator_angle(s, np.asarray(per_engine, np.complex128), inputs)
+    for record, gain, per_angle in zip(records, node.gains, turned, strict=True):
+        x = s / record.omega_1_radps
+        angle = actuator(record).channel("delta_rad", "command_rad", lines_hz)
+        followed = 1.0 / (1.0 + x * (2.0 * record.zeta_1 + x))
+        commanded = record.omega_1_radps / (2.0 * record.zeta_1) * (1.0 - followed)
+        ahead = angle / followed if record.limits_on_engine else np.ones_like(s)  # sections that come before the servo
+        share = 1.0 if math.isinf(lowest) else lowest / record.rate_limit_radps
+        servos.append(gain * share * ahead * commanded)
+        incidence = incidence + angle * per_angle
+    return np.stack(servos), incidence

@@ -183,4 +183,5 @@ def linear_limits(held: HeldFlight) -> tuple[float, float]:
     command = math.inf if computer is None else math.radians(computer.command_limit_deg)
     if actuator.ideal:
         return command, math.inf
-    return min(command, actuator.angle_limit_rad), actuator.rate_limit_radps
+    lowest = min(actuator.rate_limit_radps for actuator in held.node.instruments.actuators)
+    return min(command, held.node.angle_limit_rad), lowest

@@ -129,12 +129,10 @@ def _window(time_s: float, spans: Sequence[Span]) -> tuple[float, float]:
 
 def _amplitude_deg(loaded: LoadedScenario) -> float:
     """Of each line: together they stay below the share of every stage's gimbal rate and angle that a burst may take."""
-    out = COMMAND_DEG
-    for actuator in (stage.actuator for stage in loaded.vehicle.stage if stage.actuator is not None):
-        together = math.sqrt(2.0 * len(LINES_HZ))  # crest of many sines
-        omega, zeta = 2.0 * math.pi * actuator.omega_hz[0], actuator.zeta[0]
-        out = min(out, SHARE_OF_BURST * actuator.rate_limit_degps * 2.0 * zeta / omega / together)
-    return out
+    together = math.sqrt(2.0 * len(LINES_HZ))  # crest of many sines
+    actuators = [actuator for stage in loaded.vehicle.stage for actuator in stage.actuators]
+    by_rate = [a.rate_limit_degps * 2.0 * a.zeta[0] / (2.0 * math.pi * a.omega_hz[0]) for a in actuators]
+    return min([COMMAND_DEG, *(SHARE_OF_BURST * rate / together for rate in by_rate)])
 
 
 @dataclass(frozen=True)

@@ -32,7 +32,7 @@ from maxq.design.loop.sampling import SampledPlant, sample
 from maxq.design.model.node import Node
 from maxq.design.model.plant import per_actuator_angle
 from maxq.design.model.state_space import ComplexArray, Resolvent, StateSpace, chain, channels
-from maxq.design.model.vehicle_at import actuator, actuator_poles, gyro
+from maxq.design.model.vehicle_at import actuator_poles, actuator_response, actuators, gyro, lag
 
 Kind = Literal["sampled", "pade", "exact"]
 Cut = Literal["gimbal_command", "rate_command_to_q", "rate_command_to_q_m"]
@@ -50,12 +50,12 @@ class FixedPath(abc.ABC):
         self.node, self.cut = node, cut
         self.takes_rate = cut == "gimbal_command"
         self.measurements: tuple[str, ...] = MEASUREMENTS if self.takes_rate else MEASUREMENTS[:1]
-        ideal = bool(node.actuator.ideal)
+        ideal = bool(node.actuator.ideal)  # that of one is that of all
         output = "q_radps" if cut == "rate_command_to_q" else "local_rate_radps"
         # an ideal actuator is at rest between commands: the staircase's corners shake nothing
-        inputs = node.plant.inputs[: 1 if ideal else 2]  # those of this plane
+        inputs = tuple(name for name in node.plant.inputs if not ideal or name.startswith("delta_rad"))
         self._vehicle = channels(node.plant, (output,), inputs)
-        self._actuator = None if ideal else actuator(node.actuator)
+        self._actuator = None if ideal else actuators(node.actuators)
         self._gyro = gyro(node.instruments.gyro) if self.takes_rate and not node.instruments.gyro.ideal else None
 
     @property
@@ -158,7 +158,8 @@ class FixedPath(abc.ABC):
         """Of actuator, vehicle and gyro, each by itself: in a row they stay what they are."""
         out = vehicle_poles(self._vehicle)
         if self._actuator is not None:
-            for k, (omega, zeta) in enumerate(actuator_poles(self.node.actuator)):
+            poles = [pair for record in self.node.actuators for pair in actuator_poles(record)]
+            for k, (omega, zeta) in enumerate(poles):
                 out += named(_pair(omega, zeta), "actuator", k + 1)
         if self._gyro is not None:
             out += named(_pair(self.node.instruments.gyro.omega_radps, self.node.instruments.gyro.zeta), "gyro")
@@ -192,15 +193,13 @@ class _ContinuousFixedPath(FixedPath):
 
     def plant_at(self, s: ComplexArray) -> ComplexArray:
         """Actuator, vehicle and gyro."""
-        out = per_actuator_angle(s, self._turning(s)[..., 0, :], self._vehicle.inputs)
+        per_angle = per_actuator_angle(s, self._turning(s)[..., 0, :], self._vehicle.inputs)
         if self._actuator is not None:
-            a = self.node.actuator
-            for omega, zeta in actuator_poles(a):
-                out = out * _lag(s, omega, zeta)
-            if a.order == 6:
-                out = out / _lag(s, a.omega_4_radps, a.zeta_4)
+            drives = zip(per_angle, self.node.actuators, strict=True)
+            per_angle = [turned * actuator_response(record, s) for turned, record in drives]
+        out: ComplexArray = sum(per_angle[1:], per_angle[0])
         if self._gyro is not None:
-            out = out * _lag(s, self.node.instruments.gyro.omega_radps, self.node.instruments.gyro.zeta)
+            out = out * lag(s, self.node.instruments.gyro.omega_radps, self.node.instruments.gyro.zeta)
         return np.asarray(out)
 
     @abc.abstractmethod
@@ -319,9 +318,3 @@ def _pair(omega: float, zeta: float) -> ComplexArray:
     """Roots of s^2 + 2 zeta omega s + omega^2."""
     root = np.sqrt(complex(zeta * zeta - 1.0))
     return np.array([-zeta + root, -zeta - root], np.complex128) * omega
-
-
-def _lag(s: ComplexArray, omega: float, zeta: float) -> ComplexArray:
-    """omega^2 / (s^2 + 2 zeta omega s + omega^2)."""
-    x = np.asarray(s) / omega
-    return np.asarray(1.0 / (1.0 + x * (2.0 * zeta + x)))

@@ -24,7 +24,7 @@ from maxq.design.margins.solving import DB, wrapped
 from maxq.design.model.node import Node
 from maxq.design.model.plant import Liquids, per_actuator_angle
 from maxq.design.model.state_space import ComplexArray, Resolvent, StateSpace, channels
-from maxq.design.model.vehicle_at import Modes, Pendulums, VehicleAt, actuator, gyro
+from maxq.design.model.vehicle_at import Modes, Pendulums, VehicleAt, actuator, actuator_response, gyro
 
 Response = Callable[[Array], ComplexArray]
 
@@ -191,14 +191,18 @@ def _channel(system: StateSpace) -> Response:
 
 
 def _vehicle(node: Node) -> Response:
-    """Angle of the engine, or of its actuator where it is on a compliance -> local rate at the gyro."""
+    """Angle of the first drive's actuators -> local rate at the gyro, by all of them."""
     ideal = bool(node.instruments.actuator.ideal)
-    inputs = node.plant.inputs[: 1 if ideal else 2]  # those of this plane
+    inputs = tuple(name for name in node.plant.inputs if not ideal or name.startswith("delta_rad"))
     system = channels(node.plant, ("local_rate_radps",), inputs)
     resolvent = Resolvent(system.a, system.b, system.c)
 
     def response(s: ComplexArray) -> ComplexArray:
-        return per_actuator_angle(s, resolvent(s)[..., 0, :], inputs)
+        first, *others = per_actuator_angle(s, resolvent(s)[..., 0, :], inputs)
+        for turned, record in zip(others, node.actuators[1:], strict=True):
+            beside = 1.0 if ideal else actuator_response(record, s) / actuator_response(node.actuator, s)
+            first = np.asarray(first + turned * beside)
+        return first
 
     return _of_s(response)
 
@@ -216,8 +220,9 @@ def build_up(node: Node) -> list[tuple[str, Node]]:
     full = node.vehicle
     modes = dataclasses.replace(_emptied(full.modes), softening_kgpm=np.zeros((0, 0)), spatial=0)
     stiff = dataclasses.replace(full, modes=modes, across=None)
-    engine = dataclasses.replace(full.engine, gimballed_mass_kg=0.0, inertia_about_gimbal_kgm2=0.0)
-    light = dataclasses.replace(stiff, engine=engine, tvc_load=None)
+    massless: dict[str, Any] = {"gimballed_mass_kg": 0.0, "inertia_about_gimbal_kgm2": 0.0, "tvc_load": None}
+    engine, *others = (dataclasses.replace(one, **massless) for one in full.engines)
+    light = dataclasses.replace(stiff, engine=engine, further_engines=tuple(others))
     frozen = _frozen(light)
     none = np.zeros_like(full.aerodynamics.slope_pr)
     air = dataclasses.replace(

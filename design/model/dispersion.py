@@ -137,12 +137,17 @@ def with_lateral_thrust(vehicle: VehicleAt, node: Node, factor: float) -> Vehicl
 
 
 def _instruments(instruments: Instruments, by: Dispersion) -> Instruments:
-    a, g = instruments.actuator, instruments.gyro
-    faster = {f"omega_{k}_radps": getattr(a, f"omega_{k}_radps") * by.actuator_frequency for k in (1, 2, 3)}
-    damped = {f"zeta_{k}": getattr(a, f"zeta_{k}") * by.actuator_damping for k in (1, 2, 3)}
+    g = instruments.gyro
+    factors = {"omega_{}_radps": by.actuator_frequency, "zeta_{}": by.actuator_damping}
+    poles = [(name.format(k), factor) for name, factor in factors.items() for k in (1, 2, 3)]
+    actuators = [
+        dataclasses.replace(a, **{name: getattr(a, name) * factor for name, factor in poles})
+        for a in instruments.actuators
+    ]
     return dataclasses.replace(
         instruments,
-        actuator=dataclasses.replace(a, **faster, **damped),
+        actuator=actuators[0],
+        further_actuators=tuple(actuators[1:]),
         gyro=dataclasses.replace(g, omega_radps=g.omega_radps * by.gyro_frequency),
         delay_s=instruments.delay_s + by.delay_s,
     )

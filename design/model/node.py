@@ -14,7 +14,7 @@ import numpy as np
 from maxq.control.kernel.records import Array
 from maxq.design.model.dispersion import Dispersion, disperse
 from maxq.design.model.errata import CORRECTED, Errata
-from maxq.design.model.plant import INPUTS, OUTPUTS, Liquids, state_names, vehicle_plant
+from maxq.design.model.plant import OUTPUTS, Liquids, inputs_of, state_names, swings_of, vehicle_plant
 from maxq.design.model.state_space import StateSpace
 from maxq.design.model.vehicle_at import (
     FlightCondition,
@@ -67,11 +67,13 @@ class Node:
         whole = self.whole
         if self.vehicle.across is None:
             return whole
-        n, m = len(state_names(len(self.vehicle.modes.omega_radps), len(self.vehicle.pendulums.mass_kg))), len(INPUTS)
-        outputs = len(OUTPUTS)
+        v, inputs = self.vehicle, inputs_of(self.vehicle)
+        swinging = sum(len(swings_of(engine)) for engine in v.engines)
+        n = len(state_names(len(v.modes.omega_radps), len(v.pendulums.mass_kg), swinging))
+        m, outputs = len(inputs), len(OUTPUTS)
         return StateSpace(
             whole.a[:n, :n], whole.b[:n, :m], whole.c[:outputs, :n], whole.d[:outputs, :m], whole.states[:n],
-            INPUTS, OUTPUTS,
+            inputs, OUTPUTS,
         )  # fmt: skip  # five more lines otherwise
 
     @cached_property
@@ -83,14 +85,35 @@ class Node:
             raise ValueError(f"node at {self.time_s:g} s: {problem}") from problem
 
     @cached_property
-    def actuator(self) -> Actuator:
-        """The actuator, with a3 and a4 exchanged where the errata say so."""
-        a = self.instruments.actuator
-        if not self.errata.actuator_labels or a.ideal or a.order < 6:
-            return a
-        return dataclasses.replace(
-            a, omega_3_radps=a.omega_4_radps, omega_4_radps=a.omega_3_radps, zeta_3=a.zeta_4, zeta_4=a.zeta_3
+    def actuators(self) -> tuple[Actuator, ...]:
+        """Of each drive, with a3 and a4 exchanged where the errata say so."""
+        return tuple(
+            a
+            if not self.errata.actuator_labels or a.ideal or a.order < 6
+            else dataclasses.replace(
+                a, omega_3_radps=a.omega_4_radps, omega_4_radps=a.omega_3_radps, zeta_3=a.zeta_4, zeta_4=a.zeta_3
+            )
+            for a in self.instruments.actuators
         )
+
+    @property
+    def actuator(self) -> Actuator:
+        """Of the first drive."""
+        return self.actuators[0]
+
+    @property
+    def gains(self) -> tuple[float, ...]:
+        """Of each drive: the largest angle of a group per command of the law."""
+        return tuple(
+            max((abs(e.gain) for e in self.vehicle.engines if e.drive == drive), default=0.0)
+            for drive in range(len(self.actuators))
+        )
+
+    @property
+    def angle_limit_rad(self) -> float:
+        """Command of the law at which the first actuator reaches the limit of its angle; infinite for ideal ones."""
+        limits = zip(self.actuators, self.gains, strict=True)
+        return min((a.angle_limit_rad / gain for a, gain in limits if gain > 0.0 and not a.ideal), default=math.inf)
 
     def with_errata(self, errata: Errata) -> Node:
         return dataclasses.replace(self, errata=errata)

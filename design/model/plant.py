@@ -19,9 +19,14 @@ not with the hinge's arm l_p for both as (27) prints (erratum 22): the rod's pul
 friction at the bob, l_p - L forward of the CG. The printed pair of damping forces is not on one line and so does not
 conserve angular momentum.
 
-With a TVC load (docs/model.md, section 14) the engine's angle is a state and its acceleration an unknown: it is driven
+With a TVC load (docs/model.md, section 14) an engine's angle is a state and its acceleration an unknown: it is driven
 by spring and damper to the actuator, by the axial load on its mass, and by what the vehicle's accelerations do to the
-hinge, which by reciprocity is what its acceleration does to the vehicle.
+hinge, which by reciprocity is what its acceleration does to the vehicle. Engines of a cluster drive each other through
+the motions of this plane; what they do to roll and to the other plane cancels where the cluster has the plane for its
+mirror, and is left out otherwise.
+
+A *drive* is an actuator's motion, which the law commands: all groups of engines with alike actuators are one. Inputs of
+further drives have their number behind the name (`delta_rad_2`).
 
 Where the paper leaves something open: delta_b = -sigma_T eta and alpha_b = sigma_s eta + phi_s eta' / U (16, 17), phi
 at the surface, gimbal or hinge at which a force acts, the derivatives (4 to 8) of the whole vehicle with its liquid
@@ -47,18 +52,29 @@ from __future__ import annotations
 
 import dataclasses
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
 from maxq.control.kernel.records import Array
 from maxq.design.model.errata import CORRECTED, Errata
 from maxq.design.model.state_space import ComplexArray, StateSpace
-from maxq.design.model.vehicle_at import FlightCondition, GimballedEngine, Pendulums, VehicleAt, with_pendulums
+from maxq.design.model.vehicle_at import (
+    FlightCondition,
+    GimballedEngine,
+    Pendulums,
+    VehicleAt,
+    of_drive,
+    with_pendulums,
+)
 
-INPUTS = ("delta_rad", "delta_accel_radps2")  # of the engine, which follows its actuator
-LOADED_INPUTS = ("delta_rad", "delta_rate_radps")  # of the actuator, on whose compliance the engine swings
+INPUTS = ("delta_rad", "delta_accel_radps2")  # of the engines, which follow their actuators
+DERIVATIVES = (
+    "delta_rad",
+    "delta_rate_radps",
+    "delta_accel_radps2",
+)  # the rate of those on whose compliance one swings
 OUTPUTS = ("q_radps", "local_rate_radps", "w_mps", "theta_rad")
-INPUTS_ACROSS = tuple(f"across_{name}" for name in INPUTS)
 OUTPUTS_ACROSS = (*(f"across_{name}" for name in OUTPUTS), "roll_bending_radps")
 
 XI = 1.84118378134066
@@ -82,13 +98,13 @@ def axial_load_mps2(vehicle: VehicleAt, condition: FlightCondition) -> float:
 def vehicle_plant(
     vehicle: VehicleAt, condition: FlightCondition, errata: Errata = CORRECTED, liquids: Liquids | None = None
 ) -> StateSpace:
-    """Motion of the engine, or with a TVC load of its actuator -> rates, of body, modes and pendulums.
+    """Motion of the actuators, which engines follow or swing on -> rates, of body, modes and pendulums.
 
     States w (m/s, of the body point at the core's CG), q (rad/s), theta (rad), eta (m), eta' (m/s), G (rad), G'
-    (rad/s), with a TVC load the engine's angle and rate; inputs INPUTS or LOADED_INPUTS, outputs OUTPUTS, of which the
-    local rate is that at the gyro, q + sum sigma_G eta' (12 with erratum 1). A vehicle with spatial modes has the
-    states, inputs and outputs of the other plane besides (its modes and tanks are numbered on), and the roll rate of
-    its modes at the gyro. Raises ValueError where the axial load is not positive and there are pendulums, and where an
+    (rad/s), angle and rate of each engine on a TVC load; inputs `inputs_of`, outputs OUTPUTS, of which the local rate
+    is that at the gyro, q + sum sigma_G eta' (12 with erratum 1). A vehicle with spatial modes has the states, inputs
+    and outputs of the other plane besides (its modes, tanks and engines are numbered on), and the roll rate of its
+    modes at the gyro. Raises ValueError where the axial load is not positive and there are pendulums, and where an
     erratum of the tanks is left in and `liquids` does not say what they hold.
     """
     load = axial_load_mps2(vehicle, condition)
@@ -107,32 +123,58 @@ def vehicle_plant(
 
 def _coupled(one: _Equations, across: _Equations) -> StateSpace:
     """Both planes and the spatial modes that they share."""
-    shared, plants = one.vehicle.modes.spatial, (one.state_space(), across.state_space())
+    shared, planes = one.vehicle.modes.spatial, (one, across)
     n, k = len(one.names), len(across.names)
     common = [*(3 + np.arange(shared)), *(3 + across.modes + np.arange(shared))]
     own = np.setdiff1d(np.arange(k), common)
-    size = n + len(own)
-    # from a plane's states and inputs to those of the whole
-    embed = np.zeros((n + 2, size + 4)), np.zeros((k + 2, size + 4))
-    embed[0][:n, :n], embed[0][n:, size : size + 2] = np.eye(n), np.eye(2)
-    embed[1][own, n + np.arange(len(own))], embed[1][k:, size + 2 :] = 1.0, np.eye(2)
-    embed[1][common, [*(3 + np.arange(shared)), *(3 + one.modes + np.arange(shared))]] = 1.0
-    systems = [np.hstack([p.a, p.b]) @ e for p, e in zip(plants, embed, strict=True)]
-    drives = [plane.drive()[:shared] @ e for plane, e in zip((one, across), embed, strict=True)]
-    for plane, system, drive in ((one, systems[0], drives[1]), (across, systems[1], drives[0])):
+    size, inputs = n + len(own), [len(plane.inputs) for plane in planes]
+    # from a plane's states, inputs and unknown accelerations to those of the whole
+    columns = size + sum(inputs) + sum(len(plane.loaded) for plane in planes)
+    embed, at, unknown = [], size, size + sum(inputs)
+    for plane, places_of in zip(planes, (np.arange(n), _places(k, own, n)), strict=True):
+        places = np.concatenate([places_of, at + np.arange(len(plane.inputs)), unknown + np.arange(len(plane.loaded))])
+        at, unknown = at + len(plane.inputs), unknown + len(plane.loaded)
+        embed.append(np.eye(columns)[places.astype(int)])
+    embed[1][common] = np.eye(columns)[[*(3 + np.arange(shared)), *(3 + one.modes + np.arange(shared))]]
+    drives = [plane.drive()[:shared] @ e for plane, e in zip(planes, embed, strict=True)]
+    systems, hinges = [], []
+    for plane, e, drive in zip(planes, embed, drives[::-1], strict=True):
+        system, hinge = (rows @ e for rows in plane.rows())
+        bobs, phi = plane.vehicle.pendulums, plane.vehicle.modes.phi_hinge[:shared]
         system[3 + plane.modes : 3 + plane.modes + shared] += drive
-        bobs, hinges = plane.vehicle.pendulums, plane.vehicle.modes.phi_hinge[:shared]
-        system[len(system) - plane.tanks :] -= (hinges / bobs.length_m).T @ drive
-    whole = np.concatenate([systems[0], systems[1][own]])
+        swing = 3 + 2 * plane.modes + plane.tanks
+        system[swing : swing + plane.tanks] -= (phi / bobs.length_m).T @ drive
+        hinges.append(hinge + plane.modal[:shared, len(plane.names) + len(plane.inputs) :].T @ drive)
+        systems.append(system)
+    whole = _without_unknowns(np.concatenate([systems[0], systems[1][own]]), np.concatenate(hinges))
     rolls = np.zeros(size)
     rolls[3 + one.modes : 3 + one.modes + shared] = one.vehicle.modes.roll_gyro_pm
-    seen = [p.c @ e[: len(p.states), :size] for p, e in zip(plants, embed, strict=True)]
-    every = state_names(one.modes + across.modes - shared, one.tanks + across.tanks)
+    seen = [plane.sensed() @ e[: len(plane.names), :size] for plane, e in zip(planes, embed, strict=True)]
+    every = state_names(
+        one.modes + across.modes - shared, one.tanks + across.tanks, len(one.loaded) + len(across.loaded)
+    )  # fmt: skip  # four lines otherwise
     states = (*one.names, *(f"across_{name}" for name in across.names[:3]), *(x for x in every if x not in one.names))
     return StateSpace(
-        whole[:, :size], whole[:, size:], np.concatenate([*seen, rolls[None]]), np.zeros((len(OUTPUTS) * 2 + 1, 4)),
-        states, (*INPUTS, *INPUTS_ACROSS), (*OUTPUTS, *OUTPUTS_ACROSS),
+        whole[:, :size], whole[:, size:], np.concatenate([*seen, rolls[None]]),
+        np.zeros((len(OUTPUTS) * 2 + 1, sum(inputs))),
+        states, (*one.inputs, *(f"across_{name}" for name in across.inputs)), (*OUTPUTS, *OUTPUTS_ACROSS),
     )  # fmt: skip  # five more lines otherwise
+
+
+def _places(count: int, own: Array, first: int) -> Array:
+    """Of the other plane's states in the whole: its own behind the first plane's, those that both share anywhere."""
+    places = np.zeros(count)
+    places[own] = first + np.arange(len(own))
+    return places
+
+
+def _without_unknowns(system: Array, hinges: Array) -> Array:
+    """Rows over states and inputs, the accelerations in the last columns solved from `hinges` = 0."""
+    n = len(hinges)
+    if n == 0:
+        return system
+    known = np.linalg.solve(-hinges[:, -n:], hinges[:, :-n])
+    return np.asarray(system[:, :-n] + system[:, -n:] @ known)
 
 
 def _with_printed_tanks(vehicle: VehicleAt, errata: Errata, liquids: Liquids | None) -> VehicleAt:
@@ -151,17 +193,20 @@ class _Equations:
     def __init__(self, vehicle: VehicleAt, condition: FlightCondition, load: float, errata: Errata) -> None:
         self.vehicle, self.condition, self.load, self.errata = vehicle, condition, load, errata
         self.modes, self.tanks = len(vehicle.modes.omega_radps), len(vehicle.pendulums.mass_kg)
-        self.names = state_names(self.modes, self.tanks, vehicle.tvc_load is not None)
-        self.inputs = INPUTS if vehicle.tvc_load is None else LOADED_INPUTS
-        n, m = self.modes, self.tanks
-        # the last column is the engine's acceleration: an input, or behind them the unknown of a TVC load
-        rows = np.eye(len(self.names) + (2 if vehicle.tvc_load is None else 3))
+        # of each engine on a load its angle in this plane and, canted, the other one, which moves it in this plane too
+        self.loaded = [swing for engine in vehicle.engines for swing in swings_of(engine)]
+        self.names = state_names(self.modes, self.tanks, len(self.loaded))
+        self.inputs = inputs_of(vehicle)
+        n, m, states = self.modes, self.tanks, len(self.names)
+        # behind states and inputs the unknown accelerations of engines on a TVC load
+        rows = np.eye(states + len(self.inputs) + len(self.loaded))
         self.w, self.q, self.theta = rows[0], rows[1], rows[2]
         self.eta, self.eta_rate = rows[3 : 3 + n], rows[3 + n : 3 + 2 * n]
         self.gamma, self.gamma_rate = rows[3 + 2 * n : 3 + 2 * n + m], rows[3 + 2 * n + m : 3 + 2 * n + 2 * m]
-        self.delta, self.delta_accel = rows[-2], rows[-1]
-        if vehicle.tvc_load is not None:
-            self.delta, self.delta_rate, self.actuator, self.actuator_rate = rows[-5:-1]
+        self.driven = dict(zip(self.inputs, rows[states : states + len(self.inputs)], strict=True))
+        swinging = rows[states - 2 * len(self.loaded) : states]
+        self.swing, self.swing_rate = swinging[: len(self.loaded)], swinging[len(self.loaded) :]
+        self.swing_accel = rows[states + len(self.inputs) :]
         body = vehicle.body
         self.mass, self.inertia, self.cg = (
             (body.core_mass_kg, body.core_inertia_kgm2, body.core_cg_station_m)
@@ -174,8 +219,11 @@ class _Equations:
         self.modal: Array = np.zeros((n, len(rows)))
         self._aerodynamics()
         for engine in vehicle.engines:
-            self._thrust(engine)
-            self._engine(engine)
+            motion = self._motion(engine)
+            ahead, aside = (np.sum([slope[k] * delta for slope, delta, _ in motion], axis=0) for k in (0, 1))
+            self._thrust(engine, ahead, aside)
+            for slope, delta, accel in motion:
+                self._engine(engine, slope, delta, accel)
         self._slosh()
         if errata.jet_damping and vehicle.jet_damping:
             momentum, turning = mass_flow_momentum(vehicle)
@@ -205,18 +253,30 @@ class _Equations:
         if self.errata.path_terms:
             self.force = self.force - flow * air.drag * self.w
 
-    def _thrust(self, engine: GimballedEngine) -> None:
+    def _actuator(self, engine: GimballedEngine, derivative: str) -> Array:
+        return np.asarray(engine.gain * self.driven[of_drive(derivative, engine.drive)])
+
+    def _motion(self, engine: GimballedEngine) -> list[tuple[tuple[float, float], Array, Array]]:
+        """Of each of its angles that matters: what the thrust axis changes by, the angle and its acceleration."""
+        if engine.tvc_load is not None:
+            mine = [k for k, swing in enumerate(self.loaded) if swing.engine is engine]
+            return [(self.loaded[k].slope, self.swing[k], self.swing_accel[k]) for k in mine]
+        if engine.gain == 0.0:
+            return [(engine.slope, 0.0 * self.w, 0.0 * self.w)]
+        angle, accel = (self._actuator(engine, name) for name in ("delta_rad", "delta_accel_radps2"))
+        return [(engine.slope, angle, accel)]
+
+    def _thrust(self, engine: GimballedEngine, turned: Array, aside: Array) -> None:
         """(5), (8), (16), of one engine; beside the axis, or canted, its axial thrust changes and bends the body."""
         thrust, arm = engine.thrust_N(self.condition.pressure_Pa), engine.gimbal_station_m - self.cg
         phi, slope = self.vehicle.modes.at_gimbal(engine.gimbal)
-        (ahead, across), (ahead_slope, across_slope) = engine.rest, engine.slope
-        bent = -slope @ self.eta if engine.follower else 0.0 * self.delta
-        delta, tilt = across_slope * engine.gain * self.delta, ahead * bent
-        turned = ahead_slope * engine.gain * self.delta
-        self.modal = self.modal + thrust * np.outer(phi, delta + tilt)
-        whole, offset = delta, 0.0 * self.delta
+        ahead, across = engine.rest
+        bent = -slope @ self.eta if engine.follower else 0.0 * self.w
+        tilt = ahead * bent
+        self.modal = self.modal + thrust * np.outer(phi, aside + tilt)
+        whole, offset = aside, 0.0 * self.w
         if self.errata.bent_body_loads:
-            whole, offset = delta + tilt, ahead * phi @ self.eta
+            whole, offset = aside + tilt, ahead * phi @ self.eta
         self.force = self.force + thrust * whole
         self.moment = self.moment + thrust * (arm * whole + offset)
         if engine.beside_m != 0.0 or engine.from_cg_m != 0.0:
@@ -224,17 +284,15 @@ class _Equations:
             self.modal = self.modal + thrust * engine.beside_m * np.outer(slope, forward)
             self.moment = self.moment + thrust * engine.from_cg_m * forward
 
-    def _engine(self, engine: GimballedEngine) -> None:
-        """(18) to (20), of one engine."""
+    def _engine(self, engine: GimballedEngine, by: tuple[float, float], delta: Array, accel: Array) -> None:
+        """(18) to (20), of one angle of an engine, per radian of which its axis changes `by`."""
         phi, slope = self.vehicle.modes.at_gimbal(engine.gimbal)
-        (ahead, across), (ahead_slope, across_slope), length = engine.rest, engine.slope, engine.cg_from_gimbal_m
+        (ahead, across), (ahead_slope, across_slope), length = engine.rest, by, engine.cg_from_gimbal_m
         first = engine.gimballed_mass_kg * length
         own = engine.inertia_about_gimbal_kgm2 - first * length
-        delta, accel = engine.gain * self.delta, engine.gain * self.delta_accel
         turning = ahead * across_slope - across * ahead_slope
         inertia = own * turning + (first * length if self.errata.engine_inertia else 0.0) * turning
         lateral = first * across_slope
-        self.hinge_inertia = inertia  # of the only engine, where there is a TVC load
         self.force = self.force + lateral * accel
         besides = first * engine.from_cg_m * ahead_slope
         self.moment = self.moment + (inertia + lateral * (engine.gimbal_station_m - self.cg) + besides) * accel
@@ -286,6 +344,18 @@ class _Equations:
         return np.asarray(force / modes.generalized_mass_kg[:, None])
 
     def state_space(self) -> StateSpace:
+        system, n = _without_unknowns(*self.rows()), len(self.names)
+        nothing = np.zeros((len(OUTPUTS), len(self.inputs)))
+        return StateSpace(system[:, :n], system[:, n:], self.sensed(), nothing, self.names, self.inputs, OUTPUTS)
+
+    def sensed(self) -> Array:
+        """OUTPUTS by the states."""
+        rates = self.eta_rate if self.errata.gyro_senses_rate else self.eta
+        local = self.q + self.vehicle.modes.slope_gyro_pm @ rates
+        return np.stack([self.q, local, self.w, self.theta])[:, : len(self.names)]
+
+    def rows(self) -> tuple[Array, Array]:
+        """Rates of the states, and balance about the hinge of each engine on a TVC load, in unknown accelerations."""
         modes, bobs = self.vehicle.modes, self.vehicle.pendulums
         lateral, turning = self.force / self.mass, self.moment / self.inertia
         omega = modes.omega_radps[:, None]
@@ -310,41 +380,84 @@ class _Equations:
             weight = self.condition.gravity_mps2 * np.sin(self.condition.pitch_rad)
             w_rate = w_rate - weight * self.theta + self.vehicle.body.core_cg_rate_mps * self.q
         system = np.concatenate([[w_rate, turning, self.q], self.eta_rate, bending, self.gamma_rate, swing])
-        if self.vehicle.tvc_load is not None:
-            swing_rows = self._hinge(lateral, turning, bending)
-            system = np.concatenate([system, [self.delta_rate, self.delta_accel]])
-            system = system[:, :-1] + np.outer(system[:, -1], swing_rows)
-        n = len(self.names)
-        sensed = self.q + modes.slope_gyro_pm @ (self.eta_rate if self.errata.gyro_senses_rate else self.eta)
-        c = np.stack([self.q, sensed, self.w, self.theta])[:, :n]
-        return StateSpace(system[:, :n], system[:, n:], c, np.zeros((4, 2)), self.names, self.inputs, OUTPUTS)
+        system = np.concatenate([system, self.swing_rate, self.swing_accel])
+        hinges = np.zeros((len(self.loaded), len(self.w)))
+        for k, one in enumerate(self.loaded):
+            engine = one.engine
+            about_hinge = engine.inertia_about_gimbal_kgm2
+            if not self.errata.engine_inertia:
+                about_hinge -= engine.gimballed_mass_kg * engine.cg_from_gimbal_m**2
+            hinges[k] = self._hinge(k, one) - about_hinge * one.lever * self.swing_accel[k]
+            unknown = len(self.w) - len(self.loaded) + k
+            hinges[k] += (
+                self.force[unknown] * lateral + self.moment[unknown] * turning + self.modal[:, unknown] @ bending
+            )
+        return system, hinges
 
-    def _hinge(self, lateral: Array, turning: Array, bending: Array) -> Array:
-        """Acceleration of the engine on its compliance, without the column of that acceleration."""
-        engine, load = self.vehicle.engine, self.vehicle.tvc_load
+    def _hinge(self, k: int, swing: Swing) -> Array:
+        """Moment of spring, damper and axial load on an engine about its hinge."""
+        engine = swing.engine
+        load, (_, slope) = engine.tvc_load, self.vehicle.modes.at_gimbal(engine.gimbal)
         assert load is not None
         first = engine.gimballed_mass_kg * engine.cg_from_gimbal_m if self.errata.engine_weight else 0.0
-        moment = load.stiffness_Nmprad * (self.actuator - self.delta)
-        moment = moment + load.damping_Nmsprad * (self.actuator_rate - self.delta_rate)
-        moment = moment - self.load * first * (self.delta - self.vehicle.modes.slope_gimbal_pm @ self.eta)
-        moment = moment + self.force[-1] * lateral + self.moment[-1] * turning + self.modal[:, -1] @ bending
-        return np.asarray(moment[:-1] / (self.hinge_inertia - moment[-1]))
+        moment = -load.stiffness_Nmprad * self.swing[k] - load.damping_Nmsprad * self.swing_rate[k]
+        if swing.commanded:
+            moment = moment + load.stiffness_Nmprad * self._actuator(engine, "delta_rad")
+            moment = moment + load.damping_Nmsprad * self._actuator(engine, "delta_rate_radps")
+        weight = engine.rest[0] * self.swing[k] - swing.slope[1] * slope @ self.eta
+        others = [j for j, other in enumerate(self.loaded) if other.engine is engine and j != k]
+        weight = weight - sum(engine.twist * self.swing[j] for j in others)
+        return np.asarray(moment - self.load * first * weight)
 
 
-def per_actuator_angle(s: ComplexArray, response: ComplexArray, inputs: tuple[str, ...]) -> ComplexArray:
-    """Response (..., inputs) of a plant, its inputs all derivatives of one angle, per that angle."""
-    orders = {"delta_rad": 0, "delta_rate_radps": 1, "delta_accel_radps2": 2}
-    return np.asarray(sum(s ** orders[name] * response[..., k] for k, name in enumerate(inputs)))
+class Swing(NamedTuple):
+    """An angle of an engine on a TVC load; `lever`: square of what its axis changes by per radian, in space."""
+
+    engine: GimballedEngine
+    slope: tuple[float, float]  # what it changes by in this plane
+    lever: float
+    commanded: bool
 
 
-def state_names(modes: int, tanks: int, tvc_load: bool = False) -> tuple[str, ...]:
+def swings_of(engine: GimballedEngine) -> list[Swing]:
+    """The engine's angle in this plane and, if a cant lets it move the engine in this plane too, that in the other."""
+    if engine.tvc_load is None:
+        return []
+    own, other = engine.levers
+    others = [Swing(engine, engine.other_slope, other, False)] if any(engine.other_slope) else []
+    return [Swing(engine, engine.slope, own, True), *others]
+
+
+def inputs_of(vehicle: VehicleAt) -> tuple[str, ...]:
+    """Of a plane, by drive: the angle, and what else of its motion engines feel."""
+    out = []
+    for drive in sorted({engine.drive for engine in vehicle.engines}):
+        moved = [e for e in vehicle.engines if e.drive == drive]
+        swings = any(e.tvc_load is not None for e in moved)
+        follows = any(e.tvc_load is None and e.gain != 0.0 for e in moved) or not swings
+        wanted = dict(zip(DERIVATIVES, (True, swings, follows), strict=True))
+        out += [of_drive(name, drive) for name in DERIVATIVES if wanted[name]]
+    return tuple(out)
+
+
+def per_actuator_angle(s: ComplexArray, response: ComplexArray, inputs: tuple[str, ...]) -> list[ComplexArray]:
+    """Response (..., inputs) of a plant, its inputs derivatives of angles, per angle of each drive."""
+    out: dict[str, ComplexArray] = {}
+    for k, name in enumerate(inputs):
+        order = next(n for n, of in enumerate(DERIVATIVES) if name.startswith(of))
+        drive = name.removeprefix(DERIVATIVES[order])
+        out[drive] = np.asarray(out.get(drive, 0.0) + s**order * response[..., k])
+    return list(out.values())
+
+
+def state_names(modes: int, tanks: int, loaded: int = 0) -> tuple[str, ...]:
     """States of the plant."""
     mode, tank = range(1, modes + 1), range(1, tanks + 1)
     return (
         "w_mps", "q_radps", "theta_rad",
         *[f"eta_{i}_m" for i in mode], *[f"eta_{i}_rate_mps" for i in mode],
         *[f"slosh_{k}_rad" for k in tank], *[f"slosh_{k}_rate_radps" for k in tank],
-        *(("engine_rad", "engine_rate_radps") if tvc_load else ()),
+        *[f"engine_{k}_rad" for k in range(1, loaded + 1)], *[f"engine_{k}_rate_radps" for k in range(1, loaded + 1)],
     )  # fmt: skip  # four more lines otherwise
 
 

@@ -9,15 +9,17 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
+import scipy.linalg
 
 from maxq.control.kernel.records import Array
 from maxq.control.kernel.tables import table_in
 from maxq.design.model.incidence import reference_station_m, table_slopes
-from maxq.design.model.state_space import StateSpace
+from maxq.design.model.state_space import ComplexArray, StateSpace
 from maxq.sim.packing.flight import Packed
 from maxq.sim.vehicle import aero, schedule
 from maxq.sim.vehicle.actuator import Actuator
@@ -118,11 +120,16 @@ class GimballedEngine:
     inertia_about_gimbal_kgm2: float
     follower: bool  # thrust turns with the bent gimbal
     gain: float = 1.0  # angle per command of the law, by allocation; 0 for an engine fixed in this plane
+    drive: int = 0  # which of the unlike actuators moves it
+    tvc_load: TvcLoad | None = None  # None: it follows its actuator
     gimbal: int = 0  # which of the gimbals' stations
     beside_m: float = 0.0  # gimbal from the body axis across the plane's axis of turning: z in pitch, y in yaw
     from_cg_m: float = 0.0  # and from the core's CG
     rest: tuple[float, float] = (1.0, 0.0)  # thrust axis at rest: forward, across
     slope: tuple[float, float] = (0.0, 1.0)  # its change per radian
+    other_slope: tuple[float, float] = (0.0, 0.0)  # in this plane, per radian of the other plane's angle
+    levers: tuple[float, float] = (1.0, 1.0)  # squares of both changes in space
+    twist: float = 0.0  # second derivative of the forward part by both angles
     flow_share: float = 1.0  # of the mass flow
     exit_square_m2: float = 0.0  # mean square of the nozzle exits' distance across from the CG
 
@@ -174,7 +181,6 @@ class VehicleAt:
     jet_damping: bool
     slosh_exchange: bool = False  # liquid that goes over from bob to core takes its momentum along
     across: VehicleAt | None = None  # the same in the other plane, where spatial modes couple both
-    tvc_load: TvcLoad | None = None  # None: the engine follows its actuators
     further_engines: tuple[GimballedEngine, ...] = ()
 
     @property
@@ -243,7 +249,6 @@ def _in_plane(packed: Packed, time_s: float, mach: float, plane: Plane, stage: i
         aerodynamics=_aerodynamics(packed.pool, vehicle, props, clock_s, mach, plane, trim),
         jet_damping=bool(vehicle.jet_damping),
         slosh_exchange=bool(vehicle.slosh.exchange),
-        tvc_load=_tvc_load(vehicle) if sizes.tvc_loads > 0 else None,
     )
 
 
@@ -345,13 +350,14 @@ def _engines(packed: Packed, row: Any, props: Array, time_s: float, plane: Plane
     thrusts = [props[schedule.thrust_column(sizes, int(e.curve[k]))] for k in range(n)]
     flows = [float(e.flow_weight[k] * thrusts[k]) for k in range(n)]
     gains, out = _gains(packed, row, time_s, plane), []
+    drives = _drives(row, plane)[1]
     for k in range(n):
         mass, arm = float(e.gimballed_mass_kg[k]), float(e.cg_from_gimbal_m[k])
         side, cg = ("z", props[schedule.CORE_CG + 2]) if pitch else ("y", props[schedule.CORE_CG + 1])
         beside, nozzle = float(e[f"gimbal_offset_{side}_m"][k]), float(e[f"exit_{side}_m"][k]) - float(cg)
         x, y, z = float(e.rest_x[k]), float(e.rest_y[k]), float(e.rest_z[k])
         level = math.sqrt(1.0 - y * y)
-        follows = float((e.follows_pitch if pitch else e.follows_yaw)[k])
+        follows, others = (float(e[f"follows_{name}"][k]) for name in (("pitch", "yaw") if pitch else ("yaw", "pitch")))
         out.append(
             GimballedEngine(
                 vacuum_thrust_N=float(e.thrust_factor[k]) * float(thrusts[k]),
@@ -363,11 +369,16 @@ def _engines(packed: Packed, row: Any, props: Array, time_s: float, plane: Plane
                 inertia_about_gimbal_kgm2=float(e.inertia_kgm2[k]) + mass * arm * arm,
                 follower=bool(vehicle.follower_thrust),
                 gain=follows * gains[int(e.group[k])],
+                drive=drives[int(e.group[k])] if follows else 0,
+                tvc_load=_tvc_load(vehicle, k) if follows else None,
                 gimbal=int(e.gimbal[k]),
                 beside_m=beside,
                 from_cg_m=beside - float(cg),
                 rest=(x, z) if pitch else (x, y),
                 slope=(-z, x) if pitch else (-y * x / level, level),
+                other_slope=(others * x * y / level, others * z * y / level) if pitch else (-others * z, 0.0),
+                levers=(level * level, 1.0) if pitch else (1.0, level * level),
+                twist=others * (-y * z / level if pitch else y * z / level),
                 flow_share=1.0 if n == 1 else flows[k] / sum(flows) if sum(flows) > 0.0 else 0.0,
                 exit_square_m2=nozzle * nozzle + float(e[f"exit_{side}{side}_m2"][k]),
             )
@@ -385,8 +396,9 @@ def _gains(packed: Packed, row: Any, time_s: float, plane: Plane) -> list[float]
     return [float(matrix[2 * group + axis, axis]) for group in range(int(a.groups))]
 
 
-def _tvc_load(vehicle: Any) -> TvcLoad:
-    return TvcLoad(float(vehicle.tvc_load.stiffness_Nmprad), float(vehicle.tvc_load.damping_Nmsprad))
+def _tvc_load(vehicle: Any, engine: int) -> TvcLoad | None:
+    load, n = vehicle.tvc_load, int(vehicle.engine.swings[engine])
+    return None if n < 0 else TvcLoad(float(load.stiffness_Nmprad[n]), float(load.damping_Nmsprad[n]))
 
 
 def _rate_damping(pool: Array, vehicle: Any, clock_s: float, plane: Plane) -> float:
@@ -487,23 +499,73 @@ def stability_derivatives(vehicle: VehicleAt, condition: FlightCondition) -> Sta
 
 @dataclass(frozen=True)
 class Instruments:
-    """Actuator, gyro and timing of the flight computer in one plane; `ideal` actuators and gyros have no dynamics."""
+    """Actuators, gyro and timing of the flight computer in one plane; `ideal` actuators and gyros have no dynamics."""
 
-    actuator: Actuator
+    actuator: Actuator  # of the first drive
     gyro: Gyro
     sample_s: float  # period of the computer: tau_VF of the converter (30), tau_DZ of the hold (32)
     delay_s: float  # tau_D (31), from sample to command
+    further_actuators: tuple[Actuator, ...] = ()  # of further drives: groups of engines with unlike actuators
+
+    @property
+    def actuators(self) -> tuple[Actuator, ...]:
+        return self.actuator, *self.further_actuators
 
 
 def instruments_of(row: Any, plane: Plane = "pitch") -> Instruments:
     """Instruments of a packed stage."""
-    record = row.vehicle.actuator_pitch if plane == "pitch" else row.vehicle.actuator_yaw
+    first, *further = _drives(row, plane)[0]
     return Instruments(
-        actuator=Actuator(**{f.name: record[f.name].item() for f in dataclasses.fields(Actuator)}),
+        actuator=first,
+        further_actuators=tuple(further),
         gyro=Gyro(**{f.name: row.vehicle.gyro[f.name].item() for f in dataclasses.fields(Gyro)}),
         sample_s=1e-9 * int(row.computer.sample_ns),
         delay_s=1e-9 * int(row.computer.delay_ns),
     )
+
+
+def _drives(row: Any, plane: Plane) -> tuple[list[Actuator], list[int]]:
+    """The unlike actuators of a plane, and which of them each group of engines has."""
+    vehicle, axis = row.vehicle, 0 if plane == "pitch" else 1
+    records = [vehicle.actuator_yaw if axis else vehicle.actuator_pitch]
+    records += [vehicle.further_actuators[2 * k + axis] for k in range(int(vehicle.sizes.further_groups))]
+    unlike: list[Actuator] = []
+    of_group = []
+    for record in records:
+        actuator = Actuator(**{f.name: record[f.name].item() for f in dataclasses.fields(Actuator)})
+        if actuator not in unlike:
+            unlike.append(actuator)
+        of_group.append(unlike.index(actuator))
+    return unlike, of_group
+
+
+def of_drive(name: str, drive: int) -> str:
+    """Name of a derivative of a drive's angle."""
+    return name if drive == 0 else f"{name}_{drive + 1}"
+
+
+def actuators(records: Sequence[Any]) -> StateSpace:
+    """Command -> angle, rate and acceleration of every drive, see `actuator`."""
+    each = [actuator(record) for record in records]
+    states = tuple(of_drive(name, k) for k, one in enumerate(each) for name in one.states)
+    outputs = tuple(of_drive(name, k) for k, one in enumerate(each) for name in one.outputs)
+    b, d = (np.concatenate([getattr(one, name) for one in each]) for name in ("b", "d"))
+    a, c = (scipy.linalg.block_diag(*(getattr(one, name) for one in each)) for name in ("a", "c"))
+    return StateSpace(a, b, c, d, states, each[0].inputs, outputs)
+
+
+def actuator_response(record: Any, s: ComplexArray) -> ComplexArray:
+    """Angle over command at complex s, rad/s, as a product of its factors."""
+    out: ComplexArray = np.ones(np.shape(s), np.complex128)
+    for omega, zeta in actuator_poles(record):
+        out = out * lag(s, omega, zeta)
+    return out / lag(s, record.omega_4_radps, record.zeta_4) if record.order == 6 else out
+
+
+def lag(s: ComplexArray, omega: float, zeta: float) -> ComplexArray:
+    """omega^2 / (s^2 + 2 zeta omega s + omega^2)."""
+    x = np.asarray(s) / omega
+    return np.asarray(1.0 / (1.0 + x * (2.0 * zeta + x)))
 
 
 def actuator_poles(record: Any) -> list[tuple[float, float]]:

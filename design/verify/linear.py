@@ -304,8 +304,7 @@ def authority(nodes: Sequence[Node], command_limit_rad: float) -> list[Authority
     out = []
     for node in nodes:
         d = stability_derivatives(node.vehicle, node.condition)
-        actuator = node.instruments.actuator
-        limit = command_limit_rad if actuator.ideal else min(command_limit_rad, actuator.angle_limit_rad)
+        limit = min(command_limit_rad, node.angle_limit_rad)
         ratio = abs(d.m_alpha_1ps2 / d.m_delta_1ps2)
         incidence = limit / ratio if ratio > 0.0 else math.inf
         speed, pressure = node.condition.airspeed_mps, node.condition.dynamic_pressure_Pa

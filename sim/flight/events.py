@@ -99,12 +99,14 @@ def apply_due_command(p: Parameters, memory: Memory) -> None:
     clock, held = memory.clock, memory.held
     if clock.now_ns >= clock.command_due_ns:
         command, pending = held.command_rad, clock.pending_rad
-        for group in range(1 + p.vehicle.sizes.further_groups):
-            i = 2 * group
-            if clock.stage_burnout_ns[clock.stage] >= 0:
-                pending[i], pending[i + 1] = 0.0, 0.0
-            command[i] = after_backlash(p.vehicle.actuator_pitch, command[i], pending[i])
-            command[i + 1] = after_backlash(p.vehicle.actuator_yaw, command[i + 1], pending[i + 1])
+        further = 2 * p.vehicle.sizes.further_groups
+        if clock.stage_burnout_ns[clock.stage] >= 0:
+            for channel in range(2 + further):
+                pending[channel] = 0.0
+        command[0] = after_backlash(p.vehicle.actuator_pitch, command[0], pending[0])
+        command[1] = after_backlash(p.vehicle.actuator_yaw, command[1], pending[1])
+        for k in range(further):
+            command[2 + k] = after_backlash(p.vehicle.further_actuators[k], command[2 + k], pending[2 + k])
         held.roll_torque_Nm = p.vehicle.roll_torque_Nm * clock.pending_roll
         clock.command_due_ns = NEVER
 

@@ -37,7 +37,7 @@ from maxq.sim.vehicle.state import (
     spatial_index,
     xi_index,
 )
-from maxq.sim.vehicle.tvc_load import TvcLoadRow, tvc_load_row
+from maxq.sim.vehicle.tvc_load import SwingRow, TvcLoadRow, swing_row, tvc_load_row
 from maxq.sim.vehicle.workspace import (
     AERO_FORCE,
     AERO_MOMENT,
@@ -97,8 +97,11 @@ def fill_fast(
         column = put(row, column, slosh_row(p.vehicle.slosh, sizes, tank, props, y, pendulum_index(sizes, tank), aux))
     for tank in range(logged.pendulums * waves):
         column = put(row, column, wave_row(p.vehicle.slosh, sizes, tank, props, y, pendulum_index(sizes, tank)))
-    if logged.tvc_loads > 0:
+    if logged.tvc_loads == 1:
         column = put(row, column, tvc_load_row(sizes, aux))
+    if logged.tvc_loads > 1:
+        for load in range(logged.tvc_loads):
+            column = put(row, column, swing_row(sizes.tvc_loads, load, aux))
     if logged.further_groups > 0:
         for group in range(1 + logged.further_groups):
             column = put(row, column, group_row(sizes.further_groups, group, memory.held.command_rad, aux))
@@ -298,8 +301,10 @@ def channel_table(
         slosh += [declared_channels(WaveRow, "tank", tank, f"tank {tank}") for tank in tanks]
     if slosh:
         topics.append(Topic("/slosh", FAST, sum(slosh, ()), "slosh pendulums"))
-    if sizes.tvc_loads > 0:
-        topics.append(Topic("/tvc_load", FAST, declared_channels(TvcLoadRow), "engine on its compliance"))
+    swinging = [declared_channels(SwingRow, "load", f"load_{n + 1}", f"load {n + 1}") for n in range(sizes.tvc_loads)]
+    if swinging:
+        channels = declared_channels(TvcLoadRow) if len(swinging) == 1 else sum(swinging, ())
+        topics.append(Topic("/tvc_load", FAST, channels, "engines on their compliance"))
     moved = [declared_channels(GroupRow, "group", f"group_{name}", f"group {name}") for name in groups]
     thrusts = [declared_channels(EngineRow, "engine", f"engine_{name}", f"engine {name}") for name in engines]
     if moved or thrusts:

@@ -7,6 +7,7 @@ import math
 import numpy as np
 
 from maxq.control.allocation import ONE_GROUP, Allocation, pseudo_inverse
+from maxq.control.kernel.limits import MAX_ENGINES
 from maxq.control.kernel.records import Array
 from maxq.control.kernel.tables import Pool, fit
 from maxq.sim.packing.engines import thrust_slopes
@@ -37,19 +38,22 @@ def pack_allocation(scenario: Scenario, stage: Stage, burn: Burn, pool: Pool) ->
     after = times[-1] + 1.0  # a step holds up to the next row
     table = fit(np.array([*times, after]) + burn.start_s, np.array([*rows, rows[-1]]), "step")
     gains = scenario.design.roll_gimbal if scenario.design is not None else None
-    if gains is None:
-        return Allocation(len(stage.engine_groups), pool.add(table), 0.0, 0.0, 0.0)
-    limit_rad = math.radians(gains.limit_deg)
-    return Allocation(len(stage.engine_groups), pool.add(table), gains.k_p, gains.k_d_s, limit_rad)
+    bounds = np.full(2 * MAX_ENGINES, np.inf)
+    bounds[: len(scales)] = (scenario.switches.actuator == "full" and limits_rad(stage)) or np.inf
+    roll = (0.0, 0.0, 0.0) if gains is None else (gains.k_p, gains.k_d_s, math.radians(gains.limit_deg))
+    return Allocation(len(stage.engine_groups), pool.add(table), *roll, bounds)
 
 
 def channel_scales_rad(stage: Stage) -> list[float]:
     """Of pitch and yaw of each group: limit over the root of the number of engines, as each engine's effort counts."""
-    pair = [1.0, 1.0]
-    if stage.actuator is not None:
-        pair = [math.radians(max(axis.angle_limit_deg, 1e-6)) for axis in stage.actuator.axes]
+    limits = limits_rad(stage) or [1.0] * (2 * len(stage.engine_groups))
     sizes = [sum(e.group == group and e.gimbal != "fixed" for e in stage.engines) for group in stage.engine_groups]
-    return [limit / math.sqrt(n) for n in sizes for limit in pair]
+    return [max(limit, math.radians(1e-6)) / math.sqrt(sizes[k // 2]) for k, limit in enumerate(limits)]
+
+
+def limits_rad(stage: Stage) -> list[float]:
+    """Of the angles of pitch and yaw of each group's actuators; none of ideal ones."""
+    return [math.radians(axis.angle_limit_deg) for actuator in stage.actuators for axis in actuator.axes]
 
 
 def moments(stage: Stage, lost: tuple[EngineFault, ...]) -> Array:

@@ -142,13 +142,23 @@ def _hanging_kgm(e: Given) -> float:
     return e.gimballed_mass_kg * e.cg_from_gimbal_m * (cos_pitch * cos_yaw)
 
 
+def swinging(stage: Stage, cluster: Cluster, switches: Switches) -> tuple[int, ...]:
+    """Which of `Cluster.alike` swing on a TVC load."""
+    if not (switches.tvc_load and switches.engine_inertia):
+        return ()
+    loads = stage.tvc_loads
+    return tuple(k for k, a in enumerate(cluster.alike) if a.one.gimbal != "fixed" and a.one.group in loads)
+
+
 def pack_engines(stage: Stage, burn: Burn, switches: Switches) -> Engine:
     """The record of all engines; without one it is zero, but for an axis."""
     columns: dict[str, Any] = {f.name: np.zeros(MAX_ENGINES) for f in fields(Engine)}
-    for name in ("curve", "group", "gimbal", "taken_as"):
+    for name in ("curve", "group", "gimbal", "taken_as", "swings"):
         columns[name] = np.zeros(MAX_ENGINES, np.int64)
-    columns["rest_x"][:] = 1.0
+    columns["rest_x"][:], columns["swings"][:] = 1.0, -1
     cluster = cluster_of(stage, burn.faults)
+    for n, k in enumerate(swinging(stage, cluster, switches)):
+        columns["swings"][k] = n
     for k, alike in enumerate(cluster.alike):
         for name, value in _columns(stage, cluster, alike, switches).items():
             columns[name][k] = value

@@ -14,7 +14,7 @@ import numpy as np
 from maxq.control.kernel.jit import from_python
 from maxq.control.kernel.records import Array, pack
 from maxq.control.kernel.tables import Cubics, Method, fit, merge, union
-from maxq.sim.packing.engines import Mount, cluster_of, engine_mounts, on_clock, thrust_curves
+from maxq.sim.packing.engines import Mount, cluster_of, engine_mounts, on_clock, swinging, thrust_curves
 from maxq.sim.packing.modes import Places, mode_values, spatial_values
 from maxq.sim.packing.pendulums import pendulums
 from maxq.sim.packing.remembered import cached_by_identity
@@ -41,14 +41,14 @@ def stage_sizes(stage: Stage, switches: Switches, burn: Burn = NOMINAL) -> Sizes
         pitch_table, yaw_table = stage.bending.pitch_modes, stage.bending.yaw_modes
         pitch = pitch_table.modes if pitch_table else 0
         yaw = yaw_table.modes if yaw_table else 0
-    swinging = len(stage.pendulum_names) if switches.slosh else 0
+    bobs = len(stage.pendulum_names) if switches.slosh else 0
     tables = 0 if stage.aero is None else len(stage.aero.coefficients)
     spatial = stage.spatial_modes.modes.modes if stage.spatial_modes is not None and switches.bending else 0
     cluster = cluster_of(stage, burn.faults)
     return Sizes(
-        pitch, yaw, swinging, len(surface_stations(stage)), tables, spatial, len(cluster.groups) - 1,
+        pitch, yaw, bobs, len(surface_stations(stage)), tables, spatial, len(cluster.groups) - 1,
         max(len(cluster.alike), 1), max(len(cluster.gimbals_m), 1), max(len(cluster.curves), 1),
-        int(stage.tvc_load is not None and switches.tvc_load and switches.engine_inertia),
+        len(swinging(stage, cluster, switches)),
     )  # fmt: skip  # ten lines otherwise
 
 
@@ -86,11 +86,11 @@ def vehicle_schedule(stage: Stage, burn: Burn, sizes: Sizes, switches: Switches,
     `frozen`: the CG does not wander (the schedule stands still).
     """
     method: Method = stage.interpolation
-    swinging = pendulums(stage)[: sizes.pendulums]
-    tanks = [pendulum.joined for pendulum in swinging]
+    hanging = pendulums(stage)[: sizes.pendulums]
+    tanks = [pendulum.joined for pendulum in hanging]
     thrust, *further_thrusts = thrust_curves(stage, burn, method)
     parts = [_core(stage, burn, tanks, method, switches.moving_cg and not frozen), thrust]
-    for pendulum in swinging:
+    for pendulum in hanging:
         tank = on_clock(pendulum.joined, burn)
         rates = _tank_rates(tank, _pace(stage, burn), switches.jet_damping, switches.jet_damping and not frozen)
         parts += [tank, rates, on_clock(pendulum.waves, burn)]

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
+from collections.abc import Sequence
+from dataclasses import fields, replace
+from typing import Any
 
 import numpy as np
 
+from maxq.control.kernel.limits import MAX_ENGINES, MAX_TVC_LOADS
 from maxq.control.kernel.tables import NO_TABLE, Cubics, Pool, TableRef, fit
 from maxq.sim.packing.aero import pack_aero
 from maxq.sim.packing.engines import on_clock, pack_engines
@@ -17,26 +20,32 @@ from maxq.sim.scenario.schema_vehicle import Stage
 from maxq.sim.vehicle.actuator import pack_actuators
 from maxq.sim.vehicle.bending import pack_bending, pack_spatial_modes
 from maxq.sim.vehicle.derivative import Vehicle
+from maxq.sim.vehicle.engine import Engine
 from maxq.sim.vehicle.gyro import pack_gyro
 from maxq.sim.vehicle.slosh import pack_slosh
 from maxq.sim.vehicle.state import Sizes
-from maxq.sim.vehicle.tvc_load import pack_tvc_load
+from maxq.sim.vehicle.tvc_load import STOP_FACTOR, TvcLoad
 
 
 def pack_vehicle(scenario: Scenario, stage: Stage, burn: Burn, sizes: Sizes, schedule: Cubics, pool: Pool) -> Vehicle:
     """Parameters of one stage under the scenario's switches; its tables go into `pool`."""
     switches = scenario.switches
-    pitch, yaw = pack_actuators(stage.actuator, switches.actuator)
+    given = stage.actuators or (None,) * len(stage.engine_groups)
+    actuators = [axis for each in given for axis in pack_actuators(each, switches.actuator)]
     engine = pack_engines(stage, burn, switches)
-    load = pack_tvc_load(stage.tvc_load, engine, pitch.stop_rad, yaw.stop_rad)
-    if sizes.tvc_loads > 0:  # the stop is the engine's, not the actuator's
-        pitch, yaw = replace(pitch, stop_rad=math.inf), replace(yaw, stop_rad=math.inf)
+    load = _tvc_loads(stage, engine, sizes, [axis.stop_rad for axis in actuators])
+    for group, name in enumerate(stage.engine_groups):
+        if sizes.tvc_loads > 0 and name in stage.tvc_loads:  # the stop is the engines', not the actuators'
+            for k in (2 * group, 2 * group + 1):
+                actuators[k] = replace(actuators[k], stop_rad=math.inf)
+    pitch, yaw, *further = actuators
     return Vehicle(
         sizes=sizes,
         schedule=pool.add(schedule),
         engine=engine,
         actuator_pitch=pitch,
         actuator_yaw=yaw,
+        further_actuators=(*further, *[pitch] * (2 * MAX_ENGINES - 2 - len(further))),
         tvc_load=load,
         gyro=pack_gyro(stage.gyro, switches.gyro == "ideal"),
         aero=pack_aero(scenario, stage, burn, pool),
@@ -49,6 +58,35 @@ def pack_vehicle(scenario: Scenario, stage: Stage, burn: Burn, sizes: Sizes, sch
         follower_thrust=int(switches.follower_thrust),
         gravity_gradient=int(scenario.earth.gravity_gradient),
     )
+
+
+def _tvc_loads(stage: Stage, e: Engine, sizes: Sizes, stops_rad: Sequence[float]) -> TvcLoad:
+    """From the stage's section `tvc_load`; `stops_rad` of the actuators, pitch and yaw of each group."""
+    out: dict[str, Any] = {f.name: np.zeros(MAX_TVC_LOADS) for f in fields(TvcLoad)}
+    out["engine"] = np.zeros(MAX_TVC_LOADS, np.int64)
+    for k in range(sizes.engines):
+        n = int(e.swings[k])
+        if n < 0:
+            continue
+        group = int(e.group[k])
+        given, count = stage.tvc_loads[stage.engine_groups[group]], float((e.taken_as[: len(stage.engines)] == k).sum())
+        inertia = float(e.inertia_kgm2[k] + e.gimballed_mass_kg[k] * e.cg_from_gimbal_m[k] ** 2)
+        stiffness = inertia * (2.0 * math.pi * (given.frequency_hz or 0.0)) ** 2
+        if given.stiffness_Nmprad is not None:
+            stiffness = count * given.stiffness_Nmprad
+        values = {
+            "engine": k,
+            "stiffness_Nmprad": stiffness,
+            "damping_Nmsprad": 2.0 * given.damping_ratio * math.sqrt(stiffness * inertia),
+            "friction_Nm": count * given.friction_Nm,
+            "friction_angle_rad": math.radians(given.friction_angle_deg),
+            "stop_stiffness_Nmprad": count * (given.stop_stiffness_Nmprad or STOP_FACTOR * stiffness / count),
+            "stop_pitch_rad": stops_rad[2 * group],
+            "stop_yaw_rad": stops_rad[2 * group + 1],
+        }
+        for name, value in values.items():
+            out[name][n] = value
+    return TvcLoad(**out)
 
 
 def _rate_damping(stage: Stage, burn: Burn, pool: Pool) -> TableRef:

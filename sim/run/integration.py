@@ -89,16 +89,19 @@ def _of_stage(scenario: Scenario, stage: Stage) -> Iterator[tuple[str, float, fl
         yield from _modes("yaw mode", stage.bending, stage.bending.yaw_modes)
     if switches.bending and stage.spatial_modes is not None:
         yield from _modes("spatial mode", stage.spatial_modes, stage.spatial_modes.modes)
-    if stage.actuator is not None and switches.actuator != "ideal":
-        for plane, axis in zip(("pitch", "yaw"), stage.actuator.axes, strict=True):
+    for given in stage.actuators[: 1 if not isinstance(stage.actuator, tuple) else None]:
+        group = "" if given.group is None else f" of group {given.group!r}"
+        for plane, axis in zip(("pitch", "yaw"), given.axes if switches.actuator != "ideal" else (), strict=False):
             last = 3 if axis.exchange_a3_a4 else 2  # of a3 and a4 one is a pair of zeros
             for k in (0, 1, last)[: len(axis.omega_hz)]:
-                yield f"{plane} actuator, a{k + 1}", axis.omega_hz[k], axis.zeta[k]
-    if (load := stage.tvc_load) is not None and switches.tvc_load and switches.engine_inertia:
-        inertia = sum(engine.inertia_about_gimbal_kgm2 for engine in stage.engines)
-        stiffness = load.stiffness_Nmprad
-        own_hz = load.frequency_hz if stiffness is None else math.sqrt(stiffness / inertia) / (2.0 * math.pi)
-        yield "TVC load", own_hz or 0.0, load.damping_ratio
+                yield f"{plane} actuator{group}, a{k + 1}", axis.omega_hz[k], axis.zeta[k]
+    loads = stage.tvc_loads if switches.tvc_load and switches.engine_inertia else {}
+    for number, engine in enumerate(stage.engines):
+        if engine.gimbal != "fixed" and (load := loads.get(engine.group)) is not None:
+            stiffness, inertia = load.stiffness_Nmprad, engine.inertia_about_gimbal_kgm2
+            own_hz = load.frequency_hz if stiffness is None else math.sqrt(stiffness / inertia) / (2.0 * math.pi)
+            name = f" of engine {number}" if len(stage.engines) > 1 else ""
+            yield f"TVC load{name}", own_hz or 0.0, load.damping_ratio
     if stage.gyro is not None and switches.gyro != "ideal":
         yield "gyro", stage.gyro.omega_hz, stage.gyro.zeta
 

@@ -150,7 +150,7 @@ def _control(stage: Stage, reference: Reference, *, first: bool) -> Iterator[Dou
         return
     thrust = sum(e.thrust_factor * np.interp(times, e.table["time_s"], e.table["thrust_vacuum_N"]) for e in engines)
     arm_m, burns = min(e.gimbal_station_m for e in engines) - cg_m, thrust > 0.5 * np.max(thrust)
-    limit_deg = stage.actuator.angle_limit_deg
+    limit_deg = min(actuator.angle_limit_deg for actuator in stage.actuators)
     per_pressure = _INCIDENCE_deg * reference.area_m2 * slope[None, :] * np.abs(centre_m[None, :] - cg_m[:, None])
     held_Pa = limit_deg * thrust * arm_m / np.maximum(per_pressure.max(axis=1), 1e-9)
     if (lowest := float(held_Pa[burns].min())) < _HELD_Pa:

@@ -203,8 +203,9 @@ class YawActuator(Section):
 
 
 class Actuator(ActuatorAxis):
-    """Actuators of both axes, alike unless `yaw` says otherwise."""
+    """Actuators of both axes, alike unless `yaw` says otherwise: of all groups of engines, or in a list of one each."""
 
+    group: ChannelPart | None = optional("in a list: the group of engines that it moves, as the engines name it")
     bias_deg: Pair = optional("constant error of the angle, pitch and yaw, deg", (0.0, 0.0))
     yaw: YawActuator | None = optional("keys that differ in the yaw axis")
 
@@ -226,15 +227,16 @@ class Actuator(ActuatorAxis):
 
 
 class TvcLoad(Section):
-    """The engine on the compliance of actuators and mount: a degree of freedom of its own in both planes."""
+    """Each engine on the compliance of actuators and mount, free in its planes: all groups, or a list by group."""
 
+    group: ChannelPart | None = optional("in a list: the group of engines, as they name it")
     frequency_hz: Positive | None = optional("of the engine on its compliance, actuators locked, vehicle fixed, Hz")
-    stiffness_Nmprad: Positive | None = optional("of the compliance, all engines together, N m/rad")
+    stiffness_Nmprad: Positive | None = optional("of the compliance of one engine, N m/rad")
     damping_ratio: Fraction = Field(description="of that vibration: the damper lies beside the spring")
-    friction_Nm: NotNegative = optional("Coulomb torque of the gimbal's bearings, N m (Dahl's model)", 0.0)
+    friction_Nm: NotNegative = optional("Coulomb torque of one gimbal's bearings, N m (Dahl's model)", 0.0)
     friction_angle_deg: Positive = optional("over which the friction builds up, deg", 0.05)
     stop_stiffness_Nmprad: Positive | None = optional(
-        "of the contact at the actuator's stop_deg, N m/rad (default: ten times that of the compliance)"
+        "of the contact of one engine at the actuator's stop_deg, N m/rad (default: ten times that of the compliance)"
     )
 
     @model_validator(mode="after")

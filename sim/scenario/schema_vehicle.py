@@ -192,15 +192,14 @@ class Computer(Section):
         return self
 
 
-def _engines_form(value: Any) -> str:
+def _form(value: Any) -> str:
     return LIST_FORM if isinstance(value, list | tuple) else TABLE_FORM
 
 
-Engines = Annotated[
-    Annotated[Engine, Tag(TABLE_FORM)]
-    | Annotated[tuple[Engine, ...], Field(min_length=1, max_length=MAX_ENGINES), Tag(LIST_FORM)],
-    Discriminator(_engines_form),
-]
+_LISTED, _FORM = (Field(min_length=1, max_length=MAX_ENGINES), Tag(LIST_FORM)), Discriminator(_form)
+Engines = Annotated[Annotated[Engine, Tag(TABLE_FORM)] | Annotated[tuple[Engine, ...], *_LISTED], _FORM]
+Actuators = Annotated[Annotated[Actuator, Tag(TABLE_FORM)] | Annotated[tuple[Actuator, ...], *_LISTED], _FORM]
+TvcLoads = Annotated[Annotated[TvcLoad, Tag(TABLE_FORM)] | Annotated[tuple[TvcLoad, ...], *_LISTED], _FORM]
 
 
 class Stage(Section):
@@ -213,8 +212,12 @@ class Stage(Section):
     interpolation: Literal["pchip", "linear"] = optional("how the tables over time are joined", "pchip")
     mass: Mass
     engine: Engines | None = optional(f"one table, or up to {MAX_ENGINES} as a list [[...]]; absent: no thrust")
-    actuator: Actuator | None = optional("absent: gimbal angle = command")
-    tvc_load: TvcLoad | None = optional("absent: the engine follows its actuators exactly")
+    actuator: Actuators | None = optional(
+        "one table, or a list [[...]] of one for each group of engines; absent: gimbal angle = command"
+    )
+    tvc_load: TvcLoads | None = optional(
+        "one table, or a list [[...]] by group; absent, and in groups without: engines follow their actuators exactly"
+    )
     tank: tuple[Tank, ...] = optional("tanks with sloshing liquid", (), max_length=MAX_PENDULUMS)
     bending: Bending | None = optional("absent: rigid, but for spatial modes")
     spatial_modes: SpatialModes | None = optional("absent: none")
@@ -233,6 +236,21 @@ class Stage(Section):
         """Groups of engines that move together, in the order in which the engines name them; one at least."""
         return tuple(dict.fromkeys(e.group for e in self.engines if e.gimbal != "fixed")) or ("",)
 
+    @property
+    def actuators(self) -> tuple[Actuator, ...]:
+        """Of each group of engines, in their order; none where angles are as commanded."""
+        if not isinstance(self.actuator, tuple):
+            return () if self.actuator is None else (self.actuator,) * len(self.engine_groups)
+        by_group = {actuator.group or "": actuator for actuator in self.actuator}
+        return tuple(by_group[group] for group in self.engine_groups)
+
+    @property
+    def tvc_loads(self) -> dict[str, TvcLoad]:
+        """By group of engines."""
+        if isinstance(self.tvc_load, tuple):
+            return {load.group or "": load for load in self.tvc_load}
+        return {} if self.tvc_load is None else dict.fromkeys(self.engine_groups, self.tvc_load)
+
     def engine_key(self, number: int) -> tuple[str | int, ...]:
         """Where an engine stands in the stage."""
         return ("engine", number) if isinstance(self.engine, tuple) else ("engine",)
@@ -249,6 +267,7 @@ class Stage(Section):
             if name in names[:n]:
                 raise refuse("is the name of another tank already", "each name once", ("tank", n, "name"), value=name)
         self._check_engines()
+        self._check_groups("actuator", self.actuator, all_of_them=True)
         if len(self.pendulum_names) > MAX_PENDULUMS:
             problem = f"{len(self.pendulum_names)} slosh modes in all"
             raise refuse(problem, f"up to {MAX_PENDULUMS} of all tanks of a stage", key=("tank",), value=len(self.tank))
@@ -282,6 +301,24 @@ class Stage(Section):
                     at=(*self.engine_key(n), "table"),
                 )  # fmt: skip  # six lines otherwise
 
+    def _check_groups(self, key: str, given: Any, *, all_of_them: bool) -> None:
+        """A list has an entry for each group of engines, a table serves all."""
+        groups = self.engine_groups
+        allowed = ", ".join(repr(group) for group in groups)
+        if not isinstance(given, tuple):
+            if given is not None and given.group is not None:
+                raise refuse("one table moves all groups of engines", f"a list [[{key}]]", key=(key, "group"))
+            return
+        named = [each.group or "" for each in given]
+        for n, group in enumerate(named):
+            if group not in groups:
+                raise refuse("no gimballed engine is of this group", allowed, (key, n, "group"), value=group)
+            if group in named[:n]:
+                raise refuse("has an entry already", "each group once", (key, n, "group"), value=group)
+        missing = [group for group in groups if group not in named]
+        if missing and all_of_them:
+            raise refuse(f"no entry for group {missing[0]!r}", f"one for each of {allowed}", (key,), value=len(given))
+
     @property
     def pendulum_names(self) -> tuple[str, ...]:
         """Of the slosh modes that are flown, tank by tank, as the log calls them."""
@@ -289,21 +326,14 @@ class Stage(Section):
         return tuple(name + ("" if mode == 0 else f"_{mode + 1}") for name, modes in names for mode in range(modes))
 
     def _check_tvc_load(self) -> None:
-        if self.tvc_load is None:
-            return
-        first = self.engines[0] if self.engines else None
-        if first is None or first.inertia_about_gimbal_kgm2 == 0.0:
-            raise refuse("no engine with an inertia", "engine.inertia_about_gimbal_kgm2 > 0", key=("tvc_load",))
-        place: dict[str, Any] = {"offset_m": first.offset_m, "name": first.name}
-        unlike = any(engine.model_copy(update=place) != first for engine in self.engines)
-        if unlike or first.gimbal != "both" or first.cant_deg != (0.0, 0.0):
-            raise refuse(
-                "the engines do not swing as one",
-                "engines of one group, alike but for their place, gimballed in both planes, without cant",
-                key=("tvc_load",),
-            )
-        if self.spatial_modes is not None:
-            raise refuse("does not go with spatial_modes", "modes of the two planes in bending", key=("tvc_load",))
+        moved = [engine for engine in self.engines if engine.gimbal != "fixed"]
+        if self.tvc_load is not None and not moved:
+            raise refuse("no gimballed engine", "[stage.engine]", key=("tvc_load",), value={})
+        self._check_groups("tvc_load", self.tvc_load, all_of_them=False)
+        for n, engine in enumerate(self.engines):
+            if engine in moved and engine.group in self.tvc_loads and engine.inertia_about_gimbal_kgm2 == 0.0:
+                key = (*self.engine_key(n), "inertia_about_gimbal_kgm2")
+                raise refuse("an engine without inertia cannot swing on a TVC load", "a number > 0", key=key, value=0.0)
 
     def _check_slosh_mass(self) -> None:
         """What sloshes, and the gimballed engine, are parts of the vehicle's mass."""

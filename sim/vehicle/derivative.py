@@ -37,22 +37,27 @@ from maxq.sim.vehicle.bending import (
     modal_state,
 )
 from maxq.sim.vehicle.block import Q_BI, W_BI_B, Counts, Sizes, counts
-from maxq.sim.vehicle.engine import Engine, engine_axis_motion, group_angles, thrust
+from maxq.sim.vehicle.engine import (
+    Deflected,
+    Engine,
+    deflected_at,
+    deflected_engine,
+    engine_axis_motion,
+    group_angles,
+    put_deflected,
+    thrust,
+)
 from maxq.sim.vehicle.environment import Environment, air_data, pad_acceleration, winds_along_body
 from maxq.sim.vehicle.faults import N_FAULT_SLOTS
 from maxq.sim.vehicle.gyro import Gyro, gyro_derivative, sensed_rate
 from maxq.sim.vehicle.rigid import (
     Balance,
-    Deflected,
     balance,
     coriolis_of_outflow,
-    deflected_at,
-    deflected_engine,
     engine_momentum,
     engine_reaction,
     kinematics,
     prepare_outflow,
-    put_deflected,
 )
 from maxq.sim.vehicle.schedule import (
     CORE_CG,
@@ -81,6 +86,7 @@ from maxq.sim.vehicle.spatial_modes import (
     spatial_state,
 )
 from maxq.sim.vehicle.state import (
+    ACTUATOR,
     GYRO,
     N_ACTUATOR,
     N_PENDULUM,
@@ -91,10 +97,8 @@ from maxq.sim.vehicle.state import (
     tvc_load_index,
     xi_index,
 )
-from maxq.sim.vehicle.tvc_load import N_AXIS, TvcLoad, load_derivative, prepare_load
+from maxq.sim.vehicle.tvc_load import TvcLoad, load_derivative, prepare_loads, swing_engines
 from maxq.sim.vehicle.workspace import (
-    ACTUATOR_PITCH,
-    ACTUATOR_YAW,
     AERO_FORCE,
     AERO_MOMENT,
     ANGULAR_ACCEL,
@@ -102,6 +106,7 @@ from maxq.sim.vehicle.workspace import (
     DENSITY,
     ENGINE_PITCH,
     ENGINE_THRUSTS,
+    ENGINE_YAW,
     FLOW,
     GIMBAL_BEND,
     GYRO_BEND,
@@ -111,6 +116,7 @@ from maxq.sim.vehicle.workspace import (
     SPATIAL_FORCE,
     SPATIAL_MOMENTUM,
     SPECIFIC_FORCE,
+    SWING,
     TENSION,
     TENSIONS,
     THRUST,
@@ -128,6 +134,7 @@ class Vehicle:
     engine: Engine
     actuator_pitch: Actuator
     actuator_yaw: Actuator
+    further_actuators: Annotated[tuple[Actuator, ...], (2 * MAX_ENGINES - 2,)]  # pitch, yaw of each further group
     tvc_load: TvcLoad
     gyro: Gyro
     aero: Aero
@@ -262,7 +269,7 @@ def derivative(
         force, moment = add(force, liquid_force), add(moment, liquid_moment)
 
     if sizes.tvc_loads > 0:
-        prepare_load(
+        prepare_loads(
             vehicle.tvc_load, vehicle.engine, engine, balanced.offset, sizes, rate, axial_load, properties, y, loads,
             held.faults, work, aux,
         )  # fmt: skip  # thirteen lines otherwise
@@ -272,12 +279,11 @@ def derivative(
     )  # fmt: skip  # fourteen lines otherwise
 
     kinematics(environment.earth, held.on_pad, rotation, rate, specific_force, alpha, gravitation, properties, y, dy)
-    for group in range(1 + sizes.further_groups):
-        i = actuator_index(sizes, group)
-        actuator_rates(vehicle.actuator_pitch, held.faults, 2 * group, y, i, held.command_rad[2 * group], dy)
-        actuator_rates(
-            vehicle.actuator_yaw, held.faults, 2 * group + 1, y, i + N_ACTUATOR, held.command_rad[2 * group + 1], dy
-        )  # fmt: skip  # nine lines otherwise
+    actuator_rates(vehicle.actuator_pitch, held.faults, 0, y, ACTUATOR, held.command_rad[0], dy)
+    actuator_rates(vehicle.actuator_yaw, held.faults, 1, y, ACTUATOR + N_ACTUATOR, held.command_rad[1], dy)
+    for k in range(2 * sizes.further_groups):
+        i = actuator_index(sizes, 1) + N_ACTUATOR * k
+        actuator_rates(vehicle.further_actuators[k], held.faults, 2 + k, y, i, held.command_rad[2 + k], dy)
     bend_y, bend_z = bending_rate_at_gyro(sizes, properties, work)
     local = (rate[0], rate[1] + bend_y, rate[2] + bend_z)
     if sizes.spatial_modes > 0:
@@ -293,8 +299,7 @@ def derivative(
         pendulum_derivative(vehicle.slosh, sizes, tank, rate, specific_force, alpha, properties, y, first, dy, work)
         aux[TENSIONS + tank] = work[TENSION + tank]
     if sizes.tvc_loads > 0:
-        load_derivative(vehicle.tvc_load, sizes, y, loads, dy, work)
-        aux[ENGINE_PITCH + 2], aux[ENGINE_PITCH + 5] = dy[loads + 1], dy[loads + N_AXIS + 1]
+        load_derivative(vehicle.tvc_load, vehicle.engine, sizes, y, loads, dy, work, aux)
     aux[AXIAL_LOAD] = axial_load
     set_vector(aux, AERO_FORCE, aero_force)
     set_vector(aux, AERO_MOMENT, aero_moment)
@@ -311,18 +316,17 @@ def engine_motion(
 
     Angles, rates and accelerations of each group go into `aux`.
     """
-    for group in range(1 + sizes.further_groups):
-        i, at = actuator_index(sizes, group), group_angles(group)
-        pitch, yaw = held.command_rad[2 * group], held.command_rad[2 * group + 1]
-        set_vector(aux, at, actuator_motion(vehicle.actuator_pitch, held.faults, 2 * group, y, i, pitch))
-        in_yaw = actuator_motion(vehicle.actuator_yaw, held.faults, 2 * group + 1, y, i + N_ACTUATOR, yaw)
-        set_vector(aux, at + 3, in_yaw)
+    i, command, faults = ACTUATOR, held.command_rad, held.faults
+    set_vector(aux, ENGINE_PITCH, actuator_motion(vehicle.actuator_pitch, faults, 0, y, i, command[0]))
+    set_vector(aux, ENGINE_YAW, actuator_motion(vehicle.actuator_yaw, faults, 1, y, i + N_ACTUATOR, command[1]))
+    for k in range(2 * sizes.further_groups):
+        i = actuator_index(sizes, 1) + N_ACTUATOR * k
+        set_vector(
+            aux, group_angles(1) + 3 * k,
+            actuator_motion(vehicle.further_actuators[k], faults, 2 + k, y, i, command[2 + k]),
+        )  # fmt: skip  # three lines otherwise
     if sizes.tvc_loads > 0:  # the actuators' position is the spring's other end; the engine has angles of its own
-        i = tvc_load_index(sizes)
-        aux[ACTUATOR_PITCH], aux[ACTUATOR_PITCH + 1] = aux[ENGINE_PITCH], aux[ENGINE_PITCH + 1]
-        aux[ACTUATOR_YAW], aux[ACTUATOR_YAW + 1] = aux[ENGINE_PITCH + 3], aux[ENGINE_PITCH + 4]
-        set_vector(aux, ENGINE_PITCH, (y[i], y[i + 1], 0.0))
-        set_vector(aux, ENGINE_PITCH + 3, (y[i + N_AXIS], y[i + N_AXIS + 1], 0.0))
+        swing_engines(vehicle.tvc_load, vehicle.engine, sizes, y, tvc_load_index(sizes), aux)
     axis, axis_rate, axis_accel = engine_axis_motion(vehicle.engine, 0, aux, ENGINE_PITCH)
     first = deflected_engine(vehicle.engine, 0, axis, axis_rate, axis_accel, properties)
     if sizes.engines > 1:
@@ -334,7 +338,10 @@ def engine_motion(
 def further_motion(e: Engine, of: Sizes, properties: Array, work: Array, aux: Array) -> None:
     """The engines beyond the first, deflected, into `work`."""
     for k in range(1, of.engines):
-        axis, axis_rate, axis_accel = engine_axis_motion(e, k, aux, group_angles(e.group[k]))
+        at = group_angles(e.group[k])
+        if of.tvc_loads > 0 and e.swings[k] >= 0:
+            at = SWING + 6 * e.swings[k]
+        axis, axis_rate, axis_accel = engine_axis_motion(e, k, aux, at)
         put_deflected(work, k, deflected_engine(e, k, axis, axis_rate, axis_accel, properties))
 
 

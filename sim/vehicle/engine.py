@@ -19,10 +19,10 @@ from maxq.control.kernel.jit import kernel
 from maxq.control.kernel.limits import MAX_ENGINES
 from maxq.control.kernel.records import Array, IntArray
 from maxq.control.kernel.rows import DEG, PitchYaw
-from maxq.control.kernel.vectors import Vector, sine_cosine
+from maxq.control.kernel.vectors import Vector, cross, scaled, set_vector, sine_cosine, vector_at
 from maxq.sim.vehicle.block import Counts
-from maxq.sim.vehicle.schedule import THRUST_VACUUM, thrust_column
-from maxq.sim.vehicle.workspace import ENGINE_PITCH, ENGINE_THRUSTS, GROUPS
+from maxq.sim.vehicle.schedule import CORE_CG, THRUST_VACUUM, thrust_column
+from maxq.sim.vehicle.workspace import ENGINE, ENGINE_PITCH, ENGINE_THRUSTS, ENGINE_WIDTH, GROUPS
 
 _PER_ENGINE = (MAX_ENGINES,)
 Numbers = Annotated[Array, _PER_ENGINE]
@@ -60,6 +60,7 @@ class Engine:
     lever_x_m: Numbers
     lever_y_m: Numbers
     lever_z_m: Numbers
+    swings: Indices  # which TVC load the engine swings on; -1: it follows its actuators
     exit_station_m: Numbers
     exit_y_m: Numbers
     exit_z_m: Numbers
@@ -106,6 +107,73 @@ def thrust_axis_motion(
         cp * cy * pitch_accel - sp * sy * yaw_accel - sp * cy * (p2 + y2) - cp * sy * py,
     )
     return axis, rate, accel
+
+
+class Deflected(NamedTuple):
+    """One engine of this instant, in B (m)."""
+
+    axis: Vector  # unit vector of the thrust
+    gimbal: Vector  # gimbal point relative to the core CG
+    delta: Vector  # engine CG relative to where it is at rest, and derivatives
+    delta_rate: Vector
+    delta_accel: Vector
+    relative_rate: Vector  # angular velocity of the engine relative to the body, and derivative
+    relative_accel: Vector
+
+
+@kernel
+def deflected_engine(
+    e: Engine, k: int, axis: Vector, axis_rate: Vector, axis_accel: Vector, properties: Array
+) -> Deflected:
+    arm = e.cg_from_gimbal_m[k]
+    return Deflected(
+        axis,
+        gimbal_point(e, k, properties),
+        scaled(arm, (e.rest_x[k] - axis[0], e.rest_y[k] - axis[1], e.rest_z[k] - axis[2])),
+        scaled(-arm, axis_rate),
+        scaled(-arm, axis_accel),
+        cross(axis, axis_rate),
+        cross(axis, axis_accel),
+    )
+
+
+@kernel
+def gimbal_point(e: Engine, k: int, properties: Array) -> Vector:
+    """Gimbal of engine k relative to the core CG, B, m."""
+    return (
+        properties[CORE_CG] - e.gimbal_station_m[k],
+        e.gimbal_offset_y_m[k] - properties[CORE_CG + 1],
+        e.gimbal_offset_z_m[k] - properties[CORE_CG + 2],
+    )
+
+
+@kernel
+def put_deflected(work: Array, k: int, engine: Deflected) -> None:
+    """Keep an engine beyond the first in the workspace."""
+    at = ENGINE + ENGINE_WIDTH * (k - 1)
+    set_vector(work, at, engine.axis)
+    set_vector(work, at + 3, engine.gimbal)
+    set_vector(work, at + 6, engine.delta)
+    set_vector(work, at + 9, engine.delta_rate)
+    set_vector(work, at + 12, engine.delta_accel)
+    set_vector(work, at + 15, engine.relative_rate)
+    set_vector(work, at + 18, engine.relative_accel)
+
+
+@kernel
+def deflected_at(work: Array, k: int) -> Deflected:
+    at = ENGINE + ENGINE_WIDTH * (k - 1)
+    return Deflected(
+        vector_at(work, at), vector_at(work, at + 3), vector_at(work, at + 6), vector_at(work, at + 9),
+        vector_at(work, at + 12), vector_at(work, at + 15), vector_at(work, at + 18),
+    )  # fmt: skip  # nine lines otherwise
+
+
+@kernel
+def beside_axis(e: Engine, k: int) -> tuple[float, float]:
+    """CG of engine k at rest from the body axis along y and z, m."""
+    arm = e.cg_from_gimbal_m[k]
+    return e.gimbal_offset_y_m[k] - arm * e.rest_y[k], e.gimbal_offset_z_m[k] - arm * e.rest_z[k]
 
 
 @kernel

@@ -21,7 +21,7 @@ from maxq.control.kernel.vectors import (
     vector_at,
 )
 from maxq.sim.vehicle.block import Q_BI, R_I, V_I, W_BI_B, Counts
-from maxq.sim.vehicle.engine import Engine, flow_share
+from maxq.sim.vehicle.engine import Deflected, Engine, beside_axis, deflected_at, flow_share
 from maxq.sim.vehicle.schedule import (
     CG_RATE,
     CORE_CG,
@@ -41,20 +41,7 @@ from maxq.sim.vehicle.schedule import (
 )
 from maxq.sim.vehicle.slosh import Slosh, pendulum_length
 from maxq.sim.vehicle.spatial_modes import Load
-from maxq.sim.vehicle.workspace import ENGINE, ENGINE_WIDTH
 from maxq.sim.world.earth import Earth
-
-
-class Deflected(NamedTuple):
-    """One engine of this instant, in B (m)."""
-
-    axis: Vector  # unit vector of the thrust
-    gimbal: Vector  # gimbal point relative to the core CG
-    delta: Vector  # engine CG relative to where it is at rest, and derivatives
-    delta_rate: Vector
-    delta_accel: Vector
-    relative_rate: Vector  # angular velocity of the engine relative to the body, and derivative
-    relative_accel: Vector
 
 
 class Balance(NamedTuple):
@@ -63,32 +50,6 @@ class Balance(NamedTuple):
     offset: Vector  # of the CG from the core CG
     inertia: Symmetric  # about the core CG
     inverse_inertia: Symmetric  # inverse of the tensor about that CG
-
-
-@kernel
-def deflected_engine(
-    e: Engine, k: int, axis: Vector, axis_rate: Vector, axis_accel: Vector, properties: Array
-) -> Deflected:
-    arm = e.cg_from_gimbal_m[k]
-    return Deflected(
-        axis,
-        gimbal_point(e, k, properties),
-        scaled(arm, (e.rest_x[k] - axis[0], e.rest_y[k] - axis[1], e.rest_z[k] - axis[2])),
-        scaled(-arm, axis_rate),
-        scaled(-arm, axis_accel),
-        cross(axis, axis_rate),
-        cross(axis, axis_accel),
-    )
-
-
-@kernel
-def gimbal_point(e: Engine, k: int, properties: Array) -> Vector:
-    """Gimbal of engine k relative to the core CG, B, m."""
-    return (
-        properties[CORE_CG] - e.gimbal_station_m[k],
-        e.gimbal_offset_y_m[k] - properties[CORE_CG + 1],
-        e.gimbal_offset_z_m[k] - properties[CORE_CG + 2],
-    )
 
 
 @kernel
@@ -117,28 +78,6 @@ def balance(e: Engine, sizes: Counts, first: Deflected, properties: Array, work:
         offset = add(offset, scaled(e.gimballed_mass_kg[k] * inverse_mass, engine.delta))
     about_cg = _plus_point(inertia, -properties[CORE_MASS], offset)
     return Balance(offset, inertia, inverse_inertia(about_cg))
-
-
-@kernel
-def put_deflected(work: Array, k: int, engine: Deflected) -> None:
-    """Keep an engine beyond the first in the workspace."""
-    at = ENGINE + ENGINE_WIDTH * (k - 1)
-    set_vector(work, at, engine.axis)
-    set_vector(work, at + 3, engine.gimbal)
-    set_vector(work, at + 6, engine.delta)
-    set_vector(work, at + 9, engine.delta_rate)
-    set_vector(work, at + 12, engine.delta_accel)
-    set_vector(work, at + 15, engine.relative_rate)
-    set_vector(work, at + 18, engine.relative_accel)
-
-
-@kernel
-def deflected_at(work: Array, k: int) -> Deflected:
-    at = ENGINE + ENGINE_WIDTH * (k - 1)
-    return Deflected(
-        vector_at(work, at), vector_at(work, at + 3), vector_at(work, at + 6), vector_at(work, at + 9),
-        vector_at(work, at + 12), vector_at(work, at + 15), vector_at(work, at + 18),
-    )  # fmt: skip  # nine lines otherwise
 
 
 @kernel
@@ -178,7 +117,7 @@ def engine_reaction(
     moment_y = aft * inertial[2] - inertia * engine.relative_accel[1] - mass * axial_load * engine.delta[2]
     moment_z = -aft * inertial[1] - inertia * engine.relative_accel[2] + mass * axial_load * engine.delta[1]
     moment_y, moment_z = moment_y + to_z * inertial[0], moment_z - to_y * inertial[0]
-    beside_y, beside_z = _beside_axis(e, k)
+    beside_y, beside_z = beside_axis(e, k)
     moment_x = beside_y * inertial[2] - beside_z * inertial[1] - inertia * engine.relative_accel[0]
     return force, moment, (inertial[0], inertial[1], inertial[2], moment_x, moment_y, moment_z)
 
@@ -188,16 +127,9 @@ def engine_momentum(e: Engine, k: int, engine: Deflected) -> Load:
     """What the moving engine k adds to the momentum of the modes, as a load at its gimbal: N s, N m s (3.4, 4.9)."""
     x, y, z = scaled(e.gimballed_mass_kg[k], engine.delta_rate)
     spin, aft = scaled(e.inertia_kgm2[k], engine.relative_rate), e.lever_x_m[k]
-    beside_y, beside_z = _beside_axis(e, k)
+    beside_y, beside_z = beside_axis(e, k)
     about_x = spin[0] + (beside_y * z - beside_z * y)
     return x, y, z, about_x, spin[1] + aft * z + e.lever_z_m[k] * x, spin[2] - aft * y - e.lever_y_m[k] * x
-
-
-@kernel
-def _beside_axis(e: Engine, k: int) -> tuple[float, float]:
-    """CG of engine k at rest from the body axis along y and z, m."""
-    arm = e.cg_from_gimbal_m[k]
-    return e.gimbal_offset_y_m[k] - arm * e.rest_y[k], e.gimbal_offset_z_m[k] - arm * e.rest_z[k]
 
 
 @kernel

@@ -81,6 +81,7 @@ from maxq.sim.vehicle.tvc_load import (
     load_block,
     load_modal,
     load_responses,
+    load_spatial,
     moment_about_hinge,
 )
 from maxq.sim.vehicle.workspace import (
@@ -524,17 +525,17 @@ def accelerate(
         _add_tension_to_modes(sizes, k, tension * u[1], tension * u[2], properties, work)
         if sizes.spatial_modes > 0:
             add_tension_to_spatial(sizes, properties, k, tension, work)
+    for k in range(2 * sizes.tvc_loads):
+        b, swing = load_block(k), work[TENSION + sizes.pendulums + k]
+        accel = add(accel, scaled(swing, vector_at(work, b + RIGID_ACCEL)))
+        alpha = add(alpha, scaled(swing, vector_at(work, b + LOAD_ALPHA)))
+        add_load_to_modes(sizes, k, swing, work)
     if sizes.spatial_modes > 0:
         for k in range(sizes.pendulums):
             b, moved = tank_block(k), spatial_motion(sizes, properties, tank_place(k), work, SPATIAL_ACCEL)
             work[b + ALONG_X + 3] = moved[0]
             work[b + BENDING_ACCEL] += moved[1]
             work[b + BENDING_ACCEL + 1] += moved[2]
-    for k in range(2 * sizes.tvc_loads):
-        b, swing = load_block(k), work[TENSION + sizes.pendulums + k]
-        accel = add(accel, scaled(swing, vector_at(work, b + RIGID_ACCEL)))
-        alpha = add(alpha, scaled(swing, vector_at(work, b + LOAD_ALPHA)))
-        add_load_to_modes(sizes, k, swing, work)
     return add(accel, cross(offset, alpha)), alpha
 
 
@@ -587,7 +588,7 @@ def _solve_tensions(
         work[b + BENDING_ACCEL], work[b + BENDING_ACCEL + 1] = bend_y, bend_z
         along = dot(u, accel) + dot(arm, alpha) + u[1] * bend_y + u[2] * bend_z
         if sizes.spatial_modes > 0:
-            along += spatial_along_rod(sizes, properties, tank_place(k), k, u, work)
+            along += spatial_along_rod(sizes, properties, tank_place(k), k, u, work, SPATIAL_ACCEL)
         work[TENSION + k] = mass * (work[b + DEMAND] - along)
         for j in range(k + 1):
             u_j = vector_at(y, first + N_PENDULUM * j)
@@ -644,12 +645,14 @@ def _add_loads(
             u, arm = vector_at(y, first + N_PENDULUM * k), vector_at(work, tank_block(k) + ARM)
             bend_y, bend_z = _bending_acceleration(sizes, k, properties, work, modal)
             along = dot(u, rigid) + dot(arm, turning) + u[1] * bend_y + u[2] * bend_z
+            if sizes.spatial_modes > 0:
+                along += spatial_along_rod(sizes, properties, tank_place(k), k, u, work, load_spatial(i, 1))
             work[_gram(k, row)] = bob_mass(slosh, properties, k) * along
             work[_gram(row, k)] = -along
         for j in range(2 * sizes.tvc_loads):
-            work[_gram(n + j, row)] = -moment_about_hinge(sizes, j, rigid, turning, modal, work)
+            work[_gram(n + j, row)] = -moment_about_hinge(sizes, j, rigid, turning, modal, load_spatial(i, 1), work)
         work[_gram(row, row)] += work[b + INERTIA]
-        work[TENSION + row] = work[b + KNOWN] + moment_about_hinge(sizes, i, accel, alpha, ACCEL, work)
+        work[TENSION + row] = work[b + KNOWN] + moment_about_hinge(sizes, i, accel, alpha, ACCEL, SPATIAL_ACCEL, work)
 
 
 @kernel

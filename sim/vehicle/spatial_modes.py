@@ -196,13 +196,15 @@ def free_spatial_accelerations(sizes: Counts, properties: Array, work: Array) ->
 
 
 @routine
-def spatial_along_rod(sizes: Counts, properties: Array, place: int, tank: int, u: Vector, work: Array) -> float:
-    """Keep the shapes at a hinge along its rod `u`; returns the acceleration of the hinge along it, m/s2."""
+def spatial_along_rod(
+    sizes: Counts, properties: Array, place: int, tank: int, u: Vector, work: Array, quantity: int
+) -> float:  # fmt: skip  # as ruff would, but for a line of one bracket
+    """Keep the shapes at a hinge along its rod `u`; returns its acceleration by the modal ones at `quantity`."""
     n, c, total = sizes.spatial_modes, place_column(sizes, place, 0), 0.0
     for i in range(n):
         along = properties[c + i] * u[0] + properties[c + n + i] * u[1] + properties[c + 2 * n + i] * u[2]
         work[_along(tank) + i] = along
-        total += along * work[SPATIAL_ACCEL + i]
+        total += along * work[quantity + i]
     return total
 
 

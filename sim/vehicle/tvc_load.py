@@ -19,10 +19,11 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
+from typing import Annotated, NamedTuple
 
 from maxq.control.kernel.jit import kernel, routine
-from maxq.control.kernel.records import Array
+from maxq.control.kernel.limits import MAX_MODES, MAX_TVC_LOADS
+from maxq.control.kernel.records import Array, IntArray
 from maxq.control.kernel.rows import DEG, PitchYaw
 from maxq.control.kernel.vectors import (
     Symmetric,
@@ -36,36 +37,38 @@ from maxq.control.kernel.vectors import (
     symmetric_times,
     vector_at,
 )
-from maxq.sim.vehicle.bending import add_to_modes, modal_sum, of_plane
+from maxq.sim.vehicle.bending import add_to_modes, gimbal_displacement, modal_sum, of_plane
 from maxq.sim.vehicle.block import Counts, Sizes, StateBlock
-from maxq.sim.vehicle.engine import Engine
+from maxq.sim.vehicle.engine import Deflected, Engine, beside_axis, deflected_at, group_angles
 from maxq.sim.vehicle.faults import ACTUATOR_FAULT, FLOATING
 from maxq.sim.vehicle.schedule import (
     MODE_INVERSE_MASS,
-    MODE_PHI_GIMBAL,
-    MODE_SLOPE_GIMBAL,
     PITCH,
     YAW,
     derived_column,
+    gimbal_place,
+    gimbal_row,
     mode_column,
     padded_modes,
+    spatial_derived,
 )
+from maxq.sim.vehicle.spatial_modes import apply_spatial_load, spatial_motion
 from maxq.sim.vehicle.workspace import (
     ACCEL,
-    ACTUATOR_PITCH,
-    ACTUATOR_YAW,
-    GIMBAL_BEND,
+    HELD,
     HINGE_MOMENT,
     LOAD,
     LOAD_MODAL,
     LOAD_MODAL_WIDTH,
+    LOAD_SPATIAL,
     LOAD_WIDTH,
     NU,
+    SPATIAL_ACCEL,
+    SPATIAL_ETA,
+    SPATIAL_NU,
+    SWING,
     TENSION,
 )
-
-if TYPE_CHECKING:
-    from maxq.sim.vehicle.rigid import Deflected  # which imports slosh, which imports this module
 
 TVC_LOADS = StateBlock(
     {
@@ -88,34 +91,36 @@ INERTIA = 13  # about the hinge, kg m2
 STOP_FACTOR = 10.0  # stiffness of a stop over that of the spring, where nothing else is given
 
 
+_PER_LOAD = (MAX_TVC_LOADS,)
+Numbers = Annotated[Array, _PER_LOAD]
+
+
 @dataclass(frozen=True)
 class TvcLoad:
-    stiffness_Nmprad: float
-    damping_Nmsprad: float
-    friction_Nm: float
-    friction_angle_rad: float
-    stop_stiffness_Nmprad: float
-    stop_pitch_rad: float
-    stop_yaw_rad: float
+    """All TVC loads of a stage; `Sizes.tvc_loads` of them count."""
+
+    engine: Annotated[IntArray, _PER_LOAD]  # which of the stage's engines, as engine.py counts them
+    stiffness_Nmprad: Numbers
+    damping_Nmsprad: Numbers
+    friction_Nm: Numbers
+    friction_angle_rad: Numbers
+    stop_stiffness_Nmprad: Numbers
+    stop_pitch_rad: Numbers
+    stop_yaw_rad: Numbers
 
 
-def pack_tvc_load(given: Any, engine: Engine, stop_pitch_rad: float, stop_yaw_rad: float) -> TvcLoad:
-    """From the stage's section `tvc_load` or None, and its engines, which count as one; stops are the actuators'."""
-    if given is None:
-        return TvcLoad(0.0, 0.0, 0.0, 1.0, 0.0, math.inf, math.inf)
-    inertia = float(engine.inertia_kgm2[0] + engine.gimballed_mass_kg[0] * engine.cg_from_gimbal_m[0] ** 2)
-    stiffness = given.stiffness_Nmprad
-    if stiffness is None:
-        stiffness = inertia * (2.0 * math.pi * given.frequency_hz) ** 2
-    return TvcLoad(
-        stiffness_Nmprad=stiffness,
-        damping_Nmsprad=2.0 * given.damping_ratio * math.sqrt(stiffness * inertia),
-        friction_Nm=given.friction_Nm,
-        friction_angle_rad=math.radians(given.friction_angle_deg),
-        stop_stiffness_Nmprad=given.stop_stiffness_Nmprad or STOP_FACTOR * stiffness,
-        stop_pitch_rad=stop_pitch_rad,
-        stop_yaw_rad=stop_yaw_rad,
-    )
+@routine
+def swing_engines(load: TvcLoad, e: Engine, sizes: Counts, y: Array, first: int, aux: Array) -> None:
+    """Angles and rates of engines on a load; those of their actuators are kept. A group shows its first engine's."""
+    for k in range(sizes.tvc_loads):
+        at, held = group_angles(e.group[load.engine[k]]), HELD + 4 * k
+        aux[held], aux[held + 1], aux[held + 2], aux[held + 3] = aux[at], aux[at + 1], aux[at + 3], aux[at + 4]
+    for back in range(sizes.tvc_loads):
+        k = sizes.tvc_loads - 1 - back
+        at, i = group_angles(e.group[load.engine[k]]), first + N_TVC_LOAD * k
+        for to in (SWING + 6 * k, at):
+            set_vector(aux, to, (y[i], y[i + 1], 0.0))
+            set_vector(aux, to + 3, (y[i + N_AXIS], y[i + N_AXIS + 1], 0.0))
 
 
 @kernel
@@ -131,71 +136,116 @@ def load_modal(unknown: int, accelerations: int) -> int:
 
 
 @kernel
-def hinge_moment(load: TvcLoad, y: Array, i: int, position: float, rate: float, stop: float, floating: int) -> float:
-    """Moment of spring, damper, friction and stop on the engine about its hinge, N m; states at y[i:i+3]."""
-    moment: float = -load.friction_Nm * y[i + 2]
+def load_spatial(unknown: int, accelerations: int) -> int:
+    """The same of spatial modes."""
+    return LOAD_SPATIAL + MAX_MODES * (2 * unknown + accelerations)
+
+
+@kernel
+def hinge_moment(
+    load: TvcLoad, k: int, y: Array, i: int, position: float, rate: float, stop: float, floating: int
+) -> float:  # fmt: skip  # as ruff would, but for a line of one bracket
+    """Moment of spring, damper, friction and stop on an engine about its hinge, N m; states at y[i:i+3]."""
+    moment: float = -load.friction_Nm[k] * y[i + 2]
     if floating == 0:
-        moment -= load.stiffness_Nmprad * (y[i] - position) + load.damping_Nmsprad * (y[i + 1] - rate)
+        moment -= load.stiffness_Nmprad[k] * (y[i] - position) + load.damping_Nmsprad[k] * (y[i + 1] - rate)
     if abs(y[i]) > stop:
-        moment -= load.stop_stiffness_Nmprad * (y[i] - math.copysign(stop, y[i]))
+        moment -= load.stop_stiffness_Nmprad[k] * (y[i] - math.copysign(stop, y[i]))
     return moment
 
 
 @routine
-def prepare_load(
-    load: TvcLoad, e: Engine, engine: Deflected, offset: Vector, sizes: Counts, rate: Vector, axial_load: float,
-    properties: Array, y: Array, first: int, faults: Array, work: Array, aux: Array,
+def prepare_loads(
+    load: TvcLoad, e: Engine, first: Deflected, offset: Vector, sizes: Counts, rate: Vector, axial_load: float,
+    properties: Array, y: Array, states: int, faults: Array, work: Array, aux: Array,
 ) -> None:  # fmt: skip  # fourteen lines otherwise
-    """Fill the blocks of both unknowns of the load whose states lie at y[first:first+6].
+    """Fill the blocks of both unknowns of each load; their states lie at y[states:].
 
-    `offset` leads from the core CG to the CG with the engine deflected.
+    `first`: the first engine. `offset` leads from the core CG to the CG with the engines deflected.
     """
-    mass, arm, inertia = e.gimballed_mass_kg[0], e.cg_from_gimbal_m[0], e.inertia_kgm2[0]
+    for n in range(sizes.tvc_loads):
+        k = load.engine[n]
+        engine = first if k == 0 else deflected_at(work, k)
+        _prepare_load(
+            load, n, e, k, engine, offset, sizes, rate, axial_load, properties, y, states + N_TVC_LOAD * n, faults,
+            work, aux,
+        )  # fmt: skip  # fifteen lines otherwise
+
+
+@routine
+def _prepare_load(
+    load: TvcLoad, n: int, e: Engine, k: int, engine: Deflected, offset: Vector, sizes: Counts, rate: Vector,
+    axial_load: float, properties: Array, y: Array, i: int, faults: Array, work: Array, aux: Array,
+) -> None:  # fmt: skip  # sixteen lines otherwise
+    """Of load n, engine k, whose states lie at y[i:i+6]."""
+    mass, arm, inertia = e.gimballed_mass_kg[k], e.cg_from_gimbal_m[k], e.inertia_kgm2[k]
     unbalance, about_hinge = mass * arm, inertia + mass * arm * arm
-    sp, cp = sine_cosine(y[first] + e.turned_pitch_rad[0])
-    sy, cy = sine_cosine(y[first + N_AXIS] + e.turned_yaw_rad[0])
-    pitch_rate, yaw_rate = y[first + 1], y[first + N_AXIS + 1]
-    slope_y, slope_z = aux[GIMBAL_BEND + 2], aux[GIMBAL_BEND + 3]
-    turning_y = modal_sum(sizes, properties, mode_column(sizes, PITCH, MODE_SLOPE_GIMBAL), work, of_plane(NU, PITCH))
-    turning_z = -modal_sum(sizes, properties, mode_column(sizes, YAW, MODE_SLOPE_GIMBAL), work, of_plane(NU, YAW))
-    at = add((engine.gimbal[0] - arm, engine.gimbal[1], engine.gimbal[2]), engine.delta)
+    sp, cp = sine_cosine(y[i] + e.turned_pitch_rad[k])
+    sy, cy = sine_cosine(y[i + N_AXIS] + e.turned_yaw_rad[k])
+    pitch_rate, yaw_rate = y[i + 1], y[i + N_AXIS + 1]
+    _, _, slope_y, slope_z = gimbal_displacement(sizes, properties, e.gimbal[k], work)
+    row = gimbal_row(sizes, e.gimbal[k]) + 1
+    turning_y = modal_sum(sizes, properties, mode_column(sizes, PITCH, row), work, of_plane(NU, PITCH))
+    turning_z = -modal_sum(sizes, properties, mode_column(sizes, YAW, row), work, of_plane(NU, YAW))
+    turning = (rate[0], rate[1] + turning_y, rate[2] + turning_z)
+    if sizes.spatial_modes > 0:
+        place = gimbal_place(sizes, e.gimbal[k])
+        bent = spatial_motion(sizes, properties, place, work, SPATIAL_ETA)
+        turned = spatial_motion(sizes, properties, place, work, SPATIAL_NU)
+        slope_y, slope_z = slope_y + bent[4], slope_z + bent[5]
+        turning = add(turning, (turned[3], turned[4], turned[5]))
+    at = add(engine.gimbal, scaled(-arm, engine.axis))
     felt = add(cross(rate, cross(rate, at)), scaled(2.0, cross(rate, engine.delta_rate)))
-    axis_rate = cross(engine.relative_rate, engine.axis)
-    spin = scaled(2.0, cross((rate[0], rate[1] + turning_y, rate[2] + turning_z), axis_rate))
-    for k in range(2):
-        at_k, stop = ACTUATOR_PITCH + 2 * k, load.stop_pitch_rad if k == 0 else load.stop_yaw_rad
-        floating = 1 if faults[ACTUATOR_FAULT + k] == FLOATING else 0
-        aux[HINGE_MOMENT + k] = hinge_moment(load, y, first + N_AXIS * k, aux[at_k], aux[at_k + 1], stop, floating)
-    for k in range(2):
-        if k == 0:  # derivative of the thrust axis by the angle, and that angle's own centrifugal terms
+    spin = scaled(2.0, cross(turning, cross(engine.relative_rate, engine.axis)))
+    for axis in range(2):
+        unknown = 2 * n + axis
+        if axis == 0:  # derivative of the thrust axis by the angle, and that angle's own centrifugal terms
             along, lever, own = (-sp * cy, 0.0, cp * cy), cy * cy, 2.0 * cy * sy * pitch_rate * yaw_rate
+            moves, stop = e.follows_pitch[k], load.stop_pitch_rad[n]
         else:
             along, lever, own = (-cp * sy, -cy, -sp * sy), 1.0, -cy * sy * pitch_rate * pitch_rate
-        b, turn = load_block(k), cross(engine.axis, along)
+            moves, stop = e.follows_yaw[k], load.stop_yaw_rad[n]
+        held, channel = HELD + 4 * n + 2 * axis, 2 * e.group[k] + axis
+        floating = 1 if faults[ACTUATOR_FAULT + channel] == FLOATING else 0
+        moment_Nm = hinge_moment(load, n, y, i + N_AXIS * axis, aux[held], aux[held + 1], stop, floating)
+        if moves == 0.0:  # not gimballed in this plane: it stands
+            along, lever, own, moment_Nm = (0.0, 0.0, 0.0), 1.0, 0.0, 0.0
+        aux[HINGE_MOMENT + unknown] = moment_Nm
+        b, turn = load_block(unknown), cross(engine.axis, along)
         force = scaled(unbalance, along)
         moment = add(scaled(unbalance, cross(at, along)), scaled(-inertia, turn))
         set_vector(work, b + FORCE, force)
         set_vector(work, b + MOMENT, add(moment, scaled(-1.0, cross(offset, force))))
         work[b + INERTIA] = about_hinge * lever
-        known = aux[HINGE_MOMENT + k] + unbalance * dot(along, felt) - inertia * dot(along, spin)
+        known = moment_Nm + unbalance * dot(along, felt) - inertia * dot(along, spin)
         known += unbalance * axial_load * (slope_y * along[2] - slope_z * along[1]) + about_hinge * own
         work[b + KNOWN] = known
-        _modal_forces(sizes, properties, force, arm, inertia, turn, load_modal(k, 0), work)
+        _modal_forces(sizes, properties, e, k, force, scaled(-inertia, turn), unknown, work)
 
 
-@kernel
+@routine
 def _modal_forces(
-    sizes: Counts, properties: Array, force: Vector, arm: float, inertia: float, turn: Vector, quantity: int,
-    work: Array,
-) -> None:  # fmt: skip  # ten lines otherwise
-    pitch, yaw = of_plane(quantity, PITCH), of_plane(quantity, YAW)
+    sizes: Counts, properties: Array, e: Engine, k: int, force: Vector, couple: Vector, unknown: int, work: Array
+) -> None:  # fmt: skip  # as ruff would, but for a line of one bracket
+    """Of a force at the CG of engine k at rest and a couple, at its gimbal (3.4)."""
+    pitch, yaw = of_plane(load_modal(unknown, 0), PITCH), of_plane(load_modal(unknown, 0), YAW)
     for j in range(padded_modes(sizes)):
         work[pitch + j], work[yaw + j] = 0.0, 0.0
-    about_y, about_z = arm * force[2] - inertia * turn[1], -arm * force[1] - inertia * turn[2]
-    add_to_modes(sizes, properties, mode_column(sizes, PITCH, MODE_PHI_GIMBAL), force[2], work, pitch)
-    add_to_modes(sizes, properties, mode_column(sizes, PITCH, MODE_SLOPE_GIMBAL), about_y, work, pitch)
-    add_to_modes(sizes, properties, mode_column(sizes, YAW, MODE_PHI_GIMBAL), force[1], work, yaw)
-    add_to_modes(sizes, properties, mode_column(sizes, YAW, MODE_SLOPE_GIMBAL), -about_z, work, yaw)
+    aft, row = e.lever_x_m[k], gimbal_row(sizes, e.gimbal[k])
+    about_y = couple[1] + aft * force[2] + e.lever_z_m[k] * force[0]
+    about_z = couple[2] - aft * force[1] - e.lever_y_m[k] * force[0]
+    add_to_modes(sizes, properties, mode_column(sizes, PITCH, row), force[2], work, pitch)
+    add_to_modes(sizes, properties, mode_column(sizes, PITCH, row + 1), about_y, work, pitch)
+    add_to_modes(sizes, properties, mode_column(sizes, YAW, row), force[1], work, yaw)
+    add_to_modes(sizes, properties, mode_column(sizes, YAW, row + 1), -about_z, work, yaw)
+    if sizes.spatial_modes > 0:
+        spatial = load_spatial(unknown, 0)
+        for j in range(sizes.spatial_modes):
+            work[spatial + j] = 0.0
+        beside_y, beside_z = beside_axis(e, k)
+        about_x = couple[0] + beside_y * force[2] - beside_z * force[1]
+        at_gimbal = (force[0], force[1], force[2], about_x, about_y, about_z)
+        apply_spatial_load(sizes, properties, gimbal_place(sizes, e.gimbal[k]), at_gimbal, work, spatial)
 
 
 @routine
@@ -209,16 +259,23 @@ def load_responses(sizes: Counts, inverse_mass: float, inverse: Symmetric, prope
             inverse_at = derived_column(sizes, plane, MODE_INVERSE_MASS)
             for j in range(padded_modes(sizes)):
                 work[of_plane(accel, plane) + j] = work[of_plane(force, plane) + j] * properties[inverse_at + j]
+        for j in range(sizes.spatial_modes):
+            inverse_mass_j = properties[spatial_derived(sizes, MODE_INVERSE_MASS) + j]
+            work[load_spatial(k, 1) + j] = work[load_spatial(k, 0) + j] * inverse_mass_j
 
 
 @routine
-def moment_about_hinge(sizes: Counts, k: int, accel: Vector, alpha: Vector, modal: int, work: Array) -> float:
+def moment_about_hinge(
+    sizes: Counts, k: int, accel: Vector, alpha: Vector, modal: int, spatial: int, work: Array
+) -> float:  # fmt: skip  # as ruff would, but for a line of one bracket
     """Moment on the hinge of unknown k by accelerations of the CG, of the body's rotation and of the modes, N m."""
     b, force = load_block(k), load_modal(k, 0)
     total: float = dot(vector_at(work, b + FORCE), accel) + dot(vector_at(work, b + MOMENT), alpha)
     for plane in (PITCH, YAW):
         for j in range(padded_modes(sizes)):
             total += work[of_plane(force, plane) + j] * work[of_plane(modal, plane) + j]
+    for j in range(sizes.spatial_modes):
+        total += work[load_spatial(k, 0) + j] * work[spatial + j]
     return total
 
 
@@ -229,16 +286,23 @@ def add_load_to_modes(sizes: Counts, k: int, amount: float, work: Array) -> None
     for plane in (PITCH, YAW):
         for j in range(padded_modes(sizes)):
             work[of_plane(ACCEL, plane) + j] += amount * work[of_plane(modal, plane) + j]
+    for j in range(sizes.spatial_modes):
+        work[SPATIAL_ACCEL + j] += amount * work[load_spatial(k, 1) + j]
 
 
 @routine
-def load_derivative(load: TvcLoad, sizes: Counts, y: Array, first: int, dy: Array, work: Array) -> None:
-    """Derivatives of the states at y[first:first+6] once the accelerations are known."""
-    for k in range(2):
-        i = first + N_AXIS * k
-        dy[i], dy[i + 1], dy[i + 2] = y[i + 1], work[TENSION + sizes.pendulums + k], 0.0
-        if load.friction_Nm > 0.0:
-            dy[i + 2] = (y[i + 1] - abs(y[i + 1]) * y[i + 2]) / load.friction_angle_rad
+def load_derivative(
+    load: TvcLoad, e: Engine, sizes: Counts, y: Array, first: int, dy: Array, work: Array, aux: Array
+) -> None:  # fmt: skip  # as ruff would, but for a line of one bracket
+    """Derivatives of the states at y[first:] once the accelerations are known, which go into `aux` as well."""
+    for back in range(2 * sizes.tvc_loads):
+        k = 2 * sizes.tvc_loads - 1 - back
+        n, i, accel = k // 2, first + N_AXIS * k, work[TENSION + sizes.pendulums + k]
+        dy[i], dy[i + 1], dy[i + 2] = y[i + 1], accel, 0.0
+        if load.friction_Nm[n] > 0.0:
+            dy[i + 2] = (y[i + 1] - abs(y[i + 1]) * y[i + 2]) / load.friction_angle_rad[n]
+        aux[SWING + 3 * k + 2] = accel
+        aux[group_angles(e.group[load.engine[n]]) + 3 * (k % 2) + 2] = accel
 
 
 class TvcLoadRow(NamedTuple):
@@ -246,12 +310,33 @@ class TvcLoadRow(NamedTuple):
     hinge_axis_moment_Nm: Annotated[PitchYaw, "N m", "moment on the engine about its gimbal"]
 
 
+class SwingRow(NamedTuple):
+    """One engine, where several swing."""
+
+    swing_load_axis_angle_deg: Annotated[PitchYaw, "deg", "angle of the engine"]
+    actuator_load_axis_angle_deg: Annotated[PitchYaw, "deg", "position of its actuators, as an angle"]
+    hinge_load_axis_moment_Nm: Annotated[PitchYaw, "N m", "moment on the engine about its gimbal"]
+
+
+@kernel
+def swing_row(loads: int, n: int, aux: Array) -> SwingRow:
+    """Nan for a load that the stage does not have."""
+    if n >= loads:
+        none = PitchYaw(math.nan, math.nan)
+        return SwingRow(none, none, none)
+    return SwingRow(
+        swing_load_axis_angle_deg=PitchYaw(DEG * aux[SWING + 6 * n], DEG * aux[SWING + 6 * n + 3]),
+        actuator_load_axis_angle_deg=PitchYaw(DEG * aux[HELD + 4 * n], DEG * aux[HELD + 4 * n + 2]),
+        hinge_load_axis_moment_Nm=PitchYaw(aux[HINGE_MOMENT + 2 * n], aux[HINGE_MOMENT + 2 * n + 1]),
+    )
+
+
 @kernel
 def tvc_load_row(sizes: Sizes, aux: Array) -> TvcLoadRow:
-    """Nan for a stage whose engine follows its actuators."""
+    """The first; nan for a stage whose engines follow their actuators."""
     if sizes.tvc_loads == 0:
         return TvcLoadRow(PitchYaw(math.nan, math.nan), PitchYaw(math.nan, math.nan))
     return TvcLoadRow(
-        actuator_axis_angle_deg=PitchYaw(DEG * aux[ACTUATOR_PITCH], DEG * aux[ACTUATOR_YAW]),
+        actuator_axis_angle_deg=PitchYaw(DEG * aux[HELD], DEG * aux[HELD + 2]),
         hinge_axis_moment_Nm=PitchYaw(aux[HINGE_MOMENT], aux[HINGE_MOMENT + 1]),
     )

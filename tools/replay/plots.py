@@ -295,7 +295,7 @@ def _limits(row: _Row, scenario: Scenario | None) -> tuple[Limit, ...]:
                 out.append(Limit(-row.factor * r.limit, name, upper=False))
         if r.minimum is not None and not row.both:
             out.append(Limit(row.factor * r.minimum, name, upper=False))
-    actuator = next((stage.actuator for stage in scenario.vehicle.stage if stage.actuator is not None), None)
+    actuator = next((actuator for stage in scenario.vehicle.stage for actuator in stage.actuators), None)
     if row.hardware is not None and actuator is not None:
         key, axis, label = row.hardware
         value = float(getattr(actuator.axes[PLANES.index(axis)], key))

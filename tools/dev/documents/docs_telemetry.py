@@ -76,7 +76,9 @@ name says so. The tables are those of the built-in `{_EXAMPLE}`: {sizes.pitch_mo
 has modes and tanks, and are missing where it has none; spatial modes are `eta_spatial_N_m` and
 `eta_spatial_N_mps`. Of several engines `/engines` has each group's command, angle and rate
 (`gimbal_group_NAME_pitch_angle_deg`), where there are several groups, and each engine's thrust
-(`thrust_engine_NAME_N`); `/actuator` is that of the first group. `/tvc_load` is there with `[stage.tvc_load]`,
+(`thrust_engine_NAME_N`); `/actuator` is that of the first group. `/tvc_load` is there with `[stage.tvc_load]`
+(where several engines swing, of each in their order `swing_load_N_pitch_angle_deg`, `actuator_load_N_...` and
+`hinge_load_N_...`),
 `/flight_code` with `computer.law = "external"`.
 `/sections` is there with `switches.section_loads`, and has the same five columns for every station of `[stage.loads]`
 (docs/model.md, section 13, for the signs). What a stage
