@@ -5,9 +5,13 @@ from __future__ import annotations
 from pathlib import Path
 
 import matplotlib as mpl
+import numpy as np
+import pytest
+from picture_check import faults
 
+from maxq.tools.design.pictures_loop import contours
 from maxq.tools.plots.palette import ON_LIGHT
-from maxq.tools.plots.style import STYLE, curve, drawing, label, save, sheet
+from maxq.tools.plots.style import STYLE, curve, drawing, label, name_point, save, sheet
 
 
 def test_files_are_equal_when_drawn_twice_and_left_whole(tmp_path: Path) -> None:
@@ -46,3 +50,47 @@ def test_every_setting_of_the_style_is_known() -> None:
 def test_curves_differ_in_more_than_colour() -> None:
     seen = [curve(k) for k in range(len(ON_LIGHT))]
     assert len({str(c["linestyle"]) for c in seen}) == len({str(c["color"]) for c in seen}) == len(ON_LIGHT)
+
+
+def test_names_of_points_find_places_of_their_own() -> None:
+    """Twenty names of a dense curve, among them some in the same place."""
+    with drawing():
+        figure, (place,) = sheet(1, 1)
+        x = np.linspace(0.0, 10.0, 400)
+        place.plot(x, np.sin(3.0 * x))
+        for k in range(20):
+            name_point(place, 0.5 * k, float(np.sin(1.5 * k)), f"point {k}")
+        for k in range(4):
+            name_point(place, 5.0, 0.0, f"same {k}", must=False)
+        label(place, "time, s", "value", "a title")
+    assert not faults(figure)
+
+
+def test_a_text_over_another_and_a_clipped_one_are_found() -> None:
+    with drawing():
+        figure, (place,) = sheet(1, 1)
+        place.text(0.5, 0.5, "one")
+        place.text(0.5, 0.5, "another")
+        figure.text(0.99, 0.5, "beyond the edge")
+    assert faults(figure) == ["'beyond the edge' is clipped", "'one' lies over 'another'"]
+
+
+@pytest.mark.parametrize("name", ["-6 dB", "3 dB", "6 dB"])
+def test_contours_are_those_of_the_closed_loop(name: str) -> None:
+    """On an M contour |L / (1 + L)| is that of its name; at -180 deg L = -M / (M +- 1)."""
+    (phase, level), *_ = [(p, d) for text, p, d in contours() if text == name]
+    loop = 10.0 ** (level / 20.0) * np.exp(1j * np.radians(phase))
+    m_db = float(name.removesuffix(" dB"))
+    closed_db = 20.0 * np.log10(np.abs(loop / (1.0 + loop)))
+    assert closed_db[np.isfinite(closed_db)] == pytest.approx(m_db, abs=1e-9)
+    m = 10.0 ** (m_db / 20.0)
+    at_180 = level[np.abs(phase + 180.0) < 1.0]
+    wanted = 20.0 * np.log10(m / (m + 1.0)) if m < 1.0 else 20.0 * np.log10(m / np.abs(np.array([m + 1.0, m - 1.0])))
+    assert all(np.min(np.abs(at_180 - w)) < 0.05 for w in np.atleast_1d(wanted))
+
+
+def test_phase_contours_have_one_phase() -> None:
+    for phase, level in ((p, d) for text, p, d in contours() if not text):
+        loop = (10.0 ** (level / 20.0) * np.exp(1j * np.radians(phase)))[np.isfinite(phase)]
+        turns = np.angle(loop / (1.0 + loop))
+        assert np.abs(np.exp(1j * (turns - turns[0])) - 1.0).max() < 1e-6

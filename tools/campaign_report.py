@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import datetime
 import math
 import shlex
 from collections import Counter
@@ -66,7 +67,8 @@ def heads(data: DataSet) -> tuple[str, ...]:
     campaign = data.campaign.campaign
     quantile, bound = f"{100 * campaign.success:g} %", f"bound at {100 * campaign.confidence:g} %"
     return (
-        "requirement", "verdict", "limit", "worst", "run", "failed", "allowed", "median", quantile, bound, "success",
+        "requirement", "verdict", "limit", "worst", "run", "failed", "allowed", "to go", "median", quantile, bound,
+        "success",
     )  # fmt: skip  # ten more lines otherwise
 
 
@@ -78,12 +80,13 @@ def cells(v: Judged) -> tuple[str, ...]:
     settled = shown.judgement in (MET, NOT_MET)
     return (
         printable(v.name),
-        shown.judgement if settled else f"not yet: {shown.more} more runs without failure",
+        shown.judgement if settled else "not yet",
         f"{sign} {v.bound:g}{unit}" if v.metric else "",
         value_text(worst.value) if worst else "",
         str(worst.run) if worst else "",
         str(shown.failures),
         str(shown.allowed) if shown.allowed >= 0 else "",
+        "" if settled else str(shown.more),
         *(value_text(value) for value in (v.median, v.quantile, v.tolerance)),
         success if shown.runs else "",
     )
@@ -132,7 +135,7 @@ def report(data: DataSet, verdicts: Sequence[Judged], losses: Sequence[Lost]) ->
     scenario = data.campaign.base.scenario
     title = printable(f"{scenario.name}: {scenario.description}" if scenario.description else scenario.name)
     ends = ", ".join(f"{count} {outcome}" for outcome, count in sorted(Counter(data.outcomes).items()))
-    table = aligned([heads(data), *map(cells, verdicts)], "  ", right=range(3, 10), drop=(10, 6, 9, 8, 7))
+    table = aligned([heads(data), *map(cells, verdicts)], "  ", right=range(3, 11), drop=(11, 6, 10, 9, 8, 7, 4))
     lines = [
         title,
         *(f"warning: {printable(doubt)}" for doubt in data.campaign.doubts),
@@ -186,11 +189,13 @@ def write_report(
     from maxq.tools.plots import campaign as plots  # noqa: PLC0415  # lazy: Matplotlib
 
     labels = labels_of(data.campaign)
+    design = data.campaign.base.design
+    of = data.campaign.base.vehicle.name + (f", design {design.name}" if design is not None else "")
     drawn = {
-        "histograms": plots.histograms(data, verdicts),
-        "envelopes": plots.envelopes(over_time, channel_units(data.campaign.base)),
-        "drivers": plots.tornado(found, labels),
-        "scatter": plots.scatter(sample, found[:4], inputs, labels),
+        "histograms": plots.histograms(data, verdicts, of),
+        "envelopes": plots.envelopes(over_time, channel_units(data.campaign.base), verdicts, of),
+        "drivers": plots.tornado(found, labels, of),
+        "scatter": plots.scatter(sample, found[:4], inputs, labels, of),
     }
     made = {name: content for name, content in drawn.items() if content is not None}
     for name, content in made.items():
@@ -200,7 +205,8 @@ def write_report(
         "campaign.html.j2", data=data, verdicts=verdicts, losses=losses, found=found, pictures=made, settled=settled,
         labels=labels, distribution=distribution, heads=heads(data), cells=cells, replay=replay,
         simulator=read_manifest(data.folder)["simulator"],
-        headline=headline(data, verdicts), tested=tested(data, verdicts), redraws=analysis.redraws(data),
+        headline=headline(data, verdicts), of=of, date=datetime.date.today().isoformat(),
+        tested=tested(data, verdicts), redraws=analysis.redraws(data),
         tone="bad" if NOT_MET in judgements else "good" if judgements == {MET} and len(data.runs) else "open",
     )  # fmt: skip  # eleven more lines otherwise
     files.append(write_whole(data.folder / "report.html", page, CampaignError))

@@ -82,10 +82,11 @@ def command() -> NoReturn:
 def main(arguments: list[str] | None = None) -> int:
     """Run the command; returns the exit code."""
     given = sys.argv[1:] if arguments is None else arguments
-    return run("simreplay", lambda: _run(given), memory="show fewer flights, or fewer samples (--rate 10)")
+    return run("simreplay", lambda: show(given), memory="show fewer flights, or fewer samples (--rate 10)")
 
 
-def _run(arguments: list[str]) -> int:
+def show(arguments: list[str]) -> int:
+    """What the command does, for Python: wrong input raises."""
     parser = _parser()
     options = parser.read(arguments)
     if not options.logs:

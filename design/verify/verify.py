@@ -48,6 +48,7 @@ from maxq.design.verify.suite import (
     AS_DESIGNED,
     CERTIFICATE,
     REJECTED,
+    UNDECIDED,
     CertificateWanted,
     Judgement,
     LinearMargins,
@@ -66,7 +67,7 @@ Watch = Callable[[str, int, int], None]
 """Called with what is under way, how much of it is done, and of how much."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Verification:
     """A design, the requirements on it, and the results. Parts that the suite does not ask for are empty."""
 
@@ -88,6 +89,12 @@ class Verification:
     wall_s: float
     walls_s: dict[str, float]
     cpus_s: dict[str, float]  # of all threads
+
+    def __repr__(self) -> str:
+        counts = ", ".join(f"{len(found)} {j}" for j in (ACCEPTED, REJECTED, UNDECIDED) if (found := self.of(j)))
+        return (
+            f"<Verification of {self.design} by the suite {self.suite.name}: {self.judgement}; requirements: {counts}>"
+        )
 
     @property
     def judgement(self) -> Judgement:

@@ -21,7 +21,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pyarrow as pa
@@ -34,6 +34,9 @@ from maxq.sim.campaign.statistics import Shown, judge_failures, tolerance_bound
 from maxq.sim.campaign.store import HISTORIES, parts_in, read_manifest, read_part
 from maxq.sim.run.metrics import unit_of
 from maxq.sim.scenario.schema_scenario import Requirement
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 SUMMARY_SCHEMA = 1
 CONTROL_KEPT = "control kept"
@@ -78,7 +81,7 @@ class Lost:
     cause: str
 
 
-@dataclass
+@dataclass(repr=False)
 class DataSet:
     """The runs in a folder, in order."""
 
@@ -86,6 +89,18 @@ class DataSet:
     campaign: LoadedCampaign
     limit: int | None = None  # only runs below this
     _kept: dict[str, Array] = field(default_factory=dict)
+
+    def __repr__(self) -> str:
+        return (
+            f"<DataSet {self.folder}: {len(self.runs)} runs of {self.campaign.name}, {len(failed_runs(self))} failed>"
+        )
+
+    def to_pandas(self, *names: str) -> pd.DataFrame:
+        """Columns of all runs, a row for each, over the run's number; none named: all. pandas must be installed."""
+        known = schema_of(self.campaign).names
+        if unknown := [name for name in names if name not in known]:
+            raise KeyError(f"no column {unknown[0]}; columns: {', '.join(known)}")
+        return self._table(list(dict.fromkeys(["run", *(names or known)]))).to_pandas().set_index("run")
 
     @cached_property
     def parts(self) -> list[Path]:

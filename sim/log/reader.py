@@ -37,6 +37,7 @@ from maxq.sim.log import head as keys
 from maxq.sim.log.foxglove import Event, decode_event
 from maxq.sim.log.head import SCHEMA_VERSION, Attachment, LogError
 from maxq.sim.log.protobuf import MESSAGE_HEADER, RECORD_PREFIX, doubles_template, get_values, message_dtype, topic_from
+from maxq.sim.log.tabular import Tabular
 
 _HEAD_OPCODES = (Opcode.HEADER, Opcode.SCHEMA, Opcode.CHANNEL, Opcode.ATTACHMENT, Opcode.METADATA)
 _RUN_PREFIX = struct.Struct("<BQH")  # the part of the header that all messages of a run share
@@ -79,8 +80,8 @@ class LoggedRun:
     end: Mapping[str, str]
 
 
-@dataclass(frozen=True)
-class Log(LoggedRun):
+@dataclass(frozen=True, repr=False)
+class Log(LoggedRun, Tabular):
     """The log of one flight.
 
     `log["alpha_deg"]` is a channel's values (n,), `log.time_s("alpha_deg")` their times. `complete` is
@@ -101,6 +102,12 @@ class Log(LoggedRun):
 
     def __contains__(self, name: str) -> bool:
         return name in self.table
+
+    def __repr__(self) -> str:
+        end = max((float(ns[-1]) / 1e9 for ns in self._times_ns.values() if len(ns)), default=0.0)
+        whole = "complete" if self.complete else f"not complete: {self.notes[0]}"
+        scenario = self.metadata.get("scenario", "")
+        return f"<Log {self.path}: {scenario}, {end:.3f} s, {len(self.table.names)} channels, {whole}>"
 
     def channel(self, name: str) -> Channel:
         """Unit, frame and description of a channel; KeyError as above."""

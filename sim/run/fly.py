@@ -20,6 +20,7 @@ from maxq.sim.flight.metrics import MetricIndex
 from maxq.sim.flight.parameters import BURNOUT, CONTROL_LOST, DIVERGED, EVENT_NAMES, LIFTOFF, NEVER, SEPARATION
 from maxq.sim.flight.step import ARENA_SIZE
 from maxq.sim.flight.telemetry import FAST, SLOW, channel_table
+from maxq.sim.log.tabular import Tabular, html_table
 from maxq.sim.packing.flight import CONTROL_LOST_RAD, Packed, pack_flight
 from maxq.sim.run.metrics import (
     METRIC_NAMES,
@@ -30,6 +31,8 @@ from maxq.sim.run.metrics import (
     judge,
     section_extremes,
     section_metrics,
+    title_of,
+    unit_of,
 )
 from maxq.sim.scenario.loader import LoadedScenario
 from maxq.sim.scenario.schema_scenario import Scenario
@@ -83,8 +86,8 @@ class Event:
         return self.title + (f": {self.detail}" if self.detail else "")
 
 
-@dataclass(frozen=True)
-class Flight:
+@dataclass(frozen=True, repr=False)
+class Flight(Tabular):
     """A flight that has been flown.
 
     `flight["alpha_deg"]` is a channel, `flight.time_s("alpha_deg")` its times; `metrics` and `metric_times_s`
@@ -120,6 +123,24 @@ class Flight:
     def time_s(self, channel: str) -> Array:
         """Times of a channel's values, s."""
         return self.rows[self.table.topic(channel).group][0] / 1e9
+
+    def __repr__(self) -> str:
+        met = f"{sum(v.met for v in self.verdicts)} of {len(self.verdicts)} requirements met"
+        failed = f", {'; '.join(self.failures)}" if self.failures else ""
+        return f"<Flight {self.scenario.name}: {self.outcome} at {self.end_s:.3f} s, {met}{failed}>"
+
+    def _repr_html_(self) -> str:
+        """Requirements and metrics, for notebooks."""
+        rows = [
+            (v.name, "met" if v.met else "MISSED", f"{v.value:.4g}", f"{v.bound[0]} {v.bound[1]:g}")
+            for v in self.verdicts
+        ]
+        rows += [
+            (title_of(name), "", f"{value:.4g}", unit_of(name).removeprefix("1"))
+            for name, value in self.metrics.items()
+            if math.isfinite(value)
+        ]
+        return html_table(repr(self).strip("<>"), ("", "", "value", "limit or unit"), rows)
 
     def event_s(self, name: str) -> float:
         """Time of an event, the last one of several stages; nan if it has not happened."""

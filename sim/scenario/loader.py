@@ -53,7 +53,7 @@ CAMPAIGN_SECTIONS = ("campaign", "disperse", "wind_model")
 Model = TypeVar("Model", bound=Section)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class LoadedScenario:
     """A scenario that can be flown. Two are equal when they hold the same values and tables, bit by bit."""
 
@@ -64,6 +64,10 @@ class LoadedScenario:
     @property
     def name(self) -> str:
         return self.scenario.name
+
+    def __repr__(self) -> str:
+        design = f", design {self.design.name}" if self.design is not None else ""
+        return f"<LoadedScenario {self.name} ({self.label}): {self.vehicle.name}{design}>"
 
     @property
     def vehicle(self) -> Vehicle:

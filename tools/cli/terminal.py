@@ -27,7 +27,7 @@ _TONES = {"32": _GOOD, "1;31": _BAD, "33": _OPEN}  # green, bold red, yellow
 _VERDICTS = re.compile(  # as a cell of a table, or at the head of a line
     "|".join(rf"(?:(?<=  )|^)(?P<t{code.replace(';', '_')}>{words})(?=  |$|:| \()" for code, words in _TONES.items())
 )
-_COMMAND = re.compile(r"\s*(sim(run|design|verify|replay|vehicle)|/|\S+$)")  # is copied, or has no place to break
+_COMMAND = re.compile(r"\s*(sim(run|design|verify|replay|vehicle) |/|\S+$)")  # is copied, or has no place to break
 
 
 def printable(text: str) -> str:
@@ -51,18 +51,19 @@ def aligned(
 ) -> list[str]:
     """Rows of cells as lines with aligned columns; the columns in `right` are right-aligned.
 
-    Where a line is wider than `width` (None: that of the terminal), columns of text are wrapped at spaces, then those
-    in `drop` are left out, the first one first, and then columns follow each other in blocks that repeat the first one.
+    Where a line is wider than `width` (None: that of the terminal), the columns in `drop` are left out, the first one
+    first; where that does not help either, columns of text are wrapped at spaces, with as few left out as possible; and
+    where nothing helps, columns follow each other in blocks that repeat the first one.
     """
     if not rows:
         return []
     room = (columns() if width is None else width) - len(indent)
-    shown = list(range(len(rows[0])))
-    for out in (None, *drop):
-        shown = [i for i in shown if i != out]
-        widths = _fitted(rows, shown, right, room)
-        if sum(widths) + 2 * len(widths) - 2 <= room:
-            return _lines(rows, shown, widths, indent, right)
+    stages = [[i for i in range(len(rows[0])) if i not in drop[:n]] for n in range(len(drop) + 1)]
+    for wrap in (False, True):
+        for shown in stages:
+            widths = _fitted(rows, shown, right, room if wrap else 1_000_000)
+            if sum(widths) + 2 * len(widths) - 2 <= room:
+                return _lines(rows, shown, widths, indent, right)
     blocks, used = [[shown[0]]], widths[0]
     for i, w in zip(shown[1:], widths[1:], strict=True):
         if used + 2 + w > room and len(blocks[-1]) > 1:

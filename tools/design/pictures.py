@@ -250,14 +250,16 @@ def judged_sheets(judged: Sequence[Judged], title: str, wanted: Wanted) -> list[
         ("margins", lambda: margins_over_time(judged, wanted)),
         ("lobes", lambda: lobes_over_time(judged, wanted)),
     ]
-    zones = (wanted.zone,) if wanted.zone is not None else tuple(c.zone for c in judged[0].margins.clearances)
     return [
         *(over_time if len(judged) > 1 else ()),
-        *(
-            (f"loop-{_stamp(j.time_s)}", partial(draw_loop, picture_of(j, f"{title}, {j.time_s:g} s", zones)))
-            for j in judged
-        ),
+        *((f"loop-{_stamp(j.time_s)}", partial(loop_picture, j, title, wanted)) for j in judged),
     ]
+
+
+def loop_picture(judged: Judged, title: str, wanted: Wanted) -> Figure:
+    """Bode, Nichols and Nyquist plot of one node, its zones those that are wanted, else those measured."""
+    zones = (wanted.zone,) if wanted.zone is not None else tuple(c.zone for c in judged.margins.clearances)
+    return draw_loop(picture_of(judged, f"{title}, {judged.node.plane}, {judged.time_s:g} s", zones))
 
 
 def case_sheets(

@@ -10,13 +10,14 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Ellipse, Polygon, Rectangle
+from matplotlib.ticker import MultipleLocator
 
 from maxq.control.kernel.records import Array
 from maxq.design.margins.distances import Zone
 from maxq.design.model.state_space import ComplexArray
 from maxq.design.verify.judging import Judged
-from maxq.tools.plots.palette import BLACK, BLUE, GREY, ON_LIGHT, RED
-from maxq.tools.plots.style import label, plain_numbers, sheet
+from maxq.tools.plots.palette import BLACK, BLUE, GREY, ON_LIGHT, PALE, RED
+from maxq.tools.plots.style import label, name_point, plain_numbers, sheet
 
 BOTTOM_DB, TOP_DB = -50.0, 50.0  # of Bode and Nichols plots, where the curve goes farther
 LOWEST_HZ = 0.02
@@ -82,63 +83,117 @@ def draw_loop(picture: LoopPicture) -> Figure:
 
 
 def _bode(picture: LoopPicture, gain: Axes, phase: Axes) -> None:
+    """Phase unwrapped, so that it has no jumps; dotted where it is -180 deg and whole turns from it."""
     f, loop = picture.frequency_hz, picture.loop
-    level = _decibels(loop)
+    level, turned = _decibels(loop), np.degrees(np.unwrap(np.angle(loop)))
+    seen = (f >= LOWEST_HZ) & (level > BOTTOM_DB)
+    turned -= 360.0 * np.ceil(np.median(turned[seen][:3]) / 360.0) if seen.any() else 0.0
     gain.axhline(0.0, color=GREY, linewidth=0.8)
     gain.plot(f, level, color=BLUE)
-    for at in (-180.0, 180.0):
-        phase.axhline(at, color=GREY, linewidth=0.8)
-    where, wrapped = _broken(np.degrees(np.angle(loop)), f)
-    phase.plot(where, wrapped, color=BLUE)
-    lobes = [mark.frequency_hz for mark in picture.marks if mark.is_lobe]
-    for n, mark in enumerate(picture.marks):
-        if mark.is_lobe:
-            top = float(_decibels(np.array([mark.loop]))[0])
-            gain.plot(mark.frequency_hz, top, "o", color=_colour(n), markersize=3)
-            gain.annotate(
-                mark.text, (mark.frequency_hz, min(top, TOP_DB)), xytext=(_aside(mark.frequency_hz, lobes), 5),
-                textcoords="offset points", rotation=90, ha="center", va="bottom", fontsize=6.5, color=_colour(n),
-            )  # fmt: skip  # seven more lines otherwise
-            phase.plot(mark.frequency_hz, np.degrees(np.angle(mark.loop)), "o", color=_colour(n), markersize=3)
-    seen = level[f >= LOWEST_HZ]
-    gain.set_ylim(max(float(seen.min()), BOTTOM_DB), min(float(seen.max()) + 24.0, TOP_DB + 10.0))
-    phase.set_ylim(-190.0, 190.0)
-    phase.set_yticks(range(-180, 181, 60))
+    phase.plot(f, turned, color=BLUE)
+    low, high = float(turned[seen].min()), float(turned[seen].max())
+    step = 90.0 * max(1, round((high - low) / 540.0))
+    phase.set_ylim(step * np.floor(low / step) - 0.2 * step, step * np.ceil(high / step) + 0.2 * step)
+    phase.yaxis.set_major_locator(MultipleLocator(step))
+    for at in np.arange(-180.0 - 360.0 * 12, 1000.0, 360.0):
+        phase.axhline(at, color=GREY, linewidth=0.8, linestyle=":")
+    bottom, top = max(float(level[f >= LOWEST_HZ].min()), BOTTOM_DB), float(level[f >= LOWEST_HZ].max())
+    gain.set_ylim(bottom, min(top + 24.0, TOP_DB + 10.0))
     for place in (gain, phase):
         place.set_xscale("log")
         place.set_xlim(max(f[0], LOWEST_HZ), min(f[-1], 200.0))
         plain_numbers(place.xaxis)
-    label(gain, y="|L|, dB", title="Bode")
+    for n, mark in enumerate(picture.marks):
+        level_db = float(_decibels(np.array([mark.loop]))[0])
+        turn = float(np.interp(mark.frequency_hz, f, turned))
+        if mark.is_lobe:
+            gain.plot(mark.frequency_hz, level_db, "o", color=_colour(n), markersize=3)
+            phase.plot(mark.frequency_hz, turn, "o", color=_colour(n), markersize=3)
+            name_point(gain, mark.frequency_hz, min(level_db, TOP_DB), mark.text, color=_colour(n))
+        elif mark.text and abs(level_db) > 1e-6:  # a gain margin: from the curve to 0 dB
+            gain.plot([mark.frequency_hz] * 2, [level_db, 0.0], color=RED, linewidth=1.6)
+        elif mark.text:  # the phase margin: from the curve to the nearest -180 deg
+            nearest = 360.0 * np.round((turn + 180.0) / 360.0) - 180.0
+            phase.plot([mark.frequency_hz] * 2, [turn, nearest], color=RED, linewidth=1.6)
+    margins = [mark for mark in picture.marks if mark.text and not mark.is_lobe]
+    gains = [mark.text for mark in margins if "dB" in mark.text]
+    label(gain, y="|L|, dB")
+    gain.set_title("Bode" + (f"; gain margins {'; '.join(gains)}" if gains else ""), fontsize=8.5)
+    phases = [mark.text for mark in margins if "deg" in mark.text]
     label(phase, "frequency, Hz", "phase of L, deg")
+    phase.set_title(f"phase margin {phases[0]}" if phases else "", fontsize=8.5)
 
 
-def _aside(hz: float, lobes: Sequence[float]) -> float:
-    """How far a name moves aside, in points, for that of a neighbour: the lower one to the left."""
-    if any(hz < other < 1.3 * hz or (other == hz and lobes.count(hz) > 1) for other in lobes):
-        return -4.0
-    return 4.0 if any(other < hz < 1.3 * other for other in lobes) else 0.0
+_M_DB = (-20.0, -12.0, -6.0, -3.0, -1.0, 0.25, 0.5, 1.0, 3.0, 6.0, 12.0)
+_N_DEG = (-340.0, -300.0, -240.0, -210.0, -150.0, -120.0, -90.0, -60.0, -30.0, -10.0)
+_NAMED_HZ = (0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0)
 
 
-def draw_nichols(picture: LoopPicture, place: Axes) -> None:
-    """The loop in the Nichols plane, with lobes and margins named and zones shaded."""
+def contours() -> list[tuple[str, Array, Array]]:
+    """M and N contours of the Nichols plane as (name, phase of L in deg, |L| in dB): where T = L / (1 + L) has a size,
+    named by it in dB, or a phase, without a name. From L = T / (1 - T).
+    """
+    out = []
+    for m_db in _M_DB:
+        turns = np.radians(np.linspace(-359.9, -0.1, 721))
+        t = 10.0 ** (m_db / 20.0) * np.exp(1j * turns)
+        out.append((f"{m_db:g} dB", *_placed(t / (1.0 - t))))
+    for n_deg in _N_DEG:
+        t = 10.0 ** (np.linspace(-70.0, 60.0, 801) / 20.0) * np.exp(1j * np.radians(n_deg))
+        out.append(("", *_placed(t / (1.0 - t))))
+    return out
+
+
+def _placed(loop: ComplexArray) -> tuple[Array, Array]:
+    """Phase in [-360, 0) and level, with gaps where the phase jumps."""
+    turn, level = _turn(loop), _decibels(loop)
+    jump = np.flatnonzero(np.abs(np.diff(turn)) > 180.0) + 1
+    return np.insert(turn, jump, np.nan), np.insert(level, jump, np.nan)
+
+
+def draw_nichols(picture: LoopPicture, place: Axes, *, small: bool = False) -> None:
+    """The loop in the Nichols plane over M and N contours, with lobes and margins named and zones shaded.
+
+    `small`: a panel of many; names of lobes only.
+    """
     level, turn = _decibels(picture.loop), _turn(picture.loop)
+    seen = level[picture.frequency_hz >= LOWEST_HZ]
+    bottom, top = max(float(seen.min()), -40.0), min(max(float(seen.max()), 10.0) + 6.0, TOP_DB)
+    for name, phase, db in contours():
+        place.plot(phase, np.clip(db, bottom - 20.0, top + 20.0), color=PALE, linewidth=0.5, zorder=0.5)
+        inside = np.flatnonzero((db > bottom) & (db < top) & (phase > -340.0))
+        if name and len(inside) and not small:
+            k = int(inside[np.argmax(phase[inside] if float(name.split()[0]) < 0.0 else db[inside])])
+            name_point(place, float(phase[k]), float(db[k]), name, must=False, fontsize=5.0, color=GREY)
     for zone in picture.zones:
         _draw_zone(zone, place)
+    place.grid(visible=False)
     place.axhline(0.0, color=GREY, linewidth=0.8)
     place.axvline(-180.0, color=GREY, linewidth=0.8)
     place.plot(-180.0, 0.0, "+", color=RED, markersize=9, markeredgewidth=1.5)
-    place.plot(*_broken(turn, level)[::-1], color=BLUE)
+    place.plot(*_broken(turn, level)[::-1], color=BLUE, linewidth=0.9 if small else 1.3)
+    place.set_xlim(-360.0, 0.0)
+    place.set_xticks(range(-360, 1, 120 if small else 60))
+    place.set_ylim(bottom, top)
     for n, mark in enumerate(picture.marks):
         x, y = float(_turn(np.array([mark.loop]))[0]), float(_decibels(np.array([mark.loop]))[0])
-        if not BOTTOM_DB < y < TOP_DB:
-            continue
-        inward = -1.0 if abs(x + 180.0) > 140.0 else 1.0  # no room for a name beyond the edge
-        _mark(place, mark, n, x, y, outward=(inward * (x + 180.0), 4.0 * y))
-    place.set_xlim(-360.0, 0.0)
-    place.set_xticks(range(-360, 1, 60))
-    seen = level[picture.frequency_hz >= LOWEST_HZ]
-    place.set_ylim(max(float(seen.min()), -40.0), min(max(float(seen.max()), 10.0) + 6.0, TOP_DB))
-    label(place, "phase of L, deg (mod 360)", "|L|, dB", "Nichols")
+        if bottom < y < top:
+            _mark(place, mark, n, x, y, named=mark.is_lobe or not small)
+    if not small:
+        _name_frequencies(place, picture, np.stack([turn, level]))
+    label(place, "phase of L, deg (mod 360)", "|L|, dB", "Nichols (grey: |T| in dB, phase of T)")
+
+
+def _name_frequencies(place: Axes, picture: LoopPicture, curve: Array) -> None:
+    """Dots at round frequencies, named where there is room."""
+    f, (low, high) = picture.frequency_hz, place.get_ylim()
+    for hz in _NAMED_HZ:
+        k = int(np.argmin(np.abs(np.log(f / hz))))
+        if f[0] < hz < f[-1] and low < curve[1, k] < high:
+            place.plot(*curve[:, k], ".", color=BLUE, markersize=4)
+            name_point(
+                place, float(curve[0, k]), float(curve[1, k]), f"{hz:g} Hz", must=False, color=BLUE, fontsize=5.5
+            )
 
 
 def _nyquist(picture: LoopPicture, place: Axes) -> None:
@@ -152,15 +207,17 @@ def _nyquist(picture: LoopPicture, place: Axes) -> None:
         if radius < reach:
             style: dict[str, Any] = {"color": GREY, "linewidth": 0.9 if level_db == 0.0 else 0.5, "alpha": 0.8}
             place.plot(radius * around.real, radius * around.imag, **style)
-            place.text(0.0, radius, f"{level_db:g} dB", fontsize=6, color=GREY, ha="center", va="bottom")
+            name_point(place, 0.0, radius, f"{level_db:g} dB", must=False, color=GREY, fontsize=5.5)
     place.plot(curve.real, curve.imag, color=BLUE)
     place.plot(-1.0, 0.0, "+", color=RED, markersize=9, markeredgewidth=1.5)
+    place.set_xlim(-reach, reach)
+    place.set_ylim(-reach, reach)
     for n, mark in enumerate(picture.marks):
         at = _drawn_in(np.array([mark.loop]))[0]
         if mark.is_lobe and abs(at) > 0.05:
-            _mark(place, mark, n, at.real, at.imag, outward=(at.real, at.imag))
-    place.set_xlim(-reach, reach)
-    place.set_ylim(-reach, reach)
+            _mark(place, mark, n, at.real, at.imag)
+    drawn = _drawn_in(picture.loop)
+    _name_frequencies(place, picture, np.stack([drawn.real, drawn.imag]))
     place.set_aspect("equal")
     place.grid(visible=False)
     place.set_xticks([])
@@ -170,21 +227,11 @@ def _nyquist(picture: LoopPicture, place: Axes) -> None:
     label(place, title="Nyquist (radius beyond 0 dB logarithmic)")
 
 
-def _mark(place: Axes, mark: Mark, n: int, x: float, y: float, outward: tuple[float, float]) -> None:
-    colour = _colour(n)
-    if not mark.is_lobe:
-        place.plot(x, y, "x", color=BLACK, markersize=3.5)
-        place.annotate(
-            mark.text, (x, y), xytext=(4, 3), textcoords="offset points", fontsize=6, color=BLACK, clip_on=True
-        )
-        return
-    length = float(np.hypot(*outward)) or 1.0
-    shift = (14.0 * outward[0] / length, 14.0 * outward[1] / length)
-    place.plot(x, y, "o", color=colour, markersize=3.5)
-    place.annotate(
-        mark.text, (x, y), xytext=shift, textcoords="offset points", fontsize=6.5, color=colour,
-        ha="left" if shift[0] >= 0.0 else "right", va="center",
-    )  # fmt: skip  # six more lines otherwise
+def _mark(place: Axes, mark: Mark, n: int, x: float, y: float, *, named: bool = True) -> None:
+    colour = _colour(n) if mark.is_lobe else BLACK
+    place.plot(x, y, "o" if mark.is_lobe else "x", color=colour, markersize=3.5)
+    if named and mark.text:
+        name_point(place, x, y, mark.text, color=colour, fontsize=6.0)
 
 
 def _draw_zone(zone: Zone, place: Axes) -> None:

@@ -23,14 +23,16 @@ import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.axis import Axis
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.mathtext import MathTextParser
-from matplotlib.text import Text
+from matplotlib.text import Annotation, Text
 from matplotlib.ticker import FuncFormatter, NullFormatter
+from matplotlib.transforms import Bbox
 from numpy.typing import NDArray
 
 from maxq.sim.files import whole_file
-from maxq.tools.plots.palette import ON_LIGHT, PALE
+from maxq.tools.plots.palette import BLACK, ON_LIGHT, PALE
 
 DASHES = ("-", "--", "-.", ":", (0, (3, 1, 1, 1, 1, 1)), (0, (6, 2)), (0, (1, 1)))
 MARKERS = ("o", "s", "^", "D", "v", "P", "X")
@@ -106,16 +108,92 @@ def sheet(
     return figure, places
 
 
+_RADII_PT, _ANGLES = (9.0, 15.0, 23.0, 34.0, 48.0, 66.0), np.radians(np.arange(0.0, 360.0, 30.0))
+_FLOATING = "floating"
+
+
+def name_point(place: Axes, x: float, y: float, text: str, *, must: bool = True, **look: Any) -> None:
+    """Name a point of a curve. Where the name stands is found when the figure is finished (`settle`): near the point,
+    over no curve and no other text. A name that finds no place is left out, unless it `must` stand.
+    """
+    style: dict[str, Any] = {"fontsize": 6.5, "color": BLACK} | look
+    line: Any = {"arrowstyle": "-", "linewidth": 0.4, "color": style["color"], "shrinkA": 0.0, "shrinkB": 1.5}
+    place.annotate(
+        text, (x, y), xytext=(0.0, _RADII_PT[0]), textcoords="offset points", ha="center", va="center",
+        arrowprops=line, annotation_clip=True, gid=_FLOATING + "-must" * must, **style,
+    )  # fmt: skip  # four more lines otherwise
+
+
+def settle(figure: Figure) -> None:
+    """Lay the figure out and find places for the names of points."""
+    _take_as_written(figure)
+    layout = figure.get_layout_engine()
+    if layout is not None:  # once for all formats: it takes as long as the drawing
+        layout.execute(figure)
+        layout.execute(figure)  # once more: the ticks of the smaller axes may be others
+        figure.set_layout_engine("none")
+    if any(str(text.get_gid()).startswith(_FLOATING) for place in figure.axes for text in place.texts):
+        renderer = FigureCanvasAgg(figure).get_renderer()  # type: ignore[no-untyped-call]
+        for place in figure.axes:
+            _place_names(place, renderer)
+
+
+def _place_names(place: Axes, renderer: Any) -> None:
+    names = [text for text in place.texts if str(text.get_gid()).startswith(_FLOATING)]
+    if not names:
+        return
+    place.apply_aspect()
+    frame, scale = place.get_window_extent(renderer), place.figure.dpi / 72.0
+    others = [t for t in (*place.texts, place.title) if t not in names and t.get_text()]
+    legend = place.get_legend()
+    taken = [t.get_window_extent(renderer) for t in (*others, *([legend] if legend is not None else []))]
+    lines = [line.get_transform().transform(np.asarray(line.get_xydata())) for line in place.lines]
+    points = np.concatenate([_dense(line) for line in lines]) if lines else np.zeros((0, 2))
+    points = points[frame.x0 <= points[:, 0]] if len(points) else points
+    for name in sorted(names, key=lambda text: "must" not in str(text.get_gid())):
+        assert isinstance(name, Annotation)
+        at = place.transData.transform(name.xy)
+        box = Text.get_window_extent(name, renderer)
+        half = np.array([box.width, box.height]) / 2.0 + 1.0
+        best, where, offset = np.inf, box, (0.0, 0.0)
+        for radius in _RADII_PT:
+            for angle in _ANGLES:
+                way = np.array([np.cos(angle), np.sin(angle)])
+                middle = at + radius * scale * way + half * way
+                low, high = middle - half, middle + half
+                spot = Bbox([low, high])
+                cost = 1e4 * sum(spot.overlaps(other) for other in taken) + 0.4 * radius
+                cost += 1e4 * (low[0] < frame.x0 or low[1] < frame.y0 or high[0] > frame.x1 or high[1] > frame.y1)
+                cost += 3.0 * int(((points > low) & (points < high)).all(axis=1).sum())
+                if cost < best:
+                    best, where, offset = cost, spot, tuple((middle - at) / scale)
+        if best >= 1e4 and "must" not in str(name.get_gid()):
+            name.set_visible(False)
+            continue
+        name.set_position(offset)
+        if name.arrow_patch is not None:
+            name.arrow_patch.set_visible(float(np.hypot(*offset)) > 20.0)
+        taken.append(where)
+
+
+def _dense(line: NDArray[Any]) -> NDArray[Any]:
+    """Points of a line no farther apart than a few pixels."""
+    line = line[np.isfinite(line).all(axis=1)]
+    if len(line) < 2:
+        return line.reshape(-1, 2)
+    steps = np.minimum(np.ceil(np.hypot(*np.diff(line, axis=0).T) / 3.0), 400).astype(int).clip(1)
+    at = np.concatenate([k + np.arange(n) / n for k, n in enumerate(steps)])
+    k = at.astype(int)
+    return np.asarray(line[k] + (at - k)[:, None] * (line[k + 1] - line[k]))
+
+
 def save(figure: Figure, stem: Path) -> list[Path]:
     """Write `stem`.svg and `stem`.png, or as `drawing` says.
 
     Each under a temporary name first, so that there is a whole one or none.
     """
-    _take_as_written(figure)
-    layout, files = figure.get_layout_engine(), []
-    if layout is not None:  # once for all formats: it takes as long as the drawing
-        layout.execute(figure)
-        figure.set_layout_engine("none")
+    settle(figure)
+    files = []
     for kind in _formats.get():
         path = stem.with_name(f"{stem.name}.{kind}")
         with whole_file(path) as part:
@@ -137,9 +215,9 @@ def _take_as_written(figure: Figure) -> None:
 
 def png(figure: Figure, dpi: float | None = None) -> bytes:
     """The picture in memory, `dpi` pixels an inch (None: as the style says)."""
-    _take_as_written(figure)
     out = io.BytesIO()
     figure.set_dpi(dpi or figure.dpi)
+    settle(figure)
     figure.savefig(out, format="png", metadata=_METADATA["png"])
     return out.getvalue()
 

@@ -83,7 +83,7 @@ def _nichols(found: Verification) -> Figure:
     columns = min(len(judged), 3)  # eleven nodes fit on a printed page
     figure, places = sheet(math.ceil(len(judged) / columns), columns, height_in=2.5, width_in=8.4)
     for place, one in zip(places, judged, strict=False):
-        draw_nichols(picture_of(one, ""), place)
+        draw_nichols(picture_of(one, ""), place, small=True)
         label(place, title=f"{one.time_s:g} s" + ("" if one.margins.stable else ", UNSTABLE"))
     for place in places[len(judged) :]:
         place.set_axis_off()

@@ -1,0 +1,124 @@
+"""Channels as tables: what a flight and its log have in common for whoever goes on with other tools."""
+
+from __future__ import annotations
+
+import html
+from collections.abc import Mapping, Sequence
+from importlib import import_module
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from maxq.control.kernel.records import Array
+from maxq.sim.files import whole_file
+from maxq.sim.flight.channels import ChannelTable
+
+if TYPE_CHECKING:
+    import pandas as pd
+    from matplotlib.figure import Figure
+
+
+class Tabular:
+    """What has channels by name: tables of them, files and plots.
+
+    `names` are channels or topics ("/truth"); none: all. Raises KeyError for an unknown one.
+    """
+
+    table: ChannelTable
+
+    def __getitem__(self, channel: str) -> Array:
+        raise NotImplementedError
+
+    def time_s(self, channel: str) -> Array:
+        raise NotImplementedError
+
+    @property
+    def topics(self) -> tuple[str, ...]:
+        """Names of the topics, such as "/truth"."""
+        return tuple(topic.name for topic in self.table.topics)
+
+    @property
+    def channels(self) -> tuple[str, ...]:
+        """Names of all channels, topic by topic."""
+        return self.table.names
+
+    def topic(self, name: str) -> Mapping[str, Array]:
+        """All channels of a topic by name; KeyError, with the names there are, if there is none."""
+        return {channel: self[channel] for channel in self._named((name,))}
+
+    def to_pandas(self, *names: str) -> pd.DataFrame:
+        """A column for each channel over `time_s`. Channels of the slower rate are NaN between their times.
+
+        pandas must be installed.
+        """
+        import pandas as pd  # noqa: PLC0415  # optional: nothing here needs it
+
+        frames = []
+        for group in self._groups(names):
+            index = pd.Index(self.time_s(group[0]), name="time_s")
+            frames.append(pd.DataFrame({name: self[name] for name in group}, index=index))
+        return frames[0] if len(frames) == 1 else pd.concat(frames, axis=1)
+
+    def to_xarray(self, *names: str) -> Any:
+        """As `to_pandas`, an `xarray.Dataset` with unit and description of each channel. xarray must be installed."""
+        data = self.to_pandas(*names).to_xarray()
+        for name in data:
+            channel = self.table.channel(str(name))
+            data[name].attrs = {"units": channel.unit, "long_name": channel.description}
+        return data
+
+    def to_csv(self, path: str | Path, *names: str) -> Path:
+        """A CSV file: `time_s`, then a column for each channel; empty where a slower channel has no value. All digits.
+
+        Raises FileError where it cannot be written.
+        """
+        groups = self._groups(names)
+        times = np.unique(np.concatenate([self.time_s(group[0]) for group in groups]))
+        columns = [[repr(float(t)) for t in times]]
+        for group in groups:
+            rows = np.searchsorted(times, self.time_s(group[0]))
+            for name in group:
+                column = [""] * len(times)
+                for row, value in zip(rows, self[name], strict=True):
+                    column[row] = repr(float(value))
+                columns.append(column)
+        head = ["time_s", *(name for group in groups for name in group)]
+        with whole_file(Path(path)) as part, part.open("w", encoding="utf-8", newline="\n") as file:
+            file.writelines(",".join(row) + "\n" for row in (head, *zip(*columns, strict=True)))
+        return Path(path)
+
+    def plot(self, *names: str) -> Figure:
+        """Channels over time, those of one unit in one panel, with events; none: the key ones. A Matplotlib figure,
+        which a notebook shows; `.savefig(path)` writes it.
+        """
+        # Drawing stands above this layer: it is found by name, so that nothing here depends on it.
+        drawn: Figure = import_module("maxq.tools.plots.channels").channel_plot(
+            self, self._named(names) if names else ()
+        )
+        return drawn
+
+    def _named(self, names: Sequence[str]) -> list[str]:
+        """Channels of these channels and topics."""
+        known = {topic.name: [channel.name for channel in topic.channels] for topic in self.table.topics}
+        for name in names:
+            if name not in known and name not in self.table:
+                raise KeyError(f"no channel or topic {name}; topics: {', '.join(known)}")
+        return list(dict.fromkeys(c for name in names for c in known.get(name, [name])))
+
+    def _groups(self, names: Sequence[str]) -> list[list[str]]:
+        """Channels of one rate each."""
+        wanted, groups = self._named(names) if names else list(self.table.names), dict[str, list[str]]()
+        for name in wanted:
+            groups.setdefault(self.table.topic(name).group, []).append(name)
+        return list(groups.values())
+
+
+def html_table(title: str, head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    """A table for a notebook."""
+    cells = [[html.escape(cell) for cell in row] for row in (head, *rows)]
+    lines = [
+        "".join(f"<{tag}>{cell}</{tag}>" for cell in row)
+        for row, tag in zip(cells, ["th", *["td"] * len(rows)], strict=True)
+    ]
+    return f"<b>{html.escape(title)}</b><table>" + "".join(f"<tr>{line}</tr>" for line in lines) + "</table>"

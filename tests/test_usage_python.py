@@ -1,0 +1,108 @@
+"""maxq from Python (tools/api.py): tables, files, plots, one line a thing."""
+
+from __future__ import annotations
+
+import csv
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from matplotlib.figure import Figure
+from picture_check import faults
+
+from maxq.sim.campaign.read import LoadedCampaign
+from maxq.sim.log.reader import Log
+from maxq.sim.run.fly import Flight
+from maxq.sim.scenario.loader import LoadedScenario
+from maxq.tools import api, simreplay
+
+
+@pytest.fixture(scope="module")
+def flight() -> Flight:
+    return api.fly("nominal", "run.duration_s=1.5")
+
+
+@pytest.fixture(autouse=True)
+def _in_an_empty_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+
+
+def test_what_is_loaded_and_flown_says_so_in_one_line(flight: Flight) -> None:
+    scenario, campaign = api.load("nominal"), api.load("campaigns/first")
+    assert isinstance(scenario, LoadedScenario)
+    assert isinstance(campaign, LoadedCampaign)
+    assert repr(scenario).startswith("<LoadedScenario nominal (")
+    assert repr(flight) == "<Flight nominal: duration at 1.500 s, 9 of 9 requirements met>"
+    shown = flight._repr_html_()
+    assert shown.count("<tr>") == shown.count("</tr>") > 12
+    assert "<td>q alpha</td><td>met</td>" in shown
+    with pytest.raises(ValueError, match="overrides go with a scenario's name"):
+        api.fly(scenario, "run.duration_s=1")
+
+
+def test_a_frame_has_each_channel_over_its_times(flight: Flight) -> None:
+    frame = flight.to_pandas("altitude_m", "mach")
+    assert list(frame.columns) == ["altitude_m", "mach"]
+    assert frame.index.name == "time_s"
+    assert frame["altitude_m"].dropna().to_numpy() == pytest.approx(flight["altitude_m"], abs=0.0)
+    assert frame["mach"].dropna().index.to_numpy() == pytest.approx(flight.time_s("mach"), abs=0.0)
+    every = flight.to_pandas()
+    assert set(every.columns) == set(flight.channels)
+    assert every["mach"].count() == len(flight["mach"])
+
+
+def test_topics_go_by_name_in_flights_and_logs(flight: Flight) -> None:
+    api.fly("nominal", "run.duration_s=0.2", folder="out")
+    log = api.read("out")
+    assert isinstance(log, Log)
+    assert repr(log).startswith("<Log out/flight.mcap: nominal, 0.2")
+    assert log.topics == flight.topics
+    assert set(log.topic("/air")) == set(flight.topic("/air")) == set(flight.to_pandas("/air").columns)
+    assert log.to_pandas("mach")["mach"].to_numpy() == pytest.approx(log["mach"], abs=0.0)
+    with pytest.raises(KeyError, match="no channel or topic nosuch; topics: /"):
+        flight.to_pandas("nosuch")
+    api.replay("out", save="out.rrd")
+    assert Path("out.rrd").stat().st_size > 10_000
+
+
+def test_a_csv_file_holds_every_bit(flight: Flight) -> None:
+    """Two rates: the slower channel is empty between its times."""
+    slow = next(n for n in flight.channels if flight.table.topic(n).group != flight.table.topic("mach").group)
+    path = flight.to_csv("flight.csv", "mach", slow)
+    with path.open(newline="") as file:
+        head, *rows = csv.reader(file)
+    assert sorted(head) == sorted(["time_s", "mach", slow])
+    for name in ("mach", slow):
+        at = head.index(name)
+        there = [(float(row[0]), float(row[at])) for row in rows if row[at]]
+        assert np.array_equal([t for t, _ in there], flight.time_s(name))
+        assert np.array_equal([x for _, x in there], flight[name])
+    assert pd.read_csv(path)[slow].isna().any() != (len(flight[slow]) == len(rows))
+
+
+def test_a_plot_has_a_panel_a_unit_and_no_text_over_another(flight: Flight) -> None:
+    figure = flight.plot("gimbal_pitch_angle_deg", "gimbal_yaw_angle_deg", "mach")
+    assert isinstance(figure, Figure)
+    assert len(figure.axes) == 2
+    assert not faults(figure)
+    assert not faults(flight.plot())
+
+
+def test_a_replay_of_nothing_raises() -> None:
+    with pytest.raises(Exception, match="nosuch: no such file or folder"):
+        api.replay("nosuch")
+    assert simreplay.main(["nosuch"]) == 2
+
+
+@pytest.mark.slow
+def test_a_design_is_made_drawn_and_saved() -> None:
+    made = api.design("ksr3-relaxed", "search.starts=2", "nodes_s=[10, 40]", "filter.structure=F2")
+    assert repr(made).startswith("<Designed ksr3-relaxed: largest peak of mode 1 ")
+    assert made.meets_limits
+    assert "<td>met</td>" in made._repr_html_()
+    assert not faults(made.bode(40.0))
+    made.save("mine.toml")
+    assert not faults(api.bode("mine.toml", 10.0))
+    found = api.verify("mine.toml", "quick", "certificate=", "margins=")
+    assert repr(found).startswith("<Verification of ")
