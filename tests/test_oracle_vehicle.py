@@ -186,7 +186,7 @@ def test_orbit_has_the_heights_of_the_textbook() -> None:
     ("change", "says"),
     [
         ({"stage.0.shell.1.front_station_m": 8.8}, "leaves a gap or overlaps"),
-        ({"stage.1.rear_station_m": 7.9}, "the next stage reaches to 7.9 m"),
+        ({"stage.1.rear_station_m": 7.9}, "the next stage ends at 7.9 m: a gap"),
         ({"stage.0.shell.0.EI_Nm2": 1e7}, "no stiffness, or two"),
         ({"stage.0.engine.thrust_vacuum_N": 9000.0}, "pushes .* and weighs"),
         ({"stage.1.part.0.mass_kg": 400.0}, "short of the 775. m/s .inertial. of an orbit"),

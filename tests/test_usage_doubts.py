@@ -95,7 +95,7 @@ def test_a_vehicle_from_a_layout_is_doubted_only_for_its_sample_rate(from_layout
         (lambda stage: scaled(stage["mass"]["table"], 1e-3, "Ixx_kgm2", "Iyy_kgm2", "Izz_kgm2"), "as gyration radius"),
         (lambda stage: scaled(stage["mass"]["table"], 10.0, "x_cg_m"), "x_cg_m = .* usual: inside the vehicle"),
         (lambda stage: engines(stage, gimbal_station_m=2.0), "gimbal_station_m = 2 .* turns the wrong way"),
-        (lambda stage: stage["aero"].update(centre_shift_m=-30.0), "aero.surface = .* a centre of pressure inside 0"),
+        (lambda stage: stage["aero"].update(centre_shift_m=-30.0), "aero.surface = .* a centre of pressure near"),
         (lambda stage: engines(stage, thrust_factor=0.15), r"angle_limit_deg = 6 .* \|M_alpha\| / M_delta takes"),
         (lambda stage: [tank.update(damping_ratio=0.002) for tank in stage["tank"]],
          "damping_ratio = 0.002 .* between centre of percussion and CG"),

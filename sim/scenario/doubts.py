@@ -137,9 +137,13 @@ def _control(stage: Stage, reference: Reference, *, first: bool) -> Iterator[Dou
         return
     slope, centre_m = lift
     length, diameter = reference.length_m, reference.diameter_m
-    outside = (centre_m < 0.0) | (centre_m > length)
+    outside = np.abs(centre_m - 0.5 * length) > 0.75 * length  # behind a wide nose it may lie ahead of it
     if outside.any():
-        yield "aero.surface", float(centre_m[np.argmax(outside)]), f"a centre of pressure inside 0 .. {length:g} m"
+        yield (
+            "aero.surface",
+            float(centre_m[np.argmax(outside)]),
+            f"a centre of pressure near the body, 0 .. {length:g} m",
+        )
         return
     margin = (centre_m[None, :] - cg_m[:, None]) / diameter
     largest, most = margin.ravel()[np.argmax(np.abs(margin))], _MOST_MARGIN * length / diameter

@@ -10,6 +10,7 @@ from pydantic import Field, model_validator
 
 from maxq.control.kernel.limits import MAX_SURFACES
 from maxq.sim.scenario.errors import refuse
+from maxq.sim.scenario.foreign import ThrustColumns
 from maxq.sim.scenario.grids import COEFFICIENT_COLUMNS, GridTable, grid_table
 from maxq.sim.scenario.schema_values import (
     ChannelPart,
@@ -96,7 +97,7 @@ class Mass(Section):
                 raise refuse(f"expels {spent:g} kg of {mass:g} kg", f"burn_s * mass_flow_kgps < {mass:g}", ("burn_s",))
 
 
-THRUST_COLUMNS = Columns(
+THRUST_COLUMNS = ThrustColumns(
     "time_s",
     sets=(("thrust_vacuum_N",),),
     optional=("mass_flow_kgps",),

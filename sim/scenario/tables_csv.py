@@ -182,7 +182,11 @@ class Columns:
             raise refuse("a file is named where none can be read", "the table itself")
         reading: Reading = context
         shown, text = reading.read_table(name)
-        return read_csv(text, str(name), shown, self)
+        return self.parse(text, str(name), shown)
+
+    def parse(self, text: str, name: str, shown: str) -> CsvTable:
+        """The table in a file's text."""
+        return read_csv(text, name, shown, self)
 
     def _from_columns(self, value: Mapping[str, Any]) -> CsvTable:
         label = value.get(FILE_KEY, "")

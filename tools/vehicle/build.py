@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -30,9 +30,11 @@ from maxq.tools.vehicle.trajectory import Ascent, Point, ascent
 
 MASS_ROWS, MODE_ROWS, SHAPE_STATIONS = 41, 13, 41
 MOST_RIGID_HZ = 0.4
+_NEAR_NODE = 0.1  # of the largest displacement
 SPREAD = {"thrust at equal impulse": 0.03, "normal force": 0.15, "axial force": 0.1, "frequency of mode 1": 0.05}
 Table = tuple[str, Sequence[tuple[Any, ...]]]  # head and rows of a CSV file
 Tables = dict[str, Table]  # by the file's name
+Modes = tuple[Array, list[list[Mode]]]  # times of the stage's clock, modes at each
 
 
 @dataclass(frozen=True)
@@ -45,7 +47,7 @@ class Built:
     modes: list[tuple[Array, list[list[Mode]]]]
     flight: Ascent
     gains: list[tuple[float, float, float]]  # flight time, k_p, k_d
-    assumed: list[str] = field(default_factory=list)
+    assumed: list[str] = field(default_factory=list)  # those of `build` first: modes that are left out
 
     @property
     def mode_1_hz(self) -> float:
@@ -59,8 +61,9 @@ def build(layout: Layout) -> Built:
     whole = stacks(layout)
     flight = ascent(layout, whole, [aerodynamics(stack) for stack in whole])
     every = flight.stacks
-    aero, modes = [aerodynamics(stack) for stack in every], [_modes(stack) for stack in every]
-    found = Built(layout, every, aero, modes, flight, [])
+    aero = [aerodynamics(stack) for stack in every]
+    modes, left_out = _that_count(every, [_modes(stack) for stack in every], 1.0 / layout.control.sample_s)
+    found = Built(layout, every, aero, modes, flight, [], left_out)
     rigid_hz = layout.control.rigid_hz or min(MOST_RIGID_HZ, found.mode_1_hz / 8.0)
     found.gains.extend(_gains(found, rigid_hz))
     found.assumed.extend(_assumed(found, rigid_hz))
@@ -74,7 +77,7 @@ def slosh_kg(tank: Tank, liquid_kg: float) -> float:
     return float(scale * modes_over(tank.profile, depth, 1)[0].mass[0])
 
 
-def _modes(stack: Stack) -> tuple[Array, list[list[Mode]]]:
+def _modes(stack: Stack) -> Modes:
     stage, times = stack.stage, np.linspace(0.0, stack.burn.end_s, MODE_ROWS)
     if (bending := stage.bending) is not None:
         table = bending.pitch_modes or bending.yaw_modes
@@ -83,7 +86,41 @@ def _modes(stack: Stack) -> tuple[Array, list[list[Mode]]]:
         in_pitch = spatial.modes.lateral()[1]
         return times, [_mode_of(in_pitch, t) for t in times]
     beam = Beam.of(stack)
-    return times, [beam.modes(beam_load(stack, float(t)), stage.modes) if stage.modes else [] for t in times]
+    found = [beam.modes(beam_load(stack, float(t)), stage.modes) if stage.modes else [] for t in times]
+    for k in range(stage.modes):
+        if min(abs(modes[k].phi[-1]) / np.abs(modes[k].phi).max() for modes in found) < _NEAR_NODE:
+            _renormalise(found, k)
+    return times, found
+
+
+def _renormalise(found: list[list[Mode]], k: int) -> None:
+    """Mode k with 1 as its largest displacement, the same way round at all times: the gimbal lies near a node."""
+    before = found[0][k].phi
+    for modes in found:
+        mode = modes[k]
+        scale = math.copysign(1.0 / float(np.abs(mode.phi).max()), float(mode.phi @ before))
+        modes[k] = replace(
+            mode, generalized_mass_kg=mode.generalized_mass_kg * scale**2, phi=mode.phi * scale,
+            slope_pm=mode.slope_pm * scale,
+        )  # fmt: skip  # two more lines otherwise
+        before = modes[k].phi
+
+
+def _that_count(every: Sequence[Stack], modes: list[Modes], highest_hz: float) -> tuple[list[Modes], list[str]]:
+    """The beam's modes that begin below a frequency, as many in all parts of a stage; and words about the others."""
+    out, words = list(modes), []
+    for number, stage in enumerate(every[0].layout.stage):
+        parts = [n for n, stack in enumerate(every) if stack.number == number]
+        if stage.bending is not None or stage.spatial_modes is not None or not stage.modes:
+            continue
+        lowest = [min(at[k].frequency_hz for n in parts for at in modes[n][1]) for k in range(stage.modes)]
+        kept = sum(hz <= highest_hz for hz in lowest)
+        for n in parts:
+            out[n] = modes[n][0], [at[:kept] for at in modes[n][1]]
+        if kept < stage.modes:
+            above = f"from {lowest[kept]:.0f} Hz, above the computer's {highest_hz:g} samples a second"
+            words.append(f"{stage.name}: bending modes from number {kept + 1} on are left out ({above})")
+    return out, words
 
 
 def beam_load(stack: Stack, t: float) -> list[Rod]:
@@ -197,6 +234,14 @@ def warnings(built: Built) -> list[str]:
             if mode.frequency_hz > half_hz:
                 what = f"mode {k + 1} at {mode.frequency_hz:.1f} Hz lies above half the sample rate, {half_hz:g} Hz"
                 out.append(f"{stack.name}: {what}")
+    for stage in built.layout.stage:
+        table, e = stage.engine.thrust, stage.engine
+        if table is not None and "mass_flow_kgps" in table:
+            burned = len(e.positions_m) * float(np.trapezoid(table["mass_flow_kgps"], table["time_s"]))
+            if abs(burned - stage.usable_kg) > 0.02 * stage.usable_kg:
+                out.append(
+                    f"{stage.name}: its thrust file burns {burned:.4g} kg, the stage holds {stage.usable_kg:.4g} kg"
+                )
     if built.mode_1_hz < 6.0 * MOST_RIGID_HZ:
         out.append(f"mode 1 at {built.mode_1_hz:.2f} Hz is less than six times the rigid body's {MOST_RIGID_HZ:g} Hz")
     return out
@@ -425,9 +470,9 @@ def _stage(built: Built, n: int, tables: Tables) -> dict[str, Any]:
     if stage.bending is not None or stage.spatial_modes is not None:
         key = "bending" if stage.bending is not None else "spatial_modes"
         out[key] = _copied(getattr(stage, key), f"{prefix}{key}", tables)
-    elif stage.modes:
+    elif built.modes[n][1][0]:
         tables[f"{prefix}modes.csv"] = _mode_table(built, n)
-        damping = [stage.bending_damping] * stage.modes
+        damping = [stage.bending_damping] * len(built.modes[n][1][0])
         out["bending"] = {"pitch": f"{prefix}modes.csv", "yaw": f"{prefix}modes.csv", "damping_ratio": damping}
     out["aero"] = _aero(built, n, tables)
     if stage.loads is not None:
@@ -488,7 +533,7 @@ def _campaign(built: Built) -> dict[str, Any]:
         "thrust at equal impulse": flow, "normal force": ["vehicle.stage.0.aero.force_factor"],
         "axial force": ["vehicle.stage.0.aero.axial_factor"],
     }  # fmt: skip  # three more lines otherwise
-    if first.modes:
+    if built.modes[0][1][0] and first.spatial_modes is None:
         keys["frequency of mode 1"] = ["vehicle.stage.0.bending.frequency_factor.0"]
     spread = [
         {"keys": k, "name": name, "apply": "scale", "distribution": "normal", "three_sigma": SPREAD[name],

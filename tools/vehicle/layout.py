@@ -273,10 +273,10 @@ class Layout(Section):
     @model_validator(mode="after")
     def _check(self) -> Layout:
         for n, (lower, upper) in enumerate(pairwise(self.stage)):
-            if upper.rear_station_m > lower.front_station_m + 1e-6:
+            if abs(upper.rear_station_m - lower.front_station_m) > 1e-6:
                 raise refuse(
-                    f"the next stage reaches to {upper.rear_station_m:g} m", f"from {upper.rear_station_m:g}",
-                    ("stage", n, "front_station_m"),
+                    f"the next stage ends at {upper.rear_station_m:g} m: a gap in the structure, or an overlap",
+                    f"{upper.rear_station_m:g}", ("stage", n, "front_station_m"), value=lower.front_station_m,
                 )  # fmt: skip  # two more lines otherwise
         if self.trajectory.orbit_altitude_m is not None and len(self.stage) == 1:
             raise refuse(
