@@ -23,11 +23,11 @@ from oracles.multibody_system import rotation_from_quaternion
 
 from maxq.control.kernel.records import Array
 from maxq.design.model.dispersion import Dispersion, disperse
-from maxq.design.model.linearised import linearise, zero_incidence
+from maxq.design.model.linearised import linearise, settled, zero_incidence
 from maxq.design.model.node import node_of
 from maxq.design.model.plant import vehicle_plant
 from maxq.design.model.vehicle_at import FlightCondition, actuator, vehicle_at
-from maxq.sim.packing.flight import pack_flight
+from maxq.sim.packing.flight import Packed, pack_flight
 from maxq.sim.run.evaluate import evaluate_at
 from maxq.sim.vehicle import state as layout
 from maxq.sim.vehicle import workspace
@@ -369,15 +369,8 @@ def test_coupled_modes_conserve_energy_and_momenta() -> None:
 
 
 # --- the linear model
-@pytest.mark.parametrize("stage", [{}, ON_LOAD], ids=["locked", "swinging"])
-def test_linear_model_of_both_planes_is_the_linearised_simulator(stage: Tree) -> None:
-    """Modes that bend in both planes at once and twist, of unlike frequencies: all axes in one state space."""
-    angle = np.radians(30.0)
-    section, rest = as_spatial(
-        replace(PARTS, yaw=tuple(replace(m, frequency_hz=1.2 * m.frequency_hz) for m in MODES)), angle
-    )
-    for row in section["table"]:
-        row["theta_x_pm"] = 0.1 * row["mode"] * np.cos(row["station_m"])
+def ascending(section: Tree, rest: Parts, **stage: Any) -> tuple[Packed, FlightCondition]:
+    """With spatial modes at zero incidence, the CG on the axis."""
     straight = replace(
         rest,
         core_cg=(7.0, 0.0, 0.0),
@@ -394,6 +387,19 @@ def test_linear_model_of_both_planes_is_the_linearised_simulator(stage: Tree) ->
         0.0, float(air[workspace.AIRSPEED]), float(air[workspace.DENSITY]), float(air[workspace.PRESSURE]),
         float(air[workspace.MACH]), float(path), float(np.linalg.norm(air[workspace.GRAVITATION :][:3])),
     )  # fmt: skip  # five more lines otherwise
+    return packed, condition
+
+
+@pytest.mark.parametrize("stage", [{}, ON_LOAD], ids=["locked", "swinging"])
+def test_linear_model_of_both_planes_is_the_linearised_simulator(stage: Tree) -> None:
+    """Modes that bend in both planes at once and twist, of unlike frequencies: all axes in one state space."""
+    angle = np.radians(30.0)
+    section, rest = as_spatial(
+        replace(PARTS, yaw=tuple(replace(m, frequency_hz=1.2 * m.frequency_hz) for m in MODES)), angle
+    )
+    for row in section["table"]:
+        row["theta_x_pm"] = 0.1 * row["mode"] * np.cos(row["station_m"])
+    packed, condition = ascending(section, rest, **stage)
     theirs = linearise(packed, zero_incidence(packed, packed.state), 0.0)
     modes = [f"spatial_{i}_{what}" for what in ("m", "rate_mps") for i in range(1, 5)]
 
@@ -430,6 +436,55 @@ def test_linear_model_of_both_planes_is_the_linearised_simulator(stage: Tree) ->
             / theirs.a[theirs.states.index("gyro_roll_rate_radps2"), theirs.states.index("p_radps")]
         )
         np.testing.assert_allclose(roll, plant.c[-1], rtol=1e-8, atol=1e-10)
+
+
+def test_what_axial_parts_of_modes_add_to_the_plant() -> None:
+    """The plant leaves them out. Liquid hangs in the tanks and takes part in them, and the core gives way: to M comes
+
+        dM_ij = sum m Phi_i Phi_j - (sum m Phi_i) (sum m Phi_j) / m_total,   Phi along x at the hinges,
+
+    and through the modal accelerations it enters the pendulums. What thrust compresses also bends the axis, and
+    there the change of the tension has a moment. Of stiff modes that is all.
+    """
+    stiff = tuple(replace(m, frequency_hz=10.0 * m.frequency_hz) for m in MODES)
+    section, rest = as_spatial(
+        replace(PARTS, pitch=stiff, yaw=tuple(replace(m, frequency_hz=1.2 * m.frequency_hz) for m in stiff))
+    )
+    for row in section["table"]:
+        row["phi_x"] = 0.35 * row["mode"] * np.cos(row["station_m"] / 3.0 + row["mode"])
+    packed, condition = ascending(section, rest)
+    state = settled(packed, zero_incidence(packed, packed.state), 0.0)
+    theirs = linearise(packed, state, 0.0)
+    vehicle = vehicle_at(packed, 0.0, condition.mach)
+    plant, bobs, n = vehicle_plant(vehicle, condition), vehicle.pendulums, 4
+    at = {(row["mode"], row["station_m"]): row["phi_x"] for row in section["table"]}
+    phi = np.array([[at[mode, x] for x in bobs.hinge_station_m] for mode in range(1, n + 1)])
+    total = vehicle.body.core_mass_kg + bobs.mass_kg.sum()
+    added = phi * bobs.mass_kg @ phi.T - np.outer(phi @ bobs.mass_kg, phi @ bobs.mass_kg) / total
+    before = [plant.states.index(f"eta_{i}_rate_mps") for i in range(1, n + 1)]
+    expected = plant.a.copy()
+    expected[before] = np.linalg.solve(np.eye(n) + added / vehicle.modes.generalized_mass_kg[:, None], plant.a[before])
+    pulls = bobs.mass_kg * (
+        phi - (phi @ bobs.mass_kg / total)[:, None]
+    )  # tension per modal acceleration, (modes, tanks)
+    held = state[layout.spatial_index(packed.parameters[0].vehicle.sizes) :][:n]
+    assert vehicle.across is not None
+    for plane, rate, swinging in ((vehicle, "q_radps", (1, 2)), (vehicle.across, "across_q_radps", (3, 4))):
+        expected[plant.states.index(rate)] -= (
+            pulls @ (plane.modes.phi_hinge[:n].T @ held) @ expected[before] / plane.body.core_inertia_kgm2
+        )
+        for k, tank in enumerate(swinging):
+            swing, along = plant.states.index(f"slosh_{tank}_rate_radps"), plane.modes.phi_hinge[:n, k]
+            expected[swing] -= along / bobs.length_m[k] @ (expected[before] - plant.a[before])
+    names = ["w_mps", "q_radps", "theta_rad", *(f"spatial_{i}_{w}" for w in ("m", "rate_mps") for i in range(1, 5))]
+    names += [f"slosh_{k}_pitch{w}" for w in ("_rad", "_rate_radps") for k in (1, 2)] + ["v_mps", "r_radps", "psi_rad"]
+    names += [f"slosh_{k}_yaw{w}" for w in ("_rad", "_rate_radps") for k in (1, 2)]
+    i = [theirs.states.index(name) for name in names]
+    sign = np.array([-1.0 if name in ("r_radps", "psi_rad") else 1.0 for name in names])
+    a = sign[:, None] * theirs.a[np.ix_(i, i)] * sign
+    size = np.abs(expected).max(axis=1, keepdims=True)
+    assert (np.abs(plant.a - a) / size).max() > 0.1, "what is left out is no trifle here"
+    assert (np.abs(expected - a) / size).max() < 2e-3
 
 
 def test_a_plane_of_the_coupled_plant_holds_the_other() -> None:

@@ -139,7 +139,7 @@ def multiloop(packed: Packed, design: Design, time_s: float) -> Multiloop:
 
     Modes, pendulums and engines are at rest, pitch and yaw rate zero.
     """
-    model, matrix = linearise(*at_rest(packed), time_s), np.eye(2, 3)
+    model, matrix = linearise(*at_rest(packed, time_s), time_s), np.eye(2, 3)
     row = packed.parameters[int(packed.memory[0].clock.stage)]
     allocation, t = row.computer.allocation, 1e-9 * int(row.computer.sample_ns)
     axes: tuple[str, ...] = AXES[:2]

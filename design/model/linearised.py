@@ -53,6 +53,7 @@ _FLEXIBLE = _FLAT.stop
 
 _LEVELS = 6  # of the extrapolation: each halves the step
 _STEP_R, _STEP_V, _STEP_TURN, _STEP_W = 8.0, 0.5, 4e-3, 1e-2
+_SETTLING_M = 1e-4
 _STEP_FLAT, _STEP_BEND, _STEP_BEND_RATE, _STEP_SLOSH, _STEP_COMMAND = 2e-3, 2e-3, 0.1, 8e-3, 4e-3
 
 
@@ -324,7 +325,7 @@ def _bob(pitch: float, pitch_rate: float, yaw: float, yaw_rate: float) -> tuple[
     return u, (along_rate - u * (u @ along_rate)) / length
 
 
-def at_rest(packed: Packed) -> tuple[Packed, Array]:
+def at_rest(packed: Packed, time_s: float) -> tuple[Packed, Array]:
     """A packed flight where it stands, with its modes, pendulums and engines at rest and no command: flight and state.
 
     Place, attitude, velocity and roll rate are kept; rates in pitch and yaw are zero, the gyros' output with them.
@@ -337,4 +338,26 @@ def at_rest(packed: Packed) -> tuple[Packed, Array]:
     for tank in range(int(sizes.pendulums)):
         first = int(layout.pendulum_index(sizes, tank))
         out[first] = -1.0
-    return dataclasses.replace(packed, memory=memory), out
+    still = dataclasses.replace(packed, memory=memory)
+    return still, settled(still, out, time_s)
+
+
+def settled(packed: Packed, y: Array, time_s: float) -> Array:
+    """The state with its spatial modes deflected as the loads of the instant hold them: thrust compresses axial parts.
+
+    About modes that spring back from no deflection the pull of the liquid along the axis would be another one.
+    """
+    sizes = packed.parameters[int(packed.memory[0].clock.stage)].vehicle.sizes
+    n, first = int(sizes.spatial_modes), int(layout.spatial_index(sizes))
+    out = y.copy()
+    if n == 0:
+        return out
+
+    def rates(eta: Array) -> Array:
+        out[first : first + n] = eta
+        return evaluate_at(packed, out, time_s).rate[first : first + 2 * n]
+
+    free = rates(np.zeros(n))[n:]
+    per_m = np.array([rates(np.asarray(row))[n:] - free for row in _SETTLING_M * np.eye(n)]).T / _SETTLING_M
+    out[first + n : first + 2 * n] = -rates(np.asarray(np.linalg.solve(per_m, -free), float))[:n]
+    return out
