@@ -1,74 +1,119 @@
-"""What any attitude law works on: the attitude error theta_e and the measured rate q_g, per body axis.
+"""Attitude in the computer: strapdown quaternions, and the attitude error theta_e that any law works on.
 
-theta_e is the counted angle minus the commanded angle, both kept whole, so it is an exact sum and never drifts.
+Two ways to the error, both from the counted gyro increments and from the commanded rates of the guidance:
+
+| `attitude` | theta_e |
+|---|---|
+| `quaternion` | rotation vector, in body axes, from the commanded to the measured attitude |
+| `rate-integral` | per body axis the integral of the measured less that of the commanded rate (Lee, Ahn & Roh eq. 33) |
+
+Rotations about several axes do not commute: the second is an attitude error only as long as the vehicle turns about one
+axis. The first holds at any attitude, for errors below 180 deg. For small errors of one axis both are the same, and so
+is the linear loop.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Annotated, NamedTuple
+from typing import Annotated, NamedTuple, get_args
 
 from maxq.control.kernel.jit import kernel
-from maxq.control.kernel.records import Array, IntArray
+from maxq.control.kernel.records import Array
 from maxq.control.kernel.rows import RollPitchYaw, degrees
+from maxq.control.kernel.vectors import (
+    add,
+    conjugate,
+    cross,
+    quaternion_at,
+    quaternion_of,
+    quaternion_product,
+    rotation_vector,
+    scaled,
+    vector_at,
+)
+from maxq.control.structures import Attitude
+
+METHODS: tuple[Attitude, ...] = get_args(Attitude)
+QUATERNION = METHODS.index("quaternion")
+
+
+@dataclass
+class Strapdown:
+    """`q`: attitude, B to its place R at the start, unit quaternion, scalar first. `last_rad`: last angle increment."""
+
+    q: Annotated[Array, (4,)]
+    last_rad: Annotated[Array, (3,)]
 
 
 @dataclass
 class AttitudeError:
     """Triples are per body axis (roll, pitch, yaw).
 
-    `theta_e_rad`: clamped angle error; `discarded_rad`: what the clamp has taken out of it so far, so the whole error
-    is the sum of both; `error_limited`: 1 while clamped. `rate_radps`: measured rate q_g, the increment over the
-    sample.
+    `measured`: attitude by the counted gyro increments. `error_rad`: attitude error; `theta_e_rad`: the same within
+    its limit, for the law. `rate_radps`: measured rate q_g, the increment over the sample.
     """
 
+    measured: Strapdown
+    error_rad: Annotated[Array, (3,)]
     theta_e_rad: Annotated[Array, (3,)]
-    discarded_rad: Annotated[Array, (3,)]
-    error_limited: Annotated[IntArray, (3,)]
     rate_radps: Annotated[Array, (3,)]
+
+
+@kernel
+def start_strapdown(state: Strapdown) -> None:
+    """At R, at rest."""
+    state.q[0] = 1.0
+    for axis in range(3):
+        state.q[1 + axis] = 0.0
+        state.last_rad[axis] = 0.0
+
+
+@kernel
+def turn(state: Strapdown, increment_rad: Array) -> None:
+    """Turn on by the body rates' integral over a sample (3,).
+
+    The rotation vector of the sample is the increment and a twelfth of (last increment x increment): the coning term,
+    exact to third order for rates that are linear over both samples (Savage, J. Guidance 21(1), 1998, 19-28).
+    """
+    last, new = vector_at(state.last_rad, 0), vector_at(increment_rad, 0)
+    by = quaternion_of(add(new, scaled(1.0 / 12.0, cross(last, new))))
+    q = quaternion_product(quaternion_at(state.q, 0), by)
+    to_unit = 1.5 - 0.5 * (q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3])
+    for k in range(4):
+        state.q[k] = to_unit * q[k]
+    for axis in range(3):
+        state.last_rad[axis] = increment_rad[axis]
 
 
 @kernel
 def start_attitude_error(state: AttitudeError) -> None:
     """No error, no rate."""
+    start_strapdown(state.measured)
     for axis in range(3):
+        state.error_rad[axis] = 0.0
         state.theta_e_rad[axis] = 0.0
-        state.discarded_rad[axis] = 0.0
-        state.error_limited[axis] = 0
         state.rate_radps[axis] = 0.0
 
 
 @kernel
 def update_attitude_error(
-    state: AttitudeError, axis: int, angle_rad: float, commanded_rad: float, rate_radps: float, limit_rad: float
+    state: AttitudeError, method: int, commanded: Strapdown, angle_rad: Array, commanded_rad: Array, limit_rad: float
 ) -> None:
-    """theta_e of body axis `axis` from the counted and the commanded angle, clamped at `limit_rad`.
+    """theta_e from the commanded attitude or from counted and commanded angles (3,), clamped at `limit_rad` per axis.
 
-    Anti-windup by conditional accumulation: at the limit, error that would go further out is discarded for
-    good, error that comes back counts at once. The law so answers a reversal without first unwinding, and
-    from then on holds the attitude at which the limit was left.
+    The clamp bounds what the law sees and moves no reference: an error that comes back from beyond it counts in full.
     """
-    error_rad = angle_rad - commanded_rad - state.discarded_rad[axis]
-    clamped_rad = min(max(error_rad, -limit_rad), limit_rad)
-    state.error_limited[axis] = 0
-    if clamped_rad != error_rad:
-        state.error_limited[axis] = 1
-        state.discarded_rad[axis] += error_rad - clamped_rad
-    state.theta_e_rad[axis] = clamped_rad
-    state.rate_radps[axis] = rate_radps
-
-
-@kernel
-def whole_error(state: AttitudeError, axis: int) -> float:
-    """Attitude error of body axis `axis`, rad, without the clamp."""
-    error_rad: float = state.theta_e_rad[axis] + state.discarded_rad[axis]
-    return error_rad
+    turned = quaternion_product(conjugate(quaternion_at(commanded.q, 0)), quaternion_at(state.measured.q, 0))
+    error_rad = rotation_vector(turned)
+    for axis in range(3):
+        state.error_rad[axis] = error_rad[axis] if method == QUATERNION else angle_rad[axis] - commanded_rad[axis]
+        state.theta_e_rad[axis] = min(max(state.error_rad[axis], -limit_rad), limit_rad)
 
 
 class AttitudeRow(NamedTuple):
     """What is logged of the attitude error."""
 
-    error_axis_deg: Annotated[RollPitchYaw, "deg", "attitude error theta_e"]
+    error_axis_deg: Annotated[RollPitchYaw, "deg", "attitude error theta_e in the computer"]
     measured_axis_rate_degps: Annotated[RollPitchYaw, "deg/s", "angular rate in the control law"]
 
 

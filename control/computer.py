@@ -1,7 +1,7 @@
 """The flight computer: one sample instant, from gyro angle increments to gimbal and roll commands.
 
-    increments -> converter -> attitude error, rate -> law -> + injection -> limit -> DAC
-                  guidance ----^                       roll error and rate -> switching line -> thrusters
+    increments -> converter -> attitude, rate -> error -> law -> + injection -> limit -> DAC
+          guidance, commanded attitude -----^          roll error and rate -> switching line -> thrusters
     several groups of engines: pitch, yaw and roll -> allocation -> limit -> DAC, for each group (allocation.py)
 
 The law is a module of control/laws: a parameter record, a memory record with its start, and a tick for each gimbal
@@ -22,17 +22,26 @@ from typing import Annotated, NamedTuple
 import numpy as np
 
 from maxq.control.allocation import ONE_GROUP, Allocation, AllocationState, allocate, roll_command, start_allocation
-from maxq.control.attitude import AttitudeError, AttitudeRow, attitude_row, start_attitude_error, update_attitude_error
+from maxq.control.attitude import (
+    METHODS,
+    AttitudeError,
+    AttitudeRow,
+    attitude_row,
+    start_attitude_error,
+    turn,
+    update_attitude_error,
+)
 from maxq.control.converter import Converter, ConverterState, convert, make_converter, round_half_away, start_converter
 from maxq.control.external import ExternalState, step_external
 from maxq.control.filters import DiscreteFilter
-from maxq.control.guidance import GuidanceState, advance_guidance, start_guidance
+from maxq.control.guidance import GuidanceState, advance_guidance, start_guidance, unroll
 from maxq.control.kernel.jit import kernel, routine
 from maxq.control.kernel.records import Array, IntArray
-from maxq.control.kernel.rows import PitchYaw, RollPitchYaw, degrees
+from maxq.control.kernel.rows import PitchYaw, Quaternion, RollPitchYaw, degrees, quaternion
 from maxq.control.kernel.tables import NO_TABLE, Cubics, Pool, TableRef
 from maxq.control.laws.pd import LawRow, Pd, PdState, law_row, make_pd, start_pd, tick_pd
 from maxq.control.roll import Roll, RollState, silence_roll, start_roll, update_roll
+from maxq.control.structures import Attitude
 
 # No gyro measures, and no scenario means, a turn of more than this in one sample: beyond it lies a fault.
 INCREMENT_LIMIT_RAD = 1.0e3
@@ -46,13 +55,14 @@ class Computer:
 
     `sample_ns`: period of the ticks. `delay_ns`: from a tick to the effect of its command; read by the plant.
 
-    `angle_error_limit_rad`: clamp of theta_e. `command_limit_rad`: of each gimbal command. inf: no limit.
+    `attitude`: how the attitude error is formed, index into `METHODS` of attitude.py. `angle_error_limit_rad`: clamp of
+    theta_e. `command_limit_rad`: of each gimbal command. inf: no limit.
     `dac_step_rad`: step of the digital-to-analogue converter; 0 is none.
 
-    `programme`: table of `guidance.rate_programme`. The switches are 1 or 0: with `control_on` = 0 the law
-    gives 0 (injected commands still pass), with `guidance_on` = 0 the programme stands still, with `roll_on`
-    = 0 no thruster fires. `external`: 1 where flight code from outside is called; with `held_time_s` above 0 it is told
-    this time, s, at all samples.
+    `programme`: table of `guidance.rate_programme`; `unrolled` = 1: its axes of pitch and yaw do not roll. The
+    switches are 1 or 0: with `control_on` = 0 the law gives 0 (injected commands still pass), with `guidance_on` = 0
+    the programme stands still, with `roll_on` = 0 no thruster fires. `external`: 1 where flight code from outside is
+    called; with `held_time_s` above 0 it is told this time, s, at all samples.
     """
 
     sample_ns: int
@@ -62,8 +72,10 @@ class Computer:
     control_on: int
     guidance_on: int
     roll_on: int
+    unrolled: int
     programme: TableRef
     converter: Converter
+    attitude: int
     angle_error_limit_rad: float
     law: Pd
     command_limit_rad: float
@@ -102,10 +114,12 @@ def build_computer(
     delay_ns: int = 0,
     count_rad: float = 0.0,
     dac_step_rad: float = 0.0,
+    attitude: Attitude = "quaternion",
     angle_error_limit_rad: float = np.inf,
     command_limit_rad: float = np.inf,
     gains: Cubics | None = None,
     programme: Cubics | None = None,
+    unrolled: bool = False,
     pitch_filter: DiscreteFilter | None = None,
     yaw_filter: DiscreteFilter | None = None,
     roll: Roll | None = None,
@@ -142,8 +156,10 @@ def build_computer(
         control_on=int(control_on),
         guidance_on=int(guidance_on),
         roll_on=int(roll_on and (external or roll is not None)),
+        unrolled=int(unrolled),
         programme=_placed(pool, "programme", programme, 6),
         converter=make_converter(count_rad),
+        attitude=METHODS.index(attitude),
         angle_error_limit_rad=angle_error_limit_rad,
         law=make_pd(_placed(pool, "gains", gains, 4), sample_ns, pitch_filter, yaw_filter or pitch_filter),
         command_limit_rad=command_limit_rad,
@@ -226,14 +242,15 @@ def computer_tick(
             injected_radps,
             rate_replaces[axis],
         )
-        update_attitude_error(
-            state.attitude,
-            axis,
-            state.converter.angle_rad[axis],
-            state.guidance.angle_rad[axis],
-            state.converter.increment_rad[axis] / sample_s,
-            computer.angle_error_limit_rad,
-        )
+        state.attitude.rate_radps[axis] = state.converter.increment_rad[axis] / sample_s
+    if computer.unrolled != 0:
+        unroll(state.guidance, sample_s)
+    turn(state.guidance.attitude, state.guidance.increment_rad)
+    turn(state.attitude.measured, state.converter.increment_rad)
+    update_attitude_error(
+        state.attitude, computer.attitude, state.guidance.attitude, state.converter.angle_rad,
+        state.guidance.angle_rad, computer.angle_error_limit_rad,
+    )  # fmt: skip  # two lines more otherwise
     if computer.external != 0:
         call_external(computer, state, time_s)
     for gimbal in range(2):
@@ -352,14 +369,19 @@ def control_row(state: ComputerState) -> ControlRow:
 
 
 class GuidanceRow(NamedTuple):
-    """Attitude angles in the computer."""
+    """Attitude in the computer; R is B at the computer's start."""
 
     axis_commanded_deg: Annotated[RollPitchYaw, "deg", "integral of the commanded rate"]
     axis_measured_deg: Annotated[RollPitchYaw, "deg", "attitude angle: sum of the gyro pulses"]
+    q_BR_commanded_axis: Annotated[Quaternion, "1", "commanded attitude, B to R, component"]
+    q_BR_measured_axis: Annotated[Quaternion, "1", "measured attitude, B to R, component"]
 
 
 @kernel
 def guidance_row(state: ComputerState) -> GuidanceRow:
     return GuidanceRow(
-        axis_commanded_deg=degrees(state.guidance.angle_rad), axis_measured_deg=degrees(state.converter.angle_rad)
+        axis_commanded_deg=degrees(state.guidance.angle_rad),
+        axis_measured_deg=degrees(state.converter.angle_rad),
+        q_BR_commanded_axis=quaternion(state.guidance.attitude.q),
+        q_BR_measured_axis=quaternion(state.attitude.measured.q),
     )

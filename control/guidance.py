@@ -8,12 +8,14 @@ give a quartic angle, linear rates a quadratic and stepwise rates a piecewise li
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Annotated
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from maxq.control.attitude import Strapdown, start_strapdown
 from maxq.control.kernel.jit import kernel
 from maxq.control.kernel.records import Array
 from maxq.control.kernel.tables import Cubics, Method, TableRef, find_interval, fit
@@ -28,7 +30,9 @@ class GuidanceState:
 
     `start_rad`: the programme's integral when the computer was started. `programme_rad`: its change since.
     `injected_rad`: integral of the injected rates. `angle_rad`: commanded angle, the sum of both. `increment_rad`,
-    `rate_radps`: change of the commanded angle in the last sample, and that over the sample period.
+    `rate_radps`: commanded turn of the body in the last sample, and that over the sample period.
+
+    `attitude`: the same rates as a commanded attitude, from which the attitude error is taken.
     """
 
     start_rad: Annotated[Array, (3,)]
@@ -37,6 +41,7 @@ class GuidanceState:
     angle_rad: Annotated[Array, (3,)]
     increment_rad: Annotated[Array, (3,)]
     rate_radps: Annotated[Array, (3,)]
+    attitude: Strapdown
 
 
 def rate_programme(
@@ -107,6 +112,7 @@ def start_guidance(pool: Array, programme: TableRef, state: GuidanceState, time_
         state.angle_rad[axis] = 0.0
         state.increment_rad[axis] = 0.0
         state.rate_radps[axis] = 0.0
+    start_strapdown(state.attitude)
 
 
 @kernel
@@ -136,3 +142,17 @@ def advance_guidance(
     state.increment_rad[axis] = angle_rad - state.angle_rad[axis]
     state.angle_rad[axis] = angle_rad
     state.rate_radps[axis] = state.increment_rad[axis] / sample_s
+
+
+@kernel
+def unroll(state: GuidanceState, sample_s: float) -> None:
+    """Take the last commanded increments in pitch and yaw as about axes that do not roll with the command: they become
+    those about the body axes, which are turned by the commanded roll in the middle of the sample.
+    """
+    roll_rad = state.angle_rad[ROLL] - 0.5 * state.increment_rad[ROLL]
+    sine, cosine = math.sin(roll_rad), math.cos(roll_rad)
+    pitch_rad, yaw_rad = state.increment_rad[PITCH], state.increment_rad[YAW]
+    state.increment_rad[PITCH] = cosine * pitch_rad + sine * yaw_rad
+    state.increment_rad[YAW] = cosine * yaw_rad - sine * pitch_rad
+    for axis in (PITCH, YAW):
+        state.rate_radps[axis] = state.increment_rad[axis] / sample_s

@@ -7,6 +7,9 @@ from typing import Literal
 Law = Literal["pd"]
 """Modules of control/laws and design/laws."""
 
+Attitude = Literal["quaternion", "rate-integral"]
+"""What the computer takes for its attitude error (control/attitude.py)."""
+
 DesignedStructure = Literal["F2", "F3", "F4", "F5", "F6", "sections"]
 """Filters to be optimised: `sections` has as many as one likes."""
 

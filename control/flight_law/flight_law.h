@@ -21,7 +21,8 @@ typedef struct {
     law_real time_s;                 /* vehicle clock at the end of the sample */
     int64_t counts[3];               /* gyro pulses of the sample */
     law_real delta_angle_rad[3];     /* of the sample; used instead of pulses where LAW_COUNT_RAD is 0 */
-    law_real commanded_angle_rad[3]; /* sum of the commanded rates since the start */
+    law_real commanded_angle_rad[3]; /* sum of the commanded rates since the start; where LAW_RATE_INTEGRAL is 1 */
+    law_real attitude_error_rad[3];  /* from the navigation, commanded to measured; where LAW_RATE_INTEGRAL is 0 */
 } law_inputs;
 
 typedef struct {
@@ -35,7 +36,6 @@ typedef struct {
 typedef struct {
     int64_t total_counts[3];
     law_real angle_rad[3];
-    law_real discarded_rad[3]; /* of the attitude error, by its limit */
     law_real filter[2][LAW_MOST_SECTIONS][2];
     int32_t roll_thruster;
     int32_t ticks_on; /* samples of the present firing */

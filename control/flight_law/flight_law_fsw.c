@@ -29,6 +29,7 @@ int32_t maxq_fsw_step(void *self, const maxq_fsw_inputs *in, maxq_fsw_outputs *o
         given.counts[i] = in->counts[i];
         given.delta_angle_rad[i] = (law_real)in->delta_angle_rad[i];
         given.commanded_angle_rad[i] = (law_real)in->commanded_angle_rad[i];
+        given.attitude_error_rad[i] = (law_real)in->attitude_error_rad[i];
     }
     law_step((law_state *)self, &given, &wanted);
     for (i = 0; i < 2; ++i) {

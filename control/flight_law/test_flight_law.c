@@ -32,6 +32,7 @@ int main(void)
             in.counts[i] = (int64_t)test_counts[n][i];
             in.delta_angle_rad[i] = (law_real)test_delta_angle_rad[n][i];
             in.commanded_angle_rad[i] = (law_real)test_commanded_angle_rad[n][i];
+            in.attitude_error_rad[i] = (law_real)test_attitude_error_rad[n][i];
         }
         law_step(&state, &in, &out);
         for (i = 0; i < 2; ++i) {

@@ -63,6 +63,12 @@ def xyz(values: Array, first: int) -> Xyz:
 
 
 @kernel
+def quaternion(values: Array) -> Quaternion:
+    """Four components, scalar first."""
+    return Quaternion(values[0], values[1], values[2], values[3])
+
+
+@kernel
 def degrees(rad: Array, first: int = 0) -> RollPitchYaw:
     """Three angles or rates that lie side by side, from rad to deg."""
     return RollPitchYaw(DEG * rad[first], DEG * rad[first + 1], DEG * rad[first + 2])

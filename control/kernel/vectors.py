@@ -99,6 +99,51 @@ def rotate_back(m: Matrix, a: Vector) -> Vector:
     )
 
 
+Quaternion = tuple[float, float, float, float]
+
+
+@kernel
+def quaternion_at(values: Array, first: int) -> Quaternion:
+    """Four components that lie side by side in an array, scalar first."""
+    return values[first], values[first + 1], values[first + 2], values[first + 3]
+
+
+@kernel
+def quaternion_product(a: Quaternion, b: Quaternion) -> Quaternion:
+    return (
+        a[0] * b[0] - a[1] * b[1] - a[2] * b[2] - a[3] * b[3],
+        a[0] * b[1] + a[1] * b[0] + a[2] * b[3] - a[3] * b[2],
+        a[0] * b[2] - a[1] * b[3] + a[2] * b[0] + a[3] * b[1],
+        a[0] * b[3] + a[1] * b[2] - a[2] * b[1] + a[3] * b[0],
+    )
+
+
+@kernel
+def conjugate(q: Quaternion) -> Quaternion:
+    return (q[0], -q[1], -q[2], -q[3])
+
+
+@kernel
+def quaternion_of(rotation_vector: Vector) -> Quaternion:
+    """Unit quaternion of a rotation vector, rad."""
+    half = 0.5 * norm(rotation_vector)
+    if half == 0.0:
+        return (1.0, 0.0, 0.0, 0.0)
+    sine, cosine = sine_cosine(half)
+    k = 0.5 * sine / half
+    return (cosine, k * rotation_vector[0], k * rotation_vector[1], k * rotation_vector[2])
+
+
+@kernel
+def rotation_vector(q: Quaternion) -> Vector:
+    """Rotation vector of a unit quaternion, rad, at most pi long."""
+    sign = -1.0 if q[0] < 0.0 else 1.0
+    sine = math.sqrt(q[1] * q[1] + q[2] * q[2] + q[3] * q[3])
+    # below 1e-4 the series of asin(x)/x is exact to rounding
+    k = 2.0 + sine * sine / 3.0 if sine < 1e-4 else 2.0 * math.atan2(sine, abs(q[0])) / sine
+    return (sign * k * q[1], sign * k * q[2], sign * k * q[3])
+
+
 Symmetric = tuple[float, float, float, float, float, float]  # xx, yy, zz, xy, xz, yz of an inertia *integral*
 
 

@@ -8,13 +8,22 @@ from __future__ import annotations
 
 import math
 
-from maxq.control.attitude import whole_error
 from maxq.control.computer import computer_tick
 from maxq.control.kernel.jit import kernel, routine
 from maxq.control.kernel.limits import MAX_ENGINES
 from maxq.control.kernel.noise import standard_normal
 from maxq.control.kernel.records import Array
-from maxq.control.kernel.vectors import cross, rotate, rotation_from_quaternion, vector_at
+from maxq.control.kernel.vectors import (
+    conjugate,
+    cross,
+    quaternion_at,
+    quaternion_product,
+    rotate,
+    rotation_from_quaternion,
+    rotation_vector,
+    set_vector,
+    vector_at,
+)
 from maxq.sim.flight.faults import switch_faults
 from maxq.sim.flight.injection import GIMBAL_COMMAND, RATE_COMMAND, next_switch, replaced, total_signal
 from maxq.sim.flight.parameters import (
@@ -139,6 +148,10 @@ def sample_computer(p: Parameters, pool: Array, memory: Memory, y: Array) -> Non
     )  # fmt: skip  # seven more lines otherwise
     if memory.computer.external.fault != 0:
         clock.finished = 1
+    start, commanded = memory.truth.start_q_BI, memory.computer.guidance.attitude.q
+    wanted = quaternion_product(quaternion_at(start, 0), quaternion_at(commanded, 0))
+    turned = quaternion_product(conjugate(wanted), quaternion_at(y, Q_BI))
+    set_vector(memory.truth.error_rad, 0, rotation_vector(turned))
     for channel in range(2 + 2 * p.vehicle.sizes.further_groups):
         clock.pending_rad[channel] = memory.computer.allocation.angle_rad[channel]
     clock.pending_roll = memory.computer.roll.demand
@@ -205,10 +218,9 @@ def detect_loss_of_control(p: Parameters, memory: Memory, aux: Array) -> None:
     """Events that are detected at the start of a step: loss of control, tumbling."""
     if memory.held.on_pad == 1:
         return
-    clock, timeline, attitude = memory.clock, p.timeline, memory.computer.attitude
+    clock, timeline, error_rad = memory.clock, p.timeline, memory.truth.error_rad
     if memory.held.burning == 1 and clock.event_ns[CONTROL_LOST] < 0:
-        pitch, yaw = whole_error(attitude, 1), whole_error(attitude, 2)
-        if max(abs(pitch), abs(yaw)) > timeline.control_lost_rad:
+        if max(abs(error_rad[1]), abs(error_rad[2])) > timeline.control_lost_rad:
             record_event(p, memory, CONTROL_LOST, clock.now_ns)
     if aux[DYNAMIC_PRESSURE] > timeline.tumble_pressure_Pa and clock.event_ns[TUMBLE] < 0:
         if aux[FLOW] < math.cos(timeline.tumble_rad) * aux[AIRSPEED]:

@@ -21,7 +21,7 @@ from maxq.sim.flight.metrics import N_METRICS, gather
 from maxq.sim.flight.parameters import APOGEE, DIVERGED, IMPACT, LIFTOFF, N_EVENTS, NEVER, Memory, Parameters
 from maxq.sim.flight.step import Workspace, evaluate, read_schedule, runge_kutta, schedule_clock, workspace_of
 from maxq.sim.flight.telemetry import fill_fast, fill_slow
-from maxq.sim.vehicle.block import Sizes, counts
+from maxq.sim.vehicle.block import Q_BI, Sizes, counts
 from maxq.sim.vehicle.environment import ANCHOR_DUE, climb_rate, climbs_certainly, flight_direction
 from maxq.sim.vehicle.loads import evaluate_sections, gather_sections
 from maxq.sim.vehicle.schedule import CORE_CG, CORE_MASS, properties_size
@@ -79,6 +79,8 @@ def begin(P: Records, pool: Array, state: Records, y: Array) -> None:
     turbulence_start(p.environment.turbulence, pool, memory.gusts, altitude_m, along_N)
     history_start(memory.history, memory.gusts)
     start_computer(p.computer, pool, memory.computer, 1e-9 * clock.now_ns)
+    for component in range(4):
+        memory.truth.start_q_BI[component] = y[Q_BI + component]
     clock.next_sample_ns = clock.now_ns + p.computer.sample_ns
     start_stage(p, pool, memory)
 
@@ -194,7 +196,7 @@ def track_sections(p: Parameters, pool: Array, memory: Memory, space: Workspace,
 def update_metrics(p: Parameters, memory: Memory, step_s: float, at: Evaluation) -> None:
     gather(
         memory.extremes, memory.waves, memory.clock.stage, p.vehicle, p.environment.earth, memory.held,
-        memory.computer, memory.clock.now_ns, step_s, at.properties, at.y, at.aux,
+        memory.computer, memory.truth, memory.clock.now_ns, step_s, at.properties, at.y, at.aux,
     )  # fmt: skip  # twelve lines otherwise
 
 

@@ -10,7 +10,6 @@ import math
 from dataclasses import dataclass
 from typing import Annotated, NamedTuple
 
-from maxq.control.attitude import whole_error
 from maxq.control.computer import ComputerState
 from maxq.control.kernel.jit import kernel, routine
 from maxq.control.kernel.limits import MAX_PENDULUMS, MAX_STAGES
@@ -51,8 +50,14 @@ class MetricIndex(NamedTuple):
     max_q_alpha_Padeg: Annotated[
         int, "Pa deg", "largest product of dynamic pressure (above 1 kPa) and total angle of attack under thrust"
     ]
-    max_attitude_error_deg: Annotated[int, "deg", "largest attitude error of pitch or yaw in the computer under thrust"]
-    max_roll_error_deg: Annotated[int, "deg", "largest roll error in the computer under thrust"]
+    max_attitude_error_deg: Annotated[
+        int, "deg", "largest angle of pitch or yaw from the commanded to the true attitude under thrust"
+    ]
+    max_roll_error_deg: Annotated[int, "deg", "the same of roll"]
+    max_computer_attitude_error_deg: Annotated[
+        int, "deg", "largest attitude error of pitch or yaw in the computer under thrust"
+    ]
+    max_computer_roll_error_deg: Annotated[int, "deg", "the same of roll"]
     max_gimbal_deg: Annotated[int, "deg", "largest engine angle of either axis under thrust"]
     max_gimbal_rate_degps: Annotated[int, "deg/s", "largest engine rate of either axis under thrust"]
     max_bending_m: Annotated[int, "m", "largest displacement of the gimbal by bending, either plane"]
@@ -93,10 +98,26 @@ def raise_to(extremes: Extremes, metric: int, value: float, now_ns: int) -> None
         extremes.time_ns[metric] = now_ns
 
 
+@dataclass
+class Truth:
+    """`start_q_BI`: attitude at the start, which the computer knows exactly. `error_rad`: rotation vector, in body
+    axes, from the commanded to the true attitude, at the computer's last sample.
+    """
+
+    start_q_BI: Annotated[Array, (4,)]
+    error_rad: Annotated[Array, (3,)]
+
+
+@kernel
+def largest_error(error_rad: Array) -> tuple[float, float]:
+    """Of roll, and of pitch and yaw, deg."""
+    return math.degrees(abs(error_rad[0])), math.degrees(max(abs(error_rad[1]), abs(error_rad[2])))
+
+
 @routine
 def gather(
     extremes: Extremes, waves: Waves, stage: int, vehicle: Vehicle, earth: Earth, held: Held,
-    computer: ComputerState, now_ns: int, step_s: float, props: Array, y: Array, aux: Array,
+    computer: ComputerState, truth: Truth, now_ns: int, step_s: float, props: Array, y: Array, aux: Array,
 ) -> None:  # fmt: skip  # eight more lines otherwise
     """Update all metrics at the start of a step of `step_s`."""
     turning = earth.rate_radps
@@ -118,10 +139,12 @@ def gather(
         aux[SPECIFIC_FORCE + 1] * aux[SPECIFIC_FORCE + 1] + aux[SPECIFIC_FORCE + 2] * aux[SPECIFIC_FORCE + 2]
     )
     raise_to(extremes, METRIC.max_lateral_load_g, lateral_mps2 / STANDARD_GRAVITY_MPS2, now_ns)
-    attitude = computer.attitude
-    error = max(abs(whole_error(attitude, 1)), abs(whole_error(attitude, 2)))
-    raise_to(extremes, METRIC.max_attitude_error_deg, math.degrees(error), now_ns)
-    raise_to(extremes, METRIC.max_roll_error_deg, math.degrees(abs(whole_error(attitude, 0))), now_ns)
+    roll_deg, lateral_deg = largest_error(truth.error_rad)
+    raise_to(extremes, METRIC.max_attitude_error_deg, lateral_deg, now_ns)
+    raise_to(extremes, METRIC.max_roll_error_deg, roll_deg, now_ns)
+    roll_deg, lateral_deg = largest_error(computer.attitude.error_rad)
+    raise_to(extremes, METRIC.max_computer_attitude_error_deg, lateral_deg, now_ns)
+    raise_to(extremes, METRIC.max_computer_roll_error_deg, roll_deg, now_ns)
     gimbal = max(abs(aux[ENGINE_PITCH]), abs(aux[ENGINE_YAW]))
     raise_to(extremes, METRIC.max_gimbal_deg, math.degrees(gimbal), now_ns)
     gimbal_rate = max(abs(aux[ENGINE_PITCH + 1]), abs(aux[ENGINE_YAW + 1]))

@@ -10,7 +10,7 @@ from maxq.control.kernel.limits import MAX_ENGINES, MAX_STAGES
 from maxq.control.kernel.records import Array, IntArray
 from maxq.sim.flight.faults import FaultMemory, Faults
 from maxq.sim.flight.injection import Injections
-from maxq.sim.flight.metrics import Extremes, Waves
+from maxq.sim.flight.metrics import Extremes, Truth, Waves
 from maxq.sim.vehicle.derivative import Held, StageInputs, Vehicle
 from maxq.sim.vehicle.environment import Environment
 from maxq.sim.vehicle.loads import Loads, SectionLoads
@@ -94,6 +94,7 @@ class Memory:
     inputs: StageInputs
     faults: FaultMemory
     computer: ComputerState
+    truth: Truth
     gusts: TurbulenceState
     history: GustHistory
     extremes: Extremes

@@ -13,7 +13,7 @@ from maxq.control.computer import ControlRow, GuidanceRow, control_row, guidance
 from maxq.control.external import MonitorRow, monitor_row
 from maxq.control.kernel.jit import kernel, routine
 from maxq.control.kernel.records import Array
-from maxq.control.kernel.rows import DEG, NorthEastDown, Quaternion, Xyz, put, xyz
+from maxq.control.kernel.rows import DEG, NorthEastDown, Quaternion, RollPitchYaw, Xyz, degrees, put, xyz
 from maxq.control.kernel.vectors import rotate, rotation_from_quaternion
 from maxq.sim.flight.channels import ChannelTable, Topic, declared_channels, declared_topics
 from maxq.sim.flight.metrics import STANDARD_GRAVITY_MPS2
@@ -129,6 +129,9 @@ class MotionRow(NamedTuple):
     yaw_deg: Annotated[float, "deg", "Euler angle 3-2-1 of B relative to local NED: yaw"]
     pitch_deg: Annotated[float, "deg", "Euler angle 3-2-1 of B relative to local NED: pitch"]
     roll_deg: Annotated[float, "deg", "Euler angle 3-2-1 of B relative to local NED: roll"]
+    attitude_error_axis_deg: Annotated[
+        RollPitchYaw, "deg", "from the commanded to the true attitude at the last sample, rotation vector in B"
+    ]
 
 
 @kernel
@@ -162,6 +165,7 @@ def motion_row(p: Parameters, memory: Memory, y: Array) -> MotionRow:
         yaw_deg=DEG * math.atan2(forward[1], forward[0]),
         pitch_deg=DEG * math.atan2(-forward[2], math.sqrt(forward[0] ** 2 + forward[1] ** 2)),
         roll_deg=DEG * math.atan2(right[2], under[2]),
+        attitude_error_axis_deg=degrees(memory.truth.error_rad),
     )
 
 

@@ -201,6 +201,9 @@ class Guidance(Section):
         "commanded rates over the vehicle clock (default: zero)"
     )
     method: Literal["linear", "pchip", "step"] = optional("between the rows", "linear")
+    axes: Literal["body", "unrolled"] = optional(
+        "of pitch and yaw: those of the body, or axes that do not take part in the commanded roll", "body"
+    )
 
 
 class HoldDown(Section):
@@ -336,6 +339,10 @@ class Scenario(Section):
                     key=("design", "filter", "structure"),
                     value=self.design.filter.structure,
                 )
+        if self.guidance.axes == "unrolled" and (computer is None or computer.attitude != "quaternion"):
+            raise refuse(
+                "needs an attitude that can roll", "vehicle.computer.attitude = 'quaternion'", ("guidance", "axes")
+            )
         for n, injection in enumerate(self.injection):
             key = ("injection", n, "at")
             if injection.at == "gimbal_command" and not any(stage.engine for stage in self.vehicle.stage):

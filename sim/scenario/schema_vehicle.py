@@ -8,6 +8,7 @@ import numpy as np
 from pydantic import Discriminator, Field, Tag, model_validator
 
 from maxq.control.kernel.limits import MAX_ENGINES, MAX_MODES, MAX_PENDULUMS, MAX_STAGES
+from maxq.control.structures import Attitude
 from maxq.sim.scenario.errors import refuse
 from maxq.sim.scenario.flight_code import Address, LibraryFile, PythonClass, Settings
 from maxq.sim.scenario.modes import (
@@ -164,7 +165,12 @@ class Computer(Section):
     delay_s: Seconds = Field(description="from sample to output, s, whole ns, at most sample_s")
     count_rad: NotNegative = Field(description="angle per pulse of the V/F converter, rad; 0: no quantisation")
     dac_step_deg: NotNegative = optional("step of the output, deg; 0: no quantisation", 0.0)
-    angle_error_limit_deg: Positive = Field(description="clamp of the attitude error (anti-windup), deg")
+    attitude: Attitude = optional(
+        "of the attitude error. quaternion: strapdown, the error is a rotation vector in body axes; rate-integral: "
+        "integral of each body rate by itself (paper, eq. 33), for vehicles that turn about one axis",
+        "quaternion",
+    )
+    angle_error_limit_deg: Positive = Field(description="clamp of the attitude error for the law, deg")
     command_limit_deg: Positive = Field(description="clamp of the gimbal command, deg")
     law: Literal["design", "external"] = optional(
         "external: flight code from outside in place of the design's", "design"

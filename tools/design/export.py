@@ -14,6 +14,7 @@ from typing import Any, Literal, get_args
 
 import numpy as np
 
+from maxq.control.attitude import QUATERNION
 from maxq.control.external import HEADER
 from maxq.control.kernel.tables import table_in
 from maxq.control.structures import MAX_SECTIONS
@@ -127,6 +128,11 @@ def _declared(packed: Packed, said: str) -> Iterator[str]:
         ("SAMPLE_NS", int(computer.sample_ns), "period of the samples"),
         ("SAMPLE_S", int(computer.sample_ns) / 1.0e9, ""),
         ("COUNT_RAD", float(computer.converter.count_rad), "angle per gyro pulse; 0: angles are given"),
+        (
+            "RATE_INTEGRAL",
+            int(int(computer.attitude) != QUATERNION),
+            "1: the error is the angle less the commanded angle",
+        ),
         ("ANGLE_ERROR_LIMIT_RAD", float(computer.angle_error_limit_rad), "of the attitude error"),
         ("COMMAND_LIMIT_RAD", float(computer.command_limit_rad), "of the gimbal command"),
         ("DAC_STEP_RAD", float(computer.dac_step_rad), "of the output converter; 0: none"),
@@ -226,6 +232,7 @@ def _samples(loaded: LoadedScenario) -> dict[str, np.ndarray]:
             ("counts", state.converter.counts.tolist()),
             ("delta_angle_rad", state.converter.increment_rad.tolist()),
             ("commanded_angle_rad", state.guidance.angle_rad.tolist()),
+            ("attitude_error_rad", state.attitude.error_rad.tolist()),
             ("requested_rad", state.requested_rad.tolist()),
             ("command_rad", state.command_rad.tolist()),
             ("roll_thruster", int(state.roll.demand)),

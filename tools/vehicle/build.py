@@ -424,7 +424,8 @@ def _vehicle(built: Built, tables: Tables) -> dict[str, Any]:
         "stage": [_stage(built, n, tables) for n in range(len(built.stacks))],
         "computer": {
             "sample_s": control.sample_s, "delay_s": control.delay_s, "count_rad": 1e-5, "dac_step_deg": 0.001,
-            "angle_error_limit_deg": 20.0, "command_limit_deg": min(s.engine.angle_limit_deg for s in layout.stage),
+            "attitude": "quaternion", "angle_error_limit_deg": 20.0,
+            "command_limit_deg": min(s.engine.angle_limit_deg for s in layout.stage),
         },
     }  # fmt: skip  # five more lines otherwise
 
