@@ -7,6 +7,7 @@ import pytest
 
 from maxq.sim.packing.flight import pack_flight
 from maxq.sim.run.fly import fly, logged_channels
+from maxq.sim.scenario.errors import ScenarioError
 from maxq.sim.scenario.loader import load_scenario
 
 NINE = "tests/data/nine-engines/flight.toml"
@@ -39,3 +40,41 @@ def test_each_engine_shows_its_own_thrust_and_each_group_its_angle() -> None:
     slow = np.interp(flight.time_s("thrust_N"), t, total)
     np.testing.assert_allclose(flight["thrust_N"][-50:], slow[-50:], rtol=1e-5)
     np.testing.assert_array_equal(flight["gimbal_group_1_pitch_angle_deg"], flight["gimbal_pitch_angle_deg"])
+
+
+def test_each_engine_on_a_load_of_its_own_has_channels() -> None:
+    load = "vehicle.stage.0.tvc_load={frequency_hz=12.0,damping_ratio=0.03}"
+    assert {"actuator_pitch_angle_deg", "hinge_yaw_moment_Nm"} <= set(channels(load))
+    several = set(channels(load, GROUPED[0]))
+    assert {"swing_load_2_yaw_angle_deg", "actuator_load_1_pitch_angle_deg", "hinge_load_2_pitch_moment_Nm"} <= several
+
+
+@pytest.mark.parametrize(
+    ("section", "entries", "said"),
+    [
+        ("actuator", "[{group=''},{group=''}]", "has an entry already"),
+        ("actuator", "[{group=''}]", "no entry for group 'middle'"),
+        (
+            "actuator",
+            "[{group='middle'},{group='outer'}]",
+            "no gimballed engine is of this group; allowed: '', 'middle'",
+        ),
+        ("actuator", "{group='middle'}", "one table moves all groups"),
+        ("tvc_load", "[{group='outer'}]", "no gimballed engine is of this group"),
+        ("tvc_load", "[{group='middle'},{group='middle'}]", "has an entry already"),
+    ],
+)
+def test_lists_by_group_are_refused_by_their_place(section: str, entries: str, said: str) -> None:
+    axis = "omega_hz=[5.8,7.2,52.6,15.6],zeta=[0.87,0.49,0.15,0.042],angle_limit_deg=4.0,rate_limit_degps=25.0"
+    given = {"actuator": axis, "tvc_load": "frequency_hz=12.0,damping_ratio=0.03"}[section]
+    with pytest.raises(ScenarioError) as caught:
+        load_scenario(NINE, [GROUPED[0], f"vehicle.stage.0.{section}={entries.replace('}', f',{given}}}')}"])
+    assert said in str(caught.value)
+    assert f"stage.0.{section}" in str(caught.value)
+
+
+def test_an_engine_without_inertia_does_not_swing() -> None:
+    load = "vehicle.stage.0.tvc_load={frequency_hz=12.0,damping_ratio=0.03}"
+    light = [f"vehicle.stage.0.engine.3.{key}=0.0" for key in ("gimballed_mass_kg", "inertia_about_gimbal_kgm2")]
+    with pytest.raises(ScenarioError, match=r"engine\.3\.inertia_about_gimbal_kgm2"):
+        load_scenario(NINE, [load, *light])

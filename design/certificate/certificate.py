@@ -7,7 +7,7 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 from maxq.design import api
-from maxq.design.certificate.excitation import Band
+from maxq.design.certificate.excitation import Band, below
 from maxq.design.certificate.held_flight import Change, hold
 from maxq.design.certificate.measured_margins import (
     DRIFT_HZ,
@@ -152,6 +152,7 @@ def certify_node(
         raise ValueError(f"{loaded.label}: there is no design to certify")
     held = hold(loaded, node, fault)
     loop, flown = api.loops([held.node, node], loaded.design)
+    bands = below(bands, loop.fixed.highest_hz)
     pade = api.loops([held.node, node], loaded.design, kind="pade")
     of_held, of_flown, of_pade = margins(loop), margins(flown), margins(pade[1])
     drifts = drift(held, loop, of_held)

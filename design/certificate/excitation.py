@@ -11,6 +11,7 @@ that gimbal command, servo rate and incidence stay at a stated share of where th
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from dataclasses import dataclass
 from typing import Any
@@ -82,6 +83,12 @@ def band(
     wanted = np.geomspace(low_hz, high_hz, lines)
     even = 2.0 * np.unique(np.round(wanted * period_s / 2.0))
     return Band(even / period_s, period_s, settle_s, periods, dithered)
+
+
+def below(bands: tuple[Band, ...], highest_hz: float) -> tuple[Band, ...]:
+    """With the lines that a computer of this sample rate can send."""
+    kept = (dataclasses.replace(band, lines_hz=band.lines_hz[band.lines_hz < 0.995 * highest_hz]) for band in bands)
+    return tuple(band for band in kept if len(band.lines_hz))
 
 
 @dataclass(frozen=True)

@@ -237,7 +237,7 @@ def limits() -> list[str]:
 
 def errata() -> list[str]:
     """The largest change that each erratum makes over the nodes."""
-    found = effects(api.nodes("nominal"), api.load_design("designs/ksr3-default"))
+    found = effects(api.nodes("nominal", range(5, 60, 5)), api.load_design("designs/ksr3-default"))
     rows = []
     for name in dict.fromkeys(e.erratum for e in found):
         mine = [e for e in found if e.erratum == name]
@@ -275,7 +275,9 @@ def robust() -> list[str]:
 
 def tvc_load() -> list[str]:
     """Worst over all nodes on the sampled loop, the engine following its actuators and on a compliance."""
-    plants = {name: api.nodes(load_scenario("nominal", set_to)) for name, set_to in ON_COMPLIANCE.items()}
+    plants = {
+        name: api.nodes(load_scenario("nominal", set_to), range(5, 60, 5)) for name, set_to in ON_COMPLIANCE.items()
+    }
     rows = []
     for name in DESIGNS:
         design = api.load_design(f"designs/{name}")
