@@ -14,6 +14,7 @@ from scipy import integrate, stats
 from maxq.sim.campaign import statistics as s
 from maxq.sim.campaign.draws import box, chosen, correlated, quantile
 from maxq.sim.campaign.schema import Disperse
+from maxq.sim.campaign.tails import fit_pareto, tail_of
 
 Judge = Callable[[int, int, int | None], s.Shown]
 User = Callable[[np.ndarray, int | None, Judge], bool]
@@ -178,6 +179,40 @@ def test_the_confidence_sequence_covers_at_all_times_together() -> None:
         assert all(a <= f[n - 1] / n <= b for (a, b), n in zip(bounds, looks, strict=True))
         low, high = low + any(a > P for a, _ in bounds), high + any(b < P for _, b in bounds)
     assert max(low, high) / 400 <= RISK + 2.6 * math.sqrt(RISK * (1.0 - RISK) / 400)
+
+
+@pytest.mark.parametrize("shape", [-0.4, -0.1, 0.0, 0.3])
+def test_pareto_fits_are_scipys(shape: float) -> None:
+    y = np.sort(stats.genpareto.rvs(shape, scale=2.0, size=200, random_state=5))
+    found, scale = (float(part[0]) for part in fit_pareto(y[None]))
+    theirs, _, their_scale = stats.genpareto.fit(y, floc=0)
+    ours = stats.genpareto.logpdf(y, found, 0, scale).sum()
+    assert ours >= stats.genpareto.logpdf(y, theirs, 0, their_scale).sum() - 1e-4
+    assert (found, scale) == pytest.approx((theirs, their_scale), rel=2e-3, abs=2e-3)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("law", [stats.norm, stats.expon, stats.gumbel_r])
+def test_tails_cover_what_lies_beyond_the_runs(law: stats.rv_continuous) -> None:
+    """The quantile of 99.73 % and a probability of 1e-4, from 1,000 runs; a bound at 90 % covers in most cases."""
+    limit, quantile = float(law.isf(1e-4)), float(law.ppf(0.9973))
+    tails = [tail_of(law.rvs(size=1000, random_state=k), limit, 0.9973, 0.9) for k in range(25)]
+    assert sum(t.quantile_bound >= quantile for t in tails) >= 18  # 18 of 25 or fewer at 90 %: 0.9 %
+    assert sum(t.beyond_bound >= 1e-4 for t in tails) >= 18
+    assert np.median([t.quantile for t in tails]) == pytest.approx(quantile, rel=0.06)
+    assert 0.2 < np.mean([t.fit for t in tails]) < 0.85
+    mirrored = tail_of(-law.rvs(size=1000, random_state=0), -limit, 0.9973, 0.9, largest=False)
+    assert mirrored.quantile_bound == -tails[0].quantile_bound
+    assert mirrored.beyond_bound == tails[0].beyond_bound
+
+
+def test_tails_say_why_there_is_no_fit_and_when_it_is_poor() -> None:
+    rng = np.random.default_rng(6)
+    assert tail_of(rng.normal(size=100), 3.0, 0.99, 0.9).problem == "100 runs; 120 are needed"
+    assert "are equal, at 6" in tail_of(np.minimum(rng.normal(5.0, 1.0, 1000), 6.0), 6.3, 0.9973, 0.9).problem
+    assert tail_of(rng.normal(size=200), 3.0, 0.5, 0.9).problem == "50 % lies within what was flown"
+    steps = np.round(rng.exponential(1.0, 1000)) + 0.02 * rng.random(1000)  # comes in lumps, as no such tail does
+    assert tail_of(steps, 20.0, 0.9973, 0.9).fit < 0.05
 
 
 CASES = [

@@ -13,6 +13,8 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from maxq.sim.campaign import analysis
 from maxq.sim.campaign.analysis import Band, DataSet, Judged, Lost, failed_runs
 from maxq.sim.campaign.error import CampaignError
@@ -21,10 +23,12 @@ from maxq.sim.campaign.read import LoadedCampaign, channel_units
 from maxq.sim.campaign.runner import Progress
 from maxq.sim.campaign.statistics import ANY_TIME, MET, NOT_MET
 from maxq.sim.campaign.store import read_manifest, write_json
+from maxq.sim.campaign.tails import Tail, tail_of
 from maxq.sim.files import write_whole
 from maxq.tools.cli import terminal
 from maxq.tools.cli.terminal import aligned, figures, printable
 
+TAIL_NOTE = "quantile: that the required share does not exceed; fit: share of samples that fit worse, 0.05 is poor"
 _DRIVEN = 6  # requirements whose drivers are shown: those nearest to their limits
 _NAMED = 8  # drivers in the summary of each
 
@@ -130,7 +134,43 @@ def replay(folder: Path, run: int | str) -> str:
     return f"simrun --from {shlex.quote(str(folder))} --run {run}"
 
 
-def report(data: DataSet, verdicts: Sequence[Judged], losses: Sequence[Lost]) -> list[str]:
+Tails = Sequence[tuple[Judged, Tail]]
+TAIL_HEADS = (
+    "tail",
+    "limit",
+    "threshold",
+    "runs beyond",
+    "shape",
+    "quantile",
+    "bound",
+    "P(limit missed)",
+    "bound",
+    "fit",
+)
+
+
+def tails_of(data: DataSet, verdicts: Sequence[Judged]) -> Tails:
+    """Peaks over threshold of the requirements nearest to their limits, or that miss them most."""
+    campaign = data.campaign.campaign
+
+    def tail(v: Judged) -> Tail:
+        values = np.where(data.void, np.nan, data.numbers(v.metric))
+        return tail_of(values, v.bound, campaign.success, campaign.confidence, v.kind == "limit")
+
+    return [(v, tail(v)) for v in _pressing(verdicts)]
+
+
+def tail_cells(v: Judged, tail: Tail) -> tuple[str, ...]:
+    """A tail as a line of the table under TAIL_HEADS."""
+    head = (printable(v.name), f"{'<=' if v.kind == 'limit' else '>='} {v.bound:g}")
+    if tail.problem:
+        return (*head, f"no fit: {tail.problem}", *[""] * 7)
+    numbers = (tail.shape, tail.quantile, tail.quantile_bound, tail.beyond, tail.beyond_bound)
+    rest = (value_text(value, 3 if n > 2 or n == 0 else 4) for n, value in enumerate(numbers))
+    return (*head, f"{tail.threshold:.4g}", str(len(tail.excesses)), *rest, f"{tail.fit:.2f}")
+
+
+def report(data: DataSet, verdicts: Sequence[Judged], losses: Sequence[Lost], tails: Tails = ()) -> list[str]:
     """All that is printed about a campaign's results, but the last line."""
     scenario = data.campaign.base.scenario
     title = printable(f"{scenario.name}: {scenario.description}" if scenario.description else scenario.name)
@@ -146,6 +186,9 @@ def report(data: DataSet, verdicts: Sequence[Judged], losses: Sequence[Lost]) ->
         *table,
         f"  {tested(data, verdicts)}",
     ]
+    if any(not tail.problem for _, tail in tails):
+        shown = aligned([TAIL_HEADS, *(tail_cells(v, tail) for v, tail in tails)], "  ", right=range(2, 10))
+        lines += ["", f"estimates by peaks over threshold, beside the verdicts ({TAIL_NOTE})", *shown]
     rows = [(f"run {run.run}", run.outcome, printable(run.cause)[:90]) for run in losses[:5]]
     for v in verdicts:
         if v.metric and v.shown.failures and v.worst:
@@ -164,6 +207,7 @@ def write_report(
     verdicts: Sequence[Judged],
     losses: Sequence[Lost],
     total: int,
+    tails: Tails = (),
     *,
     settled: bool = False,
     pictures: bool = True,
@@ -179,6 +223,7 @@ def write_report(
     summary = analysis.summary_of(data, verdicts, losses, total, {
         "sequential": settled,
         "drivers": {v.name: ds[:_NAMED] for v, ds in found},
+        "tails": {v.name: {k: x for k, x in vars(tail).items() if not isinstance(x, tuple)} for v, tail in tails},
         "envelopes": [_numbers(band) for band in over_time],
     })  # fmt: skip  # six more lines otherwise
     files = [data.folder / "summary.json"]
@@ -193,6 +238,7 @@ def write_report(
     of = data.campaign.base.vehicle.name + (f", design {design.name}" if design is not None else "")
     drawn = {
         "histograms": plots.histograms(data, verdicts, of),
+        "tails": plots.tails([(v, tail) for v, tail in tails if not tail.problem], of),
         "envelopes": plots.envelopes(over_time, channel_units(data.campaign.base), verdicts, of),
         "drivers": plots.tornado(found, labels, of),
         "scatter": plots.scatter(sample, found[:4], inputs, labels, of),
@@ -203,7 +249,8 @@ def write_report(
     judgements = {v.shown.judgement for v in verdicts}
     page = render(
         "campaign.html.j2", data=data, verdicts=verdicts, losses=losses, found=found, pictures=made, settled=settled,
-        labels=labels, distribution=distribution, heads=heads(data), cells=cells, replay=replay,
+        labels=labels, distribution=distribution, tails=tails, tail_heads=TAIL_HEADS, tail_cells=tail_cells,
+        tail_note=TAIL_NOTE, heads=heads(data), cells=cells, replay=replay,
         simulator=read_manifest(data.folder)["simulator"],
         headline=headline(data, verdicts), of=of, date=datetime.date.today().isoformat(),
         tested=tested(data, verdicts), redraws=analysis.redraws(data),

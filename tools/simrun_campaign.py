@@ -118,8 +118,9 @@ def _fly(order: Order, stop: Stop) -> int:
 def _tell(data: DataSet, total: int, flown: str, order: Order, start_s: float, settled: bool) -> int:
     """Summary, pictures and report into the folder, the results to the terminal; returns the exit code."""
     verdicts, losses = judged(data), lost(data)
-    files = text.write_report(data, verdicts, losses, total, settled=settled, pictures=not order.no_report)
-    tell(*text.report(data, verdicts, losses))
+    tails = text.tails_of(data, verdicts)
+    files = text.write_report(data, verdicts, losses, total, tails, settled=settled, pictures=not order.no_report)
+    tell(*text.report(data, verdicts, losses, tails))
     tell(f"\n{flown}; {text.duration(time.perf_counter() - start_s)} in all", *files)
     if settled:
         tell("\nstopped early: every verdict was settled")

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from maxq.control.kernel.records import Array
 from maxq.sim.campaign.analysis import Band, DataSet, Driver, Judged
 from maxq.sim.run.metrics import title_of
+from maxq.sim.campaign.tails import Tail
 from maxq.tools.plots.palette import BLACK, BLUE, GREY, LIMIT
 from maxq.tools.plots.style import drawing, label, png, sheet
 
@@ -64,6 +65,22 @@ def _named(name: str, unit: str) -> str:
     if plain == name:
         plain = (name if unit == "1" else name.rpartition("_")[0]).replace("_", " ")
     return plain if unit == "1" else f"{plain}, {unit}"
+
+
+def tails(found: Sequence[tuple[Judged, Tail]], of: str = "") -> bytes | None:
+    """Quantiles of each tail against those of the distribution fitted to it; on the line the fit is exact."""
+
+    def draw(axes: Axes, item: tuple[Judged, Tail]) -> None:
+        v, tail = item
+        axes.plot(tail.expected, tail.excesses, ".", color=BLUE, markersize=4)
+        ends = [min(*tail.expected, *tail.excesses), max(*tail.expected, *tail.excesses)]
+        axes.plot(ends, ends, color=GREY, linewidth=0.8)
+        if ends[0] <= v.bound <= ends[1]:
+            axes.axhline(v.bound, color=LIMIT, linewidth=1.0)
+        title = f"{v.name}: shape {tail.shape:+.2f}, fit {tail.fit:.2f}"
+        label(axes, f"fitted: {_named(v.metric, v.unit)}", "flown", title)
+
+    return _panels(found, draw, 2.6, f"Tails against the distribution fitted to them; {of}")
 
 
 def histograms(data: DataSet, verdicts: Sequence[Judged], of: str = "") -> bytes | None:
