@@ -7,6 +7,8 @@ import json
 import math
 import re
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -283,6 +285,13 @@ def test_one_comparison_for_designs_and_verdicts() -> None:
     assert room_left(29.0, 30.0, ">=", "deg") == pytest.approx(-1.0 / 30.0)
 
 
+NODE: Any = SimpleNamespace(
+    vehicle=SimpleNamespace(
+        modes=SimpleNamespace(omega_radps=np.ones(3)), pendulums=SimpleNamespace(mass_kg=np.ones(2))
+    )
+)
+
+
 def test_every_reason_has_limit_value_vehicle_and_command() -> None:
     """Of random vehicles the worst is named, with the command that measures it alone."""
     wanted = LinearMargins(cases=60, dispersed=MarginLimits(phase_deg=15.0))
@@ -299,9 +308,9 @@ def test_every_reason_has_limit_value_vehicle_and_command() -> None:
     only = dataclasses.replace(study, random=(vehicles[59],))
     alone = margin_requirements(only, wanted.model_copy(update={"only": "vehicle 60"}))
     assert [(r.found, r.judgement) for r in alone] == [("stable", ACCEPTED), ("14.10 deg", REJECTED)]
-    corners, drawn = vehicles_of(wanted.model_copy(update={"only": "vehicle 812"}), 3)
+    corners, drawn = vehicles_of(wanted.model_copy(update={"only": "vehicle 812"}), NODE)
     assert ([d.dispersion.label for d in drawn], corners) == (["vehicle 812"], [])
-    assert drawn[0] == vehicles_of(LinearMargins(cases=812), 3)[1][811]
+    assert drawn[0] == vehicles_of(LinearMargins(cases=812), NODE)[1][811]
 
 
 def test_verdict_of_all_is_that_of_the_worst() -> None:

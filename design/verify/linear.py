@@ -17,6 +17,7 @@ import math
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -61,6 +62,8 @@ _FACTORS = (
 )  # fmt: skip  # nine more lines otherwise
 
 
+Draw = Callable[[str, int], float]
+"""A deviation in units of three sigma, of a key of `Spread` and of a mode's or tank's number, -1 where there is one."""
 Measured = dict[str, float]
 """Margins of a loop by the names of `MEASURES`; empty where it is unstable, infinite where nothing limits them."""
 
@@ -116,8 +119,9 @@ def measured(loop: Loop, slosh_peak_db: float) -> Measured:
     return {name: float(v) for name, v in zip(MEASURES, values, strict=True)}
 
 
-def vehicles(wanted: LinearMargins, modes: int) -> tuple[list[Deviated], list[Deviated]]:
-    """Corners, where thrust goes with the last factor, and random vehicles; each of so many modes deviates.
+def vehicles(wanted: LinearMargins, node: Node) -> tuple[list[Deviated], list[Deviated]]:
+    """Corners, where thrust goes with the last factor and all modes and tanks together, and random vehicles, of which
+    each mode and tank deviates by itself. `node`: of their stage.
 
     Where `wanted.only` names one, this alone, whatever the number of random vehicles.
     """
@@ -127,44 +131,56 @@ def vehicles(wanted: LinearMargins, modes: int) -> tuple[list[Deviated], list[De
         for n, row in enumerate(np.array([*rows, *[-np.asarray(r) for r in rows]], float)):
             signs = dict(zip(_FACTORS, (row * (wanted.corner_sigmas / 3.0)).tolist(), strict=True))
             signs["thrust"] = signs[_FACTORS[-1]]
-            corners.append(_vehicle(wanted.three_sigma, modes, signs.__getitem__, f"corner {n + 1}"))
+            corners.append(vehicle_of(wanted.three_sigma, node, _together(signs), f"corner {n + 1}"))
     found = VEHICLE_LABEL.fullmatch(wanted.only)
     numbers = range(0 if wanted.only else wanted.cases)
     if found is not None and found[1] == "vehicle":
         numbers = range(int(found[2]) - 1, int(found[2]))
-    drawn = [_vehicle(wanted.three_sigma, modes, _normal(wanted.seed, n), f"vehicle {n + 1}") for n in numbers]
+    drawn = [vehicle_of(wanted.three_sigma, node, _normal(wanted.seed, n), f"vehicle {n + 1}") for n in numbers]
     return [c for c in corners if wanted.only in ("", c.dispersion.label)], drawn
 
 
-def _normal(seed: int, number: int) -> Callable[[str], float]:
+def _together(signs: dict[str, float]) -> Draw:
+    return lambda name, element: signs[name]
+
+
+def _normal(seed: int, number: int) -> Draw:
     """Normal deviates in units of three sigma, in the order in which they are asked for."""
     generator = np.random.default_rng([seed, number])
-    return lambda name: float(generator.normal() / 3.0)
+    return lambda name, element: float(generator.normal() / 3.0)
 
 
-def _vehicle(spread: Spread, modes: int, draw: Callable[[str], float], label: str) -> Deviated:
-    """Deviations; `draw` gives each in units of three sigma."""
+def vehicle_of(spread: Spread, node: Node, draw: Draw, label: str) -> Deviated:
+    """Deviations of a vehicle with the modes and tanks of `node`."""
 
-    def factor(name: str, three_sigma: float) -> float:
-        return max(1.0 + three_sigma * draw(name), 0.05)
+    def factor(name: str, three_sigma: float, element: int = -1) -> float:
+        return max(1.0 + three_sigma * draw(name, element), 0.05)
 
-    frequencies = tuple(factor("bending_frequency", size) for size in for_each(spread.bending_frequency, modes))
-    scaled = {
+    def each(name: str, count: int) -> tuple[float, ...]:
+        given = getattr(spread, name)
+        sizes = for_each(given if isinstance(given, tuple) else (given,), count)
+        return tuple(factor(name, size, n) for n, size in enumerate(sizes))
+
+    modes, tanks = len(node.vehicle.modes.omega_radps), len(node.vehicle.pendulums.mass_kg)
+    of_modes = ("bending_frequency", "bending_slope", "bending_damping")
+    of_tanks = ("slosh_frequency", "slosh_mass", "slosh_damping")
+    several: dict[str, Any] = {name: each(name, modes) for name in of_modes} | {
+        name: each(name, tanks) for name in of_tanks
+    }
+    single = {
         name: factor(name, getattr(spread, name))
-        for name in (
-            "bending_slope", "bending_damping", "slosh_frequency", "slosh_mass", "slosh_damping", "actuator_frequency",
-            "thrust", "normal_force",
-        )
-    }  # fmt: skip  # six more lines otherwise
-    shift_m = spread.centre_of_pressure_m * draw("centre_of_pressure_m")
-    by = Dispersion(
-        **scaled,
-        bending_frequency=frequencies,
-        centre_of_pressure_m=shift_m,
-        inertia=factor("inertia", spread.inertia),
-        label=label,
-    )
-    return Deviated(by, spread.delay_s * draw("delay_s"))
+        for name in ("actuator_frequency", "thrust", "normal_force", "inertia")
+    }
+    shift_m = spread.centre_of_pressure_m * draw("centre_of_pressure_m", -1)
+    by = Dispersion(**several, **single, centre_of_pressure_m=shift_m, label=label)
+    return Deviated(by, spread.delay_s * draw("delay_s", -1))
+
+
+def dispersed_node(node: Node, by: Deviated) -> Node:
+    """The node of a deviated vehicle."""
+    weak = disperse(node, by.dispersion)
+    delay_s = weak.instruments.delay_s + max(by.delay_s, -node.instruments.delay_s)
+    return replace(weak, instruments=replace(weak.instruments, delay_s=delay_s))
 
 
 def study(
@@ -177,7 +193,7 @@ def study(
     stage: str = "",
 ) -> MarginStudy:
     """Margins at all nodes of one plane and stage, of the vehicle as it is, at the corners and of random ones."""
-    corners, drawn = vehicles(wanted, len(nodes[0].vehicle.modes.omega_radps))
+    corners, drawn = vehicles(wanted, nodes[0])
     every = [Deviated(), *corners, *drawn]
     done = [0]
 
@@ -188,10 +204,7 @@ def study(
         def work_out() -> list[Measured]:
             out = []
             for by in every:
-                weak = disperse(node, by.dispersion)
-                delay_s = weak.instruments.delay_s + max(by.delay_s, -node.instruments.delay_s)
-                weak = replace(weak, instruments=replace(weak.instruments, delay_s=delay_s))
-                out.append(measured(Loop(fixed_path(weak), law), peak_db))
+                out.append(measured(Loop(fixed_path(dispersed_node(node, by)), law), peak_db))
                 done[0] += 1
                 if done[0] % 50 == 0:
                     watch(done[0], len(every) * len(nodes))

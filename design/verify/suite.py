@@ -96,7 +96,7 @@ def room_left(value: float, bound: float, sense: str, unit: str = "") -> float:
     return max(left, 0.0) if unit and beyond(value, bound, sense, unit) <= 0.0 else left
 
 
-AS_DESIGNED, CERTIFICATE = "as designed", "certificate"
+AS_DESIGNED, CERTIFICATE, WORST = "as designed", "certificate", "worst"
 VEHICLE_LABEL = re.compile(r"(corner|vehicle) ([1-9][0-9]*)")
 Level = Annotated[float, Field(gt=0.0, lt=1.0)]
 Plane = Literal["pitch", "yaw"]
@@ -170,11 +170,11 @@ class Spread(Section):
     """3-sigma deviations, relative unless a unit is named."""
 
     bending_frequency: tuple[Share, ...] = optional("of each mode; the last for all beyond", (0.05, 0.10, 0.15))
-    bending_slope: Share = optional("at the gyro", 0.2)
-    bending_damping: Share = optional("of all modes", 0.5)
-    slosh_frequency: Share = optional("of all tanks", 0.05)
-    slosh_mass: Share = optional("of all tanks", 0.10)
-    slosh_damping: Share = optional("of all tanks", 0.5)
+    bending_slope: Share = optional("of each mode, at the gyro", 0.2)
+    bending_damping: Share = optional("of each mode", 0.5)
+    slosh_frequency: Share = optional("of each tank", 0.05)
+    slosh_mass: Share = optional("of each tank", 0.10)
+    slosh_damping: Share = optional("of each tank", 0.5)
     actuator_frequency: Share = optional("poles of the actuator", 0.15)
     delay_s: NotNegative = optional("either way, s; never below no delay", 0.002)
     thrust: Share = optional("lateral authority", 0.03)
@@ -184,6 +184,18 @@ class Spread(Section):
 
 
 TIMES = "vehicle times, s (default: chosen from the flight, in every stage under full thrust)"
+
+
+class WorstWanted(Section):
+    """A search for the worst vehicle that the dispersions allow, every mode and tank by itself; the worst is flown."""
+
+    sigmas: Positive = optional("reach of the search, in sigma", 3.0)
+    region: Literal["ellipsoid", "box"] = optional(
+        "all deviations together as unlikely as one at so many sigma, or each of them up to so many", "ellipsoid"
+    )
+    starts: Annotated[int, Field(ge=1, le=1000)] = optional("searches at each node", 4)
+    seed: Annotated[int, Field(ge=0, lt=2**63)] = optional("of the starts", 1)
+    modulus: Positive | None = optional("least |1 + L| of the worst vehicle found")
 
 
 class LinearMargins(Section):
@@ -206,6 +218,7 @@ class LinearMargins(Section):
     nominal: MarginLimits = MarginLimits()
     dispersed: MarginLimits = MarginLimits()
     three_sigma: Spread = Spread()
+    worst: WorstWanted | None = optional("absent: not searched")
 
 
 class CertificateWanted(Section):
@@ -291,10 +304,13 @@ class LoadedSuite:
         ScenarioError."""
         suite = self.suite
         flights = tuple(f for f in suite.flight if f.name == label)
-        margins = suite.margins if label == AS_DESIGNED or VEHICLE_LABEL.fullmatch(label) else None
+        known = label in (AS_DESIGNED, WORST) or VEHICLE_LABEL.fullmatch(label) is not None
+        margins = suite.margins if known else None
         certificate = suite.certificate if label == CERTIFICATE else None
         if not flights and margins is None and certificate is None:
-            allowed = ", ".join([*(f.name for f in suite.flight), AS_DESIGNED, "corner N", "vehicle N", CERTIFICATE])
+            allowed = ", ".join(
+                [*(f.name for f in suite.flight), AS_DESIGNED, "corner N", "vehicle N", WORST, CERTIFICATE]
+            )
             raise ScenarioError(self.label, "the suite has no such part", "--only", value=label, allowed=allowed)
         if margins is not None:
             margins = margins.model_copy(update={"only": label})

@@ -10,7 +10,7 @@ import math
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import groupby
 from pathlib import Path
@@ -49,15 +49,19 @@ from maxq.design.verify.suite import (
     CERTIFICATE,
     REJECTED,
     UNDECIDED,
+    WORST,
     CertificateWanted,
     Judgement,
     LinearMargins,
     LoadedSuite,
     Requirement,
     Suite,
+    WorstWanted,
     overall,
 )
+from maxq.design.verify.worst import WorstVehicle, search_plane, worst_requirements
 from maxq.sim.campaign.runner import Progress
+from maxq.sim.campaign.schema import plain_value
 from maxq.sim.run.record import versions
 from maxq.sim.scenario.loader import LoadedScenario, load_scenario
 from maxq.sim.scenario.schema_design import Design
@@ -82,6 +86,7 @@ class Verification:
     campaigns: tuple[CampaignResult, ...] = field(repr=False)
     authority: tuple[Authority, ...] = field(repr=False)
     slosh: tuple[SloshAdvice, ...] = field(repr=False)
+    worst: tuple[WorstVehicle, ...] = field(repr=False)
     hashes: dict[str, str]  # of design, scenario (with its vehicle) and source code
     versions: dict[str, str]
     recalled: int
@@ -157,6 +162,8 @@ def verify(
         flights = fly_suite(loaded, design, vehicle, kept, partial(interruptible, "scenarios"), workers)
     with timed("linear margins"):
         margin, limits, slosh = job.margins(), job.authority(), job.slosh()
+    with timed("worst vehicle"):
+        worst = job.worst()
     with timed("certificate"):
         certificates, through = job.certificates()
     campaigns = []
@@ -176,6 +183,9 @@ def verify(
     if suite.margins is not None:
         for found in margin:
             requirements += margin_requirements(found, suite.margins, again)
+        assert suite.margins.worst is not None or not worst
+        for vehicle_found in worst:
+            requirements += worst_requirements(vehicle_found, suite.margins.worst or WorstWanted(), again(WORST))
     if suite.wind_limit_mps is not None:
         requirements.append(authority_requirement(limits, suite.wind_limit_mps, again(AS_DESIGNED)))
 
@@ -192,7 +202,7 @@ def verify(
     hashes = {"design": design_hash, "scenario": scenario_hash, "code": code_hash()}
     return Verification(
         design, suite, scenario, tuple(requirements), tuple(flights), tuple(margin), tuple(certificates),
-        tuple(through), tuple(campaigns), tuple(limits), tuple(slosh),
+        tuple(through), tuple(campaigns), tuple(limits), tuple(slosh), tuple(worst),
         hashes={name: text[:16] for name, text in hashes.items()}, versions=versions(), recalled=kept.recalled,
         worked_out=kept.worked_out, wall_s=time.perf_counter() - begun, walls_s=walls, cpus_s=cpus,
     )  # fmt: skip  # fourteen more lines otherwise
@@ -237,6 +247,31 @@ class _Job:
                 name = stage_name(self.scenario.vehicle, stage)
                 watch = partial(self.watch, ", ".join(filter(None, ("margins", plane, name))))
                 out.append(study(list(nodes), self.design, wanted, self.memory, watch, self.workers, name))
+        return out
+
+    def worst(self) -> list[WorstVehicle]:
+        """In every plane and stage that has nodes, where the suite asks for it."""
+        wanted, out = self.suite.margins, []
+        if wanted is None or wanted.worst is None or wanted.only not in ("", WORST):
+            return []
+        base = self.scenario.scenario
+        run = base.run.model_copy(update={"stop_at": ("burnout", "impact")})
+        loaded = replace(self.scenario, scenario=base.model_copy(update={"run": run}))
+        for plane in wanted.planes:
+            for stage, nodes in groupby(sorted(self.nodes(plane), key=_stage_of), _stage_of):
+                at, name = list(nodes), stage_name(self.scenario.vehicle, stage)
+                watch = partial(self.watch, ", ".join(filter(None, ("worst vehicle", plane, name))))
+                depends = (
+                    loaded.as_flown,
+                    repr(self.design),
+                    at,
+                    plain_value(wanted.three_sigma),
+                    plain_value(wanted.worst),
+                )
+                search = partial(
+                    search_plane, at, self.design, wanted.three_sigma, wanted.worst, loaded, name, watch, self.workers
+                )
+                out.append(self.memory.recall("worst", depends, search))
         return out
 
     def authority(self) -> list[Authority]:

@@ -180,4 +180,4 @@ def _distance(y: Array, shape: Array, scale: Array) -> Array:
         survival = np.exp(-np.log1p(shape[:, None] * y / scale[:, None]) / shape[:, None])
     survival = np.clip(np.nan_to_num(survival, nan=0.0), 1e-15, 1.0 - 1e-15)
     weights = (2.0 * np.arange(1, k + 1) - 1.0) / k
-    return -k - (weights * (np.log1p(-survival) + np.log(survival[:, ::-1]))).sum(axis=1)
+    return np.asarray(-k - (weights * (np.log1p(-survival) + np.log(survival[:, ::-1]))).sum(axis=1))

@@ -13,8 +13,9 @@ from typing import Any
 from maxq.design.certificate.certificate import NodeCertificate
 from maxq.design.verify.suite import ACCEPTED, REJECTED, SCREENED, UNDECIDED
 from maxq.design.verify.verify import Verification, tank_name
+from maxq.design.verify.worst import WorstVehicle
 from maxq.sim.campaign.statistics import MET
-from maxq.sim.files import write_whole
+from maxq.sim.files import plain_name, write_whole
 from maxq.tools.cli.terminal import aligned, printable
 from maxq.tools.design.report import write_record
 from maxq.tools.pages.render import render
@@ -34,6 +35,9 @@ _LINE = (
 def write_pack(found: Verification, folder: Path, command: str, pack: bool) -> list[Path]:
     """Write verdict.json and, with `pack`, the review as HTML and PDF (where a browser can print). Raises FileError."""
     files = [write_record(folder / VERDICT_NAME, verdict_record(found, command))]
+    for w in found.worst:
+        name = plain_name("-".join(filter(None, ("worst", w.plane, w.stage))), "worst")
+        files.append(write_whole(folder / f"{name}.toml", w.text))
     if pack:
         from maxq.tools.verify.pictures import pictures  # noqa: PLC0415  # lazy: matplotlib comes with it
 
@@ -148,6 +152,7 @@ def verdict_record(found: Verification, command: str) -> dict[str, Any]:
         "flights": [{key: getattr(f, key) for key in _FLIGHT} for f in found.flights],
         "certificate": [_node(c) for c in found.certificates],
         "authority": [vars(a) for a in found.authority],
+        "worst": [_worst(w) for w in found.worst],
         "slosh": [vars(a) | {"in_band": a.in_band} for a in found.slosh],
         "campaigns": [{"name": c.name, "runs": c.runs, "folder": str(c.folder)} for c in found.campaigns],
         "hashes": found.hashes,
@@ -157,6 +162,11 @@ def verdict_record(found: Verification, command: str) -> dict[str, Any]:
         "walls_s": found.walls_s,
         "cpus_s": found.cpus_s,
     }
+
+
+def _worst(w: WorstVehicle) -> dict[str, Any]:
+    sigmas = {name if n < 0 else f"{name}.{n}": value for (name, n), value in w.sigmas.items()}
+    return {key: value for key, value in vars(w).items() if key != "text"} | {"sigmas": sigmas}
 
 
 def _node(c: NodeCertificate) -> dict[str, Any]:

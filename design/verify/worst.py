@@ -1,0 +1,268 @@
+"""The worst vehicle that the dispersions allow: a search, node by node, for the least distance of L from -1.
+
+Every mode, every tank and everything else of `Spread` deviates by itself, within an ellipsoid (together no less likely
+than one deviation alone at so many sigma) or a box (each up to so many). From each start the search goes along the
+gradient, by differences, to where the linearised distance is least in that region, back towards where it came from
+until the distance has fallen, and again (Frank & Wolfe, Nav. Res. Logist. Q. 3, 1956); in a box it ends at the corner
+that no single deviation makes worse. An unstable loop counts as beyond -1 by its distance. A search bounds nothing from
+below: what it says is that no worse vehicle was found in so many searches.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from pydantic_core import PydanticCustomError
+
+from maxq.control.kernel.records import Array
+from maxq.design import api
+from maxq.design.loop.fixed_path import fixed_path
+from maxq.design.loop.loop import Loop
+from maxq.design.margins.measure import margins
+from maxq.design.model.node import Node
+from maxq.design.verify.linear import Deviated, dispersed_node, vehicle_of
+from maxq.design.verify.suite import ACCEPTED, REJECTED, Requirement, Spread, WorstWanted, room_left
+from maxq.sim.campaign.targets import Change, Dispersed, find_target
+from maxq.sim.run.fly import fly
+from maxq.sim.scenario.loader import LoadedScenario
+from maxq.sim.scenario.schema_design import Design
+
+_LOWEST_HZ, _GRID = 0.02, 160
+_AROUND = np.array([-8.0, -4.0, -2.0, -1.2, -0.6, -0.2, 0.2, 0.6, 1.2, 2.0, 4.0, 8.0])  # half widths about a resonance
+_MINIMA = 4  # over frequency that are refined
+_STEP = 0.02  # of the region, in which the gradient is taken
+_ROUNDS = 8
+_SHARES = (1.0, 0.5, 0.25, 0.1)
+
+Place = tuple[str, int]
+"""A deviation of `Spread`, and of which mode or tank, from 0."""
+
+
+@dataclass(frozen=True)
+class WorstVehicle:
+    """The worst one found in a plane of a stage: deviations in sigma by `Place`, and what a flight of it came to.
+
+    `modulus` is its least |1 + L|, 0 where it is unstable; `searches` over all nodes; `text` its scenario (TOML), and
+    `not_flown` what that scenario cannot express.
+    """
+
+    stage: str
+    plane: str
+    time_s: float
+    sigmas: dict[Place, float]
+    modulus: float
+    searches: int
+    loops: int
+    flown: str = ""
+    kept_control: bool = True
+    text: str = ""
+    not_flown: tuple[str, ...] = ()
+
+    @property
+    def label(self) -> str:
+        """The largest deviations, in words."""
+        largest = sorted(self.sigmas.items(), key=lambda item: -abs(item[1]))[:5]
+        words = [
+            f"{name.replace('_', ' ')}{f' {n + 1}' if n >= 0 else ''} {value:+.1f}" for (name, n), value in largest
+        ]
+        return f"{self.time_s:g} s, {self.plane}; sigmas: {', '.join(words)}, ..."
+
+
+def places_of(node: Node) -> list[Place]:
+    """All that deviates at a node; -1: there is one of it."""
+    modes, tanks = len(node.vehicle.modes.omega_radps), len(node.vehicle.pendulums.mass_kg)
+    count = {"bending": modes, "slosh": tanks}
+    return [(key, n) for key in Spread.model_fields for n in range(count.get(key.partition("_")[0], 0)) or (-1,)]
+
+
+def distance(node: Node, design: Design, spread: Spread) -> Callable[[Array], float]:
+    """Of the loop from -1 as a function of deviations (places,) in units of three sigma; below 0: unstable."""
+    places, law = places_of(node), api.law_at(design, node)
+
+    def at(u: Array) -> float:
+        loop = Loop(fixed_path(dispersed_node(node, _deviated(node, spread, places, u))), law)
+        hz = [np.geomspace(_LOWEST_HZ, loop.highest_hz, _GRID)]
+        hz += [r.frequency_hz + max(r.half_width_hz, 1e-3) * _AROUND for r in loop.fixed.resonances()]
+        grid = np.unique(np.clip(np.concatenate(hz), _LOWEST_HZ, loop.highest_hz))
+        near = np.abs(1.0 + loop.response(grid))
+        low = near <= np.minimum(np.append(near[1:], np.inf), np.append(np.inf, near[:-1]))
+        deepest = np.flatnonzero(low)[np.argsort(near[low])[:_MINIMA]]
+        before, after = grid[np.maximum(deepest - 1, 0)], grid[np.minimum(deepest + 1, len(grid) - 1)]
+        least = float(min(near.min(), np.abs(1.0 + loop.response(np.linspace(before, after, 21).ravel())).min()))
+        return least if (loop.closed_poles().real < 0.0).all() else -least
+
+    return at
+
+
+def _deviated(node: Node, spread: Spread, places: Sequence[Place], u: Array) -> Deviated:
+    by = dict(zip(places, u.tolist(), strict=True))
+    return vehicle_of(spread, node, lambda name, n: by[name, n], "worst")
+
+
+def search_node(node: Node, design: Design, spread: Spread, wanted: WorstWanted, seed: int) -> tuple[float, Array, int]:
+    """Least distance found at a node, its deviations in units of three sigma, and the loops that were measured."""
+    reach, count = wanted.sigmas / 3.0, len(places_of(node))
+    measure, loops = distance(node, design, spread), [0]
+    rng = np.random.default_rng([seed, round(1e3 * node.time_s)])
+
+    def score(u: Array) -> float:
+        loops[0] += 1
+        return measure(u)
+
+    def farthest(direction: Array) -> Array:
+        """The point of the region that lies farthest in a direction."""
+        if wanted.region == "box":
+            return reach * np.sign(direction)
+        return np.asarray(reach * direction / max(float(np.linalg.norm(direction)), 1e-300))
+
+    best, worst_u = score(np.zeros(count)), np.zeros(count)
+    for start in range(wanted.starts):
+        u = np.zeros(count) if start == 0 else farthest(rng.normal(size=count)) * rng.uniform(0.3, 1.0)
+        value = score(u)
+        for _ in range(_ROUNDS):
+            steps = np.where(u > 0.0, -_STEP, _STEP) * reach
+            slope = np.array(
+                [(score(u + step * unit) - value) / step for step, unit in zip(steps, np.eye(count), strict=True)]
+            )
+            goal = farthest(-slope)
+            trials = [u + share * (goal - u) for share in _SHARES]
+            values = [score(trial) for trial in trials]
+            k = int(np.argmin(values))
+            if values[k] > value - 1e-4:
+                break
+            u, value = trials[k], values[k]
+        if wanted.region == "box":
+            u, value = _corner(u, score, reach, rng)
+        if value < best:
+            best, worst_u = value, u
+    return best, worst_u, loops[0]
+
+
+def _corner(u: Array, score: Callable[[Array], float], reach: float, rng: np.random.Generator) -> tuple[Array, float]:
+    """The corner of the box near u that no single deviation at either end makes worse."""
+    u = reach * np.where(u >= 0.0, 1.0, -1.0)
+    value, improved = score(u), True
+    while improved:
+        improved = False
+        for k in rng.permutation(len(u)):
+            trial = u.copy()
+            trial[k] = -u[k]
+            found = score(trial)
+            if found < value - 1e-6:
+                u, value, improved = trial, found, True
+    return u, value
+
+
+def search_plane(
+    nodes: Sequence[Node],
+    design: Design,
+    spread: Spread,
+    wanted: WorstWanted,
+    base: LoadedScenario,
+    stage: str = "",
+    watch: Callable[[int, int], None] = lambda done, of: None,
+    workers: int = 2,
+) -> WorstVehicle:
+    """The worst vehicle over the nodes of a plane and stage, measured exactly there, and flown."""
+    done = [0]
+
+    def one(node: Node) -> tuple[float, Array, int]:
+        found = search_node(node, design, spread, wanted, wanted.seed)
+        done[0] += 1
+        watch(done[0], len(nodes))
+        return found
+
+    with ThreadPoolExecutor(max_workers=workers) as pool:
+        results = list(pool.map(one, nodes))
+    k = int(np.argmin([value for value, _, _ in results]))
+    node, u, places = nodes[k], results[k][1], places_of(nodes[k])
+    by = _deviated(node, spread, places, u)
+    loop = Loop(fixed_path(dispersed_node(node, by)), api.law_at(design, node))
+    exact = margins(loop, resonances=loop.fixed.resonances())
+    scenario, missing = scenario_of(base, node, by)
+    flight = fly(scenario, log=False)
+    lost = flight.failures
+    return WorstVehicle(
+        stage, node.plane, node.time_s, dict(zip(places, (3.0 * u).tolist(), strict=True)),
+        exact.modulus if exact.stable else 0.0, wanted.starts * len(nodes), sum(n for _, _, n in results),
+        "; ".join(lost) or "control kept", not lost, scenario.as_flown, tuple(missing),
+    )  # fmt: skip  # nine more lines otherwise
+
+
+def scenario_of(base: LoadedScenario, node: Node, by: Deviated) -> tuple[LoadedScenario, list[str]]:
+    """The scenario in which the deviated vehicle flies, and the keys that it does not have.
+
+    What the linear model changes about its node flies all the way: thrust acts along the axis as well, inertia is that
+    of the whole vehicle.
+    """
+    stage, d = f"vehicle.stage.{node.stage}", by.dispersion
+    factors: dict[str, float] = {}
+    for key, by_mode in (
+        ("frequency_factor", d.bending_frequency),
+        ("gyro_slope_factor", d.bending_slope),
+        ("damping_ratio", d.bending_damping),
+    ):
+        factors |= {f"{stage}.bending.{key}.{n}": float(v) for n, v in enumerate(np.atleast_1d(by_mode))}
+    tanks = zip(*(np.atleast_1d(x) for x in (d.slosh_frequency, d.slosh_mass, d.slosh_damping)), strict=True)
+    for n, (frequency, mass, damping) in enumerate(tanks):
+        tank = f"{stage}.tank.{n}"
+        factors |= {f"{tank}.length_factor": float(frequency) ** -2, f"{tank}.mass_factor": float(mass)}
+        factors[f"{tank}.damping_ratio"] = float(damping)
+    flies = base.vehicle.stage[node.stage]
+    for actuator, key in _each(flies.actuator, f"{stage}.actuator"):
+        factors |= {f"{key}.omega_hz.{n}": d.actuator_frequency for n in range(len(actuator.omega_hz or ()))}
+    factors |= {f"{key}.thrust_factor": d.thrust for _, key in _each(flies.engine, f"{stage}.engine")}
+    factors[f"{stage}.aero.force_factor"] = d.normal_force
+    factors |= {f"{stage}.mass.table.{key}": d.inertia for key in ("Iyy_kgm2", "Izz_kgm2")}
+    added = {f"{stage}.aero.centre_shift_m": d.centre_of_pressure_m, "vehicle.computer.delay_s": by.delay_s}
+    changes, missing = [], []
+    results: dict[str, float] = {}
+    for key, number in (*factors.items(), *added.items()):
+        try:
+            target = find_target(base.scenario, key)
+        except PydanticCustomError:
+            missing.append(key)
+            continue
+        if target.kind == "column":
+            changes.append(Change(target, "scale", key))
+            results[key] = number
+        else:
+            changes.append(Change(target, "set", key))
+            result = target.nominal + number if key in added else target.nominal * number
+            results[key] = round(max(result, 0.0), 9) if target.whole_ns else result
+    return LoadedScenario(Dispersed(base.scenario, changes)(results), base.label, base.files), missing
+
+
+def _each(part: Any, key: str) -> list[tuple[Any, str]]:
+    """A section and its key path, or those of each in a list."""
+    if isinstance(part, tuple):
+        return [(one, f"{key}.{n}") for n, one in enumerate(part)]
+    return [] if part is None else [(part, key)]
+
+
+def worst_requirements(found: WorstVehicle, wanted: WorstWanted, again: str) -> list[Requirement]:
+    """Of its distance, where a limit is given, and that it keeps control in flight."""
+    whose = ", ".join(filter(None, (found.plane, found.stage)))
+    said = f"{found.modulus:.3f}" if found.modulus else "unstable"
+    said += f"; no worse corner found in {found.searches} searches ({found.loops} loops)"
+    out = []
+    if wanted.modulus is not None:
+        judgement = ACCEPTED if found.modulus >= wanted.modulus else REJECTED
+        room = room_left(found.modulus, wanted.modulus, ">=")
+        name = f"least |1 + L| within {wanted.sigmas:g} sigma, {whose}"
+        out.append(
+            Requirement("worst", name, f">= {wanted.modulus:g}", said, judgement, room, found.label, again=again)
+        )
+    judgement = ACCEPTED if found.kept_control else REJECTED
+    flown = found.flown + (f"; without {', '.join(found.not_flown)}" if found.not_flown else "")
+    room = float("nan")
+    out.append(
+        Requirement(
+            "worst", f"that vehicle flown, {whose}", "control kept", flown, judgement, room, found.label, 0, again
+        )
+    )
+    return out

@@ -1,0 +1,111 @@
+"""The search for the worst vehicle against brute force, chance, and the scenario that it writes."""
+
+from __future__ import annotations
+
+from itertools import product
+
+import design_nodes
+import numpy as np
+import pytest
+
+from maxq.design import api
+from maxq.design.loop.fixed_path import fixed_path
+from maxq.design.loop.loop import Loop
+from maxq.design.margins.measure import margins
+from maxq.design.model.dispersion import Dispersion
+from maxq.design.model.node import Node
+from maxq.design.verify.linear import Deviated, dispersed_node, vehicle_of
+from maxq.design.verify.suite import Spread, WorstWanted
+from maxq.design.verify.worst import WorstVehicle, places_of, scenario_of, search_node, worst_requirements
+from maxq.sim.run.metrics import METRIC_NAMES
+from maxq.sim.scenario.loader import load_scenario_text
+
+FEW = {  # what deviates in the brute-force case; the rest of Spread is 0
+    "bending_frequency": (0.08,),
+    "slosh_frequency": 0.1,
+    "slosh_mass": 0.3,
+    "delay_s": 0.004,
+}
+NONE = {key: 0.0 for key in Spread.model_fields if key not in FEW}
+
+
+def exact(node: Node, by: Deviated) -> float:
+    """Least |1 + L| as margins are measured, on a curve refined where it bends; below 0: unstable."""
+    loop = Loop(fixed_path(dispersed_node(node, by)), api.law_at(design_nodes.design(), node))
+    found = margins(loop, resonances=loop.fixed.resonances())
+    return found.modulus if found.stable else -1.0
+
+
+def vehicle(node: Node, spread: Spread, u: np.ndarray) -> Deviated:
+    by = dict(zip(places_of(node), u.tolist(), strict=True))
+    return vehicle_of(spread, node, lambda name, n: by[name, n], "")
+
+
+@pytest.mark.slow
+def test_no_corner_of_a_small_box_is_worse() -> None:
+    """All 2^8 corners of three mode frequencies, two slosh frequencies and masses, and the delay, by exact margins."""
+    node = design_nodes.node_at(50.0)
+    spread = Spread(**FEW, **NONE)
+    places = places_of(node)
+    free = [k for k, (name, _) in enumerate(places) if name in FEW]
+    assert len(free) == 8
+    corners = []
+    for signs in product((-1.0, 1.0), repeat=len(free)):
+        u = np.zeros(len(places))
+        u[free] = signs
+        corners.append(exact(node, vehicle(node, spread, u)))
+    wanted = WorstWanted(region="box", starts=4)
+    found, u, _ = search_node(node, design_nodes.design(), spread, wanted, seed=1)
+    assert found == pytest.approx(exact(node, vehicle(node, spread, u)), abs=2e-4)  # two ways to find the minimum
+    assert found <= min(corners) + 2e-4
+    assert min(corners) < exact(node, Deviated()) - 0.05  # the box matters
+
+
+@pytest.mark.slow
+def test_no_vehicle_by_chance_in_the_ellipsoid_is_worse() -> None:
+    """300 vehicles on its surface, half of them near the worst one found; every mode and tank by itself."""
+    node = design_nodes.node_at(45.0)
+    spread, places = Spread(), places_of(node)
+    assert {("slosh_mass", 0), ("slosh_mass", 1), ("bending_frequency", 2), ("bending_slope", 1)} <= set(places)
+    found, u, loops = search_node(node, design_nodes.design(), spread, WorstWanted(starts=4), seed=1)
+    assert np.linalg.norm(u) == pytest.approx(1.0)  # three sigma together
+    assert loops > 4 * len(places)
+    rng = np.random.default_rng(1)
+    by_chance = []
+    for n in range(300):
+        v = rng.normal(size=len(places)) + (0.0 if n % 2 else 12.0) * u
+        by_chance.append(exact(node, vehicle(node, spread, v / np.linalg.norm(v))))
+    assert found <= min(by_chance) + 5e-4
+    assert found < exact(node, Deviated()) - 0.03
+
+
+@pytest.mark.slow
+def test_the_scenario_written_is_the_vehicle_measured() -> None:
+    """The node of the scenario's own flight has the margins that were found with the deviated node."""
+    node, base = design_nodes.node_at(40.0), design_nodes.nominal()
+    by = Deviated(
+        Dispersion(
+            bending_frequency=(0.97, 1.05, 0.9), bending_slope=(1.15, 0.9, 1.1), bending_damping=(0.7, 1.2, 1.0),
+            slosh_frequency=(1.04, 0.97), slosh_mass=(1.08, 0.93), slosh_damping=(0.6, 1.3), actuator_frequency=0.92,
+            normal_force=1.1, centre_of_pressure_m=0.15,
+        ),
+        0.002,
+    )  # fmt: skip  # nine more lines otherwise
+    scenario, missing = scenario_of(base, node, by)
+    assert missing == []
+    again = load_scenario_text(scenario.as_flown, (), METRIC_NAMES, "worst")
+    (flown,) = api.nodes(again, [40.0])
+    wanted, nominal = exact(node, by), exact(node, Deviated())
+    assert abs(wanted - nominal) > 0.02
+    assert exact(flown, Deviated()) == pytest.approx(wanted, rel=5e-3)  # the ascent differs a little, with its forces
+
+
+def test_words_claim_no_more_than_was_searched() -> None:
+    found = WorstVehicle("", "yaw", 45.0, {("slosh_mass", 1): 2.0, ("thrust", -1): -1.0}, 0.2, 84, 9000, "control kept")
+    rows = worst_requirements(found, WorstWanted(modulus=0.25), "simverify x --only worst")
+    assert rows[0].found == "0.200; no worse corner found in 84 searches (9000 loops)"
+    assert (rows[0].wanted, rows[0].judgement, rows[0].where) == (
+        ">= 0.25", "rejected", "45 s, yaw; sigmas: slosh mass 2 +2.0, thrust -1.0, ...",
+    )  # fmt: skip  # four more lines otherwise
+    assert rows[1].judgement == "accepted"
+    assert rows[0].again == "simverify x --only worst"
