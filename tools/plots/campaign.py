@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 from maxq.control.kernel.records import Array
 from maxq.sim.campaign.analysis import Band, DataSet, Driver, Judged
-from maxq.sim.run.metrics import title_of
 from maxq.sim.campaign.tails import Tail
+from maxq.sim.run.metrics import title_of
 from maxq.tools.plots.palette import BLACK, BLUE, GREY, LIMIT
 from maxq.tools.plots.style import drawing, label, png, sheet
 
