@@ -56,8 +56,9 @@ def test_no_corner_of_a_small_box_is_worse() -> None:
         corners.append(exact(node, vehicle(node, spread, u)))
     wanted = WorstWanted(region="box", starts=4)
     found, u, _ = search_node(node, design_nodes.design(), spread, wanted, seed=1)
-    assert found == pytest.approx(exact(node, vehicle(node, spread, u)), abs=2e-4)  # two ways to find the minimum
-    assert found <= min(corners) + 2e-4
+    reached = exact(node, vehicle(node, spread, u))
+    assert found == pytest.approx(reached, abs=1e-3)  # the search's own grid; what is reported is measured exactly
+    assert reached <= min(corners) + 1e-9
     assert min(corners) < exact(node, Deviated()) - 0.05  # the box matters
 
 
