@@ -199,3 +199,18 @@ def test_wind_near_the_ground(ground: str, reference: tuple[float, float], law) 
 def test_without_a_law_the_lowest_level_holds() -> None:
     scenario = load_scenario("nominal", [PROFILE]).scenario
     assert wind_at(scenario, 30.0) == pytest.approx((0.0, 4.0))
+
+
+def test_columns_by_their_short_names_and_what_is_missing(tmp_path: Path) -> None:
+    (tmp_path / "short.csv").write_text("pressure_hPa,height_ft,dir_deg,spd_kt\n300,30000,270,100\n1000,500,180,10\n")
+    where = f"wind.profile='{tmp_path}/short.csv'"
+    table = load_scenario("nominal", [where]).scenario.wind.profile
+    assert table is not None
+    np.testing.assert_allclose(table["altitude_m"], [0.3048 * 500.0, 0.3048 * 30000.0])
+    np.testing.assert_allclose(table["east_mps"], [0.0, 100.0 * KNOT], atol=1e-12)
+    np.testing.assert_allclose(table["north_mps"], [10.0 * KNOT, 0.0], atol=1e-12)
+    (tmp_path / "short.csv").write_text("pressure_hPa,height_ft,spd_kt\n300,30000,100\n1000,500,10\n")
+    with pytest.raises(
+        ScenarioError, match="sounding by its column pressure_hPa, but has none of the wind's direction"
+    ):
+        load_scenario("nominal", [where])

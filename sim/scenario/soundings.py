@@ -58,8 +58,8 @@ _QUANTITIES: dict[str, tuple[tuple[str, ...], dict[str, float]]] = {
     ),
     "altitude_m": (("altitude", "alt", "height"), _LENGTHS),
     "pressure_hPa": (("pressure", "pres", "press"), {"hpa": 1.0, "mb": 1.0, "mbar": 1.0, "pa": 0.01}),
-    "direction_deg": (("wind direction", "direction", "from", "drct", "wdir"), _DEGREES),
-    "speed_mps": (("wind speed", "speed", "sknt", "sped", "wspd"), _SPEEDS),
+    "direction_deg": (("wind direction", "direction", "from", "wind dir", "winddir", "dir", "drct", "wdir"), _DEGREES),
+    "speed_mps": (("wind speed", "windspeed", "speed", "wind spd", "spd", "sknt", "sped", "wspd"), _SPEEDS),
     "north_mps": (("north", "v", "v wind", "northward wind"), _SPEEDS),
     "east_mps": (("east", "u", "u wind", "eastward wind"), _SPEEDS),
 }
@@ -148,6 +148,13 @@ def _csv(lines: Sequence[str], native: frozenset[str], shown: str) -> list[list[
     found = [quantity(name, shown) for name in rows[0][1]]
     there = {known[0] for known in found if known is not None}
     if not ({"direction_deg", "speed_mps"} <= there or {"north_mps", "east_mps"} <= there):
+        pairs = (("speed_mps", "direction_deg"), ("north_mps", "east_mps"))
+        lacks = [b for pair in pairs for a, b in (pair, pair[::-1]) if a in there and b not in there]
+        foreign = [n.strip() for n, known in zip(rows[0][1], found, strict=True) if known and n.strip() not in native]
+        if lacks and foreign:
+            names = " or ".join(f"{name}_<unit>" for name in _QUANTITIES[lacks[0]][0][:2])
+            problem = f"is a sounding by its column {foreign[0]}, but has none of the wind's {lacks[0].split('_')[0]}"
+            raise refuse(problem, names, file=shown, place="line 1")
         return []
     levels = []
     for number, cells in rows[1:]:
