@@ -5,7 +5,8 @@
 closed on det(1 + L) = 0. P is the sampled response from the law's commands, through allocation, to the mean rates that
 the computer counts about all axes; the plant behind it is the linearised simulator (design/model/linearised.py): with
 products of inertia, a roll rate, spatial modes with their torsion and axial motion, engines beside the axis, and tanks
-that swing in both planes. Attitude angles are sums of the counts about each body axis, as the computer has them.
+that swing in both planes. Attitude angles are sums of the counts about each body axis (attitude = "rate-integral").
+An error by quaternion turns with the roll rate besides; slow against the loops' crossovers that makes no difference.
 
 Roll takes part where gimbals control it. Thrusters that switch have no linear loop: the roll rate is then free, as it
 is inside their dead band, and the roll angle, which acts through gravity alone, is held.
