@@ -78,7 +78,7 @@ def test_ctrl_c_keeps_the_best_so_far(monkeypatch: pytest.MonkeyPatch) -> None:
     loaded, plants = kit.case("filter.structure=F2"), kit.all_nodes()
     seen: list[tuple[int, int]] = []
 
-    def stop(done: int, total: int, best_db: float) -> None:
+    def stop(done: int, total: int, best_db: float, what: str) -> None:
         seen.append((done, total))
         if done == 2:
             raise KeyboardInterrupt

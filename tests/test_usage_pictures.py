@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import matplotlib as mpl
 import numpy as np
@@ -10,7 +12,9 @@ import pytest
 from picture_check import faults
 
 from maxq.tools.design.pictures_loop import contours
-from maxq.tools.plots.palette import ON_LIGHT
+from maxq.tools.pages.render import render
+from maxq.tools.plots import campaign
+from maxq.tools.plots.palette import LIMIT, ON_LIGHT
 from maxq.tools.plots.style import STYLE, curve, drawing, label, name_point, save, sheet
 
 
@@ -94,3 +98,34 @@ def test_phase_contours_have_one_phase() -> None:
         loop = (10.0 ** (level / 20.0) * np.exp(1j * np.radians(phase)))[np.isfinite(phase)]
         turns = np.angle(loop / (1.0 + loop))
         assert np.abs(np.exp(1j * (turns - turns[0])) - 1.0).max() < 1e-6
+
+
+@pytest.mark.parametrize(("kind", "failures"), [("limit", 3), ("minimum", 5)])
+def test_red_is_what_misses_the_limit_and_not_what_lies_on_it(kind: str, failures: int) -> None:
+    values = np.repeat([0.0, 1.0, 2.0], [5, 4, 3])
+    v: Any = SimpleNamespace(
+        name="gimbal", metric="max_gimbal_deg", unit="deg", kind=kind, bound=1.0, tolerance=float("nan")
+    )
+    assert campaign.missed(values, v).sum() == failures
+    with drawing():
+        figure, (place,) = sheet(1, 1)
+        campaign._histogram(place, values, v)
+    red = [bar for bar in place.patches if bar.get_facecolor()[:3] == mpl.colors.to_rgb(LIMIT)]
+    assert sum(bar.get_height() for bar in red) == failures
+    assert not faults(figure)
+    v.bound = 2.0 if kind == "limit" else 0.0
+    assert not campaign.missed(values, v).any()
+
+
+def test_pages_list_their_headings_and_repeat_the_heads_of_tables(monkeypatch: pytest.MonkeyPatch) -> None:
+    from maxq.tools.pages import render as module  # noqa: PLC0415  # the module, not its function
+
+    text = "{{ today }}<!-- contents --><h2>One</h2><table>\n<tr><th>a</th></tr><tr><td>1</td></tr></table><h2>Two</h2>"
+    made = SimpleNamespace(
+        get_template=lambda _: SimpleNamespace(render=lambda values: text.replace("{{ today }}", ""))
+    )
+    monkeypatch.setattr(module, "_environment", lambda: made)
+    page = render("any")
+    assert '<li><a href="#s1">One</a></li><li><a href="#s2">Two</a></li>' in page
+    assert '<h2 id="s2">2 Two</h2>' in page
+    assert "<table><thead><tr><th>a</th></tr></thead><tr><td>1</td></tr></table>" in page

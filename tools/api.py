@@ -113,7 +113,8 @@ class Designed:
             one = min(nodes, key=lambda j: j.gain_margin_db)
         else:
             one = min(nodes, key=lambda j: abs(j.time_s - time_s))
-        return _drawn(one, self.outcome.loaded.name, self.outcome.wanted)
+        loaded = self.outcome.loaded
+        return _drawn(one, f"{loaded.scenario.vehicle.name}: {loaded.name}", self.outcome.wanted)
 
     def save(self, path: str | Path) -> Path:
         """As a design file, for `fly(name, "design=path")` and `verify(path)`."""
@@ -140,9 +141,11 @@ def design(case: str | Path, *overrides: str) -> Designed:
 
 def bode(design: str | Path, time_s: float, scenario: str | Path = "nominal", plane: Plane = "pitch") -> Figure:
     """Bode, Nichols and Nyquist plot of a design's sampled loop at a vehicle time of a scenario's flight."""
-    found = api.load_design(design_path(str(design)), scenario)
-    judged: Sequence[Judged] = judge(api.nodes(scenario, [time_s], plane=plane), found)
-    return _drawn(judged[0], found.name or str(design), Wanted.of(found.limits) if found.limits else Wanted())
+    flown = load_scenario(scenario)
+    found = api.load_design(design_path(str(design)), flown)
+    judged: Sequence[Judged] = judge(api.nodes(flown, [time_s], plane=plane), found)
+    title = f"{flown.vehicle.name}: {found.name or design}"
+    return _drawn(judged[0], title, Wanted.of(found.limits) if found.limits else Wanted())
 
 
 def verify(design: str | Path, suite: str | Path = "standard", *overrides: str) -> Verification:

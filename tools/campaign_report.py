@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-import datetime
 import math
 import shlex
 from collections import Counter
@@ -252,7 +251,7 @@ def write_report(
         labels=labels, distribution=distribution, tails=tails, tail_heads=TAIL_HEADS, tail_cells=tail_cells,
         tail_note=TAIL_NOTE, heads=heads(data), cells=cells, replay=replay,
         simulator=read_manifest(data.folder)["simulator"],
-        headline=headline(data, verdicts), of=of, date=datetime.date.today().isoformat(),
+        headline=headline(data, verdicts), of=of,
         tested=tested(data, verdicts), redraws=analysis.redraws(data),
         tone="bad" if NOT_MET in judgements else "good" if judgements == {MET} and len(data.runs) else "open",
     )  # fmt: skip  # eleven more lines otherwise

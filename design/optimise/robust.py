@@ -128,9 +128,13 @@ def solve_robust(
     rng, tried, worst_db = np.random.default_rng(case.search.seed), 0, np.inf
     interrupted = found.interrupted
     try:
-        for _ in range(ranges.rounds if not interrupted else 0):
+        for number in range(ranges.rounds if not interrupted else 0):
             worst = _Worst(case, ranges, problem, found, rng)
-            results = [(node, *worst.at(node)) for node in nodes]
+            results = []
+            for k, node in enumerate(nodes):
+                if progress is not None:
+                    progress(k, len(nodes), found.best.objective_db, f"worst plants, round {number + 1}")
+                results.append((node, *worst.at(node)))
             tried += worst.tried
             worst_db = max(score for _, score, _ in results)
             new = [

@@ -30,8 +30,9 @@ PATIENCE = 10  # steps after which an unstable start is given up; twice as many 
 FAR_MISSED_DB, FAR_BEHIND_DB = 0.3, 4.0
 FURTHER_DB = 0.002  # a leap's rough end that is better by more is a better valley
 
-Progress = Callable[[int, int, float], None]
-"""Called with the number of starts done, how many there are, and the best objective so far in dB (nan: none)."""
+Progress = Callable[[int, int, float, str], None]
+"""Called with how much is done, of how much, the best objective so far in dB (nan: none), and of what: "starts",
+"leaps", or of a robust case "worst plants, round 1" (what was best for fewer plants is not for more)."""
 
 
 @dataclass(frozen=True)
@@ -90,7 +91,7 @@ def search(
                 if _feasible(end, 1e-3):
                     best_db = float(np.fmin(best_db, end.objective_db))
                 if progress is not None:
-                    progress(len(ends), total, best_db)
+                    progress(len(ends), total, best_db, "starts")
     except KeyboardInterrupt:
         interrupted = True
         if not ends:
@@ -110,7 +111,7 @@ def search(
             for leapt, leap_db in _leapt(problem, leapt, leaps, seed):  # noqa: B020  # each goes on from the last
                 leaps_db.append(leap_db)
                 if progress is not None:
-                    progress(len(ends) + len(leaps_db), total, leapt.end.objective_db)
+                    progress(len(ends) + len(leaps_db), total, leapt.end.objective_db, "leaps")
     except KeyboardInterrupt:
         interrupted = True
     for k in candidates[:1] if not fine else ():

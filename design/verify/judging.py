@@ -298,8 +298,12 @@ def make_design(loaded: LoadedCase, solution: Solution) -> Design:
 
 
 def objective_text(solution: Solution) -> str:
-    """The objective that was reached, with its name."""
-    return OBJECTIVES[solution.case.objective.kind].reached(solution.objective_db)
+    """The objective that was reached, with its name; of a robust case that of the worst plant found and the nominal."""
+    reached = OBJECTIVES[solution.case.objective.kind].reached
+    text = reached(solution.objective_db)
+    if solution.case.robust is None:
+        return text
+    return f"{text} at the worst plant found ({reached(solution.nominal_objective_db)} nominal)"
 
 
 def wanted_of(case: Case) -> Wanted:

@@ -192,7 +192,7 @@ class Progress:
         with self._lock:
             if not self._open or (self._bar is None and not self._due()):
                 return
-            count = f"{done:g} of {of:g}" if count is None else count
+            count = count if count is not None else f"{done:g} of {of:g}" if of else ""
             if not self._terminal:
                 print(f"{what}: {count}{'; ' if note else ''}{printable(note)}", file=sys.stderr, flush=True)
                 return

@@ -85,7 +85,7 @@ def execute(order: Order) -> int:
             if order.pictures:
                 from maxq.tools.design import pictures  # noqa: PLC0415  # lazy: matplotlib, not with --no-pictures
 
-                title = f"{design.name or name}, {order.axis}, {order.kind}"
+                title = f"{scenario.vehicle.name}: {design.name or name}, {order.kind}"
                 files += pictures.draw_all(pictures.judged_sheets(judged, title, wanted), folder, progress.show)
     tell(analysis_report(name, order, design, judged, found, together, coupled))
     tell(f"\n{len(files)} files in {folder}/" if files else "")

@@ -31,11 +31,11 @@ _DERIVATIVES = {
 }
 
 
-def derivatives(nodes: Sequence[Node]) -> Figure:
+def derivatives(nodes: Sequence[Node], title: str = "") -> Figure:
     """Fig. 4: stability derivatives (eqs 4 to 8)."""
     time_s = [node.time_s for node in nodes]
     values = [stability_derivatives(node.vehicle, node.condition) for node in nodes]
-    figure, places = sheet(2, 3, height_in=2.0)
+    figure, places = sheet(2, 3, height_in=2.0, title=title)
     for place, (key, name) in zip(places, _DERIVATIVES.items(), strict=False):
         place.plot(time_s, [getattr(v, key) for v in values], color=BLUE)
         label(place, "time, s", name)
@@ -43,11 +43,11 @@ def derivatives(nodes: Sequence[Node]) -> Figure:
     return figure
 
 
-def bending_frequencies(nodes: Sequence[Node]) -> Figure:
+def bending_frequencies(nodes: Sequence[Node], title: str = "") -> Figure:
     """Fig. 5: frequencies of the free-free modes, uncoupled."""
     time_s = [node.time_s for node in nodes]
     most = max(len(node.vehicle.modes.omega_radps) for node in nodes)
-    figure, (place,) = sheet(1, 1, height_in=2.8)
+    figure, (place,) = sheet(1, 1, height_in=2.8, title=title)
     for i in range(most):
         hz = [_entry(node.vehicle.modes.omega_radps, i) / (2.0 * np.pi) for node in nodes]
         place.plot(time_s, hz, **curve(i), label=f"mode {i + 1}")
@@ -61,10 +61,10 @@ def bending_frequencies(nodes: Sequence[Node]) -> Figure:
     return figure
 
 
-def slosh_frequencies(nodes: Sequence[Node], tanks: Sequence[str]) -> Figure:
+def slosh_frequencies(nodes: Sequence[Node], tanks: Sequence[str], title: str = "") -> Figure:
     """Fig. 6: slosh frequencies of the liquids' pendulums, uncoupled, and their masses."""
     time_s = [node.time_s for node in nodes]
-    figure, places = sheet(1, 2, height_in=2.6)
+    figure, places = sheet(1, 2, height_in=2.6, title=title)
     for k, name in enumerate(tanks):
         hz, share = [], []
         for node in nodes:
@@ -91,9 +91,9 @@ def _entry(values: np.ndarray, i: int) -> float:
 LOWEST_HZ, HIGHEST_HZ = 0.1, 100.0
 
 
-def gains(designs: Mapping[str, Design]) -> Figure:
+def gains(designs: Mapping[str, Design], title: str = "") -> Figure:
     """Figs 7, 11, 13: k_p and k_d over time, a point where the table has a row."""
-    figure, places = sheet(1, 2, height_in=2.8)
+    figure, places = sheet(1, 2, height_in=2.8, title=title)
     for k, (name, design) in enumerate(designs.items()):
         axes = [("", design.gains.table)]
         if design.gains.yaw_table is not None:
@@ -111,12 +111,12 @@ def gains(designs: Mapping[str, Design]) -> Figure:
     return figure
 
 
-def filters(designs: Mapping[str, Design], nodes: Sequence[Node]) -> Figure:
+def filters(designs: Mapping[str, Design], nodes: Sequence[Node], title: str = "") -> Figure:
     """Figs 8, 12, 14: Bode plot of the bending filters; thick the discrete filter that flies, thin the continuous one.
 
     Shaded: bands of the bending frequencies over the nodes.
     """
-    figure, places = sheet(2, 1, height_in=2.2)
+    figure, places = sheet(2, 1, height_in=2.2, title=title)
     sample_s, modes_hz = nodes[0].instruments.sample_s, mode_bands_hz(nodes)
     nyquist_hz = 0.5 / sample_s
     for low_hz, high_hz in modes_hz.values():
@@ -140,7 +140,11 @@ def filters(designs: Mapping[str, Design], nodes: Sequence[Node]) -> Figure:
     low_db, high_db = places[0].get_ylim()
     places[0].set_ylim(max(low_db, -60.0), high_db)
     label(places[0], y="gain, dB")
-    label(places[1], "frequency, Hz (dotted: half the sample rate)", "phase, deg")
+    label(
+        places[1],
+        "frequency, Hz (thick: as it flies, sampled; thin: continuous; dotted: half the sample rate)",
+        "phase, deg",
+    )
     if len(designs) > 1:
         places[1].legend(loc="lower left")
     return figure
@@ -169,41 +173,47 @@ def peaks_over_order(series: Mapping[str, Mapping[str, float]]) -> Figure:
     return figure
 
 
-def margins_over_time(judged: Sequence[Judged], wanted: Wanted) -> Figure:
+def _ratio(db: float | None) -> float | None:
+    return None if db is None else 10.0 ** (db / 20.0)
+
+
+def margins_over_time(judged: Sequence[Judged], wanted: Wanted, title: str = "") -> Figure:
     """Gain margins up and down, phase and delay margin and the least |1 + L|; limits dotted.
 
     An unstable loop has no margin: a cross at the bottom.
     """
-    figure, places = sheet(2, 2, height_in=2.5)
+    figure, places = sheet(2, 2, height_in=2.5, title=title)
     time_s, measured = [j.time_s for j in judged], [j.margins for j in judged]
     curves: tuple[tuple[int, str, list[float], float | None], ...] = (
         (0, "gain margins, dB", [m.gain_up_db.value for m in measured], wanted.gain_margin_db),
         (0, "gain margins, dB", [m.gain_down_db.value for m in measured], None),
         (1, "phase margin, deg", [m.phase_deg.value for m in measured], wanted.phase_margin_deg),
         (2, "delay margin, ms", [1e3 * m.delay_s.value for m in measured], None),
-        (3, "least |1 + L|, dB", [20.0 * np.log10(m.modulus) for m in measured], wanted.modulus_db),
+        (3, "least |1 + L|", [m.modulus for m in measured], _ratio(wanted.modulus_db)),
     )
     for n, (at, text, values, limit) in enumerate(curves):
         name = ("up", "down")[n] if at == 0 else ""
         finite = np.where(np.isfinite(values), values, np.nan)
         places[at].plot(time_s, finite, marker=MARKERS[0], **curve(int(name == "down")), label=name)
         if limit is not None:
-            places[at].axhline(limit, color=RED, linewidth=0.9, linestyle=":")
+            places[at].axhline(limit, color=RED, linewidth=0.9, linestyle=":", label="limit")
         label(places[at], "time, s", text)
     lost = [j.time_s for j in judged if not j.margins.stable]
     for place in places if lost else ():
         style = {"color": RED, "markersize": 7, "linestyle": "none", "clip_on": False}
         place.plot(lost, np.zeros(len(lost)), "x", transform=place.get_xaxis_transform(), **style)
-    for place in places[:3]:
+    for place in places:
         place.set_ylim(bottom=0.0)
-    places[0].legend()
+        if any(not text.startswith("_") for text in place.get_legend_handles_labels()[1]):
+            place.legend(loc="upper right")
+            place.set_ylim(top=1.3 * place.get_ylim()[1])
     return figure
 
 
-def lobes_over_time(judged: Sequence[Judged], wanted: Wanted) -> Figure:
+def lobes_over_time(judged: Sequence[Judged], wanted: Wanted, title: str = "") -> Figure:
     """Peak of every lobe; filled marks are phase-stabilised, hollow ones gain-stabilised."""
     labels = list(dict.fromkeys(lobe.label for j in judged for lobe in j.lobes))
-    figure, (place,) = sheet(1, 1, height_in=3.2)
+    figure, (place,) = sheet(1, 1, height_in=3.2, title=title)
     place.axhline(0.0, color=GREY, linewidth=0.8)
     for k, name in enumerate(labels):
         found = [(j.time_s, lobe) for j in judged for lobe in j.lobes if lobe.label == name]
@@ -247,8 +257,8 @@ def draw_all(
 def judged_sheets(judged: Sequence[Judged], title: str, wanted: Wanted) -> list[Sheet]:
     """Margins and lobes over time; Bode, Nichols and Nyquist plots at every node."""
     over_time: list[Sheet] = [
-        ("margins", lambda: margins_over_time(judged, wanted)),
-        ("lobes", lambda: lobes_over_time(judged, wanted)),
+        ("margins", lambda: margins_over_time(judged, wanted, f"Margins: {title}, {judged[0].node.plane}")),
+        ("lobes", lambda: lobes_over_time(judged, wanted, f"Lobes: {title}, {judged[0].node.plane}")),
     ]
     return [
         *(over_time if len(judged) > 1 else ()),
@@ -263,15 +273,19 @@ def loop_picture(judged: Judged, title: str, wanted: Wanted) -> Figure:
 
 
 def case_sheets(
-    name: str, design: Design, nodes: Sequence[Node], along: Sequence[Node], tanks: Sequence[str]
+    name: str, design: Design, nodes: Sequence[Node], along: Sequence[Node], tanks: Sequence[str], vehicle: str = ""
 ) -> list[Sheet]:
     """Gains and filter of a design at `nodes`; derivatives, bending and slosh frequencies `along` the flight."""
-    sheets: list[Sheet] = [("vehicle-derivatives", lambda: derivatives(along))]
+    sheets: list[Sheet] = [("vehicle-derivatives", lambda: derivatives(along, f"Stability derivatives: {vehicle}"))]
     if any(len(node.vehicle.modes.omega_radps) for node in along):
-        sheets.append(("vehicle-bending", lambda: bending_frequencies(along)))
+        sheets.append(("vehicle-bending", lambda: bending_frequencies(along, f"Bending, free-free: {vehicle}")))
     if tanks:
-        sheets.append(("vehicle-slosh", lambda: slosh_frequencies(along, tanks)))
-    return [*sheets, ("gains", lambda: gains({name: design})), ("filter", lambda: filters({name: design}, nodes))]
+        sheets.append(("vehicle-slosh", lambda: slosh_frequencies(along, tanks, f"Slosh: {vehicle}")))
+    return [
+        *sheets,
+        ("gains", lambda: gains({name: design}, f"Gains: {name}")),
+        ("filter", lambda: filters({name: design}, nodes, f"Bending filter: {name}")),
+    ]
 
 
 def order_sheets(

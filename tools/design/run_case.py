@@ -79,12 +79,13 @@ def make(order: Order) -> Made:
         stop.check()
         check_writable(folder)
 
-        def show(done: int, of: int, best_db: float) -> None:
+        def show(done: int, of: int, best_db: float, what: str) -> None:
             stop.check()
-            note = "" if math.isnan(best_db) else f"best so far {best_db:.2f} dB"
-            progress.show("optimising: starts", done, of, note)
+            plants = "" if loaded.case.robust is None else " for the plants so far"
+            note = "" if math.isnan(best_db) else f"best so far {best_db:.2f} dB{plants}"
+            progress.show(f"optimising: {what}", done, of, note)
 
-        show(0, 1, math.nan)
+        show(0, 0, math.nan, "starts")
         try:
             solution = solve(loaded, plants, progress=show)  # Ctrl-C ends it with the best so far
         except UnsolvableError as error:
@@ -97,6 +98,7 @@ def make(order: Order) -> Made:
             except KeyboardInterrupt:  # the design itself is complete
                 interrupted = True
         with Interruption() as interruption:  # the result is written, whatever is pressed now
+            progress.show("judging", 0, 0)
             outcome = judge_solution(loaded, solution)
             forget_pictures(folder)
             files = _write(folder, outcome, solution, orders)
@@ -144,8 +146,12 @@ def _draw(
     loaded, nodes = outcome.loaded, [j.node for j in outcome.judged]
     tanks = loaded.scenario.vehicle.stage[0].pendulum_names
     sheets = [
-        *pictures.case_sheets(loaded.name, outcome.design, nodes, _along(loaded, nodes), tanks),
-        *pictures.judged_sheets(outcome.judged, f"{loaded.name}, {loaded.case.loop}", outcome.wanted),
+        *pictures.case_sheets(
+            loaded.name, outcome.design, nodes, _along(loaded, nodes), tanks, loaded.scenario.vehicle.name
+        ),
+        *pictures.judged_sheets(
+            outcome.judged, f"{loaded.scenario.vehicle.name}: {loaded.name}, {loaded.case.loop}", outcome.wanted
+        ),
     ]
     if orders is not None:
         series = {name: {f: _peak(orders[f, schedule][1]) for f in STRUCTURES} for schedule, name in SCHEDULES.items()}

@@ -9,7 +9,9 @@ A page is one file with nothing outside it. Whatever a template prints is escape
 from __future__ import annotations
 
 import base64
+import datetime
 import math
+import re
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -18,8 +20,19 @@ from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
 
 def render(template: str, **values: Any) -> str:
-    """The page; a name that a template uses must be among `values`."""
-    return _environment().get_template(template).render(values)
+    """The page; a name that a template uses must be among `values`, or `today`.
+
+    Headings are numbered and listed where a template says <!-- contents -->; the first row of a table of heads is its
+    head, which a print repeats on each page.
+    """
+    today = datetime.date.today().isoformat()
+    page = _environment().get_template(template).render({"today": today} | values)
+    names = re.findall(r"<h2>(.*?)</h2>", page)
+    numbers = iter(range(1, len(names) + 1))
+    page = re.sub(r"<h2>(.*?)</h2>", lambda h: f'<h2 id="s{(n := next(numbers))}">{n} {h[1]}</h2>', page)
+    listed = "".join(f'<li><a href="#s{n}">{name}</a></li>' for n, name in enumerate(names, 1))
+    page = page.replace("<!-- contents -->", f"<nav><ol>{listed}</ol></nav>")
+    return re.sub(r"<table>\s*(<tr>\s*<th\b.*?</tr>)", r"<table><thead>\1</thead>", page, flags=re.DOTALL)
 
 
 @cache

@@ -38,7 +38,11 @@ def pictures(found: Verification) -> dict[str, bytes]:
     out = {}
     with drawing():
         for name, make in draw.items():
-            out[name] = png(make(), dpi=150)
+            figure = make()
+            plane = f", {found.margins[0].plane}" if name in ("margins", "nichols") else ""
+            of = found.scenario.design.name if found.scenario.design else found.design
+            figure.suptitle(f"{found.scenario.vehicle.name}: {of}{plane}", fontsize=9, x=0.01, ha="left")
+            out[name] = png(figure, dpi=150)
     return out
 
 
