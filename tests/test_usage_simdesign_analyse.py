@@ -54,7 +54,7 @@ def test_a_design_is_judged_at_every_node(capsys: Printed) -> None:
     assert lines[0] == "ksr3-default: KSR-III default"
     assert "sampled, as it flies" in lines[1]
     for time_s in range(5, 60, 5):
-        assert sum(line.split()[:2] == [str(time_s), "stable"] for line in lines) == 3
+        assert sum(line.split()[:1] == [str(time_s)] and "stable" in line.split()[1:3] for line in lines) == 3
         budget = next(
             line.split()
             for line in lines[lines.index("margin budget at the phase margin, deg") :]
@@ -91,7 +91,7 @@ def test_limits_that_are_missed_are_said_so(capsys: Printed) -> None:
     assert printed[-1] == "FAILED: gain margin missed, " + ", ".join(
         f"gain margin, {axis}, other axes closed missed" for axis in ("pitch", "yaw")
     )
-    assert any(line.lstrip().startswith("40") and line.endswith("FAIL") for line in printed)
+    assert any(line.split()[:2] == ["40", "FAIL"] for line in printed)
 
 
 def test_an_unstable_loop_shows_no_margin(capsys: Printed) -> None:
@@ -170,7 +170,7 @@ WRONG = {
     "unknown scenario": (["analyse", "ksr3-default", "--scenario", "nominl"], "did you mean nominal?"),
     "unknown vehicle": (["analyse", "ksr3-default", "--vehicle", "nowhere"], "nowhere"),
     "unknown kind": (["analyse", "ksr3-default", "--kind", "z"], "invalid choice: 'z'"),
-    "option of another order": (["--list", "--at", "3"], "--at goes with analyse or errata, not with --list"),
+    "option of another order": (["--list", "--at", "3"], "--at goes with analyse, errata or export, not with --list"),
     "option of a case": (["analyse", "x", "--seed", "3"], "--seed goes with CASE or CASE --verify, not with analyse"),
     "two orders": (["analyse", "x", "--list"], "analyse and --list exclude each other"),
     "no name": (["analyse", "x", "--out", ""], "--out needs the name of a folder"),

@@ -171,6 +171,8 @@ class Progress:
         self._shown: dict[str, Any] = {}
         self._listener: Any = None
         self._open = False
+        self._compiling = False
+        self._compiling_s = math.inf  # since when
 
     def __enter__(self) -> Self:
         self._open = True
@@ -204,14 +206,26 @@ class Progress:
             self._bar.update(self._task, **self._shown, note=printable(note))
 
     def compiling(self, name: str) -> None:
-        """The kernel `name` is being compiled; empty: compiling has ended."""
+        """The kernel `name` is being compiled; empty: it has ended. What takes less than a second is not told."""
         with self._lock:
-            before = self._shown
-            if name:
-                self.show("compiling", 0, 0, name, "once for this version of the simulator")
-                self._shown = before
-            elif self._bar is not None and self._open:
-                self._bar.update(self._task, **({"what": "", "count": "", "note": ""} | before))
+            if not name:
+                if self._compiling and self._bar is not None and self._open:
+                    self._bar.reset(self._task)
+                    self._bar.update(self._task, **({"what": "", "count": "", "note": ""} | self._shown))
+                self._compiling, self._compiling_s = False, math.inf
+                return
+            now_s = time.monotonic()
+            self._compiling_s = min(self._compiling_s, now_s)
+            if not self._open or now_s - self._compiling_s < _PATIENCE_S:
+                return
+            if self._bar is None:
+                self._begin()
+            if not self._compiling:
+                self._bar.reset(self._task)
+            self._compiling = True
+            self._bar.update(
+                self._task, completed=0, total=None, what="compiling", count="once for this version", note=name
+            )
 
     def _due(self) -> bool:
         wait_s = _PATIENCE_S if self._terminal else self._log_every_s

@@ -17,7 +17,7 @@ from maxq.design.optimise.solution import Certificate, Solution
 from maxq.design.verify.judging import LIMITS, Check, Judged, Outcome, RigidBody
 from maxq.sim.files import write_whole
 from maxq.sim.scenario.schema_design import Design
-from maxq.tools.cli.terminal import aligned, printable
+from maxq.tools.cli.terminal import aligned, figures, printable
 
 if TYPE_CHECKING:
     from maxq.tools.design.analyse import Order
@@ -37,12 +37,12 @@ def analysis_report(
         where += f"; errata: {order.errata}; plant: {order.plant}"
     return _joined(
         [printable(f"{name}: {design.name}" if design.name else name), where],
+        limits_table([*found, *coupled]),
         margins_table(judged),
         lobes_table(judged),
         budget_table(judged, "phase margin", "phase_deg"),
         budget_table(judged, "upper gain margin", "gain_db"),
         multiloop_table(together),
-        limits_table([*found, *coupled]),
         nodes_table(found, judged) if len(found) > 1 else [],
     )
 
@@ -68,10 +68,11 @@ def case_report(outcome: Outcome, solution: Solution) -> str:
     ]
     off, flown = outcome.dispersed_found, outcome.flown_found
     return _joined(
-        head, design_table(outcome.design), search_table(solution), margins_table(outcome.judged),
-        lobes_table(outcome.judged), limits_table(outcome.found), nodes_table(outcome.found, outcome.judged),
+        head, limits_table(outcome.found),
         limits_table(off, f"limits of {len(off[0].values)} dispersed plants") if off else [],
         limits_table(flown, "the same design as it flies (sampled)") if case.loop != "sampled" else [],
+        design_table(outcome.design), search_table(solution), margins_table(outcome.judged),
+        lobes_table(outcome.judged), nodes_table(outcome.found, outcome.judged),
     )  # fmt: skip  # five more lines otherwise
 
 
@@ -101,7 +102,9 @@ def limits_table(checks: Sequence[Check], title: str = "limits") -> list[str]:
     for check in checks:
         k, unit = check.worst, f" {check.unit}" if check.unit else ""
         at = f"{check.time_s[k]:g} s" if math.isfinite(check.time_s[k]) else "filter"
-        worst = number(float(check.values[k]), 3) + unit
+        worst = (
+            figures(float(check.values[k]), 4 if check.passed else 7) + unit
+        )  # rounded, a miss may look like the limit
         limit = f"{check.sense} {check.limit:g}{unit}"
         rows.append((check.text, MET if check.passed else MISSED, limit, worst, at))
     return [title, *aligned(rows, "  ", right=(3, 4))]
@@ -112,16 +115,16 @@ def nodes_table(checks: Sequence[Check], judged: Sequence[Judged]) -> list[str]:
     shown = [check for check in checks if math.isfinite(check.time_s[0]) and check.key != "unstable_poles"]
     stable = next((check for check in checks if check.key == "unstable_poles"), None)
     rows = [
-        ("time, s", "loop", *(f"{LIMITS[c.key].short if c.key in LIMITS else c.text} " for c in shown), ""),
-        ("", "", *(f"{check.sense} {check.limit:g} " for check in shown), ""),
+        ("time, s", "", "loop", *(f"{LIMITS[c.key].short if c.key in LIMITS else c.text} " for c in shown)),
+        ("", "", "", *(f"{check.sense} {check.limit:g} " for check in shown)),
     ]
     for n, j in enumerate(judged):
         good = stable is None or bool(stable.met()[n])
         met = [bool(c.met()[n]) for c in shown]
         cells = [number(float(c.values[n]), 3) + (" " if m else "!") for c, m in zip(shown, met, strict=True)]
         passed = "pass" if good and all(met) else "FAIL"
-        rows.append((f"{j.time_s:g}", "stable" if good else "UNSTABLE", *cells, passed))
-    return ["at the nodes", *aligned(rows, "  ", right=(0, *range(2, 2 + len(shown))))]
+        rows.append((f"{j.time_s:g}", passed, "stable" if good else "UNSTABLE", *cells))
+    return ["at the nodes", *aligned(rows, "  ", right=(0, *range(3, 3 + len(shown))))]
 
 
 def margins_table(judged: Sequence[Judged]) -> list[str]:
