@@ -163,7 +163,7 @@ def tail_cells(v: Judged, tail: Tail) -> tuple[str, ...]:
     """A tail as a line of the table under TAIL_HEADS."""
     head = (printable(v.name), f"{'<=' if v.kind == 'limit' else '>='} {v.bound:g}")
     if tail.problem:
-        return (*head, f"no fit: {tail.problem}", *[""] * 7)
+        return (*head, *[""] * 7, f"none: {tail.problem}")
     numbers = (tail.shape, tail.quantile, tail.quantile_bound, tail.beyond, tail.beyond_bound)
     rest = (value_text(value, 3 if n > 2 or n == 0 else 4) for n, value in enumerate(numbers))
     return (*head, f"{tail.threshold:.4g}", str(len(tail.excesses)), *rest, f"{tail.fit:.2f}")
@@ -186,7 +186,7 @@ def report(data: DataSet, verdicts: Sequence[Judged], losses: Sequence[Lost], ta
         f"  {tested(data, verdicts)}",
     ]
     if any(not tail.problem for _, tail in tails):
-        shown = aligned([TAIL_HEADS, *(tail_cells(v, tail) for v, tail in tails)], "  ", right=range(2, 10))
+        shown = aligned([TAIL_HEADS, *(tail_cells(v, tail) for v, tail in tails)], "  ", right=range(2, 9))
         lines += ["", f"estimates by peaks over threshold, beside the verdicts ({TAIL_NOTE})", *shown]
     rows = [(f"run {run.run}", run.outcome, printable(run.cause)[:90]) for run in losses[:5]]
     for v in verdicts:
