@@ -40,6 +40,7 @@ from maxq.control.kernel.records import Array, IntArray
 from maxq.control.kernel.rows import PitchYaw, Quaternion, RollPitchYaw, degrees, quaternion
 from maxq.control.kernel.tables import NO_TABLE, Cubics, Pool, TableRef
 from maxq.control.laws.pd import LawRow, Pd, PdState, law_row, make_pd, start_pd, tick_pd
+from maxq.control.laws.pid import Pid, PidRow, PidState, pid_row, start_pid, tick_pid
 from maxq.control.roll import Roll, RollState, silence_roll, start_roll, update_roll
 from maxq.control.structures import Attitude
 
@@ -78,6 +79,7 @@ class Computer:
     attitude: int
     angle_error_limit_rad: float
     law: Pd
+    pid: Pid
     command_limit_rad: float
     dac_step_rad: float
     roll: Roll
@@ -99,6 +101,7 @@ class ComputerState:
     guidance: GuidanceState
     attitude: AttitudeError
     law: PdState
+    pid: PidState
     requested_rad: Annotated[Array, (2,)]
     command_limited: Annotated[IntArray, (2,)]
     command_rad: Annotated[Array, (2,)]
@@ -118,6 +121,7 @@ def build_computer(
     angle_error_limit_rad: float = np.inf,
     command_limit_rad: float = np.inf,
     gains: Cubics | None = None,
+    integral_limit_rad: float = np.inf,
     programme: Cubics | None = None,
     unrolled: bool = False,
     pitch_filter: DiscreteFilter | None = None,
@@ -130,7 +134,8 @@ def build_computer(
 ) -> Computer:
     """Parameters of a computer; its tables go into `pool`.
 
-    `gains` comes from `pd.gains_table`; without it the law gives 0. `programme` comes from
+    `gains` comes from `pd.gains_table`; without it the law gives 0, and with a column k_i_ps it is PID, its integral
+    within `integral_limit_rad`. `programme` comes from
     `guidance.rate_programme`; without it the commanded rates are 0. Filters come from
     `BendingFilter.discretize`; without `yaw_filter` yaw is as pitch, without either the law's output passes
     as it is (a filter of no sections gives one axis none). `roll` comes from `roll.make_roll`; without it no
@@ -148,6 +153,7 @@ def build_computer(
     ):
         if not holds:
             raise ValueError(f"{key} = {value}: allowed is {allowed}")
+    integral = gains is not None and gains.n_columns == 6
     return Computer(
         sample_ns=sample_ns,
         delay_ns=delay_ns,
@@ -161,7 +167,10 @@ def build_computer(
         converter=make_converter(count_rad),
         attitude=METHODS.index(attitude),
         angle_error_limit_rad=angle_error_limit_rad,
-        law=make_pd(_placed(pool, "gains", gains, 4), sample_ns, pitch_filter, yaw_filter or pitch_filter),
+        law=make_pd(
+            _placed(pool, "gains", gains, 6 if integral else 4), sample_ns, pitch_filter, yaw_filter or pitch_filter
+        ),
+        pid=Pid(int(integral), integral_limit_rad),
         command_limit_rad=command_limit_rad,
         dac_step_rad=dac_step_rad,
         roll=roll or _UNUSED_ROLL,
@@ -186,6 +195,7 @@ def start_computer(computer: Computer, pool: Array, state: ComputerState, time_s
     start_converter(state.converter)
     start_attitude_error(state.attitude)
     start_pd(computer.law, state.law)
+    start_pid(state.pid)
     start_roll(state.roll)
     start_allocation(state.allocation)
     for gimbal in range(2):
@@ -325,8 +335,17 @@ def update_command(
     if computer.external != 0:
         law_rad = state.external.outputs.gimbal_rad[gimbal] * computer.control_on
         state.law.pd_rad[gimbal], state.law.filtered_rad[gimbal] = law_rad, law_rad
-    else:
+    elif computer.pid.on == 0:
         law_rad = tick_pd(computer.law, pool, state.law, state.attitude, gimbal, time_s, computer.control_on)
+    else:
+        cut_rad = state.requested_rad[gimbal]
+        if abs(cut_rad) <= computer.command_limit_rad:
+            cut_rad = 0.0
+        sample_s = computer.sample_ns / 1.0e9
+        law_rad = tick_pid(
+            computer.law, computer.pid, pool, state.law, state.pid, state.attitude, gimbal, time_s, sample_s,
+            computer.control_on, cut_rad,
+        )  # fmt: skip  # nine lines more otherwise
     requested_rad = injected_rad if replaces != 0 else law_rad + injected_rad
     state.requested_rad[gimbal] = requested_rad
     state.command_limited[gimbal] = 1 if abs(requested_rad) > computer.command_limit_rad else 0
@@ -352,6 +371,7 @@ class ControlRow(NamedTuple):
     counts_axis: Annotated[RollPitchYaw, "1", "gyro pulses of the last sample"]
     attitude: AttitudeRow
     law: LawRow
+    pid: PidRow
     saturated_axis: Annotated[PitchYaw, "1", "1 while the command is at its limit"]
     roll_thruster: Annotated[float, "1", "roll thrusters: -1, 0 or 1"]
 
@@ -363,6 +383,7 @@ def control_row(state: ComputerState) -> ControlRow:
         counts_axis=RollPitchYaw(counts[0], counts[1], counts[2]),
         attitude=attitude_row(state.attitude),
         law=law_row(state.law),
+        pid=pid_row(state.pid),
         saturated_axis=PitchYaw(limited[0], limited[1]),
         roll_thruster=state.roll.demand,
     )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Literal
 
-Law = Literal["pd"]
+Law = Literal["pd", "pid"]
 """Modules of control/laws and design/laws."""
 
 Attitude = Literal["quaternion", "rate-integral"]

@@ -52,6 +52,15 @@ table = [{time_s=5.0, k_p=1.1, k_d_s=0.47}]
 yaw = "pitch"
 """
 
+PID = """
+schema = 1
+name = "pid"
+law = "pid"
+[gains]
+table = [{time_s=5.0, k_p=1.1, k_d_s=0.47, k_i_ps=0.3}, {time_s=50.0, k_p=0.7, k_d_s=0.37, k_i_ps=0.1}]
+integral_limit_deg = 0.3
+"""
+
 
 def built(folder: Path, design: str, *more: str, single: bool = False) -> Path:
     """The exported law as a library, after its unit test has passed. Warnings are errors."""
@@ -80,11 +89,11 @@ def assert_same_commands(own: Flight, built_in: Flight) -> None:
 
 
 @needs_compiler
-@pytest.mark.parametrize("name", ["robust", "odd", "bare"])
+@pytest.mark.parametrize("name", ["robust", "odd", "bare", "pid"])
 def test_the_c_sources_give_the_commands_of_the_flown_law(tmp_path: Path, name: str) -> None:
     design = "ksr3-robust"
     if name != "robust":
-        (tmp_path / "d.toml").write_text({"odd": ODD, "bare": BARE}[name])
+        (tmp_path / "d.toml").write_text({"odd": ODD, "bare": BARE, "pid": PID}[name])
         design = str(tmp_path / "d.toml")
     changes = [] if name == "robust" else [f"design={design}"]
     changes += ["vehicle.computer.count_rad=0.0"] if name == "odd" else []

@@ -21,8 +21,8 @@ static law_real limited(law_real value, law_real limit)
     return out;
 }
 
-/* Gains at a time: k_p and k_d_s in pitch, then in yaw. A cubic in each interval, end values outside. */
-static void look_up(law_real time_s, law_real gains[4])
+/* Gains at a time: k_p, k_d_s and with an integral k_i_ps in pitch, then in yaw. Cubics, end values outside. */
+static void look_up(law_real time_s, law_real gains[2 * LAW_GAINS])
 {
     law_real inside_s = time_s;
     law_real s;
@@ -44,7 +44,7 @@ static void look_up(law_real time_s, law_real gains[4])
         inside_s = law_gain_time_s[LAW_GAIN_BREAKS - 1];
     }
     s = inside_s - law_gain_time_s[low];
-    for (column = 0; column < 4; ++column) {
+    for (column = 0; column < (2 * LAW_GAINS); ++column) {
         const law_real c0 = law_gain[low][0][column];
         const law_real c1 = law_gain[low][1][column];
         const law_real c2 = law_gain[low][2][column];
@@ -122,6 +122,8 @@ void law_start(law_state *state)
         state->angle_rad[axis] = REAL(0.0);
     }
     for (axis = 0; axis < 2; ++axis) {
+        state->integral_rad[axis] = REAL(0.0);
+        state->cut_rad[axis] = REAL(0.0);
         for (i = 0; i < LAW_MOST_SECTIONS; ++i) {
             state->filter[axis][i][0] = REAL(0.0);
             state->filter[axis][i][1] = REAL(0.0);
@@ -133,7 +135,7 @@ void law_start(law_state *state)
 
 void law_step(law_state *state, const law_inputs *in, law_outputs *out)
 {
-    law_real gains[4];
+    law_real gains[2 * LAW_GAINS];
     law_real error_rad[3];
     law_real rate_radps[3];
     int32_t axis;
@@ -155,11 +157,22 @@ void law_step(law_state *state, const law_inputs *in, law_outputs *out)
     }
     look_up(in->time_s, gains);
     for (axis = 0; axis < 2; ++axis) {
-        const law_real k_p = gains[2 * axis];
-        const law_real k_d_s = gains[2 * axis + 1];
-        const law_real wanted_rad = -k_p * error_rad[axis + 1] - k_d_s * rate_radps[axis + 1];
+        const law_real k_p = gains[LAW_GAINS * axis];
+        const law_real k_d_s = gains[LAW_GAINS * axis + 1];
+        law_real wanted_rad = -k_p * error_rad[axis + 1] - k_d_s * rate_radps[axis + 1];
+#if LAW_GAINS == 3
+        const law_real more_rad = REAL(LAW_SAMPLE_S) * gains[3 * axis + 2] * error_rad[axis + 1];
+        if (more_rad * state->cut_rad[axis] >= REAL(0.0)) { /* not farther beyond the limit */
+            state->integral_rad[axis] = limited(state->integral_rad[axis] + more_rad, REAL(LAW_INTEGRAL_LIMIT_RAD));
+        }
+        wanted_rad -= state->integral_rad[axis];
+#endif
         out->requested_rad[axis] = filtered(axis, state->filter[axis], wanted_rad);
         out->command_rad[axis] = converted(out->requested_rad[axis], &out->converter[axis]);
+        state->cut_rad[axis] = out->requested_rad[axis];
+        if (limited(state->cut_rad[axis], REAL(LAW_COMMAND_LIMIT_RAD)) == state->cut_rad[axis]) {
+            state->cut_rad[axis] = REAL(0.0);
+        }
     }
     out->roll_gimbal_rad = limited(
         -REAL(LAW_ROLL_GIMBAL_K_P) * error_rad[0] - REAL(LAW_ROLL_GIMBAL_K_D_S) * rate_radps[0],

@@ -36,6 +36,8 @@ typedef struct {
 typedef struct {
     int64_t total_counts[3];
     law_real angle_rad[3];
+    law_real integral_rad[2];
+    law_real cut_rad[2]; /* last command before its limit, 0 where that did not cut it */
     law_real filter[2][LAW_MOST_SECTIONS][2];
     int32_t roll_thruster;
     int32_t ticks_on; /* samples of the present firing */

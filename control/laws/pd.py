@@ -25,20 +25,26 @@ from maxq.control.structures import MAX_SECTIONS
 
 @dataclass(frozen=True)
 class GainSchedule:
-    """Gains of one axis over time: `time_s` (n,), `k_p` (n,), `k_d_s` (n,) in s; linear between, held
-    outside.
+    """Gains of one axis over time: `time_s` (n,), `k_p` (n,), `k_d_s` (n,) in s, with an integral `k_i_ps` (n,) in
+    1/s; linear between, held outside.
     """
 
     time_s: Sequence[float]
     k_p: Sequence[float]
     k_d_s: Sequence[float]
+    k_i_ps: Sequence[float] = ()
+
+    @property
+    def columns(self) -> tuple[str, ...]:
+        """Names of the gains."""
+        return ("k_p", "k_d_s", "k_i_ps") if len(self.k_i_ps) > 0 else ("k_p", "k_d_s")
 
 
 @dataclass(frozen=True)
 class Pd:
     """Pairs are per gimbal axis (pitch, yaw).
 
-    `gains`: table over time of k_p, k_d in pitch, k_p, k_d in yaw (`gains_table`); none means a law that gives 0.
+    `gains`: table over time of k_p, k_d in pitch, then in yaw (`gains_table`); none means a law that gives 0.
     `sections` (2, MAX_SECTIONS, 5): b0, b1, b2, a1, a2 of each section of the bending filters; `n_sections` (2,).
     """
 
@@ -63,17 +69,19 @@ class PdState:
 
 
 def gains_table(pitch: GainSchedule, yaw: GainSchedule | None = None) -> Cubics:
-    """Table of columns k_p, k_d_s (pitch), k_p, k_d_s (yaw) over time, s; yaw is as pitch unless given.
+    """Table of the columns k_p, k_d_s, with an integral k_i_ps, in pitch, then in yaw, over time, s; yaw is as pitch
+    unless given.
 
     Raises ValueError for columns of different lengths and as `tables.fit` does.
     """
     tables = []
     for axis, schedule in (("pitch", pitch), ("yaw", yaw or pitch)):
-        for key in ("k_p", "k_d_s"):
+        for key in pitch.columns:
             given, wanted = len(getattr(schedule, key)), len(schedule.time_s)
             if given != wanted or wanted == 0:
                 raise ValueError(f"gains of {axis}: {key} has {given} values: allowed is {max(wanted, 1)}")
-        tables.append(fit(schedule.time_s, np.column_stack([schedule.k_p, schedule.k_d_s]), "linear"))
+        columns = np.column_stack([getattr(schedule, key) for key in pitch.columns])
+        tables.append(fit(schedule.time_s, columns, "linear"))
     return merge(tables)
 
 
@@ -115,8 +123,14 @@ def tick_pd(law: Pd, pool: Array, state: PdState, error: AttitudeError, gimbal: 
         state.k_p[gimbal] = k_p
         state.k_d_s[gimbal] = k_d_s
         pd_rad = -k_p * error.theta_e_rad[axis] - k_d_s * error.rate_radps[axis]
-    state.pd_rad[gimbal] = pd_rad
-    filtered_rad = filter_sample(law.sections[gimbal], law.n_sections[gimbal], state.filter_memory[gimbal], pd_rad)
+    return filtered(law, state, gimbal, pd_rad)
+
+
+@kernel
+def filtered(law: Pd, state: PdState, gimbal: int, law_rad: float) -> float:
+    """The bending filter's output, rad, for a law's command."""
+    state.pd_rad[gimbal] = law_rad
+    filtered_rad = filter_sample(law.sections[gimbal], law.n_sections[gimbal], state.filter_memory[gimbal], law_rad)
     state.filtered_rad[gimbal] = filtered_rad
     return filtered_rad
 
@@ -126,7 +140,7 @@ class LawRow(NamedTuple):
 
     k_p_axis: Annotated[PitchYaw, "1", "proportional gain"]
     k_d_axis_s: Annotated[PitchYaw, "s", "rate gain"]
-    law_axis_deg: Annotated[PitchYaw, "deg", "output of the PD law"]
+    law_axis_deg: Annotated[PitchYaw, "deg", "output of the law"]
     filtered_axis_deg: Annotated[PitchYaw, "deg", "output of the bending filter"]
 
 

@@ -160,6 +160,9 @@ class Limits(MarginLimits):
     filter_gain_at_infinity: Positive = optional(
         "P^F, largest |F(j inf)| (46): 1, a filter that amplifies no noise; not in the paper", 1.0
     )
+    integral_hz: Positive | None = optional(
+        "law pid: least corner k_i / (2 pi k_p) of the integral, Hz (default there: a tenth of rigid_hz)"
+    )
     rigid_body: Literal["paper", "aerodynamic"] = optional(
         "frequency and damping ratio by (35), (36), or with M_alpha and M_q in them (erratum 12)", "paper"
     )
@@ -237,7 +240,9 @@ class Case(Section):
         "0.02 dB or 0.1 deg are searched and become nodes, until none is found; not with [robust]",
         "ignore",
     )
-    law: Law = optional("control law; pd: proportional-derivative with a bending filter", "pd")
+    law: Law = optional(
+        "control law; pd: proportional-derivative with a bending filter; pid: with an integral besides", "pd"
+    )
     gains: Gains = Gains()
     filter: Filter = Filter()
     objective: Objective = Objective()
@@ -251,6 +256,10 @@ class Case(Section):
         _rising(self.nodes_s, "nodes_s")
         if self.between_nodes == "hold" and self.robust is not None:
             raise refuse("is not searched for dispersed plants", '"ignore" beside [robust]', key=("between_nodes",))
+        if self.law == "pid" and self.gains.schedule == "two-phase":
+            raise refuse("finds gains of the law pd only", "linear, free, nodes", key=("gains", "schedule"))
+        if self.law != "pid" and self.limits.integral_hz is not None:
+            raise refuse(f"the law {self.law} has no integral", "with law = 'pid' only", key=("limits", "integral_hz"))
         return self
 
 

@@ -16,7 +16,6 @@ from maxq.sim.scenario.schema_design import Design, Limits, Roll
 
 DESIGN_NAME = "design.toml"
 _DIGITS = 9
-_GAINS = ("time_s", "k_p", "k_d_s")
 
 
 def design_path(name: str) -> str:
@@ -61,8 +60,9 @@ def design_text(design: Design, comments: Sequence[str] = ()) -> str:
     for key in ("table", "yaw_table"):
         if key in content["gains"]:
             table = getattr(design.gains, key)
-            columns = [table[name].tolist() for name in _GAINS]
-            content["gains"][key] = [dict(zip(_GAINS, row, strict=True)) for row in zip(*columns, strict=True)]
+            names = ("time_s", *design.gain_names)
+            columns = [table[name].tolist() for name in names]
+            content["gains"][key] = [dict(zip(names, row, strict=True)) for row in zip(*columns, strict=True)]
     if "yaw_table" not in content["gains"]:
         content["gains"]["yaw"] = "pitch"
     return "".join(f"{f'# {line}'.rstrip()}\n" for line in comments) + tomli_w.dumps(content)

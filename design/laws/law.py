@@ -10,8 +10,8 @@ A law lives in one module here and one in control/laws (its kernel); `registry.L
 a design or of a case chooses. Nothing else in design/ depends on which law it is.
 
 **Inputs.** A law works on measurements, by name: those that a `FixedPath` offers (design/loop/fixed_path.py). Today
-these are `angle_rad`, the counted attitude less the commanded one, and `rate_radps`, the mean rate over a sample. A law
-may take any of them, in any order.
+these are `angle_rad`, the counted attitude less the commanded one, `rate_radps`, the mean rate over a sample, and
+`angle_integral_rads`, the sum of the angle over the samples. A law may take any of them, in any order.
 
 **Sign.** C is positive for negative feedback: the gimbal command is -C times the measurements, and L = sum of C_i P_i.
 
@@ -30,6 +30,9 @@ from numpy.typing import ArrayLike
 from maxq.control.kernel.records import Array, IntArray
 from maxq.design.model.state_space import ComplexArray, StateSpace
 from maxq.design.model.vehicle_at import Plane
+
+MEASUREMENTS = ("angle_rad", "rate_radps", "angle_integral_rads")
+ANGLES = MEASUREMENTS[::2]  # what follows from the angle
 
 
 class Controller(Protocol):

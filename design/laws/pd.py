@@ -1,8 +1,8 @@
 """The proportional-derivative law with its bending filter, linear side (Lee, Ahn & Roh eqs 33, 37 to 41).
 
-    C = F(s) (k_p, k_d)  on  (angle_rad, rate_radps)
+    C = F(s) (k_p, k_d, k_i)  on  (angle_rad, rate_radps, angle_integral_rads)
 
-Its kernel is control/laws/pd.py.
+with k_i = 0 here; with an integral it is the law of pid.py. Its kernel is control/laws/pd.py.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ from maxq.design.laws.bending_filter import (
     lifted,
     random_ranges,
 )
-from maxq.design.laws.law import Axis, Controller, DesignedLaw, LawLimit, LimitValues, LogResponse
+from maxq.design.laws.law import MEASUREMENTS, Axis, Controller, DesignedLaw, LawLimit, LimitValues, LogResponse
 from maxq.design.laws.schedule import (
     LARGEST_GAIN,
     LEAST_GAIN,
@@ -58,18 +58,20 @@ class Pd:
     k_p: float
     k_d_s: float
     filter: AnyFilter = None
+    k_i_ps: float = 0.0
 
     def __post_init__(self) -> None:
-        if not (np.isfinite(self.k_p) and np.isfinite(self.k_d_s)):
-            raise ValueError(f"k_p = {self.k_p}, k_d_s = {self.k_d_s}: allowed are finite numbers")
+        if not np.isfinite(list(self.gains.values())).all():
+            raise ValueError(", ".join(f"{k} = {v}" for k, v in self.gains.items()) + ": allowed are finite numbers")
 
     @property
     def inputs(self) -> tuple[str, ...]:
-        return ("angle_rad", "rate_radps") if self.k_p != 0.0 else ("rate_radps",)
+        return tuple(n for n in MEASUREMENTS if n == "rate_radps" or self.static_gain(n) != 0.0)
 
     @property
     def gains(self) -> Mapping[str, float]:
-        return {"k_p": self.k_p, "k_d_s": self.k_d_s}
+        integral = {"k_i_ps": self.k_i_ps} if self.k_i_ps != 0.0 else {}
+        return {"k_p": self.k_p, "k_d_s": self.k_d_s, **integral}
 
     def check(self, sample_s: float | None) -> None:
         check_period(self.filter, sample_s)
@@ -90,7 +92,7 @@ class Pd:
         return np.asarray(out[..., None] * self._gains())
 
     def static_gain(self, name: str) -> float:
-        return {"angle_rad": self.k_p, "rate_radps": self.k_d_s}.get(name, 0.0)
+        return dict(zip(MEASUREMENTS, (self.k_p, self.k_d_s, self.k_i_ps), strict=True)).get(name, 0.0)
 
     def poles(self) -> ComplexArray:
         return filter_poles(self.filter)
@@ -103,7 +105,7 @@ class Pd:
         return chain(gains, filter_state_space(self.filter))
 
     def scaled(self, factor: float) -> Pd:
-        return replace(self, k_p=factor * self.k_p, k_d_s=factor * self.k_d_s)
+        return Pd(factor * self.k_p, factor * self.k_d_s, self.filter, factor * self.k_i_ps)
 
     def _gains(self) -> np.ndarray:
         return np.array([self.static_gain(name) for name in self.inputs])
@@ -118,12 +120,13 @@ class PdDesign:
     filter: BendingFilter
     discretization: Discretization = "prewarped"
     prewarp_hz: float | None = None
+    name: str = "pd"
 
     @staticmethod
     def of(design: Design) -> PdDesign:
         """From a design file."""
-        filter_ = design.filter
-        return PdDesign(*gain_schedules(design), bending_filter(design), filter_.discretization, filter_.prewarp_hz)
+        form, filter_ = design.filter, bending_filter(design)
+        return PdDesign(*gain_schedules(design), filter_, form.discretization, form.prewarp_hz, design.law)
 
     @cached_property
     def _table(self) -> Cubics:
@@ -135,17 +138,19 @@ class PdDesign:
         """The design with the gains of one instant at all times."""
         law = PdDesign.of(design)
         laws = [law.at(time_s, "pitch", None), law.at(time_s, "yaw", None)]
+        names = law.pitch.columns
         pitch, yaw = (
-            CsvTable("", {"time_s": np.array([time_s]), "k_p": np.array([x.k_p]), "k_d_s": np.array([x.k_d_s])})
+            CsvTable("", {"time_s": np.array([time_s]), **{name: np.array([getattr(x, name)]) for name in names}})
             for x in laws
         )
         gains = design.gains.model_copy(update={"table": pitch, "yaw": None, "yaw_table": yaw})
         return design.model_copy(update={"gains": gains})
 
     def at(self, time_s: float, plane: Plane, sample_s: float | None) -> Pd:
-        column = 0 if plane == "pitch" else 2
-        k_p, k_d_s = self._table(time_s)[column : column + 2]
-        return Pd(float(k_p), float(k_d_s), self.filter_at(sample_s))
+        names = self.pitch.columns
+        first = 0 if plane == "pitch" else len(names)
+        gains = self._table(time_s)[first : first + len(names)].tolist()
+        return Pd(**dict(zip(names, gains, strict=True)), filter=self.filter_at(sample_s))
 
     def filter_at(self, sample_s: float | None) -> AnyFilter:
         """The filter, continuous or as the flight computer runs it at a period."""
@@ -155,10 +160,9 @@ class PdDesign:
 
     def tables(self) -> dict[str, Any]:
         def rows(schedule: GainSchedule) -> tuple[dict[str, float], ...]:
-            columns = (schedule.time_s, schedule.k_p, schedule.k_d_s)
-            return tuple(
-                {"time_s": float(t), "k_p": float(p), "k_d_s": float(d)} for t, p, d in zip(*columns, strict=True)
-            )
+            names = ("time_s", *schedule.columns)
+            columns = [[float(x) for x in getattr(schedule, name)] for name in names]
+            return tuple(dict(zip(names, row, strict=True)) for row in zip(*columns, strict=True))
 
         gains: dict[str, Any] = {"table": rows(self.pitch)}
         gains |= {"yaw": "pitch"} if self.yaw is self.pitch else {"yaw_table": rows(self.yaw)}
@@ -171,10 +175,10 @@ class PdDesign:
         }
         if self.prewarp_hz is not None and filter_["structure"] != "none":
             filter_["prewarp_hz"] = self.prewarp_hz
-        return {"gains": gains, "filter": filter_}
+        return {"law": self.name, "gains": gains, "filter": filter_}
 
     def record(self) -> dict[str, Any]:
-        gains = {f.name: [float(x) for x in getattr(self.pitch, f.name)] for f in fields(self.pitch)}
+        gains = {n: [float(x) for x in getattr(self.pitch, n)] for n in ("time_s", *self.pitch.columns)}
         return {"gains": gains, "filter": asdict(self.filter) | {"prewarp_hz": self.prewarp_hz}}
 
 
@@ -192,7 +196,8 @@ class PdVariables:
     Own parameters of a plant: the filter's variables, ln k_p, ln k_d.
     """
 
-    inputs = ("angle_rad", "rate_radps")
+    inputs: tuple[str, ...] = MEASUREMENTS[:2]
+    keys: tuple[str, ...] = ("k_p", "k_d_s")
     poles_at_zero = 0
 
     def __init__(self, task: Task, like: PdVariables | None = None, schedule: str | None = None) -> None:
@@ -212,7 +217,7 @@ class PdVariables:
             )
         self.full = case.limits.rigid_body == "aerodynamic"
         linear = not self.full
-        self.limits = (
+        self.limits: tuple[LawLimit, ...] = (
             LawLimit("rigid-body frequency", "Hz", linear),
             LawLimit("rigid-body damping", "", linear),
             LawLimit("|F(j inf)|", "", True),
@@ -230,8 +235,8 @@ class PdVariables:
             if fixed is None:
                 few = Rigid(*(getattr(task.rigid, f.name)[own] for f in fields(Rigid)))
                 fixed = least_gains(few, weights[own], wanted.rigid_hz, wanted.rigid_zeta, self.full)
-        self.gains: GainSchedules = GainSchedules(("k_p", "k_d_s"), nodes, weights, fixed)
-        self.own_size = self.filter.size + 2
+        self.gains: GainSchedules = GainSchedules(self.keys, nodes, weights, fixed)
+        self.own_size = self.filter.size + len(self.keys)
         self.lower, self.upper = self._bounds(0), self._bounds(1)
 
     def _bounds(self, end: int) -> Array:
@@ -259,7 +264,7 @@ class PdVariables:
 
     def jacobian(self, variables: Array) -> Array:
         n, by = self.filter.size, self.gains.log_gradients(self.split(variables)[1])
-        out = np.zeros((by.shape[1], n + 2, len(variables)))
+        out = np.zeros((by.shape[1], self.own_size, len(variables)))
         out[:, :n, :n] = np.eye(n)
         out[:, n:, n:] = by.transpose(1, 0, 2)
         return out
@@ -292,7 +297,7 @@ class PdVariables:
     def limit_values(self, own: Array) -> list[LimitValues]:
         """(47), (48) and (46)."""
         n = self.filter.size
-        k_p, k_d = np.exp(own[:, n:]).T
+        k_p, k_d = np.exp(own[:, n : n + 2]).T
         omega, zeta, by_omega, by_zeta = self._rigid_body(k_p, k_d)
         out = []
         for number, value, least, by in (
@@ -305,7 +310,7 @@ class PdVariables:
         if "filter_gain_at_infinity" not in limits.without and n > 0:
             most, slope = limits.filter_gain_at_infinity, self.filter.log_gain_at_infinity()
             gain = np.array([math.exp(float(slope @ own[0, :n]))])
-            excess, by = DB * np.log(gain / most), np.concatenate([DB * slope, np.zeros(2)])[None]
+            excess, by = DB * np.log(gain / most), np.concatenate([DB * slope, np.zeros(len(self.keys))])[None]
             out.append(LimitValues(AT_INFINITY, np.array([-1]), gain, np.array([most]), excess, by))
         return out
 
@@ -320,7 +325,7 @@ class PdVariables:
         stiffness = np.maximum(spring - (r.m_alpha if self.full else 0.0), 1e-9)
         damping = np.maximum(damper - (r.m_q if self.full else 0.0), 1e-9)
         omega = np.sqrt(stiffness)
-        by_omega, by_zeta = np.zeros((len(k_p), n + 2)), np.zeros((len(k_p), n + 2))
+        by_omega, by_zeta = np.zeros((2, len(k_p), self.own_size))
         by_omega[:, n] = 0.5 * spring / stiffness
         by_zeta[:, n], by_zeta[:, n + 1] = -by_omega[:, n], damper / damping
         return omega, damping / (2.0 * omega), by_omega, by_zeta
@@ -331,12 +336,13 @@ class PdVariables:
         flown: AnyFilter = self.filter.filter(y)
         if self.task.sample_s is not None:
             flown = self.filter.filter(y).discretize(self.task.sample_s, "prewarped", self.prewarp_hz)
-        return [Pd(float(k_p), float(k_d), flown) for k_p, k_d in self.gains.at_plants(u).T]
+        named = [dict(zip(self.keys, gains, strict=True)) for gains in self.gains.at_plants(u).T.tolist()]
+        return [Pd(**gains, filter=flown) for gains in named]
 
     def designed(self, variables: Array) -> PdDesign:
         y, u = self.split(variables)
         gains = GainSchedule(self.gains.nodes_s.tolist(), *self.gains.at_nodes(u).tolist())
-        return PdDesign(gains, gains, self.filter.filter(y), "prewarped", self.prewarp_hz)
+        return PdDesign(gains, gains, self.filter.filter(y), "prewarped", self.prewarp_hz, self.task.case.law)
 
     def variables_of(self, law: DesignedLaw) -> Array | None:
         if not isinstance(law, PdDesign):
@@ -344,7 +350,10 @@ class PdVariables:
         filter_ = lifted(law.filter, self.filter, self.task.first_mode_hz)
         if filter_ is None:
             return None
-        known = self.gains.from_nodes(np.asarray(law.pitch.time_s), np.array([law.pitch.k_p, law.pitch.k_d_s]))
+        if law.pitch.columns != self.keys:
+            return None
+        given = np.array([getattr(law.pitch, key) for key in self.keys])
+        known = self.gains.from_nodes(np.asarray(law.pitch.time_s), given)
         return self._clipped(np.concatenate([self.filter.variables(filter_), known]))
 
     def _clipped(self, variables: Array) -> Array:
@@ -377,7 +386,11 @@ class PdVariables:
         asked = least_gains(self.task.rigid, self.gains.weights, hz, zeta, False)
         rigid = replace(self.task.rigid, m_alpha=np.maximum(self.task.rigid.m_alpha, 0.0))
         needed = least_gains(rigid, self.gains.weights, START_HZ, START_ZETA, True)
-        return np.log(GAIN_FACTOR * np.maximum(asked, needed)).ravel()
+        return self._with_more_gains(np.log(GAIN_FACTOR * np.maximum(asked, needed))).ravel()
+
+    def _with_more_gains(self, log_gains: Array) -> Array:
+        """Logarithms of all starting gains (keys, nodes) from those of k_p and k_d."""
+        return log_gains
 
     def leap_size(self, number: int) -> Array:
         by_filter, by_gains = LEAPS[number % len(LEAPS)]
@@ -387,7 +400,7 @@ class PdVariables:
         """Linear gains in place of many nodes."""
         if self.schedule not in ("free", "nodes") or len(self.gains.nodes_s) <= 2:
             return None
-        small = PdVariables(self.task, schedule="linear")
+        small = type(self)(self.task, schedule="linear")
 
         def wider(x: Array) -> Array:
             y, u = small.split(x)

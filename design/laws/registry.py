@@ -8,6 +8,7 @@ from typing import Any
 
 from maxq.design.laws.law import DesignedLaw, LawVariables
 from maxq.design.laws.pd import PdDesign, PdVariables
+from maxq.design.laws.pid import PidVariables
 from maxq.design.laws.task import Task
 from maxq.sim.scenario.schema_design import Design
 
@@ -16,15 +17,19 @@ from maxq.sim.scenario.schema_design import Design
 class LawKind:
     """`of_design` reads the law from a design file; `frozen` gives the design with the gains of one instant (s).
 
-    `variables` are those of a task, like others of the same case.
+    `variables` are those of a task, like others of the same case. `inputs`: all measurements that it may take.
     """
 
     of_design: Callable[[Design], DesignedLaw]
     frozen: Callable[[Design, float], Design]
     variables: Callable[[Task, Any], LawVariables]
+    inputs: tuple[str, ...] = PdVariables.inputs
 
 
-LAWS: dict[str, LawKind] = {"pd": LawKind(PdDesign.of, PdDesign.frozen, PdVariables)}
+LAWS: dict[str, LawKind] = {
+    "pd": LawKind(PdDesign.of, PdDesign.frozen, PdVariables),
+    "pid": LawKind(PdDesign.of, PdDesign.frozen, PidVariables, PidVariables.inputs),
+}
 
 
 def designed_law(design: Design) -> DesignedLaw:

@@ -1,7 +1,8 @@
 """What the designer of a law cannot change: from the gimbal command to what the law works on.
 
-    L(f) = sum of C_i(f) P_i(f),    P = fixed(f) (integrator(f), 1)  for the measurements (angle_rad, rate_radps)
+    L(f) = sum of C_i(f) P_i(f),    P = fixed(f) (integrator(f), 1, integrator(f)^2)
 
+for the measurements (angle_rad, rate_radps, angle_integral_rads)
 with negative feedback (design/loop/open_loop.py). Three kinds with one interface:
 
 | kind | class | converter, delay, hold | integrator |
@@ -26,6 +27,8 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
+from maxq.control.kernel.records import Array
+from maxq.design.laws.law import ANGLES, MEASUREMENTS
 from maxq.design.loop.rational import Rational, average, converter_pade, delay_pade, hold_pade
 from maxq.design.loop.resonance import NamedPole, Resonance, named, resonances, vehicle_poles
 from maxq.design.loop.sampling import SampledPlant, sample
@@ -37,7 +40,6 @@ from maxq.design.model.vehicle_at import actuator_poles, actuator_response, actu
 Kind = Literal["sampled", "pade", "exact"]
 Cut = Literal["gimbal_command", "rate_command_to_q", "rate_command_to_q_m"]
 KINDS: tuple[Kind, ...] = ("sampled", "pade", "exact")
-MEASUREMENTS = ("angle_rad", "rate_radps")
 CUTS: tuple[Cut, ...] = ("gimbal_command", "rate_command_to_q", "rate_command_to_q_m")
 
 
@@ -49,7 +51,7 @@ class FixedPath(abc.ABC):
             raise ValueError(f"cut = {cut!r}: allowed is {', '.join(CUTS)}")
         self.node, self.cut = node, cut
         self.takes_rate = cut == "gimbal_command"
-        self.measurements: tuple[str, ...] = MEASUREMENTS if self.takes_rate else MEASUREMENTS[:1]
+        self.measurements: tuple[str, ...] = MEASUREMENTS[: 2 if self.takes_rate else 1]  # of the usual law
         ideal = bool(node.actuator.ideal)  # that of one is that of all
         output = "q_radps" if cut == "rate_command_to_q" else "local_rate_radps"
         # an ideal actuator is at rest between commands: the staircase's corners shake nothing
@@ -92,27 +94,31 @@ class FixedPath(abc.ABC):
         f = np.asarray(frequencies_hz, float)
         if measurement not in MEASUREMENTS:
             raise ValueError(f"a law takes {measurement}: what is measured is {', '.join(MEASUREMENTS)}")
-        if measurement == "angle_rad":
-            return self.integrator(f)
-        return np.full(f.shape, 1.0 if measurement in self.measurements else 0.0, np.complex128)
+        if measurement in ANGLES:
+            return self.integrator(f) ** (1 + ANGLES.index(measurement))
+        return np.full(f.shape, 1.0 if self.takes_rate else 0.0, np.complex128)
 
     def measured(self, measurements: tuple[str, ...]) -> StateSpace:
-        """From gimbal command to measurements, with the angle's integrator; in z for a sampled path."""
+        """From gimbal command to measurements, with the integrators of the angle; in z for a sampled path."""
         path, period = self.state_space(), self.sample_s
         rate = path.c[0]
         a, b, states = path.a, path.b, path.states
         # a sampled angle has this sample's increment in it
         drift, per_rate = (a, rate) if period is None else (a - np.eye(len(a)), period * rate)
         angle = np.zeros(len(a)) if period is None else per_rate
-        if "angle_rad" in measurements and self.rests_at_dc:
+        wanted = any(name in measurements for name in ANGLES)
+        if wanted and self.rests_at_dc:
             # the angle is known from the path's states: `known` times their rate of change is the measured rate
             angle = angle + np.linalg.lstsq(drift.T, per_rate, rcond=None)[0]
-        elif "angle_rad" in measurements:
-            n = len(a)
-            a = np.block([[a, np.zeros((n, 1))], [per_rate[None], np.full((1, 1), 0.0 if period is None else 1.0)]])
-            b, states = np.vstack([b, np.zeros((1, 1))]), (*states, "angle_rad")
-            rate, angle = np.append(rate, 0.0), np.append(angle, 1.0)
-        rows = {"angle_rad": angle, "rate_radps": rate if self.takes_rate else 0.0 * rate}
+        elif wanted:
+            a, b, (rate,), angle = _integrated(a, b, (rate,), per_rate, period)
+            states = (*states, "angle_rad")
+        integral = angle
+        if "angle_integral_rads" in measurements:
+            added = angle if period is None else period * angle
+            a, b, (rate, angle), integral = _integrated(a, b, (rate, angle), added, period)
+            states = (*states, "angle_integral_rads")
+        rows = dict(zip(MEASUREMENTS, (angle, rate if self.takes_rate else 0.0 * rate, integral), strict=True))
         c = np.array([rows[name] for name in measurements])
         return StateSpace(a, b, c, np.zeros((len(c), 1)), states, path.inputs, measurements)
 
@@ -312,6 +318,19 @@ def folded(poles_radps: ComplexArray, sample_s: float) -> ComplexArray:
     turn = 2.0 * math.pi / sample_s
     imaginary = poles_radps.imag - turn * np.round(poles_radps.imag / turn)
     return poles_radps.real + 1j * imaginary
+
+
+def _integrated(
+    a: Array, b: Array, rows: tuple[Array, ...], added: Array, period: float | None
+) -> tuple[Array, Array, list[Array], Array]:
+    """State matrices with one state more, the integral (the sum) of the output `added`; rows of outputs and its own.
+
+    A sum has this sample's addend in it.
+    """
+    n, kept = len(a), 0.0 if period is None else 1.0
+    a = np.block([[a, np.zeros((n, 1))], [added[None], np.full((1, 1), kept)]])
+    b = np.vstack([b, np.zeros((1, 1))])
+    return a, b, [np.append(row, 0.0) for row in rows], np.append(kept * added, 1.0)
 
 
 def _pair(omega: float, zeta: float) -> ComplexArray:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from maxq.design.laws.bending_filter import FASTEST
-from maxq.design.laws.law import Controller
+from maxq.design.laws.law import ANGLES, MEASUREMENTS, Controller
 from maxq.design.loop.fixed_path import ExactFixedPath, FixedPath, PadeFixedPath
 from maxq.design.model.state_space import ComplexArray, StateSpace, chain, closed
 
@@ -52,7 +52,9 @@ class Loop:
     def open_poles(self) -> ComplexArray:
         """Poles of L in rad/s, of a sampled loop log(z) / T."""
         parts = [self.fixed.poles(), self.law.poles()]
-        if "angle_rad" in self.law.inputs and not self.fixed.rests_at_dc:
+        if any(name in ANGLES for name in self.law.inputs) and not self.fixed.rests_at_dc:
+            parts.append(np.zeros(1, np.complex128))
+        if "angle_integral_rads" in self.law.inputs:
             parts.append(np.zeros(1, np.complex128))
         return np.concatenate(parts)
 
@@ -108,6 +110,7 @@ class Loop:
         return np.asarray(s[~again])
 
     def _at(self, exact: ExactFixedPath, s: ComplexArray) -> ComplexArray:
-        ratios = {"angle_rad": 1.0 / s, "rate_radps": np.full(np.shape(s), 1.0 if exact.takes_rate else 0.0)}
+        rate = np.full(np.shape(s), 1.0 if exact.takes_rate else 0.0)
+        ratios = dict(zip(MEASUREMENTS, (1.0 / s, rate, 1.0 / s**2), strict=True))
         law = self.law.at(s) * np.stack([ratios[name] for name in self.law.inputs], axis=-1)
         return np.asarray(law.sum(axis=-1) * exact.at(s))

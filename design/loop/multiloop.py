@@ -24,7 +24,7 @@ import scipy.linalg
 from maxq.control.kernel.records import Array
 from maxq.control.kernel.tables import table_in
 from maxq.design.laws.bending_filter import FASTEST
-from maxq.design.laws.law import Controller
+from maxq.design.laws.law import MEASUREMENTS, Controller
 from maxq.design.laws.pd import Pd
 from maxq.design.laws.registry import designed_law
 from maxq.design.loop.sampling import SampledPlant, sample
@@ -60,7 +60,8 @@ class Multiloop:
 
     def _controllers(self, f: Array, z: ComplexArray) -> ComplexArray:
         """From the mean rate of each axis to its command, (..., axes)."""
-        ratio = {"angle_rad": self.path.sample_s * z / (z - 1.0), "rate_radps": np.ones_like(z)}
+        summed = self.path.sample_s * z / (z - 1.0)
+        ratio = dict(zip(MEASUREMENTS, (summed, np.ones_like(z), summed**2), strict=True))
         parts = [law.response(f) * np.stack([ratio[name] for name in law.inputs], axis=-1) for law in self.laws]
         return np.stack([part.sum(axis=-1) for part in parts], axis=-1)
 
@@ -73,9 +74,13 @@ class Multiloop:
         """L in z, from the commands round to minus themselves."""
         t, parts = self.path.sample_s, []
         for law in self.laws:
-            rows = {"angle_rad": (1.0, t), "rate_radps": (0.0, 1.0)}  # of the sum so far, and of the new rate
-            c, d = (np.array([[rows[name][k]] for name in law.inputs]) for k in (0, 1))
-            summed = StateSpace(np.eye(1), np.full((1, 1), t), c, d, ("angle_rad",), ("rate",), law.inputs)
+            # of the sums so far, the angle's and its own, and of the new rate
+            rows = dict(zip(MEASUREMENTS, ([1.0, 0.0, t], [0.0, 0.0, 1.0], [t, 1.0, t * t]), strict=True))
+            n = 2 if "angle_integral_rads" in law.inputs else 1
+            a, b = np.array([[1.0, 0.0], [t, 1.0]])[:n, :n], np.array([[t], [t * t]])[:n]
+            outputs = np.array([rows[name] for name in law.inputs])
+            states = ("angle_rad", "angle_integral_rads")[:n]
+            summed = StateSpace(a, b, outputs[:, :n], outputs[:, 2:], states, ("rate",), law.inputs)
             parts.append(chain(summed, law.state_space()))
         a, b, c, d = (scipy.linalg.block_diag(*(getattr(part, name) for part in parts)) for name in "abcd")
         states = tuple(f"{axis}_{name}" for axis, p in zip(self.axes, parts, strict=True) for name in p.states)

@@ -10,6 +10,7 @@ import numpy as np
 
 from maxq.control.kernel.records import Array
 from maxq.design.case.schema import Case
+from maxq.design.laws.registry import law_kind
 from maxq.design.laws.task import PlantLimits, Rigid, Task
 from maxq.design.loop.fixed_path import FixedPath, fixed_path
 from maxq.design.margins.curve import lowest_hz_of
@@ -47,6 +48,7 @@ class Plant:
 def make_plant(node: Node, case: Case, dispersed: bool = False) -> Plant:
     """Raises ValueError for a node without a first bending mode where that is the objective."""
     path = fixed_path(node, case.loop)
+    path.measurements = law_kind(case.law).inputs
     share, top = case.objective.band, path.highest_hz * MODE_BANDS_END
     bands = []
     for r in path.resonances(0.5):

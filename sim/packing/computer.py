@@ -55,6 +55,7 @@ def pack_computer(scenario: Scenario, pool: Pool) -> Computer:
         angle_error_limit_rad=math.radians(computer.angle_error_limit_deg),
         command_limit_rad=math.radians(computer.command_limit_deg),
         gains=_gains(design) if design else None,
+        integral_limit_rad=math.radians(design.gains.integral_limit_deg or math.inf) if design else math.inf,
         programme=_programme(scenario.guidance.programme, scenario.guidance.method),
         unrolled=scenario.guidance.axes == "unrolled",
         pitch_filter=_filter(design, computer.sample_s) if design else None,
@@ -74,8 +75,9 @@ def _gains(design: Design) -> Cubics:
 def gain_schedules(design: Design) -> tuple[GainSchedule, GainSchedule]:
     """Gains over the vehicle clock in pitch and in yaw; the same object where yaw is as pitch."""
     pitch, yaw = design.gains.axes
-    first = GainSchedule(*(list(pitch[name]) for name in ("time_s", "k_p", "k_d_s")))
-    return first, first if yaw is pitch else GainSchedule(*(list(yaw[name]) for name in ("time_s", "k_p", "k_d_s")))
+    names = ("time_s", *design.gain_names)
+    first = GainSchedule(*(list(pitch[name]) for name in names))
+    return first, first if yaw is pitch else GainSchedule(*(list(yaw[name]) for name in names))
 
 
 @cached_by_identity

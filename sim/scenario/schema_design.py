@@ -15,15 +15,22 @@ from maxq.sim.scenario.tables_csv import Columns, CsvTable
 if TYPE_CHECKING:
     from maxq.control.filters import BendingFilter
 
-GAIN_COLUMNS = Columns("time_s", sets=(("k_p", "k_d_s"),), not_negative=("k_p", "k_d_s"))
+GAIN_COLUMNS = Columns(
+    "time_s", sets=(("k_p", "k_d_s"),), optional=("k_i_ps",), not_negative=("k_p", "k_d_s", "k_i_ps")
+)
 
 
 class Gains(Section):
-    """Gains of the PD law (paper, eq. 33), linear in time, held outside the table."""
+    """Gains of the law (PD: paper, eq. 33), linear in time, held outside the table."""
 
-    table: Annotated[CsvTable, GAIN_COLUMNS] = Field(description="k_p (rad/rad) and k_d_s (s) over the vehicle clock")
+    table: Annotated[CsvTable, GAIN_COLUMNS] = Field(
+        description="k_p (rad/rad), k_d_s (s), for pid k_i_ps (1/s) over the vehicle clock"
+    )
     yaw: Literal["pitch"] | None = optional('"pitch": as in pitch (the default without yaw_table)')
     yaw_table: Annotated[CsvTable, GAIN_COLUMNS] | None = optional("own gains of the yaw axis")
+    integral_limit_deg: Positive | None = optional(
+        "pid: limit of the integral's share of the command (default: none), deg"
+    )
 
     @model_validator(mode="after")
     def _check(self) -> Gains:
@@ -157,9 +164,30 @@ class Design(Section):
     name: str = optional("name of the design", "")
     description: str = optional("what it is, in a sentence", "")
     vehicle: str = optional("the vehicle that it was made for; for people", "")
-    law: Law = optional("control law; pd: proportional-derivative with a bending filter", "pd")
+    law: Law = optional(
+        "control law; pd: proportional-derivative with a bending filter; pid: with an integral besides", "pd"
+    )
     gains: Gains
     filter: Filter = Filter()
     roll: Roll | None = optional("absent: no roll control by thrusters")
     roll_gimbal: RollGimbal | None = optional("absent: no roll control by gimbals")
     limits: Limits | None = optional("what the design was made to; for people")
+
+    @model_validator(mode="after")
+    def _check(self) -> Design:
+        integral = self.law == "pid"
+        for key in ("table", "yaw_table"):
+            table = getattr(self.gains, key)
+            if table is not None and ("k_i_ps" in table) != integral:
+                problem, allowed = ("the law pid needs a column k_i_ps", "time_s, k_p, k_d_s, k_i_ps")
+                if not integral:
+                    problem, allowed = ("the law pd has no column k_i_ps", "law = 'pid', or time_s, k_p, k_d_s")
+                raise table.refusal(problem, allowed, at=("gains", key))
+        if not integral and self.gains.integral_limit_deg is not None:
+            raise refuse("the law pd has no integral", "with law = 'pid' only", key=("gains", "integral_limit_deg"))
+        return self
+
+    @property
+    def gain_names(self) -> tuple[str, ...]:
+        """Columns of the gains' tables."""
+        return ("k_p", "k_d_s", "k_i_ps") if self.law == "pid" else ("k_p", "k_d_s")

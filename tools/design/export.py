@@ -38,7 +38,7 @@ Format = Literal["mat", "npz", "json"]
 FORMATS = get_args(Format)
 SOURCES = ("flight_law.h", "flight_law.c", "flight_law_fsw.c", "test_flight_law.c", "CMakeLists.txt")
 TEST_SAMPLES = 600
-EXPORTED_LAWS = ("pd",)
+EXPORTED_LAWS = ("pd", "pid")
 _SHAKEN = {"at": "rate_command", "kind": "sine", "amplitude_degps": 2.0}
 _UNITS = {
     "radps2": "rad/s^2", "radps": "rad/s", "rad": "rad", "mps2": "m/s^2", "mps": "m/s", "m": "m", "s": "s", "N": "N",
@@ -96,7 +96,9 @@ def export_c(loaded: LoadedScenario, folder: Path) -> list[Path]:
             loaded.label, "there is no design to export", "design", allowed="with [computer] and design"
         )
     if design.law not in EXPORTED_LAWS:
-        raise ScenarioError(loaded.label, "cannot be exported as C", "design.law", value=design.law, allowed="pd")
+        raise ScenarioError(
+            loaded.label, "cannot be exported as C", "design.law", value=design.law, allowed=", ".join(EXPORTED_LAWS)
+        )
     check_writable(folder)
     packed = pack_flight(loaded.scenario)
     said = (
@@ -144,6 +146,8 @@ def _declared(packed: Packed, said: str) -> Iterator[str]:
         ("ROLL_GIMBAL_K_P", k_p, "roll by groups of engines"),
         ("ROLL_GIMBAL_K_D_S", k_d_s, ""),
         ("ROLL_GIMBAL_LIMIT_RAD", limit_rad, ""),
+        ("GAINS", 3 if int(computer.pid.on) else 2, "of an axis; 3: with an integral"),
+        ("INTEGRAL_LIMIT_RAD", min(float(computer.pid.limit_rad), 1.0e9), "of the integral's share"),
         ("GAIN_BREAKS", n, "times of the gain schedule"),
     )
     yield from (f"/* {said} */", "#ifndef FLIGHT_LAW_TABLES_H", "#define FLIGHT_LAW_TABLES_H", "")
@@ -153,8 +157,8 @@ def _declared(packed: Packed, said: str) -> Iterator[str]:
     yield from (
         "",
         "extern const law_real law_gain_time_s[LAW_GAIN_BREAKS];",
-        "/* per interval: coefficients of powers 0 to 3 of the time in it; k_p, k_d_s in pitch, then yaw */",
-        "extern const law_real law_gain[LAW_GAIN_BREAKS - 1][4][4];",
+        "/* per interval: coefficients of powers 0 to 3 of the time in it; k_p, k_d_s (, k_i_ps) in pitch, then yaw */",
+        "extern const law_real law_gain[LAW_GAIN_BREAKS - 1][4][2 * LAW_GAINS];",
         "extern const int32_t law_sections[2]; /* of the bending filter, in pitch and yaw */",
         "extern const law_real law_section[2][LAW_MOST_SECTIONS][5]; /* b0, b1, b2, a1, a2 with a0 = 1 */",
         "",
@@ -168,7 +172,7 @@ def _defined(packed: Packed, said: str) -> Iterator[str]:
     gains = table_in(packed.pool, law.gains)
     yield from (f"/* {said} */", '#include "flight_law_tables.h"', "")
     yield from _array("const law_real law_gain_time_s[LAW_GAIN_BREAKS]", np.asarray(gains.breaks))
-    yield from _array("const law_real law_gain[LAW_GAIN_BREAKS - 1][4][4]", np.asarray(gains.coefficients))
+    yield from _array("const law_real law_gain[LAW_GAIN_BREAKS - 1][4][2 * LAW_GAINS]", np.asarray(gains.coefficients))
     yield f"const int32_t law_sections[2] = {{{int(law.n_sections[0])}, {int(law.n_sections[1])}}};"
     assert law.sections.shape == (2, MAX_SECTIONS, 5)
     yield from _array("const law_real law_section[2][LAW_MOST_SECTIONS][5]", law.sections)

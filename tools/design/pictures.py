@@ -92,18 +92,19 @@ LOWEST_HZ, HIGHEST_HZ = 0.1, 100.0
 
 
 def gains(designs: Mapping[str, Design], title: str = "") -> Figure:
-    """Figs 7, 11, 13: k_p and k_d over time, a point where the table has a row."""
-    figure, places = sheet(1, 2, height_in=2.8, title=title)
+    """Figs 7, 11, 13: the gains over time, a point where the table has a row."""
+    names = max((design.gain_names for design in designs.values()), key=len)
+    figure, places = sheet(1, len(names), height_in=2.8, title=title)
     for k, (name, design) in enumerate(designs.items()):
         axes = [("", design.gains.table)]
         if design.gains.yaw_table is not None:
             axes = [(", pitch", design.gains.table), (", yaw", design.gains.yaw_table)]
         for n, (axis, table) in enumerate(axes):
-            for place, column in zip(places, ("k_p", "k_d_s"), strict=True):
+            for place, column in zip(places, design.gain_names, strict=False):
                 style = curve(k + n)
                 mark = {"marker": MARKERS[k % len(MARKERS)], "markersize": 3}
                 place.plot(table["time_s"], table[column], **style, **mark, label=f"{name}{axis}")
-    for place, text in zip(places, (r"$k_P$, rad/rad", r"$k_D$, s"), strict=True):
+    for place, text in zip(places, (r"$k_P$, rad/rad", r"$k_D$, s", r"$k_I$, 1/s"), strict=False):
         place.set_ylim(bottom=0.0)
         label(place, "time, s", text)
     if len(designs) > 1 or any(d.gains.yaw_table is not None for d in designs.values()):

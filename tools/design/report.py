@@ -198,16 +198,17 @@ def budget_table(judged: Sequence[Judged], crossing: str, column: Literal["gain_
 
 def design_table(design: Design) -> list[str]:
     """Gains and filter."""
-    rows = [("time, s", "k_p", "k_d, s")]
-    for t, p, d in zip(*(design.gains.table[name] for name in ("time_s", "k_p", "k_d_s")), strict=True):
-        rows.append((f"{t:g}", f"{p:.4f}", f"{d:.4f}"))
+    names = ("time_s", *design.gain_names)
+    rows = [tuple({"time_s": "time, s", "k_p": "k_p", "k_d_s": "k_d, s", "k_i_ps": "k_i, 1/s"}[n] for n in names)]
+    for t, *gains in zip(*(design.gains.table[name] for name in names), strict=True):
+        rows.append((f"{t:g}", *(f"{gain:.4f}" for gain in gains)))
     sections = [("section", "zero Hz", "zeta", "pole Hz", "zeta")]
     for q in design.filter.quadratic:
         cells = (f"{q.zero_hz:.3f}", f"{q.zero_zeta:.4f}", f"{q.pole_hz:.3f}", f"{q.pole_zeta:.4f}")
         sections.append(("quadratic", *cells))
     for f in design.filter.first_order:
         sections.append(("first order", f"{f.zero_hz:.3f}", "", f"{f.pole_hz:.3f}", ""))
-    head = ["gains", *aligned(rows, "  ", right=(0, 1, 2)), f"filter {design.filter.structure}"]
+    head = ["gains", *aligned(rows, "  ", right=tuple(range(len(names)))), f"filter {design.filter.structure}"]
     return [*head, *aligned(sections, "  ", right=(1, 2, 3, 4))]
 
 

@@ -1,0 +1,85 @@
+"""Attitude control law: proportional, integral and derivative, then PD's bending filter (pd.py).
+
+    delta = -k_p theta_e - k_d q_g - i,      i_n = i_(n-1) + T k_i theta_e
+
+The gain stands inside the sum: a schedule moves no command by itself. Anti-windup: the sum stands still while the
+command that was issued last was cut at its limit and the error would drive it farther out, and it keeps to a limit of
+its own (Astrom & Hagglund, Advanced PID Control, 3.5: conditional integration). Its linear side is design/laws/pid.py.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated, NamedTuple
+
+from maxq.control.attitude import AttitudeError
+from maxq.control.kernel.jit import kernel
+from maxq.control.kernel.records import Array
+from maxq.control.kernel.rows import DEG, PitchYaw
+from maxq.control.kernel.tables import look_up
+from maxq.control.laws.pd import Pd, PdState, filtered
+
+
+@dataclass(frozen=True)
+class Pid:
+    """`on`: 1 for this law, 0 for PD. `limit_rad`: of the integral's share of the command."""
+
+    on: int
+    limit_rad: float
+
+
+@dataclass
+class PidState:
+    """Per gimbal axis (pitch, yaw): gain in use, and the integral i."""
+
+    k_i_ps: Annotated[Array, (2,)]
+    integral_rad: Annotated[Array, (2,)]
+
+
+@kernel
+def start_pid(state: PidState) -> None:
+    for gimbal in range(2):
+        state.k_i_ps[gimbal] = 0.0
+        state.integral_rad[gimbal] = 0.0
+
+
+@kernel
+def tick_pid(
+    law: Pd, pid: Pid, pool: Array, state: PdState, integral: PidState, error: AttitudeError, gimbal: int,
+    time_s: float, sample_s: float, on: int, cut_rad: float,
+) -> float:  # fmt: skip  # twelve lines otherwise
+    """As `tick_pd`, the gains' table with three columns an axis. `cut_rad`: the command before if the limit cut it,
+    else 0.
+
+    With `on` = 0 the integral is 0.
+    """
+    pid_rad = 0.0
+    if on == 0:
+        integral.integral_rad[gimbal] = 0.0
+    elif law.gains.n_breaks != 0:
+        theta_e_rad = error.theta_e_rad[gimbal + 1]
+        k_p = look_up(pool, law.gains, time_s, 3 * gimbal)
+        k_d_s = look_up(pool, law.gains, time_s, 3 * gimbal + 1)
+        k_i_ps = look_up(pool, law.gains, time_s, 3 * gimbal + 2)
+        state.k_p[gimbal], state.k_d_s[gimbal], integral.k_i_ps[gimbal] = k_p, k_d_s, k_i_ps
+        more_rad = sample_s * k_i_ps * theta_e_rad
+        if more_rad * cut_rad >= 0.0:  # a positive error lowers the command: one cut at the upper limit comes back
+            whole_rad = integral.integral_rad[gimbal] + more_rad
+            integral.integral_rad[gimbal] = min(max(whole_rad, -pid.limit_rad), pid.limit_rad)
+        pid_rad = -k_p * theta_e_rad - k_d_s * error.rate_radps[gimbal + 1] - integral.integral_rad[gimbal]
+    return filtered(law, state, gimbal, pid_rad)
+
+
+class PidRow(NamedTuple):
+    """What is logged of the integral."""
+
+    k_i_axis_ps: Annotated[PitchYaw, "1/s", "integral gain; 0 without an integral"]
+    integral_axis_deg: Annotated[PitchYaw, "deg", "integral's share of the law's output, with its sign reversed"]
+
+
+@kernel
+def pid_row(state: PidState) -> PidRow:
+    k_i, integral = state.k_i_ps, state.integral_rad
+    return PidRow(
+        k_i_axis_ps=PitchYaw(k_i[0], k_i[1]), integral_axis_deg=PitchYaw(DEG * integral[0], DEG * integral[1])
+    )
