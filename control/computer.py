@@ -39,7 +39,7 @@ from maxq.control.kernel.jit import kernel, routine
 from maxq.control.kernel.records import Array, IntArray
 from maxq.control.kernel.rows import PitchYaw, Quaternion, RollPitchYaw, degrees, quaternion
 from maxq.control.kernel.tables import NO_TABLE, Cubics, Pool, TableRef
-from maxq.control.laws.pd import LawRow, Pd, PdState, law_row, make_pd, start_pd, tick_pd
+from maxq.control.laws.pd import LawRow, Pd, PdState, law_row, make_pd, settle_pd, start_pd, tick_pd
 from maxq.control.laws.pid import Pid, PidRow, PidState, pid_row, start_pid, tick_pid
 from maxq.control.roll import Roll, RollState, silence_roll, start_roll, update_roll
 from maxq.control.structures import Attitude
@@ -84,6 +84,7 @@ class Computer:
     dac_step_rad: float
     roll: Roll
     allocation: Allocation  # of the stage that flies
+    takes_over: int = 0  # 1: this stage's law or timing is its own, and is started at the separation
 
 
 @dataclass
@@ -202,6 +203,14 @@ def start_computer(computer: Computer, pool: Array, state: ComputerState, time_s
         state.requested_rad[gimbal] = 0.0
         state.command_limited[gimbal] = 0
         state.command_rad[gimbal] = 0.0
+
+
+@routine
+def take_over(computer: Computer, state: ComputerState) -> None:
+    """A stage's own law takes over at a separation: filters settled at the law's last output."""
+    for gimbal in range(2):
+        settle_pd(computer.law, state.law, gimbal)
+    start_roll(state.roll)
 
 
 @routine

@@ -15,7 +15,7 @@ from maxq.sim.flight.metrics import MetricIndex
 from maxq.sim.flight.telemetry import SLOW
 from maxq.sim.run.fly import fly
 from maxq.sim.run.launch_frames import LaunchFrames, LaunchSite
-from maxq.sim.run.metrics import METRIC_NAMES, METRICS, EndMetrics, SectionMetrics, WaveMetrics, unit_of
+from maxq.sim.run.metrics import METRIC_NAMES, METRICS, EndMetrics, OrbitMetrics, SectionMetrics, WaveMetrics, unit_of
 
 
 def loaded(*overrides: str) -> LoadedScenario:
@@ -73,7 +73,13 @@ def test_angles_are_scaled_once(tmp_path: Path) -> None:
 
 
 def test_names_of_metrics_end_with_their_unit() -> None:
-    assert (*MetricIndex._fields, *SectionMetrics._fields, *EndMetrics._fields, *WaveMetrics._fields) == METRIC_NAMES
+    assert (
+        *MetricIndex._fields,
+        *SectionMetrics._fields,
+        *EndMetrics._fields,
+        *WaveMetrics._fields,
+        *OrbitMetrics._fields,
+    ) == METRIC_NAMES
     for metric in METRICS.values():
         assert metric.name.endswith("_" + unit_suffix(unit_of(metric.name))) or unit_of(metric.name) == "1"
 

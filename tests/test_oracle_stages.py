@@ -10,12 +10,18 @@ import pytest
 from scipy.interpolate import PchipInterpolator
 
 from maxq.design import api
+from maxq.design.case.schema import LoadedCase, read_case
 from maxq.design.certificate.certificate import certify_node
 from maxq.design.certificate.held_flight import hold
+from maxq.design.laws.design_file import design_text
 from maxq.design.margins.measure import margins
 from maxq.design.model.node import Span, node_times, nodes_along, powered_spans, spans_of
+from maxq.design.optimise.solve import each_stage, solve
+from maxq.design.verify.judging import judge_solution, make_design
+from maxq.design.verify.suite import read_suite
 from maxq.sim.run.fly import Event
 from maxq.sim.scenario.burn import stage_burns
+from maxq.sim.scenario.loader import load_scenario
 
 
 @pytest.fixture(scope="module")
@@ -96,3 +102,70 @@ def test_certificate_of_a_later_stage_agrees(spans: tuple[Span, ...]) -> None:
     assert found.stable
     assert found.unexplained == ()
     assert abs(found.margins[0].difference) < 0.2
+
+
+CASE = """
+schema = 1
+scenario = "scenario.toml"
+nodes_per_stage = 2
+gains = {schedule = "linear"}
+objective = {kind = "least-margin"}
+filter = {structure = "F2"}
+limits = {rigid_body = "aerodynamic", rigid_hz = 0.3, rigid_zeta = 0.5, without = ["second_mode_db"]}
+search = {starts = 1, leaps = 0}
+[[stage]]
+[[stage]]
+limits = {rigid_hz = 0.25}
+"""
+
+
+@pytest.fixture(scope="module")
+def case() -> LoadedCase:
+    path = petrel.folder() / "two-nodes.toml"
+    path.write_text(CASE)
+    return read_case(path)
+
+
+def test_a_case_is_a_case_of_each_stage(case: LoadedCase, spans: tuple[Span, ...]) -> None:
+    found = [loaded.case for loaded in each_stage(case)]
+    assert len(found) == len(spans)
+    for one, span in zip(found, spans, strict=True):
+        assert len(one.times_s) == 2
+        assert all(span.holds(t) for t in one.times_s)
+    assert [one.limits.rigid_hz for one in found[:2]] == [0.3, 0.25]
+    assert found[1].limits.rigid_zeta == 0.5  # what is not said stays
+    assert found[1].limits.rigid_body == "aerodynamic"
+    second = read_case(petrel.folder() / "two-nodes.toml", ["stages=[2]"])
+    assert [loaded.case.times_s for loaded in each_stage(second)] == [found[1].times_s]
+    with pytest.raises(ValueError, match=r"stages = \[9\]|stages = \[8\]"):
+        each_stage(read_case(petrel.folder() / "two-nodes.toml", ["stages=[8]"]))
+
+
+@pytest.mark.slow
+def test_a_design_of_one_stage_leaves_the_others_as_they_were(case: LoadedCase) -> None:
+    (second,) = each_stage(read_case(petrel.folder() / "two-nodes.toml", ["stages=[2]"]))
+    solution = solve(second)
+    design, own = make_design(second, solution), petrel.scenario().design
+    assert own is not None
+    assert solution.feasible
+    assert [law.filter for law in design.stage][::2] == [own.of_stage(0).filter, own.of_stage(2).filter]
+    assert design.of_stage(1).filter != own.of_stage(1).filter
+    assert design.of_stage(1).gains.table["time_s"].tolist() == list(second.case.times_s)
+    outcome = judge_solution(second, solution, design)
+    assert outcome.feasible
+    path = petrel.folder() / "made.toml"
+    path.write_text(design_text(design))
+    again = petrel.scenario(f'design="{path}"').design
+    assert again is not None
+    assert again.model_dump(exclude={"gains", "stage"}) == design.model_dump(exclude={"gains", "stage"})
+    for n in range(3):
+        mine, read = design.of_stage(n).gains.table, again.of_stage(n).gains.table
+        assert all((mine[key] == read[key]).all() for key in ("time_s", "k_p", "k_d_s"))
+        assert design.of_stage(n).filter == again.of_stage(n).filter
+
+
+def test_a_suite_finds_its_scenario_beside_itself() -> None:
+    """Also from another working folder; what does not lie there is looked for as ever."""
+    suite = read_suite(petrel.folder() / "suite.toml").suite
+    assert load_scenario(suite.scenario).vehicle.name == "petrel"
+    assert read_suite("standard").suite.scenario == "nominal"

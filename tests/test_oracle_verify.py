@@ -63,7 +63,7 @@ def test_centre_of_percussion_stays_where_it_is(nodes: list[Node]) -> None:
 
 
 def test_gimbal_trims_just_the_wind_that_takes_all_of_it(nodes: list[Node]) -> None:
-    for node, found in zip(nodes, authority(nodes, math.radians(6.0)), strict=True):
+    for node, found in zip(nodes, authority(nodes, [math.radians(6.0)]), strict=True):
         rigid = _rigid(node)
         plant = vehicle_plant(rigid.vehicle, rigid.condition)
         q = plant.states.index("q_radps")

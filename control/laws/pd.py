@@ -109,6 +109,12 @@ def start_pd(law: Pd, state: PdState) -> None:
 
 
 @kernel
+def settle_pd(law: Pd, state: PdState, gimbal: int) -> None:
+    """Filters as they are after a long time at the law's last output: what follows is no transient of theirs."""
+    settle_filter(law.sections[gimbal], law.n_sections[gimbal], state.filter_memory[gimbal], state.pd_rad[gimbal])
+
+
+@kernel
 def tick_pd(law: Pd, pool: Array, state: PdState, error: AttitudeError, gimbal: int, time_s: float, on: int) -> float:
     """Filtered command, rad, of gimbal axis `gimbal` (0 pitch, 1 yaw) at `time_s` (eq 33).
 

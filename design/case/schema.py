@@ -11,10 +11,11 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Literal, TypeVar
 
 from pydantic import Field, model_validator
 
+from maxq.control.kernel.limits import MAX_STAGES
 from maxq.control.structures import MAX_SECTIONS, STRUCTURES, DesignedStructure, Law
 from maxq.sim.scenario.documents import Text
 from maxq.sim.scenario.errors import ScenarioError, refuse
@@ -22,12 +23,12 @@ from maxq.sim.scenario.files import find
 from maxq.sim.scenario.loader import LoadedScenario, load_file, load_scenario
 from maxq.sim.scenario.schema_values import NotNegative, Positive, Section, needs, only_with, optional
 
-PAPER_TIMES_S = tuple(float(t) for t in range(5, 60, 5))
 LIMIT_NAMES = Literal["second_mode_db", "filter_gain_at_infinity", "rigid_hz", "rigid_zeta"]
 
 ObjectiveName = Literal["first-mode-peak", "least-margin"]
 """Keys of `design.optimise.criteria.OBJECTIVES`."""
 
+Model = TypeVar("Model", bound=Section)
 Range = tuple[float, float]
 Margin = Annotated[float, Field(gt=0.0, le=90.0)]
 Share = Annotated[float, Field(ge=0.0, lt=1.0)]
@@ -219,13 +220,23 @@ class Search(Section):
     seed: Annotated[int, Field(ge=0)] = optional("of the random ones among them", 1)
 
 
+class StageCase(Section):
+    """What differs in a stage: keys that are given replace those of the case."""
+
+    gains: Gains | None = optional("see [gains]")
+    filter: Filter | None = optional("see [filter]")
+    objective: Objective | None = optional("see [objective]")
+    limits: Limits | None = optional("see [limits]")
+    reference: Reference | None = optional("see [reference]")
+
+
 class Case(Section):
     """A case file, in designs/cases/."""
 
     schema_version: Literal[1] = optional("version of the format", 1, alias="schema")
     name: str = optional("name of the case", "")
     description: str = optional("what it is, in a sentence", "")
-    scenario: str = optional("whose flight gives speed, air and attitude at the nodes", "nominal")
+    scenario: str = Field(description="whose flight gives speed, air and attitude at the nodes")
     plant: Literal["flown", "table2"] = optional(
         "the scenario's vehicle, or with derivatives that span the paper's Table 2", "flown"
     )
@@ -234,7 +245,14 @@ class Case(Section):
         "pade: the paper's continuous model (30 to 32); sampled: as the computer runs it", "sampled"
     )
     plane: Literal["pitch", "yaw"] = optional("plane of the model", "pitch")
-    nodes_s: tuple[float, ...] = optional("vehicle times at which the limits are checked, s", PAPER_TIMES_S)
+    nodes_s: tuple[float, ...] | None = optional(
+        "vehicle times at which the limits are checked, s (default: chosen from the flight, in every stage under full "
+        "thrust)"
+    )
+    nodes_per_stage: Annotated[int, Field(ge=1, le=1000)] = optional("where nodes_s is not given", 11)
+    stages: tuple[Annotated[int, Field(ge=1, le=MAX_STAGES)], ...] | None = optional(
+        "stages to design for, from 1; others fly as the scenario's own design (default: all that have nodes)"
+    )
     between_nodes: Literal["ignore", "hold"] = optional(
         "ignore: limits at the nodes only, as in the paper; hold: instants between the nodes that are worse by "
         "0.02 dB or 0.1 deg are searched and become nodes, until none is found; not with [robust]",
@@ -250,10 +268,14 @@ class Case(Section):
     reference: Reference = Reference()
     robust: Robust | None = optional("absent: the nominal plants only")
     search: Search = Search()
+    stage: tuple[StageCase, ...] = optional(
+        "what differs in each stage, in the order of flight (default: nothing)", (), max_length=MAX_STAGES
+    )
 
     @model_validator(mode="after")
     def _check(self) -> Case:
-        _rising(self.nodes_s, "nodes_s")
+        if self.nodes_s is not None:
+            _rising(self.nodes_s, "nodes_s")
         if self.between_nodes == "hold" and self.robust is not None:
             raise refuse("is not searched for dispersed plants", '"ignore" beside [robust]', key=("between_nodes",))
         if self.law == "pid" and self.gains.schedule == "two-phase":
@@ -261,6 +283,27 @@ class Case(Section):
         if self.law != "pid" and self.limits.integral_hz is not None:
             raise refuse(f"the law {self.law} has no integral", "with law = 'pid' only", key=("limits", "integral_hz"))
         return self
+
+    @property
+    def times_s(self) -> tuple[float, ...]:
+        """Nodes of a case of one stage (`optimise.solve.each_stage`)."""
+        assert self.nodes_s is not None
+        return self.nodes_s
+
+    def of_stage(self, number: int, nodes_s: tuple[float, ...]) -> Case:
+        """The case of one stage, from 0. Raises ValidationError where what differs does not go with the rest."""
+        own = self.stage[number] if number < len(self.stage) else StageCase()
+        changed = _laid_over(self, own).model_copy(update={"stage": (), "stages": None, "nodes_s": nodes_s})
+        return type(self).model_validate({k: v for k, v in dict(changed).items() if k != "schema_version"})
+
+
+def _laid_over(below: Model, over: Section) -> Model:
+    """A section with the keys that another one says, sections within it likewise."""
+    update = {}
+    for key in over.model_fields_set:
+        mine, value = getattr(below, key), getattr(over, key)
+        update[key] = _laid_over(mine, value) if isinstance(mine, Section) and isinstance(value, Section) else value
+    return below.model_copy(update=update)
 
 
 @dataclass(frozen=True)

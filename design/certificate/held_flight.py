@@ -152,7 +152,7 @@ def _stillness(scenario: Scenario, node: Node, load_mps2: float) -> dict[str, ob
     alone = vehicle.stage[node.stage].model_copy(update={"separation_s": None, "separation_after_burnout_s": None})
     return {
         "vehicle": vehicle.model_copy(update={"stage": (alone,)}),
-        "design": law_kind(scenario.design.law).frozen(scenario.design, node.time_s),
+        "design": law_kind(scenario.design.law).frozen(scenario.design.of_stage(node.stage), node.time_s),
         "earth": Earth(shape="flat", rotating=False, gravity="uniform", uniform_mps2=load_mps2),
         "atmosphere": Atmosphere(
             model="constant", density_kgpm3=air.density_kgpm3, temperature_K=temperature, pressure_Pa=air.pressure_Pa
@@ -179,7 +179,7 @@ def _stillness(scenario: Scenario, node: Node, load_mps2: float) -> dict[str, ob
 
 def linear_limits(held: HeldFlight) -> tuple[float, float]:
     """Gimbal command (rad) and commanded servo rate (rad/s) at which actuator or computer stop being linear."""
-    actuator, computer = held.node.instruments.actuator, held.loaded.scenario.vehicle.computer
+    actuator, computer = held.node.instruments.actuator, held.loaded.scenario.vehicle.computer_of(0)
     command = math.inf if computer is None else math.radians(computer.command_limit_deg)
     if actuator.ideal:
         return command, math.inf

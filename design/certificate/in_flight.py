@@ -70,10 +70,16 @@ def in_flight_response(loaded: LoadedScenario, times_s: Sequence[float], plane: 
     """Measure around each time. Two ascents serve all times: one without excitation, one excited throughout."""
     if loaded.design is None:
         raise ValueError(f"{loaded.label}: there is no design to measure")
+    by_period: dict[float, list[float]] = {}
+    for node in api.nodes(loaded, times_s, plane=plane):
+        by_period.setdefault(node.instruments.sample_s, []).append(node.time_s)
+    if len(by_period) > 1:  # of stages with computers of their own
+        return [found for times in by_period.values() for found in in_flight_response(loaded, times, plane)]
+    (period_s,) = by_period
     lines = np.array(LINES_HZ)
     signal = gimbal_injection(plane, "multisine", math.radians(_amplitude_deg(loaded)), frequencies_hz=LINES_HZ)
     end_s = max(times_s) + 0.5 * WINDOW_S
-    quiet, excited = (_flown(loaded, signals, plane, end_s) for signals in ((), (signal,)))
+    quiet, excited = (_flown(loaded, signals, plane, end_s, period_s) for signals in ((), (signal,)))
     sample_s = quiet.sample_s
     spans = [Span(a.stage, a.begin_s, min(a.end_s, b.end_s)) for a, b in zip(quiet.spans, excited.spans, strict=False)]
     windows = [_window(t, spans) for t in times_s]
@@ -145,19 +151,19 @@ class _Ascent:
     spans: tuple[Span, ...]
 
 
-def _flown(loaded: LoadedScenario, signals: tuple[Injection, ...], plane: Plane, end_s: float) -> _Ascent:
+def _flown(
+    loaded: LoadedScenario, signals: tuple[Injection, ...], plane: Plane, end_s: float, period_s: float
+) -> _Ascent:
     scenario = loaded.scenario
-    computer = scenario.vehicle.computer
-    assert computer is not None
     run_s = scenario.run.model_copy(update={"duration_s": math.ceil(end_s - scenario.run.start_s) + 1.0})
-    log = Log(fast_hz=1.0 / computer.sample_s, slow_hz=1.0, transform_hz=1.0)
+    log = Log(fast_hz=1.0 / period_s, slow_hz=1.0, transform_hz=1.0)
     scenario = scenario.model_copy(update={"injection": signals, "fault": (), "run": run_s, "log": log})
     run = FlightRun(dataclasses.replace(loaded, scenario=scenario), pack_flight(scenario))
     rows = fast_rows(run)
     filtered, command = (
         rows[:, run.table.index(name)] for name in (f"filtered_{plane}_deg", f"gimbal_{plane}_command_deg")
     )
-    return _Ascent(filtered, command, computer.sample_s, spans_of(run.events, len(scenario.vehicle.stage), run.now_s))
+    return _Ascent(filtered, command, period_s, spans_of(run.events, len(scenario.vehicle.stage), run.now_s))
 
 
 def _at_lines(samples: Array, lines_hz: Array, sample_s: float) -> tuple[ComplexArray, float]:

@@ -12,7 +12,7 @@ from maxq.design.laws.law import DesignedLaw
 from maxq.sim.scenario.builtin import builtin_files
 from maxq.sim.scenario.documents import Source, adopt, plain
 from maxq.sim.scenario.errors import ScenarioError
-from maxq.sim.scenario.schema_design import Design, Limits, Roll
+from maxq.sim.scenario.schema_design import Design, Limits, Roll, StageLaw
 
 DESIGN_NAME = "design.toml"
 _DIGITS = 9
@@ -55,16 +55,22 @@ def design_of(
 
 def design_text(design: Design, comments: Sequence[str] = ()) -> str:
     """The design as TOML that reads back to the same numbers; `comments` go above it."""
-    content = {key: value for key, value in design.model_dump(by_alias=True, exclude_none=True).items() if value != ""}
-    content["filter"] = {key: value for key, value in content["filter"].items() if value != ()}
-    for key in ("table", "yaw_table"):
-        if key in content["gains"]:
-            table = getattr(design.gains, key)
-            names = ("time_s", *design.gain_names)
-            columns = [table[name].tolist() for name in names]
-            content["gains"][key] = [dict(zip(names, row, strict=True)) for row in zip(*columns, strict=True)]
-    if "yaw_table" not in content["gains"]:
-        content["gains"]["yaw"] = "pitch"
+    kept = design.model_dump(by_alias=True, exclude_none=True).items()
+    content = {key: value for key, value in kept if value not in ("", ())}
+    laws: list[Design | StageLaw] = [design, *design.stage]
+    names = ("time_s", *design.gain_names)
+    for mine, law in zip((content, *content.get("stage", ())), laws, strict=True):
+        if law.filter is not None:
+            mine["filter"] = {key: value for key, value in mine["filter"].items() if value != ()}
+        if law.gains is None:
+            continue
+        for key in ("table", "yaw_table"):
+            if key in mine["gains"]:
+                table = getattr(law.gains, key)
+                columns = [table[name].tolist() for name in names]
+                mine["gains"][key] = [dict(zip(names, row, strict=True)) for row in zip(*columns, strict=True)]
+        if "yaw_table" not in mine["gains"]:
+            mine["gains"]["yaw"] = "pitch"
     return "".join(f"{f'# {line}'.rstrip()}\n" for line in comments) + tomli_w.dumps(content)
 
 

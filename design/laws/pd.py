@@ -126,7 +126,7 @@ class PdDesign:
     def of(design: Design) -> PdDesign:
         """From a design file."""
         form, filter_ = design.filter, bending_filter(design)
-        return PdDesign(*gain_schedules(design), filter_, form.discretization, form.prewarp_hz, design.law)
+        return PdDesign(*gain_schedules(design.gains), filter_, form.discretization, form.prewarp_hz, design.law)
 
     @cached_property
     def _table(self) -> Cubics:
@@ -413,7 +413,7 @@ def _gain_nodes(case: Case, schedule: str) -> Array:
     """Vehicle times of the gain table."""
     if schedule == "nodes":
         return np.array(case.gains.nodes_s, float)
-    times = np.array(case.nodes_s, float)
+    times = np.array(case.times_s, float)
     return times if schedule == "free" or len(times) == 1 else times[[0, -1]]
 
 

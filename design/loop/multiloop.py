@@ -146,10 +146,11 @@ def multiloop(packed: Packed, design: Design, time_s: float) -> Multiloop:
     Modes, pendulums and engines are at rest, pitch and yaw rate zero.
     """
     model, matrix = linearise(*at_rest(packed, time_s), time_s), np.eye(2, 3)
-    row = packed.parameters[int(packed.memory[0].clock.stage)]
+    stage = int(packed.memory[0].clock.stage)
+    row = packed.parameters[stage]
     allocation, t = row.computer.allocation, 1e-9 * int(row.computer.sample_ns)
     axes: tuple[str, ...] = AXES[:2]
-    law, roll = designed_law(design), Pd(float(allocation.k_p), float(allocation.k_d_s))
+    law, roll = designed_law(design.of_stage(stage)), Pd(float(allocation.k_p), float(allocation.k_d_s))
     laws: tuple[Controller, ...] = (law.at(time_s, "pitch", t), law.at(time_s, "yaw", t))
     if int(allocation.groups) > 1:
         matrix = table_in(packed.pool, allocation.matrix)(time_s).reshape(-1, 3)

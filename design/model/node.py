@@ -148,11 +148,12 @@ def spans_of(events: Iterable[Event], stages: int, now_s: float) -> tuple[Span, 
     """What the events of a flight of so many stages say of its powered spans up to `now_s`."""
     found = list(events)
     lift_off_s = next((e.time_s for e in found if e.name == "liftoff"), -math.inf)
-    out = []
+    out, end_s, burns_on = [], math.inf, False
     for n in range(stages):
         mine = [e for e in found if e.stage == (n + 1 if stages > 1 else 0)]
-        begin_s = next((e.time_s for e in mine if e.name == IGNITION_NAME), math.inf)
+        begin_s = next((e.time_s for e in mine if e.name == IGNITION_NAME), end_s if burns_on else math.inf)
         end_s = min([now_s, *(e.time_s for e in mine if e.name in ("burnout", "separation"))])
+        burns_on = math.isfinite(begin_s) and all(e.name != "burnout" for e in mine)  # the stage after it continues
         if max(begin_s, lift_off_s) < end_s:
             out.append(Span(n, max(begin_s, lift_off_s), end_s))
     return tuple(out)

@@ -67,11 +67,11 @@ def solve_over_time(
     """
     case = loaded.case
     if case.gains.schedule == "free":
-        case = case.model_copy(update={"gains": Gains(schedule="nodes", nodes_s=case.nodes_s)})
+        case = case.model_copy(update={"gains": Gains(schedule="nodes", nodes_s=case.times_s)})
     loaded = replace(loaded, case=case)
-    first, last = case.nodes_s[0], case.nodes_s[-1]
+    first, last = case.times_s[0], case.times_s[-1]
     grid = np.linspace(first, last, max(2, round((last - first) / INSTANTS_S) + 1)).round(9).tolist()
-    instants = _Instants(loaded, dict(zip(case.nodes_s, nominal.each, strict=True)))
+    instants = _Instants(loaded, dict(zip(case.times_s, nominal.each, strict=True)))
     everywhere, plants = make_plants(instants.plants(grid), COARSE), nominal
     solution = solve_at_nodes(loaded, plants, also_from, progress)
     worst_db = 0.0
@@ -84,11 +84,11 @@ def solve_over_time(
             # with the first and the last node: linear gains are numbers at both ends of a problem
             fine = sorted({first, last, *(round(t, 9) for t in beside if first <= t <= last)})
             over = instants.over(fine, make_plants(instants.plants(fine), COARSE), law, solution)
-            new = set(np.array(fine)[_peaks(over)].tolist()) - set(loaded.case.nodes_s)
+            new = set(np.array(fine)[_peaks(over)].tolist()) - set(loaded.case.times_s)
         worst_db = float(over.max(initial=0.0))
         if not new:
             break
-        times_s = sorted({*loaded.case.nodes_s, *new})
+        times_s = sorted({*loaded.case.times_s, *new})
         loaded = replace(loaded, case=loaded.case.model_copy(update={"nodes_s": tuple(times_s)}))
         plants = make_plants(instants.plants(times_s))
         solution = solve_at_nodes(loaded, plants, [solution], progress)

@@ -16,6 +16,7 @@ from maxq.design.laws.law import LawVariables
 from maxq.design.laws.registry import law_kind
 from maxq.design.loop.fixed_path import ExactFixedPath
 from maxq.design.loop.loop import Loop
+from maxq.design.model.node import node_times, powered_spans
 from maxq.design.optimise.criteria import OBJECTIVES
 from maxq.design.optimise.loops import Loops
 from maxq.design.optimise.plants import Plants, make_plant, make_plants
@@ -24,10 +25,30 @@ from maxq.design.optimise.search import Found, Progress, search
 from maxq.design.optimise.solution import Solution, make_solution
 
 
+def each_stage(loaded: LoadedCase) -> list[LoadedCase]:
+    """The case of each stage that is to be designed, with its nodes. Raises ValueError where there is none."""
+    case, count = loaded.case, len(loaded.scenario.vehicle.stage)
+    wanted = None if case.stages is None else {n - 1 for n in case.stages}
+    if wanted is not None and not wanted <= set(range(count)):
+        raise ValueError(f"stages = {list(case.stages or ())}: the vehicle has {count}; allowed are numbers from 1")
+    if case.nodes_s is not None and count == 1:
+        return [replace(loaded, case=case.of_stage(0, case.nodes_s))]
+    times = case.nodes_s or node_times(loaded.scenario, case.nodes_per_stage)
+    spans = powered_spans(loaded.scenario)
+    by_stage: dict[int, list[float]] = {}
+    for t in times:
+        # a time outside all spans is left to the first, where the node says what is wrong
+        by_stage.setdefault(next((s.stage for s in spans if s.holds(t)), spans[0].stage if spans else 0), []).append(t)
+    chosen = sorted(by_stage if wanted is None else wanted & set(by_stage))
+    if not chosen:
+        raise ValueError("none of the nodes lies in the stages that are to be designed")
+    return [replace(loaded, case=case.of_stage(n, tuple(by_stage[n]))) for n in chosen]
+
+
 def nominal_plants(loaded: LoadedCase) -> Plants:
-    """The case's plants at its nodes. Raises ValueError, naming the node, where there is none."""
+    """The plants at the nodes of a case of one stage. Raises ValueError, naming the node, where there is none."""
     case = loaded.case
-    nodes = api.nodes(loaded.scenario, case.nodes_s, plane=case.plane, errata=case.errata, plant=case.plant)
+    nodes = api.nodes(loaded.scenario, case.times_s, plane=case.plane, errata=case.errata, plant=case.plant)
     return make_plants([make_plant(node, case) for node in nodes])
 
 

@@ -31,7 +31,7 @@ from maxq.design.optimise.robust import deviated
 from maxq.design.optimise.solution import Solution
 from maxq.design.verify.suite import beyond
 from maxq.sim.packing.computer import bending_filter
-from maxq.sim.scenario.schema_design import Design, Limits
+from maxq.sim.scenario.schema_design import Design, Limits, StageLaw
 
 PEAKS = ("first_mode_db", "second_mode_db", "higher_modes_db")
 RigidBody = Literal["paper", "aerodynamic"]
@@ -207,12 +207,12 @@ def checks(judged: Sequence[Judged], design: Design, wanted: Wanted) -> list[Che
         values = np.array([quantity.value(j, wanted) for j in judged])
         out.append(Check(key, text, quantity.unit, quantity.sense, limit, values, time_s))
     if wanted.filter_gain_at_infinity is not None:
-        flt, limit = bending_filter(design), float(wanted.filter_gain_at_infinity)
-        gain = math.prod((q.pole_hz / q.zero_hz) ** 2 for q in flt.quadratic)
-        gain *= math.prod(f.pole_hz / abs(f.zero_hz) for f in flt.first_order)
-        out.append(
-            Check("filter_gain_at_infinity", "|F(j inf)|", "", "<=", limit, np.array([gain], float), np.array([np.nan]))
-        )
+        limit, gains = float(wanted.filter_gain_at_infinity), []
+        for flt in (bending_filter(design.of_stage(stage)) for stage in sorted({j.node.stage for j in judged})):
+            gain = math.prod((q.pole_hz / q.zero_hz) ** 2 for q in flt.quadratic)
+            gains.append(gain * math.prod(f.pole_hz / abs(f.zero_hz) for f in flt.first_order))
+        never = np.full(len(gains), np.nan)
+        out.append(Check("filter_gain_at_infinity", "|F(j inf)|", "", "<=", limit, np.array(gains, float), never))
     return out
 
 
@@ -281,19 +281,39 @@ class Outcome:
         return out
 
 
-def make_design(loaded: LoadedCase, solution: Solution) -> Design:
-    """The design to be written; roll control as in the scenario's own design."""
-    case, own, wanted = loaded.case, loaded.scenario.design, wanted_of(loaded.case)
-    reached = f"{objective_text(solution)}; {'all limits met' if solution.feasible else 'limits are missed'}"
-    made = f"{case.filter.structure}, {case.gains.schedule} gains, {case.loop} loop; {reached}"
-    text = f"{case.description}. {made}" if case.description else made
-    return design_of(
-        name=loaded.name,
-        description=text,
-        vehicle=loaded.scenario.vehicle.name,
-        law=solution.law,
-        roll=own.roll if own else None,
-        limits=Limits(**{name: getattr(wanted, name) for name in Limits.model_fields}),
+def make_design(loaded: LoadedCase, *solutions: Solution) -> Design:
+    """The design to be written, of one solution a stage; roll control, and stages that were not designed, as in the
+    scenario's own design.
+    """
+    case, own, stages = loaded.case, loaded.scenario.design, loaded.scenario.vehicle.stage
+    made = []
+    for n, solution in sorted((s.nodes[0].stage, s) for s in solutions):
+        mine, where = solution.case, f"stage {n + 1}: " if len(stages) > 1 else ""
+        reached = f"{objective_text(solution)}; {'all limits met' if solution.feasible else 'limits are missed'}"
+        made.append(f"{where}{mine.filter.structure}, {mine.gains.schedule} gains, {mine.loop} loop; {reached}")
+    text = ". ".join([case.description, *made] if case.description else made)
+
+    def alone(solution: Solution) -> Design:
+        wanted = wanted_of(solution.case)
+        given = {name: getattr(wanted, name) for name in Limits.model_fields}
+        given["rigid_body"] = None if wanted.rigid_body == "paper" else wanted.rigid_body
+        return design_of(
+            name=loaded.name, description=text, vehicle=loaded.scenario.vehicle.name, law=solution.law,
+            roll=own.roll if own else None, limits=Limits(**given),
+        )  # fmt: skip  # four more lines otherwise
+
+    designs = {solution.nodes[0].stage: alone(solution) for solution in solutions}
+    first = designs[min(designs)]
+    if len(stages) == 1:
+        return first
+    names = StageLaw.model_fields
+    flown = [designs.get(n) or (own.of_stage(n) if own else first) for n in range(len(stages))]
+    roll_gimbal = own.roll_gimbal if own else None
+    return first.model_copy(
+        update={
+            "stage": tuple(StageLaw(**{k: getattr(d, k) for k in names}) for d in flown),
+            "roll_gimbal": roll_gimbal,
+        }
     )
 
 
@@ -314,9 +334,12 @@ def wanted_of(case: Case) -> Wanted:
     return wanted
 
 
-def judge_solution(loaded: LoadedCase, solution: Solution) -> Outcome:
-    """Judge the design as it is written, at the search's nodes and at the dispersed plants of a robust search."""
-    design, case, nodes = make_design(loaded, solution), loaded.case, solution.nodes
+def judge_solution(loaded: LoadedCase, solution: Solution, design: Design | None = None) -> Outcome:
+    """Judge the design as it is written, at the search's nodes and at the dispersed plants of a robust search.
+
+    `design`: of all stages, where the solution is one of several.
+    """
+    design, case, nodes = design or make_design(loaded, solution), loaded.case, solution.nodes
     wanted = wanted_of(case)
 
     judged = judge(nodes, design, case.loop)

@@ -312,12 +312,12 @@ class Authority:
     wind_mps: float  # infinite where the limit is never reached
 
 
-def authority(nodes: Sequence[Node], command_limit_rad: float) -> list[Authority]:
-    """Authority at the nodes; the limit is the smaller one of computer and actuator."""
+def authority(nodes: Sequence[Node], command_limits_rad: Sequence[float]) -> list[Authority]:
+    """Authority at the nodes; the limit is the smaller one of the stage's computer and actuator."""
     out = []
     for node in nodes:
         d = stability_derivatives(node.vehicle, node.condition)
-        limit = min(command_limit_rad, node.angle_limit_rad)
+        limit = min(command_limits_rad[node.stage], node.angle_limit_rad)
         ratio = abs(d.m_alpha_1ps2 / d.m_delta_1ps2)
         incidence = limit / ratio if ratio > 0.0 else math.inf
         speed, pressure = node.condition.airspeed_mps, node.condition.dynamic_pressure_Pa

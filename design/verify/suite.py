@@ -22,7 +22,9 @@ from pydantic import Field, model_validator
 from maxq.design.model.node import NODES_PER_STAGE
 from maxq.sim.campaign.schema import Campaign
 from maxq.sim.campaign.statistics import MET, NOT_MET
+from maxq.sim.scenario.documents import Text
 from maxq.sim.scenario.errors import ScenarioError, refuse, suggestion
+from maxq.sim.scenario.files import find, shown
 from maxq.sim.scenario.loader import load_file
 from maxq.sim.scenario.schema_scenario import Scenario
 from maxq.sim.scenario.schema_values import NotNegative, Positive, Section, optional
@@ -320,11 +322,26 @@ class LoadedSuite:
 
 
 def read_suite(name: str | Path, overrides: Iterable[str] = ()) -> LoadedSuite:
-    """The suite in a file, or the built-in one of that name, with `key=value` overrides. Raises ScenarioError."""
+    """The suite in a file, or the built-in one of that name, with `key=value` overrides. Raises ScenarioError.
+
+    Scenarios and campaigns that it names are those beside it, where there are such.
+    """
     changes = tuple(overrides)
-    suite, _, _, _ = load_file(Suite, "suite", name, changes)
-    flights = tuple(one for flown in suite.flight for one in flown.flights())
-    return LoadedSuite(suite.model_copy(update={"flight": flights}), str(name), changes)
+    suite, tree, file, _ = load_file(Suite, "suite", name, changes)
+
+    def beside(given: Any) -> Any:
+        """What a text of the file names, if it lies beside the file that says so."""
+        path = find(given, ("{}", "{}.toml")) if isinstance(given, Text) else None
+        return given if path is None or path == file else shown(path)
+
+    def placed(one: Any, table: Any, key: str) -> Any:
+        return one.model_copy(update={key: beside(table.get(key, getattr(one, key)))})
+
+    suite = placed(suite, tree, "scenario")
+    flights = [placed(f, t, "scenario") for f, t in zip(suite.flight, tree.get("flight", ()), strict=True)]
+    campaigns = [placed(c, t, "file") for c, t in zip(suite.campaign, tree.get("campaign", ()), strict=True)]
+    each = tuple(one for flown in flights for one in flown.flights())
+    return LoadedSuite(suite.model_copy(update={"flight": each, "campaign": tuple(campaigns)}), str(name), changes)
 
 
 def shared_risk(loaded: LoadedSuite, campaigns: Sequence[Campaign], designs: int, number: int = 0) -> list[str]:

@@ -282,9 +282,9 @@ class _Job:
         for span in powered_spans(self.along):
             mine = [t for t in named if span.holds(t)]
             times += [t for t in np.arange(min(mine), max(mine) + 0.5, 1.0).tolist() if t <= max(mine)] if mine else []
-        computer = self.scenario.vehicle.computer
-        limit_rad = math.inf if computer is None else math.radians(computer.command_limit_deg)
-        return authority(api.nodes(self.along, times), limit_rad)
+        computers = [self.scenario.vehicle.computer_of(n) for n in range(len(self.scenario.vehicle.stage))]
+        limits_rad = [math.inf if c is None else math.radians(c.command_limit_deg) for c in computers]
+        return authority(api.nodes(self.along, times), limits_rad)
 
     def slosh(self) -> list[SloshAdvice]:
         """Damping needed at every node; the worst case is flown."""

@@ -62,6 +62,16 @@ def record_event(p: Parameters, memory: Memory, event: int, now_ns: int) -> None
 
 
 @routine
+def burn_out(p: Parameters, memory: Memory) -> None:
+    """The thrust of a stage ends now."""
+    clock = memory.clock
+    memory.held.burning = 0
+    clock.stage_burnout_ns[clock.stage] = clock.now_ns
+    clock.event_ns[BURNOUT] = -1  # the last stage's burn-out counts
+    record_event(p, memory, BURNOUT, clock.now_ns)
+
+
+@routine
 def process_due_events(p: Parameters, pool: Array, memory: Memory, y: Array, aux: Array) -> int:
     """Process all events that are due now. Returns 1 if the engine has been ignited or cut off."""
     clock, held = memory.clock, memory.held
@@ -72,11 +82,8 @@ def process_due_events(p: Parameters, pool: Array, memory: Memory, y: Array, aux
         held.burning = 1
         changed = 1
     if held.burning == 1 and now >= p.timeline.burnout_ns:
-        held.burning = 0
+        burn_out(p, memory)
         changed = 1
-        clock.stage_burnout_ns[clock.stage] = now
-        clock.event_ns[BURNOUT] = -1  # the last stage's burn-out counts
-        record_event(p, memory, BURNOUT, now)
     if held.on_pad == 1 and now >= p.timeline.release_ns:
         held.on_pad = 0
         record_event(p, memory, LIFTOFF, now)
@@ -229,20 +236,32 @@ def detect_loss_of_control(p: Parameters, memory: Memory, aux: Array) -> None:
 
 @routine
 def transfer_state(before: Parameters, after: Parameters, memory: Memory, old: Array, new: Array, y: Array) -> None:
-    """Separation: the upper stage flies on from its own core CG; engine, modes and bobs start at rest.
+    """Separation: the upper stage flies on from its own core CG with the motion that the whole had there.
 
-    `old` and `new` are the properties before and after. Stations are measured from the nose, which stays.
+    Engine, modes and bobs start at rest, but where the stage continues. An impulse and springs push it forward: springs
+    of energy E give both parts the momentum sqrt(2 E m_1 m_2 / (m_1 + m_2)). Tip-off rates are added. `old` and `new`
+    are the properties before and after. Stations are measured from the nose, which stays.
     """
     rotation = rotation_from_quaternion(y[Q_BI], y[Q_BI + 1], y[Q_BI + 2], y[Q_BI + 3])
     rate = vector_at(y, W_BI_B)
     shift = (old[CORE_CG] - new[CORE_CG], new[CORE_CG + 1] - old[CORE_CG + 1], new[CORE_CG + 2] - old[CORE_CG + 2])
-    shift_I, velocity_I = rotate(rotation, shift), rotate(rotation, cross(rate, shift))
+    t, upper_kg = before.timeline, new[TOTAL_MASS]
+    lower_kg = max(old[TOTAL_MASS] - upper_kg, 0.0)
+    push_Ns = t.separation_impulse_Ns
+    if t.separation_spring_J > 0.0:
+        push_Ns += math.sqrt(2.0 * t.separation_spring_J * upper_kg * lower_kg / (upper_kg + lower_kg))
+    turning = cross(rate, shift)
+    gained = (turning[0] + push_Ns / upper_kg, turning[1], turning[2])
+    shift_I, velocity_I = rotate(rotation, shift), rotate(rotation, gained)
+    rate = (rate[0] + t.tip_off_radps[0], rate[1] + t.tip_off_radps[1], rate[2] + t.tip_off_radps[2])
     for j in range(3):
         y[R_I + j] += shift_I[j]
         y[V_I + j] += velocity_I[j]
-    for channel in range(2 * MAX_ENGINES):
-        memory.held.command_rad[channel] = 0.0
-    memory.held.roll_torque_Nm, memory.held.burning = 0.0, 0
-    start_states(after.vehicle.sizes, rate, 1, y)
+        y[W_BI_B + j] = rate[j]
+    if after.timeline.continues == 0:
+        for channel in range(2 * MAX_ENGINES):
+            memory.held.command_rad[channel] = 0.0
+        memory.held.roll_torque_Nm, memory.held.burning = 0.0, 0
+        start_states(after.vehicle.sizes, rate, 1, y)
     record_event(before, memory, SEPARATION, memory.clock.now_ns)
     memory.clock.stage_separation_ns[memory.clock.stage] = memory.clock.now_ns

@@ -5,11 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from maxq.control.computer import start_computer
+from maxq.control.computer import start_computer, take_over
 from maxq.control.kernel.jit import bare_pointer, entry, kernel, routine
 from maxq.control.kernel.records import Array, IntArray, Records
 from maxq.control.kernel.tables import find_interval
 from maxq.sim.flight.events import (
+    burn_out,
     detect_loss_of_control,
     event_function,
     process_due_events,
@@ -205,6 +206,11 @@ def separate(P: Records, pool: Array, memory: Memory, y: Array, properties: Arra
     """Separate the stage that has burned out and continue with the next."""
     clock = memory.clock
     before, after = P[clock.stage], P[clock.stage + 1]
+    ends = after.timeline.continues == 0 and clock.now_ns >= before.timeline.burnout_ns
+    if memory.held.burning == 1 and ends:
+        burn_out(before, memory)  # at the same instant, and first
+        if clock.finished == 1:
+            return
     read_schedule(before, pool, memory, clock.now_ns, 0.0, properties)
     interval = clock.interval
     clock.interval = find_interval(pool, after.vehicle.schedule, schedule_clock(after, clock.now_ns, 0.0))
@@ -212,6 +218,10 @@ def separate(P: Records, pool: Array, memory: Memory, y: Array, properties: Arra
     clock.interval = interval
     transfer_state(before, after, memory, properties, properties_after, y)
     clock.stage += 1
+    if after.computer.takes_over == 1:
+        take_over(after.computer, memory.computer)
+        begun_ns = clock.next_sample_ns - before.computer.sample_ns
+        clock.next_sample_ns = max(clock.now_ns, begun_ns + after.computer.sample_ns)
     start_stage(after, pool, memory)
 
 

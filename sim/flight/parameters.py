@@ -37,11 +37,15 @@ class StageTimeline:
     burn_rate: float  # seconds of schedule per second of flight
     burnout_ns: int
     separation_ns: int  # NEVER on the last stage
+    separation_impulse_Ns: float  # forward on the next stage
+    separation_spring_J: float
+    tip_off_radps: Annotated[Array, (3,)]  # added to the rates of the next stage
+    continues: int  # 1: engines, liquid and modes keep the state that they had in the stage before
     release_ns: int  # NEVER: when thrust exceeds weight
     stop_ns: int
     ground_altitude_m: float
     stop_mask: int  # bit i: the flight ends with event i
-    control_lost_rad: float  # attitude error under thrust at which control counts as lost
+    control_lost_rad: float  # attitude error under thrust at which control counts as lost; inf: nothing controls
     tumble_rad: float  # total incidence that counts as tumbling while dynamic pressure exceeds `tumble_pressure_Pa`
     tumble_pressure_Pa: float
     fast_ns: int  # log periods

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
+from dataclasses import replace
 
 import numpy as np
 
@@ -17,7 +18,7 @@ from maxq.control.roll import Roll, make_roll
 from maxq.sim.flight import injection as signals
 from maxq.sim.flight.parameters import NEVER
 from maxq.sim.packing.remembered import cached_by_identity
-from maxq.sim.scenario.schema_design import Design
+from maxq.sim.scenario.schema_design import Design, Filter, Gains
 from maxq.sim.scenario.schema_scenario import Scenario
 from maxq.sim.scenario.schema_values import to_ns
 from maxq.sim.scenario.tables_csv import CsvTable
@@ -36,12 +37,25 @@ _AXIS = {"roll": 0, "pitch": 1, "yaw": 2, "x": 0, "y": 1, "z": 2}
 _IN_RADIANS = ("gimbal_command", "rate_command")
 
 
-def pack_computer(scenario: Scenario, pool: Pool) -> Computer:
-    """The computer under the scenario's switches.
+def pack_computers(scenario: Scenario, pool: Pool) -> list[Computer]:
+    """The computer of each stage; one that has nothing of its own flies on with that of the stage before."""
+    out: list[Computer] = []
+    for n, stage in enumerate(scenario.vehicle.stage):
+        goes_on = scenario.design is None or not scenario.design.stage
+        if n > 0 and goes_on and stage.computer == scenario.vehicle.stage[n - 1].computer:
+            out.append(replace(out[-1], takes_over=0))
+        else:
+            out.append(replace(pack_computer(scenario, pool, n), takes_over=int(n > 0)))
+    return out
+
+
+def pack_computer(scenario: Scenario, pool: Pool, stage: int = 0) -> Computer:
+    """The computer of a stage under the scenario's switches.
 
     Without a computer or a design the gimbal command is zero, but for what is injected; it is then sampled every step.
     """
-    computer, design, switches = scenario.vehicle.computer, scenario.design, scenario.switches
+    computer, switches = scenario.vehicle.computer_of(stage), scenario.switches
+    design = scenario.design.of_stage(stage) if scenario.design is not None else None
     if computer is None:
         return build_computer(pool, sample_ns=to_ns(scenario.run.step_s), control_on=False)
     sample_ns = to_ns(computer.sample_s)
@@ -54,11 +68,11 @@ def pack_computer(scenario: Scenario, pool: Pool) -> Computer:
         attitude=computer.attitude,
         angle_error_limit_rad=math.radians(computer.angle_error_limit_deg),
         command_limit_rad=math.radians(computer.command_limit_deg),
-        gains=_gains(design) if design else None,
+        gains=_gains(design.gains) if design else None,
         integral_limit_rad=math.radians(design.gains.integral_limit_deg or math.inf) if design else math.inf,
         programme=_programme(scenario.guidance.programme, scenario.guidance.method),
         unrolled=scenario.guidance.axes == "unrolled",
-        pitch_filter=_filter(design, computer.sample_s) if design else None,
+        pitch_filter=_filter(design.filter, computer.sample_s) if design else None,
         roll=_roll(design, sample_ns) if design else None,
         control_on=switches.control,
         guidance_on=switches.guidance,
@@ -68,21 +82,21 @@ def pack_computer(scenario: Scenario, pool: Pool) -> Computer:
 
 
 @cached_by_identity
-def _gains(design: Design) -> Cubics:
-    return gains_table(*gain_schedules(design))
+def _gains(gains: Gains) -> Cubics:
+    return gains_table(*gain_schedules(gains))
 
 
-def gain_schedules(design: Design) -> tuple[GainSchedule, GainSchedule]:
+def gain_schedules(gains: Gains) -> tuple[GainSchedule, GainSchedule]:
     """Gains over the vehicle clock in pitch and in yaw; the same object where yaw is as pitch."""
-    pitch, yaw = design.gains.axes
-    names = ("time_s", *design.gain_names)
+    pitch, yaw = gains.axes
+    names = ("time_s", "k_p", "k_d_s", *(("k_i_ps",) if "k_i_ps" in pitch else ()))
     first = GainSchedule(*(list(pitch[name]) for name in names))
     return first, first if yaw is pitch else GainSchedule(*(list(yaw[name]) for name in names))
 
 
 @cached_by_identity
-def _filter(design: Design, sample_s: float) -> DiscreteFilter:
-    return bending_filter(design).discretize(sample_s, design.filter.discretization, design.filter.prewarp_hz)
+def _filter(given: Filter, sample_s: float) -> DiscreteFilter:
+    return given.continuous().discretize(sample_s, given.discretization, given.prewarp_hz)
 
 
 def bending_filter(design: Design) -> BendingFilter:

@@ -14,7 +14,7 @@ from maxq.control.kernel.records import Array, blank, pack, with_constants
 from maxq.control.kernel.tables import Pool
 from maxq.sim.flight.parameters import EVENT_NAMES, NEVER, Memory, Parameters, StageTimeline
 from maxq.sim.packing.allocation import pack_allocation
-from maxq.sim.packing.computer import pack_computer, pack_injections
+from maxq.sim.packing.computer import pack_computers, pack_injections
 from maxq.sim.packing.environment import pack_environment
 from maxq.sim.packing.faults import pack_faults
 from maxq.sim.packing.initial import initial_motion, thrust_exceeds_weight_s
@@ -25,7 +25,7 @@ from maxq.sim.scenario.burn import Burn, stage_burns
 from maxq.sim.scenario.coverage import burn_rate
 from maxq.sim.scenario.schema_scenario import Scenario
 from maxq.sim.scenario.schema_values import NS_PER_S, period_ns, to_ns
-from maxq.sim.scenario.schema_vehicle import Stage
+from maxq.sim.scenario.schema_vehicle import Separation, Stage
 from maxq.sim.vehicle.state import MAX_STATE, W_BI_B, Sizes, start_states
 
 CONTROL_LOST_RAD = math.radians(45.0)
@@ -61,19 +61,20 @@ def pack_flight(scenario: Scenario) -> Packed:
 
 def _pack(scenario: Scenario) -> Packed:
     pool = Pool()
-    environment, computer = pack_environment(scenario, pool), pack_computer(scenario, pool)
+    environment, computers = pack_environment(scenario, pool), pack_computers(scenario, pool)
     injections, faults = pack_injections(scenario, pool), pack_faults(scenario)
     rows, stage_start_ns, burns = [], 0, stage_burns(scenario, _liftoff_s(scenario))
     all_sizes = [
         stage_sizes(stage, scenario.switches, burn) for stage, burn in zip(scenario.vehicle.stage, burns, strict=True)
     ]
     frozen = scenario.run.freeze_vehicle_at_s is not None
-    for stage, burn, sizes in zip(scenario.vehicle.stage, burns, all_sizes, strict=True):
+    stages = scenario.vehicle.stage
+    for n, (stage, burn, sizes) in enumerate(zip(stages, burns, all_sizes, strict=True)):
         schedule = vehicle_schedule(stage, burn, sizes, scenario.switches, frozen)
         vehicle = pack_vehicle(scenario, stage, burn, sizes, schedule, pool)
         timeline = _timeline(scenario, stage, burn, stage_start_ns)
         loads = pack_loads(scenario, stage, burn, sizes, pool)
-        flies = replace(computer, allocation=pack_allocation(scenario, stage, burn, pool))
+        flies = replace(computers[n], allocation=pack_allocation(scenario, stage, burn, pool))
         rows.append(Parameters(vehicle, loads, environment, flies, injections, faults, timeline))
         stage_start_ns = timeline.separation_ns
     parameters = pack(rows)
@@ -119,6 +120,8 @@ def _timeline(scenario: Scenario, stage: Stage, burn: Burn, stage_start_ns: int)
         burning = ignition_ns <= round(NS_PER_S * frozen_s) < burnout_ns
         ignition_ns, burnout_ns = (-NEVER, NEVER) if burning else (NEVER, NEVER)
     release_s = scenario.holddown.release_s
+    judged = scenario.vehicle.computer is not None and scenario.design is not None
+    apart = stage.separation or Separation()
     return StageTimeline(
         step_ns=to_ns(run.step_s),
         stage_start_ns=stage_start_ns,
@@ -132,7 +135,11 @@ def _timeline(scenario: Scenario, stage: Stage, burn: Burn, stage_start_ns: int)
         stop_ns=start_ns + to_ns(run.duration_s),
         ground_altitude_m=min(0.0, scenario.site.altitude_m),
         stop_mask=sum(1 << EVENT_NAMES.index(name) for name in ("diverged", *run.stop_at)),
-        control_lost_rad=CONTROL_LOST_RAD,
+        separation_impulse_Ns=apart.impulse_Ns,
+        separation_spring_J=apart.spring_J,
+        tip_off_radps=np.radians(apart.tip_off_degps),
+        continues=int(stage.continues),
+        control_lost_rad=CONTROL_LOST_RAD if judged else math.inf,
         tumble_rad=TUMBLE_RAD,
         tumble_pressure_Pa=TUMBLE_PRESSURE_PA,
         fast_ns=period_ns(scenario.log.fast_hz),

@@ -29,6 +29,7 @@ from maxq.sim.run.metrics import (
     WaveMetrics,
     end_metrics,
     judge,
+    orbit_metrics,
     section_extremes,
     section_metrics,
     title_of,
@@ -37,7 +38,7 @@ from maxq.sim.run.metrics import (
 from maxq.sim.scenario.loader import LoadedScenario
 from maxq.sim.scenario.schema_scenario import Scenario
 from maxq.sim.scenario.schema_values import to_ns
-from maxq.sim.vehicle.state import CAUSES, Sizes, state_names
+from maxq.sim.vehicle.state import CAUSES, R_I, V_I, Sizes, state_names
 
 if TYPE_CHECKING:
     from maxq.sim.run.flight_software import FlightSoftware
@@ -51,6 +52,9 @@ _OF_STAGES = EVENT_NAMES[BURNOUT], EVENT_NAMES[SEPARATION]  # which each stage h
 CONTROL_LOST_NAME, DIVERGED_NAME = EVENT_NAMES[CONTROL_LOST], EVENT_NAMES[DIVERGED]
 WAVE_BREAKING_NAME = "wave_breaking"
 SOFTWARE_NAME = "flight_software"  # the flight code from outside has ended the flight
+ATTITUDE_METRICS = (  # of vehicles that something steers
+    "max_attitude_error_deg", "max_roll_error_deg", "max_computer_attitude_error_deg", "max_computer_roll_error_deg",
+)  # fmt: skip  # three more lines otherwise
 BROKEN_WAVE = "the wave is as high as it can be; from here on the pendulum is no picture of the liquid"
 CONTROL_LOST_CAUSE = f"the attitude error exceeds {math.degrees(CONTROL_LOST_RAD):.3g} deg under thrust"
 
@@ -231,7 +235,8 @@ class FlightRun:
         for index in range(int(clock.stage) + 1):
             number = index + 1 if len(parameters) > 1 else 0
             ignition_ns = int(parameters[index].timeline.burn_start_ns)
-            if start_ns <= ignition_ns <= int(clock.now_ns) and ignition_ns < NEVER:
+            goes_on = int(parameters[index].timeline.continues) == 1
+            if start_ns <= ignition_ns <= int(clock.now_ns) and ignition_ns < NEVER and not goes_on:
                 found.append(Event(IGNITION_NAME, ignition_ns, number))
             for name, times_ns in zip(_OF_STAGES, (clock.stage_burnout_ns, clock.stage_separation_ns), strict=True):
                 if times_ns[index] >= 0:
@@ -342,7 +347,12 @@ class FlightRun:
         of_sections, section_times = section_metrics(loads, self.memory.sections)
         metrics = dict(zip(MetricIndex._fields, extremes.value.tolist(), strict=True))
         metrics |= of_sections._asdict() | end._asdict() | WaveMetrics(wave)._asdict()
+        metrics |= orbit_metrics(earth, self.packed.state[R_I : R_I + 3], self.packed.state[V_I : V_I + 3])._asdict()
         metric_times_s |= section_times._asdict()
+        judged = scenario.requirement
+        if scenario.design is None or scenario.vehicle.computer is None:  # nothing steers: there is no attitude to miss
+            metrics |= dict.fromkeys(ATTITUDE_METRICS, math.nan)
+            judged = tuple(r for r in judged if r.metric not in ATTITUDE_METRICS)
         failed = [e for e in events if e.name in (CONTROL_LOST_NAME, DIVERGED_NAME, SOFTWARE_NAME)]
         return Flight(
             scenario=self.loaded,
@@ -351,7 +361,7 @@ class FlightRun:
             events=events,
             metrics=metrics,
             metric_times_s=metric_times_s,
-            verdicts=tuple(judge(r, metrics, metric_times_s) for r in scenario.requirement),
+            verdicts=tuple(judge(r, metrics, metric_times_s) for r in judged),
             section_extremes=loads,
             failures=(
                 *(f"{e.name.replace('_', ' ')} at {e.time_s:.3f} s: {e.detail}" for e in failed),

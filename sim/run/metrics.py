@@ -12,14 +12,16 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Annotated, NamedTuple
 
+import numpy as np
+
 from maxq.control.kernel.jit import from_python
-from maxq.control.kernel.records import Records
+from maxq.control.kernel.records import Array, Records
 from maxq.sim.flight.channels import declared_channels
 from maxq.sim.flight.metrics import MetricIndex
 from maxq.sim.scenario.schema_environment import Site
 from maxq.sim.scenario.schema_scenario import Requirement
 from maxq.sim.vehicle.loads import BENDING, COMPRESSION, KINDS, SHEAR, TENSILE, SectionLoads, extreme_index
-from maxq.sim.world.earth import FLAT, Earth
+from maxq.sim.world.earth import FLAT, INVERSE_SQUARE, J2, Earth
 
 _ITERATIONS = 200
 _CONVERGED_RAD = 1e-13
@@ -62,9 +64,22 @@ class WaveMetrics(NamedTuple):
     ]
 
 
+class OrbitMetrics(NamedTuple):
+    """Kepler's orbit that the flight is on at its end (osculating); nan without gravitation towards a centre."""
+
+    perigee_altitude_m: Annotated[float, "m", "lowest point above the equatorial radius, at the end"]
+    apogee_altitude_m: Annotated[float, "m", "highest point above the equatorial radius, at the end; inf: escapes"]
+    orbit_semimajor_m: Annotated[float, "m", "semi-major axis of the orbit, at the end; negative: escapes"]
+    orbit_eccentricity: Annotated[float, "1", "eccentricity of the orbit, at the end"]
+    orbit_inclination_deg: Annotated[float, "deg", "inclination of the orbit to the equator, at the end"]
+    orbit_ascending_node_deg: Annotated[float, "deg", "right ascension of the ascending node in I, at the end"]
+    orbit_argument_of_perigee_deg: Annotated[float, "deg", "angle from ascending node to perigee, at the end"]
+    orbit_true_anomaly_deg: Annotated[float, "deg", "angle from perigee to the vehicle, at the end"]
+
+
 METRICS = {
     metric.name: metric
-    for kind in (MetricIndex, SectionMetrics, EndMetrics, WaveMetrics)
+    for kind in (MetricIndex, SectionMetrics, EndMetrics, WaveMetrics, OrbitMetrics)
     for metric in declared_channels(kind)
 }
 METRIC_NAMES = tuple(METRICS)
@@ -121,6 +136,39 @@ def end_metrics(final: Mapping[str, float], earth: Earth, site: Site, flight_tim
         final_longitude_deg=longitude_deg,
         final_altitude_m=final["altitude_m"],
         final_speed_mps=final["speed_mps"],
+    )
+
+
+def orbit_metrics(earth: Earth, r_I_m: Array, v_I_mps: Array) -> OrbitMetrics:
+    """From position and velocity in I, (3,) (Vallado, Fundamentals of Astrodynamics and Applications, algorithm 9).
+
+    Where the orbit lies in the equator the node counts as I's x axis, where it is a circle the perigee as the node.
+    """
+    if earth.figure == FLAT or earth.gravity not in (INVERSE_SQUARE, J2):
+        return OrbitMetrics(*[math.nan] * len(OrbitMetrics._fields))
+    mu, radius = earth.mu_m3ps2, float(np.linalg.norm(r_I_m))
+    momentum = np.cross(r_I_m, v_I_mps)
+    towards_perigee = np.cross(v_I_mps, momentum) / mu - r_I_m / radius
+    eccentricity = float(np.linalg.norm(towards_perigee))
+    axis_m = 1.0 / (2.0 / radius - float(v_I_mps @ v_I_mps) / mu)
+    up = momentum / max(float(np.linalg.norm(momentum)), 1e-300)
+    node = np.array([-up[1], up[0], 0.0])
+    node = node / np.linalg.norm(node) if np.linalg.norm(node) > 1e-12 else np.array([1.0, 0.0, 0.0])
+    perigee = towards_perigee / eccentricity if eccentricity > 1e-12 else node
+
+    def angle_deg(start: Array, end: Array) -> float:
+        """In the plane of the orbit, 0 .. 360."""
+        return math.degrees(math.atan2(float(np.cross(start, end) @ up), float(start @ end))) % 360.0
+
+    return OrbitMetrics(
+        perigee_altitude_m=axis_m * (1.0 - eccentricity) - earth.equatorial_radius_m,
+        apogee_altitude_m=axis_m * (1.0 + eccentricity) - earth.equatorial_radius_m if axis_m > 0.0 else math.inf,
+        orbit_semimajor_m=axis_m,
+        orbit_eccentricity=eccentricity,
+        orbit_inclination_deg=math.degrees(math.acos(max(-1.0, min(1.0, float(up[2]))))),
+        orbit_ascending_node_deg=math.degrees(math.atan2(node[1], node[0])) % 360.0,
+        orbit_argument_of_perigee_deg=angle_deg(node, perigee),
+        orbit_true_anomaly_deg=angle_deg(perigee, r_I_m),
     )
 
 

@@ -128,6 +128,7 @@ def load_with_sections(
             extra.sources[key] = tree.sources.get(key, tree.source)
             extra[key] = tree.pop(key)
     _refuse_huge_numbers(extra)
+    _refuse_foreign_design(tree)
     return _scenario(reading, tree, label, file.stem), extra, reading
 
 
@@ -174,6 +175,20 @@ def _validated(model: type[Model], tree: Table, reading: Reading) -> Model:
 def _scenario(reading: Reading, tree: Table, label: str, name: str) -> LoadedScenario:
     tree.setdefault("name", name)
     return LoadedScenario(_validated(Scenario, tree, reading), label, tuple(reading.files.values()))
+
+
+def _refuse_foreign_design(tree: Table) -> None:
+    """A design that names another vehicle than the one that flies, which nobody has asked for."""
+    design, vehicle = tree.get("design"), tree.get("vehicle")
+    if not isinstance(design, Table) or not isinstance(vehicle, Table):
+        return
+    made_for, flies = design.get("vehicle"), vehicle.get("name")
+    if not made_for or not flies or made_for == flies:
+        return
+    if tree.sources.get("vehicle", tree.source).label != COMMAND_LINE:
+        problem = f'the design was made for "{made_for}", and the scenario flies "{flies}"'
+        allowed = "a scenario of the design's vehicle (--scenario); or ask for it: --vehicle, --set vehicle=..."
+        raise tree.sources.get("design", tree.source).error(("design",), problem, allowed=allowed)
 
 
 def _assemble(reading: Reading, tree: Table, overrides: list[Override], folders: tuple[Path, ...]) -> None:

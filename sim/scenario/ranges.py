@@ -73,6 +73,7 @@ RANGES = (
     Range(("_N",), 0.0, 1e9, "the largest first stages have 7e7 N"),
     Range(("_Nm", "value"), 0.0, 1e11, "the largest thrust at 100 m"),
     Range(("_Nms",), 0.0, 1e12, "damping, N m s"),
+    Range(("_Ns", "_J"), 0.0, 1e9, "springs and impulses between stages"),
     Range(("dead_band_deg", "angle_error_limit_deg", "command_limit_deg", "angle_limit_deg", "integral_limit_deg"),
           1e-6, 360.0,
           "limits of control, deg"),

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from pydantic import Field, model_validator
 
+from maxq.control.kernel.limits import MAX_STAGES
 from maxq.control.structures import MAX_SECTIONS, STRUCTURES, Law, Structure
 from maxq.sim.scenario.errors import refuse
 from maxq.sim.scenario.schema_values import NotNegative, Positive, Section, needs, optional
@@ -155,6 +156,19 @@ class Limits(Section):
     rigid_hz: float | None = optional("least frequency of the rigid-body motion, Hz")
     rigid_zeta: float | None = optional("least damping ratio of the rigid-body motion")
     second_mode_db: float | None = optional("largest peak of the second bending mode, dB")
+    rigid_body: Literal["paper", "aerodynamic"] | None = optional(
+        "rigid-body motion without aerodynamics (eqs 35, 36; the default), or with M_alpha and M_q"
+    )
+
+
+class StageLaw(Section):
+    """What differs in a stage; whatever is absent is the design's own."""
+
+    gains: Gains | None = optional("own gains")
+    filter: Filter | None = optional("own bending filter, which starts settled at the separation")
+    roll: Roll | None = optional("own roll control by thrusters")
+    roll_gimbal: RollGimbal | None = optional("own roll control by gimbals")
+    limits: Limits | None = optional("what it was made to; for people")
 
 
 class Design(Section):
@@ -163,7 +177,7 @@ class Design(Section):
     schema_version: Literal[1] = optional("version of the format", 1, alias="schema")
     name: str = optional("name of the design", "")
     description: str = optional("what it is, in a sentence", "")
-    vehicle: str = optional("the vehicle that it was made for; for people", "")
+    vehicle: str = optional("name of the vehicle that it was made for; another one has to be asked for", "")
     law: Law = optional(
         "control law; pd: proportional-derivative with a bending filter; pid: with an integral besides", "pd"
     )
@@ -172,12 +186,16 @@ class Design(Section):
     roll: Roll | None = optional("absent: no roll control by thrusters")
     roll_gimbal: RollGimbal | None = optional("absent: no roll control by gimbals")
     limits: Limits | None = optional("what the design was made to; for people")
+    stage: tuple[StageLaw, ...] = optional(
+        "what differs in each stage, in the order of flight (default: nothing)", (), max_length=MAX_STAGES
+    )
 
     @model_validator(mode="after")
     def _check(self) -> Design:
         integral = self.law == "pid"
-        for key in ("table", "yaw_table"):
-            table = getattr(self.gains, key)
+        every = [self.gains, *(own.gains for own in self.stage if own.gains is not None)]
+        for gains, key in ((gains, key) for gains in every for key in ("table", "yaw_table")):
+            table = getattr(gains, key)
             if table is not None and ("k_i_ps" in table) != integral:
                 problem, allowed = ("the law pid needs a column k_i_ps", "time_s, k_p, k_d_s, k_i_ps")
                 if not integral:
@@ -191,3 +209,10 @@ class Design(Section):
     def gain_names(self) -> tuple[str, ...]:
         """Columns of the gains' tables."""
         return ("k_p", "k_d_s", "k_i_ps") if self.law == "pid" else ("k_p", "k_d_s")
+
+    def of_stage(self, number: int) -> Design:
+        """What a stage flies, from 0: a design without stages; the same object where there are none."""
+        if not self.stage:
+            return self
+        own = self.stage[number] if number < len(self.stage) else StageLaw()
+        return self.model_copy(update={**{k: v for k, v in dict(own).items() if v is not None}, "stage": ()})

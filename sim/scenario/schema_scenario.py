@@ -327,18 +327,12 @@ class Scenario(Section):
                 raise refuse(
                     "the vehicle has no [computer] to run a design on", key=("design",), value=self.design.name
                 )
-            nyquist = 0.5 / computer.sample_s
-            warp = self.design.filter.prewarp_hz
-            if warp is not None and warp >= nyquist:
-                raise refuse(
-                    "lies above half the sample rate", f"less than {nyquist:g}", ("design", "filter", "prewarp_hz")
-                )
-            if unfit := self.design.filter.unfit(computer.sample_s):
-                raise refuse(
-                    f"cannot be run every {computer.sample_s:g} s: {unfit}",
-                    key=("design", "filter", "structure"),
-                    value=self.design.filter.structure,
-                )
+            stages = self.vehicle.stage
+            if len(self.design.stage) > len(stages):
+                problem = f"has {len(self.design.stage)} stages"
+                raise refuse(problem, f"{len(stages)}, as the vehicle", ("design", "stage"))
+            for n in range(len(stages)):
+                self._check_filter(n)
         if self.guidance.axes == "unrolled" and (computer is None or computer.attitude != "quaternion"):
             raise refuse(
                 "needs an attitude that can roll", "vehicle.computer.attitude = 'quaternion'", ("guidance", "axes")
@@ -349,6 +343,19 @@ class Scenario(Section):
                 raise refuse("the vehicle has no engine", "body_force, body_torque", key=key)
             if injection.at == "rate_command" and computer is None:
                 raise refuse("the vehicle has no [computer]", "body_force, body_torque", key=key)
+
+    def _check_filter(self, stage: int) -> None:
+        design, computer = self.design, self.vehicle.computer_of(stage)
+        assert design is not None
+        assert computer is not None
+        own = stage < len(design.stage) and design.stage[stage].filter is not None
+        key, flown = ("design", *(("stage", stage) if own else ()), "filter"), design.of_stage(stage).filter
+        nyquist = 0.5 / computer.sample_s
+        if flown.prewarp_hz is not None and flown.prewarp_hz >= nyquist:
+            raise refuse("lies above half the sample rate", f"less than {nyquist:g}", (*key, "prewarp_hz"))
+        if unfit := flown.unfit(computer.sample_s):
+            problem = f"cannot be run every {computer.sample_s:g} s: {unfit}"
+            raise refuse(problem, key=(*key, "structure"), value=flown.structure)
 
     def _check_faults(self) -> None:
         for n, fault in enumerate(self.fault):

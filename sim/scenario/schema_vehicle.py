@@ -198,6 +198,24 @@ class Computer(Section):
         return self
 
 
+class StageComputer(Section):
+    """Keys of the flight computer that differ while a stage flies."""
+
+    sample_s: Period | None = optional("sample period, s, whole ns")
+    delay_s: Seconds | None = optional("from sample to output, s, whole ns, at most sample_s")
+    dac_step_deg: NotNegative | None = optional("step of the output, deg; 0: no quantisation")
+    angle_error_limit_deg: Positive | None = optional("clamp of the attitude error (anti-windup), deg")
+    command_limit_deg: Positive | None = optional("clamp of the gimbal command, deg")
+
+
+class Separation(Section):
+    """What a stage's separation does to the next stage, beyond letting it go."""
+
+    impulse_Ns: NotNegative = optional("of retro-rockets or gas, forward on the next stage, N s", 0.0)
+    spring_J: NotNegative = optional("energy of the springs between the stages, which drive them apart, J", 0.0)
+    tip_off_degps: Triple = optional("rates that the next stage takes along, about x, y, z, deg/s", (0.0, 0.0, 0.0))
+
+
 def _form(value: Any) -> str:
     return LIST_FORM if isinstance(value, list | tuple) else TABLE_FORM
 
@@ -214,6 +232,13 @@ class Stage(Section):
     name: str = optional("name of the stage in logs (default: its number)", "")
     separation_s: Period | None = optional("end of this stage on its clock, s")
     separation_after_burnout_s: Seconds | None = optional("end of this stage after burn-out, s")
+    separation: Separation | None = optional("springs, impulse and tip-off rates where this stage ends")
+    continues: bool = optional(
+        "engines, tanks and modes of the stage before fly on, and only mass drops, as with a fairing: engine angles, "
+        "liquid and modes keep their state",
+        False,
+    )
+    computer: StageComputer | None = optional("absent: the vehicle's computer as it is")
     ignition_s: Seconds = optional("the engine is off before this time on the stage clock, s", 0.0)
     interpolation: Literal["pchip", "linear"] = optional("how the tables over time are joined", "pchip")
     mass: Mass
@@ -231,6 +256,15 @@ class Stage(Section):
     gyro: Gyro | None = optional("absent: ideal gyros")
     roll_thrusters: RollThrusters | None = optional("absent: no roll control")
     loads: Loads | None = optional("absent: no section loads")
+
+    @property
+    def counts(self) -> tuple[int, ...]:
+        """Of what keeps its state where a stage continues: groups of engines, pendulums, modes, TVC loads."""
+        bending, spatial = self.bending, self.spatial_modes
+        planes = (bending.pitch_modes, bending.yaw_modes) if bending is not None else (None, None)
+        modes = [0 if plane is None else plane.modes for plane in planes]
+        spatial_modes = len(spatial.damping_ratio) if spatial else 0
+        return len(self.engine_groups), len(self.pendulum_names), *modes, spatial_modes, int(self.tvc_load is not None)
 
     @property
     def engines(self) -> tuple[Engine, ...]:
@@ -425,4 +459,29 @@ class Vehicle(Section):
             if n == last and separates:
                 key = "separation_s" if stage.separation_s is not None else "separation_after_burnout_s"
                 raise refuse("the last stage does not separate", "this key on earlier stages", ("stage", n, key))
+            if n == last and stage.separation is not None:
+                key = "separation"
+                raise refuse("the last stage does not separate", "this key on earlier stages", ("stage", n, key))
+            self._check_goes_on(n, stage)
         return self
+
+    def _check_goes_on(self, n: int, stage: Stage) -> None:
+        if stage.continues and (n == 0 or stage.counts != self.stage[n - 1].counts or stage.ignition_s > 0.0):
+            raise refuse(
+                "there is no stage before with as many engine groups, slosh modes and bending modes that burns on",
+                "false", ("stage", n, "continues"), value=True,
+            )  # fmt: skip  # two more lines otherwise
+        if stage.computer is None:
+            return
+        if self.computer is None:
+            raise refuse("the vehicle has no [computer]", "[computer]", ("stage", n, "computer"), value={})
+        if (own := self.computer_of(n)) is not None and own.delay_s > own.sample_s:
+            problem, allowed = "is longer than the sample period", f"0 .. sample_s = {own.sample_s:g}"
+            raise refuse(problem, allowed, ("stage", n, "computer", "delay_s"), value=own.delay_s)
+
+    def computer_of(self, number: int) -> Computer | None:
+        """The computer while a stage flies, from 0."""
+        own = self.stage[number].computer
+        if self.computer is None or own is None:
+            return self.computer
+        return self.computer.model_copy(update={k: v for k, v in dict(own).items() if v is not None})

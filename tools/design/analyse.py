@@ -19,16 +19,17 @@ from maxq.design.loop.errata_effects import Effect, errata_effects, peaks_db
 from maxq.design.loop.fixed_path import Cut, Kind, fixed_path
 from maxq.design.margins.measure import margins
 from maxq.design.margins.multiloop import MultiloopMargins, multiloop_margins
-from maxq.design.model.node import Node
+from maxq.design.model.node import Node, node_times, powered_spans
 from maxq.design.model.vehicle_at import Plane
 from maxq.design.verify.judging import Wanted, checks, judge, multiloop_checks
+from maxq.design.verify.verify import stage_name
 from maxq.sim.files import check_writable, write_whole
 from maxq.sim.scenario.errors import ScenarioError
 from maxq.sim.scenario.loader import LoadedScenario, load_scenario
 from maxq.sim.scenario.schema_design import Design
 from maxq.tools.cli.frame import Exit
 from maxq.tools.cli.terminal import Progress, aligned, tell
-from maxq.tools.design.report import analysis_record, analysis_report, analysis_verdict, write_record
+from maxq.tools.design.report import Group, analysis_record, analysis_report, analysis_verdict, write_record
 
 RECORD_NAME = "analysis.json"
 _FILE_WIDTH = 1_000_000  # whole rows
@@ -72,25 +73,30 @@ def execute(order: Order) -> int:
         if folder is not None:
             check_writable(folder)
         judged = judge(nodes, design, order.kind, lambda n: progress.show("measuring margins", n, len(nodes)))
+        groups = []
+        for stage in sorted({node.stage for node in nodes}):
+            limits, mine = design.of_stage(stage).limits, [j for j in judged if j.node.stage == stage]
+            wanted = Wanted.of(limits) if limits else Wanted()
+            together = all_axes(scenario, design, [j.time_s for j in mine], order, progress)
+            coupled = multiloop_checks(together, wanted)
+            name_of = stage_name(scenario.vehicle, stage)
+            groups.append(Group(name_of, mine, checks(mine, design, wanted), together, coupled))
+        found = [check for group in groups for check in group.checks]
+        together = [one for group in groups for one in group.together]
         wanted = Wanted.of(design.limits) if design.limits else Wanted()
-        together = all_axes(scenario, design, [node.time_s for node in nodes], order, progress)
-        found = checks(judged, design, wanted)
-        coupled = multiloop_checks(together, wanted)
         files = []
         if folder is not None:
             forget_pictures(folder)
-            files.append(
-                write_record(folder / RECORD_NAME, analysis_record(name, order, judged, [*found, *coupled], together))
-            )
+            files.append(write_record(folder / RECORD_NAME, analysis_record(name, order, judged, found, together)))
             if order.pictures:
                 from maxq.tools.design import pictures  # noqa: PLC0415  # lazy: matplotlib, not with --no-pictures
 
                 title = f"{scenario.vehicle.name}: {design.name or name}, {order.kind}"
                 files += pictures.draw_all(pictures.judged_sheets(judged, title, wanted), folder, progress.show)
-    tell(analysis_report(name, order, design, judged, found, together, coupled))
+    tell(analysis_report(name, order, design, groups))
     tell(f"\n{len(files)} files in {folder}/" if files else "")
-    tell(analysis_verdict([*found, *coupled]))
-    return Exit.OK if all(check.passed for check in (*found, *coupled)) else Exit.FAILED
+    tell(analysis_verdict(groups))
+    return Exit.OK if all(check.passed for group in groups for check in group.checks) else Exit.FAILED
 
 
 def all_axes(
@@ -120,22 +126,30 @@ def load(scenario: str, vehicle: str | None, design: str) -> tuple[LoadedScenari
 
 
 def find_nodes(scenario: LoadedScenario, design: Design, order: Order) -> list[Node]:
-    """Nodes along the flight, by default at the rows of the gain table and every `every_s` between its ends.
+    """Nodes along the flight, by default at the rows of the gain tables and every `every_s` between their ends, as far
+    as they lie under thrust.
 
     Raises ScenarioError for a time outside the powered flight.
     """
-    rows = [float(t) for t in design.gains.table["time_s"]]
-    between = (round(float(t), 9) for t in np.arange(rows[0], rows[-1], order.every_s))
-    times_s = order.times_s or sorted({*rows, *between})
     try:
+        times_s = order.times_s or _gain_times(scenario, design, order.every_s)
         nodes = api.nodes(
             scenario, times_s, plane=order.axis, errata=order.errata, plant=order.plant, faults=order.faults
         )  # fmt: skip  # nine lines otherwise
         for node in nodes:
             _ = node.plant  # raises where there is none, before the long work
     except ValueError as error:
-        raise ScenarioError(scenario.label, str(error), allowed="times under thrust") from None
+        raise ScenarioError(scenario.label, str(error)) from None
     return nodes
+
+
+def _gain_times(scenario: LoadedScenario, design: Design, every_s: float) -> list[float]:
+    times: set[float] = set()
+    for span in powered_spans(scenario):
+        rows = [float(t) for t in design.of_stage(span.stage).gains.table["time_s"]]
+        between = (round(float(t), 9) for t in np.arange(rows[0], rows[-1], every_s))
+        times |= {t for t in (*rows, *between) if span.begin_s < t < span.end_s}
+    return sorted(times) or list(node_times(scenario))
 
 
 # errata

@@ -6,7 +6,7 @@ import json
 import math
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, get_args
 
@@ -27,35 +27,55 @@ _KINDS = {"sampled": "sampled, as it flies", "pade": "the paper's Pade approxima
 _PARTS = {"rigid body": "rigid", "aerodynamics": "aero", "engine inertia": "engine"}
 
 
-def analysis_report(
-    name: str, order: Order, design: Design, judged: Sequence[Judged], found: Sequence[Check],
-    together: Sequence[MultiloopMargins], coupled: Sequence[Check],
-) -> str:  # fmt: skip  # seven more lines otherwise
+@dataclass(frozen=True)
+class Group:
+    """What was found of a stage; its name for people, "" of the only one. `together`: margins of all axes."""
+
+    stage: str
+    judged: Sequence[Judged]
+    found: Sequence[Check]
+    together: Sequence[MultiloopMargins]
+    coupled: Sequence[Check]
+
+    @property
+    def checks(self) -> list[Check]:
+        return [*self.found, *self.coupled]
+
+
+def analysis_report(name: str, order: Order, design: Design, groups: Sequence[Group]) -> str:
     """Of `simdesign analyse`."""
     where = f"along {order.scenario}, {order.axis}; loop opened at the gimbal command; {_KINDS[order.kind]}"
     if order.errata != "corrected" or order.plant != "flown":
         where += f"; errata: {order.errata}; plant: {order.plant}"
-    return _joined(
-        [printable(f"{name}: {design.name}" if design.name else name), where],
-        limits_table([*found, *coupled]),
-        margins_table(judged),
-        lobes_table(judged),
-        budget_table(judged, "phase margin", "phase_deg"),
-        budget_table(judged, "upper gain margin", "gain_db"),
-        multiloop_table(together),
-        nodes_table(found, judged) if len(found) > 1 else [],
-    )
+    parts: list[Sequence[str]] = [[printable(f"{name}: {design.name}" if design.name else name), where]]
+    for group in groups:
+        judged, found = group.judged, group.found
+        parts += [
+            [f"--- {group.stage}"] if group.stage else [],
+            limits_table(group.checks),
+            margins_table(judged),
+            lobes_table(judged),
+            budget_table(judged, "phase margin", "phase_deg"),
+            budget_table(judged, "upper gain margin", "gain_db"),
+            multiloop_table(group.together),
+            nodes_table(found, judged) if len(found) > 1 else [],
+        ]
+    return _joined(*parts)
 
 
-def analysis_verdict(found: Sequence[Check]) -> str:
+def analysis_verdict(groups: Sequence[Group]) -> str:
     """The last line."""
-    missed = [check for check in found if not check.passed]
+    words = {"unstable_poles": "unstable", "coupled_unstable": "unstable with all axes"}
+    missed = [
+        (f"{group.stage}: " if group.stage else "") + words.get(c.key, f"{c.text} missed")
+        for group in groups
+        for c in group.checks
+        if not c.passed
+    ]
     if missed:
-        words = {"unstable_poles": "unstable", "coupled_unstable": "unstable with all axes"}
-        return "FAILED: " + ", ".join(words.get(c.key, f"{c.text} missed") for c in missed)
-    asked = sum(check.key not in ("unstable_poles", "coupled_unstable") for check in found)
-    limits = f", all {asked} limits met" if asked else "; the design states no limits"
-    return f"PASSED: stable{limits}"
+        return "FAILED: " + ", ".join(missed)
+    asked = sum(c.key not in words for group in groups for c in group.checks)
+    return f"PASSED: stable{f', all {asked} limits met' if asked else '; the design states no limits'}"
 
 
 def case_report(outcome: Outcome, solution: Solution) -> str:

@@ -11,6 +11,8 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from pydantic import ValidationError
+
 from maxq.control.structures import STRUCTURES as KNOWN
 from maxq.design import api
 from maxq.design.case.schema import LoadedCase, read_case
@@ -19,15 +21,20 @@ from maxq.design.laws.schedule import UnsolvableError
 from maxq.design.model.node import Node
 from maxq.design.optimise.plants import Plants
 from maxq.design.optimise.solution import Solution
-from maxq.design.optimise.solve import nominal_plants, solve
+from maxq.design.optimise.solve import each_stage, nominal_plants, solve
 from maxq.design.verify.judging import Outcome, judge_solution, make_design, objective_text
+from maxq.design.verify.verify import stage_name
 from maxq.sim.files import check_writable, plain_name, write_whole
+from maxq.sim.scenario.builtin import builtin_files
 from maxq.sim.scenario.errors import ScenarioError
+from maxq.sim.scenario.schema_design import Design
 from maxq.tools.cli.frame import Exit, Interruption
 from maxq.tools.cli.terminal import Progress, aligned, tell
 from maxq.tools.design.report import case_record, case_report, comments, write_record
 
 RECORD_NAME = "design.json"
+Results = Sequence[tuple[Outcome, Solution]]
+"""Of each stage that was designed."""
 
 
 @dataclass(frozen=True)
@@ -45,18 +52,20 @@ class Order:
 
 @dataclass(frozen=True)
 class Made:
-    """The result of a case: the exit code, and the design in its folder. `orders`: those of --orders, else None."""
+    """The result of a case: the exit code, the design in its folder, and what was found for each stage. `orders`: those
+    of --orders, else None.
+    """
 
     code: Exit
     folder: Path
-    outcome: Outcome
-    solution: Solution
+    design: Design
+    stages: Results
     orders: Found | None
 
     @property
     def meets_limits(self) -> bool:
         """All limits of the case."""
-        return self.outcome.feasible and self.solution.feasible
+        return _met(self.stages)
 
 
 def execute(order: Order) -> int:
@@ -73,63 +82,105 @@ def make(order: Order) -> Made:
     folder = Path(order.out or Path("runs") / plain_name(loaded.name, "design"))
     with Progress() as progress, Interruption(at_once=True) as stop:
         try:
-            plants = nominal_plants(loaded)
+            stages = each_stage(loaded)
+            plants = [nominal_plants(stage) for stage in stages]
+        except ValidationError as error:
+            said = "; ".join(f"{'.'.join(map(str, e['loc']))}: {e['msg']}" for e in error.errors())
+            raise ScenarioError(loaded.label, said, "stage") from None
         except ValueError as error:
             raise ScenarioError(loaded.label, str(error)) from None
+        if order.orders and len(stages) > 1:
+            raise ScenarioError(loaded.label, "--orders is for one stage", "stages", allowed="one number")
         stop.check()
         check_writable(folder)
 
         def show(done: int, of: int, best_db: float, what: str) -> None:
             stop.check()
-            plants = "" if loaded.case.robust is None else " for the plants so far"
-            note = "" if math.isnan(best_db) else f"best so far {best_db:.2f} dB{plants}"
-            progress.show(f"optimising: {what}", done, of, note)
+            whose = "" if loaded.case.robust is None else " for the plants so far"
+            note = "" if math.isnan(best_db) else f"best so far {best_db:.2f} dB{whose}"
+            progress.show(f"optimising{doing}: {what}", done, of, note)
 
-        show(0, 0, math.nan, "starts")
-        try:
-            solution = solve(loaded, plants, progress=show)  # Ctrl-C ends it with the best so far
-        except UnsolvableError as error:
-            raise ScenarioError(loaded.label, str(error)) from None
-        orders, interrupted = None, solution.status == "interrupted"
+        doing, solutions, interrupted = "", [], False
+        for stage, mine in zip(stages, plants, strict=True):
+            number = mine.each[0].node.stage
+            doing = f" {stage_name(loaded.scenario.vehicle, number)}" if len(stages) > 1 else ""
+            show(0, 0, math.nan, "starts")
+            try:
+                solutions.append(solve(stage, mine, progress=show))  # Ctrl-C ends it with the best so far
+            except UnsolvableError as error:
+                raise ScenarioError(loaded.label, str(error)) from None
+            if interrupted := solutions[-1].status == "interrupted":
+                break
+        orders = None
         if order.orders and not interrupted:
             try:
                 watch = lambda n, of: progress.show("optimising: orders", n, of)  # noqa: E731  # one line of its own
-                orders = solve_orders(order.case, overrides, plants, watch)
+                orders = solve_orders(order.case, overrides, plants[0], watch)
             except KeyboardInterrupt:  # the design itself is complete
                 interrupted = True
         with Interruption() as interruption:  # the result is written, whatever is pressed now
             progress.show("judging", 0, 0)
-            outcome = judge_solution(loaded, solution)
+            design = make_design(loaded, *solutions)
+            results = [(judge_solution(mine, s, design), s) for mine, s in zip(stages, solutions, strict=False)]
             forget_pictures(folder)
-            files = _write(folder, outcome, solution, orders)
-            if order.pictures and solution.status != "interrupted":
-                files += _draw(folder, outcome, orders, progress, lambda: interruption.requested)
-    tell(case_report(outcome, solution))
+            files = _write(folder, design, results, orders)
+            if order.pictures and solutions[-1].status != "interrupted":
+                for outcome, _ in results:
+                    into = folder / f"stage-{_number(outcome) + 1}" if len(results) > 1 else folder
+                    files += _draw(into, outcome, orders, progress, lambda: interruption.requested)
+    for outcome, solution in results:
+        if len(results) > 1:
+            tell(f"--- {stage_name(loaded.scenario.vehicle, _number(outcome))}\n")
+        tell(case_report(outcome, solution))
     if orders is not None:
         tell("\n" + "\n".join(orders_table(orders)))
     tell(f"\n{len(files)} files in {folder}/; {time.perf_counter() - begun_s:.1f} s in all")
-    tell(_verdict(outcome, solution, folder))
-    met = outcome.feasible and solution.feasible
-    code = Exit.INTERRUPTED if interrupted or interruption.requested else Exit.OK if met else Exit.FAILED
-    return Made(code, folder, outcome, solution, orders)
+    tell(_verdict(results, folder))
+    code = Exit.INTERRUPTED if interrupted or interruption.requested else Exit.OK if _met(results) else Exit.FAILED
+    return Made(code, folder, design, results, orders)
 
 
-def _verdict(outcome: Outcome, solution: Solution, folder: Path) -> str:
+def _number(outcome: Outcome) -> int:
+    """Of the stage, from 0."""
+    return outcome.judged[0].node.stage
+
+
+def _met(results: Results) -> bool:
+    return all(outcome.feasible and solution.feasible for outcome, solution in results)
+
+
+def _verdict(results: Results, folder: Path) -> str:
     """The last line."""
-    if solution.status == "interrupted":
-        state = "it meets all limits" if outcome.feasible else "it misses limits"
+    if results[-1][1].status == "interrupted":
+        state = "it meets all limits" if all(outcome.feasible for outcome, _ in results) else "it misses limits"
         return f"INTERRUPTED: the best so far is kept; {state}"
-    if outcome.feasible and solution.feasible:
-        fly = f"fly it with: simrun {outcome.loaded.case.scenario} --set design={folder}/design.toml"
-        return f"DESIGNED: {objective_text(solution)}, all limits met; {fly}"
-    return f"INFEASIBLE: {solution.explanation() or '; '.join(outcome.missed)}"
+    several = len(results) > 1
+    where = [f"stage {_number(outcome) + 1}: " if several else "" for outcome, _ in results]
+    if _met(results):
+        reached = "; ".join(w + objective_text(solution) for w, (_, solution) in zip(where, results, strict=True))
+        loaded = results[0][0].loaded
+        file = loaded.case.scenario if loaded.case.scenario in builtin_files("scenario") else loaded.scenario.label
+        return f"DESIGNED: {reached}, all limits met; fly it with: simrun {file} --set design={folder}/design.toml"
+    said = [
+        w + (solution.explanation() or "; ".join(outcome.missed))
+        for w, (outcome, solution) in zip(where, results, strict=True)
+        if not (outcome.feasible and solution.feasible)
+    ]
+    return f"INFEASIBLE: {'; '.join(said)}"
 
 
-def _write(folder: Path, outcome: Outcome, solution: Solution, orders: Found | None) -> list[Path]:
-    record = case_record(outcome, solution)
+def _write(folder: Path, design: Design, results: Results, orders: Found | None) -> list[Path]:
+    records = [case_record(outcome, solution) for outcome, solution in results]
+    record = records[0]
+    if len(records) > 1:
+        numbers = [{"stage": _number(outcome) + 1} for outcome, _ in results]
+        stages = [number | each for number, each in zip(numbers, records, strict=True)]
+        feasible = all(each["feasible"] for each in records)
+        record = {"schema": record["schema"], "name": record["name"], "feasible": feasible, "stages": stages}
     if orders is not None:
         record["orders"] = orders_record(orders)
-    text = design_text(outcome.design, comments(outcome, solution))
+    heads = [comments(outcome, solution) for outcome, solution in results]
+    text = design_text(design, [line for head in heads for line in head])
     files = [write_whole(folder / DESIGN_NAME, text), write_record(folder / RECORD_NAME, record)]
     for (structure, schedule), (loaded, found) in (orders or {}).items():
         if found.feasible:
@@ -144,10 +195,16 @@ def _draw(
     from maxq.tools.design import pictures  # noqa: PLC0415  # lazy: matplotlib, not with --no-pictures
 
     loaded, nodes = outcome.loaded, [j.node for j in outcome.judged]
-    tanks = loaded.scenario.vehicle.stage[0].pendulum_names
+    stage = _number(outcome)
+    tanks = loaded.scenario.vehicle.stage[stage].pendulum_names
     sheets = [
         *pictures.case_sheets(
-            loaded.name, outcome.design, nodes, _along(loaded, nodes), tanks, loaded.scenario.vehicle.name
+            loaded.name,
+            outcome.design.of_stage(stage),
+            nodes,
+            _along(loaded, nodes),
+            tanks,
+            loaded.scenario.vehicle.name,
         ),
         *pictures.judged_sheets(
             outcome.judged, f"{loaded.scenario.vehicle.name}: {loaded.name}, {loaded.case.loop}", outcome.wanted
@@ -185,7 +242,9 @@ def solve_orders(name: str, overrides: tuple[str, ...], plants: Plants, watch: C
     for structure in STRUCTURES:
         for schedule in SCHEDULES:
             watch(len(out), len(STRUCTURES) * len(SCHEDULES))
-            loaded = read_case(name, [*overrides, f"filter.structure={structure}", f"gains.schedule={schedule}"])
+            (loaded,) = each_stage(
+                read_case(name, [*overrides, f"filter.structure={structure}", f"gains.schedule={schedule}"])
+            )
             k, s = STRUCTURES.index(structure), list(SCHEDULES).index(schedule)
             contained = [(STRUCTURES[k - 1], schedule)] if k else []
             contained += [(structure, list(SCHEDULES)[s - 1])] if s else []

@@ -31,6 +31,7 @@ from maxq.tools.vehicle.trajectory import Ascent, Point, ascent
 MASS_ROWS, MODE_ROWS, SHAPE_STATIONS = 41, 13, 41
 MOST_RIGID_HZ = 0.4
 _NEAR_NODE = 0.1  # of the largest displacement
+SHOWN = 0.4  # share of the sample rate up to which a mode gets a notch
 SPREAD = {"thrust at equal impulse": 0.03, "normal force": 0.15, "axial force": 0.1, "frequency of mode 1": 0.05}
 Table = tuple[str, Sequence[tuple[Any, ...]]]  # head and rows of a CSV file
 Tables = dict[str, Table]  # by the file's name
@@ -453,6 +454,8 @@ def _stage(built: Built, n: int, tables: Tables) -> dict[str, Any]:
         out["separation_s"] = stack.burn.end_s
     elif not last:
         out["separation_after_burnout_s"] = stage.separation_after_s
+    if n > 0 and built.stacks[n - 1].drops_fairing:
+        out["continues"] = True
     if stack.burn.start_s > 0.0 and n > 0:
         out["ignition_s"] = stage.ignition_after_s
     out["mass"] = {"table": f"{prefix}mass.csv"}
@@ -484,27 +487,31 @@ def _stage(built: Built, n: int, tables: Tables) -> dict[str, Any]:
     return out
 
 
-def _sections(built: Built) -> list[dict[str, float]]:
-    """A first filter: a wide notch at each of the first two modes of the first stage, poles below them."""
-    modes = built.modes[0][1]
+def _filter(built: Built, n: int) -> dict[str, Any]:
+    """A first filter of a stage: a wide notch at each of its first two modes that a sample shows, poles below them."""
+    modes, most_hz = built.modes[n][1], SHOWN / built.layout.control.sample_s
     if not modes or not modes[0]:
-        return []
+        return {"structure": "none"}
     means = [float(np.mean([m[k].frequency_hz for m in modes])) for k in range(min(2, len(modes[0])))]
-    return [{"zero_hz": f, "zero_zeta": 0.4, "pole_hz": 0.8 * f, "pole_zeta": 0.8} for f in means]
+    sections = [{"zero_hz": f, "zero_zeta": 0.4, "pole_hz": 0.8 * f, "pole_zeta": 0.8} for f in means if f < most_hz]
+    if not sections:
+        return {"structure": "none"}
+    return {
+        "structure": "F2" if len(sections) == 1 else "F4", "quadratic": sections, "discretization": "prewarped",
+        "prewarp_hz": sections[0]["zero_hz"],
+    }  # fmt: skip  # two more lines otherwise
 
 
 def _design(built: Built) -> dict[str, Any]:
-    sections = _sections(built)
     table = [{"time_s": t, "k_p": float(f"{k_p:.6g}"), "k_d_s": float(f"{k_d:.6g}")} for t, k_p, k_d in built.gains]
     out: dict[str, Any] = {
         "schema": 1, "name": f"{built.layout.name}, first gains", "vehicle": built.layout.name,
         "gains": {"table": table, "yaw": "pitch"},
     }  # fmt: skip  # two more lines otherwise
-    if sections:
-        out["filter"] = {
-            "structure": "F2" if len(sections) == 1 else "F4", "quadratic": sections,
-            "discretization": "prewarped", "prewarp_hz": sections[0]["zero_hz"],
-        }  # fmt: skip  # two more lines otherwise
+    first, *others = (_filter(built, n) for n in range(len(built.stacks)))
+    out["filter"] = first
+    if others:
+        out["stage"] = [{}, *({"filter": filter_} for filter_ in others)]
     out["roll"] = {"k_rate_s": 0.5, "dead_band_deg": 1.0, "hysteresis_deg": 0.2, "minimum_on_s": 0.02}
     return out
 
@@ -549,34 +556,27 @@ def _campaign(built: Built) -> dict[str, Any]:
     }  # fmt: skip  # three more lines otherwise
 
 
-def nodes_s(built: Built) -> list[float]:
-    """Eleven times of the first stage at full thrust, from a tenth of its burn to its end."""
-    points = [p.time_s for p in burning(built) if p.number == 0]
-    return [float(t) for t in np.linspace(0.1 * points[-1], math.floor(points[-1]), 11).round(1)]
-
-
 def _case(built: Built) -> dict[str, Any]:
-    times, hz = nodes_s(built), built.mode_1_hz
-    sections = len(_sections(built))
+    hz = built.mode_1_hz
     rigid = built.layout.control.rigid_hz or min(MOST_RIGID_HZ, hz / 8.0)
     low = round(min(3.0, 0.6 * hz), 2)
+    orders = ["F4" if len(_filter(built, n).get("quadratic", ())) > 1 else "F2" for n in range(len(built.stacks))]
+    differing = [{"filter": {"structure": order}} if order != orders[0] else {} for order in orders]
     return {
-        "schema": 1, "description": f"{built.layout.name}, first stage: largest least |1 + L|",
-        "scenario": "scenario.toml", "nodes_s": times,
+        "schema": 1, "description": f"{built.layout.name}, every stage: largest least |1 + L|",
+        "scenario": "scenario.toml",
         "gains": {"schedule": "free"}, "objective": {"kind": "least-margin"},
-        "filter": {"structure": "F4" if sections > 1 else "F2",
-                   "bounds": {"zero_hz": [low, 100.0], "pole_hz": [low, 100.0]}},
+        "filter": {"structure": orders[0], "bounds": {"zero_hz": [low, 100.0], "pole_hz": [low, 100.0]}},
         "limits": {"rigid_body": "aerodynamic", "rigid_hz": round(0.8 * rigid, 3), "rigid_zeta": 0.5,
                    "without": ["second_mode_db"]},
+        **({"stage": differing} if any(differing) else {}),
     }  # fmt: skip  # twelve more lines otherwise
 
 
 def _suite(built: Built) -> dict[str, Any]:
-    times, wanted = nodes_s(built), {"gain_up_db": 6.0, "aero_gain_db": 6.0, "phase_deg": 30.0}
+    wanted = {"gain_up_db": 6.0, "aero_gain_db": 6.0, "phase_deg": 30.0}
     return {
         "schema": 1, "description": f"{built.layout.name}, to begin with", "scenario": "scenario.toml",
-        "margins": {"times_s": times, "cases": 20, "nominal": wanted},
-        # the certificate's held flights are of vehicles of one stage
-        **({"certificate": {"times_s": [times[len(times) // 2]]}} if len(built.stacks) == 1 else {}),
+        "margins": {"cases": 20, "nominal": wanted}, "certificate": {"nodes_per_stage": 1},
         "flight": [{"name": "calm air", "why": "the ascent as planned"}],
     }  # fmt: skip  # four more lines otherwise

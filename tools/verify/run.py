@@ -31,7 +31,7 @@ from maxq.sim.files import check_writable, plain_name
 from maxq.sim.scenario.errors import ScenarioError
 from maxq.sim.scenario.schema_design import Design
 from maxq.tools.cli.frame import Exit, Interruption, say
-from maxq.tools.cli.terminal import Progress, aligned, tell
+from maxq.tools.cli.terminal import Progress, aligned, printable, tell
 from maxq.tools.design import run_case
 from maxq.tools.verify import report
 
@@ -81,6 +81,8 @@ def execute(order: Order) -> int:
             progress.show(f"writing {name}", 0, 1)
             files = report.write_pack(one, folder, loaded.command(name, order.vehicle, *words), order.pack)
             tell(*report.report(one, f"{name} by the suite {one.suite.name}"), *report.reasons(one))
+            for doubt in one.scenario.doubts:
+                tell(f"warning: {printable(doubt)}")
             tell(
                 f"\n{len(files)} files in {folder}/; {time.perf_counter() - begun:.1f} s, "
                 f"{one.recalled} results reused from earlier runs\n{report.headline(one)}\n"
@@ -121,13 +123,14 @@ class Candidate:
 
 def candidates(made: run_case.Made) -> Iterator[Candidate]:
     """The case's design, and with --orders those of every filter and schedule that meet the limits."""
-    nodes = [j.node for j in made.outcome.judged]
+    nodes = [j.node for outcome, _ in made.stages for j in outcome.judged]
 
     def candidate(folder: Path, meets_limits: bool, solution: Solution, design: Design) -> Candidate:
         modulus = min(j.margins.modulus if j.margins.stable else -1.0 for j in judge(nodes, design, "sampled"))
         return Candidate(folder, meets_limits, solution.case.objective.kind, solution.objective_db, modulus)
 
-    yield candidate(made.folder, made.meets_limits, made.solution, made.outcome.design)
+    worst = max((solution for _, solution in made.stages), key=lambda s: s.objective_db)
+    yield candidate(made.folder, made.meets_limits, worst, made.design)
     for (structure, schedule), (loaded, solution) in (made.orders or {}).items():
         if solution.feasible:
             folder = run_case.order_folder(made.folder, structure, schedule)
