@@ -33,7 +33,7 @@ from maxq.control.attitude import (
 )
 from maxq.control.converter import Converter, ConverterState, convert, make_converter, round_half_away, start_converter
 from maxq.control.external import ExternalState, step_external
-from maxq.control.filters import DiscreteFilter
+from maxq.control.filters import DiscreteFilter, filter_sample
 from maxq.control.guidance import GuidanceState, advance_guidance, start_guidance, unroll
 from maxq.control.kernel.jit import kernel, routine
 from maxq.control.kernel.records import Array, IntArray
@@ -62,14 +62,17 @@ class Computer:
 
     `programme`: table of `guidance.rate_programme`; `unrolled` = 1: its axes of pitch and yaw do not roll. The
     switches are 1 or 0: with `control_on` = 0 the law gives 0 (injected commands still pass), with `guidance_on` = 0
-    the programme stands still, with `roll_on` = 0 no thruster fires. `external`: 1 where flight code from outside is
-    called; with `held_time_s` above 0 it is told this time, s, at all samples.
+    the programme stands still, with `roll_on` = 0 no thruster fires.
+
+    `external`: 1 where flight code from outside is called; with `held_time_s` above 0 it is told this time, s, at all
+    samples. `first_stage`: number of the first stage that is flown; of a held flight, that of the held one.
     """
 
     sample_ns: int
     delay_ns: int
     external: int
     held_time_s: float
+    first_stage: int
     control_on: int
     guidance_on: int
     roll_on: int
@@ -160,6 +163,7 @@ def build_computer(
         delay_ns=delay_ns,
         external=int(external),
         held_time_s=0.0,
+        first_stage=0,
         control_on=int(control_on),
         guidance_on=int(guidance_on),
         roll_on=int(roll_on and (external or roll is not None)),
@@ -342,8 +346,13 @@ def update_command(
 ) -> None:
     """Command of gimbal axis `gimbal` (0 pitch, 1 yaw): law, injection, limit, DAC."""
     if computer.external != 0:
-        law_rad = state.external.outputs.gimbal_rad[gimbal] * computer.control_on
-        state.law.pd_rad[gimbal], state.law.filtered_rad[gimbal] = law_rad, law_rad
+        law, wanted_rad = computer.law, state.external.outputs.gimbal_rad[gimbal] * computer.control_on
+        state.law.pd_rad[gimbal] = wanted_rad
+        # no sections of a design: those with which a certificate alters the loop
+        law_rad = filter_sample(
+            law.sections[gimbal], law.n_sections[gimbal], state.law.filter_memory[gimbal], wanted_rad
+        )
+        state.law.filtered_rad[gimbal] = law_rad
     elif computer.pid.on == 0:
         law_rad = tick_pd(computer.law, pool, state.law, state.attitude, gimbal, time_s, computer.control_on)
     else:

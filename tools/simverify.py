@@ -40,7 +40,7 @@ def _parser() -> Parser:
         nargs="*",
         metavar="DESIGN",
         default=[],
-        help="design file, folder with a design.toml, or a built-in design",
+        help="design file, folder with a design.toml, or a built-in design; or flight code: libfsw.so, my_fsw.py:Class",
     )
     add("--suite", modes=_DESIGN, metavar="SUITE", help="suite file or name of a built-in one (default: standard)")
     add("--vehicle", modes=_DESIGN, metavar="V", help="vehicle folder instead of the scenario's")

@@ -14,13 +14,13 @@ from __future__ import annotations
 import dataclasses
 import math
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
 from maxq.control.kernel.records import Array
 from maxq.design.certificate.held_flight import HeldFlight, linear_limits
-from maxq.design.loop.loop import Loop
+from maxq.design.loop.fixed_path import FixedPath
 from maxq.design.model.node import Node
 from maxq.design.model.plant import OUTPUTS, per_actuator_angle
 from maxq.design.model.state_space import ComplexArray
@@ -38,6 +38,15 @@ LOWEST_BURST_HZ = 0.05
 
 Groups = list[tuple[float, Array]]
 """Amplitudes (rad), each with its lines (Hz)."""
+
+
+class Excited(Protocol):
+    """What is known of a loop that is excited: the vehicle's part, and L, as a linear model or as measured before."""
+
+    @property
+    def fixed(self) -> FixedPath: ...
+
+    def response(self, frequencies_hz: Array) -> ComplexArray: ...
 
 
 @dataclass(frozen=True)
@@ -105,7 +114,7 @@ class ExcitationLevel:
     dither: Groups
 
 
-def excitation_level(held: HeldFlight, loop: Loop, band: Band, scale: float = 1.0) -> ExcitationLevel:
+def excitation_level(held: HeldFlight, loop: Excited, band: Band, scale: float = 1.0) -> ExcitationLevel:
     """Amplitudes for a band; `scale` below 1 plays the same at a lower level."""
     lines = band.lines_hz
     at_gyro = np.abs(loop.fixed.response(lines)) / np.abs(1.0 + loop.response(lines))
@@ -121,7 +130,7 @@ def excitation_level(held: HeldFlight, loop: Loop, band: Band, scale: float = 1.
     return ExcitationLevel([(factor * amplitude, members) for amplitude, members in groups], command, servo, added)
 
 
-def dither(held: HeldFlight, loop: Loop, tones_hz: Array) -> Groups:
+def dither(held: HeldFlight, loop: Excited, tones_hz: Array) -> Groups:
     """Slow tones that each make `DITHER_COUNTS` pulses a sample at the gyro, within limits; none without rounding."""
     count = float(held.packed.parameters[0].computer.converter.count_rad)
     if not len(tones_hz) or count == 0.0:
@@ -199,7 +208,7 @@ def linear_room(held: HeldFlight, frequency_hz: float) -> tuple[float, float]:
     return SHARE_OF_LIMITS * min(angle, rate / servo), INCIDENCE_RAD / incidence
 
 
-def _peaks(held: HeldFlight, loop: Loop, groups: Groups, band: Band) -> tuple[float, float, float]:
+def _peaks(held: HeldFlight, loop: Excited, groups: Groups, band: Band) -> tuple[float, float, float]:
     """Largest command (rad), servo rate (rad/s) and incidence (rad) over a period, by the linear loop."""
     lines, injected = phasors(groups)
     command = injected / (1.0 + loop.response(lines))

@@ -121,10 +121,12 @@ def hold(loaded: LoadedScenario, node: Node, fault: Change | None = None) -> Hel
     """Hold the scenario at a node of its flight, in the node's plane.
 
     Valid under thrust: of several stages the one that burns at the node is held, by itself. Raises ValueError where
-    the axial load is not positive, or the scenario has no design.
+    the axial load is not positive, or the scenario has neither design nor flight code from outside, which is told the
+    node's time and stage throughout.
     """
-    scenario = loaded.scenario
-    if scenario.design is None:
+    scenario, computer = loaded.scenario, loaded.vehicle.computer
+    external = computer is not None and computer.law == "external"
+    if scenario.design is None and not external:
         raise ValueError(f"{loaded.label}: there is no design, and so no loop to hold")
     load = axial_load_mps2(node.vehicle, node.condition)
     if load <= 0.0:
@@ -135,6 +137,8 @@ def hold(loaded: LoadedScenario, node: Node, fault: Change | None = None) -> Hel
         label=f"{loaded.label} held at {node.time_s:g} s",
     )
     packed = pack_flight(held.scenario)
+    packed.parameters[0].computer.held_time_s = max(node.time_s, 1e-9)
+    packed.parameters[0].computer.first_stage = node.stage
     same = dataclasses.replace(
         node_of(packed, node.time_s, 0, node.plane, node.errata),
         liquids=node.liquids, stage=node.stage, surface_radius_m=node.surface_radius_m,
@@ -147,12 +151,11 @@ def _stillness(scenario: Scenario, node: Node, load_mps2: float) -> dict[str, ob
     air = node.condition
     temperature = (air.airspeed_mps / air.mach) ** 2 / (HEAT_RATIO * GAS_CONSTANT_Jpkg_K) if air.mach > 0 else 288.15
     fast = 1.0 / node.instruments.sample_s
-    assert scenario.design is not None
-    vehicle = scenario.vehicle
+    vehicle, design = scenario.vehicle, scenario.design
     alone = vehicle.stage[node.stage].model_copy(update={"separation_s": None, "separation_after_burnout_s": None})
     return {
         "vehicle": vehicle.model_copy(update={"stage": (alone,)}),
-        "design": law_kind(scenario.design.law).frozen(scenario.design.of_stage(node.stage), node.time_s),
+        "design": design and law_kind(design.law).frozen(design.of_stage(node.stage), node.time_s),
         "earth": Earth(shape="flat", rotating=False, gravity="uniform", uniform_mps2=load_mps2),
         "atmosphere": Atmosphere(
             model="constant", density_kgpm3=air.density_kgpm3, temperature_K=temperature, pressure_Pa=air.pressure_Pa

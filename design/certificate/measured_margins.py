@@ -23,6 +23,7 @@ from maxq.control.kernel.records import Array
 from maxq.control.structures import MAX_SECTIONS
 from maxq.design.certificate.excitation import (
     DITHER_HZ,
+    Excited,
     burst_rad,
     dither,
     gimbal_injection,
@@ -127,7 +128,7 @@ def measure_margin(held: HeldFlight, loop: Loop, of_loop: Margins, what: MarginN
         return found(math.nan, "the linear loop is unstable")
     if not math.isfinite(linear):
         return found(math.nan, UNBOUNDED)
-    most = _longest_s(held) if what == "delay" else math.inf
+    most = longest_delay_s(held) if what == "delay" else math.inf
     if 1.02 * linear > most:
         return found(math.nan, TOO_LONG)
     test = burst_test(frequency, build_up_rate(altered(loop, what, linear), frequency))
@@ -135,18 +136,18 @@ def measure_margin(held: HeldFlight, loop: Loop, of_loop: Margins, what: MarginN
     tolerance = 0.02 if what != "delay" else 0.003 * linear
     at = linear
     for _ in range(MOST_FLIGHTS):
-        growth = measured_growth(held, loop, test, lambda packed, at=at: _alter(packed, held, what, at))  # type: ignore[misc]  # a default binds the loop's value
+        growth = measured_growth(held, loop, test, lambda packed, at=at: alter(packed, held, what, at))  # type: ignore[misc]  # a default binds the loop's value
         tried.append((at, growth))
         if math.isnan(growth):
             return found(math.nan, "the flight was lost")
-        following = min(_next(tried, slope, 0.25 * linear, 5.0 * tolerance), most)
+        following = min(following_trial(tried, slope, 0.25 * linear, 5.0 * tolerance), most)
         step, at = following - at, following
         if abs(step) < tolerance:
             return found(at)
     return found(at, "not settled")
 
 
-def _next(tried: list[tuple[float, float]], slope: float, most: float, apart: float) -> float:
+def following_trial(tried: list[tuple[float, float]], slope: float, most: float, apart: float) -> float:
     """The next alteration: by the secant rule, kept between what decayed and what grew, else midway between them.
 
     `slope` (1/s per unit) is used until two tries at least `apart` give a better one; no step is larger than `most`.
@@ -192,7 +193,7 @@ def _slope(loop: Loop, what: MarginName, at: float) -> float:
     return float((high - low) / (2.0 * step))
 
 
-def measured_growth(held: HeldFlight, loop: Loop, test: BurstTest, change: Change = unchanged) -> float:
+def measured_growth(held: HeldFlight, loop: Excited, test: BurstTest, change: Change = unchanged) -> float:
     """Growth rate (1/s) of the free response in flight; NaN where the flight ended early. `loop` sets the dither."""
     amplitude = burst_rad(held, test.frequency_hz, test.growth)
     sine = {"frequency_hz": test.frequency_hz} if test.frequency_hz > 0.0 else {}
@@ -241,13 +242,13 @@ def growth_rate(
     return float(np.polyfit(times[:count], np.log(np.maximum(envelope[:count], 1e-300)), 1)[0])
 
 
-def _longest_s(held: HeldFlight) -> float:
+def longest_delay_s(held: HeldFlight) -> float:
     """Delay for which the filter has sections left, two samples each."""
     free = MAX_SECTIONS - int(held.packed.parameters[0].computer.law.n_sections[held.axis])
     return 2.0 * free * held.sample_s
 
 
-def _alter(packed: Packed, held: HeldFlight, what: MarginName, amount: float) -> None:
+def alter(packed: Packed, held: HeldFlight, what: MarginName, amount: float) -> None:
     """Alter the packed flight's computer in place, on the held axis, by sections behind those of the filter."""
     row, axis = packed.parameters[0].computer, held.axis
     sections, used = row.law.sections[axis], int(row.law.n_sections[axis])

@@ -31,6 +31,7 @@ from maxq.sim.campaign.runner import Progress, run_campaign
 from maxq.sim.files import plain_name
 from maxq.sim.run.fly import fly
 from maxq.sim.run.metrics import METRIC_NAMES, Verdict
+from maxq.sim.scenario.flight_code import flight_code_key
 from maxq.sim.scenario.loader import LoadedScenario, load_scenario
 from maxq.sim.scenario.schema_scenario import Log
 
@@ -78,8 +79,14 @@ def _room(v: Verdict) -> float:
 
 
 def design_changes(design: str, vehicle: str | None) -> list[str]:
-    """Overrides of a scenario or campaign: the design, and the vehicle instead of its own."""
-    return [f'design="{design}"'] + ([f'vehicle="{vehicle}"'] if vehicle is not None else [])
+    """Overrides of a scenario or campaign: the design, and the vehicle instead of its own. `design` may be flight code
+    (`flight_code_key`), which flies without a design.
+    """
+    key = flight_code_key(design)
+    flown = [f'design="{design}"']
+    if key:
+        flown = ["design=", "vehicle.computer.law=external", f'vehicle.computer.{key}="{design}"']
+    return flown + ([f'vehicle="{vehicle}"'] if vehicle is not None else [])
 
 
 def load_flight(

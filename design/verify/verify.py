@@ -21,6 +21,7 @@ from maxq.design import api
 from maxq.design.certificate.certificate import NodeCertificate, certify, certify_node
 from maxq.design.certificate.held_flight import hold
 from maxq.design.certificate.in_flight import InFlightResponse, fits, in_flight_response
+from maxq.design.certificate.measured_only import MeasuredNode, measure_node
 from maxq.design.model.node import Node, node_times, powered_spans
 from maxq.design.model.vehicle_at import Plane
 from maxq.design.verify.flown import (
@@ -54,10 +55,12 @@ from maxq.design.verify.suite import (
     Judgement,
     LinearMargins,
     LoadedSuite,
+    MarginLimits,
     Requirement,
     Suite,
     WorstWanted,
     overall,
+    room_left,
 )
 from maxq.design.verify.worst import WorstVehicle, search_plane, worst_requirements
 from maxq.sim.campaign.runner import Progress
@@ -87,6 +90,7 @@ class Verification:
     authority: tuple[Authority, ...] = field(repr=False)
     slosh: tuple[SloshAdvice, ...] = field(repr=False)
     worst: tuple[WorstVehicle, ...] = field(repr=False)
+    measured: tuple[MeasuredNode, ...] = field(repr=False)  # of flight code without a linear model
     hashes: dict[str, str]  # of design, scenario (with its vehicle) and source code
     versions: dict[str, str]
     recalled: int
@@ -152,9 +156,9 @@ def verify(
             raise KeyboardInterrupt
 
     suite, kept = loaded.suite, Memory(memory)
-    changes = design_changes(design, vehicle)
-    scenario, own = load_scenario(suite.scenario, changes), load_scenario(suite.scenario, changes[1:])
-    assert scenario.design is not None
+    of_vehicle = [f'vehicle="{vehicle}"'] if vehicle is not None else []
+    scenario = load_scenario(suite.scenario, design_changes(design, vehicle))
+    own = load_scenario(suite.scenario, of_vehicle)
     for wanted in suite.campaign:
         load_wanted(loaded, wanted, design, vehicle)
     job = _Job(suite, scenario, scenario.design, own if own.design else scenario, kept, interruptible, workers)
@@ -165,7 +169,7 @@ def verify(
     with timed("worst vehicle"):
         worst = job.worst()
     with timed("certificate"):
-        certificates, through = job.certificates()
+        (certificates, through), measured = job.certificates(), job.measured()
     campaigns = []
     with timed("campaigns"):
         for k, asked in enumerate(suite.campaign):
@@ -196,6 +200,7 @@ def verify(
         )
 
     requirements += certificate_requirements(certificates, through, at_node)
+    requirements += measured_requirements(measured, suite.margins.nominal if suite.margins else MarginLimits())
     for campaign in campaigns:
         requirements += campaign_requirements(campaign)
     design_hash, scenario_hash = content_hash(repr(scenario.design)), content_hash(scenario.as_flown)
@@ -203,6 +208,7 @@ def verify(
     return Verification(
         design, suite, scenario, tuple(requirements), tuple(flights), tuple(margin), tuple(certificates),
         tuple(through), tuple(campaigns), tuple(limits), tuple(slosh), tuple(worst),
+        tuple(measured),
         hashes={name: text[:16] for name, text in hashes.items()}, versions=versions(), recalled=kept.recalled,
         worked_out=kept.worked_out, wall_s=time.perf_counter() - begun, walls_s=walls, cpus_s=cpus,
     )  # fmt: skip  # fourteen more lines otherwise
@@ -218,7 +224,7 @@ class _Job:
 
     suite: Suite
     scenario: LoadedScenario
-    design: Design
+    design: Design | None  # None: flight code without a linear model
     along: LoadedScenario
     memory: Memory
     watch: Watch
@@ -241,9 +247,10 @@ class _Job:
     def margins(self) -> list[MarginStudy]:
         """Of every stage that has nodes, plane by plane."""
         wanted, out = self.suite.margins, []
-        for plane in wanted.planes if wanted is not None else ():
+        for plane in wanted.planes if wanted is not None and self.design is not None else ():
             for stage, nodes in groupby(sorted(self.nodes(plane), key=_stage_of), _stage_of):
                 assert wanted is not None
+                assert self.design is not None
                 name = stage_name(self.scenario.vehicle, stage)
                 watch = partial(self.watch, ", ".join(filter(None, ("margins", plane, name))))
                 out.append(study(list(nodes), self.design, wanted, self.memory, watch, self.workers, name))
@@ -251,8 +258,8 @@ class _Job:
 
     def worst(self) -> list[WorstVehicle]:
         """In every plane and stage that has nodes, where the suite asks for it."""
-        wanted, out = self.suite.margins, []
-        if wanted is None or wanted.worst is None or wanted.only not in ("", WORST):
+        wanted, design, out = self.suite.margins, self.design, []
+        if wanted is None or design is None or wanted.worst is None or wanted.only not in ("", WORST):
             return []
         base = self.scenario.scenario
         run = base.run.model_copy(update={"stop_at": ("burnout", "impact")})
@@ -269,7 +276,7 @@ class _Job:
                     plain_value(wanted.worst),
                 )
                 search = partial(
-                    search_plane, at, self.design, wanted.three_sigma, wanted.worst, loaded, name, watch, self.workers
+                    search_plane, at, design, wanted.three_sigma, wanted.worst, loaded, name, watch, self.workers
                 )
                 out.append(self.memory.recall("worst", depends, search))
         return out
@@ -288,13 +295,13 @@ class _Job:
 
     def slosh(self) -> list[SloshAdvice]:
         """Damping needed at every node; the worst case is flown."""
-        vehicle, wanted = self.scenario.vehicle, self.suite.margins
+        vehicle, wanted, design = self.scenario.vehicle, self.suite.margins, self.design
         tanks = any(stage.tank for stage in vehicle.stage)
-        if wanted is None or not tanks or not self.scenario.scenario.switches.slosh:
+        if wanted is None or design is None or not tanks or not self.scenario.scenario.switches.slosh:
             return []
         nodes = self.nodes("pitch")
         depends = (self.scenario.as_flown, self.times_s(wanted))
-        found = self.memory.recall("slosh", depends, lambda: advise(nodes, self.design))
+        found = self.memory.recall("slosh", depends, lambda: advise(nodes, design))
         worst = max((a for a in found if 0.0 < a.needed < math.inf), key=lambda a: a.needed, default=None)
         if worst is None:
             return found
@@ -303,16 +310,16 @@ class _Job:
         return [flown if a is worst else a for a in found]
 
     def certificates(self) -> tuple[list[NodeCertificate], list[InFlightResponse]]:
-        wanted, scenario, memory = self.suite.certificate, self.scenario, self.memory
-        if wanted is None:
+        wanted, scenario, memory, design = self.suite.certificate, self.scenario, self.memory, self.design
+        if wanted is None or design is None:
             return [], []
         times_s = self.times_s(wanted)
         count, total = [0], len(times_s) * len(wanted.planes)
 
         def one(loaded: LoadedScenario, node: Node) -> NodeCertificate:
             held = hold(loaded, node)
-            law = api.law_at(self.design, node)
-            depends = (held.packed.parameters, held.packed.pool, held.packed.state, node, law)
+            law, computer = api.law_at(design, node), repr(loaded.vehicle.computer)
+            depends = (held.packed.parameters, held.packed.pool, held.packed.state, node, law, computer)
             return memory.recall("node", depends, lambda: certify_node(loaded, node))
 
         def done(certificate: NodeCertificate) -> None:
@@ -331,6 +338,19 @@ class _Job:
             through += memory.recall("through", (scenario.as_flown, stable, plane), fly)
         return found, through
 
+    def measured(self) -> list[MeasuredNode]:
+        """Of flight code without a linear model, at the nodes and in the planes of the certificate."""
+        wanted = self.suite.certificate
+        if wanted is None or self.design is not None:
+            return []
+        times_s, out = self.times_s(wanted), []
+        nodes = [node for plane in wanted.planes for node in api.nodes(self.along, times_s, plane=plane)]
+        for k, node in enumerate(nodes):
+            self.watch("measuring in flight", k, len(nodes))
+            depends = (self.scenario.as_flown, node)
+            out.append(self.memory.recall("measured", depends, partial(measure_node, self.scenario, node)))
+        return out
+
 
 def _stage_of(node: Node) -> int:
     return node.stage
@@ -348,6 +368,46 @@ def tank_name(vehicle: Vehicle, stage: int, tank: int) -> str:
     """Of a slosh mode, for people; with its stage where there are several."""
     name = vehicle.stage[stage].pendulum_names[tank]
     return name if len(vehicle.stage) == 1 else f"{name}, stage {stage + 1}"
+
+
+_MEASURED = "measured only"
+
+
+def measured_requirements(nodes: Sequence[MeasuredNode], limits: MarginLimits) -> list[Requirement]:
+    """Of flight code without a linear model: stable when held, and margins as they are limited for a linear loop."""
+    if not nodes:
+        return []
+
+    def where(n: MeasuredNode) -> str:
+        return f"{n.time_s:g} s, {n.plane}"
+
+    shaky = [n for n in nodes if not n.stable]
+    said = f"{len(nodes) - len(shaky)} of {len(nodes)} nodes"
+    judgement = REJECTED if shaky else ACCEPTED
+    at = where(shaky[0]) if shaky else ""
+    out = [Requirement(_MEASURED, "stable in held flight", "at every node", said, judgement, math.nan, at)]
+    quantities: tuple[tuple[str, str, float | None, float, Callable[[MeasuredNode], float]], ...] = (
+        ("gain margin up", "dB", limits.gain_up_db, 1.0, lambda n: n.margin("gain_up")),
+        ("gain margin down", "dB", limits.aero_gain_db, 1.0, lambda n: n.margin("gain_down")),
+        ("delay margin", "ms", limits.delay_ms, 1e3, lambda n: n.margin("delay")),
+        ("phase margin between lines", "deg", limits.phase_deg, 1.0, lambda n: n.phase_deg),
+    )
+    for name, unit, limit, factor, read in quantities:
+        stable = [n for n in nodes if n.stable]
+        if limit is None or not stable:
+            continue
+        worst = min(stable, key=lambda n: (not math.isnan(read(n)), read(n)))
+        value = factor * read(worst)
+        met = ACCEPTED if value >= limit else UNDECIDED if math.isnan(value) else REJECTED
+        text = f"{value:.2f} {unit}" if math.isfinite(value) else "no boundary found as far as was tried"
+        room = room_left(value, limit, ">=") if math.isfinite(value) else math.nan
+        out.append(Requirement(_MEASURED, name, f">= {limit:g} {unit}", text, met, room, where(worst)))
+    ends = [(c, n) for n in nodes for c in n.cycles if c.kind not in ("decays", "limit cycle")]
+    said = f"{ends[0][0].text}" if ends else "decays or ends in a limit cycle at every node"
+    ending = where(ends[0][1]) if ends else ""
+    kind = REJECTED if ends else ACCEPTED
+    out.append(Requirement(_MEASURED, "burst at slosh", "does not grow", said, kind, math.nan, ending))
+    return out
 
 
 def certificate_requirements(

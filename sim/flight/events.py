@@ -148,7 +148,7 @@ def sample_computer(p: Parameters, pool: Array, memory: Memory, y: Array) -> Non
         memory.gimbal_injection_rad[gimbal] = total_signal(p.injections, pool, GIMBAL_COMMAND, gimbal + 1, now, 0.0)
         memory.gimbal_replaces[gimbal] = replaced(p.injections, GIMBAL_COMMAND, gimbal + 1, now)
     clock.samples += 1
-    memory.computer.external.inputs.stage = clock.stage
+    memory.computer.external.inputs.stage = clock.stage + p.computer.first_stage
     computer_tick(
         p.computer, pool, memory.computer, 1e-9 * now, memory.increment_rad, memory.rate_injection_radps,
         memory.rate_replaces, memory.gimbal_injection_rad, memory.gimbal_replaces,

@@ -58,7 +58,7 @@ def pack_computer(scenario: Scenario, pool: Pool, stage: int = 0) -> Computer:
     design = scenario.design.of_stage(stage) if scenario.design is not None else None
     if computer is None:
         return build_computer(pool, sample_ns=to_ns(scenario.run.step_s), control_on=False)
-    sample_ns = to_ns(computer.sample_s)
+    sample_ns, external = to_ns(computer.sample_s), computer.law == "external"
     return build_computer(
         pool,
         sample_ns=sample_ns,
@@ -72,12 +72,12 @@ def pack_computer(scenario: Scenario, pool: Pool, stage: int = 0) -> Computer:
         integral_limit_rad=math.radians(design.gains.integral_limit_deg or math.inf) if design else math.inf,
         programme=_programme(scenario.guidance.programme, scenario.guidance.method),
         unrolled=scenario.guidance.axes == "unrolled",
-        pitch_filter=_filter(design.filter, computer.sample_s) if design else None,
+        pitch_filter=_filter(design.filter, computer.sample_s) if design and not external else None,
         roll=_roll(design, sample_ns) if design else None,
         control_on=switches.control,
         guidance_on=switches.guidance,
         roll_on=switches.roll_control,
-        external=computer.law == "external",
+        external=external,
     )
 
 

@@ -255,7 +255,7 @@ class _Remote(_InPython):
     def _said(self, error: OSError) -> str:
         if isinstance(error, TimeoutError):
             return f"no answer within {self._timeout_s:g} s"
-        return (error.strerror or str(error)).lower()
+        return error.strerror.lower() if error.strerror else str(error)
 
     def _ask(self, kind: int, content: bytes, expected: int) -> tuple[int, bytes]:
         """Code and content of the answer."""

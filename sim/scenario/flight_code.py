@@ -23,6 +23,15 @@ SETTINGS_BYTES = 255
 _ADDRESS = re.compile(r"(tcp|udp)://(\[[0-9a-f:]+\]|[0-9a-z.]+):([0-9]{1,5})")
 
 
+def flight_code_key(name: str) -> str:
+    """The key of [computer] for what a person means by `name`; empty where that is no flight code."""
+    if ".py:" in name:
+        return "python"
+    if name.startswith(("tcp://", "udp://")):
+        return "address"
+    return "library" if name.endswith((".so", ".dylib", ".dll")) else ""
+
+
 class CodeFile(Section):
     """A file of flight code as it was found; in a vehicle file its name alone, for Python with `:Class` behind it."""
 

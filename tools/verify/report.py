@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from maxq.design.certificate.certificate import NodeCertificate
+from maxq.design.certificate.measured_only import MeasuredNode
 from maxq.design.verify.suite import ACCEPTED, REJECTED, SCREENED, UNDECIDED
 from maxq.design.verify.verify import Verification, tank_name
 from maxq.design.verify.worst import WorstVehicle
@@ -151,6 +152,7 @@ def verdict_record(found: Verification, command: str) -> dict[str, Any]:
         "requirements": [{_KEYS.get(key, key): value for key, value in vars(r).items()} for r in found.requirements],
         "flights": [{key: getattr(f, key) for key in _FLIGHT} for f in found.flights],
         "certificate": [_node(c) for c in found.certificates],
+        "measured_only": [_measured(n) for n in found.measured],
         "authority": [vars(a) for a in found.authority],
         "worst": [_worst(w) for w in found.worst],
         "slosh": [vars(a) | {"in_band": a.in_band} for a in found.slosh],
@@ -167,6 +169,22 @@ def verdict_record(found: Verification, command: str) -> dict[str, Any]:
 def _worst(w: WorstVehicle) -> dict[str, Any]:
     sigmas = {name if n < 0 else f"{name}.{n}": value for (name, n), value in w.sigmas.items()}
     return {key: value for key, value in vars(w).items() if key != "text"} | {"sigmas": sigmas}
+
+
+def _measured(n: MeasuredNode) -> dict[str, Any]:
+    """Of flight code without a linear model."""
+    return {
+        "time_s": n.time_s,
+        "plane": n.plane,
+        "stable": n.stable,
+        "margins": [vars(m) for m in n.margins],
+        "phase_deg": n.phase_deg if n.stable else math.nan,
+        "slosh": [vars(c) for c in n.cycles],
+        "lines": [
+            {"hz": f, "db": _db(x), "deg": math.degrees(math.atan2(x.imag, x.real)), "error": e}
+            for f, x, e in zip(n.lines_hz.tolist(), n.response.tolist(), n.error.tolist(), strict=True)
+        ],
+    }
 
 
 def _node(c: NodeCertificate) -> dict[str, Any]:

@@ -29,6 +29,7 @@ from maxq.design.verify.verify import Verification, Watch, verify
 from maxq.sim.campaign.schema import Campaign
 from maxq.sim.files import check_writable, plain_name
 from maxq.sim.scenario.errors import ScenarioError
+from maxq.sim.scenario.flight_code import flight_code_key
 from maxq.sim.scenario.schema_design import Design
 from maxq.tools.cli.frame import Exit, Interruption, say
 from maxq.tools.cli.terminal import Progress, aligned, printable, tell
@@ -54,7 +55,8 @@ class Order:
 
 def execute(order: Order) -> int:
     """Do it; returns the exit code."""
-    paths, folders = [design_path(name) for name in order.designs], [folder_of(order, name) for name in order.designs]
+    paths = [name if flight_code_key(name) else design_path(name) for name in order.designs]
+    folders = [folder_of(order, name) for name in order.designs]
     loaded = read_suite(order.suite, order.overrides)
     changes = shared_risk(loaded, campaigns_of(loaded, paths[0], order.vehicle), len(paths))
     if changes:

@@ -1,0 +1,218 @@
+"""Flight code without a linear model: its loop measured in held flights, and broken there.
+
+What a certificate (certificate.py) compares with a linear loop is measured here by itself: the open loop at lines by
+excitation, the margins by raising gain, lowering gain and adding delay behind the flight code until the loop grows. The
+vehicle's linear model is used for the level of the excitation only, and for the frequencies of slosh.
+
+Limits: what no excitation has reached is not known. Lines leave resonances between them unseen in the response; margins
+do not, because a loop that is broken oscillates wherever it breaks. A growth slower than e-fold in some 20 s passes for
+stable (`GROWS`), and so does one that the burst at its start does not wake.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from maxq.control.kernel.records import Array
+from maxq.design.certificate.excitation import Band, burst_rad, excitation_level, gimbal_injection
+from maxq.design.certificate.held_flight import Change, HeldFlight, hold, linear_limits, unchanged
+from maxq.design.certificate.measured_margins import (
+    MARGIN_NAMES,
+    MOST_FLIGHTS,
+    UNBOUNDED,
+    UNITS,
+    LimitCycle,
+    MarginName,
+    MeasuredMargin,
+    alter,
+    burst_test,
+    following_trial,
+    limit_cycle,
+    longest_delay_s,
+    measured_growth,
+)
+from maxq.design.certificate.response import BANDS, measure
+from maxq.design.loop.fixed_path import FixedPath, fixed_path
+from maxq.design.model.node import Node
+from maxq.design.model.state_space import ComplexArray
+from maxq.design.model.vehicle_at import Plane
+from maxq.sim.scenario.loader import LoadedScenario
+
+TRIALS: dict[MarginName, tuple[float, ...]] = {
+    "gain_up": (1.0, 2.0, 3.0, 4.5, 6.0, 8.0, 10.0, 13.0, 17.0, 22.0, 28.0),
+    "gain_down": (1.0, 2.0, 3.0, 4.5, 6.0, 8.0, 10.0, 13.0, 17.0, 22.0, 28.0),
+    "delay": (0.003, 0.006, 0.01, 0.015, 0.02, 0.03, 0.04, 0.055, 0.075, 0.1, 0.13, 0.16),
+}
+"""Alterations that are tried one after the other, dB and s."""
+WATCHED_S = 48.0  # after the burst of a trial
+GROWS = 1.25  # amplitude of the last quarter of a trial over that of the second
+UNSTABLE = "the loop is unstable as it is"
+_PROBE = 0.15  # of the level at which the loop would be excited if it had no feedback
+_ACROSS = 0.3  # of a limit: beyond it an oscillation has grown
+_TOLERANCE = {"dB": 0.02, "s": 1e-4}
+
+
+@dataclass(frozen=True)
+class _Loop:
+    """What excitation needs of a loop: its response so far, at `lines_hz`; none yet is no feedback."""
+
+    fixed: FixedPath
+    lines_hz: Array
+    found: ComplexArray
+
+    def response(self, frequencies_hz: Array) -> ComplexArray:
+        if len(self.lines_hz) == 0:
+            return np.zeros(np.shape(frequencies_hz), np.complex128)
+        x, f = np.log(self.lines_hz), np.log(frequencies_hz)
+        size, turn = np.interp(f, x, np.log(np.abs(self.found))), np.interp(f, x, np.unwrap(np.angle(self.found)))
+        return np.asarray(np.exp(size + 1j * turn))
+
+
+@dataclass(frozen=True)
+class MeasuredNode:
+    """Flight code at a node: L at lines (Hz) with the standard error relative to L; margins in flight (their `linear`
+    is NaN); what becomes of a burst at each frequency of slosh. Empty where the loop is unstable as it is.
+    """
+
+    time_s: float
+    plane: Plane
+    stable: bool
+    lines_hz: Array
+    response: ComplexArray
+    error: Array
+    margins: tuple[MeasuredMargin, ...]
+    cycles: tuple[LimitCycle, ...]
+
+    def margin(self, what: MarginName) -> float:
+        """In its unit; infinite where nothing bounds it as far as was tried, NaN where none was found."""
+        found = next((m for m in self.margins if m.what == what), None)
+        if found is None:
+            return math.nan
+        return math.inf if found.reason == UNBOUNDED else found.measured
+
+    @property
+    def phase_deg(self) -> float:
+        """Least phase margin at the crossings of |L| = 1 between neighbouring lines; infinite without one."""
+        size = np.log(np.abs(self.response))
+        turn = np.unwrap(np.angle(self.response))
+        out = math.inf
+        for i in np.flatnonzero(np.sign(size[1:]) != np.sign(size[:-1])):
+            share = size[i] / (size[i] - size[i + 1])
+            at = turn[i] + share * (turn[i + 1] - turn[i]) - math.pi
+            out = min(out, abs(math.degrees(math.remainder(at, 2.0 * math.pi))))
+        return out
+
+
+def measure_node(
+    loaded: LoadedScenario,
+    node: Node,
+    *,
+    fault: Change | None = None,
+    bands: tuple[Band, ...] = BANDS,
+    names: tuple[MarginName, ...] = MARGIN_NAMES,
+) -> MeasuredNode:
+    """Measure at a node, in its plane. Raises ValueError where the node cannot be held (held_flight.py)."""
+    held = hold(loaded, node, fault)
+    path = fixed_path(held.node, "sampled")
+    nothing = np.zeros(0), np.zeros(0, np.complex128), np.zeros(0)
+    floor = _trial(held, unchanged)
+    if floor.grows:
+        return MeasuredNode(node.time_s, node.plane, False, *nothing, (), ())
+    lines, response, error = measured_loop(held, path, bands)
+    loop = _Loop(path, lines, response)
+    margins = tuple(broken(held, loop, name, floor.level_deg) for name in names)
+    slosh = [r.frequency_hz for r in path.resonances() if r.kind == "slosh"]
+    cycles = tuple(limit_cycle(held, hz) for hz in slosh)
+    return MeasuredNode(node.time_s, node.plane, True, lines, response, error, margins, cycles)
+
+
+def measured_loop(held: HeldFlight, path: FixedPath, bands: tuple[Band, ...]) -> tuple[Array, ComplexArray, Array]:
+    """Lines, L and its relative standard error: first at a low level, then at one that suits what was found."""
+    if not bands:
+        return np.zeros(0), np.zeros(0, np.complex128), np.zeros(0)
+    unknown = np.zeros(0, np.complex128)
+    loop = _Loop(path, np.zeros(0), unknown)
+    for scale in (_PROBE, 1.0):
+        seen = [measure(held, b, excitation_level(held, loop, b, scale), unknown) for b in bands]
+        lines, response, error = (
+            np.concatenate([getattr(s, name) for s in seen]) for name in ("lines_hz", "response", "error")
+        )
+        good = np.isfinite(response) & (np.abs(response) > 0.0)
+        loop = _Loop(path, lines[good], response[good])
+    return lines, response, error
+
+
+@dataclass(frozen=True)
+class _Trial:
+    grows: bool
+    frequency_hz: float
+    level_deg: float  # amplitude at the end
+
+
+def _trial(held: HeldFlight, change: Change, floor_deg: float = 0.0) -> _Trial:
+    """Wake all motions by a doublet, and see whether the command grows; `floor_deg`: that of the loop as it is."""
+    kick = gimbal_injection(held.plane, "doublet", 0.5 * burst_rad(held, 1.0), stop_s=0.3)
+    run, rows = held.fly(WATCHED_S, (kick,), change)
+    samples = rows[:, run.table.index(f"filtered_{held.plane}_deg")]
+    quarter = round(0.25 * WATCHED_S / held.sample_s)
+    if len(samples) < 4 * quarter:
+        return _Trial(True, _strongest(samples[-quarter:], held.sample_s), math.inf)
+    second, last = (_swing(samples[k * quarter : (k + 1) * quarter]) for k in (1, 3))
+    limit = math.degrees(linear_limits(held)[0])
+    grows = last > _ACROSS * limit or (last > GROWS * second and last > 2.0 * floor_deg)
+    return _Trial(grows, _strongest(samples[3 * quarter :], held.sample_s), last)
+
+
+def _swing(samples: Array) -> float:
+    """Amplitude of a sine of equal power, without a linear trend."""
+    x = np.linspace(-1.0, 1.0, len(samples))
+    left = samples - np.polyval(np.polyfit(x, samples, 1), x)
+    return float(np.sqrt(2.0 * np.mean(left**2)))
+
+
+def _strongest(samples: Array, sample_s: float) -> float:
+    """Frequency of the strongest line, Hz, finer than a bin."""
+    if len(samples) < 16:
+        return 1.0
+    x = np.linspace(-1.0, 1.0, len(samples))
+    left = (samples - np.polyval(np.polyfit(x, samples, 1), x)) * np.hanning(len(samples))
+    spectrum = np.abs(np.fft.rfft(left, 8 * len(samples)))
+    return max(int(np.argmax(spectrum)), 1) / (8.0 * len(samples) * sample_s)
+
+
+def broken(held: HeldFlight, loop: _Loop, what: MarginName, floor_deg: float) -> MeasuredMargin:
+    """The alteration at which the loop neither grows nor decays: between two trials, then by its growth rate."""
+    tried: list[tuple[float, float]] = []
+
+    def found(measured: float, frequency_hz: float, reason: str = "") -> MeasuredMargin:
+        return MeasuredMargin(what, UNITS[what], math.nan, measured, frequency_hz, tuple(tried), reason)
+
+    def change(amount: float) -> Change:
+        return lambda packed: alter(packed, held, what, amount)
+
+    most = longest_delay_s(held) if what == "delay" else math.inf
+    low, trial = 0.0, None
+    for amount in (a for a in TRIALS[what] if a <= most):
+        trial = _trial(held, change(amount), floor_deg)
+        if trial.grows:
+            break
+        low = amount
+    if trial is None or not trial.grows:
+        return found(math.nan, math.nan, UNBOUNDED)
+    high, test = amount, burst_test(trial.frequency_hz)
+    tolerance = _TOLERANCE[UNITS[what]]
+    slope, at = 0.05 * trial.frequency_hz * (1.0 if UNITS[what] == "dB" else 400.0), 0.5 * (low + high)
+    for _ in range(MOST_FLIGHTS + 4):
+        growth = measured_growth(held, loop, test, change(at))
+        if math.isnan(growth):
+            growth = math.inf  # lost
+        tried.append((at, growth))
+        following = following_trial(tried, slope, 0.5 * (high - low), 5.0 * tolerance)
+        following = min(max(following, 0.5 * low), 1.5 * high, most)
+        step, at = following - at, following
+        if abs(step) < tolerance:
+            return found(at, trial.frequency_hz)
+    return found(at, trial.frequency_hz, "not settled")

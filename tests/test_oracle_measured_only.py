@@ -1,0 +1,67 @@
+"""Margins of flight code, measured without a linear model, against the linear loop of the same law.
+
+The C code is the law of ksr3-robust by hand (examples/flight_software). The linear model of that design, which the
+measurement is not given, has its exact margins; a planted delay must show as lost delay margin.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from flight_code import EXAMPLES, compiled, flies, needs_compiler
+
+from maxq.design import api
+from maxq.design.certificate.certificate import certify_node
+from maxq.design.certificate.held_flight import hold
+from maxq.design.certificate.measured_only import measure_node
+from maxq.design.certificate.response import BANDS, decibels, degrees
+from maxq.design.margins.measure import margins
+from maxq.sim.packing.flight import Packed
+from maxq.sim.scenario.loader import load_scenario
+
+pytestmark = [pytest.mark.slow, needs_compiler]
+NODE_S = 40.0
+
+
+@pytest.fixture(scope="module")
+def library(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return compiled(tmp_path_factory.mktemp("law"), EXAMPLES / "pd_law.c", "pd_law")
+
+
+def test_margins_and_response_are_those_of_the_linear_loop(library: Path) -> None:
+    loaded, known = load_scenario("nominal", ["design=", *flies(library=library)]), load_scenario("nominal")
+    node = api.nodes("nominal", [NODE_S])[0]
+    found = measure_node(loaded, node)
+    assert known.design is not None
+    loop = api.loops([hold(known, node).node], known.design)[0]
+    linear = margins(loop)
+    assert found.stable
+    assert found.margin("gain_up") == pytest.approx(linear.gain_up_db.value, abs=0.2)
+    assert found.margin("gain_down") == pytest.approx(linear.gain_down_db.value, abs=0.2)
+    assert found.margin("delay") == pytest.approx(linear.delay_s.value, rel=0.02)
+    slow = found.lines_hz < 2.6
+    ratio = found.response[slow] / loop.response(found.lines_hz[slow])
+    assert np.abs(decibels(ratio)).max() < 0.3
+    assert np.abs(degrees(ratio)).max() < 2.0
+    assert {c.kind for c in found.cycles} <= {"decays", "limit cycle"}
+
+
+def test_a_planted_delay_is_lost_delay_margin(library: Path) -> None:
+    def late(packed: Packed) -> None:
+        packed.parameters[0].computer.delay_ns += 5_000_000
+
+    loaded = load_scenario("nominal", ["design=", *flies(library=library)])
+    node = api.nodes("nominal", [NODE_S])[0]
+    sound, faulty = (measure_node(loaded, node, fault=f, bands=(), names=("delay",)) for f in (None, late))
+    assert sound.margin("delay") - faulty.margin("delay") == pytest.approx(0.005, abs=0.0005)
+
+
+def test_with_a_design_the_certificate_compares_flight_code_with_it(library: Path) -> None:
+    """The law by hand agrees with the design; with another design's linear loop it does not."""
+    node = api.nodes("nominal", [NODE_S])[0]
+    same = certify_node(load_scenario("nominal", flies(library=library)), node, bands=BANDS[:1], names=("delay",))
+    assert same.unexplained == ()
+    other = load_scenario("nominal", ["design=designs/ksr3-default.toml", *flies(library=library)])
+    assert certify_node(other, node, bands=BANDS[:1], names=()).unexplained
