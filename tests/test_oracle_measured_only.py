@@ -6,6 +6,7 @@ measurement is not given, has its exact margins; a planted delay must show as lo
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +16,7 @@ from flight_code import EXAMPLES, compiled, flies, needs_compiler
 from maxq.design import api
 from maxq.design.certificate.certificate import certify_node
 from maxq.design.certificate.held_flight import hold
+from maxq.design.certificate.measured_margins import DRIFT_HZ
 from maxq.design.certificate.measured_only import measure_node
 from maxq.design.certificate.response import BANDS, decibels, degrees
 from maxq.design.margins.measure import margins
@@ -33,17 +35,17 @@ def library(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_margins_and_response_are_those_of_the_linear_loop(library: Path) -> None:
     loaded, known = load_scenario("nominal", ["design=", *flies(library=library)]), load_scenario("nominal")
     node = api.nodes("nominal", [NODE_S])[0]
-    found = measure_node(loaded, node)
+    found = measure_node(loaded, node, bands=BANDS[:1])
     assert known.design is not None
     loop = api.loops([hold(known, node).node], known.design)[0]
     linear = margins(loop)
     assert found.stable
     assert found.margin("gain_up") == pytest.approx(linear.gain_up_db.value, abs=0.2)
-    assert found.margin("gain_down") == pytest.approx(linear.gain_down_db.value, abs=0.2)
+    assert linear.gain_down_db.frequency_hz < DRIFT_HZ  # of the held flight's drift, which is too slow to be seen
+    assert found.margin("gain_down") == math.inf
     assert found.margin("delay") == pytest.approx(linear.delay_s.value, rel=0.02)
-    slow = found.lines_hz < 2.6
-    ratio = found.response[slow] / loop.response(found.lines_hz[slow])
-    assert np.abs(decibels(ratio)).max() < 0.3
+    ratio = found.response / loop.response(found.lines_hz)
+    assert np.abs(decibels(ratio)).max() < 0.4
     assert np.abs(degrees(ratio)).max() < 2.0
     assert {c.kind for c in found.cycles} <= {"decays", "limit cycle"}
 

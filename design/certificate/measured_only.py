@@ -12,6 +12,7 @@ stable (`GROWS`), and so does one that the burst at its start does not wake.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -202,17 +203,42 @@ def broken(held: HeldFlight, loop: _Loop, what: MarginName, floor_deg: float) ->
         low = amount
     if trial is None or not trial.grows:
         return found(math.nan, math.nan, UNBOUNDED)
-    high, test = amount, burst_test(trial.frequency_hz)
-    tolerance = _TOLERANCE[UNITS[what]]
-    slope, at = 0.05 * trial.frequency_hz * (1.0 if UNITS[what] == "dB" else 400.0), 0.5 * (low + high)
+    tolerance, high = _TOLERANCE[UNITS[what]], amount
+    while True:
+        at, settled = _boundary(held, loop, change, (low, high, most), trial.frequency_hz, tolerance, tried)
+        within = at - 5.0 * tolerance
+        if within <= low:
+            break
+        inside = _trial(held, change(within), floor_deg)  # what has grown fastest may not be what breaks first
+        if not inside.grows:
+            break
+        high, trial = within, inside
+    return found(at, trial.frequency_hz, "" if settled else "not settled")
+
+
+def _boundary(
+    held: HeldFlight,
+    loop: _Loop,
+    change: Callable[[float], Change],
+    within: tuple[float, float, float],
+    frequency_hz: float,
+    tolerance: float,
+    kept: list[tuple[float, float]],
+) -> tuple[float, bool]:
+    """Alteration at which an oscillation near a frequency neither grows nor decays, and whether the search settled.
+
+    `within`: alterations at which the loop decays, at which it grows, and the largest there can be.
+    """
+    (low, high, most), test = within, burst_test(frequency_hz)
+    tried: list[tuple[float, float]] = []
+    slope, at = 0.05 * frequency_hz * (1.0 if tolerance > 1e-3 else 400.0), 0.5 * (low + high)
     for _ in range(MOST_FLIGHTS + 4):
         growth = measured_growth(held, loop, test, change(at))
-        if math.isnan(growth):
-            growth = math.inf  # lost
-        tried.append((at, growth))
+        tried.append((at, math.inf if math.isnan(growth) else growth))  # lost
+        kept.append(tried[-1])
         following = following_trial(tried, slope, 0.5 * (high - low), 5.0 * tolerance)
         following = min(max(following, 0.5 * low), 1.5 * high, most)
         step, at = following - at, following
         if abs(step) < tolerance:
-            return found(at, trial.frequency_hz)
-    return found(at, trial.frequency_hz, "not settled")
+            return at, True
+    return at, False

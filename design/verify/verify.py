@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -343,13 +344,19 @@ class _Job:
         wanted = self.suite.certificate
         if wanted is None or self.design is not None:
             return []
-        times_s, out = self.times_s(wanted), []
+        times_s, out = self.times_s(wanted), list[MeasuredNode]()
         nodes = [node for plane in wanted.planes for node in api.nodes(self.along, times_s, plane=plane)]
-        for k, node in enumerate(nodes):
-            self.watch("measuring in flight", k, len(nodes))
+
+        def one(node: Node) -> MeasuredNode:
             depends = (self.scenario.as_flown, node)
-            out.append(self.memory.recall("measured", depends, partial(measure_node, self.scenario, node)))
-        return out
+            found = self.memory.recall("measured", depends, partial(measure_node, self.scenario, node))
+            out.append(found)
+            self.watch("measuring in flight", len(out), len(nodes))
+            return found
+
+        self.watch("measuring in flight", 0, len(nodes))
+        with ThreadPoolExecutor(max_workers=self.workers) as pool:
+            return list(pool.map(one, nodes))
 
 
 def _stage_of(node: Node) -> int:
@@ -399,7 +406,7 @@ def measured_requirements(nodes: Sequence[MeasuredNode], limits: MarginLimits) -
         worst = min(stable, key=lambda n: (not math.isnan(read(n)), read(n)))
         value = factor * read(worst)
         met = ACCEPTED if value >= limit else UNDECIDED if math.isnan(value) else REJECTED
-        text = f"{value:.2f} {unit}" if math.isfinite(value) else "no boundary found as far as was tried"
+        text = f"{value:.2f} {unit}" if math.isfinite(value) else "no growth as far as was tried"
         room = room_left(value, limit, ">=") if math.isfinite(value) else math.nan
         out.append(Requirement(_MEASURED, name, f">= {limit:g} {unit}", text, met, room, where(worst)))
     ends = [(c, n) for n in nodes for c in n.cycles if c.kind not in ("decays", "limit cycle")]
