@@ -46,7 +46,7 @@ typedef struct maxq_fsw_inputs {
     double rate_radps[3];           /* delta_angle_rad / sample period */
     double commanded_angle_rad[3];  /* guidance programme: sum of the commanded rates */
     double commanded_rate_radps[3]; /* mean over the sample */
-    double attitude_error_rad[3];   /* angle less commanded angle, limited, as the built-in law has it */
+    double attitude_error_rad[3];   /* limited, as the built-in law has it: rotation vector, or angle less command */
 } maxq_fsw_inputs;
 
 typedef struct maxq_fsw_outputs { /* all 0 before each call, but for bytes */
