@@ -2,9 +2,11 @@
 
     C = F(z) (k_p, k_d, k_i)  on  (angle_rad, rate_radps, angle_integral_rads)
 
-The integral is the sum over samples, T z / (z - 1), as the computer forms it below its limit. An optimum has no more
-integral than `limits.integral_hz` asks for. Frequency and damping ratio of the rigid body (47, 48) are those of the law
-without its integral, which is slow beside them. Its kernel is control/laws/pid.py.
+The integral is the sum over samples, T z / (z - 1), as the computer forms it below its limit. `limits.integral_hz`
+bounds its corner from below only: an optimum may take far more (ksr3-relaxed with F3: 0.4 to 1.5 Hz). Frequency and
+damping ratio of the rigid body (47, 48) are those of the law without its integral, and mean what
+they say only while its corner lies well below them; stability and margins are those of the whole loop. Its kernel is
+control/laws/pid.py.
 """
 
 from __future__ import annotations
