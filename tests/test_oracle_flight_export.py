@@ -150,9 +150,13 @@ def test_a_vehicle_of_several_stages_and_groups(tmp_path: Path) -> None:
     folder = tmp_path / "petrel"
     assert simvehicle.main(["petrel", "--out", str(folder)]) == 0
     scenario = folder / "scenario.toml"
-    library = built(tmp_path, str(folder / "design.toml"), "--scenario", str(scenario))
+    words = ["export", str(folder / "design.toml"), "--c", str(tmp_path / "law"), "--scenario", str(scenario)]
+    assert simdesign.main(words) == 2  # it has filters by stage
+    one = tmp_path / "one.toml"
+    one.write_text((folder / "design.toml").read_text().partition("[[stage]]")[0])
+    library = built(tmp_path, str(one), "--scenario", str(scenario))
     built_in, own = (
-        fly(load_scenario(scenario, ["run.duration_s=160", "requirement=", *changes]), log=False)
+        fly(load_scenario(scenario, ["run.duration_s=160", "requirement=", f"design={one}", *changes]), log=False)
         for changes in ([], flies(library=library))
     )
     assert own.state_hash == built_in.state_hash

@@ -99,6 +99,12 @@ def export_c(loaded: LoadedScenario, folder: Path) -> list[Path]:
         raise ScenarioError(
             loaded.label, "cannot be exported as C", "design.law", value=design.law, allowed=", ".join(EXPORTED_LAWS)
         )
+    first, stages = (design.of_stage(0), loaded.vehicle.computer_of(0)), range(len(loaded.vehicle.stage))
+    if any((design.of_stage(n), loaded.vehicle.computer_of(n)) != first for n in stages):
+        raise ScenarioError(
+            loaded.label, "has a stage with gains, filter or computer of its own, which the C code would not follow",
+            "design.stage", allowed="one law for all stages",
+        )  # fmt: skip  # two more lines otherwise
     check_writable(folder)
     packed = pack_flight(loaded.scenario)
     said = (
