@@ -16,5 +16,7 @@ settings.register_profile("same", derandomize=True, deadline=None)
 settings.register_profile("random", derandomize=False, deadline=None, print_blob=True)  # its own default in CI is True
 settings.load_profile(os.environ.get("MAXQ_EXAMPLES") or "same")
 
+os.environ.pop("COLUMNS", None)  # workers of pytest-xdist are told 80, as if they wrote to a terminal
+
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)

@@ -28,7 +28,7 @@ from maxq.sim.campaign.investigation import search_worst, shrink_run
 from maxq.sim.campaign.read import load_campaign
 from maxq.sim.campaign.runner import run_campaign
 from maxq.tools import simrun
-from maxq.tools.campaign_report import tested
+from maxq.tools.campaign_report import how_judged
 
 
 def test_first_order_indices_of_ishigamis_function() -> None:
@@ -244,7 +244,7 @@ def test_a_fixed_number_of_runs_is_recorded_and_an_extension_said(tmp_path: Path
     (out / "runs" / "runs-0000000008-0000000015.parquet").unlink()  # as an interruption leaves it
     data = DataSet(out, campaign)
     assert (data.in_order, judged(data)[0].shown.runs) == (8, 8)
-    assert "runs from 8 on are not judged" in tested(data, judged(data))
+    assert "runs from 8 on are not judged" in how_judged(data, judged(data))
 
 
 @pytest.mark.parametrize("reader", ["pandas", "polars", "duckdb"])

@@ -9,9 +9,8 @@ import pytest
 
 from maxq.control.computer import build_computer
 from maxq.control.filters import BendingFilter, QuadraticSection
-from maxq.control.guidance import rate_programme
 from maxq.control.kernel.records import pack
-from maxq.control.kernel.tables import Pool
+from maxq.control.kernel.tables import Pool, hermite
 from maxq.control.laws.pd import GainSchedule, gains_table
 
 SAMPLE_NS = 10_000_000
@@ -27,7 +26,7 @@ SAMPLE_NS = 10_000_000
         ({"dac_step_rad": np.nan}, "dac_step_rad = nan: allowed"),
         ({"angle_error_limit_rad": 0.0}, "angle_error_limit_rad = 0.0: allowed is above 0"),
         ({"command_limit_rad": np.nan}, "command_limit_rad = nan: allowed is above 0"),
-        ({"gains": rate_programme([0.0], [1.0])}, "gains has 6 columns: allowed is 4"),
+        ({"gains": hermite(np.arange(2.0), *np.zeros((2, 2, 5)))}, "gains has 5 columns: allowed is 4"),
         ({"programme": gains_table(GainSchedule([0.0], [1.0], [1.0]))}, "programme has 4 columns: allowed is 6"),
         (
             {"pitch_filter": BendingFilter((QuadraticSection(9.0, 0.3, 7.0, 0.7),)).discretize(0.02, "zoh")},

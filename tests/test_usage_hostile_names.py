@@ -101,10 +101,12 @@ class Page(HTMLParser):
         self.feed(page)
 
     def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        if tag in ("script", "iframe", "object", "link", "a"):
+        within = tag == "a" and [name for name, _ in attrs] == ["href"] and (attrs[0][1] or "").startswith("#")
+        if tag in ("script", "iframe", "object", "link", "a") and not within:
             self.acts.append(tag)
         for name, value in attrs:
             outside = name in ("src", "href") and not (value or "").startswith("data:image/png;base64,")
+            outside = outside and not within
             if name.startswith("on") or outside:
                 self.acts.append(f"{tag} {name}={value}")
 

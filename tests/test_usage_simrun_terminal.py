@@ -163,7 +163,7 @@ def test_a_long_flight_shows_its_progress_on_a_terminal() -> None:
     assert code == 0
     assert " s of at most 60 s" in shown
     assert shown.rindex("of at most 60 s") < shown.index("events")
-    assert shown.rstrip().splitlines()[-1] == "PASSED: no requirements"
+    assert shown.rstrip().splitlines()[-1] == "\x1b[32mPASSED\x1b[0m: no requirements"
 
 
 def test_a_short_flight_shows_none() -> None:

@@ -119,7 +119,7 @@ def headline(data: DataSet, verdicts: Sequence[Judged]) -> str:
     return f"MET ({level}): all {len(verdicts)} requirements; {failures}"
 
 
-def tested(data: DataSet, verdicts: Sequence[Judged]) -> str:
+def how_judged(data: DataSet, verdicts: Sequence[Judged]) -> str:
     """How the verdicts were reached, in a sentence."""
     said = f"judged by the {verdicts[0].shown.test}" if verdicts else ""
     if verdicts and verdicts[0].shown.test == ANY_TIME:
@@ -183,7 +183,7 @@ def report(data: DataSet, verdicts: Sequence[Judged], losses: Sequence[Lost], ta
         "",
         "requirements",
         *table,
-        f"  {tested(data, verdicts)}",
+        f"  {how_judged(data, verdicts)}",
     ]
     if any(not tail.problem for _, tail in tails):
         shown = aligned([TAIL_HEADS, *(tail_cells(v, tail) for v, tail in tails)], "  ", right=range(2, 9))
@@ -252,7 +252,7 @@ def write_report(
         tail_note=TAIL_NOTE, heads=heads(data), cells=cells, replay=replay,
         simulator=read_manifest(data.folder)["simulator"],
         headline=headline(data, verdicts), of=of,
-        tested=tested(data, verdicts), redraws=analysis.redraws(data),
+        tested=how_judged(data, verdicts), redraws=analysis.redraws(data),
         tone="bad" if NOT_MET in judgements else "good" if judgements == {MET} and len(data.runs) else "open",
     )  # fmt: skip  # eleven more lines otherwise
     files.append(write_whole(data.folder / "report.html", page, CampaignError))

@@ -98,7 +98,7 @@ def _nearest(name: Text, variants: Iterable[str]) -> str:
 
     if root in name.source.folders:
         for path in sorted(root.rglob("*")):
-            if "campaigns" in path.relative_to(root).parts:  # no scenario names a campaign
+            if {"campaigns", "layouts"}.intersection(path.relative_to(root).parts):  # no scenario names one
                 continue
             if asked.name in (path.name, path.stem) and fits(path):
                 return f"did you mean {path.relative_to(root).as_posix()}?"
