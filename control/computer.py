@@ -33,13 +33,13 @@ from maxq.control.attitude import (
 )
 from maxq.control.converter import Converter, ConverterState, convert, make_converter, round_half_away, start_converter
 from maxq.control.external import ExternalState, step_external
-from maxq.control.filters import DiscreteFilter, filter_sample
+from maxq.control.filters import DiscreteFilter
 from maxq.control.guidance import GuidanceState, advance_guidance, start_guidance, unroll
 from maxq.control.kernel.jit import kernel, routine
 from maxq.control.kernel.records import Array, IntArray
 from maxq.control.kernel.rows import PitchYaw, Quaternion, RollPitchYaw, degrees, quaternion
 from maxq.control.kernel.tables import NO_TABLE, Cubics, Pool, TableRef
-from maxq.control.laws.pd import LawRow, Pd, PdState, law_row, make_pd, settle_pd, start_pd, tick_pd
+from maxq.control.laws.pd import LawRow, Pd, PdState, filtered, law_row, make_pd, settle_pd, start_pd, tick_pd
 from maxq.control.laws.pid import Pid, PidRow, PidState, pid_row, start_pid, tick_pid
 from maxq.control.roll import Roll, RollState, silence_roll, start_roll, update_roll
 from maxq.control.structures import Attitude
@@ -346,13 +346,9 @@ def update_command(
 ) -> None:
     """Command of gimbal axis `gimbal` (0 pitch, 1 yaw): law, injection, limit, DAC."""
     if computer.external != 0:
-        law, wanted_rad = computer.law, state.external.outputs.gimbal_rad[gimbal] * computer.control_on
-        state.law.pd_rad[gimbal] = wanted_rad
+        wanted_rad = state.external.outputs.gimbal_rad[gimbal] * computer.control_on
         # no sections of a design: those with which a certificate alters the loop
-        law_rad = filter_sample(
-            law.sections[gimbal], law.n_sections[gimbal], state.law.filter_memory[gimbal], wanted_rad
-        )
-        state.law.filtered_rad[gimbal] = law_rad
+        law_rad = filtered(computer.law, state.law, gimbal, wanted_rad)
     elif computer.pid.on == 0:
         law_rad = tick_pd(computer.law, pool, state.law, state.attitude, gimbal, time_s, computer.control_on)
     else:
