@@ -247,15 +247,22 @@ class _Job:
 
     def margins(self) -> list[MarginStudy]:
         """Of every stage that has nodes, plane by plane."""
-        wanted, out = self.suite.margins, []
-        for plane in wanted.planes if wanted is not None and self.design is not None else ():
-            for stage, nodes in groupby(sorted(self.nodes(plane), key=_stage_of), _stage_of):
-                assert wanted is not None
-                assert self.design is not None
-                name = stage_name(self.scenario.vehicle, stage)
-                watch = partial(self.watch, ", ".join(filter(None, ("margins", plane, name))))
-                out.append(study(list(nodes), self.design, wanted, self.memory, watch, self.workers, name))
-        return out
+        wanted, design = self.suite.margins, self.design
+        if wanted is None or design is None:
+            return []
+        return [
+            study(nodes, design, wanted, self.memory, watch, self.workers, stage)
+            for nodes, stage, watch in self._by_stage("margins", wanted)
+        ]
+
+    def _by_stage(
+        self, what: str, wanted: LinearMargins
+    ) -> Iterator[tuple[list[Node], str, Callable[[int, int], None]]]:
+        """Nodes of each plane and stage, the stage's name, and what is told of the progress with them."""
+        for plane in wanted.planes:
+            for number, nodes in groupby(sorted(self.nodes(plane), key=_stage_of), _stage_of):
+                stage = stage_name(self.scenario.vehicle, number)
+                yield list(nodes), stage, partial(self.watch, ", ".join(filter(None, (what, plane, stage))))
 
     def worst(self) -> list[WorstVehicle]:
         """In every plane and stage that has nodes, where the suite asks for it."""
@@ -265,21 +272,12 @@ class _Job:
         base = self.scenario.scenario
         run = base.run.model_copy(update={"stop_at": ("burnout", "impact")})
         loaded = replace(self.scenario, scenario=base.model_copy(update={"run": run}))
-        for plane in wanted.planes:
-            for stage, nodes in groupby(sorted(self.nodes(plane), key=_stage_of), _stage_of):
-                at, name = list(nodes), stage_name(self.scenario.vehicle, stage)
-                watch = partial(self.watch, ", ".join(filter(None, ("worst vehicle", plane, name))))
-                depends = (
-                    loaded.as_flown,
-                    repr(self.design),
-                    at,
-                    plain_value(wanted.three_sigma),
-                    plain_value(wanted.worst),
-                )
-                search = partial(
-                    search_plane, at, design, wanted.three_sigma, wanted.worst, loaded, name, watch, self.workers
-                )
-                out.append(self.memory.recall("worst", depends, search))
+        for at, name, watch in self._by_stage("worst vehicle", wanted):
+            depends = (loaded.as_flown, repr(design), at, plain_value(wanted.three_sigma), plain_value(wanted.worst))
+            search = partial(
+                search_plane, at, design, wanted.three_sigma, wanted.worst, loaded, name, watch, self.workers
+            )
+            out.append(self.memory.recall("worst", depends, search))
         return out
 
     def authority(self) -> list[Authority]:
@@ -410,7 +408,7 @@ def measured_requirements(nodes: Sequence[MeasuredNode], limits: MarginLimits) -
         room = room_left(value, limit, ">=") if math.isfinite(value) else math.nan
         out.append(Requirement(_MEASURED, name, f">= {limit:g} {unit}", text, met, room, where(worst)))
     ends = [(c, n) for n in nodes for c in n.cycles if c.kind not in ("decays", "limit cycle")]
-    said = f"{ends[0][0].text}" if ends else "decays or ends in a limit cycle at every node"
+    said = ends[0][0].text if ends else "decays or ends in a limit cycle at every node"
     ending = where(ends[0][1]) if ends else ""
     kind = REJECTED if ends else ACCEPTED
     out.append(Requirement(_MEASURED, "burst at slosh", "does not grow", said, kind, math.nan, ending))
