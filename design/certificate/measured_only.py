@@ -42,9 +42,10 @@ from maxq.design.model.state_space import ComplexArray
 from maxq.design.model.vehicle_at import Plane
 from maxq.sim.scenario.loader import LoadedScenario
 
+_TRIALS_DB = (1.0, 2.0, 3.0, 4.5, 6.0, 8.0, 10.0, 13.0, 17.0, 22.0, 28.0)
 TRIALS: dict[MarginName, tuple[float, ...]] = {
-    "gain_up": (1.0, 2.0, 3.0, 4.5, 6.0, 8.0, 10.0, 13.0, 17.0, 22.0, 28.0),
-    "gain_down": (1.0, 2.0, 3.0, 4.5, 6.0, 8.0, 10.0, 13.0, 17.0, 22.0, 28.0),
+    "gain_up": _TRIALS_DB,
+    "gain_down": _TRIALS_DB,
     "delay": (0.003, 0.006, 0.01, 0.015, 0.02, 0.03, 0.04, 0.055, 0.075, 0.1, 0.13, 0.16),
 }
 """Alterations that are tried one after the other, dB and s."""
@@ -167,20 +168,21 @@ def _trial(held: HeldFlight, change: Change, floor_deg: float = 0.0) -> _Trial:
     return _Trial(grows, _strongest(samples[3 * quarter :], held.sample_s), last)
 
 
+def _without_trend(samples: Array) -> Array:
+    x = np.linspace(-1.0, 1.0, len(samples))
+    return np.asarray(samples - np.polyval(np.polyfit(x, samples, 1), x))
+
+
 def _swing(samples: Array) -> float:
     """Amplitude of a sine of equal power, without a linear trend."""
-    x = np.linspace(-1.0, 1.0, len(samples))
-    left = samples - np.polyval(np.polyfit(x, samples, 1), x)
-    return float(np.sqrt(2.0 * np.mean(left**2)))
+    return float(np.sqrt(2.0 * np.mean(_without_trend(samples) ** 2)))
 
 
 def _strongest(samples: Array, sample_s: float) -> float:
     """Frequency of the strongest line, Hz, finer than a bin."""
     if len(samples) < 16:
         return 1.0
-    x = np.linspace(-1.0, 1.0, len(samples))
-    left = (samples - np.polyval(np.polyfit(x, samples, 1), x)) * np.hanning(len(samples))
-    spectrum = np.abs(np.fft.rfft(left, 8 * len(samples)))
+    spectrum = np.abs(np.fft.rfft(_without_trend(samples) * np.hanning(len(samples)), 8 * len(samples)))
     return max(int(np.argmax(spectrum)), 1) / (8.0 * len(samples) * sample_s)
 
 
