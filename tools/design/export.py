@@ -24,14 +24,14 @@ from maxq.design.model.node import Node
 from maxq.design.model.state_space import StateSpace
 from maxq.design.model.vehicle_at import Plane
 from maxq.design.verify.memory import content_hash
-from maxq.sim.files import FileError, cannot_write, check_writable, write_whole
+from maxq.sim.files import FileError, cannot_write, check_writable, whole_file, write_whole
 from maxq.sim.log.head import maxq_version
 from maxq.sim.packing.flight import Packed, pack_flight
 from maxq.sim.run.fly import FlightRun
 from maxq.sim.scenario.errors import ScenarioError
 from maxq.sim.scenario.loader import LoadedScenario, load_scenario
 from maxq.sim.scenario.schema_scenario import Injection
-from maxq.tools.cli.frame import CommandError, Exit
+from maxq.tools.cli.frame import Exit
 from maxq.tools.design.analyse import load
 
 Format = Literal["mat", "npz", "json"]
@@ -282,17 +282,18 @@ def unit_of(name: str) -> str:
 
 def write_matrices(path: Path, form: Format, nodes: Sequence[dict[str, Any]]) -> None:
     """In a file for MATLAB (struct array `nodes`), NumPy (`plant_0_A`, ... beside a JSON text `about`), or as JSON."""
-    try:
-        if form == "mat":
+    if form == "json":
+        write_whole(path, json.dumps({"nodes": list(nodes)}, default=np.ndarray.tolist, indent=1) + "\n")
+        return
+    with whole_file(path) as part:
+        if form == "npz":
+            with part.open("wb") as file:  # given a path, NumPy adds its own suffix
+                np.savez(file, allow_pickle=False, **_flat(nodes))
+        else:
             from scipy.io import savemat  # noqa: PLC0415  # lazy: 0.1 s
 
-            savemat(path, {"nodes": [_for_matlab(node) for node in nodes]}, long_field_names=True, oned_as="column")
-        elif form == "npz":
-            np.savez(path, allow_pickle=False, **_flat(nodes))
-        else:
-            write_whole(path, json.dumps({"nodes": list(nodes)}, default=np.ndarray.tolist, indent=1) + "\n")
-    except OSError as error:
-        raise CommandError(f"{path}: {(error.strerror or str(error)).lower()}") from error
+            said = {"nodes": [_for_matlab(node) for node in nodes]}
+            savemat(part, said, appendmat=False, long_field_names=True, oned_as="column")
 
 
 def _for_matlab(value: Any) -> Any:
