@@ -122,9 +122,8 @@ def limits_table(checks: Sequence[Check], title: str = "limits") -> list[str]:
     for check in checks:
         k, unit = check.worst, f" {check.unit}" if check.unit else ""
         at = f"{check.time_s[k]:g} s" if math.isfinite(check.time_s[k]) else "filter"
-        worst = (
-            figures(float(check.values[k]), 4 if check.passed else 7) + unit
-        )  # rounded, a miss may look like the limit
+        digits = 4 if check.passed else 7  # rounded, a miss may look like the limit
+        worst = figures(float(check.values[k]), digits) + unit
         limit = f"{check.sense} {check.limit:g}{unit}"
         rows.append((check.text, MET if check.passed else MISSED, limit, worst, at))
     return [title, *aligned(rows, "  ", right=(3, 4))]
