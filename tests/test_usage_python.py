@@ -1,8 +1,10 @@
-"""maxq from Python (tools/api.py): tables, files, plots, one line a thing."""
+"""maxq from Python (api/): tables, files, plots, one line a thing."""
 
 from __future__ import annotations
 
 import csv
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -11,11 +13,12 @@ import pytest
 from matplotlib.figure import Figure
 from picture_check import faults
 
+from maxq import api
 from maxq.sim.campaign.read import LoadedCampaign
 from maxq.sim.log.reader import Log
 from maxq.sim.run.fly import Flight
 from maxq.sim.scenario.loader import LoadedScenario
-from maxq.tools import api, simreplay
+from maxq.tools import simreplay
 
 
 @pytest.fixture(scope="module")
@@ -93,6 +96,26 @@ def test_a_replay_of_nothing_raises() -> None:
     with pytest.raises(Exception, match="nosuch: no such file or folder"):
         api.replay("nosuch")
     assert simreplay.main(["nosuch"]) == 2
+
+
+def test_importing_it_takes_nothing_along_and_every_name_is_there() -> None:
+    code = "import sys, maxq.api; print([m for m in ('numpy', 'numba', 'pydantic') if m in sys.modules])"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout == "[]\n"
+    homes = [name for names in api._HOMES.values() for name in names]
+    assert sorted(homes) == sorted(api.__all__) == dir(api)
+    assert all(getattr(api, name).__doc__ for name in api.__all__)
+    with pytest.raises(AttributeError, match="no attribute 'nosuch'"):
+        api.nosuch  # noqa: B018  # what is looked up is not there
+
+
+@pytest.mark.slow
+def test_a_vehicle_from_a_layout_flies() -> None:
+    place = api.vehicle("petrel", "mine")
+    assert place == Path("mine")
+    assert api.fly(place / "scenario.toml", "run.duration_s=1").outcome == "duration"
+    with pytest.raises(api.ScenarioError, match="nosuch"):
+        api.vehicle("nosuch")
 
 
 @pytest.mark.slow

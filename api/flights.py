@@ -1,0 +1,82 @@
+"""Flights, campaigns, vehicles: loaded, flown, read, shown."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from maxq.sim.campaign.analysis import DataSet
+from maxq.sim.campaign.read import LoadedCampaign, load_campaign
+from maxq.sim.campaign.runner import run_campaign
+from maxq.sim.campaign.store import MANIFEST, campaign_in
+from maxq.sim.files import plain_name
+from maxq.sim.log.reader import Log, read_log
+from maxq.sim.run import fly as flying
+from maxq.sim.run.fly import Flight, FlightRun
+from maxq.sim.run.metrics import METRIC_NAMES
+from maxq.sim.run.record import LOG_NAME, record
+from maxq.sim.scenario.loader import LoadedScenario, is_campaign, load_scenario
+
+
+def load(path: str | Path, *overrides: str) -> LoadedScenario | LoadedCampaign:
+    """A scenario or campaign: a file, or the name of a built-in one; `overrides` as "run.duration_s=10"."""
+    if is_campaign(path):
+        return load_campaign(path, overrides)
+    return load_scenario(path, overrides, METRIC_NAMES)
+
+
+def fly(scenario: LoadedScenario | str | Path, *overrides: str, folder: str | Path | None = None) -> Flight:
+    """Fly a scenario. With `folder`: log and summary are written there, and the channels are in the log (`read`).
+
+    The first flight of an installation compiles the simulator (about half a minute).
+    """
+    if isinstance(scenario, LoadedScenario) and overrides:
+        raise ValueError("overrides go with a scenario's name; load(name, *overrides) takes them")
+    loaded = scenario if isinstance(scenario, LoadedScenario) else load_scenario(scenario, overrides, METRIC_NAMES)
+    return flying.fly(loaded) if folder is None else record(FlightRun(loaded), folder)
+
+
+def campaign(
+    of: LoadedCampaign | str | Path,
+    folder: str | Path | None = None,
+    *,
+    runs: int | None = None,
+    seed: int | None = None,
+    workers: int | None = None,
+) -> DataSet:
+    """Fly a campaign into its folder (None: runs/NAME), or what is missing there; `runs`, `seed`: not the file's."""
+    loaded = of if isinstance(of, LoadedCampaign) else load_campaign(of)
+    changes = {name: value for name, value in (("runs", runs), ("seed", seed)) if value is not None}
+    loaded = loaded.with_campaign(**changes)
+    place = Path(folder) if folder is not None else Path("runs") / plain_name(loaded.name, "campaign")
+    run_campaign(loaded, place, workers=workers)
+    return DataSet(place, loaded)
+
+
+def read(path: str | Path) -> Log | DataSet:
+    """What was flown: a log, the folder of a flight, or that of a campaign."""
+    place = Path(path)
+    if (place / MANIFEST).is_file():
+        return DataSet(place, campaign_in(place))
+    return read_log(place / LOG_NAME if place.is_dir() else place)
+
+
+def vehicle(layout: str | Path, folder: str | Path | None = None) -> Path:
+    """Work out a vehicle from a layout, a file or a built-in one, into its folder (None: runs/NAME), which is returned.
+
+    It holds `scenario.toml` to fly, `case.toml` to design, `suite.toml` to verify and `campaign.toml`. Raises
+    ScenarioError, and ValueError for a layout that cannot fly.
+    """
+    from maxq.tools.vehicle.build import build, write  # noqa: PLC0415  # lazy: flights need none of it
+    from maxq.tools.vehicle.layout import read_layout  # noqa: PLC0415  # lazy
+
+    read = read_layout(layout)
+    place = Path(folder) if folder is not None else Path("runs") / plain_name(read.name, "vehicle")
+    write(build(read), place)
+    return place
+
+
+def replay(*places: str | Path, save: str | Path | None = None) -> None:
+    """Show flights (logs, folders of flights or campaigns) in the viewer, or `save` them as a Rerun recording."""
+    from maxq.tools import simreplay  # noqa: PLC0415  # lazy: rerun takes half a second
+
+    simreplay.show([str(place) for place in places] + (["--save", str(save)] if save is not None else []))
