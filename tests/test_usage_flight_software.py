@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
@@ -9,6 +10,8 @@ from flight_code import EXAMPLES, compiled, flies, needs_compiler
 
 from maxq.control.external import HEADER
 from maxq.sim.log.reader import read_log
+from maxq.sim.run.fly import fly as fly_once
+from maxq.sim.scenario.loader import load_scenario
 from maxq.tools import simrun
 
 Printed = pytest.CaptureFixture[str]
@@ -152,3 +155,67 @@ def test_a_log_is_flown_again_with_the_same_code_only(capsys: Printed, caplog: p
 def test_the_header_is_printed(capsys: Printed) -> None:
     assert simrun.main(["--schema", "flight-software"]) == 0
     assert capsys.readouterr().out == HEADER.read_text()
+
+
+REMEMBERING = """
+#include "maxq_fsw.h"
+#include <pthread.h>
+#include <unistd.h>
+static int64_t steps;
+static void *asleep(void *_) { for (;;) pause(); return _; }
+int32_t maxq_fsw_abi(void) { return MAXQ_FSW_ABI; }
+int64_t maxq_fsw_bytes(void) { return 0; }
+int32_t maxq_fsw_init(void *self, const maxq_fsw_setup *setup)
+{
+    pthread_t thread;
+    (void)self;
+    return setup->settings[0] == 't' ? pthread_create(&thread, 0, asleep, 0) : 0;
+}
+int32_t maxq_fsw_step(void *self, const maxq_fsw_inputs *in, maxq_fsw_outputs *out)
+{
+    (void)self;
+    out->monitor[0] = getpid();
+    out->monitor[1] = ++steps;
+    if (in->time_s > 0.055 && CRASHES) *(volatile int *)0 = 1;
+    return 0;
+}
+void maxq_fsw_close(void *self) { (void)self; }
+"""
+
+
+@needs_compiler
+def test_one_process_flies_flight_after_flight_and_each_begins_anew(tmp_path: Path) -> None:
+    """What a library keeps for itself is gone with its flight; a thread of it or a crash ends the process with it."""
+    (tmp_path / "own.c").write_text(REMEMBERING)
+    sound, crashing = (
+        compiled(tmp_path, tmp_path / "own.c", f"own{n}", f"-DCRASHES={n}", "-D_GNU_SOURCE", "-pthread") for n in (0, 1)
+    )
+
+    def flown(library: Path, settings: str = "") -> tuple[str, float, float]:
+        wanted = flies(library=library, settings=settings or "none")
+        flight = fly_once(load_scenario("nominal", ["run.duration_s=0.1", "requirement=", *wanted]))
+        return flight.outcome, flight.final["monitor_1"], flight.final["monitor_2"]
+
+    first = flown(sound)
+    assert first[::2] == ("duration", 9.0)
+    assert flown(crashing)[0] == "flight_software"
+    assert flown(sound) == first
+    assert flown(sound, "threaded") == first
+    anew = flown(sound)
+    assert anew[::2] == first[::2]
+    assert anew[1] != first[1]
+
+
+@needs_compiler
+def test_flights_on_threads_have_a_process_each(tmp_path: Path) -> None:
+    """Sixteen flights, four at a time, every third crashes: the others are as alone."""
+    (tmp_path / "own.c").write_text(REMEMBERING)
+    libraries = [compiled(tmp_path, tmp_path / "own.c", f"own{n}", f"-DCRASHES={n}", "-D_GNU_SOURCE") for n in (0, 1)]
+    scenarios = [load_scenario("nominal", ["run.duration_s=0.1", *flies(library=library)]) for library in libraries]
+    wrong = [int(n % 3 == 2) for n in range(16)]
+    with ThreadPoolExecutor(4) as pool:
+        flights = list(pool.map(lambda n: fly_once(scenarios[n]), wrong))
+    assert [int(f.outcome == "flight_software") for f in flights] == wrong
+    assert {(f.state_hash, f.final["monitor_2"]) for f, n in zip(flights, wrong, strict=True) if n == 0} == {
+        (flights[0].state_hash, 9.0)
+    }

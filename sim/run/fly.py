@@ -44,6 +44,7 @@ if TYPE_CHECKING:
     from maxq.sim.run.flight_software import FlightSoftware
 
 LONGEST_SEGMENT_NS = 1_000_000_000  # one log chunk
+_UNSEEN_NS = 60_000_000_000  # a tenth of a second's work
 _FIRST_ROOM = 400_000  # rows
 _MOST_STEPS, _MOST_ROWS = 20_000, 20_000  # of a segment: tens of milliseconds of work, 10 MB of rows
 
@@ -195,24 +196,29 @@ class FlightRun:
         }
         self.wall_s = 0.0
         self._counts = np.zeros(2, np.int64)
-        self._software = self._flight_software()
+        self._hold(self._arrays(self._logged, self._rows))
         begin(self.packed.parameters, self.packed.pool, self.packed.memory, self.packed.state)
         self._advance(int(self.memory.clock.now_ns), self._logged, self._rows)
-        if self._software is not None:
-            self._software.start(lambda until_ns: self._kernel(until_ns, self._logged, self._rows))
+        self._software: FlightSoftware | None = None
+        if external:
+            from maxq.sim.run.flight_software import FlightSoftware  # noqa: PLC0415  # lazy: few flights have any
 
-    def _flight_software(self) -> FlightSoftware | None:
-        """Of a flight with flight code from outside; where that is guarded, all that changes is in shared memory."""
-        if int(self.packed.parameters[0].computer.external) == 0:
-            return None
-        from maxq.sim.run.flight_software import FlightSoftware, shared  # noqa: PLC0415  # lazy: few flights have any
+            self._software = FlightSoftware(loaded)
+            self._hold(self._software.start(self._arrays(self._logged, self._rows)))
 
-        if FlightSoftware.guards(self.loaded):
-            memory, state = shared(self.packed.memory), shared(self.packed.state)
-            self.packed = replace(self.packed, memory=memory, state=state)
-            self._arena, self._counts = shared(self._arena), shared(self._counts)
-            self._rows = {group: (shared(times), shared(values)) for group, (times, values) in self._rows.items()}
-        return FlightSoftware(self.loaded, self.packed)
+    def _arrays(self, logged: Any, room: Rows) -> tuple[Any, ...]:
+        """What `advance` takes, without `until_ns`."""
+        p, (fast_ns, fast), (slow_ns, slow) = self.packed, room[FAST], room[SLOW]
+        return (
+            p.parameters, p.pool, p.memory, p.state, self._arena, logged, fast_ns, fast, slow_ns, slow, self._counts,
+        )  # fmt: skip  # nine lines more otherwise
+
+    def _hold(self, arrays: tuple[Any, ...]) -> None:
+        """Fly on in these arrays."""
+        _, _, memory, state, self._arena, _, fast_ns, fast, slow_ns, slow, self._counts = arrays
+        self.packed = replace(self.packed, memory=memory, state=state)
+        self._rows = {FAST: (fast_ns, fast), SLOW: (slow_ns, slow)}
+        self._clock = {name: memory["clock"][name] for name in ("finished", "now_ns")}  # records are slow to read
 
     @property
     def memory(self) -> Any:
@@ -220,11 +226,11 @@ class FlightRun:
 
     @property
     def finished(self) -> bool:
-        return int(self.memory.clock.finished) == 1
+        return int(self._clock["finished"][0]) == 1
 
     @property
     def now_s(self) -> float:
-        return int(self.memory.clock.now_ns) / 1e9
+        return int(self._clock["now_ns"][0]) / 1e9
 
     @property
     def events(self) -> tuple[Event, ...]:
@@ -247,7 +253,7 @@ class FlightRun:
                 found.append(Event(name, int(time_ns), detail=causes.get(name, "")))
         found += self._faults(start_ns)
         found += self._broken_waves()
-        if self._software is not None and (said := self._software.complaint):
+        if self._software is not None and (said := self._software.complaint(self.memory.computer.external)):
             found.append(Event(SOFTWARE_NAME, int(clock.now_ns), detail=said))
         return tuple(sorted(found, key=lambda event: event.time_ns))
 
@@ -311,10 +317,12 @@ class FlightRun:
         Returns the log rows on the way: views that the next segment overwrites, in logged units.
         """
         length_ns = length_ns or self.segment_ns
-        until = (int(self.memory.clock.now_ns) // length_ns + 1) * length_ns
+        until = (int(self._clock["now_ns"][0]) // length_ns + 1) * length_ns
         start = time.perf_counter()
         rows = self._advance(until, self._logged, self._rows, self._software)
         if self._software is not None and self.finished:
+            rows = copied(rows)
+            self._hold(tuple(array.copy() for array in self._arrays(self._logged, self._rows)))
             self._software.close()
         self.wall_s += time.perf_counter() - start
         return rows
@@ -396,17 +404,11 @@ class FlightRun:
         if software is not None:
             software.advance(until_ns)
         else:
-            self._kernel(until_ns, logged, room)
+            parameters, pool, memory, state, arena, *others = self._arrays(logged, room)
+            advance(parameters, pool, memory, state, arena, until_ns, *others)
         (fast_ns, fast), (slow_ns, slow) = room[FAST], room[SLOW]
         n, m = self._counts
         return {FAST: (fast_ns[:n], fast[:n]), SLOW: (slow_ns[:m], slow[:m])}
-
-    def _kernel(self, until_ns: int, logged: Any, room: Rows) -> None:
-        (fast_ns, fast), (slow_ns, slow) = room[FAST], room[SLOW]
-        advance(
-            self.packed.parameters, self.packed.pool, self.packed.memory, self.packed.state, self._arena,
-            until_ns, logged, fast_ns, fast, slow_ns, slow, self._counts,
-        )  # fmt: skip  # ten more lines otherwise
 
 
 def fly(loaded: LoadedScenario, *, log: bool = True, watch: Callable[[FlightRun, Rows], None] | None = None) -> Flight:
@@ -416,6 +418,8 @@ def fly(loaded: LoadedScenario, *, log: bool = True, watch: Callable[[FlightRun,
     that diverges is a result (`outcome`, `cause`), not an exception.
     """
     run = FlightRun(loaded, log=log)
+    if not log and watch is None:  # nobody looks in between
+        run.segment_ns *= max(_UNSEEN_NS // run.segment_ns, 1)
     kept = KeptRows()
     while not run.finished:
         rows = run.fly_segment()

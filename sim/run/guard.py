@@ -1,0 +1,250 @@
+"""Processes that fly flight code from outside, so that a crash or an endless loop ends one flight and nothing else.
+
+A worker is forked on memory that both processes share and flies what lies there. One that is done with a flight waits
+for the next of the same code: a fork costs as much as a third of a flight. So that each flight begins as in a fresh
+process, a library is unloaded in between; a worker of which something would be left (Python modules, a library that
+cannot be unloaded or that has started threads) ends with its flight.
+"""
+
+from __future__ import annotations
+
+import atexit
+import contextlib
+import ctypes
+import gc
+import mmap
+import os
+import pickle
+import select
+import signal
+import sys
+import threading
+import time
+from collections.abc import Sequence
+from multiprocessing.connection import Pipe
+from typing import Any, NoReturn
+
+import numpy as np
+from numpy.typing import NDArray
+
+from maxq.control.external import CRASHED, STUCK
+from maxq.sim.flight.loop import advance
+from maxq.sim.run.instances import Instance, Setup, Unusable, started
+from maxq.sim.scenario.schema_vehicle import Computer
+
+Arrays = tuple[NDArray[Any], ...]
+"""What `loop.advance` takes, in its order without `until_ns`."""
+MEMORY = 2  # index of the flight's memory in Arrays
+
+STARTING = 2  # of `inside`: while an instance is made
+_SMALLEST = 1 << 24  # shared bytes of a worker; what is not used of them takes no memory
+_POLL_S = 0.05
+_FORK = threading.RLock()  # again by the same thread where garbage is collected in it
+_idle: list[Worker] = []
+_lines: set[Any] = set()  # this process's ends
+_leaving: set[int] = set()  # processes that have been told to end
+
+
+class Worker:
+    """A process that flies `computer`'s code on arrays of the types `kinds`."""
+
+    def __init__(self, computer: Computer, kinds: list[np.dtype[Any]], size: int) -> None:
+        self.computer, self.kinds, self.size = computer, kinds, size
+        self._room = mmap.mmap(-1, size)
+        with _FORK:
+            self._line, theirs = Pipe()
+            _lines.add(self._line)
+            for stream in (sys.stdout, sys.stderr):  # or both processes would write what waits there
+                with contextlib.suppress(OSError, ValueError, AttributeError):
+                    stream.flush()
+            self._pid = os.fork()
+            if self._pid == 0:
+                _Flying(theirs, self._room, computer, kinds).serve()
+            theirs.close()
+        self._answers = select.poll()
+        self._answers.register(self._line.fileno(), select.POLLIN)
+
+    def start(self, arrays: Arrays, setup: Setup) -> tuple[Arrays, bool, str]:
+        """The arrays in shared memory; whether the code was started on them, and what it says."""
+        shapes = [array.shape for array in arrays]
+        placed = _placed(self._room, self.kinds, shapes)
+        for room, array in zip(placed, arrays, strict=True):
+            room.reshape(-1).view("u1")[:] = array.reshape(-1).view("u1")
+        state = placed[MEMORY]["computer"]["external"]
+        self._seen = {name: state[name] for name in ("calls", "inside", "fault", "code")}
+        self._seen["inside"][0] = STARTING
+        return placed, *self._done(b"S" + pickle.dumps((shapes, bytes(setup))))
+
+    def advance(self, until_ns: int) -> tuple[bool, str]:
+        """Whether the flight was flown on; otherwise the fault is noted in its memory."""
+        return self._done(b"A" + until_ns.to_bytes(8, sys.byteorder, signed=True))
+
+    def release(self) -> None:
+        """End of the flight: let it close the code, and keep it for the next where nothing of the code is left."""
+        self._seen["inside"][0] = 1  # or it could take as long as it likes
+        clean = self._pid > 0 and self._done(b"C")[0]
+        self._seen.clear()
+        if not clean:
+            self.end()
+            return
+        with _FORK:
+            _idle.append(self)
+            oldest = _idle.pop(0) if len(_idle) > 2 * (os.cpu_count() or 1) else None
+        if oldest is not None:
+            oldest.end()
+
+    def end(self) -> None:
+        """Let the process end."""
+        _lines.discard(self._line)
+        self._line.close()
+        if self._pid > 0:
+            _leaving.add(self._pid)
+        _reap()
+
+    def _done(self, order: bytes) -> tuple[bool, str]:
+        """Its answer; where there is none, the fault, and the process has ended."""
+        calls = int(self._seen["calls"][0])
+        limit_s = self.computer.timeout_s + (5.0 if self.computer.address else 0.0)  # a socket has its own timeout
+        with contextlib.suppress(OSError):
+            self._line.send_bytes(order)
+        since = time.monotonic()
+        while True:
+            if self._answers.poll(1000.0 * _POLL_S):
+                try:
+                    answer = self._line.recv_bytes()
+                except (EOFError, OSError):
+                    _, status = os.waitpid(self._pid, 0)
+                    self._seen["fault"][0], self._seen["code"][0] = CRASHED, os.waitstatus_to_exitcode(status)
+                    break
+                return answer[:1] == b"1", answer[1:].decode(errors="replace")
+            before, calls, inside = calls, int(self._seen["calls"][0]), int(self._seen["inside"][0])
+            if calls != before or inside == 0:
+                since = time.monotonic()
+            elif time.monotonic() - since > limit_s:
+                os.kill(self._pid, signal.SIGKILL)
+                os.waitpid(self._pid, 0)
+                self._seen["fault"][0] = STUCK
+                break
+        self._pid = 0
+        return False, ""
+
+
+def worker_for(computer: Computer, arrays: Arrays) -> Worker:
+    """A worker that waits, or a new one."""
+    kinds, size = [array.dtype for array in arrays], _places([array.nbytes for array in arrays])[-1]
+    _reap()
+    with _FORK:
+        for worker in _idle:
+            if _code(worker.computer) == _code(computer) and worker.kinds == kinds and worker.size >= size:
+                _idle.remove(worker)
+                return worker
+    return Worker(computer, kinds, max(2 * size, _SMALLEST))
+
+
+def _code(computer: Computer) -> tuple[Any, ...]:
+    """What a worker is for; the rest of the computer comes with each flight's setup."""
+    return computer.library, computer.python, computer.address, computer.timeout_s
+
+
+def _reap() -> None:
+    """Collect the processes that have ended."""
+    for pid in tuple(_leaving):
+        with contextlib.suppress(ChildProcessError):
+            if os.waitpid(pid, os.WNOHANG)[0] == 0:
+                continue
+        _leaving.discard(pid)
+
+
+def _end_idle() -> None:
+    while _idle:
+        _idle.pop().end()
+
+
+def _forget() -> None:
+    """In a process that has been forked: the workers are not its own."""
+    for line in _lines:
+        line.close()
+    _lines.clear()
+    _idle.clear()
+    _leaving.clear()
+
+
+if hasattr(os, "fork"):
+    os.register_at_fork(after_in_child=_forget)
+    atexit.register(_end_idle)
+
+
+def _places(sizes: Sequence[int]) -> list[int]:
+    """Where arrays of these bytes begin in shared memory, and where the last one ends."""
+    ends = [0]
+    for size in sizes:
+        ends.append(ends[-1] + -(-size // 64) * 64)
+    return ends
+
+
+def _placed(room: mmap.mmap, kinds: Sequence[np.dtype[Any]], shapes: Sequence[tuple[int, ...]]) -> Arrays:
+    counts = [int(np.prod(shape)) for shape in shapes]
+    starts = _places([kind.itemsize * count for kind, count in zip(kinds, counts, strict=True)])
+    return tuple(
+        np.frombuffer(room, kind, count, start).reshape(shape)
+        for kind, count, start, shape in zip(kinds, counts, starts, shapes, strict=False)
+    )
+
+
+class _Flying:
+    """The worker's own side."""
+
+    def __init__(self, line: Any, room: mmap.mmap, computer: Computer, kinds: list[np.dtype[Any]]) -> None:
+        self._line, self._room, self._computer, self._kinds = line, room, computer, kinds
+        self._arrays: Arrays = ()
+        self._instance: Instance | None = None
+
+    def serve(self) -> NoReturn:
+        """Do what is asked until there is nobody to ask."""
+        code = 1
+        try:
+            for number in (signal.SIGINT, signal.SIGTERM):  # the process that asks sees to these
+                signal.signal(number, signal.SIG_IGN)
+        except ValueError:
+            pass  # forked by a thread, which is now the main thread
+        try:
+            gc.freeze()
+            while True:
+                order = self._line.recv_bytes()
+                good, said = {b"S": self._start, b"A": self._advance, b"C": self._close}[order[:1]](order[1:])
+                self._line.send_bytes((b"1" if good else b"0") + said.encode())
+        except (EOFError, OSError):
+            code = 0
+        finally:
+            with contextlib.suppress(Exception):
+                sys.stdout.flush()
+                sys.stderr.flush()
+                ctypes.CDLL(None).fflush(None)
+            os._exit(code)
+
+    def _start(self, order: bytes) -> tuple[bool, str]:
+        shapes, setup = pickle.loads(order)
+        self._arrays = _placed(self._room, self._kinds, shapes)
+        try:
+            self._instance = started(self._computer, Setup.from_buffer_copy(setup))
+        except Unusable as error:
+            return False, str(error) or type(error).__name__
+        state = self._arrays[MEMORY][0].computer.external
+        state.step, state.instance, state.inside = self._instance.step, self._instance.address, 0
+        return True, ""
+
+    def _advance(self, order: bytes) -> tuple[bool, str]:
+        advance_to(int.from_bytes(order, sys.byteorder, signed=True), self._arrays)
+        return True, self._instance.error if self._instance is not None else ""
+
+    def _close(self, _: bytes) -> tuple[bool, str]:
+        instance, self._instance = self._instance, None
+        if instance is None:
+            return False, ""
+        instance.close()
+        return instance.unload(), ""
+
+
+def advance_to(until_ns: int, arrays: Arrays) -> None:
+    parameters, pool, memory, state, arena, *logged_rows = arrays
+    advance(parameters, pool, memory, state, arena, until_ns, *logged_rows)

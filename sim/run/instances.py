@@ -1,0 +1,302 @@
+"""Flight code from outside, started: whatever it is, the flight calls a C function with the records of external.py.
+
+| key | function | where an error shows |
+|---|---|---|
+| `library` | `maxq_fsw_step` of the library itself | return value |
+| `python` | ctypes around the method `step` | exception |
+| `address` | ctypes around a message and its answer | broken connection, timeout |
+"""
+
+from __future__ import annotations
+
+import _ctypes
+import contextlib
+import ctypes
+import importlib.util
+import os
+import socket
+import struct
+import sys
+import time
+from abc import ABC, abstractmethod
+from functools import lru_cache
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+from urllib.parse import urlsplit
+
+from maxq.control.external import ABI, FswInputs, FswOutputs
+from maxq.control.kernel.records import dtype_of
+from maxq.sim.scenario.flight_code import SETTINGS_BYTES, CodeFile
+from maxq.sim.scenario.schema_vehicle import Computer
+
+_FUNCTIONS = ("maxq_fsw_abi", "maxq_fsw_bytes", "maxq_fsw_init", "maxq_fsw_step", "maxq_fsw_close")
+_ALIGNMENT = 64
+_MOST_BYTES = 1 << 30  # of an instance
+_StepFunction = ctypes.CFUNCTYPE(ctypes.c_int, ctypes.c_void_p, ctypes.c_void_p, ctypes.c_void_p)
+
+
+def _structure(name: str, schema: type) -> Any:
+    """The record as a ctypes.Structure, for Python code."""
+    kinds = {"f": ctypes.c_double, "i": ctypes.c_int64}
+    fields: list[tuple[str, Any]] = []
+    for field, (kind, _) in (dtype_of(schema).fields or {}).items():  # type: ignore[misc]  # a triple only with a title
+        base: Any = kinds[kind.base.kind]
+        fields.append((field, base * kind.shape[0] if kind.shape else base))
+    return type(name, (ctypes.Structure,), {"_fields_": fields, "__doc__": schema.__doc__})
+
+
+Inputs, Outputs = _structure("Inputs", FswInputs), _structure("Outputs", FswOutputs)
+
+
+class Setup(ctypes.Structure):
+    """`maxq_fsw_setup` of maxq_fsw.h."""
+
+    _fields_ = [
+        *((name, ctypes.c_int64) for name in ("bytes", "abi", "sample_ns", "delay_ns", "start_ns", "groups")),
+        *(
+            (name, ctypes.c_double)
+            for name in ("count_rad", "dac_step_rad", "command_limit_rad", "angle_error_limit_rad")
+        ),
+        ("settings", ctypes.c_char * (SETTINGS_BYTES + 1)),
+    ]
+
+
+class Unusable(Exception):
+    """Why flight code cannot be started."""
+
+
+class Instance(ABC):
+    """Flight code that has been started: what the flight calls, and what else there is to say of the last call."""
+
+    step: int
+    address = 0
+    error = ""
+
+    @abstractmethod
+    def close(self) -> None:
+        """End of the flight."""
+
+    def unload(self) -> bool:
+        """After `close`: whether nothing of the code is left in this process, so that the next flight begins anew."""
+        return False
+
+
+class _Library(Instance):
+    """An instance of a shared library, in memory of ours."""
+
+    def __init__(self, code: CodeFile, setup: Setup) -> None:
+        self._file, self._threads = code.file, _threads()
+        try:
+            library = ctypes.CDLL(code.file)
+        except OSError as error:
+            raise Unusable(f"cannot be loaded: {error}") from None
+        for name in _FUNCTIONS:
+            if not hasattr(library, name):
+                raise Unusable(f"has no function {name}")
+        library.maxq_fsw_abi.restype = library.maxq_fsw_init.restype = ctypes.c_int32
+        library.maxq_fsw_bytes.restype = ctypes.c_int64
+        library.maxq_fsw_close.restype = None
+        made_for, size = library.maxq_fsw_abi(), library.maxq_fsw_bytes()
+        if made_for != ABI:
+            raise Unusable(f"is made for version {made_for} of maxq_fsw.h, this is version {ABI}")
+        if not 0 <= size <= _MOST_BYTES:
+            raise Unusable(f"wants {size} bytes for an instance, allowed are 0 to {_MOST_BYTES}")
+        self._library = library
+        self._memory = ctypes.create_string_buffer(size + _ALIGNMENT)
+        start = ctypes.addressof(self._memory)
+        self.address = start + -start % _ALIGNMENT
+        refused = library.maxq_fsw_init(ctypes.c_void_p(self.address), ctypes.byref(setup))
+        if refused:
+            raise Unusable(f"maxq_fsw_init returned {refused}")
+        self.step = ctypes.cast(library.maxq_fsw_step, ctypes.c_void_p).value or 0
+
+    def close(self) -> None:
+        self._library.maxq_fsw_close(ctypes.c_void_p(self.address))
+
+    def unload(self) -> bool:
+        if not _threads() or _threads() > self._threads:  # one of its own may run on in it
+            return False
+        _ctypes.dlclose(self._library._handle)
+        try:
+            ctypes.CDLL(self._file, os.RTLD_NOLOAD)
+        except OSError:
+            return True
+        return False
+
+
+def _threads() -> int:
+    """Of this process; 0: not known."""
+    try:
+        return len(os.listdir("/proc/self/task"))
+    except OSError:
+        return 0
+
+
+class _InPython(Instance):
+    """Flight code in Python behind a C function: a subclass answers inputs with outputs."""
+
+    def __init__(self) -> None:
+        self._function = _StepFunction(self._called)
+        self.step = ctypes.cast(self._function, ctypes.c_void_p).value or 0
+
+    @abstractmethod
+    def answer(self, inputs: Any, outputs: Any) -> int:
+        """Code of the step: 0, or what ends the flight."""
+
+    def _called(self, _: Any, inputs: Any, outputs: Any) -> int:
+        try:
+            return self.answer(Inputs.from_buffer_copy(Inputs.from_address(inputs)), Outputs.from_address(outputs))
+        except BaseException as error:  # an exception cannot pass through the compiled flight
+            self.error = self.error or described(error)
+            return 1
+
+
+class _PythonClass(_InPython):
+    """An instance of a class with the method `step(inputs)`, which returns outputs by name."""
+
+    def __init__(self, code: CodeFile, setup: Setup) -> None:
+        super().__init__()
+        try:
+            self._object = getattr(module_of(code.file, code.sha256), code.member)(setup)
+        except Unusable:
+            raise
+        except BaseException as error:
+            raise Unusable(described(error)) from None
+
+    def answer(self, inputs: Any, outputs: Any) -> int:
+        for name, value in self._object.step(inputs).items():
+            room = getattr(outputs, name)
+            if isinstance(room, ctypes.Array):
+                room[:] = [float(item) for item in value]
+            else:
+                setattr(outputs, name, value)
+        return 0
+
+    def close(self) -> None:
+        if hasattr(self._object, "close"):
+            self._object.close()
+
+
+@lru_cache(maxsize=8)
+def module_of(file: str, sha256: str) -> ModuleType:
+    """The module in a Python file, which may import what lies beside it."""
+    spec = importlib.util.spec_from_file_location(f"maxq_flight_code_{sha256[:12]}", file)
+    if spec is None or spec.loader is None:
+        raise Unusable("is no Python file")
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[spec.name] = module
+    beside = str(Path(file).parent)
+    sys.path.insert(0, beside)
+    try:
+        spec.loader.exec_module(module)
+    except BaseException as error:
+        del sys.modules[spec.name]
+        raise Unusable(described(error)) from None
+    finally:
+        sys.path.remove(beside)
+    return module
+
+
+HEADER = struct.Struct("=4sIq")
+"""Of a message, in the order of bytes of this machine: MAGIC, kind, number of the message, which the answer repeats."""
+MAGIC, SETUP, STEP, CLOSE = b"MAXQ", 1, 2, 3
+_CODE = struct.Struct("=q")
+
+
+class _Remote(_InPython):
+    """A computer behind a socket, in lock-step: a message with a struct, an answer with a code and a struct.
+
+    Over UDP a message is a datagram; answers to earlier messages are passed over, lost ones are not sent again.
+    """
+
+    def __init__(self, address: str, timeout_s: float, setup: Setup) -> None:
+        super().__init__()
+        parts, self._number, self._timeout_s = urlsplit(address), 0, timeout_s
+        self._stream = parts.scheme == "tcp"
+        place = (parts.hostname or "", parts.port or 0)
+        try:
+            if self._stream:
+                self._socket = socket.create_connection(place, timeout_s)
+                self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+            else:
+                family = socket.AF_INET6 if ":" in place[0] else socket.AF_INET
+                self._socket = socket.socket(family, socket.SOCK_DGRAM)
+                self._socket.connect(place)
+            code, _ = self._ask(SETUP, bytes(setup), 0)
+        except OSError as error:
+            raise Unusable(self._said(error)) from None
+        if code:
+            raise Unusable(f"answered its setup with code {code}")
+
+    def answer(self, inputs: Any, outputs: Any) -> int:
+        try:
+            code, content = self._ask(STEP, bytes(inputs), ctypes.sizeof(Outputs))
+        except OSError as error:
+            self.error = self._said(error)
+            return 1
+        ctypes.memmove(ctypes.addressof(outputs), content, len(content))
+        return code
+
+    def close(self) -> None:
+        with contextlib.suppress(OSError):
+            self._socket.sendall(HEADER.pack(MAGIC, CLOSE, self._number + 1))
+            self._socket.close()
+
+    def _said(self, error: OSError) -> str:
+        if isinstance(error, TimeoutError):
+            return f"no answer within {self._timeout_s:g} s"
+        return error.strerror.lower() if error.strerror else str(error)
+
+    def _ask(self, kind: int, content: bytes, expected: int) -> tuple[int, bytes]:
+        """Code and content of the answer."""
+        self._number += 1
+        until = time.monotonic() + self._timeout_s
+        self._socket.settimeout(self._timeout_s)
+        self._socket.sendall(HEADER.pack(MAGIC, kind, self._number) + content)
+        size = HEADER.size + _CODE.size + expected
+        while True:
+            answer = self._received(size, until)
+            if answer[:4] != MAGIC:
+                raise OSError("an answer that does not begin with MAXQ")
+            if len(answer) != size:
+                raise OSError(f"an answer of {len(answer)} bytes, not the {size} of maxq_fsw.h")
+            if HEADER.unpack_from(answer) == (MAGIC, kind, self._number):
+                return _CODE.unpack_from(answer, HEADER.size)[0], answer[HEADER.size + _CODE.size :]
+            if self._stream:
+                raise OSError("an answer to another message")
+
+    def _received(self, size: int, until: float) -> bytes:
+        out = b""
+        while len(out) < size:
+            left_s = until - time.monotonic()
+            if left_s <= 0.0:
+                raise TimeoutError
+            self._socket.settimeout(left_s)
+            part = self._socket.recv(size - len(out) if self._stream else 65536)
+            if not self._stream:
+                return part
+            if not part:
+                raise ConnectionError("the connection was closed")
+            out += part
+        return out
+
+
+def described(error: BaseException) -> str:
+    """An exception of flight code on one line, with the place in it."""
+    trace, at = error.__traceback__, ""
+    while trace is not None:
+        file = trace.tb_frame.f_code.co_filename
+        if not file.startswith(str(Path(__file__).parents[2])) and "importlib" not in file:
+            at = f" ({Path(file).name}, line {trace.tb_lineno})"
+        trace = trace.tb_next
+    return " ".join(f"{type(error).__name__}: {error}".split()) + at
+
+
+def started(computer: Computer, setup: Setup) -> Instance:
+    """An instance of the flight code. Raises Unusable."""
+    if computer.library is not None:
+        return _Library(computer.library, setup)
+    if computer.python is not None:
+        return _PythonClass(computer.python, setup)
+    return _Remote(computer.address or "", computer.timeout_s, setup)
