@@ -56,6 +56,10 @@ class TransferLoop:
             return values
         return np.log(values[values != 0.0]) / self.sample_s
 
+    def factors(self) -> tuple[ComplexArray, ComplexArray] | None:
+        poles = self.exact if len(self.exact) else np.roots(self.denominator)
+        return None if self.delay_s > 0.0 else (np.roots(self.numerator).astype(complex), np.asarray(poles, complex))
+
     def scaled(self, gain: float) -> TransferLoop:
         return TransferLoop(np.asarray(self.numerator) * gain, self.denominator, self.sample_s, self.delay_s)
 
@@ -69,6 +73,7 @@ class ModalLoop:
     c: Array
 
     highest_hz = np.inf
+    sample_s = None
 
     @classmethod
     def of(
@@ -104,6 +109,13 @@ class ModalLoop:
 
     def closed_poles(self) -> ComplexArray:
         return self.poles_with(1.0)
+
+    def factors(self) -> tuple[ComplexArray, ComplexArray]:
+        n = len(self.a)
+        left, right = np.zeros((n + 1, n + 1)), np.diag(np.append(np.ones(n), 0.0))
+        left[:n, :n], left[:n, n], left[n, :n] = self.a, self.b, self.c
+        zeros = scipy.linalg.eigvals(left, right)
+        return zeros[np.isfinite(zeros)], self.open_poles()
 
     def poles_with(self, gain: float) -> ComplexArray:
         return np.linalg.eigvals(self.a - gain * np.outer(self.b, self.c)).astype(complex)

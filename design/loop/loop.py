@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from maxq.design.laws.bending_filter import FASTEST
 from maxq.design.laws.law import ANGLES, MEASUREMENTS, Controller
 from maxq.design.loop.fixed_path import ExactFixedPath, FixedPath, PadeFixedPath
-from maxq.design.model.state_space import ComplexArray, StateSpace, chain, closed
+from maxq.design.model.state_space import ComplexArray, StateSpace, chain, closed, zeros_and_poles
 
 
 @dataclass(frozen=True)
@@ -74,6 +74,12 @@ class Loop:
     def state_space(self) -> StateSpace:
         """L, from the gimbal command round to minus itself; in z for a sampled loop. The kind `exact` has none."""
         return chain(self.fixed.measured(self.law.inputs), self.law.state_space())
+
+    def factors(self) -> tuple[ComplexArray, ComplexArray] | None:
+        """Zeros and poles of L, in s or in z; None for the kind `exact`, whose delays are no rational function."""
+        if isinstance(self.fixed, ExactFixedPath):
+            return None
+        return zeros_and_poles(self.state_space())
 
     def to_state_space(self) -> Any:
         """L as a `control.StateSpace` of python-control, which must be installed; sampled loops with their dt.

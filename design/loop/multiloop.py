@@ -30,7 +30,7 @@ from maxq.design.laws.registry import designed_law
 from maxq.design.loop.sampling import SampledPlant, sample
 from maxq.design.model.linearised import at_rest, linearise
 from maxq.design.model.node import flown_run, flown_to
-from maxq.design.model.state_space import ComplexArray, Resolvent, StateSpace, chain, channels
+from maxq.design.model.state_space import ComplexArray, Resolvent, StateSpace, chain, channels, zeros_and_poles
 from maxq.sim.packing.flight import Packed
 from maxq.sim.scenario.loader import LoadedScenario
 from maxq.sim.scenario.schema_design import Design
@@ -112,6 +112,10 @@ class OneLoop:
         return self.whole.highest_hz
 
     @property
+    def sample_s(self) -> float:
+        return self.whole.path.sample_s
+
+    @property
     def _others(self) -> list[int]:
         return [k for k in range(len(self.whole.axes)) if k != self.axis]
 
@@ -126,6 +130,12 @@ class OneLoop:
 
     def closed_poles(self) -> ComplexArray:
         return self.whole.poles(range(len(self.whole.axes)))
+
+    def factors(self) -> tuple[ComplexArray, ComplexArray]:
+        s, i, o = self.whole.state_space, [self.axis], self._others
+        a = s.a - s.b[:, o] @ s.c[o]
+        names = (s.inputs[self.axis],)
+        return zeros_and_poles(StateSpace(a, s.b[:, i], s.c[i], s.d[i][:, i], s.states, names, names))
 
 
 def multiloops(scenario: LoadedScenario, design: Design, times_s: Iterable[float]) -> list[Multiloop]:

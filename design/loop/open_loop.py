@@ -31,3 +31,12 @@ class OpenLoop(Protocol):
     def closed_poles(self) -> ComplexArray:
         """Zeros of 1 + L."""
         ...
+
+    @property
+    def sample_s(self) -> float | None:
+        """Period of a sampled loop."""
+        ...
+
+    def factors(self) -> tuple[ComplexArray, ComplexArray] | None:
+        """All zeros and all poles of L, in s or in z, by which no pair of crossings is missed; None: not known."""
+        ...

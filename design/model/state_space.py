@@ -77,6 +77,21 @@ def closed(loop: StateSpace) -> Array:
     return np.asarray(loop.a - gain * np.outer(loop.b[:, 0], loop.c[0]))
 
 
+def zeros_and_poles(system: StateSpace) -> tuple[ComplexArray, ComplexArray]:
+    """Of one input and one output: generalised eigenvalues of the system's matrix (Emami-Naeini & Van Dooren,
+    Automatica 18(4), 1982), and eigenvalues of A."""
+    a, (scale, _) = scipy.linalg.matrix_balance(system.a, permute=False, separate=True)
+    b, c, n = system.b[:, 0] / scale, system.c[0] * scale, len(system.a)
+    left, right = np.zeros((n + 1, n + 1)), np.diag(np.append(np.ones(n), 0.0))
+    left[:n, :n], left[n, n] = a, system.d[0, 0]
+    size = np.abs(a).max(initial=1e-300)
+    left[:n, n], left[n, :n] = b * (size / np.abs(b).max()), c * (size / np.abs(c).max())
+    left[n, n] *= size / np.abs(b).max() * size / np.abs(c).max()
+    top, below = scipy.linalg.eigvals(left, right, homogeneous_eigvals=True)
+    finite = np.abs(below) > 1e-13 * np.abs(top)
+    return np.asarray(top[finite] / below[finite]), np.linalg.eigvals(a).astype(np.complex128)
+
+
 def channels(system: StateSpace, outputs: tuple[str, ...], inputs: tuple[str, ...] | None = None) -> StateSpace:
     """The system with some of its outputs and inputs, reduced to the states on a path between them.
 
