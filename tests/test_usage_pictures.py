@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import csv
+import io
+import json
+import math
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -14,7 +18,8 @@ from picture_check import faults
 from maxq.tools.design.pictures_loop import contours
 from maxq.tools.pages.render import render
 from maxq.tools.plots import campaign
-from maxq.tools.plots.palette import LIMIT, ON_LIGHT
+from maxq.tools.plots.figures import Panel, Plot, as_csv, as_json, at, band, limit, line, points, thinned
+from maxq.tools.plots.palette import ON_LIGHT
 from maxq.tools.plots.style import STYLE, curve, drawing, label, name_point, save, sheet
 
 
@@ -107,12 +112,16 @@ def test_red_is_what_misses_the_limit_and_not_what_lies_on_it(kind: str, failure
         name="gimbal", metric="max_gimbal_deg", unit="deg", kind=kind, bound=1.0, tolerance=float("nan")
     )
     assert campaign.missed(values, v).sum() == failures
-    with drawing():
-        figure, (place,) = sheet(1, 1)
-        campaign._histogram(place, values, v)
-    red = [bar for bar in place.patches if bar.get_facecolor()[:3] == mpl.colors.to_rgb(LIMIT)]
-    assert sum(bar.get_height() for bar in red) == failures
-    assert not faults(figure)
+    bars = campaign.bars(values, np.arange(len(values)) + 100, v)
+    assert (sum(bars["y"]), sum(bars["y2"])) == (len(values), failures)
+    assert (bars["y2"] <= bars["y"]).all()
+    spread = np.random.default_rng(5).normal(size=300)
+    bars = campaign.bars(spread, np.arange(300), v)
+    for k, run in enumerate(bars["runs"]):  # the worst run of each bar
+        low, high = bars["edges"][k : k + 2]
+        inside = spread[(spread >= low) & ((spread < high) | (k == len(bars["y"]) - 1))]
+        assert bars["y"][k] == len(inside)
+        assert run is None if not len(inside) else spread[run] == (inside.max() if kind == "limit" else inside.min())
     v.bound = 2.0 if kind == "limit" else 0.0
     assert not campaign.missed(values, v).any()
 
@@ -120,12 +129,47 @@ def test_red_is_what_misses_the_limit_and_not_what_lies_on_it(kind: str, failure
 def test_pages_list_their_headings_and_repeat_the_heads_of_tables(monkeypatch: pytest.MonkeyPatch) -> None:
     from maxq.tools.pages import render as module  # noqa: PLC0415  # the module, not its function
 
-    text = "{{ today }}<!-- contents --><h2>One</h2><table>\n<tr><th>a</th></tr><tr><td>1</td></tr></table><h2>Two</h2>"
+    text = "{{ date }}<!-- contents --><h2>One</h2><figcaption>A.</figcaption><table>\n<caption>B.</caption>"
+    text += "<tr><th>a</th></tr><tr><td>1</td></tr></table><h2>Two</h2>"
     made = SimpleNamespace(
-        get_template=lambda _: SimpleNamespace(render=lambda values: text.replace("{{ today }}", ""))
+        get_template=lambda _: SimpleNamespace(render=lambda values: text.replace("{{ date }}", values["date"]))
     )
     monkeypatch.setattr(module, "_environment", lambda: made)
-    page = render("any")
+    page = render("any", date="2026-11-22")
+    assert page.startswith("2026-11-22")
+    assert "<figcaption><b>Figure 1.</b> A.</figcaption>" in page
     assert '<li><a href="#s1">One</a></li><li><a href="#s2">Two</a></li>' in page
     assert '<h2 id="s2">2 Two</h2>' in page
-    assert "<table><thead><tr><th>a</th></tr></thead><tr><td>1</td></tr></table>" in page
+    assert (
+        "<table><caption><b>Table 1.</b> B.</caption><thead><tr><th>a</th></tr></thead><tr><td>1</td></tr></table>"
+        in page
+    )
+
+
+def test_data_of_a_figure_hold_all_that_is_drawn_and_end_no_script() -> None:
+    name = '</script><b>"gain", up'
+    panel = Panel(
+        "a",
+        [line([0.0, 1.0], [2.0, math.nan], name), band([0.0], [1.0], [3.0], "b"), points([5], [6], runs=[17]),
+         limit(4.0), at(7.0, "then")],
+    )  # fmt: skip  # a line for each series otherwise
+    plot = Plot("p", "title", [panel], command="simrun --run {}")
+    text = as_json([plot])
+    assert "<" not in text
+    (back,) = json.loads(text)
+    assert back["panels"][0]["series"][0]["name"] == name
+    assert back["panels"][0]["series"][0]["y"] == [2.0, None]
+    rows = list(csv.reader(io.StringIO(as_csv(plot))))
+    assert rows[1:] == [
+        ["a", name, "0.0", "2.0", "", ""], ["a", name, "1.0", "", "", ""], ["a", "b", "0.0", "1.0", "3.0", ""],
+        ["a", "", "5", "6", "", "17"], ["a", "limit", "", "4.0", "", ""], ["a", "then", "7.0", "", "", ""],
+    ]  # fmt: skip  # a line for each cell otherwise
+
+
+def test_a_thinned_curve_stays_within_a_share_of_its_range() -> None:
+    x = np.linspace(0.0, 10.0, 20001)
+    y = np.sin(x) + 5.0 * np.exp(-(((x - 4.0) / 0.01) ** 2))
+    a, b = thinned(x, y)
+    assert len(a) < 2500
+    assert np.abs(np.interp(x, a, b) - y).max() < np.ptp(y) / 200.0
+    assert (a[0], a[-1]) == (x[0], x[-1])

@@ -1,12 +1,12 @@
 """The results of a campaign for people: what is printed, and the report in its folder.
 
-`write_report` leaves summary.json, report.html (one file, nothing outside it) and pictures beside the data set.
+`write_report` leaves summary.json, report.html (one file, nothing outside it) and its figures as CSV beside the data
+set.
 """
 
 from __future__ import annotations
 
 import math
-import shlex
 from collections import Counter
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -26,6 +26,9 @@ from maxq.sim.campaign.tails import Tail, tail_of
 from maxq.sim.files import write_whole
 from maxq.tools.cli import terminal
 from maxq.tools.cli.terminal import aligned, figures, printable
+from maxq.tools.plots import campaign as plots
+from maxq.tools.plots.campaign import replay
+from maxq.tools.plots.figures import as_csv
 
 TAIL_NOTE = "quantile: that the required share does not exceed; fit: share of samples that fit worse, 0.05 is poor"
 _DRIVEN = 6  # requirements whose drivers are shown: those nearest to their limits
@@ -128,11 +131,6 @@ def how_judged(data: DataSet, verdicts: Sequence[Judged]) -> str:
     return said + (f"; runs from {data.in_order} on are not judged: one before them is missing" if missing else "")
 
 
-def replay(folder: Path, run: int | str) -> str:
-    """The command that flies a run again."""
-    return f"simrun --from {shlex.quote(str(folder))} --run {run}"
-
-
 Tails = Sequence[tuple[Judged, Tail]]
 TAIL_HEADS = (
     "tail",
@@ -156,7 +154,7 @@ def tails_of(data: DataSet, verdicts: Sequence[Judged]) -> Tails:
         values = np.where(data.void, np.nan, data.numbers(v.metric))
         return tail_of(values, v.bound, campaign.success, campaign.confidence, v.kind == "limit")
 
-    return [(v, tail(v)) for v in _pressing(verdicts)]
+    return [(v, tail(v)) for v in pressing(verdicts)]
 
 
 def tail_cells(v: Judged, tail: Tail) -> tuple[str, ...]:
@@ -217,7 +215,7 @@ def write_report(
     """
     sample = analysis.sample_of(data)
     inputs = analysis.inputs_of(sample) if len(data.runs) else {}
-    found = [(v, analysis.drivers(sample, v.metric, inputs)) for v in _pressing(verdicts)]
+    found = [(v, analysis.drivers(sample, v.metric, inputs)) for v in pressing(verdicts)]
     over_time = analysis.bands(data.folder, data.campaign)
     summary = analysis.summary_of(data, verdicts, losses, total, {
         "sequential": settled,
@@ -229,29 +227,19 @@ def write_report(
     write_json(files[0], summary)
     if not pictures:
         return files
-    from maxq.tools.pages.render import render  # noqa: PLC0415  # lazy: for pictures and page only
-    from maxq.tools.plots import campaign as plots  # noqa: PLC0415  # lazy: Matplotlib
+    from maxq.tools.pages.render import render  # noqa: PLC0415  # lazy: for the page only
 
-    labels = labels_of(data.campaign)
-    design = data.campaign.base.design
-    of = data.campaign.base.vehicle.name + (f", design {design.name}" if design is not None else "")
-    drawn = {
-        "histograms": plots.histograms(data, verdicts, of),
-        "tails": plots.tails([(v, tail) for v, tail in tails if not tail.problem], of),
-        "envelopes": plots.envelopes(over_time, channel_units(data.campaign.base), verdicts, of),
-        "drivers": plots.tornado(found, labels, of),
-        "scatter": plots.scatter(sample, found[:4], inputs, labels, of),
-    }
-    made = {name: content for name, content in drawn.items() if content is not None}
-    for name, content in made.items():
-        write_whole(data.folder / "pictures" / f"{name}.png", content, CampaignError)
+    base, labels = data.campaign.base, labels_of(data.campaign)
+    drawn = plots.plots(data, verdicts, tails, over_time, channel_units(base), found, inputs, sample, labels)
+    for plot in drawn:
+        files.append(write_whole(data.folder / "figures" / f"{plot.name}.csv", as_csv(plot), CampaignError))
     judgements = {v.shown.judgement for v in verdicts}
     page = render(
-        "campaign.html.j2", data=data, verdicts=verdicts, losses=losses, found=found, pictures=made, settled=settled,
+        "campaign.html.j2", drawn, data=data, verdicts=verdicts, losses=losses, found=found, settled=settled,
         labels=labels, distribution=distribution, tails=tails, tail_heads=TAIL_HEADS, tail_cells=tail_cells,
         tail_note=TAIL_NOTE, heads=heads(data), cells=cells, replay=replay,
         simulator=read_manifest(data.folder)["simulator"],
-        headline=headline(data, verdicts), of=of,
+        headline=headline(data, verdicts), vehicle=base.vehicle.name, design=base.design.name if base.design else "",
         tested=how_judged(data, verdicts), redraws=analysis.redraws(data),
         tone="bad" if NOT_MET in judgements else "good" if judgements == {MET} and len(data.runs) else "open",
     )  # fmt: skip  # eleven more lines otherwise
@@ -259,7 +247,7 @@ def write_report(
     return files
 
 
-def _pressing(verdicts: Sequence[Judged]) -> list[Judged]:
+def pressing(verdicts: Sequence[Judged]) -> list[Judged]:
     """Requirements whose worst run comes nearest to the limit, or exceeds it most, first."""
 
     def excess(v: Judged) -> float:

@@ -3,6 +3,7 @@ what to do."""
 
 from __future__ import annotations
 
+import datetime
 import sys
 from typing import NoReturn
 
@@ -11,7 +12,7 @@ from maxq.tools.cli.parser import Parser, filled
 
 _USAGE = """\
 simverify DESIGN... [--suite SUITE] [--vehicle V] [--set KEY=VALUE]... [--only PART] [--out DIR]
-                        [--no-pack] [--afresh]
+                        [--author A] [--revision R] [--date YYYY-MM-DD] [--no-pack] [--afresh]
        simverify --list | --version | --help"""
 _EXAMPLES = """\
   simverify ksr3-robust                           judge a built-in design
@@ -50,6 +51,9 @@ def _parser() -> Parser:
     )  # fmt: skip  # five more lines otherwise
     add("--only", modes=_DESIGN, metavar="PART", help="repeat one part: a flight's name, 'vehicle 15', 'corner 3', ...")
     add("--out", modes=_DESIGN, metavar="DIR", help="where to write (default: runs/verify-<name of the design>)")
+    add("--author", modes=_DESIGN, metavar="A", default="", help="who answers for the review, for its title block")
+    add("--revision", modes=_DESIGN, metavar="R", default="", help="of the review, for its title block")
+    add("--date", modes=_DESIGN, metavar="YYYY-MM-DD", default="", help="of the review (default: today)")
     add("--no-pack", modes=_DESIGN, action="store_true", help="verdict.json only, no review pack")
     add("--afresh", modes=_DESIGN, action="store_true", help="work out everything anew, and keep nothing")
     add("--list", action="store_true", help="name the built-in suites and designs")
@@ -78,6 +82,11 @@ def _run(arguments: list[str]) -> int:
         parser.error("a design is named twice")
     if options.out == "":
         parser.error("--out needs the name of a folder")
+    if options.date:
+        try:
+            datetime.date.fromisoformat(options.date)
+        except ValueError:
+            parser.error(f"--date {options.date!r}: must be a date such as 2026-11-22")
     from maxq.tools.verify.run import Order, execute  # noqa: PLC0415  # lazy: --help is quick
 
     return execute(filled(Order, options, pack=not options.no_pack, memory=not options.afresh))

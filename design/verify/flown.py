@@ -30,7 +30,7 @@ from maxq.sim.campaign.read import LoadedCampaign, description_of, load_campaign
 from maxq.sim.campaign.runner import Progress, run_campaign
 from maxq.sim.files import plain_name
 from maxq.sim.run.fly import fly
-from maxq.sim.run.metrics import METRIC_NAMES, Verdict
+from maxq.sim.run.metrics import METRIC_NAMES, Verdict, unit_of
 from maxq.sim.scenario.flight_code import flight_code_key
 from maxq.sim.scenario.loader import LoadedScenario, load_scenario
 from maxq.sim.scenario.schema_scenario import Log
@@ -140,6 +140,12 @@ def _fly(flown: Flown, loaded: LoadedScenario, again: str) -> FlownResult:
     )  # fmt: skip  # nine more lines otherwise
 
 
+def _said(v: Verdict) -> str:
+    """Name, value and unit of what a flight is held to."""
+    unit = unit_of(v.requirement.metric)
+    return f"{v.name} {v.value:.4g}" + (f" {unit}" if unit != "1" else "")
+
+
 def flight_requirements(results: Sequence[FlownResult]) -> list[Requirement]:
     """One for each flight that counts: it meets all requirements of its scenario."""
     out = []
@@ -151,10 +157,10 @@ def flight_requirements(results: Sequence[FlownResult]) -> list[Requirement]:
             found, left = "; ".join(r.failures), -1.0
         elif len(missed) > 1:
             wanted, left = "all limits", _room(worst) if worst is not None else -1.0
-            found = "; ".join(f"{v.name} {v.value:.4g}, wanted {_sense(v.bound[0])} {v.bound[1]:g}" for v in missed)
+            found = "; ".join(f"{_said(v)}, wanted {_sense(v.bound[0])} {v.bound[1]:g}" for v in missed)
         elif worst is not None:
             kind, bound = worst.bound
-            wanted, found, left = f"{_sense(kind)} {bound:g}", f"{worst.name} {worst.value:.4g}", _room(worst)
+            wanted, found, left = f"{_sense(kind)} {bound:g}", _said(worst), _room(worst)
             where = f"at {worst.time_s:.2f} s" if math.isfinite(worst.time_s) else ""
         judgement = ACCEPTED if r.passed else REJECTED
         if r.counts:

@@ -1,38 +1,58 @@
 """HTML pages of the commands: Jinja templates (*.html.j2, beside this module) over one skeleton and one style sheet.
 
-    text = render("review.html.j2", found=found, pictures={"margins": png})
+    text = render("review.html.j2", plots=[Plot(...)], found=found)
 
 A page is one file with nothing outside it. Whatever a template prints is escaped. Templates extend `skeleton.html.j2`
-(blocks `title` and `body`) and share the macros of `elements.html.j2`: `table`, `picture`.
+(blocks `title` and `body`) and share the macros of `elements.html.j2`: `table`, `picture` (a PNG), `plot` (a figure
+that `plots.js` draws), `title_block`.
 """
 
 from __future__ import annotations
 
 import base64
 import datetime
+import itertools
 import math
 import re
+from collections.abc import Callable, Sequence
 from functools import cache
 from pathlib import Path
 from typing import Any
 
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
+from markupsafe import Markup
+
+from maxq.tools.cli.terminal import figures
+from maxq.tools.plots.figures import Plot, as_json
 
 
-def render(template: str, **values: Any) -> str:
-    """The page; a name that a template uses must be among `values`, or `today`.
+def render(template: str, plots: Sequence[Plot] = (), **values: Any) -> str:
+    """The page; a name that a template uses must be among `values`, or `plots`, or `date` (by default today).
 
-    Headings are numbered and listed where a template says <!-- contents -->; the first row of a table of heads is its
-    head, which a print repeats on each page.
+    Headings, figures and tables with a caption are numbered, the headings listed where a template says
+    <!-- contents -->; the first row of a table of heads is its head, which a print repeats on each page.
     """
-    today = datetime.date.today().isoformat()
-    page = _environment().get_template(template).render({"today": today} | values)
+    given: dict[str, Any] = {"date": datetime.date.today().isoformat(), "plots": plots, "figures": "", "script": ""}
+    if plots:
+        given |= {"figures": Markup(as_json(plots)), "script": Markup(_file("plots.js"))}  # our own; escaped
+    page = _environment().get_template(template).render(given | values)
     names = re.findall(r"<h2>(.*?)</h2>", page)
-    numbers = iter(range(1, len(names) + 1))
-    page = re.sub(r"<h2>(.*?)</h2>", lambda h: f'<h2 id="s{(n := next(numbers))}">{n} {h[1]}</h2>', page)
+    page = _numbered(page, r"<h2>(.*?)</h2>", lambda n, name: f'<h2 id="s{n}">{n} {name}</h2>')
+    page = _numbered(page, r"<figcaption>(.*?)", lambda n, _: f"<figcaption><b>Figure {n}.</b> ")
     listed = "".join(f'<li><a href="#s{n}">{name}</a></li>' for n, name in enumerate(names, 1))
     page = page.replace("<!-- contents -->", f"<nav><ol>{listed}</ol></nav>")
-    return re.sub(r"<table>\s*(<tr>\s*<th\b.*?</tr>)", r"<table><thead>\1</thead>", page, flags=re.DOTALL)
+    page = _numbered(page, r"<caption>(.*?)", lambda n, _: f"<caption><b>Table {n}.</b> ")
+    head = r"<table>\s*(<caption>.*?</caption>)?\s*(<tr>\s*<th\b.*?</tr>)"
+    return re.sub(head, r"<table>\1<thead>\2</thead>", page, flags=re.DOTALL)
+
+
+def _numbered(page: str, pattern: str, form: Callable[[int, str], str]) -> str:
+    numbers = itertools.count(1)
+    return re.sub(pattern, lambda m: form(next(numbers), m[1]), page)
+
+
+def _file(name: str) -> str:
+    return (Path(__file__).parent / name).read_text(encoding="utf-8")
 
 
 @cache
@@ -48,6 +68,8 @@ def _environment() -> Environment:
     )
     made.filters["number"] = number
     made.filters["base64"] = lambda content: base64.b64encode(content).decode()
+    made.filters["in_css"] = _in_css
+    made.filters["figures"] = figures
     return made
 
 
@@ -56,6 +78,15 @@ def number(value: float | None, form: str = ".4g") -> str:
     return "" if value is None or not math.isfinite(value) else format(value, form)
 
 
+def _in_css(text: Any) -> Markup:
+    """For a string of a style sheet: all but letters and digits by their numbers."""
+    plain = Markup(text).unescape() if isinstance(text, Markup) else str(text)  # it is markup already
+    coded = "".join(c if c.isascii() and c.isalnum() else f"\\{ord(c):x} " for c in " ".join(plain.split()))
+    return Markup(coded)  # letters, digits, backslashes and spaces
+
+
 def _signs(value: Any) -> Any:
     """Comparison signs as they are printed, never apart from their number."""
-    return value.replace("<= ", "≤\u00a0").replace(">= ", "≥\u00a0") if isinstance(value, str) else value
+    if not isinstance(value, str) or isinstance(value, Markup):
+        return value
+    return value.replace("<= ", "≤\u00a0").replace(">= ", "≥\u00a0")

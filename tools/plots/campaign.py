@@ -1,30 +1,25 @@
-"""Pictures of a campaign as PNG: histograms with limits, envelopes over time, sensitivities. None: nothing to show."""
+"""Figures of a campaign: histograms with limits, tails, envelopes over time, sensitivities. None: nothing to show."""
 
 from __future__ import annotations
 
 import math
-import textwrap
-from collections.abc import Callable, Sequence
-from typing import Any, TypeVar
+import re
+import shlex
+from collections.abc import Sequence
+from pathlib import Path
 
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.ticker import AutoLocator, MaxNLocator
 from numpy.typing import NDArray
 
 from maxq.control.kernel.records import Array
 from maxq.sim.campaign.analysis import Band, DataSet, Driver, Judged
 from maxq.sim.campaign.tails import Tail
 from maxq.sim.run.metrics import title_of
-from maxq.tools.plots.palette import BLACK, BLUE, GREY, LIMIT
-from maxq.tools.plots.style import drawing, label, png, sheet
+from maxq.tools.plots.figures import Panel, Plot, Series, at, band, limit, line, points
 
-Item = TypeVar("Item")
 Found = Sequence[tuple[Judged, Sequence[Driver]]]
 
-_WIDTH_IN = 10.5
 _MOST_POINTS = 4000
-_LETTERS_PER_IN = 12.0  # of a title
 _LIMITED = {  # channel: the metric whose limits hold for it
     "alpha_total_deg": "max_alpha_deg", "dynamic_pressure_Pa": "max_dynamic_pressure_Pa", "mach": "max_mach",
     "altitude_m": "max_altitude_m", "speed_mps": "max_speed_mps", "q_alpha_Padeg": "max_q_alpha_Padeg",
@@ -36,30 +31,64 @@ _LIMITED = {  # channel: the metric whose limits hold for it
 }  # fmt: skip  # nine more lines otherwise
 
 
-def _panels(
-    items: Sequence[Item], draw: Callable[[Axes, Item], None], height: float, title: str, columns: int = 3
-) -> bytes | None:
-    """One panel for each item, `height` in inches."""
-    if not items:
-        return None
-    columns = min(columns, len(items))
-    rows = -(-len(items) // columns)
-    with drawing():
-        figure, panels = sheet(rows, columns, height, _WIDTH_IN)
-        figure.suptitle(title, fontsize=10, x=0.01, ha="left")
-        for axes, item in zip(panels, items, strict=False):
-            draw(axes, item)
-            letters = int(_LETTERS_PER_IN * _WIDTH_IN / columns * 0.8)
-            axes.set_title(textwrap.fill(axes.get_title(loc="left"), letters), fontsize=9)
-            for axis in (axes.xaxis, axes.yaxis):
-                if isinstance(axis.get_major_locator(), AutoLocator):
-                    axis.set_major_locator(MaxNLocator(4 if axis is axes.xaxis else 5))
-        for axes in panels[len(items) :]:
-            axes.set_axis_off()
-        return png(figure, 110)
+def replay(folder: Path, run: int | str) -> str:
+    """The command that flies a run again."""
+    return f"simrun --from {shlex.quote(str(folder))} --run {run}"
 
 
-def _named(name: str, unit: str) -> str:
+def plots(
+    data: DataSet,
+    verdicts: Sequence[Judged],
+    tails: Sequence[tuple[Judged, Tail]],
+    over_time: Sequence[Band],
+    units: dict[str, str],
+    found: Found,
+    inputs: dict[str, Array],
+    sample: DataSet,
+    labels: dict[str, str],
+    prefix: str = "",
+) -> list[Plot]:
+    """All that there is to show; `prefix` of the names, where a page has several campaigns."""
+    campaign = data.campaign.campaign
+    quantile = f"{100 * campaign.success:g} % quantile at {100 * campaign.confidence:g} % confidence"
+    fitted = [(v, tail) for v, tail in tails if not tail.problem]
+    driven = [(v, drivers) for v, drivers in found if drivers]
+    strongest = [(v, d) for v, drivers in found[:4] for d in drivers[:3]]
+    made = (
+        Plot(
+            "histograms", "Metrics of all runs",
+            [_histogram(data, v) for v in verdicts if v.metric and len(data.runs)],
+            f"Red: the limit, and runs beyond it. Dashed: bound of the {quantile}.", columns=3, height=150,
+        ),
+        Plot(
+            "tails", "Tails", [_tail(v, tail) for v, tail in fitted],
+            "Runs beyond the threshold against the fitted distribution; on the line the fit is exact.",
+            columns=3, height=170,
+        ),
+        Plot(
+            "envelopes", "Over time", [_envelope(each, units.get(each.channel, "1"), verdicts) for each in over_time],
+            f"Percentiles of at most the first {campaign.envelope.runs} runs, at each time of those that still fly. "
+            "Red: limits of the metric that is the channel's largest value; those far away in the panel's title.",
+            columns=2,
+        ),
+        Plot(
+            "drivers", "What drives each metric", [_tornado(v, drivers[:8], labels) for v, drivers in driven],
+            "Rank correlation of the inputs with the metric. Grey: 95 % of inputs without influence stay within the "
+            "band.", columns=2, height=240,
+        ),
+        Plot(
+            "scatter", "Strongest inputs", [_scatter(sample, v, d, inputs[d.name], labels) for v, d in strongest],
+            "The strongest inputs of the metrics nearest to their limits; red: runs that miss the limit.",
+            columns=3, height=170,
+        ),
+    )  # fmt: skip  # a line for each argument otherwise
+    out = [plot for plot in made if plot.panels]
+    for plot in out:
+        plot.command, plot.name = replay(data.folder, "{}"), prefix + plot.name
+    return out
+
+
+def named(name: str, unit: str) -> str:
     """A metric or channel, whose name ends with its unit, for people."""
     plain = title_of(name)
     if plain == name:
@@ -67,149 +96,116 @@ def _named(name: str, unit: str) -> str:
     return plain if unit == "1" else f"{plain}, {unit}"
 
 
-def tails(found: Sequence[tuple[Judged, Tail]], of: str = "") -> bytes | None:
-    """Quantiles of each tail against those of the distribution fitted to it; on the line the fit is exact."""
-
-    def draw(axes: Axes, item: tuple[Judged, Tail]) -> None:
-        v, tail = item
-        axes.plot(tail.expected, tail.excesses, ".", color=BLUE, markersize=4)
-        ends = [min(*tail.expected, *tail.excesses), max(*tail.expected, *tail.excesses)]
-        axes.plot(ends, ends, color=GREY, linewidth=0.8)
-        if ends[0] <= v.bound <= ends[1]:
-            axes.axhline(v.bound, color=LIMIT, linewidth=1.0)
-        title = f"{v.name}: shape {tail.shape:+.2f}, fit {tail.fit:.2f}"
-        label(axes, f"fitted: {_named(v.metric, v.unit)}", "flown", title)
-
-    return _panels(found, draw, 2.6, f"Tails against the distribution fitted to them; {of}")
-
-
-def histograms(data: DataSet, verdicts: Sequence[Judged], of: str = "") -> bytes | None:
-    """One for each requirement that has a metric. `of`: vehicle and design, for the title."""
-
-    def draw(axes: Axes, v: Judged) -> None:
-        values = data.numbers(v.metric)[~data.void]
-        _histogram(axes, values[np.isfinite(values)], v)
-
-    return _panels([v for v in verdicts if v.metric and len(data.runs)], draw, 2.4, f"Metrics of all runs; {of}")
-
-
 def missed(values: Array, v: Judged) -> NDArray[np.bool_]:
     """Which values miss the requirement; at the limit it is met."""
     return np.asarray(~(values <= v.bound) if v.kind == "limit" else ~(values >= v.bound))
 
 
-def _histogram(axes: Axes, values: Array, v: Judged) -> None:
-    """Red is what misses the limit. A limit that is far away is written at the edge, so that it does not squeeze the
-    bars together.
-    """
-    axes.set_title(v.name)
-    label(axes, _named(v.metric, v.unit), "runs")
-    if not len(values):
-        return
-    low, high, upper = float(values.min()), float(values.max()), v.kind == "limit"
-    width = high - low or max(abs(high), 1.0)
-    edges = np.histogram_bin_edges(values, bins=min(max(round(math.sqrt(len(values))), 10), 60))
-    bars: Any = {"x": edges[:-1], "width": np.diff(edges), "align": "edge"}
-    wrong, every = np.histogram(values[missed(values, v)], edges)[0], np.histogram(values, edges)[0]
-    axes.bar(height=every, color=BLUE, **bars)
-    axes.bar(height=wrong, color=LIMIT, **bars)
-    axes.set_ylim(0.0, 1.25 * every.max())
-    near = low - 0.6 * width <= v.bound <= high + 1.5 * width
-    if near:
-        axes.axvline(v.bound, color=LIMIT, linewidth=1.4)
-        axes.set_xlim(min(low, v.bound) - 0.05 * width, max(high, v.bound) + (0.6 if upper else 0.05) * width)
-        text, x, side = f" {v.kind} {v.bound:g}", v.bound, "left" if upper else "right"
-    elif v.bound > high:
-        text, x, side = f"{v.kind} {v.bound:g} \u2192", 0.99, "right"
-    else:
-        text, x, side = f"\u2190 {v.kind} {v.bound:g}", 0.01, "left"
-    across = axes.get_xaxis_transform() if near else axes.transAxes  # x in the metric's unit or as a share
-    axes.text(x, 0.97, text, transform=across, color=LIMIT, ha=side, va="top", fontsize=8)
-    if math.isfinite(v.tolerance):
-        axes.axvline(v.tolerance, color=BLACK, linewidth=1.0, linestyle=(0, (4, 2)))
+def _histogram(data: DataSet, v: Judged) -> Panel:
+    """A limit that is far away stands in the title, so that it does not squeeze the bars together."""
+    values, runs = data.numbers(v.metric)[~data.void], data.runs[~data.void]
+    runs, values = runs[np.isfinite(values)], values[np.isfinite(values)]
+    series, title = list[Series](), v.name
+    if len(values):
+        low, high = float(values.min()), float(values.max())
+        width = high - low or max(abs(high), 1.0)
+        series = [bars(values, runs, v)]
+        if low - 0.6 * width <= v.bound <= high + 1.5 * width:
+            series.append(at(v.bound, "limit", width=1.6))
+        else:
+            title = f"{v.name} ({v.kind} {v.bound:g})"
+        if math.isfinite(v.tolerance):
+            series.append(at(v.tolerance, "bound", colour="ink", dash="5 3"))
+    return Panel(title, series, named(v.metric, v.unit), "runs", unit="" if v.unit == "1" else v.unit)
 
 
-def envelopes(
-    bands: Sequence[Band], units: dict[str, str], verdicts: Sequence[Judged] = (), of: str = ""
-) -> bytes | None:
-    """One panel for each channel: the middle line, bands between the percentiles on either side of it, and in red the
-    limits on the channel, those far beyond it in words.
-    """
-
-    def draw(axes: Axes, band: Band) -> None:
-        order = np.argsort(band.percentiles)
-        lines, shares = band.lines[order], np.array(band.percentiles)[order]
-        middle = len(shares) // 2
-        for k in range(middle):
-            between = f"{shares[k]:g} to {shares[-1 - k]:g} %"
-            shade = 0.22 + 0.2 * k
-            axes.fill_between(band.time_s, lines[k], lines[-1 - k], color=BLUE, alpha=shade, linewidth=0, label=between)
-        if len(shares) % 2:
-            axes.plot(band.time_s, lines[middle], color=BLUE, label=f"{shares[middle]:g} %")
-        low, high = float(np.nanmin(lines)), float(np.nanmax(lines))
-        room = max(high - low, 1e-12)
-        beyond = []
-        for v in (v for v in verdicts if v.metric and v.metric == _LIMITED.get(band.channel)):
-            both = v.kind == "limit" and band.channel not in ("alpha_total_deg", "q_alpha_Padeg") and low < 0.0
-            for bound in (v.bound, -v.bound)[: 1 + both]:
-                if low - room < bound < high + room:
-                    axes.axhline(bound, color=LIMIT, linewidth=1.2)
-                elif bound == v.bound:
-                    beyond.append(f"{v.kind} {'+-' if both else ''}{v.bound:g}")
-        axes.set_title(_named(band.channel, units.get(band.channel, "1")) + "".join(f" ({text})" for text in beyond))
-        axes.set_xlabel("time, s")
-        axes.margins(x=0.0)
-        if band is bands[0]:
-            axes.figure.legend(*axes.get_legend_handles_labels(), loc="outside upper right", ncols=4)
-
-    return _panels(bands, draw, 2.3, f"Envelopes; {of}")
+def bars(values: Array, runs: NDArray[np.int64], v: Judged) -> Series:
+    """Counts, those that miss the limit apart; `runs` names the worst run of each bar."""
+    edges = np.histogram_bin_edges(values, bins=min(max(round(math.sqrt(len(values))), 10), 40))
+    place = np.clip(np.searchsorted(edges, values, side="right") - 1, 0, len(edges) - 2)
+    order = np.argsort(values if v.kind == "limit" else -values)
+    worst: list[int | None] = [None] * (len(edges) - 1)
+    for k in order:
+        worst[place[k]] = int(runs[k])
+    every = np.bincount(place, minlength=len(worst))
+    wrong = np.bincount(place[missed(values, v)], minlength=len(worst))
+    return {
+        "kind": "bars", "colour": "blue", "name": "runs", "x": 0.5 * (edges[1:] + edges[:-1]), "edges": edges,
+        "y": every, "y2": wrong, "runs": worst,
+    }  # fmt: skip  # eight more lines otherwise
 
 
-def tornado(found: Found, labels: dict[str, str], of: str = "", most: int = 8) -> bytes | None:
-    """Rank correlations of the strongest inputs with each metric; grey within the noise."""
-
-    def draw(axes: Axes, shown: tuple[Judged, Sequence[Driver]]) -> None:
-        v, drivers = shown[0], shown[1][:most]
-        places = np.arange(len(drivers))[::-1]
-        axes.barh(places, [d.rank for d in drivers], color=[BLUE if d.matters else GREY for d in drivers], height=0.7)
-        names = [textwrap.shorten(labels.get(d.name, d.name), 44, placeholder=" ...") for d in drivers]
-        axes.set_yticks(places, names, fontsize=7.5)
-        axes.axvspan(-drivers[0].noise, drivers[0].noise, color=GREY, alpha=0.25, linewidth=0)
-        axes.axvline(0.0, color=BLACK, linewidth=0.8)
-        axes.set_xlim(-1.0, 1.0)
-        axes.set_title(v.name)
-        axes.set_xlabel("rank correlation")
-
-    panels = [(v, drivers) for v, drivers in found if drivers]
-    return _panels(panels, draw, 2.5, f"What drives each metric; {of}", columns=2)
+def _tail(v: Judged, tail: Tail) -> Panel:
+    """Quantiles of a tail against those of the distribution fitted to it."""
+    ends = [min(*tail.expected, *tail.excesses), max(*tail.expected, *tail.excesses)]
+    series = [line(ends, ends, "exact fit", colour="grey", faint=True), points(tail.expected, tail.excesses, "runs")]
+    if ends[0] <= v.bound <= ends[1]:
+        series.append(limit(v.bound))
+    title = f"{v.name}: shape {tail.shape:+.2f}, fit {tail.fit:.2f}"
+    return Panel(title, series, f"fitted: {named(v.metric, v.unit)}", "flown")
 
 
-def scatter(
-    data: DataSet, found: Found, inputs: dict[str, Array], labels: dict[str, str], of: str = ""
-) -> bytes | None:
-    """The three strongest inputs of each metric against it."""
+def _envelope(each: Band, unit: str, verdicts: Sequence[Judged]) -> Panel:
+    """The middle line, bands between the percentiles on either side of it, and the limits on the channel."""
+    order = np.argsort(each.percentiles)
+    lines, shares = each.lines[order], np.array(each.percentiles)[order]
+    middle, series = len(shares) // 2, list[Series]()
+    for k in range(middle):
+        name = f"{shares[k]:g} to {shares[-1 - k]:g} %"
+        series.append(band(each.time_s, lines[k], lines[-1 - k], name, opacity=0.22 + 0.2 * k))
+    if len(shares) % 2:
+        series.append(line(each.time_s, lines[middle], f"{shares[middle]:g} %"))
+    low, high = float(np.nanmin(lines)), float(np.nanmax(lines))
+    room, beyond = max(high - low, 1e-12), list[str]()
+    for v in (v for v in verdicts if v.metric and v.metric == _LIMITED.get(each.channel)):
+        both = v.kind == "limit" and each.channel not in ("alpha_total_deg", "q_alpha_Padeg") and low < 0.0
+        for bound in (v.bound, -v.bound)[: 1 + both]:
+            if low - room < bound < high + room:
+                series.append(limit(bound))
+            elif bound == v.bound:
+                beyond.append(f" ({v.kind} {'±' if both else ''}{v.bound:g})")
+    return Panel(named(each.channel, unit) + "".join(beyond), series, "time, s")
 
-    def draw(axes: Axes, shown: tuple[Judged, Driver]) -> None:
-        v, d = shown
-        x, y = inputs[d.name], data.numbers(v.metric)[~data.void]
-        every, wrong = max(len(x) // _MOST_POINTS, 1), missed(y, v)
-        size = 14.0 if len(x) < 500 else 7.0
-        axes.scatter(x[::every], y[::every], s=size, color=BLUE, alpha=0.5, linewidth=0)
-        axes.scatter(x[wrong], y[wrong], s=1.5 * size, color=LIMIT, linewidth=0)
-        if y.min() - 0.2 * np.ptp(y) <= v.bound <= y.max() + 0.2 * np.ptp(y):
-            axes.axhline(v.bound, color=LIMIT, linewidth=1.0)
-        label(axes, _input(d.name, labels), _named(v.metric, v.unit), f"{v.name}: {d.rank:+.2f}")
 
-    panels = [(v, d) for v, drivers in found for d in drivers[:3]]
-    return _panels(panels, draw, 2.3, f"Strongest inputs, with their rank correlation; {of}")
+def _tornado(v: Judged, drivers: Sequence[Driver], labels: dict[str, str]) -> Panel:
+    names = [_plain(d.name, labels) for d in drivers]
+    noise = drivers[0].noise
+    series: list[Series] = [
+        {"kind": "shape", "colour": "grey", "name": "", "bare": True, "opacity": 0.22,
+         "x": [-noise, noise, noise, -noise], "y": [0.0, 0.0, 1.0, 1.0]},
+        {"kind": "rows", "colour": "blue", "name": "", "names": names, "x": [d.rank for d in drivers],
+         "y": [d.rank for d in drivers], "matters": [d.matters for d in drivers]},
+    ]  # fmt: skip  # a line for each key otherwise
+    return Panel(v.name, series, "rank correlation", x_range=(-1.0, 1.0), y_range=(0.0, 1.0), rows=True)
+
+
+def _scatter(data: DataSet, v: Judged, d: Driver, x: Array, labels: dict[str, str]) -> Panel:
+    y, runs = data.numbers(v.metric)[~data.void], data.runs[~data.void]
+    every, wrong = max(len(x) // _MOST_POINTS, 1), missed(y, v)
+    size = 2.4 if len(x) < 500 else 1.6
+    series = [points(x[::every], y[::every], "runs", runs=runs[::every], size=size, opacity=0.6)]
+    if wrong.any():
+        some = np.flatnonzero(wrong)[:_MOST_POINTS]
+        series.append(
+            points(x[some], y[some], "runs that miss the limit", runs=runs[some], size=1.4 * size, colour="limit")
+        )
+    if y.min() - 0.2 * np.ptp(y) <= v.bound <= y.max() + 0.2 * np.ptp(y):
+        series.append(limit(v.bound))
+    return Panel(f"{v.name}: {d.rank:+.2f}", series, _input(d.name, labels), named(v.metric, v.unit))
 
 
 _UNITS = {"mps": "m/s", "radps": "rad/s", "degps": "deg/s", "kg": "kg", "m": "m", "s": "s", "deg": "deg", "hz": "Hz",
           "N": "N", "Pa": "Pa", "rad": "rad", "g": "g", "K": "K"}  # fmt: skip  # eleven more lines otherwise
 
 
+def _plain(name: str, labels: dict[str, str]) -> str:
+    """An input's own label, or that of the wind at an altitude."""
+    wind = re.fullmatch(r"wind\.profile\.(\w+)_mps\[(\S+) m\]", name)
+    return labels.get(name, f"wind, {wind[1]} component at {wind[2]} m" if wind else name)
+
+
 def _input(name: str, labels: dict[str, str]) -> str:
     """An input for people, with the unit that its key ends with."""
-    unit = _UNITS.get(name.rpartition("_")[2], "")
-    text = labels.get(name, name)
-    return textwrap.fill(text if not unit or text.endswith(f", {unit}") else f"{text}, {unit}", 44)
+    unit = _UNITS.get(name.partition("[")[0].rpartition("_")[2], "")
+    text = _plain(name, labels)
+    return text if not unit or text.endswith(f", {unit}") else f"{text}, {unit}"

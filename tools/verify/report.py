@@ -6,22 +6,27 @@ import math
 import shutil
 import subprocess
 import tempfile
+from collections import Counter
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from maxq.design.certificate.certificate import NodeCertificate
 from maxq.design.certificate.measured_only import MeasuredNode
-from maxq.design.verify.suite import ACCEPTED, REJECTED, SCREENED, UNDECIDED
+from maxq.design.verify.flown import FlownResult
+from maxq.design.verify.suite import ACCEPTED, REJECTED, SCREENED, UNDECIDED, Requirement
 from maxq.design.verify.verify import Verification, tank_name
 from maxq.design.verify.worst import WorstVehicle
 from maxq.sim.campaign.statistics import MET
 from maxq.sim.files import plain_name, write_whole
+from maxq.sim.run.metrics import Verdict, unit_of
 from maxq.tools.cli.terminal import aligned, printable
 from maxq.tools.design.report import write_record
 from maxq.tools.pages.render import render
+from maxq.tools.plots.figures import Plot, as_csv
 
-VERDICT_NAME, PAGE_NAME, PDF_NAME = "verdict.json", "review.html", "review.pdf"
+VERDICT_NAME, PAGE_NAME, PDF_NAME, FIGURES_NAME = "verdict.json", "review.html", "review.pdf", "figures"
 BROWSERS = ("chromium", "chromium-browser", "google-chrome", "chrome")
 _PRINT_S = 60.0
 _RANKED = ("gain margin up", "phase margin", "first mode: phase margin")
@@ -33,27 +38,128 @@ _LINE = (
 )  # fmt: skip  # seven more lines otherwise
 
 
-def write_pack(found: Verification, folder: Path, command: str, pack: bool) -> list[Path]:
-    """Write verdict.json and, with `pack`, the review as HTML and PDF (where a browser can print). Raises FileError."""
+@dataclass(frozen=True)
+class Signed:
+    """Who answers for a review, as its title block says; `date`: empty for today."""
+
+    author: str = ""
+    revision: str = ""
+    date: str = ""
+
+
+def write_pack(found: Verification, folder: Path, command: str, pack: bool, signed: Signed = Signed()) -> list[Path]:
+    """Write verdict.json and, with `pack`, the review as HTML and PDF (where a browser can print), and its figures as
+    CSV. Raises FileError.
+    """
     files = [write_record(folder / VERDICT_NAME, verdict_record(found, command))]
     for w in found.worst:
         name = plain_name("-".join(filter(None, ("worst", w.plane, w.stage))), "worst")
         files.append(write_whole(folder / f"{name}.toml", w.text))
     if pack:
-        from maxq.tools.verify.pictures import pictures  # noqa: PLC0415  # lazy: matplotlib comes with it
+        from maxq.tools.verify.figures import plots  # noqa: PLC0415  # lazy: SciPy comes with it
 
-        files.append(write_whole(folder / PAGE_NAME, page_of(found, command, pictures(found))))
-        printed = print_page(files[-1], folder / PDF_NAME)
-        files += [printed] if printed is not None else []
+        drawn = plots(found, command)
+        files += [write_whole(folder / FIGURES_NAME / f"{plot.name}.csv", as_csv(plot)) for plot in drawn]
+        page = write_whole(folder / PAGE_NAME, page_of(found, command, drawn, signed))
+        printed = print_page(page, folder / PDF_NAME)
+        files += [page] if printed is None else [page, printed]
     return files
 
 
-def page_of(found: Verification, command: str, pictures: dict[str, bytes]) -> str:
+def page_of(found: Verification, command: str, plots: Sequence[Plot], signed: Signed = Signed()) -> str:
     """The review as HTML."""
+    dated = {"date": signed.date} if signed.date else {}
     return render(
-        "review.html.j2", found=found, command=command, pictures=pictures, headline=headline(found),
-        tank_name=tank_name,
-    )  # fmt: skip  # five more lines otherwise
+        "review.html.j2", plots, found=found, command=command, headline=headline(found), tank_name=tank_name,
+        signed=signed, summary=_summary(found), limiting=_limiting(found), matrix=_matrix(found.flights),
+        loop=_loop(found), **dated,
+    )  # fmt: skip  # nine more lines otherwise
+
+
+def _summary(found: Verification) -> list[dict[str, Any]]:
+    """Of each part: what was asked, and how many requirements are met, rejected, undecided."""
+    suite, margins = found.suite, found.suite.margins
+    asked = {"scenarios": f"{len(found.flights)} flights, each within its limits"}
+    if margins is not None:
+        nodes = sum(len(m.times_s) for m in found.margins)
+        asked["margins"] = f"linear margins of the design at {nodes} nodes, {' and '.join(margins.planes)}"
+        vehicles = len(found.margins[0].random) + len(found.margins[0].corners) if found.margins else 0
+        asked["dispersed"] = f"the same of {vehicles} dispersed vehicles"
+    if suite.certificate is not None:
+        asked["certificate"] = f"linear loop and flight agree at {len(found.certificates)} nodes"
+    asked["measured only"] = f"margins of flight code, measured at {len(found.measured)} nodes"
+    asked["campaign"] = "; ".join(
+        f"{c.runs} flights, {100.0 * c.success:g} % with {100.0 * c.confidence:g} % confidence" for c in found.campaigns
+    )
+    out = []
+    for part in dict.fromkeys(r.part for r in found.requirements):
+        mine = [r.judgement for r in found.requirements if r.part == part]
+        counts = [mine.count(j) for j in (ACCEPTED, REJECTED, UNDECIDED)]
+        out.append({"name": part, "asked": asked.get(part, ""), "counts": counts})
+    return out
+
+
+def _limiting(found: Verification) -> list[Requirement]:
+    """The requirement with the least room of each part."""
+    finite = [r for r in found.requirements if math.isfinite(r.room)]
+    parts = dict.fromkeys(r.part for r in finite)
+    return sorted((min((r for r in finite if r.part == p), key=lambda r: r.room) for p in parts), key=lambda r: r.room)
+
+
+def _matrix(flights: Sequence[FlownResult]) -> dict[str, Any]:
+    """Values of all flights, a column for each requirement; `used`: share of the limit in percent."""
+
+    def bound_text(v: Verdict) -> str:
+        return f"{'<=' if v.bound[0] == 'limit' else '>='} {v.bound[1]:g}"
+
+    names = list(dict.fromkeys(v.name for f in flights for v in f.verdicts))
+    heads, common = [], dict[str, str]()
+    for name in names:
+        every = [v for f in flights for v in f.verdicts if v.name == name]
+        texts = Counter(bound_text(v) for v in every)
+        common[name] = texts.most_common(1)[0][0]
+        unit = unit_of(every[0].requirement.metric)
+        heads.append({"name": name, "unit": "" if unit == "1" else unit, "bound": common[name]})
+    rows = []
+    for f in flights:
+        cells: list[dict[str, Any] | None] = []
+        of = {v.name: v for v in f.verdicts}
+        for v in (of.get(name) for name in names):
+            if v is None:
+                cells.append(None)
+                continue
+            (kind, bound), text = v.bound, bound_text(v)
+            share = (v.value / bound if kind == "limit" else bound / v.value) if bound and v.value else float(not v.met)
+            used, own = min(max(100.0 * share, 0.0), 100.0), text if text != common[v.name] else ""
+            cells.append({"value": v.value, "met": v.met, "used": used, "tightest": v is f.tightest, "bound": own})
+        rows.append({"flight": f, "cells": cells})
+    return {"heads": heads, "rows": rows}
+
+
+def _loop(found: Verification) -> dict[str, Any]:
+    """Words of the blocks of the control loop; of the first stage where stages differ."""
+    vehicle, design = found.scenario.vehicle, found.scenario.design
+    computer, stage = vehicle.computer_of(0), vehicle.stage[0]
+    if computer is None:
+        return {}
+    own = design.of_stage(0) if design is not None else None
+    sections = len(own.filter.quadratic) * 2 + len(own.filter.first_order) if own is not None else 0
+    actuators = stage.actuators
+    first = actuators[0] if actuators else None
+    modes = len(stage.bending.damping_ratio) if stage.bending is not None else 0
+    return {
+        "computer": f"flight computer: {1e3 * computer.sample_s:g} ms sample, {1e3 * computer.delay_s:g} ms delay",
+        "programme": ("programme", ["attitude over time"]),
+        "law": ("flight code" if computer.law == "external" else f"{design.law.upper()} law" if design else "law",
+                ["gains over time", f"error up to {computer.angle_error_limit_deg:g} deg"]),
+        "filter": ("bending filter", [f"order {sections}", f"command up to {computer.command_limit_deg:g} deg"]),
+        "actuator": ("actuator", ["none"] if first is None else
+                     [first.model, f"{first.angle_limit_deg:g} deg, {first.rate_limit_degps:g} deg/s"]),
+        "vehicle": ("vehicle", [f"engines: {len(stage.engines)}", f"bending modes: {modes}",
+                                f"tanks that slosh: {len(stage.tank)}"]),
+        "gyro": ("rate gyro", [f"at {stage.gyro.station_m:g} m" if stage.gyro is not None else "ideal"]),
+        "attitude": ("attitude and rate", [computer.attitude]),
+    }  # fmt: skip  # a line for each word otherwise
 
 
 def print_page(page: Path, pdf: Path) -> Path | None:
@@ -66,6 +172,7 @@ def print_page(page: Path, pdf: Path) -> Path | None:
         command = [
             browser, "--headless", "--no-sandbox", "--disable-gpu", "--no-first-run", "--disable-background-networking",
             "--disable-component-update", "--disable-sync", f"--user-data-dir={profile}", "--no-pdf-header-footer",
+            "--generate-pdf-document-outline", "--window-size=900,1200",
             f"--print-to-pdf={part.resolve()}", page.resolve().as_uri(),
         ]  # fmt: skip  # nine more lines otherwise
         try:

@@ -51,6 +51,9 @@ class Order:
     only: str | None = None
     pack: bool = True
     memory: bool = True
+    author: str = ""
+    revision: str = ""
+    date: str = ""
 
 
 def execute(order: Order) -> int:
@@ -81,7 +84,8 @@ def execute(order: Order) -> int:
                 raise ScenarioError(loaded.label, str(error)) from None  # the suite's times are wrong
             found.append(one)
             progress.show(f"writing {name}", 0, 1)
-            files = report.write_pack(one, folder, loaded.command(name, order.vehicle, *words), order.pack)
+            signed = report.Signed(order.author, order.revision, order.date)
+            files = report.write_pack(one, folder, loaded.command(name, order.vehicle, *words), order.pack, signed)
             tell(*report.report(one, f"{name} by the suite {one.suite.name}"), *report.reasons(one))
             for doubt in one.scenario.doubts:
                 tell(f"warning: {printable(doubt)}")

@@ -1,0 +1,371 @@
+// Draws the figures of a page from the data in it (tools/plots/figures.py says what they hold): hover for values, drag
+// to zoom, double click to see all, click a point for the command that flies it. Redrawn when the page's width changes.
+"use strict";
+(() => {
+  const SVG = "http://www.w3.org/2000/svg", LETTER = 6.1, FONT = 10.5;
+  const M_DB = [-20, -12, -6, -3, -1, 0.5, 1, 3, 6, 12], N_DEG = [10, 30, 60, 90, 120, 150, 210, 240, 270, 300, 330, 350];
+  const RADII = [9, 15, 23, 34, 48, 66], ANGLES = [...Array(12).keys()].map((k) => k * Math.PI / 6);
+
+  const make = (parent, tag, text = "", attributes = {}) => {
+    const it = parent.namespaceURI === SVG || tag === "svg" ? document.createElementNS(SVG, tag) : document.createElement(tag);
+    for (const [name, value] of Object.entries(attributes)) it.setAttribute(name, value);
+    it.textContent = text;
+    return parent.appendChild(it);
+  };
+  const colour = (name) => `var(--${name})`;
+  const finite = (values) => values.filter((v) => v !== null && isFinite(v));
+  const shown = (value, digits = 4) => {
+    const size = Math.abs(value);
+    if (value === 0 || !isFinite(value)) return String(value);
+    return size >= 1e7 || size < 1e-4 ? value.toExponential(digits - 1) : String(+value.toPrecision(digits));
+  };
+  const grouped = (text) => text.replace(/^(-?\d+)(?=\d{3}$)/, (whole) => whole.length > 1 ? whole + "\u202f" : whole);
+
+  // axes
+
+  function range(series, key, given, log) {
+    let values = [];
+    for (const s of series) {
+      if (s.kind === "limit" && !s.seen) continue;
+      if (s.kind === "limit" || s.kind === "at") { if ((s.kind === "at") === (key === "x")) values.push(s.value); continue; }
+      values.push(...(key === "x" && s.edges || s[key]));
+      if (key === "y" && s.y2 && s.kind === "band") values.push(...s.y2);
+      if (s.kind === "bars" && key === "y") values.push(0);
+    }
+    values = finite(values).filter((v) => !log || v > 0);
+    let low = Infinity, high = -Infinity;
+    for (const v of values) { low = Math.min(low, v); high = Math.max(high, v); }
+    if (!values.length) [low, high] = [0, 1];
+    const [f, g] = log ? [Math.log10, (v) => 10 ** v] : [(v) => v, (v) => v];
+    const room = key === "y" ? 0.06 * (f(high) - f(low) || Math.abs(f(high)) || 1) : 0.01 * (f(high) - f(low) || 1);
+    const bars = series.some((s) => s.kind === "bars") && key === "y";
+    const found = [bars ? 0 : g(f(low) - room), g(f(high) + room)];
+    return found.map((v, k) => given && given[k] !== null ? given[k] : v);
+  }
+
+  function ticks(low, high, log, pixels, wide) {
+    if (log && high / low > 8) {
+      const out = [];
+      const every = Math.ceil(Math.log10(high / low) / Math.max(pixels / 46, 1));
+      const steps = every === 1 && pixels / Math.log10(high / low) > 130 ? [1, 2, 5] : [1];
+      for (let k = Math.floor(Math.log10(low)); k <= Math.log10(high); k += every)
+        for (const m of steps) if (m * 10 ** k >= low * 0.999 && m * 10 ** k <= high * 1.001) out.push(m * 10 ** k);
+      return out.map((v) => [v, v >= 1e5 || v < 1e-3 ? v.toExponential(0) : String(+v.toPrecision(3))]);
+    }
+    for (let count = Math.max(Math.floor(pixels / (wide ? 44 : 26)), 1); ; count--) {
+      const rough = (high - low) / count, size = 10 ** Math.floor(Math.log10(rough));
+      let step = [1, 2, 2.5, 5, 10].map((m) => m * size).find((s) => s >= rough * 0.999);
+      if (high - low > 150 && high - low <= 720 && Math.abs(low % 90) < 1e-6) step = [30, 45, 60, 90, 180].find((s) => s >= rough) || 360;
+      const digits = Math.max(0, -Math.floor(Math.log10(step) + 1e-9) + (String(step / 10 ** Math.floor(Math.log10(step) + 1e-9)).startsWith("2.5") ? 1 : 0));
+      const out = [];
+      for (let k = Math.ceil(low / step - 1e-6); k <= high / step + 1e-6; k++) {
+        const v = k * step;
+        out.push([v, Math.max(Math.abs(low), Math.abs(high)) >= 1e7 ? v.toExponential(1) : grouped((Math.abs(v) < step / 2 ? 0 : v).toFixed(digits))]);
+      }
+      const room = wide ? out.reduce((most, [, text]) => Math.max(most, text.length), 0) * LETTER + 10 : 0;
+      if (count <= 1 || out.length < 2 || room < pixels * step / (high - low)) return out;
+    }
+  }
+
+  // a panel
+
+  function draw(frame, panel, view, height) {
+    frame.replaceChildren();
+    const width = Math.max(frame.clientWidth, 180);
+    const box = { top: 6, right: 12, bottom: 20 };
+    const [xs, ys] = [view.x, view.y];
+    const up = ticks(...ys, panel.log_y, height - 30, false);
+    const rows = panel.rows;
+    box.left = rows ? 8 : 10 + LETTER * Math.max(2, ...up.map(([, text]) => text.length));
+    const w = width - box.left - box.right, h = height - box.top - box.bottom;
+    const scale = (log, [low, high]) => log ? (v) => Math.log(v / low) / Math.log(high / low) : (v) => (v - low) / (high - low);
+    const fx = scale(panel.log_x, xs), fy = scale(panel.log_y, ys);
+    const X = (v) => box.left + w * fx(v), Y = (v) => box.top + h * (panel.down ? fy(v) : 1 - fy(v));
+    const svg = make(frame, "svg", "", { viewBox: `0 0 ${width} ${height}`, role: "img", "aria-label": panel.title });
+    const id = "c" + (draw.count = (draw.count || 0) + 1);
+    make(make(make(svg, "defs"), "clipPath", "", { id }), "rect", "", { x: box.left, y: box.top, width: w, height: h });
+    const line = (parent, x1, y1, x2, y2, name, more = {}) => make(parent, "line", "", { x1, y1, x2, y2, style: `stroke:${colour(name)}`, ...more });
+    const texts = [];
+    const write = (x, y, text, anchor, name = "dim", more = {}) => {
+      texts.push({ x0: x - text.length * LETTER * { start: 0, middle: 0.5, end: 1 }[anchor], y0: y - 8, x1: x + text.length * LETTER * { start: 1, middle: 0.5, end: 0 }[anchor], y1: y + 2 });
+      return make(svg, "text", text, { x, y, "text-anchor": anchor, "font-size": FONT, style: `fill:${colour(name)}`, ...more });
+    };
+    const along = ticks(...xs, panel.log_x, w, true);
+    for (const [v, text] of along) {
+      line(svg, X(v), box.top, X(v), box.top + h, "line");
+      const half = text.length * LETTER / 2;
+      write(Math.min(Math.max(X(v), half), width - half), height - 5, text, "middle");
+    }
+    if (!rows) for (const [v, text] of up) {
+      line(svg, box.left, Y(v), box.left + w, Y(v), "line");
+      write(box.left - 5, Math.min(Math.max(Y(v) + 3.5, 9), box.top + h + 3), text, "end");
+    }
+    const inside = make(svg, "g", "", { "clip-path": `url(#${id})` });
+    const points = [], obstacles = [], names = [];
+    const path = (px, closed = false) => {
+      let out = "", pen = false;
+      for (const [x, y] of px) {
+        if (!isFinite(x) || !isFinite(y)) { pen = false; continue; }
+        out += (pen ? "L" : "M") + x.toFixed(1) + " " + Math.max(-9999, Math.min(9999, y)).toFixed(1);
+        pen = true;
+      }
+      return out + (closed ? "Z" : "");
+    };
+    const place = (s, k, y = s.y) => [s.x[k] === null ? NaN : X(s.x[k]), y[k] === null ? NaN : Y(y[k])];
+    const cover = (px) => {
+      for (let k = 0; k < px.length; k++) {
+        const [a, b] = [px[Math.max(k - 1, 0)], px[k]];
+        const n = isFinite(a[0] + a[1] + b[0] + b[1]) ? Math.min(Math.ceil(Math.hypot(b[0] - a[0], b[1] - a[1]) / 4), 200) || 1 : 0;
+        for (let i = 1; i <= n; i++) obstacles.push([a[0] + (b[0] - a[0]) * i / n, a[1] + (b[1] - a[1]) * i / n]);
+      }
+    };
+    if (panel.nichols) contours(inside, X, Y, path, ys, (x, y, text) => names.push({ x, y, name: text, colour: "grey", size: 8 }));
+    for (const s of panel.series) {
+      const look = `stroke:${colour(s.colour)};stroke-width:${s.width || 1.5};` + (s.dash ? `stroke-dasharray:${s.dash};` : "");
+      const px = s.x ? s.x.map((_, k) => place(s, k)) : [];
+      if (s.kind === "band" || s.kind === "shape") {
+        const back = s.kind === "band" ? s.x.map((_, k) => place(s, k, s.y2)).reverse() : [];
+        const border = s.kind === "shape" && !s.bare ? look : "stroke:none;";
+        make(inside, "path", "", { d: path([...px, ...back].filter((p) => isFinite(p[0] + p[1])), true), style: `${border}fill:${colour(s.fill || s.colour)};fill-opacity:${s.opacity || 0.2}` });
+        if (s.kind === "shape") { if (!s.bare) cover([...px, px[0]]); continue; }
+      } else if (s.kind === "line") {
+        make(inside, "path", "", { d: path(px), style: look + "fill:none" });
+        if (!s.faint) cover(px);
+      } else if (s.kind === "bars") {
+        const base = Y(Math.max(ys[0], 0));
+        s.y.forEach((count, k) => {
+          const [a, b] = [X(s.edges[k]), X(s.edges[k + 1])], missed = s.y2 ? s.y2[k] : 0;
+          const bar = (n, name, y1) => n && make(inside, "rect", "", { x: a + 0.5, y: Y(y1), width: Math.max(b - a - 1, 0.7), height: base - Y(n), style: `fill:${colour(name)}` });
+          bar(count, s.colour, count);
+          bar(missed, "limit", missed);
+        });
+      } else if (s.kind === "rows") {
+        const step = h / s.y.length;
+        s.y.forEach((value, k) => {
+          const y = box.top + step * k;
+          make(inside, "rect", "", { x: Math.min(X(0), X(value)), y: y + 14, width: Math.abs(X(value) - X(0)), height: Math.max(step - 19, 3), style: `fill:${colour(s.matters[k] ? s.colour : "grey")}` });
+          const most = Math.floor(w / LETTER), name = s.names[k];
+          write(box.left + 2, y + 10.5, name.length > most ? name.slice(0, most - 1) + "…" : name, "start", "ink");
+          points.push({ x: X(value), y: y + 14 + step / 3, s, k });
+        });
+        continue;
+      } else if (s.kind === "limit" || s.kind === "at") {
+        const at = s.kind === "limit" ? Y(s.value) : X(s.value);
+        if (s.kind === "limit") line(inside, box.left, at, box.left + w, at, s.colour, { style: look });
+        else line(inside, at, box.top, at, box.top + h, s.colour, { style: look });
+        cover(s.kind === "limit" ? [[box.left, at], [box.left + w, at]] : [[at, box.top], [at, box.top + h]]);
+        continue;
+      }
+      if (s.kind === "points" || s.mark) for (const [k, p] of px.entries()) {
+        if (!isFinite(p[0] + p[1])) continue;
+        const r = s.size || (s.mark ? 2.2 : 2.6);
+        if (s.mark === "x") make(inside, "path", "", { d: `M${p[0] - 4} ${p[1] - 4}l8 8m0 -8l-8 8`, style: `stroke:${colour(s.colour)};stroke-width:1.8` });
+        else if (s.mark === "+") make(inside, "path", "", { d: `M${p[0] - 6} ${p[1]}h12m-6 -6v12`, style: `stroke:${colour(s.colour)};stroke-width:1.8` });
+        else make(inside, "circle", "", { cx: p[0], cy: p[1], r, style: `fill:${s.hollow && s.hollow[k] ? "var(--page)" : colour(s.colour)};stroke:${colour(s.colour)};fill-opacity:${s.opacity || 1};stroke-width:${s.hollow ? 1.2 : 0}` });
+        if (s.labels && s.labels[k]) names.push({ x: p[0], y: p[1], name: s.labels[k], colour: s.colour, must: true });
+      }
+      px.forEach(([x, y], k) => { if (!s.faint && isFinite(x + y)) points.push({ x, y: s.kind === "bars" ? Math.min(y, box.top + h - 4) : y, s, k }); });
+    }
+    line(svg, box.left, box.top + h, box.left + w, box.top + h, "dim");
+    if (!rows) line(svg, box.left, box.top, box.left, box.top + h, "dim");
+    for (const s of panel.series) if (s.kind === "limit" && s.note && s.value >= ys[0] && s.value <= ys[1])
+      names.push({ x: box.left + w - s.note.length * LETTER / 2, y: Y(s.value), name: s.note, colour: s.colour, must: true, near: true });
+    label(svg, names, texts, obstacles, { x0: box.left, y0: box.top, x1: box.left + w, y1: box.top + h });
+    return { svg, points, box, w, h, width, height, back: (p) => {
+      const un = (log, [low, high], f) => log ? low * (high / low) ** f : low + f * (high - low);
+      const f = (p[1] - box.top) / h;
+      return [un(panel.log_x, xs, (p[0] - box.left) / w), un(panel.log_y, ys, panel.down ? f : 1 - f)];
+    } };
+  }
+
+  // M and N contours: where T = L / (1 + L) has a size, named by it in dB, or a phase. From L = T / (1 - T).
+  function contours(into, X, Y, path, [low, high], name) {
+    const spot = (m, turn) => {
+      const [re, im] = [m * Math.cos(turn), m * Math.sin(turn)], d = (1 - re) ** 2 + im * im;
+      const [a, b] = [(re * (1 - re) - im * im) / d, im / d];
+      let phase = Math.atan2(b, a) * 180 / Math.PI;
+      if (phase > 0) phase -= 360;
+      return [phase, 20 * Math.log10(Math.hypot(a, b))];
+    };
+    const trace = (spots) => {
+      const px = [];
+      spots.forEach(([x, y], k) => {
+        if (k && Math.abs(x - spots[k - 1][0]) > 180) px.push([NaN, NaN]);
+        px.push([X(x), Y(y)]);
+      });
+      make(into, "path", "", { d: path(px), style: `fill:none;stroke:${colour("line")};stroke-width:0.8` });
+    };
+    for (const db of M_DB) {
+      const m = 10 ** (db / 20), spots = [...Array(361).keys()].map((k) => spot(m, (-359.9 + k * 359.8 / 360) * Math.PI / 180));
+      trace(spots);
+      const seen = spots.filter(([x, y]) => y > low && y < high && x > -340);
+      if (seen.length) {
+        const best = seen.reduce((a, b) => (db < 0 ? b[0] > a[0] : b[1] > a[1]) ? b : a);
+        name(X(best[0]), Y(best[1]), `${db} dB`);
+      }
+    }
+    for (const deg of N_DEG) trace([...Array(161).keys()].map((k) => spot(10 ** ((-70 + k * 130 / 160) / 20), -deg * Math.PI / 180)));
+  }
+
+  // names of points: near the point, over no curve and no other text; what need not stand is left out where there is no room
+  function label(svg, names, taken, obstacles, frame) {
+    for (const n of [...names].sort((a, b) => (b.must || 0) - (a.must || 0))) {
+      const size = n.size || 9.5, half = [n.name.length * size * 0.3 + 2, size * 0.55 + 1];
+      let best = Infinity, found = null;
+      for (const radius of RADII) for (const angle of ANGLES) {
+        const at = [n.x + (radius + half[0]) * Math.cos(angle) * (n.near ? 0.3 : 1), n.y + (radius + half[1]) * Math.sin(angle)];
+        const spot = { x0: at[0] - half[0], y0: at[1] - half[1], x1: at[0] + half[0], y1: at[1] + half[1] };
+        let cost = 0.4 * radius;
+        for (const t of taken) if (spot.x0 < t.x1 && t.x0 < spot.x1 && spot.y0 < t.y1 && t.y0 < spot.y1) cost += 1e4;
+        if (spot.x0 < frame.x0 || spot.y0 < frame.y0 || spot.x1 > frame.x1 || spot.y1 > frame.y1) cost += 1e4;
+        if (cost < best) for (const [x, y] of obstacles) if (x > spot.x0 && x < spot.x1 && y > spot.y0 && y < spot.y1) cost += 3;
+        if (cost < best) [best, found] = [cost, { ...spot, at, radius }];
+      }
+      if (!found || (best >= 1e4 && !n.must) || (!n.must && best > 60)) continue;
+      taken.push(found);
+      if (found.radius > 16 && !n.near) make(svg, "line", "", { x1: n.x, y1: n.y, x2: Math.min(Math.max(n.x, found.x0), found.x1), y2: Math.min(Math.max(n.y, found.y0), found.y1), style: `stroke:${colour(n.colour)};stroke-width:0.6` });
+      make(svg, "text", n.name, { x: found.at[0], y: found.at[1] + size * 0.35, "text-anchor": "middle", "font-size": size, class: "halo", style: `fill:${colour(n.colour)}` });
+    }
+  }
+
+  // hover, zoom, command
+
+  const tip = make(document.body, "div", "", { class: "tip", hidden: "" });
+  function live(figure, panel, state, note, redraw) {
+    const { svg, points, box, w, h } = state;
+    let from = null, rect = null;
+    const at = (event) => {
+      const r = svg.getBoundingClientRect();
+      return [(event.clientX - r.left) * state.width / r.width, (event.clientY - r.top) * state.height / r.height];
+    };
+    const nearest = ([x, y]) => {
+      let best = 400, found = null;
+      for (const p of points) {
+        const d = p.s.kind === "bars" ? (Math.abs(p.x - x) < w * 0.5 / p.s.y.length + 1 ? 0 : 1e9) : (p.x - x) ** 2 + (p.y - y) ** 2;
+        if (d < best && p.x >= box.left - 1 && p.x <= box.left + w + 1) [best, found] = [d, p];
+      }
+      return found;
+    };
+    const ring = make(svg, "circle", "", { r: 4, class: "ring", visibility: "hidden" });
+    const command = ({ s, k }) => s.runs && s.runs[k] !== null ? (figure.command || "").replace("{}", s.runs[k]) : s.commands ? s.commands[k] : s.command || "";
+    const say = ({ s, k }) => {
+      const what = [s.names ? s.names[k] : s.who || s.labels && s.labels[k] || s.name].filter(Boolean);
+      if (s.kind === "bars") what.push(`${shown(s.edges[k])} to ${shown(s.edges[k + 1])} ${panel.unit || ""}`, `${s.y[k]} runs${s.y2 && s.y2[k] ? `, ${s.y2[k]} miss the limit` : ""}`);
+      else if (s.kind === "rows") what.push(`${panel.x}: ${shown(s.y[k])}`);
+      else what.push(`${panel.x || "x"}: ${shown(s.x[k])}`, `${panel.y || panel.title}: ${shown(s.y[k])}${s.kind === "band" ? " to " + shown(s.y2[k]) : ""}`);
+      if (s.more && s.more[k]) what.push(s.more[k]);
+      if (s.runs && s.runs[k] !== null) what.push((s.kind === "bars" ? "worst of them: run " : "run ") + s.runs[k]);
+      if (command({ s, k })) what.push("click: the command that flies it");
+      return what.join("\n");
+    };
+    svg.addEventListener("pointermove", (event) => {
+      const p = at(event);
+      if (from) {
+        const [a, b] = [[Math.min(p[0], from[0]), Math.min(p[1], from[1])], [Math.abs(p[0] - from[0]), Math.abs(p[1] - from[1])]];
+        rect = rect || make(svg, "rect", "", { class: "zoom" });
+        for (const [name, value] of Object.entries({ x: a[0], y: a[1], width: b[0], height: b[1] })) rect.setAttribute(name, value);
+        tip.hidden = true;
+        return;
+      }
+      const found = nearest(p);
+      tip.hidden = !found;
+      ring.setAttribute("visibility", found ? "visible" : "hidden");
+      if (!found) return;
+      ring.setAttribute("cx", found.x); ring.setAttribute("cy", found.y);
+      tip.textContent = say(found);
+      const left = event.clientX + 14 + tip.offsetWidth > innerWidth ? event.clientX - 14 - tip.offsetWidth : event.clientX + 14;
+      tip.style.left = `${Math.max(left, 2)}px`; tip.style.top = `${Math.min(event.clientY + 12, innerHeight - tip.offsetHeight - 4)}px`;
+    });
+    svg.addEventListener("pointerleave", () => { tip.hidden = true; ring.setAttribute("visibility", "hidden"); });
+    svg.addEventListener("pointerdown", (event) => { from = at(event); });
+    svg.addEventListener("pointercancel", () => { from = null; if (rect) rect.remove(); rect = null; });
+    svg.addEventListener("pointerup", (event) => {
+      const to = at(event), start = from;
+      from = null;
+      if (rect) rect.remove();
+      rect = null;
+      if (start && Math.abs(to[0] - start[0]) > 8 && Math.abs(to[1] - start[1]) > 8 && !panel.rows) {
+        const clip = (p) => [Math.min(Math.max(p[0], box.left), box.left + w), Math.min(Math.max(p[1], box.top), box.top + h)];
+        const [a, b] = [state.back(clip(start)), state.back(clip(to))];
+        redraw({ x: [Math.min(a[0], b[0]), Math.max(a[0], b[0])], y: [Math.min(a[1], b[1]), Math.max(a[1], b[1])] });
+        return;
+      }
+      const found = nearest(to), text = found && command(found);
+      if (!text) return;
+      note.replaceChildren();
+      make(note, "code", text);
+      const copy = make(note, "button", "copy", { type: "button" });
+      copy.addEventListener("click", () => navigator.clipboard.writeText(text).then(() => { copy.textContent = "copied"; }));
+      note.hidden = false;
+    });
+    svg.addEventListener("dblclick", () => redraw(null));
+  }
+
+  // figures
+
+  function csv(figure) {
+    const cell = (v) => v === null || v === undefined ? "" : /[",\n]/.test(v) ? `"${String(v).replaceAll('"', '""')}"` : v;
+    const rows = [["panel", "series", "x", "y", "y2", "run"]];
+    for (const p of figure.panels) for (const s of p.series) {
+      if (s.kind === "limit" || s.kind === "at") rows.push([p.title, s.name, s.kind === "at" ? s.value : "", s.kind === "at" ? "" : s.value]);
+      else s.y.forEach((y, k) => rows.push([p.title, s.names ? s.names[k] : s.who || s.name, s.x ? s.x[k] : "", y, s.y2 ? s.y2[k] : "", s.runs ? s.runs[k] : ""]));
+    }
+    return rows.map((row) => row.map(cell).join(",")).join("\r\n");
+  }
+
+  function key(parent, figure) {
+    const seen = new Map();
+    for (const p of figure.panels) for (const s of p.series) if (s.name && !seen.has(s.name) && s.kind !== "rows") seen.set(s.name, s);
+    if (seen.size < 1 || figure.panels.every((p) => p.series.length < 2)) return;
+    const list = make(parent, "p", "", { class: "key" });
+    for (const [name, s] of seen) {
+      const item = make(list, "span"), svg = make(item, "svg", "", { viewBox: "0 0 26 10", width: 26, height: 10 });
+      const fill = s.kind === "band" || s.kind === "shape" || s.kind === "bars";
+      if (fill) make(svg, "rect", "", { x: 1, y: 1, width: 24, height: 8, style: `fill:${colour(s.fill || s.colour)};fill-opacity:${s.kind === "bars" ? 1 : Math.max(s.opacity || 0.2, 0.2)}` });
+      else if (s.kind !== "points") make(svg, "line", "", { x1: 0, y1: 5, x2: 26, y2: 5, style: `stroke:${colour(s.colour)};stroke-width:${s.width || 1.5};stroke-dasharray:${s.dash || "none"}` });
+      if (s.mark === "x") make(svg, "path", "", { d: "M9 1l8 8m0 -8l-8 8", style: `stroke:${colour(s.colour)};stroke-width:1.8` });
+      else if (s.mark === "+") make(svg, "path", "", { d: "M8 5h10m-5 -5v10", style: `stroke:${colour(s.colour)};stroke-width:1.8` });
+      else if (s.kind === "points" || s.mark) make(svg, "circle", "", { cx: 13, cy: 5, r: 3, style: `fill:${colour(s.colour)}` });
+      make(item, "span", " " + name);
+    }
+  }
+
+  const redraws = [];
+  for (const figure of JSON.parse(document.getElementById("figures").textContent)) {
+    const frame = document.getElementById("figure-" + figure.name);
+    if (!frame) continue;
+    key(frame, figure);
+    const grid = make(frame, "div", "", { class: "panels", style: `--columns:${figure.columns}` });
+    const note = make(frame, "p", "", { class: "command", hidden: "" });
+    for (const panel of figure.panels) {
+      const cell = make(grid, "div", "", { class: "panel" });
+      const head = make(cell, "p", "", { class: "head" });
+      make(head, "b", panel.title);
+      if (panel.y) make(head, "span", (panel.title ? " · " : "") + panel.y);
+      const reset = make(head, "button", "show all", { type: "button", hidden: "" });
+      const inner = make(cell, "div");
+      if (panel.x) make(cell, "p", panel.x, { class: "under" });
+      const whole = { x: range(panel.series, "x", panel.x_range, panel.log_x), y: range(panel.series, "y", panel.y_range, panel.log_y) };
+      let view = whole;
+      const show = (wanted) => {
+        view = wanted === undefined ? view : wanted || whole;
+        reset.hidden = view === whole;
+        live(figure, panel, draw(inner, panel, view, figure.height), note, show);
+      };
+      reset.addEventListener("click", () => show(null));
+      redraws.push(show);
+      show();
+    }
+    const link = make(frame.querySelector("figcaption") || frame, "a", "data (CSV)", { class: "data", download: `${figure.name}.csv`, href: "#" });
+    link.addEventListener("click", () => { link.href = URL.createObjectURL(new Blob([csv(figure)], { type: "text/csv" })); });
+    const caption = frame.querySelector("figcaption");
+    if (caption) frame.appendChild(caption);
+  }
+  let width = innerWidth, waiting = 0;
+  addEventListener("resize", () => {
+    if (innerWidth === width) return;
+    width = innerWidth;
+    clearTimeout(waiting);
+    waiting = setTimeout(() => redraws.forEach((show) => show()), 120);
+  });
+})();

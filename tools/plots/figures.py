@@ -1,0 +1,149 @@
+"""Figures of the pages: what they show, as data. tools/pages/plots.js draws them in the reader's browser, so that a
+figure fits the width of the page, can be read in the dark, tells its values, and is there as data too.
+
+    figure = Plot("margins", "Margins over the flight", [Panel("phase margin", [line(t, y)], x="time, s", y="deg")])
+    as_json([figure])          # for the page
+    as_csv(figure)             # a row for each point: panel, series, x, y, y2, run
+
+A colour is a name of the page's style sheet: blue, orange, green, purple, red, sky, ink, grey, pale, limit.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+COLOURS = ("blue", "orange", "green", "purple", "red", "sky", "ink")
+DASHES = ("", "6 3", "2 2", "8 3 2 3", "1 3", "10 4", "4 2")
+Series = dict[str, Any]
+
+
+@dataclass
+class Panel:
+    """`x`, `y`: labels with units; ranges are those of the data where None. `rows`: bars along x, one below another."""
+
+    title: str
+    series: list[Series]
+    x: str = ""
+    y: str = ""
+    x_range: tuple[float | None, float | None] | None = None
+    y_range: tuple[float | None, float | None] | None = None
+    log_x: bool = False
+    log_y: bool = False
+    down: bool = False  # y grows downwards
+    nichols: bool = False  # over M and N contours
+    rows: bool = False
+    unit: str = ""  # of the bars
+
+
+@dataclass
+class Plot:
+    """A figure of several panels. `command` flies the run that stands for {}."""
+
+    name: str  # letters, digits, hyphens
+    title: str
+    panels: list[Panel]
+    caption: str = ""
+    columns: int = 2
+    height: int = 190  # of a panel, in pixels
+    command: str = field(default="", kw_only=True)
+
+
+def look(number: int) -> Series:
+    """Colour and dashes of the curve of that number."""
+    return {"colour": COLOURS[number % len(COLOURS)], "dash": DASHES[number % len(DASHES)]}
+
+
+def line(x: Any, y: Any, name: str = "", **more: Any) -> Series:
+    """A curve; a gap where a value is not finite. `mark`: "o", "x", "+" at each point; `faint`: nothing to read there;
+    `who`: what it is when pointed at, if not its name."""
+    return {"kind": "line", "colour": "blue", "name": name, "x": x, "y": y} | more
+
+
+def points(x: Any, y: Any, name: str = "", **more: Any) -> Series:
+    """Marks alone; `runs`: the number of each, `labels`: names that are written beside them."""
+    return {"kind": "points", "colour": "blue", "name": name, "x": x, "y": y} | more
+
+
+def band(x: Any, low: Any, high: Any, name: str = "", **more: Any) -> Series:
+    return {"kind": "band", "colour": "blue", "name": name, "x": x, "y": low, "y2": high} | more
+
+
+def limit(value: float, name: str = "limit", **more: Any) -> Series:
+    """A level; `note`: written on it; `seen`: the axis reaches to it."""
+    return {"kind": "limit", "colour": "limit", "name": name, "value": value, "seen": True} | more
+
+
+def at(value: float, name: str = "", **more: Any) -> Series:
+    """The same, upright."""
+    return {"kind": "at", "colour": "limit", "name": name, "value": value} | more
+
+
+def shape(outline: Any, name: str = "", **more: Any) -> Series:
+    """A closed outline, (n, 2)."""
+    corners = np.asarray(outline, float)
+    return {"kind": "shape", "colour": "ink", "name": name, "x": corners[:, 0], "y": corners[:, 1]} | more
+
+
+def thinned(x: Any, y: Any, steps: float = 400.0) -> tuple[Any, Any]:
+    """A curve without the points that nobody would see: those within 1/steps of both ranges from the last one kept."""
+    px, py = (np.asarray(v, float) for v in (x, y))
+    finite = np.isfinite(px) & np.isfinite(py)
+    if finite.sum() < 3:
+        return px, py
+    a = px / max(np.ptp(px[finite]), 1e-300) * steps
+    b = py / max(np.ptp(py[finite]), 1e-300) * steps
+    keep, last = [0], 0
+    for k in range(1, len(px) - 1):
+        if not finite[k] or not finite[last] or math.hypot(a[k + 1] - a[last], b[k + 1] - b[last]) > 1.0:
+            keep.append(k)
+            last = k
+    keep.append(len(px) - 1)
+    return px[keep], py[keep]
+
+
+def as_json(plots: Iterable[Plot]) -> str:
+    """For a script element: no character of it ends the element."""
+    text = json.dumps([_plain(vars(p) | {"panels": [vars(panel) for panel in p.panels]}) for p in plots])
+    return text.replace("&", "\\u0026").replace("<", "\\u003c").replace(">", "\\u003e")
+
+
+def _plain(value: Any) -> Any:
+    """With six digits, and None for what is not finite."""
+    if isinstance(value, dict):
+        return {key: _plain(v) for key, v in value.items()}
+    if isinstance(value, np.ndarray | np.generic):
+        value = value.tolist()
+    if isinstance(value, list | tuple):
+        return [_plain(v) for v in value]
+    if isinstance(value, float):
+        return float(f"{value:.6g}") if math.isfinite(value) else None
+    return value
+
+
+def as_csv(plot: Plot) -> str:
+    """All that is drawn; y2 is the far side of a band, of bars those that miss the limit."""
+    out = io.StringIO()
+    write = csv.writer(out).writerow
+    write(("panel", "series", "x", "y", "y2", "run"))
+    for panel in plot.panels:
+        for s in panel.series:
+            if "value" in s:
+                write((panel.title, s["name"], *([s["value"], ""] if s["kind"] == "at" else ["", s["value"]]), "", ""))
+                continue
+            names: Sequence[str] = s.get("names", [s.get("who", s["name"])] * len(s["y"]))
+            columns = [_cells(s.get(key), len(s["y"])) for key in ("x", "y", "y2", "runs")]
+            for row in zip(names, *columns, strict=True):
+                write((panel.title, *row))
+    return out.getvalue()
+
+
+def _cells(values: Any, count: int) -> list[Any]:
+    return [""] * count if values is None else ["" if v is None else v for v in _plain(values)]

@@ -1,0 +1,420 @@
+"""Figures of a review pack: vehicle, margins, open loops, certificate, flights, gimbal authority and slosh."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from maxq.control.kernel.records import Array
+from maxq.design import api
+from maxq.design.certificate.certificate import NodeCertificate
+from maxq.design.verify.flown import FlownResult
+from maxq.design.verify.judging import Judged, judge
+from maxq.design.verify.linear import MEASURES, MarginStudy
+from maxq.design.verify.suite import LinearMargins
+from maxq.design.verify.verify import Verification, tank_name
+from maxq.sim.campaign import analysis
+from maxq.sim.campaign.read import channel_units
+from maxq.sim.campaign.store import campaign_in
+from maxq.sim.packing.computer import bending_filter
+from maxq.tools.campaign_report import labels_of, pressing, tails_of
+from maxq.tools.design.pictures_loop import LoopPicture, picture_of
+from maxq.tools.plots import campaign as campaign_plots
+from maxq.tools.plots.figures import COLOURS, Panel, Plot, Series, limit, line, look, points, shape, thinned
+from maxq.tools.replay.vehicle_shape import shape_of
+
+_MOST_VEHICLES = 100
+_WORST_FLIGHTS = 6
+_ALLOWED = (("dB", 0.2), ("deg", 1.5))  # differences of a certificate's lines that need no reason
+_BOTTOM_DB = -40.0
+
+
+def plots(found: Verification, command: str) -> list[Plot]:
+    """All that can be drawn of what was found. `command` repeats the review."""
+    out = [_vehicle(found)]
+    if found.scenario.design is not None:
+        out.append(_filter(found))
+    if found.flights:
+        out += [_flights(found), _worst_flights(found)]
+    wanted = found.suite.margins
+    if wanted is not None and found.scenario.design is not None:
+        for plane in wanted.planes:
+            studies = [m for m in found.margins if m.plane == plane]
+            if not studies:
+                continue
+            out.append(_margins(studies, wanted, plane, command))
+            times_s = [t for m in studies for t in m.times_s]
+            judged = judge(api.nodes(found.scenario, times_s, plane=plane), found.scenario.design)
+            out += [_bode(judged, plane), _nichols(judged, wanted, plane)]
+    lines = [c for c in found.certificates if len(c.responses.lines_hz)]
+    if lines:
+        out.append(_certificate(lines))
+    for k, _ in enumerate(found.campaigns):
+        out += _campaign(found, k)
+    if found.authority:
+        out.append(_authority(found))
+    if found.slosh:
+        out.append(_slosh(found))
+    return out
+
+
+def _vehicle(found: Verification) -> Plot:
+    """From the side, nose at the left; widths drawn larger where the body is slender."""
+    vehicle = shape_of(found.scenario.vehicle)
+    tail = max(e.exit_station_m for s in vehicle.stages for _, e in s.nozzles) if vehicle.stages[0].nozzles else 0.0
+    tail = max(tail, *(s.end_m for s in vehicle.stages))
+    half, series = 0.5 * vehicle.diameter_m, list[Series]()
+    for stage in reversed(vehicle.stages):
+        if stage.fins is not None:
+            f = stage.fins
+            half = max(half, f.tip_radius_m)
+            chord = (f.root_station_m, f.tip_station_m, f.tip_station_m + f.tip_chord_m,
+                     f.root_station_m + f.root_chord_m)  # fmt: skip  # two more lines otherwise
+            across = np.array([f.root_radius_m, f.tip_radius_m, f.tip_radius_m, f.root_radius_m])
+            series += [shape(np.stack([chord, side * across], 1), fill="grey") for side in (1.0, -1.0)]
+        for _, e in stage.nozzles:
+            y, r = e.offset_m[0], e.exit_radius_m
+            half = max(half, abs(y) + r)
+            a, b = e.gimbal_station_m, e.exit_station_m
+            series.append(shape([(a, y + 0.3 * r), (b, y + r), (b, y - r), (a, y - 0.3 * r)], fill="grey", opacity=0.4))
+        x, r = stage.profile.T
+        outline = np.concatenate([np.stack([x, r], 1), np.stack([x, -r], 1)[::-1]])
+        series.append(shape(outline, fill="page", opacity=1.0))
+        for k, tank in enumerate(stage.tanks):
+            full = tank.bottom_station_m - float(tank.level[1][0])
+            for top, opacity, said in ((tank.top_station_m, 0.12, ""), (full, 0.5, f"{tank.name}, to begin with")):
+                bottom, r = tank.bottom_station_m, tank.radius_m
+                corners = [(top, r), (bottom, r), (bottom, -r), (top, -r)]
+                series.append(shape(corners, said, fill=COLOURS[k % 4], opacity=opacity, bare=True))
+    marks = [("gyro", s.gyro_station_m, "green") for s in vehicle.stages[:1] if s.gyro_station_m is not None]
+    marks += [("gimbal", s.engine.gimbal_station_m, "purple") for s in vehicle.stages[:1] if s.engine is not None]
+    first = [a for a in found.slosh if a.stage == 0]
+    if first:
+        marks += [(f"CG at {a.time_s:.3g} s", a.cg_station_m, "red") for a in (first[0], first[-1])]
+    for name, station, colour in marks:
+        series.append(points([station], [0.0], f"{name}: {station:.2f} m", colour=colour, labels=[name], size=4))
+    wider = max(1.0, round(0.1 * tail / vehicle.diameter_m))
+    height = int(min(max(60.0 + 760.0 * wider * 2.2 * half / tail, 120.0), 300.0))
+    panel = Panel(
+        "", series, "station, m aft of the nose", "m", (-0.02 * tail, 1.02 * tail), (-1.15 * half, 1.15 * half)
+    )
+    caption = (
+        "From the side, by the vehicle's file; what the file does not give (nose, fins) is drawn by custom. "
+        "Across not to the same scale as along."
+    )
+    return Plot("vehicle", found.scenario.vehicle.name, [panel], caption, 1, height)
+
+
+def _filter(found: Verification) -> Plot:
+    """Of every stage that has its own."""
+    design, computer = found.scenario.design, found.scenario.vehicle.computer
+    assert design is not None
+    assert computer is not None
+    gain, phase = list[Series](), list[Series]()
+    for number in range(len(design.stage) or 1):
+        own = design.of_stage(number)
+        sample_s = (found.scenario.vehicle.computer_of(number) or computer).sample_s
+        flt = bending_filter(own).discretize(sample_s, own.filter.discretization, own.filter.prewarp_hz)
+        hz = np.geomspace(0.1, 0.5 / sample_s * (1.0 - 1e-6), 500)
+        response = flt.frequency_response(2.0 * np.pi * hz)
+        name = f"stage {number + 1}" if design.stage else "filter"
+        gain.append(line(*thinned(hz, 20.0 * np.log10(np.maximum(np.abs(response), 1e-3))), name, **look(number)))
+        phase.append(line(*thinned(hz, np.degrees(np.unwrap(np.angle(response)))), name, **look(number)))
+    panels = [
+        Panel("gain", gain, "frequency, Hz", "dB", log_x=True),
+        Panel("phase", phase, "frequency, Hz", "deg", log_x=True),
+    ]
+    return Plot("filter", "Bending filter", panels, "As it flies, sampled, up to half the sample rate.")
+
+
+# flights
+
+
+def _peak(flight: FlownResult, names: Sequence[str]) -> float:
+    return max((float(np.abs(flight.histories[n]).max(initial=0.0)) for n in names), default=0.0)
+
+
+_SHOWN = {
+    "gimbal angle": ("gimbal_pitch_angle_deg", "gimbal_yaw_angle_deg", "max_gimbal_deg"),
+    "attitude error": ("error_pitch_deg", "error_yaw_deg", "max_attitude_error_deg"),
+}
+
+
+def _flights(found: Verification) -> Plot:
+    panels = []
+    for title, (pitch, yaw, metric) in _SHOWN.items():
+        strain = sorted(found.flights, key=lambda f, names=(pitch, yaw): -_peak(f, names))  # type: ignore[misc]
+        series = list[Series]()
+        for n, f in reversed(list(enumerate(strain))):
+            size = np.maximum(np.abs(f.histories[pitch]), np.abs(f.histories[yaw]))
+            how = look(n) | {"width": 1.8} if n < 3 else {"colour": "grey", "width": 0.7}
+            name = f.name if n < 3 else "all others"
+            series.append(line(*thinned(f.time_s, size), name, who=f.name, command=f.again, **how))
+        bounds = {v.bound[1] for f in found.flights for v in f.verdicts if v.requirement.metric == metric}
+        series += [limit(bound) for bound in sorted(bounds)]
+        panels.append(Panel(f"{title}, larger of pitch and yaw", series, "time, s", "deg"))
+    caption = "All scenarios under thrust; named are the three with the largest value in each panel. Red: their limits."
+    return Plot("flights", "Scenarios", panels, caption, 2, 260)
+
+
+def _worst_flights(found: Verification) -> Plot:
+    """Small multiples of the flights with the least room."""
+
+    def room(f: FlownResult) -> float:
+        shares = [(v.bound[1] - v.value) / abs(v.bound[1]) * (1 if v.bound[0] == "limit" else -1)
+                  for v in f.verdicts if v.bound[1]]  # fmt: skip  # three more lines otherwise
+        return min(shares, default=math.inf) if not f.failures else -math.inf
+
+    panels = []
+    for f in sorted(found.flights, key=room)[:_WORST_FLIGHTS]:
+        for title, (pitch, yaw, metric) in _SHOWN.items():
+            axes = enumerate(((pitch, "pitch"), (yaw, "yaw")))
+            series = [
+                line(*thinned(f.time_s, f.histories[n]), axis, command=f.again, **look(k)) for k, (n, axis) in axes
+            ]
+            for v in f.verdicts:
+                if v.requirement.metric == metric and abs(v.value) > 0.5 * v.bound[1]:
+                    series += [limit(side * v.bound[1]) for side in (1, -1)]
+            panels.append(Panel(f"{f.name}: {title}", series, "time, s", "deg"))
+    caption = "The scenarios with the least room at any of their limits. Limits are drawn where half of one is used."
+    return Plot("worst-flights", "Worst scenarios", panels, caption, 2, 130)
+
+
+# margins
+
+
+def _margins(studies: Sequence[MarginStudy], wanted: LinearMargins, plane: str, command: str) -> Plot:
+    panels, many = [], max(len(m.random) for m in studies)
+    for name, (title, unit, _) in MEASURES.items():
+        series, here = list[Series](), list[Series]()
+        for number, m in enumerate(studies):
+            times = np.array(m.times_s)
+
+            def values(cases: Sequence[object], m: MarginStudy = m, name: str = name) -> Array:
+                table = np.array([[n.get(name, math.nan) for n in c.nodes] for c in cases])  # type: ignore[attr-defined]
+                return np.where(np.isfinite(table), table, np.nan).reshape(len(cases), len(m.times_s))
+
+            random = m.random[:_MOST_VEHICLES]
+            for cases, kind, colour in ((m.corners, "corners", "orange"), (random, "random vehicles", "grey")):
+                for case, row in zip(cases, values(cases), strict=True):
+                    again = f"{command} --only '{case.label}'"
+                    here.append(line(times, row, kind, colour=colour, width=0.6, who=case.label, command=again))
+            stage = f", {m.stage}" if m.stage else ""
+            series.append(line(times, values([m.nominal])[0], f"as designed{stage}", mark="o", **look(number), width=2))
+        if not any(np.isfinite(np.asarray(s["y"], float)).any() for s in series):
+            continue
+        bounds = []
+        limited = ((wanted.nominal, "", "limit as designed"), (wanted.dispersed, "5 3", "limit of dispersed vehicles"))
+        for limits, dash, text in limited:
+            if (value := getattr(limits, name)) is not None:
+                bounds.append(limit(value, text, dash=dash))
+        panels.append(Panel(title, [*here, *series, *bounds], "time, s", unit))
+    caption = "Exact sampled loop at the nodes."
+    if many:
+        caption += f" Grey: {min(many, _MOST_VEHICLES)} of {many} vehicles with random deviations."
+    if studies[0].corners:
+        caption += " Orange: vehicles at the corners, all deviations at once."
+    return Plot(f"margins-{plane}", f"Margins over the flight, {plane}", panels, caption, 2, 170)
+
+
+def _level_and_turn(picture: LoopPicture) -> tuple[Array, Array, Array]:
+    level = 20.0 * np.log10(np.maximum(np.abs(picture.loop), 1e-300))
+    return picture.frequency_hz, level, np.degrees(np.angle(-picture.loop)) - 180.0
+
+
+def _lobe_colours(judged: Sequence[Judged]) -> dict[str, str]:
+    """One for each pole over all nodes."""
+    every = {mark.text for j in judged for mark in picture_of(j, "").marks if mark.is_lobe}
+    poles = sorted({part for text in every for part in text.split(", ")})
+    of = {pole: COLOURS[1:][n % (len(COLOURS) - 1)] for n, pole in enumerate(poles)}
+    return {text: of[text.split(", ")[0]] for text in every}
+
+
+def _bode(judged: Sequence[Judged], plane: str) -> Plot:
+    """At the node with the least |1 + L|, with the margins drawn."""
+    least = min(judged, key=lambda j: j.margins.modulus if j.margins.stable else -1.0)
+    picture = picture_of(least, "")
+    f, level, _ = _level_and_turn(picture)
+    turned = np.degrees(np.unwrap(np.angle(picture.loop)))
+    seen = (f >= 0.05) & (level > _BOTTOM_DB)
+    turned -= 360.0 * np.ceil(np.median(turned[seen][:3]) / 360.0) if seen.any() else 0.0
+    colours = _lobe_colours(judged)
+    gain = [line(*thinned(np.log10(f), level), "L")]
+    gain[0]["x"] = 10.0 ** np.asarray(gain[0]["x"])
+    phase = [line(*thinned(np.log10(f), turned), "L")]
+    phase[0]["x"] = 10.0 ** np.asarray(phase[0]["x"])
+    gain.append(limit(0.0, "0 dB", colour="grey"))
+    low, high = float(turned[seen].min()), float(turned[seen].max())
+    phase += [limit(-180.0 + 360.0 * k, "-180 deg and whole turns from it", colour="grey", dash="2 2", seen=False)
+              for k in range(-12, 4)]  # fmt: skip  # two more lines otherwise
+    for mark in picture.marks:
+        db, turn = 20.0 * math.log10(max(abs(mark.loop), 1e-300)), float(np.interp(mark.frequency_hz, f, turned))
+        if mark.is_lobe and db > _BOTTOM_DB:
+            gain.append(points([mark.frequency_hz], [db], "", colour=colours[mark.text], labels=[mark.text]))
+        elif mark.text and not mark.is_lobe:
+            nearest = 360.0 * round((turn + 180.0) / 360.0) - 180.0
+            of, ends = (gain, [db, 0.0]) if abs(db) > 1e-6 else (phase, [turn, nearest])
+            of.append(line([mark.frequency_hz] * 2, ends, "margin", colour="limit", width=3, faint=True))
+            of.append(points([mark.frequency_hz], [ends[0]], "", colour="limit", labels=[mark.text.split(",")[0]]))
+    reach = (0.05, float(f[-1]))
+    top = float(level[f >= reach[0]].max()) + 12.0
+    turns = (90.0 * math.floor(low / 90.0), 90.0 * math.ceil(high / 90.0))
+    panels = [
+        Panel("gain", gain, "frequency, Hz", "|L|, dB", reach, (_BOTTOM_DB, top), log_x=True),
+        Panel("phase", phase, "frequency, Hz", "deg", reach, turns, log_x=True),
+    ]  # fmt: skip  # twelve more lines otherwise
+    said = f"{least.margins.modulus:.3f}" if least.margins.stable else "unstable"
+    caption = (
+        f"At {least.time_s:g} s, where |1 + L| of the loop as designed is least of all nodes: {said}. Red: gain and "
+        "phase margins."
+    )
+    return Plot(f"bode-{plane}", f"Open loop where it is nearest to -1, {plane}", panels, caption, 1, 210)
+
+
+def _nichols(judged: Sequence[Judged], wanted: LinearMargins, plane: str) -> Plot:
+    colours, panels = _lobe_colours(judged), []
+    asked = wanted.nominal
+    up, down, phase = asked.gain_up_db, asked.aero_gain_db, asked.phase_deg
+    for one in judged:
+        picture = picture_of(one, "")
+        f, level, turn = _level_and_turn(picture)
+        seen = (f >= 0.02) & (level > _BOTTOM_DB - 6.0)
+        jumps = np.flatnonzero(np.abs(np.diff(turn)) > 180.0) + 1
+        x, y, hz = (np.insert(v, jumps, np.nan) for v in (turn, level, f))
+        inside = np.insert(seen, jumps, True)
+        series = list[Series]()
+        if up is not None and phase is not None:
+            top_db = up if down is None else down
+            corners = [(-180.0 - phase, 0.0), (-180.0, -up), (-180.0 + phase, 0.0), (-180.0, top_db)]
+            series.append(shape(corners, "zone of the margins asked for", colour="limit", opacity=0.15))
+        a, b, c = x[inside], y[inside], hz[inside]
+        keep = _kept(a, b)
+        named = [f"{v:.3g} Hz" if math.isfinite(v) else "" for v in c[keep].tolist()]
+        series.append(line(a[keep], b[keep], "L", more=named))
+        series.append(points([-180.0], [0.0], "-1", mark="+", colour="limit"))
+        for mark in picture.marks:
+            at_db = 20.0 * math.log10(max(abs(mark.loop), 1e-300))
+            if at_db > _BOTTOM_DB and mark.is_lobe:
+                angle = math.degrees(np.angle(-mark.loop)) - 180.0
+                colour, hz_text = colours[mark.text], f"{mark.frequency_hz:.3g} Hz"
+                series.append(points([angle], [at_db], "", colour=colour, labels=[mark.text], more=[hz_text]))
+        top = min(max(float(level[seen].max(initial=0.0)), 10.0) + 4.0, 50.0)
+        title = f"{one.time_s:.4g} s" + ("" if one.margins.stable else ", UNSTABLE")
+        reach = (_BOTTOM_DB, top)
+        panels.append(Panel(title, series, "phase of L, deg", "|L|, dB", (-360.0, 0.0), reach, nichols=True))
+    caption = (
+        "Open loop at each node in the Nichols plane over M contours (|T| in dB) and N contours (phase of T). "
+        "Poles are named at their lobes, each in one colour throughout. Shaded: diamond whose corners are the margins "
+        "asked for; its sides judge nothing."
+    )
+    return Plot(f"nichols-{plane}", f"Nichols plots, {plane}", panels, caption, 2, 270)
+
+
+def _kept(x: Array, y: Array) -> Array:
+    """Which points of a curve of the Nichols plane can be seen: a pixel apart, and all gaps."""
+    keep, last = [0], 0
+    for k in range(1, len(x)):
+        gap = not (math.isfinite(x[k]) and math.isfinite(x[last]))
+        if gap or math.hypot((x[k] - x[last]) / 0.9, (y[k] - y[last]) / 0.4) > 1.5 or k == len(x) - 1:
+            keep.append(k)
+            last = k
+    return np.array(keep)
+
+
+def _certificate(nodes: Sequence[NodeCertificate]) -> Plot:
+    """Differences of the lines; those beyond what is allowed tell their reason."""
+    panels = []
+    kinds = ((True, "measured less sampled loop, converter as it flies"), (False, "the same without rounding"))
+    for rounded, title in kinds:
+        for n, (unit, allowed) in enumerate(_ALLOWED):
+            series = list[Series]()
+            for plane, colour in (("pitch", "blue"), ("yaw", "green")):
+                rows = list(_lines([c for c in nodes if c.plane == plane], n, rounded=rounded))
+                for name, tone, some in (
+                    (plane, colour, [r for r in rows if abs(r[1]) <= allowed]),
+                    ("beyond, explained", "orange", [r for r in rows if abs(r[1]) > allowed and r[2] != "unexplained"]),
+                    ("unexplained", "limit", [r for r in rows if abs(r[1]) > allowed and r[2] == "unexplained"]),
+                ):
+                    if some:
+                        ring = {"hollow": [True] * len(some)} if name == "pitch" else {}
+                        x, y, reasons, names = zip(*some, strict=True)
+                        series.append(points(x, y, name, colour=tone, more=reasons, names=names, size=1.6, **ring))
+            series += [limit(side * allowed, "allowed without a reason") for side in (1.0, -1.0)]
+            panels.append(Panel(title, series, "frequency, Hz", unit, log_x=True))
+    caption = (
+        "Differences at all nodes and lines. What lies beyond the band has a reason (in the data, or point at it), or "
+        "stands as unexplained."
+    )
+    return Plot("certificate", "Measured in flight against the linear loop", panels, caption, 2, 200)
+
+
+def _lines(nodes: Sequence[NodeCertificate], n: int, *, rounded: bool) -> Iterator[tuple[float, float, str, str]]:
+    """Frequency, difference, reason and node of every line that is judged."""
+    for c in nodes:
+        r = c.responses
+        flown, clean = ((r.difference_db, r.unrounded_db), (r.difference_deg, r.unrounded_deg))[n]
+        fine, low = np.isfinite(r.unrounded.real), r.lines_hz < 2.7
+        good = (r.coherence > 0.99) if rounded else (fine | low)
+        values = flown if rounded else np.where(fine, clean, flown)
+        for k in np.flatnonzero(good & np.isfinite(values)):
+            yield float(r.lines_hz[k]), float(values[k]), str(r.reason[k]), f"{c.time_s:g} s, {c.plane}"
+
+
+def _campaign(found: Verification, number: int) -> list[Plot]:
+    """The figures of the campaign's own report."""
+    result = found.campaigns[number]
+    data = analysis.DataSet(result.folder, campaign_in(result.folder), result.runs)
+    sample = analysis.sample_of(data)
+    inputs = analysis.inputs_of(sample) if result.runs else {}
+    drivers = [(v, analysis.drivers(sample, v.metric, inputs)) for v in pressing(result.verdicts)]
+    return campaign_plots.plots(
+        data, result.verdicts, tails_of(data, result.verdicts), analysis.bands(data.folder, data.campaign),
+        channel_units(data.campaign.base), drivers, inputs, sample, labels_of(data.campaign), f"campaign-{number + 1}-",
+    )  # fmt: skip  # seven more lines otherwise
+
+
+# gimbal and slosh
+
+
+def _authority(found: Verification) -> Plot:
+    every = np.array([(a.time_s, a.ratio, a.wind_mps) for a in found.authority])
+    apart = np.flatnonzero(np.diff(every[:, 0]) > 1.5) + 1  # stages
+    times, ratio, wind = np.insert(every, apart, np.nan, axis=0).T
+    shares = ((1.0, "all of the gimbal angle", ""), (0.5, "half of it", "6 3"), (0.25, "a quarter", "2 2"))
+    winds = [line(times, share * wind, name, colour="limit", dash=dash) for share, name, dash in shares]
+    if found.suite.wind_limit_mps is not None:
+        winds.append(limit(found.suite.wind_limit_mps, "wind asked for", colour="ink"))
+    top = min(float(np.nanmax(wind[np.isfinite(wind)], initial=10.0)), 100.0)
+    panels = [
+        Panel("gimbal per incidence, |M_alpha / M_delta|", [line(times, ratio)], "time, s", "deg/deg"),
+        Panel("steady cross-wind that the gimbal trims", winds, "time, s", "m/s", y_range=(0.0, top)),
+    ]
+    caption = (
+        "Where a degree of incidence takes several of gimbal, wind uses up the gimbal angle before any stability "
+        "margin is lost."
+    )
+    return Plot("authority", "Gimbal authority", panels, caption)
+
+
+def _slosh(found: Verification) -> Plot:
+    stations, damping = list[Series](), list[Series]()
+    for stage in sorted({a.stage for a in found.slosh}):
+        one = list({a.time_s: a for a in found.slosh if a.stage == stage}.values())
+        times = [a.time_s for a in one]
+        low, high = [a.percussion_station_m for a in one], [a.cg_station_m for a in one]
+        stations.append({"kind": "band", "colour": "limit", "name": "between centre of percussion and CG: slosh harms",
+                         "x": times, "y": low, "y2": high, "opacity": 0.15})  # fmt: skip  # more lines otherwise
+    for n, (stage, tank) in enumerate(sorted({(a.stage, a.tank) for a in found.slosh})):
+        mine = [a for a in found.slosh if (a.stage, a.tank) == (stage, tank)]
+        here, name = [a.time_s for a in mine], tank_name(found.scenario.vehicle, stage, tank)
+        stations.append(line(here, [a.bob_station_m for a in mine], name, **look(n)))
+        damping.append(line(here, [a.needed for a in mine], f"{name}", **look(n)))
+        damping.append(line(here, [a.damping for a in mine], "what the tank has (thin)", **(look(n) | {"width": 0.7})))
+    panels = [
+        Panel("where the liquid swings", stations, "time, s", "m aft of the nose", down=True),
+        Panel("damping ratio that the loop needs", damping, "time, s", ""),
+    ]
+    caption = "Left: the pendulums' bobs. Right: damping ratio below which the closed loop would grow."
+    return Plot("slosh", "Slosh", panels, caption)
