@@ -92,8 +92,8 @@ def test_accepted_design_leaves_verdict_and_pack(
     assert {r["part"] for r in verdict["requirements"]} == {"scenarios", "margins", "dispersed"}
     assert verdict["flights"][0]["again"].startswith("simrun nominal --set 'design=")
     page = (out / "review.html").read_text()
-    words = re.sub(r"base64,[^\"]*", "", page)  # in a megabyte of letters "http" turns up by chance
-    assert "http" not in words  # nothing from outside
+    assert set(re.findall(r"https?:[^\"']*", page)) == {"http://www.w3.org/2000/svg"}  # nothing from outside
+    assert {"flights.csv", "margins-pitch.csv", "nichols-pitch.csv"} <= {f.name for f in (out / "figures").iterdir()}
     assert verdict["command"] in page.replace("&#x27;", "'")
 
     again, told, _ = _run(capsys, "ksr3-robust", "--suite", str(suite), "--out", str(out), "--no-pack")
