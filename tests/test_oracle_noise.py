@@ -60,6 +60,15 @@ def test_uniforms_stay_inside_the_open_interval():
     assert normal_quantile(largest) == -normal_quantile(0.5 * 2.0**-52)
 
 
+def test_uniforms_are_the_upper_52_bits_of_two_words_each():
+    """In Python's own integers; `philox` takes index, stream and seed as pairs of words, the lower one first."""
+    for seed, stream, index in ((0, 0, 0), (1, 2, 3), (2**40 + 5, 7, 2**33 + 1), (-1, -2, -3)):
+        words = philox(*(w for n in (index, stream, seed) for w in (n % 2**32, (n >> 32) % 2**32)))
+        pairs = ((int(words[0]), int(words[1])), (int(words[2]), int(words[3])))
+        exact = tuple((2 * ((upper * 2**32 + lower) // 2**12) + 1) / 2**53 for upper, lower in pairs)
+        assert uniform_pair(seed, stream, index) == exact
+
+
 def test_moments():
     x = normals(7, 3)
     assert abs(x.mean()) < 4 / np.sqrt(N)

@@ -1,0 +1,185 @@
+"""How often the harness accepts a vehicle that fails too often, or rejects one that does not:
+`python -m maxq.tools.dev.verification.false_verdicts` writes the table of docs/verification.md (ten minutes).
+
+Synthetic vehicles, whose probability of failure is known: the phase margin of a dispersed vehicle, and a metric of a
+flight, are what the harness draws for it, turned so that exactly the share p lies beyond the limit. Everything else is
+the harness itself, as the standard suite sets it up: its draws by seed, limits, verdicts on the random vehicles and on
+the campaign, and what they come to together. Only the loop and the flight are replaced by a formula.
+
+Users: one who runs the suite once; one who follows the advice "N more would settle it", at most `MOST_STEPS` times; one
+who has four designs judged and takes any that is accepted (`simdesign --verify`, which shares the risk among them).
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+import tempfile
+from collections import Counter
+from functools import cache
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+from scipy.special import ndtri
+
+from maxq.design.verify.flown import CampaignResult, campaign_requirements
+from maxq.design.verify.linear import MarginCase, MarginStudy, margin_requirements, vehicles
+from maxq.design.verify.suite import (
+    ACCEPTED,
+    REJECTED,
+    UNDECIDED,
+    LinearMargins,
+    MarginLimits,
+    Requirement,
+    overall,
+    read_suite,
+    shared_risk,
+)
+from maxq.sim.campaign.analysis import DataSet, judged
+from maxq.sim.campaign.read import LoadedCampaign, load_campaign
+from maxq.tools.dev.verification.section import VERIFICATION, rewrite
+
+MOST_STEPS, MOST_VEHICLES, MOST_RUNS = 6, 3_000, 20_000
+LIMIT_DEG, LIMIT_ALPHA_DEG = 15.0, 1.0  # of the phase margin, and as CAMPAIGN says
+SHARES = ((0.0, 1.0), (1.0, 0.0), (1.0, 1.0), (2.0, 2.0), (0.5, 0.5), (0.1, 0.1), (0.0, 0.0))  # p over what is allowed
+NODE: Any = SimpleNamespace(  # what the draws ask of a node: how many modes and tanks there are
+    vehicle=SimpleNamespace(
+        modes=SimpleNamespace(omega_radps=np.ones(3)), pendulums=SimpleNamespace(mass_kg=np.ones(2))
+    )
+)
+CAMPAIGN = """\
+schema = 1
+extends = "nominal.toml"
+unset = ["requirement"]
+[campaign]
+runs = 1
+success = 0.9973
+[[requirement]]
+metric = "max_alpha_deg"
+limit = 1.0
+[[disperse]]
+key = "vehicle.stage.0.engine.thrust_factor"
+distribution = "normal"
+three_sigma = 0.03
+"""
+
+
+class Formula(DataSet):
+    """A data set that is not read from files: `values` of the metric, all flights flown to their end."""
+
+    def __init__(self, campaign: LoadedCampaign, values: np.ndarray) -> None:
+        super().__init__(Path(), campaign)
+        self.runs, self.void = np.arange(len(values)), np.zeros(len(values), bool)
+        self.kept, self.values = ~self.void, values
+
+    def read(self, names: Any) -> None:
+        pass
+
+    def numbers(self, name: str) -> np.ndarray:
+        return self.values
+
+
+@cache
+def campaign() -> LoadedCampaign:
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "synthetic.toml"
+        path.write_text(CAMPAIGN)
+        return load_campaign(path)
+
+
+def threshold(p: float) -> float:
+    """A standard normal number is above it with probability p."""
+    return float(ndtri(1.0 - p)) if p > 0.0 else math.inf
+
+
+def linear_part(wanted: LinearMargins, p: float) -> list[Requirement]:
+    """Random vehicles whose phase margin falls short where the thrust drawn for them is too large."""
+    sigma = wanted.three_sigma.thrust / 3.0
+    cases = tuple(
+        MarginCase(v.dispersion.label, ({"phase_deg": LIMIT_DEG + threshold(p) - (v.dispersion.thrust - 1.0) / sigma},))
+        for v in vehicles(wanted, NODE)[1]
+    )
+    nominal = MarginCase("", ({"phase_deg": 40.0},))
+    return margin_requirements(MarginStudy("", "pitch", (40.0,), nominal, (), cases), wanted)
+
+
+def flown_part(loaded: LoadedCampaign, p: float) -> list[Requirement]:
+    """Flights that miss their limit where the thrust drawn for them is too large."""
+    runs = loaded.campaign.runs
+    factor = loaded.plan.draw(0, runs).draws["vehicle.stage.0.engine.thrust_factor"]
+    data = Formula(loaded, LIMIT_ALPHA_DEG + (factor - 1.0) / 0.01 - threshold(p))
+    level = loaded.campaign.success, loaded.campaign.confidence
+    return campaign_requirements(CampaignResult("", "", Path(), runs, False, *level, tuple(judged(data)), "", None))
+
+
+def settled(changes: list[str], seed: int, shares: tuple[float, float], steps: int) -> str:
+    """The verdict of the standard suite on a vehicle; `steps`: how often the advice for more runs is followed."""
+    suite = read_suite("standard", changes).suite
+    margins, flights = suite.margins, suite.campaign[0]
+    assert margins is not None
+    limits = MarginLimits(phase_deg=LIMIT_DEG)
+    wanted = margins.model_copy(
+        update={"nominal": limits, "dispersed": limits, "corner_sigmas": 0.0, "seed": margins.seed + 1000 * seed}
+    )
+    level = {k: getattr(flights, k) or getattr(campaign().campaign, k) for k in ("runs", "success", "confidence")}
+    loaded = campaign().with_campaign(**level, seed=(flights.seed or 0) + 1000 * seed + 500)
+    p = [share * (1.0 - success) for share, success in zip(shares, (wanted.success, level["success"]), strict=True)]
+    for step in range(steps + 1):
+        linear, flown = linear_part(wanted, p[0]), flown_part(loaded, p[1])
+        more = max(r.more_runs for r in linear), max(r.more_runs for r in flown)
+        verdict = overall([*linear, *flown])
+        if (
+            verdict != UNDECIDED
+            or step == steps
+            or wanted.cases + more[0] > MOST_VEHICLES
+            or loaded.campaign.runs + more[1] > MOST_RUNS
+        ):
+            break
+        wanted = wanted.model_copy(update={"cases": wanted.cases + more[0]})
+        loaded = loaded.with_campaign(runs=loaded.campaign.runs + more[1])
+    return verdict
+
+
+def once(seed: int, shares: tuple[float, float]) -> str:
+    return settled([], seed, shares, 0)
+
+
+def advised(seed: int, shares: tuple[float, float]) -> str:
+    return settled([], seed, shares, MOST_STEPS)
+
+
+def best_of_four(seed: int, shares: tuple[float, float]) -> str:
+    loaded = read_suite("standard")
+    found = [
+        settled(shared_risk(loaded, [campaign().campaign], 4, number), 10_000 + seed, shares, MOST_STEPS)
+        for number in range(4)
+    ]
+    return ACCEPTED if ACCEPTED in found else UNDECIDED if UNDECIDED in found else REJECTED
+
+
+USERS = {"once": once, "follows the advice": advised, "takes any of four designs": best_of_four}
+
+
+def rows(suites: int) -> list[str]:
+    heads = [f"{user}: accepted | rejected" for user in USERS]
+    out = [f"| p / allowed, linear | flown | {' | '.join(heads)} |", "|---" * (2 + 2 * len(USERS)) + "|"]
+    for shares in SHARES:
+        cells = []
+        for judge in USERS.values():
+            count = Counter(judge(seed, shares) for seed in range(suites))
+            cells += [f"{100.0 * count[word] / suites:.1f} %" for word in (ACCEPTED, REJECTED)]
+        out.append(f"| {shares[0]:g} | {shares[1]:g} | {' | '.join(cells)} |")
+        print(out[-1], flush=True)
+    return out
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--suites", type=int, default=400, help="judged for each row and user")
+    rewrite(VERIFICATION, "verdicts", "\n".join(rows(parser.parse_args().suites)))
+
+
+if __name__ == "__main__":
+    main()
