@@ -1,15 +1,16 @@
 """Mutations: does a quick test fail when one token of the source is changed?
 
-    python -m maxq.tools.dev.mutations map --work DIR              which quick test runs which line (once)
-    python -m maxq.tools.dev.mutations run --work DIR              draw mutants, run the tests that can see each
-    python -m maxq.tools.dev.mutations run --work DIR --only 17,40 the same mutants again, after new tests
-    python -m maxq.tools.dev.mutations table --work DIR            counts by package, and the survivors
+    python -m maxq.tools.dev.mutations map --work DIR --mode MODE      how long each quick test takes, and what it calls
+    python -m maxq.tools.dev.mutations run --work DIR --mode MODE      draw mutants, run the tests that can see each
+    python -m maxq.tools.dev.mutations confirm --work DIR              what is left, changed in a copy of the tree
+    python -m maxq.tools.dev.mutations table --work DIR                counts by package, and the survivors
 
-Every worker has a copy of the tree under DIR, at a path of its own, and a cache of kernels of its own. A kernel's
-mutant meets the tests with kernels as plain Python first (`NUMBA_DISABLE_JIT=1`): compiling takes a minute, and is left
-to what survives. Tests that run the changed statement come first, then the rest of their files, then what touches the
-module. Answers are appended to DIR/results.jsonl; what stands there is not run again. DIR/map-*.json hold what `map`
-measured.
+MODE: `plain`, kernels as plain Python (`NUMBA_DISABLE_JIT=1`), for mutants in control, sim/vehicle and sim/flight: of
+these each would be compiled for a minute or more. `compiled` for all others. Each mutant is met in a forked process
+that has imported everything: the living functions get the changed code. The tests that call the function come first,
+the quickest first, then what touches the module. What is no part of a function's code meets its tests in `confirm`:
+compiled, in a copy of the tree with a cache of its own. `--named`: the faults of harness_mutants.py. Answers are
+appended to DIR/results.jsonl; what stands there is not run again. `--part 1 --parts 2` shares the work.
 
 Not drawn: documentation, annotations, imports, messages of exceptions, f-strings, decorators, and tolerances (powers of
 ten below 1e-3): a change there is equivalent, or is no fault of the model. A comparison is shifted by its equal case
@@ -27,6 +28,7 @@ import itertools
 import json
 import os
 import random
+import re
 import resource
 import shutil
 import signal
@@ -39,11 +41,12 @@ from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
-import coverage
 import pytest
 from _pytest.runner import runtestprotocol
+
+from maxq.tools.dev.harness_mutants import NAMED
 
 ROOT = Path(__file__).resolve().parents[2]
 PACKAGES = {
@@ -54,7 +57,7 @@ PACKAGES = {
                "design/optimise"),
     "statistics": ("sim/campaign", "design/verify"),
 }  # fmt: skip
-FIRST = "tests/test_regression_nominal.py"  # the strongest test of a compiled flight
+FIRST = "tests/test_regression_nominal.py"  # the strongest test of a compiled flight, and the first in `confirm`
 COMPILED_FROM = ("control/", "sim/vehicle/", "sim/flight/")  # a change in these compiles all kernels anew
 OPERATORS: dict[type[ast.AST], tuple[str, tuple[str, ...]]] = {
     ast.Add: ("+", ("-",)), ast.Sub: ("-", ("+",)), ast.Mult: ("*", ("/",)), ast.Div: ("/", ("*",)),
@@ -133,10 +136,6 @@ def _sites(source: str) -> Iterator[tuple[int, int, str, tuple[str, ...]]]:
     yield from sorted(set(found))
 
 
-def _begin(node: ast.stmt) -> tuple[int, int]:
-    return node.lineno, node.col_offset
-
-
 def _end(node: ast.expr | ast.stmt) -> tuple[int, int]:
     return node.end_lineno or 0, node.end_col_offset or 0
 
@@ -169,192 +168,73 @@ def drawn(number: int, seed: int) -> list[Mutant]:
     return out
 
 
-# --- running the tests in a copy of the tree
+def named() -> list[Mutant]:
+    """The faults of harness_mutants.py."""
+    out = list[Mutant]()
+    for file, text, new, what in NAMED:
+        before, old, after = re.split("[«»]", text)
+        source = (ROOT / file).read_text()
+        assert source.count(before + old + after) == 1, (file, text)
+        lines = source[: source.index(before + old + after) + len(before)].split("\n")
+        out.append(Mutant(1000 + len(out), what, file, len(lines), len(lines[-1].encode()), old, new))
+    return out
 
 
-def _copy(folder: Path) -> dict[str, str]:
-    """A copy of what git knows, and an environment in which `maxq` is this copy."""
-    tree = folder / "tree"
-    if not tree.exists():
-        names = subprocess.run(["git", "ls-files", "-z"], cwd=ROOT, capture_output=True, check=True, text=True).stdout
-        for name in filter(None, names.split("\0")):
-            (tree / name).parent.mkdir(parents=True, exist_ok=True)
-            shutil.copy2(ROOT / name, tree / name, follow_symlinks=False)
-    links = folder / "python" / "maxq"
-    if not links.exists():
-        links.mkdir(parents=True)
-        for layer in ("control", "sim", "design", "tools", "scenarios"):
-            (links / layer).symlink_to(tree / layer)
-        (links.parent / "sitecustomize.py").write_text("import coverage\ncoverage.process_startup()\n")  # of `map`
-    (folder / "cache").mkdir(mode=0o700, exist_ok=True)
-    here = {"PYTHONPATH": str(links.parent), "XDG_CACHE_HOME": str(folder / "cache"), "MPLBACKEND": "Agg"}
-    return {**os.environ, **here, "PYTHONDONTWRITEBYTECODE": "1"}
+def changed(mutant: Mutant) -> str:
+    lines = (ROOT / mutant.file).read_text().split("\n")
+    text = lines[mutant.line - 1].encode()  # ast counts bytes
+    end = mutant.column + len(mutant.old.encode())
+    assert text[mutant.column : end] == mutant.old.encode()
+    lines[mutant.line - 1] = (text[: mutant.column] + mutant.new.encode() + text[end:]).decode()
+    return "\n".join(lines)
 
 
-def _pytest(folder: Path, mode: str, tests: list[str], limit_s: float, *options: str, **more: str) -> tuple[int, str]:
-    """Exit code and output; None of its processes outlives it. Code -1: time-out."""
-    environment = {**_copy(folder), **({"NUMBA_DISABLE_JIT": "1"} if mode == "plain" else {}), **more}
-    run = [sys.executable, *options, "-m", "pytest", "-q", "-m", "not slow", "-p", "no:cacheprovider", "--tb=line"]
-    run += ["-rfE", "--ignore-glob=*packaging*", *tests]  # those ask whether maxq can be installed, and take long
-    with (folder / "output.txt").open("w+") as output:
-        process = subprocess.Popen(run, cwd=folder / "tree", env=environment, stdout=output, stderr=subprocess.STDOUT,
-                                   stdin=subprocess.DEVNULL, start_new_session=True)  # fmt: skip
-        try:
-            code = process.wait(limit_s)
-        except subprocess.TimeoutExpired:
-            code = -1
-        finally:
-            _kill(process.pid)
-            process.wait()
-        output.seek(0)
-        return code, output.read()
+# --- in a process that has imported everything
 
-
-def _kill(group: int) -> None:
-    with contextlib.suppress(ProcessLookupError):
-        os.killpg(group, signal.SIGKILL)
-
-
-# --- which test runs which line
-
-
-class _Watch:
-    """Within pytest: lines by test, how long each took and whether it passed; what takes over `limit_s` fails."""
-
-    def __init__(self, out: Path, limit_s: int) -> None:
-        self.out, self.limit_s = out, limit_s
-        self.tests: dict[str, list[Any]] = {}
-        os.environ["COVERAGE_PROCESS_START"] = os.environ["MUTATIONS_RC"]
-        signal.signal(signal.SIGPROF, lambda *_: pytest.fail("too long for this"))
-
-    def pytest_runtest_setup(self, item: pytest.Item) -> None:
-        current = coverage.Coverage.current()
-        assert current
-        current.switch_context(item.nodeid)
-        signal.setitimer(signal.ITIMER_PROF, self.limit_s)
-
-    def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
-        entry = self.tests.setdefault(report.nodeid, [0.0, True])
-        entry[0] += report.duration
-        entry[1] &= report.passed
-        if report.when == "call":
-            signal.setitimer(signal.ITIMER_PROF, 0)
-
-    def pytest_sessionfinish(self) -> None:
-        self.out.write_text(json.dumps(self.tests))
-
-
-def pytest_configure(config: pytest.Config) -> None:
-    config.pluginmanager.register(_Watch(Path(os.environ["MUTATIONS_TESTS"]), int(os.environ["MUTATIONS_LIMIT"])))
-
-
-def measure(work: Path, mode: str, limit_s: int, tests: list[str]) -> None:
-    """Write work/map-MODE.json: tests (seconds, passed) and, by file and line, the numbers of the tests that run it."""
-    folder = work / "w0"
-    _copy(folder)
-    data, rc, seen = work / f"coverage-{mode}", work / "coverage.rc", work / f"tests-{mode}.json"
-    sources = ", ".join(str(folder / "tree" / layer) for layer in ("control", "sim", "design", "tests"))
-    rc.write_text(f"[run]\nsource={sources}\nparallel=true\ndata_file={data}\ncontext=${{PYTEST_CURRENT_TEST-}}\n")
-    more = {"MUTATIONS_RC": str(rc), "MUTATIONS_TESTS": str(seen), "MUTATIONS_LIMIT": str(limit_s)}
-    watch = ["-p", "maxq.tools.dev.mutations", *tests]
-    code, output = _pytest(folder, mode, watch, 7200.0, "-m", "coverage", "run", f"--rcfile={rc}", **more)
-    print(f"{mode}: exit {code}: {output.splitlines()[-1]}")
-    whole = coverage.Coverage(data_file=str(data), config_file=False)
-    whole.combine([str(work)])
-    took = json.loads(seen.read_text())
-    names = [name for name, (_, passed) in took.items() if passed]
-    number, lines = {name: k for k, name in enumerate(names)}, {}
-    for file in whole.get_data().measured_files():
-        by_line = {
-            at: sorted({number[n] for n in (c.rsplit(" (", 1)[0] for c in contexts) if n in number})
-            for at, contexts in whole.get_data().contexts_by_lineno(file).items()
-        }
-        lines[Path(file).relative_to(folder / "tree").as_posix()] = {at: by for at, by in by_line.items() if by}
-    (work / f"map-{mode}.json").write_text(json.dumps({"tests": [[n, took[n][0]] for n in names], "lines": lines}))
-
-
-def _tests_for(mutant: Mutant, mapped: dict[str, Any], budget_s: float) -> tuple[list[str], float]:
-    """Tests, nearest first, and how long they take: what runs the statement, its files, what runs the module."""
-    lines, tests = mapped["lines"].get(mutant.file, {}), mapped["tests"]
-    spans = [(n.lineno, n.end_lineno or 0) for n in ast.walk(ast.parse((ROOT / mutant.file).read_text()))
-             if isinstance(n, ast.stmt) and n.lineno <= mutant.line <= (n.end_lineno or 0)]  # fmt: skip
-    first, last = min(spans, key=lambda span: span[1] - span[0])
-    near = set(lines.get(str(mutant.line), ())) or {k for at in range(first, last + 1) for k in lines.get(str(at), ())}
-    files = {tests[k][0].split("::")[0] for k in near}
-    module = {k for by in lines.values() for k in by}
-    same = {k for k in module if tests[k][0].split("::")[0] in files} - near
-    order = [k for group in (near, same, module - near - same) for k in sorted(group, key=lambda k: tests[k][1])]
-    out, total = [], 0.0
-    for k in order:
-        if total + tests[k][1] <= budget_s:
-            out.append(tests[k][0])
-            total += tests[k][1]
-    return out, total
-
-
-def _flights(mapped: dict[str, Any], budget_s: float) -> list[str]:
-    """Tests that fly, or evaluate the derivative: coverage does not see into compiled kernels."""
-    files = [mapped["lines"].get(file, {}) for file in ("sim/run/fly.py", "sim/run/evaluate.py", "tests/flightkit.py")]
-    order = sorted({k for lines in files for by in lines.values() for k in by}, key=lambda k: mapped["tests"][k][1])
-    total = itertools.accumulate(mapped["tests"][k][1] for k in order)
-    return [mapped["tests"][k][0] for k, s in zip(order, total, strict=True) if s <= budget_s]
-
-
-# --- mutants in a process that has imported everything: the changed code is put into the living functions
+Map = dict[str, tuple[float, list[str]]]
+"""Of each test: processor seconds, and what it calls, FILE:QUALIFIED_NAME."""
 
 
 class _Server:
-    """Within pytest, in place of its loop: a forked process for each mutant runs its tests until one fails."""
+    """Within pytest, in place of its loop."""
 
-    def __init__(self, mutants: list[Mutant], mapped: dict[str, Any], given: argparse.Namespace) -> None:
-        self.mutants, self.mapped, self.given = mutants, mapped, given
+    def __init__(self, mutants: list[Mutant], known: Map, given: argparse.Namespace) -> None:
+        self.mutants, self.known, self.given = mutants, known, given
 
     def pytest_runtestloop(self, session: pytest.Session) -> bool:
-        items, seen = {item.nodeid: item for item in session.items}, self._warmed(session)
+        signal.signal(signal.SIGPROF, lambda *_: pytest.skip("takes too long here"))
+        items = {item.nodeid: item for item in session.items}
+        if self.given.do == "map":
+            self._measure(list(items.values()))
+            return True
+        for item in (i for n, i in items.items() if self.given.warm and n.startswith(tuple(self.given.warm))):
+            runtestprotocol(item, nextitem=None, log=False)  # what oracles keep, and compiled code, is there for all
         for mutant in self.mutants:
-            tests, expected_s = _tests_for(mutant, self.mapped, self.given.budget)
-            name, own = _holder(mutant), [n for n, _ in self.mapped["tests"]]
-            more = sorted((took, n) for n, (took, calls) in seen.items() if (mutant.file, name) in calls)
-            near = self.mapped["lines"].get(mutant.file, {}).get(str(mutant.line), ())
-            tests = list(dict.fromkeys([*(own[k] for k in near if own[k] in tests), *(n for _, n in more), *tests]))
-            chosen, began = [items[n] for n in tests if n in items], time.monotonic()
-            answer = self.given.work / f"answer-{os.getpid()}.json"
-            answer.write_text(json.dumps({"status": "died"}))
+            tests = [n for n in _tests_for(mutant, self.known, self.given.budget) if n in items]
+            answer, began = self.given.work / f"answer-{os.getpid()}.json", time.monotonic()
+            answer.write_text(json.dumps({"status": "killed", "how": "the process died"}))
             child = os.fork()
             if child == 0:
-                _meet(mutant, chosen, answer, expected_s + sum(took for took, _ in more), self.given.most)
-            _, code = os.waitpid(child, 0)
+                _meet(mutant, [items[n] for n in tests], answer, self.given)
+            os.waitpid(child, 0)
             _kill(child)
-            out = json.loads(answer.read_text())
-            if out["status"] == "died":
-                out = {"status": "killed", "how": f"signal {code & 127}"}
-            took = {"mode": self.given.mode, "tests": len(chosen), "seconds": round(time.monotonic() - began, 1)}
-            _keep(self.given.work, mutant, {**out, **took})
+            took = {"mode": self.given.mode, "tests": len(tests), "seconds": round(time.monotonic() - began, 1)}
+            _keep(self.given.work, mutant, {**json.loads(answer.read_text()), **took})
         return True
 
-    def _warmed(self, session: pytest.Session) -> dict[str, tuple[float, set[tuple[str, str]]]]:
-        """Run tests that are to be warm here, so that oracles and compiled flights they keep are there for all; how
-        long each took, and the functions it called. What fails without a mutant is left out.
-        """
-        out, warm = {}, [i for i in session.items if i.nodeid.startswith(tuple(self.given.warm)) and self.given.warm]
-        for item, after in zip(warm, [*warm[1:], None], strict=True):
-            calls: set[types.CodeType] = set()
-            began = time.process_time()
-            signal.setitimer(signal.ITIMER_PROF, 60.0 if "dynamics.py" in item.nodeid or "lagrange" in item.nodeid else self.given.most)
+    def _measure(self, items: list[pytest.Item]) -> None:
+        for item, after in zip(items, [*items[1:], None], strict=True):
+            calls, began = set[types.CodeType](), time.process_time()
+            signal.setitimer(signal.ITIMER_PROF, self.given.most)
             sys.setprofile(partial(_note, calls))
             reports = runtestprotocol(item, nextitem=after, log=False)
             sys.setprofile(None)
-            signal.setitimer(signal.ITIMER_PROF, 0)
-            took = time.process_time() - began
-            good = all(report.passed for report in reports)
-            print(f"{took:6.1f} s {'passed' if good else 'LEFT OUT'} {item.nodeid}", file=sys.__stderr__, flush=True)
-            if good:
-                top = f"{ROOT}{os.sep}"
-                ours = {
-                    (c.co_filename.removeprefix(top), c.co_qualname) for c in calls if c.co_filename.startswith(top)
-                }
-                out[item.nodeid] = took, ours
-        return out
+            signal.setitimer(signal.ITIMER_PROF, 0.0)
+            if all(report.passed for report in reports):  # what fails without a mutant, or takes too long, is left out
+                ours = [c for c in calls if c.co_filename.startswith(f"{ROOT}{os.sep}")]
+                names = sorted(f"{Path(c.co_filename).relative_to(ROOT).as_posix()}:{c.co_qualname}" for c in ours)
+                self.known[item.nodeid] = time.process_time() - began, names
+        (self.given.work / f"map-{self.given.mode}.json").write_text(json.dumps(self.known))
 
 
 def _note(calls: set[types.CodeType], frame: types.FrameType, event: str, _: object) -> None:
@@ -362,14 +242,21 @@ def _note(calls: set[types.CodeType], frame: types.FrameType, event: str, _: obj
         calls.add(frame.f_code)
 
 
-def _too_long(*_: object) -> None:
-    pytest.skip("takes too long here")
+def _tests_for(mutant: Mutant, known: Map, budget_s: float) -> list[str]:
+    """What calls the function, then what touches the module; fixtures and caches may have been filled by others."""
+    own, module = f"{mutant.file}:{_holder(mutant)}", f"{mutant.file}:"
+    near = [n for n, (_, calls) in known.items() if own in calls]
+    files = {n.split("::")[0] for n in near}
+    other = [n for n, (_, calls) in known.items() if n not in near and any(c.startswith(module) for c in calls)]
+    groups = (near, [n for n in known if n.split("::")[0] in files], other)
+    order = dict.fromkeys(n for group in groups for n in sorted(group, key=lambda n: known[n][0]))
+    total = itertools.accumulate(known[n][0] for n in order)
+    return [n for n, seconds in zip(order, total, strict=True) if seconds <= budget_s]
 
 
 def _holder(mutant: Mutant) -> str:
-    """Qualified name of the innermost function or method around a mutant; empty: it is outside of any."""
-    names = list[str]()
-    node: ast.AST = ast.parse((ROOT / mutant.file).read_text())
+    """Qualified name of the innermost function or class around a mutant; empty: it is outside of any."""
+    names, node = list[str](), cast("ast.AST", ast.parse((ROOT / mutant.file).read_text()))
     while True:
         inside = [
             n for n in ast.walk(node) if n is not node and isinstance(n, (ast.FunctionDef, ast.ClassDef))
@@ -378,59 +265,46 @@ def _holder(mutant: Mutant) -> str:
         if not inside:
             return ".".join(names)
         inner = min(inside, key=lambda n: n.lineno)
-        names += [inner.name] if not names or isinstance(node, ast.ClassDef) else ["<locals>", inner.name]
+        names += ["<locals>", inner.name] if isinstance(node, ast.FunctionDef) else [inner.name]
         node = inner
 
 
-def _meet(mutant: Mutant, tests: list[pytest.Item], answer: Path, expected_s: float, most: float) -> None:
+def _meet(mutant: Mutant, tests: list[pytest.Item], answer: Path, given: argparse.Namespace) -> None:
     """In the forked process: change the code, run the tests, write the answer, end."""
     os.setsid()
     null = os.open(os.devnull, os.O_RDWR)
     for stream in (0, 1, 2):
         os.dup2(null, stream)
-    limit = int(60.0 + 5.0 * expected_s)
+    limit = int(60.0 + 5.0 * given.budget)  # an endless loop ends here
     resource.setrlimit(resource.RLIMIT_CPU, (limit, limit))
-    out = {"status": "survived"} if _patch(mutant) else {"status": "not patched"}
-    if out["status"] == "survived":
-        for item, after in zip(tests, [*tests[1:], None], strict=True):
-            signal.setitimer(signal.ITIMER_PROF, most)
-            bad = [report for report in runtestprotocol(item, nextitem=after, log=False) if report.failed]
-            if bad:
-                lines = str(bad[0].longrepr).splitlines()
-                out = {
-                    "status": "killed",
-                    "how": f"{item.nodeid}: {next((x for x in lines if x[:2] == 'E '), '')}"[:300],
-                }
-                break
+    out = {"status": "survived" if _patch(mutant) else "not patched"}
+    for item, after in zip(tests, [*tests[1:], None], strict=True) if out["status"] == "survived" else ():
+        signal.setitimer(signal.ITIMER_PROF, given.most)
+        bad = [report for report in runtestprotocol(item, nextitem=after, log=False) if report.failed]
+        if bad:
+            said = next((x for x in str(bad[0].longrepr).splitlines() if x[:2] == "E "), "")
+            out = {"status": "killed", "how": f"{item.nodeid}: {said}"[:300]}
+            break
     answer.write_text(json.dumps(out))
     os._exit(0)
 
 
 def _patch(mutant: Mutant) -> int:
     """Give every living function that holds the mutant its changed code; how many there are."""
-    path = ROOT / mutant.file
-    source = _changed(mutant, path.read_text())
-    outer = [n for n in ast.walk(ast.parse(source)) if isinstance(n, ast.FunctionDef) and _inside(n, mutant)]
+    path, source = str(ROOT / mutant.file), changed(mutant)
+    outer = [
+        n for n in ast.walk(ast.parse(source)) if isinstance(n, ast.FunctionDef)  # its body: defaults are no code
+        and (n.body[0].lineno, n.body[0].col_offset) <= (mutant.line, mutant.column) < _end(n)
+    ]  # fmt: skip
     if not outer:
         return 0
-    first = min(outer, key=lambda n: n.lineno)
-    codes = {c.co_qualname: c for c in _codes(compile(source, str(path), "exec")) if c.co_name == first.name}
-    living = [f for f in gc.get_objects() if isinstance(f, types.FunctionType) and f.__code__.co_filename == str(path)]
-    living = [
-        f for f in living if f.__code__.co_qualname in codes and _at(f.__code__) == _at(codes[f.__code__.co_qualname])
-    ]
-    for function in living:
-        function.__code__ = codes[function.__code__.co_qualname]
-    return len(living)
-
-
-def _inside(function: ast.FunctionDef, mutant: Mutant) -> bool:
-    """Within the body: defaults and decorators are not part of a function's code."""
-    return _begin(function.body[0]) <= (mutant.line, mutant.column) < _end(function)
-
-
-def _at(code: types.CodeType) -> int:
-    return code.co_firstlineno
+    name = min(outer, key=lambda n: n.lineno).name
+    codes = {(c.co_qualname, c.co_firstlineno): c for c in _codes(compile(source, path, "exec")) if c.co_name == name}
+    living = [f for f in gc.get_objects() if isinstance(f, types.FunctionType) and f.__code__.co_filename == path]
+    places = [(f, (f.__code__.co_qualname, f.__code__.co_firstlineno)) for f in living]
+    for function, place in places:
+        function.__code__ = codes.get(place, function.__code__)
+    return sum(place in codes for _, place in places)
 
 
 def _codes(code: types.CodeType) -> Iterator[types.CodeType]:
@@ -440,108 +314,105 @@ def _codes(code: types.CodeType) -> Iterator[types.CodeType]:
             yield from _codes(constant)
 
 
-def _changed(mutant: Mutant, source: str) -> str:
-    lines = source.split("\n")
-    text = lines[mutant.line - 1].encode()  # ast counts bytes
-    assert text[mutant.column :].startswith(mutant.old.encode())
-    lines[mutant.line - 1] = (
-        text[: mutant.column] + mutant.new.encode() + text[mutant.column + len(mutant.old) :]
-    ).decode()
-    return "\n".join(lines)
+def _kill(group: int) -> None:
+    with contextlib.suppress(ProcessLookupError):
+        os.killpg(group, signal.SIGKILL)
 
 
 def _keep(work: Path, mutant: Mutant, answer: dict[str, Any]) -> None:
     source = (ROOT / mutant.file).read_text().split("\n")[mutant.line - 1].strip()
-    line = json.dumps({**asdict(mutant), "source": source, **answer})
     with (work / "results.jsonl").open("a") as file:
-        file.write(line + "\n")
+        file.write(json.dumps({**asdict(mutant), "source": source, **answer}) + "\n")
 
 
-# --- mutants in a copy of the tree, compiled: what the processes above could not change, and what survived there
+# --- in a copy of the tree
 
 
-def judge(mutant: Mutant, folder: Path, maps: dict[str, Any], budget_s: float) -> dict[str, Any]:
-    """Change the file, run the stages until one fails, put the file back as it was."""
-    _copy(folder)
-    path, began = folder / "tree" / mutant.file, time.monotonic()
-    shutil.copy2(ROOT / mutant.file, path)
-    source, stamp = path.read_text(), path.stat()
-    compiled_anew = mutant.file.startswith(COMPILED_FROM)
-    kept = set((folder / "cache").glob("maxq/*"))
-    out: dict[str, Any] = {"stages": [], "status": "survived", "mode": "copy"}
-    try:
-        path.write_text(_changed(mutant, source))
-        for mode in ("plain", "compiled") if compiled_anew else ("compiled",):
-            tests, expected_s = _tests_for(mutant, maps[mode], budget_s)
-            if mode == "compiled" and compiled_anew:
-                tests = list(dict.fromkeys([FIRST, *tests, *_flights(maps[mode], budget_s)]))
-                expected_s += 600.0 + budget_s
-            if not tests:
-                continue
-            code, output = _pytest(folder, mode, ["-x", *tests], 120.0 + 5.0 * expected_s)
-            out["stages"].append([mode, len(tests), code])
-            if code not in (0, 5):
-                said = [line for line in output.splitlines() if line.startswith(("FAILED", "ERROR", "E "))]
-                how = "time-out" if code == -1 else (said or output.splitlines() or [str(code)])[-1][:300]
-                out |= {"status": "killed", "how": how}
-                break
-    finally:
-        path.write_text(source)
-        os.utime(path, ns=(stamp.st_atime_ns, stamp.st_mtime_ns))
-        for made in set((folder / "cache").glob("maxq/*")) - kept if compiled_anew else ():
-            shutil.rmtree(made)
-    return out | {"seconds": round(time.monotonic() - began, 1)}
+def confirm(mutant: Mutant, folder: Path, known: Map, budget_s: float) -> dict[str, Any]:
+    """Change the file in a copy of what git knows, run the tests there, compiled; none of its processes is left."""
+    tree, links = folder / "tree", folder / "python" / "maxq"
+    if not tree.exists():
+        names = subprocess.run(["git", "ls-files", "-z"], cwd=ROOT, capture_output=True, check=True, text=True).stdout
+        for name in filter(None, names.split("\0")):
+            (tree / name).parent.mkdir(parents=True, exist_ok=True)
+            shutil.copy2(ROOT / name, tree / name, follow_symlinks=False)
+        links.mkdir(parents=True)
+        for layer in ("api", "control", "sim", "design", "tools", "scenarios"):
+            (links / layer).symlink_to(tree / layer)
+        (folder / "cache").mkdir(mode=0o700)
+    kernels, tests = mutant.file.startswith(COMPILED_FROM), _tests_for(mutant, known, budget_s)
+    fly = sorted((n for n, (_, calls) in known.items() if "sim/run/fly.py:fly" in calls), key=lambda n: known[n][0])
+    tests = list(dict.fromkeys([FIRST, *tests, *fly])) if kernels or not tests else tests
+    environment = {**os.environ, "PYTHONPATH": str(links.parent), "XDG_CACHE_HOME": str(folder / "cache")}
+    run = [sys.executable, "-m", "pytest", "-q", "-x", "-m", "not slow", "-p", "no:cacheprovider", "-rfE", *tests]
+    kept, began = set((folder / "cache").glob("maxq/*")), time.monotonic()
+    path = tree / mutant.file
+    path.write_text(changed(mutant))
+    with (folder / "output.txt").open("w+") as output:
+        process = subprocess.Popen(run, cwd=tree, env=environment, stdin=subprocess.DEVNULL, stdout=output,
+                                   stderr=subprocess.STDOUT, start_new_session=True)  # fmt: skip
+        try:
+            code = process.wait(1800.0)
+        except subprocess.TimeoutExpired:
+            code = -1
+        finally:
+            _kill(process.pid)
+            process.wait()
+            shutil.copy2(ROOT / mutant.file, path)
+        output.seek(0)
+        said = [line for line in output.read().splitlines() if line.startswith(("FAILED", "ERROR", "E "))]
+    for made in set((folder / "cache").glob("maxq/*")) - kept if kernels else ():
+        shutil.rmtree(made)
+    how = "time-out" if code == -1 else (said or [f"exit {code}"])[-1][:300]
+    answer = {"status": "survived"} if code in (0, 5) else {"status": "killed", "how": how}
+    return {**answer, "mode": "copy", "tests": len(tests), "seconds": round(time.monotonic() - began, 1)}
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("do", choices=["map", "run", "confirm", "table"])
-    parser.add_argument("tests", nargs="*", help="of `map`: these tests only")
-    parser.add_argument("--work", type=Path, required=True, help="folder for copies, caches, maps and results")
-    parser.add_argument("--mode", choices=["plain", "compiled"], help="of `map` and `run`")
+    parser.add_argument("tests", nargs="*", help="of `map`: these files only")
+    parser.add_argument("--work", type=Path, required=True, help="folder for copies, maps and results")
+    parser.add_argument("--mode", choices=["plain", "compiled"], default="compiled")
     parser.add_argument("--number", type=int, default=200)
     parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--named", action="store_true", help="the faults of harness_mutants.py")
+    parser.add_argument("--only", help="numbers of mutants, with commas; run again whatever results.jsonl says")
     parser.add_argument("--part", type=int, default=1, help="of --parts, each in a process of its own")
     parser.add_argument("--parts", type=int, default=1)
-    parser.add_argument("--warm", nargs="*", default=[], help="tests, by their beginnings, that run before all mutants")
+    parser.add_argument("--budget", type=float, default=60.0, help="processor seconds of tests for a mutant, as mapped")
     parser.add_argument("--most", type=float, default=20.0, help="processor seconds of one test; then it is left out")
-    parser.add_argument("--only", help="numbers of mutants, with commas; run again whatever results.jsonl says")
-    parser.add_argument("--budget", type=float, default=200.0, help="seconds of tests for a mutant and mode, as mapped")
+    parser.add_argument(
+        "--warm", nargs="*", default=[], help="of `run`: beginnings of tests that run before all mutants"
+    )
     given = parser.parse_intermixed_args()
-    work: Path = given.work.resolve()
-    work.mkdir(parents=True, exist_ok=True)
-    results = work / "results.jsonl"
+    given.work = given.work.resolve()
+    given.work.mkdir(parents=True, exist_ok=True)
+    results, mapped = given.work / "results.jsonl", given.work / f"map-{given.mode}.json"
     done = {r["number"]: r for r in map(json.loads, results.read_text().splitlines())} if results.exists() else {}
-    if given.do == "map":
-        for mode in [given.mode] if given.mode else ["plain", "compiled"]:
-            measure(work, mode, 8 if mode == "plain" else 60, given.tests)
-    elif given.do == "table":
-        table(list(done.values()))
+    known: Map = json.loads(mapped.read_text()) if mapped.exists() and given.do != "map" else {}
+    mutants = named() if given.named else drawn(given.number, given.seed)
+    if given.only:
+        mutants = [m for m in mutants if m.number in {int(n) for n in given.only.split(",")}]
+    elif given.do == "run":
+        kernels = given.mode == "plain"
+        mutants = [m for m in mutants if m.number not in done and m.file.startswith(COMPILED_FROM) == kernels]
     else:
-        mutants = drawn(given.number, given.seed)
-        each = given.number // len(PACKAGES)  # packages in turn, so that an early end says something of each
-        mutants.sort(key=lambda m: (m.number % each, m.number))
-        if given.only:
-            mutants = [m for m in mutants if m.number in {int(n) for n in given.only.split(",")}]
-        elif given.do == "run":
-            mutants = [m for m in mutants if m.number not in done]
-        else:
-            mutants = [m for m in mutants if m.number in done and done[m.number]["status"] != "killed"]
-        if given.do == "confirm":
-            maps = {mode: json.loads((work / f"map-{mode}.json").read_text()) for mode in ("plain", "compiled")}
-            for mutant in mutants:
-                _keep(work, mutant, judge(mutant, work / "w0", maps, given.budget))
-            return
-        mutants = [m for m in mutants if m.file.startswith(COMPILED_FROM) == (given.mode == "plain")]
-        mutants = mutants[given.part - 1 :: given.parts]
-        mapped = json.loads((work / f"map-{given.mode}.json").read_text())
+        mutants = [m for m in mutants if done.get(m.number, {}).get("status") not in (None, "killed")]
+    each = given.number // len(PACKAGES)  # packages in turn, so that an early end says something of each
+    mutants = sorted(mutants, key=lambda m: (m.number % each, m.number))[given.part - 1 :: given.parts]
+    if given.do == "table":
+        table([r for r in done.values() if (r["number"] >= 1000) == given.named])
+    elif given.do == "confirm":
+        for mutant in mutants:
+            _keep(given.work, mutant, confirm(mutant, given.work / f"copy-{given.part}", known, given.budget))
+    else:
         if given.mode == "plain":
             os.environ["NUMBA_DISABLE_JIT"] = "1"
         os.chdir(ROOT)
-        signal.signal(signal.SIGPROF, _too_long)
-        files = sorted({name.split("::")[0] for name in (*given.warm, *(name for name, _ in mapped["tests"]))})
+        files = given.tests or sorted({n.split("::")[0] for n in known}) or ["tests"]
         options = ["-s", "-m", "not slow", "-p", "no:cacheprovider", "-p", "no:terminal"]
-        pytest.main([*options, *files], plugins=[_Server(mutants, mapped, given)])
+        pytest.main([*options, "--ignore-glob=*packaging*", *files], plugins=[_Server(mutants, known, given)])
 
 
 def table(done: list[dict[str, Any]]) -> None:
