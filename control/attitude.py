@@ -4,12 +4,13 @@ Two ways to the error, both from the counted gyro increments and from the comman
 
 | `attitude` | theta_e |
 |---|---|
-| `quaternion` | rotation vector, in body axes, from the commanded to the measured attitude |
+| `quaternion` | from the commanded to the measured attitude: the roll, and the tilt of x about y and z of the body |
 | `rate-integral` | per body axis the integral of the measured less that of the commanded rate (Lee, Ahn & Roh eq. 33) |
 
 Rotations about several axes do not commute: the second is an attitude error only as long as the vehicle turns about one
-axis. The first holds at any attitude, for errors below 180 deg. For small errors of one axis both are the same, and so
-is the linear loop.
+axis. The first holds at any attitude, for errors below 180 deg: a large roll error, as in a roll manoeuvre, does not
+turn the axes about which gimbals correct the tilt (a rotation vector's would be turned by half of it). For small errors
+of one axis both are the same, and so is the linear loop.
 """
 
 from __future__ import annotations
@@ -27,7 +28,7 @@ from maxq.control.kernel.vectors import (
     quaternion_at,
     quaternion_of,
     quaternion_product,
-    rotation_vector,
+    roll_and_tilt,
     scaled,
     vector_at,
 )
@@ -104,7 +105,7 @@ def update_attitude_error(
     The clamp bounds what the law sees and moves no reference: an error that comes back from beyond it counts in full.
     """
     turned = quaternion_product(conjugate(quaternion_at(commanded.q, 0)), quaternion_at(state.measured.q, 0))
-    error_rad = rotation_vector(turned)
+    error_rad = roll_and_tilt(turned)
     for axis in range(3):
         state.error_rad[axis] = error_rad[axis] if method == QUATERNION else angle_rad[axis] - commanded_rad[axis]
         state.theta_e_rad[axis] = min(max(state.error_rad[axis], -limit_rad), limit_rad)

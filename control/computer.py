@@ -310,6 +310,8 @@ def call_external(computer: Computer, state: ComputerState, time_s: float) -> No
         inputs.commanded_angle_rad[axis] = guidance.angle_rad[axis]
         inputs.commanded_rate_radps[axis] = guidance.rate_radps[axis]
         inputs.attitude_error_rad[axis] = attitude.theta_e_rad[axis]
+    for k in range(4):
+        inputs.q_BR[k], inputs.commanded_q_BR[k] = attitude.measured.q[k], guidance.attitude.q[k]
     step_external(state.external)
 
 

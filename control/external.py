@@ -39,7 +39,8 @@ class FswInputs:
     `counts`, `delta_angle_rad`: gyro pulses of the sample and the angle that they mean; without quantisation counts are
     0. `angle_rad`: sum of the angles. `rate_radps`: angle of the sample over its period. `commanded_angle_rad`,
     `commanded_rate_radps`: of the guidance programme, with injected rates. `attitude_error_rad`: what the built-in law
-    works on.
+    works on. `q_BR`, `commanded_q_BR`: attitude by the counts and of the guidance, B to R (the body
+    at its start), scalar first.
     """
 
     bytes: int
@@ -55,6 +56,8 @@ class FswInputs:
     commanded_angle_rad: Annotated[Array, (3,)]
     commanded_rate_radps: Annotated[Array, (3,)]
     attitude_error_rad: Annotated[Array, (3,)]
+    q_BR: Annotated[Array, (4,)]
+    commanded_q_BR: Annotated[Array, (4,)]
 
 
 @dataclass

@@ -46,7 +46,9 @@ typedef struct maxq_fsw_inputs {
     double rate_radps[3];           /* delta_angle_rad / sample period */
     double commanded_angle_rad[3];  /* guidance programme: sum of the commanded rates */
     double commanded_rate_radps[3]; /* mean over the sample */
-    double attitude_error_rad[3];   /* limited, as the built-in law has it: rotation vector, or angle less command */
+    double attitude_error_rad[3];   /* limited, as the built-in law has it: roll and tilt, or angle less command */
+    double q_BR[4];                 /* attitude by the counts, body to R: the body at the start; scalar first */
+    double commanded_q_BR[4];       /* of the guidance */
 } maxq_fsw_inputs;
 
 typedef struct maxq_fsw_outputs { /* all 0 before each call, but for bytes */

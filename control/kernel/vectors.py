@@ -135,13 +135,18 @@ def quaternion_of(rotation_vector: Vector) -> Quaternion:
 
 
 @kernel
-def rotation_vector(q: Quaternion) -> Vector:
-    """Rotation vector of a unit quaternion, rad, at most pi long."""
-    sign = -1.0 if q[0] < 0.0 else 1.0
-    sine = math.sqrt(q[1] * q[1] + q[2] * q[2] + q[3] * q[3])
-    # below 1e-4 the series of asin(x)/x is exact to rounding
-    k = 2.0 + sine * sine / 3.0 if sine < 1e-4 else 2.0 * math.atan2(sine, abs(q[0])) / sine
-    return (sign * k * q[1], sign * k * q[2], sign * k * q[3])
+def roll_and_tilt(q: Quaternion) -> Vector:
+    """Of a unit quaternion, B to C: the roll about x, and the rotation vector in axes y and z of B that takes x of C
+    to x of B, rad. Equal to the rotation vector in B for small angles, and for turns about x or square to it.
+    """
+    w, x, y, z = q
+    sine_y, sine_z = 2.0 * (x * z + w * y), 2.0 * (w * z - x * y)
+    sine, cosine = math.sqrt(sine_y * sine_y + sine_z * sine_z), w * w + x * x - y * y - z * z
+    if sine < 1e-4 and cosine > 0.0:
+        k = 1.0 + sine * sine / 6.0  # the series of asin(x)/x, here exact to rounding
+    else:
+        k = math.atan2(sine, cosine) / max(sine, 1e-9)  # opposite: any axis is right
+    return (2.0 * math.atan2(x, w) if w >= 0.0 else 2.0 * math.atan2(-x, -w), k * sine_y, k * sine_z)
 
 
 Symmetric = tuple[float, float, float, float, float, float]  # xx, yy, zz, xy, xz, yz of an inertia *integral*

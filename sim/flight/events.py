@@ -18,9 +18,9 @@ from maxq.control.kernel.vectors import (
     cross,
     quaternion_at,
     quaternion_product,
+    roll_and_tilt,
     rotate,
     rotation_from_quaternion,
-    rotation_vector,
     set_vector,
     vector_at,
 )
@@ -158,7 +158,7 @@ def sample_computer(p: Parameters, pool: Array, memory: Memory, y: Array) -> Non
     start, commanded = memory.truth.start_q_BI, memory.computer.guidance.attitude.q
     wanted = quaternion_product(quaternion_at(start, 0), quaternion_at(commanded, 0))
     turned = quaternion_product(conjugate(wanted), quaternion_at(y, Q_BI))
-    set_vector(memory.truth.error_rad, 0, rotation_vector(turned))
+    set_vector(memory.truth.error_rad, 0, roll_and_tilt(turned))
     for channel in range(2 + 2 * p.vehicle.sizes.further_groups):
         clock.pending_rad[channel] = memory.computer.allocation.angle_rad[channel]
     clock.pending_roll = memory.computer.roll.demand

@@ -100,8 +100,8 @@ def raise_to(extremes: Extremes, metric: int, value: float, now_ns: int) -> None
 
 @dataclass
 class Truth:
-    """`start_q_BI`: attitude at the start, which the computer knows exactly. `error_rad`: rotation vector, in body
-    axes, from the commanded to the true attitude, at the computer's last sample.
+    """`start_q_BI`: attitude at the start, which the computer knows exactly. `error_rad`: roll, and tilt
+    about body axes, from the commanded to the true attitude, at the computer's last sample.
     """
 
     start_q_BI: Annotated[Array, (4,)]

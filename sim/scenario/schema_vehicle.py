@@ -166,7 +166,7 @@ class Computer(Section):
     count_rad: NotNegative = Field(description="angle per pulse of the V/F converter, rad; 0: no quantisation")
     dac_step_deg: NotNegative = optional("step of the output, deg; 0: no quantisation", 0.0)
     attitude: Attitude = optional(
-        "of the attitude error. quaternion: strapdown, the error is a rotation vector in body axes; rate-integral: "
+        "of the attitude error. quaternion: strapdown, the error is roll and tilt about body axes; rate-integral: "
         "integral of each body rate by itself (paper, eq. 33), for vehicles that turn about one axis",
         "quaternion",
     )
