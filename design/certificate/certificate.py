@@ -13,6 +13,8 @@ from maxq.design.certificate.measured_margins import (
     DRIFT_HZ,
     MARGIN_NAMES,
     TOO_LONG,
+    TOO_SLOW,
+    TOO_SMALL,
     UNBOUNDED,
     Drift,
     LimitCycle,
@@ -64,7 +66,7 @@ class MarginRow:
 
     @property
     def agrees(self) -> bool:
-        return self.reason in ("", HELD_GRAVITY, TOO_LONG, UNBOUNDED)
+        return self.reason in ("", HELD_GRAVITY, TOO_LONG, TOO_SLOW, TOO_SMALL, UNBOUNDED)
 
 
 @dataclass(frozen=True)
@@ -177,7 +179,7 @@ def _margin_row(found: MeasuredMargin, pade: Margins, flown: Margins) -> MarginR
         reason = HELD_GRAVITY
     if not reason and not abs(found.difference) <= within:
         reason = UNEXPLAINED
-    if not reason and found.frequency_hz < DRIFT_HZ and not abs(found.measured - sampled) <= within:
+    if not reason and not abs(found.linear - sampled) <= within:
         reason = HELD_GRAVITY
     continuous = bound_of(pade, found.what).value
     return MarginRow(

@@ -23,6 +23,7 @@ from maxq.control.kernel.records import Array
 from maxq.control.structures import MAX_SECTIONS
 from maxq.design.certificate.excitation import (
     DITHER_HZ,
+    LOWEST_BURST_HZ,
     Excited,
     burst_rad,
     dither,
@@ -32,6 +33,7 @@ from maxq.design.certificate.excitation import (
     sine_burst,
 )
 from maxq.design.certificate.held_flight import Change, HeldFlight, slosh_columns, unchanged
+from maxq.design.certificate.response import UNEXPLAINED
 from maxq.design.loop.fixed_path import fixed_path
 from maxq.design.loop.loop import Loop
 from maxq.design.margins.measure import Bound, Margins, margins
@@ -44,15 +46,22 @@ UNITS: dict[MarginName, str] = {"gain_up": "dB", "gain_down": "dB", "delay": "s"
 MARGIN_NAMES: tuple[MarginName, ...] = tuple(UNITS)
 
 MOST_FLIGHTS = 10
-DRIFT_HZ = 0.02  # a critical frequency below it is that of a real root
+DRIFT_HZ = 0.02  # a critical frequency below it is that of the drift, which gravity moves (held_flight.py)
+SLOWEST_HZ = 0.004  # an oscillation below it does not show in a flight of minutes, a real root does
+BEYOND_DB = 6.0  # how far beyond its boundary a root must stay slow to be too slow to be seen
 DITHER_ABOVE_HZ = 2.0  # undithered, the converter sustains an oscillation of some pulses half a dB inside the boundary
+FINE_BELOW_HZ = 0.25  # far below the dither's tones, commands of few steps of the converter are dithered, too
+FEW_STEPS, FINE_STEPS = 100.0, 5.0  # such a command, and the amplitude of each tone of its dither
 RINGS_UP = 4.0  # a burst lasts until the loop at its boundary has amplified it so often, if that is not too long
 LONGEST_BURST_S = 6.0
 TOO_LONG = "longer than can be inserted"  # reason for a delay margin that is not measured
 UNBOUNDED = "nothing bounds it"
+TOO_SMALL = "commands less than a step of the converter"  # reason for a margin of so little gain: not measured
+TOO_SLOW = "grows too slowly to be seen"  # reason for a margin that a slow root bounds, and a flight cannot show
 SATURATED = math.inf  # growth rate where limits are met before it can be measured
 DECAYED = -math.inf  # where the response has decayed before
 SLOWEST_1PS = 1.0 / 160.0  # of a drift: e-fold within the longest flight of a certificate
+FASTEST_UNSEEN_1PS = SLOWEST_1PS + 1.0 / 48.0  # what drifts away evenly is t long at t, from the end of the wait on
 WATCHED_S = 240.0  # for a limit cycle
 STEADY = 0.01  # share by which the amplitudes of the last two quarters of a limit cycle may differ
 _LEAST_WINDOWS = 6
@@ -76,17 +85,18 @@ class BurstTest:
 
 
 def burst_test(frequency_hz: float, build_up_1ps: float = 0.0) -> BurstTest:
-    """At least three turns of burst, six to wait, 25 s and 24 turns to watch; longer for a real root.
+    """At least three turns of burst, six to wait, 25 s and 24 turns to watch; a third of that below LOWEST_BURST_HZ,
+    where turns are long; a step and 160 s for a real root.
 
     `build_up_1ps`: how fast a burst builds up at the stability boundary (`build_up_rate`).
     """
-    if frequency_hz < DRIFT_HZ:
+    if frequency_hz < SLOWEST_HZ:
         return BurstTest(0.0, 8.0, 40.0, 120.0, 10.0)
-    turn = 1.0 / frequency_hz
+    turn, slow = 1.0 / frequency_hz, frequency_hz < LOWEST_BURST_HZ
     burst_s = max(3.0 * turn, min(RINGS_UP / build_up_1ps if build_up_1ps > 0.0 else 0.0, LONGEST_BURST_S))
-    window_s = max(5.0 * turn, min(1.0, 25.0 * turn))
-    watch_s = max(25.0, 24.0 * turn)
-    return BurstTest(frequency_hz, burst_s, 6.0 * turn, watch_s, window_s, 1.0 + build_up_1ps * burst_s)
+    wait_s, watch_s = (2.0 * turn, 8.0 * turn) if slow else (6.0 * turn, max(25.0, 24.0 * turn))
+    window_s = 2.0 * turn if slow else max(5.0 * turn, min(1.0, 25.0 * turn))
+    return BurstTest(frequency_hz, burst_s, wait_s, watch_s, window_s, 1.0 + build_up_1ps * burst_s)
 
 
 @dataclass(frozen=True)
@@ -131,8 +141,14 @@ def measure_margin(held: HeldFlight, loop: Loop, of_loop: Margins, what: MarginN
     most = longest_delay_s(held) if what == "delay" else math.inf
     if 1.02 * linear > most:
         return found(math.nan, TOO_LONG)
+    if is_too_slow(loop, what, bound):
+        grown = measured_growth(held, loop, burst_test(0.0), lambda packed: alter(packed, held, what, linear))
+        tried.append((linear, grown))
+        return found(math.nan, TOO_SLOW if grown <= FASTEST_UNSEEN_1PS else UNEXPLAINED)
     test = burst_test(frequency, build_up_rate(altered(loop, what, linear), frequency))
-    slope = abs(_slope(loop, what, linear))
+    if what == "gain_down" and burst_rad(held, test.frequency_hz) < _step_rad(held):
+        return found(math.nan, TOO_SMALL)
+    slope = abs(_slope(loop, what, bound))
     tolerance = 0.02 if what != "delay" else 0.003 * linear
     at = linear
     for _ in range(MOST_FLIGHTS):
@@ -145,6 +161,18 @@ def measure_margin(held: HeldFlight, loop: Loop, of_loop: Margins, what: MarginN
         if abs(step) < tolerance:
             return found(at)
     return found(at, "not settled")
+
+
+def is_too_slow(loop: Loop, what: MarginName, bound: Bound) -> bool:
+    """Whether what bounds a margin is a slow oscillation that grows e-fold in no flight, however the gain is altered.
+
+    Seen at the boundary and BEYOND_DB past it. In thin air an attitude that nothing holds drifts away like that.
+    """
+    if what == "delay" or not bound.frequency_hz < SLOWEST_HZ:
+        return False
+    past = altered(loop, what, bound.value + BEYOND_DB).closed_poles()
+    slow = past[np.abs(past) < 2.0 * np.pi * LOWEST_BURST_HZ]
+    return bool(bound.frequency_hz > 0.0 and slow.real.max(initial=-math.inf) < SLOWEST_1PS)
 
 
 def following_trial(tried: list[tuple[float, float]], slope: float, most: float, apart: float) -> float:
@@ -167,7 +195,7 @@ def following_trial(tried: list[tuple[float, float]], slope: float, most: float,
 
 def build_up_rate(boundary: Loop, frequency_hz: float) -> float:
     """Rate (1/s) at which a sine at the frequency of a pole on the axis builds up: residue of 1 / (1 + L), its size."""
-    if frequency_hz < DRIFT_HZ:
+    if frequency_hz < SLOWEST_HZ:
         return 0.0
     apart = 1e-4 * frequency_hz
     low, high = boundary.response(np.array([frequency_hz - apart, frequency_hz + apart]))
@@ -186,11 +214,11 @@ def _gain(what: MarginName, amount_db: float) -> float:
     return float(10.0 ** ((amount_db if what == "gain_up" else -amount_db) / 20.0))
 
 
-def _slope(loop: Loop, what: MarginName, at: float) -> float:
-    """Rate of change of the linear loop's fastest growing pole with the alteration, 1/s per unit."""
-    step = 1e-3 * at
-    low, high = (altered(loop, what, x).closed_poles().real.max() for x in (at - step, at + step))
-    return float((high - low) / (2.0 * step))
+def _slope(loop: Loop, what: MarginName, bound: Bound) -> float:
+    """Rate of change of the linear loop's critical pole with the alteration, 1/s per unit."""
+    step, place = 1e-3 * bound.value, 2j * np.pi * bound.frequency_hz
+    low, high = (altered(loop, what, x).closed_poles() for x in (bound.value - step, bound.value + step))
+    return float(np.ptp([p[np.argmin(np.abs(p - place))].real for p in (low, high)]) / (2.0 * step))
 
 
 def measured_growth(held: HeldFlight, loop: Excited, test: BurstTest, change: Change = unchanged) -> float:
@@ -200,14 +228,20 @@ def measured_growth(held: HeldFlight, loop: Excited, test: BurstTest, change: Ch
     signals: tuple[Injection, ...] = (
         gimbal_injection(held.plane, "sine" if sine else "step", amplitude, stop_s=round(test.burst_s, 6), **sine),
     )
+    step_rad = _step_rad(held)
     if test.frequency_hz > DITHER_ABOVE_HZ:
         signals += injections(dither(held, loop, np.array(DITHER_HZ)), held.plane)
+    elif sine and test.frequency_hz < FINE_BELOW_HZ and amplitude * test.growth < FEW_STEPS * step_rad:
+        signals += injections([(FINE_STEPS * step_rad, np.array([hz])) for hz in DITHER_HZ], held.plane)
     run, values = held.fly(test.duration_s, signals, change)
     response = values[:, run.table.index(f"filtered_{held.plane}_deg")]
     first = round((test.burst_s + test.wait_s) / held.sample_s)
     limit = math.degrees(linear_room(held, test.frequency_hz)[0])
-    if len(response) - first < 0.9 * test.watch_s / held.sample_s:
-        return SATURATED if np.abs(response).max(initial=0.0) > limit else math.nan
+    over = np.flatnonzero(np.abs(response) > limit)
+    if sine and test.frequency_hz < FINE_BELOW_HZ and len(over):  # what comes after it is another motion
+        response = response[: over[0]]
+    elif len(response) - first < 0.9 * test.watch_s / held.sample_s:
+        return SATURATED if len(over) else math.nan
     least = 0.15 * math.degrees(amplitude) * test.growth if sine else 0.0
     return growth_rate(response[first:], held.sample_s, test.frequency_hz, test.window_s, limit, least)
 
@@ -227,8 +261,11 @@ def growth_rate(
     turn = weight * np.exp(-2j * np.pi * frequency_hz * sample_s * np.arange(window))
     starts = np.arange(0, len(samples) - window, max(window // 4, 1))
     double = 2.0 if frequency_hz > 0.0 else 1.0
-    if frequency_hz > 0.0:  # reject a constant
-        turn = turn - weight * (turn.sum() / weight.sum())
+    if frequency_hz > 0.0:  # reject a constant and a slow drift
+        slow = np.vander(np.linspace(-1.0, 1.0, window), 3)
+        turn = turn - weight * (slow @ np.linalg.solve(slow.T @ (weight[:, None] * slow), slow.T @ turn))
+    if len(samples) <= window:
+        return SATURATED
     envelope = double * np.abs(np.array([samples[s : s + window] @ turn for s in starts])) / weight.sum()
     times = (starts + 0.5 * window) * sample_s
     over = np.flatnonzero(envelope > limit)
@@ -240,6 +277,11 @@ def growth_rate(
     under = np.flatnonzero(envelope[:count] < 0.1 * envelope[0])
     count = max(int(under[0]), _LEAST_WINDOWS) if len(under) else count
     return float(np.polyfit(times[:count], np.log(np.maximum(envelope[:count], 1e-300)), 1)[0])
+
+
+def _step_rad(held: HeldFlight) -> float:
+    """Of the converter that turns commands into angles; 0 of an ideal one."""
+    return float(held.packed.parameters[0].computer.dac_step_rad)
 
 
 def longest_delay_s(held: HeldFlight) -> float:
