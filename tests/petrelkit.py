@@ -8,7 +8,8 @@ from pathlib import Path
 
 from maxq.design.model.node import Node, nodes_along
 from maxq.sim.scenario.loader import LoadedScenario, load_scenario
-from maxq.tools.vehicle.build import build, write
+from maxq.tools.vehicle.build import build
+from maxq.tools.vehicle.files import write
 from maxq.tools.vehicle.layout import read_layout
 
 

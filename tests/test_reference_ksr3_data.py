@@ -13,8 +13,9 @@ from oracles.sampled_pitch_loop import DESIGN_FILE, VEHICLE_FOLDER, Design, Verd
 from scipy.interpolate import PchipInterpolator
 
 from maxq.control.kernel.records import Array
-from maxq.tools.vehicle.build import Built, build, write
+from maxq.tools.vehicle.build import Built, build
 from maxq.tools.vehicle.compare import Difference, compared
+from maxq.tools.vehicle.files import write
 from maxq.tools.vehicle.layout import read_layout
 
 

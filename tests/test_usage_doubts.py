@@ -16,7 +16,8 @@ from scenario_files import write_ascent
 from maxq.sim.campaign.read import load_campaign
 from maxq.sim.scenario.loader import load_scenario
 from maxq.tools import simrun
-from maxq.tools.vehicle.build import build, write
+from maxq.tools.vehicle.build import build
+from maxq.tools.vehicle.files import write
 from maxq.tools.vehicle.layout import read_layout
 
 SPHERE = "vehicle.stage.0.mass.inertia_kgm2 = 4.88094 is hardly meant; usual: at most 0.169 kg m2"

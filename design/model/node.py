@@ -161,11 +161,15 @@ def spans_of(events: Iterable[Event], stages: int, now_s: float) -> tuple[Span, 
 
 NODES_PER_STAGE = 11
 _FULL = 0.5  # share of a stage's largest thrust that nodes need
-_EDGES = 0.05, 0.02  # shares of a span that nodes keep off its ends
+EDGES = 0.05, 0.02  # shares of a span that nodes keep off its ends
 
 
-def node_times(scenario: LoadedScenario, count: int = NODES_PER_STAGE, stage: int | None = None) -> tuple[float, ...]:
-    """Times of nodes that suit a flight: `count` in each stage (or one of them), evenly under full thrust.
+def node_times(
+    scenario: LoadedScenario, count: int = NODES_PER_STAGE, stage: int | None = None,
+    edges: tuple[float, float] = EDGES,
+) -> tuple[float, ...]:  # fmt: skip  # three lines more otherwise
+    """Times of nodes that suit a flight: `count` in each stage (or one of them), evenly under full thrust; a single one
+    in the middle.
 
     Stages whose engines cannot be moved have none. Raises ValueError where there is no stage left.
     """
@@ -176,8 +180,9 @@ def node_times(scenario: LoadedScenario, count: int = NODES_PER_STAGE, stage: in
         if stage in (None, span.stage) and any(engine.gimbal != "fixed" for engine in mine.engines):
             full = _full_thrust(mine, burns[span.stage])
             begin, end = max(span.begin_s, full[0]), min(span.end_s, full[1])
-            edges = (begin + _EDGES[0] * (end - begin), end - _EDGES[1] * (end - begin))
-            times += [round(float(t), 3) for t in np.linspace(*edges, count)]
+            first, last = begin + edges[0] * (end - begin), end - edges[1] * (end - begin)
+            chosen = np.linspace(first, last, count) if count > 1 else [0.5 * (first + last)]
+            times += [round(float(t), 3) for t in chosen]
     if not times:
         which = "no stage" if stage is None else f"stage {stage + 1} not"
         raise ValueError(f"{scenario.label}: {which} under thrust by engines that can be moved; there is no node")

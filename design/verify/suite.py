@@ -19,7 +19,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field, model_validator
 
-from maxq.design.model.node import NODES_PER_STAGE
+from maxq.design.model.node import EDGES, NODES_PER_STAGE
 from maxq.sim.campaign.schema import Campaign
 from maxq.sim.campaign.statistics import MET, NOT_MET
 from maxq.sim.scenario.documents import Text
@@ -110,7 +110,7 @@ class DispersedLimit(Section):
     """A limit off the nominal flight, in place of the scenario's own."""
 
     requirement: str = Field(description="name of the scenario's requirement")
-    limit: float = Field(description="at most this, in the metric's unit")
+    limit: float | str = Field(description="at most this, in the metric's unit; ${MARK * NUMBER} as in a flight")
     why: str = Field(description="the engineering reason, shown in the review pack")
 
     @model_validator(mode="after")
@@ -132,7 +132,14 @@ class Flown(Section):
     )
     why: str = optional("what it is to show, in a sentence", "")
     scenario: str | None = optional("another base (default: the suite's)")
-    set: tuple[str, ...] = optional("changes, key=value as with simrun --set", ())
+    set: tuple[str, ...] = optional(
+        "changes, key=value as with simrun --set; * in a key stands for each element of a list, $MARK or "
+        "${MARK + NUMBER} for what the flight of the suite's scenario says (docs/simverify.md)",
+        (),
+    )
+    scale: dict[str, float | str] = optional("changes: key and what multiplies its value; * as in set", {})
+    add: dict[str, float | str] = optional("changes: key and what is added to its value; * as in set", {})
+    each_stage: bool = optional("a flight for each stage that burns, whose marks are that stage's", False)
     limits: Literal["own", "dispersed"] = optional(
         "the scenario's own limits, or those of [[dispersed_limit]] where there is one", "own"
     )
@@ -150,8 +157,15 @@ class Flown(Section):
         out = []
         for values in product(*self.each.values()):
             said = dict(zip(self.each, (f"{v:g}" if isinstance(v, float) else v for v in values), strict=True))
-            name, *changes = (Template(text).safe_substitute(said) for text in (self.name, *self.set))
-            out.append(self.model_copy(update={"name": name, "set": tuple(changes), "each": {}}))
+
+            def filled(text: Any, said: dict[str, Any] = said) -> Any:
+                return Template(text).safe_substitute(said) if isinstance(text, str) else text
+
+            shown = {key: str(value).replace("_", " ") for key, value in said.items()}
+            update = {"name": filled(self.name, shown), "set": tuple(filled(text) for text in self.set), "each": {}}
+            for key in ("scale", "add"):
+                update[key] = {filled(path): filled(by) for path, by in getattr(self, key).items()}
+            out.append(self.model_copy(update=update))
         return out
 
 
@@ -205,6 +219,9 @@ class LinearMargins(Section):
 
     times_s: tuple[NotNegative, ...] | None = optional(TIMES, min_length=1)
     nodes_per_stage: Annotated[int, Field(ge=1, le=1000)] = optional("where times_s is not given", NODES_PER_STAGE)
+    edges: tuple[Share, Share] = optional(
+        "shares of a stage's burn that such nodes keep off its begin (off the pad) and its end", EDGES
+    )
     planes: tuple[Plane, ...] = optional("pitch, yaw", ("pitch",), min_length=1)
     cases: Annotated[int, Field(ge=0, le=100000)] = optional("random vehicles", 150)
     only: str = optional("'as designed', 'corner N' or 'vehicle N': measure this one alone", "")
@@ -255,6 +272,8 @@ class Suite(Section):
     name: str = optional("default: the file's name", "")
     description: str = optional("what it is for, in a sentence", "")
     scenario: str = optional("base of the scenarios, and flight along which nodes lie", "nominal")
+    every: tuple[str, ...] = optional("changes of every flight, as its set", ())
+    limit_wind: str | None = optional("wind profile (CSV) that $limit_wind stands for")
     flight: tuple[Flown, ...] = optional("scenarios, each judged by its requirements", ())
     margins: LinearMargins | None = optional("absent: not asked for")
     certificate: CertificateWanted | None = optional("absent: not asked for")
@@ -292,6 +311,7 @@ class LoadedSuite:
     suite: Suite
     label: str  # as the user named it
     overrides: tuple[str, ...] = ()
+    left_out: tuple[str, ...] = ()  # flights that the vehicle has no parts for (`fitted.fit`), and why
 
     def command(self, design: str, vehicle: str | None = None, *more: str) -> str:
         """The command that judges a design by this suite; `more`: further words."""
@@ -338,6 +358,7 @@ def read_suite(name: str | Path, overrides: Iterable[str] = ()) -> LoadedSuite:
         return one.model_copy(update={key: beside(table.get(key, getattr(one, key)))})
 
     suite = placed(suite, tree, "scenario")
+    suite = placed(suite, tree, "limit_wind") if suite.limit_wind else suite
     flights = [placed(f, t, "scenario") for f, t in zip(suite.flight, tree.get("flight", ()), strict=True)]
     campaigns = [placed(c, t, "file") for c, t in zip(suite.campaign, tree.get("campaign", ()), strict=True)]
     each = tuple(one for flown in flights for one in flown.flights())

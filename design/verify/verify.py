@@ -23,8 +23,9 @@ from maxq.design.certificate.certificate import NodeCertificate, certify, certif
 from maxq.design.certificate.held_flight import hold
 from maxq.design.certificate.in_flight import InFlightResponse, fits, in_flight_response
 from maxq.design.certificate.measured_only import MeasuredNode, measure_node
-from maxq.design.model.node import Node, node_times, powered_spans
+from maxq.design.model.node import EDGES, Node, node_times, powered_spans
 from maxq.design.model.vehicle_at import Plane
+from maxq.design.verify.fitted import fit
 from maxq.design.verify.flown import (
     CampaignResult,
     FlownResult,
@@ -92,6 +93,7 @@ class Verification:
     slosh: tuple[SloshAdvice, ...] = field(repr=False)
     worst: tuple[WorstVehicle, ...] = field(repr=False)
     measured: tuple[MeasuredNode, ...] = field(repr=False)  # of flight code without a linear model
+    left_out: tuple[str, ...]  # of the suite, for what the vehicle does not have
     hashes: dict[str, str]  # of design, scenario (with its vehicle) and source code
     versions: dict[str, str]
     recalled: int
@@ -157,16 +159,18 @@ def verify(
             raise KeyboardInterrupt
 
     suite, kept = loaded.suite, Memory(memory)
-    of_vehicle = [f'vehicle="{vehicle}"'] if vehicle is not None else []
     scenario = load_scenario(suite.scenario, design_changes(design, vehicle))
-    own = load_scenario(suite.scenario, of_vehicle)
+    along = flight_of(suite, design, vehicle)
+    loaded = fit(loaded, along, kept)
+    suite = loaded.suite
     for wanted in suite.campaign:
         load_wanted(loaded, wanted, design, vehicle)
-    job = _Job(suite, scenario, scenario.design, own if own.design else scenario, kept, interruptible, workers)
+    job = _Job(suite, scenario, scenario.design, along, kept, interruptible, workers)
     with timed("scenarios"):
         flights = fly_suite(loaded, design, vehicle, kept, partial(interruptible, "scenarios"), workers)
-    with timed("linear margins"):
-        margin, limits, slosh = job.margins(), job.authority(), job.slosh()
+    with timed("linear margins"):  # nothing but what was asked for, where a part alone is repeated
+        alone = suite.margins is not None and suite.margins.only == WORST
+        margin, limits, slosh = ([], [], []) if alone else (job.margins(), job.authority(), job.slosh())
     with timed("worst vehicle"):
         worst = job.worst()
     with timed("certificate"):
@@ -209,10 +213,16 @@ def verify(
     return Verification(
         design, suite, scenario, tuple(requirements), tuple(flights), tuple(margin), tuple(certificates),
         tuple(through), tuple(campaigns), tuple(limits), tuple(slosh), tuple(worst),
-        tuple(measured),
+        tuple(measured), loaded.left_out,
         hashes={name: text[:16] for name, text in hashes.items()}, versions=versions(), recalled=kept.recalled,
         worked_out=kept.worked_out, wall_s=time.perf_counter() - begun, walls_s=walls, cpus_s=cpus,
     )  # fmt: skip  # fourteen more lines otherwise
+
+
+def flight_of(suite: Suite, design: str, vehicle: str | None) -> LoadedScenario:
+    """What the nodes and marks of a suite lie on: its scenario with its own design, or with the one that is judged."""
+    own = load_scenario(suite.scenario, [f'vehicle="{vehicle}"'] if vehicle is not None else [])
+    return own if own.design else load_scenario(suite.scenario, design_changes(design, vehicle))
 
 
 @dataclass(frozen=True)
@@ -235,8 +245,9 @@ class _Job:
         """Of a part's nodes: the suite's, or such as suit the flight."""
         if part.times_s is not None:
             return part.times_s
-        depends = (self.along.as_flown, part.nodes_per_stage)
-        return self.memory.recall("times", depends, lambda: node_times(self.along, part.nodes_per_stage))
+        edges = part.edges if isinstance(part, LinearMargins) else EDGES
+        times = partial(node_times, self.along, part.nodes_per_stage, edges=edges)
+        return self.memory.recall("times", (self.along.as_flown, part.nodes_per_stage, edges), times)
 
     def nodes(self, plane: Plane) -> list[Node]:
         """Nodes of the linear margins, which depend on all of the flight."""

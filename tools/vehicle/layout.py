@@ -220,6 +220,7 @@ class Site(Section):
     longitude_deg: Longitude = Field(description="east, deg")
     altitude_m: float = optional("above the ellipsoid, m", 0.0)
     azimuth_deg: Angle = Field(description="of the launch, deg from north")
+    jet_mps: Positive = optional("of the limit wind of the suite: from the west, largest at 11 km, m/s", 40.0)
 
 
 class Fairing(Between):

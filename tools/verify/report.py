@@ -254,6 +254,7 @@ def verdict_record(found: Verification, command: str) -> dict[str, Any]:
         "suite": found.suite.name,
         "verdict": found.judgement,
         "lacks": found.suite.lacks,
+        "left_out": found.left_out,
         "more_runs": found.more_runs,
         "command": command,
         "requirements": [{_KEYS.get(key, key): value for key, value in vars(r).items()} for r in found.requirements],

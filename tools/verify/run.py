@@ -13,6 +13,7 @@ from pathlib import Path
 from maxq.design.laws.design_file import DESIGN_NAME, design_path
 from maxq.design.optimise.solution import Solution
 from maxq.design.verify import memory
+from maxq.design.verify.fitted import fit
 from maxq.design.verify.flown import load_wanted
 from maxq.design.verify.judging import judge, make_design
 from maxq.design.verify.suite import (
@@ -25,7 +26,7 @@ from maxq.design.verify.suite import (
     read_suite,
     shared_risk,
 )
-from maxq.design.verify.verify import Verification, Watch, verify
+from maxq.design.verify.verify import Verification, Watch, flight_of, verify
 from maxq.sim.campaign.schema import Campaign
 from maxq.sim.files import check_writable, plain_name
 from maxq.sim.scenario.errors import ScenarioError
@@ -66,7 +67,9 @@ def execute(order: Order) -> int:
         loaded = read_suite(order.suite, [*order.overrides, *changes])
         tell(f"{len(paths)} designs share the risk of a wrong acceptance: {', '.join(changes)}\n")
     words = ("--only", order.only) if order.only else ()
-    loaded = loaded.only(order.only) if order.only else loaded
+    if order.only:
+        along, kept = flight_of(loaded.suite, paths[0], order.vehicle), memory.Memory(memory.default_folder())
+        loaded = fit(loaded, along, kept).only(order.only)
     for folder in folders:
         check_writable(folder)
     found: list[Verification] = []
@@ -87,6 +90,8 @@ def execute(order: Order) -> int:
             signed = report.Signed(order.author, order.revision, order.date)
             files = report.write_pack(one, folder, loaded.command(name, order.vehicle, *words), order.pack, signed)
             tell(*report.report(one, f"{name} by the suite {one.suite.name}"), *report.reasons(one))
+            for left in one.left_out:
+                tell(f"left out: {printable(left)}")
             for doubt in one.scenario.doubts:
                 tell(f"warning: {printable(doubt)}")
             tell(

@@ -1,0 +1,246 @@
+"""A suite fitted to a vehicle: what its flights take from the vehicle and its own flight, as numbers.
+
+A suite for any vehicle names no tank, mode or engine by its number and no time by its seconds. `*` in a key stands for
+each element of a list (vehicle.stage.*.tank.*.damping_ratio), `scale` and `add` change what the vehicle has, and marks
+stand for what is known once it has flown: ${max_q_s + 0.2}. What comes out is a suite of plain `key=value` changes; a
+flight that asks for what the vehicle does not have is left out, and said to be.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from maxq.design import api
+from maxq.design.model.node import powered_spans
+from maxq.design.model.vehicle_at import stability_derivatives
+from maxq.design.verify.memory import Memory
+from maxq.design.verify.suite import Flown, LoadedSuite
+from maxq.sim.run.fly import fly
+from maxq.sim.scenario.errors import ScenarioError, suggestion
+from maxq.sim.scenario.loader import LoadedScenario
+from maxq.sim.scenario.schema_scenario import Log
+from maxq.sim.scenario.schema_values import Section
+
+MARKS = {
+    "max_q": "of the largest dynamic pressure under thrust: s, altitude in m",
+    "before_max_q": "of four fifths of it, before: s, m",
+    "after_max_q": "of four fifths of it, after: s, m; the last burn-out where thrust ends sooner",
+    "burnout": "of the last burn-out: s",
+    "sample": "of the first stage's computer: s",
+    "gimbal_limit": "least angle of all actuators and computers: deg",
+    "gimbal_rate_limit": "least rate of all actuators: deg/s",
+    "limit_wind": "the suite's key: a wind profile",
+    "stage": "number of the stage, from 0; this and the next only with each_stage",
+    "ignition": "of the stage, or lift-off: s",
+    "early": "a fifth of its burn: s",
+    "strongest": "of the largest dynamic pressure in its burn: s",
+    "late": "three quarters of its burn: s",
+    "stage_burnout": "end of its burn: s",
+    "gimbal_moment": "by one degree of all gimbals, at the strongest instant: N m",
+    "outer_engine": "number of the engine farthest from the axis, of several",
+}
+"""What a suite may name, by the first part of the name; the unit follows: max_q_s, max_q_altitude_m."""
+_UNITS = {"sample": ("s",), "gimbal_limit": ("deg",), "gimbal_rate_limit": ("degps",), "gimbal_moment": ("Nm",)}
+_PLACES = ("max_q", "before_max_q", "after_max_q")
+_BARE = ("limit_wind", "stage", "outer_engine")
+NAMES = [
+    *(f"{name}_{unit}" for name in _PLACES for unit in ("s", "altitude_m")),
+    *_BARE,
+    *(f"{name}_{unit}" for name in MARKS if name not in (*_PLACES, *_BARE) for unit in _UNITS.get(name, ("s",))),
+]
+_MARK = re.compile(r"\$\{\s*([\w.]+)\s*(?:([+*-])\s*([0-9.eE+-]+)\s*)?\}|\$(\w+)")
+_STRONG = 0.8  # of the largest dynamic pressure
+_EARLY, _LATE = 0.2, 0.75  # of a burn
+_CLEAR_S = 1.0  # of its ends, where something fails
+
+Marks = dict[str, float | int | str]
+
+
+class _Missing(Exception):
+    """What the vehicle does not have."""
+
+
+def fit(loaded: LoadedSuite, base: LoadedScenario, memory: Memory) -> LoadedSuite:
+    """The suite for the vehicle of `base`, which is flown where a mark is used. A fitted suite stays as it is.
+
+    Raises ScenarioError for an unknown mark, or one where it has no value for any vehicle.
+    """
+    suite = loaded.suite
+    texts = [*(t for f in suite.flight for t in _texts(f)), *(str(d.limit) for d in suite.dispersed_limit)]
+    plain = not any(f.each_stage or f.scale or f.add or "*" in "".join(f.set) for f in suite.flight)
+    if plain and not suite.every and not any(_MARK.search(text) for text in texts):
+        return loaded
+    flown = any(f.each_stage for f in suite.flight) or any(_MARK.search(text) for text in texts)
+    whole, stages = memory.recall("marks", base.as_flown, lambda: _marks(base)) if flown else ({}, [])
+    if suite.limit_wind is not None:
+        whole = {**whole, "limit_wind": suite.limit_wind}
+    flights, left_out = [], []
+    for given in suite.flight:
+        every = given.model_copy(update={"set": (*suite.every, *given.set)})
+        for marks in [{**whole, **stage} for stage in stages] if given.each_stage else [whole]:
+            try:
+                flights.append(_fitted(every, base, marks, loaded.label, len(stages)))
+            except _Missing as missing:
+                stage = f", stage {int(marks['stage']) + 1}" if given.each_stage and len(stages) > 1 else ""
+                left_out.append(f"{given.name}{stage}: {missing}")
+    limits, asked = [], [r.name or r.metric for r in base.scenario.requirement]
+    for one in suite.dispersed_limit:
+        if one.requirement in asked or suggestion(one.requirement, asked):
+            limit = _number(one.limit, whole, loaded.label, f"dispersed_limit {one.requirement}")
+            limits.append(one.model_copy(update={"limit": limit}))
+        else:
+            left_out.append(f"dispersed limit of {one.requirement}: the scenario does not limit it")
+    update: dict[str, Any] = {"flight": tuple(flights), "dispersed_limit": tuple(limits), "every": ()}
+    return replace(loaded, suite=suite.model_copy(update=update), left_out=tuple(dict.fromkeys(left_out)))
+
+
+def _texts(flown: Flown) -> list[str]:
+    return [flown.name, *flown.set, *(str(v) for v in (*flown.scale.values(), *flown.add.values()))]
+
+
+def _fitted(flown: Flown, base: LoadedScenario, marks: Marks, label: str, stages: int) -> Flown:
+    where, name = f"flight {flown.name}", flown.name
+    if flown.each_stage and stages > 1:
+        number = int(marks["stage"])
+        name += f", {base.vehicle.stage[number].name or f'stage {number + 1}'}"
+    changes, wanted = [], []
+    for change in flown.set:
+        key, equals, value = _filled(change, marks, label, where).partition("=")
+        found = [path for path, _ in _places(base.scenario, key.split("."))] if "*" in key else [key]
+        wanted += [] if found else [key]
+        changes += [f"{path}{equals}{value}" for path in found]
+    for table, apply in ((flown.scale, _scaled), (flown.add, _added)):
+        for key, given in table.items():
+            by = _number(given, marks, label, where)
+            places = [(path, value) for path, value in _places(base.scenario, key.split(".")) if value is not None]
+            wanted += [] if places else [key]
+            changes += [f"{path}={apply(value, by)!r}".replace("(", "[").replace(")", "]") for path, value in places]
+    if wanted and not any(change not in flown.set for change in changes):
+        raise _Missing(f"the vehicle has no {', no '.join(wanted)}")
+    update = {"name": name, "set": tuple(changes), "scale": {}, "add": {}, "each_stage": False}
+    return flown.model_copy(update=update)
+
+
+def _scaled(value: Any, by: float) -> Any:
+    return [_scaled(one, by) for one in value] if isinstance(value, tuple) else round(float(value) * by, 9)
+
+
+def _added(value: Any, by: float) -> Any:
+    return [_added(one, by) for one in value] if isinstance(value, tuple) else round(float(value) + by, 9)
+
+
+def _places(at: Any, parts: list[str], path: str = "") -> Iterator[tuple[str, Any]]:
+    """Key and value of all that a pattern means; `*` at a section that could be a list is the section itself."""
+    if not parts:
+        yield path, at
+        return
+    part, *rest = parts
+    if isinstance(at, tuple):
+        for n, one in enumerate(at) if part == "*" else ((int(part), at[int(part)]),) if part.isdecimal() else ():
+            yield from _places(one, rest, f"{path}.{n}")
+    elif isinstance(at, Section) and part == "*":
+        yield from _places(at, rest, path)
+    elif isinstance(at, Section):
+        name = next((n for n, f in type(at).model_fields.items() if part in (n, f.alias)), None)
+        if name is not None:
+            yield from _places(getattr(at, name), rest, f"{path}.{part}" if path else part)
+
+
+def _filled(text: str, marks: Marks, label: str, where: str) -> str:
+    """A text with its marks as values. Raises _Missing where the vehicle has none."""
+
+    def value(found: re.Match[str]) -> str:
+        name = found[1] or found[4]
+        number = re.fullmatch(r"[0-9.]+", name) is not None
+        if name not in NAMES and not number:
+            hint = suggestion(name, NAMES)
+            allowed = "" if hint else ", ".join(NAMES)
+            raise ScenarioError(label, f"no such mark{'; ' + hint if hint else ''}", where, value=name, allowed=allowed)
+        if name not in marks and not number:
+            raise _Missing(f"no {name.replace('_', ' ')}")
+        known = float(name) if number else marks[name]
+        if not isinstance(known, float):
+            return str(known)
+        by = float(found[3] or 0.0)
+        result = known * by if found[2] == "*" else known - by if found[2] == "-" else known + by
+        return repr(round(result, 6))
+
+    return _MARK.sub(value, text)
+
+
+def _number(given: float | str, marks: Marks, label: str, where: str) -> float:
+    if isinstance(given, float):
+        return given
+    try:
+        return float(_filled(given, marks, label, where))
+    except (ValueError, _Missing) as problem:
+        raise ScenarioError(label, f"is no number: {problem}", where, value=given) from None
+
+
+def _marks(base: LoadedScenario) -> tuple[Marks, list[Marks]]:
+    """Of the whole flight, and of each stage that burns."""
+    log = Log(fast_hz=10.0, slow_hz=10.0, transform_hz=1.0)
+    quiet = base.scenario.model_copy(update={"log": log, "fault": ()})
+    flight, spans = fly(LoadedScenario(quiet, base.label, base.files)), powered_spans(base)
+    t, q, altitude = flight.time_s("dynamic_pressure_Pa"), flight["dynamic_pressure_Pa"], flight["altitude_m"]
+    altitude = np.interp(t, flight.time_s("altitude_m"), altitude)
+    under = np.zeros(len(t), bool)
+    for span in spans:
+        under |= (t >= span.begin_s) & (t <= span.end_s)
+    out: Marks = {"sample_s": _sample_s(base), **_limits(base)}
+    stages: list[Marks] = []
+    if not spans:
+        return out, stages
+    end_s = spans[-1].end_s
+    top = int(np.argmax(np.where(under, q, -1.0)))
+    strong = np.flatnonzero(q >= _STRONG * q[top])
+    places = (top, int(strong[0]), int(strong[-1]) if t[strong[-1]] <= end_s else int(np.searchsorted(t, end_s)) - 1)
+    for name, k in zip(_PLACES, places, strict=True):
+        out |= {f"{name}_s": round(float(t[k]), 1), f"{name}_altitude_m": float(round(altitude[k], -2))}
+    out["burnout_s"] = round(end_s, 3)
+    strongest = []
+    for span in spans:
+        burns = (t >= span.begin_s) & (t <= span.end_s)
+        at = float(t[int(np.argmax(np.where(burns, q, -1.0)))])
+        strongest.append(min(max(at, span.begin_s + _CLEAR_S), span.end_s - _CLEAR_S))
+    for span, at_s, node in zip(spans, strongest, api.nodes(base, strongest), strict=True):
+        burn = span.end_s - span.begin_s
+        mine: Marks = {
+            "stage": span.stage, "ignition_s": round(span.begin_s, 3), "stage_burnout_s": round(span.end_s, 3),
+            "early_s": round(span.begin_s + _EARLY * burn, 1), "late_s": round(span.begin_s + _LATE * burn, 1),
+            "strongest_s": round(at_s, 1),
+        }  # fmt: skip  # three more lines otherwise
+        moment = abs(stability_derivatives(node.vehicle, node.condition).m_delta_1ps2) * node.vehicle.total_inertia_kgm2
+        mine["gimbal_moment_Nm"] = float(f"{math.radians(1.0) * moment:.3g}")
+        engines = base.vehicle.stage[span.stage].engines
+        if len(engines) > 1:
+            off = [math.hypot(*engine.offset_m) for engine in engines]
+            mine["outer_engine"] = int(np.argmax(off))
+        stages.append(mine)
+    return out, stages
+
+
+def _sample_s(base: LoadedScenario) -> float:
+    computer = next((c for n in range(len(base.vehicle.stage)) if (c := base.vehicle.computer_of(n))), None)
+    return 0.01 if computer is None else computer.sample_s
+
+
+def _limits(base: LoadedScenario) -> Mapping[str, float]:
+    vehicle, angles, rates = base.vehicle, list[float](), list[float]()
+    for n, stage in enumerate(vehicle.stage):
+        computer = vehicle.computer_of(n)
+        angles += [] if computer is None else [computer.command_limit_deg]
+        for actuator in stage.actuators:
+            angles.append(actuator.angle_limit_deg)
+            rates.append(actuator.rate_limit_degps)
+    return {
+        name: min(found)
+        for name, found in (("gimbal_limit_deg", angles), ("gimbal_rate_limit_degps", rates))
+        if found and math.isfinite(min(found))
+    }

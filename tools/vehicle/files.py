@@ -1,0 +1,394 @@
+"""What simvehicle writes of a layout: the tables of the vehicle, a pitch programme, a first design, a scenario, a
+campaign, a case and a suite, as simrun, simdesign and simverify read them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import tomli_w
+
+from maxq.control.kernel.records import Array
+from maxq.sim.files import write_whole
+from maxq.sim.scenario.schema_stage import SECTIONS
+from maxq.sim.scenario.schema_values import Section
+from maxq.sim.scenario.tables_csv import CsvTable
+from maxq.tools.vehicle.beam import Beam
+from maxq.tools.vehicle.build import MOST_RIGID_HZ, Built
+from maxq.tools.vehicle.masses import Stack, engine_inertia
+from maxq.tools.vehicle.trajectory import Point
+
+MASS_ROWS, SHAPE_STATIONS = 41, 41
+FASTER = 0.1  # share of its burn by which a part's tables go on where the next part burns on
+SHOWN = 0.4  # share of the sample rate up to which a mode gets a notch
+SPREAD = {"thrust at equal impulse": 0.03, "normal force": 0.15, "axial force": 0.1, "frequency of mode 1": 0.05}
+Table = tuple[str, Sequence[tuple[Any, ...]]]  # head and rows of a CSV file
+Tables = dict[str, Table]  # by the file's name
+
+
+def write(built: Built, folder: Path) -> list[Path]:
+    """All files, into a folder; returns them."""
+    layout, files = built.layout, []
+    tables: Tables = {"pitch_programme.csv": _programme(built)}
+    vehicle = _vehicle(built, tables)
+    tables["limit_wind.csv"] = _limit_wind(layout.site.jet_mps)
+    for name, (head, rows) in tables.items():
+        text = "\n".join([head, *(",".join(f"{v:.12g}" for v in row) for row in rows)]) + "\n"
+        files.append(write_whole(folder / "vehicle" / name, text))
+    made = f"# {layout.name}: an estimate from a layout by simvehicle, to begin with.\n"
+    documents = {
+        "vehicle/vehicle.toml": vehicle, "design.toml": _design(built), "scenario.toml": _scenario(built),
+        "campaign.toml": _campaign(built), "case.toml": _case(built), "suite.toml": _suite(built),
+    }  # fmt: skip  # seven more lines otherwise
+    for name, content in documents.items():
+        files.append(write_whole(folder / name, made + tomli_w.dumps(content)))
+    return files
+
+
+def _limit_wind(jet_mps: float) -> Table:
+    """A jet stream to begin with: a light wind on the ground, a light one above."""
+    rows = [(0.0, min(8.0, jet_mps)), (11e3, jet_mps), (20e3, min(10.0, jet_mps)), (30e3, min(10.0, jet_mps))]
+    return "altitude_m,speed_mps,from_deg", [(*row, 270.0) for row in rows]
+
+
+def _prefix(built: Built, n: int) -> str:
+    return f"stage{n + 1}_" if len(built.stacks) > 1 else ""
+
+
+def _times_s(stack: Stack) -> Array:
+    """Rows of tables of what the burn changes."""
+    burn = stack.burn
+    return np.unique(np.concatenate([burn.times_s, np.linspace(0.0, burn.end_s, MASS_ROWS)]).round(6))
+
+
+def _continued(stack: Stack, rows: list[tuple[float, ...]]) -> list[tuple[float, ...]]:
+    """Rows of a table over time, and where the burn goes on in the next part, one more for a burn that is faster."""
+    if not stack.drops_fairing:
+        return rows
+    before, last = np.array(rows[-2]), np.array(rows[-1])
+    further = last + (last - before) * FASTER * last[0] / (last[0] - before[0])
+    return [*rows, tuple(float(x) for x in further)]
+
+
+def _mass(stack: Stack) -> Table:
+    rows: list[tuple[float, ...]] = []
+    for t in _times_s(stack):
+        p = stack.mass_properties(float(t))
+        rows.append((t, p.mass_kg, p.x_cg_m, p.roll_kgm2, p.pitch_kgm2, p.pitch_kgm2))
+    return "time_s,mass_kg,x_cg_m,Ixx_kgm2,Iyy_kgm2,Izz_kgm2", _continued(stack, rows)
+
+
+def _copied(value: Any, name: str, tables: Tables) -> Any:
+    """A section as a file holds it, its tables (into `tables`) named `name` and key."""
+    if isinstance(value, CsvTable):
+        tables[f"{name}.csv"] = ",".join(value.columns), list(zip(*value.columns.values(), strict=True))
+        return f"{name}.csv"
+    if isinstance(value, Section):
+        given = [key for key in type(value).model_fields if key in value.model_fields_set]
+        parts = {key: _copied(getattr(value, key), f"{name}_{key}", tables) for key in given}
+        return {key: part for key, part in parts.items() if part is not None}
+    if isinstance(value, tuple):
+        return [_copied(item, f"{name}{n + 1}", tables) for n, item in enumerate(value)]
+    return value
+
+
+def _aero(built: Built, n: int, tables: Tables) -> dict[str, Any]:
+    aero, given, name = built.aero[n], built.stacks[n].stage.aero, f"{_prefix(built, n)}aero"
+    table = {} if given is None else dict(given.table.columns)
+    damping = [aero.pitch_damping(x)[k] for k, x in enumerate(_cg_over_mach(built, n))]
+    worked_out = {"CA": aero.axial, "CA_coast": aero.axial_coast, "Cmq": damping, "Clp": aero.roll_damping,
+                  "C_crossflow": np.full(len(aero.mach), aero.crossflow)}  # fmt: skip  # five more lines otherwise
+    if given is not None and given.coefficients:  # what stands there acts besides
+        worked_out = {key: worked_out[key] for key in ("Cmq", "Clp", "C_crossflow")}
+    out = {} if given is None else _copied(given, name, tables)
+    if missing := {key: column for key, column in worked_out.items() if key not in table}:
+        kept = {key: np.interp(aero.mach, table["mach"], column) for key, column in table.items() if key != "mach"}
+        columns = {"mach": aero.mach, **kept, **missing}
+        tables[f"{name}_table.csv"] = ",".join(columns), list(zip(*columns.values(), strict=True))
+    out |= {"table": f"{name}_table.csv", "crossflow_station_m": aero.crossflow_station_m}
+    if given is None or not (given.surface or given.coefficients or "CN_alpha_pr" in table):
+        out["surface"] = []
+        for surface in aero.surfaces:
+            rows = list(zip(aero.mach, surface.slope_pr, surface.station_m, strict=True))
+            tables[f"{name}_{surface.name}.csv"] = "mach,CN_alpha_pr,station_m", rows
+            out["surface"].append({"name": surface.name, "table": f"{name}_{surface.name}.csv"})
+    return out
+
+
+def _loads(stack: Stack, prefix: str, tables: Tables) -> dict[str, Any]:
+    """Masses along the body, what the shells bear, and the liquids, for section loads."""
+    stage, layout = stack.stage, stack.layout
+    assert stage.loads is not None
+    dry = sorted((r.front_station_m, r.rear_station_m, r.mass_kg) for r in stack.dry)
+    tables[f"{prefix}line_mass.csv"] = "front_station_m,rear_station_m,mass_kg", dry
+    out = _copied(stage.loads, f"{prefix}loads", tables) | {"line_mass": f"{prefix}line_mass.csv", "liquid": []}
+    limits = []
+    for x in stage.loads.stations_m:
+        for above in layout.stage[stack.number :]:
+            for shell in above.shell:
+                if shell.front_station_m <= x < shell.rear_station_m and shell.strength_Pa and shell.modulus_Pa:
+                    radius = shell.radius_m or 0.5 * above.diameter_m  # of a thin wall: EI = E pi R^3 t, area 2 pi R t
+                    area = 2.0 * shell.stiffness_Nm2(x, 0.5 * above.diameter_m) / (shell.modulus_Pa * radius**2)
+                    limits.append((x, radius, area * shell.strength_Pa))
+    if limits:
+        tables[f"{prefix}section_limits.csv"] = "station_m,radius_m,equivalent_compression_N", limits
+        out["limits"] = f"{prefix}section_limits.csv"
+    for k, tank in enumerate(stage.tank):
+        columns = [(t, stack.liquids(float(t))[k]) for t in _times_s(stack)]
+        name = f"{prefix}liquid_{tank.name}.csv"
+        tables[name] = (
+            "time_s,mass_kg,front_station_m",
+            _continued(stack, [(t, r.mass_kg, r.front_station_m) for t, r in columns]),
+        )
+        out["liquid"].append({"tank": tank.name, "table": name, "bottom_station_m": tank.bottom_station_m})
+    return dict(out)
+
+
+def _mode_table(built: Built, n: int) -> Table:
+    stack, beam, rows = built.stacks[n], Beam.of(built.stacks[n]), []
+    nodes = np.unique(np.linspace(0, len(beam.nodes_m) - 1, SHAPE_STATIONS).astype(int))
+    times, every = built.modes[n]
+    if stack.drops_fairing:  # `_continued`
+        times, every = np.append(times, times[-1] * (1.0 + FASTER)), [*every, every[-1]]
+    for t, modes in zip(times, every, strict=True):
+        forward = beam.mass_forward_kg([*stack.dry, *stack.liquids(float(t)), *stack.grains(float(t))])
+        for number, mode in enumerate(modes, start=1):
+            given = (t, number, mode.frequency_hz, mode.generalized_mass_kg)
+            rows += [(*given, beam.nodes_m[k], mode.phi[k], mode.slope_pm[k], forward[k]) for k in nodes]
+    return "time_s,mode,frequency_hz,generalized_mass_kg,station_m,phi,slope_pm,mass_forward_kg", rows
+
+
+def _cg_over_mach(built: Built, n: int) -> Array:
+    """CG at the time of each Mach number in the ascent."""
+    points = [p for p in built.flight.points if p.number == n]
+    order = np.argsort([p.mach for p in points])
+    cg = [built.stacks[n].mass_properties(p.clock_s).x_cg_m for p in points]
+    return np.asarray(np.interp(built.aero[n].mach, np.array([p.mach for p in points])[order], np.array(cg)[order]))
+
+
+def _lead_rad(built: Built, p: Point, k_p: float, k_d: float, rate_radps: float) -> tuple[float, float]:
+    """Incidence along the path at an instant, and by how much the command leads so that the law holds it.
+
+    Static trim: the incidence that turns the path, the gimbal angle that holds it against M_alpha and pitch damping;
+    the law (-k_p error - k_d rate) has no integral and needs an error for all of that.
+    """
+    stack, aero = built.stacks[p.number], built.aero[p.number]
+    if p.thrust_N <= 0.0 or p.excess_radps == p.incidence_rad == p.dynamic_pressure_Pa == 0.0:
+        return p.incidence_rad, k_d / k_p * rate_radps
+    props, (slope, centre) = stack.mass_properties(p.clock_s), aero.normal(p.mach)
+    arm, normal = stack.stage.engine.gimbal_station_m - props.x_cg_m, slope * p.dynamic_pressure_Pa * aero.area_m2
+    holds = normal * (centre - props.x_cg_m) / (p.thrust_N * arm)  # gimbal angle per incidence
+    across = p.thrust_N * (1.0 - holds) + normal
+    incidence = p.incidence_rad + props.mass_kg * p.speed_mps * p.excess_radps / across
+    damping = float(np.interp(p.mach, aero.mach, aero.pitch_damping(props.x_cg_m)))
+    damping *= -0.5 * p.dynamic_pressure_Pa * aero.area_m2 * aero.diameter_m**2 / max(p.speed_mps, 1.0)
+    gimbal = holds * incidence + damping / (p.thrust_N * arm) * rate_radps
+    return incidence, (gimbal + k_d * rate_radps) / k_p
+
+
+def _programme(built: Built) -> Table:
+    """Pitch rate that makes the law fly the point-mass path."""
+    points, gains = built.flight.points, np.array(built.gains)
+    t, end = np.array([p.time_s for p in points]), built.flight.points[-1].time_s
+    k_p, k_d = (np.interp(t, gains[:, 0], gains[:, k]) for k in (1, 2))
+    incidence = [
+        _lead_rad(built, p, p_gain, d_gain, 0.0)[0] for p, p_gain, d_gain in zip(points, k_p, k_d, strict=True)
+    ]
+    theta = np.array([p.pitch_rad - p.incidence_rad for p in points]) + incidence
+    rate = np.gradient(theta, t)
+    lead = [_lead_rad(built, p, k_p[k], k_d[k], rate[k])[1] for k, p in enumerate(points)]
+    spacing = 0.5 if end < 300.0 else 1.0
+    rows = np.append(np.arange(0.0, end - spacing, spacing), end)
+    fine = np.linspace(0.0, end, 20 * math.ceil(end) + 1)
+    command = np.interp(fine, t, theta + np.array(lead))
+    before, behind = np.clip(rows - spacing / 2, 0.0, end), np.clip(rows + spacing / 2, 0.0, end)
+    rates = np.degrees(np.interp(behind, fine, command) - np.interp(before, fine, command)) / (behind - before)
+    rates[rows < built.layout.trajectory.pitch_over_start_s] = 0.0
+    table = [*zip(rows, rates.round(6), strict=True), (end + 0.1, 0.0)]
+    return "time_s,pitch_rate_degps", [(float(a), float(b)) for a, b in table]
+
+
+def _vehicle(built: Built, tables: Tables) -> dict[str, Any]:
+    layout, widest = built.layout, max(s.diameter_m for s in built.layout.stage)
+    control, first = layout.control, layout.stage[0].engine
+    return {
+        "schema": 1,
+        "name": layout.name,
+        "description": "an estimate from a layout",
+        "reference": {
+            "length_m": max(first.exit_station_m, layout.stage[0].rear_station_m), "diameter_m": widest,
+            "area_m2": 0.25 * math.pi * widest**2,
+        },
+        "stage": [_stage(built, n, tables) for n in range(len(built.stacks))],
+        "computer": {
+            "sample_s": control.sample_s, "delay_s": control.delay_s, "count_rad": 1e-5, "dac_step_deg": 0.001,
+            "attitude": "quaternion", "angle_error_limit_deg": 20.0,
+            "command_limit_deg": min(s.engine.angle_limit_deg for s in layout.stage),
+        },
+    }  # fmt: skip  # five more lines otherwise
+
+
+def _stage(built: Built, n: int, tables: Tables) -> dict[str, Any]:
+    stack, prefix, control = built.stacks[n], _prefix(built, n), built.layout.control
+    stage, e, last = stack.stage, stack.stage.engine, n == len(built.stacks) - 1
+    thrust = zip(stack.burn.times_s, stack.burn.thrust_N / len(e.positions_m), strict=True)
+    tables[f"{prefix}thrust.csv"] = "time_s,thrust_vacuum_N", _continued(stack, list(thrust))
+    tables[f"{prefix}mass.csv"] = _mass(stack)
+    for tank in stage.tank:
+        liquid: list[tuple[float, ...]] = [(t, stack.liquid_kg(tank, float(t))) for t in _times_s(stack)]
+        tables[f"{prefix}tank_{tank.name}.csv"] = "time_s,liquid_mass_kg", _continued(stack, liquid)
+    mass, arm, inertia = engine_inertia(e)
+    engine = {
+        "table": f"{prefix}thrust.csv", "exit_area_m2": e.exit_area_m2, "gimbal_station_m": e.gimbal_station_m,
+        "exit_station_m": e.exit_station_m, "gimballed_mass_kg": mass, "cg_from_gimbal_m": arm,
+        "inertia_about_gimbal_kgm2": inertia,
+    }  # fmt: skip  # three more lines otherwise
+    many = len(e.positions_m) > 1
+    engines = [engine | ({"name": f"E{k + 1}", "group": "all"} if many else {}) | {"offset_m": list(at)}
+               for k, at in enumerate(e.positions_m)]  # fmt: skip  # one line more otherwise
+    out: dict[str, Any] = {"name": stack.name}
+    if stack.drops_fairing:
+        out["separation_s"] = stack.burn.end_s
+    elif not last:
+        out["separation_after_burnout_s"] = stage.separation_after_s
+    if n > 0 and built.stacks[n - 1].drops_fairing:
+        out["continues"] = True
+    if stack.burn.start_s > 0.0 and n > 0:
+        out["ignition_s"] = stage.ignition_after_s
+    out["mass"] = {"table": f"{prefix}mass.csv"}
+    out["engine"] = engines if many else engines[0]
+    out["actuator"] = {
+        "model": next(model for model, count in SECTIONS.items() if count == len(e.servo_hz)),
+        "omega_hz": list(e.servo_hz), "zeta": list(e.servo_zeta),
+        "angle_limit_deg": e.angle_limit_deg, "rate_limit_degps": e.rate_limit_degps,
+    }  # fmt: skip  # two more lines otherwise
+    out["tank"] = [
+        {"name": t.name, "table": f"{prefix}tank_{t.name}.csv", "damping_ratio": t.damping_ratio, "shape": "cylinder",
+         "radius_m": t.radius_m, "bottom_station_m": t.bottom_station_m, "height_m": t.height_m,
+         "dome_m": list(t.dome_m), "density_kgpm3": t.density_kgpm3}
+        for t in stage.tank
+    ]  # fmt: skip  # eight more lines otherwise
+    if stage.bending is not None or stage.spatial_modes is not None:
+        key = "bending" if stage.bending is not None else "spatial_modes"
+        out[key] = _copied(getattr(stage, key), f"{prefix}{key}", tables)
+    elif built.modes[n][1][0]:
+        tables[f"{prefix}modes.csv"] = _mode_table(built, n)
+        damping = [stage.bending_damping] * len(built.modes[n][1][0])
+        out["bending"] = {"pitch": f"{prefix}modes.csv", "yaw": f"{prefix}modes.csv", "damping_ratio": damping}
+    out["aero"] = _aero(built, n, tables)
+    if stage.loads is not None:
+        out["loads"] = _loads(stack, prefix, tables)
+    out["gyro"] = {"station_m": control.gyro_station_m, "omega_hz": control.gyro_hz, "zeta": control.gyro_zeta}
+    roll = stage.roll_torque_Nm or math.radians(5.0) * stack.mass_properties(0.0).roll_kgm2
+    out["roll_thrusters"] = {"torque_Nm": roll}
+    return out
+
+
+def _filter(built: Built, n: int) -> dict[str, Any]:
+    """A first filter of a stage: a wide notch at each of its first two modes that a sample shows, poles below them."""
+    modes, most_hz = built.modes[n][1], SHOWN / built.layout.control.sample_s
+    if not modes or not modes[0]:
+        return {"structure": "none"}
+    means = [float(np.mean([m[k].frequency_hz for m in modes])) for k in range(min(2, len(modes[0])))]
+    sections = [{"zero_hz": f, "zero_zeta": 0.4, "pole_hz": 0.8 * f, "pole_zeta": 0.8} for f in means if f < most_hz]
+    if not sections:
+        return {"structure": "none"}
+    return {
+        "structure": "F2" if len(sections) == 1 else "F4", "quadratic": sections, "discretization": "prewarped",
+        "prewarp_hz": sections[0]["zero_hz"],
+    }  # fmt: skip  # two more lines otherwise
+
+
+def _design(built: Built) -> dict[str, Any]:
+    table = [{"time_s": t, "k_p": float(f"{k_p:.6g}"), "k_d_s": float(f"{k_d:.6g}")} for t, k_p, k_d in built.gains]
+    out: dict[str, Any] = {
+        "schema": 1, "name": f"{built.layout.name}, first gains", "vehicle": built.layout.name,
+        "gains": {"table": table, "yaw": "pitch"},
+    }  # fmt: skip  # two more lines otherwise
+    first, *others = (_filter(built, n) for n in range(len(built.stacks)))
+    out["filter"] = first
+    if others:
+        out["stage"] = [{}, *({"filter": filter_} for filter_ in others)]
+    out["roll"] = {"k_rate_s": 0.5, "dead_band_deg": 1.0, "hysteresis_deg": 0.2, "minimum_on_s": 0.02}
+    return out
+
+
+def _requirements(built: Built) -> list[dict[str, Any]]:
+    """What the control is held to, with room for winds."""
+    stages = built.layout.stage
+    limits = {
+        "attitude error": ("max_attitude_error_deg", 10.0),
+        "gimbal angle": ("max_gimbal_deg", 0.8 * min(s.engine.angle_limit_deg for s in stages)),
+        "gimbal rate": ("max_gimbal_rate_degps", 0.5 * min(s.engine.rate_limit_degps for s in stages)),
+        "gimbal at its limit": ("saturation_time_s", 0.0),
+    }
+    if any(stage.tank for stage in stages):
+        limits["slosh angle"] = ("max_slosh_deg", 10.0)
+    return [{"name": name, "metric": metric, "limit": limit} for name, (metric, limit) in limits.items()]
+
+
+def _scenario(built: Built) -> dict[str, Any]:
+    site, last = built.layout.site, built.flight.points[-1]
+    return {
+        "schema": 1, "name": built.layout.name, "description": f"{built.layout.name}, powered ascent without wind",
+        "vehicle": "vehicle", "design": "design.toml",
+        "run": {"duration_s": float(math.ceil(last.time_s + 5.0))},
+        "site": {"latitude_deg": site.latitude_deg, "longitude_deg": site.longitude_deg,
+                 "altitude_m": site.altitude_m, "azimuth_deg": site.azimuth_deg},
+        "guidance": {"programme": "vehicle/pitch_programme.csv"},
+        "requirement": _requirements(built),
+    }  # fmt: skip  # ten more lines otherwise
+
+
+def _campaign(built: Built) -> dict[str, Any]:
+    first = built.layout.stage[0]
+    engine = "vehicle.stage.0.engine" + (".{}" if len(first.engine.positions_m) > 1 else "")
+    flow = [f"{engine.format(k)}.mass_flow_factor" for k in range(len(first.engine.positions_m))]
+    keys = {
+        "thrust at equal impulse": flow, "normal force": ["vehicle.stage.0.aero.force_factor"],
+        "axial force": ["vehicle.stage.0.aero.axial_factor"],
+    }  # fmt: skip  # three more lines otherwise
+    if built.modes[0][1][0] and first.spatial_modes is None:
+        keys["frequency of mode 1"] = ["vehicle.stage.0.bending.frequency_factor.0"]
+    spread = [
+        {"keys": k, "name": name, "apply": "scale", "distribution": "normal", "three_sigma": SPREAD[name],
+         "source": "assumed, to begin with"}
+        for name, k in keys.items()
+    ]  # fmt: skip  # five more lines otherwise
+    burnout = built.flight.begins_s[0] + built.stacks[0].burn.end_s
+    return {
+        "schema": 1, "extends": "scenario.toml", "description": f"{built.layout.name}, first stage, dispersed",
+        "campaign": {"runs": 100, "seed": 1},
+        "run": {"duration_s": float(math.floor(burnout))}, "disperse": spread,
+    }  # fmt: skip  # three more lines otherwise
+
+
+def _case(built: Built) -> dict[str, Any]:
+    hz = built.mode_1_hz
+    rigid = built.layout.control.rigid_hz or min(MOST_RIGID_HZ, hz / 8.0)
+    low = round(min(3.0, 0.6 * hz), 2)
+    orders = ["F4" if len(_filter(built, n).get("quadratic", ())) > 1 else "F2" for n in range(len(built.stacks))]
+    differing = [{"filter": {"structure": order}} if order != orders[0] else {} for order in orders]
+    return {
+        "schema": 1, "description": f"{built.layout.name}, every stage: largest least |1 + L|",
+        "scenario": "scenario.toml",
+        "gains": {"schedule": "free"}, "objective": {"kind": "least-margin"},
+        "filter": {"structure": orders[0], "bounds": {"zero_hz": [low, 100.0], "pole_hz": [low, 100.0]}},
+        "limits": {"rigid_body": "aerodynamic", "rigid_hz": round(0.8 * rigid, 3), "rigid_zeta": 0.5,
+                   "without": ["second_mode_db"]},
+        **({"stage": differing} if any(differing) else {}),
+    }  # fmt: skip  # twelve more lines otherwise
+
+
+def _suite(built: Built) -> dict[str, Any]:
+    return {
+        "schema": 1, "extends": "launcher", "scenario": "scenario.toml", "limit_wind": "vehicle/limit_wind.csv",
+        "description": f"{built.layout.name}, to begin with: the suite of any launcher with fewer nodes and vehicles",
+        "margins": {"nodes_per_stage": 7, "cases": 60, "success": 0.95,
+                    "why": "what 60 vehicles can show with none or one that fails"},
+        "certificate": {"nodes_per_stage": 2},
+        "campaign": [{"file": "campaign.toml", "limits": "dispersed"}],
+    }  # fmt: skip  # four more lines otherwise
