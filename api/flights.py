@@ -66,7 +66,8 @@ def vehicle(layout: str | Path, folder: str | Path | None = None) -> Path:
     It holds `scenario.toml` to fly, `case.toml` to design, `suite.toml` to verify and `campaign.toml`. Raises
     ScenarioError, and ValueError for a layout that cannot fly.
     """
-    from maxq.tools.vehicle.build import build, write  # noqa: PLC0415  # lazy: flights need none of it
+    from maxq.tools.vehicle.build import build  # noqa: PLC0415  # lazy: flights need none of it
+    from maxq.tools.vehicle.files import write  # noqa: PLC0415  # lazy
     from maxq.tools.vehicle.layout import read_layout  # noqa: PLC0415  # lazy
 
     read = read_layout(layout)

@@ -73,3 +73,10 @@ def test_growth_of_a_known_oscillation() -> None:
     times = np.arange(4000) * 0.01
     ringing = np.exp(0.031 * times) * np.sin(2 * np.pi * 1.7 * times + 0.3) + 5.0 * np.exp(-0.02 * times)
     assert growth_rate(ringing, 0.01, 1.7, 4.0 / 1.7) == pytest.approx(0.031, abs=2e-4)
+
+
+def test_growth_of_a_slow_oscillation_beside_a_drift() -> None:
+    """Two turns a window, and a decaying root of ten times its size beside it."""
+    times = np.arange(100_000) * 0.01
+    swing = np.exp(0.002 * times) * np.sin(2 * np.pi * 0.01 * times + 0.3)
+    assert growth_rate(swing + 10.0 * np.exp(-0.004 * times), 0.01, 0.01, 200.0) == pytest.approx(0.002, abs=3e-4)

@@ -13,12 +13,14 @@ from maxq.design import api
 from maxq.design.case.schema import LoadedCase, read_case
 from maxq.design.certificate.certificate import certify_node
 from maxq.design.certificate.held_flight import hold
+from maxq.design.certificate.measured_margins import TOO_SLOW
 from maxq.design.laws.design_file import design_text
 from maxq.design.margins.measure import margins
 from maxq.design.model.node import Span, node_times, nodes_along, powered_spans, spans_of
 from maxq.design.optimise.solve import each_stage, solve
 from maxq.design.verify.judging import judge_solution, make_design
 from maxq.design.verify.suite import read_suite
+from maxq.sim.packing.flight import Packed
 from maxq.sim.run.fly import Event
 from maxq.sim.scenario.burn import stage_burns
 from maxq.sim.scenario.loader import load_scenario
@@ -169,3 +171,28 @@ def test_a_suite_finds_its_scenario_beside_itself() -> None:
     suite = read_suite(petrel.folder() / "suite.toml").suite
     assert load_scenario(suite.scenario).vehicle.name == "petrel"
     assert read_suite("standard").suite.scenario == "nominal"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("time_s", "slowest_hz"), [(40.0, 0.04), (126.0, 0.004), (240.0, 0.0)])
+def test_gain_that_slow_roots_need_is_found_in_flight(time_s: float, slowest_hz: float) -> None:
+    """A fast unstable body in dense air, a slow oscillation in thin air, a drift in none.
+
+    With the centre of pressure a tenth of the CG station farther forward in flight, the first two are not the loop's.
+    """
+    node = petrel.nodes(time_s)[0]
+
+    def farther(packed: Packed) -> None:
+        packed.parameters[node.stage].vehicle.aero.centre_shift_m -= 0.1 * node.vehicle.total_cg_station_m
+
+    sound, faulty = (
+        certify_node(petrel.scenario(), node, fault=fault, bands=(), names=("gain_down",)).margins[0]
+        for fault in (None, farther)
+    )
+    assert sound.agrees
+    assert slowest_hz < sound.frequency_hz < 0.12
+    if slowest_hz > 0.0:
+        assert abs(sound.difference) < 0.1
+        assert not faulty.agrees
+    else:
+        assert sound.reason == TOO_SLOW

@@ -11,9 +11,11 @@ from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
+import petrelkit as petrel
 import pytest
 
 from maxq.design.model.dispersion import NOMINAL, Dispersion
+from maxq.design.verify.fitted import fit
 from maxq.design.verify.flown import load_flight, load_wanted
 from maxq.design.verify.judging import Check
 from maxq.design.verify.linear import MarginCase, margin_requirements, meets_limits
@@ -25,6 +27,7 @@ from maxq.design.verify.suite import (
     SCREENED,
     UNDECIDED,
     LinearMargins,
+    LoadedSuite,
     MarginLimits,
     Requirement,
     beyond,
@@ -185,11 +188,41 @@ def test_list_names_suites_and_designs(capsys: pytest.CaptureFixture[str]) -> No
         assert f"  {name}" in out
 
 
+class Known:
+    """A memory in which the marks of a flight are already."""
+
+    def __init__(self, whole: dict[str, Any], *stages: dict[str, Any]) -> None:
+        self.marks = whole, list(stages)
+
+    def recall(self, *_: object) -> Any:
+        return self.marks
+
+
+NOMINAL_MARKS = {
+    "sample_s": 0.01, "gimbal_limit_deg": 6.0, "gimbal_rate_limit_degps": 30.0, "burnout_s": 59.0,
+    **{f"{name}_{unit}": value for name in ("before_max_q", "max_q", "after_max_q") for unit, value in
+       (("s", 40.0), ("altitude_m", 9500.0))},
+}  # fmt: skip  # several more lines otherwise
+STAGE_MARKS = {
+    "stage": 0, "ignition_s": 0.1, "stage_burnout_s": 59.0, "early_s": 12.0, "late_s": 45.0, "strongest_s": 40.0,
+    "gimbal_moment_Nm": 1e4,
+}  # fmt: skip  # three more lines otherwise
+
+
+def _fitted(name: str | Path, scenario: str | Path, *stages: dict[str, Any]) -> LoadedSuite:
+    memory: Any = Known(NOMINAL_MARKS, *stages)
+    return fit(read_suite(name), load_scenario(scenario), memory)
+
+
 def test_standard_suite_asks_for_what_can_fail() -> None:
-    suite = read_suite("standard").suite
+    fitted = _fitted("standard", "nominal", STAGE_MARKS)
+    suite = fitted.suite
     names = {f.name for f in suite.flight}
+    assert len(suite.flight) == 35
+    assert len(fitted.left_out) == 2
+    assert all(text.startswith("one engine out") for text in fitted.left_out)  # it has a single one
     assert {
-        "engine out early",
+        "thrust lost early",
         "attitude transient",
         "yaw actuator stuck for 0.2 s",
         "pitch gyro dead for 0.2 s",
@@ -200,18 +233,75 @@ def test_standard_suite_asks_for_what_can_fail() -> None:
     margins, campaign = suite.margins, suite.campaign[0]
     assert margins is not None
     assert margins.planes == ("pitch", "yaw")
-    assert min(margins.times_s or (9,)) < 0.5
+    assert margins.edges[0] * 59.0 < 0.5  # s after release
     assert margins.nominal.delay_ms == 10.0
     assert margins.why
     assert campaign.why
     assert campaign.success == load_campaign("campaigns/ksr3").campaign.success
     computer = load_scenario("nominal").vehicle.computer
     assert computer is not None
-    limits = {x.requirement: x.limit for x in suite.dispersed_limit}
+    limits = {x.requirement: float(x.limit) for x in suite.dispersed_limit}
     assert limits["gimbal angle"] < computer.command_limit_deg
     actuator = load_scenario("nominal").vehicle.stage[0].actuator
     assert actuator is not None
     assert limits["gimbal rate"] < actuator.rate_limit_degps
+
+
+def test_a_fitted_suite_names_every_part_of_the_vehicle() -> None:
+    """Values scaled, half a sample added, times and altitudes of its own flight."""
+    flights = {f.name: f for f in _fitted("standard", "nominal", STAGE_MARKS).suite.flight}
+    stage = load_scenario("nominal").vehicle.stage[0]
+    assert all("run.stop_at=['burnout','impact']" in f.set for f in flights.values())
+    smooth = flights["slosh, smooth walls"].set[2:]
+    assert smooth == tuple(
+        f"vehicle.stage.0.tank.{n}.damping_ratio={0.05 * t.damping_ratio}" for n, t in enumerate(stage.tank)
+    )
+    assert "vehicle.computer.delay_s=0.008" in flights["delay"].set
+    assert "run.duration_s=24.0" in flights["thrust lost early"].set
+    assert "altitude_m=9500.0,thickness_m=300,edge_m=150.0" in flights["gust of 300 m max q"].set[2]
+    low = [
+        f"vehicle.stage.0.bending.{key}={[x] * 3}" for key, x in (("frequency_factor", 0.9), ("damping_ratio", 0.0025))
+    ]
+    assert set(low) <= set(flights["bending at 0.9 of its frequency"].set)
+    assert read_suite("standard").suite.flight  # what is fitted is a copy
+
+
+def test_a_suite_for_several_stages_and_engines() -> None:
+    """The second vehicle: nine engines below, one above; each stage has its faults; none of them KSR-III's."""
+    stages = [STAGE_MARKS | {"stage": n, "strongest_s": 10.0 * n + 5.0} for n in range(3)]
+    stages[0]["outer_engine"] = 2
+    fitted = _fitted(petrel.folder() / "suite.toml", petrel.folder() / "scenario.toml", *stages)
+    flights = {f.name: f for f in fitted.suite.flight}
+    of_each = [name for name in flights if name.startswith("pitch gyro dead")]
+    assert [name.partition(", ")[2] for name in of_each] == [s.name for s in petrel.scenario().vehicle.stage]
+    assert "stage=1,at_s=15.0,until_s=15.2" in flights[of_each[1]].set[1]
+    assert "engine=2," in flights["one engine out late, first"].set[1]
+    assert fitted.left_out == tuple(
+        f"one engine out {when}, stage {n}: no outer engine" for when in ("early", "late") for n in (2, 3)
+    )
+    hot = flights["hot engine"].set
+    assert len(hot) == 11
+    assert all(change.endswith("mass_flow_factor=1.03") for change in hot)
+    assert "limit_wind.csv" in flights["limit wind"].set[0]
+    for flown in fitted.suite.flight:  # each of them can be loaded
+        load_flight(fitted, flown, str(petrel.folder() / "design.toml"), None)
+    assert not re.search(r"ksr|anheung", str(fitted.suite), re.IGNORECASE)
+
+
+@pytest.mark.parametrize(
+    ("flight", "said"),
+    [
+        ('set=["wind.turn_deg=${max_g_s}"]', "did you mean max_q_s?"),
+        ('set=["wind.turn_deg=$nothing_of_it"]', "no such mark"),
+        ('scale={"vehicle.stage.*.tank.*.damping_ratio"="much"}', "is no number"),
+    ],
+)
+def test_a_wrong_mark_is_named(flight: str, said: str, tmp_path: Path) -> None:
+    path = tmp_path / "marks.toml"
+    path.write_text(f'schema = 1\nflight = [{{name="a", {flight}}}]\n')
+    with pytest.raises(ScenarioError, match=re.escape(said)) as found:
+        _fitted(path, "nominal", STAGE_MARKS)
+    assert "flight a" in str(found.value)
 
 
 def test_a_suite_that_asks_for_little_is_a_screening(suite: Path) -> None:
