@@ -12,7 +12,7 @@ PLACE := $(VENV)/set-up-in
 TO_FLY := $(VENV)/ready-to-fly
 TO_TEST := $(VENV)/ready-to-test
 
-.PHONY: help fly test test-browser coverage lint format FORCE
+.PHONY: help fly test test-browser docs coverage lint format FORCE
 .DELETE_ON_ERROR:
 
 help:  ## say what there is to make
@@ -30,6 +30,11 @@ test: $(TO_TEST)  ## run the tests; ARGS go to pytest (ARGS="-m 'not slow'" leav
 test-browser: $(TO_TEST)  ## open `simreplay --web` in headless Chromium, and look at the page
 	@echo "Opening simreplay --web in headless Chromium."
 	@$(PY) -m pytest tests/browser_replay.py -rs $(ARGS)
+
+docs: $(TO_TEST)  ## build the documentation site into docs/build/html; its notebooks are executed
+	@echo "Building the documentation (about a minute; with the first flight of this checkout half a minute more)."
+	@$(PY) -m sphinx -q -W --keep-going -b html docs docs/build/html $(ARGS)
+	@echo "docs/build/html/index.html"
 
 verify: $(TO_TEST)  ## verify the simulator itself: rerun all that docs/verification.md says, and rewrite its tables
 	@echo "Verifying the simulator (about fifteen minutes)."
@@ -86,7 +91,7 @@ $(TO_FLY): $(PLACE) pyproject.toml constraints.txt
 
 $(TO_TEST): $(TO_FLY)
 	@echo "Installing what the tests and linters need into $(VENV)."
-	@$(PIP) install --quiet --constraint constraints.txt --no-build-isolation --editable '.[test,lint]'
+	@$(PIP) install --quiet --constraint constraints.txt --no-build-isolation --editable '.[test,lint,docs]'
 	@touch $@
 
 # --- benchmarks: the programs compared with live in an environment of their own, since some pin what maxq needs newer

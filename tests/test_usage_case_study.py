@@ -1,4 +1,4 @@
-"""docs/case-study.md says what docs/case-study.json and the designs in scenarios/designs say."""
+"""docs/case-study/ says what docs/case-study.json and the designs in scenarios/designs say."""
 
 from __future__ import annotations
 
@@ -13,18 +13,19 @@ from maxq.design import api
 from maxq.design.verify.judging import Wanted, checks, judge
 from maxq.tools.dev import case_study
 
-PAGE = case_study.PAGE.read_text(encoding="utf-8")
+PAGE = "\n".join(page.read_text(encoding="utf-8") for page in sorted(case_study.PAGES.glob("*.md")))
 OPTIMA = ("limits", "claims", "peaks", "parameters", "parameters-relaxed")
 
 
 @pytest.mark.parametrize("name", OPTIMA)
 def test_tables_are_those_of_the_optima(name: str) -> None:
-    assert case_study.fill(PAGE, name, case_study.TABLES[name]()) == PAGE, "python -m maxq.tools.dev.case_study"
+    page = case_study.page_of(name).read_text(encoding="utf-8")
+    assert case_study.fill(page, name, case_study.TABLES[name]()) == page, "python -m maxq.tools.dev.case_study"
 
 
 def test_every_table_has_its_place_and_every_picture_is_there() -> None:
     assert set(re.findall(r"<!-- begin (\S+) -->", PAGE)) == set(case_study.TABLES)
-    pictures = [part.split(")")[0] for part in PAGE.split("](pictures/")[1:]]
+    pictures = [part.split(")")[0] for part in PAGE.split("](../pictures/")[1:]]
     for picture in pictures:
         assert (case_study.DOCS / "pictures" / picture).is_file(), picture
     shown = {Path(picture).name for picture in pictures}

@@ -24,7 +24,7 @@ from maxq.sim.log.protobuf import MOST_FIELDS, doubles_template
 from maxq.sim.log.reader import read_log
 from maxq.sim.log.writer import LogWriter
 from maxq.sim.vehicle.state import Sizes
-from maxq.tools.dev.documents.docs_telemetry import topics_markdown
+from maxq.tools.dev.documents.reference import topics_markdown
 
 ALPHA = Channel("alpha_deg", "deg", "", "angle of attack")
 

@@ -3,21 +3,29 @@
 from __future__ import annotations
 
 import json
+import re
 import tomllib
 from pathlib import Path
 
 import pytest
 
 from maxq.tools import simrun
-from maxq.tools.dev.documents import docs_scenario
+from maxq.tools.dev.documents.reference import fill, keys
 from maxq.tools.schemas import KINDS, json_schema
 
 DOCS = Path(__file__).resolve().parents[1] / "docs"
 
 
-def test_docs_are_up_to_date() -> None:
-    hint = "run: python -m maxq.tools.dev.documents.docs_scenario"
-    assert (DOCS / "scenario.md").read_text(encoding="utf-8") == docs_scenario.page(), hint
+def test_the_reference_has_every_key_of_every_kind() -> None:
+    for kind in KINDS:
+        text, schema = keys(kind), json_schema(kind)
+        own = set(schema["properties"]) - {"extends", "unset", "vehicle_overrides", "design_overrides"}
+        if kind == "campaign":
+            own -= set(json_schema("scenario")["properties"])
+        assert own <= set(re.findall(r"^\| `(\w+)` \|", text, re.MULTILINE)), kind
+        assert fill(f"a\n<!-- from code: keys {kind} -->\nb") == f"a\n{text}\nb"
+    with pytest.raises(KeyError):
+        fill("<!-- from code: nosuch -->")
 
 
 @pytest.mark.parametrize("kind", KINDS)

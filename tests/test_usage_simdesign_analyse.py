@@ -251,13 +251,6 @@ def test_examples_of_the_documentation_run(number: int) -> None:
         assert sorted(path.name for path in Path().iterdir()) == ["mine.png", "mine.svg"]
 
 
-def test_every_option_is_in_the_documentation() -> None:
-    page = PAGE.read_text(encoding="utf-8")
-    for action in simdesign._parser()._actions:
-        for option in action.option_strings:
-            assert option == "-h" or f"`{option}" in page, option
-
-
 def test_axes_that_a_product_of_inertia_couples_are_judged_together(capsys: Printed) -> None:
     """With Ixy^2 = 0.42 Ixx Iyy a core free to roll pitches as if it had 0.58 of its inertia; no plane sees it."""
     text = builtin_files("design")["ksr3-default"].read_text()

@@ -19,7 +19,6 @@ from maxq.sim.run import record as recording
 from maxq.tools import simrun
 from maxq.tools.cli.frame import TRACEBACK
 from maxq.tools.cli.terminal import Progress
-from maxq.tools.dev.documents import docs_telemetry
 
 SHORT = ["nominal", "--set", "run.duration_s=1.5", "--set", "requirement="]
 LOSES_CONTROL = [
@@ -411,18 +410,11 @@ def test_a_flight_from_python_equals_the_one_in_the_log(tmp_path: Path) -> None:
         assert flight.final[name] == flight[name][-1] or np.isnan(flight.final[name])
 
 
-def test_the_telemetry_page_is_up_to_date() -> None:
-    page = Path(__file__).resolve().parents[1] / "docs" / "telemetry.md"
-    assert page.read_text(encoding="utf-8") == docs_telemetry.page(), (
-        "run python -m maxq.tools.dev.documents.docs_telemetry"
-    )
-
-
 def test_the_example_in_the_documentation_runs(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("MPLBACKEND", "agg")
-    page = (Path(__file__).resolve().parents[1] / "docs" / "simrun.md").read_text(encoding="utf-8")
+    page = (Path(__file__).resolve().parents[1] / "docs" / "python.md").read_text(encoding="utf-8")
     example = page.split("```python\n")[1].split("```")[0]
     assert len(example.splitlines()) <= 10
-    code = compile(example, "docs/simrun.md", "exec")
+    code = compile(example, "docs/python.md", "exec")
     exec(code, {})
     shutil.rmtree("runs", ignore_errors=True)

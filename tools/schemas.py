@@ -14,11 +14,11 @@ from maxq.sim.scenario.schema_values import Section
 from maxq.sim.scenario.schema_vehicle import Vehicle
 from maxq.tools.vehicle.layout import Layout
 
-_MODELS: dict[str, type[Section]] = {
+MODELS: dict[str, type[Section]] = {
     "scenario": Scenario, "vehicle": Vehicle, "design": Design, "campaign": CampaignFile, "case": Case, "suite": Suite,
     "layout": Layout,
 }  # fmt: skip  # five more lines otherwise
-KINDS = tuple(_MODELS)
+KINDS = tuple(MODELS)
 _EXTENDS = {"type": "string", "description": "file on top of which this one lies"}
 _UNSET = {"type": "array", "items": {"type": "string"}, "description": "keys of the extended file to remove"}
 
@@ -27,7 +27,7 @@ def json_schema(kind: str) -> dict[str, Any]:
     """JSON Schema (2020-12) of a file as a person writes it: with `extends`, and files where the model has content."""
     if kind == "campaign":
         return _campaign()
-    schema = _MODELS[kind].model_json_schema(by_alias=True)
+    schema = MODELS[kind].model_json_schema(by_alias=True)
     properties = schema["properties"]
     if kind == "scenario":
         for part in ("vehicle", "design"):

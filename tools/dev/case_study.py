@@ -1,7 +1,7 @@
-"""Tables of docs/case-study.md from the shipped commands: `python -m maxq.tools.dev.case_study [TABLE...]`.
+"""Tables of docs/case-study/ from the shipped commands: `python -m maxq.tools.dev.case_study [TABLE...]`.
 
 Runs simdesign, simrun and simverify, keeps what they leave under runs/case-study (what is there is not computed again)
-and writes each table between its marks in docs/case-study.md. Prose is written by people. All of it takes about two
+and writes each table between its marks in docs/case-study. Prose is written by people. All of it takes about two
 hours on two cores, most of it campaigns and verdicts; name the tables to make only these. The pictures in
 docs/pictures/case-study are those that `simdesign` draws: `--pictures` copies them there.
 """
@@ -35,7 +35,7 @@ from maxq.sim.scenario.schema_design import Design
 from maxq.tools.design.analyse import effects
 
 DOCS = Path(__file__).resolve().parents[2] / "docs"
-PAGE, PARAMETERS, PICTURES = DOCS / "case-study.md", DOCS / "case-study.json", DOCS / "pictures" / "case-study"
+PAGES, PARAMETERS, PICTURES = DOCS / "case-study", DOCS / "case-study.json", DOCS / "pictures" / "case-study"
 RUNS = Path("runs/case-study")
 DESIGNS = ("ksr3-default", "ksr3-free", "ksr3-linear", "ksr3-robust", "ksr3-sampled", "ksr3-two-phase")
 COMPARED = ("ksr3-two-phase", "ksr3-robust")
@@ -476,6 +476,11 @@ def copy_pictures() -> None:
         shutil.copy(path, PICTURES / path.name)
 
 
+def page_of(name: str) -> Path:
+    """The page that has a table's place."""
+    return next(page for page in PAGES.glob("*.md") if f"<!-- begin {name} -->" in page.read_text(encoding="utf-8"))
+
+
 def fill(page: str, name: str, lines: Sequence[str]) -> str:
     """The page with `lines` between `<!-- begin name -->` and `<!-- end name -->`. Raises ValueError without marks."""
     filled, count = re.subn(
@@ -497,7 +502,8 @@ def main() -> int:
     if not given.tables:
         solve_optima()
     for name in given.tables or TABLES:
-        PAGE.write_text(fill(PAGE.read_text(encoding="utf-8"), name, TABLES[name]()), encoding="utf-8")
+        page = page_of(name)
+        page.write_text(fill(page.read_text(encoding="utf-8"), name, TABLES[name]()), encoding="utf-8")
     if given.pictures:
         copy_pictures()
     return 0

@@ -3,7 +3,7 @@
     python -m maxq.tools.dev.bench.optimise [--seconds 20] [--seeds 1] [--workers 2] [--only F4/free,...]
 
 prints as JSON: seconds for one F6 with free gains, for each of the fifteen optima of one table of
-docs/case-study.md, and F2 to F4 with all three gain schedules beside two searches that know nothing of gradients,
+docs/case-study, and F2 to F4 with all three gain schedules beside two searches that know nothing of gradients,
 from populations drawn at random: differential evolution (SciPy) and CMA-ES with restarts (pycma). They share with the
 optimiser the exact responses of the fixed paths and nothing else: limits as a penalty, crossings between grid points
 by linear interpolation. That errs, and a search makes use of it: in F2 a margin missed by 0.01 dB brings 0.08 dB. So

@@ -1,0 +1,126 @@
+"""The documentation site: built without a warning, no broken link, nothing from elsewhere; its examples are files."""
+
+from __future__ import annotations
+
+import json
+import re
+import subprocess
+import sys
+import tomllib
+from collections.abc import Iterator
+from html.parser import HTMLParser
+from pathlib import Path
+from typing import Any
+from urllib.parse import unquote
+
+import pytest
+
+from maxq.tools.schemas import KINDS, json_schema
+
+jsonschema = pytest.importorskip("jsonschema", reason="pip install 'maxq[docs]'")
+ROOT = Path(__file__).resolve().parents[1]
+DOCS = ROOT / "docs"
+SOURCES = [page for page in sorted(DOCS.rglob("*.md")) if "build" not in page.parts]
+
+
+class Page(HTMLParser):
+    """Anchors, links and what the browser would fetch of a page."""
+
+    def __init__(self, path: Path) -> None:
+        super().__init__()
+        self.ids: set[str] = set()
+        self.links: list[str] = []
+        self.fetched: list[str] = []
+        self.tags: set[str] = set()
+        self.feed(path.read_text(encoding="utf-8"))
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        given = {name: value or "" for name, value in attrs}
+        self.tags.add(tag)
+        self.ids |= {given[name] for name in ("id", "name") if name in given}
+        if tag == "a" and "href" in given:
+            self.links.append(given["href"])
+        elif "src" in given:
+            self.fetched.append(given["src"])
+        elif tag == "link" and given.get("rel") != "canonical":
+            self.fetched.append(given.get("href", ""))
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Built anew, notebooks executed, warnings as errors."""
+    folder = tmp_path_factory.mktemp("site")
+    cache = f"nb_execution_cache_path={folder / 'notebooks'}"
+    command = [sys.executable, "-m", "sphinx", "-q", "-W", "--keep-going", "-D", cache, "-d", folder / "trees"]
+    done = subprocess.run([*command, DOCS, folder / "html"], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr[-4000:]
+    return folder / "html"
+
+
+@pytest.mark.slow
+def test_the_site_stands_by_itself(site: Path) -> None:
+    pages = {path: Page(path) for path in site.rglob("*.html")}
+    assert len(pages) > 35
+    for path, page in pages.items():
+        for target in page.fetched:
+            assert not re.match(r"(https?:)?//", target), f"{path.name} fetches {target}"
+        for target in page.links + page.fetched:
+            if re.match(r"(https?:|mailto:|data:|javascript:)", target):
+                continue
+            place, _, anchor = unquote(target.partition("?")[0]).partition("#")
+            there = (path.parent / place).resolve() if place else path
+            assert there.exists(), f"{path.name}: {target}"
+            if anchor and there.suffix == ".html":
+                assert anchor in pages[there].ids | {""}, f"{path.name}: {target}"
+    model = pages[site / "model.html"]
+    assert {"math", "svg"} <= model.tags
+    assert {"eq-1.1", "eq-14.4"} <= model.ids
+    assert "merror" not in (site / "model.html").read_text(encoding="utf-8")
+    for name, shown in (("first-flight", "apogee"), ("own-vehicle", "scenario.toml"), ("design", "all limits met")):
+        text = (site / "notebooks" / f"{name}.html").read_text(encoding="utf-8")
+        assert shown in text
+        assert "data:image/png" in text or ".png" in text
+
+
+def test_links_between_sources_lead_somewhere() -> None:
+    """For readers of the repository, who have no site."""
+    for page in [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *SOURCES]:
+        text = re.sub(r"```.*?```|`[^`\n]*`", "", page.read_text(encoding="utf-8"), flags=re.DOTALL)
+        for target in re.findall(r"\]\(([^)\s]+)\)", text):
+            if not re.match(r"https?:|#", target) and not target.endswith(".ipynb"):
+                assert (page.parent / target.partition("#")[0]).exists(), f"{page.relative_to(ROOT)}: {target}"
+
+
+def _lenient(node: Any) -> Any:
+    """A schema without what must be there: examples show parts of files."""
+    if isinstance(node, list):
+        return [_lenient(item) for item in node]
+    if not isinstance(node, dict):
+        return node
+    kept = {key: _lenient(value) for key, value in node.items() if key != "required"}
+    if isinstance(kept.get("anyOf"), list) and {} in kept["anyOf"]:
+        del kept["anyOf"]
+    return kept
+
+
+def _examples() -> Iterator[tuple[str, str]]:
+    for page in SOURCES:
+        for number, text in enumerate(re.findall(r"```toml\n(.*?)```", page.read_text(encoding="utf-8"), re.DOTALL)):
+            yield f"{page.relative_to(DOCS)} {number + 1}", text
+
+
+@pytest.mark.parametrize(("name", "text"), list(_examples()))
+def test_examples_of_files_have_keys_that_exist(name: str, text: str) -> None:
+    """Against the schema of every kind: one must take it. A section of a list may stand as a single one."""
+    data = tomllib.loads(text)
+    if isinstance(data.get("stage"), dict):
+        data["stage"] = [data["stage"]]
+    reasons = {}
+    for kind in KINDS:
+        try:
+            jsonschema.validate(json.loads(json.dumps(data)), _lenient(json_schema(kind)))
+        except jsonschema.ValidationError as error:
+            reasons[kind] = error.message[:200]
+        else:
+            return
+    pytest.fail(f"{name}: {reasons}")

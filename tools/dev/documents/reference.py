@@ -1,0 +1,173 @@
+"""Reference tables of the documentation, made from the code while the site is built.
+
+A page of docs/ names one where it stands: `<!-- from code: keys scenario -->`. What there is: TABLES below.
+"""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
+from typing import Any
+
+from pydantic.fields import FieldInfo
+from pydantic_core import PydanticUndefined
+
+from maxq.sim.flight.channels import ChannelTable
+from maxq.sim.flight.parameters import EVENT_NAMES
+from maxq.sim.flight.telemetry import channel_table
+from maxq.sim.packing.schedule import stage_sizes
+from maxq.sim.run.fly import (
+    CONTROL_LOST_CAUSE,
+    FAULT_END_NAME,
+    FAULT_NAME,
+    IGNITION_NAME,
+    SOFTWARE_NAME,
+    WAVE_BREAKING_NAME,
+)
+from maxq.sim.run.metrics import METRICS
+from maxq.sim.scenario.errors import show_value
+from maxq.sim.scenario.loader import load_scenario
+from maxq.sim.scenario.messages import describe, section_of, unwrap
+from maxq.sim.scenario.ranges import LARGEST_NUMBER, RANGES
+from maxq.sim.scenario.schema_design import Design
+from maxq.sim.scenario.schema_values import Section
+from maxq.sim.scenario.schema_vehicle import Vehicle
+from maxq.sim.vehicle.state import CAUSES
+from maxq.tools.schemas import MODELS
+
+_MARK = re.compile(r"^<!-- from code: (\w+) ?(.*?) -->$", re.MULTILINE)
+_EVENTS = (IGNITION_NAME, *EVENT_NAMES, FAULT_NAME, FAULT_END_NAME, WAVE_BREAKING_NAME, SOFTWARE_NAME)
+_EVENT_MEANINGS = {
+    IGNITION_NAME: "the engine of a stage begins to burn",
+    "liftoff": "hold-down is released: thrust exceeds weight, or at holddown.release_s",
+    "burnout": "the engine of a stage stops",
+    "separation": "a stage is dropped",
+    "apogee": "the altitude begins to fall for the first time",
+    "impact": "the altitude falls below the ground: the lower of the site and sea level",
+    "control_lost": CONTROL_LOST_CAUSE,
+    "tumble": "the total incidence exceeds 90 deg while the dynamic pressure exceeds 5 kPa",
+    FAULT_NAME: "a fault of the scenario begins; the text says which",
+    FAULT_END_NAME: "it ends",
+    WAVE_BREAKING_NAME: "a wave in a tank is as high as it can be (docs/model.md, section 5); the text says in which",
+    SOFTWARE_NAME: "flight code from outside has ended the flight; the text says why (docs/flight-software.md)",
+    "diverged": "the state is outside the bounds of a flight; the text gives the cause: "
+    + ", or ".join(dict.fromkeys(cause for cause in CAUSES if cause)),
+}
+
+
+def fill(text: str) -> str:
+    """A page with its tables."""
+    return _MARK.sub(lambda mark: TABLES[mark[1]](*mark[2].split()), text)
+
+
+def keys(kind: str) -> str:
+    """Every key of a kind of file, section by section."""
+    return "\n".join(_section(MODELS[kind], ""))
+
+
+def topics(scenario: str) -> str:
+    """Every channel that flights of a scenario log, and what its vehicle lacks."""
+    loaded = load_scenario(scenario)
+    stage = loaded.vehicle.stage[0]
+    sizes = replace(stage_sizes(stage, loaded.scenario.switches), tvc_loads=1)
+    assert stage.loads is not None
+    first = f"station 1 at {stage.loads.stations_m[0]:g} m"
+    return topics_markdown(channel_table(sizes, stage.pendulum_names, (first,), external=True))
+
+
+def events() -> str:
+    """Every event of a flight."""
+    return _rows(("event", "when"), [(f"`{name}`", _EVENT_MEANINGS[name]) for name in _EVENTS])
+
+
+def metrics() -> str:
+    """Every metric of a flight."""
+    return _rows(("metric", "unit", "meaning"), [(f"`{m.name}`", m.unit, m.description) for m in METRICS.values()])
+
+
+def ranges() -> str:
+    """What numbers may be, by the names of keys and columns."""
+    return "\n".join(_ranges())
+
+
+def help_of(command: str) -> str:
+    """What a command says of itself."""
+    code = f"from maxq.tools.{command} import main; main(['--help'])"
+    done = subprocess.run(
+        [sys.executable, "-c", code], env={"COLUMNS": "92"}, capture_output=True, text=True, check=True
+    )
+    return f"```text\n{done.stdout.rstrip()}\n```\n"
+
+
+def _ranges() -> Iterator[str]:
+    """What numbers may be, by the names of keys and columns."""
+    yield "| names | least | most | why |"
+    yield "|---|---|---|---|"
+    for r in RANGES:
+        names = ", ".join(f"`{name}`" if name[0] != "_" else f"`...{name}`" for name in r.names)
+        yield (
+            f"| {names} | {r.least:g} | {r.most:g} | {r.why} |" if r.least else f"| {names} | | {r.most:g} | {r.why} |"
+        )
+    yield f"| others | | {LARGEST_NUMBER:g} | |"
+    yield ""
+
+
+def _section(model: type[Section], path: str) -> Iterator[str]:
+    if path:
+        yield f"### `{path}`\n"
+    yield f"{(model.__doc__ or '').splitlines()[0]}\n"
+    yield "| key | allowed | default | meaning |"
+    yield "|---|---|---|---|"
+    below: list[tuple[str, type[Section]]] = []
+    for name, field in model.model_fields.items():
+        key = field.alias or name
+        yield f"| `{key}` | {_cell(_allowed(field))} | {_default(field)} | {_cell(field.description or '')} |"
+        section = section_of(field.annotation)
+        if section is not None and section not in (Vehicle, Design):
+            bare, _ = unwrap(field.annotation)
+            inner = ".".join(part for part in (path.strip("[]"), key) if part)
+            below.append((f"[{inner}]" if isinstance(bare, type) else f"[[{inner}]]", section))
+    yield ""
+    for inner, section in below:
+        yield from _section(section, inner)
+
+
+def _allowed(field: FieldInfo) -> str:
+    if section_of(field.annotation) in (Vehicle, Design):
+        return "a file, or a table"
+    return describe(field.annotation, list(field.metadata))
+
+
+def _default(field: FieldInfo) -> str:
+    default: Any = field.default
+    if field.default_factory is not None or default is None or default == "" or isinstance(default, Section):
+        return ""
+    return "*required*" if default is PydanticUndefined else f"`{show_value(default)}`"
+
+
+def _cell(text: str) -> str:
+    return text.replace("|", "\\|")
+
+
+def topics_markdown(table: ChannelTable) -> str:
+    """One section with a table per topic."""
+    sections = []
+    for topic in table.topics:
+        text = f"{topic.description}\n\n" if topic.description else ""
+        channels = [(f"`{c.name}`", c.unit, c.frame, c.description.replace("|", "\\|")) for c in topic.channels]
+        rows = _rows(("channel", "unit", "frame", "description"), channels)
+        sections.append(f"## `{topic.name}` ({topic.group})\n\n{text}{rows}")
+    return "\n".join(sections)
+
+
+def _rows(head: tuple[str, ...], rows: Sequence[tuple[str, ...]]) -> str:
+    lines = [head, ("---",) * len(head), *rows]
+    return "".join("| " + " | ".join(cells) + " |\n" for cells in lines)
+
+
+TABLES: dict[str, Callable[..., str]] = {
+    "events": events, "help": help_of, "keys": keys, "metrics": metrics, "ranges": ranges, "topics": topics,
+}  # fmt: skip  # five more lines otherwise
