@@ -27,9 +27,9 @@ test: $(TO_TEST)  ## run the tests; ARGS go to pytest (ARGS="-m 'not slow'" leav
 	@echo "Running the tests with pytest."
 	@$(PY) -m pytest -n auto --dist worksteal $(ARGS)
 
-test-browser: $(TO_TEST)  ## open `simreplay --web` in headless Chromium, and look at the page
-	@echo "Opening simreplay --web in headless Chromium."
-	@$(PY) -m pytest tests/browser_replay.py -rs $(ARGS)
+test-browser: $(TO_TEST)  ## open `simreplay --web` and report pages in headless Chromium, and look at them
+	@echo "Opening simreplay --web and report pages in headless Chromium."
+	@$(PY) -m pytest tests/browser_replay.py tests/browser_pages.py -rs $(ARGS)
 
 docs: $(TO_TEST)  ## build the documentation site into docs/build/html; its notebooks are executed
 	@echo "Building the documentation (about a minute; with the first flight of this checkout half a minute more)."

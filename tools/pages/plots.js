@@ -210,6 +210,7 @@
   // names of points: near the point, over no curve and no other text; what need not stand is left out where there is no room
   function label(svg, names, taken, obstacles, frame) {
     for (const n of [...names].sort((a, b) => (b.must || 0) - (a.must || 0))) {
+      if (n.x < frame.x0 || n.x > frame.x1 || n.y < frame.y0 || n.y > frame.y1) continue;
       const size = n.size || 9.5, half = [n.name.length * size * 0.3 + 2, size * 0.55 + 1];
       let best = Infinity, found = null;
       for (const radius of RADII) for (const angle of ANGLES) {
@@ -307,7 +308,7 @@
     const cell = (v) => v === null || v === undefined ? "" : /[",\n]/.test(v) ? `"${String(v).replaceAll('"', '""')}"` : v;
     const rows = [["panel", "series", "x", "y", "y2", "run"]];
     for (const p of figure.panels) for (const s of p.series) {
-      if (s.kind === "limit" || s.kind === "at") rows.push([p.title, s.name, s.kind === "at" ? s.value : "", s.kind === "at" ? "" : s.value]);
+      if (s.kind === "limit" || s.kind === "at") rows.push([p.title, s.name, s.kind === "at" ? s.value : "", s.kind === "at" ? "" : s.value, "", ""]);
       else s.y.forEach((y, k) => rows.push([p.title, s.names ? s.names[k] : s.who || s.name, s.x ? s.x[k] : "", y, s.y2 ? s.y2[k] : "", s.runs ? s.runs[k] : ""]));
     }
     return rows.map((row) => row.map(cell).join(",")).join("\r\n");

@@ -1,0 +1,153 @@
+"""The figures of pages in a real browser: `make test-browser`. Not collected by `make test`: it needs Chromium.
+
+MAXQ_PAGES=report.html:review.html looks at the texts of those pages too.
+"""
+
+from __future__ import annotations
+
+import os
+import time
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from browser_replay import Page, page
+
+from maxq.tools.pages import render as pages
+from maxq.tools.plots import campaign
+from maxq.tools.plots.figures import Panel, Plot, as_csv, at, band, limit, line, points, shape
+
+__all__ = ["page"]
+
+BODY = """{% extends "skeleton.html.j2" %}{% from "elements.html.j2" import plot %}
+{% block title %}figures{% endblock %}
+{% block body %}{% for p in plots %}{{ plot(plots, p.name) }}{% endfor %}{% endblock %}"""
+FAULTS = """(() => {
+  const found = [];
+  for (const svg of document.querySelectorAll("figure svg")) {
+    const whole = svg.getBoundingClientRect();
+    const texts = [...svg.querySelectorAll("text")].map((t) => [t.textContent, t.getBoundingClientRect()]);
+    for (const [text, b] of texts)
+      if (b.left < whole.left - 1 || b.right > whole.right + 1 || b.top < whole.top - 2 || b.bottom > whole.bottom + 2)
+        found.push(`${text} is clipped in ${svg.getAttribute("aria-label")}`);
+    texts.forEach(([one, a], k) => texts.slice(k + 1).forEach(([other, b]) => {
+      const across = Math.min(a.right, b.right) - Math.max(a.left, b.left);
+      if (across > 1.5 && Math.min(a.bottom, b.bottom) - Math.max(a.top, b.top) > 3)
+        found.push(`${one} lies over ${other} in ${svg.getAttribute("aria-label")}`);
+    }));
+  }
+  const wide = document.documentElement.scrollWidth;
+  if (wide > innerWidth + 1) found.push(`the page is ${wide} wide`);
+  return found;
+})()"""
+
+
+def plots() -> list[Plot]:
+    """Every kind of series, and numbers of every size."""
+    t, random = np.linspace(0.0, 60.0, 200), np.random.default_rng(1)
+    values = random.normal(5.0, 1.0, 200)
+    v: Any = SimpleNamespace(name="gimbal", metric="max_gimbal_deg", unit="deg", kind="limit", bound=6.5)
+    hz = np.geomspace(0.02, 50.0, 600)
+    loop = 8.0 / ((2j * np.pi * hz) ** 2 + 0.1j * hz) * (1.0 + 2j * np.pi * hz) * np.exp(-0.05j * 2.0 * np.pi * hz)
+    turn, level = np.degrees(np.angle(-loop)) - 180.0, 20.0 * np.log10(np.abs(loop))
+    names = ["an input with a name that is much too long for so narrow a panel", "b"]
+    rows = {"kind": "rows", "colour": "blue", "name": "", "names": names, "matters": [True, False]}
+    rows |= {"x": [0.5, -0.2], "y": [0.5, -0.2]}
+    panels = [
+        Panel("large", [line(t, 1e5 * np.sin(t)), band(t, 0 * t, 4e4 + 0 * t, "band"), limit(9e4)], "time, s", "Pa"),
+        Panel("small", [line(t, 1e-5 * t, mark="o"), at(30.0, "half")], "time, s", "1"),
+        Panel("constant", [line(t, 0.0 * t)], "time, s"),
+        Panel("runs", [points(values, -values, runs=np.arange(200))], "x", "y"),
+        Panel("bars", [campaign.bars(values, np.arange(200), v), at(6.5, "limit")], "gimbal, deg", "runs"),
+        Panel("rows", [rows], "rank", x_range=(-1.0, 1.0), y_range=(0.0, 1.0), rows=True),
+        Panel("loop", [line(hz, level)], "frequency, Hz", "dB", log_x=True),
+        Panel("Nichols", [line(turn, level, "L"), points([-120.0, -121.0], [5.0, 5.1], labels=["slosh 1", "slosh 2"]),
+              shape([(-210.0, 0.0), (-180.0, -6.0), (-150.0, 0.0), (-180.0, 6.0)], "zone")],
+              "phase, deg", "|L|, dB", (-360.0, 0.0), (-40.0, 30.0), nichols=True),
+    ]  # fmt: skip  # a line for each argument otherwise
+    return [Plot(f"columns-{n}", "All", panels, "A caption.", n, 170, command="simrun --run {}") for n in (2, 3)]
+
+
+@pytest.fixture
+def file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    made: Any = pages._environment().from_string(BODY)
+    monkeypatch.setattr(pages, "_environment", lambda: SimpleNamespace(get_template=lambda _: made))
+    (tmp_path / "page.html").write_text(pages.render("", plots()), encoding="utf-8")
+    return tmp_path / "page.html"
+
+
+def shown(page: Page, file: Path, width: int) -> None:
+    page.do("Emulation.setDeviceMetricsOverride", width=width, height=900, deviceScaleFactor=1, mobile=False)
+    page.do("Page.enable")
+    page.do("Runtime.enable")
+    page.do("Page.navigate", url=file.resolve().as_uri())
+    deadline = time.monotonic() + 20.0
+    while value(page, "document.readyState") != "complete" and time.monotonic() < deadline:
+        time.sleep(0.1)
+
+
+def value(page: Page, what: str) -> Any:
+    return page.do("Runtime.evaluate", expression=what, returnByValue=True)["result"].get("value")
+
+
+def mouse(page: Page, kind: str, x: float, y: float, count: int = 0) -> None:
+    button = "left" if count else "none"
+    page.do("Input.dispatchMouseEvent", type=kind, x=x, y=y, button=button, buttons=int(bool(count)), clickCount=count)
+
+
+@pytest.mark.parametrize("width", [390, 800, 1280])
+def test_no_text_is_clipped_or_lies_over_another(page: Page, file: Path, width: int) -> None:
+    named = [Path(name) for name in os.environ.get("MAXQ_PAGES", "").split(":") if name]
+    for each in (file, *named):
+        shown(page, each, width)
+        assert page.errors == []
+        assert value(page, "document.querySelectorAll('figure.plot svg[role=img]').length") > 3
+        assert value(page, FAULTS) == [], each
+
+
+def test_overlapping_texts_are_found(page: Page, file: Path) -> None:
+    """The check can fail."""
+    shown(page, file, 1280)
+    value(page, "(() => { const t = document.querySelector('figure svg text'); t.after(t.cloneNode(true)); })()")
+    assert len(value(page, FAULTS)) == 1
+
+
+def test_a_point_tells_its_values_and_its_command_and_a_panel_zooms(page: Page, file: Path) -> None:
+    shown(page, file, 1280)
+    panel = "[...document.querySelectorAll('.panel')].find((p) => p.innerText.startsWith('runs'))"
+    value(page, f"{panel}.scrollIntoView()")
+    box = f"(({panel}).querySelectorAll('circle')[7].getBoundingClientRect())"
+    x, y = (value(page, f"{box}.{side} + {box}.{size} / 2") for side, size in (("left", "width"), ("top", "height")))
+    mouse(page, "mouseMoved", x, y)
+    assert "run 7" in value(page, "document.querySelector('.tip').textContent").splitlines()
+    mouse(page, "mousePressed", x, y, 1)
+    mouse(page, "mouseReleased", x, y, 1)
+    assert value(page, f"{panel}.closest('figure').querySelector('.command code').textContent") == "simrun --run 7"
+    ticks = f"[...{panel}.querySelectorAll('svg > text')].map((t) => t.textContent).join(' ')"
+    before = value(page, ticks)
+    mouse(page, "mousePressed", x - 20, y - 15, 1)
+    mouse(page, "mouseMoved", x, y, 1)
+    mouse(page, "mouseMoved", x + 20, y + 15, 1)
+    mouse(page, "mouseReleased", x + 20, y + 15, 1)
+    assert value(page, ticks) != before
+    assert not value(page, f"{panel}.querySelector('button').hidden")
+    value(page, f"{panel}.querySelector('button').click()")
+    assert value(page, ticks) == before
+
+
+def test_the_page_gives_the_data_that_lie_beside_it(page: Page, file: Path) -> None:
+    shown(page, file, 1280)
+    value(
+        page, "window.kept = []; URL.createObjectURL = (blob) => { blob.text().then((t) => kept.push(t)); return '#'; }"
+    )
+    value(page, "document.querySelector('a.data').dispatchEvent(new Event('click'))")
+    time.sleep(0.3)
+    (text,) = value(page, "kept")
+    wanted = as_csv(plots()[0])
+    rows, own = text.split("\r\n"), wanted.rstrip().split("\r\n")
+    assert len(rows) == len(own)
+    for a, b in zip(rows, own, strict=True):
+        for x, y in zip(a.rsplit(",", 4), b.rsplit(",", 4), strict=True):
+            assert x == y or float(x) == float(y)
