@@ -6,6 +6,7 @@ import math
 from collections.abc import Iterable
 from dataclasses import replace
 from functools import cache
+from typing import Any
 
 import numpy as np
 import pytest
@@ -20,6 +21,7 @@ from maxq.tools.replay import meshes
 from maxq.tools.replay.flight import ReplayFlight, launch_of, open_flight, path_of, place_of
 from maxq.tools.replay.plots import tabs_of
 from maxq.tools.replay.scene import Scene
+from maxq.tools.replay.stream import send_now
 from maxq.tools.replay.vehicle_shape import (
     SECTION,
     Sections,
@@ -224,3 +226,25 @@ def test_skin_has_the_colour_of_its_bending_moment(
         assert abs(int(colours[-1] >> 24) - 205) < 8, "the flight's largest, less a thirty-second: all but red"
         assert said[-1] == f"{largest_Nm / 1e3:.3g} kN m: the largest so far"
     assert (sent["vehicle/body/hull/stage1/piece_00/skin"][1] & 255 < 90).all(), "a thirty-second of it: all but plain"
+
+
+def test_read_outs_are_the_last_samples_before(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A row of the table against the log, read sample by sample."""
+    sent: list[tuple[list[int], list[str]]] = []
+
+    def keep(_: rr.RecordingStream, entity: str, indexes: Iterable[Any], columns: Iterable[ComponentColumn]) -> None:
+        assert entity == "now"
+        texts = [c.as_arrow_array().flatten().to_pylist() for c in columns]
+        (when,) = (index.as_arrow_array().cast("int64").to_pylist() for index in indexes)
+        sent.append((when, next(text for text in texts if text[0].startswith("**"))))
+
+    monkeypatch.setattr(rr.RecordingStream, "send_columns", keep)
+    log = flight().log
+    send_now(rr.RecordingStream("test"), [("one", log), ("two", log)])
+    ((when, texts),) = sent
+    assert np.diff(when).tolist() == [200_000_000] * (len(when) - 1)
+    ns, mach = log.time_ns("mach").tolist(), log["mach"].tolist()
+    for t, text in list(zip(when, texts, strict=True))[1:-1:7]:
+        value = [m for n, m in zip(ns, mach, strict=True) if n <= t][-1]
+        assert f"| Mach number | {value:.2f} | {value:.2f} |" in text.splitlines()
+        assert text.startswith(f"**{t / 1e9:.1f} s**")

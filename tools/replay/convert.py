@@ -11,11 +11,11 @@ from typing import Any, Literal
 import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
-from rerun.blueprint.encodings import TextLogColumn, TextLogColumnKind
+from rerun.blueprint.encodings import TextLogColumn, TextLogColumnKind, TimelineColumn
 
 from maxq.control.kernel.records import Array
 from maxq.sim.log.foxglove import FramePath
-from maxq.tools.plots.palette import BLUE, GREY, ORANGE, PURPLE, VERDICT
+from maxq.tools.plots.palette import BLUE, GREY, ON_DARK, ORANGE, PURPLE, VERDICT
 from maxq.tools.replay.flight import FEW, LaunchSite, ReplayFlight, closest, has_motion, path_of, place_of
 from maxq.tools.replay.plots import Axis, Plot, Tab, axis_of, own_tabs, range_of, tabs_of
 from maxq.tools.replay.scene import FAR_NS, Scene, send_ground, tail_below_cg
@@ -31,6 +31,7 @@ from maxq.tools.replay.stream import (
     send_curves,
     send_events,
     send_limits,
+    send_now,
     send_phases,
     send_styles,
 )
@@ -41,7 +42,8 @@ from maxq.tools.replay.viewer import ReplayError
 DEFAULT_RATE_HZ, MANY_RATE_HZ = 50.0, 10.0
 _NOMINAL_COLOUR = PURPLE
 _NIGHT, _DEEP = [24, 29, 38, 255], [13, 17, 24, 255]
-_LEGEND_MOST = 3  # names of more flights would cover the plot
+_LEGEND_MOST = COLOURED = 6  # flights with a colour and a name of their own; more names would cover the plots
+_MOSTLY = 0.9  # share of the time under thrust from which on a flight is shown as a whole only
 
 
 @dataclass(frozen=True)
@@ -53,6 +55,16 @@ class Options:
     slosh_factor: float | None = None
     side_by_side: bool = False
     tab: str | None = None
+    bare: bool = False  # without the viewer's menu, for a picture
+
+
+@dataclass(frozen=True)
+class Span:
+    """A part of the time, and the axes of the plots that suit it; `name`: of its tab, where there are several."""
+
+    name: str
+    span_s: tuple[float, float]
+    axes: Mapping[str, Axis]
 
 
 @dataclass(frozen=True)
@@ -88,26 +100,30 @@ def send_flights(recording: rr.RecordingStream, flights: Sequence[ReplayFlight],
     span_s = min(f.span_s[0] for f in flights), max(f.span_s[1] for f in flights)
     recording.log("/", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
 
-    ranges: dict[str, list[tuple[float, float]]] = {}
+    ends_s = {"Powered flight": max(f.burn_end_s for f in flights), "Whole flight": span_s[1]}
+    if ends_s["Powered flight"] - span_s[0] > _MOSTLY * (span_s[1] - span_s[0]):
+        ends_s = {"": span_s[1]}
+    ranges: dict[tuple[str, str], list[tuple[float, float]]] = {}
     drawn: list[_Drawn] = []
     exaggeration = common_exaggeration([flights[i] for i in sorted(near)], options)
     family = Family(span_s, interval_ns) if len(flights) - len(near) >= FAMILY_FROM else None
     roots = _roots(flights)
     plotted = [FAMILY] if family is not None else []
     for i, (root, flight) in enumerate(zip(roots, flights, strict=True)):
-        colour = (_NOMINAL_COLOUR if flight.is_nominal else VERDICT[flight.verdict]) if many else None
+        colour = colour_of(i, flight, len(flights)) if many else None
         own = own_tabs(tabs, flight.log.table, flight.scenario if i in near else None) if many else tabs
         if family is not None and colour is not None and i not in near:
             family.add(flight.label, colour, own, flight.log)
         else:
             plotted.append(root)
-            prefix = f"{flight.label}: " if many else ""
+            prefix = f"{flight.label}{', FAILED' if flight.verdict == 'failed' else ''}: " if many else ""
             send_styles(recording, root, own, colour, prefix, alpha=1.0 if len(flights) <= FEW else 0.55)
             send_curves(recording, root, own, flight.log, interval_ns)
         for plot in (plot for tab in own for plot in tab.plots):
-            if (found := plot.value_range(flight.log)) is not None:
-                ranges.setdefault(plot.key, []).append(found)
-        send_events(recording, root, flight.moments)
+            for name, end_s in ends_s.items():
+                if (found := plot.value_range(flight.log, round(end_s * 1e9))) is not None:
+                    ranges.setdefault((name, plot.key), []).append(found)
+        send_events(recording, root, flight.moments, f"{flight.label}: " if many else "")
         start = first_phase(flight.log, round(flight.span_s[0] * 1e9))
         send_phases(recording, root, phases(start, flight.moments), styled=True)
         if has_motion(flight.log):
@@ -115,14 +131,19 @@ def send_flights(recording: rr.RecordingStream, flights: Sequence[ReplayFlight],
 
     if family is not None:
         family.send(recording)
-    axes = {}
-    for plot in (plot for tab in tabs for plot in tab.plots):
-        axis = axes[plot.key] = axis_of(plot, range_of([np.array(r) for r in ranges.get(plot.key, [])]))
+    every = [plot for tab in tabs for plot in tab.plots]
+    spans = []
+    for name, end_s in ends_s.items():
+        axes = {p.key: axis_of(p, range_of([np.array(r) for r in ranges.get((name, p.key), [])])) for p in every}
+        spans.append(Span(name, (span_s[0], min(end_s + 0.02 * (end_s - span_s[0]), span_s[1])), axes))
+    for plot in every:
+        axis = spans[-1].axes[plot.key]
         send_limits(recording, plot, axis.drawn, (round(span_s[0] * 1e9), round(span_s[1] * 1e9)), axis)
+    send_now(recording, [(flight.label if many else "", flight.log) for flight in flights[:COLOURED]])
     text = about(flights, drawn_text(exaggeration, None if many else drawn[0].place) if drawn else [])
     recording.log("about", rr.TextDocument(text, media_type="text/markdown"), static=True)
     pictures = _pictures(recording, roots, drawn, exaggeration, options.side_by_side) if drawn else []
-    return layout(roots, pictures, tabs, axes, span_s, plotted=plotted, tab=options.tab)
+    return layout(roots, pictures, tabs, spans, plotted=plotted, tab=options.tab, bare=options.bare)
 
 
 def _send_scene(
@@ -168,6 +189,13 @@ def _pictures(
     if len(close) > 1:
         close = [rrb.Grid(contents=close) if side_by_side else rrb.Tabs(contents=close)]
     return [*close, overview(roots, eyes, grid)]
+
+
+def colour_of(number: int, flight: ReplayFlight, count: int) -> str:
+    """Of one flight among several: its own, or of many that of its verdict."""
+    if count <= COLOURED:
+        return ON_DARK[number]
+    return _NOMINAL_COLOUR if flight.is_nominal else VERDICT[flight.verdict]
 
 
 def _roots(flights: Sequence[ReplayFlight]) -> list[str]:
@@ -216,9 +244,9 @@ def plot_view(
     plot: Plot, axis: Axis | None, roots: Sequence[str], span_s: tuple[float, float], legend: bool
 ) -> rrb.TimeSeriesView:
     """`axis`: None where the values are not known yet."""
-    beyond = axis.beyond_text(plot.unit) if axis is not None else ""
+    beyond = axis.beyond_text("") if axis is not None else ""
     return rrb.TimeSeriesView(
-        name=f"{plot.heading}{f' - {beyond}' if beyond else ''}",
+        name=f"{plot.heading}{f', {beyond}' if beyond else ''}",
         origin="/",
         contents=[*(f"+ /{root}/plots/{plot.key}/**" for root in roots), f"+ /{limits_root(plot)}/**"],
         axis_x=time_axis(span_s),
@@ -281,12 +309,12 @@ def layout(
     roots: Sequence[str],
     pictures: Sequence[rrb.View | rrb.Container],
     tabs: Sequence[Tab],
-    axes: Mapping[str, Axis],
-    span_s: tuple[float, float],
+    spans: Sequence[Span],
     *,
     plotted: Sequence[str] | None = None,
     live: bool = False,
     tab: str | None = None,
+    bare: bool = False,
 ) -> rrb.Blueprint:
     """The whole window: `pictures` (close-up, overview) if there are any, plots in tabs, phases, events, a page.
 
@@ -294,46 +322,49 @@ def layout(
     """
     legend = len(roots) <= _LEGEND_MOST
     plotted = roots if plotted is None else plotted
-    plots = rrb.Tabs(
-        contents=[
-            rrb.Vertical(
-                contents=[plot_view(plot, axes.get(plot.key), plotted, span_s, legend) for plot in tab.plots],
-                name=tab.name,
-            )
-            for tab in tabs
-        ],
-        active_tab=_tab_number(tabs, tab),
-    )
+
+    def tabs_over(span: Span) -> rrb.Tabs:
+        pages = []
+        for page in tabs:  # side by side they are high enough for the viewer to write numbers at their axes
+            views = [plot_view(p, span.axes.get(p.key), plotted, span.span_s, legend) for p in page.plots]
+            pages.append(rrb.Grid(contents=views, grid_columns=2 if len(views) > 2 else 1, name=page.name))
+        return rrb.Tabs(contents=pages, active_tab=_tab_number(tabs, tab), name=span.name or None)
+
+    plots = rrb.Tabs(contents=[tabs_over(span) for span in spans]) if len(spans) > 1 else tabs_over(spans[0])
     phases = rrb.StateTimelineView(
-        name="Phases", origin="/", contents=[f"+ /{root}/phase" for root in roots[:6]], time_view=time_axis(span_s)
-    )
-    shown = [TextLogColumn(TextLogColumnKind.LogLevel), TextLogColumn(TextLogColumnKind.Body)]
-    if len(roots) > 1:
-        shown.insert(0, TextLogColumn(TextLogColumnKind.EntityPath))
+        name="Phases", origin="/", contents=[f"+ /{root}/phase" for root in roots[:6]],
+        time_view=time_axis(spans[-1].span_s),
+    )  # fmt: skip  # two more lines otherwise
+    shown = [TextLogColumn(TextLogColumnKind.Body)]
     events = rrb.TextLogView(
         name="Events",
         origin="/",
         contents=[f"+ /{root}/events" for root in roots],
-        columns=rrb.archetypes.TextLogColumns(timeline_columns=[], text_log_columns=shown),
+        columns=rrb.archetypes.TextLogColumns(
+            timeline_columns=[TimelineColumn(TIMELINE, visible=False)], text_log_columns=shown
+        ),
     )
+    now = rrb.TextDocumentView(name="Now", origin="now")
     about = rrb.TextDocumentView(name="About", origin="about")
     columns = [
         rrb.Vertical(contents=[plots, phases], row_shares=[6, 1]),
-        rrb.Vertical(contents=[events, about], row_shares=[2, 3]),
+        rrb.Vertical(contents=[now, events, about], row_shares=[2, 2, 3]),
     ]
-    shares = [5, 2.4]
+    shares = [5.8, 3.0]
     if pictures:
         columns.insert(0, rrb.Vertical(contents=list(pictures), row_shares=[3, 2][: len(pictures)]))
-        shares.insert(0, 5)
+        shares.insert(0, 4)
     content = rrb.Horizontal(contents=columns, column_shares=shares)
-    return window(content, TIMELINE, "following" if live else "paused")
+    return window(content, TIMELINE, "following" if live else "paused", bare=bare)
 
 
 def window(
-    content: rrb.Container, timeline: str, play_state: Literal["following", "paused"] | None = None
-) -> rrb.Blueprint:
-    """A window with this content and nothing around it but the time."""
+    content: rrb.Container, timeline: str, play_state: Literal["following", "paused"] | None = None,
+    *, bare: bool = False,
+) -> rrb.Blueprint:  # fmt: skip  # five lines otherwise
+    """A window with this content and nothing around it but the time; `bare`: without the viewer's menu either."""
     return rrb.Blueprint(
+        *([rrb.TopPanel(state="hidden")] if bare else []),
         content,
         rrb.TimePanel(timeline=timeline, state="collapsed", play_state=play_state, playback_speed=1.0),
         rrb.BlueprintPanel(state="hidden"),

@@ -28,6 +28,7 @@ from maxq.tools.replay.convert import (
     DEFAULT_RATE_HZ,
     Eyes,
     Options,
+    Span,
     close_view,
     eyes_for,
     layout,
@@ -47,6 +48,7 @@ from maxq.tools.replay.stream import (
     send_curves,
     send_events,
     send_limits,
+    send_now,
     send_phases,
     send_styles,
 )
@@ -198,6 +200,7 @@ class LiveView:
     def _send_plots(self, run: FlightRun) -> None:
         block = self._block(run, self._for_plots)
         send_curves(self._recording, _ROOT, self._tabs, block, round(1e9 / DEFAULT_RATE_HZ))
+        send_now(self._recording, [("", block)])
         self._send_limits(int(block.time_ns("latitude_deg")[-1]))
         self._for_plots, self._plots_sent_s = [], time.monotonic()
 
@@ -242,7 +245,7 @@ class LiveView:
             factor = self._exaggeration.text(self._table)
             name = f"Vehicle ({factor})" if factor else "Vehicle"
             pictures = [close_view(_ROOT, eyes, name), overview([_ROOT], eyes, self._grid)]
-        made = layout([_ROOT], pictures, self._tabs, {}, (self._start_s, end_s), live=live)
+        made = layout([_ROOT], pictures, self._tabs, [Span("", (self._start_s, end_s), {})], live=live)
         self._recording.send_blueprint(made, make_active=True, make_default=True)
 
     def _send_events(self, run: FlightRun) -> None:

@@ -52,6 +52,9 @@ class Curve:
         return channels.time_ns(self.channel), channels[self.channel]
 
 
+_NEVER = np.iinfo(np.int64).max
+
+
 @dataclass(frozen=True)
 class Plot:
     """`key` is its place below `plots/`, made of lower-case words; `unit` is "" for a bare number.
@@ -70,9 +73,10 @@ class Plot:
     def heading(self) -> str:
         return f"{self.title} ({self.unit})" if self.unit else self.title
 
-    def value_range(self, channels: Channels) -> tuple[float, float] | None:
-        """Smallest and largest value of the curves that a flight has; None where there is no number."""
-        return range_of([c.values(channels)[1] for c in self.curves if c.channel in channels])
+    def value_range(self, channels: Channels, until_ns: int = _NEVER) -> tuple[float, float] | None:
+        """Smallest and largest value up to a time of the curves that a flight has; None where there is no number."""
+        curves = (c.values(channels) for c in self.curves if c.channel in channels)
+        return range_of([values[ns <= until_ns] for ns, values in curves])
 
 
 @dataclass(frozen=True)
@@ -320,12 +324,12 @@ class Axis:
     beyond: tuple[Limit, ...]
 
     def beyond_text(self, unit: str) -> str:
-        """What to say of limits that are not drawn: `limit 30 deg/s off the scale`."""
+        """What to say of limits that are not drawn: `limit 30 deg/s`."""
         sizes = sorted({abs(limit.value) for limit in self.beyond})
         if not sizes:
             return ""
         text = " and ".join(f"{size:g}" for size in sizes) + (f" {unit}" if unit else "")
-        return f"limit{'s' * (len(sizes) > 1)} {text} off the scale"
+        return f"limit{'s' * (len(sizes) > 1)} {text}"
 
 
 def axis_of(plot: Plot, found: tuple[float, float] | None) -> Axis:

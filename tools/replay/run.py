@@ -98,7 +98,9 @@ def _give_back_memory() -> None:
 def _convert(flights: Sequence[ReplayFlight], given: argparse.Namespace, path: Path) -> None:
     from maxq.tools.replay.convert import Options, save  # noqa: PLC0415  # lazy: loads rerun
 
-    options = Options(given.rate, given.bend_factor, given.slosh_factor, given.side_by_side, given.tab)
+    options = Options(
+        given.rate, given.bend_factor, given.slosh_factor, given.side_by_side, given.tab, bool(given.screenshot)
+    )
     _check_writable(path)
     save(flights, options, path)
 

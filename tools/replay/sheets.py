@@ -144,7 +144,7 @@ def _draw(place: Axes, plot: Plot, shown: Flights, span_s: tuple[float, float]) 
     _draw_limits(place, axis)
     beyond = axis.beyond_text(plot.unit)
     place.set_title(plot.title + (f"  [{beyond}]" if beyond else ""))
-    place.set_ylabel(plot.unit or "1")
+    place.set_ylabel(plot.unit)
     if len(plot.curves) > 1 or axis.drawn:
         place.legend(**_LEGEND).set_in_layout(False)  # a long one does not squeeze the plot
 

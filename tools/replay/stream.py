@@ -182,6 +182,44 @@ def send_limits(
             send_scalars(recording, entity, at, values)
 
 
+# -- read-outs -----------------------------------------------------------------------------------------------------
+_READ = (
+    ("altitude, km", "altitude_m", 1e-3), ("speed, m/s", "speed_mps", 1.0), ("Mach number", "mach", 1.0),
+    ("dynamic pressure, kPa", "dynamic_pressure_Pa", 1e-3), ("incidence, deg", "alpha_total_deg", 1.0),
+    ("pitch gimbal, deg", "gimbal_pitch_angle_deg", 1.0), ("yaw gimbal, deg", "gimbal_yaw_angle_deg", 1.0),
+)  # fmt: skip  # a line for each read-out otherwise
+
+
+def send_now(recording: rr.RecordingStream, flights: Sequence[tuple[str, Channels]]) -> None:
+    """A table of the key numbers at every fifth of a second, a column for each flight."""
+    rows = [row for row in _READ if any(row[1] in channels for _, channels in flights)]
+    known = [channels.time_ns(name) for _, channels in flights for _, name, _ in rows if name in channels]
+    known = [ns for ns in known if len(ns)]
+    if not known:
+        return
+    step = 200_000_000
+    at = np.arange(min(ns[0] for ns in known) // step, max(ns[-1] for ns in known) // step + 1) * step
+    cells = []
+    for _, name, factor in rows:
+        for _, channels in flights:
+            ns = channels.time_ns(name) if name in channels else np.zeros(0, np.int64)
+            if len(ns):
+                values = factor * channels[name][np.clip(np.searchsorted(ns, at, side="right") - 1, 0, len(ns) - 1)]
+                shown = np.isfinite(values) & (at <= ns[-1] + step)
+                cells.append([f"{v:.2f}" if ok else "" for v, ok in zip(values.tolist(), shown, strict=True)])
+            else:
+                cells.append([""] * len(at))
+    head = "| | " + " | ".join(label or "now" for label, _ in flights) + " |\n|---|" + "--:|" * len(flights)
+    width, texts = len(flights), []
+    for k, t in enumerate(at):
+        lines = [f"**{t / 1e9:.1f} s**", "", head]
+        for n, (what, _, _) in enumerate(rows):
+            lines.append(f"| {what} | " + " | ".join(c[k] for c in cells[n * width : (n + 1) * width]) + " |")
+        texts.append("\n".join(lines))
+    columns = rr.TextDocument.columns(text=texts, media_type=["text/markdown"] * len(texts))
+    recording.send_columns("now", times(at), columns)
+
+
 # -- events and phases ---------------------------------------------------------------------------------------------
 @dataclass(frozen=True)
 class Phase:
@@ -217,10 +255,12 @@ def phases(first: Phase, moments: Iterable[Moment]) -> list[Phase]:
     return out
 
 
-def send_events(recording: rr.RecordingStream, root: str, moments: Iterable[Moment]) -> None:
+def send_events(recording: rr.RecordingStream, root: str, moments: Iterable[Moment], prefix: str = "") -> None:
     for moment in moments:
         set_time(recording, moment.time_ns)
-        recording.log(f"{root}/events", rr.TextLog(moment.line, level=_LEVELS.get(moment.level, moment.level.name)))
+        recording.log(
+            f"{root}/events", rr.TextLog(prefix + moment.line, level=_LEVELS.get(moment.level, moment.level.name))
+        )
     recording.reset_time()
 
 

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from maxq.control.kernel.records import Array, IntArray
+from maxq.tools.plots.palette import ON_DARK
 from maxq.tools.replay.flight import LaunchSite, ReplayFlight, Requirement
 from maxq.tools.replay.plots import Curve, Plot, tabs_of
 from maxq.tools.replay.vehicle_shape import Exaggeration
@@ -31,7 +32,9 @@ def about(flights: Sequence[ReplayFlight], drawn: Sequence[str]) -> str:
         return "\n".join([*_about_flight(flights[0]), *drawn])
     lines = [f"# {len(flights)} flights", "", "| flight | outcome | verdict |", "|---|---|---|"]
     lines += [f"| {f.label} | {f.outcome} at {f.span_s[1]:.1f} s | {f.verdict} |" for f in flights]
-    lines += ["", "Green: passed. Red: failed. Blue: no verdict known. Purple: the nominal.", ""]
+    if len(flights) > len(ON_DARK):  # else each has its own colour
+        lines += ["", "Green: passed. Red: failed. Blue: no verdict known. Purple: the nominal."]
+    lines.append("")
     lines += _notes([f"{f.label}: {note}" for f in flights for note in f.damage])
     return "\n".join([*lines, *drawn])
 
