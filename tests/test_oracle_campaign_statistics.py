@@ -12,6 +12,7 @@ import pytest
 from scipy import integrate, stats
 
 from maxq.sim.campaign import statistics as s
+from maxq.sim.campaign import tails
 from maxq.sim.campaign.draws import box, chosen, correlated, quantile
 from maxq.sim.campaign.schema import Disperse
 from maxq.sim.campaign.tails import fit_pareto, tail_of
@@ -204,6 +205,15 @@ def test_tails_cover_what_lies_beyond_the_runs(law: stats.rv_continuous) -> None
     mirrored = tail_of(-law.rvs(size=1000, random_state=0), -limit, 0.9973, 0.9, largest=False)
     assert mirrored.quantile_bound == -tails[0].quantile_bound
     assert mirrored.beyond_bound == tails[0].beyond_bound
+
+
+@pytest.mark.parametrize("shape", [-0.4, 0.0, 0.3])
+def test_what_lies_beyond_an_excess_is_scipys_both_ways(shape: float) -> None:
+    law = stats.genpareto(shape, scale=1.7)
+    for excess in (0.1, 0.9, 2.5):
+        assert tails._beyond(shape, 1.7, excess) == pytest.approx(law.sf(excess), rel=1e-12)
+        assert tails._excess_at(shape, 1.7, law.sf(excess)) == pytest.approx(excess, rel=1e-12)
+    assert tails._beyond(shape, 1.7, 4.3) == pytest.approx(law.sf(4.3), rel=1e-12)  # of -0.4 the end is at 4.25
 
 
 def test_tails_say_why_there_is_no_fit_and_when_it_is_poor() -> None:

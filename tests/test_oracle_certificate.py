@@ -9,14 +9,18 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+from typing import Any, cast
+
 import numpy as np
 import pytest
 
 from maxq.design import api
+from maxq.design.certificate import measured_margins
 from maxq.design.certificate.excitation import Band, band, excitation_level
 from maxq.design.certificate.held_flight import HeldFlight, hold
 from maxq.design.certificate.measured_margins import growth_rate, measure_margin
-from maxq.design.certificate.response import measure
+from maxq.design.certificate.response import _estimated, measure
 from maxq.design.loop.loop import Loop
 from maxq.design.margins.measure import margins
 from maxq.sim.scenario.loader import load_scenario
@@ -80,3 +84,27 @@ def test_growth_of_a_slow_oscillation_beside_a_drift() -> None:
     times = np.arange(100_000) * 0.01
     swing = np.exp(0.002 * times) * np.sin(2 * np.pi * 0.01 * times + 0.3)
     assert growth_rate(swing + 10.0 * np.exp(-0.004 * times), 0.01, 0.01, 200.0) == pytest.approx(0.002, abs=3e-4)
+
+
+def test_growth_changes_with_the_gain_as_a_line_does(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of a loop whose fastest pole moves by 0.7/s a dB."""
+
+    def altered(loop: Loop, what: str, amount: float) -> Any:
+        return SimpleNamespace(closed_poles=lambda: np.array([0.7 * amount - 3.0 + 2j, -9.0 - 1j]))
+
+    monkeypatch.setattr(measured_margins, "altered", altered)
+    assert measured_margins._slope(cast("Any", None), "gain_up", 6.0) == pytest.approx(0.7, rel=1e-12)
+
+
+def test_neither_mean_nor_nyquist_counts_as_noise() -> None:
+    """Both bins are real, and hold the offset and half of a tone; the noise beside the lines tells the error."""
+    top = Band(np.array([45.0, 49.5]), 4.0, 4.0, 1)
+    lines = np.round(top.lines_hz * top.period_s).astype(int)
+    rng = np.random.default_rng(4)
+    out = 1e-3 * (rng.normal(size=201) + 1j * rng.normal(size=201))
+    out[lines], into = 1.0, np.ones(201, complex)
+    quiet = _estimated(top, out, into, 0.0, "")
+    out[[0, -1]] = 100.0
+    loud = _estimated(top, out, into, 0.0, "")
+    assert loud.error.tolist() == quiet.error.tolist()
+    assert quiet.response == pytest.approx(-np.ones(2))  # L = -U / E

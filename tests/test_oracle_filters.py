@@ -27,6 +27,8 @@ from maxq.control.filters import (
     settle_filter,
 )
 from maxq.control.structures import MAX_SECTIONS
+from maxq.design.laws.bending_filter import laplace_axis
+from maxq.design.model.state_space import ComplexArray
 
 SAMPLE_S = 0.01
 PREWARP_HZ = 9.2
@@ -152,3 +154,18 @@ def test_no_sections_pass_the_signal_as_it_is() -> None:
     discrete = BendingFilter().discretize(SAMPLE_S)
     assert discrete.n_sections == 0
     assert filter_sample(discrete.padded(), 0, np.zeros((MAX_SECTIONS, 2)), 0.123) == 0.123
+
+
+@pytest.mark.parametrize(("sample_s", "prewarp_hz"), [(None, None), (0.01, 9.2), (0.004, 20.0)])
+def test_slope_and_curvature_of_the_frequency_axis(sample_s: float | None, prewarp_hz: float | None) -> None:
+    """By differences over ln f; what differences of fourth order leave is 1e-9 of it and rounding."""
+    x, h = np.log(np.array([0.3, 2.0, 9.2, 31.0])), 1e-3
+
+    def s(n: int) -> ComplexArray:
+        return laplace_axis(x + n * h, sample_s, prewarp_hz)[0]
+
+    _, slope, curvature = laplace_axis(x, sample_s, prewarp_hz)
+    np.testing.assert_allclose(slope, (8.0 * (s(1) - s(-1)) - s(2) + s(-2)) / (12.0 * h), rtol=1e-7)
+    np.testing.assert_allclose(
+        curvature, (16.0 * (s(1) + s(-1)) - s(2) - s(-2) - 30.0 * s(0)) / (12.0 * h**2), rtol=1e-6
+    )

@@ -316,6 +316,15 @@ def test_bounds_that_nothing_meets(tmp_path: Path) -> None:
         campaign.plan.draw(0, 1)
 
 
+def test_as_many_draws_are_tried_as_the_message_says(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    campaign = campaignkit.small(tmp_path, runs=60, inputs=BOUNDED)
+    redraws = campaign.plan.draw(0, 60).redraws.tolist()
+    monkeypatch.setattr("maxq.sim.campaign.plan.MOST_ATTEMPTS", 2)
+    assert campaign.plan.draw(redraws.index(2), 1).redraws.tolist() == [2]
+    with pytest.raises(CampaignError, match=r"2 draws of .* all lie outside its bounds \(at least 0 and at most 1\)"):
+        campaign.plan.draw(redraws.index(3), 1)
+
+
 @pytest.mark.parametrize(
     ("inputs", "says"),
     [
