@@ -13,7 +13,8 @@ import numpy as np
 import pytest
 from scipy import integrate, stats
 
-from maxq.sim.api import fly, load_scenario
+from maxq.sim.api import Flight, LoadedScenario, fly, load_scenario
+from maxq.sim.campaign import investigation
 from maxq.sim.campaign.analysis import (
     DataSet,
     bands,
@@ -114,11 +115,25 @@ high = 1.0
 """
 
 
-def test_shrinking_finds_the_torque_that_was_put_in(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_shrinking_finds_the_torque_that_was_put_in(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
     text = campaignkit.campaign_text(rest=PAIR + FAILING, inputs=campaignkit.INPUTS + TORQUES)
     (tmp_path / "pair.toml").write_text(text.replace('unset = ["requirement"]\n', ""))
     campaign = load_campaign(tmp_path / "pair.toml")
-    found = [shrink_run(campaign, 3, "turning", workers=workers) for workers in (1, 3)]
+    counted: list[LoadedScenario] = []
+    fly_one = investigation.fly_scenario
+
+    def counting(scenario: LoadedScenario) -> Flight:
+        counted.append(scenario)
+        return fly_one(scenario)
+
+    with monkeypatch.context() as patched:
+        patched.setattr(investigation, "fly_scenario", counting)
+        found = [shrink_run(campaign, 3, "turning")]
+    assert found[0] is not None
+    assert found[0].flights == len(counted)
+    found.append(shrink_run(campaign, 3, "turning", workers=3))
     for shrunk in found:
         assert shrunk is not None
         assert shrunk.inputs == ("injection.0.amplitude_Nm",)
@@ -141,6 +156,14 @@ def test_shrinking_what_does_not_fail(tmp_path: Path, capsys: pytest.CaptureFixt
 
 
 @pytest.mark.slow
+def test_a_search_begins_all_over_the_box() -> None:
+    """A Latin hypercube: each of as many equal cells of an input holds one member."""
+    bounds = np.array([[-2.0, 6.0], [10.0, 11.0]])
+    first = investigation._first(["a", "b"], bounds, 16, 3, None)
+    cells = np.floor(16.0 * (first - bounds[:, 0]) / (bounds[:, 1] - bounds[:, 0])).astype(int)
+    assert [sorted(column) for column in cells.T.tolist()] == [list(range(16))] * 2
+
+
 def test_the_search_goes_into_the_worst_corner(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Thrust over mass grows with the thrust factor and with nothing else here: the corner is 3 sigma up."""
     campaign = campaignkit.small(tmp_path, runs=8)

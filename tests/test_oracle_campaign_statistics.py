@@ -14,8 +14,10 @@ from scipy import integrate, stats
 from maxq.sim.campaign import statistics as s
 from maxq.sim.campaign import tails
 from maxq.sim.campaign.draws import box, chosen, correlated, quantile
+from maxq.sim.campaign.runner import Tally
 from maxq.sim.campaign.schema import Disperse
 from maxq.sim.campaign.tails import fit_pareto, tail_of
+from maxq.sim.scenario.schema_scenario import Requirement
 
 Judge = Callable[[int, int, int | None], s.Shown]
 User = Callable[[np.ndarray, int | None, Judge], bool]
@@ -271,3 +273,18 @@ def test_the_box_of_a_search() -> None:
     ) == pytest.approx((1.7, 2.3))
     uniform = Disperse.model_validate({"key": "x", "distribution": "uniform", "low": 1.0, "high": 5.0})
     assert box(uniform, 0.0) == (1.0, 5.0)
+
+
+@pytest.mark.parametrize(
+    ("bound", "values", "worst"), [("limit", (4.0, 6.0, 5.0), 6.0), ("minimum", (6.0, 4.0, 5.0), 4.0)]
+)
+def test_a_run_beyond_its_limit_is_counted_and_one_without_a_value_too(
+    bound: str, values: tuple[float, ...], worst: float
+) -> None:
+    tally = Tally("incidence", Requirement.model_validate({"metric": "max_alpha_deg", bound: 5.0}))
+    missed = [tally.add("burnout", "", {"max_alpha_deg": value}) for value in values]
+    assert missed == [False, True, False]  # the second lies beyond, the third on it
+    assert tally.add("diverged", "", {"max_alpha_deg": 5.0})
+    assert (tally.failures, tally.worst) == (2, worst)
+    kept = Tally("control kept", None)
+    assert [kept.add("burnout", "", {}), kept.add("burnout", "incidence", {})] == [False, True]

@@ -87,13 +87,14 @@ def test_growth_of_a_slow_oscillation_beside_a_drift() -> None:
 
 
 def test_growth_changes_with_the_gain_as_a_line_does(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Of a loop whose fastest pole moves by 0.7/s a dB."""
+    """Of a loop whose critical pole, at 2 rad/s, moves by 0.7/s a dB."""
+    bound: Any = SimpleNamespace(value=6.0, frequency_hz=1.0 / np.pi)
 
     def altered(loop: Loop, what: str, amount: float) -> Any:
-        return SimpleNamespace(closed_poles=lambda: np.array([0.7 * amount - 3.0 + 2j, -9.0 - 1j]))
+        return SimpleNamespace(closed_poles=lambda: np.array([0.7 * amount - 3.0 + 2j, 9.0 - 1j]))
 
     monkeypatch.setattr(measured_margins, "altered", altered)
-    assert measured_margins._slope(cast("Any", None), "gain_up", 6.0) == pytest.approx(0.7, rel=1e-12)
+    assert measured_margins._slope(cast("Any", None), "gain_up", bound) == pytest.approx(0.7, rel=1e-12)
 
 
 def test_neither_mean_nor_nyquist_counts_as_noise() -> None:

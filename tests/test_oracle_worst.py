@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from itertools import product
+from types import SimpleNamespace
+from typing import Any
 
 import design_nodes
 import numpy as np
@@ -14,6 +16,7 @@ from maxq.design.loop.loop import Loop
 from maxq.design.margins.measure import margins
 from maxq.design.model.dispersion import Dispersion
 from maxq.design.model.node import Node
+from maxq.design.verify import worst
 from maxq.design.verify.linear import Deviated, dispersed_node, vehicle_of
 from maxq.design.verify.suite import Spread, WorstWanted
 from maxq.design.verify.worst import WorstVehicle, places_of, scenario_of, search_node, worst_requirements
@@ -99,6 +102,38 @@ def test_the_scenario_written_is_the_vehicle_measured() -> None:
     wanted, nominal = exact(node, by), exact(node, Deviated())
     assert abs(wanted - nominal) > 0.02
     assert exact(flown, Deviated()) == pytest.approx(wanted, rel=5e-3)  # the ascent differs a little, with its forces
+
+
+@pytest.mark.parametrize(("failures", "stable"), [((), True), (("control lost",), False)])
+def test_the_worst_of_all_nodes_is_measured_and_flown(
+    monkeypatch: pytest.MonkeyPatch, failures: tuple[str, ...], stable: bool
+) -> None:
+    """Three nodes whose searches end at 0.5, 0.2 and 0.4 after 7 loops each."""
+    nodes: Any = [SimpleNamespace(time_s=t, plane="yaw", found=v) for t, v in ((5.0, 0.5), (9.0, 0.2), (13.0, 0.4))]
+    measured = SimpleNamespace(modulus=0.21, stable=stable)
+    stand_in = {
+        "places_of": lambda node: [("thrust", -1)],
+        "search_node": lambda node, *_: (node.found, np.array([node.found]), 7),
+        "_deviated": lambda *_: None,
+        "dispersed_node": lambda node, by: node,
+        "fixed_path": lambda node: node,
+        "Loop": lambda node, law: SimpleNamespace(fixed=SimpleNamespace(resonances=list)),
+        "api": SimpleNamespace(law_at=lambda design, node: None),
+        "margins": lambda loop, resonances: measured,
+        "scenario_of": lambda base, node, by: (SimpleNamespace(as_flown=f"at {node.time_s:g}"), ["aero.nothing"]),
+        "fly": lambda scenario, log: SimpleNamespace(failures=failures),
+    }
+    for name, value in stand_in.items():
+        monkeypatch.setattr(worst, name, value)
+    none: Any = None
+    found = worst.search_plane(nodes, none, none, WorstWanted(starts=2), none)
+    assert (found.time_s, found.plane, found.text, found.searches, found.loops) == (9.0, "yaw", "at 9", 6, 21)
+    assert found.sigmas == {("thrust", -1): pytest.approx(0.6)}  # 0.2 of three sigma
+    assert found.modulus == (0.21 if stable else 0.0)
+    assert found.kept_control == (not failures)
+    rows = worst_requirements(found, WorstWanted(modulus=0.2), "")
+    assert [row.judgement for row in rows] == ["accepted" if stable else "rejected"] * 2
+    assert rows[1].found == f"{'control lost' if failures else 'control kept'}; without aero.nothing"
 
 
 def test_words_claim_no_more_than_was_searched() -> None:

@@ -30,6 +30,7 @@ from maxq.design.verify.suite import (
     LoadedSuite,
     MarginLimits,
     Requirement,
+    Spread,
     beyond,
     overall,
     read_suite,
@@ -302,6 +303,15 @@ def test_a_wrong_mark_is_named(flight: str, said: str, tmp_path: Path) -> None:
     with pytest.raises(ScenarioError, match=re.escape(said)) as found:
         _fitted(path, "nominal", STAGE_MARKS)
     assert "flight a" in str(found.value)
+
+
+def test_vehicles_deviate_by_the_starter_set_unless_a_suite_says_otherwise() -> None:
+    """Three sigma: of modes 1, 2 and all beyond, of every tank, of actuator, thrust, air and inertia."""
+    assert Spread().model_dump() == {
+        "bending_frequency": (0.05, 0.10, 0.15), "bending_slope": 0.2, "bending_damping": 0.5, "slosh_frequency": 0.05,
+        "slosh_mass": 0.10, "slosh_damping": 0.5, "actuator_frequency": 0.15, "delay_s": 0.002, "thrust": 0.03,
+        "normal_force": 0.15, "centre_of_pressure_m": 0.25, "inertia": 0.05,
+    }  # fmt: skip  # eight more lines otherwise
 
 
 def test_a_suite_that_asks_for_little_is_a_screening(suite: Path) -> None:
