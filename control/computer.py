@@ -32,16 +32,18 @@ from maxq.control.attitude import (
     update_attitude_error,
 )
 from maxq.control.converter import Converter, ConverterState, convert, make_converter, round_half_away, start_converter
-from maxq.control.external import ExternalState, step_external
+from maxq.control.external import HEALTH_ACCELEROMETER, HEALTH_RATE_GYROS, ExternalState, step_external
 from maxq.control.filters import DiscreteFilter
 from maxq.control.guidance import GuidanceState, advance_guidance, start_guidance, unroll
 from maxq.control.kernel.jit import kernel, routine
 from maxq.control.kernel.records import Array, IntArray
 from maxq.control.kernel.rows import PitchYaw, Quaternion, RollPitchYaw, degrees, quaternion
 from maxq.control.kernel.tables import NO_TABLE, Cubics, Pool, TableRef
+from maxq.control.laws.load_relief import LoadRelief, LoadReliefState, lag_share, start_load_relief, tick_load_relief
 from maxq.control.laws.pd import LawRow, Pd, PdState, filtered, law_row, make_pd, settle_pd, start_pd, tick_pd
 from maxq.control.laws.pid import Pid, PidRow, PidState, pid_row, start_pid, tick_pid
 from maxq.control.roll import Roll, RollState, silence_roll, start_roll, update_roll
+from maxq.control.sensors import Sensors, SensorState, blended_rate, make_sensors, read_sensors, start_sensors
 from maxq.control.structures import Attitude
 
 # No gyro measures, and no scenario means, a turn of more than this in one sample: beyond it lies a fault.
@@ -87,6 +89,8 @@ class Computer:
     dac_step_rad: float
     roll: Roll
     allocation: Allocation  # of the stage that flies
+    sensors: Sensors
+    relief: LoadRelief
     takes_over: int = 0  # 1: this stage's law or timing is its own, and is started at the separation
 
 
@@ -112,6 +116,8 @@ class ComputerState:
     roll: RollState
     allocation: AllocationState
     external: ExternalState
+    sensors: SensorState
+    relief: LoadReliefState
 
 
 def build_computer(
@@ -135,6 +141,8 @@ def build_computer(
     guidance_on: bool = True,
     roll_on: bool = True,
     external: bool = False,
+    sensors: Sensors | None = None,
+    relief_hz: float | None = None,
 ) -> Computer:
     """Parameters of a computer; its tables go into `pool`.
 
@@ -144,7 +152,8 @@ def build_computer(
     `BendingFilter.discretize`; without `yaw_filter` yaw is as pitch, without either the law's output passes
     as it is (a filter of no sections gives one axis none). `roll` comes from `roll.make_roll`; without it no
     thruster fires. `count_rad` = 0 is an ideal converter, `dac_step_rad` = 0 an ideal DAC, an infinite limit
-    none.
+    none. With `relief_hz`, the corner of the accelerometer's lag, the law is load relief, and `gains` has a column
+    k_a_s2pm. `sensors` comes from `sensors.make_sensors`.
 
     Raises ValueError, naming key, value and what is allowed.
     """
@@ -157,7 +166,8 @@ def build_computer(
     ):
         if not holds:
             raise ValueError(f"{key} = {value}: allowed is {allowed}")
-    integral = gains is not None and gains.n_columns == 6
+    more = gains is not None and gains.n_columns == 6
+    integral = more and relief_hz is None
     return Computer(
         sample_ns=sample_ns,
         delay_ns=delay_ns,
@@ -173,13 +183,15 @@ def build_computer(
         attitude=METHODS.index(attitude),
         angle_error_limit_rad=angle_error_limit_rad,
         law=make_pd(
-            _placed(pool, "gains", gains, 6 if integral else 4), sample_ns, pitch_filter, yaw_filter or pitch_filter
+            _placed(pool, "gains", gains, 6 if more else 4), sample_ns, pitch_filter, yaw_filter or pitch_filter
         ),
         pid=Pid(int(integral), integral_limit_rad),
         command_limit_rad=command_limit_rad,
         dac_step_rad=dac_step_rad,
         roll=roll or _UNUSED_ROLL,
         allocation=ONE_GROUP,
+        sensors=sensors or make_sensors(),
+        relief=LoadRelief(int(relief_hz is not None), lag_share(relief_hz or 0.0, sample_ns / 1.0e9)),
     )
 
 
@@ -203,6 +215,8 @@ def start_computer(computer: Computer, pool: Array, state: ComputerState, time_s
     start_pid(state.pid)
     start_roll(state.roll)
     start_allocation(state.allocation)
+    start_sensors(computer.sensors, state.sensors)
+    start_load_relief(state.relief)
     for gimbal in range(2):
         state.requested_rad[gimbal] = 0.0
         state.command_limited[gimbal] = 0
@@ -266,6 +280,13 @@ def computer_tick(
             rate_replaces[axis],
         )
         state.attitude.rate_radps[axis] = state.converter.increment_rad[axis] / sample_s
+    if computer.sensors.count > 0:
+        state.invalid_inputs += read_sensors(
+            computer.sensors, state.sensors, state.ticks, sample_s, INCREMENT_LIMIT_RAD
+        )
+        for gimbal in range(2):
+            first_radps = state.attitude.rate_radps[1 + gimbal]
+            state.attitude.rate_radps[1 + gimbal] = blended_rate(computer.sensors, state.sensors, gimbal, first_radps)
     if computer.unrolled != 0:
         unroll(state.guidance, sample_s)
     turn(state.guidance.attitude, state.guidance.increment_rad)
@@ -312,7 +333,25 @@ def call_external(computer: Computer, state: ComputerState, time_s: float) -> No
         inputs.attitude_error_rad[axis] = attitude.theta_e_rad[axis]
     for k in range(4):
         inputs.q_BR[k], inputs.commanded_q_BR[k] = attitude.measured.q[k], guidance.attitude.q[k]
+    if computer.sensors.count > 0:
+        hand_sensors(computer, state)
     step_external(state.external)
+
+
+@routine
+def hand_sensors(computer: Computer, state: ComputerState) -> None:
+    """Further sensors' samples into the flight code's inputs."""
+    inputs, sensors = state.external.inputs, state.sensors
+    inputs.health |= HEALTH_ACCELEROMETER + HEALTH_RATE_GYROS
+    for k in range(computer.sensors.count):
+        is_force = k == computer.sensors.accelerometer
+        if sensors.lost[k] != 0:
+            inputs.health &= ~(HEALTH_ACCELEROMETER if is_force else HEALTH_RATE_GYROS)
+        for axis in range(3):
+            if is_force:
+                inputs.delta_velocity_mps[axis] = sensors.delta[k, axis]
+            else:
+                inputs.further_rate_radps[k, axis] = sensors.value[k, axis]
 
 
 @routine
@@ -351,6 +390,11 @@ def update_command(
         wanted_rad = state.external.outputs.gimbal_rad[gimbal] * computer.control_on
         # no sections of a design: those with which a certificate alters the loop
         law_rad = filtered(computer.law, state.law, gimbal, wanted_rad)
+    elif computer.relief.on != 0:
+        law_rad = tick_load_relief(
+            computer.law, computer.relief, pool, state.law, state.relief, state.attitude,
+            state.sensors.value[computer.sensors.accelerometer], gimbal, time_s, computer.control_on,
+        )  # fmt: skip  # eleven lines otherwise
     elif computer.pid.on == 0:
         law_rad = tick_pd(computer.law, pool, state.law, state.attitude, gimbal, time_s, computer.control_on)
     else:

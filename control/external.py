@@ -18,12 +18,15 @@ from numba import types
 from numba.extending import intrinsic, overload
 
 from maxq.control.kernel.jit import kernel
+from maxq.control.kernel.limits import MAX_SENSORS
 from maxq.control.kernel.records import Array, IntArray
 
 HEADER = Path(__file__).with_name("maxq_fsw.h")
 ABI = 1
 MONITORS = 8
 LARGEST_RAD = 1.0e6  # of a command: far from what arithmetic cannot hold
+
+HEALTH_ACCELEROMETER, HEALTH_RATE_GYROS = 2, 4  # bits of `FswInputs.health`
 
 OWN_ERROR, NOT_FINITE, BAD_THRUSTER, CRASHED, STUCK = range(1, 6)
 """Faults with which flight code ends a flight. Crashed, stuck: seen from outside (sim/run/flight_software.py)."""
@@ -34,13 +37,17 @@ class FswInputs:
     """`maxq_fsw_inputs`. Triples are per body axis x, y, z (roll, pitch, yaw).
 
     `bytes`: size of the struct. `time_ns`, `time_s`: vehicle clock at the end of the sample. `tick`: samples before
-    this one. `stage`: from 0. `health`: bit 0, all gyro increments were valid.
+    this one. `stage`: from 0. `health`: bit 0, all gyro increments were valid; bits 1 and 2, the accelerometer's and
+    all further rate gyros' samples have arrived.
 
     `counts`, `delta_angle_rad`: gyro pulses of the sample and the angle that they mean; without quantisation counts are
     0. `angle_rad`: sum of the angles. `rate_radps`: angle of the sample over its period. `commanded_angle_rad`,
     `commanded_rate_radps`: of the guidance programme, with injected rates. `attitude_error_rad`: what the built-in law
     works on. `q_BR`, `commanded_q_BR`: attitude by the counts and of the guidance, B to R (the body
     at its start), scalar first.
+
+    `delta_velocity_mps`: specific force over the sample, by the accelerometer; 0 without one. `further_rate_radps`: of
+    rate gyros beyond the first, as `rate_radps`.
     """
 
     bytes: int
@@ -58,6 +65,8 @@ class FswInputs:
     attitude_error_rad: Annotated[Array, (3,)]
     q_BR: Annotated[Array, (4,)]
     commanded_q_BR: Annotated[Array, (4,)]
+    delta_velocity_mps: Annotated[Array, (3,)]
+    further_rate_radps: Annotated[Array, (MAX_SENSORS - 1, 3)]
 
 
 @dataclass

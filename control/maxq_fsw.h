@@ -18,6 +18,8 @@ extern "C" {
 
 #define MAXQ_FSW_ABI 1
 #define MAXQ_FSW_HEALTH_GYRO 1 /* bit of health: all gyro increments of the sample were valid */
+#define MAXQ_FSW_HEALTH_ACCELEROMETER 2 /* its sample has arrived */
+#define MAXQ_FSW_HEALTH_RATE_GYROS 4    /* the samples of all further rate gyros have arrived */
 
 typedef struct maxq_fsw_setup {
     int64_t bytes;               /* size of this struct */
@@ -49,6 +51,8 @@ typedef struct maxq_fsw_inputs {
     double attitude_error_rad[3];   /* limited, as the built-in law has it: roll and tilt, or angle less command */
     double q_BR[4];                 /* attitude by the counts, body to R: the body at the start; scalar first */
     double commanded_q_BR[4];       /* of the guidance */
+    double delta_velocity_mps[3];   /* accelerometer: specific force over the sample; 0 without one */
+    double further_rate_radps[4][3];/* rate gyros beyond the first, mean over the sample */
 } maxq_fsw_inputs;
 
 typedef struct maxq_fsw_outputs { /* all 0 before each call, but for bytes */

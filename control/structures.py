@@ -4,8 +4,14 @@ from __future__ import annotations
 
 from typing import Literal
 
-Law = Literal["pd", "pid"]
+Law = Literal["pd", "pid", "load-relief"]
 """Modules of control/laws and design/laws."""
+
+GAINS: dict[Law, tuple[str, ...]] = {
+    "pd": ("k_p", "k_d_s"),
+    "pid": ("k_p", "k_d_s", "k_i_ps"),
+    "load-relief": ("k_p", "k_d_s", "k_a_s2pm"),
+}
 
 Attitude = Literal["quaternion", "rate-integral"]
 """What the computer takes for its attitude error (control/attitude.py)."""

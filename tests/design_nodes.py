@@ -13,9 +13,12 @@ from maxq.design import api
 from maxq.design.loop.fixed_path import folded
 from maxq.design.loop.loop import Loop
 from maxq.design.model.node import Node
-from maxq.design.model.vehicle_at import Modes, Plane
+from maxq.design.model.vehicle_at import FlightCondition, Modes, Plane, instruments_of, vehicle_at
+from maxq.sim.packing.flight import pack_flight
+from maxq.sim.run.evaluate import evaluate_at
 from maxq.sim.scenario.loader import LoadedScenario, load_scenario
 from maxq.sim.scenario.schema_design import Design
+from maxq.sim.vehicle.workspace import AIRSPEED, DENSITY, MACH, PRESSURE
 
 TIMES_S = tuple(float(t) for t in range(5, 60, 5))  # the paper's
 
@@ -89,3 +92,27 @@ def closed_damping(loop: Loop) -> dict[str, float]:
         _, nearest = scipy.optimize.linear_sum_assignment(np.abs(poles[:, None] - now[None, :]))
         poles = now[nearest]
     return {r.label: float(-p.real / abs(p)) for r, p in zip(followed, poles, strict=True)}
+
+
+def frozen(time_s: float, *overrides: str, plane: Plane = "pitch") -> tuple[LoadedScenario, Node]:
+    """A start on the nominal flight's path at a node, over a flat Earth, with the vehicle's clock standing still."""
+    node = node_at(time_s)
+    path, speed = node.condition.pitch_rad, node.condition.airspeed_mps
+    altitude = {5.0: 172.0, 40.0: 7200.0, 55.0: 16000.0}[time_s]
+    velocity = [float(speed * np.cos(path)), 0.0, float(-speed * np.sin(path))]
+    loaded = load_scenario("nominal", [
+        'design="designs/ksr3-default.toml"',
+        "earth.shape='flat'", "earth.rotating=false", "earth.gravity='uniform'", f"run.start_s={time_s}",
+        f"run.freeze_vehicle_at_s={time_s}", "run.duration_s=1.0", "switches.converter='ideal'",
+        "switches.actuator='linear'", "switches.guidance=false", "vehicle.computer.dac_step_deg=0", "log.fast_hz=1000",
+        "initial.geodetic.latitude_deg=0", "initial.geodetic.longitude_deg=0",
+        f"initial.geodetic.altitude_m={altitude}", f"initial.euler_deg=[0, {float(np.degrees(path))!r}, 0]",
+        f"initial.ned_mps={velocity!r}", *overrides,
+    ])  # fmt: skip  # fourteen more lines otherwise
+    packed = pack_flight(loaded.scenario)
+    air = evaluate_at(packed, packed.state, time_s).aux
+    condition = FlightCondition(
+        time_s, float(air[AIRSPEED]), float(air[DENSITY]), float(air[PRESSURE]), float(air[MACH]), path, 9.80665
+    )
+    vehicle = vehicle_at(packed, time_s, condition.mach, plane)
+    return loaded, Node(time_s, vehicle, condition, instruments_of(packed.parameters[0], plane), plane)

@@ -21,7 +21,7 @@ import mpmath
 import numpy as np
 import pytest
 import scipy.linalg
-from design_nodes import TIMES_S, design, flown, ideal, node_at
+from design_nodes import TIMES_S, design, flown, frozen, ideal, node_at
 
 from maxq.control.computer import ComputerState, build_computer, computer_tick, start_computer
 from maxq.control.kernel.records import Array, blank, pack
@@ -35,12 +35,9 @@ from maxq.design.loop.sampling import exponential, sample
 from maxq.design.model.linearised import linearise
 from maxq.design.model.node import Node
 from maxq.design.model.state_space import ComplexArray, StateSpace
-from maxq.design.model.vehicle_at import FlightCondition, instruments_of, vehicle_at
 from maxq.sim.packing.flight import pack_flight
-from maxq.sim.run.evaluate import evaluate_at
 from maxq.sim.run.fly import fly
-from maxq.sim.scenario.loader import LoadedScenario, load_scenario
-from maxq.sim.vehicle.workspace import AIRSPEED, DENSITY, MACH, PRESSURE
+from maxq.sim.scenario.loader import load_scenario
 
 EVERY_NODE = pytest.mark.parametrize("time_s", TIMES_S)
 SOME_NODES = pytest.mark.parametrize("time_s", [5.0, 40.0, 55.0])
@@ -279,30 +276,6 @@ def _fly_computer(node: Node, loop: Loop, samples: int, kick: float) -> Array:
 
 
 # --- the simulator
-def frozen(time_s: float, *overrides: str) -> tuple[LoadedScenario, Node]:
-    """A start on the nominal flight's path at a node, over a flat Earth, with the vehicle's clock standing still."""
-    node = node_at(time_s)
-    path, speed = node.condition.pitch_rad, node.condition.airspeed_mps
-    altitude = {5.0: 172.0, 40.0: 7200.0, 55.0: 16000.0}[time_s]
-    velocity = [float(speed * np.cos(path)), 0.0, float(-speed * np.sin(path))]
-    loaded = load_scenario("nominal", [
-        'design="designs/ksr3-default.toml"',
-        "earth.shape='flat'", "earth.rotating=false", "earth.gravity='uniform'", f"run.start_s={time_s}",
-        f"run.freeze_vehicle_at_s={time_s}", "run.duration_s=1.0", "switches.converter='ideal'",
-        "switches.actuator='linear'", "switches.guidance=false", "vehicle.computer.dac_step_deg=0", "log.fast_hz=1000",
-        "initial.geodetic.latitude_deg=0", "initial.geodetic.longitude_deg=0",
-        f"initial.geodetic.altitude_m={altitude}", f"initial.euler_deg=[0, {float(np.degrees(path))!r}, 0]",
-        f"initial.ned_mps={velocity!r}", *overrides,
-    ])  # fmt: skip  # fourteen more lines otherwise
-    packed = pack_flight(loaded.scenario)
-    air = evaluate_at(packed, packed.state, time_s).aux
-    condition = FlightCondition(
-        time_s, float(air[AIRSPEED]), float(air[DENSITY]), float(air[PRESSURE]), float(air[MACH]), path, 9.80665
-    )
-    vehicle = vehicle_at(packed, time_s, condition.mach)
-    return loaded, Node(time_s, vehicle, condition, instruments_of(packed.parameters[0]))
-
-
 @SOME_NODES
 def test_sampled_path_of_the_linearised_simulator(time_s: float) -> None:
     """The simulator's own derivative, linearised numerically, in place of the model's plant."""

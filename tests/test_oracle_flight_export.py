@@ -62,6 +62,20 @@ integral_limit_deg = 0.3
 """
 
 
+RELIEF = """
+schema = 1
+name = "relief"
+law = "load-relief"
+[gains]
+table = [{time_s=5.0, k_p=1.1, k_d_s=0.47, k_a_s2pm=0.004}, {time_s=50.0, k_p=0.7, k_d_s=0.37, k_a_s2pm=0.01}]
+[load_relief]
+corner_hz = 1.3
+[blend]
+pitch = [0.7, 0.3]
+yaw = [0.6, 0.4]
+"""
+
+
 def built(folder: Path, design: str, *more: str, single: bool = False) -> Path:
     """The exported law as a library, after its unit test has passed. Warnings are errors."""
     assert simdesign.main(["export", design, "--c", str(folder / "law"), *more]) == 0
@@ -101,6 +115,19 @@ def test_the_c_sources_give_the_commands_of_the_flown_law(tmp_path: Path, name: 
     built_in = fly(load_scenario("nominal", [*POWERED, *changes]))
     own = fly(load_scenario("nominal", [*POWERED, *changes, *flies(library=library)]))
     assert_same_commands(own, built_in)
+
+
+@needs_compiler
+@pytest.mark.slow  # two flights
+def test_load_relief_and_blended_gyros_give_the_same_bits(tmp_path: Path) -> None:
+    design = tmp_path / "d.toml"
+    design.write_text(RELIEF)
+    library = built(tmp_path, str(design), "--scenario", "load-relief")
+    changes = [f"design={design}", "run.duration_s=20", "requirement=", "wind.speed_mps=8.0"]
+    built_in = fly(load_scenario("load-relief", changes))
+    own = fly(load_scenario("load-relief", [*changes, *flies(library=library)]))
+    assert_same_commands(own, built_in)
+    assert np.abs(built_in["relief_pitch_deg"]).max() > 0.05
 
 
 def _unquantised(folder: Path) -> str:

@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 import optimise_kit as kit
 import pytest
+from complex_step import Pair, filter_f3
 from design_nodes import design, node_at
 from scipy.signal import lfilter
 
@@ -172,41 +173,10 @@ def pid_case(loop: str) -> Any:
     return loaded, kit.plants(*CASE, f"loop={loop}", "limits.integral_hz=0.08")
 
 
-class Pair:
-    """x + j y of complex x and y: a complex step goes through it (Squire & Trapp, SIAM Review 40, 1998)."""
-
-    def __init__(self, x: Any, y: Any = 0.0) -> None:
-        self.x, self.y = x, y
-
-    def __add__(self, other: Any) -> Pair:
-        o = other if isinstance(other, Pair) else Pair(other)
-        return Pair(self.x + o.x, self.y + o.y)
-
-    def __mul__(self, other: Any) -> Pair:
-        o = other if isinstance(other, Pair) else Pair(other)
-        return Pair(self.x * o.x - self.y * o.y, self.x * o.y + self.y * o.x)
-
-    def inverse(self) -> Pair:
-        square = self.x * self.x + self.y * self.y
-        return Pair(self.x / square, -self.y / square)
-
-
 def log_abs_and_phase(own: Any, s: complex, paths: list[complex]) -> tuple[Any, Any]:
-    """ln|L| and arg L of F3 with PID; written down anew, own = one quadratic, one first-order section, ln of gains."""
-    z_hz, z_zeta, p_hz, p_zeta, z1_hz, p1_hz = own[:6]
-    at = Pair(s.real, s.imag)
-
-    def second(ln_hz: Any, zeta: Any) -> Pair:
-        w = 2.0 * np.pi * np.exp(ln_hz)
-        return Pair(1.0) + at * (2.0 * zeta / w) + at * at * (1.0 / w**2)
-
-    def first(ln_hz: Any) -> Pair:
-        return Pair(1.0) + at * (1.0 / (2.0 * np.pi * np.exp(ln_hz)))
-
-    filter_ = second(z_hz, z_zeta) * first(z1_hz) * (second(p_hz, p_zeta) * first(p1_hz)).inverse()
+    """ln|L| and arg L of F3 with PID; own = one quadratic, one first-order section, ln of gains."""
     terms = [Pair(p.real, p.imag) * np.exp(k) for p, k in zip(paths, own[6:], strict=True)]
-    whole = (terms[0] + terms[1] + terms[2]) * filter_
-    return 0.5 * np.log(whole.x**2 + whole.y**2), np.arctan(whole.y / whole.x)
+    return ((terms[0] + terms[1] + terms[2]) * filter_f3(own, s)).log()
 
 
 @pytest.mark.parametrize("loop", ["pade", "sampled"])

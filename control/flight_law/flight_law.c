@@ -21,7 +21,7 @@ static law_real limited(law_real value, law_real limit)
     return out;
 }
 
-/* Gains at a time: k_p, k_d_s and with an integral k_i_ps in pitch, then in yaw. Cubics, end values outside. */
+/* Gains at a time: k_p, k_d_s and a third, k_i_ps or k_a_s2pm, in pitch, then in yaw. Cubics, end values outside. */
 static void look_up(law_real time_s, law_real gains[2 * LAW_GAINS])
 {
     law_real inside_s = time_s;
@@ -124,6 +124,7 @@ void law_start(law_state *state)
     for (axis = 0; axis < 2; ++axis) {
         state->integral_rad[axis] = REAL(0.0);
         state->cut_rad[axis] = REAL(0.0);
+        state->accel_mps2[axis] = REAL(0.0);
         for (i = 0; i < LAW_MOST_SECTIONS; ++i) {
             state->filter[axis][i][0] = REAL(0.0);
             state->filter[axis][i][1] = REAL(0.0);
@@ -155,12 +156,26 @@ void law_step(law_state *state, const law_inputs *in, law_outputs *out)
         }
         error_rad[axis] = limited(whole_rad, REAL(LAW_ANGLE_ERROR_LIMIT_RAD));
     }
+#if LAW_FURTHER_GYROS > 0
+    for (axis = 0; axis < 2; ++axis) {
+        int32_t gyro;
+        rate_radps[axis + 1] = law_blend[axis][0] * rate_radps[axis + 1];
+        for (gyro = 0; gyro < LAW_FURTHER_GYROS; ++gyro) {
+            rate_radps[axis + 1] += law_blend[axis][gyro + 1] * in->further_rate_radps[gyro][axis + 1];
+        }
+    }
+#endif
     look_up(in->time_s, gains);
     for (axis = 0; axis < 2; ++axis) {
         const law_real k_p = gains[LAW_GAINS * axis];
         const law_real k_d_s = gains[LAW_GAINS * axis + 1];
         law_real wanted_rad = -k_p * error_rad[axis + 1] - k_d_s * rate_radps[axis + 1];
-#if LAW_GAINS == 3
+#if LAW_LOAD_RELIEF == 1
+        const law_real side_mps2 = in->delta_velocity_mps[2 - axis] / REAL(LAW_SAMPLE_S);
+        const law_real k_a_s2pm = (axis == 0) ? gains[2] : -gains[5];
+        state->accel_mps2[axis] += REAL(LAW_ACCEL_SHARE) * (side_mps2 - state->accel_mps2[axis]);
+        wanted_rad += k_a_s2pm * state->accel_mps2[axis];
+#elif LAW_GAINS == 3
         const law_real more_rad = REAL(LAW_SAMPLE_S) * gains[3 * axis + 2] * error_rad[axis + 1];
         if (more_rad * state->cut_rad[axis] >= REAL(0.0)) { /* not farther beyond the limit */
             state->integral_rad[axis] = limited(state->integral_rad[axis] + more_rad, REAL(LAW_INTEGRAL_LIMIT_RAD));

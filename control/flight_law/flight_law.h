@@ -23,6 +23,8 @@ typedef struct {
     law_real delta_angle_rad[3];     /* of the sample; used instead of pulses where LAW_COUNT_RAD is 0 */
     law_real commanded_angle_rad[3]; /* sum of the commanded rates since the start; where LAW_RATE_INTEGRAL is 1 */
     law_real attitude_error_rad[3];  /* from the navigation, commanded to measured; where LAW_RATE_INTEGRAL is 0 */
+    law_real further_rate_radps[4][3];/* rate gyros beyond the first, mean over the sample; LAW_FURTHER_GYROS of them */
+    law_real delta_velocity_mps[3];  /* accelerometer, of the sample; where LAW_LOAD_RELIEF is 1 */
 } law_inputs;
 
 typedef struct {
@@ -38,6 +40,7 @@ typedef struct {
     law_real angle_rad[3];
     law_real integral_rad[2];
     law_real cut_rad[2]; /* last command before its limit, 0 where that did not cut it */
+    law_real accel_mps2[2]; /* behind its lag */
     law_real filter[2][LAW_MOST_SECTIONS][2];
     int32_t roll_thruster;
     int32_t ticks_on; /* samples of the present firing */

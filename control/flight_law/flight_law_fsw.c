@@ -24,12 +24,17 @@ int32_t maxq_fsw_step(void *self, const maxq_fsw_inputs *in, maxq_fsw_outputs *o
     law_inputs given;
     law_outputs wanted;
     int32_t i;
+    int32_t gyro;
     given.time_s = (law_real)in->time_s;
     for (i = 0; i < 3; ++i) {
         given.counts[i] = in->counts[i];
         given.delta_angle_rad[i] = (law_real)in->delta_angle_rad[i];
         given.commanded_angle_rad[i] = (law_real)in->commanded_angle_rad[i];
         given.attitude_error_rad[i] = (law_real)in->attitude_error_rad[i];
+        given.delta_velocity_mps[i] = (law_real)in->delta_velocity_mps[i];
+        for (gyro = 0; gyro < 4; ++gyro) {
+            given.further_rate_radps[gyro][i] = (law_real)in->further_rate_radps[gyro][i];
+        }
     }
     law_step((law_state *)self, &given, &wanted);
     for (i = 0; i < 2; ++i) {

@@ -27,12 +27,17 @@ int main(void)
     for (n = 0; n < TEST_SAMPLES; ++n) {
         law_inputs in;
         int i;
+        int gyro;
         in.time_s = (law_real)test_time_s[n];
         for (i = 0; i < 3; ++i) {
             in.counts[i] = (int64_t)test_counts[n][i];
             in.delta_angle_rad[i] = (law_real)test_delta_angle_rad[n][i];
             in.commanded_angle_rad[i] = (law_real)test_commanded_angle_rad[n][i];
             in.attitude_error_rad[i] = (law_real)test_attitude_error_rad[n][i];
+            in.delta_velocity_mps[i] = (law_real)test_delta_velocity_mps[n][i];
+            for (gyro = 0; gyro < 4; ++gyro) {
+                in.further_rate_radps[gyro][i] = (law_real)test_further_rate_radps[n][3 * gyro + i];
+            }
         }
         law_step(&state, &in, &out);
         for (i = 0; i < 2; ++i) {

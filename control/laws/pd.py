@@ -26,18 +26,19 @@ from maxq.control.structures import MAX_SECTIONS
 @dataclass(frozen=True)
 class GainSchedule:
     """Gains of one axis over time: `time_s` (n,), `k_p` (n,), `k_d_s` (n,) in s, with an integral `k_i_ps` (n,) in
-    1/s; linear between, held outside.
+    1/s, with load relief `k_a_s2pm` (n,) in s2/m; linear between, held outside.
     """
 
     time_s: Sequence[float]
     k_p: Sequence[float]
     k_d_s: Sequence[float]
     k_i_ps: Sequence[float] = ()
+    k_a_s2pm: Sequence[float] = ()
 
     @property
     def columns(self) -> tuple[str, ...]:
         """Names of the gains."""
-        return ("k_p", "k_d_s", "k_i_ps") if len(self.k_i_ps) > 0 else ("k_p", "k_d_s")
+        return ("k_p", "k_d_s", *(name for name in ("k_i_ps", "k_a_s2pm") if len(getattr(self, name)) > 0))
 
 
 @dataclass(frozen=True)

@@ -21,6 +21,7 @@ from maxq.sim.scenario.documents import Text
 from maxq.sim.scenario.errors import ScenarioError, refuse
 from maxq.sim.scenario.files import find
 from maxq.sim.scenario.loader import LoadedScenario, load_file, load_scenario
+from maxq.sim.scenario.schema_design import LoadRelief
 from maxq.sim.scenario.schema_values import NotNegative, Positive, Section, needs, only_with, optional
 
 LIMIT_NAMES = Literal["second_mode_db", "filter_gain_at_infinity", "rigid_hz", "rigid_zeta"]
@@ -149,6 +150,8 @@ class MarginLimits(Section):
     )
     rigid_hz: Positive = optional("omega_RB,min (47): what the paper's reference design was held to", 0.5)
     rigid_zeta: Positive = optional("zeta_RB,min (48): likewise", 0.7)
+    q_alpha_Padeg: Positive | None = optional("largest rms of dynamic pressure times incidence in the wind of [wind]")
+    drift_mps: Positive | None = optional("largest rms of the lateral velocity in the wind of [wind]")
     without: tuple[LIMIT_NAMES, ...] = optional("limits that are not asked for", ())
 
 
@@ -167,6 +170,14 @@ class Limits(MarginLimits):
     rigid_body: Literal["paper", "aerodynamic"] = optional(
         "frequency and damping ratio by (35), (36), or with M_alpha and M_q in them (erratum 12)", "paper"
     )
+
+
+class Wind(Section):
+    """Lateral wind that load and drift are limited in: a spectrum of MIL-F-8785C, 0.02 to 5 Hz."""
+
+    sigma_mps: Positive = Field(description="intensity, m/s")
+    length_m: Positive = optional("scale length, m", 533.0)
+    model: Literal["dryden", "von-karman"] = optional("form of the spectrum", "dryden")
 
 
 class Reference(Section):
@@ -259,8 +270,15 @@ class Case(Section):
         "ignore",
     )
     law: Law = optional(
-        "control law; pd: proportional-derivative with a bending filter; pid: with an integral besides", "pd"
+        "control law; pd: proportional-derivative with a bending filter; pid: with an integral besides; load-relief: "
+        "pd with the lateral acceleration fed back",
+        "pd",
     )
+    blend: Range | None = optional(
+        "bounds of the weights of the vehicle's further rate gyros, which are variables (default: the first gyro alone)"
+    )
+    load_relief: LoadRelief = optional("lag of the accelerometer of the law load-relief", LoadRelief(corner_hz=1.0))
+    wind: Wind | None = optional("absent: no limits of load and drift")
     gains: Gains = Gains()
     filter: Filter = Filter()
     objective: Objective = Objective()
@@ -278,7 +296,12 @@ class Case(Section):
             _rising(self.nodes_s, "nodes_s")
         if self.between_nodes == "hold" and self.robust is not None:
             raise refuse("is not searched for dispersed plants", '"ignore" beside [robust]', key=("between_nodes",))
-        if self.law == "pid" and self.gains.schedule == "two-phase":
+        if self.blend is not None and not self.blend[0] < self.blend[1]:
+            raise refuse("is empty", "two numbers, the lower one first", key=("blend",))
+        for key in ("q_alpha_Padeg", "drift_mps"):
+            if self.wind is None and getattr(self.limits, key) is not None:
+                raise refuse("needs a wind", "a table [wind]", key=("limits", key))
+        if self.law != "pd" and self.gains.schedule == "two-phase":
             raise refuse("finds gains of the law pd only", "linear, free, nodes", key=("gains", "schedule"))
         if self.law != "pid" and self.limits.integral_hz is not None:
             raise refuse(f"the law {self.law} has no integral", "with law = 'pid' only", key=("limits", "integral_hz"))

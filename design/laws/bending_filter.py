@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from maxq.control.filters import BendingFilter, DiscreteFilter, FirstOrderSection, QuadraticSection
 from maxq.control.kernel.records import Array
+from maxq.control.laws.load_relief import lag_share
 from maxq.design.model.state_space import ComplexArray, StateSpace, chain
 
 Pair = tuple[float, float]
@@ -208,6 +209,51 @@ def laplace_axis(x: Array, sample_s: float | None, prewarp_hz: float | None) -> 
     rise = c * secant * angle
     bend = rise * (1.0 + 2.0 * tangent * angle)
     return (1j * c * tangent).astype(complex), (1j * rise).astype(complex), (1j * bend).astype(complex)
+
+
+@dataclass(frozen=True)
+class Lag:
+    """First-order lag of a measurement, continuous or sampled exactly (control/laws/load_relief.py)."""
+
+    corner_hz: float
+    sample_s: float | None
+
+    @property
+    def share(self) -> float:
+        """g of a sampled one."""
+        assert self.sample_s is not None
+        return lag_share(self.corner_hz, self.sample_s)
+
+    def with_slopes(self, x: Array) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
+        """Response at x = ln f, with its first and second derivative by x."""
+        s = 2j * np.pi * np.exp(x)
+        if self.sample_s is None:
+            a = 2.0 * math.pi * self.corner_hz
+            return a / (s + a), -a * s / (s + a) ** 2, -a * s / (s + a) ** 2 + 2.0 * a * s**2 / (s + a) ** 3
+        u = s * self.sample_s
+        left = (1.0 - self.share) * np.exp(-u)
+        gain, rest = self.share, 1.0 - left
+        first = -gain * u * left / rest**2
+        return np.asarray(gain / rest), first, first * (1.0 - u - 2.0 * u * left / rest)
+
+    def at(self, s: ComplexArray) -> ComplexArray:
+        """Of a continuous lag, at complex s, rad/s."""
+        a = 2.0 * math.pi * self.corner_hz
+        return np.asarray(a / (s + a))
+
+    @property
+    def pole_radps(self) -> float:
+        return -2.0 * math.pi * self.corner_hz
+
+    def state_space(self) -> StateSpace:
+        """One state, the filtered acceleration of the sample before or, continuous, of now."""
+        if self.sample_s is None:
+            a = self.pole_radps
+            parts = np.array([[a]]), np.array([[-a]]), np.eye(1), np.zeros((1, 1))
+        else:
+            kept = 1.0 - self.share
+            parts = np.array([[kept]]), np.array([[self.share]]), np.array([[kept]]), np.array([[self.share]])
+        return StateSpace(*parts, ("lag_mps2",), ("accel_mps2",), ("accel_mps2",))
 
 
 def drawn_filters(layout: FilterVariables, mode_hz: float) -> Iterator[BendingFilter]:

@@ -11,7 +11,9 @@ a design or of a case chooses. Nothing else in design/ depends on which law it i
 
 **Inputs.** A law works on measurements, by name: those that a `FixedPath` offers (design/loop/fixed_path.py). Today
 these are `angle_rad`, the counted attitude less the commanded one, `rate_radps`, the mean rate over a sample, and
-`angle_integral_rads`, the sum of the angle over the samples. A law may take any of them, in any order.
+`angle_integral_rads`, the sum of the angle over the samples; of a vehicle with further sensors also `rate_2_radps` and
+so on, the mean rates of further gyros, and `accel_mps2`, the mean lateral specific force at the accelerometer, to the
+side that a positive command of the plane's model pushes to. A law may take any of them, in any order.
 
 **Sign.** C is positive for negative feedback: the gimbal command is -C times the measurements, and L = sum of C_i P_i.
 

@@ -2,7 +2,9 @@
 
     C = F(s) (k_p, k_d, k_i)  on  (angle_rad, rate_radps, angle_integral_rads)
 
-with k_i = 0 here; with an integral it is the law of pid.py. Its kernel is control/laws/pd.py.
+with k_i = 0 here; with an integral it is the law of pid.py, with the lateral acceleration that of load_relief.py. The
+rate may be blended from several gyros (control/sensors.py): k_d times each one's weight. Its kernel is
+control/laws/pd.py.
 """
 
 from __future__ import annotations
@@ -26,6 +28,7 @@ from maxq.design.case.schema import Case
 from maxq.design.laws.bending_filter import (
     AnyFilter,
     FilterVariables,
+    Lag,
     check_period,
     drawn_filters,
     filter_poles,
@@ -44,8 +47,9 @@ from maxq.design.laws.schedule import (
     lowest_above,
 )
 from maxq.design.laws.task import DB, Rigid, Task
+from maxq.design.laws.wind import DRIFT, LOAD, frequencies
 from maxq.design.model.state_space import ComplexArray, StateSpace, chain
-from maxq.design.model.vehicle_at import Plane
+from maxq.design.model.vehicle_at import ACCELERATION, Plane, further_rate
 from maxq.sim.packing.computer import bending_filter, gain_schedules
 from maxq.sim.scenario.schema_design import Design
 from maxq.sim.scenario.tables_csv import CsvTable
@@ -53,12 +57,18 @@ from maxq.sim.scenario.tables_csv import CsvTable
 
 @dataclass(frozen=True)
 class Pd:
-    """The law at one instant (`law.Controller`); `filter` None is 1. Raises ValueError for gains not finite."""
+    """The law at one instant (`law.Controller`); `filter` None is 1. Raises ValueError for gains not finite.
+
+    `blend`: weights of the first gyro and of further ones. `lag`: of the acceleration, with a gain k_a.
+    """
 
     k_p: float
     k_d_s: float
     filter: AnyFilter = None
     k_i_ps: float = 0.0
+    k_a_s2pm: float = 0.0
+    blend: tuple[float, ...] = (1.0,)
+    lag: Lag | None = None
 
     def __post_init__(self) -> None:
         if not np.isfinite(list(self.gains.values())).all():
@@ -66,18 +76,21 @@ class Pd:
 
     @property
     def inputs(self) -> tuple[str, ...]:
-        return tuple(n for n in MEASUREMENTS if n == "rate_radps" or self.static_gain(n) != 0.0)
+        return tuple(n for n, gain in self._static.items() if n == "rate_radps" or gain != 0.0)
 
     @property
     def gains(self) -> Mapping[str, float]:
-        integral = {"k_i_ps": self.k_i_ps} if self.k_i_ps != 0.0 else {}
-        return {"k_p": self.k_p, "k_d_s": self.k_d_s, **integral}
+        more = {name: getattr(self, name) for name in ("k_i_ps", "k_a_s2pm") if getattr(self, name) != 0.0}
+        return {"k_p": self.k_p, "k_d_s": self.k_d_s, **more}
 
     def check(self, sample_s: float | None) -> None:
         check_period(self.filter, sample_s)
 
     def response(self, frequencies_hz: ArrayLike) -> ComplexArray:
-        return np.asarray(self.filter_response(frequencies_hz)[..., None] * self._gains())
+        out = np.asarray(self.filter_response(frequencies_hz)[..., None] * self._gains())
+        if self.lag is not None and self.inputs[-1] == ACCELERATION:
+            out[..., -1] *= self.lag.with_slopes(np.log(np.asarray(frequencies_hz, float)))[0]
+        return out
 
     def filter_response(self, frequencies_hz: ArrayLike) -> ComplexArray:
         f = np.asarray(frequencies_hz, float)
@@ -89,23 +102,41 @@ class Pd:
         out = np.ones(np.shape(s), np.complex128)
         for n, d in () if not isinstance(self.filter, BendingFilter) else self.filter.polynomials():
             out = out * (n[0] + s * (n[1] + s * n[2])) / (d[0] + s * (d[1] + s * d[2]))
-        return np.asarray(out[..., None] * self._gains())
+        out = np.asarray(out[..., None] * self._gains())
+        if self.lag is not None and self.inputs[-1] == ACCELERATION:
+            out[..., -1] *= self.lag.at(s)
+        return out
+
+    @property
+    def _static(self) -> dict[str, float]:
+        """Gains at zero frequency by measurement; the acceleration's comes last."""
+        first, *others = self.blend
+        further = {further_rate(k): self.k_d_s * weight for k, weight in enumerate(others, 2)}
+        own = dict(zip(MEASUREMENTS, (self.k_p, self.k_d_s * first, self.k_i_ps), strict=True))
+        return {**own, **further, ACCELERATION: -self.k_a_s2pm}
 
     def static_gain(self, name: str) -> float:
-        return dict(zip(MEASUREMENTS, (self.k_p, self.k_d_s, self.k_i_ps), strict=True)).get(name, 0.0)
+        return self._static.get(name, 0.0)
 
     def poles(self) -> ComplexArray:
-        return filter_poles(self.filter)
+        poles = filter_poles(self.filter)
+        return poles if self.lag is None else np.append(poles, self.lag.pole_radps)
 
     def state_space(self) -> StateSpace:
         n = len(self.inputs)
         gains = StateSpace(
             np.zeros((0, 0)), np.zeros((0, n)), np.zeros((1, 0)), self._gains()[None], (), self.inputs, ("law_rad",)
         )
+        if self.lag is not None and self.inputs[-1] == ACCELERATION:
+            lag = self.lag.state_space()
+            b, c, d = np.zeros((1, n)), np.zeros((n, 1)), np.eye(n)
+            b[:, -1:], c[-1:], d[-1:, -1:] = lag.b, lag.c, lag.d
+            gains = chain(StateSpace(lag.a, b, c, d, lag.states, self.inputs, self.inputs), gains)
         return chain(gains, filter_state_space(self.filter))
 
     def scaled(self, factor: float) -> Pd:
-        return Pd(factor * self.k_p, factor * self.k_d_s, self.filter, factor * self.k_i_ps)
+        k_p, k_d_s, k_i_ps, k_a_s2pm = (factor * k for k in (self.k_p, self.k_d_s, self.k_i_ps, self.k_a_s2pm))
+        return replace(self, k_p=k_p, k_d_s=k_d_s, k_i_ps=k_i_ps, k_a_s2pm=k_a_s2pm)
 
     def _gains(self) -> np.ndarray:
         return np.array([self.static_gain(name) for name in self.inputs])
@@ -121,12 +152,18 @@ class PdDesign:
     discretization: Discretization = "prewarped"
     prewarp_hz: float | None = None
     name: str = "pd"
+    blend: tuple[tuple[float, ...], tuple[float, ...]] = ((1.0,), (1.0,))
+    relief_hz: float | None = None
 
     @staticmethod
     def of(design: Design) -> PdDesign:
         """From a design file."""
         form, filter_ = design.filter, bending_filter(design)
-        return PdDesign(*gain_schedules(design.gains), filter_, form.discretization, form.prewarp_hz, design.law)
+        return PdDesign(
+            *gain_schedules(design.gains), filter_, form.discretization, form.prewarp_hz, design.law,
+            design.blend.axes if design.blend is not None else ((1.0,), (1.0,)),
+            design.load_relief.corner_hz if design.load_relief is not None else None,
+        )  # fmt: skip  # six more lines otherwise
 
     @cached_property
     def _table(self) -> Cubics:
@@ -150,7 +187,9 @@ class PdDesign:
         names = self.pitch.columns
         first = 0 if plane == "pitch" else len(names)
         gains = self._table(time_s)[first : first + len(names)].tolist()
-        return Pd(**dict(zip(names, gains, strict=True)), filter=self.filter_at(sample_s))
+        lag = None if self.relief_hz is None else Lag(self.relief_hz, sample_s)
+        blend = self.blend[0 if plane == "pitch" else 1]
+        return Pd(**dict(zip(names, gains, strict=True)), filter=self.filter_at(sample_s), blend=blend, lag=lag)
 
     def filter_at(self, sample_s: float | None) -> AnyFilter:
         """The filter, continuous or as the flight computer runs it at a period."""
@@ -175,11 +214,17 @@ class PdDesign:
         }
         if self.prewarp_hz is not None and filter_["structure"] != "none":
             filter_["prewarp_hz"] = self.prewarp_hz
-        return {"law": self.name, "gains": gains, "filter": filter_}
+        pitch, yaw = self.blend
+        more: dict[str, Any] = {} if self.relief_hz is None else {"load_relief": {"corner_hz": self.relief_hz}}
+        if len(pitch) > 1:
+            more["blend"] = {"pitch": pitch} if yaw == pitch else {"pitch": pitch, "yaw": yaw}
+        return {"law": self.name, "gains": gains, "filter": filter_, **more}
 
     def record(self) -> dict[str, Any]:
         gains = {n: [float(x) for x in getattr(self.pitch, n)] for n in ("time_s", *self.pitch.columns)}
-        return {"gains": gains, "filter": asdict(self.filter) | {"prewarp_hz": self.prewarp_hz}}
+        more: dict[str, Any] = {} if self.relief_hz is None else {"relief_hz": self.relief_hz}
+        more |= {"blend": [list(weights) for weights in self.blend]} if len(self.blend[0]) > 1 else {}
+        return {"gains": gains, "filter": asdict(self.filter) | {"prewarp_hz": self.prewarp_hz}, **more}
 
 
 LEAPS = ((0.3, 0.0), (0.2, 0.1), (0.03, 0.15))
@@ -188,12 +233,17 @@ second-best end of F3 with free gains, 6, 5 and 3 found the best."""
 START_HZ, START_ZETA = 0.3, 0.5  # of the rigid body with its aerodynamics, where no limit asks for more
 GAIN_FACTOR = 1.02  # of starting gains over the least that meet the limits
 HERTZ, ZETA, AT_INFINITY = range(3)  # numbers of `PdVariables.limits`
+WIND_LIMITS = {"q_alpha_Padeg": ("load q alpha in wind, rms", "Pa deg"), "drift_mps": ("drift in wind, rms", "m/s")}
+GAIN_OF = {
+    "angle_rad": "k_p", "rate_radps": "k_d_s", "angle_integral_rads": "k_i_ps", ACCELERATION: "k_a_s2pm",
+}  # fmt: skip  # four more lines otherwise
 
 
 class PdVariables:
     """`law.LawVariables` of PD: the filter's variables (bending_filter.py), then ln k_p and ln k_d at the gain nodes.
 
-    Own parameters of a plant: the filter's variables, ln k_p, ln k_d.
+    Last, where the rate is blended, the weights of further gyros, the same for all plants; the first one's is what is
+    left of 1. Own parameters of a plant: the filter's variables, ln k_p, ln k_d, weights.
     """
 
     inputs: tuple[str, ...] = MEASUREMENTS[:2]
@@ -236,7 +286,13 @@ class PdVariables:
                 few = Rigid(*(getattr(task.rigid, f.name)[own] for f in fields(Rigid)))
                 fixed = least_gains(few, weights[own], wanted.rigid_hz, wanted.rigid_zeta, self.full)
         self.gains: GainSchedules = GainSchedules(self.keys, nodes, weights, fixed)
-        self.own_size = self.filter.size + len(self.keys)
+        self.further = task.further_gyros
+        self.inputs = (*type(self).inputs, *(further_rate(k + 2) for k in range(self.further)))
+        self.lag = Lag(case.load_relief.corner_hz, task.sample_s) if ACCELERATION in self.inputs else None
+        self.own_size = self.filter.size + len(self.keys) + self.further
+        self._of_wind = [name for name in ("q_alpha_Padeg", "drift_mps") if task.winds and task.limits.asked(name)]
+        self._first_of_wind = len(self.limits)
+        self.limits = (*self.limits, *(LawLimit(*WIND_LIMITS[name], False) for name in self._of_wind))
         self.lower, self.upper = self._bounds(0), self._bounds(1)
 
     def _bounds(self, end: int) -> Array:
@@ -246,52 +302,124 @@ class PdVariables:
         first_order = [math.log(b.first_order_zero_hz[end]), math.log(b.first_order_pole_hz[end])]
         gain = math.log((LEAST_GAIN, LARGEST_GAIN)[end])
         filter_ = quadratic * self.filter.quadratic + first_order * self.filter.first_order
-        return np.array(filter_ + [gain] * self.gains.size)
+        weight = (self.task.case.blend or (0.0, 0.0))[end]
+        return np.array(filter_ + [gain] * self.gains.size + [weight] * self.further)
 
     @property
     def names(self) -> tuple[str, ...]:
-        return (*self.filter.names, *self.gains.names)
+        return (*self.filter.names, *self.gains.names, *(f"weight of gyro {k + 2}" for k in range(self.further)))
 
     def split(self, variables: Array) -> tuple[Array, Array]:
         """Variables of the filter, and of the gains."""
-        return variables[: self.filter.size], variables[self.filter.size :]
+        n = self.filter.size
+        return variables[:n], variables[n : n + self.gains.size]
+
+    def weights(self, variables: Array) -> Array:
+        """Of further rate gyros."""
+        return variables[len(variables) - self.further :]
 
     # --- own parameters
     def own(self, variables: Array) -> Array:
         y, u = self.split(variables)
-        gains = np.log(self.gains.at_plants(u)).T
-        return np.concatenate([np.broadcast_to(y, (len(gains), len(y))), gains], axis=1)
+        gains, weights = np.log(self.gains.at_plants(u)).T, self.weights(variables)
+        alike = (np.broadcast_to(part, (len(gains), len(part))) for part in (y, weights))
+        return np.insert(np.concatenate(list(alike), axis=1), [len(y)] * gains.shape[1], gains, axis=1)
 
     def jacobian(self, variables: Array) -> Array:
         n, by = self.filter.size, self.gains.log_gradients(self.split(variables)[1])
         out = np.zeros((by.shape[1], self.own_size, len(variables)))
         out[:, :n, :n] = np.eye(n)
-        out[:, n:, n:] = by.transpose(1, 0, 2)
+        k, g = n + len(self.keys), n + self.gains.size
+        out[:, n:k, n:g] = by.transpose(1, 0, 2)
+        out[:, k:, g:] = np.eye(self.further)
         return out
 
     def bend(self, variables: Array, slopes: Array) -> Array:
         n, out = self.filter.size, np.zeros((len(variables), len(variables)))
-        out[n:, n:] = self.gains.log_curvature(self.split(variables)[1], slopes[:, n:].T)
+        k, g = n + len(self.keys), n + self.gains.size
+        out[n:g, n:g] = self.gains.log_curvature(self.split(variables)[1], slopes[:, n:k].T)
         return out
 
     # --- response
     def axis(self, x: Array) -> Axis:
         sample_s = self.task.sample_s
-        return laplace_axis(x, sample_s, None if sample_s is None else self.prewarp_hz)
+        axis = laplace_axis(x, sample_s, None if sample_s is None else self.prewarp_hz)
+        return axis if self.lag is None else (*axis, *self.lag.with_slopes(x))
 
-    def response(self, variables: Array, plant: IntArray, axis: Axis) -> tuple[ComplexArray, Array]:
+    @property
+    def _plain(self) -> bool:
+        """Each gain that of one measurement, and constant over frequency."""
+        return self.further == 0 and self.lag is None
+
+    def response(self, variables: Array, plant: IntArray, axis: Axis) -> tuple[ComplexArray, ComplexArray | Array]:
         y, u = self.split(variables)
-        return self.filter.response(y, axis[0]), self.gains.at_plants(u).T[plant]
+        if self._plain:
+            return self.filter.response(y, axis[0]), self.gains.at_plants(u).T[plant]
+        return self.filter.response(y, axis[0]), self._on_measurements(self.own(variables)[plant], axis[3:])[0]
 
     def log_response(self, own: Array, axis: Axis) -> LogResponse:
         n = self.filter.size
-        s, s1, s2 = axis
+        s, s1, s2 = axis[:3]
         f0, f1, f2 = self.filter.slopes(own[:, :n], s)
-        return LogResponse((f0, f1 * s1, f2 * s1 * s1 + f1 * s2), (np.exp(own[:, n:]), None, None))
+        common = (f0, f1 * s1, f2 * s1 * s1 + f1 * s2)
+        if self._plain:
+            return LogResponse(common, (np.exp(own[:, n:]), None, None))
+        gains, _ = self._on_measurements(own, axis[3:])
+        if self.lag is None:
+            return LogResponse(common, (gains, None, None))
+        rises = np.zeros((2, *gains.shape), np.complex128)
+        at = self.inputs.index(ACCELERATION)
+        rises[:, :, at] = gains[:, at] * np.stack(axis[4:]) / axis[3]
+        return LogResponse(common, (gains, rises[0], rises[1]))
+
+    def _on_measurements(self, own: Array, lag: Axis) -> tuple[ComplexArray, ComplexArray]:
+        """Gains (points, inputs) at own parameters (points, own), and their slopes by those behind the filter's."""
+        n, keys = self.filter.size, self.keys
+        k, weights = np.exp(own[:, n : n + len(keys)]), own[:, n + len(keys) :]
+        gains = np.zeros((len(own), len(self.inputs)), np.complex128)
+        slopes = np.zeros((*gains.shape, self.own_size - n), np.complex128)
+        for i, name in enumerate(type(self).inputs):
+            j = keys.index(GAIN_OF[name])
+            gains[:, i] = k[:, j]
+            if name == "rate_radps":
+                gains[:, i] *= 1.0 - weights.sum(axis=1)
+                slopes[:, i, len(keys) :] = -k[:, j, None]
+                for more in range(self.further):
+                    at = self.inputs.index(further_rate(more + 2))
+                    gains[:, at] = slopes[:, at, j] = k[:, j] * weights[:, more]
+                    slopes[:, at, len(keys) + more] = k[:, j]
+            elif name == ACCELERATION:
+                gains[:, i] *= -lag[0]
+            slopes[:, i, j] = gains[:, i]
+        return gains, slopes
 
     def gradient(self, own: Array, axis: Axis, weights: ComplexArray) -> ComplexArray:
         n = self.filter.size
-        return np.concatenate([self.filter.gradient(own[:, :n], axis[0]), np.exp(own[:, n:]) * weights], axis=1)
+        if self._plain:
+            return np.concatenate([self.filter.gradient(own[:, :n], axis[0]), np.exp(own[:, n:]) * weights], axis=1)
+        slopes = self._on_measurements(own, axis[3:])[1]
+        by_gains = np.einsum("pi,pij->pj", weights, slopes)
+        return np.concatenate([self.filter.gradient(own[:, :n], axis[0]), by_gains], axis=1)
+
+    def _in_wind(self, own: Array) -> list[LimitValues]:
+        """Load and drift of all plants that are held to them."""
+        n, axis, out = self.filter.size, self.axis(frequencies()), []
+        for number, name in enumerate(self._of_wind, self._first_of_wind):
+            most = self.task.limits[name]
+            held = np.flatnonzero(~np.isnan(most))
+            found = []
+            for plant in held:
+                mine = np.broadcast_to(own[plant], (len(axis[0]), self.own_size))
+                common = self.filter.response(own[plant, :n], axis[0])[:, None]
+                gains, by_gains = self._on_measurements(mine, axis[3:])
+                law = common * gains
+                slopes = [law[..., None] * self.filter.gradient(mine[:, :n], axis[0])[:, None, :]]
+                whole = np.concatenate([*slopes, common[..., None] * by_gains], axis=2)
+                found.append(self.task.winds[int(plant)].rms(LOAD if name == "q_alpha_Padeg" else DRIFT, law, whole))
+            value = np.array([rms for rms, _ in found])
+            by = np.array([gradient for _, gradient in found]) * DB / value[:, None]
+            out.append(LimitValues(number, held, value, most[held], DB * np.log(value / most[held]), by))
+        return out
 
     # --- limits that belong to no frequency
     def limit_values(self, own: Array) -> list[LimitValues]:
@@ -310,9 +438,9 @@ class PdVariables:
         if "filter_gain_at_infinity" not in limits.without and n > 0:
             most, slope = limits.filter_gain_at_infinity, self.filter.log_gain_at_infinity()
             gain = np.array([math.exp(float(slope @ own[0, :n]))])
-            excess, by = DB * np.log(gain / most), np.concatenate([DB * slope, np.zeros(len(self.keys))])[None]
+            excess, by = DB * np.log(gain / most), np.concatenate([DB * slope, np.zeros(self.own_size - n)])[None]
             out.append(LimitValues(AT_INFINITY, np.array([-1]), gain, np.array([most]), excess, by))
-        return out
+        return [*out, *self._in_wind(own)]
 
     def _rigid_body(self, k_p: Array, k_d: Array) -> tuple[Array, Array, Array, Array]:
         """omega (rad/s) and zeta, (plants,), and gradients of their logarithms by the own parameters.
@@ -337,12 +465,19 @@ class PdVariables:
         if self.task.sample_s is not None:
             flown = self.filter.filter(y).discretize(self.task.sample_s, "prewarped", self.prewarp_hz)
         named = [dict(zip(self.keys, gains, strict=True)) for gains in self.gains.at_plants(u).T.tolist()]
-        return [Pd(**gains, filter=flown) for gains in named]
+        return [Pd(**gains, filter=flown, blend=self._blend(variables), lag=self.lag) for gains in named]
+
+    def _blend(self, variables: Array) -> tuple[float, ...]:
+        weights = self.weights(variables).tolist()
+        return (1.0 - sum(weights), *weights)
 
     def designed(self, variables: Array) -> PdDesign:
         y, u = self.split(variables)
-        gains = GainSchedule(self.gains.nodes_s.tolist(), *self.gains.at_nodes(u).tolist())
-        return PdDesign(gains, gains, self.filter.filter(y), "prewarped", self.prewarp_hz, self.task.case.law)
+        of_key = dict(zip(self.keys, self.gains.at_nodes(u).tolist(), strict=True))
+        gains = GainSchedule(time_s=self.gains.nodes_s.tolist(), **of_key)
+        blend, relief_hz = self._blend(variables), None if self.lag is None else self.lag.corner_hz
+        form, case = self.filter.filter(y), self.task.case
+        return PdDesign(gains, gains, form, "prewarped", self.prewarp_hz, case.law, (blend, blend), relief_hz)
 
     def variables_of(self, law: DesignedLaw) -> Array | None:
         if not isinstance(law, PdDesign):
@@ -353,8 +488,12 @@ class PdVariables:
         if law.pitch.columns != self.keys:
             return None
         given = np.array([getattr(law.pitch, key) for key in self.keys])
+        if len(law.blend[0]) > 1 + self.further:
+            return None
+        weights = np.zeros(self.further)
+        weights[: len(law.blend[0]) - 1] = law.blend[0][1:]
         known = self.gains.from_nodes(np.asarray(law.pitch.time_s), given)
-        return self._clipped(np.concatenate([self.filter.variables(filter_), known]))
+        return self._clipped(np.concatenate([self.filter.variables(filter_), known, weights]))
 
     def _clipped(self, variables: Array) -> Array:
         return np.asarray(np.clip(variables, self.lower, self.upper))
@@ -372,7 +511,7 @@ class PdVariables:
             fourth = (np.arange(count) % 4 == 3)[:, None]
             low, high = (np.where(fourth, everywhere[end], likely[end]) for end in (0, 1))
             filters += list(low + points * (high - low))
-        return [self._clipped(np.concatenate([y, gains])) for y in filters]
+        return [self._clipped(np.concatenate([y, gains, np.zeros(self.further)])) for y in filters]
 
     def _start_gains(self) -> Array:
         """The gain variables a little above the least that meet the limits, those of (47) and (48) as printed.
@@ -394,7 +533,8 @@ class PdVariables:
 
     def leap_size(self, number: int) -> Array:
         by_filter, by_gains = LEAPS[number % len(LEAPS)]
-        return np.concatenate([np.full(self.filter.size, by_filter), np.full(self.gains.size, by_gains)])
+        more = self.gains.size + self.further
+        return np.concatenate([np.full(self.filter.size, by_filter), np.full(more, by_gains)])
 
     def simpler(self) -> tuple[PdVariables, Callable[[Array], Array]] | None:
         """Linear gains in place of many nodes."""
@@ -404,7 +544,8 @@ class PdVariables:
 
         def wider(x: Array) -> Array:
             y, u = small.split(x)
-            return np.concatenate([y, self.gains.from_nodes(small.gains.nodes_s, small.gains.at_nodes(u))])
+            gains = self.gains.from_nodes(small.gains.nodes_s, small.gains.at_nodes(u))
+            return np.concatenate([y, gains, small.weights(x)])
 
         return small, wider
 

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from maxq.control.kernel.records import Array
 from maxq.design.case.schema import Case, MarginLimits
+from maxq.design.laws.wind import Winds
 
 DB = 20.0 / math.log(10.0)  # dB of a change of a natural logarithm
 
@@ -56,3 +57,5 @@ class Task:
     limits: PlantLimits
     sample_s: float | None
     first_mode_hz: float
+    further_gyros: int = 0  # whose weights in the blended rate are variables
+    winds: Winds = ()  # of each plant, where the case tells of wind

@@ -11,7 +11,9 @@ with negative feedback (design/loop/open_loop.py). Three kinds with one interfac
 | `pade` | `PadeFixedPath` | the paper's eqs 30 to 32 | 1 / s |
 | `exact` | `ExactFixedPath` | their exact factors, without aliasing | 1 / s |
 
-and three places to open the loop (`Cut`). `gimbal_command` is the loop's own, with the margins of the loop. The
+and for a law that takes further sensors (`senses`) the same of their measurements, each by its own way.
+
+Three places to open the loop (`Cut`). `gimbal_command` is the loop's own, with the margins of the loop. The
 other two are eq. 42 by the letter: from the commanded rate q_c, which acts on the angle alone (33) and meets no gyro
 and no converter, to the pitch rate q of the rigid body, or to q_m at the gyro; `takes_rate` is False then and the
 measured rate has no part. They are no loops: 1 + L = 0 says nothing about stability there (erratum 16).
@@ -25,6 +27,7 @@ from functools import cached_property
 from typing import Literal
 
 import numpy as np
+import scipy.linalg
 from numpy.typing import ArrayLike
 
 from maxq.control.kernel.records import Array
@@ -46,19 +49,21 @@ CUTS: tuple[Cut, ...] = ("gimbal_command", "rate_command_to_q", "rate_command_to
 class FixedPath(abc.ABC):
     """Common to all kinds; `response` and `integrator` take frequencies in Hz of any shape."""
 
-    def __init__(self, node: Node, cut: Cut = "gimbal_command") -> None:
+    def __init__(self, node: Node, cut: Cut = "gimbal_command", senses: bool = False) -> None:
         if cut not in CUTS:
             raise ValueError(f"cut = {cut!r}: allowed is {', '.join(CUTS)}")
         self.node, self.cut = node, cut
+        self.sensors = node.instruments.sensors if senses and cut == "gimbal_command" else ()
         self.takes_rate = cut == "gimbal_command"
         self.measurements: tuple[str, ...] = MEASUREMENTS[: 2 if self.takes_rate else 1]  # of the usual law
         ideal = bool(node.actuator.ideal)  # that of one is that of all
         output = "q_radps" if cut == "rate_command_to_q" else "local_rate_radps"
         # an ideal actuator is at rest between commands: the staircase's corners shake nothing
         inputs = tuple(name for name in node.plant.inputs if not ideal or name.startswith("delta_rad"))
-        self._vehicle = channels(node.plant, (output,), inputs)
+        self._vehicle = channels(node.plant, (output, *(name for name, _, _ in self.sensors)), inputs)
         self._actuator = None if ideal else actuators(node.actuators)
         self._gyro = gyro(node.instruments.gyro) if self.takes_rate and not node.instruments.gyro.ideal else None
+        self._latest: tuple[bytes, ComplexArray] = (b"", np.zeros(0, np.complex128))
 
     @property
     @abc.abstractmethod
@@ -74,9 +79,29 @@ class FixedPath(abc.ABC):
     def sample_s(self) -> float | None:
         """Period of a sampled path; None for a continuous one."""
 
+    @property
+    def with_sensors(self) -> FixedPath:
+        """The same with the measurements of further sensors. Raises ValueError where there are none."""
+        if not self.node.instruments.sensors:
+            raise ValueError("the vehicle has no sensors beyond the gyro: allowed is a law that takes the gyro alone")
+        return self if self.sensors else type(self)(self.node, self.cut, senses=True)
+
     @abc.abstractmethod
+    def responses(self, frequencies_hz: ArrayLike) -> ComplexArray:
+        """From gimbal command to the means of the rate and of what each further sensor measures, (..., outputs)."""
+
     def response(self, frequencies_hz: ArrayLike) -> ComplexArray:
         """fixed(f), from gimbal command to mean rate, same shape as `frequencies_hz`."""
+        return np.asarray(self._remembered(np.asarray(frequencies_hz, float))[..., 0])
+
+    def _remembered(self, f: Array) -> ComplexArray:
+        """`responses`, those asked for last kept: each measurement is asked for by itself."""
+        if not self.sensors:
+            return self.responses(f)
+        key = f.tobytes() + str(f.shape).encode()
+        if self._latest[0] != key:
+            self._latest = key, self.responses(f)
+        return self._latest[1]
 
     @abc.abstractmethod
     def integrator(self, frequencies_hz: ArrayLike) -> ComplexArray:
@@ -92,8 +117,13 @@ class FixedPath(abc.ABC):
         Raises ValueError for an unknown measurement.
         """
         f = np.asarray(frequencies_hz, float)
+        further = [name for name, _, _ in self.sensors]
+        if measurement in further:
+            all_of_them = self._remembered(f)
+            return np.asarray(all_of_them[..., 1 + further.index(measurement)] / all_of_them[..., 0])
         if measurement not in MEASUREMENTS:
-            raise ValueError(f"a law takes {measurement}: what is measured is {', '.join(MEASUREMENTS)}")
+            known = ", ".join((*MEASUREMENTS, *further))
+            raise ValueError(f"a law takes {measurement}: what is measured is {known}")
         if measurement in ANGLES:
             return self.integrator(f) ** (1 + ANGLES.index(measurement))
         return np.full(f.shape, 1.0 if self.takes_rate else 0.0, np.complex128)
@@ -103,6 +133,8 @@ class FixedPath(abc.ABC):
         path, period = self.state_space(), self.sample_s
         rate = path.c[0]
         a, b, states = path.a, path.b, path.states
+        # kept beside the rate while integrators are added
+        others = {name: k for k, (name, _, _) in enumerate(self.sensors, 1) if name in measurements}
         # a sampled angle has this sample's increment in it
         drift, per_rate = (a, rate) if period is None else (a - np.eye(len(a)), period * rate)
         angle = np.zeros(len(a)) if period is None else per_rate
@@ -119,6 +151,7 @@ class FixedPath(abc.ABC):
             a, b, (rate, angle), integral = _integrated(a, b, (rate, angle), added, period)
             states = (*states, "angle_integral_rads")
         rows = dict(zip(MEASUREMENTS, (angle, rate if self.takes_rate else 0.0 * rate, integral), strict=True))
+        rows |= {name: np.append(path.c[k], np.zeros(len(a) - len(path.a))) for name, k in others.items()}
         c = np.array([rows[name] for name in measurements])
         return StateSpace(a, b, c, np.zeros((len(c), 1)), states, path.inputs, measurements)
 
@@ -142,9 +175,20 @@ class FixedPath(abc.ABC):
         if self._actuator is not None:
             parts.append(channels(self._actuator, self._vehicle.inputs))
         parts.append(self._vehicle)
-        if self._gyro is not None:
+        if self.sensors:
+            parts.append(self._lags())
+        elif self._gyro is not None:
             parts.append(self._gyro)
         return chain(*parts)
+
+    def _lags(self) -> StateSpace:
+        """Gyro and further sensors side by side; those without dynamics pass on what they feel."""
+        each = [self._gyro, *(None if lag.ideal else gyro(lag) for _, lag, _ in self.sensors)]
+        through = StateSpace(np.zeros((0, 0)), np.zeros((0, 1)), np.zeros((1, 0)), np.eye(1), (), ("felt",), ("felt",))
+        filled = [one or through for one in each]
+        a, b, c, d = (scipy.linalg.block_diag(*(getattr(one, name) for one in filled)) for name in "abcd")
+        states = tuple(f"{name}_{k + 1}" if k else name for k, one in enumerate(filled) for name in one.states)
+        return StateSpace(a, b, c, d, states, self._vehicle.outputs, self._vehicle.outputs)
 
     @cached_property
     def rests_at_dc(self) -> bool:
@@ -169,14 +213,16 @@ class FixedPath(abc.ABC):
                 out += named(_pair(omega, zeta), "actuator", k + 1)
         if self._gyro is not None:
             out += named(_pair(self.node.instruments.gyro.omega_radps, self.node.instruments.gyro.zeta), "gyro")
+        for k, (_, g, _) in enumerate(self.sensors):
+            out += [] if g.ideal else named(_pair(g.omega_radps, g.zeta), "sensor", k + 1)
         return out
 
 
 class _ContinuousFixedPath(FixedPath):
     """Product of factors, each exact: no digit is lost where the sum of partial fractions would cancel."""
 
-    def __init__(self, node: Node, cut: Cut = "gimbal_command") -> None:
-        super().__init__(node, cut)
+    def __init__(self, node: Node, cut: Cut = "gimbal_command", senses: bool = False) -> None:
+        super().__init__(node, cut, senses)
         self._turning = Resolvent(self._vehicle.a, self._vehicle.b, self._vehicle.c)
 
     @property
@@ -186,6 +232,13 @@ class _ContinuousFixedPath(FixedPath):
     @property
     def sample_s(self) -> float | None:
         return None
+
+    def responses(self, frequencies_hz: ArrayLike) -> ComplexArray:
+        s = 2j * np.pi * np.asarray(frequencies_hz, float)
+        ways = [self.plant_at(s, k) for k in range(1 + len(self.sensors))]
+        late = [0, *(samples for _, _, samples in self.sensors)]
+        ways = [way * np.exp(-s * n * self.node.instruments.sample_s) for way, n in zip(ways, late, strict=True)]
+        return np.asarray(np.stack(ways, axis=-1) * self.computer_at(s)[..., None])
 
     def response(self, frequencies_hz: ArrayLike) -> ComplexArray:
         return self.at(2j * np.pi * np.asarray(frequencies_hz, float))
@@ -197,15 +250,18 @@ class _ContinuousFixedPath(FixedPath):
         """Transfer function at complex s, rad/s."""
         return np.asarray(self.plant_at(s) * self.computer_at(s))
 
-    def plant_at(self, s: ComplexArray) -> ComplexArray:
-        """Actuator, vehicle and gyro."""
-        per_angle = per_actuator_angle(s, self._turning(s)[..., 0, :], self._vehicle.inputs)
+    def plant_at(self, s: ComplexArray, output: int = 0) -> ComplexArray:
+        """Actuator, vehicle and gyro, or further sensor number `output`."""
+        per_angle = per_actuator_angle(
+            s, self._turning(s)[..., output, :] + self._vehicle.d[output], self._vehicle.inputs
+        )
         if self._actuator is not None:
             drives = zip(per_angle, self.node.actuators, strict=True)
             per_angle = [turned * actuator_response(record, s) for turned, record in drives]
         out: ComplexArray = sum(per_angle[1:], per_angle[0])
-        if self._gyro is not None:
-            out = out * lag(s, self.node.instruments.gyro.omega_radps, self.node.instruments.gyro.zeta)
+        sensor = self.sensors[output - 1][1] if output > 0 else self.node.instruments.gyro
+        if not sensor.ideal and self.takes_rate:
+            out = out * lag(s, sensor.omega_radps, sensor.zeta)
         return np.asarray(out)
 
     @abc.abstractmethod
@@ -216,8 +272,10 @@ class _ContinuousFixedPath(FixedPath):
 class PadeFixedPath(_ContinuousFixedPath):
     """The paper's: H_VF [3/3], H_D [2/2], H_DZ [0/2]."""
 
-    def __init__(self, node: Node, cut: Cut = "gimbal_command") -> None:
-        super().__init__(node, cut)
+    def __init__(self, node: Node, cut: Cut = "gimbal_command", senses: bool = False) -> None:
+        super().__init__(node, cut, senses)
+        if any(samples > 0 for _, _, samples in self.sensors):
+            raise ValueError("the kind pade has no latency of single sensors: allowed is sampled or exact")
         timing = node.instruments
         self._computer: list[Rational] = [hold_pade(timing.sample_s)]
         if timing.delay_s > 0.0:
@@ -267,8 +325,8 @@ class SampledFixedPath(FixedPath):
     The cuts of eq. 42 end at q, or q_m, as a converter without a gyro would count it.
     """
 
-    def __init__(self, node: Node, cut: Cut = "gimbal_command") -> None:
-        super().__init__(node, cut)
+    def __init__(self, node: Node, cut: Cut = "gimbal_command", senses: bool = False) -> None:
+        super().__init__(node, cut, senses)
         self.sampled: SampledPlant = sample(self.continuous, node.instruments.sample_s, node.instruments.delay_s)
         self._resolvent = self.sampled.resolvent()
 
@@ -284,8 +342,10 @@ class SampledFixedPath(FixedPath):
     def sample_s(self) -> float:
         return self.node.instruments.sample_s
 
-    def response(self, frequencies_hz: ArrayLike) -> ComplexArray:
-        return np.asarray(self.sampled.at(self.z(frequencies_hz), self._resolvent)[..., 0, 0])
+    def responses(self, frequencies_hz: ArrayLike) -> ComplexArray:
+        z = self.z(frequencies_hz)
+        late = [0, *(samples for _, _, samples in self.sensors)]
+        return np.asarray(self.sampled.at(z, self._resolvent)[..., 0] * np.stack([z**-n for n in late], axis=-1))
 
     def integrator(self, frequencies_hz: ArrayLike) -> ComplexArray:
         turn = 2j * np.pi * self.sample_s * np.asarray(frequencies_hz, float)
@@ -295,14 +355,30 @@ class SampledFixedPath(FixedPath):
         return np.asarray(np.exp(2j * np.pi * self.sample_s * np.asarray(frequencies_hz, float)))
 
     def state_space(self) -> StateSpace:
-        return self.sampled.state_space()
+        path = self.sampled.state_space()
+        for output, (_, _, samples) in enumerate(self.sensors, 1):
+            path = delayed(path, output, samples)
+        return path
 
     def named_poles(self) -> list[NamedPole]:
         return self._plant_poles()
 
 
-def fixed_path(node: Node, kind: Kind = "sampled", cut: Cut = "gimbal_command") -> FixedPath:
-    """The fixed path of a node. Raises ValueError for an unknown kind or cut."""
+def delayed(path: StateSpace, output: int, samples: int) -> StateSpace:
+    """A sampled system without direct feedthrough with one of its outputs that many samples later."""
+    a, b, c, n = path.a, path.b, path.c.copy(), len(path.a)
+    for _ in range(samples):
+        a = np.block([[a, np.zeros((len(a), 1))], [c[output : output + 1], np.zeros((1, 1))]])
+        b, c = np.vstack([b, np.zeros((1, b.shape[1]))]), np.hstack([c, np.zeros((len(c), 1))])
+        c[output] = np.eye(len(a))[-1]
+    states = (*path.states, *(f"{path.outputs[output]}_{k + 1}_ago" for k in range(len(a) - n)))
+    return StateSpace(a, b, c, path.d, states, path.inputs, path.outputs)
+
+
+def fixed_path(
+    node: Node, kind: Kind = "sampled", cut: Cut = "gimbal_command", senses: bool = False
+) -> FixedPath:  # fmt: skip  # as ruff would, but for a line of one bracket
+    """The fixed path of a node; `senses`: with further sensors. Raises ValueError for an unknown kind or cut."""
     kinds: dict[str, type[SampledFixedPath | PadeFixedPath | ExactFixedPath]] = {
         "sampled": SampledFixedPath,
         "pade": PadeFixedPath,
@@ -310,7 +386,7 @@ def fixed_path(node: Node, kind: Kind = "sampled", cut: Cut = "gimbal_command") 
     }
     if kind not in kinds:
         raise ValueError(f"kind = {kind!r}: allowed is {', '.join(kinds)}")
-    return kinds[kind](node, cut)
+    return kinds[kind](node, cut, senses)
 
 
 def folded(poles_radps: ComplexArray, sample_s: float) -> ComplexArray:

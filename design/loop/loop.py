@@ -27,6 +27,8 @@ class Loop:
 
     def __post_init__(self) -> None:
         self.law.check(self.fixed.sample_s)
+        if any(name not in MEASUREMENTS for name in self.law.inputs):
+            object.__setattr__(self, "fixed", self.fixed.with_sensors)
 
     @property
     def highest_hz(self) -> float:

@@ -27,10 +27,12 @@ from maxq.design.laws.bending_filter import FASTEST
 from maxq.design.laws.law import MEASUREMENTS, Controller
 from maxq.design.laws.pd import Pd
 from maxq.design.laws.registry import designed_law
+from maxq.design.loop.fixed_path import delayed
 from maxq.design.loop.sampling import SampledPlant, sample
 from maxq.design.model.linearised import at_rest, linearise
 from maxq.design.model.node import flown_run, flown_to
 from maxq.design.model.state_space import ComplexArray, Resolvent, StateSpace, chain, channels, zeros_and_poles
+from maxq.design.model.vehicle_at import ACCELERATION, instruments_of
 from maxq.sim.packing.flight import Packed
 from maxq.sim.scenario.loader import LoadedScenario
 from maxq.sim.scenario.schema_design import Design
@@ -41,12 +43,17 @@ _HELD = ("x_I_m", "y_I_m", "z_I_m", "u_mps")  # place and speed, as in the model
 
 @dataclass(frozen=True)
 class Multiloop:
-    """Loops of `axes`, each with its law, round one plant; `path` from commands to mean rates in their order."""
+    """Loops of `axes`, each with its law, round one plant; `path` from commands to mean rates in their order.
+
+    `sensed`: what further sensors measure, by name, in pitch and yaw, and samples of latency; outputs of `path` behind
+    the rates.
+    """
 
     time_s: float
     axes: tuple[str, ...]
     path: SampledPlant
     laws: tuple[Controller, ...]
+    sensed: tuple[tuple[str, int], ...] = ()
 
     @property
     def highest_hz(self) -> float:
@@ -56,13 +63,23 @@ class Multiloop:
         """L, (*frequencies.shape, axes, axes): rows are commands that return, columns commands given."""
         f = np.asarray(frequencies_hz, float)
         z = np.exp(2j * np.pi * self.path.sample_s * f)
-        return np.asarray(self._controllers(f, z)[..., None] * self.path.at(z, self._resolvent))
+        way, n = self.path.at(z, self._resolvent), len(self.axes)
+        out = np.asarray(self._controllers(f, z)[..., None] * way[..., :n, :])
+        for k, (name, late) in enumerate(self.sensed):
+            for axis, law in enumerate(self.laws[:2]):
+                if name in law.inputs:
+                    gain = law.response(f)[..., law.inputs.index(name)] * z**-late
+                    out[..., axis, :] += gain[..., None] * way[..., n + 2 * k + axis, :]
+        return out
 
     def _controllers(self, f: Array, z: ComplexArray) -> ComplexArray:
         """From the mean rate of each axis to its command, (..., axes)."""
         summed = self.path.sample_s * z / (z - 1.0)
         ratio = dict(zip(MEASUREMENTS, (summed, np.ones_like(z), summed**2), strict=True))
-        parts = [law.response(f) * np.stack([ratio[name] for name in law.inputs], axis=-1) for law in self.laws]
+        none = np.zeros_like(z)  # further sensors are no multiples of the rate
+        parts = [
+            law.response(f) * np.stack([ratio.get(name, none) for name in law.inputs], axis=-1) for law in self.laws
+        ]
         return np.stack([part.sum(axis=-1) for part in parts], axis=-1)
 
     @cached_property
@@ -72,19 +89,33 @@ class Multiloop:
     @cached_property
     def state_space(self) -> StateSpace:
         """L in z, from the commands round to minus themselves."""
-        t, parts = self.path.sample_s, []
-        for law in self.laws:
+        t, parts, path, n_axes = self.path.sample_s, [], self.path.state_space(), len(self.axes)
+        taken: list[int] = []  # outputs of the path, law by law
+        for k, (_, late) in enumerate(self.sensed):
+            for axis in range(2):
+                path = delayed(path, n_axes + 2 * k + axis, late)
+        for axis, law in enumerate(self.laws):
+            mine = [k for k, (name, _) in enumerate(self.sensed) if axis < 2 and name in law.inputs]
+            taken += [axis, *(n_axes + 2 * k + axis for k in mine)]
             # of the sums so far, the angle's and its own, and of the new rate
             rows = dict(zip(MEASUREMENTS, ([1.0, 0.0, t], [0.0, 0.0, 1.0], [t, 1.0, t * t]), strict=True))
             n = 2 if "angle_integral_rads" in law.inputs else 1
-            a, b = np.array([[1.0, 0.0], [t, 1.0]])[:n, :n], np.array([[t], [t * t]])[:n]
-            outputs = np.array([rows[name] for name in law.inputs])
+            a, b = np.array([[1.0, 0.0], [t, 1.0]])[:n, :n], np.zeros((n, 1 + len(mine)))
+            b[:, 0] = np.array([t, t * t])[:n]
+            outputs = np.array([rows.get(name, [0.0, 0.0, 0.0]) for name in law.inputs])
             states = ("angle_rad", "angle_integral_rads")[:n]
-            summed = StateSpace(a, b, outputs[:, :n], outputs[:, 2:], states, ("rate",), law.inputs)
+            through = np.zeros((len(law.inputs), 1 + len(mine)))
+            through[:, 0] = outputs[:, 2]
+            for column, k in enumerate(mine, 1):
+                through[law.inputs.index(self.sensed[k][0]), column] = 1.0
+            felt = ("rate", *(self.sensed[k][0] for k in mine))
+            summed = StateSpace(a, b, outputs[:, :n], through, states, felt, law.inputs)
             parts.append(chain(summed, law.state_space()))
         a, b, c, d = (scipy.linalg.block_diag(*(getattr(part, name) for part in parts)) for name in "abcd")
         states = tuple(f"{axis}_{name}" for axis, p in zip(self.axes, parts, strict=True) for name in p.states)
-        return chain(self.path.state_space(), StateSpace(a, b, c, d, states, self.axes, self.axes))
+        names = tuple(path.outputs[k] for k in taken)
+        path = StateSpace(path.a, path.b, path.c[taken], path.d[taken], path.states, path.inputs, names)
+        return chain(path, StateSpace(a, b, c, d, states, names, self.axes))
 
     def poles(self, closed: Iterable[int]) -> ComplexArray:
         """Poles with the loops of these axes closed, log(z) / T in rad/s."""
@@ -167,10 +198,20 @@ def multiloop(packed: Packed, design: Design, time_s: float) -> Multiloop:
         if matrix[:, 2].any() and (roll.k_p, roll.k_d_s) != (0.0, 0.0):
             axes, laws = AXES, (*laws, roll)
     held = (*_HELD, *(f"gyro_{axis}_rad" for axis in AXES), *(() if "roll" in axes else ("phi_rad",)))
-    kept = [k for k, name in enumerate(model.states) if name not in held]
-    counted = [model.states.index(f"gyro_{axis}_rad") for axis in axes]  # the integrals of what the gyros put out
+    kept = [k for k, name in enumerate(model.states) if name not in held and not name.endswith("_integral")]
+    integrals, sensed = [f"gyro_{axis}_rad" for axis in axes], []  # of what the sensors put out
+    signs = [1.0] * len(axes)
+    if any(name not in MEASUREMENTS for one in laws for name in one.inputs):
+        for k, (name, _, late) in enumerate(instruments_of(row).sensors, 1):
+            force = name == ACCELERATION  # +y is the other side in yaw
+            integrals += [f"sensor_{k}_{axis}_integral" for axis in ("zy" if force else "yz")]
+            signs += [1.0, -1.0 if force else 1.0]
+            sensed.append((name, late))
+    counted = [model.states.index(name) for name in integrals]
     plant = StateSpace(
-        model.a[np.ix_(kept, kept)], model.b[kept] @ matrix[:, : len(axes)], model.a[np.ix_(counted, kept)],
-        np.zeros((len(axes),) * 2), tuple(model.states[k] for k in kept), axes, axes,
+        model.a[np.ix_(kept, kept)], model.b[kept] @ matrix[:, : len(axes)],
+        np.array(signs)[:, None] * model.a[np.ix_(counted, kept)],
+        np.zeros((len(counted), len(axes))), tuple(model.states[k] for k in kept), axes, tuple(integrals),
     )  # fmt: skip  # four more lines otherwise
-    return Multiloop(time_s, axes, sample(channels(plant, axes), t, 1e-9 * int(row.computer.delay_ns)), laws)
+    path = sample(channels(plant, tuple(integrals)), t, 1e-9 * int(row.computer.delay_ns))
+    return Multiloop(time_s, axes, path, laws, tuple(sensed))

@@ -42,7 +42,7 @@ class Dispersion:
 
     bending_frequency: Factors = 1.0  # per mode
     bending_damping: Factors = 1.0
-    bending_slope: Factors = 1.0  # at the gyro
+    bending_slope: Factors = 1.0  # at the gyro and other sensors
     bending_shape: Factors = 1.0  # displacement and slope at the gimbal: what excites the mode
     slosh_frequency: Factors = 1.0  # per tank
     slosh_mass: Factors = 1.0
@@ -87,12 +87,13 @@ def _vehicle(node: Node, by: Dispersion) -> VehicleAt:
     vehicle = node.vehicle
     modes, bobs, air = vehicle.modes, vehicle.pendulums, vehicle.aerodynamics
     n, m = len(modes.omega_radps), len(bobs.mass_kg)
-    shape = _each(by.bending_shape, n, "bending_shape")
+    shape, slope = _each(by.bending_shape, n, "bending_shape"), _each(by.bending_slope, n, "bending_slope")
     modes = dataclasses.replace(
         modes,
         omega_radps=modes.omega_radps * _each(by.bending_frequency, n, "bending_frequency"),
         damping_ratio=modes.damping_ratio * _each(by.bending_damping, n, "bending_damping"),
-        slope_gyro_pm=modes.slope_gyro_pm * _each(by.bending_slope, n, "bending_slope"),
+        slope_gyro_pm=modes.slope_gyro_pm * slope,
+        sensors=tuple((phi * slope, turn * slope) for phi, turn in modes.sensors),
         phi_gimbal=modes.phi_gimbal * shape,
         slope_gimbal_pm=modes.slope_gimbal_pm * shape,
     )
@@ -149,6 +150,10 @@ def _instruments(instruments: Instruments, by: Dispersion) -> Instruments:
         actuator=actuators[0],
         further_actuators=tuple(actuators[1:]),
         gyro=dataclasses.replace(g, omega_radps=g.omega_radps * by.gyro_frequency),
+        sensors=tuple(
+            (name, dataclasses.replace(lag, omega_radps=lag.omega_radps * by.gyro_frequency), late)
+            for name, lag, late in instruments.sensors
+        ),
         delay_s=instruments.delay_s + by.delay_s,
     )
 

@@ -14,7 +14,7 @@ import numpy as np
 from maxq.control.kernel.records import Array
 from maxq.design.model.dispersion import Dispersion, disperse
 from maxq.design.model.errata import CORRECTED, Errata
-from maxq.design.model.plant import OUTPUTS, Liquids, inputs_of, state_names, swings_of, vehicle_plant
+from maxq.design.model.plant import Liquids, inputs_of, outputs_of, state_names, swings_of, vehicle_plant
 from maxq.design.model.state_space import StateSpace
 from maxq.design.model.vehicle_at import (
     FlightCondition,
@@ -70,10 +70,10 @@ class Node:
         v, inputs = self.vehicle, inputs_of(self.vehicle)
         swinging = sum(len(swings_of(engine)) for engine in v.engines)
         n = len(state_names(len(v.modes.omega_radps), len(v.pendulums.mass_kg), swinging))
-        m, outputs = len(inputs), len(OUTPUTS)
+        m, outputs = len(inputs), outputs_of(v)
+        rows = len(outputs)
         return StateSpace(
-            whole.a[:n, :n], whole.b[:n, :m], whole.c[:outputs, :n], whole.d[:outputs, :m], whole.states[:n],
-            inputs, OUTPUTS,
+            whole.a[:n, :n], whole.b[:n, :m], whole.c[:rows, :n], whole.d[:rows, :m], whole.states[:n], inputs, outputs,
         )  # fmt: skip  # five more lines otherwise
 
     @cached_property

@@ -60,6 +60,7 @@ from maxq.control.kernel.records import Array
 from maxq.design.model.errata import CORRECTED, Errata
 from maxq.design.model.state_space import ComplexArray, StateSpace
 from maxq.design.model.vehicle_at import (
+    ACCELERATION,
     FlightCondition,
     GimballedEngine,
     Pendulums,
@@ -75,7 +76,7 @@ DERIVATIVES = (
     "delta_accel_radps2",
 )  # the rate of those on whose compliance one swings
 OUTPUTS = ("q_radps", "local_rate_radps", "w_mps", "theta_rad")
-OUTPUTS_ACROSS = (*(f"across_{name}" for name in OUTPUTS), "roll_bending_radps")
+WIND = "wind_mps"
 
 XI = 1.84118378134066
 _SHALLOWEST = 1e-6  # depth in radii: the formulae have limits at zero
@@ -96,21 +97,25 @@ def axial_load_mps2(vehicle: VehicleAt, condition: FlightCondition) -> float:
 
 
 def vehicle_plant(
-    vehicle: VehicleAt, condition: FlightCondition, errata: Errata = CORRECTED, liquids: Liquids | None = None
-) -> StateSpace:
+    vehicle: VehicleAt, condition: FlightCondition, errata: Errata = CORRECTED, liquids: Liquids | None = None,
+    wind: bool = False,
+) -> StateSpace:  # fmt: skip  # six lines otherwise
     """Motion of the actuators, which engines follow or swing on -> rates, of body, modes and pendulums.
 
     States w (m/s, of the body point at the core's CG), q (rad/s), theta (rad), eta (m), eta' (m/s), G (rad), G'
     (rad/s), angle and rate of each engine on a TVC load; inputs `inputs_of`, outputs OUTPUTS, of which the local rate
-    is that at the gyro, q + sum sigma_G eta' (12 with erratum 1). A vehicle with spatial modes has the states, inputs
-    and outputs of the other plane besides (its modes, tanks and engines are numbered on), and the roll rate of its
-    modes at the gyro. Raises ValueError where the axial load is not positive and there are pendulums, and where an
+    is that at the gyro, q + sum sigma_G eta' (12 with erratum 1), then what the vehicle's other sensors feel: the local
+    rate, or the lateral specific force in axes that turn with the bent body (docs/model.md, section 2). With `wind` the
+    last input is the air's lateral velocity, m/s, of a vehicle without spatial modes. A vehicle with spatial modes has
+    the states, inputs and outputs of the other plane besides (its modes, tanks and engines are numbered on), and the
+    roll rate of its modes at the gyro. Raises ValueError where the axial load is not positive and there are pendulums,
+    and where an
     erratum of the tanks is left in and `liquids` does not say what they hold.
     """
     load = axial_load_mps2(vehicle, condition)
     if len(vehicle.pendulums.mass_kg) and load <= 0.0:
         raise ValueError(f"a pendulum needs a positive axial load, not {load:g} m/s2")
-    one = _Equations(_with_printed_tanks(vehicle, errata, liquids), condition, load, errata)
+    one = _Equations(_with_printed_tanks(vehicle, errata, liquids), condition, load, errata, wind)
     if vehicle.across is None:
         return one.state_space()
     # both planes have the spatial modes' softening: it counts once
@@ -137,27 +142,32 @@ def _coupled(one: _Equations, across: _Equations) -> StateSpace:
         embed.append(np.eye(columns)[places.astype(int)])
     embed[1][common] = np.eye(columns)[[*(3 + np.arange(shared)), *(3 + one.modes + np.arange(shared))]]
     drives = [plane.drive()[:shared] @ e for plane, e in zip(planes, embed, strict=True)]
-    systems, hinges = [], []
+    systems, hinges, seen = [], [], []
     for plane, e, drive in zip(planes, embed, drives[::-1], strict=True):
-        system, hinge = (rows @ e for rows in plane.rows())
+        system, hinge, sensed = (rows @ e for rows in plane.rows())
+        for k, (name, _) in enumerate(plane.vehicle.sensors):
+            if name == ACCELERATION:
+                sensed[len(OUTPUTS) + k] += plane.vehicle.modes.sensors[k][0][:shared] @ drive
+        seen.append(sensed)
         bobs, phi = plane.vehicle.pendulums, plane.vehicle.modes.phi_hinge[:shared]
         system[3 + plane.modes : 3 + plane.modes + shared] += drive
         swing = 3 + 2 * plane.modes + plane.tanks
         system[swing : swing + plane.tanks] -= (phi / bobs.length_m).T @ drive
         hinges.append(hinge + plane.modal[:shared, len(plane.names) + len(plane.inputs) :].T @ drive)
         systems.append(system)
-    whole = _without_unknowns(np.concatenate([systems[0], systems[1][own]]), np.concatenate(hinges))
-    rolls = np.zeros(size)
-    rolls[3 + one.modes : 3 + one.modes + shared] = one.vehicle.modes.roll_gyro_pm
-    seen = [plane.sensed() @ e[: len(plane.names), :size] for plane, e in zip(planes, embed, strict=True)]
+    rolls = np.zeros((1, columns))
+    rolls[0, 3 + one.modes : 3 + one.modes + shared] = one.vehicle.modes.roll_gyro_pm
+    rows = np.concatenate([systems[0], systems[1][own], *seen, rolls])
+    whole = _without_unknowns(rows, np.concatenate(hinges))
     every = state_names(
         one.modes + across.modes - shared, one.tanks + across.tanks, len(one.loaded) + len(across.loaded)
     )  # fmt: skip  # four lines otherwise
     states = (*one.names, *(f"across_{name}" for name in across.names[:3]), *(x for x in every if x not in one.names))
+    outputs = outputs_of(one.vehicle)
     return StateSpace(
-        whole[:, :size], whole[:, size:], np.concatenate([*seen, rolls[None]]),
-        np.zeros((len(OUTPUTS) * 2 + 1, sum(inputs))),
-        states, (*one.inputs, *(f"across_{name}" for name in across.inputs)), (*OUTPUTS, *OUTPUTS_ACROSS),
+        whole[:size, :size], whole[:size, size:], whole[size:, :size], whole[size:, size:], states,
+        (*one.inputs, *(f"across_{name}" for name in across.inputs)),
+        (*outputs, *(f"across_{name}" for name in outputs), "roll_bending_radps"),
     )  # fmt: skip  # five more lines otherwise
 
 
@@ -190,13 +200,15 @@ def _with_printed_tanks(vehicle: VehicleAt, errata: Errata, liquids: Liquids | N
 class _Equations:
     """Each quantity is a row of coefficients: per state, then per input."""
 
-    def __init__(self, vehicle: VehicleAt, condition: FlightCondition, load: float, errata: Errata) -> None:
+    def __init__(
+        self, vehicle: VehicleAt, condition: FlightCondition, load: float, errata: Errata, wind: bool = False
+    ) -> None:
         self.vehicle, self.condition, self.load, self.errata = vehicle, condition, load, errata
         self.modes, self.tanks = len(vehicle.modes.omega_radps), len(vehicle.pendulums.mass_kg)
         # of each engine on a load its angle in this plane and, canted, the other one, which moves it in this plane too
         self.loaded = [swing for engine in vehicle.engines for swing in swings_of(engine)]
         self.names = state_names(self.modes, self.tanks, len(self.loaded))
-        self.inputs = inputs_of(vehicle)
+        self.inputs = inputs_of(vehicle) + ((WIND,) if wind else ())
         n, m, states = self.modes, self.tanks, len(self.names)
         # behind states and inputs the unknown accelerations of engines on a TVC load
         rows = np.eye(states + len(self.inputs) + len(self.loaded))
@@ -207,6 +219,7 @@ class _Equations:
         swinging = rows[states - 2 * len(self.loaded) : states]
         self.swing, self.swing_rate = swinging[: len(self.loaded)], swinging[len(self.loaded) :]
         self.swing_accel = rows[states + len(self.inputs) :]
+        self.through_air = self.w - self.driven[WIND] if wind else self.w
         body = vehicle.body
         self.mass, self.inertia, self.cg = (
             (body.core_mass_kg, body.core_inertia_kgm2, body.core_cg_station_m)
@@ -238,11 +251,12 @@ class _Equations:
         for k, slope in enumerate(air.slope_pr):
             turned = speed * modes.slope_surface_pm[:, k] @ self.eta + modes.phi_surface[:, k] @ self.eta_rate
             bent = turned if air.local_incidence else 0.0 * self.w
-            whole = self.w + (bent if self.errata.bent_body_loads else 0.0)
+            whole = self.through_air + (bent if self.errata.bent_body_loads else 0.0)
             self.force = self.force - flow * slope * whole
             self.moment = self.moment + flow * (slope * self.cg - air.moment_slope_mpr[k]) * whole
-            self.modal = self.modal - flow * slope * np.outer(modes.phi_surface[:, k], self.w + bent)
-            self.modal = self.modal + flow * couples[k] * np.outer(modes.slope_surface_pm[:, k], self.w + bent)
+            local = self.through_air + bent
+            self.modal = self.modal - flow * slope * np.outer(modes.phi_surface[:, k], local)
+            self.modal = self.modal + flow * couples[k] * np.outer(modes.slope_surface_pm[:, k], local)
             by_rate, moment = air.rate_slope_m[k], air.rate_moment_m2[k]
             self.force = self.force - flow * by_rate * self.q
             self.moment = self.moment + flow * (by_rate * self.cg - moment) * self.q
@@ -251,7 +265,7 @@ class _Equations:
         self.moment = self.moment + 0.5 * flow * air.chord_m**2 * air.rate_damping * self.q
         self.moment = self.moment - self.vehicle.body.rate_damping_Nms * self.q
         if self.errata.path_terms:
-            self.force = self.force - flow * air.drag * self.w
+            self.force = self.force - flow * air.drag * self.through_air
 
     def _actuator(self, engine: GimballedEngine, derivative: str) -> Array:
         return np.asarray(engine.gain * self.driven[of_drive(derivative, engine.drive)])
@@ -344,18 +358,28 @@ class _Equations:
         return np.asarray(force / modes.generalized_mass_kg[:, None])
 
     def state_space(self) -> StateSpace:
-        system, n = _without_unknowns(*self.rows()), len(self.names)
-        nothing = np.zeros((len(OUTPUTS), len(self.inputs)))
-        return StateSpace(system[:, :n], system[:, n:], self.sensed(), nothing, self.names, self.inputs, OUTPUTS)
+        system, hinges, sensed = self.rows()
+        whole, n = _without_unknowns(np.concatenate([system, sensed]), hinges), len(self.names)
+        return StateSpace(
+            whole[:n, :n], whole[:n, n:], whole[n:, :n], whole[n:, n:], self.names, self.inputs,
+            outputs_of(self.vehicle),
+        )  # fmt: skip  # three more lines otherwise
 
-    def sensed(self) -> Array:
-        """OUTPUTS by the states."""
+    def _sensed(self, lateral: Array, turning: Array, bending: Array) -> Array:
+        """`outputs_of` the vehicle, from the accelerations of body and modes."""
+        modes = self.vehicle.modes
         rates = self.eta_rate if self.errata.gyro_senses_rate else self.eta
-        local = self.q + self.vehicle.modes.slope_gyro_pm @ rates
-        return np.stack([self.q, local, self.w, self.theta])[:, : len(self.names)]
+        out = [self.q, self.q + modes.slope_gyro_pm @ rates, self.w, self.theta]
+        for (name, station_m), (phi, slope) in zip(self.vehicle.sensors, modes.sensors, strict=True):
+            if name == ACCELERATION:
+                tilted = self.load * slope @ self.eta
+                out.append(lateral - (self.cg - station_m) * turning + phi @ bending + tilted)
+            else:
+                out.append(self.q + slope @ rates)
+        return np.stack(out)
 
-    def rows(self) -> tuple[Array, Array]:
-        """Rates of the states, and balance about the hinge of each engine on a TVC load, in unknown accelerations."""
+    def rows(self) -> tuple[Array, Array, Array]:
+        """Rates of the states, balance about each hinge of a TVC load, and outputs; in unknown accelerations."""
         modes, bobs = self.vehicle.modes, self.vehicle.pendulums
         lateral, turning = self.force / self.mass, self.moment / self.inertia
         omega = modes.omega_radps[:, None]
@@ -392,7 +416,7 @@ class _Equations:
             hinges[k] += (
                 self.force[unknown] * lateral + self.moment[unknown] * turning + self.modal[:, unknown] @ bending
             )
-        return system, hinges
+        return system, hinges, self._sensed(lateral, turning, bending)
 
     def _hinge(self, k: int, swing: Swing) -> Array:
         """Moment of spring, damper and axial load on an engine about its hinge."""
@@ -426,6 +450,11 @@ def swings_of(engine: GimballedEngine) -> list[Swing]:
     own, other = engine.levers
     others = [Swing(engine, engine.other_slope, other, False)] if any(engine.other_slope) else []
     return [Swing(engine, engine.slope, own, True), *others]
+
+
+def outputs_of(vehicle: VehicleAt) -> tuple[str, ...]:
+    """Of a plane: OUTPUTS, then what further sensors measure."""
+    return (*OUTPUTS, *(name for name, _ in vehicle.sensors))
 
 
 def inputs_of(vehicle: VehicleAt) -> tuple[str, ...]:

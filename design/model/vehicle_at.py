@@ -24,9 +24,11 @@ from maxq.sim.packing.flight import Packed
 from maxq.sim.vehicle import aero, schedule
 from maxq.sim.vehicle.actuator import Actuator
 from maxq.sim.vehicle.gyro import Gyro
+from maxq.sim.vehicle.sensors import ACCELEROMETER
 
 Plane = Literal["pitch", "yaw"]
 Trim = tuple[float, float]
+ACCELERATION = "accel_mps2"  # lateral specific force at the accelerometer
 ACTUATOR_OUTPUTS = ("delta_rad", "delta_rate_radps", "delta_accel_radps2")
 
 
@@ -103,6 +105,7 @@ class Modes:
     spatial: int = 0
     roll_gyro_pm: Array = dataclasses.field(default_factory=lambda: np.zeros(0))  # rotation of spatial modes about x
     further_gimbals: tuple[tuple[Array, Array], ...] = ()  # shapes and slopes at stations of gimbals beyond the first
+    sensors: tuple[tuple[Array, Array], ...] = ()  # the same at those of the vehicle's `sensors`
 
     def at_gimbal(self, gimbal: int) -> tuple[Array, Array]:
         """Shapes and slopes at one of the gimbals' stations."""
@@ -182,6 +185,7 @@ class VehicleAt:
     slosh_exchange: bool = False  # liquid that goes over from bob to core takes its momentum along
     across: VehicleAt | None = None  # the same in the other plane, where spatial modes couple both
     further_engines: tuple[GimballedEngine, ...] = ()
+    sensors: tuple[tuple[str, float], ...] = ()  # beyond the gyro: what each measures, by name, and its station, m
 
     @property
     def engines(self) -> tuple[GimballedEngine, ...]:
@@ -249,7 +253,19 @@ def _in_plane(packed: Packed, time_s: float, mach: float, plane: Plane, stage: i
         aerodynamics=_aerodynamics(packed.pool, vehicle, props, clock_s, mach, plane, trim),
         jet_damping=bool(vehicle.jet_damping),
         slosh_exchange=bool(vehicle.slosh.exchange),
+        sensors=tuple(
+            (_sensed(k, each), float(each.station_m)) for k, each in enumerate(vehicle.sensors[: int(sizes.sensors)])
+        ),
     )
+
+
+def further_rate(number: int) -> str:
+    """Name of what a rate gyro beyond the first measures; they are counted from 2."""
+    return f"rate_{number}_radps"
+
+
+def _sensed(number: int, sensor: Any) -> str:
+    return ACCELERATION if sensor.kind == ACCELEROMETER else further_rate(number + 2)
 
 
 def _pendulums(vehicle: Any, sizes: Any, props: Array) -> Pendulums:
@@ -282,6 +298,10 @@ def _modes(vehicle: Any, sizes: Any, props: Array, plane: Plane) -> Modes:
     def row(which: int) -> Array:
         return np.array(rows(which, 1)[:, 0])
 
+    stations = tuple(
+        (row(at), row(at + 1)) for at in (int(schedule.gimbal_row(sizes, k)) for k in range(1, int(sizes.gimbals)))
+    )
+    engines = int(sizes.gimbals) - 1 - int(sizes.sensors)
     of_plane = Modes(
         omega_radps=vehicle.bending.frequency_factor[:n] * row(schedule.MODE_OMEGA),
         damping_ratio=np.array(zeta[:n]),
@@ -293,9 +313,8 @@ def _modes(vehicle: Any, sizes: Any, props: Array, plane: Plane) -> Modes:
         phi_surface=rows(shapes, surfaces, 2),
         slope_surface_pm=rows(shapes + 1, surfaces, 2),
         softening_kgpm=float(vehicle.bending.softening_factor) * rows(int(schedule.softening_row(sizes, 0)), n),
-        further_gimbals=tuple(
-            (row(at), row(at + 1)) for at in (int(schedule.gimbal_row(sizes, k)) for k in range(1, int(sizes.gimbals)))
-        ),
+        further_gimbals=stations[:engines],
+        sensors=stations[engines:],
     )
     return of_plane if int(sizes.spatial_modes) == 0 else _with_spatial(vehicle, sizes, props, plane, of_plane)
 
@@ -336,11 +355,13 @@ def _with_spatial(vehicle: Any, sizes: Any, props: Array, plane: Plane, of_plane
     places = [int(schedule.gimbal_place(sizes, k)) for k in range(1, int(sizes.gimbals))]
     further = tuple(
         (np.concatenate([at(p, across), phi]), np.concatenate([sign * at(p, about), slope]))
-        for p, (phi, slope) in zip(places, of_plane.further_gimbals, strict=True)
+        for p, (phi, slope) in zip(places, (*of_plane.further_gimbals, *of_plane.sensors), strict=True)
     )
+    engines = len(of_plane.further_gimbals)
     return dataclasses.replace(
-        of_plane, **joined, softening_kgpm=both, spatial=n, roll_gyro_pm=at(gyro_at, 3), further_gimbals=further
-    )
+        of_plane, **joined, softening_kgpm=both, spatial=n, roll_gyro_pm=at(gyro_at, 3),
+        further_gimbals=further[:engines], sensors=further[engines:],
+    )  # fmt: skip  # four more lines otherwise
 
 
 def _engines(packed: Packed, row: Any, props: Array, time_s: float, plane: Plane) -> tuple[GimballedEngine, ...]:
@@ -506,6 +527,7 @@ class Instruments:
     sample_s: float  # period of the computer: tau_VF of the converter (30), tau_DZ of the hold (32)
     delay_s: float  # tau_D (31), from sample to command
     further_actuators: tuple[Actuator, ...] = ()  # of further drives: groups of engines with unlike actuators
+    sensors: tuple[tuple[str, Gyro, int], ...] = ()  # beyond the gyro: what it measures, dynamics, latency in samples
 
     @property
     def actuators(self) -> tuple[Actuator, ...]:
@@ -518,10 +540,18 @@ def instruments_of(row: Any, plane: Plane = "pitch") -> Instruments:
     return Instruments(
         actuator=first,
         further_actuators=tuple(further),
-        gyro=Gyro(**{f.name: row.vehicle.gyro[f.name].item() for f in dataclasses.fields(Gyro)}),
+        gyro=_gyro(row.vehicle.gyro),
+        sensors=tuple(
+            (_sensed(k, each), _gyro(each.triad), int(row.computer.sensors.latency[k]))
+            for k, each in enumerate(row.vehicle.sensors[: int(row.vehicle.sizes.sensors)])
+        ),
         sample_s=1e-9 * int(row.computer.sample_ns),
         delay_s=1e-9 * int(row.computer.delay_ns),
     )
+
+
+def _gyro(record: Any) -> Gyro:
+    return Gyro(**{f.name: record[f.name].item() for f in dataclasses.fields(Gyro)})
 
 
 def _drives(row: Any, plane: Plane) -> tuple[list[Actuator], list[int]]:

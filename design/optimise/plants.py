@@ -10,12 +10,15 @@ import numpy as np
 
 from maxq.control.kernel.records import Array
 from maxq.design.case.schema import Case
+from maxq.design.laws.law import MEASUREMENTS
 from maxq.design.laws.registry import law_kind
 from maxq.design.laws.task import PlantLimits, Rigid, Task
+from maxq.design.laws.wind import Spectrum, WindResponse
 from maxq.design.loop.fixed_path import FixedPath, fixed_path
+from maxq.design.loop.wind import wind_response
 from maxq.design.margins.curve import lowest_hz_of
 from maxq.design.model.node import Node
-from maxq.design.model.vehicle_at import stability_derivatives
+from maxq.design.model.vehicle_at import ACCELERATION, stability_derivatives
 from maxq.design.optimise.criteria import OBJECTIVES
 from maxq.design.optimise.curves import TOLERANCE, Curves, Indices
 from maxq.design.optimise.features import Bands
@@ -35,6 +38,7 @@ class Plant:
     m_alpha: float
     m_q: float
     dispersed: bool = False
+    wind: WindResponse | None = None
 
     @property
     def label(self) -> str:
@@ -47,8 +51,15 @@ class Plant:
 
 def make_plant(node: Node, case: Case, dispersed: bool = False) -> Plant:
     """Raises ValueError for a node without a first bending mode where that is the objective."""
-    path = fixed_path(node, case.loop)
-    path.measurements = law_kind(case.law).inputs
+    measured = (*law_kind(case.law).inputs, *(_further_gyros(node) if case.blend is not None else ()))
+    path = fixed_path(node, case.loop, senses=any(name not in MEASUREMENTS for name in measured))
+    path.measurements = measured
+    for name in measured:
+        if name not in MEASUREMENTS and name not in (sensed for sensed, _, _ in path.sensors):
+            raise ValueError(
+                f"node at {node.time_s:g} s: the vehicle has no accelerometer, which the law {case.law} takes"
+            )
+    wind = None if case.wind is None else wind_response(path, Spectrum(**dict(case.wind)))
     share, top = case.objective.band, path.highest_hz * MODE_BANDS_END
     bands = []
     for r in path.resonances(0.5):
@@ -64,7 +75,11 @@ def make_plant(node: Node, case: Case, dispersed: bool = False) -> Plant:
             f"allowed is objective.kind = {others}"
         )
     d = stability_derivatives(node.vehicle, node.condition)
-    return Plant(node, path, tuple(bands), d.m_delta_1ps2, d.m_alpha_1ps2, d.m_q_1ps, dispersed)
+    return Plant(node, path, tuple(bands), d.m_delta_1ps2, d.m_alpha_1ps2, d.m_q_1ps, dispersed, wind)
+
+
+def _further_gyros(node: Node) -> tuple[str, ...]:
+    return tuple(name for name, _, _ in node.instruments.sensors if name != ACCELERATION)
 
 
 @dataclass(frozen=True)
@@ -108,7 +123,11 @@ class Plants:
         off = case.robust.limits if case.robust is not None else case.limits
         limits = PlantLimits([off if p.dispersed else case.limits for p in self.each])
         dispersed = np.array([p.dispersed for p in self.each], bool)
-        return Task(case, self.times_s, dispersed, self.rigid, limits, self.sample_s, self.first_mode_hz)
+        further = len(_further_gyros(self.each[0].node)) if case.blend is not None else 0
+        winds = tuple(p.wind for p in self.each if p.wind is not None)
+        return Task(
+            case, self.times_s, dispersed, self.rigid, limits, self.sample_s, self.first_mode_hz, further, winds
+        )  # fmt: skip  # as ruff would, but for a line of one bracket
 
     def and_also(self, more: Sequence[Plant]) -> Plants:
         """These plants and some more."""

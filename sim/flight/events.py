@@ -11,7 +11,7 @@ import math
 from maxq.control.computer import computer_tick
 from maxq.control.kernel.jit import kernel, routine
 from maxq.control.kernel.limits import MAX_ENGINES
-from maxq.control.kernel.noise import standard_normal
+from maxq.control.kernel.noise import standard_normal, uniform_pair
 from maxq.control.kernel.records import Array
 from maxq.control.kernel.vectors import (
     conjugate,
@@ -44,7 +44,8 @@ from maxq.sim.vehicle.environment import climb_rate, flight_direction
 from maxq.sim.vehicle.faults import ANY_FAULT, GYRO_WALK
 from maxq.sim.vehicle.gyro import GYRO_STREAM
 from maxq.sim.vehicle.schedule import CORE_CG, TOTAL_MASS
-from maxq.sim.vehicle.state import GYRO_ANGLE, start_states
+from maxq.sim.vehicle.sensors import SENSOR_STREAM
+from maxq.sim.vehicle.state import GYRO_ANGLE, N_SENSOR, sensor_index, start_states
 from maxq.sim.vehicle.workspace import AIRSPEED, ALTITUDE, AXIAL_LOAD, DYNAMIC_PRESSURE, FLOW, PRESSURE
 from maxq.sim.world.gust_history import history_tick
 from maxq.sim.world.turbulence import turbulence_tick
@@ -147,6 +148,8 @@ def sample_computer(p: Parameters, pool: Array, memory: Memory, y: Array) -> Non
     for gimbal in range(2):
         memory.gimbal_injection_rad[gimbal] = total_signal(p.injections, pool, GIMBAL_COMMAND, gimbal + 1, now, 0.0)
         memory.gimbal_replaces[gimbal] = replaced(p.injections, GIMBAL_COMMAND, gimbal + 1, now)
+    if p.vehicle.sizes.sensors > 0:
+        sample_sensors(p, memory, y)
     clock.samples += 1
     memory.computer.external.inputs.stage = clock.stage + p.computer.first_stage
     computer_tick(
@@ -163,6 +166,35 @@ def sample_computer(p: Parameters, pool: Array, memory: Memory, y: Array) -> Non
         clock.pending_rad[channel] = memory.computer.allocation.angle_rad[channel]
     clock.pending_roll = memory.computer.roll.demand
     clock.command_due_ns = now + p.computer.delay_ns
+
+
+@routine
+def sample_sensors(p: Parameters, memory: Memory, y: Array) -> None:
+    """What sensors beyond the gyro have put out since the last sample, with noise; and which samples are lost."""
+    sample, seed, root_s = memory.clock.samples, p.timeline.seed, math.sqrt(1e-9 * p.computer.sample_ns)
+    read = memory.computer.sensors
+    for k in range(p.vehicle.sizes.sensors):
+        sensor, stream = p.vehicle.sensors[k], SENSOR_STREAM + 4 * k
+        walk = sensor.triad.random_walk_rad_rts * root_s
+        for axis in range(3):
+            i = sensor_index(p.vehicle.sizes, k) + 6 + axis
+            read.increment[k, axis] = y[i]
+            if walk > 0.0:
+                read.increment[k, axis] += walk * standard_normal(seed, stream + axis, sample)
+            y[i] = 0.0
+        read.lost[k] = 0
+        if sensor.dropout > 0.0 and uniform_pair(seed, stream + 3, sample)[0] < sensor.dropout:
+            read.lost[k] = 1
+
+
+@kernel
+def move_sensors(before: Parameters, after: Parameters, y: Array) -> None:
+    """At a separation the sensors keep their states, which have another place in the state vector then."""
+    old, new = sensor_index(before.vehicle.sizes, 0), sensor_index(after.vehicle.sizes, 0)
+    n = N_SENSOR * after.vehicle.sizes.sensors
+    for i in range(n):
+        j = i if new < old else n - 1 - i
+        y[new + j] = y[old + j]
 
 
 @kernel
@@ -262,6 +294,7 @@ def transfer_state(before: Parameters, after: Parameters, memory: Memory, old: A
         for channel in range(2 * MAX_ENGINES):
             memory.held.command_rad[channel] = 0.0
         memory.held.roll_torque_Nm, memory.held.burning = 0.0, 0
+        move_sensors(before, after, y)
         start_states(after.vehicle.sizes, rate, 1, y)
     record_event(before, memory, SEPARATION, memory.clock.now_ns)
     memory.clock.stage_separation_ns[memory.clock.stage] = memory.clock.now_ns

@@ -14,7 +14,8 @@ from maxq.control.external import MonitorRow, monitor_row
 from maxq.control.kernel.jit import kernel, routine
 from maxq.control.kernel.records import Array
 from maxq.control.kernel.rows import DEG, NorthEastDown, Quaternion, RollPitchYaw, Xyz, degrees, put, xyz
-from maxq.control.kernel.vectors import rotate, rotation_from_quaternion
+from maxq.control.kernel.vectors import rotate, rotation_from_quaternion, vector_at
+from maxq.control.laws.load_relief import LoadReliefRow, load_relief_row
 from maxq.sim.flight.channels import ChannelTable, Topic, declared_channels, declared_topics
 from maxq.sim.flight.metrics import STANDARD_GRAVITY_MPS2
 from maxq.sim.flight.parameters import Memory, Parameters
@@ -24,6 +25,7 @@ from maxq.sim.vehicle.engine import EngineRow, GroupRow, engine_row, group_row
 from maxq.sim.vehicle.gyro import GyroRow, gyro_row
 from maxq.sim.vehicle.loads import SectionRow, section_row
 from maxq.sim.vehicle.schedule import CORE_CG, CORE_INERTIA, CORE_MASS, MASS_FLOW, TOTAL_MASS
+from maxq.sim.vehicle.sensors import ACCELEROMETER, AccelerometerRow, RateGyroRow, accelerometer_row, rate_gyro_row
 from maxq.sim.vehicle.slosh import SloshRow, WaveRow, slosh_row, wave_row
 from maxq.sim.vehicle.state import (
     GYRO,
@@ -34,6 +36,7 @@ from maxq.sim.vehicle.state import (
     Sizes,
     eta_index,
     pendulum_index,
+    sensor_index,
     spatial_index,
     xi_index,
 )
@@ -109,6 +112,13 @@ def fill_fast(
         column = put(row, column, engine_row(p.vehicle.engine, number, aux))
     if external == 1:
         column = put(row, column, monitor_row(memory.computer.external))
+    for k in range(logged.sensors):
+        first, counted = sensor_index(sizes, k), vector_at(memory.computer.sensors.value[k], 0)
+        if p.vehicle.sensors[k].kind == ACCELEROMETER:
+            column = put(row, column, accelerometer_row(y, first, counted))
+            column = put(row, column, load_relief_row(memory.computer.relief))
+        else:
+            column = put(row, column, rate_gyro_row(y, first, counted))
 
 
 # --- slow group
@@ -286,12 +296,13 @@ def fill_slow(
 
 def channel_table(
     sizes: Sizes, tanks: tuple[str, ...], stations: tuple[str, ...] = (), waves: bool = False,
-    groups: tuple[str, ...] = (), engines: tuple[str, ...] = (), external: bool = False,
+    groups: tuple[str, ...] = (), engines: tuple[str, ...] = (), external: bool = False, accelerometer: bool = False,
 ) -> ChannelTable:  # fmt: skip  # eight lines otherwise
     """Channels of a vehicle with so many modes, these pendulums and sections, in the order of the kernels' columns.
 
     `stations`: what is said of each station of the section loads; in names they go by their numbers, from 1. `waves`:
-    with the height of the pendulums' waves. `external`: with what flight code from outside monitors.
+    with the height of the pendulums' waves. `external`: with what flight code from outside monitors. `accelerometer`:
+    the last of the sensors is one.
     """
     topics = declared_topics(FAST, FastRow)
     kinds = (("pitch", sizes.pitch_modes), ("yaw", sizes.yaw_modes), ("spatial", sizes.spatial_modes))
@@ -315,6 +326,12 @@ def channel_table(
         topics.append(Topic("/engines", FAST, sum(moved + thrusts, ()), "groups of engines, and engines"))
     if external:
         topics.append(Topic("/flight_code", FAST, declared_channels(MonitorRow), "flight code from outside"))
+    further = range(2, 2 + sizes.sensors - int(accelerometer))
+    sensors = [declared_channels(RateGyroRow, "number", str(n), f"rate gyro {n}") for n in further]
+    if accelerometer:
+        sensors += [declared_channels(AccelerometerRow), declared_channels(LoadReliefRow)]
+    if sensors:
+        topics.append(Topic("/sensors", FAST, sum(sensors, ()), "sensors beyond the gyro, and load relief"))
     topics += declared_topics(SLOW, SlowRow)
     sections = [declared_channels(SectionRow, "place", str(i), place) for i, place in enumerate(stations, start=1)]
     if sections:

@@ -15,6 +15,7 @@ from maxq.control.kernel.limits import MAX_INJECTIONS, MAX_TONES
 from maxq.control.kernel.tables import NO_TABLE, Cubics, Method, Pool, fit, merge
 from maxq.control.laws.pd import GainSchedule, gains_table
 from maxq.control.roll import Roll, make_roll
+from maxq.control.sensors import Sensors, make_sensors
 from maxq.sim.flight import injection as signals
 from maxq.sim.flight.parameters import NEVER
 from maxq.sim.packing.remembered import cached_by_identity
@@ -78,7 +79,20 @@ def pack_computer(scenario: Scenario, pool: Pool, stage: int = 0) -> Computer:
         guidance_on=switches.guidance,
         roll_on=switches.roll_control,
         external=external,
+        sensors=_sensors(scenario, stage, design),
+        relief_hz=design.load_relief.corner_hz if design and design.load_relief and not external else None,
     )
+
+
+def _sensors(scenario: Scenario, stage: int, design: Design | None) -> Sensors | None:
+    flown, computer = scenario.vehicle.stage[stage], scenario.vehicle.computer
+    if not flown.sensors or computer is None:
+        return None
+    fine = scenario.switches.converter == "ideal"
+    counts = [0.0 if fine else getattr(each, "count_mps", computer.count_rad) for each in flown.sensors]
+    blend = design.blend.axes if design is not None and design.blend is not None else ()
+    late = [each.latency_samples for each in flown.sensors]
+    return make_sensors(counts, late, flown.accelerometer is not None, blend)
 
 
 @cached_by_identity
@@ -89,9 +103,9 @@ def _gains(gains: Gains) -> Cubics:
 def gain_schedules(gains: Gains) -> tuple[GainSchedule, GainSchedule]:
     """Gains over the vehicle clock in pitch and in yaw; the same object where yaw is as pitch."""
     pitch, yaw = gains.axes
-    names = ("time_s", "k_p", "k_d_s", *(("k_i_ps",) if "k_i_ps" in pitch else ()))
-    first = GainSchedule(*(list(pitch[name]) for name in names))
-    return first, first if yaw is pitch else GainSchedule(*(list(yaw[name]) for name in names))
+    names = [name for name in GainSchedule.__dataclass_fields__ if name in pitch]
+    first = GainSchedule(**{name: list(pitch[name]) for name in names})
+    return first, first if yaw is pitch else GainSchedule(**{name: list(yaw[name]) for name in names})
 
 
 @cached_by_identity

@@ -25,6 +25,7 @@ class Places(NamedTuple):
     gyro_m: float
     hinges_m: tuple[bytes, ...]  # of each tank at each time (T,), as bytes
     surfaces_m: tuple[float, ...]
+    sensors_m: tuple[float, ...] = ()  # beyond the gyro
 
 
 class ModeShapes:
@@ -60,7 +61,7 @@ class ModeShapes:
 def mode_values(table: ModeTable, shape: tuple[int, int], at: Places) -> Array:
     """Rows and lanes (`shape`) of a plane over the table's times, (T, rows times lanes)."""
     (rows, padded_modes), n, shapes = shape, table.modes, ModeShapes(table)
-    mounts, gyro_m, hinges_m, surfaces_m = at
+    mounts, gyro_m, hinges_m, surfaces_m, sensors_m = at
     gimbals = [shape(mount.station_m)[0] for mount in mounts for shape in (shapes.value, shapes.slope)]
     columns = [2.0 * np.pi * table.frequency_hz, table.generalized_mass_kg]  # each of them (times, modes)
     columns += [*gimbals[:2], shapes.slope(gyro_m)[0]]
@@ -69,6 +70,8 @@ def mode_values(table: ModeTable, shape: tuple[int, int], at: Places) -> Array:
     for station in surfaces_m:
         columns += [shapes.value(station)[0], shapes.slope(station)[0]]
     columns += gimbals[2:]
+    for station in sensors_m:
+        columns += [shapes.value(station)[0], shapes.slope(station)[0]]
     values = np.zeros((len(table.time_s), rows, padded_modes))
     values[:, : len(columns), :n] = np.stack(columns, axis=1)
     first = rows - padded_modes
@@ -127,7 +130,7 @@ def spatial_values(table: SpatialModeTable, at: Places, gyration_m2: float) -> A
     columns += [*shapes(at.gyro_m)[0]]
     for hinge in at.hinges_m:  # at each time the hinge of that time
         columns += [*np.diagonal(shapes(np.frombuffer(hinge)), axis1=0, axis2=2).transpose(0, 2, 1)]
-    for station in (*at.surfaces_m, *(mount.station_m for mount in at.mounts)):
+    for station in (*at.surfaces_m, *(mount.station_m for mount in at.mounts), *at.sensors_m):
         columns += [*shapes(station)[0]]
     softening = sum(_softening(p, s, at.mounts) for p, s in zip(table.lateral(), lateral, strict=True))
     rows = [np.stack(columns, axis=1), np.transpose(softening, (0, 2, 1)), _turning(table, gyration_m2)]

@@ -47,8 +47,8 @@ def stage_sizes(stage: Stage, switches: Switches, burn: Burn = NOMINAL) -> Sizes
     cluster = cluster_of(stage, burn.faults)
     return Sizes(
         pitch, yaw, bobs, len(surface_stations(stage)), tables, spatial, len(cluster.groups) - 1,
-        max(len(cluster.alike), 1), max(len(cluster.gimbals_m), 1), max(len(cluster.curves), 1),
-        len(swinging(stage, cluster, switches)),
+        max(len(cluster.alike), 1), max(len(cluster.gimbals_m), 1) + len(stage.sensors), max(len(cluster.curves), 1),
+        len(swinging(stage, cluster, switches)), len(stage.sensors),
     )  # fmt: skip  # ten lines otherwise
 
 
@@ -219,7 +219,9 @@ def _modes(
     factors[columns_of.MODE_SLOPE_GYRO, : table.modes] = bending.gyro_slope_factor[: table.modes]
     for gimbal in range(sizes.gimbals):
         row = int(_gimbal_row(record, gimbal))
-        factors[row : row + 2, : table.modes] = bending.gimbal_shape_factor[: table.modes]
+        of_engine = gimbal < sizes.gimbals - sizes.sensors
+        given = bending.gimbal_shape_factor if of_engine else bending.gyro_slope_factor
+        factors[row : row + 2, : table.modes] = given[: table.modes]
     return on_clock(Cubics(joined.breaks, joined.coefficients * factors.ravel()), burn)
 
 
@@ -227,7 +229,8 @@ def _places(stage: Stage, burn: Burn, table: ModeTable | SpatialModeTable, tanks
     mounts = engine_mounts(stage, burn) or (Mount(float(table.station_m[-1]), 1.0, 0.0),)
     gyro_m = stage.gyro.station_m if stage.gyro else float(table.station_m[0])
     hinges_m = tuple(tank.at(table.time_s)[:, 2].tobytes() for tank in tanks)
-    return Places(mounts, gyro_m, hinges_m, surface_stations(stage))
+    sensors_m = tuple(sensor.station_m for sensor in stage.sensors)
+    return Places(mounts, gyro_m, hinges_m, surface_stations(stage), sensors_m)
 
 
 def _spatial_modes(stage: Stage, burn: Burn, sizes: Sizes, tanks: Sequence[Cubics], method: Method) -> Cubics:
@@ -241,5 +244,7 @@ def _spatial_modes(stage: Stage, burn: Burn, sizes: Sizes, tanks: Sequence[Cubic
     factors = np.ones((values.shape[1] // n, n))
     gyro, gimbal = (columns_of.SPATIAL_FIRST + 6 * p for p in (columns_of.GYRO_PLACE, int(_gimbal_place(record, 0))))
     factors[gyro + 3 : gyro + 6] = given.gyro_slope_factor
-    factors[gimbal : gimbal + 6 * sizes.gimbals] = given.gimbal_shape_factor
+    engines = 6 * (sizes.gimbals - sizes.sensors)
+    factors[gimbal : gimbal + engines] = given.gimbal_shape_factor
+    factors[gimbal + engines : gimbal + 6 * sizes.gimbals] = given.gyro_slope_factor
     return on_clock(Cubics(joined.breaks, joined.coefficients * factors.ravel()), burn)

@@ -22,6 +22,7 @@ from maxq.sim.vehicle.bending import pack_bending, pack_spatial_modes
 from maxq.sim.vehicle.derivative import Vehicle
 from maxq.sim.vehicle.engine import Engine
 from maxq.sim.vehicle.gyro import pack_gyro
+from maxq.sim.vehicle.sensors import pack_sensors
 from maxq.sim.vehicle.slosh import pack_slosh
 from maxq.sim.vehicle.state import Sizes
 from maxq.sim.vehicle.tvc_load import STOP_FACTOR, TvcLoad
@@ -48,6 +49,7 @@ def pack_vehicle(scenario: Scenario, stage: Stage, burn: Burn, sizes: Sizes, sch
         further_actuators=(*further, *[pitch] * (2 * MAX_ENGINES - 2 - len(further))),
         tvc_load=load,
         gyro=pack_gyro(stage.gyro, switches.gyro == "ideal"),
+        sensors=pack_sensors(stage, switches.gyro == "ideal"),
         aero=pack_aero(scenario, stage, burn, pool),
         bending=pack_bending(stage.bending, switches.bending_softening),
         spatial_modes=pack_spatial_modes(stage.spatial_modes),

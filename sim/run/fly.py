@@ -438,7 +438,10 @@ def logged_channels(scenario: Scenario, sizes: Sizes) -> ChannelTable:
     groups = tuple(name or str(i + 1) for i, name in enumerate(groups)) if len(groups) > 1 else ()
     computer, tanks = scenario.vehicle.computer, names[: sizes.pendulums]
     external = computer is not None and computer.law == "external"
-    return _channel_table(sizes, tanks, load_stations(scenario), waves, groups, engine_names(scenario), external)
+    senses = scenario.vehicle.stage[0].accelerometer is not None
+    return _channel_table(
+        sizes, tanks, load_stations(scenario), waves, groups, engine_names(scenario), external, senses
+    )
 
 
 def engine_names(scenario: Scenario) -> tuple[str, ...]:

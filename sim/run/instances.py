@@ -42,7 +42,9 @@ def _structure(name: str, schema: type) -> Any:
     fields: list[tuple[str, Any]] = []
     for field, (kind, _) in (dtype_of(schema).fields or {}).items():  # type: ignore[misc]  # a triple only with a title
         base: Any = kinds[kind.base.kind]
-        fields.append((field, base * kind.shape[0] if kind.shape else base))
+        for length in reversed(kind.shape):
+            base *= length
+        fields.append((field, base))
     return type(name, (ctypes.Structure,), {"_fields_": fields, "__doc__": schema.__doc__})
 
 

@@ -82,6 +82,8 @@ RANGES = (
     Range(("_radps",), 0.0, 2e3, "spinning shells have 2e3 rad/s"),
     Range(("_degph",), 0.0, 1e7, "errors of gyros, deg/h"),
     Range(("_rt_h",), 0.0, 1e5, "noise of gyros, deg per root hour"),
+    Range(("count_mps",), 1e-9, 1e3, "one pulse of a converter: finer ones do not fit into its counters, m/s"),
+    Range(("k_a_s2pm",), 0.0, 1e4, "gains of an acceleration, rad per m/s2"),
     Range(("count_rad",), 1e-9, 7.0, "one pulse of a converter: finer ones do not fit into its counters, rad"),
     Range(("ned_mps", "inertial_mps", "earth_mps"), 0.0, 1e5, "nine times escape velocity, m/s"),
     Range(("_mps",), 0.0, 1e3, "winds up to those of the thermosphere, m/s"),

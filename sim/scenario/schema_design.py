@@ -7,17 +7,20 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from pydantic import Field, model_validator
 
-from maxq.control.kernel.limits import MAX_STAGES
-from maxq.control.structures import MAX_SECTIONS, STRUCTURES, Law, Structure
+from maxq.control.kernel.limits import MAX_SENSORS, MAX_STAGES
+from maxq.control.structures import GAINS, MAX_SECTIONS, STRUCTURES, Law, Structure
 from maxq.sim.scenario.errors import refuse
-from maxq.sim.scenario.schema_values import NotNegative, Positive, Section, needs, optional
+from maxq.sim.scenario.schema_values import NotNegative, Positive, Section, needs, only_with, optional
 from maxq.sim.scenario.tables_csv import Columns, CsvTable
 
 if TYPE_CHECKING:
     from maxq.control.filters import BendingFilter
 
 GAIN_COLUMNS = Columns(
-    "time_s", sets=(("k_p", "k_d_s"),), optional=("k_i_ps",), not_negative=("k_p", "k_d_s", "k_i_ps")
+    "time_s",
+    sets=(("k_p", "k_d_s"),),
+    optional=("k_i_ps", "k_a_s2pm"),
+    not_negative=("k_p", "k_d_s", "k_i_ps", "k_a_s2pm"),
 )
 
 
@@ -25,7 +28,8 @@ class Gains(Section):
     """Gains of the law (PD: paper, eq. 33), linear in time, held outside the table."""
 
     table: Annotated[CsvTable, GAIN_COLUMNS] = Field(
-        description="k_p (rad/rad), k_d_s (s), for pid k_i_ps (1/s) over the vehicle clock"
+        description="k_p (rad/rad), k_d_s (s), for pid k_i_ps (1/s), for load-relief k_a_s2pm (rad per m/s2), over the "
+        "vehicle clock"
     )
     yaw: Literal["pitch"] | None = optional('"pitch": as in pitch (the default without yaw_table)')
     yaw_table: Annotated[CsvTable, GAIN_COLUMNS] | None = optional("own gains of the yaw axis")
@@ -148,6 +152,34 @@ class RollGimbal(Section):
     limit_deg: Positive = Field(description="limit of the command, deg; pitch and yaw come before it")
 
 
+Weights = Annotated[tuple[float, ...], Field(min_length=1, max_length=MAX_SENSORS)]
+
+
+class Blend(Section):
+    """Rate of the law: weights of the first gyro and of the vehicle's further rate gyros, which sum to 1."""
+
+    pitch: Weights = Field(description="weights in pitch")
+    yaw: Weights | None = optional("weights in yaw (default: as in pitch)")
+
+    @model_validator(mode="after")
+    def _check(self) -> Blend:
+        for key, given in (("pitch", self.pitch), ("yaw", self.yaw)):
+            if given is not None and abs(sum(given) - 1.0) > 1e-6:
+                raise refuse(f"sums to {sum(given):g}", "weights that sum to 1", key=(key,))
+        return self
+
+    @property
+    def axes(self) -> tuple[tuple[float, ...], tuple[float, ...]]:
+        """Weights in pitch and in yaw."""
+        return self.pitch, self.yaw or self.pitch
+
+
+class LoadRelief(Section):
+    """Feedback of the lateral acceleration; its gain is a column of the gains."""
+
+    corner_hz: Positive = Field(description="corner of the accelerometer's first-order lag in the computer, Hz")
+
+
 class Limits(Section):
     """What the design was made to; for people, nothing in the flight depends on it."""
 
@@ -168,6 +200,8 @@ class StageLaw(Section):
     filter: Filter | None = optional("own bending filter, which starts settled at the separation")
     roll: Roll | None = optional("own roll control by thrusters")
     roll_gimbal: RollGimbal | None = optional("own roll control by gimbals")
+    blend: Blend | None = optional("own weights of rate gyros")
+    load_relief: LoadRelief | None = optional("own lag of the accelerometer")
     limits: Limits | None = optional("what it was made to; for people")
 
 
@@ -179,12 +213,16 @@ class Design(Section):
     description: str = optional("what it is, in a sentence", "")
     vehicle: str = optional("name of the vehicle that it was made for; another one has to be asked for", "")
     law: Law = optional(
-        "control law; pd: proportional-derivative with a bending filter; pid: with an integral besides", "pd"
+        "control law; pd: proportional-derivative with a bending filter; pid: with an integral besides; load-relief: "
+        "pd with the lateral acceleration fed back",
+        "pd",
     )
     gains: Gains
     filter: Filter = Filter()
     roll: Roll | None = optional("absent: no roll control by thrusters")
     roll_gimbal: RollGimbal | None = optional("absent: no roll control by gimbals")
+    blend: Blend | None = optional("absent: the first gyro alone")
+    load_relief: LoadRelief | None = optional("of the law load-relief")
     limits: Limits | None = optional("what the design was made to; for people")
     stage: tuple[StageLaw, ...] = optional(
         "what differs in each stage, in the order of flight (default: nothing)", (), max_length=MAX_STAGES
@@ -192,23 +230,27 @@ class Design(Section):
 
     @model_validator(mode="after")
     def _check(self) -> Design:
-        integral = self.law == "pid"
         every = [self.gains, *(own.gains for own in self.stage if own.gains is not None)]
         for gains, key in ((gains, key) for gains in every for key in ("table", "yaw_table")):
             table = getattr(gains, key)
-            if table is not None and ("k_i_ps" in table) != integral:
-                problem, allowed = ("the law pid needs a column k_i_ps", "time_s, k_p, k_d_s, k_i_ps")
-                if not integral:
-                    problem, allowed = ("the law pd has no column k_i_ps", "law = 'pid', or time_s, k_p, k_d_s")
-                raise table.refusal(problem, allowed, at=("gains", key))
-        if not integral and self.gains.integral_limit_deg is not None:
-            raise refuse("the law pd has no integral", "with law = 'pid' only", key=("gains", "integral_limit_deg"))
+            for column in ("k_i_ps", "k_a_s2pm") if table is not None else ():
+                if (column in table) != (column in self.gain_names):
+                    law = next(law for law, names in GAINS.items() if column in names)
+                    verb, others = ("needs a", "") if column in self.gain_names else ("has no", f"law = '{law}', or ")
+                    allowed = f"{others}{', '.join(('time_s', *self.gain_names))}"
+                    raise table.refusal(f"the law {self.law} {verb} column {column}", allowed, at=("gains", key))
+        if self.law != "pid" and self.gains.integral_limit_deg is not None:
+            problem = f"the law {self.law} has no integral"
+            raise refuse(problem, "with law = 'pid' only", key=("gains", "integral_limit_deg"))
+        only_with(self, ("load_relief",), self.law == "load-relief", "law = 'load-relief'")
+        if self.law == "load-relief":
+            needs(self, "load_relief", "law is load-relief", "a table [load_relief]")
         return self
 
     @property
     def gain_names(self) -> tuple[str, ...]:
         """Columns of the gains' tables."""
-        return ("k_p", "k_d_s", "k_i_ps") if self.law == "pid" else ("k_p", "k_d_s")
+        return GAINS[self.law]
 
     def of_stage(self, number: int) -> Design:
         """What a stage flies, from 0: a design without stages; the same object where there are none."""

@@ -333,6 +333,7 @@ class Scenario(Section):
                 raise refuse(problem, f"{len(stages)}, as the vehicle", ("design", "stage"))
             for n in range(len(stages)):
                 self._check_filter(n)
+                self._check_sensors(n)
         if self.guidance.axes == "unrolled" and (computer is None or computer.attitude != "quaternion"):
             raise refuse(
                 "needs an attitude that can roll", "vehicle.computer.attitude = 'quaternion'", ("guidance", "axes")
@@ -356,6 +357,23 @@ class Scenario(Section):
         if unfit := flown.unfit(computer.sample_s):
             problem = f"cannot be run every {computer.sample_s:g} s: {unfit}"
             raise refuse(problem, key=(*key, "structure"), value=flown.structure)
+
+    def _check_sensors(self, stage: int) -> None:
+        assert self.design is not None
+        flown, sensors, own = self.design.of_stage(stage), self.vehicle.stage[stage], stage < len(self.design.stage)
+        if flown.law == "load-relief" and sensors.accelerometer is None:
+            raise refuse(
+                "the vehicle has no accelerometer",
+                "a vehicle with [stage.accelerometer]",
+                ("design", "law"),
+                value=flown.law,
+            )
+        gyros = 1 + len(sensors.rate_gyro)
+        for axis, weights in zip(("pitch", "yaw"), flown.blend.axes if flown.blend is not None else (), strict=False):
+            if len(weights) != gyros:
+                at = ("stage", stage) if own and self.design.stage[stage].blend is not None else ()
+                problem, allowed = f"has {len(weights)} weights", f"{gyros}: [stage.gyro] and each [[stage.rate_gyro]]"
+                raise refuse(problem, allowed, ("design", *at, "blend", axis))
 
     def _check_faults(self) -> None:
         for n, fault in enumerate(self.fault):

@@ -7,7 +7,7 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import Discriminator, Field, Tag, model_validator
 
-from maxq.control.kernel.limits import MAX_ENGINES, MAX_MODES, MAX_PENDULUMS, MAX_STAGES
+from maxq.control.kernel.limits import MAX_ENGINES, MAX_LATENCY, MAX_MODES, MAX_PENDULUMS, MAX_SENSORS, MAX_STAGES
 from maxq.control.structures import Attitude
 from maxq.sim.scenario.errors import refuse
 from maxq.sim.scenario.flight_code import Address, LibraryFile, PythonClass, Settings
@@ -155,6 +155,31 @@ class Gyro(Section):
     noise_deg_rt_h: NotNegative = optional("angle random walk, deg per root hour", 0.0)
 
 
+Latency = Annotated[int, Field(ge=0, le=MAX_LATENCY)]
+
+
+class RateGyro(Gyro):
+    """A rate gyro beyond the first, three axes; the design says what part it has in the rate of the law (blend)."""
+
+    latency_samples: Latency = optional("samples of the computer that its output comes late", 0)
+    dropout: Fraction = optional("probability that a sample is lost; the computer holds the one before", 0.0)
+
+
+class Accelerometer(Section):
+    """Accelerometer of three axes: specific force at its station, with what bending, engine and liquid do to it."""
+
+    station_m: float = Field(description="station, m aft of the nose, on the body axis")
+    omega_hz: Positive = Field(description="natural frequency, Hz")
+    zeta: Positive = Field(description="damping ratio")
+    count_mps: NotNegative = optional("velocity per pulse, m/s; 0: no quantisation", 0.0)
+    bias_mps2: Triple = optional("constant error along x, y, z, m/s2", (0.0, 0.0, 0.0))
+    scale_factor: Triple = optional("relative error of the scale along x, y, z", (0.0, 0.0, 0.0))
+    misalignment_deg: Triple = optional("small rotation about x, y, z, deg", (0.0, 0.0, 0.0))
+    noise_mps_rt_h: NotNegative = optional("velocity random walk, m/s per root hour", 0.0)
+    latency_samples: Latency = optional("samples of the computer that its output comes late", 0)
+    dropout: Fraction = optional("probability that a sample is lost; the computer holds the one before", 0.0)
+
+
 _CODE = ("library", "python", "address")
 
 
@@ -254,8 +279,17 @@ class Stage(Section):
     spatial_modes: SpatialModes | None = optional("absent: none")
     aero: Aero | None = optional("absent: no aerodynamic forces")
     gyro: Gyro | None = optional("absent: ideal gyros")
+    rate_gyro: tuple[RateGyro, ...] = optional(
+        "rate gyros beyond the first; all stages have as many", (), max_length=MAX_SENSORS - 1
+    )
+    accelerometer: Accelerometer | None = optional("absent: none; all stages have one, or none")
     roll_thrusters: RollThrusters | None = optional("absent: no roll control")
     loads: Loads | None = optional("absent: no section loads")
+
+    @property
+    def sensors(self) -> tuple[RateGyro | Accelerometer, ...]:
+        """Rate gyros beyond the first, then the accelerometer."""
+        return (*self.rate_gyro, *((self.accelerometer,) if self.accelerometer is not None else ()))
 
     @property
     def counts(self) -> tuple[int, ...]:
@@ -411,6 +445,9 @@ class Stage(Section):
             needed.append(((*self.engine_key(n), "gimbal_station_m"), engine.gimbal_station_m))
         if self.gyro is not None:
             needed.append((("gyro", "station_m"), self.gyro.station_m))
+        needed += [(("rate_gyro", n, "station_m"), gyro.station_m) for n, gyro in enumerate(self.rate_gyro)]
+        if self.accelerometer is not None:
+            needed.append((("accelerometer", "station_m"), self.accelerometer.station_m))
         for n, tank in enumerate(self.tank):
             for name in ("hinge_station_m", SECOND_MODE[2]):
                 if name in tank.table:
@@ -462,6 +499,14 @@ class Vehicle(Section):
             if n == last and stage.separation is not None:
                 key = "separation"
                 raise refuse("the last stage does not separate", "this key on earlier stages", ("stage", n, key))
+            kinds, first = ((len(s.rate_gyro), s.accelerometer is not None) for s in (stage, self.stage[0]))
+            if kinds != first:
+                key = "rate_gyro" if kinds[0] != first[0] else "accelerometer"
+                problem, allowed = (
+                    "this stage has other sensors than the first",
+                    "as many rate gyros, and an accelerometer or none",
+                )
+                raise refuse(problem, allowed, ("stage", n, key), value={})
             self._check_goes_on(n, stage)
         return self
 

@@ -186,7 +186,15 @@ def gimbal_displacement(
     sizes: Counts, properties: Array, gimbal: int, work: Array
 ) -> tuple[float, float, float, float]:
     """Displacement along y and z (m) and rotation about y and z (rad) of a gimbal's station by bending."""
-    pitch, yaw, phi = of_plane(ETA, PITCH), of_plane(ETA, YAW), gimbal_row(sizes, gimbal)
+    return motion_at(sizes, properties, gimbal, work, of_plane(ETA, PITCH), of_plane(ETA, YAW))
+
+
+@kernel
+def motion_at(
+    sizes: Counts, properties: Array, gimbal: int, work: Array, pitch: int, yaw: int
+) -> tuple[float, float, float, float]:
+    """The same of other modal quantities (ETA, NU, ...), of the pitch and of the yaw plane's modes."""
+    phi = gimbal_row(sizes, gimbal)
     return (
         modal_sum(sizes, properties, mode_column(sizes, YAW, phi), work, yaw),
         modal_sum(sizes, properties, mode_column(sizes, PITCH, phi), work, pitch),

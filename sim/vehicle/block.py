@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 from maxq.control.kernel.jit import integer, kernel
-from maxq.control.kernel.limits import MAX_ENGINES, MAX_MODES, MAX_PENDULUMS, MAX_SURFACES, MAX_TVC_LOADS
+from maxq.control.kernel.limits import MAX_ENGINES, MAX_MODES, MAX_PENDULUMS, MAX_SENSORS, MAX_SURFACES, MAX_TVC_LOADS
 
 
 @dataclass(frozen=True)
@@ -29,14 +29,15 @@ class Sizes:
     spatial_modes: int = 0
     further_groups: int = 0  # of engines that move together, beyond the first
     engines: int = 1  # alike engines of a group count once (engine.py); 1 without an engine
-    gimbals: int = 1  # stations of gimbals, at which the engines meet the mode shapes
+    gimbals: int = 1  # stations of gimbals, at which the engines meet the mode shapes, and behind them of sensors
     thrust_curves: int = 1  # columns of the schedule
     tvc_loads: int = 0  # engines on the compliance of their mount
+    sensors: int = 0  # rate gyros beyond the first, and an accelerometer
 
 
 LARGEST = Sizes(
     MAX_MODES, MAX_MODES, MAX_PENDULUMS, MAX_SURFACES + 1, MAX_SURFACES, MAX_MODES, MAX_ENGINES - 1, MAX_ENGINES,
-    MAX_ENGINES, MAX_ENGINES, MAX_TVC_LOADS,
+    MAX_ENGINES + MAX_SENSORS, MAX_ENGINES, MAX_TVC_LOADS, MAX_SENSORS,
 )  # fmt: skip  # a row
 
 
@@ -58,6 +59,7 @@ class Counts(NamedTuple):
     gimbals: int
     thrust_curves: int
     tvc_loads: int
+    sensors: int
 
 
 @kernel
@@ -66,7 +68,7 @@ def counts(sizes: Sizes) -> Counts:
         integer(sizes, "pitch_modes"), integer(sizes, "yaw_modes"), integer(sizes, "pendulums"),
         integer(sizes, "surfaces"), integer(sizes, "tables"), integer(sizes, "spatial_modes"),
         integer(sizes, "further_groups"), integer(sizes, "engines"), integer(sizes, "gimbals"),
-        integer(sizes, "thrust_curves"), integer(sizes, "tvc_loads"),
+        integer(sizes, "thrust_curves"), integer(sizes, "tvc_loads"), integer(sizes, "sensors"),
     )  # fmt: skip  # eleven lines otherwise
 
 

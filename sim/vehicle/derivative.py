@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import Annotated, NamedTuple
 
 from maxq.control.kernel.jit import kernel, routine
-from maxq.control.kernel.limits import MAX_ENGINES
+from maxq.control.kernel.limits import MAX_ENGINES, MAX_SENSORS
 from maxq.control.kernel.records import Array
 from maxq.control.kernel.tables import TableRef, find_interval, interpolate_into
 from maxq.control.kernel.vectors import (
@@ -72,6 +72,7 @@ from maxq.sim.vehicle.schedule import (
     schedule_width,
     thrust_column,
 )
+from maxq.sim.vehicle.sensors import Sensor, sense
 from maxq.sim.vehicle.slosh import Slosh, accelerate, exchange_loads, pendulum_derivative, pendulum_loads
 from maxq.sim.vehicle.spatial_modes import (
     Load,
@@ -93,6 +94,7 @@ from maxq.sim.vehicle.state import (
     actuator_index,
     eta_index,
     pendulum_index,
+    sensor_index,
     spatial_index,
     tvc_load_index,
     xi_index,
@@ -137,6 +139,7 @@ class Vehicle:
     further_actuators: Annotated[tuple[Actuator, ...], (2 * MAX_ENGINES - 2,)]  # pitch, yaw of each further group
     tvc_load: TvcLoad
     gyro: Gyro
+    sensors: Annotated[tuple[Sensor, ...], (MAX_SENSORS,)]
     aero: Aero
     bending: Bending
     spatial_modes: SpatialModes
@@ -300,6 +303,9 @@ def derivative(
         aux[TENSIONS + tank] = work[TENSION + tank]
     if sizes.tvc_loads > 0:
         load_derivative(vehicle.tvc_load, vehicle.engine, sizes, y, loads, dy, work, aux)
+    if sizes.sensors > 0:
+        first = sensor_index(sizes, 0)
+        sense(vehicle.sensors, sizes, rate, specific_force, alpha, properties, y, first, dy, work)
     aux[AXIAL_LOAD] = axial_load
     set_vector(aux, AERO_FORCE, aero_force)
     set_vector(aux, AERO_MOMENT, aero_moment)

@@ -91,17 +91,21 @@ def after_fault(faults: Array, axis: int, rate: float) -> float:
 @kernel
 def gyro_derivative(g: Gyro, y: Array, first: int, sensed: Vector, faults: Array, dy: Array) -> None:
     """Derivatives of the states (two an axis, from y[first] on) and of the angle integrals that follow them."""
-    w2, damp = g.omega_radps * g.omega_radps, 2.0 * g.zeta * g.omega_radps
     for axis in range(3):
-        i = first + 2 * axis
-        if g.ideal == 1:
-            dy[i] = 0.0
-            dy[i + 1] = 0.0
-            dy[first + 6 + axis] = sensed[axis]
-        else:
-            dy[i] = y[i + 1]
-            dy[i + 1] = w2 * (sensed[axis] - y[i]) - damp * y[i + 1]
-            dy[first + 6 + axis] = after_fault(faults, axis, y[i])
+        output = lagged(g, y, first + 2 * axis, sensed[axis], dy)
+        dy[first + 6 + axis] = output if g.ideal == 1 else after_fault(faults, axis, output)
+
+
+@kernel
+def lagged(g: Gyro, y: Array, i: int, sensed: float, dy: Array) -> float:
+    """Derivatives of one axis' two states, from y[i] on; returns its output."""
+    if g.ideal == 1:
+        dy[i], dy[i + 1] = 0.0, 0.0
+        return sensed
+    dy[i] = y[i + 1]
+    dy[i + 1] = g.omega_radps * g.omega_radps * (sensed - y[i]) - 2.0 * g.zeta * g.omega_radps * y[i + 1]
+    output: float = y[i]
+    return output
 
 
 @kernel

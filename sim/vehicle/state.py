@@ -3,7 +3,7 @@
     r_I v_I q_BI w_BI_B | actuator pitch, yaw | gyro roll, pitch, yaw | gyro integrals
     eta[n_pitch] nu_pitch[n_pitch] xi[n_yaw] nu_yaw[n_yaw] | eta[n_spatial] nu[n_spatial]
     per tank: u_B (3), kappa_B (3) | per further group of engines: actuator pitch, yaw
-    per TVC load: angle, rate, friction in pitch and yaw
+    per TVC load: angle, rate, friction in pitch and yaw | per sensor beyond the gyro: output, integral
 
 The first `N_FIXED` entries are the same for every vehicle; bending and slosh follow, as many as the vehicle has.
 Position and velocity are those of the *core* CG (the vehicle without its sloshing masses, engine straight), in the
@@ -37,6 +37,7 @@ from maxq.sim.vehicle.block import (
     counts,
 )
 from maxq.sim.vehicle.gyro import GYRO_ANGLES, GYROS, gyro_start
+from maxq.sim.vehicle.sensors import SENSORS
 from maxq.sim.vehicle.slosh import N_PENDULUM, PENDULUMS, pendulum_start, restore_pendulum
 from maxq.sim.vehicle.spatial_modes import NU_SPATIAL_STATES, SPATIAL_STATES
 from maxq.sim.vehicle.tvc_load import TVC_LOADS
@@ -44,7 +45,7 @@ from maxq.sim.vehicle.tvc_load import TVC_LOADS
 BLOCKS = (
     POSITION, VELOCITY, ATTITUDE, ANGULAR_VELOCITY, ACTUATORS, GYROS, GYRO_ANGLES,
     ETA_STATES, NU_PITCH_STATES, XI_STATES, NU_YAW_STATES, SPATIAL_STATES, NU_SPATIAL_STATES, PENDULUMS,
-    FURTHER_ACTUATORS, TVC_LOADS,
+    FURTHER_ACTUATORS, TVC_LOADS, SENSORS,
 )  # fmt: skip  # a table
 BOUNDED = (ANGULAR_VELOCITY, ETA_STATES, XI_STATES, SPATIAL_STATES, POSITION, VELOCITY)  # checked in this order
 
@@ -69,9 +70,9 @@ GYRO = _index_of(GYROS)[0]
 GYRO_ANGLE = _index_of(GYRO_ANGLES)[0]
 _ETA, _XI, _SPATIAL = _index_of(ETA_STATES), _index_of(XI_STATES), _index_of(SPATIAL_STATES)
 _PENDULUM, _TVC_LOAD, _END = _index_of(PENDULUMS), _index_of(TVC_LOADS), _index_of(None)
-_FURTHER_ACTUATORS = _index_of(FURTHER_ACTUATORS)
+_FURTHER_ACTUATORS, _SENSORS = _index_of(FURTHER_ACTUATORS), _index_of(SENSORS)
 N_FIXED = _ETA[0]
-N_ACTUATOR = len(ACTUATORS.states)
+N_ACTUATOR, N_SENSOR = len(ACTUATORS.states), len(SENSORS.states)
 MAX_STATE = sum(
     len(b.states) * (getattr(LARGEST, b.counted_by) if b.counted_by else b.fixed_parts) for b in BLOCKS
 )  # fmt: skip  # one sum
@@ -89,7 +90,7 @@ def _at(index: Index, sizes: Sizes | Counts) -> int:
     """With the fields of `Counts` in their order: a loop over them would not become one constant expression."""
     modes = index[1] * sizes.pitch_modes + index[2] * sizes.yaw_modes
     rest = index[3] * sizes.pendulums + index[4] * sizes.surfaces + index[5] * sizes.tables
-    more = index[7] * sizes.further_groups + index[11] * sizes.tvc_loads
+    more = index[7] * sizes.further_groups + index[11] * sizes.tvc_loads + index[12] * sizes.sensors
     return index[0] + modes + rest + index[6] * sizes.spatial_modes + more
 
 
@@ -134,6 +135,12 @@ def tvc_load_index(sizes: Sizes | Counts) -> int:
     return _at(_TVC_LOAD, sizes)
 
 
+@kernel
+def sensor_index(sizes: Sizes | Counts, sensor: int) -> int:
+    """Output and its rate about or along x, y, z of a sensor; the integrals of the outputs follow after six entries."""
+    return _at(_SENSORS, sizes) + N_SENSOR * sensor
+
+
 def state_names(sizes: Sizes) -> tuple[str, ...]:
     return tuple(name for block in BLOCKS for name in block.names(sizes))
 
@@ -142,9 +149,9 @@ def state_names(sizes: Sizes) -> tuple[str, ...]:
 def start_states(sizes: Sizes, rate: Vector, separation: int, y: Array) -> None:
     """Initial values of all blocks but the rigid body's, which turns at `rate` (B, rad/s).
 
-    With `separation` = 1 those of a stage that begins: the gyro, which flies on, keeps its state.
+    With `separation` = 1 those of a stage that begins: the gyro, which flies on, keeps its state, and so do sensors.
     """
-    for i in range(ACTUATOR, state_size(sizes)):
+    for i in range(ACTUATOR, state_size(sizes) if separation == 0 else sensor_index(sizes, 0)):
         if separation == 0 or i < GYRO or i >= N_FIXED:
             y[i] = 0.0
     if separation == 0:

@@ -21,9 +21,9 @@ class Evaluation(NamedTuple):
     aux: Array
 
 
-# columns of the widest schedule (12 modes a plane, 12 spatial modes, 8 tanks, 9 surfaces, 9 engines at as many
-# stations: 3724) and derived properties (439)
-PROPERTIES_SIZE = 4224
+# columns of the widest schedule (12 modes a plane, 12 spatial modes, 8 tanks, 9 surfaces, 9 engines and 5 sensors at as
+# many stations: 4324) and derived properties (439)
+PROPERTIES_SIZE = 4864
 
 # --- work
 # of each mode, in pitch and then in yaw, zeros from the last mode to the next multiple of four

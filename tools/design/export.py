@@ -16,8 +16,9 @@ import numpy as np
 
 from maxq.control.attitude import QUATERNION
 from maxq.control.external import HEADER
+from maxq.control.kernel.limits import MAX_SENSORS
 from maxq.control.kernel.tables import table_in
-from maxq.control.structures import MAX_SECTIONS
+from maxq.control.structures import MAX_SECTIONS, Law
 from maxq.design import api
 from maxq.design.laws.design_file import design_path
 from maxq.design.model.node import Node
@@ -38,7 +39,7 @@ Format = Literal["mat", "npz", "json"]
 FORMATS = get_args(Format)
 SOURCES = ("flight_law.h", "flight_law.c", "flight_law_fsw.c", "test_flight_law.c", "CMakeLists.txt")
 TEST_SAMPLES = 600
-EXPORTED_LAWS = ("pd", "pid")
+EXPORTED_LAWS = get_args(Law)
 _SHAKEN = {"at": "rate_command", "kind": "sine", "amplitude_degps": 2.0}
 _UNITS = {
     "radps2": "rad/s^2", "radps": "rad/s", "rad": "rad", "mps2": "m/s^2", "mps": "m/s", "m": "m", "s": "s", "N": "N",
@@ -123,6 +124,12 @@ def export_c(loaded: LoadedScenario, folder: Path) -> list[Path]:
     return [write_whole(folder / name, text) for name, text in texts.items()]
 
 
+def further_gyros(computer: Any) -> int:
+    """Rate gyros beyond the first that have a part in the law's rate."""
+    used = np.flatnonzero(np.any(computer.sensors.blend[:, 1:] != 0.0, axis=0))
+    return int(used[-1]) + 1 if len(used) else 0
+
+
 def _declared(packed: Packed, said: str) -> Iterator[str]:
     """flight_law_tables.h."""
     computer, stages = packed.parameters[0].computer, packed.parameters
@@ -131,7 +138,7 @@ def _declared(packed: Packed, said: str) -> Iterator[str]:
     k_p, k_d_s, limit_rad = (0.0, 0.0, 0.0)
     if by_gimbals is not None:
         k_p, k_d_s, limit_rad = (float(getattr(by_gimbals, name)) for name in ("k_p", "k_d_s", "roll_limit_rad"))
-    n = int(computer.law.gains.n_breaks)
+    n, blends = int(computer.law.gains.n_breaks), int(further_gyros(computer) > 0)
     numbers = (
         ("SAMPLE_NS", int(computer.sample_ns), "period of the samples"),
         ("SAMPLE_S", int(computer.sample_ns) / 1.0e9, ""),
@@ -152,7 +159,10 @@ def _declared(packed: Packed, said: str) -> Iterator[str]:
         ("ROLL_GIMBAL_K_P", k_p, "roll by groups of engines"),
         ("ROLL_GIMBAL_K_D_S", k_d_s, ""),
         ("ROLL_GIMBAL_LIMIT_RAD", limit_rad, ""),
-        ("GAINS", 3 if int(computer.pid.on) else 2, "of an axis; 3: with an integral"),
+        ("GAINS", 3 if int(computer.pid.on) or int(computer.relief.on) else 2, "of an axis"),
+        ("LOAD_RELIEF", int(computer.relief.on), "1: the third gain is that of the acceleration; 0: of an integral"),
+        ("ACCEL_SHARE", float(computer.relief.share), "by which a sample takes the acceleration's lag along"),
+        ("FURTHER_GYROS", further_gyros(computer), "rate gyros beyond the first in the rate"),
         ("INTEGRAL_LIMIT_RAD", min(float(computer.pid.limit_rad), 1.0e9), "of the integral's share"),
         ("GAIN_BREAKS", n, "times of the gain schedule"),
     )
@@ -165,6 +175,7 @@ def _declared(packed: Packed, said: str) -> Iterator[str]:
         "extern const law_real law_gain_time_s[LAW_GAIN_BREAKS];",
         "/* per interval: coefficients of powers 0 to 3 of the time in it; k_p, k_d_s (, k_i_ps) in pitch, then yaw */",
         "extern const law_real law_gain[LAW_GAIN_BREAKS - 1][4][2 * LAW_GAINS];",
+        *(("extern const law_real law_blend[2][LAW_FURTHER_GYROS + 1]; /* weights in pitch and yaw */",) * blends),
         "extern const int32_t law_sections[2]; /* of the bending filter, in pitch and yaw */",
         "extern const law_real law_section[2][LAW_MOST_SECTIONS][5]; /* b0, b1, b2, a1, a2 with a0 = 1 */",
         "",
@@ -179,6 +190,9 @@ def _defined(packed: Packed, said: str) -> Iterator[str]:
     yield from (f"/* {said} */", '#include "flight_law_tables.h"', "")
     yield from _array("const law_real law_gain_time_s[LAW_GAIN_BREAKS]", np.asarray(gains.breaks))
     yield from _array("const law_real law_gain[LAW_GAIN_BREAKS - 1][4][2 * LAW_GAINS]", np.asarray(gains.coefficients))
+    if gyros := further_gyros(packed.parameters[0].computer):
+        blend = packed.parameters[0].computer.sensors.blend
+        yield from _array("const law_real law_blend[2][LAW_FURTHER_GYROS + 1]", blend[:, : gyros + 1])
     yield f"const int32_t law_sections[2] = {{{int(law.n_sections[0])}, {int(law.n_sections[1])}}};"
     assert law.sections.shape == (2, MAX_SECTIONS, 5)
     yield from _array("const law_real law_section[2][LAW_MOST_SECTIONS][5]", law.sections)
@@ -232,6 +246,7 @@ def _samples(loaded: LoadedScenario) -> dict[str, np.ndarray]:
     changed = scenario.model_copy(update={"vehicle": vehicle, "run": run, "injection": shaken, "requirement": ()})
     flight = FlightRun(LoadedScenario(changed, loaded.label, ()), log=False, segment_ns=round(1e9 * sample_s))
     rows: dict[str, list[Any]] = {}
+    at = int(flight.packed.parameters[0].computer.sensors.accelerometer)
     flight.fly_segment()  # the sample at an instant is taken when the flight goes on from it
     while not flight.finished and len(rows.get("time_s", ())) < TEST_SAMPLES:
         at_ns = int(flight.memory.clock.now_ns)
@@ -243,6 +258,8 @@ def _samples(loaded: LoadedScenario) -> dict[str, np.ndarray]:
             ("delta_angle_rad", state.converter.increment_rad.tolist()),
             ("commanded_angle_rad", state.guidance.angle_rad.tolist()),
             ("attitude_error_rad", state.attitude.error_rad.tolist()),
+            ("further_rate_radps", state.sensors.value[: MAX_SENSORS - 1].ravel().tolist()),
+            ("delta_velocity_mps", state.sensors.delta[at].tolist()),
             ("requested_rad", state.requested_rad.tolist()),
             ("command_rad", state.command_rad.tolist()),
             ("roll_thruster", int(state.roll.demand)),

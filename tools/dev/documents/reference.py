@@ -72,10 +72,10 @@ def topics(scenario: str) -> str:
     """Every channel that flights of a scenario log, and what its vehicle lacks."""
     loaded = load_scenario(scenario)
     stage = loaded.vehicle.stage[0]
-    sizes = replace(stage_sizes(stage, loaded.scenario.switches), tvc_loads=1)
+    sizes = replace(stage_sizes(stage, loaded.scenario.switches), tvc_loads=1, sensors=2)
     assert stage.loads is not None
     first = f"station 1 at {stage.loads.stations_m[0]:g} m"
-    return topics_markdown(channel_table(sizes, stage.pendulum_names, (first,), external=True))
+    return topics_markdown(channel_table(sizes, stage.pendulum_names, (first,), external=True, accelerometer=True))
 
 
 def events() -> str:

@@ -1,0 +1,85 @@
+"""Attitude control law with load relief: PD, and the lateral acceleration fed back, then PD's bending filter (pd.py).
+
+    delta = -k_p theta_e - k_d q_g + k_a a_f,      a_f = a_f + (1 - exp(-2 pi f T)) (a - a_f)
+
+Air from below pushes the body up (a_z < 0): a positive k_a then lowers the nose, into the wind, and the load q alpha
+falls, at the price of drift and of margin at low frequency (Greensite, Analysis and Design of Space Vehicle Flight
+Control Systems, NASA CR-820, 1967, ch. 3). In yaw the sign of a turns: a positive gimbal angle pushes to -y there. The
+accelerometer's own lag keeps bending out of it. Its linear side is design/laws/load_relief.py.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Annotated, NamedTuple
+
+from maxq.control.attitude import AttitudeError
+from maxq.control.kernel.jit import kernel
+from maxq.control.kernel.records import Array
+from maxq.control.kernel.rows import DEG, PitchYaw
+from maxq.control.kernel.tables import look_up
+from maxq.control.laws.pd import Pd, PdState, filtered
+
+
+@dataclass(frozen=True)
+class LoadRelief:
+    """`on`: 1 for this law. `share`: 1 - exp(-2 pi f T), what a sample takes the filtered acceleration along by."""
+
+    on: int
+    share: float
+
+
+@dataclass
+class LoadReliefState:
+    """Per gimbal axis (pitch, yaw): gain in use, filtered acceleration of a_z and a_y, its share of the command."""
+
+    k_a_s2pm: Annotated[Array, (2,)]
+    accel_mps2: Annotated[Array, (2,)]
+    relief_rad: Annotated[Array, (2,)]
+
+
+def lag_share(corner_hz: float, sample_s: float) -> float:
+    """Of a first-order lag sampled exactly for inputs that are constant over a sample."""
+    return -math.expm1(-2.0 * math.pi * corner_hz * sample_s)
+
+
+@kernel
+def start_load_relief(state: LoadReliefState) -> None:
+    for gimbal in range(2):
+        state.k_a_s2pm[gimbal], state.accel_mps2[gimbal], state.relief_rad[gimbal] = 0.0, 0.0, 0.0
+
+
+@kernel
+def tick_load_relief(
+    law: Pd, relief: LoadRelief, pool: Array, state: PdState, filters: LoadReliefState, error: AttitudeError,
+    accel_mps2: Array, gimbal: int, time_s: float, on: int,
+) -> float:  # fmt: skip  # twelve lines otherwise
+    """As `tick_pd`, the gains' table with three columns an axis. `accel_mps2`: along x, y, z. The lag always runs."""
+    law_rad, sign = 0.0, 1.0 - 2.0 * gimbal
+    lateral = accel_mps2[2 - gimbal]
+    filters.accel_mps2[gimbal] += relief.share * (lateral - filters.accel_mps2[gimbal])
+    if on != 0 and law.gains.n_breaks != 0:
+        axis = gimbal + 1
+        k_p = look_up(pool, law.gains, time_s, 3 * gimbal)
+        k_d_s = look_up(pool, law.gains, time_s, 3 * gimbal + 1)
+        k_a_s2pm = look_up(pool, law.gains, time_s, 3 * gimbal + 2)
+        state.k_p[gimbal], state.k_d_s[gimbal], filters.k_a_s2pm[gimbal] = k_p, k_d_s, k_a_s2pm
+        filters.relief_rad[gimbal] = sign * k_a_s2pm * filters.accel_mps2[gimbal]
+        law_rad = -k_p * error.theta_e_rad[axis] - k_d_s * error.rate_radps[axis] + filters.relief_rad[gimbal]
+    return filtered(law, state, gimbal, law_rad)
+
+
+class LoadReliefRow(NamedTuple):
+    """What is logged of the load relief."""
+
+    k_a_axis_s2pm: Annotated[PitchYaw, "s2/m", "gain of the lateral acceleration; 0 without load relief"]
+    relief_axis_deg: Annotated[PitchYaw, "deg", "load relief's share of the law's output"]
+
+
+@kernel
+def load_relief_row(state: LoadReliefState) -> LoadReliefRow:
+    k_a, share = state.k_a_s2pm, state.relief_rad
+    return LoadReliefRow(
+        k_a_axis_s2pm=PitchYaw(k_a[0], k_a[1]), relief_axis_deg=PitchYaw(DEG * share[0], DEG * share[1])
+    )

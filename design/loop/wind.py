@@ -1,0 +1,58 @@
+"""A loop's plant in wind: from gimbal command and lateral wind to the law's measurements, the load and the drift."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from maxq.design.laws.wind import Spectrum, WindResponse, frequencies
+from maxq.design.loop.fixed_path import FixedPath
+from maxq.design.loop.rational import average
+from maxq.design.model.plant import WIND, per_actuator_angle, vehicle_plant
+from maxq.design.model.state_space import ComplexArray, Resolvent, channels
+from maxq.design.model.vehicle_at import actuator_response, lag
+
+
+def wind_response(path: FixedPath, spectrum: Spectrum) -> WindResponse:
+    """Of the plant behind a path, for the path's own measurements.
+
+    Raises ValueError for a vehicle with spatial modes, which couple the planes.
+    """
+    node, timing = path.node, path.node.instruments
+    if node.vehicle.across is not None:
+        raise ValueError(f"node at {node.time_s:g} s: limits in wind are not for vehicles with spatial modes")
+    f = np.exp(frequencies())
+    s, speed = 2j * np.pi * f, node.condition.airspeed_mps
+    ideal = bool(node.actuator.ideal)
+    plant = vehicle_plant(node.vehicle, node.condition, node.errata, node.liquids, wind=True)
+    moved = tuple(name for name in plant.inputs if name != WIND and (not ideal or name.startswith("delta_rad")))
+    felt = ("local_rate_radps", *(name for name, _, _ in path.sensors))
+    plant = channels(plant, (*felt, "w_mps", "theta_rad"), (*moved, WIND))
+    way = Resolvent(plant.a, plant.b, plant.c)(s) + plant.d
+    held = average(s, timing.sample_s) * np.exp(-timing.delay_s * s)
+
+    def commanded(row: int) -> ComplexArray:
+        per_angle = per_actuator_angle(s, way[:, row, :-1], moved)
+        if not ideal:
+            drives = zip(per_angle, node.actuators, strict=True)
+            per_angle = [turned * actuator_response(record, s) for turned, record in drives]
+        return np.asarray(held * sum(per_angle[1:], per_angle[0]))
+
+    lags = [(timing.gyro, 0), *((record, late) for _, record, late in path.sensors)]
+    means = {}
+    for row, (name, (record, late)) in enumerate(zip(("rate_radps", *felt[1:]), lags, strict=True)):
+        out = way[:, row, -1] * average(s, timing.sample_s) * np.exp(-s * late * timing.sample_s)
+        means[name] = out if record.ideal else out * lag(s, record.omega_radps, record.zeta)
+    measured = [
+        means[name] if name in means else means["rate_radps"] * path.ratio(name, f) for name in path.measurements
+    ]
+    w, theta = len(felt), len(felt) + 1
+    load = math.degrees(node.condition.dynamic_pressure_Pa / speed)
+    return WindResponse(
+        weights=spectrum.weights(speed),
+        paths=np.stack([path.response(f) * path.ratio(name, f) for name in path.measurements], axis=1),
+        measured=np.stack(measured, axis=1),
+        by_command=np.stack([load * commanded(w), commanded(w) - speed * commanded(theta)]),
+        by_wind=np.stack([load * (way[:, w, -1] - 1.0), way[:, w, -1] - speed * way[:, theta, -1]]),
+    )
