@@ -22,6 +22,7 @@ copyright = "the maxq authors, Apache-2.0"  # Sphinx's name
 extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx_copybutton", "sphinx.ext.viewcode"]
 exclude_patterns = ["build"]
 default_role = "code"  # one backtick in a docstring is code, as in Markdown
+highlight_language = "text"
 smartquotes = False  # texts of keys quote values as they are written
 
 myst_enable_extensions = ["dollarmath", "deflist", "attrs_block"]

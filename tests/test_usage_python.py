@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -35,6 +36,7 @@ def test_what_is_loaded_and_flown_says_so_in_one_line(flight: Flight) -> None:
     scenario, campaign = api.load("nominal"), api.load("campaigns/first")
     assert isinstance(scenario, LoadedScenario)
     assert isinstance(campaign, LoadedCampaign)
+    assert re.fullmatch(r"<LoadedCampaign first \(.*\): 100 runs>", repr(campaign))
     assert repr(scenario).startswith("<LoadedScenario nominal (")
     assert repr(flight) == "<Flight nominal: duration at 1.500 s, 9 of 9 requirements met>"
     shown = flight._repr_html_()
@@ -90,6 +92,7 @@ def test_a_plot_has_a_panel_a_unit_and_no_text_over_another(flight: Flight) -> N
     assert len(figure.axes) == 2
     assert not faults(figure)
     assert not faults(flight.plot())
+    assert figure._repr_png_().startswith(b"\x89PNG")  # type: ignore[attr-defined]  # what a notebook asks for
 
 
 def test_a_replay_of_nothing_raises() -> None:

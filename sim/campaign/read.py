@@ -66,6 +66,9 @@ class LoadedCampaign:
     def campaign(self) -> Campaign:
         return self.file.campaign
 
+    def __repr__(self) -> str:
+        return f"<LoadedCampaign {self.name} ({self.base.label}): {self.campaign.runs} runs>"
+
     def with_campaign(self, **changes: Any) -> LoadedCampaign:
         """The same with other values in [campaign]: runs, seed, keep. The stratum stays as it was."""
         before = self.campaign

@@ -94,6 +94,15 @@ def drawing(formats: Sequence[str] = FORMATS, settings: Mapping[str, Any] | None
         _formats.reset(before)
 
 
+class _Shown(Figure):
+    """A figure that a notebook shows by itself: it belongs to no pyplot, which would see to that."""
+
+    def _repr_png_(self) -> bytes:
+        drawn = io.BytesIO()
+        self.savefig(drawn, format="png")
+        return drawn.getvalue()
+
+
 def sheet(
     rows: int = 1, columns: int = 1, height_in: float = 2.6, width_in: float = PAGE_IN, title: str = "", **more: Any
 ) -> tuple[Figure, Any]:
@@ -101,7 +110,7 @@ def sheet(
 
     `more` goes to `Figure.subplots`. The figure belongs to no window: nothing has to be closed, no display is needed.
     """
-    figure = Figure(figsize=(width_in, height_in * rows + (_TITLE_IN if title else 0.0)))
+    figure = _Shown(figsize=(width_in, height_in * rows + (_TITLE_IN if title else 0.0)))
     if title:
         figure.suptitle(title, fontsize=11, fontweight="bold", x=0.01, ha="left")
     places: NDArray[Any] = np.atleast_1d(figure.subplots(rows, columns, squeeze=False, **more)).ravel()
