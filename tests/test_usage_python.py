@@ -57,6 +57,13 @@ def test_a_frame_has_each_channel_over_its_times(flight: Flight) -> None:
     assert every["mach"].count() == len(flight["mach"])
 
 
+def test_a_dataset_has_units_and_the_same_numbers(flight: Flight) -> None:
+    pytest.importorskip("xarray")
+    data = flight.to_xarray("altitude_m", "mach")
+    assert data["altitude_m"].attrs["units"] == "m"
+    assert data["mach"].dropna("time_s").to_numpy() == pytest.approx(flight["mach"], abs=0.0)
+
+
 def test_topics_go_by_name_in_flights_and_logs(flight: Flight) -> None:
     api.fly("nominal", "run.duration_s=0.2", folder="out")
     log = api.read("out")
