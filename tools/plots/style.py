@@ -98,9 +98,7 @@ class _Shown(Figure):
     """A figure that a notebook shows by itself: it belongs to no pyplot, which would see to that."""
 
     def _repr_png_(self) -> bytes:
-        drawn = io.BytesIO()
-        self.savefig(drawn, format="png")
-        return drawn.getvalue()
+        return png(self)
 
 
 def sheet(
