@@ -1,5 +1,6 @@
 """The set-up: what pyproject.toml, constraints.txt and the Makefile say fits what lies on the disk."""
 
+import ast
 import os
 import re
 import subprocess
@@ -106,3 +107,45 @@ def test_make_says_what_is_missing(tmp_path, script, message):
     assert done.returncode == 2
     assert message in done.stderr
     assert not (tmp_path / "venv").exists()
+
+
+ONE_VEHICLE = re.compile(r"ksr|anheung|korea|reconstruct|\bkari\b", re.IGNORECASE)
+THE_PAPER = re.compile(r"\bpaper\b|\bRoh\b")
+NAMES_ONE = {
+    "design/model/dispersion.py": "the paper's Table 2",
+    "tools/cli/frame.py": "built-in examples in help", "tools/design/analyse.py": "the command's default design",
+    "tools/simdesign.py": "examples in help", "tools/simrun.py": "examples in help",
+    "tools/simvehicle.py": "examples in help", "tools/simverify.py": "examples in help",
+}  # fmt: skip  # a line each otherwise
+PAPER_MODE = {
+    "control/structures.py", "design/case/schema.py", "design/loop/errata_effects.py", "design/model/errata.py",
+    "design/verify/judging.py", "sim/scenario/schema_design.py", "sim/scenario/schema_stage.py",
+    "sim/scenario/schema_vehicle.py", "tools/design/analyse.py", "tools/design/report.py", "tools/simdesign.py",
+}  # fmt: skip  # a line each otherwise
+
+
+def _said(file: Path) -> list[str]:
+    """What a file can say: of Python its texts without docstrings, of other sources all."""
+    text = file.read_text(encoding="utf-8")
+    if file.suffix != ".py":
+        return [text]
+    tree = ast.parse(text)
+    prose = {id(n.value) for n in ast.walk(tree) if isinstance(n, ast.Expr)}
+    return [
+        n.value
+        for n in ast.walk(tree)
+        if isinstance(n, ast.Constant) and isinstance(n.value, str) and id(n) not in prose
+    ]
+
+
+def test_nothing_of_one_vehicle_is_said_by_the_code():
+    """Only its own data, the paper's mode and examples name the first vehicle, its place or its source."""
+    suffixes = {".py", ".j2", ".html", ".css", ".js", ".c", ".h"}
+    files = [f for top in (*LAYERS, "api") for f in sorted((ROOT / top).rglob("*")) if f.suffix in suffixes]
+    shipped = [f for f in files if not {"dev", ".ns"} & set(f.relative_to(ROOT).parts)]
+    found = {f.relative_to(ROOT).as_posix(): "\n".join(_said(f)) for f in shipped}
+    assert {name for name, text in found.items() if ONE_VEHICLE.search(text)} == set(NAMES_ONE)
+    assert {name for name, text in found.items() if THE_PAPER.search(text)} <= PAPER_MODE
+    generic = (ROOT / "scenarios/suites/launcher.toml").read_text()
+    assert not ONE_VEHICLE.search(generic)
+    assert not re.search(r"stage\.\d|tank\.\d|_s=\d{2}", generic)  # by no number, at no second
