@@ -13,6 +13,7 @@ import xml.etree.ElementTree as ET
 from pathlib import Path
 
 import numpy as np
+import petrelkit as petrel
 import pytest
 from example_log import write_example
 from mcap.writer import Writer
@@ -20,11 +21,14 @@ from PIL import Image
 from replaykit import OLD_LOG
 
 from maxq.sim.log.reader import read_log
+from maxq.sim.packing.flight import pack_flight
+from maxq.sim.run.fly import logged_channels
 from maxq.tools import simreplay
 from maxq.tools.replay import flight as flight_module
 from maxq.tools.replay import viewer
 from maxq.tools.replay.convert import Options, save
 from maxq.tools.replay.flight import open_flight
+from maxq.tools.replay.plots import tabs_of
 from maxq.tools.replay.sheets import write_sheets
 from maxq.tools.replay.stream import first_phase, phases
 from maxq.tools.replay.text import summary_text
@@ -124,6 +128,15 @@ def test_summary_fits_the_terminal_and_does_without_blocks() -> None:
         rows = [line for line in text.splitlines() if " .. " in line]
         assert max(len(line) for line in rows) <= width
         assert text.isascii()
+
+
+def test_a_glance_shows_every_pendulum() -> None:
+    """Of the second vehicle with a second slosh mode in one tank: three, by name."""
+    loaded = petrel.scenario("vehicle.stage.0.tank.0.modes=2")
+    table = logged_channels(loaded.scenario, pack_flight(loaded.scenario).sizes)
+    plots = [plot for tab in tabs_of(table, loaded.scenario) for plot in tab.plots if plot.key == "slosh/pitch"]
+    shown = [curve.label for plot in plots for curve in plot.curves[: plot.glance[0]]]
+    assert shown == ["oxygen pitch", "oxygen_2 pitch", "kerosene pitch"]
 
 
 # several flights
