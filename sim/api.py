@@ -14,17 +14,34 @@ Wrong input is a `ScenarioError`, a log that cannot be read or written a `LogErr
 from __future__ import annotations
 
 from collections.abc import Iterable
+from importlib import import_module
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
-from maxq.sim.log.head import LogError
-from maxq.sim.log.reader import Log, read_log
-from maxq.sim.run.fly import Event, Flight, FlightRun, fly
-from maxq.sim.run.metrics import METRIC_NAMES, Verdict
-from maxq.sim.run.record import record
-from maxq.sim.scenario import loader
 from maxq.sim.scenario.builtin import builtin_names
 from maxq.sim.scenario.errors import ScenarioError
-from maxq.sim.scenario.loader import LoadedScenario
+
+if TYPE_CHECKING:
+    from maxq.sim.log.head import LogError
+    from maxq.sim.log.reader import Log, read_log
+    from maxq.sim.run.fly import Event, Flight, FlightRun, fly
+    from maxq.sim.run.metrics import Verdict
+    from maxq.sim.run.record import record
+    from maxq.sim.scenario.loader import LoadedScenario
+
+_AT = {
+    "LogError": "log.head", "Log": "log.reader", "read_log": "log.reader",
+    "Event": "run.fly", "Flight": "run.fly", "FlightRun": "run.fly", "fly": "run.fly",
+    "Verdict": "run.metrics", "record": "run.record", "LoadedScenario": "scenario.loader",
+}  # fmt: skip  # a table
+"""Where the rest stands: imported when it is asked for, since compiler and schemas take a second."""
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _AT:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    globals()[name] = value = getattr(import_module(f"maxq.sim.{_AT[name]}"), name)
+    return value
 
 
 def load_scenario(path: str | Path, overrides: Iterable[str] = ()) -> LoadedScenario:
@@ -32,11 +49,17 @@ def load_scenario(path: str | Path, overrides: Iterable[str] = ()) -> LoadedScen
 
     Raises ScenarioError.
     """
+    from maxq.sim.run.metrics import METRIC_NAMES  # noqa: PLC0415  # lazy, as above
+    from maxq.sim.scenario import loader  # noqa: PLC0415
+
     return loader.load_scenario(path, overrides, METRIC_NAMES)
 
 
 def load_scenario_text(text: str, overrides: Iterable[str] = ()) -> LoadedScenario:
     """The scenario that a self-contained TOML text holds, e.g. one from a log. Raises ScenarioError."""
+    from maxq.sim.run.metrics import METRIC_NAMES  # noqa: PLC0415  # lazy, as above
+    from maxq.sim.scenario import loader  # noqa: PLC0415
+
     return loader.load_scenario_text(text, overrides, METRIC_NAMES)
 
 

@@ -15,7 +15,16 @@ from maxq.sim.flight.metrics import MetricIndex
 from maxq.sim.flight.telemetry import SLOW
 from maxq.sim.run.fly import fly
 from maxq.sim.run.launch_frames import LaunchFrames, LaunchSite
-from maxq.sim.run.metrics import METRIC_NAMES, METRICS, EndMetrics, OrbitMetrics, SectionMetrics, WaveMetrics, unit_of
+from maxq.sim.run.metrics import (
+    METRIC_NAMES,
+    METRICS,
+    EndMetrics,
+    OrbitMetrics,
+    SectionMetrics,
+    StepMetrics,
+    WaveMetrics,
+    unit_of,
+)
 
 
 def loaded(*overrides: str) -> LoadedScenario:
@@ -78,6 +87,7 @@ def test_names_of_metrics_end_with_their_unit() -> None:
         *SectionMetrics._fields,
         *EndMetrics._fields,
         *WaveMetrics._fields,
+        *StepMetrics._fields,
         *OrbitMetrics._fields,
     ) == METRIC_NAMES
     for metric in METRICS.values():

@@ -1,4 +1,4 @@
-"""The Runge-Kutta method's own damping: its closed form, a method applied to a matrix, and the simulator itself."""
+"""The integrator: its own damping by closed form, applied to a matrix and in the simulator; steps by accuracy."""
 
 from __future__ import annotations
 
@@ -8,10 +8,18 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from flightkit import Mode, Parts, flown, rig, scenario_of
+from flightkit import Array, Mode, Parts, flown, rig, scenario_of
+from scipy.linalg import expm
 
-from maxq.sim.api import FlightRun, fly, load_scenario, record
-from maxq.sim.run.integration import Oscillation, method_error, oscillations, worst_error
+from maxq.control.kernel.jit import from_python
+from maxq.control.kernel.records import pack
+from maxq.sim.api import Flight, FlightRun, fly, load_scenario, record
+from maxq.sim.flight.oscillators import put_functions, put_oscillator
+from maxq.sim.packing.integration import Oscillation, method_error, oscillations, worst_error
+from maxq.sim.packing.vehicle import pack_actuators
+from maxq.sim.run.metrics import step_failure
+from maxq.sim.scenario.errors import ScenarioError
+from maxq.sim.vehicle.actuator import actuator_derivative, linear_sections
 from maxq.sim.vehicle.state import eta_index
 from maxq.tools.flight_report import report
 
@@ -76,3 +84,133 @@ def test_a_mode_that_is_too_fast_for_the_step_is_said(tmp_path: Path) -> None:
     assert f"warning: {told['warning']}" in report(flight, [], 0.0)
     usual = fly(load_scenario("nominal", fast[:1]), log=False)
     assert "integrator" not in report(usual, [], 0.0)
+
+
+# --- steps by run.accuracy
+
+_put_oscillator, _put_functions = from_python(put_oscillator), from_python(put_functions)
+_linear_sections, _actuator_derivative = from_python(linear_sections), from_python(actuator_derivative)
+ACCURATE = "run.accuracy=0.01"
+IDEAL = (  # converters, DAC and roll thrusters know steps only: their scatter would hide what is compared
+    "run.duration_s=20", "switches.converter=ideal", "switches.roll_control=false",
+    "vehicle.computer.dac_step_deg=0.0",
+)  # fmt: skip  # a table
+
+
+def expected(d: Array, h: float) -> list[Array]:
+    """The matrices of a block, from the exponential of a larger matrix (Sidje, ACM TOMS 24, 1998, 130)."""
+    n = len(d)
+
+    def phi(t: float) -> list[Array]:
+        big = np.zeros((4 * n, 4 * n))
+        big[:n, :n] = t * d
+        for k in range(3):
+            big[k * n : (k + 1) * n, (k + 1) * n : (k + 2) * n] = np.eye(n)
+        whole = expm(big)
+        return [whole[:n, k * n : (k + 1) * n] for k in range(4)]
+
+    whole, half = phi(h), phi(0.5 * h)
+    return [
+        d, 0.5 * h * half[1], h * half[2], h * whole[1], 2.0 * h * whole[2],
+        h * (2.0 * whole[2] - 4.0 * whole[3]), h * (4.0 * whole[3] - whole[2]),
+    ]  # fmt: skip  # a table
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("hz", "zeta", "h"), [(0.5, 0.0, 1e-3), (50.0, 0.005, 3.5e-3), (60.0, 1.7, 0.01)])
+def test_matrices_of_an_oscillator(hz: float, zeta: float, h: float) -> None:
+    w = 2.0 * math.pi * hz
+    kept = np.zeros(4 * 7)
+    _put_oscillator(kept, 0, w * w, 2.0 * zeta * w, h)
+    for got, wanted in zip(
+        kept.reshape(7, 2, 2), expected(np.array([[0.0, 1.0], [-w * w, -2.0 * zeta * w]]), h), strict=True
+    ):
+        assert got == pytest.approx(wanted, rel=1e-9, abs=1e-12 * np.abs(wanted).max())
+
+
+@pytest.mark.slow  # compiles what only these call
+@pytest.mark.parametrize("act_on", ["servo", "engine"])
+@pytest.mark.parametrize("model", ["second-order", "fourth-order", "sixth-order"])
+def test_matrices_of_an_actuator(model: str, act_on: str) -> None:
+    """D is the derivative of the states by themselves, by differences."""
+    given = load_scenario("nominal").vehicle.stage[0].actuator
+    assert not isinstance(given, tuple)
+    count = {"second-order": 1, "fourth-order": 2, "sixth-order": 4}[model]
+    change = {"model": model, "limits_act_on": act_on, "omega_hz": given.omega_hz[:count], "zeta": given.zeta[:count]}
+    a = pack([pack_actuators(given.model_copy(update=change), "full")[0]])[0]
+    n, kept = a.order, np.zeros(7 * 36 + 72)
+    _linear_sections(a, kept, 0)
+    d = np.zeros((n, n))
+    for j in range(n):
+        y, dy = np.zeros(6), np.zeros(6)
+        y[j] = 1e-6
+        _actuator_derivative(a, y, 0, 0.0, dy)
+        d[:, j] = 1e6 * dy[:n]
+    assert kept[: n * n].reshape(n, n) == pytest.approx(d, rel=1e-9, abs=1e-9)
+    _put_functions(kept, 0, n, 0.0035, 7 * 36)
+    for k, wanted in enumerate(expected(d, 0.0035)):
+        got = kept[k * n * n : (k + 1) * n * n].reshape(n, n)
+        assert got == pytest.approx(wanted, rel=1e-9, abs=1e-12 * np.abs(wanted).max())
+
+
+@pytest.mark.slow
+def test_a_fast_mode_is_not_damped_by_steps_of_its_accuracy() -> None:
+    """One undamped mode of 100 Hz, left alone for 0.5 s: exact, whatever the step."""
+    mode = Mode(100.0, 500.0, (1.0, 0.4, -0.2, -0.4, 0.5, 1.1), (-0.3, -0.3, -0.2, 0.2, 0.3, 0.3), 0.0)
+    made = rig(scenario_of(Parts(pitch=(mode,)), run={"accuracy": 0.05}))
+    eta = int(eta_index(made.sizes))
+    made.y[eta] = 1e-3
+    states = flown(made, 0.5, 0.01)
+    assert states[:, eta] == pytest.approx(1e-3 * np.cos(200.0 * math.pi * 0.01 * np.arange(51)), abs=1e-9)
+    assert made.run().memory.clock.steps < 250
+
+
+@pytest.fixture(scope="module")
+def by_accuracy() -> Flight:
+    return fly(load_scenario("nominal", [*IDEAL, ACCURATE]))
+
+
+def test_pieces_between_two_instants_are_equal(by_accuracy: Flight) -> None:
+    """Commands take effect 3 ms after the samples of 10 ms: 3, 3.5 and 3.5 ms."""
+    assert by_accuracy.steps == pytest.approx(3 * 2000, abs=80)  # the schedule's breakpoints are instants, too
+
+
+def test_rows_between_steps_are_those_of_a_finer_flight(by_accuracy: Flight) -> None:
+    finer = fly(load_scenario("nominal", IDEAL))
+    for channel, room in (
+        ("altitude_m", 5e-4), ("gimbal_pitch_angle_deg", 2e-4), ("eta_pitch_1_m", 1e-8), ("q_BI_y", 1e-7),
+        ("gyro_pitch_rate_degps", 1e-3),
+    ):  # fmt: skip  # a table
+        assert (by_accuracy.time_s(channel) == finer.time_s(channel)).all()
+        assert by_accuracy[channel] == pytest.approx(finer[channel], abs=room), channel
+    for name, value in finer.metrics.items():
+        if math.isfinite(value) and abs(value) > 1e-6:
+            assert by_accuracy.metrics[name] == pytest.approx(value, rel=3e-3), name
+
+
+def test_where_a_segment_ends_changes_no_flight_of_long_steps(by_accuracy: Flight) -> None:
+    run = FlightRun(load_scenario("nominal", [*IDEAL, ACCURATE]), log=False)
+    while not run.finished:
+        run.fly_segment(7_000_000)
+    assert run.result().state_hash == by_accuracy.state_hash
+
+
+def test_local_errors_are_recorded_where_steps_follow_from_accuracy(by_accuracy: Flight) -> None:
+    for name in ("step_error_bending_m", "step_error_slosh_deg", "step_error_position_m"):
+        assert 0.0 < by_accuracy.metrics[name] < 1e-3, name
+    assert not by_accuracy.failures
+    fixed = fly(load_scenario("nominal", ["run.duration_s=0.1"]), log=False)
+    assert math.isnan(fixed.metrics["step_error_attitude_deg"])
+
+
+def test_an_error_beyond_the_accuracy_is_a_failure(by_accuracy: Flight) -> None:
+    required = by_accuracy.scenario.scenario.requirement
+    assert step_failure(0.01, by_accuracy.metrics, required) == ""
+    worse = by_accuracy.metrics | {"step_error_slosh_deg": 0.11}
+    assert "0.11 deg exceeds run.accuracy = 0.01" in step_failure(0.01, worse, required)  # 10 deg are allowed
+    assert step_failure(0.02, worse, required) == ""
+
+
+def test_accuracy_or_step() -> None:
+    with pytest.raises(ScenarioError, match="one of step_s, accuracy"):
+        load_scenario("nominal", [ACCURATE, "run.step_s=0.002"])

@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 from pathlib import Path
 
+from maxq.sim.packing.integration import worst_error
 from maxq.sim.run.fly import DIVERGED_NAME, Flight
-from maxq.sim.run.integration import worst_error
 from maxq.sim.run.metrics import Verdict, title_of, unit_of
 from maxq.tools.cli.terminal import aligned, figures, printable
 

@@ -35,7 +35,14 @@ Function = TypeVar("Function", bound=Callable[..., object])
 Array = TypeVar("Array", NDArray[np.float64], NDArray[np.int64])
 
 
-_KERNEL_FREE = {"scenario", "log", "packing", "run", "campaign"}  # folders of sim/ that no kernel takes anything from
+_KERNEL_FREE = {
+    "scenario",
+    "log",
+    "packing",
+    "run",
+    "campaign",
+    "api.py",
+}  # of sim/: what no kernel takes anything from
 
 
 def _source_files() -> Iterator[Path]:

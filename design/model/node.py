@@ -226,8 +226,9 @@ def nodes_along(
 
 
 def flown_run(scenario: LoadedScenario, faults: bool) -> FlightRun:
-    """A flight at its start, without a log."""
-    flown = scenario.scenario if faults else scenario.scenario.model_copy(update={"fault": ()})
+    """A flight at its start, without a log; on the grid of run.step_s, on which nodes lie."""
+    run = scenario.scenario.run.model_copy(update={"accuracy": None})
+    flown = scenario.scenario.model_copy(update={"run": run} | ({} if faults else {"fault": ()}))
     return FlightRun(dataclasses.replace(scenario, scenario=flown), pack_flight(flown), log=False)
 
 

@@ -10,7 +10,7 @@ What a campaign file disperses must be in its scenario, be dispersed once, and f
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Annotated, Any
@@ -36,6 +36,8 @@ from maxq.sim.scenario.tables_csv import Columns, CsvTable
 
 Place = tuple[str, int]
 """Name of a draw, and number of its target."""
+ACCURACY = 0.02
+"""run.accuracy of campaigns that give neither it nor a step (docs/performance.md)."""
 _DOUBTED_SIGMAS = 3.0
 _JOINT = 1 << 20  # attempts of a run whose values exclude each other begin here, apart from those of single keys
 
@@ -195,6 +197,10 @@ class LoadedCampaign:
 def load_campaign(path: str | Path, overrides: Iterable[str] = ()) -> LoadedCampaign:
     """The campaign in a file, or the built-in one of that name, with `key=value` overrides. Raises ScenarioError."""
     loaded, tree, reading = load_with_sections(path, CAMPAIGN_SECTIONS, overrides, METRIC_NAMES)
+    run = loaded.scenario.run
+    if run.accuracy is None and "step_s" not in run.model_fields_set:
+        run = run.model_copy(update={"accuracy": ACCURACY})
+        loaded = replace(loaded, scenario=loaded.scenario.model_copy(update={"run": run}))
     try:
         file = CampaignFile.model_validate(plain(tree), context=reading)
         return made_of(loaded, file, reading)

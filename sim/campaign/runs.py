@@ -161,7 +161,8 @@ def fly_scenario(loaded: LoadedScenario) -> Flight:
 def _begun_flight(loaded: LoadedScenario, envelope: Envelope | None, pack: Packing) -> FlightRun:
     """A flight at its start, without a log; with the channels of an envelope where one is given."""
     packed = pack(loaded.scenario)
-    step_ns = int(packed.parameters[0].timeline.step_ns)
+    timeline = packed.parameters[0].timeline
+    step_ns = 1 if timeline.even == 1 else int(timeline.step_ns)  # of the grid on which rows lie
     if envelope is not None:
         period_ns = max(round(NS_PER_S / envelope.rate_hz / step_ns), 1) * step_ns
         packed.parameters["timeline"]["fast_ns"] = period_ns

@@ -202,7 +202,9 @@ def step_length(p: Parameters, pool: Array, memory: Memory, until_ns: int) -> in
     """Nanoseconds to the next instant at which a step must end."""
     clock, timeline = memory.clock, p.timeline
     now = clock.now_ns
-    end = min((now // timeline.step_ns + 1) * timeline.step_ns, until_ns)
+    end = NEVER
+    if timeline.even == 0:
+        end = min((now // timeline.step_ns + 1) * timeline.step_ns, until_ns)
     for instant in (
         clock.next_sample_ns,
         clock.command_due_ns,
@@ -219,6 +221,8 @@ def step_length(p: Parameters, pool: Array, memory: Memory, until_ns: int) -> in
     end = min(end, clock.next_break_ns)
     if p.injections.count > 0:
         end = next_switch(p.injections, pool, now, end)
+    if timeline.even == 1:
+        return (end - now) // ((end - now - 1) // timeline.step_ns + 1)
     return end - now
 
 

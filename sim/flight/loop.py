@@ -18,9 +18,20 @@ from maxq.sim.flight.events import (
     step_length,
     transfer_state,
 )
-from maxq.sim.flight.metrics import N_METRICS, gather
+from maxq.sim.flight.metrics import N_METRICS
 from maxq.sim.flight.parameters import APOGEE, DIVERGED, IMPACT, LIFTOFF, N_EVENTS, NEVER, Memory, Parameters
-from maxq.sim.flight.step import Workspace, evaluate, read_schedule, runge_kutta, schedule_clock, workspace_of
+from maxq.sim.flight.step import (
+    ERRORS_NS,
+    Workspace,
+    estimate_errors,
+    evaluate,
+    evaluate_between,
+    gather_at,
+    read_schedule,
+    schedule_clock,
+    take_step,
+    workspace_of,
+)
 from maxq.sim.flight.telemetry import fill_fast, fill_slow
 from maxq.sim.vehicle.block import Q_BI, Sizes, counts
 from maxq.sim.vehicle.environment import ANCHOR_DUE, climb_rate, climbs_certainly, flight_direction
@@ -106,7 +117,7 @@ def advance(
 
     `P` (stages,) of Parameters, `state` (1,) of Memory, `logged` (1,) of Logged. Log rows go to `fast`, `slow` with
     their times (ns) and counts `rows` (2,). Where a call ends changes nothing in the flight, as long as `until_ns` is
-    a multiple of the step.
+    a multiple of the step; with steps of equal length it ends with the first step that reaches `until_ns`.
     """
     memory = state[0]
     clock = memory.clock
@@ -131,12 +142,12 @@ def advance(
         if p.loads.stations > 0:
             track_sections(p, pool, memory, space, logged[0].on, 0)
         if logged[0].on == 1:
-            log(p, memory, logged, now_at, log_rows, 0)
+            log(p, memory, logged, now_at, log_rows, now, 0)
         step_ns = step_length(p, pool, memory, until_ns)
-        update_metrics(p, memory, 1e-9 * step_ns, now_at)
+        gather_at(p, memory, now, 1e-9 * step_ns, now_at)
         if clock.finished == 1:
             break
-        runge_kutta(p, pool, memory, now, step_ns, space)
+        take_step(p, pool, memory, now, step_ns, space)
         clock.cause = divergence_cause(counts(p.vehicle.sizes), space.y_end)
         if clock.cause != FINITE:
             record_event(p, memory, DIVERGED, now)
@@ -145,6 +156,11 @@ def advance(
         event = detect_crossing(p, memory, space)
         if event >= 0:
             step_ns = locate_event(p, pool, memory, event, step_ns, space)
+        if logged[0].on == 1 and p.timeline.even == 1:
+            log_between(p, pool, memory, logged, space, log_rows, step_ns)
+        if p.timeline.even == 1 and now >= clock.next_errors_ns and event < 0:
+            clock.next_errors_ns = now + ERRORS_NS
+            estimate_errors(p, pool, memory, now, step_ns, space)
         sizes = counts(p.vehicle.sizes)
         for i in range(state_size(sizes)):
             now_at.y[i] = space.y_end[i]
@@ -163,9 +179,9 @@ def advance(
         evaluate_exactly(p, pool, memory, space)
         if p.loads.stations > 0:
             track_sections(p, pool, memory, space, logged[0].on, 1)
-        update_metrics(p, memory, 0.0, now_at)
+        gather_at(p, memory, clock.now_ns, 0.0, now_at)
         if logged[0].on == 1:
-            log(p, memory, logged, now_at, log_rows, 1)
+            log(p, memory, logged, now_at, log_rows, clock.now_ns, 1)
 
 
 @kernel
@@ -191,14 +207,6 @@ def track_sections(p: Parameters, pool: Array, memory: Memory, space: Workspace,
             gather_sections(
                 p.loads, counts(p.vehicle.sizes), memory.clock.stage, now, mass, cg_m, space.columns, sections
             )
-
-
-@kernel
-def update_metrics(p: Parameters, memory: Memory, step_s: float, at: Evaluation) -> None:
-    gather(
-        memory.extremes, memory.waves, memory.clock.stage, p.vehicle, p.environment.earth, memory.held,
-        memory.computer, memory.truth, memory.clock.now_ns, step_s, at.properties, at.y, at.aux,
-    )  # fmt: skip  # twelve lines otherwise
 
 
 @routine
@@ -273,7 +281,7 @@ def locate_event(p: Parameters, pool: Array, memory: Memory, event: int, step_ns
             trial = low + int((high - low) * (-at_low) / (at_high - at_low))
             trial = min(max(trial, low + 1), high - 1)
         halve = 1 - halve
-        runge_kutta(p, pool, memory, now, trial, space)
+        take_step(p, pool, memory, now, trial, space)
         value = event_function(p, event, space.y_end, space.end.properties, space.start.aux)
         best = trial
         if value >= 0.0:
@@ -281,14 +289,14 @@ def locate_event(p: Parameters, pool: Array, memory: Memory, event: int, step_ns
         else:
             low, at_low = trial, value
     if best != high:
-        runge_kutta(p, pool, memory, now, high, space)
+        take_step(p, pool, memory, now, high, space)
     return high
 
 
 @routine
-def log(p: Parameters, memory: Memory, logged: Records, at: Evaluation, out: LogRows, last: int) -> None:
+def log(p: Parameters, memory: Memory, logged: Records, at: Evaluation, out: LogRows, now: int, last: int) -> None:
     """Write the rows that are due at this instant; at the flight's end both, whether due or not."""
-    now, rows = memory.clock.now_ns, out.counts
+    rows = out.counts
     if rows[0] > 0 and out.fast_ns[rows[0] - 1] == now and last == 1:
         return  # the flight ended at an instant that has been logged already
     if now % p.timeline.fast_ns == 0 or last == 1:
@@ -310,3 +318,27 @@ def log(p: Parameters, memory: Memory, logged: Records, at: Evaluation, out: Log
         fill_slow(p, logged[0].stations, memory, at.properties, at.y, at.aux, out.slow[rows[1]])
         out.slow_ns[rows[1]] = now
         rows[1] += 1
+
+
+@routine
+def log_between(
+    p: Parameters, pool: Array, memory: Memory, logged: Records, space: Workspace, out: LogRows, step_ns: int
+) -> None:  # fmt: skip  # as ruff would, but for a line of one bracket
+    """Write the rows that are due within the step that has just been taken."""
+    clock, fast_ns, slow_ns = memory.clock, p.timeline.fast_ns, p.timeline.slow_ns
+    began = clock.now_ns
+    due = began
+    while True:
+        due = min((due // fast_ns + 1) * fast_ns, (due // slow_ns + 1) * slow_ns)
+        if due >= began + step_ns:
+            break
+        evaluate_between(p, pool, memory, began, step_ns, due - began, space)
+        clock.now_ns = due  # rows tell the Earth's rotation by it
+        if p.loads.stations > 0 and due % slow_ns == 0:
+            clock_s = schedule_clock(p, due, 0.0)
+            at = space.between
+            evaluate_sections(
+                p.loads, p.vehicle, memory.inputs, pool, clock_s, at, space.work, space.columns, memory.sections
+            )
+        log(p, memory, logged, space.between, out, due, 0)
+    clock.now_ns = began

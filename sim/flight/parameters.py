@@ -30,6 +30,7 @@ class StageTimeline:
     """How a stage is flown: instants in ns of flight time unless named otherwise."""
 
     step_ns: int
+    even: int  # 1: pieces of equal length, none above `step_ns`, fill the time between two instants
     stage_start_ns: int  # zero of this stage's clock
     burn_start_ns: int  # ignition
     frozen: int  # 1: the schedule stands still at `frozen_s`
@@ -83,6 +84,7 @@ class Clock:
     pending_roll: int
     next_gust_ns: int
     samples: int  # of the gyro, for its noise
+    next_errors_ns: int  # when the errors of a step are estimated next
     climbing: int  # 1 while the altitude rises
     event_ns: Annotated[IntArray, (N_EVENTS,)]  # -1: has not happened
     stage_burnout_ns: Annotated[IntArray, (MAX_STAGES,)]
@@ -104,6 +106,7 @@ class Memory:
     extremes: Extremes
     sections: SectionLoads
     waves: Waves
+    errors: Annotated[Array, (5,)]  # of the integration: attitude, deg; bending, m; slosh, deg; position, m; speed, m/s
     increment_rad: Annotated[Array, (3,)]
     rate_injection_radps: Annotated[Array, (3,)]
     rate_replaces: Annotated[IntArray, (3,)]

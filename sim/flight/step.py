@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 from maxq.control.kernel.jit import bare_pointer, kernel, routine
@@ -9,13 +10,47 @@ from maxq.control.kernel.records import Array
 from maxq.control.kernel.tables import interpolate_into
 from maxq.control.kernel.vectors import Vector, add, scaled, set_vector
 from maxq.sim.flight.injection import BODY_FORCE, BODY_TORQUE, total_signal
+from maxq.sim.flight.metrics import gather
+from maxq.sim.flight.oscillators import (
+    BLOCK_WIDTH,
+    COUNT,
+    FORCED,
+    FORCED_HALF,
+    HEAD,
+    KEPT_SIZE,
+    LARGEST,
+    LAST,
+    MIDDLE,
+    MOVED_SIZE,
+    MOVED_WIDTH,
+    TURNED,
+    TURNED_HALF,
+    blocks_for,
+    row_times,
+)
 from maxq.sim.flight.parameters import Memory, Parameters
-from maxq.sim.vehicle.block import counts
+from maxq.sim.vehicle.block import Q_BI, R_I, V_I, counts
 from maxq.sim.vehicle.derivative import derivative, derive_properties
 from maxq.sim.vehicle.loads import MAX_LOAD_COLUMNS
 from maxq.sim.vehicle.schedule import CORE_CG, thrust_column
-from maxq.sim.vehicle.state import MAX_STATE, restore_constraints, state_size
-from maxq.sim.vehicle.workspace import AUX_SIZE, CROSSFLOW_PART, PART_WIND, PROPERTIES_SIZE, WORK_SIZE, Evaluation
+from maxq.sim.vehicle.state import (
+    MAX_STATE,
+    eta_index,
+    pendulum_index,
+    restore_constraints,
+    spatial_index,
+    state_size,
+    xi_index,
+)
+from maxq.sim.vehicle.workspace import (
+    AUX_SIZE,
+    CROSSFLOW_PART,
+    PART_WIND,
+    PROPERTIES_SIZE,
+    SPECIFIC_FORCE,
+    WORK_SIZE,
+    Evaluation,
+)
 from maxq.sim.world.gust_history import gust_behind
 from maxq.sim.world.turbulence import turbulence_at
 
@@ -29,8 +64,13 @@ class Workspace(NamedTuple):
     y_end: Array  # state at the end of the step
     work: Array  # scratch memory of the derivative
     columns: Array  # of the section loads
+    moved: Array  # of each block of oscillators: what its stages need of each other
+    kept: Array  # the blocks' matrices, see oscillators.py
+    between: Evaluation  # at an instant within the step
 
 
+ERRORS_NS = 500_000_000
+"""Between two estimates of a flight's errors."""
 _Y_END = 0
 _Y_STAGE = _Y_END + MAX_STATE
 _K_1 = _Y_STAGE + MAX_STATE
@@ -42,7 +82,11 @@ _WORK = _END + PROPERTIES_SIZE
 _AUX = _WORK + WORK_SIZE
 _AUX_STAGE = _AUX + AUX_SIZE
 _COLUMNS = _AUX_STAGE + AUX_SIZE
-ARENA_SIZE = _COLUMNS + MAX_LOAD_COLUMNS
+_MOVED = _COLUMNS + MAX_LOAD_COLUMNS
+_KEPT = _MOVED + MOVED_SIZE
+_Y_BETWEEN = _KEPT + KEPT_SIZE
+_K_BETWEEN = _Y_BETWEEN + MAX_STATE
+ARENA_SIZE = _K_BETWEEN + MAX_STATE
 
 
 @kernel
@@ -61,7 +105,15 @@ def workspace_of(arena: Array, y: Array) -> Workspace:
         end=Evaluation(bare_pointer(arena[_END:_WORK]), y_stage, k, aux),
         y_end=bare_pointer(arena[_Y_END:_Y_STAGE]),
         work=bare_pointer(arena[_WORK:_AUX]),
-        columns=bare_pointer(arena[_COLUMNS:ARENA_SIZE]),
+        columns=bare_pointer(arena[_COLUMNS:_MOVED]),
+        moved=bare_pointer(arena[_MOVED:_KEPT]),
+        kept=bare_pointer(arena[_KEPT:_Y_BETWEEN]),
+        between=Evaluation(
+            bare_pointer(arena[_MIDDLE:_END]),
+            bare_pointer(arena[_Y_BETWEEN:_K_BETWEEN]),
+            bare_pointer(arena[_K_BETWEEN:ARENA_SIZE]),
+            aux,
+        ),
     )
 
 
@@ -148,3 +200,179 @@ def runge_kutta(p: Parameters, pool: Array, memory: Memory, now_ns: int, step_ns
     for i in range(n):
         y_end[i] += h / 6.0 * k[i]
     restore_constraints(counts(p.vehicle.sizes), y_end)
+
+
+@routine
+def exponential_runge_kutta(
+    p: Parameters, pool: Array, memory: Memory, now_ns: int, step_ns: int, space: Workspace
+) -> None:  # fmt: skip  # as ruff would, but for a line of one bracket
+    """As `runge_kutta`, with the motion of the fast linear parts under a constant force worked out exactly.
+
+    Exponential method of order four, B4 of S. Krogstad, Generalized integrating factor methods for stiff PDEs, J.
+    Comput. Phys. 203 (2005), 72, written for the difference r of the derivative from that at the start and from D times
+    the motion since then. Where D = 0 it is the classical method.
+    """
+    n = state_size(counts(p.vehicle.sizes))
+    h = 1e-9 * step_ns
+    y, k_1, y_end, y_stage, k = space.start.y, space.start.dy, space.y_end, space.middle.y, space.middle.dy
+    kept, moved = space.kept, space.moved
+    slot = blocks_for(kept, p.vehicle, memory.clock.stage, now_ns, step_ns, space.start)
+    blocks = int(kept[slot + COUNT])
+    read_schedule(p, pool, memory, now_ns, 0.5 * h, space.middle.properties)
+    read_schedule(p, pool, memory, now_ns, h, space.end.properties)
+    for i in range(n):
+        y_stage[i] = y[i] + 0.5 * h * k_1[i]
+        y_end[i] = y[i] + h / 6.0 * k_1[i]
+    for b in range(blocks):
+        _block_stage(kept, slot + HEAD + BLOCK_WIDTH * b, moved, MOVED_WIDTH * b, 2, y, k_1, k, y_stage)
+    evaluate(p, pool, memory, now_ns, 0.5 * h, space.middle, space.work)
+    for i in range(n):
+        y_stage[i] = y[i] + 0.5 * h * k[i]
+        y_end[i] += h / 3.0 * k[i]
+    for b in range(blocks):
+        _block_stage(kept, slot + HEAD + BLOCK_WIDTH * b, moved, MOVED_WIDTH * b, 3, y, k_1, k, y_stage)
+    evaluate(p, pool, memory, now_ns, 0.5 * h, space.middle, space.work)
+    gather_at(p, memory, now_ns + step_ns // 2, 0.0, space.middle)  # long steps would miss peaks
+    for i in range(n):
+        y_stage[i] = y[i] + h * k[i]
+        y_end[i] += h / 3.0 * k[i]
+    for b in range(blocks):
+        _block_stage(kept, slot + HEAD + BLOCK_WIDTH * b, moved, MOVED_WIDTH * b, 4, y, k_1, k, y_stage)
+    evaluate(p, pool, memory, now_ns, h, space.end, space.work)
+    for i in range(n):
+        y_end[i] += h / 6.0 * k[i]
+    for b in range(blocks):
+        _block_stage(kept, slot + HEAD + BLOCK_WIDTH * b, moved, MOVED_WIDTH * b, 5, y, k_1, k, y_end)
+    restore_constraints(counts(p.vehicle.sizes), y_end)
+
+
+@kernel
+def _block_stage(
+    kept: Array, block: int, moved: Array, at: int, stage: int, y: Array, k_1: Array, k: Array, out: Array
+) -> None:  # fmt: skip  # as ruff would, but for a line of one bracket
+    """States of one block at stage 2, 3, 4, or at the end (5), into `out`, given the derivative `k` one stage before.
+
+    `moved[at:]` holds the block's derivative at the start, its motion since then at the stage before and, under the
+    constant force, at the end, r, and the sum of r over the middle stages.
+    """
+    first, stride, n, matrices = int(kept[block]), int(kept[block + 1]), int(kept[block + 2]), int(kept[block + 3])
+    if n == 2:  # told as numbers: the compiler unrolls them
+        _block_of(2, first, stride, matrices, kept, moved, at, stage, y, k_1, k, out)
+    elif n == 6:
+        _block_of(6, first, stride, matrices, kept, moved, at, stage, y, k_1, k, out)
+    else:
+        _block_of(n, first, stride, matrices, kept, moved, at, stage, y, k_1, k, out)
+
+
+@kernel
+def _block_of(
+    n: int, first: int, stride: int, matrices: int, kept: Array, moved: Array, at: int, stage: int, y: Array,
+    k_1: Array, k: Array, out: Array,
+) -> None:  # fmt: skip  # thirteen lines otherwise
+    start, last, end, now, total = at, at + LARGEST, at + 2 * LARGEST, at + 3 * LARGEST, at + 4 * LARGEST
+    size = n * n
+    for j in range(n):
+        i = first + stride * j
+        if stage == 2:
+            moved[start + j] = k_1[i]
+        else:
+            moved[now + j] = k[i] - k_1[i] - row_times(kept, matrices, j, n, moved, last)
+    for j in range(n):
+        i = first + stride * j
+        if stage == 2:
+            moved[last + j] = row_times(kept, matrices + FORCED_HALF * size, j, n, moved, start)
+        elif stage == 3:
+            moved[total + j] = moved[now + j]
+            moved[last + j] += row_times(kept, matrices + TURNED_HALF * size, j, n, moved, now)
+        elif stage == 4:
+            moved[total + j] += moved[now + j]
+            moved[end + j] = row_times(kept, matrices + FORCED * size, j, n, moved, start)
+            moved[last + j] = moved[end + j] + row_times(kept, matrices + TURNED * size, j, n, moved, now)
+        else:
+            moved[last + j] = moved[end + j] + row_times(kept, matrices + MIDDLE * size, j, n, moved, total)
+            moved[last + j] += row_times(kept, matrices + LAST * size, j, n, moved, now)
+        out[i] = y[i] + moved[last + j]
+
+
+@kernel
+def gather_at(p: Parameters, memory: Memory, now_ns: int, step_s: float, at: Evaluation) -> None:
+    """Update all metrics at an evaluation, from which a step of `step_s` begins."""
+    gather(
+        memory.extremes, memory.waves, memory.clock.stage, p.vehicle, p.environment.earth, memory.held,
+        memory.computer, memory.truth, now_ns, step_s, at.properties, at.y, at.aux,
+    )  # fmt: skip  # twelve lines otherwise
+
+
+@routine
+def take_step(p: Parameters, pool: Array, memory: Memory, now_ns: int, step_ns: int, space: Workspace) -> None:
+    """State `step_ns` after `now_ns` into `space.y_end`, by the method that this flight is integrated with."""
+    if p.timeline.even == 1:
+        exponential_runge_kutta(p, pool, memory, now_ns, step_ns, space)
+    else:
+        runge_kutta(p, pool, memory, now_ns, step_ns, space)
+
+
+@routine
+def estimate_errors(p: Parameters, pool: Array, memory: Memory, now_ns: int, step_ns: int, space: Workspace) -> None:
+    """Take the step once more as two halves, and add what it errs by to the flight's error, as often as it goes into
+    the time between two estimates. An error of attitude turns the specific force, one of speed is one of position in
+    time. Leaves the end of the step as it was, its start not.
+
+    Method of order four: the difference is 15/16 of the error (Hairer, Norsett & Wanner I, section II.4).
+    """
+    sizes, errors, whole, y_end = counts(p.vehicle.sizes), memory.errors, space.between.y, space.y_end
+    n, half_ns = state_size(sizes), step_ns // 2
+    for i in range(n):
+        whole[i] = y_end[i]
+    take_step(p, pool, memory, now_ns, half_ns, space)
+    for i in range(n):
+        space.start.y[i] = y_end[i]
+    read_schedule(p, pool, memory, now_ns + half_ns, 0.0, space.start.properties)
+    evaluate(p, pool, memory, now_ns + half_ns, 0.0, space.start, space.work)
+    take_step(p, pool, memory, now_ns + half_ns, step_ns - half_ns, space)
+    often, between_s = 16.0 / 15.0 * ERRORS_NS / step_ns, 1e-9 * ERRORS_NS
+    turned, away, faster, pushed = 0.0, 0.0, 0.0, 0.0
+    for i in range(Q_BI, Q_BI + 4):
+        turned += (whole[i] - y_end[i]) ** 2
+    for i in range(3):
+        away += (whole[R_I + i] - y_end[R_I + i]) ** 2
+        faster += (whole[V_I + i] - y_end[V_I + i]) ** 2
+        pushed += space.end.aux[SPECIFIC_FORCE + i] ** 2
+    bent, swung = 0.0, 0.0
+    for first, modes in (
+        (eta_index(sizes), sizes.pitch_modes), (xi_index(sizes), sizes.yaw_modes),
+        (spatial_index(sizes), sizes.spatial_modes),
+    ):  # fmt: skip  # a table
+        for i in range(first, first + modes):
+            bent = max(bent, abs(whole[i] - y_end[i]))
+    for tank in range(sizes.pendulums):
+        i = pendulum_index(sizes, tank)
+        for j in range(i, i + 3):
+            swung = max(swung, abs(whole[j] - y_end[j]))
+    errors[0] += often * math.degrees(2.0 * math.sqrt(turned))
+    errors[1] += often * bent
+    errors[2] += often * math.degrees(swung)
+    errors[4] += often * math.sqrt(faster) + between_s * math.sqrt(pushed) * math.radians(errors[0])
+    errors[3] += often * math.sqrt(away) + between_s * errors[4]
+    for i in range(n):
+        y_end[i] = whole[i]
+
+
+@routine
+def evaluate_between(
+    p: Parameters, pool: Array, memory: Memory, now_ns: int, step_ns: int, elapsed_ns: int, space: Workspace
+) -> None:  # fmt: skip  # as ruff would, but for a line of one bracket
+    """State and derivative `elapsed_ns` into a step that has been taken, into `space.between`.
+
+    The state by the cubic that goes with the method (Hairer, Norsett & Wanner I, section II.6): through both ends, with
+    the derivatives of the first and of the last stage.
+    """
+    n, h, x = state_size(counts(p.vehicle.sizes)), 1e-9 * step_ns, elapsed_ns / step_ns
+    y, k_1, y_end, k_4, out = space.start.y, space.start.dy, space.y_end, space.end.dy, space.between.y
+    for i in range(n):
+        out[i] = y[i] + x * x * (3.0 - 2.0 * x) * (y_end[i] - y[i])
+        out[i] += h * x * (1.0 - x) * ((1.0 - x) * k_1[i] - x * k_4[i])
+    restore_constraints(counts(p.vehicle.sizes), out)
+    elapsed_s = 1e-9 * elapsed_ns
+    read_schedule(p, pool, memory, now_ns, elapsed_s, space.between.properties)
+    evaluate(p, pool, memory, now_ns, elapsed_s, space.between, space.work)

@@ -18,6 +18,7 @@ from maxq.control.roll import Roll, make_roll
 from maxq.control.sensors import Sensors, make_sensors
 from maxq.sim.flight import injection as signals
 from maxq.sim.flight.parameters import NEVER
+from maxq.sim.packing.integration import LONGEST_S
 from maxq.sim.packing.remembered import cached_by_identity
 from maxq.sim.scenario.schema_design import Design, Filter, Gains
 from maxq.sim.scenario.schema_scenario import Scenario
@@ -58,7 +59,8 @@ def pack_computer(scenario: Scenario, pool: Pool, stage: int = 0) -> Computer:
     computer, switches = scenario.vehicle.computer_of(stage), scenario.switches
     design = scenario.design.of_stage(stage) if scenario.design is not None else None
     if computer is None:
-        return build_computer(pool, sample_ns=to_ns(scenario.run.step_s), control_on=False)
+        coarse = scenario.run.accuracy is not None and not scenario.injection
+        return build_computer(pool, sample_ns=to_ns(LONGEST_S if coarse else scenario.run.step_s), control_on=False)
     sample_ns, external = to_ns(computer.sample_s), computer.law == "external"
     return build_computer(
         pool,

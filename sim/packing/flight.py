@@ -18,6 +18,7 @@ from maxq.sim.packing.computer import pack_computers, pack_injections
 from maxq.sim.packing.environment import pack_environment
 from maxq.sim.packing.faults import pack_faults
 from maxq.sim.packing.initial import initial_motion, thrust_exceeds_weight_s
+from maxq.sim.packing.integration import step_ns
 from maxq.sim.packing.loads import pack_loads
 from maxq.sim.packing.schedule import stage_sizes, vehicle_schedule
 from maxq.sim.packing.vehicle import pack_vehicle
@@ -123,7 +124,8 @@ def _timeline(scenario: Scenario, stage: Stage, burn: Burn, stage_start_ns: int)
     judged = scenario.vehicle.computer is not None and scenario.design is not None
     apart = stage.separation or Separation()
     return StageTimeline(
-        step_ns=to_ns(run.step_s),
+        step_ns=step_ns(scenario, stage),
+        even=int(run.accuracy is not None),
         stage_start_ns=stage_start_ns,
         burn_start_ns=ignition_ns,
         frozen=int(frozen_s is not None),

@@ -25,6 +25,7 @@ from maxq.sim.packing.flight import CONTROL_LOST_RAD, Packed, pack_flight
 from maxq.sim.run.metrics import (
     METRIC_NAMES,
     SectionExtreme,
+    StepMetrics,
     Verdict,
     WaveMetrics,
     end_metrics,
@@ -32,6 +33,7 @@ from maxq.sim.run.metrics import (
     orbit_metrics,
     section_extremes,
     section_metrics,
+    step_failure,
     title_of,
     unit_of,
 )
@@ -188,10 +190,12 @@ class FlightRun:
         self._arena = np.zeros(ARENA_SIZE)
         timeline = self.packed.parameters[0].timeline
         periods_ns = {FAST: int(timeline.fast_ns), SLOW: int(timeline.slow_ns)}
-        self.segment_ns = segment_ns or _segment_ns(int(timeline.step_ns), min(periods_ns.values()))
+        step_ns = 1_000_000 if timeline.even == 1 else int(timeline.step_ns)
+        self.segment_ns = segment_ns or _segment_ns(step_ns, min(periods_ns.values()))
         self._logged = self._on if log else self._off
+        longest_ns = int(self.packed.parameters["timeline"]["step_ns"].max())  # a segment ends with a whole step
         self._rows = {
-            group: self._blank(group, self.segment_ns // period_ns + 4 if log else 1)
+            group: self._blank(group, (self.segment_ns + longest_ns) // period_ns + 4 if log else 1)
             for group, period_ns in periods_ns.items()
         }
         self.wall_s = 0.0
@@ -355,12 +359,16 @@ class FlightRun:
         of_sections, section_times = section_metrics(loads, self.memory.sections)
         metrics = dict(zip(MetricIndex._fields, extremes.value.tolist(), strict=True))
         metrics |= of_sections._asdict() | end._asdict() | WaveMetrics(wave)._asdict()
+        accuracy = scenario.run.accuracy
+        errors = self.memory.errors.tolist()[:4] if accuracy is not None else [math.nan] * 4
+        metrics |= StepMetrics(*errors)._asdict()
         metrics |= orbit_metrics(earth, self.packed.state[R_I : R_I + 3], self.packed.state[V_I : V_I + 3])._asdict()
         metric_times_s |= section_times._asdict()
         judged = scenario.requirement
         if scenario.design is None or scenario.vehicle.computer is None:  # nothing steers: there is no attitude to miss
             metrics |= dict.fromkeys(ATTITUDE_METRICS, math.nan)
             judged = tuple(r for r in judged if r.metric not in ATTITUDE_METRICS)
+        inexact = step_failure(accuracy, metrics, judged) if accuracy is not None else ""
         failed = [e for e in events if e.name in (CONTROL_LOST_NAME, DIVERGED_NAME, SOFTWARE_NAME)]
         return Flight(
             scenario=self.loaded,
@@ -373,6 +381,7 @@ class FlightRun:
             section_extremes=loads,
             failures=(
                 *(f"{e.name.replace('_', ' ')} at {e.time_s:.3f} s: {e.detail}" for e in failed),
+                *([inexact] if inexact and not failed else []),
                 *_above_the_wind(scenario, metrics["max_altitude_m"]),
             ),
             outcome=outcome,

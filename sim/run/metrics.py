@@ -1,14 +1,14 @@
 """Metrics of a flight by name, those of its end included, and the verdicts on a scenario's requirements.
 
 A metric is declared once: as a field of `MetricIndex` (sim/flight/metrics.py) where the kernel gathers it, or of
-`SectionMetrics`, `WaveMetrics` or `EndMetrics` where it follows from the extremes of sections and waves or the
-flight's last instant.
+`SectionMetrics`, `WaveMetrics`, `StepMetrics` or `EndMetrics` where it follows from the extremes of sections and waves,
+the integration, or the flight's last instant.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Annotated, NamedTuple
 
@@ -64,6 +64,42 @@ class WaveMetrics(NamedTuple):
     ]
 
 
+class StepMetrics(NamedTuple):
+    """Estimated errors of the integration: those of single steps every half second, as often as there are steps, added
+    as if they never cancelled or died away; that of the position holds what those of attitude and speed become, none
+    what becomes of it in the control loop. nan with steps of a fixed length.
+    """
+
+    step_error_attitude_deg: Annotated[float, "deg", "estimated error of the attitude by the integration"]
+    step_error_bending_m: Annotated[float, "m", "the same of the worst mode"]
+    step_error_slosh_deg: Annotated[float, "deg", "the same of the worst pendulum"]
+    step_error_position_m: Annotated[float, "m", "the same of the position"]
+
+
+_OF_ERRORS = {
+    "step_error_attitude_deg": "max_attitude_error_deg",
+    "step_error_bending_m": "max_bending_m",
+    "step_error_slosh_deg": "max_slosh_deg",
+}
+"""What an estimated error is a share of."""
+
+
+def step_failure(accuracy: float, metrics: Mapping[str, float], requirements: Sequence[Requirement]) -> str:
+    """What is said where an estimated error exceeds `accuracy` of what is required, or of what was reached where
+    nothing is; else empty.
+    """
+    for name, of in _OF_ERRORS.items():
+        limits = [r.limit for r in requirements if r.metric == of and r.limit is not None]
+        allowed = accuracy * (limits[0] if limits else metrics[of])
+        if metrics[name] > allowed:
+            unit = unit_of(name)
+            return (
+                f"integration: {title_of(name)} {metrics[name]:.2g} {unit} exceeds run.accuracy = {accuracy:g} of "
+                f"{title_of(of)}, {allowed:.2g} {unit}"
+            )
+    return ""
+
+
 class OrbitMetrics(NamedTuple):
     """Kepler's orbit that the flight is on at its end (osculating); nan without gravitation towards a centre."""
 
@@ -79,7 +115,7 @@ class OrbitMetrics(NamedTuple):
 
 METRICS = {
     metric.name: metric
-    for kind in (MetricIndex, SectionMetrics, EndMetrics, WaveMetrics, OrbitMetrics)
+    for kind in (MetricIndex, SectionMetrics, EndMetrics, WaveMetrics, StepMetrics, OrbitMetrics)
     for metric in declared_channels(kind)
 }
 METRIC_NAMES = tuple(METRICS)

@@ -23,6 +23,7 @@ from maxq.sim.flight.telemetry import SLOW
 from maxq.sim.log import foxglove
 from maxq.sim.log.head import Attachment, LogError, RunHead
 from maxq.sim.log.writer import LogWriter
+from maxq.sim.packing.integration import MethodError, worst_error
 from maxq.sim.run.fly import (
     CONTROL_LOST_NAME,
     DIVERGED_NAME,
@@ -35,7 +36,6 @@ from maxq.sim.run.fly import (
     Rows,
     copied,
 )
-from maxq.sim.run.integration import MethodError, worst_error
 from maxq.sim.run.launch_frames import LaunchFrames, LaunchSite
 from maxq.sim.run.metrics import unit_of
 from maxq.sim.scenario.loader import LoadedScenario, to_toml

@@ -168,16 +168,28 @@ class Injection(Section):
         value: float | None = getattr(self, AMPLITUDES[self.at])
         return 1.0 if value is None else value
 
+    @property
+    def highest_hz(self) -> tuple[float, ...]:
+        """Frequencies that it reaches; none for steps and tables, at whose kinks the integrator begins anew."""
+        return (*(self.frequencies_hz or ()), self.frequency_hz or 0.0, self.stop_frequency_hz or 0.0)
+
 
 PROGRAMME_COLUMNS = Columns("time_s", sets=(("pitch_rate_degps",),), optional=("yaw_rate_degps", "roll_rate_degps"))
 Ending = Literal["impact", "apogee", "burnout", "tumble"]
+
+
+USUAL_STEP_S = 0.001
 
 
 class Run(Section):
     """How long and how finely."""
 
     duration_s: Period = optional("longest flight from start_s on, s, whole ns", 400.0)
-    step_s: Annotated[Period, Field(le=1.0)] = optional("integrator step, s, whole ns", 0.001)
+    step_s: Annotated[Period, Field(le=1.0)] = optional("integrator step, s, whole ns", USUAL_STEP_S)
+    accuracy: Annotated[float, Field(gt=0.0, le=0.1)] | None = optional(
+        "share of what is required by which the integrator may err, see docs/performance.md: steps as long as the "
+        "vehicle's fastest oscillation allows instead of step_s (in campaigns 0.02 where neither is given)"
+    )
     seed: Annotated[int, Field(ge=0, lt=2**63)] = optional("all noise derives from it", 1)
     start_s: Seconds = optional("vehicle clock at the start, s, whole ns", 0.0)
     freeze_vehicle_at_s: Seconds | None = optional(
@@ -187,6 +199,8 @@ class Run(Section):
 
     @model_validator(mode="after")
     def _check(self) -> Run:
+        if self.accuracy is not None and self.step_s != USUAL_STEP_S:
+            raise refuse("the step follows from run.accuracy", "one of step_s, accuracy", key=("step_s",))
         if self.step_s > self.duration_s:
             raise refuse("is longer than the flight", f"at most duration_s = {self.duration_s:g}", key=("step_s",))
         if len(set(self.stop_at)) != len(self.stop_at):

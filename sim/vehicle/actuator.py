@@ -189,6 +189,34 @@ def actuator_derivative(a: Actuator, y: Array, i: int, command: float, dy: Array
 
 
 @kernel
+def linear_sections(a: Actuator, out: Array, at: int) -> None:
+    """Matrix of the states' derivatives below all limits, row by row into out[at:]: (order, order)."""
+    n = a.order
+    for i in range(n * n):
+        out[at + i] = 0.0
+    drives = (0, 0, 2)  # of each section the position that drives it; none: the command
+    for section in range(n >> 1):
+        w, zeta = a.omega_1_radps, a.zeta_1
+        if section == 1:
+            w, zeta = a.omega_2_radps, a.zeta_2
+        elif section == 2:
+            w, zeta = a.omega_3_radps, a.zeta_3
+        row = at + n * (2 * section + 1)
+        out[at + n * 2 * section + 2 * section + 1] = 1.0
+        out[row + 2 * section], out[row + 2 * section + 1] = -w * w, -2.0 * zeta * w
+        if section == 2 or (section == 1 and a.limits_on_engine == 0):
+            out[row + drives[section]] = w * w
+    if a.limits_on_engine == 1 and n > 2:  # the servo follows the last section
+        square = a.omega_1_radps * a.omega_1_radps
+        if n == 4:
+            out[at + n + 2] = square
+        else:
+            w3, k = a.omega_3_radps, 1.0 / (a.omega_4_radps * a.omega_4_radps)
+            out[at + n + 2], out[at + n + 4] = square * k * w3 * w3, square * (1.0 - k * w3 * w3)
+            out[at + n + 5] = square * k * 2.0 * (a.zeta_4 * a.omega_4_radps - a.zeta_3 * w3)
+
+
+@kernel
 def actuator_motion(
     a: Actuator, faults: Array, channel: int, y: Array, i: int, command: float
 ) -> tuple[float, float, float]:

@@ -127,6 +127,7 @@ def memory(runs: int = _FLOWN, rows: int = _ROWS) -> dict[str, float]:
         "runs": runs,
         "half_MB": round(half[0]),
         "flown_MB": round(flown),
+        "growth_MB": round(1000.0 * (flown - half[0]) / (runs - runs // 2), 2),
         "rows": rows,
         "judged_MB": round(_peak_MB()),
     }
@@ -179,9 +180,21 @@ def dask(runs: int = RUNS) -> dict[str, float]:
     }
 
 
+def cold(runs: int = 200) -> dict[str, float]:
+    """The command as a person gives it, from its start to its end; the second time, when its kernels are there."""
+    with tempfile.TemporaryDirectory() as scratch:
+        for attempt in ("first", "second"):
+            command = [sys.executable, "-m", "maxq.tools.simrun", "campaigns/ksr3", "--runs", str(runs)]
+            command += ["--set", "campaign.keep=[]", "--no-report", "--out", str(Path(scratch) / attempt)]
+            start = time.perf_counter()
+            subprocess.run(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, check=False)  # 1: missed
+            wall_s = time.perf_counter() - start
+    return {"runs": runs, "wall_s": round(wall_s, 2), "per_s": round(runs / wall_s, 1)}
+
+
 def measure() -> dict[str, Any]:
     """All of it, each in a process of its own."""
-    return {name: _own(f"{name}()") for name in ("local", "profile", "memory", "dask")}
+    return {name: _own(f"{name}()") for name in ("local", "profile", "cold", "memory", "dask")}
 
 
 def _own(call: str) -> Any:

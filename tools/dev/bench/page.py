@@ -91,18 +91,39 @@ def _precision(result: dict[str, Any]) -> str:
     )
 
 
+def _steps(result: dict[str, Any]) -> str:
+    head = ("flight", "", "longest step, ms", "steps/s", "CPU, s", "attitude, deg", "bending, m", "slosh, deg",
+            "position, m", "worst metric: error as a share of its requirement")  # fmt: skip  # ten lines otherwise
+    rows = []
+    for flight, methods in result.items():
+        for n, (method, row) in enumerate(methods.items()):
+            name = f"RK4, {1e3 * float(method[7:]):g} ms" if method.startswith("step_s") else method.replace("=", " ")
+            rows.append([
+                "" if n else flight, name, " / ".join(f"{ms:g}" for ms in row["longest_ms"]), f"{row['steps_per_s']:,}",
+                f"{row['cpu_s']:.3f}", *(f"{row[q]:.1e}" for q in ("attitude_deg", "bending_m", "slosh_deg")),
+                f"{row['position_m']:.1e}", f"{row['worst_metric']}: {row['share']:.1e}",
+            ])  # fmt: skip  # eight more lines otherwise
+    return _table(head, rows)
+
+
 def _campaigns(result: dict[str, Any]) -> str:
     local, memory, dask = result["local"], result["memory"], result["dask"]
     rows = [
         ("flights a second, one worker", f"{local['one_per_s']:.1f}", ""),
-        (f"flights a second, {local['workers']} workers", f"{local['all_per_s']:.1f}", "at least 16 on two cores"),
+        (f"flights a second, {local['workers']} workers", f"{local['all_per_s']:.1f}", "at least 45 on two cores"),
         ("efficiency", f"{local['efficiency_percent']:.0f} %", "at least 90 %"),
         ("CPU in the kernel, s a flight", f"{local['kernel_cpu_s']:.3f}", ""),
         ("CPU of the campaign, s a flight", f"{local['campaign_cpu_s']:.3f}", ""),
-        ("campaign above kernel", f"{local['overhead_percent']:.1f} %", "at most 5 %"),
+        ("campaign above kernel", f"{local['overhead_percent']:.1f} %", "at most 10 %"),
+        (
+            "a command that flies 200 runs, kernels compiled before, flights a second",
+            f"{result['cold']['per_s']:.1f}",
+            "at least 25 on two cores",
+        ),
         ("Dask (worker processes) above threads", f"{dask['overhead_percent']:.1f} %", "at most 10 %"),
         (f"peak memory, {memory['runs'] // 2:,} short flights", f"{memory['half_MB']} MB", ""),
         (f"peak memory, {memory['runs']:,} short flights", f"{memory['flown_MB']} MB", ""),
+        ("growth of it, MB in a thousand flights", f"{memory['growth_MB']:.2f}", "none"),
         (f"peak memory, verdicts and report of {memory['rows']:,} runs", f"{memory['judged_MB']} MB", "at most 500 MB"),
     ]
     text = _table(("what", "measured", "to reach"), rows)
@@ -201,6 +222,7 @@ def filled(text: str, results: dict[str, Any]) -> str:
         "peers": whole("peers", _peers),
         "latency": whole("latency", _latency),
         "precision": whole("precision", _precision),
+        "steps": whole("steps", _steps),
         "optimise": whole("optimise", _optimise),
         "replay": whole("replay", _replay),
         "campaigns": whole("campaigns", _campaigns),

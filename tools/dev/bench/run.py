@@ -77,6 +77,7 @@ def main() -> int:
         "peers": lambda: side_by_side.measure(choice.peers, choice.rounds),
         "latency": lambda: latency.measure(choice.repetitions),
         "precision": lambda: _in_own_process("precision"),
+        "steps": lambda: _in_own_process("steps"),
         "replay": lambda: _in_own_process("replay"),
         "campaigns": lambda: _in_own_process("campaigns"),
         "optimise": lambda: _in_own_process("optimise", "--seconds", str(choice.search_seconds)),

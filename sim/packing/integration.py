@@ -15,10 +15,14 @@ from typing import NamedTuple
 
 from maxq.sim.scenario.modes import ModeTable, SpatialModeTable
 from maxq.sim.scenario.schema_scenario import Scenario
+from maxq.sim.scenario.schema_values import NS_PER_S, to_ns
 from maxq.sim.scenario.schema_vehicle import Bending, SpatialModes, Stage
 
 SHARE = 0.1
 """Of an oscillation's own damping ratio: what the method may add before it is said."""
+LONGEST_S = 0.01
+"""The longest step that follows from run.accuracy: air, slosh and the rigid body change within tenths of a second."""
+TVC_LOAD = "TVC load"
 _LEAST = 1e-5  # damping ratio that is not worth saying, whatever its share
 
 
@@ -70,8 +74,30 @@ def method_error(oscillation: Oscillation, step_s: float) -> MethodError:
 
 def worst_error(scenario: Scenario) -> MethodError | None:
     """The oscillation of which the method changes the damping by the largest share; None where nothing oscillates."""
-    errors = [method_error(o, scenario.run.step_s) for o in oscillations(scenario) if o.damping_ratio < 1.0]
+    stages, step_s, found = scenario.vehicle.stage, scenario.run.step_s, list(oscillations(scenario))
+    if scenario.run.accuracy is not None:  # the others are propagated exactly
+        step_s = max(step_ns(scenario, stage) for stage in stages) / NS_PER_S
+        found = [o for o in found if o.name.startswith(TVC_LOAD)]
+    errors = [method_error(o, step_s) for o in found if o.damping_ratio < 1.0]
     return max(errors, key=lambda error: (abs(error.share), abs(error.added_damping_ratio)), default=None)
+
+
+def step_ns(scenario: Scenario, stage: Stage) -> int:
+    """The longest step of a stage, ns: run.step_s, or the longest for which run.accuracy holds.
+
+    Modes, actuators and gyros are propagated exactly (sim/flight/step.py). What drives them is integrated by Simpson's
+    rule, which errs by (w h)^4 / 2880 of a force of w rad/s; what is not propagated exactly, by (w h)^4 / 120 of its
+    frequency: a TVC load, and the modes that it changes.
+    """
+    accuracy = scenario.run.accuracy
+    if accuracy is None:
+        return to_ns(scenario.run.step_s)
+    found = list(_of_stage(scenario, stage))
+    loaded = any(name.startswith(TVC_LOAD) for name, _, _ in found)
+    fastest_hz = [(hz, 120.0 if loaded and ("mode" in name or TVC_LOAD in name) else 2880.0) for name, hz, _ in found]
+    fastest_hz += [(hz, 2880.0) for given in scenario.injection for hz in given.highest_hz]
+    longest_s = [(share * accuracy) ** 0.25 / (2.0 * math.pi * hz) for hz, share in fastest_hz if hz > 0.0]
+    return int(NS_PER_S * min((LONGEST_S, *longest_s)))
 
 
 def oscillations(scenario: Scenario) -> Iterator[Oscillation]:
@@ -101,7 +127,7 @@ def _of_stage(scenario: Scenario, stage: Stage) -> Iterator[tuple[str, float, fl
             stiffness, inertia = load.stiffness_Nmprad, engine.inertia_about_gimbal_kgm2
             own_hz = load.frequency_hz if stiffness is None else math.sqrt(stiffness / inertia) / (2.0 * math.pi)
             name = f" of engine {number}" if len(stage.engines) > 1 else ""
-            yield f"TVC load{name}", own_hz or 0.0, load.damping_ratio
+            yield f"{TVC_LOAD}{name}", own_hz or 0.0, load.damping_ratio
     if stage.gyro is not None and switches.gyro != "ideal":
         yield "gyro", stage.gyro.omega_hz, stage.gyro.zeta
 
