@@ -22,7 +22,7 @@ SHARE = 0.1
 """Of an oscillation's own damping ratio: what the method may add before it is said."""
 LONGEST_S = 0.01
 """The longest step that follows from run.accuracy: air, slosh and the rigid body change within tenths of a second."""
-TVC_LOAD = "TVC load"
+TVC_LOAD, SENSOR = "TVC load", "further sensor"
 _LEAST = 1e-5  # damping ratio that is not worth saying, whatever its share
 
 
@@ -77,7 +77,7 @@ def worst_error(scenario: Scenario) -> MethodError | None:
     stages, step_s, found = scenario.vehicle.stage, scenario.run.step_s, list(oscillations(scenario))
     if scenario.run.accuracy is not None:  # the others are propagated exactly
         step_s = max(step_ns(scenario, stage) for stage in stages) / NS_PER_S
-        found = [o for o in found if o.name.startswith(TVC_LOAD)]
+        found = [o for o in found if o.name.startswith((TVC_LOAD, SENSOR))]
     errors = [method_error(o, step_s) for o in found if o.damping_ratio < 1.0]
     return max(errors, key=lambda error: (abs(error.share), abs(error.added_damping_ratio)), default=None)
 
@@ -85,7 +85,7 @@ def worst_error(scenario: Scenario) -> MethodError | None:
 def step_ns(scenario: Scenario, stage: Stage) -> int:
     """The longest step of a stage, ns: run.step_s, or the longest for which run.accuracy holds.
 
-    Modes, actuators and gyros are propagated exactly (sim/flight/step.py). What drives them is integrated by Simpson's
+    Modes, actuators and the first gyro are propagated exactly (sim/flight/step.py). What drives them is integrated by Simpson's
     rule, which errs by (w h)^4 / 2880 of a force of w rad/s; what is not propagated exactly, by (w h)^4 / 120 of its
     frequency: a TVC load, and the modes that it changes.
     """
@@ -94,7 +94,10 @@ def step_ns(scenario: Scenario, stage: Stage) -> int:
         return to_ns(scenario.run.step_s)
     found = list(_of_stage(scenario, stage))
     loaded = any(name.startswith(TVC_LOAD) for name, _, _ in found)
-    fastest_hz = [(hz, 120.0 if loaded and ("mode" in name or TVC_LOAD in name) else 2880.0) for name, hz, _ in found]
+    fastest_hz = [
+        (hz, 120.0 if SENSOR in name or (loaded and ("mode" in name or TVC_LOAD in name)) else 2880.0)
+        for name, hz, _ in found
+    ]
     fastest_hz += [(hz, 2880.0) for given in scenario.injection for hz in given.highest_hz]
     longest_s = [(share * accuracy) ** 0.25 / (2.0 * math.pi * hz) for hz, share in fastest_hz if hz > 0.0]
     return int(NS_PER_S * min((LONGEST_S, *longest_s)))
@@ -128,8 +131,11 @@ def _of_stage(scenario: Scenario, stage: Stage) -> Iterator[tuple[str, float, fl
             own_hz = load.frequency_hz if stiffness is None else math.sqrt(stiffness / inertia) / (2.0 * math.pi)
             name = f" of engine {number}" if len(stage.engines) > 1 else ""
             yield f"{TVC_LOAD}{name}", own_hz or 0.0, load.damping_ratio
-    if stage.gyro is not None and switches.gyro != "ideal":
-        yield "gyro", stage.gyro.omega_hz, stage.gyro.zeta
+    if switches.gyro != "ideal":
+        if stage.gyro is not None:
+            yield "gyro", stage.gyro.omega_hz, stage.gyro.zeta
+        for number, sensor in enumerate(stage.sensors, start=1):
+            yield f"{SENSOR} {number}", sensor.omega_hz, sensor.zeta
 
 
 def _modes(
