@@ -143,7 +143,9 @@ def test_load_and_drift_are_those_of_the_closed_equations() -> None:
     variables = np.concatenate([OWN[:6], np.repeat(OWN[6:9], 2), OWN[9:]])
     law = made.law.controllers(variables)[0]
     assert isinstance(made.law, PdVariables)
-    plant, f, spectrum = plants.each[0], np.exp(frequencies()), Spectrum(3.0, 533.0, "dryden")
+    wind = kit.case(*CASE, *MORE, "loop=sampled", name="ksr3-load-relief").case.wind
+    assert wind is not None
+    plant, f, spectrum = plants.each[0], np.exp(frequencies()), Spectrum(**dict(wind))
     node = plant.node
     body = vehicle_plant(node.vehicle, node.condition, wind=True)
     speed, n, s = node.condition.airspeed_mps, len(body.states), 2j * np.pi * f

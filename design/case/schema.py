@@ -173,11 +173,20 @@ class Limits(MarginLimits):
 
 
 class Wind(Section):
-    """Lateral wind that load and drift are limited in: a spectrum of MIL-F-8785C, 0.02 to 5 Hz."""
+    """Lateral wind that load and drift are limited in: a spectrum of MIL-F-8785C."""
 
     sigma_mps: Positive = Field(description="intensity, m/s")
-    length_m: Positive = optional("scale length, m", 533.0)
+    length_v_m: Positive = optional("scale length, m", 533.0)
     model: Literal["dryden", "von-karman"] = optional("form of the spectrum", "dryden")
+    band_hz: Range = optional(
+        "frequencies that count, within 0.02 to 5 Hz: shears lie below some tenths of one, where a law can give way",
+        (0.02, 5.0),
+    )
+
+    @model_validator(mode="after")
+    def _check(self) -> Wind:
+        _check_range(self.band_hz, "band_hz", 0.0)
+        return self
 
 
 class Reference(Section):

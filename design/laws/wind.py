@@ -34,13 +34,14 @@ class Spectrum:
     """Lateral spectrum of MIL-F-8785C (sim/world/turbulence.py)."""
 
     sigma_mps: float
-    length_m: float
+    length_v_m: float
     model: str  # "dryden" or "von-karman"
+    band_hz: tuple[float, float] = (LOWEST_HZ, HIGHEST_HZ)  # nothing counts beyond it
 
     def weights(self, airspeed_mps: float) -> Array:
         """Parts of sigma^2 by frequency, for sums over `frequencies`."""
         x = frequencies()
-        time_s = self.length_m / airspeed_mps
+        time_s = self.length_v_m / airspeed_mps
         p = 2.0 * math.pi * np.exp(x) * time_s * (1.0 if self.model == "dryden" else 1.339)
         shape = (1.0 + 3.0 * p**2) / (1.0 + p**2) ** 2
         if self.model == "von-karman":
@@ -48,7 +49,8 @@ class Spectrum:
         density = self.sigma_mps**2 * time_s / math.pi * shape * 2.0 * math.pi * np.exp(x)
         steps = np.full(len(x), x[1] - x[0])
         steps[[0, -1]] *= 0.5
-        return np.asarray(density * steps)
+        inside = (x >= math.log(self.band_hz[0]) - 1e-9) & (x <= math.log(self.band_hz[1]) + 1e-9)
+        return np.asarray(density * steps * inside)
 
 
 @dataclass(frozen=True)
