@@ -85,9 +85,9 @@ def worst_error(scenario: Scenario) -> MethodError | None:
 def step_ns(scenario: Scenario, stage: Stage) -> int:
     """The longest step of a stage, ns: run.step_s, or the longest for which run.accuracy holds.
 
-    Modes, actuators and the first gyro are propagated exactly (sim/flight/step.py). What drives them is integrated by Simpson's
-    rule, which errs by (w h)^4 / 2880 of a force of w rad/s; what is not propagated exactly, by (w h)^4 / 120 of its
-    frequency: a TVC load, and the modes that it changes.
+    Modes, actuators and the first gyro are propagated exactly (sim/flight/step.py). What drives them is integrated by
+    Simpson's rule, which errs by (w h)^4 / 2880 of a force of w rad/s; what is not propagated exactly, by (w h)^4 / 120
+    of its frequency: further sensors, a TVC load, and the modes that it changes.
     """
     accuracy = scenario.run.accuracy
     if accuracy is None:
