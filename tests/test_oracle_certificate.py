@@ -109,3 +109,4 @@ def test_neither_mean_nor_nyquist_counts_as_noise() -> None:
     loud = _estimated(top, out, into, 0.0, "")
     assert loud.error.tolist() == quiet.error.tolist()
     assert quiet.response == pytest.approx(-np.ones(2))  # L = -U / E
+    assert quiet.coherence == pytest.approx(1.0 / (1.0 + quiet.error**2))  # signal over signal and noise, in power

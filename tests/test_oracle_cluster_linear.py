@@ -6,6 +6,8 @@ Both planes; what the law commands goes through the allocation's columns. The tw
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -15,7 +17,7 @@ from maxq.control.kernel.tables import table_in
 from maxq.design.loop.fixed_path import ExactFixedPath, fixed_path
 from maxq.design.model.linearised import LinearModel, linearise
 from maxq.design.model.node import node_of
-from maxq.design.model.plant import vehicle_plant
+from maxq.design.model.plant import DERIVATIVES, inputs_of, vehicle_plant
 from maxq.design.model.vehicle_at import FlightCondition, Plane, stability_derivatives, vehicle_at
 from maxq.sim.packing.flight import Packed, pack_flight
 from maxq.sim.run.evaluate import evaluate_at
@@ -179,3 +181,22 @@ def test_canted_engines_on_loads_but_for_their_sag() -> None:
         apart.append(np.abs(theirs / ours - 1.0).max())
     assert apart[0] < 5e-4
     assert apart[1] == pytest.approx(apart[0] / 100.0, rel=0.05)
+
+
+@pytest.mark.parametrize(
+    ("swinging", "gains", "felt"),
+    [
+        ((False, False), (1.0, 0.0), (0, 2)),
+        ((True, True), (1.0, 1.0), (0, 1)),
+        ((True, False), (1.0, 0.0), (0, 1)),
+        ((True, False), (1.0, 1.0), (0, 1, 2)),
+    ],
+)
+def test_engines_on_their_compliance_feel_rates_and_others_accelerations(
+    swinging: tuple[bool, ...], gains: tuple[float, ...], felt: tuple[int, ...]
+) -> None:
+    """Of a drive's angle; an engine that is fixed in the plane feels neither. `felt`: orders of the derivatives."""
+    each = zip(swinging, gains, strict=True)
+    engines = [SimpleNamespace(drive=0, tvc_load=object() if swings else None, gain=gain) for swings, gain in each]
+    vehicle: Any = SimpleNamespace(engines=engines)
+    assert inputs_of(vehicle) == tuple(DERIVATIVES[order] for order in felt)

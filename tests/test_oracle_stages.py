@@ -53,6 +53,9 @@ def test_spans_begin_off_the_pad_and_need_thrust() -> None:
     assert spans_of(events, 2, 20.0) == (Span(0, 2.0, 9.0), Span(1, 12.0, 20.0))
     assert spans_of(events[:1], 2, 20.0) == (Span(0, 0.0, 20.0),)
     assert spans_of([], 1, 5.0) == ()
+    # what still burns at the separation continues without an ignition, what has burnt out does not
+    assert spans_of([events[0], events[3]], 2, 20.0) == (Span(0, 0.0, 10.0), Span(1, 10.0, 20.0))
+    assert spans_of([events[0], *events[2:4]], 2, 20.0) == (Span(0, 0.0, 9.0),)
 
 
 def test_nodes_in_the_coast_are_refused_with_the_times_under_thrust(spans: tuple[Span, ...]) -> None:
