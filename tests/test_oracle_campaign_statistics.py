@@ -6,6 +6,8 @@ import dataclasses
 import math
 from collections.abc import Callable
 from functools import lru_cache
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,6 +15,7 @@ from scipy import integrate, stats
 
 from maxq.sim.campaign import statistics as s
 from maxq.sim.campaign import tails
+from maxq.sim.campaign.analysis import _judged
 from maxq.sim.campaign.draws import box, chosen, correlated, quantile
 from maxq.sim.campaign.runner import Tally
 from maxq.sim.campaign.schema import Disperse
@@ -288,3 +291,19 @@ def test_a_run_beyond_its_limit_is_counted_and_one_without_a_value_too(
     assert (tally.failures, tally.worst) == (2, worst)
     kept = Tally("control kept", None)
     assert [kept.add("burnout", "", {}), kept.add("burnout", "incidence", {})] == [False, True]
+
+
+@pytest.mark.parametrize("bound", ["limit", "minimum"])
+def test_runs_are_judged_up_to_the_first_gap_and_one_without_a_value_has_failed(bound: str) -> None:
+    """Of five runs one lies beyond 5, one on it, one within, one has no value; the last came behind a gap."""
+    runs = np.array([0, 1, 2, 3, 7])
+    level = SimpleNamespace(success=0.9, confidence=0.9)
+    data: Any = SimpleNamespace(
+        campaign=SimpleNamespace(campaign=level), in_order=4, planned=None, runs=runs, void=runs == 3, kept=runs != 3,
+        numbers=lambda name: np.array([1.0, 5.0, 6.0, 2.0, 8.0 if bound == "limit" else 0.0]),
+    )  # fmt: skip  # five more lines otherwise
+    requirement = Requirement.model_validate({"metric": "max_alpha_deg", bound: 5.0})
+    found = _judged(data, "incidence", requirement)
+    assert (found.kind, found.shown.failures, found.shown.runs) == (bound, 2, 4)
+    assert [w.run for w in found.worst] == ([7, 2, 1, 0] if bound == "limit" else [7, 0, 1, 2])
+    assert _judged(data, "control kept", None).shown.failures == 1

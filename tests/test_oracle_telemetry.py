@@ -5,14 +5,19 @@ A few steps of KSR-III in the air, flying askew, rolling and turning, so that no
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import pytest
 from scipy.integrate import trapezoid
 from scipy.spatial.transform import Rotation
 
+from maxq.control.kernel.jit import from_python
 from maxq.control.kernel.records import Array
-from maxq.sim.api import Flight, load_scenario
+from maxq.sim.api import Flight, FlightRun, load_scenario
+from maxq.sim.flight.metrics import METRIC, _gather_incidence
 from maxq.sim.run.fly import fly
+from maxq.sim.vehicle.workspace import AUX_SIZE, FLOW
 
 START = [
     "run.duration_s=0.04", "log.fast_hz=1000", "log.slow_hz=1000", "run.stop_at=[]",
@@ -116,6 +121,19 @@ def test_metrics_are_the_extremes_of_what_is_logged(flight: Flight) -> None:
         assert found > 0.0, name
     saturated = (flight["saturated_pitch"] == 1.0) | (flight["saturated_yaw"] == 1.0)
     assert flight.metrics["saturation_time_s"] == pytest.approx(1e-3 * saturated[:-1].sum(), abs=1.1e-3)
+
+
+def test_incidence_and_its_product_with_pressure_have_extremes_of_their_own() -> None:
+    """The angle is worked out where it may raise either of them: it rises as the pressure falls, and the reverse."""
+    run = FlightRun(load_scenario("nominal", START), log=False)
+    extremes, aux = run.memory.extremes, np.zeros(AUX_SIZE)
+    gather = from_python(_gather_incidence)
+    for now_ns, q, alpha_deg in ((0, 2000.0, 5.0), (1, 1100.0, 6.0), (2, 4000.0, 4.0), (3, 900.0, 50.0)):
+        aux[FLOW : FLOW + 3] = 300.0, 300.0 * math.tan(math.radians(alpha_deg)), 0.0
+        gather(extremes, q, aux, now_ns)
+    assert extremes.value[METRIC.max_alpha_deg] == pytest.approx(6.0)  # below 1 kPa nothing counts
+    assert extremes.value[METRIC.max_q_alpha_Padeg] == pytest.approx(16_000.0)
+    assert extremes.time_ns[[METRIC.max_alpha_deg, METRIC.max_q_alpha_Padeg]].tolist() == [1, 2]
 
 
 def test_mass_and_loads(flight: Flight) -> None:

@@ -381,6 +381,9 @@ def test_one_comparison_for_designs_and_verdicts() -> None:
         assert check.passed == met
         case = MarginCase("", ({"phase_deg": value},))
         assert meets_limits(case, MarginLimits(phase_deg=30.0)) == met
+    at, none = np.array([1.0]), np.array([np.nan])
+    assert not Check("phase_margin_deg", "", "deg", ">=", 30.0, none, at).passed  # of an unstable loop
+    assert Check("second_mode_db", "", "dB", "<=", 0.0, none, at).passed  # there is no such mode
     assert room_left(30.0 - 4e-4, 30.0, ">=", "deg") == 0.0
     assert room_left(29.0, 30.0, ">=", "deg") == pytest.approx(-1.0 / 30.0)
 

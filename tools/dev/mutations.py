@@ -278,7 +278,7 @@ def _meet(mutant: Mutant, tests: list[pytest.Item], answer: Path, given: argpars
     null = os.open(os.devnull, os.O_RDWR)
     for stream in (0, 1, 2):
         os.dup2(null, stream)
-    limit = int(60.0 + 5.0 * given.budget)  # an endless loop ends here
+    limit = int(20.0 + 2.0 * given.budget)  # an endless loop ends here
     resource.setrlimit(resource.RLIMIT_CPU, (limit, limit))
     out = {"status": "survived" if _patch(mutant) else "not patched"}
     for item, after in zip(tests, [*tests[1:], None], strict=False) if out["status"] == "survived" else ():
