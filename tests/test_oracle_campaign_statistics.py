@@ -10,12 +10,13 @@ from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
+import pyarrow as pa
 import pytest
 from scipy import integrate, stats
 
 from maxq.sim.campaign import statistics as s
 from maxq.sim.campaign import tails
-from maxq.sim.campaign.analysis import _judged
+from maxq.sim.campaign.analysis import DataSet, _judged
 from maxq.sim.campaign.draws import box, chosen, correlated, quantile
 from maxq.sim.campaign.runner import Tally
 from maxq.sim.campaign.schema import Disperse
@@ -307,3 +308,9 @@ def test_runs_are_judged_up_to_the_first_gap_and_one_without_a_value_has_failed(
     assert (found.kind, found.shown.failures, found.shown.runs) == (bound, 2, 4)
     assert [w.run for w in found.worst] == ([7, 2, 1, 0] if bound == "limit" else [7, 0, 1, 2])
     assert _judged(data, "control kept", None).shown.failures == 1
+
+
+def test_control_is_kept_by_runs_that_neither_lost_it_nor_ended_early() -> None:
+    void = np.array([False, False, True, True])
+    data: Any = SimpleNamespace(column=lambda name: pa.chunked_array([["", "incidence", "", "rate"]]), void=void)
+    assert DataSet.kept.func(data).tolist() == [True, False, False, False]

@@ -93,6 +93,9 @@ def test_corners_are_balanced_and_uncorrelated(nodes: list[Node]) -> None:
     signs = np.sign(table - table.mean(axis=0))
     assert np.allclose(signs.sum(axis=0), 0.0)
     assert np.allclose(signs.T @ signs, 24.0 * np.eye(signs.shape[1]))
+    corners = {tuple(row) for row in np.round(signs).tolist()}
+    assert len(corners) == 24  # and each has its mirror image among them
+    assert {tuple(-x for x in corner) for corner in corners} == corners
 
 
 def test_random_vehicles_do_not_depend_on_how_many_there_are(nodes: list[Node]) -> None:

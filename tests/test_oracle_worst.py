@@ -16,9 +16,9 @@ from maxq.design.loop.loop import Loop
 from maxq.design.margins.measure import margins
 from maxq.design.model.dispersion import Dispersion
 from maxq.design.model.node import Node
-from maxq.design.verify import worst
-from maxq.design.verify.linear import Deviated, dispersed_node, vehicle_of
-from maxq.design.verify.suite import Spread, WorstWanted
+from maxq.design.verify import linear, worst
+from maxq.design.verify.linear import Deviated, dispersed_node, vehicle_of, vehicles
+from maxq.design.verify.suite import LinearMargins, Spread, WorstWanted
 from maxq.design.verify.worst import WorstVehicle, places_of, scenario_of, search_node, worst_requirements
 from maxq.sim.run.metrics import METRIC_NAMES
 from maxq.sim.scenario.loader import load_scenario_text
@@ -29,6 +29,9 @@ FEW = {  # what deviates in the brute-force case; the rest of Spread is 0
     "slosh_mass": 0.3,
     "delay_s": 0.004,
 }
+VEHICLE: Any = SimpleNamespace(  # three modes and two tanks
+    modes=SimpleNamespace(omega_radps=np.ones(3)), pendulums=SimpleNamespace(mass_kg=np.ones(2))
+)
 NONE = {key: 0.0 for key in Spread.model_fields if key not in FEW}
 
 
@@ -134,6 +137,46 @@ def test_the_worst_of_all_nodes_is_measured_and_flown(
     rows = worst_requirements(found, WorstWanted(modulus=0.2), "")
     assert [row.judgement for row in rows] == ["accepted" if stable else "rejected"] * 2
     assert rows[1].found == f"{'control lost' if failures else 'control kept'}; without aero.nothing"
+
+
+@pytest.mark.parametrize("region", ["ellipsoid", "box"])
+def test_search_ends_where_a_linear_distance_is_least(monkeypatch: pytest.MonkeyPatch, region: str) -> None:
+    """c + a . u is least at c - |a| in the unit ball, and at c - sum |a| in the box: at once along the gradient."""
+    node: Any = SimpleNamespace(time_s=40.0, vehicle=VEHICLE)
+    a = np.random.default_rng(3).normal(size=len(places_of(node)))
+    monkeypatch.setattr(worst, "distance", lambda *_: lambda u: float(2.0 + a @ u))
+    none: Any = None
+    found, u, loops = search_node(node, none, Spread(), WorstWanted(region=region, starts=2), seed=1)
+    least = np.linalg.norm(a) if region == "ellipsoid" else np.abs(a).sum()
+    assert found == pytest.approx(2.0 - least, abs=2e-3)
+    assert 2.0 + a @ u == pytest.approx(found)
+    assert loops > 2 * len(a)
+
+
+def test_each_mode_and_tank_of_a_vehicle_deviates_by_its_own_draw() -> None:
+    node: Any = SimpleNamespace(vehicle=VEHICLE)
+    d = vehicle_of(Spread(), node, lambda name, n: 0.1 * (n + 2), "").dispersion
+    assert d.slosh_mass == pytest.approx((1.02, 1.03))
+    assert d.slosh_frequency == pytest.approx((1.01, 1.015))
+    assert d.bending_slope == pytest.approx((1.04, 1.06, 1.08))
+    many = vehicles(LinearMargins(cases=900, corner_sigmas=0.0), node)[1]
+    thrust = np.array([v.dispersion.thrust for v in many])
+    assert len(set(thrust)) == 900
+    assert thrust.std() == pytest.approx(0.01, rel=0.1)  # a third of three sigma; known to 2.4 %
+
+
+def test_margins_down_are_the_lesser_and_an_unstable_loop_has_none(monkeypatch: pytest.MonkeyPatch) -> None:
+    def named(value: float) -> Any:
+        return SimpleNamespace(value=value)
+
+    found = SimpleNamespace(stable=True, lobes=(), gain_up_db=named(7.0), aero_gain_db=named(9.0),
+                            gain_down_db=named(8.0), rigid_phase_deg=named(30.0), delay_s=named(0.02))  # fmt: skip
+    monkeypatch.setattr(linear, "margins", lambda loop, resonances: found)
+    loop: Any = SimpleNamespace(fixed=SimpleNamespace(resonances=list))
+    got = linear.measured(loop, 0.0)
+    assert (got["gain_up_db"], got["aero_gain_db"], got["phase_deg"], got["delay_ms"]) == (7.0, 8.0, 30.0, 20.0)
+    found.stable = False
+    assert linear.measured(loop, 0.0) == {}
 
 
 def test_words_claim_no_more_than_was_searched() -> None:

@@ -43,7 +43,7 @@ from maxq.tools.dev.verification.section import VERIFICATION, rewrite
 
 MOST_STEPS, MOST_VEHICLES, MOST_RUNS = 6, 1_500, 20_000
 LIMIT_DEG, LIMIT_ALPHA_DEG = 15.0, 1.0  # of the phase margin, and as CAMPAIGN says
-SHARES = ((0.0, 1.0), (1.0, 0.0), (1.0, 1.0), (2.0, 2.0), (0.5, 0.5), (0.1, 0.1), (0.0, 0.0))  # p over what is allowed
+SHARES = ((0.0, 1.0), (1.0, 1.0), (2.0, 2.0), (0.5, 0.5), (0.1, 0.1), (0.0, 0.0), (1.0, 0.0))  # p over what is allowed
 NODE: Any = SimpleNamespace(  # what the draws ask of a node: how many modes and tanks there are
     vehicle=SimpleNamespace(
         modes=SimpleNamespace(omega_radps=np.ones(3)), pendulums=SimpleNamespace(mass_kg=np.ones(2))
