@@ -296,17 +296,17 @@ def test_a_run_beyond_its_limit_is_counted_and_one_without_a_value_too(
 
 @pytest.mark.parametrize("bound", ["limit", "minimum"])
 def test_runs_are_judged_up_to_the_first_gap_and_one_without_a_value_has_failed(bound: str) -> None:
-    """Of five runs one lies beyond 5, one on it, one within, one has no value; the last came behind a gap."""
-    runs = np.array([0, 1, 2, 3, 7])
+    """Of six runs one lies below 5, one on it, two above it, one has no value; the last came behind a gap."""
+    runs = np.array([0, 1, 2, 3, 4, 7])
     level = SimpleNamespace(success=0.9, confidence=0.9)
     data: Any = SimpleNamespace(
-        campaign=SimpleNamespace(campaign=level), in_order=4, planned=None, runs=runs, void=runs == 3, kept=runs != 3,
-        numbers=lambda name: np.array([1.0, 5.0, 6.0, 2.0, 8.0 if bound == "limit" else 0.0]),
+        campaign=SimpleNamespace(campaign=level), in_order=5, planned=None, runs=runs, void=runs == 4, kept=runs != 4,
+        numbers=lambda name: np.array([1.0, 5.0, 6.0, 7.0, 2.0, 8.0 if bound == "limit" else 0.0]),
     )  # fmt: skip  # five more lines otherwise
     requirement = Requirement.model_validate({"metric": "max_alpha_deg", bound: 5.0})
     found = _judged(data, "incidence", requirement)
-    assert (found.kind, found.shown.failures, found.shown.runs) == (bound, 2, 4)
-    assert [w.run for w in found.worst] == ([7, 2, 1, 0] if bound == "limit" else [7, 0, 1, 2])
+    assert (found.kind, found.shown.failures, found.shown.runs) == (bound, 3 if bound == "limit" else 2, 5)
+    assert [w.run for w in found.worst] == ([7, 3, 2, 1, 0] if bound == "limit" else [7, 0, 1, 2, 3])
     assert _judged(data, "control kept", None).shown.failures == 1
 
 
