@@ -36,7 +36,7 @@ from maxq.sim.scenario.tables_csv import Columns, CsvTable
 
 Place = tuple[str, int]
 """Name of a draw, and number of its target."""
-ACCURACY = 0.02
+ACCURACY = 0.05
 """run.accuracy of campaigns that give neither it nor a step (docs/performance.md)."""
 _DOUBTED_SIGMAS = 3.0
 _JOINT = 1 << 20  # attempts of a run whose values exclude each other begin here, apart from those of single keys

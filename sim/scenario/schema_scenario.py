@@ -188,7 +188,7 @@ class Run(Section):
     step_s: Annotated[Period, Field(le=1.0)] = optional("integrator step, s, whole ns", USUAL_STEP_S)
     accuracy: Annotated[float, Field(gt=0.0, le=0.1)] | None = optional(
         "share of what is required by which the integrator may err, see docs/performance.md: steps as long as the "
-        "vehicle's fastest oscillation allows instead of step_s (in campaigns 0.02 where neither is given)"
+        "vehicle's fastest oscillation allows instead of step_s (in campaigns 0.05 where neither is given)"
     )
     seed: Annotated[int, Field(ge=0, lt=2**63)] = optional("all noise derives from it", 1)
     start_s: Seconds = optional("vehicle clock at the start, s, whole ns", 0.0)
