@@ -20,7 +20,7 @@ from maxq.control.kernel.records import Array, IntArray
 from maxq.sim.scenario.schema_loads import Loads
 from maxq.tools.plots.palette import BLACK, BLUE, GREEN, GREY, LIMIT, RED, VERDICT
 from maxq.tools.plots.style import curve as look_of
-from maxq.tools.plots.style import drawing, save, sheet
+from maxq.tools.plots.style import drawing, name_point, save, sheet
 from maxq.tools.replay.decimate import extremes, extremes_on_grid
 from maxq.tools.replay.flight import ReplayFlight, Requirement, has_motion, path_of, place_of
 from maxq.tools.replay.plots import AXES, Axis, Curve, Plot, Tab, axis_of, range_of, tabs_of
@@ -288,7 +288,7 @@ def _path(shown: Flights) -> Figure:
 
 def _point(place: Axes, x: float, y: float, text: str) -> None:
     place.plot([x], [y], "o", color=GREY, markersize=3.5, zorder=4)
-    place.annotate(text, (x, y), (5, 4), textcoords="offset points", fontsize=7.5)
+    name_point(place, x, y, text, fontsize=7.5)
 
 
 def _altitude(shown: Flights) -> Figure:

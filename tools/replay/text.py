@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from maxq.control.kernel.records import Array, IntArray
+from maxq.sim.log.foxglove import Level
 from maxq.tools.plots.palette import ON_DARK
 from maxq.tools.replay.flight import LaunchSite, ReplayFlight, Requirement
 from maxq.tools.replay.plots import Curve, Plot, tabs_of
@@ -35,6 +36,7 @@ def about(flights: Sequence[ReplayFlight], drawn: Sequence[str]) -> str:
     if len(flights) > len(ON_DARK):  # else each has its own colour
         lines += ["", "Green: passed. Red: failed. Blue: no verdict known. Purple: the nominal."]
     lines.append("")
+    lines += _went_wrong([(f"{f.label}: ", f) for f in flights])
     lines += _notes([f"{f.label}: {note}" for f in flights for note in f.damage])
     return "\n".join([*lines, *drawn])
 
@@ -52,9 +54,16 @@ def _about_flight(flight: ReplayFlight) -> list[str]:
     lines += [f"**Outcome:** {flight.outcome} at {flight.span_s[1]:.1f} s, {_VERDICTS[flight.verdict]}", ""]
     lines += ["| | |", "|---|---|", *(f"| {name} | {value} |" for name, value in facts.items() if value), ""]
     lines += _notes(flight.notes)
+    lines += _went_wrong([("", flight)])
     if flight.requirements:
         lines += ["## Requirements", "", *map(_requirement, flight.requirements), ""]
     return lines
+
+
+def _went_wrong(flights: Sequence[tuple[str, ReplayFlight]]) -> list[str]:
+    """Warnings and worse in whole sentences, which the narrow list of events cuts off."""
+    said = [f"- {name}{m.line.strip()}" for name, f in flights for m in f.moments if m.level >= Level.WARNING]
+    return ["## What went wrong", "", *said, ""] if said else []
 
 
 def _notes(notes: Sequence[str]) -> list[str]:

@@ -15,7 +15,7 @@ from maxq.tools.plots.palette import BLACK, BLUE, GREEN, GREY, ORANGE, PALE, PUR
 from maxq.tools.plots.style import curve, drawing, label, plain_numbers, png, sheet
 from maxq.tools.vehicle.build import Built, burning, m_alpha_1ps2, m_delta_1ps2, on_the_pad
 from maxq.tools.vehicle.layout import Stage, Tank
-from maxq.tools.vehicle.report import notes, tables
+from maxq.tools.vehicle.report import notes, numbers, tables
 from maxq.tools.vehicle.trajectory import Point
 
 _AIR_Pa = 100.0  # below this dynamic pressure a centre of pressure is of no consequence
@@ -31,7 +31,10 @@ def page(built: Built) -> str:
         del draw["modes"]
     with drawing():
         pictures = {name: png(make(built), dpi=150) for name, make in draw.items()}
-    return render("vehicle.html.j2", layout=built.layout, tables=tables(built), notes=notes(built), pictures=pictures)
+    return render(
+        "vehicle.html.j2", layout=built.layout, tables=tables(built), notes=notes(built), pictures=pictures,
+        numbers=numbers,
+    )  # fmt: skip  # three more lines otherwise
 
 
 def _drawing(built: Built) -> Figure:

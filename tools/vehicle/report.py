@@ -16,9 +16,14 @@ Rows = list[tuple[str, ...]]  # the first is the head
 def report(built: Built) -> str:
     """All of it."""
     parts = [[printable(f"{built.layout.name}: {built.layout.description}".rstrip(": "))]]
-    parts += [[title, *aligned(rows, "  ", right=range(1, len(rows[0])))] for title, rows in tables(built)]
+    parts += [[title, *aligned(rows, "  ", right=numbers(rows[0]))] for title, rows in tables(built)]
     parts += [[title, *(f"  {line}" for line in lines)] for title, lines in notes(built)]
     return "\n\n".join("\n".join(part) for part in parts)
+
+
+def numbers(head: tuple[str, ...]) -> list[int]:
+    """Which columns of a table hold numbers."""
+    return [n for n, name in enumerate(head) if name != "stage"]
 
 
 def tables(built: Built) -> list[tuple[str, Rows]]:
@@ -71,7 +76,7 @@ def _modes(built: Built) -> tuple[str, Rows]:
 
 def _control(built: Built) -> tuple[str, Rows]:
     rows: Rows = [
-        ("stage", "time, s", "Mach", "q, kPa", "CG, m", "CP, m", "M_alpha, 1/s2", "M_delta, 1/s2", "k_p", "k_d, s")
+        ("time, s", "stage", "Mach", "q, kPa", "CG, m", "CP, m", "M_alpha, 1/s2", "M_delta, 1/s2", "k_p", "k_d, s")
     ]
     gains = np.array(built.gains)
     for n, stack in enumerate(built.stacks):
@@ -80,7 +85,7 @@ def _control(built: Built) -> tuple[str, Rows]:
             p = points[k]
             cg, cp = stack.mass_properties(p.clock_s).x_cg_m, built.aero[n].normal(p.mach)[1]
             k_p, k_d = (float(np.interp(p.time_s, gains[:, 0], gains[:, i])) for i in (1, 2))
-            cells = (f"{p.time_s:.1f}", f"{p.mach:.2f}", f"{p.dynamic_pressure_Pa / 1e3:.2f}", f"{cg:.2f}", f"{cp:.2f}")
+            cells = (f"{p.mach:.2f}", f"{p.dynamic_pressure_Pa / 1e3:.2f}", f"{cg:.2f}", f"{cp:.2f}")
             turn = (f"{m_alpha_1ps2(built, p):.3f}", f"{m_delta_1ps2(built, p):.3f}", f"{k_p:.3f}", f"{k_d:.3f}")
-            rows.append((stack.name, *cells, *turn))
+            rows.append((f"{p.time_s:.1f}", stack.name, *cells, *turn))
     return "control (M_alpha > 0: unstable)", rows

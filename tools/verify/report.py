@@ -185,15 +185,16 @@ def print_page(page: Path, pdf: Path) -> Path | None:
 
 
 def report(found: Verification, title: str) -> list[str]:
-    """Every requirement, a row each, by part."""
-    rows = [("", "requirement", "verdict", "wanted", "found", "room", "where")]
+    """Every requirement, a row each, under the name of its part."""
     last = ""
+    rows: list[tuple[str, ...]] = [("requirement", "verdict", "wanted", "found", "room", "where")]
     for r in found.requirements:
-        part = r.part if r.part != last else ""
+        if r.part != last:
+            rows += [("",) * 6, (f"{r.part}:", *("",) * 5)]
         last = r.part
         room = f"{100.0 * r.room:.0f} %" if math.isfinite(r.room) else ""
-        rows.append((part, printable(r.name), _mark(WORDS[r.judgement]), r.wanted, printable(r.found), room, r.where))
-    return [title, *aligned(rows, "  ", right=(5,), drop=(6,))]
+        rows.append((printable(r.name), _mark(WORDS[r.judgement]), r.wanted, printable(r.found), room, r.where))
+    return [title, "", *aligned(rows, "  ", right=(4,), drop=(5,))]
 
 
 def _mark(judgement: str) -> str:

@@ -95,7 +95,7 @@ def execute(order: Order) -> int:
             for doubt in one.scenario.doubts:
                 tell(f"warning: {printable(doubt)}")
             tell(
-                f"\n{len(files)} files in {folder}/; {time.perf_counter() - begun:.1f} s, "
+                f"\n{len(files)} file{'s' * (len(files) > 1)} in {folder}/; {time.perf_counter() - begun:.1f} s, "
                 f"{one.recalled} results reused from earlier runs\n{report.headline(one)}\n"
             )
     if len(found) > 1:
