@@ -24,11 +24,11 @@ from maxq.design.laws.pd import Pd
 from maxq.design.loop.loop import Loop
 from maxq.design.margins.measure import margins
 from maxq.design.optimise.plants import Plants, make_plant, make_plants
+from maxq.design.optimise.robust import deviated
 from maxq.design.optimise.solution import Solution
 from maxq.design.optimise.solve import nominal_plants, solve
 from maxq.design.optimise.sqp import optimality
 from maxq.design.verify.judging import judge, judge_solution, make_design
-from maxq.sim.scenario.errors import ScenarioError
 
 NODES = "nodes_s=[5.0, 30.0, 55.0]"
 
@@ -118,9 +118,32 @@ def test_limit_that_no_stable_loop_meets_is_named() -> None:
     assert s.explanation().startswith("no stable design was found; without limits.rigid_hz one is")
 
 
-def test_dispersed_plants_are_not_searched_between_nodes() -> None:
-    with pytest.raises(ScenarioError, match=r"between_nodes.*not searched for dispersed plants"):
-        kit.case("between_nodes='hold'", name="ksr3-robust")
+@pytest.mark.slow
+def test_dispersed_plants_hold_between_the_nodes_where_they_are_asked_to() -> None:
+    """Least |1 + L| by design/margins, every 0.2 s, of the vehicle as it is and of corners tank by tank."""
+    few = ("bending_slope", "slosh_damping", "actuator_frequency", "delay_s", "thrust", "normal_force")
+    none = [f"robust.{name}=0.0" for name in (*few, "centre_of_pressure_m", "inertia")]
+    changes = ("nodes_s=[45.0, 50.0, 55.0]", "search.starts=2", "search.leaps=0", *none)
+    at_nodes = kit.case(*changes, name="ksr3-robust")
+    loaded = kit.case(*changes, "between_nodes='hold'", name="ksr3-robust")
+    plain, held = solve(at_nodes), solve(loaded)
+    ranges = loaded.case.robust
+    assert ranges is not None
+    nodes = api.nodes(loaded.scenario, np.arange(45.0, 55.05, 0.2).round(3))
+    corners = [[0] * 7, *np.random.default_rng(1).choice([-1, 1], (12, 7)).tolist()]  # three modes, two of each tank
+    vehicles = [deviated(node, ranges, ends) for node in nodes for ends in corners]
+
+    def missing(s: Solution) -> float:
+        """Of what was promised for all of them."""
+        judged = judge(vehicles, make_design(loaded, s), "sampled")
+        return 10.0 ** (-s.objective_db / 20.0) - min(j.margins.modulus if j.margins.stable else 0.0 for j in judged)
+
+    assert held.certificate.instants > 20
+    assert held.certificate.worst_instant_db <= 0.01
+    assert {45.0, 50.0, 55.0} < {node.time_s for node in held.nodes}
+    assert missing(held) < 0.003
+    assert missing(plain) > missing(held)
+    assert judge_solution(loaded, held).feasible == held.feasible
 
 
 @pytest.mark.slow

@@ -46,8 +46,8 @@ file = "campaigns/ksr3"
 runs = 8
 set = ["run.duration_s=6.0", "campaign.keep=[]"]
 """
-PARTS = 2 + 1 + 3 + 1 + 2  # flights; nodes; margins; slosh; certificate
-RECALLS = PARTS + 1  # the nodes are asked for twice
+PARTS = 2 + 2 + 3 + 1 + 2  # flights; nodes and instants; margins; slosh; certificate
+RECALLS = PARTS + 2  # nodes and instants are asked for twice
 
 
 @pytest.fixture(scope="module")

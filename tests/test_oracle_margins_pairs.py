@@ -24,8 +24,8 @@ from maxq.design.loop.fixed_path import fixed_path
 from maxq.design.loop.loop import Loop
 from maxq.design.margins.bounds import Factors
 from maxq.design.margins.measure import margins
-from maxq.design.verify.linear import dispersed_node, vehicle_of
-from maxq.design.verify.suite import Spread
+from maxq.design.model.dispersion import disperse
+from maxq.design.model.spread import Spread, vehicle_of
 
 LOWEST_HZ, HIGHEST_HZ, FLOOR = 1e-3, 300.0, 1.001e-4
 PAIRS = (663,)
@@ -37,7 +37,7 @@ def random_loop(seed: int) -> Loop:
     rng = np.random.default_rng([2, seed])
     nodes = design_nodes.flown()
     node = nodes[rng.integers(len(nodes))]
-    node = dispersed_node(node, vehicle_of(Spread(), node, lambda name, n: float(rng.normal() / 3.0), ""))
+    node = disperse(node, vehicle_of(Spread(), node, lambda name, n: float(rng.normal() / 3.0), ""))
     sampled, deep = bool(rng.random() < 0.5), rng.random() < 0.4
     sections = [
         QuadraticSection(

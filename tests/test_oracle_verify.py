@@ -83,11 +83,10 @@ def test_corners_are_balanced_and_uncorrelated(nodes: list[Node]) -> None:
     corners, _ = vehicles(LinearMargins(cases=0, corner_sigmas=3.0), nodes[0])
     assert len(corners) == 24
     rows = []
-    for c in corners:
-        d = c.dispersion
+    for d in corners:
         together = (d.bending_slope, d.bending_damping, d.slosh_frequency, d.slosh_mass)
         assert all(len(set(each)) == 1 for each in together)
-        rows.append([each[0] for each in together] + [d.normal_force, d.inertia, c.delay_s, d.centre_of_pressure_m])
+        rows.append([each[0] for each in together] + [d.normal_force, d.inertia, d.delay_s, d.centre_of_pressure_m])
         assert d.bending_slope[0] in (pytest.approx(0.8), pytest.approx(1.2))
     table = np.array(rows)
     signs = np.sign(table - table.mean(axis=0))
@@ -107,7 +106,7 @@ def test_random_vehicles_do_not_depend_on_how_many_there_are(nodes: list[Node]) 
 def test_every_mode_of_the_vehicle_deviates(nodes: list[Node]) -> None:
     """Beyond the last share given the last one holds, and the numbers of the modes before stay what they are."""
     wanted = LinearMargins(cases=1, corner_sigmas=0.0, seed=5)
-    three, five, two = (vehicles(wanted, of_modes(nodes[0], n))[1][0].dispersion for n in (3, 5, 2))
+    three, five, two = (vehicles(wanted, of_modes(nodes[0], n))[1][0] for n in (3, 5, 2))
     assert len(np.unique(five.bending_frequency)) == 5
     assert len(np.unique(five.bending_slope)) == 5
     assert five.bending_frequency[:3] == three.bending_frequency

@@ -412,7 +412,7 @@ def test_every_reason_has_limit_value_vehicle_and_command() -> None:
     alone = margin_requirements(only, wanted.model_copy(update={"only": "vehicle 60"}))
     assert [(r.found, r.judgement) for r in alone] == [("stable", ACCEPTED), ("14.10 deg", REJECTED)]
     corners, drawn = vehicles_of(wanted.model_copy(update={"only": "vehicle 812"}), NODE)
-    assert ([d.dispersion.label for d in drawn], corners) == (["vehicle 812"], [])
+    assert ([d.label for d in drawn], corners) == (["vehicle 812"], [])
     assert drawn[0] == vehicles_of(LinearMargins(cases=812), NODE)[1][811]
 
 

@@ -17,6 +17,7 @@ from pydantic import Field, model_validator
 
 from maxq.control.kernel.limits import MAX_STAGES
 from maxq.control.structures import MAX_SECTIONS, STRUCTURES, DesignedStructure, Law
+from maxq.design.model.spread import Share, Spread
 from maxq.sim.scenario.documents import Text
 from maxq.sim.scenario.errors import ScenarioError, refuse
 from maxq.sim.scenario.files import find
@@ -32,7 +33,6 @@ ObjectiveName = Literal["first-mode-peak", "least-margin"]
 Model = TypeVar("Model", bound=Section)
 Range = tuple[float, float]
 Margin = Annotated[float, Field(gt=0.0, le=90.0)]
-Share = Annotated[float, Field(ge=0.0, lt=1.0)]
 
 
 def _check_range(value: Range, key: str, lowest: float) -> None:
@@ -205,25 +205,15 @@ class DispersedLimits(MarginLimits):
     without: tuple[LIMIT_NAMES, ...] = optional("limits that are not asked for", ("rigid_hz", "rigid_zeta"))
 
 
-class Robust(Section):
+class Robust(Spread):
     """Plants other than the nominal one for which the design must hold: half ranges, shares unless a unit is named.
 
-    The defaults are 3-sigma ranges after a modal survey: bending 5, 10, 15 %, slopes 20 %.
+    Every mode and every tank by itself. The defaults are 3-sigma ranges after a modal survey: bending 5, 10, 15 %,
+    slopes 20 %.
     """
 
-    bending_frequency: tuple[Share, ...] = optional(
-        "of each mode, all one way; the last for all beyond", (0.05, 0.10, 0.15)
-    )
-    bending_slope: Share = optional("of all modes at the gyro", 0.2)
-    slosh_frequency: Share = optional("of all tanks", 0.05)
-    slosh_mass: Share = optional("of all tanks", 0.1)
-    slosh_damping: Share = optional("of all tanks", 0.5)
-    actuator_frequency: Share = optional("of the actuator's poles", 0.15)
-    delay_s: NotNegative = optional("more delay in the computer, s; none is the other end", 0.005)
-    thrust: Share = optional("of the gimbal's authority", 0.03)
-    normal_force: Share = optional("of the slope of lift", 0.15)
-    centre_of_pressure_m: NotNegative = optional("a quarter of the diameter", 0.25)
-    inertia: Share = optional("of the core", 0.05)
+    bending_damping: Share = optional("of each mode", 0.0)
+    delay_s: NotNegative = optional("either way, s; never below no delay", 0.005)
     rounds: Annotated[int, Field(ge=1, le=50)] = optional(
         "times that the worst plants are searched, added, and the design is made anew", 8
     )
@@ -275,7 +265,7 @@ class Case(Section):
     )
     between_nodes: Literal["ignore", "hold"] = optional(
         "ignore: limits at the nodes only, as in the paper; hold: instants between the nodes that are worse by "
-        "0.02 dB or 0.1 deg are searched and become nodes, until none is found; not with [robust]",
+        "0.02 dB or 0.1 deg are searched and become nodes, until none is found; with [robust] for dispersed plants too",
         "ignore",
     )
     law: Law = optional(
@@ -303,8 +293,6 @@ class Case(Section):
     def _check(self) -> Case:
         if self.nodes_s is not None:
             _rising(self.nodes_s, "nodes_s")
-        if self.between_nodes == "hold" and self.robust is not None:
-            raise refuse("is not searched for dispersed plants", '"ignore" beside [robust]', key=("between_nodes",))
         if self.blend is not None and not self.blend[0] < self.blend[1]:
             raise refuse("is empty", "two numbers, the lower one first", key=("blend",))
         for key in ("q_alpha_Padeg", "drift_mps"):

@@ -251,7 +251,8 @@ class PdVariables:
     poles_at_zero = 0
 
     def __init__(self, task: Task, like: PdVariables | None = None, schedule: str | None = None) -> None:
-        """`like`: take over what another one of the same case has found out, the gains of a two-phase design.
+        """`like`: take over what another one of the same case has found out, the gains of a two-phase design, and where
+        its filter is prewarped.
 
         `schedule` in place of the case's.
         """
@@ -259,7 +260,8 @@ class PdVariables:
         self.task = task
         self.schedule = schedule or case.gains.schedule
         self.filter = FilterVariables(*case.filter.sections)
-        self.prewarp_hz = case.filter.prewarp_hz or round(task.first_mode_hz, 1)
+        own_hz = round(task.first_mode_hz, 1) if like is None else like.prewarp_hz
+        self.prewarp_hz: float = case.filter.prewarp_hz or own_hz
         if task.sample_s is not None and self.prewarp_hz >= 0.5 / task.sample_s:
             raise UnsolvableError(
                 f"filter.prewarp_hz = {self.prewarp_hz:g}: lies above half the sample rate; "

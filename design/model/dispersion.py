@@ -50,7 +50,7 @@ class Dispersion:
     actuator_frequency: float = 1.0
     actuator_damping: float = 1.0
     gyro_frequency: float = 1.0
-    delay_s: float = 0.0  # on top of the computer's
+    delay_s: float = 0.0  # on top of the computer's; below zero less, down to none
     thrust: float = 1.0  # the engine's lateral authority; the axial load stays
     normal_force: float = 1.0
     centre_of_pressure_m: float = 0.0  # moved aft
@@ -62,7 +62,7 @@ class Dispersion:
             if f.name == "label":
                 continue
             value = np.atleast_1d(np.asarray(getattr(self, f.name), float))
-            signed = f.name in ("bending_slope", "bending_shape", "centre_of_pressure_m", "normal_force")
+            signed = f.name in ("bending_slope", "bending_shape", "centre_of_pressure_m", "normal_force", "delay_s")
             floor = -np.inf if signed else 0.0
             positive = f.name.endswith(("frequency", "inertia", "thrust"))
             if not np.isfinite(value).all() or (value < floor).any() or (positive and (value <= 0.0).any()):
@@ -154,7 +154,7 @@ def _instruments(instruments: Instruments, by: Dispersion) -> Instruments:
             (name, dataclasses.replace(lag, omega_radps=lag.omega_radps * by.gyro_frequency), late)
             for name, lag, late in instruments.sensors
         ),
-        delay_s=instruments.delay_s + by.delay_s,
+        delay_s=max(instruments.delay_s + by.delay_s, 0.0),
     )
 
 

@@ -29,7 +29,7 @@ UNSTABLE_DB = 1e3
 
 
 @dataclass
-class _Instants:
+class Instants:
     """The case at any instant; its plants are made once."""
 
     loaded: LoadedCase
@@ -65,26 +65,24 @@ def solve_over_time(
 
     Gains that are free at every node stay free at the nodes of the case only.
     """
+    loaded = gains_at_nodes(loaded)
     case = loaded.case
-    if case.gains.schedule == "free":
-        case = case.model_copy(update={"gains": Gains(schedule="nodes", nodes_s=case.times_s)})
-    loaded = replace(loaded, case=case)
     first, last = case.times_s[0], case.times_s[-1]
     grid = np.linspace(first, last, max(2, round((last - first) / INSTANTS_S) + 1)).round(9).tolist()
-    instants = _Instants(loaded, dict(zip(case.times_s, nominal.each, strict=True)))
+    instants = Instants(loaded, dict(zip(case.times_s, nominal.each, strict=True)))
     everywhere, plants = make_plants(instants.plants(grid), COARSE), nominal
     solution = solve_at_nodes(loaded, plants, also_from, progress)
     worst_db = 0.0
     for _ in range(ROUNDS if solution.status != "interrupted" else 0):
         law = make_problem(loaded.case, plants).law
         over = instants.over(grid, everywhere, law, solution)
-        beside = {t + k * FINE_S for t in np.array(grid)[_peaks(over)] for k in range(-4, 5)}
+        beside = {t + k * FINE_S for t in np.array(grid)[peaks(over, WORSE_DB)] for k in range(-4, 5)}
         new: set[float] = set()
         if beside:
             # with the first and the last node: linear gains are numbers at both ends of a problem
             fine = sorted({first, last, *(round(t, 9) for t in beside if first <= t <= last)})
             over = instants.over(fine, make_plants(instants.plants(fine), COARSE), law, solution)
-            new = set(np.array(fine)[_peaks(over)].tolist()) - set(loaded.case.times_s)
+            new = set(np.array(fine)[peaks(over, WORSE_DB)].tolist()) - set(loaded.case.times_s)
         worst_db = float(over.max(initial=0.0))
         if not new:
             break
@@ -98,8 +96,16 @@ def solve_over_time(
     return replace(solution, certificate=certificate)
 
 
-def _peaks(over: Array) -> IntArray:
-    """Instants at which some kind of row is worst among its neighbours, and matters."""
+def gains_at_nodes(loaded: LoadedCase) -> LoadedCase:
+    """The case with gains that are free at every node made free at the nodes that it has now."""
+    case = loaded.case
+    if case.gains.schedule == "free":
+        case = case.model_copy(update={"gains": Gains(schedule="nodes", nodes_s=case.times_s)})
+    return replace(loaded, case=case)
+
+
+def peaks(over: Array, matters_db: float) -> IntArray:
+    """Instants at which some kind of row is worst among its neighbours, and matters; `over` (kinds, instants)."""
     padded = np.pad(over, ((0, 0), (1, 1)), constant_values=-np.inf)
-    top = (over > WORSE_DB) & (over >= padded[:, :-2]) & (over > padded[:, 2:])
+    top = (over > matters_db) & (over >= padded[:, :-2]) & (over > padded[:, 2:])
     return np.flatnonzero(top.any(axis=0))

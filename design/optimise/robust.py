@@ -1,10 +1,11 @@
 """A design for many plants: made for some, then the worst others are searched and added, until none is worse.
 
-The plants that a case's ranges allow are too many to take all: eleven deviations each way at eleven nodes. So at
+The plants that a case's ranges allow are too many to take all: some twenty deviations each way at eleven nodes. So at
 every node the corner (or middle) of the ranges that is worst for the present design is sought, one deviation after
 the other being put to whichever end is worse, from several beginnings; what is worse than the design's own worst
 joins its plants, and the design is made anew (a cutting-plane method: Blankenship & Falk, J. Optim. Theory Appl. 19,
-1976).
+1976). With `between_nodes = "hold"` time is one deviation more: where no node has a worse plant, those of its
+neighbours are tried at the instants between, and an instant that is worse becomes a node.
 """
 
 from __future__ import annotations
@@ -17,40 +18,39 @@ import numpy as np
 
 from maxq.control.kernel.records import Array
 from maxq.design.case.schema import Case, LoadedCase, Robust
-from maxq.design.model.dispersion import for_each
+from maxq.design.model.dispersion import disperse
 from maxq.design.model.node import Node
+from maxq.design.model.spread import places_of, vehicle_at_places
+from maxq.design.optimise.over_time import Instants, gains_at_nodes, peaks
 from maxq.design.optimise.plants import Plant, Plants, make_plant, make_plants
 from maxq.design.optimise.problem import Problem
 from maxq.design.optimise.search import Found, Progress, search
 from maxq.design.optimise.solution import Solution
 from maxq.design.optimise.solve import finished, make_problem, search_best
 
-DEVIATIONS = (
-    "bending_frequency", "bending_slope", "slosh_frequency", "slosh_mass", "slosh_damping", "actuator_frequency",
-    "delay_s", "thrust", "normal_force", "centre_of_pressure_m", "inertia",
-)  # fmt: skip  # nine more lines otherwise
 WORSE_DB = 0.01  # plants that are worse by less are let be
 BEGINNINGS = 4
 COARSE = 1e-4  # tolerance of the curves in the search for the worst: 1e-3 dB
 UNSTABLE_DB = 1e3
+INSTANTS_S, FINE_S = 0.5, 0.05  # apart, all along and beside the worst of those
+ROUNDS = 12  # more, where instants between the nodes are added too
+AT_ONCE = 100  # plants that are judged together
+
+
+Ends = tuple[int, ...]
+"""Of each place that deviates (`places_of`), an end (-1, +1) or the middle (0) of its range."""
 
 
 def deviated(node: Node, ranges: Robust, ends: Sequence[int]) -> Node:
-    """The node with each deviation at an end (-1, +1) or in the middle (0) of its range, in the order of DEVIATIONS."""
-    at = dict(zip(DEVIATIONS, ends, strict=True))
-    factors: dict[str, float | tuple[float, ...]] = {}
-    for name in DEVIATIONS:
-        end, size = at[name], getattr(ranges, name)
-        if name == "bending_frequency":
-            factors[name] = tuple(1.0 + end * share for share in for_each(size, len(node.vehicle.modes.omega_radps)))
-        elif name == "delay_s":
-            factors[name] = max(end, 0) * size  # no computer is faster than the nominal one
-        elif name == "centre_of_pressure_m":
-            factors[name] = end * size
-        else:
-            factors[name] = 1.0 + end * size
+    """The node with each deviation at an end or in the middle of its range, in the order of `places_of`."""
     letters = "".join({-1: "-", 0: "0", 1: "+"}[end] for end in ends)
-    return dataclasses.replace(node.with_(**factors), label=f"{node.label} [{letters}]")
+    return disperse(node, vehicle_at_places(ranges, node, places_of(node, ranges), ends, f"[{letters}]"))
+
+
+def modes_off(node: Node, ranges: Robust, end: int) -> Ends:
+    """All modes at one end of their frequency and the large one of their slope, the rest as it is."""
+    wanted = {"bending_frequency": end, "bending_slope": 1}
+    return tuple(wanted.get(name, 0) for name, _ in places_of(node, ranges))
 
 
 @dataclasses.dataclass
@@ -64,15 +64,15 @@ class _Worst:
     rng: np.random.Generator
     tried: int = 0
 
-    def at(self, node: Node) -> tuple[float, tuple[int, ...]]:
-        """By how many dB the worst plant of a node misses the design's objective or a limit, and what it is."""
-        count = len(DEVIATIONS)
-        frequency, slope = DEVIATIONS.index("bending_frequency"), DEVIATIONS.index("bending_slope")
-        beginnings = [np.zeros(count, int) for _ in range(2)] + [
-            self.rng.choice([-1, 1], count) for _ in range(BEGINNINGS - 2)
-        ]
-        for k, end in enumerate((-1, 1)):
-            beginnings[k][frequency], beginnings[k][slope] = end, 1
+    def at(self, node: Node, taken: set[tuple[float, Ends]]) -> tuple[float, Ends]:
+        """By how many dB the worst plant of a node misses the design's objective or a limit, and what it is.
+
+        The search begins at the plants `taken` there and beside it too.
+        """
+        both = [modes_off(node, self.ranges, end) for end in (-1, 1)]
+        count = len(both[0])
+        beginnings = [*map(np.array, both), *(self.rng.choice([-1, 1], count) for _ in range(BEGINNINGS - 2))]
+        beginnings += map(np.array, corners_beside(node.time_s, taken))
         known: dict[tuple[int, ...], float] = {}
 
         def score(ends: Array) -> float:
@@ -94,13 +94,55 @@ class _Worst:
         self.tried += len(known)
         return score(best), tuple(int(e) for e in best)
 
-    def _score(self, node: Node, ends: tuple[int, ...]) -> float:
-        plant = make_plant(deviated(node, self.ranges, ends), self.case, dispersed=True)
-        few = make_plants([plant], COARSE)
-        problem = make_problem(self.case, few, self.problem.law)
-        there = problem.evaluate(self.found.best.variables)
-        worse = max(there.objective_db - self.found.best.objective_db, there.violation_db)
-        return worse + UNSTABLE_DB * there.unstable
+    def _score(self, node: Node, ends: Ends) -> float:
+        return float(self.scores([make_plant(deviated(node, self.ranges, ends), self.case, dispersed=True)])[0])
+
+    def scores(self, each: Sequence[Plant]) -> Array:
+        """By how many dB each plant misses the design's objective or a limit, (plants,)."""
+        problem = make_problem(self.case, make_plants(each, COARSE), self.problem.law)
+        there = problem.evaluate(self.found.best.variables, complete=True)
+        rows, out = there.rows, np.zeros(len(each))
+        missed = rows.excess_db - np.where(rows.objective, self.found.best.objective_db, 0.0)
+        of_plant = rows.plant >= 0
+        np.maximum.at(out, rows.plant[of_plant], missed[of_plant])
+        if there.unstable:
+            out[problem.loops.unstable_poles(problem.loops.response(there.variables)) > 0] += UNSTABLE_DB
+        return out
+
+    def between(self, instants: Instants, taken: set[tuple[float, Ends]]) -> list[tuple[float, Node]]:
+        """Instants at which the nominal plant, or one taken at a node beside, is worst and worse than WORSE_DB."""
+        times_s = sorted({t for t, _ in taken})
+
+        def worst_at(at_s: Sequence[float]) -> Array:
+            plants, of = [], []
+            for k, plant in enumerate(instants.plants(at_s)):
+                corners = corners_beside(at_s[k], taken)
+                plants += [plant] + [
+                    make_plant(deviated(plant.node, self.ranges, ends), self.case, dispersed=True) for ends in corners
+                ]
+                of += [k] * (1 + len(corners))
+            self.tried += len(plants)
+            out = np.zeros(len(at_s))
+            for first in range(0, len(plants), AT_ONCE):
+                np.maximum.at(out, of[first : first + AT_ONCE], self.scores(plants[first : first + AT_ONCE]))
+            return out
+
+        grid = np.linspace(times_s[0], times_s[-1], max(2, round((times_s[-1] - times_s[0]) / INSTANTS_S) + 1)).round(9)
+        found = []
+        for k in peaks(worst_at(grid.tolist())[None], WORSE_DB):
+            fine = [t for t in (grid[k] + FINE_S * np.arange(-9, 10)).round(9) if times_s[0] <= t <= times_s[-1]]
+            score = worst_at(fine)
+            j = int(np.argmax(score))
+            found.append((float(score[j]), instants.plants(fine)[j].node))
+        return found
+
+
+def corners_beside(time_s: float, taken: set[tuple[float, Ends]]) -> list[Ends]:
+    """Plants taken at a time, and at the nearest ones before and after it."""
+    times_s = sorted({t for t, _ in taken})
+    first, last = np.searchsorted(times_s, time_s), np.searchsorted(times_s, time_s, side="right")
+    beside = times_s[max(int(first) - 1, 0) : int(last) + 1]
+    return sorted({ends for t, ends in taken if t in beside})
 
 
 def solve_robust(
@@ -110,40 +152,50 @@ def solve_robust(
 
     KeyboardInterrupt ends it with the best so far, marked as interrupted.
     """
-    case, begun = loaded.case, time.perf_counter()
+    begun = time.perf_counter()
+    instants = None
+    if loaded.case.between_nodes == "hold":
+        loaded = gains_at_nodes(loaded)
+        instants = Instants(loaded, {p.node.time_s: p for p in nominal.each})
+    case = loaded.case
     ranges = case.robust
     assert ranges is not None
     nodes = [p.node for p in nominal.each]
-    frequency, slope = DEVIATIONS.index("bending_frequency"), DEVIATIONS.index("bending_slope")
-    first: list[Plant] = []
-    taken: set[tuple[float, tuple[int, ...]]] = set()
-    for node in nodes:
-        for end in (-1, 1):
-            ends = [0] * len(DEVIATIONS)
-            ends[frequency], ends[slope] = end, 1
-            first.append(make_plant(deviated(node, ranges, ends), case, dispersed=True))
-            taken.add((node.time_s, tuple(ends)))
-    plants = nominal.and_also(first)
+    taken = {(node.time_s, modes_off(node, ranges, end)) for node in nodes for end in (-1, 1)}
+
+    def dispersed(few: Sequence[tuple[Node, Ends]]) -> list[Plant]:
+        return [make_plant(deviated(node, ranges, ends), case, dispersed=True) for node, ends in few]
+
+    plants = nominal.and_also(dispersed([(n, modes_off(n, ranges, end)) for n in nodes for end in (-1, 1)]))
     problem, found = search_best(case, plants, also_from, progress)
-    rng, tried, worst_db = np.random.default_rng(case.search.seed), 0, np.inf
+    rng, tried, worst_db, instant_db = np.random.default_rng(case.search.seed), 0, np.inf, 0.0
     interrupted = found.interrupted
+    rounds = ranges.rounds + (0 if instants is None else ROUNDS)
     try:
-        for number in range(ranges.rounds if not interrupted else 0):
+        for number in range(rounds if not interrupted else 0):
             worst = _Worst(case, ranges, problem, found, rng)
             results = []
             for k, node in enumerate(nodes):
                 if progress is not None:
                     progress(k, len(nodes), found.best.objective_db, f"worst plants, round {number + 1}")
-                results.append((node, *worst.at(node)))
-            tried += worst.tried
+                results.append((node, *worst.at(node, taken)))
             worst_db = max(score for _, score, _ in results)
             new = [
                 (node, ends) for node, score, ends in results if score > WORSE_DB and (node.time_s, ends) not in taken
             ]
+            fresh: list[Node] = []
+            if not new and instants is not None:
+                between = worst.between(instants, taken)
+                instant_db = max((score for score, _ in between), default=0.0)
+                known = {node.time_s for node in nodes}
+                fresh = [node for _, node in between if node.time_s not in known]
+                new = [(node, worst.at(node, taken)[1]) for node in fresh]
+            tried += worst.tried
             if not new:
                 break
+            nodes += fresh
             taken.update((node.time_s, ends) for node, ends in new)
-            plants = plants.and_also([make_plant(deviated(n, ranges, e), case, dispersed=True) for n, e in new])
+            plants = plants.and_also([*(make_plant(node, case) for node in fresh), *dispersed(new)])
             problem = make_problem(case, plants, problem.law)
             found = _again(problem, found)
             if found.interrupted:
@@ -153,7 +205,10 @@ def solve_robust(
         interrupted = True
     found = dataclasses.replace(found, interrupted=interrupted)
     solution = finished(case, plants, problem, found, begun)
-    certificate = dataclasses.replace(solution.certificate, searched=tried, worst_found_db=float(worst_db))
+    certificate = dataclasses.replace(
+        solution.certificate, searched=tried, worst_found_db=float(worst_db), worst_instant_db=float(instant_db),
+        instants=0 if instants is None else instants.tried,
+    )  # fmt: skip  # two more lines otherwise
     return dataclasses.replace(solution, certificate=certificate)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import defaultdict
 from dataclasses import dataclass
 from typing import Literal
 
@@ -19,6 +20,8 @@ from maxq.design.optimise.search import Found
 
 Status = Literal["optimal", "infeasible", "interrupted"]
 ACTIVE_DB = 1e-4
+EITHER_WAY = ("gain margin", "phase margin")
+"""Limits whose values have a sign that tells the side of -1."""
 
 
 @dataclass(frozen=True)
@@ -121,15 +124,19 @@ class Solution:
         unstable = f"no stable design was found{f'; without {alone} one is' if alone else ''}"
         if not self.in_the_way:
             return unstable
-        parts = []
-        for c in self.in_the_way[:4]:
+        parts, by_limit = [], defaultdict(list)
+        for c in self.in_the_way:
+            by_limit[c.what].append(c)
+        for what, missed in by_limit.items():  # each limit once, where it has its largest part in the conflict
+            c, others = missed[0], len(missed) - 1
             where = f" at {c.plant}" if c.plant is not None else ""
-            limit = "" if c.limit is None else f", limit {c.limit:g}"
-            parts.append(f"{c.what}{where} ({c.value:.4g}{' ' + c.unit if c.unit else ''}{limit})")
-        missed = f"at best {self.violation_db:.3g} dB are missing; in the way: " + "; ".join(parts)
+            where += f" and {others} more" if others else ""
+            value = f"{abs(c.value) if what in EITHER_WAY else c.value:.4g}{' ' + c.unit if c.unit else ''}"
+            parts.append(f"{what}{where} ({value}, limit {c.limit:g}: {c.excess_db:.3g} dB)")
+        said = f"at best {self.violation_db:.3g} dB are missing; in the way: " + "; ".join(parts)
         if not self.certificate.stable:
-            return f"{unstable}; of the limits {missed}"
-        return f"the limits cannot be met together: {missed}"
+            return f"{unstable}; of the limits {said}"
+        return f"the limits cannot be met together: {said}"
 
 
 def make_solution(case: Case, plants: Plants, problem: Problem, found: Found, seconds: float, stable: bool) -> Solution:

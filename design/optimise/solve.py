@@ -25,6 +25,8 @@ from maxq.design.optimise.problem import Problem
 from maxq.design.optimise.search import Found, Progress, search
 from maxq.design.optimise.solution import Solution, make_solution
 
+MORE_STARTS = 3  # times as many, where the limits cannot be met
+
 
 def each_stage(loaded: LoadedCase) -> list[LoadedCase]:
     """The case of each stage that is to be designed, with its nodes. Raises ValueError where there is none."""
@@ -118,7 +120,23 @@ def finished(case: Case, plants: Plants, problem: Problem, found: Found, begun: 
 def search_best(
     case: Case, plants: Plants, also_from: Sequence[Solution] = (), progress: Progress | None = None
 ) -> tuple[Problem, Found]:
-    """Search from all starts: other solutions, and as many of the law's own as the case asks for."""
+    """Search from all starts: other solutions, and as many of the law's own as the case asks for.
+
+    Where the limits cannot be met from these, once more from several times as many: how much they miss has valleys of
+    its own, which starts that are good for the objective need not lie in.
+    """
+    problem, found = _search_from(case, plants, also_from, progress)
+    if found.feasible or found.interrupted:
+        return problem, found
+    wanted = case.search.model_copy(update={"starts": MORE_STARTS * case.search.starts, "leaps": 0})
+    again = _search_from(case.model_copy(update={"search": wanted}), plants, also_from, progress)[1]
+    better = min(found, again, key=lambda f: (not f.feasible, f.best.unstable, f.best.violation_db))
+    return problem, replace(better, evaluations=found.evaluations + again.evaluations, interrupted=again.interrupted)
+
+
+def _search_from(
+    case: Case, plants: Plants, also_from: Sequence[Solution], progress: Progress | None
+) -> tuple[Problem, Found]:
     problem = make_problem(case, plants)
     law, (count, leaps, seed) = problem.law, (case.search.starts, case.search.leaps, case.search.seed)
     given = [x for x in (law.variables_of(solution.law) for solution in also_from) if x is not None]

@@ -13,11 +13,11 @@ to drift along. So the gimbal's limit is reached at a wind of U tan(delta_max |M
 
 from __future__ import annotations
 
+import itertools
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, replace
-from typing import Any
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -25,8 +25,9 @@ from maxq.design import api
 from maxq.design.loop.fixed_path import fixed_path
 from maxq.design.loop.loop import Loop
 from maxq.design.margins.measure import margins
-from maxq.design.model.dispersion import NOMINAL, Dispersion, disperse, for_each
+from maxq.design.model.dispersion import NOMINAL, Dispersion, disperse
 from maxq.design.model.node import Node
+from maxq.design.model.spread import Draw, vehicle_of
 from maxq.design.model.vehicle_at import stability_derivatives
 from maxq.design.verify.memory import Memory
 from maxq.design.verify.suite import (
@@ -37,7 +38,6 @@ from maxq.design.verify.suite import (
     LinearMargins,
     MarginLimits,
     Requirement,
-    Spread,
     beyond,
     judgement_of,
     room_left,
@@ -55,6 +55,10 @@ MEASURES = {
     "higher_modes_db": ("modes 2 and above: peak", "dB", "<="),
 }
 """What is measured, by the key of its limit (`MarginLimits`): title, unit, sense of the limit."""
+INSTANTS_S = (0.5, 0.05, 0.005)
+"""Steps of the search for the worst instant between nodes, coarse to fine."""
+WORSE = {"dB": 0.02, "deg": 0.1, "ms": 0.05}
+"""What an instant must be worse by to become a node."""
 _GENERATOR = (1, 1, -1, 1, 1, 1, -1, -1, -1, 1, -1)  # first row of the Plackett-Burman design of twelve runs
 _FACTORS = (
     "bending_frequency", "bending_slope", "bending_damping", "slosh_frequency", "slosh_mass", "slosh_damping",
@@ -62,18 +66,8 @@ _FACTORS = (
 )  # fmt: skip  # nine more lines otherwise
 
 
-Draw = Callable[[str, int], float]
-"""A deviation in units of three sigma, of a key of `Spread` and of a mode's or tank's number, -1 where there is one."""
 Measured = dict[str, float]
 """Margins of a loop by the names of `MEASURES`; empty where it is unstable, infinite where nothing limits them."""
-
-
-@dataclass(frozen=True)
-class Deviated:
-    """Deviations of a vehicle; the delay of the computer (s) has either sign here, in `Dispersion` it only grows."""
-
-    dispersion: Dispersion = NOMINAL
-    delay_s: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -119,7 +113,49 @@ def measured(loop: Loop, slosh_peak_db: float) -> Measured:
     return {name: float(v) for name, v in zip(MEASURES, values, strict=True)}
 
 
-def vehicles(wanted: LinearMargins, node: Node) -> tuple[list[Deviated], list[Deviated]]:
+def worst_instants(
+    nodes_at: Callable[[Sequence[float]], Sequence[Node]],
+    design: Design,
+    times_s: Sequence[float],
+    limits: MarginLimits,
+) -> list[float]:
+    """Instants (s) between the first and the last node of a stage at which a margin that is asked for is worst.
+
+    One for each margin that is worse there than at every node, by more than WORSE in its own unit. The time axis is
+    searched every INSTANTS_S[0], then about the worst of those more and more closely: two dips within the first step
+    are one.
+    """
+    if len(times_s) < 2:
+        return []
+    known: dict[float, Measured] = {}
+
+    def worse(name: str, t: float) -> float:
+        """The margin, the greater the worse; infinite where the loop is unstable."""
+        value = known[t].get(name, math.nan)
+        if not known[t]:
+            return math.inf
+        return -math.inf if math.isnan(value) else -value if MEASURES[name][2] == ">=" else value
+
+    def measure(wanted_s: Iterable[float]) -> None:
+        missing = sorted({float(t) for t in wanted_s if first <= t <= last} - known.keys())
+        for t, node in zip(missing, nodes_at(missing) if missing else (), strict=True):
+            known[t] = measured(Loop(fixed_path(node), api.law_at(design, node)), limits.slosh_peak_db)
+
+    asked = [name for name in MEASURES if getattr(limits, name) is not None]
+    first, last = min(times_s), max(times_s)
+    measure([*times_s, *np.arange(first, last, INSTANTS_S[0]).round(6)])
+    for coarse, fine in itertools.pairwise(INSTANTS_S):
+        worst = {max(known, key=lambda t: worse(name, t)) for name in asked}
+        measure(round(t + k * fine, 6) for t in worst for k in range(1 - round(coarse / fine), round(coarse / fine)))
+    out = set()
+    for name in asked:
+        t = max(known, key=lambda t: worse(name, t))
+        if worse(name, t) > max(worse(name, at) for at in times_s) + WORSE[MEASURES[name][1]]:
+            out.add(t)
+    return sorted(out)
+
+
+def vehicles(wanted: LinearMargins, node: Node) -> tuple[list[Dispersion], list[Dispersion]]:
     """Corners, where thrust goes with the last factor and all modes and tanks together, and random vehicles, of which
     each mode and tank deviates by itself. `node`: of their stage.
 
@@ -137,7 +173,7 @@ def vehicles(wanted: LinearMargins, node: Node) -> tuple[list[Deviated], list[De
     if found is not None and found[1] == "vehicle":
         numbers = range(int(found[2]) - 1, int(found[2]))
     drawn = [vehicle_of(wanted.three_sigma, node, _normal(wanted.seed, n), f"vehicle {n + 1}") for n in numbers]
-    return [c for c in corners if wanted.only in ("", c.dispersion.label)], drawn
+    return [c for c in corners if wanted.only in ("", c.label)], drawn
 
 
 def _together(signs: dict[str, float]) -> Draw:
@@ -148,39 +184,6 @@ def _normal(seed: int, number: int) -> Draw:
     """Normal deviates in units of three sigma, in the order in which they are asked for."""
     generator = np.random.default_rng([seed, number])
     return lambda name, element: float(generator.normal() / 3.0)
-
-
-def vehicle_of(spread: Spread, node: Node, draw: Draw, label: str) -> Deviated:
-    """Deviations of a vehicle with the modes and tanks of `node`."""
-
-    def factor(name: str, three_sigma: float, element: int = -1) -> float:
-        return max(1.0 + three_sigma * draw(name, element), 0.05)
-
-    def each(name: str, count: int) -> tuple[float, ...]:
-        given = getattr(spread, name)
-        sizes = for_each(given if isinstance(given, tuple) else (given,), count)
-        return tuple(factor(name, size, n) for n, size in enumerate(sizes))
-
-    modes, tanks = len(node.vehicle.modes.omega_radps), len(node.vehicle.pendulums.mass_kg)
-    of_modes = ("bending_frequency", "bending_slope", "bending_damping")
-    of_tanks = ("slosh_frequency", "slosh_mass", "slosh_damping")
-    several: dict[str, Any] = {name: each(name, modes) for name in of_modes} | {
-        name: each(name, tanks) for name in of_tanks
-    }
-    single = {
-        name: factor(name, getattr(spread, name))
-        for name in ("actuator_frequency", "thrust", "normal_force", "inertia")
-    }
-    shift_m = spread.centre_of_pressure_m * draw("centre_of_pressure_m", -1)
-    by = Dispersion(**several, **single, centre_of_pressure_m=shift_m, label=label)
-    return Deviated(by, spread.delay_s * draw("delay_s", -1))
-
-
-def dispersed_node(node: Node, by: Deviated) -> Node:
-    """The node of a deviated vehicle."""
-    weak = disperse(node, by.dispersion)
-    delay_s = weak.instruments.delay_s + max(by.delay_s, -node.instruments.delay_s)
-    return replace(weak, instruments=replace(weak.instruments, delay_s=delay_s))
 
 
 def study(
@@ -194,7 +197,7 @@ def study(
 ) -> MarginStudy:
     """Margins at all nodes of one plane and stage, of the vehicle as it is, at the corners and of random ones."""
     corners, drawn = vehicles(wanted, nodes[0])
-    every = [Deviated(), *corners, *drawn]
+    every = [NOMINAL, *corners, *drawn]
     done = [0]
 
     def at_node(node: Node) -> list[Measured]:
@@ -204,7 +207,7 @@ def study(
         def work_out() -> list[Measured]:
             out = []
             for by in every:
-                out.append(measured(Loop(fixed_path(dispersed_node(node, by)), law), peak_db))
+                out.append(measured(Loop(fixed_path(disperse(node, by)), law), peak_db))
                 done[0] += 1
                 if done[0] % 50 == 0:
                     watch(done[0], len(every) * len(nodes))
@@ -214,7 +217,7 @@ def study(
 
     with ThreadPoolExecutor(max_workers=workers) as pool:
         table = list(pool.map(at_node, nodes))
-    cases = [MarginCase(by.dispersion.label, tuple(row[k] for row in table)) for k, by in enumerate(every)]
+    cases = [MarginCase(by.label, tuple(row[k] for row in table)) for k, by in enumerate(every)]
     first = 1 + len(corners)
     return MarginStudy(
         stage, nodes[0].plane, tuple(n.time_s for n in nodes), cases[0], tuple(cases[1:first]), tuple(cases[first:])

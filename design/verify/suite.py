@@ -20,6 +20,7 @@ from typing import Annotated, Any, Literal
 from pydantic import Field, model_validator
 
 from maxq.design.model.node import EDGES, NODES_PER_STAGE
+from maxq.design.model.spread import Share, Spread
 from maxq.sim.campaign.schema import Campaign
 from maxq.sim.campaign.statistics import MET, NOT_MET
 from maxq.sim.scenario.documents import Text
@@ -102,8 +103,6 @@ AS_DESIGNED, CERTIFICATE, WORST = "as designed", "certificate", "worst"
 VEHICLE_LABEL = re.compile(r"(corner|vehicle) ([1-9][0-9]*)")
 Level = Annotated[float, Field(gt=0.0, lt=1.0)]
 Plane = Literal["pitch", "yaw"]
-Share = Annotated[float, Field(ge=0.0, lt=1.0)]
-"""Of a deviation; one of 1 would turn the sign of what deviates."""
 
 
 class DispersedLimit(Section):
@@ -182,23 +181,6 @@ class MarginLimits(Section):
     higher_modes_db: float | None = optional("peak of the second mode and above, dB")
 
 
-class Spread(Section):
-    """3-sigma deviations, relative unless a unit is named."""
-
-    bending_frequency: tuple[Share, ...] = optional("of each mode; the last for all beyond", (0.05, 0.10, 0.15))
-    bending_slope: Share = optional("of each mode, at the gyro", 0.2)
-    bending_damping: Share = optional("of each mode", 0.5)
-    slosh_frequency: Share = optional("of each tank", 0.05)
-    slosh_mass: Share = optional("of each tank", 0.10)
-    slosh_damping: Share = optional("of each tank", 0.5)
-    actuator_frequency: Share = optional("poles of the actuator", 0.15)
-    delay_s: NotNegative = optional("either way, s; never below no delay", 0.002)
-    thrust: Share = optional("lateral authority", 0.03)
-    normal_force: Share = optional("of all surfaces", 0.15)
-    centre_of_pressure_m: NotNegative = optional("m", 0.25)
-    inertia: Share = optional("transverse", 0.05)
-
-
 TIMES = "vehicle times, s (default: chosen from the flight, in every stage under full thrust)"
 
 
@@ -221,6 +203,11 @@ class LinearMargins(Section):
     nodes_per_stage: Annotated[int, Field(ge=1, le=1000)] = optional("where times_s is not given", NODES_PER_STAGE)
     edges: tuple[Share, Share] = optional(
         "shares of a stage's burn that such nodes keep off its begin (off the pad) and its end", EDGES
+    )
+    between_nodes: Literal["ignore", "hold"] = optional(
+        "hold: the instant between the nodes at which a nominal margin is worst becomes a node, where it is worse "
+        "there than at every node",
+        "hold",
     )
     planes: tuple[Plane, ...] = optional("pitch, yaw", ("pitch",), min_length=1)
     cases: Annotated[int, Field(ge=0, le=100000)] = optional("random vehicles", 150)

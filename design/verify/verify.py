@@ -43,6 +43,7 @@ from maxq.design.verify.linear import (
     authority_requirement,
     margin_requirements,
     study,
+    worst_instants,
 )
 from maxq.design.verify.memory import Memory, code_hash, content_hash
 from maxq.design.verify.slosh import SloshAdvice, advise, confirm
@@ -251,10 +252,25 @@ class _Job:
 
     def nodes(self, plane: Plane) -> list[Node]:
         """Nodes of the linear margins, which depend on all of the flight."""
-        assert self.suite.margins is not None
-        times_s = self.times_s(self.suite.margins)
+        wanted, design = self.suite.margins, self.design
+        assert wanted is not None
+        times_s = self.times_s(wanted)
         depends = (self.along.as_flown, times_s, plane)
-        return self.memory.recall("nodes", depends, lambda: api.nodes(self.along, times_s, plane=plane))
+
+        def along(at_s: Sequence[float]) -> list[Node]:
+            return api.nodes(self.along, at_s, plane=plane)
+
+        if design is not None and wanted.between_nodes == "hold":
+
+            def between() -> tuple[float, ...]:
+                """Of every stage: its nodes lie in one powered span."""
+                spans = [[t for t in times_s if span.holds(t)] for span in powered_spans(self.along)]
+                return tuple(t for mine in spans for t in worst_instants(along, design, mine, wanted.nominal))
+
+            limits = plain_value(wanted.nominal)
+            found = self.memory.recall("instants", (*depends, repr(design), limits), between)
+            times_s = tuple(sorted({*times_s, *found}))
+        return self.memory.recall("nodes", (self.along.as_flown, times_s, plane), lambda: along(times_s))
 
     def margins(self) -> list[MarginStudy]:
         """Of every stage that has nodes, plane by plane."""
@@ -310,7 +326,7 @@ class _Job:
         if wanted is None or design is None or not tanks or not self.scenario.scenario.switches.slosh:
             return []
         nodes = self.nodes("pitch")
-        depends = (self.scenario.as_flown, self.times_s(wanted))
+        depends = (self.scenario.as_flown, tuple(node.time_s for node in nodes))
         found = self.memory.recall("slosh", depends, lambda: advise(nodes, design))
         worst = max((a for a in found if 0.0 < a.needed < math.inf), key=lambda a: a.needed, default=None)
         if worst is None:

@@ -23,9 +23,10 @@ from maxq.design import api
 from maxq.design.loop.fixed_path import fixed_path
 from maxq.design.loop.loop import Loop
 from maxq.design.margins.measure import margins
+from maxq.design.model.dispersion import Dispersion, disperse
 from maxq.design.model.node import Node
-from maxq.design.verify.linear import Deviated, dispersed_node, vehicle_of
-from maxq.design.verify.suite import ACCEPTED, REJECTED, Requirement, Spread, WorstWanted, room_left
+from maxq.design.model.spread import Place, Spread, places_of, vehicle_at_places
+from maxq.design.verify.suite import ACCEPTED, REJECTED, Requirement, WorstWanted, room_left
 from maxq.sim.campaign.targets import Change, Dispersed, find_target
 from maxq.sim.run.fly import fly
 from maxq.sim.scenario.loader import LoadedScenario
@@ -37,9 +38,6 @@ _MINIMA = 4  # over frequency that are refined
 _STEP = 0.02  # of the region, in which the gradient is taken
 _ROUNDS = 8
 _SHARES = (1.0, 0.5, 0.25, 0.1)
-
-Place = tuple[str, int]
-"""A deviation of `Spread`, and of which mode or tank, from 0."""
 
 
 @dataclass(frozen=True)
@@ -72,19 +70,12 @@ class WorstVehicle:
         return f"{self.time_s:g} s, {self.plane}; sigmas: {', '.join(words)}, ..."
 
 
-def places_of(node: Node) -> list[Place]:
-    """All that deviates at a node; -1: there is one of it."""
-    modes, tanks = len(node.vehicle.modes.omega_radps), len(node.vehicle.pendulums.mass_kg)
-    count = {"bending": modes, "slosh": tanks}
-    return [(key, n) for key in Spread.model_fields for n in range(count.get(key.partition("_")[0], 0)) or (-1,)]
-
-
 def distance(node: Node, design: Design, spread: Spread) -> Callable[[Array], float]:
     """Of the loop from -1 as a function of deviations (places,) in units of three sigma; below 0: unstable."""
     places, law = places_of(node), api.law_at(design, node)
 
     def at(u: Array) -> float:
-        loop = Loop(fixed_path(dispersed_node(node, _deviated(node, spread, places, u))), law)
+        loop = Loop(fixed_path(disperse(node, vehicle_at_places(spread, node, places, u))), law)
         hz = [np.geomspace(_LOWEST_HZ, loop.highest_hz, _GRID)]
         hz += [r.frequency_hz + max(r.half_width_hz, 1e-3) * _AROUND for r in loop.fixed.resonances()]
         grid = np.unique(np.clip(np.concatenate(hz), _LOWEST_HZ, loop.highest_hz))
@@ -96,11 +87,6 @@ def distance(node: Node, design: Design, spread: Spread) -> Callable[[Array], fl
         return least if (loop.closed_poles().real < 0.0).all() else -least
 
     return at
-
-
-def _deviated(node: Node, spread: Spread, places: Sequence[Place], u: Array) -> Deviated:
-    by = dict(zip(places, u.tolist(), strict=True))
-    return vehicle_of(spread, node, lambda name, n: by[name, n], "worst")
 
 
 def search_node(node: Node, design: Design, spread: Spread, wanted: WorstWanted, seed: int) -> tuple[float, Array, int]:
@@ -180,8 +166,8 @@ def search_plane(
         results = list(pool.map(one, nodes))
     k = int(np.argmin([value for value, _, _ in results]))
     node, u, places = nodes[k], results[k][1], places_of(nodes[k])
-    by = _deviated(node, spread, places, u)
-    loop = Loop(fixed_path(dispersed_node(node, by)), api.law_at(design, node))
+    by = vehicle_at_places(spread, node, places, u, "worst")
+    loop = Loop(fixed_path(disperse(node, by)), api.law_at(design, node))
     exact = margins(loop, resonances=loop.fixed.resonances())
     scenario, missing = scenario_of(base, node, by)
     flight = fly(scenario, log=False)
@@ -193,13 +179,13 @@ def search_plane(
     )  # fmt: skip  # nine more lines otherwise
 
 
-def scenario_of(base: LoadedScenario, node: Node, by: Deviated) -> tuple[LoadedScenario, list[str]]:
+def scenario_of(base: LoadedScenario, node: Node, d: Dispersion) -> tuple[LoadedScenario, list[str]]:
     """The scenario in which the deviated vehicle flies, and the keys that it does not have.
 
     What the linear model changes about its node flies all the way: thrust acts along the axis as well, inertia is that
     of the whole vehicle.
     """
-    stage, d = f"vehicle.stage.{node.stage}", by.dispersion
+    stage = f"vehicle.stage.{node.stage}"
     factors: dict[str, float] = {}
     for key, by_mode in (
         ("frequency_factor", d.bending_frequency),
@@ -218,7 +204,7 @@ def scenario_of(base: LoadedScenario, node: Node, by: Deviated) -> tuple[LoadedS
     factors |= {f"{key}.thrust_factor": d.thrust for _, key in _each(flies.engine, f"{stage}.engine")}
     factors[f"{stage}.aero.force_factor"] = d.normal_force
     factors |= {f"{stage}.mass.table.{key}": d.inertia for key in ("Iyy_kgm2", "Izz_kgm2")}
-    added = {f"{stage}.aero.centre_shift_m": d.centre_of_pressure_m, "vehicle.computer.delay_s": by.delay_s}
+    added = {f"{stage}.aero.centre_shift_m": d.centre_of_pressure_m, "vehicle.computer.delay_s": d.delay_s}
     changes, missing = [], []
     results: dict[str, float] = {}
     for key, number in (*factors.items(), *added.items()):

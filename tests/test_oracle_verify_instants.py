@@ -1,0 +1,73 @@
+"""The worst instant between nodes, against phases read off L at every tenth of a second."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import pytest
+
+from maxq.design import api
+from maxq.design.model.node import Node
+from maxq.design.verify.linear import MEASURES, WORSE, measured, worst_instants
+from maxq.design.verify.suite import MarginLimits
+from maxq.sim.scenario.loader import load_scenario
+
+SCENARIO = load_scenario("nominal", ['design="designs/ksr3-linear.toml"'])
+
+
+def nodes_at(times_s: Sequence[float]) -> list[Node]:
+    return api.nodes(SCENARIO, times_s)
+
+
+def least_phase_deg(node: Node) -> float:
+    """Over the crossings of |L| = 1 from 0.1 to 4 Hz: rigid body and both tanks."""
+    assert SCENARIO.design is not None
+    loop = api.close(api.fixed_path(node), SCENARIO.design)
+    f = np.linspace(0.1, 4.0, 40_000)
+    values = loop.response(f)
+    size = np.log(np.abs(values))
+    k = np.flatnonzero((size[1:] > 0.0) != (size[:-1] > 0.0))
+    return float(np.abs(np.degrees(np.angle(-values[k]))).min())
+
+
+def test_the_worst_instant_is_found_and_becomes_a_node() -> None:
+    """30.1 deg at 50 and at 55 s, 22 between, where the peak of LOX slosh passes 0 dB."""
+    limits = MarginLimits(phase_deg=30.0)
+    assert SCENARIO.design is not None
+    found = worst_instants(nodes_at, SCENARIO.design, [50.0, 55.0], limits)
+    assert len(found) == 1
+    every = np.arange(50.0, 55.01, 0.1).round(3).tolist()
+    phases = [least_phase_deg(node) for node in nodes_at([*every, found[0]])]
+    assert 21.0 < phases[-1] < 23.0
+    assert phases[-1] < min(phases[0], phases[-2]) - 5.0
+    assert phases[-1] < min(phases[:-1]) + 0.02
+    assert worst_instants(nodes_at, SCENARIO.design, [50.0, found[0], 55.0], limits) == []
+    assert found[0] == pytest.approx(every[int(np.argmin(phases[:-1]))], abs=0.1)
+
+
+def test_no_instant_is_added_where_the_nodes_are_the_worst() -> None:
+    assert SCENARIO.design is not None
+    assert worst_instants(nodes_at, SCENARIO.design, [54.0], MarginLimits(phase_deg=30.0)) == []
+    assert worst_instants(nodes_at, SCENARIO.design, [50.0, 55.0], MarginLimits()) == []
+
+
+@pytest.mark.slow
+def test_all_margins_that_are_asked_for_are_searched() -> None:
+    """Each instant is worse in one of them than every node is, and no tenth of a second is worse still."""
+    limits = MarginLimits(gain_up_db=6.0, phase_deg=30.0, delay_ms=10.0, slosh_phase_deg=30.0, higher_modes_db=-6.0)
+    asked = [name for name in MEASURES if getattr(limits, name) is not None]
+    assert SCENARIO.design is not None
+    design, times_s = SCENARIO.design, [40.0, 47.0, 55.0]
+    found = worst_instants(nodes_at, design, times_s, limits)
+    assert 1 <= len(found) <= len(asked)
+
+    def table(at_s: Sequence[float]) -> np.ndarray:
+        rows = [measured(api.close(api.fixed_path(node), design), limits.slosh_peak_db) for node in nodes_at(at_s)]
+        return np.array([[row[name] * (-1.0 if MEASURES[name][2] == ">=" else 1.0) for name in asked] for row in rows])
+
+    ends, ours = table(times_s).max(axis=0), table(found)
+    room = np.array([WORSE[MEASURES[name][1]] for name in asked])
+    assert (ours > ends + room).any(axis=1).all()
+    dense = table(np.arange(40.0, 55.01, 0.1).round(3).tolist()).max(axis=0)
+    assert (np.maximum(ours.max(axis=0), ends) >= dense - 2.0 * room).all()
