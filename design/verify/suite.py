@@ -191,7 +191,9 @@ class WorstWanted(Section):
     region: Literal["ellipsoid", "box"] = optional(
         "all deviations together as unlikely as one at so many sigma, or each of them up to so many", "ellipsoid"
     )
-    starts: Annotated[int, Field(ge=1, le=1000)] = optional("searches at each node", 4)
+    starts: Annotated[int, Field(ge=1, le=1000)] = optional(
+        "searches at each of the worst nodes; every node has one", 12
+    )
     seed: Annotated[int, Field(ge=0, lt=2**63)] = optional("of the starts", 1)
     modulus: Positive | None = optional("least |1 + L| of the worst vehicle found")
 

@@ -2,14 +2,17 @@
 
 Every mode, every tank and everything else of `Spread` deviates by itself, within an ellipsoid (together no less likely
 than one deviation alone at so many sigma) or a box (each up to so many). From each start the search goes along the
-gradient, by differences, to where the linearised distance is least in that region, back towards where it came from
-until the distance has fallen, and again (Frank & Wolfe, Nav. Res. Logist. Q. 3, 1956); in a box it ends at the corner
-that no single deviation makes worse. An unstable loop counts as beyond -1 by its distance. A search bounds nothing from
-below: what it says is that no worse vehicle was found in so many searches.
+gradient to where the linearised distance is least in that region, back towards where it came from until the distance
+has fallen, and again (Frank & Wolfe, Nav. Res. Logist. Q. 3, 1956); in a box it ends at the corner that no single
+deviation makes worse. The gradient is that of L at the frequency nearest to -1, by differences of the vehicle's
+continuous response: no loop is closed for it. An unstable loop counts as beyond -1 by its distance. Every node has a
+start at the vehicle as it is; those that come out worst (`FURTHER` of them) have all the others too. A search bounds
+nothing from below: what it says is that no worse vehicle was found in so many searches.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -25,7 +28,10 @@ from maxq.design.loop.loop import Loop
 from maxq.design.margins.measure import margins
 from maxq.design.model.dispersion import Dispersion, disperse
 from maxq.design.model.node import Node
+from maxq.design.model.plant import per_actuator_angle
 from maxq.design.model.spread import Place, Spread, places_of, vehicle_at_places
+from maxq.design.model.state_space import ComplexArray
+from maxq.design.model.vehicle_at import actuator_response
 from maxq.design.verify.suite import ACCEPTED, REJECTED, Requirement, WorstWanted, room_left
 from maxq.sim.campaign.targets import Change, Dispersed, find_target
 from maxq.sim.run.fly import fly
@@ -34,10 +40,11 @@ from maxq.sim.scenario.schema_design import Design
 
 _LOWEST_HZ, _GRID = 1e-3, 200
 _AROUND = np.array([-8.0, -4.0, -2.0, -1.2, -0.6, -0.2, 0.2, 0.6, 1.2, 2.0, 4.0, 8.0])  # half widths about a resonance
-_MINIMA = 4  # over frequency that are refined
-_STEP = 0.02  # of the region, in which the gradient is taken
-_ROUNDS = 8
-_SHARES = (1.0, 0.5, 0.25, 0.1)
+_MINIMA, _GOALS = 8, 2  # over frequency that are refined, and of these that a step makes for
+FURTHER = 6  # nodes of a plane and stage that are searched from all starts
+_STEP = 1e-4  # of the region, in which the gradient is taken: at one frequency, a mode must not move by its width
+_ROUNDS = 12
+_SHARES = (1.0, 0.5, 0.25, 0.1, 0.03)
 
 
 @dataclass(frozen=True)
@@ -70,11 +77,13 @@ class WorstVehicle:
         return f"{self.time_s:g} s, {self.plane}; sigmas: {', '.join(words)}, ..."
 
 
-def distance(node: Node, design: Design, spread: Spread) -> Callable[[Array], float]:
-    """Of the loop from -1 as a function of deviations (places,) in units of three sigma; below 0: unstable."""
+def distance(node: Node, design: Design, spread: Spread) -> Callable[[Array], tuple[float, Array]]:
+    """Of the loop from -1, and at what frequencies (Hz) it has minima, the least first, as a function of deviations
+    (places,) in units of three sigma. The distance is negative where the loop is unstable.
+    """
     places, law = places_of(node), api.law_at(design, node)
 
-    def at(u: Array) -> float:
+    def at(u: Array) -> tuple[float, Array]:
         loop = Loop(fixed_path(disperse(node, vehicle_at_places(spread, node, places, u))), law)
         hz = [np.geomspace(_LOWEST_HZ, loop.highest_hz, _GRID)]
         hz += [r.frequency_hz + max(r.half_width_hz, 1e-3) * _AROUND for r in loop.fixed.resonances()]
@@ -83,21 +92,64 @@ def distance(node: Node, design: Design, spread: Spread) -> Callable[[Array], fl
         low = near <= np.minimum(np.append(near[1:], np.inf), np.append(np.inf, near[:-1]))
         deepest = np.flatnonzero(low)[np.argsort(near[low])[:_MINIMA]]
         before, after = grid[np.maximum(deepest - 1, 0)], grid[np.minimum(deepest + 1, len(grid) - 1)]
-        least = float(min(near.min(), np.abs(1.0 + loop.response(np.linspace(before, after, 21).ravel())).min()))
-        return least if (loop.closed_poles().real < 0.0).all() else -least
+        fine = np.concatenate([grid[deepest][None], np.linspace(before, after, 21)])
+        near = np.abs(1.0 + loop.response(fine))
+        k, each = near.argmin(axis=0), np.arange(len(deepest))
+        order = np.argsort(near[k, each])
+        least = float(near[k, each][order[0]])
+        return least if (loop.closed_poles().real < 0.0).all() else -least, fine[k, each][order]
 
     return at
 
 
-def search_node(node: Node, design: Design, spread: Spread, wanted: WorstWanted, seed: int) -> tuple[float, Array, int]:
-    """Least distance found at a node, its deviations in units of three sigma, and the loops that were measured."""
-    reach, count = wanted.sigmas / 3.0, len(places_of(node))
-    measure, loops = distance(node, design, spread), [0]
-    rng = np.random.default_rng([seed, round(1e3 * node.time_s)])
+def slope(node: Node, design: Design, spread: Spread) -> Callable[[Array, Array, Array], tuple[Array, Array]]:
+    """|1 + L| at frequencies (Hz), and its change by `steps` (places,) of the deviations, per step: (frequencies,
+    places).
 
-    def score(u: Array) -> float:
+    L changes as actuator, vehicle and delay do: what sampling adds changes little, and the search measures where it
+    arrives.
+    """
+    places, law = places_of(node), api.law_at(design, node)
+
+    def path(u: Array, s: ComplexArray) -> ComplexArray:
+        there = disperse(node, vehicle_at_places(spread, node, places, u))
+        plant = there.plant
+        inputs = tuple(x for x in plant.inputs if not there.actuator.ideal or x.startswith("delta_rad"))
+        columns = [plant.inputs.index(x) for x in inputs]
+        moved = np.linalg.solve(s[:, None, None] * np.eye(len(plant.a)) - plant.a, plant.b[:, columns])
+        rate = plant.c[plant.outputs.index("local_rate_radps")] @ moved
+        drives = zip(per_actuator_angle(s, rate, inputs), there.actuators, strict=True)
+        turned = sum(r * (1.0 if record.ideal else actuator_response(record, s)) for r, record in drives)
+        return np.asarray(turned * np.exp(-s * there.instruments.delay_s))
+
+    def at(u: Array, hz: Array, steps: Array) -> tuple[Array, Array]:
+        s = np.asarray(2j * np.pi * hz, np.complex128)
+        loop = Loop(fixed_path(disperse(node, vehicle_at_places(spread, node, places, u))), law)
+        here: ComplexArray = loop.response(hz)
+        nominal = path(u, s)
+        moves = (u + step * unit for step, unit in zip(steps, np.eye(len(u)), strict=True))
+        near = np.array([np.abs(1.0 + here * path(moved, s) / nominal) for moved in moves]).T
+        return np.abs(1.0 + here), (near - np.abs(1.0 + here)[:, None]) / steps
+
+    return at
+
+
+def search_node(
+    node: Node, design: Design, spread: Spread, wanted: WorstWanted, starts: Sequence[int] | None = None
+) -> tuple[float, Array, int]:
+    """Least distance found at a node, its deviations in units of three sigma, and the loops that were measured.
+
+    `starts` by their numbers, 0 being the vehicle as it is (default: all).
+    """
+    reach, count = wanted.sigmas / 3.0, len(places_of(node))
+    measure, change, loops = distance(node, design, spread), slope(node, design, spread), [0]
+
+    def look(u: Array) -> tuple[float, Array]:
         loops[0] += 1
         return measure(u)
+
+    def score(u: Array) -> float:
+        return look(u)[0]
 
     def farthest(direction: Array) -> Array:
         """The point of the region that lies farthest in a direction."""
@@ -105,22 +157,29 @@ def search_node(node: Node, design: Design, spread: Spread, wanted: WorstWanted,
             return reach * np.sign(direction)
         return np.asarray(reach * direction / max(float(np.linalg.norm(direction)), 1e-300))
 
-    best, worst_u = score(np.zeros(count)), np.zeros(count)
-    for start in range(wanted.starts):
+    def towards(u: Array, goal: Array, share: float) -> Array:
+        """Part of the way; in an ellipsoid along its surface, inside of which the worst hardly ever lies."""
+        there = u + share * (goal - u)
+        return there if wanted.region == "box" else farthest(there)
+
+    best, worst_u = math.inf, np.zeros(count)
+    for start in range(wanted.starts) if starts is None else starts:
+        rng = np.random.default_rng([wanted.seed, round(1e3 * node.time_s), start])
         u = np.zeros(count) if start == 0 else farthest(rng.normal(size=count)) * rng.uniform(0.3, 1.0)
-        value = score(u)
+        value, hz = look(u)
         for _ in range(_ROUNDS):
             steps = np.where(u > 0.0, -_STEP, _STEP) * reach
-            slope = np.array(
-                [(score(u + step * unit) - value) / step for step, unit in zip(steps, np.eye(count), strict=True)]
-            )
-            goal = farthest(-slope)
-            trials = [u + share * (goal - u) for share in _SHARES]
-            values = [score(trial) for trial in trials]
-            k = int(np.argmin(values))
-            if values[k] > value - 1e-4:
+            near, slopes = change(u, hz, steps)
+            # an unstable loop is to go further beyond; else the minima that promise to become least
+            goals = [farthest(-by) for by in slopes] if value > 0.0 else [farthest(slopes[0])]
+            promised = [at + by @ (goal - u) for at, by, goal in zip(near, slopes, goals, strict=False)]
+            likely = [goals[k] for k in np.argsort(promised)[:_GOALS]]
+            trials = [towards(u, goal, share) for goal in likely for share in _SHARES]
+            found = [look(trial) for trial in trials]
+            k = int(np.argmin([distance for distance, _ in found]))
+            if found[k][0] > value - 1e-4:
                 break
-            u, value = trials[k], values[k]
+            u, (value, hz) = trials[k], found[k]
         if wanted.region == "box":
             u, value = _corner(u, score, reach, rng)
         if value < best:
@@ -154,27 +213,30 @@ def search_plane(
     workers: int = 2,
 ) -> WorstVehicle:
     """The worst vehicle over the nodes of a plane and stage, measured exactly there, and flown."""
-    done = [0]
+    done, further = [0], min(FURTHER, len(nodes)) if wanted.starts > 1 else 0
 
-    def one(node: Node) -> tuple[float, Array, int]:
-        found = search_node(node, design, spread, wanted, wanted.seed)
+    def one(node: Node, starts: Sequence[int]) -> tuple[float, Array, int]:
+        found = search_node(node, design, spread, wanted, starts)
         done[0] += 1
-        watch(done[0], len(nodes))
+        watch(done[0], len(nodes) + further)
         return found
 
     with ThreadPoolExecutor(max_workers=workers) as pool:
-        results = list(pool.map(one, nodes))
+        results = list(pool.map(lambda node: one(node, [0]), nodes))
+        at = [*nodes, *(nodes[k] for k in np.argsort([value for value, _, _ in results])[:further])]
+        results += pool.map(lambda node: one(node, range(1, wanted.starts)), at[len(nodes) :])
     k = int(np.argmin([value for value, _, _ in results]))
-    node, u, places = nodes[k], results[k][1], places_of(nodes[k])
+    node, u, places = at[k], results[k][1], places_of(at[k])
     by = vehicle_at_places(spread, node, places, u, "worst")
     loop = Loop(fixed_path(disperse(node, by)), api.law_at(design, node))
     exact = margins(loop, resonances=loop.fixed.resonances())
     scenario, missing = scenario_of(base, node, by)
     flight = fly(scenario, log=False)
     lost = flight.failures
+    searches, loops = len(nodes) + further * (wanted.starts - 1), sum(n for _, _, n in results)
     return WorstVehicle(
         stage, node.plane, node.time_s, dict(zip(places, (3.0 * u).tolist(), strict=True)),
-        exact.modulus if exact.stable else 0.0, wanted.starts * len(nodes), sum(n for _, _, n in results),
+        exact.modulus if exact.stable else 0.0, searches, loops,
         "; ".join(lost) or "control kept", not lost, scenario.as_flown, tuple(missing),
     )  # fmt: skip  # nine more lines otherwise
 
