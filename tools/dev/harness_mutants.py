@@ -6,6 +6,7 @@ python -m maxq.tools.dev.mutations run --work DIR --mode compiled --named
 STATISTICS, LINEAR, WORST = "sim/campaign/statistics.py", "design/verify/linear.py", "design/verify/worst.py"
 SUITE, ANALYSIS, DRAWS = "design/verify/suite.py", "sim/campaign/analysis.py", "sim/campaign/draws.py"
 PLAN, ROBUST, JUDGING = "sim/campaign/plan.py", "design/optimise/robust.py", "design/verify/judging.py"
+SPREAD = "design/model/spread.py"
 
 NAMED = (
     (STATISTICS, "betaincinv(failures + 1, runs - failures, «confidence»)", "1.0 - confidence", "upper bound swapped"),
@@ -32,10 +33,10 @@ NAMED = (
     (LINEAR, "np.random.default_rng([seed, «number»])", "0", "seed reused: all vehicles alike"),
     (LINEAR, "np.random.default_rng([«seed», number])", "0", "seed ignored"),
     (LINEAR, "float(generator.normal() / «3.0»)", "9.0", "three sigma taken as nine"),
-    (LINEAR, "name: each(name, tanks«») for name in of_tanks", " - 1", "one tank not dispersed"),
-    (LINEAR, "name: each(name, «modes») for name in of_modes", "1", "higher modes not dispersed"),
-    (LINEAR, "factor(name, size, «n») for n, size", "0", "all modes and tanks by the first one's draw"),
-    (LINEAR, 'return Deviated(by, spread.delay_s «*» draw("delay_s", -1))', "* 0.0 *", "delay not dispersed"),
+    (SPREAD, '"slosh": len(node.vehicle.pendulums.mass_kg)«»}', " - 1", "one tank not dispersed"),
+    (SPREAD, '"bending": «len(node.vehicle.modes.omega_radps)»', "1", "higher modes not dispersed"),
+    (SPREAD, "size * draw(key, «n»), 0.05) for n, size", "0", "all modes and tanks by the first one's draw"),
+    (SPREAD, "values[key] = getattr(spread, key) «*» draw(key, -1)", "* 0.0 *", "delay not dispersed"),
     (LINEAR, "if not found.stable:\n        return {«}»", '"phase_deg": 0.0}', "unstable loop taken for a margin"),
     (LINEAR, "return all(n and «all»(beyond(", "any", "one limit met is enough"),
     (LINEAR, "value, where, command = («min» if sense", "max", "best vehicle reported as the worst"),
@@ -48,14 +49,14 @@ NAMED = (
     (SUITE, 'out = [] if self.campaign else [«"no dispersed flight flown"»]', "", "screening taken for a suite"),
     (WORST, "if value «<» best:", ">", "the best vehicle kept"),
     (WORST, "(loop.closed_poles().real < 0.0).all() else «-»least", "+", "unstable is as far as stable"),
-    (WORST, "goal = farthest(«-»slope)", "+", "search uphill"),
+    (WORST, "[farthest(«-»by) for by in slopes]", "+", "search uphill"),
     (WORST, "if found «<» value - 1e-6:", ">", "corner made better"),
     (WORST, "float(frequency) ** «-2»", "2", "scenario with the inverse slosh frequency"),
     (WORST, "ACCEPTED if found.modulus «>=» wanted.modulus", "<=", "limit inverted"),
     (WORST, "exact.modulus if exact.stable else «0.0»", "exact.modulus", "unstable vehicle with its distance"),
     (DRAWS, "cells[inside] = _permutation(seed, key, «hypercube», stratum)", "0", "every hypercube the same"),
     (DRAWS, "np.uint32(hashed & «0xFFFFFFFF»)", "0", "Sobol' points of all inputs scrambled alike"),
-    (ROBUST, "factors[name] = «end» * size", "abs(end)", "centre of pressure to one side only"),
+    (ROBUST, 'places_of(node, ranges), «ends», f"[', "[abs(e) for e in ends]", "deviations to one side only"),
     (ROBUST, "for end in («-1», 0, 1):", "1", "lower ends not searched"),
     (ROBUST, "best = «max»(beginnings, key=score)", "min", "search from the best beginning"),
     (

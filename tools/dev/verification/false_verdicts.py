@@ -98,7 +98,7 @@ def threshold(p: float) -> float:
 def thrust_sigmas(seed: int, number: int) -> float:
     """Deviation of the thrust of a random vehicle as the harness draws it, in sigma."""
     one = LinearMargins(seed=seed, only=f"vehicle {number}", corner_sigmas=0.0)
-    return 3.0 * (vehicles(one, NODE)[1][0].dispersion.thrust - 1.0) / one.three_sigma.thrust
+    return 3.0 * (vehicles(one, NODE)[1][0].thrust - 1.0) / one.three_sigma.thrust
 
 
 def linear_part(wanted: LinearMargins, p: float) -> list[Requirement]:
