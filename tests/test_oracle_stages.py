@@ -186,7 +186,7 @@ def test_gain_that_slow_roots_need_is_found_in_flight(time_s: float, slowest_hz:
     node = petrel.nodes(time_s)[0]
 
     def farther(packed: Packed) -> None:
-        packed.parameters[node.stage].vehicle.aero.centre_shift_m -= 0.1 * node.vehicle.total_cg_station_m
+        packed.parameters[0].vehicle.aero.centre_shift_m -= 0.1 * node.vehicle.total_cg_station_m
 
     def gain_down(fault: Change | None = None) -> MarginRow:
         return certify_node(petrel.scenario(), node, fault=fault, bands=(), names=("gain_down",)).margins[0]
