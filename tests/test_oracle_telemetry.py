@@ -28,9 +28,9 @@ START = [
 ROUNDING = 1e-9
 
 
-@pytest.fixture(scope="module")
-def flight() -> Flight:
-    return fly(load_scenario("nominal", START))
+@pytest.fixture(scope="module", params=[[], ["initial.rate_BE_degps=[-2.0, 1.0, 9.0]"]], ids=["pitch", "yaw"])
+def flight(request: pytest.FixtureRequest) -> Flight:
+    return fly(load_scenario("nominal", [*START, *request.param]))
 
 
 def columns(flight: Flight, form: str, *names: str) -> Array:
