@@ -16,7 +16,7 @@ Triples are per body axis x, y, z (roll, pitch, yaw), pairs per gimbal axis (pit
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Annotated, NamedTuple
 
 import numpy as np
@@ -42,6 +42,13 @@ from maxq.control.kernel.tables import NO_TABLE, Cubics, Pool, TableRef
 from maxq.control.laws.load_relief import LoadRelief, LoadReliefState, lag_share, start_load_relief, tick_load_relief
 from maxq.control.laws.pd import LawRow, Pd, PdState, filtered, law_row, make_pd, settle_pd, start_pd, tick_pd
 from maxq.control.laws.pid import Pid, PidRow, PidState, pid_row, start_pid, tick_pid
+from maxq.control.orbit_guidance import (
+    OrbitGuidance,
+    OrbitGuidanceState,
+    advance_orbit_guidance,
+    start_orbit_guidance,
+    steer,
+)
 from maxq.control.roll import Roll, RollState, silence_roll, start_roll, update_roll
 from maxq.control.sensors import Sensors, SensorState, blended_rate, make_sensors, read_sensors, start_sensors
 from maxq.control.structures import Attitude
@@ -92,6 +99,7 @@ class Computer:
     sensors: Sensors
     relief: LoadRelief
     takes_over: int = 0  # 1: this stage's law or timing is its own, and is started at the separation
+    orbit: OrbitGuidance = field(default_factory=OrbitGuidance)  # closed-loop guidance, of the last engine's stages
 
 
 @dataclass
@@ -118,6 +126,7 @@ class ComputerState:
     external: ExternalState
     sensors: SensorState
     relief: LoadReliefState
+    orbit: OrbitGuidanceState
 
 
 def build_computer(
@@ -217,6 +226,7 @@ def start_computer(computer: Computer, pool: Array, state: ComputerState, time_s
     start_allocation(state.allocation)
     start_sensors(computer.sensors, state.sensors)
     start_load_relief(state.relief)
+    start_orbit_guidance(state.orbit)
     for gimbal in range(2):
         state.requested_rad[gimbal] = 0.0
         state.command_limited[gimbal] = 0
@@ -289,6 +299,9 @@ def computer_tick(
             state.attitude.rate_radps[1 + gimbal] = blended_rate(computer.sensors, state.sensors, gimbal, first_radps)
     if computer.unrolled != 0:
         unroll(state.guidance, sample_s)
+    if computer.orbit.on != 0 and computer.guidance_on != 0:
+        if advance_orbit_guidance(computer.orbit, state.orbit, time_s, sample_s) == 1:
+            follow_orbit_guidance(computer.orbit, state, time_s, sample_s)
     turn(state.guidance.attitude, state.guidance.increment_rad)
     turn(state.attitude.measured, state.converter.increment_rad)
     update_attitude_error(
@@ -311,6 +324,16 @@ def computer_tick(
         silence_roll(state.roll)
     allocate_commands(computer, pool, state, time_s)
     state.ticks += 1
+
+
+@routine
+def follow_orbit_guidance(orbit: OrbitGuidance, state: ComputerState, time_s: float, sample_s: float) -> None:
+    """The commanded attitude turns in pitch and yaw as the closed-loop guidance says; in roll by the programme."""
+    guidance = state.guidance
+    turned_rad = steer(orbit, state.orbit, guidance.attitude.q, time_s, sample_s)
+    for axis in (1, 2):
+        guidance.increment_rad[axis] = turned_rad[axis - 1]
+        guidance.rate_radps[axis] = turned_rad[axis - 1] / sample_s
 
 
 @routine

@@ -255,7 +255,7 @@ def _evaluate_at(P, pool, state, y, now_ns, elapsed_s, props, dy, work, aux):  #
     pool, y, props = bare_pointer(pool), bare_pointer(y), bare_pointer(props)
     dy, work, aux = bare_pointer(dy), bare_pointer(work), bare_pointer(aux)
     # a step lies in one interval of the schedule; breakpoints are met to the nanosecond
-    clock_s = flight_step.schedule_clock(p, now_ns, 1e-9)
+    clock_s = flight_step.schedule_clock(p, memory.clock, now_ns, 1e-9)
     memory.clock.interval = find_interval(pool, p.vehicle.schedule, clock_s)
     flight_step.read_schedule(p, pool, memory, now_ns, elapsed_s, props)
     flight_step.evaluate(p, pool, memory, now_ns, elapsed_s, workspace.Evaluation(props, y, dy, aux), work)

@@ -24,6 +24,7 @@ from maxq.control.kernel.vectors import (
     set_vector,
     vector_at,
 )
+from maxq.control.orbit_guidance import CUT_OFF
 from maxq.sim.flight.faults import switch_faults
 from maxq.sim.flight.injection import GIMBAL_COMMAND, RATE_COMMAND, next_switch, replaced, total_signal
 from maxq.sim.flight.parameters import (
@@ -79,10 +80,11 @@ def process_due_events(p: Parameters, pool: Array, memory: Memory, y: Array, aux
     now = clock.now_ns
     advance_schedule(p, pool, memory)
     changed = 0
-    if held.burning == 0 and p.timeline.burn_start_ns <= now < p.timeline.burnout_ns:
+    cut_off = 0 < clock.cut_off_ns <= now
+    if held.burning == 0 and p.timeline.burn_start_ns <= now < p.timeline.burnout_ns and not cut_off:
         held.burning = 1
         changed = 1
-    if held.burning == 1 and now >= p.timeline.burnout_ns:
+    if held.burning == 1 and (now >= p.timeline.burnout_ns or cut_off):
         burn_out(p, memory)
         changed = 1
     if held.on_pad == 1 and now >= p.timeline.release_ns:
@@ -150,6 +152,12 @@ def sample_computer(p: Parameters, pool: Array, memory: Memory, y: Array) -> Non
         memory.gimbal_replaces[gimbal] = replaced(p.injections, GIMBAL_COMMAND, gimbal + 1, now)
     if p.vehicle.sizes.sensors > 0:
         sample_sensors(p, memory, y)
+    if p.computer.orbit.on == 1:
+        orbit = memory.computer.orbit
+        set_vector(orbit.position_m, 0, vector_at(y, R_I))
+        set_vector(orbit.velocity_mps, 0, vector_at(y, V_I))
+        for component in range(4):
+            orbit.start_q_BI[component] = memory.truth.start_q_BI[component]
     clock.samples += 1
     memory.computer.external.inputs.stage = clock.stage + p.computer.first_stage
     computer_tick(
@@ -158,6 +166,8 @@ def sample_computer(p: Parameters, pool: Array, memory: Memory, y: Array) -> Non
     )  # fmt: skip  # seven more lines otherwise
     if memory.computer.external.fault != 0:
         clock.finished = 1
+    if memory.computer.orbit.phase == CUT_OFF and clock.cut_off_ns == 0 and memory.held.burning == 1:
+        clock.cut_off_ns = max(round(1e9 * memory.computer.orbit.cut_off_s), now + 1)
     start, commanded = memory.truth.start_q_BI, memory.computer.guidance.attitude.q
     wanted = quaternion_product(quaternion_at(start, 0), quaternion_at(commanded, 0))
     turned = quaternion_product(conjugate(wanted), quaternion_at(y, Q_BI))
@@ -208,6 +218,7 @@ def step_length(p: Parameters, pool: Array, memory: Memory, until_ns: int) -> in
     for instant in (
         clock.next_sample_ns,
         clock.command_due_ns,
+        clock.cut_off_ns,
         clock.next_gust_ns,
         memory.faults.next_ns,
         timeline.burn_start_ns,
@@ -234,6 +245,8 @@ def advance_schedule(p: Parameters, pool: Array, memory: Memory) -> None:
         return
     clock.fresh = 1
     clock.next_break_ns = NEVER
+    if 0 < clock.cut_off_ns < clock.now_ns:
+        return
     while p.timeline.frozen == 0 and clock.interval < schedule.n_breaks - 2:
         table_s = pool[schedule.offset + clock.interval + 1] / p.timeline.burn_rate
         at: int = p.timeline.stage_start_ns + round(1e9 * table_s)

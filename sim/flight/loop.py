@@ -102,7 +102,7 @@ def start_stage(p: Parameters, pool: Array, memory: Memory) -> None:
     """Schedule and engine at the start of a stage."""
     clock = memory.clock
     now = clock.now_ns
-    clock.interval = find_interval(pool, p.vehicle.schedule, schedule_clock(p, now, 0.0))
+    clock.interval = find_interval(pool, p.vehicle.schedule, schedule_clock(p, memory.clock, now, 0.0))
     clock.fresh, clock.next_break_ns = 1, now
     memory.faults.next_ns = now if p.faults.count > 0 else NEVER
     memory.held.burning = 1 if p.timeline.burn_start_ns <= now < p.timeline.burnout_ns else 0
@@ -198,7 +198,7 @@ def track_sections(p: Parameters, pool: Array, memory: Memory, space: Workspace,
     due = now >= sections.due_ns
     if not due and (logged == 0 or (now % p.timeline.slow_ns != 0 and last == 0)):
         return
-    clock_s = schedule_clock(p, now, 0.0)
+    clock_s = schedule_clock(p, memory.clock, now, 0.0)
     evaluate_sections(p.loads, p.vehicle, memory.inputs, pool, clock_s, at, space.work, space.columns, sections)
     if due:
         sections.due_ns = (now // p.loads.period_ns + 1) * p.loads.period_ns
@@ -221,7 +221,7 @@ def separate(P: Records, pool: Array, memory: Memory, y: Array, properties: Arra
             return
     read_schedule(before, pool, memory, clock.now_ns, 0.0, properties)
     interval = clock.interval
-    clock.interval = find_interval(pool, after.vehicle.schedule, schedule_clock(after, clock.now_ns, 0.0))
+    clock.interval = find_interval(pool, after.vehicle.schedule, schedule_clock(after, clock, clock.now_ns, 0.0))
     read_schedule(after, pool, memory, clock.now_ns, 0.0, properties_after)
     clock.interval = interval
     transfer_state(before, after, memory, properties, properties_after, y)
@@ -335,7 +335,7 @@ def log_between(
         evaluate_between(p, pool, memory, began, step_ns, due - began, space)
         clock.now_ns = due  # rows tell the Earth's rotation by it
         if p.loads.stations > 0 and due % slow_ns == 0:
-            clock_s = schedule_clock(p, due, 0.0)
+            clock_s = schedule_clock(p, memory.clock, due, 0.0)
             at = space.between
             evaluate_sections(
                 p.loads, p.vehicle, memory.inputs, pool, clock_s, at, space.work, space.columns, memory.sections

@@ -80,6 +80,7 @@ class Clock:
     next_break_ns: int  # of the schedule
     next_sample_ns: int
     command_due_ns: int  # when the pending command takes effect
+    cut_off_ns: int  # when the guidance cuts off the engine, from when on the schedule stands still; 0: never
     pending_rad: Annotated[Array, (2 * MAX_ENGINES,)]
     pending_roll: int
     next_gust_ns: int

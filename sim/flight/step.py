@@ -28,11 +28,20 @@ from maxq.sim.flight.oscillators import (
     blocks_for,
     row_times,
 )
-from maxq.sim.flight.parameters import Memory, Parameters
-from maxq.sim.vehicle.block import Q_BI, R_I, V_I, counts
+from maxq.sim.flight.parameters import Clock, Memory, Parameters
+from maxq.sim.vehicle.block import Q_BI, R_I, V_I, Counts, counts
 from maxq.sim.vehicle.derivative import derivative, derive_properties
 from maxq.sim.vehicle.loads import MAX_LOAD_COLUMNS
-from maxq.sim.vehicle.schedule import CORE_CG, thrust_column
+from maxq.sim.vehicle.schedule import (
+    CG_RATE,
+    CORE_CG,
+    MASS_FLOW,
+    TANK_MASS_RATE,
+    TANK_TRAVEL,
+    TOTAL_MASS,
+    tank_column,
+    thrust_column,
+)
 from maxq.sim.vehicle.state import (
     MAX_STATE,
     eta_index,
@@ -118,8 +127,10 @@ def workspace_of(arena: Array, y: Array) -> Workspace:
 
 
 @kernel
-def schedule_clock(p: Parameters, now_ns: int, elapsed_s: float) -> float:
-    """Schedule time, s, `elapsed_s` after the instant `now_ns`."""
+def schedule_clock(p: Parameters, clock: Clock, now_ns: int, elapsed_s: float) -> float:
+    """Schedule time, s, `elapsed_s` after the instant `now_ns`. It stands still from a cut-off on."""
+    if 0 < clock.cut_off_ns <= now_ns:
+        now_ns, elapsed_s = clock.cut_off_ns, 0.0
     if p.timeline.frozen == 1:
         return p.timeline.frozen_s
     return p.timeline.burn_rate * (1e-9 * (now_ns - p.timeline.stage_start_ns) + elapsed_s)
@@ -128,13 +139,26 @@ def schedule_clock(p: Parameters, now_ns: int, elapsed_s: float) -> float:
 @routine
 def read_schedule(p: Parameters, pool: Array, memory: Memory, now_ns: int, elapsed_s: float, properties: Array) -> None:
     """Properties of the vehicle `elapsed_s` after `now_ns`; no thrust from an engine that does not burn."""
-    clock_s = schedule_clock(p, now_ns, elapsed_s)
+    clock_s = schedule_clock(p, memory.clock, now_ns, elapsed_s)
     interpolate_into(pool, p.vehicle.schedule, memory.clock.interval, clock_s, properties, 0)
+    if 0 < memory.clock.cut_off_ns <= now_ns:
+        stop_flow(counts(p.vehicle.sizes), properties)
     derive_properties(p.vehicle, pool, clock_s, properties)
     if memory.held.burning == 0:
         sizes = counts(p.vehicle.sizes)
         for curve in range(sizes.thrust_curves):
             properties[thrust_column(sizes, curve)] = 0.0
+
+
+@kernel
+def stop_flow(sizes: Counts, properties: Array) -> None:
+    """Nothing leaves the vehicle any more: rates of its properties are zero."""
+    for column in range(CG_RATE, TOTAL_MASS):
+        properties[column] = 0.0
+    properties[MASS_FLOW] = 0.0
+    for tank in range(sizes.pendulums):
+        properties[tank_column(tank) + TANK_MASS_RATE] = 0.0
+        properties[tank_column(tank) + TANK_TRAVEL] = 0.0
 
 
 @routine

@@ -14,17 +14,21 @@ from maxq.control.guidance import rate_programme
 from maxq.control.kernel.limits import MAX_INJECTIONS, MAX_TONES
 from maxq.control.kernel.tables import NO_TABLE, Cubics, Method, Pool, fit, merge
 from maxq.control.laws.pd import GainSchedule, gains_table
+from maxq.control.orbit_guidance import OrbitGuidance
 from maxq.control.roll import Roll, make_roll
 from maxq.control.sensors import Sensors, make_sensors
 from maxq.sim.flight import injection as signals
 from maxq.sim.flight.parameters import NEVER
+from maxq.sim.packing.environment import pack_earth
 from maxq.sim.packing.integration import LONGEST_S
 from maxq.sim.packing.remembered import cached_by_identity
 from maxq.sim.scenario.schema_design import Design, Filter, Gains
 from maxq.sim.scenario.schema_scenario import Scenario
 from maxq.sim.scenario.schema_values import to_ns
 from maxq.sim.scenario.tables_csv import CsvTable
+from maxq.sim.world.earth import J2, STANDARD_GRAVITY_mps2
 
+SETTLING_s = 3.0  # from ignition until the thrust is taken as constant
 _WHERE = {
     "gimbal_command": signals.GIMBAL_COMMAND,
     "rate_command": signals.RATE_COMMAND,
@@ -134,6 +138,29 @@ def _programme(table: CsvTable | None, method: Method) -> Cubics | None:
         return None
     pitch, yaw, roll = (np.radians(table.get(f"{axis}_rate_degps")) for axis in ("pitch", "yaw", "roll"))
     return rate_programme(table["time_s"], pitch, yaw, roll, method)
+
+
+def pack_orbit_guidance(scenario: Scenario, ignition_ns: int) -> OrbitGuidance:
+    """Of the stages of the last engine, which is ignited at this time of flight."""
+    target, earth = scenario.guidance.orbit, pack_earth(scenario.earth)
+    if target is None or ignition_ns >= NEVER:
+        return OrbitGuidance()
+    perigee_m, apogee_m = (earth.equatorial_radius_m + a for a in (target.perigee_altitude_m, target.apogee_altitude_m))
+    semimajor_m, inclination_deg = 0.5 * (perigee_m + apogee_m), target.inclination_deg
+    return OrbitGuidance(
+        on=1,
+        start_s=max(ignition_ns / 1e9 + SETTLING_s, target.start_s),
+        cycle_s=target.cycle_s,
+        rate_limit_radps=math.radians(target.rate_limit_degps),
+        radius_m=perigee_m,
+        speed_mps=math.sqrt(earth.mu_m3ps2 * (2.0 / perigee_m - 1.0 / semimajor_m)),
+        semimajor_m=semimajor_m,
+        cos_inclination=2.0 if inclination_deg is None else math.cos(math.radians(inclination_deg)),
+        exhaust_mps=target.isp_s * STANDARD_GRAVITY_mps2,
+        mu_m3ps2=earth.mu_m3ps2,
+        j2=earth.j2 if earth.gravity == J2 else 0.0,
+        j2_radius_m=earth.gravity_radius_m,
+    )
 
 
 def pack_injections(scenario: Scenario, pool: Pool) -> signals.Injections:

@@ -12,9 +12,10 @@ from numpy.typing import NDArray
 from maxq.control.kernel.jit import from_python
 from maxq.control.kernel.records import Array, blank, pack, with_constants
 from maxq.control.kernel.tables import Pool
+from maxq.control.orbit_guidance import OrbitGuidance
 from maxq.sim.flight.parameters import EVENT_NAMES, NEVER, Memory, Parameters, StageTimeline
 from maxq.sim.packing.allocation import pack_allocation
-from maxq.sim.packing.computer import pack_computers, pack_injections
+from maxq.sim.packing.computer import pack_computers, pack_injections, pack_orbit_guidance
 from maxq.sim.packing.environment import pack_environment
 from maxq.sim.packing.faults import pack_faults
 from maxq.sim.packing.initial import initial_motion, thrust_exceeds_weight_s
@@ -64,7 +65,7 @@ def _pack(scenario: Scenario) -> Packed:
     pool = Pool()
     environment, computers = pack_environment(scenario, pool), pack_computers(scenario, pool)
     injections, faults = pack_injections(scenario, pool), pack_faults(scenario)
-    rows, stage_start_ns, burns = [], 0, stage_burns(scenario, _liftoff_s(scenario))
+    rows, stage_start_ns, ignition_ns, burns = [], 0, 0, stage_burns(scenario, _liftoff_s(scenario))
     all_sizes = [
         stage_sizes(stage, scenario.switches, burn) for stage, burn in zip(scenario.vehicle.stage, burns, strict=True)
     ]
@@ -75,7 +76,11 @@ def _pack(scenario: Scenario) -> Packed:
         vehicle = pack_vehicle(scenario, stage, burn, sizes, schedule, pool)
         timeline = _timeline(scenario, stage, burn, stage_start_ns)
         loads = pack_loads(scenario, stage, burn, sizes, pool)
-        flies = replace(computers[n], allocation=pack_allocation(scenario, stage, burn, pool))
+        if not stage.continues:
+            ignition_ns = timeline.burn_start_ns
+        guided = all(later.continues for later in stages[n + 1 :]) and not frozen
+        orbit = pack_orbit_guidance(scenario, ignition_ns) if guided else OrbitGuidance()
+        flies = replace(computers[n], allocation=pack_allocation(scenario, stage, burn, pool), orbit=orbit)
         rows.append(Parameters(vehicle, loads, environment, flies, injections, faults, timeline))
         stage_start_ns = timeline.separation_ns
     parameters = pack(rows)

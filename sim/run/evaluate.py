@@ -61,11 +61,11 @@ def _evaluate(
     p = P[memory.clock.stage]
     pool, y, properties = bare_pointer(pool), bare_pointer(y), bare_pointer(properties)
     dy, work, aux = bare_pointer(dy), bare_pointer(work), bare_pointer(aux)
-    memory.clock.interval = find_interval(pool, p.vehicle.schedule, schedule_clock(p, now_ns, 0.0))
+    memory.clock.interval = find_interval(pool, p.vehicle.schedule, schedule_clock(p, memory.clock, now_ns, 0.0))
     read_schedule(p, pool, memory, now_ns, 0.0, properties)
     at = Evaluation(properties, y, dy, aux)
     evaluate(p, pool, memory, now_ns, 0.0, at, work)
     if p.loads.stations > 0:
         columns = bare_pointer(columns)
-        clock_s = schedule_clock(p, now_ns, 0.0)
+        clock_s = schedule_clock(p, memory.clock, now_ns, 0.0)
         evaluate_sections(p.loads, p.vehicle, memory.inputs, pool, clock_s, at, work, columns, memory.sections)

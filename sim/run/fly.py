@@ -14,6 +14,7 @@ import numpy as np
 
 from maxq.control.kernel.limits import MAX_PENDULUMS
 from maxq.control.kernel.records import Array, IntArray, pack
+from maxq.control.orbit_guidance import CUT_OFF, STEERING
 from maxq.sim.flight.channels import ChannelTable
 from maxq.sim.flight.loop import Logged, advance, begin
 from maxq.sim.flight.metrics import MetricIndex
@@ -383,6 +384,7 @@ class FlightRun:
                 *(f"{e.name.replace('_', ' ')} at {e.time_s:.3f} s: {e.detail}" for e in failed),
                 *([inexact] if inexact and not failed else []),
                 *_above_the_wind(scenario, metrics["max_altitude_m"]),
+                *self._missed_orbit(),
             ),
             outcome=outcome,
             cause=next((e.detail for e in failed if e.name == outcome), ""),
@@ -394,6 +396,16 @@ class FlightRun:
             state_hash=self.state_hash(),
             wall_s=self.wall_s,
         )
+
+    def _missed_orbit(self) -> tuple[str, ...]:
+        """A failure if the last engine burned out before the closed-loop guidance cut it off."""
+        burned_out = int(self.memory.clock.stage_burnout_ns[len(self.packed.parameters) - 1]) >= 0
+        phase = int(self.memory.computer.orbit.phase)
+        if not burned_out or not self.packed.parameters[-1].computer.orbit.on or phase == CUT_OFF:
+            return ()
+        if phase < STEERING:
+            return ("closed-loop guidance found no way to the orbit",)
+        return ("the engine burned out before closed-loop guidance reached the orbit",)
 
     def state_hash(self) -> str:
         """SHA-256 over the last state, time and events: equal for equal flights, bit by bit."""

@@ -218,6 +218,29 @@ class Guidance(Section):
     axes: Literal["body", "unrolled"] = optional(
         "of pitch and yaw: those of the body, or axes that do not take part in the commanded roll", "body"
     )
+    orbit: OrbitTarget | None = optional("closed-loop guidance to this orbit, beside the programme until then")
+
+
+class OrbitTarget(Section):
+    """Closed-loop guidance of the last engine's stages to an orbit, cut off at its perigee. Outside the air only."""
+
+    perigee_altitude_m: float = Field(description="above the equatorial radius, m")
+    apogee_altitude_m: float = Field(description="above the equatorial radius, m")
+    inclination_deg: Annotated[float, Field(ge=0.0, le=180.0)] | None = optional(
+        "default: the plane in which it flies at the start"
+    )
+    isp_s: Positive = Field(description="effective specific impulse that the guidance counts with, s")
+    start_s: Seconds = optional("vehicle clock; not before 3 s after the ignition", 0.0)
+    cycle_s: Positive = optional("between two solutions, s", 1.0)
+    rate_limit_degps: Positive = optional("of the commanded attitude, deg/s", 3.0)
+
+    @model_validator(mode="after")
+    def _check(self) -> OrbitTarget:
+        if self.perigee_altitude_m < 100e3:
+            raise refuse("is in the air", "at least 100e3", key=("perigee_altitude_m",))
+        if self.apogee_altitude_m < self.perigee_altitude_m:
+            raise refuse("is below the perigee", f"at least {self.perigee_altitude_m:g}", key=("apogee_altitude_m",))
+        return self
 
 
 class HoldDown(Section):
@@ -352,12 +375,25 @@ class Scenario(Section):
             raise refuse(
                 "needs an attitude that can roll", "vehicle.computer.attitude = 'quaternion'", ("guidance", "axes")
             )
+        if self.guidance.orbit is not None:
+            self._check_orbit(self.guidance.orbit)
         for n, injection in enumerate(self.injection):
             key = ("injection", n, "at")
             if injection.at == "gimbal_command" and not any(stage.engine for stage in self.vehicle.stage):
                 raise refuse("the vehicle has no engine", "body_force, body_torque", key=key)
             if injection.at == "rate_command" and computer is None:
                 raise refuse("the vehicle has no [computer]", "body_force, body_torque", key=key)
+
+    def _check_orbit(self, wanted: OrbitTarget) -> None:
+        computer, at = self.vehicle.computer, ("guidance", "orbit")
+        if computer is None or computer.attitude != "quaternion":
+            raise refuse("needs an attitude in space", "vehicle.computer.attitude = 'quaternion'", at)
+        if self.earth.gravity not in ("j2", "inverse_square"):
+            raise refuse("there are no orbits", "earth.gravity = 'j2', 'inverse_square'", at)
+        least = abs(self.site.latitude_deg)
+        if wanted.inclination_deg is not None and not least <= wanted.inclination_deg <= 180.0 - least:
+            allowed = f"{least:g} to {180.0 - least:g}, from the site's latitude"
+            raise refuse("no plane through the site has it", allowed, (*at, "inclination_deg"))
 
     def _check_filter(self, stage: int) -> None:
         design, computer = self.design, self.vehicle.computer_of(stage)

@@ -1,0 +1,336 @@
+"""Closed-loop guidance to an orbit outside the air, and the cut-off of the engine at it.
+
+The direction of thrust follows the linear tangent law in a frame that stands still in I,
+
+    u(t) = unit(x + (a + b s) z + (c + d s) n),    s = t - t_0,
+
+which is optimal in uniform gravity where the place along x is free (Bryson & Ho, Applied Optimal Control, 2.7 and 4.6).
+n is the normal of the orbit's plane, z upwards and x along the motion where the burn is expected to end. Once a cycle
+the four numbers and the time to go are found anew from the navigated position and velocity, by Newton's method on a
+numerical prediction of the burn: at its end radius, speed and vertical speed of the perigee, and no place or speed
+across the plane. Gravitation is that of a flattened Earth (J2); the thrust is constant, its acceleration as measured
+over the last cycle. In the last seconds, in which position can no longer be steered, the direction stays on its line,
+and the engine is cut off at the instant at which the orbit's energy is reached.
+
+The navigated position and velocity are given (`OrbitGuidanceState`): here the simulator's own, without error.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Annotated
+
+from maxq.control.kernel.jit import kernel, routine
+from maxq.control.kernel.records import Array
+from maxq.control.kernel.vectors import (
+    Vector,
+    add,
+    cross,
+    dot,
+    norm,
+    rotate_back,
+    rotation_from_quaternion,
+    scaled,
+    set_vector,
+    vector_at,
+)
+
+WAITING, SEARCHING, STEERING, ENDING, CUT_OFF = range(5)
+"""Phases: before `start_s`; no solution yet, the programme goes on; steering; on a line; engine cut off."""
+N = 5  # unknowns: a, b, c, d, time to go; and as many conditions
+STEPS = 24  # of the prediction
+ENDING_s = 8.0
+TRIALS, FIRST_TRIALS = 3, 40
+THRUSTING_mps2 = 1.0
+STEADY = 0.1  # change of the acceleration in a cycle
+SLOPE_s = 100.0  # unknowns are a, SLOPE_s b, c, SLOPE_s d, and time over SLOPE_s: all of order one
+LONGEST_STEP = 0.3
+CLOSE = 1e-3  # in km and m/s; what is accepted is FAIR
+FAIR = 1.0
+
+
+@dataclass(frozen=True)
+class OrbitGuidance:
+    """`on`: 0 without it. `start_s`: vehicle clock. `rate_limit_radps`: of the commanded attitude.
+
+    `radius_m`, `speed_mps`: wanted at the cut-off, where the vertical speed is 0. `semimajor_m`: of the orbit.
+    `cos_inclination`: beyond 1 for the plane in which the vehicle flies at the start. `exhaust_mps`: effective exhaust
+    speed of the engine that is cut off.
+    """
+
+    on: int = 0
+    start_s: float = 0.0
+    cycle_s: float = 1.0
+    rate_limit_radps: float = 1.0
+    radius_m: float = 1.0
+    speed_mps: float = 1.0
+    semimajor_m: float = 1.0
+    cos_inclination: float = 2.0
+    exhaust_mps: float = 1.0
+    mu_m3ps2: float = 1.0
+    j2: float = 0.0
+    j2_radius_m: float = 1.0
+
+
+@dataclass
+class OrbitGuidanceState:
+    """`position_m`, `velocity_mps`: navigated, in I, at the end of the sample. `start_q_BI`: attitude at the start.
+
+    `acceleration_mps2`: of the thrust, at `last_s`; `last_*`: of the last cycle. `axes`: x, n, z in I. `unknowns`: as
+    in the module's text, scaled. `solved_s`, `begun_s`: when they were found last, and t_0. `cut_off_s`: when the
+    engine shall be cut off; inf as long as it is not known.
+    """
+
+    position_m: Annotated[Array, (3,)]
+    velocity_mps: Annotated[Array, (3,)]
+    start_q_BI: Annotated[Array, (4,)]
+    phase: int
+    next_s: float
+    last_s: float
+    last_position_m: Annotated[Array, (3,)]
+    last_velocity_mps: Annotated[Array, (3,)]
+    acceleration_mps2: float
+    axes: Annotated[Array, (9,)]
+    begun_s: float
+    solved_s: float
+    unknowns: Annotated[Array, (N,)]
+    cut_off_s: float
+    trial: Annotated[Array, (N,)]
+    end: Annotated[Array, (6,)]  # predicted position and velocity
+    missed: Annotated[Array, (N,)]
+    rows: Annotated[Array, (N * (N + 1),)]
+
+
+@kernel
+def start_orbit_guidance(state: OrbitGuidanceState) -> None:
+    state.phase = WAITING
+    state.next_s, state.last_s, state.acceleration_mps2 = -1e300, -1e300, 0.0
+    state.begun_s, state.solved_s, state.cut_off_s = 0.0, 0.0, math.inf
+    for i in range(N):
+        state.unknowns[i] = 0.0
+
+
+@kernel
+def gravitation(g: OrbitGuidance, r: Vector) -> Vector:
+    """Of a flattened Earth (Vallado, eq. 8-30), m/s2."""
+    radius = norm(r)
+    k = -g.mu_m3ps2 / radius**3
+    bulge = 1.5 * g.j2 * (g.j2_radius_m / radius) ** 2
+    lift = 5.0 * (r[2] / radius) ** 2
+    side = k * (1.0 + bulge * (1.0 - lift))
+    return (side * r[0], side * r[1], k * (1.0 + bulge * (3.0 - lift)) * r[2])
+
+
+@kernel
+def direction(state: OrbitGuidanceState, unknowns: Array, time_s: float) -> Vector:
+    """Of the thrust, in I."""
+    s = (time_s - state.begun_s) / SLOPE_s
+    up, aside = unknowns[0] + unknowns[1] * s, unknowns[2] + unknowns[3] * s
+    x, n, z = vector_at(state.axes, 0), vector_at(state.axes, 3), vector_at(state.axes, 6)
+    u = add(x, add(scaled(up, z), scaled(aside, n)))
+    return scaled(1.0 / norm(u), u)
+
+
+@kernel
+def thrust_acceleration(g: OrbitGuidance, state: OrbitGuidanceState, time_s: float) -> float:
+    """Of constant thrust while the mass decreases, from the last one measured."""
+    left = 1.0 - state.acceleration_mps2 * (time_s - state.last_s) / g.exhaust_mps
+    return state.acceleration_mps2 / max(left, 0.01)
+
+
+@kernel
+def acceleration(g: OrbitGuidance, state: OrbitGuidanceState, unknowns: Array, time_s: float, r: Vector) -> Vector:
+    u = direction(state, unknowns, time_s)
+    return add(gravitation(g, r), scaled(thrust_acceleration(g, state, time_s), u))
+
+
+@routine
+def predict(g: OrbitGuidance, state: OrbitGuidanceState, unknowns: Array, time_s: float) -> None:
+    """Position and velocity at the end of the burn into `state.end`, and what they miss into `state.missed` (km, m/s):
+    radius, vertical speed, speed, place and speed across the plane. Classical Runge-Kutta."""
+    r, v = vector_at(state.position_m, 0), vector_at(state.velocity_mps, 0)
+    h = SLOPE_s * unknowns[4] / STEPS
+    for step in range(STEPS):
+        t = time_s + step * h
+        a_1 = acceleration(g, state, unknowns, t, r)
+        v_2 = add(v, scaled(0.5 * h, a_1))
+        a_2 = acceleration(g, state, unknowns, t + 0.5 * h, add(r, scaled(0.5 * h, v)))
+        v_3 = add(v, scaled(0.5 * h, a_2))
+        a_3 = acceleration(g, state, unknowns, t + 0.5 * h, add(r, scaled(0.5 * h, v_2)))
+        v_4 = add(v, scaled(h, a_3))
+        a_4 = acceleration(g, state, unknowns, t + h, add(r, scaled(h, v_3)))
+        r = add(r, scaled(h / 6.0, add(add(v, v_4), scaled(2.0, add(v_2, v_3)))))
+        v = add(v, scaled(h / 6.0, add(add(a_1, a_4), scaled(2.0, add(a_2, a_3)))))
+    set_vector(state.end, 0, r)
+    set_vector(state.end, 3, v)
+    n, radius = vector_at(state.axes, 3), norm(r)
+    state.missed[0] = (radius - g.radius_m) / 1e3
+    state.missed[1] = dot(v, r) / radius
+    state.missed[2] = norm(v) - g.speed_mps
+    state.missed[3] = dot(r, n) / 1e3
+    state.missed[4] = dot(v, n)
+
+
+@kernel
+def largest_miss(state: OrbitGuidanceState) -> float:
+    largest = 0.0
+    for i in range(N):
+        largest = max(largest, abs(state.missed[i]))
+    return largest
+
+
+@routine
+def solve(g: OrbitGuidance, state: OrbitGuidanceState, time_s: float, trials: int) -> float:
+    """Newton's method on `state.unknowns`; what is missed in the end. Steps are bounded, for a first guess far off."""
+    x, rows = state.unknowns, state.rows
+    for _ in range(trials):
+        predict(g, state, x, time_s)
+        if largest_miss(state) < CLOSE:
+            break
+        for i in range(N):
+            rows[(N + 1) * i + N] = -state.missed[i]
+        for k in range(N):
+            step = 1e-5 if k < N - 1 else 1e-4
+            for i in range(N):
+                state.trial[i] = x[i]
+            state.trial[k] += step
+            predict(g, state, state.trial, time_s)
+            for i in range(N):
+                rows[(N + 1) * i + k] = (state.missed[i] + rows[(N + 1) * i + N]) / step
+        if solve_rows(rows) == 0:
+            break
+        largest = 0.0
+        for k in range(N):
+            largest = max(largest, abs(rows[(N + 1) * k + N]))
+        share = min(1.0, LONGEST_STEP / largest) if largest > 0.0 else 1.0
+        for k in range(N):
+            x[k] += share * rows[(N + 1) * k + N]
+        mass_left_s = g.exhaust_mps / thrust_acceleration(g, state, time_s)
+        x[4] = min(max(x[4], 1e-3), 0.95 * mass_left_s / SLOPE_s)
+    predict(g, state, x, time_s)
+    return largest_miss(state)
+
+
+@kernel
+def solve_rows(rows: Array) -> int:
+    """Gauss-Jordan elimination with row pivoting on N equations, the right-hand side last, which becomes the solution.
+    Returns 0 if they are singular."""
+    w = N + 1
+    for k in range(N):
+        best = k
+        for i in range(k + 1, N):
+            if abs(rows[w * i + k]) > abs(rows[w * best + k]):
+                best = i
+        if not abs(rows[w * best + k]) > 1e-12:
+            return 0
+        for j in range(w):
+            rows[w * k + j], rows[w * best + j] = rows[w * best + j], rows[w * k + j]
+        pivot = rows[w * k + k]
+        for j in range(w):
+            rows[w * k + j] /= pivot
+        for i in range(N):
+            if i != k:
+                factor = rows[w * i + k]
+                for j in range(w):
+                    rows[w * i + j] -= factor * rows[w * k + j]
+    return 1
+
+
+@routine
+def choose_axes(g: OrbitGuidance, state: OrbitGuidanceState, time_s: float) -> None:
+    """Plane and frame, and a first guess: a level burn over the speed that is missing."""
+    r, v = vector_at(state.position_m, 0), vector_at(state.velocity_mps, 0)
+    radius, momentum = norm(r), cross(r, v)
+    n = scaled(1.0 / norm(momentum), momentum)
+    flat = math.sqrt(r[0] * r[0] + r[1] * r[1])
+    if abs(g.cos_inclination) <= 1.0 and flat > 1e-6 * radius:
+        east = (-r[1] / flat, r[0] / flat, 0.0)
+        north = scaled(1.0 / radius, cross(r, east))
+        cosine = min(max(g.cos_inclination * radius / flat, -1.0), 1.0)
+        sine = math.sqrt(1.0 - cosine * cosine)
+        if dot(n, east) < 0.0:
+            sine = -sine
+        n = add(scaled(cosine, north), scaled(sine, east))
+    missing = abs(g.speed_mps - norm(v)) + 9.8 * abs(dot(r, v)) / radius / max(state.acceleration_mps2, 1.0)
+    burn_s = g.exhaust_mps / state.acceleration_mps2 * (1.0 - math.exp(-missing / g.exhaust_mps))
+    turned = 0.5 * (norm(v) + g.speed_mps) * burn_s / radius
+    ahead = cross(n, r)
+    z = add(scaled(math.cos(turned) / radius, r), scaled(math.sin(turned) / radius, ahead))
+    z = add(z, scaled(-dot(z, n), n))
+    z = scaled(1.0 / norm(z), z)
+    set_vector(state.axes, 0, cross(n, z))
+    set_vector(state.axes, 3, n)
+    set_vector(state.axes, 6, z)
+    state.begun_s = time_s
+    state.unknowns[0], state.unknowns[1], state.unknowns[2], state.unknowns[3] = 0.4, -0.2, 0.0, 0.0
+    state.unknowns[4] = burn_s / SLOPE_s
+
+
+@routine
+def measure_acceleration(g: OrbitGuidance, state: OrbitGuidanceState, time_s: float) -> int:
+    """From what the velocity has gained since the last cycle beyond gravitation; 1 if a steady thrust has given it."""
+    r, v, since_s = vector_at(state.position_m, 0), vector_at(state.velocity_mps, 0), time_s - state.last_s
+    known = since_s < 2.5 * g.cycle_s
+    steady = False
+    if known:
+        middle = scaled(0.5, add(r, vector_at(state.last_position_m, 0)))
+        gained = add(v, scaled(-1.0, vector_at(state.last_velocity_mps, 0)))
+        mean_mps2 = norm(add(scaled(1.0 / since_s, gained), scaled(-1.0, gravitation(g, middle))))
+        now_mps2 = mean_mps2 * (1.0 + 0.5 * since_s * mean_mps2 / g.exhaust_mps)
+        steady = abs(now_mps2 - state.acceleration_mps2) < STEADY * now_mps2
+        state.acceleration_mps2 = now_mps2
+    state.last_s = time_s
+    set_vector(state.last_position_m, 0, r)
+    set_vector(state.last_velocity_mps, 0, v)
+    return 1 if steady and state.acceleration_mps2 > THRUSTING_mps2 else 0
+
+
+@routine
+def advance_orbit_guidance(g: OrbitGuidance, state: OrbitGuidanceState, time_s: float, sample_s: float) -> int:
+    """At the end of a sample: solve where a cycle is due, and see to the cut-off. 1 where `steer` shall turn, not the
+    programme."""
+    if time_s < g.start_s:
+        return 0
+    if state.phase < ENDING and time_s >= state.next_s:
+        state.next_s = time_s + g.cycle_s
+        if measure_acceleration(g, state, time_s) == 1:
+            was = state.phase
+            if was != STEERING:
+                choose_axes(g, state, time_s)
+            missed = solve(g, state, time_s, TRIALS if was == STEERING else FIRST_TRIALS)
+            if missed < FAIR:
+                state.phase, state.solved_s = STEERING, time_s
+            elif was == STEERING and time_s - state.solved_s > 10.0 * g.cycle_s:
+                state.phase = SEARCHING
+        elif state.phase == WAITING:
+            state.phase = SEARCHING
+    if state.phase == STEERING and state.solved_s + SLOPE_s * state.unknowns[4] - time_s < ENDING_s:
+        state.phase = ENDING
+    if state.phase == ENDING:
+        r, v = vector_at(state.position_m, 0), vector_at(state.velocity_mps, 0)
+        wanted = 0.5 * g.mu_m3ps2 * (2.0 / norm(r) - 1.0 / g.semimajor_m) - 0.5 * dot(v, v)
+        a_mps2, u = thrust_acceleration(g, state, time_s), direction(state, state.unknowns, time_s)
+        power = a_mps2 * dot(u, v)
+        growth = a_mps2 * a_mps2 + power * a_mps2 / g.exhaust_mps
+        left_s = wanted / power if power > 0.0 else 0.0
+        left_s = wanted / (power + 0.5 * growth * left_s) if power > 0.0 else 0.0
+        if left_s < 1.5 * sample_s:
+            state.cut_off_s, state.phase = time_s + max(left_s, 0.0), CUT_OFF
+    return 1 if state.phase >= STEERING else 0
+
+
+@kernel
+def steer(
+    g: OrbitGuidance, state: OrbitGuidanceState, q_BR: Array, time_s: float, sample_s: float
+) -> tuple[float, float]:
+    """Turn of the commanded attitude `q_BR` about its y and z, rad, in this sample: towards the direction of thrust."""
+    if state.phase == CUT_OFF:
+        return 0.0, 0.0
+    u = direction(state, state.unknowns, time_s)
+    start = rotation_from_quaternion(state.start_q_BI[0], state.start_q_BI[1], state.start_q_BI[2], state.start_q_BI[3])
+    u = rotate_back(rotation_from_quaternion(q_BR[0], q_BR[1], q_BR[2], q_BR[3]), rotate_back(start, u))
+    sine = math.sqrt(u[1] * u[1] + u[2] * u[2])
+    angle_rad = min(math.atan2(sine, u[0]), g.rate_limit_radps * sample_s)
+    k = angle_rad / max(sine, 1e-12)
+    return -k * u[2], k * u[1]
