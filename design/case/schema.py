@@ -167,6 +167,7 @@ class Limits(MarginLimits):
     integral_hz: Positive | None = optional(
         "law pid: least corner k_i / (2 pi k_p) of the integral, Hz (default there: a tenth of rigid_hz)"
     )
+    most_integral_hz: Positive | None = optional("law pid: largest corner of the integral, Hz (default: none)")
     rigid_body: Literal["paper", "aerodynamic"] = optional(
         "frequency and damping ratio by (35), (36), or with M_alpha and M_q in them (erratum 12)", "paper"
     )
@@ -300,8 +301,12 @@ class Case(Section):
                 raise refuse("needs a wind", "a table [wind]", key=("limits", key))
         if self.law != "pd" and self.gains.schedule == "two-phase":
             raise refuse("finds gains of the law pd only", "linear, free, nodes", key=("gains", "schedule"))
-        if self.law != "pid" and self.limits.integral_hz is not None:
-            raise refuse(f"the law {self.law} has no integral", "with law = 'pid' only", key=("limits", "integral_hz"))
+        for name in ("integral_hz", "most_integral_hz"):
+            if self.law != "pid" and getattr(self.limits, name) is not None:
+                raise refuse(f"the law {self.law} has no integral", "with law = 'pid' only", key=("limits", name))
+        least, most = self.limits.integral_hz, self.limits.most_integral_hz
+        if most is not None and least is not None and most < least:
+            raise refuse("is below integral_hz", f"at least {least:g}", key=("limits", "most_integral_hz"), value=most)
         return self
 
     @property

@@ -3,7 +3,8 @@
     C = F(z) (k_p, k_d, k_i)  on  (angle_rad, rate_radps, angle_integral_rads)
 
 The integral is the sum over samples, T z / (z - 1), as the computer forms it below its limit. `limits.integral_hz`
-bounds its corner from below only: an optimum may take far more (ksr3-relaxed with F3: 0.4 to 1.5 Hz). Frequency and
+bounds its corner from below, `limits.most_integral_hz` from above: without that an optimum may take far more than is
+asked (ksr3-relaxed with F3: 0.4 to 1.5 Hz). Frequency and
 damping ratio of the rigid body (47, 48) are those of the law without its integral, and mean what
 they say only while its corner lies well below them; stability and margins are those of the whole loop. Its kernel is
 control/laws/pid.py.
@@ -31,19 +32,25 @@ class PidVariables(PdVariables):
 
     def __init__(self, task: Task, like: PdVariables | None = None, schedule: str | None = None) -> None:
         super().__init__(task, like, schedule)
-        self.limits = (*self.limits, LawLimit("corner of the integral", "Hz", True))
-        given = task.case.limits.integral_hz
-        self.integral_hz = CORNER * task.case.limits.rigid_hz if given is None else given
+        given = task.case.limits
+        self.integral_hz = CORNER * given.rigid_hz if given.integral_hz is None else given.integral_hz
+        self.corners = [(self.integral_hz, 1.0)]  # Hz, and 1 for a bound from below, -1 from above
+        if given.most_integral_hz is not None:
+            self.corners.append((given.most_integral_hz, -1.0))
+        names = ("least corner of the integral", "largest corner of the integral")[: len(self.corners)]
+        self.limits = (*self.limits, *(LawLimit(name, "Hz", True) for name in names))
 
     def limit_values(self, own: Array) -> list[LimitValues]:
         """Those of PD, and k_i / (2 pi k_p)."""
         n, plants = self.filter.size, len(own)
         corner_hz = np.exp(own[:, n + 2] - own[:, n]) / (2.0 * math.pi)
-        least, by = np.full(plants, self.integral_hz), np.zeros((plants, self.own_size))
-        by[:, n], by[:, n + 2] = DB, -DB
-        excess_db = DB * np.log(least / corner_hz)
-        number = len(self.limits) - 1
-        return [*super().limit_values(own), LimitValues(number, np.arange(plants), corner_hz, least, excess_db, by)]
+        out, first = super().limit_values(own), len(self.limits) - len(self.corners)
+        for number, (bound_hz, sign) in enumerate(self.corners, start=first):
+            bound, by = np.full(plants, bound_hz), np.zeros((plants, self.own_size))
+            by[:, n], by[:, n + 2] = sign * DB, -sign * DB
+            excess_db = sign * DB * np.log(bound / corner_hz)
+            out.append(LimitValues(number, np.arange(plants), corner_hz, bound, excess_db, by))
+        return out
 
     def _with_more_gains(self, log_gains: Array) -> Array:
         log_k_i = log_gains[0] + math.log(2.0 * math.pi * GAIN_FACTOR * self.integral_hz)
