@@ -3,6 +3,7 @@
 | what is checked | against |
 |---|---|
 | orbit at the cut-off, with thrust and exhaust speed off | point mass by DOP853; heights over one revolution |
+| its gravitation | gradient of the potential by complex step |
 | propellant | optimal steering: primer vector, a boundary-value problem solved by `root` |
 | petrel's flight, and dispersed ones | the scenario's orbit; the state flown on by DOP853; mass after the cut-off |
 """
@@ -26,6 +27,7 @@ from maxq.control.orbit_guidance import (
     OrbitGuidanceState,
     advance_orbit_guidance,
     direction,
+    gravitation,
     start_orbit_guidance,
 )
 from maxq.sim.run.fly import fly
@@ -35,6 +37,7 @@ from maxq.sim.scenario.loader import load_scenario
 MU, J2, RADIUS_m = 3.986004418e14, 1.08262982e-3, 6378137.0
 EXHAUST_mps, SAMPLE_S = 3363.0, 0.5
 advance, along, start = (from_python(f) for f in (advance_orbit_guidance, direction, start_orbit_guidance))
+pulled = from_python(gravitation)
 
 
 @dataclass(frozen=True)
@@ -107,6 +110,12 @@ def heights(burn: Burn, y: Array) -> tuple[float, float]:
     )  # fmt: skip  # two lines more otherwise
     radius = np.linalg.norm(flight.y[:3], axis=0)
     return float(radius.min()) - RADIUS_m, float(radius.max()) - RADIUS_m
+
+
+def test_gravitation_is_the_gradient_of_its_potential() -> None:
+    burn = Burn()
+    for r in (begun()[0], np.array([3e6, -5e6, -4e6])):
+        np.testing.assert_allclose(pulled(pack([burn.guidance()])[0], tuple(r)), burn.gravitation(r), rtol=1e-12)
 
 
 @pytest.mark.slow
