@@ -123,7 +123,7 @@ def test_load_relief_and_blended_gyros_give_the_same_bits(tmp_path: Path) -> Non
     design = tmp_path / "d.toml"
     design.write_text(RELIEF)
     library = built(tmp_path, str(design), "--scenario", "load-relief")
-    changes = [f"design={design}", "run.duration_s=20", "requirement=", "wind.speed_mps=8.0"]
+    changes = [f"design={design}", "run.duration_s=20", "requirement=", "wind.speed_mps=8.0", "wind.from_deg=200"]
     built_in = fly(load_scenario("load-relief", changes))
     own = fly(load_scenario("load-relief", [*changes, *flies(library=library)]))
     assert_same_commands(own, built_in)
