@@ -45,6 +45,7 @@ from maxq.sim.scenario.loader import load_scenario
 from maxq.sim.scenario.schema_values import Section
 from maxq.tools.simverify import main
 from maxq.tools.verify.report import page_of, ranked
+from maxq.tools.verify.run import campaigns_of
 
 SMALL = """
 schema = 1
@@ -348,7 +349,7 @@ def test_designs_that_are_picked_from_share_the_risk_and_have_their_own_draws() 
         "margins.confidence=0.975", "margins.seed=3", "campaign.0.confidence=0.975", "campaign.0.seed=20021130",
     ]  # fmt: skip  # five more lines otherwise
     changed = read_suite("standard", found[2])
-    wanted = load_wanted(changed, changed.suite.campaign[0], "designs/ksr3-robust.toml", None).campaign
+    wanted = campaigns_of(changed, "designs/ksr3-robust.toml")[0]
     assert (wanted.confidence, wanted.seed, wanted.runs) == (0.975, 20021130, 1200)
     assert changed.suite.margins is not None
     assert (changed.suite.margins.seed, changed.suite.margins.confidence) == (3, 0.975)

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from maxq.design.laws.design_file import DESIGN_NAME, design_path
@@ -104,8 +104,9 @@ def execute(order: Order) -> int:
 
 
 def campaigns_of(loaded: LoadedSuite, design: str, vehicle: str | None = None) -> list[Campaign]:
-    """What the suite's campaigns ask for. Raises ScenarioError."""
-    return [load_wanted(loaded, wanted, design, vehicle).campaign for wanted in loaded.suite.campaign]
+    """What the suite's campaigns ask for, limits apart: these are fitted to the vehicle. Raises ScenarioError."""
+    suite = loaded.suite.model_copy(update={"dispersed_limit": ()})
+    return [load_wanted(replace(loaded, suite=suite), w, design, vehicle).campaign for w in suite.campaign]
 
 
 def folder_of(order: Order, design: str) -> Path:
