@@ -48,7 +48,9 @@ def no_modes(modes: Modes) -> Modes:
     """None of them."""
     cut: dict[str, Any] = {f.name: getattr(modes, f.name) for f in dataclasses.fields(modes)}
     cut = {name: value[:0] if isinstance(value, np.ndarray) else 0 for name, value in cut.items()}
-    return dataclasses.replace(modes, **cut | {"softening_kgpm": np.zeros((0, 0))})
+    none = (np.zeros(0), np.zeros(0))
+    elsewhere = {name: tuple(none for _ in getattr(modes, name)) for name in ("further_gimbals", "sensors")}
+    return dataclasses.replace(modes, **cut | elsewhere | {"softening_kgpm": np.zeros((0, 0))})
 
 
 def without(node: Node, *, modes: bool = False, tanks: bool = False) -> Node:

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from maxq.sim.api import load_scenario, load_scenario_text
-from maxq.sim.campaign.read import LoadedCampaign, load_campaign
+from maxq.sim.campaign.read import ACCURACY, LoadedCampaign, load_campaign
 from maxq.sim.campaign.targets import Change, Dispersed, find_target
 from maxq.sim.packing.flight import Packed, pack_flight
 from maxq.sim.packing.remembered import cached_by_identity
@@ -46,7 +46,7 @@ def test_of_scalars_as_overrides() -> None:
     names = [d.name for d in campaign.plan.draws if d.targets[0].kind == "number" and not d.name[-1].isdecimal()]
     inputs = campaign.inputs(3)
     assert len(names) >= 5
-    overrides = [f"{name}={inputs.recorded[name]!r}" for name in (*names, "run.seed")]
+    overrides = [f"{name}={inputs.recorded[name]!r}" for name in (*names, "run.seed")] + [f"run.accuracy={ACCURACY}"]
     base = load_scenario("campaigns/first", [*overrides, "campaign=", "disperse="])
     kept = [name for name in campaign.input_names if name in (*names, "run.seed")]
     alone = campaign.mixed(campaign.plan.draw(3, 1), 3, kept)

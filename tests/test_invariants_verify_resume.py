@@ -105,12 +105,12 @@ def test_one_changed_gain_redoes_what_depends_on_it(tmp_path: Path) -> None:
         (tmp_path / f"{name}.toml").write_text(content)
     first = _verified(tmp_path / "first.toml", suite, memory)
     parts = PARTS + 1  # of this design slosh is flown, too
-    assert (first.recalled, first.worked_out) == (1, parts)
+    assert (first.recalled, first.worked_out) == (RECALLS - PARTS, parts)
     other = _verified(tmp_path / "other.toml", suite, memory)
     changed_ = _verified(tmp_path / "changed.toml", suite, memory)
     assert other.worked_out <= 2  # the flights' commands name the file
-    anew = 2 + 1 + 2 + 1  # flights, margins at 30 s, slosh and its flight, certificate at 30 s
-    assert (changed_.recalled, changed_.worked_out) == (parts + 1 - anew, anew)
+    anew = 2 + 1 + 1 + 2 + 1  # flights, instants, margins at 30 s, slosh and its flight, certificate at 30 s
+    assert (changed_.recalled, changed_.worked_out) == (parts + RECALLS - PARTS - anew, anew)
     before, after = first.certificates, changed_.certificates
     assert [c.time_s for c in after] == [30.0, 40.0]
     assert before[0].margins != after[0].margins

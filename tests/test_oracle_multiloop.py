@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from functools import cache
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -15,7 +16,7 @@ from maxq.control.kernel.records import Array
 from maxq.design.loop.multiloop import Multiloop, OneLoop, multiloop
 from maxq.design.margins.measure import margins
 from maxq.design.margins.multiloop import multiloop_margins, structured_singular_value
-from maxq.design.model.state_space import ComplexArray
+from maxq.design.model.state_space import ComplexArray, StateSpace
 
 SPIN_RADPS, THRUST_N, PERIOD_S, DELAY_S = 0.8, 3.0e4, 0.01, 0.003
 INERTIA = np.array([[900.0, 60.0, -150.0], [60.0, 5.2e4, 400.0], [-150.0, 400.0, 5.21e4]])
@@ -146,10 +147,14 @@ class Satellite:
     x' = a J x + u, y = C x: rates about two axes of a spinning body and what couples them. An `OpenLoop` for each.
     """
 
-    axes, time_s, highest_hz = ("pitch", "yaw"), 0.0, float("inf")
+    axes, time_s, highest_hz, path = ("pitch", "yaw"), 0.0, float("inf"), SimpleNamespace(sample_s=None)
 
     def __init__(self, c: list[list[float]], gain: list[list[float]]) -> None:
         self.a, self.b, self.c = 10.0 * np.array([[0.0, 1.0], [-1.0, 0.0]]), np.array(gain, float), np.array(c, float)
+
+    @property
+    def state_space(self) -> StateSpace:
+        return StateSpace(self.a, self.b, self.c, np.zeros((2, 2)), ("p", "q"), self.axes, self.axes)
 
     def response(self, frequencies_hz: Array) -> ComplexArray:
         s = 2j * np.pi * np.asarray(frequencies_hz)

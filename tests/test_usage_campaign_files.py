@@ -9,6 +9,7 @@ import pytest
 
 from maxq.sim.api import fly
 from maxq.sim.campaign.investigation import refly
+from maxq.sim.campaign.read import ACCURACY
 from maxq.sim.campaign.runner import run_campaign
 from maxq.sim.scenario.errors import ScenarioError
 from maxq.sim.scenario.loader import load_scenario
@@ -47,7 +48,7 @@ def hash_of(folder: Path, *overrides: str) -> str:
     file = folder / "alone.toml"
     text = campaignkit.campaign_text(inputs="").partition("[campaign]")[0]
     file.write_text(text)
-    return fly(load_scenario(file, overrides), log=False).state_hash
+    return fly(load_scenario(file, [*overrides, f"run.accuracy={ACCURACY}"]), log=False).state_hash
 
 
 @pytest.mark.parametrize(

@@ -21,8 +21,8 @@ def lint_imports(root):
 
 @pytest.fixture
 def copy(tmp_path):
-    """A copy of the four layers, to put mistakes into."""
-    for layer in ("control", "sim", "design", "tools"):
+    """A copy of the layers, to put mistakes into."""
+    for layer in ("control", "sim", "design", "tools", "api"):
         if (ROOT / layer).exists():
             shutil.copytree(ROOT / layer, tmp_path / layer, symlinks=True)
     shutil.copy(ROOT / "pyproject.toml", tmp_path)

@@ -255,7 +255,13 @@ def _frozen(vehicle: VehicleAt) -> VehicleAt:
 
 
 def _emptied(record: _Arrays) -> _Arrays:
-    """The record of arrays without any entry in them; a count is zero."""
-    values = ((f.name, getattr(record, f.name)) for f in dataclasses.fields(record))
-    nothing: dict[str, Any] = {name: value[:0] if isinstance(value, np.ndarray) else 0 for name, value in values}
-    return dataclasses.replace(record, **nothing)
+    """The record of arrays, and of tuples of them, without any entry in them; a count is zero."""
+    return dataclasses.replace(
+        record, **{f.name: _nothing_of(getattr(record, f.name)) for f in dataclasses.fields(record)}
+    )
+
+
+def _nothing_of(value: Any) -> Any:
+    if isinstance(value, tuple):
+        return tuple(_nothing_of(each) for each in value)
+    return value[:0] if isinstance(value, np.ndarray) else 0
