@@ -210,9 +210,10 @@ class Robust(Spread):
     """Plants other than the nominal one for which the design must hold: half ranges, shares unless a unit is named.
 
     Every mode and every tank by itself. The defaults are 3-sigma ranges after a modal survey: bending 5, 10, 15 %,
-    slopes 20 %.
+    slopes 20 %. Plants are corners at which all deviate at once: n deviations of one sigma each are sqrt(n) sigma away.
     """
 
+    corner_sigmas: Annotated[float, Field(gt=0.0, le=3.0)] = optional("each deviation at a corner, sigma", 2.0)
     bending_damping: Share = optional("of each mode", 0.0)
     delay_s: NotNegative = optional("either way, s; never below no delay", 0.005)
     rounds: Annotated[int, Field(ge=1, le=50)] = optional(

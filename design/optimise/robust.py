@@ -44,7 +44,8 @@ Ends = tuple[int, ...]
 def deviated(node: Node, ranges: Robust, ends: Sequence[int]) -> Node:
     """The node with each deviation at an end or in the middle of its range, in the order of `places_of`."""
     letters = "".join({-1: "-", 0: "0", 1: "+"}[end] for end in ends)
-    return disperse(node, vehicle_at_places(ranges, node, places_of(node, ranges), ends, f"[{letters}]"))
+    at = np.array(ends) * (ranges.corner_sigmas / 3.0)
+    return disperse(node, vehicle_at_places(ranges, node, places_of(node, ranges), at, f"[{letters}]"))
 
 
 def modes_off(node: Node, ranges: Robust, end: int) -> Ends:
