@@ -50,7 +50,7 @@ def load_scenario(path: str | Path, overrides: Iterable[str] = ()) -> LoadedScen
     Raises ScenarioError.
     """
     from maxq.sim.run.metrics import METRIC_NAMES  # noqa: PLC0415  # lazy, as above
-    from maxq.sim.scenario import loader  # noqa: PLC0415
+    from maxq.sim.scenario import loader  # noqa: PLC0415  # likewise
 
     return loader.load_scenario(path, overrides, METRIC_NAMES)
 
@@ -58,7 +58,7 @@ def load_scenario(path: str | Path, overrides: Iterable[str] = ()) -> LoadedScen
 def load_scenario_text(text: str, overrides: Iterable[str] = ()) -> LoadedScenario:
     """The scenario that a self-contained TOML text holds, e.g. one from a log. Raises ScenarioError."""
     from maxq.sim.run.metrics import METRIC_NAMES  # noqa: PLC0415  # lazy, as above
-    from maxq.sim.scenario import loader  # noqa: PLC0415
+    from maxq.sim.scenario import loader  # noqa: PLC0415  # likewise
 
     return loader.load_scenario_text(text, overrides, METRIC_NAMES)
 

@@ -202,9 +202,9 @@ def test_skin_has_the_colour_of_its_bending_moment(
         if entity.endswith("skin"):
             sent[entity] = times_ns, np.concatenate([c.as_arrow_array().flatten().to_numpy() for c in columns])
 
-    def note(_: Scene, entity: str, item: object) -> None:
+    def note(_: Scene, entity: str, item: Any) -> None:
         if entity == "vehicle/legend/shares":
-            said.append(str(item.labels.as_arrow_array().to_pylist()[-1]))  # type: ignore[attr-defined]
+            said.append(str(item.labels.as_arrow_array().to_pylist()[-1]))
 
     monkeypatch.setattr(Scene, "_send", keep)
     monkeypatch.setattr(Scene, "_log", note)

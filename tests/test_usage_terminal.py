@@ -15,6 +15,7 @@ import termios
 import threading
 import time
 from collections import Counter
+from types import ModuleType
 
 import pytest
 from hypothesis import given
@@ -83,9 +84,9 @@ def test_numbers_stay_whole_and_right() -> None:
 
 @pytest.mark.parametrize("width", WIDTHS)
 @pytest.mark.parametrize("command", [simrun, simdesign, simverify, simreplay, simvehicle])
-def test_help_fits(command: object, width: int, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_help_fits(command: ModuleType, width: int, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("COLUMNS", str(width))
-    shown = command._parser().format_help()  # type: ignore[attr-defined]
+    shown = command._parser().format_help()
     assert max(cell_len(line) for line in shown.splitlines()) <= width
     assert not re.search(r"\w-\n +\w", shown)
     assert "examples:" in shown
@@ -94,13 +95,13 @@ def test_help_fits(command: object, width: int, monkeypatch: pytest.MonkeyPatch)
 @pytest.mark.parametrize("width", WIDTHS)
 @pytest.mark.parametrize("command", [simrun, simdesign, simverify])
 def test_lists_fit_and_begin_with_what_to_begin_with(
-    command: object, width: int, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    command: ModuleType, width: int, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setenv("COLUMNS", str(width))
-    assert command.main(["--list"]) == 0  # type: ignore[attr-defined]
+    assert command.main(["--list"]) == 0
     lines = capsys.readouterr().out.splitlines()
     assert max(cell_len(line) for line in lines) <= width
-    first = {simrun: "nominal", simdesign: "ksr3-identical", simverify: "standard"}[command]  # type: ignore[index]
+    first = {simrun: "nominal", simdesign: "ksr3-identical", simverify: "standard"}[command]
     assert lines[1].split()[0] == first
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import html
+from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from importlib import import_module
 from pathlib import Path
@@ -19,7 +20,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-class Tabular:
+class Tabular(ABC):
     """What has channels by name: tables of them, files and plots.
 
     `names` are channels or topics ("/truth"); none: all. Raises KeyError for an unknown one.
@@ -27,11 +28,11 @@ class Tabular:
 
     table: ChannelTable
 
-    def __getitem__(self, channel: str) -> Array:
-        raise NotImplementedError
+    @abstractmethod
+    def __getitem__(self, channel: str) -> Array: ...
 
-    def time_s(self, channel: str) -> Array:
-        raise NotImplementedError
+    @abstractmethod
+    def time_s(self, channel: str) -> Array: ...
 
     @property
     def topics(self) -> tuple[str, ...]:

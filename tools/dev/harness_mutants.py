@@ -56,7 +56,7 @@ NAMED = (
     (WORST, "exact.modulus if exact.stable else «0.0»", "exact.modulus", "unstable vehicle with its distance"),
     (DRAWS, "cells[inside] = _permutation(seed, key, «hypercube», stratum)", "0", "every hypercube the same"),
     (DRAWS, "np.uint32(hashed & «0xFFFFFFFF»)", "0", "Sobol' points of all inputs scrambled alike"),
-    (ROBUST, 'places_of(node, ranges), «ends», f"[', "[abs(e) for e in ends]", "deviations to one side only"),
+    (ROBUST, "at = np.«array»(ends) *", "abs", "deviations to one side only"),
     (ROBUST, "for end in («-1», 0, 1):", "1", "lower ends not searched"),
     (ROBUST, "best = «max»(beginnings, key=score)", "min", "search from the best beginning"),
     (

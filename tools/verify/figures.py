@@ -12,7 +12,7 @@ from maxq.design import api
 from maxq.design.certificate.certificate import NodeCertificate
 from maxq.design.verify.flown import FlownResult
 from maxq.design.verify.judging import Judged, judge
-from maxq.design.verify.linear import MEASURES, MarginStudy
+from maxq.design.verify.linear import MEASURES, MarginCase, MarginStudy
 from maxq.design.verify.suite import LinearMargins
 from maxq.design.verify.verify import Verification, tank_name
 from maxq.sim.campaign import analysis
@@ -136,6 +136,10 @@ def _peak(flight: FlownResult, names: Sequence[str]) -> float:
     return max((float(np.abs(flight.histories[n]).max(initial=0.0)) for n in names), default=0.0)
 
 
+def _hardest_first(flights: Sequence[FlownResult], names: Sequence[str]) -> list[FlownResult]:
+    return sorted(flights, key=lambda f: -_peak(f, names))
+
+
 _SHOWN = {
     "gimbal angle": ("gimbal_pitch_angle_deg", "gimbal_yaw_angle_deg", "max_gimbal_deg"),
     "attitude error": ("error_pitch_deg", "error_yaw_deg", "max_attitude_error_deg"),
@@ -145,7 +149,7 @@ _SHOWN = {
 def _flights(found: Verification) -> Plot:
     panels = []
     for title, (pitch, yaw, metric) in _SHOWN.items():
-        strain = sorted(found.flights, key=lambda f, names=(pitch, yaw): -_peak(f, names))  # type: ignore[misc]
+        strain = _hardest_first(found.flights, (pitch, yaw))
         series = list[Series]()
         for n, f in reversed(list(enumerate(strain))):
             size = np.maximum(np.abs(f.histories[pitch]), np.abs(f.histories[yaw]))
@@ -192,8 +196,8 @@ def _margins(studies: Sequence[MarginStudy], wanted: LinearMargins, plane: str, 
         for number, m in enumerate(studies):
             times = np.array(m.times_s)
 
-            def values(cases: Sequence[object], m: MarginStudy = m, name: str = name) -> Array:
-                table = np.array([[n.get(name, math.nan) for n in c.nodes] for c in cases])  # type: ignore[attr-defined]
+            def values(cases: Sequence[MarginCase], m: MarginStudy = m, name: str = name) -> Array:
+                table = np.array([[n.get(name, math.nan) for n in c.nodes] for c in cases])
                 return np.where(np.isfinite(table), table, np.nan).reshape(len(cases), len(m.times_s))
 
             random = m.random[:_MOST_VEHICLES]
