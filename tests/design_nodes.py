@@ -16,6 +16,7 @@ from maxq.design.model.node import Node
 from maxq.design.model.vehicle_at import FlightCondition, Modes, Plane, instruments_of, vehicle_at
 from maxq.sim.packing.flight import pack_flight
 from maxq.sim.run.evaluate import evaluate_at
+from maxq.sim.run.fly import Flight
 from maxq.sim.scenario.loader import LoadedScenario, load_scenario
 from maxq.sim.scenario.schema_design import Design
 from maxq.sim.vehicle.workspace import AIRSPEED, DENSITY, MACH, PRESSURE
@@ -118,3 +119,16 @@ def frozen(time_s: float, *overrides: str, plane: Plane = "pitch") -> tuple[Load
     )
     vehicle = vehicle_at(packed, time_s, condition.mach, plane)
     return loaded, Node(time_s, vehicle, condition, instruments_of(packed.parameters[0], plane), plane)
+
+
+def agrees_with_a_kick(loop: Loop, plain: Flight, kicked: Flight, command: str, node_s: float, kick_deg: float) -> None:
+    """Fifty samples of the command after a kick of one sample in it: two flights' difference, and the sampled loop."""
+    t = plain.time_s(command) - node_s
+    at = [int(np.argmin(np.abs(t - (0.01 * (k + 1) + 0.0045)))) for k in range(50)]
+    difference = (kicked[command] - plain[command])[at]
+    s = loop.state_space()
+    x, ours = np.zeros(len(s.a)), np.zeros(50)
+    for k in range(50):
+        ours[k] = ((kick_deg if k == 0 else 0.0) - s.c[0] @ x) / (1.0 + s.d[0, 0])
+        x = s.a @ x + s.b[:, 0] * ours[k]
+    np.testing.assert_allclose(difference, ours, atol=0.02 * np.abs(ours[1:]).max())

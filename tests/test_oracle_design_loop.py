@@ -21,7 +21,7 @@ import mpmath
 import numpy as np
 import pytest
 import scipy.linalg
-from design_nodes import TIMES_S, design, flown, frozen, ideal, node_at
+from design_nodes import TIMES_S, agrees_with_a_kick, design, flown, frozen, ideal, node_at
 
 from maxq.control.computer import ComputerState, build_computer, computer_tick, start_computer
 from maxq.control.kernel.records import Array, blank, pack
@@ -307,17 +307,8 @@ def test_a_kick_in_flight_moves_the_computer_as_the_loop_says(time_s: float) -> 
     window = f"start_s={time_s + 0.005:.3f}, stop_s={time_s + 0.015:.3f}"
     injection = f'[{{at="gimbal_command", axis="pitch", kind="step", amplitude_deg={kick_deg}, {window}}}]'
     plain, kicked = (fly(frozen(time_s, *extra)[0]) for extra in ((), (f"injection={injection}",)))
-    name = "gimbal_pitch_command_deg"
-    t = plain.time_s(name) - time_s
-    at = [int(np.argmin(np.abs(t - (0.01 * (k + 1) + 0.0045)))) for k in range(50)]
-    difference = (kicked[name] - plain[name])[at]
     loop = api.loop(node, design(), kind="sampled")
-    s = loop.state_space()
-    x, ours = np.zeros(len(s.a)), np.zeros(50)
-    for k in range(50):
-        ours[k] = ((kick_deg if k == 0 else 0.0) - s.c[0] @ x) / (1.0 + s.d[0, 0])
-        x = s.a @ x + s.b[:, 0] * ours[k]
-    np.testing.assert_allclose(difference, ours, atol=0.02 * np.abs(ours[1:]).max())
+    agrees_with_a_kick(loop, plain, kicked, "gimbal_pitch_command_deg", time_s, kick_deg)
 
 
 def test_yaw_loop_of_a_symmetric_vehicle_is_the_pitch_loop() -> None:

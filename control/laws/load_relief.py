@@ -19,7 +19,7 @@ from maxq.control.kernel.jit import kernel
 from maxq.control.kernel.records import Array
 from maxq.control.kernel.rows import DEG, PitchYaw
 from maxq.control.kernel.tables import look_up
-from maxq.control.laws.pd import Pd, PdState, filtered
+from maxq.control.laws.pd import Pd, PdState, filtered, proportional_derivative
 
 
 @dataclass(frozen=True)
@@ -60,13 +60,10 @@ def tick_load_relief(
     lateral = accel_mps2[2 - gimbal]
     filters.accel_mps2[gimbal] += relief.share * (lateral - filters.accel_mps2[gimbal])
     if on != 0 and law.gains.n_breaks != 0:
-        axis = gimbal + 1
-        k_p = look_up(pool, law.gains, time_s, 3 * gimbal)
-        k_d_s = look_up(pool, law.gains, time_s, 3 * gimbal + 1)
-        k_a_s2pm = look_up(pool, law.gains, time_s, 3 * gimbal + 2)
-        state.k_p[gimbal], state.k_d_s[gimbal], filters.k_a_s2pm[gimbal] = k_p, k_d_s, k_a_s2pm
-        filters.relief_rad[gimbal] = sign * k_a_s2pm * filters.accel_mps2[gimbal]
-        law_rad = -k_p * error.theta_e_rad[axis] - k_d_s * error.rate_radps[axis] + filters.relief_rad[gimbal]
+        filters.k_a_s2pm[gimbal] = look_up(pool, law.gains, time_s, 3 * gimbal + 2)
+        filters.relief_rad[gimbal] = sign * filters.k_a_s2pm[gimbal] * filters.accel_mps2[gimbal]
+        pd_rad = proportional_derivative(law, pool, state, error, gimbal, time_s, 3)
+        law_rad = pd_rad + filters.relief_rad[gimbal]
     return filtered(law, state, gimbal, law_rad)
 
 

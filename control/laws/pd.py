@@ -124,13 +124,21 @@ def tick_pd(law: Pd, pool: Array, state: PdState, error: AttitudeError, gimbal: 
     """
     pd_rad = 0.0
     if on != 0 and law.gains.n_breaks != 0:
-        axis = gimbal + 1
-        k_p = look_up(pool, law.gains, time_s, 2 * gimbal)
-        k_d_s = look_up(pool, law.gains, time_s, 2 * gimbal + 1)
-        state.k_p[gimbal] = k_p
-        state.k_d_s[gimbal] = k_d_s
-        pd_rad = -k_p * error.theta_e_rad[axis] - k_d_s * error.rate_radps[axis]
+        pd_rad = proportional_derivative(law, pool, state, error, gimbal, time_s, 2)
     return filtered(law, state, gimbal, pd_rad)
+
+
+@kernel
+def proportional_derivative(
+    law: Pd, pool: Array, state: PdState, error: AttitudeError, gimbal: int, time_s: float, columns: int
+) -> float:
+    """-k_p theta_e - k_d q_g, rad; k_p and k_d are the first of an axis's `columns` in the gains' table."""
+    axis = gimbal + 1
+    k_p = look_up(pool, law.gains, time_s, columns * gimbal)
+    k_d_s = look_up(pool, law.gains, time_s, columns * gimbal + 1)
+    state.k_p[gimbal], state.k_d_s[gimbal] = k_p, k_d_s
+    pd_rad: float = -k_p * error.theta_e_rad[axis] - k_d_s * error.rate_radps[axis]
+    return pd_rad
 
 
 @kernel

@@ -17,7 +17,7 @@ from maxq.control.kernel.jit import kernel
 from maxq.control.kernel.records import Array
 from maxq.control.kernel.rows import DEG, PitchYaw
 from maxq.control.kernel.tables import look_up
-from maxq.control.laws.pd import Pd, PdState, filtered
+from maxq.control.laws.pd import Pd, PdState, filtered, proportional_derivative
 
 
 @dataclass(frozen=True)
@@ -57,16 +57,13 @@ def tick_pid(
     if on == 0:
         integral.integral_rad[gimbal] = 0.0
     elif law.gains.n_breaks != 0:
-        theta_e_rad = error.theta_e_rad[gimbal + 1]
-        k_p = look_up(pool, law.gains, time_s, 3 * gimbal)
-        k_d_s = look_up(pool, law.gains, time_s, 3 * gimbal + 1)
-        k_i_ps = look_up(pool, law.gains, time_s, 3 * gimbal + 2)
-        state.k_p[gimbal], state.k_d_s[gimbal], integral.k_i_ps[gimbal] = k_p, k_d_s, k_i_ps
-        more_rad = sample_s * k_i_ps * theta_e_rad
+        integral.k_i_ps[gimbal] = look_up(pool, law.gains, time_s, 3 * gimbal + 2)
+        more_rad = sample_s * integral.k_i_ps[gimbal] * error.theta_e_rad[gimbal + 1]
         if more_rad * cut_rad >= 0.0:  # a positive error lowers the command: one cut at the upper limit comes back
             whole_rad = integral.integral_rad[gimbal] + more_rad
             integral.integral_rad[gimbal] = min(max(whole_rad, -pid.limit_rad), pid.limit_rad)
-        pid_rad = -k_p * theta_e_rad - k_d_s * error.rate_radps[gimbal + 1] - integral.integral_rad[gimbal]
+        pd_rad = proportional_derivative(law, pool, state, error, gimbal, time_s, 3)
+        pid_rad = pd_rad - integral.integral_rad[gimbal]
     return filtered(law, state, gimbal, pid_rad)
 
 
