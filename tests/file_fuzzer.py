@@ -31,6 +31,9 @@ from maxq.sim.run.metrics import METRIC_NAMES
 from maxq.sim.scenario.errors import ScenarioError
 from maxq.sim.scenario.loader import load_scenario
 from maxq.tools.schemas import json_schema
+from maxq.tools.vehicle.build import build
+from maxq.tools.vehicle.files import write
+from maxq.tools.vehicle.layout import read_layout
 
 CAMPAIGN = """\
 schema = 1
@@ -124,13 +127,68 @@ limits = "dispersed"
 file = "campaign.toml"
 runs = 10
 """
+LAYOUT = """\
+schema = 1
+nose_length_m = 1.6
+site = {latitude_deg = 67.9, longitude_deg = 21.1, azimuth_deg = 0.0}
+trajectory = {pitch_over_start_s = 5.0, final_path_angle_deg = 40.0}
+control = {gyro_station_m = 1.2}
+fairing = {front_station_m = 0.0, rear_station_m = 1.0, mass_kg = 10.0, jettison_altitude_m = 60e3}
+[[stage]]
+name = "lower"
+front_station_m = 3.0
+rear_station_m = 11.0
+diameter_m = 0.8
+modes = 2
+part = [{name = "structure", mass_kg = 400.0, front_station_m = 3.0, rear_station_m = 11.0}]
+shell = [{front_station_m = 3.0, rear_station_m = 11.0, wall_m = 0.0025, modulus_Pa = 7e10}]
+[[stage.tank]]
+name = "lox"
+liquid_mass_kg = 1500.0
+density_kgpm3 = 1140.0
+radius_m = 0.38
+height_m = 3.3
+bottom_station_m = 9.4
+damping_ratio = 0.02
+[stage.engine]
+thrust_vacuum_N = 52000.0
+isp_vacuum_s = 290.0
+exit_area_m2 = 0.08
+gimbal_station_m = 11.0
+exit_station_m = 11.8
+mass_kg = 60.0
+[[stage]]
+name = "upper"
+front_station_m = 0.0
+rear_station_m = 3.0
+diameter_m = 0.8
+modes = 1
+part = [{name = "payload", mass_kg = 90.0, front_station_m = 0.5, rear_station_m = 3.0, gyration_m = [0.3, 0.6]}]
+shell = [{front_station_m = 0.0, rear_station_m = 3.0, EI_Nm2 = 3e6, rear_EI_Nm2 = 4e6}]
+[[stage.tank]]
+name = "solid"
+liquid_mass_kg = 100.0
+residual_kg = 5.0
+density_kgpm3 = 900.0
+radius_m = 0.3
+height_m = 0.6
+dome_m = [0.1, 0.1]
+bottom_station_m = 2.6
+damping_ratio = 0.02
+[stage.engine]
+thrust_vacuum_N = 4000.0
+isp_vacuum_s = 300.0
+gimbal_station_m = 3.0
+exit_station_m = 3.5
+mass_kg = 10.0
+"""
 FILES = {
     "scenario": "ascent.toml", "vehicle": "vehicles/rocket/vehicle.toml", "design": "designs/trial.toml",
-    "campaign": "campaign.toml", "case": "case.toml", "suite": "suite.toml",
+    "campaign": "campaign.toml", "case": "case.toml", "suite": "suite.toml", "layout": "layout.toml",
 }  # fmt: skip  # six more lines otherwise
 BASES = {
     "scenario": ASCENT.replace("max_q_alpha_Pa_deg", "max_q_alpha_Padeg"), "vehicle": ROCKET, "design": DESIGN,
-    "campaign": CAMPAIGN, "case": CASE, "suite": SUITE,
+    "campaign": CAMPAIGN, "case": CASE, "suite": SUITE, "layout": LAYOUT,
 }  # fmt: skip  # six more lines otherwise
 CSV_FILES = {
     **{f"vehicles/rocket/{name}": text for name, text in TABLES.items()},
@@ -145,7 +203,7 @@ KINDS = (*FILES, "table")
 def write_files(folder: Path) -> None:
     """The files as they are before they are broken."""
     write_ascent(folder)
-    for name in ("scenario", "campaign", "case", "suite"):
+    for name in ("scenario", "campaign", "case", "suite", "layout"):
         (folder / FILES[name]).write_text(BASES[name])
     for name in ("samples.csv", "wind_model.csv"):
         (folder / name).write_text(CSV_FILES[name])
@@ -389,7 +447,17 @@ def _suite(path: str) -> None:
         load_wanted(loaded, wanted, "designs/trial.toml", None)
 
 
-USES: dict[str, Callable[[str], Any]] = {"campaign": _campaign, "case": read_case, "suite": _suite}
+def _layout(path: str) -> None:
+    layout = read_layout(path)
+    try:
+        built = build(layout)
+    except ValueError as error:  # as simvehicle does
+        raise ScenarioError(path, str(error)) from None
+    write(built, Path("built"))
+    _flown("built/scenario.toml")
+
+
+USES: dict[str, Callable[[str], Any]] = {"campaign": _campaign, "case": read_case, "suite": _suite, "layout": _layout}
 
 
 def answer(kind: str, folder: Path, name: str, data: bytes) -> str:

@@ -405,3 +405,27 @@ def test_model_holds_along_the_flown_path(flown_nodes: dict[tuple[int, str], Nod
         "bending": 1.2e-4 if pitching_over else 5e-7,
     }
     assert {name: values.max() < bounds[name] for name, values in groups.items()} == dict.fromkeys(bounds, True)
+
+
+def test_rotation_of_the_earth_enters_as_coriolis_and_centrifugal_acceleration(
+    flown_nodes: dict[tuple[int, str], Node],
+) -> None:
+    """The same air and position over ground without rotation: what differs is -2 W x v - W x (W x r), by parts.
+
+    Coordinates are position in I and velocity over ground in B: r' = R v + W x r, v' = R^T (a - W x (R v + W x r)) - w
+    x v, with equal forces.
+    """
+    node = flown_nodes[30, "zero incidence"]
+    y, still = zero_incidence(node.packed, node.packed.state), node.packed.parameters.copy()
+    rate = float(still[0].environment.earth.rate_radps)
+    spin = np.array([[0.0, -rate, 0.0], [rate, 0.0, 0.0], [0.0, 0.0, 0.0]])
+    still["environment"]["earth"]["rate_radps"] = 0.0
+    fixed = y.copy()
+    fixed[3:6] -= spin @ y[:3]
+    without = linearise(dataclasses.replace(node.packed, parameters=still), fixed, 30.0)
+    with_it, to_B = node.simulated, rotation(y[Q_BI : Q_BI + 4]).T
+    expected = np.zeros((6, 6))
+    expected[:3, :3], expected[3:, :3], expected[3:, 3:] = spin, -to_B @ spin @ spin, -to_B @ spin @ to_B.T
+    np.testing.assert_allclose((with_it.a - without.a)[:6, :6], expected, atol=1e-6 * rate)
+    np.testing.assert_allclose((with_it.rate - without.rate)[:3], spin @ y[:3], atol=1e-6)
+    np.testing.assert_allclose((with_it.rate - without.rate)[3:6], -to_B @ spin @ y[3:6], atol=1e-7)

@@ -27,6 +27,7 @@ from maxq.tools import simdesign, simrun, simverify
 @pytest.fixture
 def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("maxq.tools.vehicle.build.MODE_ROWS", 2)  # of a layout's modes over time: quicker
     write_files(tmp_path)
     return tmp_path
 
@@ -87,6 +88,8 @@ _BREAKS = [
     ("suite", "times_s = [30.0]", "times_s = [1e300]", "certificate.times_s.0 = 1e+300: is too large"),
     ("suite", "cases = 10", f"seed = {2**64}", f"margins.seed = {2**64}: is out of range"),
     ("suite", "bending_frequency = [0.05, 0.1]", "bending_frequency = [0.05, 1.0]", "frequency.1 = 1.0: is out"),
+    ("layout", "dome_m = [0.1, 0.1]", "dome_m = [0.1, 360.0]",
+     "stage.1.tank.0.height_m = 0.6: the domes are higher than the tank; allowed: height_m from 360.1"),
     ("suite", "run.step_s=0.002", f"vehicle.stage.{_LONG}.name=x", "is not an element of this list"),
 ]  # fmt: skip  # twice as many lines otherwise
 

@@ -34,6 +34,18 @@ TANK_COLUMNS = Columns(
 _LEAST_DOME = 0.25  # of the radius: a flatter dome gives shallow liquid a pendulum longer than the tank
 
 
+def check_domes(profile: Profile, radius_m: float, key: str = "dome_m") -> None:
+    """Refuse domes that are too flat, or higher than the tank; `key` gives their heights."""
+    for dome in (profile.bottom, profile.top):
+        if dome < 0.0 or 0.0 < dome < _LEAST_DOME:
+            least = _LEAST_DOME * radius_m
+            allowed = f"at least {2 * least:g}" if key == "height_m" else f"0, or from {least:g}"
+            raise refuse("the dome is too flat", allowed, key=(key,))
+    if profile.wall < 0.0:
+        least = radius_m * (profile.bottom + profile.top)
+        raise refuse("the domes are higher than the tank", f"height_m from {least:g}", ("height_m",))
+
+
 class Baffles(Section):
     """Rings on the cylindrical wall of a tank: damping that grows with the root of the wave (NASA SP-106, eq. 4.10)."""
 
@@ -126,15 +138,8 @@ class Tank(Section):
             only_with(self, ("height_m",), False, "a cylinder or an ellipsoid")
         else:
             needs(self, "height_m", f'shape = "{self.shape}"', "a number > 0")
-        profile, key = self.profile, "height_m" if self.shape == "ellipsoid" else "dome_m"
-        for dome in (profile.bottom, profile.top):
-            if dome < 0.0 or 0.0 < dome < _LEAST_DOME:
-                least = _LEAST_DOME * radius
-                allowed = f"at least {2 * least:g}" if key == "height_m" else f"0, or from {least:g}"
-                raise refuse("the dome is too flat", allowed, key=(key,))
-        if profile.wall < 0.0:
-            least = sum(self.dome_m or ())
-            raise refuse("the domes are higher than the tank", f"height_m from {least:g}", ("height_m",))
+        profile = self.profile
+        check_domes(profile, radius, "height_m" if self.shape == "ellipsoid" else "dome_m")
         most = density * radius**3 * float(profile.volume(np.array(profile.height)))
         mass = self.table["liquid_mass_kg"]
         self.table.refuse_where(

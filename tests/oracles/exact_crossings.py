@@ -66,6 +66,14 @@ def crossings(
         return np.array(found[0], float), np.array(found[1], float), np.array(at)
 
 
+def response(a: np.ndarray, b: np.ndarray, c: np.ndarray, d: float, sample_s: float | None, f_hz: float) -> complex:
+    """L at one frequency by a linear system in 60 digits."""
+    with mp.workdps(60):
+        x = 2j * mp.pi * mpf(f_hz) if sample_s is None else mp.exp(2j * mp.pi * mpf(f_hz) * mpf(sample_s))
+        found = mp.lu_solve(mp.eye(len(a)) * x - mp.matrix(a.tolist()), mp.matrix(b.tolist()))
+        return complex(mp.fsum(mpf(float(k)) * v for k, v in zip(c, found, strict=True)) + mpf(float(d)))
+
+
 def real_roots(p: list[mpf], low: mpf, high: mpf) -> list[mpf]:
     """Roots of a polynomial (rising powers) between two points, to 15 digits; double ones once."""
     while p[-1] == 0:

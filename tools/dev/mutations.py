@@ -1,16 +1,18 @@
 """Mutations: does a quick test fail when one token of the source is changed?
 
-    python -m maxq.tools.dev.mutations map --work DIR --mode MODE      how long each quick test takes, and what it calls
-    python -m maxq.tools.dev.mutations run --work DIR --mode MODE      draw mutants, run the tests that can see each
-    python -m maxq.tools.dev.mutations confirm --work DIR              what is left, changed in a copy of the tree
-    python -m maxq.tools.dev.mutations table --work DIR                counts by package, and the survivors
+    python -m maxq.tools.dev.mutations plant --work DIR     draw mutants, plant all of them in a copy of the tree
+    python -m maxq.tools.dev.mutations map --work DIR       which quick test gets to which mutant, and how long it takes
+    python -m maxq.tools.dev.mutations run --work DIR       run for each mutant the tests that get there, until one fails
+    python -m maxq.tools.dev.mutations table --work DIR     write counts and survivors into docs/verification.md
 
-MODE: `plain`, kernels as plain Python (`NUMBA_DISABLE_JIT=1`), for mutants in control, sim/vehicle and sim/flight: of
-these each would be compiled for a minute or more. `compiled` for all others. Each mutant is met in a forked process
-that has imported everything: the living functions get the changed code. The tests that call the function come first,
-the quickest first, then what touches the module. What is no part of a function's code meets its tests in `confirm`:
-compiled, in a copy of the tree with a cache of its own. `--named`: the faults of harness_mutants.py. Answers are
-appended to DIR/results.jsonl; what stands there is not run again. `--part 1 --parts 2` shares the work.
+All mutants stand in one copy, each beside the statement as it was: `if at(7): changed else: original`. Numbers in a
+file that all processes map into their memory tell which one holds, and which have been got to; compiled kernels look
+there, too, so that nothing is compiled anew for a mutant. Every one meets its tests in a forked process, compiled, as
+the tests run in `.ci/run`. What is worked out on import is changed in a process of its own, with a cache of its own.
+
+A mutant is killed by the first test that fails; or by the clock, when a test takes more than ten times as long as
+otherwise and a minute. `--named`: the faults of harness_mutants.py as well. What stands in DIR/results.jsonl is not run
+again; `--only` runs some again. `map` and `run` take the tests from the tree where this script lies, as they are now.
 
 Not drawn: documentation, annotations, imports, messages of exceptions, f-strings, decorators, and tolerances (powers of
 ten below 1e-3): a change there is equivalent, or is no fault of the model. A comparison is shifted by its equal case
@@ -22,31 +24,27 @@ from __future__ import annotations
 import argparse
 import ast
 import contextlib
-import gc
+import copy
 import io
-import itertools
 import json
+import mmap
 import os
 import random
 import re
-import resource
 import shutil
 import signal
+import struct
 import subprocess
 import sys
 import time
 import tokenize
-import types
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass
-from functools import partial
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 import pytest
 from _pytest.runner import runtestprotocol
-
-from maxq.tools.dev.harness_mutants import NAMED
 
 ROOT = Path(__file__).resolve().parents[2]
 PACKAGES = {
@@ -57,8 +55,6 @@ PACKAGES = {
                "design/optimise"),
     "statistics": ("sim/campaign", "design/verify"),
 }  # fmt: skip
-FIRST = "tests/test_regression_nominal.py"  # the strongest test of a compiled flight, and the first in `confirm`
-COMPILED_FROM = ("control/", "sim/vehicle/", "sim/flight/")  # a change in these compiles all kernels anew
 OPERATORS: dict[type[ast.AST], tuple[str, tuple[str, ...]]] = {
     ast.Add: ("+", ("-",)), ast.Sub: ("-", ("+",)), ast.Mult: ("*", ("/",)), ast.Div: ("/", ("*",)),
     ast.Pow: ("**", ("*",)), ast.FloorDiv: ("//", ("*",)), ast.Mod: ("%", ("*",)), ast.Lt: ("<", (">", "<=")),
@@ -68,6 +64,44 @@ OPERATORS: dict[type[ast.AST], tuple[str, tuple[str, ...]]] = {
 NAMES = {"sin": "cos", "cos": "sin", "min": "max", "max": "min", "any": "all", "all": "any", "minimum": "maximum",
          "maximum": "minimum", "floor": "ceil", "ceil": "floor", "real": "imag", "imag": "real", "argmin": "argmax",
          "argmax": "argmin", "PITCH": "YAW", "YAW": "PITCH", "sinh": "cosh", "cosh": "sinh"}  # fmt: skip
+MOST = 511  # mutants of one copy
+SWITCH = f'''
+"""Which mutant holds, and which have been got to: eight bytes each, at one address in every process."""
+import ctypes
+import os
+
+from llvmlite import ir
+from numba import types
+from numba.extending import intrinsic, overload
+
+ADDRESS = 0x6F0000000000
+_map = ctypes.CDLL(None).mmap
+_map.restype, _map.argtypes = ctypes.c_void_p, (ctypes.c_void_p, ctypes.c_size_t, *[ctypes.c_int] * 3, ctypes.c_long)
+# read and write, shared, at this very address
+assert _map(ADDRESS, {8 * (MOST + 1)}, 3, 0x100001, os.open(os.environ["MAXQ_MUTANTS"], os.O_RDWR), 0) == ADDRESS
+_NOTED = (ctypes.c_int64 * {MOST + 1}).from_address(ADDRESS)
+
+
+def at(number):
+    _NOTED[number] = 1
+    return _NOTED[0] == number
+
+
+@intrinsic
+def _at(context, number):
+    def build(context, builder, signature, arguments):
+        word = ir.IntType(64)
+        first = builder.inttoptr(ir.Constant(word, ADDRESS), word.as_pointer())
+        builder.store(ir.Constant(word, 1), builder.gep(first, arguments))
+        return builder.icmp_signed("==", builder.load(first), arguments[0])
+
+    return types.boolean(types.int64), build
+
+
+@overload(at)
+def _at_compiled(number):
+    return lambda number: _at(number)
+'''
 
 
 @dataclass(frozen=True)
@@ -79,6 +113,11 @@ class Mutant:
     column: int
     old: str
     new: str
+    source: str
+    """The line as it was."""
+
+
+# --- what is changed
 
 
 def _sites(source: str) -> Iterator[tuple[int, int, str, tuple[str, ...]]]:
@@ -163,273 +202,250 @@ def drawn(number: int, seed: int) -> list[Mutant]:
         files = sorted(path for folder in folders for path in (ROOT / folder).rglob("*.py"))
         sites = [(path, site) for path in files for site in _sites(path.read_text())]
         for path, (line, column, old, new) in chance.sample(sites, number // len(PACKAGES)):
+            source = path.read_text().split("\n")[line - 1].strip()
             file = path.relative_to(ROOT).as_posix()
-            out.append(Mutant(len(out), package, file, line, column, old, chance.choice(new)))
+            out.append(Mutant(1 + len(out), package, file, line, column, old, chance.choice(new), source))
     return out
 
 
-def named() -> list[Mutant]:
+def named(first: int) -> list[Mutant]:
     """The faults of harness_mutants.py."""
+    from maxq.tools.dev.harness_mutants import NAMED
+
     out = list[Mutant]()
     for file, text, new, what in NAMED:
         before, old, after = re.split("[«»]", text)
         source = (ROOT / file).read_text()
         assert source.count(before + old + after) == 1, (file, text)
         lines = source[: source.index(before + old + after) + len(before)].split("\n")
-        out.append(Mutant(1000 + len(out), what, file, len(lines), len(lines[-1].encode()), old, new))
+        at = source.split("\n")[len(lines) - 1].strip()
+        out.append(Mutant(first + len(out), what, file, len(lines), len(lines[-1].encode()), old, new, at))
     return out
 
 
-def changed(mutant: Mutant) -> str:
-    lines = (ROOT / mutant.file).read_text().split("\n")
+# --- the copy that holds them all
+
+
+def _changed(source: str, mutant: Mutant) -> str:
+    lines = source.split("\n")
     text = lines[mutant.line - 1].encode()  # ast counts bytes
     end = mutant.column + len(mutant.old.encode())
-    assert text[mutant.column : end] == mutant.old.encode()
+    assert text[mutant.column : end].decode() == mutant.old, mutant
     lines[mutant.line - 1] = (text[: mutant.column] + mutant.new.encode() + text[end:]).decode()
     return "\n".join(lines)
 
 
+Place = tuple[str | int, ...]
+SIMPLE = (ast.Assign, ast.AugAssign, ast.AnnAssign, ast.Return, ast.Expr, ast.Break, ast.Continue)
+
+
+def _place(node: Any, at: tuple[int, int], inside: bool = False) -> Place:
+    """Way from a node to what is doubled around a token: a statement of a function, where it is whole, or an expression.
+
+    Empty where the token is not below the node.
+    """
+    for name, value in ast.iter_fields(node):
+        within = inside or (isinstance(node, ast.FunctionDef) and name == "body")
+        for index, child in enumerate(value) if isinstance(value, list) else [(None, value)]:
+            here: Place = (name,) if index is None else (name, index)
+            begin = (child.lineno, child.col_offset) if hasattr(child, "lineno") else at  # arguments have no place
+            if not isinstance(child, ast.AST) or not (begin <= at and (begin is at or at < _end(child))):
+                continue
+            if isinstance(child, ast.expr) or (within and isinstance(child, SIMPLE)):
+                return here
+            further = _place(child, at, within)
+            if further:
+                return here + further
+    return ()
+
+
+def _at(tree: Any, way: Place) -> Any:
+    for step in way:
+        tree = tree[step] if isinstance(step, int) else getattr(tree, step)
+    return tree
+
+
+def planted(source: str, mutants: list[Mutant]) -> str:
+    """The module with all its mutants."""
+    original, groups = ast.parse(source), dict[Place, list[tuple[int, Any]]]()
+    for mutant in mutants:
+        way = _place(original, (mutant.line, mutant.column))
+        groups.setdefault(way, []).append((mutant.number, _at(ast.parse(_changed(source, mutant)), way)))
+    tree = copy.deepcopy(original)
+    for way, changes in sorted(groups.items(), key=lambda item: -len(item[0])):  # what lies within others comes first
+        node = _at(tree, way)
+        for number, new in changes:
+            here = ast.Call(ast.Name("_mutant_at", ast.Load()), [ast.Constant(number)], [])
+            node = ast.If(here, [new], [node]) if isinstance(node, ast.stmt) else ast.IfExp(here, new, node)
+        holder = _at(tree, way[:-1])
+        if isinstance(way[-1], int):
+            holder[way[-1]] = node
+        else:
+            setattr(holder, way[-1], node)
+    names = [i for i, n in enumerate(tree.body) if isinstance(n, ast.ImportFrom) and n.module == "__future__"]
+    switch = ast.ImportFrom("maxq.control.kernel.mutant", [ast.alias("at", "_mutant_at")], 0)
+    tree.body.insert(names[-1] + 1 if names else 0, switch)
+    return ast.unparse(ast.fix_missing_locations(tree)) + "\n"
+
+
+def plant(work: Path, mutants: list[Mutant], refused: set[int]) -> None:
+    tree, links = work / "tree", work / "python" / "maxq"
+    for old in (tree, links, work / "cache"):
+        shutil.rmtree(old, ignore_errors=True)
+    names = subprocess.run(["git", "ls-files", "-z"], cwd=ROOT, capture_output=True, check=True, text=True).stdout
+    for name in filter(None, names.split("\0")):
+        (tree / name).parent.mkdir(parents=True, exist_ok=True)
+        shutil.copy2(ROOT / name, tree / name, follow_symlinks=False)
+    links.mkdir(parents=True)
+    for layer in ("api", "control", "sim", "design", "tools", "scenarios"):
+        (links / layer).symlink_to(tree / layer)
+    for file in {m.file for m in mutants}:
+        path = tree / file
+        here = [m for m in mutants if m.file == file and m.number not in refused]
+        path.write_text(planted(path.read_text(), here))
+    (tree / "control/kernel/mutant.py").write_text(SWITCH)
+    (work / "mutants.json").write_text(json.dumps([asdict(m) for m in mutants], indent=0))
+
+
 # --- in a process that has imported everything
 
-Map = dict[str, tuple[float, list[str]]]
-"""Of each test: processor seconds, and what it calls, FILE:QUALIFIED_NAME."""
+Map = dict[str, tuple[float, list[int]]]
+"""Of each test that passes: seconds, and the mutants it gets to."""
 
 
 class _Server:
     """Within pytest, in place of its loop."""
 
-    def __init__(self, mutants: list[Mutant], known: Map, given: argparse.Namespace) -> None:
-        self.mutants, self.known, self.given = mutants, known, given
+    def __init__(self, work: Path, mutants: list[Mutant], do: str, budget_s: float) -> None:
+        self.work, self.mutants, self.do, self.budget_s = work, mutants, do, budget_s
+        self.flags = mmap.mmap(os.open(os.environ["MAXQ_MUTANTS"], os.O_RDWR), 8 * (MOST + 1))
 
     def pytest_runtestloop(self, session: pytest.Session) -> bool:
-        signal.signal(signal.SIGPROF, lambda *_: pytest.skip("takes too long here"))
-        items = {item.nodeid: item for item in session.items}
-        if self.given.do == "map":
-            self._measure(list(items.values()))
+        files = dict[str, list[pytest.Item]]()
+        for item in session.items:
+            files.setdefault(item.nodeid.split("::")[0], []).append(item)
+        if self.do == "map":
+            for items in files.values():
+                self._forked(lambda out, items=items: self._measure(items, out), self.work / "map.jsonl")
             return True
-        for item in (i for n, i in items.items() if self.given.warm and n.startswith(tuple(self.given.warm))):
-            runtestprotocol(item, nextitem=None, log=False)  # what oracles keep, and compiled code, is there for all
+        known = read_map(self.work)
         for mutant in self.mutants:
-            tests = [n for n in _tests_for(mutant, self.known, self.given.budget) if n in items]
-            answer, began = self.given.work / f"answer-{os.getpid()}.json", time.monotonic()
-            answer.write_text(json.dumps({"status": "died"}))
-            child = os.fork()
-            if child == 0:
-                _meet(mutant, [items[n] for n in tests], answer, self.given)
-            _, code = os.waitpid(child, 0)
-            _kill(child)
-            out = json.loads(answer.read_text())
-            if out["status"] == "died" and code:  # by the limit of its time, or by what it did
-                out = {"status": "killed", "how": f"exit {code}"}
-            took = {"mode": self.given.mode, "tests": len(tests), "seconds": round(time.monotonic() - began, 1)}
-            _keep(self.given.work, mutant, {**out, **took})
+            tests = _tests_for(mutant.number, known, self.budget_s)
+            items = {i.nodeid: i for i in session.items}
+            began = time.monotonic()
+            self.flags[:8] = struct.pack("<q", mutant.number)
+            out = self._forked(lambda out, m=mutant, t=tests: self._meet([items[n] for n in t if n in items], known, out), None)
+            self.flags[:8] = bytes(8)
+            lines = out.splitlines() or ["died"]
+            last = json.loads(lines[-1]) if lines[-1].startswith("{") else {"status": "killed", "how": f"clock, or end of the process: {lines[-1]}"}
+            took = {"tests": len(tests), "seconds": round(time.monotonic() - began, 1)}
+            with (self.work / "results.jsonl").open("a") as file:
+                file.write(json.dumps({**asdict(mutant), **last, **took}) + "\n")
         return True
 
-    def _measure(self, items: list[pytest.Item]) -> None:
+    def _forked(self, do: Any, keep: Path | None) -> str:
+        path = keep or self.work / f"answer-{os.getpid()}"
+        if keep is None:
+            path.write_text("")
+        shutil.rmtree(Path(os.environ["MAXQ_CACHE"]) / "verified", ignore_errors=True)  # answers of another mutant
+        child = os.fork()
+        if child == 0:
+            os.setsid()
+            null = os.open(os.devnull, os.O_RDWR)
+            for stream in (0, 1, 2):
+                os.dup2(null, stream)
+            with path.open("a", buffering=1) as out:
+                do(out)
+            os._exit(0)
+        os.waitpid(child, 0)
+        with contextlib.suppress(ProcessLookupError):
+            os.killpg(child, signal.SIGKILL)
+        return path.read_text()
+
+    def _measure(self, items: list[pytest.Item], out: Any) -> None:
         for item, after in zip(items, [*items[1:], None], strict=True):
-            calls, began = set[types.CodeType](), time.process_time()
-            signal.setitimer(signal.ITIMER_PROF, self.given.most)
-            sys.setprofile(partial(_note, calls))
+            self.flags[:] = bytes(len(self.flags))
+            began = time.monotonic()
             reports = runtestprotocol(item, nextitem=after, log=False)
-            sys.setprofile(None)
-            signal.setitimer(signal.ITIMER_PROF, 0.0)
-            if all(report.passed for report in reports):  # what fails without a mutant, or takes too long, is left out
-                ours = [c for c in calls if c.co_filename.startswith(f"{ROOT}{os.sep}")]
-                names = sorted(f"{Path(c.co_filename).relative_to(ROOT).as_posix()}:{c.co_qualname}" for c in ours)
-                self.known[item.nodeid] = time.process_time() - began, names
-        (self.given.work / f"map-{self.given.mode}.json").write_text(json.dumps(self.known))
+            got_to = [k for k, v in enumerate(struct.unpack(f"<{MOST + 1}q", self.flags[:])) if v and k]
+            passed = all(r.passed for r in reports)  # what fails without a mutant is left out
+            out.write(json.dumps([item.nodeid, round(time.monotonic() - began, 3), got_to, passed]) + "\n")
+
+    def _meet(self, tests: list[pytest.Item], known: Map, out: Any) -> None:
+        for item, after in zip(tests, [*tests[1:], None], strict=True):
+            signal.setitimer(signal.ITIMER_REAL, 60.0 + 10.0 * known[item.nodeid][0])  # then the process ends
+            out.write(item.nodeid + "\n")
+            bad = [r for r in runtestprotocol(item, nextitem=after, log=False) if r.failed]
+            if bad:
+                said = next((x for x in str(bad[0].longrepr).splitlines() if x[:2] == "E "), "")
+                out.write(json.dumps({"status": "killed", "how": f"{item.nodeid}: {said}"[:300]}) + "\n")
+                return
+        out.write(json.dumps({"status": "survived"}) + "\n")
 
 
-def _note(calls: set[types.CodeType], frame: types.FrameType, event: str, _: object) -> None:
-    if event == "call":
-        calls.add(frame.f_code)
+def read_map(work: Path) -> Map:
+    lines = (json.loads(line) for line in (work / "map.jsonl").read_text().splitlines())
+    return {name: (seconds, got_to) for name, seconds, got_to, passed in lines if passed}
 
 
-def _tests_for(mutant: Mutant, known: Map, budget_s: float) -> list[str]:
-    """What calls the function, then what touches the module; fixtures and caches may have been filled by others."""
-    own, module = f"{mutant.file}:{_holder(mutant)}", f"{mutant.file}:"
-    near = [n for n, (_, calls) in known.items() if own in calls]
-    files = {n.split("::")[0] for n in near}
-    other = [n for n, (_, calls) in known.items() if n not in near and any(c.startswith(module) for c in calls)]
-    groups = (near, [n for n in known if n.split("::")[0] in files], other)
-    order = dict.fromkeys(n for group in groups for n in sorted(group, key=lambda n: known[n][0]))
-    total = itertools.accumulate(known[n][0] for n in order)
-    return [n for n, seconds in zip(order, total, strict=True) if seconds <= budget_s]
+def _tests_for(number: int, known: Map, budget_s: float) -> list[str]:
+    """By file, what gets to the mutant first; then the rest of the file, which may look at what a fixture made."""
+    files = dict[str, list[str]]()
+    for name in known:
+        files.setdefault(name.split("::")[0], []).append(name)
+    out, total = list[str](), 0.0
 
+    def order(names: list[str]) -> list[str]:
+        return sorted(names, key=lambda n: (number not in known[n][1], known[n][0]))
 
-def _holder(mutant: Mutant) -> str:
-    """Qualified name of the innermost function or class around a mutant; empty: it is outside of any."""
-    names, node = list[str](), cast("ast.AST", ast.parse((ROOT / mutant.file).read_text()))
-    while True:
-        inside = [
-            n for n in ast.walk(node) if n is not node and isinstance(n, (ast.FunctionDef, ast.ClassDef))
-            and n.lineno <= mutant.line <= (n.end_lineno or 0)
-        ]  # fmt: skip
-        if not inside:
-            return ".".join(names)
-        inner = min(inside, key=lambda n: n.lineno)
-        names += ["<locals>", inner.name] if isinstance(node, ast.FunctionDef) else [inner.name]
-        node = inner
-
-
-def _meet(mutant: Mutant, tests: list[pytest.Item], answer: Path, given: argparse.Namespace) -> None:
-    """In the forked process: change the code, run the tests, write the answer, end."""
-    os.setsid()
-    null = os.open(os.devnull, os.O_RDWR)
-    for stream in (0, 1, 2):
-        os.dup2(null, stream)
-    limit = int(20.0 + 2.0 * given.budget)  # an endless loop ends here
-    resource.setrlimit(resource.RLIMIT_CPU, (limit, limit))
-    out = {"status": "survived" if _patch(mutant) else "not patched"}
-    for item, after in zip(tests, [*tests[1:], None], strict=False) if out["status"] == "survived" else ():
-        signal.setitimer(signal.ITIMER_PROF, given.most)
-        bad = [report for report in runtestprotocol(item, nextitem=after, log=False) if report.failed]
-        if bad:
-            said = next((x for x in str(bad[0].longrepr).splitlines() if x[:2] == "E "), "")
-            out = {"status": "killed", "how": f"{item.nodeid}: {said}"[:300]}
-            break
-    answer.write_text(json.dumps(out))
-    os._exit(0)  # what is raised before ends in pytest's own report, without an answer
-
-
-def _patch(mutant: Mutant) -> int:
-    """Give every living function that holds the mutant its changed code; how many there are."""
-    path, source = str(ROOT / mutant.file), changed(mutant)
-    outer = [
-        n for n in ast.walk(ast.parse(source)) if isinstance(n, ast.FunctionDef)  # its body: defaults are no code
-        and (n.body[0].lineno, n.body[0].col_offset) <= (mutant.line, mutant.column) < _end(n)
-    ]  # fmt: skip
-    if not outer:
-        return 0
-    name = min(outer, key=lambda n: n.lineno).name
-    codes = {(c.co_qualname, c.co_firstlineno): c for c in _codes(compile(source, path, "exec")) if c.co_name == name}
-    living = [f for f in gc.get_objects() if isinstance(f, types.FunctionType) and f.__code__.co_filename == path]
-    places = [(f, (f.__code__.co_qualname, f.__code__.co_firstlineno)) for f in living]
-    for function, place in places:
-        function.__code__ = codes.get(place, function.__code__)
-    return sum(place in codes for _, place in places)
-
-
-def _codes(code: types.CodeType) -> Iterator[types.CodeType]:
-    for constant in code.co_consts:
-        if isinstance(constant, types.CodeType):
-            yield constant
-            yield from _codes(constant)
-
-
-def _kill(group: int) -> None:
-    with contextlib.suppress(ProcessLookupError):
-        os.killpg(group, signal.SIGKILL)
-
-
-def _keep(work: Path, mutant: Mutant, answer: dict[str, Any]) -> None:
-    source = (ROOT / mutant.file).read_text().split("\n")[mutant.line - 1].strip()
-    with (work / "results.jsonl").open("a") as file:
-        file.write(json.dumps({**asdict(mutant), "source": source, **answer}) + "\n")
-
-
-# --- in a copy of the tree
-
-
-def confirm(mutant: Mutant, folder: Path, known: Map, budget_s: float) -> dict[str, Any]:
-    """Change the file in a copy of what git knows, run the tests there, compiled; none of its processes is left."""
-    tree, links = folder / "tree", folder / "python" / "maxq"
-    if not tree.exists():
-        names = subprocess.run(["git", "ls-files", "-z"], cwd=ROOT, capture_output=True, check=True, text=True).stdout
-        for name in filter(None, names.split("\0")):
-            (tree / name).parent.mkdir(parents=True, exist_ok=True)
-            shutil.copy2(ROOT / name, tree / name, follow_symlinks=False)
-        links.mkdir(parents=True)
-        for layer in ("api", "control", "sim", "design", "tools", "scenarios"):
-            (links / layer).symlink_to(tree / layer)
-        (folder / "cache").mkdir(mode=0o700)
-    kernels, tests = mutant.file.startswith(COMPILED_FROM), _tests_for(mutant, known, budget_s)
-    fly = sorted((n for n, (_, calls) in known.items() if "sim/run/fly.py:fly" in calls), key=lambda n: known[n][0])
-    tests = list(dict.fromkeys([FIRST, *tests, *fly])) if kernels or not tests else tests
-    environment = {**os.environ, "PYTHONPATH": str(links.parent), "XDG_CACHE_HOME": str(folder / "cache")}
-    run = [sys.executable, "-m", "pytest", "-q", "-x", "-m", "not slow", "-p", "no:cacheprovider", "-rfE", *tests]
-    kept, began = set((folder / "cache").glob("maxq/*")), time.monotonic()
-    path = tree / mutant.file
-    path.write_text(changed(mutant))
-    with (folder / "output.txt").open("w+") as output:
-        process = subprocess.Popen(run, cwd=tree, env=environment, stdin=subprocess.DEVNULL, stdout=output,
-                                   stderr=subprocess.STDOUT, start_new_session=True)  # fmt: skip
-        try:
-            code = process.wait(1800.0)
-        except subprocess.TimeoutExpired:
-            code = -1
-        finally:
-            _kill(process.pid)
-            process.wait()
-            shutil.copy2(ROOT / mutant.file, path)
-        output.seek(0)
-        said = [line for line in output.read().splitlines() if line.startswith(("FAILED", "ERROR", "E "))]
-    for made in set((folder / "cache").glob("maxq/*")) - kept if kernels else ():
-        shutil.rmtree(made)
-    how = "time-out" if code == -1 else (said or [f"exit {code}"])[-1][:300]
-    answer = {"status": "survived"} if code in (0, 5) else {"status": "killed", "how": how}
-    return {**answer, "mode": "copy", "tests": len(tests), "seconds": round(time.monotonic() - began, 1)}
+    near = {f: sum(known[n][0] for n in names if number in known[n][1]) for f, names in files.items() if any(number in known[n][1] for n in names)}
+    for file in sorted(near, key=near.__getitem__):
+        for name in order(files[file]):
+            total += known[name][0]
+            if total <= budget_s or len(out) < 5:
+                out.append(name)
+    return out
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("do", choices=["map", "run", "confirm", "table"])
-    parser.add_argument("tests", nargs="*", help="of `map`: these files only")
-    parser.add_argument("--work", type=Path, required=True, help="folder for copies, maps and results")
-    parser.add_argument("--mode", choices=["plain", "compiled"], default="compiled")
+    parser.add_argument("do", choices=["plant", "map", "run", "table"])
+    parser.add_argument("tests", nargs="*", help="these files only")
+    parser.add_argument("--work", type=Path, required=True, help="folder for the copy, its cache, and results")
     parser.add_argument("--number", type=int, default=200)
     parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--named", action="store_true", help="the faults of harness_mutants.py")
+    parser.add_argument("--named", action="store_true", help="of `plant`: the faults of harness_mutants.py as well")
+    parser.add_argument("--also", type=Path, help="of `plant`: further mutants, as in mutants.json")
+    parser.add_argument("--refused", default="", help="of `plant`: numbers of those that Numba refuses to compile")
     parser.add_argument("--only", help="numbers of mutants, with commas; run again whatever results.jsonl says")
-    parser.add_argument("--part", type=int, default=1, help="of --parts, each in a process of its own")
-    parser.add_argument("--parts", type=int, default=1)
-    parser.add_argument("--budget", type=float, default=60.0, help="processor seconds of tests for a mutant, as mapped")
-    parser.add_argument("--most", type=float, default=20.0, help="processor seconds of one test; then it is left out")
-    parser.add_argument(
-        "--warm", nargs="*", default=[], help="of `run`: beginnings of tests that run before all mutants"
-    )
+    parser.add_argument("--budget", type=float, default=1e9, help="seconds of tests for a mutant, as mapped")
     given = parser.parse_intermixed_args()
-    given.work = given.work.resolve()
-    given.work.mkdir(parents=True, exist_ok=True)
-    results, mapped = given.work / "results.jsonl", given.work / f"map-{given.mode}.json"
+    work = given.work.resolve()
+    work.mkdir(parents=True, exist_ok=True)
+    if given.do == "plant":
+        mutants = drawn(given.number, given.seed)
+        mutants += named(1 + len(mutants)) if given.named else []
+        mutants += [Mutant(**{**m, "number": len(mutants) + 1 + i}) for i, m in enumerate(json.loads(given.also.read_text()))] if given.also else []
+        refused = {int(n) for n in given.refused.split(",") if n}
+        plant(work, mutants, refused)
+        return
+    mutants = [Mutant(**m) for m in json.loads((work / "mutants.json").read_text())]
+    results = work / "results.jsonl"
     done = {r["number"]: r for r in map(json.loads, results.read_text().splitlines())} if results.exists() else {}
-    known: Map = json.loads(mapped.read_text()) if mapped.exists() and given.do != "map" else {}
-    mutants = named() if given.named else drawn(given.number, given.seed)
-    if given.only:
-        mutants = [m for m in mutants if m.number in {int(n) for n in given.only.split(",")}]
-    elif given.do == "run":
-        kernels = given.mode == "plain"
-        mutants = [m for m in mutants if m.number not in done and m.file.startswith(COMPILED_FROM) == kernels]
-    else:
-        mutants = [m for m in mutants if done.get(m.number, {}).get("status") not in (None, "killed")]
-    each = given.number // len(PACKAGES)  # packages in turn, so that an early end says something of each
-    mutants = sorted(mutants, key=lambda m: (m.number % each, m.number))[given.part - 1 :: given.parts]
     if given.do == "table":
-        table([r for r in done.values() if (r["number"] >= 1000) == given.named])
-    elif given.do == "confirm":
-        for mutant in mutants:
-            _keep(given.work, mutant, confirm(mutant, given.work / f"copy-{given.part}", known, given.budget))
-    else:
-        if given.mode == "plain":
-            os.environ["NUMBA_DISABLE_JIT"] = "1"
-        os.chdir(ROOT)
-        files = given.tests or sorted({n.split("::")[0] for n in known}) or ["tests"]
-        options = ["-s", "-m", "not slow", "-p", "no:cacheprovider", "-p", "no:terminal"]
-        pytest.main([*options, "--ignore-glob=*packaging*", *files], plugins=[_Server(mutants, known, given)])
-
-
-def table(done: list[dict[str, Any]]) -> None:
-    """Counts by package, and a line for each survivor."""
-    print("| package | mutants | killed | share |\n|---|---|---|---|")
-    for package in [*PACKAGES, "all"]:
-        own = [r for r in done if package in (r["package"], "all")]
-        killed = sum(r["status"] == "killed" for r in own)
-        print(f"| {package} | {len(own)} | {killed} | {100.0 * killed / max(len(own), 1):.1f} % |")
-    print("\n| mutant | place | change |\n|---|---|---|")
-    for r in done:
-        if r["status"] != "killed":
-            change = f"`{r['source']}`: `{r['old']}` at {r['column']} -> `{r['new']}`"
-            print(f"| {r['number']} | {r['file']}:{r['line']} | {change} |")
+        table(list(done.values()))
+        return
+    if "MAXQ_MUTANTS" not in os.environ:  # once more, with the planted sources
+        (work / "switch").write_bytes(bytes(8 * (MOST + 1)))
+        (work / "cache").mkdir(mode=0o700, exist_ok=True)
+        places = {"MAXQ_MUTANTS": work / "switch", "PYTHONPATH": work / "python", "MAXQ_CACHE": work / "cache"}
+        os.execve(sys.executable, [sys.executable, *sys.argv], {**os.environ, **{k: str(v) for k, v in places.items()}})
+    shutil.copytree(ROOT / "tests", work / "tree/tests", dirs_exist_ok=True)
+    os.chdir(work / "tree")
+    wanted = {int(n) for n in given.only.split(",")} if given.only else {m.number for m in mutants} - set(done)
+    mutants = [m for m in mutants if m.number in wanted]
+    options = ["-s", "-m", "not slow", "-p", "no:cacheprovider", "-p", "no:terminal", "--ignore-glob=*packaging*"]
+    pytest.main([*options, *(given.tests or ["tests"])], plugins=[_Server(work, mutants, given.do, given.budget)])
 
 
 if __name__ == "__main__":

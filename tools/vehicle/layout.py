@@ -33,6 +33,7 @@ from maxq.sim.scenario.schema_values import (
     optional,
 )
 from maxq.sim.scenario.schema_vehicle import Bending, SpatialModes
+from maxq.sim.scenario.schema_tank import check_domes
 from maxq.sim.scenario.tables_csv import CsvTable
 from maxq.sim.scenario.tank_profile import Profile
 
@@ -104,6 +105,11 @@ class Tank(Section):
         """In radii."""
         bottom, top = (dome / self.radius_m for dome in self.dome_m)
         return Profile(bottom, self.height_m / self.radius_m - bottom - top, top)
+
+    @model_validator(mode="after")
+    def _check(self) -> Tank:
+        check_domes(self.profile, self.radius_m)
+        return self
 
 
 class Grain(Between):
