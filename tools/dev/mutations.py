@@ -2,7 +2,7 @@
 
     python -m maxq.tools.dev.mutations plant --work DIR     draw mutants, plant all of them in a copy of the tree
     python -m maxq.tools.dev.mutations map --work DIR       which quick test gets to which mutant, and how long it takes
-    python -m maxq.tools.dev.mutations run --work DIR       run for each mutant the tests that get there, until one fails
+    python -m maxq.tools.dev.mutations run --work DIR       run the tests that get to each mutant, until one fails
     python -m maxq.tools.dev.mutations table --work DIR     write counts and survivors into docs/verification.md
 
 All mutants stand in one copy, each beside the statement as it was: `if at(7): changed else: original`. Numbers in a
@@ -26,6 +26,7 @@ import ast
 import contextlib
 import copy
 import io
+import itertools
 import json
 import mmap
 import os
@@ -40,13 +41,17 @@ import time
 import tokenize
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import pytest
 from _pytest.runner import runtestprotocol
 
+from maxq.tools.dev.harness_mutants import NAMED
+
 ROOT = Path(__file__).resolve().parents[2]
+PAGE, BEGIN, END = ROOT / "docs/verification.md", "<!-- mutants: begin -->", "<!-- mutants: end -->"
 PACKAGES = {
     "control": ("control",),
     "sim/vehicle": ("sim/vehicle",),
@@ -175,7 +180,7 @@ def _sites(source: str) -> Iterator[tuple[int, int, str, tuple[str, ...]]]:
     yield from sorted(set(found))
 
 
-def _end(node: ast.expr | ast.stmt) -> tuple[int, int]:
+def _end(node: Any) -> tuple[int, int]:
     return node.end_lineno or 0, node.end_col_offset or 0
 
 
@@ -210,8 +215,6 @@ def drawn(number: int, seed: int) -> list[Mutant]:
 
 def named(first: int) -> list[Mutant]:
     """The faults of harness_mutants.py."""
-    from maxq.tools.dev.harness_mutants import NAMED
-
     out = list[Mutant]()
     for file, text, new, what in NAMED:
         before, old, after = re.split("[«»]", text)
@@ -240,7 +243,7 @@ SIMPLE = (ast.Assign, ast.AugAssign, ast.AnnAssign, ast.Return, ast.Expr, ast.Br
 
 
 def _place(node: Any, at: tuple[int, int], inside: bool = False) -> Place:
-    """Way from a node to what is doubled around a token: a statement of a function, where it is whole, or an expression.
+    """Way from a node to what is doubled around a token: a simple statement of a function, else an expression.
 
     Empty where the token is not below the node.
     """
@@ -321,31 +324,28 @@ class _Server:
         self.flags = mmap.mmap(os.open(os.environ["MAXQ_MUTANTS"], os.O_RDWR), 8 * (MOST + 1))
 
     def pytest_runtestloop(self, session: pytest.Session) -> bool:
-        files = dict[str, list[pytest.Item]]()
-        for item in session.items:
-            files.setdefault(item.nodeid.split("::")[0], []).append(item)
-        if self.do == "map":
-            for items in files.values():
-                self._forked(lambda out, items=items: self._measure(items, out), self.work / "map.jsonl")
+        if self.do == "map":  # a process for each file, so that none profits from what another left in memory
+            for _, group in itertools.groupby(session.items, key=lambda item: _file_of(item.nodeid)):
+                self._forked(partial(self._measure, list(group)), self.work / "map.jsonl")
             return True
-        known = read_map(self.work)
+        known, items = read_map(self.work), {item.nodeid: item for item in session.items}
         for mutant in self.mutants:
-            tests = _tests_for(mutant.number, known, self.budget_s)
-            items = {i.nodeid: i for i in session.items}
-            began = time.monotonic()
+            names, began = _tests_for(mutant.number, known, self.budget_s), time.monotonic()
+            tests = [items[name] for name in names if name in items]
             self.flags[:8] = struct.pack("<q", mutant.number)
-            out = self._forked(lambda out, m=mutant, t=tests: self._meet([items[n] for n in t if n in items], known, out), None)
+            said = self._forked(partial(self._meet, tests, known)).splitlines() or ["nothing ran"]
             self.flags[:8] = bytes(8)
-            lines = out.splitlines() or ["died"]
-            last = json.loads(lines[-1]) if lines[-1].startswith("{") else {"status": "killed", "how": f"clock, or end of the process: {lines[-1]}"}
-            took = {"tests": len(tests), "seconds": round(time.monotonic() - began, 1)}
+            answer = {"status": "killed", "how": f"{said[-1]}: the clock, or the process ended"}
+            answer = json.loads(said[-1]) if said[-1].startswith("{") else answer
+            row = {**asdict(mutant), **answer, "tests": len(tests), "seconds": round(time.monotonic() - began, 1)}
             with (self.work / "results.jsonl").open("a") as file:
-                file.write(json.dumps({**asdict(mutant), **last, **took}) + "\n")
+                file.write(json.dumps(row) + "\n")
         return True
 
-    def _forked(self, do: Any, keep: Path | None) -> str:
-        path = keep or self.work / f"answer-{os.getpid()}"
-        if keep is None:
+    def _forked(self, do: Any, path: Path | None = None) -> str:
+        """What a forked process writes, which does this; at the end of a file that is given."""
+        if path is None:
+            path = self.work / f"answer-{os.getpid()}"
             path.write_text("")
         shutil.rmtree(Path(os.environ["MAXQ_CACHE"]) / "verified", ignore_errors=True)  # answers of another mutant
         child = os.fork()
@@ -372,7 +372,7 @@ class _Server:
             out.write(json.dumps([item.nodeid, round(time.monotonic() - began, 3), got_to, passed]) + "\n")
 
     def _meet(self, tests: list[pytest.Item], known: Map, out: Any) -> None:
-        for item, after in zip(tests, [*tests[1:], None], strict=True):
+        for item, after in zip(tests, [*tests[1:], None], strict=False):
             signal.setitimer(signal.ITIMER_REAL, 60.0 + 10.0 * known[item.nodeid][0])  # then the process ends
             out.write(item.nodeid + "\n")
             bad = [r for r in runtestprotocol(item, nextitem=after, log=False) if r.failed]
@@ -390,21 +390,39 @@ def read_map(work: Path) -> Map:
 
 def _tests_for(number: int, known: Map, budget_s: float) -> list[str]:
     """By file, what gets to the mutant first; then the rest of the file, which may look at what a fixture made."""
-    files = dict[str, list[str]]()
-    for name in known:
-        files.setdefault(name.split("::")[0], []).append(name)
-    out, total = list[str](), 0.0
+    seconds = dict[str, float]()  # of what gets there, by file
+    for name, (took, got_to) in known.items():
+        if number in got_to:
+            seconds[_file_of(name)] = seconds.get(_file_of(name), 0.0) + took
+    names = [name for name in known if _file_of(name) in seconds]
+    names.sort(key=lambda n: (seconds[_file_of(n)], _file_of(n), number not in known[n][1], known[n][0]))
+    total = itertools.accumulate(known[name][0] for name in names)
+    return [name for name, so_far in zip(names, total, strict=True) if so_far <= budget_s]
 
-    def order(names: list[str]) -> list[str]:
-        return sorted(names, key=lambda n: (number not in known[n][1], known[n][0]))
 
-    near = {f: sum(known[n][0] for n in names if number in known[n][1]) for f, names in files.items() if any(number in known[n][1] for n in names)}
-    for file in sorted(near, key=near.__getitem__):
-        for name in order(files[file]):
-            total += known[name][0]
-            if total <= budget_s or len(out) < 5:
-                out.append(name)
-    return out
+def _file_of(name: str) -> str:
+    return name.split("::", maxsplit=1)[0]
+
+
+def table(done: list[dict[str, Any]]) -> None:
+    """Counts by package and a line for each survivor; what is said there of a survivor is kept, whatever its line."""
+    text = PAGE.read_text()
+    before, rest = text.split(BEGIN)
+    written, after = rest.split(END)
+    said = {key: why for key, why in re.findall(r"^\| (.*? -> .*?) \| (.*?) \|$", written, re.M)}
+    drawn_ones = [r for r in done if r["package"] in PACKAGES]
+    lines = ["| package | mutants | killed | share |", "|---|---|---|---|"]
+    for package in [*PACKAGES, "all"]:
+        own = [r for r in drawn_ones if package in (r["package"], "all")]
+        killed = sum(r["status"] == "killed" for r in own)
+        lines.append(f"| {package} | {len(own)} | {killed} | {100.0 * killed / max(len(own), 1):.1f} % |")
+    lines += ["", "| lives | why |", "|---|---|"]
+    for r in sorted(done, key=lambda r: r["number"]):
+        if r["status"] != "killed":
+            source = r["source"].replace("|", "\\|")
+            key = f"{r['file']}: `{source}`, `{r['old']}` -> `{r['new'] or ' '}`"
+            lines.append(f"| {key} | {said.get(key, 'open')} |")
+    PAGE.write_text(before + BEGIN + "\n" + "\n".join(lines) + "\n" + END + after)
 
 
 def main() -> None:
@@ -425,7 +443,8 @@ def main() -> None:
     if given.do == "plant":
         mutants = drawn(given.number, given.seed)
         mutants += named(1 + len(mutants)) if given.named else []
-        mutants += [Mutant(**{**m, "number": len(mutants) + 1 + i}) for i, m in enumerate(json.loads(given.also.read_text()))] if given.also else []
+        for more in json.loads(given.also.read_text()) if given.also else ():
+            mutants.append(Mutant(**{**more, "number": 1 + len(mutants)}))
         refused = {int(n) for n in given.refused.split(",") if n}
         plant(work, mutants, refused)
         return
