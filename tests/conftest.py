@@ -2,14 +2,23 @@
 
 Hypothesis chooses the same examples in every run, or new ones with MAXQ_EXAMPLES=random. Ctrl-C reaches the commands
 under test also where the tests were started in the background: a shell has it ignored there, by all children, too.
+Every picture that a test makes is looked at.
 """
 
 from __future__ import annotations
 
 import os
 import signal
+from collections.abc import Iterator
 
+import pytest
 from hypothesis import settings
+from matplotlib.figure import Figure
+from picture_check import settled_faults
+
+from maxq.tools.plots import style
+
+SETTLE = style.settle
 
 # A change lands or not by what it does, not by luck; a busy machine is no reason to fail either.
 settings.register_profile("same", derandomize=True, deadline=None)
@@ -20,3 +29,19 @@ os.environ.pop("COLUMNS", None)  # workers of pytest-xdist are told 80, as if th
 
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
+@pytest.fixture(autouse=True)
+def _pictures_read_well(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """Whatever a test draws has no clipped or overlapping text, but where it is marked `crowded`."""
+    found: list[str] = []
+
+    def settled(figure: Figure) -> None:
+        SETTLE(figure)
+        title = figure.get_suptitle() or figure.axes[0].get_title("left")
+        found.extend(f"{title}: {fault}" for fault in settled_faults(figure))
+
+    monkeypatch.setattr(style, "settle", settled)
+    yield
+    if request.node.get_closest_marker("crowded") is None:
+        assert not found

@@ -3,23 +3,27 @@
 from __future__ import annotations
 
 from itertools import combinations
-from typing import Any
 
+import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.text import Text
 
-from maxq.tools.plots.style import settle
+from maxq.tools.plots.style import dense, settle
 
 
 def faults(figure: Figure) -> list[str]:
-    """Texts that leave the picture, and pairs of texts that lie over each other. Tick labels off their axes are not
-    drawn and do not count.
-    """
+    """As `settled_faults`, of a figure that is not laid out yet."""
     settle(figure)
-    canvas: Any = FigureCanvasAgg(figure)
-    canvas.draw()
-    renderer = canvas.get_renderer()
+    return settled_faults(figure)
+
+
+def settled_faults(figure: Figure) -> list[str]:
+    """Texts that leave the picture, pairs of texts that lie over each other, and legends that hide curves. Tick labels
+    off their axes are not drawn and do not count.
+    """
+    figure.draw_without_rendering()
+    renderer = FigureCanvasAgg(figure).get_renderer()  # type: ignore[no-untyped-call]
     off = {
         label
         for place in figure.axes
@@ -43,4 +47,15 @@ def faults(figure: Figure) -> list[str]:
         along = min(a.y1, b.y1) - max(a.y0, b.y0)
         if across > 1.0 and along > 1.0:
             found.append(f"{one!r} lies over {other!r}")
+    for place in figure.axes:
+        legend = place.get_legend()
+        if legend is None:
+            continue
+        low, high = np.reshape(legend.get_window_extent(renderer).extents, (2, 2))
+        for line in place.lines:
+            points = dense(line.get_transform().transform(np.asarray(line.get_xydata())))
+            if (hidden := int(((points > low) & (points < high)).all(axis=1).sum())) > 5:
+                found.append(
+                    f"the legend {legend.get_texts()[0].get_text()!r}, ... hides {line.get_label()!r} ({hidden})"
+                )
     return found

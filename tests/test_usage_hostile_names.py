@@ -179,6 +179,7 @@ def test_rich_shows_markup_as_it_is(monkeypatch: pytest.MonkeyPatch) -> None:
     assert "[blink]name[/blink] [/nothing]" in shown.getvalue()
 
 
+@pytest.mark.crowded
 @pytest.mark.parametrize("name", [NAME, "$\\frac$", "$x$ and $", "\\$", "a $ b"])
 def test_pictures_draw_every_name(name: str) -> None:
     with drawing():

@@ -219,7 +219,7 @@ def test_a_disk_that_fills_up_keeps_the_chunks_before(tmp_path: Path, monkeypatc
 def test_an_unknown_channel_is_answered_with_close_names(tmp_path: Path) -> None:
     write_example(tmp_path / "a.mcap")
     log = read_log(tmp_path / "a.mcap")
-    with pytest.raises(KeyError, match="no channel alfa_deg; close names: alpha_deg"):
+    with pytest.raises(KeyError, match=r"no channel or topic alfa_deg; did you mean alpha_deg\?"):
         log["alfa_deg"]
     assert log.channel("w_BI_B_y_radps").frame == "B"
     assert "w_BI_B_y_radps" in log

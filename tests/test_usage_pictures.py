@@ -12,15 +12,22 @@ from typing import Any
 
 import matplotlib as mpl
 import numpy as np
+import petrelkit as petrel
 import pytest
+from matplotlib.figure import Figure
 from picture_check import faults
 
+from maxq import api
+from maxq.design.verify.judging import Wanted, judge
+from maxq.tools.design import pictures
 from maxq.tools.design.pictures_loop import contours
 from maxq.tools.pages.render import render
-from maxq.tools.plots import campaign
+from maxq.tools.plots import campaign, style
 from maxq.tools.plots.figures import Panel, Plot, as_csv, as_json, at, band, limit, line, points, thinned
 from maxq.tools.plots.palette import ON_LIGHT
 from maxq.tools.plots.style import STYLE, curve, drawing, label, name_point, save, sheet
+from maxq.tools.replay import sheets
+from maxq.tools.replay.flight import open_flights
 
 
 def test_files_are_equal_when_drawn_twice_and_left_whole(tmp_path: Path) -> None:
@@ -75,6 +82,33 @@ def test_names_of_points_find_places_of_their_own() -> None:
     assert not faults(figure)
 
 
+@pytest.mark.slow
+def test_pictures_of_the_second_vehicle(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Sheets of its flight to the second stage, its design's pictures at two nodes; conftest.py looks at each."""
+    drawn = []
+
+    def kept(figure: Figure, stem: Path) -> list[Path]:
+        style.settle(figure)
+        drawn.append(stem.name)
+        return []
+
+    monkeypatch.setattr(sheets, "save", kept)
+    changes = ("run.duration_s=130", "log.fast_hz=200", "log.slow_hz=100")
+    api.fly(petrel.scenario(*changes), folder=tmp_path / "flight")
+    sheets.write_sheets(open_flights([str(tmp_path / "flight")])[0], tmp_path)
+    assert {"05-bending", "14-requirements"} < set(drawn)
+    loaded, nodes = petrel.scenario(), petrel.nodes(5.502, 60.0)
+    assert loaded.design is not None
+    judged, tanks = judge(nodes, loaded.design), ["oxygen", "kerosene"]
+    of_case = pictures.case_sheets("petrel, first gains", loaded.design, nodes, nodes, tanks, "petrel")
+    every = [*pictures.judged_sheets(judged, "petrel: petrel, first gains, sampled", Wanted(6.0, 30.0)), *of_case]
+    with drawing():
+        for name, draw in every:
+            kept(draw(), Path(name))
+    assert len(drawn) > 20
+
+
+@pytest.mark.crowded
 def test_a_text_over_another_and_a_clipped_one_are_found() -> None:
     with drawing():
         figure, (place,) = sheet(1, 1)

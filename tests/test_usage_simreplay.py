@@ -26,7 +26,7 @@ from maxq.sim.run.fly import logged_channels
 from maxq.tools import simreplay
 from maxq.tools.replay import flight as flight_module
 from maxq.tools.replay import viewer
-from maxq.tools.replay.convert import Options, save
+from maxq.tools.replay.convert import Options, save, with_scale
 from maxq.tools.replay.flight import open_flight
 from maxq.tools.replay.plots import tabs_of
 from maxq.tools.replay.sheets import write_sheets
@@ -128,6 +128,18 @@ def test_summary_fits_the_terminal_and_does_without_blocks() -> None:
         rows = [line for line in text.splitlines() if " .. " in line]
         assert max(len(line) for line in rows) <= width
         assert text.isascii()
+
+
+@pytest.mark.parametrize(
+    ("low", "high"), [(-0.09, 0.09), (-20.5, 3.2), (0.0, 13.0), (4.1, 4.9), (-1e-7, 2e-6), (80, 1400)]
+)
+def test_every_axis_has_two_numbers(low: float, high: float) -> None:
+    """Of one power of ten, a thirteenth of the range apart at least, and no more room than that takes."""
+    bottom, top = with_scale(low, high)
+    assert bottom <= low < high <= top
+    step = 10.0 ** np.ceil(np.log10((high - low) / 12.0))
+    assert np.floor(top / step + 1e-9) - np.ceil(bottom / step - 1e-9) >= 1
+    assert (bottom, top) == (low, high) or top - bottom < high - low + step
 
 
 def test_a_glance_shows_every_pendulum() -> None:

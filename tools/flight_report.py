@@ -63,6 +63,10 @@ def _metrics(flight: Flight) -> list[str]:
     for name, value in flight.metrics.items():
         if math.isnan(value):  # it has none of it
             continue
+        if name.startswith(("orbit_", "perigee_")) and flight.metrics["perigee_altitude_m"] < 0.0:  # it is in none
+            continue
+        if name == "apogee_altitude_m" and flight.outcome == "impact":
+            continue
         unit, time_s = unit_of(name), flight.metric_times_s[name]
         at = f"at {time_s:.3f} s" if math.isfinite(time_s) else ""
         if name.startswith(("final_", "flight_time", "range")):

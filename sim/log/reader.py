@@ -8,7 +8,6 @@ as short as one message. Format: MCAP specification, https://mcap.dev/spec.
 
 from __future__ import annotations
 
-import difflib
 import struct
 import zlib
 from collections.abc import Iterator, Mapping
@@ -97,7 +96,7 @@ class Log(LoggedRun, Tabular):
     _values: Mapping[str, Mapping[str, Array]]
 
     def __getitem__(self, name: str) -> Array:
-        """Values (n,) of a channel; KeyError, with names that come close, if there is none."""
+        """Values (n,) of a channel; KeyError, with the name that comes closest, if there is none."""
         return self._values[self._topic(name)][name]
 
     def __contains__(self, name: str) -> bool:
@@ -132,9 +131,7 @@ class Log(LoggedRun, Tabular):
             return name
         if name in self.table:
             return self.table.topic(name).name
-        close = difflib.get_close_matches(name, [*self.table.names, *self._times_ns])
-        hint = f"; close names: {', '.join(close)}" if close else ""
-        raise KeyError(f"{self.path} has no channel {name}{hint}")
+        raise self._unknown(name)
 
 
 def read_log(path: str | Path) -> Log:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import difflib
 import html
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
@@ -104,8 +105,13 @@ class Tabular(ABC):
         known = {topic.name: [channel.name for channel in topic.channels] for topic in self.table.topics}
         for name in names:
             if name not in known and name not in self.table:
-                raise KeyError(f"no channel or topic {name}; topics: {', '.join(known)}")
+                raise self._unknown(name)
         return list(dict.fromkeys(c for name in names for c in known.get(name, [name])))
+
+    def _unknown(self, name: str) -> KeyError:
+        near = difflib.get_close_matches(name, [*self.channels, *self.topics], 1)
+        hint = f"did you mean {near[0]}?" if near else f"topics: {', '.join(self.topics)}"
+        return KeyError(f"no channel or topic {name}; {hint}")
 
     def _groups(self, names: Sequence[str]) -> list[list[str]]:
         """Channels of one rate each."""

@@ -125,12 +125,18 @@ class Flight(Tabular):
 
     def __getitem__(self, channel: str) -> Array:
         """Values of a channel; KeyError for an unknown name or a flight that was flown without a log."""
-        group = self.table.topic(channel).group
-        return self.rows[group][1][:, self.table.index(channel)]
+        return self._rows(channel)[1][:, self.table.index(channel)]
 
     def time_s(self, channel: str) -> Array:
         """Times of a channel's values, s."""
-        return self.rows[self.table.topic(channel).group][0] / 1e9
+        return self._rows(channel)[0] / 1e9
+
+    def _rows(self, channel: str) -> tuple[IntArray, Array]:
+        if channel not in self.table:
+            raise self._unknown(channel)
+        if not self.rows:
+            raise KeyError(f"{channel}: flown without a log")
+        return self.rows[self.table.topic(channel).group]
 
     def __repr__(self) -> str:
         met = f"{sum(v.met for v in self.verdicts)} of {len(self.verdicts)} requirements met"

@@ -62,7 +62,7 @@ class Interrupted(Exception):
 
 
 def record(
-    run: FlightRun,
+    run: FlightRun | LoadedScenario,
     folder: str | Path,
     *,
     log: bool = True,
@@ -79,6 +79,7 @@ def record(
 
     Raises LogError where a file cannot be written; folders made for it are then removed again.
     """
+    run = FlightRun(run) if isinstance(run, LoadedScenario) else run
     folder = Path(folder)
     made = _make(folder)
     try:

@@ -118,7 +118,7 @@ def _bode(picture: LoopPicture, gain: Axes, phase: Axes) -> None:
     margins = [mark for mark in picture.marks if mark.text and not mark.is_lobe]
     gains = [mark.text for mark in margins if "dB" in mark.text]
     label(gain, y="|L|, dB")
-    gain.set_title("Bode" + (f"; gain margins {'; '.join(gains)}" if gains else ""), fontsize=8.5)
+    gain.set_title("Bode" + "; gain margins " * bool(gains) + ";\n".join(gains), fontsize=8.5)
     phases = [mark.text for mark in margins if "deg" in mark.text]
     label(phase, "frequency, Hz", "phase of L, deg")
     phase.set_title(f"phase margin {phases[0]}" if phases else "", fontsize=8.5)

@@ -156,7 +156,7 @@ def margins_table(judged: Sequence[Judged]) -> list[str]:
         m = j.margins
         rows.append(
             (
-                f"{j.time_s:g}", "stable" if m.stable else f"{max(m.unstable_poles, 1)} UNSTABLE",
+                f"{j.time_s:g}", "stable" if m.stable else "UNSTABLE",
                 number(m.gain_up_db.value, 2), number(m.gain_down_db.value, 2), number(m.phase_deg.value, 1),
                 number(1e3 * m.delay_s.value, 1),
                 number(m.modulus, 3), number(m.clearances[0].value, 2) if m.clearances else "-",

@@ -13,6 +13,7 @@ date and no random names.
 from __future__ import annotations
 
 import io
+import textwrap
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
@@ -132,8 +133,13 @@ def name_point(place: Axes, x: float, y: float, text: str, *, must: bool = True,
 
 
 def settle(figure: Figure) -> None:
-    """Lay the figure out and find places for the names of points."""
+    """Break a title that is wider than the figure, lay it out and find places for the names of points."""
     _take_as_written(figure)
+    title = figure._suptitle  # type: ignore[attr-defined]  # newer releases have a way to its text only
+    if title is not None and "\n" not in title.get_text():
+        room = 0.98 * figure.bbox.width / title.get_window_extent(FigureCanvasAgg(figure).get_renderer()).width  # type: ignore[no-untyped-call]
+        if room < 1.0:
+            title.set_text(textwrap.fill(title.get_text(), max(int(0.92 * room * len(title.get_text())), 10)))
     layout = figure.get_layout_engine()
     if layout is not None:  # once for all formats: it takes as long as the drawing
         layout.execute(figure)
@@ -155,7 +161,7 @@ def _place_names(place: Axes, renderer: Any) -> None:
     legend = place.get_legend()
     taken = [t.get_window_extent(renderer) for t in (*others, *([legend] if legend is not None else []))]
     lines = [line.get_transform().transform(np.asarray(line.get_xydata())) for line in place.lines]
-    points = np.concatenate([_dense(line) for line in lines]) if lines else np.zeros((0, 2))
+    points = np.concatenate([dense(line) for line in lines]) if lines else np.zeros((0, 2))
     points = points[frame.x0 <= points[:, 0]] if len(points) else points
     for name in sorted(names, key=lambda text: "must" not in str(text.get_gid())):
         assert isinstance(name, Annotation)
@@ -183,7 +189,7 @@ def _place_names(place: Axes, renderer: Any) -> None:
         taken.append(where)
 
 
-def _dense(line: NDArray[Any]) -> NDArray[Any]:
+def dense(line: NDArray[Any]) -> NDArray[Any]:
     """Points of a line no farther apart than a few pixels."""
     line = line[np.isfinite(line).all(axis=1)]
     if len(line) < 2:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -245,14 +246,27 @@ def plot_view(
 ) -> rrb.TimeSeriesView:
     """`axis`: None where the values are not known yet."""
     beyond = axis.beyond_text("") if axis is not None else ""
+    shown = None if axis is None else rrb.archetypes.ScalarAxis(range=with_scale(axis.low, axis.high))
     return rrb.TimeSeriesView(
         name=f"{plot.heading}{f', {beyond}' if beyond else ''}",
         origin="/",
         contents=[*(f"+ /{root}/plots/{plot.key}/**" for root in roots), f"+ /{limits_root(plot)}/**"],
         axis_x=time_axis(span_s),
-        axis_y=rrb.archetypes.ScalarAxis(range=(axis.low, axis.high)) if axis is not None else None,
+        axis_y=shown,
         plot_legend=rrb.PlotLegend(rrb.Corner2D.RightTop, visible=legend),
     )
+
+
+def with_scale(low: float, high: float) -> tuple[float, float]:
+    """The range, wide enough for two numbers on its axis. The viewer writes those of one power of ten only: of the
+    smallest that stand far enough apart, about a twelfth of the plot.
+    """
+    step = 10.0 ** math.ceil(math.log10((high - low) / 12.0))
+    first, last = math.ceil(low / step), math.floor(high / step)
+    if last > first:
+        return low, high
+    down, up = (first - 1) * step, (last + 1) * step
+    return (low, up) if up - high < low - down else (down, high)
 
 
 def time_axis(span_s: tuple[float, float]) -> rrb.archetypes.TimeAxis:

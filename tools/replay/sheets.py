@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from scipy.signal import detrend, spectrogram
 
@@ -114,7 +115,20 @@ def _sheet(tab: Tab, shown: Flights) -> Figure:
     places[-1].set_xlabel("time (s)")
     figure.align_ylabels()
     _mark_events(places, shown.reference, span_s)
+    for place in places:
+        _part(place)
     return figure
+
+
+def _part(place: Axes) -> None:
+    """Raise a title that its legend, in the same line, would lie over."""
+    legend = place.get_legend()
+    if legend is None:
+        return
+    renderer = FigureCanvasAgg(place.figure).get_renderer()  # type: ignore[no-untyped-call]
+    key, name = legend.get_window_extent(renderer), place._left_title.get_window_extent(renderer)  # type: ignore[attr-defined]  # no public way
+    if key.width + name.width > 0.88 * place.figure.bbox.width:
+        place.set_title(place.get_title("left"), pad=key.height * 72.0 / place.figure.dpi)
 
 
 def _title(name: str, shown: Flights) -> str:
@@ -214,6 +228,10 @@ def _mark_events(places: Sequence[Axes], flight: ReplayFlight, span_s: tuple[flo
     """Vertical lines through all plots, names above the first."""
     start, width = span_s[0], span_s[1] - span_s[0]
     named: list[float] = []
+    low, high = places[0].get_ylim()
+    drawn = [line.get_xydata() for line in places[0].lines]
+    curves = np.concatenate([np.zeros((0, 2)), *(points for points in drawn if len(points) > 2)])
+    curves[:, 1] = (curves[:, 1] - low) / (high - low)
     for moment in sorted(flight.moments, key=lambda m: m.level, reverse=True):  # what went wrong gets its name first
         if moment.name not in _EVENTS or not 0.0 <= moment.time_s - start <= width:
             continue
@@ -223,9 +241,12 @@ def _mark_events(places: Sequence[Axes], flight: ReplayFlight, span_s: tuple[flo
             continue
         named.append(moment.time_s)
         aside, align = (-2, "right") if moment.time_s > start + 0.97 * width else (2, "left")
-        at: Any = {"xycoords": ("data", "axes fraction"), "textcoords": "offset points", "ha": align, "va": "center"}
-        look: Any = {"fontsize": 6.5, "color": "#555555", "rotation": 90, "zorder": 1.2}
-        places[0].annotate(moment.label, (moment.time_s, 0.5), (aside, 0), **at, **look)
+        levels = curves[np.abs(curves[:, 0] - moment.time_s) < 0.02 * width, 1]
+        bottom = min((0.52, 0.03, 0.28), key=lambda y: int(((levels > y) & (levels < y + 0.45)).sum()))  # least hidden
+        at: Any = {"xycoords": ("data", "axes fraction"), "textcoords": "offset points", "ha": align, "va": "bottom"}
+        look: Any = {"fontsize": 6.5, "color": "#555555", "rotation": 90, "zorder": 4.0}
+        look["bbox"] = {"facecolor": "white", "alpha": 0.75, "linewidth": 0.0, "pad": 0.6}
+        places[0].annotate(moment.label, (moment.time_s, bottom), (aside, 0), **at, **look)
 
 
 # -- plots that are not over time ------------------------------------------------------------------------------------
@@ -305,7 +326,7 @@ def _altitude(shown: Flights) -> Figure:
             own = look | {"linestyle": look_of(k)["linestyle"]} if shown.many else look_of(k)
             label = f"to {axis}" if flight is shown.reference else None
             places[2].plot(log[f"wind_N_{axis}_mps"][rising], height, **(own | {"label": label}))
-    for place, label in zip(places, ("dynamic pressure (kPa)", "Mach number (1)", "wind (m/s)"), strict=True):
+    for place, label in zip(places, ("dynamic pressure (kPa)", "Mach number", "wind (m/s)"), strict=True):
         place.set(xlabel=label, ylabel="altitude (km)")
     if places[2].get_legend_handles_labels()[0]:
         places[2].legend(loc="best")
@@ -376,7 +397,7 @@ def _requirements(shown: Flights) -> Figure:
     place.set_yticks(range(len(names)), names)
     place.invert_yaxis()
     place.set_xlim(0.0, widest + 0.35)
-    place.set_xlabel("share of what is allowed (1)" + (f"; black: {shown.reference.label}" if shown.many else ""))
+    place.set_xlabel("share of what is allowed" + (f"; black: {shown.reference.label}" if shown.many else ""))
     place.grid(axis="y", visible=False)
     return figure
 

@@ -16,7 +16,9 @@ Rows = list[tuple[str, ...]]  # the first is the head
 def report(built: Built) -> str:
     """All of it."""
     parts = [[printable(f"{built.layout.name}: {built.layout.description}".rstrip(": "))]]
-    parts += [[title, *aligned(rows, "  ", right=numbers(rows[0]))] for title, rows in tables(built)]
+    parts += [
+        [title, *aligned(rows, "  ", right=numbers(rows[0]), drop=_less(rows[0]))] for title, rows in tables(built)
+    ]
     parts += [[title, *(f"  {line}" for line in lines)] for title, lines in notes(built)]
     return "\n\n".join("\n".join(part) for part in parts)
 
@@ -24,6 +26,11 @@ def report(built: Built) -> str:
 def numbers(head: tuple[str, ...]) -> list[int]:
     """Which columns of a table hold numbers."""
     return [n for n, name in enumerate(head) if name != "stage"]
+
+
+def _less(head: tuple[str, ...]) -> list[int]:
+    """Columns that a narrow terminal goes without; the page has them."""
+    return [n for n, name in enumerate(head) if name in ("CG, m", "CP, m")]
 
 
 def tables(built: Built) -> list[tuple[str, Rows]]:
@@ -38,9 +45,7 @@ def notes(built: Built) -> list[tuple[str, list[str]]]:
 
 
 def _stages(built: Built) -> tuple[str, Rows]:
-    rows: Rows = [
-        ("stage", "begins, kg", "ends, kg", "burn, s", "T/W", "delta-v, m/s", "ends at m/s", "km", "path, deg")
-    ]
+    rows: Rows = [("stage", "from, kg", "to, kg", "burn, s", "T/W", "dv, m/s", "v, m/s", "h, km", "path, deg")]
     for n, stack in enumerate(built.stacks):
         first, last = (stack.mass_properties(t).mass_kg for t in (0.0, stack.burn.end_s))
         point = [p for p in built.flight.points if p.number == n][-1]
@@ -59,7 +64,7 @@ def _stages(built: Built) -> tuple[str, Rows]:
         if orbit.perigee_m < 0.0
         else (f"; the last burn-out is in an orbit of {orbit.perigee_m / 1e3:.0f} by {orbit.apogee_m / 1e3:.0f} km")
     )
-    return f"stages (point mass, vacuum thrust over weight{ends})", rows
+    return f"stages (point mass; thrust over weight and delta-v in vacuum; v, h and path at burn-out{ends})", rows
 
 
 def _modes(built: Built) -> tuple[str, Rows]:
