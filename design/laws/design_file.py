@@ -11,7 +11,7 @@ import tomli_w
 from maxq.design.laws.law import DesignedLaw
 from maxq.sim.scenario.builtin import builtin_files
 from maxq.sim.scenario.documents import Source, adopt, plain
-from maxq.sim.scenario.errors import ScenarioError
+from maxq.sim.scenario.errors import ScenarioError, suggestion
 from maxq.sim.scenario.schema_design import Design, Limits, Roll, StageLaw
 
 DESIGN_NAME = "design.toml"
@@ -34,8 +34,10 @@ def design_path(name: str) -> str:
         return f"designs/{name.removesuffix('.toml')}.toml"
     if path.is_dir():
         raise ScenarioError(name, f"the folder has no {DESIGN_NAME}", allowed="a design file (.toml)")
-    listed = ", ".join(builtin_files("design"))
-    raise ScenarioError(name, "no such file", allowed=f"a design file (.toml), or a built-in one: {listed}")
+    known = builtin_files("design")
+    hint = suggestion(name.removesuffix(".toml"), known)
+    problem = f"no such file; {hint}" if hint else "no such file"
+    raise ScenarioError(name, problem, allowed=f"a design file (.toml), or a built-in one: {', '.join(known)}")
 
 
 def design_of(

@@ -128,9 +128,10 @@ def filters(designs: Mapping[str, Design], nodes: Sequence[Node], title: str = "
         discrete = continuous.discretize(sample_s, design.filter.discretization, design.filter.prewarp_hz)
         _bode(places, continuous, HIGHEST_HZ, curve(k) | {"linewidth": 0.6, "alpha": 0.8})
         _bode(places, discrete, nyquist_hz, curve(k) | {"label": name})
-    for name, (low_hz, high_hz) in modes_hz.items():
+    for n, (name, (low_hz, high_hz)) in enumerate(modes_hz.items()):
+        middle_hz = np.sqrt(low_hz * high_hz)
         places[0].annotate(
-            name, (np.sqrt(low_hz * high_hz), 1.0), xycoords=("data", "axes fraction"),
+            name.removeprefix("mode ") if n else name, (middle_hz, 1.0), xycoords=("data", "axes fraction"),
             ha="center", va="bottom", fontsize=7, color=BLACK,
         )  # fmt: skip  # five more lines otherwise
     for place in places:

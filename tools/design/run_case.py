@@ -6,6 +6,7 @@ With --orders also over the paper's filters and gain schedules: its Fig. 9, and 
 from __future__ import annotations
 
 import math
+import shlex
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -150,7 +151,7 @@ def _met(results: Results) -> bool:
 
 
 def _verdict(results: Results, folder: Path) -> str:
-    """The last line."""
+    """The last line; before it the command that flies the design, by itself and whole."""
     if results[-1][1].status == "interrupted":
         state = "it meets all limits" if all(outcome.feasible for outcome, _ in results) else "it misses limits"
         return f"INTERRUPTED: the best so far is kept; {state}"
@@ -160,7 +161,10 @@ def _verdict(results: Results, folder: Path) -> str:
         reached = "; ".join(w + objective_text(solution) for w, (_, solution) in zip(where, results, strict=True))
         loaded = results[0][0].loaded
         file = loaded.case.scenario if loaded.case.scenario in builtin_files("scenario") else loaded.scenario.label
-        return f"DESIGNED: {reached}, all limits met; fly it with: simrun {file} --set design={folder}/design.toml"
+        if Path(file).is_relative_to(Path.cwd()):
+            file = str(Path(file).relative_to(Path.cwd()))
+        fly = f"simrun {shlex.quote(file)} --set {shlex.quote(f'design={folder}/{DESIGN_NAME}')}"
+        return f"fly it with:\n  {fly}\nDESIGNED: {reached}, all limits met"
     said = [
         w + (solution.explanation() or "; ".join(outcome.missed))
         for w, (outcome, solution) in zip(where, results, strict=True)
