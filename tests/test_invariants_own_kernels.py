@@ -65,9 +65,9 @@ def test_stages_of_unlike_sizes_stay_with_the_common_kernels():
 
 
 def test_uncompiled_source_reads_the_record():
-    numbers = tuple(range(1, 1 + len(Counts._fields)))
+    numbers = tuple(range(1, len(Counts._fields)))
     sizes = with_constants(pack([Sizes(*numbers)]))[0]
-    assert getattr(counts, "py_func", counts)(sizes) == numbers
+    assert getattr(counts, "py_func", counts)(sizes) == (*numbers, 1)  # four modes at most
 
 
 def test_the_cache_follows_the_sources_wherever_they_lie(tmp_path, monkeypatch):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from maxq.control.kernel.jit import bare_pointer, kernel, routine
+from maxq.control.kernel.jit import bare_pointer, disjoint_routine, kernel, routine
 from maxq.control.kernel.records import Array
 from maxq.control.kernel.tables import interpolate_into
 from maxq.control.kernel.vectors import Vector, add, scaled, set_vector
@@ -136,7 +136,7 @@ def schedule_clock(p: Parameters, clock: Clock, now_ns: int, elapsed_s: float) -
     return p.timeline.burn_rate * (1e-9 * (now_ns - p.timeline.stage_start_ns) + elapsed_s)
 
 
-@routine
+@disjoint_routine
 def read_schedule(p: Parameters, pool: Array, memory: Memory, now_ns: int, elapsed_s: float, properties: Array) -> None:
     """Properties of the vehicle `elapsed_s` after `now_ns`; no thrust from an engine that does not burn."""
     clock_s = schedule_clock(p, memory.clock, now_ns, elapsed_s)

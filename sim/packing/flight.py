@@ -49,16 +49,17 @@ class Packed:
 
 _SELDOM = {f.name: f.default for f in fields(Sizes) if f.default is not MISSING}
 """Sizes that few vehicles have otherwise. Without them the kernels hold no code for what is not there: measured, a
-quarter of a flight's time and a sixth of its compilation."""
+quarter of a flight's time and a sixth of its compilation. Up to four modes in a plane are told as well: a twentieth."""
 
 
 def pack_flight(scenario: Scenario) -> Packed:
     """Everything the kernel needs; the scenario is not looked at again."""
     packed = _pack(scenario)
     sizes = packed.parameters["vehicle"]["sizes"]
-    if all((sizes[name] == usual).all() for name, usual in _SELDOM.items()):
-        return replace(packed, parameters=with_constants(packed.parameters, "vehicle", "sizes", only=tuple(_SELDOM)))
-    return packed
+    if not all((sizes[name] == usual).all() for name, usual in _SELDOM.items()):
+        return packed
+    told = (*_SELDOM, "mode_groups") if (sizes["mode_groups"] == 1).all() else tuple(_SELDOM)
+    return replace(packed, parameters=with_constants(packed.parameters, "vehicle", "sizes", only=told))
 
 
 def _pack(scenario: Scenario) -> Packed:
@@ -91,7 +92,7 @@ def _pack(scenario: Scenario) -> Packed:
     memory = blank(Memory)
     memory[0].clock.now_ns = to_ns(scenario.run.start_s)
     memory[0].held.on_pad = int(scenario.held)
-    widest = Sizes(*(max(getattr(s, f) for s in all_sizes) for f in Sizes.__dataclass_fields__))
+    widest = Sizes(*(max(getattr(s, f.name) for s in all_sizes) for f in fields(Sizes) if f.init))
     return Packed(parameters, pool.array(), memory, y, widest)
 
 

@@ -31,7 +31,6 @@ from maxq.sim.vehicle.schedule import (
     derived_column,
     gimbal_row,
     mode_column,
-    mode_groups,
     mode_rows,
     padded_modes,
     softening_row,
@@ -83,11 +82,11 @@ def of_plane(quantity: int, plane: int) -> int:
 def modal_sum(sizes: Counts, properties: Array, row: int, work: Array, quantity: int) -> float:
     """Sum over a plane's modes of a row of the schedule (its first column) times a modal quantity."""
     total = 0.0
-    if mode_groups(sizes) > 0:
+    if sizes.mode_groups > 0:
         total = _sum_of_four(properties, row, work, quantity)
-    if mode_groups(sizes) > 1:
+    if sizes.mode_groups > 1:
         total += _sum_of_four(properties, row + 4, work, quantity + 4)
-    if mode_groups(sizes) > 2:
+    if sizes.mode_groups > 2:
         total += _sum_of_four(properties, row + 8, work, quantity + 8)
     return total
 
@@ -103,11 +102,11 @@ def _sum_of_four(properties: Array, r: int, work: Array, q: int) -> float:
 @kernel
 def add_to_modes(sizes: Counts, properties: Array, row: int, amount: float, work: Array, quantity: int) -> None:
     """Add a row of the schedule times `amount` to a modal quantity, as the generalised forces of a load at a point."""
-    if mode_groups(sizes) > 0:
+    if sizes.mode_groups > 0:
         _add_to_four(properties, row, amount, work, quantity)
-    if mode_groups(sizes) > 1:
+    if sizes.mode_groups > 1:
         _add_to_four(properties, row + 4, amount, work, quantity + 4)
-    if mode_groups(sizes) > 2:
+    if sizes.mode_groups > 2:
         _add_to_four(properties, row + 8, amount, work, quantity + 8)
 
 
@@ -124,11 +123,11 @@ def free_modal_accelerations(sizes: Counts, properties: Array, work: Array) -> N
     for plane in (PITCH, YAW):
         row = derived_column(sizes, plane, MODE_INVERSE_MASS)
         force, accel = of_plane(FORCE, plane), of_plane(ACCEL, plane)
-        if mode_groups(sizes) > 0:
+        if sizes.mode_groups > 0:
             _accelerate_four(properties, row, work, force, accel)
-        if mode_groups(sizes) > 1:
+        if sizes.mode_groups > 1:
             _accelerate_four(properties, row + 4, work, force + 4, accel + 4)
-        if mode_groups(sizes) > 2:
+        if sizes.mode_groups > 2:
             _accelerate_four(properties, row + 8, work, force + 8, accel + 8)
 
 
@@ -144,11 +143,11 @@ def modal_state(sizes: Counts, roll_rate: float, y: Array, eta: int, xi: int, wo
     """From the states at y[eta:] (pitch plane) and y[xi:] (yaw plane) into the workspace: modal coordinates,
     quasi-velocities and from them d(eta)/dt, d(xi)/dt. Sets the generalised forces to zero.
     """
-    if mode_groups(sizes) > 0:
+    if sizes.mode_groups > 0:
         _state_of_four(sizes, 0, roll_rate, y, eta, xi, work)
-    if mode_groups(sizes) > 1:
+    if sizes.mode_groups > 1:
         _state_of_four(sizes, 4, roll_rate, y, eta, xi, work)
-    if mode_groups(sizes) > 2:
+    if sizes.mode_groups > 2:
         _state_of_four(sizes, 8, roll_rate, y, eta, xi, work)
 
 
@@ -232,13 +231,13 @@ def elastic_forces(bending: Bending, sizes: Counts, properties: Array, axial_loa
     """
     k_soft = bending.softening_factor * axial_load
     roll = 0.0
-    if mode_groups(sizes) > 0:
+    if sizes.mode_groups > 0:
         roll = _elastic_forces_on_four(sizes, YAW, 0, k_soft, properties, work)
         roll -= _elastic_forces_on_four(sizes, PITCH, 0, k_soft, properties, work)
-    if mode_groups(sizes) > 1:
+    if sizes.mode_groups > 1:
         roll += _elastic_forces_on_four(sizes, YAW, 4, k_soft, properties, work)
         roll -= _elastic_forces_on_four(sizes, PITCH, 4, k_soft, properties, work)
-    if mode_groups(sizes) > 2:
+    if sizes.mode_groups > 2:
         roll += _elastic_forces_on_four(sizes, YAW, 8, k_soft, properties, work)
         roll -= _elastic_forces_on_four(sizes, PITCH, 8, k_soft, properties, work)
     return roll
@@ -257,7 +256,7 @@ def _elastic_forces_on_four(
     f_2 = -(properties[s + 2] * work[e + 2] + properties[d + 2] * work[r + 2])
     f_3 = -(properties[s + 3] * work[e + 3] + properties[d + 3] * work[r + 3])
     for four in range(3):
-        if four < mode_groups(sizes):
+        if four < sizes.mode_groups:
             for k in range(4 * four, 4 * four + 4):
                 c = mode_column(sizes, plane, softening_row(sizes, k)) + first
                 taken = k_soft * work[of_plane(ETA, plane) + k]
@@ -289,7 +288,7 @@ def gyroscopic_forces(
     momentum_y, momentum_z, angular_y, angular_z = engines[1], engines[2], engines[4], -engines[5]
     own, h, roll = 1.0 if gimbal == 0 else 0.0, 0.0, 0.0
     for four in range(3):
-        if four < mode_groups(sizes):
+        if four < sizes.mode_groups:
             for i in range(4 * four, 4 * four + 4):
                 j = i + of_plane(0, YAW)
                 nu_eta, nu_xi = work[NU + i], work[NU + j]

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import NamedTuple
 
 from maxq.control.kernel.jit import integer, kernel
@@ -33,6 +33,10 @@ class Sizes:
     thrust_curves: int = 1  # columns of the schedule
     tvc_loads: int = 0  # engines on the compliance of their mount
     sensors: int = 0  # rate gyros beyond the first, and an accelerometer
+    mode_groups: int = field(init=False)  # how many times four modes a plane has, rounded up
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "mode_groups", (max(self.pitch_modes, self.yaw_modes) + 3) // 4)
 
 
 LARGEST = Sizes(
@@ -60,6 +64,7 @@ class Counts(NamedTuple):
     thrust_curves: int
     tvc_loads: int
     sensors: int
+    mode_groups: int
 
 
 @kernel
@@ -69,6 +74,7 @@ def counts(sizes: Sizes) -> Counts:
         integer(sizes, "surfaces"), integer(sizes, "tables"), integer(sizes, "spatial_modes"),
         integer(sizes, "further_groups"), integer(sizes, "engines"), integer(sizes, "gimbals"),
         integer(sizes, "thrust_curves"), integer(sizes, "tvc_loads"), integer(sizes, "sensors"),
+        integer(sizes, "mode_groups"),
     )  # fmt: skip  # eleven lines otherwise
 
 

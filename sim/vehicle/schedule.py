@@ -72,15 +72,9 @@ def tank_column(tank: int) -> int:
 
 
 @kernel
-def mode_groups(sizes: Counts) -> int:
-    """How many times four modes a plane has, rounded up."""
-    return (max(sizes.pitch_modes, sizes.yaw_modes) + 3) >> 2
-
-
-@kernel
 def padded_modes(sizes: Counts) -> int:
     """Columns of a row of modal quantities: the modes of a plane and zeros up to a multiple of four."""
-    return 4 * mode_groups(sizes)
+    return 4 * sizes.mode_groups
 
 
 @kernel
