@@ -52,10 +52,16 @@ def test_the_type_tells_the_sizes():
     known = constants_in(telling.dtype["vehicle"]["sizes"].names)
     assert known == {name: int(plain["vehicle"]["sizes"][name][0]) for name in Sizes.__dataclass_fields__}
     seldom = {f.name: f.default for f in dataclasses.fields(Sizes) if f.default is not dataclasses.MISSING}
-    assert constants_in(plain.dtype["vehicle"]["sizes"].names) == seldom  # all of these are what KSR-III has not
+    assert constants_in(plain.dtype["vehicle"]["sizes"].names) == seldom | {"mode_groups": 1}  # as most vehicles
     assert telling.tobytes() == plain.tobytes()
     assert telling.dtype.itemsize == plain.dtype.itemsize
     assert isinstance(telling[0], np.record)
+
+
+def test_without_modes_and_beyond_four_of_a_plane_the_number_is_not_told():
+    rigid = pack_flight(load_scenario("nominal", ["switches.bending=false"]).scenario).parameters
+    assert "mode_groups" not in constants_in(rigid.dtype["vehicle"]["sizes"].names)
+    assert [Sizes(modes, 0, 0, 0).mode_groups for modes in (0, 1, 4, 5, 12)] == [0, 1, 1, 2, 3]
 
 
 def test_stages_of_unlike_sizes_stay_with_the_common_kernels():

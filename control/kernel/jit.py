@@ -23,9 +23,10 @@ from typing import Any, TypeVar
 import numba
 import numpy as np
 from numba import types
-from numba.core.caching import IndexDataCacheFile
+from numba.core.caching import FunctionCache, IndexDataCacheFile
 from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import CompilerBase, DefaultPassBuilder
+from numba.core.runtime import rtsys
 from numba.extending import intrinsic, overload
 from numpy.typing import NDArray
 
@@ -113,6 +114,16 @@ class _CheckedFile(IndexDataCacheFile):  # type: ignore[misc]  # Numba has no ty
         if not _is_whole(path):
             raise OSError(errno.EIO, "this machine code is damaged", path)
         return super()._load_data(name)
+
+
+class _EntryCache(FunctionCache):  # type: ignore[misc]  # Numba has no types
+    def load_overload(self, signature: Any, target: Any) -> Any:
+        """Machine code from disk, without Numba's implementations of NumPy, which load SciPy's linear algebra: a
+        compilation loads them; what has been compiled needs no more than the reference counts of arrays.
+        """
+        rtsys.initialize(target)
+        with self._guard_against_spurious_io_errors():
+            return self._load_overload(signature, target)
 
 
 def _is_whole(path: str) -> bool:
@@ -273,6 +284,7 @@ def entry(function: Function) -> Function:
     try:
         compiled = numba.njit(function, nogil=True, cache=True, error_model="numpy", pipeline_class=_EntryCompiler)
         if not numba.config.DISABLE_JIT:
+            compiled._cache.__class__ = _EntryCache
             compiled._cache._cache_file.__class__ = _CheckedFile
         return compiled  # type: ignore[no-any-return]  # Numba has no types
     finally:
