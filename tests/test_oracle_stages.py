@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import json
 from itertools import pairwise
+from pathlib import Path
 
 import numpy as np
 import petrelkit as petrel
@@ -24,6 +26,8 @@ from maxq.sim.packing.flight import Packed
 from maxq.sim.run.fly import Event
 from maxq.sim.scenario.burn import stage_burns
 from maxq.sim.scenario.loader import load_scenario
+from maxq.tools import simdesign
+from maxq.tools.design import run_case
 
 
 @pytest.fixture(scope="module")
@@ -167,6 +171,30 @@ def test_a_design_of_one_stage_leaves_the_others_as_they_were(case: LoadedCase) 
         mine, read = design.of_stage(n).gains.table, again.of_stage(n).gains.table
         assert all((mine[key] == read[key]).all() for key in ("time_s", "k_p", "k_d_s"))
         assert design.of_stage(n).filter == again.of_stage(n).filter
+
+
+@pytest.mark.slow
+def test_orders_of_several_stages(
+    case: LoadedCase, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """Each stage by itself; a design of all of them for what every stage can do; the report shows each one's gains."""
+    monkeypatch.setattr(run_case, "STRUCTURES", ("F2",))
+    words = [str(petrel.folder() / "two-nodes.toml"), "--orders", "--no-pictures", "--out", str(tmp_path)]
+    assert simdesign.main([*words, "--set", "stages=[2,3]", "--set", "stage=[]"]) == 0
+    text = capsys.readouterr().out
+    made = api.load_design(tmp_path / "design.toml", petrel.scenario())
+    for n, part in zip((1, 2), text.split("--- ")[1:], strict=True):
+        rows = made.of_stage(n).gains.table
+        shown = part.split("gains\n")[1].split("\n")[1:3]
+        expected = zip(rows["time_s"], rows["k_p"], rows["k_d_s"], strict=True)
+        assert [line.split() for line in shown] == [[f"{t:g}", f"{k_p:.4f}", f"{k_d:.4f}"] for t, k_p, k_d in expected]
+        assert "over the filter's order, dB" in part
+    for schedule in ("linear", "free"):
+        each = api.load_design(tmp_path / f"F2-{schedule}" / "design.toml", petrel.scenario())
+        assert [law.filter.structure for law in each.stage[1:]] == ["F2", "F2"]
+        assert each.stage[0].filter == petrel.scenario().design.of_stage(0).filter
+    stages = json.loads((tmp_path / "design.json").read_text())["stages"]
+    assert [len(stage["orders"]) for stage in stages] == [3, 3]
 
 
 def test_a_suite_finds_its_scenario_beside_itself() -> None:

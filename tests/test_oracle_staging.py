@@ -59,7 +59,8 @@ def test_burn_out_and_separation_at_one_instant_are_both_events() -> None:
     stopped = fly(
         load_scenario(TWO, ["vehicle.stage.0.separation_after_burnout_s=0.0", "run.stop_at=['burnout']"]), log=False
     )
-    assert (stopped.outcome, stopped.end_s) == ("burnout", 40.0)
+    assert (stopped.outcome, stopped.end_s) == ("burnout", 63.0)  # the last stage's: the first one's ends nothing
+    assert [(e.time_s, e.stage) for e in stopped.events if e.name == "burnout"] == [(40.0, 1), (63.0, 2)]
 
 
 def split(pieces: tuple[float, ...], continues: bool = True) -> Flight:

@@ -9,6 +9,10 @@ from typing import Any
 import numpy as np
 import pytest
 
+from maxq.control.kernel.tables import find_interval, interpolate
+from maxq.design.case.schema import read_case
+from maxq.design.verify.suite import read_suite
+from maxq.sim.packing.flight import pack_flight
 from maxq.sim.run.fly import fly
 from maxq.sim.scenario.errors import ScenarioError
 from maxq.sim.scenario.loader import load_scenario
@@ -18,7 +22,8 @@ from maxq.tools.vehicle import build as building
 from maxq.tools.vehicle.aerodynamics import aerodynamics
 from maxq.tools.vehicle.beam import ELEMENTS, Beam
 from maxq.tools.vehicle.build import Built, build, m_alpha_1ps2, m_delta_1ps2
-from maxq.tools.vehicle.layout import Layout, read_layout
+from maxq.tools.vehicle.files import write
+from maxq.tools.vehicle.layout import Engines, Layout, read_layout
 from maxq.tools.vehicle.masses import Rod, stacks
 from maxq.tools.vehicle.pictures import page
 from maxq.tools.vehicle.trajectory import EQUATOR_m, MU_m3ps2, Orbit, ascent
@@ -202,6 +207,44 @@ def test_a_wrong_layout_is_answered_in_one_line(
         _built_with(wrong, f"{key}={value}")
     assert simvehicle.main([str(tmp_path / "none.toml")]) == 2
     assert capsys.readouterr().err.count("\n") == 1
+
+
+def test_the_gimbals_of_a_cluster_hold_its_roll(tmp_path: Path) -> None:
+    """Moments of every engine by itself, its force across times its arm: roll turns at 0.4 Hz with damping 0.7."""
+    write(build(read_layout("petrel")), tmp_path)
+    loaded = load_scenario(tmp_path / "scenario.toml")
+    scenario, stage = loaded.scenario, loaded.vehicle.stage[0]
+    assert [e.group for e in stage.engines].count("left") == [e.offset_m[0] < -0.1 for e in stage.engines].count(True)
+    packed = pack_flight(scenario)
+    allocation, gains = packed.parameters[0].computer.allocation, scenario.design.roll_gimbal
+    row = find_interval(packed.pool, allocation.matrix, 10.0)
+    table = [interpolate(packed.pool, allocation.matrix, row, 10.0, 3 * k + 2) for k in range(6)]  # A's column of roll
+    angles = {name: (table[2 * n], table[2 * n + 1]) for n, name in enumerate(stage.engine_groups)}
+    roll_Nm = 0.0
+    for engine in stage.engines:  # +TVC angles: +z force in pitch, -y in yaw
+        (y, z), (pitch_rad, yaw_rad) = engine.offset_m, angles[engine.group]
+        across = np.array([0.0, -yaw_rad, pitch_rad]) * float(engine.table["thrust_vacuum_N"].max())
+        roll_Nm += float(np.cross([0.0, y, z], across)[0])
+    inertia = float(stage.mass.table["Ixx_kgm2"][0])
+    omega = math.sqrt(gains.k_p * roll_Nm / inertia)
+    assert omega / (2.0 * math.pi) == pytest.approx(0.4, rel=1e-3)
+    assert gains.k_d_s * roll_Nm / inertia / (2.0 * omega) == pytest.approx(0.7, rel=1e-3)
+    assert scenario.design.roll_gimbal == scenario.design.of_stage(0).roll_gimbal
+    one = Engines(positions_m=((0.0, 0.3), (0.0, -0.3)), thrust_vacuum_N=1e4, isp_vacuum_s=300.0, gimbal_station_m=9.0,
+                  exit_station_m=9.5, mass_kg=20.0)  # fmt: skip  # one line more otherwise
+    assert one.groups == ("lower", "upper")
+
+
+def test_a_case_from_a_layout_asks_for_what_its_suite_asks(tmp_path: Path) -> None:
+    """And for more, so that a design that meets the one is not rejected by the other for it."""
+    write(build(read_layout("petrel")), tmp_path)
+    asked = read_suite(tmp_path / "suite.toml").suite.margins.nominal
+    limits = read_case(tmp_path / "case.toml").case.limits
+    assert limits.gain_margin_db > asked.gain_up_db == asked.aero_gain_db
+    assert limits.phase_margin_deg > asked.phase_deg
+    assert limits.first_mode_phase_deg > asked.first_mode_phase_deg
+    assert max(limits.second_mode_db, limits.higher_modes_db) < asked.higher_modes_db
+    assert not limits.without
 
 
 def _petrel() -> Path:

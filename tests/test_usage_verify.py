@@ -44,6 +44,7 @@ from maxq.sim.scenario.errors import ScenarioError
 from maxq.sim.scenario.loader import load_scenario
 from maxq.sim.scenario.schema_values import Section
 from maxq.tools.simverify import main
+from maxq.tools.verify import run as verify_run
 from maxq.tools.verify.report import page_of, ranked
 from maxq.tools.verify.run import campaigns_of
 
@@ -151,6 +152,18 @@ def test_wrong_input_is_one_line(
     assert out == ""
     assert err.count("\n") == 1
     assert said in err
+
+
+def test_a_wrong_part_is_refused_before_anything_is_flown(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(verify_run, "fit", lambda *given: pytest.fail("flown for the marks"))
+    design, suite = str(petrel.folder() / "design.toml"), str(petrel.folder() / "suite.toml")
+    code, _, err = _run(capsys, design, "--suite", suite, "--only", "pitch gyro dead for 0.2 s, third")
+    assert code == 2
+    assert "thrust lost late, second, fairing off, " in err
+    with pytest.raises(pytest.fail.Exception):
+        _run(capsys, design, "--suite", suite, "--only", "pitch gyro dead for 0.2 s, second")
 
 
 def test_dispersed_limits_stand_in_for_the_scenarios_own(tmp_path: Path) -> None:

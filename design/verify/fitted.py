@@ -100,6 +100,19 @@ def fit(loaded: LoadedSuite, base: LoadedScenario, memory: Memory) -> LoadedSuit
     return replace(loaded, suite=suite.model_copy(update=update), left_out=tuple(dict.fromkeys(left_out)))
 
 
+def named(loaded: LoadedSuite, base: LoadedScenario) -> LoadedSuite:
+    """The suite with the names that `fit` gives its flights, before anything is flown."""
+    stages, flights = range(len(base.vehicle.stage)), []
+    for flown in loaded.suite.flight:
+        names = [flown.name, *(f"{flown.name}, {_called(base, n)}" for n in stages if flown.each_stage)]
+        flights += [flown.model_copy(update={"name": name}) for name in names]
+    return replace(loaded, suite=loaded.suite.model_copy(update={"flight": tuple(flights)}))
+
+
+def _called(base: LoadedScenario, number: int) -> str:
+    return base.vehicle.stage[number].name or f"stage {number + 1}"
+
+
 def _texts(flown: Flown) -> list[str]:
     return [flown.name, *flown.set, *(str(v) for v in (*flown.scale.values(), *flown.add.values()))]
 
@@ -107,8 +120,7 @@ def _texts(flown: Flown) -> list[str]:
 def _fitted(flown: Flown, base: LoadedScenario, marks: Marks, label: str, stages: int) -> Flown:
     where, name = f"flight {flown.name}", flown.name
     if flown.each_stage and stages > 1:
-        number = int(marks["stage"])
-        name += f", {base.vehicle.stage[number].name or f'stage {number + 1}'}"
+        name += f", {_called(base, int(marks['stage']))}"
     changes, wanted = [], []
     for change in flown.set:
         key, equals, value = _filled(change, marks, label, where).partition("=")

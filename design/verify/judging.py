@@ -294,13 +294,15 @@ def make_design(loaded: LoadedCase, *solutions: Solution) -> Design:
     text = ". ".join([case.description, *made] if case.description else made)
 
     def alone(solution: Solution) -> Design:
-        wanted = wanted_of(solution.case)
+        wanted, stage = wanted_of(solution.case), solution.nodes[0].stage
         given = {name: getattr(wanted, name) for name in Limits.model_fields}
         given["rigid_body"] = None if wanted.rigid_body == "paper" else wanted.rigid_body
-        return design_of(
+        rolls = own.of_stage(stage) if own else None
+        designed = design_of(
             name=loaded.name, description=text, vehicle=loaded.scenario.vehicle.name, law=solution.law,
-            roll=own.roll if own else None, limits=Limits(**given),
+            roll=rolls.roll if rolls else None, limits=Limits(**given),
         )  # fmt: skip  # four more lines otherwise
+        return designed.model_copy(update={"roll_gimbal": rolls.roll_gimbal if rolls else None})
 
     designs = {solution.nodes[0].stage: alone(solution) for solution in solutions}
     first = designs[min(designs)]
@@ -308,13 +310,7 @@ def make_design(loaded: LoadedCase, *solutions: Solution) -> Design:
         return first
     names = StageLaw.model_fields
     flown = [designs.get(n) or (own.of_stage(n) if own else first) for n in range(len(stages))]
-    roll_gimbal = own.roll_gimbal if own else None
-    return first.model_copy(
-        update={
-            "stage": tuple(StageLaw(**{k: getattr(d, k) for k in names}) for d in flown),
-            "roll_gimbal": roll_gimbal,
-        }
-    )
+    return first.model_copy(update={"stage": tuple(StageLaw(**{k: getattr(d, k) for k in names}) for d in flown)})
 
 
 def objective_text(solution: Solution) -> str:

@@ -296,10 +296,11 @@ class _Job:
         wanted, design, out = self.suite.margins, self.design, []
         if wanted is None or design is None or wanted.worst is None or wanted.only not in ("", WORST):
             return []
-        base = self.scenario.scenario
-        run = base.run.model_copy(update={"stop_at": ("burnout", "impact")})
-        loaded = replace(self.scenario, scenario=base.model_copy(update={"run": run}))
+        base, spans = self.scenario.scenario, powered_spans(self.along)
         for at, name, watch in self._by_stage("worst vehicle", wanted):
+            end_s = next(span.end_s for span in spans if span.holds(at[0].time_s))  # flown as far as that stage burns
+            run = base.run.model_copy(update={"duration_s": round(end_s - base.run.start_s, 9)})
+            loaded = replace(self.scenario, scenario=base.model_copy(update={"run": run}))
             depends = (loaded.as_flown, repr(design), at, plain_value(wanted.three_sigma), plain_value(wanted.worst))
             search = partial(
                 search_plane, at, design, wanted.three_sigma, wanted.worst, loaded, name, watch, self.workers

@@ -75,7 +75,8 @@ def _pack(scenario: Scenario) -> Packed:
     for n, (stage, burn, sizes) in enumerate(zip(stages, burns, all_sizes, strict=True)):
         schedule = vehicle_schedule(stage, burn, sizes, scenario.switches, frozen)
         vehicle = pack_vehicle(scenario, stage, burn, sizes, schedule, pool)
-        timeline = _timeline(scenario, stage, burn, stage_start_ns)
+        burns_later = any(later.engines for later in stages[n + 1 :])
+        timeline = _timeline(scenario, stage, burn, stage_start_ns, burns_later)
         loads = pack_loads(scenario, stage, burn, sizes, pool)
         if not stage.continues:
             ignition_ns = timeline.burn_start_ns
@@ -117,7 +118,7 @@ def _liftoff_s(scenario: Scenario) -> float:
     return thrust_exceeds_weight_s(before.parameters[0], before.pool, before.state)
 
 
-def _timeline(scenario: Scenario, stage: Stage, burn: Burn, stage_start_ns: int) -> StageTimeline:
+def _timeline(scenario: Scenario, stage: Stage, burn: Burn, stage_start_ns: int, burns_later: bool) -> StageTimeline:
     run, rate = scenario.run, burn_rate(stage) if burn.clock is None else 1.0
     start_ns = to_ns(run.start_s)
     ignition_ns, burnout_ns = _burn(stage, burn, stage_start_ns)
@@ -129,6 +130,7 @@ def _timeline(scenario: Scenario, stage: Stage, burn: Burn, stage_start_ns: int)
     release_s = scenario.holddown.release_s
     judged = scenario.vehicle.computer is not None and scenario.design is not None
     apart = stage.separation or Separation()
+    ends = ("diverged", *(name for name in run.stop_at if name != "burnout" or not burns_later))
     return StageTimeline(
         step_ns=step_ns(scenario, stage),
         even=int(run.accuracy is not None),
@@ -142,7 +144,7 @@ def _timeline(scenario: Scenario, stage: Stage, burn: Burn, stage_start_ns: int)
         release_ns=NEVER if release_s is None else to_ns(release_s),
         stop_ns=start_ns + to_ns(run.duration_s),
         ground_altitude_m=min(0.0, scenario.site.altitude_m),
-        stop_mask=sum(1 << EVENT_NAMES.index(name) for name in ("diverged", *run.stop_at)),
+        stop_mask=sum(1 << EVENT_NAMES.index(name) for name in ends),
         separation_impulse_Ns=apart.impulse_Ns,
         separation_spring_J=apart.spring_J,
         tip_off_radps=np.radians(apart.tip_off_degps),

@@ -37,7 +37,7 @@ from maxq.sim.scenario.documents import (
 )
 from maxq.sim.scenario.doubts import doubts
 from maxq.sim.scenario.errors import ScenarioError, suggestion
-from maxq.sim.scenario.files import PARTS, VEHICLE_FILE, WANTED, ReadFile, Reading, find, locate
+from maxq.sim.scenario.files import PARTS, WANTED, ReadFile, Reading, find, locate
 from maxq.sim.scenario.messages import explain
 from maxq.sim.scenario.ranges import LARGEST_NUMBER
 from maxq.sim.scenario.schema_design import Design
@@ -237,9 +237,8 @@ def _refuse_huge_numbers(tree: Table) -> None:
 def copy_scenario(name: str, folder: str | Path) -> Path:
     """Copy the built-in scenario or campaign `name` with all it refers to into `folder`; returns the copied file.
 
-    The copies lie to each other as the originals do, so that what they name is found beside them; a vehicle's
-    folder is copied whole. Raises ScenarioError when there is no such scenario, or a file would be overwritten (then
-    nothing is copied).
+    The copies lie to each other as the originals do, so that what they name is found beside them. Raises ScenarioError
+    when there is no such scenario, or a file would be overwritten (then nothing is copied).
     """
     known = builtin_files("scenario") | builtin_files("campaign")
     if name not in known:
@@ -250,8 +249,6 @@ def copy_scenario(name: str, folder: str | Path) -> Path:
     files = {file.path for file in loaded.files}
     named = (find(value) for _, value in walk(sections) if isinstance(value, Text) and value.endswith(".csv"))
     files |= {path for path in named if path is not None}
-    for vehicle in [file for file in files if file.name == VEHICLE_FILE]:
-        files |= {item for item in vehicle.parent.rglob("*") if item.is_file()}
     targets = {file: Path(folder) / file.relative_to(scenarios_folder()) for file in sorted(files)}
     for target in targets.values():
         if target.exists():

@@ -195,7 +195,9 @@ class Run(Section):
     freeze_vehicle_at_s: Seconds | None = optional(
         "mass, thrust, modes, ... are held as at this vehicle clock, s (default: not)"
     )
-    stop_at: tuple[Ending, ...] = optional("events that end the flight, any of them", ("impact",))
+    stop_at: tuple[Ending, ...] = optional(
+        "events that end the flight, any of them; burnout: the last stage's", ("impact",)
+    )
 
     @model_validator(mode="after")
     def _check(self) -> Run:

@@ -22,6 +22,7 @@ from maxq.tools.cli.terminal import aligned, figures, printable
 if TYPE_CHECKING:
     from maxq.tools.design.analyse import Order
 
+GAIN_HEADS = {"time_s": "time, s", "k_p": "k_p", "k_d_s": "k_d, s", "k_i_ps": "k_i, 1/s", "k_a_s2pm": "k_a, s2/m"}
 MET, MISSED = "met", "MISSED"
 _KINDS = {"sampled": "sampled, as it flies", "pade": "the paper's Pade approximants", "exact": "without aliasing"}
 _PARTS = {"rigid body": "rigid", "aerodynamics": "aero", "engine inertia": "engine"}
@@ -81,6 +82,7 @@ def analysis_verdict(groups: Sequence[Group]) -> str:
 def case_report(outcome: Outcome, solution: Solution) -> str:
     """Of `simdesign CASE`."""
     loaded, case = outcome.loaded, outcome.loaded.case
+    design = outcome.design.of_stage(outcome.judged[0].node.stage)
     head = [
         printable(f"{loaded.name}: {case.description}" if case.description else loaded.name),
         f"{case.filter.structure}, {case.gains.schedule} gains; along {case.scenario}, {case.plane}; "
@@ -91,7 +93,7 @@ def case_report(outcome: Outcome, solution: Solution) -> str:
         head, limits_table(outcome.found),
         limits_table(off, f"limits of {len(off[0].values)} dispersed plants") if off else [],
         limits_table(flown, "the same design as it flies (sampled)") if case.loop != "sampled" else [],
-        design_table(outcome.design), search_table(solution), margins_table(outcome.judged),
+        design_table(design), search_table(solution), margins_table(outcome.judged),
         lobes_table(outcome.judged), nodes_table(outcome.found, outcome.judged),
     )  # fmt: skip  # five more lines otherwise
 
@@ -218,7 +220,7 @@ def budget_table(judged: Sequence[Judged], crossing: str, column: Literal["gain_
 def design_table(design: Design) -> list[str]:
     """Gains and filter."""
     names = ("time_s", *design.gain_names)
-    rows = [tuple({"time_s": "time, s", "k_p": "k_p", "k_d_s": "k_d, s", "k_i_ps": "k_i, 1/s"}[n] for n in names)]
+    rows = [tuple(GAIN_HEADS[n] for n in names)]
     for t, *gains in zip(*(design.gains.table[name] for name in names), strict=True):
         rows.append((f"{t:g}", *(f"{gain:.4f}" for gain in gains)))
     sections = [("section", "zero Hz", "zeta", "pole Hz", "zeta")]

@@ -8,8 +8,9 @@ from __future__ import annotations
 import math
 import shlex
 import time
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import product, zip_longest
 from pathlib import Path
 
 from pydantic import ValidationError
@@ -54,14 +55,14 @@ class Order:
 @dataclass(frozen=True)
 class Made:
     """The result of a case: the exit code, the design in its folder, and what was found for each stage. `orders`: those
-    of --orders, else None.
+    of --orders, of each stage, else none.
     """
 
     code: Exit
     folder: Path
     design: Design
     stages: Results
-    orders: Found | None
+    orders: Sequence[Found]
 
     @property
     def meets_limits(self) -> bool:
@@ -84,14 +85,13 @@ def make(order: Order) -> Made:
     with Progress() as progress, Interruption(at_once=True) as stop:
         try:
             stages = each_stage(loaded)
+            asked = [order_cases(stage) for stage in stages] if order.orders else []
             plants = [nominal_plants(stage) for stage in stages]
         except ValidationError as error:
             said = "; ".join(f"{'.'.join(map(str, e['loc']))}: {e['msg']}" for e in error.errors())
             raise ScenarioError(loaded.label, said, "stage") from None
         except ValueError as error:
             raise ScenarioError(loaded.label, str(error)) from None
-        if order.orders and len(stages) > 1:
-            raise ScenarioError(loaded.label, "--orders is for one stage", "stages", allowed="one number")
         stop.check()
         check_writable(folder)
 
@@ -112,13 +112,14 @@ def make(order: Order) -> Made:
                 raise ScenarioError(loaded.label, str(error)) from None
             if interrupted := solutions[-1].status == "interrupted":
                 break
-        orders = None
-        if order.orders and not interrupted:
-            try:
-                watch = lambda n, of: progress.show("optimising: orders", n, of)  # noqa: E731  # one line of its own
-                orders = solve_orders(order.case, overrides, plants[0], watch)
-            except KeyboardInterrupt:  # the design itself is complete
-                interrupted = True
+        orders: list[Found] = []
+        try:
+            for mine, cases in zip(plants, asked if not interrupted else [], strict=False):
+                doing = f" {stage_name(loaded.scenario.vehicle, mine.each[0].node.stage)}" if len(stages) > 1 else ""
+                watch = lambda n, of, at=doing: progress.show(f"optimising{at}: orders", n, of)  # noqa: E731  # short
+                orders.append(solve_orders(cases, mine, watch))
+        except KeyboardInterrupt:  # the design itself is complete
+            orders, interrupted = [], True
         with Interruption() as interruption:  # the result is written, whatever is pressed now
             progress.show("judging", 0, 0)
             design = make_design(loaded, *solutions)
@@ -126,15 +127,15 @@ def make(order: Order) -> Made:
             forget_pictures(folder)
             files = _write(folder, design, results, orders)
             if order.pictures and solutions[-1].status != "interrupted":
-                for outcome, _ in results:
+                for (outcome, _), found in zip_longest(results, orders):
                     into = folder / f"stage-{_number(outcome) + 1}" if len(results) > 1 else folder
-                    files += _draw(into, outcome, orders, progress, lambda: interruption.requested)
-    for outcome, solution in results:
+                    files += _draw(into, outcome, found, progress, lambda: interruption.requested)
+    for (outcome, solution), found in zip_longest(results, orders):
         if len(results) > 1:
             tell(f"--- {stage_name(loaded.scenario.vehicle, _number(outcome))}\n")
         tell(case_report(outcome, solution))
-    if orders is not None:
-        tell("\n" + "\n".join(orders_table(orders)))
+        if found is not None:
+            tell("\n" + "\n".join(orders_table(found)))
     tell(f"\n{len(files)} files in {folder}/; {time.perf_counter() - begun_s:.1f} s in all")
     tell(_verdict(results, folder))
     code = Exit.INTERRUPTED if interrupted or interruption.requested else Exit.OK if _met(results) else Exit.FAILED
@@ -173,23 +174,22 @@ def _verdict(results: Results, folder: Path) -> str:
     return f"INFEASIBLE: {'; '.join(said)}"
 
 
-def _write(folder: Path, design: Design, results: Results, orders: Found | None) -> list[Path]:
+def _write(folder: Path, design: Design, results: Results, orders: Sequence[Found]) -> list[Path]:
     records = [case_record(outcome, solution) for outcome, solution in results]
+    for record, found in zip(records, orders, strict=False):
+        record["orders"] = orders_record(found)
     record = records[0]
     if len(records) > 1:
         numbers = [{"stage": _number(outcome) + 1} for outcome, _ in results]
         stages = [number | each for number, each in zip(numbers, records, strict=True)]
         feasible = all(each["feasible"] for each in records)
         record = {"schema": record["schema"], "name": record["name"], "feasible": feasible, "stages": stages}
-    if orders is not None:
-        record["orders"] = orders_record(orders)
     heads = [comments(outcome, solution) for outcome, solution in results]
     text = design_text(design, [line for head in heads for line in head])
     files = [write_whole(folder / DESIGN_NAME, text), write_record(folder / RECORD_NAME, record)]
-    for (structure, schedule), (loaded, found) in (orders or {}).items():
-        if found.feasible:
-            text = design_text(make_design(loaded, found), [f"{structure} with {schedule} gains, of --orders"])
-            files.append(write_whole(order_folder(folder, structure, schedule) / DESIGN_NAME, text))
+    for structure, schedule, made, _ in order_designs(orders):
+        text = design_text(made, [f"{structure} with {schedule} gains, of --orders"])
+        files.append(write_whole(order_folder(folder, structure, schedule) / DESIGN_NAME, text))
     return files
 
 
@@ -237,26 +237,44 @@ Found = Mapping[tuple[str, str], tuple[LoadedCase, Solution]]
 """By structure and schedule."""
 
 
-def solve_orders(name: str, overrides: tuple[str, ...], plants: Plants, watch: Callable[[int, int], None]) -> Found:
+def order_cases(stage: LoadedCase) -> dict[tuple[str, str], LoadedCase]:
+    """The fifteen cases of a stage. Raises ValidationError where its law has no such gains."""
+    case, out = stage.case, {}
+    for structure, schedule in product(STRUCTURES, SCHEDULES):
+        asked = {"structure": structure, "prewarp_hz": case.filter.prewarp_hz, "bounds": case.filter.bounds}
+        given = {k: v for k, v in dict(case).items() if k != "schema_version"}
+        filter_ = {k: v for k, v in asked.items() if v is not None}
+        changed = type(case).model_validate({**given, "filter": filter_, "gains": {"schedule": schedule}})
+        out[structure, schedule] = replace(stage, case=changed)
+    return out
+
+
+def solve_orders(
+    cases: Mapping[tuple[str, str], LoadedCase], plants: Plants, watch: Callable[[int, int], None]
+) -> Found:
     """Fifteen problems; each starts from the solutions it contains, too, so that more freedom is never worse.
 
     Raises KeyboardInterrupt when one is interrupted.
     """
     out: dict[tuple[str, str], tuple[LoadedCase, Solution]] = {}
-    for structure in STRUCTURES:
-        for schedule in SCHEDULES:
-            watch(len(out), len(STRUCTURES) * len(SCHEDULES))
-            (loaded,) = each_stage(
-                read_case(name, [*overrides, f"filter.structure={structure}", f"gains.schedule={schedule}"])
-            )
-            k, s = STRUCTURES.index(structure), list(SCHEDULES).index(schedule)
-            contained = [(STRUCTURES[k - 1], schedule)] if k else []
-            contained += [(structure, list(SCHEDULES)[s - 1])] if s else []
-            solution = solve(loaded, plants, [out[key][1] for key in contained])
-            if solution.status == "interrupted":
-                raise KeyboardInterrupt
-            out[structure, schedule] = loaded, solution
+    for (structure, schedule), loaded in cases.items():
+        watch(len(out), len(cases))
+        k, s = STRUCTURES.index(structure), list(SCHEDULES).index(schedule)
+        contained = [(STRUCTURES[k - 1], schedule)] if k else []
+        contained += [(structure, list(SCHEDULES)[s - 1])] if s else []
+        solution = solve(loaded, plants, [out[key][1] for key in contained])
+        if solution.status == "interrupted":
+            raise KeyboardInterrupt
+        out[structure, schedule] = loaded, solution
     return out
+
+
+def order_designs(orders: Sequence[Found]) -> Iterator[tuple[str, str, Design, list[Solution]]]:
+    """Structure, schedule, design and the solution of each stage, where every stage meets its limits with them."""
+    for structure, schedule in orders[0] if orders else ():
+        solutions = [found[structure, schedule][1] for found in orders]
+        if all(solution.feasible for solution in solutions):
+            yield structure, schedule, make_design(orders[0][structure, schedule][0], *solutions), solutions
 
 
 def orders_table(found: Found) -> list[str]:

@@ -44,6 +44,11 @@ class Built:
         found = [modes[0].frequency_hz for modes in self.modes[0][1] if modes]
         return float(np.mean(found)) if found else math.inf
 
+    @property
+    def rigid_hz(self) -> float:
+        """Of the first gains."""
+        return self.layout.control.rigid_hz or min(MOST_RIGID_HZ, self.mode_1_hz / 8.0)
+
 
 def build(layout: Layout) -> Built:
     """Work out a layout. Raises ValueError where it cannot fly."""
@@ -53,9 +58,8 @@ def build(layout: Layout) -> Built:
     aero = [aerodynamics(stack) for stack in every]
     modes, left_out = _that_count(every, [_modes(stack) for stack in every], 1.0 / layout.control.sample_s)
     found = Built(layout, every, aero, modes, flight, [], left_out)
-    rigid_hz = layout.control.rigid_hz or min(MOST_RIGID_HZ, found.mode_1_hz / 8.0)
-    found.gains.extend(_gains(found, rigid_hz))
-    found.assumed.extend(_assumed(found, rigid_hz))
+    found.gains.extend(_gains(found))
+    found.assumed.extend(_assumed(found))
     return found
 
 
@@ -162,9 +166,9 @@ def burning(built: Built) -> list[Point]:
     return out
 
 
-def _gains(built: Built, rigid_hz: float) -> list[tuple[float, float, float]]:
+def _gains(built: Built) -> list[tuple[float, float, float]]:
     """Gains that give the rigid body its frequency and damping with M_alpha in it, at a dozen times a stage."""
-    omega, zeta, rows = 2.0 * math.pi * rigid_hz, built.layout.control.rigid_zeta, []
+    omega, zeta, rows = 2.0 * math.pi * built.rigid_hz, built.layout.control.rigid_zeta, []
     for n in range(len(built.stacks)):
         points = [p for p in burning(built) if p.number == n]
         for k in np.unique(np.linspace(0, len(points) - 1, 12).astype(int)):
@@ -174,7 +178,7 @@ def _gains(built: Built, rigid_hz: float) -> list[tuple[float, float, float]]:
     return rows
 
 
-def _assumed(built: Built, rigid_hz: float) -> list[str]:
+def _assumed(built: Built) -> list[str]:
     layout = built.layout
     lines = []
     if any(stage.aero is None for stage in layout.stage):
@@ -183,7 +187,7 @@ def _assumed(built: Built, rigid_hz: float) -> list[str]:
         lines.append("normal force: slender-body theory and Barrowman's fins, over Mach number by a curve of our own")
     lines += [
         "propellants drain in proportion to their load; liquids do not turn about the axis but by their roll_share",
-        f"first gains: {rigid_hz:.3g} Hz and {layout.control.rigid_zeta:g} of the rigid body with M_alpha in it",
+        f"first gains: {built.rigid_hz:.3g} Hz and {layout.control.rigid_zeta:g} of the rigid body with M_alpha in it",
     ]
     lines.append(f"limit wind of the suite: from the west, {layout.site.jet_mps:g} m/s at 11 km; put your site's there")
     if layout.fairing is not None:

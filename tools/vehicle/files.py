@@ -12,16 +12,20 @@ import numpy as np
 import tomli_w
 
 from maxq.control.kernel.records import Array
+from maxq.design.verify.suite import read_suite
 from maxq.sim.files import write_whole
 from maxq.sim.scenario.schema_stage import SECTIONS
 from maxq.sim.scenario.schema_values import Section
 from maxq.sim.scenario.tables_csv import CsvTable
 from maxq.tools.vehicle.beam import Beam
-from maxq.tools.vehicle.build import MOST_RIGID_HZ, Built
+from maxq.tools.vehicle.build import Built
 from maxq.tools.vehicle.masses import Stack, engine_inertia
 from maxq.tools.vehicle.trajectory import Point
 
+SUITE = "launcher"
 MASS_ROWS, SHAPE_STATIONS = 41, 41
+ROOM_DB, ROOM_DEG = 0.5, 2.0  # by which a case asks for more than its suite: nodes differ, and what is rounded
+ROLL_SHARE = 0.25  # of the gimbals' angle that roll may take
 FASTER = 0.1  # share of its burn by which a part's tables go on where the next part burns on
 SHOWN = 0.4  # share of the sample rate up to which a mode gets a notch
 SPREAD = {"thrust at equal impulse": 0.03, "normal force": 0.15, "axial force": 0.1, "frequency of mode 1": 0.05}
@@ -247,8 +251,8 @@ def _stage(built: Built, n: int, tables: Tables) -> dict[str, Any]:
         "inertia_about_gimbal_kgm2": inertia,
     }  # fmt: skip  # three more lines otherwise
     many = len(e.positions_m) > 1
-    engines = [engine | ({"name": f"E{k + 1}", "group": "all"} if many else {}) | {"offset_m": list(at)}
-               for k, at in enumerate(e.positions_m)]  # fmt: skip  # one line more otherwise
+    engines = [engine | ({"name": f"E{k + 1}", "group": group} if many else {}) | {"offset_m": list(at)}
+               for k, (at, group) in enumerate(zip(e.positions_m, e.groups, strict=True))]  # fmt: skip  # ditto
     out: dict[str, Any] = {"name": stack.name}
     if stack.drops_fairing:
         out["separation_s"] = stack.burn.end_s
@@ -302,17 +306,32 @@ def _filter(built: Built, n: int) -> dict[str, Any]:
     }  # fmt: skip  # two more lines otherwise
 
 
+def _roll(built: Built, n: int) -> dict[str, Any]:
+    """Roll control of a stage: by thrusters, and by the gimbals where engines stand off the axis, alike in frequency
+    and damping to the first gains of pitch."""
+    out: dict[str, Any] = {"roll": {"k_rate_s": 0.5, "dead_band_deg": 1.0, "hysteresis_deg": 0.2, "minimum_on_s": 0.02}}
+    stack, e = built.stacks[n], built.stacks[n].stage.engine
+    sides = [np.sum([at for at, g in zip(e.positions_m, e.groups, strict=True) if g == name], axis=0)
+             for name in dict.fromkeys(e.groups)]  # fmt: skip  # ditto
+    if len(sides) > 1 and np.any(sides):
+        torque_Nm = float(stack.burn.thrust_N.max()) / len(e.positions_m) * float(np.abs(sides).sum())
+        per_rad, omega = stack.mass_properties(0.0).roll_kgm2 / torque_Nm, 2.0 * math.pi * built.rigid_hz
+        k_d_s = 2.0 * built.layout.control.rigid_zeta * omega * per_rad
+        gains = {"k_p": float(f"{omega**2 * per_rad:.4g}"), "k_d_s": float(f"{k_d_s:.4g}")}
+        out["roll_gimbal"] = gains | {"limit_deg": ROLL_SHARE * e.angle_limit_deg}
+    return out
+
+
 def _design(built: Built) -> dict[str, Any]:
     table = [{"time_s": t, "k_p": float(f"{k_p:.6g}"), "k_d_s": float(f"{k_d:.6g}")} for t, k_p, k_d in built.gains]
     out: dict[str, Any] = {
         "schema": 1, "name": f"{built.layout.name}, first gains", "vehicle": built.layout.name,
         "gains": {"table": table, "yaw": "pitch"},
     }  # fmt: skip  # two more lines otherwise
-    first, *others = (_filter(built, n) for n in range(len(built.stacks)))
-    out["filter"] = first
+    first, *others = ({"filter": _filter(built, n), **_roll(built, n)} for n in range(len(built.stacks)))
+    out |= first
     if others:
-        out["stage"] = [{}, *({"filter": filter_} for filter_ in others)]
-    out["roll"] = {"k_rate_s": 0.5, "dead_band_deg": 1.0, "hysteresis_deg": 0.2, "minimum_on_s": 0.02}
+        out["stage"] = [{}, *({key: part for key, part in own.items() if part != first.get(key)} for own in others)]
     return out
 
 
@@ -367,9 +386,17 @@ def _campaign(built: Built) -> dict[str, Any]:
 
 
 def _case(built: Built) -> dict[str, Any]:
-    hz = built.mode_1_hz
-    rigid = built.layout.control.rigid_hz or min(MOST_RIGID_HZ, hz / 8.0)
-    low = round(min(3.0, 0.6 * hz), 2)
+    low = round(min(3.0, 0.6 * built.mode_1_hz), 2)
+    judged = read_suite(SUITE).suite.margins
+    assert judged is not None
+    asked = {name: value for name, value in judged.nominal if value is not None}
+    limits = {
+        "rigid_body": "aerodynamic", "rigid_hz": round(0.8 * built.rigid_hz, 3), "rigid_zeta": 0.5,
+        "gain_margin_db": max(asked["gain_up_db"], asked["aero_gain_db"]) + ROOM_DB,
+        "phase_margin_deg": asked["phase_deg"] + ROOM_DEG,
+        "first_mode_phase_deg": asked["first_mode_phase_deg"] + ROOM_DEG,
+        "second_mode_db": asked["higher_modes_db"] - ROOM_DB, "higher_modes_db": asked["higher_modes_db"] - ROOM_DB,
+    }  # fmt: skip  # eight more lines otherwise
     orders = ["F4" if len(_filter(built, n).get("quadratic", ())) > 1 else "F2" for n in range(len(built.stacks))]
     differing = [{"filter": {"structure": order}} if order != orders[0] else {} for order in orders]
     return {
@@ -377,15 +404,14 @@ def _case(built: Built) -> dict[str, Any]:
         "scenario": "scenario.toml",
         "gains": {"schedule": "free"}, "objective": {"kind": "least-margin"},
         "filter": {"structure": orders[0], "bounds": {"zero_hz": [low, 100.0], "pole_hz": [low, 100.0]}},
-        "limits": {"rigid_body": "aerodynamic", "rigid_hz": round(0.8 * rigid, 3), "rigid_zeta": 0.5,
-                   "without": ["second_mode_db"]},
+        "between_nodes": "hold", "limits": limits,
         **({"stage": differing} if any(differing) else {}),
     }  # fmt: skip  # twelve more lines otherwise
 
 
 def _suite(built: Built) -> dict[str, Any]:
     return {
-        "schema": 1, "extends": "launcher", "scenario": "scenario.toml", "limit_wind": "vehicle/limit_wind.csv",
+        "schema": 1, "extends": SUITE, "scenario": "scenario.toml", "limit_wind": "vehicle/limit_wind.csv",
         "description": f"{built.layout.name}, to begin with: the suite of any launcher with fewer nodes and vehicles",
         "margins": {"nodes_per_stage": 7, "cases": 60, "success": 0.95,
                     "why": "what 60 vehicles can show with none or one that fails"},

@@ -9,6 +9,7 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Annotated, Literal
 
+import numpy as np
 from pydantic import Field, model_validator
 
 from maxq.control.kernel.limits import MAX_LOAD_STATIONS, MAX_PENDULUMS, MAX_STAGES
@@ -126,8 +127,11 @@ class LoadSections(Section):
     axial_force: Annotated[CsvTable, SHARE_COLUMNS] | None = optional("as in a vehicle file")
 
 
+_STACKED = ("upper", "middle", "lower")  # z is down
+
+
 class Engines(Section):
-    """The engines of a stage, all alike, gimballed together."""
+    """The engines of a stage, all alike; several turn together left of the axis, right of it and between."""
 
     positions_m: tuple[Pair, ...] = optional("of each engine's gimbal, y and z, m", ((0.0, 0.0),), min_length=1)
     thrust: Annotated[CsvTable, THRUST_COLUMNS] | None = optional(
@@ -163,6 +167,12 @@ class Engines(Section):
             allowed = "as many of each: one, two or four"
             raise refuse(f"{len(self.servo_hz)} frequencies, {len(self.servo_zeta)} ratios", allowed, ("servo_hz",))
         return self
+
+    @property
+    def groups(self) -> tuple[str, ...]:
+        """Of each engine: what side of the axis it stands on; above and below where all stand in the plane of pitch."""
+        across, names = (0, ("left", "middle", "right")) if any(y for y, _ in self.positions_m) else (1, _STACKED)
+        return tuple(names[int(np.sign(at[across])) + 1] for at in self.positions_m)
 
 
 class Fins(Section):

@@ -13,9 +13,9 @@ from pathlib import Path
 from maxq.design.laws.design_file import DESIGN_NAME, design_path
 from maxq.design.optimise.solution import Solution
 from maxq.design.verify import memory
-from maxq.design.verify.fitted import fit
+from maxq.design.verify.fitted import fit, named
 from maxq.design.verify.flown import load_wanted
-from maxq.design.verify.judging import judge, make_design
+from maxq.design.verify.judging import judge
 from maxq.design.verify.suite import (
     ACCEPTED,
     REJECTED,
@@ -69,6 +69,7 @@ def execute(order: Order) -> int:
     words = ("--only", order.only) if order.only else ()
     if order.only:
         along, kept = flight_of(loaded.suite, paths[0], order.vehicle), memory.Memory(memory.default_folder())
+        named(loaded, along).only(order.only)  # a wrong name is refused before the flight that the marks need
         loaded = fit(loaded, along, kept).only(order.only)
     for folder in folders:
         check_writable(folder)
@@ -137,16 +138,14 @@ def candidates(made: run_case.Made) -> Iterator[Candidate]:
     """The case's design, and with --orders those of every filter and schedule that meet the limits."""
     nodes = [j.node for outcome, _ in made.stages for j in outcome.judged]
 
-    def candidate(folder: Path, meets_limits: bool, solution: Solution, design: Design) -> Candidate:
+    def candidate(folder: Path, meets_limits: bool, solutions: Sequence[Solution], design: Design) -> Candidate:
+        solution = max(solutions, key=lambda s: s.objective_db)
         modulus = min(j.margins.modulus if j.margins.stable else -1.0 for j in judge(nodes, design, "sampled"))
         return Candidate(folder, meets_limits, solution.case.objective.kind, solution.objective_db, modulus)
 
-    worst = max((solution for _, solution in made.stages), key=lambda s: s.objective_db)
-    yield candidate(made.folder, made.meets_limits, worst, made.design)
-    for (structure, schedule), (loaded, solution) in (made.orders or {}).items():
-        if solution.feasible:
-            folder = run_case.order_folder(made.folder, structure, schedule)
-            yield candidate(folder, True, solution, make_design(loaded, solution))
+    yield candidate(made.folder, made.meets_limits, [solution for _, solution in made.stages], made.design)
+    for structure, schedule, design, solutions in run_case.order_designs(made.orders):
+        yield candidate(run_case.order_folder(made.folder, structure, schedule), True, solutions, design)
 
 
 def in_order(found: Sequence[Candidate]) -> list[Candidate]:
