@@ -192,7 +192,7 @@ def test_open_poles_are_those_of_the_state_matrix(time_s: float) -> None:
 def test_resonances_are_exact(time_s: float) -> None:
     """At the peak of every mode, against arithmetic with 50 digits on the same vehicle."""
     path = PadeFixedPath(node_at(time_s))
-    body = path._vehicle
+    body = path.vehicle
     mpmath.mp.dps = 50
     for r in path.resonances():
         f = r.frequency_hz

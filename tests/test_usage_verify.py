@@ -18,7 +18,7 @@ from maxq.design.model.dispersion import NOMINAL, Dispersion
 from maxq.design.verify.fitted import fit
 from maxq.design.verify.flown import load_flight, load_wanted
 from maxq.design.verify.judging import Check
-from maxq.design.verify.linear import MarginCase, margin_requirements, meets_limits
+from maxq.design.verify.linear import MEASURES, MarginCase, MarginStudy, margin_requirements, meet_limits
 from maxq.design.verify.linear import vehicles as vehicles_of
 from maxq.design.verify.memory import Memory, content_hash, from_plain, to_plain
 from maxq.design.verify.suite import (
@@ -393,8 +393,9 @@ def test_one_comparison_for_designs_and_verdicts() -> None:
         assert (beyond(-value, -30.0, "<=", "dB") <= 0.0) == met
         check = Check("phase_margin_deg", "", "deg", ">=", 30.0, np.array([value]), np.array([1.0]))
         assert check.passed == met
-        case = MarginCase("", ({"phase_deg": value},))
-        assert meets_limits(case, MarginLimits(phase_deg=30.0)) == met
+        one = np.full((1, 1, len(MEASURES)), np.inf)
+        one[..., list(MEASURES).index("phase_deg")] = value
+        assert meet_limits(one, MarginLimits(phase_deg=30.0)).tolist() == [met]
     at, none = np.array([1.0]), np.array([np.nan])
     assert not Check("phase_margin_deg", "", "deg", ">=", 30.0, none, at).passed  # of an unstable loop
     assert Check("second_mode_db", "", "dB", "<=", 0.0, none, at).passed  # there is no such mode
@@ -412,17 +413,16 @@ NODE: Any = SimpleNamespace(
 def test_every_reason_has_limit_value_vehicle_and_command() -> None:
     """Of random vehicles the worst is named, with the command that measures it alone."""
     wanted = LinearMargins(cases=60, dispersed=MarginLimits(phase_deg=15.0))
-    vehicles = [MarginCase(f"vehicle {n + 1}", ({"phase_deg": 20.0 - 0.1 * n},)) for n in range(60)]
+    values = np.full((60, 1, len(MEASURES)), np.inf)
+    values[:, 0, list(MEASURES).index("phase_deg")] = 20.0 - 0.1 * np.arange(60.0)
     nominal = MarginCase("", ({"phase_deg": 28.0},))
-    study = dataclasses.make_dataclass("Study", ["stage", "plane", "times_s", "nominal", "corners", "random"])(
-        "", "yaw", (40.0,), nominal, (), tuple(vehicles)
-    )
+    study = MarginStudy("", "yaw", (40.0,), nominal, (), values)
     loaded = read_suite("standard", ["margins.seed=7"])
     *_, row = margin_requirements(study, wanted, lambda label: loaded.command("designs/ksr3-robust.toml", None, label))
     assert row.found == "51 of 60; phase margin, rigid body: 14.10 deg, wanted >= 15 deg"
     assert row.where == "vehicle 60, 40 s, yaw"
     assert row.again == "simverify ksr3-robust --set margins.seed=7 'vehicle 60'"
-    only = dataclasses.replace(study, random=(vehicles[59],))
+    only = dataclasses.replace(study, random=values[59:], first=60)
     alone = margin_requirements(only, wanted.model_copy(update={"only": "vehicle 60"}))
     assert [(r.found, r.judgement) for r in alone] == [("stable", ACCEPTED), ("14.10 deg", REJECTED)]
     corners, drawn = vehicles_of(wanted.model_copy(update={"only": "vehicle 812"}), NODE)

@@ -60,7 +60,7 @@ class FixedPath(abc.ABC):
         output = "q_radps" if cut == "rate_command_to_q" else "local_rate_radps"
         # an ideal actuator is at rest between commands: the staircase's corners shake nothing
         inputs = tuple(name for name in node.plant.inputs if not ideal or name.startswith("delta_rad"))
-        self._vehicle = channels(node.plant, (output, *(name for name, _, _ in self.sensors)), inputs)
+        self.vehicle = channels(node.plant, (output, *(name for name, _, _ in self.sensors)), inputs)
         self._actuator = None if ideal else actuators(node.actuators)
         self._gyro = gyro(node.instruments.gyro) if self.takes_rate and not node.instruments.gyro.ideal else None
         self._latest: tuple[bytes, ComplexArray] = (b"", np.zeros(0, np.complex128))
@@ -173,8 +173,8 @@ class FixedPath(abc.ABC):
         """Actuator, vehicle and gyro in a row."""
         parts = []
         if self._actuator is not None:
-            parts.append(channels(self._actuator, self._vehicle.inputs))
-        parts.append(self._vehicle)
+            parts.append(channels(self._actuator, self.vehicle.inputs))
+        parts.append(self.vehicle)
         if self.sensors:
             parts.append(self._lags())
         elif self._gyro is not None:
@@ -188,7 +188,7 @@ class FixedPath(abc.ABC):
         filled = [one or through for one in each]
         a, b, c, d = (scipy.linalg.block_diag(*(getattr(one, name) for one in filled)) for name in "abcd")
         states = tuple(f"{name}_{k + 1}" if k else name for k, one in enumerate(filled) for name in one.states)
-        return StateSpace(a, b, c, d, states, self._vehicle.outputs, self._vehicle.outputs)
+        return StateSpace(a, b, c, d, states, self.vehicle.outputs, self.vehicle.outputs)
 
     @cached_property
     def rests_at_dc(self) -> bool:
@@ -197,7 +197,7 @@ class FixedPath(abc.ABC):
         So it is where the attitude acts on the motion, because gravity turns in the body: the measured rate is the
         derivative of a state, and its integral no state more.
         """
-        body = self._vehicle
+        body = self.vehicle
         if "theta_rad" not in body.states:
             return False
         settled = np.linalg.lstsq(body.a, -body.b[:, 0], rcond=None)[0]
@@ -206,7 +206,7 @@ class FixedPath(abc.ABC):
 
     def _plant_poles(self) -> list[NamedPole]:
         """Of actuator, vehicle and gyro, each by itself: in a row they stay what they are."""
-        out = vehicle_poles(self._vehicle)
+        out = vehicle_poles(self.vehicle)
         if self._actuator is not None:
             poles = [pair for record in self.node.actuators for pair in actuator_poles(record)]
             for k, (omega, zeta) in enumerate(poles):
@@ -223,7 +223,7 @@ class _ContinuousFixedPath(FixedPath):
 
     def __init__(self, node: Node, cut: Cut = "gimbal_command", senses: bool = False) -> None:
         super().__init__(node, cut, senses)
-        self._turning = Resolvent(self._vehicle.a, self._vehicle.b, self._vehicle.c)
+        self._turning = Resolvent(self.vehicle.a, self.vehicle.b, self.vehicle.c)
 
     @property
     def highest_hz(self) -> float:
@@ -253,7 +253,7 @@ class _ContinuousFixedPath(FixedPath):
     def plant_at(self, s: ComplexArray, output: int = 0) -> ComplexArray:
         """Actuator, vehicle and gyro, or further sensor number `output`."""
         per_angle = per_actuator_angle(
-            s, self._turning(s)[..., output, :] + self._vehicle.d[output], self._vehicle.inputs
+            s, self._turning(s)[..., output, :] + self.vehicle.d[output], self.vehicle.inputs
         )
         if self._actuator is not None:
             drives = zip(per_angle, self.node.actuators, strict=True)

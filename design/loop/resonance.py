@@ -61,7 +61,7 @@ def vehicle_poles(plant: StateSpace) -> list[NamedPole]:
     """
     poles, vectors = np.linalg.eig(plant.a) if len(plant.a) else (np.zeros(0), np.zeros((0, 0)))
     poles = poles.astype(np.complex128)
-    names = [_owner(state) for state in plant.states]
+    names = [owner_of(state) for state in plant.states]
     owners = list(dict.fromkeys(names))
     share = np.abs(vectors * np.linalg.pinv(vectors).T) if len(poles) else np.zeros((0, 0))
     per_owner = np.array([[share[[n == o for n in names], i].sum() for o in owners] for i in range(len(poles))])
@@ -77,7 +77,7 @@ def vehicle_poles(plant: StateSpace) -> list[NamedPole]:
     return out
 
 
-def _owner(state: str) -> tuple[str, int]:
+def owner_of(state: str) -> tuple[str, int]:
     found = re.match(r"(eta|slosh)_(\d+)_", state)
     if state.startswith("engine_"):
         return "engine", 0

@@ -10,21 +10,22 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from maxq.control.kernel.records import Array
+from maxq.control.kernel.records import Array, IntArray
 from maxq.design.loop.resonance import Resonance
 from maxq.design.margins.curve import Curve, GainCrossings, PhaseCrossings
-from maxq.design.margins.solving import DB, from_minus_one_deg, sample
+from maxq.design.margins.solving import DB, along, from_minus_one_deg, log_size, minima, sample
 from maxq.design.model.state_space import ComplexArray
 
 SHARE = 0.5
 VALLEY = 0.5  # a minimum of |L| below this share of the peak ends a lobe
 LEAST = 2.0
 LIGHT = 0.1  # damping ratio below which an unnamed pole makes a lobe
+SECTION, SECTIONS = 16, 5  # a lobe's end is searched among so many parts of a step, so many times: a millionth of it
 VISIBLE = 0.01  # an unnamed pole whose term is a smaller share of |L| than this makes none
 ROUNDING_DB = 1e-9  # of a crossing of |L| = 1 at the end of a lobe
 
@@ -80,16 +81,29 @@ def find_lobes(
     centre = np.array([p.frequency_hz for p in poles])
     width = np.maximum([p.half_width_hz for p in poles], 1e-9 * centre)  # an undamped one: the grid's there
     strength, at_pole = _strengths(curve, centre, width)
-    term = strength[:, None] / (1.0 + 1j * (f - centre[:, None]) / width[:, None])
     share = np.abs(strength) / np.maximum(np.abs(at_pole), 1e-300)
-    shown = [k for k in range(len(poles)) if resonances is not None or share[k] > VISIBLE]
-    size = np.abs(term[shown])
-    inside = (size > SHARE * np.abs(loop - term[shown])) & (size >= size.max(axis=0, initial=0.0))
-    out = []
-    for j, k in enumerate(shown):
-        ends = _around(f, inside[j] & ~_valleys(loop, f, centre[k]), centre[k], LEAST * width[k])
-        out.append(_judge(curve, poles[k], ends, float(share[k]), gain, phase, limit_db))
-    return tuple(out)
+    shown = np.array([k for k in range(len(poles)) if resonances is not None or share[k] > VISIBLE], int)
+    terms = (strength[shown], centre[shown], width[shown])
+    inside = _inside(f, loop, *terms)
+    runs = [_run(f, inside[j], _valleys(loop, f, centre[k]), centre[k]) for j, k in enumerate(shown)]
+    ends = _solved_ends(curve, runs, *terms)
+    reach = LEAST * width[shown]
+    low, high = np.minimum(ends[:, 0], centre[shown] - reach), np.maximum(ends[:, 1], centre[shown] + reach)
+    low, high = np.clip(low, f[0], None), np.clip(high, None, f[-1])
+    borders = np.unique(np.append(low, high))
+    curve = curve.with_points(borders, sample(curve.source, borders)) if len(borders) else curve
+    return tuple(
+        _judge(curve, poles[k], (float(low[j]), float(high[j])), float(share[k]), gain, phase, limit_db)
+        for j, k in enumerate(shown)
+    )
+
+
+def _inside(f: Array, loop: ComplexArray, strength: ComplexArray, centre: Array, width: Array) -> NDArray[np.bool_]:
+    """Whether each lobe's term is large against the rest and the largest of all, (lobes, *f.shape)."""
+    each = (-1, *(1,) * f.ndim)
+    term = strength.reshape(each) / (1.0 + 1j * (f - centre.reshape(each)) / width.reshape(each))
+    size = np.abs(term)
+    return np.asarray((size > SHARE * np.abs(loop - term)) & (size >= size.max(axis=0, initial=0.0)))
 
 
 def _lightly_damped(curve: Curve) -> list[Resonance]:
@@ -120,16 +134,58 @@ def _valleys(loop: ComplexArray, f: Array, centre: float) -> NDArray[np.bool_]:
     return np.asarray(low & (size < VALLEY * size[k]))
 
 
-def _around(f: Array, inside: NDArray[np.bool_], centre: float, least: float) -> tuple[float, float]:
-    """Ends of the run of `inside` that holds the centre, at least `least` away from it."""
+def _run(
+    f: Array, inside: NDArray[np.bool_], valley: NDArray[np.bool_], centre: float
+) -> tuple[tuple[int, bool] | None, tuple[int, bool] | None] | None:
+    """The points before and after the run of `inside` between valleys that holds the centre, and whether they are
+    valleys; None where the curve ends, and for no run.
+    """
     k = int(np.argmin(np.abs(f - centre)))
-    low = high = centre
-    if inside[k]:
-        outside = np.flatnonzero(~inside)
-        left, right = outside[outside < k], outside[outside > k]
-        low = float(f[left[-1] + 1] if len(left) else f[0])
-        high = float(f[right[0] - 1] if len(right) else f[-1])
-    return max(min(low, centre - least), float(f[0])), min(max(high, centre + least), float(f[-1]))
+    outside = np.flatnonzero(~inside | valley)
+    if k in outside:
+        return None
+    left, right = outside[outside < k], outside[outside > k]
+    return (
+        (int(left[-1]), bool(valley[left[-1]])) if len(left) else None,
+        (int(right[0]), bool(valley[right[0]])) if len(right) else None,
+    )
+
+
+def _solved_ends(curve: Curve, runs: Sequence[Any], strength: ComplexArray, centre: Array, width: Array) -> Array:
+    """Where the runs end between two points of the curve, (lobes, 2): no matter how dense its points are."""
+    f = curve.frequency_hz
+    out = np.repeat(centre[:, None], 2, axis=1)
+    deep, borders = [], []
+    for j, run in enumerate(runs):
+        for side, end in enumerate(run or ()):
+            if end is None:
+                out[j, side] = f[-side]
+                continue
+            k, valley = end
+            out[j, side] = f[k]
+            if not valley:
+                borders.append((j, side, f[k], f[k + 1 - 2 * side]))
+            elif 0 < k < len(f) - 1:
+                deep.append((j, side, k))
+    if deep:
+        k = np.array([place for _, _, place in deep])[:, None] + np.arange(-1, 2)
+        kind = np.zeros(len(k), np.int64)
+        found = minima(along(curve.source, (log_size,), kind), f[k], log_size(curve.loop[k]))
+        for (j, side, _), place in zip(deep, found, strict=True):
+            out[j, side] = place
+    if borders:
+        lobe, sides = (np.array([b[i] for b in borders]) for i in (0, 1))
+        outer, inner = (np.array([b[i] for b in borders]) for i in (2, 3))
+        for _ in range(SECTIONS):
+            x = outer[:, None] + (inner - outer)[:, None] * np.arange(1, SECTION) / SECTION
+            there = _inside(x, sample(curve.source, x.ravel()).reshape(x.shape), strength, centre, width)
+            there = there[lobe, np.arange(len(lobe))]
+            first = np.where(there.any(axis=1), there.argmax(axis=1), SECTION - 1)  # the first that is inside
+            x = np.concatenate([outer[:, None], x, inner[:, None]], axis=1)
+            each = np.arange(len(lobe))
+            outer, inner = x[each, first], x[each, first + 1]
+        out[lobe, sides] = inner
+    return out
 
 
 def _judge(
@@ -153,7 +209,7 @@ def _judge(
     at = (phase.frequency_hz >= low) & (phase.frequency_hz <= high)
     db = phase.gain_margin_db[at]
     stabilised: Stabilised = "gain" if peak_db <= ROUNDING_DB - limit_db else "phase"
-    lag, lead = (np.inf, np.inf) if stabilised == "gain" else _turns(gain, loop, ends)
+    lag, lead = (np.inf, np.inf) if stabilised == "gain" else _turns(curve, points, gain, ends)
     return Lobe(
         label=pole.label or f"{pole.frequency_hz:.3g} Hz",
         kind=pole.kind,
@@ -174,13 +230,24 @@ def _judge(
     )
 
 
-def _turns(gain: GainCrossings, loop: ComplexArray, ends: tuple[float, float]) -> tuple[float, float]:
+def _turns(curve: Curve, points: IntArray, gain: GainCrossings, ends: tuple[float, float]) -> tuple[float, float]:
     """Least lag and lead that turn a crossing, or without one a point above 0 dB or the peak, to the phase of -1."""
+    loop = curve.loop[points]
     at = (gain.frequency_hz >= ends[0]) & (gain.frequency_hz <= ends[1])
     if at.any():
         lag = gain.lag_deg[at]
     else:
-        size = np.abs(loop)
-        above = size >= min(1.0, float(size.max()))
-        lag = np.mod(from_minus_one_deg(loop[above]), 360.0)
+        f = curve.frequency_hz[points]
+        for _ in range(SECTIONS):
+            size = np.abs(loop)
+            above = np.flatnonzero(size >= min(1.0, float(size.max())))
+            lag = np.mod(from_minus_one_deg(loop[above]), 360.0)
+            least = above[[int(lag.argmin()), int(lag.argmax())]]
+            steps = np.unique(np.clip(np.append(least, least - 1), 0, len(f) - 2))
+            if not len(steps):
+                break
+            x = f[steps, None] + (f[steps + 1] - f[steps])[:, None] * np.arange(1, SECTION) / SECTION
+            x = x.ravel()
+            order = np.argsort(np.append(f, x), kind="stable")
+            f, loop = np.append(f, x)[order], np.append(loop, sample(curve.source, x))[order]
     return float(lag.min()), float((360.0 - lag).min())

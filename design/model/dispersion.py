@@ -16,7 +16,7 @@ import dataclasses
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from scipy.interpolate import PchipInterpolator
@@ -73,6 +73,17 @@ class Dispersion:
 NOMINAL = Dispersion()
 
 
+def stacked(every: Sequence[Dispersion]) -> Dispersion:
+    """Many deviations as one, with the vehicles along the last axis of what differs (`dispersed_many`)."""
+    out = {}
+    for f in dataclasses.fields(Dispersion):
+        if f.name != "label":
+            column = np.array([getattr(one, f.name) for one in every], float).T
+            alike = column.size > 0 and bool((column == column.flat[0]).all())
+            out[f.name] = float(column.flat[0]) if alike else column
+    return Dispersion(**out)  # type: ignore[arg-type]  # floats and arrays
+
+
 def disperse(node: Node, by: Dispersion) -> Node:
     """The node with the deviations applied (`Node.with_`: by keywords). Raises ValueError for too many factors."""
     if by == NOMINAL:
@@ -81,6 +92,31 @@ def disperse(node: Node, by: Dispersion) -> Node:
     return dataclasses.replace(
         node, vehicle=_vehicle(node, by), instruments=_instruments(node.instruments, by), label=label
     )
+
+
+def dispersed_many(node: Node, by: Dispersion) -> VehicleAt:
+    """The vehicles of many deviations at once: each number of `by` (vehicles,), or (modes or tanks, vehicles).
+
+    What deviates, and every array, has the vehicles along its last axis (`plant.vehicle_plants`).
+    """
+    each = {f.name: getattr(by, f.name) for f in dataclasses.fields(by) if f.name.startswith(("bending", "slosh"))}
+    alike = {name: np.full((1, 1), value) for name, value in each.items() if np.ndim(value) == 0}
+    counts = {"bending": len(node.vehicle.modes.omega_radps), "slosh": len(node.vehicle.pendulums.mass_kg)}
+    alike = {name: np.repeat(value, counts[name.partition("_")[0]], axis=0) for name, value in alike.items()}
+    by = dataclasses.replace(by, **alike)  # type: ignore[arg-type]  # arrays for each mode or tank
+    return _vehicle(dataclasses.replace(node, vehicle=_with_an_axis(node.vehicle)), by)
+
+
+def _with_an_axis(thing: Any) -> Any:
+    """Its arrays with one axis more, of length 1."""
+    if isinstance(thing, np.ndarray):
+        return thing[..., None]
+    if isinstance(thing, tuple):
+        return tuple(_with_an_axis(part) for part in thing)
+    if dataclasses.is_dataclass(thing):
+        fields = {f.name: _with_an_axis(getattr(thing, f.name)) for f in dataclasses.fields(thing)}
+        return dataclasses.replace(thing, **fields)  # type: ignore[type-var]  # an instance
+    return thing
 
 
 def _vehicle(node: Node, by: Dispersion) -> VehicleAt:
@@ -106,7 +142,7 @@ def _vehicle(node: Node, by: Dispersion) -> VehicleAt:
         damping_ratio=bobs.damping_ratio * _each(by.slosh_damping, m, "slosh_damping"),
         viscous=bobs.viscous * _each(by.slosh_damping, m, "slosh_damping"),
     )
-    if by.slosh_mass != 1.0 or by.slosh_frequency != 1.0:
+    if np.any(mass != 1.0) or np.any(changed.length_m != bobs.length_m):
         vehicle = with_pendulums(vehicle, changed)
     body = dataclasses.replace(vehicle.body, core_inertia_kgm2=vehicle.body.core_inertia_kgm2 * by.inertia)
     air = dataclasses.replace(
@@ -126,7 +162,7 @@ def with_lateral_thrust(vehicle: VehicleAt, node: Node, factor: float) -> Vehicl
     """The vehicle with `factor` times the thrust; drag makes up for it, so that the axial load stays. Where there is no
     air the axial load changes with the thrust.
     """
-    if factor == 1.0:
+    if np.all(factor == 1.0):
         return vehicle
     air, condition = vehicle.aerodynamics, node.condition
     more = (factor - 1.0) * vehicle.thrust_N(condition.pressure_Pa)
@@ -170,7 +206,7 @@ def _each(factors: Factors, count: int, name: str) -> Array:
         return np.full(count, float(given))
     if len(given) > count:
         raise ValueError(f"{name} has {len(given)} factors: allowed are {count}, or one number for all")
-    return np.concatenate([given, np.ones(count - len(given))])
+    return np.concatenate([given, np.ones((count - len(given), *given.shape[1:]))])
 
 
 COLUMNS = ("z_alpha_1ps", "m_alpha_1ps2", "z_delta_1ps", "m_delta_1ps2")

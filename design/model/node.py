@@ -55,6 +55,7 @@ class Node:
     label: str = ""
     stage: int = 0  # which one burns, from 0
     stage_start_s: float = 0.0  # zero of that stage's clock on the vehicle clock
+    trim: Trim = (0.0, 0.0)  # angles of attack and sideslip at which tables over incidence have their slopes, rad
 
     @cached_property
     def plant(self) -> StateSpace:
@@ -245,6 +246,22 @@ def _node(run: FlightRun, time_s: float, plane: Plane, errata: Errata) -> Node:
     )
 
 
+def at_same_propellant_s(run: FlightRun, flown: Packed, node: Node) -> float:
+    """When a flight meets a node of another one (`flown`), whose engines may burn at another rate: vehicle clock."""
+    mine, other = (packed.parameters[node.stage].timeline for packed in (run.packed, flown))
+    start_ns = int(mine.stage_start_ns) if int(mine.stage_start_ns) < NEVER else round(1e9 * node.stage_start_s)
+    burnt_s = float(other.burn_rate) * (node.time_s - node.stage_start_s)
+    return start_ns / 1e9 + burnt_s / float(mine.burn_rate)
+
+
+def met_by(flown: Packed, node: Node, met: Node) -> Node:
+    """A node in the air, at the speed and in the attitude of `met`, with the vehicle of its own flight (`flown`)."""
+    clock_s = node.time_s - node.stage_start_s
+    vehicle = vehicle_at(flown, clock_s, met.condition.mach, node.plane, node.stage, met.trim)
+    condition = dataclasses.replace(met.condition, time_s=node.time_s)
+    return dataclasses.replace(node, vehicle=vehicle, condition=condition, trim=met.trim)
+
+
 def flown_to(run: FlightRun, time_s: float) -> int:
     """Fly on to the integrator's step nearest to a vehicle time, in ns. Raises ValueError where no engine burns."""
     step_ns = int(run.packed.parameters[0].timeline.step_ns)
@@ -311,7 +328,7 @@ def node_of(packed: Packed, time_s: float, stage: int = 0, plane: Plane = "pitch
     gravity = float(np.linalg.norm(gravitation))
     forward = rotation(packed.state[Q_BI : Q_BI + 4])[:, 0]
     pitch = math.asin(max(-1.0, min(1.0, float(-forward @ gravitation) / gravity))) if gravity > 0.0 else 0.0
-    row = packed.parameters[stage]
+    row, trim = packed.parameters[stage], _trim(air[FLOW : FLOW + 3])
     flies = air[AIRSPEED] >= row.vehicle.aero.airspeed_floor_mps  # below it no air acts, and its pressure does
     condition = FlightCondition(
         time_s=time_s,
@@ -325,7 +342,7 @@ def node_of(packed: Packed, time_s: float, stage: int = 0, plane: Plane = "pitch
     clock_s = time_s - 1e-9 * int(row.timeline.stage_start_ns)
     return Node(
         time_s=time_s,
-        vehicle=vehicle_at(packed, clock_s, condition.mach, plane, stage, _trim(air[FLOW : FLOW + 3])),
+        vehicle=vehicle_at(packed, clock_s, condition.mach, plane, stage, trim),
         condition=condition,
         instruments=instruments_of(row, plane),
         plane=plane,
@@ -333,4 +350,5 @@ def node_of(packed: Packed, time_s: float, stage: int = 0, plane: Plane = "pitch
         label=f"{time_s:g} s",
         stage=stage,
         stage_start_s=1e-9 * int(row.timeline.stage_start_ns),
+        trim=trim,
     )

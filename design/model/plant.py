@@ -113,8 +113,7 @@ def vehicle_plant(
     erratum of the tanks is left in and `liquids` does not say what they hold.
     """
     load = axial_load_mps2(vehicle, condition)
-    if len(vehicle.pendulums.mass_kg) and load <= 0.0:
-        raise ValueError(f"a pendulum needs a positive axial load, not {load:g} m/s2")
+    _check_load(vehicle, load)
     one = _Equations(_with_printed_tanks(vehicle, errata, liquids), condition, load, errata, wind)
     if vehicle.across is None:
         return one.state_space()
@@ -124,6 +123,42 @@ def vehicle_plant(
     modes = dataclasses.replace(vehicle.across.modes, softening_kgpm=softening)
     across = _with_printed_tanks(dataclasses.replace(vehicle.across, modes=modes), errata, liquids)
     return _coupled(one, _Equations(across, condition, load, errata))
+
+
+def vehicle_plants(
+    vehicle: VehicleAt, condition: FlightCondition, errata: Errata = CORRECTED
+) -> tuple[Array, Array, Array, Array]:
+    """A, B, C, D of many vehicles with the states, inputs and outputs of `vehicle_plant`, along the last axis.
+
+    `vehicle` as `dispersion.dispersed_many` leaves it. Raises ValueError as `vehicle_plant` does, for spatial modes,
+    and for errata of the tanks.
+    """
+    if vehicle.across is not None or not (errata.tank_radius and errata.tank_liquid):
+        raise ValueError("many vehicles at once: allowed are vehicles without spatial modes, and tanks as they are")
+    load = axial_load_mps2(vehicle, condition)
+    _check_load(vehicle, load)
+    return _Equations(vehicle, condition, load, errata).matrices()
+
+
+def _check_load(vehicle: VehicleAt, load_mps2: Array | float) -> None:
+    if len(vehicle.pendulums.mass_kg) and np.min(load_mps2) <= 0.0:
+        raise ValueError(f"a pendulum needs a positive axial load, not {np.min(load_mps2):g} m/s2")
+
+
+def dot(shape: Array, rows: Array) -> Array:
+    """Sum of rows (k, columns, ...), each times its number in `shape` (k, ...)."""
+    return np.asarray((shape[:, None] * rows).sum(axis=0))
+
+
+def outer(shape: Array, row: Array) -> Array:
+    """A row (columns, ...) times each number of `shape` (k, ...)."""
+    return np.asarray(shape[:, None] * row)
+
+
+def _joined(*parts: Array) -> Array:
+    """Rows one below the other, of as many vehicles each."""
+    one = np.broadcast_shapes(*(part.shape[1:] for part in parts))
+    return np.concatenate([np.broadcast_to(part, (len(part), *one)) for part in parts])
 
 
 def _coupled(one: _Equations, across: _Equations) -> StateSpace:
@@ -183,8 +218,9 @@ def _without_unknowns(system: Array, hinges: Array) -> Array:
     n = len(hinges)
     if n == 0:
         return system
-    known = np.linalg.solve(-hinges[:, -n:], hinges[:, :-n])
-    return np.asarray(system[:, :-n] + system[:, -n:] @ known)
+    left, right = (np.moveaxis(part, (0, 1), (-2, -1)) for part in (-hinges[:, -n:], hinges[:, :-n]))
+    known = np.moveaxis(np.linalg.solve(left, right), (-2, -1), (0, 1))
+    return np.asarray(system[:, :-n] + np.einsum("ij...,jk...->ik...", system[:, -n:], known))
 
 
 def _with_printed_tanks(vehicle: VehicleAt, errata: Errata, liquids: Liquids | None) -> VehicleAt:
@@ -212,6 +248,8 @@ class _Equations:
         n, m, states = self.modes, self.tanks, len(self.names)
         # behind states and inputs the unknown accelerations of engines on a TVC load
         rows = np.eye(states + len(self.inputs) + len(self.loaded))
+        # of many vehicles at once every quantity has them along its last axis
+        rows = rows[..., None] if vehicle.modes.omega_radps.ndim > 1 else rows
         self.w, self.q, self.theta = rows[0], rows[1], rows[2]
         self.eta, self.eta_rate = rows[3 : 3 + n], rows[3 + n : 3 + 2 * n]
         self.gamma, self.gamma_rate = rows[3 + 2 * n : 3 + 2 * n + m], rows[3 + 2 * n + m : 3 + 2 * n + 2 * m]
@@ -227,9 +265,9 @@ class _Equations:
             else (body.total_mass_kg, vehicle.total_inertia_kgm2, vehicle.total_cg_station_m)
         )
         self.slosh_damping = vehicle.pendulums.small_wave_damping(load)
-        self.force: Array = np.zeros(len(rows))
-        self.moment: Array = np.zeros(len(rows))
-        self.modal: Array = np.zeros((n, len(rows)))
+        self.force: Array = np.zeros(rows.shape[1:])
+        self.moment: Array = np.zeros(rows.shape[1:])
+        self.modal: Array = np.zeros((n, *rows.shape[1:]))
         self._aerodynamics()
         for engine in vehicle.engines:
             motion = self._motion(engine)
@@ -249,19 +287,19 @@ class _Equations:
         flow = 0.5 * self.condition.density_kgpm3 * speed * air.area_m2
         couples, rate_couples = air.modal_couples()
         for k, slope in enumerate(air.slope_pr):
-            turned = speed * modes.slope_surface_pm[:, k] @ self.eta + modes.phi_surface[:, k] @ self.eta_rate
+            turned = speed * dot(modes.slope_surface_pm[:, k], self.eta) + dot(modes.phi_surface[:, k], self.eta_rate)
             bent = turned if air.local_incidence else 0.0 * self.w
             whole = self.through_air + (bent if self.errata.bent_body_loads else 0.0)
             self.force = self.force - flow * slope * whole
             self.moment = self.moment + flow * (slope * self.cg - air.moment_slope_mpr[k]) * whole
             local = self.through_air + bent
-            self.modal = self.modal - flow * slope * np.outer(modes.phi_surface[:, k], local)
-            self.modal = self.modal + flow * couples[k] * np.outer(modes.slope_surface_pm[:, k], local)
+            self.modal = self.modal - flow * slope * outer(modes.phi_surface[:, k], local)
+            self.modal = self.modal + flow * couples[k] * outer(modes.slope_surface_pm[:, k], local)
             by_rate, moment = air.rate_slope_m[k], air.rate_moment_m2[k]
             self.force = self.force - flow * by_rate * self.q
             self.moment = self.moment + flow * (by_rate * self.cg - moment) * self.q
             on_modes = modes.slope_surface_pm[:, k] * rate_couples[k] - modes.phi_surface[:, k] * by_rate
-            self.modal = self.modal + flow * np.outer(on_modes, self.q)
+            self.modal = self.modal + flow * outer(on_modes, self.q)
         self.moment = self.moment + 0.5 * flow * air.chord_m**2 * air.rate_damping * self.q
         self.moment = self.moment - self.vehicle.body.rate_damping_Nms * self.q
         if self.errata.path_terms:
@@ -285,17 +323,17 @@ class _Equations:
         thrust, arm = engine.thrust_N(self.condition.pressure_Pa), engine.gimbal_station_m - self.cg
         phi, slope = self.vehicle.modes.at_gimbal(engine.gimbal)
         ahead, across = engine.rest
-        bent = -slope @ self.eta if engine.follower else 0.0 * self.w
+        bent = -dot(slope, self.eta) if engine.follower else 0.0 * self.w
         tilt = ahead * bent
-        self.modal = self.modal + thrust * np.outer(phi, aside + tilt)
+        self.modal = self.modal + thrust * outer(phi, aside + tilt)
         whole, offset = aside, 0.0 * self.w
         if self.errata.bent_body_loads:
-            whole, offset = aside + tilt, ahead * phi @ self.eta
+            whole, offset = aside + tilt, ahead * dot(phi, self.eta)
         self.force = self.force + thrust * whole
         self.moment = self.moment + thrust * (arm * whole + offset)
         if engine.beside_m != 0.0 or engine.from_cg_m != 0.0:
             forward = turned - across * bent
-            self.modal = self.modal + thrust * engine.beside_m * np.outer(slope, forward)
+            self.modal = self.modal + thrust * engine.beside_m * outer(slope, forward)
             self.moment = self.moment + thrust * engine.from_cg_m * forward
 
     def _engine(self, engine: GimballedEngine, by: tuple[float, float], delta: Array, accel: Array) -> None:
@@ -310,13 +348,13 @@ class _Equations:
         self.force = self.force + lateral * accel
         besides = first * engine.from_cg_m * ahead_slope
         self.moment = self.moment + (inertia + lateral * (engine.gimbal_station_m - self.cg) + besides) * accel
-        self.modal = self.modal + lateral * np.outer(phi, accel)
+        self.modal = self.modal + lateral * outer(phi, accel)
         if self.errata.engine_inertia:
             bends = inertia + first * engine.beside_m * ahead_slope
-            self.modal = self.modal + bends * np.outer(slope, accel)
+            self.modal = self.modal + bends * outer(slope, accel)
         if self.errata.engine_weight:
             self.moment = self.moment + self.load * lateral * delta
-            self.modal = self.modal + self.load * lateral * np.outer(slope, delta)
+            self.modal = self.modal + self.load * lateral * outer(slope, delta)
 
     def _slosh(self) -> None:
         """(24), (26), (27)."""
@@ -330,10 +368,10 @@ class _Equations:
             self.force = self.force + rod + friction
             self.moment = self.moment - arm * rod
             self.moment = self.moment - (arm - bobs.length_m[k] if self.errata.damper_at_bob else arm) * friction
-            self.modal = self.modal + np.outer(modes.phi_hinge[:, k], rod + friction)
+            self.modal = self.modal + outer(modes.phi_hinge[:, k], rod + friction)
             if self.errata.bent_body_loads:
-                self.moment = self.moment - self.load * bobs.mass_kg[k] * modes.phi_hinge[:, k] @ self.eta
-            if self.vehicle.slosh_exchange and bobs.mass_kg[k] > 0.0:
+                self.moment = self.moment - self.load * bobs.mass_kg[k] * dot(modes.phi_hinge[:, k], self.eta)
+            if self.vehicle.slosh_exchange and np.all(bobs.mass_kg[k] > 0.0):
                 self._exchange(k, arm - length)
 
     def _exchange(self, k: int, arm: float) -> None:
@@ -343,40 +381,41 @@ class _Equations:
         bob: `state_space`.)
         """
         bobs, modes = self.vehicle.pendulums, self.vehicle.modes
-        flow, swung = max(-float(bobs.mass_rate_kgps[k]), 0.0), bobs.length_m[k] * self.gamma_rate[k]
-        push = flow * (swung + modes.phi_hinge[:, k] @ self.eta_rate)
+        flow, swung = np.maximum(-bobs.mass_rate_kgps[k], 0.0), bobs.length_m[k] * self.gamma_rate[k]
+        push = flow * (swung + dot(modes.phi_hinge[:, k], self.eta_rate))
         self.force = self.force + push
         self.moment = self.moment - arm * push
-        self.modal = self.modal + flow * np.outer(modes.phi_hinge[:, k], swung)
+        self.modal = self.modal + flow * outer(modes.phi_hinge[:, k], swung)
 
     def drive(self) -> Array:
         """Modal accelerations by all but the modes' own stiffness and damping, (modes, row)."""
         modes = self.vehicle.modes
         force = self.modal if self.errata.mode_force_sign else -self.modal
         if self.errata.axial_softening:
-            force = force + self.load * modes.softening_kgpm @ self.eta
+            force = force + self.load * np.einsum("ij...,jk...->ik...", modes.softening_kgpm, self.eta)
         return np.asarray(force / modes.generalized_mass_kg[:, None])
 
-    def state_space(self) -> StateSpace:
+    def matrices(self) -> tuple[Array, Array, Array, Array]:
+        """A, B, C and D; of many vehicles along the last axis."""
         system, hinges, sensed = self.rows()
-        whole, n = _without_unknowns(np.concatenate([system, sensed]), hinges), len(self.names)
-        return StateSpace(
-            whole[:n, :n], whole[:n, n:], whole[n:, :n], whole[n:, n:], self.names, self.inputs,
-            outputs_of(self.vehicle),
-        )  # fmt: skip  # three more lines otherwise
+        whole, n = _without_unknowns(_joined(system, sensed), hinges), len(self.names)
+        return whole[:n, :n], whole[:n, n:], whole[n:, :n], whole[n:, n:]
+
+    def state_space(self) -> StateSpace:
+        return StateSpace(*self.matrices(), self.names, self.inputs, outputs_of(self.vehicle))
 
     def _sensed(self, lateral: Array, turning: Array, bending: Array) -> Array:
         """`outputs_of` the vehicle, from the accelerations of body and modes."""
         modes = self.vehicle.modes
         rates = self.eta_rate if self.errata.gyro_senses_rate else self.eta
-        out = [self.q, self.q + modes.slope_gyro_pm @ rates, self.w, self.theta]
+        out = [self.q, self.q + dot(modes.slope_gyro_pm, rates), self.w, self.theta]
         for (name, station_m), (phi, slope) in zip(self.vehicle.sensors, modes.sensors, strict=True):
             if name == ACCELERATION:
-                tilted = self.load * slope @ self.eta
-                out.append(lateral - (self.cg - station_m) * turning + phi @ bending + tilted)
+                tilted = self.load * dot(slope, self.eta)
+                out.append(lateral - (self.cg - station_m) * turning + dot(phi, bending) + tilted)
             else:
-                out.append(self.q + slope @ rates)
-        return np.stack(out)
+                out.append(self.q + dot(slope, rates))
+        return np.stack(np.broadcast_arrays(*out))
 
     def rows(self) -> tuple[Array, Array, Array]:
         """Rates of the states, balance about each hinge of a TVC load, and outputs; in unknown accelerations."""
@@ -388,24 +427,26 @@ class _Equations:
         coriolis = (
             bobs.bob_station_rate_mps if self.errata.jet_damping and self.vehicle.jet_damping else 0.0 * bobs.mass_kg
         )
-        swing = np.zeros((self.tanks, len(self.w)))
+        swing = np.zeros((self.tanks, *turning.shape))
         for k in range(self.tanks):  # (21)
             length, natural = bobs.length_m[k], np.sqrt(self.load / bobs.length_m[k])
             arm = self.cg - bobs.hinge_station_m[k]
-            drive = lateral - (arm - length) * turning + modes.phi_hinge[:, k] @ bending + 2.0 * coriolis[k] * self.q
+            drive = (
+                lateral - (arm - length) * turning + dot(modes.phi_hinge[:, k], bending) + 2.0 * coriolis[k] * self.q
+            )
             swing[k] = -(natural**2) * self.gamma[k] - 2.0 * self.slosh_damping[k] * natural * self.gamma_rate[k]
             swing[k] -= drive / length
-            gained = max(float(bobs.mass_rate_kgps[k]), 0.0)
-            if self.vehicle.slosh_exchange and bobs.mass_kg[k] > 0.0:
-                relative = self.gamma_rate[k] + modes.phi_hinge[:, k] @ self.eta_rate / length
+            gained = np.maximum(bobs.mass_rate_kgps[k], 0.0)
+            if self.vehicle.slosh_exchange and np.all(bobs.mass_kg[k] > 0.0):
+                relative = self.gamma_rate[k] + dot(modes.phi_hinge[:, k], self.eta_rate) / length
                 swing[k] -= gained / bobs.mass_kg[k] * relative
         w_rate = lateral + self.condition.airspeed_mps * self.q
         if self.errata.path_terms:
             weight = self.condition.gravity_mps2 * np.sin(self.condition.pitch_rad)
             w_rate = w_rate - weight * self.theta + self.vehicle.body.core_cg_rate_mps * self.q
-        system = np.concatenate([[w_rate, turning, self.q], self.eta_rate, bending, self.gamma_rate, swing])
-        system = np.concatenate([system, self.swing_rate, self.swing_accel])
-        hinges = np.zeros((len(self.loaded), len(self.w)))
+        body = np.stack(np.broadcast_arrays(w_rate, turning, self.q))
+        system = _joined(body, self.eta_rate, bending, self.gamma_rate, swing, self.swing_rate, self.swing_accel)
+        hinges = np.zeros((len(self.loaded), *turning.shape))
         for k, one in enumerate(self.loaded):
             engine = one.engine
             about_hinge = engine.inertia_about_gimbal_kgm2
@@ -414,7 +455,7 @@ class _Equations:
             hinges[k] = self._hinge(k, one) - about_hinge * one.lever * self.swing_accel[k]
             unknown = len(self.w) - len(self.loaded) + k
             hinges[k] += (
-                self.force[unknown] * lateral + self.moment[unknown] * turning + self.modal[:, unknown] @ bending
+                self.force[unknown] * lateral + self.moment[unknown] * turning + dot(self.modal[:, unknown], bending)
             )
         return system, hinges, self._sensed(lateral, turning, bending)
 
@@ -428,7 +469,7 @@ class _Equations:
         if swing.commanded:
             moment = moment + load.stiffness_Nmprad * self._actuator(engine, "delta_rad")
             moment = moment + load.damping_Nmsprad * self._actuator(engine, "delta_rate_radps")
-        weight = engine.rest[0] * self.swing[k] - swing.slope[1] * slope @ self.eta
+        weight = engine.rest[0] * self.swing[k] - swing.slope[1] * dot(slope, self.eta)
         others = [j for j, other in enumerate(self.loaded) if other.engine is engine and j != k]
         weight = weight - sum(engine.twist * self.swing[j] for j in others)
         return np.asarray(moment - self.load * first * weight)
@@ -505,7 +546,8 @@ def mass_flow_momentum(vehicle: VehicleAt) -> tuple[float, float]:
         flow, exit_place = engine.flow_share * body.mass_flow_kgps, cg - engine.exit_station_m
         momentum += flow * exit_place
         turning += flow * (exit_place**2 + engine.exit_square_m2)
-    return (float(momentum + bobs.mass_rate_kgps @ bob_place), float(turning + bobs.mass_rate_kgps @ bob_place**2))
+    momentum = momentum + (bobs.mass_rate_kgps * bob_place).sum(axis=0)
+    return momentum, turning + (bobs.mass_rate_kgps * bob_place**2).sum(axis=0)
 
 
 def as_printed(pendulums: Pendulums, liquids: Liquids, radius: bool, liquid: bool) -> Pendulums:

@@ -77,7 +77,7 @@ class Pendulums:
 
     def small_wave_damping(self, load_mps2: float) -> Array:
         """Damping ratio in small waves, where baffles do nothing yet, under an axial load."""
-        return np.asarray(self.damping_ratio + self.viscous * max(load_mps2, 1e-9) ** -0.25)
+        return np.asarray(self.damping_ratio + self.viscous * np.maximum(load_mps2, 1e-9) ** -0.25)
 
     @property
     def bob_station_m(self) -> Array:
@@ -137,7 +137,8 @@ class GimballedEngine:
     exit_square_m2: float = 0.0  # mean square of the nozzle exits' distance across from the CG
 
     def thrust_N(self, pressure_Pa: float) -> float:
-        return max(self.vacuum_thrust_N - pressure_Pa * self.exit_area_m2, 0.0)
+        thrust: float = np.maximum(self.vacuum_thrust_N - pressure_Pa * self.exit_area_m2, 0.0)
+        return thrust
 
 
 @dataclass(frozen=True)
@@ -200,15 +201,17 @@ class VehicleAt:
     def total_cg_station_m(self) -> float:
         """CG with the liquid at rest."""
         b, p = self.body, self.pendulums
-        moment = b.core_mass_kg * b.core_cg_station_m + p.mass_kg @ p.bob_station_m
-        return float(moment / (b.core_mass_kg + p.mass_kg.sum()))
+        moment = b.core_mass_kg * b.core_cg_station_m + (p.mass_kg * p.bob_station_m).sum(axis=0)
+        station: float = moment / (b.core_mass_kg + p.mass_kg.sum(axis=0))
+        return station
 
     @property
     def total_inertia_kgm2(self) -> float:
         """Transverse inertia about that CG with the liquid frozen."""
         b, p, cg = self.body, self.pendulums, self.total_cg_station_m
         core = b.core_inertia_kgm2 + b.core_mass_kg * (b.core_cg_station_m - cg) ** 2
-        return float(core + p.mass_kg @ (p.bob_station_m - cg) ** 2)
+        inertia: float = core + (p.mass_kg * (p.bob_station_m - cg) ** 2).sum(axis=0)
+        return inertia
 
 
 def vehicle_at(
@@ -467,16 +470,17 @@ def with_pendulums(vehicle: VehicleAt, pendulums: Pendulums) -> VehicleAt:
     The core makes up the difference. Raises ValueError where no core is left.
     """
     old, body = vehicle.pendulums, vehicle.body
-    total = body.core_mass_kg + float(old.mass_kg.sum())
+    total = body.core_mass_kg + old.mass_kg.sum(axis=0)
     centre, inertia = vehicle.total_cg_station_m, vehicle.total_inertia_kgm2
-    mass = total - float(pendulums.mass_kg.sum())
-    if mass <= 0.0:
-        raise ValueError(f"sloshing masses of {float(pendulums.mass_kg.sum()):g} kg in a vehicle of {total:g} kg")
-    station = (total * centre - float(pendulums.mass_kg @ pendulums.bob_station_m)) / mass
-    bobs = float(pendulums.mass_kg @ (pendulums.bob_station_m - centre) ** 2)
+    sloshing = pendulums.mass_kg.sum(axis=0)
+    mass = total - sloshing
+    if np.min(mass) <= 0.0:
+        raise ValueError(f"sloshing masses of {np.max(sloshing):g} kg in a vehicle of {np.max(total):g} kg")
+    station = (total * centre - (pendulums.mass_kg * pendulums.bob_station_m).sum(axis=0)) / mass
+    bobs = (pendulums.mass_kg * (pendulums.bob_station_m - centre) ** 2).sum(axis=0)
     core = inertia - bobs - mass * (station - centre) ** 2
-    if core <= 0.0:
-        raise ValueError(f"bobs of {bobs:g} kg m2 in a vehicle of {inertia:g} kg m2")
+    if np.min(core) <= 0.0:
+        raise ValueError(f"bobs of {np.max(bobs):g} kg m2 in a vehicle of {np.max(inertia):g} kg m2")
     changed = dataclasses.replace(body, core_mass_kg=mass, core_cg_station_m=station, core_inertia_kgm2=core)
     return dataclasses.replace(vehicle, body=changed, pendulums=pendulums)
 
@@ -592,7 +596,7 @@ def actuator_response(record: Any, s: ComplexArray) -> ComplexArray:
     return out / lag(s, record.omega_4_radps, record.zeta_4) if record.order == 6 else out
 
 
-def lag(s: ComplexArray, omega: float, zeta: float) -> ComplexArray:
+def lag(s: ComplexArray, omega: Array | float, zeta: Array | float) -> ComplexArray:
     """omega^2 / (s^2 + 2 zeta omega s + omega^2)."""
     x = np.asarray(s) / omega
     return np.asarray(1.0 / (1.0 + x * (2.0 * zeta + x)))

@@ -3,7 +3,9 @@
 Margins are measured as designed, at the corners of the dispersions, and for random vehicles. A dispersed vehicle has
 the same deviations at every node. Corners: a two-level screening design (Plackett & Burman, Biometrika 33, 1946) of
 twelve runs and their mirror images, in which every pair of factors is uncorrelated. Random vehicles: independent normal
-deviations with the suite's three sigma.
+deviations with the suite's three sigma, each along one of a few dispersed trajectories (`trajectories_of`). They are
+measured by the compiled margins of design/margins/dispersed.py; those whose margin lies within `NEAR` of a limit, and
+those that these do not serve, once more by `margins`.
 
 Authority: in trim the moment of the deflected engine balances that of the incidence,
 delta = -(M_alpha / M_delta) alpha, and a cross-wind W meets the vehicle at alpha = atan(W / U) before it has had time
@@ -17,16 +19,21 @@ import itertools
 import math
 from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
+from numpy.typing import NDArray
 
+from maxq.control.kernel.records import Array, IntArray
 from maxq.design import api
 from maxq.design.loop.fixed_path import fixed_path
 from maxq.design.loop.loop import Loop
+from maxq.design.margins.dispersed import ManyLoops, NotServedError
+from maxq.design.margins.many import DONE, HANDED_BACK
 from maxq.design.margins.measure import margins
-from maxq.design.model.dispersion import NOMINAL, Dispersion, disperse
-from maxq.design.model.node import Node
+from maxq.design.model.dispersion import Dispersion, disperse
+from maxq.design.model.node import Node, at_same_propellant_s, flown_run, flown_to, met_by, node_of
 from maxq.design.model.spread import Draw, vehicle_of
 from maxq.design.model.vehicle_at import stability_derivatives
 from maxq.design.verify.memory import Memory
@@ -42,7 +49,9 @@ from maxq.design.verify.suite import (
     judgement_of,
     room_left,
 )
-from maxq.sim.campaign.statistics import judge_failures
+from maxq.sim.campaign.read import LoadedCampaign
+from maxq.sim.campaign.schema import plain_value
+from maxq.sim.campaign.statistics import allowed_failures, judge_failures, tolerance_bound
 from maxq.sim.scenario.schema_design import Design
 
 MEASURES = {
@@ -57,6 +66,8 @@ MEASURES = {
 """What is measured, by the key of its limit (`MarginLimits`): title, unit, sense of the limit."""
 INSTANTS_S = (0.5, 0.05, 0.005)
 """Steps of the search for the worst instant between nodes, coarse to fine."""
+NEAR = {"dB": 0.01, "deg": 0.01, "ms": 0.01}
+"""How near to its limit a margin is measured once more."""
 WORSE = {"dB": 0.02, "deg": 0.1, "ms": 0.05}
 """What an instant must be worse by to become a node."""
 _GENERATOR = (1, 1, -1, 1, 1, 1, -1, -1, -1, 1, -1)  # first row of the Plackett-Burman design of twelve runs
@@ -82,7 +93,9 @@ class MarginCase:
 class MarginStudy:
     """Margins of a design in one plane of one stage: nominal vehicle, corners, and random vehicles.
 
-    `stage`: its name, "" of the only one.
+    `stage`: its name, "" of the only one. `random` (vehicles, nodes, MEASURES): NaN all over of an unstable loop,
+    infinite where nothing limits a margin; the first is vehicle number `first`. `exact`: how many of these loops were
+    measured by `margins` itself.
     """
 
     stage: str
@@ -90,7 +103,15 @@ class MarginStudy:
     times_s: tuple[float, ...]
     nominal: MarginCase
     corners: tuple[MarginCase, ...]
-    random: tuple[MarginCase, ...]
+    random: Array
+    first: int = 1
+    exact: int = 0
+
+    def case(self, k: int) -> MarginCase:
+        """The k-th random vehicle."""
+        rows = [dict(zip(MEASURES, row, strict=True)) for row in self.random[k].tolist()]
+        stable = ~np.isnan(self.random[k]).all(axis=-1)
+        return MarginCase(f"vehicle {self.first + k}", tuple(r if s else {} for r, s in zip(rows, stable, strict=True)))
 
 
 def measured(loop: Loop, slosh_peak_db: float) -> Measured:
@@ -155,6 +176,38 @@ def worst_instants(
     return sorted(out)
 
 
+def trajectories_of(campaign: LoadedCampaign, nodes: Sequence[Node], count: int, workers: int = 2) -> list[list[Node]]:
+    """The nodes as dispersed flights meet them: their speed, air and attitude, and the vehicle as it is.
+
+    Of the first `count` runs of a campaign that are under thrust at all nodes; (flights, nodes). A node is met with the
+    propellant that it has in the flight as designed, so that an engine that burns faster meets it earlier. The vehicle
+    does not deviate: that is what the random vehicles do. Errors of ValueError where no run comes that far.
+    """
+    flown = flown_run(campaign.base, faults=False).packed
+    order = sorted(range(len(nodes)), key=lambda k: nodes[k].time_s)
+
+    def fly_one(number: int) -> list[Node] | None:
+        run, out = flown_run(campaign.scenario_of(number), faults=False), dict[int, Node]()
+        for k in order:
+            node = nodes[k]
+            try:
+                at_s = at_same_propellant_s(run, flown, node)
+                out[k] = met_by(flown, node, node_of(run.packed, flown_to(run, at_s) / 1e9, node.stage, node.plane))
+            except ValueError:
+                return None
+        return [out[k] for k in range(len(nodes))]
+
+    found: list[list[Node]] = []
+    with ThreadPoolExecutor(max_workers=workers) as pool:
+        for number in range(0, 2 * count, workers):
+            found += [one for one in pool.map(fly_one, range(number, number + workers)) if one is not None]
+            if len(found) >= count:
+                return found[:count]
+    if not found:
+        raise ValueError(f"{campaign.name}: no dispersed flight is under thrust at all nodes")
+    return found
+
+
 def vehicles(wanted: LinearMargins, node: Node) -> tuple[list[Dispersion], list[Dispersion]]:
     """Corners, where thrust goes with the last factor and all modes and tanks together, and random vehicles, of which
     each mode and tank deviates by itself. `node`: of their stage.
@@ -194,34 +247,87 @@ def study(
     watch: Callable[[int, int], None] = lambda done, of: None,
     workers: int = 2,
     stage: str = "",
+    trajectories: Sequence[Sequence[Node]] = (),
 ) -> MarginStudy:
-    """Margins at all nodes of one plane and stage, of the vehicle as it is, at the corners and of random ones."""
+    """Margins at all nodes of one plane and stage, of the vehicle as it is, at the corners and of random ones.
+
+    `trajectories`: the nodes as other flights meet them; vehicle n flies along number n - 1, beginning again after the
+    last.
+    """
     corners, drawn = vehicles(wanted, nodes[0])
-    every = [NOMINAL, *corners, *drawn]
-    done = [0]
+    first = int(drawn[0].label.removeprefix("vehicle ")) if drawn else 1
+    done, total = [0], (1 + len(corners) + len(drawn)) * len(nodes)
 
-    def at_node(node: Node) -> list[Measured]:
-        law = api.law_at(design, node)
+    def at_node(k: int) -> tuple[Measured, Array, int]:
+        node, law = nodes[k], api.law_at(design, nodes[k])
         peak_db = wanted.dispersed.slosh_peak_db
+        flown = [trajectory[k] for trajectory in trajectories] or [node]
 
-        def work_out() -> list[Measured]:
-            out = []
-            for by in every:
-                out.append(measured(Loop(fixed_path(disperse(node, by)), law), peak_db))
-                done[0] += 1
-                if done[0] % 50 == 0:
-                    watch(done[0], len(every) * len(nodes))
-            return out
+        def work_out() -> tuple[Measured, Array, int]:
+            nominal = measured(Loop(fixed_path(node), law), peak_db)
+            loops = _Dispersed(node, design, wanted.dispersed)
+            table, exact = np.full((len(corners) + len(drawn), len(MEASURES)), math.nan), 0
+            for j, flight in enumerate(flown):
+                mine = np.arange((j - first + 1) % len(flown), len(drawn), len(flown)) + len(corners)
+                exact += loops.measure(flight, [drawn[i - len(corners)] for i in mine], table, mine)
+            exact += loops.measure(node, corners, table, np.arange(len(corners)))
+            return nominal, table, exact
 
-        return memory.recall("margins", (node, law, every, peak_db), work_out)
+        depends = (node, law, flown, wanted.seed, first, len(drawn), [c.label for c in corners], wanted.corner_sigmas)
+        limits = (plain_value(wanted.three_sigma), plain_value(wanted.dispersed))
+        found = memory.recall("margins", (*depends, *limits), work_out)
+        done[0] += 1 + len(corners) + len(drawn)
+        watch(done[0], total)
+        return found
 
     with ThreadPoolExecutor(max_workers=workers) as pool:
-        table = list(pool.map(at_node, nodes))
-    cases = [MarginCase(by.label, tuple(row[k] for row in table)) for k, by in enumerate(every)]
-    first = 1 + len(corners)
-    return MarginStudy(
-        stage, nodes[0].plane, tuple(n.time_s for n in nodes), cases[0], tuple(cases[1:first]), tuple(cases[first:])
-    )
+        table = list(pool.map(at_node, range(len(nodes))))
+    values = np.stack([row for _, row, _ in table], axis=1)
+    every = MarginStudy(
+        stage, nodes[0].plane, tuple(n.time_s for n in nodes), MarginCase("", tuple(row for row, _, _ in table)), (),
+        values, first, sum(exact for _, _, exact in table),
+    )  # fmt: skip  # three more lines otherwise
+    known = tuple(replace(every.case(k), label=c.label) for k, c in enumerate(corners))
+    return replace(every, corners=known, random=values[len(corners) :])
+
+
+@dataclass(frozen=True)
+class _Dispersed:
+    """Margins of dispersed vehicles at a node."""
+
+    node: Node
+    design: Design
+    limits: MarginLimits
+
+    @cached_property
+    def _loops(self) -> ManyLoops | None:
+        """None where each loop has to be measured by itself."""
+        try:
+            return ManyLoops(self.node, api.law_at(self.design, self.node))
+        except NotServedError:
+            return None
+
+    def measure(self, flight: Node, every: Sequence[Dispersion], table: Array, rows: IntArray) -> int:
+        """Measure vehicles at `flight`, the node as some flight meets it, into rows of a table; how many exactly."""
+        if not len(rows):
+            return 0
+        again = np.arange(len(rows))
+        if self._loops is not None:
+            values, status = self._loops.measure(every, self.limits.slosh_peak_db, flight)
+            table[rows] = np.where((status == DONE)[:, None], values, math.nan)
+            again = np.flatnonzero((status == HANDED_BACK) | self._near(values))
+        law = api.law_at(self.design, self.node)
+        for k in again.tolist():
+            found = measured(Loop(fixed_path(disperse(flight, every[k])), law), self.limits.slosh_peak_db)
+            table[rows[k]] = [found.get(name, math.nan) for name in MEASURES]
+        return len(again)
+
+    def _near(self, values: Array) -> NDArray[np.bool_]:
+        out = np.zeros(len(values), bool)
+        for column, (name, (_, unit, _)) in zip(values.T, MEASURES.items(), strict=True):
+            limit = getattr(self.limits, name)
+            out |= limit is not None and np.abs(column - limit) < NEAR[unit]
+        return out
 
 
 def margin_requirements(
@@ -236,11 +342,12 @@ def margin_requirements(
         out += _limits("margins", "at every node", AS_DESIGNED, [found.nominal], wanted.nominal, found, again)
     if found.corners:
         out += _limits("dispersed", "at every corner", "corners", found.corners, wanted.dispersed, found, again)
-    if found.random and wanted.only:
-        out += _limits("dispersed", "at every node", wanted.only, found.random, wanted.dispersed, found, again)
-    elif found.random:
+    if len(found.random) and wanted.only:
+        alone = [found.case(k) for k in range(len(found.random))]
+        out += _limits("dispersed", "at every node", wanted.only, alone, wanted.dispersed, found, again)
+    elif len(found.random):
         whose = f", {found.stage}" if found.stage else ""
-        failures = [c for c in found.random if not meets_limits(c, wanted.dispersed)]
+        failures = [found.case(k) for k in np.flatnonzero(~meet_limits(found.random, wanted.dispersed)).tolist()]
         shown = judge_failures(len(failures), len(found.random), wanted.success, wanted.confidence)
         share = (shown.success - wanted.success) / (1.0 - wanted.success)
         missed = _limits("dispersed", "", "", failures, wanted.dispersed, found, again) if failures else []
@@ -297,10 +404,27 @@ def _limits(
     return out
 
 
-def meets_limits(case: MarginCase, limits: MarginLimits) -> bool:
-    """Whether a vehicle is stable and meets every limit at every node."""
-    asked = [(k, sense, unit) for k, (_, unit, sense) in MEASURES.items() if getattr(limits, k) is not None]
-    return all(n and all(beyond(n[k], getattr(limits, k), *how) <= 0.0 for k, *how in asked) for n in case.nodes)
+def meet_limits(values: Array, limits: MarginLimits) -> NDArray[np.bool_]:
+    """Which vehicles (vehicles, nodes, MEASURES) are stable and meet every limit at every node."""
+    met = ~np.isnan(values).all(axis=-1)
+    for column, (name, (_, unit, sense)) in enumerate(MEASURES.items()):
+        limit = getattr(limits, name)
+        if limit is not None:  # what is not there cannot miss it
+            met &= ~(beyond(values[..., column], limit, sense, unit) > 0.0)
+    return np.asarray(met.all(axis=-1))
+
+
+def percentiles(values: Array, name: str, confidence: float, shares: Sequence[float]) -> Array:
+    """What at most so many (`shares`) of all vehicles are worse than, with that confidence, at each node: (shares,
+    nodes).
+
+    Order statistics (tolerance_bound), of values (vehicles, nodes, MEASURES); NaN where there are too few vehicles. An
+    unstable loop counts as worst.
+    """
+    column = values[..., list(MEASURES).index(name)]
+    allowed = [allowed_failures(len(values), 1.0 - share, confidence) for share in shares]
+    largest = MEASURES[name][2] == "<="
+    return np.array([[tolerance_bound(at, k, largest) for at in column.T] for k in allowed])
 
 
 @dataclass(frozen=True)

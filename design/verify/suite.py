@@ -213,6 +213,11 @@ class LinearMargins(Section):
     )
     planes: tuple[Plane, ...] = optional("pitch, yaw", ("pitch",), min_length=1)
     cases: Annotated[int, Field(ge=0, le=100000)] = optional("random vehicles", 150)
+    trajectories: Annotated[int, Field(ge=0, le=1000)] = optional(
+        "dispersed flights, runs of the suite's first campaign, whose speed, air and attitude the random vehicles meet "
+        "in turn; 0: those of the flight as designed",
+        0,
+    )
     only: str = optional("'as designed', 'corner N' or 'vehicle N': measure this one alone", "")
     seed: Annotated[int, Field(ge=0, lt=2**63)] = optional("of the random vehicles", 1)
     success: Level = optional("share of random vehicles that must keep the dispersed limits", 0.975)

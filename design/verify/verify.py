@@ -43,6 +43,7 @@ from maxq.design.verify.linear import (
     authority_requirement,
     margin_requirements,
     study,
+    trajectories_of,
     worst_instants,
 )
 from maxq.design.verify.memory import Memory, code_hash, content_hash
@@ -66,6 +67,7 @@ from maxq.design.verify.suite import (
     room_left,
 )
 from maxq.design.verify.worst import WorstVehicle, search_plane, worst_requirements
+from maxq.sim.campaign.read import LoadedCampaign, description_of
 from maxq.sim.campaign.runner import Progress
 from maxq.sim.campaign.schema import plain_value
 from maxq.sim.run.record import versions
@@ -164,9 +166,10 @@ def verify(
     along = flight_of(suite, design, vehicle)
     loaded = fit(loaded, along, kept)
     suite = loaded.suite
-    for wanted in suite.campaign:
-        load_wanted(loaded, wanted, design, vehicle)
-    job = _Job(suite, scenario, scenario.design, along, kept, interruptible, workers)
+    campaigns_loaded = [load_wanted(loaded, wanted, design, vehicle) for wanted in suite.campaign]
+    job = _Job(
+        suite, scenario, scenario.design, along, kept, interruptible, workers, next(iter(campaigns_loaded), None)
+    )
     with timed("scenarios"):
         flights = fly_suite(loaded, design, vehicle, kept, partial(interruptible, "scenarios"), workers)
     with timed("linear margins"):  # nothing but what was asked for, where a part alone is repeated
@@ -241,6 +244,7 @@ class _Job:
     memory: Memory
     watch: Watch
     workers: int
+    campaign: LoadedCampaign | None = None  # whose runs are the trajectories of random vehicles
 
     def times_s(self, part: LinearMargins | CertificateWanted) -> tuple[float, ...]:
         """Of a part's nodes: the suite's, or such as suit the flight."""
@@ -277,10 +281,19 @@ class _Job:
         wanted, design = self.suite.margins, self.design
         if wanted is None or design is None:
             return []
-        return [
-            study(nodes, design, wanted, self.memory, watch, self.workers, stage)
-            for nodes, stage, watch in self._by_stage("margins", wanted)
-        ]
+        parts = list(self._by_stage("margins", wanted))
+        every = [node for nodes, _, _ in parts for node in nodes]
+        flights: list[list[Node]] = []
+        if wanted.trajectories and wanted.cases and self.campaign is not None:
+            depends = (description_of(self.campaign), every, wanted.trajectories)
+            fly = partial(trajectories_of, self.campaign, every, wanted.trajectories, self.workers)
+            flights = self.memory.recall("trajectories", depends, fly)
+        out, at = [], 0
+        for nodes, stage, watch in parts:
+            mine = [flight[at : at + len(nodes)] for flight in flights]
+            out.append(study(nodes, design, wanted, self.memory, watch, self.workers, stage, mine))
+            at += len(nodes)
+        return out
 
     def _by_stage(
         self, what: str, wanted: LinearMargins

@@ -12,7 +12,7 @@ from maxq.design import api
 from maxq.design.certificate.certificate import NodeCertificate
 from maxq.design.verify.flown import FlownResult
 from maxq.design.verify.judging import Judged, judge
-from maxq.design.verify.linear import MEASURES, MarginCase, MarginStudy
+from maxq.design.verify.linear import MEASURES, MarginCase, MarginStudy, percentiles
 from maxq.design.verify.suite import LinearMargins
 from maxq.design.verify.verify import Verification, tank_name
 from maxq.sim.campaign import analysis
@@ -200,12 +200,19 @@ def _margins(studies: Sequence[MarginStudy], wanted: LinearMargins, plane: str, 
                 table = np.array([[n.get(name, math.nan) for n in c.nodes] for c in cases])
                 return np.where(np.isfinite(table), table, np.nan).reshape(len(cases), len(m.times_s))
 
-            random = m.random[:_MOST_VEHICLES]
+            random = [m.case(k) for k in range(min(len(m.random), _MOST_VEHICLES))]
             for cases, kind, colour in ((m.corners, "corners", "orange"), (random, "random vehicles", "grey")):
                 for case, row in zip(cases, values(cases), strict=True):
                     again = f"{command} --only '{case.label}'"
                     here.append(line(times, row, kind, colour=colour, width=0.6, who=case.label, command=again))
             stage = f", {m.stage}" if m.stage else ""
+            if len(m.random):
+                shares = (1.0 - wanted.success, 0.1)
+                for share, row in zip(shares, percentiles(m.random, name, wanted.confidence, shares), strict=True):
+                    shown = np.where(np.isfinite(row), row, np.nan)
+                    here.append(
+                        line(times, shown, f"{100.0 * share:.3g} % of vehicles are worse", colour="purple", width=1.5)
+                    )
             series.append(line(times, values([m.nominal])[0], f"as designed{stage}", mark="o", **look(number), width=2))
         if not any(np.isfinite(np.asarray(s["y"], float)).any() for s in series):
             continue
@@ -217,7 +224,10 @@ def _margins(studies: Sequence[MarginStudy], wanted: LinearMargins, plane: str, 
         panels.append(Panel(title, [*here, *series, *bounds], "time, s", unit))
     caption = "Exact sampled loop at the nodes."
     if many:
-        caption += f" Grey: {min(many, _MOST_VEHICLES)} of {many} vehicles with random deviations."
+        caption += f" Grey: {min(many, _MOST_VEHICLES)} of {many} vehicles with random deviations. Purple: what so many"
+        caption += (
+            f" of all such vehicles are worse than, at each node, with {100.0 * wanted.confidence:g} % confidence."
+        )
     if studies[0].corners:
         caption += " Orange: vehicles at the corners, all deviations at once."
     return Plot(f"margins-{plane}", f"Margins over the flight, {plane}", panels, caption, 2, 170)

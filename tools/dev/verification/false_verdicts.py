@@ -25,7 +25,7 @@ import numpy as np
 from scipy.special import ndtri
 
 from maxq.design.verify.flown import CampaignResult, campaign_requirements
-from maxq.design.verify.linear import MarginCase, MarginStudy, margin_requirements, vehicles
+from maxq.design.verify.linear import MEASURES, MarginCase, MarginStudy, margin_requirements, vehicles
 from maxq.design.verify.suite import (
     ACCEPTED,
     REJECTED,
@@ -103,10 +103,9 @@ def thrust_sigmas(seed: int, number: int) -> float:
 
 def linear_part(wanted: LinearMargins, p: float) -> list[Requirement]:
     """Random vehicles whose phase margin falls short where the thrust drawn for them is too large."""
-    cases = tuple(
-        MarginCase(f"vehicle {n}", ({"phase_deg": LIMIT_DEG + threshold(p) - thrust_sigmas(wanted.seed, n)},))
-        for n in range(1, wanted.cases + 1)
-    )
+    cases = np.full((wanted.cases, 1, len(MEASURES)), np.inf)
+    sigmas = np.array([thrust_sigmas(wanted.seed, n) for n in range(1, wanted.cases + 1)])
+    cases[:, 0, list(MEASURES).index("phase_deg")] = LIMIT_DEG + threshold(p) - sigmas
     nominal = MarginCase("", ({"phase_deg": 40.0},))
     return margin_requirements(MarginStudy("", "pitch", (40.0,), nominal, (), cases), wanted)
 

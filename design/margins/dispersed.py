@@ -1,0 +1,262 @@
+"""Margins of many dispersed vehicles at one node: poles and residues of all at once, then the compiled `many`."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import scipy.linalg
+import scipy.optimize
+from numpy.typing import NDArray
+
+from maxq.control.kernel.records import Array, IntArray
+from maxq.design.laws.law import ANGLES, MEASUREMENTS, Controller
+from maxq.design.loop.fixed_path import SampledFixedPath
+from maxq.design.loop.loop import Loop
+from maxq.design.loop.resonance import owner_of
+from maxq.design.margins import many
+from maxq.design.model.dispersion import Dispersion, dispersed_many, stacked
+from maxq.design.model.node import Node
+from maxq.design.model.plant import DERIVATIVES, vehicle_plants
+from maxq.design.model.state_space import ComplexArray, StateSpace, chain, zeros_and_poles
+from maxq.design.model.vehicle_at import actuator_poles, lag, of_drive
+
+_WORST_BASIS = 1e7  # condition of the eigenvectors beyond which residues have lost half their digits
+_AT_ONCE = 250  # vehicles: their matrices then stay in the processor's cache
+_SAME = 1e-9  # relative, of the law's response by its zeros and poles
+_KINDS = {"bending": 1, "slosh": -1}
+
+
+class NotServedError(ValueError):
+    """A loop that the compiled margins do not serve: `measure.margins` does."""
+
+
+@dataclass(frozen=True)
+class ManyLoops:
+    """The sampled loops of a node's vehicles, dispersed in what `spread.Spread` names, under one law.
+
+    Raises NotServedError for a law that takes more than the gyro, spatial modes, errata of tanks or actuator.
+    """
+
+    node: Node
+    law: Controller
+
+    def __post_init__(self) -> None:
+        node = self.node
+        if any(name not in MEASUREMENTS for name in self.law.inputs):
+            raise NotServedError("allowed are laws on the first gyro")
+        if node.vehicle.across is not None or node.errata.actuator_labels:
+            raise NotServedError("allowed are vehicles with modes of one plane, errata corrected")
+        hz = np.geomspace(1e-3, 0.499 / node.instruments.sample_s, 50)
+        zeros, poles, gain = self._controller
+        w = np.expm1(2j * np.pi * node.instruments.sample_s * hz)[:, None]
+        same = gain * (w - zeros).prod(axis=1) / (w - poles).prod(axis=1)
+        wanted = self._nominal.controller(hz)
+        if (np.abs(same - wanted) > _SAME * np.abs(wanted)).any():
+            raise NotServedError("zeros and poles of the law are not known well enough")
+
+    @cached_property
+    def _nominal(self) -> Loop:
+        return Loop(SampledFixedPath(self.node), self.law)
+
+    @cached_property
+    def _controller(self) -> tuple[ComplexArray, ComplexArray, float]:
+        """Zeros and poles of the law with the integrators of the angle, in w = z - 1, and its gain."""
+        period, wanted = self.node.instruments.sample_s, self.law.inputs
+        sums = 1 + max((ANGLES.index(name) for name in wanted if name in ANGLES), default=-1)
+        a, c = np.eye(sums) + np.tril(np.full((sums, sums), 0.0), -1), np.eye(sums)
+        # an angle has this sample's increment in it
+        b, d = np.full((sums, 1), 0.0), np.full((sums, 1), 0.0)
+        for k in range(sums):
+            d[k] = b[k] = period ** (k + 1)
+            for j in range(k):
+                a[k, j] = c[k, j] = period ** (k - j)
+        rows = dict(zip(ANGLES, range(sums), strict=False))
+        pick_c = np.array([c[rows[name]] if name in rows else np.zeros(sums) for name in wanted])
+        pick_d = np.array([d[rows[name]] if name in rows else np.ones(1) for name in wanted])
+        names = tuple(f"sum_{k}" for k in range(sums))
+        integrators = StateSpace(a, b, pick_c.reshape(len(wanted), sums), pick_d, names, ("rate",), wanted)
+        zeros, poles = zeros_and_poles(chain(integrators, self.law.state_space()))
+        poles = np.concatenate([np.ones(sums), np.linalg.eigvals(self.law.state_space().a)]).astype(np.complex128)
+        hz = np.array([0.3 / period])
+        w = np.expm1(2j * np.pi * period * hz)[:, None]
+        at = self._nominal.controller(hz) * (w - (poles - 1.0)).prod(axis=1) / (w - (zeros - 1.0)).prod(axis=1)
+        return zeros - 1.0, poles - 1.0, float(at[0].real)
+
+    def measure(
+        self, every: Sequence[Dispersion], peak_db: float, flight: Node | None = None
+    ) -> tuple[Array, IntArray]:
+        """Margins of vehicles, (vehicles, many.COUNT), and the status of each; delays are in ms.
+
+        `flight`: the node as another flight meets it, of the same stage and with the same instruments.
+        """
+        values, status = np.full((len(every), many.COUNT), np.nan), np.zeros(len(every), np.int64)
+        for first in range(0, len(every), _AT_ONCE):
+            part = slice(first, first + _AT_ONCE)
+            self._measure(stacked(every[part]), peak_db, flight or self.node, values[part], status[part])
+        values[:, many.DELAY] *= 1e3
+        return values, status
+
+    def _measure(self, by: Dispersion, peak_db: float, node: Node, values: Array, status: IntArray) -> None:
+        period = self.node.instruments.sample_s
+        poles, residues, owner, good = self._modes(node, by, len(status))
+        status[~good] = many.HANDED_BACK
+        delay = np.broadcast_to(np.maximum(node.instruments.delay_s + by.delay_s, 0.0), status.shape)
+        whole = (delay / period * (1.0 + 1e-12)).astype(np.int64)
+        rest = delay - whole * period
+        rest[rest < 1e-9 * period] = 0.0
+        zeros, law_poles, gain = self._controller
+        alike = np.unique(np.stack([whole, rest > 0.0]), axis=1).T
+        for periods, rests in alike.tolist():
+            which = (whole == periods) & ((rest > 0.0) == bool(rests))
+            found, stated = values[which], status[which]
+            many.measure_many(
+                poles[which], residues[which], owner[which], period, whole[which], rest[which], zeros, law_poles, gain,
+                np.asarray(self.law.poles()).astype(np.complex128), not self._nominal.fixed.rests_at_dc,
+                self._start(periods, bool(rests)), peak_db, found, stated,
+            )  # fmt: skip  # fifteen lines otherwise
+            values[which], status[which] = found, stated
+
+    def _start(self, periods: int, rests: bool) -> ComplexArray:
+        """Zeros of 1 + L of the vehicle as it is, with a delay of as many samples, in w."""
+        key = periods, rests
+        if key not in self._starts:
+            period = self.node.instruments.sample_s
+            delay = (periods + (0.3 if rests else 0.0)) * period - self.node.instruments.delay_s
+            same = int(self.node.instruments.delay_s / period) == periods and rests == (
+                self.node.instruments.delay_s % period > 0.0
+            )
+            node = self.node if same else self.node.with_(delay_s=delay)
+            loop = Loop(SampledFixedPath(node), self.law).state_space()
+            roots = np.linalg.eigvals(loop.a - np.outer(loop.b[:, 0], loop.c[0])).astype(np.complex128) - 1.0
+            # off the real axis, and apart: real zeros of the nominal vehicle may be pairs of another
+            tilt = np.exp(0.7j * np.arange(1, len(roots) + 1))
+            apart = np.where(np.abs(1.0 + roots) < 1e-5, 1e-6, 1e-3 * np.minimum(np.abs(roots), np.abs(1.0 + roots)))
+            self._starts[key] = roots + np.maximum(apart, 1e-12) * tilt
+        return self._starts[key]
+
+    @cached_property
+    def _starts(self) -> dict[tuple[int, bool], ComplexArray]:
+        return {}
+
+    @cached_property
+    def _kept(self) -> tuple[IntArray, IntArray, list[str], int]:
+        """States and inputs of the vehicle that lie on the path, names of the former, and the row of the output."""
+        body, plant = self._nominal.fixed.vehicle, self.node.plant
+        states = np.array([plant.states.index(name) for name in body.states])
+        inputs = np.array([plant.inputs.index(name) for name in body.inputs])
+        return states, inputs, list(body.states), plant.outputs.index("local_rate_radps")
+
+    def _modes(
+        self, node: Node, by: Dispersion, n: int
+    ) -> tuple[ComplexArray, ComplexArray, IntArray, NDArray[np.bool_]]:
+        """Poles of the continuous path, (vehicles, poles), residues, owners, and where all of that is exact."""
+        states, inputs, names, row = self._kept
+        drives, orders = self._drives
+        a, b, c, _ = (
+            np.ascontiguousarray(np.moveaxis(np.broadcast_to(part, (*part.shape[:2], n)), -1, 0))
+            for part in vehicle_plants(dispersed_many(node, by), node.condition, node.errata)
+        )
+        a, b, c = a[:, states[:, None], states], b[:, states[:, None], inputs], c[:, row, states]
+        # states of unlike sizes: the same scaling for all, that of the vehicle as it is
+        scale = self._scale
+        a, b, c = a / scale[:, None] * scale, b / scale[:, None], c * scale
+        poles, vectors = np.linalg.eig(a)
+        left = np.linalg.inv(vectors)
+        good = np.linalg.norm(vectors, axis=(1, 2)) * np.linalg.norm(left, axis=(1, 2)) < _WORST_BASIS
+        per_input = np.einsum("vs,vsp->vp", c, vectors)[..., None] * (left @ b)
+        pairs = [
+            []
+            if record.ideal
+            else [
+                (w * _column(by.actuator_frequency), z * _column(by.actuator_damping))
+                for w, z in actuator_poles(record)
+            ]
+            for record in node.actuators
+        ]
+        zeros = [(r.omega_4_radps, r.zeta_4) if r.order == 6 and not r.ideal else None for r in node.actuators]
+        sensed = node.instruments.gyro
+        gyro_pair = None if sensed.ideal else (sensed.omega_radps * _column(by.gyro_frequency), sensed.zeta)
+
+        def actuator(drive: int, s: ComplexArray, without: int = -1) -> ComplexArray:
+            out = np.ones(s.shape, np.complex128)
+            for k, (omega, zeta) in enumerate(pairs[drive]):
+                out = out if k == without else out * lag(s, omega, zeta)
+            zero = zeros[drive]
+            return out if zero is None else out / lag(s, *zero)
+
+        def body(drive: int, s: ComplexArray) -> ComplexArray:
+            """Vehicle from a drive's angle to the rate, (vehicles, points)."""
+            out = np.zeros(s.shape, np.complex128)
+            for k in np.flatnonzero(drives == drive):
+                out = out + s ** orders[k] * (per_input[:, None, :, k] / (s[..., None] - poles[:, None, :])).sum(axis=2)
+            return out
+
+        def felt(s: ComplexArray) -> ComplexArray | float:
+            return 1.0 if gyro_pair is None else lag(s, *gyro_pair)
+
+        own = sum(per_input[..., k] * poles ** orders[k] * actuator(int(drives[k]), poles) for k in range(len(drives)))
+        all_poles, residues = [poles.astype(np.complex128)], [own * felt(poles)]
+        for drive, its_pairs in enumerate(pairs):
+            for k, (omega, zeta) in enumerate(its_pairs):
+                at, residue = _pair_of(omega, zeta, n)
+                all_poles.append(at)
+                residues.append(residue * actuator(drive, at, k) * body(drive, at) * felt(at))
+        if gyro_pair is not None:
+            at, residue = _pair_of(*gyro_pair, n)
+            whole = sum(body(d, at) * actuator(d, at) for d in range(len(pairs)))
+            all_poles.append(at)
+            residues.append(residue * whole)
+        owner = np.zeros((n, sum(p.shape[1] for p in all_poles)), np.int64)
+        owner[:, : poles.shape[1]] = _owners(names, poles, vectors, left)
+        found, parts = np.concatenate(all_poles, axis=1), np.concatenate(residues, axis=1)
+        finite = np.isfinite(parts).all(axis=1)
+        return found, np.where(finite[:, None], parts, 0.0), owner, good & finite
+
+    @cached_property
+    def _scale(self) -> Array:
+        return np.asarray(
+            scipy.linalg.matrix_balance(self._nominal.fixed.vehicle.a, permute=False, separate=True)[1][0]
+        )
+
+    @cached_property
+    def _drives(self) -> tuple[IntArray, IntArray]:
+        """Of each input of the path its drive, and which derivative of the drive's angle it is."""
+        names = self._nominal.fixed.vehicle.inputs
+        known = {of_drive(d, k): (k, o) for k in range(len(self.node.actuators)) for o, d in enumerate(DERIVATIVES)}
+        drives, orders = zip(*(known[name] for name in names), strict=True)
+        return np.array(drives), np.array(orders)
+
+
+def _column(value: Array | float) -> Array | float:
+    return value[:, None] if np.ndim(value) else value  # type: ignore[index]  # an array
+
+
+def _pair_of(omega: Array | float, zeta: Array | float, n: int) -> tuple[ComplexArray, ComplexArray]:
+    """Poles of omega^2 / (s^2 + 2 zeta omega s + omega^2), (n, 2), and their residues."""
+    root = np.sqrt(np.asarray(zeta, np.complex128) ** 2 - 1.0)
+    both = np.stack(np.broadcast_arrays(omega * (-zeta + root), omega * (-zeta - root)), axis=-1).reshape(-1, 2)
+    at = np.broadcast_to(both, (n, 2))
+    square = np.broadcast_to(np.asarray(omega, float) ** 2, (n, 1) if np.ndim(omega) else ())
+    return at, np.stack([square[..., 0] if np.ndim(square) else square] * 2, -1) / (at - at[:, ::-1])
+
+
+def _owners(names: list[str], poles: ComplexArray, vectors: ComplexArray, left: ComplexArray) -> IntArray:
+    """Which mode (+) or tank (-) each pole belongs to, as `resonance.vehicle_poles`, (vehicles, poles)."""
+    owners = list(dict.fromkeys(owner_of(name) for name in names))
+    code = np.array([_KINDS.get(kind, 0) * number for kind, number in owners])
+    share = np.abs(vectors * left.transpose(0, 2, 1))
+    member = np.array([[owner_of(name) == o for name in names] for o in owners], float)
+    per_owner = np.einsum("os,vsp->vop", member, share)
+    swinging = poles.imag > 0.0
+    best = per_owner.argmax(axis=1)
+    out = np.where(swinging, code[best], 0)
+    taken = ((best[:, None, :] == np.arange(len(owners))[:, None]) & swinging[:, None, :]).sum(axis=2)
+    for v in np.flatnonzero((taken > 1).any(axis=1)):  # two for one: the assignment that has the most in sum
+        at = np.flatnonzero(swinging[v])
+        rows, which = scipy.optimize.linear_sum_assignment(per_owner[v][:, at].T, maximize=True)
+        out[v] = 0
+        out[v, at[rows]] = code[which]
+    return out

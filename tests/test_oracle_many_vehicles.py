@@ -1,0 +1,125 @@
+"""Many vehicles at once: their plants are those of one, and their margins those of `margins`, which shares no formula.
+
+`margins` samples by matrix exponentials, finds closed poles as eigenvalues, and bounds what lies between its points;
+the compiled margins have residues, Aberth's iteration and a grid.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+
+import design_nodes
+import numpy as np
+import petrelkit
+import pytest
+
+from maxq.control.kernel.records import Array
+from maxq.design import api
+from maxq.design.laws.law import Controller
+from maxq.design.laws.pd import Pd
+from maxq.design.loop.fixed_path import fixed_path
+from maxq.design.loop.loop import Loop
+from maxq.design.margins.dispersed import ManyLoops, NotServedError
+from maxq.design.margins.many import DONE, HANDED_BACK, UNSTABLE
+from maxq.design.model.dispersion import Dispersion, disperse, dispersed_many, stacked
+from maxq.design.model.node import Node
+from maxq.design.model.plant import vehicle_plants
+from maxq.design.model.spread import Spread
+from maxq.design.verify.linear import measured, vehicles
+from maxq.design.verify.suite import LinearMargins
+
+WIDE = Spread(
+    bending_frequency=(0.2, 0.3, 0.4), bending_slope=0.8, slosh_frequency=0.3, slosh_mass=0.5, delay_s=0.02,
+    thrust=0.3, inertia=0.3, normal_force=0.8, centre_of_pressure_m=2.0,
+)  # fmt: skip  # a line for each otherwise
+"""Far more than any suite asks for: some vehicles are unstable, some have delays of more than a sample."""
+
+
+def drawn(node: Node, count: int, spread: Spread = WIDE) -> list[Dispersion]:
+    return vehicles(LinearMargins(cases=count, corner_sigmas=0.0, three_sigma=spread), node)[1]
+
+
+def compared(node: Node, law: Controller, every: list[Dispersion]) -> tuple[Array, int, int]:
+    """Largest differences of each margin, how many vehicles are unstable, and how many are handed back."""
+    values, status = ManyLoops(node, law).measure(every, -6.0)
+    worst, unstable = np.zeros(values.shape[1]), 0
+    for by, row, found in zip(every, values, status, strict=True):
+        exact = measured(Loop(fixed_path(disperse(node, by)), law), -6.0)
+        unstable += not exact
+        if found == HANDED_BACK:
+            continue
+        assert found == (DONE if exact else UNSTABLE)
+        if exact:
+            wanted = np.array(list(exact.values()))
+            same = wanted == row  # infinite, too
+            worst = np.maximum(
+                worst, np.where(same, 0.0, np.abs(np.where(same, 0.0, wanted) - np.where(same, 0.0, row)))
+            )
+    return worst, unstable, int((status == HANDED_BACK).sum())
+
+
+@pytest.mark.parametrize("tanks_or_engines", [False, True])
+def test_plants_of_many_are_those_of_each(tanks_or_engines: bool) -> None:
+    """To the bit but for sums; with engines on compliance the hinges are solved for."""
+    change = ("vehicle.stage.0.tvc_load={frequency_hz=15.6,damping_ratio=0.042}",) if tanks_or_engines else ()
+    node = api.nodes(design_nodes.nominal(*change), [45.0])[0]
+    every = drawn(node, 20)
+    matrices = vehicle_plants(dispersed_many(node, stacked(every)), node.condition, node.errata)
+    for k, by in enumerate(every):
+        plant = disperse(node, by).plant
+        for found, wanted in zip(matrices, (plant.a, plant.b, plant.c, plant.d), strict=True):
+            mine = np.broadcast_to(found, (*found.shape[:2], 20))[..., k]
+            assert np.abs(mine - wanted).max() <= 1e-13 * np.abs(wanted).max()
+
+
+@pytest.mark.slow
+def test_margins_are_those_of_each_vehicle_by_itself() -> None:
+    """400 vehicles at four nodes: 0.01 dB and deg are asked for."""
+    unstable = 0
+    for time_s, design in (
+        (5.0, "ksr3-robust"),
+        (35.0, "ksr3-two-phase"),
+        (45.0, "ksr3-robust"),
+        (55.0, "ksr3-robust"),
+    ):
+        node = design_nodes.node_at(time_s)
+        law = api.law_at(api.load_design(f"designs/{design}"), node)
+        worst, bad, back = compared(node, law, drawn(node, 100))
+        assert worst.max() < 1e-3, (time_s, worst)
+        assert back <= 3
+        unstable += bad
+    assert unstable > 3  # both verdicts have been seen
+
+
+@pytest.mark.slow
+def test_margins_of_an_unstable_body_and_with_an_integral() -> None:
+    first, second = petrelkit.nodes(40.0, 150.0)
+    for node, k_p, k_d in ((first, 1.2, 0.8), (second, 0.8, 0.6)):
+        law = Pd(k_p, k_d)
+        worst, _, back = compared(node, law, drawn(node, 30, Spread()))
+        assert worst.max() < 1e-3, worst
+        assert back <= 2
+    node = design_nodes.node_at(45.0)
+    worst, unstable, back = compared(node, Pd(0.9, 0.4, k_i_ps=0.05), drawn(node, 30, Spread()))
+    assert worst.max() < 1e-3
+    assert (unstable, back) != (30, 30)
+
+
+@pytest.mark.slow
+def test_a_flight_of_its_own() -> None:
+    """The same vehicles at the speed and in the air of another flight."""
+    node, other = design_nodes.node_at(35.0), design_nodes.node_at(45.0)
+    law = api.law_at(api.load_design("designs/ksr3-robust"), node)
+    met = dataclasses.replace(node, condition=dataclasses.replace(other.condition, time_s=node.time_s))
+    every = drawn(node, 5, Spread())
+    values, status = ManyLoops(node, law).measure(every, -6.0, met)
+    assert (status == DONE).all()
+    for by, row in zip(every, values, strict=True):
+        exact = measured(Loop(fixed_path(disperse(met, by)), law), -6.0)
+        assert np.allclose(row, list(exact.values()), rtol=0.0, atol=1e-4)
+
+
+def test_what_is_not_served_says_so() -> None:
+    node = design_nodes.node_at(45.0)
+    with pytest.raises(NotServedError, match="first gyro"):
+        ManyLoops(node, Pd(0.9, 0.4, k_a_s2pm=0.01))
