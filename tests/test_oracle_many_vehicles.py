@@ -20,7 +20,8 @@ from maxq.design.laws.pd import Pd
 from maxq.design.loop.fixed_path import fixed_path
 from maxq.design.loop.loop import Loop
 from maxq.design.margins.dispersed import ManyLoops, NotServedError
-from maxq.design.margins.many import DONE, HANDED_BACK, UNSTABLE
+from maxq.design.margins.many import DONE, HANDED_BACK, MARGINS, UNSTABLE
+from maxq.design.margins.measure import margins
 from maxq.design.model.dispersion import Dispersion, disperse, dispersed_many, stacked
 from maxq.design.model.node import Node
 from maxq.design.model.plant import vehicle_plants
@@ -42,7 +43,8 @@ def drawn(node: Node, count: int, spread: Spread = WIDE) -> list[Dispersion]:
 def compared(node: Node, law: Controller, every: list[Dispersion]) -> tuple[Array, int, int]:
     """Largest differences of each margin, how many vehicles are unstable, and how many are handed back."""
     values, status = ManyLoops(node, law).measure(every, -6.0)
-    worst, unstable = np.zeros(values.shape[1]), 0
+    values = values[:, :MARGINS]
+    worst, unstable = np.zeros(MARGINS), 0
     for by, row, found in zip(every, values, status, strict=True):
         exact = measured(Loop(fixed_path(disperse(node, by)), law), -6.0)
         unstable += not exact
@@ -116,7 +118,9 @@ def test_a_flight_of_its_own() -> None:
     assert (status == DONE).all()
     for by, row in zip(every, values, strict=True):
         exact = measured(Loop(fixed_path(disperse(met, by)), law), -6.0)
-        assert np.allclose(row, list(exact.values()), rtol=0.0, atol=1e-4)
+        assert np.allclose(row[:MARGINS], list(exact.values()), rtol=0.0, atol=1e-4)
+        loop = Loop(fixed_path(disperse(met, by)), law)
+        assert row[MARGINS] == pytest.approx(margins(loop).modulus, abs=1e-6)
 
 
 def test_what_is_not_served_says_so() -> None:

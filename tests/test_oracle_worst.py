@@ -166,7 +166,7 @@ def test_search_ends_where_a_linear_distance_is_least(monkeypatch: pytest.Monkey
     def slope_of(u: np.ndarray, hz: np.ndarray, steps: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         return np.array([c + a @ u]), a[None]
 
-    monkeypatch.setattr(worst, "distance", lambda *_: lambda u: (float(c + a @ u), np.ones(1)))
+    monkeypatch.setattr(worst, "distances", lambda *_: lambda every: [(float(c + a @ u), np.ones(1)) for u in every])
     monkeypatch.setattr(worst, "slope", lambda *_: slope_of)
     none: Any = None
     found, u, loops = search_node(node, none, Spread(), WorstWanted(region=region, starts=2))

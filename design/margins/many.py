@@ -31,9 +31,10 @@ At = Any
 """What L depends on: period, terms of pairs and single poles, what passes directly, law, periods of delay."""
 
 DONE, UNSTABLE, HANDED_BACK = 0, 1, 2
-COUNT, DELAY = 7, 3
-"""Values of a vehicle: gain up (dB), gain down (dB), rigid phase (deg), delay (s), slosh phase (deg), phase of the
-first mode (deg), peak of the others (dB)."""
+MARGINS, DELAY, MINIMA, COUNT = 7, 3, 8, 23
+"""Values of a vehicle, COUNT in all. MARGINS of them: gain up (dB), gain down (dB), rigid phase (deg), delay (s), slosh
+phase (deg), phase of the first mode (deg), peak of the others (dB); NaN of an unstable loop. Then, of that too, the
+MINIMA lowest |1 + L| and where each is (Hz), NaN behind the last."""
 
 _LOWEST_HZ = 1e-5
 _PER_DECADE, _PER_DECADE_FLAT = 16, 6
@@ -63,11 +64,13 @@ def _log_size(x: complex) -> float:
 
 @routine
 def _objective(kind: int, x: complex) -> float:
-    """0 ln |L|, 1 minus that, 2 sine of the phase, 3 minus that."""
+    """0 ln |L|, 1 minus that, 2 sine of the phase, 3 minus that, 4 ln |1 + L|."""
     if kind == 0:
         return _log_size(x)
     if kind == 1:
         return -_log_size(x)
+    if kind == 4:
+        return _log_size(1.0 + x)
     sine = x.imag / max(abs(x), 1e-300)
     return sine if kind == 2 else -sine
 
@@ -419,6 +422,29 @@ def _extremes(f: Array, loop: ComplexArray, at: At) -> Array:
 
 
 @routine
+def _nearest(f: Array, loop: ComplexArray, at: At, out: Array) -> None:
+    """The lowest minima of |1 + L| and their frequencies, behind the margins."""
+    n = len(f)
+    value = np.abs(1.0 + loop)
+    low = np.ones(n, np.bool_)
+    for k in range(n):
+        low[k] = (k == 0 or value[k] <= value[k - 1]) and (k == n - 1 or value[k] < value[k + 1])
+    for place in range(MINIMA):
+        best = -1
+        for k in range(n):
+            if low[k] and (best < 0 or value[k] < value[best]):
+                best = k
+        if best < 0:
+            break
+        hz = f[best]
+        if 0 < best < n - 1 and value[best] < 2.0 * value.min():
+            a, c, b = np.log(value[best - 1]), np.log(value[best]), np.log(value[best + 1])
+            hz = _least_of(4, f[best - 1], f[best], f[best + 1], a, c, b, at)
+        out[MARGINS + place], out[MARGINS + MINIMA + place] = abs(1.0 + _at(hz, at)), hz
+        low[best] = False
+
+
+@routine
 def _crossings(f: Array, loop: ComplexArray, at: At) -> tuple[Array, IntArray, IntArray]:
     """(frequency, kind 0: |L| = 1, 1: negative real axis, rising or turn) of each."""
     n, m = len(f), 0
@@ -543,6 +569,8 @@ def _one(
     for k in range(len(places)):
         values[k] = _at(places[k], at)
     f, loop, m = _merged(f, loop, m, places, at)
+
+    _nearest(f, loop, at, out)
 
     # encirclements
     right = 0

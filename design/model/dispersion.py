@@ -90,7 +90,7 @@ def disperse(node: Node, by: Dispersion) -> Node:
         return node
     label = f"{node.label} {by.label}".strip() if by.label else node.label
     return dataclasses.replace(
-        node, vehicle=_vehicle(node, by), instruments=_instruments(node.instruments, by), label=label
+        node, vehicle=_vehicle(node, by), instruments=disperse_instruments(node.instruments, by), label=label
     )
 
 
@@ -173,7 +173,8 @@ def with_lateral_thrust(vehicle: VehicleAt, node: Node, factor: float) -> Vehicl
     return dataclasses.replace(vehicle, engine=engine, further_engines=tuple(others), aerodynamics=air)
 
 
-def _instruments(instruments: Instruments, by: Dispersion) -> Instruments:
+def disperse_instruments(instruments: Instruments, by: Dispersion) -> Instruments:
+    """Actuators, gyro and delay with the deviations applied."""
     g = instruments.gyro
     factors = {"omega_{}_radps": by.actuator_frequency, "zeta_{}": by.actuator_damping}
     poles = [(name.format(k), factor) for name, factor in factors.items() for k in (1, 2, 3)]

@@ -314,6 +314,7 @@ class _Dispersed:
         again = np.arange(len(rows))
         if self._loops is not None:
             values, status = self._loops.measure(every, self.limits.slosh_peak_db, flight)
+            values = values[:, : len(MEASURES)]
             table[rows] = np.where((status == DONE)[:, None], values, math.nan)
             again = np.flatnonzero((status == HANDED_BACK) | self._near(values))
         law = api.law_at(self.design, self.node)

@@ -5,9 +5,10 @@ than one deviation alone at so many sigma) or a box (each up to so many). From e
 gradient to where the linearised distance is least in that region, back towards where it came from until the distance
 has fallen, and again (Frank & Wolfe, Nav. Res. Logist. Q. 3, 1956); in a box it ends at the corner that no single
 deviation makes worse. The gradient is that of L at the frequency nearest to -1, by differences of the vehicle's
-continuous response: no loop is closed for it. An unstable loop counts as beyond -1 by its distance. Every node has a
-start at the vehicle as it is; those that come out worst (`FURTHER` of them) have all the others too. A search bounds
-nothing from below: what it says is that no worse vehicle was found in so many searches.
+continuous response: no loop is closed for it. Trials are measured together (margins/dispersed.py). An unstable loop
+counts as beyond -1 by its distance. Every node has a start at the vehicle as it is; those that come out worst
+(`FURTHER` of them) have all the others too. A search bounds nothing from below: what it says is that no worse vehicle
+was found in so many searches.
 """
 
 from __future__ import annotations
@@ -23,12 +24,15 @@ from pydantic_core import PydanticCustomError
 
 from maxq.control.kernel.records import Array
 from maxq.design import api
+from maxq.design.laws.law import MEASUREMENTS
 from maxq.design.loop.fixed_path import fixed_path
 from maxq.design.loop.loop import Loop
+from maxq.design.margins.dispersed import ManyLoops, NotServedError
+from maxq.design.margins.many import DONE, HANDED_BACK, MARGINS, MINIMA
 from maxq.design.margins.measure import margins
-from maxq.design.model.dispersion import Dispersion, disperse
+from maxq.design.model.dispersion import Dispersion, disperse, disperse_instruments, dispersed_many, stacked
 from maxq.design.model.node import Node
-from maxq.design.model.plant import per_actuator_angle
+from maxq.design.model.plant import per_actuator_angle, vehicle_plants
 from maxq.design.model.spread import Place, Spread, places_of, vehicle_at_places
 from maxq.design.model.state_space import ComplexArray
 from maxq.design.model.vehicle_at import actuator_response
@@ -77,10 +81,33 @@ class WorstVehicle:
         return f"{self.time_s:g} s, {self.plane}; sigmas: {', '.join(words)}, ..."
 
 
-def distance(node: Node, design: Design, spread: Spread) -> Callable[[Array], tuple[float, Array]]:
-    """Of the loop from -1, and at what frequencies (Hz) it has minima, the least first, as a function of deviations
+Looks = list[tuple[float, Array]]
+
+
+def distances(node: Node, design: Design, spread: Spread) -> Callable[[Sequence[Array]], Looks]:
+    """Of loops from -1, and at what frequencies (Hz) each has minima, the least first, as a function of deviations
     (places,) in units of three sigma. The distance is negative where the loop is unstable.
     """
+    one, places = distance(node, design, spread), places_of(node)
+    try:
+        loops = ManyLoops(node, api.law_at(design, node))
+    except NotServedError:
+        return lambda every: [one(u) for u in every]
+
+    def at(every: Sequence[Array]) -> Looks:
+        values, status = loops.measure([vehicle_at_places(spread, node, places, u) for u in every], 0.0)
+        near, hz = values[:, MARGINS : MARGINS + MINIMA], values[:, MARGINS + MINIMA :]
+        out = list[tuple[float, Array]]()
+        for u, at_hz, least, verdict in zip(every, hz, near[:, 0], status, strict=True):
+            sign = 1.0 if verdict == DONE else -1.0
+            out.append(one(u) if verdict == HANDED_BACK else (sign * float(least), at_hz[np.isfinite(at_hz)]))
+        return out
+
+    return at
+
+
+def distance(node: Node, design: Design, spread: Spread) -> Callable[[Array], tuple[float, Array]]:
+    """`distances` of one loop, measured by itself."""
     places, law = places_of(node), api.law_at(design, node)
 
     def at(u: Array) -> tuple[float, Array]:
@@ -106,30 +133,46 @@ def slope(node: Node, design: Design, spread: Spread) -> Callable[[Array, Array,
     """|1 + L| at frequencies (Hz), and its change by `steps` (places,) of the deviations, per step: (frequencies,
     places).
 
-    L changes as actuator, vehicle and delay do: what sampling adds changes little, and the search measures where it
-    arrives.
+    L changes as actuator, vehicle and delay do, for each sensor in its own way: what sampling adds changes little, and
+    the search measures where it arrives.
     """
     places, law = places_of(node), api.law_at(design, node)
+    plant, ideal = node.plant, bool(node.actuator.ideal)
+    inputs = tuple(x for x in plant.inputs if not ideal or x.startswith("delta_rad"))
+    columns = [plant.inputs.index(x) for x in inputs]
+    seen = ["local_rate_radps" if name in MEASUREMENTS else name for name in law.inputs]
+    rows = [plant.outputs.index(name) for name in seen]
 
-    def path(u: Array, s: ComplexArray) -> ComplexArray:
-        there = disperse(node, vehicle_at_places(spread, node, places, u))
-        plant = there.plant
-        inputs = tuple(x for x in plant.inputs if not there.actuator.ideal or x.startswith("delta_rad"))
-        columns = [plant.inputs.index(x) for x in inputs]
-        moved = np.linalg.solve(s[:, None, None] * np.eye(len(plant.a)) - plant.a, plant.b[:, columns])
-        rate = plant.c[plant.outputs.index("local_rate_radps")] @ moved
-        drives = zip(per_actuator_angle(s, rate, inputs), there.actuators, strict=True)
-        turned = sum(r * (1.0 if record.ideal else actuator_response(record, s)) for r, record in drives)
-        return np.asarray(turned * np.exp(-s * there.instruments.delay_s))
+    def paths(every: Sequence[Array], s: ComplexArray) -> ComplexArray:
+        """From the command to what each input of the law follows, (vehicles, frequencies, inputs)."""
+        vehicles = [vehicle_at_places(spread, node, places, u) for u in every]
+        if node.vehicle.across is None:
+            count, by = len(vehicles), stacked(vehicles)
+            parts = vehicle_plants(dispersed_many(node, by), node.condition, node.errata)
+            a, b, c, d = (np.moveaxis(np.broadcast_to(x, (*x.shape[:2], count)), -1, 0) for x in parts)
+        else:
+            plants = [disperse(node, by).plant for by in vehicles]
+            a, b, c, d = (np.stack([getattr(plant, name) for plant in plants]) for name in "abcd")
+        turning = s[:, None, None] * np.eye(a.shape[-1]) - a[:, None]
+        response = c[:, None, rows] @ np.linalg.solve(turning, b[:, None][..., columns])
+        response = response + d[:, None][:, :, rows][..., columns]
+        out = []
+        for vehicle, mine in zip(vehicles, response, strict=True):
+            there = disperse_instruments(node.instruments, vehicle)
+            drives = zip(per_actuator_angle(s[:, None], mine, inputs), there.actuators, strict=True)
+            turned = sum(r if record.ideal else r * actuator_response(record, s)[:, None] for r, record in drives)
+            out.append(turned * np.exp(-s * there.delay_s)[:, None])
+        return np.array(out)
 
     def at(u: Array, hz: Array, steps: Array) -> tuple[Array, Array]:
         s = np.asarray(2j * np.pi * hz, np.complex128)
         loop = Loop(fixed_path(disperse(node, vehicle_at_places(spread, node, places, u))), law)
-        here: ComplexArray = loop.response(hz)
-        nominal = path(u, s)
-        moves = (u + step * unit for step, unit in zip(steps, np.eye(len(u)), strict=True))
-        near = np.array([np.abs(1.0 + here * path(moved, s) / nominal) for moved in moves]).T
-        return np.abs(1.0 + here), (near - np.abs(1.0 + here)[:, None]) / steps
+        fixed, by_law = loop.fixed, law.response(hz) * loop.fixed.response(hz)[:, None]
+        here = np.stack([by_law[:, i] * fixed.ratio(name, hz) for i, name in enumerate(law.inputs)], axis=-1)
+        first, *moved = paths([u, *(u + step * unit for step, unit in zip(steps, np.eye(len(u)), strict=True))], s)
+        near = np.array([np.abs(1.0 + (here * (path / first)).sum(axis=1)) for path in moved]).T
+        now = np.abs(1.0 + here.sum(axis=1))
+        return now, (near - now[:, None]) / steps
 
     return at
 
@@ -142,14 +185,11 @@ def search_node(
     `starts` by their numbers, 0 being the vehicle as it is (default: all).
     """
     reach, count = wanted.sigmas / 3.0, len(places_of(node))
-    measure, change, loops = distance(node, design, spread), slope(node, design, spread), [0]
+    measure, change, loops = distances(node, design, spread), slope(node, design, spread), [0]
 
-    def look(u: Array) -> tuple[float, Array]:
-        loops[0] += 1
-        return measure(u)
-
-    def score(u: Array) -> float:
-        return look(u)[0]
+    def look(every: Sequence[Array]) -> Looks:
+        loops[0] += len(every)
+        return measure(every)
 
     def farthest(direction: Array) -> Array:
         """The point of the region that lies farthest in a direction."""
@@ -166,7 +206,7 @@ def search_node(
     for start in range(wanted.starts) if starts is None else starts:
         rng = np.random.default_rng([wanted.seed, round(1e3 * node.time_s), start])
         u = np.zeros(count) if start == 0 else farthest(rng.normal(size=count)) * rng.uniform(0.3, 1.0)
-        value, hz = look(u)
+        ((value, hz),) = look([u])
         for _ in range(_ROUNDS):
             steps = np.where(u > 0.0, -_STEP, _STEP) * reach
             near, slopes = change(u, hz, steps)
@@ -175,31 +215,29 @@ def search_node(
             promised = [at + by @ (goal - u) for at, by, goal in zip(near, slopes, goals, strict=False)]
             likely = [goals[k] for k in np.argsort(promised)[:_GOALS]]
             trials = [towards(u, goal, share) for goal in likely for share in _SHARES]
-            found = [look(trial) for trial in trials]
+            found = look(trials)
             k = int(np.argmin([distance for distance, _ in found]))
             if found[k][0] > value - 1e-4:
                 break
             u, (value, hz) = trials[k], found[k]
         if wanted.region == "box":
-            u, value = _corner(u, score, reach, rng)
+            u, value = _corner(u, look, reach)
         if value < best:
             best, worst_u = value, u
     return best, worst_u, loops[0]
 
 
-def _corner(u: Array, score: Callable[[Array], float], reach: float, rng: np.random.Generator) -> tuple[Array, float]:
-    """The corner of the box near u that no single deviation at either end makes worse."""
+def _corner(u: Array, look: Callable[[Sequence[Array]], Looks], reach: float) -> tuple[Array, float]:
+    """The corner of the box near u that no single deviation at either end makes worse: the worst is moved first."""
     u = reach * np.where(u >= 0.0, 1.0, -1.0)
-    value, improved = score(u), True
-    while improved:
-        improved = False
-        for k in rng.permutation(len(u)):
-            trial = u.copy()
-            trial[k] = -u[k]
-            found = score(trial)
-            if found < value - 1e-6:
-                u, value, improved = trial, found, True
-    return u, value
+    ((value, _),) = look([u])
+    while True:
+        trials = [np.where(np.arange(len(u)) == k, -u, u) for k in range(len(u))]
+        found = [distance for distance, _ in look(trials)]
+        k = int(np.argmin(found))
+        if found[k] > value - 1e-6:
+            return u, value
+        u, value = trials[k], found[k]
 
 
 def search_plane(
