@@ -18,6 +18,7 @@ from maxq.design.loop.fixed_path import FixedPath, fixed_path
 from maxq.design.loop.wind import wind_response
 from maxq.design.margins.curve import lowest_hz_of
 from maxq.design.model.node import Node
+from maxq.design.model.state_space import ComplexArray
 from maxq.design.model.vehicle_at import ACCELERATION, stability_derivatives
 from maxq.design.optimise.criteria import OBJECTIVES
 from maxq.design.optimise.curves import TOLERANCE, Curves, Indices
@@ -43,6 +44,10 @@ class Plant:
     @property
     def label(self) -> str:
         return self.node.label
+
+    def without_drift(self, poles: ComplexArray) -> ComplexArray:
+        """Those of open or closed loop (rad/s) that are not slower than its curve begins."""
+        return np.asarray(poles[np.abs(poles) > 2.0 * np.pi * lowest_hz_of(self.path.poles())])
 
     @property
     def kept_hz(self) -> Array:
@@ -104,9 +109,7 @@ class Plants:
     @property
     def unstable_open(self) -> Indices:
         """Poles of each fixed path in the right half plane."""
-        every = [p.path.poles() for p in self.each]
-        fast = [poles[np.abs(poles) > 2.0 * np.pi * lowest_hz_of(poles)] for poles in every]  # the rest is drift
-        return np.array([int((poles.real > 1e-9).sum()) for poles in fast], np.int64)
+        return np.array([int((p.without_drift(p.path.poles()).real > 1e-9).sum()) for p in self.each], np.int64)
 
     @property
     def sample_s(self) -> float | None:

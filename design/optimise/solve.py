@@ -16,7 +16,6 @@ from maxq.design.laws.law import LawVariables
 from maxq.design.laws.registry import law_kind
 from maxq.design.loop.fixed_path import ExactFixedPath
 from maxq.design.loop.loop import Loop
-from maxq.design.margins.curve import lowest_hz_of
 from maxq.design.model.node import node_times, powered_spans
 from maxq.design.optimise.criteria import OBJECTIVES
 from maxq.design.optimise.loops import Loops
@@ -154,8 +153,7 @@ def _search_from(
 def closes_stably(plants: Plants, problem: Problem, found: Found) -> bool:
     """Whether every closed loop's poles lie where they must: eigenvalues, nothing that the optimiser has used."""
     for plant, law in zip(plants.each, problem.law.controllers(found.best.variables), strict=True):
-        poles = Loop(plant.path, law).closed_poles()
-        poles = poles[np.abs(poles) > 2.0 * np.pi * lowest_hz_of(plant.path.poles())]  # the rest is drift
+        poles = plant.without_drift(Loop(plant.path, law).closed_poles())
         if isinstance(plant.path, ExactFixedPath):
             poles = poles[np.abs(poles) < 1e3]
         if len(poles) > 0 and float(poles.real.max()) >= 0.0:
