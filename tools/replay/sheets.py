@@ -116,19 +116,19 @@ def _sheet(tab: Tab, shown: Flights) -> Figure:
     figure.align_ylabels()
     _mark_events(places, shown.reference, span_s)
     for place in places:
-        _part(place)
+        _part(figure, place)
     return figure
 
 
-def _part(place: Axes) -> None:
+def _part(figure: Figure, place: Axes) -> None:
     """Raise a title that its legend, in the same line, would lie over."""
     legend = place.get_legend()
     if legend is None:
         return
-    renderer = FigureCanvasAgg(place.figure).get_renderer()  # type: ignore[no-untyped-call]
+    renderer = FigureCanvasAgg(figure).get_renderer()  # type: ignore[no-untyped-call]
     key, name = legend.get_window_extent(renderer), place._left_title.get_window_extent(renderer)  # type: ignore[attr-defined]  # no public way
-    if key.width + name.width > 0.88 * place.figure.bbox.width:
-        place.set_title(place.get_title("left"), pad=key.height * 72.0 / place.figure.dpi)
+    if key.width + name.width > 0.88 * figure.bbox.width:
+        place.set_title(place.get_title("left"), pad=key.height * 72.0 / figure.dpi)
 
 
 def _title(name: str, shown: Flights) -> str:
@@ -229,7 +229,7 @@ def _mark_events(places: Sequence[Axes], flight: ReplayFlight, span_s: tuple[flo
     start, width = span_s[0], span_s[1] - span_s[0]
     named: list[float] = []
     low, high = places[0].get_ylim()
-    drawn = [line.get_xydata() for line in places[0].lines]
+    drawn = [np.asarray(line.get_xydata()) for line in places[0].lines]
     curves = np.concatenate([np.zeros((0, 2)), *(points for points in drawn if len(points) > 2)])
     curves[:, 1] = (curves[:, 1] - low) / (high - low)
     for moment in sorted(flight.moments, key=lambda m: m.level, reverse=True):  # what went wrong gets its name first
