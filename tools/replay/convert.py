@@ -242,11 +242,11 @@ def eyes_for(length_m: float, azimuth_deg: float, positions_m: Array) -> Eyes:
 
 
 def plot_view(
-    plot: Plot, axis: Axis | None, roots: Sequence[str], span_s: tuple[float, float], legend: bool
+    plot: Plot, axis: Axis | None, roots: Sequence[str], span_s: tuple[float, float], legend: bool, rows: int
 ) -> rrb.TimeSeriesView:
-    """`axis`: None where the values are not known yet."""
+    """`axis`: None where the values are not known yet. `rows` of plots in the window."""
     beyond = axis.beyond_text("") if axis is not None else ""
-    shown = None if axis is None else rrb.archetypes.ScalarAxis(range=with_scale(axis.low, axis.high))
+    shown = None if axis is None else rrb.archetypes.ScalarAxis(range=with_scale(axis.low, axis.high, 30 // rows))
     return rrb.TimeSeriesView(
         name=f"{plot.heading}{f', {beyond}' if beyond else ''}",
         origin="/",
@@ -257,16 +257,16 @@ def plot_view(
     )
 
 
-def with_scale(low: float, high: float) -> tuple[float, float]:
-    """The range, wide enough for two numbers on its axis. The viewer writes those of one power of ten only: of the
-    smallest that stand far enough apart, about a twelfth of the plot.
+def with_scale(low: float, high: float, most: int) -> tuple[float, float]:
+    """The range, wide enough for two numbers on its axis. The viewer writes the multiples of one power of ten: of the
+    smallest of which at most `most` fit.
     """
-    step = 10.0 ** math.ceil(math.log10((high - low) / 12.0))
-    first, last = math.ceil(low / step), math.floor(high / step)
-    if last > first:
-        return low, high
-    down, up = (first - 1) * step, (last + 1) * step
-    return (low, up) if up - high < low - down else (down, high)
+    step = 10.0 ** math.ceil(math.log10((high - low) / most))
+    edge = 0.04 * step  # a number on the very edge is not written
+    while (last := math.floor(high / step)) <= (first := math.ceil(low / step)):
+        down, up = (first - 1) * step - edge, (last + 1) * step + edge
+        low, high = (low, up) if up - high < low - down else (down, high)
+    return low, high
 
 
 def time_axis(span_s: tuple[float, float]) -> rrb.archetypes.TimeAxis:
@@ -340,8 +340,10 @@ def layout(
     def tabs_over(span: Span) -> rrb.Tabs:
         pages = []
         for page in tabs:  # side by side they are high enough for the viewer to write numbers at their axes
-            views = [plot_view(p, span.axes.get(p.key), plotted, span.span_s, legend) for p in page.plots]
-            pages.append(rrb.Grid(contents=views, grid_columns=2 if len(views) > 2 else 1, name=page.name))
+            columns = 2 if len(page.plots) > 2 else 1
+            rows = -(-len(page.plots) // columns)
+            views = [plot_view(p, span.axes.get(p.key), plotted, span.span_s, legend, rows) for p in page.plots]
+            pages.append(rrb.Grid(contents=views, grid_columns=columns, name=page.name))
         return rrb.Tabs(contents=pages, active_tab=_tab_number(tabs, tab), name=span.name or None)
 
     plots = rrb.Tabs(contents=[tabs_over(span) for span in spans]) if len(spans) > 1 else tabs_over(spans[0])
