@@ -52,18 +52,21 @@ def aligned(
     """Rows of cells as lines with aligned columns; the columns in `right` are right-aligned.
 
     Where a line is wider than `width` (None: that of the terminal), the columns in `drop` are left out, the first one
-    first; where that does not help either, columns of text are wrapped at spaces, with as few left out as possible; and
-    where nothing helps, columns follow each other in blocks that repeat the first one.
+    first; where that does not help either, columns of text are wrapped at spaces, with as many left out as make the
+    fewest lines; and where nothing helps, columns follow each other in blocks that repeat the first one.
     """
     if not rows:
         return []
     room = (columns() if width is None else width) - len(indent)
     stages = [[i for i in range(len(rows[0])) if i not in drop[:n]] for n in range(len(drop) + 1)]
     for wrap in (False, True):
+        fit = []
         for shown in stages:
             widths = _fitted(rows, shown, right, room if wrap else 1_000_000)
             if sum(widths) + 2 * len(widths) - 2 <= room:
-                return _lines(rows, shown, widths, indent, right)
+                fit.append(_lines(rows, shown, widths, indent, right))
+        if fit:
+            return min(fit, key=len)  # of equal ones the first, which has more columns
     blocks, used = [[shown[0]]], widths[0]
     for i, w in zip(shown[1:], widths[1:], strict=True):
         if used + 2 + w > room and len(blocks[-1]) > 1:
@@ -78,15 +81,21 @@ def aligned(
 
 
 def _fitted(rows: Sequence[Sequence[str]], shown: Sequence[int], right: Sequence[int], room: int) -> list[int]:
-    """Widths of columns: the widest columns of text give way, down to their longest words."""
+    """Widths of columns: columns of text give way where that adds the fewest lines, down to their longest words."""
     widths = [max(len(row[i]) for row in rows) for i in shown]
     least = [
         w if i in right else max((len(word) for row in rows for word in row[i].split()), default=0)
         for i, w in zip(shown, widths, strict=True)
     ]
+    lengths = [[len(row[i]) for i in shown] for row in rows]
+
+    def lines_without(k: int) -> int:
+        tried = [max(w - (n == k), 1) for n, w in enumerate(widths)]
+        return sum(max(-(-length // w) for length, w in zip(row, tried, strict=True)) for row in lengths)
+
     while sum(widths) + 2 * len(widths) - 2 > room and widths != least:
-        k = max((k for k in range(len(widths)) if widths[k] > least[k]), key=lambda k: widths[k])
-        widths[k] -= 1
+        can = [k for k in range(len(widths)) if widths[k] > least[k]]
+        widths[min(can, key=lambda k: (lines_without(k), -widths[k]))] -= 1
     return widths
 
 

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import math
+import os
 import shutil
 import subprocess
 import tempfile
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import groupby
 from pathlib import Path
 from typing import Any
 
@@ -185,16 +187,16 @@ def print_page(page: Path, pdf: Path) -> Path | None:
 
 
 def report(found: Verification, title: str) -> list[str]:
-    """Every requirement, a row each, under the name of its part."""
-    last = ""
+    """Every requirement, a row each, under the name of its part and plane."""
     rows: list[tuple[str, ...]] = [("requirement", "verdict", "wanted", "found", "room", "where")]
-    for r in found.requirements:
-        if r.part != last:
-            rows += [("",) * 6, (f"{r.part}:", *("",) * 5)]
-        last = r.part
-        room = f"{100.0 * r.room:.0f} %" if math.isfinite(r.room) else ""
-        rows.append((printable(r.name), _mark(WORDS[r.judgement]), r.wanted, printable(r.found), room, r.where))
-    return [title, "", *aligned(rows, "  ", right=(4,), drop=(5,))]
+    for part, group in groupby(found.requirements, lambda r: r.part):
+        every = list(group)
+        planes = {r.where.rpartition(", ")[2] for r in every} & {"pitch", "yaw"}
+        rows += [("",) * 6, (f"{part}{f', {planes.pop()}' if len(planes) == 1 else ''}:", *("",) * 5)]
+        for r in every:
+            room = f"{100.0 * r.room:.0f} %" if math.isfinite(r.room) else ""
+            rows.append((printable(r.name), _mark(WORDS[r.judgement]), r.wanted, printable(r.found), room, r.where))
+    return [title, "", *aligned(rows, "  ", right=(4,), drop=(5, 4))]
 
 
 def _mark(judgement: str) -> str:
@@ -205,8 +207,13 @@ def reasons(found: Verification) -> list[str]:
     """Why a design is not accepted, a line each, and the command that shows it."""
     out = []
     for r in (*found.of(REJECTED), *found.of(UNDECIDED)):
-        out += [f"  {r.judgement}: {printable(r.reason)}", *([f"      {r.again}"] if r.again else [])]
+        out += [f"  {r.judgement}: {printable(r.reason)}", *([f"      {from_here(r.again)}"] if r.again else [])]
     return out
+
+
+def from_here(text: str) -> str:
+    """Paths below the working folder without it."""
+    return text.replace(f"{Path.cwd()}{os.sep}", "")
 
 
 def headline(found: Verification, name: str = "") -> str:
@@ -216,7 +223,7 @@ def headline(found: Verification, name: str = "") -> str:
     said = f"of {len(found.requirements)} requirements {', '.join(counts)}{more}"
     lacks = f"{', '.join(found.suite.lacks)}; " if found.suite.lacks else ""
     word = f"{found.judgement.upper()}{' AT THE SCREENING' if lacks and found.judgement != SCREENED else ''}"
-    return f"{word}: {lacks}{printable(name or found.design)}; {said}"
+    return f"{word}: {lacks}{printable(name or from_here(found.design))}; {said}"
 
 
 def ranked(every: Sequence[Verification]) -> list[Verification]:
