@@ -6,6 +6,7 @@ curves of many flights are sent as families, an entity for each curve with a lin
 
 from __future__ import annotations
 
+import textwrap
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
@@ -47,6 +48,7 @@ _BEGUN_BY = {
 }
 _WORSE = ("control lost", "tumbling")
 _LEVELS = {Level.WARNING: "WARN", Level.FATAL: "CRITICAL"}  # where the viewer has another name
+_EVENT_WIDTH = 60  # letters that the list of events has room for, at 1920 pixels
 _TEETH = 240  # of the hatching over the whole flight
 _MIN_MAX = rr.components.AggregationPolicy.MinMax  # no extreme may be averaged away when the viewer zooms out
 
@@ -258,9 +260,9 @@ def phases(first: Phase, moments: Iterable[Moment]) -> list[Phase]:
 def send_events(recording: rr.RecordingStream, root: str, moments: Iterable[Moment], prefix: str = "") -> None:
     for moment in moments:
         set_time(recording, moment.time_ns)
-        recording.log(
-            f"{root}/events", rr.TextLog(prefix + moment.line, level=_LEVELS.get(moment.level, moment.level.name))
-        )
+        level = _LEVELS.get(moment.level, moment.level.name)
+        for text in textwrap.wrap(prefix + moment.line, _EVENT_WIDTH, subsequent_indent=" " * 20):  # a row has one line
+            recording.log(f"{root}/events", rr.TextLog(text, level=level))
     recording.reset_time()
 
 
