@@ -51,7 +51,7 @@ from maxq.control.orbit_guidance import (
 )
 from maxq.control.roll import Roll, RollState, silence_roll, start_roll, update_roll
 from maxq.control.sensors import Sensors, SensorState, blended_rate, make_sensors, read_sensors, start_sensors
-from maxq.control.structures import Attitude
+from maxq.control.structures import OVER, Attitude, Over
 
 # No gyro measures, and no scenario means, a turn of more than this in one sample: beyond it lies a fault.
 INCREMENT_LIMIT_RAD = 1.0e3
@@ -99,6 +99,7 @@ class Computer:
     sensors: Sensors
     relief: LoadRelief
     takes_over: int = 0  # 1: this stage's law or timing is its own, and is started at the separation
+    over: int = 0  # what the gains are scheduled over, index into `OVER` of structures.py
     orbit: OrbitGuidance = field(default_factory=OrbitGuidance)  # closed-loop guidance, of the last engine's stages
 
 
@@ -108,7 +109,8 @@ class ComputerState:
 
     `ticks`: samples done. `invalid_inputs`: inputs refused so far (`computer_tick`). `requested_rad`: law with
     injected command; `command_limited`: 1 where the limit then cut it. `command_rad`: gimbal command issued at the last
-    tick; the roll demand is `roll.demand`.
+    tick; the roll demand is `roll.demand`. `navigation`: speed_mps, mass_kg, dynamic_pressure_Pa at the end of the
+    sample (`OVER` of structures.py), given by the caller where gains or flight code from outside use them.
     """
 
     ticks: int
@@ -127,6 +129,7 @@ class ComputerState:
     sensors: SensorState
     relief: LoadReliefState
     orbit: OrbitGuidanceState
+    navigation: Annotated[Array, (3,)]
 
 
 def build_computer(
@@ -140,6 +143,7 @@ def build_computer(
     angle_error_limit_rad: float = np.inf,
     command_limit_rad: float = np.inf,
     gains: Cubics | None = None,
+    over: Over = "time_s",
     integral_limit_rad: float = np.inf,
     programme: Cubics | None = None,
     unrolled: bool = False,
@@ -155,9 +159,9 @@ def build_computer(
 ) -> Computer:
     """Parameters of a computer; its tables go into `pool`.
 
-    `gains` comes from `pd.gains_table`; without it the law gives 0, and with a column k_i_ps it is PID, its integral
-    within `integral_limit_rad`. `programme` comes from
-    `guidance.rate_programme`; without it the commanded rates are 0. Filters come from
+    `gains` comes from `pd.gains_table`, over what `over` says; without it the law gives 0, and with a column k_i_ps it
+    is PID, its integral within `integral_limit_rad`. `programme` comes from `guidance.rate_programme`; without it the
+    commanded rates are 0. Filters come from
     `BendingFilter.discretize`; without `yaw_filter` yaw is as pitch, without either the law's output passes
     as it is (a filter of no sections gives one axis none). `roll` comes from `roll.make_roll`; without it no
     thruster fires. `count_rad` = 0 is an ideal converter, `dac_step_rad` = 0 an ideal DAC, an infinite limit
@@ -201,6 +205,7 @@ def build_computer(
         allocation=ONE_GROUP,
         sensors=sensors or make_sensors(),
         relief=LoadRelief(int(relief_hz is not None), lag_share(relief_hz or 0.0, sample_ns / 1.0e9)),
+        over=OVER.index(over),
     )
 
 
@@ -231,6 +236,8 @@ def start_computer(computer: Computer, pool: Array, state: ComputerState, time_s
         state.requested_rad[gimbal] = 0.0
         state.command_limited[gimbal] = 0
         state.command_rad[gimbal] = 0.0
+    for k in range(3):
+        state.navigation[k] = 0.0
 
 
 @routine
@@ -310,12 +317,13 @@ def computer_tick(
     )  # fmt: skip  # two lines more otherwise
     if computer.external != 0:
         call_external(computer, state, time_s)
+    at = time_s if computer.over == 0 else state.navigation[computer.over - 1]
     for gimbal in range(2):
         injected_rad = gimbal_injection_rad[gimbal]
         if not abs(injected_rad) <= INCREMENT_LIMIT_RAD:
             injected_rad = 0.0
             state.invalid_inputs += 1
-        update_command(computer, pool, state, gimbal, time_s, injected_rad, gimbal_replaces[gimbal])
+        update_command(computer, pool, state, gimbal, at, injected_rad, gimbal_replaces[gimbal])
     if computer.external != 0:
         state.roll.demand = state.external.outputs.roll_thruster * computer.roll_on
     elif computer.roll_on != 0:
@@ -356,6 +364,9 @@ def call_external(computer: Computer, state: ComputerState, time_s: float) -> No
         inputs.attitude_error_rad[axis] = attitude.theta_e_rad[axis]
     for k in range(4):
         inputs.q_BR[k], inputs.commanded_q_BR[k] = attitude.measured.q[k], guidance.attitude.q[k]
+    inputs.speed_mps, inputs.mass_kg, inputs.dynamic_pressure_Pa = (
+        state.navigation[0], state.navigation[1], state.navigation[2],
+    )  # fmt: skip  # three more lines otherwise
     if computer.sensors.count > 0:
         hand_sensors(computer, state)
     step_external(state.external)
@@ -400,15 +411,9 @@ def allocate_commands(computer: Computer, pool: Array, state: ComputerState, tim
 
 @routine
 def update_command(
-    computer: Computer,
-    pool: Array,
-    state: ComputerState,
-    gimbal: int,
-    time_s: float,
-    injected_rad: float,
-    replaces: int,
+    computer: Computer, pool: Array, state: ComputerState, gimbal: int, at: float, injected_rad: float, replaces: int
 ) -> None:
-    """Command of gimbal axis `gimbal` (0 pitch, 1 yaw): law, injection, limit, DAC."""
+    """Command of gimbal axis `gimbal` (0 pitch, 1 yaw): law with the gains at `at`, injection, limit, DAC."""
     if computer.external != 0:
         wanted_rad = state.external.outputs.gimbal_rad[gimbal] * computer.control_on
         # no sections of a design: those with which a certificate alters the loop
@@ -416,17 +421,17 @@ def update_command(
     elif computer.relief.on != 0:
         law_rad = tick_load_relief(
             computer.law, computer.relief, pool, state.law, state.relief, state.attitude,
-            state.sensors.value[computer.sensors.accelerometer], gimbal, time_s, computer.control_on,
+            state.sensors.value[computer.sensors.accelerometer], gimbal, at, computer.control_on,
         )  # fmt: skip  # eleven lines otherwise
     elif computer.pid.on == 0:
-        law_rad = tick_pd(computer.law, pool, state.law, state.attitude, gimbal, time_s, computer.control_on)
+        law_rad = tick_pd(computer.law, pool, state.law, state.attitude, gimbal, at, computer.control_on)
     else:
         cut_rad = state.requested_rad[gimbal]
         if abs(cut_rad) <= computer.command_limit_rad:
             cut_rad = 0.0
         sample_s = computer.sample_ns / 1.0e9
         law_rad = tick_pid(
-            computer.law, computer.pid, pool, state.law, state.pid, state.attitude, gimbal, time_s, sample_s,
+            computer.law, computer.pid, pool, state.law, state.pid, state.attitude, gimbal, at, sample_s,
             computer.control_on, cut_rad,
         )  # fmt: skip  # nine lines more otherwise
     requested_rad = injected_rad if replaces != 0 else law_rad + injected_rad

@@ -47,7 +47,8 @@ class FswInputs:
     at its start), scalar first.
 
     `delta_velocity_mps`: specific force over the sample, by the accelerometer; 0 without one. `further_rate_radps`: of
-    rate gyros beyond the first, as `rate_radps`.
+    rate gyros beyond the first, as `rate_radps`. `speed_mps`, `mass_kg`, `dynamic_pressure_Pa`: as gains may be
+    scheduled over (structures.py).
     """
 
     bytes: int
@@ -67,6 +68,9 @@ class FswInputs:
     commanded_q_BR: Annotated[Array, (4,)]
     delta_velocity_mps: Annotated[Array, (3,)]
     further_rate_radps: Annotated[Array, (MAX_SENSORS - 1, 3)]
+    speed_mps: float
+    mass_kg: float
+    dynamic_pressure_Pa: float
 
 
 @dataclass

@@ -53,6 +53,9 @@ typedef struct maxq_fsw_inputs {
     double commanded_q_BR[4];       /* of the guidance */
     double delta_velocity_mps[3];   /* accelerometer: specific force over the sample; 0 without one */
     double further_rate_radps[4][3];/* rate gyros beyond the first, mean over the sample */
+    double speed_mps;               /* navigation, without error: relative to the rotating Earth */
+    double mass_kg;                 /* of the vehicle */
+    double dynamic_pressure_Pa;     /* of speed_mps in the air of this altitude; knows no wind */
 } maxq_fsw_inputs;
 
 typedef struct maxq_fsw_outputs { /* all 0 before each call, but for bytes */

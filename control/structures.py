@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Literal, get_args
 
 Law = Literal["pd", "pid", "load-relief"]
 """Modules of control/laws and design/laws."""
@@ -12,6 +12,12 @@ GAINS: dict[Law, tuple[str, ...]] = {
     "pid": ("k_p", "k_d_s", "k_i_ps"),
     "load-relief": ("k_p", "k_d_s", "k_a_s2pm"),
 }
+
+Over = Literal["time_s", "speed_mps", "mass_kg", "dynamic_pressure_Pa"]
+"""What gains may be scheduled over: vehicle clock; else as the navigation has it, here the simulator's own without
+error: speed relative to the rotating Earth, mass, and the dynamic pressure of that speed in the air of that altitude
+(it knows no wind)."""
+OVER: tuple[Over, ...] = get_args(Over)
 
 Attitude = Literal["quaternion", "rate-integral"]
 """What the computer takes for its attitude error (control/attitude.py)."""

@@ -83,13 +83,13 @@ def load_design(name: str | Path, beside: LoadedScenario | str | Path = "nominal
 def law_at(design: Design, node: Node, kind: Kind = "sampled") -> Controller:
     """The design's law at a node's time and in its plane: as the flight computer runs it, or continuous."""
     law = designed_law(design.of_stage(node.stage))
-    return law.at(node.time_s, node.plane, node.instruments.sample_s if kind == "sampled" else None)
+    return law.at(node.scheduled(law.over), node.plane, node.instruments.sample_s if kind == "sampled" else None)
 
 
 def close(path: FixedPath, design: Design) -> Loop:
-    """The design's loop around a fixed path, with the law of its node's time and plane."""
+    """The design's loop around a fixed path, with the law of its node's instant and plane."""
     law = designed_law(design.of_stage(path.node.stage))
-    return Loop(path, law.at(path.node.time_s, path.node.plane, path.sample_s))
+    return Loop(path, law.at(path.node.scheduled(law.over), path.node.plane, path.sample_s))
 
 
 def loops(where: Iterable[Node], design: Design, *, kind: Kind = "sampled", cut: Cut = "gimbal_command") -> list[Loop]:

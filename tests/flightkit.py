@@ -262,11 +262,11 @@ def _evaluate_at(P, pool, state, y, now_ns, elapsed_s, props, dy, work, aux):  #
 
 
 @entry
-def _meet(P, pool, state, y, aux, until_ns):  # type: ignore[no-untyped-def]  # Numba infers
+def _meet(P, pool, state, y, aux, props, until_ns):  # type: ignore[no-untyped-def]  # Numba infers
     memory = state[0]
     p = P[memory.clock.stage]
-    pool, y, aux = bare_pointer(pool), bare_pointer(y), bare_pointer(aux)
-    flight_events.process_due_events(p, pool, memory, y, aux)
+    pool, y, aux, props = bare_pointer(pool), bare_pointer(y), bare_pointer(aux), bare_pointer(props)
+    flight_events.process_due_events(p, pool, memory, y, aux, props)
     return flight_events.step_length(p, pool, memory, until_ns)
 
 
@@ -357,7 +357,15 @@ def flown(made: Rig, duration_s: float, every_s: float | None = None) -> Array:
 def meet(made: Rig, until_ns: int) -> int:
     """Everything that is due now (samples, commands, ignition); nanoseconds to the next such instant."""
     return int(
-        _meet(made.packed.parameters, made.packed.pool, made.packed.memory, made.packed.state, made.aux, until_ns)
+        _meet(
+            made.packed.parameters,
+            made.packed.pool,
+            made.packed.memory,
+            made.packed.state,
+            made.aux,
+            made.props,
+            until_ns,
+        )
     )
 
 

@@ -86,6 +86,7 @@ class PidDesign:
 
     nodes_s: Array
     gains: Array
+    over = "time_s"
 
     @staticmethod
     def of(_: Design) -> PidDesign:
@@ -155,7 +156,7 @@ class PidVariables:
         return [Pid(*(float(k) for k in gains), self.task.sample_s) for gains in self.gains.at_plants(variables).T]
 
     def designed(self, variables: Array) -> PidDesign:
-        return PidDesign(self.gains.nodes_s, self.gains.at_nodes(variables))
+        return PidDesign(self.gains.nodes, self.gains.at_nodes(variables))
 
     def variables_of(self, law: DesignedLaw) -> Array | None:
         return self.gains.from_nodes(law.nodes_s, law.gains) if isinstance(law, PidDesign) else None

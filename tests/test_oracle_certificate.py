@@ -9,21 +9,30 @@
 
 from __future__ import annotations
 
+import math
 from types import SimpleNamespace
 from typing import Any, cast
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from maxq.design import api
 from maxq.design.certificate import measured_margins
+from maxq.design.certificate.certificate import certify_node
 from maxq.design.certificate.excitation import Band, band, excitation_level
 from maxq.design.certificate.held_flight import HeldFlight, hold
 from maxq.design.certificate.measured_margins import growth_rate, measure_margin
+from maxq.design.certificate.response import BANDS as RESPONSE_BANDS
 from maxq.design.certificate.response import _estimated, measure
 from maxq.design.loop.loop import Loop
 from maxq.design.margins.measure import margins
+from maxq.design.model.plant import axial_load_mps2
+from maxq.sim.packing.flight import Packed
+from maxq.sim.run.evaluate import evaluate_at
 from maxq.sim.scenario.loader import load_scenario
+from maxq.sim.vehicle.state import Q_BI
+from maxq.sim.vehicle.workspace import GRAVITATION
 
 TIME_S = 40.0
 BANDS = (band(0.05, 2.5, 14, 40.0, 40.0, 4), band(2.75, 12.0, 12, 40.0, 12.0, 2))
@@ -64,6 +73,42 @@ def test_response_in_flight_is_that_of_the_sampled_loop(held: HeldFlight, loop: 
     noise_db = 3.0 * 20.0 * np.log10(1.0 + seen.error)
     assert (np.abs(20.0 * np.log10(np.abs(ratio))) < np.maximum(0.2, noise_db))[sure].all()
     assert (np.abs(np.degrees(np.angle(ratio))) < np.maximum(1.5, 3.0 * np.degrees(seen.error)))[sure].all()
+
+
+def test_gravity_along_the_body_follows_it_and_leaves_its_loop() -> None:
+    """Attitude by SciPy; the loop is that of a vehicle without gravity, which the lowest lines tell from the other."""
+    loaded = load_scenario("nominal")
+    node = api.nodes(loaded, [TIME_S])[0]
+    held, other = hold(loaded, node, along_body=True), hold(loaded, node)
+    y = held.packed.state.copy()
+    turned = Rotation.random(random_state=1)
+    y[Q_BI : Q_BI + 4] = np.roll(turned.as_quat(), 1)
+    felt = evaluate_at(held.packed, y, TIME_S).aux[GRAVITATION : GRAVITATION + 3]
+    load = axial_load_mps2(node.vehicle, node.condition)
+    np.testing.assert_allclose(felt, -load * turned.apply([1.0, 0.0, 0.0]), rtol=1e-9)
+    assert loaded.design is not None
+    mine, with_gravity = api.loops([held.node, other.node], loaded.design)
+    lines = BANDS[0]
+    seen = measure(held, lines, excitation_level(held, mine, lines), mine.closed_poles())
+    assert np.abs(20.0 * np.log10(np.abs(seen.response / mine.response(seen.lines_hz)))).max() < 0.1
+    assert abs(20.0 * np.log10(abs(seen.response[0] / with_gravity.response(seen.lines_hz)[0]))) > 0.15
+
+
+@pytest.mark.slow  # 30 s: sensors of its own need kernels of their own
+def test_load_relief_is_certified_where_its_held_flight_topples() -> None:
+    """Accelerometer and second gyro are in the loop: flight and linear loop agree in the lines and in two margins."""
+    loaded = load_scenario("load-relief")
+    node = api.nodes(loaded, [30.0], plane="yaw")[0]
+    assert loaded.design is not None
+    assert not margins(api.loops([hold(loaded, node).node], loaded.design)[0]).stable
+    found = certify_node(loaded, node, bands=RESPONSE_BANDS[:2], names=("gain_up", "delay"))
+    assert found.agrees, found.unexplained
+    assert [math.isfinite(row.measured) for row in found.margins] == [True, True]
+
+    def deaf(packed: Packed) -> None:
+        packed.parameters[0].computer.relief.share *= 0.5
+
+    assert not certify_node(loaded, node, fault=deaf, bands=RESPONSE_BANDS[:1], names=()).agrees
 
 
 def test_measured_margins_are_those_of_the_linear_loop(held: HeldFlight, loop: Loop) -> None:

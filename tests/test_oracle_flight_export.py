@@ -60,8 +60,14 @@ law = "pid"
 table = [{time_s=5.0, k_p=1.1, k_d_s=0.47, k_i_ps=0.3}, {time_s=50.0, k_p=0.7, k_d_s=0.37, k_i_ps=0.1}]
 integral_limit_deg = 0.3
 """
-
-
+OVER = """
+schema = 1
+[gains]
+table = [
+    {dynamic_pressure_Pa=100.0, k_p=1.1, k_d_s=0.47}, {dynamic_pressure_Pa=20000.0, k_p=0.9, k_d_s=0.4},
+    {dynamic_pressure_Pa=60000.0, k_p=0.7, k_d_s=0.37},
+]
+"""
 RELIEF = """
 schema = 1
 name = "relief"
@@ -103,11 +109,11 @@ def assert_same_commands(own: Flight, built_in: Flight) -> None:
 
 
 @needs_compiler
-@pytest.mark.parametrize("name", ["robust", "odd", "bare", "pid"])
+@pytest.mark.parametrize("name", ["robust", "odd", "bare", "pid", "over"])
 def test_the_c_sources_give_the_commands_of_the_flown_law(tmp_path: Path, name: str) -> None:
     design = "ksr3-robust"
     if name != "robust":
-        (tmp_path / "d.toml").write_text({"odd": ODD, "bare": BARE, "pid": PID}[name])
+        (tmp_path / "d.toml").write_text({"odd": ODD, "bare": BARE, "pid": PID, "over": OVER}[name])
         design = str(tmp_path / "d.toml")
     changes = [] if name == "robust" else [f"design={design}"]
     changes += ["vehicle.computer.count_rad=0.0"] if name == "odd" else []
@@ -174,16 +180,13 @@ def test_dispersed_flights_have_the_same_bits(tmp_path: Path) -> None:
 @needs_compiler
 @pytest.mark.slow
 def test_a_vehicle_of_several_stages_and_groups(tmp_path: Path) -> None:
+    """Three stages with gains and filters of their own, flown across both separations."""
     folder = tmp_path / "petrel"
     assert simvehicle.main(["petrel", "--out", str(folder)]) == 0
     scenario = folder / "scenario.toml"
-    words = ["export", str(folder / "design.toml"), "--c", str(tmp_path / "law"), "--scenario", str(scenario)]
-    assert simdesign.main(words) == 2  # it has filters by stage
-    one = tmp_path / "one.toml"
-    one.write_text((folder / "design.toml").read_text().partition("[[stage]]")[0])
-    library = built(tmp_path, str(one), "--scenario", str(scenario))
+    library = built(tmp_path, str(folder / "design.toml"), "--scenario", str(scenario))
     built_in, own = (
-        fly(load_scenario(scenario, ["run.duration_s=160", "requirement=", f"design={one}", *changes]), log=False)
+        fly(load_scenario(scenario, ["run.duration_s=190", "requirement=", *changes]), log=False)
         for changes in ([], flies(library=library))
     )
     assert own.state_hash == built_in.state_hash

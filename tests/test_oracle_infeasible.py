@@ -84,7 +84,7 @@ def test_no_design_of_a_global_search_misses_less(gain_db: float, phase_deg: flo
     missed = violation(loaded, plants)
     law = kit.designed(s)
     (section,) = law.filter.quadratic
-    gains = [np.interp([10.0, 50.0], law.pitch.time_s, values) for values in (law.pitch.k_p, law.pitch.k_d_s)]
+    gains = [np.interp([10.0, 50.0], law.pitch.at, values) for values in (law.pitch.k_p, law.pitch.k_d_s)]
     ours = np.array(
         [math.log(section.zero_hz), section.zero_zeta, math.log(section.pole_hz), section.pole_zeta,
          *np.log(gains[0]), *np.log(gains[1])]

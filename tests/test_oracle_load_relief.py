@@ -64,7 +64,7 @@ def test_command_is_pd_and_the_filtered_acceleration_behind_the_filter() -> None
         computer_tick(computer, tables, state, T * (n + 1), turns[n], np.zeros(3), none3, np.zeros(2), none2)
         flown.append(state.command_rad.copy())
     time_s = T * np.arange(1, 501)
-    k_p, k_d, k_a = (np.interp(time_s, GAINS.time_s, k) for k in (GAINS.k_p, GAINS.k_d_s, GAINS.k_a_s2pm))
+    k_p, k_d, k_a = (np.interp(time_s, GAINS.at, k) for k in (GAINS.k_p, GAINS.k_d_s, GAINS.k_a_s2pm))
     kept = np.exp(-2.0 * np.pi * corner_hz * T)
     for gimbal, side in ((0, pushes[:, 2] / T), (1, -pushes[:, 1] / T)):
         angle = np.cumsum(turns[:, gimbal + 1])

@@ -66,7 +66,7 @@ def test_command_is_the_sum_of_three_terms_behind_the_filter() -> None:
     increments = np.random.default_rng(1).normal(scale=1e-3, size=(500, 3))
     flown = np.array([ticked(i) for i in increments])
     time_s = T * np.arange(1, 501)
-    k_p, k_d, k_i = (np.interp(time_s, GAINS.time_s, k) for k in (GAINS.k_p, GAINS.k_d_s, GAINS.k_i_ps))
+    k_p, k_d, k_i = (np.interp(time_s, GAINS.at, k) for k in (GAINS.k_p, GAINS.k_d_s, GAINS.k_i_ps))
     for gimbal in range(2):
         angle = np.cumsum(increments[:, gimbal + 1])
         wanted = -k_p * angle - k_d * increments[:, gimbal + 1] / T - np.cumsum(T * k_i * angle)

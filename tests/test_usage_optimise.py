@@ -125,7 +125,7 @@ def test_one_node_and_gain_nodes_anywhere() -> None:
     )
     s = solve(anywhere)
     assert s.feasible
-    assert kit.designed(s).pitch.time_s == [0.0, 22.5, 60.0]
+    assert kit.designed(s).pitch.at == [0.0, 22.5, 60.0]
 
 
 def test_filter_of_sections() -> None:

@@ -17,6 +17,7 @@ simdesign CASE [--out DIR] [--starts N] [--seed N] [--set KEY=VALUE]... [--order
        simdesign analyse DESIGN [--at T]... [--scenario S] [--kind K] [--axis A] [--out DIR] [--no-pictures]
        simdesign errata [DESIGN] [--at T]... [--scenario S] [--out FILE]
        simdesign export DESIGN --c DIR | --format F [--out FILE] [--at T]... [--axis A] [--scenario S]
+       simdesign bias SCENARIO [--wind PROFILE] [--share X] [--out FILE]
        simdesign --list | --version | --help"""
 _EXAMPLES = """\
   simdesign ksr3-identical                 optimise the built-in case of that name
@@ -31,6 +32,8 @@ _EXAMPLES = """\
                                            peaks and margins
   simdesign export ksr3-robust --c law     the law as C99 sources, with a unit test
   simdesign export ksr3-robust --format mat   plant, law and loop as matrices
+  simdesign bias nominal --wind today.csv  the pitch programme, biased for a measured
+                                           wind
   simdesign --list                         built-in cases and designs
 """
 _EXITS = {
@@ -42,7 +45,7 @@ _EXITS = {
     Exit.UNDECIDED: "--verify: none is accepted, and one needs more runs",
     Exit.INTERRUPTED: "interrupted, the best design so far is kept",
 }
-_CASE, _VERIFY, _ANALYSE, _ERRATA, _EXPORT = "CASE", "CASE --verify", "analyse", "errata", "export"
+_CASE, _VERIFY, _ANALYSE, _ERRATA, _EXPORT, _BIAS = "CASE", "CASE --verify", "analyse", "errata", "export", "bias"
 _CASES, _JUDGED = (_CASE, _VERIFY), (_ANALYSE, _ERRATA)
 _ON_A_DESIGN = (*_JUDGED, _EXPORT)
 
@@ -60,7 +63,7 @@ def _parser() -> Parser:
     )
     add(
         "--out",
-        modes=(*_CASES, *_ON_A_DESIGN),
+        modes=(*_CASES, *_ON_A_DESIGN, _BIAS),
         metavar="DIR",
         help="where to write (default: runs/<name of the case>, or runs/analyse-<name>)",
     )
@@ -118,6 +121,13 @@ def _parser() -> Parser:
         choices=("flown", "table2"),
         help="vehicle as flown (default), or with the ranges of Table 2",
     )
+    add(
+        "--wind", modes=(_BIAS,), metavar="PROFILE", help="measured wind over altitude (.csv) instead of the scenario's"
+    )
+    add(
+        "--share", modes=(_BIAS,), type=positive, metavar="X",
+        help="of the incidence that the wind adds, to be taken away: 0 to 1 (default: 1)",
+    )  # fmt: skip  # four more lines otherwise
     add("--faults", modes=(_ANALYSE,), action="store_true", help="nodes of the flight with the scenario's faults")
     add("--no-pictures", modes=(*_CASES, _ANALYSE), action="store_true", help="tables and files only")
     add("--list", action="store_true", help="name the built-in cases and designs")
@@ -139,7 +149,7 @@ def main(arguments: list[str] | None = None) -> int:
 def _run(arguments: list[str]) -> int:
     parser = _parser()
     options = parser.read(arguments)
-    if options.words and options.words[0] in _ON_A_DESIGN:
+    if options.words and options.words[0] in (*_ON_A_DESIGN, _BIAS):
         mode, names = options.words[0], options.words[1:]
     else:
         mode, names = _VERIFY if options.verify else _CASE, options.words
@@ -168,6 +178,12 @@ def _run(arguments: list[str]) -> int:
         if options.c is not None and (options.out or options.times_s or options.axis):
             parser.error("--out, --at and --axis go with --format")
         return export.execute(filled(export.Order, options, design=names[0]))
+    if mode == _BIAS:
+        from maxq.tools.design import bias  # noqa: PLC0415  # lazy
+
+        if options.share is not None and options.share > 1.0:
+            parser.error("--share takes a number up to 1")
+        return bias.execute(filled(bias.Order, options, scenario=names[0]))
     if mode == _ERRATA:
         from maxq.tools.design import analyse  # noqa: PLC0415  # lazy
 
@@ -187,11 +203,13 @@ def _run(arguments: list[str]) -> int:
 
 def _check_names(names: list[str], mode: str, parser: Parser) -> None:
     if len(names) > 1 and mode != _VERIFY:
-        close = difflib.get_close_matches(names[0], (*_ON_A_DESIGN, "analyze"), 1, 0.7)
+        close = difflib.get_close_matches(names[0], (*_ON_A_DESIGN, _BIAS, "analyze"), 1, 0.7)
         hint = f"did you mean {_ANALYSE if close[0] == 'analyze' else close[0]}?" if close else "one at a time"
         parser.error(f"what is {names[0 if close else 1]!r}? {hint}")
     if mode in (_ANALYSE, _EXPORT) and not names:
         parser.error(f"give a design, e.g. simdesign {mode} ksr3-default")
+    if mode == _BIAS and not names:
+        parser.error("give a scenario, e.g. simdesign bias nominal --wind today.csv")
     if len(set(names)) < len(names):
         parser.error("a case is named twice")
 

@@ -21,45 +21,61 @@ static law_real limited(law_real value, law_real limit)
     return out;
 }
 
-/* Gains at a time: k_p, k_d_s and a third, k_i_ps or k_a_s2pm, in pitch, then in yaw. Cubics, end values outside. */
-static void look_up(law_real time_s, law_real gains[2 * LAW_GAINS])
+/* What a stage's gains are scheduled over. */
+static law_real scheduled(const law_stage *of, const law_inputs *in)
 {
-    law_real inside_s = time_s;
+    law_real at = in->time_s;
+    if (of->over == 1) {
+        at = in->speed_mps;
+    } else if (of->over == 2) {
+        at = in->mass_kg;
+    } else if (of->over == 3) {
+        at = in->dynamic_pressure_Pa;
+    } else {
+        /* the time */
+    }
+    return at;
+}
+
+/* Gains: k_p, k_d_s and a third, k_i_ps or k_a_s2pm, in pitch, then in yaw. Cubics, end values outside. */
+static void look_up(const law_stage *of, law_real at, law_real gains[2 * LAW_GAINS])
+{
+    law_real inside = at;
     law_real s;
     int32_t low = 0;
-    int32_t high = LAW_GAIN_BREAKS - 1;
+    int32_t high = of->gain_breaks - 1;
     int32_t column;
+    if (inside < of->gain_at[0]) {
+        inside = of->gain_at[0];
+    }
+    if (inside > of->gain_at[high]) {
+        inside = of->gain_at[high];
+    }
     while (high - low > 1) {
         const int32_t middle = (low + high) / 2;
-        if (law_gain_time_s[middle] <= time_s) {
+        if (of->gain_at[middle] <= at) {
             low = middle;
         } else {
             high = middle;
         }
     }
-    if (inside_s < law_gain_time_s[0]) {
-        inside_s = law_gain_time_s[0];
-    }
-    if (inside_s > law_gain_time_s[LAW_GAIN_BREAKS - 1]) {
-        inside_s = law_gain_time_s[LAW_GAIN_BREAKS - 1];
-    }
-    s = inside_s - law_gain_time_s[low];
+    s = inside - of->gain_at[low];
     for (column = 0; column < (2 * LAW_GAINS); ++column) {
-        const law_real c0 = law_gain[low][0][column];
-        const law_real c1 = law_gain[low][1][column];
-        const law_real c2 = law_gain[low][2][column];
-        const law_real c3 = law_gain[low][3][column];
+        const law_real c0 = of->gain[low][0][column];
+        const law_real c1 = of->gain[low][1][column];
+        const law_real c2 = of->gain[low][2][column];
+        const law_real c3 = of->gain[low][3][column];
         gains[column] = c0 + s * (c1 + s * (c2 + s * c3));
     }
 }
 
 /* Bending filter: second-order sections in transposed direct form II. */
-static law_real filtered(int32_t axis, law_real memory[LAW_MOST_SECTIONS][2], law_real input)
+static law_real filtered(const law_stage *of, int32_t axis, law_real memory[LAW_MOST_SECTIONS][2], law_real input)
 {
     law_real value = input;
     int32_t i;
-    for (i = 0; i < law_sections[axis]; ++i) {
-        const law_real *const section = law_section[axis][i]; /* b0, b1, b2, a1, a2 */
+    for (i = 0; i < of->sections[axis]; ++i) {
+        const law_real *const section = of->section[axis][i]; /* b0, b1, b2, a1, a2 */
         const law_real out = section[0] * value + memory[i][0];
         memory[i][0] = section[1] * value - section[3] * out + memory[i][1];
         memory[i][1] = section[2] * value - section[4] * out;
@@ -68,11 +84,25 @@ static law_real filtered(int32_t axis, law_real memory[LAW_MOST_SECTIONS][2], la
     return value;
 }
 
-/* Limit, then the nearest step of the output converter that is not beyond it; halves away from zero. */
-static law_real converted(law_real requested_rad, int64_t *steps)
+/* The filter as it is after a long time at one input. */
+static void settled(const law_stage *of, int32_t axis, law_real memory[LAW_MOST_SECTIONS][2], law_real input)
 {
-    const law_real step_rad = REAL(LAW_DAC_STEP_RAD);
-    const law_real limit_rad = REAL(LAW_COMMAND_LIMIT_RAD);
+    law_real value = input;
+    int32_t i;
+    for (i = 0; i < of->sections[axis]; ++i) {
+        const law_real *const section = of->section[axis][i];
+        const law_real out = value * (section[0] + section[1] + section[2]) / (REAL(1.0) + section[3] + section[4]);
+        memory[i][1] = section[2] * value - section[4] * out;
+        memory[i][0] = section[1] * value - section[3] * out + memory[i][1];
+        value = out;
+    }
+}
+
+/* Limit, then the nearest step of the output converter that is not beyond it; halves away from zero. */
+static law_real converted(const law_stage *of, law_real requested_rad, int64_t *steps)
+{
+    const law_real step_rad = of->dac_step_rad;
+    const law_real limit_rad = of->command_limit_rad;
     law_real command_rad = limited(requested_rad, limit_rad);
     *steps = 0;
     if (step_rad > REAL(0.0)) {
@@ -89,13 +119,13 @@ static law_real converted(law_real requested_rad, int64_t *steps)
 }
 
 /* Switching line with dead band, hysteresis and a shortest firing; a positive s demands a negative torque. */
-static int32_t fire(law_state *state, law_real error_rad, law_real rate_radps)
+static int32_t fire(const law_stage *of, law_state *state, law_real error_rad, law_real rate_radps)
 {
-    const law_real s = error_rad + REAL(LAW_ROLL_K_RATE_S) * rate_radps;
-    const law_real on_rad = REAL(LAW_ROLL_DEAD_BAND_RAD);
-    const law_real off_rad = on_rad - REAL(LAW_ROLL_HYSTERESIS_RAD);
+    const law_real s = error_rad + of->roll_k_rate_s * rate_radps;
+    const law_real on_rad = of->roll_dead_band_rad;
+    const law_real off_rad = on_rad - of->roll_hysteresis_rad;
     int32_t demand = 0;
-    if ((state->roll_thruster != 0) && (state->ticks_on < LAW_ROLL_SHORTEST_TICKS)) {
+    if ((state->roll_thruster != 0) && (state->ticks_on < of->roll_shortest_ticks)) {
         demand = state->roll_thruster;
     } else if ((s > on_rad) || ((state->roll_thruster < 0) && (s > off_rad))) {
         demand = -1;
@@ -113,6 +143,24 @@ static int32_t fire(law_state *state, law_real error_rad, law_real rate_radps)
     return demand;
 }
 
+/* The stage that flies now; one with a law or timing of its own begins with settled filters and idle thrusters. */
+static const law_stage *flying(law_state *state, int32_t stage)
+{
+    while ((state->stage < stage) && (state->stage < LAW_STAGES - 1)) {
+        state->stage += 1;
+        if (law_stages[state->stage].takes_over != 0) {
+            const law_stage *const of = &law_stages[state->stage];
+            int32_t axis;
+            for (axis = 0; axis < 2; ++axis) {
+                settled(of, axis, state->filter[axis], state->law_rad[axis]);
+            }
+            state->roll_thruster = 0;
+            state->ticks_on = 0;
+        }
+    }
+    return &law_stages[state->stage];
+}
+
 void law_start(law_state *state)
 {
     int32_t axis;
@@ -123,19 +171,22 @@ void law_start(law_state *state)
     }
     for (axis = 0; axis < 2; ++axis) {
         state->integral_rad[axis] = REAL(0.0);
-        state->cut_rad[axis] = REAL(0.0);
+        state->law_rad[axis] = REAL(0.0);
+        state->requested_rad[axis] = REAL(0.0);
         state->accel_mps2[axis] = REAL(0.0);
         for (i = 0; i < LAW_MOST_SECTIONS; ++i) {
             state->filter[axis][i][0] = REAL(0.0);
             state->filter[axis][i][1] = REAL(0.0);
         }
     }
+    state->stage = 0;
     state->roll_thruster = 0;
     state->ticks_on = 0;
 }
 
 void law_step(law_state *state, const law_inputs *in, law_outputs *out)
 {
+    const law_stage *const of = flying(state, in->stage);
     law_real gains[2 * LAW_GAINS];
     law_real error_rad[3];
     law_real rate_radps[3];
@@ -150,50 +201,51 @@ void law_step(law_state *state, const law_inputs *in, law_outputs *out)
         } else {
             state->angle_rad[axis] += increment_rad;
         }
-        rate_radps[axis] = increment_rad / REAL(LAW_SAMPLE_S);
+        rate_radps[axis] = increment_rad / of->sample_s;
         if (LAW_RATE_INTEGRAL != 0) {
             whole_rad = state->angle_rad[axis] - in->commanded_angle_rad[axis];
         }
-        error_rad[axis] = limited(whole_rad, REAL(LAW_ANGLE_ERROR_LIMIT_RAD));
+        error_rad[axis] = limited(whole_rad, of->angle_error_limit_rad);
     }
 #if LAW_FURTHER_GYROS > 0
     for (axis = 0; axis < 2; ++axis) {
         int32_t gyro;
-        rate_radps[axis + 1] = law_blend[axis][0] * rate_radps[axis + 1];
+        rate_radps[axis + 1] = of->blend[axis][0] * rate_radps[axis + 1];
         for (gyro = 0; gyro < LAW_FURTHER_GYROS; ++gyro) {
-            rate_radps[axis + 1] += law_blend[axis][gyro + 1] * in->further_rate_radps[gyro][axis + 1];
+            rate_radps[axis + 1] += of->blend[axis][gyro + 1] * in->further_rate_radps[gyro][axis + 1];
         }
     }
 #endif
-    look_up(in->time_s, gains);
+    look_up(of, scheduled(of, in), gains);
     for (axis = 0; axis < 2; ++axis) {
         const law_real k_p = gains[LAW_GAINS * axis];
         const law_real k_d_s = gains[LAW_GAINS * axis + 1];
         law_real wanted_rad = -k_p * error_rad[axis + 1] - k_d_s * rate_radps[axis + 1];
 #if LAW_LOAD_RELIEF == 1
-        const law_real side_mps2 = in->delta_velocity_mps[2 - axis] / REAL(LAW_SAMPLE_S);
+        const law_real side_mps2 = in->delta_velocity_mps[2 - axis] / of->sample_s;
         const law_real k_a_s2pm = (axis == 0) ? gains[2] : -gains[5];
-        state->accel_mps2[axis] += REAL(LAW_ACCEL_SHARE) * (side_mps2 - state->accel_mps2[axis]);
+        state->accel_mps2[axis] += of->accel_share * (side_mps2 - state->accel_mps2[axis]);
         wanted_rad += k_a_s2pm * state->accel_mps2[axis];
 #elif LAW_GAINS == 3
-        const law_real more_rad = REAL(LAW_SAMPLE_S) * gains[3 * axis + 2] * error_rad[axis + 1];
-        if (more_rad * state->cut_rad[axis] >= REAL(0.0)) { /* not farther beyond the limit */
-            state->integral_rad[axis] = limited(state->integral_rad[axis] + more_rad, REAL(LAW_INTEGRAL_LIMIT_RAD));
+        const law_real more_rad = of->sample_s * gains[3 * axis + 2] * error_rad[axis + 1];
+        law_real cut_rad = state->requested_rad[axis];
+        if (limited(cut_rad, of->command_limit_rad) == cut_rad) {
+            cut_rad = REAL(0.0);
+        }
+        if (more_rad * cut_rad >= REAL(0.0)) { /* not farther beyond the limit */
+            state->integral_rad[axis] = limited(state->integral_rad[axis] + more_rad, of->integral_limit_rad);
         }
         wanted_rad -= state->integral_rad[axis];
 #endif
-        out->requested_rad[axis] = filtered(axis, state->filter[axis], wanted_rad);
-        out->command_rad[axis] = converted(out->requested_rad[axis], &out->converter[axis]);
-        state->cut_rad[axis] = out->requested_rad[axis];
-        if (limited(state->cut_rad[axis], REAL(LAW_COMMAND_LIMIT_RAD)) == state->cut_rad[axis]) {
-            state->cut_rad[axis] = REAL(0.0);
-        }
+        state->law_rad[axis] = wanted_rad;
+        state->requested_rad[axis] = filtered(of, axis, state->filter[axis], wanted_rad);
+        out->requested_rad[axis] = state->requested_rad[axis];
+        out->command_rad[axis] = converted(of, out->requested_rad[axis], &out->converter[axis]);
     }
     out->roll_gimbal_rad = limited(
-        -REAL(LAW_ROLL_GIMBAL_K_P) * error_rad[0] - REAL(LAW_ROLL_GIMBAL_K_D_S) * rate_radps[0],
-        REAL(LAW_ROLL_GIMBAL_LIMIT_RAD));
+        -of->roll_gimbal_k_p * error_rad[0] - of->roll_gimbal_k_d_s * rate_radps[0], of->roll_gimbal_limit_rad);
     out->roll_thruster = 0;
-    if (LAW_ROLL_THRUSTERS != 0) {
-        out->roll_thruster = fire(state, error_rad[0], rate_radps[0]);
+    if (of->roll_thrusters != 0) {
+        out->roll_thruster = fire(of, state, error_rad[0], rate_radps[0]);
     }
 }

@@ -1,7 +1,7 @@
 /* Attitude control law of a flight computer: gyro pulses and commanded angles to gimbal and thruster commands.
  *
  * C99 without library, allocation or global variables. Triples are per body axis (roll, pitch, yaw), pairs per gimbal axis
- * (pitch, yaw). The numbers of the design are in flight_law_tables.h. With LAW_FLOAT all arithmetic but the sum of the
+ * (pitch, yaw). The numbers of the design are in flight_law_tables.h, stage by stage. With LAW_FLOAT all arithmetic but the sum of the
  * pulses is in single precision.
  */
 #ifndef FLIGHT_LAW_H
@@ -19,6 +19,10 @@ typedef double law_real;
 
 typedef struct {
     law_real time_s;                 /* vehicle clock at the end of the sample */
+    law_real speed_mps;              /* navigation: relative to the rotating Earth; where gains are scheduled over it */
+    law_real mass_kg;
+    law_real dynamic_pressure_Pa;    /* of speed_mps in the air of this altitude */
+    int32_t stage;                   /* that flies, from 0 */
     int64_t counts[3];               /* gyro pulses of the sample */
     law_real delta_angle_rad[3];     /* of the sample; used instead of pulses where LAW_COUNT_RAD is 0 */
     law_real commanded_angle_rad[3]; /* sum of the commanded rates since the start; where LAW_RATE_INTEGRAL is 1 */
@@ -39,9 +43,11 @@ typedef struct {
     int64_t total_counts[3];
     law_real angle_rad[3];
     law_real integral_rad[2];
-    law_real cut_rad[2]; /* last command before its limit, 0 where that did not cut it */
+    law_real law_rad[2];       /* last command before the filter */
+    law_real requested_rad[2]; /* and behind it */
     law_real accel_mps2[2]; /* behind its lag */
     law_real filter[2][LAW_MOST_SECTIONS][2];
+    int32_t stage;
     int32_t roll_thruster;
     int32_t ticks_on; /* samples of the present firing */
 } law_state;

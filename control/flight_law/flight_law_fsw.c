@@ -15,8 +15,13 @@ int64_t maxq_fsw_bytes(void)
 
 int32_t maxq_fsw_init(void *self, const maxq_fsw_setup *setup)
 {
+    int32_t known = 0;
+    int32_t stage;
     law_start((law_state *)self);
-    return (setup->sample_ns == LAW_SAMPLE_NS) ? 0 : 1;
+    for (stage = 0; stage < LAW_STAGES; ++stage) {
+        known |= (setup->sample_ns == law_stages[stage].sample_ns) ? 1 : 0;
+    }
+    return (known != 0) ? 0 : 1;
 }
 
 int32_t maxq_fsw_step(void *self, const maxq_fsw_inputs *in, maxq_fsw_outputs *out)
@@ -26,6 +31,10 @@ int32_t maxq_fsw_step(void *self, const maxq_fsw_inputs *in, maxq_fsw_outputs *o
     int32_t i;
     int32_t gyro;
     given.time_s = (law_real)in->time_s;
+    given.speed_mps = (law_real)in->speed_mps;
+    given.mass_kg = (law_real)in->mass_kg;
+    given.dynamic_pressure_Pa = (law_real)in->dynamic_pressure_Pa;
+    given.stage = (int32_t)in->stage;
     for (i = 0; i < 3; ++i) {
         given.counts[i] = in->counts[i];
         given.delta_angle_rad[i] = (law_real)in->delta_angle_rad[i];

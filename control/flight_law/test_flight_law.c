@@ -29,6 +29,10 @@ int main(void)
         int i;
         int gyro;
         in.time_s = (law_real)test_time_s[n];
+        in.speed_mps = (law_real)test_navigation[n][0];
+        in.mass_kg = (law_real)test_navigation[n][1];
+        in.dynamic_pressure_Pa = (law_real)test_navigation[n][2];
+        in.stage = 0;
         for (i = 0; i < 3; ++i) {
             in.counts[i] = (int64_t)test_counts[n][i];
             in.delta_angle_rad[i] = (law_real)test_delta_angle_rad[n][i];
@@ -41,7 +45,7 @@ int main(void)
         }
         law_step(&state, &in, &out);
         for (i = 0; i < 2; ++i) {
-            const double step_rad = (TOLERANCE_RAD > 0.0) ? TOLERANCE_RAD + 1.001 * LAW_DAC_STEP_RAD : 0.0;
+            const double step_rad = (TOLERANCE_RAD > 0.0) ? TOLERANCE_RAD + 1.001 * (double)law_stages[0].dac_step_rad : 0.0;
             wrong += differs((double)out.requested_rad[i], test_requested_rad[n][i], TOLERANCE_RAD);
             wrong += differs((double)out.command_rad[i], test_command_rad[n][i], step_rad);
         }

@@ -53,16 +53,16 @@ def start_load_relief(state: LoadReliefState) -> None:
 @kernel
 def tick_load_relief(
     law: Pd, relief: LoadRelief, pool: Array, state: PdState, filters: LoadReliefState, error: AttitudeError,
-    accel_mps2: Array, gimbal: int, time_s: float, on: int,
+    accel_mps2: Array, gimbal: int, at: float, on: int,
 ) -> float:  # fmt: skip  # twelve lines otherwise
     """As `tick_pd`, the gains' table with three columns an axis. `accel_mps2`: along x, y, z. The lag always runs."""
     law_rad, sign = 0.0, 1.0 - 2.0 * gimbal
     lateral = accel_mps2[2 - gimbal]
     filters.accel_mps2[gimbal] += relief.share * (lateral - filters.accel_mps2[gimbal])
     if on != 0 and law.gains.n_breaks != 0:
-        filters.k_a_s2pm[gimbal] = look_up(pool, law.gains, time_s, 3 * gimbal + 2)
+        filters.k_a_s2pm[gimbal] = look_up(pool, law.gains, at, 3 * gimbal + 2)
         filters.relief_rad[gimbal] = sign * filters.k_a_s2pm[gimbal] * filters.accel_mps2[gimbal]
-        pd_rad = proportional_derivative(law, pool, state, error, gimbal, time_s, 3)
+        pd_rad = proportional_derivative(law, pool, state, error, gimbal, at, 3)
         law_rad = pd_rad + filters.relief_rad[gimbal]
     return filtered(law, state, gimbal, law_rad)
 

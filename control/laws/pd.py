@@ -20,32 +20,38 @@ from maxq.control.kernel.jit import kernel
 from maxq.control.kernel.records import Array, IntArray
 from maxq.control.kernel.rows import DEG, PitchYaw
 from maxq.control.kernel.tables import Cubics, TableRef, fit, look_up, merge
-from maxq.control.structures import MAX_SECTIONS
+from maxq.control.structures import MAX_SECTIONS, Over
 
 
 @dataclass(frozen=True)
 class GainSchedule:
-    """Gains of one axis over time: `time_s` (n,), `k_p` (n,), `k_d_s` (n,) in s, with an integral `k_i_ps` (n,) in
-    1/s, with load relief `k_a_s2pm` (n,) in s2/m; linear between, held outside.
+    """Gains of one axis: `k_p` (n,), `k_d_s` (n,) in s, with an integral `k_i_ps` (n,) in 1/s, with load relief
+    `k_a_s2pm` (n,) in s2/m, at values `at` (n,) of `over`; linear between, held outside.
     """
 
-    time_s: Sequence[float]
+    at: Sequence[float]
     k_p: Sequence[float]
     k_d_s: Sequence[float]
     k_i_ps: Sequence[float] = ()
     k_a_s2pm: Sequence[float] = ()
+    over: Over = "time_s"
 
     @property
     def columns(self) -> tuple[str, ...]:
         """Names of the gains."""
         return ("k_p", "k_d_s", *(name for name in ("k_i_ps", "k_a_s2pm") if len(getattr(self, name)) > 0))
 
+    @property
+    def table(self) -> dict[str, Sequence[float]]:
+        """Columns by name, what they are over first."""
+        return {self.over: self.at, **{name: getattr(self, name) for name in self.columns}}
+
 
 @dataclass(frozen=True)
 class Pd:
     """Pairs are per gimbal axis (pitch, yaw).
 
-    `gains`: table over time of k_p, k_d in pitch, then in yaw (`gains_table`); none means a law that gives 0.
+    `gains`: table of k_p, k_d in pitch, then in yaw (`gains_table`); none means a law that gives 0.
     `sections` (2, MAX_SECTIONS, 5): b0, b1, b2, a1, a2 of each section of the bending filters; `n_sections` (2,).
     """
 
@@ -70,19 +76,21 @@ class PdState:
 
 
 def gains_table(pitch: GainSchedule, yaw: GainSchedule | None = None) -> Cubics:
-    """Table of the columns k_p, k_d_s, with an integral k_i_ps, in pitch, then in yaw, over time, s; yaw is as pitch
-    unless given.
+    """Table of the columns k_p, k_d_s, with an integral k_i_ps, in pitch, then in yaw, over what both are given over;
+    yaw is as pitch unless given.
 
-    Raises ValueError for columns of different lengths and as `tables.fit` does.
+    Raises ValueError for columns of different lengths, for axes over different quantities, and as `tables.fit` does.
     """
+    if yaw is not None and yaw.over != pitch.over:
+        raise ValueError(f"gains of yaw over {yaw.over}: allowed is {pitch.over}, as in pitch")
     tables = []
     for axis, schedule in (("pitch", pitch), ("yaw", yaw or pitch)):
         for key in pitch.columns:
-            given, wanted = len(getattr(schedule, key)), len(schedule.time_s)
+            given, wanted = len(getattr(schedule, key)), len(schedule.at)
             if given != wanted or wanted == 0:
                 raise ValueError(f"gains of {axis}: {key} has {given} values: allowed is {max(wanted, 1)}")
         columns = np.column_stack([getattr(schedule, key) for key in pitch.columns])
-        tables.append(fit(schedule.time_s, columns, "linear"))
+        tables.append(fit(schedule.at, columns, "linear"))
     return merge(tables)
 
 
@@ -116,26 +124,26 @@ def settle_pd(law: Pd, state: PdState, gimbal: int) -> None:
 
 
 @kernel
-def tick_pd(law: Pd, pool: Array, state: PdState, error: AttitudeError, gimbal: int, time_s: float, on: int) -> float:
-    """Filtered command, rad, of gimbal axis `gimbal` (0 pitch, 1 yaw) at `time_s` (eq 33).
+def tick_pd(law: Pd, pool: Array, state: PdState, error: AttitudeError, gimbal: int, at: float, on: int) -> float:
+    """Filtered command, rad, of gimbal axis `gimbal` (0 pitch, 1 yaw), with the gains at `at` (eq 33).
 
     With `on` = 0 the filter's input is 0. The filter runs on in any case, so that it is settled when the law takes
     over again.
     """
     pd_rad = 0.0
     if on != 0 and law.gains.n_breaks != 0:
-        pd_rad = proportional_derivative(law, pool, state, error, gimbal, time_s, 2)
+        pd_rad = proportional_derivative(law, pool, state, error, gimbal, at, 2)
     return filtered(law, state, gimbal, pd_rad)
 
 
 @kernel
 def proportional_derivative(
-    law: Pd, pool: Array, state: PdState, error: AttitudeError, gimbal: int, time_s: float, columns: int
+    law: Pd, pool: Array, state: PdState, error: AttitudeError, gimbal: int, at: float, columns: int
 ) -> float:
     """-k_p theta_e - k_d q_g, rad; k_p and k_d are the first of an axis's `columns` in the gains' table."""
     axis = gimbal + 1
-    k_p = look_up(pool, law.gains, time_s, columns * gimbal)
-    k_d_s = look_up(pool, law.gains, time_s, columns * gimbal + 1)
+    k_p = look_up(pool, law.gains, at, columns * gimbal)
+    k_d_s = look_up(pool, law.gains, at, columns * gimbal + 1)
     state.k_p[gimbal], state.k_d_s[gimbal] = k_p, k_d_s
     pd_rad: float = -k_p * error.theta_e_rad[axis] - k_d_s * error.rate_radps[axis]
     return pd_rad

@@ -46,7 +46,7 @@ def start_pid(state: PidState) -> None:
 @kernel
 def tick_pid(
     law: Pd, pid: Pid, pool: Array, state: PdState, integral: PidState, error: AttitudeError, gimbal: int,
-    time_s: float, sample_s: float, on: int, cut_rad: float,
+    at: float, sample_s: float, on: int, cut_rad: float,
 ) -> float:  # fmt: skip  # twelve lines otherwise
     """As `tick_pd`, the gains' table with three columns an axis. `cut_rad`: the command before if the limit cut it,
     else 0.
@@ -57,12 +57,12 @@ def tick_pid(
     if on == 0:
         integral.integral_rad[gimbal] = 0.0
     elif law.gains.n_breaks != 0:
-        integral.k_i_ps[gimbal] = look_up(pool, law.gains, time_s, 3 * gimbal + 2)
+        integral.k_i_ps[gimbal] = look_up(pool, law.gains, at, 3 * gimbal + 2)
         more_rad = sample_s * integral.k_i_ps[gimbal] * error.theta_e_rad[gimbal + 1]
         if more_rad * cut_rad >= 0.0:  # a positive error lowers the command: one cut at the upper limit comes back
             whole_rad = integral.integral_rad[gimbal] + more_rad
             integral.integral_rad[gimbal] = min(max(whole_rad, -pid.limit_rad), pid.limit_rad)
-        pd_rad = proportional_derivative(law, pool, state, error, gimbal, time_s, 3)
+        pd_rad = proportional_derivative(law, pool, state, error, gimbal, at, 3)
         pid_rad = pd_rad - integral.integral_rad[gimbal]
     return filtered(law, state, gimbal, pid_rad)
 

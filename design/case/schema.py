@@ -16,7 +16,7 @@ from typing import Annotated, Literal, TypeVar
 from pydantic import Field, model_validator
 
 from maxq.control.kernel.limits import MAX_STAGES
-from maxq.control.structures import MAX_SECTIONS, STRUCTURES, DesignedStructure, Law
+from maxq.control.structures import MAX_SECTIONS, STRUCTURES, DesignedStructure, Law, Over
 from maxq.design.model.spread import Share, Spread
 from maxq.sim.scenario.documents import Text
 from maxq.sim.scenario.errors import ScenarioError, refuse
@@ -48,22 +48,32 @@ class Gains(Section):
 
     schedule: Literal["two-phase", "linear", "free", "nodes"] = optional(
         "two-phase: the least linear ones that meet [reference], found before the filter (paper, 5.1); "
-        "linear: values at the first and last node (Subcase 1); free: at every node (Subcase 2); nodes: at nodes_s",
+        "linear: values at the first and last node, or at the least and the largest value there of what the gains are "
+        "over (Subcase 1); free: at every node (Subcase 2); nodes: at nodes_s, or nodes",
         "linear",
     )
+    over: Over = optional("what the gains are scheduled over, as the column of a design's table says it", "time_s")
     nodes_s: tuple[float, ...] | None = optional("vehicle times of the gain table, s; with nodes")
+    nodes: tuple[float, ...] | None = optional("rows of the gain table over anything but time, in its unit; with nodes")
 
     @model_validator(mode="after")
     def _check(self) -> Gains:
-        only_with(self, ("nodes_s",), self.schedule == "nodes", 'schedule = "nodes"')
+        if self.over != "time_s" and self.schedule == "two-phase":
+            raise refuse("finds gains over time only", "linear, free, nodes", key=("schedule",))
+        mine, other = ("nodes_s", "nodes") if self.over == "time_s" else ("nodes", "nodes_s")
+        only_with(self, (mine,), self.schedule == "nodes", 'schedule = "nodes"')
+        only_with(
+            self, (other,), False, "over = 'time_s'" if other == "nodes_s" else "over another quantity than time_s"
+        )
         if self.schedule == "nodes":
-            _rising(needs(self, "nodes_s", 'schedule is "nodes"', "rising times, s"), "nodes_s")
+            unit = "times, s" if mine == "nodes_s" else f"values of {self.over}"
+            _rising(needs(self, mine, 'schedule is "nodes"', f"rising {unit}"), mine)
         return self
 
 
-def _rising(times: tuple[float, ...], key: str) -> None:
-    if len(times) == 0 or any(b <= a for a, b in pairwise(times)):
-        raise refuse("does not rise", "one rising time or more, s", key=(key,))
+def _rising(values: tuple[float, ...], key: str) -> None:
+    if len(values) == 0 or any(b <= a for a, b in pairwise(values)):
+        raise refuse("does not rise", "one rising number or more", key=(key,))
 
 
 class FilterBounds(Section):
@@ -300,6 +310,10 @@ class Case(Section):
         for key in ("q_alpha_Padeg", "drift_mps"):
             if self.wind is None and getattr(self.limits, key) is not None:
                 raise refuse("needs a wind", "a table [wind]", key=("limits", key))
+        if self.gains.over != "time_s" and self.gains.schedule == "free" and self.between_nodes == "hold":
+            raise refuse(
+                "gains at every node that is added need to be over time", "nodes, linear", ("gains", "schedule")
+            )
         if self.law != "pd" and self.gains.schedule == "two-phase":
             raise refuse("finds gains of the law pd only", "linear, free, nodes", key=("gains", "schedule"))
         for name in ("integral_hz", "most_integral_hz"):

@@ -152,12 +152,19 @@ def certify_node(
     """
     if loaded.design is None:
         raise ValueError(f"{loaded.label}: there is no design to certify")
-    held = hold(loaded, node, fault)
-    loop, flown = api.loops([held.node, node], loaded.design)
+    held, flown = hold(loaded, node, fault), api.loops([node], loaded.design)[0]
+    of_flown = margins(flown)
+    loop = api.loops([held.node], loaded.design)[0]
+    of_held, drifts = margins(loop), None
+    if not of_held.stable:
+        drifts = drift(held, loop, of_held)
+        if drifts is None and of_flown.stable:
+            held = hold(loaded, node, fault, along_body=True)
+            loop = api.loops([held.node], loaded.design)[0]
+            of_held = margins(loop)
     bands = below(bands, loop.fixed.highest_hz)
     pade = api.loops([held.node, node], loaded.design, kind="pade")
-    of_held, of_flown, of_pade = margins(loop), margins(flown), margins(pade[1])
-    drifts = drift(held, loop, of_held)
+    of_pade = margins(pade[1])
     if drifts is not None:
         of_held = drifts.others
     elif not of_held.stable:

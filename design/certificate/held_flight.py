@@ -13,6 +13,10 @@ with the air everything falls with the axial load, however the load comes about.
 gains speed, dW/dt = a - g, adds to w' what gravity lacks.) The linear node of the held flight, `HeldFlight.node`, has
 the same term, so that the two can be compared to the last digit; the node of the flight itself shows its effect, and
 in_flight.py what remains of it in the ascent.
+
+A law with load relief turns into the wind, and so makes that term a gravity turn: under several times the real gravity
+it topples within seconds. Such a loop is held with `along_body`: gravity acts aft along the vehicle's axis wherever it
+points, on every particle as before, and w' has no term of it at all, in flight as in `HeldFlight.node`.
 """
 
 from __future__ import annotations
@@ -33,10 +37,12 @@ from maxq.sim.packing.computer import pack_injections
 from maxq.sim.packing.flight import Packed, pack_flight
 from maxq.sim.run.fly import FlightRun, KeptRows
 from maxq.sim.scenario.loader import LoadedScenario
+from maxq.sim.scenario.schema_design import Design
 from maxq.sim.scenario.schema_environment import Atmosphere, Earth, Wind
 from maxq.sim.scenario.schema_scenario import Geodetic, Guidance, Initial, Injection, Log, Run, Scenario
 from maxq.sim.scenario.schema_values import to_ns
 from maxq.sim.world.atmosphere import HEAT_RATIO, GAS_CONSTANT_Jpkg_K
+from maxq.sim.world.earth import ALONG_BODY
 
 ALTITUDE_M = 1.0e6  # high enough never to meet the ground; the air does not depend on it
 DETUNED = 0.02  # share of half the bandwidth of a mode, its damping ratio times its frequency
@@ -118,8 +124,10 @@ def slosh_columns(run: FlightRun, plane: Plane) -> list[int]:
     return [n for n, name in enumerate(names) if name.startswith("slosh") and name.endswith(f"{plane}_deg")]
 
 
-def hold(loaded: LoadedScenario, node: Node, fault: Change | None = None) -> HeldFlight:
-    """Hold the scenario at a node of its flight, in the node's plane.
+def hold(
+    loaded: LoadedScenario, node: Node, fault: Change | None = None, *, along_body: bool = False
+) -> HeldFlight:  # fmt: skip  # as ruff would, but for a line of one bracket
+    """Hold the scenario at a node of its flight, in the node's plane; with `along_body` without gravity turn.
 
     Valid under thrust: of several stages the one that burns at the node is held, by itself. Raises ValueError where
     the axial load is not positive, or the scenario has neither design nor flight code from outside, which is told the
@@ -140,9 +148,12 @@ def hold(loaded: LoadedScenario, node: Node, fault: Change | None = None) -> Hel
     packed = pack_flight(held.scenario)
     packed.parameters[0].computer.held_time_s = max(node.time_s, 1e-9)
     packed.parameters[0].computer.first_stage = node.stage
+    same = node_of(packed, node.time_s, 0, node.plane, node.errata)
+    if along_body:
+        packed.parameters[0].environment.earth.gravity = ALONG_BODY
+        same = dataclasses.replace(same, condition=dataclasses.replace(same.condition, gravity_mps2=0.0))
     same = dataclasses.replace(
-        node_of(packed, node.time_s, 0, node.plane, node.errata),
-        liquids=node.liquids, stage=node.stage, surface_radius_m=node.surface_radius_m,
+        same, liquids=node.liquids, stage=node.stage, surface_radius_m=node.surface_radius_m,
     )  # fmt: skip  # two more lines otherwise
     return HeldFlight(held, packed, same, node.time_s, node.plane, fault or unchanged)
 
@@ -156,7 +167,7 @@ def _stillness(scenario: Scenario, node: Node, load_mps2: float) -> dict[str, ob
     alone = vehicle.stage[node.stage].model_copy(update={"separation_s": None, "separation_after_burnout_s": None})
     return {
         "vehicle": vehicle.model_copy(update={"stage": (alone,)}),
-        "design": design and law_kind(design.law).frozen(design.of_stage(node.stage), node.time_s),
+        "design": design and _frozen(design.of_stage(node.stage), node),
         "earth": Earth(shape="flat", rotating=False, gravity="uniform", uniform_mps2=load_mps2),
         "atmosphere": Atmosphere(
             model="constant", density_kgpm3=air.density_kgpm3, temperature_K=temperature, pressure_Pa=air.pressure_Pa
@@ -191,6 +202,11 @@ def _step_s(scenario: Scenario, node: Node) -> float:
     most_s = min(((120.0 * DETUNED * zeta) ** 0.25 / omega for omega, zeta in modes if zeta > 0.0), default=math.inf)
     given_s = scenario.run.step_s
     return given_s if most_s >= given_s else round(given_s / math.ceil(given_s / most_s), 9)
+
+
+def _frozen(design: Design, node: Node) -> Design:
+    """The design with the gains of the node's instant."""
+    return law_kind(design.law).frozen(design, node.scheduled(design.gains.over))
 
 
 def linear_limits(held: HeldFlight) -> tuple[float, float]:

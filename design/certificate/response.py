@@ -225,6 +225,7 @@ def _without_rounding(held: HeldFlight) -> HeldFlight:
         computer = packed.parameters[0].computer
         computer.converter.count_rad = 0.0
         computer.dac_step_rad = 0.0
+        computer.sensors.converter["count_rad"] = 0.0
 
     return dataclasses.replace(held, fault=fault)
 

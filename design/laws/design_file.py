@@ -60,12 +60,12 @@ def design_text(design: Design, comments: Sequence[str] = ()) -> str:
     kept = design.model_dump(by_alias=True, exclude_none=True).items()
     content = {key: value for key, value in kept if value not in ("", ())}
     laws: list[Design | StageLaw] = [design, *design.stage]
-    names = ("time_s", *design.gain_names)
     for mine, law in zip((content, *content.get("stage", ())), laws, strict=True):
         if law.filter is not None:
             mine["filter"] = {key: value for key, value in mine["filter"].items() if value != ()}
         if law.gains is None:
             continue
+        names = (law.gains.over, *design.gain_names)
         for key in ("table", "yaw_table"):
             if key in mine["gains"]:
                 table = getattr(law.gains, key)

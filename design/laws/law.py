@@ -30,6 +30,7 @@ from typing import Any, Protocol
 from numpy.typing import ArrayLike
 
 from maxq.control.kernel.records import Array, IntArray
+from maxq.control.structures import Over
 from maxq.design.model.state_space import ComplexArray, StateSpace
 from maxq.design.model.vehicle_at import Plane
 
@@ -89,8 +90,14 @@ class Controller(Protocol):
 class DesignedLaw(Protocol):
     """The law of a design file."""
 
-    def at(self, time_s: float, plane: Plane, sample_s: float | None) -> Controller:
-        """The law at a vehicle time: as the flight computer runs it at the period, or continuous for None."""
+    @property
+    def over(self) -> Over:
+        """What its gains are scheduled over."""
+        ...
+
+    def at(self, at: float, plane: Plane, sample_s: float | None) -> Controller:
+        """The law with the gains at a value of `over`, such as a vehicle time (`Node.scheduled`): as the flight
+        computer runs it at the period, or continuous for None."""
         ...
 
     def tables(self) -> dict[str, Any]:

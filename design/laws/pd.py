@@ -23,8 +23,7 @@ from maxq.control.filters import BendingFilter, Discretization
 from maxq.control.kernel.records import Array, IntArray
 from maxq.control.kernel.tables import Cubics
 from maxq.control.laws.pd import GainSchedule, gains_table
-from maxq.control.structures import structure_of
-from maxq.design.case.schema import Case
+from maxq.control.structures import Over, structure_of
 from maxq.design.laws.bending_filter import (
     AnyFilter,
     FilterVariables,
@@ -165,28 +164,32 @@ class PdDesign:
             design.load_relief.corner_hz if design.load_relief is not None else None,
         )  # fmt: skip  # six more lines otherwise
 
+    @property
+    def over(self) -> Over:
+        return self.pitch.over
+
     @cached_property
     def _table(self) -> Cubics:
         """As the flight computer interpolates the gains."""
         return gains_table(self.pitch, self.yaw)
 
     @staticmethod
-    def frozen(design: Design, time_s: float) -> Design:
-        """The design with the gains of one instant at all times."""
+    def frozen(design: Design, at: float) -> Design:
+        """The design with the gains of one instant at all times; `at` as in `law.DesignedLaw`."""
         law = PdDesign.of(design)
-        laws = [law.at(time_s, "pitch", None), law.at(time_s, "yaw", None)]
+        laws = [law.at(at, "pitch", None), law.at(at, "yaw", None)]
         names = law.pitch.columns
         pitch, yaw = (
-            CsvTable("", {"time_s": np.array([time_s]), **{name: np.array([getattr(x, name)]) for name in names}})
+            CsvTable("", {law.over: np.array([at]), **{name: np.array([getattr(x, name)]) for name in names}})
             for x in laws
         )
         gains = design.gains.model_copy(update={"table": pitch, "yaw": None, "yaw_table": yaw})
         return design.model_copy(update={"gains": gains})
 
-    def at(self, time_s: float, plane: Plane, sample_s: float | None) -> Pd:
+    def at(self, at: float, plane: Plane, sample_s: float | None) -> Pd:
         names = self.pitch.columns
         first = 0 if plane == "pitch" else len(names)
-        gains = self._table(time_s)[first : first + len(names)].tolist()
+        gains = self._table(at)[first : first + len(names)].tolist()
         lag = None if self.relief_hz is None else Lag(self.relief_hz, sample_s)
         blend = self.blend[0 if plane == "pitch" else 1]
         return Pd(**dict(zip(names, gains, strict=True)), filter=self.filter_at(sample_s), blend=blend, lag=lag)
@@ -199,9 +202,8 @@ class PdDesign:
 
     def tables(self) -> dict[str, Any]:
         def rows(schedule: GainSchedule) -> tuple[dict[str, float], ...]:
-            names = ("time_s", *schedule.columns)
-            columns = [[float(x) for x in getattr(schedule, name)] for name in names]
-            return tuple(dict(zip(names, row, strict=True)) for row in zip(*columns, strict=True))
+            columns = [[float(x) for x in column] for column in schedule.table.values()]
+            return tuple(dict(zip(schedule.table, row, strict=True)) for row in zip(*columns, strict=True))
 
         gains: dict[str, Any] = {"table": rows(self.pitch)}
         gains |= {"yaw": "pitch"} if self.yaw is self.pitch else {"yaw_table": rows(self.yaw)}
@@ -221,7 +223,7 @@ class PdDesign:
         return {"law": self.name, "gains": gains, "filter": filter_, **more}
 
     def record(self) -> dict[str, Any]:
-        gains = {n: [float(x) for x in getattr(self.pitch, n)] for n in ("time_s", *self.pitch.columns)}
+        gains = {name: [float(x) for x in column] for name, column in self.pitch.table.items()}
         more: dict[str, Any] = {} if self.relief_hz is None else {"relief_hz": self.relief_hz}
         more |= {"blend": [list(weights) for weights in self.blend]} if len(self.blend[0]) > 1 else {}
         return {"gains": gains, "filter": asdict(self.filter) | {"prewarp_hz": self.prewarp_hz}, **more}
@@ -237,6 +239,9 @@ WIND_LIMITS = {"q_alpha_Padeg": ("load q alpha in wind, rms", "Pa deg"), "drift_
 GAIN_OF = {
     "angle_rad": "k_p", "rate_radps": "k_d_s", "angle_integral_rads": "k_i_ps", ACCELERATION: "k_a_s2pm",
 }  # fmt: skip  # four more lines otherwise
+
+
+UNIT_OF: dict[Over, str] = {"time_s": " s", "speed_mps": " m/s", "mass_kg": " kg", "dynamic_pressure_Pa": " Pa"}
 
 
 class PdVariables:
@@ -274,8 +279,8 @@ class PdVariables:
             LawLimit("rigid-body damping", "", linear),
             LawLimit("|F(j inf)|", "", True),
         )
-        nodes = _gain_nodes(case, self.schedule)
-        weights = interpolation_weights(task.times_s, nodes)
+        nodes = _gain_nodes(task, self.schedule)
+        weights = interpolation_weights(task.at, nodes)
         self.rigid_hz, self.rigid_zeta = task.limits["rigid_hz"], task.limits["rigid_zeta"]
         fixed: Array | None = None
         if self.schedule == "two-phase":
@@ -287,7 +292,7 @@ class PdVariables:
             if fixed is None:
                 few = Rigid(*(getattr(task.rigid, f.name)[own] for f in fields(Rigid)))
                 fixed = least_gains(few, weights[own], wanted.rigid_hz, wanted.rigid_zeta, self.full)
-        self.gains: GainSchedules = GainSchedules(self.keys, nodes, weights, fixed)
+        self.gains: GainSchedules = GainSchedules(self.keys, nodes, weights, fixed, UNIT_OF[case.gains.over])
         self.further = task.further_gyros
         self.inputs = (*type(self).inputs, *(further_rate(k + 2) for k in range(self.further)))
         self.lag = Lag(case.load_relief.corner_hz, task.sample_s) if ACCELERATION in self.inputs else None
@@ -476,7 +481,7 @@ class PdVariables:
     def designed(self, variables: Array) -> PdDesign:
         y, u = self.split(variables)
         of_key = dict(zip(self.keys, self.gains.at_nodes(u).tolist(), strict=True))
-        gains = GainSchedule(time_s=self.gains.nodes_s.tolist(), **of_key)
+        gains = GainSchedule(self.gains.nodes.tolist(), over=self.task.case.gains.over, **of_key)
         blend, relief_hz = self._blend(variables), None if self.lag is None else self.lag.corner_hz
         form, case = self.filter.filter(y), self.task.case
         return PdDesign(gains, gains, form, "prewarped", self.prewarp_hz, case.law, (blend, blend), relief_hz)
@@ -487,14 +492,14 @@ class PdVariables:
         filter_ = lifted(law.filter, self.filter, self.task.first_mode_hz)
         if filter_ is None:
             return None
-        if law.pitch.columns != self.keys:
+        if law.pitch.columns != self.keys or law.over != self.task.case.gains.over:
             return None
         given = np.array([getattr(law.pitch, key) for key in self.keys])
         if len(law.blend[0]) > 1 + self.further:
             return None
         weights = np.zeros(self.further)
         weights[: len(law.blend[0]) - 1] = law.blend[0][1:]
-        known = self.gains.from_nodes(np.asarray(law.pitch.time_s), given)
+        known = self.gains.from_nodes(np.asarray(law.pitch.at), given)
         return self._clipped(np.concatenate([self.filter.variables(filter_), known, weights]))
 
     def _clipped(self, variables: Array) -> Array:
@@ -540,24 +545,25 @@ class PdVariables:
 
     def simpler(self) -> tuple[PdVariables, Callable[[Array], Array]] | None:
         """Linear gains in place of many nodes."""
-        if self.schedule not in ("free", "nodes") or len(self.gains.nodes_s) <= 2:
+        if self.schedule not in ("free", "nodes") or len(self.gains.nodes) <= 2:
             return None
         small = type(self)(self.task, schedule="linear")
 
         def wider(x: Array) -> Array:
             y, u = small.split(x)
-            gains = self.gains.from_nodes(small.gains.nodes_s, small.gains.at_nodes(u))
+            gains = self.gains.from_nodes(small.gains.nodes, small.gains.at_nodes(u))
             return np.concatenate([y, gains, small.weights(x)])
 
         return small, wider
 
 
-def _gain_nodes(case: Case, schedule: str) -> Array:
-    """Vehicle times of the gain table."""
+def _gain_nodes(task: Task, schedule: str) -> Array:
+    """Where the gain table has rows, in the unit of what it is over."""
+    gains = task.case.gains
     if schedule == "nodes":
-        return np.array(case.gains.nodes_s, float)
-    times = np.array(case.times_s, float)
-    return times if schedule == "free" or len(times) == 1 else times[[0, -1]]
+        return np.array(gains.nodes_s if gains.over == "time_s" else gains.nodes, float)
+    at = np.array(task.case.times_s, float) if gains.over == "time_s" else np.unique(task.at)
+    return at if schedule == "free" or len(at) == 1 else at[[0, -1]]
 
 
 def least_gains(rigid: Rigid, weights: Array, rigid_hz: float, rigid_zeta: float, with_air: bool) -> Array:

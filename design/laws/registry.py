@@ -16,7 +16,8 @@ from maxq.sim.scenario.schema_design import Design
 
 @dataclass(frozen=True)
 class LawKind:
-    """`of_design` reads the law from a design file; `frozen` gives the design with the gains of one instant (s).
+    """`of_design` reads the law from a design file; `frozen` gives the design with the gains of one instant, at a value
+    of what they are scheduled over (`DesignedLaw.at`).
 
     `variables` are those of a task, like others of the same case. `inputs`: all measurements that it may take.
     """

@@ -16,9 +16,9 @@ class UnsolvableError(ValueError):
     """A case that no law can be found for: keys, why, and what is allowed."""
 
 
-def interpolation_weights(at_s: Array, nodes_s: Array) -> Array:
-    """(times, nodes): what linear interpolation, held outside, makes of the values at the nodes."""
-    return np.column_stack([np.interp(at_s, nodes_s, row) for row in np.eye(len(nodes_s))])
+def interpolation_weights(at: Array, nodes: Array) -> Array:
+    """(points, nodes): what linear interpolation, held outside, makes of the values at the nodes."""
+    return np.column_stack([np.interp(at, nodes, row) for row in np.eye(len(nodes))])
 
 
 @dataclass(frozen=True)
@@ -29,19 +29,20 @@ class GainSchedules:
     """
 
     keys: tuple[str, ...]
-    nodes_s: Array
+    nodes: Array
     weights: Array
     fixed: Array | None = None
+    unit: str = " s"
 
     @property
     def size(self) -> int:
-        return 0 if self.fixed is not None else len(self.keys) * len(self.nodes_s)
+        return 0 if self.fixed is not None else len(self.keys) * len(self.nodes)
 
     @property
     def names(self) -> tuple[str, ...]:
         if self.fixed is not None:
             return ()
-        return tuple(f"{key} at {t:g} s" for key in self.keys for t in self.nodes_s)
+        return tuple(f"{key} at {at:g}{self.unit}" for key in self.keys for at in self.nodes)
 
     def at_nodes(self, u: Array) -> Array:
         """(gains, nodes)."""
@@ -53,7 +54,7 @@ class GainSchedules:
 
     def log_gradients(self, u: Array) -> Array:
         """d ln k / d u, (gains, plants, size)."""
-        n = len(self.nodes_s)
+        n = len(self.nodes)
         out = np.zeros((len(self.keys), len(self.weights), self.size))
         if self.size > 0:
             part = self.weights[None] * self.at_nodes(u)[:, None, :]
@@ -72,11 +73,11 @@ class GainSchedules:
             out += np.diag(slope @ by) - (by.T * slope) @ by
         return out
 
-    def from_nodes(self, nodes_s: Array, gains: Array) -> Array:
+    def from_nodes(self, nodes: Array, gains: Array) -> Array:
         """Variables of schedules (gains, nodes) on other nodes, interpolated; empty where the gains are fixed."""
         if self.size == 0:
             return np.zeros(0)
-        return np.concatenate([np.log(np.interp(self.nodes_s, nodes_s, k)) for k in gains])
+        return np.concatenate([np.log(np.interp(self.nodes, nodes, k)) for k in gains])
 
 
 def lowest_above(weights: Array, floor: Array) -> Array:

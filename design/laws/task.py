@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -58,4 +58,5 @@ class Task:
     sample_s: float | None
     first_mode_hz: float
     further_gyros: int = 0  # whose weights in the blended rate are variables
+    at: Array = field(default_factory=lambda: np.zeros(0))  # (plants,): what the gains are scheduled over
     winds: Winds = ()  # of each plant, where the case tells of wind

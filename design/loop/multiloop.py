@@ -30,7 +30,7 @@ from maxq.design.laws.registry import designed_law
 from maxq.design.loop.fixed_path import delayed
 from maxq.design.loop.sampling import SampledPlant, sample
 from maxq.design.model.linearised import at_rest, linearise
-from maxq.design.model.node import flown_run, flown_to
+from maxq.design.model.node import flown_run, flown_to, node_of
 from maxq.design.model.state_space import ComplexArray, Resolvent, StateSpace, chain, channels, zeros_and_poles
 from maxq.design.model.vehicle_at import ACCELERATION, instruments_of
 from maxq.sim.packing.flight import Packed
@@ -192,7 +192,8 @@ def multiloop(packed: Packed, design: Design, time_s: float) -> Multiloop:
     allocation, t = row.computer.allocation, 1e-9 * int(row.computer.sample_ns)
     axes: tuple[str, ...] = AXES[:2]
     law, roll = designed_law(design.of_stage(stage)), Pd(float(allocation.k_p), float(allocation.k_d_s))
-    laws: tuple[Controller, ...] = (law.at(time_s, "pitch", t), law.at(time_s, "yaw", t))
+    at = time_s if law.over == "time_s" else node_of(packed, time_s, stage).scheduled(law.over)
+    laws: tuple[Controller, ...] = (law.at(at, "pitch", t), law.at(at, "yaw", t))
     if int(allocation.groups) > 1:
         matrix = table_in(packed.pool, allocation.matrix)(time_s).reshape(-1, 3)
         if matrix[:, 2].any() and (roll.k_p, roll.k_d_s) != (0.0, 0.0):

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from maxq.control.kernel.records import Array
+from maxq.control.structures import Over
 from maxq.design.model.dispersion import Dispersion, disperse
 from maxq.design.model.errata import CORRECTED, Errata
 from maxq.design.model.plant import Liquids, inputs_of, outputs_of, state_names, swings_of, vehicle_plant
@@ -36,8 +37,9 @@ from maxq.sim.scenario.loader import LoadedScenario
 from maxq.sim.scenario.ranges import LONGEST_S
 from maxq.sim.scenario.schema_vehicle import Stage
 from maxq.sim.vehicle.actuator import Actuator
-from maxq.sim.vehicle.state import Q_BI
+from maxq.sim.vehicle.state import Q_BI, R_I, V_I
 from maxq.sim.vehicle.workspace import AIRSPEED, DENSITY, FLOW, GRAVITATION, MACH, PRESSURE
+from maxq.sim.world.earth import ground_velocity
 
 
 @dataclass(frozen=True)
@@ -56,6 +58,7 @@ class Node:
     stage: int = 0  # which one burns, from 0
     stage_start_s: float = 0.0  # zero of that stage's clock on the vehicle clock
     trim: Trim = (0.0, 0.0)  # angles of attack and sideslip at which tables over incidence have their slopes, rad
+    speed_mps: float = math.nan  # relative to the rotating Earth
 
     @cached_property
     def plant(self) -> StateSpace:
@@ -115,6 +118,19 @@ class Node:
         """Command of the law at which the first actuator reaches the limit of its angle; infinite for ideal ones."""
         limits = zip(self.actuators, self.gains, strict=True)
         return min((a.angle_limit_rad / gain for a, gain in limits if gain > 0.0 and not a.ideal), default=math.inf)
+
+    def scheduled(self, over: Over) -> float:
+        """What gains are scheduled over, at this instant of the flight, as the flight computer has it.
+
+        Raises ValueError for a node that was not flown and has no speed.
+        """
+        if over == "time_s":
+            return self.time_s
+        if over == "mass_kg":
+            return self.vehicle.body.total_mass_kg
+        if not math.isfinite(self.speed_mps):
+            raise ValueError(f"node at {self.time_s:g} s: it has no speed, over which the gains are scheduled")
+        return self.speed_mps if over == "speed_mps" else 0.5 * self.condition.density_kgpm3 * self.speed_mps**2
 
     def with_errata(self, errata: Errata) -> Node:
         return dataclasses.replace(self, errata=errata)
@@ -330,6 +346,7 @@ def node_of(packed: Packed, time_s: float, stage: int = 0, plane: Plane = "pitch
     pitch = math.asin(max(-1.0, min(1.0, float(-forward @ gravitation) / gravity))) if gravity > 0.0 else 0.0
     row, trim = packed.parameters[stage], _trim(air[FLOW : FLOW + 3])
     flies = air[AIRSPEED] >= row.vehicle.aero.airspeed_floor_mps  # below it no air acts, and its pressure does
+    carried = ground_velocity(row.environment.earth, *packed.state[R_I : R_I + 2])
     condition = FlightCondition(
         time_s=time_s,
         airspeed_mps=float(air[AIRSPEED]),
@@ -351,4 +368,5 @@ def node_of(packed: Packed, time_s: float, stage: int = 0, plane: Plane = "pitch
         stage=stage,
         stage_start_s=1e-9 * int(row.timeline.stage_start_ns),
         trim=trim,
+        speed_mps=float(np.linalg.norm(packed.state[V_I : V_I + 3] - carried)),
     )

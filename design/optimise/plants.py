@@ -128,8 +128,9 @@ class Plants:
         dispersed = np.array([p.dispersed for p in self.each], bool)
         further = len(_further_gyros(self.each[0].node)) if case.blend is not None else 0
         winds = tuple(p.wind for p in self.each if p.wind is not None)
+        at = np.array([p.node.scheduled(case.gains.over) for p in self.each])
         return Task(
-            case, self.times_s, dispersed, self.rigid, limits, self.sample_s, self.first_mode_hz, further, winds
+            case, self.times_s, dispersed, self.rigid, limits, self.sample_s, self.first_mode_hz, further, at, winds
         )  # fmt: skip  # as ruff would, but for a line of one bracket
 
     def and_also(self, more: Sequence[Plant]) -> Plants:

@@ -41,13 +41,15 @@ from maxq.sim.flight.parameters import (
 from maxq.sim.vehicle.actuator import after_backlash
 from maxq.sim.vehicle.block import Q_BI, R_I, V_I, W_BI_B, counts
 from maxq.sim.vehicle.engine import total_thrust
-from maxq.sim.vehicle.environment import climb_rate, flight_direction
+from maxq.sim.vehicle.environment import Environment, climb_rate, flight_direction
 from maxq.sim.vehicle.faults import ANY_FAULT, GYRO_WALK
 from maxq.sim.vehicle.gyro import GYRO_STREAM
 from maxq.sim.vehicle.schedule import CORE_CG, TOTAL_MASS
 from maxq.sim.vehicle.sensors import SENSOR_STREAM
 from maxq.sim.vehicle.state import GYRO_ANGLE, N_SENSOR, sensor_index, start_states
 from maxq.sim.vehicle.workspace import AIRSPEED, ALTITUDE, AXIAL_LOAD, DYNAMIC_PRESSURE, FLOW, PRESSURE
+from maxq.sim.world.atmosphere import air
+from maxq.sim.world.earth import ground_velocity, local_frame
 from maxq.sim.world.gust_history import history_tick
 from maxq.sim.world.turbulence import turbulence_tick
 
@@ -74,7 +76,9 @@ def burn_out(p: Parameters, memory: Memory) -> None:
 
 
 @routine
-def process_due_events(p: Parameters, pool: Array, memory: Memory, y: Array, aux: Array) -> int:
+def process_due_events(
+    p: Parameters, pool: Array, memory: Memory, y: Array, aux: Array, properties: Array
+) -> int:  # fmt: skip  # as ruff would, but for a line of one bracket
     """Process all events that are due now. Returns 1 if the engine has been ignited or cut off."""
     clock, held = memory.clock, memory.held
     now = clock.now_ns
@@ -103,6 +107,8 @@ def process_due_events(p: Parameters, pool: Array, memory: Memory, y: Array, aux
                 history_tick(memory.history, memory.gusts, way_m, p.environment.reach_m)
     apply_due_command(p, memory)  # before the sample: its command replaces what is pending
     if now >= clock.next_sample_ns:
+        if p.computer.over != 0 or p.computer.external != 0:
+            navigate(p.environment, pool, y, properties[TOTAL_MASS], memory.computer.navigation)
         sample_computer(p, pool, memory, y)
         clock.next_sample_ns = now + p.computer.sample_ns
         apply_due_command(p, memory)  # and after it: without a delay its command is due at once
@@ -128,6 +134,18 @@ def apply_due_command(p: Parameters, memory: Memory) -> None:
             command[2 + k] = after_backlash(p.vehicle.further_actuators[k], command[2 + k], pending[2 + k])
         held.roll_torque_Nm = p.vehicle.roll_torque_Nm * clock.pending_roll
         clock.command_due_ns = NEVER
+
+
+@routine
+def navigate(environment: Environment, pool: Array, y: Array, mass_kg: float, navigation: Array) -> None:
+    """What gains may be scheduled over besides time (`OVER` of control/structures.py), without error."""
+    earth = environment.earth
+    ground = ground_velocity(earth, y[R_I], y[R_I + 1])
+    vx, vy, vz = y[V_I] - ground[0], y[V_I + 1] - ground[1], y[V_I + 2] - ground[2]
+    squares = vx * vx + vy * vy + vz * vz
+    altitude = local_frame(earth, y[R_I], y[R_I + 1], y[R_I + 2])[0]
+    navigation[0], navigation[1] = math.sqrt(squares), mass_kg
+    navigation[2] = 0.5 * air(environment.atmosphere, pool, altitude)[0] * squares
 
 
 @routine

@@ -36,7 +36,7 @@ from maxq.sim.flight.telemetry import fill_fast, fill_slow
 from maxq.sim.vehicle.block import Q_BI, Sizes, counts
 from maxq.sim.vehicle.environment import ANCHOR_DUE, climb_rate, climbs_certainly, flight_direction
 from maxq.sim.vehicle.loads import evaluate_sections, gather_sections
-from maxq.sim.vehicle.schedule import CORE_CG, CORE_MASS, properties_size
+from maxq.sim.vehicle.schedule import CORE_CG, CORE_MASS, TOTAL_MASS, properties_size
 from maxq.sim.vehicle.state import FINITE, divergence_cause, state_size
 from maxq.sim.vehicle.workspace import ALTITUDE, ANCHOR, Evaluation
 from maxq.sim.world.gust_history import history_start
@@ -130,7 +130,7 @@ def advance(
             separate(P, pool, memory, now_at.y, now_at.properties, space.end.properties)
             clock.fresh = 1
             continue
-        if process_due_events(p, pool, memory, now_at.y, now_at.aux) == 1 or clock.fresh == 1:
+        if process_due_events(p, pool, memory, now_at.y, now_at.aux, now_at.properties) == 1 or clock.fresh == 1:
             read_schedule(p, pool, memory, now, 0.0, now_at.properties)
             clock.fresh = 0
         evaluate_exactly(p, pool, memory, space)
@@ -225,6 +225,7 @@ def separate(P: Records, pool: Array, memory: Memory, y: Array, properties: Arra
     read_schedule(after, pool, memory, clock.now_ns, 0.0, properties_after)
     clock.interval = interval
     transfer_state(before, after, memory, properties, properties_after, y)
+    properties[TOTAL_MASS] = properties_after[TOTAL_MASS]  # for a sample at this instant
     clock.stage += 1
     if after.computer.takes_over == 1:
         take_over(after.computer, memory.computer)

@@ -76,6 +76,7 @@ def pack_computer(scenario: Scenario, pool: Pool, stage: int = 0) -> Computer:
         angle_error_limit_rad=math.radians(computer.angle_error_limit_deg),
         command_limit_rad=math.radians(computer.command_limit_deg),
         gains=_gains(design.gains) if design else None,
+        over=design.gains.over if design else "time_s",
         integral_limit_rad=math.radians(design.gains.integral_limit_deg or math.inf) if design else math.inf,
         programme=_programme(scenario.guidance.programme, scenario.guidance.method),
         unrolled=scenario.guidance.axes == "unrolled",
@@ -107,11 +108,15 @@ def _gains(gains: Gains) -> Cubics:
 
 
 def gain_schedules(gains: Gains) -> tuple[GainSchedule, GainSchedule]:
-    """Gains over the vehicle clock in pitch and in yaw; the same object where yaw is as pitch."""
+    """Gains in pitch and in yaw; the same object where yaw is as pitch."""
     pitch, yaw = gains.axes
     names = [name for name in GainSchedule.__dataclass_fields__ if name in pitch]
-    first = GainSchedule(**{name: list(pitch[name]) for name in names})
-    return first, first if yaw is pitch else GainSchedule(**{name: list(yaw[name]) for name in names})
+
+    def schedule(table: CsvTable) -> GainSchedule:
+        return GainSchedule(at=list(table[gains.over]), over=gains.over, **{name: list(table[name]) for name in names})
+
+    first = schedule(pitch)
+    return first, first if yaw is pitch else schedule(yaw)
 
 
 @cached_by_identity

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 from pydantic import Field, model_validator
 
 from maxq.control.kernel.limits import MAX_SENSORS, MAX_STAGES
-from maxq.control.structures import GAINS, MAX_SECTIONS, STRUCTURES, Law, Structure
+from maxq.control.structures import GAINS, MAX_SECTIONS, OVER, STRUCTURES, Law, Over, Structure
 from maxq.sim.scenario.errors import refuse
 from maxq.sim.scenario.schema_values import NotNegative, Positive, Section, needs, only_with, optional
 from maxq.sim.scenario.tables_csv import Columns, CsvTable
@@ -21,15 +21,17 @@ GAIN_COLUMNS = Columns(
     sets=(("k_p", "k_d_s"),),
     optional=("k_i_ps", "k_a_s2pm"),
     not_negative=("k_p", "k_d_s", "k_i_ps", "k_a_s2pm"),
+    other_axes=OVER[1:],
 )
 
 
 class Gains(Section):
-    """Gains of the law (PD: paper, eq. 33), linear in time, held outside the table."""
+    """Gains of the law (PD: paper, eq. 33), linear, held outside the table."""
 
     table: Annotated[CsvTable, GAIN_COLUMNS] = Field(
-        description="k_p (rad/rad), k_d_s (s), for pid k_i_ps (1/s), for load-relief k_a_s2pm (rad per m/s2), over the "
-        "vehicle clock"
+        description="k_p (rad/rad), k_d_s (s), for pid k_i_ps (1/s), for load-relief k_a_s2pm (rad per m/s2), over "
+        "time_s (vehicle clock), or over one of speed_mps (relative to the rotating Earth), mass_kg, "
+        "dynamic_pressure_Pa (of that speed in still air), which the computer knows without error"
     )
     yaw: Literal["pitch"] | None = optional('"pitch": as in pitch (the default without yaw_table)')
     yaw_table: Annotated[CsvTable, GAIN_COLUMNS] | None = optional("own gains of the yaw axis")
@@ -41,7 +43,15 @@ class Gains(Section):
     def _check(self) -> Gains:
         if self.yaw is not None and self.yaw_table is not None:
             raise refuse("cannot be combined with yaw", "one of yaw, yaw_table", key=("yaw_table",), value={})
+        if self.yaw_table is not None and GAIN_COLUMNS.axis_of(self.yaw_table) != self.over:
+            raise self.yaw_table.refusal("is not over what pitch is over", f"a column {self.over}", at=("yaw_table",))
         return self
+
+    @property
+    def over(self) -> Over:
+        """What the gains are scheduled over."""
+        over: Over = GAIN_COLUMNS.axis_of(self.table)  # type: ignore[assignment]  # a column that the table may have
+        return over
 
     @property
     def axes(self) -> tuple[CsvTable, CsvTable]:
@@ -237,7 +247,7 @@ class Design(Section):
                 if (column in table) != (column in self.gain_names):
                     law = next(law for law, names in GAINS.items() if column in names)
                     verb, others = ("needs a", "") if column in self.gain_names else ("has no", f"law = '{law}', or ")
-                    allowed = f"{others}{', '.join(('time_s', *self.gain_names))}"
+                    allowed = f"{others}{', '.join((gains.over, *self.gain_names))}"
                     raise table.refusal(f"the law {self.law} {verb} column {column}", allowed, at=("gains", key))
         if self.law != "pid" and self.gains.integral_limit_deg is not None:
             problem = f"the law {self.law} has no integral"

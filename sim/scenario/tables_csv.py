@@ -101,10 +101,11 @@ class CsvTable:
 class Columns:
     """What a table must look like; annotates a field: `Annotated[CsvTable, Columns("time_s", ...)]`.
 
-    `axis`: the column over which the others are given. It must increase strictly (`repeats`: may stand still) and
-    begin at or before `begins_by`. `sets`: alternative sets of required columns, exactly one of which must be
-    there in full. `positive`, `not_negative`: columns so bounded. Without an axis (empty) a table of samples: any
-    columns. `grid`: instead of one axis any of these, at least one, and the others at each combination of their
+    `axis`: the column over which the others are given, or one of `other_axes` in its place. It must increase strictly
+    (`repeats`: may stand still) and begin at or before `begins_by`. `sets`: alternative sets of required columns,
+    exactly one of which must be there in full. `positive`, `not_negative`: columns so bounded. Without an axis
+    (empty) a table of samples: any columns. `grid`: instead of one axis any of these, at least one, and the others at
+    each combination of their
     values (grids.py).
     """
 
@@ -116,6 +117,11 @@ class Columns:
     begins_by: float | None = None
     repeats: bool = False
     grid: tuple[str, ...] = ()
+    other_axes: tuple[str, ...] = ()
+
+    def axis_of(self, table: CsvTable) -> str:
+        """The column that a table is given over; `axis` where it has none."""
+        return next((name for name in self.other_axes if name in table), self.axis)
 
     @property
     def named(self) -> bool:
@@ -124,7 +130,7 @@ class Columns:
 
     def known(self) -> list[str]:
         """All names that a column may have."""
-        axes = [self.axis] if self.axis else [*self.grid]
+        axes = [self.axis, *self.other_axes] if self.axis else [*self.grid]
         return list(dict.fromkeys([*axes, *(name for names in self.sets for name in names), *self.optional]))
 
     def allowed(self) -> str:
@@ -134,7 +140,9 @@ class Columns:
         if not self.axis:
             return "a line of column names, then lines of numbers"
         either = " or ".join(", ".join((self.axis, *names)) for names in self.sets)
-        return f"columns {either}" + (f" [, {', '.join(self.optional)}]" if self.optional else "")
+        more = f" [, {', '.join(self.optional)}]" if self.optional else ""
+        others = f", or over {', '.join(self.other_axes)} in place of {self.axis}" if self.other_axes else ""
+        return f"columns {either}{more}{others}"
 
     # pydantic's hooks: how such a field is validated, and its JSON Schema
 
@@ -149,7 +157,7 @@ class Columns:
 
         def table(item: dict[str, Any], **more: Any) -> dict[str, Any]:
             properties = more | dict.fromkeys(self.known(), item)
-            required = [self.axis] if self.axis else []
+            required = [self.axis] if self.axis and not self.other_axes else []
             return {"type": "object", "properties": properties, "required": required, "additionalProperties": False}
 
         return {
@@ -221,10 +229,14 @@ class Columns:
 
     def _check(self, table: CsvTable) -> None:
         complete = [names for names in self.sets if all(name in table for name in names)]
-        if self.axis and (self.axis not in table or not complete):
+        over = self.axis_of(table)
+        if self.axis and (over not in table or not complete):
             short = min(self.sets, key=lambda names: sum(name not in table for name in names))
-            missing = [name for name in (self.axis, *short) if name not in table]
+            missing = [name for name in (over, *short) if name not in table]
             raise table.refusal(f"column {missing[0]} is missing", self.allowed())
+        for name in (self.axis, *self.other_axes):
+            if name != over and name in table:
+                raise table.refusal(f"column {name} cannot be combined with {over}", self.allowed())
         for names, what in ((self.grid, "an axis"), (self.optional, "a coefficient")):
             if self.grid and not any(name in table for name in names):
                 raise table.refusal(f"the table has no column of {what}", self.allowed())
@@ -235,7 +247,7 @@ class Columns:
         lengths = {name: len(column) for name, column in table.columns.items()}
         if min(lengths.values(), default=0) == 0:
             raise table.refusal("the table has no rows", "one row or more")
-        first = self.axis or next(iter(lengths))
+        first = over or next(iter(lengths))
         for name, length in lengths.items():
             if length != lengths[first]:
                 raise table.refusal(f"has {length} numbers, {first} has {lengths[first]}", column=name)
@@ -251,16 +263,17 @@ class Columns:
         raise_together(refusals)
         if not self.axis:
             return
-        axis = table[self.axis]
+        over = self.axis_of(table)
+        axis = table[over]
         steps = np.diff(axis, prepend=-np.inf)
         falls = steps < LEAST_STEP
         if self.repeats:
             falls &= steps != 0.0
         rule = "must not decrease" if self.repeats else "must increase strictly"
         allowed = f"increasing numbers, by {LEAST_STEP:g} or more"
-        table.refuse_where(falls, self.axis, f"{self.axis} {rule}", allowed)
+        table.refuse_where(falls, over, f"{over} {rule}", allowed)
         if self.begins_by is not None and axis[0] > self.begins_by:
-            raise table.refusal("the table begins too late", f"a first {self.axis} <= {self.begins_by:g}", self.axis, 0)
+            raise table.refusal("the table begins too late", f"a first {over} <= {self.begins_by:g}", over, 0)
 
     def _check_column(self, table: CsvTable, name: str, column: Column) -> None:
         table.refuse_where(~np.isfinite(column), name, "is not finite", "finite numbers")

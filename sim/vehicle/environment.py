@@ -18,7 +18,7 @@ from dataclasses import dataclass
 
 from maxq.control.kernel.jit import kernel, routine
 from maxq.control.kernel.records import Array
-from maxq.control.kernel.vectors import Matrix, Vector, add, cross, rotate_back, scaled, set_vector, vector_at
+from maxq.control.kernel.vectors import Matrix, Vector, add, cross, rotate, rotate_back, scaled, set_vector, vector_at
 from maxq.sim.vehicle.block import R_I, V_I
 from maxq.sim.vehicle.workspace import (
     AIRSPEED,
@@ -46,7 +46,7 @@ from maxq.sim.world.atmosphere import (
     us1976_about,
     us1976_nearby,
 )
-from maxq.sim.world.earth import FLAT, Earth, gravitation, ground_velocity, local_frame, ned_to_earth
+from maxq.sim.world.earth import ALONG_BODY, FLAT, Earth, gravitation, ground_velocity, local_frame, ned_to_earth
 from maxq.sim.world.turbulence import HORIZONTAL, Turbulence
 from maxq.sim.world.wind import Wind, wind_ned
 
@@ -68,6 +68,8 @@ def air_data(
     """Air data into `aux`; returns the gravitation in I, m/s2. `gust`: of the turbulence, in its frame, m/s."""
     x, yy, z = y[R_I], y[R_I + 1], y[R_I + 2]
     gravity = gravitation(environment.earth, x, yy, z)
+    if environment.earth.gravity == ALONG_BODY:
+        gravity = rotate(rotation, (-environment.earth.uniform_mps2, 0.0, 0.0))
     frame, gas = frame_and_air(environment.earth, environment.atmosphere, pool, x, yy, z, work)
     altitude, sin_lat, cos_lat, sin_lon, cos_lon = frame
     density, pressure, temperature, sound_speed = gas

@@ -20,7 +20,7 @@ from maxq.control.kernel.jit import kernel, routine
 from maxq.control.kernel.vectors import Matrix, Symmetric, Vector
 
 FLAT, SPHERE, ELLIPSOID = 0, 1, 2  # Earth.figure
-NO_GRAVITY, UNIFORM, INVERSE_SQUARE, J2 = 0, 1, 2, 3  # Earth.gravity
+NO_GRAVITY, UNIFORM, INVERSE_SQUARE, J2, ALONG_BODY = 0, 1, 2, 3, 4  # Earth.gravity
 
 WGS84_RADIUS_m = 6378137.0
 WGS84_FLATTENING = 1.0 / 298.257223563
@@ -38,8 +38,9 @@ class Earth:
     """Parameter record of the Earth. Make one with `wgs84`, `sphere` or `flat`.
 
     `gravity`: UNIFORM is `uniform_mps2` along +z (flat) or towards the centre (round); INVERSE_SQUARE and
-    J2 are the gravitation of `mu_m3ps2` (no centrifugal part). `gravity_radius_m` is the reference radius
-    of `j2`. Raises ValueError for a combination that has no meaning.
+    J2 are the gravitation of `mu_m3ps2` (no centrifugal part); ALONG_BODY, of no scenario, is `uniform_mps2` aft along
+    the vehicle's axis (design/certificate/held_flight.py). `gravity_radius_m` is the reference radius of `j2`.
+    Raises ValueError for a combination that has no meaning.
     """
 
     figure: int = ELLIPSOID  # not "shape": on an uncompiled np.record that is the shape of an array

@@ -146,7 +146,10 @@ def find_nodes(scenario: LoadedScenario, design: Design, order: Order) -> list[N
 def _gain_times(scenario: LoadedScenario, design: Design, every_s: float) -> list[float]:
     times: set[float] = set()
     for span in powered_spans(scenario):
-        rows = [float(t) for t in design.of_stage(span.stage).gains.table["time_s"]]
+        gains = design.of_stage(span.stage).gains
+        if gains.over != "time_s":
+            return list(node_times(scenario))
+        rows = [float(t) for t in gains.table["time_s"]]
         between = (round(float(t), 9) for t in np.arange(rows[0], rows[-1], every_s))
         times |= {t for t in (*rows, *between) if span.begin_s < t < span.end_s}
     return sorted(times) or list(node_times(scenario))

@@ -100,12 +100,6 @@ def export_c(loaded: LoadedScenario, folder: Path) -> list[Path]:
         raise ScenarioError(
             loaded.label, "cannot be exported as C", "design.law", value=design.law, allowed=", ".join(EXPORTED_LAWS)
         )
-    first, stages = (design.of_stage(0), loaded.vehicle.computer_of(0)), range(len(loaded.vehicle.stage))
-    if any((design.of_stage(n), loaded.vehicle.computer_of(n)) != first for n in stages):
-        raise ScenarioError(
-            loaded.label, "has a stage with gains, filter or computer of its own, which the C code would not follow",
-            "design.stage", allowed="one law for all stages",
-        )  # fmt: skip  # two more lines otherwise
     check_writable(folder)
     packed = pack_flight(loaded.scenario)
     said = (
@@ -132,70 +126,89 @@ def further_gyros(computer: Any) -> int:
 
 def _declared(packed: Packed, said: str) -> Iterator[str]:
     """flight_law_tables.h."""
-    computer, stages = packed.parameters[0].computer, packed.parameters
-    roll = computer.roll
-    by_gimbals = next((s.computer.allocation for s in stages if int(s.computer.allocation.groups) > 1), None)
-    k_p, k_d_s, limit_rad = (0.0, 0.0, 0.0)
-    if by_gimbals is not None:
-        k_p, k_d_s, limit_rad = (float(getattr(by_gimbals, name)) for name in ("k_p", "k_d_s", "roll_limit_rad"))
-    n, blends = int(computer.law.gains.n_breaks), int(further_gyros(computer) > 0)
+    first = packed.parameters[0].computer
     numbers = (
-        ("SAMPLE_NS", int(computer.sample_ns), "period of the samples"),
-        ("SAMPLE_S", int(computer.sample_ns) / 1.0e9, ""),
-        ("COUNT_RAD", float(computer.converter.count_rad), "angle per gyro pulse; 0: angles are given"),
+        ("STAGES", len(packed.parameters), ""),
+        ("COUNT_RAD", float(first.converter.count_rad), "angle per gyro pulse; 0: angles are given"),
+        ("RATE_INTEGRAL", int(int(first.attitude) != QUATERNION), "1: the error is the angle less the commanded angle"),
+        ("GAINS", 3 if int(first.pid.on) or int(first.relief.on) else 2, "of an axis"),
+        ("LOAD_RELIEF", int(first.relief.on), "1: the third gain is that of the acceleration; 0: of an integral"),
         (
-            "RATE_INTEGRAL",
-            int(int(computer.attitude) != QUATERNION),
-            "1: the error is the angle less the commanded angle",
+            "FURTHER_GYROS",
+            max(further_gyros(row.computer) for row in packed.parameters),
+            "rate gyros beyond the first in the rate",
         ),
-        ("ANGLE_ERROR_LIMIT_RAD", float(computer.angle_error_limit_rad), "of the attitude error"),
-        ("COMMAND_LIMIT_RAD", float(computer.command_limit_rad), "of the gimbal command"),
-        ("DAC_STEP_RAD", float(computer.dac_step_rad), "of the output converter; 0: none"),
-        ("ROLL_THRUSTERS", int(computer.roll_on), "1: the law fires thrusters"),
-        ("ROLL_K_RATE_S", float(roll.k_rate_s), "switching line: error + this times rate"),
-        ("ROLL_DEAD_BAND_RAD", float(roll.dead_band_rad), ""),
-        ("ROLL_HYSTERESIS_RAD", float(roll.hysteresis_rad), ""),
-        ("ROLL_SHORTEST_TICKS", int(roll.minimum_on_ticks), "samples of a firing"),
-        ("ROLL_GIMBAL_K_P", k_p, "roll by groups of engines"),
-        ("ROLL_GIMBAL_K_D_S", k_d_s, ""),
-        ("ROLL_GIMBAL_LIMIT_RAD", limit_rad, ""),
-        ("GAINS", 3 if int(computer.pid.on) or int(computer.relief.on) else 2, "of an axis"),
-        ("LOAD_RELIEF", int(computer.relief.on), "1: the third gain is that of the acceleration; 0: of an integral"),
-        ("ACCEL_SHARE", float(computer.relief.share), "by which a sample takes the acceleration's lag along"),
-        ("FURTHER_GYROS", further_gyros(computer), "rate gyros beyond the first in the rate"),
-        ("INTEGRAL_LIMIT_RAD", min(float(computer.pid.limit_rad), 1.0e9), "of the integral's share"),
-        ("GAIN_BREAKS", n, "times of the gain schedule"),
     )
     yield from (f"/* {said} */", "#ifndef FLIGHT_LAW_TABLES_H", "#define FLIGHT_LAW_TABLES_H", "")
     yield from ('#include "flight_law.h"', "")
     for name, value, meaning in numbers:
         yield f"#define LAW_{name} {value!r}" + (f" /* {meaning} */" if meaning else "")
-    yield from (
-        "",
-        "extern const law_real law_gain_time_s[LAW_GAIN_BREAKS];",
-        "/* per interval: coefficients of powers 0 to 3 of the time in it; k_p, k_d_s (, k_i_ps) in pitch, then yaw */",
-        "extern const law_real law_gain[LAW_GAIN_BREAKS - 1][4][2 * LAW_GAINS];",
-        *(("extern const law_real law_blend[2][LAW_FURTHER_GYROS + 1]; /* weights in pitch and yaw */",) * blends),
-        "extern const int32_t law_sections[2]; /* of the bending filter, in pitch and yaw */",
-        "extern const law_real law_section[2][LAW_MOST_SECTIONS][5]; /* b0, b1, b2, a1, a2 with a0 = 1 */",
-        "",
-        "#endif",
-    )
+    yield from ("", "typedef struct {", *(f"    {field}" for field in _STAGE_FIELDS), "} law_stage;", "")
+    yield from ("extern const law_stage law_stages[LAW_STAGES];", "", "#endif")
+
+
+_STAGE_FIELDS = (
+    "int64_t sample_ns;            /* period of the samples */",
+    "law_real sample_s;",
+    "int32_t takes_over;           /* 1: has a law or timing of its own, which starts at the separation */",
+    "law_real angle_error_limit_rad;",
+    "law_real command_limit_rad;",
+    "law_real dac_step_rad;        /* of the output converter; 0: none */",
+    "law_real integral_limit_rad;  /* of the integral's share */",
+    "law_real accel_share;         /* by which a sample takes the acceleration's lag along */",
+    "int32_t roll_thrusters;       /* 1: the law fires thrusters */",
+    "int32_t roll_shortest_ticks;  /* samples of a firing */",
+    "law_real roll_k_rate_s;       /* switching line: error + this times rate */",
+    "law_real roll_dead_band_rad;",
+    "law_real roll_hysteresis_rad;",
+    "law_real roll_gimbal_k_p;     /* roll by groups of engines */",
+    "law_real roll_gimbal_k_d_s;",
+    "law_real roll_gimbal_limit_rad;",
+    "int32_t over;                 /* gains over 0: time_s, 1: speed_mps, 2: mass_kg, 3: dynamic_pressure_Pa */",
+    "int32_t gain_breaks;",
+    "const law_real *gain_at;      /* [gain_breaks] */",
+    "const law_real (*gain)[4][2 * LAW_GAINS]; /* per interval: coefficients of powers 0 to 3, pitch, then yaw */",
+    "law_real blend[2][LAW_FURTHER_GYROS + 1]; /* weights of the gyros in pitch and yaw */",
+    "int32_t sections[2];          /* of the bending filter, in pitch and yaw */",
+    "law_real section[2][LAW_MOST_SECTIONS][5]; /* b0, b1, b2, a1, a2 with a0 = 1 */",
+)
+_ENDLESS = 1.0e9  # in place of a limit that is infinite
 
 
 def _defined(packed: Packed, said: str) -> Iterator[str]:
     """flight_law_tables.c."""
-    law = packed.parameters[0].computer.law
-    gains = table_in(packed.pool, law.gains)
     yield from (f"/* {said} */", '#include "flight_law_tables.h"', "")
-    yield from _array("const law_real law_gain_time_s[LAW_GAIN_BREAKS]", np.asarray(gains.breaks))
-    yield from _array("const law_real law_gain[LAW_GAIN_BREAKS - 1][4][2 * LAW_GAINS]", np.asarray(gains.coefficients))
-    if gyros := further_gyros(packed.parameters[0].computer):
-        blend = packed.parameters[0].computer.sensors.blend
-        yield from _array("const law_real law_blend[2][LAW_FURTHER_GYROS + 1]", blend[:, : gyros + 1])
-    yield f"const int32_t law_sections[2] = {{{int(law.n_sections[0])}, {int(law.n_sections[1])}}};"
-    assert law.sections.shape == (2, MAX_SECTIONS, 5)
-    yield from _array("const law_real law_section[2][LAW_MOST_SECTIONS][5]", law.sections)
+    gyros = max(further_gyros(row.computer) for row in packed.parameters)
+    stages = []
+    for n, row in enumerate(packed.parameters):
+        computer, roll, allocation = row.computer, row.computer.roll, row.computer.allocation
+        gains = table_in(packed.pool, computer.law.gains)
+        breaks = len(gains.breaks)
+        yield from _array(f"static const law_real gain_at_{n}[{breaks}]", np.asarray(gains.breaks))
+        yield from _array(
+            f"static const law_real gain_{n}[{breaks - 1}][4][2 * LAW_GAINS]", np.asarray(gains.coefficients)
+        )
+        by_gimbals = int(allocation.groups) > 1
+        assert computer.law.sections.shape == (2, MAX_SECTIONS, 5)
+        values = (
+            int(computer.sample_ns), int(computer.sample_ns) / 1.0e9, int(computer.takes_over),
+            *(
+                min(float(limit), _ENDLESS)
+                for limit in (computer.angle_error_limit_rad, computer.command_limit_rad, computer.dac_step_rad)
+            ),
+            min(float(computer.pid.limit_rad), _ENDLESS), float(computer.relief.share),
+            int(computer.roll_on), int(roll.minimum_on_ticks),
+            *(float(getattr(roll, name)) for name in ("k_rate_s", "dead_band_rad", "hysteresis_rad")),
+            *(float(getattr(allocation, k)) if by_gimbals else 0.0 for k in ("k_p", "k_d_s", "roll_limit_rad")),
+            int(computer.over), breaks, f"gain_at_{n}", f"gain_{n}",
+            computer.sensors.blend[:, : gyros + 1].tolist(), computer.law.n_sections.tolist(),
+            computer.law.sections.tolist(),
+        )  # fmt: skip  # a value a line otherwise
+        stages.append(values)
+    yield "const law_stage law_stages[LAW_STAGES] = {"
+    for values in stages:
+        yield from ("    {", *(f"        {_braced(value)}," for value in values), "    },")
+    yield "};"
 
 
 def _vectors(loaded: LoadedScenario, said: str) -> Iterator[str]:
@@ -220,7 +233,9 @@ def _array(declared: str, values: np.ndarray) -> Iterator[str]:
 
 
 def _braced(value: Any) -> str:
-    return "{" + ", ".join(map(_braced, value)) + "}" if isinstance(value, list) else repr(value)
+    if isinstance(value, list):
+        return "{" + ", ".join(map(_braced, value)) + "}"
+    return value if isinstance(value, str) else repr(value)
 
 
 def _samples(loaded: LoadedScenario) -> dict[str, np.ndarray]:
@@ -254,6 +269,7 @@ def _samples(loaded: LoadedScenario) -> dict[str, np.ndarray]:
         state = flight.memory.computer
         for name, value in (
             ("time_s", 1e-9 * at_ns),
+            ("navigation", state.navigation.tolist()),
             ("counts", state.converter.counts.tolist()),
             ("delta_angle_rad", state.converter.increment_rad.tolist()),
             ("commanded_angle_rad", state.guidance.angle_rad.tolist()),

@@ -89,6 +89,10 @@ def _entry(values: np.ndarray, i: int) -> float:
 
 
 LOWEST_HZ, HIGHEST_HZ = 0.1, 100.0
+AXIS_OF = {
+    "time_s": "time, s", "speed_mps": "speed, m/s", "mass_kg": "mass, kg", "dynamic_pressure_Pa": "q, Pa",
+    "k_p": r"$k_P$, rad/rad", "k_d_s": r"$k_D$, s", "k_i_ps": r"$k_I$, 1/s", "k_a_s2pm": r"$k_A$, s$^2$/m",
+}  # fmt: skip  # seven more lines otherwise
 
 
 def gains(designs: Mapping[str, Design], title: str = "") -> Figure:
@@ -103,10 +107,11 @@ def gains(designs: Mapping[str, Design], title: str = "") -> Figure:
             for place, column in zip(places, design.gain_names, strict=False):
                 style = curve(k + n)
                 mark = {"marker": MARKERS[k % len(MARKERS)], "markersize": 3}
-                place.plot(table["time_s"], table[column], **style, **mark, label=f"{name}{axis}")
-    for place, text in zip(places, (r"$k_P$, rad/rad", r"$k_D$, s", r"$k_I$, 1/s"), strict=False):
+                place.plot(table[design.gains.over], table[column], **style, **mark, label=f"{name}{axis}")
+    over = {AXIS_OF[design.gains.over] for design in designs.values()}
+    for place, name in zip(places, names, strict=False):
         place.set_ylim(bottom=0.0)
-        label(place, "time, s", text)
+        label(place, ", ".join(sorted(over)), AXIS_OF[name])
     if len(designs) > 1 or any(d.gains.yaw_table is not None for d in designs.values()):
         places[0].legend()
     return figure

@@ -22,7 +22,10 @@ from maxq.tools.cli.terminal import aligned, figures, printable
 if TYPE_CHECKING:
     from maxq.tools.design.analyse import Order
 
-GAIN_HEADS = {"time_s": "time, s", "k_p": "k_p", "k_d_s": "k_d, s", "k_i_ps": "k_i, 1/s", "k_a_s2pm": "k_a, s2/m"}
+GAIN_HEADS = {
+    "time_s": "time, s", "speed_mps": "speed, m/s", "mass_kg": "mass, kg", "dynamic_pressure_Pa": "q, Pa",
+    "k_p": "k_p", "k_d_s": "k_d, s", "k_i_ps": "k_i, 1/s", "k_a_s2pm": "k_a, s2/m",
+}  # fmt: skip  # seven more lines otherwise
 MET, MISSED = "met", "MISSED"
 _KINDS = {"sampled": "sampled, as it flies", "pade": "the paper's Pade approximants", "exact": "without aliasing"}
 _PARTS = {"rigid body": "rigid", "aerodynamics": "aero", "engine inertia": "engine"}
@@ -219,10 +222,10 @@ def budget_table(judged: Sequence[Judged], crossing: str, column: Literal["gain_
 
 def design_table(design: Design) -> list[str]:
     """Gains and filter."""
-    names = ("time_s", *design.gain_names)
-    rows = [tuple(GAIN_HEADS[n] for n in names)]
-    for t, *gains in zip(*(design.gains.table[name] for name in names), strict=True):
-        rows.append((f"{t:g}", *(f"{gain:.4f}" for gain in gains)))
+    names = (design.gains.over, *design.gain_names)
+    rows = [tuple(GAIN_HEADS[name] for name in names)]
+    for at, *gains in zip(*(design.gains.table[name] for name in names), strict=True):
+        rows.append((f"{at:g}", *(f"{gain:.4f}" for gain in gains)))
     sections = [("section", "zero Hz", "zeta", "pole Hz", "zeta")]
     for q in design.filter.quadratic:
         cells = (f"{q.zero_hz:.3f}", f"{q.zero_zeta:.4f}", f"{q.pole_hz:.3f}", f"{q.pole_zeta:.4f}")

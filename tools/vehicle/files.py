@@ -14,9 +14,11 @@ import tomli_w
 from maxq.control.kernel.records import Array
 from maxq.design.verify.suite import read_suite
 from maxq.sim.files import write_whole
+from maxq.sim.scenario.errors import ScenarioError
 from maxq.sim.scenario.schema_stage import SECTIONS
 from maxq.sim.scenario.schema_values import Section
 from maxq.sim.scenario.tables_csv import CsvTable
+from maxq.sim.world.earth import STANDARD_GRAVITY_mps2
 from maxq.tools.vehicle.beam import Beam
 from maxq.tools.vehicle.build import Built
 from maxq.tools.vehicle.masses import Stack, engine_inertia
@@ -285,7 +287,10 @@ def _stage(built: Built, n: int, tables: Tables) -> dict[str, Any]:
     out["aero"] = _aero(built, n, tables)
     if stage.loads is not None:
         out["loads"] = _loads(stack, prefix, tables)
-    out["gyro"] = {"station_m": control.gyro_station_m, "omega_hz": control.gyro_hz, "zeta": control.gyro_zeta}
+    lag = {"omega_hz": control.gyro_hz, "zeta": control.gyro_zeta}
+    out["gyro"] = {"station_m": control.gyro_station_m, **lag}
+    if control.accelerometer_station_m is not None:
+        out["accelerometer"] = {"station_m": control.accelerometer_station_m, **lag}
     roll = stage.roll_torque_Nm or math.radians(5.0) * stack.mass_properties(0.0).roll_kgm2
     out["roll_thrusters"] = {"torque_Nm": roll}
     return out
@@ -357,9 +362,30 @@ def _scenario(built: Built) -> dict[str, Any]:
         "run": {"duration_s": float(math.ceil(last.time_s + 5.0))},
         "site": {"latitude_deg": site.latitude_deg, "longitude_deg": site.longitude_deg,
                  "altitude_m": site.altitude_m, "azimuth_deg": site.azimuth_deg},
-        "guidance": {"programme": "vehicle/pitch_programme.csv"},
+        "guidance": {"programme": "vehicle/pitch_programme.csv", **_closed_loop(built)},
         "requirement": _requirements(built),
     }  # fmt: skip  # ten more lines otherwise
+
+
+def _closed_loop(built: Built) -> dict[str, Any]:
+    """Guidance to the layout's orbit. Raises ScenarioError for an apogee that the point-mass ascent does not reach."""
+    wanted, last = built.layout.trajectory, built.flight.stacks[-1].burn
+    if wanted.apogee_altitude_m is None:
+        return {}
+    reached_m = built.flight.orbit.apogee_m
+    if wanted.apogee_altitude_m > reached_m:
+        raise ScenarioError(
+            built.layout.name, "is beyond what all propellant reaches", "trajectory.apogee_altitude_m",
+            value=wanted.apogee_altitude_m, allowed=f"up to {reached_m:.6g}",
+        )  # fmt: skip  # three more lines otherwise
+    spent = last.usable_kg * (last.used_shares[1] - last.used_shares[0])
+    return {
+        "orbit": {
+            "perigee_altitude_m": wanted.orbit_altitude_m,
+            "apogee_altitude_m": wanted.apogee_altitude_m,
+            "isp_s": float(f"{last.impulse_Ns / spent / STANDARD_GRAVITY_mps2:.6g}"),
+        }
+    }
 
 
 def _campaign(built: Built) -> dict[str, Any]:

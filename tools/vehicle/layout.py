@@ -258,6 +258,18 @@ class Trajectory(Section):
         "of the last burn-out above the Earth's equatorial radius, path level there: the perigee of an orbit, if the "
         "speed suffices; instead of final_path_angle_deg"
     )
+    apogee_altitude_m: Annotated[float, Field(ge=100e3, le=1e8)] | None = optional(
+        "above the equatorial radius, of an orbit that closed-loop guidance of the last engine steers to, with its "
+        "perigee at orbit_altitude_m, and cuts off at (default: the pitch programme alone, to the end of propellant)"
+    )
+
+    @model_validator(mode="after")
+    def _check(self) -> Trajectory:
+        perigee_m, apogee_m = self.orbit_altitude_m, self.apogee_altitude_m
+        if apogee_m is not None and (perigee_m is None or apogee_m < perigee_m):
+            least = "an orbit_altitude_m" if perigee_m is None else f"at least orbit_altitude_m = {perigee_m:g}"
+            raise refuse("needs a perigee below it", least, key=("apogee_altitude_m",), value=apogee_m)
+        return self
 
 
 class Control(Section):
@@ -266,7 +278,10 @@ class Control(Section):
     sample_s: Period = optional("sample period, s", 0.01)
     delay_s: Seconds = optional("from sample to command, s", 0.003)
     gyro_station_m: float = Field(description="station of the rate gyros, m aft of the nose; in the last stage")
-    gyro_hz: Positive = optional("natural frequency, Hz", 60.0)
+    accelerometer_station_m: float | None = optional(
+        "station of a lateral accelerometer for load relief, in the last stage (default: none)"
+    )
+    gyro_hz: Positive = optional("natural frequency, Hz; of the accelerometer as well", 60.0)
     gyro_zeta: Positive = optional("damping ratio", 0.7)
     rigid_hz: Positive | None = optional("of the first gains, Hz (default: 0.4, or an eighth of mode 1)")
     rigid_zeta: Positive = optional("of the first gains", 0.7)
@@ -302,10 +317,12 @@ class Layout(Section):
         last = self.stage[-1]
         if abs(last.front_station_m) > 1e-9:
             raise refuse("the last stage holds the nose", "0", ("stage", len(self.stage) - 1, "front_station_m"))
-        if not last.front_station_m <= self.control.gyro_station_m <= last.rear_station_m:
-            raise refuse(
-                "the gyro is not in the last stage", f"0 .. {last.rear_station_m:g}", ("control", "gyro_station_m")
-            )
+        for key in ("gyro_station_m", "accelerometer_station_m"):
+            station = getattr(self.control, key)
+            if station is not None and not last.front_station_m <= station <= last.rear_station_m:
+                raise refuse(
+                    "is not in the last stage", f"0 .. {last.rear_station_m:g}", ("control", key), value=station
+                )
         return self
 
 

@@ -46,8 +46,8 @@ def next_instant(P: Array, pool: Array, state: Array, y: Array, scratch: Array) 
     """Meet all that is due now; nanoseconds until something is due again."""
     p, memory = P[0], state[0]
     pool, y = bare_pointer(pool), bare_pointer(y)
-    aux = bare_pointer(scratch[_AUX:SCRATCH])
-    process_due_events(p, pool, memory, y, aux)
+    props, aux = bare_pointer(scratch[_PROPS:_WORK]), bare_pointer(scratch[_AUX:SCRATCH])
+    process_due_events(p, pool, memory, y, aux, props)
     return step_length(p, pool, memory, NEVER)
 
 

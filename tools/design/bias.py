@@ -1,0 +1,197 @@
+"""`simdesign bias SCENARIO`: a pitch and yaw programme biased for a measured wind, which it then meets head on.
+
+A programme made for still air has the incidence that the wind gives it. Here the commanded attitude is turned until
+incidence and sideslip in the measured profile are what they are in still air, or a share of the difference is gone:
+
+    theta_b <- theta_b - W (alpha - alpha_wanted),    psi_b <- psi_b + W (beta - beta_wanted)
+
+flight after flight, since the bias moves the path. W fades with the dynamic pressure: at `FULL_FROM` of its largest
+value and above 1, at none 0, so that lift-off and the later flight keep their attitude. Incidence is averaged over
+`SMOOTHED_S`: a programme can follow the profile, not what slosh or gusts do. The profile flies as it was measured,
+without gusts and turbulence of the scenario.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from maxq.control.kernel.records import Array
+from maxq.sim.files import check_writable, write_whole
+from maxq.sim.run.fly import Flight, fly
+from maxq.sim.scenario.errors import ScenarioError
+from maxq.sim.scenario.loader import LoadedScenario, load_scenario
+from maxq.sim.scenario.schema_environment import Wind
+from maxq.sim.scenario.tables_csv import CsvTable
+from maxq.tools.cli.frame import Exit
+from maxq.tools.cli.terminal import aligned
+
+FULL_FROM = 0.15  # of the largest dynamic pressure
+SMOOTHED_S = 3.0  # width of the window, raised cosine
+GRID_S = 0.5
+ROUNDS = 4
+
+
+@dataclass(frozen=True)
+class Order:
+    """What the command line asks for."""
+
+    scenario: str
+    wind: str | None = None
+    share: float = 1.0
+    out: str | None = None
+
+
+@dataclass(frozen=True)
+class Incidence:
+    """Along a flight, at `time_s`: incidence and sideslip (rad), dynamic pressure (Pa)."""
+
+    time_s: Array
+    alpha_rad: Array
+    beta_rad: Array
+    dynamic_pressure_Pa: Array
+
+    @staticmethod
+    def of(flight: Flight, time_s: Array) -> Incidence:
+        def at(name: str) -> Array:
+            return np.interp(time_s, flight.time_s(name), flight[name])
+
+        return Incidence(time_s, np.radians(at("alpha_deg")), np.radians(at("beta_deg")), at("dynamic_pressure_Pa"))
+
+    @property
+    def load_Padeg(self) -> Array:
+        """Dynamic pressure times total incidence."""
+        return self.dynamic_pressure_Pa * np.degrees(np.hypot(self.alpha_rad, self.beta_rad))
+
+
+@dataclass(frozen=True)
+class Biased:
+    """The programme's rates (deg/s) and bias (rad, pitch and yaw) over time, and what is met in the wind with the old
+    programme and with this one."""
+
+    time_s: Array
+    pitch_rate_degps: Array
+    yaw_rate_degps: Array
+    bias_rad: Array  # (2, times)
+    before: Incidence
+    after: Incidence
+
+    @property
+    def table(self) -> CsvTable:
+        columns = {"time_s": self.time_s}
+        columns |= {"pitch_rate_degps": self.pitch_rate_degps, "yaw_rate_degps": self.yaw_rate_degps}
+        return CsvTable("", columns)
+
+
+def execute(order: Order) -> int:
+    """Do it; returns the exit code."""
+    changes = [] if order.wind is None else [f'wind.profile="{Path(order.wind).resolve().as_posix()}"']
+    loaded = load_scenario(order.scenario, changes)
+    path = Path(order.out or f"{Path(order.scenario).stem}-biased.csv")
+    check_writable(path.parent)
+    found = wind_biased(loaded, order.share)
+    name = loaded.scenario.name or order.scenario
+    said = [f"# Programme of {name}, biased by simdesign for the wind of {wind_name(loaded)}"]
+    names = list(found.table.columns)
+    rows = zip(*(found.table[name].tolist() for name in names), strict=True)
+    lines = [*said, ",".join(names), *(",".join(f"{x:.9g}" for x in row) for row in rows)]
+    write_whole(path, "\n".join(lines) + "\n")
+    largest = np.degrees(np.abs(found.bias_rad).max(axis=1))
+    loads = [each.load_Padeg for each in (found.before, found.after)]
+    table = [("", "programme", "biased"), ("largest q alpha, Pa deg", *(f"{x.max():.0f}" for x in loads))]
+    table.append(("rms of q alpha, Pa deg", *(f"{math.sqrt(float(np.mean(x**2))):.0f}" for x in loads)))
+    print("\n".join(aligned(table, "  ", right=(1, 2))))
+    print(f"bias up to {largest[0]:.2f} deg in pitch, {largest[1]:.2f} deg in yaw")
+    print(f"written: {path}; fly it with: simrun {order.scenario} --set guidance.programme={path}")
+    return Exit.OK
+
+
+def wind_name(loaded: LoadedScenario) -> str:
+    """The profile's file, or what stands in its place."""
+    profile = loaded.scenario.wind.profile
+    return profile.file or "the scenario" if profile is not None else "the scenario"
+
+
+def wind_biased(loaded: LoadedScenario, share: float = 1.0) -> Biased:
+    """The scenario's programme with a bias for its wind; `share` of what the wind adds is taken away.
+
+    Raises ScenarioError where there is no wind, no programme, or one that a bias in pitch and yaw cannot be added to.
+    """
+    scenario, programme = loaded.scenario, loaded.scenario.guidance.programme
+    wind = scenario.wind.model_copy(update={"gust": (), "turbulence": None})
+    if wind == Wind() or (wind.profile is None and not wind.speed_mps):
+        raise ScenarioError(loaded.label, "there is no wind to bias for", "wind", allowed="a profile, or --wind FILE")
+    if programme is None:
+        raise ScenarioError(loaded.label, "there is no programme to bias", "guidance.programme", allowed="a table")
+    if scenario.guidance.method != "linear" and len(programme) > 1:
+        raise ScenarioError(
+            loaded.label, "a bias is linear between rows", "guidance.method", value=scenario.guidance.method,
+            allowed="linear",
+        )  # fmt: skip  # two more lines otherwise
+    if programme.get("roll_rate_degps").any():
+        raise ScenarioError(
+            loaded.label, "pitch and yaw change places when the vehicle rolls", "guidance.programme",
+            allowed="a programme that commands no roll",
+        )  # fmt: skip  # two more lines otherwise
+
+    def flown(air: Wind, table: CsvTable, end_s: float) -> Flight:
+        guidance = scenario.guidance.model_copy(update={"programme": table})
+        run = scenario.run.model_copy(update={"duration_s": min(scenario.run.duration_s, end_s)})
+        changed = scenario.model_copy(
+            update={"wind": air, "guidance": guidance, "run": run, "requirement": (), "fault": ()}
+        )
+        return fly(LoadedScenario(changed, loaded.label, ()))
+
+    calm = flown(Wind(), programme, math.inf)
+    pressure, at = calm["dynamic_pressure_Pa"], calm.time_s("dynamic_pressure_Pa")
+    powered = at <= max((e.time_s for e in calm.events if e.name == "burnout"), default=calm.end_s)
+    pressure, at = pressure[powered], at[powered]
+    low = np.flatnonzero((pressure < 0.01 * pressure.max()) & (at > at[np.argmax(pressure)]))
+    end_s = float(at[low[0]]) if len(low) else float(at[-1])
+    time_s = np.arange(scenario.run.start_s, end_s + GRID_S, GRID_S).clip(max=end_s)
+    time_s = np.unique(np.concatenate([time_s, [t for t in programme["time_s"] if time_s[0] < t < time_s[-1]]]))
+    after_s = [t for t in programme["time_s"] if t > time_s[-1]]
+    still = Incidence.of(calm, time_s)
+    fade = _fade(still.dynamic_pressure_Pa / still.dynamic_pressure_Pa.max())
+    before = Incidence.of(flown(wind, programme, end_s), time_s)
+    wanted = [
+        share * a + (1.0 - share) * b
+        for a, b in ((still.alpha_rad, before.alpha_rad), (still.beta_rad, before.beta_rad))
+    ]
+    bias, now, made = np.zeros((2, len(time_s))), before, None
+    for _ in range(ROUNDS):
+        left = np.stack([wanted[0] - now.alpha_rad, now.beta_rad - wanted[1]])
+        bias = bias + fade * np.stack([_smoothed(time_s, each) for each in left])
+        made = _programme(programme, time_s, after_s, bias)
+        now = Incidence.of(flown(wind, made, end_s), time_s)
+    assert made is not None
+    return Biased(made["time_s"], made["pitch_rate_degps"], made["yaw_rate_degps"], bias, before, now)
+
+
+def _fade(share: Array) -> Array:
+    """0 at no dynamic pressure, 1 from `FULL_FROM` of the largest one on, without a corner between."""
+    x = np.clip(share / FULL_FROM, 0.0, 1.0)
+    return np.asarray(x * x * (3.0 - 2.0 * x))
+
+
+def _smoothed(time_s: Array, values: Array) -> Array:
+    """Mean within `SMOOTHED_S`, weighted by a raised cosine."""
+    apart = np.abs(time_s[:, None] - time_s[None]) / (0.5 * SMOOTHED_S)
+    weight = np.where(apart < 1.0, 1.0 + np.cos(np.pi * apart), 0.0) * np.gradient(time_s)[None]
+    return np.asarray(weight @ values / weight.sum(axis=1))
+
+
+def _programme(old: CsvTable, time_s: Array, after_s: Sequence[float], bias_rad: Array) -> CsvTable:
+    """The old rates and those of the bias, which ends at the last of `time_s`."""
+    rates = np.degrees(np.gradient(bias_rad, time_s, axis=1))
+    rates[:, -1] = 0.0
+    times = np.concatenate([time_s, after_s])
+    columns = {"time_s": times}
+    for name, more in zip(("pitch_rate_degps", "yaw_rate_degps"), rates, strict=True):
+        own = np.interp(times, old["time_s"], old.get(name))
+        columns[name] = own + np.concatenate([more, np.zeros(len(after_s))])
+    return CsvTable("", columns)
