@@ -3,12 +3,13 @@
 A programme made for still air has the incidence that the wind gives it. Here the commanded attitude is turned until
 incidence and sideslip in the measured profile are what they are in still air, or a share of the difference is gone:
 
-    theta_b <- theta_b - W (alpha - alpha_wanted),    psi_b <- psi_b + W (beta - beta_wanted)
+    theta_b <- theta_b + d,    d = W (e + v / V),    v' = a d + Z (V d - v),    e = alpha_wanted - alpha
 
-flight after flight, since the bias moves the path. W fades with the dynamic pressure: at `FULL_FROM` of its largest
-value and above 1, at none 0, so that lift-off and the later flight keep their attitude. Incidence is averaged over
-`SMOOTHED_S`: a programme can follow the profile, not what slosh or gusts do. The profile flies as it was measured,
-without gusts and turbulence of the scenario.
+in pitch, in yaw with beta reversed, flight after flight. e is what the incidence lacks; turned by d the vehicle is
+pushed off its path by the axial load a and the normal force V Z per mass and angle, which takes back v / V of the turn:
+a and Z are those of the linear model. W fades with the dynamic pressure: at `FULL_FROM` of its largest value and above
+1, at none 0, so that lift-off and the later flight keep their attitude. e is averaged over `SMOOTHED_S`: a programme
+can follow the profile, not what slosh or gusts do. The profile flies as it was measured, without gusts and turbulence.
 """
 
 from __future__ import annotations
@@ -21,6 +22,8 @@ from pathlib import Path
 import numpy as np
 
 from maxq.control.kernel.records import Array
+from maxq.design import api
+from maxq.design.model.plant import axial_load_mps2
 from maxq.sim.files import check_writable, write_whole
 from maxq.sim.run.fly import Flight, fly
 from maxq.sim.scenario.errors import ScenarioError
@@ -70,13 +73,14 @@ class Incidence:
 
 @dataclass(frozen=True)
 class Biased:
-    """The programme's rates (deg/s) and bias (rad, pitch and yaw) over time, and what is met in the wind with the old
-    programme and with this one."""
+    """The programme's rates (deg/s) and bias (rad, pitch and yaw) over time, and what is met in still air, in the wind
+    with the old programme, and with this one."""
 
     time_s: Array
     pitch_rate_degps: Array
     yaw_rate_degps: Array
     bias_rad: Array  # (2, times)
+    still: Incidence
     before: Incidence
     after: Incidence
 
@@ -101,10 +105,13 @@ def execute(order: Order) -> int:
     lines = [*said, ",".join(names), *(",".join(f"{x:.9g}" for x in row) for row in rows)]
     write_whole(path, "\n".join(lines) + "\n")
     largest = np.degrees(np.abs(found.bias_rad).max(axis=1))
-    loads = [each.load_Padeg for each in (found.before, found.after)]
-    table = [("", "programme", "biased"), ("largest q alpha, Pa deg", *(f"{x.max():.0f}" for x in loads))]
+    loads = [each.load_Padeg for each in (found.still, found.before, found.after)]
+    table = [
+        ("", "still air", "in the wind", "biased"),
+        ("largest q alpha, Pa deg", *(f"{x.max():.0f}" for x in loads)),
+    ]
     table.append(("rms of q alpha, Pa deg", *(f"{math.sqrt(float(np.mean(x**2))):.0f}" for x in loads)))
-    print("\n".join(aligned(table, "  ", right=(1, 2))))
+    print("\n".join(aligned(table, "  ", right=(1, 2, 3))))
     print(f"bias up to {largest[0]:.2f} deg in pitch, {largest[1]:.2f} deg in yaw")
     print(f"written: {path}; fly it with: simrun {order.scenario} --set guidance.programme={path}")
     return Exit.OK
@@ -155,7 +162,7 @@ def wind_biased(loaded: LoadedScenario, share: float = 1.0) -> Biased:
     time_s = np.arange(scenario.run.start_s, end_s + GRID_S, GRID_S).clip(max=end_s)
     time_s = np.unique(np.concatenate([time_s, [t for t in programme["time_s"] if time_s[0] < t < time_s[-1]]]))
     after_s = [t for t in programme["time_s"] if t > time_s[-1]]
-    still = Incidence.of(calm, time_s)
+    still, path = Incidence.of(calm, time_s), _path(loaded, calm, time_s)
     fade = _fade(still.dynamic_pressure_Pa / still.dynamic_pressure_Pa.max())
     before = Incidence.of(flown(wind, programme, end_s), time_s)
     wanted = [
@@ -165,11 +172,42 @@ def wind_biased(loaded: LoadedScenario, share: float = 1.0) -> Biased:
     bias, now, made = np.zeros((2, len(time_s))), before, None
     for _ in range(ROUNDS):
         left = np.stack([wanted[0] - now.alpha_rad, now.beta_rad - wanted[1]])
-        bias = bias + fade * np.stack([_smoothed(time_s, each) for each in left])
+        bias = bias + np.stack([_turned(time_s, fade, path, _smoothed(time_s, each)) for each in left])
         made = _programme(programme, time_s, after_s, bias)
         now = Incidence.of(flown(wind, made, end_s), time_s)
     assert made is not None
-    return Biased(made["time_s"], made["pitch_rate_degps"], made["yaw_rate_degps"], bias, before, now)
+    return Biased(made["time_s"], made["pitch_rate_degps"], made["yaw_rate_degps"], bias, still, before, now)
+
+
+def _path(loaded: LoadedScenario, calm: Flight, time_s: Array) -> Array:
+    """Over time: speed (m/s), and of the linear model axial load (m/s2) and lateral force per mass and speed (1/s)."""
+    air = loaded.scenario.model_copy(update={"wind": Wind(), "fault": (), "requirement": ()})
+    nodes = api.nodes(LoadedScenario(air, loaded.label, ()))
+    at = [node.time_s for node in nodes]
+    w = [node.plant.states.index("w_mps") for node in nodes]
+    rows = (
+        [axial_load_mps2(node.vehicle, node.condition) for node in nodes],
+        [-float(node.plant.a[k, k]) for node, k in zip(nodes, w, strict=True)],
+    )
+    speed = np.interp(time_s, calm.time_s("airspeed_mps"), calm["airspeed_mps"])
+    return np.stack([np.maximum(speed, 1.0), *(np.interp(time_s, at, row) for row in rows)])
+
+
+def _turned(time_s: Array, fade: Array, path: Array, lacks_rad: Array) -> Array:
+    """The turn d that gives the incidence what it lacks, path followed; Heun's method."""
+    turned, across = np.zeros(len(time_s)), 0.0
+
+    def turn(k: int, v: float) -> tuple[float, float]:
+        speed, load, damping = path[:, k]
+        d = float(fade[k] * (lacks_rad[k] + v / speed))
+        return d, float(load * d + damping * (speed * d - v))
+
+    for k in range(len(time_s)):
+        turned[k], rate = turn(k, across)
+        if k + 1 < len(time_s):
+            step = float(time_s[k + 1] - time_s[k])
+            across += 0.5 * step * (rate + turn(k + 1, across + step * rate)[1])
+    return turned
 
 
 def _fade(share: Array) -> Array:
