@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import dataclasses
 from functools import cache
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -30,15 +31,19 @@ from maxq.control.kernel.records import Array, blank, pack
 from maxq.control.kernel.tables import Pool
 from maxq.control.laws.pd import GainSchedule, gains_table
 from maxq.control.sensors import make_sensors
-from maxq.design.laws.pd import PdVariables
+from maxq.design import api
+from maxq.design.laws.design_file import design_text
+from maxq.design.laws.pd import PdDesign, PdVariables
 from maxq.design.laws.wind import DRIFT, LOAD, Spectrum, frequencies
 from maxq.design.model.linearised import zero_incidence
 from maxq.design.model.plant import vehicle_plant
 from maxq.design.model.vehicle_at import actuator_response, lag
-from maxq.design.optimise.solve import make_problem
+from maxq.design.optimise.solve import make_problem, solve
+from maxq.design.verify.judging import with_law
 from maxq.sim.packing.flight import pack_flight
 from maxq.sim.packing.initial import rotation
 from maxq.sim.run.evaluate import evaluate_at
+from maxq.sim.scenario.errors import ScenarioError
 from maxq.sim.vehicle.state import Q_BI, V_I, W_BI_B
 
 T = 0.01
@@ -137,6 +142,48 @@ def test_limits_in_wind_have_the_gradient_of_differences() -> None:
             assert by == pytest.approx(values.gradient[:, k], rel=1e-5, abs=1e-6)
 
 
+SLOW = (
+    "loop=sampled", "filter.structure=F2", "nodes_s=[15.0, 45.0]", "search.starts=3", "search.leaps=1",
+    "wind={sigma_mps=10.0, length_v_m=3000.0, band_hz=[0.02, 0.3]}",
+)  # fmt: skip  # a key a line otherwise
+
+
+@pytest.mark.slow  # two optimisations
+def test_least_load_against_margins_and_drift() -> None:
+    """No design near the optimum, of 3,000 tried, meets the limits with less load; one with more margin has more."""
+    least = (*SLOW, "objective.kind=load", "limits.drift_mps=9.0")
+    plants = kit.plants(*least)
+    made, found = make_problem(kit.case(*least).case, plants), solve(kit.case(*least), plants)
+    assert found.feasible
+    law = made.law.controllers(found.variables)
+    f = np.exp(frequencies())
+    rms = [
+        plant.wind.rms(LOAD, one.response(f)[:, [one.inputs.index(name) for name in plant.path.measurements]])[0]
+        for plant, one in zip(plants.each, law, strict=True)
+        if plant.wind is not None
+    ]
+    assert 20.0 * np.log10(max(rms)) == pytest.approx(found.objective_db, abs=1e-6)
+    rng = np.random.default_rng(1)
+    for scale in (0.3, 0.03, 0.003):
+        for _ in range(1000):
+            tried = np.clip(found.variables + scale * rng.normal(size=made.size), made.lower, made.upper)
+            there = made.evaluate(tried)
+            if there.violation_db < 1e-4 and there.unstable == 0:
+                assert there.objective_db > found.objective_db - 1e-3
+    steady = solve(kit.case(*SLOW, "objective.kind=least-margin"), plants)
+    assert steady.feasible
+    assert made.evaluate(steady.variables).objective_db > found.objective_db + 0.1
+
+
+def test_load_as_an_objective_needs_a_wind_and_no_limit() -> None:
+    for changes, said in (
+        (["objective.kind=load"], "needs a wind"),
+        ([*SLOW[5:], "objective.kind=load", "limits.q_alpha_Padeg=100"], "is the objective"),
+    ):
+        with pytest.raises(ScenarioError, match=said):
+            kit.case(*changes)
+
+
 def test_load_and_drift_are_those_of_the_closed_equations() -> None:
     """Engine, vehicle, sensors and law in one linear system, solved at each frequency."""
     made, plants = problem("sampled")
@@ -185,6 +232,21 @@ def test_load_and_drift_are_those_of_the_closed_equations() -> None:
         # the loop's own path has the images that the continuous equations lack
         assert plant.wind.rms(output, controller)[0] == pytest.approx(wanted, rel=1e-4)
     assert any(np.abs(body.d[:, gust]) > 1e-4)  # the accelerometer feels a gust at once
+
+
+def test_a_stage_that_is_not_designed_keeps_its_gains_under_the_other_law(tmp_path: Path) -> None:
+    own = api.load_design("designs/ksr3-robust.toml")
+    other = api.load_design("designs/ksr3-load-relief.toml", "load-relief")
+    made = with_law(own, other).model_copy(update={"law": other.law})
+    (tmp_path / "d.toml").write_text(design_text(made))
+    read = api.load_design(tmp_path / "d.toml", "load-relief")
+    f = np.array([0.1, 1.0, 10.0])
+    for time_s in (10.0, 30.0):
+        laws = [PdDesign.of(each).at(time_s, "yaw", T) for each in (own, read)]
+        assert laws[1].inputs == ("angle_rad", "rate_radps")
+        np.testing.assert_allclose(laws[0].response(f), laws[1].response(f), rtol=1e-12)
+    with pytest.raises(ScenarioError, match="stages that the case does not design"):
+        with_law(other, own)
 
 
 @pytest.mark.parametrize("model", ["dryden", "von-karman"])

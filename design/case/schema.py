@@ -27,7 +27,7 @@ from maxq.sim.scenario.schema_values import NotNegative, Positive, Section, need
 
 LIMIT_NAMES = Literal["second_mode_db", "filter_gain_at_infinity", "rigid_hz", "rigid_zeta"]
 
-ObjectiveName = Literal["first-mode-peak", "least-margin"]
+ObjectiveName = Literal["first-mode-peak", "least-margin", "load"]
 """Keys of `design.optimise.criteria.OBJECTIVES`."""
 
 Model = TypeVar("Model", bound=Section)
@@ -136,7 +136,8 @@ class Objective(Section):
 
     kind: ObjectiveName = optional(
         "first-mode-peak: least peak of mode 1 over all nodes (42). least-margin: largest of the least "
-        "|1 + L|; for plants whose first mode wanders so far that it is better phase-stabilised than notched",
+        "|1 + L|; for plants whose first mode wanders so far that it is better phase-stabilised than notched. load: "
+        "least rms of q alpha over all nodes in the wind of [wind], against drift and margins as limits",
         "first-mode-peak",
     )
     band: Annotated[float, Field(gt=0.0, lt=0.5)] = optional(
@@ -307,6 +308,11 @@ class Case(Section):
             _rising(self.nodes_s, "nodes_s")
         if self.blend is not None and not self.blend[0] < self.blend[1]:
             raise refuse("is empty", "two numbers, the lower one first", key=("blend",))
+        if self.objective.kind == "load":
+            if self.wind is None:
+                raise refuse("needs a wind", "a table [wind]", key=("objective", "kind"))
+            if self.limits.q_alpha_Padeg is not None:
+                raise refuse("is the objective", "no limit of it", key=("limits", "q_alpha_Padeg"))
         for key in ("q_alpha_Padeg", "drift_mps"):
             if self.wind is None and getattr(self.limits, key) is not None:
                 raise refuse("needs a wind", "a table [wind]", key=("limits", key))

@@ -46,7 +46,7 @@ from maxq.design.laws.schedule import (
     lowest_above,
 )
 from maxq.design.laws.task import DB, Rigid, Task
-from maxq.design.laws.wind import DRIFT, LOAD, frequencies
+from maxq.design.laws.wind import DRIFT, LOAD, WIND_LIMITS, frequencies
 from maxq.design.model.state_space import ComplexArray, StateSpace, chain
 from maxq.design.model.vehicle_at import ACCELERATION, Plane, further_rate
 from maxq.sim.packing.computer import bending_filter, gain_schedules
@@ -235,7 +235,6 @@ second-best end of F3 with free gains, 6, 5 and 3 found the best."""
 START_HZ, START_ZETA = 0.3, 0.5  # of the rigid body with its aerodynamics, where no limit asks for more
 GAIN_FACTOR = 1.02  # of starting gains over the least that meet the limits
 HERTZ, ZETA, AT_INFINITY = range(3)  # numbers of `PdVariables.limits`
-WIND_LIMITS = {"q_alpha_Padeg": ("load q alpha in wind, rms", "Pa deg"), "drift_mps": ("drift in wind, rms", "m/s")}
 GAIN_OF = {
     "angle_rad": "k_p", "rate_radps": "k_d_s", "angle_integral_rads": "k_i_ps", ACCELERATION: "k_a_s2pm",
 }  # fmt: skip  # four more lines otherwise
@@ -297,7 +296,11 @@ class PdVariables:
         self.inputs = (*type(self).inputs, *(further_rate(k + 2) for k in range(self.further)))
         self.lag = Lag(case.load_relief.corner_hz, task.sample_s) if ACCELERATION in self.inputs else None
         self.own_size = self.filter.size + len(self.keys) + self.further
-        self._of_wind = [name for name in ("q_alpha_Padeg", "drift_mps") if task.winds and task.limits.asked(name)]
+        load = case.objective.kind == "load"  # the row is the objective then, without a limit
+        self._of_wind = [
+            name for name in WIND_LIMITS
+            if task.winds and (task.limits.asked(name) or (load and name == "q_alpha_Padeg"))
+        ]  # fmt: skip  # two more lines otherwise
         self._first_of_wind = len(self.limits)
         self.limits = (*self.limits, *(LawLimit(*WIND_LIMITS[name], False) for name in self._of_wind))
         self.lower, self.upper = self._bounds(0), self._bounds(1)
@@ -413,7 +416,7 @@ class PdVariables:
         n, axis, out = self.filter.size, self.axis(frequencies()), []
         for number, name in enumerate(self._of_wind, self._first_of_wind):
             most = self.task.limits[name]
-            held = np.flatnonzero(~np.isnan(most))
+            held = np.flatnonzero(~np.isnan(most)) if self.task.limits.asked(name) else np.arange(len(own))
             found = []
             for plant in held:
                 mine = np.broadcast_to(own[plant], (len(axis[0]), self.own_size))
@@ -425,7 +428,8 @@ class PdVariables:
                 found.append(self.task.winds[int(plant)].rms(LOAD if name == "q_alpha_Padeg" else DRIFT, law, whole))
             value = np.array([rms for rms, _ in found])
             by = np.array([gradient for _, gradient in found]) * DB / value[:, None]
-            out.append(LimitValues(number, held, value, most[held], DB * np.log(value / most[held]), by))
+            over = np.where(np.isnan(most[held]), 1.0, most[held])
+            out.append(LimitValues(number, held, value, most[held], DB * np.log(value / over), by))
         return out
 
     # --- limits that belong to no frequency

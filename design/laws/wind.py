@@ -22,6 +22,7 @@ from maxq.design.model.state_space import ComplexArray
 
 LOWEST_HZ, HIGHEST_HZ, POINTS = 0.02, 5.0, 96
 LOAD, DRIFT = 0, 1  # outputs
+WIND_LIMITS = {"q_alpha_Padeg": ("load q alpha in wind, rms", "Pa deg"), "drift_mps": ("drift in wind, rms", "m/s")}
 
 
 def frequencies() -> Array:

@@ -62,11 +62,11 @@ class Collected:
         return Rows(*(np.concatenate([getattr(p, f.name) for p in self.parts]) for f in fields(Rows)))
 
 
-def law_rows(what: int, of: LimitValues) -> Rows:
-    """Limits of the law, which belong to no frequency."""
+def law_rows(what: int, of: LimitValues, objective: bool = False) -> Rows:
+    """Limits of the law, which belong to no frequency, or the objective where it is one of them."""
     n = len(of.value)
     return Rows(
         what=np.full(n, what, np.int8), plant=of.plant, value=of.value, limit=of.limit, excess_db=of.excess_db,
-        objective=np.zeros(n, bool), own=of.gradient, feature=np.full(n, -1, np.int8), cell=np.zeros(n, np.int64),
+        objective=np.full(n, objective), own=of.gradient, feature=np.full(n, -1, np.int8), cell=np.zeros(n, np.int64),
         x=np.zeros(n), fixed=np.ones(n, bool),
     )  # fmt: skip  # eight more lines otherwise

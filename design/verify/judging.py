@@ -31,7 +31,9 @@ from maxq.design.optimise.robust import deviated
 from maxq.design.optimise.solution import Solution
 from maxq.design.verify.suite import beyond
 from maxq.sim.packing.computer import bending_filter
+from maxq.sim.scenario.errors import ScenarioError
 from maxq.sim.scenario.schema_design import Design, Limits, StageLaw
+from maxq.sim.scenario.tables_csv import CsvTable
 
 PEAKS = ("first_mode_db", "second_mode_db", "higher_modes_db")
 RigidBody = Literal["paper", "aerodynamic"]
@@ -309,8 +311,28 @@ def make_design(loaded: LoadedCase, *solutions: Solution) -> Design:
     if len(stages) == 1:
         return first
     names = StageLaw.model_fields
-    flown = [designs.get(n) or (own.of_stage(n) if own else first) for n in range(len(stages))]
+    flown = [designs.get(n) or (with_law(own.of_stage(n), first) if own else first) for n in range(len(stages))]
     return first.model_copy(update={"stage": tuple(StageLaw(**{k: getattr(d, k) for k in names}) for d in flown)})
+
+
+def with_law(own: Design, other: Design) -> Design:
+    """A stage's design as one of the law of another, whose further gains are 0 there.
+
+    Raises ScenarioError where it has gains that the other law has not.
+    """
+    if own.law == other.law:
+        return own
+    if not set(own.gain_names) <= set(other.gain_names):
+        raise ScenarioError(
+            own.name or "design", "flies in stages that the case does not design", "law", value=own.law,
+            allowed=f"a scenario whose design is of the law {other.law}, or of pd",
+        )  # fmt: skip  # two more lines otherwise
+    tables = {
+        key: CsvTable("", {**table.columns, **{k: np.zeros(len(table)) for k in other.gain_names if k not in table}})
+        for key in ("table", "yaw_table")
+        if (table := getattr(own.gains, key)) is not None
+    }
+    return own.model_copy(update={"gains": own.gains.model_copy(update=tables), "load_relief": other.load_relief})
 
 
 def objective_text(solution: Solution) -> str:
