@@ -148,7 +148,7 @@ def test_a_glance_shows_every_pendulum() -> None:
     table = logged_channels(loaded.scenario, pack_flight(loaded.scenario).sizes)
     plots = [plot for tab in tabs_of(table, loaded.scenario) for plot in tab.plots if plot.key == "slosh/pitch"]
     shown = [curve.label for plot in plots for curve in plot.curves[: plot.glance[0]]]
-    assert shown == ["oxygen pitch", "oxygen_2 pitch", "kerosene pitch"]
+    assert shown == ["oxygen pitch", "oxygen_2_or_kerosene pitch", "kerosene pitch"]
 
 
 # several flights

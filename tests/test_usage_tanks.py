@@ -36,6 +36,18 @@ def test_names_of_second_modes_and_waves() -> None:
     assert {"slosh_lox_pitch_deg", "slosh_lox_2_pitch_deg", "slosh_lox_2_wave_m", "slosh_2_wave_m"} <= set(names)
 
 
+def test_a_tank_of_another_stage_keeps_its_name() -> None:
+    """What stands in one column of the log goes by the names of all stages that fill it; two modes against three."""
+    tree = scenario(merged(SPHERE, {"modes": 2}), merged(SPHERE, {"name": "jeta1"}))
+    (lower,) = tree["vehicle"]["stage"]
+    upper = merged(lower, {"tank": [SPHERE, merged(SPHERE, {"name": "lh2"})]})
+    tree["vehicle"]["stage"] = [lower | {"separation_s": 10.0}, upper]
+    loaded = load(tree)
+    table = logged_channels(loaded.scenario, stage_sizes(loaded.vehicle.stage[0], loaded.scenario.switches))
+    names = [name for name in table.names if name.startswith("slosh") and name.endswith("pitch_deg")]
+    assert names == ["slosh_lox_pitch_deg", "slosh_lox_2_or_lh2_pitch_deg", "slosh_jeta1_pitch_deg"]
+
+
 def test_surface_of_the_liquid_by_the_shape_of_its_tank() -> None:
     """A sphere half full and nearly empty; a cylinder's wall; an ellipsoid, from the volume of its cap."""
     half = 1141.0 * 2.0 / 3.0 * np.pi * 0.6**3

@@ -8,6 +8,7 @@ import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
+from itertools import zip_longest
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -458,8 +459,11 @@ def fly(loaded: LoadedScenario, *, log: bool = True, watch: Callable[[FlightRun,
 
 
 def logged_channels(scenario: Scenario, sizes: Sizes) -> ChannelTable:
-    """Channels of a scenario's flights; `sizes`: of the widest stage. A tank without a name goes by its number."""
-    names = max((stage.pendulum_names for stage in scenario.vehicle.stage), key=len)
+    """Channels of a scenario's flights; `sizes`: of the widest stage. A tank without a name goes by its number; where
+    the tanks of the stages have different names, by all of them (lox_or_hydrogen).
+    """
+    of_stages = zip_longest(*(stage.pendulum_names for stage in scenario.vehicle.stage), fillvalue="")
+    names = tuple("_or_".join(dict.fromkeys(filter(None, each))) for each in of_stages)
     waves = _logs_waves(scenario, sizes)
     groups = max((stage.engine_groups for stage in scenario.vehicle.stage), key=len)
     groups = tuple(name or str(i + 1) for i, name in enumerate(groups)) if len(groups) > 1 else ()

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import itertools
 import math
+import re
 from collections.abc import Iterable, Sequence
 from typing import Any
 
@@ -333,8 +334,9 @@ class Scene:
     ) -> None:
         height = np.interp(clock_s, *tank.level)
         angles = np.zeros((len(at), 2))
-        if f"slosh_{tank.name}_pitch_deg" in channels:
-            names = (f"slosh_{tank.name}_{plane}_deg" for plane in reversed(PLANES))
+        swings = re.compile(rf"slosh_(.*_or_)?{re.escape(tank.name)}(_or_.*)?_pitch_deg")
+        if channel := next(filter(swings.fullmatch, channels.table.names), None):
+            names = (channel.replace("_pitch_deg", f"_{plane}_deg") for plane in reversed(PLANES))
             angles = np.stack([np.nan_to_num(channels[name][k]) for name in names], axis=1)
         tilt = np.clip(np.tan(np.radians(np.clip(angles * self._ex.slosh, -80.0, 80.0))), -_STEEPEST, _STEEPEST)
         some = np.arange(0, len(at), 2)  # surfaces swing slowly
