@@ -16,12 +16,13 @@ from maxq.design.loop.loop import Loop
 from maxq.design.margins.measure import margins
 from maxq.design.model.dispersion import NOMINAL, Dispersion, disperse
 from maxq.design.model.node import Node
-from maxq.design.model.spread import Spread, places_of, vehicle_at_places, vehicle_of
+from maxq.design.model.spread import Correlated, CorrelatedSpread, Spread, places_of, vehicle_at_places, vehicle_of
 from maxq.design.verify import linear, worst
 from maxq.design.verify.linear import vehicles
 from maxq.design.verify.suite import LinearMargins, WorstWanted
 from maxq.design.verify.worst import WorstVehicle, scenario_of, search_node, slope, worst_requirements
 from maxq.sim.run.metrics import METRIC_NAMES
+from maxq.sim.scenario.errors import ScenarioError
 from maxq.sim.scenario.loader import load_scenario_text
 
 FEW = {  # what deviates in the brute-force case; the rest of Spread is 0
@@ -211,3 +212,56 @@ def test_words_claim_no_more_than_was_searched() -> None:
     )  # fmt: skip  # four more lines otherwise
     assert rows[1].judgement == "accepted"
     assert rows[0].again == "simverify x --only worst"
+
+
+def going_together(*pairs: tuple[tuple[str, str], float]) -> CorrelatedSpread:
+    return CorrelatedSpread(correlated=tuple(Correlated(of=of, coefficient=value) for of, value in pairs))
+
+
+def test_search_follows_correlations(monkeypatch: pytest.MonkeyPatch) -> None:
+    """c + a . u is least at c - sqrt(a' R a) in the ellipsoid u' R^-1 u <= 1 of deviations with correlations R."""
+    node: Any = SimpleNamespace(time_s=40.0, vehicle=VEHICLE)
+    places = places_of(node)
+    a = np.random.default_rng(3).normal(size=len(places))
+    together = np.eye(len(places))
+    for (one, other), value in (((0, 1), 0.9), ((3, 4), -0.6)):
+        together[one, other] = together[other, one] = value
+    names = [name if n < 0 else f"{name}.{n}" for name, n in places]
+    spread = going_together(((names[0], names[1]), 0.9), ((names[3], names[4]), -0.6))
+    c = 2.0 + np.abs(a).sum()
+    monkeypatch.setattr(worst, "distances", lambda *_: lambda every: [(float(c + a @ u), np.ones(1)) for u in every])
+    monkeypatch.setattr(worst, "slope", lambda *_: lambda u, hz, steps: (np.array([c + a @ u]), a[None]))
+    none: Any = None
+    found, u, _ = search_node(node, none, spread, WorstWanted(starts=2))
+    assert found == pytest.approx(c - np.sqrt(a @ together @ a), abs=2e-3)
+    assert u @ np.linalg.solve(together, u) == pytest.approx(1.0, abs=1e-6)
+
+
+def test_random_vehicles_have_the_correlations_they_are_given() -> None:
+    node: Any = SimpleNamespace(vehicle=VEHICLE)
+    spread = going_together((("slosh_mass.0", "slosh_mass.1"), 0.8), (("thrust", "inertia"), -1.0))
+    wanted = LinearMargins(cases=2000, corner_sigmas=0.0, three_sigma=spread)
+    many = vehicles(wanted, node)[1]
+    masses = np.array([v.slosh_mass for v in many])
+    assert np.corrcoef(masses.T)[0, 1] == pytest.approx(0.8, abs=0.03)  # known to 0.008
+    assert masses.std(axis=0) == pytest.approx([0.1 / 3.0] * 2, rel=0.06)
+    assert np.corrcoef([v.thrust for v in many], [v.inertia for v in many])[0, 1] == pytest.approx(-1.0)
+    alone = vehicles(wanted.model_copy(update={"three_sigma": Spread()}), node)[1]
+    assert [v.delay_s for v in alone] == [v.delay_s for v in many]  # what is not named stays as it is
+
+
+@pytest.mark.parametrize(
+    ("pairs", "said"),
+    [
+        ([["slosh_mass.0", "slosh_mass.7", 0.5]], "correlated.0.of"),
+        (
+            [["thrust", "inertia", 0.9], ["thrust", "delay_s", 0.9], ["inertia", "delay_s", -0.9]],
+            "positive semidefinite",
+        ),
+    ],
+)
+def test_correlations_that_cannot_be_are_refused(pairs: list[list[Any]], said: str) -> None:
+    node: Any = SimpleNamespace(vehicle=VEHICLE)
+    spread = going_together(*(((one, other), value) for one, other, value in pairs))
+    with pytest.raises(ScenarioError, match=said):
+        vehicles(LinearMargins(cases=1, three_sigma=spread), node)

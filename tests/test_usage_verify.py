@@ -15,6 +15,7 @@ import petrelkit as petrel
 import pytest
 
 from maxq.design.model.dispersion import NOMINAL, Dispersion
+from maxq.design.model.spread import Spread
 from maxq.design.verify.fitted import fit
 from maxq.design.verify.flown import load_flight, load_wanted
 from maxq.design.verify.judging import Check
@@ -30,7 +31,6 @@ from maxq.design.verify.suite import (
     LoadedSuite,
     MarginLimits,
     Requirement,
-    Spread,
     beyond,
     overall,
     read_suite,

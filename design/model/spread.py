@@ -8,11 +8,13 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from typing import Annotated, Any
 
+import numpy as np
 from pydantic import Field
 
 from maxq.control.kernel.records import Array
 from maxq.design.model.dispersion import Dispersion, for_each
 from maxq.design.model.node import Node
+from maxq.sim.scenario.errors import ScenarioError
 from maxq.sim.scenario.schema_values import NotNegative, Section, optional
 
 Share = Annotated[float, Field(ge=0.0, lt=1.0)]
@@ -38,6 +40,40 @@ class Spread(Section):
     inertia: Share = optional("transverse", 0.05)
     centre_of_pressure_m: NotNegative = optional("m", 0.25)
     delay_s: NotNegative = optional("either way, s; never below no delay", 0.002)
+
+
+_CORRELATED = "margins.three_sigma.correlated"
+
+
+class Correlated(Section):
+    """Two deviations that go together."""
+
+    of: tuple[str, str] = Field(
+        description="keys of deviations, of a mode or tank with its number from 0: slosh_mass.1"
+    )
+    coefficient: Annotated[float, Field(ge=-1.0, le=1.0)] = Field(description="of correlation")
+
+
+class CorrelatedSpread(Spread):
+    """Deviations of which some go together; those not named are independent."""
+
+    correlated: tuple[Correlated, ...] = optional("pairs of deviations that go together", ())
+
+
+def correlation(spread: Spread, node: Node, places: Sequence[Place]) -> Array:
+    """Correlation matrix of the deviations at `places`. Raises ScenarioError for none, and for no such deviation."""
+    out = np.eye(len(places))
+    names = [name if n < 0 else f"{name}.{n}" for name, n in places]
+    for k, pair in enumerate(spread.correlated if isinstance(spread, CorrelatedSpread) else ()):
+        if pair.of[0] == pair.of[1] or not set(pair.of) <= set(names):
+            key, allowed = f"{_CORRELATED}.{k}.of", f"two of {', '.join(names)}"
+            raise ScenarioError("suite", "are no two deviations of this vehicle", key, value=pair.of, allowed=allowed)
+        i, j = (names.index(name) for name in pair.of)
+        out[i, j] = out[j, i] = pair.coefficient
+    if np.linalg.eigvalsh(out)[0] < -1e-9:
+        problem = "no deviations have all of these coefficients together"
+        raise ScenarioError("suite", problem, _CORRELATED, allowed="those of a positive semidefinite matrix")
+    return out
 
 
 def _count(node: Node, key: str) -> int | None:

@@ -34,7 +34,7 @@ from maxq.design.margins.many import DONE, HANDED_BACK
 from maxq.design.margins.measure import margins
 from maxq.design.model.dispersion import Dispersion, disperse
 from maxq.design.model.node import Node, at_same_propellant_s, flown_run, flown_to, met_by, node_of
-from maxq.design.model.spread import Draw, vehicle_of
+from maxq.design.model.spread import Draw, correlation, places_of, vehicle_at_places, vehicle_of
 from maxq.design.model.vehicle_at import stability_derivatives
 from maxq.design.verify.memory import Memory
 from maxq.design.verify.suite import (
@@ -49,6 +49,7 @@ from maxq.design.verify.suite import (
     judgement_of,
     room_left,
 )
+from maxq.sim.campaign.draws import cholesky
 from maxq.sim.campaign.read import LoadedCampaign
 from maxq.sim.campaign.schema import plain_value
 from maxq.sim.campaign.statistics import allowed_failures, judge_failures, tolerance_bound
@@ -225,7 +226,12 @@ def vehicles(wanted: LinearMargins, node: Node) -> tuple[list[Dispersion], list[
     numbers = range(0 if wanted.only else wanted.cases)
     if found is not None and found[1] == "vehicle":
         numbers = range(int(found[2]) - 1, int(found[2]))
-    drawn = [vehicle_of(wanted.three_sigma, node, _normal(wanted.seed, n), f"vehicle {n + 1}") for n in numbers]
+    places = places_of(node)
+    factor = cholesky(correlation(wanted.three_sigma, node, places))
+    drawn = [
+        vehicle_at_places(wanted.three_sigma, node, places, _normal(wanted.seed, n, factor), f"vehicle {n + 1}")
+        for n in numbers
+    ]
     return [c for c in corners if wanted.only in ("", c.label)], drawn
 
 
@@ -233,10 +239,9 @@ def _together(signs: dict[str, float]) -> Draw:
     return lambda name, element: signs[name]
 
 
-def _normal(seed: int, number: int) -> Draw:
-    """Normal deviates in units of three sigma, in the order in which they are asked for."""
-    generator = np.random.default_rng([seed, number])
-    return lambda name, element: float(generator.normal() / 3.0)
+def _normal(seed: int, number: int, factor: Array) -> Array:
+    """Normal deviates in units of three sigma; `factor`: lower factor of their correlation matrix."""
+    return np.asarray(factor @ np.random.default_rng([seed, number]).normal(size=len(factor)) / 3.0)
 
 
 def study(

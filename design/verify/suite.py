@@ -20,7 +20,7 @@ from typing import Annotated, Any, Literal
 from pydantic import Field, model_validator
 
 from maxq.design.model.node import EDGES, NODES_PER_STAGE
-from maxq.design.model.spread import Share, Spread
+from maxq.design.model.spread import CorrelatedSpread, Share
 from maxq.sim.campaign.schema import Campaign
 from maxq.sim.campaign.statistics import MET, NOT_MET
 from maxq.sim.scenario.documents import Text
@@ -230,7 +230,7 @@ class LinearMargins(Section):
     )
     nominal: MarginLimits = MarginLimits()
     dispersed: MarginLimits = MarginLimits()
-    three_sigma: Spread = Spread()
+    three_sigma: CorrelatedSpread = CorrelatedSpread()
     worst: WorstWanted | None = optional("absent: not searched")
 
 

@@ -1,14 +1,14 @@
 """The worst vehicle that the dispersions allow: a search, node by node, for the least distance of L from -1.
 
 Every mode, every tank and everything else of `Spread` deviates by itself, within an ellipsoid (together no less likely
-than one deviation alone at so many sigma) or a box (each up to so many). From each start the search goes along the
-gradient to where the linearised distance is least in that region, back towards where it came from until the distance
-has fallen, and again (Frank & Wolfe, Nav. Res. Logist. Q. 3, 1956); in a box it ends at the corner that no single
-deviation makes worse. The gradient is that of L at the frequency nearest to -1, by differences of the vehicle's
-continuous response: no loop is closed for it. Trials are measured together (margins/dispersed.py). An unstable loop
-counts as beyond -1 by its distance. Every node has a start at the vehicle as it is; those that come out worst
-(`FURTHER` of them) have all the others too. A search bounds nothing from below: what it says is that no worse vehicle
-was found in so many searches.
+than one deviation alone at so many sigma, by their correlations) or a box (each up to so many, whatever these are).
+From each start the search goes along the gradient to where the linearised distance is least in that region, back
+towards where it came from until the distance has fallen, and again (Frank & Wolfe, Nav. Res. Logist. Q. 3, 1956); in a
+box it ends at the corner that no single deviation makes worse. The gradient is that of L at the frequency nearest to
+-1, by differences of the vehicle's continuous response: no loop is closed for it. Trials are measured together
+(margins/dispersed.py). An unstable loop counts as beyond -1 by its distance. Every node has a start at the vehicle as
+it is; those that come out worst (`FURTHER` of them) have all the others too. A search bounds nothing from below: what
+it says is that no worse vehicle was found in so many searches.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ from maxq.design.margins.measure import margins
 from maxq.design.model.dispersion import Dispersion, disperse, disperse_instruments, dispersed_many, stacked
 from maxq.design.model.node import Node
 from maxq.design.model.plant import per_actuator_angle, vehicle_plants
-from maxq.design.model.spread import Place, Spread, places_of, vehicle_at_places
+from maxq.design.model.spread import Place, Spread, correlation, places_of, vehicle_at_places
 from maxq.design.model.state_space import ComplexArray
 from maxq.design.model.vehicle_at import actuator_response
 from maxq.design.verify.suite import ACCEPTED, REJECTED, Requirement, WorstWanted, room_left
@@ -184,7 +184,9 @@ def search_node(
 
     `starts` by their numbers, 0 being the vehicle as it is (default: all).
     """
-    reach, count = wanted.sigmas / 3.0, len(places_of(node))
+    places = places_of(node)
+    reach, count, together = wanted.sigmas / 3.0, len(places), correlation(spread, node, places)
+    inverse = np.linalg.pinv(together, rcond=1e-9)
     measure, change, loops = distances(node, design, spread), slope(node, design, spread), [0]
 
     def look(every: Sequence[Array]) -> Looks:
@@ -195,12 +197,14 @@ def search_node(
         """The point of the region that lies farthest in a direction."""
         if wanted.region == "box":
             return reach * np.sign(direction)
-        return np.asarray(reach * direction / max(float(np.linalg.norm(direction)), 1e-300))
+        along = together @ direction
+        return np.asarray(reach * along / max(math.sqrt(abs(float(direction @ along))), 1e-300))
 
     def towards(u: Array, goal: Array, share: float) -> Array:
         """Part of the way; in an ellipsoid along its surface, inside of which the worst hardly ever lies."""
         there = u + share * (goal - u)
-        return there if wanted.region == "box" else farthest(there)
+        size = math.sqrt(abs(float(there @ inverse @ there)))
+        return there if wanted.region == "box" else np.asarray(reach * there / max(size, 1e-300))
 
     best, worst_u = math.inf, np.zeros(count)
     for start in range(wanted.starts) if starts is None else starts:

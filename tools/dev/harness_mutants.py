@@ -32,7 +32,7 @@ NAMED = (
     (LINEAR, "[np.roll(_GENERATOR, k) for k in range(len(_GENERATOR)«»)]", " - 1", "a corner left out"),
     (LINEAR, "np.random.default_rng([seed, «number»])", "0", "seed reused: all vehicles alike"),
     (LINEAR, "np.random.default_rng([«seed», number])", "0", "seed ignored"),
-    (LINEAR, "float(generator.normal() / «3.0»)", "9.0", "three sigma taken as nine"),
+    (LINEAR, ".normal(size=len(factor)) / «3.0»)", "9.0", "three sigma taken as nine"),
     (SPREAD, '"slosh": len(node.vehicle.pendulums.mass_kg)«»}', " - 1", "one tank not dispersed"),
     (SPREAD, '"bending": «len(node.vehicle.modes.omega_radps)»', "1", "higher modes not dispersed"),
     (SPREAD, "size * draw(key, «n»), 0.05) for n, size", "0", "all modes and tanks by the first one's draw"),
