@@ -8,6 +8,7 @@ from html.parser import HTMLParser
 from pathlib import Path
 
 import pytest
+from file_fuzzer import LAYOUT
 from matplotlib.text import Text
 from scenario_files import write_ascent
 
@@ -25,6 +26,9 @@ from maxq.tools.cli.terminal import Progress
 from maxq.tools.flight_report import report as flight_text
 from maxq.tools.pages import render
 from maxq.tools.plots.style import drawing, png, sheet
+from maxq.tools.vehicle.build import build
+from maxq.tools.vehicle.layout import read_layout
+from maxq.tools.vehicle.pictures import page as layout_page
 from maxq.tools.verify.figures import plots
 from maxq.tools.verify.report import Signed, page_of
 from maxq.tools.verify.report import report as review_text
@@ -157,6 +161,14 @@ def test_page_and_text_of_a_review(here: Path) -> None:
     page = page_of(found, f"simverify {NAME} command", plots(found, NAME), Signed(NAME, NAME))
     only_shows(page, "vehicle", "suite", "flight", "why", "reason", "requirement", "command")
     assert f"{NAME} flight" in "\n".join(review_text(found, "title"))
+
+
+def test_page_of_a_layout(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("maxq.tools.vehicle.build.MODE_ROWS", 2)  # quicker
+    texts = LAYOUT.replace("schema = 1", f'schema = 1\nname = "{QUOTED} layout"\ndescription = "{QUOTED} said"')
+    (tmp_path / "layout.toml").write_text(texts.replace('"structure"', f'"{QUOTED} part"'))
+    page = layout_page(build(read_layout(tmp_path / "layout.toml")))
+    only_shows(page, "layout", "said")
 
 
 @pytest.mark.slow
