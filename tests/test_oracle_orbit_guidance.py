@@ -29,6 +29,7 @@ from maxq.control.orbit_guidance import (
     direction,
     gravitation,
     start_orbit_guidance,
+    thrust_acceleration,
 )
 from maxq.sim.run.fly import fly
 from maxq.sim.scenario.errors import ScenarioError
@@ -37,7 +38,7 @@ from maxq.sim.scenario.loader import load_scenario
 MU, J2, RADIUS_m = 3.986004418e14, 1.08262982e-3, 6378137.0
 EXHAUST_mps, SAMPLE_S = 3363.0, 0.5
 advance, along, start = (from_python(f) for f in (advance_orbit_guidance, direction, start_orbit_guidance))
-pulled = from_python(gravitation)
+pulled, pushed = from_python(gravitation), from_python(thrust_acceleration)
 
 
 @dataclass(frozen=True)
@@ -116,6 +117,37 @@ def test_gravitation_is_the_gradient_of_its_potential() -> None:
     burn = Burn()
     for r in (begun()[0], np.array([3e6, -5e6, -4e6])):
         np.testing.assert_allclose(pulled(pack([burn.guidance()])[0], tuple(r)), burn.gravitation(r), rtol=1e-12)
+
+
+def test_thrust_is_measured_and_foretold_and_the_plane_has_its_inclination() -> None:
+    """Three seconds of a burn, nose held in I: a = a_0 / (1 - a_0 t / c)."""
+    burn = Burn(inclination_deg=72.0)
+    g, state = pack([burn.guidance()])[0], blank(OrbitGuidanceState)[0]
+    start(state)
+    r, v = begun()
+    u, y = v / np.linalg.norm(v), np.concatenate([r, v])
+
+    def push(t: float) -> float:
+        return burn.thrust_mps2 / (1.0 - burn.thrust_mps2 * t / burn.exhaust_mps)
+
+    def derivative(t: float, y: Array) -> Array:
+        return np.concatenate([y[3:], burn.gravitation(y[:3]) + push(t) * u])
+
+    for k in range(4):
+        state.position_m[:], state.velocity_mps[:] = y[:3], y[3:]
+        advance(g, state, float(k), SAMPLE_S)
+        if k > 0:  # the mean over a second is that of its middle but for (a t / c)^2 / 12, and gravitation's curve
+            assert state.acceleration_mps2 == pytest.approx(push(k), rel=5e-6)
+        y = solve_ivp(derivative, (k, k + 1.0), y, method="DOP853", rtol=1e-12, atol=1e-7).y[:, -1]
+    assert pushed(g, state, 103.0) == pytest.approx(push(103.0), rel=1e-5)
+    x, n, z = np.reshape(state.axes, (3, 3))
+    at_guess = solve_ivp(derivative, (0.0, state.begun_s), np.concatenate([r, v]), method="DOP853", rtol=1e-12).y[
+        :3, -1
+    ]
+    assert n[2] == pytest.approx(math.cos(math.radians(72.0)), abs=1e-12)
+    assert n @ at_guess == pytest.approx(0.0, abs=1e-3)
+    np.testing.assert_allclose(np.stack([x, n, z]) @ np.stack([x, n, z]).T, np.eye(3), atol=1e-12)
+    assert np.linalg.det([x, n, z]) == pytest.approx(1.0)
 
 
 @pytest.mark.slow
