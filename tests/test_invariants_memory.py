@@ -1,0 +1,55 @@
+"""Memory that kernels share: blocks of one array lie behind each other, as wide as their comments say."""
+
+from __future__ import annotations
+
+import ast
+import inspect
+import re
+from itertools import pairwise
+from types import ModuleType
+
+import pytest
+
+from maxq.control.kernel.limits import MAX_ENGINES
+from maxq.sim.flight import step
+from maxq.sim.vehicle import environment, schedule, slosh, tvc_load, workspace
+
+
+def blocks(module: ModuleType, first: str, last: str) -> list[tuple[str, int, int]]:
+    """Name, beginning and width of the constants from `first` to `last`: `NAME = ...  # what it is, unit (width)`."""
+    lines, out = inspect.getsource(module).split("\n"), []
+    for node in ast.parse("\n".join(lines)).body:
+        if isinstance(node, ast.Assign) and isinstance(node.targets[0], ast.Name):
+            name = node.targets[0].id
+            if name == first or out:
+                width = re.search(r"#.*\((\d+)\)(;.*)?$", lines[(node.end_lineno or 0) - 1])
+                out.append((name, getattr(module, name), int(width[1]) if width else 1))
+                if name == last:
+                    break
+    return [block for block in out if not block[0].endswith(("_WIDTH", "MAX_UNKNOWNS", "_PART"))]
+
+
+@pytest.mark.parametrize(
+    ("module", "first", "last", "end"),
+    [
+        (workspace, "FORCE", "WORK_SIZE", None),
+        (workspace, "ALTITUDE", "AUX_SIZE", None),
+        (slosh, "ARM", "ALONG_X", workspace.PENDULUM_WIDTH),
+        (tvc_load, "FORCE", "INERTIA", workspace.LOAD_WIDTH),
+        (environment, "_PLACE", "_REACH_UP", workspace.ANCHOR + workspace.ANCHOR_WIDTH),
+        (schedule, "TANK_MASS", "TANK_WAVE", schedule.TANK_WIDTH),
+        (schedule, "MODE_OMEGA", "MODE_FIRST", None),
+        (schedule, "INVERSE_CORE_MASS", "RATE_DAMPING", schedule.N_DERIVED),
+        (step, "_Y_END", "ARENA_SIZE", None),
+    ],
+)
+def test_no_block_begins_before_the_last_one_ends(module: ModuleType, first: str, last: str, end: int | None) -> None:
+    found = blocks(module, first, last)
+    assert len(found) > 5
+    for (_, at, width), (name, following, _) in pairwise(found):
+        assert at + width <= following, name
+    assert end is None or sum(found[-1][1:]) <= end
+
+
+def test_the_workspace_has_room_for_every_engine() -> None:
+    assert workspace.WORK_SIZE - workspace.ENGINE >= (MAX_ENGINES - 1) * workspace.ENGINE_WIDTH
