@@ -12,6 +12,8 @@
 from __future__ import annotations
 
 import math
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import optimise_kit as kit
@@ -23,6 +25,7 @@ from maxq.design.case.schema import LoadedCase
 from maxq.design.laws.pd import Pd
 from maxq.design.loop.loop import Loop
 from maxq.design.margins.measure import margins
+from maxq.design.optimise.features import _extremes
 from maxq.design.optimise.plants import Plants, make_plant, make_plants
 from maxq.design.optimise.robust import deviated
 from maxq.design.optimise.solution import Solution
@@ -226,3 +229,16 @@ def test_threads_are_put_back() -> None:
     before = [library["num_threads"] for library in threadpool_info()]
     kit.solution("filter.structure=F2", "gains.schedule=two-phase")
     assert [library["num_threads"] for library in threadpool_info()] == before
+
+
+def test_extremes_lie_inside_a_plants_mesh() -> None:
+    """Two plants' meshes one behind the other: neither end is an extreme, wherever the other mesh goes on."""
+    curves: Any = SimpleNamespace(start=np.array([0, 5, 10]), x=np.arange(10.0))
+    value = np.array([3.0, 1.0, 2.0, 0.5, 0.4, 9.0, 1.0, 3.0, 2.0, 1.0])
+    k, at = _extremes(curves, value, True, np.ones(10, bool))
+    assert k.tolist() == [1, 6]
+    assert at == pytest.approx(
+        [k[i] + 0.5 * (value[k[i] - 1] - value[k[i] + 1]) / np.diff(value, 2)[k[i] - 1] for i in (0, 1)]
+    )
+    assert _extremes(curves, value, False, np.ones(10, bool))[0].tolist() == [2, 7]
+    assert _extremes(curves, -value, False, np.arange(10) > 5)[0].tolist() == [6]

@@ -24,7 +24,7 @@ from maxq.design.certificate.excitation import Band, band, excitation_level
 from maxq.design.certificate.held_flight import HeldFlight, hold
 from maxq.design.certificate.measured_margins import growth_rate, measure_margin
 from maxq.design.certificate.response import BANDS as RESPONSE_BANDS
-from maxq.design.certificate.response import _estimated, measure
+from maxq.design.certificate.response import _estimated, _spectra, measure
 from maxq.design.loop.loop import Loop
 from maxq.design.margins.measure import margins
 from maxq.design.model.plant import axial_load_mps2
@@ -156,3 +156,16 @@ def test_neither_mean_nor_nyquist_counts_as_noise() -> None:
     assert quiet.response == pytest.approx([-0.5, -0.5])  # L = -U / E
     assert (quiet.error > 1e-4).all()
     assert quiet.coherence == pytest.approx(1.0 / (1.0 + quiet.error**2))  # signal over signal and noise, in power
+
+
+def test_a_flight_that_ends_a_sample_early_has_no_response() -> None:
+    """Two periods of ten samples after five; a command is read one row later."""
+    short = Band(np.array([1.0]), period_s=1.0, settle_s=0.5, periods=2)
+    rows = np.random.default_rng(4).normal(size=(2, 26))
+    assert _spectra(short, 0.1, rows[0, :25], rows[1, :25]) is None
+    found = _spectra(short, 0.1, *rows)
+    assert found is not None
+    for spectra, begins in zip(found, (([5, 15], rows[0]), ([6, 16], rows[1])), strict=True):
+        at, row = begins
+        wave = np.exp(-2j * np.pi * np.outer(np.arange(6), np.arange(10)) / 10.0)
+        np.testing.assert_allclose(spectra, [wave @ row[k : k + 10] for k in at], atol=1e-12)

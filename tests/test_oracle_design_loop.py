@@ -21,6 +21,7 @@ import mpmath
 import numpy as np
 import pytest
 import scipy.linalg
+import scipy.signal
 from design_nodes import TIMES_S, agrees_with_a_kick, design, flown, frozen, ideal, node_at
 
 from maxq.control.computer import ComputerState, build_computer, computer_tick, start_computer
@@ -34,7 +35,7 @@ from maxq.design.loop.rational import average, converter_pade, delay_pade, hold_
 from maxq.design.loop.sampling import exponential, sample
 from maxq.design.model.linearised import linearise
 from maxq.design.model.node import Node
-from maxq.design.model.state_space import ComplexArray, StateSpace
+from maxq.design.model.state_space import ComplexArray, StateSpace, zeros_and_poles
 from maxq.sim.packing.flight import pack_flight
 from maxq.sim.run.fly import fly
 from maxq.sim.scenario.loader import load_scenario
@@ -322,3 +323,16 @@ def test_scenario_names_and_files_give_the_same_loop() -> None:
     ours = api.loop("nominal", "designs/ksr3-robust", 40.0).response(FREQUENCIES_HZ)
     np.testing.assert_array_equal(ours, api.loop("nominal", None, 40.0).response(FREQUENCIES_HZ))
     np.testing.assert_array_equal(ours, api.loop(load_scenario("nominal"), None, 40.0).response(FREQUENCIES_HZ))
+
+
+def test_zeros_are_those_of_the_transfer_function() -> None:
+    """Of a system with direct transmission whose inputs and outputs are scaled a million times apart."""
+    rng = np.random.default_rng(8)
+    a, b, c = rng.normal(size=(4, 4)), rng.normal(size=(4, 1)), rng.normal(size=(1, 4))
+    names = tuple("abcd")
+    for d in (0.3, 0.7):
+        made = StateSpace(a, 1e6 * b, 1e-2 * c, np.array([[1e4 * d]]), names, ("u",), ("y",))
+        zeros, poles = zeros_and_poles(made)
+        wanted, of_a, _ = scipy.signal.ss2zpk(a, b, c, np.array([[d]]))
+        assert np.sort_complex(zeros) == pytest.approx(np.sort_complex(wanted), rel=1e-9)
+        assert np.sort_complex(poles) == pytest.approx(np.sort_complex(of_a), rel=1e-9)

@@ -37,6 +37,7 @@ def test_the_papers_acceleration_lies_between_thrust_over_mass_and_what_is_sense
 def test_events_come_in_order(nominal: Flight) -> None:
     assert [event.name for event in nominal.events] == ["ignition", "liftoff", "burnout", "apogee", "impact"]
     assert nominal.passed
+    assert 233_003 <= nominal.steps <= 233_503  # of a millisecond, and a few that end at events
 
 
 @pytest.mark.parametrize(
