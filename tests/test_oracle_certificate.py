@@ -169,3 +169,13 @@ def test_a_flight_that_ends_a_sample_early_has_no_response() -> None:
         at, row = begins
         wave = np.exp(-2j * np.pi * np.outer(np.arange(6), np.arange(10)) / 10.0)
         np.testing.assert_allclose(spectra, [wave @ row[k : k + 10] for k in at], atol=1e-12)
+
+
+def test_trials_follow_the_secant_and_stay_between_what_decayed_and_what_grew() -> None:
+    """Growth -1 at 2 dB and +1 at 4 dB: the root of the line; then a secant that would leave the bracket."""
+    following = measured_margins.following_trial
+    assert following([(2.0, -1.0)], 0.5, 10.0, 0.01) == 4.0  # by the slope that is given
+    assert following([(2.0, -1.0)], 0.5, 1.5, 0.01) == 3.5  # the largest step
+    assert following([(2.0, -1.0), (4.0, 1.0)], 0.5, 10.0, 0.01) == 3.0
+    assert following([(4.0, 1.0), (2.0, -1.0), (2.1, -0.999)], 0.5, 10.0, 0.01) == pytest.approx(3.05)  # midway
+    assert following([(2.0, -1.0), (2.001, -0.5)], 0.5, 10.0, 0.01) == pytest.approx(3.001)  # too near for a secant
