@@ -30,6 +30,7 @@ from maxq.design.model.dispersion import COLUMNS, DerivativeTable, Dispersion, i
 from maxq.design.model.errata import PAPER
 from maxq.design.model.node import Node, nodes_along
 from maxq.design.model.plant import axial_load_mps2
+from maxq.design.model.spread import places_of
 from maxq.design.model.state_space import Resolvent
 from maxq.design.model.vehicle_at import stability_derivatives
 from maxq.sim.run.fly import fly
@@ -145,6 +146,9 @@ def test_deviations_of_modes_and_instruments() -> None:
     assert off.instruments.delay_s == node.instruments.delay_s + 0.005
     assert off.instruments.actuator.omega_4_radps == node.instruments.actuator.omega_4_radps
     np.testing.assert_array_equal(off.vehicle.modes.slope_gyro_pm, 1.2 * node.vehicle.modes.slope_gyro_pm)
+    for kept in ("mass_kg", "length_m", "damping_ratio"):  # what is not named deviates by nothing
+        np.testing.assert_array_equal(getattr(off.vehicle.pendulums, kept), getattr(node.vehicle.pendulums, kept))
+    assert off.vehicle.body == node.vehicle.body
     stronger = node.with_(thrust=1.03, normal_force=1.15, centre_of_pressure_m=0.25, inertia=0.95)
     before, after = (stability_derivatives(n.vehicle, n.condition) for n in (node, stronger))
     np.testing.assert_allclose(after.z_delta_1ps / before.z_delta_1ps, 1.03)
@@ -154,6 +158,16 @@ def test_deviations_of_modes_and_instruments() -> None:
     np.testing.assert_allclose(
         axial_load_mps2(stronger.vehicle, stronger.condition), axial_load_mps2(node.vehicle, node.condition)
     )
+
+
+def test_every_mode_and_every_tank_deviates() -> None:
+    node = node_at(40.0)
+    modes, tanks = len(node.vehicle.modes.omega_radps), len(node.vehicle.pendulums.mass_kg)
+    places = places_of(node)
+    assert len(set(places)) == len(places)
+    for kind, count in (("bending_", modes), ("slosh_", tanks)):
+        names = {name for name, _ in places if name.startswith(kind)}
+        assert {(name, n) for name, n in places if name in names} == {(m, n) for m in names for n in range(count)}
 
 
 @pytest.mark.parametrize(

@@ -188,6 +188,34 @@ def test_the_confidence_sequence_covers_at_all_times_together() -> None:
     assert max(low, high) / 400 <= RISK + 2.6 * math.sqrt(RISK * (1.0 - RISK) / 400)
 
 
+def test_the_confidence_sequence_ends_where_the_evidence_suffices() -> None:
+    """Either bound by the evidence of its own side; no runs say nothing."""
+    for k, n in ((0, 30), (3, 100), (97, 100)):
+        low, high = s.confidence_sequence(k, n, 0.9)
+        assert low <= k / n <= high
+        if k > 0:
+            assert s.evidence_missed(k, n, low) == pytest.approx(-math.log(0.1), rel=1e-6)
+        assert s.evidence_met(k, n, high) == pytest.approx(-math.log(0.1), rel=1e-6)
+    assert s.confidence_sequence(0, 0, 0.9) == (0.0, 1.0)
+
+
+def test_beyond_the_fixed_test_each_side_has_the_risk_that_is_left_of_its_own() -> None:
+    p, risk, planned = 0.05, 0.1, 60
+    allowed = s.allowed_failures(planned, 1.0 - p, 1.0 - risk)
+    refused = next(k for k in range(planned) if stats.binom.sf(k - 1, planned, p) <= risk)
+    left_met = risk - stats.binom.cdf(allowed, planned, p)
+    left_missed = risk - stats.binom.sf(refused - 1, planned, p)
+    between = 0
+    for n in range(planned + 1, 400):
+        for k in range(12):
+            met, missed = s.evidence_met(k, n, p), s.evidence_missed(k, n, p)
+            wanted = s.NOT_MET if missed >= -math.log(left_missed) else s.OPEN
+            wanted = s.MET if wanted == s.OPEN and met >= -math.log(left_met) else wanted
+            assert s.judge_failures(k, n, 1.0 - p, 1.0 - risk, planned).judgement == wanted
+            between += min(left_met, left_missed) < math.exp(-met) < max(left_met, left_missed)
+    assert between > 5  # the risks differ enough to be told apart
+
+
 @pytest.mark.parametrize("shape", [-0.4, -0.1, 0.0, 0.3])
 def test_pareto_fits_are_scipys(shape: float) -> None:
     y = np.sort(stats.genpareto.rvs(shape, scale=2.0, size=200, random_state=5))
@@ -220,6 +248,12 @@ def test_what_lies_beyond_an_excess_is_scipys_both_ways(shape: float) -> None:
         assert tails._beyond(shape, 1.7, excess) == pytest.approx(law.sf(excess), rel=1e-12)
         assert tails._excess_at(shape, 1.7, law.sf(excess)) == pytest.approx(excess, rel=1e-12)
     assert tails._beyond(shape, 1.7, 4.3) == pytest.approx(law.sf(4.3), rel=1e-12)  # of -0.4 the end is at 4.25
+
+
+def test_where_a_condition_ends() -> None:
+    assert tails._last(lambda x: x < 0.3, 0.0, 0.5) == pytest.approx(0.3, abs=1e-9)
+    assert tails._last(lambda _: True, 0.0, 0.5) == math.inf  # no end above
+    assert tails._last(lambda _: True, 0.0, -0.5) == -0.5
 
 
 def test_tails_say_why_there_is_no_fit_and_when_it_is_poor() -> None:

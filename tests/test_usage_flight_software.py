@@ -77,6 +77,12 @@ def test_code_that_fails_in_flight_ends_it_with_a_closed_log(
 
 
 @needs_compiler
+@pytest.mark.parametrize("way", [-1, 1])
+def test_thrusters_are_fired_either_way(tmp_path: Path, way: int) -> None:
+    assert fly(*flies(library=wrong(tmp_path, STEP=f"out->roll_thruster={way}"))) == 0
+
+
+@needs_compiler
 @pytest.mark.parametrize(
     ("macros", "said"),
     [

@@ -396,7 +396,9 @@ def _tests_for(number: int, known: Map, budget_s: float) -> list[str]:
         if number in got_to:
             seconds[_file_of(name)] = seconds.get(_file_of(name), 0.0) + took
     names = [name for name in known if _file_of(name) in seconds]
-    names.sort(key=lambda n: (_file_of(n) != FIRST, seconds[_file_of(n)], _file_of(n), number not in known[n][1], known[n][0]))
+    names.sort(
+        key=lambda n: (_file_of(n) != FIRST, seconds[_file_of(n)], _file_of(n), number not in known[n][1], known[n][0])
+    )
     total = itertools.accumulate(known[name][0] for name in names)
     return [name for name, so_far in zip(names, total, strict=True) if so_far <= budget_s]
 
