@@ -148,9 +148,9 @@ SLOW = (
 )  # fmt: skip  # a key a line otherwise
 
 
-@pytest.mark.slow  # two optimisations
+@pytest.mark.slow  # three optimisations
 def test_least_load_against_margins_and_drift() -> None:
-    """No design near the optimum, of 3,000 tried, meets the limits with less load; one with more margin has more."""
+    """No design near the optimum, of 3,000 tried, meets the limits with less load; a softer one has less."""
     least = (*SLOW, "objective.kind=load", "limits.drift_mps=9.0")
     plants = kit.plants(*least)
     made, found = make_problem(kit.case(*least).case, plants), solve(kit.case(*least), plants)
@@ -172,7 +172,10 @@ def test_least_load_against_margins_and_drift() -> None:
                 assert there.objective_db > found.objective_db - 1e-3
     steady = solve(kit.case(*SLOW, "objective.kind=least-margin"), plants)
     assert steady.feasible
-    assert made.evaluate(steady.variables).objective_db > found.objective_db + 0.1
+    assert made.evaluate(steady.variables).objective_db > found.objective_db - 1e-3
+    softer = solve(kit.case(*least, "limits.rigid_hz=0.35"), plants)  # fins turn it into the wind
+    assert softer.feasible
+    assert softer.objective_db < found.objective_db - 0.1
 
 
 def test_load_as_an_objective_needs_a_wind_and_no_limit() -> None:

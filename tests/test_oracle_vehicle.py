@@ -45,6 +45,26 @@ def changed(layout: Layout, stage: int, **change: Any) -> Layout:
     return layout.model_copy(update={"stage": tuple(stages)})
 
 
+def test_guidance_to_an_orbit_and_an_accelerometer_are_written(layout: Layout, tmp_path: Path) -> None:
+    """The specific impulse is the engine's, by impulse over propellant of the last burn."""
+    wanted = layout.trajectory.model_copy(update={"apogee_altitude_m": 500e3})
+    control = layout.control.model_copy(update={"accelerometer_station_m": 3.4})
+    made = build(layout.model_copy(update={"trajectory": wanted, "control": control}))
+    write(made, tmp_path)
+    loaded = load_scenario(tmp_path / "scenario.toml")
+    orbit = loaded.scenario.guidance.orbit
+    assert orbit is not None
+    assert (orbit.perigee_altitude_m, orbit.apogee_altitude_m) == (250e3, 500e3)
+    assert orbit.isp_s == pytest.approx(layout.stage[-1].engine.isp_vacuum_s, rel=1e-3)
+    assert [s.accelerometer.station_m for s in loaded.vehicle.stage if s.accelerometer] == [3.4] * 3
+    far = wanted.model_copy(update={"apogee_altitude_m": 1e7})
+    with pytest.raises(ScenarioError, match="beyond what all propellant reaches"):
+        write(build(layout.model_copy(update={"trajectory": far})), tmp_path)
+    for keys in ({"apogee_altitude_m": 3e5}, {"apogee_altitude_m": 2e5, "orbit_altitude_m": 2.5e5}):
+        with pytest.raises(ValueError, match="needs a perigee below it"):
+            type(wanted).model_validate(keys)
+
+
 def test_uniform_beam_has_the_frequencies_and_masses_of_the_closed_form() -> None:
     """Free-free: beta L = 4.73004, 7.85320, 10.99561; with 1 at the end the generalised mass is a quarter of it."""
     length, mass, stiffness = 12.0, 480.0, 3e7
