@@ -25,8 +25,17 @@ import numpy as np
 from numba import types
 from numba.core.caching import FunctionCache, IndexDataCacheFile
 from numba.core.codegen import JITCodeLibrary
-from numba.core.compiler import CompilerBase, DefaultPassBuilder
+from numba.core.compiler import CompilerBase
+from numba.core.compiler_machinery import PassManager
 from numba.core.runtime import rtsys
+from numba.core.typed_passes import (
+    IRLegalization,
+    NativeLowering,
+    NoPythonBackend,
+    NopythonTypeInference,
+    PreLowerStripPhis,
+)
+from numba.core.untyped_passes import FixupArgs, GenericRewrites, IRProcessing, ReconstructSSA, TranslateByteCode
 from numba.extending import intrinsic, overload
 from numpy.typing import NDArray
 
@@ -199,13 +208,26 @@ def _link_into(module: Any, libraries: list[Any]) -> None:
         module.link_in(library.by_itself() if is_kernel else library._get_module_for_linking(), preserve=True)
 
 
+_PASSES = (
+    TranslateByteCode, FixupArgs, IRProcessing, GenericRewrites, ReconstructSSA,
+    NopythonTypeInference, PreLowerStripPhis,
+    IRLegalization, NativeLowering, NoPythonBackend,
+)  # fmt: skip  # untyped, typed, lowering
+"""Numba's, without those for what kernels have not: closures, `with`, exceptions, array expressions, parallel loops,
+inlining on this level."""
+
+
 class _EntryCompiler(CompilerBase):  # type: ignore[misc]  # Numba has no types
     """Numba's compiler into other code, without collecting garbage: a tenth of the time, and there is next to none."""
 
     code: type[JITCodeLibrary] = _EntryCode
 
     def define_pipelines(self) -> list[Any]:
-        return [DefaultPassBuilder.define_nopython_pipeline(self.state)]
+        passes = PassManager("kernel")
+        for each in _PASSES:
+            passes.add_pass(each, each.__name__)
+        passes.finalize()
+        return [passes]
 
     def _compile_core(self) -> Any:
         self.state.library = self.code(self.state.targetctx.codegen(), self.state.func_id.func_qualname)
