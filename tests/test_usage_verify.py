@@ -214,7 +214,7 @@ class Known:
 
 
 NOMINAL_MARKS = {
-    "sample_s": 0.01, "gimbal_limit_deg": 6.0, "gimbal_rate_limit_degps": 30.0, "burnout_s": 59.0,
+    "sample_s": 0.01, "longer_s": 0.005, "gimbal_limit_deg": 6.0, "gimbal_rate_limit_degps": 30.0, "burnout_s": 59.0,
     **{f"{name}_{unit}": value for name in ("before_max_q", "max_q", "after_max_q") for unit, value in
        (("s", 40.0), ("altitude_m", 9500.0))},
 }  # fmt: skip  # several more lines otherwise

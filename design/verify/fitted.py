@@ -33,6 +33,7 @@ MARKS = {
     "after_max_q": "of four fifths of it, after: s, m; the last burn-out where thrust ends sooner",
     "burnout": "of the last burn-out: s",
     "sample": "of the first stage's computer: s",
+    "longer": "half of that, or what the computer's delay leaves of it: s",
     "gimbal_limit": "least angle of all actuators and computers: deg",
     "gimbal_rate_limit": "least rate of all actuators: deg/s",
     "limit_wind": "the suite's key: a wind profile",
@@ -205,7 +206,7 @@ def _marks(base: LoadedScenario) -> tuple[Marks, list[Marks]]:
     under = np.zeros(len(t), bool)
     for span in spans:
         under |= (t >= span.begin_s) & (t <= span.end_s)
-    out: Marks = {"sample_s": _sample_s(base), **_limits(base)}
+    out: Marks = {**_sampling(base), **_limits(base)}
     stages: list[Marks] = []
     if not spans:
         return out, stages
@@ -238,9 +239,12 @@ def _marks(base: LoadedScenario) -> tuple[Marks, list[Marks]]:
     return out, stages
 
 
-def _sample_s(base: LoadedScenario) -> float:
-    computer = next((c for n in range(len(base.vehicle.stage)) if (c := base.vehicle.computer_of(n))), None)
-    return 0.01 if computer is None else computer.sample_s
+def _sampling(base: LoadedScenario) -> Mapping[str, float]:
+    """The first computer's sample, and half of it or as much as every computer's delay leaves of its own."""
+    found = [c for n in range(len(base.vehicle.stage)) if (c := base.vehicle.computer_of(n)) is not None]
+    sample_s = found[0].sample_s if found else 0.01
+    longer_s = min([0.5 * sample_s, *(round(c.sample_s - c.delay_s, 9) for c in found)])
+    return {"sample_s": sample_s, "longer_s": longer_s}
 
 
 def _limits(base: LoadedScenario) -> Mapping[str, float]:
