@@ -194,6 +194,20 @@ def test_vehicle_matrices_are_equal(nodes: dict[int, Node], time_s: int) -> None
     np.testing.assert_allclose(through[:, 1], 0.0, atol=1e-7)  # the engine's rate alone moves nothing
 
 
+@pytest.mark.parametrize("exchange", [False, True])
+def test_matrices_of_a_dispersed_liquid_are_equal(flight: Flight, exchange: bool) -> None:
+    """More liquid swings in one tank and less in the other, by other lengths; mass and its rate by one factor."""
+    packed, condition = flat_earth(
+        flight, 30, "vehicle.stage.0.tank.0.mass_factor=1.3", "vehicle.stage.0.tank.1.mass_factor=0.7",
+        "vehicle.stage.0.tank.1.length_factor=0.9", f"switches.slosh_exchange={str(exchange).lower()}",
+    )  # fmt: skip  # one more line otherwise
+    node, n = (
+        Node(packed, condition, linearise(packed, packed.state, 30.0), linear_plant(packed, condition)),
+        VEHICLE_STATES,
+    )
+    np.testing.assert_allclose(node.block("pitch").a[:n, :n], node.model.a[:n, :n], rtol=TOLERANCE, atol=1e-8)
+
+
 def _engine_motion(block: StateSpace) -> Array:
     """Engine angle, rate and acceleration per actuator state (6, 3)."""
     n = VEHICLE_STATES
