@@ -154,6 +154,24 @@ def test_wrong_input_is_one_line(
     assert said in err
 
 
+@pytest.mark.slow
+def test_the_pack_of_another_vehicle_has_no_word_of_the_first(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    """A flight, margins of a node with their figures, and the page as it is written."""
+    words = ["flight=[{name='begin',set=['run.duration_s=8']}]", "campaign=[]", "dispersed_limit=[]"]
+    words += ["certificate=", "margins.worst=", "margins.times_s=[40.0]", "margins.cases=1", "margins.corner_sigmas=0"]
+    changes = [x for word in (*words, "margins.between_nodes='ignore'") for x in ("--set", word)]
+    design, suite = str(petrel.folder() / "design.toml"), str(petrel.folder() / "suite.toml")
+    _run(capsys, design, "--suite", suite, *changes, "--out", str(tmp_path))
+    page = (tmp_path / "review.html").read_text()
+    text = re.sub(r"(?s)<style.*?</style>|<script.*?</script>|<[^>]*>", " ", page)
+    assert "petrel" in text
+    assert "margins" in text
+    assert not re.search(r"ksr|anheung|korea|reconstruct|\bkari\b|\bpaper\b|\bLee\b", text, re.IGNORECASE)
+    assert not re.search(r"ksr|reconstruct", (tmp_path / "verdict.json").read_text(), re.IGNORECASE)
+
+
 def test_a_wrong_part_is_refused_before_anything_is_flown(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
