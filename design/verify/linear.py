@@ -53,6 +53,7 @@ from maxq.sim.campaign.draws import cholesky
 from maxq.sim.campaign.read import LoadedCampaign
 from maxq.sim.campaign.schema import plain_value
 from maxq.sim.campaign.statistics import allowed_failures, judge_failures, tolerance_bound
+from maxq.sim.scenario.errors import ScenarioError
 from maxq.sim.scenario.schema_design import Design
 
 MEASURES = {
@@ -182,7 +183,7 @@ def trajectories_of(campaign: LoadedCampaign, nodes: Sequence[Node], count: int,
 
     Of the first `count` runs of a campaign that are under thrust at all nodes; (flights, nodes). A node is met with the
     propellant that it has in the flight as designed, so that an engine that burns faster meets it earlier. The vehicle
-    does not deviate: that is what the random vehicles do. Errors of ValueError where no run comes that far.
+    does not deviate: that is what the random vehicles do. Raises ScenarioError where no run comes that far.
     """
     flown = flown_run(campaign.base, faults=False).packed
     order = sorted(range(len(nodes)), key=lambda k: nodes[k].time_s)
@@ -205,7 +206,8 @@ def trajectories_of(campaign: LoadedCampaign, nodes: Sequence[Node], count: int,
             if len(found) >= count:
                 return found[:count]
     if not found:
-        raise ValueError(f"{campaign.name}: no dispersed flight is under thrust at all nodes")
+        problem, allowed = "none of its flights is under thrust at all nodes", "0, or a campaign that flies so far"
+        raise ScenarioError(campaign.name, problem, "margins.trajectories", value=count, allowed=allowed)
     return found
 
 
