@@ -274,11 +274,10 @@ def _sensed(number: int, sensor: Any) -> str:
 def _pendulums(vehicle: Any, sizes: Any, props: Array) -> Pendulums:
     n = int(sizes.pendulums)
     first = np.array([schedule.tank_column(k) for k in range(n)], int)
-    mass_factor, length_factor = vehicle.slosh.mass_factor[:n], vehicle.slosh.length_factor[:n]
     return Pendulums(
-        mass_kg=mass_factor * props[first + schedule.TANK_MASS],
-        mass_rate_kgps=mass_factor * props[first + schedule.TANK_MASS_RATE],
-        length_m=length_factor * props[first + schedule.TANK_LENGTH],
+        mass_kg=props[first + schedule.TANK_MASS],
+        mass_rate_kgps=props[first + schedule.TANK_MASS_RATE],
+        length_m=props[first + schedule.TANK_LENGTH],
         hinge_station_m=props[first + schedule.TANK_HINGE],
         bob_station_rate_mps=props[first + schedule.TANK_TRAVEL],
         damping_ratio=np.array(vehicle.slosh.damping_ratio[:n]),

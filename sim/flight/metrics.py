@@ -187,7 +187,7 @@ def _gather_slosh(
 ) -> None:  # fmt: skip  # as ruff would, but for a line of one bracket
     sizes = counts(vehicle.sizes)
     for tank in range(sizes.pendulums):
-        if bob_mass(vehicle.slosh, props, tank) > 0.0:
+        if bob_mass(props, tank) > 0.0:
             i = pendulum_index(sizes, tank)
             lateral = math.sqrt(y[i + 1] * y[i + 1] + y[i + 2] * y[i + 2])
             raise_to(

@@ -185,7 +185,7 @@ def derive_properties(vehicle: Vehicle, pool: Array, clock_s: float, properties:
     complete_modes(sizes, YAW, sizes.yaw_modes, bending.zeta_yaw, bending.frequency_factor, properties)
     if sizes.spatial_modes > 0:
         complete_spatial_modes(sizes, vehicle.spatial_modes.zeta, vehicle.spatial_modes.frequency_factor, properties)
-    prepare_outflow(vehicle.engine, vehicle.slosh, sizes, properties)
+    prepare_outflow(vehicle.engine, sizes, properties)
     moment_reference(vehicle.aero, sizes, pool, clock_s, properties)
     if vehicle.rate_damping.n_columns > 0:
         k = find_interval(pool, vehicle.rate_damping, clock_s)

@@ -310,7 +310,7 @@ def _of_pendulum(
     first = pendulum_index(sizes, 0) + N_PENDULUM * tank
     u, pull = vector_at(y, first), work[TENSION + tank]
     hinge = at.properties[tank_column(tank) + TANK_HINGE]
-    length = pendulum_length(vehicle.slosh, at.properties, tank)
+    length = pendulum_length(at.properties, tank)
     aside_y, aside_z = work[b + SHIFT] - shift_y, work[b + SHIFT + 1] - shift_z
     total = (0.0, 0.0, 0.0, 0.0, 0.0)
     if hinge <= station:
@@ -319,7 +319,7 @@ def _of_pendulum(
         total = _add(total, _of_point(station, hinge, (pull * u[0], 0.0, 0.0), aside_y, aside_z))
     bob = hinge - length * u[0]
     if bob <= station:
-        along = -bob_mass(vehicle.slosh, at.properties, tank) * work[b + DAMPING]
+        along = -bob_mass(at.properties, tank) * work[b + DAMPING]
         force = (along, work[b + DAMPER_FORCE], work[b + DAMPER_FORCE + 1])
         total = _add(total, _of_point(station, bob, force, aside_y + length * u[1], aside_z + length * u[2]))
     return total

@@ -39,7 +39,7 @@ from maxq.sim.vehicle.schedule import (
     schedule_width,
     tank_column,
 )
-from maxq.sim.vehicle.slosh import Slosh, pendulum_length
+from maxq.sim.vehicle.slosh import pendulum_length
 from maxq.sim.vehicle.spatial_modes import Load
 from maxq.sim.world.earth import Earth
 
@@ -133,7 +133,7 @@ def engine_momentum(e: Engine, k: int, engine: Deflected) -> Load:
 
 
 @kernel
-def prepare_outflow(e: Engine, slosh: Slosh, sizes: Counts, properties: Array) -> None:
+def prepare_outflow(e: Engine, sizes: Counts, properties: Array) -> None:
     """Derived properties of the flowing propellant (momentum, jet damping), and the inverse masses.
 
     The relative momentum of the inner flow is d(m c)/dt + mdot r_exit (mass conservation), the moment is
@@ -157,11 +157,11 @@ def prepare_outflow(e: Engine, slosh: Slosh, sizes: Counts, properties: Array) -
     for tank in range(sizes.pendulums):
         c = tank_column(tank)
         at = (
-            properties[CORE_CG] - properties[c + TANK_HINGE] - pendulum_length(slosh, properties, tank),
+            properties[CORE_CG] - properties[c + TANK_HINGE] - pendulum_length(properties, tank),
             -properties[CORE_CG + 1],
             -properties[CORE_CG + 2],
         )
-        growth = properties[c + TANK_MASS_RATE] * slosh.mass_factor[tank]
+        growth = properties[c + TANK_MASS_RATE]
         inner = add(inner, scaled(growth, at))
         damping = _plus_point(damping, growth, at)
     behind = schedule_width(sizes)

@@ -140,8 +140,6 @@ def tank_block(tank: int) -> int:
 class Slosh:
     planes_differ: int  # 1: pitch and yaw modes have other shapes, or one plane has none
     damping_ratio: Annotated[Array, (MAX_PENDULUMS,)]  # of the pendulum under the present axial acceleration
-    mass_factor: Annotated[Array, (MAX_PENDULUMS,)]
-    length_factor: Annotated[Array, (MAX_PENDULUMS,)]
     law: int  # 1: a pendulum's damping has more parts than its ratio
     law_factor: Annotated[Array, (MAX_PENDULUMS,)]  # of the columns TANK_VISCOUS and TANK_RING
     ring_damping: Annotated[Array, (MAX_PENDULUMS,)]  # beside column TANK_RING, which see
@@ -161,18 +159,18 @@ def pack_slosh(pendulums: Sequence[Any], bending: Any, exchange: bool) -> Slosh:
     zeta[:n], height[:n] = [p.damping_ratio for p in pendulums], [p.breaking_height_m for p in pendulums]
     law = any(p.has_law for p in pendulums)
     planes_differ = bending is not None and bending.pitch != bending.yaw
-    return Slosh(int(planes_differ), zeta, ones, ones, int(law), ones, none, height, int(exchange))
+    return Slosh(int(planes_differ), zeta, int(law), ones, none, height, int(exchange))
 
 
 @kernel
-def pendulum_length(slosh: Slosh, properties: Array, tank: int) -> float:
-    length: float = properties[tank_column(tank) + TANK_LENGTH] * slosh.length_factor[tank]
+def pendulum_length(properties: Array, tank: int) -> float:
+    length: float = properties[tank_column(tank) + TANK_LENGTH]
     return length
 
 
 @kernel
-def bob_mass(slosh: Slosh, properties: Array, tank: int) -> float:
-    mass: float = properties[tank_column(tank) + TANK_MASS] * slosh.mass_factor[tank]
+def bob_mass(properties: Array, tank: int) -> float:
+    mass: float = properties[tank_column(tank) + TANK_MASS]
     return mass
 
 
@@ -209,7 +207,7 @@ def pendulum_loads(
     p, q, r = rate
     b, column = tank_block(tank), tank_column(tank)
     u, kappa = vector_at(y, first), vector_at(y, first + 3)
-    length = pendulum_length(slosh, properties, tank)
+    length = pendulum_length(properties, tank)
     hinge = (properties[CORE_CG] - properties[column + TANK_HINGE], -properties[CORE_CG + 1], -properties[CORE_CG + 2])
     shift_y, shift_z, shift_rate_y, shift_rate_z, nu_y, nu_z = _bending_at_tank(sizes, tank, properties, work)
     # velocity of the hinge by bending, with the rotation of the bent axis (docs/model.md, eq. 5.3)
@@ -262,7 +260,7 @@ def pendulum_loads(
         drag = wall_and_ring_damping(slosh, tank, length, abs(axial_load), math.sqrt(dot(u_rate, u_rate)), properties)
         damping = add(damping, scaled(-drag, u_rate))
     set_vector(work, b + DAMPING, damping)
-    force = scaled(-bob_mass(slosh, properties, tank), damping)
+    force = scaled(-bob_mass(properties, tank), damping)
     work[b + DAMPER_FORCE], work[b + DAMPER_FORCE + 1] = force[1], force[2]
     if slosh.exchange == 1:
         place = add((hinge[0] + shift_x, hinge[1] + shift_y, hinge[2] + shift_z), scaled(length, u))
@@ -313,17 +311,17 @@ def exchange_loads(
     drift = (0.0, 0.0, 0.0)  # of the common CG relative to the core CG
     share = properties[schedule_width(sizes) + INVERSE_TOTAL_MASS]
     for tank in range(sizes.pendulums):
-        mass = bob_mass(slosh, properties, tank)
+        mass = bob_mass(properties, tank)
         drift = add(drift, scaled(share * mass, vector_at(work, tank_block(tank) + BOB_VELOCITY)))
     force, moment = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
     for tank in range(sizes.pendulums):
-        b, mass = tank_block(tank), bob_mass(slosh, properties, tank)
-        flow = -properties[tank_column(tank) + TANK_MASS_RATE] * slosh.mass_factor[tank]  # from bob to core
+        b, mass = tank_block(tank), bob_mass(properties, tank)
+        flow = -properties[tank_column(tank) + TANK_MASS_RATE]  # from bob to core
         if flow == 0.0 or mass <= 0.0:
             continue
         hinge, place = vector_at(work, b + HINGE), vector_at(work, b + BOB_PLACE)
         velocity = vector_at(work, b + BOB_VELOCITY)
-        rest = (hinge[0] - pendulum_length(slosh, properties, tank), hinge[1], hinge[2])
+        rest = (hinge[0] - pendulum_length(properties, tank), hinge[1], hinge[2])
         rest_velocity = cross(rate, rest)
         carried = velocity if flow > 0.0 else rest_velocity
         push = scaled(flow, add(carried, scaled(-1.0, rest_velocity)))
@@ -402,7 +400,7 @@ def pendulum_derivative(
     The pendulum of an empty tank rests: without mass it has no effect.
     """
     b = tank_block(tank)
-    if bob_mass(slosh, properties, tank) <= 0.0:
+    if bob_mass(properties, tank) <= 0.0:
         for j in range(6):
             dy[first + j] = 0.0
         return
@@ -422,7 +420,7 @@ def pendulum_derivative(
         hinge = (
             hinge[0] + bend_x + alpha[0] * asymmetry_x, hinge[1] + alpha[2] * shift_x, hinge[2] - alpha[1] * shift_x
         )  # fmt: skip  # five lines otherwise
-    per_length = 1.0 / pendulum_length(slosh, properties, tank)
+    per_length = 1.0 / pendulum_length(properties, tank)
     along = per_length * dot(hinge, u) - dot(kappa, kappa)
     spin_u, spin_kappa = cross(rate, u), cross(rate, kappa)
     for j in range(3):
@@ -443,7 +441,7 @@ class SloshRow(NamedTuple):
 @kernel
 def slosh_row(slosh: Slosh, sizes: Sizes, tank: int, properties: Array, y: Array, first: int, aux: Array) -> SloshRow:
     """Nan throughout for an empty tank and one that the stage does not have."""
-    if tank >= sizes.pendulums or bob_mass(slosh, properties, tank) <= 0.0:
+    if tank >= sizes.pendulums or bob_mass(properties, tank) <= 0.0:
         return SloshRow(math.nan, math.nan, math.nan, math.nan, math.nan)
     i = first
     u_x, u_y, u_z = -y[i], y[i + 1], y[i + 2]
@@ -469,7 +467,7 @@ def wave_share(slosh: Slosh, tank: int, properties: Array, lateral: float) -> fl
     """
     breaking = slosh.breaking_height_m[tank]
     if breaking == 0.0:
-        breaking = pendulum_length(slosh, properties, tank)
+        breaking = pendulum_length(properties, tank)
     share: float = lateral * properties[tank_column(tank) + TANK_WAVE] / breaking
     return share
 
@@ -485,7 +483,7 @@ class WaveRow(NamedTuple):
 @kernel
 def wave_row(slosh: Slosh, sizes: Sizes, tank: int, properties: Array, y: Array, first: int) -> WaveRow:
     """Nan as in `slosh_row`, and where the tank says nothing about its shape."""
-    if tank >= sizes.pendulums or bob_mass(slosh, properties, tank) <= 0.0:
+    if tank >= sizes.pendulums or bob_mass(properties, tank) <= 0.0:
         return WaveRow(math.nan)
     wave = properties[tank_column(tank) + TANK_WAVE]
     lateral = math.sqrt(y[first + 1] * y[first + 1] + y[first + 2] * y[first + 2])
@@ -582,7 +580,7 @@ def _solve_tensions(
     n = sizes.pendulums
     in_pitch, in_yaw = compliance_column(sizes, PITCH), compliance_column(sizes, YAW)
     for k in range(n):
-        b, u, mass = tank_block(k), vector_at(y, first + N_PENDULUM * k), bob_mass(slosh, properties, k)
+        b, u, mass = tank_block(k), vector_at(y, first + N_PENDULUM * k), bob_mass(properties, k)
         arm = vector_at(work, b + ARM)
         bend_y, bend_z = _bending_acceleration(sizes, k, properties, work, ACCEL)
         work[b + BENDING_ACCEL], work[b + BENDING_ACCEL + 1] = bend_y, bend_z
@@ -597,7 +595,7 @@ def _solve_tensions(
             g += properties[in_pitch + k * n + j] * u[2] * u_j[2] + properties[in_yaw + k * n + j] * u[1] * u_j[1]
             if sizes.spatial_modes > 0:
                 g += spatial_compliance(sizes, properties, k, j, work)
-            work[_gram(j, k)] = bob_mass(slosh, properties, j) * g
+            work[_gram(j, k)] = bob_mass(properties, j) * g
             work[_gram(k, j)] = mass * g
         work[_gram(k, k)] += 1.0
     if sizes.tvc_loads > 0:
@@ -647,7 +645,7 @@ def _add_loads(
             along = dot(u, rigid) + dot(arm, turning) + u[1] * bend_y + u[2] * bend_z
             if sizes.spatial_modes > 0:
                 along += spatial_along_rod(sizes, properties, tank_place(k), k, u, work, load_spatial(i, 1))
-            work[_gram(k, row)] = bob_mass(slosh, properties, k) * along
+            work[_gram(k, row)] = bob_mass(properties, k) * along
             work[_gram(row, k)] = -along
         for j in range(2 * sizes.tvc_loads):
             work[_gram(n + j, row)] = -moment_about_hinge(sizes, j, rigid, turning, modal, load_spatial(i, 1), work)

@@ -201,8 +201,9 @@ FAULTS: tuple[Fault, ...] = (
         _times("vehicle.engine.gimballed_mass_kg", 1.05), _times("vehicle.engine.inertia_kgm2", 1.05))),
     Fault("engine's CG forward of the gimbal", "engine -> body", _times("vehicle.engine.cg_from_gimbal_m", -1.0)),
     Fault("hinges 5 cm aft", "slosh -> body", _tank(schedule.TANK_HINGE, shift=0.05)),
-    Fault("sloshing mass, 5 %", "slosh -> body", _times("vehicle.slosh.mass_factor", 1.05)),
-    Fault("pendulum lengths, 1 %", "slosh", _times("vehicle.slosh.length_factor", 1.01)),
+    Fault("sloshing mass, 5 %", "slosh -> body", _both(
+        _tank(schedule.TANK_MASS, 1.05), _tank(schedule.TANK_MASS_RATE, 1.05))),
+    Fault("pendulum lengths, 1 %", "slosh", _tank(schedule.TANK_LENGTH, 1.01)),
     Fault("slosh damping, 10 %", "slosh", _times("vehicle.slosh.damping_ratio", 1.1)),
     Fault("aerodynamic moment, sign", "air -> body", _aero_moment_sign),
     Fault("centre of pressure 10 cm aft", "air -> body", _set("vehicle.aero.centre_shift_m", lambda v: v + 0.1)),
