@@ -106,8 +106,8 @@ def test_command_is_equation_33_with_gains_of_the_moment() -> None:
         flown = computer_of(10_000_000, pitch, yaw)
         command = tick(flown, time_s, np.array([0.0, 0.002, -0.003]))
         for gimbal, (gains, angle) in enumerate(((pitch, 0.002), (yaw, -0.003))):
-            k_p = np.interp(time_s, gains.time_s, gains.k_p)
-            k_d = np.interp(time_s, gains.time_s, gains.k_d_s)
+            k_p = np.interp(time_s, gains.at, gains.k_p)
+            k_d = np.interp(time_s, gains.at, gains.k_d_s)
             assert command[gimbal] == pytest.approx(-k_p * angle - k_d * angle / 0.01, rel=1e-12)
             assert flown[2].law.k_p[gimbal] == pytest.approx(k_p, rel=1e-12)
             assert flown[2].law.k_d_s[gimbal] == pytest.approx(k_d, rel=1e-12)

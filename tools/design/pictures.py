@@ -212,7 +212,7 @@ def margins_over_time(judged: Sequence[Judged], wanted: Wanted, title: str = "")
     for place in places:
         place.set_ylim(bottom=0.0)
         if any(not text.startswith("_") for text in place.get_legend_handles_labels()[1]):
-            place.legend(loc="upper right")
+            place.legend(loc="upper right", ncols=3)
             place.set_ylim(top=1.3 * place.get_ylim()[1])
     return figure
 
