@@ -27,9 +27,10 @@ from maxq.design import api
 from maxq.design.certificate.certificate import HELD_GRAVITY, NodeCertificate, certify_node
 from maxq.design.certificate.excitation import Band, band, excitation_level, injections
 from maxq.design.certificate.held_flight import Change, HeldFlight, hold, linear_limits
+from maxq.design.certificate.in_flight import _reason as reason_of
 from maxq.design.certificate.in_flight import in_flight_response
 from maxq.design.certificate.measured_margins import TOO_LONG, LimitCycle, limit_cycle, measure_margin
-from maxq.design.certificate.response import BANDS
+from maxq.design.certificate.response import BANDS, UNEXPLAINED
 from maxq.design.margins.measure import margins
 from maxq.sim.packing.flight import Packed
 from maxq.sim.scenario.loader import LoadedScenario, load_scenario
@@ -195,6 +196,17 @@ def test_held_loop_that_grows_fast_is_not_taken_for_a_drift(certificate: NodeCer
     assert lost.unexplained == (
         "the loop of the held flight, and not that of the flown instant, is unstable; in flight: lost after 40 s",
     )
+
+
+@pytest.mark.parametrize("sigma", [0.05, 0.2, 0.5])
+def test_a_line_that_noise_alone_moves_is_called_noise(sigma: float) -> None:
+    """A response with this standard deviation in each part, its error a share of what was measured, as drawn."""
+    rng = np.random.default_rng(1)
+    measured = 1.0 + sigma * (rng.normal(size=5000) + 1j * rng.normal(size=5000))
+    reasons = [reason_of(complex(m), sigma / abs(m), 0.0, 0.0, False) for m in measured]
+    assert reasons.count(UNEXPLAINED) <= 3  # exp(-4.5^2 / 2): one in 25,000
+    assert reason_of(1.0 + 6.0 * sigma, sigma / (1.0 + 6.0 * sigma), 0.0, 0.0, False) == UNEXPLAINED
+    assert reason_of(2.0 + 0j, 0.02, 0.0, 0.0, False) == UNEXPLAINED
 
 
 def test_in_flight_response_agrees_or_says_why(loaded: LoadedScenario) -> None:

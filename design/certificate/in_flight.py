@@ -190,4 +190,5 @@ def _reason(ratio: complex, error: float, spread_db: float, spread_deg: float, r
         return TIME_VARIATION
     if rings:
         return SETTLING
-    return NOISE if abs(ratio - 1.0) <= NOISE_SIGMAS * error + 10.0 ** (spread_db / 20.0) - 1.0 else UNEXPLAINED
+    noise = NOISE_SIGMAS * error * abs(ratio)  # the error is a share of what was measured, `ratio` of the linear loop's
+    return NOISE if abs(ratio - 1.0) <= noise + 10.0 ** (spread_db / 20.0) - 1.0 else UNEXPLAINED
