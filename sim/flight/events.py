@@ -41,7 +41,7 @@ from maxq.sim.flight.parameters import (
 from maxq.sim.vehicle.actuator import after_backlash
 from maxq.sim.vehicle.block import Q_BI, R_I, V_I, W_BI_B, counts
 from maxq.sim.vehicle.engine import total_thrust
-from maxq.sim.vehicle.environment import Environment, climb_rate, flight_direction
+from maxq.sim.vehicle.environment import Environment, climb_rate, flight_direction, velocity_over_ground
 from maxq.sim.vehicle.faults import ANY_FAULT, GYRO_WALK
 from maxq.sim.vehicle.gyro import GYRO_STREAM
 from maxq.sim.vehicle.schedule import CORE_CG, TOTAL_MASS
@@ -49,7 +49,7 @@ from maxq.sim.vehicle.sensors import SENSOR_STREAM
 from maxq.sim.vehicle.state import GYRO_ANGLE, N_SENSOR, sensor_index, start_states
 from maxq.sim.vehicle.workspace import AIRSPEED, ALTITUDE, AXIAL_LOAD, DYNAMIC_PRESSURE, FLOW, PRESSURE
 from maxq.sim.world.atmosphere import air
-from maxq.sim.world.earth import ground_velocity, local_frame
+from maxq.sim.world.earth import local_frame
 from maxq.sim.world.gust_history import history_tick
 from maxq.sim.world.turbulence import turbulence_tick
 
@@ -140,8 +140,7 @@ def apply_due_command(p: Parameters, memory: Memory) -> None:
 def navigate(environment: Environment, pool: Array, y: Array, mass_kg: float, navigation: Array) -> None:
     """What gains may be scheduled over besides time (`OVER` of control/structures.py), without error."""
     earth = environment.earth
-    ground = ground_velocity(earth, y[R_I], y[R_I + 1])
-    vx, vy, vz = y[V_I] - ground[0], y[V_I + 1] - ground[1], y[V_I + 2] - ground[2]
+    vx, vy, vz = velocity_over_ground(earth, y)
     squares = vx * vx + vy * vy + vz * vz
     altitude = local_frame(earth, y[R_I], y[R_I + 1], y[R_I + 2])[0]
     navigation[0], navigation[1] = math.sqrt(squares), mass_kg

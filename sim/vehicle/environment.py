@@ -124,6 +124,13 @@ def pad_acceleration(earth: Earth, rotation: Matrix, gravity: Vector, y: Array) 
 
 
 @kernel
+def velocity_over_ground(earth: Earth, y: Array) -> Vector:
+    """Velocity relative to the rotating Earth, in I, m/s."""
+    ground = ground_velocity(earth, y[R_I], y[R_I + 1])
+    return y[V_I] - ground[0], y[V_I + 1] - ground[1], y[V_I + 2] - ground[2]
+
+
+@kernel
 def climbs_certainly(earth: Earth, y: Array) -> bool:
     """Whether the altitude rises for any figure of the Earth: the velocity is 1 degree above the horizontal of a
     sphere, and no normal of the ellipsoid is inclined by more than 0.2 degrees to the radius. A flat Earth: never.
@@ -140,8 +147,7 @@ def climbs_certainly(earth: Earth, y: Array) -> bool:
 def climb_rate(earth: Earth, y: Array) -> tuple[float, float]:
     """Altitude (m) and its rate (m/s) relative to the rotating Earth."""
     altitude, sin_lat, cos_lat, sin_lon, cos_lon = local_frame(earth, y[R_I], y[R_I + 1], y[R_I + 2])
-    ground = ground_velocity(earth, y[R_I], y[R_I + 1])
-    vx, vy, vz = y[V_I] - ground[0], y[V_I + 1] - ground[1], y[V_I + 2] - ground[2]
+    vx, vy, vz = velocity_over_ground(earth, y)
     return altitude, cos_lat * (cos_lon * vx + sin_lon * vy) + sin_lat * vz
 
 
@@ -153,8 +159,8 @@ def flight_direction(environment: Environment, pool: Array, y: Array) -> Vector:
         return 0.0, 0.0, -1.0
     earth = environment.earth
     altitude, sin_lat, cos_lat, sin_lon, cos_lon = local_frame(earth, y[R_I], y[R_I + 1], y[R_I + 2])
-    ground, wind = ground_velocity(earth, y[R_I], y[R_I + 1]), wind_ned(environment.wind, pool, altitude)
-    vx, vy, vz = y[V_I] - ground[0], y[V_I + 1] - ground[1], y[V_I + 2] - ground[2]
+    vx, vy, vz = velocity_over_ground(earth, y)
+    wind = wind_ned(environment.wind, pool, altitude)
     outward = cos_lon * vx + sin_lon * vy
     north = cos_lat * vz - sin_lat * outward - wind[0]
     east = cos_lon * vy - sin_lon * vx - wind[1]
