@@ -4,6 +4,8 @@
 |---|---|
 | a signal of less than a pulse a sample, alone | vanishes or is magnified: why measurements are dithered |
 | the same with slow tones | keeps its amplitude |
+| a slow command rounded under the two tones of its dither | has the gain of a series of Bessel functions, 0.4 % off |
+| gain down of a slow root whose burst is three such steps | that of the linear loop |
 | excitation level predicted by the linear loop | that of the flight, and below every limit |
 | a loop as it is; one beyond its stability boundary | decays; grows |
 | growth beyond the boundary | ends in a limit cycle of some amplitude, or in a loss |
@@ -19,17 +21,18 @@ import math
 
 import numpy as np
 import pytest
+import scipy.special
 
 from maxq.control.converter import ConverterState, convert, make_converter
 from maxq.control.kernel.jit import from_python
 from maxq.control.kernel.records import blank, pack
 from maxq.design import api
 from maxq.design.certificate.certificate import HELD_GRAVITY, NodeCertificate, certify_node
-from maxq.design.certificate.excitation import Band, band, excitation_level, injections
+from maxq.design.certificate.excitation import DITHER_HZ, Band, band, excitation_level, injections
 from maxq.design.certificate.held_flight import Change, HeldFlight, hold, linear_limits
 from maxq.design.certificate.in_flight import _reason as reason_of
 from maxq.design.certificate.in_flight import in_flight_response
-from maxq.design.certificate.measured_margins import TOO_LONG, LimitCycle, limit_cycle, measure_margin
+from maxq.design.certificate.measured_margins import FINE_STEPS, TOO_LONG, LimitCycle, limit_cycle, measure_margin
 from maxq.design.certificate.response import BANDS, UNEXPLAINED
 from maxq.design.margins.measure import margins
 from maxq.sim.packing.flight import Packed
@@ -81,6 +84,33 @@ def test_converter_has_no_gain_of_its_own_only_when_dithered() -> None:
     assert _gain(0.2, 6.0, 0.0) == pytest.approx(1.0, abs=3.0 * noise)
     assert _gain(0.2, 6.0, 0.45) == pytest.approx(1.0, abs=3.0 * noise)
     assert _gain(20.0, 0.0) == pytest.approx(1.0, abs=0.005)
+
+
+@pytest.mark.parametrize("steps", [5.0, FINE_STEPS])
+def test_dither_of_fifty_steps_leaves_a_rounded_command_its_gain(steps: float) -> None:
+    time_s = 0.01 * np.arange(4000)  # three beats of the tones
+    tones = steps * sum(
+        np.sin(2.0 * np.pi * hz * time_s + phase) for hz, phase in zip(DITHER_HZ, (0.3, 1.1), strict=True)
+    )
+    x = np.linspace(0.0, 1.0, 201)
+    mean = np.array([np.round(at + tones).mean() for at in x])
+    order = np.arange(1, 200)
+    terms = (-1.0) ** order * scipy.special.j0(2.0 * np.pi * order * steps) ** 2 / (np.pi * order)
+    of_series = x + np.sin(2.0 * np.pi * np.outer(x, order)) @ terms
+    assert np.abs(mean - of_series).max() < 0.012  # 4000 samples, not the mean over all phases
+    off = np.abs(2.0 * np.cos(2.0 * np.pi * x) * scipy.special.j0(2.0 * np.pi * steps) ** 2).max()
+    assert (off < 0.005) == (steps == FINE_STEPS)
+
+
+def test_slow_root_is_found_under_a_coarse_output() -> None:
+    """At 3.056 s a burst of 0.0033 deg is three steps of the output: 0.84 dB off without dither."""
+    robust = load_scenario("nominal", ['design="designs/ksr3-robust.toml"'])
+    assert robust.design is not None
+    held = hold(robust, api.nodes(robust, [3.056])[0])
+    loop = api.loops([held.node], robust.design)[0]
+    found = measure_margin(held, loop, margins(loop), "gain_down")
+    assert (found.reason, found.frequency_hz) == ("", 0.0)
+    assert abs(found.difference) < 0.06
 
 
 @pytest.mark.parametrize("lines", BANDS, ids=["low", "middle", "high"])

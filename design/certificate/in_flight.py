@@ -23,7 +23,7 @@ from maxq.design import api
 from maxq.design.certificate.excitation import SHARE_OF_BURST, gimbal_injection
 from maxq.design.certificate.held_flight import fast_rows
 from maxq.design.certificate.response import NOISE, NOISE_SIGMAS, UNEXPLAINED, decibels, degrees
-from maxq.design.model.node import Span, spans_of
+from maxq.design.model.node import Span, powered_spans, spans_of
 from maxq.design.model.state_space import ComplexArray
 from maxq.design.model.vehicle_at import Plane
 from maxq.sim.packing.flight import pack_flight
@@ -76,6 +76,9 @@ def in_flight_response(loaded: LoadedScenario, times_s: Sequence[float], plane: 
     if len(by_period) > 1:  # of stages with computers of their own
         return [found for times in by_period.values() for found in in_flight_response(loaded, times, plane)]
     (period_s,) = by_period
+    whole = powered_spans(loaded)
+    for time_s in times_s:
+        _window(time_s, whole)  # refused before it is flown
     lines = np.array(LINES_HZ)
     signal = gimbal_injection(plane, "multisine", math.radians(_amplitude_deg(loaded)), frequencies_hz=LINES_HZ)
     end_s = max(times_s) + 0.5 * WINDOW_S

@@ -203,7 +203,9 @@ def verify(
         requirements.append(authority_requirement(limits, suite.wind_limit_mps, again(AS_DESIGNED)))
 
     def at_node(c: NodeCertificate | InFlightResponse) -> str:
-        changes = (f"certificate.times_s=[{c.time_s!r}]", f"certificate.planes=['{c.plane}']")
+        changes = [f"certificate.times_s=[{c.time_s!r}]", f"certificate.planes=['{c.plane}']"]
+        if isinstance(c, NodeCertificate):  # which may lie too near to the ends of thrust for the other
+            changes.append("certificate.in_flight=false")
         return loaded.command(
             design, vehicle, *(x for change in changes for x in ("--set", change)), "--only", CERTIFICATE
         )

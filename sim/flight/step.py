@@ -42,6 +42,7 @@ from maxq.sim.vehicle.schedule import (
     tank_column,
     thrust_column,
 )
+from maxq.sim.vehicle.slosh import bob_mass
 from maxq.sim.vehicle.state import (
     MAX_STATE,
     eta_index,
@@ -370,6 +371,8 @@ def estimate_errors(p: Parameters, pool: Array, memory: Memory, now_ns: int, ste
         for i in range(first, first + modes):
             bent = max(bent, abs(whole[i] - y_end[i]))
     for tank in range(sizes.pendulums):
+        if bob_mass(space.end.properties, tank) <= 0.0:  # it stopped where its tank ran empty, within the step
+            continue
         i = pendulum_index(sizes, tank)
         for j in range(i, i + 3):
             swung = max(swung, abs(whole[j] - y_end[j]))
