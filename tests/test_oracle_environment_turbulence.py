@@ -220,6 +220,18 @@ def test_spectrum_over_altitude():
         assert got[b] == pytest.approx(np.trapezoid(over[inside], fine[inside]), rel=0.08)
 
 
+def test_the_shipped_spectrum_is_the_handbooks_envelope():
+    """Its closed form, 98.8 % of whose variance lies between its ends."""
+    loaded = load_scenario(
+        "nominal", ("wind.turbulence={model='spectrum',spectrum='winds/hdbk-1001-small-scale.csv',seed=4}",)
+    )  # fmt: skip
+    lines = pack_flight(loaded.scenario).parameters[0].environment.turbulence.line_mps
+    share = 2.62 / 4.05  # integral of x^m / (1 + a x^n): pi a^(-(m + 1) / n) / (n sin(pi (m + 1) / n))
+    variance = 683.4 / 4000.0 * np.pi * 0.0067**-share / (4.05 * np.sin(np.pi * share))
+    assert np.sqrt(variance) == pytest.approx(1.94, abs=0.005)
+    assert 0.5 * (lines**2).sum() == pytest.approx(variance, rel=2e-2)
+
+
 def test_components_are_independent(gusts):
     samples = TICKS * 0.01 * AIRSPEED / (2 * max(LENGTH))
     correlation = np.corrcoef(gusts.T) - np.eye(3)

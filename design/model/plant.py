@@ -91,9 +91,12 @@ class Liquids:
 
 
 def axial_load_mps2(vehicle: VehicleAt, condition: FlightCondition) -> float:
-    """Axial specific force of the whole vehicle, (thrust - drag) / mass."""
+    """Axial specific force of the whole vehicle, (thrust - drag) / mass, its engines where they hang under it."""
     drag = condition.dynamic_pressure_Pa * vehicle.aerodynamics.area_m2 * vehicle.aerodynamics.axial
-    return (vehicle.thrust_N(condition.pressure_Pa) - drag) / vehicle.body.total_mass_kg
+    load = (vehicle.thrust_N(condition.pressure_Pa) - drag) / vehicle.body.total_mass_kg
+    for _ in range(3 if vehicle.sags else 0):  # sag takes some 1e-5 of it
+        load = (vehicle.hanging(load).thrust_N(condition.pressure_Pa) - drag) / vehicle.body.total_mass_kg
+    return load
 
 
 def vehicle_plant(
@@ -239,6 +242,7 @@ class _Equations:
     def __init__(
         self, vehicle: VehicleAt, condition: FlightCondition, load: float, errata: Errata, wind: bool = False
     ) -> None:
+        vehicle = vehicle.hanging(load)
         self.vehicle, self.condition, self.load, self.errata = vehicle, condition, load, errata
         self.modes, self.tanks = len(vehicle.modes.omega_radps), len(vehicle.pendulums.mass_kg)
         # of each engine on a load its angle in this plane and, canted, the other one, which moves it in this plane too
@@ -343,14 +347,17 @@ class _Equations:
         first = engine.gimballed_mass_kg * length
         own = engine.inertia_about_gimbal_kgm2 - first * length
         turning = ahead * across_slope - across * ahead_slope
-        inertia = own * turning + (first * length if self.errata.engine_inertia else 0.0) * turning
+        swung = first * length if self.errata.engine_inertia else 0.0
+        inertia = own * turning + swung * turning
         lateral = first * across_slope
         self.force = self.force + lateral * accel
         besides = first * engine.from_cg_m * ahead_slope
         self.moment = self.moment + (inertia + lateral * (engine.gimbal_station_m - self.cg) + besides) * accel
         self.modal = self.modal + lateral * outer(phi, accel)
         if self.errata.engine_inertia:
-            bends = inertia + first * engine.beside_m * ahead_slope
+            ahead, across = engine.mounted  # modes have its CG there, wherever it hangs
+            bends = own * turning + swung * (ahead * across_slope - across * ahead_slope)
+            bends = bends + first * engine.beside_m * ahead_slope
             self.modal = self.modal + bends * outer(slope, accel)
         if self.errata.engine_weight:
             self.moment = self.moment + self.load * lateral * delta
@@ -489,7 +496,7 @@ def swings_of(engine: GimballedEngine) -> list[Swing]:
     if engine.tvc_load is None:
         return []
     own, other = engine.levers
-    others = [Swing(engine, engine.other_slope, other, False)] if any(engine.other_slope) else []
+    others = [Swing(engine, engine.other_slope, other, False)] if np.any(engine.other_slope) else []
     return [Swing(engine, engine.slope, own, True), *others]
 
 

@@ -8,7 +8,6 @@ given as the linear systems (28) and (29).
 from __future__ import annotations
 
 import dataclasses
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
@@ -128,13 +127,78 @@ class GimballedEngine:
     gimbal: int = 0  # which of the gimbals' stations
     beside_m: float = 0.0  # gimbal from the body axis across the plane's axis of turning: z in pitch, y in yaw
     from_cg_m: float = 0.0  # and from the core's CG
-    rest: tuple[float, float] = (1.0, 0.0)  # thrust axis at rest: forward, across
-    slope: tuple[float, float] = (0.0, 1.0)  # its change per radian
-    other_slope: tuple[float, float] = (0.0, 0.0)  # in this plane, per radian of the other plane's angle
-    levers: tuple[float, float] = (1.0, 1.0)  # squares of both changes in space
-    twist: float = 0.0  # second derivative of the forward part by both angles
+    axis: tuple[float, float, float] = (1.0, 0.0, 0.0)  # of thrust at rest, B
+    unloaded: tuple[float, float, float] | None = None  # the same without axial load, where that bends its mount
+    plane: Plane = "pitch"
+    across: float = 0.0  # 1 where it is gimballed in the other plane as well
     flow_share: float = 1.0  # of the mass flow
     exit_square_m2: float = 0.0  # mean square of the nozzle exits' distance across from the CG
+
+    def _in_plane(self, axis: tuple[float, float, float]) -> tuple[float, float]:
+        return axis[0], axis[2 if self.plane == "pitch" else 1]
+
+    @property
+    def rest(self) -> tuple[float, float]:
+        """Thrust axis at rest: forward, across."""
+        return self._in_plane(self.axis)
+
+    @property
+    def mounted(self) -> tuple[float, float]:
+        """The same without axial load."""
+        return self._in_plane(self.unloaded or self.axis)
+
+    @property
+    def slope(self) -> tuple[float, float]:
+        """What it changes by per radian."""
+        x, y, z = self.axis
+        level = np.sqrt(1.0 - y * y)
+        return (-z, x) if self.plane == "pitch" else (-y * x / level, level)
+
+    @property
+    def other_slope(self) -> tuple[float, float]:
+        """In this plane, per radian of the other plane's angle."""
+        x, y, z = self.axis
+        level = np.sqrt(1.0 - y * y)
+        return (
+            (self.across * x * y / level, self.across * z * y / level)
+            if self.plane == "pitch"
+            else (-self.across * z, 0.0)
+        )
+
+    @property
+    def levers(self) -> tuple[float, float]:
+        """Squares of both changes in space."""
+        y = self.axis[1]
+        return (1.0 - y * y, 1.0) if self.plane == "pitch" else (1.0, 1.0 - y * y)
+
+    @property
+    def twist(self) -> float:
+        """Second derivative of the forward part by both angles."""
+        _, y, z = self.axis
+        mixed: float = self.across * y * z / np.sqrt(1.0 - y * y)
+        return -mixed if self.plane == "pitch" else mixed
+
+    @property
+    def sags(self) -> bool:
+        """Canted, on a TVC load."""
+        return self.tvc_load is not None and (self.axis[1] != 0.0 or self.axis[2] != 0.0)
+
+    def hanging(self, load_mps2: float) -> GimballedEngine:
+        """The same where it stands under the axial load `load_mps2`, at rest as it is without: canted, it sags.
+
+        k (p - p0) = -S a sin p cos y and k (y - y0) = -S a cos p sin y (docs/model.md, 14).
+        """
+        if not self.sags or self.tvc_load is None:
+            return self
+        x, y, z = self.axis
+        pull = load_mps2 * self.gimballed_mass_kg * self.cg_from_gimbal_m / self.tvc_load.stiffness_Nmprad
+        start = pitch, yaw = np.arctan2(z, x), -np.arcsin(y)
+        moves = (1.0, self.across) if self.plane == "pitch" else (self.across, 1.0)
+        for _ in range(40):
+            down = np.sin(pitch) * np.cos(yaw), np.cos(pitch) * np.sin(yaw)
+            pitch, yaw = (a - free * pull * by for a, free, by in zip(start, moves, down, strict=True))
+        axis = np.cos(pitch) * np.cos(yaw), -np.sin(yaw), np.sin(pitch) * np.cos(yaw)
+        return dataclasses.replace(self, axis=axis, unloaded=self.axis)
 
     def thrust_N(self, pressure_Pa: float) -> float:
         thrust: float = np.maximum(self.vacuum_thrust_N - pressure_Pa * self.exit_area_m2, 0.0)
@@ -191,6 +255,30 @@ class VehicleAt:
     @property
     def engines(self) -> tuple[GimballedEngine, ...]:
         return self.engine, *self.further_engines
+
+    @property
+    def sags(self) -> bool:
+        return any(engine.sags for engine in self.engines)
+
+    def hanging(self, load_mps2: float) -> VehicleAt:
+        """The same with its engines where they stand under the axial load."""
+        if not self.sags:
+            return self
+        first, *others = hung = [engine.hanging(load_mps2) for engine in self.engines]
+        body = self.body
+        forward, inertia = 0.0, body.core_inertia_kgm2
+        for e in hung:
+            mass, arm, at = e.gimballed_mass_kg, e.cg_from_gimbal_m, body.core_cg_station_m - e.gimbal_station_m
+            before, now = (
+                (at - arm * axis[0]) ** 2 + (e.from_cg_m - arm * axis[1]) ** 2 for axis in (e.mounted, e.rest)
+            )
+            forward = forward + mass * arm * (e.mounted[0] - e.rest[0]) / body.core_mass_kg
+            inertia = inertia + mass * (now - before)  # not in place: an array of many vehicles stays theirs
+        body = dataclasses.replace(
+            body, core_cg_station_m=body.core_cg_station_m - forward,
+            core_inertia_kgm2=inertia - body.core_mass_kg * forward**2,
+        )  # fmt: skip  # one more line otherwise
+        return dataclasses.replace(self, body=body, engine=first, further_engines=tuple(others))
 
     def thrust_N(self, pressure_Pa: float) -> float:
         """Of all engines at rest, along the body axis."""
@@ -378,8 +466,6 @@ def _engines(packed: Packed, row: Any, props: Array, time_s: float, plane: Plane
         mass, arm = float(e.gimballed_mass_kg[k]), float(e.cg_from_gimbal_m[k])
         side, cg = ("z", props[schedule.CORE_CG + 2]) if pitch else ("y", props[schedule.CORE_CG + 1])
         beside, nozzle = float(e[f"gimbal_offset_{side}_m"][k]), float(e[f"exit_{side}_m"][k]) - float(cg)
-        x, y, z = float(e.rest_x[k]), float(e.rest_y[k]), float(e.rest_z[k])
-        level = math.sqrt(1.0 - y * y)
         follows, others = (float(e[f"follows_{name}"][k]) for name in (("pitch", "yaw") if pitch else ("yaw", "pitch")))
         out.append(
             GimballedEngine(
@@ -397,11 +483,9 @@ def _engines(packed: Packed, row: Any, props: Array, time_s: float, plane: Plane
                 gimbal=int(e.gimbal[k]),
                 beside_m=beside,
                 from_cg_m=beside - float(cg),
-                rest=(x, z) if pitch else (x, y),
-                slope=(-z, x) if pitch else (-y * x / level, level),
-                other_slope=(others * x * y / level, others * z * y / level) if pitch else (-others * z, 0.0),
-                levers=(level * level, 1.0) if pitch else (1.0, level * level),
-                twist=others * (-y * z / level if pitch else y * z / level),
+                axis=(float(e.rest_x[k]), float(e.rest_y[k]), float(e.rest_z[k])),
+                plane=plane,
+                across=others,
                 flow_share=1.0 if n == 1 else flows[k] / sum(flows) if sum(flows) > 0.0 else 0.0,
                 exit_square_m2=nozzle * nozzle + float(e[f"exit_{side}{side}_m2"][k]),
             )
