@@ -220,10 +220,10 @@ def test_spectrum_over_altitude():
         assert got[b] == pytest.approx(np.trapezoid(over[inside], fine[inside]), rel=0.08)
 
 
-def test_the_shipped_spectrum_is_the_handbooks_envelope():
+def test_the_shipped_spectrum_is_its_formula():
     """Its closed form, 98.8 % of whose variance lies between its ends."""
     loaded = load_scenario(
-        "nominal", ("wind.turbulence={model='spectrum',spectrum='winds/hdbk-1001-small-scale.csv',seed=4}",)
+        "nominal", ("wind.turbulence={model='spectrum',spectrum='winds/small-scale-spectrum.csv',seed=4}",)
     )  # fmt: skip
     lines = pack_flight(loaded.scenario).parameters[0].environment.turbulence.line_mps
     share = 2.62 / 4.05  # integral of x^m / (1 + a x^n): pi a^(-(m + 1) / n) / (n sin(pi (m + 1) / n))

@@ -192,11 +192,13 @@ class GimballedEngine:
             return self
         x, y, z = self.axis
         pull = load_mps2 * self.gimballed_mass_kg * self.cg_from_gimbal_m / self.tvc_load.stiffness_Nmprad
-        start = pitch, yaw = np.arctan2(z, x), -np.arcsin(y)
-        moves = (1.0, self.across) if self.plane == "pitch" else (self.across, 1.0)
-        for _ in range(40):
-            down = np.sin(pitch) * np.cos(yaw), np.cos(pitch) * np.sin(yaw)
-            pitch, yaw = (a - free * pull * by for a, free, by in zip(start, moves, down, strict=True))
+        pitch, yaw = start = np.arctan2(z, x), -np.arcsin(y)
+        pitch_pull, yaw_pull = (pull, self.across * pull) if self.plane == "pitch" else (self.across * pull, pull)
+        for _ in range(20):  # Newton's steps in turn; the pull straightens, so that both slopes are above 1
+            level, stiff = np.sin(pitch) * np.cos(yaw), np.cos(pitch) * np.cos(yaw)
+            pitch = pitch - (pitch - start[0] + pitch_pull * level) / (1.0 + pitch_pull * stiff)
+            level, stiff = np.cos(pitch) * np.sin(yaw), np.cos(pitch) * np.cos(yaw)
+            yaw = yaw - (yaw - start[1] + yaw_pull * level) / (1.0 + yaw_pull * stiff)
         axis = np.cos(pitch) * np.cos(yaw), -np.sin(yaw), np.sin(pitch) * np.cos(yaw)
         return dataclasses.replace(self, axis=axis, unloaded=self.axis)
 
