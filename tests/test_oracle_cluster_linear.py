@@ -175,14 +175,14 @@ def test_unlike_actuators_and_loads_by_group(cant_deg: float, more: list[str]) -
 
 @pytest.mark.slow
 def test_model_of_one_plane_after_an_engine_has_gone_leaves_out_the_other_axes() -> None:
-    """An engine of the ring's diagonal off: roll and the other plane join in. The bounds are those of docs/model.md, 14;
-    margins of all axes together are those of the linearised simulator (`multiloop`)."""
+    """An engine of the ring's diagonal off: roll and the other plane join in, by as much as docs/model.md, 14, says."""
     packed = cluster(0.0, "fault=[{kind='engine-off',engine=1,at_s=20.0}]")
+    apart = []
     for plane in ("pitch", "yaw"):
         theirs, ours = command_to_gyro(packed, packed.state, plane)
-        apart = np.abs(theirs / ours - 1.0)
-        assert 1e-5 < apart[FREQUENCIES_HZ > 0.5].max() < 3e-4
-        assert 1e-2 < apart.max() < 8e-2
+        apart.append(np.abs(theirs / ours - 1.0))
+    assert 1e-5 < np.max(apart, axis=0)[FREQUENCIES_HZ > 0.5].max() < 3e-4
+    assert 1e-2 < np.max(apart) < 8e-2
 
 
 @pytest.mark.slow
