@@ -7,7 +7,7 @@ import math
 import pytest
 
 from maxq.control.kernel.records import blank, pack
-from maxq.control.roll import RollState, make_roll, silence_roll, update_roll
+from maxq.control.roll import RollState, make_roll, silence_roll, start_roll, update_roll
 
 SAMPLE_NS = 10_000_000
 DEAD_BAND_RAD = math.radians(1.0)
@@ -67,6 +67,16 @@ def test_a_firing_lasts_its_minimum_whatever_the_error_becomes() -> None:
 def test_minimum_on_time_is_whole_samples_rounded_up() -> None:
     ticks = [make_roll(SAMPLE_NS, 0.5, 1.0, 0.2, s).minimum_on_ticks for s in (0.0, 0.005, 0.01, 0.02, 0.021)]
     assert ticks == [0, 1, 1, 2, 3]
+
+
+def test_firings_are_counted_from_the_start() -> None:
+    roll = pack([make_roll(SAMPLE_NS, 0.5, DEAD_BAND_RAD, HYSTERESIS_RAD, 0.0)])[0]
+    state = blank(RollState)[0]
+    for _ in range(2):  # whatever was before
+        getattr(start_roll, "py_func", start_roll)(state)
+        for fired, error_deg in enumerate((2.0, 0.0, -2.0, 0.0, 2.0)):
+            update_roll(roll, state, math.radians(error_deg), 0.0)
+            assert state.firings == 1 + fired // 2
 
 
 def test_silence_is_at_once() -> None:

@@ -327,6 +327,30 @@ def test_resonances_are_named() -> None:
     assert {"actuator 1", "actuator 2", "gyro"} <= damped
 
 
+@pytest.mark.parametrize("unit", [1e-6, 1.0, 1e6])
+def test_whether_a_command_ends_in_no_rate_depends_on_no_unit(unit: float) -> None:
+    """KSR-III's attitude acts on its motion, because gravity turns; one without that has a rate that stays."""
+    for gravity, rests in ((True, True), (False, False)):
+        body = node_at(40.0).plant
+        if not gravity:  # as an attitude that nothing depends on
+            k = body.states.index("theta_rad")
+            body = dataclasses.replace(body, a=np.where(np.arange(len(body.a)) == k, 0.0, body.a))
+        scaled = dataclasses.replace(body, b=unit * body.b)
+        path = PadeFixedPath(node_at(40.0))
+        path.vehicle = scaled
+        assert path.rests_at_dc is rests
+
+
+def test_law_s_command_at_the_gimbal_s_limit() -> None:
+    """6 deg by KSR-III's file; half of it where a group moves twice as far; none for an ideal actuator."""
+    node = node_at(40.0)
+    assert np.degrees(node.angle_limit_rad) == pytest.approx(6.0, rel=1e-12)
+    engine = dataclasses.replace(node.vehicle.engine, gain=2.0 * node.vehicle.engine.gain)
+    wider = dataclasses.replace(node, vehicle=dataclasses.replace(node.vehicle, engine=engine))
+    assert np.degrees(wider.angle_limit_rad) == pytest.approx(3.0, rel=1e-12)
+    assert ideal(node, actuator=True).angle_limit_rad == np.inf
+
+
 def test_without_k_p_there_is_no_integrator() -> None:
     for kind in ("pade", "sampled"):
         path = fixed_path(node_at(40.0), kind)  # type: ignore[arg-type]  # a Literal, from parametrize

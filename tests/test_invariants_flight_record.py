@@ -41,6 +41,17 @@ def test_where_a_flight_is_cut_into_segments_does_not_matter() -> None:
     assert len(hashes) == 1
 
 
+@pytest.mark.parametrize("end_s", [0.02, 0.0235])
+def test_rows_rise_in_time_and_the_last_one_is_the_end(end_s: float) -> None:
+    """Whether the end falls on a row's time, or between two."""
+    flight = fly(load_scenario("nominal", [f"run.duration_s={end_s}", "log.fast_hz=100", "log.slow_hz=50"]))
+    for channel, hz in (("gimbal_pitch_angle_deg", 100.0), ("altitude_m", 50.0)):
+        t = flight.time_s(channel)
+        np.testing.assert_allclose(t[:-1], np.arange(len(t) - 1) / hz, atol=1e-12)
+        assert t[-1] == pytest.approx(end_s, abs=1e-12)
+        assert t[-1] > t[-2]
+
+
 def test_looking_changes_nothing() -> None:
     seen, blind = FlightRun(loaded()), FlightRun(loaded())
     while not blind.finished:

@@ -80,6 +80,22 @@ def test_smooth_grid_is_pchip_along_its_lines() -> None:
     )
 
 
+def test_smooth_grid_is_straight_between_two_nodes() -> None:
+    """Two points have one line, in any of the variables; the third node of the other axes changes nothing."""
+    for axis in range(3):
+        breaks = [b[:2] if k == axis else b[:1] for k, b in enumerate(X)]
+        values = VALUES[tuple(slice(len(b)) for b in breaks)]
+        made = fit_grid(breaks, values, True, ("open",) * 3, PARITY)
+        low, high = breaks[axis]
+        for share in (0.0, 0.2, 0.75, 1.0):
+            at = np.array([b[0] for b in breaks])
+            at[axis] = low + share * (high - low)
+            first, last = values.reshape(2, 3)
+            np.testing.assert_allclose(made(tuple(at)), first + share * (last - first), rtol=1e-12, atol=1e-13)
+            slope = made(tuple(at), np.eye(3, dtype=int)[axis])
+            np.testing.assert_allclose(slope, (last - first) / (high - low), rtol=1e-11)
+
+
 @pytest.mark.parametrize("axis", range(3))
 def test_smooth_grid_has_continuous_slopes(axis: int) -> None:
     made, order = grids(True), np.eye(3, dtype=int)

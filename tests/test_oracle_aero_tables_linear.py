@@ -84,6 +84,23 @@ def test_all_slopes_at_a_trim(method: str, trim_deg: tuple[float, float]) -> Non
     assert np.abs(by_flow[1, 2]) > 1e-2 * np.abs(by_flow[2, 2])  # there is a cross term, which a planar model drops
 
 
+def test_a_table_for_the_engine_off_has_no_slopes_under_thrust() -> None:
+    slopes = {}
+    for power in ("always", "on", "off"):
+        aero = {
+            "interpolation": "linear",
+            "moment_reference_m": 6.2,
+            "coefficients": [{"table": ALL[0], "power": power}],
+        }
+        made = made_of(RIGID, aero, [290.0, 4.0, 12.0])
+        made.derivative(made.y)
+        (one,) = table_slopes(made.packed.pool, made.vehicle, made.props, 0.0, 0.9, 0.04, 0.01)
+        slopes[power] = np.concatenate([one.force_by_flow, one.couple_by_flow_m, one.force_by_rate_m])
+    np.testing.assert_array_equal(slopes["on"], slopes["always"])
+    assert np.abs(slopes["on"]).max() > 0.1
+    assert not slopes["off"].any()
+
+
 def symmetric() -> Tree:
     """Aeroballistic tables without roll angle: forces of a body of revolution; its rate derivatives."""
     made = table({"mach": [0.0, 0.5, 1.0, 2.0], "total_deg": [0.0, 4.0, 11.0, 40.0]}, 11, "CN", "Cm", "CA")

@@ -73,6 +73,15 @@ def test_borgonovos_delta_of_a_sum_of_normal_inputs() -> None:
     assert borgonovo(c, y) < 0.01
 
 
+def test_first_order_index_of_a_switch_that_is_mostly_off() -> None:
+    """Most values are the least one: a class of the quantiles is empty. Var(E[y|x]) = 9 p (1 - p), and the rest 1."""
+    rng = np.random.default_rng(8)
+    on = (rng.random(20_000) < 0.3).astype(float)
+    y = 3.0 * on + rng.normal(size=len(on))
+    between = 9.0 * 0.3 * 0.7
+    assert first_order(on, y) == pytest.approx(between / (between + 1.0), abs=0.02)
+
+
 def test_delta_sees_what_widens_only() -> None:
     rng = np.random.default_rng(4)
     x, z = rng.normal(size=(2, 5000))

@@ -142,6 +142,24 @@ def test_table_meets_the_wind_of_its_station() -> None:
     )
 
 
+def test_wind_of_a_station_over_a_round_earth() -> None:
+    """The air of a station is that of its own height wherever on Earth; 14 m of curvature are 2e-5 m of height."""
+    place = {"geodetic": {"latitude_deg": 33.0, "longitude_deg": -126.0, "altitude_m": ALTITUDE}}
+    round_earth = {"earth": {"shape": "wgs84", "rotating": True}, "atmosphere": {**AIR, "model": "constant"}}
+    aero = {
+        "interpolation": "linear",
+        "moment_reference_m": 6.0,
+        "coefficients": [{"table": STABILITY, "station_m": 2.0}],
+    }
+    made = in_wind(aero, **merged(ON, {"initial": place, **round_earth}))
+    there = in_wind(aero, **ON)
+    made.derivative(made.y)
+    there.derivative(there.y)
+    np.testing.assert_allclose(
+        made.aux[AERO_FORCE : AERO_FORCE + 3], there.aux[AERO_FORCE : AERO_FORCE + 3], rtol=1e-5, atol=0.01
+    )
+
+
 def test_slender_body_on_the_edge_of_a_gust() -> None:
     """Uniform lift over 14 m, by Gauss's rule, against the integrals over the rising edge in closed form.
 
@@ -207,24 +225,32 @@ def test_history_is_the_field_behind(speeds: list[float]) -> None:
 
 
 def test_flight_through_turbulence_meets_one_field() -> None:
-    """Without forces: the flow at the CG is that of a flight without penetration, later by the distance to the nose."""
-    speed, x_cg = 400.0, PARTS.core_cg[0]
+    """The flow at a station is that of a flight without penetration, later by its distance to the nose.
+
+    At the CG, and at a surface whose force is too small to move anything and tells the flow across it.
+    """
+    speed, x_cg, x_fin = 400.0, PARTS.core_cg[0], 2.5
+    touch = {"table": {"mach": [0.0], "CN_alpha_pr": [1e-9], "station_m": [x_fin]}}
+    none = {"table": {"mach": [0.0], "CN_alpha_pr": [0.0], "station_m": [11.0]}}
+    per_mps = 0.5 * 0.9 * REFERENCE["area_m2"] * 1e-9
     flown = {}
     for on in (False, True):
         made = in_wind(
-            {"table": {"mach": [0.0]}}, wind={"turbulence": {"exceedance": "moderate"}},
-            switches={"gust_penetration": on, "aerodynamics": False, "bending": False},
+            {"table": {"mach": [0.0]}, "surface": [none, touch]}, wind={"turbulence": {"exceedance": "moderate"}},
+            switches={"gust_penetration": on, "bending": False},
             run={"duration_s": 0.4, "step_s": 0.0025},
         )  # fmt: skip  # six more lines otherwise
-        times, flows = [], []
+        times, flows, across = [], [], []
         run = made.run()
         while not run.finished:
             run.fly_segment(2_500_000)
             now = evaluate_at(run.packed, run.packed.state, 1e-9 * int(run.memory.clock.now_ns))
             times.append(1e-9 * int(run.memory.clock.now_ns))
             flows.append(now.aux[FLOW : FLOW + 3])
-        flown[on] = np.array(times), np.array(flows)
-    times, together = flown[False]
+            across.append(-now.aux[AERO_FORCE + 1 : AERO_FORCE + 3] / (per_mps * now.aux[FLOW]))
+        flown[on] = np.array(times), np.array(flows), np.array(across)
+    times, together, beside = flown[False]
+    np.testing.assert_allclose(beside, together[:, 1:], rtol=1e-6, atol=1e-9)
     later = times - x_cg / speed
     inside = later > times[0]
     expected = np.stack([np.interp(later, times, column) for column in together.T], axis=1)
@@ -233,6 +259,10 @@ def test_flight_through_turbulence_meets_one_field() -> None:
     assert np.ptp(together[:, 2]) > 0.3
     np.testing.assert_allclose(flown[True][1][inside], expected[inside], rtol=0.0, atol=0.3 * largest_step)
     assert np.abs(together[inside] - expected[inside]).max() > 2.0 * largest_step
+    later = times - x_fin / speed
+    inside = later > times[0]
+    at_fin = np.stack([np.interp(later, times, column) for column in together[:, 1:].T], axis=1)
+    np.testing.assert_allclose(flown[True][2][inside], at_fin[inside], rtol=0.02, atol=0.3 * largest_step)
 
 
 @pytest.mark.slow

@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import json
 import math
+import os
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +14,6 @@ import pytest
 from flightkit import Array, Mode, Parts, flown, rig, scenario_of
 from scipy.linalg import expm
 
-from maxq.control.kernel.jit import from_python
 from maxq.control.kernel.records import pack
 from maxq.sim.api import Flight, FlightRun, fly, load_scenario, record
 from maxq.sim.campaign.read import load_campaign
@@ -89,8 +91,9 @@ def test_a_mode_that_is_too_fast_for_the_step_is_said(tmp_path: Path) -> None:
 
 # --- steps by run.accuracy
 
-_put_oscillator, _put_functions = from_python(put_oscillator), from_python(put_functions)
-_linear_sections, _actuator_derivative = from_python(linear_sections), from_python(actuator_derivative)
+_put_oscillator, _put_functions, _linear_sections, _actuator_derivative = (  # few numbers: not worth a compiler
+    getattr(f, "py_func", f) for f in (put_oscillator, put_functions, linear_sections, actuator_derivative)
+)
 ACCURATE = "run.accuracy=0.01"
 IDEAL = (  # converters, DAC and roll thrusters know steps only: their scatter would hide what is compared
     "run.duration_s=20", "switches.converter=ideal", "switches.roll_control=false",
@@ -117,7 +120,6 @@ def expected(d: Array, h: float) -> list[Array]:
     ]  # fmt: skip  # a table
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(("hz", "zeta", "h"), [(0.5, 0.0, 1e-3), (50.0, 0.005, 3.5e-3), (60.0, 1.7, 0.01)])
 def test_matrices_of_an_oscillator(hz: float, zeta: float, h: float) -> None:
     w = 2.0 * math.pi * hz
@@ -129,7 +131,6 @@ def test_matrices_of_an_oscillator(hz: float, zeta: float, h: float) -> None:
         assert got == pytest.approx(wanted, rel=1e-9, abs=1e-12 * np.abs(wanted).max())
 
 
-@pytest.mark.slow  # compiles what only these call
 @pytest.mark.parametrize("act_on", ["servo", "engine"])
 @pytest.mark.parametrize("model", ["second-order", "fourth-order", "sixth-order"])
 def test_matrices_of_an_actuator(model: str, act_on: str) -> None:
@@ -148,10 +149,63 @@ def test_matrices_of_an_actuator(model: str, act_on: str) -> None:
         _actuator_derivative(a, y, 0, 0.0, dy)
         d[:, j] = 1e6 * dy[:n]
     assert kept[: n * n].reshape(n, n) == pytest.approx(d, rel=1e-9, abs=1e-9)
-    _put_functions(kept, 0, n, 0.0035, 7 * 36)
-    for k, wanted in enumerate(expected(d, 0.0035)):
-        got = kept[k * n * n : (k + 1) * n * n].reshape(n, n)
+    for got, wanted in zip(functions_of(kept[: n * n].reshape(n, n), 0.0035), expected(d, 0.0035), strict=True):
         assert got == pytest.approx(wanted, rel=1e-9, abs=1e-12 * np.abs(wanted).max())
+
+
+def functions_of(d: Array, h: float) -> Array:
+    """The seven matrices of a block, by the simulator."""
+    n, kept = len(d), np.zeros(7 * 36 + 72)
+    kept[: n * n] = d.ravel()
+    _put_functions(kept, 0, n, h, 7 * 36)
+    return kept[: 7 * n * n].reshape(7, n, n)
+
+
+@pytest.mark.parametrize("h", [1.0, 2.0])
+def test_matrices_of_a_turn_by_a_radian(h: float) -> None:
+    """exp(t D) of D = [[0, 1], [-1, 0]] turns by t: forced motion is (sin t, 1 - cos t), of any t."""
+    d = np.array([[0.0, 1.0], [-1.0, 0.0]])
+    ours = functions_of(d, h)
+    assert ours[3] == pytest.approx(math.sin(h) * np.eye(2) + (1.0 - math.cos(h)) * d, abs=1e-14)  # h phi_1
+    for got, wanted in zip(ours, expected(d, h), strict=True):
+        assert got == pytest.approx(wanted, abs=1e-13)
+
+
+LONG = """
+import json
+import sys
+import numpy as np
+from flightkit import Mode, Parts, rig, scenario_of
+from maxq.sim.flight import oscillators as o, step
+mode = Mode(20.0, 500.0, (1.0, 0.4, -0.2, -0.4, 0.5, 1.1), (-0.3, -0.3, -0.2, 0.2, 0.3, 0.3), 0.01)
+made = rig(scenario_of(Parts(pitch=(mode,), yaw=(mode,)), run={"accuracy": 0.05}, switches={"actuator": sys.argv[1]}))
+run = made.run()
+run.fly_segment(600_000_000)
+kept = run._arena[step._KEPT : step._KEPT + o.KEPT_SIZE]
+found = []
+for slot in np.arange(o.LENGTHS) * o.LENGTH_WIDTH:
+    blocks = kept[slot + o.HEAD :][: 4 * int(kept[slot + o.COUNT])].reshape(-1, 4).astype(int)
+    covered = [int(first + stride * k) for first, stride, states, _ in blocks for k in range(states)]
+    if kept[slot + o.STEP_NS] > 0:
+        found.append([int(kept[slot + o.STEP_NS]), len(blocks), covered])
+print(json.dumps([found, int(run.memory.clock.steps)]))
+"""
+
+
+@pytest.mark.parametrize(("actuator", "drives"), [("full", 2), ("ideal", 0)])
+def test_each_length_of_step_has_its_matrices_once_and_for_all_that_swings(actuator: str, drives: int) -> None:
+    """Also when those of the modes have been renewed: a mode in each plane, actuators of order six, three gyros."""
+    environment = os.environ | {"NUMBA_DISABLE_JIT": "1", "PYTHONPATH": os.pathsep.join(sys.path)}
+    done = subprocess.run(
+        [sys.executable, "-c", LONG, actuator], env=environment, capture_output=True, text=True, check=True, timeout=300
+    )
+    found, steps = json.loads(done.stdout)
+    lengths = [length for length, _, _ in found]
+    assert steps > 2 * len(lengths)
+    assert len(set(lengths)) == len(lengths)
+    for _, blocks, covered in found:
+        assert blocks == 2 + drives + 3
+        assert len(set(covered)) == len(covered) == 2 * 2 + drives * 6 + 3 * 2
 
 
 @pytest.mark.slow

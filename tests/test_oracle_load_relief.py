@@ -142,6 +142,13 @@ def test_limits_in_wind_have_the_gradient_of_differences() -> None:
             assert by == pytest.approx(values.gradient[:, k], rel=1e-5, abs=1e-6)
 
 
+def test_only_what_a_case_asks_for_is_a_limit_in_wind() -> None:
+    """The case by itself limits the load, not the drift."""
+    case = kit.case(*CASE, "loop=pade", name="ksr3-load-relief").case
+    made = make_problem(case, problem("pade")[1])
+    assert [limit.unit for limit in made.law.limits][3:] == ["Pa deg"]
+
+
 SLOW = (
     "loop=sampled", "filter.structure=F2", "nodes_s=[15.0, 45.0]", "search.starts=3", "search.leaps=1",
     "wind={sigma_mps=10.0, length_v_m=3000.0, band_hz=[0.02, 0.3]}",

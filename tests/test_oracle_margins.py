@@ -13,6 +13,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import control
 import numpy as np
 import pytest
@@ -22,7 +24,7 @@ from scipy.special import lambertw
 from textbook_loops import ModalLoop, TransferLoop
 
 from maxq.control.kernel.records import Array
-from maxq.design.margins.curve import trace
+from maxq.design.margins.curve import Curve, trace
 from maxq.design.margins.measure import margins
 from maxq.design.model.state_space import ComplexArray
 
@@ -33,6 +35,17 @@ TAU = 2.0 * np.pi
 
 def db(ratio: float) -> float:
     return float(DB * np.log(ratio))
+
+
+def test_a_pole_on_the_axis_is_passed_by_the_step_around_it():
+    """In every step, the last one too; none beyond the ends or off the axis, none that a hidden one takes away."""
+    f = np.array([1.0, 2.0, 5.0, 7.0, 8.0])
+    at_hz = np.array([0.5, 1.5, 3.0, 6.0, 7.5, 9.0])
+    curve = Curve(None, f, np.ones(5, complex), 1j * TAU * at_hz, np.zeros(0, complex), 0, 1.0, 0, True)
+    assert curve.steps_past_poles() == [(k, 1) for k in range(4)]
+    assert replace(curve, closed_poles=1j * TAU * at_hz[[1, 4]]).steps_past_poles() == [(1, 1), (2, 1)]
+    assert replace(curve, open_poles=1j * TAU * np.array([7.2, 7.6, 3.0])).steps_past_poles() == [(1, 1), (3, 2)]
+    assert replace(curve, open_poles=curve.open_poles - 0.1).steps_past_poles() == []
 
 
 def test_third_order_lag():

@@ -16,6 +16,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from types import SimpleNamespace
 
 import numpy as np
 import optimise_kit as kit
@@ -29,7 +30,9 @@ from maxq.design.loop.loop import Loop
 from maxq.design.margins.measure import margins
 from maxq.design.optimise.problem import Problem
 from maxq.design.optimise.quadratic_programme import solve_quadratic
+from maxq.design.optimise.rows import Rows
 from maxq.design.optimise.solution import Solution
+from maxq.design.optimise.sqp import Merit, model_step
 
 LOOPS = pytest.mark.parametrize("loop", ["pade", "sampled"])
 
@@ -197,6 +200,37 @@ def test_quadratic_programme_fulfils_the_conditions_of_optimality() -> None:
     assert (np.abs(s.z) <= 0.05 + 1e-8).all()
     assert min(s.rows.min(), s.lower.min(), s.upper.min()) >= 0.0
     assert float(s.rows @ (right - rows @ s.z)) < 1e-7
+
+
+@pytest.mark.parametrize("reachable", [True, False])
+def test_a_step_weighs_the_objective_against_the_largest_excess(reachable: bool) -> None:
+    """Of all steps of a grid none has less: objective + penalty x what is left of the largest excess + curvature."""
+    gradient = np.array([[3.0, -1.0], [1.0, 2.0], [-2.0, 0.5], [-1.0, -2.5]])
+    excess_db = np.array([4.0, 3.5, 0.4 if reachable else 9.0, -0.3])
+    objective, curvature, radius = np.array([True, True, False, False]), np.array([[2.0, 0.3], [0.3, 1.0]]), 0.5
+    none, no_index = np.zeros(4), np.zeros(4, np.int64)
+    rows = Rows(
+        no_index.astype(np.int8), no_index, none, none, excess_db, objective, np.zeros((4, 0)),
+        no_index.astype(np.int8), no_index, none, np.zeros(4, bool),
+    )  # fmt: skip  # seven more lines otherwise
+    at = SimpleNamespace(
+        rows=rows, gradient=gradient, variables=np.zeros(2), objective_db=4.0, violation_db=float(excess_db[2]),
+        unstable=0,
+    )  # fmt: skip  # three more lines otherwise
+    problem = SimpleNamespace(size=2, lower=np.full(2, -9.0), upper=np.array([0.2, 9.0]))
+    step = model_step(problem, at, curvature, radius, Merit(1.0, 20.0))
+
+    def merit(d: Array) -> Array:
+        value = excess_db + d @ gradient.T
+        left = np.maximum(value[:, ~objective].max(axis=1), 0.0)
+        return value[:, objective].max(axis=1) + 20.0 * left + 0.5 * np.einsum("ij,jk,ik->i", d, curvature, d)
+
+    grid = np.linspace(-radius, radius, 401)
+    tried = np.stack(np.meshgrid(grid[grid <= 0.2], grid), axis=-1).reshape(-1, 2)
+    least = merit(tried).min()
+    assert merit(step.change[None])[0] <= least + 1e-6
+    assert step.merit == pytest.approx(merit(step.change[None])[0], abs=1e-6)
+    assert least - step.merit < 0.2  # a grid's step times its steepest slope
 
 
 def test_phase_1_is_the_lowest_pair_of_lines() -> None:

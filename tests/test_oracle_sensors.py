@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import dataclasses
 from functools import cache
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -22,7 +23,7 @@ from design_nodes import agrees_with_a_kick, frozen
 from flightkit import Mode, Parts, Rig, Tank, rig, scenario_of, with_stage
 from scipy.spatial.transform import Rotation
 
-from maxq.control.computer import ComputerState, build_computer, computer_tick, start_computer
+from maxq.control.computer import ComputerState, build_computer, computer_tick, hand_sensors, start_computer
 from maxq.control.filters import BendingFilter, QuadraticSection
 from maxq.control.kernel.records import Array, blank, pack
 from maxq.control.kernel.tables import Pool
@@ -230,6 +231,22 @@ def test_counts_latency_lost_samples_and_blend() -> None:
         blended = a * first[:, axis] / 0.01 + b * wanted[:, 0, axis] + c * wanted[:, 1, axis]
         np.testing.assert_allclose(np.array(rates)[:, axis], blended, atol=1e-9)
     np.testing.assert_allclose(np.array(rates)[:, 0], first[:, 0] / 0.01, rtol=1e-12)
+
+
+@pytest.mark.parametrize("lost", [(0, 0, 0), (0, 1, 0), (0, 0, 1)])
+def test_flight_code_gets_each_sensor_in_its_own_place(lost: tuple[int, int, int]) -> None:
+    """Two gyros and an accelerometer, in plain Python, where an index beyond an array is an error."""
+    value, delta = np.arange(9.0).reshape(3, 3), 10.0 + np.arange(9.0).reshape(3, 3)
+    inputs = SimpleNamespace(health=1, delta_velocity_mps=np.zeros(3), further_rate_radps=np.zeros((2, 3)))
+    state = SimpleNamespace(
+        external=SimpleNamespace(inputs=inputs), sensors=SimpleNamespace(lost=lost, value=value, delta=delta)
+    )
+    computer = SimpleNamespace(sensors=SimpleNamespace(count=3, accelerometer=2))
+    getattr(hand_sensors, "py_func", hand_sensors)(computer, state)
+    np.testing.assert_array_equal(inputs.further_rate_radps, value[:2])
+    np.testing.assert_array_equal(inputs.delta_velocity_mps, delta[2])
+    gyros, accelerometer = not any(lost[:2]), not lost[2]
+    assert inputs.health == 1 + 2 * accelerometer + 4 * gyros
 
 
 @pytest.mark.parametrize(

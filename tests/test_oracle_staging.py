@@ -10,13 +10,14 @@ import petrelkit as petrel
 import pytest
 import tomli_w
 from scipy.integrate import solve_ivp
+from scipy.spatial.transform import Rotation
 
 from maxq.sim.api import load_scenario_text
 from maxq.sim.run.fly import Flight, FlightRun, fly
 from maxq.sim.run.metrics import orbit_metrics
 from maxq.sim.scenario.errors import ScenarioError
 from maxq.sim.scenario.loader import LoadedScenario, load_scenario, to_toml
-from maxq.sim.vehicle.state import Q_BI, V_I, W_BI_B
+from maxq.sim.vehicle.state import Q_BI, R_I, V_I, W_BI_B
 from maxq.sim.world.earth import Earth, flat
 
 TWO = "checkcases/two-stage"  # burns 40 s, separates at 45 s; 1500 kg before, 900 kg after
@@ -47,6 +48,37 @@ def test_springs_and_impulse_share_energy_and_momentum() -> None:
     assert 0.5 * (upper * by_springs**2 + lower * recoil**2) == pytest.approx(energy, rel=1e-4)
     assert np.linalg.norm(gained) == pytest.approx(float(gained @ forward), rel=1e-4)
     assert np.degrees((after - before)[W_BI_B : W_BI_B + 3]) == pytest.approx(tip, abs=2e-3)
+
+
+def test_what_stays_is_where_it_was_and_moves_as_it_did() -> None:
+    """The nose of the upper stage, over the millisecond of the separation: no jump though the CG jumps by 1.9 m."""
+    run = FlightRun(load_scenario(TWO), log=False)
+    run.fly_segment(45_000_000_000)
+    run.packed.state[W_BI_B : W_BI_B + 3] = 0.1, -0.5, 0.4
+    before = run.packed.state.copy()
+    run.fly_segment(1_000_000)
+    after = run.packed.state
+    first, second = ((5.3, 0.008, -0.005), (3.4, 0.003, 0.001))  # CG: station, y, z
+
+    def nose(y: np.ndarray, cg: tuple[float, float, float]) -> tuple[np.ndarray, np.ndarray]:
+        turn = Rotation.from_quat([*y[Q_BI + 1 : Q_BI + 4], y[Q_BI]])
+        arm = np.array([cg[0], -cg[1], -cg[2]])
+        return y[R_I : R_I + 3] + turn.apply(arm), y[V_I : V_I + 3] + turn.apply(np.cross(y[W_BI_B : W_BI_B + 3], arm))
+
+    (place, velocity), (later, moved) = nose(before, first), nose(after, second)
+    np.testing.assert_allclose(later - place, 1e-3 * 0.5 * (velocity + moved), atol=1e-5)
+    np.testing.assert_allclose(moved, velocity, atol=0.02)
+
+
+def test_thrust_ends_at_burn_out_and_begins_again_at_ignition() -> None:
+    """Burn-out at 40 s, separation at 45 s, ignition 3 s later, not before."""
+    flight = fly(load_scenario(TWO, ["run.duration_s=49.0"]))
+    t, thrust_N = flight.time_s("thrust_N"), flight["thrust_N"]
+    off = (t > 40.0) & (t < 48.0)
+    assert off.sum() == 79
+    assert not thrust_N[off].any()
+    assert (thrust_N[t < 39.9] > 5e4).all()
+    assert (thrust_N[t > 48.0] > 1e4).all()
 
 
 def test_burn_out_and_separation_at_one_instant_are_both_events() -> None:

@@ -9,6 +9,7 @@ import math
 
 import numpy as np
 import pytest
+from flightkit import Parts, load, scenario_of
 from scipy.integrate import trapezoid
 from scipy.spatial.transform import Rotation
 
@@ -65,6 +66,17 @@ def test_place_and_velocity_over_the_ground(flight: Flight) -> None:
     angles = (local.inv() * earth * attitude).as_euler("ZYX", degrees=True)
     np.testing.assert_allclose(columns(flight, "{}_deg", "yaw", "pitch", "roll"), angles, atol=1e-8)
     np.testing.assert_allclose(angles[0], [-47.0, 39.0, 12.0], atol=1e-8)
+
+
+def test_over_a_flat_earth_the_axes_are_north_east_down() -> None:
+    v_N, angles = np.array([210.0, -260.0, -240.0]), [-47.0, 39.0, 12.0]
+    start = {"ned_mps": list(v_N), "euler_deg": angles}
+    parts = Parts(engine=False)
+    row = fly(load(scenario_of(parts, initial=start, run={"duration_s": 0.01}))).final
+    np.testing.assert_allclose([row[f"v_N_{k}_mps"] for k in ("north", "east", "down")], v_N, rtol=ROUNDING)
+    np.testing.assert_allclose([row[f"{k}_deg"] for k in ("yaw", "pitch", "roll")], angles, rtol=ROUNDING)
+    assert row["flight_path_deg"] == pytest.approx(math.degrees(math.atan2(240.0, math.hypot(210.0, 260.0))))
+    assert row["altitude_m"] == pytest.approx(2.4, rel=1e-9)
 
 
 def test_incidence_is_that_of_the_velocity_in_body_axes(flight: Flight) -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
@@ -9,6 +11,8 @@ from maxq.sim.packing.flight import pack_flight
 from maxq.sim.run.fly import fly, logged_channels
 from maxq.sim.scenario.errors import ScenarioError
 from maxq.sim.scenario.loader import load_scenario
+from maxq.sim.vehicle.engine import engine_row
+from maxq.sim.vehicle.workspace import AUX_SIZE, ENGINE_THRUSTS
 
 NINE = "tests/data/nine-engines/flight.toml"
 GROUPED = ["vehicle.stage.0.engine.8.group='middle'", "fault=[{kind='engine-off',engine=1,at_s=3.0}]"]
@@ -40,6 +44,15 @@ def test_each_engine_shows_its_own_thrust_and_each_group_its_angle() -> None:
     slow = np.interp(flight.time_s("thrust_N"), t, total)
     np.testing.assert_allclose(flight["thrust_N"][-50:], slow[-50:], rtol=1e-5)
     np.testing.assert_array_equal(flight["gimbal_group_1_pitch_angle_deg"], flight["gimbal_pitch_angle_deg"])
+
+
+def test_engines_taken_together_show_equal_shares_and_one_that_is_not_there_none() -> None:
+    aux = np.zeros(AUX_SIZE)
+    aux[ENGINE_THRUSTS : ENGINE_THRUSTS + 2] = 3e4, 7e3
+    engine = SimpleNamespace(parts=(3.0, 1.0, 3.0, 0.0), taken_as=(0, 1, 0, 0))
+    row = getattr(engine_row, "py_func", engine_row)
+    thrusts = [row(engine, number, aux).thrust_engine_N for number in range(4)]
+    np.testing.assert_array_equal(thrusts, [1e4, 7e3, 1e4, np.nan])
 
 
 def test_each_engine_on_a_load_of_its_own_has_channels() -> None:

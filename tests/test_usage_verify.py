@@ -17,9 +17,17 @@ import pytest
 from maxq.design.model.dispersion import NOMINAL, Dispersion
 from maxq.design.model.spread import Spread
 from maxq.design.verify.fitted import fit
-from maxq.design.verify.flown import load_flight, load_wanted
+from maxq.design.verify.flown import campaign_requirements, load_flight, load_wanted
 from maxq.design.verify.judging import Check
-from maxq.design.verify.linear import MEASURES, MarginCase, MarginStudy, margin_requirements, meet_limits
+from maxq.design.verify.linear import (
+    MEASURES,
+    Authority,
+    MarginCase,
+    MarginStudy,
+    authority_requirement,
+    margin_requirements,
+    meet_limits,
+)
 from maxq.design.verify.linear import vehicles as vehicles_of
 from maxq.design.verify.memory import Memory, content_hash, from_plain, to_plain
 from maxq.design.verify.suite import (
@@ -446,6 +454,27 @@ def test_every_reason_has_limit_value_vehicle_and_command() -> None:
     corners, drawn = vehicles_of(wanted.model_copy(update={"only": "vehicle 812"}), NODE)
     assert ([d.label for d in drawn], corners) == (["vehicle 812"], [])
     assert drawn[0] == vehicles_of(LinearMargins(cases=812), NODE)[1][811]
+
+
+@pytest.mark.parametrize(("wind_mps", "judgement"), [(9.0, ACCEPTED), (10.0, ACCEPTED), (10.1, REJECTED)])
+def test_the_wind_that_can_be_trimmed_is_that_of_the_worst_time(wind_mps: float, judgement: str) -> None:
+    found = [Authority(t, 300.0, 2e4, 1.5, 5.0, w) for t, w in ((20.0, 14.0), (30.0, 10.0), (40.0, math.inf))]
+    row = authority_requirement(found, wind_mps)
+    assert (row.judgement, row.found, row.where) == (judgement, "10.0 m/s", "30 s")
+    assert row.room == pytest.approx(10.0 / wind_mps - 1.0)
+
+
+def test_a_campaign_s_requirement_names_its_worst_run() -> None:
+    worst = tuple(SimpleNamespace(run=run, value=value) for run, value in ((41, 9.0), (7, 8.5)))
+    shown = SimpleNamespace(failures=4, runs=60, judgement="", more=0)
+    verdict = SimpleNamespace(kind="limit", bound=8.0, metric="m_deg", name="m", worst=worst, shown=shown)
+    result = SimpleNamespace(
+        success=0.99, confidence=0.9, name="c", folder=Path("c"), first_lost=None,
+        verdicts=(verdict, SimpleNamespace(**{**vars(verdict), "worst": worst[:1]})),
+    )  # fmt: skip  # three more lines otherwise
+    for row in campaign_requirements(result):
+        assert row.found == "4 of 60 failed, worst 9"
+        assert (row.where, row.again) == ("run 41", "simrun --from c --run 41")
 
 
 def test_verdict_of_all_is_that_of_the_worst() -> None:
