@@ -14,9 +14,12 @@ from maxq.control.kernel.limits import MAX_ENGINES
 from maxq.control.kernel.noise import standard_normal, uniform_pair
 from maxq.control.kernel.records import Array
 from maxq.control.kernel.vectors import (
+    Vector,
+    add,
     conjugate,
     cross,
     quaternion_at,
+    quaternion_of,
     quaternion_product,
     roll_and_tilt,
     rotate,
@@ -39,14 +42,23 @@ from maxq.sim.flight.parameters import (
     Parameters,
 )
 from maxq.sim.vehicle.actuator import after_backlash
-from maxq.sim.vehicle.block import Q_BI, R_I, V_I, W_BI_B, counts
+from maxq.sim.vehicle.block import Q_BI, R_I, V_I, W_BI_B, Counts, counts
 from maxq.sim.vehicle.engine import total_thrust
 from maxq.sim.vehicle.environment import Environment, climb_rate, flight_direction, velocity_over_ground
 from maxq.sim.vehicle.faults import ANY_FAULT, GYRO_WALK
 from maxq.sim.vehicle.gyro import GYRO_STREAM
 from maxq.sim.vehicle.schedule import CORE_CG, TOTAL_MASS
 from maxq.sim.vehicle.sensors import SENSOR_STREAM
-from maxq.sim.vehicle.state import GYRO_ANGLE, N_SENSOR, sensor_index, start_states
+from maxq.sim.vehicle.state import (
+    GYRO_ANGLE,
+    N_SENSOR,
+    eta_index,
+    sensor_index,
+    spatial_index,
+    start_states,
+    state_size,
+    xi_index,
+)
 from maxq.sim.vehicle.workspace import AIRSPEED, ALTITUDE, AXIAL_LOAD, DYNAMIC_PRESSURE, FLOW, PRESSURE
 from maxq.sim.world.atmosphere import air
 from maxq.sim.world.earth import local_frame
@@ -301,28 +313,45 @@ def detect_loss_of_control(p: Parameters, memory: Memory, aux: Array) -> None:
 
 
 @routine
-def transfer_state(before: Parameters, after: Parameters, memory: Memory, old: Array, new: Array, y: Array) -> None:
+def transfer_state(
+    before: Parameters, after: Parameters, pool: Array, memory: Memory, old: Array, new: Array, whole: Array, y: Array
+) -> None:  # fmt: skip  # one more line otherwise
     """Separation: the upper stage flies on from its own core CG with the motion that the whole had there.
 
-    Engine, modes and bobs start at rest, but where the stage continues. An impulse and springs push it forward: springs
+    Its modes take over what they hold of the bent axis' motion, and the rigid motion the rest (docs/model.md, 4.10).
+    Engine and bobs start at rest, but where the stage continues. An impulse and springs push it forward: springs
     of energy E give both parts the momentum sqrt(2 E m_1 m_2 / (m_1 + m_2)). Tip-off rates are added. `old` and `new`
-    are the properties before and after. Stations are measured from the nose, which stays.
+    are the properties before and after; `whole` is overwritten. Stations are measured from the nose, which stays.
     """
-    rotation = rotation_from_quaternion(y[Q_BI], y[Q_BI + 1], y[Q_BI + 2], y[Q_BI + 3])
+    size, handed_on = counts(before.vehicle.sizes), after.timeline.handed_on
     rate = vector_at(y, W_BI_B)
     shift = (old[CORE_CG] - new[CORE_CG], new[CORE_CG + 1] - old[CORE_CG + 1], new[CORE_CG + 2] - old[CORE_CG + 2])
+    gained = cross(rate, shift)
+    if handed_on >= 0:
+        for i in range(state_size(size)):
+            whole[i] = y[i]
+        nose = (-new[CORE_CG], new[CORE_CG + 1], new[CORE_CG + 2])  # from the nose to the new core CG
+        moved, turned = bent_motion(size, pool, handed_on, 0, nose, whole)
+        faster, turning = bent_motion(size, pool, handed_on, 1, nose, whole)
+        shift = add(shift, moved)
+        gained = add(gained, add(faster, carried(rate, moved)))
+        rate = add(rate, add(turning, carried(rate, turned)))  # in the turned axes
+    rotation = rotation_from_quaternion(y[Q_BI], y[Q_BI + 1], y[Q_BI + 2], y[Q_BI + 3])
+    shift_I, velocity_I = rotate(rotation, shift), rotate(rotation, gained)
+    if handed_on >= 0:
+        q = quaternion_product(quaternion_at(y, Q_BI), quaternion_of(turned))
+        y[Q_BI], y[Q_BI + 1], y[Q_BI + 2], y[Q_BI + 3] = q
+        rotation = rotation_from_quaternion(q[0], q[1], q[2], q[3])
     t, upper_kg = before.timeline, new[TOTAL_MASS]
     lower_kg = max(old[TOTAL_MASS] - upper_kg, 0.0)
     push_Ns = t.separation_impulse_Ns
     if t.separation_spring_J > 0.0:
         push_Ns += math.sqrt(2.0 * t.separation_spring_J * upper_kg * lower_kg / (upper_kg + lower_kg))
-    turning = cross(rate, shift)
-    gained = (turning[0] + push_Ns / upper_kg, turning[1], turning[2])
-    shift_I, velocity_I = rotate(rotation, shift), rotate(rotation, gained)
+    pushed_I = rotate(rotation, (push_Ns / upper_kg, 0.0, 0.0))
     rate = (rate[0] + t.tip_off_radps[0], rate[1] + t.tip_off_radps[1], rate[2] + t.tip_off_radps[2])
     for j in range(3):
         y[R_I + j] += shift_I[j]
-        y[V_I + j] += velocity_I[j]
+        y[V_I + j] += velocity_I[j] + pushed_I[j]
         y[W_BI_B + j] = rate[j]
     if after.timeline.continues == 0:
         for channel in range(2 * MAX_ENGINES):
@@ -330,5 +359,53 @@ def transfer_state(before: Parameters, after: Parameters, memory: Memory, old: A
         memory.held.roll_torque_Nm, memory.held.burning = 0.0, 0
         move_sensors(before, after, y)
         start_states(after.vehicle.sizes, rate, 1, y)
+    if handed_on >= 0:
+        own, row = counts(after.vehicle.sizes), 6
+        for k in range(3):
+            first, modes = modes_in(own, k)
+            for i in range(modes):
+                y[first + i] = handed(size, pool, handed_on, row + i, 0, whole)
+                y[first + modes + i] = handed(size, pool, handed_on, row + i, 1, whole)
+            row += modes
     record_event(before, memory, SEPARATION, memory.clock.now_ns)
     memory.clock.stage_separation_ns[memory.clock.stage] = memory.clock.now_ns
+
+
+@kernel
+def bent_motion(sizes: Counts, pool: Array, at: int, rates: int, place: Vector, y: Array) -> tuple[Vector, Vector]:
+    """Of the part that flies on, by the modes: displacement of a place from the nose, rotation; or their rates."""
+    moved = (
+        handed(sizes, pool, at, 0, rates, y), handed(sizes, pool, at, 1, rates, y), handed(sizes, pool, at, 2, rates, y)
+    )  # fmt: skip  # three more lines otherwise
+    turned = (
+        handed(sizes, pool, at, 3, rates, y), handed(sizes, pool, at, 4, rates, y), handed(sizes, pool, at, 5, rates, y)
+    )  # fmt: skip  # three more lines otherwise
+    return add(moved, cross(turned, place)), turned
+
+
+@kernel
+def carried(rate: Vector, moved: Vector) -> Vector:
+    """w x moved, but for the roll rate's share along y and z, which quasi-velocities hold already."""
+    return (rate[1] * moved[2] - rate[2] * moved[1], rate[2] * moved[0], -rate[1] * moved[0])
+
+
+@routine
+def handed(sizes: Counts, pool: Array, at: int, row: int, rates: int, y: Array) -> float:
+    """A row of the matrix at `at` of the pool times the coordinates of all modes, or their quasi-velocities."""
+    total, column = 0.0, at + row * (sizes.pitch_modes + sizes.yaw_modes + sizes.spatial_modes)
+    for k in range(3):
+        first, modes = modes_in(sizes, k)
+        for i in range(modes):
+            total += pool[column + i] * y[first + rates * modes + i]
+        column += modes
+    return total
+
+
+@kernel
+def modes_in(sizes: Counts, kind: int) -> tuple[int, int]:
+    """First state and number of the modes in pitch (0), in yaw (1), and in space (2); their rates follow."""
+    if kind == 0:
+        return eta_index(sizes), sizes.pitch_modes
+    if kind == 1:
+        return xi_index(sizes), sizes.yaw_modes
+    return spatial_index(sizes), sizes.spatial_modes

@@ -127,7 +127,7 @@ def advance(
         p = P[clock.stage]
         now = clock.now_ns
         if now >= p.timeline.separation_ns and clock.stage + 1 < len(P):
-            separate(P, pool, memory, now_at.y, now_at.properties, space.end.properties)
+            separate(P, pool, memory, now_at.y, now_at.properties, space.end.properties, space.y_end)
             clock.fresh = 1
             continue
         if process_due_events(p, pool, memory, now_at.y, now_at.aux, now_at.properties) == 1 or clock.fresh == 1:
@@ -210,8 +210,10 @@ def track_sections(p: Parameters, pool: Array, memory: Memory, space: Workspace,
 
 
 @routine
-def separate(P: Records, pool: Array, memory: Memory, y: Array, properties: Array, properties_after: Array) -> None:
-    """Separate the stage that has burned out and continue with the next."""
+def separate(
+    P: Records, pool: Array, memory: Memory, y: Array, properties: Array, properties_after: Array, whole: Array
+) -> None:
+    """Separate the stage that has burned out and continue with the next. `whole`: room for a state."""
     clock = memory.clock
     before, after = P[clock.stage], P[clock.stage + 1]
     ends = after.timeline.continues == 0 and clock.now_ns >= before.timeline.burnout_ns
@@ -224,7 +226,7 @@ def separate(P: Records, pool: Array, memory: Memory, y: Array, properties: Arra
     clock.interval = find_interval(pool, after.vehicle.schedule, schedule_clock(after, clock, clock.now_ns, 0.0))
     read_schedule(after, pool, memory, clock.now_ns, 0.0, properties_after)
     clock.interval = interval
-    transfer_state(before, after, memory, properties, properties_after, y)
+    transfer_state(before, after, pool, memory, properties, properties_after, whole, y)
     properties[TOTAL_MASS] = properties_after[TOTAL_MASS]  # for a sample at this instant
     clock.stage += 1
     if after.computer.takes_over == 1:

@@ -18,6 +18,7 @@ from maxq.sim.world.gust_history import GustHistory
 from maxq.sim.world.turbulence import TurbulenceState
 
 NEVER = 2**62  # ns: an instant that does not come
+NONE = -1  # no place in the pool
 
 # events, in the order of the events' table; BURNOUT is that of the last stage that burned
 EVENT_NAMES = ("liftoff", "burnout", "separation", "apogee", "impact", "control_lost", "tumble", "diverged")
@@ -42,6 +43,7 @@ class StageTimeline:
     separation_spring_J: float
     tip_off_radps: Annotated[Array, (3,)]  # added to the rates of the next stage
     continues: int  # 1: engines, liquid and modes keep the state that they had in the stage before
+    handed_on: int  # where the pool has what the modes before hand on to this stage (packing/separation.py), or NONE
     release_ns: int  # NEVER: when thrust exceeds weight
     stop_ns: int
     ground_altitude_m: float

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import MISSING, dataclass, fields, replace
 from typing import Any
 
@@ -13,7 +14,7 @@ from maxq.control.kernel.jit import from_python
 from maxq.control.kernel.records import Array, blank, pack, with_constants
 from maxq.control.kernel.tables import Pool
 from maxq.control.orbit_guidance import OrbitGuidance
-from maxq.sim.flight.parameters import EVENT_NAMES, NEVER, Memory, Parameters, StageTimeline
+from maxq.sim.flight.parameters import EVENT_NAMES, NEVER, NONE, Memory, Parameters, StageTimeline
 from maxq.sim.packing.allocation import pack_allocation
 from maxq.sim.packing.computer import pack_computers, pack_injections, pack_orbit_guidance
 from maxq.sim.packing.environment import pack_environment
@@ -21,7 +22,8 @@ from maxq.sim.packing.faults import pack_faults
 from maxq.sim.packing.initial import initial_motion, thrust_exceeds_weight_s
 from maxq.sim.packing.integration import step_ns
 from maxq.sim.packing.loads import pack_loads
-from maxq.sim.packing.schedule import stage_sizes, vehicle_schedule
+from maxq.sim.packing.schedule import mass_table, stage_sizes, vehicle_schedule
+from maxq.sim.packing.separation import modal_transfer, part_at
 from maxq.sim.packing.vehicle import pack_vehicle
 from maxq.sim.scenario.burn import Burn, stage_burns
 from maxq.sim.scenario.coverage import burn_rate
@@ -76,7 +78,8 @@ def _pack(scenario: Scenario) -> Packed:
         schedule = vehicle_schedule(stage, burn, sizes, scenario.switches, frozen)
         vehicle = pack_vehicle(scenario, stage, burn, sizes, schedule, pool)
         burns_later = any(later.engines for later in stages[n + 1 :])
-        timeline = _timeline(scenario, stage, burn, stage_start_ns, burns_later)
+        handed_on = NONE if n == 0 or frozen else _handed_on(stages, burns, all_sizes, n, pool)
+        timeline = _timeline(scenario, stage, burn, stage_start_ns, burns_later, handed_on)
         loads = pack_loads(scenario, stage, burn, sizes, pool)
         if not stage.continues:
             ignition_ns = timeline.burn_start_ns
@@ -118,7 +121,24 @@ def _liftoff_s(scenario: Scenario) -> float:
     return thrust_exceeds_weight_s(before.parameters[0], before.pool, before.state)
 
 
-def _timeline(scenario: Scenario, stage: Stage, burn: Burn, stage_start_ns: int, burns_later: bool) -> StageTimeline:
+def _handed_on(
+    stages: Sequence[Stage], burns: Sequence[Burn], sizes: Sequence[Sizes], n: int, pool: Pool
+) -> int:  # fmt: skip  # one more line otherwise
+    """Where the pool has what the modes before stage n hand on to it."""
+    if stages[n].continues:
+        return NONE
+    before = part_at(stages[n - 1], burns[n - 1], sizes[n - 1], burns[n - 1].end_s)
+    if not any(before.sets):
+        return NONE
+    after, (mass_kg, *_, roll_kgm2) = part_at(stages[n], burns[n], sizes[n], 0.0), mass_table(stages[n])[1][0, :5]
+    known, twist = any(after.sets), before.spatial or after.spatial  # a campaign disperses masses: only where needed
+    transfer = modal_transfer(before, after, 0.0 if known else mass_kg, roll_kgm2 / mass_kg if twist else 0.0)
+    return pool.put(transfer)
+
+
+def _timeline(
+    scenario: Scenario, stage: Stage, burn: Burn, stage_start_ns: int, burns_later: bool, handed_on: int
+) -> StageTimeline:  # fmt: skip  # one more line otherwise
     run, rate = scenario.run, burn_rate(stage) if burn.clock is None else 1.0
     start_ns = to_ns(run.start_s)
     ignition_ns, burnout_ns = _burn(stage, burn, stage_start_ns)
@@ -149,6 +169,7 @@ def _timeline(scenario: Scenario, stage: Stage, burn: Burn, stage_start_ns: int,
         separation_spring_J=apart.spring_J,
         tip_off_radps=np.radians(apart.tip_off_degps),
         continues=int(stage.continues),
+        handed_on=handed_on,
         control_lost_rad=CONTROL_LOST_RAD if judged else math.inf,
         tumble_rad=TUMBLE_RAD,
         tumble_pressure_Pa=TUMBLE_PRESSURE_PA,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from functools import lru_cache
 from typing import NamedTuple
 
@@ -95,10 +96,7 @@ def _softening_up_to(table: ModeTable, shapes: ModeShapes, mount: Mount) -> Arra
     forward of it times the acceleration).
     """
     x, gimbal_m = table.station_m, mount.station_m
-    inside = np.unique(np.append(x[x < gimbal_m], gimbal_m))
-    half = 0.5 * np.diff(inside)
-    points = (0.5 * (inside[1:] + inside[:-1]) + np.outer(_GAUSS_NODES, half)).ravel()
-    weights = np.outer(_GAUSS_WEIGHTS, half).ravel()
+    points, weights = gauss(np.unique(np.append(x[x < gimbal_m], gimbal_m)))
     slopes = shapes.slope(points).transpose(1, 2, 0)  # (times, modes, points)
     loads = [weights * np.interp(points, x, forward) for forward in table.mass_forward_kg]
     # math.fsum, not a matrix product: BLAS rounds as it likes, another way on each processor, and a flight would too
@@ -109,30 +107,42 @@ def _softening_up_to(table: ModeTable, shapes: ModeShapes, mount: Mount) -> Arra
     return np.asarray(mount.thrust_share * matrices - hanging)
 
 
+def gauss(breaks: Array) -> tuple[Array, Array]:
+    """Points and weights of an integral over each interval, for polynomials of degree 7: all first points, ..."""
+    half = 0.5 * np.diff(breaks)
+    points = 0.5 * (breaks[1:] + breaks[:-1]) + np.outer(_GAUSS_NODES, half)
+    return points.ravel(), np.outer(_GAUSS_WEIGHTS, half).ravel()
+
+
+def spatial_shapes(table: SpatialModeTable) -> Callable[[ArrayLike], Array]:
+    """The shapes (P, 6, T, M) at stations (P,): displacement along, rotation (1/m) about x, y, z of B."""
+    n, lateral = table.modes, [ModeShapes(plane) for plane in table.lateral()]
+    straight = np.stack([table.displacement[..., 0], table.rotation_pm[..., 0]])  # along and about x
+    joined = fit(table.station_m, straight.transpose(3, 0, 1, 2).reshape(len(table.station_m), -1))
+
+    def shapes(station_m: ArrayLike) -> Array:
+        x, about_x = joined.at(station_m).reshape(-1, 2, len(table.time_s), n).transpose(1, 0, 2, 3)
+        y, z = (plane.value(station_m) for plane in lateral)
+        slope_y, slope_z = (plane.slope(station_m) for plane in lateral)
+        return np.stack([x, y, z, about_x, slope_z, -slope_y], axis=1)
+
+    return shapes
+
+
 @lru_cache(maxsize=16)
 def spatial_values(table: SpatialModeTable, at: Places, gyration_m2: float) -> Array:
     """Rows and lanes of the spatial modes over the table's times, (T, rows times M).
 
     `gyration_m2`: roll inertia per mass, for tables that do not say how it is distributed.
     """
-    n, lateral = table.modes, [ModeShapes(plane) for plane in table.lateral()]
-    straight = np.stack([table.displacement[..., 0], table.rotation_pm[..., 0]])  # along and about x
-    joined = fit(table.station_m, straight.transpose(3, 0, 1, 2).reshape(len(table.station_m), -1))
-
-    def shapes(station_m: ArrayLike) -> Array:
-        """Shapes (P, 6, T, M) at stations (P,)."""
-        x, about_x = joined.at(station_m).reshape(-1, 2, len(table.time_s), n).transpose(1, 0, 2, 3)
-        y, z = (plane.value(station_m) for plane in lateral)
-        slope_y, slope_z = (plane.slope(station_m) for plane in lateral)
-        return np.stack([x, y, z, about_x, slope_z, -slope_y], axis=1)
-
+    shapes = spatial_shapes(table)
     columns = [2.0 * np.pi * table.frequency_hz, table.generalized_mass_kg]  # each of them (times, modes)
     columns += [*shapes(at.gyro_m)[0]]
     for hinge in at.hinges_m:  # at each time the hinge of that time
         columns += [*np.diagonal(shapes(np.frombuffer(hinge)), axis1=0, axis2=2).transpose(0, 2, 1)]
     for station in (*at.surfaces_m, *(mount.station_m for mount in at.mounts), *at.sensors_m):
         columns += [*shapes(station)[0]]
-    softening = sum(_softening(p, s, at.mounts) for p, s in zip(table.lateral(), lateral, strict=True))
+    softening = sum(_softening(plane, ModeShapes(plane), at.mounts) for plane in table.lateral())
     rows = [np.stack(columns, axis=1), np.transpose(softening, (0, 2, 1)), _turning(table, gyration_m2)]
     return np.concatenate(rows, axis=1).reshape(len(table.time_s), -1)
 
@@ -150,8 +160,10 @@ def _turning(table: SpatialModeTable, gyration_m2: float) -> Array:
         weight = np.concatenate([mass, mass, mass, roll])
         shapes = np.concatenate([x[t], y[t], z[t], about_x[t]], axis=1)
         turned = np.concatenate([0.0 * x[t], -z[t], y[t], 0.0 * x[t]], axis=1)
-        gram = _products(shapes, shapes, weight)
-        share = _solved(gram, _products(shapes, turned, weight), t)  # (i, j)
+        share, sums = solved(products(shapes, shapes, weight), products(shapes, turned, weight))  # (i, j)
+        if sums:
+            what = f"mode {sums[0] + 1} of time {t + 1} is a sum of the others, or rests"
+            raise refuse(what, "independent modes")
         exchange = table.generalized_mass_kg[t][:, None] * share
         out[t] = (0.5 * (exchange - exchange.T) / table.generalized_mass_kg[t][:, None]).T
     return out
@@ -167,21 +179,26 @@ def _lumped(table: SpatialModeTable, gyration_m2: float) -> tuple[Array, Array]:
     return mass, gyration_m2 * mass if table.roll_inertia_kgm2 is None else table.roll_inertia_kgm2
 
 
-def _products(a: Array, b: Array, weight: Array) -> Array:
+def products(a: Array, b: Array, weight: Array) -> Array:
     """Weighted scalar products of the rows of `a` with those of `b`; math.fsum for the reason given in `_softening`."""
     return np.array([[math.fsum(weight * p * q) for q in b] for p in a])
 
 
-def _solved(matrix: Array, right: Array, time: int) -> Array:
-    """Gauss's elimination for a positive definite matrix, without a linear-algebra library's own rounding."""
+def solved(matrix: Array, right: Array) -> tuple[Array, list[int]]:
+    """Gauss's elimination for a positive definite matrix, without a linear-algebra library's own rounding.
+
+    Second, the unknowns that the others make superfluous; they are left at zero.
+    """
     scale = 1.0 / np.sqrt(np.maximum(np.diag(matrix), np.finfo(float).tiny))
     m, x = matrix * np.outer(scale, scale), right * scale[:, None]
+    sums = []
     for k in range(len(m)):
         if m[k, k] < 1e-10:
-            raise refuse(f"mode {k + 1} of time {time + 1} is a sum of the others, or rests", "independent modes")
+            sums.append(k)
+            m[k], m[:, k], x[k], m[k, k] = 0.0, 0.0, 0.0, 1.0
+            continue
         for i in range(len(m)):
             if i != k:
                 factor = m[i, k] / m[k, k]
                 m[i], x[i] = m[i] - factor * m[k], x[i] - factor * x[k]
-    solved: Array = x / np.diag(m)[:, None] * scale[:, None]
-    return solved
+    return x / np.diag(m)[:, None] * scale[:, None], sums

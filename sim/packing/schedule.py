@@ -107,7 +107,7 @@ def vehicle_schedule(stage: Stage, burn: Burn, sizes: Sizes, switches: Switches,
     return schedule
 
 
-def _mass_table(stage: Stage) -> tuple[Array, Array]:
+def mass_table(stage: Stage) -> tuple[Array, Array]:
     """Times and rows of total mass, CG (3) and inertia integrals (6)."""
     mass = stage.mass
     if mass.table is not None:
@@ -135,7 +135,7 @@ def _mass_table(stage: Stage) -> tuple[Array, Array]:
 
 def _core(stage: Stage, burn: Burn, tanks: Sequence[Cubics], method: Method, moving_cg: bool) -> Cubics:
     """Columns CORE_MASS to MASS_FLOW."""
-    total = fit(*_mass_table(stage), method)
+    total = fit(*mass_table(stage), method)
     core = merge([total])
     if tanks:
         breaks = union(total, *tanks)
@@ -238,7 +238,7 @@ def _spatial_modes(stage: Stage, burn: Burn, sizes: Sizes, tanks: Sequence[Cubic
     given = stage.spatial_modes
     assert given is not None
     table, n, record = given.modes, sizes.spatial_modes, pack([sizes])[0]
-    mass, _, inertia = np.split(_mass_table(stage)[1][0], [1, 4])
+    mass, _, inertia = np.split(mass_table(stage)[1][0], [1, 4])
     values = spatial_values(table, _places(stage, burn, table, tanks), float(inertia[0] / mass[0]))
     joined = fit(table.time_s, values, method)
     factors = np.ones((values.shape[1] // n, n))

@@ -1,0 +1,112 @@
+"""What a stage's modes hand on at its separation: the motion that they give the part that flies on.
+
+Displacements and velocities of the bent axis of the part that stays are those of a rigid motion and of its own modes,
+by least squares under its masses (docs/model.md, section 4). Nothing of it depends on how far the modes have moved, so
+it is one matrix for each separation.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from maxq.control.kernel.records import Array
+from maxq.control.kernel.tables import Method, fit
+from maxq.sim.packing.modes import ModeShapes, gauss, products, solved, spatial_shapes
+from maxq.sim.packing.remembered import cached_by_identity
+from maxq.sim.scenario.burn import Burn
+from maxq.sim.scenario.coverage import burn_rate
+from maxq.sim.scenario.modes import ModeTable, SpatialModeTable
+from maxq.sim.scenario.schema_vehicle import Stage
+from maxq.sim.vehicle.state import Sizes
+
+RIGID = 6  # rows of the matrix before those of the modes: displacement along x, y, z of B at the nose, rotation
+
+
+class Part(NamedTuple):
+    """A stage's modes as they are flown, and the instant of the tables' clock."""
+
+    pitch: ModeTable | None
+    yaw: ModeTable | None
+    spatial: SpatialModeTable | None
+    time_s: float
+    method: Method
+
+    @property
+    def sets(self) -> tuple[ModeTable | SpatialModeTable | None, ...]:
+        """In the order of the state vector."""
+        return self.pitch, self.yaw, self.spatial
+
+
+def part_at(stage: Stage, burn: Burn, sizes: Sizes, time_s: float) -> Part:
+    """At an instant of the stage's clock."""
+    table_s = burn_rate(stage) * time_s if burn.clock is None else float(burn.clock.at(np.array([time_s]))[1][0])
+    bending, spatial = stage.bending, stage.spatial_modes
+    sets = (
+        bending.pitch_modes if bending is not None and sizes.pitch_modes > 0 else None,
+        bending.yaw_modes if bending is not None and sizes.yaw_modes > 0 else None,
+        spatial.modes if spatial is not None and sizes.spatial_modes > 0 else None,
+    )
+    last_s = max((float(modes.time_s[-1]) for modes in sets if modes is not None), default=0.0)
+    return Part(*sets, min(table_s, last_s), stage.interpolation)
+
+
+@cached_by_identity
+def modal_transfer(before: Part, after: Part, mass_kg: float, gyration_m2: float) -> Array:
+    """(RIGID + modes after, modes before): what each mode before gives of rigid motion, and to each mode after.
+
+    The masses are those between the stations of the modes after, or without any, of the modes before up to where the
+    mass forward is `mass_kg`; `gyration_m2`: roll inertia per mass.
+    """
+    points, mass = _masses(before, after, mass_kg)
+    old, new = _shapes(before, points), _shapes(after, points)
+    rigid = np.zeros((RIGID, 4, len(points)))
+    for k in range(4):
+        rigid[k, k] = 1.0
+    rigid[4, 2], rigid[5, 1] = points, -points
+    weight = np.concatenate([mass, mass, mass, gyration_m2 * mass])
+    basis, bent = (shapes.reshape(len(shapes), -1) for shapes in (np.concatenate([rigid, new]), old))
+    return solved(products(basis, basis, weight), products(basis, bent, weight))[0]
+
+
+def _masses(before: Part, after: Part, mass_kg: float) -> tuple[Array, Array]:
+    """Points along the part that flies on, and the masses that they stand for."""
+    own = next((modes for modes in after.sets if modes is not None), None)
+    modes = own or next(modes for modes in before.sets if modes is not None)
+    x, at_s = modes.station_m, (after if own else before).time_s
+    forward = fit(modes.time_s, modes.mass_forward_kg, "linear")(at_s)
+    if own is None and forward[0] < mass_kg < forward[-1]:
+        cut_m = float(np.interp(mass_kg, forward, x))
+        x, forward = np.append(x[x < cut_m], cut_m), np.append(forward[x < cut_m], mass_kg)
+    points, weights = gauss(x)
+    lengths, between = np.diff(x), np.maximum(np.diff(forward), 0.0)
+    density = between / lengths if between.any() else np.ones(len(lengths))  # nothing is known of the masses
+    return points, weights * np.tile(density, len(points) // len(lengths))
+
+
+def _shapes(part: Part, points: Array) -> Array:
+    """Of all modes (modes, 4, points): displacement along x, y, z of B, rotation about x."""
+    out = []
+    for modes, at in zip(part.sets, (2, 1, None), strict=True):
+        if modes is None:
+            continue
+        then = _then(modes, part)
+        if isinstance(then, SpatialModeTable):
+            out.append(spatial_shapes(then)(points)[:, :4, 0].transpose(2, 1, 0))
+        else:
+            shapes = np.zeros((then.modes, 4, len(points)))
+            shapes[:, at] = ModeShapes(then).value(points)[:, 0].T
+            out.append(shapes)
+    return np.concatenate(out) if out else np.zeros((0, 4, len(points)))
+
+
+def _then(modes: ModeTable | SpatialModeTable, part: Part) -> ModeTable | SpatialModeTable:
+    """A table's shapes at the part's instant."""
+    names = ("phi", "slope_pm") if isinstance(modes, ModeTable) else ("displacement", "rotation_pm")
+    shapes: dict[str, Any] = {}
+    for name in names:
+        values = getattr(modes, name)
+        shapes[name] = fit(modes.time_s, values, part.method)(part.time_s).reshape(1, *values.shape[1:])
+    return replace(modes, time_s=np.array([part.time_s]), **shapes)
