@@ -15,7 +15,7 @@ from flightkit import Parts, rig, scenario_of
 from maxq.control.kernel.records import Array
 from maxq.design.loop.multiloop import Multiloop, OneLoop, multiloop
 from maxq.design.margins.measure import margins
-from maxq.design.margins.multiloop import multiloop_margins, structured_singular_value
+from maxq.design.margins.multiloop import LOWEST_HZ, multiloop_margins, structured_singular_value
 from maxq.design.model.state_space import ComplexArray, StateSpace
 
 SPIN_RADPS, THRUST_N, PERIOD_S, DELAY_S = 0.8, 3.0e4, 0.01, 0.003
@@ -190,6 +190,17 @@ def test_published_margins_of_the_satellite_behind_an_uneven_gain(across: float,
     assert found.disk.size == pytest.approx(size, rel=2.5e-3)
     assert 2.0 * np.pi * found.disk.frequency_hz == pytest.approx(at_radps, abs=0.03)
     assert all(m.gain_up_db.value == np.inf for m in found.each)
+
+
+@pytest.mark.parametrize("share", [0.3, 0.9, 0.99, 1.0, 1.01, 2.0, 3.9])
+def test_a_slow_root_beside_the_beginning_of_the_curve_is_no_instability(share: float) -> None:
+    """Two axes of L = 1 / (s - a), a about the lowest frequency: stable, S - 1/2 = (s - a - 1) / (2 (s - a + 1))."""
+    slow = Satellite([[1, 0], [0, 1]], [[1, 0], [0, 1]])
+    a = 2.0 * np.pi * LOWEST_HZ * share
+    slow.a = a * np.eye(2)
+    found = multiloop_margins(slow)
+    assert found.stable
+    assert found.disk.size == pytest.approx(2.0 * (1.0 - a) / (1.0 + a), rel=2e-3)
 
 
 def test_structured_singular_value_by_brute_force() -> None:

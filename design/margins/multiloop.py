@@ -19,11 +19,13 @@ import scipy.optimize
 
 from maxq.control.kernel.records import Array
 from maxq.design.loop.multiloop import Multiloop
+from maxq.design.margins.curve import ASYMPTOTIC
 from maxq.design.margins.distances import Disk, symmetric_disk
 from maxq.design.margins.measure import Margins, margins
 from maxq.design.model.state_space import ComplexArray
 
 LOWEST_HZ = 1e-3  # slower than any flight: what gravity, place and speed do there is held, and roots are drift
+_BEGINS = LOWEST_HZ * np.array([1.0, 2.0, 0.5, 4.0, 0.25])
 _CLOSE = 1e-9  # relative, of mu
 
 
@@ -43,11 +45,20 @@ class MultiloopMargins:
 
 def multiloop_margins(loop: Multiloop) -> MultiloopMargins:
     """Measure. The disk is sought where any of the single loops turns, and between these frequencies."""
-    each = tuple(margins(loop.one(axis), zones=(), lowest_hz=LOWEST_HZ) for axis in loop.axes)
+    single = [loop.one(axis) for axis in loop.axes]
+    each = tuple(margins(one, zones=(), lowest_hz=_begin_hz(one.open_poles())) for one in single)
     size, frequency_hz = np.nan, np.nan
     if all(m.stable for m in each):
         size, frequency_hz = _least_disk(loop, np.unique(np.concatenate([m.curve.frequency_hz for m in each])))
     return MultiloopMargins(loop.time_s, loop.axes, each, symmetric_disk(size, frequency_hz))
+
+
+def _begin_hz(open_poles: ComplexArray) -> float:
+    """About LOWEST_HZ, and apart from slow roots: a curve that begins beside one turns about -1 by half of it."""
+    roots = np.abs(open_poles[np.isfinite(open_poles) & (open_poles != 0.0)]) / (2.0 * np.pi)
+    apart = [np.abs(np.log(roots / hz)).min(initial=np.inf) for hz in _BEGINS]
+    clear = (k for k, least in enumerate(apart) if least >= np.log(ASYMPTOTIC))
+    return float(_BEGINS[next(clear, int(np.argmax(apart)))])
 
 
 def _least_disk(loop: Multiloop, frequencies_hz: Array) -> tuple[float, float]:
