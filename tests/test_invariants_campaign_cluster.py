@@ -5,15 +5,29 @@ from __future__ import annotations
 import threading
 import time
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import campaignkit
 import pytest
 from dask_cluster import machines
 
 from maxq.sim.campaign.error import CampaignError
-from maxq.sim.campaign.runner import run_campaign
+from maxq.sim.campaign.runner import Cluster, run_campaign
 
 pytest.importorskip("distributed")
+
+
+@pytest.mark.parametrize("threads", [1, 3, 64])
+@pytest.mark.parametrize("runs", [1, 5, 64, 200, 10_000])
+def test_batches_leave_no_thread_without_one(threads: int, runs: int) -> None:
+    """However many threads: unless there are fewer runs than threads each gets a batch, none larger than usual."""
+    flyers: Any = SimpleNamespace(_given=False, _threads=threads)
+    size = Cluster.batch(flyers, 32, runs)
+    assert 1 <= size <= 32
+    assert -(-runs // size) >= min(runs, threads)
+    flyers._given = True
+    assert Cluster.batch(flyers, 32, runs) == 32
 
 
 @pytest.mark.parametrize(("runs", "parts"), [(96, 3), pytest.param(300, 5, marks=pytest.mark.slow)])

@@ -11,7 +11,9 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
+from collections.abc import Callable
 from types import SimpleNamespace
 from typing import Any
 
@@ -25,10 +27,13 @@ from maxq.design.case.schema import LoadedCase
 from maxq.design.laws.pd import Pd
 from maxq.design.loop.loop import Loop
 from maxq.design.margins.measure import margins
+from maxq.design.model.node import Node
+from maxq.design.model.spread import places_of
+from maxq.design.optimise import robust
 from maxq.design.optimise.features import _extremes
 from maxq.design.optimise.plants import Plants, make_plant, make_plants
-from maxq.design.optimise.robust import deviated
-from maxq.design.optimise.solution import Solution
+from maxq.design.optimise.robust import deviated, modes_off
+from maxq.design.optimise.solution import Certificate, Solution
 from maxq.design.optimise.solve import nominal_plants, solve
 from maxq.design.optimise.sqp import optimality
 from maxq.design.verify.judging import judge, judge_solution, make_design
@@ -119,6 +124,92 @@ def test_limit_that_no_stable_loop_meets_is_named() -> None:
     assert not s.feasible
     assert s.stable_without == ("rigid_hz",)
     assert s.explanation().startswith("no stable design was found; without limits.rigid_hz one is")
+
+
+def test_both_ends_of_a_range_are_searched_and_lie_on_either_side() -> None:
+    node = kit.all_nodes().each[3].node
+    ranges = kit.case(name="ksr3-robust").case.robust
+    assert ranges is not None
+    low, middle, high = (
+        np.concatenate([v.modes.omega_radps, [v.pendulums.mass_kg.sum()]])
+        for v in (deviated(node, ranges, [end] * len(places_of(node, ranges))).vehicle for end in (-1, 0, 1))
+    )
+    np.testing.assert_allclose(high - middle, middle - low, rtol=1e-9)
+    assert (high > 1.001 * middle).all()
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_search_of_the_worst_corner(seed: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where each place counts by itself the worst end of all; on a random landscape no less than where it began."""
+    node, rng = kit.all_nodes().each[3].node, np.random.default_rng(seed)
+    ranges = kit.case(name="ksr3-robust").case.robust
+    assert ranges is not None
+    places = len(places_of(node, ranges))
+    each, noise = rng.normal(size=(places, 3)), dict[tuple[int, ...], float]()
+    none: Any = None
+
+    def worst(score: Callable[[tuple[int, ...]], float]) -> tuple[float, tuple[int, ...]]:
+        monkeypatch.setattr(robust._Worst, "_score", lambda self, node, ends: score(ends))
+        return robust._Worst(none, ranges, none, none, rng).at(node, set())
+
+    value, ends = worst(lambda ends: float(each[np.arange(places), np.array(ends) + 1].sum()))
+    assert value == pytest.approx(each.max(axis=1).sum())
+    assert ends == tuple(each.argmax(axis=1) - 1)
+    value, _ = worst(lambda ends: noise.setdefault(ends, float(rng.normal())))
+    assert value >= max(noise[modes_off(node, ranges, end)] for end in (-1, 1))
+
+
+def test_an_instant_that_is_worse_becomes_a_node_with_its_worst_plant(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The search of the worst is scripted, the optimisation left out: what is asked is who joins."""
+    loaded = kit.case("nodes_s=[30.0, 40.0]", "between_nodes='hold'", name="ksr3-robust")
+    loaded = dataclasses.replace(loaded, case=loaded.case.model_copy(update={"loop": "pade"}))
+    nominal = nominal_plants(loaded)
+    between = api.nodes(loaded.scenario, [33.0])[0]
+    ranges = loaded.case.robust
+    assert ranges is not None
+    ends = tuple([1] * len(places_of(between, ranges)))
+    asked: list[list[float]] = []
+
+    def at(self: Any, node: Node, taken: set[Any]) -> tuple[float, tuple[int, ...]]:
+        return 0.0, ends
+
+    def search_between(self: Any, instants: Any, taken: set[Any]) -> list[tuple[float, Node]]:
+        times_s = sorted({t for t, _ in taken})
+        asked.append(times_s)
+        return [(0.4, between)] if 33.0 not in times_s else []
+
+    made: list[Plants] = []
+    monkeypatch.setattr(robust._Worst, "at", at)
+    monkeypatch.setattr(robust._Worst, "between", search_between)
+    stub = Unsearched()
+    monkeypatch.setattr(robust, "search_best", lambda case, plants, *_: (SimpleNamespace(law=None), stub))
+    monkeypatch.setattr(robust, "make_problem", lambda case, plants, law: SimpleNamespace(law=law))
+    monkeypatch.setattr(robust, "_again", lambda problem, found: found)
+
+    def finished(case: Any, plants: Plants, *_: Any) -> Any:
+        made.append(plants)
+        return Ended(Certificate(1, 1, (), 0.0, 0, 0.0, 0, True, len(plants.each)))
+
+    monkeypatch.setattr(robust, "finished", finished)
+    done = robust.solve_robust(loaded, nominal)
+    assert asked == [[30.0, 40.0], [30.0, 33.0, 40.0]]
+    assert [p.node.time_s for p in made[0].each].count(33.0) == 2  # as it is, and at its worst corner
+    assert made[0].each[-1].node.vehicle.modes.omega_radps == pytest.approx(
+        deviated(between, ranges, ends).vehicle.modes.omega_radps
+    )
+    assert done.certificate.worst_instant_db == 0.0
+
+
+@dataclasses.dataclass(frozen=True)
+class Unsearched:
+    """In place of what a search of the best design has found."""
+
+    interrupted: bool = False
+
+
+@dataclasses.dataclass(frozen=True)
+class Ended:
+    certificate: Certificate
 
 
 @pytest.mark.slow

@@ -113,6 +113,29 @@ def test_the_order_statistic_covers_the_quantile_as_often_as_it_says() -> None:
     assert np.mean(covered) == pytest.approx(exact, abs=0.02)
 
 
+@pytest.mark.parametrize("seed", [0, 1])
+def test_bounds_of_a_tail_are_those_of_the_profile_likelihood(seed: int) -> None:
+    """On a fine grid of shape and share beyond the threshold, with SciPy's densities: the bounds lie where the best
+    likelihood has fallen by half the quantile of chi square."""
+    x, p, limit = np.random.default_rng(seed).normal(size=1000), 0.0027, 4.0
+    t = tail_of(x, limit, 1.0 - p, 0.9)
+    y, n = np.sort(x[x > t.threshold]) - t.threshold, len(x)
+    k = len(y)
+    shapes = np.linspace(-0.9, 0.6, 150)[:, None]  # none of them 0
+    shares = k / n * np.exp(np.linspace(-5.0, 5.0, 101) / np.sqrt(k))[None]
+    allowed = 0.5 * stats.chi2.ppf(0.9, 1)
+
+    def profile(excess: float, beyond: float) -> float:
+        ratio = np.log(shares / beyond)
+        scales = excess * shapes / np.expm1(shapes * ratio)
+        fits = stats.genpareto.logpdf(y[:, None, None], shapes[None], scale=scales[None]).sum(axis=0)
+        return float((fits + stats.binom.logpmf(k, n, shares)).max())
+
+    best = stats.genpareto.logpdf(y, t.shape, scale=t.scale).sum() + stats.binom.logpmf(k, n, k / n)
+    at_bound = best - profile(t.quantile_bound - t.threshold, p), best - profile(limit - t.threshold, t.beyond_bound)
+    assert at_bound == pytest.approx((allowed, allowed), abs=0.05)
+
+
 # what a user may do next, with a vehicle whose probability of failure is just the one that is not allowed
 
 SUCCESS, P, RISK, CAMPAIGNS = 0.95, 0.05, 0.1, 800

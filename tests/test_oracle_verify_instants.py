@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
 
 from maxq.design import api
 from maxq.design.model.node import Node
+from maxq.design.verify import linear
 from maxq.design.verify.linear import MEASURES, WORSE, measured, worst_instants
 from maxq.design.verify.suite import MarginLimits
 from maxq.sim.scenario.loader import load_scenario
@@ -50,6 +54,22 @@ def test_no_instant_is_added_where_the_nodes_are_the_worst() -> None:
     assert SCENARIO.design is not None
     assert worst_instants(nodes_at, SCENARIO.design, [54.0], MarginLimits(phase_deg=30.0)) == []
     assert worst_instants(nodes_at, SCENARIO.design, [50.0, 55.0], MarginLimits()) == []
+
+
+@pytest.mark.parametrize(("name", "just_worse"), [("gain_up_db", 0.02), ("phase_deg", 0.1), ("delay_ms", 0.05)])
+def test_an_instant_becomes_a_node_from_what_is_documented_on(
+    name: str, just_worse: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """0.02 dB, 0.1 deg, 0.05 ms: a margin of 10 at the nodes that dips between them."""
+    none: Any = None
+    for depth, wanted in ((0.9 * just_worse, []), (1.1 * just_worse, [43.21])):
+        monkeypatch.setattr(linear, "Loop", lambda time_s, law: time_s)
+        monkeypatch.setattr(linear, "fixed_path", lambda time_s: time_s)
+        monkeypatch.setattr(linear, "api", SimpleNamespace(law_at=lambda design, node: None))
+        dip = partial(lambda depth, t, peak: {name: 10.0 - depth * max(1.0 - abs(t - 43.21) / 2.0, 0.0)}, depth)
+        monkeypatch.setattr(linear, "measured", dip)
+        found = worst_instants(list, none, [40.0, 47.0], MarginLimits(**{name: 5.0}))
+        assert found == pytest.approx(wanted, abs=0.01)
 
 
 @pytest.mark.slow

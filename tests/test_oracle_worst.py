@@ -20,7 +20,7 @@ from maxq.design.model.spread import Correlated, CorrelatedSpread, Spread, place
 from maxq.design.verify import linear, worst
 from maxq.design.verify.linear import vehicles
 from maxq.design.verify.suite import LinearMargins, WorstWanted
-from maxq.design.verify.worst import WorstVehicle, scenario_of, search_node, slope, worst_requirements
+from maxq.design.verify.worst import WorstVehicle, distance, scenario_of, search_node, slope, worst_requirements
 from maxq.sim.run.metrics import METRIC_NAMES
 from maxq.sim.scenario.errors import ScenarioError
 from maxq.sim.scenario.loader import load_scenario_text
@@ -104,6 +104,32 @@ def test_no_vehicle_by_chance_in_the_ellipsoid_is_worse() -> None:
         by_chance.append(exact(node, vehicle(node, spread, v / np.linalg.norm(v))))
     assert found <= min(by_chance) + 5e-4
     assert found < exact(node, NOMINAL) - 0.03
+
+
+def test_distance_of_an_unstable_loop_is_negative() -> None:
+    """Least |1 + L| of a dense grid, its sign by the closed loop's poles: a delay that the loop does not bear."""
+    node = design_nodes.node_at(45.0)
+    spread = Spread(**NONE, bending_frequency=(0.0,), slosh_frequency=0.0, slosh_mass=0.0, delay_s=0.1)
+    late = [k for k, (name, _) in enumerate(places_of(node)) if name == "delay_s"]
+    hz = np.geomspace(0.01, 49.9, 200_000)
+    signs = []
+    for share in (0.0, 1.0):
+        u = np.zeros(len(places_of(node)))
+        u[late] = share
+        loop = Loop(fixed_path(disperse(node, vehicle(node, spread, u))), api.law_at(design_nodes.design(), node))
+        value, _ = distance(node, design_nodes.design(), spread)(u)
+        signs.append(1.0 if margins(loop).stable else -1.0)
+        assert value == pytest.approx(signs[-1] * np.abs(1.0 + loop.response(hz)).min(), rel=5e-3)
+    assert signs == [1.0, -1.0]
+
+
+def test_pendulums_of_the_scenario_swing_as_much_faster() -> None:
+    """f goes with 1 / sqrt(length)."""
+    by = Dispersion(slosh_frequency=(1.04, 0.97), slosh_mass=(1.08, 0.93), slosh_damping=(1.0, 1.0))
+    scenario, _ = scenario_of(design_nodes.nominal(), design_nodes.node_at(40.0), by)
+    tanks = scenario.vehicle.stage[0].tank or ()
+    assert [tank.length_factor**-0.5 for tank in tanks] == pytest.approx([1.04, 0.97], rel=1e-12)
+    assert [tank.mass_factor for tank in tanks] == pytest.approx([1.08, 0.93], rel=1e-12)
 
 
 @pytest.mark.slow

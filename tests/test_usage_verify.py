@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import hashlib
 import json
 import math
 import re
@@ -16,6 +17,7 @@ import pytest
 
 from maxq.design.model.dispersion import NOMINAL, Dispersion
 from maxq.design.model.spread import Spread
+from maxq.design.verify import verify as verify_module
 from maxq.design.verify.fitted import fit
 from maxq.design.verify.flown import campaign_requirements, load_flight, load_wanted
 from maxq.design.verify.judging import Check
@@ -125,6 +127,8 @@ def test_rejected_and_undecided_have_their_codes(
     suite.write_text(SMALL.format(gain_db=30.0))
     code, said, _ = _run(capsys, "ksr3-robust", *quick)
     assert code == 1
+    verdict = json.loads((tmp_path / "out" / "verdict.json").read_text())
+    assert 0.0 < sum(verdict["walls_s"].values()) <= verdict["wall_s"]
     assert "rejected: gain margin up, all crossings, as designed" in said
     code, said, _ = _run(
         capsys, "ksr3-robust", *quick, "--set", "margins.nominal.gain_up_db=3.0", "--set", "margins.success=0.99"
@@ -456,6 +460,14 @@ def test_every_reason_has_limit_value_vehicle_and_command() -> None:
     assert drawn[0] == vehicles_of(LinearMargins(cases=812), NODE)[1][811]
 
 
+def test_no_slosh_advice_where_nothing_sloshes() -> None:
+    """Tanks there are, but the suite's scenario holds their liquid still."""
+    still = load_scenario("nominal", ["switches.slosh=false"])
+    none: Any = None
+    job = verify_module._Job(SimpleNamespace(margins=LinearMargins()), still, still.design, still, none, none, 1)
+    assert job.slosh() == []
+
+
 @pytest.mark.parametrize(("wind_mps", "judgement"), [(9.0, ACCEPTED), (10.0, ACCEPTED), (10.1, REJECTED)])
 def test_the_wind_that_can_be_trimmed_is_that_of_the_worst_time(wind_mps: float, judgement: str) -> None:
     found = [Authority(t, 300.0, 2e4, 1.5, 5.0, w) for t, w in ((20.0, 14.0), (30.0, 10.0), (40.0, math.inf))]
@@ -512,6 +524,38 @@ def test_memory_works_out_once_and_again_when_a_file_is_damaged(tmp_path: Path) 
             file.write_bytes(damage)
         assert memory.recall("part", (1.0,), work_out) == 7
         assert count == [made]
+
+
+def test_an_entry_with_any_bit_flipped_or_of_another_making_is_made_anew(tmp_path: Path) -> None:
+    """Also one whose checksum is right: another part's under this name, and what no result can hold."""
+
+    def recalled(depends: tuple[float, ...] = (1.0,)) -> tuple[Any, int]:
+        memory = Memory(tmp_path)
+        return memory.recall("part", depends, lambda: {"room": np.array([0.25, depends[0]])}), memory.worked_out
+
+    recalled((2.0,))
+    other = whole(tmp_path)
+    recalled()
+    (path,) = (file for file in tmp_path.glob("part-*") if file.read_bytes() != other)
+    good = path.read_bytes()
+    key = good.split(b"\n")[1]
+    bad = [other]
+    for k in range(0, 8 * len(good), 7):  # each byte, and each place in a byte
+        flipped = bytearray(good)
+        flipped[k // 8] ^= 1 << k % 8
+        bad.append(bytes(flipped))
+    for content in (
+        "{}", "[", '{"maxq.nosuch:X": {}}', '{"maxq.design.model.dispersion:Dispersion": {}}', '{"path": []}',
+        '{"array": ["<f8", [2], "AAAA"]}', '{"mapping": 3}', "[" * 100_000,
+    ):  # fmt: skip  # six more lines otherwise
+        rest = key + b"\n" + content.encode()
+        bad.append(hashlib.sha256(rest).hexdigest().encode() + b"\n" + rest)
+    for damaged in bad:
+        path.write_bytes(damaged)
+        value, worked_out = recalled()
+        assert (value["room"].tolist(), worked_out) == ([0.25, 1.0], 1)
+        assert path.read_bytes() == good
+    assert recalled()[1] == 0
 
 
 def whole(folder: Path) -> bytes:

@@ -169,8 +169,8 @@ class Memory:
                 found: T = from_plain(json.loads(rest[len(key) :]))
                 self.recalled += 1
                 return found
-        except (OSError, ValueError, TypeError):
-            pass
+        except (OSError, ValueError, TypeError, ImportError, LookupError, AttributeError, RecursionError):
+            pass  # no part that `to_plain` wrote
         found = work_out()
         self.worked_out += 1
         rest = f"{key}\n{json.dumps(to_plain(found))}".encode()
