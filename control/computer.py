@@ -1,6 +1,6 @@
 """The flight computer: one sample instant, from gyro angle increments to gimbal and roll commands.
 
-    increments -> converter -> attitude, rate -> error -> law -> + injection -> limit -> DAC
+    increments -> converter -> attitude, rate -> error -> law -> x total gain -> + injection -> limit -> DAC
           guidance, commanded attitude -----^          roll error and rate -> switching line -> thrusters
     several groups of engines: pitch, yaw and roll -> allocation -> limit -> DAC, for each group (allocation.py)
 
@@ -39,6 +39,7 @@ from maxq.control.kernel.jit import kernel, routine
 from maxq.control.kernel.records import Array, IntArray
 from maxq.control.kernel.rows import PitchYaw, Quaternion, RollPitchYaw, degrees, quaternion
 from maxq.control.kernel.tables import NO_TABLE, Cubics, Pool, TableRef
+from maxq.control.laws.adaptive import Adaptive, AdaptiveState, augmented, start_adaptive
 from maxq.control.laws.load_relief import LoadRelief, LoadReliefState, lag_share, start_load_relief, tick_load_relief
 from maxq.control.laws.pd import LawRow, Pd, PdState, filtered, law_row, make_pd, settle_pd, start_pd, tick_pd
 from maxq.control.laws.pid import Pid, PidRow, PidState, pid_row, start_pid, tick_pid
@@ -101,6 +102,7 @@ class Computer:
     takes_over: int = 0  # 1: this stage's law or timing is its own, and is started at the separation
     over: int = 0  # what the gains are scheduled over, index into `OVER` of structures.py
     orbit: OrbitGuidance = field(default_factory=OrbitGuidance)  # closed-loop guidance, of the last engine's stages
+    adaptive: Adaptive = field(default_factory=Adaptive)
 
 
 @dataclass
@@ -129,6 +131,7 @@ class ComputerState:
     sensors: SensorState
     relief: LoadReliefState
     orbit: OrbitGuidanceState
+    adaptive: AdaptiveState
     navigation: Annotated[Array, (3,)]
 
 
@@ -156,6 +159,7 @@ def build_computer(
     external: bool = False,
     sensors: Sensors | None = None,
     relief_hz: float | None = None,
+    adaptive: Adaptive | None = None,
 ) -> Computer:
     """Parameters of a computer; its tables go into `pool`.
 
@@ -166,7 +170,7 @@ def build_computer(
     as it is (a filter of no sections gives one axis none). `roll` comes from `roll.make_roll`; without it no
     thruster fires. `count_rad` = 0 is an ideal converter, `dac_step_rad` = 0 an ideal DAC, an infinite limit
     none. With `relief_hz`, the corner of the accelerometer's lag, the law is load relief, and `gains` has a column
-    k_a_s2pm. `sensors` comes from `sensors.make_sensors`.
+    k_a_s2pm. `sensors` comes from `sensors.make_sensors`, `adaptive` from `adaptive.make_adaptive`.
 
     Raises ValueError, naming key, value and what is allowed.
     """
@@ -206,6 +210,7 @@ def build_computer(
         sensors=sensors or make_sensors(),
         relief=LoadRelief(int(relief_hz is not None), lag_share(relief_hz or 0.0, sample_ns / 1.0e9)),
         over=OVER.index(over),
+        adaptive=adaptive or Adaptive(),
     )
 
 
@@ -232,6 +237,7 @@ def start_computer(computer: Computer, pool: Array, state: ComputerState, time_s
     start_sensors(computer.sensors, state.sensors)
     start_load_relief(state.relief)
     start_orbit_guidance(state.orbit)
+    start_adaptive(computer.adaptive, state.adaptive)
     for gimbal in range(2):
         state.requested_rad[gimbal] = 0.0
         state.command_limited[gimbal] = 0
@@ -242,9 +248,10 @@ def start_computer(computer: Computer, pool: Array, state: ComputerState, time_s
 
 @routine
 def take_over(computer: Computer, state: ComputerState) -> None:
-    """A stage's own law takes over at a separation: filters settled at the law's last output."""
+    """A stage's own law takes over at a separation: filters settled at the law's last output, adaptation anew."""
     for gimbal in range(2):
         settle_pd(computer.law, state.law, gimbal)
+    start_adaptive(computer.adaptive, state.adaptive)
     start_roll(state.roll)
 
 
@@ -434,6 +441,12 @@ def update_command(
             computer.law, computer.pid, pool, state.law, state.pid, state.attitude, gimbal, at, sample_s,
             computer.control_on, cut_rad,
         )  # fmt: skip  # nine lines more otherwise
+    if computer.adaptive.on != 0 and computer.control_on != 0:
+        law_rad = augmented(
+            computer.adaptive, state.adaptive, state.attitude, state.guidance.rate_radps, gimbal,
+            computer.sample_ns / 1.0e9, law_rad,
+        )  # fmt: skip  # seven lines more otherwise
+        state.law.filtered_rad[gimbal] = law_rad
     requested_rad = injected_rad if replaces != 0 else law_rad + injected_rad
     state.requested_rad[gimbal] = requested_rad
     state.command_limited[gimbal] = 1 if abs(requested_rad) > computer.command_limit_rad else 0

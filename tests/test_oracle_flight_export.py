@@ -59,6 +59,11 @@ law = "pid"
 [gains]
 table = [{time_s=5.0, k_p=1.1, k_d_s=0.47, k_i_ps=0.3}, {time_s=50.0, k_p=0.7, k_d_s=0.37, k_i_ps=0.1}]
 integral_limit_deg = 0.3
+[adaptive]
+reference_hz = 0.4
+error_gain_pdeg2s = 0.2
+damper_gain_pdeg2s = 300.0
+high_pass_hz = 2.0
 """
 OVER = """
 schema = 1
@@ -180,11 +185,13 @@ def test_dispersed_flights_have_the_same_bits(tmp_path: Path) -> None:
 @needs_compiler
 @pytest.mark.slow
 def test_a_vehicle_of_several_stages_and_groups(tmp_path: Path) -> None:
-    """Three stages with gains and filters of their own, flown across both separations."""
+    """Three stages with gains and filters of their own and a total gain that adapts, flown across both separations."""
     folder = tmp_path / "petrel"
     assert simvehicle.main(["petrel", "--out", str(folder)]) == 0
-    scenario = folder / "scenario.toml"
-    library = built(tmp_path, str(folder / "design.toml"), "--scenario", str(scenario))
+    scenario, design = folder / "scenario.toml", folder / "design.toml"
+    adaptive = "reference_hz = 0.4\nerror_gain_pdeg2s = 1.0\ndamper_gain_pdeg2s = 300.0\nhigh_pass_hz = 3.0\n"
+    design.write_text(f"{design.read_text()}\n[adaptive]\n{adaptive}")
+    library = built(tmp_path, str(design), "--scenario", str(scenario))
     built_in, own = (
         fly(load_scenario(scenario, ["run.duration_s=190", "requirement=", *changes]), log=False)
         for changes in ([], flies(library=library))

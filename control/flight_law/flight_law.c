@@ -143,6 +143,69 @@ static int32_t fire(const law_stage *of, law_state *state, law_real error_rad, l
     return demand;
 }
 
+#if LAW_ADAPTIVE == 1
+/* Total gain 1; the reference model begins at the first sample's error and rate. */
+static void start_adapting(const law_stage *of, law_state *state)
+{
+    int32_t axis;
+    for (axis = 0; axis < 2; ++axis) {
+        state->adapts[axis] = 0;
+        state->added_gain[axis] = REAL(1.0) - of->adaptive_least;
+        state->total_gain[axis] = REAL(1.0);
+        state->damper_rad2[axis] = REAL(0.0);
+        state->high_pass[axis][0] = REAL(0.0);
+        state->high_pass[axis][1] = REAL(0.0);
+    }
+}
+
+/* Adaptive augmenting control: the command times the total gain. Raised by an error beyond the reference model's,
+ * lowered by the command's content above the high-pass, drawn back to 1. */
+static law_real augmented(
+    const law_stage *of, law_state *state, int32_t axis, law_real error_rad, law_real rate_radps,
+    law_real commanded_radps, law_real law_rad)
+{
+    law_real *const at = state->reference[axis];
+    law_real *const memory = state->high_pass[axis];
+    const law_real span = of->adaptive_span;
+    const law_real *const section = of->adaptive_high_pass; /* b0, b1, b2, a1, a2 */
+    law_real k_a = state->added_gain[axis];
+    law_real e_r;
+    law_real raised;
+    law_real lowered;
+    law_real command_rad;
+    law_real high_rad;
+    if (state->adapts[axis] == 0) {
+        state->adapts[axis] = 1;
+        at[0] = error_rad;
+        at[1] = rate_radps;
+    } else {
+        const law_real (*const step)[3] = of->adaptive_reference;
+        const law_real model_rad = step[0][0] * at[0] + step[0][1] * at[1] + step[0][2] * commanded_radps;
+        at[1] = step[1][0] * at[0] + step[1][1] * at[1] + step[1][2] * commanded_radps;
+        at[0] = model_rad;
+    }
+    e_r = error_rad - at[0];
+    raised = of->adaptive_error_gain * (span - k_a) / span * (e_r * e_r);
+    lowered = of->adaptive_damper_gain * k_a * state->damper_rad2[axis]
+        + of->adaptive_leakage_ps * (state->total_gain[axis] - REAL(1.0));
+    k_a = k_a + of->sample_s * (raised - lowered);
+    if (k_a < REAL(0.0)) {
+        k_a = REAL(0.0);
+    }
+    if (k_a > span) {
+        k_a = span;
+    }
+    state->added_gain[axis] = k_a;
+    state->total_gain[axis] = of->adaptive_least + k_a;
+    command_rad = state->total_gain[axis] * law_rad;
+    high_rad = section[0] * command_rad + memory[0];
+    memory[0] = section[1] * command_rad - section[3] * high_rad + memory[1];
+    memory[1] = section[2] * command_rad - section[4] * high_rad;
+    state->damper_rad2[axis] += of->adaptive_low_pass_share * (high_rad * high_rad - state->damper_rad2[axis]);
+    return command_rad;
+}
+#endif
+
 /* The stage that flies now; one with a law or timing of its own begins with settled filters and idle thrusters. */
 static const law_stage *flying(law_state *state, int32_t stage)
 {
@@ -156,6 +219,9 @@ static const law_stage *flying(law_state *state, int32_t stage)
             }
             state->roll_thruster = 0;
             state->ticks_on = 0;
+#if LAW_ADAPTIVE == 1
+            start_adapting(of, state);
+#endif
         }
     }
     return &law_stages[state->stage];
@@ -182,6 +248,9 @@ void law_start(law_state *state)
     state->stage = 0;
     state->roll_thruster = 0;
     state->ticks_on = 0;
+#if LAW_ADAPTIVE == 1
+    start_adapting(&law_stages[0], state);
+#endif
 }
 
 void law_step(law_state *state, const law_inputs *in, law_outputs *out)
@@ -239,6 +308,13 @@ void law_step(law_state *state, const law_inputs *in, law_outputs *out)
 #endif
         state->law_rad[axis] = wanted_rad;
         state->requested_rad[axis] = filtered(of, axis, state->filter[axis], wanted_rad);
+#if LAW_ADAPTIVE == 1
+        if (of->adaptive != 0) {
+            state->requested_rad[axis] = augmented(
+                of, state, axis, error_rad[axis + 1], rate_radps[axis + 1], in->commanded_rate_radps[axis + 1],
+                state->requested_rad[axis]);
+        }
+#endif
         out->requested_rad[axis] = state->requested_rad[axis];
         out->command_rad[axis] = converted(of, out->requested_rad[axis], &out->converter[axis]);
     }

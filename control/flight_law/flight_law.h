@@ -26,6 +26,7 @@ typedef struct {
     int64_t counts[3];               /* gyro pulses of the sample */
     law_real delta_angle_rad[3];     /* of the sample; used instead of pulses where LAW_COUNT_RAD is 0 */
     law_real commanded_angle_rad[3]; /* sum of the commanded rates since the start; where LAW_RATE_INTEGRAL is 1 */
+    law_real commanded_rate_radps[3];/* over the sample; where LAW_ADAPTIVE is 1 */
     law_real attitude_error_rad[3];  /* from the navigation, commanded to measured; where LAW_RATE_INTEGRAL is 0 */
     law_real further_rate_radps[4][3];/* rate gyros beyond the first, mean over the sample; LAW_FURTHER_GYROS of them */
     law_real delta_velocity_mps[3];  /* accelerometer, of the sample; where LAW_LOAD_RELIEF is 1 */
@@ -46,6 +47,12 @@ typedef struct {
     law_real law_rad[2];       /* last command before the filter */
     law_real requested_rad[2]; /* and behind it */
     law_real accel_mps2[2]; /* behind its lag */
+    int32_t adapts[2];         /* 1: the reference model runs */
+    law_real added_gain[2];
+    law_real total_gain[2];
+    law_real reference[2][2];  /* error and rate of the reference model */
+    law_real damper_rad2[2];   /* spectral damper */
+    law_real high_pass[2][2];
     law_real filter[2][LAW_MOST_SECTIONS][2];
     int32_t stage;
     int32_t roll_thruster;

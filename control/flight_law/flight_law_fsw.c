@@ -39,6 +39,7 @@ int32_t maxq_fsw_step(void *self, const maxq_fsw_inputs *in, maxq_fsw_outputs *o
         given.counts[i] = in->counts[i];
         given.delta_angle_rad[i] = (law_real)in->delta_angle_rad[i];
         given.commanded_angle_rad[i] = (law_real)in->commanded_angle_rad[i];
+        given.commanded_rate_radps[i] = (law_real)in->commanded_rate_radps[i];
         given.attitude_error_rad[i] = (law_real)in->attitude_error_rad[i];
         given.delta_velocity_mps[i] = (law_real)in->delta_velocity_mps[i];
         for (gyro = 0; gyro < 4; ++gyro) {

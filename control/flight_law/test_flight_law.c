@@ -37,6 +37,7 @@ int main(void)
             in.counts[i] = (int64_t)test_counts[n][i];
             in.delta_angle_rad[i] = (law_real)test_delta_angle_rad[n][i];
             in.commanded_angle_rad[i] = (law_real)test_commanded_angle_rad[n][i];
+            in.commanded_rate_radps[i] = (law_real)test_commanded_rate_radps[n][i];
             in.attitude_error_rad[i] = (law_real)test_attitude_error_rad[n][i];
             in.delta_velocity_mps[i] = (law_real)test_delta_velocity_mps[n][i];
             for (gyro = 0; gyro < 4; ++gyro) {

@@ -164,7 +164,7 @@ class LawRow(NamedTuple):
     k_p_axis: Annotated[PitchYaw, "1", "proportional gain"]
     k_d_axis_s: Annotated[PitchYaw, "s", "rate gain"]
     law_axis_deg: Annotated[PitchYaw, "deg", "output of the law"]
-    filtered_axis_deg: Annotated[PitchYaw, "deg", "output of the bending filter"]
+    filtered_axis_deg: Annotated[PitchYaw, "deg", "output of the bending filter, with adaptation times the total gain"]
 
 
 @kernel

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -72,7 +73,8 @@ class MarginRow:
 @dataclass(frozen=True)
 class NodeCertificate:
     """`stable`: the loop at the flown instant. `cycle`: how a loop that is unstable when held, by more than a drift,
-    ends in flight."""
+    ends in flight. All at a total gain of 1; `total_gain_db`: how far down and up adaptation may take it.
+    """
 
     time_s: float
     plane: Plane
@@ -80,6 +82,15 @@ class NodeCertificate:
     responses: ResponseTable
     margins: tuple[MarginRow, ...]
     cycle: LimitCycle | None = None
+    total_gain_db: tuple[float, float] = (0.0, 0.0)
+
+    def total_gain_room_db(self, end: int) -> float:
+        """Gain margin beyond the least (`end` 0) or the most (1) total gain: in flight, by the linear loop where it is
+        not measured; minus infinity of a loop without margins."""
+        row = next((m for m in self.margins if m.what == ("gain_down", "gain_up")[end]), None)
+        if row is None:
+            return -math.inf
+        return (row.sampled if math.isnan(row.measured) else row.measured) - abs(self.total_gain_db[end])
 
     @property
     def unexplained(self) -> tuple[str, ...]:
@@ -152,6 +163,9 @@ def certify_node(
     """
     if loaded.design is None:
         raise ValueError(f"{loaded.label}: there is no design to certify")
+    adaptive = loaded.design.of_stage(node.stage).adaptive
+    ends = (1.0, 1.0) if adaptive is None else (adaptive.least_gain, adaptive.most_gain)
+    total_gain_db = (20.0 * math.log10(ends[0]), 20.0 * math.log10(ends[1]))
     held, flown = hold(loaded, node, fault), api.loops([node], loaded.design)[0]
     of_flown = margins(flown)
     loop = api.loops([held.node], loaded.design)[0]
@@ -170,12 +184,14 @@ def certify_node(
     elif not of_held.stable:
         cycle = limit_cycle(held, of_held.growth_hz)
         nothing = measured_response(held, loop, pade[0], ())
-        return NodeCertificate(node.time_s, node.plane, of_flown.stable, nothing, (), cycle)
+        return NodeCertificate(node.time_s, node.plane, of_flown.stable, nothing, (), cycle, total_gain_db)
     responses = measured_response(held, loop, pade[0], bands, at_half=fault is None)
     rows = [_margin_row(measure_margin(held, loop, of_held, name), of_pade, of_flown) for name in names]
     if drifts is not None:
         rows.append(_drift_row(drifts, of_pade, of_flown))
-    return NodeCertificate(node.time_s, node.plane, of_flown.stable, responses, tuple(rows))
+    return NodeCertificate(
+        node.time_s, node.plane, of_flown.stable, responses, tuple(rows), total_gain_db=total_gain_db
+    )
 
 
 def _margin_row(found: MeasuredMargin, pade: Margins, flown: Margins) -> MarginRow:

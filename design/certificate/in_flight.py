@@ -1,9 +1,9 @@
 """In-flight response: the loop measured in the ascent itself, while mass, speed, air and gains change.
 
-The ascent is flown twice, with the excitation and without, and the difference is evaluated: guidance, wind and path
-drop out, the response to the excitation stays. In a window around the node's time the lines of a multisine are
-estimated by least squares together with a slow trend. The window is short, so only lines of half a hertz and more can
-be resolved.
+The ascent is flown twice, with the excitation and without, both without adaptation, and the difference is evaluated:
+guidance, wind and path drop out, the response to the excitation stays. In a window around the node's time the lines of
+a multisine are estimated by least squares together with a slow trend. The window is short, so only lines of half a
+hertz and more can be resolved.
 
 It differs from the held flight for two reasons, which the linear loop accounts for: the vehicle changes during the
 window (the sampled loop at nodes across it says by how much), and gravity is the real one (lowest lines only).
@@ -160,7 +160,10 @@ def _flown(
     scenario = loaded.scenario
     run_s = scenario.run.model_copy(update={"duration_s": math.ceil(end_s - scenario.run.start_s) + 1.0})
     log = Log(fast_hz=1.0 / period_s, slow_hz=1.0, transform_hz=1.0)
-    scenario = scenario.model_copy(update={"injection": signals, "fault": (), "run": run_s, "log": log})
+    still = {"injection": signals, "fault": (), "run": run_s, "log": log}
+    if scenario.design is not None:
+        still["design"] = scenario.design.at_unit_gain
+    scenario = scenario.model_copy(update=still)
     run = FlightRun(dataclasses.replace(loaded, scenario=scenario), pack_flight(scenario))
     rows = fast_rows(run)
     filtered, command = (

@@ -175,7 +175,7 @@ class PdDesign:
 
     @staticmethod
     def frozen(design: Design, at: float) -> Design:
-        """The design with the gains of one instant at all times; `at` as in `law.DesignedLaw`."""
+        """The design with the gains of one instant at all times, a total gain of 1; `at` as in `law.DesignedLaw`."""
         law = PdDesign.of(design)
         laws = [law.at(at, "pitch", None), law.at(at, "yaw", None)]
         names = law.pitch.columns
@@ -184,7 +184,7 @@ class PdDesign:
             for x in laws
         )
         gains = design.gains.model_copy(update={"table": pitch, "yaw": None, "yaw_table": yaw})
-        return design.model_copy(update={"gains": gains})
+        return design.model_copy(update={"gains": gains, "adaptive": None})
 
     def at(self, at: float, plane: Plane, sample_s: float | None) -> Pd:
         names = self.pitch.columns

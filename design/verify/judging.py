@@ -32,7 +32,7 @@ from maxq.design.optimise.solution import Solution
 from maxq.design.verify.suite import beyond
 from maxq.sim.packing.computer import bending_filter
 from maxq.sim.scenario.errors import ScenarioError
-from maxq.sim.scenario.schema_design import Design, Limits, StageLaw
+from maxq.sim.scenario.schema_design import Adaptive, Design, Limits, StageLaw
 from maxq.sim.scenario.tables_csv import CsvTable
 
 PEAKS = ("first_mode_db", "second_mode_db", "higher_modes_db")
@@ -75,6 +75,7 @@ class Judged:
     margins: Margins
     lobes: tuple[Lobe, ...]  # also of an unstable loop, whose margins have none
     derivatives: StabilityDerivatives | None  # None at rest
+    adaptive: Adaptive | None = None
 
     @property
     def time_s(self) -> float:
@@ -89,6 +90,13 @@ class Judged:
     def gain_margin_db(self) -> float:
         """The lesser of gain up and gain down over all crossings; NaN if unstable."""
         return self.margins.gain_db
+
+    @cached_property
+    def at_total_gains(self) -> dict[float, Margins]:
+        """Margins at the limits of the total gain of adaptive augmenting control; none without it."""
+        ends = () if self.adaptive is None else (self.adaptive.least_gain, self.adaptive.most_gain)
+        loops = {gain: replace(self.loop, law=self.loop.law.scaled(gain)) for gain in ends}
+        return {gain: margins(loop, resonances=self.loop.fixed.resonances()) for gain, loop in loops.items()}
 
     @cached_property
     def bending(self) -> dict[int, Lobe]:
@@ -163,7 +171,7 @@ def judge(
             derivatives = stability_derivatives(node.vehicle, node.condition)
         except ValueError:
             derivatives = None
-        out.append(Judged(node, loop, measured, lobes, derivatives))
+        out.append(Judged(node, loop, measured, lobes, derivatives, design.of_stage(node.stage).adaptive))
         if tell is not None:
             tell(n + 1)
     return out
@@ -201,6 +209,12 @@ def checks(judged: Sequence[Judged], design: Design, wanted: Wanted) -> list[Che
     time_s = np.array([j.time_s for j in judged])
     unstable = np.array([float(max(j.margins.unstable_poles, not j.margins.stable)) for j in judged])
     out = [Check("unstable_poles", "unstable poles", "", "<=", 0.0, unstable, time_s)]
+    for end in ("least_gain", "most_gain"):
+        held = [(j.time_s, getattr(j.adaptive, end)) for j in judged if j.adaptive is not None]
+        poles = [float(not j.at_total_gains[getattr(j.adaptive, end)].stable) for j in judged if j.adaptive is not None]
+        if held:
+            text = f"unstable at a total gain of {held[0][1]:g}"
+            out.append(Check(f"total_{end}", text, "", "<=", 0.0, np.array(poles), np.array([t for t, _ in held])))
     for key, quantity in LIMITS.items():
         asked = getattr(wanted, key)
         if asked is None:

@@ -53,6 +53,7 @@ class Logged:
     waves: int  # 1: with the height of the waves
     engines: int  # 0 for vehicles of one engine
     external: int  # 1: with the monitors of flight code from outside
+    adaptive: int  # 1: with the total gain of adaptive augmenting control
 
 
 class LogRows(NamedTuple):
@@ -309,6 +310,7 @@ def log(p: Parameters, memory: Memory, logged: Records, at: Evaluation, out: Log
             logged[0].waves,
             logged[0].engines,
             logged[0].external,
+            logged[0].adaptive,
             memory,
             at.properties,
             at.y,

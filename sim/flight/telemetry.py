@@ -15,6 +15,7 @@ from maxq.control.kernel.jit import kernel, routine
 from maxq.control.kernel.records import Array
 from maxq.control.kernel.rows import DEG, NorthEastDown, Quaternion, RollPitchYaw, Xyz, degrees, put, xyz
 from maxq.control.kernel.vectors import rotate, rotation_from_quaternion, vector_at
+from maxq.control.laws.adaptive import AdaptiveRow, adaptive_row
 from maxq.control.laws.load_relief import LoadReliefRow, load_relief_row
 from maxq.sim.flight.channels import ChannelTable, Topic, declared_channels, declared_topics
 from maxq.sim.flight.metrics import STANDARD_GRAVITY_MPS2
@@ -76,11 +77,12 @@ class FastRow(NamedTuple):
 
 @routine
 def fill_fast(
-    p: Parameters, logged: Sizes, waves: int, engines: int, external: int, memory: Memory, props: Array, y: Array,
-    aux: Array, row: Array,
+    p: Parameters, logged: Sizes, waves: int, engines: int, external: int, adaptive: int, memory: Memory, props: Array,
+    y: Array, aux: Array, row: Array,
 ) -> None:  # fmt: skip  # ten lines otherwise
     """One row of the fast group; `logged`: how many modes and pendulums the log has columns for; `waves` = 1: waves;
-    `engines`: how many of several engines; `external` = 1: what flight code from outside monitors."""
+    `engines`: how many of several engines; `external` = 1: what flight code from outside monitors;
+    `adaptive` = 1: the total gain."""
     sizes = p.vehicle.sizes
     column = put(
         row,
@@ -112,6 +114,8 @@ def fill_fast(
         column = put(row, column, engine_row(p.vehicle.engine, number, aux))
     if external == 1:
         column = put(row, column, monitor_row(memory.computer.external))
+    if adaptive == 1:
+        column = put(row, column, adaptive_row(memory.computer.adaptive))
     for k in range(logged.sensors):
         first, counted = sensor_index(sizes, k), vector_at(memory.computer.sensors.value[k], 0)
         if p.vehicle.sensors[k].kind == ACCELEROMETER:
@@ -297,12 +301,13 @@ def fill_slow(
 def channel_table(
     sizes: Sizes, tanks: tuple[str, ...], stations: tuple[str, ...] = (), waves: bool = False,
     groups: tuple[str, ...] = (), engines: tuple[str, ...] = (), external: bool = False, accelerometer: bool = False,
+    adaptive: bool = False,
 ) -> ChannelTable:  # fmt: skip  # eight lines otherwise
     """Channels of a vehicle with so many modes, these pendulums and sections, in the order of the kernels' columns.
 
     `stations`: what is said of each station of the section loads; in names they go by their numbers, from 1. `waves`:
     with the height of the pendulums' waves. `external`: with what flight code from outside monitors. `accelerometer`:
-    the last of the sensors is one.
+    the last of the sensors is one. `adaptive`: with the total gain.
     """
     topics = declared_topics(FAST, FastRow)
     kinds = (("pitch", sizes.pitch_modes), ("yaw", sizes.yaw_modes), ("spatial", sizes.spatial_modes))
@@ -326,6 +331,8 @@ def channel_table(
         topics.append(Topic("/engines", FAST, sum(moved + thrusts, ()), "groups of engines, and engines"))
     if external:
         topics.append(Topic("/flight_code", FAST, declared_channels(MonitorRow), "flight code from outside"))
+    if adaptive:
+        topics.append(Topic("/adaptive", FAST, declared_channels(AdaptiveRow), "adaptive augmenting control"))
     further = range(2, 2 + sizes.sensors - int(accelerometer))
     sensors = [declared_channels(RateGyroRow, "number", str(n), f"rate gyro {n}") for n in further]
     if accelerometer:

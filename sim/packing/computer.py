@@ -13,15 +13,18 @@ from maxq.control.filters import BendingFilter, DiscreteFilter
 from maxq.control.guidance import rate_programme
 from maxq.control.kernel.limits import MAX_INJECTIONS, MAX_TONES
 from maxq.control.kernel.tables import NO_TABLE, Cubics, Method, Pool, fit, merge
+from maxq.control.laws.adaptive import Adaptive, make_adaptive
 from maxq.control.laws.pd import GainSchedule, gains_table
 from maxq.control.orbit_guidance import OrbitGuidance
 from maxq.control.roll import Roll, make_roll
 from maxq.control.sensors import Sensors, make_sensors
+from maxq.control.structures import Law
 from maxq.sim.flight import injection as signals
 from maxq.sim.flight.parameters import NEVER
 from maxq.sim.packing.environment import pack_earth
 from maxq.sim.packing.integration import LONGEST_S
 from maxq.sim.packing.remembered import cached_by_identity
+from maxq.sim.scenario.schema_design import Adaptive as AdaptiveSection
 from maxq.sim.scenario.schema_design import Design, Filter, Gains
 from maxq.sim.scenario.schema_scenario import Scenario
 from maxq.sim.scenario.schema_values import to_ns
@@ -88,7 +91,18 @@ def pack_computer(scenario: Scenario, pool: Pool, stage: int = 0) -> Computer:
         external=external,
         sensors=_sensors(scenario, stage, design),
         relief_hz=design.load_relief.corner_hz if design and design.load_relief and not external else None,
+        adaptive=_adaptive(design.adaptive, computer.sample_s, design.law) if design and not external else None,
     )
+
+
+@cached_by_identity
+def _adaptive(given: AdaptiveSection | None, sample_s: float, law: Law) -> Adaptive | None:
+    if given is None:
+        return None
+    values = dict(given)
+    for name in ("error_gain", "damper_gain"):
+        values[name] = values.pop(f"{name}_pdeg2s") * math.degrees(1.0) ** 2
+    return make_adaptive(sample_s, **values, with_integral=law == "pid")
 
 
 def _sensors(scenario: Scenario, stage: int, design: Design | None) -> Sensors | None:

@@ -193,7 +193,7 @@ class FlightRun:
         waves = int(_logs_waves(loaded.scenario, self.packed.sizes))
         engines = len(engine_names(loaded.scenario))
         external = int(self.packed.parameters[0].computer.external)
-        widths = self.packed.sizes, stations, waves, engines, external
+        widths = self.packed.sizes, stations, waves, engines, external, int(_adapts(loaded.scenario))
         self._on, self._off = (pack([Logged(on, *widths)]) for on in (1, 0))
         self._arena = np.zeros(ARENA_SIZE)
         timeline = self.packed.parameters[0].timeline
@@ -471,8 +471,17 @@ def logged_channels(scenario: Scenario, sizes: Sizes) -> ChannelTable:
     external = computer is not None and computer.law == "external"
     senses = scenario.vehicle.stage[0].accelerometer is not None
     return _channel_table(
-        sizes, tanks, load_stations(scenario), waves, groups, engine_names(scenario), external, senses
-    )
+        sizes, tanks, load_stations(scenario), waves, groups, engine_names(scenario), external, senses,
+        _adapts(scenario),
+    )  # fmt: skip  # a line a value otherwise
+
+
+def _adapts(scenario: Scenario) -> bool:
+    """Whether any stage flies adaptive augmenting control."""
+    design, computer = scenario.design, scenario.vehicle.computer
+    if design is None or computer is None or computer.law == "external":
+        return False
+    return design.adaptive is not None or any(own.adaptive is not None for own in design.stage)
 
 
 def engine_names(scenario: Scenario) -> tuple[str, ...]:

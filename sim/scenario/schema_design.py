@@ -190,6 +190,30 @@ class LoadRelief(Section):
     corner_hz: Positive = Field(description="corner of the accelerometer's first-order lag in the computer, Hz")
 
 
+class Adaptive(Section):
+    """Adaptive augmenting control: a total gain on the command of pitch and of yaw, 1 where all goes as it should."""
+
+    least_gain: Annotated[float, Field(gt=0.0, lt=1.0)] = optional("lower limit of the total gain", 0.5)
+    most_gain: Annotated[float, Field(gt=1.0)] = optional("upper limit of the total gain", 2.0)
+    reference_hz: Positive = Field(description="reference model: frequency of the rigid body's motion, Hz")
+    reference_zeta: Positive = optional("its damping ratio", 0.7)
+    error_gain_pdeg2s: NotNegative = Field(
+        description="how fast an attitude error beyond the reference model's raises the gain, 1/(deg2 s)"
+    )
+    damper_gain_pdeg2s: NotNegative = Field(
+        description="spectral damper: how fast the command's content above high_pass_hz lowers the gain, 1/(deg2 s)"
+    )
+    leakage_ps: Positive = optional("how fast the gain returns to 1, 1/s", 0.1)
+    high_pass_hz: Positive = Field(description="corner of the spectral damper, between control and bending, Hz")
+    low_pass_hz: Positive = optional("corner of the mean of its square, Hz", 0.2)
+
+    @model_validator(mode="after")
+    def _check(self) -> Adaptive:
+        if self.high_pass_hz <= self.reference_hz:
+            raise refuse("is not above the reference model", f"above {self.reference_hz:g}", key=("high_pass_hz",))
+        return self
+
+
 class Limits(Section):
     """What the design was made to; for people, nothing in the flight depends on it."""
 
@@ -212,6 +236,7 @@ class StageLaw(Section):
     roll_gimbal: RollGimbal | None = optional("own roll control by gimbals")
     blend: Blend | None = optional("own weights of rate gyros")
     load_relief: LoadRelief | None = optional("own lag of the accelerometer")
+    adaptive: Adaptive | None = optional("own adaptation, which starts anew at the separation")
     limits: Limits | None = optional("what it was made to; for people")
 
 
@@ -233,6 +258,7 @@ class Design(Section):
     roll_gimbal: RollGimbal | None = optional("absent: no roll control by gimbals")
     blend: Blend | None = optional("absent: the first gyro alone")
     load_relief: LoadRelief | None = optional("of the law load-relief")
+    adaptive: Adaptive | None = optional("absent: no adaptation; with any law")
     limits: Limits | None = optional("what the design was made to; for people")
     stage: tuple[StageLaw, ...] = optional(
         "what differs in each stage, in the order of flight (default: nothing)", (), max_length=MAX_STAGES
@@ -261,6 +287,12 @@ class Design(Section):
     def gain_names(self) -> tuple[str, ...]:
         """Columns of the gains' tables."""
         return GAINS[self.law]
+
+    @property
+    def at_unit_gain(self) -> Design:
+        """The same without adaptation: what its linear loops are at a total gain of 1."""
+        still = tuple(own.model_copy(update={"adaptive": None}) for own in self.stage)
+        return self.model_copy(update={"adaptive": None, "stage": still})
 
     def of_stage(self, number: int) -> Design:
         """What a stage flies, from 0: a design without stages; the same object where there are none."""

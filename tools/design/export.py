@@ -133,6 +133,7 @@ def _declared(packed: Packed, said: str) -> Iterator[str]:
         ("RATE_INTEGRAL", int(int(first.attitude) != QUATERNION), "1: the error is the angle less the commanded angle"),
         ("GAINS", 3 if int(first.pid.on) or int(first.relief.on) else 2, "of an axis"),
         ("LOAD_RELIEF", int(first.relief.on), "1: the third gain is that of the acceleration; 0: of an integral"),
+        ("ADAPTIVE", int(any(int(row.computer.adaptive.on) for row in packed.parameters)), "1: a total gain adapts"),
         (
             "FURTHER_GYROS",
             max(further_gyros(row.computer) for row in packed.parameters),
@@ -169,6 +170,15 @@ _STAGE_FIELDS = (
     "const law_real *gain_at;      /* [gain_breaks] */",
     "const law_real (*gain)[4][2 * LAW_GAINS]; /* per interval: coefficients of powers 0 to 3, pitch, then yaw */",
     "law_real blend[2][LAW_FURTHER_GYROS + 1]; /* weights of the gyros in pitch and yaw */",
+    "int32_t adaptive;             /* 1: the total gain adapts: least + k_a, k_a from 0 to span */",
+    "law_real adaptive_least;",
+    "law_real adaptive_span;",
+    "law_real adaptive_error_gain;  /* 1/(rad2 s) */",
+    "law_real adaptive_damper_gain; /* 1/(rad2 s) */",
+    "law_real adaptive_leakage_ps;",
+    "law_real adaptive_low_pass_share;",
+    "law_real adaptive_reference[2][3]; /* error and rate of the model by those before and the commanded rate */",
+    "law_real adaptive_high_pass[5];    /* as a section of the bending filter */",
     "int32_t sections[2];          /* of the bending filter, in pitch and yaw */",
     "law_real section[2][LAW_MOST_SECTIONS][5]; /* b0, b1, b2, a1, a2 with a0 = 1 */",
 )
@@ -201,14 +211,20 @@ def _defined(packed: Packed, said: str) -> Iterator[str]:
             *(float(getattr(roll, name)) for name in ("k_rate_s", "dead_band_rad", "hysteresis_rad")),
             *(float(getattr(allocation, k)) if by_gimbals else 0.0 for k in ("k_p", "k_d_s", "roll_limit_rad")),
             int(computer.over), breaks, f"gain_at_{n}", f"gain_{n}",
-            computer.sensors.blend[:, : gyros + 1].tolist(), computer.law.n_sections.tolist(),
-            computer.law.sections.tolist(),
+            computer.sensors.blend[:, : gyros + 1].tolist(), *_adaptation(computer.adaptive),
+            computer.law.n_sections.tolist(), computer.law.sections.tolist(),
         )  # fmt: skip  # a value a line otherwise
         stages.append(values)
     yield "const law_stage law_stages[LAW_STAGES] = {"
     for values in stages:
         yield from ("    {", *(f"        {_braced(value)}," for value in values), "    },")
     yield "};"
+
+
+def _adaptation(adaptive: Any) -> tuple[Any, ...]:
+    names = ("least", "span", "error_gain", "damper_gain", "leakage_ps", "low_pass_share")
+    numbers = (float(getattr(adaptive, name)) for name in names)
+    return int(adaptive.on), *numbers, adaptive.reference.tolist(), adaptive.high_pass[0].tolist()
 
 
 def _vectors(loaded: LoadedScenario, said: str) -> Iterator[str]:
@@ -273,6 +289,7 @@ def _samples(loaded: LoadedScenario) -> dict[str, np.ndarray]:
             ("counts", state.converter.counts.tolist()),
             ("delta_angle_rad", state.converter.increment_rad.tolist()),
             ("commanded_angle_rad", state.guidance.angle_rad.tolist()),
+            ("commanded_rate_radps", state.guidance.rate_radps.tolist()),
             ("attitude_error_rad", state.attitude.error_rad.tolist()),
             ("further_rate_radps", state.sensors.value[: MAX_SENSORS - 1].ravel().tolist()),
             ("delta_velocity_mps", state.sensors.delta[at].tolist()),

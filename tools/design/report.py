@@ -152,16 +152,26 @@ def nodes_table(checks: Sequence[Check], judged: Sequence[Judged]) -> list[str]:
 
 
 def margins_table(judged: Sequence[Judged]) -> list[str]:
-    """A row a node: margins up and down, by class, and the distances to -1."""
+    """A row a node: margins up and down, by class, and the distances to -1; with adaptation also at the limits of the
+    total gain."""
+    out = _margins_rows("margins over all crossings", [(j.time_s, j.margins) for j in judged])
+    for end in (0, 1):
+        found = [(j.time_s, *list(j.at_total_gains.items())[end]) for j in judged if j.at_total_gains]
+        if found:
+            title = f"margins at a total gain of {found[0][1]:g}, to which adaptation may go"
+            out += ["", *_margins_rows(title, [(time_s, m) for time_s, _, m in found])]
+    return out
+
+
+def _margins_rows(title: str, found: Sequence[tuple[float, Margins]]) -> list[str]:
     rows = [
         ("time, s", "loop", "gain up", "down", "phase", "delay", "least", "diamond", "aero", "rigid", "rigid", "cross"),
         ("", "", "dB", "dB", "deg", "ms", "|1+L|", "clear", "dB", "dB", "deg", "Hz"),
     ]
-    for j in judged:
-        m = j.margins
+    for time_s, m in found:
         rows.append(
             (
-                f"{j.time_s:g}", "stable" if m.stable else "UNSTABLE",
+                f"{time_s:g}", "stable" if m.stable else "UNSTABLE",
                 number(m.gain_up_db.value, 2), number(m.gain_down_db.value, 2), number(m.phase_deg.value, 1),
                 number(1e3 * m.delay_s.value, 1),
                 number(m.modulus, 3), number(m.clearances[0].value, 2) if m.clearances else "-",
@@ -169,7 +179,7 @@ def margins_table(judged: Sequence[Judged]) -> list[str]:
                 number(m.rigid_phase_deg.value, 1), number(m.crossover_hz, 3),
             )
         )  # fmt: skip  # six more lines otherwise
-    return ["margins over all crossings", *aligned(rows, "  ", right=(0, *range(2, 12)))]
+    return [title, *aligned(rows, "  ", right=(0, *range(2, 12)))]
 
 
 def multiloop_table(together: Sequence[MultiloopMargins]) -> list[str]:

@@ -75,7 +75,9 @@ def topics(scenario: str) -> str:
     sizes = replace(stage_sizes(stage, loaded.scenario.switches), tvc_loads=1, sensors=2)
     assert stage.loads is not None
     first = f"station 1 at {stage.loads.stations_m[0]:g} m"
-    return topics_markdown(channel_table(sizes, stage.pendulum_names, (first,), external=True, accelerometer=True))
+    return topics_markdown(
+        channel_table(sizes, stage.pendulum_names, (first,), external=True, accelerometer=True, adaptive=True)
+    )
 
 
 def events() -> str:
