@@ -96,9 +96,18 @@ def missed_between(s: Solution, loaded: LoadedCase) -> float:
 
 @pytest.mark.slow
 def test_limits_hold_between_the_nodes_where_they_are_asked_to() -> None:
-    """The peak of LOX slosh passes 0 dB between 50 and 55 s: 30 deg at both, 24 between."""
+    """The peak of LOX slosh passes 0 dB between 50 and 55 s: 30 deg at both, 24 between. Likewise with gains over mass,
+    free at the nodes of the case."""
     at_nodes, loaded = kit.case(*LATE), kit.case(*LATE, "between_nodes='hold'")
     plain, held = solve(at_nodes), solve(loaded)
+    over = kit.case(*LATE, "between_nodes='hold'", "gains.over='mass_kg'", "gains.schedule='free'")
+    by_mass = solve(over)
+    assert by_mass.feasible
+    assert missed_between(by_mass, over) < 0.025
+    rows = make_design(over, by_mass).gains.table["mass_kg"]
+    assert rows.tolist() == pytest.approx(
+        sorted(n.scheduled("mass_kg") for n in api.nodes(over.scenario, [45, 50, 55]))
+    )
     assert held.feasible
     assert missed_between(plain, at_nodes) > 1.0
     assert missed_between(held, loaded) < 0.025

@@ -316,10 +316,6 @@ class Case(Section):
         for key in ("q_alpha_Padeg", "drift_mps"):
             if self.wind is None and getattr(self.limits, key) is not None:
                 raise refuse("needs a wind", "a table [wind]", key=("limits", key))
-        if self.gains.over != "time_s" and self.gains.schedule == "free" and self.between_nodes == "hold":
-            raise refuse(
-                "gains at every node that is added need to be over time", "nodes, linear", ("gains", "schedule")
-            )
         if self.law != "pd" and self.gains.schedule == "two-phase":
             raise refuse("finds gains of the law pd only", "linear, free, nodes", key=("gains", "schedule"))
         for name in ("integral_hz", "most_integral_hz"):

@@ -65,7 +65,7 @@ def solve_over_time(
 
     Gains that are free at every node stay free at the nodes of the case only.
     """
-    loaded = gains_at_nodes(loaded)
+    loaded = gains_at_nodes(loaded, nominal)
     case = loaded.case
     first, last = case.times_s[0], case.times_s[-1]
     grid = np.linspace(first, last, max(2, round((last - first) / INSTANTS_S) + 1)).round(9).tolist()
@@ -96,12 +96,18 @@ def solve_over_time(
     return replace(solution, certificate=certificate)
 
 
-def gains_at_nodes(loaded: LoadedCase) -> LoadedCase:
-    """The case with gains that are free at every node made free at the nodes that it has now."""
-    case = loaded.case
-    if case.gains.schedule == "free":
-        case = case.model_copy(update={"gains": Gains(schedule="nodes", nodes_s=case.times_s)})
-    return replace(loaded, case=case)
+def gains_at_nodes(loaded: LoadedCase, nominal: Plants) -> LoadedCase:
+    """The case with gains that are free at every node made free at the nodes that it has now; linear ones over another
+    quantity than time keep their ends there, for what is added may lie beyond them.
+    """
+    case, gains = loaded.case, loaded.case.gains
+    if gains.schedule == "free" and gains.over == "time_s":
+        gains = Gains(schedule="nodes", nodes_s=case.times_s)
+    elif gains.schedule in ("free", "linear") and gains.over != "time_s":
+        at = np.unique([plant.node.scheduled(gains.over) for plant in nominal.each])
+        at = at if gains.schedule == "free" or len(at) == 1 else at[[0, -1]]
+        gains = Gains(schedule="nodes", over=gains.over, nodes=tuple(at.tolist()))
+    return replace(loaded, case=case.model_copy(update={"gains": gains}))
 
 
 def peaks(over: Array, matters_db: float) -> IntArray:

@@ -156,7 +156,7 @@ def solve_robust(
     begun = time.perf_counter()
     instants = None
     if loaded.case.between_nodes == "hold":
-        loaded = gains_at_nodes(loaded)
+        loaded = gains_at_nodes(loaded, nominal)
         instants = Instants(loaded, {p.node.time_s: p for p in nominal.each})
     case = loaded.case
     ranges = case.robust
