@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import shutil
+import struct
 from pathlib import Path
 
 import numpy as np
@@ -11,8 +12,10 @@ import pytest
 from flightkit import Parts, scenario_of, toml, with_stage
 from pydantic_core import PydanticCustomError
 
+from maxq.sim.packing.engines import Mount
+from maxq.sim.packing.modes import ModeShapes, _softening_up_to
 from maxq.sim.scenario.errors import ScenarioError
-from maxq.sim.scenario.loader import load_scenario, load_scenario_text
+from maxq.sim.scenario.loader import LoadedScenario, load_scenario, load_scenario_text
 from maxq.sim.scenario.nastran import read_nastran, spatial_columns
 
 DATA = Path(__file__).parent / "data" / "nastran"
@@ -22,8 +25,10 @@ X = np.linspace(0.0, 14.0, 15)
 
 
 @pytest.mark.parametrize("name", ["beam.op2", "beam.f06"])
-def test_modes_of_a_beam(name: str) -> None:
-    modes = read_nastran(DATA / name)
+def test_modes_of_a_beam(name: str, tmp_path: Path) -> None:
+    if name == "beam.f06":  # it has no echo; the op2 has its grid points itself
+        shutil.copy(DATA / "beam.bdf", tmp_path)
+    modes = read_nastran(shutil.copy(DATA / name, tmp_path))
     np.testing.assert_allclose(modes.frequency_hz, FREQUENCIES_HZ, rtol=1e-6)
     np.testing.assert_allclose(modes.generalized_mass_kg, MASSES_KG, rtol=1e-6)
     np.testing.assert_allclose(modes.position_m[:15], np.stack([X, 0 * X, 0 * X], axis=1))
@@ -46,7 +51,10 @@ def test_a_vehicle_names_such_a_file(name: str, tmp_path: Path) -> None:
     given = loaded.vehicle.stage[0].spatial_modes
     assert given is not None
     modes = given.modes
-    assert loaded.doubts == ()
+    assert loaded.doubts == (
+        "vehicle.stage.0.spatial_modes.table: mass_forward_kg is 0 everywhere: the axial load does not soften these "
+        "modes, and their generalised masses and orthogonality are unchecked",
+    )
     assert modes.station_m.tolist() == X.tolist()
     np.testing.assert_allclose(modes.displacement[0, 0, 0], [0.0, np.sin(0.5), -np.cos(0.5)], atol=1e-6)
     for plane in modes.lateral():
@@ -107,3 +115,130 @@ def test_pages_that_msc_nastran_printed() -> None:
         assert sign * bending[1, about] == pytest.approx(by_polynomial, rel=0.1)
     assert modes.shape[1, :, 3].tolist() == [0.0, 0.1014664, 0.2029328, 1.0]
     assert modes.shape[2, :, 0].tolist() == [0.0, 0.142823, 0.2827877, 1.0]
+
+
+GRIDS = "".join(f"GRID,{101 + n},,{x:g},0.,0.\n" for n, x in enumerate(X)) + "GRID,900,,3.,1.5,0.\n"
+LUMPS_KG = 300.0 * np.where((X == 0.0) | (X == 14.0), 0.5, 1.0)  # of the beam's 4200 kg
+ROLLING_KGM2 = LUMPS_KG / 4200.0 * 800.0  # under the torsion's cosine half of it: 400 kg m2
+
+
+def conm2(factor: float = 1.0) -> str:
+    """Free field, small field with a continuation, and large field; a part of one hangs beside the axis."""
+    out = []
+    for n, (kg, about_x) in enumerate(zip(factor * LUMPS_KG, factor * ROLLING_KGM2, strict=True)):
+        if n == 1:
+            out.append(f"CONM2   {501:8d}{102:8d}        {kg:8g}{0.0:8g}{0.0:8g}{0.0:8g}        +")
+            out.append(f"+       {about_x:8.5f}")
+        elif n == 2:
+            out.append(f"CONM2*  {502:16d}{103:16d}{0:16d}{kg:16g}*")
+            out.append(f"*       {0.0:16g}{0.0:16g}{0.0:16g}{'':16s}*")
+            out.append(f"*       {about_x:16g}")
+        elif n == 3:  # 10 kg of it at the point beside the axis, 1.5 m from it
+            out.append(f"CONM2,503,104,,{kg - 10.0 * factor:.9g},,,,,+\n+,{about_x - 22.5 * factor:.9g}")
+            out.append(f"CONM2,599,900,0,{10.0 * factor:g}")
+        else:
+            out.append(f"CONM2,{500 + n},{101 + n},,{kg:g},,,,,+\n+,{about_x:.9g}")
+    return "\n".join(out) + "\n"
+
+
+def beside(folder: Path, bulk: str) -> Path:
+    data = (DATA / "beam.op2").read_bytes().replace(b"   GEOM1", b"   GEOMX")
+    (folder / "beam.op2").write_bytes(data)
+    (folder / "beam.bdf").write_text(bulk)
+    return folder / "beam.op2"
+
+
+def flown_with(file: Path) -> LoadedScenario:
+    tree = with_stage(scenario_of(Parts()), spatial_modes={"table": file.name, "damping_ratio": [0.005] * 6})
+    (file.parent / "beam.toml").write_text("\n".join(f"{key} = {toml(value)}" for key, value in tree.items()))
+    return load_scenario(file.parent / "beam.toml")
+
+
+def test_lumped_masses_soften_the_modes_and_are_checked(tmp_path: Path) -> None:
+    """A uniform beam of 4200 kg in lumps: 300 kg/m forward of a station, and softening as the integral has it."""
+    loaded = flown_with(beside(tmp_path, GRIDS + conm2()))
+    assert loaded.doubts == ()
+    given = loaded.vehicle.stage[0].spatial_modes
+    assert given is not None
+    modes = given.modes
+    np.testing.assert_allclose(modes.mass_forward_kg[0], 300.0 * X, atol=1e-6)
+    assert modes.mass_kg is not None
+    assert modes.roll_inertia_kgm2 is not None
+    np.testing.assert_allclose(modes.mass_kg[0], LUMPS_KG, rtol=1e-6)
+    np.testing.assert_allclose(modes.roll_inertia_kgm2[0], ROLLING_KGM2, rtol=1e-5)
+    # of the first pair together, along y and z: integral of 300 x phi'^2, phi the beam's shape by its own slopes
+    mount = Mount(14.0, 1.0, 0.0)
+    planes = modes.lateral()
+    softening = sum(_softening_up_to(plane, ModeShapes(plane), mount) for plane in planes)[0]
+    fine, pair = np.linspace(0.0, 14.0, 20001), sum(plane.slope_pm[0, 0] ** 2 for plane in planes)
+    root = 4.730040744862704 / 14.0
+    k = (np.cosh(14.0 * root) - np.cos(14.0 * root)) / (np.sinh(14.0 * root) - np.sin(14.0 * root))
+    slope = root / 2.0 * (np.sinh(root * fine) - np.sin(root * fine) - k * (np.cosh(root * fine) + np.cos(root * fine)))
+    assert pair[0] == pytest.approx(slope[0] ** 2, rel=1e-5)
+    assert softening[0, 0] == pytest.approx(np.trapezoid(300.0 * fine * slope**2, fine), rel=2e-3)
+
+
+@pytest.mark.parametrize("bulk", [GRIDS, GRIDS + conm2(0.3)], ids=["none", "a part"])
+def test_masses_that_are_not_all_are_doubted(bulk: str, tmp_path: Path) -> None:
+    assert (
+        "mass_forward_kg is 0 everywhere: the axial load does not soften"
+        in flown_with(beside(tmp_path, bulk)).doubts[0]
+    )
+
+
+def test_masses_that_fit_badly_are_doubted(tmp_path: Path) -> None:
+    doubted = flown_with(beside(tmp_path, GRIDS + conm2(1.3))).doubts
+    assert "with the masses at the stations the shapes' products are 1.3" in doubted[0]
+
+
+@pytest.mark.parametrize(
+    "bulk",
+    [
+        GRIDS.replace("GRID,104,,3,0.,0.", "GRID,104,,3,0.,0.,7"),
+        GRIDS + "GRDSET,,,,,,7\n",
+        GRIDS.replace(
+            "GRID,104,,3,0.,0.\n", "GRID*   " + f"{104:16d}{0:16d}{3.0:16g}{0.0:16g}*\n*       {0.0:16g}{7:16d}\n"
+        ),
+    ],
+    ids=["field 7", "default", "large field"],
+)
+def test_displacements_in_a_system_of_their_own_are_refused(bulk: str, tmp_path: Path) -> None:
+    with pytest.raises(PydanticCustomError) as refused:
+        read_nastran(beside(tmp_path, bulk))
+    assert "moves in coordinate system 7 (CD)" in str(refused.value.context["problem"])
+
+
+def test_displacement_systems_in_the_op2(tmp_path: Path) -> None:
+    """Refused on the axis; a point beside it is left out."""
+    data = (DATA / "beam.op2").read_bytes()
+    for grid, place, left in ((104, (3.0, 0.0, 0.0), None), (900, (3.0, 1.5, 0.0), 15)):
+        card = struct.pack("<ii3f3i", grid, 0, *place, 0, 0, 0)
+        assert data.count(card) == 1
+        path = tmp_path / "turned.op2"
+        path.write_bytes(data.replace(card, struct.pack("<ii3f3i", grid, 0, *place, 7, 0, 0)))
+        if left is None:
+            with pytest.raises(PydanticCustomError) as refused:
+                read_nastran(path)
+            assert "moves in coordinate system 7 (CD)" in str(refused.value.context["problem"])
+        else:
+            assert len(read_nastran(path).position_m) == left
+
+
+def test_lumped_masses_in_the_op2(tmp_path: Path) -> None:
+    """Block GEOM2 in the layout of pyNastran's writer: record 1501, 15, 64 of 13 words a card."""
+    cards = b"".join(
+        struct.pack("<3i10f", 500 + n, 101 + n, 0, kg, 0.0, 0.0, 0.0, about_x, 0.0, 0.0, 0.0, 0.0, 0.0)
+        for n, (kg, about_x) in enumerate(zip(LUMPS_KG, ROLLING_KGM2, strict=True))
+    )
+    data = (DATA / "beam.op2").read_bytes()
+    announced = [found.start() for found in re.finditer(rb"\x04\0{3}\x02\0{3}\x04\0{3}\x08\0{3}[ A-Z0-9]{8}", data)]
+    begin = next(at for at in announced if data[at + 16 : at + 24].strip() == b"GEOM1")
+    end = announced[announced.index(begin) + 1]
+    block, old = data[begin:end].replace(b"GEOM1", b"GEOM2"), data.index(struct.pack("<3i", 4501, 45, 1))
+    (size,) = struct.unpack_from("<i", data, old - 4)
+    record = struct.pack("<3i", 1501, 15, 64) + cards
+    was = data[old - 12 : old + size + 4]
+    now = struct.pack("<3i", len(record) // 4, 4, len(record)) + record + struct.pack("<i", len(record))
+    path = tmp_path / "lumps.op2"
+    path.write_bytes(data[:end] + block.replace(was, now) + data[end:])
+    np.testing.assert_allclose(read_nastran(path).lumped[:, 3], LUMPS_KG)

@@ -14,6 +14,7 @@ import tomli_w
 from scenario_files import write_ascent
 
 from maxq.sim.campaign.read import load_campaign
+from maxq.sim.scenario.errors import ScenarioError
 from maxq.sim.scenario.loader import load_scenario
 from maxq.tools import simrun
 from maxq.tools.vehicle.build import build
@@ -81,6 +82,60 @@ def from_layout(tmp_path_factory: pytest.TempPathFactory) -> Path:
 FAST = (
     "computer.sample_s = 0.01 is hardly meant; usual: below 0.00627 s: the first mode of second, fairing off reaches 79"
 )
+
+
+SPATIAL_END = {
+    "time_s": [0.0] * 2 + [10.0] * 2, "mode": [1.0] * 4, "frequency_hz": [9.0] * 4, "generalized_mass_kg": [1e3] * 4,
+    "station_m": [0.0, 14.0] * 2, "mass_forward_kg": [0.0, 2600.0] * 2,
+    **{name: [0.0] * 4 for name in ("phi_y", "phi_z", "theta_x_pm", "theta_y_pm", "theta_z_pm")},
+    "phi_x": [1.0, -1.0] * 2,
+}  # fmt: skip  # a key a line otherwise
+
+
+@pytest.mark.parametrize(
+    ("key", "change"),
+    [
+        ("spatial_modes.table", {"spatial_modes": {"table": SPATIAL_END, "damping_ratio": [0.01]}}),
+        (
+            "mass.rate_damping",
+            {"rate_damping": {"time_s": [0.0, 10.0], **{name: [1.0, 2.0] for name in ("x_Nms", "y_Nms", "z_Nms")}}},
+        ),
+        (
+            "aero.moment_reference_over_time",
+            {"moment_reference_over_time": {"time_s": [0.0, 10.0], "station_m": [7.0, 6.0]}},
+        ),
+    ],
+)
+def test_tables_that_end_before_the_thrust_are_refused(key: str, change: dict[str, Any], tmp_path: Path) -> None:
+    tree = tomllib.loads(load_scenario("nominal").as_flown)
+    stage = tree["vehicle"]["stage"][0]
+    stage.pop("loads", None)
+    at = stage if key.startswith("spatial") else stage[key.partition(".")[0]]
+    at.pop("moment_reference_m", None)
+    at.update(change)
+    (tmp_path / "short.toml").write_text(tomli_w.dumps(tree))
+    with pytest.raises(ScenarioError, match=rf"{key}.time_s.*: the table ends before the thrust does"):
+        load_scenario(tmp_path / "short.toml")
+
+
+@pytest.mark.parametrize(
+    ("override", "says"),
+    [
+        ("vehicle.stage.0.engine.throttle=[{time_s=0.0,throttle=5.0}]", r"throttle\[?\.?0.* = 5.*is out of range"),
+        ("fault=[{kind='engine-off',at_s=5.0,tail_off=[{time_s=0.0,share=2.0},{time_s=1.0,share=0.0}]}]",
+         "share.* = 2.*is more than there was"),
+    ],
+)  # fmt: skip  # twice as many lines otherwise
+def test_more_than_an_engine_has_is_refused(override: str, says: str) -> None:
+    with pytest.raises(ScenarioError, match=says):
+        load_scenario("nominal", [override])
+
+
+def test_a_tank_without_radius_is_said_to_report_no_breaking_waves(here: Path) -> None:
+    said = "vehicle.stage.0.tank.0.radius_m is not given: breaking waves of this tank are not reported"
+    assert said in load_scenario("ascent.toml").doubts
+    assert said not in load_scenario("ascent.toml", ["vehicle.stage.0.tank.0.radius_m=0.49"]).doubts
+    assert said not in load_scenario("ascent.toml", ["switches.slosh=false"]).doubts
 
 
 def test_a_vehicle_from_a_layout_is_doubted_only_for_its_sample_rate(from_layout: Path) -> None:

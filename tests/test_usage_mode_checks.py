@@ -93,6 +93,38 @@ def test_impossible_shapes_are_refused(change: Callable[[dict[str, float]], None
             load(make(rows(change)))
 
 
+@pytest.mark.parametrize("share", [1.0, 0.05], ids=["as large", "a twentieth"])
+@pytest.mark.parametrize("key", ["theta_z_pm", "theta_y_pm"])
+def test_a_flipped_slope_in_one_of_two_planes_is_refused(key: str, share: float) -> None:
+    """A mode that bends in both planes: the larger one must not hide that the other's slope is flipped."""
+    tree = spatial(rows())
+    small, large = ("y", "z") if key == "theta_z_pm" else ("z", "y")
+    for row in tree["vehicle"]["stage"][0]["spatial_modes"]["table"]:
+        phi, slope = row["phi_z"] / 0.8, row["theta_y_pm"] / 0.8
+        lateral = {large: phi, small: share * phi}
+        slopes = {large: slope, small: -share * slope}
+        row.update(phi_y=lateral["y"], phi_z=lateral["z"], theta_y_pm=slopes["z"], theta_z_pm=-slopes["y"])
+        del row["mass_kg"]
+        row["generalized_mass_kg"] *= 1.0 + share**2
+    with pytest.raises(ScenarioError, match="opposite sign of the shape's derivative"):
+        load(tree)
+
+
+def test_modes_that_twist_need_no_inertia_about_the_axis() -> None:
+    """With masses alone nothing is said of them; with an inertia that is wrong they are refused."""
+    tree = spatial(rows())
+    table = tree["vehicle"]["stage"][0]["spatial_modes"]["table"]
+    for row in table:
+        if row["mode"] == 3:
+            twist = np.cos(np.pi * row["station_m"] / LENGTH_M)
+            row.update(dict.fromkeys(("phi_y", "phi_z", "theta_y_pm", "theta_z_pm"), 0.0) | {"theta_x_pm": twist})
+    assert load(tree).doubts == ()
+    for row in table:
+        row["roll_inertia_kgm2"] = row["mass_kg"] * 1e-4
+    with pytest.raises(ScenarioError, match="of the generalised masses"):
+        load(tree)
+
+
 def test_masses_at_the_stations_must_fit() -> None:
     with pytest.raises(ScenarioError, match=r"are 3\.02 to 3\.06 of the generalised masses"):
         load(spatial(rows(), weight=3.0))

@@ -86,6 +86,11 @@ def _check_stage(stage: Stage, key: Path) -> None:
     end = min(thrust_end_s(stage), stage_end_s(stage) * burn_rate(stage))
     tables: list[tuple[Path, CsvTable | None]] = [(("mass", "table"), stage.mass.table)]
     tables += [(("tank", n, "table"), tank.table) for n, tank in enumerate(stage.tank)]
+    tables.append((("mass", "rate_damping"), stage.mass.rate_damping))
+    if stage.aero is not None:
+        tables.append((("aero", "moment_reference_over_time"), stage.aero.moment_reference_over_time))
+    if stage.spatial_modes is not None:
+        tables.append((("spatial_modes", "table"), stage.spatial_modes.table))
     if stage.bending is not None:
         tables += [(("bending", "pitch"), stage.bending.pitch), (("bending", "yaw"), stage.bending.yaw)]
     for place, table in tables:

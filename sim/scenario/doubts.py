@@ -46,6 +46,11 @@ def doubts(scenario: Scenario) -> tuple[str, ...]:
         found += _lift_off(scenario.vehicle.stage[0])
     said = [f"{key} = {value:.6g} is hardly meant; usual: {usual}" for key, value, usual in found]
     for n, stage in enumerate(scenario.vehicle.stage):
+        said += [
+            f"vehicle.stage.{n}.tank.{k}.radius_m is not given: breaking waves of this tank are not reported"
+            for k, tank in enumerate(stage.tank)
+            if tank.radius_m is None and scenario.switches.slosh
+        ]
         for key, table in stage.mode_tables():
             said += [f"vehicle.stage.{n}.{key}: {doubt}" for doubt in mode_checks.doubts(table)]
     return tuple(said)

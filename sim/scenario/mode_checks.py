@@ -41,6 +41,11 @@ class Shapes(Protocol):
         ...
 
     @property
+    def displaced(self) -> Floats:
+        """The same without what rotations add."""
+        ...
+
+    @property
     def bent(self) -> tuple[tuple[Floats, Floats], ...]:
         """Lateral displacement (T, M, S) and what should be its derivative over the stations."""
         ...
@@ -118,6 +123,11 @@ def doubts(modes: Shapes) -> list[str]:
 
 
 def _mass_doubts(modes: Shapes) -> list[str]:
+    if not modes.mass_forward_kg.any():
+        return [
+            "mass_forward_kg is 0 everywhere: the axial load does not soften these modes"
+            + ("" if modes.products is not None else ", and their generalised masses and orthogonality are unchecked")
+        ]
     products, given = modes.products, modes.generalized_mass_kg
     if products is not None:
         own, across = _orthonormality(products, given)
@@ -130,9 +140,10 @@ def _mass_doubts(modes: Shapes) -> list[str]:
     between = np.maximum(np.diff(modes.mass_forward_kg, axis=1), 0.0)
     if not between.any():
         return []
-    square = modes.moved.reshape(*given.shape, -1, len(modes.station_m)) ** 2
+    square = modes.displaced.reshape(*given.shape, -1, len(modes.station_m)) ** 2
     middle = 0.5 * (square[..., 1:] + square[..., :-1]).sum(axis=2)
     ratio = (middle * between[:, None, :]).sum(axis=-1) / given
+    ratio = np.where(twisting(modes), np.maximum(ratio, 1.0), ratio)  # its inertia about x is not known
     if ratio.max() > MASS_RATIO or ratio.min() < 1.0 / MASS_RATIO:
         t, m = _largest(np.abs(np.log(np.maximum(ratio, 1e-300))))
         return [
@@ -142,30 +153,36 @@ def _mass_doubts(modes: Shapes) -> list[str]:
     return []
 
 
+def twisting(modes: Shapes) -> NDArray[np.bool_]:
+    """Which modes twist more than they displace, (T, M)."""
+    return np.asarray(2.0 * (modes.displaced**2).sum(axis=2) < (modes.moved**2).sum(axis=2))
+
+
 def _largest(values: Floats) -> tuple[int, int]:
     """Time and mode of the largest value."""
     t, m = np.unravel_index(int(np.argmax(values)), values.shape)
     return int(t), int(m)
 
 
+_SHARE = 1e-4
+"""Of a mode's bending, squared: a plane with less is left out."""
+
+
 def _slopes(modes: Shapes) -> tuple[Floats, Floats]:
     """Correlation of the slopes with the differences of the shapes, and their relative deviation, both (T, M).
 
-    1 and 0 for a mode that does not bend.
+    1 and 0 for a mode that does not bend. The correlation is the least of the planes, each by itself: the larger one of
+    a coupled mode would hide that the other is flipped.
     """
     h = np.diff(modes.station_m)
-    both, shape, slope, apart = (np.zeros(modes.frequency_hz.shape) for _ in range(4))
-    for phi, theta in modes.bent:
-        d, s = np.diff(phi, axis=2) / h, 0.5 * (theta[..., 1:] + theta[..., :-1])
-        both, apart = both + (h * d * s).sum(axis=2), apart + (h * (d - s) ** 2).sum(axis=2)
-        shape, slope = shape + (h * d * d).sum(axis=2), slope + (h * s * s).sum(axis=2)
+    d, s = np.stack([(np.diff(p, axis=2) / h, 0.5 * (q[..., 1:] + q[..., :-1])) for p, q in modes.bent], axis=1)
+    both, shape, slope, apart = ((h * x).sum(axis=-1) for x in (d * s, d * d, s * s, (d - s) ** 2))  # (planes, T, M)
     # what a displacement of a millionth of the largest would be
     least = (1e-6 * np.abs(modes.moved).max(axis=2)) ** 2 / max(float(h.sum()), 1e-300)
-    bends = (shape > least) & (slope > 0.0)
-    safe = np.where(bends, shape * slope, 1.0)
-    return np.where(bends, both / np.sqrt(safe), 1.0), np.where(
-        bends, np.sqrt(apart / np.where(bends, shape, 1.0)), 0.0
-    )
+    bends = (shape > np.maximum(least, _SHARE * shape.sum(axis=0))) & (slope > 0.0)
+    correlation = np.where(bends, both / np.sqrt(np.where(bends, shape * slope, 1.0)), 1.0)
+    whole = np.where(bends.any(axis=0), shape.sum(axis=0), 1.0)
+    return correlation.min(axis=0), np.where(bends.any(axis=0), np.sqrt(apart.sum(axis=0) / whole), 0.0)
 
 
 def _alike(modes: Shapes) -> Floats:

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from maxq.control.kernel.limits import MAX_MODES
 from maxq.sim.scenario.errors import Path
-from maxq.sim.scenario.mode_checks import refuse_impossible
+from maxq.sim.scenario.mode_checks import refuse_impossible, twisting
 from maxq.sim.scenario.nastran import ModeColumns
 from maxq.sim.scenario.tables_csv import Columns, CsvTable
 
@@ -61,6 +61,8 @@ class ModeTable:
     def moved(self) -> NDArray[np.float64]:
         return self.phi
 
+    displaced = moved
+
     @property
     def bent(self) -> tuple[tuple[NDArray[np.float64], NDArray[np.float64]], ...]:
         return ((self.phi, self.slope_pm),)
@@ -96,8 +98,11 @@ class SpatialModeTable:
     @property
     def moved(self) -> NDArray[np.float64]:
         span = self.station_m[-1] - self.station_m[0]
-        parts = [*np.moveaxis(self.displacement, -1, 0), span * self.rotation_pm[..., 0]]
-        return np.concatenate(parts, axis=2)
+        return np.concatenate([self.displaced, span * self.rotation_pm[..., 0]], axis=2)
+
+    @property
+    def displaced(self) -> NDArray[np.float64]:
+        return np.concatenate([*np.moveaxis(self.displacement, -1, 0)], axis=2)
 
     @property
     def bent(self) -> tuple[tuple[NDArray[np.float64], NDArray[np.float64]], ...]:
@@ -110,8 +115,10 @@ class SpatialModeTable:
         products = np.einsum("ts,tmsk,tnsk->tmn", self.mass_kg, self.displacement, self.displacement)
         if self.roll_inertia_kgm2 is not None:
             twist = self.rotation_pm[..., 0]
-            products = products + np.einsum("ts,tms,tns->tmn", self.roll_inertia_kgm2, twist, twist)
-        return np.asarray(products)
+            return np.asarray(products + np.einsum("ts,tms,tns->tmn", self.roll_inertia_kgm2, twist, twist))
+        unknown = twisting(self)  # without their inertia nothing can be said of modes that twist
+        own = np.einsum("tm,mn->tmn", self.generalized_mass_kg, np.eye(self.modes))
+        return np.where(unknown[:, :, None] | unknown[:, None, :], own, products)
 
     def lateral(self) -> tuple[ModeTable, ModeTable]:
         """What the modes do along y and along z, as those of a yaw and of a pitch plane."""

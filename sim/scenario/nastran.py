@@ -4,20 +4,21 @@
 
 Where a table of spatial modes is named in a vehicle file, a single such file may stand in its place: one state of mass,
 the same at all times. Read are real eigenvectors (OUGV1, BOUGV1) and the summary of eigenvalues (LAMA) with their
-generalised masses, and positions from the bulk data: GEOM1 in the op2, the echo in the f06, or a .bdf, .dat or .nas
-of the same name beside either. The released pyNastran (1.4) needs NumPy before 2 and reads no f06: hence a reader of
-our own, tested with files that pyNastran wrote.
+generalised masses; positions and lumped masses (CONM2) from the bulk data: GEOM1 and GEOM2 in the op2, the echo in the
+f06, or a .bdf, .dat or .nas of the same name beside either. The released pyNastran (1.4) needs NumPy before 2 and reads
+no f06: hence a reader of our own, tested with files that pyNastran wrote.
 
 The model's basic system is taken to have x aft from the nose, y right and z up, metres and kilograms; grid points in
-it, and their displacements too. Only grid points on the x axis are taken: what is beside it has its share in the
-generalised mass and none in the shapes. Modes below 0.1 Hz (the rigid body) are left out.
+it, and their displacements too: a point of the axis with a displacement system of its own (CD) is refused, others with
+one are left out. Only grid points on the x axis are taken: what is beside it has its share in the generalised mass and
+none in the shapes; its CONM2 counts at the next point of the axis. Modes below 0.1 Hz (the rigid body) are left out.
 """
 
 from __future__ import annotations
 
 import re
 import struct
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path as FilePath
 from typing import Any
@@ -46,6 +47,8 @@ class NastranModes:
     generalized_mass_kg: Floats  # (M,)
     position_m: Floats  # (G, 3)
     shape: Floats  # (M, G, 6): T1 to T3, R1 to R3
+    lumped: Floats  # (L, 4) of the CONM2 cards: x, y, z (offset included), mass
+    inertia_x_kgm2: Floats  # (L,) of each of them about its own CG
 
 
 def read_nastran(file: str | FilePath) -> NastranModes:
@@ -61,19 +64,25 @@ def read_nastran(file: str | FilePath) -> NastranModes:
 def _modes(content: bytes, path: FilePath, label: str) -> NastranModes:
     try:
         binary = path.suffix.lower() == ".op2"
-        values, vectors, grids = _from_op2(content) if binary else _from_f06(content.decode("latin-1"))
+        values, vectors, bulk = _from_op2(content) if binary else _from_f06(content.decode("latin-1"))
+        for suffix in _BULK_DATA:
+            beside = path.with_suffix(suffix)
+            if not (bulk.grids and bulk.masses) and beside.is_file():
+                bulk = bulk.or_else(_bulk(beside.read_text(encoding="latin-1").splitlines()))
     except (struct.error, ValueError, IndexError, UnicodeDecodeError) as error:
         kind = "an op2 file of 32-bit words" if path.suffix.lower() == ".op2" else "an f06 file"
         raise refuse(f"is not {kind} ({error})", "the output of a normal-modes run (SOL 103)", file=label) from None
-    for suffix in _BULK_DATA:
-        beside = path.with_suffix(suffix)
-        if not grids and beside.is_file():
-            grids = _grids(beside.read_text(encoding="latin-1").splitlines())
+    grids = bulk.grids
     for what, found in (("eigenvalues", values), ("eigenvectors", vectors), ("positions of grid points", grids)):
         if not found:
             allowed = "eigenvectors, eigenvalue summary and GRID cards (in the file, or in a .bdf beside it)"
             raise refuse(f"holds no {what}", allowed, file=label)
     points = sorted(set(grids).intersection(*(vectors[n] for n in vectors)))
+    turned = [p for p in points if bulk.displaced_in.get(p, 0) != 0]
+    if astray := [p for p in turned if max(map(abs, grids[p][1:])) < _ON_AXIS_M]:
+        problem = f"grid point {astray[0]} moves in coordinate system {bulk.displaced_in[astray[0]]} (CD)"
+        raise refuse(problem, "displacements of the x axis in the basic system", file=label)
+    points = [p for p in points if p not in turned]
     numbers = [n for n in sorted(vectors) if n in values and values[n][0] >= _LOWEST_HZ]
     if not points or not numbers:
         raise refuse("eigenvectors belong to no grid point or eigenvalue of the file", "one model's", file=label)
@@ -82,18 +91,44 @@ def _modes(content: bytes, path: FilePath, label: str) -> NastranModes:
         np.array([values[n][1] for n in numbers]),
         np.array([grids[p] for p in points]),
         np.array([[vectors[n][p] for p in points] for n in numbers]),
+        *bulk.lumped(),
     )
 
 
 Values = dict[int, tuple[float, float]]  # by mode: Hz, generalised mass
 Vectors = dict[int, dict[int, tuple[float, ...]]]  # by mode and grid point
-Grids = dict[int, tuple[float, float, float]]
+Position = tuple[float, float, float]
 
 
-def _from_op2(content: bytes) -> tuple[Values, Vectors, Grids]:
+@dataclass(frozen=True)
+class _Bulk:
+    """What is read of the bulk data: grid points, their systems of displacement (CD), and CONM2 masses."""
+
+    grids: dict[int, Position]
+    displaced_in: dict[int, int]
+    masses: list[tuple[int, float, Position, float]]  # grid point, kg, offset, inertia about x
+
+    def add_grid(self, grid: int, system: int, position: tuple[float, ...], displaced_in: int) -> None:
+        self.grids[grid], self.displaced_in[grid] = _in_basic("grid point", system, grid, position), displaced_in
+
+    def add_mass(self, grid: int, system: int, mass: float, offset: tuple[float, ...], about_x: float) -> None:
+        self.masses.append((grid, mass, _in_basic("the mass at grid point", system, grid, offset), about_x))
+
+    def or_else(self, other: _Bulk) -> _Bulk:
+        points = self if self.grids else other
+        return _Bulk(points.grids, points.displaced_in, self.masses or other.masses)
+
+    def lumped(self) -> tuple[Floats, Floats]:
+        """As `NastranModes` has them."""
+        of_points = [(self.grids[grid], *rest) for grid, *rest in self.masses if grid in self.grids]
+        places = [[*np.add(point, offset), mass] for point, mass, offset, _ in of_points]
+        return np.array(places).reshape(-1, 4), np.array([about_x for *_, about_x in of_points])
+
+
+def _from_op2(content: bytes) -> tuple[Values, Vectors, _Bulk]:
     values: Values = {}
     vectors: Vectors = {}
-    grids: Grids = {}
+    bulk = _Bulk({}, {}, [])
     order = "<" if content[:4] == struct.pack("<i", 4) else ">"
     if content[:4] != struct.pack(order + "i", 4):
         raise ValueError("it begins with no Fortran record")
@@ -114,10 +149,20 @@ def _from_op2(content: bytes) -> tuple[Values, Vectors, Grids]:
                 vectors[mode] = {row[0] // 10: row[2:] for row in rows if row[1] == 1}  # 1: a grid point
         elif name in ("GEOM1", "GEOM1S", "GEOM1N"):
             for data in tables:
-                if len(data) > 12 and struct.unpack_from(order + "3i", data)[:2] == (4501, 45):
-                    for row in struct.iter_unpack(order + "ii3f3i", data[12 : 12 + (len(data) - 12) // 32 * 32]):
-                        grids[row[0]] = _in_basic(row[1], row[0], row[2:5])
-    return values, vectors, grids
+                for row in _rows(data, order, (4501, 45), "ii3f3i"):
+                    bulk.add_grid(row[0], row[1], row[2:5], row[5])
+        elif name in ("GEOM2", "GEOM2S", "GEOM2N"):
+            for data in tables:
+                for row in _rows(data, order, (1501, 15), "3i10f"):
+                    bulk.add_mass(row[1], row[2], row[3], row[4:7], row[7])
+    return values, vectors, bulk
+
+
+def _rows(data: bytes, order: str, card: tuple[int, int], words: str) -> Iterator[tuple[Any, ...]]:
+    """The cards of one kind in a record of the bulk data; none where it holds others."""
+    size = struct.calcsize(order + words)
+    if len(data) > 12 and struct.unpack_from(order + "3i", data)[:2] == card:
+        yield from struct.iter_unpack(order + words, data[12 : 12 + (len(data) - 12) // size * size])
 
 
 def _tables(content: bytes, order: str) -> Iterator[tuple[str, list[bytes]]]:
@@ -152,13 +197,15 @@ def _tables(content: bytes, order: str) -> Iterator[tuple[str, list[bytes]]]:
             record, markers, parts = number, [], []
         else:
             markers.append(number)
+            if record == -1 and markers == [0]:  # behind the file's own label, before the first block
+                record, markers, name = 0, [], ""
             if record < -1 and len(markers) == 3 and number == 0:
                 if name:
                     yield name, found
                 record, markers, parts, found, name = 0, [], [], [], ""
 
 
-def _from_f06(text: str) -> tuple[Values, Vectors, Grids]:
+def _from_f06(text: str) -> tuple[Values, Vectors, _Bulk]:
     values: Values = {}
     vectors: Vectors = {}
     lines, into = text.splitlines(), ""
@@ -179,35 +226,50 @@ def _from_f06(text: str) -> tuple[Values, Vectors, Grids]:
             cells = line.split()
             if len(cells) == 8 and cells[0].isdigit() and cells[1] == "G":
                 vectors.setdefault(mode, {})[int(cells[0])] = tuple(float(x) for x in cells[2:])
-    echoed = (re.sub(r"^\s*\d+-\s+", "", line) for line in lines if re.match(r"\s*\d+-\s+GRID", line))
-    return values, vectors, _grids(echoed)
+    # the echo: number of the line in the deck, a hyphen, the card; its continuations begin with + or *
+    echoed = (re.sub(r"^\s*\d+-\s{1,8}", "", line) for line in lines if re.match(r"\s*\d+-\s", line))
+    return values, vectors, _bulk(echoed)
 
 
-def _grids(lines: Any) -> Grids:
-    """Positions of GRID cards: free field (commas), small field, or large field (GRID*) with its continuation."""
-    out: Grids = {}
-    large: list[str] = []
-    for card in lines:
-        line = card.split("$")[0].rstrip()
-        if large:
-            z = line[8:24]
-            out[int(large[0])] = _in_basic(
-                _whole(large[1]), int(large[0]), (_real(large[2]), _real(large[3]), _real(z))
-            )
-            large = []
-        elif line.upper().startswith("GRID*"):
-            large = [line[8 + 16 * k : 24 + 16 * k] for k in range(4)]
-        elif line.upper().startswith("GRID"):
-            width = [line[8 * k : 8 * k + 8] for k in range(1, 6)]
-            cells = ([*line.split(",")[1:], *[""] * 5][:5]) if "," in line else width
-            x, y, z = (_real(cell) for cell in cells[2:5])
-            out[int(cells[0])] = _in_basic(_whole(cells[1]), int(cells[0]), (x, y, z))
-    return out
+def _bulk(lines: Iterable[str]) -> _Bulk:
+    """GRID and CONM2 cards: free field (commas), small field, or large field (NAME*), with their continuations."""
+    bulk, defaults = _Bulk({}, {}, []), ["", ""]
+    cards = list(_cards(lines))
+    for name, cells in cards:
+        if name == "GRDSET":
+            defaults = [cells[1], cells[5]]
+    for name, cells in cards:
+        if name == "GRID":
+            cp, cd = (own.strip() or default for own, default in zip((cells[1], cells[5]), defaults, strict=True))
+            bulk.add_grid(int(cells[0]), _whole(cp), tuple(_real(cell) for cell in cells[2:5]), _whole(cd))
+        elif name == "CONM2":
+            offset = tuple(_real(cell) for cell in cells[4:7])
+            bulk.add_mass(int(cells[1]), _whole(cells[2]), _real(cells[3]), offset, _real(cells[8]))
+    return bulk
 
 
-def _in_basic(system: int, grid: int, position: tuple[float, ...]) -> tuple[float, float, float]:
+def _cards(lines: Iterable[str]) -> Iterator[tuple[str, list[str]]]:
+    """Name and fields of each such card: 8, then 8 of a continuation, blank where it has none."""
+    name, cells = "", [""]
+    for whole in lines:
+        line = whole.split("$")[0].rstrip()
+        begins = re.match(r"(GRDSET|GRID|CONM2)\b", line, re.IGNORECASE)
+        if begins or not re.match(r"[+*, ]", line):
+            if name:
+                yield name, [*cells, *[""] * 16]
+            name, cells = (begins[1].upper() if begins else ""), []
+        if not name or not line:
+            continue
+        width, count = (16, 4) if "*" in line[:8] else (8, 8)
+        fields = [line[8 + width * k : 8 + width * (k + 1)] for k in range(count)]
+        cells += (line.split(",")[1:9] + [""] * 8)[:8] if "," in line else fields
+    if name:
+        yield name, [*cells, *[""] * 16]
+
+
+def _in_basic(what: str, system: int, grid: int, position: tuple[float, ...]) -> Position:
     if system != 0:
-        raise ValueError(f"grid point {grid} is given in coordinate system {system}, not in the basic one")
+        raise ValueError(f"{what} {grid} is given in coordinate system {system}, not in the basic one")
     x, y, z = position
     return x, y, z
 
@@ -225,29 +287,76 @@ def _real(cell: str) -> float:
 def spatial_columns(modes: Mapping[float, NastranModes], count: int = MAX_MODES) -> dict[str, list[float]]:
     """Columns of a table of spatial modes: the `count` lowest modes of each time (s).
 
-    `mass_forward_kg` is zero, for a NASTRAN run does not tell it: the axial load then does not soften the modes. Raises
-    the schema's refusal where fewer than two grid points lie on the axis.
+    `mass_forward_kg` is that of the CONM2 cards; zero where they are not all of the mass of each time: when there are
+    none, or when the shapes under them give less than half or more than twice a generalised mass. The axial load then
+    does not soften the modes, which reading the table doubts. Where they are, `mass_kg` (and `roll_inertia_kgm2`) are
+    lumped at the stations. Raises the schema's refusal where fewer than two grid points lie on the axis.
     """
     out: dict[str, list[float]] = {}
-    for time_s, given in sorted(modes.items()):
-        on_axis = np.flatnonzero((np.abs(given.position_m[:, 1:]) < _ON_AXIS_M).all(axis=1))
-        on_axis = on_axis[np.argsort(given.position_m[on_axis, 0], kind="stable")]
-        if len(on_axis) < 2:
-            raise refuse("has fewer than two grid points on the x axis", "a model along the x axis, aft of the nose")
+    states = {time_s: (given, _on_axis(given)) for time_s, given in sorted(modes.items())}
+    whole = all(_explains(given, axis, *_at_axis(given, axis)) for given, axis in states.values())
+    for time_s, (given, on_axis) in states.items():
+        mass, rolling = _at_axis(given, on_axis)
+        lumped = np.stack([mass, rolling, _forward(mass)]) if whole else np.zeros((3, len(on_axis)))
         for n in np.argsort(given.frequency_hz, kind="stable")[:count]:
             rank = int((given.frequency_hz < given.frequency_hz[n]).sum()) + 1
-            for g in on_axis:
+            for k, g in enumerate(on_axis):
                 x, y, z, about_x, about_y, about_z = (float(v) for v in given.shape[n, g])
                 row = {
                     "time_s": time_s, "mode": float(rank), "frequency_hz": float(given.frequency_hz[n]),
                     "generalized_mass_kg": float(given.generalized_mass_kg[n]),
                     "station_m": float(given.position_m[g, 0]),
                     "phi_x": -x, "phi_y": y, "phi_z": -z,
-                    "theta_x_pm": -about_x, "theta_y_pm": about_y, "theta_z_pm": -about_z, "mass_forward_kg": 0.0,
+                    "theta_x_pm": -about_x, "theta_y_pm": about_y, "theta_z_pm": -about_z,
+                    "mass_forward_kg": float(lumped[2, k]),
                 }  # fmt: skip  # twelve lines otherwise
+                if whole:
+                    row |= {"mass_kg": float(lumped[0, k]), "roll_inertia_kgm2": float(lumped[1, k])}
                 for name, value in row.items():
                     out.setdefault(name, []).append(value)
+    if whole and not any(out["roll_inertia_kgm2"]):
+        del out["roll_inertia_kgm2"]
     return out
+
+
+def _on_axis(given: NastranModes) -> NDArray[np.int64]:
+    """Which grid points lie on the axis, from the nose aft."""
+    on_axis = np.flatnonzero((np.abs(given.position_m[:, 1:]) < _ON_AXIS_M).all(axis=1))
+    if len(on_axis) < 2:
+        raise refuse("has fewer than two grid points on the x axis", "a model along the x axis, aft of the nose")
+    return on_axis[np.argsort(given.position_m[on_axis, 0], kind="stable")]
+
+
+def _at_axis(given: NastranModes, on_axis: NDArray[np.int64]) -> tuple[Floats, Floats]:
+    """Mass and inertia about x of the CONM2 cards, each at the next station of the axis."""
+    stations = given.position_m[on_axis, 0]
+    mass, rolling = np.zeros((2, len(stations)))
+    x, y, z, kg = given.lumped.T
+    at = np.abs(x[:, None] - stations).argmin(axis=1) if len(x) else np.zeros(0, int)
+    np.add.at(mass, at, kg)
+    np.add.at(rolling, at, given.inertia_x_kgm2 + kg * (y * y + z * z))
+    return mass, rolling
+
+
+def _explains(given: NastranModes, on_axis: NDArray[np.int64], mass: Floats, rolling: Floats) -> bool:
+    """Whether these are all of the masses: their modes have the generalised masses of the file, within a factor of two.
+
+    Without inertias about the axis, of the modes that do not twist.
+    """
+    shape = given.shape[:, on_axis]
+    twist = (rolling * shape[..., 3] ** 2).sum(axis=1)
+    ratio = ((mass[:, None] * shape[..., :3] ** 2).sum(axis=(1, 2)) + twist) / given.generalized_mass_kg
+    if not rolling.any():
+        span = np.ptp(given.position_m[on_axis, 0])
+        ratio = ratio[(shape[..., :3] ** 2).sum(axis=(1, 2)) > span**2 * (shape[..., 3] ** 2).sum(axis=1)]
+    return bool(mass.any() and len(ratio) and (np.abs(np.log(np.maximum(ratio, 1e-300))) < np.log(2.0)).all())
+
+
+def _forward(mass: Floats) -> Floats:
+    """Mass forward of each station: with half of its own; at the last all, at the first what exceeds a beam's end."""
+    forward = np.cumsum(mass) - 0.5 * mass
+    forward[0], forward[-1] = max(mass[0] - 0.5 * mass[1], 0.0), mass.sum()
+    return forward
 
 
 @dataclass(frozen=True)

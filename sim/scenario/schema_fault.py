@@ -89,6 +89,9 @@ class Fault(Section):
             needs(self, key, f"kind is {self.kind}", "a number")
         if self.axis is not None and self.axis not in kind.axes:
             raise refuse(f"{self.kind} has no such axis", ", ".join(kind.axes), key=("axis",))
+        if self.tail_off is not None:
+            more = self.tail_off["share"] > 1.0
+            self.tail_off.refuse_where(more, "share", "is more than there was", "0 .. 1", at=("tail_off",))
         if self.until_s is not None and self.until_s <= self.at_s:
             raise refuse("ends before it begins", f"more than at_s = {self.at_s:g}", key=("until_s",))
         return self
