@@ -157,3 +157,64 @@ def falling(row: dict[str, float]) -> None:
 )
 def test_unlikely_tables_are_doubted(change: Callable[[dict[str, float]], None], doubt: str) -> None:
     assert any(doubt in text for text in load(planar(rows(change))).doubts)
+
+
+MASSES = {"time_s": [0.0, 20.0, 50.0], "mass_kg": [5000.0, 4000.0, 2600.0], "x_cg_m": [7.0, 6.8, 6.5]}
+MASSES |= {
+    f"I{axis}{axis}_kgm2": [moment, 0.9 * moment, 0.8 * moment]
+    for axis, moment in zip("xyz", (800.0, 6e4, 6e4), strict=True)
+}
+
+
+@pytest.mark.parametrize("make", [planar, spatial])
+@pytest.mark.parametrize("interpolation", ["pchip", "linear"])
+def test_modes_over_mass_are_those_over_time(make: Callable[[list[Tree]], Tree], interpolation: str) -> None:
+    """Rows at masses of the stage fly as rows at the times at which it has them, to the bit."""
+    section, keys = ("bending", ("pitch", "yaw")) if make is planar else ("spatial_modes", ("table",))
+    given = {}
+    for over in ("time_s", "total_mass_kg"):
+        tree = make(rows(late_frequency, (0.0, 20.0, 50.0)))
+        stage = tree["vehicle"]["stage"][0]
+        stage |= {"interpolation": interpolation, "mass": {"table": MASSES}}
+        for key in keys:
+            for row in stage[section].get(key, ()):
+                row.setdefault(
+                    over, MASSES["mass_kg"][MASSES["time_s"].index(row.pop("time_s"))] if over != "time_s" else 0.0
+                )
+        given[over] = load(tree)
+    ours, wanted = (given[over].vehicle.stage[0] for over in ("total_mass_kg", "time_s"))
+    for (_, a), (_, b) in zip(ours.mode_tables(), wanted.mode_tables(), strict=True):
+        assert a.time_s.tolist() == [0.0, 20.0, 50.0]
+        assert a.frequency_hz.tobytes() == b.frequency_hz.tobytes()
+        assert a.moved.tobytes() == b.moved.tobytes()
+    assert given["total_mass_kg"].as_flown == given["time_s"].as_flown
+    assert given["total_mass_kg"].doubts == given["time_s"].doubts
+
+
+def test_a_mass_between_the_rows_is_met_on_the_joined_curve() -> None:
+    """Half way of a straight fall; and while the mass stands still before ignition, at its end."""
+    tree = planar([])
+    table = rows(times=(0.0, 1.0, 2.0))
+    for row in table:
+        row["total_mass_kg"] = {0.0: 4200.0, 1.0: 3600.0, 2.0: 3000.0}[row.pop("time_s")]
+    tree["vehicle"]["stage"][0]["bending"]["pitch"] = table
+    inertia = [[800.0, 0.0, 0.0], [0.0, 6e4, 0.0], [0.0, 0.0, 6e4]]
+    constants = {"mass_kg": 4200.0, "x_cg_m": 7.0, "inertia_kgm2": inertia, "mass_flow_kgps": 24.0, "burn_s": 50.0}
+    tree["vehicle"]["stage"][0] |= {"mass": constants, "ignition_s": 5.0}
+    assert load(tree).vehicle.stage[0].mode_tables()[0][1].time_s.tolist() == [5.0, 30.0, 55.0]
+
+
+@pytest.mark.parametrize(
+    ("change", "problem"),
+    [
+        (
+            lambda row: row.update(total_mass_kg=5000.0),
+            "column time_s cannot be combined with total_mass_kg|column total_mass_kg",
+        ),
+        (lambda row: row.update(total_mass_kg=9000.0 - row.pop("time_s")), "the stage never has this mass"),
+        (lambda row: row.update(total_mass_kg=4000.0 + row.pop("time_s")), "total_mass_kg must not rise"),
+    ],
+)
+def test_modes_over_mass_that_are_refused(change: Callable[[dict[str, float]], None], problem: str) -> None:
+    with pytest.raises(ScenarioError, match=problem):
+        load(planar(rows(change)))

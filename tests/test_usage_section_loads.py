@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 import math
+from pathlib import Path
 from typing import Any
 
+import campaignkit
 import numpy as np
 import pytest
 from flightkit import Parts, Tank, Tree, load, merged, scenario_of, with_stage
 
+from maxq.sim.campaign.analysis import DataSet, judged
+from maxq.sim.campaign.runner import run_campaign
 from maxq.sim.run.fly import Flight, fly, logged_channels
 from maxq.sim.run.metrics import METRICS, SectionMetrics
 from maxq.sim.scenario.errors import ScenarioError
@@ -42,6 +46,38 @@ def test_names_agree_across_layers() -> None:
     assert [name.rsplit("_", 1)[0] for name in BORNE] == list(KINDS)
     assert all(name.startswith(SECTION_PREFIX) and name in METRICS for name in SectionMetrics._fields)
     assert load(with_loads()).scenario.vehicle.stage[0].loads is not None
+
+
+SPATIAL = {
+    "damping_ratio": [0.01],
+    "table": [
+        {"time_s": 0.0, "mode": 1, "frequency_hz": 9.0, "generalized_mass_kg": 1000.0, "station_m": x, "phi_x": 0.0,
+         "phi_y": 0.0, "phi_z": 1.0 - x, "theta_x_pm": 0.0, "theta_y_pm": -1.0, "theta_z_pm": 0.0, "mass_forward_kg": x}
+        for x in (0.0, 14.0)
+    ],
+}  # fmt: skip  # a key a line otherwise
+
+
+def test_spatial_modes_are_refused_only_where_section_loads_are_evaluated() -> None:
+    assert load(with_stage(with_loads(), spatial_modes=SPATIAL)).scenario.vehicle.stage[0].spatial_modes is not None
+    said = said_of(with_stage(with_loads(switches=ON), spatial_modes=SPATIAL))
+    assert "vehicle.stage.0.spatial_modes" in said
+    assert "section loads know planar modes only; allowed: [stage.bending] instead, or switches.section_loads" in said
+
+
+def test_a_campaign_judges_section_loads(tmp_path: Path) -> None:
+    """Their metrics are columns of each run and of requirements."""
+    bound = "[switches]\nsection_loads = true\n"
+    bound += "".join(f'[[requirement]]\nmetric = "max_section_compression_N"\nlimit = {n}\n' for n in (1e9, 1.0))
+    campaign = campaignkit.small(tmp_path, runs=4, rest=bound)
+    run_campaign(campaign, tmp_path / "out")
+    found = campaignkit.data_set(tmp_path / "out")
+    compression = found["max_section_compression_N"].to_numpy()
+    assert (compression > 1e4).all()
+    assert len(set(compression)) == 4
+    assert not any(found["passed"].to_pylist())  # none keeps to 1 N
+    judgements = judged(DataSet(tmp_path / "out", campaign))
+    assert [each.shown.failures for each in judgements] == [0, 0, 4]
 
 
 LIMITS = {"station_m": [1.0, 9.0], "shear_N": [1e5, 1e5]}

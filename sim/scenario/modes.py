@@ -13,8 +13,13 @@ from maxq.sim.scenario.mode_checks import refuse_impossible, twisting
 from maxq.sim.scenario.nastran import ModeColumns
 from maxq.sim.scenario.tables_csv import Columns, CsvTable
 
+OVER_MASS = "total_mass_kg"
+"""In place of time_s: the vehicle's total mass while the stage flies, falling."""
+
 MODE_COLUMNS = Columns(
     "time_s",
+    other_axes=(OVER_MASS,),
+    falling=(OVER_MASS,),
     sets=(("mode", "frequency_hz", "generalized_mass_kg", "station_m", "phi", "slope_pm", "mass_forward_kg"),),
     positive=("mode", "frequency_hz", "generalized_mass_kg"),
     not_negative=("mass_forward_kg",),
@@ -26,6 +31,8 @@ MODE_COLUMNS = Columns(
 SPATIAL_SHAPES = ("phi_x", "phi_y", "phi_z", "theta_x_pm", "theta_y_pm", "theta_z_pm")
 SPATIAL_COLUMNS = ModeColumns(
     "time_s",
+    other_axes=(OVER_MASS,),
+    falling=(OVER_MASS,),
     sets=(("mode", "frequency_hz", "generalized_mass_kg", "station_m", *SPATIAL_SHAPES, "mass_forward_kg"),),
     optional=("mass_kg", "roll_inertia_kgm2"),
     positive=("mode", "frequency_hz", "generalized_mass_kg"),
@@ -161,6 +168,31 @@ def spatial_mode_table(table: CsvTable, at: Path = ()) -> SpatialModeTable:
         refuse_impossible(table, made, at)
         table.keep(made)
     return made
+
+
+_SLACK = 1e-3
+"""By which a mass may lie beyond those of the stage, relative."""
+
+
+def over_time(table: CsvTable, times_s: NDArray[np.float64], mass_kg: NDArray[np.float64], at: Path) -> CsvTable:
+    """A table of modes over mass as one over time: its rows at the instants at which the stage has these masses.
+
+    `times_s`, `mass_kg` (n,): the stage's mass, finely; a mass that it keeps for long counts at the end of that time if
+    it is the largest, else at its start. Raises the schema's refusal for masses that the stage never has.
+    """
+    given, most, least = table[OVER_MASS], float(mass_kg.max()), float(mass_kg.min())
+    outside = (given > most * (1.0 + _SLACK)) | (given < least * (1.0 - _SLACK))
+    table.refuse_where(outside, OVER_MASS, "the stage never has this mass", f"{least:g} .. {most:g}", at=at)
+    mass_kg = np.minimum.accumulate(mass_kg)
+    falls = np.diff(mass_kg, prepend=np.inf) < 0.0  # the first instants of the masses
+    falls[0] = False
+    falls[int(np.flatnonzero(mass_kg >= most)[-1])] = True
+    when = np.interp(-np.clip(given, least, most), -mass_kg[falls], times_s[falls])
+    if (given == given[0]).all():
+        when = np.zeros(len(given))  # one state, at all times
+    when.flags.writeable = False
+    others = {name: column for name, column in table.columns.items() if name != OVER_MASS}
+    return CsvTable(table.file, {"time_s": when, **others}, table.shown, table.lines)
 
 
 def _arrays(

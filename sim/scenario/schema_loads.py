@@ -113,15 +113,13 @@ def limit_times_s(table: CsvTable) -> NDArray[np.float64]:
 
 
 def check_loads(loads: Loads, stage: Stage) -> None:
-    """Refuse stations behind the engine's gimbal, tanks without liquid, spatial modes."""
+    """Refuse stations behind the engine's gimbal and tanks without liquid."""
     gimbal = min((engine.gimbal_station_m for engine in stage.engines), default=None)
     if gimbal is not None and loads.stations_m[-1] > gimbal:
         raise refuse(
             "lies behind the gimbal: what is behind it is the engine", f"at most {gimbal:g}",
             ("loads", "stations_m", len(loads.stations_m) - 1), value=loads.stations_m[-1],
         )  # fmt: skip  # four lines otherwise
-    if stage.spatial_modes is not None:
-        raise refuse("section loads know planar modes only", "[stage.bending] instead", ("spatial_modes",), value={})
     names = [tank.name or str(n + 1) for n, tank in enumerate(stage.tank)]
     given = [liquid.tank for liquid in loads.liquid if liquid.tank]
     for n, liquid in enumerate(loads.liquid):
@@ -136,8 +134,12 @@ def check_loads(loads: Loads, stage: Stage) -> None:
 def check_line_mass(loads: Loads, stage: Stage, key: Path) -> None:
     """Refuse a mass along the body that is not the stage's: sum, CG, transverse inertia at every instant of the tables.
 
+    Spatial modes as well: their accelerations are not in (13.2).
     Only where section loads are switched on: a campaign without them disperses the stage's mass as it likes.
     """
+    if stage.spatial_modes is not None:
+        allowed = "[stage.bending] instead, or switches.section_loads = false"
+        raise refuse("section loads know planar modes only", allowed, (*key, "spatial_modes"), value={})
     known, columns = _mass_over_time(stage)
     times = np.unique(np.concatenate([known, *(liquid.table["time_s"] for liquid in loads.liquid)]))
     given = [np.interp(times, known, column) for column in columns]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
 from typing import Annotated, Literal
 
 import numpy as np
@@ -9,6 +10,7 @@ from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from maxq.control.kernel.limits import MAX_SURFACES
+from maxq.control.kernel.tables import Method, fit
 from maxq.sim.scenario.errors import refuse
 from maxq.sim.scenario.foreign import ThrustColumns
 from maxq.sim.scenario.grids import COEFFICIENT_COLUMNS, GridTable, grid_table
@@ -78,6 +80,15 @@ class Mass(Section):
             value = [float(moment[row]) for moment in diagonal]
             raise table.refusal(problem, column="Ixx_kgm2", row=row, value=value, at=("table",))
         return self
+
+    def finely(self, ignition_s: float, interpolation: Method) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Times of the stage clock (s) and the mass at them (kg), as it is joined in flight."""
+        if self.table is None:
+            spent = np.array([0.0, (self.mass_flow_kgps or 0.0) * (self.burn_s or 0.0)])
+            return ignition_s + np.array([0.0, self.burn_s or 0.0]), (self.mass_kg or 0.0) - spent
+        times, mass = self.table["time_s"], self.table["mass_kg"]
+        fine = np.unique(np.concatenate([times, *(np.linspace(a, b, 65) for a, b in pairwise(times))]))
+        return fine, fit(times, mass[:, None], interpolation).at(fine)[:, 0]
 
     def _check_constants(self) -> None:
         mass = needs(self, "mass_kg", "mass needs a table or constants", "a number > 0")
@@ -234,7 +245,9 @@ class TvcLoad(Section):
     frequency_hz: Positive | None = optional("of the engine on its compliance, actuators locked, vehicle fixed, Hz")
     stiffness_Nmprad: Positive | None = optional("of the compliance of one engine, N m/rad")
     damping_ratio: Fraction = Field(description="of that vibration: the damper lies beside the spring")
-    friction_Nm: NotNegative = optional("Coulomb torque of one gimbal's bearings, N m (Dahl's model)", 0.0)
+    friction_Nm: NotNegative = optional(
+        "Coulomb torque of one gimbal's bearings, N m (Dahl's model)", 0.0
+    )
     friction_angle_deg: Positive = optional("over which the friction builds up, deg", 0.05)
     stop_stiffness_Nmprad: Positive | None = optional(
         "of the contact of one engine at the actuator's stop_deg, N m/rad (default: ten times that of the compliance)"

@@ -9,14 +9,16 @@ from pydantic import Discriminator, Field, Tag, model_validator
 
 from maxq.control.kernel.limits import MAX_ENGINES, MAX_LATENCY, MAX_MODES, MAX_PENDULUMS, MAX_SENSORS, MAX_STAGES
 from maxq.control.structures import Attitude
-from maxq.sim.scenario.errors import refuse
+from maxq.sim.scenario.errors import Path, refuse
 from maxq.sim.scenario.flight_code import Address, LibraryFile, PythonClass, Settings
 from maxq.sim.scenario.modes import (
     MODE_COLUMNS,
+    OVER_MASS,
     SPATIAL_COLUMNS,
     ModeTable,
     SpatialModeTable,
     mode_table,
+    over_time,
     spatial_mode_table,
 )
 from maxq.sim.scenario.schema_loads import Loads, check_loads
@@ -74,7 +76,7 @@ class Bending(Section):
     """Free-free bending modes, engine locked and sloshing masses removed."""
 
     pitch: Annotated[CsvTable, MODE_COLUMNS] | None = optional(
-        "modes of the pitch plane, one row per time, mode and station (default: none)"
+        "modes of the pitch plane, one row per time (or total mass), mode and station (default: none)"
     )
     yaw: Annotated[CsvTable, MODE_COLUMNS] | None = optional(
         "modes of the yaw plane; may be the same file (default: none)"
@@ -92,8 +94,13 @@ class Bending(Section):
 
     @model_validator(mode="after")
     def _check(self) -> Bending:
-        _refuse_other_counts(self, max((t.modes for t in (self.pitch_modes, self.yaw_modes) if t), default=0))
+        if not any(OVER_MASS in table for table in (self.pitch, self.yaw) if table is not None):
+            self.check_counts()
         return self
+
+    def check_counts(self, at: Path = ()) -> None:
+        """Refuse lists of other lengths than there are modes."""
+        _refuse_other_counts(self, max((t.modes for t in (self.pitch_modes, self.yaw_modes) if t), default=0), at)
 
     @property
     def pitch_modes(self) -> ModeTable | None:
@@ -110,8 +117,8 @@ class SpatialModes(Section):
     """Coupled three-dimensional free-free modes, engine locked and sloshing masses removed; beside the planar ones."""
 
     table: Annotated[CsvTable, SPATIAL_COLUMNS] = Field(
-        description="one row per time, mode and station: displacement phi along, rotation theta about x, y, z; "
-        "mass_kg and roll_inertia_kgm2 are lumped at the stations; or a NASTRAN file (op2, f06) of normal modes"
+        description="one row per time (or total mass), mode and station: displacement phi along, rotation theta about "
+        "x, y, z; mass_kg and roll_inertia_kgm2 are lumped at the stations; or a NASTRAN file (op2, f06)"
     )
     damping_ratio: tuple[Fraction, ...] = Field(max_length=MAX_MODES, description="of each mode")
     frequency_factor: tuple[Positive, ...] = Field(
@@ -127,8 +134,13 @@ class SpatialModes(Section):
 
     @model_validator(mode="after")
     def _check(self) -> SpatialModes:
-        _refuse_other_counts(self, self.modes.modes)
+        if OVER_MASS not in self.table:
+            self.check_counts()
         return self
+
+    def check_counts(self, at: Path = ()) -> None:
+        """Refuse lists of other lengths than there are modes."""
+        _refuse_other_counts(self, self.modes.modes, at)
 
     @property
     def modes(self) -> SpatialModeTable:
@@ -136,11 +148,11 @@ class SpatialModes(Section):
         return spatial_mode_table(self.table, ("table",))
 
 
-def _refuse_other_counts(modes: Bending | SpatialModes, count: int) -> None:
+def _refuse_other_counts(modes: Bending | SpatialModes, count: int, at: Path) -> None:
     for key in ("damping_ratio", "frequency_factor", "gyro_slope_factor", "gimbal_shape_factor"):
         given = len(getattr(modes, key))
         if given != count:
-            raise refuse(f"has {given} numbers for {count} modes", f"a list of {count} numbers", key=(key,))
+            raise refuse(f"has {given} numbers for {count} modes", f"a list of {count} numbers", key=(*at, key))
 
 
 class Gyro(Section):
@@ -328,6 +340,26 @@ class Stage(Section):
     def engine_key(self, number: int) -> tuple[str | int, ...]:
         """Where an engine stands in the stage."""
         return ("engine", number) if isinstance(self.engine, tuple) else ("engine",)
+
+    @model_validator(mode="after")
+    def _modes_over_time(self) -> Stage:
+        """Tables of modes over mass become tables over time, by the stage's mass."""
+        changed: dict[str, Any] = {}
+        for section, keys, arrays in (
+            ("bending", ("pitch", "yaw"), mode_table),
+            ("spatial_modes", ("table",), spatial_mode_table),
+        ):
+            given = getattr(self, section)
+            tables = {} if given is None else {key: getattr(given, key) for key in keys}
+            over_mass = {key: table for key, table in tables.items() if table is not None and OVER_MASS in table}
+            if over_mass:
+                times_s, mass_kg = self.mass.finely(self.ignition_s, self.interpolation)
+                found = {k: over_time(table, times_s, mass_kg, (section, k)) for k, table in over_mass.items()}
+                for key, table in found.items():
+                    arrays(table, (section, key))
+                changed[section] = given.model_copy(update=found)
+                changed[section].check_counts((section,))
+        return self.model_copy(update=changed) if changed else self
 
     @model_validator(mode="after")
     def _check(self) -> Stage:

@@ -102,11 +102,10 @@ class Columns:
     """What a table must look like; annotates a field: `Annotated[CsvTable, Columns("time_s", ...)]`.
 
     `axis`: the column over which the others are given, or one of `other_axes` in its place. It must increase strictly
-    (`repeats`: may stand still) and begin at or before `begins_by`. `sets`: alternative sets of required columns,
-    exactly one of which must be there in full. `positive`, `not_negative`: columns so bounded. Without an axis
-    (empty) a table of samples: any columns. `grid`: instead of one axis any of these, at least one, and the others at
-    each combination of their
-    values (grids.py).
+    (`repeats`: may stand still; `falling`: axes that decrease) and, if it is `axis`, begin at or before `begins_by`.
+    `sets`: alternative sets of required columns, exactly one of which must be there in full. `positive`,
+    `not_negative`: columns so bounded. Without an axis (empty) a table of samples: any columns. `grid`: instead of one
+    axis any of these, at least one, and the others at each combination of their values (grids.py).
     """
 
     axis: str
@@ -118,6 +117,7 @@ class Columns:
     repeats: bool = False
     grid: tuple[str, ...] = ()
     other_axes: tuple[str, ...] = ()
+    falling: tuple[str, ...] = ()
 
     def axis_of(self, table: CsvTable) -> str:
         """The column that a table is given over; `axis` where it has none."""
@@ -265,14 +265,16 @@ class Columns:
             return
         over = self.axis_of(table)
         axis = table[over]
-        steps = np.diff(axis, prepend=-np.inf)
+        steps = np.diff(-axis if over in self.falling else axis, prepend=-np.inf)
         falls = steps < LEAST_STEP
         if self.repeats:
             falls &= steps != 0.0
         rule = "must not decrease" if self.repeats else "must increase strictly"
         allowed = f"increasing numbers, by {LEAST_STEP:g} or more"
+        if over in self.falling:
+            rule, allowed = rule.replace("decrease", "rise").replace("increase", "fall"), allowed.replace("in", "de", 1)
         table.refuse_where(falls, over, f"{over} {rule}", allowed)
-        if self.begins_by is not None and axis[0] > self.begins_by:
+        if self.begins_by is not None and over == self.axis and axis[0] > self.begins_by:
             raise table.refusal("the table begins too late", f"a first {over} <= {self.begins_by:g}", over, 0)
 
     def _check_column(self, table: CsvTable, name: str, column: Column) -> None:
