@@ -68,7 +68,9 @@ class ModeTable:
     def moved(self) -> NDArray[np.float64]:
         return self.phi
 
-    displaced = moved
+    @property
+    def displaced(self) -> NDArray[np.float64]:
+        return self.phi
 
     @property
     def bent(self) -> tuple[tuple[NDArray[np.float64], NDArray[np.float64]], ...]:
@@ -125,7 +127,7 @@ class SpatialModeTable:
             return np.asarray(products + np.einsum("ts,tms,tns->tmn", self.roll_inertia_kgm2, twist, twist))
         unknown = twisting(self)  # without their inertia nothing can be said of modes that twist
         own = np.einsum("tm,mn->tmn", self.generalized_mass_kg, np.eye(self.modes))
-        return np.where(unknown[:, :, None] | unknown[:, None, :], own, products)
+        return np.asarray(np.where(unknown[:, :, None] | unknown[:, None, :], own, products))
 
     def lateral(self) -> tuple[ModeTable, ModeTable]:
         """What the modes do along y and along z, as those of a yaw and of a pitch plane."""

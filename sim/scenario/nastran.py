@@ -120,9 +120,9 @@ class _Bulk:
 
     def lumped(self) -> tuple[Floats, Floats]:
         """As `NastranModes` has them."""
-        of_points = [(self.grids[grid], *rest) for grid, *rest in self.masses if grid in self.grids]
-        places = [[*np.add(point, offset), mass] for point, mass, offset, _ in of_points]
-        return np.array(places).reshape(-1, 4), np.array([about_x for *_, about_x in of_points])
+        known = [mass for mass in self.masses if mass[0] in self.grids]
+        places = [[*map(sum, zip(self.grids[grid], offset, strict=True)), kg] for grid, kg, offset, _ in known]
+        return np.array(places, dtype=np.float64).reshape(-1, 4), np.array([about_x for *_, about_x in known])
 
 
 def _from_op2(content: bytes) -> tuple[Values, Vectors, _Bulk]:

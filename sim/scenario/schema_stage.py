@@ -245,9 +245,7 @@ class TvcLoad(Section):
     frequency_hz: Positive | None = optional("of the engine on its compliance, actuators locked, vehicle fixed, Hz")
     stiffness_Nmprad: Positive | None = optional("of the compliance of one engine, N m/rad")
     damping_ratio: Fraction = Field(description="of that vibration: the damper lies beside the spring")
-    friction_Nm: NotNegative = optional(
-        "Coulomb torque of one gimbal's bearings, N m (Dahl's model)", 0.0
-    )
+    friction_Nm: NotNegative = optional("Coulomb torque of one gimbal's bearings, N m (Dahl's model)", 0.0)
     friction_angle_deg: Positive = optional("over which the friction builds up, deg", 0.05)
     stop_stiffness_Nmprad: Positive | None = optional(
         "of the contact of one engine at the actuator's stop_deg, N m/rad (default: ten times that of the compliance)"
