@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import product
 from types import SimpleNamespace
 from typing import Any
@@ -23,7 +24,7 @@ from maxq.design.verify.suite import LinearMargins, WorstWanted
 from maxq.design.verify.worst import WorstVehicle, distance, scenario_of, search_node, slope, worst_requirements
 from maxq.sim.run.metrics import METRIC_NAMES
 from maxq.sim.scenario.errors import ScenarioError
-from maxq.sim.scenario.loader import load_scenario_text
+from maxq.sim.scenario.loader import load_scenario, load_scenario_text
 
 FEW = {  # what deviates in the brute-force case; the rest of Spread is 0
     "bending_frequency": (0.08,),
@@ -149,6 +150,19 @@ def test_the_scenario_written_is_the_vehicle_measured() -> None:
     wanted, nominal = exact(node, by), exact(node, NOMINAL)
     assert abs(wanted - nominal) > 0.02
     assert exact(flown, NOMINAL) == pytest.approx(wanted, rel=5e-3)  # the ascent differs a little, with its forces
+
+
+def test_the_delay_flown_is_that_of_the_stages_computer_up_to_its_sample() -> None:
+    base = load_scenario("nominal", ["vehicle.stage.0.computer={delay_s=0.004}"])
+    node: Any = SimpleNamespace(stage=0)
+    for late, delay_s, said in (
+        (0.002, 0.006, []),
+        (0.009, 0.01, ["vehicle.stage.0.computer.delay_s beyond the sample"]),
+    ):
+        scenario, missing = scenario_of(base, node, replace(NOMINAL, delay_s=late))
+        flown = load_scenario_text(scenario.as_flown).vehicle
+        assert (flown.computer_of(0).delay_s, flown.computer.delay_s) == (pytest.approx(delay_s), 0.003)
+        assert missing == said
 
 
 @pytest.mark.parametrize(("failures", "stable"), [((), True), (("control lost",), False)])

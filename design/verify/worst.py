@@ -308,7 +308,9 @@ def scenario_of(base: LoadedScenario, node: Node, d: Dispersion) -> tuple[Loaded
     factors |= {f"{key}.thrust_factor": d.thrust for _, key in _each(flies.engine, f"{stage}.engine")}
     factors[f"{stage}.aero.force_factor"] = d.normal_force
     factors |= {f"{stage}.mass.table.{key}": d.inertia for key in ("Iyy_kgm2", "Izz_kgm2")}
-    added = {f"{stage}.aero.centre_shift_m": d.centre_of_pressure_m, "vehicle.computer.delay_s": d.delay_s}
+    computer, own = base.vehicle.computer_of(node.stage), flies.computer and flies.computer.delay_s is not None
+    delay = f"{stage if own else 'vehicle'}.computer.delay_s"
+    added = {f"{stage}.aero.centre_shift_m": d.centre_of_pressure_m, delay: d.delay_s}
     changes, missing = [], []
     results: dict[str, float] = {}
     for key, number in (*factors.items(), *added.items()):
@@ -323,6 +325,9 @@ def scenario_of(base: LoadedScenario, node: Node, d: Dispersion) -> tuple[Loaded
         else:
             changes.append(Change(target, "set", key))
             result = target.nominal + number if key in added else target.nominal * number
+            if key == delay and result > (most_s := computer.sample_s if computer is not None else result):
+                result = most_s
+                missing.append(f"{key} beyond the sample")
             results[key] = round(max(result, 0.0), 9) if target.whole_ns else result
     return LoadedScenario(Dispersed(base.scenario, changes)(results), base.label, base.files), missing
 
