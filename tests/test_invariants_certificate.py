@@ -30,10 +30,10 @@ from maxq.design import api
 from maxq.design.certificate.certificate import HELD_GRAVITY, NodeCertificate, certify_node
 from maxq.design.certificate.excitation import DITHER_HZ, Band, band, excitation_level, injections
 from maxq.design.certificate.held_flight import Change, HeldFlight, hold, linear_limits
+from maxq.design.certificate.in_flight import TIME_VARIATION, converters_share, in_flight_response
 from maxq.design.certificate.in_flight import _reason as reason_of
-from maxq.design.certificate.in_flight import in_flight_response
 from maxq.design.certificate.measured_margins import FINE_STEPS, TOO_LONG, LimitCycle, limit_cycle, measure_margin
-from maxq.design.certificate.response import BANDS, UNEXPLAINED
+from maxq.design.certificate.response import BANDS, NOISE, UNEXPLAINED
 from maxq.design.margins.measure import margins
 from maxq.sim.packing.flight import Packed
 from maxq.sim.scenario.loader import LoadedScenario, load_scenario
@@ -237,6 +237,11 @@ def test_a_line_that_noise_alone_moves_is_called_noise(sigma: float) -> None:
     assert reasons.count(UNEXPLAINED) <= 3  # exp(-4.5^2 / 2): one in 25,000
     assert reason_of(1.0 + 6.0 * sigma, sigma / (1.0 + 6.0 * sigma), 0.0, 0.0, False) == UNEXPLAINED
     assert reason_of(2.0 + 0j, 0.02, 0.0, 0.0, False) == UNEXPLAINED
+
+
+def test_what_is_left_with_ideal_converters_is_not_theirs() -> None:
+    reasons, fine = ("", UNEXPLAINED, UNEXPLAINED, TIME_VARIATION), (UNEXPLAINED, "", UNEXPLAINED, UNEXPLAINED)
+    assert converters_share(reasons, fine) == ("", NOISE, UNEXPLAINED, TIME_VARIATION)
 
 
 def test_in_flight_response_agrees_or_says_why(loaded: LoadedScenario) -> None:

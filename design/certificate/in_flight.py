@@ -45,8 +45,9 @@ class InFlightResponse:
     """L at lines (Hz) measured in the ascent around `time_s`, beside the sampled loop at that instant, `frozen`.
 
     `reason` is "" where the two agree to 0.5 dB and 4 deg, "time variation" where the loop's own change in the window
-    is as large as the difference, "converter noise" where that together with its standard errors is, "settling" where
-    an oscillation near a line has not decayed since lift-off, else "unexplained".
+    is as large as the difference, "converter noise" where that together with its standard errors is or the same flights
+    with ideal converters leave nothing unexplained, "settling" where an oscillation near a line has not decayed since
+    lift-off, else "unexplained".
     """
 
     time_s: float
@@ -109,7 +110,23 @@ def in_flight_response(loaded: LoadedScenario, times_s: Sequence[float], plane: 
             for i in range(len(lines))
         )
         out.append(InFlightResponse(time_s, plane, lines, frozen, measured, error, reasons))
+    doubted = [k for k, found in enumerate(out) if UNEXPLAINED in found.reason]
+    if doubted and loaded.scenario.switches.converter == "full":
+        ideal = loaded.scenario.model_copy(
+            update={"switches": loaded.scenario.switches.model_copy(update={"converter": "ideal"})}
+        )
+        again = in_flight_response(dataclasses.replace(loaded, scenario=ideal), [times_s[k] for k in doubted], plane)
+        for k, fine in zip(doubted, again, strict=True):
+            out[k] = dataclasses.replace(out[k], reason=converters_share(out[k].reason, fine.reason))
     return out
+
+
+def converters_share(reasons: Sequence[str], fine: Sequence[str]) -> tuple[str, ...]:
+    """Reasons of lines: what is explained where counts and steps are infinitely fine (`fine`) is the converters' doing.
+
+    Their errors repeat with the excitation, so that they stand on its lines and not between them.
+    """
+    return tuple(NOISE if a == UNEXPLAINED != b else a for a, b in zip(reasons, fine, strict=True))
 
 
 def _half(time_s: float, span: Span) -> float:

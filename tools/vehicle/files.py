@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -26,6 +27,7 @@ from maxq.tools.vehicle.trajectory import Point
 
 SUITE = "launcher"
 MASS_ROWS, SHAPE_STATIONS = 41, 41
+DIGITS = ".12g"  # of numbers that a table and vehicle.toml may share
 ROOM_DB, ROOM_DEG = 0.5, 2.0  # by which a case asks for more than its suite: nodes differ, and what is rounded
 ROLL_SHARE = 0.25  # of the gimbals' angle that roll may take
 FASTER = 0.1  # share of its burn by which a part's tables go on where the next part burns on
@@ -42,16 +44,25 @@ def write(built: Built, folder: Path) -> list[Path]:
     vehicle = _vehicle(built, tables)
     tables["limit_wind.csv"] = _limit_wind(layout.site.jet_mps)
     for name, (head, rows) in tables.items():
-        text = "\n".join([head, *(",".join(f"{v:.12g}" for v in row) for row in rows)]) + "\n"
+        text = "\n".join([head, *(",".join(f"{v:{DIGITS}}" for v in row) for row in rows)]) + "\n"
         files.append(write_whole(folder / "vehicle" / name, text))
     made = f"# {layout.name}: an estimate from a layout by simvehicle, to begin with.\n"
     documents = {
-        "vehicle/vehicle.toml": vehicle, "design.toml": _design(built), "scenario.toml": _scenario(built),
+        "vehicle/vehicle.toml": _rounded(vehicle), "design.toml": _design(built), "scenario.toml": _scenario(built),
         "campaign.toml": _campaign(built), "case.toml": _case(built), "suite.toml": _suite(built),
     }  # fmt: skip  # seven more lines otherwise
     for name, content in documents.items():
         files.append(write_whole(folder / name, made + tomli_w.dumps(content)))
     return files
+
+
+def _rounded(value: Any) -> Any:
+    """Numbers as tables have them: a gimbal at the last station of the modes must not lie behind it."""
+    if isinstance(value, dict):
+        return {key: _rounded(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_rounded(item) for item in value]
+    return float(f"{value:{DIGITS}}") if isinstance(value, float) else value
 
 
 def _limit_wind(jet_mps: float) -> Table:
@@ -197,7 +208,8 @@ def _lead_rad(built: Built, p: Point, k_p: float, k_d: float, rate_radps: float)
 
 def _programme(built: Built) -> Table:
     """Pitch rate that makes the law fly the point-mass path."""
-    points, gains = built.flight.points, np.array(built.gains)
+    every, gains = built.flight.points, np.array(built.gains)
+    points = [p for p, q in pairwise(every) if p.time_s < q.time_s] + every[-1:]  # a separation may take no time
     t, end = np.array([p.time_s for p in points]), built.flight.points[-1].time_s
     k_p, k_d = (np.interp(t, gains[:, 0], gains[:, k]) for k in (1, 2))
     incidence = [
