@@ -41,14 +41,22 @@ def test_where_a_flight_is_cut_into_segments_does_not_matter() -> None:
     assert len(hashes) == 1
 
 
-@pytest.mark.parametrize("end_s", [0.02, 0.0235])
-def test_rows_rise_in_time_and_the_last_one_is_the_end(end_s: float) -> None:
-    """Whether the end falls on a row's time, or between two."""
-    flight = fly(load_scenario("nominal", [f"run.duration_s={end_s}", "log.fast_hz=100", "log.slow_hz=50"]))
+FALLS = (
+    "run.stop_at=['impact']", "initial.ned_mps=[0.0, 0.0, 55.5]", "initial.euler_deg=[0.0, 80.0, 0.0]",
+    "initial.geodetic={latitude_deg=33.0, longitude_deg=126.0, altitude_m=2.0}",
+)  # fmt: skip  # two more lines otherwise
+
+
+@pytest.mark.parametrize("end", [("run.duration_s=0.02",), ("run.duration_s=0.0235",), FALLS])
+def test_rows_rise_in_time_and_the_last_one_is_the_end(end: tuple[str, ...]) -> None:
+    """Whether the end falls on a row's time or between two, by duration or by an event."""
+    flight = fly(load_scenario("nominal", ["run.duration_s=2", *end, "log.fast_hz=100", "log.slow_hz=50"]))
+    assert flight.outcome == ("impact" if end is FALLS else "duration")
+    assert end is not FALLS or 0.03 < flight.end_s < 0.04
     for channel, hz in (("gimbal_pitch_angle_deg", 100.0), ("altitude_m", 50.0)):
         t = flight.time_s(channel)
-        np.testing.assert_allclose(t[:-1], np.arange(len(t) - 1) / hz, atol=1e-12)
-        assert t[-1] == pytest.approx(end_s, abs=1e-12)
+        np.testing.assert_allclose(t[:-1], np.arange(len(t) - 1) / hz, atol=1e-9)
+        assert t[-1] == pytest.approx(flight.end_s, abs=1e-9)
         assert t[-1] > t[-2]
 
 

@@ -173,6 +173,17 @@ def test_sampled_path_of_each_sensor_is_the_sum_over_its_images() -> None:
     np.testing.assert_allclose(ours, summed, rtol=2e-5, atol=2e-6 * np.abs(summed).max(axis=0).max())
 
 
+def test_a_sensor_without_dynamics_is_one_that_is_very_fast() -> None:
+    one, found = node(), []
+    for change in ({"ideal": 1}, {"omega_radps": 1e6, "zeta": 0.7}):
+        sensors = tuple((name, dataclasses.replace(g, **change), late) for name, g, late in one.instruments.sensors)
+        changed = dataclasses.replace(one, instruments=dataclasses.replace(one.instruments, sensors=sensors))
+        path = fixed_path(changed, "sampled", senses=True)
+        found.append(path.responses(FREQUENCIES_HZ))
+    np.testing.assert_allclose(found[0], found[1], rtol=1e-3, atol=1e-4 * np.abs(found[0]).max(axis=0).max())
+    assert np.abs(found[0]).min(axis=0).min() > 0.0
+
+
 def relieving(sample_s: float | None) -> Pd:
     shape = BendingFilter((QuadraticSection(9.0, 0.3, 7.0, 0.7),), ())
     given = shape if sample_s is None else shape.discretize(sample_s, "prewarped", 9.0)

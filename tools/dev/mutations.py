@@ -8,7 +8,7 @@
 All mutants stand in one copy, each beside the statement as it was: `if at(7): changed else: original`. Numbers in a
 file that all processes map into their memory tell which one holds, and which have been got to; compiled kernels look
 there, too, so that nothing is compiled anew for a mutant. Every one meets its tests in a forked process, compiled, as
-the tests run in `.ci/run`. What is worked out on import is changed in a process of its own, with a cache of its own.
+the tests run in `.ci/run`. Not so what is worked out on import: for that, pytest has to be started anew.
 
 A mutant is killed by the first test that fails; or by the clock, when a test takes more than ten times as long as
 otherwise and a minute. `--named`: the faults of harness_mutants.py as well. What stands in DIR/results.jsonl is not run
@@ -40,7 +40,7 @@ import sys
 import time
 import tokenize
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, fields
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -51,6 +51,7 @@ from _pytest.runner import runtestprotocol
 from maxq.tools.dev.harness_mutants import NAMED
 
 ROOT = Path(__file__).resolve().parents[2]
+PIPE = "\\|"  # within a cell of a table
 PAGE, BEGIN, END = ROOT / "docs/verification.md", "<!-- mutants: begin -->", "<!-- mutants: end -->"
 PACKAGES = {
     "control": ("control",),
@@ -224,6 +225,24 @@ def named(first: int) -> list[Mutant]:
         lines = source[: source.index(before + old + after) + len(before)].split("\n")
         at = source.split("\n")[len(lines) - 1].strip()
         out.append(Mutant(first + len(out), what, file, len(lines), len(lines[-1].encode()), old, new, at))
+    return out
+
+
+def found_again(mutants: list[dict[str, Any]], first: int) -> list[Mutant]:
+    """Mutants of an earlier tree, where their line stands now; those whose line is gone are left out, and told."""
+    out = list[Mutant]()
+    for m in mutants:
+        path = ROOT / m["file"]
+        lines = path.read_text().split("\n") if path.exists() else []
+        old, column = m["old"].encode(), m["column"]
+        alike = [k for k, line in enumerate(lines, 1) if line.strip() == m["source"]]
+        at = [k for k in alike if lines[k - 1].encode()[column:].startswith(old)]
+        if at:
+            line = min(at, key=lambda k: abs(k - m["line"]))
+            values = {f.name: m[f.name] for f in fields(Mutant)}
+            out.append(Mutant(**{**values, "line": line, "number": first + len(out)}))
+        else:
+            print(f"gone: {m['file']}: {m['source']}")
     return out
 
 
@@ -408,23 +427,26 @@ def _file_of(name: str) -> str:
 
 
 def table(done: list[dict[str, Any]]) -> None:
-    """Counts by package and a line for each survivor; what is said there of a survivor is kept, whatever its line."""
+    """Counts by package and a line for each survivor; what is said there of a survivor is kept, whatever its line.
+
+    Equivalent is what is said to be. Mutants whose line is "gone" (deleted since they were drawn) are not counted.
+    """
     text = PAGE.read_text()
     before, rest = text.split(BEGIN)
     written, after = rest.split(END)
     said = {key: why for key, why in re.findall(r"^\| (.*? -> .*?) \| (.*?) \|$", written, re.M)}
-    drawn_ones = [r for r in done if r["package"] in PACKAGES]
-    lines = ["| package | mutants | killed | share |", "|---|---|---|---|"]
+    rows = list[tuple[str, str, str]]()  # package, mutant, and why it lives; "" if it was killed
+    for r in sorted((r for r in done if r["status"] != "gone"), key=lambda r: r["number"]):
+        key = f"{r['file']}: `{r['source'].replace('|', PIPE)}`, `{r['old']}` -> `{r['new'] or ' '}`"
+        rows.append((r["package"], key, "" if r["status"] == "killed" else said.get(key, "open")))
+    lines = ["| package | mutants | killed | equivalent | neither | killed of the rest |", "|---|---|---|---|---|---|"]
     for package in [*PACKAGES, "all"]:
-        own = [r for r in drawn_ones if package in (r["package"], "all")]
-        killed = sum(r["status"] == "killed" for r in own)
-        lines.append(f"| {package} | {len(own)} | {killed} | {100.0 * killed / max(len(own), 1):.1f} % |")
+        own = [why for name, _, why in rows if name in PACKAGES and package in (name, "all")]
+        killed, equivalent = own.count(""), sum(why.startswith("equivalent") for why in own)
+        counts = f"{len(own)} | {killed} | {equivalent} | {len(own) - killed - equivalent}"
+        lines.append(f"| {package} | {counts} | {100.0 * killed / max(len(own) - equivalent, 1):.1f} % |")
     lines += ["", "| lives | why |", "|---|---|"]
-    for r in sorted(done, key=lambda r: r["number"]):
-        if r["status"] != "killed":
-            source = r["source"].replace("|", "\\|")
-            key = f"{r['file']}: `{source}`, `{r['old']}` -> `{r['new'] or ' '}`"
-            lines.append(f"| {key} | {said.get(key, 'open')} |")
+    lines += [f"| {key} | {why} |" for _, key, why in rows if why]
     PAGE.write_text(before + BEGIN + "\n" + "\n".join(lines) + "\n" + END + after)
 
 
@@ -436,7 +458,7 @@ def main() -> None:
     parser.add_argument("--number", type=int, default=200)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--named", action="store_true", help="of `plant`: the faults of harness_mutants.py as well")
-    parser.add_argument("--also", type=Path, help="of `plant`: further mutants, as in mutants.json")
+    parser.add_argument("--also", type=Path, help="of `plant`: mutants of an earlier mutants.json too")
     parser.add_argument("--refused", default="", help="of `plant`: numbers of those that Numba refuses to compile")
     parser.add_argument("--only", help="numbers of mutants, with commas; run again whatever results.jsonl says")
     parser.add_argument("--budget", type=float, default=1e9, help="seconds of tests for a mutant, as mapped")
@@ -446,8 +468,7 @@ def main() -> None:
     if given.do == "plant":
         mutants = drawn(given.number, given.seed)
         mutants += named(1 + len(mutants)) if given.named else []
-        for more in json.loads(given.also.read_text()) if given.also else ():
-            mutants.append(Mutant(**{**more, "number": 1 + len(mutants)}))
+        mutants += found_again(json.loads(given.also.read_text()), 1 + len(mutants)) if given.also else []
         refused = {int(n) for n in given.refused.split(",") if n}
         plant(work, mutants, refused)
         return
