@@ -8,7 +8,7 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, get_args
+from typing import TYPE_CHECKING, Any, Literal
 
 from maxq.design.margins.lobes import Lobe
 from maxq.design.margins.measure import Margins
@@ -299,6 +299,9 @@ def margins_record(m: Margins) -> dict[str, Any]:
     return record
 
 
+_RIGID_BODIES: dict[str, RigidBody] = {"without_m_alpha": "paper", "with_m_alpha": "aerodynamic"}
+
+
 def node_record(judged: Judged) -> dict[str, Any]:
     """One node."""
     m = judged.margins
@@ -308,7 +311,7 @@ def node_record(judged: Judged) -> dict[str, Any]:
         "zones": [asdict(c.zone) | {"clearance": c.value, "at_hz": c.frequency_hz} for c in m.clearances],
         "lobes": [asdict(lobe) for lobe in judged.lobes],
         "rigid_body": {
-            body: dict(zip(("hz", "zeta"), judged.rigid(body), strict=True)) for body in get_args(RigidBody)
+            name: dict(zip(("hz", "zeta"), judged.rigid(body), strict=True)) for name, body in _RIGID_BODIES.items()
         },
         "budgets": {name: asdict(budget) for name, budget in judged.budgets.items()},
     }
