@@ -43,6 +43,56 @@ def test_damaged_machine_code_is_compiled_again(tmp_path: Path) -> None:
             assert path.read_bytes() != damaged
 
 
+BESIDE = """
+import os, sys
+import numpy as np
+from maxq.control.kernel import jit
+
+DONE, AS = [], jit._BesideCompiler
+HOW = sys.argv[1]
+if HOW == "killed":
+    AS.compile_and_leave = lambda self, name, write: os.kill(os.getpid(), 9)
+elif HOW == "not allowed":
+    AS.allowed = False
+else:
+    AS.allowed = hasattr(os, "fork")
+here = AS.here
+AS.here = lambda self: (DONE.append(self), here(self))[1]
+
+@jit.kernel
+def half(x):
+    return 0.5 * x
+
+@jit.routine
+def shared(x, out):
+    out[1] = half(x)
+
+@jit.routine_beside
+def fill(x, out) -> None:
+    shared(half(x), out)
+    out[0] = half(x) + 3.0
+
+def both(x, out):
+    out = jit.bare_pointer(out)
+    fill(x, out)
+    shared(x + out[1], out)
+
+out = np.zeros(2)
+jit.from_python(both)(8.0, out)
+print(*out, len(DONE))
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("how", "here"), [("beside", 0), ("killed", 1), ("not allowed", 1)])
+def test_a_routine_compiled_by_another_process(tmp_path: Path, how: str, here: int) -> None:
+    """The same answer where that process is killed, or is not begun: then this one compiles."""
+    script = tmp_path / "beside.py"  # Numba keeps code of functions in files only
+    script.write_text(BESIDE)
+    done = call(tmp_path / "cache", str(script), how)
+    assert (done.stdout, done.stderr) == (f"7.0 5.0 {here}\n", "")
+
+
 @pytest.mark.skipif(not hasattr(os, "getuid"), reason="no owners of files on this system")
 @pytest.mark.parametrize("part", ["", "verified"])
 def test_cache_to_which_others_may_write_is_refused(tmp_path: Path, part: str) -> None:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 
 from maxq.control.computer import computer_tick
-from maxq.control.kernel.jit import kernel, routine
+from maxq.control.kernel.jit import kernel, routine, routine_beside
 from maxq.control.kernel.limits import MAX_ENGINES
 from maxq.control.kernel.noise import standard_normal, uniform_pair
 from maxq.control.kernel.records import Array
@@ -159,7 +159,7 @@ def navigate(environment: Environment, pool: Array, y: Array, mass_kg: float, na
     navigation[2] = 0.5 * air(environment.atmosphere, pool, altitude)[0] * squares
 
 
-@routine
+@routine_beside
 def sample_computer(p: Parameters, pool: Array, memory: Memory, y: Array) -> None:
     """One tick of the flight computer on the gyro's angle increments since the last one."""
     clock = memory.clock

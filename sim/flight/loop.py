@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 from maxq.control.computer import start_computer, take_over
-from maxq.control.kernel.jit import bare_pointer, entry, kernel, routine
+from maxq.control.kernel.jit import bare_pointer, entry, kernel, routine, routine_beside
 from maxq.control.kernel.records import Array, IntArray, Records
 from maxq.control.kernel.tables import find_interval
 from maxq.sim.flight.events import (
@@ -297,7 +297,7 @@ def locate_event(p: Parameters, pool: Array, memory: Memory, event: int, step_ns
     return high
 
 
-@routine
+@routine_beside
 def log(p: Parameters, memory: Memory, logged: Records, at: Evaluation, out: LogRows, now: int, last: int) -> None:
     """Write the rows that are due at this instant; at the flight's end both, whether due or not."""
     rows = out.counts

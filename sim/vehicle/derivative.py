@@ -8,7 +8,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Annotated, NamedTuple
 
-from maxq.control.kernel.jit import disjoint_routine, kernel, routine
+from maxq.control.kernel.jit import kernel, routine, routine_beside
 from maxq.control.kernel.limits import MAX_ENGINES, MAX_SENSORS
 from maxq.control.kernel.records import Array
 from maxq.control.kernel.tables import TableRef, find_interval, interpolate_into
@@ -192,7 +192,7 @@ def derive_properties(vehicle: Vehicle, pool: Array, clock_s: float, properties:
         interpolate_into(pool, vehicle.rate_damping, k, clock_s, properties, schedule_width(sizes) + RATE_DAMPING)
 
 
-@disjoint_routine
+@routine_beside
 def derivative(
     vehicle: Vehicle, environment: Environment, pool: Array, held: Held, inputs: StageInputs, at: Evaluation,
     work: Array,
