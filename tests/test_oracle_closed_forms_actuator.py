@@ -7,6 +7,7 @@ response comes from the matrix exponential.
 from __future__ import annotations
 
 import math
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -16,6 +17,7 @@ from scipy.signal import tf2ss
 
 from maxq.control.kernel.records import Array
 from maxq.sim.vehicle import state as layout
+from maxq.sim.vehicle.tvc_load import hinge_moment
 
 STEP_DEG = 2.0
 EFFECT_S = 0.013  # first sample after 10 ms, plus 3 ms of computing
@@ -202,12 +204,73 @@ def test_limits_do_nothing_below_them() -> None:
     assert np.array_equal(flown(wide, 0.3), flown(near, 0.3))
 
 
-def test_backlash_is_a_play() -> None:
-    """A step of 2 deg through a play of 0.4 deg arrives as 1.8 deg, in either direction."""
+def engine_and_servo(made: Rig, duration_s: float, step_s: float) -> tuple[Array, Array]:
+    """Angles (samples, 2) of the pitch engine and of its servo at the starts of the steps, rad."""
+    run, out = made.run(), []
+    for _ in range(round(duration_s / step_s)):
+        servo = float(made.y[layout.ACTUATOR])
+        run.fly_segment(round(1e9 * step_s))
+        out.append((float(made.packed.memory[0].held.engine_rad[0]), servo))
+    engine, servo_rad = np.array(out).T
+    return engine, servo_rad
+
+
+def test_backlash_is_a_play_behind_the_servo() -> None:
+    """After a step of 2 deg the servo stands at 2 deg, and the engine 0.2 deg behind where the servo has been farthest.
+
+    The servo's overshoot is exp(-pi zeta / (1 - zeta^2)^1/2).
+    """
+    farthest = 2.0 * (1.0 + math.exp(-math.pi * 0.87 / math.sqrt(1.0 - 0.87**2)))
     for sign in (1.0, -1.0):
-        made = moving("pitch", sign * 2.0, backlash_deg=0.4)
+        made = moving("pitch", sign * 2.0, backlash_deg=0.4, **modelled("second-order"))
         flown(made, 3.0)
-        assert np.isclose(math.degrees(to_oracle(made, made.y).deflection_rad[0]), sign * 1.8, rtol=1e-9)
+        state = to_oracle(made, made.y)
+        assert np.isclose(math.degrees(state.deflection_rad[0]), sign * (farthest - 0.2), rtol=1e-6)
+        assert state.deflection_radps[0] == state.deflection_radps2[0] == 0.0
+        assert np.isclose(math.degrees(made.y[layout.ACTUATOR]), sign * 2.0, rtol=1e-9)
+
+
+@pytest.mark.parametrize("share", [0.2, 0.5])
+def test_describing_function_of_the_backlash(share: float) -> None:
+    """Engine over servo at the frequency of a sine, against the play's (Gelb & Vander Velde, 1968, table B.1).
+
+    Of half a play h behind an amplitude X: in phase (1/pi) (pi/2 + asin u + u sqrt(1 - u^2)), u = 1 - 2 h/X; in
+    quadrature -(4/pi) (h/X) (1 - h/X): the engine lags.
+    """
+    hz, step_s = 2.0, 0.001
+    signal = [{"at": "gimbal_command", "axis": "pitch", "kind": "sine", "amplitude_deg": 2.0, "frequency_hz": hz}]
+    tree = scenario_of(Parts(), injection=signal, run={"step_s": step_s})
+    servo_deg = 2.0 / abs(complex(1.0 - (hz / 5.8) ** 2, 2.0 * 0.87 * hz / 5.8))
+    half = math.radians(share * servo_deg)
+    made = rig(with_stage(tree, actuator=modelled("second-order", backlash_deg=2.0 * math.degrees(half))))
+    engine, servo = engine_and_servo(made, 2.0, step_s)
+    turn = np.exp(-2j * np.pi * hz * step_s * np.arange(1000))  # the second second: whole periods
+    x, e = (2.0 * np.mean(turn * angle[1000:]) for angle in (servo, engine))
+    u = 1.0 - 2.0 * half / abs(x)
+    in_phase = (math.pi / 2.0 + math.asin(u) + u * math.sqrt(1.0 - u * u)) / math.pi
+    wanted = complex(in_phase, -4.0 / math.pi * half / abs(x) * (1.0 - half / abs(x)))
+    assert abs(e / x - wanted) < 0.005  # the hold's harmonics
+    by_hand = 0.0
+    for k, angle in enumerate(servo):
+        by_hand = angle - half if by_hand < angle - half else angle + half if by_hand > angle + half else by_hand
+        assert abs(engine[k] - by_hand) < 1e-12
+
+
+def test_play_of_a_tvc_load_is_a_gap_of_its_spring() -> None:
+    """Moment on the hinge over the deflection: none in the gap, then the spring; the damper never pulls."""
+    load = SimpleNamespace(
+        friction_Nm=[0.0], stiffness_Nmprad=[1e5], damping_Nmsprad=[300.0], stop_stiffness_Nmprad=[0.0]
+    )
+    at = getattr(hinge_moment, "py_func", hinge_moment)
+
+    def moment(deflection: float, rate: float) -> float:
+        return float(at(load, 0, np.array([0.02 + deflection, rate, 0.0]), 0, 0.02, 0.0, math.inf, 0.004, 0))
+
+    for side in (1.0, -1.0):
+        assert moment(side * 0.0019, side * 1.0) == 0.0
+        assert moment(side * 0.005, 0.0) == pytest.approx(-side * 1e5 * 0.003)
+        assert moment(side * 0.005, side * 0.5) == pytest.approx(-side * (300.0 + 150.0))
+        assert moment(side * 0.005, -side * 2.0) == 0.0  # leaving faster than the spring follows
 
 
 def test_ideal_actuator_is_its_command() -> None:

@@ -41,7 +41,6 @@ from maxq.sim.flight.parameters import (
     Memory,
     Parameters,
 )
-from maxq.sim.vehicle.actuator import after_backlash
 from maxq.sim.vehicle.block import Q_BI, R_I, V_I, W_BI_B, Counts, counts
 from maxq.sim.vehicle.engine import total_thrust
 from maxq.sim.vehicle.environment import Environment, climb_rate, flight_direction, velocity_over_ground
@@ -135,15 +134,10 @@ def apply_due_command(p: Parameters, memory: Memory) -> None:
     """
     clock, held = memory.clock, memory.held
     if clock.now_ns >= clock.command_due_ns:
-        command, pending = held.command_rad, clock.pending_rad
-        further = 2 * p.vehicle.sizes.further_groups
-        if clock.stage_burnout_ns[clock.stage] >= 0:
-            for channel in range(2 + further):
-                pending[channel] = 0.0
-        command[0] = after_backlash(p.vehicle.actuator_pitch, command[0], pending[0])
-        command[1] = after_backlash(p.vehicle.actuator_yaw, command[1], pending[1])
-        for k in range(further):
-            command[2 + k] = after_backlash(p.vehicle.further_actuators[k], command[2 + k], pending[2 + k])
+        for channel in range(2 + 2 * p.vehicle.sizes.further_groups):
+            if clock.stage_burnout_ns[clock.stage] >= 0:
+                clock.pending_rad[channel] = 0.0
+            held.command_rad[channel] = clock.pending_rad[channel]
         held.roll_torque_Nm = p.vehicle.roll_torque_Nm * clock.pending_roll
         clock.command_due_ns = NEVER
 
@@ -355,7 +349,7 @@ def transfer_state(
         y[W_BI_B + j] = rate[j]
     if after.timeline.continues == 0:
         for channel in range(2 * MAX_ENGINES):
-            memory.held.command_rad[channel] = 0.0
+            memory.held.command_rad[channel], memory.held.engine_rad[channel] = 0.0, 0.0
         memory.held.roll_torque_Nm, memory.held.burning = 0.0, 0
         move_sensors(before, after, y)
         start_states(after.vehicle.sizes, rate, 1, y)

@@ -34,6 +34,7 @@ from maxq.sim.flight.step import (
 )
 from maxq.sim.flight.telemetry import fill_fast, fill_slow
 from maxq.sim.vehicle.block import Q_BI, Sizes, counts
+from maxq.sim.vehicle.engine import group_angles
 from maxq.sim.vehicle.environment import ANCHOR_DUE, climb_rate, climbs_certainly, flight_direction
 from maxq.sim.vehicle.loads import evaluate_sections, gather_sections
 from maxq.sim.vehicle.schedule import CORE_CG, CORE_MASS, TOTAL_MASS, properties_size
@@ -190,6 +191,8 @@ def evaluate_exactly(p: Parameters, pool: Array, memory: Memory, space: Workspac
     """Derivative at the start of a step. Its position becomes the anchor from which the later stages are near."""
     space.work[ANCHOR] = ANCHOR_DUE
     evaluate(p, pool, memory, memory.clock.now_ns, 0.0, space.start, space.work)
+    for channel in range(2 + 2 * p.vehicle.sizes.further_groups):
+        memory.held.engine_rad[channel] = space.start.aux[group_angles(channel // 2) + 3 * (channel % 2)]
 
 
 @routine

@@ -17,7 +17,7 @@ from maxq.sim.packing.pendulums import pendulums
 from maxq.sim.scenario.burn import Burn
 from maxq.sim.scenario.schema_scenario import Scenario
 from maxq.sim.scenario.schema_vehicle import Stage
-from maxq.sim.vehicle.actuator import pack_actuators
+from maxq.sim.vehicle.actuator import Actuator, pack_actuators
 from maxq.sim.vehicle.bending import pack_bending, pack_spatial_modes
 from maxq.sim.vehicle.derivative import Vehicle
 from maxq.sim.vehicle.engine import Engine
@@ -34,11 +34,11 @@ def pack_vehicle(scenario: Scenario, stage: Stage, burn: Burn, sizes: Sizes, sch
     given = stage.actuators or (None,) * len(stage.engine_groups)
     actuators = [axis for each in given for axis in pack_actuators(each, switches.actuator)]
     engine = pack_engines(stage, burn, switches)
-    load = _tvc_loads(stage, engine, sizes, [axis.stop_rad for axis in actuators])
+    load = _tvc_loads(stage, engine, sizes, actuators)
     for group, name in enumerate(stage.engine_groups):
         if sizes.tvc_loads > 0 and name in stage.tvc_loads:  # the stop is the engines', not the actuators'
             for k in (2 * group, 2 * group + 1):
-                actuators[k] = replace(actuators[k], stop_rad=math.inf)
+                actuators[k] = replace(actuators[k], stop_rad=math.inf, backlash_rad=0.0)
     pitch, yaw, *further = actuators
     return Vehicle(
         sizes=sizes,
@@ -62,8 +62,8 @@ def pack_vehicle(scenario: Scenario, stage: Stage, burn: Burn, sizes: Sizes, sch
     )
 
 
-def _tvc_loads(stage: Stage, e: Engine, sizes: Sizes, stops_rad: Sequence[float]) -> TvcLoad:
-    """From the stage's section `tvc_load`; `stops_rad` of the actuators, pitch and yaw of each group."""
+def _tvc_loads(stage: Stage, e: Engine, sizes: Sizes, actuators: Sequence[Actuator]) -> TvcLoad:
+    """From the stage's section `tvc_load`; stops and play are those of the actuators, pitch and yaw of each group."""
     out: dict[str, Any] = {f.name: np.zeros(MAX_TVC_LOADS) for f in fields(TvcLoad)}
     out["engine"] = np.zeros(MAX_TVC_LOADS, np.int64)
     for k in range(sizes.engines):
@@ -83,8 +83,10 @@ def _tvc_loads(stage: Stage, e: Engine, sizes: Sizes, stops_rad: Sequence[float]
             "friction_Nm": count * given.friction_Nm,
             "friction_angle_rad": math.radians(given.friction_angle_deg),
             "stop_stiffness_Nmprad": count * (given.stop_stiffness_Nmprad or STOP_FACTOR * stiffness / count),
-            "stop_pitch_rad": stops_rad[2 * group],
-            "stop_yaw_rad": stops_rad[2 * group + 1],
+            "stop_pitch_rad": actuators[2 * group].stop_rad,
+            "stop_yaw_rad": actuators[2 * group + 1].stop_rad,
+            "play_pitch_rad": actuators[2 * group].backlash_rad,
+            "play_yaw_rad": actuators[2 * group + 1].backlash_rad,
         }
         for name, value in values.items():
             out[name][n] = value

@@ -188,7 +188,7 @@ class ActuatorAxis(Section):
         "servo",
     )
     stop_deg: GimbalAngle | None = optional("hard stop of the engine's own angle, deg (default: none)")
-    backlash_deg: NotNegative = optional("full width of the play, deg", 0.0)
+    backlash_deg: NotNegative = optional("full width of the play between actuator and engine, deg", 0.0)
 
     @model_validator(mode="after")
     def _check(self) -> ActuatorAxis:
@@ -211,7 +211,7 @@ class YawActuator(Section):
     angle_limit_deg: GimbalAngle | None = optional("limit of the gimbal angle, deg")
     rate_limit_degps: Positive | None = optional("limit of the gimbal rate, deg/s")
     stop_deg: GimbalAngle | None = optional("hard stop of the engine's own angle, deg")
-    backlash_deg: NotNegative | None = optional("full width of the play, deg")
+    backlash_deg: NotNegative | None = optional("full width of the play between actuator and engine, deg")
 
 
 class Actuator(ActuatorAxis):
@@ -245,7 +245,9 @@ class TvcLoad(Section):
     frequency_hz: Positive | None = optional("of the engine on its compliance, actuators locked, vehicle fixed, Hz")
     stiffness_Nmprad: Positive | None = optional("of the compliance of one engine, N m/rad")
     damping_ratio: Fraction = Field(description="of that vibration: the damper lies beside the spring")
-    friction_Nm: NotNegative = optional("Coulomb torque of one gimbal's bearings, N m (Dahl's model)", 0.0)
+    friction_Nm: NotNegative = optional(
+        "Coulomb torque of one gimbal's bearings, N m (Dahl's model); without a TVC load there is no friction", 0.0
+    )
     friction_angle_deg: Positive = optional("over which the friction builds up, deg", 0.05)
     stop_stiffness_Nmprad: Positive | None = optional(
         "of the contact of one engine at the actuator's stop_deg, N m/rad (default: ten times that of the compliance)"

@@ -9,8 +9,10 @@ position command is limited before it.
 
 Where the limits act: on the servo, with H2 and H3 behind it as linear sections whose resonances may carry the engine
 past both limits (as 36 deg/s against 30); or on the engine, with H2 and H3 ahead of it, so that the servo's rate is the
-engine's. Linear sections in series may be exchanged: below the limits both are the same actuator. A hard stop holds
-the engine's own angle: it rests there, without rate and acceleration, as long as the sections would carry it on.
+engine's. Linear sections in series may be exchanged: below the limits both are the same actuator. Behind all of them
+lies a play: the engine rests until the actuator has gone through it, and then takes on its rate (with a TVC load it is
+a gap of the load's spring instead). A hard stop holds the engine's own angle: it rests there, without rate and
+acceleration, as long as the sections would carry it on.
 States: servo position, servo rate; H2 position, rate; w_3^2-scaled states of H3 and its rate.
 """
 
@@ -105,9 +107,11 @@ def _pack_axis(given: Any, bias_deg: float, linear: bool) -> Actuator:
 
 
 @kernel
-def actuator_output(a: Actuator, y: Array, i: int, command: float) -> tuple[float, float, float]:
+def actuator_output(a: Actuator, y: Array, i: int, command: float, before: float) -> tuple[float, float, float]:
     """Engine angle, rate and acceleration (rad, rad/s, rad/s2) from the states at y[i:i+6].
 
+    `before`: the angle at the start of the step, which the play remembers: exact while the actuator does not turn back
+    within the step, else late by less than it moves in one.
     Between command and angle lie two orders of differentiation at least, so that no derivative of the command is
     needed.
     """
@@ -122,6 +126,11 @@ def actuator_output(a: Actuator, y: Array, i: int, command: float) -> tuple[floa
     else:
         angle, rate, accel = _third_section(a, y, i, y[i])
     angle += a.bias_rad
+    if a.backlash_rad > 0.0:
+        low, high = angle - 0.5 * a.backlash_rad, angle + 0.5 * a.backlash_rad
+        if not ((low >= before and rate > 0.0) or (high <= before and rate < 0.0)):
+            rate, accel = 0.0, 0.0
+        angle = min(max(before, low), high)
     if abs(angle) > a.stop_rad:
         return math.copysign(a.stop_rad, angle), 0.0, 0.0
     return angle, rate, accel
@@ -218,12 +227,16 @@ def linear_sections(a: Actuator, out: Array, at: int) -> None:
 
 @kernel
 def actuator_motion(
-    a: Actuator, faults: Array, channel: int, y: Array, i: int, command: float
+    a: Actuator, faults: Array, channel: int, y: Array, i: int, command: Array, before: Array
 ) -> tuple[float, float, float]:
-    """`actuator_output` with the faults of this actuator; `channel` is twice its group, one more in yaw."""
+    """`actuator_output` with the faults of this actuator; `channel` is twice its group, one more in yaw.
+
+    `command`, `before`: of all channels.
+    """
     if faults[ANY_FAULT] == 0.0:
-        return actuator_output(a, y, i, command)
-    angle, rate, accel = actuator_output(a, y, i, _faulty_command(faults, channel, command))
+        return actuator_output(a, y, i, command[channel], before[channel])
+    faulty = _faulty_command(faults, channel, command[channel])
+    angle, rate, accel = actuator_output(a, y, i, faulty, before[channel])
     if faults[ACTUATOR_FAULT + channel] == STUCK and (a.order == 2 or a.limits_on_engine == 1):
         return angle, 0.0, 0.0
     return angle, rate, accel
@@ -249,13 +262,6 @@ def _faulty_command(faults: Array, channel: int, command: float) -> float:
     if faults[ACTUATOR_FAULT + channel] == FLOATING:
         command = 0.0
     return command
-
-
-@kernel
-def after_backlash(a: Actuator, played: float, command: float) -> float:
-    """Command that reaches the servo through a play of `backlash_rad` (total), given what reached it before."""
-    half = 0.5 * a.backlash_rad
-    return min(max(played, command - half), command + half)
 
 
 class ActuatorRow(NamedTuple):

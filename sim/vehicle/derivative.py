@@ -158,6 +158,7 @@ class Held:
     on_pad: int  # 1: held down
     burning: int
     command_rad: Annotated[Array, (2 * MAX_ENGINES,)]  # to the actuators: pitch, yaw of each group of engines
+    engine_rad: Annotated[Array, (2 * MAX_ENGINES,)]  # angles at the start of the step, likewise: what a play remembers
     roll_torque_Nm: float
     faults: Annotated[Array, (N_FAULT_SLOTS,)]  # see faults.py
 
@@ -322,14 +323,15 @@ def engine_motion(
 
     Angles, rates and accelerations of each group go into `aux`.
     """
-    i, command, faults = ACTUATOR, held.command_rad, held.faults
-    set_vector(aux, ENGINE_PITCH, actuator_motion(vehicle.actuator_pitch, faults, 0, y, i, command[0]))
-    set_vector(aux, ENGINE_YAW, actuator_motion(vehicle.actuator_yaw, faults, 1, y, i + N_ACTUATOR, command[1]))
+    i, command, before, faults = ACTUATOR, held.command_rad, held.engine_rad, held.faults
+    set_vector(aux, ENGINE_PITCH, actuator_motion(vehicle.actuator_pitch, faults, 0, y, i, command, before))
+    i += N_ACTUATOR
+    set_vector(aux, ENGINE_YAW, actuator_motion(vehicle.actuator_yaw, faults, 1, y, i, command, before))
     for k in range(2 * sizes.further_groups):
         i = actuator_index(sizes, 1) + N_ACTUATOR * k
         set_vector(
             aux, group_angles(1) + 3 * k,
-            actuator_motion(vehicle.further_actuators[k], faults, 2 + k, y, i, command[2 + k]),
+            actuator_motion(vehicle.further_actuators[k], faults, 2 + k, y, i, command, before),
         )  # fmt: skip  # three lines otherwise
     if sizes.tvc_loads > 0:  # the actuators' position is the spring's other end; the engine has angles of its own
         swing_engines(vehicle.tvc_load, vehicle.engine, sizes, y, tvc_load_index(sizes), aux)

@@ -107,6 +107,8 @@ class TvcLoad:
     stop_stiffness_Nmprad: Numbers
     stop_pitch_rad: Numbers
     stop_yaw_rad: Numbers
+    play_pitch_rad: Numbers  # full width of the gap between actuator and spring
+    play_yaw_rad: Numbers
 
 
 @routine
@@ -143,12 +145,20 @@ def load_spatial(unknown: int, accelerations: int) -> int:
 
 @kernel
 def hinge_moment(
-    load: TvcLoad, k: int, y: Array, i: int, position: float, rate: float, stop: float, floating: int
+    load: TvcLoad, k: int, y: Array, i: int, position: float, rate: float, stop: float, play: float, floating: int
 ) -> float:  # fmt: skip  # as ruff would, but for a line of one bracket
-    """Moment of spring, damper, friction and stop on an engine about its hinge, N m; states at y[i:i+3]."""
+    """Moment of spring, damper, friction and stop on an engine about its hinge, N m; states at y[i:i+3].
+
+    In its gap neither spring nor damper acts, and at its ends they push only.
+    """
     moment: float = -load.friction_Nm[k] * y[i + 2]
-    if floating == 0:
+    if floating == 0 and play == 0.0:
         moment -= load.stiffness_Nmprad[k] * (y[i] - position) + load.damping_Nmsprad[k] * (y[i + 1] - rate)
+    elif floating == 0 and abs(y[i] - position) > 0.5 * play:
+        side = math.copysign(1.0, y[i] - position)
+        beyond = abs(y[i] - position) - 0.5 * play
+        push = load.stiffness_Nmprad[k] * beyond + load.damping_Nmsprad[k] * (y[i + 1] - rate) * side
+        moment -= side * max(push, 0.0)
     if abs(y[i]) > stop:
         moment -= load.stop_stiffness_Nmprad[k] * (y[i] - math.copysign(stop, y[i]))
     return moment
@@ -201,13 +211,13 @@ def _prepare_load(
         unknown = 2 * n + axis
         if axis == 0:  # derivative of the thrust axis by the angle, and that angle's own centrifugal terms
             along, lever, own = (-sp * cy, 0.0, cp * cy), cy * cy, 2.0 * cy * sy * pitch_rate * yaw_rate
-            moves, stop = e.follows_pitch[k], load.stop_pitch_rad[n]
+            moves, stop, play = e.follows_pitch[k], load.stop_pitch_rad[n], load.play_pitch_rad[n]
         else:
             along, lever, own = (-cp * sy, -cy, -sp * sy), 1.0, -cy * sy * pitch_rate * pitch_rate
-            moves, stop = e.follows_yaw[k], load.stop_yaw_rad[n]
+            moves, stop, play = e.follows_yaw[k], load.stop_yaw_rad[n], load.play_yaw_rad[n]
         held, channel = HELD + 4 * n + 2 * axis, 2 * e.group[k] + axis
         floating = 1 if faults[ACTUATOR_FAULT + channel] == FLOATING else 0
-        moment_Nm = hinge_moment(load, n, y, i + N_AXIS * axis, aux[held], aux[held + 1], stop, floating)
+        moment_Nm = hinge_moment(load, n, y, i + N_AXIS * axis, aux[held], aux[held + 1], stop, play, floating)
         if moves == 0.0:  # not gimballed in this plane: it stands
             along, lever, own, moment_Nm = (0.0, 0.0, 0.0), 1.0, 0.0, 0.0
         aux[HINGE_MOMENT + unknown] = moment_Nm
