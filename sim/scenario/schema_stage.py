@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from maxq.control.kernel.limits import MAX_SURFACES
-from maxq.control.kernel.tables import Method, fit
 from maxq.sim.scenario.errors import refuse
 from maxq.sim.scenario.foreign import ThrustColumns
 from maxq.sim.scenario.grids import COEFFICIENT_COLUMNS, GridTable, grid_table
@@ -81,8 +80,12 @@ class Mass(Section):
             raise table.refusal(problem, column="Ixx_kgm2", row=row, value=value, at=("table",))
         return self
 
-    def finely(self, ignition_s: float, interpolation: Method) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def finely(
+        self, ignition_s: float, interpolation: Literal["pchip", "linear"]
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Times of the stage clock (s) and the mass at them (kg), as it is joined in flight."""
+        from maxq.control.kernel.tables import fit  # noqa: PLC0415  # lazy: it imports the compiler
+
         if self.table is None:
             spent = np.array([0.0, (self.mass_flow_kgps or 0.0) * (self.burn_s or 0.0)])
             return ignition_s + np.array([0.0, self.burn_s or 0.0]), (self.mass_kg or 0.0) - spent
