@@ -313,13 +313,17 @@ def tvc_load() -> list[str]:
     wanted = wanted.model_copy(update={"cases": ON_LOAD})
     plants = []
     for set_to in ON_COMPLIANCE.values():
-        loaded = load_scenario("load-relief", set_to)
+        loaded = load_scenario("load-relief", (*set_to, "design='designs/ksr3-robust.toml'"))  # nominal's flight
         plants.append((api.nodes(loaded, times), api.nodes(loaded, times, plane="yaw")))
     rows = []
     for name in (*DESIGNS, "ksr3-robust-ascent", "ksr3-load-relief"):
-        design, row = api.load_design(f"designs/{name}"), [name]
+        design, row = load_scenario("load-relief", (f"design='designs/{name}.toml'",)).design, [name]
+        assert design is not None
         for pitch, yaw in plants:
             row += [f"{w:.{digits}f}" for w, digits in zip(worst([*pitch, *yaw], design), (2, 1, 3), strict=True)]
+            if design.law == "load-relief":  # two sensors: a hundred times slower
+                row.append("-")
+                continue
             random = study(pitch, design, wanted, Memory(None)).random
             row.append(str(int((~meet_limits(random, wanted.dispersed)).sum())))
         rows.append(row)
