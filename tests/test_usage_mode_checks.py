@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from pathlib import Path
 
 import numpy as np
+import petrelkit as petrel
 import pytest
 from flightkit import Parts, Tree, load, scenario_of, with_stage
 
@@ -218,3 +220,24 @@ def test_a_mass_between_the_rows_is_met_on_the_joined_curve() -> None:
 def test_modes_over_mass_that_are_refused(change: Callable[[dict[str, float]], None], problem: str) -> None:
     with pytest.raises(ScenarioError, match=problem):
         load(planar(rows(change)))
+
+
+def test_the_second_vehicle_is_checked_likewise(tmp_path: Path) -> None:
+    """Petrel: slopes turned round, a length of another vehicle, a node before lift-off."""
+    lines = (petrel.folder() / "vehicle" / "stage1_modes.csv").read_text().splitlines()
+    first = next(n for n, line in enumerate(lines) if line.startswith("time_s"))
+    column = lines[first].split(",").index("slope_pm")
+    for n, line in enumerate(lines[first + 1 :], start=first + 1):
+        cells = line.split(",")
+        cells[column] = repr(-float(cells[column]))
+        lines[n] = ",".join(cells)
+    flipped = tmp_path / "flipped.csv"
+    flipped.write_text("\n".join(lines) + "\n")
+    with pytest.raises(ScenarioError, match=r"slope of mode 1 .* has the opposite sign"):
+        petrel.scenario(f"vehicle.stage.0.bending.pitch='{flipped}'")
+    doubts = petrel.scenario("vehicle.reference.length_m=180.0").doubts
+    assert any("reference.length_m = 180" in str(doubt) for doubt in doubts)
+    with pytest.raises(
+        ValueError, match=r"node at 0 s: the vehicle is held down; allowed are times under thrust: lift-off to "
+    ):
+        petrel.nodes(0.0)
