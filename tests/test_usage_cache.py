@@ -54,6 +54,10 @@ if HOW == "killed":
     AS.compile_and_leave = lambda self, name, write: os.kill(os.getpid(), 9)
 elif HOW == "not allowed":
     AS.allowed = False
+elif HOW == "not to be had":
+    def refused():
+        raise BlockingIOError("no more processes")
+    AS.allowed, os.fork = True, refused
 else:
     AS.allowed = hasattr(os, "fork")
 here = AS.here
@@ -84,7 +88,7 @@ print(*out, len(DONE))
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("how", "here"), [("beside", 0), ("killed", 1), ("not allowed", 1)])
+@pytest.mark.parametrize(("how", "here"), [("beside", 0), ("killed", 1), ("not allowed", 1), ("not to be had", 1)])
 def test_a_routine_compiled_by_another_process(tmp_path: Path, how: str, here: int) -> None:
     """The same answer where that process is killed, or is not begun: then this one compiles."""
     script = tmp_path / "beside.py"  # Numba keeps code of functions in files only

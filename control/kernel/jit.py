@@ -321,7 +321,10 @@ class _BesideCompiler(_DisjointCompiler):
             function.arg_names, (), mangler=state.targetctx.mangler, argtypes=tuple(state.args),
             noalias=True, abi_tags=[state.flags.get_mangle_string()], uid=function.unique_id,
         )  # fmt: skip  # a line each otherwise
-        library = _LateCode(self, state.targetctx.codegen(), described.llvm_func_name)
+        try:
+            library = _LateCode(self, state.targetctx.codegen(), described.llvm_func_name)
+        except OSError:  # no further process, or no pipe, to be had
+            return self.here()
         compiled = object()
         state.targetctx.insert_user_function(compiled, described, [library])
         return compile_result(
