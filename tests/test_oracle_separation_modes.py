@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import tomli_w
 from numpy.typing import NDArray
+from oracles.beam_frame import Beam
 from scipy.linalg import eigh
 
 from maxq.sim.api import load_scenario_text
@@ -82,16 +83,7 @@ def piece(length_m: float) -> Piece:
     middle = 0.5 * (x[1:] + x[:-1])
     density = np.where(middle < 3.0, 40.0, np.where(middle < FRONT_M, 220.0, 310.0))
     bending = np.where(middle < FRONT_M, 4e7, 1.2e8)
-    k = np.array([[12, 6 * h, -12, 6 * h], [6 * h, 4 * h * h, -6 * h, 2 * h * h],
-                  [-12, -6 * h, 12, -6 * h], [6 * h, 2 * h * h, -6 * h, 4 * h * h]]) / h**3  # fmt: skip  # by rows
-    m = h / 420 * np.array([[156, 22 * h, 54, -13 * h], [22 * h, 4 * h * h, 13 * h, -3 * h * h],
-                            [54, 13 * h, 156, -22 * h], [-13 * h, -3 * h * h, -22 * h, 4 * h * h]])  # fmt: skip
-    size = 2 * len(x)
-    mass, stiffness = np.zeros((size, size)), np.zeros((size, size))
-    for e in range(count):
-        at = slice(2 * e, 2 * e + 4)
-        mass[at, at] += density[e] * m
-        stiffness[at, at] += bending[e] * k
+    stiffness, mass = Beam(x, bending, density, np.zeros(count + 1), np.zeros(count)).matrices()
     return Piece(x, density, mass, stiffness)
 
 

@@ -230,8 +230,7 @@ def _known_type(self: Any, context: Any, args: Any, kws: Any) -> Any:
     return known[args]
 
 
-# of all of the process: what it returns follows from templates and arguments only
-BaseFunction.get_call_type = _known_type  # type: ignore[method-assign]
+BaseFunction.get_call_type = _known_type  # type: ignore[method-assign]  # of all of the process: a pure function
 
 _PASSES = (
     TranslateByteCode, FixupArgs, IRProcessing, GenericRewrites, ReconstructSSA,
