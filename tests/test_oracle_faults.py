@@ -154,5 +154,88 @@ def test_a_part_that_is_missing_or_ideal_cannot_fail() -> None:
         load_scenario("nominal", (fault, "switches.gyro=ideal"))
 
 
+# --- sensors beyond the first gyro
+SENSORS = (
+    "vehicle.stage.0.rate_gyro=[{station_m=8.0, omega_hz=60, zeta=0.65}, {station_m=11.5, omega_hz=50, zeta=0.7}]",
+    "vehicle.stage.0.accelerometer={station_m=4.0, omega_hz=80, zeta=0.7}",
+)
+
+
+@pytest.fixture(scope="module")
+def sensing() -> Flight:
+    return flown("", *SENSORS)
+
+
+OUTPUTS = ("gyro_2_yaw_rate_degps", "gyro_3_yaw_rate_degps", "accelerometer_y_mps2")
+COUNTED = ("gyro_2_yaw_counted_degps", "gyro_3_yaw_counted_degps", "accelerometer_y_counted_mps2")
+WHICH = ('gyro-{0}", gyro = 2, axis = "yaw"', 'gyro-{0}", gyro = 3, axis = "yaw"', 'accelerometer-{0}", axis = "y"')
+BIAS = ("bias_degps = 0.7", "bias_degps = 0.7", "bias_mps2 = 0.7")
+NOISE = ("noise_deg_rt_h = 30.0", "noise_deg_rt_h = 30.0", "noise_mps_rt_h = 30.0")
+
+
+@pytest.mark.parametrize("sensor", range(3))
+def test_each_sensor_fails_by_itself(sensing: Flight, sensor: int) -> None:
+    """All four faults after each other; what the computer counts is the mean of the output over each sample."""
+    kinds = [WHICH[sensor].format(kind) for kind in ("bias", "stuck", "dead", "noisy")]
+    faulty = flown(
+        f'{{kind = "{kinds[0]}, at_s = 1.0, until_s = 1.5, {BIAS[sensor]}}}, '
+        f'{{kind = "{kinds[1]}, at_s = 2.0, until_s = 2.504}}, {{kind = "{kinds[2]}, at_s = 3.0, until_s = 3.5}}, '
+        f'{{kind = "{kinds[3]}, at_s = 4.0, {NOISE[sensor]}}}',
+        *SENSORS,
+    )
+    time_s, output = faulty.time_s(OUTPUTS[sensor]), faulty[OUTPUTS[sensor]]
+    right = sensing[OUTPUTS[sensor]]
+    held = np.interp(2.0, time_s, right)
+    expected = np.where((time_s >= 1.0) & (time_s < 1.5), right + 0.7, right)
+    expected = np.where((time_s >= 2.0) & (time_s < 2.504), held, expected)
+    expected = np.where((time_s >= 3.0) & (time_s < 3.5), 0.0, expected)
+    assert abs(held) > 1e-7
+    assert np.abs(output - expected).max() < 1e-9
+    samples_s, counted = faulty.time_s(COUNTED[sensor])[:-1], faulty[COUNTED[sensor]][:-1]
+    before = counted - sensing[COUNTED[sensor]][:-1]
+    whole = (samples_s > 1.0105) & (samples_s <= 1.5)
+    assert whole.sum() >= 50
+
+    assert np.abs(before[whole] - 0.7).max() < 1e-9
+    assert np.abs(counted[(samples_s > 2.011) & (samples_s < 2.5)] - held).max() < 1e-9
+    assert np.abs(counted[(samples_s > 3.011) & (samples_s < 3.5)]).max() < 1e-12
+    walk = np.unique(before[samples_s > 4.011])  # logged more often than sampled
+    assert np.std(walk) == pytest.approx(30.0 / 60.0 / math.sqrt(0.01), rel=4.0 / math.sqrt(2.0 * len(walk)))
+    for other in {*range(3)} - {sensor}:
+        assert np.abs(faulty[OUTPUTS[other]] - sensing[OUTPUTS[other]]).max() < 1e-9
+        assert np.abs(faulty[COUNTED[other]] - sensing[COUNTED[other]]).max() < 1e-9
+    assert np.abs(faulty["gyro_yaw_rate_degps"] - sensing["gyro_yaw_rate_degps"]).max() < 1e-9
+
+
+@pytest.mark.parametrize(
+    ("fault", "said"),
+    [
+        (
+            '{kind = "gyro-dead", at_s = 1.0, gyro = 4}',
+            "fault.0.gyro = 4: the vehicle has no such gyro; allowed: 1 .. 3",
+        ),
+        (
+            '{kind = "accelerometer-dead", at_s = 1.0, axis = "yaw"}',
+            'fault.0.axis = "yaw": accelerometer-dead has no such axis; allowed: x, y, z',
+        ),
+        ('{kind = "accelerometer-dead", at_s = 1.0, gyro = 2}', "allowed: this key with kind = gyro-stuck"),
+        ('{kind = "accelerometer-bias", at_s = 1.0}', "fault.0.bias_mps2: required key is missing"),
+    ],
+)
+def test_sensors_that_are_not_there_are_refused_in_a_line(fault: str, said: str) -> None:
+    with pytest.raises(ScenarioError) as refused:
+        load_scenario("nominal", (f"fault=[{fault}]", *SENSORS))
+    assert said in str(refused.value)
+    assert str(refused.value).count("\n") <= 1
+
+
+def test_sensors_of_an_ideal_vehicle_do_not_fail() -> None:
+    fault = 'fault=[{kind = "accelerometer-dead", at_s = 1.0}]'
+    with pytest.raises(ScenarioError, match="there is no accelerometer to fail"):
+        load_scenario("nominal", (fault,))
+    with pytest.raises(ScenarioError, match="an ideal accelerometer cannot fail"):
+        load_scenario("nominal", (fault, *SENSORS, "switches.gyro=ideal"))
+
+
 def test_every_kind_is_described_and_packed() -> None:
     assert set(get_args(FaultKind)) == set(KINDS) == set(WRITES)

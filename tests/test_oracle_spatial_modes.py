@@ -173,7 +173,7 @@ LENGTH_M, ROD_KG, ROLL_KGM2, SPEED_MPS = 14.0, 4200.0, 800.0, 700.0  # of both w
 ROD_STATIONS = np.linspace(0.0, LENGTH_M, 57)
 
 
-def rod(component: int, yaw_rad: float = 0.0, **engine: Any) -> Rig:
+def rod(component: int, yaw_rad: float = 0.0, stage: Tree | None = None, **engine: Any) -> Rig:
     """12 modes cos(n pi x / L) of a uniform free-free rod: axial (component 0) or of torsion (3)."""
     modes = []
     for n in range(1, 13):
@@ -193,7 +193,10 @@ def rod(component: int, yaw_rad: float = 0.0, **engine: Any) -> Rig:
     tree = scenario_of(parts, run={"step_s": 0.0001}, switches={"gyro": "ideal", "actuator": "ideal"})
     tree["vehicle"]["computer"]["sample_s"] = 1.0  # a sample takes what the gyro has counted
     bias = {"bias_deg": (0.0, float(np.degrees(yaw_rad)))}
-    return rig(with_stage(tree, actuator=bias, spatial_modes=spatial_section(ROD_STATIONS, forward, modes)))
+    tree["switches"]["section_loads"] = stage is not None
+    return rig(
+        with_stage(tree, actuator=bias, spatial_modes=spatial_section(ROD_STATIONS, forward, modes), **stage or {})
+    )
 
 
 def wave(time_s: float, impedance: float, strength: float) -> tuple[float, float]:
@@ -232,6 +235,104 @@ def _truncated(strength: float, inertia: float) -> float:
     """Sum of what the modes from the thirteenth on could add: 2 F / (m w^2) (1 - cos) each."""
     omega = np.pi * SPEED_MPS / LENGTH_M * np.arange(13, 20000)
     return float((2.0 * strength / inertia / omega**2 * 2.0).sum())
+
+
+# --- section loads
+def sections(made: Rig, y: Array) -> Array:
+    now = evaluate_at(made.packed, y, 0.0)
+    assert now.sections is not None
+    return now.sections
+
+
+@pytest.mark.parametrize("angle_deg", [0.0, 30.0])
+def test_pairs_written_as_spatial_modes_have_the_same_section_loads(angle_deg: float) -> None:
+    """Bent, rolling, with liquid and air; those of planar modes are held to finite elements elsewhere."""
+    liquid = [
+        {"tank": str(k + 1), "bottom_station_m": tank.hinge_station_m + tank.length_m,
+         "table": {"time_s": [0.0], "mass_kg": [1.5 * tank.mass_kg], "front_station_m": [tank.hinge_station_m - 0.3]}}
+        for k, tank in enumerate(PARTS.tanks)
+    ]  # fmt: skip  # five lines otherwise
+    line = [{"front_station_m": 0.0, "rear_station_m": 14.0, "mass_kg": PARTS.core_mass_kg - 550.0}]
+    loads = {"stations_m": [2.0, 5.0, 9.0, 12.0], "line_mass": line, "liquid": liquid, "tolerance": 1.0}
+    angle = np.radians(angle_deg)
+    planar, spatial = rigs(angle, {"loads": loads}, switches={"section_loads": True})
+    rng = np.random.default_rng(23)
+    for _ in range(5):
+        y = stirred(planar, rng)
+        wanted = sections(planar, y)
+        got = sections(spatial, spatial_state(spatial, planar, y, angle))
+        np.testing.assert_allclose(got, wanted, rtol=1e-9, atol=1e-9 * np.abs(wanted).max())
+
+
+CUTS_M = np.linspace(0.5, 13.5, 14)
+ROD_LOADS = {
+    "stations_m": CUTS_M.tolist(),
+    "line_mass": [{"front_station_m": 0.0, "rear_station_m": LENGTH_M, "mass_kg": ROD_KG}],
+    "tolerance": 1.0,
+}
+
+
+def test_axial_force_of_a_rod_that_vibrates_and_of_one_that_is_pushed() -> None:
+    """Free vibration: EA u' in closed form; of a push: partial sums of the series of N = 0."""
+    made = rod(0, stage={"loads": ROD_LOADS}, thrust_N=1.0e5)
+    i, n, s = int(layout.spatial_index(made.sizes)), np.arange(1, 13), np.pi * CUTS_M / LENGTH_M
+    pushed = -1.0e5 * (CUTS_M / LENGTH_M + np.sin(np.outer(s, n)) @ (2.0 * (-1.0) ** n / (np.pi * n)))
+    y = made.y.copy()
+    np.testing.assert_allclose(sections(made, y)[:, 0], pushed, atol=150.0)  # shapes are interpolated between stations
+    assert np.abs(pushed[:12]).max() < 0.1 * 1.0e5  # the tail's push is not felt yet where a rigid rod bears all of it
+    stiffness_N = ROD_KG / LENGTH_M * SPEED_MPS**2
+    for mode in (1, 2, 5):
+        y[i : i + 12] = 0.0
+        y[i + mode - 1] = 1e-3
+        # u' over the station, aft of the nose, is the compression of an x that points forward
+        vibrating = pushed + 1e-3 * stiffness_N * mode * np.pi / LENGTH_M * np.sin(mode * s)
+        np.testing.assert_allclose(sections(made, y)[:, 0], vibrating, atol=2e-3 * np.abs(vibrating).max() + 150.0)
+
+
+def test_section_loads_of_coupled_modes_are_those_of_particles() -> None:
+    """Six modes that move along all axes at once, rolling, pushed beside the axis: Newton for what is forward."""
+    rng = np.random.default_rng(31)
+    mass, x, lateral = particles(rng)
+    axial = np.linalg.qr(np.sqrt(mass)[:, None] * np.stack([np.ones(15), x, x**2], axis=1))[0][:, 1:]
+    plain = np.concatenate([lateral, np.zeros((2, 15, 3))])
+    plain[4:, :, 0] = (axial * np.sqrt(500.0 / mass)[:, None]).T
+    shapes = np.einsum("ij,jnk->ink", np.linalg.qr(rng.normal(size=(6, 6)))[0], plain)
+    stations = 7.0 - x
+    thetas = np.gradient(shapes, stations, axis=1)
+    modes = [
+        (4.0 + n, 500.0, 0.0, np.concatenate([s, np.stack([0 * x, t[:, 2], -t[:, 1]], axis=1)], axis=1))
+        for n, (s, t) in enumerate(zip(shapes, thetas, strict=True))
+    ]
+    inertia = np.diag([900.0, mass @ x**2, mass @ x**2])
+    parts = Parts(
+        core_mass_kg=float(mass.sum()), core_cg=(7.0, 0.0, 0.0), core_inertia=inertia, gyro_station_m=5.0,
+        gimbal_station_m=float(stations[-1]), gimbal_offset_m=(0.3, -0.2), thrust_N=9.0e4,
+    )  # fmt: skip  # one more line each otherwise
+    cuts = 0.5 * (stations[1:] + stations[:-1])
+    line = [{"front_station_m": at, "rear_station_m": at, "mass_kg": kg} for at, kg in zip(stations, mass, strict=True)]
+    stage = {
+        "spatial_modes": spatial_section(stations, np.cumsum(mass) - mass, modes, mass_kg=mass),
+        "loads": {"stations_m": cuts.tolist(), "line_mass": line},
+    }
+    made = rig(with_stage(scenario_of(parts, switches={"section_loads": True}), **stage))
+    turned = np.stack([0 * shapes[..., 0], -shapes[..., 2], shapes[..., 1]], -1)
+    share = np.einsum("n,jnk,ink->ij", mass, turned, shapes) / 500.0
+    i, y, roll, rate = int(layout.spatial_index(made.sizes)), made.y.copy(), 3.0, rng.normal(size=6)
+    y[layout.W_BI_B], y[i + 6 : i + 12] = roll, rate
+    now, w = evaluate_at(made.packed, y, 0.0), np.array([roll, 0.0, 0.0])
+    accel, alpha = now.aux[workspace.SPECIFIC_FORCE :][:3], now.aux[workspace.ANGULAR_ACCEL :][:3]
+    bending = now.rate[i + 6 : i + 12] - roll * share @ rate
+    places = np.stack([x, 0 * x, 0 * x], axis=1)
+    moved, moving = np.einsum("i,ink->nk", bending, shapes), np.einsum("i,ink->nk", rate, shapes)
+    force = -mass[:, None] * (accel + np.cross(alpha, places) + moved + 2.0 * np.cross(w, moving))
+    assert np.abs(mass[:, None] * np.cross(w, moving)).max() > 1e-2 * np.abs(force).max()
+    wanted = np.zeros((len(cuts), 5))
+    for k, cut in enumerate(cuts):
+        ahead = stations < cut
+        arm = np.stack([cut - stations[ahead], 0 * x[ahead], 0 * x[ahead]], axis=1)
+        wanted[k] = *force[ahead].sum(axis=0), *np.cross(arm, force[ahead]).sum(axis=0)[1:]
+    got = now.sections
+    np.testing.assert_allclose(got, wanted, atol=1e-8 * np.abs(wanted).max())
 
 
 # --- a core made of particles

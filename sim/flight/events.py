@@ -44,10 +44,10 @@ from maxq.sim.flight.parameters import (
 from maxq.sim.vehicle.block import Q_BI, R_I, V_I, W_BI_B, Counts, counts
 from maxq.sim.vehicle.engine import total_thrust
 from maxq.sim.vehicle.environment import Environment, climb_rate, flight_direction, velocity_over_ground
-from maxq.sim.vehicle.faults import ANY_FAULT, GYRO_WALK
+from maxq.sim.vehicle.faults import ANY_FAULT, GYRO_LOST, GYRO_WALK
 from maxq.sim.vehicle.gyro import GYRO_STREAM
 from maxq.sim.vehicle.schedule import CORE_CG, TOTAL_MASS
-from maxq.sim.vehicle.sensors import SENSOR_STREAM
+from maxq.sim.vehicle.sensors import SENSOR_STREAM, sensor_slots
 from maxq.sim.vehicle.state import (
     GYRO_ANGLE,
     N_SENSOR,
@@ -107,7 +107,8 @@ def process_due_events(
         record_event(p, memory, LIFTOFF, now)
     if now >= memory.faults.next_ns:
         liftoff_ns = clock.event_ns[LIFTOFF]
-        switch_faults(p.faults, memory.faults, now, liftoff_ns, NEVER, clock.stage, y, held.faults)
+        sensors = sensor_index(p.vehicle.sizes, 0)
+        switch_faults(p.faults, memory.faults, now, liftoff_ns, NEVER, clock.stage, sensors, y, held.faults)
     if now >= clock.next_gust_ns:
         clock.next_gust_ns = now + p.environment.turbulence.tick_ns
         if clock.steps > 0:  # the first gust was drawn at the start
@@ -205,13 +206,16 @@ def sample_computer(p: Parameters, pool: Array, memory: Memory, y: Array) -> Non
 def sample_sensors(p: Parameters, memory: Memory, y: Array) -> None:
     """What sensors beyond the gyro have put out since the last sample, with noise; and which samples are lost."""
     sample, seed, root_s = memory.clock.samples, p.timeline.seed, math.sqrt(1e-9 * p.computer.sample_ns)
-    read = memory.computer.sensors
+    read, faults = memory.computer.sensors, memory.held.faults
     for k in range(p.vehicle.sizes.sensors):
         sensor, stream = p.vehicle.sensors[k], SENSOR_STREAM + 4 * k
-        walk = sensor.triad.random_walk_rad_rts * root_s
+        own = sensor.triad.random_walk_rad_rts
+        walk = own * root_s
         for axis in range(3):
             i = sensor_index(p.vehicle.sizes, k) + 6 + axis
             read.increment[k, axis] = y[i]
+            if faults[ANY_FAULT] > 0.0:
+                walk = root_s * math.hypot(own, faults[sensor_slots(k) + GYRO_WALK - GYRO_LOST + axis])
             if walk > 0.0:
                 read.increment[k, axis] += walk * standard_normal(seed, stream + axis, sample)
             y[i] = 0.0

@@ -25,7 +25,9 @@ class Faults:
     since_liftoff: Annotated[IntArray, (MAX_FAULT_WRITES,)]  # 1: both count from lift-off
     slot: Annotated[IntArray, (MAX_FAULT_WRITES,)]
     value: Annotated[Array, (MAX_FAULT_WRITES,)]
-    state: Annotated[IntArray, (MAX_FAULT_WRITES,)]  # -1, or the state whose value as the fault begins is written
+    # of the state whose value as the fault begins is written: its number, -1 for none, or -2 less its number among
+    # those of the sensors beyond the gyro, which have another place in each stage
+    state: Annotated[IntArray, (MAX_FAULT_WRITES,)]
 
 
 @dataclass
@@ -47,9 +49,13 @@ def fault_instant(instant_ns: int, since_liftoff: int, liftoff_ns: int, never_ns
 
 @routine
 def switch_faults(
-    faults: Faults, memory: FaultMemory, now_ns: int, liftoff_ns: int, never_ns: int, stage: int, y: Array, slots: Array
-) -> None:  # fmt: skip  # nine lines otherwise
-    """Write into `slots` what holds from now on, and into the memory when that changes next."""
+    faults: Faults, memory: FaultMemory, now_ns: int, liftoff_ns: int, never_ns: int, stage: int, sensors: int,
+    y: Array, slots: Array,
+) -> None:  # fmt: skip  # ten lines otherwise
+    """Write into `slots` what holds from now on, and into the memory when that changes next.
+
+    `sensors`: where the states of the sensors beyond the gyro begin.
+    """
     for slot in range(N_FAULT_SLOTS):
         slots[slot] = 0.0
     memory.next_ns = never_ns
@@ -66,6 +72,7 @@ def switch_faults(
             continue
         if memory.on[row] == 0:
             memory.on[row] = 1
-            memory.written[row] = y[faults.state[row]] if faults.state[row] >= 0 else faults.value[row]
+            state = faults.state[row] if faults.state[row] >= -1 else sensors - 2 - faults.state[row]
+            memory.written[row] = y[state] if state >= 0 else faults.value[row]
         slots[ANY_FAULT] = 1.0
         slots[faults.slot[row]] = memory.written[row]

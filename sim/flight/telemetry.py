@@ -119,10 +119,10 @@ def fill_fast(
     for k in range(logged.sensors):
         first, counted = sensor_index(sizes, k), vector_at(memory.computer.sensors.value[k], 0)
         if p.vehicle.sensors[k].kind == ACCELEROMETER:
-            column = put(row, column, accelerometer_row(y, first, counted))
+            column = put(row, column, accelerometer_row(memory.held.faults, k, y, first, counted))
             column = put(row, column, load_relief_row(memory.computer.relief))
         else:
-            column = put(row, column, rate_gyro_row(y, first, counted))
+            column = put(row, column, rate_gyro_row(memory.held.faults, k, y, first, counted))
 
 
 # --- slow group

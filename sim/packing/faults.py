@@ -11,7 +11,7 @@ import numpy as np
 from maxq.control.kernel.limits import MAX_FAULT_WRITES
 from maxq.sim.flight.faults import Faults
 from maxq.sim.flight.parameters import NEVER
-from maxq.sim.scenario.schema_fault import Fault, FaultKind
+from maxq.sim.scenario.schema_fault import KINDS, Fault, FaultKind
 from maxq.sim.scenario.schema_scenario import Scenario
 from maxq.sim.scenario.schema_values import to_ns
 from maxq.sim.vehicle.faults import (
@@ -22,11 +22,13 @@ from maxq.sim.vehicle.faults import (
     GYRO_LOST,
     GYRO_WALK,
     HARD_OVER,
+    SENSOR_FAULT,
+    SENSOR_SLOTS,
     STUCK,
 )
-from maxq.sim.vehicle.state import GYRO
+from maxq.sim.vehicle.state import GYRO, N_SENSOR
 
-_AXIS = {"roll": 0, "pitch": 1, "yaw": 2}
+_AXIS = {"roll": 0, "pitch": 1, "yaw": 2, "x": 0, "y": 1, "z": 2}
 
 
 class Write(NamedTuple):
@@ -37,50 +39,55 @@ class Write(NamedTuple):
     state: int = -1
 
 
-def _gyro_stuck(fault: Fault, axis: int) -> tuple[Write, ...]:
-    return Write(GYRO_LOST + axis), Write(GYRO_ADDED + axis, state=GYRO + 2 * axis)
+def _sensor(fault: Fault, axis: int, gyros: int) -> tuple[Write, ...]:
+    """What a sensor's axis loses of its output, what is added to it, and its noise."""
+    # beyond the first gyro sensors are counted from 0 on, the accelerometer behind the gyros
+    number = (fault.gyro or 1) - 2 if KINDS[fault.kind].part == "gyro" else gyros - 1
+    first = GYRO_LOST if number < 0 else SENSOR_FAULT + SENSOR_SLOTS * number
+    lost, added, walk = (first + slot - GYRO_LOST + axis for slot in (GYRO_LOST, GYRO_ADDED, GYRO_WALK))
+    if fault.kind.endswith("-stuck"):
+        own = GYRO + 2 * axis if number < 0 else -2 - N_SENSOR * number - 2 * axis
+        return Write(lost), Write(added, state=own)
+    if fault.kind.endswith("-dead"):
+        return (Write(lost),)
+    if fault.kind.endswith("-bias"):
+        return (Write(added, fault.bias_mps2 or math.radians(fault.bias_degps or 0.0)),)
+    return (Write(walk, (fault.noise_mps_rt_h or math.radians(fault.noise_deg_rt_h or 0.0)) / 60.0),)
 
 
-def _gyro_dead(fault: Fault, axis: int) -> tuple[Write, ...]:
-    return (Write(GYRO_LOST + axis),)
-
-
-def _gyro_bias(fault: Fault, axis: int) -> tuple[Write, ...]:
-    return (Write(GYRO_ADDED + axis, math.radians(fault.bias_degps or 0.0)),)
-
-
-def _gyro_noisy(fault: Fault, axis: int) -> tuple[Write, ...]:
-    return (Write(GYRO_WALK + axis, math.radians(fault.noise_deg_rt_h or 0.0) / 60.0),)
-
-
-def _nothing(fault: Fault, axis: int) -> tuple[Write, ...]:
+def _nothing(fault: Fault, axis: int, gyros: int) -> tuple[Write, ...]:
     """What an engine does over time is known beforehand, and stands in the stage's tables (packing/schedule.py)."""
     return ()
 
 
-def _actuator(fault: Fault, axis: int) -> tuple[Write, ...]:
+def _actuator(fault: Fault, axis: int, gyros: int) -> tuple[Write, ...]:
     channel = 2 * (fault.group or 0) + axis - 1
     state = {"actuator-stuck": STUCK, "actuator-hard-over": HARD_OVER, "actuator-floating": FLOATING}[fault.kind]
     angle = math.radians(fault.angle_deg or 0.0)
     return Write(ACTUATOR_FAULT + channel, state), Write(ACTUATOR_ANGLE + channel, angle)
 
 
-WRITES: dict[FaultKind, Callable[[Fault, int], tuple[Write, ...]]] = {
+WRITES: dict[FaultKind, Callable[[Fault, int, int], tuple[Write, ...]]] = {
     "engine-off": _nothing,
     "thrust-loss": _nothing,
-    "gyro-stuck": _gyro_stuck,
-    "gyro-dead": _gyro_dead,
-    "gyro-bias": _gyro_bias,
-    "gyro-noisy": _gyro_noisy,
+    "gyro-stuck": _sensor,
+    "gyro-dead": _sensor,
+    "gyro-bias": _sensor,
+    "gyro-noisy": _sensor,
+    "accelerometer-stuck": _sensor,
+    "accelerometer-dead": _sensor,
+    "accelerometer-bias": _sensor,
+    "accelerometer-noisy": _sensor,
     "actuator-stuck": _actuator,
     "actuator-hard-over": _actuator,
     "actuator-floating": _actuator,
 }
-"""What a kind of fault does on an axis (0 roll, 1 pitch, 2 yaw; 0 where the kind has no axes)."""
+"""What a kind of fault does on an axis (0 roll, 1 pitch, 2 yaw; 0 where the kind has no axes); of so many gyros."""
 
 
 def pack_faults(scenario: Scenario) -> Faults:
-    rows = [row for fault in scenario.fault for row in _rows(fault)]
+    gyros = 1 + len(scenario.vehicle.stage[0].rate_gyro)
+    rows = [row for fault in scenario.fault for row in _rows(fault, gyros)]
     assert len(rows) <= MAX_FAULT_WRITES
     columns = [np.zeros(MAX_FAULT_WRITES, float if k == 5 else np.int64) for k in range(7)]
     for column, given in zip(columns, zip(*rows, strict=True), strict=False):
@@ -88,10 +95,10 @@ def pack_faults(scenario: Scenario) -> Faults:
     return Faults(len(rows), *columns)
 
 
-def _rows(fault: Fault) -> Iterator[tuple[float, ...]]:
+def _rows(fault: Fault, gyros: int) -> Iterator[tuple[float, ...]]:
     """Columns of `Faults` in their order."""
     start_ns, stop_ns = to_ns(fault.at_s), NEVER if fault.until_s is None else to_ns(fault.until_s)
     stage, since_liftoff = -1 if fault.stage is None else fault.stage, int(fault.since == "liftoff")
     for axis in fault.axes or ("roll",):
-        for write in WRITES[fault.kind](fault, _AXIS[axis]):
+        for write in WRITES[fault.kind](fault, _AXIS[axis], gyros):
             yield stage, start_ns, stop_ns, since_liftoff, *write

@@ -15,7 +15,7 @@ from maxq.sim.packing.pendulums import pendulum_curves
 from maxq.sim.packing.remembered import cached_by_identity
 from maxq.sim.scenario import schema_loads as schema
 from maxq.sim.scenario.burn import Burn
-from maxq.sim.scenario.modes import ModeTable
+from maxq.sim.scenario.modes import ModeTable, SpatialModeTable
 from maxq.sim.scenario.schema_scenario import Scenario
 from maxq.sim.scenario.schema_tank import Tank
 from maxq.sim.scenario.schema_values import to_ns
@@ -49,13 +49,14 @@ def pack_loads(scenario: Scenario, stage: Stage, burn: Burn, sizes: Sizes, pool:
     pitch = bending.pitch_modes if bending is not None and sizes.pitch_modes else None
     alike = bending is None or bending.pitch == bending.yaw
     yaw = pitch if alike else bending.yaw_modes if bending is not None and sizes.yaw_modes else None
+    spatial = stage.spatial_modes.modes if stage.spatial_modes is not None and sizes.spatial_modes else None
     ends = [engine.gimbal_station_m for engine in stage.engines] or given.line_mass["rear_station_m"].tolist()
     return Loads(
         stations=len(given.stations_m),
         period_ns=to_ns(given.period_s),
         coast=int(given.coast),
         alike=int(alike),
-        table=pool.add(on_clock(_table(given, tanks, pitch, yaw, stage.interpolation), burn)),
+        table=pool.add(on_clock(_table(given, tanks, pitch, yaw, spatial, stage.interpolation), burn)),
         nose_m=given.nose_station_m,
         tail_m=min(ends) if stage.engines else max(ends),
         station_m=stations,
@@ -74,17 +75,18 @@ def _liquids_of(loads: schema.Loads, tanks: Sequence[Tank]) -> list[schema.Liqui
 
 @cached_by_identity
 def _table(
-    loads: schema.Loads, tanks: tuple[Tank, ...], pitch: ModeTable | None, yaw: ModeTable | None, method: Method
-) -> Cubics:
+    loads: schema.Loads, tanks: tuple[Tank, ...], pitch: ModeTable | None, yaw: ModeTable | None,
+    spatial: SpatialModeTable | None, method: Method,
+) -> Cubics:  # fmt: skip  # seven lines otherwise
     """All columns over the stage's clock."""
     planes = [pitch] if pitch is yaw else [pitch, yaw]
     modes = max((table.modes for table in planes if table is not None), default=0)
     sources = [liquid.table["time_s"] for liquid in loads.liquid]
-    sources += [table.time_s for table in planes if table is not None]
+    sources += [table.time_s for table in (*planes, spatial) if table is not None]
     if loads.limits is not None:
         sources.append(schema.limit_times_s(loads.limits))
     times = np.unique(np.concatenate([np.zeros(1), *sources]))
-    body = _Body(loads, tanks, planes, times, method)
+    body = _Body(loads, tanks, (*planes, spatial), times, method)
     stations = np.array(loads.stations_m)
     rigid, limits = body.rigid(stations), _limits(loads, stations, times)
     per_station = [np.stack([*rigid, *limits], axis=2)]  # (times, stations, columns)
@@ -94,6 +96,10 @@ def _table(
         rows = np.zeros((len(times), len(stations), columns_of.MODE_ROWS, modes))
         if table is not None:
             rows[:, :, :, : table.modes] = body.modal(table, stations)
+        per_station.append(rows.reshape(len(times), len(stations), -1))
+    if spatial is not None:
+        along_y, along_z = (body.modal(table, stations) for table in spatial.lateral())
+        rows = np.concatenate([along_z, along_y, body.axial(spatial, stations)[:, :, None]], axis=2)
         per_station.append(rows.reshape(len(times), len(stations), -1))
     columns = np.concatenate(per_station, axis=2).reshape(len(times), -1)
     return fit(times, np.concatenate([np.stack(body.totals, axis=1), columns], axis=1), method)
@@ -106,6 +112,7 @@ class _Part(NamedTuple):
     mass: Array  # alike, kg
     rear: Array  # rear ends of the intervals (n,), rising, m
     hangs: Array  # stations at which their weight hangs on the body (n,), rising, m
+    held: Array  # stations that carry them along x (T, n, nodes), m
 
 
 class _Body:
@@ -116,12 +123,12 @@ class _Body:
     """
 
     def __init__(
-        self, loads: schema.Loads, tanks: tuple[Tank, ...], planes: Sequence[ModeTable | None], times: Array,
-        method: Method,
+        self, loads: schema.Loads, tanks: tuple[Tank, ...], modes: Sequence[ModeTable | SpatialModeTable | None],
+        times: Array, method: Method,
     ) -> None:  # fmt: skip  # nine lines otherwise
         line = loads.line_mass
         front, rear, mass = line["front_station_m"], line["rear_station_m"], line["mass_kg"]
-        of_modes = [table.station_m for table in planes if table is not None]
+        of_modes = [table.station_m for table in modes if table is not None]
         columns = [[float(q.table["front_station_m"].min()), q.bottom_station_m] for q in loads.liquid]
         ends = np.unique(np.concatenate([front, rear, loads.stations_m, *columns, *of_modes]))
         spread = rear > front
@@ -130,10 +137,10 @@ class _Body:
             * (front[spread, None] <= ends[:-1]) * (rear[spread, None] >= ends[1:])
         ).sum(axis=0)  # fmt: skip  # of each interval
         x, weights = _gauss(np.broadcast_to(ends[:-1], (len(times), len(ends) - 1)), ends[1:])
-        self.parts = [_Part(x, weights * density[None, :, None], ends[1:], ends[1:])]
+        self.parts = [_Part(x, weights * density[None, :, None], ends[1:], ends[1:], x)]
         at = front[~spread]
         points = [np.broadcast_to(column[~spread][:, None], (len(times), len(at), 1)) for column in (front, mass)]
-        self.parts.append(_Part(points[0], points[1], at, at))
+        self.parts.append(_Part(points[0], points[1], at, at, points[0]))
         self.times, self.method = times, method
         bobs = dict(zip((tank.name or str(n + 1) for n, tank in enumerate(tanks)), tanks, strict=True))
         for liquid in loads.liquid:
@@ -155,7 +162,8 @@ class _Body:
         x, weights = _gauss(*(np.maximum(edge, surface[:, None]) for edge in (inside[:-1], inside[1:])))
         safe = np.where(length > 0.0, length, 1.0)
         density = (mass / safe)[:, None, None] + (12.0 * first / safe**3)[:, None, None] * (x - middle[:, None, None])
-        self.parts.append(_Part(x, weights * density, inside[1:], np.full(len(inside) - 1, bottom)))
+        hangs = np.full(len(inside) - 1, bottom)
+        self.parts.append(_Part(x, weights * density, inside[1:], hangs, np.full_like(x, bottom)))
 
     def _forward(self, values: Sequence[Array], stations: Array, hanging: bool = False) -> Array:
         """Sums (T, stations, ...) of values at the masses of each part that are, or hang, forward of the stations."""
@@ -197,6 +205,22 @@ class _Body:
         mass = self._forward([part.mass for part in self.parts], stations, hanging=True)
         aside = self._forward(hung, stations, hanging=True) - mass[..., None] * here
         return np.stack([inertia, stations[:, None] * inertia - moment, aside, here], axis=2)
+
+    def axial(self, table: SpatialModeTable, stations: Array) -> Array:
+        """Mass times axial shape of what is, or hangs, forward of the stations (T, stations, modes).
+
+        Without the mean motion that this line mass finds in the shapes, as in `modal`.
+        """
+        phi = table.displacement[..., 0]
+        over_time = fit(table.time_s, phi.reshape(len(phi), -1), self.method).at(self.times)
+        shapes = [fit(table.station_m, row.reshape(phi.shape[1:]).T) for row in over_time]
+        at = [
+            np.stack([f.at(x.ravel()).reshape(*x.shape, table.modes) for f, x in zip(shapes, part.held, strict=True)])
+            for part in self.parts
+        ]
+        mean = (self._sum(at) / self.totals[0][:, None])[:, None, None]
+        moved = [part.mass[..., None] * (values - mean) for part, values in zip(self.parts, at, strict=True)]
+        return self._forward(moved, stations, hanging=True)
 
     def _sum(self, values: Sequence[Array]) -> Array:
         """Sums (T, M) of mass times value over all parts."""

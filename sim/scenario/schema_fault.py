@@ -10,15 +10,16 @@ from typing import Annotated, Literal, NamedTuple
 
 from pydantic import Field, model_validator
 
-from maxq.control.kernel.limits import MAX_ENGINES, MAX_STAGES
+from maxq.control.kernel.limits import MAX_ENGINES, MAX_SENSORS, MAX_STAGES
 from maxq.sim.scenario.errors import refuse
 from maxq.sim.scenario.schema_values import Fraction, Positive, Seconds, Section, needs, only_with, optional
 from maxq.sim.scenario.tables_csv import Columns, CsvTable
 
 FaultKind = Literal[
-    "engine-off", "thrust-loss", "gyro-stuck", "gyro-dead", "gyro-bias", "gyro-noisy", "actuator-stuck",
-    "actuator-hard-over", "actuator-floating",
-]  # fmt: skip  # eight more lines otherwise
+    "engine-off", "thrust-loss", "gyro-stuck", "gyro-dead", "gyro-bias", "gyro-noisy", "accelerometer-stuck",
+    "accelerometer-dead", "accelerometer-bias", "accelerometer-noisy", "actuator-stuck", "actuator-hard-over",
+    "actuator-floating",
+]  # fmt: skip  # eleven more lines otherwise
 
 
 class Kind(NamedTuple):
@@ -35,15 +36,19 @@ class Kind(NamedTuple):
         return *self.targets, *self.values, *self.options
 
 
-_TURNS, _GIMBALS = ("roll", "pitch", "yaw"), ("pitch", "yaw")
+_TURNS, _GIMBALS, _ALONG = ("roll", "pitch", "yaw"), ("pitch", "yaw"), ("x", "y", "z")
 TAIL_OFF_COLUMNS = Columns("time_s", sets=(("share",),), not_negative=("time_s", "share"), begins_by=0.0)
 KINDS: dict[FaultKind, Kind] = {
     "engine-off": Kind("engine", (), ("engine",), (), ("tail_off", "reallocate_after_s")),
     "thrust-loss": Kind("engine", (), ("engine",), ("loss",), ("reallocate_after_s",)),
-    "gyro-stuck": Kind("gyro", _TURNS, ("axis",)),
-    "gyro-dead": Kind("gyro", _TURNS, ("axis",)),
-    "gyro-bias": Kind("gyro", _TURNS, ("axis",), ("bias_degps",)),
-    "gyro-noisy": Kind("gyro", _TURNS, ("axis",), ("noise_deg_rt_h",)),
+    "gyro-stuck": Kind("gyro", _TURNS, ("gyro", "axis")),
+    "gyro-dead": Kind("gyro", _TURNS, ("gyro", "axis")),
+    "gyro-bias": Kind("gyro", _TURNS, ("gyro", "axis"), ("bias_degps",)),
+    "gyro-noisy": Kind("gyro", _TURNS, ("gyro", "axis"), ("noise_deg_rt_h",)),
+    "accelerometer-stuck": Kind("accelerometer", _ALONG, ("axis",)),
+    "accelerometer-dead": Kind("accelerometer", _ALONG, ("axis",)),
+    "accelerometer-bias": Kind("accelerometer", _ALONG, ("axis",), ("bias_mps2",)),
+    "accelerometer-noisy": Kind("accelerometer", _ALONG, ("axis",), ("noise_mps_rt_h",)),
     "actuator-stuck": Kind("actuator", _GIMBALS, ("axis", "group")),
     "actuator-hard-over": Kind("actuator", _GIMBALS, ("axis", "group"), ("angle_deg",)),
     "actuator-floating": Kind("actuator", _GIMBALS, ("axis", "group")),
@@ -55,9 +60,9 @@ class Fault(Section):
     """A part that fails at an instant, for good or for a time."""
 
     kind: FaultKind = Field(
-        description="engine-off: no thrust and no flow; thrust-loss: a share of both; gyro-stuck: the output stays as "
-        "it is; gyro-dead: it is zero; gyro-bias, gyro-noisy: a rate or noise is added to it; actuator-stuck: the "
-        "servo stays as it is; actuator-hard-over: it goes to angle_deg as fast as its limits let it; "
+        description="engine-off: no thrust and no flow; thrust-loss: a share of both; gyro-stuck, accelerometer-stuck: "
+        "the output stays as it is; -dead: it is zero; -bias, -noisy: a constant or noise is added to it; "
+        "actuator-stuck: the servo stays as it is; actuator-hard-over: it goes to angle_deg as its limits let it; "
         "actuator-floating: it gives no force and the engine swings freely on its gimbal (without a TVC load the servo "
         "goes to its middle)"
     )
@@ -65,10 +70,20 @@ class Fault(Section):
     since: Literal["clock", "liftoff"] = optional("at_s and until_s on the vehicle clock, or from lift-off on", "clock")
     until_s: Seconds | None = optional("when the part works again, s, whole ns (default: never)")
     stage: int | None = optional("of which stage, from 0 (default: of whichever flies)", None, ge=0, lt=MAX_STAGES)
-    axis: Literal["roll", "pitch", "yaw"] | None = optional("which axis (default: all)")
+    gyro: int | None = optional(
+        "which gyro, as the log counts them: 1 that of [stage.gyro], from 2 on [[stage.rate_gyro]] (default: 1)", None,
+        ge=1, le=MAX_SENSORS,
+    )  # fmt: skip  # three more lines otherwise
+    axis: Literal["roll", "pitch", "yaw", "x", "y", "z"] | None = optional(
+        "which axis: roll, pitch, yaw of gyros and actuators, x, y, z of the accelerometer (default: all)"
+    )
     group: int | None = optional("group of engines, from 0 as they name them (default: 0)", None, ge=0, lt=MAX_ENGINES)
     angle_deg: float | None = optional("actuator-hard-over: to which angle, deg; its limit of the angle holds")
     bias_degps: float | None = optional("gyro-bias: added to the output, deg/s")
+    bias_mps2: float | None = optional("accelerometer-bias: added to the output, m/s2")
+    noise_mps_rt_h: Positive | None = optional(
+        "accelerometer-noisy: velocity random walk beside the accelerometer's own, m/s/sqrt(h)"
+    )
     noise_deg_rt_h: Positive | None = optional("gyro-noisy: angle random walk beside the gyro's own, deg/sqrt(h)")
     engine: int | None = optional("its number in the stage, from 0 (default: all)", None, ge=0, lt=MAX_ENGINES)
     loss: Fraction | None = optional("thrust-loss: share of thrust and mass flow that is lost")

@@ -134,12 +134,8 @@ def check_loads(loads: Loads, stage: Stage) -> None:
 def check_line_mass(loads: Loads, stage: Stage, key: Path) -> None:
     """Refuse a mass along the body that is not the stage's: sum, CG, transverse inertia at every instant of the tables.
 
-    Spatial modes as well: their accelerations are not in (13.2).
     Only where section loads are switched on: a campaign without them disperses the stage's mass as it likes.
     """
-    if stage.spatial_modes is not None:
-        allowed = "[stage.bending] instead, or switches.section_loads = false"
-        raise refuse("section loads know planar modes only", allowed, (*key, "spatial_modes"), value={})
     known, columns = _mass_over_time(stage)
     times = np.unique(np.concatenate([known, *(liquid.table["time_s"] for liquid in loads.liquid)]))
     given = [np.interp(times, known, column) for column in columns]

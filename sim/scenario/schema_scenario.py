@@ -440,8 +440,14 @@ class Scenario(Section):
                 raise refuse(
                     f"there is no {part} to fail", f"with [{part}] in the stage only", key=("fault", n, "kind")
                 )
-            if getattr(self.switches, part, "") == "ideal":
-                raise refuse(f"an ideal {part} cannot fail", f"switches.{part} = 'full'", key=("fault", n, "kind"))
+            gyros = 1 + len(self.vehicle.stage[0].rate_gyro)
+            if fault.gyro is not None and fault.gyro > gyros:
+                allowed = f"1 .. {gyros}: [stage.gyro], then each [[stage.rate_gyro]]"
+                raise refuse("the vehicle has no such gyro", allowed, ("fault", n, "gyro"))
+            ideal = self.switches.gyro == "ideal" and part == "accelerometer"  # the switch is that of all sensors
+            if ideal or getattr(self.switches, part, "") == "ideal":
+                switch = "gyro" if ideal else part
+                raise refuse(f"an ideal {part} cannot fail", f"switches.{switch} = 'full'", key=("fault", n, "kind"))
             if fault.of_engines:
                 self._check_engine_fault(n, fault, concerned)
             if fault.since == "liftoff" and not self.held:

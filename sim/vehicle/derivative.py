@@ -306,7 +306,7 @@ def derivative(
         load_derivative(vehicle.tvc_load, vehicle.engine, sizes, y, loads, dy, work, aux)
     if sizes.sensors > 0:
         first = sensor_index(sizes, 0)
-        sense(vehicle.sensors, sizes, rate, specific_force, alpha, properties, y, first, dy, work)
+        sense(vehicle.sensors, sizes, rate, specific_force, alpha, properties, held.faults, y, first, dy, work)
     aux[AXIAL_LOAD] = axial_load
     set_vector(aux, AERO_FORCE, aero_force)
     set_vector(aux, AERO_MOMENT, aero_moment)

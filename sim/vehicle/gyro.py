@@ -80,12 +80,22 @@ def sensed_rate(g: Gyro, rate: Vector) -> Vector:
 
 
 @kernel
-def after_fault(faults: Array, axis: int, rate: float) -> float:
-    """What leaves the gyro, rad/s, where a healthy one would give `rate`."""
+def after_fault(faults: Array, lost: int, output: float) -> float:
+    """What leaves a sensor's axis, rad/s or m/s2, where a healthy one would give `output`; `lost`: its first slot."""
     if faults[ANY_FAULT] == 0.0:
-        return rate
-    faulty: float = (1.0 - faults[GYRO_LOST + axis]) * rate + faults[GYRO_ADDED + axis]
+        return output
+    faulty: float = (1.0 - faults[lost]) * output + faults[lost + GYRO_ADDED - GYRO_LOST]
     return faulty
+
+
+@kernel
+def outputs_after_fault(faults: Array, lost: int, y: Array, first: int) -> Vector:
+    """Of the three axes of a sensor whose states begin at y[first] and whose slots at `lost`."""
+    return (
+        after_fault(faults, lost, y[first]),
+        after_fault(faults, lost + 1, y[first + 2]),
+        after_fault(faults, lost + 2, y[first + 4]),
+    )
 
 
 @kernel
@@ -93,7 +103,7 @@ def gyro_derivative(g: Gyro, y: Array, first: int, sensed: Vector, faults: Array
     """Derivatives of the states (two an axis, from y[first] on) and of the angle integrals that follow them."""
     for axis in range(3):
         output = lagged(g, y, first + 2 * axis, sensed[axis], dy)
-        dy[first + 6 + axis] = output if g.ideal == 1 else after_fault(faults, axis, output)
+        dy[first + 6 + axis] = output if g.ideal == 1 else after_fault(faults, GYRO_LOST + axis, output)
 
 
 @kernel
@@ -123,9 +133,7 @@ class GyroRow(NamedTuple):
 
 @kernel
 def gyro_row(y: Array, first: int, faults: Array, aux: Array) -> GyroRow:
-    roll, pitch, yaw = (
-        after_fault(faults, 0, y[first]), after_fault(faults, 1, y[first + 2]), after_fault(faults, 2, y[first + 4]),
-    )  # fmt: skip  # five lines otherwise
+    roll, pitch, yaw = outputs_after_fault(faults, GYRO_LOST, y, first)
     return GyroRow(
         gyro_axis_rate_degps=RollPitchYaw(DEG * roll, DEG * pitch, DEG * yaw),
         body_axis_rate_degps=RollPitchYaw(DEG * y[W_BI_B], DEG * y[W_BI_B + 1], DEG * y[W_BI_B + 2]),

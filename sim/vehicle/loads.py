@@ -37,6 +37,11 @@ from maxq.sim.vehicle.workspace import (
     ANGULAR_ACCEL,
     ETA,
     NU,
+    SPATIAL_ACCEL,
+    SPATIAL_ETA,
+    SPATIAL_RATE,
+    SPATIAL_TURNED,
+    SPATIAL_TURNED_RATE,
     SPECIFIC_FORCE,
     SURFACE_LOAD,
     SURFACE_LOAD_WIDTH,
@@ -62,7 +67,9 @@ STATION_MODES = LIMITS + N_KINDS
 # then for each plane (once for both where they are alike) rows of so many modes:
 INERTIA, INERTIA_MOMENT, AXIAL_MOMENT, DISPLACEMENT = 0, 1, 2, 3
 MODE_ROWS = 4
-MAX_LOAD_COLUMNS = STATIONS + MAX_LOAD_STATIONS * (STATION_MODES + 2 * MODE_ROWS * MAX_MODES)
+# then of the spatial modes these rows for what they move along z, for what along y, and the inertia along x
+SPATIAL_ROWS = 2 * MODE_ROWS + 1
+MAX_LOAD_COLUMNS = STATIONS + MAX_LOAD_STATIONS * (STATION_MODES + (2 * MODE_ROWS + SPATIAL_ROWS) * MAX_MODES)
 
 # A section's loads, side by side
 AXIAL, SHEAR_Y, SHEAR_Z, MOMENT_Y, MOMENT_Z = range(5)
@@ -132,7 +139,7 @@ def modes_of_planes(sizes: Counts) -> int:
 @kernel
 def station_width(sizes: Counts, alike: int) -> int:
     """Columns of a station."""
-    return STATION_MODES + (2 - alike) * MODE_ROWS * modes_of_planes(sizes)
+    return STATION_MODES + (2 - alike) * MODE_ROWS * modes_of_planes(sizes) + SPATIAL_ROWS * sizes.spatial_modes
 
 
 @routine
@@ -149,6 +156,11 @@ def evaluate_sections(
     for n in range(loads.stations):
         station, c = loads.station_m[n], STATIONS + width * n
         total, shift_y, shift_z = _inertia(sizes, loads.alike, drivers, station, roll, work, columns, c)
+        if sizes.spatial_modes > 0:
+            more, moved_y, moved_z = _spatial_inertia(
+                sizes, loads.alike, drivers, roll, at.aux[ANGULAR_ACCEL], work, columns, c
+            )
+            total, shift_y, shift_z = _add(total, more), shift_y + moved_y, shift_z + moved_z
         total = _add(total, _aerodynamic(loads, drivers, station, shift_y, shift_z, at.aux, work))
         for tank in range(sizes.pendulums):
             total = _add(total, _of_pendulum(loads, vehicle, sizes, tank, station, shift_y, shift_z, at, work))
@@ -271,6 +283,36 @@ def _inertia(
         aside_y += d.scale * xi * columns[in_yaw + AXIAL_MOMENT * m + i]
         shift_z += eta * columns[in_pitch + DISPLACEMENT * m + i]
         shift_y += xi * columns[in_yaw + DISPLACEMENT * m + i]
+    moment_y += d.cg[2] * axial + aside_z * d.force[0]
+    moment_z -= d.cg[1] * axial + aside_y * d.force[0]
+    return (axial, shear_y, shear_z, moment_y, moment_z), shift_y, shift_z
+
+
+@kernel
+def _spatial_inertia(
+    sizes: Counts, alike: int, d: Drivers, roll: float, roll_accel: float, work: Array, columns: Array, c: int
+) -> tuple[Section, float, float]:
+    """As `_inertia`, what spatial modes add (docs/model.md, 13.3)."""
+    n, first = sizes.spatial_modes, c + STATION_MODES + (2 - alike) * MODE_ROWS * modes_of_planes(sizes)
+    axial, shear_y, shear_z, moment_y, moment_z = 0.0, 0.0, 0.0, 0.0, 0.0
+    shift_y, shift_z, aside_y, aside_z = 0.0, 0.0, 0.0, 0.0
+    for i in range(n):
+        eta, rate = work[SPATIAL_ETA + i], work[SPATIAL_RATE + i]
+        # of the modal coordinate itself: the quasi-velocities hold what the roll rate does
+        accel = work[SPATIAL_ACCEL + i] - roll_accel * work[SPATIAL_TURNED + i] - roll * work[SPATIAL_TURNED_RATE + i]
+        along, across = d.scale * (accel - roll * roll * eta), d.scale * (2.0 * roll * rate + roll_accel * eta)
+        in_z, in_y = first + i, first + MODE_ROWS * n + i
+        axial -= d.scale * accel * columns[first + 2 * MODE_ROWS * n + i]
+        inertia_z, inertia_y = columns[in_z + INERTIA * n], columns[in_y + INERTIA * n]
+        shear_z -= along * inertia_z + across * inertia_y
+        shear_y -= along * inertia_y - across * inertia_z
+        about_y, about_z = columns[in_z + INERTIA_MOMENT * n], columns[in_y + INERTIA_MOMENT * n]
+        moment_y += along * about_y + across * about_z
+        moment_z -= along * about_z - across * about_y
+        aside_z += d.scale * eta * columns[in_z + AXIAL_MOMENT * n]
+        aside_y += d.scale * eta * columns[in_y + AXIAL_MOMENT * n]
+        shift_z += eta * columns[in_z + DISPLACEMENT * n]
+        shift_y += eta * columns[in_y + DISPLACEMENT * n]
     moment_y += d.cg[2] * axial + aside_z * d.force[0]
     moment_z -= d.cg[1] * axial + aside_y * d.force[0]
     return (axial, shear_y, shear_z, moment_y, moment_z), shift_y, shift_z

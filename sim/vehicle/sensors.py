@@ -23,7 +23,8 @@ from maxq.control.kernel.rows import DEG, RollPitchYaw, Xyz
 from maxq.control.kernel.vectors import Vector, add, cross, scaled, vector_at
 from maxq.sim.vehicle.bending import motion_at, of_plane
 from maxq.sim.vehicle.block import Counts, StateBlock
-from maxq.sim.vehicle.gyro import Gyro, lagged, pack_gyro, sensed_rate
+from maxq.sim.vehicle.faults import SENSOR_FAULT, SENSOR_SLOTS
+from maxq.sim.vehicle.gyro import Gyro, after_fault, lagged, outputs_after_fault, pack_gyro, sensed_rate
 from maxq.sim.vehicle.schedule import CORE_CG, PITCH, YAW, gimbal_place
 from maxq.sim.vehicle.spatial_modes import roll_defect, spatial_motion
 from maxq.sim.vehicle.workspace import (
@@ -80,8 +81,8 @@ def pack_sensors(stage: Any, ideal: bool) -> tuple[Sensor, ...]:
 
 @routine
 def sense(
-    sensors: Any, sizes: Counts, rate: Vector, specific_force: Vector, alpha: Vector, properties: Array, y: Array,
-    first: int, dy: Array, work: Array,
+    sensors: Any, sizes: Counts, rate: Vector, specific_force: Vector, alpha: Vector, properties: Array, faults: Array,
+    y: Array, first: int, dy: Array, work: Array,
 ) -> None:  # fmt: skip  # thirteen lines otherwise
     """Derivatives of the sensors' states, from y[first] on, once all accelerations are known."""
     for k in range(sizes.sensors):
@@ -92,7 +93,14 @@ def sense(
             felt = rate_at(sizes, place, rate, properties, work)
         sensed = sensed_rate(sensor.triad, felt)
         for axis in range(3):
-            dy[i + 6 + axis] = lagged(sensor.triad, y, i + 2 * axis, sensed[axis], dy)
+            output = lagged(sensor.triad, y, i + 2 * axis, sensed[axis], dy)
+            dy[i + 6 + axis] = after_fault(faults, sensor_slots(k) + axis, output)
+
+
+@kernel
+def sensor_slots(k: int) -> int:
+    """The first slot of sensor k's faults."""
+    return SENSOR_FAULT + SENSOR_SLOTS * k
 
 
 @kernel
@@ -162,16 +170,18 @@ class AccelerometerRow(NamedTuple):
 
 
 @kernel
-def rate_gyro_row(y: Array, first: int, counted: Vector) -> RateGyroRow:
+def rate_gyro_row(faults: Array, k: int, y: Array, first: int, counted: Vector) -> RateGyroRow:
+    roll, pitch, yaw = outputs_after_fault(faults, sensor_slots(k), y, first)
     return RateGyroRow(
-        gyro_number_axis_rate_degps=RollPitchYaw(DEG * y[first], DEG * y[first + 2], DEG * y[first + 4]),
+        gyro_number_axis_rate_degps=RollPitchYaw(DEG * roll, DEG * pitch, DEG * yaw),
         gyro_number_axis_counted_degps=RollPitchYaw(DEG * counted[0], DEG * counted[1], DEG * counted[2]),
     )
 
 
 @kernel
-def accelerometer_row(y: Array, first: int, counted: Vector) -> AccelerometerRow:
+def accelerometer_row(faults: Array, k: int, y: Array, first: int, counted: Vector) -> AccelerometerRow:
+    along, right, down = outputs_after_fault(faults, sensor_slots(k), y, first)
     return AccelerometerRow(
-        accelerometer_axis_mps2=Xyz(y[first], y[first + 2], y[first + 4]),
+        accelerometer_axis_mps2=Xyz(along, right, down),
         accelerometer_axis_counted_mps2=Xyz(counted[0], counted[1], counted[2]),
     )
