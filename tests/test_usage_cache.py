@@ -43,6 +43,38 @@ def test_damaged_machine_code_is_compiled_again(tmp_path: Path) -> None:
             assert path.read_bytes() != damaged
 
 
+COUNTED = f"""
+import time
+from maxq.control.kernel import jit
+
+DONE, compiled = [], jit._EntryCompiler._compile_core
+def counted(self):
+    DONE.append(self)
+    if {{fails}}:
+        raise RuntimeError("no code")
+    time.sleep(1.0)  # the others come meanwhile
+    return compiled(self)
+jit._EntryCompiler._compile_core = counted
+try:
+{"".join(f"    {line}" for line in CALL.splitlines(keepends=True)[1:])}finally:
+    print(len(DONE))
+"""
+
+
+@pytest.mark.slow
+def test_workers_that_begin_together_compile_once(tmp_path: Path) -> None:
+    """And where the one that compiles fails, another does."""
+    environment = os.environ | {"MAXQ_CACHE": str(tmp_path / "cache")}
+    scripts = [COUNTED.format(fails=fails) for fails in (True, False, False, False)]
+    workers = [
+        subprocess.Popen([sys.executable, "-c", script], env=environment, stdout=subprocess.PIPE, text=True)
+        for script in scripts
+    ]
+    failed, *done = [worker.communicate(timeout=120)[0].split("\n") for worker in workers]
+    assert failed in (["1", ""], [ANSWER, "0", ""])
+    assert sorted(done) == [[ANSWER, "0", ""], [ANSWER, "0", ""], [ANSWER, "1", ""]]
+
+
 BESIDE = """
 import os, sys
 import numpy as np

@@ -12,8 +12,10 @@ from __future__ import annotations
 
 import contextlib
 import errno
+import functools
 import gc
 import hashlib
+import inspect
 import io
 import os
 import sys
@@ -44,9 +46,13 @@ from numba.core.types.functions import BaseFunction
 from numba.core.typing import signature
 from numba.core.untyped_passes import FixupArgs, GenericRewrites, IRProcessing, ReconstructSSA, TranslateByteCode
 from numba.extending import intrinsic, overload
+from numba.np import numpy_support
 from numpy.typing import NDArray
 
 from maxq.control.kernel.records import constants_in
+
+if sys.platform != "win32":
+    import fcntl
 
 Function = TypeVar("Function", bound=Callable[..., object])
 Array = TypeVar("Array", NDArray[np.float64], NDArray[np.int64])
@@ -133,13 +139,44 @@ class _CheckedFile(IndexDataCacheFile):  # type: ignore[misc]  # Numba has no ty
 
 
 class _EntryCache(FunctionCache):  # type: ignore[misc]  # Numba has no types
+    _turn: int | None = None  # descriptor of the locked file while this process compiles
+
     def load_overload(self, signature: Any, target: Any) -> Any:
         """Machine code from disk, without Numba's implementations of NumPy, which load SciPy's linear algebra: a
         compilation loads them; what has been compiled needs no more than the reference counts of arrays.
+
+        Where there is none, this process compiles: workers that start together wait for the first of them.
         """
         rtsys.initialize(target)
-        with self._guard_against_spurious_io_errors():
-            return self._load_overload(signature, target)
+        for _ in range(2):
+            with self._guard_against_spurious_io_errors():
+                found = self._load_overload(signature, target)
+                if found is not None or self._turn is not None:
+                    break
+            self._await_turn(repr(self._index_key(signature, target.codegen())))
+        if found is not None:
+            self._end_turn()
+        return found
+
+    def save_overload(self, signature: Any, data: Any) -> None:
+        try:
+            super().save_overload(signature, data)
+        finally:
+            self._end_turn()
+
+    def _await_turn(self, key: str) -> None:
+        name = hashlib.sha256(f"{self._cache_file._index_path}{key}".encode()).hexdigest()[:16]
+        if sys.platform != "win32":
+            with contextlib.suppress(OSError):  # where nothing can be kept or locked, each compiles for itself
+                self._turn = os.open(Path(_FOLDER, f"{name}.lock"), os.O_RDWR | os.O_CREAT, 0o600)
+                fcntl.flock(self._turn, fcntl.LOCK_EX)
+
+    def _end_turn(self) -> None:
+        if self._turn is not None:  # nor may a process that was forked meanwhile keep others waiting
+            with contextlib.suppress(OSError):
+                fcntl.flock(self._turn, fcntl.LOCK_UN)
+            os.close(self._turn)
+            self._turn = None
 
 
 def _is_whole(path: str) -> bool:
@@ -231,6 +268,9 @@ def _known_type(self: Any, context: Any, args: Any, kws: Any) -> Any:
 
 
 BaseFunction.get_call_type = _known_type  # type: ignore[method-assign]  # of all of the process: a pure function
+
+# A record handed over from Python is typed by its layout, field by field, at every call: 2 ms for a flight computer's.
+numpy_support.from_struct_dtype = functools.cache(numpy_support.from_struct_dtype)  # a pure function, too
 
 _PASSES = (
     TranslateByteCode, FixupArgs, IRProcessing, GenericRewrites, ReconstructSSA,
@@ -390,20 +430,27 @@ def _for_kernels(function: Function, compiler: type[CompilerBase] = _KernelCompi
     """
     options = {"nogil": True, "error_model": "numpy", **options}
     bare = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True, "pipeline_class": compiler}
-    compiled = numba.njit(function, **bare, **options)
+    compiled = numba.njit(_signed(function), **bare, **options)
     if not numba.config.DISABLE_JIT:
-        _serve_python(compiled, numba.njit(function, pipeline_class=_EntryCompiler, **options))
+        _serve_python(compiled, lambda: numba.njit(function, pipeline_class=_EntryCompiler, **options))
     return compiled  # type: ignore[no-any-return]  # Numba has no types
 
 
-def _serve_python(compiled: Any, complete: Any) -> None:
-    """Route calls from Python to `complete`: Numba's dispatcher would jump to the wrapper that was left out."""
+def _signed(function: Function) -> Function:
+    """With its signature written down: Numba asks for it three times, a tenth of a second for all kernels."""
+    function.__dict__["__signature__"] = inspect.signature(function)
+    return function
+
+
+def _serve_python(compiled: Any, make_complete: Callable[[], Any]) -> None:
+    """Route calls from Python to a complete one: Numba's dispatcher would jump to the wrapper that was left out."""
+    complete = functools.cache(make_complete)
 
     def keep(result: Any) -> None:  # as Numba's own, but for telling the dispatcher's C code of the machine code
         compiled.overloads[tuple(result.signature.args)] = result
 
     compiled.add_overload = keep
-    compiled._compile_for_args = complete._compile_for_args
+    compiled._compile_for_args = lambda *arguments, **named: complete()._compile_for_args(*arguments, **named)
 
 
 def entry(function: Function) -> Function:
@@ -411,7 +458,9 @@ def entry(function: Function) -> Function:
     saved = numba.config.CACHE_DIR
     numba.config.CACHE_DIR = _FOLDER  # read at decoration time; restored so that no other library is touched
     try:
-        compiled = numba.njit(function, nogil=True, cache=True, error_model="numpy", pipeline_class=_EntryCompiler)
+        compiled = numba.njit(
+            _signed(function), nogil=True, cache=True, error_model="numpy", pipeline_class=_EntryCompiler
+        )
         if not numba.config.DISABLE_JIT:
             compiled._cache.__class__ = _EntryCache
             compiled._cache._cache_file.__class__ = _CheckedFile
