@@ -1,4 +1,4 @@
-"""Worker: Basilisk flies a rigid hub with three sloshing masses and two hinged panels, RK4, 60 s at 1 kHz.
+"""Worker: Basilisk flies a rigid hub with three sloshing masses and two hinged panels, RK4, 60 s.
 
 The nearest that Basilisk's state effectors come to a launch vehicle: thrust, gravity with J2, no air, no
 flight computer, no recorder.
@@ -6,6 +6,7 @@ flight computer, no recorder.
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable
 from importlib.metadata import version
 from typing import Any
@@ -20,9 +21,9 @@ from Basilisk.simulation import (  # type: ignore[import-not-found]  # in .venv-
 )
 from Basilisk.utilities import SimulationBaseClass, macros, simIncludeGravBody  # type: ignore[import-not-found]  # in .venv-bench only
 
-from maxq.tools.dev.bench.serve import serve
+from maxq.tools.dev.bench.serve import State, serve
 
-STEP_S = 0.001
+STEP_S = float(sys.argv[1]) if len(sys.argv) > 1 else 0.001
 FLOWN_S = 60.0
 
 
@@ -66,7 +67,7 @@ def _panels(vehicle: Any) -> list[Any]:
     return panels
 
 
-def prepare() -> Callable[[], int]:
+def prepare() -> Callable[[], tuple[int, State]]:
     simulation = SimulationBaseClass.SimBaseClass()
     simulation.CreateNewProcess("process").addTask(simulation.CreateNewTask("task", macros.sec2nano(STEP_S)))
     vehicle = spacecraft.Spacecraft()
@@ -92,10 +93,13 @@ def prepare() -> Callable[[], int]:
     simulation.InitializeSimulation()
     simulation.ConfigureStopTime(macros.sec2nano(FLOWN_S))
 
-    def fly() -> int:
+    def fly() -> tuple[int, State]:
         simulation.ExecuteSimulation()
         assert alive
-        return round(FLOWN_S / STEP_S)
+        end = vehicle.scStateOutMsg.read()
+        square = sum(s * s for s in end.sigma_BN)
+        quaternion = [(1.0 - square) / (1.0 + square), *(2.0 * s / (1.0 + square) for s in end.sigma_BN)]
+        return round(FLOWN_S / STEP_S), [*end.r_BN_N, *quaternion]
 
     return fly
 

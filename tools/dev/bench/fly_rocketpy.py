@@ -16,7 +16,7 @@ from typing import Any
 
 from rocketpy import Environment, Flight, GenericMotor, Rocket  # type: ignore[import-not-found]  # in .venv-bench only
 
-from maxq.tools.dev.bench.serve import serve
+from maxq.tools.dev.bench.serve import State, serve
 
 FLOWN_S = 60.0
 CONTROLLER_HZ = 100
@@ -46,19 +46,22 @@ def _rocket() -> Any:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--causal", action="store_true")
-    causal = parser.parse_args().causal
+    parser.add_argument("rtol", nargs="?", type=float, default=1e-6, help="its default is 1e-6")
+    choice = parser.parse_args()
+    causal = choice.causal
     warnings.filterwarnings("ignore")  # on the coarseness of the rocket, which is meant
     environment = Environment(latitude=36.7, longitude=126.47, elevation=30.0)
 
-    def prepare() -> Callable[[], int]:
+    def prepare() -> Callable[[], tuple[int, State]]:
         rocket = _rocket()
 
-        def fly() -> int:
+        def fly() -> tuple[int, State]:
             flight = Flight(
                 rocket=rocket, environment=environment, rail_length=10.0, inclination=88.0, heading=250.0,
-                max_time=FLOWN_S, time_overshoot=not causal, ode_solver="RK23" if causal else "LSODA",
+                max_time=FLOWN_S, rtol=choice.rtol, time_overshoot=not causal, ode_solver="RK23" if causal else "LSODA",
             )  # fmt: skip  # six more lines otherwise
-            return len(flight.solution)
+            end = [float(x) for x in flight.solution[-1]]
+            return len(flight.solution), [*end[1:4], *end[7:11]]
 
         return fly
 

@@ -40,6 +40,23 @@ def _peers(result: dict[str, Any]) -> str:
     return _table(head, rows)
 
 
+def _accuracy(result: list[dict[str, Any]]) -> str:
+    ours = [row for row in result if row["program"] == "maxq" and "skipped" not in row]
+    rows = []
+    for row in result:
+        if "skipped" in row:
+            rows.append([row["program"], row["method"], "skipped: " + row["skipped"], "", "", ""])
+            continue
+        as_exact = [
+            each["cpu_s"] for each in ours if all(each[error] <= row[error] for error in ("position_m", "attitude_deg"))
+        ]
+        ratio = f"{row['cpu_s'] / min(as_exact):.1f}" if as_exact and row not in ours else ""
+        errors = (f"{row['position_m']:.1e}", f"{row['attitude_deg']:.1e}")
+        rows.append([row["program"], row["method"], f"{row['cpu_s']:.3f}", *errors, ratio])
+    head = ("program", "steps", "CPU, s", "position, m", "attitude, deg", "ratio to the fastest maxq as exact in both")
+    return _table(head, rows)
+
+
 LATENCY = (
     ("help", "`simrun --help`", "wall_s", 0.5),
     ("first", "`simrun nominal`, no kernel compiled yet", "wall_s", 45.0),
@@ -211,7 +228,7 @@ def filled(text: str, results: dict[str, Any]) -> str:
     """The page with its tables renewed. Raises ValueError where a marker is missing."""
     sections = {name: s.get("result") for name, s in results["sections"].items()}
 
-    def whole(name: str, draw: Callable[[dict[str, Any]], str]) -> str:
+    def whole(name: str, draw: Callable[[Any], str]) -> str:
         result = sections.get(name)
         if result is None:
             return str(results["sections"].get(name, {}).get("failed", "Not measured yet."))
@@ -220,6 +237,7 @@ def filled(text: str, results: dict[str, Any]) -> str:
     tables = {
         "machine": _machine(results),
         "peers": whole("peers", _peers),
+        "accuracy": whole("accuracy", _accuracy),
         "latency": whole("latency", _latency),
         "precision": whole("precision", _precision),
         "steps": whole("steps", _steps),

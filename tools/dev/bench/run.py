@@ -75,6 +75,7 @@ def main() -> int:
     choice = parser.parse_args()
     parts: dict[str, Callable[[], Any]] = {
         "peers": lambda: side_by_side.measure(choice.peers, choice.rounds),
+        "accuracy": lambda: side_by_side.accuracy(choice.peers),
         "latency": lambda: latency.measure(choice.repetitions),
         "precision": lambda: _in_own_process("precision"),
         "steps": lambda: _in_own_process("steps"),

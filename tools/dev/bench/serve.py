@@ -14,14 +14,16 @@ import time
 from collections.abc import Callable
 from typing import Any
 
-Prepare = Callable[[], Callable[[], int]]
+State = list[float]
+"""At the end of a flight: position, m, then the quaternion of the attitude, both of any frame that stands still."""
+Prepare = Callable[[], Callable[[], tuple[int, State]]]
 
 
 def serve(about: dict[str, Any], prepare: Prepare) -> None:
     """Answer until the input ends.
 
-    `prepare` sets a flight up and returns what flies it, which returns its steps; both are timed, apart.
-    Whatever else the program prints on its standard output, from C too, is thrown away.
+    `prepare` sets a flight up and returns what flies it, which returns its steps and where it ended; both are timed,
+    apart. Whatever else the program prints on its standard output, from C too, is thrown away.
     """
     answers = os.fdopen(os.dup(1), "w")
     nowhere = os.open(os.devnull, os.O_WRONLY)
@@ -33,6 +35,7 @@ def serve(about: dict[str, Any], prepare: Prepare) -> None:
         fly = prepare()
         set_up = time.perf_counter() - start
         wall, cpu = time.perf_counter(), time.process_time()
-        steps = fly()
+        steps, state = fly()
         cpu, wall = time.process_time() - cpu, time.perf_counter() - wall
-        print(json.dumps({"cpu_s": cpu, "wall_s": wall, "set_up_s": set_up, "steps": steps}), file=answers, flush=True)
+        answer = {"cpu_s": cpu, "wall_s": wall, "set_up_s": set_up, "steps": steps, "state": state}
+        print(json.dumps(answer), file=answers, flush=True)

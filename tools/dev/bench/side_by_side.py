@@ -3,12 +3,17 @@
 from __future__ import annotations
 
 import json
+import math
 import statistics
 import subprocess
 import sys
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
+
+import numpy as np
+
+from maxq.tools.dev.bench.steps import IDEAL
 
 
 @dataclass(frozen=True)
@@ -45,13 +50,13 @@ class _Worker:
     case: Flown
     process: subprocess.Popen[str]
     about: dict[str, Any]
-    flights: list[dict[str, float]] = field(default_factory=list)
+    flights: list[dict[str, Any]] = field(default_factory=list)
 
-    def fly(self) -> dict[str, float]:
+    def fly(self) -> dict[str, Any]:
         assert self.process.stdin is not None
         self.process.stdin.write("fly\n")
         self.process.stdin.flush()
-        answer: dict[str, float] = json.loads(_line(self.process))
+        answer: dict[str, Any] = json.loads(_line(self.process))
         return answer
 
 
@@ -63,6 +68,70 @@ def _line(process: subprocess.Popen[str]) -> str:
         last = process.stderr.read().strip().splitlines()
         raise RuntimeError(last[-1] if last else f"the worker ended with {process.wait()}")
     return line
+
+
+@dataclass(frozen=True)
+class Refined:
+    """A program whose steps are made finer: arguments of its worker with what they mean, the reference last."""
+
+    program: str
+    module: str
+    methods: tuple[tuple[str, tuple[str, ...]], ...]
+    ours: bool = False
+
+
+def _steps(*steps_ms: float) -> tuple[tuple[str, tuple[str, ...]], ...]:
+    return tuple((f"{ms:g} ms", (repr(ms / 1e3),)) for ms in steps_ms)
+
+
+REFINED = (
+    Refined(
+        "maxq", "fly_maxq",
+        tuple(
+            (name, ("--own-kernels", *IDEAL, f"run.{method}"))
+            for name, method in (
+                ("accuracy 0.1", "accuracy=0.1"), ("accuracy 0.01", "accuracy=0.01"),
+                ("accuracy 0.001", "accuracy=0.001"), ("accuracy 0.0001", "accuracy=0.0001"),
+                ("RK4, 1 ms", "step_s=0.001"), ("RK4, 0.5 ms", "step_s=0.0005"), ("RK4, 0.2 ms", "step_s=0.0002"),
+            )
+        ),
+        ours=True,
+    ),
+    Refined("JSBSim", "fly_jsbsim", _steps(8.0, 4.0, 2.0, 1.0, 0.5, 0.25, 0.1)),
+    Refined("Basilisk", "fly_basilisk", _steps(20.0, 10.0, 5.0, 1.0, 0.5)),
+    Refined("RocketPy", "fly_rocketpy", tuple((f"LSODA, rtol {r:g}", (repr(r),)) for r in (1e-4, 1e-6, 1e-8, 1e-10))),
+)  # fmt: skip  # a table
+
+
+def accuracy(peers_python: Path, flights: int = 3) -> list[dict[str, Any]]:
+    """By program and method: least CPU time of some flights, `cpu_s`, and how far the flight's end lies from that with
+    the finest of its steps, `position_m` and `attitude_deg`; or `skipped`, why."""
+    return [
+        row for each in REFINED for row in _refined(each, Path(sys.executable) if each.ours else peers_python, flights)
+    ]
+
+
+def _refined(of: Refined, python: Path, flights: int) -> list[dict[str, Any]]:
+    rows, exact = [], None
+    for name, arguments in reversed(of.methods):
+        try:
+            worker = _start(Flown(of.program, name, of.module, of.ours, arguments), python)
+            try:
+                worker.fly()  # compiles, fills caches
+                flown = [worker.fly() for _ in range(flights)]
+            finally:
+                worker.process.terminate()
+        except (OSError, RuntimeError) as error:
+            return [{"program": of.program, "method": name, "skipped": str(error)}]
+        end = np.array(flown[-1]["state"])
+        exact = end if exact is None else exact
+        q, q_exact = end[3:] / np.linalg.norm(end[3:]), exact[3:] / np.linalg.norm(exact[3:])
+        rows.append({
+            "program": of.program, "method": name, "cpu_s": min(flight["cpu_s"] for flight in flown),
+            "position_m": float(np.linalg.norm(end[:3] - exact[:3])),
+            "attitude_deg": math.degrees(2.0 * min(np.linalg.norm(q - q_exact), np.linalg.norm(q + q_exact))),
+        })  # fmt: skip  # two more lines otherwise
+    return rows[:0:-1]
 
 
 def _start(case: Flown, python: Path) -> _Worker:
