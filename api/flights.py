@@ -21,7 +21,7 @@ def load(path: str | Path, *overrides: str) -> LoadedScenario | LoadedCampaign:
     """A scenario or campaign: a file, or the name of a built-in one; `overrides` as "run.duration_s=10"."""
     if is_campaign(path):
         return load_campaign(path, overrides)
-    return load_scenario(path, overrides, METRIC_NAMES)
+    return load_scenario(path, overrides, METRIC_NAMES).telling(overrides)
 
 
 def fly(scenario: LoadedScenario | str | Path, *overrides: str, folder: str | Path | None = None) -> Flight:
@@ -32,6 +32,7 @@ def fly(scenario: LoadedScenario | str | Path, *overrides: str, folder: str | Pa
     if isinstance(scenario, LoadedScenario) and overrides:
         raise ValueError("overrides go with a scenario's name; load(name, *overrides) takes them")
     loaded = scenario if isinstance(scenario, LoadedScenario) else load_scenario(scenario, overrides, METRIC_NAMES)
+    loaded = loaded.telling(overrides)
     return flying.fly(loaded) if folder is None else record(FlightRun(loaded), folder)
 
 

@@ -104,6 +104,8 @@ def test_the_command_writes_what_simrun_flies(tmp_path: Path, capsys: pytest.Cap
     said = capsys.readouterr().out
     assert "rms of q alpha" in said
     assert f"--set guidance.programme={out}" in said
+    assert simdesign.main(["bias", "nominal", "--wind", "winds/nosuch.csv", "--out", str(out)]) == 2
+    assert "winds/nosuch.csv" in capsys.readouterr().err
     changes = [f"guidance.programme={out}", f"wind.profile={tmp_path / 'w.csv'}", "run.duration_s=20", "requirement="]
     assert fly(load_scenario("nominal", changes), log=False).outcome == "duration"
 

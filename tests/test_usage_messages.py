@@ -6,14 +6,16 @@ from pathlib import Path
 
 import pytest
 
+from maxq import api
 from maxq.sim.campaign.error import CampaignError
 from maxq.sim.campaign.read import load_campaign
 from maxq.sim.campaign.store import MANIFEST, open_store
 from maxq.sim.run.fly import FlightRun
 from maxq.sim.run.record import record
 from maxq.sim.scenario.errors import ScenarioError
-from maxq.sim.scenario.loader import copy_scenario, load_scenario
+from maxq.sim.scenario.loader import LoadedScenario, copy_scenario, load_scenario
 from maxq.tools import simreplay
+from maxq.tools.cli.frame import show_list
 
 
 @pytest.fixture(autouse=True)
@@ -92,6 +94,28 @@ def test_every_wrong_cell_and_row_is_named() -> None:
     assert "\n" not in said
     many = refused(header + "a,a,a\n" * 10)
     assert "and 25 more mistakes" in many
+
+
+def test_a_description_tells_what_was_changed() -> None:
+    """`nominal` in wind said "no wind"."""
+
+    def described(*overrides: str) -> str:
+        loaded = api.load("nominal", *overrides)
+        assert isinstance(loaded, LoadedScenario)
+        return loaded.scenario.description
+
+    wind = "wind.profile=winds/anheung-november.csv"
+    assert described(wind).endswith(f", no wind; with {wind}")
+    assert described(wind, "description=in wind") == "in wind"
+    long = described(f"name={'x' * 200}")
+    assert long.endswith("...")
+    assert len(long) < 200
+
+
+def test_no_two_designs_are_listed_alike(capsys: pytest.CaptureFixture[str]) -> None:
+    assert show_list({"design": "designs"}) == 0
+    told = [line.split(maxsplit=1)[1] for line in capsys.readouterr().out.splitlines()[1:]]
+    assert len(set(told)) == len(told) > 5
 
 
 def test_a_flight_is_recorded_into_a_folder_named_by_text() -> None:

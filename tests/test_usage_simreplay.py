@@ -24,6 +24,7 @@ from maxq.sim.log.reader import read_log
 from maxq.sim.packing.flight import pack_flight
 from maxq.sim.run.fly import logged_channels
 from maxq.tools import simreplay
+from maxq.tools.plots.palette import BLACK, BLUE, ORANGE
 from maxq.tools.replay import flight as flight_module
 from maxq.tools.replay import viewer
 from maxq.tools.replay.convert import Options, save, with_scale
@@ -201,6 +202,21 @@ def test_of_many_flights_a_few_are_in_memory_and_plots_are_families(monkeypatch:
     ).stdout
     roots = {line.split("/plots/")[0] for line in said.splitlines() if "/plots/" in line}
     assert roots == {"/family", *(f"/flights/run-{i:06}" for i in range(flight_module.FEW))}
+
+
+def test_each_of_a_few_flights_has_its_name_and_its_colour() -> None:
+    for name in ("calm", "windy"):
+        Path(name).mkdir()
+        shutil.copy(OLD_LOG, f"{name}/flight.mcap")
+    flights, _ = flight_module.open_flights(["calm", "windy"])
+    told: list[tuple[str, int, int]] = []
+    write_sheets(flights, Path("sheets"), only="gimbal", watch=lambda *step: told.append(step))
+    drawn = Path("sheets/04-gimbal.svg").read_text(encoding="utf-8")
+    assert "2 flights" in drawn
+    assert all(f">{name}" in drawn for name in ("calm", "windy"))
+    assert all(f"stroke: {colour}" in drawn for colour in (BLACK, BLUE))
+    assert f"stroke: {ORANGE}" not in drawn  # which was the second curve's, whosoever it was
+    assert [done for _, done, _ in told] == list(range(len(told)))
 
 
 @pytest.mark.slow

@@ -144,7 +144,8 @@ def test_a_pipe_gets_whole_lines_unless_columns_are_given(monkeypatch: pytest.Mo
 @pytest.mark.parametrize(
     ("value", "text"),
     [
-        (49820.6, "49821"), (852.139, "852.1"), (0.00630254, "0.006303"), (-1.31316e-07, "0"), (0.0, "0"),
+        (49820.6, "49820"), (1341719.0, "1342000"), (852.139, "852.1"), (0.00630254, "0.006303"),
+        (-1.31316e-07, "0"), (0.0, "0"),
         (-4.25, "-4.25"), (float("nan"), "-"), (float("inf"), "inf"), (3.6e9, "3.6e+09"), (2.5e-5, "2.5e-05"),
     ],
 )  # fmt: skip  # ten more lines otherwise
@@ -188,6 +189,25 @@ def test_compiling_says_what_and_gives_the_bar_back() -> None:
     assert "compiling" in shown
     assert "circumference" in shown
     assert shown.rindex("flying") > shown.rindex("circumference")
+
+
+def test_a_bar_is_never_without_a_name() -> None:
+    """Before the first step it says that it prepares; `at_once` does not wait for a second step."""
+    shown = on_a_terminal(
+        "from maxq.tools.cli import terminal\n"
+        "with terminal.Progress(at_once=True) as progress:\n"
+        "    progress.compiling('first')\n"
+        "    progress._compiling_s = 0.0\n"
+        "    progress.compiling('first')\n"
+        "    progress.compiling('')\n"
+        "    progress._bar.refresh()\n"
+        "    progress.show('drawing', 0, 0)\n"
+        "    progress._bar.refresh()\n"
+    )
+    lines = [re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "", part).strip() for part in re.split(r"[\r\n]", shown)]
+    bars = [line for line in lines if "\u2501" in line]
+    assert len(bars) > 2
+    assert all(re.match(r"(preparing|compiling|drawing) ", bar) for bar in bars), bars
 
 
 def test_a_bar_after_its_block_shows_nothing(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -23,12 +23,12 @@ from maxq.sim.campaign.statistics import MET, NOT_MET
 from maxq.sim.campaign.store import RUNS, campaign_in
 from maxq.sim.campaign.targets import Refused
 from maxq.sim.files import plain_name, write_whole
-from maxq.sim.run.metrics import METRIC_NAMES, unit_of
+from maxq.sim.run.metrics import METRIC_NAMES, title_of, unit_of
 from maxq.sim.run.record import LOG_NAME, SUMMARY_NAME
 from maxq.sim.scenario.errors import suggestion
 from maxq.tools import campaign_report as text
 from maxq.tools.cli.frame import Exit, Interruption, say
-from maxq.tools.cli.terminal import Progress, aligned, printable, tell
+from maxq.tools.cli.terminal import Progress, aligned, figures, printable, tell
 from maxq.tools.flight_report import report
 from maxq.tools.replay.viewer import ReplayError
 from maxq.tools.simrun_fly import show_flight, viewer_needed
@@ -204,11 +204,12 @@ def _shrink(order: Order, folder: Path, run: int) -> int:
     else:
         tell(f"{len(found.inputs)} of {count} dispersions are enough ({found.flights} flights); none of them can go:")
         labels, recorded = text.labels_of(campaign), campaign.inputs(run).recorded
-        rows = [(printable(labels.get(n, "")), n, text.value_text(recorded.get(n), 6)) for n in found.inputs]
+        rows = [(printable(labels.get(n, "")), n, text.value_text(recorded.get(n))) for n in found.inputs]
         tell(*aligned(rows, "  "))
     for verdict in found.flight.verdicts:
         if verdict.name == found.failure:
-            tell(f"{verdict.requirement.metric} is then {verdict.value:.6g}")
+            metric, unit = verdict.requirement.metric, unit_of(verdict.requirement.metric)
+            tell(f"{title_of(metric)}: {figures(verdict.value)} {'' if unit == '1' else unit}".rstrip())
     tell(path)
     return Exit.FAILED
 
@@ -231,7 +232,7 @@ def _search(order: Order, folder: Path, stop: Stop) -> int:
     with Progress() as progress:
 
         def watch(best: float, flown: int) -> None:
-            progress.show("searching", flown, most, f"worst {best:.6g}")
+            progress.show("searching", flown, most, f"worst {figures(best)}")
 
         found = search_worst(
             campaign, metric, largest=largest, flights=most, start=start, workers=workers, watch=watch, stop=stop
@@ -239,21 +240,23 @@ def _search(order: Order, folder: Path, stop: Stop) -> int:
     path = folder / "worst" / f"{metric}.toml"
     write_whole(path, found.scenario.as_flown, CampaignError)
     unit = "" if unit_of(metric) == "1" else f" {unit_of(metric)}"
-    tell(f"worst {metric} within 3 sigma: {found.value:.6g}{unit} ({found.flights} flights)")
+    tell(f"{title_of(metric)}, the worst within 3 sigma: {figures(found.value)}{unit} ({found.flights} flights)")
     if at is not None:
         worst = float(values[at])
         more = f"{100.0 * (found.value / worst - 1.0):+.1f} %" if worst else f"{found.value - worst:+.4g}{unit}"
-        tell(f"worst of the campaign's {len(data.runs)} runs: {worst:.6g}{unit} (run {start}): {more};")
-        tell("the search has that run's wind and noise")
+        tell(
+            f"worst of the campaign's {len(data.runs)} runs: {figures(worst)}{unit} (run {start}); the search: {more},"
+        )
+        tell("with that run's wind and noise")
     boxes, labels = campaign.boxes(), text.labels_of(campaign)
     rows = []
     for name, value in found.draws.items():
         low, high = boxes[name]
         place = 2.0 * (value - low) / (high - low) - 1.0 if high > low else 0.0
-        rows.append((printable(labels.get(name, name)), name, f"{value:.6g}", f"{place:+.2f}"))
+        rows.append((printable(labels.get(name, name)), name, figures(value), f"{place:+.2f}"))
     tell("draws, and where they lie in the box (-1 .. 1):")
     tell(*aligned(rows, "  ", right=(2, 3)))
-    tell(f"{path}: fly it with simrun {path}")
+    tell("fly it with:", f"  simrun {path}")
     return Exit.OK if found.flight.passed else Exit.FAILED
 
 

@@ -113,10 +113,11 @@ def viewer_needed() -> Iterator[None]:
 
 def _load(order: Order) -> tuple[LoadedScenario, Comparison]:
     if order.log is None:
-        return load_scenario(order.scenario or "", order.overrides, METRIC_NAMES), Comparison(None)
+        loaded = load_scenario(order.scenario or "", order.overrides, METRIC_NAMES)
+        return loaded.telling(order.overrides), Comparison(None)
     logged = read_run(order.log)
     loaded = load_scenario_text(_scenario_text(logged), order.overrides, METRIC_NAMES, f"scenario in {order.log}")
-    return loaded, Comparison(logged, changed=bool(order.overrides))
+    return loaded.telling(order.overrides), Comparison(logged, changed=bool(order.overrides))
 
 
 def _folder(order: Order, name: str) -> Path | None:

@@ -9,7 +9,7 @@ from typing import NoReturn
 
 from maxq.tools.cli.frame import Exit, process, run, show_list
 from maxq.tools.cli.parser import Parser
-from maxq.tools.cli.terminal import tell
+from maxq.tools.cli.terminal import Progress, tell
 
 _USAGE = """\
 simvehicle LAYOUT [--out DIR] [--compare VEHICLE]
@@ -69,11 +69,16 @@ def _run(arguments: list[str]) -> int:
     layout = read_layout(options.layout)
     folder = Path(options.out or Path("runs") / (re.sub(r"[^\w.-]+", "-", layout.name).strip(".-") or "vehicle"))
     check_writable(folder)
-    try:
-        built = build(layout)
-    except ValueError as error:
-        raise ScenarioError(options.layout, str(error)) from None
-    files = [*write(built, folder), write_whole(folder / "vehicle.html", page(built))]
+    with Progress(at_once=True) as progress:
+        progress.show("working out", 0, 3)
+        try:
+            built = build(layout)
+        except ValueError as error:
+            raise ScenarioError(options.layout, str(error)) from None
+        progress.show("writing", 1, 3)
+        files = write(built, folder)
+        progress.show("drawing", 2, 3)
+        files.append(write_whole(folder / "vehicle.html", page(built)))
     tell(report(built))
     if options.compare is not None:
         from maxq.tools.vehicle.compare import compared, comparison  # noqa: PLC0415  # lazy: loads the linear model

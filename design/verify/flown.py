@@ -111,6 +111,7 @@ def fly_suite(
     suite = loaded_suite.suite
     loaded = [load_flight(loaded_suite, flown, design, vehicle) for flown in suite.flight]
     done = [0]
+    watch(0, len(loaded))
 
     def one(job: tuple[Flown, tuple[LoadedScenario, list[str]]]) -> FlownResult:
         flown, (scenario, changes) = job

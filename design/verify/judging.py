@@ -307,7 +307,7 @@ def make_design(loaded: LoadedCase, *solutions: Solution) -> Design:
         mine, where = solution.case, f"stage {n + 1}: " if len(stages) > 1 else ""
         reached = f"{objective_text(solution)}; {'all limits met' if solution.feasible else 'limits are missed'}"
         made.append(f"{where}{mine.filter.structure}, {mine.gains.schedule} gains, {mine.loop} loop; {reached}")
-    text = ". ".join([case.description, *made] if case.description else made)
+    text = ". ".join([*made, case.description] if case.description else made)
 
     def alone(solution: Solution) -> Design:
         wanted, stage = wanted_of(solution.case), solution.nodes[0].stage

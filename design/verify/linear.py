@@ -264,6 +264,7 @@ def study(
     corners, drawn = vehicles(wanted, nodes[0])
     first = int(drawn[0].label.removeprefix("vehicle ")) if drawn else 1
     done, total = [0], (1 + len(corners) + len(drawn)) * len(nodes)
+    watch(0, total)
 
     def at_node(k: int) -> tuple[Measured, Array, int]:
         node, law = nodes[k], api.law_at(design, nodes[k])

@@ -283,6 +283,7 @@ class _Job:
         wanted, design = self.suite.margins, self.design
         if wanted is None or design is None:
             return []
+        self.watch("nodes of the linear model", 0, 0)
         parts = list(self._by_stage("margins", wanted))
         every = [node for nodes, _, _ in parts for node in nodes]
         flights: list[list[Node]] = []
@@ -332,6 +333,7 @@ class _Job:
             mine = [t for t in named if span.holds(t)]
             times += [t for t in np.arange(min(mine), max(mine) + 0.5, 1.0).tolist() if t <= max(mine)] if mine else []
         computers = [self.scenario.vehicle.computer_of(n) for n in range(len(self.scenario.vehicle.stage))]
+        self.watch("control authority", 0, 0)
         limits_rad = [math.inf if c is None else math.radians(c.command_limit_deg) for c in computers]
         return authority(api.nodes(self.along, times), limits_rad)
 
@@ -341,6 +343,7 @@ class _Job:
         tanks = any(stage.tank for stage in vehicle.stage)
         if wanted is None or design is None or not tanks or not self.scenario.scenario.switches.slosh:
             return []
+        self.watch("slosh", 0, 0)
         nodes = self.nodes("pitch")
         depends = (self.scenario.as_flown, tuple(node.time_s for node in nodes))
         found = self.memory.recall("slosh", depends, lambda: advise(nodes, design))

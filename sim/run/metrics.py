@@ -132,6 +132,7 @@ _SHORT = {  # where a name without its unit says less than it should
     "max_section_bending_moment_station_m": "station of the largest bending moment",
     "max_section_load_ratio": "largest section load over its limit",
     "max_section_load_ratio_station_m": "its station",
+    "orbit_semimajor_m": "semi-major axis",
     "max_wave_share": "largest wave over the breaking one",
     "saturation_time_s": "gimbal command at its limit",
 }

@@ -12,7 +12,7 @@ import json
 import math
 import shutil
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any, TypeVar
@@ -50,6 +50,7 @@ AS_FLOWN = "scenario as flown"
 CAMPAIGN_SECTIONS = ("campaign", "disperse", "wind_model")
 """Top-level keys that a campaign file has beside those of a scenario (sim/campaign/schema.py)."""
 
+_TOLD = 70  # characters of an override in a description
 Model = TypeVar("Model", bound=Section)
 
 
@@ -86,6 +87,15 @@ class LoadedScenario:
     def as_flown(self) -> str:
         """The scenario as one self-contained TOML text: `load_scenario_text` reads back an equal one."""
         return to_toml(self.scenario)
+
+    def telling(self, overrides: Iterable[str]) -> LoadedScenario:
+        """The same, its description with the overrides that a person has given, since it does not hold without them."""
+        about, told = self.scenario.description.rstrip(), [*overrides]
+        if not about or not told or any(text.startswith("description=") for text in told):
+            return self
+        short = (text if len(text) <= _TOLD else f"{text[:_TOLD]}..." for text in told)
+        changed = self.scenario.model_copy(update={"description": f"{about}; with {', '.join(short)}"})
+        return replace(self, scenario=changed)
 
 
 def load_scenario(

@@ -161,23 +161,24 @@ def figures(value: float, digits: int = _DIGITS) -> str:
     text = f"{value:.{digits}g}"
     if "e" not in text or not 1e-4 <= abs(value) < _LARGE:
         return text
-    return f"{value:.0f}"
+    return f"{float(text):.0f}"
 
 
 class Progress:
     """A progress bar on stderr that disappears at the end of its block; any thread may move it. Nothing is shown in the
-    first second, nor where stderr is not a terminal; there `log_every_s` prints a line at this interval, for the logs
-    of batch systems. While kernels are compiled the bar says so.
+    first second, but for steps that take longer each (`at_once`), nor where stderr is not a terminal; there
+    `log_every_s` prints a line at this interval, for the logs of batch systems. While kernels are compiled the bar says
+    so.
     """
 
-    def __init__(self, log_every_s: float | None = None) -> None:
+    def __init__(self, log_every_s: float | None = None, *, at_once: bool = False) -> None:
         self._terminal = sys.stderr.isatty()  # asked once: a system call lets the log's thread go first
         self._log_every_s = log_every_s
-        self._last_s = time.monotonic()
+        self._last_s = -math.inf if at_once else time.monotonic()
         self._bar: Any = None  # rich is imported when it is needed
         self._task: Any = None
         self._lock = threading.RLock()
-        self._shown: dict[str, Any] = {}
+        self._shown: dict[str, Any] = {"what": "preparing", "total": None, "count": ""}
         self._listener: Any = None
         self._open = False
         self._compiling = False
@@ -209,7 +210,7 @@ class Progress:
                 return
             if self._bar is None:
                 self._begin()
-            if what != self._shown.get("what"):
+            if what != self._shown["what"]:
                 self._bar.reset(self._task)  # the clock beside it is that of this part
             self._shown = {"what": what, "completed": done, "total": of or None, "count": count}
             self._bar.update(self._task, **self._shown, note=printable(note))
@@ -220,7 +221,7 @@ class Progress:
             if not name:
                 if self._compiling and self._bar is not None and self._open:
                     self._bar.reset(self._task)
-                    self._bar.update(self._task, **({"what": "", "count": "", "note": ""} | self._shown))
+                    self._bar.update(self._task, **self._shown, note="")
                 self._compiling, self._compiling_s = False, math.inf
                 return
             now_s = time.monotonic()
@@ -232,9 +233,8 @@ class Progress:
             if not self._compiling:
                 self._bar.reset(self._task)
             self._compiling = True
-            self._bar.update(
-                self._task, completed=0, total=None, what="compiling", count="once for this version", note=name
-            )
+            look = {"what": "compiling", "count": "once for vehicles like this", "completed": 0, "total": None}
+            self._bar.update(self._task, **look, note=name)
 
     def _due(self) -> bool:
         wait_s = _PATIENCE_S if self._terminal else self._log_every_s
@@ -255,7 +255,7 @@ class Progress:
 
         shown = (text("what"), BarColumn(20), text("count"), TimeElapsedColumn(), text("note", 1))
         self._bar = Bar(*shown, console=Console(stderr=True), transient=True, expand=True)
-        self._task = self._bar.add_task("", total=1, what="", count="", note="")
+        self._task = self._bar.add_task("", **self._shown, note="")
         self._bar.start()
 
 
@@ -268,7 +268,9 @@ def _listen(progress: Progress) -> Any:
 
         def on_start(self, found: Any) -> None:
             self.depth += 1
-            progress.compiling(found.data["dispatcher"].py_func.__name__)
+            name = found.data["dispatcher"].py_func.__name__
+            if name[0].isalpha() and name != "impl":  # what is within is not named for people
+                progress.compiling(name.replace("_", " "))
 
         def on_end(self, found: Any) -> None:
             self.depth -= 1

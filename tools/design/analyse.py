@@ -106,6 +106,7 @@ def all_axes(
     if (order.kind, order.errata, order.plant) != ("sampled", "corrected", "flown"):
         return []
     out = []
+    progress.show("measuring all axes together", 0, len(set(times_s)))
     for loop in api.multiloops(scenario, design, times_s):
         out.append(multiloop_margins(loop))
         progress.show("measuring all axes together", len(out), len(set(times_s)))

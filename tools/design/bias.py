@@ -14,6 +14,7 @@ can follow the profile, not what slosh or gusts do. The profile flies as it was 
 
 from __future__ import annotations
 
+import json
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -31,7 +32,7 @@ from maxq.sim.scenario.loader import LoadedScenario, load_scenario
 from maxq.sim.scenario.schema_environment import Wind
 from maxq.sim.scenario.tables_csv import CsvTable
 from maxq.tools.cli.frame import Exit
-from maxq.tools.cli.terminal import aligned
+from maxq.tools.cli.terminal import aligned, tell
 
 FULL_FROM = 0.15  # of the largest dynamic pressure
 SMOOTHED_S = 3.0  # width of the window, raised cosine
@@ -93,7 +94,7 @@ class Biased:
 
 def execute(order: Order) -> int:
     """Do it; returns the exit code."""
-    changes = [] if order.wind is None else [f'wind.profile="{Path(order.wind).resolve().as_posix()}"']
+    changes = [] if order.wind is None else [f"wind.profile={json.dumps(order.wind)}"]
     loaded = load_scenario(order.scenario, changes)
     path = Path(order.out or f"{Path(order.scenario).stem}-biased.csv")
     check_writable(path.parent)
@@ -111,9 +112,10 @@ def execute(order: Order) -> int:
         ("largest q alpha, Pa deg", *(f"{x.max():.0f}" for x in loads)),
     ]
     table.append(("rms of q alpha, Pa deg", *(f"{math.sqrt(float(np.mean(x**2))):.0f}" for x in loads)))
-    print("\n".join(aligned(table, "  ", right=(1, 2, 3))))
-    print(f"bias up to {largest[0]:.2f} deg in pitch, {largest[1]:.2f} deg in yaw")
-    print(f"written: {path}; fly it with: simrun {order.scenario} --set guidance.programme={path}")
+    tell(
+        *aligned(table, "  ", right=(1, 2, 3)), f"bias up to {largest[0]:.2f} deg in pitch, {largest[1]:.2f} deg in yaw"
+    )
+    tell(path, "fly it with:", f"  simrun {order.scenario} --set guidance.programme={path}")
     return Exit.OK
 
 

@@ -67,9 +67,11 @@ def execute(order: Order) -> int:
         changes = [f'design="{design_path(order.design)}"']
         changes += [f'vehicle="{order.vehicle}"'] if order.vehicle is not None else []
         files = export_c(load_scenario(order.scenario, changes), Path(order.c))
-        build = f"cmake -S {order.c} -B {order.c}/build && cmake --build {order.c}/build"
+        steps = ("cmake -S {0} -B {0}/build", "cmake --build {0}/build", "ctest --test-dir {0}/build")
         print(
-            f"{len(files)} files in {order.c}/; build and test them with\n  {build} && ctest --test-dir {order.c}/build"
+            f"{len(files)} files in {order.c}/; build and test them with",
+            *(s.format(order.c) for s in steps),
+            sep="\n  ",
         )
         return Exit.OK
     form = order.format or "mat"

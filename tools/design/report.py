@@ -51,7 +51,9 @@ def analysis_report(name: str, order: Order, design: Design, groups: Sequence[Gr
     where = f"along {order.scenario}, {order.axis}; loop opened at the gimbal command; {_KINDS[order.kind]}"
     if order.errata != "corrected" or order.plant != "flown":
         where += f"; errata: {order.errata}; plant: {order.plant}"
-    parts: list[Sequence[str]] = [[printable(f"{name}: {design.name}" if design.name else name), where]]
+    parts: list[Sequence[str]] = [
+        [printable(f"{name}: {design.name}" if design.name not in ("", name) else name), where]
+    ]
     for group in groups:
         judged, found = group.judged, group.found
         parts += [

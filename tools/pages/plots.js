@@ -199,7 +199,7 @@
       const m = 10 ** (db / 20), spots = [...Array(361).keys()].map((k) => spot(m, (-359.9 + k * 359.8 / 360) * Math.PI / 180));
       trace(spots);
       const seen = spots.filter(([x, y]) => y > low && y < high && x > -340);
-      if (seen.length) {
+      if (seen.length && db < 12) { // the innermost lies on -1
         const best = seen.reduce((a, b) => (db < 0 ? b[0] > a[0] : b[1] > a[1]) ? b : a);
         name(X(best[0]), Y(best[1]), `${db} dB`);
       }

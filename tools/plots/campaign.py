@@ -93,6 +93,7 @@ def named(name: str, unit: str) -> str:
     plain = title_of(name)
     if plain == name:
         plain = (name if unit == "1" else name.rpartition("_")[0]).replace("_", " ")
+        plain = re.sub(r"^(\w+) (pitch|yaw|roll)\b", r"\2 \1", plain)
     return plain if unit == "1" else f"{plain}, {unit}"
 
 

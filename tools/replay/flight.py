@@ -46,6 +46,8 @@ FEW = 4
 """Flights of which every vehicle is drawn."""
 FAR_KM = 20.0
 """A flight that begins farther from its site than this is shown in the axes of the place where it begins."""
+Watch = Callable[[str, int, int], None]
+"""What is under way, steps done, steps in all."""
 _FAULTS = ("control_lost", "diverged")
 _NEEDED = tuple(f"r_E_{a}_m" for a in "xyz") + tuple(f"q_BI_{c}" for c in "wxyz")
 
@@ -306,7 +308,9 @@ def _in_folder(folder: Path) -> list[tuple[Path, str]]:
     return sorted(named, key=lambda pair: "nominal" not in pair[1])
 
 
-def open_flights(places: Sequence[str], *, in_turn: bool = False) -> tuple[list[ReplayFlight], list[str]]:
+def open_flights(
+    places: Sequence[str], *, in_turn: bool = False, watch: Watch = lambda *_: None
+) -> tuple[list[ReplayFlight], list[str]]:
     """All flights that can be read, and a complaint for each that cannot, or not whole.
 
     `in_turn`: the caller goes through them one after the other, so that the numbers of a few in memory will do.
@@ -319,7 +323,8 @@ def open_flights(places: Sequence[str], *, in_turn: bool = False) -> tuple[list[
         complaints.append(f"{len(logs)} flights are too many to look at: the first {MOST} are shown")
         logs = logs[:MOST]
     read = _keeping(FEW if in_turn else None)
-    for path, label in logs:
+    for k, (path, label) in enumerate(logs):
+        watch("reading", k, len(logs))
         try:
             flights.append(open_flight(path, label, read))
         except ReplayError as error:
@@ -343,15 +348,16 @@ def closest(flights: Sequence[ReplayFlight]) -> set[int]:
 
 
 def _unlike_labels(flights: Sequence[ReplayFlight]) -> list[ReplayFlight]:
-    """Labels that tell flights apart: the folder's name where two are alike, numbered where that is not enough."""
+    """Labels that tell flights apart: the folder's name where two are alike, or the path, numbered where that is not
+    enough."""
     count = Counter(flight.label for flight in flights)
+    folders = Counter(flight.path.resolve().parent.name for flight in flights)
     seen: Counter[str] = Counter()
     out = []
     for flight in flights:
-        label = flight.label
+        label, folder = flight.label, flight.path.resolve().parent.name
         if count[label] > 1:
-            folder = flight.path.resolve().parent.name
-            label = folder if folder and folder != label else f"{label}, {flight.path}"
+            label = folder if folder and folders[folder] == 1 else f"{label}, {flight.path}"
         seen[label] += 1
         out.append(replace(flight, label=label if seen[label] == 1 else f"{label} ({seen[label]})"))
     return out

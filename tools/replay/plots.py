@@ -122,6 +122,11 @@ def _distance_km(channels: Channels, name: str, shape: VehicleShape | None) -> V
     return channels.time_ns(name), 2.0 * 6371.0 * np.arcsin(np.sqrt(np.clip(haversine, 0.0, 1.0)))
 
 
+def _in_motion(channels: Channels, name: str, shape: VehicleShape | None) -> Values:
+    """A direction of flight, a gap where there is none."""
+    return channels.time_ns(name), np.where(channels["speed_mps"] > 1.0, channels[name], np.nan)
+
+
 def _gyro_rate_of_mode(channels: Channels, name: str, shape: VehicleShape | None) -> Values:
     """Turning rate at the gyro by one mode: its slope there times the modal rate; `name` as eta_pitch_1_mps."""
     _, axis, mode, _ = name.split("_")
@@ -156,7 +161,8 @@ _TABLE: dict[str, list[_Row]] = {
         _Row("speed", "speed", "m/s",
              {"over the ground": "speed_mps", "through the air": "airspeed_mps"}, glance=(1, "speed, {}")),
         _Row("path_angle", "flight path and pitch above the horizon", "deg",
-             {"flight path": "flight_path_deg", "body axis": "pitch_deg"}, glance=(1, "{}")),
+             {"flight path": "flight_path_deg", "body axis": "pitch_deg"}, compute={"flight path": _in_motion},
+             glance=(1, "{}")),
         _Row("mach", "Mach number", "", {"Mach number": "mach"}, glance=(1, "{}")),
     ],
     "Air": [

@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from maxq.tools.cli.frame import Exit, say
+from maxq.tools.cli.terminal import Progress
 from maxq.tools.replay import viewer
 from maxq.tools.replay.flight import ReplayFlight, find_logs, open_flights
 from maxq.tools.replay.viewer import ReplayError
@@ -34,7 +35,8 @@ def execute(given: argparse.Namespace) -> int:
         client = None
         if given.screenshot:  # the viewer starts beside the reading of the logs
             client = stack.enter_context(viewer.headless(given.size or viewer.WINDOW))
-        flights, complaints = open_flights(given.logs, in_turn=not (given.plots or given.summary))
+        with Progress(at_once=True) as bar:
+            flights, complaints = open_flights(given.logs, in_turn=not (given.plots or given.summary), watch=bar.show)
         _complain(complaints)
         done = _show(flights, given, client)
     return done or (Exit.FAILED if complaints else Exit.OK)
@@ -67,8 +69,9 @@ def _show(flights: list[ReplayFlight], given: argparse.Namespace, client: Callab
     if given.plots:
         from maxq.tools.replay.sheets import write_sheets  # noqa: PLC0415  # lazy: matplotlib
 
-        for path in write_sheets(flights, Path(given.plots)):
-            print(path)
+        with Progress() as bar:
+            files = write_sheets(flights, Path(given.plots), watch=bar.show)
+        print("\n".join(map(str, files)))
         return Exit.OK
     if given.save:
         path = Path(given.save)
@@ -102,7 +105,9 @@ def _convert(flights: Sequence[ReplayFlight], given: argparse.Namespace, path: P
         given.rate, given.bend_factor, given.slosh_factor, given.side_by_side, given.tab, bool(given.screenshot)
     )
     _check_writable(path)
-    save(flights, options, path)
+    with Progress(at_once=True) as bar:
+        bar.show("preparing the replay", 0, 0)
+        save(flights, options, path)
 
 
 def _check_writable(path: Path) -> None:
@@ -122,7 +127,9 @@ def temporary_recording() -> Iterator[Path]:
 
 def _screenshot(client: ViewerClient, rrd: Path, given: argparse.Namespace) -> int:
     target = Path(given.screenshot)
-    shots, complaints = viewer.pictures(client, rrd, given.at)
+    with Progress(at_once=True) as bar:
+        bar.show("drawing", 0, 0)
+        shots, complaints = viewer.pictures(client, rrd, given.at)
     _complain(complaints)
     for time_s, shot in zip(given.at, shots, strict=True):
         path = target if len(shots) == 1 else target.with_name(f"{target.stem}-{time_s:g}{target.suffix or '.png'}")

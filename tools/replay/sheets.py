@@ -1,7 +1,7 @@
 """The standard set of plots for a review: a sheet for each subject, as SVG and PNG, with events, limits and units.
 
-One flight gives lines; several give lines coloured by outcome; a campaign gives envelopes over its kept flights, with
-the nominal on top.
+One flight gives lines in colours of their own; a few give a colour to each flight and dashes to each channel; a
+campaign gives envelopes over its kept flights, with the nominal on top and those that failed in red.
 """
 
 from __future__ import annotations
@@ -15,18 +15,20 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from matplotlib.layout_engine import ConstrainedLayoutEngine
+from matplotlib.lines import Line2D
 from scipy.signal import detrend, spectrogram
 
 from maxq.control.kernel.records import Array, IntArray
 from maxq.sim.scenario.schema_loads import Loads
-from maxq.tools.plots.palette import BLACK, BLUE, GREEN, GREY, LIMIT, RED, VERDICT
+from maxq.tools.cli.terminal import figures
+from maxq.tools.plots.palette import BLACK, BLUE, GREEN, GREY, LIMIT, ON_LIGHT, RED, VERDICT, WHITE
 from maxq.tools.plots.style import curve as look_of
 from maxq.tools.plots.style import drawing, name_point, save, sheet
 from maxq.tools.replay.decimate import extremes, extremes_on_grid
-from maxq.tools.replay.flight import ReplayFlight, Requirement, has_motion, path_of, place_of
+from maxq.tools.replay.flight import ReplayFlight, Requirement, Watch, has_motion, path_of, place_of
 from maxq.tools.replay.plots import AXES, Axis, Curve, Plot, Tab, axis_of, range_of, tabs_of
-from maxq.tools.replay.text import plain
-from maxq.tools.replay.vehicle_shape import borne
+from maxq.tools.replay.vehicle_shape import PLANES, borne, shape_of
 from maxq.tools.replay.viewer import ReplayError
 
 WIDTH_IN, ROW_IN = 8.0, 1.9
@@ -45,6 +47,7 @@ _LEGEND: dict[str, Any] = {  # in one row above the plot
     "columnspacing": 1.2,
     "frameon": False,
 }
+_TITLE_LINE_IN = 0.26
 _ENVELOPE_FROM = 6  # so many flights are drawn as envelope instead of one by one
 _BINS, _POINTS, _THIN_POINTS = 1500, 4000, 1500  # along a sheet: of an envelope, of a line, of one among many
 _PATH_NS = 100_000_000
@@ -73,16 +76,30 @@ class Flights:
     def many(self) -> bool:
         return len(self.all) > 1
 
+    @property
+    def few(self) -> bool:
+        """So few that each has its colour."""
+        return 1 < len(self.all) < _ENVELOPE_FROM
+
+    def colour(self, flight: ReplayFlight) -> str:
+        """That of the reference is black."""
+        others = [f for f in self.all if f is not self.reference]
+        if flight is self.reference:
+            return BLACK
+        return ON_LIGHT[others.index(flight)] if self.few else VERDICT[flight.verdict]
+
     def look(self, flight: ReplayFlight) -> dict[str, Any]:
         """How a flight's line looks where it is the only one of it in a plot."""
         if not self.many:
             return {"color": BLUE, "linewidth": 1.4}
         if flight is self.reference:
-            return {"color": BLACK, "linewidth": 1.2, "zorder": 3.0, "label": self.reference.label}
-        return {"color": VERDICT[flight.verdict], "linewidth": 0.6, "alpha": 0.7}
+            return {"color": BLACK, "linewidth": 1.2, "zorder": 3.0, "label": None if self.few else flight.label}
+        return {"color": self.colour(flight), "linewidth": 0.9 if self.few else 0.6, "alpha": 0.8}
 
 
-def write_sheets(flights: Sequence[ReplayFlight], folder: Path, only: str = "") -> list[Path]:
+def write_sheets(
+    flights: Sequence[ReplayFlight], folder: Path, only: str = "", watch: Watch = lambda *_: None
+) -> list[Path]:
     """Draw all sheets into a folder, which is made; returns the files. Raises ReplayError where that fails.
 
     `only`: those of one tab, a part of its name.
@@ -94,9 +111,11 @@ def write_sheets(flights: Sequence[ReplayFlight], folder: Path, only: str = "") 
         folder.mkdir(parents=True, exist_ok=True)
         with drawing(settings=_SETTINGS):
             for number, tab in enumerate(tabs, start=1):
+                watch("drawing", number - 1, len(tabs) + 1)
                 ranges = (plot.value_range(f.log) for plot in tab.plots for f in flights)
                 if only in tab.name.lower() and any(found is not None for found in ranges):
                     written += save(_sheet(tab, shown), folder / f"{number:02}-{tab.name.lower()}")
+            watch("drawing", len(tabs), len(tabs) + 1)
             for name, figure in special_sheets(shown) if not only else ():
                 written += save(figure, folder / name)
     except OSError as error:
@@ -108,6 +127,7 @@ def write_sheets(flights: Sequence[ReplayFlight], folder: Path, only: str = "") 
 def _sheet(tab: Tab, shown: Flights) -> Figure:
     title = _title(tab.name, shown)
     figure, places = sheet(len(tab.plots), height_in=ROW_IN, width_in=WIDTH_IN, title=title, sharex=True)
+    _name_flights(figure, shown)
     span_s = _span(tab, shown)
     for place, plot in zip(places, tab.plots, strict=True):
         _draw(place, plot, shown, span_s)
@@ -136,8 +156,20 @@ def _title(name: str, shown: Flights) -> str:
     if not shown.many:
         return f"{name} - {reference.label} ({reference.outcome} at {reference.span_s[1]:.1f} s)"
     failed = sum(f.verdict == "failed" for f in shown.all)
-    how = "shaded: all, " if len(shown.all) >= _ENVELOPE_FROM else ""
-    return f"{name} - {len(shown.all)} flights, {failed} failed ({how}thick: {reference.label}, thin red: failed)"
+    how = "" if shown.few else f" (shaded: all, thick: {reference.label}, thin red: failed)"
+    return f"{name} - {len(shown.all)} flights, {failed} failed{how}"
+
+
+def _name_flights(figure: Figure, shown: Flights) -> None:
+    """The colour of each of a few flights, in a line of its own below the title."""
+    if shown.few:
+        named = [(f, f.label + (", FAILED" if f.verdict == "failed" else "")) for f in shown.all]
+        handles = [Line2D([], [], color=shown.colour(f), linewidth=1.6, label=text) for f, text in named]
+        below, layout = 1.0 - _TITLE_LINE_IN / figure.get_figheight(), figure.get_layout_engine()
+        assert isinstance(layout, ConstrainedLayoutEngine)
+        layout.set(rect=(0.0, 0.0, 1.0, below))
+        place: Any = {"loc": "upper left", "bbox_to_anchor": (0.0, below), "borderaxespad": 0.0, "frameon": False}
+        figure.legend(handles=handles, ncols=len(handles), **place).set_in_layout(False)
 
 
 def _span(tab: Tab, shown: Flights) -> tuple[float, float]:
@@ -183,10 +215,10 @@ def _draw_curve(place: Axes, curve: Curve, number: int, shown: Flights, span_s: 
         if not shown.many:
             line(ns, values, _POINTS, label=curve.label)
         elif flight is shown.reference:
-            colour = BLACK if number == 0 else look["color"]
+            colour = BLACK if number == 0 or shown.few else look["color"]
             line(ns, values, _POINTS, label=curve.label, color=colour, linewidth=1.0, zorder=3.0)
-        elif len(shown.all) < _ENVELOPE_FROM or flight.verdict == "failed":
-            line(ns, values, _THIN_POINTS, color=VERDICT[flight.verdict], linewidth=0.6, alpha=0.7)
+        elif shown.few or flight.verdict == "failed":
+            line(ns, values, _THIN_POINTS, **shown.look(flight))
         if len(shown.all) >= _ENVELOPE_FROM:
             envelopes.append(envelope(ns, values, span_ns))
     if envelopes:
@@ -272,7 +304,9 @@ def special_sheets(shown: Flights) -> Iterator[tuple[str, Figure]]:
 
 def _figure(name: str, shown: Flights, rows: int, columns: int, height_in: float) -> tuple[Figure, Sequence[Axes]]:
     of = f"{len(shown.all)} flights" if shown.many else shown.reference.label
-    return sheet(rows, columns, height_in, WIDTH_IN, f"{name} - {of}")
+    figure, places = sheet(rows, columns, height_in, WIDTH_IN, f"{name} - {of}")
+    _name_flights(figure, shown)
+    return figure, places
 
 
 def _path(shown: Flights) -> Figure:
@@ -367,10 +401,29 @@ def _spectra(channels: Sequence[str], flight: ReplayFlight) -> Figure:
         unit = flight.log.channel(channel).unit
         place.set(ylabel="frequency (Hz)", title=f"{_SPECTRA[channel]}: amplitude, dB re 1 {unit}")
         place.set_ylim(0.0, min(_HIGHEST_HZ, float(hertz[-1])))
+        _name_modes(place, flight, channel.split("_")[1], times)
         place.grid(False)
         figure.colorbar(image, ax=place, label="dB", pad=0.01)
     places[-1].set_xlabel("time (s)")
     return figure
+
+
+def _name_modes(place: Axes, flight: ReplayFlight, axis: str, times_s: Array) -> None:
+    """Frequencies of the first stage's bending modes by its table, without axial load and air."""
+    if flight.scenario is None:
+        return
+    stage = shape_of(flight.scenario.vehicle).stages[0]
+    table = stage.modes[PLANES.index(axis)]
+    if table is None:
+        return
+    end_s = min([m.time_s for m in flight.moments if m.name == "separation"], default=times_s[-1])
+    times_s = times_s[times_s <= end_s]
+    look: Any = {"color": WHITE, "fontsize": 6.5, "textcoords": "offset points", "ha": "right", "va": "bottom"}
+    for k, hertz in enumerate(table.frequency_hz.T, start=1):
+        at = np.interp(times_s * stage.clock_factor, table.time_s, hertz)
+        if len(at) and at[-1] < place.get_ylim()[1] - 4.0:
+            place.plot(times_s, at, color=WHITE, linewidth=0.7, linestyle=(0, (1, 3)))
+            place.annotate(f"mode {k}", (times_s[-1], at[-1]), (-2, 2), **look)
 
 
 def _requirements(shown: Flights) -> Figure:
@@ -387,17 +440,18 @@ def _requirements(shown: Flights) -> Figure:
             widest = max(widest, used * 1.1)
             colour = GREEN if r.met else RED
             if shown.many:
-                colour = BLACK if flight is shown.reference else colour
+                colour = shown.colour(flight)
                 place.plot([used], [row], "|", color=colour, markersize=11)
                 continue
             place.barh(row, used, color=colour, height=0.62, hatch=None if r.met else "//", edgecolor="white")
-            text = f"{plain(r.value)} of {r.bound:g}{'' if r.unit == '1' else f' {r.unit}'}"
+            text = f"{figures(r.value)} of {r.bound:g}{'' if r.unit == '1' else f' {r.unit}'}"
             place.annotate(text, (used, row), (4, 0), textcoords="offset points", va="center", fontsize=7.5)
     place.axvline(1.0, color=LIMIT, linewidth=1.2)
     place.set_yticks(range(len(names)), names)
     place.invert_yaxis()
     place.set_xlim(0.0, widest + 0.35)
-    place.set_xlabel("share of what is allowed" + (f"; black: {shown.reference.label}" if shown.many else ""))
+    black = f"; black: {shown.reference.label}" if shown.many and not shown.few else ""
+    place.set_xlabel(f"share of what is allowed{black}")
     place.grid(axis="y", visible=False)
     return figure
 

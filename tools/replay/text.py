@@ -11,6 +11,7 @@ import numpy as np
 
 from maxq.control.kernel.records import Array, IntArray
 from maxq.sim.log.foxglove import Level
+from maxq.tools.cli.terminal import figures
 from maxq.tools.plots.palette import ON_DARK
 from maxq.tools.replay.flight import LaunchSite, ReplayFlight, Requirement
 from maxq.tools.replay.plots import Curve, Plot, tabs_of
@@ -19,11 +20,6 @@ from maxq.tools.replay.vehicle_shape import Exaggeration
 _VERDICTS = {"passed": "passed", "failed": "FAILED", "unknown": "no verdict: there is no summary.json beside the log"}
 _BLOCKS, _PLAIN_BLOCKS = "▁▂▃▄▅▆▇█", "_.-=+*%#"
 _NARROWEST, _WIDEST = 20, 100
-
-
-def plain(value: float) -> str:
-    """Four significant digits, without powers of ten."""
-    return f"{value:.0f}" if abs(value) >= 1000.0 else f"{value:.4g}"
 
 
 # -- beside the pictures -------------------------------------------------------------------------------------------
@@ -73,7 +69,7 @@ def _notes(notes: Sequence[str]) -> list[str]:
 def _requirement(r: Requirement) -> str:
     bound = f"{r.bound:g} at {'most' if r.kind == 'limit' else 'least'}"
     unit = "" if r.unit == "1" else f" {r.unit}"
-    value = f"{plain(r.value)}{unit}, " if isinstance(r.value, float | int) else ""
+    value = f"{figures(r.value)}{unit}, " if isinstance(r.value, float | int) else ""
     met = "" if r.met is None else ": met" if r.met else ": **MISSED**"
     return f"- {r.name}{met} ({value}{bound})"
 
@@ -143,7 +139,7 @@ def summary_text(flight: ReplayFlight, width: int | None = None, ascii_only: boo
         lines.append("! goes beyond what the scenario allows")
     for r in flight.requirements:
         if r.met is False and r.value is not None:
-            lines.append(f"MISSED {r.name}: {plain(r.value)} instead of {r.bound:g} {r.unit}")
+            lines.append(f"MISSED {r.name}: {figures(r.value)} instead of {r.bound:g} {r.unit}")
     return "\n".join("".join(c if c.isprintable() else " " for c in line).rstrip() for line in lines)
 
 
@@ -161,16 +157,11 @@ def _row(plot: Plot, curve: Curve, flight: ReplayFlight) -> _Row | None:
     if not finite.any():
         return None
     low, high = float(values[finite].min()), float(values[finite].max())
-    least = 1e-9 * max(abs(low), abs(high))
-    ends = " .. ".join(_number(0.0 if abs(x) < least else x) for x in (low, high))
+    least = 1e-4 * max(abs(low), abs(high))
+    ends = " .. ".join("0" if abs(x) <= least else figures(x, 4 if abs(x) >= 1000.0 else 3) for x in (low, high))
     burning = values[finite & (ns <= round(flight.burn_end_s * 1e9))]  # requirements are judged under thrust
     broken = any((burning > x.value).any() if x.upper else (burning < x.value).any() for x in plot.limits if x.required)
     return _Row(plot.glance[1].format(curve.label), ns, values, f"{ends} {plot.unit}".rstrip(), broken)
-
-
-def _number(value: float) -> str:
-    size = abs(value)
-    return "0" if size < 1e-12 else f"{value:.0f}" if size >= 1000.0 else f"{value:.3g}"
 
 
 def sparkline(ns: IntArray, values: Array, span_ns: tuple[int, int], cells: int, blocks: str = _BLOCKS) -> str:

@@ -14,10 +14,10 @@ from maxq.design.model.vehicle_at import vehicle_at
 from maxq.sim.packing.flight import pack_flight
 from maxq.sim.scenario.builtin import scenarios_folder
 from maxq.sim.scenario.loader import LoadedScenario, load_scenario
-from maxq.tools.cli.terminal import aligned
+from maxq.tools.cli.terminal import aligned, figures
 from maxq.tools.vehicle.build import Built, burning
 
-ALIKE = 1e-3
+ALIKE = 1e-2
 TIMES = 11  # of each burn, at full thrust
 _NOT_COMPARED = ("follower", "gimbal", "rest", "slope", "flow_share", "gain", "spatial", "local_incidence")
 
@@ -80,11 +80,11 @@ def _numbers(part: Any, name: str) -> Iterator[tuple[str, float]]:
 
 def comparison(found: list[Difference], vehicle: str) -> str:
     """The differences as a table, largest first."""
-    rows = [("quantity", "here", vehicle, "difference, % of the largest")]
+    rows = [("quantity", "here", "there", "off, %")]
     alike = [d for d in found if d.largest < ALIKE]
     for d in sorted((d for d in found if d.largest >= ALIKE), key=lambda d: -d.largest):
         k = int(np.argmax(np.abs(d.here - d.there)))
-        rows.append((d.name, f"{d.here[k]:.6g}", f"{d.there[k]:.6g}", f"{100.0 * d.largest:.3g}"))
-    head = f"compared with {vehicle}, {TIMES} times of each burn; values where they differ most"
+        rows.append((d.name, figures(d.here[k]), figures(d.there[k]), f"{100.0 * d.largest:.3g}"))
+    head = f"compared with {vehicle}, {TIMES} times of each burn: values where they differ most, % of the largest there"
     rest = f"  {len(alike)} more differ by less than {100.0 * ALIKE:g} %"
     return "\n".join([head, *aligned(rows, "  ", right=range(1, 4)), rest])

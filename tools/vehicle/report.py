@@ -45,7 +45,7 @@ def notes(built: Built) -> list[tuple[str, list[str]]]:
 
 
 def _stages(built: Built) -> tuple[str, Rows]:
-    rows: Rows = [("stage", "from, kg", "to, kg", "burn, s", "T/W", "dv, m/s", "v, m/s", "h, km", "path, deg")]
+    rows: Rows = [("stage", "from", "to", "burn, s", "T/W", "dv", "v", "h, km", "path, deg")]
     for n, stack in enumerate(built.stacks):
         first, last = (stack.mass_properties(t).mass_kg for t in (0.0, stack.burn.end_s))
         point = [p for p in built.flight.points if p.number == n][-1]
@@ -64,11 +64,12 @@ def _stages(built: Built) -> tuple[str, Rows]:
         if orbit.perigee_m < 0.0
         else (f"; the last burn-out is in an orbit of {orbit.perigee_m / 1e3:.0f} by {orbit.apogee_m / 1e3:.0f} km")
     )
-    return f"stages (point mass; thrust over weight and delta-v in vacuum; v, h and path at burn-out{ends})", rows
+    about = "point mass, kg and m/s; thrust over weight and delta-v in vacuum; v, h and path at burn-out"
+    return f"stages ({about}{ends})", rows
 
 
 def _modes(built: Built) -> tuple[str, Rows]:
-    rows: Rows = [("stage", "mode", "Hz at ignition", "Hz at burn-out", "mass, kg", "slope at gyro, 1/m")]
+    rows: Rows = [("stage", "mode", "first, Hz", "last, Hz", "mass, kg", "slope at gyro, 1/m")]
     gyro = built.layout.control.gyro_station_m
     for stack, (_, modes) in zip(built.stacks, built.modes, strict=True):
         for k, mode in enumerate(modes[0]):
@@ -76,13 +77,12 @@ def _modes(built: Built) -> tuple[str, Rows]:
             ends = (f"{mode.frequency_hz:.2f}", f"{modes[-1][k].frequency_hz:.2f}", f"{mode.generalized_mass_kg:.4g}")
             rows.append((stack.name, str(k + 1), *ends, f"{slope:.3f}"))
     held = ", ".join(f"{mode.frequency_hz:.2f}" for mode in on_the_pad(built))
-    return "bending, free-free, 1 at the gimbal" + (f"; held at the tail on the pad: {held} Hz" if held else ""), rows
+    on_pad = f"; held at the tail on the pad: {held} Hz" if held else ""
+    return f"bending, free-free, 1 at the gimbal; first at ignition, last at burn-out{on_pad}", rows
 
 
 def _control(built: Built) -> tuple[str, Rows]:
-    rows: Rows = [
-        ("time, s", "stage", "Mach", "q, kPa", "CG, m", "CP, m", "M_alpha, 1/s2", "M_delta, 1/s2", "k_p", "k_d, s")
-    ]
+    rows: Rows = [("time, s", "stage", "Mach", "q, kPa", "CG, m", "CP, m", "M_alpha", "M_delta", "k_p", "k_d, s")]
     gains = np.array(built.gains)
     for n, stack in enumerate(built.stacks):
         points = [p for p in burning(built) if p.number == n]
@@ -93,4 +93,4 @@ def _control(built: Built) -> tuple[str, Rows]:
             cells = (f"{p.mach:.2f}", f"{p.dynamic_pressure_Pa / 1e3:.2f}", f"{cg:.2f}", f"{cp:.2f}")
             turn = (f"{m_alpha_1ps2(built, p):.3f}", f"{m_delta_1ps2(built, p):.3f}", f"{k_p:.3f}", f"{k_d:.3f}")
             rows.append((f"{p.time_s:.1f}", stack.name, *cells, *turn))
-    return "control (M_alpha > 0: unstable)", rows
+    return "control (M_alpha and M_delta in 1/s2; M_alpha > 0: unstable)", rows

@@ -84,7 +84,7 @@ def _vehicle(found: Verification) -> Plot:
         series.append(shape(outline, fill="page", opacity=1.0))
         for k, tank in enumerate(stage.tanks):
             full = tank.bottom_station_m - float(tank.level[1][0])
-            for top, opacity, said in ((tank.top_station_m, 0.12, ""), (full, 0.5, f"{tank.name}, to begin with")):
+            for top, opacity, said in ((tank.top_station_m, 0.12, ""), (full, 0.5, f"{tank.name} at lift-off")):
                 bottom, r = tank.bottom_station_m, tank.radius_m
                 corners = [(top, r), (bottom, r), (bottom, -r), (top, -r)]
                 series.append(shape(corners, said, fill=COLOURS[k % 4], opacity=opacity, bare=True))

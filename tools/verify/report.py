@@ -88,7 +88,9 @@ def _summary(found: Verification) -> list[dict[str, Any]]:
         vehicles = len(found.margins[0].random) + len(found.margins[0].corners) if found.margins else 0
         asked["dispersed"] = f"the same of {vehicles} dispersed vehicles"
     if suite.certificate is not None:
-        asked["certificate"] = f"linear loop and flight agree at {len(found.certificates)} nodes"
+        asked["certificate"] = (
+            f"linear loop and flight agree at {len(found.certificates)} node{'s' * (len(found.certificates) != 1)}"
+        )
     asked["measured only"] = f"margins of flight code, measured at {len(found.measured)} nodes"
     asked["campaign"] = "; ".join(
         f"{c.runs} flights, {100.0 * c.success:g} % with {100.0 * c.confidence:g} % confidence" for c in found.campaigns
