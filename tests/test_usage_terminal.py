@@ -171,7 +171,7 @@ def test_many_threads_move_one_bar_that_goes_away() -> None:
     assert shown.count("\x1b[?25h") == 1
     assert shown.rindex("margins") < shown.rindex("\x1b[2K") < shown.rindex("END")  # wiped before the end
     plain = re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "\r", shown)
-    assert max(cell_len(part) for part in re.split(r"[\r\n]", plain)) <= 80
+    assert max(cell_len(part) for part in re.split(r"[\r\n]", plain)) <= 77  # there is room for the "^C" of a terminal
 
 
 def test_compiling_says_what_and_gives_the_bar_back() -> None:

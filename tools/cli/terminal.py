@@ -210,6 +210,7 @@ class Progress:
                 return
             if self._bar is None:
                 self._begin()
+            self._bar.console.width = _beside_ctrl_c()
             if what != self._shown["what"]:
                 self._bar.reset(self._task)  # the clock beside it is that of this part
             self._shown = {"what": what, "completed": done, "total": of or None, "count": count}
@@ -254,9 +255,15 @@ class Progress:
             return TextColumn(f"{{task.fields[{field}]}}", markup=False, table_column=column)
 
         shown = (text("what"), BarColumn(20), text("count"), TimeElapsedColumn(), text("note", 1))
-        self._bar = Bar(*shown, console=Console(stderr=True), transient=True, expand=True)
+        self._bar = Bar(*shown, console=Console(stderr=True, width=_beside_ctrl_c()), transient=True, expand=True)
         self._task = self._bar.add_task("", **self._shown, note="")
         self._bar.start()
+
+
+def _beside_ctrl_c() -> int:
+    """Width of the bar: the terminal's less the "^C" that it writes behind, which else breaks the line, and half of the
+    bar stays."""
+    return max(columns(sys.stderr) - 3, 20)
 
 
 def _listen(progress: Progress) -> Any:
