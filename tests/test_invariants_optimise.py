@@ -20,6 +20,7 @@ from typing import Any
 import numpy as np
 import optimise_kit as kit
 import pytest
+import scipy.linalg
 from threadpoolctl import threadpool_info
 
 from maxq.design import api
@@ -28,7 +29,7 @@ from maxq.design.laws.pd import Pd
 from maxq.design.loop.loop import Loop
 from maxq.design.margins.measure import margins
 from maxq.design.model.node import Node
-from maxq.design.model.spread import places_of
+from maxq.design.model.spread import Correlated, places_of
 from maxq.design.optimise import robust
 from maxq.design.optimise.features import _extremes
 from maxq.design.optimise.plants import Plants, make_plant, make_plants
@@ -145,6 +146,21 @@ def test_both_ends_of_a_range_are_searched_and_lie_on_either_side() -> None:
     )
     np.testing.assert_allclose(high - middle, middle - low, rtol=1e-9)
     assert (high > 1.001 * middle).all()
+
+
+def test_corners_follow_correlations() -> None:
+    """Masses of two tanks that go together by R deviate by sqrt(R) times the ends (SciPy's root)."""
+    node = kit.all_nodes().each[3].node
+    pair = Correlated(of=("slosh_mass.0", "slosh_mass.1"), coefficient=0.6)
+    found = kit.case(name="ksr3-robust").case.robust
+    assert found is not None
+    ranges = found.model_copy(update={"correlated": (pair,)})
+    places, root = places_of(node, ranges), scipy.linalg.sqrtm(np.array([[1.0, 0.6], [0.6, 1.0]])).real
+    for ends in ((1, 1), (1, -1), (0, 1)):
+        signs = dict(zip((("slosh_mass", 0), ("slosh_mass", 1)), ends, strict=True))
+        there = deviated(node, ranges, [signs.get(place, 0) for place in places]).vehicle.pendulums.mass_kg
+        wanted = 1.0 + ranges.slosh_mass * ranges.corner_sigmas / 3.0 * root @ ends
+        np.testing.assert_allclose(there / node.vehicle.pendulums.mass_kg, wanted, rtol=1e-12)
 
 
 @pytest.mark.parametrize("seed", range(8))

@@ -25,18 +25,18 @@ from maxq.design.margins.measure import margins
 from maxq.design.model.dispersion import Dispersion, disperse, dispersed_many, stacked
 from maxq.design.model.node import Node
 from maxq.design.model.plant import vehicle_plants
-from maxq.design.model.spread import CorrelatedSpread
+from maxq.design.model.spread import Spread
 from maxq.design.verify.linear import measured, vehicles
 from maxq.design.verify.suite import LinearMargins
 
-WIDE = CorrelatedSpread(
+WIDE = Spread(
     bending_frequency=(0.2, 0.3, 0.4), bending_slope=0.8, slosh_frequency=0.3, slosh_mass=0.5, delay_s=0.02,
     thrust=0.3, inertia=0.3, normal_force=0.8, centre_of_pressure_m=2.0,
 )  # fmt: skip  # a line for each otherwise
 """Far more than any suite asks for: some vehicles are unstable, some have delays of more than a sample."""
 
 
-def drawn(node: Node, count: int, spread: CorrelatedSpread = WIDE) -> list[Dispersion]:
+def drawn(node: Node, count: int, spread: Spread = WIDE) -> list[Dispersion]:
     return vehicles(LinearMargins(cases=count, corner_sigmas=0.0, three_sigma=spread), node)[1]
 
 
@@ -100,11 +100,11 @@ def test_margins_of_an_unstable_body_and_with_an_integral() -> None:
     first, second = petrelkit.nodes(40.0, 150.0)
     for node, k_p, k_d in ((first, 1.2, 0.8), (second, 0.8, 0.6)):
         law = Pd(k_p, k_d)
-        worst, _, back = compared(node, law, drawn(node, 30, CorrelatedSpread()))
+        worst, _, back = compared(node, law, drawn(node, 30, Spread()))
         assert worst.max() < 1e-3, worst
         assert back <= 2
     node = design_nodes.node_at(45.0)
-    worst, unstable, back = compared(node, Pd(0.9, 0.4, k_i_ps=0.05), drawn(node, 30, CorrelatedSpread()))
+    worst, unstable, back = compared(node, Pd(0.9, 0.4, k_i_ps=0.05), drawn(node, 30, Spread()))
     assert worst.max() < 1e-3
     assert (unstable, back) != (30, 30)
 
@@ -115,7 +115,7 @@ def test_a_flight_of_its_own() -> None:
     node, other = design_nodes.node_at(35.0), design_nodes.node_at(45.0)
     law = api.law_at(api.load_design("designs/ksr3-robust"), node)
     met = dataclasses.replace(node, condition=dataclasses.replace(other.condition, time_s=node.time_s))
-    every = drawn(node, 5, CorrelatedSpread())
+    every = drawn(node, 5, Spread())
     values, status = ManyLoops(node, law).measure(every, -6.0, met)
     assert (status == DONE).all()
     for by, row in zip(every, values, strict=True):

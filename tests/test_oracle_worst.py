@@ -4,24 +4,28 @@ from __future__ import annotations
 
 from dataclasses import replace
 from itertools import product
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
 import design_nodes
 import numpy as np
 import pytest
+import scipy.linalg
 
 from maxq.design import api
+from maxq.design.case.schema import read_case
 from maxq.design.loop.fixed_path import fixed_path
 from maxq.design.loop.loop import Loop
 from maxq.design.margins.measure import margins
 from maxq.design.model.dispersion import NOMINAL, Dispersion, disperse
 from maxq.design.model.node import Node
-from maxq.design.model.spread import Correlated, CorrelatedSpread, Spread, places_of, vehicle_at_places, vehicle_of
+from maxq.design.model.spread import DEVIATIONS, Correlated, Spread, places_of, resolved, vehicle_at_places, vehicle_of
 from maxq.design.verify import linear, worst
 from maxq.design.verify.linear import vehicles
-from maxq.design.verify.suite import LinearMargins, WorstWanted
+from maxq.design.verify.suite import LinearMargins, WorstWanted, read_suite
 from maxq.design.verify.worst import WorstVehicle, distance, scenario_of, search_node, slope, worst_requirements
+from maxq.sim.campaign.read import load_campaign
 from maxq.sim.run.metrics import METRIC_NAMES
 from maxq.sim.scenario.errors import ScenarioError
 from maxq.sim.scenario.loader import load_scenario, load_scenario_text
@@ -35,7 +39,7 @@ FEW = {  # what deviates in the brute-force case; the rest of Spread is 0
 VEHICLE: Any = SimpleNamespace(  # three modes and two tanks
     modes=SimpleNamespace(omega_radps=np.ones(3)), pendulums=SimpleNamespace(mass_kg=np.ones(2))
 )
-NONE = {key: 0.0 for key in Spread.model_fields if key not in FEW}
+NONE = {key: 0.0 for key in DEVIATIONS if key not in FEW}
 
 
 def exact(node: Node, by: Dispersion) -> float:
@@ -154,7 +158,7 @@ def test_the_scenario_written_is_the_vehicle_measured() -> None:
 
 def test_the_delay_flown_is_that_of_the_stages_computer_up_to_its_sample() -> None:
     base = load_scenario("nominal", ["vehicle.stage.0.computer={delay_s=0.004}"])
-    node: Any = SimpleNamespace(stage=0)
+    node: Any = SimpleNamespace(stage=0, vehicle=VEHICLE)
     for late, delay_s, said in (
         (0.002, 0.006, []),
         (0.009, 0.01, ["vehicle.stage.0.computer.delay_s beyond the sample"]),
@@ -254,8 +258,8 @@ def test_words_claim_no_more_than_was_searched() -> None:
     assert rows[0].again == "simverify x --only worst"
 
 
-def going_together(*pairs: tuple[tuple[str, str], float]) -> CorrelatedSpread:
-    return CorrelatedSpread(correlated=tuple(Correlated(of=of, coefficient=value) for of, value in pairs))
+def going_together(*pairs: tuple[tuple[str, str], float]) -> Spread:
+    return Spread(correlated=tuple(Correlated(of=of, coefficient=value) for of, value in pairs))
 
 
 def test_search_follows_correlations(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -275,6 +279,111 @@ def test_search_follows_correlations(monkeypatch: pytest.MonkeyPatch) -> None:
     found, u, _ = search_node(node, none, spread, WorstWanted(starts=2))
     assert found == pytest.approx(c - np.sqrt(a @ together @ a), abs=2e-3)
     assert u @ np.linalg.solve(together, u) == pytest.approx(1.0, abs=1e-6)
+
+
+def test_box_and_corners_follow_correlations(monkeypatch: pytest.MonkeyPatch) -> None:
+    """u = sqrt(R) v of independent v (SciPy's root): c + a . u is least at c - sum |sqrt(R) a| in the box."""
+    node: Any = SimpleNamespace(time_s=40.0, vehicle=VEHICLE)
+    places = places_of(node)
+    spread = going_together((("slosh_mass.0", "slosh_mass.1"), 0.8), (("thrust", "inertia"), -0.5))
+    together = np.eye(len(places))
+    for one, other, value in ((("slosh_mass", 0), ("slosh_mass", 1), 0.8), (("thrust", -1), ("inertia", -1), -0.5)):
+        i, j = places.index(one), places.index(other)
+        together[i, j] = together[j, i] = value
+    root = scipy.linalg.sqrtm(together).real
+    a = np.random.default_rng(5).normal(size=len(places))
+    c = 2.0 + np.abs(root @ a).sum()
+    monkeypatch.setattr(worst, "distances", lambda *_: lambda every: [(float(c + a @ u), np.ones(1)) for u in every])
+    monkeypatch.setattr(worst, "slope", lambda *_: lambda u, hz, steps: (np.array([c + a @ u]), a[None]))
+    none: Any = None
+    found, u, _ = search_node(node, none, spread, WorstWanted(region="box", starts=2))
+    assert found == pytest.approx(2.0, abs=2e-3)
+    np.testing.assert_allclose(u, -root @ np.sign(root @ a), atol=1e-9)
+    wanted = LinearMargins(cases=0, corner_sigmas=1.5)
+    alone = vehicles(wanted, node)[0]
+    corners = vehicles(wanted.model_copy(update={"three_sigma": spread}), node)[0]
+    assert len(corners) == len(alone) == 24
+    for one, before in zip(corners, alone, strict=True):
+        signs = np.sign(np.array(before.slosh_mass) - 1.0)
+        masses = 1.0 + 0.1 * 0.5 * scipy.linalg.sqrtm(np.array([[1.0, 0.8], [0.8, 1.0]])).real @ signs
+        assert one.slosh_mass == pytest.approx(masses, rel=1e-9)
+        assert one.bending_frequency == pytest.approx(before.bending_frequency)
+
+
+COVARIANT = """\
+extends = "nominal.toml"
+[campaign]
+runs = 2000
+[[disperse]]
+keys = [
+    "vehicle.stage.0.tank.0.mass_factor", "vehicle.stage.0.tank.1.mass_factor", "vehicle.stage.0.tank.0.length_factor",
+]
+distribution = "normal"
+covariance = [[4e-4, 2.4e-4, -1e-4], [2.4e-4, 9e-4, 0.0], [-1e-4, 0.0, 4e-4]]
+[[disperse]]
+keys = ["vehicle.stage.0.tank.0.damping_ratio", "vehicle.stage.0.tank.1.damping_ratio"]
+distribution = "normal"
+apply = "scale"
+sigma = 0.1
+[[disperse]]
+key = "vehicle.stage.0.aero.centre_shift_m"
+distribution = "normal"
+three_sigma = 0.4
+[[disperse]]
+key = "vehicle.computer.delay_s"
+distribution = "uniform"
+low = 0.0
+high = 0.005
+"""
+
+
+def test_deviations_and_correlations_are_those_that_the_campaign_flies(tmp_path: Path) -> None:
+    """Against statistics of 4,000 of its own draws; what it does not disperse is as the suite says."""
+    path = tmp_path / "covariant.toml"
+    path.write_text(COVARIANT)
+    node: Any = SimpleNamespace(time_s=40.0, vehicle=VEHICLE, stage=0)
+    spread = resolved(Spread(campaign=str(path), thrust=0.07), node)
+    draws = load_campaign(path).plan.draw(0, 4000).draws
+    prefix = "vehicle.stage.0.tank."
+    masses = np.array([draws[f"{prefix}{n}.mass_factor"] for n in (0, 1)])
+    faster = draws[f"{prefix}0.length_factor"] ** -0.5
+    assert spread.slosh_mass == pytest.approx(3.0 * masses.std(axis=1), rel=0.05)
+    frequency = spread.slosh_frequency
+    assert isinstance(frequency, tuple)
+    assert frequency[0] == pytest.approx(3.0 * faster.std(), rel=0.05)
+    assert frequency[1] == 0.05
+    assert spread.slosh_damping == pytest.approx((0.3, 0.3))
+    assert (spread.centre_of_pressure_m, spread.thrust) == pytest.approx((0.4, 0.07))
+    assert spread.delay_s == pytest.approx(0.0025)
+    found = {frozenset(pair.of): pair.coefficient for pair in spread.correlated}
+    known = {
+        frozenset(("slosh_mass.0", "slosh_mass.1")): np.corrcoef(masses)[0, 1],
+        frozenset(("slosh_mass.0", "slosh_frequency.0")): np.corrcoef(masses[0], faster)[0, 1],
+        frozenset(("slosh_damping.0", "slosh_damping.1")): 1.0,
+    }
+    assert found.keys() == known.keys()
+    for pair, value in known.items():
+        assert found[pair] == pytest.approx(value, abs=0.05)
+
+
+@pytest.mark.parametrize(
+    "text", ["[margins.three_sigma]\ncampaign = {}", "scenario = 'nominal'\nnodes_s = [40.0]\n[robust]\ncampaign = {}"]
+)
+def test_a_campaign_is_looked_for_beside_the_file_that_names_it(tmp_path: Path, text: str) -> None:
+    (tmp_path / "covariant.toml").write_text(COVARIANT)
+    path = tmp_path / "file.toml"
+    path.write_text("schema = 1\n" + text.format('"covariant"') + "\n")
+    node: Any = SimpleNamespace(time_s=40.0, vehicle=VEHICLE, stage=0)
+    if "margins" in text:
+        margins = read_suite(path).suite.margins
+        assert margins is not None
+        spread: Spread = margins.three_sigma
+    else:
+        robust = read_case(path).case.robust
+        assert robust is not None
+        spread = robust
+    assert resolved(spread, node).slosh_mass == pytest.approx((0.06, 0.09))
+    assert resolved(spread, node).campaign is None
 
 
 def test_random_vehicles_have_the_correlations_they_are_given() -> None:

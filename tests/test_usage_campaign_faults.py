@@ -365,7 +365,8 @@ def test_one_key_twice(tmp_path: Path) -> None:
     [
         (
             ["nominal", "--runs", "5"],
-            "--runs goes with CAMPAIGN or --from DIR --search METRIC, not with nominal, which has no [campaign]",
+            "--runs goes with CAMPAIGN or --from DIR --search METRIC or --from DIR --rare METRIC, not with nominal, "
+            "which has no [campaign]",
         ),
         (["campaigns/first", "--run", "5"], "--run goes with --from DIR --run N or "),
         (["campaigns/first", "--keep", "best"], "--keep best: allowed: worst:5"),

@@ -354,7 +354,7 @@ def test_vehicles_deviate_by_the_starter_set_unless_a_suite_says_otherwise() -> 
     assert Spread().model_dump() == {
         "bending_frequency": (0.05, 0.10, 0.15), "bending_slope": 0.2, "bending_damping": 0.5, "slosh_frequency": 0.05,
         "slosh_mass": 0.10, "slosh_damping": 0.5, "actuator_frequency": 0.15, "delay_s": 0.002, "thrust": 0.03,
-        "normal_force": 0.15, "centre_of_pressure_m": 0.25, "inertia": 0.05,
+        "normal_force": 0.15, "centre_of_pressure_m": 0.25, "inertia": 0.05, "correlated": (), "campaign": None,
     }  # fmt: skip  # eight more lines otherwise
 
 

@@ -19,6 +19,7 @@ simrun SCENARIO [--set KEY=VALUE]... [--out DIR] [--no-log] [--view [--realtime 
        simrun --from DIR [--keep WHICH]... [--no-report]
        simrun --from DIR --run N [--view | --shrink] [--out DIR]
        simrun --from DIR --search METRIC [--runs N] [--workers K]
+       simrun --from DIR --rare METRIC [--runs N] [--workers K]
        simrun --list | --copy NAME DIR | --schema KIND | --version | --help"""
 _EXAMPLES = """\
   simrun nominal                           fly the built-in scenario of that name
@@ -42,6 +43,7 @@ _EXITS = {
 }
 _SCENARIO, _CAMPAIGN, _LOG, _FOLDER = "SCENARIO", "CAMPAIGN", "--from LOG", "--from DIR"
 _RUN, _SHRINK, _SEARCH = "--from DIR --run N", "--from DIR --run N --shrink", "--from DIR --search METRIC"
+_RARE = "--from DIR --rare METRIC"
 _FLIGHTS = (_SCENARIO, _LOG)
 _KINDS = ("scenario", "vehicle", "design", "campaign", "case", "suite", "layout", "flight-software")
 
@@ -83,15 +85,16 @@ def _parser() -> Parser:
 
     campaign(
         "--runs",
-        modes=(_CAMPAIGN, _SEARCH),
+        modes=(_CAMPAIGN, _SEARCH, _RARE),
         metavar="N",
         type=count_of_runs,
         help="number of runs instead of the file's",
     )
     campaign("--seed", metavar="S", type=count, help="seed of all draws instead of the file's")
     campaign(
-        "--workers", modes=(_CAMPAIGN, _SHRINK, _SEARCH), metavar="K", type=count, help="threads (default: all cores)"
-    )
+        "--workers", modes=(_CAMPAIGN, _SHRINK, _SEARCH, _RARE), metavar="K", type=count,
+        help="threads (default: all cores)",
+    )  # fmt: skip  # three more lines otherwise
     campaign(
         "--keep", modes=(_CAMPAIGN, _FOLDER), metavar="WHICH", action="append", default=[],
         help="keep full logs of: worst:5 (of each requirement), worst:5:METRIC, failed, failed:20, 0,17; repeatable",
@@ -104,6 +107,7 @@ def _parser() -> Parser:
     campaign("--run", modes=(_RUN, _SHRINK), metavar="N", type=count, help="with --from DIR: fly this run again")
     campaign("--shrink", modes=(_SHRINK,), action="store_true", help="with --run: the fewest dispersions that fail")
     campaign("--search", modes=(_SEARCH,), metavar="METRIC", help="with --from DIR: the worst flight within 3 sigma")
+    campaign("--rare", modes=(_RARE,), metavar="METRIC", help="with --from DIR: how rarely its limit is missed")
     add("--list", action="store_true", help="name the built-in scenarios")
     add(
         "--schema",
@@ -211,6 +215,8 @@ def _mode(options: argparse.Namespace, action: str) -> str:
             return _LOG
         if options.shrink:
             return _SHRINK
+        if options.rare is not None:
+            return _RARE
         return _RUN if options.run is not None else _SEARCH if options.search is not None else _FOLDER
     if action == _SCENARIO:
         from maxq.sim.scenario.loader import is_campaign  # noqa: PLC0415  # lazy

@@ -17,6 +17,7 @@ import numpy as np
 from maxq.sim.campaign.analysis import DataSet, judged, lost, selected
 from maxq.sim.campaign.error import CampaignError
 from maxq.sim.campaign.investigation import flight_folder, refly, search_worst, shrink_run
+from maxq.sim.campaign.rare import rare_failure
 from maxq.sim.campaign.read import LoadedCampaign, load_campaign
 from maxq.sim.campaign.runner import cores, run_campaign
 from maxq.sim.campaign.statistics import MET, NOT_MET
@@ -38,6 +39,7 @@ if TYPE_CHECKING:
 
 _LINE_S = 30.0  # between two lines of progress in the log of a batch system
 _SEARCH_FLIGHTS = 2000
+_RARE_FLIGHTS = 10_000
 
 Stop = Callable[[], bool]
 
@@ -63,6 +65,7 @@ class Order:
     view_port: int | None = None
     shrink: bool = False
     search: str | None = None
+    rare: str | None = None
 
 
 def execute(order: Order) -> int:
@@ -81,6 +84,8 @@ def execute(order: Order) -> int:
         if order.folder is None:
             return _fly(order, stop)
         folder = Path(order.folder)
+        if order.rare is not None:
+            return _rare(order, folder, stop)
         if order.run is None:
             return _search(order, folder, stop) if order.search else _report_again(order, folder)
         return _shrink(order, folder, order.run) if order.shrink else _refly(order, folder, order.run, stop, view)
@@ -258,6 +263,65 @@ def _search(order: Order, folder: Path, stop: Stop) -> int:
     tell(*aligned(rows, "  ", right=(2, 3)))
     tell("fly it with:", f"  simrun {path}")
     return Exit.OK if found.flight.passed else Exit.FAILED
+
+
+def _rare(order: Order, folder: Path, stop: Stop) -> int:
+    """How rarely a requirement is missed, by subset simulation. Exit code as of a campaign, for its `success`."""
+    campaign, metric, start_s = campaign_in(folder), order.rare or "", time.perf_counter()
+    asked = [r for r in campaign.base.scenario.requirement if r.metric == metric]
+    if not asked:
+        known = [r.metric for r in campaign.base.scenario.requirement]
+        hint = suggestion(metric, known) or f"allowed: {', '.join(known)}"
+        raise CampaignError(f"--rare {metric}: the campaign has no requirement of that metric; {hint}")
+    largest = asked[0].minimum is None
+    limit = asked[0].limit if asked[0].limit is not None else asked[0].minimum
+    assert limit is not None
+    most = order.runs or _RARE_FLIGHTS
+    with Progress() as progress:
+
+        def watch(number: int, level: int, flights: int) -> None:
+            progress.show("sampling", min(flights, most), most, f"population {number + 1}, level {level}")
+
+        found = rare_failure(
+            campaign, metric, limit, largest=largest, flights=most, seed=campaign.campaign.seed,
+            workers=order.workers or cores(), watch=watch, stop=stop,
+        )  # fmt: skip  # six more lines otherwise
+    unit = "" if unit_of(metric) == "1" else f" {unit_of(metric)}"
+    level, allowed = 100.0 * campaign.campaign.confidence, 1.0 - campaign.campaign.success
+    tell(f"P({metric} {'>' if largest else '<'} {limit:g}{unit}) = {found.probability:.2g}")
+    tell(f"at least {found.low:.2g} and at most {found.high:.2g}, each with {level:g} % confidence")
+    spent = f"{found.flights} flights in {len(found.each)} populations, {time.perf_counter() - start_s:.0f} s"
+    tell(spent + (f"; by plain sampling {found.crude:.2g} flights for the same error" if found.crude > 0.0 else ""))
+    sign = 1.0 if largest else -1.0
+    rows = [
+        (f"population {n + 1}", f"{one.probability:.2g}", ", ".join(f"{limit + sign * v:.4g}" for v in one.levels))
+        for n, one in enumerate(found.each)
+    ]
+    tell("each, and the values that one flight in ten of the level before is beyond:")
+    tell(*aligned(rows, "  ", right=(1,)))
+    if any(one.stuck for one in found.each):
+        tell("a population came to a value that no flight went beyond: bounds from below are not known")
+    if found.nearest is not None:
+        tell(*_nearest(campaign, folder, metric, found.nearest))
+    verdict, code = "open", Exit.UNDECIDED
+    if found.high <= allowed:
+        verdict, code = MET, Exit.OK
+    elif found.low > allowed:
+        verdict, code = NOT_MET, Exit.FAILED
+    tell(f"allowed are {allowed:.2g}: {verdict}, by an estimate that knows the ways to fail that it came upon")
+    return code
+
+
+def _nearest(campaign: LoadedCampaign, folder: Path, metric: str, point: tuple[np.ndarray, int]) -> list[str]:
+    """The likeliest of the flights that missed: written, and what deviates most in it."""
+    z, noise = point
+    drawn, _ = campaign.plan.of_scores(z[None], np.array([noise]))
+    path = folder / "rare" / f"{metric}.toml"
+    write_whole(path, campaign.mixed(drawn, 0).as_flown, CampaignError)
+    labels, names = text.labels_of(campaign), campaign.plan.score_names
+    largest = np.argsort(-np.abs(z), kind="stable")[:5]
+    said = ", ".join(f"{printable(labels.get(names[k], names[k]))} {z[k]:+.1f}" for k in largest)
+    return [f"likeliest miss found, {float(np.linalg.norm(z)):.1f} sigma in all: {said}", f"{path}: fly it with simrun"]
 
 
 def default_folder(name: str) -> Path:

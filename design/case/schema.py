@@ -11,16 +11,16 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
-from typing import Annotated, Literal, TypeVar
+from typing import Annotated, ClassVar, Literal, TypeVar
 
 from pydantic import Field, model_validator
 
 from maxq.control.kernel.limits import MAX_STAGES
 from maxq.control.structures import MAX_SECTIONS, STRUCTURES, DesignedStructure, Law, Over
-from maxq.design.model.spread import Share, Spread
+from maxq.design.model.spread import Shares, Spread
 from maxq.sim.scenario.documents import Text
 from maxq.sim.scenario.errors import ScenarioError, refuse
-from maxq.sim.scenario.files import find
+from maxq.sim.scenario.files import find, shown
 from maxq.sim.scenario.loader import LoadedScenario, load_file, load_scenario
 from maxq.sim.scenario.schema_design import LoadRelief
 from maxq.sim.scenario.schema_values import NotNegative, Positive, Section, needs, only_with, optional
@@ -222,10 +222,13 @@ class Robust(Spread):
 
     Every mode and every tank by itself. The defaults are 3-sigma ranges after a modal survey: bending 5, 10, 15 %,
     slopes 20 %. Plants are corners at which all deviate at once: n deviations of one sigma each are sqrt(n) sigma away.
+    Where some go together, corners are those of the independent deviations behind them, and as likely.
     """
 
+    where: ClassVar[tuple[str, str]] = ("case", "robust")
+
     corner_sigmas: Annotated[float, Field(gt=0.0, le=3.0)] = optional("each deviation at a corner, sigma", 2.0)
-    bending_damping: Share = optional("of each mode", 0.0)
+    bending_damping: Shares = optional("of each mode", 0.0)
     delay_s: NotNegative = optional("either way, s; never below no delay", 0.005)
     rounds: Annotated[int, Field(ge=1, le=50)] = optional(
         "times that the worst plants are searched, added, and the design is made anew", 8
@@ -369,6 +372,10 @@ def read_case(name: str | Path, overrides: Iterable[str] = ()) -> LoadedCase:
     case, tree, file, label = load_file(Case, "case", name, overrides)
     given = tree.get("scenario")
     beside = find(given, ("{}", "{}.toml")) if isinstance(given, Text) else None
+    campaign = tree.get("robust", {}).get("campaign")
+    there = find(campaign, ("{}", "{}.toml")) if isinstance(campaign, Text) else None
+    if case.robust is not None and there is not None:
+        case = case.model_copy(update={"robust": case.robust.model_copy(update={"campaign": shown(there)})})
     try:
         scenario = load_scenario(beside if beside is not None and beside != file else case.scenario)
     except ScenarioError as error:

@@ -1,12 +1,16 @@
-"""How far vehicles deviate, and the vehicle of given deviations: one description for suites and for robust cases.
+"""How far vehicles deviate, and together: one description for flights, suites and robust cases.
 
-Every mode and every tank deviates by itself. What deviates is told by a `Place`, how far in units of three sigma.
+Every mode and every tank deviates by itself. What deviates is told by a `Place`, how far in units of three sigma. A
+`Spread` that names a campaign takes from it what that one disperses: random vehicles, corners, the worst search and
+robust cases then stand on the numbers and covariances that are flown.
 """
 
 from __future__ import annotations
 
+import itertools
+import math
 from collections.abc import Callable, Mapping, Sequence
-from typing import Annotated, Any
+from typing import Annotated, Any, ClassVar, NamedTuple, TypeVar
 
 import numpy as np
 from pydantic import Field
@@ -14,35 +18,21 @@ from pydantic import Field
 from maxq.control.kernel.records import Array
 from maxq.design.model.dispersion import Dispersion, for_each
 from maxq.design.model.node import Node
+from maxq.sim.campaign.plan import Draw as CampaignDraw
+from maxq.sim.campaign.read import LoadedCampaign, load_campaign
 from maxq.sim.scenario.errors import ScenarioError
 from maxq.sim.scenario.schema_values import NotNegative, Section, optional
+from maxq.sim.scenario.schema_vehicle import Vehicle
 
 Share = Annotated[float, Field(ge=0.0, lt=1.0)]
 """Of a deviation; one of 1 would turn the sign of what deviates."""
+Shares = Share | tuple[Share, ...]
+"""One for all modes or tanks, or one each, the last for all beyond."""
 Place = tuple[str, int]
 """A key of `Spread`, and of which mode or tank, from 0; -1 where there is one of it."""
 Draw = Callable[[str, int], float]
 """A deviation in units of three sigma, of a place."""
-
-
-class Spread(Section):
-    """3-sigma deviations, relative unless a unit is named. (Random vehicles are drawn in the order of the keys.)"""
-
-    bending_frequency: tuple[Share, ...] = optional("of each mode; the last for all beyond", (0.05, 0.10, 0.15))
-    bending_slope: Share = optional("of each mode, at the gyro", 0.2)
-    bending_damping: Share = optional("of each mode", 0.5)
-    slosh_frequency: Share = optional("of each tank", 0.05)
-    slosh_mass: Share = optional("of each tank", 0.10)
-    slosh_damping: Share = optional("of each tank", 0.5)
-    actuator_frequency: Share = optional("poles of the actuator", 0.15)
-    thrust: Share = optional("lateral authority", 0.03)
-    normal_force: Share = optional("of all surfaces", 0.15)
-    inertia: Share = optional("transverse", 0.05)
-    centre_of_pressure_m: NotNegative = optional("m", 0.25)
-    delay_s: NotNegative = optional("either way, s; never below no delay", 0.002)
-
-
-_CORRELATED = "margins.three_sigma.correlated"
+S = TypeVar("S", bound="Spread")
 
 
 class Correlated(Section):
@@ -54,26 +44,179 @@ class Correlated(Section):
     coefficient: Annotated[float, Field(ge=-1.0, le=1.0)] = Field(description="of correlation")
 
 
-class CorrelatedSpread(Spread):
-    """Deviations of which some go together; those not named are independent."""
+class Spread(Section):
+    """3-sigma deviations, relative unless a unit is named. (Random vehicles are drawn in the order of the keys.)"""
 
+    where: ClassVar[tuple[str, str]] = ("suite", "margins.three_sigma")
+
+    bending_frequency: Shares = optional("of each mode; the last for all beyond", (0.05, 0.10, 0.15))
+    bending_slope: Shares = optional("of each mode, at the gyro", 0.2)
+    bending_damping: Shares = optional("of each mode", 0.5)
+    slosh_frequency: Shares = optional("of each tank", 0.05)
+    slosh_mass: Shares = optional("of each tank", 0.10)
+    slosh_damping: Shares = optional("of each tank", 0.5)
+    actuator_frequency: Share = optional("poles of the actuator", 0.15)
+    thrust: Share = optional("lateral authority", 0.03)
+    normal_force: Share = optional("of all surfaces", 0.15)
+    inertia: Share = optional("transverse", 0.05)
+    centre_of_pressure_m: NotNegative = optional("m", 0.25)
+    delay_s: NotNegative = optional("either way, s; never below no delay", 0.002)
     correlated: tuple[Correlated, ...] = optional("pairs of deviations that go together", ())
+    campaign: str | None = optional(
+        "a campaign (file, or name of a built-in one): what it disperses deviates as far, and together, as there, in "
+        "place of what is said here"
+    )
+
+
+_ABOUT = ("correlated", "campaign")
+DEVIATIONS = tuple(key for key in Spread.model_fields if key not in _ABOUT)
+"""What deviates, in order."""
+
+
+class Keys(NamedTuple):
+    """Where a deviation stands in a scenario: {stage}, {n} of the mode or tank, * for each engine, actuator or pole.
+
+    Those of `also` act likewise in a campaign. What stands there is the deviated factor to the `power`, or is added.
+    """
+
+    keys: tuple[str, ...]
+    also: tuple[str, ...] = ()
+    power: float = 1.0
+    added: bool = False
+
+
+_S = "vehicle.stage.{stage}."
+KEYS = {
+    "bending_frequency": Keys((_S + "bending.frequency_factor.{n}",), (_S + "spatial_modes.frequency_factor.{n}",)),
+    "bending_slope": Keys((_S + "bending.gyro_slope_factor.{n}",)),
+    "bending_damping": Keys((_S + "bending.damping_ratio.{n}",), (_S + "spatial_modes.damping_ratio.{n}",)),
+    "slosh_frequency": Keys((_S + "tank.{n}.length_factor",), power=-2.0),
+    "slosh_mass": Keys((_S + "tank.{n}.mass_factor",)),
+    "slosh_damping": Keys((_S + "tank.{n}.damping_ratio",)),
+    "actuator_frequency": Keys((_S + "actuator.*.omega_hz.*",)),
+    "thrust": Keys((_S + "engine.*.thrust_factor",), (_S + "engine.*.mass_flow_factor",)),
+    "normal_force": Keys((_S + "aero.force_factor",)),
+    "inertia": Keys((_S + "mass.table.Iyy_kgm2", _S + "mass.table.Izz_kgm2")),
+    "centre_of_pressure_m": Keys((_S + "aero.centre_shift_m",), added=True),
+    "delay_s": Keys((_S + "computer.delay_s",), ("vehicle.computer.delay_s",), added=True),
+}
+
+
+def keys_of(vehicle: Vehicle, stage: int, place: Place, also: bool = False) -> list[str]:
+    """Key paths of a deviation in a vehicle's scenario; `also`: those too that a campaign may use in their place."""
+    name, n = place
+    flies, out = vehicle.stage[stage], list[str]()
+    if name == "delay_s" and not also:
+        own = flies.computer is not None and flies.computer.delay_s is not None
+        return [(KEYS[name].keys if own else KEYS[name].also)[0].format(stage=stage)]
+    for pattern in (*KEYS[name].keys, *(KEYS[name].also if also else ())):
+        key = pattern.format(stage=stage, n=n)
+        head, _, tail = key.partition(".*")
+        if not tail:
+            out.append(key)
+            continue
+        part = getattr(flies, head.rpartition(".")[2])
+        several = [(f"{head}.{k}", one) for k, one in enumerate(part)] if isinstance(part, tuple) else [(head, part)]
+        for at, one in several:
+            last = tail.removeprefix(".")
+            count = len(getattr(one, last[:-2]) or ()) if last.endswith(".*") else 1
+            out += [f"{at}.{last[:-1]}{k}" for k in range(count)] if last.endswith(".*") else [f"{at}.{last}"]
+    return out
+
+
+def resolved(spread: S, node: Node) -> S:
+    """The spread at a node with what its campaign says in place. Raises ScenarioError for one that cannot be read.
+
+    How far: half of what lies between three sigma either way, or of a bounded distribution between its ends. Of several
+    draws that act on one deviation the largest counts. Two deviations by one draw go together wholly; by draws with a
+    covariance as this says.
+    """
+    if spread.campaign is None:
+        return spread
+    campaign = load_campaign(spread.campaign)
+    vehicle, sizes, drawn = campaign.base.vehicle, dict[Place, float](), dict[Place, tuple[CampaignDraw, float]]()
+    places = places_of(node)
+    if node.stage < len(vehicle.stage):
+        for place in places:
+            wanted = set(keys_of(vehicle, node.stage, place, also=True))
+            every = [(abs(by), by, d) for d in campaign.plan.draws for by in _half(campaign, d, place, wanted)]
+            if every:
+                size, by, draw = max(every, key=lambda one: one[0])
+                sizes[place], drawn[place] = min(size, 0.99) if not KEYS[place[0]].added else size, (draw, by)
+    update: dict[str, Any] = {"campaign": None}
+    for key in DEVIATIONS:
+        mine = [place for place in places if place[0] == key]
+        if not sizes.keys() & set(mine):
+            continue
+        given = getattr(spread, key)
+        before = for_each(given if isinstance(given, tuple) else (given,), len(mine))
+        values = tuple(sizes.get(place, own) for place, own in zip(mine, before, strict=True))
+        update[key] = values if mine[0][1] >= 0 else values[0]
+    pairs = [
+        Correlated(of=(_name(one), _name(other)), coefficient=together)
+        for one, other in itertools.combinations(drawn, 2)
+        if (together := _together(drawn[one], drawn[other]))
+    ]
+    named = {frozenset(pair.of) for pair in pairs}
+    pairs += [pair for pair in spread.correlated if frozenset(pair.of) not in named]
+    return spread.model_copy(update={**update, "correlated": tuple(pairs)})
+
+
+def _half(campaign: LoadedCampaign, d: CampaignDraw, place: Place, wanted: set[str]) -> list[float]:
+    """By how much a draw lets a place deviate, with the sign in which it acts; empty where it does not."""
+    target = next((t for t in d.targets if t.key in wanted and not d.where), None)
+    ends = campaign.boxes().get(d.name)
+    if target is None or ends is None or not all(map(math.isfinite, ends)):
+        return []
+    keys, low_high = KEYS[place[0]], target.result(d.spec.apply, np.array(ends))
+    if not keys.added:
+        factor = low_high if target.kind == "column" else low_high / target.nominal
+        low_high = np.maximum(factor, 1e-9) ** (1.0 / keys.power)
+    return [0.5 * float(low_high[1] - low_high[0])]
+
+
+def _together(one: tuple[CampaignDraw, float], other: tuple[CampaignDraw, float]) -> float:
+    """Coefficient of correlation of what two draws, each with its sign, let deviate."""
+    (a, by_a), (b, by_b) = one, other
+    sign = math.copysign(1.0, by_a * by_b)
+    if a.name == b.name:
+        return sign
+    if a.group is None or b.group is None or a.entry != b.entry or a.spec.covariance is None:
+        return 0.0
+    c, i, j = a.spec.covariance, a.group[1], b.group[1]
+    variances = c[i][i] * c[j][j]
+    return sign * max(-1.0, min(c[i][j] / math.sqrt(variances), 1.0)) if variances > 0.0 else 0.0
+
+
+def _name(place: Place) -> str:
+    return place[0] if place[1] < 0 else f"{place[0]}.{place[1]}"
 
 
 def correlation(spread: Spread, node: Node, places: Sequence[Place]) -> Array:
     """Correlation matrix of the deviations at `places`. Raises ScenarioError for none, and for no such deviation."""
-    out = np.eye(len(places))
-    names = [name if n < 0 else f"{name}.{n}" for name, n in places]
-    for k, pair in enumerate(spread.correlated if isinstance(spread, CorrelatedSpread) else ()):
+    out, (source, at) = np.eye(len(places)), spread.where
+    names = [_name(place) for place in places]
+    for k, pair in enumerate(spread.correlated):
         if pair.of[0] == pair.of[1] or not set(pair.of) <= set(names):
-            key, allowed = f"{_CORRELATED}.{k}.of", f"two of {', '.join(names)}"
-            raise ScenarioError("suite", "are no two deviations of this vehicle", key, value=pair.of, allowed=allowed)
+            key, allowed = f"{at}.correlated.{k}.of", f"two of {', '.join(names)}"
+            raise ScenarioError(source, "are no two deviations of this vehicle", key, value=pair.of, allowed=allowed)
         i, j = (names.index(name) for name in pair.of)
         out[i, j] = out[j, i] = pair.coefficient
     if np.linalg.eigvalsh(out)[0] < -1e-9:
         problem = "no deviations have all of these coefficients together"
-        raise ScenarioError("suite", problem, _CORRELATED, allowed="those of a positive semidefinite matrix")
+        raise ScenarioError(source, problem, f"{at}.correlated", allowed="those of a positive semidefinite matrix")
     return out
+
+
+def root_of_correlation(spread: Spread, node: Node, places: Sequence[Place]) -> Array:
+    """Symmetric root of `correlation`: the deviations that belong to independent ones, which are as likely.
+
+    Corners, boxes and spheres of independent deviations become those of correlated ones by it.
+    """
+    if not spread.correlated:
+        return np.eye(len(places))
+    sizes, vectors = np.linalg.eigh(correlation(spread, node, places))
+    return np.asarray((vectors * np.sqrt(np.maximum(sizes, 0.0))) @ vectors.T)
 
 
 def _count(node: Node, key: str) -> int | None:
@@ -85,7 +228,7 @@ def _count(node: Node, key: str) -> int | None:
 def places_of(node: Node, spread: Spread | None = None) -> list[Place]:
     """All that deviates at a node; of a `spread` only what it lets deviate."""
     out = []
-    for key in Spread.model_fields:
+    for key in DEVIATIONS:
         count = _count(node, key)
         sizes = (0.0,) if spread is None else _sizes(spread, key, count or 1)
         for n in (-1,) if count is None else range(count):
@@ -102,7 +245,7 @@ def _sizes(spread: Spread, key: str, count: int) -> tuple[float, ...]:
 def vehicle_of(spread: Spread, node: Node, draw: Draw, label: str) -> Dispersion:
     """Deviations of a vehicle with the modes and tanks of `node`."""
     values: dict[str, Any] = {}
-    for key in Spread.model_fields:
+    for key in DEVIATIONS:
         count = _count(node, key)
         if count is not None:
             sizes = _sizes(spread, key, count)

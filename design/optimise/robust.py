@@ -20,7 +20,7 @@ from maxq.control.kernel.records import Array
 from maxq.design.case.schema import Case, LoadedCase, Robust
 from maxq.design.model.dispersion import disperse
 from maxq.design.model.node import Node
-from maxq.design.model.spread import places_of, vehicle_at_places
+from maxq.design.model.spread import places_of, resolved, root_of_correlation, vehicle_at_places
 from maxq.design.optimise.over_time import Instants, gains_at_nodes, peaks
 from maxq.design.optimise.plants import Plant, Plants, make_plant, make_plants
 from maxq.design.optimise.problem import Problem
@@ -42,10 +42,14 @@ Ends = tuple[int, ...]
 
 
 def deviated(node: Node, ranges: Robust, ends: Sequence[int]) -> Node:
-    """The node with each deviation at an end or in the middle of its range, in the order of `places_of`."""
-    letters = "".join({-1: "-", 0: "0", 1: "+"}[end] for end in ends)
+    """The node with each deviation at an end or in the middle of its range, in the order of `places_of`.
+
+    Where some go together, with what belongs to independent deviations there.
+    """
+    letters, places = "".join({-1: "-", 0: "0", 1: "+"}[end] for end in ends), places_of(node, ranges)
     at = np.array(ends) * (ranges.corner_sigmas / 3.0)
-    return disperse(node, vehicle_at_places(ranges, node, places_of(node, ranges), at, f"[{letters}]"))
+    at = root_of_correlation(ranges, node, places) @ at
+    return disperse(node, vehicle_at_places(ranges, node, places, at, f"[{letters}]"))
 
 
 def modes_off(node: Node, ranges: Robust, end: int) -> Ends:
@@ -159,9 +163,9 @@ def solve_robust(
         loaded = gains_at_nodes(loaded, nominal)
         instants = Instants(loaded, {p.node.time_s: p for p in nominal.each})
     case = loaded.case
-    ranges = case.robust
-    assert ranges is not None
+    assert case.robust is not None
     nodes = [p.node for p in nominal.each]
+    ranges = resolved(case.robust, nodes[0])
     taken = {(node.time_s, modes_off(node, ranges, end)) for node in nodes for end in (-1, 1)}
 
     def dispersed(few: Sequence[tuple[Node, Ends]]) -> list[Plant]:

@@ -34,7 +34,7 @@ from maxq.design.margins.many import DONE, HANDED_BACK
 from maxq.design.margins.measure import margins
 from maxq.design.model.dispersion import Dispersion, disperse
 from maxq.design.model.node import Node, at_same_propellant_s, flown_run, flown_to, met_by, node_of
-from maxq.design.model.spread import Draw, correlation, places_of, vehicle_at_places, vehicle_of
+from maxq.design.model.spread import correlation, places_of, root_of_correlation, vehicle_at_places
 from maxq.design.model.vehicle_at import stability_derivatives
 from maxq.design.verify.memory import Memory
 from maxq.design.verify.suite import (
@@ -213,36 +213,34 @@ def trajectories_of(campaign: LoadedCampaign, nodes: Sequence[Node], count: int,
 
 def vehicles(wanted: LinearMargins, node: Node) -> tuple[list[Dispersion], list[Dispersion]]:
     """Corners, where thrust goes with the last factor and all modes and tanks together, and random vehicles, of which
-    each mode and tank deviates by itself. `node`: of their stage.
+    each mode and tank deviates by itself. Corners are those of independent deviations, and as likely where some go
+    together. `node`: of their stage.
 
     Where `wanted.only` names one, this alone, whatever the number of random vehicles.
     """
-    corners = []
+    corners, places = [], places_of(node)
     if wanted.corner_sigmas > 0.0:
+        root = root_of_correlation(wanted.three_sigma, node, places)
         rows = [np.roll(_GENERATOR, k) for k in range(len(_GENERATOR))] + [-np.ones(len(_GENERATOR))]
         for n, row in enumerate(np.array([*rows, *[-np.asarray(r) for r in rows]], float)):
             signs = dict(zip(_FACTORS, (row * (wanted.corner_sigmas / 3.0)).tolist(), strict=True))
             signs["thrust"] = signs[_FACTORS[-1]]
-            corners.append(vehicle_of(wanted.three_sigma, node, _together(signs), f"corner {n + 1}"))
+            deviations = root @ np.array([signs[name] for name, _ in places])
+            corners.append(vehicle_at_places(wanted.three_sigma, node, places, deviations, f"corner {n + 1}"))
     found = VEHICLE_LABEL.fullmatch(wanted.only)
     numbers = range(0 if wanted.only else wanted.cases)
     if found is not None and found[1] == "vehicle":
         numbers = range(int(found[2]) - 1, int(found[2]))
-    places = places_of(node)
     factor = cholesky(correlation(wanted.three_sigma, node, places))
     drawn = [
-        vehicle_at_places(wanted.three_sigma, node, places, _normal(wanted.seed, n, factor), f"vehicle {n + 1}")
+        vehicle_at_places(wanted.three_sigma, node, places, deviates(wanted.seed, n, factor), f"vehicle {n + 1}")
         for n in numbers
     ]
     return [c for c in corners if wanted.only in ("", c.label)], drawn
 
 
-def _together(signs: dict[str, float]) -> Draw:
-    return lambda name, element: signs[name]
-
-
-def _normal(seed: int, number: int, factor: Array) -> Array:
-    """Normal deviates in units of three sigma; `factor`: lower factor of their correlation matrix."""
+def deviates(seed: int, number: int, factor: Array) -> Array:
+    """Normal deviates of a vehicle in units of three sigma; `factor`: lower factor of their correlation matrix."""
     return np.asarray(factor @ np.random.default_rng([seed, number]).normal(size=len(factor)) / 3.0)
 
 

@@ -20,7 +20,7 @@ from typing import Annotated, Any, Literal
 from pydantic import Field, model_validator
 
 from maxq.design.model.node import EDGES, NODES_PER_STAGE
-from maxq.design.model.spread import CorrelatedSpread, Share
+from maxq.design.model.spread import Share, Spread
 from maxq.sim.campaign.schema import Campaign
 from maxq.sim.campaign.statistics import MET, NOT_MET
 from maxq.sim.scenario.documents import Text
@@ -230,7 +230,7 @@ class LinearMargins(Section):
     )
     nominal: MarginLimits = MarginLimits()
     dispersed: MarginLimits = MarginLimits()
-    three_sigma: CorrelatedSpread = CorrelatedSpread()
+    three_sigma: Spread = Spread()
     worst: WorstWanted | None = optional("absent: not searched")
 
 
@@ -355,6 +355,9 @@ def read_suite(name: str | Path, overrides: Iterable[str] = ()) -> LoadedSuite:
     suite = placed(suite, tree, "limit_wind") if suite.limit_wind else suite
     flights = [placed(f, t, "scenario") for f, t in zip(suite.flight, tree.get("flight", ()), strict=True)]
     campaigns = [placed(c, t, "file") for c, t in zip(suite.campaign, tree.get("campaign", ()), strict=True)]
+    if suite.margins is not None and suite.margins.three_sigma.campaign is not None:
+        spread = placed(suite.margins.three_sigma, tree["margins"]["three_sigma"], "campaign")
+        suite = suite.model_copy(update={"margins": suite.margins.model_copy(update={"three_sigma": spread})})
     each = tuple(one for flown in flights for one in flown.flights())
     return LoadedSuite(suite.model_copy(update={"flight": each, "campaign": tuple(campaigns)}), str(name), changes)
 

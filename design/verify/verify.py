@@ -24,6 +24,7 @@ from maxq.design.certificate.held_flight import hold
 from maxq.design.certificate.in_flight import InFlightResponse, fits, in_flight_response
 from maxq.design.certificate.measured_only import MeasuredNode, measure_node
 from maxq.design.model.node import EDGES, Node, node_times, powered_spans
+from maxq.design.model.spread import resolved
 from maxq.design.model.vehicle_at import Plane
 from maxq.design.verify.fitted import fit
 from maxq.design.verify.flown import (
@@ -294,7 +295,9 @@ class _Job:
         out, at = [], 0
         for nodes, stage, watch in parts:
             mine = [flight[at : at + len(nodes)] for flight in flights]
-            out.append(study(nodes, design, wanted, self.memory, watch, self.workers, stage, mine))
+            spread = resolved(wanted.three_sigma, nodes[0])
+            here = wanted.model_copy(update={"three_sigma": spread})
+            out.append(study(nodes, design, here, self.memory, watch, self.workers, stage, mine))
             at += len(nodes)
         return out
 
@@ -317,10 +320,9 @@ class _Job:
             end_s = next(span.end_s for span in spans if span.holds(at[0].time_s))  # flown as far as that stage burns
             run = base.run.model_copy(update={"duration_s": round(end_s - base.run.start_s, 9)})
             loaded = replace(self.scenario, scenario=base.model_copy(update={"run": run}))
-            depends = (loaded.as_flown, repr(design), at, plain_value(wanted.three_sigma), plain_value(wanted.worst))
-            search = partial(
-                search_plane, at, design, wanted.three_sigma, wanted.worst, loaded, name, watch, self.workers
-            )
+            spread = resolved(wanted.three_sigma, at[0])
+            depends = (loaded.as_flown, repr(design), at, plain_value(spread), plain_value(wanted.worst))
+            search = partial(search_plane, at, design, spread, wanted.worst, loaded, name, watch, self.workers)
             out.append(self.memory.recall("worst", depends, search))
         return out
 

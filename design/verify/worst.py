@@ -1,7 +1,8 @@
 """The worst vehicle that the dispersions allow: a search, node by node, for the least distance of L from -1.
 
 Every mode, every tank and everything else of `Spread` deviates by itself, within an ellipsoid (together no less likely
-than one deviation alone at so many sigma, by their correlations) or a box (each up to so many, whatever these are).
+than one deviation alone at so many sigma) or a box (each up to so many). Where some go together, that is the region of
+the independent deviations behind them (`spread.root_of_correlation`): both are searched there.
 From each start the search goes along the gradient to where the linearised distance is least in that region, back
 towards where it came from until the distance has fallen, and again (Frank & Wolfe, Nav. Res. Logist. Q. 3, 1956); in a
 box it ends at the corner that no single deviation makes worse. The gradient is that of L at the frequency nearest to
@@ -17,7 +18,6 @@ import math
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from pydantic_core import PydanticCustomError
@@ -33,7 +33,7 @@ from maxq.design.margins.measure import margins
 from maxq.design.model.dispersion import Dispersion, disperse, disperse_instruments, dispersed_many, stacked
 from maxq.design.model.node import Node
 from maxq.design.model.plant import per_actuator_angle, vehicle_plants
-from maxq.design.model.spread import Place, Spread, correlation, places_of, vehicle_at_places
+from maxq.design.model.spread import KEYS, Place, Spread, keys_of, places_of, root_of_correlation, vehicle_at_places
 from maxq.design.model.state_space import ComplexArray
 from maxq.design.model.vehicle_at import actuator_response
 from maxq.design.verify.suite import ACCEPTED, REJECTED, Requirement, WorstWanted, room_left
@@ -185,25 +185,23 @@ def search_node(
     `starts` by their numbers, 0 being the vehicle as it is (default: all).
     """
     places = places_of(node)
-    reach, count, together = wanted.sigmas / 3.0, len(places), correlation(spread, node, places)
-    inverse = np.linalg.pinv(together, rcond=1e-9)
+    reach, count, root = wanted.sigmas / 3.0, len(places), root_of_correlation(spread, node, places)
     measure, change, loops = distances(node, design, spread), slope(node, design, spread), [0]
 
     def look(every: Sequence[Array]) -> Looks:
         loops[0] += len(every)
-        return measure(every)
+        return measure([root @ u for u in every])
 
     def farthest(direction: Array) -> Array:
         """The point of the region that lies farthest in a direction."""
         if wanted.region == "box":
             return reach * np.sign(direction)
-        along = together @ direction
-        return np.asarray(reach * along / max(math.sqrt(abs(float(direction @ along))), 1e-300))
+        return np.asarray(reach * direction / max(float(np.linalg.norm(direction)), 1e-300))
 
     def towards(u: Array, goal: Array, share: float) -> Array:
         """Part of the way; in an ellipsoid along its surface, inside of which the worst hardly ever lies."""
         there = u + share * (goal - u)
-        size = math.sqrt(abs(float(there @ inverse @ there)))
+        size = float(np.linalg.norm(there))
         return there if wanted.region == "box" else np.asarray(reach * there / max(size, 1e-300))
 
     best, worst_u = math.inf, np.zeros(count)
@@ -213,7 +211,8 @@ def search_node(
         ((value, hz),) = look([u])
         for _ in range(_ROUNDS):
             steps = np.where(u > 0.0, -_STEP, _STEP) * reach
-            near, slopes = change(u, hz, steps)
+            near, slopes = change(root @ u, hz, steps)
+            slopes = slopes @ root
             # an unstable loop is to go further beyond; else the minima that promise to become least
             goals = [farthest(-by) for by in slopes] if value > 0.0 else [farthest(slopes[0])]
             promised = [at + by @ (goal - u) for at, by, goal in zip(near, slopes, goals, strict=False)]
@@ -228,7 +227,7 @@ def search_node(
             u, value = _corner(u, look, reach)
         if value < best:
             best, worst_u = value, u
-    return best, worst_u, loops[0]
+    return best, root @ worst_u, loops[0]
 
 
 def _corner(u: Array, look: Callable[[Sequence[Array]], Looks], reach: float) -> tuple[Array, float]:
@@ -289,28 +288,13 @@ def scenario_of(base: LoadedScenario, node: Node, d: Dispersion) -> tuple[Loaded
     What the linear model changes about its node flies all the way: thrust acts along the axis as well, inertia is that
     of the whole vehicle.
     """
-    stage = f"vehicle.stage.{node.stage}"
-    factors: dict[str, float] = {}
-    for key, by_mode in (
-        ("frequency_factor", d.bending_frequency),
-        ("gyro_slope_factor", d.bending_slope),
-        ("damping_ratio", d.bending_damping),
-    ):
-        factors |= {f"{stage}.bending.{key}.{n}": float(v) for n, v in enumerate(np.atleast_1d(by_mode))}
-    tanks = zip(*(np.atleast_1d(x) for x in (d.slosh_frequency, d.slosh_mass, d.slosh_damping)), strict=True)
-    for n, (frequency, mass, damping) in enumerate(tanks):
-        tank = f"{stage}.tank.{n}"
-        factors |= {f"{tank}.length_factor": float(frequency) ** -2, f"{tank}.mass_factor": float(mass)}
-        factors[f"{tank}.damping_ratio"] = float(damping)
-    flies = base.vehicle.stage[node.stage]
-    for actuator, key in _each(flies.actuator, f"{stage}.actuator"):
-        factors |= {f"{key}.omega_hz.{n}": d.actuator_frequency for n in range(len(actuator.omega_hz or ()))}
-    factors |= {f"{key}.thrust_factor": d.thrust for _, key in _each(flies.engine, f"{stage}.engine")}
-    factors[f"{stage}.aero.force_factor"] = d.normal_force
-    factors |= {f"{stage}.mass.table.{key}": d.inertia for key in ("Iyy_kgm2", "Izz_kgm2")}
-    computer, own = base.vehicle.computer_of(node.stage), flies.computer and flies.computer.delay_s is not None
-    delay = f"{stage if own else 'vehicle'}.computer.delay_s"
-    added = {f"{stage}.aero.centre_shift_m": d.centre_of_pressure_m, delay: d.delay_s}
+    vehicle, factors, added = base.vehicle, dict[str, float](), dict[str, float]()
+    for name, n in places_of(node):
+        each = np.atleast_1d(getattr(d, name))
+        value = float(each[min(max(n, 0), len(each) - 1)])
+        for key in keys_of(vehicle, node.stage, (name, n)):
+            (added if KEYS[name].added else factors)[key] = value ** KEYS[name].power
+    computer, delay = vehicle.computer_of(node.stage), keys_of(vehicle, node.stage, ("delay_s", -1))[0]
     changes, missing = [], []
     results: dict[str, float] = {}
     for key, number in (*factors.items(), *added.items()):
@@ -330,13 +314,6 @@ def scenario_of(base: LoadedScenario, node: Node, d: Dispersion) -> tuple[Loaded
                 missing.append(f"{key} beyond the sample")
             results[key] = round(max(result, 0.0), 9) if target.whole_ns else result
     return LoadedScenario(Dispersed(base.scenario, changes)(results), base.label, base.files), missing
-
-
-def _each(part: Any, key: str) -> list[tuple[Any, str]]:
-    """A section and its key path, or those of each in a list."""
-    if isinstance(part, tuple):
-        return [(one, f"{key}.{n}") for n, one in enumerate(part)]
-    return [] if part is None else [(part, key)]
 
 
 def worst_requirements(found: WorstVehicle, wanted: WorstWanted, again: str) -> list[Requirement]:

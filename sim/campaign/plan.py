@@ -14,7 +14,7 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from scipy.special import ndtri
+from scipy.special import ndtr, ndtri
 
 from maxq.control.kernel.records import Array
 from maxq.sim.campaign.draws import Sobol, chosen, correlated, latin, quantile, seeds, uniforms
@@ -116,6 +116,38 @@ class Plan:
             drawn.wind = self.wind.scores(seed, first, count, attempt)
         return drawn
 
+    @cached_property
+    def scores(self) -> int:
+        """Standard normal numbers that make up a run, beside its noise."""
+        return len(self.score_names)
+
+    @cached_property
+    def score_names(self) -> list[str]:
+        """What each of them is: a draw, or the wind."""
+        return self._streams + [f"{WIND_KEY} {k + 1}" for k in range(self.wind.size if self.wind is not None else 0)]
+
+    @cached_property
+    def _streams(self) -> list[str]:
+        return list(dict.fromkeys(d.stream for d in self.draws))
+
+    def of_scores(self, z: Array, noise: np.ndarray) -> tuple[Drawn, np.ndarray]:
+        """Runs 0, 1, ... made of standard normal numbers (runs, scores) and seeds, and which lie within all bounds.
+
+        Samples, cases and profiles that are taken in turn are taken at random here.
+        """
+        count, good, groups = len(z), np.ones(len(z), bool), dict[int, list[Array]]()
+        u = dict(zip(self._streams, np.clip(ndtr(z.T), 1e-300, 1.0 - 1e-16), strict=False))
+        raw = {d.name: u[d.stream] for d in self.draws}
+        drawn = Drawn(0, count, {}, {}, noise if self.own_noise else None, None, np.zeros(count, np.int64))
+        for d in self.draws:
+            drawn.draws[d.name] = self._values(_at_random(d), raw[d.name], 0, count, raw, groups)
+            results = [] if d.is_text else [t.result(d.spec.apply, drawn.draws[d.name]) for t in d.targets]
+            good &= self._good(d, results) if results else True
+            drawn.results |= {(d.name, n): result for n, result in enumerate(results)}
+        if self.wind is not None:
+            drawn.wind = self.wind.of_scores(z[:, len(self._streams) :])
+        return drawn, good
+
     def columns(self, drawn: Drawn) -> Columns:
         """The draws as Python's own numbers, texts and tables; made once for all runs of a batch. Without the wind."""
         if drawn.columns is None:
@@ -198,9 +230,7 @@ class Plan:
         """One draw anew; of a correlated group with new scores for all of it."""
         group = [other for other in self.draws if other.entry == d.entry] if d.group is not None else [d]
         raw = {m.name: uniforms(self.campaign.seed, m.stream, run, 1, attempt) for m in group}
-        if d.samples is not None:
-            d = replace(d, spec=d.spec.model_copy(update={"order": "random"}))
-        return self._values(d, raw[d.name], run, 1, raw, {})
+        return self._values(_at_random(d), raw[d.name], run, 1, raw, {})
 
     def _good(self, d: Draw, results: list[Array]) -> np.ndarray:
         good = np.ones(len(results[0]), bool)
@@ -211,6 +241,10 @@ class Plan:
             if d.spec.at_most is not None:
                 good &= result <= d.spec.at_most
         return good
+
+
+def _at_random(d: Draw) -> Draw:
+    return d if d.samples is None else replace(d, spec=d.spec.model_copy(update={"order": "random"}))
 
 
 def _bounds_text(d: Draw) -> str:
@@ -232,7 +266,11 @@ class Ensemble:
     """Wind out of given profiles."""
 
     def __init__(self, model: WindModel) -> None:
-        self._profiles, self._order = model.profiles or (), model.order
+        self._profiles, self._order, self.size = model.profiles or (), model.order, 1
+
+    def of_scores(self, z: Array) -> np.ndarray:
+        """`scores` of standard normal numbers (runs, size)."""
+        return _rows("random", len(self._profiles), ndtr(z[:, 0]), 0, len(z))[:, None]
 
     def scores(self, seed: int, first: int, count: int, attempt: int = 0) -> np.ndarray:
         """(count, 1): numbers of the profiles."""
@@ -267,15 +305,16 @@ class VectorWind:
         )
         self._mean = [np.interp(self._out_m, mean["altitude_m"], column) for column in columns]
         self._down = np.interp(self._out_m, mean["altitude_m"], mean.get("down_mps")) if "down_mps" in mean else None
+        self.size = 2 * len(self._altitude_m)
 
     def scores(self, seed: int, first: int, count: int, attempt: int = 0) -> np.ndarray:
         """(count, altitudes, 2): deviations north and east, m/s."""
+        parts = [uniforms(seed, WIND_KEY, first, count, attempt, component=k) for k in range(self.size)]
+        return self.of_scores(ndtri(np.array(parts)).T)
+
+    def of_scores(self, z: Array) -> np.ndarray:
         levels = len(self._altitude_m)
-        z = np.empty((count, levels, 2))
-        for level in range(levels):
-            for axis in range(2):
-                u = uniforms(seed, WIND_KEY, first, count, attempt, component=2 * level + axis)
-                z[:, level, axis] = ndtri(u)
+        z = z.reshape(len(z), levels, 2).copy()
         for level in range(1, levels):  # a Markov chain over altitude has an exponential correlation
             rho = self._along[level - 1]
             z[:, level] = rho * z[:, level - 1] + np.sqrt(1.0 - rho * rho) * z[:, level]

@@ -6,7 +6,7 @@ python -m maxq.tools.dev.mutations run --work DIR --mode compiled --named
 STATISTICS, LINEAR, WORST = "sim/campaign/statistics.py", "design/verify/linear.py", "design/verify/worst.py"
 SUITE, ANALYSIS, DRAWS = "design/verify/suite.py", "sim/campaign/analysis.py", "sim/campaign/draws.py"
 PLAN, ROBUST, JUDGING = "sim/campaign/plan.py", "design/optimise/robust.py", "design/verify/judging.py"
-SPREAD = "design/model/spread.py"
+SPREAD, RARE = "design/model/spread.py", "sim/campaign/rare.py"
 
 NAMED = (
     (STATISTICS, "betaincinv(failures + 1, runs - failures, «confidence»)", "1.0 - confidence", "upper bound swapped"),
@@ -51,7 +51,21 @@ NAMED = (
     (WORST, "(loop.closed_poles().real < 0.0).all() else «-»least", "+", "unstable is as far as stable"),
     (WORST, "[farthest(«-»by) for by in slopes]", "+", "search uphill"),
     (WORST, "if found[k] «>» value - 1e-6:", "<", "corner made better"),
-    (WORST, "float(frequency) ** «-2»", "2", "scenario with the inverse slosh frequency"),
+    (SPREAD, 'length_factor",), power=«-2.0»)', "2.0", "scenario with the inverse slosh frequency"),
+    (SPREAD, "vectors * np.sqrt(np.maximum(sizes, 0.0))) @ vectors.«T»", "conj()", "root of the correlations turned"),
+    (SPREAD, "sign = math.copysign(1.0, «by_a * by_b»)", "1.0", "sign of a correlation of the campaign lost"),
+    (LINEAR, "deviations = «root» @ np.array", "np.eye(len(places))", "corners without correlations"),
+    (
+        ROBUST,
+        "at = «root_of_correlation(ranges, node, places)» @ at",
+        "np.eye(len(places))",
+        "robust without correlations",
+    ),
+    (WORST, "return measure([«root» @ u for u in every])", "np.eye(count)", "worst search without correlations"),
+    (RARE, "p *= «len(beyond)» / n", "chains - 1", "conditional probability one chain short"),
+    (RARE, "math.sqrt(1.0 - step_size**2) * z «+»", "* 1.1 +", "chains leave the distribution"),
+    (RARE, "there > «level»", "-np.inf", "chains that leave their level"),
+    (RARE, "found = «sign» * (row.metrics[metric] - limit)", "-sign", "limit inverted"),
     (WORST, "ACCEPTED if found.modulus «>=» wanted.modulus", "<=", "limit inverted"),
     (WORST, "exact.modulus if exact.stable else «0.0»", "exact.modulus", "unstable vehicle with its distance"),
     (DRAWS, "cells[inside] = _permutation(seed, key, «hypercube», stratum)", "0", "every hypercube the same"),
