@@ -365,7 +365,7 @@ def test_one_key_twice(tmp_path: Path) -> None:
     [
         (
             ["nominal", "--runs", "5"],
-            "--runs goes with CAMPAIGN or --from DIR --search METRIC or --from DIR --rare METRIC, not with nominal, "
+            "--runs goes with CAMPAIGN, --from DIR --search METRIC or --from DIR --rare METRIC, not with nominal, "
             "which has no [campaign]",
         ),
         (["campaigns/first", "--run", "5"], "--run goes with --from DIR --run N or "),

@@ -13,7 +13,7 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Annotated, Any, ClassVar, NamedTuple, TypeVar
 
 import numpy as np
-from pydantic import Field
+from pydantic import Discriminator, Field, Tag
 
 from maxq.control.kernel.records import Array
 from maxq.design.model.dispersion import Dispersion, for_each
@@ -21,12 +21,15 @@ from maxq.design.model.node import Node
 from maxq.sim.campaign.plan import Draw as CampaignDraw
 from maxq.sim.campaign.read import LoadedCampaign, load_campaign
 from maxq.sim.scenario.errors import ScenarioError
-from maxq.sim.scenario.schema_values import NotNegative, Section, optional
+from maxq.sim.scenario.schema_values import LIST_FORM, TABLE_FORM, NotNegative, Section, optional
 from maxq.sim.scenario.schema_vehicle import Vehicle
 
 Share = Annotated[float, Field(ge=0.0, lt=1.0)]
 """Of a deviation; one of 1 would turn the sign of what deviates."""
-Shares = Share | tuple[Share, ...]
+Shares = Annotated[
+    Annotated[Share, Tag(TABLE_FORM)] | Annotated[tuple[Share, ...], Tag(LIST_FORM)],
+    Discriminator(lambda value: LIST_FORM if isinstance(value, list | tuple) else TABLE_FORM),
+]
 """One for all modes or tanks, or one each, the last for all beyond."""
 Place = tuple[str, int]
 """A key of `Spread`, and of which mode or tank, from 0; -1 where there is one of it."""
