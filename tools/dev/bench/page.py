@@ -148,6 +148,20 @@ def _campaigns(result: dict[str, Any]) -> str:
     return text + "\n\n" + _table(("part of a campaign", "CPU, ms a flight"), parts)
 
 
+def _cluster(result: list[dict[str, Any]]) -> str:
+    rows = [
+        [
+            f"{row['workers']:,}" + (" simulated" if row["workers"] > row["processes"] else ""), f"{row['lost']}",
+            f"{row['runs']:,}", f"{row['batches']:,}", f"{row['per_s']:,.0f}", f"{row['client_ms']:.2f}",
+            f"{row['scheduler_ms_a_batch']:.1f}", f"{1e3 / row['client_ms']:,.0f}",
+        ]
+        for row in result
+    ]  # fmt: skip  # six more lines otherwise
+    head = ("workers", "killed under way", "runs", "batches", "runs a second", "client's CPU, ms a run",
+            "scheduler's CPU, ms a batch", "the client's limit, runs a second")  # fmt: skip  # more lines otherwise
+    return _table(head, rows)
+
+
 def _optimise(result: dict[str, Any]) -> str:
     one, optima = result["single"], result["table"]
     rows = [
@@ -244,6 +258,7 @@ def filled(text: str, results: dict[str, Any]) -> str:
         "optimise": whole("optimise", _optimise),
         "replay": whole("replay", _replay),
         "campaigns": whole("campaigns", _campaigns),
+        "cluster": whole("cluster", _cluster),
     }
     for name, table in tables.items():
         pattern = re.compile(rf"(<!-- bench:{name} -->\n).*?(<!-- end -->)", re.DOTALL)

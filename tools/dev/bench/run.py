@@ -81,6 +81,7 @@ def main() -> int:
         "steps": lambda: _in_own_process("steps"),
         "replay": lambda: _in_own_process("replay"),
         "campaigns": lambda: _in_own_process("campaigns"),
+        "cluster": lambda: _in_own_process("cluster"),
         "optimise": lambda: _in_own_process("optimise", "--seconds", str(choice.search_seconds)),
     }
     wanted = [name for name in choice.only.split(",") if name] or list(parts)
