@@ -26,7 +26,15 @@ from maxq.design.certificate.measured_margins import (
     limit_cycle,
     measure_margin,
 )
-from maxq.design.certificate.response import BANDS, UNEXPLAINED, ResponseTable, measured_response
+from maxq.design.certificate.response import (
+    BANDS,
+    FAULTY,
+    UNEXPLAINED,
+    ResponseTable,
+    RingLine,
+    measured_response,
+    ring_lines,
+)
 from maxq.design.margins.measure import Margins, margins
 from maxq.design.model.node import Node, node_times
 from maxq.design.model.vehicle_at import Plane
@@ -83,6 +91,7 @@ class NodeCertificate:
     margins: tuple[MarginRow, ...]
     cycle: LimitCycle | None = None
     total_gain_db: tuple[float, float] = (0.0, 0.0)
+    rings: tuple[RingLine, ...] = ()
 
     def total_gain_room_db(self, end: int) -> float:
         """Gain margin beyond the least (`end` 0) or the most (1) total gain: in flight, by the linear loop where it is
@@ -100,6 +109,12 @@ class NodeCertificate:
             f"L at {r.lines_hz[i]:.4g} Hz is {r.difference_db[i]:+.2f} dB and {r.difference_deg[i]:+.1f} deg off "
             f"({r.reason[i]})"
             for i in r.faulty
+        ]
+        out += [
+            f"L at {e.line_hz:.4g} Hz with rings by their law is {e.difference_db:+.2f} dB and "
+            f"{e.difference_deg:+.1f} deg off ({e.reason})"
+            for e in self.rings
+            if e.reason in FAULTY
         ]
         out += [
             f"{e.what} is {e.measured:.4g} {e.unit} in flight, {e.held:.4g} by the linear loop ({e.reason})"
@@ -169,10 +184,11 @@ def certify_node(
     held, flown = hold(loaded, node, fault), api.loops([node], loaded.design)[0]
     of_flown = margins(flown)
     loop = api.loops([held.node], loaded.design)[0]
-    of_held, drifts = margins(loop), None
+    of_held, drifts, along_body = margins(loop), None, False
     if not of_held.stable:
         drifts = drift(held, loop, of_held)
-        if drifts is None and of_flown.stable:
+        along_body = drifts is None and of_flown.stable
+        if along_body:
             held = hold(loaded, node, fault, along_body=True)
             loop = api.loops([held.node], loaded.design)[0]
             of_held = margins(loop)
@@ -189,9 +205,10 @@ def certify_node(
     rows = [_margin_row(measure_margin(held, loop, of_held, name), of_pade, of_flown) for name in names]
     if drifts is not None:
         rows.append(_drift_row(drifts, of_pade, of_flown))
-    return NodeCertificate(
-        node.time_s, node.plane, of_flown.stable, responses, tuple(rows), total_gain_db=total_gain_db
-    )
+    rings: tuple[RingLine, ...] = ()
+    if bands and node.vehicle.pendulums.ring.any():
+        rings = ring_lines(hold(loaded, node, fault, along_body=along_body, rings_by_law=True), loop)
+    return NodeCertificate(node.time_s, node.plane, of_flown.stable, responses, tuple(rows), None, total_gain_db, rings)
 
 
 def _margin_row(found: MeasuredMargin, pade: Margins, flown: Margins) -> MarginRow:

@@ -17,6 +17,9 @@ in_flight.py what remains of it in the ascent.
 A law with load relief turns into the wind, and so makes that term a gravity turn: under several times the real gravity
 it topples within seconds. Such a loop is held with `along_body`: gravity acts aft along the vehicle's axis wherever it
 points, on every particle as before, and w' has no term of it at all, in flight as in `HeldFlight.node`.
+
+Ring baffles damp by the wave, and the wave is that of the excitation. So they are frozen too, at the damping that they
+have in the flown swing; `rings_by_law` leaves them as they fly (response.py compares both with the linear loop).
 """
 
 from __future__ import annotations
@@ -29,7 +32,7 @@ from dataclasses import dataclass
 from maxq.control.kernel.records import Array, pack
 from maxq.control.kernel.tables import Pool
 from maxq.design.laws.registry import law_kind
-from maxq.design.model.node import Node, node_of
+from maxq.design.model.node import Node, at_swing, node_of
 from maxq.design.model.plant import axial_load_mps2
 from maxq.design.model.vehicle_at import Plane
 from maxq.sim.flight.telemetry import FAST
@@ -125,8 +128,9 @@ def slosh_columns(run: FlightRun, plane: Plane) -> list[int]:
 
 
 def hold(
-    loaded: LoadedScenario, node: Node, fault: Change | None = None, *, along_body: bool = False
-) -> HeldFlight:  # fmt: skip  # as ruff would, but for a line of one bracket
+    loaded: LoadedScenario, node: Node, fault: Change | None = None, *, along_body: bool = False,
+    rings_by_law: bool = False,
+) -> HeldFlight:  # fmt: skip  # seven lines otherwise
     """Hold the scenario at a node of its flight, in the node's plane; with `along_body` without gravity turn.
 
     Valid under thrust: of several stages the one that burns at the node is held, by itself. Raises ValueError where
@@ -148,12 +152,15 @@ def hold(
     packed = pack_flight(held.scenario)
     packed.parameters[0].computer.held_time_s = max(node.time_s, 1e-9)
     packed.parameters[0].computer.first_stage = node.stage
+    bobs, slosh = node.vehicle.pendulums, packed.parameters[0].vehicle.slosh
+    if bobs.ring.any() and not rings_by_law:
+        slosh.damping_ratio[: len(bobs.ring)], slosh.law_factor[:] = bobs.damping(load), 0.0
     same = node_of(packed, node.time_s, 0, node.plane, node.errata)
     if along_body:
         packed.parameters[0].environment.earth.gravity = ALONG_BODY
         same = dataclasses.replace(same, condition=dataclasses.replace(same.condition, gravity_mps2=0.0))
     same = dataclasses.replace(
-        same, liquids=node.liquids, stage=node.stage, surface_radius_m=node.surface_radius_m,
+        at_swing(same, bobs.swing_rad), liquids=node.liquids, stage=node.stage, surface_radius_m=node.surface_radius_m,
     )  # fmt: skip  # two more lines otherwise
     return HeldFlight(held, packed, same, node.time_s, node.plane, fault or unchanged)
 

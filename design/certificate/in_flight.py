@@ -23,7 +23,7 @@ from maxq.design import api
 from maxq.design.certificate.excitation import SHARE_OF_BURST, gimbal_injection
 from maxq.design.certificate.held_flight import fast_rows
 from maxq.design.certificate.response import NOISE, NOISE_SIGMAS, UNEXPLAINED, decibels, degrees
-from maxq.design.model.node import Span, powered_spans, spans_of
+from maxq.design.model.node import Span, powered_spans, spans_of, with_swings
 from maxq.design.model.state_space import ComplexArray
 from maxq.design.model.vehicle_at import Plane
 from maxq.sim.packing.flight import pack_flight
@@ -90,6 +90,8 @@ def in_flight_response(loaded: LoadedScenario, times_s: Sequence[float], plane: 
     across = [tuple(t + share * (w[1] - w[0]) for share in ACROSS) for t, w in zip(times_s, windows, strict=True)]
     begun_s = [next(span.begin_s for span in spans if span.holds(t)) for t in times_s]
     nodes = api.nodes(loaded, [x for each in across for x in each], plane=plane)
+    excited_by = loaded.scenario.model_copy(update={"injection": (signal,)})  # rings damp by its waves
+    nodes = with_swings(nodes, dataclasses.replace(loaded, scenario=excited_by))
     out = []
     for k, (time_s, (begin, end)) in enumerate(zip(times_s, windows, strict=True)):
         first, last = round(begin / sample_s), round(end / sample_s)

@@ -15,9 +15,12 @@ import numpy as np
 from maxq.control.kernel.records import Array
 from maxq.design.certificate.excitation import Band, ExcitationLevel, band, excitation_level, injections
 from maxq.design.certificate.held_flight import HeldFlight
+from maxq.design.loop.fixed_path import fixed_path
 from maxq.design.loop.loop import Loop
+from maxq.design.model.node import SWING_PERIODS, at_swing, equivalent_swing, swing_rates_radps, swing_window_s
 from maxq.design.model.state_space import ComplexArray
 from maxq.sim.packing.flight import Packed
+from maxq.sim.run.fly import FlightRun
 
 BANDS = (
     band(0.05, 2.5, 26, 40.0, 40.0, 3),
@@ -32,8 +35,10 @@ COHERENT = 0.99
 WITHIN_DB, WITHIN_DEG = 0.2, 1.5
 NOISE_SIGMAS = 4.5  # estimated from ten bins of noise: exceeded by one line in 60,000; a certificate has 1,000
 HALF = 0.5  # of the excitation level, to see what depends on it
+RING_SHARE = 0.1  # of it, for waves that are lower than rings are deep
 AGREED, NOISE, INCOHERENT, UNEXPLAINED = "", "converter noise", "incoherent", "unexplained"
 SATURATION, ENDED = "saturation", "flight ended"
+FAULTY = UNEXPLAINED, SATURATION, ENDED
 
 _NEAR_HZ, _NEAR = 0.125, 5  # on either side in which noise is looked for, and at least so many bins
 _DECAYED = 9.0  # exp(-9) = 1e-4 of the initial amplitude
@@ -67,6 +72,10 @@ def measure(held: HeldFlight, band: Band, level: ExcitationLevel, closed_poles: 
     rad/s would take minutes. They are removed from the spectra, not waited for.
     """
     run, values = held.fly(band.duration_s, injections([*level.groups, *level.dither], held.plane))
+    return _measured(held, band, closed_poles, run, values)
+
+
+def _measured(held: HeldFlight, band: Band, closed_poles: ComplexArray, run: FlightRun, values: Array) -> Measured:
     back = values[:, run.table.index(f"filtered_{held.plane}_deg")]
     sent = values[:, run.table.index(f"gimbal_{held.plane}_command_deg")]
     flight = run.result()
@@ -162,7 +171,7 @@ class ResponseTable:
     @property
     def faulty(self) -> list[int]:
         """Lines with a difference that neither noise nor tolerance explains."""
-        return [i for i, why in enumerate(self.reason) if why in (UNEXPLAINED, SATURATION, ENDED)]
+        return [i for i, why in enumerate(self.reason) if why in FAULTY]
 
 
 def decibels(ratio: ComplexArray) -> Array:
@@ -210,6 +219,59 @@ def measured_response(
         _reason(*line, saturated) for line in zip(error, coherence, response / sampled, clean / sampled, strict=True)
     )
     return ResponseTable(lines, pade.response(lines), sampled, response, clean, coherence, error, change, reasons)
+
+
+@dataclass(frozen=True)
+class RingLine:
+    """L at a pendulum's frequency with ring baffles as they fly, excited by a sine, beside the linear loop.
+
+    `linear` has the rings' damping at the swing that was flown (rad, of each pendulum). `difference_db` and `_deg`:
+    measured less linear; `rings_db`: what the rings are worth there, linear less that without any.
+    """
+
+    line_hz: float
+    swing_rad: tuple[float, ...]
+    linear: complex
+    without: complex
+    measured: complex
+    reason: str
+
+    @property
+    def difference_db(self) -> float:
+        return float(decibels(np.array(self.measured / self.linear)))
+
+    @property
+    def difference_deg(self) -> float:
+        return float(degrees(np.array(self.measured / self.linear)))
+
+    @property
+    def rings_db(self) -> float:
+        return float(decibels(np.array(self.linear / self.without)))
+
+
+def ring_lines(by_law: HeldFlight, loop: Loop) -> tuple[RingLine, ...]:
+    """A line at each frequency of pendulums with rings, in a flight held with them by their law."""
+    node, found = by_law.node, []
+    omega = 2.0 * np.pi * SWING_PERIODS / swing_window_s(node)
+    ringed = node.vehicle.pendulums.ring * node.vehicle.pendulums.mass_kg > 0.0
+    for hz in sorted(set(_even(omega[ringed] / (2.0 * np.pi)).tolist())):
+        one = Band(np.array([hz]), UNROUNDED_PERIOD_S, UNROUNDED_SETTLE_S, 3)
+        level = excitation_level(by_law, loop, one, RING_SHARE)
+        run, rows = by_law.fly(one.duration_s, injections([*level.groups, *level.dither], by_law.plane))
+        seen = _measured(by_law, one, loop.closed_poles(), run, rows)
+        rates = swing_rates_radps(run, rows[round(one.settle_s / by_law.sample_s) :])
+        swing = [equivalent_swing(rates[:, n], w) for n, w in enumerate(omega)]
+        linear, without = (
+            dataclasses.replace(loop, fixed=fixed_path(at_swing(node, at), loop.fixed.kind, loop.fixed.cut))
+            for at in (np.array(swing), np.zeros(len(swing)))
+        )
+        expected, bare = (complex(each.response(one.lines_hz)[0]) for each in (linear, without))
+        measured = complex(seen.response[0])
+        reason = _reason(
+            float(seen.error[0]), float(seen.coherence[0]), measured / expected, complex(np.nan), seen.saturated_s > 0.0
+        )
+        found.append(RingLine(hz, tuple(swing), expected, bare, measured, reason))
+    return tuple(found)
 
 
 def _even(lines_hz: Array) -> Array:

@@ -141,6 +141,7 @@ def _vehicle(node: Node, by: Dispersion) -> VehicleAt:
         length_m=bobs.length_m / _each(by.slosh_frequency, m, "slosh_frequency") ** 2,
         damping_ratio=bobs.damping_ratio * _each(by.slosh_damping, m, "slosh_damping"),
         viscous=bobs.viscous * _each(by.slosh_damping, m, "slosh_damping"),
+        ring=bobs.ring * _each(by.slosh_damping, m, "slosh_damping"),
     )
     if np.any(mass != 1.0) or np.any(changed.length_m != bobs.length_m):
         vehicle = with_pendulums(vehicle, changed)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -15,7 +15,15 @@ from maxq.control.kernel.records import Array
 from maxq.control.structures import Over
 from maxq.design.model.dispersion import Dispersion, disperse
 from maxq.design.model.errata import CORRECTED, Errata
-from maxq.design.model.plant import Liquids, inputs_of, outputs_of, state_names, swings_of, vehicle_plant
+from maxq.design.model.plant import (
+    Liquids,
+    axial_load_mps2,
+    inputs_of,
+    outputs_of,
+    state_names,
+    swings_of,
+    vehicle_plant,
+)
 from maxq.design.model.state_space import StateSpace
 from maxq.design.model.vehicle_at import (
     FlightCondition,
@@ -27,16 +35,19 @@ from maxq.design.model.vehicle_at import (
     vehicle_at,
 )
 from maxq.sim.flight.parameters import NEVER
+from maxq.sim.flight.telemetry import FAST
 from maxq.sim.packing.flight import Packed, pack_flight
 from maxq.sim.packing.initial import rotation
 from maxq.sim.run.evaluate import evaluate_at
-from maxq.sim.run.fly import IGNITION_NAME, Event, FlightRun
+from maxq.sim.run.fly import IGNITION_NAME, Event, FlightRun, KeptRows
 from maxq.sim.scenario.burn import Burn, stage_burns
 from maxq.sim.scenario.coverage import burn_rate
 from maxq.sim.scenario.loader import LoadedScenario
 from maxq.sim.scenario.ranges import LONGEST_S
+from maxq.sim.scenario.schema_scenario import Log
 from maxq.sim.scenario.schema_vehicle import Stage
 from maxq.sim.vehicle.actuator import Actuator
+from maxq.sim.vehicle.slosh import RING_DRAG
 from maxq.sim.vehicle.state import Q_BI, R_I, V_I
 from maxq.sim.vehicle.workspace import AIRSPEED, DENSITY, FLOW, GRAVITATION, MACH, PRESSURE
 from maxq.sim.world.earth import ground_velocity
@@ -225,9 +236,10 @@ def nodes_along(
     """Nodes at vehicle times (s) of a flight of the scenario, flown once and without a log.
 
     Speed, air and attitude are those flown, at the integrator's step nearest to each time; incidence and rotation
-    are taken as zero, but for the slopes of tables over incidence, which are those at the flown angles. What the
-    scenario lets fail works, but with `faults`. Nodes come in the order of `times_s`. Raises ValueError, naming node
-    and range, for a time outside the powered flight.
+    are taken as zero, but for the slopes of tables over incidence, which are those at the flown angles, and ring
+    baffles, which damp as they do in the flown swing (`with_swings`). What the scenario lets fail works, but with
+    `faults`. Nodes come in the order of `times_s`. Raises ValueError, naming node and range, for a time outside the
+    powered flight.
     """
     wanted = [float(t) for t in times_s]
     if not wanted:
@@ -239,14 +251,78 @@ def nodes_along(
     found = {}
     for time_s in sorted(set(wanted)):
         found[time_s] = _node(run, time_s, plane, errata)
-    return [found[time_s] for time_s in wanted]
+    return with_swings([found[time_s] for time_s in wanted], scenario, faults)
 
 
-def flown_run(scenario: LoadedScenario, faults: bool) -> FlightRun:
-    """A flight at its start, without a log; on the grid of run.step_s, on which nodes lie."""
+SWING_PERIODS = 3.0  # of a pendulum, about a node, over which its swing is averaged
+_SWING_LOG = Log(fast_hz=200.0, slow_hz=1.0, transform_hz=1.0)
+
+
+def with_swings(nodes: Sequence[Node], scenario: LoadedScenario, faults: bool = False) -> list[Node]:
+    """Nodes whose ring baffles damp as in a flight of the scenario, `SWING_PERIODS` about each: as `swing_rad` tells.
+
+    Only vehicles with rings are flown. The swing is that of both planes together.
+    """
+    if not any(node.vehicle.pendulums.ring.any() for node in nodes):
+        return list(nodes)
+    logged = scenario.scenario.model_copy(update={"log": _SWING_LOG})
+    run, kept = flown_run(dataclasses.replace(scenario, scenario=logged), faults, log=True), KeptRows()
+    last_s = max(node.time_s + 0.5 * float(window_s.max()) for node in nodes if len(window_s := swing_window_s(node)))
+    while not run.finished and run.now_s < last_s:
+        kept.add(run.fly_segment())
+    times_ns, rows = kept.rows()[FAST]
+    rates, out = swing_rates_radps(run, rows), []
+    for node in nodes:
+        apart_s = np.abs(1e-9 * times_ns - node.time_s)
+        omega = 2.0 * np.pi * SWING_PERIODS / swing_window_s(node)
+        swings = [equivalent_swing(rates[apart_s < np.pi * SWING_PERIODS / w, k], w) for k, w in enumerate(omega)]
+        out.append(at_swing(node, np.array(swings)))
+    return out
+
+
+def swing_window_s(node: Node) -> Array:
+    """Over which the swing of each pendulum is averaged, (pendulums,)."""
+    load = max(axial_load_mps2(node.vehicle, node.condition), 1e-9)
+    return np.asarray(2.0 * np.pi * SWING_PERIODS * np.sqrt(node.vehicle.pendulums.length_m / load))
+
+
+def swing_rates_radps(run: FlightRun, rows: Array) -> Array:
+    """Of a flight's fast rows: angular rate of each pendulum in the body, both planes together, (rows, pendulums)."""
+    names = [c.name for c in run.table.columns(FAST)]
+    planes = [
+        [n for n, name in enumerate(names) if name.startswith("slosh") and name.endswith(f"{plane}_rate_degps")]
+        for plane in ("pitch", "yaw")
+    ]
+    return np.radians(np.hypot(rows[:, planes[0]], rows[:, planes[1]]))
+
+
+def equivalent_swing(rate_radps: Array, omega_radps: float) -> float:
+    """Amplitude (rad) of a plane swing at a frequency for which rings are as good a linear damper as in a motion.
+
+    The linear damper that dissipates as much is in proportion to mean(v^(5/2)) / mean(v^2) (docs/model.md, 5.9).
+    """
+    v = rate_radps[np.isfinite(rate_radps)]
+    square = float(np.mean(v * v)) if len(v) else 0.0
+    return (RING_DRAG * float(np.mean(v**2.5)) / square) ** 2 / omega_radps if square > 0.0 else 0.0
+
+
+def at_swing(node: Node, swing_rad: Array) -> Node:
+    """The node with its pendulums' `swing_rad`, in both planes."""
+
+    def swung(vehicle: VehicleAt) -> VehicleAt:
+        across = vehicle.across and swung(vehicle.across)
+        return dataclasses.replace(
+            vehicle, pendulums=dataclasses.replace(vehicle.pendulums, swing_rad=swing_rad), across=across
+        )
+
+    return dataclasses.replace(node, vehicle=swung(node.vehicle))
+
+
+def flown_run(scenario: LoadedScenario, faults: bool, log: bool = False) -> FlightRun:
+    """A flight at its start, by default without a log; on the grid of run.step_s, on which nodes lie."""
     run = scenario.scenario.run.model_copy(update={"accuracy": None})
     flown = scenario.scenario.model_copy(update={"run": run} | ({} if faults else {"fault": ()}))
-    return FlightRun(dataclasses.replace(scenario, scenario=flown), pack_flight(flown), log=False)
+    return FlightRun(dataclasses.replace(scenario, scenario=flown), pack_flight(flown), log=log)
 
 
 def _node(run: FlightRun, time_s: float, plane: Plane, errata: Errata) -> Node:
@@ -271,11 +347,15 @@ def at_same_propellant_s(run: FlightRun, flown: Packed, node: Node) -> float:
 
 
 def met_by(flown: Packed, node: Node, met: Node) -> Node:
-    """A node in the air, at the speed and in the attitude of `met`, with the vehicle of its own flight (`flown`)."""
+    """A node in the air, at the speed and in the attitude of `met`, with the vehicle of its own flight (`flown`).
+
+    Rings damp as at the node: in the calm air of a design's own flight less than in the winds of others.
+    """
     clock_s = node.time_s - node.stage_start_s
     vehicle = vehicle_at(flown, clock_s, met.condition.mach, node.plane, node.stage, met.trim)
     condition = dataclasses.replace(met.condition, time_s=node.time_s)
-    return dataclasses.replace(node, vehicle=vehicle, condition=condition, trim=met.trim)
+    there = dataclasses.replace(node, vehicle=vehicle, condition=condition, trim=met.trim)
+    return at_swing(there, node.vehicle.pendulums.swing_rad)
 
 
 def flown_to(run: FlightRun, time_s: float) -> int:

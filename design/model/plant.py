@@ -268,7 +268,7 @@ class _Equations:
             if errata.core_mass
             else (body.total_mass_kg, vehicle.total_inertia_kgm2, vehicle.total_cg_station_m)
         )
-        self.slosh_damping = vehicle.pendulums.small_wave_damping(load)
+        self.slosh_damping = vehicle.pendulums.damping(load)
         self.force: Array = np.zeros(rows.shape[1:])
         self.moment: Array = np.zeros(rows.shape[1:])
         self.modal: Array = np.zeros((n, *rows.shape[1:]))

@@ -73,10 +73,16 @@ class Pendulums:
     bob_station_rate_mps: Array  # hinge and bob follow the surface of the liquid
     damping_ratio: Array
     viscous: Array  # what a smooth wall adds to it, times the fourth root of the axial load, (m/s2)^(1/4)
+    ring: Array  # what ring baffles add to it, per root of the swing, rad^(-1/2)
+    swing_rad: Array  # at which they do: that of a flight (node.with_swings), 0 of a vehicle that none has flown
 
     def small_wave_damping(self, load_mps2: float) -> Array:
         """Damping ratio in small waves, where baffles do nothing yet, under an axial load."""
         return np.asarray(self.damping_ratio + self.viscous * np.maximum(load_mps2, 1e-9) ** -0.25)
+
+    def damping(self, load_mps2: float) -> Array:
+        """Damping ratio of a swing of `swing_rad`: the describing function of the rings (docs/model.md, 5.9)."""
+        return np.asarray(self.small_wave_damping(load_mps2) + self.ring * np.sqrt(self.swing_rad))
 
     @property
     def bob_station_m(self) -> Array:
@@ -372,6 +378,8 @@ def _pendulums(vehicle: Any, sizes: Any, props: Array) -> Pendulums:
         bob_station_rate_mps=props[first + schedule.TANK_TRAVEL],
         damping_ratio=np.array(vehicle.slosh.damping_ratio[:n]),
         viscous=vehicle.slosh.law_factor[:n] * props[first + schedule.TANK_VISCOUS],
+        ring=vehicle.slosh.law_factor[:n] * props[first + schedule.TANK_RING] + vehicle.slosh.ring_damping[:n],
+        swing_rad=np.zeros(n),
     )
 
 

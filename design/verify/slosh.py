@@ -211,9 +211,9 @@ def _growth(node: Node, design: Design, tank: int, ratio: float) -> float:
 
 def _damped(node: Node, tank: int, ratio: float) -> Node:
     bobs = node.vehicle.pendulums
-    ratios, viscous = bobs.damping_ratio.copy(), bobs.viscous.copy()
-    ratios[tank], viscous[tank] = ratio, 0.0
-    bobs = dataclasses.replace(bobs, damping_ratio=ratios, viscous=viscous)
+    ratios, viscous, ring = bobs.damping_ratio.copy(), bobs.viscous.copy(), bobs.ring.copy()
+    ratios[tank], viscous[tank], ring[tank] = ratio, 0.0, 0.0
+    bobs = dataclasses.replace(bobs, damping_ratio=ratios, viscous=viscous, ring=ring)
     return dataclasses.replace(node, vehicle=dataclasses.replace(node.vehicle, pendulums=bobs))
 
 

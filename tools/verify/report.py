@@ -318,6 +318,11 @@ def _node(c: NodeCertificate) -> dict[str, Any]:
             | {key: getattr(r, key)[i] for key in _LINE}
             for i in range(len(r.lines_hz))
         ],
+        "rings": [
+            {"hz": line.line_hz, "swing_deg": [math.degrees(swing) for swing in line.swing_rad], "reason": line.reason}
+            | {key: getattr(line, key) for key in ("difference_db", "difference_deg", "rings_db")}
+            for line in c.rings
+        ],
     }
 
 
