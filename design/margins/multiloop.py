@@ -85,7 +85,7 @@ def _half(loop: Multiloop, frequencies_hz: Array) -> ComplexArray:
 
 def structured_singular_value(matrix: ComplexArray) -> float:
     """Upper bound of mu for complex scalars on the diagonal, to 1e-9 of itself; equal to mu up to three of them."""
-    scales = _log_scales(matrix[None])[0]
+    scales = log_scales(matrix[None])[0]
 
     def size(x: Array) -> float:
         d = np.exp(np.append(0.0, x))
@@ -103,11 +103,11 @@ def structured_singular_value(matrix: ComplexArray) -> float:
 
 
 def _balanced(matrices: ComplexArray) -> Array:
-    d = np.exp(_log_scales(matrices))
+    d = np.exp(log_scales(matrices))
     return np.asarray(np.linalg.norm(matrices * (d[:, :, None] / d[:, None, :]), 2, axis=(1, 2)))
 
 
-def _log_scales(matrices: ComplexArray) -> Array:
+def log_scales(matrices: ComplexArray) -> Array:
     """Of the D that balances rows with columns (Osborne, J. ACM 7, 1960), (matrices, n): of two the best there is."""
     n = matrices.shape[-1]
     square, out = np.abs(matrices) ** 2 * (1.0 - np.eye(n)), np.zeros(matrices.shape[:2])

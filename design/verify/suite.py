@@ -196,6 +196,9 @@ class WorstWanted(Section):
     )
     seed: Annotated[int, Field(ge=0, lt=2**63)] = optional("of the starts", 1)
     modulus: Positive | None = optional("least |1 + L| of the worst vehicle found")
+    bound: bool = optional(
+        "also say up to how many sigma each no vehicle is unstable at the worst node (structured singular value)", False
+    )
 
 
 class LinearMargins(Section):

@@ -36,6 +36,7 @@ from maxq.design.model.plant import per_actuator_angle, vehicle_plants
 from maxq.design.model.spread import KEYS, Place, Spread, keys_of, places_of, root_of_correlation, vehicle_at_places
 from maxq.design.model.state_space import ComplexArray
 from maxq.design.model.vehicle_at import actuator_response
+from maxq.design.verify.named_mu import stable_within
 from maxq.design.verify.suite import ACCEPTED, REJECTED, Requirement, WorstWanted, room_left
 from maxq.sim.campaign.targets import Change, Dispersed, find_target
 from maxq.sim.run.fly import fly
@@ -70,6 +71,9 @@ class WorstVehicle:
     kept_control: bool = True
     text: str = ""
     not_flown: tuple[str, ...] = ()
+    within_sigmas: float = math.nan  # of each deviation, at that node: no vehicle is unstable (named_mu.py)
+    within_hz: float = math.nan
+    within_tried: int = 0  # frequencies
 
     @property
     def label(self) -> str:
@@ -274,11 +278,13 @@ def search_plane(
     scenario, missing = scenario_of(base, node, by)
     flight = fly(scenario, log=False)
     lost = flight.failures
+    within = stable_within(node, design, spread) if wanted.bound else None
     searches, loops = len(nodes) + further * (wanted.starts - 1), sum(n for _, _, n in results)
     return WorstVehicle(
         stage, node.plane, node.time_s, dict(zip(places, (3.0 * u).tolist(), strict=True)),
         exact.modulus if exact.stable else 0.0, searches, loops,
         "; ".join(lost) or "control kept", not lost, scenario.as_flown, tuple(missing),
+        *((within.sigmas, within.at_hz, within.tried) if within is not None else ()),
     )  # fmt: skip  # nine more lines otherwise
 
 
@@ -321,6 +327,9 @@ def worst_requirements(found: WorstVehicle, wanted: WorstWanted, again: str) -> 
     whose = ", ".join(filter(None, (found.plane, found.stage)))
     said = f"{found.modulus:.3f}" if found.modulus else "unstable"
     said += f"; no worse corner found in {found.searches} searches ({found.loops} loops)"
+    if found.within_tried:
+        said += f"; none is unstable up to {found.within_sigmas:.2g} sigma each at {found.time_s:g} s, by mu at "
+        said += f"{found.within_tried} frequencies, largest at {found.within_hz:.3g} Hz"
     out = []
     if wanted.modulus is not None:
         judgement = ACCEPTED if found.modulus >= wanted.modulus else REJECTED

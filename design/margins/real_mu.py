@@ -1,0 +1,115 @@
+"""Structured singular value over real numbers, from above.
+
+mu(M) is 1 / the least r for which 1 - M D is singular with a diagonal D of real numbers up to r, each on as many rows
+as it acts on. An upper bound (Fan, Tits & Doyle, IEEE Trans. Autom. Control 36, 1991) is the root of the greatest
+eigenvalue of
+
+    N^H N + j (G N - N^H G),      N = T M T^-1,
+
+with T and G = G^H block by block: any of them give one, descent looks for the least.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+import scipy.optimize
+
+from maxq.control.kernel.records import Array
+from maxq.design.margins.multiloop import log_scales
+from maxq.design.model.state_space import ComplexArray
+
+_SHARPNESS = (10.0, 30.0, 100.0, 300.0)  # of the greatest eigenvalue, one after the other, where it is descended
+_ROUNDS, _STEPS, _TURN, _GAIN = 12, 60, 1.0, 0.01
+
+Scaling = tuple[ComplexArray, ComplexArray]
+"""T and G, zero off their blocks."""
+
+
+def real_mu_upper(
+    m: ComplexArray, ranks: Sequence[int], start: Scaling | None = None, enough: float = 0.0
+) -> tuple[float, Scaling]:
+    """Upper bound of mu of `m` (n, n) over real numbers, each on so many rows (`ranks`), and the scaling behind it.
+
+    Descent begins with rows and columns balanced, and ends where the bound is below `enough`.
+    """
+    owner = np.repeat(np.arange(len(ranks)), ranks)
+    inside = owner[:, None] == owner
+    balanced = np.diag(np.exp(log_scales(m[None])[0])).astype(np.complex128), np.zeros(m.shape, np.complex128)
+    best, scaling = min(((bound(m, s), s) for s in (balanced, start) if s is not None), key=lambda one: one[0])
+    for sharpness in _SHARPNESS:
+        for _ in range(_ROUNDS):
+            if best <= enough or best == 0.0:
+                return best, scaling
+            found = _descended(m, inside, scaling, best, sharpness)
+            before, value = best, bound(m, found)
+            if value < best:
+                best, scaling = value, found
+            if best > before * (1.0 - _GAIN):
+                break
+    return best, scaling
+
+
+def bound(m: ComplexArray, scaling: Scaling) -> float:
+    """What a scaling bounds mu of `m` by."""
+    turn, g = scaling
+    n = turn @ m @ np.linalg.inv(turn)
+    return float(np.sqrt(max(np.linalg.eigvalsh(_form(n, g))[-1], 0.0)))
+
+
+def _form(n: ComplexArray, g: ComplexArray) -> ComplexArray:
+    turned = g @ n
+    return np.asarray(n.conj().T @ n + 1j * (turned - turned.conj().T))
+
+
+def _hermitian(x: Array, inside: Array) -> ComplexArray:
+    """Real parts in the lower triangle, imaginary ones in the upper."""
+    whole = np.zeros(inside.shape)
+    whole[inside] = x
+    lower, upper = np.tril(whole, -1), np.triu(whole, 1)
+    return np.asarray(np.diag(whole.diagonal()) + lower + lower.T + 1j * (upper - upper.T), np.complex128)
+
+
+def _slopes(q: ComplexArray, inside: Array) -> Array:
+    """Derivative by the numbers of `_hermitian` of Re tr(q H)."""
+    both = (q + q.conj().T).real
+    return np.asarray((np.tril(both, -1) + np.diag(q.diagonal().real) + np.triu((q - q.T).imag, 1))[inside])
+
+
+def _exp(h: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
+    sizes, vectors = np.linalg.eigh(h)
+    back = vectors.conj().T
+    return (vectors * np.exp(sizes)) @ back, (vectors * np.exp(-sizes)) @ back
+
+
+def descent(
+    m: ComplexArray, inside: Array, start: Scaling, value: float, sharpness: float = 30.0
+) -> Callable[[Array], tuple[float, Array]]:
+    """The smoothed bound squared, over `value` squared, and its slope, as a function of how T turns and G moves."""
+    before, scale, count = start[0] @ m @ np.linalg.inv(start[0]), max(value * value, 1e-12), int(inside.sum())
+    sharp = sharpness / scale
+
+    def at(x: Array) -> tuple[float, Array]:
+        turn, back = _exp(_hermitian(x[:count], inside))
+        g, n = start[1] + scale**0.5 * _hermitian(x[count:], inside), turn @ before @ back
+        sizes, vectors = np.linalg.eigh(_form(n, g))
+        weight = np.exp(sharp * (sizes - sizes[-1]))
+        smooth = sizes[-1] + np.log(weight.sum()) / sharp
+        p = (vectors * (weight / weight.sum())) @ vectors.conj().T  # derivative of the smoothed eigenvalue
+        by_n = p @ (n.conj().T + 1j * g)  # of 2 Re tr(by_n dn), dn = e n - n e; that of exp is taken at zero
+        by_turn, by_g = 2.0 * (n @ by_n - by_n @ n), 2.0 * scale**0.5 * 1j * (n @ p)
+        return smooth / scale, np.concatenate([_slopes(by_turn, inside), _slopes(by_g, inside)]) / scale
+
+    return at
+
+
+def _descended(m: ComplexArray, inside: Array, start: Scaling, value: float, sharpness: float) -> Scaling:
+    """T and G after a descent that is short, since slopes by T are those at its begin."""
+    count = int(inside.sum())
+    found = scipy.optimize.minimize(
+        descent(m, inside, start, value, sharpness), np.zeros(2 * count), jac=True, method="L-BFGS-B",
+        bounds=[(-_TURN, _TURN)] * count + [(None, None)] * count, options={"maxiter": _STEPS},
+    )  # fmt: skip  # three more lines otherwise
+    turn, _ = _exp(_hermitian(found.x[:count], inside))
+    return turn @ start[0], start[1] + value * _hermitian(found.x[count:], inside)

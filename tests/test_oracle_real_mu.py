@@ -1,0 +1,102 @@
+"""Bounds of the structured singular value over real numbers against brute force and closed forms."""
+
+from __future__ import annotations
+
+import itertools
+
+import design_nodes
+import numpy as np
+import pytest
+
+from maxq.design import api
+from maxq.design.loop.fixed_path import fixed_path
+from maxq.design.loop.loop import Loop
+from maxq.design.margins.real_mu import bound, descent, real_mu_upper
+from maxq.design.model.dispersion import disperse
+from maxq.design.model.spread import Spread, places_of, vehicle_at_places
+from maxq.design.verify.named_mu import stable_within, uncertain
+
+
+def brute_force(m: np.ndarray, ranks: list[int]) -> float:
+    """1 / least greatest real number at which 1 - M d is singular, over a grid of directions in the box's faces."""
+    best = np.inf
+    axes = np.linspace(-1.0, 1.0, 21)
+    for face in range(len(ranks)):
+        for rest in itertools.product(axes, repeat=len(ranks) - 1):
+            d = np.insert(np.array(rest), face, 1.0)
+            sizes = np.linalg.eigvals(m * np.repeat(d, ranks))
+            real = sizes[np.abs(sizes.imag) < 1e-3 * np.abs(sizes)].real
+            best = min(best, 1.0 / np.abs(real).max(initial=1e-12))
+    return 1.0 / best
+
+
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("ranks", [[1, 1], [2, 1], [1, 1, 1]])
+def test_upper_bound_lies_above_brute_force_and_not_far(seed: int, ranks: list[int]) -> None:
+    rng = np.random.default_rng([seed, *ranks])
+    n = sum(ranks)
+    m = rng.normal(size=(n, n)) + 0.2j * rng.normal(size=(n, n))
+    found, scaling = real_mu_upper(m, ranks)
+    below = brute_force(m, ranks)
+    assert found >= below * (1.0 - 1e-6)
+    assert found <= np.linalg.norm(m, 2) + 1e-9
+    assert found == pytest.approx(bound(m, scaling))
+    owner = np.repeat(np.arange(len(ranks)), ranks)
+    assert all(np.abs(part[owner[:, None] != owner]).max(initial=0.0) < 1e-12 for part in scaling)
+    np.testing.assert_allclose(scaling[1], scaling[1].conj().T, atol=1e-12)
+
+
+def test_of_one_real_number_it_is_the_greatest_real_eigenvalue() -> None:
+    """M = diag(3 j, 1): a real number d makes 1 - M d singular at d = 1 only; complex ones at 1/3."""
+    found, _ = real_mu_upper(np.diag([3.0j, 1.0]).astype(complex), [2])
+    assert found == pytest.approx(1.0, rel=0.02)
+
+
+def test_slopes_of_the_descent_are_differences() -> None:
+    rng = np.random.default_rng(7)
+    m, inside = rng.normal(size=(3, 3)) + 1j * rng.normal(size=(3, 3)), np.zeros((3, 3), bool)
+    inside[:2, :2] = inside[2, 2] = True
+    at = descent(m, inside, (np.diag([1.0, 2.0, 0.5]).astype(complex), np.diag([0.1, -0.2, 0.3]).astype(complex)), 2.0)
+    _, slope = at(np.zeros(10))
+    differences = [(at(unit)[0] - at(-unit)[0]) / 2e-6 for unit in 1e-6 * np.eye(10)]
+    np.testing.assert_allclose(slope, differences, atol=1e-6)
+
+
+def test_determinant_of_the_deviations_is_that_of_the_sampled_loop() -> None:
+    """det(1 - M d) is the ratio of det(s - A(d)) (1 + L(d)), to first order: by differences of the loop that is judged."""
+    node, spread = design_nodes.node_at(45.0), Spread()
+    every, places, law = uncertain(node, spread), places_of(node), api.law_at(design_nodes.design(), node)
+    hz, step = np.array([0.7, 1.3, 3.0, 9.0]), 1e-4
+    here, n = Loop(fixed_path(node), law), len(every.whole) - 1
+    for f in hz:
+        a, b, c, d = every.whole[:n, :n], every.whole[:n, n:], every.whole[n:, :n], every.whole[n:, n:]
+        path = (c @ np.linalg.solve(2j * np.pi * f * np.eye(n) - a, b) + d)[0, 0]
+        nominal = here.response([f])[0]
+        m, ranks = every.matrix(float(f), complex(nominal / path))
+        found, wanted = [], []
+        for unit in np.eye(len(places)):
+            there = Loop(fixed_path(disperse(node, vehicle_at_places(spread, node, places, step * unit))), law)
+            open_, as_it_is = (np.linalg.det(2j * np.pi * f * np.eye(n) - x.fixed.continuous.a) for x in (there, here))
+            wanted.append((1.0 + there.response([f])[0]) / (1.0 + nominal) * (open_ / as_it_is) - 1.0)
+            found.append(np.linalg.det(np.eye(len(m)) - m * np.repeat(step * unit, ranks)) - 1.0)
+        np.testing.assert_allclose(found, wanted, atol=0.02 * np.abs(wanted).max())
+
+
+@pytest.mark.slow
+def test_no_vehicle_of_the_box_is_unstable_and_one_farther_out_is() -> None:
+    """400 vehicles at corners and by chance in the box that mu leaves, the loop that is judged; brute force finds one
+    that is unstable within four times as many sigma."""
+    node, spread, design = design_nodes.node_at(45.0), Spread(), design_nodes.design()
+    found = stable_within(node, design, spread)
+    assert found is not None
+    assert 1.0 < found.sigmas < 6.0
+    rng, law = np.random.default_rng(3), api.law_at(design, node)
+    places, reach = places_of(node), found.sigmas / 3.0
+
+    def unstable(u: np.ndarray) -> bool:
+        loop = Loop(fixed_path(disperse(node, vehicle_at_places(spread, node, places, u))), law)
+        return not bool((loop.closed_poles().real < 0.0).all())
+
+    corners = reach * rng.choice([-1.0, 1.0], size=(300, len(places)))
+    assert not any(unstable(u) for u in [*corners, *rng.uniform(-reach, reach, size=(100, len(places)))])
+    assert any(unstable(4.0 * u) for u in corners)
