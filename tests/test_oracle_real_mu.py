@@ -64,7 +64,7 @@ def test_slopes_of_the_descent_are_differences() -> None:
 
 def test_determinant_of_the_deviations_is_that_of_the_sampled_loop() -> None:
     """det(1 - M d) is the ratio of det(s - A(d)) (1 + L(d)): by differences of the loop that is judged. The actuator's
-    poles bend between their ends by 3 %, the rest by 1e-3 at most."""
+    poles bend between their ends by 5 %, the rest by 1e-3 at most."""
     node, spread = design_nodes.node_at(45.0), Spread()
     every, places, law = uncertain(node, spread), places_of(node), api.law_at(design_nodes.design(), node)
     hz, step = np.array([0.7, 1.3, 3.0, 9.0]), 1e-4
@@ -80,7 +80,7 @@ def test_determinant_of_the_deviations_is_that_of_the_sampled_loop() -> None:
             open_, as_it_is = (np.linalg.det(2j * np.pi * f * np.eye(n) - x.fixed.continuous.a) for x in (there, here))
             wanted.append((1.0 + there.response([f])[0]) / (1.0 + nominal) * (open_ / as_it_is) - 1.0)
             found.append(np.linalg.det(np.eye(len(m)) - m * np.repeat(step * unit, ranks)) - 1.0)
-        np.testing.assert_allclose(found, wanted, atol=0.04 * np.abs(wanted).max())
+        np.testing.assert_allclose(found, wanted, atol=0.08 * np.abs(wanted).max())
         rest = np.array([name != "actuator_frequency" for name, _ in places])
         np.testing.assert_allclose(np.array(found)[rest], np.array(wanted)[rest], atol=2e-3 * np.abs(wanted).max())
 
