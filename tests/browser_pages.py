@@ -143,7 +143,9 @@ def test_the_page_gives_the_data_that_lie_beside_it(page: Page, file: Path) -> N
         page, "window.kept = []; URL.createObjectURL = (blob) => { blob.text().then((t) => kept.push(t)); return '#'; }"
     )
     value(page, "document.querySelector('a.data').dispatchEvent(new Event('click'))")
-    time.sleep(0.3)
+    deadline = time.monotonic() + 20.0
+    while not value(page, "kept.length") and time.monotonic() < deadline:
+        time.sleep(0.1)
     (text,) = value(page, "kept")
     wanted = as_csv(plots()[0])
     rows, own = text.split("\r\n"), wanted.rstrip().split("\r\n")

@@ -10,6 +10,7 @@ import socket
 import subprocess
 import sys
 import xml.etree.ElementTree as ET
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -27,9 +28,9 @@ from maxq.tools import simreplay
 from maxq.tools.plots.palette import BLACK, BLUE, ORANGE
 from maxq.tools.replay import flight as flight_module
 from maxq.tools.replay import viewer
-from maxq.tools.replay.convert import Options, save, with_scale
-from maxq.tools.replay.flight import open_flight
-from maxq.tools.replay.plots import tabs_of
+from maxq.tools.replay.convert import Options, free_corner, parts_of, save, with_scale
+from maxq.tools.replay.flight import Moment, open_flight
+from maxq.tools.replay.plots import Axis, Curve, Plot, tabs_of
 from maxq.tools.replay.sheets import write_sheets
 from maxq.tools.replay.stream import first_phase, phases
 from maxq.tools.replay.text import summary_text
@@ -183,6 +184,24 @@ def test_several_flights_go_into_one_recording_and_one_broken_log_is_named(capsy
     assert err.count("\n") == 1
     assert "kept/run-2/flight.mcap: this is not a log" in err
     assert Path("both.rrd").stat().st_size > 100_000
+
+
+def test_plots_are_parted_by_stages_and_legends_stand_aside_of_curves() -> None:
+    flight = open_flight(OLD_LOG)
+    start, end = flight.span_s
+    assert list(parts_of([flight], flight.span_s).values())[-1] == (start, end)
+    parted = replace(flight, moments=(*flight.moments, Moment("separation", round(1e9 * (start + 4.0)), "separation")))
+    (_, first), (_, second), (name, whole) = parts_of([parted], flight.span_s).items()
+    assert (first, second, name, whole) == ((start, start + 4.0), (start + 4.0, end), "Whole flight", (start, end))
+    ns = np.linspace(start * 1e9, end * 1e9, 500).astype(np.int64)
+
+    def corner(values: list[float]) -> str:
+        rows = np.interp(ns, [ns[0], ns[-1]], values)
+        plot = Plot("a/b", "", "", (Curve("", "mach", lambda _: (ns, rows)),))
+        return free_corner(plot, Axis(0.0, 1.0, (), ()), (start, end), [flight]).name
+
+    assert corner([0.0, 1.0]) == "LeftTop"
+    assert corner([1.0, 0.0]) == "RightTop"
 
 
 def test_of_many_flights_a_few_are_in_memory_and_plots_are_families(monkeypatch: pytest.MonkeyPatch) -> None:

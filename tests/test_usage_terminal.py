@@ -22,9 +22,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from rich.cells import cell_len
 
+from maxq.sim.run.metrics import figures
 from maxq.tools import simdesign, simreplay, simrun, simvehicle, simverify
 from maxq.tools.cli import terminal
-from maxq.tools.cli.terminal import aligned, figures, folded, painted
+from maxq.tools.cli.terminal import aligned, folded, painted
 
 WIDTHS = (80, 120)
 CELLS = st.text("abcdefgh ij", max_size=40).map(lambda text: " ".join(text.split()))

@@ -7,8 +7,8 @@ from pathlib import Path
 
 from maxq.sim.packing.integration import worst_error
 from maxq.sim.run.fly import DIVERGED_NAME, Flight
-from maxq.sim.run.metrics import Verdict, title_of, unit_of
-from maxq.tools.cli.terminal import aligned, figures, printable
+from maxq.sim.run.metrics import Verdict, figures, title_of, unit_of
+from maxq.tools.cli.terminal import aligned, printable
 
 _FINAL = (
     "altitude_m", "speed_mps", "yaw_deg", "pitch_deg", "roll_deg", "alpha_total_deg", "dynamic_pressure_Pa",
@@ -60,18 +60,12 @@ def _events(flight: Flight) -> list[str]:
 
 def _metrics(flight: Flight) -> list[str]:
     rows = []
-    for name, value in flight.metrics.items():
-        if math.isnan(value):  # it has none of it
-            continue
-        if name.startswith(("orbit_", "perigee_")) and flight.metrics["perigee_altitude_m"] < 0.0:  # it is in none
-            continue
-        if name == "apogee_altitude_m" and flight.outcome == "impact":
-            continue
+    for name in flight.telling_metrics:
         unit, time_s = unit_of(name), flight.metric_times_s[name]
         at = f"at {time_s:.3f} s" if math.isfinite(time_s) else ""
         if name.startswith(("final_", "flight_time", "range")):
             at = "at the end"
-        rows.append((title_of(name), figures(value), "" if unit == "1" else unit, at))
+        rows.append((title_of(name), figures(flight.metrics[name]), "" if unit == "1" else unit, at))
     return ["metrics", *aligned(rows, "  ", right=(1,))]
 
 
@@ -80,12 +74,9 @@ def _requirements(verdicts: tuple[Verdict, ...]) -> list[str]:
         return []
     rows = []
     for verdict in verdicts:
-        kind, bound = verdict.bound
-        unit = unit_of(verdict.requirement.metric)
-        limit = f"{'<=' if kind == 'limit' else '>='} {_value(bound)} {'' if unit == '1' else unit}".rstrip()
         at = f"at {verdict.time_s:.3f} s" if math.isfinite(verdict.time_s) else ""
         value = figures(verdict.value, 4 if verdict.met else 7)  # rounded more, a missed one may look like the limit
-        rows.append((printable(verdict.name), "met" if verdict.met else "MISSED", value, limit, at))
+        rows.append((printable(verdict.name), "met" if verdict.met else "MISSED", value, verdict.wanted, at))
     return ["requirements", *aligned(rows, "  ", right=(2,), drop=(4,))]
 
 

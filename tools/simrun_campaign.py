@@ -24,12 +24,12 @@ from maxq.sim.campaign.statistics import MET, NOT_MET
 from maxq.sim.campaign.store import RUNS, campaign_in
 from maxq.sim.campaign.targets import Refused
 from maxq.sim.files import plain_name, write_whole
-from maxq.sim.run.metrics import METRIC_NAMES, title_of, unit_of
+from maxq.sim.run.metrics import METRIC_NAMES, figures, title_of, unit_of
 from maxq.sim.run.record import LOG_NAME, SUMMARY_NAME
 from maxq.sim.scenario.errors import suggestion
 from maxq.tools import campaign_report as text
 from maxq.tools.cli.frame import Exit, Interruption, say
-from maxq.tools.cli.terminal import Progress, aligned, figures, printable, tell
+from maxq.tools.cli.terminal import Progress, aligned, printable, tell
 from maxq.tools.flight_report import report
 from maxq.tools.replay.viewer import ReplayError
 from maxq.tools.simrun_fly import show_flight, viewer_needed

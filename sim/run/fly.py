@@ -31,6 +31,7 @@ from maxq.sim.run.metrics import (
     Verdict,
     WaveMetrics,
     end_metrics,
+    figures,
     judge,
     orbit_metrics,
     section_extremes,
@@ -147,15 +148,25 @@ class Flight(Tabular):
     def _repr_html_(self) -> str:
         """Requirements and metrics, for notebooks."""
         rows = [
-            (v.name, "met" if v.met else "MISSED", f"{v.value:.4g}", f"{v.bound[0]} {v.bound[1]:g}")
-            for v in self.verdicts
+            (v.name, "met" if v.met else "MISSED", figures(v.value, 4 if v.met else 7), v.wanted) for v in self.verdicts
         ]
-        rows += [
-            (title_of(name), "", f"{value:.4g}", unit_of(name).removeprefix("1"))
-            for name, value in self.metrics.items()
-            if math.isfinite(value)
-        ]
+        for name in self.telling_metrics:
+            rows.append((title_of(name), "", figures(self.metrics[name]), unit_of(name).removeprefix("1")))
         return html_table(repr(self).strip("<>"), ("", "", "value", "limit or unit"), rows)
+
+    @property
+    def telling_metrics(self) -> tuple[str, ...]:
+        """Names of those that say something of this flight: none of what it does not have, none of an orbit that ends
+        below the ground, no apogee ahead where it has ended by impact.
+        """
+        orbits = self.metrics["perigee_altitude_m"] >= 0.0
+        return tuple(
+            name
+            for name, value in self.metrics.items()
+            if not math.isnan(value)
+            and (orbits or not name.startswith(("orbit_", "perigee_")))
+            and (name != "apogee_altitude_m" or self.outcome != "impact")
+        )
 
     def event_s(self, name: str) -> float:
         """Time of an event, the last one of several stages; nan if it has not happened."""

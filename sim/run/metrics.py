@@ -148,6 +148,18 @@ def title_of(metric: str) -> str:
     return name.replace("max_", "largest ", 1).replace("_", " ").replace(" mach", " Mach number")
 
 
+def figures(value: float, digits: int = 4) -> str:
+    """A value with so many significant digits, without exponent from 1e-4 to 1e7; what is below 1e-6 is 0."""
+    if not math.isfinite(value):
+        return "-" if math.isnan(value) else f"{value}"
+    if abs(value) < 1e-6:
+        return "0"
+    text = f"{value:.{digits}g}"
+    if "e" not in text or not 1e-4 <= abs(value) < 1e7:
+        return text
+    return f"{float(text):.0f}"
+
+
 def unit_of(metric: str) -> str:
     """Unit of a metric; KeyError for an unknown name."""
     return METRICS[metric].unit
@@ -286,6 +298,12 @@ class Verdict:
             return "limit", self.requirement.limit
         assert self.requirement.minimum is not None
         return "minimum", self.requirement.minimum
+
+    @property
+    def wanted(self) -> str:
+        """The bound in words: "<= 5 deg"."""
+        (kind, bound), unit = self.bound, unit_of(self.requirement.metric)
+        return f"{'<=' if kind == 'limit' else '>='} {bound:.6g} {'' if unit == '1' else unit}".rstrip()
 
 
 def judge(requirement: Requirement, values: Mapping[str, float], times_s: Mapping[str, float]) -> Verdict:

@@ -149,21 +149,6 @@ def tell(*texts: object) -> None:
     print(painted(folded("\n".join(str(text) for text in texts))))
 
 
-_LARGE, _DIGITS = 1e7, 4
-
-
-def figures(value: float, digits: int = _DIGITS) -> str:
-    """A value with so many significant digits, without exponent from 1e-4 to 1e7; what is below 1e-6 is 0."""
-    if not math.isfinite(value):
-        return "-" if math.isnan(value) else f"{value}"
-    if abs(value) < 1e-6:
-        return "0"
-    text = f"{value:.{digits}g}"
-    if "e" not in text or not 1e-4 <= abs(value) < _LARGE:
-        return text
-    return f"{float(text):.0f}"
-
-
 class Progress:
     """A progress bar on stderr that disappears at the end of its block; any thread may move it. Nothing is shown in the
     first second, but for steps that take longer each (`at_once`), nor where stderr is not a terminal; there

@@ -224,7 +224,7 @@ def _nyquist(picture: LoopPicture, place: Axes) -> None:
     place.set_yticks([])
     for side in place.spines.values():
         side.set_visible(False)
-    label(place, title="Nyquist (radius beyond 0 dB logarithmic)")
+    label(place, title="Nyquist (log radius beyond 0 dB)")
 
 
 def _mark(place: Axes, mark: Mark, n: int, x: float, y: float, *, named: bool = True) -> None:

@@ -177,7 +177,7 @@ def _place_names(place: Axes, renderer: Any) -> None:
                 spot = Bbox([low, high])
                 cost = 1e4 * sum(spot.overlaps(other) for other in taken) + 0.4 * radius
                 cost += 1e4 * (low[0] < frame.x0 or low[1] < frame.y0 or high[0] > frame.x1 or high[1] > frame.y1)
-                cost += 3.0 * int(((points > low) & (points < high)).all(axis=1).sum())
+                cost += 6.0 * int(((points > low) & (points < high)).all(axis=1).sum())
                 if cost < best:
                     best, where, offset = cost, spot, tuple((middle - at) / scale)
         if best >= 1e4 and "must" not in str(name.get_gid()):

@@ -5,7 +5,8 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from itertools import pairwise
 from pathlib import Path
 from typing import Any, Literal
 
@@ -43,6 +44,12 @@ from maxq.tools.replay.viewer import ReplayError
 DEFAULT_RATE_HZ, MANY_RATE_HZ = 50.0, 10.0
 _NOMINAL_COLOUR = PURPLE
 _NIGHT, _DEEP = [24, 29, 38, 255], [13, 17, 24, 255]
+_CORNERS = {  # right, top
+    rrb.Corner2D.RightTop: (True, True), rrb.Corner2D.LeftTop: (False, True),
+    rrb.Corner2D.RightBottom: (True, False), rrb.Corner2D.LeftBottom: (False, False),
+}  # fmt: skip  # two more lines otherwise
+_BEHIND = 0.07  # of the powered flight is seen behind it: the number at its end is whole, too
+_LEGEND_LINES = 4  # a legend of more covers the curves of several flights
 _LEGEND_MOST = COLOURED = 6  # flights with a colour and a name of their own; more names would cover the plots
 _MOSTLY = 0.9  # share of the time under thrust from which on a flight is shown as a whole only
 
@@ -66,6 +73,8 @@ class Span:
     name: str
     span_s: tuple[float, float]
     axes: Mapping[str, Axis]
+    corners: Mapping[str, rrb.Corner2D] = field(default_factory=dict)
+    """Where the legend of a plot hides least, if not at the upper right."""
 
 
 @dataclass(frozen=True)
@@ -101,9 +110,7 @@ def send_flights(recording: rr.RecordingStream, flights: Sequence[ReplayFlight],
     span_s = min(f.span_s[0] for f in flights), max(f.span_s[1] for f in flights)
     recording.log("/", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
 
-    ends_s = {"Powered flight": max(f.burn_end_s for f in flights), "Whole flight": span_s[1]}
-    if ends_s["Powered flight"] - span_s[0] > _MOSTLY * (span_s[1] - span_s[0]):
-        ends_s = {"": span_s[1]}
+    parts = parts_of(flights, span_s)
     ranges: dict[tuple[str, str], list[tuple[float, float]]] = {}
     drawn: list[_Drawn] = []
     exaggeration = common_exaggeration([flights[i] for i in sorted(near)], options)
@@ -121,8 +128,8 @@ def send_flights(recording: rr.RecordingStream, flights: Sequence[ReplayFlight],
             send_styles(recording, root, own, colour, prefix, alpha=1.0 if len(flights) <= FEW else 0.55)
             send_curves(recording, root, own, flight.log, interval_ns)
         for plot in (plot for tab in own for plot in tab.plots):
-            for name, end_s in ends_s.items():
-                if (found := plot.value_range(flight.log, round(end_s * 1e9))) is not None:
+            for name, part_s in parts.items():
+                if (found := plot.value_range(flight.log, *(round(s * 1e9) for s in part_s))) is not None:
                     ranges.setdefault((name, plot.key), []).append(found)
         send_events(recording, root, flight.moments, f"{flight.label}: " if many else "")
         start = first_phase(flight.log, round(flight.span_s[0] * 1e9))
@@ -134,9 +141,11 @@ def send_flights(recording: rr.RecordingStream, flights: Sequence[ReplayFlight],
         family.send(recording)
     every = [plot for tab in tabs for plot in tab.plots]
     spans = []
-    for name, end_s in ends_s.items():
+    for name, (start_s, end_s) in parts.items():
         axes = {p.key: axis_of(p, range_of([np.array(r) for r in ranges.get((name, p.key), [])])) for p in every}
-        spans.append(Span(name, (span_s[0], min(end_s + 0.02 * (end_s - span_s[0]), span_s[1])), axes))
+        seen_s = start_s, min(end_s + _BEHIND * (end_s - start_s), span_s[1])
+        corners = {p.key: free_corner(p, axes[p.key], seen_s, flights) for p in every} if len(flights) <= FEW else {}
+        spans.append(Span(name, seen_s, axes, corners))
     for plot in every:
         axis = spans[-1].axes[plot.key]
         send_limits(recording, plot, axis.drawn, (round(span_s[0] * 1e9), round(span_s[1] * 1e9)), axis)
@@ -145,6 +154,23 @@ def send_flights(recording: rr.RecordingStream, flights: Sequence[ReplayFlight],
     recording.log("about", rr.TextDocument(text, media_type="text/markdown"), static=True)
     pictures = _pictures(recording, roots, drawn, exaggeration, options.side_by_side) if drawn else []
     return layout(roots, pictures, tabs, spans, plotted=plotted, tab=options.tab, bare=options.bare)
+
+
+def parts_of(flights: Sequence[ReplayFlight], span_s: tuple[float, float]) -> dict[str, tuple[float, float]]:
+    """Parts of the time by name: the stages, or the powered flight where that is not nearly all; then the whole."""
+    whole = {"Whole flight": span_s}
+    parted = [[m.time_s for m in f.moments if m.name == "separation"] for f in flights]
+    if parted[0] and len({len(times) for times in parted}) == 1:
+        edges = [span_s[0], *np.max(parted, axis=0).tolist(), span_s[1]]
+        stages = flights[0].scenario.vehicle.stage if flights[0].scenario is not None else ()
+        names = [s.name or f"stage {k + 1}" for k, s in enumerate(stages)]
+        if len(names) != len(edges) - 1 or len(set(names)) != len(names):
+            names = [f"stage {k + 1}" for k in range(len(edges) - 1)]
+        return dict(zip(names, pairwise(edges), strict=True)) | whole
+    burnt_s = max(f.burn_end_s for f in flights)
+    if burnt_s - span_s[0] > _MOSTLY * (span_s[1] - span_s[0]):
+        return {"": span_s}
+    return {"Powered flight": (span_s[0], burnt_s)} | whole
 
 
 def _send_scene(
@@ -242,8 +268,9 @@ def eyes_for(length_m: float, azimuth_deg: float, positions_m: Array) -> Eyes:
 
 
 def plot_view(
-    plot: Plot, axis: Axis | None, roots: Sequence[str], span_s: tuple[float, float], legend: bool, rows: int
-) -> rrb.TimeSeriesView:
+    plot: Plot, axis: Axis | None, roots: Sequence[str], span_s: tuple[float, float], legend: bool, rows: int,
+    corner: rrb.Corner2D = rrb.Corner2D.RightTop,
+) -> rrb.TimeSeriesView:  # fmt: skip  # nine lines otherwise
     """`axis`: None where the values are not known yet. `rows` of plots in the window."""
     beyond = axis.beyond_text("") if axis is not None else ""
     shown = None if axis is None else rrb.archetypes.ScalarAxis(range=with_scale(axis.low, axis.high, 30 // rows))
@@ -253,7 +280,7 @@ def plot_view(
         contents=[*(f"+ /{root}/plots/{plot.key}/**" for root in roots), f"+ /{limits_root(plot)}/**"],
         axis_x=time_axis(span_s),
         axis_y=shown,
-        plot_legend=rrb.PlotLegend(rrb.Corner2D.RightTop, visible=legend),
+        plot_legend=rrb.PlotLegend(corner, visible=legend),
     )
 
 
@@ -267,6 +294,22 @@ def with_scale(low: float, high: float, most: int) -> tuple[float, float]:
         down, up = (first - 1) * step - edge, (last + 1) * step + edge
         low, high = (low, up) if up - high < low - down else (down, high)
     return low, high
+
+
+def free_corner(plot: Plot, axis: Axis, span_s: tuple[float, float], flights: Sequence[ReplayFlight]) -> rrb.Corner2D:
+    """The corner with the least of the curves in it, for the legend."""
+    inside = dict.fromkeys(_CORNERS, 0.0)
+    for flight in flights:
+        for curve in (c for c in plot.curves if c.channel in flight.log):
+            ns, values = curve.values(flight.log)
+            first, end = np.searchsorted(ns, [round(s * 1e9) for s in span_s])
+            some = slice(int(first), int(end), max(len(ns) // 3000, 1))
+            x = (ns[some] / 1e9 - span_s[0]) / max(span_s[1] - span_s[0], 1e-9)
+            y = (values[some] - axis.low) / (axis.high - axis.low)
+            for corner, (right, top) in _CORNERS.items():
+                there = (x > 0.62 if right else x < 0.38) & (y > 0.65 if top else y < 0.35)  # as large as a legend
+                inside[corner] += float(there.mean()) if len(x) else 0.0
+    return min(inside, key=lambda corner: inside[corner])
 
 
 def time_axis(span_s: tuple[float, float]) -> rrb.archetypes.TimeAxis:
@@ -334,7 +377,6 @@ def layout(
 
     `plotted`: roots of what is plotted, where they are not those of the flights.
     """
-    legend = len(roots) <= _LEGEND_MOST
     plotted = roots if plotted is None else plotted
 
     def tabs_over(span: Span) -> rrb.Tabs:
@@ -342,7 +384,20 @@ def layout(
         for page in tabs:  # side by side they are high enough for the viewer to write numbers at their axes
             columns = 2 if len(page.plots) > 2 else 1
             rows = -(-len(page.plots) // columns)
-            views = [plot_view(p, span.axes.get(p.key), plotted, span.span_s, legend, rows) for p in page.plots]
+            most = max(_LEGEND_LINES, len(roots) * min(len(p.curves) for p in page.plots)) if len(roots) > 1 else 99
+            named = [len(roots) <= _LEGEND_MOST and len(roots) * len(p.curves) <= most for p in page.plots]
+            views = [
+                plot_view(
+                    p,
+                    span.axes.get(p.key),
+                    plotted,
+                    span.span_s,
+                    legend,
+                    rows,
+                    span.corners.get(p.key, rrb.Corner2D.RightTop),
+                )
+                for p, legend in zip(page.plots, named, strict=True)
+            ]
             pages.append(rrb.Grid(contents=views, grid_columns=columns, name=page.name))
         return rrb.Tabs(contents=pages, active_tab=_tab_number(tabs, tab), name=span.name or None)
 

@@ -73,10 +73,10 @@ class Plot:
     def heading(self) -> str:
         return f"{self.title} ({self.unit})" if self.unit else self.title
 
-    def value_range(self, channels: Channels, until_ns: int = _NEVER) -> tuple[float, float] | None:
-        """Smallest and largest value up to a time of the curves that a flight has; None where there is no number."""
+    def value_range(self, channels: Channels, from_ns: int = 0, until_ns: int = _NEVER) -> tuple[float, float] | None:
+        """Smallest and largest value between two times of the curves that a flight has; None: there is no number."""
         curves = (c.values(channels) for c in self.curves if c.channel in channels)
-        return range_of([values[ns <= until_ns] for ns, values in curves])
+        return range_of([values[(ns >= from_ns) & (ns <= until_ns)] for ns, values in curves])
 
 
 @dataclass(frozen=True)
@@ -222,10 +222,10 @@ _TABLE: dict[str, list[_Row]] = {
     "Loads": [
         _Row("q_alpha", "q alpha under thrust", "kPa deg", {"q alpha": "q_alpha_Padeg"}, 1e-3, only=_POWERED,
              limits=("max_q_alpha_Padeg",), glance=(1, "q alpha under thrust")),
-        _Row("bending", "largest bending moment of a section under thrust", "kN m",
+        _Row("bending", "largest section bending moment", "kN m",
              {"bending moment": "section_1_bending_pitch_Nm"}, 1e-3, {"bending moment": _largest_section},
              only=_POWERED, limits=("max_section_bending_moment_Nm",), glance=(1, "bending moment")),
-        _Row("compression", "largest axial compression of a section under thrust", "kN",
+        _Row("compression", "largest section compression", "kN",
              {"compression": "section_1_axial_N"}, 1e-3, {"compression": _largest_section},
              only=_POWERED, limits=("max_section_compression_N",)),
         _Row("force", "aerodynamic force in body axes", "kN", {a: f"aero_force_B_{a}_N" for a in _XYZ}, 1e-3),

@@ -42,6 +42,7 @@ FAR_NS = 100_000_000
 _BEND_STEP_M, _LEVEL_STEP_M, _ANGLE_STEP_DEG = 2e-4, 1e-3, 2e-3  # smaller changes are not sent
 _LOAD_STEP = 0.02  # of the limit
 _STEEPEST = math.tan(math.radians(60.0))
+_MARKS_APART = 0.04  # of the extent of a trajectory, that names on it can be read
 _NO_SHAPE_M = 10.0  # length of a vehicle that is not known
 _GRID, _PAD, _BLOCK, _COMPASS = [74, 88, 106, 150], [96, 112, 132, 255], [110, 100, 88, 255], [150, 160, 175, 255]
 _NED = ("north", "east", "down")
@@ -137,13 +138,20 @@ class Scene:
             self._vehicle(channels)
 
     def mark(self, moments: Sequence[Moment], path: FramePath) -> None:
-        """Points on the trajectory with names and times."""
-        moments = [m for i, m in enumerate(moments) if i + 1 == len(moments) or moments[i + 1].time_s - m.time_s > 1.0]
+        """Points on the trajectory with names and times; of several close together, the last."""
         if not moments or not len(path.times_ns):
             return
         k = np.clip(np.searchsorted(path.times_ns, [m.time_ns for m in moments]), 0, len(path.times_ns) - 1)
+        points, apart_m = (
+            path.translation_m[k],
+            _MARKS_APART * float(np.linalg.norm(np.ptp(path.translation_m, axis=0))),
+        )
+        kept: list[int] = []
+        for n in reversed(range(len(moments))):
+            if all(np.linalg.norm(points[n] - points[other]) >= apart_m for other in kept):
+                kept.insert(0, n)
+        moments, points = [moments[n] for n in kept], points[kept]
         labels, radius = [m.label for m in moments], rr.Radius.ui_points(4)
-        points = path.translation_m[k]
         self._log("marks", rr.Points3D(points, labels=labels, show_labels=True, radii=radius, colors=rgba(WHITE)))
 
     def whole_path(self, path: FramePath, colour: str) -> None:

@@ -11,7 +11,7 @@ import numpy as np
 
 from maxq.control.kernel.records import Array, IntArray
 from maxq.sim.log.foxglove import Level
-from maxq.tools.cli.terminal import figures
+from maxq.sim.run.metrics import figures
 from maxq.tools.plots.palette import ON_DARK
 from maxq.tools.replay.flight import LaunchSite, ReplayFlight, Requirement
 from maxq.tools.replay.plots import Curve, Plot, tabs_of

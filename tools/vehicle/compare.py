@@ -12,9 +12,10 @@ import numpy as np
 from maxq.control.kernel.records import Array
 from maxq.design.model.vehicle_at import vehicle_at
 from maxq.sim.packing.flight import pack_flight
+from maxq.sim.run.metrics import figures
 from maxq.sim.scenario.builtin import scenarios_folder
 from maxq.sim.scenario.loader import LoadedScenario, load_scenario
-from maxq.tools.cli.terminal import aligned, figures
+from maxq.tools.cli.terminal import aligned
 from maxq.tools.vehicle.build import Built, burning
 
 ALIKE = 1e-2
