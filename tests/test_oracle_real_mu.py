@@ -15,6 +15,8 @@ from maxq.design.margins.real_mu import bound, descent, real_mu_upper
 from maxq.design.model.dispersion import disperse
 from maxq.design.model.spread import Spread, places_of, vehicle_at_places
 from maxq.design.verify.named_mu import stable_within, uncertain
+from maxq.design.verify.suite import WorstWanted
+from maxq.design.verify.worst import search_node
 
 
 def brute_force(m: np.ndarray, ranks: list[int]) -> float:
@@ -63,9 +65,9 @@ def test_slopes_of_the_descent_are_differences() -> None:
 
 
 def test_determinant_of_the_deviations_is_that_of_the_sampled_loop() -> None:
-    """det(1 - M d) is the ratio of det(s - A(d)) (1 + L(d)): by differences of the loop that is judged. The actuator's
-    poles bend between their ends by 5 %, the rest by 1e-3 at most."""
-    node, spread = design_nodes.node_at(45.0), Spread()
+    """det(1 - M d) is the ratio of det(s - A(d)) (1 + L(d)), by differences of the loop that is judged; the actuator by
+    1 %, since with 15 % its poles bend between their ends."""
+    node, spread = design_nodes.node_at(45.0), Spread(actuator_frequency=0.01)
     every, places, law = uncertain(node, spread), places_of(node), api.law_at(design_nodes.design(), node)
     hz, step = np.array([0.7, 1.3, 3.0, 9.0]), 1e-4
     here, n = Loop(fixed_path(node), law), len(every.whole) - 1
@@ -80,15 +82,13 @@ def test_determinant_of_the_deviations_is_that_of_the_sampled_loop() -> None:
             open_, as_it_is = (np.linalg.det(2j * np.pi * f * np.eye(n) - x.fixed.continuous.a) for x in (there, here))
             wanted.append((1.0 + there.response([f])[0]) / (1.0 + nominal) * (open_ / as_it_is) - 1.0)
             found.append(np.linalg.det(np.eye(len(m)) - m * np.repeat(step * unit, ranks)) - 1.0)
-        np.testing.assert_allclose(found, wanted, atol=0.08 * np.abs(wanted).max())
-        rest = np.array([name != "actuator_frequency" for name, _ in places])
-        np.testing.assert_allclose(np.array(found)[rest], np.array(wanted)[rest], atol=2e-3 * np.abs(wanted).max())
+        np.testing.assert_allclose(found, wanted, atol=2e-3 * np.abs(wanted).max())
 
 
 @pytest.mark.slow
 def test_no_vehicle_of_the_box_is_unstable_and_one_farther_out_is() -> None:
-    """400 vehicles at corners and by chance in the box that mu leaves, the loop that is judged; brute force finds one
-    that is unstable within four times as many sigma."""
+    """400 vehicles at corners and by chance in the box that mu leaves, by the loop that is judged; a search finds one
+    that is unstable in a box a quarter larger."""
     node, spread, design = design_nodes.node_at(45.0), Spread(), design_nodes.design()
     found = stable_within(node, design, spread)
     assert found is not None
@@ -102,4 +102,6 @@ def test_no_vehicle_of_the_box_is_unstable_and_one_farther_out_is() -> None:
 
     corners = reach * rng.choice([-1.0, 1.0], size=(300, len(places)))
     assert not any(unstable(u) for u in [*corners, *rng.uniform(-reach, reach, size=(100, len(places)))])
-    assert any(unstable(4.0 * u) for u in corners)
+    least, worst, _ = search_node(node, design, spread, WorstWanted(region="box", sigmas=1.25 * found.sigmas, starts=2))
+    assert least < 0.0
+    assert unstable(worst)

@@ -551,8 +551,9 @@ def mass_flow_momentum(vehicle: VehicleAt) -> tuple[float, float]:
     momentum, turning = -body.core_mass_kg * body.core_cg_rate_mps, body.core_inertia_rate_kgm2ps
     for engine in vehicle.engines:
         flow, exit_place = engine.flow_share * body.mass_flow_kgps, cg - engine.exit_station_m
-        momentum += flow * exit_place
-        turning += flow * (exit_place**2 + engine.exit_square_m2)
+        # not in place: of many vehicles the CG may differ where the core does not
+        momentum = momentum + flow * exit_place
+        turning = turning + flow * (exit_place**2 + engine.exit_square_m2)
     momentum = momentum + (bobs.mass_rate_kgps * bob_place).sum(axis=0)
     return momentum, turning + (bobs.mass_rate_kgps * bob_place**2).sum(axis=0)
 
