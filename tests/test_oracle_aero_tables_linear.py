@@ -12,6 +12,7 @@ from aero_tables import AIR, MODES, OVER_ALPHA_BETA, OVER_TOTAL, PARTS, RATES, R
 from flightkit import Parts, Rig, Tank, Tree, merged, rig, scenario_of, with_stage
 
 from maxq.control.kernel.records import Array
+from maxq.design.loop.fixed_path import ExactFixedPath, fixed_path
 from maxq.design.model.incidence import table_slopes
 from maxq.design.model.linearised import LinearModel, linearise
 from maxq.design.model.node import node_of
@@ -153,6 +154,53 @@ def test_rigid_vehicle_at_its_trim(plane: Plane) -> None:
     force, turn = columns(model, names, names) * np.array([[1.0, sign], [sign, 1.0]])
     d = stability_derivatives(node.vehicle, node.condition)
     np.testing.assert_allclose([d.z_alpha_1ps, d.m_alpha_1ps2 / speed, d.m_q_1ps], [force[0], *turn], rtol=TOLERANCE)
+
+
+ROUND = {
+    "table": {"mach": [0.0, 0.7, 2.0], "CA": [0.3, 0.35, 0.4], "CD": [0.1, 0.07, 0.05], "Cmq": [-30.0, -40.0, -50.0],
+              "C_crossflow": [4.0, 5.0, 9.0], "Cm0": [0.02, 0.05, 0.01]},
+    "surface": [{"table": {"mach": [0.0, 0.8, 2.0], "CN_alpha_pr": [2.0, 3.0, 2.2], "station_m": [11.0, 10.0, 10.5]}}],
+}  # fmt: skip  # a key a line otherwise
+
+
+def inclined(trim_deg: tuple[float, float], coefficients: list[Tree]) -> Rig:
+    """Flexible, with liquid and an engine, in incidence; slopes over Mach and cross-flow beside the tables."""
+    alpha, beta = np.radians(trim_deg)
+    flow = 290.0 * np.array([math.cos(alpha) * math.cos(beta), math.sin(beta), math.sin(alpha) * math.cos(beta)])
+    made = made_of(FLEXIBLE, symmetric() | ROUND | {"coefficients": coefficients}, [*flow])
+    made.packed.memory[0].held.burning = 1
+    return made
+
+
+@pytest.mark.parametrize("trim_deg", [(6.0, -4.0), (-3.0, 0.0), (2.0, 9.0)])
+def test_flexible_vehicle_at_its_trim(trim_deg: tuple[float, float]) -> None:
+    """Every coefficient of both planes: tables without symmetry, body and modes in incidence and sideslip."""
+    tables = [*symmetric()["coefficients"][:2], *({"table": t, "station_m": 4.0 + k} for k, t in enumerate(ALL))]
+    made = inclined(trim_deg, tables)
+    theirs = linearise(made.packed, made.packed.state, 0.0)
+    for plane in ("pitch", "yaw"):
+        node = node_of(made.packed, 0.0, plane=plane)
+        assert node.trim == pytest.approx(np.radians(trim_deg), abs=1e-9)
+        ours = vehicle_plant(node.vehicle, node.condition)
+        scale = np.abs(ours.a).max(axis=1, keepdims=True)
+        np.testing.assert_allclose(in_plane(theirs, plane) / scale, ours.a / scale, rtol=TOLERANCE, atol=1e-10)
+
+
+def test_what_other_states_do_to_one_plane_in_incidence() -> None:
+    """A body of revolution at 4 deg and 2 deg of sideslip: speed, roll and the other plane (docs/model.md, 6)."""
+    made = inclined((4.0, 2.0), symmetric()["coefficients"])
+    model, hz = linearise(made.packed, made.packed.state, 0.0), np.geomspace(0.05, 30.0, 25)
+    apart = []
+    for axis, plane in enumerate(("pitch", "yaw")):
+        path = fixed_path(node_of(made.packed, 0.0, plane=plane), "exact")
+        assert isinstance(path, ExactFixedPath)
+        out, eye = model.states.index(f"gyro_{plane}_radps"), np.eye(len(model.a))
+        whole = np.array([np.linalg.solve(2j * np.pi * f * eye - model.a, model.b[:, axis])[out] for f in hz])
+        apart.append(np.abs(whole / path.plant_at(2j * np.pi * hz) - 1.0))
+    worst = np.max(apart, axis=0)
+    for above_hz, bound in ((0.9, 2.5e-2), (1.2, 1e-2), (10.0, 2.5e-3)):
+        assert 0.1 * bound < worst[hz >= above_hz].max() < bound
+    assert worst.max() > 1.0, "near the short period, 0.25 Hz, one plane says little"
 
 
 def test_moving_reference_and_floor() -> None:

@@ -12,6 +12,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
@@ -539,53 +540,64 @@ def test_linear_model_of_both_planes_is_the_linearised_simulator(stage: Tree) ->
         np.testing.assert_allclose(roll, plant.c[-1], rtol=1e-8, atol=1e-10)
 
 
-def test_what_axial_parts_of_modes_add_to_the_plant() -> None:
-    """The plant leaves them out. Liquid hangs in the tanks and takes part in them, and the core gives way: to M comes
-
-        dM_ij = sum m Phi_i Phi_j - (sum m Phi_i) (sum m Phi_j) / m_total,   Phi along x at the hinges,
-
-    and through the modal accelerations it enters the pendulums. What thrust compresses also bends the axis, and
-    there the change of the tension has a moment. Of stiff modes that is all.
-    """
-    stiff = tuple(replace(m, frequency_hz=10.0 * m.frequency_hz) for m in MODES)
-    section, rest = as_spatial(
-        replace(PARTS, pitch=stiff, yaw=tuple(replace(m, frequency_hz=1.2 * m.frequency_hz) for m in stiff))
-    )
+def stiff(factor: float, along: Callable[[int, float], float]) -> tuple[Tree, Parts]:
+    """The pairs, `factor` times as stiff and of unlike frequencies, that move by `along` (of mode, station) along x."""
+    pitch = tuple(replace(m, frequency_hz=factor * m.frequency_hz) for m in MODES)
+    yaw = tuple(replace(m, frequency_hz=1.2 * m.frequency_hz) for m in pitch)
+    section, rest = as_spatial(replace(PARTS, pitch=pitch, yaw=yaw))
     for row in section["table"]:
-        row["phi_x"] = 0.35 * row["mode"] * np.cos(row["station_m"] / 3.0 + row["mode"])
-    packed, condition = ascending(section, rest)
-    state = settled(packed, zero_incidence(packed, packed.state), 0.0)
-    theirs = linearise(packed, state, 0.0)
-    vehicle = vehicle_at(packed, 0.0, condition.mach)
-    plant, bobs, n = vehicle_plant(vehicle, condition), vehicle.pendulums, 4
-    at = {(row["mode"], row["station_m"]): row["phi_x"] for row in section["table"]}
-    phi = np.array([[at[mode, x] for x in bobs.hinge_station_m] for mode in range(1, n + 1)])
-    total = vehicle.body.core_mass_kg + bobs.mass_kg.sum()
-    added = phi * bobs.mass_kg @ phi.T - np.outer(phi @ bobs.mass_kg, phi @ bobs.mass_kg) / total
-    before = [plant.states.index(f"eta_{i}_rate_mps") for i in range(1, n + 1)]
-    expected = plant.a.copy()
-    expected[before] = np.linalg.solve(np.eye(n) + added / vehicle.modes.generalized_mass_kg[:, None], plant.a[before])
-    pulls = bobs.mass_kg * (
-        phi - (phi @ bobs.mass_kg / total)[:, None]
-    )  # tension per modal acceleration, (modes, tanks)
-    held = state[layout.spatial_index(packed.parameters[0].vehicle.sizes) :][:n]
-    assert vehicle.across is not None
-    for plane, rate, swinging in ((vehicle, "q_radps", (1, 2)), (vehicle.across, "across_q_radps", (3, 4))):
-        expected[plant.states.index(rate)] -= (
-            pulls @ (plane.modes.phi_hinge[:n].T @ held) @ expected[before] / plane.body.core_inertia_kgm2
-        )
-        for k, tank in enumerate(swinging):
-            swing, along = plant.states.index(f"slosh_{tank}_rate_radps"), plane.modes.phi_hinge[:n, k]
-            expected[swing] -= along / bobs.length_m[k] @ (expected[before] - plant.a[before])
-    names = ["w_mps", "q_radps", "theta_rad", *(f"spatial_{i}_{w}" for w in ("m", "rate_mps") for i in range(1, 5))]
-    names += [f"slosh_{k}_pitch{w}" for w in ("_rad", "_rate_radps") for k in (1, 2)] + ["v_mps", "r_radps", "psi_rad"]
-    names += [f"slosh_{k}_yaw{w}" for w in ("_rad", "_rate_radps") for k in (1, 2)]
+        row["phi_x"] = along(row["mode"], row["station_m"])
+    return section, rest
+
+
+def plant_and_simulator(section: Tree, rest: Parts, **stage: Any) -> tuple[Array, Array]:
+    """State matrices of both planes, about the deflection under the loads of the instant."""
+    packed, condition = ascending(section, rest, **stage)
+    state, n = settled(packed, zero_incidence(packed, packed.state), 0.0), len(section["damping_ratio"])
+    theirs, plant = linearise(packed, state, 0.0), vehicle_plant(vehicle_at(packed, 0.0, condition.mach), condition)
+
+    def swinging(plane: str) -> list[str]:
+        engine = [f"tvc_load_1_{plane}_{what}" for what in ("rad", "rate_radps") if stage]
+        return [f"slosh_{k}_{plane}{w}" for w in ("_rad", "_rate_radps") for k in (1, 2)] + engine
+
+    names = ["w_mps", "q_radps", "theta_rad", *(f"spatial_{i + 1}_{w}" for w in ("m", "rate_mps") for i in range(n))]
+    names += [*swinging("pitch"), "v_mps", "r_radps", "psi_rad", *swinging("yaw")]
     i = [theirs.states.index(name) for name in names]
-    sign = np.array([-1.0 if name in ("r_radps", "psi_rad") else 1.0 for name in names])
-    a = sign[:, None] * theirs.a[np.ix_(i, i)] * sign
-    size = np.abs(expected).max(axis=1, keepdims=True)
-    assert (np.abs(plant.a - a) / size).max() > 0.1, "what is left out is no trifle here"
-    assert (np.abs(expected - a) / size).max() < 2e-3
+    turned = {"r_radps", "psi_rad", "tvc_load_1_yaw_rad", "tvc_load_1_yaw_rate_radps"}
+    sign = np.array([-1.0 if name in turned else 1.0 for name in names])
+    return plant.a, sign[:, None] * theirs.a[np.ix_(i, i)] * sign
+
+
+@pytest.mark.parametrize("stage", [{}, ON_LOAD], ids=["locked", "swinging"])
+def test_linear_model_with_axial_modes_is_the_linearised_simulator(stage: Tree) -> None:
+    """Thrust shortens the vehicle by 8 mm: stations move; the liquid rides along. Every coefficient."""
+    section, rest = stiff(10.0, lambda mode, station: 0.0)
+    for j in (1, 2):
+        for row in [row for row in section["table"] if row["mode"] == 1]:
+            shape = dict.fromkeys(SHAPES, 0.0) | {"phi_x": float(np.cos(j * np.pi * row["station_m"] / 14.0))}
+            section["table"].append(row | shape | {"mode": 4 + j, "frequency_hz": 20.0 * j})
+    section["damping_ratio"] = [*section["damping_ratio"], 0.01, 0.01]
+    ours, theirs = plant_and_simulator(section, rest, **stage)
+    np.testing.assert_allclose(ours, theirs, rtol=1e-8, atol=1e-9)
+    packed, condition = ascending(section, rest, **stage)
+    vehicle = vehicle_at(packed, 0.0, condition.mach)
+    assert vehicle.across is not None
+    still = replace(vehicle, modes=replace(vehicle.modes, along=None))
+    without = vehicle_plant(replace(still, across=replace(vehicle.across, modes=still.modes)), condition).a
+    assert (np.abs(without - theirs) / np.abs(theirs).max(axis=1, keepdims=True)).max() > 1e-3
+
+
+@pytest.mark.parametrize(
+    ("factor", "stage", "bound"), [(10.0, {}, 1e-6), (10.0, ON_LOAD, 2e-6), (2.0, {}, 1e-3), (2.0, ON_LOAD, 2e-3)]
+)
+def test_modes_that_move_along_and_across_at_once_are_exact_in_the_first_order(
+    factor: float, stage: Tree, bound: float
+) -> None:
+    """Thrust then bends the axis as well. What is left out goes with the square of that deflection: 25 times of it."""
+    section, rest = stiff(factor, lambda mode, station: 0.35 * mode * np.cos(station / 3.0 + mode))
+    ours, theirs = plant_and_simulator(section, rest, **stage)
+    apart = (np.abs(ours - theirs) / np.abs(theirs).max(axis=1, keepdims=True)).max()
+    assert 0.1 * bound < apart < bound
 
 
 def test_a_plane_of_the_coupled_plant_holds_the_other() -> None:

@@ -55,6 +55,14 @@ class Cubics:
         c = self.coefficients[k]
         return np.asarray(c[:, 0] + s * (c[:, 1] + s * (c[:, 2] + s * c[:, 3])))
 
+    def slope(self, x: float) -> Array:
+        """Derivatives of all columns at `x`; outside the breakpoints zero."""
+        if not self.breaks[0] <= x <= self.breaks[-1]:
+            return np.zeros(self.coefficients.shape[2])
+        (k,), s = _located(self.breaks.tobytes(), np.array([x], float).tobytes())
+        _, c1, c2, c3 = self.coefficients[k]
+        return np.asarray(c1 + s[0] * (2.0 * c2 + 3.0 * s[0] * c3))
+
 
 @lru_cache(maxsize=128)  # a campaign's tables change in value, and hardly ever in breakpoints
 def _located(breaks: bytes, xs: bytes) -> tuple[IntArray, Array]:

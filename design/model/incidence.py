@@ -26,7 +26,8 @@ _ALONG = 1e-10  # sine of the total incidence below which there is no plane of i
 class TableSlopes:
     """Of one table of a vehicle, per rho S V / 2 (force; m: moment); the moment is that about `reference_m`.
 
-    Rows x, y, z of B; columns u, v, w (m/s) or p, q, r (rad/s). `force` and `couple` are per rho S V^2 / 2.
+    Rows x, y, z of B; columns u, v, w (m/s) or p, q, r (rad/s). `force` and `couple` are per rho S V^2 / 2. `by_mach`:
+    what of the slopes by the flow goes through the Mach number, which is that at the CG whatever the flow at the table.
     """
 
     force: Array  # (3,)
@@ -35,6 +36,7 @@ class TableSlopes:
     couple_by_flow_m: Array
     force_by_rate_m: Array
     couple_by_rate_m2: Array
+    by_mach: tuple[Array, ...]  # of force (3, 3) and couple
     reference_m: float  # station of the moment reference, with the shift of the centre of pressure
     station_m: float  # where modes meet it
 
@@ -42,14 +44,29 @@ class TableSlopes:
         """What a planar model keeps: CN_alpha, CN_alpha times station (m), the same by the turning rate (m, m2).
 
         In the pitch plane that is Fz and My by w and q, in yaw Fy and Mz by v and -r; all else is dropped: the other
-        plane's and the axial flow, and all that turns about x.
+        plane's and the axial flow, and all that turns about x. Slopes are those by the flow at the table.
         """
-        flow, across, turn, sign = (2, 2, 1, 1.0) if plane == "pitch" else (1, 1, 2, -1.0)
-        slope = -self.force_by_flow[across, flow]
-        moment = slope * self.reference_m - sign * self.couple_by_flow_m[turn, flow]
-        by_rate = -sign * self.force_by_rate_m[across, turn]
+        _, turn, sign = axes = _axes_of(plane)
+        slope, moment = self._slopes(
+            axes, self.force_by_flow - self.by_mach[0], self.couple_by_flow_m - self.by_mach[1]
+        )
+        by_rate = -sign * self.force_by_rate_m[axes[0], turn]
         rate_moment = by_rate * self.reference_m - self.couple_by_rate_m2[turn, turn]
-        return float(slope), float(moment), float(by_rate), float(rate_moment)
+        return slope, moment, float(by_rate), float(rate_moment)
+
+    def plane_by_mach(self, plane: str) -> tuple[float, float]:
+        """What comes to the first two with the Mach number at the CG."""
+        return self._slopes(_axes_of(plane), *self.by_mach)
+
+    def _slopes(self, axes: tuple[int, int, float], force: Array, couple: Array) -> tuple[float, float]:
+        across, turn, sign = axes
+        slope = -force[across, across]
+        return float(slope), float(slope * self.reference_m - sign * couple[turn, across])
+
+
+def _axes_of(plane: str) -> tuple[int, int, float]:
+    """Of a plane: the axis across, that of turning, and its sign."""
+    return (2, 1, 1.0) if plane == "pitch" else (1, 2, -1.0)
 
 
 class Gradient:
@@ -113,14 +130,9 @@ def _of_table(pool: Array, a: Any, j: int, s: int, reference_m: float, mach: flo
     tables = a.tables
     made = _Table(grid_in(pool, tables.grid.at[j]), a, j, mach)
     factor = 0.0 if tables.power[j] == incidence.POWER_OFF else 1.0
-    force, couple = made.static(direction)
-    if math.hypot(direction[1], direction[2]) < _ALONG:
-        for column in (1, 2):
-            offset = _ALONG * np.eye(3)[column]
-            sides = [made.static(direction + offset), made.static(direction - offset)]
-            for k in range(3):
-                force[k].slopes[column] = np.mean([side[0][k].slopes[column] for side in sides])
-                couple[k].slopes[column] = np.mean([side[1][k].slopes[column] for side in sides])
+    force, couple = _sloped(made, direction)
+    made.mach_moves = 0.0
+    still = _sloped(made, direction)
     by_rate = made.rates(direction)
     return TableSlopes(
         force=factor * np.array([f.value for f in force]),
@@ -129,12 +141,31 @@ def _of_table(pool: Array, a: Any, j: int, s: int, reference_m: float, mach: flo
         couple_by_flow_m=factor * np.array([m.slopes for m in couple]),
         force_by_rate_m=factor * by_rate[0],
         couple_by_rate_m2=factor * by_rate[1],
+        by_mach=tuple(
+            factor * np.array([whole.slopes - part.slopes for whole, part in zip(moved, fixed, strict=True)])
+            for moved, fixed in zip((force, couple), still, strict=True)
+        ),
         reference_m=reference_m + float(a.centre_shift_m),
         station_m=float(a.station_m[s]),
     )
 
 
+def _sloped(table: _Table, direction: Array) -> tuple[list[Gradient], list[Gradient]]:
+    """Force and couple with their slopes, along the axis the mean of those on both sides."""
+    force, couple = table.static(direction)
+    if math.hypot(direction[1], direction[2]) < _ALONG:
+        for column in (1, 2):
+            offset = _ALONG * np.eye(3)[column]
+            sides = [table.static(direction + offset), table.static(direction - offset)]
+            for k in range(3):
+                force[k].slopes[column] = np.mean([side[0][k].slopes[column] for side in sides])
+                couple[k].slopes[column] = np.mean([side[1][k].slopes[column] for side in sides])
+    return force, couple
+
+
 class _Table:
+    mach_moves = 1.0  # 0: the Mach number stands still under the flow
+
     def __init__(self, grid: Grid, a: Any, j: int, mach: float) -> None:
         self.grid, self.mach, self.aero = grid, mach, a
         self.kinds = [int(kind) for kind in a.tables.axis[j]]
@@ -152,7 +183,7 @@ class _Table:
         roll.value -= 2.0 * math.pi * math.floor((roll.value - self.first_roll) / (2.0 * math.pi))
         variables = {
             incidence.NO_AXIS: 0.0 * u,
-            incidence.MACH_AXIS: self.mach * _root(u * u + v * v + w * w),
+            incidence.MACH_AXIS: Gradient(self.mach, self.mach_moves * self.mach * _root(u * u + v * v + w * w).slopes),
             incidence.TOTAL: _atan2(lateral, u),
             incidence.ROLL: roll,
             incidence.ALPHA: _atan2(w, u),

@@ -40,8 +40,9 @@ Moving Containers", 2000),
     hinge above the liquid's CG by  h / 2 - (2 R / xi) tanh(xi h / (2 R)) + L.
 
 Spatial modes move in both planes: the plant of one plane then has the states of the other as well ("across"), with the
-same equations, and a spatial mode's force is the sum of both. Motion along the body axis and torsion meet the gimbal
-only in the second order and are left out, but for the rotation that the roll gyro feels.
+same equations, and a spatial mode's force is the sum of both. Along the body axis thrust and liquid hold the modes
+deflected: the plant is that about this deflection, to its first order, with the liquid that rides on its tanks. Torsion
+meets the gimbal only in the second order and is left out, but for the rotation that the roll gyro feels.
 
 Yaw plane: the same with  w -> v, q -> -r, theta -> -psi, eta -> xi, delta -> -delta_yaw, gyro -> -gyro,  because B's
 z axis turned into y takes the pitch axis y into -z: a positive angle moves the gimbal's thrust to +z in pitch but to -y
@@ -117,15 +118,18 @@ def vehicle_plant(
     """
     load = axial_load_mps2(vehicle, condition)
     _check_load(vehicle, load)
-    one = _Equations(_with_printed_tanks(vehicle, errata, liquids), condition, load, errata, wind)
+    plane = _with_printed_tanks(vehicle, errata, liquids)
     if vehicle.across is None:
-        return one.state_space()
+        return _Equations(plane, condition, load, errata, wind).state_space()
     # both planes have the spatial modes' softening: it counts once
     softening = vehicle.across.modes.softening_kgpm.copy()
     softening[: vehicle.modes.spatial, : vehicle.modes.spatial] = 0.0
     modes = dataclasses.replace(vehicle.across.modes, softening_kgpm=softening)
     across = _with_printed_tanks(dataclasses.replace(vehicle.across, modes=modes), errata, liquids)
-    return _coupled(one, _Equations(across, condition, load, errata))
+    held = np.zeros(vehicle.modes.spatial)
+    if vehicle.modes.along is not None:  # the axial load deflects them, and stations move
+        held = _Coupled(plane, across, condition, load, errata, held).settled()
+    return _Coupled(plane, across, condition, load, errata, held).state_space()
 
 
 def vehicle_plants(
@@ -164,49 +168,112 @@ def _joined(*parts: Array) -> Array:
     return np.concatenate([np.broadcast_to(part, (len(part), *one)) for part in parts])
 
 
-def _coupled(one: _Equations, across: _Equations) -> StateSpace:
-    """Both planes and the spatial modes that they share."""
-    shared, planes = one.vehicle.modes.spatial, (one, across)
-    n, k = len(one.names), len(across.names)
-    common = [*(3 + np.arange(shared)), *(3 + across.modes + np.arange(shared))]
-    own = np.setdiff1d(np.arange(k), common)
-    size, inputs = n + len(own), [len(plane.inputs) for plane in planes]
-    # from a plane's states, inputs and unknown accelerations to those of the whole
-    columns = size + sum(inputs) + sum(len(plane.loaded) for plane in planes)
-    embed, at, unknown = [], size, size + sum(inputs)
-    for plane, places_of in zip(planes, (np.arange(n), _places(k, own, n)), strict=True):
-        places = np.concatenate([places_of, at + np.arange(len(plane.inputs)), unknown + np.arange(len(plane.loaded))])
-        at, unknown = at + len(plane.inputs), unknown + len(plane.loaded)
-        embed.append(np.eye(columns)[places.astype(int)])
-    embed[1][common] = np.eye(columns)[[*(3 + np.arange(shared)), *(3 + one.modes + np.arange(shared))]]
-    drives = [plane.drive()[:shared] @ e for plane, e in zip(planes, embed, strict=True)]
-    systems, hinges, seen = [], [], []
-    for plane, e, drive in zip(planes, embed, drives[::-1], strict=True):
-        system, hinge, sensed = (rows @ e for rows in plane.rows())
-        for k, (name, _) in enumerate(plane.vehicle.sensors):
-            if name == ACCELERATION:
-                sensed[len(OUTPUTS) + k] += plane.vehicle.modes.sensors[k][0][:shared] @ drive
-        seen.append(sensed)
-        bobs, phi = plane.vehicle.pendulums, plane.vehicle.modes.phi_hinge[:shared]
-        system[3 + plane.modes : 3 + plane.modes + shared] += drive
-        swing = 3 + 2 * plane.modes + plane.tanks
-        system[swing : swing + plane.tanks] -= (phi / bobs.length_m).T @ drive
-        hinges.append(hinge + plane.modal[:shared, len(plane.names) + len(plane.inputs) :].T @ drive)
-        systems.append(system)
-    rolls = np.zeros((1, columns))
-    rolls[0, 3 + one.modes : 3 + one.modes + shared] = one.vehicle.modes.roll_gyro_pm
-    rows = np.concatenate([systems[0], systems[1][own], *seen, rolls])
-    whole = _without_unknowns(rows, np.concatenate(hinges))
-    every = state_names(
-        one.modes + across.modes - shared, one.tanks + across.tanks, len(one.loaded) + len(across.loaded)
-    )  # fmt: skip  # four lines otherwise
-    states = (*one.names, *(f"across_{name}" for name in across.names[:3]), *(x for x in every if x not in one.names))
-    outputs = outputs_of(one.vehicle)
-    return StateSpace(
-        whole[:size, :size], whole[:size, size:], whole[size:, :size], whole[size:, size:], states,
-        (*one.inputs, *(f"across_{name}" for name in across.inputs)),
-        (*outputs, *(f"across_{name}" for name in outputs), "roll_bending_radps"),
-    )  # fmt: skip  # five more lines otherwise
+class _Coupled:
+    """Both planes and the spatial modes that they share, about the modes' deflection `held` (m).
+
+    Along x liquid rides on its tank: it adds to the modes' masses, and its pull has a moment about a bent axis.
+    """
+
+    def __init__(
+        self, vehicle: VehicleAt, across: VehicleAt, condition: FlightCondition, load: float, errata: Errata,
+        held: Array,
+    ) -> None:  # fmt: skip  # nine lines otherwise
+        one, other = (_Equations(plane, condition, load, errata, held=held) for plane in (vehicle, across))
+        self.one, self.across, self.held, self.shared = one, other, held, vehicle.modes.spatial
+        shared, self.planes = self.shared, (one, other)
+        n, k = len(one.names), len(other.names)
+        common = [*(3 + np.arange(shared)), *(3 + other.modes + np.arange(shared))]
+        self.own = np.setdiff1d(np.arange(k), common)
+        self.size, inputs = n + len(self.own), [len(plane.inputs) for plane in self.planes]
+        # from a plane's states, inputs and unknown accelerations to those of the whole
+        self.columns = self.size + sum(inputs) + sum(len(plane.loaded) for plane in self.planes)
+        self.embed, at, unknown = [], self.size, self.size + sum(inputs)
+        for plane, places_of in zip(self.planes, (np.arange(n), _places(k, self.own, n)), strict=True):
+            places = np.concatenate(
+                [places_of, at + np.arange(len(plane.inputs)), unknown + np.arange(len(plane.loaded))]
+            )
+            at, unknown = at + len(plane.inputs), unknown + len(plane.loaded)
+            self.embed.append(np.eye(self.columns)[places.astype(int)])
+        self.embed[1][common] = np.eye(self.columns)[[*(3 + np.arange(shared)), *(3 + one.modes + np.arange(shared))]]
+        self.drives = [plane.drive()[:shared] @ e for plane, e in zip(self.planes, self.embed, strict=True)]
+        modes, eye = one.vehicle.modes, np.eye(self.columns)
+        omega = modes.omega_radps[:shared, None]
+        spring = omega**2 * eye[3 : 3 + shared]
+        spring = spring + 2.0 * modes.damping_ratio[:shared, None] * omega * eye[3 + one.modes : 3 + one.modes + shared]
+        self.free = self.drives[0] + self.drives[1] - spring  # accelerations without what rides along x
+
+    def settled(self) -> Array:
+        """Deflections at which thrust and the pull of the liquid along x hold the modes at rest."""
+        one, along = self.one, self.one.vehicle.modes.along
+        assert along is not None
+        push = -one.felt * along.hinges @ one.vehicle.pendulums.mass_kg
+        for engine in one.vehicle.engines:
+            thrust = engine.rest[0] * engine.thrust_N(one.condition.pressure_Pa)
+            push = push + thrust * along.gimbals[:, engine.gimbal]
+        per_m = self.free[:, 3 : 3 + self.shared]
+        return np.asarray(np.linalg.solve(per_m, -push / one.vehicle.modes.generalized_mass_kg[: self.shared]))
+
+    def _riding(self) -> tuple[Array, Array]:
+        """What liquid that rides along x adds to the modes' accelerations, and the change of each bob's pull, rows.
+
+        The pull is the bob's mass times the acceleration of its hinge along x: by the body, by modes, by turning where
+        the bent axis lies beside, less what a bob takes that swings under a lateral load.
+        """
+        one, along = self.one, self.one.vehicle.modes.along
+        if along is None:
+            return 0.0 * self.free, np.zeros((one.tanks, self.columns))
+        mass, core = one.vehicle.pendulums.mass_kg, one.vehicle.body.core_mass_kg
+        per_force = along.hinges / one.vehicle.modes.generalized_mass_kg[: self.shared, None]
+        given, yields = along.hinges.T @ self.free, 1.0 / core + along.hinges.T @ per_force
+        for plane, e in zip(self.planes, self.embed, strict=True):
+            beside = self._beside(plane)
+            given += np.outer(beside, plane.moment @ e / plane.inertia)
+            given -= plane.held_load_mps2()[:, None] * (plane.gamma @ e)
+            yields = yields + np.outer(beside, beside) / plane.inertia
+        pull = np.linalg.solve(np.eye(one.tanks) + mass[:, None] * yields, mass[:, None] * given)
+        return -per_force @ pull, pull
+
+    def _beside(self, plane: _Equations) -> Array:
+        """How far the hinges lie beside the axis where the modes are held (tanks,)."""
+        return np.asarray(self.held @ plane.vehicle.modes.phi_hinge[: self.shared])
+
+    def state_space(self) -> StateSpace:
+        one, across, shared = self.one, self.across, self.shared
+        riding, pulled = self._riding()
+        systems, hinges, seen = [], [], []
+        for plane, e, driven in zip(self.planes, self.embed, self.drives[::-1], strict=True):
+            drive = driven + riding
+            system, hinge, sensed = (rows @ e for rows in plane.rows())
+            bobs, phi = plane.vehicle.pendulums, plane.vehicle.modes.phi_hinge[:shared]
+            turned = -self._beside(plane) @ pulled / plane.inertia
+            for k, (name, _) in enumerate(plane.vehicle.sensors):
+                if name == ACCELERATION:
+                    sensed[len(OUTPUTS) + k] += plane.vehicle.modes.sensors[k][0][:shared] @ drive
+                    sensed[len(OUTPUTS) + k] -= (plane.cg - plane.sensor_station_m[k]) * turned
+            seen.append(sensed)
+            system[1] += turned
+            system[3 + plane.modes : 3 + plane.modes + shared] += drive
+            swing = 3 + 2 * plane.modes + plane.tanks
+            arms = plane.cg - plane.hinge_station_m - bobs.length_m
+            system[swing : swing + plane.tanks] -= (phi / bobs.length_m).T @ drive
+            system[swing : swing + plane.tanks] += np.outer(arms / bobs.length_m, turned)
+            unknown = slice(len(plane.names) + len(plane.inputs), None)
+            hinges.append(hinge + plane.modal[:shared, unknown].T @ drive + np.outer(plane.moment[unknown], turned))
+            systems.append(system)
+        rolls = np.zeros((1, self.columns))
+        rolls[0, 3 + one.modes : 3 + one.modes + shared] = one.vehicle.modes.roll_gyro_pm
+        rows = np.concatenate([systems[0], systems[1][self.own], *seen, rolls])
+        whole, size = _without_unknowns(rows, np.concatenate(hinges)), self.size
+        every = state_names(
+            one.modes + across.modes - shared, one.tanks + across.tanks, len(one.loaded) + len(across.loaded)
+        )  # fmt: skip  # four lines otherwise
+        further = (*(f"across_{name}" for name in across.names[:3]), *(x for x in every if x not in one.names))
+        outputs = outputs_of(one.vehicle)
+        return StateSpace(
+            whole[:size, :size], whole[:size, size:], whole[size:, :size], whole[size:, size:], (*one.names, *further),
+            (*one.inputs, *(f"across_{name}" for name in across.inputs)),
+            (*outputs, *(f"across_{name}" for name in outputs), "roll_bending_radps"),
+        )  # fmt: skip  # five more lines otherwise
 
 
 def _places(count: int, own: Array, first: int) -> Array:
@@ -240,8 +307,9 @@ class _Equations:
     """Each quantity is a row of coefficients: per state, then per input."""
 
     def __init__(
-        self, vehicle: VehicleAt, condition: FlightCondition, load: float, errata: Errata, wind: bool = False
-    ) -> None:
+        self, vehicle: VehicleAt, condition: FlightCondition, load: float, errata: Errata, wind: bool = False,
+        held: Array | None = None,
+    ) -> None:  # fmt: skip  # five more lines otherwise
         vehicle = vehicle.hanging(load)
         self.vehicle, self.condition, self.load, self.errata = vehicle, condition, load, errata
         self.modes, self.tanks = len(vehicle.modes.omega_radps), len(vehicle.pendulums.mass_kg)
@@ -268,7 +336,21 @@ class _Equations:
             if errata.core_mass
             else (body.total_mass_kg, vehicle.total_inertia_kgm2, vehicle.total_cg_station_m)
         )
+        # what the body really has: between their rows the tables' total is not quite that of core and bobs
+        whole = body.core_mass_kg + vehicle.pendulums.mass_kg.sum(axis=0) if errata.core_mass else body.total_mass_kg
+        self.felt = load * body.total_mass_kg / whole
         self.slosh_damping = vehicle.pendulums.damping(load)
+        along, bobs = vehicle.modes.along, vehicle.pendulums
+        moved: list[Array | float] = [0.0] * 4  # by the modes' deflection, forward
+        if along is not None and held is not None:
+            moved = [held @ shapes for shapes in (along.hinges, along.gimbals, along.surfaces, along.sensors)]
+        self.hinge_station_m = bobs.hinge_station_m - moved[0]
+        self.gimbal_moved_m = np.zeros(len(vehicle.modes.further_gimbals) + 1) - moved[1]
+        self.surface_moved_m = np.zeros(vehicle.modes.phi_surface.shape[1]) - moved[2]
+        self.sensor_station_m = np.array([station for _, station in vehicle.sensors]) - moved[3]
+        # and what moves them forward, with the local rotation that they are held at
+        self.held = np.zeros(0) if held is None or along is None else held
+        self.forward = self.eta[: len(self.held)]
         self.force: Array = np.zeros(rows.shape[1:])
         self.moment: Array = np.zeros(rows.shape[1:])
         self.modal: Array = np.zeros((n, *rows.shape[1:]))
@@ -288,21 +370,29 @@ class _Equations:
     def _aerodynamics(self) -> None:
         """(4), (6), (7), (17)."""
         air, modes, speed = self.vehicle.aerodynamics, self.vehicle.modes, self.condition.airspeed_mps
+        ahead = air.forward * speed
         flow = 0.5 * self.condition.density_kgpm3 * speed * air.area_m2
         couples, rate_couples = air.modal_couples()
         for k, slope in enumerate(air.slope_pr):
-            turned = speed * dot(modes.slope_surface_pm[:, k], self.eta) + dot(modes.phi_surface[:, k], self.eta_rate)
-            bent = turned if air.local_incidence else 0.0 * self.w
+            place, local_flow = air.met_by_modes(k)
+            phi, tilt = modes.phi_surface[:, place], modes.slope_surface_pm[:, place]
+            bent = ahead * dot(tilt, self.eta) + dot(phi, self.eta_rate) if local_flow else 0.0 * self.w
             whole = self.through_air + (bent if self.errata.bent_body_loads else 0.0)
             self.force = self.force - flow * slope * whole
-            self.moment = self.moment + flow * (slope * self.cg - air.moment_slope_mpr[k]) * whole
+            moved = self.surface_moved_m[place] if place >= 0 else 0.0
+            self.moment = self.moment + flow * (slope * (self.cg - moved) - air.moment_slope_mpr[k]) * whole
+            if local_flow and modes.along is not None:
+                met = ahead * (self.held @ tilt[: len(self.held)])
+                self.moment = self.moment + flow * slope * met * self._forward(modes.along.surfaces[:, place])
+            if place < 0:
+                continue
             local = self.through_air + bent
-            self.modal = self.modal - flow * slope * outer(modes.phi_surface[:, k], local)
-            self.modal = self.modal + flow * couples[k] * outer(modes.slope_surface_pm[:, k], local)
+            self.modal = self.modal - flow * slope * outer(phi, local)
+            self.modal = self.modal + flow * couples[k] * outer(tilt, local)
             by_rate, moment = air.rate_slope_m[k], air.rate_moment_m2[k]
             self.force = self.force - flow * by_rate * self.q
             self.moment = self.moment + flow * (by_rate * self.cg - moment) * self.q
-            on_modes = modes.slope_surface_pm[:, k] * rate_couples[k] - modes.phi_surface[:, k] * by_rate
+            on_modes = tilt * rate_couples[k] - phi * by_rate
             self.modal = self.modal + flow * outer(on_modes, self.q)
         self.moment = self.moment + 0.5 * flow * air.chord_m**2 * air.rate_damping * self.q
         self.moment = self.moment - self.vehicle.body.rate_damping_Nms * self.q
@@ -324,7 +414,8 @@ class _Equations:
 
     def _thrust(self, engine: GimballedEngine, turned: Array, aside: Array) -> None:
         """(5), (8), (16), of one engine; beside the axis, or canted, its axial thrust changes and bends the body."""
-        thrust, arm = engine.thrust_N(self.condition.pressure_Pa), engine.gimbal_station_m - self.cg
+        thrust = engine.thrust_N(self.condition.pressure_Pa)
+        arm = engine.gimbal_station_m + self.gimbal_moved_m[engine.gimbal] - self.cg
         phi, slope = self.vehicle.modes.at_gimbal(engine.gimbal)
         ahead, across = engine.rest
         bent = -dot(slope, self.eta) if engine.follower else 0.0 * self.w
@@ -335,10 +426,18 @@ class _Equations:
             whole, offset = aside + tilt, ahead * dot(phi, self.eta)
         self.force = self.force + thrust * whole
         self.moment = self.moment + thrust * (arm * whole + offset)
+        if engine.follower and self.vehicle.modes.along is not None:
+            tilted = ahead * (self.held @ slope[: len(self.held)])
+            moves = self._forward(self.vehicle.modes.along.gimbals[:, engine.gimbal])
+            self.moment = self.moment + thrust * tilted * moves
         if engine.beside_m != 0.0 or engine.from_cg_m != 0.0:
             forward = turned - across * bent
             self.modal = self.modal + thrust * engine.beside_m * outer(slope, forward)
             self.moment = self.moment + thrust * engine.from_cg_m * forward
+
+    def _forward(self, shape: Array) -> Array:
+        """Displacement along x of a place, about that at which the modes are held."""
+        return dot(shape[: len(self.held)], self.forward) if len(self.held) else 0.0 * self.w
 
     def _engine(self, engine: GimballedEngine, by: tuple[float, float], delta: Array, accel: Array) -> None:
         """(18) to (20), of one angle of an engine, per radian of which its axis changes `by`."""
@@ -360,24 +459,24 @@ class _Equations:
             bends = bends + first * engine.beside_m * ahead_slope
             self.modal = self.modal + bends * outer(slope, accel)
         if self.errata.engine_weight:
-            self.moment = self.moment + self.load * lateral * delta
+            self.moment = self.moment + self.felt * lateral * delta
             self.modal = self.modal + self.load * lateral * outer(slope, delta)
 
     def _slosh(self) -> None:
         """(24), (26), (27)."""
         bobs, modes = self.vehicle.pendulums, self.vehicle.modes
         for k in range(self.tanks):
-            rod = bobs.mass_kg[k] * self.load * self.gamma[k]
+            rod = bobs.mass_kg[k] * self.felt * self.gamma[k]
             # force between bob and tank per rate of the pendulum's angle, a_x m_p 2 zeta / omega (24)
             length, mass = bobs.length_m[k], bobs.mass_kg[k]
             friction = 2.0 * self.slosh_damping[k] * np.sqrt(self.load / length) * length * mass * self.gamma_rate[k]
-            arm = self.cg - bobs.hinge_station_m[k]
+            arm = self.cg - self.hinge_station_m[k]
             self.force = self.force + rod + friction
             self.moment = self.moment - arm * rod
             self.moment = self.moment - (arm - bobs.length_m[k] if self.errata.damper_at_bob else arm) * friction
             self.modal = self.modal + outer(modes.phi_hinge[:, k], rod + friction)
             if self.errata.bent_body_loads:
-                self.moment = self.moment - self.load * bobs.mass_kg[k] * dot(modes.phi_hinge[:, k], self.eta)
+                self.moment = self.moment - self.felt * bobs.mass_kg[k] * dot(modes.phi_hinge[:, k], self.eta)
             if self.vehicle.slosh_exchange and np.all(bobs.mass_kg[k] > 0.0):
                 self._exchange(k, arm - length)
 
@@ -393,6 +492,12 @@ class _Equations:
         self.force = self.force + push
         self.moment = self.moment - arm * push
         self.modal = self.modal + flow * outer(modes.phi_hinge[:, k], swung)
+
+    def held_load_mps2(self) -> Array:
+        """Lateral specific force at the hinges (tanks,) where the modes are held."""
+        bent = slice(3, 3 + len(self.held))
+        lateral, turning = (row[bent] @ self.held for row in (self.force / self.mass, self.moment / self.inertia))
+        return np.asarray(lateral - (self.cg - self.hinge_station_m) * turning)
 
     def drive(self) -> Array:
         """Modal accelerations by all but the modes' own stiffness and damping, (modes, row)."""
@@ -416,9 +521,10 @@ class _Equations:
         modes = self.vehicle.modes
         rates = self.eta_rate if self.errata.gyro_senses_rate else self.eta
         out = [self.q, self.q + dot(modes.slope_gyro_pm, rates), self.w, self.theta]
-        for (name, station_m), (phi, slope) in zip(self.vehicle.sensors, modes.sensors, strict=True):
+        sensors = zip(self.vehicle.sensors, self.sensor_station_m, modes.sensors, strict=True)
+        for (name, _), station_m, (phi, slope) in sensors:
             if name == ACCELERATION:
-                tilted = self.load * dot(slope, self.eta)
+                tilted = self.felt * dot(slope, self.eta)
                 out.append(lateral - (self.cg - station_m) * turning + dot(phi, bending) + tilted)
             else:
                 out.append(self.q + dot(slope, rates))
@@ -437,17 +543,17 @@ class _Equations:
         swing = np.zeros((self.tanks, *turning.shape))
         for k in range(self.tanks):  # (21)
             length, natural = bobs.length_m[k], np.sqrt(self.load / bobs.length_m[k])
-            arm = self.cg - bobs.hinge_station_m[k]
+            arm = self.cg - self.hinge_station_m[k]
             drive = (
                 lateral - (arm - length) * turning + dot(modes.phi_hinge[:, k], bending) + 2.0 * coriolis[k] * self.q
             )
-            swing[k] = -(natural**2) * self.gamma[k] - 2.0 * self.slosh_damping[k] * natural * self.gamma_rate[k]
+            swing[k] = -self.felt / length * self.gamma[k] - 2.0 * self.slosh_damping[k] * natural * self.gamma_rate[k]
             swing[k] -= drive / length
             gained = np.maximum(bobs.mass_rate_kgps[k], 0.0)
             if self.vehicle.slosh_exchange and np.all(bobs.mass_kg[k] > 0.0):
                 relative = self.gamma_rate[k] + dot(modes.phi_hinge[:, k], self.eta_rate) / length
                 swing[k] -= gained / bobs.mass_kg[k] * relative
-        w_rate = lateral + self.condition.airspeed_mps * self.q
+        w_rate = lateral + self.vehicle.aerodynamics.forward * self.condition.airspeed_mps * self.q
         if self.errata.path_terms:
             weight = self.condition.gravity_mps2 * np.sin(self.condition.pitch_rad)
             w_rate = w_rate - weight * self.theta + self.vehicle.body.core_cg_rate_mps * self.q
@@ -476,10 +582,11 @@ class _Equations:
         if swing.commanded:
             moment = moment + load.stiffness_Nmprad * self._actuator(engine, "delta_rad")
             moment = moment + load.damping_Nmsprad * self._actuator(engine, "delta_rate_radps")
-        weight = engine.rest[0] * self.swing[k] - swing.slope[1] * dot(slope, self.eta)
+        weight = engine.rest[0] * self.swing[k]
         others = [j for j, other in enumerate(self.loaded) if other.engine is engine and j != k]
         weight = weight - sum(engine.twist * self.swing[j] for j in others)
-        return np.asarray(moment - self.load * first * weight)
+        bent = swing.slope[1] * dot(slope, self.eta)  # of the mode's potential, which has the tables' mass
+        return np.asarray(moment - first * (self.felt * weight - self.load * bent))
 
 
 class Swing(NamedTuple):

@@ -90,6 +90,16 @@ class Pendulums:
 
 
 @dataclass(frozen=True)
+class Along:
+    """Displacement along x of spatial modes at the places of `Modes`; each (spatial modes, places)."""
+
+    gimbals: Array
+    hinges: Array
+    surfaces: Array
+    sensors: Array
+
+
+@dataclass(frozen=True)
 class Modes:
     """One entry a mode, (modes,), and where shapes are met elsewhere (modes, places).
 
@@ -111,6 +121,7 @@ class Modes:
     roll_gyro_pm: Array = dataclasses.field(default_factory=lambda: np.zeros(0))  # rotation of spatial modes about x
     further_gimbals: tuple[tuple[Array, Array], ...] = ()  # shapes and slopes at stations of gimbals beyond the first
     sensors: tuple[tuple[Array, Array], ...] = ()  # the same at those of the vehicle's `sensors`
+    along: Along | None = None  # None: nothing moves along x
 
     def at_gimbal(self, gimbal: int) -> tuple[Array, Array]:
         """Shapes and slopes at one of the gimbals' stations."""
@@ -228,14 +239,21 @@ class Aerodynamics:
     area_m2: float
     chord_m: float
     axial: float  # CA + CD
-    drag: float  # CD: the part that acts along the wind
+    drag: float  # CD: the part that acts along the wind; its slope across
     rate_damping: float  # Cmq, or Cnr in yaw; per rate times chord / (2 U)
-    slope_pr: Array  # CN_alpha of each surface, then of each table over incidence at the trim, 1/rad
+    slope_pr: Array  # CN_alpha of each surface, then of each table over incidence at the trim, 1/rad; then `beyond`
     moment_slope_mpr: Array  # CN_alpha times station of each of them, m/rad
     rate_slope_m: Array  # the same by the turning rate: normal force per rho U S / 2, m
     rate_moment_m2: Array  # and times station, m2
     couple_station_m: Array  # where tables load the modes, also by their moment about that; nan of a surface
     local_incidence: bool
+    beyond: tuple[int, ...] = ()  # parts that see the flow at the CG alone; which surface's modes they load, -1: none
+    forward: float = 1.0  # share of the airspeed along the body axis
+
+    def met_by_modes(self, part: int) -> tuple[int, bool]:
+        """Which surface's modes a part of `slope_pr` loads (-1: none), and whether the bent body's flow counts."""
+        first = len(self.slope_pr) - len(self.beyond)
+        return (part, self.local_incidence) if part < first else (self.beyond[part - first], False)
 
     def modal_couples(self) -> tuple[Array, Array]:
         """Moments about `couple_station_m` that turn the modes' slopes: by incidence (m/rad), by turning rate (m2)."""
@@ -458,8 +476,14 @@ def _with_spatial(vehicle: Any, sizes: Any, props: Array, plane: Plane, of_plane
         for p, (phi, slope) in zip(places, (*of_plane.further_gimbals, *of_plane.sensors), strict=True)
     )
     engines = len(of_plane.further_gimbals)
+    beyond = np.array([at(p, 0) for p in places]).reshape(-1, n).T
+    along = Along(
+        gimbals=np.concatenate([at(gimbal, 0)[:, None], beyond[:, :engines]], axis=1),
+        hinges=each(tank, tanks, 0), surfaces=each(surface, surfaces, 0), sensors=beyond[:, engines:],
+    )  # fmt: skip  # three more lines otherwise
+    moves = any(shapes.any() for shapes in vars(along).values())
     return dataclasses.replace(
-        of_plane, **joined, softening_kgpm=both, spatial=n, roll_gyro_pm=at(gyro_at, 3),
+        of_plane, **joined, softening_kgpm=both, spatial=n, roll_gyro_pm=at(gyro_at, 3), along=along if moves else None,
         further_gimbals=further[:engines], sensors=further[engines:],
     )  # fmt: skip  # four more lines otherwise
 
@@ -541,12 +565,28 @@ def _aerodynamics(
     parts = np.stack([a.force_factor * slope, moment, 0.0 * slope, 0.0 * slope, np.full_like(slope, np.nan)])
     over = table_slopes(pool, vehicle, props, clock_s, mach, *trim)
     more = np.array([(*table.plane(plane), table.station_m) for table in over]).reshape(-1, 5)
-    of_parts = np.concatenate([parts, more.T], axis=1)
+    of_parts, beyond, forward = np.concatenate([parts, more.T], axis=1), (), 1.0
+    axial, drag = row[aero.CA] + row[aero.CD], row[aero.CD]
+    if tables > 0 and any(trim):  # without tables incidence is taken as zero
+        forward, side, down = np.cos(trim[0]) * np.cos(trim[1]), np.sin(trim[1]), np.sin(trim[0]) * np.cos(trim[1])
+        own = down if plane == "pitch" else side
+        of_parts[:2, :surfaces] *= forward
+        by_mach = mach * own * table_in(pool, a.table).slope(mach)
+        more = _beyond(a, row, by_mach, (forward, side, down), plane)
+        if a.remainder >= 0:
+            more[1, a.remainder] += more[0, a.remainder] * reference_station_m(pool, a, props, clock_s)
+        by_tables = np.array([table.plane_by_mach(plane) for table in over]).T
+        more = np.concatenate([more[:, :surfaces], by_tables, more[:, surfaces:]], axis=1)
+        stations = np.append(of_parts[4], np.nan)
+        none = np.zeros_like(stations)
+        of_parts = np.concatenate([of_parts, [*more, none, none, stations]], axis=1)
+        beyond = (*range(surfaces + tables), -1)
+        axial, drag = forward * (forward * row[aero.CA] + drag), drag + own * (own * drag + by_mach[aero.CD])
     return Aerodynamics(
         area_m2=float(a.area_m2),
         chord_m=float(a.chord_m if plane == "pitch" else a.yaw_chord_m),
-        axial=float(a.axial_factor * (row[aero.CA] + row[aero.CD])) - sum(float(table.force[0]) for table in over),
-        drag=float(a.axial_factor * row[aero.CD]),
+        axial=float(a.axial_factor * axial) - sum(float(table.force[0]) for table in over),
+        drag=float(a.axial_factor * drag),
         rate_damping=float(a.damping_factor * row[aero.CMQ if plane == "pitch" else aero.CNR]),
         slope_pr=of_parts[0],
         moment_slope_mpr=of_parts[1],
@@ -554,7 +594,26 @@ def _aerodynamics(
         rate_moment_m2=of_parts[3],
         couple_station_m=of_parts[4],
         local_incidence=bool(a.local_incidence),
+        beyond=beyond,
+        forward=float(forward),
     )
+
+
+def _beyond(a: Any, row: Array, by_mach: Array, flow: tuple[float, float, float], plane: Plane) -> Array:
+    """Slopes and slopes times stations, (2, surfaces and one), of what incidence adds to those along the axis.
+
+    Surfaces under a Mach number that moves with the flow, and the body's cross-flow and Cm0. `by_mach`: what the
+    columns `row` of the Mach table change by per radian; `flow`: the unit vector of the velocity through the air.
+    """
+    forward, own = flow[0], flow[2] if plane == "pitch" else flow[1]
+    ends = len(row) - (len(row) - aero.FIRST_SURFACE) % 2
+    slope, moment = (forward * own * by_mach[aero.FIRST_SURFACE + k : ends : 2] for k in (0, 1))
+    lateral = np.hypot(*flow[1:])
+    cross = row[aero.CROSSFLOW] * (lateral + own * own / lateral) + by_mach[aero.CROSSFLOW] * lateral * own
+    couple = a.chord_m * (2.0 * own * row[aero.CM0] + by_mach[aero.CM0]) if plane == "pitch" else 0.0
+    moment = a.force_factor * np.append(moment + slope * float(a.centre_shift_m), cross * a.crossflow_station_m)
+    moment[-1] -= couple
+    return np.array([a.force_factor * np.append(slope, cross), moment])
 
 
 def with_pendulums(vehicle: VehicleAt, pendulums: Pendulums) -> VehicleAt:

@@ -1,7 +1,8 @@
 """Worker: the nominal scenario's powered phase with everything switched on, no log, on one core.
 
-`--own-kernels`: by kernels that are compiled for this vehicle's sizes, as large campaigns fly. Further arguments are
-overrides of the scenario.
+`--own-kernels`: by kernels that are compiled for this vehicle's sizes, as large campaigns fly. `--nine-engines`: the
+engine as nine of a ninth, each with actuators of its own; those that move together would count as one. Further
+arguments are overrides of the scenario.
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ from importlib.metadata import version
 from maxq.sim.packing.flight import pack_flight, pack_for_one_vehicle
 from maxq.sim.run.fly import FlightRun
 from maxq.sim.scenario.loader import load_scenario
+from maxq.sim.scenario.schema_stage import Engine
 from maxq.sim.vehicle.state import Q_BI, R_I
 from maxq.tools.dev.bench.serve import State, serve
 
@@ -20,9 +22,23 @@ POWERED_S = 59.0
 WHOLE_FLIGHT_NS = 10**12  # one segment holds it
 
 
+def nine_engines(one: Engine) -> str:
+    """The stage's engine as nine, each a group."""
+    whole = {
+        "table": "'vehicles/ksr3/thrust.csv'", "gimbal_station_m": one.gimbal_station_m,
+        "exit_station_m": one.exit_station_m, "cg_from_gimbal_m": one.cg_from_gimbal_m,
+    }  # fmt: skip  # two more lines otherwise
+    shared = ("thrust_factor", "exit_area_m2", "gimballed_mass_kg", "inertia_about_gimbal_kgm2")
+    whole |= {key: getattr(one, key) / 9 for key in shared}
+    each = ", ".join(f"{key}={value}" for key, value in whole.items())
+    return f"vehicle.stage.0.engine=[{', '.join(f'{{{each}, group={name!r}}}' for name in 'abcdefghi')}]"
+
+
 def main() -> None:
-    overrides = [word for word in sys.argv[1:] if word != "--own-kernels"]
+    overrides = [word for word in sys.argv[1:] if word not in ("--own-kernels", "--nine-engines")]
     pack = pack_for_one_vehicle if "--own-kernels" in sys.argv else pack_flight
+    if "--nine-engines" in sys.argv:
+        overrides.append(nine_engines(load_scenario("nominal").scenario.vehicle.stage[0].engines[0]))
     loaded = load_scenario("nominal", [f"run.duration_s={POWERED_S}", *overrides])
 
     def prepare() -> Callable[[], tuple[int, State]]:

@@ -32,6 +32,9 @@ class Flown:
 CASES = (
     Flown("maxq", "nominal, 59 s at 1 kHz, everything on", "fly_maxq", ours=True),
     Flown("maxq_own", "the same, by a campaign's kernels", "fly_maxq", ours=True, arguments=("--own-kernels",)),
+    Flown(
+        "maxq_nine", "its engine as nine, each moved by itself", "fly_maxq", ours=True, arguments=("--nine-engines",)
+    ),
     Flown("jsbsim", "rigid, J2461.xml, 60 s at 1 kHz", "fly_jsbsim", needed=3.5),
     Flown("basilisk", "hub, 3 slosh, 2 panels, RK4, 60 s at 1 kHz", "fly_basilisk", needed=20.0),
     Flown("rocketpy", "rigid, 60 s, LSODA, 100 Hz controller on interpolated points", "fly_rocketpy"),
