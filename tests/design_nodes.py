@@ -51,7 +51,7 @@ def no_modes(modes: Modes) -> Modes:
     cut = {name: value[:0] if isinstance(value, np.ndarray) else 0 for name, value in cut.items()}
     none = (np.zeros(0), np.zeros(0))
     elsewhere = {name: tuple(none for _ in getattr(modes, name)) for name in ("further_gimbals", "sensors")}
-    return dataclasses.replace(modes, **cut | elsewhere | {"softening_kgpm": np.zeros((0, 0))})
+    return dataclasses.replace(modes, **cut | elsewhere | {"softening_kgpm": np.zeros((0, 0)), "along": None})
 
 
 def without(node: Node, *, modes: bool = False, tanks: bool = False) -> Node:

@@ -255,7 +255,7 @@ def _frozen(vehicle: VehicleAt) -> VehicleAt:
 
 
 def _emptied(record: _Arrays) -> _Arrays:
-    """The record of arrays, and of tuples of them, without any entry in them; a count is zero."""
+    """The record of arrays, and of tuples of them, without any entry in them; a count is zero, another record gone."""
     return dataclasses.replace(
         record, **{f.name: _nothing_of(getattr(record, f.name)) for f in dataclasses.fields(record)}
     )
@@ -264,4 +264,6 @@ def _emptied(record: _Arrays) -> _Arrays:
 def _nothing_of(value: Any) -> Any:
     if isinstance(value, tuple):
         return tuple(_nothing_of(each) for each in value)
-    return value[:0] if isinstance(value, np.ndarray) else 0
+    if isinstance(value, int):
+        return 0
+    return value[:0] if isinstance(value, np.ndarray) else None
