@@ -21,10 +21,11 @@ import pytest
 from aero_tables import OVER_ALPHA_BETA
 from flightkit import Mode, Parts, Rig, Tank, Tree, flown, load, merged, rig, scenario_of, with_stage
 from oracles.multibody_system import rotation_from_quaternion
+from test_oracle_aero_tables_linear import ALL, ROUND, symmetric
 
 from maxq.control.kernel.records import Array
 from maxq.design.model.dispersion import Dispersion, disperse
-from maxq.design.model.linearised import linearise, settled, zero_incidence
+from maxq.design.model.linearised import LinearModel, linearise, settled, zero_incidence
 from maxq.design.model.node import node_of
 from maxq.design.model.plant import vehicle_plant
 from maxq.design.model.vehicle_at import FlightCondition, actuator, vehicle_at
@@ -540,6 +541,50 @@ def test_linear_model_of_both_planes_is_the_linearised_simulator(stage: Tree) ->
         np.testing.assert_allclose(roll, plant.c[-1], rtol=1e-8, atol=1e-10)
 
 
+@pytest.mark.parametrize("trim_deg", [(4.0, 2.0), (-3.0, 7.0)])
+def test_modes_of_both_planes_in_incidence_feel_each_others_flow(trim_deg: tuple[float, float]) -> None:
+    """Tables without symmetry: Fy by w and Fz by v, on a body and on modes that bend both planes. Roll is trimmed."""
+    alpha, beta = np.radians(trim_deg)
+    section, rest = as_spatial(
+        replace(PARTS, yaw=tuple(replace(m, frequency_hz=1.2 * m.frequency_hz) for m in MODES)), np.radians(30.0)
+    )
+    flow = 290.0 * np.array([np.cos(alpha) * np.cos(beta), np.sin(beta), np.sin(alpha) * np.cos(beta)])
+    straight = replace(
+        rest, core_cg=(7.0, 0.0, 0.0), gimbal_offset_m=(0.0, 0.0), core_inertia=np.diag((8e3, 5e4, 5.2e4))
+    )
+    start = {"initial": {"ned_mps": [*flow], "euler_deg": [0.0, 0.0, 0.0]}, "earth": {"gravity": "uniform"}}
+    aero, level = symmetric() | ROUND, [{key: value for key, value in t.items() if key != "Cl"} for t in ALL]
+    aero["coefficients"] = [
+        *aero["coefficients"][:2],
+        *({"table": t, "station_m": 4.0 + k} for k, t in enumerate(level)),
+    ]
+    made = rig(with_stage(merged(scenario_of(straight, **AIR), start), aero=aero, spatial_modes=section))
+    made.packed.memory[0].held.burning = 1
+    ours, theirs = node_of(made.packed, 0.0).whole.a, both_planes(linearise(made.packed, made.packed.state, 0.0), 4)
+    scale = np.abs(theirs).max(axis=1, keepdims=True)
+    np.testing.assert_allclose(ours / scale, theirs / scale, rtol=1e-8, atol=1e-10)
+
+
+def both_planes(theirs: LinearModel, modes: int, loaded: bool = False) -> Array:
+    """State matrix in the order of the plant's states, yaw in its mirrored axes."""
+
+    def swinging(plane: str) -> list[str]:
+        engine = [f"tvc_load_1_{plane}_{what}" for what in ("rad", "rate_radps") if loaded]
+        return [f"slosh_{k}_{plane}{w}" for w in ("_rad", "_rate_radps") for k in (1, 2)] + engine
+
+    names = [
+        "w_mps",
+        "q_radps",
+        "theta_rad",
+        *(f"spatial_{i + 1}_{w}" for w in ("m", "rate_mps") for i in range(modes)),
+    ]
+    names += [*swinging("pitch"), "v_mps", "r_radps", "psi_rad", *swinging("yaw")]
+    i = [theirs.states.index(name) for name in names]
+    turned = {"r_radps", "psi_rad", "tvc_load_1_yaw_rad", "tvc_load_1_yaw_rate_radps"}
+    sign = np.array([-1.0 if name in turned else 1.0 for name in names])
+    return np.asarray(sign[:, None] * theirs.a[np.ix_(i, i)] * sign)
+
+
 def stiff(factor: float, along: Callable[[int, float], float]) -> tuple[Tree, Parts]:
     """The pairs, `factor` times as stiff and of unlike frequencies, that move by `along` (of mode, station) along x."""
     pitch = tuple(replace(m, frequency_hz=factor * m.frequency_hz) for m in MODES)
@@ -554,18 +599,8 @@ def plant_and_simulator(section: Tree, rest: Parts, **stage: Any) -> tuple[Array
     """State matrices of both planes, about the deflection under the loads of the instant."""
     packed, condition = ascending(section, rest, **stage)
     state, n = settled(packed, zero_incidence(packed, packed.state), 0.0), len(section["damping_ratio"])
-    theirs, plant = linearise(packed, state, 0.0), vehicle_plant(vehicle_at(packed, 0.0, condition.mach), condition)
-
-    def swinging(plane: str) -> list[str]:
-        engine = [f"tvc_load_1_{plane}_{what}" for what in ("rad", "rate_radps") if stage]
-        return [f"slosh_{k}_{plane}{w}" for w in ("_rad", "_rate_radps") for k in (1, 2)] + engine
-
-    names = ["w_mps", "q_radps", "theta_rad", *(f"spatial_{i + 1}_{w}" for w in ("m", "rate_mps") for i in range(n))]
-    names += [*swinging("pitch"), "v_mps", "r_radps", "psi_rad", *swinging("yaw")]
-    i = [theirs.states.index(name) for name in names]
-    turned = {"r_radps", "psi_rad", "tvc_load_1_yaw_rad", "tvc_load_1_yaw_rate_radps"}
-    sign = np.array([-1.0 if name in turned else 1.0 for name in names])
-    return plant.a, sign[:, None] * theirs.a[np.ix_(i, i)] * sign
+    plant = vehicle_plant(vehicle_at(packed, 0.0, condition.mach), condition)
+    return plant.a, both_planes(linearise(packed, state, 0.0), n, bool(stage))
 
 
 @pytest.mark.parametrize("stage", [{}, ON_LOAD], ids=["locked", "swinging"])

@@ -36,7 +36,7 @@ class TableSlopes:
     couple_by_flow_m: Array
     force_by_rate_m: Array
     couple_by_rate_m2: Array
-    by_mach: tuple[Array, ...]  # of force (3, 3) and couple
+    by_mach: tuple[Array, Array]  # of force (3, 3) and couple
     reference_m: float  # station of the moment reference, with the shift of the centre of pressure
     station_m: float  # where modes meet it
 
@@ -58,10 +58,19 @@ class TableSlopes:
         """What comes to the first two with the Mach number at the CG."""
         return self._slopes(_axes_of(plane), *self.by_mach)
 
-    def _slopes(self, axes: tuple[int, int, float], force: Array, couple: Array) -> tuple[float, float]:
+    def across(self, plane: str) -> tuple[float, float, float, float]:
+        """The first two by the other plane's flow: at the table, then with the Mach number at the CG."""
+        axes = _axes_of(plane)
+        local = self.force_by_flow - self.by_mach[0], self.couple_by_flow_m - self.by_mach[1]
+        return *self._slopes(axes, *local, 3 - axes[0]), *self._slopes(axes, *self.by_mach, 3 - axes[0])
+
+    def _slopes(
+        self, axes: tuple[int, int, float], force: Array, couple: Array, flow: int | None = None
+    ) -> tuple[float, float]:
         across, turn, sign = axes
-        slope = -force[across, across]
-        return float(slope), float(slope * self.reference_m - sign * couple[turn, across])
+        flow = across if flow is None else flow
+        slope = -force[across, flow]
+        return float(slope), float(slope * self.reference_m - sign * couple[turn, flow])
 
 
 def _axes_of(plane: str) -> tuple[int, int, float]:
@@ -141,13 +150,15 @@ def _of_table(pool: Array, a: Any, j: int, s: int, reference_m: float, mach: flo
         couple_by_flow_m=factor * np.array([m.slopes for m in couple]),
         force_by_rate_m=factor * by_rate[0],
         couple_by_rate_m2=factor * by_rate[1],
-        by_mach=tuple(
-            factor * np.array([whole.slopes - part.slopes for whole, part in zip(moved, fixed, strict=True)])
-            for moved, fixed in zip((force, couple), still, strict=True)
-        ),
+        by_mach=(factor * _apart(force, still[0]), factor * _apart(couple, still[1])),
         reference_m=reference_m + float(a.centre_shift_m),
         station_m=float(a.station_m[s]),
     )
+
+
+def _apart(moved: list[Gradient], still: list[Gradient]) -> Array:
+    """Differences of their slopes, (3, 3)."""
+    return np.array([whole.slopes - part.slopes for whole, part in zip(moved, still, strict=True)])
 
 
 def _sloped(table: _Table, direction: Array) -> tuple[list[Gradient], list[Gradient]]:

@@ -195,12 +195,26 @@ class _Coupled:
             at, unknown = at + len(plane.inputs), unknown + len(plane.loaded)
             self.embed.append(np.eye(self.columns)[places.astype(int)])
         self.embed[1][common] = np.eye(self.columns)[[*(3 + np.arange(shared)), *(3 + one.modes + np.arange(shared))]]
-        self.drives = [plane.drive()[:shared] @ e for plane, e in zip(self.planes, self.embed, strict=True)]
+        self.crossed = self._crossed()
+        self.drives = [
+            plane.drive()[:shared] @ e + modal[:shared]
+            for plane, e, (_, _, modal) in zip(self.planes, self.embed, self.crossed, strict=True)
+        ]
         modes, eye = one.vehicle.modes, np.eye(self.columns)
         omega = modes.omega_radps[:shared, None]
         spring = omega**2 * eye[3 : 3 + shared]
         spring = spring + 2.0 * modes.damping_ratio[:shared, None] * omega * eye[3 + one.modes : 3 + one.modes + shared]
         self.free = self.drives[0] + self.drives[1] - spring  # accelerations without what rides along x
+
+    def _crossed(self) -> list[tuple[Array, Array, Array]]:
+        """Accelerations of each plane by the other's flow, in incidence: lateral, turning, of all its modes."""
+        out = []
+        for plane, other, e in zip(self.planes, self.planes[::-1], self.embed[::-1], strict=True):
+            air = plane.vehicle.aerodynamics
+            force, moment, modal = plane.by_flow(other, air.cross_slope_pr, air.cross_moment_mpr, air.cross_couples())
+            mass = plane.vehicle.modes.generalized_mass_kg[:, None]
+            out.append((force @ e / plane.mass, moment @ e / plane.inertia, modal @ e / mass))
+        return out
 
     def settled(self) -> Array:
         """Deflections at which thrust and the pull of the liquid along x hold the modes at rest."""
@@ -225,9 +239,9 @@ class _Coupled:
         mass, core = one.vehicle.pendulums.mass_kg, one.vehicle.body.core_mass_kg
         per_force = along.hinges / one.vehicle.modes.generalized_mass_kg[: self.shared, None]
         given, yields = along.hinges.T @ self.free, 1.0 / core + along.hinges.T @ per_force
-        for plane, e in zip(self.planes, self.embed, strict=True):
+        for plane, e, (_, turning, _) in zip(self.planes, self.embed, self.crossed, strict=True):
             beside = self._beside(plane)
-            given += np.outer(beside, plane.moment @ e / plane.inertia)
+            given += np.outer(beside, plane.moment @ e / plane.inertia + turning)
             given -= plane.held_load_mps2()[:, None] * (plane.gamma @ e)
             yields = yields + np.outer(beside, beside) / plane.inertia
         pull = np.linalg.solve(np.eye(one.tanks) + mass[:, None] * yields, mass[:, None] * given)
@@ -241,24 +255,28 @@ class _Coupled:
         one, across, shared = self.one, self.across, self.shared
         riding, pulled = self._riding()
         systems, hinges, seen = [], [], []
-        for plane, e, driven in zip(self.planes, self.embed, self.drives[::-1], strict=True):
-            drive = driven + riding
+        parts = zip(self.planes, self.embed, self.drives[::-1], self.crossed, strict=True)
+        for plane, e, driven, (pushed, turning, by_flow) in parts:
+            drive = by_flow.copy()
+            drive[:shared] += driven + riding
             system, hinge, sensed = (rows @ e for rows in plane.rows())
-            bobs, phi = plane.vehicle.pendulums, plane.vehicle.modes.phi_hinge[:shared]
-            turned = -self._beside(plane) @ pulled / plane.inertia
+            bobs, phi = plane.vehicle.pendulums, plane.vehicle.modes.phi_hinge
+            turned = turning - self._beside(plane) @ pulled / plane.inertia
             for k, (name, _) in enumerate(plane.vehicle.sensors):
                 if name == ACCELERATION:
-                    sensed[len(OUTPUTS) + k] += plane.vehicle.modes.sensors[k][0][:shared] @ drive
+                    sensed[len(OUTPUTS) + k] += plane.vehicle.modes.sensors[k][0] @ drive + pushed
                     sensed[len(OUTPUTS) + k] -= (plane.cg - plane.sensor_station_m[k]) * turned
             seen.append(sensed)
+            system[0] += pushed
             system[1] += turned
-            system[3 + plane.modes : 3 + plane.modes + shared] += drive
+            system[3 + plane.modes : 3 + 2 * plane.modes] += drive
             swing = 3 + 2 * plane.modes + plane.tanks
             arms = plane.cg - plane.hinge_station_m - bobs.length_m
             system[swing : swing + plane.tanks] -= (phi / bobs.length_m).T @ drive
-            system[swing : swing + plane.tanks] += np.outer(arms / bobs.length_m, turned)
+            system[swing : swing + plane.tanks] += (np.outer(arms, turned) - pushed) / bobs.length_m[:, None]
             unknown = slice(len(plane.names) + len(plane.inputs), None)
-            hinges.append(hinge + plane.modal[:shared, unknown].T @ drive + np.outer(plane.moment[unknown], turned))
+            reacts = np.outer(plane.moment[unknown], turned) + np.outer(plane.force[unknown], pushed)
+            hinges.append(hinge + plane.modal[:, unknown].T @ drive + reacts)
             systems.append(system)
         rolls = np.zeros((1, self.columns))
         rolls[0, 3 + one.modes : 3 + one.modes + shared] = one.vehicle.modes.roll_gyro_pm
@@ -369,27 +387,19 @@ class _Equations:
 
     def _aerodynamics(self) -> None:
         """(4), (6), (7), (17)."""
-        air, modes, speed = self.vehicle.aerodynamics, self.vehicle.modes, self.condition.airspeed_mps
-        ahead = air.forward * speed
-        flow = 0.5 * self.condition.density_kgpm3 * speed * air.area_m2
+        air, modes = self.vehicle.aerodynamics, self.vehicle.modes
+        flow = 0.5 * self.condition.density_kgpm3 * self.condition.airspeed_mps * air.area_m2
         couples, rate_couples = air.modal_couples()
-        for k, slope in enumerate(air.slope_pr):
+        self.force, self.moment, self.modal = self.by_flow(self, air.slope_pr, air.moment_slope_mpr, couples)
+        for k, (by_rate, moment) in enumerate(zip(air.rate_slope_m, air.rate_moment_m2, strict=True)):
             place, local_flow = air.met_by_modes(k)
-            phi, tilt = modes.phi_surface[:, place], modes.slope_surface_pm[:, place]
-            bent = ahead * dot(tilt, self.eta) + dot(phi, self.eta_rate) if local_flow else 0.0 * self.w
-            whole = self.through_air + (bent if self.errata.bent_body_loads else 0.0)
-            self.force = self.force - flow * slope * whole
-            moved = self.surface_moved_m[place] if place >= 0 else 0.0
-            self.moment = self.moment + flow * (slope * (self.cg - moved) - air.moment_slope_mpr[k]) * whole
-            if local_flow and modes.along is not None:
-                met = ahead * (self.held @ tilt[: len(self.held)])
-                self.moment = self.moment + flow * slope * met * self._forward(modes.along.surfaces[:, place])
             if place < 0:
                 continue
-            local = self.through_air + bent
-            self.modal = self.modal - flow * slope * outer(phi, local)
-            self.modal = self.modal + flow * couples[k] * outer(tilt, local)
-            by_rate, moment = air.rate_slope_m[k], air.rate_moment_m2[k]
+            phi, tilt = modes.phi_surface[:, place], modes.slope_surface_pm[:, place]
+            if local_flow and modes.along is not None:
+                met = air.forward * self.condition.airspeed_mps * (self.held @ tilt[: len(self.held)])
+                pushed = flow * air.slope_pr[k] * met
+                self.moment = self.moment + pushed * self._forward(modes.along.surfaces[:, place])
             self.force = self.force - flow * by_rate * self.q
             self.moment = self.moment + flow * (by_rate * self.cg - moment) * self.q
             on_modes = tilt * rate_couples[k] - phi * by_rate
@@ -398,6 +408,29 @@ class _Equations:
         self.moment = self.moment - self.vehicle.body.rate_damping_Nms * self.q
         if self.errata.path_terms:
             self.force = self.force - flow * air.drag * self.through_air
+
+    def by_flow(
+        self, other: _Equations, slope_pr: Array, moment_mpr: Array, couples: Array
+    ) -> tuple[Array, Array, Array]:
+        """Force, moment and modal forces by the flow in the plane of `other`, which may be this one, in its rows."""
+        air, modes, speed = self.vehicle.aerodynamics, self.vehicle.modes, self.condition.airspeed_mps
+        flow, theirs = 0.5 * self.condition.density_kgpm3 * speed * air.area_m2, other.vehicle.modes
+        force, moment, modal = 0.0 * other.w, 0.0 * other.w, 0.0 * outer(modes.omega_radps, other.w)
+        for k, slope in enumerate(slope_pr):
+            place, local_flow = air.met_by_modes(k)
+            bent = 0.0 * other.w
+            if local_flow:
+                bent = air.forward * speed * dot(theirs.slope_surface_pm[:, place], other.eta)
+                bent = bent + dot(theirs.phi_surface[:, place], other.eta_rate)
+            local = other.through_air + bent
+            whole = local if self.errata.bent_body_loads else other.through_air
+            force = force - flow * slope * whole
+            moved = self.surface_moved_m[place] if place >= 0 else 0.0
+            moment = moment + flow * (slope * (self.cg - moved) - moment_mpr[k]) * whole
+            if place >= 0:
+                modal = modal - flow * slope * outer(modes.phi_surface[:, place], local)
+                modal = modal + flow * couples[k] * outer(modes.slope_surface_pm[:, place], local)
+        return force, moment, modal
 
     def _actuator(self, engine: GimballedEngine, derivative: str) -> Array:
         return np.asarray(engine.gain * self.driven[of_drive(derivative, engine.drive)])

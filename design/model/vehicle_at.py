@@ -249,6 +249,8 @@ class Aerodynamics:
     local_incidence: bool
     beyond: tuple[int, ...] = ()  # parts that see the flow at the CG alone; which surface's modes they load, -1: none
     forward: float = 1.0  # share of the airspeed along the body axis
+    cross_slope_pr: Array = dataclasses.field(default_factory=lambda: np.zeros(0))  # of each part by the other plane's
+    cross_moment_mpr: Array = dataclasses.field(default_factory=lambda: np.zeros(0))  # flow; empty: none
 
     def met_by_modes(self, part: int) -> tuple[int, bool]:
         """Which surface's modes a part of `slope_pr` loads (-1: none), and whether the bent body's flow counts."""
@@ -261,6 +263,12 @@ class Aerodynamics:
         acts = np.isfinite(self.couple_station_m)
         by_flow = acts * (self.slope_pr * at - self.moment_slope_mpr)
         return by_flow, acts * (self.rate_slope_m * at - self.rate_moment_m2)
+
+    def cross_couples(self) -> Array:
+        """The first of `modal_couples` by the other plane's flow."""
+        stations = self.couple_station_m[: len(self.cross_slope_pr)]
+        turns = self.cross_slope_pr * np.nan_to_num(stations) - self.cross_moment_mpr
+        return np.asarray(np.isfinite(stations) * turns)
 
 
 @dataclass(frozen=True)
@@ -567,14 +575,25 @@ def _aerodynamics(
     more = np.array([(*table.plane(plane), table.station_m) for table in over]).reshape(-1, 5)
     of_parts, beyond, forward = np.concatenate([parts, more.T], axis=1), (), 1.0
     axial, drag = row[aero.CA] + row[aero.CD], row[aero.CD]
+    crossed: Array = np.zeros((2, 0))
     if tables > 0 and any(trim):  # without tables incidence is taken as zero
         forward, side, down = np.cos(trim[0]) * np.cos(trim[1]), np.sin(trim[1]), np.sin(trim[0]) * np.cos(trim[1])
-        own = down if plane == "pitch" else side
+        own, other = (down, side) if plane == "pitch" else (side, down)
         of_parts[:2, :surfaces] *= forward
-        by_mach = mach * own * table_in(pool, a.table).slope(mach)
-        more = _beyond(a, row, by_mach, (forward, side, down), plane)
+        per_mach = mach * table_in(pool, a.table).slope(mach)
+        by_mach, across = own * per_mach, other * per_mach
+        more = _beyond(a, row, by_mach, (forward, own, other), plane)
+        aside = _beyond(a, row, across, (forward, own, other), plane, across=True)
+        aside[:, -1] += (
+            a.axial_factor * own * (other * drag + across[aero.CD]) * np.array([1.0, props[schedule.CORE_CG]])
+        )
         if a.remainder >= 0:
-            more[1, a.remainder] += more[0, a.remainder] * reference_station_m(pool, a, props, clock_s)
+            reference_m = reference_station_m(pool, a, props, clock_s)
+            for slopes in (more, aside):
+                slopes[1, a.remainder] += slopes[0, a.remainder] * reference_m
+        by_other = np.array([table.across(plane) for table in over]).T
+        none = np.zeros((2, surfaces))
+        crossed = np.concatenate([none, by_other[:2], aside[:, :surfaces], by_other[2:], aside[:, surfaces:]], axis=1)
         by_tables = np.array([table.plane_by_mach(plane) for table in over]).T
         more = np.concatenate([more[:, :surfaces], by_tables, more[:, surfaces:]], axis=1)
         stations = np.append(of_parts[4], np.nan)
@@ -596,21 +615,28 @@ def _aerodynamics(
         local_incidence=bool(a.local_incidence),
         beyond=beyond,
         forward=float(forward),
+        cross_slope_pr=crossed[0],
+        cross_moment_mpr=crossed[1],
     )
 
 
-def _beyond(a: Any, row: Array, by_mach: Array, flow: tuple[float, float, float], plane: Plane) -> Array:
+def _beyond(
+    a: Any, row: Array, by_mach: Array, flow: tuple[float, float, float], plane: Plane, across: bool = False
+) -> Array:
     """Slopes and slopes times stations, (2, surfaces and one), of what incidence adds to those along the axis.
 
     Surfaces under a Mach number that moves with the flow, and the body's cross-flow and Cm0. `by_mach`: what the
-    columns `row` of the Mach table change by per radian; `flow`: the unit vector of the velocity through the air.
+    columns `row` of the Mach table change by per radian; `flow`: the unit vector of the velocity through the air,
+    forward, in the plane, across it. `across`: slopes by the flow across the plane.
     """
-    forward, own = flow[0], flow[2] if plane == "pitch" else flow[1]
+    forward, own, other = flow
+    moved = other if across else own
     ends = len(row) - (len(row) - aero.FIRST_SURFACE) % 2
     slope, moment = (forward * own * by_mach[aero.FIRST_SURFACE + k : ends : 2] for k in (0, 1))
-    lateral = np.hypot(*flow[1:])
-    cross = row[aero.CROSSFLOW] * (lateral + own * own / lateral) + by_mach[aero.CROSSFLOW] * lateral * own
-    couple = a.chord_m * (2.0 * own * row[aero.CM0] + by_mach[aero.CM0]) if plane == "pitch" else 0.0
+    lateral = np.hypot(own, other)
+    cross = row[aero.CROSSFLOW] * (own * moved / lateral + (0.0 if across else lateral))
+    cross += by_mach[aero.CROSSFLOW] * lateral * own
+    couple = a.chord_m * (2.0 * moved * row[aero.CM0] + by_mach[aero.CM0]) if plane == "pitch" else 0.0
     moment = a.force_factor * np.append(moment + slope * float(a.centre_shift_m), cross * a.crossflow_station_m)
     moment[-1] -= couple
     return np.array([a.force_factor * np.append(slope, cross), moment])
