@@ -236,7 +236,7 @@ def nodes_along(
     """Nodes at vehicle times (s) of a flight of the scenario, flown once and without a log.
 
     Speed, air and attitude are those flown, at the integrator's step nearest to each time; incidence and rotation
-    are taken as zero, but for the slopes of tables over incidence, which are those at the flown angles, and ring
+    are taken as zero, but for a vehicle with tables over incidence, which is taken at the flown angles, and ring
     baffles, which damp as they do in the flown swing (`with_swings`). What the scenario lets fail works, but with
     `faults`. Nodes come in the order of `times_s`. Raises ValueError, naming node and range, for a time outside the
     powered flight.

@@ -33,7 +33,7 @@ ACTUATOR_OUTPUTS = ("delta_rad", "delta_rate_radps", "delta_accel_radps2")
 
 @dataclass(frozen=True)
 class FlightCondition:
-    """Air and path at an instant; the vehicle flies along its own axis (no incidence, no rotation)."""
+    """Air and path at an instant; the vehicle does not turn. Its incidence is that of its aerodynamics."""
 
     time_s: float  # vehicle clock
     airspeed_mps: float
