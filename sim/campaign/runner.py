@@ -19,12 +19,13 @@ import time
 import zlib
 from bisect import bisect_right
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
-from contextlib import ExitStack
+from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass, field
 from functools import lru_cache
 from itertools import count, islice, takewhile
 from pathlib import Path
+from queue import Empty, SimpleQueue
 from typing import Any
 
 from maxq.sim.campaign.analysis import requirements_of
@@ -205,20 +206,31 @@ def _fly(
     """Fly the tasks; whether it was stopped, and whether it ended because every verdict was settled."""
     stopped, settled = False, until_settled and progress.interim.settled()
     flying: set[Future[Any]] = set()
+    landed: SimpleQueue[Future[Any]] = SimpleQueue()
+
+    def begun(task: Future[Any]) -> None:
+        flying.add(task)
+        task.add_done_callback(landed.put)  # to look through all of a large cluster's tasks would take longer
+
     watch(progress)
     frozen = gc.get_freeze_count() == 0  # else another has frozen what was there, and it stays so
     if frozen:
         gc.freeze()  # searching what is there already for garbage takes a hundredth of a campaign's time
     try:
         while not (settled or stopped):
-            flying.update(islice(tasks, max(workers.ahead - len(flying), 0)))
+            for task in islice(tasks, max(workers.ahead - len(flying), 0)):
+                begun(task)
             if not flying:
                 break
-            landed, flying = wait(flying, timeout=_POLL_S, return_when=FIRST_COMPLETED)
-            for task in landed:
+            arrived: list[Future[Any]] = []
+            with suppress(Empty):
+                arrived.append(landed.get(timeout=_POLL_S))
+                arrived.extend(landed.get() for _ in range(landed.qsize()))
+            for task in arrived:
+                flying.remove(task)
                 got = workers.collect(task)
                 if isinstance(got, Future):
-                    flying.add(got)
+                    begun(got)
                 else:
                     batches.enter(got)
             stopped = stop()
