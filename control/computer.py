@@ -40,9 +40,29 @@ from maxq.control.kernel.records import Array, IntArray
 from maxq.control.kernel.rows import PitchYaw, Quaternion, RollPitchYaw, degrees, quaternion
 from maxq.control.kernel.tables import NO_TABLE, Cubics, Pool, TableRef
 from maxq.control.laws.adaptive import Adaptive, AdaptiveState, augmented, start_adaptive
-from maxq.control.laws.load_relief import LoadRelief, LoadReliefState, lag_share, start_load_relief, tick_load_relief
+from maxq.control.laws.load_relief import (
+    LoadRelief,
+    LoadReliefState,
+    lag_share,
+    start_load_relief,
+    tick_incidence_relief,
+    tick_load_relief,
+)
 from maxq.control.laws.pd import LawRow, Pd, PdState, filtered, law_row, make_pd, settle_pd, start_pd, tick_pd
 from maxq.control.laws.pid import Pid, PidRow, PidState, pid_row, start_pid, tick_pid
+from maxq.control.loop_filters import (
+    ACCELERATION,
+    ATTITUDE,
+    OUTPUT,
+    RATE,
+    LoopFilters,
+    LoopFilterState,
+    faded,
+    filtered_input,
+    keep_filter,
+    start_loop_filters,
+    take_over_filter,
+)
 from maxq.control.orbit_guidance import (
     OrbitGuidance,
     OrbitGuidanceState,
@@ -103,6 +123,7 @@ class Computer:
     over: int = 0  # what the gains are scheduled over, index into `OVER` of structures.py
     orbit: OrbitGuidance = field(default_factory=OrbitGuidance)  # closed-loop guidance, of the last engine's stages
     adaptive: Adaptive = field(default_factory=Adaptive)
+    loops: LoopFilters = field(default_factory=LoopFilters)
 
 
 @dataclass
@@ -132,6 +153,7 @@ class ComputerState:
     relief: LoadReliefState
     orbit: OrbitGuidanceState
     adaptive: AdaptiveState
+    loops: LoopFilterState
     navigation: Annotated[Array, (3,)]
 
 
@@ -160,6 +182,7 @@ def build_computer(
     sensors: Sensors | None = None,
     relief_hz: float | None = None,
     adaptive: Adaptive | None = None,
+    loops: LoopFilters | None = None,
 ) -> Computer:
     """Parameters of a computer; its tables go into `pool`.
 
@@ -170,7 +193,8 @@ def build_computer(
     as it is (a filter of no sections gives one axis none). `roll` comes from `roll.make_roll`; without it no
     thruster fires. `count_rad` = 0 is an ideal converter, `dac_step_rad` = 0 an ideal DAC, an infinite limit
     none. With `relief_hz`, the corner of the accelerometer's lag, the law is load relief, and `gains` has a column
-    k_a_s2pm. `sensors` comes from `sensors.make_sensors`, `adaptive` from `adaptive.make_adaptive`.
+    k_a_s2pm, or with k_alpha it is load relief by incidence. `sensors` comes from `sensors.make_sensors`, `adaptive`
+    from `adaptive.make_adaptive`, `loops` from `loop_filters.make_loop_filters`.
 
     Raises ValueError, naming key, value and what is allowed.
     """
@@ -183,8 +207,8 @@ def build_computer(
     ):
         if not holds:
             raise ValueError(f"{key} = {value}: allowed is {allowed}")
-    more = gains is not None and gains.n_columns == 6
-    integral = more and relief_hz is None
+    columns = gains.n_columns if gains is not None and gains.n_columns in (6, 10) else 4
+    integral = columns == 6 and relief_hz is None
     return Computer(
         sample_ns=sample_ns,
         delay_ns=delay_ns,
@@ -199,18 +223,19 @@ def build_computer(
         converter=make_converter(count_rad),
         attitude=METHODS.index(attitude),
         angle_error_limit_rad=angle_error_limit_rad,
-        law=make_pd(
-            _placed(pool, "gains", gains, 6 if more else 4), sample_ns, pitch_filter, yaw_filter or pitch_filter
-        ),
+        law=make_pd(_placed(pool, "gains", gains, columns), sample_ns, pitch_filter, yaw_filter or pitch_filter),
         pid=Pid(int(integral), integral_limit_rad),
         command_limit_rad=command_limit_rad,
         dac_step_rad=dac_step_rad,
         roll=roll or _UNUSED_ROLL,
         allocation=ONE_GROUP,
         sensors=sensors or make_sensors(),
-        relief=LoadRelief(int(relief_hz is not None), lag_share(relief_hz or 0.0, sample_ns / 1.0e9)),
+        relief=LoadRelief(
+            0 if relief_hz is None else 1 + int(columns == 10), lag_share(relief_hz or 0.0, sample_ns / 1.0e9)
+        ),
         over=OVER.index(over),
         adaptive=adaptive or Adaptive(),
+        loops=loops or LoopFilters(),
     )
 
 
@@ -238,6 +263,7 @@ def start_computer(computer: Computer, pool: Array, state: ComputerState, time_s
     start_load_relief(state.relief)
     start_orbit_guidance(state.orbit)
     start_adaptive(computer.adaptive, state.adaptive)
+    start_loop_filters(state.loops)
     for gimbal in range(2):
         state.requested_rad[gimbal] = 0.0
         state.command_limited[gimbal] = 0
@@ -247,9 +273,20 @@ def start_computer(computer: Computer, pool: Array, state: ComputerState, time_s
 
 
 @routine
-def take_over(computer: Computer, state: ComputerState) -> None:
-    """A stage's own law takes over at a separation: filters settled at the law's last output, adaptation anew."""
+def take_over(before: Computer, computer: Computer, state: ComputerState) -> None:
+    """A stage's own law takes over from that of the stage `before`: filters settled at their last inputs, those before
+    fading out, adaptation anew.
+    """
+    attitude, old, new, loops = state.attitude, before.loops, computer.loops, state.loops
+    loops.fading = new.fade_ticks
     for gimbal in range(2):
+        memory = state.law.filter_memory[gimbal]
+        keep_filter(loops, OUTPUT, gimbal, before.law.sections[gimbal], before.law.n_sections[gimbal], memory)
+        take_over_filter(old, new, loops, ATTITUDE, gimbal, attitude.theta_e_rad[gimbal + 1])
+        take_over_filter(old, new, loops, RATE, gimbal, attitude.rate_radps[gimbal + 1])
+        if computer.sensors.accelerometer >= 0:
+            lateral_mps2 = state.sensors.value[computer.sensors.accelerometer, 2 - gimbal]
+            take_over_filter(old, new, loops, ACCELERATION, gimbal, lateral_mps2)
         settle_pd(computer.law, state.law, gimbal)
     start_adaptive(computer.adaptive, state.adaptive)
     start_roll(state.roll)
@@ -338,6 +375,8 @@ def computer_tick(
     else:
         silence_roll(state.roll)
     allocate_commands(computer, pool, state, time_s)
+    if state.loops.fading > 0:
+        state.loops.fading -= 1
     state.ticks += 1
 
 
@@ -421,30 +460,45 @@ def update_command(
     computer: Computer, pool: Array, state: ComputerState, gimbal: int, at: float, injected_rad: float, replaces: int
 ) -> None:
     """Command of gimbal axis `gimbal` (0 pitch, 1 yaw): law with the gains at `at`, injection, limit, DAC."""
+    error_rad, rate_radps = state.attitude.theta_e_rad[gimbal + 1], state.attitude.rate_radps[gimbal + 1]
+    lateral_mps2, sample_s = 0.0, computer.sample_ns / 1.0e9
+    if computer.relief.on != 0:
+        lateral_mps2 = state.sensors.value[computer.sensors.accelerometer, 2 - gimbal]
+    if computer.loops.on != 0 or state.loops.fading > 0:
+        error_rad = filtered_input(computer.loops, state.loops, ATTITUDE, gimbal, error_rad)
+        rate_radps = filtered_input(computer.loops, state.loops, RATE, gimbal, rate_radps)
+        lateral_mps2 = filtered_input(computer.loops, state.loops, ACCELERATION, gimbal, lateral_mps2)
     if computer.external != 0:
         wanted_rad = state.external.outputs.gimbal_rad[gimbal] * computer.control_on
         # no sections of a design: those with which a certificate alters the loop
         law_rad = filtered(computer.law, state.law, gimbal, wanted_rad)
-    elif computer.relief.on != 0:
+    elif computer.relief.on == 1:
         law_rad = tick_load_relief(
-            computer.law, computer.relief, pool, state.law, state.relief, state.attitude,
-            state.sensors.value[computer.sensors.accelerometer], gimbal, at, computer.control_on,
-        )  # fmt: skip  # eleven lines otherwise
+            computer.law, computer.relief, pool, state.law, state.relief, error_rad, rate_radps, lateral_mps2, gimbal,
+            at, computer.control_on,
+        )  # fmt: skip  # thirteen lines otherwise
+    elif computer.relief.on == 2:
+        law_rad = tick_incidence_relief(
+            computer.law, computer.relief, pool, state.law, state.relief, error_rad, rate_radps, lateral_mps2, gimbal,
+            at, sample_s, computer.control_on,
+        )  # fmt: skip  # fourteen lines otherwise
     elif computer.pid.on == 0:
-        law_rad = tick_pd(computer.law, pool, state.law, state.attitude, gimbal, at, computer.control_on)
+        law_rad = tick_pd(computer.law, pool, state.law, error_rad, rate_radps, gimbal, at, computer.control_on)
     else:
         cut_rad = state.requested_rad[gimbal]
         if abs(cut_rad) <= computer.command_limit_rad:
             cut_rad = 0.0
-        sample_s = computer.sample_ns / 1.0e9
         law_rad = tick_pid(
-            computer.law, computer.pid, pool, state.law, state.pid, state.attitude, gimbal, at, sample_s,
+            computer.law, computer.pid, pool, state.law, state.pid, error_rad, rate_radps, gimbal, at, sample_s,
             computer.control_on, cut_rad,
         )  # fmt: skip  # nine lines more otherwise
+    if state.loops.fading > 0:
+        law_rad = faded(computer.loops, state.loops, OUTPUT, gimbal, state.law.pd_rad[gimbal], law_rad)
+        state.law.filtered_rad[gimbal] = law_rad
     if computer.adaptive.on != 0 and computer.control_on != 0:
         law_rad = augmented(
             computer.adaptive, state.adaptive, state.attitude, state.guidance.rate_radps, gimbal,
-            computer.sample_ns / 1.0e9, law_rad,
+            sample_s, law_rad,
         )  # fmt: skip  # seven lines more otherwise
         state.law.filtered_rad[gimbal] = law_rad
     requested_rad = injected_rad if replaces != 0 else law_rad + injected_rad

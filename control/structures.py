@@ -4,14 +4,18 @@ from __future__ import annotations
 
 from typing import Literal, get_args
 
-Law = Literal["pd", "pid", "load-relief"]
+Law = Literal["pd", "pid", "load-relief", "incidence-relief"]
 """Modules of control/laws and design/laws."""
 
 GAINS: dict[Law, tuple[str, ...]] = {
     "pd": ("k_p", "k_d_s"),
     "pid": ("k_p", "k_d_s", "k_i_ps"),
     "load-relief": ("k_p", "k_d_s", "k_a_s2pm"),
+    "incidence-relief": ("k_p", "k_d_s", "k_alpha", "percussion_m", "accel_per_incidence_mps2"),
 }
+GAIN_NAMES = tuple(dict.fromkeys(name for names in GAINS.values() for name in names))
+RELIEF: tuple[Law, ...] = ("load-relief", "incidence-relief")
+"""Laws that take an accelerometer through a lag."""
 
 Over = Literal["time_s", "speed_mps", "mass_kg", "dynamic_pressure_Pa"]
 """What gains may be scheduled over: vehicle clock; else as the navigation has it, here the simulator's own without

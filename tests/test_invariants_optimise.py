@@ -14,6 +14,7 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Callable
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
@@ -24,8 +25,9 @@ import scipy.linalg
 from threadpoolctl import threadpool_info
 
 from maxq.design import api
-from maxq.design.case.schema import LoadedCase
-from maxq.design.laws.pd import Pd
+from maxq.design.case.schema import LoadedCase, read_case
+from maxq.design.laws.design_file import design_text
+from maxq.design.laws.pd import Pd, PdVariables
 from maxq.design.loop.loop import Loop
 from maxq.design.margins.measure import margins
 from maxq.design.model.node import Node
@@ -38,6 +40,7 @@ from maxq.design.optimise.solution import Certificate, Solution
 from maxq.design.optimise.solve import nominal_plants, solve
 from maxq.design.optimise.sqp import optimality
 from maxq.design.verify.judging import judge, judge_solution, make_design
+from maxq.sim.scenario.errors import ScenarioError
 
 NODES = "nodes_s=[5.0, 30.0, 55.0]"
 
@@ -127,6 +130,22 @@ def test_an_unstable_body_is_stabilised_without_limits_that_ask_for_gain() -> No
     s = solve(loaded, plants)
     assert s.feasible
     check_limits(s, plants, rigid_hz=False)
+
+
+def test_a_search_begins_from_the_design_that_its_case_names(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Also where the law's own starts lead nowhere; a design that does not fit is refused."""
+    given = (NODES, "filter.structure=F2", "search.leaps=0")
+    best = solve(kit.case(*given, "search.starts=3"))
+    (tmp_path / "design.toml").write_text(design_text(make_design(kit.case(*given), best)))
+    monkeypatch.setattr(PdVariables, "starts", lambda self, count, seed: [self.lower] * count)
+    again = solve(read_case("ksr3-identical", [*given, "search.starts=1", f"search.start_design={tmp_path}"]))
+    assert again.objective_db == pytest.approx(best.objective_db, abs=1e-3)
+    with pytest.raises(ValueError, match=r"search\.start_design .*: has another law"):
+        solve(
+            read_case("ksr3-identical", [*given, "law=pid", "gains.schedule=linear", f"search.start_design={tmp_path}"])
+        )
+    with pytest.raises(ScenarioError, match=r'search\.start_design = "nosuch": no such file'):
+        read_case("ksr3-identical", ["search.start_design=nosuch"])
 
 
 def test_limit_that_no_stable_loop_meets_is_named() -> None:

@@ -87,6 +87,36 @@ yaw = [0.6, 0.4]
 """
 
 
+INCIDENCE = """
+schema = 1
+name = "relief by incidence"
+law = "incidence-relief"
+[gains]
+table = [
+    {time_s=5.0, k_p=1.1, k_d_s=0.47, k_alpha=0.2, percussion_m=4.0, accel_per_incidence_mps2=-20.0},
+    {time_s=50.0, k_p=0.7, k_d_s=0.37, k_alpha=0.4, percussion_m=5.0, accel_per_incidence_mps2=-60.0},
+]
+[load_relief]
+corner_hz = 1.3
+[blend]
+pitch = [0.7, 0.3]
+[loop_filters.attitude]
+structure = "F2"
+quadratic = [{zero_hz=12.0, zero_zeta=0.3, pole_hz=9.0, pole_zeta=0.7}]
+prewarp_hz = 9.0
+[loop_filters.acceleration]
+structure = "sections"
+first_order = [{zero_hz=20.0, pole_hz=5.0}]
+discretization = "matched"
+"""
+LOOPS = """
+[loop_filters.rate]
+structure = "F2"
+quadratic = [{zero_hz=12.0, zero_zeta=0.3, pole_hz=9.0, pole_zeta=0.7}]
+prewarp_hz = 9.0
+"""
+
+
 def built(folder: Path, design: str, *more: str, single: bool = False) -> Path:
     """The exported law as a library, after its unit test has passed. Warnings are errors."""
     assert simdesign.main(["export", design, "--c", str(folder / "law"), *more]) == 0
@@ -129,10 +159,11 @@ def test_the_c_sources_give_the_commands_of_the_flown_law(tmp_path: Path, name: 
 
 
 @needs_compiler
-@pytest.mark.slow  # two flights
-def test_load_relief_and_blended_gyros_give_the_same_bits(tmp_path: Path) -> None:
+@pytest.mark.slow  # four flights
+@pytest.mark.parametrize("law", [RELIEF, INCIDENCE], ids=["acceleration", "incidence"])
+def test_load_relief_and_blended_gyros_give_the_same_bits(tmp_path: Path, law: str) -> None:
     design = tmp_path / "d.toml"
-    design.write_text(RELIEF)
+    design.write_text(law)
     library = built(tmp_path, str(design), "--scenario", "load-relief")
     changes = [f"design={design}", "run.duration_s=20", "requirement=", "wind.speed_mps=8.0", "wind.from_deg=200"]
     built_in = fly(load_scenario("load-relief", changes))
@@ -185,12 +216,20 @@ def test_dispersed_flights_have_the_same_bits(tmp_path: Path) -> None:
 @needs_compiler
 @pytest.mark.slow
 def test_a_vehicle_of_several_stages_and_groups(tmp_path: Path) -> None:
-    """Three stages with gains and filters of their own and a total gain that adapts, flown across both separations."""
+    """Three stages with gains and filters of their own, those before fading out, a filter of the rate in the first and
+    third and a total gain that adapts, flown across both separations.
+    """
     folder = tmp_path / "petrel"
     assert simvehicle.main(["petrel", "--out", str(folder)]) == 0
     scenario, design = folder / "scenario.toml", folder / "design.toml"
     adaptive = "reference_hz = 0.4\nerror_gain_pdeg2s = 1.0\ndamper_gain_pdeg2s = 300.0\nhigh_pass_hz = 3.0\n"
-    design.write_text(f"{design.read_text()}\n[adaptive]\n{adaptive}")
+    text = design.read_text()
+    assert text.count("[[stage]]\n") == 3
+    first, second, third, fourth = text.split("[[stage]]\n")
+    fading = (
+        f"[[stage]]\n{second}[[stage]]\nfade_s = 0.3\nloop_filters = {{}}\n{third}[[stage]]\nfade_s = 2.0\n{fourth}"
+    )
+    design.write_text(f"{first}{fading}\n[adaptive]\n{adaptive}{LOOPS}")
     library = built(tmp_path, str(design), "--scenario", str(scenario))
     built_in, own = (
         fly(load_scenario(scenario, ["run.duration_s=190", "requirement=", *changes]), log=False)

@@ -151,6 +151,26 @@ def test_peaks_and_crossings_are_those_of_the_margins(loop: str) -> None:
         assert grid.max() - 1e-5 < peak < grid.max() + 1e-3
 
 
+def test_phase_at_mode_1_is_that_of_its_whole_lobe() -> None:
+    """A lobe 14 dB high crosses 0 dB farther away than the band of 3 % in which its peak is sought."""
+    asked = ("filter.structure=F2", "objective.kind=least-margin", "limits.first_mode_phase_deg=45")
+    p, compared = kit.problem("loop=sampled", *asked), 0
+    gains = np.log(np.repeat([1.0, 0.45], kit.pd(p).gains.size // 2))
+    x = np.concatenate([[np.log(30.0), 0.5, np.log(9.0), 0.3], gains])
+    full = p.evaluate(x, complete=True)
+    for i, (plant, law) in enumerate(zip(kit.all_nodes("sampled").each, p.law.controllers(x), strict=True)):
+        resonances = plant.path.resonances(0.5)
+        lobe = next(
+            one for one in margins(Loop(plant.path, law), resonances=resonances).lobes if one.label == "bending 1"
+        )
+        mine = full.rows.taken((full.rows.plant == i) & (full.rows.what == p.what("phase margin at mode 1")))
+        low, high = next(band[1:] for band in plant.bands_hz if band[0] == 1)
+        compared += int(((mine.frequency_hz < low) | (mine.frequency_hz > high)).sum())
+        assert lobe.peak_db > 13.0
+        assert np.abs(mine.value).min() == pytest.approx(lobe.phase_deg, abs=1e-3)
+    assert compared > 3
+
+
 @LOOPS
 def test_unstable_poles_are_counted_as_they_are(loop: str) -> None:
     """Over gains and filters of all kinds, stable and not."""

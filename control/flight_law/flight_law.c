@@ -37,7 +37,8 @@ static law_real scheduled(const law_stage *of, const law_inputs *in)
     return at;
 }
 
-/* Gains: k_p, k_d_s and a third, k_i_ps or k_a_s2pm, in pitch, then in yaw. Cubics, end values outside. */
+/* Gains: k_p, k_d_s and a third, k_i_ps, k_a_s2pm or k_alpha (with what the incidence is estimated with), in pitch, then
+ * in yaw. Cubics, end values outside. */
 static void look_up(const law_stage *of, law_real at, law_real gains[2 * LAW_GAINS])
 {
     law_real inside = at;
@@ -69,13 +70,14 @@ static void look_up(const law_stage *of, law_real at, law_real gains[2 * LAW_GAI
     }
 }
 
-/* Bending filter: second-order sections in transposed direct form II. */
-static law_real filtered(const law_stage *of, int32_t axis, law_real memory[LAW_MOST_SECTIONS][2], law_real input)
+/* Second-order sections (b0, b1, b2, a1, a2) in transposed direct form II. */
+static law_real filtered(
+    int32_t sections, const law_real (*of)[5], law_real memory[LAW_MOST_SECTIONS][2], law_real input)
 {
     law_real value = input;
     int32_t i;
-    for (i = 0; i < of->sections[axis]; ++i) {
-        const law_real *const section = of->section[axis][i]; /* b0, b1, b2, a1, a2 */
+    for (i = 0; i < sections; ++i) {
+        const law_real *const section = of[i];
         const law_real out = section[0] * value + memory[i][0];
         memory[i][0] = section[1] * value - section[3] * out + memory[i][1];
         memory[i][1] = section[2] * value - section[4] * out;
@@ -85,18 +87,68 @@ static law_real filtered(const law_stage *of, int32_t axis, law_real memory[LAW_
 }
 
 /* The filter as it is after a long time at one input. */
-static void settled(const law_stage *of, int32_t axis, law_real memory[LAW_MOST_SECTIONS][2], law_real input)
+static void settled(
+    int32_t sections, const law_real (*of)[5], law_real memory[LAW_MOST_SECTIONS][2], law_real input)
 {
     law_real value = input;
     int32_t i;
-    for (i = 0; i < of->sections[axis]; ++i) {
-        const law_real *const section = of->section[axis][i];
+    for (i = 0; i < sections; ++i) {
+        const law_real *const section = of[i];
         const law_real out = value * (section[0] + section[1] + section[2]) / (REAL(1.0) + section[3] + section[4]);
         memory[i][1] = section[2] * value - section[4] * out;
         memory[i][0] = section[1] * value - section[3] * out + memory[i][1];
         value = out;
     }
 }
+
+#if LAW_LOOP_FILTERS == 1
+/* What filter `bank` (0 to 2: attitude error, rate, acceleration; 3: the bending filter) of the stage before gives for the
+ * same input, fading out beside that of the new one. */
+static law_real faded(const law_stage *of, law_state *state, int32_t bank, int32_t axis, law_real input, law_real out)
+{
+    const law_stage *const before = &law_stages[state->old_stage];
+    law_real mixed = out;
+    if (state->fading > 0) {
+        const int32_t sections = (bank == 3) ? before->sections[axis] : before->loop_sections[bank];
+        const law_real (*const old_filter)[5] = (bank == 3) ? before->section[axis] : before->loop_section[bank];
+        const law_real old = filtered(sections, old_filter, state->old_filter[bank][axis], input);
+        mixed = out + (law_real)state->fading / ((law_real)of->fade_ticks + REAL(1.0)) * (old - out);
+    }
+    return mixed;
+}
+
+/* What the law works on in place of a measurement. */
+static law_real loop_filtered(const law_stage *of, law_state *state, int32_t bank, int32_t axis, law_real input)
+{
+    law_real out = input;
+    state->loop_input[bank][axis] = input;
+    if ((of->loop_filters != 0) || (state->fading > 0)) {
+        out = filtered(of->loop_sections[bank], of->loop_section[bank], state->loop_filter[bank][axis], input);
+        out = faded(of, state, bank, axis, input, out);
+    }
+    return out;
+}
+
+/* A separation: the filters of the stage before are kept to fade out, the loops' own of the new one start settled. */
+static void fade(const law_stage *of, law_state *state, int32_t axis)
+{
+    int32_t bank;
+    int32_t i;
+    for (bank = 0; bank < 4; ++bank) {
+        for (i = 0; i < LAW_MOST_SECTIONS; ++i) {
+            const law_real *const memory =
+                (bank == 3) ? state->filter[axis][i] : state->loop_filter[bank][axis][i];
+            state->old_filter[bank][axis][i][0] = memory[0];
+            state->old_filter[bank][axis][i][1] = memory[1];
+        }
+    }
+    for (bank = 0; bank < 3; ++bank) {
+        settled(
+            of->loop_sections[bank], of->loop_section[bank], state->loop_filter[bank][axis],
+            state->loop_input[bank][axis]);
+    }
+}
+#endif
 
 /* Limit, then the nearest step of the output converter that is not beyond it; halves away from zero. */
 static law_real converted(const law_stage *of, law_real requested_rad, int64_t *steps)
@@ -214,8 +266,15 @@ static const law_stage *flying(law_state *state, int32_t stage)
         if (law_stages[state->stage].takes_over != 0) {
             const law_stage *const of = &law_stages[state->stage];
             int32_t axis;
+#if LAW_LOOP_FILTERS == 1
+            state->fading = of->fade_ticks;
+            state->old_stage = state->stage - 1;
+#endif
             for (axis = 0; axis < 2; ++axis) {
-                settled(of, axis, state->filter[axis], state->law_rad[axis]);
+#if LAW_LOOP_FILTERS == 1
+                fade(of, state, axis);
+#endif
+                settled(of->sections[axis], of->section[axis], state->filter[axis], state->law_rad[axis]);
             }
             state->roll_thruster = 0;
             state->ticks_on = 0;
@@ -230,6 +289,7 @@ static const law_stage *flying(law_state *state, int32_t stage)
 void law_start(law_state *state)
 {
     int32_t axis;
+    int32_t bank;
     int32_t i;
     for (axis = 0; axis < 3; ++axis) {
         state->total_counts[axis] = 0;
@@ -240,12 +300,22 @@ void law_start(law_state *state)
         state->law_rad[axis] = REAL(0.0);
         state->requested_rad[axis] = REAL(0.0);
         state->accel_mps2[axis] = REAL(0.0);
+        state->rate_radps[axis] = REAL(0.0);
         for (i = 0; i < LAW_MOST_SECTIONS; ++i) {
             state->filter[axis][i][0] = REAL(0.0);
             state->filter[axis][i][1] = REAL(0.0);
+            for (bank = 0; bank < 3; ++bank) {
+                state->loop_filter[bank][axis][i][0] = REAL(0.0);
+                state->loop_filter[bank][axis][i][1] = REAL(0.0);
+            }
+        }
+        for (bank = 0; bank < 3; ++bank) {
+            state->loop_input[bank][axis] = REAL(0.0);
         }
     }
     state->stage = 0;
+    state->fading = 0;
+    state->old_stage = 0;
     state->roll_thruster = 0;
     state->ticks_on = 0;
 #if LAW_ADAPTIVE == 1
@@ -289,14 +359,33 @@ void law_step(law_state *state, const law_inputs *in, law_outputs *out)
     for (axis = 0; axis < 2; ++axis) {
         const law_real k_p = gains[LAW_GAINS * axis];
         const law_real k_d_s = gains[LAW_GAINS * axis + 1];
-        law_real wanted_rad = -k_p * error_rad[axis + 1] - k_d_s * rate_radps[axis + 1];
+#if LAW_LOOP_FILTERS == 1
+        const law_real angle_in_rad = loop_filtered(of, state, 0, axis, error_rad[axis + 1]);
+        const law_real rate_in_radps = loop_filtered(of, state, 1, axis, rate_radps[axis + 1]);
+#else
+        const law_real angle_in_rad = error_rad[axis + 1];
+        const law_real rate_in_radps = rate_radps[axis + 1];
+#endif
+        law_real wanted_rad = -k_p * angle_in_rad - k_d_s * rate_in_radps;
+#if LAW_LOAD_RELIEF > 0
+        law_real side_mps2 = in->delta_velocity_mps[2 - axis] / of->sample_s;
+#if LAW_LOOP_FILTERS == 1
+        side_mps2 = loop_filtered(of, state, 2, axis, side_mps2);
+#endif
+#endif
 #if LAW_LOAD_RELIEF == 1
-        const law_real side_mps2 = in->delta_velocity_mps[2 - axis] / of->sample_s;
         const law_real k_a_s2pm = (axis == 0) ? gains[2] : -gains[5];
         state->accel_mps2[axis] += of->accel_share * (side_mps2 - state->accel_mps2[axis]);
         wanted_rad += k_a_s2pm * state->accel_mps2[axis];
+#elif LAW_LOAD_RELIEF == 2
+        const law_real *const own = &gains[LAW_GAINS * axis]; /* k_alpha, percussion_m, accel_per_incidence_mps2 from 2 on */
+        const law_real turn_radps2 = (rate_in_radps - state->rate_radps[axis]) / of->sample_s;
+        const law_real there_mps2 = ((axis == 0) ? side_mps2 : -side_mps2) - own[3] * turn_radps2;
+        state->accel_mps2[axis] += of->accel_share * (there_mps2 - state->accel_mps2[axis]);
+        wanted_rad += -own[2] * (state->accel_mps2[axis] / own[4]);
+        state->rate_radps[axis] = rate_in_radps;
 #elif LAW_GAINS == 3
-        const law_real more_rad = of->sample_s * gains[3 * axis + 2] * error_rad[axis + 1];
+        const law_real more_rad = of->sample_s * gains[3 * axis + 2] * angle_in_rad;
         law_real cut_rad = state->requested_rad[axis];
         if (limited(cut_rad, of->command_limit_rad) == cut_rad) {
             cut_rad = REAL(0.0);
@@ -307,7 +396,11 @@ void law_step(law_state *state, const law_inputs *in, law_outputs *out)
         wanted_rad -= state->integral_rad[axis];
 #endif
         state->law_rad[axis] = wanted_rad;
-        state->requested_rad[axis] = filtered(of, axis, state->filter[axis], wanted_rad);
+        state->requested_rad[axis] =
+            filtered(of->sections[axis], of->section[axis], state->filter[axis], wanted_rad);
+#if LAW_LOOP_FILTERS == 1
+        state->requested_rad[axis] = faded(of, state, 3, axis, wanted_rad, state->requested_rad[axis]);
+#endif
 #if LAW_ADAPTIVE == 1
         if (of->adaptive != 0) {
             state->requested_rad[axis] = augmented(
@@ -318,6 +411,11 @@ void law_step(law_state *state, const law_inputs *in, law_outputs *out)
         out->requested_rad[axis] = state->requested_rad[axis];
         out->command_rad[axis] = converted(of, out->requested_rad[axis], &out->converter[axis]);
     }
+#if LAW_LOOP_FILTERS == 1
+    if (state->fading > 0) {
+        state->fading -= 1;
+    }
+#endif
     out->roll_gimbal_rad = limited(
         -of->roll_gimbal_k_p * error_rad[0] - of->roll_gimbal_k_d_s * rate_radps[0], of->roll_gimbal_limit_rad);
     out->roll_thruster = 0;

@@ -29,7 +29,7 @@ typedef struct {
     law_real commanded_rate_radps[3];/* over the sample; where LAW_ADAPTIVE is 1 */
     law_real attitude_error_rad[3];  /* from the navigation, commanded to measured; where LAW_RATE_INTEGRAL is 0 */
     law_real further_rate_radps[4][3];/* rate gyros beyond the first, mean over the sample; LAW_FURTHER_GYROS of them */
-    law_real delta_velocity_mps[3];  /* accelerometer, of the sample; where LAW_LOAD_RELIEF is 1 */
+    law_real delta_velocity_mps[3];  /* accelerometer, of the sample; where LAW_LOAD_RELIEF is not 0 */
 } law_inputs;
 
 typedef struct {
@@ -46,7 +46,8 @@ typedef struct {
     law_real integral_rad[2];
     law_real law_rad[2];       /* last command before the filter */
     law_real requested_rad[2]; /* and behind it */
-    law_real accel_mps2[2]; /* behind its lag */
+    law_real accel_mps2[2];    /* behind its lag */
+    law_real rate_radps[2];    /* of the sample before; where LAW_LOAD_RELIEF is 2 */
     int32_t adapts[2];         /* 1: the reference model runs */
     law_real added_gain[2];
     law_real total_gain[2];
@@ -54,6 +55,11 @@ typedef struct {
     law_real damper_rad2[2];   /* spectral damper */
     law_real high_pass[2][2];
     law_real filter[2][LAW_MOST_SECTIONS][2];
+    law_real loop_filter[3][2][LAW_MOST_SECTIONS][2]; /* of attitude error, rate, acceleration */
+    law_real loop_input[3][2];                        /* last one of each */
+    int32_t fading;            /* samples over which the filters of the stage before still fade out */
+    int32_t old_stage;         /* whose these are */
+    law_real old_filter[4][2][LAW_MOST_SECTIONS][2];  /* of the loops, and the bending filter */
     int32_t stage;
     int32_t roll_thruster;
     int32_t ticks_on; /* samples of the present firing */

@@ -6,6 +6,14 @@ Air from below pushes the body up (a_z < 0): a positive k_a then lowers the nose
 falls, at the price of drift and of margin at low frequency (Greensite, Analysis and Design of Space Vehicle Flight
 Control Systems, NASA CR-820, 1967, ch. 3). In yaw the sign of a turns: a positive gimbal angle pushes to -y there. The
 accelerometer's own lag keeps bending out of it. Its linear side is design/laws/load_relief.py.
+
+Load relief by incidence ("incidence-relief") feeds back an estimate of the angle of attack:
+
+    delta = -k_p theta_e - k_d q_g - k_alpha alpha,    alpha = lag(a - p q') / b,    q' = (q_g - q_g before) / T
+
+Thrust moves both the accelerometer and the rate, p = (da/d delta) / (dq'/d delta): a - p q' is the acceleration of the
+centre of percussion, which a gimbal angle does not move, b = da/d alpha - p dq'/d alpha. p (percussion_m) and b
+(accel_per_incidence_mps2, negative) are columns of the gains' table, what the rigid body in nominal air has.
 """
 
 from __future__ import annotations
@@ -14,7 +22,6 @@ import math
 from dataclasses import dataclass
 from typing import Annotated, NamedTuple
 
-from maxq.control.attitude import AttitudeError
 from maxq.control.kernel.jit import kernel
 from maxq.control.kernel.records import Array
 from maxq.control.kernel.rows import DEG, PitchYaw
@@ -24,7 +31,9 @@ from maxq.control.laws.pd import Pd, PdState, filtered, proportional_derivative
 
 @dataclass(frozen=True)
 class LoadRelief:
-    """`on`: 1 for this law. `share`: 1 - exp(-2 pi f T), what a sample takes the filtered acceleration along by."""
+    """`on`: 1 for this law, 2 by incidence. `share`: 1 - exp(-2 pi f T), by which a sample takes the filtered
+    acceleration along.
+    """
 
     on: int
     share: float
@@ -32,11 +41,15 @@ class LoadRelief:
 
 @dataclass
 class LoadReliefState:
-    """Per gimbal axis (pitch, yaw): gain in use, filtered acceleration of a_z and a_y, its share of the command."""
+    """Per gimbal axis (pitch, yaw): gain in use (k_a, or -k_alpha / b), filtered acceleration (of a_z and a_y; by
+    incidence that of the centre of percussion to +z and -y), its share of the command, estimated incidence, last rate.
+    """
 
     k_a_s2pm: Annotated[Array, (2,)]
     accel_mps2: Annotated[Array, (2,)]
     relief_rad: Annotated[Array, (2,)]
+    incidence_rad: Annotated[Array, (2,)]
+    rate_radps: Annotated[Array, (2,)]
 
 
 def lag_share(corner_hz: float, sample_s: float) -> float:
@@ -48,22 +61,45 @@ def lag_share(corner_hz: float, sample_s: float) -> float:
 def start_load_relief(state: LoadReliefState) -> None:
     for gimbal in range(2):
         state.k_a_s2pm[gimbal], state.accel_mps2[gimbal], state.relief_rad[gimbal] = 0.0, 0.0, 0.0
+        state.incidence_rad[gimbal], state.rate_radps[gimbal] = 0.0, 0.0
 
 
 @kernel
 def tick_load_relief(
-    law: Pd, relief: LoadRelief, pool: Array, state: PdState, filters: LoadReliefState, error: AttitudeError,
-    accel_mps2: Array, gimbal: int, at: float, on: int,
+    law: Pd, relief: LoadRelief, pool: Array, state: PdState, filters: LoadReliefState, error_rad: float,
+    rate_radps: float, lateral: float, gimbal: int, at: float, on: int,
 ) -> float:  # fmt: skip  # twelve lines otherwise
-    """As `tick_pd`, the gains' table with three columns an axis. `accel_mps2`: along x, y, z. The lag always runs."""
+    """As `tick_pd`, the gains' table with three columns an axis. `lateral`: a_z or a_y, m/s2. The lag always runs."""
     law_rad, sign = 0.0, 1.0 - 2.0 * gimbal
-    lateral = accel_mps2[2 - gimbal]
     filters.accel_mps2[gimbal] += relief.share * (lateral - filters.accel_mps2[gimbal])
     if on != 0 and law.gains.n_breaks != 0:
         filters.k_a_s2pm[gimbal] = look_up(pool, law.gains, at, 3 * gimbal + 2)
         filters.relief_rad[gimbal] = sign * filters.k_a_s2pm[gimbal] * filters.accel_mps2[gimbal]
-        pd_rad = proportional_derivative(law, pool, state, error, gimbal, at, 3)
+        pd_rad = proportional_derivative(law, pool, state, error_rad, rate_radps, gimbal, at, 3)
         law_rad = pd_rad + filters.relief_rad[gimbal]
+    return filtered(law, state, gimbal, law_rad)
+
+
+@kernel
+def tick_incidence_relief(
+    law: Pd, relief: LoadRelief, pool: Array, state: PdState, filters: LoadReliefState, error_rad: float,
+    rate_radps: float, lateral: float, gimbal: int, at: float, sample_s: float, on: int,
+) -> float:  # fmt: skip  # thirteen lines otherwise
+    """As `tick_load_relief`, the gains' table with five columns an axis."""
+    law_rad, sign = 0.0, 1.0 - 2.0 * gimbal
+    if law.gains.n_breaks != 0:
+        percussion_m, slope = look_up(pool, law.gains, at, 5 * gimbal + 3), look_up(pool, law.gains, at, 5 * gimbal + 4)
+        turn_radps2 = (rate_radps - filters.rate_radps[gimbal]) / sample_s
+        there = sign * lateral - percussion_m * turn_radps2
+        filters.accel_mps2[gimbal] += relief.share * (there - filters.accel_mps2[gimbal])
+        filters.incidence_rad[gimbal] = filters.accel_mps2[gimbal] / slope
+        if on != 0:
+            k_alpha = look_up(pool, law.gains, at, 5 * gimbal + 2)
+            filters.k_a_s2pm[gimbal] = -k_alpha / slope
+            filters.relief_rad[gimbal] = -k_alpha * filters.incidence_rad[gimbal]
+            pd_rad = proportional_derivative(law, pool, state, error_rad, rate_radps, gimbal, at, 5)
+            law_rad = pd_rad + filters.relief_rad[gimbal]
+    filters.rate_radps[gimbal] = rate_radps
     return filtered(law, state, gimbal, law_rad)
 
 
@@ -72,11 +108,14 @@ class LoadReliefRow(NamedTuple):
 
     k_a_axis_s2pm: Annotated[PitchYaw, "s2/m", "gain of the lateral acceleration; 0 without load relief"]
     relief_axis_deg: Annotated[PitchYaw, "deg", "load relief's share of the law's output"]
+    incidence_estimate_axis_deg: Annotated[PitchYaw, "deg", "estimated incidence; 0 without load relief by incidence"]
 
 
 @kernel
 def load_relief_row(state: LoadReliefState) -> LoadReliefRow:
-    k_a, share = state.k_a_s2pm, state.relief_rad
+    k_a, share, alpha = state.k_a_s2pm, state.relief_rad, state.incidence_rad
     return LoadReliefRow(
-        k_a_axis_s2pm=PitchYaw(k_a[0], k_a[1]), relief_axis_deg=PitchYaw(DEG * share[0], DEG * share[1])
+        k_a_axis_s2pm=PitchYaw(k_a[0], k_a[1]),
+        relief_axis_deg=PitchYaw(DEG * share[0], DEG * share[1]),
+        incidence_estimate_axis_deg=PitchYaw(DEG * alpha[0], DEG * alpha[1]),
     )

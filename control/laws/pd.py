@@ -14,19 +14,20 @@ from typing import Annotated, NamedTuple
 
 import numpy as np
 
-from maxq.control.attitude import AttitudeError
 from maxq.control.filters import DiscreteFilter, filter_sample, settle_filter
 from maxq.control.kernel.jit import kernel
 from maxq.control.kernel.records import Array, IntArray
 from maxq.control.kernel.rows import DEG, PitchYaw
 from maxq.control.kernel.tables import Cubics, TableRef, fit, look_up, merge
-from maxq.control.structures import MAX_SECTIONS, Over
+from maxq.control.structures import GAIN_NAMES, MAX_SECTIONS, Over
 
 
 @dataclass(frozen=True)
 class GainSchedule:
     """Gains of one axis: `k_p` (n,), `k_d_s` (n,) in s, with an integral `k_i_ps` (n,) in 1/s, with load relief
     `k_a_s2pm` (n,) in s2/m, at values `at` (n,) of `over`; linear between, held outside.
+
+    With load relief by incidence `k_alpha` (n,) and what the incidence is estimated with (laws/load_relief.py).
     """
 
     at: Sequence[float]
@@ -34,12 +35,15 @@ class GainSchedule:
     k_d_s: Sequence[float]
     k_i_ps: Sequence[float] = ()
     k_a_s2pm: Sequence[float] = ()
+    k_alpha: Sequence[float] = ()
+    percussion_m: Sequence[float] = ()
+    accel_per_incidence_mps2: Sequence[float] = ()
     over: Over = "time_s"
 
     @property
     def columns(self) -> tuple[str, ...]:
         """Names of the gains."""
-        return ("k_p", "k_d_s", *(name for name in ("k_i_ps", "k_a_s2pm") if len(getattr(self, name)) > 0))
+        return tuple(name for name in GAIN_NAMES if len(getattr(self, name)) > 0)
 
     @property
     def table(self) -> dict[str, Sequence[float]]:
@@ -124,28 +128,30 @@ def settle_pd(law: Pd, state: PdState, gimbal: int) -> None:
 
 
 @kernel
-def tick_pd(law: Pd, pool: Array, state: PdState, error: AttitudeError, gimbal: int, at: float, on: int) -> float:
-    """Filtered command, rad, of gimbal axis `gimbal` (0 pitch, 1 yaw), with the gains at `at` (eq 33).
+def tick_pd(
+    law: Pd, pool: Array, state: PdState, error_rad: float, rate_radps: float, gimbal: int, at: float, on: int
+) -> float:
+    """Filtered command, rad, of gimbal axis `gimbal` (0 pitch, 1 yaw), with the gains at `at` (eq 33), for the axis's
+    attitude error and rate.
 
     With `on` = 0 the filter's input is 0. The filter runs on in any case, so that it is settled when the law takes
     over again.
     """
     pd_rad = 0.0
     if on != 0 and law.gains.n_breaks != 0:
-        pd_rad = proportional_derivative(law, pool, state, error, gimbal, at, 2)
+        pd_rad = proportional_derivative(law, pool, state, error_rad, rate_radps, gimbal, at, 2)
     return filtered(law, state, gimbal, pd_rad)
 
 
 @kernel
 def proportional_derivative(
-    law: Pd, pool: Array, state: PdState, error: AttitudeError, gimbal: int, at: float, columns: int
+    law: Pd, pool: Array, state: PdState, error_rad: float, rate_radps: float, gimbal: int, at: float, columns: int
 ) -> float:
     """-k_p theta_e - k_d q_g, rad; k_p and k_d are the first of an axis's `columns` in the gains' table."""
-    axis = gimbal + 1
     k_p = look_up(pool, law.gains, at, columns * gimbal)
     k_d_s = look_up(pool, law.gains, at, columns * gimbal + 1)
     state.k_p[gimbal], state.k_d_s[gimbal] = k_p, k_d_s
-    pd_rad: float = -k_p * error.theta_e_rad[axis] - k_d_s * error.rate_radps[axis]
+    pd_rad: float = -k_p * error_rad - k_d_s * rate_radps
     return pd_rad
 
 

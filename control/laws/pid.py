@@ -12,7 +12,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Annotated, NamedTuple
 
-from maxq.control.attitude import AttitudeError
 from maxq.control.kernel.jit import kernel
 from maxq.control.kernel.records import Array
 from maxq.control.kernel.rows import DEG, PitchYaw
@@ -45,9 +44,9 @@ def start_pid(state: PidState) -> None:
 
 @kernel
 def tick_pid(
-    law: Pd, pid: Pid, pool: Array, state: PdState, integral: PidState, error: AttitudeError, gimbal: int,
-    at: float, sample_s: float, on: int, cut_rad: float,
-) -> float:  # fmt: skip  # twelve lines otherwise
+    law: Pd, pid: Pid, pool: Array, state: PdState, integral: PidState, error_rad: float, rate_radps: float,
+    gimbal: int, at: float, sample_s: float, on: int, cut_rad: float,
+) -> float:  # fmt: skip  # thirteen lines otherwise
     """As `tick_pd`, the gains' table with three columns an axis. `cut_rad`: the command before if the limit cut it,
     else 0.
 
@@ -58,11 +57,11 @@ def tick_pid(
         integral.integral_rad[gimbal] = 0.0
     elif law.gains.n_breaks != 0:
         integral.k_i_ps[gimbal] = look_up(pool, law.gains, at, 3 * gimbal + 2)
-        more_rad = sample_s * integral.k_i_ps[gimbal] * error.theta_e_rad[gimbal + 1]
+        more_rad = sample_s * integral.k_i_ps[gimbal] * error_rad
         if more_rad * cut_rad >= 0.0:  # a positive error lowers the command: one cut at the upper limit comes back
             whole_rad = integral.integral_rad[gimbal] + more_rad
             integral.integral_rad[gimbal] = min(max(whole_rad, -pid.limit_rad), pid.limit_rad)
-        pd_rad = proportional_derivative(law, pool, state, error, gimbal, at, 3)
+        pd_rad = proportional_derivative(law, pool, state, error_rad, rate_radps, gimbal, at, 3)
         pid_rad = pd_rad - integral.integral_rad[gimbal]
     return filtered(law, state, gimbal, pid_rad)
 

@@ -11,18 +11,18 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
-from typing import Annotated, ClassVar, Literal, TypeVar
+from typing import Annotated, Any, ClassVar, Literal, TypeVar
 
 from pydantic import Field, model_validator
 
 from maxq.control.kernel.limits import MAX_STAGES
-from maxq.control.structures import MAX_SECTIONS, STRUCTURES, DesignedStructure, Law, Over
+from maxq.control.structures import MAX_SECTIONS, RELIEF, STRUCTURES, DesignedStructure, Law, Over
 from maxq.design.model.spread import Shares, Spread
 from maxq.sim.scenario.documents import Text
 from maxq.sim.scenario.errors import ScenarioError, refuse
 from maxq.sim.scenario.files import find, shown
 from maxq.sim.scenario.loader import LoadedScenario, load_file, load_scenario
-from maxq.sim.scenario.schema_design import LoadRelief
+from maxq.sim.scenario.schema_design import Design, LoadRelief
 from maxq.sim.scenario.schema_values import NotNegative, Positive, Section, needs, only_with, optional
 
 LIMIT_NAMES = Literal["second_mode_db", "filter_gain_at_infinity", "rigid_hz", "rigid_zeta"]
@@ -104,21 +104,17 @@ class FilterBounds(Section):
         return self
 
 
-class Filter(Section):
-    """The bending filter's form."""
+class Sections(Section):
+    """A filter's form."""
 
     structure: DesignedStructure = optional(
         "of the paper (37 to 41), or sections: as many as quadratic and first_order say", "F4"
     )
     quadratic: int | None = optional("number of quadratic sections; with sections", ge=0)
     first_order: int | None = optional("number of first-order sections; with sections", ge=0)
-    prewarp_hz: Positive | None = optional(
-        "where the discrete filter equals the continuous one, Hz; default: mean first bending frequency"
-    )
-    bounds: FilterBounds = FilterBounds()
 
     @model_validator(mode="after")
-    def _check(self) -> Filter:
+    def _check(self) -> Sections:
         free = self.structure == "sections"
         only_with(self, ("quadratic", "first_order"), free, 'structure = "sections"')
         if free and not 1 <= sum(self.sections) <= MAX_SECTIONS:
@@ -129,6 +125,28 @@ class Filter(Section):
     def sections(self) -> tuple[int, int]:
         """Quadratic and first-order ones."""
         return STRUCTURES.get(self.structure, (self.quadratic or 0, self.first_order or 0))
+
+
+class Filter(Sections):
+    """The bending filter's form."""
+
+    prewarp_hz: Positive | None = optional(
+        "where the discrete filter equals the continuous one, Hz; default: mean first bending frequency"
+    )
+    bounds: FilterBounds = FilterBounds()
+
+
+class LoopFilters(Section):
+    """Filters of what the law works on, each loop by itself, with the bounds and prewarping of [filter]."""
+
+    attitude: Sections | None = optional("of the attitude error")
+    rate: Sections | None = optional("of the (blended) rate")
+    acceleration: Sections | None = optional("of the lateral acceleration, before its lag; with load relief")
+
+    @property
+    def each(self) -> tuple[tuple[int, int], ...]:
+        """Quadratic and first-order sections of each."""
+        return tuple((0, 0) if f is None else f.sections for f in (self.attitude, self.rate, self.acceleration))
 
 
 class Objective(Section):
@@ -157,7 +175,8 @@ class MarginLimits(Section):
     second_mode_db: float = optional("P2_UL (43): as low as the gain margin asks; not in the paper", -6.0)
     higher_modes_db: float | None = optional("largest peak of modes 3 and above; not in the paper")
     first_mode_phase_deg: Margin | None = optional(
-        "phase margin at 0 dB inside the band of mode 1 (45 is customary for a phase-stabilised one)"
+        "phase margin at 0 dB around mode 1, up to 1.3 times or 1/1.3 of its frequency or half way to the next mode "
+        "(45 is customary for a phase-stabilised one)"
     )
     rigid_hz: Positive = optional("omega_RB,min (47): what the paper's reference design was held to", 0.5)
     rigid_zeta: Positive = optional("zeta_RB,min (48): likewise", 0.7)
@@ -244,6 +263,9 @@ class Search(Section):
         "leaps from the best end: part of the variables thrown off, and brought down again", 8
     )
     seed: Annotated[int, Field(ge=0)] = optional("of the random ones among them", 1)
+    start_design: str | None = optional(
+        "design from which one more start begins: a file, a folder that a case has left, or a built-in one"
+    )
 
 
 class StageCase(Section):
@@ -251,6 +273,7 @@ class StageCase(Section):
 
     gains: Gains | None = optional("see [gains]")
     filter: Filter | None = optional("see [filter]")
+    loop_filters: LoopFilters | None = optional("see [loop_filters]")
     objective: Objective | None = optional("see [objective]")
     limits: Limits | None = optional("see [limits]")
     reference: Reference | None = optional("see [reference]")
@@ -286,16 +309,17 @@ class Case(Section):
     )
     law: Law = optional(
         "control law; pd: proportional-derivative with a bending filter; pid: with an integral besides; load-relief: "
-        "pd with the lateral acceleration fed back",
+        "pd with the lateral acceleration fed back; incidence-relief: pd with an estimated angle of attack fed back",
         "pd",
     )
     blend: Range | None = optional(
         "bounds of the weights of the vehicle's further rate gyros, which are variables (default: the first gyro alone)"
     )
-    load_relief: LoadRelief = optional("lag of the accelerometer of the law load-relief", LoadRelief(corner_hz=1.0))
+    load_relief: LoadRelief = optional("accelerometer's lag, of both laws of load relief", LoadRelief(corner_hz=1.0))
     wind: Wind | None = optional("absent: no limits of load and drift")
     gains: Gains = Gains()
     filter: Filter = Filter()
+    loop_filters: LoopFilters = LoopFilters()
     objective: Objective = Objective()
     limits: Limits = Limits()
     reference: Reference = Reference()
@@ -319,6 +343,9 @@ class Case(Section):
         for key in ("q_alpha_Padeg", "drift_mps"):
             if self.wind is None and getattr(self.limits, key) is not None:
                 raise refuse("needs a wind", "a table [wind]", key=("limits", key))
+        if self.loop_filters.acceleration is not None and self.law not in RELIEF:
+            allowed = f"law = {' or '.join(map(repr, RELIEF))}"
+            raise refuse(f"the law {self.law} takes no acceleration", allowed, key=("loop_filters", "acceleration"))
         if self.law != "pd" and self.gains.schedule == "two-phase":
             raise refuse("finds gains of the law pd only", "linear, free, nodes", key=("gains", "schedule"))
         for name in ("integral_hz", "most_integral_hz"):
@@ -358,6 +385,7 @@ class LoadedCase:
     case: Case
     label: str
     scenario: LoadedScenario
+    start: Design | None = None  # `search.start_design`
 
     @property
     def name(self) -> str:
@@ -383,4 +411,18 @@ def read_case(name: str | Path, overrides: Iterable[str] = ()) -> LoadedCase:
             source = tree.sources.get("scenario", tree.source)
             raise source.error(("scenario",), error.problem, value=case.scenario, allowed=error.allowed) from None
         raise
-    return LoadedCase(case, label, scenario)
+    return LoadedCase(case, label, scenario, _start_design(case, tree, scenario))
+
+
+def _start_design(case: Case, tree: Any, scenario: LoadedScenario) -> Design | None:
+    name = case.search.start_design
+    if name is None:
+        return None
+    path = find(tree["search"]["start_design"], ("{}/design.toml", "{}"))
+    at = f"designs/{name.removesuffix('.toml')}.toml" if path is None else path.as_posix()
+    try:
+        return load_scenario(scenario.label, [f'design="{at}"']).design
+    except ScenarioError as error:
+        source = tree["search"].sources.get("start_design", tree.source)
+        problem, allowed = error.problem, error.allowed or "a design file (.toml), or a built-in design"
+        raise source.error(("search", "start_design"), problem, value=name, allowed=allowed) from None

@@ -236,6 +236,26 @@ class Lag:
         first = -gain * u * left / rest**2
         return np.asarray(gain / rest), first, first * (1.0 - u - 2.0 * u * left / rest)
 
+    def change_with_slopes(self, x: Array) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
+        """The same for the rate of change behind the lag, 1/s: s, or (1 - 1/z) / T, times the lag."""
+        (h, h1, h2), s = self.with_slopes(x), np.asarray(2j * np.pi * np.exp(x), np.complex128)
+        parts: list[ComplexArray] = [s, s, s]
+        if self.sample_s is not None:
+            u, late = s * self.sample_s, np.exp(-s * self.sample_s)
+            parts = [np.asarray(part / self.sample_s) for part in (1.0 - late, u * late, u * (1.0 - u) * late)]
+        d, d1, d2 = parts
+        return h * d, h1 * d + h * d1, h2 * d + 2.0 * h1 * d1 + h * d2
+
+    def with_change(self, direct: float, change: float) -> StateSpace:
+        """direct + change * rate of change behind the lag, from a rate to what a law makes of it."""
+        if self.sample_s is None:
+            a = -self.pole_radps
+            parts = np.array([[-a]]), np.array([[-a * a * change]]), np.eye(1), np.array([[direct + a * change]])
+        else:
+            kept, jump = 1.0 - self.share, change * self.share / self.sample_s
+            parts = np.array([[kept]]), np.array([[-self.share * jump]]), np.eye(1), np.array([[direct + jump]])
+        return StateSpace(*parts, ("lag_radps",), ("rate_radps",), ("law_rad",))
+
     def at(self, s: ComplexArray) -> ComplexArray:
         """Of a continuous lag, at complex s, rad/s."""
         a = 2.0 * math.pi * self.corner_hz

@@ -4,7 +4,9 @@
 
 with g = 1 - exp(-2 pi f T), the lag of control/laws/load_relief.py; continuous 1 / (1 + s / 2 pi f). The acceleration
 is that to the side of a positive command, which is why its part of C is negative: the command gives way to what pushes.
-Frequency and damping ratio of the rigid body (47, 48) are those of the law without it.
+Frequency and damping ratio of the rigid body (47, 48) are those of the law without it. By incidence
+
+    C = F(z) (k_p, k_d - k_alpha p / b H D, k_alpha / b H),    D = (1 - 1 / z) / T
 """
 
 from __future__ import annotations
@@ -29,3 +31,13 @@ class LoadReliefVariables(PdVariables):
 
     def _with_more_gains(self, log_gains: Array) -> Array:
         return np.vstack([log_gains, np.full(log_gains.shape[1], math.log(START_S2PM))])
+
+
+class IncidenceReliefVariables(PdVariables):
+    """`law.LawVariables` of load relief by incidence: those of PD, then ln k_alpha at the gain nodes."""
+
+    inputs = (*MEASUREMENTS[:2], ACCELERATION)
+    keys = ("k_p", "k_d_s", "k_alpha")
+
+    def _with_more_gains(self, log_gains: Array) -> Array:
+        return np.vstack([log_gains, np.log(START_S2PM * np.abs(self.air[1]))])

@@ -10,16 +10,17 @@ control/laws/pd.py.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, fields, replace
 from functools import cached_property
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.linalg import block_diag
 from scipy.stats import qmc
 
-from maxq.control.filters import BendingFilter, Discretization
+from maxq.control.filters import BendingFilter, DiscreteFilter, Discretization
 from maxq.control.kernel.records import Array, IntArray
 from maxq.control.kernel.tables import Cubics
 from maxq.control.laws.pd import GainSchedule, gains_table
@@ -36,7 +37,7 @@ from maxq.design.laws.bending_filter import (
     lifted,
     random_ranges,
 )
-from maxq.design.laws.law import MEASUREMENTS, Axis, Controller, DesignedLaw, LawLimit, LimitValues, LogResponse
+from maxq.design.laws.law import ANGLES, MEASUREMENTS, Axis, Controller, DesignedLaw, LawLimit, LimitValues, LogResponse
 from maxq.design.laws.schedule import (
     LARGEST_GAIN,
     LEAST_GAIN,
@@ -53,12 +54,18 @@ from maxq.sim.packing.computer import bending_filter, gain_schedules
 from maxq.sim.scenario.schema_design import Design
 from maxq.sim.scenario.tables_csv import CsvTable
 
+LoopFilter = tuple[BendingFilter, Discretization, float | None]
+"""A loop's own continuous filter, how it is discretised, and where it is prewarped."""
+BANKS = ("attitude", "rate", "acceleration")
+
 
 @dataclass(frozen=True)
 class Pd:
     """The law at one instant (`law.Controller`); `filter` None is 1. Raises ValueError for gains not finite.
 
-    `blend`: weights of the first gyro and of further ones. `lag`: of the acceleration, with a gain k_a.
+    `blend`: weights of the first gyro and of further ones. `lag`: of the acceleration, with a gain k_a or k_alpha; the
+    latter with `percussion_m` and `accel_per_incidence_mps2` of control/laws/load_relief.py. `loops`: filters of
+    attitude error, rate and acceleration, each by itself.
     """
 
     k_p: float
@@ -68,6 +75,10 @@ class Pd:
     k_a_s2pm: float = 0.0
     blend: tuple[float, ...] = (1.0,)
     lag: Lag | None = None
+    k_alpha: float = 0.0
+    percussion_m: float = 0.0
+    accel_per_incidence_mps2: float = -1.0
+    loops: tuple[AnyFilter, ...] = (None, None, None)
 
     def __post_init__(self) -> None:
         if not np.isfinite(list(self.gains.values())).all():
@@ -79,66 +90,98 @@ class Pd:
 
     @property
     def gains(self) -> Mapping[str, float]:
-        more = {name: getattr(self, name) for name in ("k_i_ps", "k_a_s2pm") if getattr(self, name) != 0.0}
-        return {"k_p": self.k_p, "k_d_s": self.k_d_s, **more}
+        names = ("k_i_ps", "k_a_s2pm", "k_alpha")
+        return {"k_p": self.k_p, "k_d_s": self.k_d_s, **{n: k for n in names if (k := getattr(self, n)) != 0.0}}
 
     def check(self, sample_s: float | None) -> None:
-        check_period(self.filter, sample_s)
+        for each in (self.filter, *self.loops):
+            check_period(each, sample_s)
 
     def response(self, frequencies_hz: ArrayLike) -> ComplexArray:
-        out = np.asarray(self.filter_response(frequencies_hz)[..., None] * self._gains())
-        if self.lag is not None and self.inputs[-1] == ACCELERATION:
-            out[..., -1] *= self.lag.with_slopes(np.log(np.asarray(frequencies_hz, float)))[0]
-        return out
+        f = np.asarray(frequencies_hz, float)
+        loops = [_on_axis(each, f) for each in self.loops]
+        lag, change = np.ones(f.shape, np.complex128), np.zeros(f.shape, np.complex128)
+        if self.lag is not None:
+            lag, change = self.lag.with_slopes(np.log(f))[0], self.lag.change_with_slopes(np.log(f))[0]
+        return np.asarray(self.filter_response(f)[..., None] * self._of_inputs(loops, lag, change))
 
     def filter_response(self, frequencies_hz: ArrayLike) -> ComplexArray:
-        f = np.asarray(frequencies_hz, float)
-        if self.filter is None:
-            return np.ones(f.shape, np.complex128)
-        return self.filter.frequency_response(2.0 * np.pi * f)
+        return _on_axis(self.filter, np.asarray(frequencies_hz, float))
 
     def at(self, s: ComplexArray) -> ComplexArray:
-        out = np.ones(np.shape(s), np.complex128)
-        for n, d in () if not isinstance(self.filter, BendingFilter) else self.filter.polynomials():
-            out = out * (n[0] + s * (n[1] + s * n[2])) / (d[0] + s * (d[1] + s * d[2]))
-        out = np.asarray(out[..., None] * self._gains())
-        if self.lag is not None and self.inputs[-1] == ACCELERATION:
-            out[..., -1] *= self.lag.at(s)
-        return out
+        lag = np.ones(np.shape(s)) if self.lag is None else self.lag.at(s)
+        loops = [_at(each, s) for each in self.loops]
+        return np.asarray(_at(self.filter, s)[..., None] * self._of_inputs(loops, lag, s * lag))
+
+    @property
+    def _per_mps2(self) -> float:
+        """k_alpha per acceleration, s2/m."""
+        return self.k_alpha / self.accel_per_incidence_mps2
+
+    @property
+    def _weights(self) -> dict[str, float]:
+        """Of the rates."""
+        return {"rate_radps": self.blend[0], **{further_rate(k): w for k, w in enumerate(self.blend[1:], 2)}}
+
+    def _of_inputs(self, loops: Sequence[Any], lag: Any, change: Any) -> ComplexArray:
+        """C without the bending filter, (..., inputs), from the loops' filters and the acceleration's lag."""
+        attitude, rate, acceleration = loops
+        turning = (self.k_d_s - self._per_mps2 * self.percussion_m * change) * rate
+        found = {name: weight * turning for name, weight in self._weights.items()}
+        found |= {"angle_rad": self.k_p * attitude, "angle_integral_rads": self.k_i_ps * attitude}
+        found[ACCELERATION] = self.static_gain(ACCELERATION) * lag * acceleration
+        return np.stack([found[name] + 0.0 * lag for name in self.inputs], axis=-1)
 
     @property
     def _static(self) -> dict[str, float]:
         """Gains at zero frequency by measurement; the acceleration's comes last."""
-        first, *others = self.blend
-        further = {further_rate(k): self.k_d_s * weight for k, weight in enumerate(others, 2)}
-        own = dict(zip(MEASUREMENTS, (self.k_p, self.k_d_s * first, self.k_i_ps), strict=True))
-        return {**own, **further, ACCELERATION: -self.k_a_s2pm}
+        rates = {name: self.k_d_s * weight for name, weight in self._weights.items()}
+        own = {"angle_rad": self.k_p, "rate_radps": rates.pop("rate_radps"), "angle_integral_rads": self.k_i_ps}
+        return {**own, **rates, ACCELERATION: self._per_mps2 - self.k_a_s2pm}
 
     def static_gain(self, name: str) -> float:
         return self._static.get(name, 0.0)
 
     def poles(self) -> ComplexArray:
-        poles = filter_poles(self.filter)
+        poles = np.concatenate([filter_poles(each) for each in (self.filter, *self.loops)])
         return poles if self.lag is None else np.append(poles, self.lag.pole_radps)
 
     def state_space(self) -> StateSpace:
-        n = len(self.inputs)
-        gains = StateSpace(
-            np.zeros((0, 0)), np.zeros((0, n)), np.zeros((1, 0)), self._gains()[None], (), self.inputs, ("law_rad",)
-        )
-        if self.lag is not None and self.inputs[-1] == ACCELERATION:
-            lag = self.lag.state_space()
-            b, c, d = np.zeros((1, n)), np.zeros((n, 1)), np.eye(n)
-            b[:, -1:], c[-1:], d[-1:, -1:] = lag.b, lag.c, lag.d
-            gains = chain(StateSpace(lag.a, b, c, d, lag.states, self.inputs, self.inputs), gains)
-        return chain(gains, filter_state_space(self.filter))
+        attitude, rate, acceleration = (filter_state_space(each) for each in self.loops)
+        change = -self._per_mps2 * self.percussion_m
+        rows = []
+        for name in self.inputs:
+            gain, own = self.static_gain(name), attitude
+            none = (np.zeros((0, 0)), np.zeros((0, 1)), np.zeros((1, 0)))
+            one = StateSpace(*none, np.array([[gain]]), (), (name,), ("law_rad",))
+            if name in self._weights:
+                own = rate
+                if change != 0.0 and self.lag is not None:
+                    one = self.lag.with_change(gain, change * self._weights[name])
+            elif name == ACCELERATION:
+                own = acceleration if self.lag is None else chain(acceleration, self.lag.state_space())
+            rows.append(chain(own, one))
+        states = tuple(f"{name}_{k}" for name, row in zip(self.inputs, rows, strict=True) for k in range(len(row.a)))
+        a, b = (block_diag(*(getattr(row, part) for row in rows)) for part in ("a", "b"))
+        c, d = (np.concatenate([getattr(row, part) for row in rows], axis=1) for part in ("c", "d"))
+        return chain(StateSpace(a, b, c, d, states, self.inputs, ("law_rad",)), filter_state_space(self.filter))
 
     def scaled(self, factor: float) -> Pd:
-        k_p, k_d_s, k_i_ps, k_a_s2pm = (factor * k for k in (self.k_p, self.k_d_s, self.k_i_ps, self.k_a_s2pm))
-        return replace(self, k_p=k_p, k_d_s=k_d_s, k_i_ps=k_i_ps, k_a_s2pm=k_a_s2pm)
+        names = ("k_p", "k_d_s", "k_i_ps", "k_a_s2pm", "k_alpha")
+        return replace(self, **{name: factor * getattr(self, name) for name in names})
 
-    def _gains(self) -> np.ndarray:
-        return np.array([self.static_gain(name) for name in self.inputs])
+
+def _on_axis(filter_: AnyFilter, frequencies_hz: Array) -> ComplexArray:
+    if filter_ is None:
+        return np.ones(frequencies_hz.shape, np.complex128)
+    return filter_.frequency_response(2.0 * np.pi * frequencies_hz)
+
+
+def _at(filter_: AnyFilter, s: ComplexArray) -> ComplexArray:
+    out = np.ones(np.shape(s), np.complex128)
+    for n, d in () if not isinstance(filter_, BendingFilter) else filter_.polynomials():
+        out = out * (n[0] + s * (n[1] + s * n[2])) / (d[0] + s * (d[1] + s * d[2]))
+    return out
 
 
 @dataclass(frozen=True)
@@ -153,6 +196,7 @@ class PdDesign:
     name: str = "pd"
     blend: tuple[tuple[float, ...], tuple[float, ...]] = ((1.0,), (1.0,))
     relief_hz: float | None = None
+    loops: tuple[LoopFilter | None, ...] = (None, None, None)
 
     @staticmethod
     def of(design: Design) -> PdDesign:
@@ -162,6 +206,10 @@ class PdDesign:
             *gain_schedules(design.gains), filter_, form.discretization, form.prewarp_hz, design.law,
             design.blend.axes if design.blend is not None else ((1.0,), (1.0,)),
             design.load_relief.corner_hz if design.load_relief is not None else None,
+            tuple(
+                None if f is None else (f.continuous(), f.discretization, f.prewarp_hz)
+                for f in (design.loop_filters.each if design.loop_filters is not None else (None,) * len(BANKS))
+            ),
         )  # fmt: skip  # six more lines otherwise
 
     @property
@@ -192,13 +240,14 @@ class PdDesign:
         gains = self._table(at)[first : first + len(names)].tolist()
         lag = None if self.relief_hz is None else Lag(self.relief_hz, sample_s)
         blend = self.blend[0 if plane == "pitch" else 1]
-        return Pd(**dict(zip(names, gains, strict=True)), filter=self.filter_at(sample_s), blend=blend, lag=lag)
+        loops = tuple(None if own is None else _flown(own, sample_s) for own in self.loops)
+        return Pd(
+            **dict(zip(names, gains, strict=True)), filter=self.filter_at(sample_s), blend=blend, lag=lag, loops=loops
+        )
 
     def filter_at(self, sample_s: float | None) -> AnyFilter:
         """The filter, continuous or as the flight computer runs it at a period."""
-        if sample_s is None:
-            return self.filter
-        return self.filter.discretize(sample_s, self.discretization, self.prewarp_hz)
+        return _flown((self.filter, self.discretization, self.prewarp_hz), sample_s)
 
     def tables(self) -> dict[str, Any]:
         def rows(schedule: GainSchedule) -> tuple[dict[str, float], ...]:
@@ -207,26 +256,40 @@ class PdDesign:
 
         gains: dict[str, Any] = {"table": rows(self.pitch)}
         gains |= {"yaw": "pitch"} if self.yaw is self.pitch else {"yaw_table": rows(self.yaw)}
-        quadratic, first_order = self.filter.quadratic, self.filter.first_order
-        filter_: dict[str, Any] = {
-            "structure": structure_of(len(quadratic), len(first_order)),
-            "discretization": self.discretization,
-            "quadratic": tuple(asdict(q) for q in quadratic),
-            "first_order": tuple(asdict(f) for f in first_order),
-        }
-        if self.prewarp_hz is not None and filter_["structure"] != "none":
-            filter_["prewarp_hz"] = self.prewarp_hz
+        filter_ = _section((self.filter, self.discretization, self.prewarp_hz))
         pitch, yaw = self.blend
         more: dict[str, Any] = {} if self.relief_hz is None else {"load_relief": {"corner_hz": self.relief_hz}}
         if len(pitch) > 1:
             more["blend"] = {"pitch": pitch} if yaw == pitch else {"pitch": pitch, "yaw": yaw}
+        loops = {name: _section(own) for name, own in zip(BANKS, self.loops, strict=True) if own is not None}
+        more |= {"loop_filters": loops} if loops else {}
         return {"law": self.name, "gains": gains, "filter": filter_, **more}
 
     def record(self) -> dict[str, Any]:
         gains = {name: [float(x) for x in column] for name, column in self.pitch.table.items()}
         more: dict[str, Any] = {} if self.relief_hz is None else {"relief_hz": self.relief_hz}
         more |= {"blend": [list(weights) for weights in self.blend]} if len(self.blend[0]) > 1 else {}
+        loops = {name: asdict(own[0]) for name, own in zip(BANKS, self.loops, strict=True) if own is not None}
+        more |= {"loop_filters": loops} if loops else {}
         return {"gains": gains, "filter": asdict(self.filter) | {"prewarp_hz": self.prewarp_hz}, **more}
+
+
+def _flown(own: LoopFilter, sample_s: float | None) -> BendingFilter | DiscreteFilter:
+    """The filter, continuous or as the flight computer runs it at a period."""
+    form, discretization, prewarp_hz = own
+    return form if sample_s is None else form.discretize(sample_s, discretization, prewarp_hz)
+
+
+def _section(own: LoopFilter) -> dict[str, Any]:
+    """A filter as a table of a design file."""
+    form, discretization, prewarp_hz = own
+    out: dict[str, Any] = {
+        "structure": structure_of(len(form.quadratic), len(form.first_order)),
+        "discretization": discretization,
+        "quadratic": tuple(asdict(q) for q in form.quadratic),
+        "first_order": tuple(asdict(f) for f in form.first_order),
+    }
+    return out | ({"prewarp_hz": prewarp_hz} if prewarp_hz is not None and out["structure"] != "none" else {})
 
 
 LEAPS = ((0.3, 0.0), (0.2, 0.1), (0.03, 0.15))
@@ -235,9 +298,14 @@ second-best end of F3 with free gains, 6, 5 and 3 found the best."""
 START_HZ, START_ZETA = 0.3, 0.5  # of the rigid body with its aerodynamics, where no limit asks for more
 GAIN_FACTOR = 1.02  # of starting gains over the least that meet the limits
 HERTZ, ZETA, AT_INFINITY = range(3)  # numbers of `PdVariables.limits`
-GAIN_OF = {
-    "angle_rad": "k_p", "rate_radps": "k_d_s", "angle_integral_rads": "k_i_ps", ACCELERATION: "k_a_s2pm",
-}  # fmt: skip  # four more lines otherwise
+GAIN_OF = {"angle_rad": "k_p", "angle_integral_rads": "k_i_ps"}
+AIR = ("percussion_m", "accel_per_incidence_mps2")
+Curve = tuple[ComplexArray, ComplexArray, ComplexArray]
+"""Values at points with their first and second derivative by x = ln f."""
+
+
+def _product(a: Curve, b: Curve) -> Curve:
+    return a[0] * b[0], a[1] * b[0] + a[0] * b[1], a[2] * b[0] + 2.0 * a[1] * b[1] + a[0] * b[2]
 
 
 UNIT_OF: dict[Over, str] = {"time_s": " s", "speed_mps": " m/s", "mass_kg": " kg", "dynamic_pressure_Pa": " Pa"}
@@ -246,8 +314,10 @@ UNIT_OF: dict[Over, str] = {"time_s": " s", "speed_mps": " m/s", "mass_kg": " kg
 class PdVariables:
     """`law.LawVariables` of PD: the filter's variables (bending_filter.py), then ln k_p and ln k_d at the gain nodes.
 
-    Last, where the rate is blended, the weights of further gyros, the same for all plants; the first one's is what is
-    left of 1. Own parameters of a plant: the filter's variables, ln k_p, ln k_d, weights.
+    Then, where the rate is blended, the weights of further gyros, the same for all plants; the first one's is what is
+    left of 1. Last the variables of the loops' own filters. Own parameters of a plant: the filter's variables, ln k_p,
+    ln k_d, weights, the loops' filters, and for load relief by incidence two that no variable moves: 1 / b and -p / b
+    (control/laws/load_relief.py).
     """
 
     inputs: tuple[str, ...] = MEASUREMENTS[:2]
@@ -271,12 +341,15 @@ class PdVariables:
                 f"filter.prewarp_hz = {self.prewarp_hz:g}: lies above half the sample rate; "
                 f"allowed are frequencies below {0.5 / task.sample_s:g} Hz"
             )
+        self.loops = tuple(FilterVariables(*sections) for sections in case.loop_filters.each)
+        self.in_loops = sum(loop.size for loop in self.loops)
         self.full = case.limits.rigid_body == "aerodynamic"
         linear = not self.full
         self.limits: tuple[LawLimit, ...] = (
             LawLimit("rigid-body frequency", "Hz", linear),
             LawLimit("rigid-body damping", "", linear),
             LawLimit("|F(j inf)|", "", True),
+            *(LawLimit(f"|F(j inf)| with that of {bank}", "", True) for bank, loop in self._in_use),
         )
         nodes = _gain_nodes(task, self.schedule)
         weights = interpolation_weights(task.at, nodes)
@@ -295,7 +368,12 @@ class PdVariables:
         self.further = task.further_gyros
         self.inputs = (*type(self).inputs, *(further_rate(k + 2) for k in range(self.further)))
         self.lag = Lag(case.load_relief.corner_hz, task.sample_s) if ACCELERATION in self.inputs else None
-        self.own_size = self.filter.size + len(self.keys) + self.further
+        self.by_incidence = "k_alpha" in self.keys
+        self.air = np.zeros((2, len(nodes)))  # percussion_m, accel_per_incidence_mps2 at the gain nodes
+        if self.by_incidence:
+            order = np.argsort(task.at)
+            self.air = np.array([np.interp(nodes, task.at[order], of[order]) for of in task.incidence.T])
+        self.own_size = self.filter.size + len(self.keys) + self.further + self.in_loops + 2 * self.by_incidence
         load = case.objective.kind == "load"  # the row is the objective then, without a limit
         self._of_wind = [
             name for name in WIND_LIMITS
@@ -305,6 +383,11 @@ class PdVariables:
         self.limits = (*self.limits, *(LawLimit(*WIND_LIMITS[name], False) for name in self._of_wind))
         self.lower, self.upper = self._bounds(0), self._bounds(1)
 
+    @property
+    def _in_use(self) -> list[tuple[str, FilterVariables]]:
+        """Loops that have a filter of their own."""
+        return [(bank, loop) for bank, loop in zip(BANKS, self.loops, strict=True) if loop.size > 0]
+
     def _bounds(self, end: int) -> Array:
         """(49) and (50), `end` 0 lower and 1 upper."""
         b = self.task.case.filter.bounds
@@ -313,11 +396,14 @@ class PdVariables:
         gain = math.log((LEAST_GAIN, LARGEST_GAIN)[end])
         filter_ = quadratic * self.filter.quadratic + first_order * self.filter.first_order
         weight = (self.task.case.blend or (0.0, 0.0))[end]
-        return np.array(filter_ + [gain] * self.gains.size + [weight] * self.further)
+        of_loops = [x for loop in self.loops for x in quadratic * loop.quadratic + first_order * loop.first_order]
+        return np.array(filter_ + [gain] * self.gains.size + [weight] * self.further + of_loops)
 
     @property
     def names(self) -> tuple[str, ...]:
-        return (*self.filter.names, *self.gains.names, *(f"weight of gyro {k + 2}" for k in range(self.further)))
+        weights = (f"weight of gyro {k + 2}" for k in range(self.further))
+        loops = (f"{bank}.{name}" for bank, loop in zip(BANKS, self.loops, strict=True) for name in loop.names)
+        return (*self.filter.names, *self.gains.names, *weights, *loops)
 
     def split(self, variables: Array) -> tuple[Array, Array]:
         """Variables of the filter, and of the gains."""
@@ -326,14 +412,23 @@ class PdVariables:
 
     def weights(self, variables: Array) -> Array:
         """Of further rate gyros."""
-        return variables[len(variables) - self.further :]
+        first = self.filter.size + self.gains.size
+        return variables[first : first + self.further]
+
+    def of_loops(self, variables: Array) -> Array:
+        """Of the loops' own filters."""
+        return variables[self.filter.size + self.gains.size + self.further :]
 
     # --- own parameters
     def own(self, variables: Array) -> Array:
         y, u = self.split(variables)
-        gains, weights = np.log(self.gains.at_plants(u)).T, self.weights(variables)
-        alike = (np.broadcast_to(part, (len(gains), len(part))) for part in (y, weights))
-        return np.insert(np.concatenate(list(alike), axis=1), [len(y)] * gains.shape[1], gains, axis=1)
+        gains, more = np.log(self.gains.at_plants(u)).T, variables[len(y) + self.gains.size :]
+        first, last = (np.broadcast_to(part, (len(gains), len(part))) for part in (y, more))
+        parts = [first, gains, last]
+        if self.by_incidence:
+            percussion_m, slope = self.air @ self.gains.weights.T
+            parts.append(np.column_stack([1.0 / slope, -percussion_m / slope]))
+        return np.concatenate(parts, axis=1)
 
     def jacobian(self, variables: Array) -> Array:
         n, by = self.filter.size, self.gains.log_gradients(self.split(variables)[1])
@@ -341,7 +436,8 @@ class PdVariables:
         out[:, :n, :n] = np.eye(n)
         k, g = n + len(self.keys), n + self.gains.size
         out[:, n:k, n:g] = by.transpose(1, 0, 2)
-        out[:, k:, g:] = np.eye(self.further)
+        rest = self.further + self.in_loops
+        out[:, k : k + rest, g:] = np.eye(rest)
         return out
 
     def bend(self, variables: Array, slopes: Array) -> Array:
@@ -354,18 +450,21 @@ class PdVariables:
     def axis(self, x: Array) -> Axis:
         sample_s = self.task.sample_s
         axis = laplace_axis(x, sample_s, None if sample_s is None else self.prewarp_hz)
-        return axis if self.lag is None else (*axis, *self.lag.with_slopes(x))
+        if self.lag is None:
+            return axis
+        change = self.lag.change_with_slopes(x) if self.by_incidence else ()
+        return (*axis, *self.lag.with_slopes(x), *change)
 
     @property
     def _plain(self) -> bool:
         """Each gain that of one measurement, and constant over frequency."""
-        return self.further == 0 and self.lag is None
+        return self.further == 0 and self.lag is None and self.in_loops == 0
 
     def response(self, variables: Array, plant: IntArray, axis: Axis) -> tuple[ComplexArray, ComplexArray | Array]:
         y, u = self.split(variables)
         if self._plain:
             return self.filter.response(y, axis[0]), self.gains.at_plants(u).T[plant]
-        return self.filter.response(y, axis[0]), self._on_measurements(self.own(variables)[plant], axis[3:])[0]
+        return self.filter.response(y, axis[0]), self._on_measurements(self.own(variables)[plant], axis)[0][0]
 
     def log_response(self, own: Array, axis: Axis) -> LogResponse:
         n = self.filter.size
@@ -374,40 +473,69 @@ class PdVariables:
         common = (f0, f1 * s1, f2 * s1 * s1 + f1 * s2)
         if self._plain:
             return LogResponse(common, (np.exp(own[:, n:]), None, None))
-        gains, _ = self._on_measurements(own, axis[3:])
-        if self.lag is None:
-            return LogResponse(common, (gains, None, None))
-        rises = np.zeros((2, *gains.shape), np.complex128)
-        at = self.inputs.index(ACCELERATION)
-        rises[:, :, at] = gains[:, at] * np.stack(axis[4:]) / axis[3]
-        return LogResponse(common, (gains, rises[0], rises[1]))
+        return LogResponse(common, self._on_measurements(own, axis)[0])
 
-    def _on_measurements(self, own: Array, lag: Axis) -> tuple[ComplexArray, ComplexArray]:
-        """Gains (points, inputs) at own parameters (points, own), and their slopes by those behind the filter's."""
-        n, keys = self.filter.size, self.keys
-        k, weights = np.exp(own[:, n : n + len(keys)]), own[:, n + len(keys) :]
-        gains = np.zeros((len(own), len(self.inputs)), np.complex128)
-        slopes = np.zeros((*gains.shape, self.own_size - n), np.complex128)
-        for i, name in enumerate(type(self).inputs):
-            j = keys.index(GAIN_OF[name])
-            gains[:, i] = k[:, j]
-            if name == "rate_radps":
-                gains[:, i] *= 1.0 - weights.sum(axis=1)
-                slopes[:, i, len(keys) :] = -k[:, j, None]
-                for more in range(self.further):
-                    at = self.inputs.index(further_rate(more + 2))
-                    gains[:, at] = slopes[:, at, j] = k[:, j] * weights[:, more]
-                    slopes[:, at, len(keys) + more] = k[:, j]
-            elif name == ACCELERATION:
-                gains[:, i] *= -lag[0]
-            slopes[:, i, j] = gains[:, i]
-        return gains, slopes
+    def _on_measurements(self, own: Array, axis: Axis) -> tuple[Curve, ComplexArray]:
+        """Gains (points, inputs) at own parameters (points, own), with both derivatives by x, and their slopes by the
+        own parameters behind the filter's.
+        """
+        n, keys, points = self.filter.size, self.keys, len(own)
+        k, weights = np.exp(own[:, n : n + len(keys)]), own[:, n + len(keys) : n + len(keys) + self.further]
+        first_loop = n + len(keys) + self.further
+        at_loops = np.cumsum([first_loop, *(loop.size for loop in self.loops)])
+        shape = points, len(self.inputs)
+        out = tuple(np.zeros(shape, np.complex128) for _ in range(3))
+        slopes = np.zeros((*shape, self.own_size - n), np.complex128)
+        one: Curve = (np.ones(points, complex), np.zeros(points, complex), np.zeros(points, complex))
+        lag: Curve = axis[3:6] if self.lag is not None else one  # type: ignore[assignment]  # three of them
+        change: Curve = axis[6:9] if self.by_incidence else one  # type: ignore[assignment]  # likewise
+        for i, name in enumerate(self.inputs):
+            bank = 0 if name in ANGLES else 2 if name == ACCELERATION else 1
+            loop, y = self.loops[bank], own[:, at_loops[bank] : at_loops[bank + 1]]
+            # terms: gain, which of the keys it is, a factor of the point and one of frequency
+            if bank == 0:
+                terms = [(keys.index(GAIN_OF[name]), np.ones(points), one)]
+            elif bank == 1:
+                share = 1.0 - weights.sum(axis=1) if name == "rate_radps" else weights[:, self._gyro(name)]
+                terms = [(1, share, one)]
+                if self.by_incidence:
+                    terms.append((2, share * own[:, -1], change))
+            else:
+                terms = [(2, own[:, -2] if self.by_incidence else -np.ones(points), lag)]
+            filter_ = self._of_loop(loop, y, axis) if loop.size > 0 else one
+            for j, factor, curve in terms:
+                whole = _product(curve, filter_)
+                for d in range(3):
+                    out[d][:, i] += k[:, j] * factor * whole[d]
+                slopes[:, i, j] += k[:, j] * factor * whole[0]
+                if bank == 1 and self.further > 0:
+                    by_weight = k[:, j] * whole[0] * (1.0 if j == 1 else own[:, -1])
+                    at = slice(len(keys), len(keys) + self.further)
+                    if name == "rate_radps":
+                        slopes[:, i, at] -= by_weight[:, None]
+                    else:
+                        slopes[:, i, len(keys) + self._gyro(name)] += by_weight
+            if loop.size > 0:
+                at = slice(at_loops[bank] - n, at_loops[bank + 1] - n)
+                slopes[:, i, at] = out[0][:, i, None] * loop.gradient(y, axis[0])
+        return out, slopes  # type: ignore[return-value]  # three of them
+
+    def _gyro(self, name: str) -> int:
+        """Number of a further gyro among the weights."""
+        return next(k for k in range(self.further) if further_rate(k + 2) == name)
+
+    @staticmethod
+    def _of_loop(loop: FilterVariables, y: Array, axis: Axis) -> Curve:
+        s, s1, s2 = axis[:3]
+        f0, f1, f2 = loop.slopes(y, s)
+        value, first = np.exp(f0), f1 * s1
+        return value, value * first, value * (first * first + f2 * s1 * s1 + f1 * s2)
 
     def gradient(self, own: Array, axis: Axis, weights: ComplexArray) -> ComplexArray:
         n = self.filter.size
         if self._plain:
             return np.concatenate([self.filter.gradient(own[:, :n], axis[0]), np.exp(own[:, n:]) * weights], axis=1)
-        slopes = self._on_measurements(own, axis[3:])[1]
+        slopes = self._on_measurements(own, axis)[1]
         by_gains = np.einsum("pi,pij->pj", weights, slopes)
         return np.concatenate([self.filter.gradient(own[:, :n], axis[0]), by_gains], axis=1)
 
@@ -421,7 +549,7 @@ class PdVariables:
             for plant in held:
                 mine = np.broadcast_to(own[plant], (len(axis[0]), self.own_size))
                 common = self.filter.response(own[plant, :n], axis[0])[:, None]
-                gains, by_gains = self._on_measurements(mine, axis[3:])
+                (gains, _, _), by_gains = self._on_measurements(mine, axis)
                 law = common * gains
                 slopes = [law[..., None] * self.filter.gradient(mine[:, :n], axis[0])[:, None, :]]
                 whole = np.concatenate([*slopes, common[..., None] * by_gains], axis=2)
@@ -451,6 +579,14 @@ class PdVariables:
             gain = np.array([math.exp(float(slope @ own[0, :n]))])
             excess, by = DB * np.log(gain / most), np.concatenate([DB * slope, np.zeros(self.own_size - n)])[None]
             out.append(LimitValues(AT_INFINITY, np.array([-1]), gain, np.array([most]), excess, by))
+            at = n + len(self.keys) + self.further
+            for number, (_, loop) in enumerate(self._in_use, AT_INFINITY + 1):
+                both, mine = by.copy(), slice(at, at + loop.size)
+                both[0, mine] = DB * loop.log_gain_at_infinity()
+                with_loop = gain * math.exp(float(both[0, mine] @ own[0, mine]) / DB)
+                missed = DB * np.log(with_loop / most)
+                out.append(LimitValues(number, np.array([-1]), with_loop, np.array([most]), missed, both))
+                at += loop.size
         return [*out, *self._in_wind(own)]
 
     def _rigid_body(self, k_p: Array, k_d: Array) -> tuple[Array, Array, Array, Array]:
@@ -476,7 +612,16 @@ class PdVariables:
         if self.task.sample_s is not None:
             flown = self.filter.filter(y).discretize(self.task.sample_s, "prewarped", self.prewarp_hz)
         named = [dict(zip(self.keys, gains, strict=True)) for gains in self.gains.at_plants(u).T.tolist()]
-        return [Pd(**gains, filter=flown, blend=self._blend(variables), lag=self.lag) for gains in named]
+        if self.by_incidence:
+            for gains, air in zip(named, (self.air @ self.gains.weights.T).T.tolist(), strict=True):
+                gains |= dict(zip(AIR, air, strict=True))
+        loops = tuple(own and _flown(own, self.task.sample_s) for own in self._loop_filters(variables))
+        return [Pd(**gains, filter=flown, blend=self._blend(variables), lag=self.lag, loops=loops) for gains in named]
+
+    def _loop_filters(self, variables: Array) -> tuple[LoopFilter | None, ...]:
+        ends = np.cumsum([loop.size for loop in self.loops])
+        parts = zip(self.loops, np.split(self.of_loops(variables), ends[:-1]), strict=True)
+        return tuple((loop.filter(y), "prewarped", self.prewarp_hz) if loop.size > 0 else None for loop, y in parts)
 
     def _blend(self, variables: Array) -> tuple[float, ...]:
         weights = self.weights(variables).tolist()
@@ -485,10 +630,12 @@ class PdVariables:
     def designed(self, variables: Array) -> PdDesign:
         y, u = self.split(variables)
         of_key = dict(zip(self.keys, self.gains.at_nodes(u).tolist(), strict=True))
+        of_key |= dict(zip(AIR, self.air.tolist(), strict=True)) if self.by_incidence else {}
         gains = GainSchedule(self.gains.nodes.tolist(), over=self.task.case.gains.over, **of_key)
         blend, relief_hz = self._blend(variables), None if self.lag is None else self.lag.corner_hz
         form, case = self.filter.filter(y), self.task.case
-        return PdDesign(gains, gains, form, "prewarped", self.prewarp_hz, case.law, (blend, blend), relief_hz)
+        loops = self._loop_filters(variables)
+        return PdDesign(gains, gains, form, "prewarped", self.prewarp_hz, case.law, (blend, blend), relief_hz, loops)
 
     def variables_of(self, law: DesignedLaw) -> Array | None:
         if not isinstance(law, PdDesign):
@@ -496,7 +643,7 @@ class PdVariables:
         filter_ = lifted(law.filter, self.filter, self.task.first_mode_hz)
         if filter_ is None:
             return None
-        if law.pitch.columns != self.keys or law.over != self.task.case.gains.over:
+        if law.pitch.columns[: len(self.keys)] != self.keys or law.over != self.task.case.gains.over:
             return None
         given = np.array([getattr(law.pitch, key) for key in self.keys])
         if len(law.blend[0]) > 1 + self.further:
@@ -504,7 +651,20 @@ class PdVariables:
         weights = np.zeros(self.further)
         weights[: len(law.blend[0]) - 1] = law.blend[0][1:]
         known = self.gains.from_nodes(np.asarray(law.pitch.at), given)
-        return self._clipped(np.concatenate([self.filter.variables(filter_), known, weights]))
+        loops = self._lifted_loops([own and own[0] for own in law.loops])
+        if loops is None:
+            return None
+        return self._clipped(np.concatenate([self.filter.variables(filter_), known, weights, loops]))
+
+    def _lifted_loops(self, filters: Sequence[BendingFilter | None]) -> Array | None:
+        """Variables of the loops' filters: of these, none being 1; None where they do not fit."""
+        parts: list[Array] = []
+        for loop, own in zip(self.loops, filters, strict=True):
+            as_wide = lifted(own or BendingFilter(), loop, self.task.first_mode_hz)
+            if as_wide is None:
+                return None
+            parts.append(loop.variables(as_wide))
+        return np.concatenate(parts)
 
     def _clipped(self, variables: Array) -> Array:
         return np.asarray(np.clip(variables, self.lower, self.upper))
@@ -522,7 +682,9 @@ class PdVariables:
             fourth = (np.arange(count) % 4 == 3)[:, None]
             low, high = (np.where(fourth, everywhere[end], likely[end]) for end in (0, 1))
             filters += list(low + points * (high - low))
-        return [self._clipped(np.concatenate([y, gains, np.zeros(self.further)])) for y in filters]
+        loops = self._lifted_loops([None] * len(self.loops))
+        assert loops is not None
+        return [self._clipped(np.concatenate([y, gains, np.zeros(self.further), loops])) for y in filters]
 
     def _start_gains(self) -> Array:
         """The gain variables a little above the least that meet the limits, those of (47) and (48) as printed.
@@ -544,8 +706,8 @@ class PdVariables:
 
     def leap_size(self, number: int) -> Array:
         by_filter, by_gains = LEAPS[number % len(LEAPS)]
-        more = self.gains.size + self.further
-        return np.concatenate([np.full(self.filter.size, by_filter), np.full(more, by_gains)])
+        sizes = (self.filter.size, by_filter), (self.gains.size + self.further, by_gains), (self.in_loops, by_filter)
+        return np.concatenate([np.full(count, size) for count, size in sizes])
 
     def simpler(self) -> tuple[PdVariables, Callable[[Array], Array]] | None:
         """Linear gains in place of many nodes."""
@@ -556,7 +718,7 @@ class PdVariables:
         def wider(x: Array) -> Array:
             y, u = small.split(x)
             gains = self.gains.from_nodes(small.gains.nodes, small.gains.at_nodes(u))
-            return np.concatenate([y, gains, small.weights(x)])
+            return np.concatenate([y, gains, small.weights(x), small.of_loops(x)])
 
         return small, wider
 

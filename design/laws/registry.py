@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from maxq.design.laws.law import DesignedLaw, LawVariables
-from maxq.design.laws.load_relief import LoadReliefVariables
+from maxq.design.laws.load_relief import IncidenceReliefVariables, LoadReliefVariables
 from maxq.design.laws.pd import PdDesign, PdVariables
 from maxq.design.laws.pid import PidVariables
 from maxq.design.laws.task import Task
@@ -32,6 +32,9 @@ LAWS: dict[str, LawKind] = {
     "pd": LawKind(PdDesign.of, PdDesign.frozen, PdVariables),
     "pid": LawKind(PdDesign.of, PdDesign.frozen, PidVariables, PidVariables.inputs),
     "load-relief": LawKind(PdDesign.of, PdDesign.frozen, LoadReliefVariables, LoadReliefVariables.inputs),
+    "incidence-relief": LawKind(
+        PdDesign.of, PdDesign.frozen, IncidenceReliefVariables, IncidenceReliefVariables.inputs
+    ),
 }
 
 

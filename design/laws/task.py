@@ -59,4 +59,6 @@ class Task:
     first_mode_hz: float
     further_gyros: int = 0  # whose weights in the blended rate are variables
     at: Array = field(default_factory=lambda: np.zeros(0))  # (plants,): what the gains are scheduled over
+    incidence: Array = field(default_factory=lambda: np.zeros((0, 2)))
+    """(plants, 2): `incidence_by_acceleration`, for a law that takes it."""
     winds: Winds = ()  # of each plant, where the case tells of wind

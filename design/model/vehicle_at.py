@@ -700,6 +700,23 @@ def stability_derivatives(vehicle: VehicleAt, condition: FlightCondition) -> Sta
     )
 
 
+def incidence_by_acceleration(vehicle: VehicleAt, condition: FlightCondition) -> tuple[float, float]:
+    """What the incidence follows from by an accelerometer and the pitch acceleration (control/laws/load_relief.py):
+    `percussion_m` and `accel_per_incidence_mps2`, of the rigid body.
+
+    Raises ValueError without an accelerometer, without air, and without an engine that turns the vehicle.
+    """
+    station_m = next((at for name, at in vehicle.sensors if name == ACCELERATION), None)
+    d, speed = stability_derivatives(vehicle, condition), condition.airspeed_mps
+    if station_m is None or d.z_alpha_1ps == 0.0 or d.m_delta_1ps2 == 0.0:
+        missing = "an accelerometer" if station_m is None else "air" if d.m_delta_1ps2 != 0.0 else "an engine"
+        raise ValueError(f"no incidence can be estimated without {missing}")
+    # from the CG to the centre of percussion, m forward; the accelerometer may lie on either side of it
+    centre_m = d.z_delta_1ps * speed / d.m_delta_1ps2
+    forward_m = vehicle.total_cg_station_m - station_m
+    return centre_m - forward_m, d.z_alpha_1ps * speed - centre_m * d.m_alpha_1ps2
+
+
 @dataclass(frozen=True)
 class Instruments:
     """Actuators, gyro and timing of the flight computer in one plane; `ideal` actuators and gyros have no dynamics."""

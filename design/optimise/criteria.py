@@ -29,7 +29,7 @@ from maxq.design.optimise.features import Cross, Kind, LogLoop, Mask, Search
 class Seen:
     """Features of all loops at a point of the variables; arrays are (features,).
 
-    `mode`: of a bending peak, else 0. `in_first_band`: within the band of mode 1 of the same plant.
+    `mode`: of a bending peak, else 0. `in_first_lobe`: at a frequency where mode 1 of the same plant rules.
     """
 
     kind: NDArray[np.int8]
@@ -38,7 +38,7 @@ class Seen:
     at: LogLoop
     cross: Cross
     limits: PlantLimits
-    in_first_band: Mask
+    in_first_lobe: Mask
 
     @cached_property
     def gain_db(self) -> Array:
@@ -153,7 +153,7 @@ def _gain_margin(seen: Seen) -> Iterator[Part]:
 def _phase_margin(seen: Seen) -> Iterator[Part]:
     """(45) at every crossing of 0 dB but those of mode 1 with a limit of their own, and what approaches 0 dB."""
     least, own = seen.limit("phase_margin_deg"), ~np.isnan(seen.limit("first_mode_phase_deg"))
-    crossing = (seen.kind == Kind.PHASE_CROSSING) & ~(own & seen.in_first_band)
+    crossing = (seen.kind == Kind.PHASE_CROSSING) & ~(own & seen.in_first_lobe)
     yield crossing, seen.beside_deg, least, (least - np.abs(seen.beside_deg)) * seen.db_per_deg
     turn = (seen.kind == Kind.GAIN_TURN) & (np.abs(seen.beside_deg) < least)
     yield turn, seen.gain_db, seen.none, -np.abs(seen.gain_db)
@@ -161,7 +161,7 @@ def _phase_margin(seen: Seen) -> Iterator[Part]:
 
 def _first_mode_phase(seen: Seen) -> Iterator[Part]:
     least = seen.limit("first_mode_phase_deg")
-    inside = (seen.kind == Kind.PHASE_CROSSING) & seen.in_first_band
+    inside = (seen.kind == Kind.PHASE_CROSSING) & seen.in_first_lobe
     yield inside, seen.beside_deg, least, (least - np.abs(seen.beside_deg)) * seen.db_per_deg
 
 

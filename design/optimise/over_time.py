@@ -18,7 +18,7 @@ from maxq.design.laws.law import LawVariables
 from maxq.design.optimise.plants import Plant, Plants, make_plant, make_plants
 from maxq.design.optimise.search import Progress
 from maxq.design.optimise.solution import Solution
-from maxq.design.optimise.solve import make_problem, solve_at_nodes
+from maxq.design.optimise.solve import Start, make_problem, solve_at_nodes
 
 INSTANTS_S = 0.25  # apart, all along
 FINE_S = 0.05  # apart, beside the worst of those
@@ -59,7 +59,7 @@ class Instants:
 
 
 def solve_over_time(
-    loaded: LoadedCase, nominal: Plants, also_from: Sequence[Solution] = (), progress: Progress | None = None
+    loaded: LoadedCase, nominal: Plants, also_from: Sequence[Start] = (), progress: Progress | None = None
 ) -> Solution:
     """The best design found that no instant between the first and the last node makes worse by WORSE_DB.
 

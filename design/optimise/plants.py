@@ -15,17 +15,19 @@ from maxq.design.laws.registry import law_kind
 from maxq.design.laws.task import PlantLimits, Rigid, Task
 from maxq.design.laws.wind import Spectrum, WindResponse
 from maxq.design.loop.fixed_path import FixedPath, fixed_path
+from maxq.design.loop.resonance import Resonance
 from maxq.design.loop.wind import wind_response
 from maxq.design.margins.curve import lowest_hz_of
 from maxq.design.model.node import Node
 from maxq.design.model.state_space import ComplexArray
-from maxq.design.model.vehicle_at import ACCELERATION, stability_derivatives
+from maxq.design.model.vehicle_at import ACCELERATION, incidence_by_acceleration, stability_derivatives
 from maxq.design.optimise.criteria import OBJECTIVES
 from maxq.design.optimise.curves import TOLERANCE, Curves, Indices
 from maxq.design.optimise.features import Bands
 from maxq.design.optimise.problem import bands_of
 
 MODE_BANDS_END = 0.999  # of the Nyquist frequency
+FIRST_LOBE = 1.3  # crossings of 0 dB up to this factor from mode 1, or half way to its neighbour, are that lobe's
 
 
 @dataclass(frozen=True)
@@ -35,6 +37,7 @@ class Plant:
     node: Node
     path: FixedPath
     bands_hz: tuple[tuple[int, float, float], ...]  # mode, low, high
+    first_lobe_hz: tuple[float, float]  # where mode 1 rules the loop; empty (inf, 0) without one
     m_delta: float
     m_alpha: float
     m_q: float
@@ -66,10 +69,8 @@ def make_plant(node: Node, case: Case, dispersed: bool = False) -> Plant:
             )
     wind = None if case.wind is None else wind_response(path, Spectrum(**dict(case.wind)))
     share, top = case.objective.band, path.highest_hz * MODE_BANDS_END
-    bands = []
-    for r in path.resonances(0.5):
-        if r.kind != "bending":
-            continue
+    bands, bending = [], [r for r in path.resonances(0.5) if r.kind == "bending"]
+    for r in bending:
         low, high = r.frequency_hz * (1.0 - share), min(r.frequency_hz * (1.0 + share), top)
         if low < high:
             bands.append((r.number, low, high))
@@ -80,7 +81,21 @@ def make_plant(node: Node, case: Case, dispersed: bool = False) -> Plant:
             f"allowed is objective.kind = {others}"
         )
     d = stability_derivatives(node.vehicle, node.condition)
-    return Plant(node, path, tuple(bands), d.m_delta_1ps2, d.m_alpha_1ps2, d.m_q_1ps, dispersed, wind)
+    return Plant(
+        node, path, tuple(bands), _first_lobe(bending), d.m_delta_1ps2, d.m_alpha_1ps2, d.m_q_1ps, dispersed, wind
+    )
+
+
+def _first_lobe(bending: Sequence[Resonance]) -> tuple[float, float]:
+    """Frequencies, Hz, at which mode 1 is the nearest of the modes (by ratio), and not far."""
+    first = next((r.frequency_hz for r in bending if r.number == 1), 0.0)
+    if first == 0.0:
+        return math.inf, 0.0
+    others = [math.sqrt(first * r.frequency_hz) for r in bending if r.number != 1]
+    return (
+        max([first / FIRST_LOBE, *(f for f in others if f < first)]),
+        min([first * FIRST_LOBE, *(f for f in others if f > first)]),
+    )
 
 
 def _further_gyros(node: Node) -> tuple[str, ...]:
@@ -107,6 +122,11 @@ class Plants:
         return Rigid(*(np.array([getattr(p, name) for p in self.each]) for name in ("m_delta", "m_alpha", "m_q")))
 
     @property
+    def first_lobes(self) -> Array:
+        """(plants, 2): `Plant.first_lobe_hz`."""
+        return np.array([p.first_lobe_hz for p in self.each])
+
+    @property
     def unstable_open(self) -> Indices:
         """Poles of each fixed path in the right half plane."""
         return np.array([int((p.without_drift(p.path.poles()).real > 1e-9).sum()) for p in self.each], np.int64)
@@ -129,8 +149,12 @@ class Plants:
         further = len(_further_gyros(self.each[0].node)) if case.blend is not None else 0
         winds = tuple(p.wind for p in self.each if p.wind is not None)
         at = np.array([p.node.scheduled(case.gains.over) for p in self.each])
+        told = np.zeros((0, 2))
+        if case.law == "incidence-relief":
+            told = np.array([incidence_by_acceleration(p.node.vehicle, p.node.condition) for p in self.each])
         return Task(
-            case, self.times_s, dispersed, self.rigid, limits, self.sample_s, self.first_mode_hz, further, at, winds
+            case, self.times_s, dispersed, self.rigid, limits, self.sample_s, self.first_mode_hz, further, at, told,
+            winds,
         )  # fmt: skip  # as ruff would, but for a line of one bracket
 
     def and_also(self, more: Sequence[Plant]) -> Plants:

@@ -11,7 +11,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from maxq.control.kernel.records import Array
 from maxq.design.case.schema import Limits
@@ -50,9 +49,14 @@ class Evaluation:
 class Problem:
     """Loops with an objective and limits; the variables are the law's."""
 
-    def __init__(self, loops: Loops, bands: Bands, limits: PlantLimits, common: Limits, objective: Objective) -> None:
-        """`limits` of each plant; `common`: of the case, for what does not depend on the plant."""
+    def __init__(
+        self, loops: Loops, bands: Bands, limits: PlantLimits, common: Limits, objective: Objective, first_lobes: Array
+    ) -> None:
+        """`limits` of each plant; `common`: of the case, for what does not depend on the plant; `first_lobes`
+        (plants, 2): Hz between which a crossing of 0 dB belongs to mode 1.
+        """
         self.loops, self.bands, self.limits, self.law = loops, bands, limits, loops.law
+        self._first_lobes = np.log(np.maximum(first_lobes, 1e-9))
         self.lower, self.upper = self.law.lower, self.law.upper
         self.criteria = [objective.criterion, *LIMITS]
         self.kinds = [RowKind(k.text, k.unit) for k in self.criteria]
@@ -88,8 +92,9 @@ class Problem:
         plant = self.loops.curves.plant[places.cell]
         x, at = self.loops.refined(own[plant], places, self.cross.of(plant))
         places = replace(places, x=x)
+        low, high = self._first_lobes[plant].T
         seen = Seen(
-            places.kind, plant, self._modes(places), at, self.cross.of(plant), self.limits, self._in_first_band(places)
+            places.kind, plant, self._modes(places), at, self.cross.of(plant), self.limits, (low <= x) & (x <= high)
         )
         collected = Collected()
         collected.add(self._feature_rows(seen, places, math.inf if complete else FARTHEST_DB))
@@ -114,14 +119,6 @@ class Problem:
         mode, peak = np.zeros(len(places.kind), np.int64), places.kind == Kind.PEAK
         mode[peak] = self.bands.mode[places.tag[peak]]
         return mode
-
-    def _in_first_band(self, places: Places) -> NDArray[np.bool_]:
-        curves = self.loops.curves
-        plant, inside = curves.plant[places.cell], np.zeros(len(places.x), bool)
-        for i in np.flatnonzero(self.bands.mode == 1) if self.limits.asked("first_mode_phase_deg") else ():
-            low, high = curves.x[[self.bands.first[i], self.bands.last[i]]]
-            inside |= (plant == self.bands.plant[i]) & (places.x >= low) & (places.x <= high)
-        return inside
 
     def _feature_rows(self, seen: Seen, places: Places, farthest_db: float) -> Rows:
         """Features judged by all criteria; those that are no limit or are met by far are left out."""

@@ -26,7 +26,7 @@ from maxq.design.optimise.plants import Plant, Plants, make_plant, make_plants
 from maxq.design.optimise.problem import Problem
 from maxq.design.optimise.search import Found, Progress, search
 from maxq.design.optimise.solution import Solution
-from maxq.design.optimise.solve import finished, make_problem, search_best
+from maxq.design.optimise.solve import Start, finished, make_problem, search_best
 
 WORSE_DB = 0.01  # plants that are worse by less are let be
 BEGINNINGS = 4
@@ -151,7 +151,7 @@ def corners_beside(time_s: float, taken: set[tuple[float, Ends]]) -> list[Ends]:
 
 
 def solve_robust(
-    loaded: LoadedCase, nominal: Plants, also_from: Sequence[Solution] = (), progress: Progress | None = None
+    loaded: LoadedCase, nominal: Plants, also_from: Sequence[Start] = (), progress: Progress | None = None
 ) -> Solution:
     """The best design for the nominal plants and all that the case's ranges allow, as far as searched.
 

@@ -4,16 +4,16 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from dataclasses import replace
-from typing import get_args
+from dataclasses import dataclass, replace
+from typing import Protocol, get_args
 
 import numpy as np
 from threadpoolctl import threadpool_limits
 
 from maxq.design import api
 from maxq.design.case.schema import LIMIT_NAMES, Case, LoadedCase
-from maxq.design.laws.law import LawVariables
-from maxq.design.laws.registry import law_kind
+from maxq.design.laws.law import DesignedLaw, LawVariables
+from maxq.design.laws.registry import designed_law, law_kind
 from maxq.design.loop.fixed_path import ExactFixedPath
 from maxq.design.loop.loop import Loop
 from maxq.design.model.node import node_times, powered_spans
@@ -23,6 +23,7 @@ from maxq.design.optimise.plants import Plants, make_plant, make_plants
 from maxq.design.optimise.problem import Problem
 from maxq.design.optimise.search import Found, Progress, search
 from maxq.design.optimise.solution import Solution, make_solution
+from maxq.sim.scenario.schema_design import Design
 
 MORE_STARTS = 3  # times as many, where the limits cannot be met
 
@@ -47,6 +48,20 @@ def each_stage(loaded: LoadedCase) -> list[LoadedCase]:
     return [replace(loaded, case=case.of_stage(n, tuple(by_stage[n]))) for n in chosen]
 
 
+class Start(Protocol):
+    """What a search may begin from."""
+
+    @property
+    def law(self) -> DesignedLaw: ...
+
+
+@dataclass(frozen=True)
+class GivenLaw:
+    """A law from elsewhere."""
+
+    law: DesignedLaw
+
+
 def nominal_plants(loaded: LoadedCase) -> Plants:
     """The plants at the nodes of a case of one stage. Raises ValueError, naming the node, where there is none."""
     case = loaded.case
@@ -61,14 +76,12 @@ def make_problem(case: Case, plants: Plants, like: LawVariables | None = None) -
 
 def _problem_of(case: Case, plants: Plants, law: LawVariables) -> Problem:
     loops = Loops(plants.curves, plants.unstable_open, law)
-    return Problem(loops, plants.bands, plants.task(case).limits, case.limits, OBJECTIVES[case.objective.kind])
+    objective, limits = OBJECTIVES[case.objective.kind], plants.task(case).limits
+    return Problem(loops, plants.bands, limits, case.limits, objective, plants.first_lobes)
 
 
 def solve(
-    loaded: LoadedCase,
-    plants: Plants | None = None,
-    also_from: Sequence[Solution] = (),
-    progress: Progress | None = None,
+    loaded: LoadedCase, plants: Plants | None = None, also_from: Sequence[Start] = (), progress: Progress | None = None
 ) -> Solution:
     """The best design found for a case.
 
@@ -82,14 +95,26 @@ def solve(
         from maxq.design.optimise.robust import solve_robust  # noqa: PLC0415  # likewise
 
         plants = nominal_plants(loaded) if plants is None else plants
+        if loaded.start is not None:
+            also_from = (*also_from, _named_start(loaded.case, loaded.start, plants))
         if loaded.case.robust is not None:
             return solve_robust(loaded, plants, also_from, progress)
         method = solve_over_time if loaded.case.between_nodes == "hold" else solve_at_nodes
         return method(loaded, plants, also_from, progress)
 
 
+def _named_start(case: Case, design: Design, plants: Plants) -> Start:
+    law = designed_law(design.of_stage(plants.each[0].node.stage))
+    if make_problem(case, plants).law.variables_of(law) is None:
+        raise ValueError(
+            f"search.start_design = {case.search.start_design!r}: has another law, gains over another quantity, or "
+            f"more filter than the case; allowed is a design of the law {case.law} over {case.gains.over}"
+        )
+    return GivenLaw(law)
+
+
 def solve_at_nodes(
-    loaded: LoadedCase, plants: Plants, also_from: Sequence[Solution] = (), progress: Progress | None = None
+    loaded: LoadedCase, plants: Plants, also_from: Sequence[Start] = (), progress: Progress | None = None
 ) -> Solution:
     """The best design found for the plants at the case's nodes.
 
@@ -117,7 +142,7 @@ def finished(case: Case, plants: Plants, problem: Problem, found: Found, begun: 
 
 
 def search_best(
-    case: Case, plants: Plants, also_from: Sequence[Solution] = (), progress: Progress | None = None
+    case: Case, plants: Plants, also_from: Sequence[Start] = (), progress: Progress | None = None
 ) -> tuple[Problem, Found]:
     """Search from all starts: other solutions, and as many of the law's own as the case asks for.
 
@@ -134,7 +159,7 @@ def search_best(
 
 
 def _search_from(
-    case: Case, plants: Plants, also_from: Sequence[Solution], progress: Progress | None
+    case: Case, plants: Plants, also_from: Sequence[Start], progress: Progress | None
 ) -> tuple[Problem, Found]:
     problem = make_problem(case, plants)
     law, (count, leaps, seed) = problem.law, (case.search.starts, case.search.leaps, case.search.seed)

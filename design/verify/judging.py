@@ -32,7 +32,7 @@ from maxq.design.optimise.solution import Solution
 from maxq.design.verify.suite import beyond
 from maxq.sim.packing.computer import bending_filter
 from maxq.sim.scenario.errors import ScenarioError
-from maxq.sim.scenario.schema_design import Adaptive, Design, Limits, StageLaw
+from maxq.sim.scenario.schema_design import Adaptive, Design, Limits, LoopFilters, StageLaw
 from maxq.sim.scenario.tables_csv import CsvTable
 
 PEAKS = ("first_mode_db", "second_mode_db", "higher_modes_db")
@@ -326,7 +326,13 @@ def make_design(loaded: LoadedCase, *solutions: Solution) -> Design:
         return first
     names = StageLaw.model_fields
     flown = [designs.get(n) or (with_law(own.of_stage(n), first) if own else first) for n in range(len(stages))]
-    return first.model_copy(update={"stage": tuple(StageLaw(**{k: getattr(d, k) for k in names}) for d in flown)})
+    # a stage without filters of its loops says so, where another has some
+    none = LoopFilters() if any(d.loop_filters is not None for d in flown) else None
+    laws = []
+    for n, d in enumerate(flown):
+        said = {k: getattr(d, k) for k in names if k != "fade_s"} | {"loop_filters": d.loop_filters or none}
+        laws.append(StageLaw(**said, fade_s=own.stage[n].fade_s if own and n < len(own.stage) else None))
+    return first.model_copy(update={"stage": tuple(laws)})
 
 
 def with_law(own: Design, other: Design) -> Design:
@@ -342,7 +348,17 @@ def with_law(own: Design, other: Design) -> Design:
             allowed=f"a scenario whose design is of the law {other.law}, or of pd",
         )  # fmt: skip  # two more lines otherwise
     tables = {
-        key: CsvTable("", {**table.columns, **{k: np.zeros(len(table)) for k in other.gain_names if k not in table}})
+        key: CsvTable(
+            "",
+            {
+                **table.columns,
+                **{
+                    k: np.full(len(table), -1.0 if k == "accel_per_incidence_mps2" else 0.0)
+                    for k in other.gain_names
+                    if k not in table
+                },
+            },
+        )
         for key in ("table", "yaw_table")
         if (table := getattr(own.gains, key)) is not None
     }

@@ -234,7 +234,7 @@ def separate(
     properties[TOTAL_MASS] = properties_after[TOTAL_MASS]  # for a sample at this instant
     clock.stage += 1
     if after.computer.takes_over == 1:
-        take_over(after.computer, memory.computer)
+        take_over(before.computer, after.computer, memory.computer)
         begun_ns = clock.next_sample_ns - before.computer.sample_ns
         clock.next_sample_ns = max(clock.now_ns, begun_ns + after.computer.sample_ns)
     start_stage(after, pool, memory)

@@ -15,6 +15,7 @@ from maxq.control.kernel.limits import MAX_INJECTIONS, MAX_TONES
 from maxq.control.kernel.tables import NO_TABLE, Cubics, Method, Pool, fit, merge
 from maxq.control.laws.adaptive import Adaptive, make_adaptive
 from maxq.control.laws.pd import GainSchedule, gains_table
+from maxq.control.loop_filters import LoopFilters, make_loop_filters
 from maxq.control.orbit_guidance import OrbitGuidance
 from maxq.control.roll import Roll, make_roll
 from maxq.control.sensors import Sensors, make_sensors
@@ -92,7 +93,18 @@ def pack_computer(scenario: Scenario, pool: Pool, stage: int = 0) -> Computer:
         sensors=_sensors(scenario, stage, design),
         relief_hz=design.load_relief.corner_hz if design and design.load_relief and not external else None,
         adaptive=_adaptive(design.adaptive, computer.sample_s, design.law) if design and not external else None,
+        loops=_loop_filters(scenario.design, stage, computer.sample_s) if scenario.design and not external else None,
     )
+
+
+@cached_by_identity
+def _loop_filters(design: Design, stage: int, sample_s: float) -> LoopFilters | None:
+    given = design.of_stage(stage).loop_filters
+    fade_s = (design.stage[stage].fade_s or 0.0) if 0 < stage < len(design.stage) else 0.0
+    if given is None and fade_s == 0.0:
+        return None
+    each = () if given is None else given.each
+    return make_loop_filters([_filter(f, sample_s) if f is not None else None for f in each], round(fade_s / sample_s))
 
 
 @cached_by_identity

@@ -84,6 +84,8 @@ RANGES = (
     Range(("_rt_h",), 0.0, 1e5, "noise of gyros, deg per root hour"),
     Range(("count_mps",), 1e-9, 1e3, "one pulse of a converter: finer ones do not fit into its counters, m/s"),
     Range(("k_a_s2pm",), 0.0, 1e4, "gains of an acceleration, rad per m/s2"),
+    Range(("percussion_m",), -1e3, 1e3, "levers along a vehicle, m"),
+    Range(("accel_per_incidence_mps2",), -1e5, 1e5, "lateral forces of the air over mass, m/s2 per rad"),
     Range(("count_rad",), 1e-9, 7.0, "one pulse of a converter: finer ones do not fit into its counters, rad"),
     Range(("ned_mps", "inertial_mps", "earth_mps"), 0.0, 1e5, "nine times escape velocity, m/s"),
     Range(("_mps",), 0.0, 1e3, "winds up to those of the thermosphere, m/s"),

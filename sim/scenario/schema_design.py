@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 from pydantic import Field, model_validator
 
 from maxq.control.kernel.limits import MAX_SENSORS, MAX_STAGES
-from maxq.control.structures import GAINS, MAX_SECTIONS, OVER, STRUCTURES, Law, Over, Structure
+from maxq.control.structures import GAIN_NAMES, GAINS, MAX_SECTIONS, OVER, RELIEF, STRUCTURES, Law, Over, Structure
 from maxq.sim.scenario.errors import refuse
 from maxq.sim.scenario.schema_values import NotNegative, Positive, Section, needs, only_with, optional
 from maxq.sim.scenario.tables_csv import Columns, CsvTable
@@ -17,11 +17,7 @@ if TYPE_CHECKING:
     from maxq.control.filters import BendingFilter
 
 GAIN_COLUMNS = Columns(
-    "time_s",
-    sets=(("k_p", "k_d_s"),),
-    optional=("k_i_ps", "k_a_s2pm"),
-    not_negative=("k_p", "k_d_s", "k_i_ps", "k_a_s2pm"),
-    other_axes=OVER[1:],
+    "time_s", sets=(("k_p", "k_d_s"),), optional=GAIN_NAMES[2:], not_negative=GAIN_NAMES[:5], other_axes=OVER[1:]
 )
 
 
@@ -29,7 +25,8 @@ class Gains(Section):
     """Gains of the law (PD: paper, eq. 33), linear, held outside the table."""
 
     table: Annotated[CsvTable, GAIN_COLUMNS] = Field(
-        description="k_p (rad/rad), k_d_s (s), for pid k_i_ps (1/s), for load-relief k_a_s2pm (rad per m/s2), over "
+        description="k_p (rad/rad), k_d_s (s), for pid k_i_ps (1/s), for load-relief k_a_s2pm (rad per m/s2), for "
+        "incidence-relief k_alpha (rad/rad) and, of the vehicle, percussion_m and accel_per_incidence_mps2, over "
         "time_s (vehicle clock), or over one of speed_mps (relative to the rotating Earth), mass_kg, "
         "dynamic_pressure_Pa (of that speed in still air), which the computer knows without error"
     )
@@ -184,8 +181,21 @@ class Blend(Section):
         return self.pitch, self.yaw or self.pitch
 
 
+class LoopFilters(Section):
+    """Filters of what the law works on, each loop by itself; the bending filter behind the law comes besides."""
+
+    attitude: Filter | None = optional("of the attitude error")
+    rate: Filter | None = optional("of the (blended) rate")
+    acceleration: Filter | None = optional("of the lateral acceleration, before its lag; with load relief")
+
+    @property
+    def each(self) -> tuple[Filter | None, ...]:
+        """In the order of control/loop_filters.py."""
+        return self.attitude, self.rate, self.acceleration
+
+
 class LoadRelief(Section):
-    """Feedback of the lateral acceleration; its gain is a column of the gains."""
+    """Feedback of the lateral acceleration, or of the incidence it tells; its gain is a column of the gains."""
 
     corner_hz: Positive = Field(description="corner of the accelerometer's first-order lag in the computer, Hz")
 
@@ -232,6 +242,8 @@ class StageLaw(Section):
 
     gains: Gains | None = optional("own gains")
     filter: Filter | None = optional("own bending filter, which starts settled at the separation")
+    loop_filters: LoopFilters | None = optional("own filters of each loop, which start settled at the separation")
+    fade_s: NotNegative | None = optional("time over which all filters of the stage before fade out, s (default: 0)")
     roll: Roll | None = optional("own roll control by thrusters")
     roll_gimbal: RollGimbal | None = optional("own roll control by gimbals")
     blend: Blend | None = optional("own weights of rate gyros")
@@ -249,15 +261,16 @@ class Design(Section):
     vehicle: str = optional("name of the vehicle that it was made for; another one has to be asked for", "")
     law: Law = optional(
         "control law; pd: proportional-derivative with a bending filter; pid: with an integral besides; load-relief: "
-        "pd with the lateral acceleration fed back",
+        "pd with the lateral acceleration fed back; incidence-relief: pd with an estimated angle of attack fed back",
         "pd",
     )
     gains: Gains
     filter: Filter = Filter()
+    loop_filters: LoopFilters | None = optional("absent: the bending filter alone")
     roll: Roll | None = optional("absent: no roll control by thrusters")
     roll_gimbal: RollGimbal | None = optional("absent: no roll control by gimbals")
     blend: Blend | None = optional("absent: the first gyro alone")
-    load_relief: LoadRelief | None = optional("of the law load-relief")
+    load_relief: LoadRelief | None = optional("of the laws load-relief and incidence-relief")
     adaptive: Adaptive | None = optional("absent: no adaptation; with any law")
     limits: Limits | None = optional("what the design was made to; for people")
     stage: tuple[StageLaw, ...] = optional(
@@ -269,18 +282,26 @@ class Design(Section):
         every = [self.gains, *(own.gains for own in self.stage if own.gains is not None)]
         for gains, key in ((gains, key) for gains in every for key in ("table", "yaw_table")):
             table = getattr(gains, key)
-            for column in ("k_i_ps", "k_a_s2pm") if table is not None else ():
+            for column in GAIN_NAMES[2:] if table is not None else ():
                 if (column in table) != (column in self.gain_names):
                     law = next(law for law, names in GAINS.items() if column in names)
                     verb, others = ("needs a", "") if column in self.gain_names else ("has no", f"law = '{law}', or ")
                     allowed = f"{others}{', '.join((gains.over, *self.gain_names))}"
                     raise table.refusal(f"the law {self.law} {verb} column {column}", allowed, at=("gains", key))
+            slope = table.get(self.gain_names[-1]) if table is not None and self.law == "incidence-relief" else None
+            if slope is not None and not ((slope > 0.0).all() or (slope < 0.0).all()):
+                problem, allowed = "no incidence follows from 0 m/s2", "accel_per_incidence_mps2 of one sign (below 0)"
+                raise table.refusal(problem, allowed, at=("gains", key))
         if self.law != "pid" and self.gains.integral_limit_deg is not None:
             problem = f"the law {self.law} has no integral"
             raise refuse(problem, "with law = 'pid' only", key=("gains", "integral_limit_deg"))
-        only_with(self, ("load_relief",), self.law == "load-relief", "law = 'load-relief'")
-        if self.law == "load-relief":
-            needs(self, "load_relief", "law is load-relief", "a table [load_relief]")
+        only_with(self, ("load_relief",), self.law in RELIEF, f"law = {' or '.join(map(repr, RELIEF))}")
+        if self.law in RELIEF:
+            needs(self, "load_relief", f"law is {self.law}", "a table [load_relief]")
+        loops = [given for given in (self.loop_filters, *(own.loop_filters for own in self.stage)) if given is not None]
+        if self.law not in RELIEF and any(given.acceleration is not None for given in loops):
+            allowed = f"law = {' or '.join(map(repr, RELIEF))}"
+            raise refuse(f"the law {self.law} takes no acceleration", allowed, key=("loop_filters", "acceleration"))
         return self
 
     @property
@@ -299,4 +320,6 @@ class Design(Section):
         if not self.stage:
             return self
         own = self.stage[number] if number < len(self.stage) else StageLaw()
-        return self.model_copy(update={**{k: v for k, v in dict(own).items() if v is not None}, "stage": ()})
+        return self.model_copy(
+            update={**{k: v for k, v in dict(own).items() if v is not None and k != "fade_s"}, "stage": ()}
+        )

@@ -8,6 +8,7 @@ import numpy as np
 from pydantic import Field, ValidationInfo, model_validator
 
 from maxq.control.kernel.limits import MAX_FAULTS, MAX_INJECTIONS, MAX_TONES
+from maxq.control.structures import RELIEF
 from maxq.sim.scenario.coverage import check_coverage
 from maxq.sim.scenario.errors import refuse, suggestion
 from maxq.sim.scenario.schema_design import Design
@@ -409,11 +410,16 @@ class Scenario(Section):
         if unfit := flown.unfit(computer.sample_s):
             problem = f"cannot be run every {computer.sample_s:g} s: {unfit}"
             raise refuse(problem, key=(*key, "structure"), value=flown.structure)
+        loops = design.of_stage(stage).loop_filters
+        for name, each in () if loops is None else zip(type(loops).model_fields, loops.each, strict=True):
+            if each is not None and (unfit := each.unfit(computer.sample_s)):
+                problem = f"cannot be run every {computer.sample_s:g} s: {unfit}"
+                raise refuse(problem, key=(*key[:-1], "loop_filters", name), value=each.structure)
 
     def _check_sensors(self, stage: int) -> None:
         assert self.design is not None
         flown, sensors, own = self.design.of_stage(stage), self.vehicle.stage[stage], stage < len(self.design.stage)
-        if flown.law == "load-relief" and sensors.accelerometer is None:
+        if flown.law in RELIEF and sensors.accelerometer is None:
             raise refuse(
                 "the vehicle has no accelerometer",
                 "a vehicle with [stage.accelerometer]",

@@ -133,8 +133,13 @@ def _declared(packed: Packed, said: str) -> Iterator[str]:
         ("STAGES", len(packed.parameters), ""),
         ("COUNT_RAD", float(first.converter.count_rad), "angle per gyro pulse; 0: angles are given"),
         ("RATE_INTEGRAL", int(int(first.attitude) != QUATERNION), "1: the error is the angle less the commanded angle"),
-        ("GAINS", 3 if int(first.pid.on) or int(first.relief.on) else 2, "of an axis"),
-        ("LOAD_RELIEF", int(first.relief.on), "1: the third gain is that of the acceleration; 0: of an integral"),
+        ("GAINS", table_in(packed.pool, first.law.gains).n_columns // 2, "of an axis"),
+        ("LOAD_RELIEF", int(first.relief.on), "1: the third gain is of the acceleration; 2: of the incidence"),
+        (
+            "LOOP_FILTERS",
+            int(any(int(row.computer.loops.on) or int(row.computer.loops.fade_ticks) for row in packed.parameters)),
+            "1: loops have filters of their own, or filters fade out behind a separation",
+        ),
         ("ADAPTIVE", int(any(int(row.computer.adaptive.on) for row in packed.parameters)), "1: a total gain adapts"),
         (
             "FURTHER_GYROS",
@@ -183,6 +188,10 @@ _STAGE_FIELDS = (
     "law_real adaptive_high_pass[5];    /* as a section of the bending filter */",
     "int32_t sections[2];          /* of the bending filter, in pitch and yaw */",
     "law_real section[2][LAW_MOST_SECTIONS][5]; /* b0, b1, b2, a1, a2 with a0 = 1 */",
+    "int32_t loop_filters;         /* 1: filters of attitude error, rate or acceleration */",
+    "int32_t fade_ticks;           /* samples over which the filters of the stage before fade out */",
+    "int32_t loop_sections[3];",
+    "law_real loop_section[3][LAW_MOST_SECTIONS][5];",
 )
 _ENDLESS = 1.0e9  # in place of a limit that is infinite
 
@@ -215,6 +224,8 @@ def _defined(packed: Packed, said: str) -> Iterator[str]:
             int(computer.over), breaks, f"gain_at_{n}", f"gain_{n}",
             computer.sensors.blend[:, : gyros + 1].tolist(), *_adaptation(computer.adaptive),
             computer.law.n_sections.tolist(), computer.law.sections.tolist(),
+            int(computer.loops.on), int(computer.loops.fade_ticks),
+            computer.loops.n_sections.tolist(), computer.loops.sections.tolist(),
         )  # fmt: skip  # a value a line otherwise
         stages.append(values)
     yield "const law_stage law_stages[LAW_STAGES] = {"

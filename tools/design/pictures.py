@@ -92,6 +92,8 @@ LOWEST_HZ, HIGHEST_HZ = 0.1, 100.0
 AXIS_OF = {
     "time_s": "time, s", "speed_mps": "speed, m/s", "mass_kg": "mass, kg", "dynamic_pressure_Pa": "q, Pa",
     "k_p": r"$k_P$, rad/rad", "k_d_s": r"$k_D$, s", "k_i_ps": r"$k_I$, 1/s", "k_a_s2pm": r"$k_A$, s$^2$/m",
+    "k_alpha": r"$k_\alpha$, rad/rad", "percussion_m": "lever of the centre of percussion, m",
+    "accel_per_incidence_mps2": r"acceleration per incidence, m/s$^2$",
 }  # fmt: skip  # seven more lines otherwise
 
 

@@ -25,7 +25,8 @@ if TYPE_CHECKING:
 
 GAIN_HEADS = {
     "time_s": "time, s", "speed_mps": "speed, m/s", "mass_kg": "mass, kg", "dynamic_pressure_Pa": "q, Pa",
-    "k_p": "k_p", "k_d_s": "k_d, s", "k_i_ps": "k_i, 1/s", "k_a_s2pm": "k_a, s2/m",
+    "k_p": "k_p", "k_d_s": "k_d, s", "k_i_ps": "k_i, 1/s", "k_a_s2pm": "k_a, s2/m", "k_alpha": "k_alpha",
+    "percussion_m": "percussion, m", "accel_per_incidence_mps2": "per incidence, m/s2",
 }  # fmt: skip  # seven more lines otherwise
 MET, MISSED = "met", "MISSED"
 _KINDS = {"sampled": "sampled, as it flies", "pade": "the paper's Pade approximants", "exact": "without aliasing"}

@@ -1,0 +1,151 @@
+"""Flight code from outside beside the built-in law: what it costs, and whether exported C gives the same bits.
+
+Flights of KSR-III, 59 s, alternately with the built-in law, with the law exported as C (`simdesign export --c`) and
+with examples/flight_software/pd_law.py; then campaigns/ksr3 on all cores, alternately. `--bits N`: instead, N dispersed
+flights to 70 s of each law and filter structure, with the built-in and with the exported law, compared by state hash.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+from typing import Any
+
+from maxq.sim.campaign.read import load_campaign
+from maxq.sim.campaign.runner import cores, load_kernels, run_campaign
+from maxq.sim.campaign.runs import fly_rows
+from maxq.sim.run.fly import fly
+from maxq.sim.scenario.loader import load_scenario
+from maxq.tools.design.export import export_c
+
+PYTHON_LAW = Path(__file__).resolve().parents[3] / "examples/flight_software/pd_law.py"
+FLAGS = ("-std=c99", "-O2", "-Wall", "-Wextra", "-Werror", "-pedantic", "-ffp-contract=off")
+SENSORS = (
+    "vehicle.stage.0.accelerometer={station_m=3.05, omega_hz=60.0, zeta=0.65, count_mps=0.001}",
+    "vehicle.stage.0.rate_gyro=[{station_m=9.2, omega_hz=60.0, zeta=0.65}]",
+)
+QUADRATIC = (
+    "{zero_hz=28.48, zero_zeta=0.315, pole_hz=13.7, pole_zeta=1.2}",
+    "{zero_hz=3.77, zero_zeta=1.2, pole_hz=5.73, pole_zeta=0.3}",
+)
+FIRST_ORDER = ("{zero_hz=9.0, pole_hz=9.5}", "{zero_hz=30.0, pole_hz=33.0}")
+SECTIONS = {"none": (0, 0), "F2": (1, 0), "F3": (1, 1), "F4": (2, 0), "F5": (2, 1), "F6": (2, 2), "sections": (2, 1)}
+MORE_GAINS = {
+    "pd": ("", ""),
+    "pid": (", k_i_ps=0.2", ", k_i_ps=0.1"),
+    "load-relief": (", k_a_s2pm=0.004", ", k_a_s2pm=0.01"),
+    "incidence-relief": (
+        ", k_alpha=0.2, percussion_m=4.0, accel_per_incidence_mps2=-20.0",
+        ", k_alpha=0.4, percussion_m=5.0, accel_per_incidence_mps2=-60.0",
+    ),
+}
+OPTIONS = {
+    "gains over mass": "",
+    "blended gyros": "[blend]\npitch = [0.7, 0.3]\n",
+    "adaptation": "adaptive = {reference_hz=0.4, error_gain_pdeg2s=0.2, damper_gain_pdeg2s=300.0, high_pass_hz=2.0}\n",
+    "a filter in each loop": "".join(
+        f"[loop_filters.{loop}]\nstructure = 'F2'\nquadratic = [{QUADRATIC[0]}]\nprewarp_hz = 9.5\n"
+        for loop in ("attitude", "rate")
+    ),
+}
+
+
+def design_text(law: str, structure: str, option: str) -> str:
+    """A design file with round numbers near those of ksr3-robust."""
+    quadratic, first_order = SECTIONS[structure]
+    over = ("mass_kg", 3500.0, 5500.0) if option == "gains over mass" else ("time_s", 5.0, 50.0)
+    rows = [
+        f"{{{over[0]}={at}, k_p={k_p}, k_d_s={k_d}{more}}}"
+        for at, k_p, k_d, more in zip(over[1:], (1.1, 0.7), (0.47, 0.37), MORE_GAINS[law], strict=True)
+    ]
+    relief = "[load_relief]\ncorner_hz = 1.3\n" if law.endswith("relief") else ""
+    own = OPTIONS.get(option, "")
+    above, below = (own, "") if own.startswith("adaptive") else ("", own)
+    return (
+        f"schema = 1\nlaw = '{law}'\n{above}[gains]\ntable = [{', '.join(rows)}]\n[filter]\nstructure = '{structure}'\n"
+        f"quadratic = [{', '.join(QUADRATIC[:quadratic])}]\nfirst_order = [{', '.join(FIRST_ORDER[:first_order])}]\n"
+        f"prewarp_hz = 9.5\n{relief}{below}"
+    )
+
+
+def built(folder: Path, *changes: str) -> list[str]:
+    """Overrides that fly the law of a scenario as a library of exported C."""
+    export_c(load_scenario("nominal", changes), folder)
+    sources = [str(folder / name) for name in ("flight_law.c", "flight_law_tables.c", "flight_law_fsw.c")]
+    subprocess.run(["cc", *FLAGS, "-shared", "-fPIC", "-o", str(folder / "libfsw.so"), *sources], check=True)
+    return ["vehicle.computer.law=external", f"vehicle.computer.library={folder / 'libfsw.so'}"]
+
+
+def costs(rounds: int, runs: int) -> dict[str, Any]:
+    with tempfile.TemporaryDirectory() as scratch:
+        library = built(Path(scratch))
+        python = ["vehicle.computer.law=external", f"vehicle.computer.python={PYTHON_LAW}:Autopilot"]
+        kinds = {"built-in": [], "C": library, "Python": python}
+        loaded = {kind: load_scenario("nominal", ["run.duration_s=59", *own]) for kind, own in kinds.items()}
+        spent: dict[str, dict[bool, list[float]]] = {kind: {True: [], False: []} for kind in kinds}
+        for number in range(rounds + 1):
+            for kind, scenario in loaded.items():
+                for log in (False, True):
+                    start = time.perf_counter()
+                    fly(scenario, log=log)
+                    if number > 0:  # the first compiles
+                        spent[kind][log].append(time.perf_counter() - start)
+        rates: dict[str, list[float]] = {"built-in": [], "C": []}
+        for number in range(4):
+            for kind, measured in rates.items():
+                campaign = load_campaign("campaigns/ksr3", ["campaign.keep=[]", *kinds[kind]]).with_campaign(runs=runs)
+                load_kernels(campaign)
+                start = time.perf_counter()
+                run_campaign(campaign, Path(scratch) / f"{kind}-{number}", workers=cores())
+                measured.append(runs / (time.perf_counter() - start))
+    middle = {kind: {log: statistics.median(v) for log, v in by.items()} for kind, by in spent.items()}
+    return {
+        "wall_s": {
+            kind: {"without log": round(v[False], 4), "with log": round(v[True], 4)} for kind, v in middle.items()
+        },
+        "c_over_built_in": [round(middle["C"][log] / middle["built-in"][log], 3) for log in (False, True)],
+        "campaign_per_s": {kind: [round(rate, 1) for rate in v] for kind, v in rates.items()},
+        "campaign_c_over_built_in": round(statistics.median(rates["C"]) / statistics.median(rates["built-in"]), 3),
+    }
+
+
+def bits(runs: int) -> dict[str, int]:
+    """Dispersed flights of each law and structure whose state hash is the same, of `runs`."""
+    chosen = [("pd", structure, "") for structure in SECTIONS]
+    chosen += [(law, "F4", "") for law in MORE_GAINS if law != "pd"] + [("pd", "F4", option) for option in OPTIONS]
+    out = {}
+    for law, structure, option in chosen:
+        with tempfile.TemporaryDirectory() as scratch:
+            path = Path(scratch) / "design.toml"
+            path.write_text(design_text(law, structure, option))
+            sensors = SENSORS if law.endswith("relief") or option == "blended gyros" else ()
+            changes = [f"design={path}", *sensors]
+            library, hashes = built(Path(scratch) / "law", *changes), []
+            for own in ([], library):
+                campaign = load_campaign("campaigns/ksr3", ["run.duration_s=70", "campaign.keep=[]", *changes, *own])
+                drawn = campaign.with_campaign(runs=runs).plan.draw(0, runs)
+                hashes.append([row.state_hash for row in fly_rows(campaign, [(drawn, run) for run in range(runs)])])
+            name = ", ".join(part for part in (law, structure, option) if part)
+            out[name] = sum(a == b for a, b in zip(*hashes, strict=True))
+            assert len(set(hashes[0])) == runs, "the flights are alike"
+            print(f"{name}: {out[name]} of {runs} the same", file=sys.stderr, flush=True)
+    return out
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--rounds", type=int, default=9, help="flights of each kind (default 9)")
+    parser.add_argument("--runs", type=int, default=400, help="of each campaign (default 400)")
+    parser.add_argument("--bits", type=int, default=0, help="dispersed flights of each law and structure")
+    choice = parser.parse_args()
+    print(json.dumps(bits(choice.bits) if choice.bits else costs(choice.rounds, choice.runs), indent=1))
+
+
+if __name__ == "__main__":
+    main()
