@@ -34,8 +34,9 @@ from maxq.control.sensors import make_sensors
 from maxq.design import api
 from maxq.design.laws.pd import Pd, PdVariables
 from maxq.design.model.plant import vehicle_plant
-from maxq.design.model.vehicle_at import incidence_by_acceleration
+from maxq.design.model.vehicle_at import incidence_by_acceleration, stability_derivatives
 from maxq.design.optimise.solve import make_problem
+from maxq.design.verify.judging import judge
 from maxq.sim.run.fly import fly
 from maxq.sim.scenario.loader import load_scenario
 
@@ -277,6 +278,16 @@ def test_the_law_is_one_in_every_form(loop: str) -> None:
             low = one.response(1e-7)[..., one.inputs.index(name)]
             assert low == pytest.approx(one.static_gain(name), rel=1e-5, abs=1e-6)
     np.testing.assert_allclose(law.variables_of(designed), VARIABLES, rtol=1e-12)
+
+
+def test_damping_of_the_rigid_body_counts_all_gyros() -> None:
+    """(36) with the whole rate gain, as the optimiser has it; the verdict took the first gyro's share of it."""
+    node = problem("sampled")[1].each[0].node
+    law = api.load_design("designs/ksr3-load-relief.toml", "load-relief")
+    k_p, k_d = (np.interp(node.time_s, law.gains.table["time_s"], law.gains.table[k]) for k in ("k_p", "k_d_s"))
+    m_delta = stability_derivatives(node.vehicle, node.condition).m_delta_1ps2
+    zeta = judge([node], law, "sampled")[0].rigid("paper")[1]
+    assert zeta == pytest.approx(0.5 * k_d * np.sqrt(m_delta / k_p), rel=1e-9)
 
 
 def test_the_centre_of_percussion_feels_the_air_and_no_gimbal_angle() -> None:

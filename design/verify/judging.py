@@ -17,6 +17,7 @@ from maxq.control.kernel.records import Array
 from maxq.design import api
 from maxq.design.case.schema import Case, LoadedCase
 from maxq.design.laws.design_file import design_of
+from maxq.design.laws.law import ANGLES
 from maxq.design.loop.fixed_path import Kind
 from maxq.design.loop.loop import Loop
 from maxq.design.margins.budget import Budget, crossing_budgets
@@ -25,7 +26,7 @@ from maxq.design.margins.lobes import Lobe, find_lobes
 from maxq.design.margins.measure import Margins, margins
 from maxq.design.margins.multiloop import MultiloopMargins
 from maxq.design.model.node import Node
-from maxq.design.model.vehicle_at import StabilityDerivatives, stability_derivatives
+from maxq.design.model.vehicle_at import ACCELERATION, StabilityDerivatives, stability_derivatives
 from maxq.design.optimise.criteria import OBJECTIVES
 from maxq.design.optimise.robust import deviated
 from maxq.design.optimise.solution import Solution
@@ -113,7 +114,9 @@ class Judged:
         if square <= 0.0:
             return 0.0, math.nan
         omega = math.sqrt(square)
-        damping = d.m_delta_1ps2 * self.loop.law.static_gain("rate_radps") - m_q
+        law = self.loop.law
+        rates = [name for name in law.inputs if name not in (*ANGLES, ACCELERATION)]  # all gyros of a blended rate
+        damping = d.m_delta_1ps2 * sum(law.static_gain(name) for name in rates) - m_q
         return omega / (2.0 * math.pi), damping / (2.0 * omega)
 
     def peak_db(self, first: int, last: int) -> float:
