@@ -9,6 +9,7 @@ dP_k being half the difference of actuator, vehicle and gyro at both ends of a d
 1 - j v sin(2 pi f t). The law with all that sampling adds is what it is at f without deviations. So it is exact to
 first order in each deviation; what two of them do to each other, and the bend between the ends, is not in it; nor is
 what happens between the frequencies that are tried. Deviations that go together do so.
+Aliases stay as they are without deviations: of a mode beyond the Nyquist frequency the bound says nothing.
 """
 
 from __future__ import annotations

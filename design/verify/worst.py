@@ -328,8 +328,8 @@ def worst_requirements(found: WorstVehicle, wanted: WorstWanted, again: str) -> 
     said = f"{found.modulus:.3f}" if found.modulus else "unstable"
     said += f"; no worse corner found in {found.searches} searches ({found.loops} loops)"
     if found.within_tried:
-        said += f"; none is unstable up to {found.within_sigmas:.2g} sigma each at {found.time_s:g} s, by mu at "
-        said += f"{found.within_tried} frequencies, largest at {found.within_hz:.3g} Hz"
+        said += f"; mu: none unstable within {found.within_sigmas:.2g} sigma each "
+        said += f"({found.within_tried} frequencies, {found.within_hz:.3g} Hz)"
     out = []
     if wanted.modulus is not None:
         judgement = ACCEPTED if found.modulus >= wanted.modulus else REJECTED
