@@ -54,6 +54,7 @@ from maxq.sim.scenario.errors import ScenarioError
 from maxq.sim.scenario.loader import load_scenario
 from maxq.sim.scenario.schema_values import Section
 from maxq.tools.simverify import main
+from maxq.tools.verify import report as pack_report
 from maxq.tools.verify import run as verify_run
 from maxq.tools.verify.report import page_of, ranked
 from maxq.tools.verify.run import campaigns_of
@@ -603,3 +604,14 @@ def test_ranking_puts_fewer_rejections_first() -> None:
     worse, better = Stub(-2, 0, 0.5), Stub(-1, -3, 0.1)
     assert ranked([worse, better]) == [better, worse]  # type: ignore[arg-type,comparison-overlap]  # merit is all it asks
     assert callable(page_of)
+
+
+def test_requirements_of_each_plane_stand_under_its_name() -> None:
+    """`quick` listed the margins of pitch and of yaw one below the other, with equal names."""
+
+    def asked(*wheres: str) -> list[Requirement]:
+        return [Requirement("margins", "stable", "", "", ACCEPTED, math.nan, where) for where in wheres]
+
+    both = asked("", "5 s, pitch", "9 s, pitch", "", "5 s, yaw", "7 s, yaw", "")
+    assert pack_report._headings(both) == [", pitch"] * 3 + [", yaw"] * 4
+    assert pack_report._headings(asked("", "at 3 s", "5 s, pitch")) == [""] * 3

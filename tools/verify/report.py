@@ -188,14 +188,29 @@ def print_page(page: Path, pdf: Path) -> Path | None:
     return pdf
 
 
+def _headings(part: Sequence[Requirement]) -> list[str]:
+    """The plane of each requirement of a part, as the end of its heading: that of the next one with a plane, where all
+    but a few that come first in it have one; else none.
+    """
+    planes = [(r.where.rpartition(", ")[2] if r.where.endswith((", pitch", ", yaw")) else "") for r in part]
+    if 2 * sum(map(bool, planes)) < len(planes):
+        return [""] * len(planes)
+    for n in reversed(range(len(planes) - 1)):
+        planes[n] = planes[n] or planes[n + 1]
+    last = ""
+    for n, plane in enumerate(planes):
+        planes[n] = last = plane or last
+    return [f", {plane}" for plane in planes]
+
+
 def report(found: Verification, title: str) -> list[str]:
     """Every requirement, a row each, under the name of its part and plane."""
     rows: list[tuple[str, ...]] = [("requirement", "verdict", "wanted", "found", "room", "where")]
-    for part, group in groupby(found.requirements, lambda r: r.part):
-        every = list(group)
-        planes = {r.where.rpartition(", ")[2] for r in every} & {"pitch", "yaw"}
-        rows += [("",) * 6, (f"{part}{f', {planes.pop()}' if len(planes) == 1 else ''}:", *("",) * 5)]
-        for r in every:
+    headed = [(_headings(list(group)), part) for part, group in groupby(found.requirements, lambda r: r.part)]
+    every = zip(found.requirements, (f"{part}{h}" for own, part in headed for h in own), strict=True)
+    for heading, group in groupby(every, lambda pair: pair[1]):
+        rows += [("",) * 6, (f"{heading}:", *("",) * 5)]
+        for r, _ in group:
             room = f"{100.0 * r.room:.0f} %" if math.isfinite(r.room) else ""
             rows.append((printable(r.name), _mark(WORDS[r.judgement]), r.wanted, printable(r.found), room, r.where))
     return [title, "", *aligned(rows, "  ", right=(4,), drop=(5, 4))]
