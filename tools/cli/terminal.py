@@ -195,7 +195,6 @@ class Progress:
                 return
             if self._bar is None:
                 self._begin()
-            self._bar.console.width = _beside_ctrl_c()
             if what != self._shown["what"]:
                 self._bar.reset(self._task)  # the clock beside it is that of this part
             self._shown = {"what": what, "completed": done, "total": of or None, "count": count}
@@ -230,25 +229,28 @@ class Progress:
         return True
 
     def _begin(self) -> None:
-        from rich.console import Console  # noqa: PLC0415  # lazy: most work is done before it is loaded
+        from rich.console import Console, RenderableType  # noqa: PLC0415  # lazy: most work is done before it is loaded
+        from rich.constrain import Constrain  # noqa: PLC0415  # lazy
         from rich.progress import BarColumn, TextColumn, TimeElapsedColumn  # noqa: PLC0415  # lazy
         from rich.progress import Progress as Bar  # noqa: PLC0415  # lazy
         from rich.table import Column  # noqa: PLC0415  # lazy
+
+        console = Console(stderr=True)
+
+        class Narrow(Bar):
+            """Behind it is room for the "^C" of a terminal, which else breaks the line, and half of the bar stays."""
+
+            def get_renderable(self) -> RenderableType:
+                return Constrain(super().get_renderable(), max(console.width - 3, 20))
 
         def text(field: str, ratio: int | None = None) -> TextColumn:
             column = Column(no_wrap=True, overflow="ellipsis", ratio=ratio)
             return TextColumn(f"{{task.fields[{field}]}}", markup=False, table_column=column)
 
         shown = (text("what"), BarColumn(20), text("count"), TimeElapsedColumn(), text("note", 1))
-        self._bar = Bar(*shown, console=Console(stderr=True, width=_beside_ctrl_c()), transient=True, expand=True)
+        self._bar = Narrow(*shown, console=console, transient=True, expand=True)
         self._task = self._bar.add_task("", **self._shown, note="")
         self._bar.start()
-
-
-def _beside_ctrl_c() -> int:
-    """Width of the bar: the terminal's less the "^C" that it writes behind, which else breaks the line, and half of the
-    bar stays."""
-    return max(columns(sys.stderr) - 3, 20)
 
 
 def _listen(progress: Progress) -> Any:
