@@ -20,6 +20,11 @@ from maxq.tools.vehicle.build import Built, burning
 
 ALIKE = 1e-2
 TIMES = 11  # of each burn, at full thrust
+_UNITS = {
+    "kg": "kg", "kgps": "kg/s", "kgpm": "kg/m", "kgm2": "kg m2", "kgm2ps": "kg m2/s", "m": "m", "m2": "m2",
+    "mps": "m/s", "pm": "1/m", "pr": "1/rad", "mpr": "m/rad", "radps": "rad/s", "rad": "rad", "N": "N", "Nms": "N m s",
+}  # fmt: skip  # a table
+_ONE = {"pendulums": "pendulum", "modes": "mode", "aerodynamics": "surface"}
 _NOT_COMPARED = ("follower", "gimbal", "rest", "slope", "flow_share", "gain", "spatial", "local_incidence")
 
 
@@ -65,8 +70,8 @@ def _quantities(built: Built, loaded: LoadedScenario) -> dict[str, Array]:
             for part in ("body", "pendulums", "modes", "engine", "aerodynamics"):
                 for name, value in _numbers(getattr(at, part), part):
                     found.setdefault(name, []).append(value)
-            found.setdefault("total_cg_station_m", []).append(at.total_cg_station_m)
-            found.setdefault("total_inertia_kgm2", []).append(at.total_inertia_kgm2)
+            found.setdefault("vehicle: CG station, m", []).append(at.total_cg_station_m)
+            found.setdefault("vehicle: transverse inertia, kg m2", []).append(at.total_inertia_kgm2)
     return {name: np.array(values) for name, values in found.items()}
 
 
@@ -74,9 +79,19 @@ def _numbers(part: Any, name: str) -> Iterator[tuple[str, float]]:
     for field in dataclasses.fields(part):
         value = getattr(part, field.name)
         if field.name not in _NOT_COMPARED and isinstance(value, float | np.ndarray):
-            flat = np.ravel(value)
-            for k, number in enumerate(flat):
-                yield f"{name}.{field.name}" + (f".{k + 1}" if np.ndim(value) else ""), float(np.nan_to_num(number))
+            for place, number in np.ndenumerate(value):
+                yield _titled(name, field.name, [k + 1 for k in place]), float(np.nan_to_num(number))
+
+
+def _titled(part: str, field: str, place: list[int]) -> str:
+    """ "pendulum 2: mass rate, kg/s", "modes: shape at hinge 1, 3"."""
+    words, _, unit = field.rpartition("_")
+    if unit not in _UNITS:
+        words, unit = field, ""
+    words = words.replace("phi_", "shape_at_").replace("slope_g", "slope_at_g").replace("_", " ").replace("cg", "CG")
+    if len(place) == 1:
+        part, place = f"{_ONE.get(part, part)} {place[0]}", []
+    return f"{part}: {' '.join([words, ', '.join(map(str, place))]).rstrip()}" + (f", {_UNITS[unit]}" if unit else "")
 
 
 def comparison(found: list[Difference], vehicle: str) -> str:
