@@ -5,10 +5,11 @@ singular value over the deviations v, each a real number:
 
     L(f, v) = C(f) P(f, v),      [x' y] = ([A B, C D] + sum_k v_k dP_k) [x p],
 
-dP_k being half the difference of actuator, vehicle and gyro at both ends of a deviation, and the delay a factor
-1 - j v sin(2 pi f t). The law with all that sampling adds is what it is at f without deviations. So it is exact to
-first order in each deviation; what two of them do to each other, and the bend between the ends, is not in it; nor is
-what happens between the frequencies that are tried. Deviations that go together do so.
+dP_k being half the difference of actuator, vehicle and gyro at both ends of a deviation, as large as that to the
+farther end, and the delay a factor 1 - j v sin(2 pi f t). The law with all that sampling adds is what it is at f
+without deviations. So it is exact to first order in each deviation; what two of them do to each other, and how a
+change turns between the ends, is not in it; nor is what happens between the frequencies that are tried. Deviations
+that go together do so.
 Aliases stay as they are without deviations: of a mode beyond the Nyquist frequency the bound says nothing.
 """
 
@@ -36,16 +37,20 @@ from maxq.sim.scenario.schema_design import Design
 _RANK = 1e-7  # relative, of singular values that count
 _GRID, _LOWEST_HZ = 60, 0.01
 _WIDTHS = np.array([-4.0, -1.0, 0.0, 1.0, 4.0])
-_AROUND = 1.0 + 0.02 * np.arange(-3, 4)
+_AROUND = (1.0 + 0.02 * np.arange(-3, 4), 1.0 + 0.005 * np.arange(-3, 4))  # the largest, once and again
 
 
 @dataclass(frozen=True)
 class Uncertain:
-    """What deviates in a plane, [A B, C D] (n + 1, n + 1) and its changes by 1 of each, balanced; delays (s) by 1."""
+    """What deviates in a plane, [A B, C D] (n + 1, n + 1) and its changes by 1 of each, balanced; delays (s) by 1.
+
+    `farther` (deviations,): what a change to the farther end is to that change, at least 1.
+    """
 
     whole: Array
     changes: tuple[Array, ...]
     late_s: Array
+    farther: Array
 
     def matrix(self, hz: float, back: complex) -> tuple[ComplexArray, list[int]]:
         """M from what the deviations put out to what they take up, where p = -back y, and their ranks."""
@@ -86,14 +91,16 @@ def uncertain(node: Node, spread: Spread) -> Uncertain:
         return np.block([[path.a, path.b], [path.c[:1], path.d[:1]]])
 
     middle = whole(np.zeros(len(places)))
-    changes = [0.5 * (whole(root @ unit) - whole(-root @ unit)) for unit in np.eye(len(places))]
+    ends = np.array([[whole(root @ unit) - middle, middle - whole(-root @ unit)] for unit in np.eye(len(places))])
+    changes = 0.5 * ends.sum(axis=1)
     sizes = np.abs(middle) + np.abs(changes).sum(axis=0)
     scale = scipy.linalg.matrix_balance(sizes, permute=False, separate=True)[1][0]
     scale[-1] = 1.0
+    changes, ends = changes / scale[:, None] * scale, ends / scale[:, None] * scale
+    size = np.linalg.norm(changes, axis=(1, 2))
+    farther = np.linalg.norm(ends, axis=(2, 3)).max(axis=1) / np.where(size > 0.0, size, 1.0)
     late_s = spread.delay_s * root[[name for name, _ in places].index("delay_s")]
-    return Uncertain(
-        middle / scale[:, None] * scale, tuple(change / scale[:, None] * scale for change in changes), late_s
-    )
+    return Uncertain(middle / scale[:, None] * scale, tuple(changes), late_s, np.maximum(farther, 1.0))
 
 
 @dataclass(frozen=True)
@@ -119,14 +126,16 @@ def stable_within(node: Node, design: Design, spread: Spread) -> Within | None:
         path = (c @ np.linalg.solve(2j * np.pi * hz * np.eye(n) - a, b) + d)[0, 0]
         m, ranks = every.matrix(hz, complex(loop.response(np.array([hz]))[0] / path))
         near = min(scaling, key=lambda f: abs(f - hz), default=None)
+        m = m * np.repeat(every.farther, ranks)
         values[hz], scaling[hz] = real_mu_upper(m, ranks, None if near is None else scaling[near], enough)
 
     with threadpool_limits(1, "blas"):  # small matrices: threads wait for each other
         for hz in _frequencies(loop, loop.fixed):
             bound(hz, max(values.values(), default=0.0))
-        for hz in np.unique(max(values, key=lambda f: values[f]) * _AROUND):
-            if hz < loop.highest_hz:
-                bound(float(hz), max(values.values()))
+        for around in _AROUND:
+            for hz in np.unique(max(values, key=lambda f: values[f]) * around):
+                if hz < loop.highest_hz:
+                    bound(float(hz), max(values.values()))
     peak = max(values, key=lambda f: values[f])
     return Within(3.0 / values[peak], peak, len(values))
 
