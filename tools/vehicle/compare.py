@@ -88,7 +88,13 @@ def _titled(part: str, field: str, place: list[int]) -> str:
     words, _, unit = field.rpartition("_")
     if unit not in _UNITS:
         words, unit = field, ""
-    words = words.replace("phi_", "shape_at_").replace("slope_g", "slope_at_g").replace("_", " ").replace("cg", "CG")
+    words = (
+        words.replace("phi_", "shape_at_")
+        .replace("slope_g", "slope_at_g")
+        .replace("slope_s", "slope_at_s")
+        .replace("_", " ")
+        .replace("cg", "CG")
+    )
     if len(place) == 1:
         part, place = f"{_ONE.get(part, part)} {place[0]}", []
     return f"{part}: {' '.join([words, ', '.join(map(str, place))]).rstrip()}" + (f", {_UNITS[unit]}" if unit else "")
