@@ -488,7 +488,7 @@ class PdVariables:
         slopes = np.zeros((*shape, self.own_size - n), np.complex128)
         one: Curve = (np.ones(points, complex), np.zeros(points, complex), np.zeros(points, complex))
         lag: Curve = axis[3:6] if self.lag is not None else one  # type: ignore[assignment]  # three of them
-        change: Curve = axis[6:9] if self.by_incidence else one  # type: ignore[assignment]  # likewise
+        change: Curve = axis[6:9] if self.by_incidence else one  # type: ignore[assignment]  # three of them
         for i, name in enumerate(self.inputs):
             bank = 0 if name in ANGLES else 2 if name == ACCELERATION else 1
             loop, y = self.loops[bank], own[:, at_loops[bank] : at_loops[bank + 1]]

@@ -52,6 +52,12 @@ class Uncertain:
     late_s: Array
     farther: Array
 
+    @property
+    def blocks(self) -> tuple[Array, Array, Array, Array]:
+        """A, B, C, D."""
+        n = len(self.whole) - 1
+        return self.whole[:n, :n], self.whole[:n, n:], self.whole[n:, :n], self.whole[n:, n:]
+
     def matrix(self, hz: float, back: complex) -> tuple[ComplexArray, list[int]]:
         """M from what the deviations put out to what they take up, where p = -back y, and their ranks."""
         n, s = len(self.whole) - 1, 2j * np.pi * hz
@@ -72,7 +78,7 @@ class Uncertain:
         into, out = np.concatenate(left, axis=1), np.concatenate(right, axis=1).astype(np.complex128)
         late = np.array(direct) != 0.0
         # of x and p: s x = A x + B p + U_x w,  p = -back (C x + D p + U_y w) + w_late
-        a, b, c, d = self.whole[:n, :n], self.whole[:n, n:], self.whole[n:, :n], self.whole[n:, n:]
+        a, b, c, d = self.blocks
         closed = np.block([[s * np.eye(n) - a, -b], [back * c, 1.0 + back * d]])
         driven = np.concatenate([into[:n], -back * into[n:] + late[None]])
         out[n, late] = np.array(direct)[late]
@@ -118,12 +124,11 @@ def stable_within(node: Node, design: Design, spread: Spread) -> Within | None:
     if any(name not in MEASUREMENTS for name in law.inputs):
         return None
     loop, every = Loop(fixed_path(node), law), uncertain(node, spread)
-    n, scaling = len(every.whole) - 1, dict[float, Scaling]()
-    values = dict[float, float]()
+    scaling, values = dict[float, Scaling](), dict[float, float]()
 
     def bound(hz: float, enough: float) -> None:
-        a, b, c, d = every.whole[:n, :n], every.whole[:n, n:], every.whole[n:, :n], every.whole[n:, n:]
-        path = (c @ np.linalg.solve(2j * np.pi * hz * np.eye(n) - a, b) + d)[0, 0]
+        a, b, c, d = every.blocks
+        path = (c @ np.linalg.solve(2j * np.pi * hz * np.eye(len(a)) - a, b) + d)[0, 0]
         m, ranks = every.matrix(hz, complex(loop.response(np.array([hz]))[0] / path))
         near = min(scaling, key=lambda f: abs(f - hz), default=None)
         m = m * np.repeat(every.farther, ranks)
