@@ -265,6 +265,18 @@ def test_a_tank_that_runs_empty_within_the_step_is_no_error_of_the_integration()
     assert 0.0 < found.metrics["step_error_slosh_deg"] < 0.02
 
 
+def test_what_an_actuators_play_does_to_steps_is_estimated_as_large_as_it_is() -> None:
+    """Run 886, with a play of 0.045 deg, against itself in steps of 0.5 ms; estimates of crossings as if they never
+    cancelled are 20 times as large, and fail it."""
+    by_accuracy, finer = (
+        fly(load_campaign("campaigns/ksr3", overrides).scenario_of(886), log=False)
+        for overrides in ([], ["run.step_s=0.0005"])
+    )
+    assert not [f for f in by_accuracy.failures if "integration" in f]
+    error = abs(by_accuracy.metrics["max_bending_m"] - finer.metrics["max_bending_m"])
+    assert error < by_accuracy.metrics["step_error_bending_m"] < 10.0 * error
+
+
 def test_an_error_beyond_the_accuracy_is_a_failure(by_accuracy: Flight) -> None:
     required = by_accuracy.scenario.scenario.requirement
     assert step_failure(0.01, by_accuracy.metrics, required) == ""

@@ -94,6 +94,9 @@ class Clock:
     stage_separation_ns: Annotated[IntArray, (MAX_STAGES,)]
 
 
+ERRORS_SQUARED = 5
+
+
 @dataclass
 class Memory:
     """Everything of a flight that changes, besides the state vector."""
@@ -109,7 +112,11 @@ class Memory:
     extremes: Extremes
     sections: SectionLoads
     waves: Waves
-    errors: Annotated[Array, (5,)]  # of the integration: attitude, deg; bending, m; slosh, deg; position, m; speed, m/s
+    errors: Annotated[Array, (8,)]
+    """Of the integration: attitude, deg; bending, m; slosh, deg; position, m; speed, m/s; from ERRORS_SQUARED on the
+    sums of the squares of the first three in steps within which an engine started or stopped.
+    """
+
     increment_rad: Annotated[Array, (3,)]
     rate_injection_radps: Annotated[Array, (3,)]
     rate_replaces: Annotated[IntArray, (3,)]

@@ -19,7 +19,16 @@ from maxq.control.orbit_guidance import CUT_OFF, STEERING
 from maxq.sim.flight.channels import ChannelTable
 from maxq.sim.flight.loop import Logged, advance, begin
 from maxq.sim.flight.metrics import MetricIndex
-from maxq.sim.flight.parameters import BURNOUT, CONTROL_LOST, DIVERGED, EVENT_NAMES, LIFTOFF, NEVER, SEPARATION
+from maxq.sim.flight.parameters import (
+    BURNOUT,
+    CONTROL_LOST,
+    DIVERGED,
+    ERRORS_SQUARED,
+    EVENT_NAMES,
+    LIFTOFF,
+    NEVER,
+    SEPARATION,
+)
 from maxq.sim.flight.step import ARENA_SIZE
 from maxq.sim.flight.telemetry import FAST, SLOW, channel_table
 from maxq.sim.log.tabular import Tabular, html_table
@@ -379,8 +388,10 @@ class FlightRun:
         metrics = dict(zip(MetricIndex._fields, extremes.value.tolist(), strict=True))
         metrics |= of_sections._asdict() | end._asdict() | WaveMetrics(wave)._asdict()
         accuracy = scenario.run.accuracy
-        errors = self.memory.errors.tolist()[:4] if accuracy is not None else [math.nan] * 4
-        metrics |= StepMetrics(*errors)._asdict()
+        errors = self.memory.errors
+        turned, bent, swung = errors[:3] + np.sqrt(errors[ERRORS_SQUARED:])
+        estimated = StepMetrics(turned, bent, swung, errors[3])._asdict()
+        metrics |= {name: float(error) if accuracy is not None else math.nan for name, error in estimated.items()}
         metrics |= orbit_metrics(earth, self.packed.state[R_I : R_I + 3], self.packed.state[V_I : V_I + 3])._asdict()
         metric_times_s |= section_times._asdict()
         judged = scenario.requirement

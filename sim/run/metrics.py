@@ -66,8 +66,9 @@ class WaveMetrics(NamedTuple):
 
 class StepMetrics(NamedTuple):
     """Estimated errors of the integration: those of single steps every half second, as often as there are steps, added
-    as if they never cancelled or died away; that of the position holds what those of attitude and speed become, none
-    what becomes of it in the control loop. nan with steps of a fixed length.
+    as if they never cancelled or died away (as their squares where an engine starts or stops within the step); that of
+    the position holds what those of attitude and speed become, none what becomes of it in the control loop. nan with
+    steps of a fixed length.
     """
 
     step_error_attitude_deg: Annotated[float, "deg", "estimated error of the attitude by the integration"]
