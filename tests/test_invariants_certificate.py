@@ -5,6 +5,7 @@
 | a signal of less than a pulse a sample, alone | vanishes or is magnified: why measurements are dithered |
 | the same with slow tones | keeps its amplitude |
 | a slow command rounded under the two tones of its dither | has the gain of a series of Bessel functions, 0.4 % off |
+| these tones, integrated from rest | turn nothing on the whole |
 | gain down of a slow root whose burst is three such steps | that of the linear loop |
 | excitation level predicted by the linear loop | that of the flight, and below every limit |
 | a loop as it is; one beyond its stability boundary | decays; grows |
@@ -32,7 +33,14 @@ from maxq.design.certificate.excitation import DITHER_HZ, Band, band, excitation
 from maxq.design.certificate.held_flight import Change, HeldFlight, hold, linear_limits
 from maxq.design.certificate.in_flight import TIME_VARIATION, converters_share, in_flight_response
 from maxq.design.certificate.in_flight import _reason as reason_of
-from maxq.design.certificate.measured_margins import FINE_STEPS, TOO_LONG, LimitCycle, limit_cycle, measure_margin
+from maxq.design.certificate.measured_margins import (
+    FINE_STEPS,
+    TOO_LONG,
+    LimitCycle,
+    fine_dither,
+    limit_cycle,
+    measure_margin,
+)
 from maxq.design.certificate.response import BANDS, NOISE, UNEXPLAINED
 from maxq.design.margins.measure import margins
 from maxq.sim.packing.flight import Packed
@@ -86,20 +94,32 @@ def test_converter_has_no_gain_of_its_own_only_when_dithered() -> None:
     assert _gain(20.0, 0.0) == pytest.approx(1.0, abs=0.005)
 
 
-@pytest.mark.parametrize("steps", [5.0, FINE_STEPS])
+@pytest.mark.parametrize("steps", [7.0, FINE_STEPS])
 def test_dither_of_fifty_steps_leaves_a_rounded_command_its_gain(steps: float) -> None:
-    time_s = 0.01 * np.arange(4000)  # three beats of the tones
-    tones = steps * sum(
-        np.sin(2.0 * np.pi * hz * time_s + phase) for hz, phase in zip(DITHER_HZ, (0.3, 1.1), strict=True)
-    )
-    x = np.linspace(0.0, 1.0, 201)
+    amplitudes = steps, steps * DITHER_HZ[1] / DITHER_HZ[0]  # the second one's sign is a phase
+    time_s = 0.002 * np.arange(20000)  # three beats of the tones
+    x, phases = np.linspace(0.0, 1.0, 41), 2.0 * np.pi * np.arange(20) / 20.0
+    first, second = (a * np.sin(2.0 * np.pi * hz * time_s) for a, hz in zip(amplitudes, DITHER_HZ, strict=True))
+    turned = amplitudes[1] * np.cos(2.0 * np.pi * DITHER_HZ[1] * time_s)
+    tones = np.concatenate([first + np.cos(p) * second + np.sin(p) * turned for p in phases])
     mean = np.array([np.round(at + tones).mean() for at in x])
     order = np.arange(1, 200)
-    terms = (-1.0) ** order * scipy.special.j0(2.0 * np.pi * order * steps) ** 2 / (np.pi * order)
+    bessel = np.prod([scipy.special.j0(2.0 * np.pi * order * a) for a in amplitudes], axis=0)
+    terms = (-1.0) ** order * bessel / (np.pi * order)
     of_series = x + np.sin(2.0 * np.pi * np.outer(x, order)) @ terms
-    assert np.abs(mean - of_series).max() < 0.012  # 4000 samples, not the mean over all phases
-    off = np.abs(2.0 * np.cos(2.0 * np.pi * x) * scipy.special.j0(2.0 * np.pi * steps) ** 2).max()
+    assert np.abs(mean - of_series).max() < 0.001  # 400,000 samples of a phase in place of the mean over all
+    off = np.abs(2.0 * np.cos(2.0 * np.pi * x) * bessel[0]).max()
     assert (off < 0.005) == (steps == FINE_STEPS)
+
+
+def test_tones_of_the_dither_begin_without_a_kick(held: HeldFlight) -> None:
+    """Integrated from rest over three beats (whole turns of both), they turn by nothing on the mean."""
+    (low, low_hz), (high, high_hz) = fine_dither(held)
+    time_s = np.arange(0.0, 40.0, 1e-3)
+    sines = [a * np.sin(2.0 * np.pi * hz * time_s) for a, hz in ((low, low_hz), (high, high_hz))]
+    turned = [float(np.mean(np.cumsum(x) * 1e-3)) for x in sines]
+    assert turned[0] == pytest.approx(low / (2.0 * np.pi * float(low_hz[0])), rel=1e-3)
+    assert abs(sum(turned)) < 1e-3 * turned[0]
 
 
 def test_slow_root_is_found_under_a_coarse_output() -> None:

@@ -16,7 +16,14 @@ from maxq.design.case.schema import LoadedCase, read_case
 from maxq.design.certificate import held_flight
 from maxq.design.certificate.certificate import MarginRow, certify_node
 from maxq.design.certificate.held_flight import Change, hold
-from maxq.design.certificate.measured_margins import TOO_SLOW
+from maxq.design.certificate.measured_margins import (
+    TOO_SLOW,
+    alter,
+    altered,
+    build_up_rate,
+    burst_test,
+    measured_growth,
+)
 from maxq.design.laws.design_file import design_text
 from maxq.design.margins.measure import margins
 from maxq.design.model.node import Span, node_times, nodes_along, powered_spans, spans_of
@@ -112,6 +119,20 @@ def test_certificate_of_a_later_stage_agrees(spans: tuple[Span, ...]) -> None:
     assert found.stable
     assert found.unexplained == ()
     assert abs(found.margins[0].difference) < 0.2
+
+
+@pytest.mark.slow
+def test_a_sine_of_a_hundredth_of_a_hertz_neither_grows_nor_decays_on_its_boundary() -> None:
+    """In thin air, under the gimbal output's dither, whose tones must leave less at 0.014 Hz than the burst does."""
+    (node,) = petrel.nodes(125.6)
+    held, design = hold(petrel.scenario(), node), petrel.scenario().design
+    assert design is not None
+    loop = api.loops([held.node], design)[0]
+    bound = margins(loop).gain_down_db
+    assert bound.frequency_hz < 0.02
+    test = burst_test(bound.frequency_hz, build_up_rate(altered(loop, "gain_down", bound.value), bound.frequency_hz))
+    growth = measured_growth(held, loop, test, lambda packed: alter(packed, held, "gain_down", bound.value))
+    assert abs(growth) < 3e-3  # 1/s: 0.03 dB, at 0.1 1/s a dB
 
 
 CASE = """

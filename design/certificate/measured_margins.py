@@ -25,6 +25,7 @@ from maxq.design.certificate.excitation import (
     DITHER_HZ,
     LOWEST_BURST_HZ,
     Excited,
+    Groups,
     burst_rad,
     dither,
     gimbal_injection,
@@ -51,11 +52,9 @@ SLOWEST_HZ = 0.004  # an oscillation below it does not show in a flight of minut
 BEYOND_DB = 6.0  # how far beyond its boundary a root must stay slow to be too slow to be seen
 DITHER_ABOVE_HZ = 2.0  # undithered, the converter sustains an oscillation of some pulses half a dB inside the boundary
 FINE_BELOW_HZ = 0.25  # far below the dither's tones, commands of few steps of the converter are dithered, too
-# such a command, and the amplitude of each tone of its dither, as far as limits leave room for it: under two tones of A
-# steps rounding has a mean gain of 1 + 2 J0(2 pi A)^2 cos(2 pi x) at x steps, 1.4 % off at most for 15, 0.4 % for 50.
-# A step along a real root takes the larger one. A sine of 0.013 Hz (petrel at 125.6 s) did not build up under it, for a
-# reason not found, and did under the smaller one.
-FEW_STEPS, SINE_STEPS, FINE_STEPS = 100.0, 15.0, 50.0
+# such a command, and the amplitude of its dither's weaker tone, as far as limits leave room: under tones of A and of
+# B steps rounding has a mean gain of 1 + 2 J0(2 pi A) J0(2 pi B) cos(2 pi x) at x steps, 0.2 % off for 50 and 79
+FEW_STEPS, FINE_STEPS = 100.0, 50.0
 FINE_SHARE = 0.2  # of that room
 RINGS_UP = 4.0  # a burst lasts until the loop at its boundary has amplified it so often, if that is not too long
 LONGEST_BURST_S = 6.0
@@ -237,9 +236,7 @@ def measured_growth(held: HeldFlight, loop: Excited, test: BurstTest, change: Ch
     if test.frequency_hz > DITHER_ABOVE_HZ:
         signals += injections(dither(held, loop, np.array(DITHER_HZ)), held.plane)
     elif test.frequency_hz < FINE_BELOW_HZ and amplitude * test.growth < FEW_STEPS * step_rad:
-        most_rad = (SINE_STEPS if sine else FINE_STEPS) * step_rad
-        fine = ((min(most_rad, FINE_SHARE * min(linear_room(held, hz))), hz) for hz in DITHER_HZ)
-        signals += injections([(a, np.array([hz])) for a, hz in fine], held.plane)
+        signals += injections(fine_dither(held), held.plane)
     run, values = held.fly(test.duration_s, signals, change)
     response = values[:, run.table.index(f"filtered_{held.plane}_deg")]
     first = round((test.burst_s + test.wait_s) / held.sample_s)
@@ -251,6 +248,19 @@ def measured_growth(held: HeldFlight, loop: Excited, test: BurstTest, change: Ch
         return SATURATED if len(over) else math.nan
     least = 0.15 * math.degrees(amplitude) * test.growth if sine else 0.0
     return growth_rate(response[first:], held.sample_s, test.frequency_hz, test.window_s, limit, least)
+
+
+def fine_dither(held: HeldFlight) -> Groups:
+    """Two tones under which rounding has hardly a gain of its own, and that begin without a kick.
+
+    A tone A sin(w t) that begins at rest leaves slow motion with the angular velocity of the impulse A / w, the mean of
+    its integral. These have opposite signs, and amplitudes as their frequencies: the impulses cancel. Two alike of 50
+    steps swung petrel at 125.6 s to nine times the burst's goal, from where cross-flow lift turned it over.
+    """
+    low, high = DITHER_HZ
+    rooms = (FINE_SHARE * min(linear_room(held, hz)) * low / hz for hz in DITHER_HZ)
+    weaker = min(FINE_STEPS * _step_rad(held), *rooms)
+    return [(weaker, np.array([low])), (-weaker * high / low, np.array([high]))]
 
 
 def growth_rate(
