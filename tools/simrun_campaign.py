@@ -14,12 +14,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from maxq.control.kernel.jit import cores
 from maxq.sim.campaign.analysis import DataSet, judged, lost, selected
 from maxq.sim.campaign.error import CampaignError
 from maxq.sim.campaign.investigation import flight_folder, refly, search_worst, shrink_run
 from maxq.sim.campaign.rare import rare_failure
 from maxq.sim.campaign.read import LoadedCampaign, load_campaign
-from maxq.sim.campaign.runner import cores, run_campaign
+from maxq.sim.campaign.runner import run_campaign
 from maxq.sim.campaign.statistics import MET, NOT_MET
 from maxq.sim.campaign.store import RUNS, campaign_in
 from maxq.sim.campaign.targets import Refused

@@ -68,6 +68,11 @@ _KERNEL_FREE = {
 }  # of sim/: what no kernel takes anything from
 
 
+def cores() -> int:
+    """Cores that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
 def _source_files() -> Iterator[Path]:
     """Python sources that may hold a kernel or a constant that one uses, wherever they are installed."""
     layers = Path(__file__).resolve().parents[2]
@@ -348,7 +353,7 @@ class _BesideCompiler(_DisjointCompiler):
     has to be known before it is linked.
     """
 
-    allowed = sys.platform == "linux" and (os.cpu_count() or 1) > 1
+    allowed = sys.platform == "linux" and cores() > 1
 
     def _compile_core(self) -> Any:
         if not self.allowed or threading.current_thread() is not threading.main_thread():

@@ -12,7 +12,6 @@ from __future__ import annotations
 import gc
 import json
 import math
-import os
 import sys
 import threading
 import time
@@ -28,6 +27,7 @@ from pathlib import Path
 from queue import Empty, SimpleQueue
 from typing import Any
 
+from maxq.control.kernel.jit import cores
 from maxq.sim.campaign.analysis import requirements_of
 from maxq.sim.campaign.error import CampaignError
 from maxq.sim.campaign.read import LoadedCampaign, campaign_from, description_of
@@ -314,11 +314,6 @@ class Threads:
 def load_kernels(campaign: LoadedCampaign) -> None:
     """Load the compiled kernels, or compile them, before the clock starts and threads wait for each other."""
     FlightRun(campaign.base, packer(campaign)(campaign.base.scenario), log=False).result()
-
-
-def cores() -> int:
-    """Cores that this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def _connected(address: str) -> Any:

@@ -7,14 +7,19 @@ from __future__ import annotations
 
 import math
 import shlex
+import signal
+import sys
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from dataclasses import dataclass, replace
 from itertools import product, zip_longest
+from multiprocessing import get_context
 from pathlib import Path
 
 from pydantic import ValidationError
 
+from maxq.control.kernel.jit import cores
 from maxq.control.structures import STRUCTURES as KNOWN
 from maxq.design import api
 from maxq.design.case.schema import LoadedCase, read_case
@@ -252,21 +257,49 @@ def order_cases(stage: LoadedCase) -> dict[tuple[str, str], LoadedCase]:
 def solve_orders(
     cases: Mapping[tuple[str, str], LoadedCase], plants: Plants, watch: Callable[[int, int], None]
 ) -> Found:
-    """Fifteen problems; each starts from the solutions it contains, too, so that more freedom is never worse.
-
-    Raises KeyboardInterrupt when one is interrupted.
+    """Fifteen problems, on all cores; each starts from the solutions it contains, too, so that more freedom is never
+    worse.
     """
-    out: dict[tuple[str, str], tuple[LoadedCase, Solution]] = {}
-    for (structure, schedule), loaded in cases.items():
-        watch(len(out), len(cases))
-        k, s = STRUCTURES.index(structure), list(SCHEDULES).index(schedule)
-        contained = [(STRUCTURES[k - 1], schedule)] if k else []
-        contained += [(structure, list(SCHEDULES)[s - 1])] if s else []
-        solution = solve(loaded, plants, [out[key][1] for key in contained])
-        if solution.status == "interrupted":
-            raise KeyboardInterrupt
-        out[structure, schedule] = loaded, solution
-    return out
+    contained = {
+        (f, s): [c for c in ((_before(STRUCTURES, f), s), (f, _before(tuple(SCHEDULES), s))) if c in cases]
+        for f, s in cases
+    }
+    found: dict[tuple[str, str], Solution] = {}
+    under_way: dict[Future[Solution], tuple[str, str]] = {}
+    context = get_context("fork" if sys.platform == "linux" else "spawn")
+    with ProcessPoolExecutor(cores(), context, _begin_orders, (cases, plants)) as pool:
+        try:
+            while len(found) < len(cases):
+                waiting = [key for key in cases if key not in found and key not in under_way.values()]
+                for key in waiting:
+                    if found.keys() >= set(contained[key]):
+                        under_way[pool.submit(_solve_order, key, [found[c] for c in contained[key]])] = key
+                watch(len(found), len(cases))
+                for done in wait(under_way, return_when=FIRST_COMPLETED).done:
+                    found[under_way.pop(done)] = done.result()
+        except BaseException:
+            pool.shutdown(cancel_futures=True)
+            raise
+    return {key: (loaded, found[key]) for key, loaded in cases.items()}
+
+
+_orders: tuple[Mapping[tuple[str, str], LoadedCase], Plants]  # of a process that solves some of them
+
+
+def _begin_orders(cases: Mapping[tuple[str, str], LoadedCase], plants: Plants) -> None:
+    global _orders  # noqa: PLW0603  # what a process of the pool is begun with, once
+    _orders = cases, plants
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # a terminal sends it to all; the command ends the others
+
+
+def _solve_order(key: tuple[str, str], contained: Sequence[Solution]) -> Solution:
+    cases, plants = _orders
+    return solve(cases[key], plants, contained)
+
+
+def _before(names: Sequence[str], name: str) -> str:
+    """The name before this one; empty for the first."""
+    return ("", *names)[names.index(name)]
 
 
 def order_designs(orders: Sequence[Found]) -> Iterator[tuple[str, str, Design, list[Solution]]]:

@@ -19,10 +19,11 @@ from pathlib import Path
 from typing import Any
 from unittest.mock import patch
 
+from maxq.control.kernel.jit import cores
 from maxq.sim.campaign import runs as campaign_runs
 from maxq.sim.campaign.plan import Plan
 from maxq.sim.campaign.read import LoadedCampaign, load_campaign
-from maxq.sim.campaign.runner import Progress, cores, load_kernels, run_campaign
+from maxq.sim.campaign.runner import Progress, load_kernels, run_campaign
 from maxq.sim.campaign.store import Store
 from maxq.sim.flight import loop
 from maxq.sim.run import fly

@@ -17,8 +17,9 @@ import time
 from pathlib import Path
 from typing import Any
 
+from maxq.control.kernel.jit import cores
 from maxq.sim.campaign.read import load_campaign
-from maxq.sim.campaign.runner import cores, load_kernels, run_campaign
+from maxq.sim.campaign.runner import load_kernels, run_campaign
 from maxq.sim.campaign.runs import fly_rows
 from maxq.sim.run.fly import fly
 from maxq.sim.scenario.loader import load_scenario
