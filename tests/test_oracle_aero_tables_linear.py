@@ -30,10 +30,13 @@ FLEXIBLE = Parts(
 ALL = [OVER_TOTAL, OVER_ALPHA_BETA, STABILITY, WIND_PLANE, RATES]
 
 
-def made_of(parts: Parts, aero: Tree, flow: list[float], mass: Tree | None = None, **changes: Any) -> Rig:
+def made_of(
+    parts: Parts, aero: Tree, flow: list[float], mass: Tree | None = None, loads: Tree | None = None, **changes: Any
+) -> Rig:
     start = {"euler_deg": [0.0, 0.0, 0.0], "ned_mps": flow}
     tree = scenario_of(parts, initial=start, atmosphere=AIR, vehicle={"reference": REFERENCE})
-    return rig(merged(with_stage(tree, aero=aero, mass=mass or {}), changes))
+    stage = {"aero": aero, "mass": mass or {}} | ({} if loads is None else {"loads": loads})
+    return rig(merged(with_stage(tree, **stage), changes))
 
 
 def columns(model: LinearModel, rows: tuple[str, ...], by: tuple[str, ...]) -> Array:
@@ -163,11 +166,14 @@ ROUND = {
 }  # fmt: skip  # a key a line otherwise
 
 
-def inclined(trim_deg: tuple[float, float], coefficients: list[Tree]) -> Rig:
+def inclined(
+    trim_deg: tuple[float, float], coefficients: list[Tree], loads: Tree | None = None, **changes: Any
+) -> Rig:  # fmt: skip  # two lines otherwise
     """Flexible, with liquid and an engine, in incidence; slopes over Mach and cross-flow beside the tables."""
     alpha, beta = np.radians(trim_deg)
     flow = 290.0 * np.array([math.cos(alpha) * math.cos(beta), math.sin(beta), math.sin(alpha) * math.cos(beta)])
-    made = made_of(FLEXIBLE, symmetric() | ROUND | {"coefficients": coefficients}, [*flow])
+    aero = symmetric() | ROUND | {"coefficients": coefficients}
+    made = made_of(FLEXIBLE, aero, [*flow], loads=loads, **changes)
     made.packed.memory[0].held.burning = 1
     return made
 

@@ -5,8 +5,8 @@
 | command of the computer in pitch and yaw | `scipy.signal.lfilter` of lag and bending filter |
 | gradient by the law's parameters, blend weights among them | complex step through pairs of real numbers |
 | wind's column of the linear plant | the simulator's derivative in constant side winds |
-| rms of load and drift | all equations of the closed loop solved at once at each frequency |
-| gradient of these | differences |
+| rms of load, drift and a bending moment | all equations of the closed loop solved at once at each frequency |
+| gradient of these | complex step through pairs of real numbers |
 | the wind's spectrum | its integral is the variance, within what the band leaves out |
 """
 
@@ -34,7 +34,7 @@ from maxq.control.sensors import make_sensors
 from maxq.design import api
 from maxq.design.laws.design_file import design_text
 from maxq.design.laws.pd import PdDesign, PdVariables
-from maxq.design.laws.wind import DRIFT, LOAD, Spectrum, frequencies
+from maxq.design.laws.wind import DRIFT, LOAD, MOMENTS, Spectrum, WindResponse
 from maxq.design.model.linearised import zero_incidence
 from maxq.design.model.plant import vehicle_plant
 from maxq.design.model.vehicle_at import actuator_response, lag
@@ -81,7 +81,11 @@ def test_command_is_pd_and_the_filtered_acceleration_behind_the_filter() -> None
 
 # --- design
 CASE = ("filter.structure=F3", "nodes_s=[25.0, 45.0]", "gains.nodes_s=[25.0, 45.0]")
-MORE = ("limits.q_alpha_Padeg=3000", "limits.drift_mps=5")
+STATION_M = 8.1
+MORE = (
+    "limits.q_alpha_Padeg=3000", "limits.drift_mps=5", "wind.band_hz=[0.02,30.0]",
+    f"limits.bending_moment=[{{station_m={STATION_M},rms_Nm=900}}]",
+)  # fmt: skip  # a key a line otherwise
 
 
 @cache
@@ -127,19 +131,38 @@ def test_gradients_by_the_complex_step(loop: str) -> None:
     np.testing.assert_allclose(out.gains[1], (ahead.gains[0] - behind.gains[0]) / (2 * h), atol=1e-9)
 
 
-def test_limits_in_wind_have_the_gradient_of_differences() -> None:
-    law, own = problem("sampled")[0].law, np.tile(OWN, (2, 1))
-    first = len(law.limits) - 2
-    assert [limit.unit for limit in law.limits[first:]] == ["Pa deg", "m/s"]
-    for values in (v for v in law.limit_values(own) if v.number >= first):
-        for k in range(len(OWN)):
-            ends = []
-            for side in (1e-6, -1e-6):
-                moved = own.copy()
-                moved[:, k] += side
-                ends.append(next(v for v in law.limit_values(moved) if v.number == values.number).excess_db)
-            by = (ends[0] - ends[1]) / 2e-6
-            assert by == pytest.approx(values.gradient[:, k], rel=1e-5, abs=1e-6)
+def excess_db(own: Any, wind: WindResponse, output: int, s: Any, limit: float) -> Any:
+    """By complex steps: C of the law written down anew, the loop closed with the wind's data."""
+    z = np.exp(-2j * np.pi * np.exp(wind.x) * T)
+    kept, shaped = np.exp(-2.0 * np.pi * T), filter_f3(own, s)
+    lags = (1.0 - kept) / (1.0 - kept * z)
+    k_p, k_d, k_a = np.exp(own[6]), np.exp(own[7]), np.exp(own[8])
+    gains = [Pair(k_p), Pair(k_d * (1.0 - own[9])), Pair(lags.real, lags.imag) * (-1.0 * k_a), Pair(k_d * own[9])]
+    loop, felt = Pair(1.0), Pair(0.0)
+    for i, gain in enumerate(gains):
+        of_path, of_wind = wind.paths[:, i], wind.measured[:, i]
+        loop = loop + shaped * gain * Pair(of_path.real, of_path.imag)
+        felt = felt + shaped * gain * Pair(of_wind.real, of_wind.imag)
+    by, direct = wind.by_command[output], wind.by_wind[output]
+    t = Pair(direct.real, direct.imag) + felt * loop.inverse() * Pair(-by.real, -by.imag)
+    return 10.0 * np.log10((wind.weights * (t.x * t.x + t.y * t.y)).sum()) - 20.0 * np.log10(limit)
+
+
+def test_limits_in_wind_by_the_complex_step() -> None:
+    made, plants = problem("sampled")
+    law, own = made.law, np.tile(OWN, (2, 1))
+    first = len(law.limits) - 3
+    assert [limit.unit for limit in law.limits[first:]] == ["Pa deg", "m/s", "N m"]
+    found = [v for v in law.limit_values(own) if v.number >= first]
+    for values, output, limit in zip(found, (LOAD, DRIFT, MOMENTS), (3000.0, 5.0, 900.0), strict=True):
+        for k, plant in enumerate(plants.each):
+            s = law.axis(plant.wind.x)[0]  # prewarped
+            assert values.excess_db[k] == pytest.approx(excess_db(OWN, plant.wind, output, s, limit), rel=1e-9)
+            for j in range(len(OWN)):
+                stepped = OWN.astype(complex)
+                stepped[j] += 1e-30j
+                wanted = excess_db(stepped, plant.wind, output, s, limit).imag * 1e30
+                assert values.gradient[k, j] == pytest.approx(wanted, rel=1e-9, abs=1e-10)
 
 
 def test_only_what_a_case_asks_for_is_a_limit_in_wind() -> None:
@@ -147,6 +170,11 @@ def test_only_what_a_case_asks_for_is_a_limit_in_wind() -> None:
     case = kit.case(*CASE, "loop=pade", name="ksr3-load-relief").case
     made = make_problem(case, problem("pade")[1])
     assert [limit.unit for limit in made.law.limits][3:] == ["Pa deg"]
+
+
+def rms_of(wind: WindResponse, output: int, law: Any, measurements: tuple[str, ...]) -> float:
+    gains = law.response(np.exp(wind.x))[:, [law.inputs.index(name) for name in measurements]]
+    return float(wind.rms([output], gains, np.zeros((*gains.shape, 0)))[0][0])
 
 
 SLOW = (
@@ -163,9 +191,8 @@ def test_least_load_against_margins_and_drift() -> None:
     made, found = make_problem(kit.case(*least).case, plants), solve(kit.case(*least), plants)
     assert found.feasible
     law = made.law.controllers(found.variables)
-    f = np.exp(frequencies())
     rms = [
-        plant.wind.rms(LOAD, one.response(f)[:, [one.inputs.index(name) for name in plant.path.measurements]])[0]
+        rms_of(plant.wind, LOAD, one, plant.path.measurements)
         for plant, one in zip(plants.each, law, strict=True)
         if plant.wind is not None
     ]
@@ -186,12 +213,24 @@ def test_least_load_against_margins_and_drift() -> None:
 
 
 def test_load_as_an_objective_needs_a_wind_and_no_limit() -> None:
+    wind, bending = SLOW[5], "objective.kind=bending-moment"
+    at = "limits.bending_moment=[{station_m=8.1,rms_Nm=900}]"
     for changes, said in (
         (["objective.kind=load"], "needs a wind"),
-        ([*SLOW[5:], "objective.kind=load", "limits.q_alpha_Padeg=100"], "is the objective"),
+        ([bending], "needs a wind"),
+        ([wind, "objective.kind=load", "limits.q_alpha_Padeg=100"], "is the objective"),
+        ([wind, bending, at], "is the objective"),
+        ([wind, bending, "errata=paper"], "has no bending moments"),
     ):
         with pytest.raises(ScenarioError, match=said):
             kit.case(*changes)
+    given = (wind, bending, "objective.stations_m=[6.0]", at, "nodes_s=[40.0]")
+    made = make_problem(kit.case(*given).case, kit.plants(*given))
+    assert [(limit.text[:22], limit.objective) for limit in made.law.limits[3:]] == [
+        ("bending moment at 6 m ", True), ("bending moment at 8.1 ", False)
+    ]  # fmt: skip  # two more lines otherwise
+    with pytest.raises(ValueError, match=r"node at 40 s: bending moment at 6.1 m: allowed are .* 1, 2, 3, 3.6, 4.5, "):
+        kit.plants(wind, bending, "objective.stations_m=[6.1]", "nodes_s=[40.0]")
 
 
 def test_load_and_drift_are_those_of_the_closed_equations() -> None:
@@ -202,14 +241,15 @@ def test_load_and_drift_are_those_of_the_closed_equations() -> None:
     assert isinstance(made.law, PdVariables)
     wind = kit.case(*CASE, *MORE, "loop=sampled", name="ksr3-load-relief").case.wind
     assert wind is not None
-    plant, f, spectrum = plants.each[0], np.exp(frequencies()), Spectrum(**dict(wind))
-    node = plant.node
+    plant, spectrum = plants.each[0], Spectrum(**dict(wind) | {"band_hz": (0.02, 30.0)})
+    node, f = plant.node, np.exp(plant.wind.x)
     body = vehicle_plant(node.vehicle, node.condition, wind=True)
+    moment = body.outputs.index(f"bending_{STATION_M:g}_Nm")
     speed, n, s = node.condition.airspeed_mps, len(body.states), 2j * np.pi * f
     delta, accel, gust = (body.inputs.index(name) for name in ("delta_rad", "delta_accel_radps2", "wind_mps"))
     held = (1.0 - np.exp(-s * T)) / (s * T)
     sensors = {name: (g, late) for name, g, late in node.instruments.sensors}
-    loads, drifts = [], []
+    loads, drifts, moments = [], [], []
     for k, at in enumerate(s):
         moved = actuator_response(node.actuator, at)
         # unknowns: states, then the command
@@ -235,12 +275,14 @@ def test_load_and_drift_are_those_of_the_closed_equations() -> None:
         w, theta = x[body.states.index("w_mps")], x[body.states.index("theta_rad")]
         loads.append(180.0 / np.pi * node.condition.dynamic_pressure_Pa * (w - 1.0) / speed)
         drifts.append(w - speed * theta)
+        by_engine = (body.d[moment, delta] + at**2 * body.d[moment, accel]) * moved * held[k]
+        engine = by_engine * np.exp(-at * node.instruments.delay_s) * x[n]
+        moments.append(body.c[moment] @ x[:n] + engine + body.d[moment, gust])
     weights = spectrum.weights(speed)
-    controller = law.response(f)[:, [law.inputs.index(name) for name in plant.path.measurements]]
-    for output, values in ((LOAD, loads), (DRIFT, drifts)):
+    for output, values in ((LOAD, loads), (DRIFT, drifts), (MOMENTS, moments)):
         wanted = np.sqrt(weights @ np.abs(values) ** 2)
         # the loop's own path has the images that the continuous equations lack
-        assert plant.wind.rms(output, controller)[0] == pytest.approx(wanted, rel=1e-4)
+        assert rms_of(plant.wind, output, law, plant.path.measurements) == pytest.approx(wanted, rel=1e-4)
     assert any(np.abs(body.d[:, gust]) > 1e-4)  # the accelerometer feels a gust at once
 
 
@@ -272,9 +314,11 @@ def test_spectrum_is_the_standards(model: str) -> None:
         return sigma**2 * length / (np.pi * speed) * (1.0 + 8.0 / 3.0 * y * y) * (1.0 + y * y) ** (-11.0 / 6.0)
 
     assert quad(density, 0.0, np.inf, limit=500)[0] == pytest.approx(sigma**2, rel=2e-3)
-    low, high = 2.0 * np.pi * np.exp(frequencies()[[0, -1]])
-    wanted = quad(density, low, high, limit=500)[0]
-    assert Spectrum(sigma, length, model).weights(speed).sum() == pytest.approx(wanted, rel=1e-3)
+    for top_hz in (5.0, 45.0):
+        made = Spectrum(sigma, length, model, (0.02, top_hz))
+        low, high = 2.0 * np.pi * np.exp(made.frequencies()[[0, -1]])
+        assert high == pytest.approx(2.0 * np.pi * top_hz)
+        assert made.weights(speed).sum() == pytest.approx(quad(density, low, high, limit=500)[0], rel=1e-3)
 
 
 def test_winds_column_is_the_simulators() -> None:

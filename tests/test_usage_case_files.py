@@ -55,6 +55,8 @@ def test_overrides_and_a_file_of_ones_own(tmp_path: Path) -> None:
         ("gains.nodes_s=[5.0]", 'this key with schedule = "nodes" only'),
         ("search.starts=0", "is out of range"),
         ("limits.without=['gain_margin_db']", "is not one of the choices"),
+        ("limits.bending_moment=[{station_m=8.1,rms_Nm=900}]", "needs a wind"),
+        ("objective.stations_m=[8.1]", 'this key with kind = "bending-moment" only'),
         ("robust.bending_slope=1.5", "is out of range"),
         ("scenario=nominl", "did you mean nominal?"),
     ],

@@ -27,7 +27,7 @@ from maxq.sim.scenario.schema_values import NotNegative, Positive, Section, need
 
 LIMIT_NAMES = Literal["second_mode_db", "filter_gain_at_infinity", "rigid_hz", "rigid_zeta"]
 
-ObjectiveName = Literal["first-mode-peak", "least-margin", "load"]
+ObjectiveName = Literal["first-mode-peak", "least-margin", "load", "bending-moment"]
 """Keys of `design.optimise.criteria.OBJECTIVES`."""
 
 Model = TypeVar("Model", bound=Section)
@@ -154,15 +154,34 @@ class Objective(Section):
 
     kind: ObjectiveName = optional(
         "first-mode-peak: least peak of mode 1 over all nodes (42). least-margin: largest of the least "
-        "|1 + L|; for plants whose first mode wanders so far that it is better phase-stabilised than notched. load: "
-        "least rms of q alpha over all nodes in the wind of [wind], against drift and margins as limits",
+        "|1 + L|; for plants whose first mode wanders so far that it is better phase-stabilised than notched. load, "
+        "bending-moment: least rms of q alpha, or of the bending moment, over all nodes in the wind of [wind], against "
+        "drift and margins as limits",
         "first-mode-peak",
+    )
+    stations_m: tuple[float, ...] | None = optional(
+        "where the bending moment is made small, of the stage's loads.stations_m (default: at all of them); with "
+        "bending-moment"
     )
     band: Annotated[float, Field(gt=0.0, lt=0.5)] = optional(
         "half width of the band around each coupled bending frequency in which its peak is sought, as a "
         "share of it; the paper evaluates at the uncoupled frequency, which can miss the peak by 1 dB (erratum 17)",
         0.03,
     )
+
+    @model_validator(mode="after")
+    def _check(self) -> Objective:
+        only_with(self, ("stations_m",), self.kind == "bending-moment", 'kind = "bending-moment"')
+        if self.stations_m is not None:
+            _rising(self.stations_m, "stations_m")
+        return self
+
+
+class SectionLimit(Section):
+    """A station and the bending moment that is allowed there."""
+
+    station_m: float = Field(description="one of the stage's loads.stations_m, m aft of the nose")
+    rms_Nm: Positive = Field(description="largest rms in the wind of [wind], N m")
 
 
 class MarginLimits(Section):
@@ -182,6 +201,7 @@ class MarginLimits(Section):
     rigid_zeta: Positive = optional("zeta_RB,min (48): likewise", 0.7)
     q_alpha_Padeg: Positive | None = optional("largest rms of dynamic pressure times incidence in the wind of [wind]")
     drift_mps: Positive | None = optional("largest rms of the lateral velocity in the wind of [wind]")
+    bending_moment: tuple[SectionLimit, ...] = optional("largest rms of the bending moment in the wind of [wind]", ())
     without: tuple[LIMIT_NAMES, ...] = optional("limits that are not asked for", ())
 
 
@@ -210,7 +230,8 @@ class Wind(Section):
     length_v_m: Positive = optional("scale length, m", 533.0)
     model: Literal["dryden", "von-karman"] = optional("form of the spectrum", "dryden")
     band_hz: Range = optional(
-        "frequencies that count, within 0.02 to 5 Hz: shears lie below some tenths of one, where a law can give way",
+        "frequencies that count, from 0.02 Hz to less than half the sample rate: shears lie below some tenths of one, "
+        "where a law can give way; bending modes count if they lie within",
         (0.02, 5.0),
     )
 
@@ -335,14 +356,18 @@ class Case(Section):
             _rising(self.nodes_s, "nodes_s")
         if self.blend is not None and not self.blend[0] < self.blend[1]:
             raise refuse("is empty", "two numbers, the lower one first", key=("blend",))
-        if self.objective.kind == "load":
-            if self.wind is None:
-                raise refuse("needs a wind", "a table [wind]", key=("objective", "kind"))
-            if self.limits.q_alpha_Padeg is not None:
-                raise refuse("is the objective", "no limit of it", key=("limits", "q_alpha_Padeg"))
-        for key in ("q_alpha_Padeg", "drift_mps"):
-            if self.wind is None and getattr(self.limits, key) is not None:
+        of_wind = ("q_alpha_Padeg", "drift_mps", "bending_moment")
+        objective = {"load": of_wind[0], "bending-moment": of_wind[2]}.get(self.objective.kind)
+        if objective is not None and self.wind is None:
+            raise refuse("needs a wind", "a table [wind]", key=("objective", "kind"))
+        for key in of_wind:
+            asked = getattr(self.limits, key) not in (None, ())
+            if asked and self.wind is None:
                 raise refuse("needs a wind", "a table [wind]", key=("limits", key))
+            if asked and key == objective and self._made_small:
+                raise refuse("is the objective", "no limit of it", key=("limits", key))
+        if self.bends and self.errata == "paper":
+            raise refuse("has no bending moments", "errata = 'corrected'", key=("errata",))
         if self.loop_filters.acceleration is not None and self.law not in RELIEF:
             allowed = f"law = {' or '.join(map(repr, RELIEF))}"
             raise refuse(f"the law {self.law} takes no acceleration", allowed, key=("loop_filters", "acceleration"))
@@ -355,6 +380,44 @@ class Case(Section):
         if most is not None and least is not None and most < least:
             raise refuse("is below integral_hz", f"at least {least:g}", key=("limits", "most_integral_hz"), value=most)
         return self
+
+    @property
+    def _made_small(self) -> bool:
+        """Whether a limit of the objective's kind is the objective: that of a moment may be about another station."""
+        stations = self.objective.stations_m
+        return stations is None or any(one.station_m in stations for one in self.limits.bending_moment)
+
+    @property
+    def bends(self) -> bool:
+        """Whether bending moments are asked for, of any stage."""
+        limits: list[MarginLimits | None] = [self.limits, *(stage.limits for stage in self.stage)]
+        limits.append(None if self.robust is None else self.robust.limits)
+        objectives = [self.objective, *(stage.objective for stage in self.stage)]
+        return any(each is not None and len(each.bending_moment) > 0 for each in limits) or any(
+            each is not None and each.kind == "bending-moment" for each in objectives
+        )
+
+    def bending_stations_m(self, known: tuple[float, ...]) -> tuple[float, ...]:
+        """Of a case of one stage: where moments are asked for, among the stations that the stage has.
+
+        Raises ValueError for others.
+        """
+        limits = [self.limits, *([] if self.robust is None else [self.robust.limits])]
+        asked = {one.station_m for each in limits for one in each.bending_moment}
+        asked |= set(self.objective_stations_m(known))
+        if not asked <= set(known):
+            strange = ", ".join(f"{x:g}" for x in sorted(asked - set(known)))
+            raise ValueError(
+                f"bending moment at {strange} m: allowed are the stage's loads.stations_m, "
+                f"{', '.join(f'{x:g}' for x in known) or 'of which it has none'}"
+            )
+        return tuple(sorted(asked))
+
+    def objective_stations_m(self, known: tuple[float, ...]) -> tuple[float, ...]:
+        """Those where the moment is made small."""
+        if self.objective.kind != "bending-moment":
+            return ()
+        return known if self.objective.stations_m is None else self.objective.stations_m
 
     @property
     def times_s(self) -> tuple[float, ...]:
@@ -405,7 +468,10 @@ def read_case(name: str | Path, overrides: Iterable[str] = ()) -> LoadedCase:
     if case.robust is not None and there is not None:
         case = case.model_copy(update={"robust": case.robust.model_copy(update={"campaign": shown(there)})})
     try:
-        scenario = load_scenario(beside if beside is not None and beside != file else case.scenario)
+        flown = beside if beside is not None and beside != file else case.scenario
+        scenario = load_scenario(flown)
+        if case.bends:  # its masses along the body are the vehicle's
+            load_scenario(flown, ["switches.section_loads=true"])
     except ScenarioError as error:
         if error.file == case.scenario:  # the name itself is wrong
             source = tree.sources.get("scenario", tree.source)

@@ -130,11 +130,15 @@ class LogResponse:
 
 @dataclass(frozen=True)
 class LawLimit:
-    """A limit that belongs to no frequency. `linear`: its gradient by the own parameters is constant."""
+    """A limit that belongs to no frequency. `linear`: its gradient by the own parameters is constant.
+
+    `objective`: it is made small instead.
+    """
 
     text: str
     unit: str
     linear: bool
+    objective: bool = False
 
 
 @dataclass(frozen=True)

@@ -47,7 +47,7 @@ from maxq.design.laws.schedule import (
     lowest_above,
 )
 from maxq.design.laws.task import DB, Rigid, Task
-from maxq.design.laws.wind import DRIFT, LOAD, WIND_LIMITS, frequencies
+from maxq.design.laws.wind import WIND_LIMITS, Key, quantity
 from maxq.design.model.state_space import ComplexArray, StateSpace, chain
 from maxq.design.model.vehicle_at import ACCELERATION, Plane, further_rate
 from maxq.sim.packing.computer import bending_filter, gain_schedules
@@ -374,13 +374,13 @@ class PdVariables:
             order = np.argsort(task.at)
             self.air = np.array([np.interp(nodes, task.at[order], of[order]) for of in task.incidence.T])
         self.own_size = self.filter.size + len(self.keys) + self.further + self.in_loops + 2 * self.by_incidence
-        load = case.objective.kind == "load"  # the row is the objective then, without a limit
-        self._of_wind = [
-            name for name in WIND_LIMITS
-            if task.winds and (task.limits.asked(name) or (load and name == "q_alpha_Padeg"))
-        ]  # fmt: skip  # two more lines otherwise
+        stations = task.winds[0].stations_m if task.winds else ()
+        known: list[Key] = [*WIND_LIMITS, *stations] if task.winds else []
+        load = case.objective.kind == "load"
+        small: tuple[Key, ...] = ("q_alpha_Padeg",) if load else case.objective_stations_m(stations)
+        self._of_wind = [key for key in known if task.limits.asked(key) or key in small]
         self._first_of_wind = len(self.limits)
-        self.limits = (*self.limits, *(LawLimit(*WIND_LIMITS[name], False) for name in self._of_wind))
+        self.limits = (*self.limits, *(LawLimit(*quantity(key)[::2], False, key in small) for key in self._of_wind))
         self.lower, self.upper = self._bounds(0), self._bounds(1)
 
     @property
@@ -540,24 +540,30 @@ class PdVariables:
         return np.concatenate([self.filter.gradient(own[:, :n], axis[0]), by_gains], axis=1)
 
     def _in_wind(self, own: Array) -> list[LimitValues]:
-        """Load and drift of all plants that are held to them."""
-        n, axis, out = self.filter.size, self.axis(frequencies()), []
-        for number, name in enumerate(self._of_wind, self._first_of_wind):
-            most = self.task.limits[name]
-            held = np.flatnonzero(~np.isnan(most)) if self.task.limits.asked(name) else np.arange(len(own))
-            found = []
-            for plant in held:
-                mine = np.broadcast_to(own[plant], (len(axis[0]), self.own_size))
-                common = self.filter.response(own[plant, :n], axis[0])[:, None]
-                (gains, _, _), by_gains = self._on_measurements(mine, axis)
-                law = common * gains
-                slopes = [law[..., None] * self.filter.gradient(mine[:, :n], axis[0])[:, None, :]]
-                whole = np.concatenate([*slopes, common[..., None] * by_gains], axis=2)
-                found.append(self.task.winds[int(plant)].rms(LOAD if name == "q_alpha_Padeg" else DRIFT, law, whole))
-            value = np.array([rms for rms, _ in found])
-            by = np.array([gradient for _, gradient in found]) * DB / value[:, None]
-            over = np.where(np.isnan(most[held]), 1.0, most[held])
-            out.append(LimitValues(number, held, value, most[held], DB * np.log(value / over), by))
+        """Load, drift and moments of all plants that are held to them."""
+        if not self._of_wind:
+            return []
+        n, axis = self.filter.size, self.axis(self.task.winds[0].x)
+        value, by = np.zeros((len(self._of_wind), len(own))), np.zeros((len(self._of_wind), *own.shape))
+        first = self._first_of_wind
+        held = np.array([
+            ~np.isnan(self.task.limits[key]) | self.limits[first + k].objective for k, key in enumerate(self._of_wind)
+        ])  # fmt: skip  # as ruff would, but for a line
+        for plant in np.flatnonzero(held.any(axis=0)):
+            wind = self.task.winds[int(plant)]
+            mine = np.broadcast_to(own[plant], (len(axis[0]), self.own_size))
+            common = self.filter.response(own[plant, :n], axis[0])[:, None]
+            (gains, _, _), by_gains = self._on_measurements(mine, axis)
+            law = common * gains
+            slopes = [law[..., None] * self.filter.gradient(mine[:, :n], axis[0])[:, None, :]]
+            whole = np.concatenate([*slopes, common[..., None] * by_gains], axis=2)
+            value[:, plant], by[:, plant] = wind.rms([wind.output(key) for key in self._of_wind], law, whole)
+        out = []
+        for k, key in enumerate(self._of_wind):
+            i = np.flatnonzero(held[k])
+            most = self.task.limits[key][i]
+            excess_db = DB * np.log(value[k, i] / np.where(np.isnan(most), 1.0, most))
+            out.append(LimitValues(first + k, i, value[k, i], most, excess_db, by[k, i] * DB / value[k, i, None]))
         return out
 
     # --- limits that belong to no frequency

@@ -26,21 +26,28 @@ class Rigid:
 
 
 class PlantLimits:
-    """Limits of all plants by name, (plants,) each: nan where not asked for."""
+    """Limits of all plants by name, of a bending moment by its station (m); (plants,) each: nan where not asked for."""
 
     def __init__(self, each: Sequence[MarginLimits]) -> None:
         self._each = each
-        self._columns: dict[str, Array] = {}
+        self._columns: dict[str | float, Array] = {}
 
-    def __getitem__(self, name: str) -> Array:
+    def __getitem__(self, name: str | float) -> Array:
         if name not in self._columns:
-            values = [None if name in limits.without else getattr(limits, name) for limits in self._each]
+            values = [limit_of(limits, name) for limits in self._each]
             self._columns[name] = np.array([math.nan if value is None else value for value in values], float)
         return self._columns[name]
 
-    def asked(self, name: str) -> bool:
+    def asked(self, name: str | float) -> bool:
         """Whether any plant is held to it."""
         return not bool(np.isnan(self[name]).all())
+
+
+def limit_of(limits: MarginLimits, name: str | float) -> float | None:
+    """A limit by its name, or of a bending moment by its station (m); None where it is not asked for."""
+    if isinstance(name, str):
+        return None if name in limits.without else getattr(limits, name)
+    return next((one.rms_Nm for one in limits.bending_moment if one.station_m == name), None)
 
 
 @dataclass(frozen=True)

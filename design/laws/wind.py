@@ -4,9 +4,9 @@
 
 from the lateral wind to an output, with the law's measurements M_i per wind, the output G_u per command and G_w per
 wind. Load is dynamic pressure times incidence (relative to the air at the core's CG), drift the lateral velocity across
-the undisturbed path, w - U theta. Frequencies are those that an ascent sees, `LOWEST_HZ` to `HIGHEST_HZ`; the computer
-is in it as in the loop, the wind's images beyond its Nyquist frequency are not. A loop that is not stable has no rms:
-stability is the optimiser's affair.
+the undisturbed path, w - U theta, the bending moment that of model/sections.py at each of the stations asked for.
+Frequencies are those of the spectrum's band; the computer is in it as in the loop, the wind's images beyond its Nyquist
+frequency are not. A loop that is not stable has no rms: stability is the optimiser's affair.
 """
 
 from __future__ import annotations
@@ -21,13 +21,21 @@ from maxq.control.kernel.records import Array
 from maxq.design.model.state_space import ComplexArray
 
 LOWEST_HZ, HIGHEST_HZ, POINTS = 0.02, 5.0, 96
-LOAD, DRIFT = 0, 1  # outputs
-WIND_LIMITS = {"q_alpha_Padeg": ("load q alpha in wind, rms", "Pa deg"), "drift_mps": ("drift in wind, rms", "m/s")}
+FINE = 0.004  # step of ln f above it, where bending modes are: 8e-4 of the mean square at a damping ratio of 0.005
+LOAD, DRIFT, MOMENTS = 0, 1, 2  # outputs: moments are that and all behind it
+Key = str | float
+"""A quantity: by the name of its limit, or a bending moment by its station."""
+WIND_LIMITS = {
+    "q_alpha_Padeg": ("load q alpha in wind, rms", "q alpha", "Pa deg"),
+    "drift_mps": ("drift in wind, rms", "drift", "m/s"),
+}
 
 
-def frequencies() -> Array:
-    """x = ln f of the integral."""
-    return np.linspace(math.log(LOWEST_HZ), math.log(HIGHEST_HZ), POINTS)
+def quantity(key: Key) -> tuple[str, str, str]:
+    """Text, heading of a column and unit."""
+    if isinstance(key, str):
+        return WIND_LIMITS[key]
+    return f"bending moment at {key:g} m in wind, rms", f"M {key:g} m", "N m"
 
 
 @dataclass(frozen=True)
@@ -39,44 +47,55 @@ class Spectrum:
     model: str  # "dryden" or "von-karman"
     band_hz: tuple[float, float] = (LOWEST_HZ, HIGHEST_HZ)  # nothing counts beyond it
 
+    def frequencies(self) -> Array:
+        """x = ln f of the integral."""
+        x, top = np.linspace(math.log(LOWEST_HZ), math.log(HIGHEST_HZ), POINTS), math.log(self.band_hz[1])
+        return x if top <= x[-1] else np.append(x, np.linspace(x[-1], top, math.ceil((top - x[-1]) / FINE) + 1)[1:])
+
     def weights(self, airspeed_mps: float) -> Array:
         """Parts of sigma^2 by frequency, for sums over `frequencies`."""
-        x = frequencies()
+        x = self.frequencies()
         time_s = self.length_v_m / airspeed_mps
         p = 2.0 * math.pi * np.exp(x) * time_s * (1.0 if self.model == "dryden" else 1.339)
         shape = (1.0 + 3.0 * p**2) / (1.0 + p**2) ** 2
         if self.model == "von-karman":
             shape = (1.0 + 8.0 / 3.0 * p**2) / (1.0 + p**2) ** (11.0 / 6.0)
         density = self.sigma_mps**2 * time_s / math.pi * shape * 2.0 * math.pi * np.exp(x)
-        steps = np.full(len(x), x[1] - x[0])
-        steps[[0, -1]] *= 0.5
+        steps = 0.5 * (np.diff(x, append=x[-1]) + np.diff(x, prepend=x[0]))
         inside = (x >= math.log(self.band_hz[0]) - 1e-9) & (x <= math.log(self.band_hz[1]) + 1e-9)
         return np.asarray(density * steps * inside)
 
 
 @dataclass(frozen=True)
 class WindResponse:
-    """Of one plant at `frequencies` (F,), without the law: `paths` and `measured` (F, inputs) of its measurements per
-    command and per wind, `by_command` and `by_wind` (outputs, F).
+    """Of one plant at x = ln f (F,), without the law: `paths` and `measured` (F, inputs) of its measurements per
+    command and per wind, `by_command` and `by_wind` (outputs, F): load, drift, and moments at `stations_m`.
     """
 
+    x: Array
+    stations_m: tuple[float, ...]
     weights: Array
     paths: ComplexArray
     measured: ComplexArray
     by_command: ComplexArray
     by_wind: ComplexArray
 
-    def rms(self, output: int, law: ComplexArray, slopes: ComplexArray | None = None) -> tuple[float, Array]:
-        """Of LOAD (Pa deg) or DRIFT (m/s) with C (F, inputs), and its gradient by what `slopes` (F, inputs, n) are."""
+    def output(self, key: Key) -> int:
+        """Number of a quantity among the outputs."""
+        return list(WIND_LIMITS).index(key) if isinstance(key, str) else MOMENTS + self.stations_m.index(key)
+
+    def rms(self, outputs: Sequence[int], law: ComplexArray, slopes: ComplexArray) -> tuple[Array, Array]:
+        """Of LOAD (Pa deg), DRIFT (m/s), MOMENTS (N m) with C (F, inputs), (outputs,), and their gradients (outputs, n)
+        by what `slopes` (F, inputs, n) are; n = 0 for none.
+        """
         loop, felt = 1.0 + (law * self.paths).sum(axis=1), (law * self.measured).sum(axis=1)
-        t = self.by_wind[output] - self.by_command[output] * felt / loop
-        value = math.sqrt(float(self.weights @ np.abs(t) ** 2))
-        if slopes is None:
-            return value, np.zeros(0)
+        by_command = self.by_command[list(outputs)]
+        t = self.by_wind[list(outputs)] - by_command * felt / loop
+        value = np.sqrt(np.abs(t) ** 2 @ self.weights)
         moved = np.einsum("fi,fin->fn", self.measured, slopes) * loop[:, None]
         moved -= felt[:, None] * np.einsum("fi,fin->fn", self.paths, slopes)
-        by = -(self.by_command[output] / loop**2)[:, None] * moved
-        return value, np.asarray((self.weights * np.conj(t)) @ by).real / value
+        by = -(self.weights * np.conj(t) * by_command / loop**2) @ moved
+        return value, by.real / value[:, None]
 
 
 Winds = Sequence[WindResponse]

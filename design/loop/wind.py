@@ -1,4 +1,4 @@
-"""A loop's plant in wind: from gimbal command and lateral wind to the law's measurements, the load and the drift."""
+"""A loop's plant in wind: from gimbal command and lateral wind to the law's measurements, load, drift and moments."""
 
 from __future__ import annotations
 
@@ -6,29 +6,36 @@ import math
 
 import numpy as np
 
-from maxq.design.laws.wind import Spectrum, WindResponse, frequencies
+from maxq.design.laws.wind import HIGHEST_HZ, Spectrum, WindResponse
 from maxq.design.loop.fixed_path import FixedPath
 from maxq.design.loop.rational import average
 from maxq.design.model.plant import WIND, per_actuator_angle, vehicle_plant
+from maxq.design.model.sections import moment_name
 from maxq.design.model.state_space import ComplexArray, Resolvent, channels
 from maxq.design.model.vehicle_at import actuator_response, lag
 
 
-def wind_response(path: FixedPath, spectrum: Spectrum) -> WindResponse:
-    """Of the plant behind a path, for the path's own measurements.
+def wind_response(path: FixedPath, spectrum: Spectrum, stations_m: tuple[float, ...] = ()) -> WindResponse:
+    """Of the plant behind a path, for the path's own measurements, with the bending moment at some of its cuts.
 
-    Raises ValueError for a vehicle with spatial modes, which couple the planes.
+    Raises ValueError for a vehicle with spatial modes, which couple the planes, and for a band that reaches half the
+    sample rate.
     """
     node, timing = path.node, path.node.instruments
     if node.vehicle.across is not None:
         raise ValueError(f"node at {node.time_s:g} s: limits in wind are not for vehicles with spatial modes")
-    f = np.exp(frequencies())
+    if spectrum.band_hz[1] > max(HIGHEST_HZ, 0.499 / timing.sample_s):
+        raise ValueError(
+            f"wind.band_hz: allowed are frequencies below half the sample rate, {0.5 / timing.sample_s:g} Hz"
+        )
+    x = spectrum.frequencies()
+    f = np.exp(x)
     s, speed = 2j * np.pi * f, node.condition.airspeed_mps
     ideal = bool(node.actuator.ideal)
     plant = vehicle_plant(node.vehicle, node.condition, node.errata, node.liquids, wind=True)
     moved = tuple(name for name in plant.inputs if name != WIND and (not ideal or name.startswith("delta_rad")))
     felt = ("local_rate_radps", *(name for name, _, _ in path.sensors))
-    plant = channels(plant, (*felt, "w_mps", "theta_rad"), (*moved, WIND))
+    plant = channels(plant, (*felt, "w_mps", "theta_rad", *map(moment_name, stations_m)), (*moved, WIND))
     way = Resolvent(plant.a, plant.b, plant.c)(s) + plant.d
     held = average(s, timing.sample_s) * np.exp(-timing.delay_s * s)
 
@@ -49,10 +56,14 @@ def wind_response(path: FixedPath, spectrum: Spectrum) -> WindResponse:
     ]
     w, theta = len(felt), len(felt) + 1
     load = math.degrees(node.condition.dynamic_pressure_Pa / speed)
+    cuts = range(theta + 1, theta + 1 + len(stations_m))
     return WindResponse(
+        x=x, stations_m=stations_m,
         weights=spectrum.weights(speed),
         paths=np.stack([path.response(f) * path.ratio(name, f) for name in path.measurements], axis=1),
         measured=np.stack(measured, axis=1),
-        by_command=np.stack([load * commanded(w), commanded(w) - speed * commanded(theta)]),
-        by_wind=np.stack([load * (way[:, w, -1] - 1.0), way[:, w, -1] - speed * way[:, theta, -1]]),
-    )
+        by_command=np.stack([load * commanded(w), commanded(w) - speed * commanded(theta), *map(commanded, cuts)]),
+        by_wind=np.stack(
+            [load * (way[:, w, -1] - 1.0), way[:, w, -1] - speed * way[:, theta, -1], *(way[:, k, -1] for k in cuts)]
+        ),
+    )  # fmt: skip  # two more lines otherwise

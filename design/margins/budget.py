@@ -219,7 +219,7 @@ def build_up(node: Node) -> list[tuple[str, Node]]:
     """
     full = node.vehicle
     modes = dataclasses.replace(_emptied(full.modes), softening_kgpm=np.zeros((0, 0)), spatial=0)
-    stiff = dataclasses.replace(full, modes=modes, across=None)
+    stiff = dataclasses.replace(full, modes=modes, across=None, cuts=None)
     massless: dict[str, Any] = {"gimballed_mass_kg": 0.0, "inertia_about_gimbal_kgm2": 0.0, "tvc_load": None}
     engine, *others = (dataclasses.replace(one, **massless) for one in full.engines)
     light = dataclasses.replace(stiff, engine=engine, further_engines=tuple(others))
@@ -251,7 +251,7 @@ def _frozen(vehicle: VehicleAt) -> VehicleAt:
         core_inertia_kgm2=vehicle.total_inertia_kgm2,
     )
     modes = dataclasses.replace(vehicle.modes, phi_hinge=vehicle.modes.phi_hinge[:, :0])
-    return dataclasses.replace(vehicle, body=body, pendulums=_emptied(vehicle.pendulums), modes=modes)
+    return dataclasses.replace(vehicle, body=body, pendulums=_emptied(vehicle.pendulums), modes=modes, cuts=None)
 
 
 def _emptied(record: _Arrays) -> _Arrays:

@@ -104,7 +104,8 @@ def dispersed_many(node: Node, by: Dispersion) -> VehicleAt:
     counts = {"bending": len(node.vehicle.modes.omega_radps), "slosh": len(node.vehicle.pendulums.mass_kg)}
     alike = {name: np.repeat(value, counts[name.partition("_")[0]], axis=0) for name, value in alike.items()}
     by = dataclasses.replace(by, **alike)  # type: ignore[arg-type]  # arrays for each mode or tank
-    return _vehicle(dataclasses.replace(node, vehicle=_with_an_axis(node.vehicle)), by)
+    vehicle = dataclasses.replace(node.vehicle, cuts=None)  # nobody asks for theirs
+    return _vehicle(dataclasses.replace(node, vehicle=_with_an_axis(vehicle)), by)
 
 
 def _with_an_axis(thing: Any) -> Any:

@@ -42,6 +42,7 @@ from maxq.sim.packing.initial import quaternion, rotation
 from maxq.sim.run.evaluate import evaluate_at
 from maxq.sim.vehicle import state as layout
 from maxq.sim.vehicle.block import Sizes
+from maxq.sim.vehicle.loads import MOMENT_Y, MOMENT_Z
 from maxq.sim.vehicle.state import MAX_STATE
 from maxq.sim.vehicle.workspace import ENGINE_PITCH, ENGINE_YAW, GYRO_BEND
 
@@ -70,7 +71,7 @@ class LinearModel:
     error_b: Array
     states: tuple[str, ...]
     inputs: tuple[str, ...]
-    outputs: tuple[str, ...] = OUTPUTS
+    outputs: tuple[str, ...] = OUTPUTS  # and bending moments about y and z where section loads are switched on
 
 
 def linearise(packed: Packed, y: Array, time_s: float) -> LinearModel:
@@ -99,6 +100,7 @@ def linearise(packed: Packed, y: Array, time_s: float) -> LinearModel:
         error_b=errors[:n, n:],
         states=frame.names,
         inputs=inputs,
+        outputs=frame.outputs,
     )
 
 
@@ -156,6 +158,8 @@ class _Chart:
         self._command = np.array(self._held.command_rad[:channels])
         numbered = ["", *(f"_{group}" for group in range(2, channels // 2 + 1))]
         self.inputs = tuple(f"command_{axis}{n}_rad" for n in numbered for axis in ("pitch", "yaw"))
+        stations = stage.loads.station_m[: int(stage.loads.stations)]
+        self.outputs = (*OUTPUTS, *(f"bending_{axis}_{at:g}_Nm" for axis in ("pitch", "yaw") for at in stations))
 
     def motion(self, offset: Array, command: Array) -> Array:
         """Rates of the coordinates `offset` from the reference, then the outputs."""
@@ -165,7 +169,9 @@ class _Chart:
         now = evaluate_at(self._packed, y, self._time_s)
         w = x[_W]
         outputs = [now.aux[ENGINE_PITCH], now.aux[ENGINE_YAW], w[1] + now.aux[GYRO_BEND], w[2] + now.aux[GYRO_BEND + 1]]
-        return np.concatenate([self._rates(x, y, now.rate), outputs])
+        return np.concatenate(
+            [self._rates(x, y, now.rate), outputs, now.sections[:, MOMENT_Y], now.sections[:, MOMENT_Z]]
+        )
 
     def _read(self, y: Array) -> Array:
         """Coordinates of a state with the reference attitude."""

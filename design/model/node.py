@@ -24,6 +24,7 @@ from maxq.design.model.plant import (
     swings_of,
     vehicle_plant,
 )
+from maxq.design.model.sections import cuts_of
 from maxq.design.model.state_space import StateSpace
 from maxq.design.model.vehicle_at import (
     FlightCondition,
@@ -32,6 +33,7 @@ from maxq.design.model.vehicle_at import (
     Trim,
     VehicleAt,
     instruments_of,
+    table_clock_s,
     vehicle_at,
 )
 from maxq.sim.flight.parameters import NEVER
@@ -254,6 +256,21 @@ def nodes_along(
     return with_swings([found[time_s] for time_s in wanted], scenario, faults)
 
 
+def with_cuts(nodes: Sequence[Node], scenario: LoadedScenario) -> list[Node]:
+    """Nodes whose vehicles have the bending moment at the stations of their section loads among their outputs.
+
+    The flight needs no section loads for that: its tables are packed once more with them.
+    """
+    given = scenario.scenario
+    on = given.model_copy(update={"switches": given.switches.model_copy(update={"section_loads": True})})
+    packed, out = pack_flight(on), []
+    for node in nodes:
+        row = packed.parameters[node.stage]
+        cuts = cuts_of(packed.pool, row, table_clock_s(row, node.time_s - node.stage_start_s), node.plane == "pitch")
+        out.append(dataclasses.replace(node, vehicle=dataclasses.replace(node.vehicle, cuts=cuts)))
+    return out
+
+
 SWING_PERIODS = 3.0  # of a pendulum, about a node, over which its swing is averaged
 _SWING_LOG = Log(fast_hz=200.0, slow_hz=1.0, transform_hz=1.0)
 
@@ -329,9 +346,8 @@ def _node(run: FlightRun, time_s: float, plane: Plane, errata: Errata) -> Node:
     at_ns = flown_to(run, time_s)
     stage = int(run.memory.clock.stage)
     node = node_of(run.packed, at_ns / 1e9, stage, plane, errata)
-    timeline = run.packed.parameters[stage].timeline
-    clock_s = float(timeline.burn_rate) * (at_ns - int(timeline.stage_start_ns)) / 1e9
-    clock_s = float(timeline.frozen_s) if timeline.frozen == 1 else clock_s
+    row = run.packed.parameters[stage]
+    clock_s = table_clock_s(row, (at_ns - int(row.timeline.stage_start_ns)) / 1e9)
     given = run.loaded.scenario.vehicle.stage[stage]
     return dataclasses.replace(
         node, liquids=_liquids(given, clock_s, node), surface_radius_m=surface_radii_m(given, clock_s)

@@ -59,6 +59,7 @@ import numpy as np
 
 from maxq.control.kernel.records import Array
 from maxq.design.model.errata import CORRECTED, Errata
+from maxq.design.model.sections import bending_moments, moment_name
 from maxq.design.model.state_space import ComplexArray, StateSpace
 from maxq.design.model.vehicle_at import (
     ACCELERATION,
@@ -109,9 +110,10 @@ def vehicle_plant(
     States w (m/s, of the body point at the core's CG), q (rad/s), theta (rad), eta (m), eta' (m/s), G (rad), G'
     (rad/s), angle and rate of each engine on a TVC load; inputs `inputs_of`, outputs OUTPUTS, of which the local rate
     is that at the gyro, q + sum sigma_G eta' (12 with erratum 1), then what the vehicle's other sensors feel: the local
-    rate, or the lateral specific force in axes that turn with the bent body (docs/model.md, section 2). With `wind` the
-    last input is the air's lateral velocity, m/s, of a vehicle without spatial modes. A vehicle with spatial modes has
-    the states, inputs and outputs of the other plane besides (its modes, tanks and engines are numbered on), and the
+    rate, or the lateral specific force in axes that turn with the bent body (docs/model.md, section 2), and of a
+    vehicle with `cuts` the bending moment at each, N m (sections.py; of corrected physics only). With `wind` the last
+    input is the air's lateral velocity, m/s, of a vehicle without spatial modes. A vehicle with spatial modes has the
+    states, inputs and outputs of the other plane besides (its modes, tanks and engines are numbered on), and the
     roll rate of its modes at the gyro. Raises ValueError where the axial load is not positive and there are pendulums,
     and where an
     erratum of the tanks is left in and `liquids` does not say what they hold.
@@ -373,17 +375,22 @@ class _Equations:
         self.moment: Array = np.zeros(rows.shape[1:])
         self.modal: Array = np.zeros((n, *rows.shape[1:]))
         self._aerodynamics()
+        self.air_force, self.air_moment = self.force, self.moment
         for engine in vehicle.engines:
             motion = self._motion(engine)
             ahead, aside = (np.sum([slope[k] * delta for slope, delta, _ in motion], axis=0) for k in (0, 1))
             self._thrust(engine, ahead, aside)
             for slope, delta, accel in motion:
                 self._engine(engine, slope, delta, accel)
+        self.rod: list[Array] = []  # pull of each rod at its hinge, and force of each damper at its bob
+        self.damper: list[Array] = []
         self._slosh()
+        self.outflow = 0.0 * self.q, 0.0 * self.q  # force and moment
         if errata.jet_damping and vehicle.jet_damping:
             momentum, turning = mass_flow_momentum(vehicle)
-            self.force = self.force + 2.0 * momentum * self.q
-            self.moment = self.moment - turning * self.q
+            self.outflow = 2.0 * momentum * self.q, -turning * self.q
+            self.force = self.force + self.outflow[0]
+            self.moment = self.moment + self.outflow[1]
 
     def _aerodynamics(self) -> None:
         """(4), (6), (7), (17)."""
@@ -413,17 +420,12 @@ class _Equations:
         self, other: _Equations, slope_pr: Array, moment_mpr: Array, couples: Array
     ) -> tuple[Array, Array, Array]:
         """Force, moment and modal forces by the flow in the plane of `other`, which may be this one, in its rows."""
-        air, modes, speed = self.vehicle.aerodynamics, self.vehicle.modes, self.condition.airspeed_mps
-        flow, theirs = 0.5 * self.condition.density_kgpm3 * speed * air.area_m2, other.vehicle.modes
+        air, modes = self.vehicle.aerodynamics, self.vehicle.modes
+        flow = 0.5 * self.condition.density_kgpm3 * self.condition.airspeed_mps * air.area_m2
         force, moment, modal = 0.0 * other.w, 0.0 * other.w, 0.0 * outer(modes.omega_radps, other.w)
         for k, slope in enumerate(slope_pr):
-            place, local_flow = air.met_by_modes(k)
-            bent = 0.0 * other.w
-            if local_flow:
-                bent = air.forward * speed * dot(theirs.slope_surface_pm[:, place], other.eta)
-                bent = bent + dot(theirs.phi_surface[:, place], other.eta_rate)
-            local = other.through_air + bent
-            whole = local if self.errata.bent_body_loads else other.through_air
+            place = air.met_by_modes(k)[0]
+            local, whole = self.met_by(k, other)
             force = force - flow * slope * whole
             moved = self.surface_moved_m[place] if place >= 0 else 0.0
             moment = moment + flow * (slope * (self.cg - moved) - moment_mpr[k]) * whole
@@ -431,6 +433,17 @@ class _Equations:
                 modal = modal - flow * slope * outer(modes.phi_surface[:, place], local)
                 modal = modal + flow * couples[k] * outer(modes.slope_surface_pm[:, place], local)
         return force, moment, modal
+
+    def met_by(self, part: int, other: _Equations) -> tuple[Array, Array]:
+        """Flow in the plane of `other` that meets a part of `slope_pr`: what loads the modes, and what the body."""
+        air, theirs = self.vehicle.aerodynamics, other.vehicle.modes
+        place, local_flow = air.met_by_modes(part)
+        bent = 0.0 * other.w
+        if local_flow:
+            bent = air.forward * self.condition.airspeed_mps * dot(theirs.slope_surface_pm[:, place], other.eta)
+            bent = bent + dot(theirs.phi_surface[:, place], other.eta_rate)
+        local = other.through_air + bent
+        return local, local if self.errata.bent_body_loads else other.through_air
 
     def _actuator(self, engine: GimballedEngine, derivative: str) -> Array:
         return np.asarray(engine.gain * self.driven[of_drive(derivative, engine.drive)])
@@ -508,6 +521,8 @@ class _Equations:
             self.moment = self.moment - arm * rod
             self.moment = self.moment - (arm - bobs.length_m[k] if self.errata.damper_at_bob else arm) * friction
             self.modal = self.modal + outer(modes.phi_hinge[:, k], rod + friction)
+            self.rod.append(rod)
+            self.damper.append(friction)
             if self.errata.bent_body_loads:
                 self.moment = self.moment - self.felt * bobs.mass_kg[k] * dot(modes.phi_hinge[:, k], self.eta)
             if self.vehicle.slosh_exchange and np.all(bobs.mass_kg[k] > 0.0):
@@ -525,6 +540,7 @@ class _Equations:
         self.force = self.force + push
         self.moment = self.moment - arm * push
         self.modal = self.modal + flow * outer(modes.phi_hinge[:, k], swung)
+        self.damper[k] = self.damper[k] + flow * swung
 
     def held_load_mps2(self) -> Array:
         """Lateral specific force at the hinges (tanks,) where the modes are held."""
@@ -561,6 +577,8 @@ class _Equations:
                 out.append(lateral - (self.cg - station_m) * turning + dot(phi, bending) + tilted)
             else:
                 out.append(self.q + dot(slope, rates))
+        if self.vehicle.cuts is not None:
+            out += bending_moments(self, self.vehicle.cuts, lateral, turning, bending)
         return np.stack(np.broadcast_arrays(*out))
 
     def rows(self) -> tuple[Array, Array, Array]:
@@ -641,8 +659,9 @@ def swings_of(engine: GimballedEngine) -> list[Swing]:
 
 
 def outputs_of(vehicle: VehicleAt) -> tuple[str, ...]:
-    """Of a plane: OUTPUTS, then what further sensors measure."""
-    return (*OUTPUTS, *(name for name, _ in vehicle.sensors))
+    """Of a plane: OUTPUTS, then what further sensors measure, then bending moments at the vehicle's cuts."""
+    stations = () if vehicle.cuts is None else vehicle.cuts.station_m.tolist()
+    return (*OUTPUTS, *(name for name, _ in vehicle.sensors), *(moment_name(at) for at in stations))
 
 
 def inputs_of(vehicle: VehicleAt) -> tuple[str, ...]:

@@ -18,6 +18,7 @@ import scipy.linalg
 from maxq.control.kernel.records import Array
 from maxq.control.kernel.tables import table_in
 from maxq.design.model.incidence import reference_station_m, table_slopes
+from maxq.design.model.sections import Cuts, cuts_of
 from maxq.design.model.state_space import ComplexArray, StateSpace
 from maxq.sim.packing.flight import Packed
 from maxq.sim.vehicle import aero, schedule
@@ -285,6 +286,7 @@ class VehicleAt:
     across: VehicleAt | None = None  # the same in the other plane, where spatial modes couple both
     further_engines: tuple[GimballedEngine, ...] = ()
     sensors: tuple[tuple[str, float], ...] = ()  # beyond the gyro: what each measures, by name, and its station, m
+    cuts: Cuts | None = None  # where its bending moment is wanted: the stations of section loads that are switched on
 
     @property
     def engines(self) -> tuple[GimballedEngine, ...]:
@@ -350,11 +352,16 @@ def vehicle_at(
     return dataclasses.replace(one, across=_in_plane(packed, time_s, mach, other, stage, trim))
 
 
+def table_clock_s(row: Any, time_s: float) -> float:
+    """Clock of a packed stage's tables at a time since its start."""
+    return float(row.timeline.frozen_s) if row.timeline.frozen == 1 else float(row.timeline.burn_rate) * time_s
+
+
 def _in_plane(packed: Packed, time_s: float, mach: float, plane: Plane, stage: int, trim: Trim) -> VehicleAt:
     row = packed.parameters[stage]
     vehicle, sizes = row.vehicle, row.vehicle.sizes
     table = table_in(packed.pool, vehicle.schedule)
-    clock_s = float(row.timeline.frozen_s) if row.timeline.frozen == 1 else float(row.timeline.burn_rate) * time_s
+    clock_s = table_clock_s(row, time_s)
     props = table(clock_s)
     inertia = schedule.CORE_INERTIA + (1 if plane == "pitch" else 2)
     turn = schedule.INERTIA_RATE + (1 if plane == "pitch" else 2)
@@ -381,6 +388,7 @@ def _in_plane(packed: Packed, time_s: float, mach: float, plane: Plane, stage: i
         sensors=tuple(
             (_sensed(k, each), float(each.station_m)) for k, each in enumerate(vehicle.sensors[: int(sizes.sensors)])
         ),
+        cuts=cuts_of(packed.pool, row, clock_s, plane == "pitch"),
     )
 
 

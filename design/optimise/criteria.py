@@ -19,7 +19,6 @@ from numpy.typing import NDArray
 from maxq.control.kernel.records import Array
 from maxq.design.case.schema import Limits, ObjectiveName
 from maxq.design.laws.task import DB, PlantLimits
-from maxq.design.laws.wind import WIND_LIMITS
 from maxq.design.optimise import features
 from maxq.design.optimise.curves import Indices
 from maxq.design.optimise.features import Cross, Kind, LogLoop, Mask, Search
@@ -91,15 +90,14 @@ class Objective:
     """What is made small: the largest value of a criterion, dB, over all plants.
 
     `about` names the number as it is written into a design; `reached` says it in the unit of a report. `needs_mode`:
-    a plant without a first bending mode has none. `of_law`: text of a limit of the law, which is the objective in place
-    of features of the loop.
+    a plant without a first bending mode has none. Of what the law says of wind (`LawLimit.objective`) nothing is looked
+    for in the loop.
     """
 
     criterion: Criterion
     about: str
     reached: Callable[[float], str]
     needs_mode: bool = False
-    of_law: str = ""
 
 
 # --- objectives
@@ -124,10 +122,14 @@ OBJECTIVES: dict[ObjectiveName, Objective] = {
         reached=lambda db: f"least |1 + L| {10.0 ** (-db / 20.0):.3f}",
     ),
     "load": Objective(
-        Criterion(WIND_LIMITS["q_alpha_Padeg"][0], "Pa deg", (), lambda _: iter(())),
+        Criterion("load q alpha in wind, rms", "Pa deg", (), lambda _: iter(())),
         about="largest rms of q alpha, in dB over 1 Pa deg",
         reached=lambda db: f"largest rms of q alpha {10.0 ** (db / 20.0):.0f} Pa deg",
-        of_law=WIND_LIMITS["q_alpha_Padeg"][0],
+    ),
+    "bending-moment": Objective(
+        Criterion("bending moment in wind, rms", "N m", (), lambda _: iter(())),
+        about="largest rms of the bending moment, in dB over 1 N m",
+        reached=lambda db: f"largest rms of the bending moment {10.0 ** (db / 20.0):.0f} N m",
     ),
 }
 

@@ -12,10 +12,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from maxq.control.kernel.records import Array, IntArray
-from maxq.design import api
 from maxq.design.case.schema import Gains, LoadedCase
 from maxq.design.laws.law import LawVariables
-from maxq.design.optimise.plants import Plant, Plants, make_plant, make_plants
+from maxq.design.optimise.plants import Plant, Plants, make_plant, make_plants, nodes_of
 from maxq.design.optimise.search import Progress
 from maxq.design.optimise.solution import Solution
 from maxq.design.optimise.solve import Start, make_problem, solve_at_nodes
@@ -37,10 +36,10 @@ class Instants:
     tried: int = 0
 
     def plants(self, times_s: Sequence[float]) -> list[Plant]:
-        case, missing = self.loaded.case, [t for t in times_s if t not in self.known]
+        missing = [t for t in times_s if t not in self.known]
         if missing:
-            nodes = api.nodes(self.loaded.scenario, missing, plane=case.plane, errata=case.errata, plant=case.plant)
-            self.known |= {t: make_plant(node, case) for t, node in zip(missing, nodes, strict=True)}
+            nodes = nodes_of(self.loaded, missing)
+            self.known |= {t: make_plant(node, self.loaded.case) for t, node in zip(missing, nodes, strict=True)}
             self.tried += len(missing)
         return [self.known[t] for t in times_s]
 

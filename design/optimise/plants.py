@@ -9,7 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from maxq.control.kernel.records import Array
-from maxq.design.case.schema import Case
+from maxq.design import api
+from maxq.design.case.schema import Case, LoadedCase
 from maxq.design.laws.law import MEASUREMENTS
 from maxq.design.laws.registry import law_kind
 from maxq.design.laws.task import PlantLimits, Rigid, Task
@@ -18,7 +19,7 @@ from maxq.design.loop.fixed_path import FixedPath, fixed_path
 from maxq.design.loop.resonance import Resonance
 from maxq.design.loop.wind import wind_response
 from maxq.design.margins.curve import lowest_hz_of
-from maxq.design.model.node import Node
+from maxq.design.model.node import Node, with_cuts
 from maxq.design.model.state_space import ComplexArray
 from maxq.design.model.vehicle_at import ACCELERATION, incidence_by_acceleration, stability_derivatives
 from maxq.design.optimise.criteria import OBJECTIVES
@@ -67,7 +68,7 @@ def make_plant(node: Node, case: Case, dispersed: bool = False) -> Plant:
             raise ValueError(
                 f"node at {node.time_s:g} s: the vehicle has no accelerometer, which the law {case.law} takes"
             )
-    wind = None if case.wind is None else wind_response(path, Spectrum(**dict(case.wind)))
+    wind = None if case.wind is None else wind_of(path, case)
     share, top = case.objective.band, path.highest_hz * MODE_BANDS_END
     bands, bending = [], [r for r in path.resonances(0.5) if r.kind == "bending"]
     for r in bending:
@@ -84,6 +85,26 @@ def make_plant(node: Node, case: Case, dispersed: bool = False) -> Plant:
     return Plant(
         node, path, tuple(bands), _first_lobe(bending), d.m_delta_1ps2, d.m_alpha_1ps2, d.m_q_1ps, dispersed, wind
     )
+
+
+def wind_of(path: FixedPath, case: Case) -> WindResponse:
+    """The path in the case's wind, with the bending moments that it asks for. Raises ValueError, naming the node, where
+    there are none.
+    """
+    assert case.wind is not None
+    cuts = path.node.vehicle.cuts
+    try:
+        stations_m = case.bending_stations_m(() if cuts is None else tuple(cuts.station_m.tolist()))
+        return wind_response(path, Spectrum(**dict(case.wind)), stations_m)
+    except ValueError as problem:
+        raise ValueError(f"node at {path.node.time_s:g} s: {problem}") from None
+
+
+def nodes_of(loaded: LoadedCase, times_s: Sequence[float]) -> list[Node]:
+    """Of a case of one stage, at vehicle times."""
+    case = loaded.case
+    nodes = api.nodes(loaded.scenario, times_s, plane=case.plane, errata=case.errata, plant=case.plant)
+    return with_cuts(nodes, loaded.scenario) if case.bends else nodes
 
 
 def _first_lobe(bending: Sequence[Resonance]) -> tuple[float, float]:

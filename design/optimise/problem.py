@@ -61,7 +61,6 @@ class Problem:
         self.criteria = [objective.criterion, *LIMITS]
         self.kinds = [RowKind(k.text, k.unit) for k in self.criteria]
         self.kinds += [RowKind(k.text, k.unit) for k in self.law.limits]
-        self._objective_of_law = [k for k, limit in enumerate(self.law.limits) if limit.text == objective.of_law]
         self._asked = [True, *(limit.asked(limits, common) for limit in LIMITS)]
         asked = [limit for limit, yes in zip(LIMITS, self._asked[1:], strict=True) if yes]
         self._searches: list[Search] = list(
@@ -99,7 +98,8 @@ class Problem:
         collected = Collected()
         collected.add(self._feature_rows(seen, places, math.inf if complete else FARTHEST_DB))
         for values in self.law.limit_values(own):
-            collected.add(law_rows(len(self.criteria) + values.number, values, values.number in self._objective_of_law))
+            made_small = self.law.limits[values.number].objective
+            collected.add(law_rows(len(self.criteria) + values.number, values, made_small))
         rows = collected.joined()
         limits, objective = rows.excess_db[~rows.objective], rows.excess_db[rows.objective]
         return Evaluation(

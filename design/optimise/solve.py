@@ -10,7 +10,6 @@ from typing import Protocol, get_args
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from maxq.design import api
 from maxq.design.case.schema import LIMIT_NAMES, Case, LoadedCase
 from maxq.design.laws.law import DesignedLaw, LawVariables
 from maxq.design.laws.registry import designed_law, law_kind
@@ -19,7 +18,7 @@ from maxq.design.loop.loop import Loop
 from maxq.design.model.node import node_times, powered_spans
 from maxq.design.optimise.criteria import OBJECTIVES
 from maxq.design.optimise.loops import Loops
-from maxq.design.optimise.plants import Plants, make_plant, make_plants
+from maxq.design.optimise.plants import Plants, make_plant, make_plants, nodes_of
 from maxq.design.optimise.problem import Problem
 from maxq.design.optimise.search import Found, Progress, search
 from maxq.design.optimise.solution import Solution, make_solution
@@ -64,9 +63,7 @@ class GivenLaw:
 
 def nominal_plants(loaded: LoadedCase) -> Plants:
     """The plants at the nodes of a case of one stage. Raises ValueError, naming the node, where there is none."""
-    case = loaded.case
-    nodes = api.nodes(loaded.scenario, case.times_s, plane=case.plane, errata=case.errata, plant=case.plant)
-    return make_plants([make_plant(node, case) for node in nodes])
+    return make_plants([make_plant(node, loaded.case) for node in nodes_of(loaded, loaded.case.times_s)])
 
 
 def make_problem(case: Case, plants: Plants, like: LawVariables | None = None) -> Problem:

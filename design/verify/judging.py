@@ -15,9 +15,10 @@ import numpy as np
 
 from maxq.control.kernel.records import Array
 from maxq.design import api
-from maxq.design.case.schema import Case, LoadedCase
+from maxq.design.case.schema import Case, LoadedCase, MarginLimits
 from maxq.design.laws.design_file import design_of
 from maxq.design.laws.law import ANGLES
+from maxq.design.laws.task import limit_of
 from maxq.design.loop.fixed_path import Kind
 from maxq.design.loop.loop import Loop
 from maxq.design.margins.budget import Budget, crossing_budgets
@@ -30,6 +31,7 @@ from maxq.design.model.vehicle_at import ACCELERATION, StabilityDerivatives, sta
 from maxq.design.optimise.criteria import OBJECTIVES
 from maxq.design.optimise.robust import deviated
 from maxq.design.optimise.solution import Solution
+from maxq.design.verify.in_wind import InWind, in_wind
 from maxq.design.verify.suite import beyond
 from maxq.sim.packing.computer import bending_filter
 from maxq.sim.scenario.errors import ScenarioError
@@ -135,6 +137,7 @@ class Check:
     limit: float
     values: Array
     time_s: Array  # NaN for the filter
+    short: str = ""  # heading of a column, where `LIMITS` has none
 
     @property
     def _margin(self) -> Array:
@@ -281,6 +284,7 @@ class Outcome:
     flown_found: Sequence[Check]  # on the sampled loop; the same as `found` where the case's loop is
     dispersed_found: Sequence[Check]  # at the worst plants of a robust case
     wanted: Wanted
+    in_wind: Sequence[InWind] = ()  # at `judged`
 
     @property
     def feasible(self) -> bool:
@@ -394,14 +398,28 @@ def judge_solution(loaded: LoadedCase, solution: Solution, design: Design | None
     wanted = wanted_of(case)
 
     judged = judge(nodes, design, case.loop)
-    found = checks(judged, design, wanted)
-    flown = found if case.loop == "sampled" else checks(judge(nodes, design, "sampled"), design, wanted)
+    flown = checks(judged if case.loop == "sampled" else judge(nodes, design, "sampled"), design, wanted)
+    winds = in_wind(case, nodes, design, loaded.scenario.design)
+    found = [*(flown if case.loop == "sampled" else checks(judged, design, wanted))]
+    found += wind_checks(winds, case.limits, nodes)
     if case.robust is None:
-        return Outcome(loaded, design, judged, found, flown, [], wanted)
+        return Outcome(loaded, design, judged, found, flown, [], wanted, winds)
     by_label, dispersed = {node.label: node for node in nodes}, []  # rebuilt from the labels of the search
     for label in dict.fromkeys(c.plant for c in solution.constraints if c.dispersed and c.plant is not None):
         name, _, letters = label.removesuffix("]").rpartition(" [")
         ends = [{"-": -1, "0": 0, "+": 1}[letter] for letter in letters]
         dispersed.append(deviated(by_label[name], case.robust, ends))
     off = checks(judge(dispersed, design, case.loop), design, Wanted.of(case.robust.limits)) if dispersed else []
-    return Outcome(loaded, design, judged, found, flown, off, wanted)
+    if dispersed:
+        off += wind_checks(in_wind(case, dispersed, design, None), case.robust.limits, dispersed)
+    return Outcome(loaded, design, judged, found, flown, off, wanted, winds)
+
+
+def wind_checks(found: Sequence[InWind], limits: MarginLimits, nodes: Sequence[Node]) -> list[Check]:
+    """The limits of what wind does."""
+    time_s, out = np.array([node.time_s for node in nodes]), []
+    for one in found:
+        limit, (text, short, unit) = limit_of(limits, one.key), one.about
+        if limit is not None:
+            out.append(Check(f"wind_{one.name}", text, unit, "<=", limit, one.rms, time_s, short))
+    return out

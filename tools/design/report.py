@@ -10,6 +10,9 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
+import numpy as np
+
+from maxq.control.kernel.records import Array
 from maxq.design.margins.lobes import Lobe
 from maxq.design.margins.measure import Margins
 from maxq.design.margins.multiloop import MultiloopMargins
@@ -100,7 +103,7 @@ def case_report(outcome: Outcome, solution: Solution) -> str:
         head, limits_table(outcome.found),
         limits_table(off, f"limits of {len(off[0].values)} dispersed plants") if off else [],
         limits_table(flown, "the same design as it flies (sampled)") if case.loop != "sampled" else [],
-        design_table(design), search_table(solution), margins_table(outcome.judged),
+        design_table(design), search_table(solution), wind_table(outcome), margins_table(outcome.judged),
         lobes_table(outcome.judged), nodes_table(outcome.found, outcome.judged),
     )  # fmt: skip  # five more lines otherwise
 
@@ -143,7 +146,7 @@ def nodes_table(checks: Sequence[Check], judged: Sequence[Judged]) -> list[str]:
     shown = [check for check in checks if math.isfinite(check.time_s[0]) and check.key != "unstable_poles"]
     stable = next((check for check in checks if check.key == "unstable_poles"), None)
     rows = [
-        ("time, s", "", "loop", *(f"{LIMITS[c.key].short if c.key in LIMITS else c.text} " for c in shown)),
+        ("time, s", "", "loop", *(f"{LIMITS[c.key].short if c.key in LIMITS else c.short or c.text} " for c in shown)),
         ("", "", "", *(f"{check.sense} {check.limit:g} " for check in shown)),
     ]
     for n, j in enumerate(judged):
@@ -268,6 +271,27 @@ def search_table(solution: Solution) -> list[str]:
     return ["search", *aligned(rows, "  ")]
 
 
+def wind_table(outcome: Outcome) -> list[str]:
+    """Worst root mean squares in the case's wind, beside those of the design that the scenario has by itself."""
+    if not outcome.in_wind:
+        return []
+    times, rows = [j.time_s for j in outcome.judged], [("", "rms", "at", "before", "at")]
+    for one in outcome.in_wind:
+        text, _, unit = one.about
+        cells = [_worst(values, times, unit) if values is not None else ("-", "") for values in (one.rms, one.before)]
+        rows.append((text.removesuffix(", rms"), *cells[0], *cells[1]))
+    before = outcome.loaded.scenario.design
+    named = f" (before: {before.name or 'design'}, which the scenario flies by itself)" if before is not None else ""
+    return [printable(f"in the case's wind{named}"), *aligned(rows, "  ", right=(1, 2, 3, 4))]
+
+
+def _worst(values: Array, times_s: Sequence[float], unit: str) -> tuple[str, str]:
+    """The largest value and its node; an unstable loop has none."""
+    k = int(np.argmax(np.isnan(values) if np.isnan(values).any() else values))
+    value = float(values[k])
+    return "unstable" if math.isnan(value) else f"{figures(value, 4)} {unit}", f"{times_s[k]:g} s"
+
+
 def _between(c: Certificate) -> str:
     """What was found between the nodes."""
     found = f"{c.worst_instant_db:.2g} dB" if c.worst_instant_db > 0.0 else "no"
@@ -374,6 +398,10 @@ def case_record(outcome: Outcome, solution: Solution) -> dict[str, Any]:
         "limits": checks_record(outcome.found),
         "limits_as_flown": checks_record(outcome.flown_found),
         "limits_dispersed": checks_record(outcome.dispersed_found),
+        "in_wind": {
+            one.name: {"rms": one.rms.tolist(), "before": None if one.before is None else one.before.tolist()}
+            for one in outcome.in_wind
+        },
         "nodes": [node_record(j) for j in outcome.judged],
     }
 
