@@ -9,6 +9,8 @@
 | gain down of a slow root whose burst is three such steps | that of the linear loop |
 | excitation level predicted by the linear loop | that of the flight, and below every limit |
 | a loop as it is; one beyond its stability boundary | decays; grows |
+| margin bounded at half the sample rate | the linear loop's: its burst does not vanish between the samples |
+| a margin that rounding alone moves by less than half a decibel | is called noise, a larger or lasting one is not |
 | growth beyond the boundary | ends in a limit cycle of some amplitude, or in a loss |
 | a root that grows slowly, and only in the held flight | is measured as "drift"; a wrong gravity shows in it |
 | one that grows faster | is a disagreement that names the unstable loop |
@@ -19,6 +21,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -28,7 +31,8 @@ from maxq.control.converter import ConverterState, convert, make_converter
 from maxq.control.kernel.jit import from_python
 from maxq.control.kernel.records import blank, pack
 from maxq.design import api
-from maxq.design.certificate.certificate import HELD_GRAVITY, NodeCertificate, certify_node
+from maxq.design.certificate.certificate import HELD_GRAVITY, MarginRow, NodeCertificate, certify_node
+from maxq.design.certificate.certificate import _with_noise as with_noise
 from maxq.design.certificate.excitation import DITHER_HZ, Band, band, excitation_level, injections
 from maxq.design.certificate.held_flight import Change, HeldFlight, hold, linear_limits
 from maxq.design.certificate.in_flight import TIME_VARIATION, converters_share, in_flight_response
@@ -180,6 +184,23 @@ def test_margin_is_found_again_from_an_altered_flight(held: HeldFlight) -> None:
     assert found.tried[0][1] > 0.0
 
 
+def test_margin_at_half_the_sample_rate(tmp_path: Path) -> None:
+    """Of two blended gyros, bounded at 50 Hz, where all samples of a sine that begins at one of them are 0: with such a
+    burst 17.1 dB were measured in place of 9.6."""
+    (tmp_path / "design.toml").write_text(
+        "schema = 1\n[gains]\ntable = [{time_s=57.9, k_p=0.407, k_d_s=0.246}]\n[blend]\npitch = [0.4192, 0.5808]\n"
+        "[filter]\nstructure = 'F4'\nprewarp_hz = 9.7\nquadratic = [{zero_hz=42.4, zero_zeta=0.1, pole_hz=12.94, "
+        "pole_zeta=0.3}, {zero_hz=3.226, zero_zeta=0.739, pole_hz=7.19, pole_zeta=0.3}]\n"
+    )
+    blended = load_scenario("load-relief", [f"design={tmp_path / 'design.toml'}"])
+    assert blended.design is not None
+    held = hold(blended, api.nodes(blended, [57.9])[0], along_body=True)
+    loop = api.loops([held.node], blended.design)[0]
+    found = measure_margin(held, loop, margins(loop), "gain_up")
+    assert (found.reason, found.frequency_hz) == ("", 50.0)
+    assert abs(found.difference) < 0.15
+
+
 def test_delay_that_does_not_fit_the_computer_is_named(loaded: LoadedScenario) -> None:
     """At 5 s ksr3-free bears 150 ms, 15 samples; the filter has room for 12."""
     patient = load_scenario("nominal", ['design="designs/ksr3-free.toml"'])
@@ -262,6 +283,19 @@ def test_a_line_that_noise_alone_moves_is_called_noise(sigma: float) -> None:
 def test_what_is_left_with_ideal_converters_is_not_theirs() -> None:
     reasons, fine = ("", UNEXPLAINED, UNEXPLAINED, TIME_VARIATION), (UNEXPLAINED, "", UNEXPLAINED, UNEXPLAINED)
     assert converters_share(reasons, fine) == ("", NOISE, UNEXPLAINED, TIME_VARIATION)
+
+
+@pytest.mark.parametrize(
+    ("measured", "fine", "reason"),
+    [(16.4, 16.1, NOISE), (16.4, 15.7, UNEXPLAINED), (17.0, 16.1, UNEXPLAINED), (15.4, 16.0, UNEXPLAINED)],
+)
+def test_a_margin_that_rounding_alone_moves_is_called_noise(measured: float, fine: float, reason: str) -> None:
+    """Of 16 dB: only where without rounding it is the linear loop's, and with it less than half a decibel off."""
+    rows = [
+        MarginRow("gain_up", "dB", 8.1, 16.0, 16.0, 16.0, x, "" if abs(x - 16.0) < 0.2 else UNEXPLAINED)
+        for x in (measured, fine)
+    ]
+    assert with_noise(*rows).reason == reason
 
 
 def test_in_flight_response_agrees_or_says_why(loaded: LoadedScenario) -> None:

@@ -21,6 +21,7 @@ from flight_code import COMPILER, STRICT, flies, needs_compiler
 from scipy.io import loadmat
 
 from maxq.design import api
+from maxq.design.margins.measure import margins
 from maxq.sim.campaign.read import load_campaign
 from maxq.sim.campaign.runs import fly_rows
 from maxq.sim.run.fly import Flight, fly
@@ -266,6 +267,17 @@ def test_exported_matrices_are_the_loop_for_python_control(matrices: Path) -> No
         assert np.abs(again / found - 1.0).max() < 1e-6
         assert node["plant"]["sample_time_s"] == 0.0
         assert node["plant"]["state_units"][node["plant"]["state_names"].index("theta_rad")] == "rad"
+
+
+def test_slicot_finds_the_least_distance_in_the_exported_matrices(matrices: Path) -> None:
+    """AB13DD: the H-infinity norm of 1 / (1 + L) over all frequencies, from A, B, C, D alone."""
+    pytest.importorskip("slycot")
+    for node in json.loads((matrices / "loop.json").read_text())["nodes"]:
+        loop = control.ss(*(np.array(node["loop"][m]) for m in "ABCD"), node["loop"]["sample_time_s"])
+        peak, at_radps = control.linfnorm(control.feedback(1, loop))
+        of_loop = margins(api.loop("nominal", None, node["time_s"], plane="yaw"))
+        assert 1.0 / peak == pytest.approx(of_loop.modulus, rel=1e-6)
+        assert abs(1.0 + loop(np.exp(0.01j * at_radps))) == pytest.approx(of_loop.modulus, rel=1e-5)
 
 
 def test_all_formats_hold_the_same(matrices: Path) -> None:

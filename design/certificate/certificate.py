@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
@@ -13,6 +14,7 @@ from maxq.design.certificate.held_flight import Change, hold
 from maxq.design.certificate.measured_margins import (
     DRIFT_HZ,
     MARGIN_NAMES,
+    NOT_SETTLED,
     TOO_LONG,
     TOO_SLOW,
     TOO_SMALL,
@@ -29,6 +31,7 @@ from maxq.design.certificate.measured_margins import (
 from maxq.design.certificate.response import (
     BANDS,
     FAULTY,
+    NOISE,
     UNEXPLAINED,
     ResponseTable,
     RingLine,
@@ -42,6 +45,7 @@ from maxq.sim.scenario.loader import LoadedScenario
 
 PLANES: tuple[Plane, ...] = ("pitch", "yaw")
 MARGIN_WITHIN_DB, DELAY_WITHIN = 0.2, 0.02
+NOISE_WITHIN_DB, NOISE_WITHIN = 0.5, 0.05  # where without rounding the two agree to the above
 HELD_GRAVITY = "held gravity"
 
 
@@ -53,7 +57,8 @@ class MarginRow:
     `reason` is "" where flight and linear loop agree; "held gravity" where they do, but the margin at the flown instant
     differs, because the slowest root is under the axial load in the held flight and under gravity in the ascent;
     "longer than can be inserted" for a delay margin of more samples than the computer's filter has room for, which is
-    not measured; otherwise what is wrong.
+    not measured; "converter noise" where they agree without rounding and are less than 0.5 dB or 5 % apart with it;
+    otherwise what is wrong.
 
     `what` is "gain_up", "gain_down" or "delay", or "drift" (1/s): the growth rate of the slowest root of a loop that is
     stable at the flown instant and unstable in the held flight.
@@ -75,7 +80,7 @@ class MarginRow:
 
     @property
     def agrees(self) -> bool:
-        return self.reason in ("", HELD_GRAVITY, TOO_LONG, TOO_SLOW, TOO_SMALL, UNBOUNDED)
+        return self.reason in ("", HELD_GRAVITY, NOISE, TOO_LONG, TOO_SLOW, TOO_SMALL, UNBOUNDED)
 
 
 @dataclass(frozen=True)
@@ -203,12 +208,27 @@ def certify_node(
         return NodeCertificate(node.time_s, node.plane, of_flown.stable, nothing, (), cycle, total_gain_db)
     responses = measured_response(held, loop, pade[0], bands, at_half=fault is None)
     rows = [_margin_row(measure_margin(held, loop, of_held, name), of_pade, of_flown) for name in names]
+    doubted = [k for k, row in enumerate(rows) if row.reason in (UNEXPLAINED, NOT_SETTLED)]
+    if doubted and loaded.scenario.switches.converter == "full":
+        ideal = loaded.scenario.switches.model_copy(update={"converter": "ideal"})
+        smooth = dataclasses.replace(loaded, scenario=loaded.scenario.model_copy(update={"switches": ideal}))
+        fine = hold(smooth, node, fault, along_body=along_body)
+        for k in doubted:
+            again = _margin_row(measure_margin(fine, loop, of_held, names[k]), of_pade, of_flown)
+            rows[k] = _with_noise(rows[k], again)
     if drifts is not None:
         rows.append(_drift_row(drifts, of_pade, of_flown))
     rings: tuple[RingLine, ...] = ()
     if bands and node.vehicle.pendulums.ring.any():
         rings = ring_lines(hold(loaded, node, fault, along_body=along_body, rings_by_law=True), loop)
     return NodeCertificate(node.time_s, node.plane, of_flown.stable, responses, tuple(rows), None, total_gain_db, rings)
+
+
+def _with_noise(row: MarginRow, fine: MarginRow) -> MarginRow:
+    """A row that disagrees, and the same without rounding: near the boundary counts keep an oscillation going, whose
+    growth then says little. It is their doing where the fine one agrees, and the other is not far off."""
+    near = abs(row.difference) <= (NOISE_WITHIN_DB if row.unit == "dB" else NOISE_WITHIN * row.held)
+    return dataclasses.replace(row, reason=NOISE) if fine.agrees and near else row
 
 
 def _margin_row(found: MeasuredMargin, pade: Margins, flown: Margins) -> MarginRow:

@@ -190,8 +190,15 @@ def injections(groups: Groups, axis: str) -> tuple[Injection, ...]:
 def sine_burst(held: HeldFlight, frequency_hz: float, scale: float = 1.0) -> Injection:
     """Three turns of a sine at `scale` times the amplitude of `burst_rad`; at least LOWEST_BURST_HZ."""
     hz = max(frequency_hz, LOWEST_BURST_HZ)
-    amplitude = scale * burst_rad(held, frequency_hz)
-    return gimbal_injection(held.plane, "sine", amplitude, frequency_hz=hz, stop_s=round(3.0 / hz, 6))
+    return sine(held, hz, scale * burst_rad(held, frequency_hz), 3.0 / hz)
+
+
+def sine(held: HeldFlight, frequency_hz: float, amplitude_rad: float, stop_s: float) -> Injection:
+    """A sine from the beginning on, for so long. Near half the sample rate it begins a quarter turn late: at half of it
+    all samples of a sine that begins at one are 0."""
+    late_s = 0.25 / frequency_hz if frequency_hz > 0.45 / held.sample_s else 0.0
+    times = {"start_s": round(late_s, 9), "stop_s": round(stop_s, 6)}
+    return gimbal_injection(held.plane, "sine", amplitude_rad, frequency_hz=frequency_hz, **times)
 
 
 def burst_rad(held: HeldFlight, frequency_hz: float, growth: float = 1.0) -> float:

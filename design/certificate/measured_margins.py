@@ -31,6 +31,7 @@ from maxq.design.certificate.excitation import (
     gimbal_injection,
     injections,
     linear_room,
+    sine,
     sine_burst,
 )
 from maxq.design.certificate.held_flight import Change, HeldFlight, slosh_columns, unchanged
@@ -62,6 +63,7 @@ TOO_LONG = "longer than can be inserted"  # reason for a delay margin that is no
 UNBOUNDED = "nothing bounds it"
 TOO_SMALL = "commands less than a step of the converter"  # reason for a margin of so little gain: not measured
 TOO_SLOW = "grows too slowly to be seen"  # reason for a margin that a slow root bounds, and a flight cannot show
+NOT_SETTLED = "not settled"
 SATURATED = math.inf  # growth rate where limits are met before it can be measured
 DECAYED = -math.inf  # where the response has decayed before
 SLOWEST_1PS = 1.0 / 160.0  # of a drift: e-fold within the longest flight of a certificate
@@ -164,7 +166,7 @@ def measure_margin(held: HeldFlight, loop: Loop, of_loop: Margins, what: MarginN
         step, at = following - at, following
         if abs(step) < tolerance:
             return found(at)
-    return found(at, "not settled")
+    return found(at, NOT_SETTLED)
 
 
 def is_too_slow(loop: Loop, what: MarginName, bound: Bound) -> bool:
@@ -228,9 +230,11 @@ def _slope(loop: Loop, what: MarginName, bound: Bound) -> float:
 def measured_growth(held: HeldFlight, loop: Excited, test: BurstTest, change: Change = unchanged) -> float:
     """Growth rate (1/s) of the free response in flight; NaN where the flight ended early. `loop` sets the dither."""
     amplitude = burst_rad(held, test.frequency_hz, test.growth)
-    sine = {"frequency_hz": test.frequency_hz} if test.frequency_hz > 0.0 else {}
+    swings = test.frequency_hz > 0.0
     signals: tuple[Injection, ...] = (
-        gimbal_injection(held.plane, "sine" if sine else "step", amplitude, stop_s=round(test.burst_s, 6), **sine),
+        sine(held, test.frequency_hz, amplitude, test.burst_s)
+        if swings
+        else gimbal_injection(held.plane, "step", amplitude, stop_s=round(test.burst_s, 6)),
     )
     step_rad = _step_rad(held)
     if test.frequency_hz > DITHER_ABOVE_HZ:
@@ -242,11 +246,11 @@ def measured_growth(held: HeldFlight, loop: Excited, test: BurstTest, change: Ch
     first = round((test.burst_s + test.wait_s) / held.sample_s)
     limit = math.degrees(linear_room(held, test.frequency_hz)[0])
     over = np.flatnonzero(np.abs(response) > limit)
-    if sine and test.frequency_hz < FINE_BELOW_HZ and len(over):  # what comes after it is another motion
+    if swings and test.frequency_hz < FINE_BELOW_HZ and len(over):  # what comes after it is another motion
         response = response[: over[0]]
     elif len(response) - first < 0.9 * test.watch_s / held.sample_s:
         return SATURATED if len(over) else math.nan
-    least = 0.15 * math.degrees(amplitude) * test.growth if sine else 0.0
+    least = 0.15 * math.degrees(amplitude) * test.growth if swings else 0.0
     return growth_rate(response[first:], held.sample_s, test.frequency_hz, test.window_s, limit, least)
 
 

@@ -200,12 +200,15 @@ class FlightRun:
     """A flight in progress: `fly_segment` until `finished`, then `result`.
 
     The constructor loads the compiled kernels, or compiles them (about half a minute, once). `segment_ns`: length of a
-    segment, a multiple of the step (default: 1 s, or less where that is many steps or log rows).
+    segment, a multiple of the step (default: 1 s, or less where that is many steps or log rows; 4 s of a flight that
+    another process flies, which has to be woken for each). `starts`: flight code from outside is started at once, and
+    says so if it cannot be; otherwise by the first segment.
     """
 
     def __init__(
-        self, loaded: LoadedScenario, packed: Packed | None = None, log: bool = True, segment_ns: int | None = None
-    ) -> None:
+        self, loaded: LoadedScenario, packed: Packed | None = None, log: bool = True, segment_ns: int | None = None,
+        starts: bool = True,
+    ) -> None:  # fmt: skip  # eight lines otherwise
         self.loaded = loaded
         self.packed = packed or pack_flight(loaded.scenario)
         self.table = logged_channels(loaded.scenario, self.packed.sizes)
@@ -219,7 +222,8 @@ class FlightRun:
         timeline = self.packed.parameters[0].timeline
         periods_ns = {FAST: int(timeline.fast_ns), SLOW: int(timeline.slow_ns)}
         step_ns = 1_000_000 if timeline.even == 1 else int(timeline.step_ns)
-        self.segment_ns = segment_ns or _segment_ns(step_ns, min(periods_ns.values()))
+        longest_ns = LONGEST_SEGMENT_NS * (4 if external else 1)
+        self.segment_ns = segment_ns or _segment_ns(step_ns, min(periods_ns.values()), longest_ns)
         self._logged = self._on if log else self._off
         longest_ns = int(self.packed.parameters["timeline"]["step_ns"].max())  # a segment ends with a whole step
         self._rows = {
@@ -236,7 +240,13 @@ class FlightRun:
             from maxq.sim.run.flight_software import FlightSoftware  # noqa: PLC0415  # lazy: few flights have any
 
             self._software = FlightSoftware(loaded)
-            self._hold(self._software.start(self._arrays(self._logged, self._rows)))
+            if starts:
+                self._start_software()
+
+    def _start_software(self) -> None:
+        assert self._software is not None
+        self._own = self._arrays(self._logged, self._rows)
+        self._hold(self._software.start(self._own))
 
     def _arrays(self, logged: Any, room: Rows) -> tuple[Any, ...]:
         """What `advance` takes, without `until_ns`."""
@@ -351,10 +361,14 @@ class FlightRun:
         length_ns = length_ns or self.segment_ns
         until = (int(self._clock["now_ns"][0]) // length_ns + 1) * length_ns
         start = time.perf_counter()
+        if self._software is not None and not self._software.started:
+            self._start_software()
         rows = self._advance(until, self._logged, self._rows, self._software)
         if self._software is not None and self.finished:
             rows = copied(rows)
-            self._hold(tuple(array.copy() for array in self._arrays(self._logged, self._rows)))
+            for own, flown in zip(self._own[2:5], self._arrays(self._logged, self._rows)[2:5], strict=True):
+                own[:] = flown  # memory, state and arena: shared ones may be another flight's from now on
+            self._hold(self._own)
             self._software.close()
         self.wall_s += time.perf_counter() - start
         return rows
@@ -570,10 +584,10 @@ class KeptRows:
         }
 
 
-def _segment_ns(step_ns: int, shortest_log_ns: int) -> int:
-    """Length of a segment: 1 s, or less where that is many steps or rows; a multiple of the step.
+def _segment_ns(step_ns: int, shortest_log_ns: int, longest_ns: int) -> int:
+    """Length of a segment: `longest_ns`, or less where that is many steps or rows; a multiple of the step.
 
     Only between two segments can a flight be interrupted and are its rows written.
     """
-    longest = min(LONGEST_SEGMENT_NS, _MOST_STEPS * step_ns, _MOST_ROWS * shortest_log_ns)
+    longest = min(longest_ns, _MOST_STEPS * step_ns, _MOST_ROWS * shortest_log_ns)
     return max(longest // step_ns, 1) * step_ns
