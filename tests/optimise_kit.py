@@ -9,7 +9,8 @@ import numpy as np
 
 from maxq.control.kernel.records import Array
 from maxq.design.case.schema import LoadedCase, read_case
-from maxq.design.laws.pd import PdDesign, PdVariables
+from maxq.design.laws.pd import PdDesign
+from maxq.design.laws.pd_variables import PdVariables
 from maxq.design.optimise.plants import Plants
 from maxq.design.optimise.problem import Problem
 from maxq.design.optimise.solution import Solution

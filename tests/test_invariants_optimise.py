@@ -27,7 +27,8 @@ from threadpoolctl import threadpool_info
 from maxq.design import api
 from maxq.design.case.schema import LoadedCase, read_case
 from maxq.design.laws.design_file import design_text
-from maxq.design.laws.pd import Pd, PdVariables
+from maxq.design.laws.pd import Pd
+from maxq.design.laws.pd_variables import PdVariables
 from maxq.design.loop.loop import Loop
 from maxq.design.margins.measure import margins
 from maxq.design.model.node import Node

@@ -33,7 +33,8 @@ from maxq.control.laws.pd import GainSchedule, gains_table
 from maxq.control.sensors import make_sensors
 from maxq.design import api
 from maxq.design.laws.design_file import design_text
-from maxq.design.laws.pd import PdDesign, PdVariables
+from maxq.design.laws.pd import PdDesign
+from maxq.design.laws.pd_variables import PdVariables
 from maxq.design.laws.wind import DRIFT, LOAD, MOMENTS, Spectrum, WindResponse
 from maxq.design.model.linearised import zero_incidence
 from maxq.design.model.plant import vehicle_plant

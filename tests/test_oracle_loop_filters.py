@@ -32,7 +32,8 @@ from maxq.control.laws.pd import GainSchedule, gains_table
 from maxq.control.loop_filters import make_loop_filters
 from maxq.control.sensors import make_sensors
 from maxq.design import api
-from maxq.design.laws.pd import Pd, PdVariables
+from maxq.design.laws.pd import Pd
+from maxq.design.laws.pd_variables import PdVariables
 from maxq.design.model.plant import vehicle_plant
 from maxq.design.model.vehicle_at import incidence_by_acceleration, stability_derivatives
 from maxq.design.optimise.solve import make_problem

@@ -25,7 +25,8 @@ from scipy.optimize import differential_evolution, linprog
 
 from maxq.control.kernel.records import Array
 from maxq.design.laws.bending_filter import FilterVariables
-from maxq.design.laws.pd import Pd, least_gains
+from maxq.design.laws.pd import Pd
+from maxq.design.laws.pd_variables import least_gains
 from maxq.design.loop.loop import Loop
 from maxq.design.margins.measure import margins
 from maxq.design.optimise.problem import Problem

@@ -23,7 +23,7 @@ from maxq.control.kernel.tables import Pool
 from maxq.control.laws.pd import GainSchedule, gains_table
 from maxq.control.structures import OVER, Over
 from maxq.design import api
-from maxq.design.laws.pd import PdVariables
+from maxq.design.laws.pd_variables import PdVariables
 from maxq.design.optimise.solve import make_problem
 from maxq.sim.run.fly import fly
 from maxq.sim.scenario.errors import ScenarioError

@@ -18,7 +18,7 @@ import numpy as np
 
 from maxq.control.kernel.records import Array
 from maxq.design.laws.law import MEASUREMENTS, LawLimit, LimitValues
-from maxq.design.laws.pd import GAIN_FACTOR, PdVariables
+from maxq.design.laws.pd_variables import GAIN_FACTOR, PdVariables
 from maxq.design.laws.task import DB, Task
 
 CORNER = 0.1  # of the rigid body's least frequency: corner of the integral where the case does not say

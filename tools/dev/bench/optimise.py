@@ -28,7 +28,7 @@ from scipy.optimize import Bounds, OptimizeResult, differential_evolution
 
 from maxq.control.kernel.records import Array
 from maxq.design.case.schema import Case, read_case
-from maxq.design.laws.pd import PdVariables
+from maxq.design.laws.pd_variables import PdVariables
 from maxq.design.optimise.plants import Plants
 from maxq.design.optimise.problem import Problem
 from maxq.design.optimise.solve import make_problem, nominal_plants, solve
