@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import os
+import shutil
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
+
+from maxq.control.kernel import jit
 
 CALL = """
 from maxq.control.kernel.jit import from_python
@@ -41,6 +44,26 @@ def test_damaged_machine_code_is_compiled_again(tmp_path: Path) -> None:
             again = call(cache)
             assert (again.stdout.strip(), again.stderr) == (ANSWER, "")
             assert path.read_bytes() != damaged
+
+
+@pytest.mark.slow
+def test_like_sources_elsewhere_are_compiled_once(tmp_path: Path) -> None:
+    """Another checkout, or an installed wheel, loads what has been compiled; whatever differs in a source does not."""
+    cache, here = tmp_path / "cache", Path(jit.__file__).parents[2]
+    assert call(cache).stdout.strip() == ANSWER
+    for layer in ("control", "sim", "design"):
+        shutil.copytree(here / layer, tmp_path / "maxq" / layer, ignore=lambda _, names: {"__pycache__"} & set(names))
+    elsewhere = (
+        f"import sys\nsys.path.insert(0, {str(tmp_path)!r})\n{CALL}print(sys.modules[cross.__module__].__file__)"
+    )
+    for compiled in (1, 2):
+        found = call(cache, "-c", elsewhere)
+        assert (found.stdout.split("\n"), found.stderr) == (
+            [ANSWER, str(tmp_path / "maxq/control/kernel/vectors.py"), ""],
+            "",
+        )
+        assert len(list(cache.rglob("*.nbc"))) == compiled
+        (tmp_path / "maxq/control/kernel/vectors.py").open("a").write("# another\n")
 
 
 COUNTED = f"""

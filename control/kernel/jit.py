@@ -29,7 +29,7 @@ import llvmlite.binding
 import numba
 import numpy as np
 from numba import types
-from numba.core.caching import FunctionCache, IndexDataCacheFile
+from numba.core.caching import CompileResultCacheImpl, FunctionCache, IndexDataCacheFile
 from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import CompilerBase, compile_result
 from numba.core.compiler_machinery import PassManager
@@ -73,13 +73,14 @@ def cores() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
-def _source_files() -> Iterator[Path]:
+@functools.cache
+def _source_files() -> tuple[Path, ...]:
     """Python sources that may hold a kernel or a constant that one uses, wherever they are installed."""
     layers = Path(__file__).resolve().parents[2]
-    for layer in ("control", "sim"):  # design/ and tools/ hold no kernels
-        for path in sorted((layers / layer).rglob("*.py")):
-            if not _KERNEL_FREE.intersection(path.relative_to(layers).parts):
-                yield path
+    held = (sorted((layers / layer).rglob("*.py")) for layer in ("control", "sim"))
+    alone = sorted((layers / "design/margins").glob("many*.py"))  # design/ and tools/ hold no others
+    of_layers = (p for paths in held for p in paths if not _KERNEL_FREE.intersection(p.relative_to(layers).parts))
+    return (*alone, *of_layers)
 
 
 def source_hash() -> str:
@@ -117,7 +118,7 @@ def cache_folder() -> Path:
     return own_cache(f"kernels-{source_hash()}")
 
 
-_FOLDER = str(cache_folder())
+_FOLDER, _SOURCES = str(cache_folder()), frozenset(map(str, _source_files()))
 
 
 class _CheckedFile(IndexDataCacheFile):  # type: ignore[misc]  # Numba has no types
@@ -143,8 +144,56 @@ class _CheckedFile(IndexDataCacheFile):  # type: ignore[misc]  # Numba has no ty
         return super()._load_data(name)
 
 
+class _Place:
+    """Where an entry's machine code is kept and for how long it is good, as Numba asks for it.
+
+    That of maxq's own sources, whose hash is the folder's name, holds wherever they are installed and whenever they
+    were written; that of other files by their path, size and age.
+    """
+
+    def __init__(self, function: Any, path: str) -> None:
+        self._line, own = function.__code__.co_firstlineno, os.path.realpath(path) in _SOURCES
+        name = function.__module__ if own else hashlib.sha256(os.path.abspath(path).encode()).hexdigest()[:16]
+        self._folder = os.path.join(_FOLDER, name)
+        status = os.stat(path)
+        self._stamp = () if own else (status.st_size, status.st_mtime_ns)
+
+    @classmethod
+    def from_function(cls, function: Any, path: str) -> _Place | None:
+        """None where nothing can be kept."""
+        try:
+            place = cls(function, path)
+            place.ensure_cache_path()
+        except OSError:
+            return None
+        return place
+
+    def ensure_cache_path(self) -> None:
+        os.makedirs(self._folder, exist_ok=True)
+        if not os.access(self._folder, os.W_OK):
+            raise PermissionError(errno.EACCES, "this folder cannot be written", self._folder)
+
+    def get_cache_path(self) -> str:
+        return self._folder
+
+    def get_source_stamp(self) -> tuple[int, ...]:
+        return self._stamp
+
+    def get_disambiguator(self) -> str:
+        return str(self._line)
+
+
+class _Kept(CompileResultCacheImpl):  # type: ignore[misc]  # Numba has no types
+    _locator_classes = (_Place,)
+
+
 class _EntryCache(FunctionCache):  # type: ignore[misc]  # Numba has no types
+    _impl_class = _Kept
     _turn: int | None = None  # descriptor of the locked file while this process compiles
+
+    def __init__(self, function: Any) -> None:
+        super().__init__(function)
+        self._cache_file.__class__ = _CheckedFile
 
     def load_overload(self, signature: Any, target: Any) -> Any:
         """Machine code from disk, without Numba's implementations of NumPy, which load SciPy's linear algebra: a
@@ -460,18 +509,11 @@ def _serve_python(compiled: Any, make_complete: Callable[[], Any]) -> None:
 
 def entry(function: Function) -> Function:
     """As `kernel`, for the few that Python calls: the machine code is kept on disk, with all that it calls."""
-    saved = numba.config.CACHE_DIR
-    numba.config.CACHE_DIR = _FOLDER  # read at decoration time; restored so that no other library is touched
-    try:
-        compiled = numba.njit(
-            _signed(function), nogil=True, cache=True, error_model="numpy", pipeline_class=_EntryCompiler
-        )
-        if not numba.config.DISABLE_JIT:
-            compiled._cache.__class__ = _EntryCache
-            compiled._cache._cache_file.__class__ = _CheckedFile
-        return compiled  # type: ignore[no-any-return]  # Numba has no types
-    finally:
-        numba.config.CACHE_DIR = saved
+    compiled = numba.njit(_signed(function), nogil=True, error_model="numpy", pipeline_class=_EntryCompiler)
+    if not numba.config.DISABLE_JIT:
+        with contextlib.suppress(RuntimeError):  # of Numba, where nothing can be kept
+            compiled._cache = _EntryCache(compiled.py_func)
+    return compiled  # type: ignore[no-any-return]  # Numba has no types
 
 
 def from_python(function: Function) -> Function:
