@@ -17,15 +17,15 @@ from oracles import multibody_system as system
 
 from maxq.control.kernel.jit import bare_pointer, entry
 from maxq.control.kernel.records import Array
-from maxq.control.kernel.tables import find_interval
 from maxq.sim.flight import events as flight_events
 from maxq.sim.flight import loop as flight_loop
-from maxq.sim.flight import step as flight_step
 from maxq.sim.packing.flight import Packed, pack_flight
+from maxq.sim.run.evaluate import evaluate_into
 from maxq.sim.run.fly import FlightRun
 from maxq.sim.scenario.loader import LoadedScenario, load_scenario_text
 from maxq.sim.vehicle import state as layout
 from maxq.sim.vehicle import workspace
+from maxq.sim.vehicle.loads import MAX_LOAD_COLUMNS
 from maxq.sim.vehicle.state import MAX_STATE, state_size
 
 Tree = dict[str, Any]
@@ -249,19 +249,6 @@ def oracle_vehicle(parts: Parts, damping_1ps: tuple[float, ...] = ()) -> system.
 
 # --- kernels
 @entry
-def _evaluate_at(P, pool, state, y, now_ns, elapsed_s, props, dy, work, aux):  # type: ignore[no-untyped-def]  # Numba infers
-    memory = state[0]
-    p = P[memory.clock.stage]
-    pool, y, props = bare_pointer(pool), bare_pointer(y), bare_pointer(props)
-    dy, work, aux = bare_pointer(dy), bare_pointer(work), bare_pointer(aux)
-    # a step lies in one interval of the schedule; breakpoints are met to the nanosecond
-    clock_s = flight_step.schedule_clock(p, memory.clock, now_ns, 1e-9)
-    memory.clock.interval = find_interval(pool, p.vehicle.schedule, clock_s)
-    flight_step.read_schedule(p, pool, memory, now_ns, elapsed_s, props)
-    flight_step.evaluate(p, pool, memory, now_ns, elapsed_s, workspace.Evaluation(props, y, dy, aux), work)
-
-
-@entry
 def _meet(P, pool, state, y, aux, props, until_ns):  # type: ignore[no-untyped-def]  # Numba infers
     memory = state[0]
     p = P[memory.clock.stage]
@@ -316,9 +303,9 @@ class Rig:
         """As `derivative`, `elapsed_s` into a step that starts at `now_ns`."""
         full = np.zeros(MAX_STATE)
         full[: self.n] = y
-        _evaluate_at(
+        evaluate_into(
             self.packed.parameters, self.packed.pool, self.packed.memory, full, now_ns, elapsed_s,
-            self.props, self.dy, self.work, self.aux,
+            self.props, self.dy, self.work, self.aux, np.zeros(MAX_LOAD_COLUMNS),
         )  # fmt: skip  # eight more lines otherwise
         return self.dy[: self.n].copy()
 

@@ -19,17 +19,17 @@ PIP = [sys.executable, "-m", "pip", "--disable-pip-version-check", "--quiet"]
 pytestmark = pytest.mark.slow
 
 
-def run(command, folder, **environment):
+def run(command, folder):
     """Run a command away from the checkout, with no help from this process's settings."""
     clean = {k: v for k, v in os.environ.items() if not k.startswith(("PYTHON", "NUMBA", "VIRTUAL_ENV"))}
     return subprocess.run(
         [str(part) for part in command],
-        cwd=folder, env=clean | environment, capture_output=True, text=True, check=False,
+        cwd=folder, env=clean, capture_output=True, text=True, check=False,
     )  # fmt: skip  # four more lines otherwise
 
 
-def succeed(command, folder, **environment):
-    done = run(command, folder, **environment)
+def succeed(command, folder):
+    done = run(command, folder)
     assert done.returncode == 0, done.stdout + done.stderr
     return done.stdout
 
@@ -76,12 +76,6 @@ def installed(wheel, tmp_path_factory):
     return folder / "bin"
 
 
-@pytest.fixture(scope="module")
-def cache(tmp_path_factory):
-    """Compiled kernels go where they are thrown away."""
-    return str(tmp_path_factory.mktemp("kernels"))
-
-
 def files_of(wheel):
     return {name for name in zipfile.ZipFile(wheel).namelist() if ".dist-info/" not in name}
 
@@ -105,15 +99,15 @@ def test_a_wheel_built_from_the_source_distribution_is_the_same(source, wheel, t
         assert all(one.read(name) == other.read(name) for name in files_of(wheel))
 
 
-def test_modules_come_from_the_wheel(installed, cache, tmp_path):
+def test_modules_come_from_the_wheel(installed, tmp_path):
     code = "import control, maxq.sim.scenario.loader as loader; print(control.tf.__module__, loader.__file__)"
-    module, file = succeed([installed / "python", "-c", code], tmp_path, MAXQ_CACHE=cache).split(maxsplit=1)
+    module, file = succeed([installed / "python", "-c", code], tmp_path).split(maxsplit=1)
     assert module.startswith("control.")
     assert Path(file.strip()).is_relative_to(installed.parent)
 
 
-def test_simrun_names_the_built_in_scenarios(installed, cache, tmp_path):
-    said = succeed([installed / "simrun", "--list"], tmp_path, MAXQ_CACHE=cache)
+def test_simrun_names_the_built_in_scenarios(installed, tmp_path):
+    said = succeed([installed / "simrun", "--list"], tmp_path)
     files = (ROOT / "scenarios").rglob("*.toml")
     names = {p.relative_to(ROOT / "scenarios").with_suffix("").as_posix() for p in files}
     data = ("vehicles/", "designs/", "winds/", "campaigns/", "suites/", "layouts/")
@@ -122,22 +116,20 @@ def test_simrun_names_the_built_in_scenarios(installed, cache, tmp_path):
 
 
 @pytest.mark.parametrize("kind", ["scenario", "suite"])
-def test_simrun_prints_schemas_without_a_checkout(installed, cache, tmp_path, kind):
-    said = succeed([installed / "simrun", "--schema", kind], tmp_path, MAXQ_CACHE=cache)
+def test_simrun_prints_schemas_without_a_checkout(installed, tmp_path, kind):
+    said = succeed([installed / "simrun", "--schema", kind], tmp_path)
     assert "schema" in json.loads(said)["properties"]
 
 
-def test_simrun_flies_a_built_in_scenario_and_a_changed_copy(installed, cache, tmp_path):
+def test_simrun_flies_a_built_in_scenario_and_a_changed_copy(installed, tmp_path):
     simrun = installed / "simrun"
-    built_in = run(
-        [simrun, "nominal", "--no-log", "--set", "run.duration_s=2", "--out", "a"], tmp_path, MAXQ_CACHE=cache
-    )
-    succeed([simrun, "--copy", "nominal", "mine"], tmp_path, MAXQ_CACHE=cache)
+    built_in = run([simrun, "nominal", "--no-log", "--set", "run.duration_s=2", "--out", "a"], tmp_path)
+    succeed([simrun, "--copy", "nominal", "mine"], tmp_path)
     scenario = tmp_path / "mine" / "nominal.toml"
     text, n = re.subn(r"(?m)^duration_s = .*$", "duration_s = 1.0", scenario.read_text())
     assert n == 1
     scenario.write_text(text)
-    copied = run([simrun, scenario, "--no-log", "--out", "b"], tmp_path, MAXQ_CACHE=cache)
+    copied = run([simrun, scenario, "--no-log", "--out", "b"], tmp_path)
     for done, folder, duration_s in ((built_in, "a", 2), (copied, "b", 1)):
         # 1: flown, a requirement missed; a flight this short meets none about its end
         assert "Traceback" not in done.stderr, done.stderr

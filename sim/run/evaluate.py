@@ -38,34 +38,31 @@ def evaluate_at(packed: Packed, y: Array, time_s: float) -> Instant:
         begin(packed.parameters, packed.pool, memory, packed.state.copy())
     sizes = (PROPERTIES_SIZE, MAX_STATE, WORK_SIZE, AUX_SIZE, MAX_LOAD_COLUMNS)
     properties, dy, work, aux, columns = (np.zeros(n) for n in sizes)
-    _evaluate(packed.parameters, packed.pool, memory, y, round(1e9 * time_s), properties, dy, work, aux, columns)
+    now_ns, into = round(1e9 * time_s), (properties, dy, work, aux, columns)
+    evaluate_into(packed.parameters, packed.pool, memory, y, now_ns, 0.0, *into)
     stations = int(packed.parameters[int(memory[0].clock.stage)].loads.stations)
     return Instant(dy, aux, memory[0].sections.section.reshape(-1, SECTION_WIDTH)[:stations].copy())
 
 
 @entry
-def _evaluate(
-    P: Records,
-    pool: Array,
-    state: Records,
-    y: Array,
-    now_ns: int,
-    properties: Array,
-    dy: Array,
-    work: Array,
-    aux: Array,
-    columns: Array,
-) -> None:
-    """Derivative of `y` and its by-products at the instant `now_ns`; `P` of Parameters, `state` of Memory."""
+def evaluate_into(
+    P: Records, pool: Array, state: Records, y: Array, now_ns: int, elapsed_s: float, properties: Array, dy: Array,
+    work: Array, aux: Array, columns: Array,
+) -> None:  # fmt: skip  # twelve lines otherwise
+    """Derivative of `y` and its by-products `elapsed_s` into a step that starts at the instant `now_ns`, with section
+    loads where there are stations; `P` of Parameters, `state` of Memory.
+    """
     memory = state[0]
     p = P[memory.clock.stage]
     pool, y, properties = bare_pointer(pool), bare_pointer(y), bare_pointer(properties)
     dy, work, aux = bare_pointer(dy), bare_pointer(work), bare_pointer(aux)
-    memory.clock.interval = find_interval(pool, p.vehicle.schedule, schedule_clock(p, memory.clock, now_ns, 0.0))
-    read_schedule(p, pool, memory, now_ns, 0.0, properties)
+    # a step lies in one interval of the schedule; breakpoints are met to the nanosecond
+    within_s = schedule_clock(p, memory.clock, now_ns, 1e-9)
+    memory.clock.interval = find_interval(pool, p.vehicle.schedule, within_s)
+    read_schedule(p, pool, memory, now_ns, elapsed_s, properties)
     at = Evaluation(properties, y, dy, aux)
-    evaluate(p, pool, memory, now_ns, 0.0, at, work)
+    evaluate(p, pool, memory, now_ns, elapsed_s, at, work)
     if p.loads.stations > 0:
         columns = bare_pointer(columns)
-        clock_s = schedule_clock(p, memory.clock, now_ns, 0.0)
+        clock_s = schedule_clock(p, memory.clock, now_ns, elapsed_s)
         evaluate_sections(p.loads, p.vehicle, memory.inputs, pool, clock_s, at, work, columns, memory.sections)
