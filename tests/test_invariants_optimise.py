@@ -156,6 +156,31 @@ def test_limit_that_no_stable_loop_meets_is_named() -> None:
     assert s.explanation().startswith("no stable design was found; without limits.rigid_hz one is")
 
 
+def test_rigid_limits_over_time(tmp_path: Path) -> None:
+    """Each node is held to its own; they are written with the design, and another design is judged by them."""
+    given = (NODES, "filter.structure=F2", "search.starts=2", "search.leaps=0", "gains.schedule=free")
+    hz, zeta = "limits.rigid_hz={time_s=[10.0,50.0],value=[0.5,0.7]}", "limits.rigid_zeta={time_s=[5.0],value=[0.8]}"
+    loaded, plants = kit.case(*given, hz, zeta), kit.plants(NODES)
+    s = solve(loaded, plants)
+    assert s.feasible
+    gains = kit.designed(s).pitch
+    k_p, k_d = (np.interp(plants.times_s, gains.at, k) for k in (gains.k_p, gains.k_d_s))
+    omega, wanted = np.sqrt(plants.rigid.m_delta * k_p), 2.0 * np.pi * np.array([0.5, 0.6, 0.7])
+    assert (omega > wanted - 1e-6).all()
+    assert omega[1:] == pytest.approx(wanted[1:], rel=1e-6)
+    assert (0.5 * plants.rigid.m_delta * k_d / omega > 0.8 - 1e-6).all()
+    judged = judge_solution(loaded, s)
+    (tmp_path / "design.toml").write_text(design_text(judged.design))
+    assert api.load_design(tmp_path / "design.toml").limits == judged.design.limits
+    found = next(check for check in judged.found if check.key == "rigid_hz")
+    np.testing.assert_allclose(found.limit, [0.5, 0.6, 0.7])
+    assert found.passed
+    later = kit.case(*given, "limits.rigid_hz={time_s=[5.0,30.0,55.0],value=[0.4,0.4,0.8]}")
+    missed = next(check for check in judge_solution(later, s).found if check.key == "rigid_hz")
+    assert missed.met().tolist() == [True, True, False]
+    assert (missed.worst, missed.wanted) == (2, 0.8)
+
+
 def test_both_ends_of_a_range_are_searched_and_lie_on_either_side() -> None:
     node = kit.all_nodes().each[3].node
     ranges = kit.case(name="ksr3-robust").case.robust

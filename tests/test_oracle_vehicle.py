@@ -7,21 +7,24 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import petrelkit
 import pytest
 
 from maxq.control.kernel.tables import find_interval, interpolate
 from maxq.design.case.schema import read_case
+from maxq.design.model.vehicle_at import stability_derivatives
 from maxq.design.verify.suite import read_suite
 from maxq.sim.packing.flight import pack_flight
 from maxq.sim.run.fly import fly
 from maxq.sim.scenario.errors import ScenarioError
 from maxq.sim.scenario.loader import load_scenario
+from maxq.sim.scenario.schema_values import OverTime, at_time
 from maxq.sim.vehicle.state import R_I, V_I
 from maxq.tools import simvehicle
 from maxq.tools.vehicle import build as building
 from maxq.tools.vehicle.aerodynamics import aerodynamics
 from maxq.tools.vehicle.beam import ELEMENTS, Beam
-from maxq.tools.vehicle.build import Built, build, m_alpha_1ps2, m_delta_1ps2
+from maxq.tools.vehicle.build import Built, build, burning, least_rigid_hz, m_alpha_1ps2, m_delta_1ps2
 from maxq.tools.vehicle.files import write
 from maxq.tools.vehicle.layout import Engines, Layout, read_layout
 from maxq.tools.vehicle.masses import Rod, stacks
@@ -267,6 +270,36 @@ def test_a_case_from_a_layout_asks_for_what_its_suite_asks(tmp_path: Path) -> No
     assert limits.first_mode_phase_deg > asked.first_mode_phase_deg
     assert max(limits.second_mode_db, limits.higher_modes_db) < asked.higher_modes_db
     assert not limits.without
+    # where the air is dense, a frequency that leaves the gain margin downwards, by the flown vehicle's M_alpha
+    assert isinstance(limits.rigid_hz, OverTime)
+    dense, low, high = 54.7, 6.0, 140.0
+    (node,) = petrelkit.nodes(dense)
+    m_alpha = stability_derivatives(node.vehicle, node.condition).m_alpha_1ps2
+    needed = math.sqrt((10.0 ** (asked.aero_gain_db / 20.0) - 1.0) * m_alpha) / (2.0 * math.pi)
+    assert at_time(limits.rigid_hz, [low, high]).tolist() == [0.32, 0.32]
+    assert at_time(limits.rigid_hz, dense) == pytest.approx(needed, rel=0.03)
+    assert needed > 0.322
+
+
+def test_rigid_limits_follow_actuator_and_mode_1(layout: Layout) -> None:
+    """At most an eighth of both, of each stage by itself; a layout may name one for all."""
+    engine = layout.stage[0].engine.model_copy(update={"servo_hz": (2.0,)})
+    slow = build(changed(layout, 0, engine=engine))
+    assert {slow.rigid_hz(p) for p in slow.flight.points if p.number == 0} == {0.25}
+    assert {slow.rigid_hz(p) for p in slow.flight.points if p.number > 0} == {0.4}
+    times_s, hz = least_rigid_hz(slow, 0.0)  # no margin: of the first gains alone
+    assert hz == [0.2, 0.2, 0.32, 0.32]
+    assert times_s == sorted(times_s)
+    shells = tuple(s.model_copy(update={"wall_m": 0.05 * s.wall_m}) for s in layout.stage[0].shell)
+    soft = build(changed(layout, 0, shell=shells))
+    times, modes = soft.modes[0]
+    p = burning(soft)[30]
+    wanted = np.interp(p.clock_s, times, [m[0].frequency_hz for m in modes]) / 8.0
+    assert soft.rigid_hz(p) == pytest.approx(wanted, rel=1e-12)
+    assert wanted < 0.4
+    control = layout.control.model_copy(update={"rigid_hz": 0.3})
+    named = build(layout.model_copy(update={"control": control}))
+    assert {named.rigid_hz(p) for p in named.flight.points} == {0.3}
 
 
 def _petrel() -> Path:

@@ -23,7 +23,7 @@ from maxq.sim.scenario.errors import ScenarioError, refuse
 from maxq.sim.scenario.files import find, shown
 from maxq.sim.scenario.loader import LoadedScenario, load_file, load_scenario
 from maxq.sim.scenario.schema_design import Design, LoadRelief
-from maxq.sim.scenario.schema_values import NotNegative, Positive, Section, needs, only_with, optional
+from maxq.sim.scenario.schema_values import NotNegative, Positive, PositiveOverTime, Section, needs, only_with, optional
 
 LIMIT_NAMES = Literal["second_mode_db", "filter_gain_at_infinity", "rigid_hz", "rigid_zeta"]
 
@@ -197,8 +197,12 @@ class MarginLimits(Section):
         "phase margin at 0 dB around mode 1, up to 1.3 times or 1/1.3 of its frequency or half way to the next mode "
         "(45 is customary for a phase-stabilised one)"
     )
-    rigid_hz: Positive = optional("omega_RB,min (47): what the paper's reference design was held to", 0.5)
-    rigid_zeta: Positive = optional("zeta_RB,min (48): likewise", 0.7)
+    rigid_hz: PositiveOverTime = optional(
+        "omega_RB,min (47): what the paper's reference design was held to; a table {time_s, value} for one over the "
+        "vehicle clock, linear between its times",
+        0.5,
+    )
+    rigid_zeta: PositiveOverTime = optional("zeta_RB,min (48): likewise", 0.7)
     q_alpha_Padeg: Positive | None = optional("largest rms of dynamic pressure times incidence in the wind of [wind]")
     drift_mps: Positive | None = optional("largest rms of the lateral velocity in the wind of [wind]")
     bending_moment: tuple[SectionLimit, ...] = optional("largest rms of the bending moment in the wind of [wind]", ())

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +13,7 @@ from numpy.typing import NDArray
 from maxq.control.kernel.records import Array
 from maxq.design.case.schema import Case, MarginLimits
 from maxq.design.laws.wind import Winds
+from maxq.sim.scenario.schema_values import at_time
 
 DB = 20.0 / math.log(10.0)  # dB of a change of a natural logarithm
 
@@ -26,16 +28,22 @@ class Rigid:
 
 
 class PlantLimits:
-    """Limits of all plants by name, of a bending moment by its station (m); (plants,) each: nan where not asked for."""
+    """Limits of all plants by name, of a bending moment by its station (m); (plants,) each: nan where not asked for.
 
-    def __init__(self, each: Sequence[MarginLimits]) -> None:
-        self._each = each
+    `times_s` of the plants: limits may change over time.
+    """
+
+    def __init__(self, each: Sequence[MarginLimits], times_s: Array) -> None:
+        self._each, self._times_s = each, times_s
         self._columns: dict[str | float, Array] = {}
 
     def __getitem__(self, name: str | float) -> Array:
         if name not in self._columns:
             values = [limit_of(limits, name) for limits in self._each]
-            self._columns[name] = np.array([math.nan if value is None else value for value in values], float)
+            self._columns[name] = np.array([
+                math.nan if value is None else at_time(value, time_s)
+                for value, time_s in zip(values, self._times_s, strict=True)
+            ], float)  # fmt: skip  # two more lines otherwise
         return self._columns[name]
 
     def asked(self, name: str | float) -> bool:
@@ -43,7 +51,7 @@ class PlantLimits:
         return not bool(np.isnan(self[name]).all())
 
 
-def limit_of(limits: MarginLimits, name: str | float) -> float | None:
+def limit_of(limits: MarginLimits, name: str | float) -> Any:
     """A limit by its name, or of a bending moment by its station (m); None where it is not asked for."""
     if isinstance(name, str):
         return None if name in limits.without else getattr(limits, name)

@@ -165,7 +165,7 @@ class Plants:
     def task(self, case: Case) -> Task:
         """What a law is designed for."""
         off = case.robust.limits if case.robust is not None else case.limits
-        limits = PlantLimits([off if p.dispersed else case.limits for p in self.each])
+        limits = PlantLimits([off if p.dispersed else case.limits for p in self.each], self.times_s)
         dispersed = np.array([p.dispersed for p in self.each], bool)
         further = len(_further_gyros(self.each[0].node)) if case.blend is not None else 0
         winds = tuple(p.wind for p in self.each if p.wind is not None)

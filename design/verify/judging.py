@@ -36,6 +36,7 @@ from maxq.design.verify.suite import beyond
 from maxq.sim.packing.computer import bending_filter
 from maxq.sim.scenario.errors import ScenarioError
 from maxq.sim.scenario.schema_design import Adaptive, Design, Limits, LoopFilters, StageLaw
+from maxq.sim.scenario.schema_values import OverTime, at_time
 from maxq.sim.scenario.tables_csv import CsvTable
 
 PEAKS = ("first_mode_db", "second_mode_db", "higher_modes_db")
@@ -54,8 +55,8 @@ class Wanted:
     first_mode_phase_deg: float | None = None
     second_mode_db: float | None = None
     higher_modes_db: float | None = None
-    rigid_hz: float | None = None
-    rigid_zeta: float | None = None
+    rigid_hz: float | OverTime | None = None
+    rigid_zeta: float | OverTime | None = None
     rigid_body: RigidBody = "paper"
     filter_gain_at_infinity: float | None = None
 
@@ -134,7 +135,7 @@ class Check:
     text: str
     unit: str
     sense: Literal[">=", "<="]
-    limit: float
+    limit: float | Array  # one each, where it changes over time
     values: Array
     time_s: Array  # NaN for the filter
     short: str = ""  # heading of a column, where `LIMITS` has none
@@ -155,9 +156,14 @@ class Check:
     @property
     def worst(self) -> int:
         """Index of the value nearest to, or farthest beyond, the limit; an unstable loop comes first."""
-        margin = self._margin
+        margin = self._margin / self.limit if np.ndim(self.limit) else self._margin
         bad = np.isnan(self.values) & ~self.met()
         return int(np.argmax(bad)) if bad.any() else int(np.nanargmin(margin)) if np.isfinite(margin).any() else 0
+
+    @property
+    def wanted(self) -> float:
+        """The limit there."""
+        return float(np.broadcast_to(self.limit, self.values.shape)[self.worst])
 
 
 def judge(
@@ -225,7 +231,9 @@ def checks(judged: Sequence[Judged], design: Design, wanted: Wanted) -> list[Che
         asked = getattr(wanted, key)
         if asked is None:
             continue
-        limit, text = (0.0, quantity.text.format(asked)) if isinstance(asked, Zone) else (float(asked), quantity.text)
+        limit: float | Array = 0.0 if isinstance(asked, Zone) else asked
+        limit = at_time(asked, time_s) if isinstance(asked, OverTime) else float(limit)
+        text = quantity.text.format(asked) if isinstance(asked, Zone) else quantity.text
         values = np.array([quantity.value(j, wanted) for j in judged])
         out.append(Check(key, text, quantity.unit, quantity.sense, limit, values, time_s))
     if wanted.filter_gain_at_infinity is not None:
@@ -298,7 +306,7 @@ class Outcome:
         for where, found in (("", self.found), (" of dispersed plants", self.dispersed_found)):
             for check in (c for c in found if not c.passed):
                 value, time_s = check.values[check.worst], check.time_s[check.worst]
-                by = "" if np.isnan(value) else f" by {abs(value - check.limit):.3g} {check.unit}".rstrip()
+                by = "" if np.isnan(value) else f" by {abs(value - check.wanted):.3g} {check.unit}".rstrip()
                 at = "" if np.isnan(time_s) else f" at {time_s:g} s"
                 out.append(f"{check.text}{where} missed{by}{at}")
         return out

@@ -78,11 +78,11 @@ def judgement_of(shown: str) -> Judgement:
     return ACCEPTED if shown == MET else REJECTED if shown == NOT_MET else UNDECIDED
 
 
-def beyond(value: Any, limit: float, sense: str, unit: str) -> Any:
+def beyond(value: Any, limit: Any, sense: str, unit: str) -> Any:
     """By how much margins of the loop miss a limit (`sense` "<=" or ">="); 0 or less: it is met.
 
     What lies on its limit within the tolerance of the search that put it there is met: TOLERANCE in dB and deg, 1e-4
-    of the limit in other units. simdesign and simverify both judge by this. `value`: a number or an array; NaN stays.
+    of the limit in other units. simdesign and simverify both judge by this. Numbers or arrays; NaN stays.
     """
     tolerance = TOLERANCE if unit in ("dB", "deg") else 1e-4 * abs(limit)
     return (value - limit if sense == "<=" else limit - value) - tolerance

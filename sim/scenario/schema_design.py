@@ -10,7 +10,7 @@ from pydantic import Field, model_validator
 from maxq.control.kernel.limits import MAX_SENSORS, MAX_STAGES
 from maxq.control.structures import GAIN_NAMES, GAINS, MAX_SECTIONS, OVER, RELIEF, STRUCTURES, Law, Over, Structure
 from maxq.sim.scenario.errors import refuse
-from maxq.sim.scenario.schema_values import NotNegative, Positive, Section, needs, only_with, optional
+from maxq.sim.scenario.schema_values import NotNegative, Positive, PositiveOverTime, Section, needs, only_with, optional
 from maxq.sim.scenario.tables_csv import Columns, CsvTable
 
 if TYPE_CHECKING:
@@ -229,8 +229,10 @@ class Limits(Section):
 
     gain_margin_db: float | None = optional("least gain margin, dB")
     phase_margin_deg: float | None = optional("least phase margin, deg")
-    rigid_hz: float | None = optional("least frequency of the rigid-body motion, Hz")
-    rigid_zeta: float | None = optional("least damping ratio of the rigid-body motion")
+    rigid_hz: PositiveOverTime | None = optional(
+        "least frequency of the rigid-body motion, Hz; a table {time_s, value} for one over the vehicle clock"
+    )
+    rigid_zeta: PositiveOverTime | None = optional("least damping ratio of the rigid-body motion; likewise")
     second_mode_db: float | None = optional("largest peak of the second bending mode, dB")
     rigid_body: Literal["paper", "aerodynamic"] | None = optional(
         "rigid-body motion without aerodynamics (eqs 35, 36; the default), or with M_alpha and M_q"

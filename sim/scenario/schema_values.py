@@ -4,9 +4,22 @@ from __future__ import annotations
 
 import math
 import re
+from itertools import pairwise
 from typing import Annotated, Any
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationInfo, field_validator
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    ConfigDict,
+    Discriminator,
+    Field,
+    Tag,
+    ValidationInfo,
+    field_validator,
+    model_validator,
+)
 
 from maxq.sim.scenario.errors import refuse
 from maxq.sim.scenario.ranges import LONGEST_S, first_beyond, range_of
@@ -105,6 +118,37 @@ Angle = Annotated[float, Field(ge=-360.0, le=360.0)]
 Seconds = Annotated[float, Field(ge=0.0), AfterValidator(_whole_ns)]
 Period = Annotated[float, Field(gt=0.0), AfterValidator(_whole_ns)]
 Rate = Annotated[float, Field(gt=0.0), AfterValidator(_whole_period)]
+
+
+class OverTime(Section):
+    """A number over the vehicle clock, linear between the times; its ends hold beyond them."""
+
+    time_s: tuple[float, ...] = Field(min_length=1, description="rising, s")
+    value: tuple[Positive, ...] = Field(description="one at each time")
+
+    @model_validator(mode="after")
+    def _check(self) -> OverTime:
+        if any(b <= a for a, b in pairwise(self.time_s)):
+            raise refuse("does not rise", "rising times, s", key=("time_s",))
+        if len(self.value) != len(self.time_s):
+            raise refuse(f"has {len(self.value)} numbers", f"{len(self.time_s)}, as time_s", key=("value",))
+        return self
+
+
+PositiveOverTime = Annotated[
+    Annotated[Positive, Tag(LIST_FORM)] | Annotated[OverTime, Tag(TABLE_FORM)],
+    Discriminator(lambda value: TABLE_FORM if isinstance(value, dict | OverTime) else LIST_FORM),
+]
+"""One number, or a table of them over time."""
+
+
+def at_time(value: float | OverTime, time_s: Any) -> NDArray[np.float64]:
+    """A number, or a table's, at vehicle times (s)."""
+    if isinstance(value, OverTime):
+        return np.asarray(np.interp(time_s, value.time_s, value.value))
+    return np.full(np.shape(time_s), value)
+
+
 Pair = tuple[float, float]
 Triple = tuple[float, float, float]
 Quaternion = tuple[float, float, float, float]

@@ -136,7 +136,7 @@ def limits_table(checks: Sequence[Check], title: str = "limits") -> list[str]:
         at = f"{check.time_s[k]:g} s" if math.isfinite(check.time_s[k]) else "filter"
         digits = 4 if check.passed else 7  # rounded, a miss may look like the limit
         worst = figures(float(check.values[k]), digits) + unit
-        limit = f"{check.sense} {check.limit:g}{unit}"
+        limit = f"{check.sense} {check.wanted:g}{unit}"
         rows.append((check.text, MET if check.passed else MISSED, limit, worst, at))
     return [title, *aligned(rows, "  ", right=(3, 4))]
 
@@ -147,7 +147,7 @@ def nodes_table(checks: Sequence[Check], judged: Sequence[Judged]) -> list[str]:
     stable = next((check for check in checks if check.key == "unstable_poles"), None)
     rows = [
         ("time, s", "", "loop", *(f"{LIMITS[c.key].short if c.key in LIMITS else c.short or c.text} " for c in shown)),
-        ("", "", "", *(f"{check.sense} {check.limit:g} " for check in shown)),
+        ("", "", "", *(_bound(check) for check in shown)),
     ]
     for n, j in enumerate(judged):
         good = stable is None or bool(stable.met()[n])
@@ -156,6 +156,12 @@ def nodes_table(checks: Sequence[Check], judged: Sequence[Judged]) -> list[str]:
         passed = "pass" if good and all(met) else "FAIL"
         rows.append((f"{j.time_s:g}", passed, "stable" if good else "UNSTABLE", *cells))
     return ["at the nodes", *aligned(rows, "  ", right=(0, *range(3, 3 + len(shown))))]
+
+
+def _bound(check: Check) -> str:
+    """The limit, or its least and largest over time."""
+    ends = dict.fromkeys(f"{end(check.limit):g}" for end in (np.min, np.max))
+    return f"{check.sense} {'..'.join(ends)} "
 
 
 def margins_table(judged: Sequence[Judged]) -> list[str]:
@@ -349,7 +355,8 @@ def checks_record(checks: Sequence[Check]) -> list[dict[str, Any]]:
     """Limits beside what was reached."""
     return [
         {
-            "key": c.key, "name": c.text, "unit": c.unit, "sense": c.sense, "limit": c.limit,
+            "key": c.key, "name": c.text, "unit": c.unit, "sense": c.sense,
+            "limit": c.limit.tolist() if isinstance(c.limit, np.ndarray) else c.limit,
             "worst": c.values[c.worst], "at_s": c.time_s[c.worst], "met": c.passed, "values": c.values.tolist(),
         }
         for c in checks

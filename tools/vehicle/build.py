@@ -22,6 +22,8 @@ from maxq.tools.vehicle.trajectory import Ascent, Point, ascent
 
 MODE_ROWS = 13
 MOST_RIGID_HZ = 0.4
+SHARE = 0.8  # of the first gains' frequency that a design must keep
+BELOW = 8.0  # the rigid body's frequency is at most this part of mode 1's and of the actuator's
 _NEAR_NODE = 0.1  # of the largest displacement
 Modes = tuple[Array, list[list[Mode]]]  # times of the stage's clock, modes at each
 
@@ -44,10 +46,13 @@ class Built:
         found = [modes[0].frequency_hz for modes in self.modes[0][1] if modes]
         return float(np.mean(found)) if found else math.inf
 
-    @property
-    def rigid_hz(self) -> float:
-        """Of the first gains."""
-        return self.layout.control.rigid_hz or min(MOST_RIGID_HZ, self.mode_1_hz / 8.0)
+    def rigid_hz(self, p: Point) -> float:
+        """Of the first gains: the layout's, or an eighth of mode 1 and of the actuator then, at most 0.4 Hz."""
+        times, modes = self.modes[p.number]
+        own = [of[0].frequency_hz for of in modes if of]
+        first_hz = float(np.interp(p.clock_s, times, own)) if len(own) == len(times) else math.inf
+        slowest_hz = min(first_hz, *self.stacks[p.number].stage.engine.servo_hz)
+        return self.layout.control.rigid_hz or min(MOST_RIGID_HZ, slowest_hz / BELOW)
 
 
 def build(layout: Layout) -> Built:
@@ -166,28 +171,54 @@ def burning(built: Built) -> list[Point]:
     return out
 
 
-def _gains(built: Built) -> list[tuple[float, float, float]]:
-    """Gains that give the rigid body its frequency and damping with M_alpha in it, at a dozen times a stage."""
-    omega, zeta, rows = 2.0 * math.pi * built.rigid_hz, built.layout.control.rigid_zeta, []
+def _dozen(built: Built) -> list[Point]:
+    """Points at full thrust, a dozen a stage."""
+    out = []
     for n in range(len(built.stacks)):
         points = [p for p in burning(built) if p.number == n]
-        for k in np.unique(np.linspace(0, len(points) - 1, 12).astype(int)):
-            p = points[k]
-            delta, alpha = m_delta_1ps2(built, p), max(m_alpha_1ps2(built, p), 0.0)
-            rows.append((round(p.time_s, 3), (omega**2 + alpha) / delta, 2.0 * zeta * omega / delta))
+        out += [points[k] for k in np.unique(np.linspace(0, len(points) - 1, 12).astype(int))]
+    return out
+
+
+def _gains(built: Built) -> list[tuple[float, float, float]]:
+    """Gains that give the rigid body its frequency and damping with M_alpha in it."""
+    zeta, rows = built.layout.control.rigid_zeta, []
+    for p in _dozen(built):
+        omega, delta = 2.0 * math.pi * built.rigid_hz(p), m_delta_1ps2(built, p)
+        alpha = max(m_alpha_1ps2(built, p), 0.0)
+        rows.append((round(p.time_s, 3), (omega**2 + alpha) / delta, 2.0 * zeta * omega / delta))
     return rows
+
+
+def least_rigid_hz(built: Built, aero_gain_db: float) -> tuple[list[float], list[float]]:
+    """Flight times and the frequency that the rigid body is to have at least: SHARE of that of the first gains, or what
+    an unstable vehicle needs for a gain margin downwards, M_delta k_p = g M_alpha: omega^2 = (g - 1) M_alpha.
+
+    Of instants on a straight line only the ends are kept.
+    """
+    factor, rows = 10.0 ** (aero_gain_db / 20.0) - 1.0, []
+    for p in _dozen(built):
+        needed = math.sqrt(factor * max(m_alpha_1ps2(built, p), 0.0)) / (2.0 * math.pi)
+        rows.append((round(p.time_s, 3), round(max(SHARE * built.rigid_hz(p), needed), 3)))
+    kept = [
+        row for k, row in enumerate(rows)
+        if k in (0, len(rows) - 1) or not rows[k - 1][1] == row[1] == rows[k + 1][1]
+    ]  # fmt: skip  # two more lines otherwise
+    return [t for t, _ in kept], [hz for _, hz in kept]
 
 
 def _assumed(built: Built) -> list[str]:
     layout = built.layout
     lines = []
+    each_hz = [built.rigid_hz(p) for p in _dozen(built)]
+    first_hz = " to ".join(dict.fromkeys(f"{end(each_hz):.3g}" for end in (min, max)))
     if any(stage.aero is None for stage in layout.stage):
         factor = f", times {layout.axial_factor:g}" if layout.axial_factor != 1.0 else ""
         lines.append(f"axial force: a curve of a clean launcher over Mach number{factor}")
         lines.append("normal force: slender-body theory and Barrowman's fins, over Mach number by a curve of our own")
     lines += [
         "propellants drain in proportion to their load; liquids do not turn about the axis but by their roll_share",
-        f"first gains: {built.rigid_hz:.3g} Hz and {layout.control.rigid_zeta:g} of the rigid body with M_alpha in it",
+        f"first gains: {first_hz} Hz and {layout.control.rigid_zeta:g} of the rigid body with M_alpha in it",
     ]
     lines.append(f"limit wind of the suite: from the west, {layout.site.jet_mps:g} m/s at 11 km; put your site's there")
     if layout.fairing is not None:

@@ -21,7 +21,7 @@ from maxq.sim.scenario.schema_values import Section
 from maxq.sim.scenario.tables_csv import CsvTable
 from maxq.sim.world.earth import STANDARD_GRAVITY_mps2
 from maxq.tools.vehicle.beam import Beam
-from maxq.tools.vehicle.build import Built
+from maxq.tools.vehicle.build import Built, burning, least_rigid_hz
 from maxq.tools.vehicle.masses import Stack, engine_inertia
 from maxq.tools.vehicle.trajectory import Point
 
@@ -332,7 +332,8 @@ def _roll(built: Built, n: int) -> dict[str, Any]:
              for name in dict.fromkeys(e.groups)]  # fmt: skip  # ditto
     if len(sides) > 1 and np.any(sides):
         torque_Nm = float(stack.burn.thrust_N.max()) / len(e.positions_m) * float(np.abs(sides).sum())
-        per_rad, omega = stack.mass_properties(0.0).roll_kgm2 / torque_Nm, 2.0 * math.pi * built.rigid_hz
+        omega = 2.0 * math.pi * built.rigid_hz(burning(built)[0])
+        per_rad = stack.mass_properties(0.0).roll_kgm2 / torque_Nm
         k_d_s = 2.0 * built.layout.control.rigid_zeta * omega * per_rad
         gains = {"k_p": float(f"{omega**2 * per_rad:.4g}"), "k_d_s": float(f"{k_d_s:.4g}")}
         out["roll_gimbal"] = gains | {"limit_deg": ROLL_SHARE * e.angle_limit_deg}
@@ -431,8 +432,10 @@ def _case(built: Built) -> dict[str, Any]:
     slope, damping = float(np.max(spread.bending_slope)), float(np.max(spread.bending_damping))
     grows_db = 20.0 * math.log10((1.0 + slope) / (1.0 - damping))  # peaks of modes
     peak_db = round(min(asked["higher_modes_db"], off["higher_modes_db"] - grows_db) - ROOM_DB, 1)
+    times_s, hz = least_rigid_hz(built, max(asked["gain_up_db"], asked["aero_gain_db"]))
+    least_hz = hz[0] if len(set(hz)) == 1 else {"time_s": times_s, "value": hz}
     limits = {
-        "rigid_body": "aerodynamic", "rigid_hz": round(0.8 * built.rigid_hz, 3), "rigid_zeta": 0.5,
+        "rigid_body": "aerodynamic", "rigid_hz": least_hz, "rigid_zeta": 0.5,
         "gain_margin_db": max(asked["gain_up_db"], asked["aero_gain_db"]) + ROOM_DB,
         "phase_margin_deg": asked["phase_deg"] + ROOM_DEG,
         "first_mode_phase_deg": asked["first_mode_phase_deg"] + ROOM_DEG,

@@ -283,7 +283,9 @@ class Control(Section):
     )
     gyro_hz: Positive = optional("natural frequency, Hz; of the accelerometer as well", 60.0)
     gyro_zeta: Positive = optional("damping ratio", 0.7)
-    rigid_hz: Positive | None = optional("of the first gains, Hz (default: 0.4, or an eighth of mode 1)")
+    rigid_hz: Positive | None = optional(
+        "of the first gains, Hz (default: at each instant an eighth of mode 1 and of the actuator, at most 0.4)"
+    )
     rigid_zeta: Positive = optional("of the first gains", 0.7)
 
 

@@ -33,6 +33,7 @@ from maxq.design.optimise.plants import Plants
 from maxq.design.optimise.problem import Problem
 from maxq.design.optimise.solve import make_problem, nominal_plants, solve
 from maxq.design.optimise.sqp import descend
+from maxq.sim.scenario.schema_values import at_time
 from maxq.tools.design.run_case import order_cases, solve_orders
 
 CASE = "ksr3-identical"
@@ -78,8 +79,9 @@ class Rival:
         missing = max(0.0, float(law.filter.log_gain_at_infinity() @ y))
         if law.gains.size > 0:
             omega, zeta = np.sqrt(self.m_delta * k_p), 0.5 * k_d * np.sqrt(self.m_delta / k_p)
-            missing += 9.0 * float(np.maximum(np.log(2 * np.pi * limits.rigid_hz / omega), 0.0).sum())
-            missing += 9.0 * float(np.maximum(np.log(limits.rigid_zeta / zeta), 0.0).sum())
+            least_hz, least_zeta = (at_time(x, law.task.times_s) for x in (limits.rigid_hz, limits.rigid_zeta))
+            missing += 9.0 * float(np.maximum(np.log(2 * np.pi * least_hz / omega), 0.0).sum())
+            missing += 9.0 * float(np.maximum(np.log(least_zeta / zeta), 0.0).sum())
         gains = k_p[self.plant] * self.integrator + k_d[self.plant]
         loop = filter_.frequency_response(self.s.imag) * gains * self.path
         size, beside = 20 * np.log10(np.abs(loop)), np.degrees(np.angle(-loop))
