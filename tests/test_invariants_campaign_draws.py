@@ -72,6 +72,10 @@ def test_an_asterisk_draws_for_each_mode_of_the_vehicle(tmp_path: Path) -> None:
     assert [d.label for d in other.plan.draws] == ["frequency 1", "frequency 2", "frequency 3"]
     before, after = drawn(one, 0, 20), drawn(other, 0, 20)
     assert all(after[name].tobytes() == values.tobytes() for name, values in before.items())
+    two = f'[[disperse]]\nkey = "vehicle.stage.*.bending.frequency_factor.*"\n{law}'  # for several parts of a key, too
+    assert [d.name for d in campaignkit.small(tmp_path, "two", inputs=two).plan.draws] == [
+        f"{key}.{n}" for n in range(3)
+    ]
     with pytest.raises(ScenarioError, match="is a value and has no keys below it"):
         campaignkit.small(tmp_path, "none", inputs=all_.replace("frequency_factor", "damping_ratio.0"))
 

@@ -51,6 +51,13 @@ def test_an_axis_that_cannot_be_turned_gets_nothing_and_costs_the_others_nothing
         np.testing.assert_allclose(out[:, :2], np.linalg.pinv(effect[:2]), rtol=1e-11)
 
 
+def test_the_computer_does_not_know_by_what_an_engine_deviates() -> None:
+    """A dispersed engine flies with the allocation of the vehicle as it is."""
+    off = ["vehicle.stage.0.engine.0.thrust_factor=1.1", "vehicle.stage.0.engine.3.mass_flow_factor=0.9"]
+    for one, other in zip(matrices(packed())[1], matrices(packed(*off))[1], strict=True):
+        assert one.tobytes() == other.tobytes()
+
+
 def test_moments_of_the_ring_are_those_of_forces_at_their_places() -> None:
     stage = load_scenario(NINE, GROUPS).scenario.vehicle.stage[0]
     effect, small = moments(stage, ()), 1e-6

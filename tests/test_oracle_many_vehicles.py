@@ -25,9 +25,10 @@ from maxq.design.margins.measure import margins
 from maxq.design.model.dispersion import Dispersion, disperse, dispersed_many, stacked
 from maxq.design.model.node import Node
 from maxq.design.model.plant import vehicle_plants
-from maxq.design.model.spread import Spread
+from maxq.design.model.spread import Spread, places_of
 from maxq.design.verify.linear import measured, vehicles
 from maxq.design.verify.suite import LinearMargins
+from maxq.design.verify.worst import scenario_of
 
 WIDE = Spread(
     bending_frequency=(0.2, 0.3, 0.4), bending_slope=0.8, slosh_frequency=0.3, slosh_mass=0.5, delay_s=0.02,
@@ -93,6 +94,35 @@ def test_margins_are_those_of_each_vehicle_by_itself() -> None:
         assert back <= 3
         unstable += bad
     assert unstable > 3  # both verdicts have been seen
+
+
+@pytest.mark.slow
+def test_margins_where_engines_and_actuators_deviate_each_by_itself() -> None:
+    """Petrel's first stage has nine engines in three groups: vehicles with alike actuators among unlike ones."""
+    (node,) = petrelkit.nodes(40.0)
+    places = places_of(node)
+    assert [n for name, n in places if name == "thrust"] == [*range(9)]
+    assert [n for name, n in places if name == "actuator_frequency"] == [*range(3)]
+    every = drawn(node, 30, Spread(actuator_frequency=0.4, thrust=(0.3, 0.1)))
+    law = api.law_at(petrelkit.scenario().design, node)
+    alike = [dataclasses.replace(by, actuator_frequency=(0.9,) * 3) for by in every[:3]]
+    worst, _, back = compared(node, law, [*every[:10], *alike, *every[10:]])
+    assert worst.max() < 1e-3
+    assert back == 0
+    # one actuator off by three times as much is another vehicle than all of them by that
+    one, all_, other = (
+        disperse(node, Dispersion(actuator_frequency=f)) for f in ((1.3, 1.0, 1.0), 1.1, (1.0, 1.3, 1.0))
+    )
+    here, there, beside = (Loop(fixed_path(n), law).response([5.0])[0] for n in (one, all_, other))
+    assert 1e-3 < abs(here / there - 1.0) < 0.2
+    assert here == pytest.approx(beside, rel=1e-9)  # groups of three engines each
+    # the vehicle is flown with an actuator for each group
+    scenario, missing = scenario_of(petrelkit.scenario("vehicle.stage.0.actuator={omega_hz=[7.0],zeta=[0.7],"
+        "model='second-order',angle_limit_deg=6.0,rate_limit_degps=20.0}"), node, every[0])  # fmt: skip
+    stage = scenario.vehicle.stage[0]
+    assert missing == []
+    assert [a.omega_hz[0] / 7.0 for a in stage.actuators] == pytest.approx(every[0].actuator_frequency)
+    assert [e.thrust_factor for e in stage.engines] == pytest.approx(every[0].thrust)
 
 
 @pytest.mark.slow

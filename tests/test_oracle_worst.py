@@ -37,7 +37,9 @@ FEW = {  # what deviates in the brute-force case; the rest of Spread is 0
     "delay_s": 0.004,
 }
 VEHICLE: Any = SimpleNamespace(  # three modes and two tanks
-    modes=SimpleNamespace(omega_radps=np.ones(3)), pendulums=SimpleNamespace(mass_kg=np.ones(2))
+    modes=SimpleNamespace(omega_radps=np.ones(3)),
+    pendulums=SimpleNamespace(mass_kg=np.ones(2)),
+    engines=(SimpleNamespace(group=0, numbers=(0,)),),
 )
 NONE = {key: 0.0 for key in DEVIATIONS if key not in FEW}
 

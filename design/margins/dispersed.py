@@ -17,7 +17,7 @@ from maxq.design.loop.fixed_path import SampledFixedPath
 from maxq.design.loop.loop import Loop
 from maxq.design.loop.resonance import owner_of
 from maxq.design.margins import many
-from maxq.design.model.dispersion import Dispersion, dispersed_many, stacked
+from maxq.design.model.dispersion import Dispersion, dispersed_many, stacked, unlike_drives, with_drives_apart
 from maxq.design.model.node import Node
 from maxq.design.model.plant import DERIVATIVES, vehicle_plants
 from maxq.design.model.state_space import ComplexArray, StateSpace, chain, zeros_and_poles
@@ -62,6 +62,12 @@ class ManyLoops:
         return Loop(SampledFixedPath(self.node), self.law)
 
     @cached_property
+    def _apart(self) -> ManyLoops:
+        """With a drive for each group of engines."""
+        node = with_drives_apart(self.node)
+        return self if node is self.node else ManyLoops(node, self.law)
+
+    @cached_property
     def _controller(self) -> tuple[ComplexArray, ComplexArray, float]:
         """Zeros and poles of the law with the integrators of the angle, in w = z - 1, and its gain."""
         period, wanted = self.node.instruments.sample_s, self.law.inputs
@@ -93,6 +99,13 @@ class ManyLoops:
         `flight`: the node as another flight meets it, of the same stage and with the same instruments.
         """
         values, status = np.full((len(every), many.COUNT), np.nan), np.zeros(len(every), np.int64)
+        unlike = np.array([unlike_drives(by) for by in every], bool)
+        if unlike.any() and self._apart is not self:
+            there = with_drives_apart(flight or self.node)
+            for loops, which, met in ((self._apart, unlike, there), (self, ~unlike, flight)):
+                mine = [every[k] for k in np.flatnonzero(which)]
+                values[which], status[which] = loops.measure(mine, peak_db, met)
+            return values, status
         for first in range(0, len(every), _AT_ONCE):
             part = slice(first, first + _AT_ONCE)
             self._measure(stacked(every[part]), peak_db, flight or self.node, values[part], status[part])
@@ -167,14 +180,15 @@ class ManyLoops:
         left = np.linalg.inv(vectors)
         good = np.linalg.norm(vectors, axis=(1, 2)) * np.linalg.norm(left, axis=(1, 2)) < _WORST_BASIS
         per_input = np.einsum("vs,vsp->vp", c, vectors)[..., None] * (left @ b)
+        frequency, damping = by.actuator_frequency, _column(by.actuator_damping)
         pairs = [
             []
             if record.ideal
             else [
-                (w * _column(by.actuator_frequency), z * _column(by.actuator_damping))
+                (w * _column(frequency[groups[0]] if np.ndim(frequency) > 1 else frequency), z * damping)
                 for w, z in actuator_poles(record)
             ]
-            for record in node.actuators
+            for record, groups in zip(node.actuators, node.instruments.groups, strict=True)
         ]
         zeros = [(r.omega_4_radps, r.zeta_4) if r.order == 6 and not r.ideal else None for r in node.actuators]
         sensed = node.instruments.gyro

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from maxq.design.model.node import Node  # which imports this module
 
 Factors = float | Sequence[float]
-"""One for all modes or tanks, or one each; 1 for those beyond the last."""
+"""One for all modes, tanks, engines or groups of engines, or one each; 1 for those beyond the last."""
 
 
 @dataclass(frozen=True)
@@ -47,11 +47,11 @@ class Dispersion:
     slosh_frequency: Factors = 1.0  # per tank
     slosh_mass: Factors = 1.0
     slosh_damping: Factors = 1.0
-    actuator_frequency: float = 1.0
+    actuator_frequency: Factors = 1.0  # per group of engines
     actuator_damping: float = 1.0
     gyro_frequency: float = 1.0
     delay_s: float = 0.0  # on top of the computer's; below zero less, down to none
-    thrust: float = 1.0  # the engine's lateral authority; the axial load stays
+    thrust: Factors = 1.0  # per engine: its lateral authority; the axial load stays
     normal_force: float = 1.0
     centre_of_pressure_m: float = 0.0  # moved aft
     inertia: float = 1.0
@@ -89,6 +89,8 @@ def disperse(node: Node, by: Dispersion) -> Node:
     if by == NOMINAL:
         return node
     label = f"{node.label} {by.label}".strip() if by.label else node.label
+    if unlike_drives(by):
+        node = with_drives_apart(node)
     return dataclasses.replace(
         node, vehicle=_vehicle(node, by), instruments=disperse_instruments(node.instruments, by), label=label
     )
@@ -103,7 +105,9 @@ def dispersed_many(node: Node, by: Dispersion) -> VehicleAt:
     alike = {name: np.full((1, 1), value) for name, value in each.items() if np.ndim(value) == 0}
     counts = {"bending": len(node.vehicle.modes.omega_radps), "slosh": len(node.vehicle.pendulums.mass_kg)}
     alike = {name: np.repeat(value, counts[name.partition("_")[0]], axis=0) for name, value in alike.items()}
-    by = dataclasses.replace(by, **alike)  # type: ignore[arg-type]  # arrays for each mode or tank
+    if np.ndim(by.thrust) == 1:
+        alike["thrust"] = np.asarray(by.thrust)[None]
+    by = dataclasses.replace(by, **alike)  # type: ignore[arg-type]  # arrays for each mode, tank or engine
     vehicle = dataclasses.replace(node.vehicle, cuts=None)  # nobody asks for theirs
     return _vehicle(dataclasses.replace(node, vehicle=_with_an_axis(vehicle)), by)
 
@@ -160,16 +164,22 @@ def _vehicle(node: Node, by: Dispersion) -> VehicleAt:
     return with_lateral_thrust(out, node, by.thrust)
 
 
-def with_lateral_thrust(vehicle: VehicleAt, node: Node, factor: float) -> VehicleAt:
-    """The vehicle with `factor` times the thrust; drag makes up for it, so that the axial load stays. Where there is no
-    air the axial load changes with the thrust.
+def with_lateral_thrust(vehicle: VehicleAt, node: Node, factor: Factors) -> VehicleAt:
+    """The vehicle with `factor` times the thrust, of all engines or each; drag makes up for it, so that the axial load
+    stays. Where there is no air the axial load changes with the thrust.
     """
-    if np.all(factor == 1.0):
+    if np.all(np.asarray(factor) == 1.0):
         return vehicle
     air, condition = vehicle.aerodynamics, node.condition
-    more = (factor - 1.0) * vehicle.thrust_N(condition.pressure_Pa)
-    each = [(e, (factor - 1.0) * e.thrust_N(condition.pressure_Pa)) for e in vehicle.engines]
-    engine, *others = (dataclasses.replace(e, vacuum_thrust_N=e.vacuum_thrust_N + own) for e, own in each)
+    given = np.asarray(factor, float)
+    if given.shape[:1] != (1,):
+        given = _each(given, 1 + max(n for e in vehicle.engines for n in e.numbers), "thrust")
+    alike = len(given) == 1
+    factors = [given[0] if alike else given[list(e.numbers)].mean(axis=0) for e in vehicle.engines]
+    own = [(f - 1.0) * e.thrust_N(condition.pressure_Pa) for f, e in zip(factors, vehicle.engines, strict=True)]
+    more = sum(e.rest[0] * push for e, push in zip(vehicle.engines, own, strict=True))
+    pushed = zip(vehicle.engines, own, strict=True)
+    engine, *others = (dataclasses.replace(e, vacuum_thrust_N=e.vacuum_thrust_N + push) for e, push in pushed)
     if condition.dynamic_pressure_Pa * air.area_m2 > 0.0:
         air = dataclasses.replace(air, axial=air.axial + more / (condition.dynamic_pressure_Pa * air.area_m2))
     return dataclasses.replace(vehicle, engine=engine, further_engines=tuple(others), aerodynamics=air)
@@ -178,12 +188,13 @@ def with_lateral_thrust(vehicle: VehicleAt, node: Node, factor: float) -> Vehicl
 def disperse_instruments(instruments: Instruments, by: Dispersion) -> Instruments:
     """Actuators, gyro and delay with the deviations applied."""
     g = instruments.gyro
-    factors = {"omega_{}_radps": by.actuator_frequency, "zeta_{}": by.actuator_damping}
-    poles = [(name.format(k), factor) for name, factor in factors.items() for k in (1, 2, 3)]
-    actuators = [
-        dataclasses.replace(a, **{name: getattr(a, name) * factor for name, factor in poles})
-        for a in instruments.actuators
-    ]
+    count = 1 + max(group for groups in instruments.groups for group in groups)
+    frequency = _each(by.actuator_frequency, count, "actuator_frequency")
+    actuators = []
+    for a, groups in zip(instruments.actuators, instruments.groups, strict=True):
+        factors = {"omega_{}_radps": float(frequency[groups[0]]), "zeta_{}": by.actuator_damping}
+        poles = [(name.format(k), factor) for name, factor in factors.items() for k in (1, 2, 3)]
+        actuators.append(dataclasses.replace(a, **{name: getattr(a, name) * factor for name, factor in poles}))
     return dataclasses.replace(
         instruments,
         actuator=actuators[0],
@@ -194,6 +205,30 @@ def disperse_instruments(instruments: Instruments, by: Dispersion) -> Instrument
             for name, lag, late in instruments.sensors
         ),
         delay_s=max(instruments.delay_s + by.delay_s, 0.0),
+    )
+
+
+def unlike_drives(by: Dispersion) -> bool:
+    """Whether the actuators of a vehicle's groups of engines deviate from each other."""
+    return np.size(by.actuator_frequency) > 1 and bool(np.ptp(np.asarray(by.actuator_frequency)) > 0.0)
+
+
+def with_drives_apart(node: Node) -> Node:
+    """The node with a drive for each group of engines that moves in its plane, alike as their actuators may be."""
+    kept, vehicle = node.instruments, node.vehicle
+    moved = sorted({e.group for e in vehicle.engines if e.gain != 0.0})
+    if all(len(groups) == 1 for groups in kept.groups) or not moved:
+        return node
+    drive = {group: number for number, group in enumerate(moved)}
+    engine, *others = (dataclasses.replace(e, drive=drive.get(e.group, 0)) for e in vehicle.engines)
+    by_group = {group: a for a, groups in zip(kept.actuators, kept.groups, strict=True) for group in groups}
+    first, *further = (by_group[group] for group in moved)
+    return dataclasses.replace(
+        node,
+        vehicle=dataclasses.replace(vehicle, engine=engine, further_engines=tuple(others)),
+        instruments=dataclasses.replace(
+            kept, actuator=first, further_actuators=tuple(further), groups=tuple((group,) for group in moved)
+        ),
     )
 
 

@@ -1,6 +1,7 @@
 """How far vehicles deviate, and together: one description for flights, suites and robust cases.
 
-Every mode and every tank deviates by itself. What deviates is told by a `Place`, how far in units of three sigma. A
+Every mode, tank, engine and actuator deviates by itself (actuators by groups of engines, both planes alike). What
+deviates is told by a `Place`, how far in units of three sigma. A
 `Spread` that names a campaign takes from it what that one disperses: random vehicles, corners, the worst search and
 robust cases then stand on the numbers and covariances that are flown.
 """
@@ -30,9 +31,9 @@ Shares = Annotated[
     Annotated[Share, Tag(TABLE_FORM)] | Annotated[tuple[Share, ...], Tag(LIST_FORM)],
     Discriminator(lambda value: LIST_FORM if isinstance(value, list | tuple) else TABLE_FORM),
 ]
-"""One for all modes or tanks, or one each, the last for all beyond."""
+"""One for all modes, tanks, engines or groups of engines, or one each, the last for all beyond."""
 Place = tuple[str, int]
-"""A key of `Spread`, and of which mode or tank, from 0; -1 where there is one of it."""
+"""A key of `Spread`, and of which mode, tank, engine or group of engines, from 0; -1 where there is one of it."""
 Draw = Callable[[str, int], float]
 """A deviation in units of three sigma, of a place."""
 S = TypeVar("S", bound="Spread")
@@ -42,7 +43,7 @@ class Correlated(Section):
     """Two deviations that go together."""
 
     of: tuple[str, str] = Field(
-        description="keys of deviations, of a mode or tank with its number from 0: slosh_mass.1"
+        description="keys of deviations; a mode's, tank's, engine's or group's with its number from 0: slosh_mass.1"
     )
     coefficient: Annotated[float, Field(ge=-1.0, le=1.0)] = Field(description="of correlation")
 
@@ -58,8 +59,8 @@ class Spread(Section):
     slosh_frequency: Shares = optional("of each tank", 0.05)
     slosh_mass: Shares = optional("of each tank", 0.10)
     slosh_damping: Shares = optional("of each tank", 0.5)
-    actuator_frequency: Share = optional("poles of the actuator", 0.15)
-    thrust: Share = optional("lateral authority", 0.03)
+    actuator_frequency: Shares = optional("poles of the actuators, of each group of engines", 0.15)
+    thrust: Shares = optional("lateral authority, of each engine", 0.03)
     normal_force: Share = optional("of all surfaces", 0.15)
     inertia: Share = optional("transverse", 0.05)
     centre_of_pressure_m: NotNegative = optional("m", 0.25)
@@ -77,7 +78,7 @@ DEVIATIONS = tuple(key for key in Spread.model_fields if key not in _ABOUT)
 
 
 class Keys(NamedTuple):
-    """Where a deviation stands in a scenario: {stage}, {n} of the mode or tank, * for each engine, actuator or pole.
+    """Where a deviation stands in a scenario: {stage}, {n} of the mode or tank, * of engine or actuator, for each pole.
 
     Those of `also` act likewise in a campaign. What stands there is the deviated factor to the `power`, or is added.
     """
@@ -120,6 +121,9 @@ def keys_of(vehicle: Vehicle, stage: int, place: Place, also: bool = False) -> l
             continue
         part = getattr(flies, head.rpartition(".")[2])
         several = [(f"{head}.{k}", one) for k, one in enumerate(part)] if isinstance(part, tuple) else [(head, part)]
+        if n >= 0 and isinstance(part, tuple):  # actuators may stand in another order than their groups
+            groups = [getattr(one, "group", "") or "" for one in part]
+            several = [several[n if name == "thrust" else groups.index(flies.engine_groups[n])]]
         for at, one in several:
             last = tail.removeprefix(".")
             count = len(getattr(one, last[:-2]) or ()) if last.endswith(".*") else 1
@@ -223,9 +227,14 @@ def root_of_correlation(spread: Spread, node: Node, places: Sequence[Place]) -> 
 
 
 def _count(node: Node, key: str) -> int | None:
-    """Modes or tanks, None for what there is one of."""
-    counts = {"bending": len(node.vehicle.modes.omega_radps), "slosh": len(node.vehicle.pendulums.mass_kg)}
-    return counts.get(key.partition("_")[0])
+    """Modes, tanks, engines or their groups; None for what there is one of, as is a single engine."""
+    vehicle, kind = node.vehicle, key.partition("_")[0]
+    counts = {"bending": len(vehicle.modes.omega_radps), "slosh": len(vehicle.pendulums.mass_kg)}
+    several = {
+        "thrust": sum(len(e.numbers) for e in vehicle.engines),
+        "actuator": 1 + max(e.group for e in vehicle.engines),
+    }
+    return counts.get(kind, several[kind] if several.get(kind, 1) > 1 else None)
 
 
 def places_of(node: Node, spread: Spread | None = None) -> list[Place]:
@@ -246,7 +255,7 @@ def _sizes(spread: Spread, key: str, count: int) -> tuple[float, ...]:
 
 
 def vehicle_of(spread: Spread, node: Node, draw: Draw, label: str) -> Dispersion:
-    """Deviations of a vehicle with the modes and tanks of `node`."""
+    """Deviations of a vehicle with the modes, tanks and engines of `node`."""
     values: dict[str, Any] = {}
     for key in DEVIATIONS:
         count = _count(node, key)
@@ -256,7 +265,7 @@ def vehicle_of(spread: Spread, node: Node, draw: Draw, label: str) -> Dispersion
         elif key in ("delay_s", "centre_of_pressure_m"):
             values[key] = getattr(spread, key) * draw(key, -1)
         else:
-            values[key] = max(1.0 + getattr(spread, key) * draw(key, -1), 0.05)
+            values[key] = max(1.0 + _sizes(spread, key, 1)[0] * draw(key, -1), 0.05)
     return Dispersion(**values, label=label)
 
 

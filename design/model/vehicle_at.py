@@ -141,6 +141,8 @@ class GimballedEngine:
     follower: bool  # thrust turns with the bent gimbal
     gain: float = 1.0  # angle per command of the law, by allocation; 0 for an engine fixed in this plane
     drive: int = 0  # which of the unlike actuators moves it
+    group: int = 0  # of engines that go together
+    numbers: tuple[int, ...] = (0,)  # of the stage's engines that it stands for: alike ones of a group are one here
     tvc_load: TvcLoad | None = None  # None: it follows its actuator
     gimbal: int = 0  # which of the gimbals' stations
     beside_m: float = 0.0  # gimbal from the body axis across the plane's axis of turning: z in pitch, y in yaw
@@ -529,6 +531,8 @@ def _engines(packed: Packed, row: Any, props: Array, time_s: float, plane: Plane
                 follower=bool(vehicle.follower_thrust),
                 gain=follows * gains[int(e.group[k])],
                 drive=drives[int(e.group[k])] if follows else 0,
+                group=int(e.group[k]),
+                numbers=tuple(n for n, parts in enumerate(e.parts) if parts > 0.0 and int(e.taken_as[n]) == k),
                 tvc_load=_tvc_load(vehicle, k) if follows else None,
                 gimbal=int(e.gimbal[k]),
                 beside_m=beside,
@@ -734,6 +738,7 @@ class Instruments:
     sample_s: float  # period of the computer: tau_VF of the converter (30), tau_DZ of the hold (32)
     delay_s: float  # tau_D (31), from sample to command
     further_actuators: tuple[Actuator, ...] = ()  # of further drives: groups of engines with unlike actuators
+    groups: tuple[tuple[int, ...], ...] = ((0,),)  # that each drive moves
     sensors: tuple[tuple[str, Gyro, int], ...] = ()  # beyond the gyro: what it measures, dynamics, latency in samples
 
     @property
@@ -743,9 +748,10 @@ class Instruments:
 
 def instruments_of(row: Any, plane: Plane = "pitch") -> Instruments:
     """Instruments of a packed stage."""
-    first, *further = _drives(row, plane)[0]
+    (first, *further), of_group = _drives(row, plane)
     return Instruments(
         actuator=first,
+        groups=tuple(tuple(g for g, d in enumerate(of_group) if d == drive) for drive in range(1 + len(further))),
         further_actuators=tuple(further),
         gyro=_gyro(row.vehicle.gyro),
         sensors=tuple(

@@ -28,7 +28,7 @@ from maxq.design.laws.law import MEASUREMENTS
 from maxq.design.loop.fixed_path import FixedPath, fixed_path
 from maxq.design.loop.loop import Loop
 from maxq.design.margins.real_mu import Scaling, real_mu_upper
-from maxq.design.model.dispersion import disperse
+from maxq.design.model.dispersion import disperse, with_drives_apart
 from maxq.design.model.node import Node
 from maxq.design.model.spread import Spread, places_of, root_of_correlation, vehicle_at_places
 from maxq.design.model.state_space import ComplexArray
@@ -89,7 +89,7 @@ class Uncertain:
 
 def uncertain(node: Node, spread: Spread) -> Uncertain:
     """Of a node's deviations, each from -1 to 1 (three sigma) where they are independent."""
-    places = places_of(node)
+    places, node = places_of(node), with_drives_apart(node)
     root = root_of_correlation(spread, node, places)
 
     def whole(u: Array) -> Array:

@@ -30,7 +30,15 @@ from maxq.design.loop.loop import Loop
 from maxq.design.margins.dispersed import ManyLoops, NotServedError
 from maxq.design.margins.many import DONE, HANDED_BACK, MARGINS, MINIMA
 from maxq.design.margins.measure import margins
-from maxq.design.model.dispersion import Dispersion, disperse, disperse_instruments, dispersed_many, stacked
+from maxq.design.model.dispersion import (
+    Dispersion,
+    disperse,
+    disperse_instruments,
+    dispersed_many,
+    stacked,
+    unlike_drives,
+    with_drives_apart,
+)
 from maxq.design.model.node import Node
 from maxq.design.model.plant import per_actuator_angle, vehicle_plants
 from maxq.design.model.spread import KEYS, Place, Spread, keys_of, places_of, root_of_correlation, vehicle_at_places
@@ -140,7 +148,7 @@ def slope(node: Node, design: Design, spread: Spread) -> Callable[[Array, Array,
     L changes as actuator, vehicle and delay do, for each sensor in its own way: what sampling adds changes little, and
     the search measures where it arrives.
     """
-    places, law = places_of(node), api.law_at(design, node)
+    places, law, node = places_of(node), api.law_at(design, node), with_drives_apart(node)
     plant, ideal = node.plant, bool(node.actuator.ideal)
     inputs = tuple(x for x in plant.inputs if not ideal or x.startswith("delta_rad"))
     columns = [plant.inputs.index(x) for x in inputs]
@@ -288,12 +296,25 @@ def search_plane(
     )  # fmt: skip  # nine more lines otherwise
 
 
+def with_actuators_apart(base: LoadedScenario, stage: int) -> LoadedScenario:
+    """The scenario with actuators of its own for each group of a stage's engines, where one table serves all."""
+    vehicle, flies = base.vehicle, base.vehicle.stage[stage]
+    if flies.actuator is None or isinstance(flies.actuator, tuple):
+        return base
+    apart = tuple(flies.actuator.model_copy(update={"group": group}) for group in flies.engine_groups)
+    stages = list(vehicle.stage)
+    stages[stage] = flies.model_copy(update={"actuator": apart})
+    flown = base.scenario.model_copy(update={"vehicle": vehicle.model_copy(update={"stage": tuple(stages)})})
+    return LoadedScenario(flown, base.label, base.files)
+
+
 def scenario_of(base: LoadedScenario, node: Node, d: Dispersion) -> tuple[LoadedScenario, list[str]]:
     """The scenario in which the deviated vehicle flies, and the keys that it does not have.
 
     What the linear model changes about its node flies all the way: thrust acts along the axis as well, inertia is that
     of the whole vehicle.
     """
+    base = with_actuators_apart(base, node.stage) if unlike_drives(d) else base
     vehicle, factors, added = base.vehicle, dict[str, float](), dict[str, float]()
     for name, n in places_of(node):
         each = np.atleast_1d(getattr(d, name))

@@ -9,6 +9,7 @@ What a campaign file disperses must be in its scenario, be dispersed once, and f
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -292,16 +293,19 @@ def channel_units(loaded: LoadedScenario) -> dict[str, str]:
 
 
 def _elements(scenario: Scenario, key: str, where: KeyPath) -> list[Target]:
-    """The places that a key path with `*` for its last part names: all elements of a list."""
+    """The places that a key path with `*` for some of its parts names: all elements of those lists."""
+    head, _, tail = key.partition(".*")
     found: list[Target] = []
-    while True:
+    for n in itertools.count():
+        one = f"{head}.{n}{tail}"
         try:
-            found.append(find_target(scenario, f"{key[:-1]}{len(found)}"))
+            found += _elements(scenario, one, where) if "*" in tail else [find_target(scenario, one)]
         except PydanticCustomError as bad:
             context = bad.context or {}
-            if found and "has no element" in context["problem"]:
+            if found and f"has no element {n}" in context["problem"]:
                 return found
             raise refuse(context["problem"], context["allowed"], where, value=key) from None
+    return found
 
 
 def _draws(
@@ -328,7 +332,7 @@ def _draws(
         for key, column in spec.file.columns.items():
             yield Draw(named(key), key, entry, spec, (target_of(key, (*here, "file")),), samples=column)
         return
-    if spec.key is not None and spec.key.endswith(".*"):
+    if spec.key is not None and "*" in spec.key.split("."):
         for n, target in enumerate(_elements(loaded.scenario, spec.key, (*here, "key"))):
             _check_fits(spec, target, here)
             label = f"{spec.name} {n + 1}" if spec.name else target.key

@@ -141,7 +141,7 @@ class Disperse(Section):
     """A value of the scenario that differs from run to run."""
 
     key: str | None = optional(
-        "key path, e.g. vehicle.stage.0.engine.thrust_factor; * for its last part: a draw for each element of a list"
+        "key path, e.g. vehicle.stage.0.engine.thrust_factor; * for a part of it: a draw for each element of a list"
     )
     keys: tuple[str, ...] | None = optional("several keys: with covariance a draw for each, else one draw for all")
     tag: str = optional("tells apart two draws that both act on a table's column", "")

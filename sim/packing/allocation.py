@@ -64,7 +64,7 @@ def moments(stage: Stage, lost: tuple[EngineFault, ...]) -> Array:
     for number, engine in enumerate(stage.engines):
         if engine.gimbal == "fixed":
             continue
-        strength = engine.thrust_factor * engine.mass_flow_factor * float(engine.table["thrust_vacuum_N"].max())
+        strength = float(engine.table["thrust_vacuum_N"].max())  # the computer knows of no factor by which one deviates
         for fault in lost:
             if fault.befalls(number):
                 strength *= 0.0 if fault.fault.loss is None else 1.0 - fault.fault.loss

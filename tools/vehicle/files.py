@@ -32,7 +32,10 @@ ROOM_DB, ROOM_DEG = 0.5, 2.0  # by which a case asks for more than its suite: no
 ROLL_SHARE = 0.25  # of the gimbals' angle that roll may take
 FASTER = 0.1  # share of its burn by which a part's tables go on where the next part burns on
 SHOWN = 0.4  # share of the sample rate up to which a mode gets a notch
-SPREAD = {"thrust at equal impulse": 0.03, "normal force": 0.15, "axial force": 0.1, "frequency of mode 1": 0.05}
+SPREAD = {
+    "thrust at equal impulse": 0.03, "normal force": 0.15, "axial force": 0.1, "actuator poles": 0.15,
+    "frequency of mode 1": 0.05,
+}  # fmt: skip  # two more lines otherwise
 Table = tuple[str, Sequence[tuple[Any, ...]]]  # head and rows of a CSV file
 Tables = dict[str, Table]  # by the file's name
 
@@ -278,11 +281,12 @@ def _stage(built: Built, n: int, tables: Tables) -> dict[str, Any]:
         out["ignition_s"] = stage.ignition_after_s
     out["mass"] = {"table": f"{prefix}mass.csv"}
     out["engine"] = engines if many else engines[0]
-    out["actuator"] = {
+    actuator = {
         "model": next(model for model, count in SECTIONS.items() if count == len(e.servo_hz)),
         "omega_hz": list(e.servo_hz), "zeta": list(e.servo_zeta),
         "angle_limit_deg": e.angle_limit_deg, "rate_limit_degps": e.rate_limit_degps,
     }  # fmt: skip  # two more lines otherwise
+    out["actuator"] = [{"group": g} | actuator for g in dict.fromkeys(e.groups)] if _grouped(built, n) else actuator
     out["tank"] = [
         {"name": t.name, "table": f"{prefix}tank_{t.name}.csv", "damping_ratio": t.damping_ratio, "shape": "cylinder",
          "radius_m": t.radius_m, "bottom_station_m": t.bottom_station_m, "height_m": t.height_m,
@@ -401,19 +405,23 @@ def _closed_loop(built: Built) -> dict[str, Any]:
     }
 
 
+def _grouped(built: Built, n: int) -> bool:
+    """Whether a stage has several groups of engines, and so as many actuators."""
+    return len(set(built.stacks[n].stage.engine.groups)) > 1
+
+
 def _campaign(built: Built) -> dict[str, Any]:
     first = built.layout.stage[0]
-    engine = "vehicle.stage.0.engine" + (".{}" if len(first.engine.positions_m) > 1 else "")
-    flow = [f"{engine.format(k)}.mass_flow_factor" for k in range(len(first.engine.positions_m))]
+    each, every = ".*" if len(first.engine.positions_m) > 1 else "", ".*" if _grouped(built, 0) else ""
     keys = {
-        "thrust at equal impulse": flow, "normal force": ["vehicle.stage.0.aero.force_factor"],
-        "axial force": ["vehicle.stage.0.aero.axial_factor"],
+        "thrust at equal impulse": f"engine{each}.mass_flow_factor", "normal force": "aero.force_factor",
+        "axial force": "aero.axial_factor", "actuator poles": f"actuator{every}.omega_hz.*",
     }  # fmt: skip  # three more lines otherwise
     if built.modes[0][1][0] and first.spatial_modes is None:
-        keys["frequency of mode 1"] = ["vehicle.stage.0.bending.frequency_factor.0"]
+        keys["frequency of mode 1"] = "bending.frequency_factor.0"
     spread = [
-        {"keys": k, "name": name, "apply": "scale", "distribution": "normal", "three_sigma": SPREAD[name],
-         "source": "assumed, to begin with"}
+        {"key": f"vehicle.stage.0.{k}", "name": name, "apply": "scale", "distribution": "normal",
+         "three_sigma": SPREAD[name], "source": "assumed, to begin with"}
         for name, k in keys.items()
     ]  # fmt: skip  # five more lines otherwise
     burnout = built.flight.begins_s[0] + built.stacks[0].burn.end_s
