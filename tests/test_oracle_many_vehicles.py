@@ -25,10 +25,9 @@ from maxq.design.margins.measure import margins
 from maxq.design.model.dispersion import Dispersion, disperse, dispersed_many, stacked
 from maxq.design.model.node import Node
 from maxq.design.model.plant import vehicle_plants
-from maxq.design.model.spread import Spread, places_of
+from maxq.design.model.spread import Spread, places_of, scenario_of
 from maxq.design.verify.linear import measured, vehicles
 from maxq.design.verify.suite import LinearMargins
-from maxq.design.verify.worst import scenario_of
 
 WIDE = Spread(
     bending_frequency=(0.2, 0.3, 0.4), bending_slope=0.8, slosh_frequency=0.3, slosh_mass=0.5, delay_s=0.02,

@@ -2,21 +2,28 @@
 
 from __future__ import annotations
 
+import dataclasses
 import itertools
 
 import design_nodes
 import numpy as np
+import petrelkit
 import pytest
 
+from maxq.control.kernel.records import Array
 from maxq.design import api
 from maxq.design.loop.fixed_path import fixed_path
 from maxq.design.loop.loop import Loop
+from maxq.design.loop.multiloop import multiloop
+from maxq.design.margins.multiloop import LOWEST_HZ
 from maxq.design.margins.real_mu import bound, descent, real_mu_upper
 from maxq.design.model.dispersion import disperse
-from maxq.design.model.spread import Spread, places_of, vehicle_at_places
-from maxq.design.verify.named_mu import stable_within, uncertain
+from maxq.design.model.node import flown_run, flown_to
+from maxq.design.model.spread import DEVIATIONS, Spread, places_of, scenario_of, vehicle_at_places
+from maxq.design.verify.named_mu import Uncertain, stable_together, stable_within, uncertain
 from maxq.design.verify.suite import WorstWanted
 from maxq.design.verify.worst import search_node
+from maxq.sim.packing.flight import pack_flight
 
 
 def brute_force(m: np.ndarray, ranks: list[int]) -> float:
@@ -105,3 +112,76 @@ def test_no_vehicle_of_the_box_is_unstable_and_one_farther_out_is() -> None:
     least, worst, _ = search_node(node, design, spread, WorstWanted(region="box", sigmas=1.25 * found.sigmas, starts=2))
     assert least < 0.0
     assert unstable(worst)
+
+
+def by_hand(*changes: Array, gain: float = 2.0) -> tuple[Uncertain, np.ndarray]:
+    """Two integrators, each with a loop of this gain round it; `changes` (2, 2) of what couples them."""
+    whole = np.block([[np.zeros((2, 2)), np.eye(2)], [np.eye(2), np.zeros((2, 2))]])
+    padded = tuple(np.pad(change, (0, 2)) for change in changes)
+    return Uncertain(whole, padded, np.zeros(len(changes)), np.ones(len(changes)), axes=2), gain * np.eye(2)
+
+
+def test_two_coupled_loops_have_the_bound_of_their_closed_form() -> None:
+    """s = -k +- sqrt(v w): two couplings are unstable from |v| = |w| = k on, one of both alike from k on; one alone,
+    and a rotation (s = -k +- j v), at no size.
+    """
+    up, down = np.array([[0.0, 1.0], [0.0, 0.0]]), np.array([[0.0, 0.0], [1.0, 0.0]])
+    for changes, wanted in (((up, down), 0.5), ((up + down,), 0.5), ((up,), 0.0), ((down - up,), 0.0)):
+        every, back = by_hand(*changes)
+        peak = 0.0
+        for hz in (1e-6, 0.1, 0.3, 1.0):
+            m, ranks = every.matrix(hz, back)
+            peak = max(peak, real_mu_upper(m, ranks)[0])
+        assert peak == pytest.approx(wanted, rel=1e-3, abs=0.02)
+
+
+def test_a_delay_of_all_commands_is_that_of_each() -> None:
+    """Of two loops without coupling det(1 - M v) is the square of that of one."""
+    one = Uncertain(np.array([[0.0, 1.0], [1.0, 0.0]]), (np.zeros((2, 2)),), np.array([0.02]), np.ones(1))
+    two = Uncertain(by_hand()[0].whole, (np.zeros((4, 4)),), np.array([0.02]), np.ones(1), axes=2)
+    for hz in (0.3, 2.0):
+        (single, _), (both, ranks) = one.matrix(hz, 2.0), two.matrix(hz, 2.0 * np.eye(2))
+        assert ranks == [2]
+        alone = np.linalg.det(np.eye(1) - 0.7 * single)
+        # 1 + L (1 - j v sin) over 1 + L
+        returned = 2.0 / (2j * np.pi * hz)
+        wanted = 1.0 - returned * 0.7j * np.sin(2.0 * np.pi * hz * 0.02) / (1.0 + returned)
+        assert alone == pytest.approx(wanted, rel=1e-12)
+        assert np.linalg.det(np.eye(2) - 0.7 * both) == pytest.approx(alone**2, rel=1e-12)
+
+
+FEW = Spread(
+    **{name: 0.0 for name in DEVIATIONS if name not in ("bending_slope", "actuator_frequency")},
+    bending_slope=(0.7, 0.0), actuator_frequency=0.3,
+)  # fmt: skip  # a line more otherwise
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("vehicle", "beyond"), [("ksr3", 3.0), ("petrel", 1.2)])
+def test_no_vehicle_within_the_bound_of_all_axes_is_unstable_and_one_beyond_is(vehicle: str, beyond: float) -> None:
+    """All corners of the box, by the closed poles of the simulator's own linearised loops of all axes.
+
+    Petrel's third mode, 0.1 rad/s from the axis, is where frequencies a hundredth of a hertz apart count.
+    """
+    base, time_s = (design_nodes.nominal(), 45.0) if vehicle == "ksr3" else (petrelkit.scenario(), 40.0)
+    design = base.design
+    assert design is not None
+    node = design_nodes.node_at(time_s) if vehicle == "ksr3" else petrelkit.nodes(time_s)[0]
+    found = stable_together(base, design, node, FEW)
+    assert found is not None
+    run, places = flown_run(base, faults=False), places_of(node, FEW)
+    flown_to(run, time_s)
+    assert len(multiloop(run.packed, design, time_s).axes) == (2 if vehicle == "ksr3" else 3)
+
+    def unstable(u: Array) -> bool:
+        scenario, missing = scenario_of(base, node, vehicle_at_places(FEW, node, places, u))
+        packed = pack_flight(scenario.scenario)
+        loop = multiloop(
+            dataclasses.replace(run.packed, parameters=packed.parameters, pool=packed.pool), design, time_s
+        )
+        poles = loop.poles(range(len(loop.axes)))
+        return not missing and bool((poles.real[np.abs(poles) > 2.0 * np.pi * LOWEST_HZ] >= 0.0).any())
+
+    corners = [np.array(ends) * found.sigmas / 3.0 for ends in itertools.product((-1.0, 1.0), repeat=len(places))]
+    assert not any(unstable(0.99 * corner) for corner in corners)
+    assert any(unstable(beyond * corner) for corner in reversed(corners))

@@ -10,6 +10,7 @@ from typing import Any
 
 import design_nodes
 import numpy as np
+import petrelkit
 import pytest
 import scipy.linalg
 
@@ -20,11 +21,20 @@ from maxq.design.loop.loop import Loop
 from maxq.design.margins.measure import margins
 from maxq.design.model.dispersion import NOMINAL, Dispersion, disperse
 from maxq.design.model.node import Node
-from maxq.design.model.spread import DEVIATIONS, Correlated, Spread, places_of, resolved, vehicle_at_places, vehicle_of
+from maxq.design.model.spread import (
+    DEVIATIONS,
+    Correlated,
+    Spread,
+    places_of,
+    resolved,
+    scenario_of,
+    vehicle_at_places,
+    vehicle_of,
+)
 from maxq.design.verify import linear, worst
 from maxq.design.verify.linear import vehicles
 from maxq.design.verify.suite import LinearMargins, WorstWanted, read_suite
-from maxq.design.verify.worst import WorstVehicle, distance, scenario_of, search_node, slope, worst_requirements
+from maxq.design.verify.worst import WorstVehicle, distance, search_node, slope, worst_requirements
 from maxq.sim.campaign.read import load_campaign
 from maxq.sim.run.metrics import METRIC_NAMES
 from maxq.sim.scenario.errors import ScenarioError
@@ -128,6 +138,17 @@ def test_distance_of_an_unstable_loop_is_negative() -> None:
         signs.append(1.0 if margins(loop).stable else -1.0)
         assert value == pytest.approx(signs[-1] * np.abs(1.0 + loop.response(hz)).min(), rel=5e-3)
     assert signs == [1.0, -1.0]
+
+
+def test_a_pole_at_zero_is_drift_and_no_unstable_vehicle() -> None:
+    """Petrel's stage 3 beyond the air has closed poles at zero, computed on either side of the axis."""
+    (node,) = petrelkit.nodes(400.0)
+    design = petrelkit.scenario().design
+    loop = Loop(fixed_path(node), api.law_at(design, node))
+    slow = loop.closed_poles()[np.abs(loop.closed_poles()) < 1e-6]
+    assert len(slow) == 2
+    value, _ = distance(node, design, Spread())(np.zeros(len(places_of(node))))
+    assert value == pytest.approx(margins(loop).modulus, rel=1e-4)
 
 
 def test_pendulums_of_the_scenario_swing_as_much_faster() -> None:

@@ -54,6 +54,7 @@ class Multiloop:
     path: SampledPlant
     laws: tuple[Controller, ...]
     sensed: tuple[tuple[str, int], ...] = ()
+    plant: StateSpace | None = None  # continuous, from commands to what `path` is the mean of
 
     @property
     def highest_hz(self) -> float:
@@ -215,4 +216,4 @@ def multiloop(packed: Packed, design: Design, time_s: float) -> Multiloop:
         np.zeros((len(counted), len(axes))), tuple(model.states[k] for k in kept), axes, tuple(integrals),
     )  # fmt: skip  # four more lines otherwise
     path = sample(channels(plant, tuple(integrals)), t, 1e-9 * int(row.computer.delay_ns))
-    return Multiloop(time_s, axes, path, laws, tuple(sensed))
+    return Multiloop(time_s, axes, path, laws, tuple(sensed), plant)

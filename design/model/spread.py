@@ -15,13 +15,16 @@ from typing import Annotated, Any, ClassVar, NamedTuple, TypeVar
 
 import numpy as np
 from pydantic import Discriminator, Field, Tag
+from pydantic_core import PydanticCustomError
 
 from maxq.control.kernel.records import Array
-from maxq.design.model.dispersion import Dispersion, for_each
+from maxq.design.model.dispersion import Dispersion, for_each, unlike_drives
 from maxq.design.model.node import Node
 from maxq.sim.campaign.plan import Draw as CampaignDraw
 from maxq.sim.campaign.read import LoadedCampaign, load_campaign
+from maxq.sim.campaign.targets import Change, Dispersed, find_target
 from maxq.sim.scenario.errors import ScenarioError
+from maxq.sim.scenario.loader import LoadedScenario
 from maxq.sim.scenario.schema_values import LIST_FORM, TABLE_FORM, NotNegative, Section, optional
 from maxq.sim.scenario.schema_vehicle import Vehicle
 
@@ -90,6 +93,7 @@ class Keys(NamedTuple):
 
 
 _S = "vehicle.stage.{stage}."
+_POLES = 3  # the fourth frequency of an actuator is that of its zero, which stays
 KEYS = {
     "bending_frequency": Keys((_S + "bending.frequency_factor.{n}",), (_S + "spatial_modes.frequency_factor.{n}",)),
     "bending_slope": Keys((_S + "bending.gyro_slope_factor.{n}",)),
@@ -126,7 +130,7 @@ def keys_of(vehicle: Vehicle, stage: int, place: Place, also: bool = False) -> l
             several = [several[n if name == "thrust" else groups.index(flies.engine_groups[n])]]
         for at, one in several:
             last = tail.removeprefix(".")
-            count = len(getattr(one, last[:-2]) or ()) if last.endswith(".*") else 1
+            count = min(len(getattr(one, last[:-2]) or ()), _POLES) if last.endswith(".*") else 1
             out += [f"{at}.{last[:-1]}{k}" for k in range(count)] if last.endswith(".*") else [f"{at}.{last}"]
     return out
 
@@ -275,3 +279,50 @@ def vehicle_at_places(
     """That with deviations `u` (places,) in units of three sigma, and none elsewhere."""
     by: Mapping[Place, float] = dict(zip(places, (float(x) for x in u), strict=True))
     return vehicle_of(spread, node, lambda name, n: by.get((name, n), 0.0), label)
+
+
+def with_actuators_apart(base: LoadedScenario, stage: int) -> LoadedScenario:
+    """The scenario with actuators of its own for each group of a stage's engines, where one table serves all."""
+    vehicle, flies = base.vehicle, base.vehicle.stage[stage]
+    if flies.actuator is None or isinstance(flies.actuator, tuple):
+        return base
+    apart = tuple(flies.actuator.model_copy(update={"group": group}) for group in flies.engine_groups)
+    stages = list(vehicle.stage)
+    stages[stage] = flies.model_copy(update={"actuator": apart})
+    flown = base.scenario.model_copy(update={"vehicle": vehicle.model_copy(update={"stage": tuple(stages)})})
+    return LoadedScenario(flown, base.label, base.files)
+
+
+def scenario_of(base: LoadedScenario, node: Node, d: Dispersion) -> tuple[LoadedScenario, list[str]]:
+    """The scenario in which the deviated vehicle flies, and the keys that it does not have.
+
+    What the linear model changes about its node flies all the way: thrust acts along the axis as well, inertia is that
+    of the whole vehicle.
+    """
+    base = with_actuators_apart(base, node.stage) if unlike_drives(d) else base
+    vehicle, factors, added = base.vehicle, dict[str, float](), dict[str, float]()
+    for name, n in places_of(node):
+        each = np.atleast_1d(getattr(d, name))
+        value = float(each[min(max(n, 0), len(each) - 1)])
+        for key in keys_of(vehicle, node.stage, (name, n)):
+            (added if KEYS[name].added else factors)[key] = value ** KEYS[name].power
+    computer, delay = vehicle.computer_of(node.stage), keys_of(vehicle, node.stage, ("delay_s", -1))[0]
+    changes, missing = [], []
+    results: dict[str, float] = {}
+    for key, number in (*factors.items(), *added.items()):
+        try:
+            target = find_target(base.scenario, key)
+        except PydanticCustomError:
+            missing.append(key)
+            continue
+        if target.kind == "column":
+            changes.append(Change(target, "scale", key))
+            results[key] = number
+        else:
+            changes.append(Change(target, "set", key))
+            result = target.nominal + number if key in added else target.nominal * number
+            if key == delay and result > (most_s := computer.sample_s if computer is not None else result):
+                result = most_s
+                missing.append(f"{key} beyond the sample")
+            results[key] = round(max(result, 0.0), 9) if target.whole_ns else result
+    return LoadedScenario(Dispersed(base.scenario, changes)(results), base.label, base.files), missing

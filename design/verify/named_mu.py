@@ -1,4 +1,4 @@
-"""How far all named deviations may go at once before the loop of one plane is unstable: a bound from inside.
+"""How far all named deviations may go at once before the loop is unstable: a bound from inside.
 
 The search for the worst vehicle (worst.py) knows of vehicles; this says up to where none is unstable, by the structured
 singular value over the deviations v, each a real number:
@@ -6,17 +6,21 @@ singular value over the deviations v, each a real number:
     L(f, v) = C(f) P(f, v),      [x' y] = ([A B, C D] + sum_k v_k dP_k) [x p],
 
 dP_k being half the difference of actuator, vehicle and gyro at both ends of a deviation, as large as that to the
-farther end, and the delay a factor 1 - j v sin(2 pi f t). The law with all that sampling adds is what it is at f
-without deviations. So it is exact to first order in each deviation; what two of them do to each other, and how a
-change turns between the ends, is not in it; nor is what happens between the frequencies that are tried. Deviations
-that go together do so.
+farther end, and the delay a factor 1 - j v sin(2 pi f t). P is the linear model of one plane, or, of pitch, yaw and
+roll together, the linearised simulator (design/loop/multiloop.py) of the scenario in which the deviation flies. The law
+with all that sampling adds is what it is at f without deviations. So it is exact to first order in each deviation; what
+two of them do to each other, and how a change turns between the ends, is not in it; nor is what happens between the
+frequencies that are tried. Deviations that go together do so.
 Aliases stay as they are without deviations: of a mode beyond the Nyquist frequency the bound says nothing.
 """
 
 from __future__ import annotations
 
+import dataclasses
 import math
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import scipy.linalg
@@ -25,24 +29,28 @@ from threadpoolctl import threadpool_limits
 from maxq.control.kernel.records import Array
 from maxq.design import api
 from maxq.design.laws.law import MEASUREMENTS
-from maxq.design.loop.fixed_path import FixedPath, fixed_path
+from maxq.design.loop.fixed_path import fixed_path
 from maxq.design.loop.loop import Loop
+from maxq.design.loop.multiloop import multiloop
 from maxq.design.margins.real_mu import Scaling, real_mu_upper
 from maxq.design.model.dispersion import disperse, with_drives_apart
-from maxq.design.model.node import Node
-from maxq.design.model.spread import Spread, places_of, root_of_correlation, vehicle_at_places
+from maxq.design.model.node import Node, flown_run, flown_to
+from maxq.design.model.spread import Place, Spread, places_of, root_of_correlation, scenario_of, vehicle_at_places
 from maxq.design.model.state_space import ComplexArray
+from maxq.sim.packing.flight import Packed, pack_flight
+from maxq.sim.scenario.loader import LoadedScenario
 from maxq.sim.scenario.schema_design import Design
+from maxq.sim.vehicle.state import state_size
 
-_RANK = 1e-7  # relative, of singular values that count
+_RANK, _RANK_TOGETHER = 1e-7, 1e-5  # relative: what counts of a change; differences of the simulator have noise
 _GRID, _LOWEST_HZ = 60, 0.01
-_WIDTHS = np.array([-4.0, -1.0, 0.0, 1.0, 4.0])
-_AROUND = (1.0 + 0.02 * np.arange(-3, 4), 1.0 + 0.005 * np.arange(-3, 4))  # the largest, once and again
+_WIDTHS, _LIGHT, _SAME = np.array([-4.0, -2.0, -1.0, -0.5, 0.0, 0.5, 1.0, 2.0, 4.0]), 0.5, 1e-6
+_HALVINGS = 6  # of the gaps on both sides of the largest
 
 
 @dataclass(frozen=True)
 class Uncertain:
-    """What deviates in a plane, [A B, C D] (n + 1, n + 1) and its changes by 1 of each, balanced; delays (s) by 1.
+    """What deviates, [A B, C D] (n + axes, n + axes) and its changes by 1 of each, balanced; delays (s) by 1.
 
     `farther` (deviations,): what a change to the farther end is to that change, at least 1.
     """
@@ -51,62 +59,117 @@ class Uncertain:
     changes: tuple[Array, ...]
     late_s: Array
     farther: Array
+    axes: int = 1
+    rank: float = _RANK
 
     @property
     def blocks(self) -> tuple[Array, Array, Array, Array]:
         """A, B, C, D."""
-        n = len(self.whole) - 1
+        n = len(self.whole) - self.axes
         return self.whole[:n, :n], self.whole[:n, n:], self.whole[n:, :n], self.whole[n:, n:]
 
-    def matrix(self, hz: float, back: complex) -> tuple[ComplexArray, list[int]]:
-        """M from what the deviations put out to what they take up, where p = -back y, and their ranks."""
-        n, s = len(self.whole) - 1, 2j * np.pi * hz
-        left, right, ranks, direct = [], [], [], list[complex]()
-        for change, late_s in zip(self.changes, self.late_s, strict=True):
+    def response(self, hz: float) -> ComplexArray:
+        """Of P without deviations, (axes, axes)."""
+        a, b, c, d = self.blocks
+        return np.asarray(c @ np.linalg.solve(2j * np.pi * hz * np.eye(len(a)) - a, b) + d)
+
+    @cached_property
+    def _factors(self) -> list[tuple[Array, Array]]:
+        """Of each change, what goes into the equations by what comes out of states and commands."""
+        out = []
+        for change in self.changes:
             u, size, v = np.linalg.svd(change)
-            rank = int(np.count_nonzero(size > _RANK * max(size[0], 1e-300))) if size[0] > 0.0 else 0
-            root = np.sqrt(size[:rank])
-            left.append(u[:, :rank] * root)
-            right.append(v[:rank].T * root)
-            direct += [0.0] * rank
-            if late_s:  # acts on the command: p = -back y + w, taken up 1 - j sin of the command
-                left.append(np.zeros((n + 1, 1)))
-                right.append(np.zeros((n + 1, 1)))
-                direct.append(-1j * math.sin(2.0 * np.pi * hz * late_s))
-                rank += 1
-            ranks.append(rank)
+            rank = int(np.count_nonzero(size > self.rank * max(size[0], 1e-300))) if size[0] > 0.0 else 0
+            out.append((u[:, :rank] * np.sqrt(size[:rank]), v[:rank].T * np.sqrt(size[:rank])))
+        return out
+
+    def matrix(self, hz: float, back: ComplexArray | complex) -> tuple[ComplexArray, list[int]]:
+        """M from what the deviations put out to what they take up, where p = -back y, and their ranks."""
+        m, s = self.axes, 2j * np.pi * hz
+        n, back = len(self.whole) - m, np.reshape(back, (m, m))
+        left, right, ranks, direct = [], [], [], list[complex]()
+        for (u, v), late_s in zip(self._factors, self.late_s, strict=True):
+            left.append(u)
+            right.append(v)
+            direct += [0.0] * u.shape[1]
+            if late_s:  # acts on the commands: p = -back y + w, taken up 1 - j sin of the command
+                left.append(np.zeros((n + m, m)))
+                right.append(np.zeros((n + m, m)))
+                direct += [-1j * math.sin(2.0 * np.pi * hz * late_s)] * m
+            ranks.append(u.shape[1] + (m if late_s else 0))
         into, out = np.concatenate(left, axis=1), np.concatenate(right, axis=1).astype(np.complex128)
         late = np.array(direct) != 0.0
         # of x and p: s x = A x + B p + U_x w,  p = -back (C x + D p + U_y w) + w_late
         a, b, c, d = self.blocks
-        closed = np.block([[s * np.eye(n) - a, -b], [back * c, 1.0 + back * d]])
-        driven = np.concatenate([into[:n], -back * into[n:] + late[None]])
-        out[n, late] = np.array(direct)[late]
-        m = out.T @ np.linalg.solve(closed, driven)
-        m[late] -= np.diag(np.array(direct))[late]
-        return m, ranks
+        closed = np.block([[s * np.eye(n) - a, -b], [back @ c, np.eye(m) + back @ d]])
+        driven = np.concatenate([into[:n], -back @ into[n:]])
+        for k, column in enumerate(np.flatnonzero(late)):
+            driven[n + k % m, column] += 1.0
+            out[n + k % m, column] = direct[column]
+        taken = out.T @ np.linalg.solve(closed, driven)
+        taken[late] -= np.diag(np.array(direct))[late]
+        return taken, ranks
 
 
 def uncertain(node: Node, spread: Spread) -> Uncertain:
     """Of a node's deviations, each from -1 to 1 (three sigma) where they are independent."""
     places, node = places_of(node), with_drives_apart(node)
-    root = root_of_correlation(spread, node, places)
 
     def whole(u: Array) -> Array:
         path = fixed_path(disperse(node, vehicle_at_places(spread, node, places, u))).continuous
         return np.block([[path.a, path.b], [path.c[:1], path.d[:1]]])
 
+    return _balanced(whole, root_of_correlation(spread, node, places), places, spread, 1, _RANK)
+
+
+def uncertain_together(flown: Packed, base: LoadedScenario, design: Design, node: Node, spread: Spread) -> Uncertain:
+    """The same of pitch, yaw and roll together: each deviation in the scenario that flies it, at the state `flown`.
+
+    Raises ValueError where a deviated vehicle has other states: unlike engines of a group, each on a TVC load.
+    """
+    places = places_of(node, spread)
+
+    def whole(u: Array) -> Array:
+        there = flown
+        if u.any():
+            scenario, _ = scenario_of(base, node, vehicle_at_places(spread, node, places, u))
+            packed = pack_flight(scenario.scenario)
+            parameters = packed.parameters.copy()
+            parameters["timeline"] = flown.parameters["timeline"]
+            there = dataclasses.replace(flown, parameters=parameters, pool=packed.pool)
+            mine, other = (int(state_size(p[node.stage].vehicle.sizes)) for p in (parameters, flown.parameters))
+            if mine != other:
+                raise ValueError(f"{mine} states of a deviated vehicle: allowed are as many as of the nominal, {other}")
+        plant = multiloop(there, design, node.time_s).plant
+        assert plant is not None
+        n = plant.b.shape[1]
+        return np.block([[plant.a, plant.b], [plant.c[:n], plant.d[:n]]])
+
+    axes = len(multiloop(flown, design, node.time_s).axes)
+    return _balanced(whole, root_of_correlation(spread, node, places), places, spread, axes, _RANK_TOGETHER)
+
+
+def _balanced(
+    whole: Callable[[Array], Array], root: Array, places: Sequence[Place], spread: Spread, axes: int, rank: float
+) -> Uncertain:
+    late = next((k for k, (name, _) in enumerate(places) if name == "delay_s"), len(places))
+
     middle = whole(np.zeros(len(places)))
-    ends = np.array([[whole(root @ unit) - middle, middle - whole(-root @ unit)] for unit in np.eye(len(places))])
+
+    def end(u: Array) -> Array:
+        u = np.where(np.arange(len(places)) == late, 0.0, u)
+        return whole(u) if u.any() else middle
+
+    ends = np.array([[end(root @ unit) - middle, middle - end(-root @ unit)] for unit in np.eye(len(places))])
     changes = 0.5 * ends.sum(axis=1)
     sizes = np.abs(middle) + np.abs(changes).sum(axis=0)
     scale = scipy.linalg.matrix_balance(sizes, permute=False, separate=True)[1][0]
-    scale[-1] = 1.0
+    scale[-axes:] = 1.0
     changes, ends = changes / scale[:, None] * scale, ends / scale[:, None] * scale
     size = np.linalg.norm(changes, axis=(1, 2))
+    late_s = spread.delay_s * root[late] if late < len(places) else np.zeros(len(places))
     farther = np.linalg.norm(ends, axis=(2, 3)).max(axis=1) / np.where(size > 0.0, size, 1.0)
-    late_s = spread.delay_s * root[[name for name, _ in places].index("delay_s")]
-    return Uncertain(middle / scale[:, None] * scale, tuple(changes), late_s, np.maximum(farther, 1.0))
+    return Uncertain(middle / scale[:, None] * scale, tuple(changes), late_s, np.maximum(farther, 1.0), axes, rank)
 
 
 @dataclass(frozen=True)
@@ -123,30 +186,58 @@ def stable_within(node: Node, design: Design, spread: Spread) -> Within | None:
     law = api.law_at(design, node)
     if any(name not in MEASUREMENTS for name in law.inputs):
         return None
-    loop, every = Loop(fixed_path(node), law), uncertain(node, spread)
+    loop = Loop(fixed_path(node), law)
+    grid = _frequencies(loop.closed_poles(), loop.highest_hz)
+    return _within(uncertain(node, spread), lambda hz: loop.response(np.array([hz]))[0], grid)
+
+
+def stable_together(base: LoadedScenario, design: Design, node: Node, spread: Spread) -> Within | None:
+    """Of the deviations at a node, with the loops of pitch, yaw and roll together as the simulator couples them.
+
+    None for a law that takes more than the gyro, and where engines of a group are on TVC loads.
+    """
+    law, run = api.law_at(design, node), flown_run(base, faults=False)
+    if any(name not in MEASUREMENTS for name in law.inputs):
+        return None
+    flown_to(run, node.time_s)
+    loop = multiloop(run.packed, design, node.time_s)
+    try:
+        every = uncertain_together(run.packed, base, design, node, spread)
+    except ValueError:
+        return None
+    grid = _frequencies(loop.poles(range(len(loop.axes))), loop.highest_hz)
+    return _within(every, lambda hz: loop.response(np.array([hz]))[0], grid)
+
+
+def _within(
+    every: Uncertain, response: Callable[[float], ComplexArray | complex], frequencies_hz: list[float]
+) -> Within:
     scaling, values = dict[float, Scaling](), dict[float, float]()
 
     def bound(hz: float, enough: float) -> None:
-        a, b, c, d = every.blocks
-        path = (c @ np.linalg.solve(2j * np.pi * hz * np.eye(len(a)) - a, b) + d)[0, 0]
-        m, ranks = every.matrix(hz, complex(loop.response(np.array([hz]))[0] / path))
+        back = np.reshape(response(hz), (every.axes, every.axes)) @ np.linalg.inv(every.response(hz))
+        m, ranks = every.matrix(hz, back)
         near = min(scaling, key=lambda f: abs(f - hz), default=None)
         m = m * np.repeat(every.farther, ranks)
         values[hz], scaling[hz] = real_mu_upper(m, ranks, None if near is None else scaling[near], enough)
 
     with threadpool_limits(1, "blas"):  # small matrices: threads wait for each other
-        for hz in _frequencies(loop, loop.fixed):
+        for hz in frequencies_hz:
             bound(hz, max(values.values(), default=0.0))
-        for around in _AROUND:
-            for hz in np.unique(max(values, key=lambda f: values[f]) * around):
-                if hz < loop.highest_hz:
-                    bound(float(hz), max(values.values()))
+        for _ in range(_HALVINGS):
+            tried = sorted(values)
+            k = tried.index(max(values, key=lambda f: values[f]))
+            for near in {max(k - 1, 0), min(k + 1, len(tried) - 1)} - {k}:
+                bound(0.5 * (tried[k] + tried[near]), max(values.values()))
     peak = max(values, key=lambda f: values[f])
     return Within(3.0 / values[peak], peak, len(values))
 
 
-def _frequencies(loop: Loop, path: FixedPath) -> list[float]:
-    hz = [np.geomspace(_LOWEST_HZ, 0.999 * loop.highest_hz, _GRID)]
-    hz += [r.frequency_hz + max(r.half_width_hz, 1e-3) * _WIDTHS for r in path.resonances()]
+def _frequencies(closed_poles: ComplexArray, highest_hz: float) -> list[float]:
+    """All along, and about closed poles that swing: a loop that is nearly unstable is so in a narrow band."""
+    swings = closed_poles[(closed_poles.imag > 0.0) & (np.abs(closed_poles.real) < _LIGHT * closed_poles.imag)]
+    hz = [np.geomspace(_LOWEST_HZ, 0.999 * highest_hz, _GRID)]
+    hz += [(p.imag + p.real * _WIDTHS) / (2.0 * np.pi) for p in swings]
     grid = np.unique(np.concatenate(hz))
-    return [float(f) for f in grid[(grid >= _LOWEST_HZ) & (grid < loop.highest_hz)]]
+    grid = grid[np.append(True, np.diff(grid) > _SAME * grid[1:])]  # the planes have poles alike
+    return [float(f) for f in grid[(grid >= _LOWEST_HZ) & (grid < highest_hz)]]

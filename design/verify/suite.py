@@ -199,6 +199,7 @@ class WorstWanted(Section):
     bound: bool = optional(
         "also say up to how many sigma each no vehicle is unstable at the worst node (structured singular value)", False
     )
+    together: bool = optional("the same of pitch, yaw and roll together, coupled as the simulator has them", False)
 
 
 class LinearMargins(Section):

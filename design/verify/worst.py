@@ -20,33 +20,24 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
-from pydantic_core import PydanticCustomError
 
 from maxq.control.kernel.records import Array
 from maxq.design import api
 from maxq.design.laws.law import MEASUREMENTS
 from maxq.design.loop.fixed_path import fixed_path
 from maxq.design.loop.loop import Loop
+from maxq.design.margins.curve import lowest_hz_of, unstable
 from maxq.design.margins.dispersed import ManyLoops, NotServedError
 from maxq.design.margins.many import DONE, HANDED_BACK, MARGINS, MINIMA
 from maxq.design.margins.measure import margins
-from maxq.design.model.dispersion import (
-    Dispersion,
-    disperse,
-    disperse_instruments,
-    dispersed_many,
-    stacked,
-    unlike_drives,
-    with_drives_apart,
-)
+from maxq.design.model.dispersion import disperse, disperse_instruments, dispersed_many, stacked, with_drives_apart
 from maxq.design.model.node import Node
 from maxq.design.model.plant import per_actuator_angle, vehicle_plants
-from maxq.design.model.spread import KEYS, Place, Spread, keys_of, places_of, root_of_correlation, vehicle_at_places
+from maxq.design.model.spread import Place, Spread, places_of, root_of_correlation, scenario_of, vehicle_at_places
 from maxq.design.model.state_space import ComplexArray
 from maxq.design.model.vehicle_at import actuator_response
-from maxq.design.verify.named_mu import stable_within
+from maxq.design.verify.named_mu import stable_together, stable_within
 from maxq.design.verify.suite import ACCEPTED, REJECTED, Requirement, WorstWanted, room_left
-from maxq.sim.campaign.targets import Change, Dispersed, find_target
 from maxq.sim.run.fly import fly
 from maxq.sim.scenario.loader import LoadedScenario
 from maxq.sim.scenario.schema_design import Design
@@ -82,6 +73,7 @@ class WorstVehicle:
     within_sigmas: float = math.nan  # of each deviation, at that node: no vehicle is unstable (named_mu.py)
     within_hz: float = math.nan
     within_tried: int = 0  # frequencies
+    together_sigmas: float = math.nan  # the same of pitch, yaw and roll together
 
     @property
     def label(self) -> str:
@@ -136,7 +128,8 @@ def distance(node: Node, design: Design, spread: Spread) -> Callable[[Array], tu
         k, each = near.argmin(axis=0), np.arange(len(deepest))
         order = np.argsort(near[k, each])
         least = float(near[k, each][order[0]])
-        return least if (loop.closed_poles().real < 0.0).all() else -least, fine[k, each][order]
+        drift_radps = 2.0 * np.pi * lowest_hz_of(np.asarray(loop.open_poles()))  # slower poles are drift, not unstable
+        return -least if len(unstable(loop.closed_poles(), drift_radps)) else least, fine[k, each][order]
 
     return at
 
@@ -287,60 +280,15 @@ def search_plane(
     flight = fly(scenario, log=False)
     lost = flight.failures
     within = stable_within(node, design, spread) if wanted.bound else None
+    together = stable_together(base, design, node, spread) if wanted.together else None
     searches, loops = len(nodes) + further * (wanted.starts - 1), sum(n for _, _, n in results)
     return WorstVehicle(
         stage, node.plane, node.time_s, dict(zip(places, (3.0 * u).tolist(), strict=True)),
         exact.modulus if exact.stable else 0.0, searches, loops,
         "; ".join(lost) or "control kept", not lost, scenario.as_flown, tuple(missing),
-        *((within.sigmas, within.at_hz, within.tried) if within is not None else ()),
+        *((within.sigmas, within.at_hz, within.tried) if within is not None else (math.nan, math.nan, 0)),
+        together.sigmas if together is not None else math.nan,
     )  # fmt: skip  # nine more lines otherwise
-
-
-def with_actuators_apart(base: LoadedScenario, stage: int) -> LoadedScenario:
-    """The scenario with actuators of its own for each group of a stage's engines, where one table serves all."""
-    vehicle, flies = base.vehicle, base.vehicle.stage[stage]
-    if flies.actuator is None or isinstance(flies.actuator, tuple):
-        return base
-    apart = tuple(flies.actuator.model_copy(update={"group": group}) for group in flies.engine_groups)
-    stages = list(vehicle.stage)
-    stages[stage] = flies.model_copy(update={"actuator": apart})
-    flown = base.scenario.model_copy(update={"vehicle": vehicle.model_copy(update={"stage": tuple(stages)})})
-    return LoadedScenario(flown, base.label, base.files)
-
-
-def scenario_of(base: LoadedScenario, node: Node, d: Dispersion) -> tuple[LoadedScenario, list[str]]:
-    """The scenario in which the deviated vehicle flies, and the keys that it does not have.
-
-    What the linear model changes about its node flies all the way: thrust acts along the axis as well, inertia is that
-    of the whole vehicle.
-    """
-    base = with_actuators_apart(base, node.stage) if unlike_drives(d) else base
-    vehicle, factors, added = base.vehicle, dict[str, float](), dict[str, float]()
-    for name, n in places_of(node):
-        each = np.atleast_1d(getattr(d, name))
-        value = float(each[min(max(n, 0), len(each) - 1)])
-        for key in keys_of(vehicle, node.stage, (name, n)):
-            (added if KEYS[name].added else factors)[key] = value ** KEYS[name].power
-    computer, delay = vehicle.computer_of(node.stage), keys_of(vehicle, node.stage, ("delay_s", -1))[0]
-    changes, missing = [], []
-    results: dict[str, float] = {}
-    for key, number in (*factors.items(), *added.items()):
-        try:
-            target = find_target(base.scenario, key)
-        except PydanticCustomError:
-            missing.append(key)
-            continue
-        if target.kind == "column":
-            changes.append(Change(target, "scale", key))
-            results[key] = number
-        else:
-            changes.append(Change(target, "set", key))
-            result = target.nominal + number if key in added else target.nominal * number
-            if key == delay and result > (most_s := computer.sample_s if computer is not None else result):
-                result = most_s
-                missing.append(f"{key} beyond the sample")
-            results[key] = round(max(result, 0.0), 9) if target.whole_ns else result
-    return LoadedScenario(Dispersed(base.scenario, changes)(results), base.label, base.files), missing
 
 
 def worst_requirements(found: WorstVehicle, wanted: WorstWanted, again: str) -> list[Requirement]:
@@ -351,6 +299,8 @@ def worst_requirements(found: WorstVehicle, wanted: WorstWanted, again: str) -> 
     if found.within_tried:
         said += f"; mu: none unstable within {found.within_sigmas:.2g} sigma each "
         said += f"({found.within_tried} frequencies, {found.within_hz:.3g} Hz)"
+    if not math.isnan(found.together_sigmas):
+        said += f"; mu of all axes together: {found.together_sigmas:.2g} sigma each"
     out = []
     if wanted.modulus is not None:
         judgement = ACCEPTED if found.modulus >= wanted.modulus else REJECTED

@@ -48,7 +48,7 @@ NAMED = (
     (SUITE, 'out.append(f"{part}.seed={seed «+» number}")', "+ 0 *", "candidates judged by the same draws"),
     (SUITE, 'out = [] if self.campaign else [«"no dispersed flight flown"»]', "", "screening taken for a suite"),
     (WORST, "if value «<» best:", ">", "the best vehicle kept"),
-    (WORST, "(loop.closed_poles().real < 0.0).all() else «-»least", "+", "unstable is as far as stable"),
+    (WORST, "return «-»least if len(unstable(", "+", "unstable is as far as stable"),
     (WORST, "[farthest(«-»by) for by in slopes]", "+", "search uphill"),
     (WORST, "if found[k] «>» value - 1e-6:", "<", "corner made better"),
     (SPREAD, 'length_factor",), power=«-2.0»)', "2.0", "scenario with the inverse slosh frequency"),
