@@ -16,6 +16,7 @@ import numpy as np
 
 from maxq.sim.campaign import analysis
 from maxq.sim.campaign.analysis import Band, DataSet, Judged, Lost, failed_runs
+from maxq.sim.campaign.availability import Month, availability
 from maxq.sim.campaign.error import CampaignError
 from maxq.sim.campaign.plan import Draw
 from maxq.sim.campaign.read import LoadedCampaign, channel_units
@@ -168,6 +169,15 @@ def tail_cells(v: Judged, tail: Tail) -> tuple[str, ...]:
     return (*head, f"{tail.threshold:.4g}", str(len(tail.excesses)), *rest, f"{tail.fit:.2f}")
 
 
+MONTH_HEADS = ("month", "flights", "all limits met", "at least", "at most", "first that missed")
+
+
+def month_cells(m: Month) -> tuple[str, ...]:
+    """A month as a line of the table under MONTH_HEADS."""
+    shares = (f"{100.0 * share:.1f} %" for share in (m.share, m.least, m.most))
+    return (m.name, str(m.runs), *shares, f"run {m.first_missed}" if m.first_missed is not None else "")
+
+
 def report(data: DataSet, verdicts: Sequence[Judged], losses: Sequence[Lost], tails: Tails = ()) -> list[str]:
     """All that is printed about a campaign's results, but the last line."""
     scenario = data.campaign.base.scenario
@@ -184,6 +194,10 @@ def report(data: DataSet, verdicts: Sequence[Judged], losses: Sequence[Lost], ta
         *table,
         f"  {how_judged(data, verdicts)}",
     ]
+    if months := availability(data):
+        shown = aligned([MONTH_HEADS, *map(month_cells, months)], "  ", right=range(1, 5))
+        sure = f"{100.0 * months[0].confidence:g} % confidence, Clopper-Pearson"
+        lines += ["", f"launch availability by month of the wind (bounds at {sure})", *shown]
     if any(not tail.problem for _, tail in tails):
         shown = aligned([TAIL_HEADS, *(tail_cells(v, tail) for v, tail in tails)], "  ", right=range(2, 9))
         lines += ["", f"estimates by peaks over threshold, beside the verdicts ({TAIL_NOTE})", *shown]
@@ -222,6 +236,7 @@ def write_report(
         "sequential": settled,
         "drivers": {v.name: ds[:_NAMED] for v, ds in found},
         "tails": {v.name: {k: x for k, x in vars(tail).items() if not isinstance(x, tuple)} for v, tail in tails},
+        "availability": [{**vars(m), "share": m.share} for m in availability(data)],
         "envelopes": [_numbers(band) for band in over_time],
     })  # fmt: skip  # six more lines otherwise
     files = [data.folder / "summary.json"]
@@ -238,7 +253,8 @@ def write_report(
     page = render(
         "campaign.html.j2", drawn, data=data, verdicts=verdicts, losses=losses, found=found, settled=settled,
         labels=labels, distribution=distribution, tails=tails, tail_heads=TAIL_HEADS, tail_cells=tail_cells,
-        tail_note=TAIL_NOTE, heads=heads(data), cells=cells, replay=replay,
+        tail_note=TAIL_NOTE, months=availability(data), month_heads=MONTH_HEADS, month_cells=month_cells,
+        heads=heads(data), cells=cells, replay=replay,
         simulator=read_manifest(data.folder)["simulator"],
         headline=headline(data, verdicts), vehicle=base.vehicle.name, design=base.design.name if base.design else "",
         tested=how_judged(data, verdicts), redraws=analysis.redraws(data),

@@ -103,7 +103,7 @@ class ManyLoops:
         if unlike.any() and self._apart is not self:
             there = with_drives_apart(flight or self.node)
             for loops, which, met in ((self._apart, unlike, there), (self, ~unlike, flight)):
-                mine = [every[k] for k in np.flatnonzero(which)]
+                mine = [every[k] for k in np.flatnonzero(which).tolist()]
                 values[which], status[which] = loops.measure(mine, peak_db, met)
             return values, status
         for first in range(0, len(every), _AT_ONCE):
@@ -180,12 +180,12 @@ class ManyLoops:
         left = np.linalg.inv(vectors)
         good = np.linalg.norm(vectors, axis=(1, 2)) * np.linalg.norm(left, axis=(1, 2)) < _WORST_BASIS
         per_input = np.einsum("vs,vsp->vp", c, vectors)[..., None] * (left @ b)
-        frequency, damping = by.actuator_frequency, _column(by.actuator_damping)
+        frequency, damping = np.asarray(by.actuator_frequency), _column(by.actuator_damping)
         pairs = [
             []
             if record.ideal
             else [
-                (w * _column(frequency[groups[0]] if np.ndim(frequency) > 1 else frequency), z * damping)
+                (w * _column(frequency[groups[0]] if frequency.ndim > 1 else frequency), z * damping)
                 for w, z in actuator_poles(record)
             ]
             for record, groups in zip(node.actuators, node.instruments.groups, strict=True)

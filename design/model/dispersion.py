@@ -238,7 +238,7 @@ def for_each(values: Sequence[float], count: int) -> tuple[float, ...]:
     return tuple(given[:count])
 
 
-def _each(factors: Factors, count: int, name: str) -> Array:
+def _each(factors: Factors | Array, count: int, name: str) -> Array:
     given = np.asarray(factors, float)
     if given.ndim == 0:
         return np.full(count, float(given))

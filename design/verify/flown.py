@@ -17,6 +17,7 @@ from maxq.design.verify.memory import Memory, code_hash, content_hash
 from maxq.design.verify.suite import (
     ACCEPTED,
     REJECTED,
+    UNDECIDED,
     CampaignWanted,
     Flown,
     LoadedSuite,
@@ -26,6 +27,7 @@ from maxq.design.verify.suite import (
     room_left,
 )
 from maxq.sim.campaign.analysis import DataSet, Judged, Lost, judged, lost
+from maxq.sim.campaign.availability import Month, availability
 from maxq.sim.campaign.read import LoadedCampaign, description_of, load_campaign
 from maxq.sim.campaign.runner import Progress, run_campaign
 from maxq.sim.files import plain_name
@@ -182,6 +184,9 @@ class CampaignResult:
     verdicts: tuple[Judged, ...]
     why: str
     first_lost: Lost | None  # the first run that lost control or did not come to its end
+    months: tuple[Month, ...] = ()
+    availability: float | None = None  # that is wanted in each of them
+    fixed: bool = True  # the number of runs was recorded beforehand
 
     @property
     def worst_runs(self) -> list[int]:
@@ -232,11 +237,32 @@ def fly_campaign(
     return CampaignResult(
         wanted.name or loaded.name, wanted.file, folder, len(data.runs), outcome.stopped, loaded.campaign.success,
         loaded.campaign.confidence, tuple(judged(data)), wanted.why, next(iter(lost(data, 1)), None),
-    )  # fmt: skip  # six more lines otherwise
+        tuple(availability(data)), wanted.availability, data.planned is not None and data.planned == data.in_order,
+    )  # fmt: skip  # nine more lines otherwise
+
+
+def availability_requirements(result: CampaignResult, wanted: float) -> list[Requirement]:
+    """One for each month of a campaign's winds; undecided where it has none."""
+    asked, out = f">= {100.0 * wanted:g} % with {100.0 * result.confidence:g} %", list[Requirement]()
+    for month in result.months:
+        shown, run = month.judged(wanted, result.confidence, result.fixed), month.first_missed
+        ends = f"{100.0 * month.least:.1f} .. {100.0 * month.most:.1f} %"
+        found = f"{100.0 * month.share:.1f} % of {month.runs} flights ({ends})"
+        again = shlex.join(["simrun", "--from", str(result.folder), "--run", str(run)]) if run is not None else ""
+        out.append(
+            Requirement(
+                "campaign", f"{result.name}: availability in {month.name}", asked, found, judgement_of(shown.judgement),
+                room_left(month.share, wanted, ">="), f"run {run}" if run is not None else "", shown.more, again,
+            )
+        )  # fmt: skip  # seven more lines otherwise
+    none = Requirement("campaign", f"{result.name}: availability", asked, "no run has a month", UNDECIDED, math.nan)
+    return out or [none]
 
 
 def campaign_requirements(result: CampaignResult) -> list[Requirement]:
-    """One for each requirement of the campaign."""
+    """One for each requirement of the campaign, or for each month where its availability is asked for."""
+    if result.availability is not None:
+        return availability_requirements(result, result.availability)
     level = f"{100.0 * result.success:g} % with {100.0 * result.confidence:g} %"
     out = []
     for v in result.verdicts:

@@ -259,6 +259,9 @@ class CampaignWanted(Section):
     limits: Literal["own", "dispersed"] = optional("as of a flight", "own")
     runs: Annotated[int, Field(gt=0)] | None = optional("default: the campaign's")
     seed: Annotated[int, Field(ge=0, lt=2**63)] | None = optional("default: the campaign's")
+    availability: Level | None = optional(
+        "judged in place of the requirements one by one: share of the flights in each month's winds that must meet all"
+    )
     success: Level | None = optional("default: the campaign's")
     confidence: Level | None = optional("default: the campaign's")
 

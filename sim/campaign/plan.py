@@ -24,7 +24,7 @@ from maxq.sim.campaign.targets import BOUNDS, Target
 from maxq.sim.scenario.tables_csv import CsvTable
 from maxq.sim.world.wind import wind_components
 
-SEED_KEY, WIND_KEY = "run.seed", "wind.profile"
+SEED_KEY, WIND_KEY, MONTH_KEY, DATE_KEY = "run.seed", "wind.profile", "wind.month", "wind.date"
 MOST_ATTEMPTS = 1000
 
 
@@ -283,7 +283,11 @@ class Ensemble:
 
     def recorded(self, scores: np.ndarray) -> dict[str, Any]:
         """What the data set holds of the scores of a run, by column."""
-        return {WIND_KEY: self._profiles[int(scores[0])].file or str(int(scores[0]))}
+        one = self._profiles[int(scores[0])]
+        out: dict[str, Any] = {WIND_KEY: one.file or str(int(scores[0]))}
+        if any(profile.date for profile in self._profiles):
+            out |= {DATE_KEY: one.date, MONTH_KEY: float(one.date[5:7]) if one.date else np.nan}
+        return out
 
 
 class VectorWind:
@@ -305,26 +309,36 @@ class VectorWind:
         )
         self._mean = [np.interp(self._out_m, mean["altitude_m"], column) for column in columns]
         self._down = np.interp(self._out_m, mean["altitude_m"], mean.get("down_mps")) if "down_mps" in mean else None
-        self.size = 2 * len(self._altitude_m)
+        self._months = model.months
+        self.size = 2 * len(self._altitude_m) + (model.months is not None)
 
     def scores(self, seed: int, first: int, count: int, attempt: int = 0) -> np.ndarray:
-        """(count, altitudes, 2): deviations north and east, m/s."""
+        """(count, altitudes, 2): deviations north and east, m/s; with months one row more, that of the month."""
         parts = [uniforms(seed, WIND_KEY, first, count, attempt, component=k) for k in range(self.size)]
+        if self._months is not None:  # in turn: as many runs of each
+            parts[-1] = (np.arange(first, first + count) % len(self._months) + 0.5) / len(self._months)
         return self.of_scores(ndtri(np.array(parts)).T)
 
     def of_scores(self, z: Array) -> np.ndarray:
-        levels = len(self._altitude_m)
-        z = z.reshape(len(z), levels, 2).copy()
+        levels, months = len(self._altitude_m), self._months
+        row = np.floor(ndtr(z[:, -1]) * len(months)) if months is not None else np.zeros(len(z))
+        z = z[:, : 2 * levels].reshape(len(z), levels, 2).copy()
         for level in range(1, levels):  # a Markov chain over altitude has an exponential correlation
             rho = self._along[level - 1]
             z[:, level] = rho * z[:, level - 1] + np.sqrt(1.0 - rho * rho) * z[:, level]
         across = self._across
         z[:, :, 1] = across * z[:, :, 0] + np.sqrt(1.0 - across * across) * z[:, :, 1]
-        return np.asarray(z * self._sigma)
+        if months is None:
+            return np.asarray(z * self._sigma)
+        z *= self._sigma * months["sigma_factor"][row.astype(int)][:, None, None]
+        return np.concatenate([z, np.repeat(row, 2).reshape(-1, 1, 2)], axis=1)
 
     def profile(self, scores: np.ndarray) -> CsvTable:
+        levels = len(self._altitude_m)
+        factor = 1.0 if self._months is None else self._months["mean_factor"][int(scores[-1, 0])]
         north, east = (
-            mean + np.interp(self._out_m, self._altitude_m, scores[:, axis]) for axis, mean in enumerate(self._mean)
+            factor * mean + np.interp(self._out_m, self._altitude_m, scores[:levels, axis])
+            for axis, mean in enumerate(self._mean)
         )
         columns: dict[str, Array] = {"altitude_m": self._out_m, "north_mps": north, "east_mps": east}
         if self._down is not None:
@@ -332,7 +346,8 @@ class VectorWind:
         return CsvTable("", columns)
 
     def recorded(self, scores: np.ndarray) -> dict[str, Any]:
-        return {
+        month = {} if self._months is None else {MONTH_KEY: float(self._months["month"][int(scores[-1, 0])])}
+        return month | {
             f"{WIND_KEY}.{name}_mps[{altitude:g} m]": float(scores[level, axis])
             for axis, name in enumerate(("north", "east"))
             for level, altitude in enumerate(self._altitude_m)

@@ -14,7 +14,7 @@ import pyarrow as pa
 from numpy.typing import NDArray
 
 from maxq.control.kernel.records import Array
-from maxq.sim.campaign.plan import SEED_KEY, WIND_KEY, Drawn
+from maxq.sim.campaign.plan import SEED_KEY, Drawn
 from maxq.sim.campaign.read import Inputs, LoadedCampaign
 from maxq.sim.campaign.schema import Envelope
 from maxq.sim.campaign.targets import Refused
@@ -215,7 +215,7 @@ def input_types(campaign: LoadedCampaign) -> dict[str, pa.DataType]:
         out[SEED_KEY] = pa.int64()
     if plan.wind is not None:
         recorded = plan.wind.recorded(plan.wind.scores(0, 0, 1)[0])
-        out |= {name: pa.string() if name == WIND_KEY else pa.float64() for name in recorded}
+        out |= {k: pa.string() if isinstance(value, str) else pa.float64() for k, value in recorded.items()}
     return out
 
 

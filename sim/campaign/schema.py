@@ -22,7 +22,7 @@ from maxq.sim.scenario.ranges import MOST_TOGETHER
 from maxq.sim.scenario.schema_environment import WIND_COLUMNS
 from maxq.sim.scenario.schema_values import NotNegative, Positive, Section, needs, only_with, optional
 from maxq.sim.scenario.soundings import each_sounding
-from maxq.sim.scenario.tables_csv import FILE_KEY, Columns, CsvTable
+from maxq.sim.scenario.tables_csv import Columns, CsvTable
 
 WIND_MODEL_COLUMNS = Columns(
     "altitude_m",
@@ -30,6 +30,7 @@ WIND_MODEL_COLUMNS = Columns(
     optional=("correlation",),
     not_negative=("sigma_north_mps", "sigma_east_mps"),
 )
+MONTH_COLUMNS = Columns("month", sets=(("mean_factor", "sigma_factor"),), not_negative=("mean_factor", "sigma_factor"))
 KEEP_ALLOWED = "worst:5, worst:5:max_alpha_deg, failed, failed:20, 0,17"
 Outside = Literal["resample", "refuse"]
 Order = Literal["random", "in-turn"]
@@ -261,6 +262,9 @@ class WindModel(Section):
     )
     correlation_length_m: Positive | None = optional("vector: height over which the correlation falls to 1/e, m")
     factor: NotNegative = optional("vector: multiplies the standard deviations", 1.0)
+    months: Annotated[CsvTable, MONTH_COLUMNS] | None = optional(
+        "vector: by month (1 to 12) what multiplies the mean wind and the deviations; runs have the months in turn"
+    )
     profiles: Annotated[Profiles | None, BeforeValidator(_each_sounding)] = optional(
         "ensemble: files as for wind.profile; a folder: all files in it; a file of several soundings: each of them"
     )
@@ -269,13 +273,16 @@ class WindModel(Section):
     @model_validator(mode="after")
     def _check(self) -> WindModel:
         is_vector = self.model == "vector"
-        only_with(self, ("table", "correlation_length_m"), is_vector, "model = 'vector'")
+        only_with(self, ("table", "correlation_length_m", "months"), is_vector, "model = 'vector'")
         only_with(self, ("profiles",), not is_vector, "model = 'ensemble'")
         if is_vector:
             table: CsvTable = needs(self, "table", "model is 'vector'", WIND_MODEL_COLUMNS.allowed())
             needs(self, "correlation_length_m", "model is 'vector'", "a number > 0")
             if (np.abs(table.get("correlation")) > 1.0).any():
                 raise table.refusal("is no correlation", "numbers -1 .. 1", "correlation", at=("table",))
+            if self.months is not None:
+                odd = ~np.isin(self.months["month"], np.arange(1, 13))
+                self.months.refuse_where(odd, "month", "is no month", "whole numbers 1 .. 12", at=("months",))
         elif not needs(self, "profiles", "model is 'ensemble'", "a list of CSV files"):
             raise refuse("is empty", "one profile or more", key=("profiles",))
         return self
@@ -312,8 +319,7 @@ def plain_value(value: Any) -> Any:
         items = {name: getattr(value, name) for name in type(value).model_fields}
         return {name: plain_value(item) for name, item in items.items() if item is not None}
     if isinstance(value, CsvTable):
-        label = {FILE_KEY: value.file} if value.file else {}
-        return label | {name: column.tolist() for name, column in value.columns.items()}
+        return value.told()
     if isinstance(value, tuple):
         return [plain_value(item) for item in value]
     return value

@@ -44,7 +44,7 @@ from maxq.sim.scenario.schema_design import Design
 from maxq.sim.scenario.schema_scenario import Scenario
 from maxq.sim.scenario.schema_values import Section
 from maxq.sim.scenario.schema_vehicle import Vehicle
-from maxq.sim.scenario.tables_csv import FILE_KEY, CsvTable
+from maxq.sim.scenario.tables_csv import CsvTable
 
 AS_FLOWN = "scenario as flown"
 CAMPAIGN_SECTIONS = ("campaign", "disperse", "wind_model")
@@ -288,8 +288,7 @@ def _toml_tree(value: Any) -> Any:
         fields = {(f.alias or n): getattr(value, n) for n, f in type(value).model_fields.items()}
         return {key: _toml_tree(item) for key, item in fields.items() if item is not None}
     if isinstance(value, CsvTable):
-        label = {FILE_KEY: value.file} if value.file else {}
-        return label | {name: column.tolist() for name, column in value.columns.items()}
+        return value.told()
     return [_toml_tree(item) for item in value] if isinstance(value, tuple) else value
 
 

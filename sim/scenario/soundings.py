@@ -6,8 +6,9 @@ The format is told by the content:
 - CSV whose column names carry other units than ours: `height_ft`, `pressure_hPa`, `speed_kt`, `wind direction_degree`,
   `u_mps` ...; columns that are not wanted are passed over.
 
-What comes of it are columns altitude_m, north_mps, east_mps. Rows may stand in any order; levels without wind are left
-out, of several at one altitude the first is kept. Geopotential heights become geometric ones (r0 = 6356.766 km). A
+What comes of it are columns altitude_m, north_mps, east_mps, and the date: of IGRA's and Wyoming's heads, or in CSV of
+a line `# date: 2002-11-28` or the first row. Rows may stand in any order; levels without wind are left out, of several
+at one altitude the first is kept. Geopotential heights become geometric ones (r0 = 6356.766 km). A
 level without height gets it from its pressure, linearly in ln p between levels that have both; where none has a height,
 from the pressures of the US Standard Atmosphere 1976, which in real air may be some hundreds of metres off.
 """
@@ -17,7 +18,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -25,7 +26,7 @@ import numpy as np
 from maxq.sim.scenario.documents import Text
 from maxq.sim.scenario.errors import refuse
 from maxq.sim.scenario.files import Reading
-from maxq.sim.scenario.tables_csv import Columns, CsvTable, read_csv
+from maxq.sim.scenario.tables_csv import DATE, Columns, CsvTable, read_csv
 
 _RADIUS_m = 6356766.0  # of geopotential heights, as in the standard atmosphere
 NUMBER_MARK = "#"  # "station.txt#12": the twelfth sounding of a file
@@ -65,6 +66,8 @@ _QUANTITIES: dict[str, tuple[tuple[str, ...], dict[str, float]]] = {
 }
 _IMPLIED = {"sknt": "kt", "drct": "deg", "hght": "m", "pres": "hpa"}  # units of Wyoming's names
 _IGRA = re.compile(r"#[A-Z0-9]{11} (\d{4}) (\d\d) (\d\d) (\d\d) ")
+_OBSERVED = re.compile(r"\bat (\d\d)Z (\d{1,2}) (Jan|Feb|Mar|Apr|May|Jun|Jul|Aug|Sep|Oct|Nov|Dec)[a-z]* (\d{4})")
+_MONTHS = ("Jan", "Feb", "Mar", "Apr", "May", "Jun", "Jul", "Aug", "Sep", "Oct", "Nov", "Dec")
 _WYOMING = re.compile(r"\bPRES\b.*\bHGHT\b.*\bDRCT\b.*\b(SKNT|SPED)\b")
 
 
@@ -86,7 +89,12 @@ def quantity(name: str, shown: str = "") -> tuple[str, float] | None:
     return None
 
 
-def soundings(text: str, native: Iterable[str] = (), shown: str = "") -> list[list[Level]]:
+class Sounding(NamedTuple):
+    levels: list[Level]
+    date: str  # as `CsvTable.date`
+
+
+def soundings(text: str, native: Iterable[str] = (), shown: str = "") -> list[Sounding]:
     """All soundings in the text of the file `shown`; none in a file of another kind, or of `native` columns alone."""
     lines = text.splitlines()
     first = next((line for line in lines if line.strip()), "")
@@ -97,30 +105,40 @@ def soundings(text: str, native: Iterable[str] = (), shown: str = "") -> list[li
     return _csv(lines, frozenset(native), shown)
 
 
-def _igra(lines: Sequence[str]) -> Iterator[list[Level]]:
+def date_of(text: str) -> str:
+    """The date that a comment of a CSV file states; empty without one."""
+    found = re.search(rf"^#\s*date\s*[:=]?\s*({DATE})", text, re.MULTILINE | re.IGNORECASE)
+    return found[1] if found else ""
+
+
+def _igra(lines: Sequence[str]) -> Iterator[Sounding]:
     """Fixed columns of IGRA's version 2: pressure Pa, geopotential height m, direction deg, speed 0.1 m/s."""
-    levels: list[Level] = []
+    levels, date = list[Level](), ""
     for number, line in enumerate(lines, start=1):
         if line.startswith("#"):
             if levels:
-                yield levels
-            levels = []
+                yield Sounding(levels, date)
+            head = _IGRA.match(line)
+            levels, date = [], f"{head[1]}-{head[2]}-{head[3]}" + f"T{head[4]}" * (head[4] != "99") if head else ""
         elif line.strip():
             pressure, height, direction, speed = (_value(line[a:b]) for a, b in ((9, 15), (16, 21), (40, 45), (46, 51)))
             levels.append(Level(number, height, math.nan, 0.01 * pressure, direction, 0.1 * speed))
     if levels:
-        yield levels
+        yield Sounding(levels, date)
 
 
-def _wyoming(lines: Sequence[str]) -> Iterator[list[Level]]:
+def _wyoming(lines: Sequence[str]) -> Iterator[Sounding]:
     """Cells end where the words of the head end: an empty one is missing."""
-    levels: list[Level] = []
+    levels, date, coming = list[Level](), "", ""
     cells: list[tuple[str, float, int, int]] = []
     for number, line in enumerate(re.sub(r"<[^>]*>", "", line).rstrip() for line in lines):
+        observed = _OBSERVED.search(line)
+        if observed:
+            coming = f"{observed[4]}-{_MONTHS.index(observed[3]) + 1:02}-{int(observed[2]):02}T{observed[1]}"
         if _WYOMING.search(line):
             if levels:
-                yield levels
-            levels, cells = [], []
+                yield Sounding(levels, date)
+            levels, cells, date, coming = [], [], coming, ""
             ends = [word.end() for word in re.finditer(r"\S+", line)]
             units = lines[number + 1] if number + 1 < len(lines) else ""
             for start, end in zip([0, *ends], ends, strict=False):
@@ -135,10 +153,10 @@ def _wyoming(lines: Sequence[str]) -> Iterator[list[Level]]:
             elif levels:  # the table has ended: indices of the station follow
                 cells = []
     if levels:
-        yield levels
+        yield Sounding(levels, date)
 
 
-def _csv(lines: Sequence[str], native: frozenset[str], shown: str) -> list[list[Level]]:
+def _csv(lines: Sequence[str], native: frozenset[str], shown: str) -> list[Sounding]:
     """A table with a line of names; empty where no column holds wind, or all columns are ours."""
     rows = [(n, line.split(",")) for n, line in enumerate(lines, start=1) if line.strip() and not line.startswith("#")]
     if not rows:
@@ -163,7 +181,8 @@ def _csv(lines: Sequence[str], native: frozenset[str], shown: str) -> list[list[
             raise refuse(problem, f"{len(found)} cells", file=shown, place=f"line {number}")
         values = {known[0]: known[1] * _value(cell) for known, cell in zip(found, cells, strict=True) if known}
         levels.append(Level(number, **values))
-    return [levels]
+    first = re.search(DATE, ",".join(rows[1][1])) if len(rows) > 1 else None
+    return [Sounding(levels, date_of("\n".join(lines)) or (first[0].replace(" ", "T") if first else ""))]
 
 
 def _value(cell: str) -> float:
@@ -175,7 +194,7 @@ def _value(cell: str) -> float:
     return math.nan if value <= -999.0 or value == 99999.0 else value
 
 
-def wind_table(levels: Iterable[Level], name: str, shown: str) -> CsvTable:
+def wind_table(levels: Iterable[Level], name: str, shown: str, date: str = "") -> CsvTable:
     """The wind profile of a sounding. Raises PydanticCustomError where no level has height and wind."""
     rows = np.array(list(levels), dtype=float).reshape(-1, len(Level._fields))
     line, geopotential, altitude, pressure, direction, speed, north, east = rows.T
@@ -193,7 +212,7 @@ def wind_table(levels: Iterable[Level], name: str, shown: str) -> CsvTable:
     columns = {"altitude_m": altitude[kept], "north_mps": north[kept], "east_mps": east[kept]}
     for column in columns.values():
         column.flags.writeable = False
-    return CsvTable(name, columns, shown, tuple(int(n) for n in line[kept]))
+    return CsvTable(name, columns, shown, tuple(int(n) for n in line[kept]), date)
 
 
 def _geometric(geopotential_m: np.ndarray) -> np.ndarray:
@@ -226,13 +245,13 @@ class WindColumns(Columns):
         file, number = _parted(name)
         shown, text, found = _read(file, context, self)
         if not found:
-            return read_csv(text, str(name), shown, self)
+            return replace(read_csv(text, str(name), shown, self), date=date_of(text))
         if number is None and len(found) == 1:
             number = 1
         if number is None or not 1 <= number <= len(found):
             allowed = f"{file}{NUMBER_MARK}1 .. {file}{NUMBER_MARK}{len(found)}"
             raise refuse(f"holds {len(found)} soundings: which one is missing", allowed, file=shown)
-        return wind_table(found[number - 1], str(name), shown)
+        return wind_table(found[number - 1].levels, str(name), shown, found[number - 1].date)
 
 
 def each_sounding(value: Any, context: Any, columns: Columns) -> Any:
@@ -254,7 +273,7 @@ def each_sounding(value: Any, context: Any, columns: Columns) -> Any:
     return tuple(out)
 
 
-def _read(file: Text, reading: Reading, columns: Columns) -> tuple[str, str, list[list[Level]]]:
+def _read(file: Text, reading: Reading, columns: Columns) -> tuple[str, str, list[Sounding]]:
     """How a file is shown, its text, and its soundings, which are looked for once."""
     shown, text = reading.read_table(file)
     if shown not in reading.soundings:

@@ -7,6 +7,7 @@ or a list of rows `[{time_s = 0.0, mass_kg = 10.0}, ...]`.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
@@ -28,7 +29,8 @@ Column = NDArray[np.float64]
 LEAST_STEP = 1e-9
 """From row to row of what a table is given over, in its unit: slopes between rows must stay finite."""
 
-FILE_KEY = "file"
+FILE_KEY, DATE_KEY = "file", "date"
+DATE = r"\d{4}-(?:0[1-9]|1[0-2])-\d\d(?:[T ]\d\d)?"
 """In a table that is written out: the file it once came from, for people only."""
 
 
@@ -36,7 +38,8 @@ FILE_KEY = "file"
 class CsvTable:
     """Columns of numbers of equal length, by name, read-only, in the order of the file.
 
-    `file` is the file's name as the scenario gives it, empty when the table stands in the scenario itself.
+    `file` is the file's name as the scenario gives it, empty when the table stands in the scenario itself; `date` that
+    of a wind profile, YYYY-MM-DD with or without Thh, empty where none is known.
     Two tables are equal when their columns hold the same bits.
     """
 
@@ -44,6 +47,7 @@ class CsvTable:
     columns: Mapping[str, Column]
     shown: str = ""
     lines: tuple[int, ...] = field(default=(), repr=False)
+    date: str = ""
     checked_as: Columns | None = field(default=None, init=False, repr=False)
     derived: Any = field(default=None, init=False, repr=False)  # what the columns were turned into, kept for later
 
@@ -59,6 +63,11 @@ class CsvTable:
 
     def __len__(self) -> int:
         return len(next(iter(self.columns.values())))
+
+    def told(self) -> dict[str, Any]:
+        """As JSON and TOML have it."""
+        label = {FILE_KEY: self.file, DATE_KEY: self.date}
+        return {key: text for key, text in label.items() if text} | {k: v.tolist() for k, v in self.columns.items()}
 
     def get(self, name: str, default: float = 0.0) -> Column:
         """The column, or a constant one where it is absent."""
@@ -163,7 +172,9 @@ class Columns:
         return {
             "anyOf": [
                 {"type": "string", "description": f"name of a CSV file with {self.allowed()}"},
-                table({"type": "array", "items": number}, **{FILE_KEY: {"type": "string"}}),
+                table(
+                    {"type": "array", "items": number}, **{FILE_KEY: {"type": "string"}, DATE_KEY: {"type": "string"}}
+                ),
                 {"type": "array", "items": table(number)},
             ]
         }
@@ -197,18 +208,21 @@ class Columns:
         return read_csv(text, name, shown, self)
 
     def _from_columns(self, value: Mapping[str, Any]) -> CsvTable:
-        label = value.get(FILE_KEY, "")
-        if not isinstance(label, str):
-            raise refuse("must be a text", key=(FILE_KEY,))
+        label, date = value.get(FILE_KEY, ""), value.get(DATE_KEY, "")
+        for key, given in ((FILE_KEY, label), (DATE_KEY, date)):
+            if not isinstance(given, str):
+                raise refuse("must be a text", key=(key,))
+        if date and not re.fullmatch(DATE, date):
+            raise refuse("is no date", "YYYY-MM-DD, or YYYY-MM-DDThh", key=(DATE_KEY,), value=date)
         columns: dict[str, Column] = {}
         for name, numbers in value.items():
-            if name == FILE_KEY:
+            if name in (FILE_KEY, DATE_KEY):
                 continue
             self._check_name(name, key=(name,))
             if not isinstance(numbers, tuple):
                 raise refuse("is not a list of numbers", "a list of numbers", key=(name,))
             columns[name] = _column([_number(n, (name, row)) for row, n in enumerate(numbers)])
-        return CsvTable(str(label), columns)
+        return CsvTable(str(label), columns, date=str(date))
 
     def _from_rows(self, rows: tuple[Mapping[str, Any], ...]) -> CsvTable:
         names = list(rows[0])

@@ -1,0 +1,71 @@
+"""Launch availability: the share of flights that meet all requirements, by the month of their winds."""
+
+from __future__ import annotations
+
+import calendar
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from maxq.sim.campaign.analysis import DataSet
+from maxq.sim.campaign.plan import MONTH_KEY
+from maxq.sim.campaign.runs import input_types
+from maxq.sim.campaign.statistics import Shown, failure_lower, failure_upper, judge_failures
+
+
+@dataclass(frozen=True)
+class Month:
+    """Flights in a month's winds, `missed` of which miss a requirement or lose control.
+
+    `least` and `most` bound the availability with `confidence` together, each end with half of the rest (Clopper &
+    Pearson, Biometrika 26, 1934): of flights in winds of which these are a random sample.
+    """
+
+    month: int
+    runs: int
+    missed: int
+    least: float
+    most: float
+    confidence: float
+    first_missed: int | None
+
+    @property
+    def name(self) -> str:
+        return calendar.month_abbr[self.month]
+
+    @property
+    def share(self) -> float:
+        return 1.0 - self.missed / self.runs
+
+    def judged(self, wanted: float, confidence: float, fixed: bool) -> Shown:
+        """Whether the availability is at least `wanted`; `fixed`: the number of runs was recorded beforehand."""
+        return judge_failures(self.missed, self.runs, wanted, confidence, self.runs if fixed else None)
+
+
+def availability(data: DataSet) -> list[Month]:
+    """Of each month that has a run among the first ones without a gap; none of a campaign without months.
+
+    Runs whose wind has no date are left out.
+    """
+    if MONTH_KEY not in input_types(data.campaign):
+        return []
+    n, confidence = data.in_order, data.campaign.campaign.confidence
+    months = data.numbers(MONTH_KEY)[:n]
+    passed = np.array(data.column("passed").to_pylist()[:n], dtype=bool)
+    out = []
+    for month in np.unique(months[np.isfinite(months)]).astype(int).tolist():
+        mine = np.flatnonzero(months == month)
+        bad = mine[~passed[mine]]
+        least, most = clopper_pearson(len(mine) - len(bad), len(mine), confidence)
+        first = int(data.runs[bad[0]]) if len(bad) else None
+        out.append(Month(month, len(mine), len(bad), least, most, confidence, first))
+    return out
+
+
+def clopper_pearson(successes: int, runs: int, confidence: float) -> tuple[float, float]:
+    """Both bounds of the probability of success, with `confidence` together."""
+    if not runs:
+        return math.nan, math.nan
+    each = 0.5 * (1.0 + confidence)
+    return 1.0 - failure_upper(runs - successes, runs, each), 1.0 - failure_lower(runs - successes, runs, each)
