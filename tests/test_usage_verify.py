@@ -17,6 +17,7 @@ import pytest
 
 from maxq.design.model.dispersion import NOMINAL, Dispersion
 from maxq.design.model.spread import Spread
+from maxq.design.verify import fitted as fitted_module
 from maxq.design.verify import verify as verify_module
 from maxq.design.verify.fitted import fit
 from maxq.design.verify.flown import campaign_requirements, load_flight, load_wanted
@@ -49,6 +50,7 @@ from maxq.design.verify.suite import (
 )
 from maxq.sim.campaign.read import load_campaign
 from maxq.sim.campaign.statistics import judge_failures
+from maxq.sim.run.fly import fly
 from maxq.sim.scenario.builtin import builtin_files
 from maxq.sim.scenario.errors import ScenarioError
 from maxq.sim.scenario.loader import load_scenario
@@ -247,7 +249,7 @@ class Known:
 NOMINAL_MARKS = {
     "sample_s": 0.01, "longer_s": 0.005, "gimbal_limit_deg": 6.0, "gimbal_rate_limit_degps": 30.0, "burnout_s": 59.0,
     **{f"{name}_{unit}": value for name in ("before_max_q", "max_q", "after_max_q") for unit, value in
-       (("s", 40.0), ("altitude_m", 9500.0))},
+       (("s", 40.0), ("altitude_m", 9500.0), ("mode_1_gust_m", 46.0), ("slosh_gust_m", 322.0))},
 }  # fmt: skip  # several more lines otherwise
 STAGE_MARKS = {
     "stage": 0, "ignition_s": 0.1, "stage_burnout_s": 59.0, "early_s": 12.0, "late_s": 45.0, "strongest_s": 40.0,
@@ -264,7 +266,7 @@ def test_standard_suite_asks_for_what_can_fail() -> None:
     fitted = _fitted("standard", "nominal", STAGE_MARKS)
     suite = fitted.suite
     names = {f.name for f in suite.flight}
-    assert len(suite.flight) == 35
+    assert len(suite.flight) == 41
     assert len(fitted.left_out) == 2
     assert all(text.startswith("one engine out") for text in fitted.left_out)  # it has a single one
     assert {
@@ -293,6 +295,30 @@ def test_standard_suite_asks_for_what_can_fail() -> None:
     assert limits["gimbal rate"] < actuator.rate_limit_degps
 
 
+@pytest.mark.slow
+def test_gusts_are_as_thick_as_the_vehicle_climbs_while_a_mode_swings() -> None:
+    """Frequencies of the file's modes, height of the log; such a gust excites a mode nearly most."""
+    base = load_scenario("nominal")
+    marks, _ = fitted_module._marks(base)
+    flight, modes = fly(base), base.vehicle.stage[0].bending.pitch
+    time_s, height_m = flight.time_s("altitude_m"), flight["altitude_m"]
+    for place in ("before_max_q", "max_q", "after_max_q"):
+        at_s = float(marks[f"{place}_s"])
+        climb_mps = np.diff(np.interp([at_s - 0.5, at_s + 0.5], time_s, height_m))[0]
+        for n in (1, 2):
+            mine = modes["mode"] == n
+            times, first = np.unique(modes["time_s"][mine], return_index=True)
+            hz = np.interp(at_s, times, modes["frequency_hz"][mine][first])
+            assert marks[f"{place}_mode_{n}_gust_m"] == pytest.approx(climb_mps / hz, rel=0.02), place
+    # what swings on after a gust that lasts T: the transform of 1 - cos(2 pi t / T) at f, by quadrature
+    lasting = np.linspace(0.2, 3.0, 57)  # in periods of the mode
+    left = []
+    for t_end in lasting:
+        t = np.linspace(0.0, t_end, 4001)
+        left.append(abs(np.trapezoid((1.0 - np.cos(2.0 * np.pi * t / t_end)) * np.exp(2j * np.pi * t), t)))
+    assert left[int(np.argmin(abs(lasting - 1.0)))] == pytest.approx(0.96 * max(left), rel=0.01)
+
+
 def test_a_fitted_suite_names_every_part_of_the_vehicle() -> None:
     """Values scaled, half a sample added, times and altitudes of its own flight."""
     flights = {f.name: f for f in _fitted("standard", "nominal", STAGE_MARKS).suite.flight}
@@ -305,6 +331,7 @@ def test_a_fitted_suite_names_every_part_of_the_vehicle() -> None:
     assert "vehicle.computer.delay_s=0.008" in flights["delay"].set
     assert "run.duration_s=24.0" in flights["thrust lost early"].set
     assert "altitude_m=9500.0,thickness_m=300,edge_m=150.0" in flights["gust of 300 m max q"].set[2]
+    assert "thickness_m=46.0,edge_m=23.0" in flights["gust tuned to mode 1 max q"].set[2]
     low = [
         f"vehicle.stage.0.bending.{key}={[x] * 3}" for key, x in (("frequency_factor", 0.9), ("damping_ratio", 0.0025))
     ]

@@ -17,7 +17,8 @@ from typing import Any
 import numpy as np
 
 from maxq.design import api
-from maxq.design.model.node import powered_spans
+from maxq.design.model.node import Node, powered_spans
+from maxq.design.model.plant import axial_load_mps2
 from maxq.design.model.vehicle_at import stability_derivatives
 from maxq.design.verify.memory import Memory
 from maxq.design.verify.suite import Flown, LoadedSuite
@@ -31,6 +32,7 @@ MARKS = {
     "max_q": "of the largest dynamic pressure under thrust: s, altitude in m",
     "before_max_q": "of four fifths of it, before: s, m",
     "after_max_q": "of four fifths of it, after: s, m; the last burn-out where thrust ends sooner",
+    "mode_1_gust": "height climbed in a swing of mode 1 at one of these (max_q_mode_1_gust_m); mode_2, slosh: m",
     "burnout": "of the last burn-out: s",
     "sample": "of the first stage's computer: s",
     "longer": "half of that, or what the computer's delay leaves of it: s",
@@ -50,12 +52,19 @@ MARKS = {
 _UNITS = {"sample": ("s",), "gimbal_limit": ("deg",), "gimbal_rate_limit": ("degps",), "gimbal_moment": ("Nm",)}
 _PLACES = ("max_q", "before_max_q", "after_max_q")
 _BARE = ("limit_wind", "stage", "outer_engine")
+_TUNED = ("mode_1", "mode_2", "slosh")
 NAMES = [
-    *(f"{name}_{unit}" for name in _PLACES for unit in ("s", "altitude_m")),
+    *(f"{name}_{unit}" for name in _PLACES for unit in ("s", "altitude_m", *(f"{mode}_gust_m" for mode in _TUNED))),
     *_BARE,
-    *(f"{name}_{unit}" for name in MARKS if name not in (*_PLACES, *_BARE) for unit in _UNITS.get(name, ("s",))),
+    *(
+        f"{name}_{unit}"
+        for name in MARKS
+        if name not in (*_PLACES, *_BARE, "mode_1_gust")
+        for unit in _UNITS.get(name, ("s",))
+    ),
 ]
 _MARK = re.compile(r"\$\{\s*([\w.]+)\s*(?:([+*-])\s*([0-9.eE+-]+)\s*)?\}|\$(\w+)")
+_LONGEST_M = 1000.0  # of a gust; beyond it is the wind profile
 _STRONG = 0.8  # of the largest dynamic pressure
 _EARLY, _LATE = 0.2, 0.75  # of a burn
 _CLEAR_S = 1.0  # of its ends, where something fails
@@ -216,6 +225,12 @@ def _marks(base: LoadedScenario) -> tuple[Marks, list[Marks]]:
     places = (top, int(strong[0]), int(strong[-1]) if t[strong[-1]] <= end_s else int(np.searchsorted(t, end_s)) - 1)
     for name, k in zip(_PLACES, places, strict=True):
         out |= {f"{name}_s": round(float(t[k]), 1), f"{name}_altitude_m": float(round(altitude[k], -2))}
+    burning = [(name, at_s) for name in _PLACES if any(span.holds(at_s := float(out[f"{name}_s"])) for span in spans)]
+    for name, at_s in burning:
+        (node,) = api.nodes(base, [at_s])
+        climb_mps = float(np.interp(at_s, t, np.gradient(altitude, t)))
+        for tone, hz in _tones_hz(node).items():
+            out[f"{name}_{tone}_gust_m"] = min(float(f"{climb_mps / hz:.3g}"), _LONGEST_M)
     out["burnout_s"] = round(end_s, 3)
     strongest = []
     for span in spans:
@@ -237,6 +252,17 @@ def _marks(base: LoadedScenario) -> tuple[Marks, list[Marks]]:
             mine["outer_engine"] = int(np.argmax(off))
         stages.append(mine)
     return out, stages
+
+
+def _tones_hz(node: Node) -> dict[str, float]:
+    """Frequencies of the first two bending modes and of the slowest slosh, of those that there are."""
+    modes = np.sort(np.abs(node.vehicle.modes.omega_radps)) / (2.0 * math.pi)
+    out = {f"mode_{k + 1}": float(hz) for k, hz in enumerate(modes[:2])}
+    bobs = node.vehicle.pendulums
+    if len(bobs.mass_kg):
+        load_mps2 = axial_load_mps2(node.vehicle, node.condition)
+        out["slosh"] = float(np.sqrt(load_mps2 / bobs.length_m).min()) / (2.0 * math.pi)
+    return out
 
 
 def _sampling(base: LoadedScenario) -> Mapping[str, float]:
