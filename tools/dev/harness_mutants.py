@@ -7,6 +7,8 @@ STATISTICS, LINEAR, WORST = "sim/campaign/statistics.py", "design/verify/linear.
 SUITE, ANALYSIS, DRAWS = "design/verify/suite.py", "sim/campaign/analysis.py", "sim/campaign/draws.py"
 PLAN, ROBUST, JUDGING = "sim/campaign/plan.py", "design/optimise/robust.py", "design/verify/judging.py"
 SPREAD, RARE = "design/model/spread.py", "sim/campaign/rare.py"
+MU, MONTHS, SOUNDINGS = "design/verify/named_mu.py", "sim/campaign/availability.py", "sim/scenario/soundings.py"
+FLOWN, ALLOCATION = "design/verify/flown.py", "sim/packing/allocation.py"
 
 NAMED = (
     (STATISTICS, "betaincinv(failures + 1, runs - failures, «confidence»)", "1.0 - confidence", "upper bound swapped"),
@@ -33,8 +35,8 @@ NAMED = (
     (LINEAR, "np.random.default_rng([seed, «number»])", "0", "seed reused: all vehicles alike"),
     (LINEAR, "np.random.default_rng([«seed», number])", "0", "seed ignored"),
     (LINEAR, ".normal(size=len(factor)) / «3.0»)", "9.0", "three sigma taken as nine"),
-    (SPREAD, '"slosh": len(node.vehicle.pendulums.mass_kg)«»}', " - 1", "one tank not dispersed"),
-    (SPREAD, '"bending": «len(node.vehicle.modes.omega_radps)»', "1", "higher modes not dispersed"),
+    (SPREAD, '"slosh": len(vehicle.pendulums.mass_kg)«»}', " - 1", "one tank not dispersed"),
+    (SPREAD, '"bending": «len(vehicle.modes.omega_radps)»', "1", "higher modes not dispersed"),
     (SPREAD, "size * draw(key, «n»), 0.05) for n, size", "0", "all modes and tanks by the first one's draw"),
     (SPREAD, "values[key] = getattr(spread, key) «*» draw(key, -1)", "* 0.0 *", "delay not dispersed"),
     (LINEAR, "if not found.stable:\n        return {«}»", '"phase_deg": 0.0}', "unstable loop taken for a margin"),
@@ -81,5 +83,20 @@ NAMED = (
     ),
     (PLAN, "new = self._single(d, run, attempt «+ again»)", "", "the same draw again"),
     (JUDGING, "absent = np.isnan(self.values) & «(self.key in PEAKS)»", "True", "unstable loop meets its limits"),
+    (MU, "np.block([[s * np.eye(n) - a, «-»b]", "+", "loops closed with the other sign"),
+    (MU, "driven[n + k «%» m, column]", "//", "delay of one command only"),
+    (MONTHS, "each = 0.5 * (1.0 «+» confidence)", "-", "bounds of another confidence"),
+    (MONTHS, "bad = mine[«~»passed[mine]]", "", "flights that pass counted as missed"),
+    (PLAN, 'months[«"sigma_factor"»][row', '"mean_factor"', "deviations scaled as the mean"),
+    (PLAN, "(np.arange(first, first + count) «%» len(self._months)", "//", "months not in turn"),
+    (SOUNDINGS, 'f"{head[1]}-{head[«2»]}-', "3", "day taken for the month"),
+    (FLOWN, "month.judged(«wanted», result", "result.success", "availability asked at the campaign's own level"),
+    (
+        ALLOCATION,
+        "strength = «float»(engine",
+        "engine.thrust_factor * float",
+        "computer knows what an engine deviates by",
+    ),
+    (WORST, "drift_radps = 2.0 * np.pi * «lowest_hz_of(np.asarray(loop.open_poles()))»", "0.0", "drift is unstable"),
     (JUDGING, 'return self.values - self.limit if self.sense == «">="»', '"<="', "farthest within taken for the worst"),
 )
