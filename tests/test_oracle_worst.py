@@ -279,6 +279,11 @@ def test_words_claim_no_more_than_was_searched() -> None:
     )  # fmt: skip  # four more lines otherwise
     assert rows[1].judgement == "accepted"
     assert rows[0].again == "simverify x --only worst"
+    bounded = replace(found, within_sigmas=2.0, within_hz=31.75, within_tried=146, together_sigmas=1.9)
+    assert worst_requirements(bounded, WorstWanted(modulus=0.25), "")[0].found.endswith(
+        "; mu, to first order: none unstable within 2 sigma each (146 frequencies, 31.8 Hz); "
+        "pitch, yaw and roll together within 1.9 sigma each"
+    )
 
 
 def going_together(*pairs: tuple[tuple[str, str], float]) -> Spread:

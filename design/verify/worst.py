@@ -297,10 +297,10 @@ def worst_requirements(found: WorstVehicle, wanted: WorstWanted, again: str) -> 
     said = f"{found.modulus:.3f}" if found.modulus else "unstable"
     said += f"; no worse corner found in {found.searches} searches ({found.loops} loops)"
     if found.within_tried:
-        said += f"; mu: none unstable within {found.within_sigmas:.2g} sigma each "
+        said += f"; mu, to first order: none unstable within {found.within_sigmas:.2g} sigma each "
         said += f"({found.within_tried} frequencies, {found.within_hz:.3g} Hz)"
     if not math.isnan(found.together_sigmas):
-        said += f"; mu of all axes together: {found.together_sigmas:.2g} sigma each"
+        said += f"; pitch, yaw and roll together within {found.together_sigmas:.2g} sigma each"
     out = []
     if wanted.modulus is not None:
         judgement = ACCEPTED if found.modulus >= wanted.modulus else REJECTED
