@@ -33,7 +33,8 @@ if TYPE_CHECKING:  # for type checkers and editors; _HOMES says the same to the 
     from maxq.sim.campaign.read import LoadedCampaign
     from maxq.sim.log.head import LogError
     from maxq.sim.log.reader import Log
-    from maxq.sim.run.fly import Flight, FlightRun
+    from maxq.sim.run.flight import Flight
+    from maxq.sim.run.fly import FlightRun
     from maxq.sim.run.record import record
     from maxq.sim.scenario.builtin import builtin_names
     from maxq.sim.scenario.errors import ScenarioError

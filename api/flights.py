@@ -11,7 +11,8 @@ from maxq.sim.campaign.store import MANIFEST, campaign_in
 from maxq.sim.files import plain_name
 from maxq.sim.log.reader import Log, read_log
 from maxq.sim.run import fly as flying
-from maxq.sim.run.fly import Flight, FlightRun
+from maxq.sim.run.flight import Flight
+from maxq.sim.run.fly import FlightRun
 from maxq.sim.run.metrics import METRIC_NAMES
 from maxq.sim.run.record import LOG_NAME, record
 from maxq.sim.scenario.loader import LoadedScenario, is_campaign, load_scenario

@@ -24,7 +24,8 @@ from maxq.sim.scenario.errors import ScenarioError
 if TYPE_CHECKING:
     from maxq.sim.log.head import LogError
     from maxq.sim.log.reader import Log, read_log
-    from maxq.sim.run.fly import Event, Flight, FlightRun, fly
+    from maxq.sim.run.flight import Event, Flight
+    from maxq.sim.run.fly import FlightRun, fly
     from maxq.sim.run.metrics import Verdict
     from maxq.sim.run.record import record
     from maxq.sim.scenario.loader import LoadedScenario

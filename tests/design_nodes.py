@@ -16,7 +16,7 @@ from maxq.design.model.node import Node
 from maxq.design.model.vehicle_at import FlightCondition, Modes, Plane, instruments_of, vehicle_at
 from maxq.sim.packing.flight import pack_flight
 from maxq.sim.run.evaluate import evaluate_at
-from maxq.sim.run.fly import Flight
+from maxq.sim.run.flight import Flight
 from maxq.sim.scenario.loader import LoadedScenario, load_scenario
 from maxq.sim.scenario.schema_design import Design
 from maxq.sim.vehicle.workspace import AIRSPEED, DENSITY, MACH, PRESSURE

@@ -23,7 +23,8 @@ from maxq.control.kernel.records import Array
 from maxq.design.model.linearised import linearise
 from maxq.design.model.plant import vehicle_plant
 from maxq.design.model.vehicle_at import vehicle_at
-from maxq.sim.run.fly import Flight, fly
+from maxq.sim.run.flight import Flight
+from maxq.sim.run.fly import fly
 from maxq.sim.scenario.loader import load_scenario
 from maxq.sim.vehicle import state as layout
 

@@ -28,7 +28,8 @@ from maxq.design.certificate.certificate import certify_node
 from maxq.design.margins.measure import margins
 from maxq.design.verify.judging import Wanted, checks, judge
 from maxq.design.verify.verify import certificate_requirements
-from maxq.sim.run.fly import Flight, fly
+from maxq.sim.run.flight import Flight
+from maxq.sim.run.fly import fly
 from maxq.sim.scenario.errors import ScenarioError
 from maxq.sim.scenario.loader import LoadedScenario, load_scenario
 from maxq.sim.scenario.tables_csv import CsvTable

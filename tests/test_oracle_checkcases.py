@@ -12,7 +12,8 @@ import pytest
 from oracles.textbook_flight import RATE, Air, Body, State, Vector, cross, geodetic, integrate, ned_axes, start
 from scipy.integrate import solve_ivp
 
-from maxq.sim.run.fly import Flight, fly
+from maxq.sim.run.flight import Flight
+from maxq.sim.run.fly import fly
 from maxq.sim.scenario.loader import load_scenario
 
 FOOT, SLUG = 0.3048, 0.45359237 * 9.80665 / 0.3048

@@ -24,7 +24,8 @@ from maxq.design import api
 from maxq.design.margins.measure import margins
 from maxq.sim.campaign.read import load_campaign
 from maxq.sim.campaign.runs import fly_rows
-from maxq.sim.run.fly import Flight, fly
+from maxq.sim.run.flight import Flight
+from maxq.sim.run.fly import fly
 from maxq.sim.scenario.loader import load_scenario
 from maxq.tools import simdesign, simvehicle
 

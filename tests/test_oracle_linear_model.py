@@ -46,7 +46,8 @@ from maxq.design.model.vehicle_at import (
 from maxq.sim.packing.flight import Packed, pack_flight
 from maxq.sim.packing.initial import rotation
 from maxq.sim.run.evaluate import evaluate_at
-from maxq.sim.run.fly import Flight, FlightRun, fly
+from maxq.sim.run.flight import Flight
+from maxq.sim.run.fly import FlightRun, fly
 from maxq.sim.scenario.loader import load_scenario
 from maxq.sim.vehicle.state import Q_BI
 from maxq.sim.vehicle.workspace import AIRSPEED, DENSITY, GRAVITATION, MACH, PRESSURE

@@ -26,7 +26,8 @@ from maxq.design.model.linearised import linearise
 from maxq.design.model.plant import state_names, vehicle_plant
 from maxq.design.model.vehicle_at import vehicle_at
 from maxq.sim.packing.pendulums import pendulums
-from maxq.sim.run.fly import WAVE_BREAKING_NAME, Flight, fly
+from maxq.sim.run.flight import WAVE_BREAKING_NAME, Flight
+from maxq.sim.run.fly import fly
 from maxq.sim.scenario.loader import load_scenario
 from maxq.sim.vehicle import state as layout
 from maxq.tools.flight_report import verdict_line

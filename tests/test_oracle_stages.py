@@ -31,7 +31,7 @@ from maxq.design.optimise.solve import each_stage, solve
 from maxq.design.verify.judging import judge_solution, make_design
 from maxq.design.verify.suite import read_suite
 from maxq.sim.packing.flight import Packed
-from maxq.sim.run.fly import Event
+from maxq.sim.run.flight import Event
 from maxq.sim.scenario.burn import stage_burns
 from maxq.sim.scenario.loader import load_scenario
 from maxq.tools import simdesign

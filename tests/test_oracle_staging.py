@@ -13,7 +13,8 @@ from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 
 from maxq.sim.api import load_scenario_text
-from maxq.sim.run.fly import Flight, FlightRun, fly
+from maxq.sim.run.flight import Flight
+from maxq.sim.run.fly import FlightRun, fly
 from maxq.sim.run.metrics import orbit_metrics
 from maxq.sim.scenario.errors import ScenarioError
 from maxq.sim.scenario.loader import LoadedScenario, load_scenario, to_toml

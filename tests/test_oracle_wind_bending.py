@@ -31,7 +31,8 @@ from maxq.design.model.state_space import StateSpace
 from maxq.design.model.vehicle_at import actuator, vehicle_at
 from maxq.sim.packing.flight import Packed, pack_flight
 from maxq.sim.run.evaluate import evaluate_at
-from maxq.sim.run.fly import Flight, fly
+from maxq.sim.run.flight import Flight
+from maxq.sim.run.fly import fly
 from maxq.sim.scenario.loader import LoadedScenario, load_scenario
 from maxq.sim.vehicle.loads import MOMENT_Z
 

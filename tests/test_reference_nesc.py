@@ -7,7 +7,8 @@ from functools import cache
 
 import pytest
 
-from maxq.sim.run.fly import Flight, fly
+from maxq.sim.run.flight import Flight
+from maxq.sim.run.fly import fly
 from maxq.sim.scenario.loader import load_scenario
 from maxq.tools.dev.verification import nesc
 from maxq.tools.dev.verification.nesc_cases import ALL_CASES, ATMOSPHERIC, Difference, fly_case, read_tolerances

@@ -16,7 +16,7 @@ from matplotlib.figure import Figure
 from maxq import api
 from maxq.sim.campaign.read import LoadedCampaign
 from maxq.sim.log.reader import Log
-from maxq.sim.run.fly import Flight
+from maxq.sim.run.flight import Flight
 from maxq.sim.scenario.loader import LoadedScenario
 from maxq.tools import simreplay
 

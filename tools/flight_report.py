@@ -6,7 +6,8 @@ import math
 from pathlib import Path
 
 from maxq.sim.packing.integration import worst_error
-from maxq.sim.run.fly import DIVERGED_NAME, Flight
+from maxq.sim.run.flight import Flight
+from maxq.sim.run.fly import DIVERGED_NAME
 from maxq.sim.run.metrics import Verdict, figures, title_of, unit_of
 from maxq.tools.cli.terminal import aligned, printable
 

@@ -16,7 +16,8 @@ from maxq.sim.log.head import VERSION_KEY, LogError, maxq_version
 from maxq.sim.log.reader import LoggedRun, read_run
 from maxq.sim.packing.flight import pack_flight
 from maxq.sim.run import record
-from maxq.sim.run.fly import Flight, FlightRun
+from maxq.sim.run.flight import Flight
+from maxq.sim.run.fly import FlightRun
 from maxq.sim.run.metrics import METRIC_NAMES
 from maxq.sim.scenario.loader import LoadedScenario, load_scenario, load_scenario_text
 from maxq.tools.cli.frame import CommandError, Exit, Interruption, say

@@ -38,7 +38,8 @@ from maxq.design.model.vehicle_at import Plane
 from maxq.sim.flight.telemetry import FAST
 from maxq.sim.packing.computer import pack_injections
 from maxq.sim.packing.flight import Packed, pack_flight
-from maxq.sim.run.fly import FlightRun, KeptRows
+from maxq.sim.run.flight import KeptRows
+from maxq.sim.run.fly import FlightRun
 from maxq.sim.scenario.loader import LoadedScenario
 from maxq.sim.scenario.schema_design import Design
 from maxq.sim.scenario.schema_environment import Atmosphere, Earth, Wind

@@ -41,7 +41,8 @@ from maxq.sim.flight.telemetry import FAST
 from maxq.sim.packing.flight import Packed, pack_flight
 from maxq.sim.packing.initial import rotation
 from maxq.sim.run.evaluate import evaluate_at
-from maxq.sim.run.fly import IGNITION_NAME, Event, FlightRun, KeptRows
+from maxq.sim.run.flight import Event, KeptRows
+from maxq.sim.run.fly import IGNITION_NAME, FlightRun
 from maxq.sim.scenario.burn import Burn, stage_burns
 from maxq.sim.scenario.coverage import burn_rate
 from maxq.sim.scenario.loader import LoadedScenario

@@ -22,7 +22,8 @@ from maxq.sim.campaign.store import campaign_in
 from maxq.sim.campaign.targets import Refused
 from maxq.sim.files import check_writable
 from maxq.sim.log.head import LogError
-from maxq.sim.run.fly import Flight, FlightRun
+from maxq.sim.run.flight import Flight
+from maxq.sim.run.fly import FlightRun
 from maxq.sim.run.record import record
 from maxq.sim.scenario.loader import LoadedScenario
 

@@ -24,18 +24,8 @@ from maxq.sim.log import foxglove
 from maxq.sim.log.head import Attachment, LogError, RunHead
 from maxq.sim.log.writer import LogWriter
 from maxq.sim.packing.integration import MethodError, worst_error
-from maxq.sim.run.fly import (
-    CONTROL_LOST_NAME,
-    DIVERGED_NAME,
-    FAULT_NAME,
-    SOFTWARE_NAME,
-    WAVE_BREAKING_NAME,
-    Event,
-    Flight,
-    FlightRun,
-    Rows,
-    copied,
-)
+from maxq.sim.run.flight import WAVE_BREAKING_NAME, Event, Flight, Rows, copied
+from maxq.sim.run.fly import CONTROL_LOST_NAME, DIVERGED_NAME, FAULT_NAME, SOFTWARE_NAME, FlightRun
 from maxq.sim.run.launch_frames import LaunchFrames, LaunchSite
 from maxq.sim.run.metrics import unit_of
 from maxq.sim.scenario.loader import LoadedScenario, to_toml

@@ -24,6 +24,7 @@ from maxq.control.kernel.vectors import (
     set_vector,
     vector_at,
 )
+from maxq.sim.vehicle.accelerations import accelerate
 from maxq.sim.vehicle.actuator import Actuator, actuator_motion, actuator_rates
 from maxq.sim.vehicle.aero import Aero, air_acts, body_loads, coefficients, moment_reference, surface_loads, table_loads
 from maxq.sim.vehicle.bending import (
@@ -73,7 +74,7 @@ from maxq.sim.vehicle.schedule import (
     thrust_column,
 )
 from maxq.sim.vehicle.sensors import Sensor, sense
-from maxq.sim.vehicle.slosh import Slosh, accelerate, exchange_loads, pendulum_derivative, pendulum_loads
+from maxq.sim.vehicle.slosh import Slosh, exchange_loads, pendulum_derivative, pendulum_loads
 from maxq.sim.vehicle.spatial_modes import (
     Load,
     SpatialModes,
@@ -278,7 +279,7 @@ def derivative(
             held.faults, work, aux,
         )  # fmt: skip  # thirteen lines otherwise
     specific_force, alpha = accelerate(
-        vehicle.slosh, sizes, held.on_pad, balanced.offset, balanced.inverse_inertia, force, moment, pad, properties,
+        sizes, held.on_pad, balanced.offset, balanced.inverse_inertia, force, moment, pad, properties,
         y, pendulums, work,
     )  # fmt: skip  # fourteen lines otherwise
 

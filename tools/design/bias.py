@@ -26,7 +26,8 @@ from maxq.control.kernel.records import Array
 from maxq.design import api
 from maxq.design.model.plant import axial_load_mps2
 from maxq.sim.files import check_writable, write_whole
-from maxq.sim.run.fly import Flight, fly
+from maxq.sim.run.flight import Flight
+from maxq.sim.run.fly import fly
 from maxq.sim.scenario.errors import ScenarioError
 from maxq.sim.scenario.loader import LoadedScenario, load_scenario
 from maxq.sim.scenario.schema_environment import Wind

@@ -20,7 +20,8 @@ from maxq.sim.flight.channels import ChannelTable
 from maxq.sim.flight.telemetry import FAST, SLOW
 from maxq.sim.log.foxglove import Level
 from maxq.sim.packing.flight import Packed
-from maxq.sim.run.fly import Event, Flight, FlightRun, Rows, copied
+from maxq.sim.run.flight import Event, Flight, Rows, copied
+from maxq.sim.run.fly import FlightRun
 from maxq.sim.run.record import LEVELS
 from maxq.sim.scenario.loader import LoadedScenario
 from maxq.tools.replay import viewer

@@ -20,7 +20,8 @@ import numpy as np
 
 from maxq.control.kernel.records import Array
 from maxq.sim.packing.integration import step_ns
-from maxq.sim.run.fly import Flight, FlightRun
+from maxq.sim.run.flight import Flight
+from maxq.sim.run.fly import FlightRun
 from maxq.sim.scenario.loader import load_scenario
 from maxq.tools.dev.bench.precision import EVERY_NS, QUANTITIES, differences
 

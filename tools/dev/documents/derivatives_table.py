@@ -18,7 +18,8 @@ import numpy as np
 from maxq.control.kernel.records import Array
 from maxq.design.model.vehicle_at import FlightCondition, StabilityDerivatives, stability_derivatives, vehicle_at
 from maxq.sim.packing.flight import pack_flight
-from maxq.sim.run.fly import Flight, fly
+from maxq.sim.run.flight import Flight
+from maxq.sim.run.fly import fly
 from maxq.sim.scenario.loader import load_scenario
 
 SCENARIO = "nominal"

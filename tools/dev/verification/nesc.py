@@ -12,7 +12,7 @@ import sys
 import time
 from pathlib import Path
 
-from maxq.sim.run.fly import Flight
+from maxq.sim.run.flight import Flight
 from maxq.tools.dev.verification.nesc_cases import ALL_CASES, Difference, fly_case
 from maxq.tools.dev.verification.nesc_pictures import draw
 from maxq.tools.dev.verification.section import VERIFICATION, markers, rewrite

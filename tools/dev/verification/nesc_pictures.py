@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from maxq.sim.run.fly import Flight
+from maxq.sim.run.flight import Flight
 from maxq.tools.dev.verification.nesc_cases import (
     ATMOSPHERIC,
     DATA,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from maxq.control.kernel.records import Array
-from maxq.sim.run.fly import Flight
+from maxq.sim.run.flight import Flight
 
 FOOT_m = 0.3048
 POUND_N = 0.45359237 * 9.80665
