@@ -12,8 +12,9 @@ import scipy.optimize
 from maxq.design import api
 from maxq.design.loop.fixed_path import folded
 from maxq.design.loop.loop import Loop
+from maxq.design.model.instruments import instruments_of
 from maxq.design.model.node import Node
-from maxq.design.model.vehicle_at import FlightCondition, Modes, Plane, instruments_of, vehicle_at
+from maxq.design.model.vehicle_at import FlightCondition, Modes, Plane, vehicle_at
 from maxq.sim.packing.flight import pack_flight
 from maxq.sim.run.evaluate import evaluate_at
 from maxq.sim.run.flight import Flight

@@ -31,18 +31,12 @@ import pytest
 import scipy.optimize
 
 from maxq.control.kernel.records import Array
+from maxq.design.model.equations import OUTPUTS
+from maxq.design.model.instruments import ACTUATOR_OUTPUTS, actuator, gyro
 from maxq.design.model.linearised import LinearModel, linearise, zero_incidence
-from maxq.design.model.plant import OUTPUTS, vehicle_plant
+from maxq.design.model.plant import vehicle_plant
 from maxq.design.model.state_space import ComplexArray, StateSpace
-from maxq.design.model.vehicle_at import (
-    ACTUATOR_OUTPUTS,
-    FlightCondition,
-    Plane,
-    actuator,
-    gyro,
-    stability_derivatives,
-    vehicle_at,
-)
+from maxq.design.model.vehicle_at import FlightCondition, Plane, stability_derivatives, vehicle_at
 from maxq.sim.packing.flight import Packed, pack_flight
 from maxq.sim.packing.initial import rotation
 from maxq.sim.run.evaluate import evaluate_at

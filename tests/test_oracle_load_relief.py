@@ -36,9 +36,9 @@ from maxq.design.laws.design_file import design_text
 from maxq.design.laws.pd import PdDesign
 from maxq.design.laws.pd_variables import PdVariables
 from maxq.design.laws.wind import DRIFT, LOAD, MOMENTS, Spectrum, WindResponse
+from maxq.design.model.instruments import actuator_response, lag
 from maxq.design.model.linearised import zero_incidence
 from maxq.design.model.plant import vehicle_plant
-from maxq.design.model.vehicle_at import actuator_response, lag
 from maxq.design.optimise.solve import make_problem, solve
 from maxq.design.verify.judging import with_law
 from maxq.sim.packing.flight import pack_flight

@@ -25,10 +25,11 @@ from test_oracle_aero_tables_linear import ALL, ROUND, symmetric
 
 from maxq.control.kernel.records import Array
 from maxq.design.model.dispersion import Dispersion, disperse
+from maxq.design.model.instruments import actuator
 from maxq.design.model.linearised import LinearModel, linearise, settled, zero_incidence
 from maxq.design.model.node import node_of
 from maxq.design.model.plant import vehicle_plant
-from maxq.design.model.vehicle_at import FlightCondition, actuator, vehicle_at
+from maxq.design.model.vehicle_at import FlightCondition, vehicle_at
 from maxq.sim.packing.flight import Packed, pack_flight
 from maxq.sim.run.evaluate import evaluate_at
 from maxq.sim.vehicle import state as layout

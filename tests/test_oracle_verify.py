@@ -22,8 +22,9 @@ import pytest
 from maxq.design import api
 from maxq.design.margins.measure import margins
 from maxq.design.model.dispersion import Dispersion, disperse
+from maxq.design.model.equations import INPUTS
 from maxq.design.model.node import Node
-from maxq.design.model.plant import INPUTS, vehicle_plant
+from maxq.design.model.plant import vehicle_plant
 from maxq.design.verify.linear import authority, study, vehicles
 from maxq.design.verify.memory import Memory
 from maxq.design.verify.slosh import advise, percussion_station_m

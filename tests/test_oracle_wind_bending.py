@@ -24,11 +24,12 @@ from maxq.control.kernel.records import Array
 from maxq.design import api
 from maxq.design.laws.wind import MOMENTS, Spectrum
 from maxq.design.loop.wind import wind_response
+from maxq.design.model.instruments import actuator
 from maxq.design.model.linearised import LinearModel, linearise, zero_incidence
 from maxq.design.model.node import node_of, with_cuts
 from maxq.design.model.plant import vehicle_plant
 from maxq.design.model.state_space import StateSpace
-from maxq.design.model.vehicle_at import actuator, vehicle_at
+from maxq.design.model.vehicle_at import vehicle_at
 from maxq.sim.packing.flight import Packed, pack_flight
 from maxq.sim.run.evaluate import evaluate_at
 from maxq.sim.run.flight import Flight

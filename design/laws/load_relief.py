@@ -18,7 +18,7 @@ import numpy as np
 from maxq.control.kernel.records import Array
 from maxq.design.laws.law import MEASUREMENTS
 from maxq.design.laws.pd_variables import PdVariables
-from maxq.design.model.vehicle_at import ACCELERATION
+from maxq.design.model.instruments import ACCELERATION
 
 START_S2PM = 3e-3  # of the acceleration's gain: a tenth of what thrust over mass gives back, roughly
 

@@ -36,8 +36,8 @@ from maxq.design.laws.schedule import (
 )
 from maxq.design.laws.task import DB, Rigid, Task
 from maxq.design.laws.wind import WIND_LIMITS, Key, quantity
+from maxq.design.model.instruments import ACCELERATION, further_rate
 from maxq.design.model.state_space import ComplexArray
-from maxq.design.model.vehicle_at import ACCELERATION, further_rate
 
 LEAPS = ((0.3, 0.0), (0.2, 0.1), (0.03, 0.15))
 """Sizes of leaps, taken in turn: of the filter's variables and of the gains'. Of sixteen leaps of each kind from the

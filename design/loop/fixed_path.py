@@ -35,10 +35,10 @@ from maxq.design.laws.law import ANGLES, MEASUREMENTS
 from maxq.design.loop.rational import Rational, average, converter_pade, delay_pade, hold_pade
 from maxq.design.loop.resonance import NamedPole, Resonance, named, resonances, vehicle_poles
 from maxq.design.loop.sampling import SampledPlant, sample
+from maxq.design.model.instruments import actuator_poles, actuator_response, actuators, gyro, lag
 from maxq.design.model.node import Node
 from maxq.design.model.plant import per_actuator_angle
 from maxq.design.model.state_space import ComplexArray, Resolvent, StateSpace, chain, channels
-from maxq.design.model.vehicle_at import actuator_poles, actuator_response, actuators, gyro, lag
 
 Kind = Literal["sampled", "pade", "exact"]
 Cut = Literal["gimbal_command", "rate_command_to_q", "rate_command_to_q_m"]

@@ -9,10 +9,11 @@ import numpy as np
 from maxq.design.laws.wind import HIGHEST_HZ, Spectrum, WindResponse
 from maxq.design.loop.fixed_path import FixedPath
 from maxq.design.loop.rational import average
-from maxq.design.model.plant import WIND, per_actuator_angle, vehicle_plant
+from maxq.design.model.equations import WIND
+from maxq.design.model.instruments import actuator_response, lag
+from maxq.design.model.plant import per_actuator_angle, vehicle_plant
 from maxq.design.model.sections import moment_name
 from maxq.design.model.state_space import ComplexArray, Resolvent, channels
-from maxq.design.model.vehicle_at import actuator_response, lag
 
 
 def wind_response(path: FixedPath, spectrum: Spectrum, stations_m: tuple[float, ...] = ()) -> WindResponse:

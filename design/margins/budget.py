@@ -21,10 +21,11 @@ from maxq.design.loop.loop import Loop
 from maxq.design.loop.rational import average, converter_pade, delay_pade, hold_pade
 from maxq.design.margins.measure import Margins
 from maxq.design.margins.solving import DB, wrapped
+from maxq.design.model.instruments import actuator, actuator_response, gyro
 from maxq.design.model.node import Node
 from maxq.design.model.plant import Liquids, per_actuator_angle
 from maxq.design.model.state_space import ComplexArray, Resolvent, StateSpace, channels
-from maxq.design.model.vehicle_at import Modes, Pendulums, VehicleAt, actuator, actuator_response, gyro
+from maxq.design.model.vehicle_at import Modes, Pendulums, VehicleAt
 
 Response = Callable[[Array], ComplexArray]
 

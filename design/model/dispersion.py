@@ -22,7 +22,8 @@ import numpy as np
 from scipy.interpolate import PchipInterpolator
 
 from maxq.control.kernel.records import Array
-from maxq.design.model.vehicle_at import Instruments, VehicleAt, stability_derivatives, with_pendulums
+from maxq.design.model.instruments import Instruments
+from maxq.design.model.vehicle_at import VehicleAt, stability_derivatives, with_pendulums
 from maxq.sim.scenario.builtin import scenarios_folder
 
 if TYPE_CHECKING:

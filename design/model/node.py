@@ -14,28 +14,13 @@ import numpy as np
 from maxq.control.kernel.records import Array
 from maxq.control.structures import Over
 from maxq.design.model.dispersion import Dispersion, disperse
+from maxq.design.model.equations import inputs_of, outputs_of, state_names, swings_of
 from maxq.design.model.errata import CORRECTED, Errata
-from maxq.design.model.plant import (
-    Liquids,
-    axial_load_mps2,
-    inputs_of,
-    outputs_of,
-    state_names,
-    swings_of,
-    vehicle_plant,
-)
+from maxq.design.model.instruments import Instruments, instruments_of
+from maxq.design.model.plant import Liquids, axial_load_mps2, vehicle_plant
 from maxq.design.model.sections import cuts_of
 from maxq.design.model.state_space import StateSpace
-from maxq.design.model.vehicle_at import (
-    FlightCondition,
-    Instruments,
-    Plane,
-    Trim,
-    VehicleAt,
-    instruments_of,
-    table_clock_s,
-    vehicle_at,
-)
+from maxq.design.model.vehicle_at import FlightCondition, Plane, Trim, VehicleAt, table_clock_s, vehicle_at
 from maxq.sim.flight.parameters import NEVER
 from maxq.sim.flight.telemetry import FAST
 from maxq.sim.packing.flight import Packed, pack_flight

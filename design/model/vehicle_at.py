@@ -1,35 +1,28 @@
-"""Parameters of a vehicle, its instruments and its flight condition at one instant, for one plane of one stage.
+"""Parameters of a vehicle and its flight condition at one instant, for one plane of one stage.
 
 They are read from the packed tables that the simulator flies, so that both describe the same vehicle; equations are
-not shared (docs/model.md is the simulator's, design/model/plant.py has its own derivation). Actuator and gyro are also
-given as the linear systems (28) and (29).
+not shared (docs/model.md is the simulator's, design/model/plant.py has its own derivation).
 """
 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
-import scipy.linalg
 
 from maxq.control.kernel.records import Array
 from maxq.control.kernel.tables import table_in
-from maxq.design.model.incidence import reference_station_m, table_slopes
+from maxq.design.model.air import Aerodynamics, aerodynamics_at
+from maxq.design.model.engine import GimballedEngine, TvcLoad
+from maxq.design.model.instruments import ACCELERATION, drives_of, sensed
 from maxq.design.model.sections import Cuts, cuts_of
-from maxq.design.model.state_space import ComplexArray, StateSpace
 from maxq.sim.packing.flight import Packed
-from maxq.sim.vehicle import aero, schedule
-from maxq.sim.vehicle.actuator import Actuator
-from maxq.sim.vehicle.gyro import Gyro
-from maxq.sim.vehicle.sensors import ACCELEROMETER
+from maxq.sim.vehicle import schedule
 
 Plane = Literal["pitch", "yaw"]
 Trim = tuple[float, float]
-ACCELERATION = "accel_mps2"  # lateral specific force at the accelerometer
-ACTUATOR_OUTPUTS = ("delta_rad", "delta_rate_radps", "delta_accel_radps2")
 
 
 @dataclass(frozen=True)
@@ -127,151 +120,6 @@ class Modes:
     def at_gimbal(self, gimbal: int) -> tuple[Array, Array]:
         """Shapes and slopes at one of the gimbals' stations."""
         return (self.phi_gimbal, self.slope_gimbal_pm) if gimbal == 0 else self.further_gimbals[gimbal - 1]
-
-
-@dataclass(frozen=True)
-class GimballedEngine:
-    vacuum_thrust_N: float
-    exit_area_m2: float
-    gimbal_station_m: float
-    exit_station_m: float
-    gimballed_mass_kg: float
-    cg_from_gimbal_m: float
-    inertia_about_gimbal_kgm2: float
-    follower: bool  # thrust turns with the bent gimbal
-    gain: float = 1.0  # angle per command of the law, by allocation; 0 for an engine fixed in this plane
-    drive: int = 0  # which of the unlike actuators moves it
-    group: int = 0  # of engines that go together
-    numbers: tuple[int, ...] = (0,)  # of the stage's engines that it stands for: alike ones of a group are one here
-    tvc_load: TvcLoad | None = None  # None: it follows its actuator
-    gimbal: int = 0  # which of the gimbals' stations
-    beside_m: float = 0.0  # gimbal from the body axis across the plane's axis of turning: z in pitch, y in yaw
-    from_cg_m: float = 0.0  # and from the core's CG
-    axis: tuple[float, float, float] = (1.0, 0.0, 0.0)  # of thrust at rest, B
-    unloaded: tuple[float, float, float] | None = None  # the same without axial load, where that bends its mount
-    plane: Plane = "pitch"
-    across: float = 0.0  # 1 where it is gimballed in the other plane as well
-    flow_share: float = 1.0  # of the mass flow
-    exit_square_m2: float = 0.0  # mean square of the nozzle exits' distance across from the CG
-
-    def _in_plane(self, axis: tuple[float, float, float]) -> tuple[float, float]:
-        return axis[0], axis[2 if self.plane == "pitch" else 1]
-
-    @property
-    def rest(self) -> tuple[float, float]:
-        """Thrust axis at rest: forward, across."""
-        return self._in_plane(self.axis)
-
-    @property
-    def mounted(self) -> tuple[float, float]:
-        """The same without axial load."""
-        return self._in_plane(self.unloaded or self.axis)
-
-    @property
-    def slope(self) -> tuple[float, float]:
-        """What it changes by per radian."""
-        x, y, z = self.axis
-        level = np.sqrt(1.0 - y * y)
-        return (-z, x) if self.plane == "pitch" else (-y * x / level, level)
-
-    @property
-    def other_slope(self) -> tuple[float, float]:
-        """In this plane, per radian of the other plane's angle."""
-        x, y, z = self.axis
-        level = np.sqrt(1.0 - y * y)
-        return (
-            (self.across * x * y / level, self.across * z * y / level)
-            if self.plane == "pitch"
-            else (-self.across * z, 0.0)
-        )
-
-    @property
-    def levers(self) -> tuple[float, float]:
-        """Squares of both changes in space."""
-        y = self.axis[1]
-        return (1.0 - y * y, 1.0) if self.plane == "pitch" else (1.0, 1.0 - y * y)
-
-    @property
-    def twist(self) -> float:
-        """Second derivative of the forward part by both angles."""
-        _, y, z = self.axis
-        mixed: float = self.across * y * z / np.sqrt(1.0 - y * y)
-        return -mixed if self.plane == "pitch" else mixed
-
-    @property
-    def sags(self) -> bool:
-        """Canted, on a TVC load."""
-        return self.tvc_load is not None and (self.axis[1] != 0.0 or self.axis[2] != 0.0)
-
-    def hanging(self, load_mps2: float) -> GimballedEngine:
-        """The same where it stands under the axial load `load_mps2`, at rest as it is without: canted, it sags.
-
-        k (p - p0) = -S a sin p cos y and k (y - y0) = -S a cos p sin y (docs/model.md, 14).
-        """
-        if not self.sags or self.tvc_load is None:
-            return self
-        x, y, z = self.axis
-        pull = load_mps2 * self.gimballed_mass_kg * self.cg_from_gimbal_m / self.tvc_load.stiffness_Nmprad
-        pitch, yaw = start = np.arctan2(z, x), -np.arcsin(y)
-        pitch_pull, yaw_pull = (pull, self.across * pull) if self.plane == "pitch" else (self.across * pull, pull)
-        for _ in range(20):  # Newton's steps in turn; the pull straightens, so that both slopes are above 1
-            level, stiff = np.sin(pitch) * np.cos(yaw), np.cos(pitch) * np.cos(yaw)
-            pitch = pitch - (pitch - start[0] + pitch_pull * level) / (1.0 + pitch_pull * stiff)
-            level, stiff = np.cos(pitch) * np.sin(yaw), np.cos(pitch) * np.cos(yaw)
-            yaw = yaw - (yaw - start[1] + yaw_pull * level) / (1.0 + yaw_pull * stiff)
-        axis = np.cos(pitch) * np.cos(yaw), -np.sin(yaw), np.sin(pitch) * np.cos(yaw)
-        return dataclasses.replace(self, axis=axis, unloaded=self.axis)
-
-    def thrust_N(self, pressure_Pa: float) -> float:
-        thrust: float = np.maximum(self.vacuum_thrust_N - pressure_Pa * self.exit_area_m2, 0.0)
-        return thrust
-
-
-@dataclass(frozen=True)
-class TvcLoad:
-    """Compliance between engine and actuators, about the gimbal; friction and stops are not linear."""
-
-    stiffness_Nmprad: float
-    damping_Nmsprad: float
-
-
-@dataclass(frozen=True)
-class Aerodynamics:
-    """Coefficients at one Mach number, referred to `area_m2` and `chord_m`."""
-
-    area_m2: float
-    chord_m: float
-    axial: float  # CA + CD
-    drag: float  # CD: the part that acts along the wind; its slope across
-    rate_damping: float  # Cmq, or Cnr in yaw; per rate times chord / (2 U)
-    slope_pr: Array  # CN_alpha of each surface, then of each table over incidence at the trim, 1/rad; then `beyond`
-    moment_slope_mpr: Array  # CN_alpha times station of each of them, m/rad
-    rate_slope_m: Array  # the same by the turning rate: normal force per rho U S / 2, m
-    rate_moment_m2: Array  # and times station, m2
-    couple_station_m: Array  # where tables load the modes, also by their moment about that; nan of a surface
-    local_incidence: bool
-    beyond: tuple[int, ...] = ()  # parts that see the flow at the CG alone; which surface's modes they load, -1: none
-    forward: float = 1.0  # share of the airspeed along the body axis
-    cross_slope_pr: Array = dataclasses.field(default_factory=lambda: np.zeros(0))  # of each part by the other plane's
-    cross_moment_mpr: Array = dataclasses.field(default_factory=lambda: np.zeros(0))  # flow; empty: none
-
-    def met_by_modes(self, part: int) -> tuple[int, bool]:
-        """Which surface's modes a part of `slope_pr` loads (-1: none), and whether the bent body's flow counts."""
-        first = len(self.slope_pr) - len(self.beyond)
-        return (part, self.local_incidence) if part < first else (self.beyond[part - first], False)
-
-    def modal_couples(self) -> tuple[Array, Array]:
-        """Moments about `couple_station_m` that turn the modes' slopes: by incidence (m/rad), by turning rate (m2)."""
-        at = np.nan_to_num(self.couple_station_m)
-        acts = np.isfinite(self.couple_station_m)
-        by_flow = acts * (self.slope_pr * at - self.moment_slope_mpr)
-        return by_flow, acts * (self.rate_slope_m * at - self.rate_moment_m2)
-
-    def cross_couples(self) -> Array:
-        """The first of `modal_couples` by the other plane's flow."""
-        stations = self.couple_station_m[: len(self.cross_slope_pr)]
-        turns = self.cross_slope_pr * np.nan_to_num(stations) - self.cross_moment_mpr
-        return np.asarray(np.isfinite(stations) * turns)
 
 
 @dataclass(frozen=True)
@@ -384,23 +232,14 @@ def _in_plane(packed: Packed, time_s: float, mach: float, plane: Plane, stage: i
         modes=_modes(vehicle, sizes, props, plane),
         engine=engines[0],
         further_engines=engines[1:],
-        aerodynamics=_aerodynamics(packed.pool, vehicle, props, clock_s, mach, plane, trim),
+        aerodynamics=aerodynamics_at(packed.pool, vehicle, props, clock_s, mach, plane, trim),
         jet_damping=bool(vehicle.jet_damping),
         slosh_exchange=bool(vehicle.slosh.exchange),
         sensors=tuple(
-            (_sensed(k, each), float(each.station_m)) for k, each in enumerate(vehicle.sensors[: int(sizes.sensors)])
+            (sensed(k, each), float(each.station_m)) for k, each in enumerate(vehicle.sensors[: int(sizes.sensors)])
         ),
         cuts=cuts_of(packed.pool, row, clock_s, plane == "pitch"),
     )
-
-
-def further_rate(number: int) -> str:
-    """Name of what a rate gyro beyond the first measures; they are counted from 2."""
-    return f"rate_{number}_radps"
-
-
-def _sensed(number: int, sensor: Any) -> str:
-    return ACCELERATION if sensor.kind == ACCELEROMETER else further_rate(number + 2)
 
 
 def _pendulums(vehicle: Any, sizes: Any, props: Array) -> Pendulums:
@@ -513,7 +352,7 @@ def _engines(packed: Packed, row: Any, props: Array, time_s: float, plane: Plane
     thrusts = [props[schedule.thrust_column(sizes, int(e.curve[k]))] for k in range(n)]
     flows = [float(e.flow_weight[k] * thrusts[k]) for k in range(n)]
     gains, out = _gains(packed, row, time_s, plane), []
-    drives = _drives(row, plane)[1]
+    drives = drives_of(row, plane)[1]
     for k in range(n):
         mass, arm = float(e.gimballed_mass_kg[k]), float(e.cg_from_gimbal_m[k])
         side, cg = ("z", props[schedule.CORE_CG + 2]) if pitch else ("y", props[schedule.CORE_CG + 1])
@@ -566,92 +405,6 @@ def _rate_damping(pool: Array, vehicle: Any, clock_s: float, plane: Plane) -> fl
     if vehicle.rate_damping.n_columns == 0:
         return 0.0
     return float(table_in(pool, vehicle.rate_damping)(clock_s)[1 if plane == "pitch" else 2])
-
-
-def _aerodynamics(
-    pool: Array, vehicle: Any, props: Array, clock_s: float, mach: float, plane: Plane, trim: Trim
-) -> Aerodynamics:
-    a, tables = vehicle.aero, int(vehicle.sizes.tables)
-    surfaces = int(vehicle.sizes.surfaces) - tables
-    if a.on == 0:
-        none = np.zeros(surfaces + tables)
-        return Aerodynamics(0.0, 1.0, 0.0, 0.0, 0.0, none, none, none, none, none, local_incidence=False)
-    row = table_in(pool, a.table)(mach)
-    slope = row[aero.FIRST_SURFACE : aero.FIRST_SURFACE + 2 * surfaces : 2]
-    moment = row[aero.FIRST_SURFACE + 1 : aero.FIRST_SURFACE + 2 * surfaces : 2].copy()
-    if a.remainder >= 0:
-        moment[a.remainder] += slope[a.remainder] * reference_station_m(pool, a, props, clock_s)
-    moment = a.force_factor * (moment + slope * float(a.centre_shift_m))
-    parts = np.stack([a.force_factor * slope, moment, 0.0 * slope, 0.0 * slope, np.full_like(slope, np.nan)])
-    over = table_slopes(pool, vehicle, props, clock_s, mach, *trim)
-    more = np.array([(*table.plane(plane), table.station_m) for table in over]).reshape(-1, 5)
-    of_parts, beyond, forward = np.concatenate([parts, more.T], axis=1), (), 1.0
-    axial, drag = row[aero.CA] + row[aero.CD], row[aero.CD]
-    crossed: Array = np.zeros((2, 0))
-    if tables > 0 and any(trim):  # without tables incidence is taken as zero
-        forward, side, down = np.cos(trim[0]) * np.cos(trim[1]), np.sin(trim[1]), np.sin(trim[0]) * np.cos(trim[1])
-        own, other = (down, side) if plane == "pitch" else (side, down)
-        of_parts[:2, :surfaces] *= forward
-        per_mach = mach * table_in(pool, a.table).slope(mach)
-        by_mach, across = own * per_mach, other * per_mach
-        more = _beyond(a, row, by_mach, (forward, own, other), plane)
-        aside = _beyond(a, row, across, (forward, own, other), plane, across=True)
-        aside[:, -1] += (
-            a.axial_factor * own * (other * drag + across[aero.CD]) * np.array([1.0, props[schedule.CORE_CG]])
-        )
-        if a.remainder >= 0:
-            reference_m = reference_station_m(pool, a, props, clock_s)
-            for slopes in (more, aside):
-                slopes[1, a.remainder] += slopes[0, a.remainder] * reference_m
-        by_other = np.array([table.across(plane) for table in over]).T
-        none = np.zeros((2, surfaces))
-        crossed = np.concatenate([none, by_other[:2], aside[:, :surfaces], by_other[2:], aside[:, surfaces:]], axis=1)
-        by_tables = np.array([table.plane_by_mach(plane) for table in over]).T
-        more = np.concatenate([more[:, :surfaces], by_tables, more[:, surfaces:]], axis=1)
-        stations = np.append(of_parts[4], np.nan)
-        none = np.zeros_like(stations)
-        of_parts = np.concatenate([of_parts, [*more, none, none, stations]], axis=1)
-        beyond = (*range(surfaces + tables), -1)
-        axial, drag = forward * (forward * row[aero.CA] + drag), drag + own * (own * drag + by_mach[aero.CD])
-    return Aerodynamics(
-        area_m2=float(a.area_m2),
-        chord_m=float(a.chord_m if plane == "pitch" else a.yaw_chord_m),
-        axial=float(a.axial_factor * axial) - sum(float(table.force[0]) for table in over),
-        drag=float(a.axial_factor * drag),
-        rate_damping=float(a.damping_factor * row[aero.CMQ if plane == "pitch" else aero.CNR]),
-        slope_pr=of_parts[0],
-        moment_slope_mpr=of_parts[1],
-        rate_slope_m=of_parts[2],
-        rate_moment_m2=of_parts[3],
-        couple_station_m=of_parts[4],
-        local_incidence=bool(a.local_incidence),
-        beyond=beyond,
-        forward=float(forward),
-        cross_slope_pr=crossed[0],
-        cross_moment_mpr=crossed[1],
-    )
-
-
-def _beyond(
-    a: Any, row: Array, by_mach: Array, flow: tuple[float, float, float], plane: Plane, across: bool = False
-) -> Array:
-    """Slopes and slopes times stations, (2, surfaces and one), of what incidence adds to those along the axis.
-
-    Surfaces under a Mach number that moves with the flow, and the body's cross-flow and Cm0. `by_mach`: what the
-    columns `row` of the Mach table change by per radian; `flow`: the unit vector of the velocity through the air,
-    forward, in the plane, across it. `across`: slopes by the flow across the plane.
-    """
-    forward, own, other = flow
-    moved = other if across else own
-    ends = len(row) - (len(row) - aero.FIRST_SURFACE) % 2
-    slope, moment = (forward * own * by_mach[aero.FIRST_SURFACE + k : ends : 2] for k in (0, 1))
-    lateral = np.hypot(own, other)
-    cross = row[aero.CROSSFLOW] * (own * moved / lateral + (0.0 if across else lateral))
-    cross += by_mach[aero.CROSSFLOW] * lateral * own
-    couple = a.chord_m * (2.0 * moved * row[aero.CM0] + by_mach[aero.CM0]) if plane == "pitch" else 0.0
-    moment = a.force_factor * np.append(moment + slope * float(a.centre_shift_m), cross * a.crossflow_station_m)
-    moment[-1] -= couple
-    return np.array([a.force_factor * np.append(slope, cross), moment])
 
 
 def with_pendulums(vehicle: VehicleAt, pendulums: Pendulums) -> VehicleAt:
@@ -727,132 +480,3 @@ def incidence_by_acceleration(vehicle: VehicleAt, condition: FlightCondition) ->
     centre_m = d.z_delta_1ps * speed / d.m_delta_1ps2
     forward_m = vehicle.total_cg_station_m - station_m
     return centre_m - forward_m, d.z_alpha_1ps * speed - centre_m * d.m_alpha_1ps2
-
-
-@dataclass(frozen=True)
-class Instruments:
-    """Actuators, gyro and timing of the flight computer in one plane; `ideal` actuators and gyros have no dynamics."""
-
-    actuator: Actuator  # of the first drive
-    gyro: Gyro
-    sample_s: float  # period of the computer: tau_VF of the converter (30), tau_DZ of the hold (32)
-    delay_s: float  # tau_D (31), from sample to command
-    further_actuators: tuple[Actuator, ...] = ()  # of further drives: groups of engines with unlike actuators
-    groups: tuple[tuple[int, ...], ...] = ((0,),)  # that each drive moves
-    sensors: tuple[tuple[str, Gyro, int], ...] = ()  # beyond the gyro: what it measures, dynamics, latency in samples
-
-    @property
-    def actuators(self) -> tuple[Actuator, ...]:
-        return self.actuator, *self.further_actuators
-
-
-def instruments_of(row: Any, plane: Plane = "pitch") -> Instruments:
-    """Instruments of a packed stage."""
-    (first, *further), of_group = _drives(row, plane)
-    return Instruments(
-        actuator=first,
-        groups=tuple(tuple(g for g, d in enumerate(of_group) if d == drive) for drive in range(1 + len(further))),
-        further_actuators=tuple(further),
-        gyro=_gyro(row.vehicle.gyro),
-        sensors=tuple(
-            (_sensed(k, each), _gyro(each.triad), int(row.computer.sensors.latency[k]))
-            for k, each in enumerate(row.vehicle.sensors[: int(row.vehicle.sizes.sensors)])
-        ),
-        sample_s=1e-9 * int(row.computer.sample_ns),
-        delay_s=1e-9 * int(row.computer.delay_ns),
-    )
-
-
-def _gyro(record: Any) -> Gyro:
-    return Gyro(**{f.name: record[f.name].item() for f in dataclasses.fields(Gyro)})
-
-
-def _drives(row: Any, plane: Plane) -> tuple[list[Actuator], list[int]]:
-    """The unlike actuators of a plane, and which of them each group of engines has."""
-    vehicle, axis = row.vehicle, 0 if plane == "pitch" else 1
-    records = [vehicle.actuator_yaw if axis else vehicle.actuator_pitch]
-    records += [vehicle.further_actuators[2 * k + axis] for k in range(int(vehicle.sizes.further_groups))]
-    unlike: list[Actuator] = []
-    of_group = []
-    for record in records:
-        actuator = Actuator(**{f.name: record[f.name].item() for f in dataclasses.fields(Actuator)})
-        if actuator not in unlike:
-            unlike.append(actuator)
-        of_group.append(unlike.index(actuator))
-    return unlike, of_group
-
-
-def of_drive(name: str, drive: int) -> str:
-    """Name of a derivative of a drive's angle."""
-    return name if drive == 0 else f"{name}_{drive + 1}"
-
-
-def actuators(records: Sequence[Any]) -> StateSpace:
-    """Command -> angle, rate and acceleration of every drive, see `actuator`."""
-    each = [actuator(record) for record in records]
-    states = tuple(of_drive(name, k) for k, one in enumerate(each) for name in one.states)
-    outputs = tuple(of_drive(name, k) for k, one in enumerate(each) for name in one.outputs)
-    b, d = (np.concatenate([getattr(one, name) for one in each]) for name in ("b", "d"))
-    a, c = (scipy.linalg.block_diag(*(getattr(one, name) for one in each)) for name in ("a", "c"))
-    return StateSpace(a, b, c, d, states, each[0].inputs, outputs)
-
-
-def actuator_response(record: Any, s: ComplexArray) -> ComplexArray:
-    """Angle over command at complex s, rad/s, as a product of its factors."""
-    out: ComplexArray = np.ones(np.shape(s), np.complex128)
-    for omega, zeta in actuator_poles(record):
-        out = out * lag(s, omega, zeta)
-    return out / lag(s, record.omega_4_radps, record.zeta_4) if record.order == 6 else out
-
-
-def lag(s: ComplexArray, omega: Array | float, zeta: Array | float) -> ComplexArray:
-    """omega^2 / (s^2 + 2 zeta omega s + omega^2)."""
-    x = np.asarray(s) / omega
-    return np.asarray(1.0 / (1.0 + x * (2.0 * zeta + x)))
-
-
-def actuator_poles(record: Any) -> list[tuple[float, float]]:
-    """Frequency (rad/s) and damping ratio of each pair of poles of a packed `Actuator`."""
-    return [
-        (getattr(record, f"omega_{k}_radps"), getattr(record, f"zeta_{k}")) for k in range(1, record.order // 2 + 1)
-    ]
-
-
-def actuator(record: Any) -> StateSpace:
-    """Command -> angle, rate and acceleration of the engine, as many states as the order; `record`: packed `Actuator`.
-
-    A chain of second-order sections, each with its position and rate as states; in which order they come matters to
-    the limits only. That of order six is (28), the denominator four orders above the numerator.
-    """
-    poles = actuator_poles(record)
-    n = 2 * len(poles)
-    a, b = np.zeros((n, n)), np.zeros((n, 1))
-    for k, (omega, zeta) in enumerate(poles):
-        i = 2 * k
-        a[i, i + 1] = 1.0
-        a[i + 1, i], a[i + 1, i + 1] = -(omega**2), -2.0 * zeta * omega
-        if k == 0:
-            b[1, 0] = omega**2
-        else:
-            a[i + 1, i - 2] = omega**2
-    angle = np.eye(n)[n - 2]
-    if record.order == 6:
-        # the last numerator, s^2 + 2 z w s + w^2 over w^2, acts on its section's state: s^2 is that rate's row
-        omega_4, zeta_4 = float(record.omega_4_radps), float(record.zeta_4)
-        angle = a[5] / omega_4**2
-        angle[4] += 1.0
-        angle[5] += 2.0 * zeta_4 / omega_4
-    c = np.stack([angle, angle @ a, angle @ a @ a])
-    d = np.stack([np.zeros(1), angle @ b, angle @ a @ b])
-    states = tuple(f"actuator_{k + 1}{what}" for k in range(len(poles)) for what in ("", "_rate"))
-    return StateSpace(a, b, c, d, states, ("command_rad",), ACTUATOR_OUTPUTS)
-
-
-def gyro(record: Any) -> StateSpace:
-    """Local angular rate -> sensed rate (29), two states; `record` is a packed `Gyro`, whose errors are left out."""
-    w, zeta = float(record.omega_radps), float(record.zeta)
-    a: Array = np.array([[0.0, 1.0], [-w * w, -2.0 * zeta * w]])
-    return StateSpace(
-        a, np.array([[0.0], [w * w]]), np.array([[1.0, 0.0]]), np.zeros((1, 1)),
-        ("gyro_radps", "gyro_rate_radps2"), ("local_rate_radps",), ("gyro_radps",),
-    )  # fmt: skip  # five more lines otherwise

@@ -19,9 +19,10 @@ from maxq.design.loop.fixed_path import FixedPath, fixed_path
 from maxq.design.loop.resonance import Resonance
 from maxq.design.loop.wind import wind_response
 from maxq.design.margins.curve import lowest_hz_of
+from maxq.design.model.instruments import ACCELERATION
 from maxq.design.model.node import Node, with_cuts
 from maxq.design.model.state_space import ComplexArray
-from maxq.design.model.vehicle_at import ACCELERATION, incidence_by_acceleration, stability_derivatives
+from maxq.design.model.vehicle_at import incidence_by_acceleration, stability_derivatives
 from maxq.design.optimise.criteria import OBJECTIVES
 from maxq.design.optimise.curves import TOLERANCE, Curves, Indices
 from maxq.design.optimise.features import Bands

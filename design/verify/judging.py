@@ -26,8 +26,9 @@ from maxq.design.margins.distances import Zone
 from maxq.design.margins.lobes import Lobe, find_lobes
 from maxq.design.margins.measure import Margins, margins
 from maxq.design.margins.multiloop import MultiloopMargins
+from maxq.design.model.instruments import ACCELERATION
 from maxq.design.model.node import Node
-from maxq.design.model.vehicle_at import ACCELERATION, StabilityDerivatives, stability_derivatives
+from maxq.design.model.vehicle_at import StabilityDerivatives, stability_derivatives
 from maxq.design.optimise.criteria import OBJECTIVES
 from maxq.design.optimise.robust import deviated
 from maxq.design.optimise.solution import Solution

@@ -31,11 +31,11 @@ from maxq.design.margins.dispersed import ManyLoops, NotServedError
 from maxq.design.margins.many import DONE, HANDED_BACK, MARGINS, MINIMA
 from maxq.design.margins.measure import margins
 from maxq.design.model.dispersion import disperse, disperse_instruments, dispersed_many, stacked, with_drives_apart
+from maxq.design.model.instruments import actuator_response
 from maxq.design.model.node import Node
 from maxq.design.model.plant import per_actuator_angle, vehicle_plants
 from maxq.design.model.spread import Place, Spread, places_of, root_of_correlation, scenario_of, vehicle_at_places
 from maxq.design.model.state_space import ComplexArray
-from maxq.design.model.vehicle_at import actuator_response
 from maxq.design.verify.named_mu import stable_together, stable_within
 from maxq.design.verify.suite import ACCEPTED, REJECTED, Requirement, WorstWanted, room_left
 from maxq.sim.run.fly import fly

@@ -52,7 +52,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from maxq.control.kernel.records import Array
-from maxq.design.model.plant import INPUTS, OUTPUTS, axial_load_mps2, mass_flow_momentum, state_names
+from maxq.design.model.equations import INPUTS, OUTPUTS, mass_flow_momentum, state_names
+from maxq.design.model.plant import axial_load_mps2
 from maxq.design.model.state_space import StateSpace
 from maxq.design.model.vehicle_at import FlightCondition, VehicleAt
 

@@ -1,0 +1,164 @@
+"""Actuators, gyro and further sensors of a stage, their timing, and both as linear systems (28) and (29)."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import scipy.linalg
+
+from maxq.control.kernel.records import Array
+from maxq.design.model.state_space import ComplexArray, StateSpace
+from maxq.sim.vehicle.actuator import Actuator
+from maxq.sim.vehicle.gyro import Gyro
+from maxq.sim.vehicle.sensors import ACCELEROMETER
+
+if TYPE_CHECKING:
+    from maxq.design.model.vehicle_at import Plane
+
+
+ACCELERATION = "accel_mps2"  # lateral specific force at the accelerometer
+
+
+ACTUATOR_OUTPUTS = ("delta_rad", "delta_rate_radps", "delta_accel_radps2")
+
+
+def further_rate(number: int) -> str:
+    """Name of what a rate gyro beyond the first measures; they are counted from 2."""
+    return f"rate_{number}_radps"
+
+
+def sensed(number: int, sensor: Any) -> str:
+    return ACCELERATION if sensor.kind == ACCELEROMETER else further_rate(number + 2)
+
+
+@dataclass(frozen=True)
+class Instruments:
+    """Actuators, gyro and timing of the flight computer in one plane; `ideal` actuators and gyros have no dynamics."""
+
+    actuator: Actuator  # of the first drive
+    gyro: Gyro
+    sample_s: float  # period of the computer: tau_VF of the converter (30), tau_DZ of the hold (32)
+    delay_s: float  # tau_D (31), from sample to command
+    further_actuators: tuple[Actuator, ...] = ()  # of further drives: groups of engines with unlike actuators
+    groups: tuple[tuple[int, ...], ...] = ((0,),)  # that each drive moves
+    sensors: tuple[tuple[str, Gyro, int], ...] = ()  # beyond the gyro: what it measures, dynamics, latency in samples
+
+    @property
+    def actuators(self) -> tuple[Actuator, ...]:
+        return self.actuator, *self.further_actuators
+
+
+def instruments_of(row: Any, plane: Plane = "pitch") -> Instruments:
+    """Instruments of a packed stage."""
+    (first, *further), of_group = drives_of(row, plane)
+    return Instruments(
+        actuator=first,
+        groups=tuple(tuple(g for g, d in enumerate(of_group) if d == drive) for drive in range(1 + len(further))),
+        further_actuators=tuple(further),
+        gyro=_gyro(row.vehicle.gyro),
+        sensors=tuple(
+            (sensed(k, each), _gyro(each.triad), int(row.computer.sensors.latency[k]))
+            for k, each in enumerate(row.vehicle.sensors[: int(row.vehicle.sizes.sensors)])
+        ),
+        sample_s=1e-9 * int(row.computer.sample_ns),
+        delay_s=1e-9 * int(row.computer.delay_ns),
+    )
+
+
+def _gyro(record: Any) -> Gyro:
+    return Gyro(**{f.name: record[f.name].item() for f in dataclasses.fields(Gyro)})
+
+
+def drives_of(row: Any, plane: Plane) -> tuple[list[Actuator], list[int]]:
+    """The unlike actuators of a plane, and which of them each group of engines has."""
+    vehicle, axis = row.vehicle, 0 if plane == "pitch" else 1
+    records = [vehicle.actuator_yaw if axis else vehicle.actuator_pitch]
+    records += [vehicle.further_actuators[2 * k + axis] for k in range(int(vehicle.sizes.further_groups))]
+    unlike: list[Actuator] = []
+    of_group = []
+    for record in records:
+        actuator = Actuator(**{f.name: record[f.name].item() for f in dataclasses.fields(Actuator)})
+        if actuator not in unlike:
+            unlike.append(actuator)
+        of_group.append(unlike.index(actuator))
+    return unlike, of_group
+
+
+def of_drive(name: str, drive: int) -> str:
+    """Name of a derivative of a drive's angle."""
+    return name if drive == 0 else f"{name}_{drive + 1}"
+
+
+def actuators(records: Sequence[Any]) -> StateSpace:
+    """Command -> angle, rate and acceleration of every drive, see `actuator`."""
+    each = [actuator(record) for record in records]
+    states = tuple(of_drive(name, k) for k, one in enumerate(each) for name in one.states)
+    outputs = tuple(of_drive(name, k) for k, one in enumerate(each) for name in one.outputs)
+    b, d = (np.concatenate([getattr(one, name) for one in each]) for name in ("b", "d"))
+    a, c = (scipy.linalg.block_diag(*(getattr(one, name) for one in each)) for name in ("a", "c"))
+    return StateSpace(a, b, c, d, states, each[0].inputs, outputs)
+
+
+def actuator_response(record: Any, s: ComplexArray) -> ComplexArray:
+    """Angle over command at complex s, rad/s, as a product of its factors."""
+    out: ComplexArray = np.ones(np.shape(s), np.complex128)
+    for omega, zeta in actuator_poles(record):
+        out = out * lag(s, omega, zeta)
+    return out / lag(s, record.omega_4_radps, record.zeta_4) if record.order == 6 else out
+
+
+def lag(s: ComplexArray, omega: Array | float, zeta: Array | float) -> ComplexArray:
+    """omega^2 / (s^2 + 2 zeta omega s + omega^2)."""
+    x = np.asarray(s) / omega
+    return np.asarray(1.0 / (1.0 + x * (2.0 * zeta + x)))
+
+
+def actuator_poles(record: Any) -> list[tuple[float, float]]:
+    """Frequency (rad/s) and damping ratio of each pair of poles of a packed `Actuator`."""
+    return [
+        (getattr(record, f"omega_{k}_radps"), getattr(record, f"zeta_{k}")) for k in range(1, record.order // 2 + 1)
+    ]
+
+
+def actuator(record: Any) -> StateSpace:
+    """Command -> angle, rate and acceleration of the engine, as many states as the order; `record`: packed `Actuator`.
+
+    A chain of second-order sections, each with its position and rate as states; in which order they come matters to
+    the limits only. That of order six is (28), the denominator four orders above the numerator.
+    """
+    poles = actuator_poles(record)
+    n = 2 * len(poles)
+    a, b = np.zeros((n, n)), np.zeros((n, 1))
+    for k, (omega, zeta) in enumerate(poles):
+        i = 2 * k
+        a[i, i + 1] = 1.0
+        a[i + 1, i], a[i + 1, i + 1] = -(omega**2), -2.0 * zeta * omega
+        if k == 0:
+            b[1, 0] = omega**2
+        else:
+            a[i + 1, i - 2] = omega**2
+    angle = np.eye(n)[n - 2]
+    if record.order == 6:
+        # the last numerator, s^2 + 2 z w s + w^2 over w^2, acts on its section's state: s^2 is that rate's row
+        omega_4, zeta_4 = float(record.omega_4_radps), float(record.zeta_4)
+        angle = a[5] / omega_4**2
+        angle[4] += 1.0
+        angle[5] += 2.0 * zeta_4 / omega_4
+    c = np.stack([angle, angle @ a, angle @ a @ a])
+    d = np.stack([np.zeros(1), angle @ b, angle @ a @ b])
+    states = tuple(f"actuator_{k + 1}{what}" for k in range(len(poles)) for what in ("", "_rate"))
+    return StateSpace(a, b, c, d, states, ("command_rad",), ACTUATOR_OUTPUTS)
+
+
+def gyro(record: Any) -> StateSpace:
+    """Local angular rate -> sensed rate (29), two states; `record` is a packed `Gyro`, whose errors are left out."""
+    w, zeta = float(record.omega_radps), float(record.zeta)
+    a: Array = np.array([[0.0, 1.0], [-w * w, -2.0 * zeta * w]])
+    return StateSpace(
+        a, np.array([[0.0], [w * w]]), np.array([[1.0, 0.0]]), np.zeros((1, 1)),
+        ("gyro_radps", "gyro_rate_radps2"), ("local_rate_radps",), ("gyro_radps",),
+    )  # fmt: skip  # five more lines otherwise
