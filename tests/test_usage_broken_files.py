@@ -9,6 +9,7 @@ from pathlib import Path
 from types import ModuleType
 
 import numpy as np
+import petrelkit as petrel
 import pytest
 from file_fuzzer import BASES, FILES, KINDS, answer, broken, write_files
 from hypothesis import HealthCheck, given, settings
@@ -176,7 +177,9 @@ def test_a_case_that_no_schedule_meets(here: Path, capsys: pytest.CaptureFixture
     assert said.count("\n") == 1
 
 
-def test_all_that_is_shipped_is_within_the_ranges() -> None:
+def test_all_that_is_shipped_is_within_the_ranges(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "petrel").symlink_to(petrel.folder())
+    monkeypatch.chdir(tmp_path)
     for kind, read in (
         ("scenario", load_scenario),
         ("campaign", load_campaign),

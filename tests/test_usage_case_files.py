@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import petrelkit as petrel
 import pytest
 
 from maxq.design.case.schema import read_case
@@ -11,12 +12,20 @@ from maxq.sim.scenario.builtin import builtin_files
 from maxq.sim.scenario.errors import ScenarioError
 
 
-def test_built_in_cases_are_read() -> None:
+def test_built_in_cases_are_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "petrel").symlink_to(petrel.folder())  # as `simvehicle petrel --out petrel` leaves it
+    monkeypatch.chdir(tmp_path)
     assert {"ksr3-identical", "ksr3-relaxed", "ksr3-robust"} <= set(builtin_files("case"))
     for name in builtin_files("case"):
         loaded = read_case(name)
         assert loaded.name == name
         assert loaded.case.description
+
+
+def test_a_case_of_a_vehicle_not_yet_written_says_how_to(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(ScenarioError, match="no such file; allowed: what 'simvehicle petrel --out petrel' writes here"):
+        read_case("petrel-robust")
 
 
 def test_relaxed_limits_extend_the_identical_ones() -> None:

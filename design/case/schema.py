@@ -18,6 +18,7 @@ from pydantic import Field, model_validator
 from maxq.control.kernel.limits import MAX_STAGES
 from maxq.control.structures import MAX_SECTIONS, RELIEF, STRUCTURES, DesignedStructure, Law, Over
 from maxq.design.model.spread import Shares, Spread
+from maxq.sim.scenario.builtin import builtin_files
 from maxq.sim.scenario.documents import Text
 from maxq.sim.scenario.errors import ScenarioError, refuse
 from maxq.sim.scenario.files import find, shown
@@ -478,8 +479,11 @@ def read_case(name: str | Path, overrides: Iterable[str] = ()) -> LoadedCase:
             load_scenario(flown, ["switches.section_loads=true"])
     except ScenarioError as error:
         if error.file == case.scenario:  # the name itself is wrong
-            source = tree.sources.get("scenario", tree.source)
-            raise source.error(("scenario",), error.problem, value=case.scenario, allowed=error.allowed) from None
+            source, allowed = tree.sources.get("scenario", tree.source), error.allowed
+            layout = Path(case.scenario).parts[0]
+            if layout in builtin_files("layout"):
+                allowed = f"what 'simvehicle {layout} --out {layout}' writes here, first"
+            raise source.error(("scenario",), error.problem, value=case.scenario, allowed=allowed) from None
         raise
     return LoadedCase(case, label, scenario, _start_design(case, tree, scenario))
 
