@@ -74,10 +74,13 @@ def fly_rows(loaded: LoadedCampaign, orders: Iterable[Order], stop: Callable[[],
 
     An error in a run becomes its row. All are prepared before the first is flown, and judged after the last: a flight
     drives Python's code and data out of the processor's caches, and to fetch them again for each run costs as much as
-    the preparation itself. Raises CampaignError where the file refuses the draws.
+    the preparation itself. Flight code from outside flies in a process of its own, one a thread: there each is
+    prepared in its turn. Raises CampaignError where the file refuses the draws.
     """
-    pack = packer(loaded)
-    runs = [_Run(loaded, drawn, run, pack) for drawn, run in orders]
+    pack, computer = packer(loaded), loaded.base.scenario.vehicle.computer
+    runs: Iterable[_Run] = (_Run(loaded, drawn, run, pack) for drawn, run in orders)
+    if computer is None or computer.law != "external":
+        runs = list(runs)
     return [run.recorded() for run in takewhile(lambda run: run.fly(stop), runs)]
 
 
@@ -166,7 +169,7 @@ def _begun_flight(loaded: LoadedScenario, envelope: Envelope | None, pack: Packi
         packed.parameters["timeline"]["fast_ns"] = period_ns
         packed.parameters["timeline"]["slow_ns"] = period_ns
     segment_ns = max(_SEGMENT_NS // step_ns, 1) * step_ns
-    return FlightRun(loaded, packed, log=envelope is not None, segment_ns=segment_ns, starts=False)
+    return FlightRun(loaded, packed, log=envelope is not None, segment_ns=segment_ns)
 
 
 def recorded_row(made: Inputs, flight: Flight) -> Row:

@@ -100,7 +100,7 @@ class FlightSoftware:
         self._guarded = guards(loaded)
         self._worker: Worker | None = None
         self._instance: Instance | None = None
-        self._said, self.started = "", False
+        self._said = ""
         self._end: Callable[[], object] = lambda: None
 
     def start(self, arrays: Arrays) -> Arrays:
@@ -110,7 +110,7 @@ class FlightSoftware:
         setup = setup_of(self._computer, arrays[0][0].computer, int(memory.clock.now_ns))
         state = memory.computer.external
         state.inputs.bytes, state.outputs.bytes = ctypes.sizeof(Inputs), ctypes.sizeof(Outputs)
-        self._arrays, self.started = arrays, True
+        self._arrays = arrays
         try:
             if self._guarded:
                 self._worker = worker_for(self._computer, arrays)

@@ -74,14 +74,12 @@ class FlightRun:
 
     The constructor loads the compiled kernels, or compiles them (about half a minute, once). `segment_ns`: length of a
     segment, a multiple of the step (default: 1 s, or less where that is many steps or log rows; 4 s of a flight that
-    another process flies, which has to be woken for each). `starts`: flight code from outside is started at once, and
-    says so if it cannot be; otherwise by the first segment.
+    another process flies, which has to be woken for each).
     """
 
     def __init__(
-        self, loaded: LoadedScenario, packed: Packed | None = None, log: bool = True, segment_ns: int | None = None,
-        starts: bool = True,
-    ) -> None:  # fmt: skip  # eight lines otherwise
+        self, loaded: LoadedScenario, packed: Packed | None = None, log: bool = True, segment_ns: int | None = None
+    ) -> None:
         self.loaded = loaded
         self.packed = packed or pack_flight(loaded.scenario)
         self.table = logged_channels(loaded.scenario, self.packed.sizes)
@@ -113,13 +111,8 @@ class FlightRun:
             from maxq.sim.run.flight_software import FlightSoftware  # noqa: PLC0415  # lazy: few flights have any
 
             self._software = FlightSoftware(loaded)
-            if starts:
-                self._start_software()
-
-    def _start_software(self) -> None:
-        assert self._software is not None
-        self._own = self._arrays(self._logged, self._rows)
-        self._hold(self._software.start(self._own))
+            self._own = self._arrays(self._logged, self._rows)
+            self._hold(self._software.start(self._own))
 
     def _arrays(self, logged: Any, room: Rows) -> tuple[Any, ...]:
         """What `advance` takes, without `until_ns`."""
@@ -234,8 +227,6 @@ class FlightRun:
         length_ns = length_ns or self.segment_ns
         until = (int(self._clock["now_ns"][0]) // length_ns + 1) * length_ns
         start = time.perf_counter()
-        if self._software is not None and not self._software.started:
-            self._start_software()
         rows = self._advance(until, self._logged, self._rows, self._software)
         if self._software is not None and self.finished:
             rows = copied(rows)
