@@ -73,7 +73,6 @@ def cores() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
-@functools.cache
 def _source_files() -> tuple[Path, ...]:
     """Python sources that may hold a kernel or a constant that one uses, wherever they are installed."""
     layers = Path(__file__).resolve().parents[2]

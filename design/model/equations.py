@@ -324,25 +324,26 @@ class Equations:
         coriolis = (
             bobs.bob_station_rate_mps if self.errata.jet_damping and self.vehicle.jet_damping else 0.0 * bobs.mass_kg
         )
-        swing = np.zeros((self.tanks, *turning.shape))
+        swing: list[Array] = []
         for k in range(self.tanks):  # (21)
             length, natural = bobs.length_m[k], np.sqrt(self.load / bobs.length_m[k])
             arm = self.cg - self.hinge_station_m[k]
             drive = (
                 lateral - (arm - length) * turning + dot(modes.phi_hinge[:, k], bending) + 2.0 * coriolis[k] * self.q
             )
-            swing[k] = -self.felt / length * self.gamma[k] - 2.0 * self.slosh_damping[k] * natural * self.gamma_rate[k]
-            swing[k] -= drive / length
+            free = -self.felt / length * self.gamma[k] - 2.0 * self.slosh_damping[k] * natural * self.gamma_rate[k]
+            swing.append(free - drive / length)
             gained = np.maximum(bobs.mass_rate_kgps[k], 0.0)
             if self.vehicle.slosh_exchange and np.all(bobs.mass_kg[k] > 0.0):
                 relative = self.gamma_rate[k] + dot(modes.phi_hinge[:, k], self.eta_rate) / length
-                swing[k] -= gained / bobs.mass_kg[k] * relative
+                swing[k] = swing[k] - gained / bobs.mass_kg[k] * relative
+        swings = np.stack(np.broadcast_arrays(*swing)) if swing else np.zeros((0, *turning.shape))
         w_rate = lateral + self.vehicle.aerodynamics.forward * self.condition.airspeed_mps * self.q
         if self.errata.path_terms:
             weight = self.condition.gravity_mps2 * np.sin(self.condition.pitch_rad)
             w_rate = w_rate - weight * self.theta + self.vehicle.body.core_cg_rate_mps * self.q
         body = np.stack(np.broadcast_arrays(w_rate, turning, self.q))
-        system = joined(body, self.eta_rate, bending, self.gamma_rate, swing, self.swing_rate, self.swing_accel)
+        system = joined(body, self.eta_rate, bending, self.gamma_rate, swings, self.swing_rate, self.swing_accel)
         hinges = np.zeros((len(self.loaded), *turning.shape))
         for k, one in enumerate(self.loaded):
             engine = one.engine
