@@ -96,6 +96,13 @@ def _run(capsys: pytest.CaptureFixture[str], *words: str) -> tuple[int, str, str
     return code, out, err
 
 
+@pytest.mark.parametrize("name", ["standard", "ksr3-ringed"])
+def test_campaigns_of_shipped_suites_fly_the_vehicle_that_is_judged(name: str) -> None:
+    suite = read_suite(name).suite
+    for campaign in suite.campaign:
+        assert load_campaign(campaign.file).base.scenario.vehicle == load_scenario(suite.scenario).scenario.vehicle
+
+
 @pytest.mark.slow
 def test_accepted_design_leaves_verdict_and_pack(
     tmp_path: Path, suite: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
