@@ -12,7 +12,7 @@ PLACE := $(VENV)/set-up-in
 TO_FLY := $(VENV)/ready-to-fly
 TO_TEST := $(VENV)/ready-to-test
 
-.PHONY: help fly test test-browser docs coverage lint format FORCE
+.PHONY: help fly test test-long test-browser docs coverage lint format FORCE
 .DELETE_ON_ERROR:
 
 help:  ## say what there is to make
@@ -25,7 +25,11 @@ fly: $(TO_FLY)  ## fly scenarios/nominal.toml; ARGS go to simrun
 
 test: $(TO_TEST)  ## run the tests; ARGS go to pytest (ARGS="-m 'not slow'" leaves out the slow ones)
 	@echo "Running the tests with pytest."
-	@$(PY) -m pytest -n auto --dist worksteal $(ARGS)
+	@$(PY) -m pytest -n auto --dist worksteal -m "not long" $(ARGS)
+
+test-long: $(TO_TEST)  ## run the few tests that make test leaves out for their time
+	@echo "Running the long tests with pytest."
+	@$(PY) -m pytest -n auto --dist worksteal -m long $(ARGS)
 
 test-browser: $(TO_TEST)  ## open `simreplay --web` and report pages in headless Chromium, and look at them
 	@echo "Opening simreplay --web and report pages in headless Chromium."

@@ -282,6 +282,7 @@ class Ended:
     certificate: Certificate
 
 
+@pytest.mark.long
 @pytest.mark.slow
 def test_dispersed_plants_hold_between_the_nodes_where_they_are_asked_to() -> None:
     """Least |1 + L| by design/margins, every 0.4 s, of the vehicle as it is and of corners tank by tank."""
@@ -318,6 +319,7 @@ def test_exact_and_sampled_optima_are_alike_but_not_the_same() -> None:
     assert 1e-4 < abs(peaks[0] - peaks[1]) < 1.0
 
 
+@pytest.mark.long
 @pytest.mark.slow
 def test_the_paper_s_own_equations_make_a_design_where_they_can_be_stabilised() -> None:
     """As printed the gyro hardly feels the modes: -57 dB at three nodes. Over all eleven no loop is even stable."""

@@ -74,6 +74,7 @@ def violation(loaded: LoadedCase, plants: Plants) -> Callable[[np.ndarray], floa
     return at
 
 
+@pytest.mark.long
 @pytest.mark.slow
 @pytest.mark.parametrize(("gain_db", "phase_deg"), [(14.0, 30.0), (10.0, 60.0)])
 def test_no_design_of_a_global_search_misses_less(gain_db: float, phase_deg: float) -> None:

@@ -156,6 +156,7 @@ FEW = Spread(
 )  # fmt: skip  # a line more otherwise
 
 
+@pytest.mark.long
 @pytest.mark.slow
 @pytest.mark.parametrize(("vehicle", "beyond"), [("ksr3", 3.6), ("petrel", 1.2)])
 def test_no_vehicle_within_the_bound_of_all_axes_is_unstable_and_one_beyond_is(vehicle: str, beyond: float) -> None:

@@ -95,7 +95,7 @@ def test_swing_at_a_node_is_that_of_the_flight(loaded: LoadedScenario, node: Nod
     """A sine at the pendulums' frequency swings the liquid: amplitudes in the log about the node."""
     hz = math.sqrt(axial_load_mps2(node.vehicle, node.condition) / node.vehicle.pendulums.length_m[0]) / (2.0 * math.pi)
     signal = (
-        "injection=[{at='gimbal_command',axis='pitch',kind='sine',amplitude_deg=0.6,frequency_hz="
+        "injection=[{at='gimbal_command',axis='pitch',kind='sine',amplitude_deg=0.8,frequency_hz="
         f"{hz},start_s=5.0,stop_s=24.0}}]"
     )
     shaken = load_scenario("ksr3-ringed", [signal, "run.duration_s=24", "log.fast_hz=200"])

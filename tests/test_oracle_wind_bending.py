@@ -136,6 +136,7 @@ def moments(scenario: LoadedScenario) -> Array:
     return np.array([[flown[name][(time_s > 38.0) & (time_s < 42.0)] for name in of] for of in names])
 
 
+@pytest.mark.long
 @pytest.mark.slow  # 24 flights
 def test_rms_is_that_of_flights_through_turbulence() -> None:
     """Below 5 Hz there is a fifth less, or more: bending modes have it.

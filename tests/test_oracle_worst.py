@@ -140,6 +140,7 @@ def test_distance_of_an_unstable_loop_is_negative() -> None:
     assert signs == [1.0, -1.0]
 
 
+@pytest.mark.long
 @pytest.mark.slow
 def test_a_pole_at_zero_is_drift_and_no_unstable_vehicle() -> None:
     """Petrel's stage 3 beyond the air has closed poles at zero, computed on either side of the axis."""

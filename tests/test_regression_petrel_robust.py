@@ -32,6 +32,7 @@ def shipped() -> Design:
     return design
 
 
+@pytest.mark.long
 @pytest.mark.slow
 @pytest.mark.parametrize("stage", [0, 1, 2])
 def test_no_worse_corner_is_found_of_the_ranges_it_was_made_for(

@@ -231,6 +231,7 @@ def test_broken_files_are_answered(here: Path, kind: str) -> None:
     _try(here, kind, 25)
 
 
+@pytest.mark.long
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_thousand_broken_files_are_answered(here: Path, kind: str) -> None:
