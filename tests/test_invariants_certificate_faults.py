@@ -51,6 +51,7 @@ def test_found(loaded: LoadedScenario, node: Node, fault: Fault) -> None:
     assert certify_node(loaded, node, fault=fault.plant, bands=BANDS[:1] + BANDS[2:], names=()).unexplained
 
 
+@pytest.mark.long
 @pytest.mark.slow
 @pytest.mark.parametrize("fault", [f for f in FAULTS if f.name not in QUICK], ids=lambda f: f.name)
 def test_found_too(loaded: LoadedScenario, node: Node, fault: Fault) -> None:

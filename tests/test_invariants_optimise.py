@@ -99,6 +99,7 @@ def missed_between(s: Solution, loaded: LoadedCase) -> float:
     return max(6.0 - gain, 0.2 * (30.0 - phase))
 
 
+@pytest.mark.long
 @pytest.mark.slow
 def test_limits_hold_between_the_nodes_where_they_are_asked_to() -> None:
     """The peak of LOX slosh passes 0 dB between 50 and 55 s: 30 deg at both, 24 between. Likewise with gains over mass,

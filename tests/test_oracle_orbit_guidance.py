@@ -242,8 +242,10 @@ COLD = [f"vehicle.stage.0.engine.{n}.mass_flow_factor=0.98" for n in range(9)]
     "changes",
     [
         (),
-        (*HOT, "vehicle.stage.0.aero.axial_factor=0.9"),
-        (*COLD, "vehicle.stage.0.aero.axial_factor=1.1", "atmosphere.density_factor=1.05"),
+        pytest.param((*HOT, "vehicle.stage.0.aero.axial_factor=0.9"), marks=pytest.mark.long),
+        pytest.param(
+            (*COLD, "vehicle.stage.0.aero.axial_factor=1.1", "atmosphere.density_factor=1.05"), marks=pytest.mark.long
+        ),
     ],
 )
 def test_petrel_reaches_its_orbit_however_the_first_stage_flies(changes: tuple[str, ...]) -> None:

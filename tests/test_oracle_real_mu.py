@@ -92,6 +92,7 @@ def test_determinant_of_the_deviations_is_that_of_the_sampled_loop() -> None:
         np.testing.assert_allclose(found, wanted, atol=2e-3 * np.abs(wanted).max())
 
 
+@pytest.mark.long
 @pytest.mark.slow
 def test_no_vehicle_of_the_box_is_unstable_and_one_farther_out_is() -> None:
     """400 vehicles at corners and by chance in the box that mu leaves, by the loop that is judged; a search finds one

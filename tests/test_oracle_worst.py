@@ -105,6 +105,7 @@ def test_slopes_are_those_of_the_sampled_loop() -> None:
         np.testing.assert_allclose(found[k], wanted, atol=0.02 * np.abs(wanted).max())
 
 
+@pytest.mark.long
 @pytest.mark.slow
 def test_no_vehicle_by_chance_in_the_ellipsoid_is_worse() -> None:
     """300 vehicles on its surface, half of them near the worst one found; every mode and tank by itself."""

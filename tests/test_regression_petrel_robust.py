@@ -51,6 +51,7 @@ def test_no_worse_corner_is_found_of_the_ranges_it_was_made_for(
     assert min(within) > 0.5
 
 
+@pytest.mark.long
 @pytest.mark.slow
 def test_the_first_gains_come_nearer() -> None:
     plain = petrel.scenario().design
