@@ -66,8 +66,8 @@ _QUANTITIES: dict[str, tuple[tuple[str, ...], dict[str, float]]] = {
 }
 _IMPLIED = {"sknt": "kt", "drct": "deg", "hght": "m", "pres": "hpa"}  # units of Wyoming's names
 _IGRA = re.compile(r"#[A-Z0-9]{11} (\d{4}) (\d\d) (\d\d) (\d\d) ")
-_OBSERVED = re.compile(r"\bat (\d\d)Z (\d{1,2}) (Jan|Feb|Mar|Apr|May|Jun|Jul|Aug|Sep|Oct|Nov|Dec)[a-z]* (\d{4})")
 _MONTHS = ("Jan", "Feb", "Mar", "Apr", "May", "Jun", "Jul", "Aug", "Sep", "Oct", "Nov", "Dec")
+_OBSERVED = re.compile(rf"\bat (\d\d)Z (\d{{1,2}}) ({'|'.join(_MONTHS)})[a-z]* (\d{{4}})")
 _WYOMING = re.compile(r"\bPRES\b.*\bHGHT\b.*\bDRCT\b.*\b(SKNT|SPED)\b")
 
 

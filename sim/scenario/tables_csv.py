@@ -30,8 +30,8 @@ LEAST_STEP = 1e-9
 """From row to row of what a table is given over, in its unit: slopes between rows must stay finite."""
 
 FILE_KEY, DATE_KEY = "file", "date"
+"""In a table that is written out: the file it once came from, for people only; and `CsvTable.date`."""
 DATE = r"\d{4}-(?:0[1-9]|1[0-2])-\d\d(?:[T ]\d\d)?"
-"""In a table that is written out: the file it once came from, for people only."""
 
 
 @dataclass(frozen=True, eq=False)
