@@ -127,53 +127,11 @@ def advance(
     now_at, log_rows = space.start, LogRows(fast_ns, fast, slow_ns, slow, rows)
     while clock.finished == 0 and clock.now_ns < until_ns:
         p = P[clock.stage]
-        now = clock.now_ns
-        if now >= p.timeline.separation_ns and clock.stage + 1 < len(P):
+        if clock.now_ns < p.timeline.separation_ns or clock.stage + 1 == len(P):  # what is long to compile comes first
+            fly_step(p, pool, memory, logged, until_ns, space, log_rows)
+        else:
             separate(P, pool, memory, now_at.y, now_at.properties, space.end.properties, space.y_end)
             clock.fresh = 1
-            continue
-        if process_due_events(p, pool, memory, now_at.y, now_at.aux, now_at.properties) == 1 or clock.fresh == 1:
-            read_schedule(p, pool, memory, now, 0.0, now_at.properties)
-            clock.fresh = 0
-        evaluate_exactly(p, pool, memory, space)
-        detect_loss_of_control(p, memory, now_at.aux)
-        if memory.held.on_pad == 1 and p.timeline.release_ns == NEVER:
-            if event_function(p, LIFTOFF, now_at.y, now_at.properties, now_at.aux) >= 0.0:
-                apply_event(p, memory, LIFTOFF)
-                continue
-        if p.loads.stations > 0:
-            track_sections(p, pool, memory, space, logged[0].on, 0)
-        if logged[0].on == 1:
-            log(p, memory, logged, now_at, log_rows, now, 0)
-        step_ns = step_length(p, pool, memory, until_ns)
-        gather_at(p, memory, now, 1e-9 * step_ns, now_at)
-        if clock.finished == 1:
-            break
-        take_step(p, pool, memory, now, step_ns, space)
-        clock.cause = divergence_cause(counts(p.vehicle.sizes), space.y_end)
-        if clock.cause != FINITE:
-            record_event(p, memory, DIVERGED, now)
-            clock.finished = 1
-            break
-        event = detect_crossing(p, memory, space)
-        if event >= 0:
-            step_ns = locate_event(p, pool, memory, event, step_ns, space)
-        if logged[0].on == 1 and p.timeline.even == 1:
-            log_between(p, pool, memory, logged, space, log_rows, step_ns)
-        if p.timeline.even == 1 and now >= clock.next_errors_ns and event < 0:
-            clock.next_errors_ns = now + ERRORS_NS
-            estimate_errors(p, pool, memory, now, step_ns, space)
-        sizes = counts(p.vehicle.sizes)
-        for i in range(state_size(sizes)):
-            now_at.y[i] = space.y_end[i]
-        for column in range(properties_size(sizes)):
-            now_at.properties[column] = space.end.properties[column]
-        clock.now_ns = now + step_ns
-        clock.steps += 1
-        if event >= 0:
-            apply_event(p, memory, event)
-        if clock.now_ns >= p.timeline.stop_ns:
-            clock.finished = 1
     if clock.finished == 1 and clock.started == 1:
         clock.started = 2
         p = P[clock.stage]
@@ -184,6 +142,56 @@ def advance(
         gather_at(p, memory, clock.now_ns, 0.0, now_at)
         if logged[0].on == 1:
             log(p, memory, logged, now_at, log_rows, clock.now_ns, 1)
+
+
+@kernel
+def fly_step(
+    p: Parameters, pool: Array, memory: Memory, logged: Records, until_ns: int, space: Workspace, log_rows: LogRows
+) -> None:  # fmt: skip  # as ruff would, but for a line of one bracket
+    """What is due now, a log row, and a step to the next instant or event, whichever comes first."""
+    clock, now_at, now = memory.clock, space.start, memory.clock.now_ns
+    if process_due_events(p, pool, memory, now_at.y, now_at.aux, now_at.properties) == 1 or clock.fresh == 1:
+        read_schedule(p, pool, memory, now, 0.0, now_at.properties)
+        clock.fresh = 0
+    evaluate_exactly(p, pool, memory, space)
+    detect_loss_of_control(p, memory, now_at.aux)
+    if memory.held.on_pad == 1 and p.timeline.release_ns == NEVER:
+        if event_function(p, LIFTOFF, now_at.y, now_at.properties, now_at.aux) >= 0.0:
+            apply_event(p, memory, LIFTOFF)
+            return
+    if p.loads.stations > 0:
+        track_sections(p, pool, memory, space, logged[0].on, 0)
+    if logged[0].on == 1:
+        log(p, memory, logged, now_at, log_rows, now, 0)
+    step_ns = step_length(p, pool, memory, until_ns)
+    gather_at(p, memory, now, 1e-9 * step_ns, now_at)
+    if clock.finished == 1:
+        return
+    take_step(p, pool, memory, now, step_ns, space)
+    clock.cause = divergence_cause(counts(p.vehicle.sizes), space.y_end)
+    if clock.cause != FINITE:
+        record_event(p, memory, DIVERGED, now)
+        clock.finished = 1
+        return
+    event = detect_crossing(p, memory, space)
+    if event >= 0:
+        step_ns = locate_event(p, pool, memory, event, step_ns, space)
+    if logged[0].on == 1 and p.timeline.even == 1:
+        log_between(p, pool, memory, logged, space, log_rows, step_ns)
+    if p.timeline.even == 1 and now >= clock.next_errors_ns and event < 0:
+        clock.next_errors_ns = now + ERRORS_NS
+        estimate_errors(p, pool, memory, now, step_ns, space)
+    sizes = counts(p.vehicle.sizes)
+    for i in range(state_size(sizes)):
+        now_at.y[i] = space.y_end[i]
+    for column in range(properties_size(sizes)):
+        now_at.properties[column] = space.end.properties[column]
+    clock.now_ns = now + step_ns
+    clock.steps += 1
+    if event >= 0:
+        apply_event(p, memory, event)
+    if clock.now_ns >= p.timeline.stop_ns:
+        clock.finished = 1
 
 
 @kernel
