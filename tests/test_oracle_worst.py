@@ -141,6 +141,26 @@ def test_distance_of_an_unstable_loop_is_negative() -> None:
     assert signs == [1.0, -1.0]
 
 
+@pytest.mark.parametrize(("radps", "sign"), [(1e-6, 1.0), (0.02, -1.0)])
+def test_a_root_of_days_is_drift_and_one_of_minutes_is_unstable(
+    monkeypatch: pytest.MonkeyPatch, radps: float, sign: float
+) -> None:
+    """The same curve, its closed loop with a root to the right of the axis, slower than four hours or not."""
+
+    class Drifting(Loop):
+        def closed_poles(self) -> Any:
+            return np.append(super().closed_poles(), radps)
+
+    node = design_nodes.node_at(45.0)
+    at = distance(node, design_nodes.design(), Spread())
+    u = np.zeros(len(places_of(node)))
+    still, _ = at(u)
+    monkeypatch.setattr(worst, "Loop", Drifting)
+    drifting, _ = at(u)
+    assert still > 0.0
+    assert drifting == sign * still
+
+
 @pytest.mark.long
 @pytest.mark.slow
 def test_a_pole_at_zero_is_drift_and_no_unstable_vehicle() -> None:

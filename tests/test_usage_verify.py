@@ -461,6 +461,10 @@ def test_one_comparison_for_designs_and_verdicts() -> None:
         one = np.full((1, 1, len(MEASURES)), np.inf)
         one[..., list(MEASURES).index("phase_deg")] = value
         assert meet_limits(one, MarginLimits(phase_deg=30.0)).tolist() == [met]
+    nodes = np.full((3, 2, len(MEASURES)), np.inf)  # limits are met by a vehicle that meets them at every node
+    nodes[0, 1, list(MEASURES).index("phase_deg")] = 29.0
+    nodes[1, 0] = np.nan  # unstable
+    assert meet_limits(nodes, MarginLimits(phase_deg=30.0)).tolist() == [False, False, True]
     at, none = np.array([1.0]), np.array([np.nan])
     assert not Check("phase_margin_deg", "", "deg", ">=", 30.0, none, at).passed  # of an unstable loop
     assert Check("second_mode_db", "", "dB", "<=", 0.0, none, at).passed  # there is no such mode
@@ -495,6 +499,23 @@ def test_every_reason_has_limit_value_vehicle_and_command() -> None:
     corners, drawn = vehicles_of(wanted.model_copy(update={"only": "vehicle 812"}), NODE)
     assert ([d.label for d in drawn], corners) == (["vehicle 812"], [])
     assert drawn[0] == vehicles_of(LinearMargins(cases=812), NODE)[1][811]
+
+
+@pytest.mark.slow
+def test_a_vehicle_measured_alone_is_that_of_the_study(tmp_path: Path) -> None:
+    """Along the dispersed flight that it meets the node in, not along the nominal one."""
+    changes = ["flight=[]", "certificate=", "margins.worst=", "margins.times_s=[35.0]", "margins.planes=['pitch']"]
+    changes += ["margins.between_nodes='ignore'", "margins.cases=4", "margins.trajectories=3", "campaign.0.runs=3"]
+    suite = read_suite("standard", changes)
+    (study,) = verify_module.verify("designs/ksr3-robust.toml", suite, memory=tmp_path).margins
+    for number in (2, 4):
+        (alone,) = verify_module.verify(
+            "designs/ksr3-robust.toml", suite.only(f"vehicle {number}"), memory=tmp_path
+        ).margins
+        np.testing.assert_array_equal(alone.random, study.random[[number - 1]])
+    still = read_suite("standard", [*changes, "margins.trajectories=0"]).only("vehicle 4")
+    (nominal,) = verify_module.verify("designs/ksr3-robust.toml", still, memory=tmp_path).margins
+    assert (nominal.random != study.random[[3]]).any()
 
 
 def test_no_slosh_advice_where_nothing_sloshes() -> None:

@@ -313,6 +313,7 @@ class LoadedSuite:
     label: str  # as the user named it
     overrides: tuple[str, ...] = ()
     left_out: tuple[str, ...] = ()  # flights that the vehicle has no parts for (`fitted.fit`), and why
+    along: CampaignWanted | None = None  # whose flights a random vehicle that is measured alone meets the nodes in
 
     def command(self, design: str, vehicle: str | None = None, *more: str) -> str:
         """The command that judges a design by this suite; `more`: further words."""
@@ -339,7 +340,8 @@ class LoadedSuite:
             margins = margins.model_copy(update={"only": label})
         wind = suite.wind_limit_mps if label == AS_DESIGNED else None
         update = {"flight": flights, "margins": margins, "certificate": certificate, "campaign": ()}
-        return replace(self, suite=suite.model_copy(update={**update, "wind_limit_mps": wind}))
+        along = next(iter(suite.campaign), None) if label.startswith("vehicle ") else None
+        return replace(self, suite=suite.model_copy(update={**update, "wind_limit_mps": wind}), along=along)
 
 
 def read_suite(name: str | Path, overrides: Iterable[str] = ()) -> LoadedSuite:

@@ -167,7 +167,9 @@ def verify(
     along = flight_of(suite, design, vehicle)
     loaded = fit(loaded, along, kept)
     suite = loaded.suite
-    campaigns_loaded = [load_wanted(loaded, wanted, design, vehicle) for wanted in suite.campaign]
+    campaigns_loaded = [
+        load_wanted(loaded, wanted, design, vehicle) for wanted in suite.campaign or filter(None, [loaded.along])
+    ]
     job = _Job(
         suite, scenario, scenario.design, along, kept, interruptible, workers, next(iter(campaigns_loaded), None)
     )

@@ -1,6 +1,6 @@
 """Faults of the harness that mutations.py plants by name: (file, text with the tokens to replace in «», new, what).
 
-python -m maxq.tools.dev.mutations run --work DIR --mode compiled --named
+python -m maxq.tools.dev.mutations plant --work DIR --number 0 --named, then map and run
 """
 
 STATISTICS, LINEAR, WORST = "sim/campaign/statistics.py", "design/verify/linear.py", "design/verify/worst.py"

@@ -52,7 +52,7 @@ from maxq.tools.dev.harness_mutants import NAMED
 
 ROOT = Path(__file__).resolve().parents[2]
 PIPE = "\\|"  # within a cell of a table
-PAGE, BEGIN, END = ROOT / "docs/verification.md", "<!-- mutants: begin -->", "<!-- mutants: end -->"
+PAGE = ROOT / "docs/verification.md"
 PACKAGES = {
     "control": ("control",),
     "sim/vehicle": ("sim/vehicle",),
@@ -427,27 +427,37 @@ def _file_of(name: str) -> str:
 
 
 def table(done: list[dict[str, Any]]) -> None:
-    """Counts by package and a line for each survivor; what is said there of a survivor is kept, whatever its line.
+    """Counts by package and a line for each survivor, of what was drawn and what was named, where there are any.
 
-    Equivalent is what is said to be. Mutants whose line is "gone" (deleted since they were drawn) are not counted.
+    What is said on the page of a survivor is kept, whatever its line: it is equivalent if that is said. Mutants whose
+    line is "gone" (deleted since they were drawn) are not counted.
     """
     text = PAGE.read_text()
-    before, rest = text.split(BEGIN)
-    written, after = rest.split(END)
-    said = {key: why for key, why in re.findall(r"^\| (.*? -> .*?) \| (.*?) \|$", written, re.M)}
-    rows = list[tuple[str, str, str]]()  # package, mutant, and why it lives; "" if it was killed
-    for r in sorted((r for r in done if r["status"] != "gone"), key=lambda r: r["number"]):
-        key = f"{r['file']}: `{r['source'].replace('|', PIPE)}`, `{r['old']}` -> `{r['new'] or ' '}`"
-        rows.append((r["package"], key, "" if r["status"] == "killed" else said.get(key, "open")))
-    lines = ["| package | mutants | killed | equivalent | neither | killed of the rest |", "|---|---|---|---|---|---|"]
-    for package in [*PACKAGES, "all"]:
-        own = [why for name, _, why in rows if name in PACKAGES and package in (name, "all")]
-        killed, equivalent = own.count(""), sum(why.startswith("equivalent") for why in own)
-        counts = f"{len(own)} | {killed} | {equivalent} | {len(own) - killed - equivalent}"
-        lines.append(f"| {package} | {counts} | {100.0 * killed / max(len(own) - equivalent, 1):.1f} % |")
-    lines += ["", "| lives | why |", "|---|---|"]
-    lines += [f"| {key} | {why} |" for _, key, why in rows if why]
-    PAGE.write_text(before + BEGIN + "\n" + "\n".join(lines) + "\n" + END + after)
+    for name, packages in (("mutants", [*PACKAGES, "all"]), ("named", ["by name"])):
+        mine = [r for r in done if r["status"] != "gone" and (r["package"] in PACKAGES) == (name == "mutants")]
+        if not mine:
+            continue
+        begin, end = f"<!-- {name}: begin -->", f"<!-- {name}: end -->"
+        before, rest = text.split(begin)
+        written, after = rest.split(end)
+        said = {key: why for key, why in re.findall(r"^\| (.*? -> .*?) \| (.*?) \|$", written, re.M)}
+        rows = list[tuple[str, str, str]]()  # package, mutant, and why it lives; "" if it was killed
+        for r in sorted(mine, key=lambda r: r["number"]):
+            key = f"{r['file']}: `{r['source'].replace('|', PIPE)}`, `{r['old']}` -> `{r['new'] or ' '}`"
+            rows.append((r["package"], key, "" if r["status"] == "killed" else said.get(key, "open")))
+        lines = [
+            "| package | mutants | killed | equivalent | neither | killed of the rest |",
+            "|---|---|---|---|---|---|",
+        ]
+        for package in packages:
+            own = [why for of, _, why in rows if package in (of, "all", "by name")]
+            killed, equivalent = own.count(""), sum(why.startswith("equivalent") for why in own)
+            counts = f"{len(own)} | {killed} | {equivalent} | {len(own) - killed - equivalent}"
+            lines.append(f"| {package} | {counts} | {100.0 * killed / max(len(own) - equivalent, 1):.1f} % |")
+        lines += ["", "| lives | why |", "|---|---|"]
+        lines += [f"| {key} | {why} |" for _, key, why in rows if why]
+        text = before + begin + "\n" + "\n".join(lines) + "\n" + end + after
+    PAGE.write_text(text)
 
 
 def main() -> None:
