@@ -24,12 +24,16 @@ from oracles.multibody_system import rotation_from_quaternion
 from test_oracle_aero_tables_linear import ALL, ROUND, symmetric
 
 from maxq.control.kernel.records import Array
+from maxq.design.laws.wind import Spectrum
+from maxq.design.loop.fixed_path import PadeFixedPath
+from maxq.design.loop.wind import wind_response
 from maxq.design.model.dispersion import Dispersion, disperse
+from maxq.design.model.equations import WIND
 from maxq.design.model.instruments import actuator
 from maxq.design.model.linearised import LinearModel, linearise, settled, zero_incidence
 from maxq.design.model.node import node_of
-from maxq.design.model.plant import vehicle_plant
-from maxq.design.model.vehicle_at import FlightCondition, vehicle_at
+from maxq.design.model.plant import alone, vehicle_plant
+from maxq.design.model.vehicle_at import FlightCondition, Plane, vehicle_at
 from maxq.sim.packing.flight import Packed, pack_flight
 from maxq.sim.run.evaluate import evaluate_at
 from maxq.sim.vehicle import state as layout
@@ -653,6 +657,31 @@ def test_a_plane_of_the_coupled_plant_holds_the_other() -> None:
     ours, theirs = (node.plant.response(frequencies) for node in weak[::-1])
     np.testing.assert_allclose(ours, theirs, rtol=1e-9, atol=1e-12)
     assert len(spatial.whole.states) == len(spatial.plant.states) + 3 + 2 * 2
+    gusts = [wind_response(PadeFixedPath(node), Spectrum(3.0, 500.0, "dryden")) for node in (spatial, planar)]
+    for name in ("weights", "measured", "by_command", "by_wind"):
+        ours, theirs = (getattr(of, name) for of in gusts)
+        np.testing.assert_allclose(ours, theirs, rtol=1e-9, atol=1e-9 * np.abs(theirs).max())
+    with pytest.raises(ValueError, match="bending moments in wind are not for vehicles with spatial modes"):
+        wind_response(PadeFixedPath(spatial), Spectrum(3.0, 500.0, "dryden"), (5.0,))
+
+
+@pytest.mark.parametrize("plane", ["pitch", "yaw"])
+def test_air_that_moves_with_the_vehicle_does_nothing(plane: Plane) -> None:
+    """Turned pairs, which couple the planes, under tables over incidence: the wind's column is that of w, reversed."""
+    section, rest = as_spatial(PARTS, np.radians(30.0))
+    start = {"initial": {"ned_mps": [200.0, 20.0, -15.0]}, "earth": {"gravity": "uniform"}}
+    tree = with_stage(merged(scenario_of(rest, **AIR), start), aero=AERO | TABLES, spatial_modes=section)
+    node = node_of(pack_flight(load(tree).scenario), 0.0, 0, plane)
+    whole = vehicle_plant(node.vehicle, node.condition, wind=True)
+    wind, w = whole.inputs.index(WIND), whole.states.index("w_mps")
+    np.testing.assert_allclose(whole.b[:, wind], -whole.a[:, w], rtol=1e-12, atol=1e-14)
+    felt = [n for n, name in enumerate(whole.outputs) if name != "w_mps"]  # which is not relative to the air
+    np.testing.assert_allclose(whole.d[felt, wind], -whole.c[felt, w], rtol=1e-12, atol=1e-14)
+    across = [n for n, name in enumerate(whole.states) if name.startswith("across_")]
+    assert np.abs(whole.b[across, wind]).max() > 1e-4  # the tables push across the flow
+    by_itself = alone(whole, node.vehicle, wind=True)
+    assert by_itself.inputs == (*node.plant.inputs, WIND)
+    np.testing.assert_array_equal(by_itself.b[:, -1], whole.b[: len(by_itself.states), wind])
 
 
 def test_the_replay_bends_the_same() -> None:

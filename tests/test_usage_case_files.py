@@ -67,6 +67,12 @@ def test_overrides_and_a_file_of_ones_own(tmp_path: Path) -> None:
         ("limits.rigid_hz={time_s=[5.0,4.0],value=[0.3,0.5]}", "does not rise"),
         ("limits.rigid_hz={time_s=[5.0],value=[0.3,0.5]}", "has 2 numbers"),
         ("limits.rigid_hz=[0.3]", "has the wrong type"),
+        (
+            "limits.rigid_hz={time_s=[5.0],values=[0.3]}",
+            "limits.rigid_hz.values = [0.3]: unknown key; did you mean value?",
+        ),
+        ("limits.rigid_hz={time_s=[5.0],value=[0.3],unit=1}", "unit = 1: unknown key; allowed: time_s, value"),
+        ("limits.rigid_hz={time_s=[5.0],value=[-0.3]}", "value.0 = -0.3: is out of range; allowed: a number > 0"),
         ("limits.bending_moment=[{station_m=8.1,rms_Nm=900}]", "needs a wind"),
         ("objective.stations_m=[8.1]", 'this key with kind = "bending-moment" only'),
         ("robust.bending_slope=1.5", "is out of range"),

@@ -13,16 +13,17 @@ from maxq.design.model.vehicle_at import FlightCondition, VehicleAt
 
 
 class Coupled:
-    """Both planes and the spatial modes that they share, about the modes' deflection `held` (m).
+    """Both planes and the spatial modes that they share, about the modes' deflection `held` (m); `wind` in the first.
 
     Along x liquid rides on its tank: it adds to the modes' masses, and its pull has a moment about a bent axis.
     """
 
     def __init__(
         self, vehicle: VehicleAt, across: VehicleAt, condition: FlightCondition, load: float, errata: Errata,
-        held: Array,
+        held: Array, wind: bool = False,
     ) -> None:  # fmt: skip  # nine lines otherwise
-        one, other = (Equations(plane, condition, load, errata, held=held) for plane in (vehicle, across))
+        one = Equations(vehicle, condition, load, errata, wind, held)
+        other = Equations(across, condition, load, errata, held=held)
         self.one, self.across, self.held, self.shared = one, other, held, vehicle.modes.spatial
         shared, self.planes = self.shared, (one, other)
         n, k = len(one.names), len(other.names)

@@ -14,10 +14,9 @@ import numpy as np
 from maxq.control.kernel.records import Array
 from maxq.control.structures import Over
 from maxq.design.model.dispersion import Dispersion, disperse
-from maxq.design.model.equations import inputs_of, outputs_of, state_names, swings_of
 from maxq.design.model.errata import CORRECTED, Errata
 from maxq.design.model.instruments import Instruments, instruments_of
-from maxq.design.model.plant import Liquids, axial_load_mps2, vehicle_plant
+from maxq.design.model.plant import Liquids, alone, axial_load_mps2, vehicle_plant
 from maxq.design.model.sections import cuts_of
 from maxq.design.model.state_space import StateSpace
 from maxq.design.model.vehicle_at import FlightCondition, Plane, Trim, VehicleAt, table_clock_s, vehicle_at
@@ -67,17 +66,7 @@ class Node:
         is judged one axis at a time (`whole` has them all).
         Raises ValueError, naming the node, where no such system exists.
         """
-        whole = self.whole
-        if self.vehicle.across is None:
-            return whole
-        v, inputs = self.vehicle, inputs_of(self.vehicle)
-        swinging = sum(len(swings_of(engine)) for engine in v.engines)
-        n = len(state_names(len(v.modes.omega_radps), len(v.pendulums.mass_kg), swinging))
-        m, outputs = len(inputs), outputs_of(v)
-        rows = len(outputs)
-        return StateSpace(
-            whole.a[:n, :n], whole.b[:n, :m], whole.c[:rows, :n], whole.d[:rows, :m], whole.states[:n], inputs, outputs,
-        )  # fmt: skip  # five more lines otherwise
+        return alone(self.whole, self.vehicle)
 
     @cached_property
     def whole(self) -> StateSpace:

@@ -58,7 +58,7 @@ import numpy as np
 
 from maxq.control.kernel.records import Array
 from maxq.design.model.coupled import Coupled
-from maxq.design.model.equations import DERIVATIVES, Equations
+from maxq.design.model.equations import DERIVATIVES, WIND, Equations, inputs_of, outputs_of, state_names, swings_of
 from maxq.design.model.errata import CORRECTED, Errata
 from maxq.design.model.state_space import ComplexArray, StateSpace
 from maxq.design.model.vehicle_at import FlightCondition, Pendulums, VehicleAt, with_pendulums
@@ -95,9 +95,9 @@ def vehicle_plant(
     is that at the gyro, q + sum sigma_G eta' (12 with erratum 1), then what the vehicle's other sensors feel: the local
     rate, or the lateral specific force in axes that turn with the bent body (docs/model.md, section 2), and of a
     vehicle with `cuts` the bending moment at each, N m (sections.py; of corrected physics only). With `wind` the last
-    input is the air's lateral velocity, m/s, of a vehicle without spatial modes. A vehicle with spatial modes has the
-    states, inputs and outputs of the other plane besides (its modes, tanks and engines are numbered on), and the
-    roll rate of its modes at the gyro. Raises ValueError where the axial load is not positive and there are pendulums,
+    input of the plane is the air's lateral velocity in it, m/s. A vehicle with spatial modes has the states, inputs and
+    outputs of the other plane besides (its modes, tanks and engines are numbered on), and the roll rate of its modes at
+    the gyro; `alone` has them held. Raises ValueError where the axial load is not positive and there are pendulums,
     and where an
     erratum of the tanks is left in and `liquids` does not say what they hold.
     """
@@ -114,7 +114,20 @@ def vehicle_plant(
     held = np.zeros(vehicle.modes.spatial)
     if vehicle.modes.along is not None:  # the axial load deflects them, and stations move
         held = Coupled(plane, across, condition, load, errata, held).settled()
-    return Coupled(plane, across, condition, load, errata, held).state_space()
+    return Coupled(plane, across, condition, load, errata, held, wind).state_space()
+
+
+def alone(whole: StateSpace, vehicle: VehicleAt, wind: bool = False) -> StateSpace:
+    """The plane itself of a plant of both: body, liquid and gimbal of the other are held."""
+    if vehicle.across is None:
+        return whole
+    inputs, outputs = inputs_of(vehicle) + ((WIND,) if wind else ()), outputs_of(vehicle)
+    swinging = sum(len(swings_of(engine)) for engine in vehicle.engines)
+    n = len(state_names(len(vehicle.modes.omega_radps), len(vehicle.pendulums.mass_kg), swinging))
+    m, rows = len(inputs), len(outputs)
+    return StateSpace(
+        whole.a[:n, :n], whole.b[:n, :m], whole.c[:rows, :n], whole.d[:rows, :m], whole.states[:n], inputs, outputs,
+    )  # fmt: skip  # five more lines otherwise
 
 
 def vehicle_plants(

@@ -94,7 +94,7 @@ def _refused(path: Path, context: dict[str, Any], tree: Table, more: int) -> Sce
 
 def _unknown_key(path: Path, model: type[Section]) -> tuple[str, str]:
     """Problem and allowed keys for the key at the end of `path`."""
-    annotation, _ = field_at(model, path[:-1])
+    annotation, _ = field_at(model, path[:-1], table=True)
     section = section_of(unwrap(annotation)[0]) or model
     known = keys_of(section)
     if path[:-1] == ():
@@ -137,8 +137,9 @@ _LONG_INTEGER = 2**62
 _PLURALS = {"a number": "numbers", "a whole number": "whole numbers", "a text": "texts", "a table": "tables"}
 
 
-def unwrap(annotation: Any) -> tuple[Any, list[Any]]:
-    """The bare type below Optional and Annotated, and all metadata on the way."""
+def unwrap(annotation: Any, table: bool = False) -> tuple[Any, list[Any]]:
+    """The bare type below Optional and Annotated, and all metadata on the way; of several forms the first, or `table`:
+    the one with keys."""
     metadata: list[Any] = []
     while True:
         origin = get_origin(annotation)
@@ -147,7 +148,8 @@ def unwrap(annotation: Any) -> tuple[Any, list[Any]]:
             for mark in marks:
                 metadata += mark.metadata if isinstance(mark, FieldInfo) else [mark]
         elif origin in (Union, types.UnionType):
-            annotation = next(part for part in get_args(annotation) if part is not type(None))
+            forms = [part for part in get_args(annotation) if part is not type(None)]
+            annotation = next((form for form in forms if table and section_of(form)), forms[0])
         else:
             return annotation, metadata
 
@@ -160,18 +162,19 @@ def section_of(annotation: Any) -> type[Section] | None:
     return bare if isinstance(bare, type) and issubclass(bare, Section) else None
 
 
-def field_at(model: type[Section], path: Path) -> tuple[Any, list[Any]]:
-    """Type and metadata of what `path` names; (None, []) when the schema has no such place."""
+def field_at(model: type[Section], path: Path, *, table: bool = False) -> tuple[Any, list[Any]]:
+    """Type and metadata of what `path` names, a `table` where it has several forms; (None, []) when the schema has no
+    such place."""
     annotation: Any = model
     metadata: list[Any] = []
-    for part in path:
+    for n, part in enumerate(path, 1):
         if isinstance(annotation, type) and issubclass(annotation, Section):
             if isinstance(part, int):
                 continue  # of a key that holds a table or a list of such
-            field = next((f for n, f in annotation.model_fields.items() if (f.alias or n) == part), None)
+            field = next((f for name, f in annotation.model_fields.items() if (f.alias or name) == part), None)
             if field is None:
                 return None, []
-            annotation, more = unwrap(field.annotation)
+            annotation, more = unwrap(field.annotation, isinstance(path[n], str) if n < len(path) else table)
             metadata = [*field.metadata, *more]
         elif get_origin(annotation) is tuple and isinstance(part, int):
             items = get_args(annotation)

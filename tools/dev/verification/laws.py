@@ -161,7 +161,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("folder", type=Path)
     parser.add_argument("--only", default="", help="rows with this word in vehicle or name")
-    parser.add_argument("--write", action="store_true", help="the rows that are there into docs/flight-software.md")
+    parser.add_argument("--write", action="store_true", help="made rows into docs/flight-software.md, for its own")
     choice = parser.parse_args()
     folder = choice.folder.resolve()
     for vehicle, case in CASES.items():
@@ -173,6 +173,7 @@ def main() -> int:
         base.mkdir(parents=True, exist_ok=True)
         (base / "sensed.toml").write_text(f"schema = 1\n{case}")
     lines, good = [], True
+    written = {tuple(row.split(" | ")[:2]): row for row in DOCUMENT.read_text().splitlines()}
     for name in (*ROWS, ADAPTED):
         for vehicle in CASES:
             kept = folder / vehicle / _plain(name) / "row.json"
@@ -184,6 +185,8 @@ def main() -> int:
                 print(lines[-1], flush=True)
                 met = "all limits met" in row.get("said", "all limits met")
                 good = good and met and all(c["agrees"] for c in row["certified"].values())
+            elif (before := written.get((f"| {name}", NAMES[vehicle]))) is not None:
+                lines.append(before)
     if choice.write:
         rewrite(DOCUMENT, "laws", "\n".join([HEAD, *lines]))
     return int(not good)
