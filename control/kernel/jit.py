@@ -531,19 +531,45 @@ def routine_beside(function: Function) -> Function:
     return _for_kernels(function, _BesideCompiler, forceinline=False)
 
 
-def _for_kernels(function: Function, compiler: type[CompilerBase] = _KernelCompiler, **options: Any) -> Function:
-    """Compile for compiled callers, and a second time, on demand, for calls from Python.
-
-    Without the wrappers that Python and C would call through, the first flight is compiled in a quarter less time.
+class _Kernel:
+    """A kernel as compiled callers and Python know it: compiled with its first caller, without the wrappers that Python
+    and C would call through, which are a quarter of the wait for a first flight, and a second time where Python calls
+    it. What loads kept machine code only makes no dispatcher for it.
     """
-    options = {"nogil": True, "error_model": "numpy", **options}
-    bare = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True, "pipeline_class": compiler}
-    compiled = numba.njit(_signed(function), **bare, **options)
-    if not numba.config.DISABLE_JIT:
-        if options["forceinline"] or compiler is _BesideCompiler:
-            _compile_for_all_integers(compiled)
-        _serve_python(compiled, lambda: numba.njit(function, pipeline_class=_EntryCompiler, **options))
-    return compiled  # type: ignore[no-any-return]  # Numba has no types
+
+    def __init__(self, function: Callable[..., object], compiler: type[CompilerBase], options: dict[str, Any]) -> None:
+        functools.update_wrapper(self, function)
+        self.py_func, self._compiler = function, compiler
+        self._options = {"nogil": True, "error_model": "numpy", **options}
+
+    def __call__(self, *arguments: Any, **named: Any) -> Any:
+        return self._complete(*arguments, **named)
+
+    @functools.cached_property
+    def _complete(self) -> Any:
+        return numba.njit(self.py_func, pipeline_class=_EntryCompiler, **self._options)
+
+    @property
+    def _numba_type_(self) -> Any:
+        """What Numba asks a global for where it compiles a caller."""
+        return self._bare._numba_type_
+
+    @functools.cached_property
+    def _bare(self) -> Any:
+        bare = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True, "pipeline_class": self._compiler}
+        dispatcher = numba.njit(_signed(self.py_func), **bare, **self._options)
+
+        def keep(result: Any) -> None:  # as Numba's own, but for telling the dispatcher's C code of the machine code
+            dispatcher.overloads[tuple(result.signature.args)] = result
+
+        dispatcher.add_overload = keep
+        if self._options["forceinline"] or self._compiler is _BesideCompiler:
+            _compile_for_all_integers(dispatcher)
+        return dispatcher
+
+
+def _for_kernels(function: Function, compiler: type[CompilerBase] = _KernelCompiler, **options: Any) -> Function:
+    return function if numba.config.DISABLE_JIT else _Kernel(function, compiler, options)  # type: ignore[return-value]
 
 
 def _compile_for_all_integers(compiled: Any) -> None:
@@ -565,17 +591,6 @@ def _signed(function: Function) -> Function:
     """With its signature written down: Numba asks for it three times, a tenth of a second for all kernels."""
     function.__dict__["__signature__"] = inspect.signature(function)
     return function
-
-
-def _serve_python(compiled: Any, make_complete: Callable[[], Any]) -> None:
-    """Route calls from Python to a complete one: Numba's dispatcher would jump to the wrapper that was left out."""
-    complete = functools.cache(make_complete)
-
-    def keep(result: Any) -> None:  # as Numba's own, but for telling the dispatcher's C code of the machine code
-        compiled.overloads[tuple(result.signature.args)] = result
-
-    compiled.add_overload = keep
-    compiled._compile_for_args = lambda *arguments, **named: complete()._compile_for_args(*arguments, **named)
 
 
 def entry(function: Function) -> Function:
