@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from maxq.control.kernel import jit
+from maxq.control.kernel import kept_code
 from maxq.control.kernel.records import constants_in, pack, with_constants
 from maxq.sim.campaign import runs
 from maxq.sim.campaign.read import load_campaign
@@ -80,11 +80,11 @@ def test_the_cache_follows_the_sources_wherever_they_lie(tmp_path, monkeypatch):
     """A checkout below a folder named like one of sim's: its kernel sources count all the same."""
     here = tmp_path / "run" / "control" / "kernel"
     here.mkdir(parents=True)
-    monkeypatch.setattr(jit, "__file__", str(here / "jit.py"))
-    (here / "jit.py").write_text("a = 1\n")
-    before = jit.source_hash()
-    (here / "jit.py").write_text("a = 2\n")
-    assert jit.source_hash() != before
+    monkeypatch.setattr(kept_code, "__file__", str(here / "kept_code.py"))
+    (here / "kept_code.py").write_text("a = 1\n")
+    before = kept_code.source_hash()
+    (here / "kept_code.py").write_text("a = 2\n")
+    assert kept_code.source_hash() != before
     (tmp_path / "run" / "sim" / "log").mkdir(parents=True)
     (tmp_path / "run" / "sim" / "log" / "writer.py").write_text("")
-    assert list(jit._source_files()) == [here / "jit.py"]  # what holds no kernel compiles nothing anew
+    assert list(kept_code._source_files()) == [here / "kept_code.py"]  # what holds no kernel compiles nothing anew

@@ -68,16 +68,16 @@ def test_like_sources_elsewhere_are_compiled_once(tmp_path: Path) -> None:
 
 COUNTED = f"""
 import time
-from maxq.control.kernel import jit
+from maxq.control.kernel import compilers
 
-DONE, compiled = [], jit._EntryCompiler._compile_core
+DONE, compiled = [], compilers.EntryCompiler._compile_core
 def counted(self):
     DONE.append(self)
     if {{fails}}:
         raise RuntimeError("no code")
     time.sleep(1.0)  # the others come meanwhile
     return compiled(self)
-jit._EntryCompiler._compile_core = counted
+compilers.EntryCompiler._compile_core = counted
 try:
 {"".join(f"    {line}" for line in CALL.splitlines(keepends=True)[1:])}finally:
     print(len(DONE))
@@ -101,9 +101,9 @@ def test_workers_that_begin_together_compile_once(tmp_path: Path) -> None:
 BESIDE = """
 import math, os, sys
 import numpy as np
-from maxq.control.kernel import jit
+from maxq.control.kernel import compilers, jit
 
-DONE, AS = [], jit._BesideCompiler
+DONE, AS = [], compilers.BesideCompiler
 HOW = sys.argv[1]
 if HOW == "killed":
     AS.compile_and_leave = lambda self, name, write: os.kill(os.getpid(), 9)
@@ -169,7 +169,7 @@ def test_cache_to_which_others_may_write_is_refused(tmp_path: Path, part: str) -
     cache = tmp_path / "cache"
     (cache / part).mkdir(parents=True)
     (cache / part).chmod(0o777)
-    code = "from maxq.control.kernel.jit import own_cache; own_cache('verified')"
+    code = "from maxq.control.kernel.machine import own_cache; own_cache('verified')"
     refused = call(cache, "-c", code)
     assert refused.returncode == 1
     assert "other users may write to this cache" in refused.stderr

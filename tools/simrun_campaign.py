@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from maxq.control.kernel.jit import cores
+from maxq.control.kernel.machine import cores
 from maxq.sim.campaign.analysis import DataSet, judged, lost, selected
 from maxq.sim.campaign.error import CampaignError
 from maxq.sim.campaign.investigation import flight_folder, refly, search_worst, shrink_run

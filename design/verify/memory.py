@@ -22,7 +22,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from maxq.control.kernel.jit import own_cache
+from maxq.control.kernel.machine import own_cache
 from maxq.sim.files import FileError, write_whole
 from maxq.sim.scenario.schema_values import Section
 

@@ -27,7 +27,7 @@ from pathlib import Path
 from queue import Empty, SimpleQueue
 from typing import Any
 
-from maxq.control.kernel.jit import cores
+from maxq.control.kernel.machine import cores
 from maxq.sim.campaign.analysis import requirements_of
 from maxq.sim.campaign.error import CampaignError
 from maxq.sim.campaign.read import LoadedCampaign, campaign_from, description_of

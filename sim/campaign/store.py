@@ -26,7 +26,7 @@ import pyarrow.parquet as pq
 from pydantic import ValidationError
 from pydantic_core import to_json
 
-from maxq.control.kernel.jit import source_hash
+from maxq.control.kernel.kept_code import source_hash
 from maxq.sim.campaign.error import CampaignError
 from maxq.sim.campaign.read import LoadedCampaign, campaign_from, description_of
 from maxq.sim.campaign.runs import Row, history_table, schema_of, table_of

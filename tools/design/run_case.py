@@ -19,7 +19,7 @@ from pathlib import Path
 
 from pydantic import ValidationError
 
-from maxq.control.kernel.jit import cores
+from maxq.control.kernel.machine import cores
 from maxq.control.structures import STRUCTURES as KNOWN
 from maxq.design import api
 from maxq.design.case.schema import LoadedCase, read_case

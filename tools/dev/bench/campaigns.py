@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import Any
 from unittest.mock import patch
 
-from maxq.control.kernel.jit import cores
+from maxq.control.kernel.machine import cores
 from maxq.sim.campaign import runs as campaign_runs
 from maxq.sim.campaign.plan import Plan
 from maxq.sim.campaign.read import LoadedCampaign, load_campaign

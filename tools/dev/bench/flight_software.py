@@ -17,7 +17,7 @@ import time
 from pathlib import Path
 from typing import Any
 
-from maxq.control.kernel.jit import cores
+from maxq.control.kernel.machine import cores
 from maxq.sim.campaign.read import load_campaign
 from maxq.sim.campaign.runner import load_kernels, run_campaign
 from maxq.sim.campaign.runs import fly_rows

@@ -1,0 +1,277 @@
+"""How Numba compiles kernels: fewer passes, one linking and optimisation for all that an entry calls, and processes
+beside this one for what is large.
+"""
+
+from __future__ import annotations
+
+import functools
+import gc
+import os
+import secrets
+import sys
+import threading
+import warnings
+from typing import Any
+
+import llvmlite.binding
+import numba
+from numba.core import types
+from numba.core.codegen import JITCodeLibrary
+from numba.core.compiler import CompilerBase, compile_result
+from numba.core.compiler_machinery import PassManager
+from numba.core.funcdesc import FunctionDescriptor
+from numba.core.typed_passes import (
+    IRLegalization,
+    NativeLowering,
+    NoPythonBackend,
+    NopythonTypeInference,
+    PreLowerStripPhis,
+)
+from numba.core.types.functions import BaseFunction
+from numba.core.typing import signature
+from numba.core.untyped_passes import FixupArgs, GenericRewrites, IRProcessing, ReconstructSSA, TranslateByteCode
+from numba.np import numpy_support
+
+from maxq.control.kernel.kept_code import load_objects
+from maxq.control.kernel.machine import cores
+
+# LLVM joins like operations that stand side by side into vector instructions: the same arithmetic, bit by bit;
+# measured, a twentieth of a flight's time. Numba looks at this whenever it compiles, so that it holds for all of the
+# process.
+numba.config.SLP_VECTORIZE = 1
+
+
+class _KernelCode(JITCodeLibrary):  # type: ignore[misc]  # Numba has no types
+    """Code of one kernel as it was translated, for the entry that it ends up in; Python has no way to call it.
+
+    Numba would link each function with all that it calls, optimise that, and emit machine code, at every level of the
+    calls again.
+    """
+
+    @property
+    def codegen(self) -> _KernelCode:
+        return self
+
+    def set_env(self, name: str, environment: object) -> None:
+        """Only a wrapper for Python reads a function's environment."""
+
+    def get_pointer_to_function(self, name: str) -> int:
+        return 0  # as Numba's own, where there is no such function
+
+    def finalize(self) -> None:
+        self._finalize_dynamic_globals()
+        self._finalized = True
+
+    def by_itself(self) -> Any:
+        """LLVM module of the kernel without what it calls."""
+        return super()._get_module_for_linking()
+
+    def _get_module_for_linking(self) -> Any:
+        """The kernel with all that it calls: for functions that know of Numba only."""
+        whole = self.by_itself().clone()
+        _link_into(whole, self._linking_libraries)
+        return whole
+
+
+class _EntryCode(JITCodeLibrary):  # type: ignore[misc]  # Numba has no types
+    """Code of an entry with all that it calls, directly or not: linked and optimised once, but for routines whose
+    machine code is made in another process: `objects`, object files.
+    """
+
+    objects: tuple[bytes, ...] = ()
+
+    def finalize(self) -> None:
+        self._late = _link_into(self._final_module, self._linking_libraries, apart=True)
+        self._linking_libraries.clear()
+        super().finalize()
+
+    def _finalize_final_module(self) -> None:
+        if not self.objects:
+            self.objects = tuple(late.machine_code() for late in self._late)
+            load_objects(self._codegen, self.objects)
+        super()._finalize_final_module()
+
+    def serialize_using_object_code(self) -> tuple[str, str, tuple[bytes, bytes]]:
+        named = (f'@"{f.name}"' for f in self._final_module.functions if not f.is_declaration)
+        names = llvmlite.binding.parse_assembly("".join(f"define void {name}() {{ ret void }}\n" for name in named))
+        return self.name, "object", (self._get_compiled_object(), names.as_bitcode())
+
+
+def _link_into(module: Any, libraries: list[Any], apart: bool = False) -> list[_LateCode]:
+    """Link what a module calls into it, callers first: LLVM takes only what has been referred to by then.
+
+    `apart`: without routines that another process compiles; returns these.
+    """
+    backwards: dict[int, Any] = {}
+
+    def visit(library: Any) -> None:
+        if id(library) not in backwards:
+            if isinstance(library, _KernelCode):
+                for called in reversed(library._linking_libraries):
+                    visit(called)
+            backwards[id(library)] = library
+
+    for library in reversed(libraries):
+        visit(library)
+    late = [library for library in backwards.values() if apart and isinstance(library, _LateCode)]
+    for library in reversed(backwards.values()):
+        if library not in late:
+            is_kernel = isinstance(library, _KernelCode)
+            module.link_in(library.by_itself() if is_kernel else library._get_module_for_linking(), preserve=True)
+    return late
+
+
+_find_type = BaseFunction.get_call_type
+
+
+def _known_type(self: Any, context: Any, args: Any, kws: Any) -> Any:
+    """What Numba's own function returns for these arguments, looked for once: it tries its templates anew at every
+    addition. Measured, a fifth of a compilation.
+    """
+    if kws:
+        return _find_type(self, context, args, kws)
+    known = self.__dict__.setdefault("maxq_known", {})
+    if args not in known:
+        known[args] = _find_type(self, context, args, kws)
+    return known[args]
+
+
+BaseFunction.get_call_type = _known_type  # type: ignore[method-assign]  # of all of the process: a pure function
+
+# A record handed over from Python is typed by its layout, field by field, at every call: 2 ms for a flight computer's.
+numpy_support.from_struct_dtype = functools.cache(numpy_support.from_struct_dtype)  # a pure function, too
+
+_PASSES = (
+    TranslateByteCode, FixupArgs, IRProcessing, GenericRewrites, ReconstructSSA,
+    NopythonTypeInference, PreLowerStripPhis,
+    IRLegalization, NativeLowering, NoPythonBackend,
+)  # fmt: skip  # untyped, typed, lowering
+"""Numba's, without those for what kernels have not: closures, `with`, exceptions, array expressions, parallel loops,
+inlining on this level."""
+
+
+class EntryCompiler(CompilerBase):  # type: ignore[misc]  # Numba has no types
+    """Numba's compiler into other code, without collecting garbage: a tenth of the time, and there is next to none."""
+
+    code: type[JITCodeLibrary] = _EntryCode
+
+    def define_pipelines(self) -> list[Any]:
+        passes = PassManager("kernel")
+        for each in _PASSES:
+            passes.add_pass(each, each.__name__)
+        passes.finalize()
+        return [passes]
+
+    def _compile_core(self) -> Any:
+        self.state.library = self.code(self.state.targetctx.codegen(), self.state.func_id.func_qualname)
+        self.state.library.enable_object_caching()
+        collecting = gc.isenabled()
+        gc.disable()
+        try:
+            return super()._compile_core()
+        finally:
+            if collecting:
+                gc.enable()
+
+
+class KernelCompiler(EntryCompiler):
+    code = _KernelCode
+
+
+class DisjointCompiler(KernelCompiler):
+    def _compile_core(self) -> Any:
+        self.state.flags.noalias = True
+        return super()._compile_core()
+
+
+class _LateCode(_KernelCode):
+    """Code of a routine that a process of its own compiles: waited for when the entry is ready but for it."""
+
+    def __init__(self, compiler: BesideCompiler, codegen: Any, name: str) -> None:
+        super().__init__(codegen, name)
+        self._finalized = True
+        self._compiler, self._code = compiler, b""
+        pipe, write = os.pipe()
+        with warnings.catch_warnings():  # of Python 3.12, that another thread may hold a lock: none that is asked for
+            warnings.simplefilter("ignore", DeprecationWarning)
+            self._child = os.fork()
+        if self._child == 0:
+            os.close(pipe)
+            compiler.compile_and_leave(name, write)
+        os.close(write)
+        self._pipe = os.fdopen(pipe, "rb")
+
+    def by_itself(self) -> Any:
+        return self._compiler.module_here(self.name)
+
+    def machine_code(self) -> bytes:
+        if not self._code:
+            with self._pipe as pipe:
+                self._code = pipe.read()
+            if os.waitpid(self._child, 0)[1] != 0:
+                self._code = self._compiler.machine_code_here(self.name)
+        return self._code
+
+
+class BesideCompiler(DisjointCompiler):
+    """Compiles in a process beside this one, which goes on with the caller: nothing of a routine that returns nothing
+    has to be known before the entry is loaded.
+    """
+
+    allowed = sys.platform == "linux" and cores() > 1
+
+    def _compile_core(self) -> Any:
+        if not self.allowed or threading.current_thread() is not threading.main_thread():
+            return self.here()
+        state, function = self.state, self.state.func_id
+        state.flags.noalias = True  # a part of the name; so is a number: each entry has machine code of its own
+        described = FunctionDescriptor(
+            True, function.modname, function.func_qualname, function.unique_name, "", {}, types.none, {},
+            function.arg_names, (), mangler=state.targetctx.mangler, argtypes=tuple(state.args),
+            noalias=True, abi_tags=[state.flags.get_mangle_string(), secrets.token_hex(8)], uid=function.unique_id,
+        )  # fmt: skip  # a line each otherwise
+        try:
+            library = _LateCode(self, state.targetctx.codegen(), described.llvm_func_name)
+        except OSError:  # no further process, or no pipe, to be had
+            return self.here()
+        compiled = object()
+        state.targetctx.insert_user_function(compiled, described, [library])
+        return compile_result(
+            typing_context=state.typingctx, target_context=state.targetctx, entry_point=compiled, library=library,
+            signature=signature(types.none, *state.args), objectmode=False, fndesc=described,
+        )  # fmt: skip  # a line each otherwise
+
+    def here(self) -> Any:
+        return super()._compile_core()
+
+    def module_here(self, name: str) -> Any:
+        """LLVM module of the routine as `name`, with all that it calls.
+
+        What else is in it has no name in machine code: the loader takes equal names of several objects, local ones
+        too, for one function, and that of another object may take other arguments by now.
+        """
+        result = self.here()
+        module = result.library._get_module_for_linking()
+        module.get_function(result.fndesc.llvm_func_name).name = name
+        for each in (*module.functions, *module.global_variables):
+            if not each.is_declaration:
+                each.linkage = "external" if each.name == name else "private"
+        return module
+
+    def machine_code_here(self, name: str) -> bytes:
+        codegen = self.state.targetctx.codegen()
+        library = JITCodeLibrary(codegen, name)
+        library._final_module = self.module_here(name)
+        library._optimize_final_module()
+        return bytes(codegen._tm.emit_object(library._final_module))
+
+    def compile_and_leave(self, name: str, write: int) -> None:
+        """In the other process: write the routine's machine code, and end."""
+        status = 1
+        try:
+            BesideCompiler.allowed = False
+            with os.fdopen(write, "wb") as pipe:
+                pipe.write(self.machine_code_here(name))
+            status = 0
+        finally:
+            os._exit(status)

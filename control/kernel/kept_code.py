@@ -1,0 +1,196 @@
+"""Machine code of entries, kept on disk with all that they call, in a folder whose name holds a hash of all of maxq's
+sources: Numba itself looks only at the file of the function that is called, so that without this an edited callee would
+keep its old machine code.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import hashlib
+import io
+import os
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import llvmlite.binding
+from numba.core.caching import CompileResultCacheImpl, FunctionCache, IndexDataCacheFile
+from numba.core.runtime import rtsys
+
+from maxq.control.kernel.machine import own_cache
+
+if sys.platform != "win32":
+    import fcntl
+
+_KERNEL_FREE = {
+    "scenario",
+    "log",
+    "packing",
+    "run",
+    "campaign",
+    "api.py",
+}  # of sim/: what no kernel takes anything from
+
+
+def _source_files() -> tuple[Path, ...]:
+    """Python sources that may hold a kernel or a constant that one uses, wherever they are installed."""
+    layers = Path(__file__).resolve().parents[2]
+    held = (sorted((layers / layer).rglob("*.py")) for layer in ("control", "sim"))
+    alone = sorted((layers / "design/margins").glob("many*.py"))  # design/ and tools/ hold no others
+    of_layers = (p for paths in held for p in paths if not _KERNEL_FREE.intersection(p.relative_to(layers).parts))
+    return (*alone, *of_layers)
+
+
+def source_hash() -> str:
+    """First 16 hex digits of the SHA-256 of all sources that may hold a kernel."""
+    digest = hashlib.sha256()
+    for path in _source_files():
+        digest.update(path.name.encode())
+        digest.update(path.read_bytes())
+    return digest.hexdigest()[:16]
+
+
+def cache_folder() -> Path:
+    """Folder of the compiled kernels."""
+    return own_cache(f"kernels-{source_hash()}")
+
+
+_FOLDER, _SOURCES = str(cache_folder()), frozenset(map(str, _source_files()))
+
+
+class _CheckedFile(IndexDataCacheFile):  # type: ignore[misc]  # Numba has no types
+    """Numba's files of one function's machine code, each with its SHA-256 at the end: a damaged one is made anew.
+
+    Numba reads neither file to its end, and takes the index as empty and code as missing where that is returned here.
+    """
+
+    @contextlib.contextmanager
+    def _open_for_write(self, filepath: str) -> Iterator[io.BytesIO]:
+        content = io.BytesIO()
+        yield content
+        with super()._open_for_write(filepath) as file:
+            file.write(content.getvalue() + hashlib.sha256(content.getvalue()).digest())
+
+    def _load_index(self) -> dict[Any, str]:
+        return super()._load_index() if _is_whole(self._index_path) else {}
+
+    def _load_data(self, name: str) -> Any:
+        path = self._data_path(name)
+        if not _is_whole(path):
+            raise OSError(errno.EIO, "this machine code is damaged", path)
+        return super()._load_data(name)
+
+
+class _Place:
+    """Where an entry's machine code is kept and for how long it is good, as Numba asks for it.
+
+    That of maxq's own sources, whose hash is the folder's name, holds wherever they are installed and whenever they
+    were written; that of other files by their path, size and age.
+    """
+
+    def __init__(self, function: Any, path: str) -> None:
+        self._line, own = function.__code__.co_firstlineno, os.path.realpath(path) in _SOURCES
+        name = function.__module__ if own else hashlib.sha256(os.path.abspath(path).encode()).hexdigest()[:16]
+        self._folder = os.path.join(_FOLDER, name)
+        status = os.stat(path)
+        self._stamp = () if own else (status.st_size, status.st_mtime_ns)
+
+    @classmethod
+    def from_function(cls, function: Any, path: str) -> _Place | None:
+        """None where nothing can be kept."""
+        try:
+            place = cls(function, path)
+            place.ensure_cache_path()
+        except OSError:
+            return None
+        return place
+
+    def ensure_cache_path(self) -> None:
+        os.makedirs(self._folder, exist_ok=True)
+        if not os.access(self._folder, os.W_OK):
+            raise PermissionError(errno.EACCES, "this folder cannot be written", self._folder)
+
+    def get_cache_path(self) -> str:
+        return self._folder
+
+    def get_source_stamp(self) -> tuple[int, ...]:
+        return self._stamp
+
+    def get_disambiguator(self) -> str:
+        return str(self._line)
+
+
+class _Kept(CompileResultCacheImpl):  # type: ignore[misc]  # Numba has no types
+    """What is kept of an entry: machine code without the LLVM code that it was made from, which no other one links."""
+
+    _locator_classes = (_Place,)
+
+    def reduce(self, result: Any) -> Any:
+        return result.library.objects, super().reduce(result)
+
+    def rebuild(self, context: Any, kept: Any) -> Any:
+        load_objects(context.codegen(), kept[0])
+        result = super().rebuild(context, kept[1])
+        result.library._shared_module = None  # Numba refuses to link what has none
+        return result
+
+
+class EntryCache(FunctionCache):  # type: ignore[misc]  # Numba has no types
+    _impl_class = _Kept
+    _turn: int | None = None  # descriptor of the locked file while this process compiles
+
+    def __init__(self, function: Any) -> None:
+        super().__init__(function)
+        self._cache_file.__class__ = _CheckedFile
+
+    def load_overload(self, signature: Any, target: Any) -> Any:
+        """Machine code from disk, without Numba's implementations of NumPy, which load SciPy's linear algebra: a
+        compilation loads them; what has been compiled needs no more than the reference counts of arrays.
+
+        Where there is none, this process compiles: workers that start together wait for the first of them.
+        """
+        rtsys.initialize(target)
+        for _ in range(2):
+            with self._guard_against_spurious_io_errors():
+                found = self._load_overload(signature, target)
+                if found is not None or self._turn is not None:
+                    break
+            self._await_turn(repr(self._index_key(signature, target.codegen())))
+        if found is not None:
+            self._end_turn()
+        return found
+
+    def save_overload(self, signature: Any, data: Any) -> None:
+        try:
+            super().save_overload(signature, data)
+        finally:
+            self._end_turn()
+
+    def _await_turn(self, key: str) -> None:
+        name = hashlib.sha256(f"{self._cache_file._index_path}{key}".encode()).hexdigest()[:16]
+        if sys.platform != "win32":
+            with contextlib.suppress(OSError):  # where nothing can be kept or locked, each compiles for itself
+                self._turn = os.open(Path(_FOLDER, f"{name}.lock"), os.O_RDWR | os.O_CREAT, 0o600)
+                fcntl.flock(self._turn, fcntl.LOCK_EX)
+
+    def _end_turn(self) -> None:
+        if self._turn is not None:  # nor may a process that was forked meanwhile keep others waiting
+            with contextlib.suppress(OSError):
+                fcntl.flock(self._turn, fcntl.LOCK_UN)
+            os.close(self._turn)
+            self._turn = None
+
+
+def _is_whole(path: str) -> bool:
+    try:
+        content = Path(path).read_bytes()
+    except OSError:
+        return False
+    return hashlib.sha256(content[:-32]).digest() == content[-32:]
+
+
+def load_objects(codegen: Any, objects: tuple[bytes, ...]) -> None:
+    for code in objects:
+        codegen._engine._ee.add_object_file(llvmlite.binding.ObjectFileRef.from_data(code))

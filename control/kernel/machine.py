@@ -1,0 +1,34 @@
+"""What this machine offers: its cores, and a folder of the user's for what need not be worked out again."""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import os
+from pathlib import Path
+
+
+def cores() -> int:
+    """Cores that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def own_cache(name: str) -> Path:
+    """A folder for machine code or results, made where it is missing: in `$MAXQ_CACHE`, else the user's cache folder.
+
+    Raises PermissionError where another user owns it or may write to it: what lies there is run and believed.
+    """
+    base = os.environ.get("MAXQ_CACHE") or os.path.join(
+        os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache"), "maxq"
+    )
+    for folder in (Path(base), Path(base) / name):
+        with contextlib.suppress(OSError):  # where nothing can be kept, everything is worked out anew
+            folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+        if hasattr(os, "getuid") and folder.exists():
+            status = folder.stat()
+            advice = "give a cache folder of your own to which no one else may write (chmod go-w)"
+            if status.st_uid != os.getuid():
+                raise PermissionError(errno.EACCES, f"this cache belongs to another user; {advice}", str(folder))
+            if status.st_mode & 0o022:
+                raise PermissionError(errno.EACCES, f"other users may write to this cache; {advice}", str(folder))
+    return Path(base) / name
