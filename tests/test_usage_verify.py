@@ -492,6 +492,8 @@ def test_every_reason_has_limit_value_vehicle_and_command() -> None:
     *_, row = margin_requirements(study, wanted, lambda label: loaded.command("designs/ksr3-robust.toml", None, label))
     assert row.found == "51 of 60; phase margin, rigid body: 14.10 deg, wanted >= 15 deg"
     assert row.where == "vehicle 60, 40 s, yaw"
+    *_, of_stage = margin_requirements(dataclasses.replace(study, stage="stage 1 (first)"), wanted)
+    assert "; phase margin, rigid body, stage 1 (first): 14.10 deg" in of_stage.found
     assert row.again == "simverify ksr3-robust --set margins.seed=7 'vehicle 60'"
     only = dataclasses.replace(study, random=values[59:], first=60)
     alone = margin_requirements(only, wanted.model_copy(update={"only": "vehicle 60"}))

@@ -361,7 +361,7 @@ def margin_requirements(
         worst = min((r for r in missed if r.judgement == REJECTED), key=lambda r: r.room, default=None)
         said = f"{len(found.random) - len(failures)} of {len(found.random)}"
         if worst is not None:
-            said += f"; {worst.name.strip(', ')}: {worst.found}, wanted {worst.wanted}"
+            said += f"; {worst.name}: {worst.found}, wanted {worst.wanted}"
         out.append(
             Requirement(
                 "dispersed", f"random vehicles meet the dispersed limits{whose}",
@@ -402,7 +402,7 @@ def _limits(
         value, where, command = (min if sense == ">=" else max)(rows, key=lambda r: r[0])
         out.append(
             Requirement(
-                part, f"{title}, {whose}{stage}", f"{sense} {limit:g} {unit}",
+                part, ", ".join(filter(None, (title, whose, found.stage))), f"{sense} {limit:g} {unit}",
                 f"{value:.2f} {unit}" if math.isfinite(value) else "free",
                 REJECTED if beyond(value, limit, sense, unit) > 0.0 else ACCEPTED,
                 room_left(value, limit, sense, unit), where, again=command,

@@ -1,4 +1,4 @@
-"""Campaigns on a Dask scheduler: eight worker processes that fly, and two hundred simulated workers that wait instead.
+"""Campaigns on a Dask scheduler: eight worker processes that fly, and a thousand simulated workers that wait instead.
 
 A simulated worker is a worker of Dask like any other, many of them to a process: it takes real tasks, draws their runs,
 waits for as long as their flights would take on a core of its own (one batch in fifty ten times as long) and returns
@@ -28,7 +28,7 @@ from maxq.sim.campaign.read import load_campaign
 from maxq.sim.campaign.runs import Row
 
 FLYING = 8
-SIMULATED, PROCESSES = 200, 4  # a thousand leave two cores no time for anything but their heartbeats
+SIMULATED, PROCESSES = 1000, 4
 FLIGHT_S = 0.04  # of a simulated worker's core
 SLOW_SHARE, SLOW_FACTOR = 0.02, 10.0
 
@@ -51,9 +51,19 @@ def _simulate(flight_s: float) -> None:
     runner.fly_batch = waited
 
 
+_QUIET = {  # of many workers to a process: each would look at its own stack a hundred times a second, and so on
+    "distributed.worker.profile.enabled": False,
+    "distributed.admin.tick.interval": "60s",
+    "distributed.admin.system-monitor.interval": "60s",
+}
+
+
 async def _workers(address: str, count: int) -> None:
+    import dask  # noqa: PLC0415  # an extra
     from distributed import Worker  # noqa: PLC0415  # an extra
 
+    if count > 1:
+        dask.config.set(_QUIET)
     workers = [Worker(address, nthreads=1, memory_limit=0, dashboard=False, validate=False) for _ in range(count)]
     await asyncio.gather(*workers)
     await asyncio.gather(*(worker.finished() for worker in workers))
@@ -110,7 +120,7 @@ def _cpu_s(pid: int) -> float:
 
 def measure() -> list[dict[str, Any]]:
     flown = [_measured(FLYING, FLYING, 800, None, kill) for kill in (False, True)]
-    simulated = [_measured(SIMULATED, PROCESSES, 8000, FLIGHT_S, kill) for kill in (False, True)]
+    simulated = [_measured(SIMULATED, PROCESSES, 20_000, FLIGHT_S, kill) for kill in (False, True)]
     return [*flown, *simulated]
 
 
