@@ -56,7 +56,7 @@ extends = "scenario.toml"
 FIRST = "stages=[1]"  # of petrel; the others fly the design of the row "pd F4"
 WIND = "wind={sigma_mps=10.0, length_v_m=3000.0, band_hz=[0.02, 0.3]}"
 FEW = [FIRST, "nodes_per_stage=7", "search.starts=2", "search.leaps=1"]
-RELIEF = {"ksr3": [WIND, "limits.q_alpha_Padeg=10500"], "petrel": [WIND, "limits.q_alpha_Padeg=50000", *FEW]}
+RELIEF = {"ksr3": [WIND, "limits.q_alpha_Padeg=11800"], "petrel": [WIND, "limits.q_alpha_Padeg=50000", *FEW]}
 PLAIN = {"ksr3": [], "petrel": FEW}
 SMALL = ["between_nodes=ignore", "search.starts=2", "search.leaps=1"]
 F2 = ".structure=F2"
