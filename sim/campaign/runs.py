@@ -74,14 +74,16 @@ def fly_rows(loaded: LoadedCampaign, orders: Iterable[Order], stop: Callable[[],
 
     An error in a run becomes its row. All are prepared before the first is flown, and judged after the last: a flight
     drives Python's code and data out of the processor's caches, and to fetch them again for each run costs as much as
-    the preparation itself. Flight code from outside flies in a process of its own, one a thread: there each is
-    prepared in its turn. Raises CampaignError where the file refuses the draws.
+    the preparation itself. Only flight code from outside is started in its turn: it flies in a process of its own, one
+    a thread. Raises CampaignError where the file refuses the draws.
     """
     pack, computer = packer(loaded), loaded.base.scenario.vehicle.computer
-    runs: Iterable[_Run] = (_Run(loaded, drawn, run, pack) for drawn, run in orders)
+    runs = [_Run(loaded, drawn, run, pack) for drawn, run in orders]
     if computer is None or computer.law != "external":
-        runs = list(runs)
-    return [run.recorded() for run in takewhile(lambda run: run.fly(stop), runs)]
+        for run in runs:
+            run.begin()
+    flown = list(takewhile(lambda run: run.fly(stop), runs))
+    return [run.recorded() for run in flown]
 
 
 class _Run:
@@ -91,6 +93,7 @@ class _Run:
         wanted = loaded.campaign.envelope
         self.envelope = wanted if run < wanted.runs and wanted.channels else None
         self.kept: list[tuple[Array, Array]] = []  # times and values of the envelope's channels, by segment
+        self.flight: FlightRun | None = None
         self.row: Row | None = None
         try:
             self.made = loaded.inputs(run, drawn)
@@ -98,7 +101,13 @@ class _Run:
             self.row = _void_row(run, REFUSED, f"no such scenario: {refused}")
             return
         with self._errors_recorded():
-            self.flight = _begun_flight(self.made.loaded, self.envelope, pack)
+            self.packed = pack(self.made.loaded.scenario)
+
+    def begin(self) -> None:
+        """Bring it to its start, where flight code from outside begins to run."""
+        if self.row is None and self.flight is None:
+            with self._errors_recorded():
+                self.flight = _begun_flight(self.made.loaded, self.envelope, self.packed)
 
     @contextmanager
     def _errors_recorded(self) -> Iterator[None]:
@@ -113,7 +122,8 @@ class _Run:
 
     def fly(self, stop: Callable[[], bool]) -> bool:
         """Fly it to its end; False where `stop` said so before."""
-        if self.row is not None:
+        self.begin()
+        if self.flight is None:
             return True
         with self._errors_recorded():
             table, wanted = self.flight.table, self.envelope.channels if self.envelope is not None else ()
@@ -128,7 +138,7 @@ class _Run:
 
     def recorded(self) -> Row:
         """The row of a run that has been flown."""
-        if self.row is None:
+        if self.row is None and self.flight is not None:
             with self._errors_recorded():
                 row = recorded_row(self.made, self.flight.result())
                 if self.envelope is not None:
@@ -153,15 +163,14 @@ def packer(loaded: LoadedCampaign) -> Packing:
 
 def fly_scenario(loaded: LoadedScenario) -> Flight:
     """Fly without a log."""
-    flight = _begun_flight(loaded, None, pack_flight)
+    flight = _begun_flight(loaded, None, pack_flight(loaded.scenario))
     while not flight.finished:
         flight.fly_segment()
     return flight.result()
 
 
-def _begun_flight(loaded: LoadedScenario, envelope: Envelope | None, pack: Packing) -> FlightRun:
+def _begun_flight(loaded: LoadedScenario, envelope: Envelope | None, packed: Packed) -> FlightRun:
     """A flight at its start, without a log; with the channels of an envelope where one is given."""
-    packed = pack(loaded.scenario)
     timeline = packed.parameters[0].timeline
     step_ns = 1 if timeline.even == 1 else int(timeline.step_ns)  # of the grid on which rows lie
     if envelope is not None:
