@@ -79,7 +79,8 @@ def _timed(spent: dict[str, float], name: str, function: Callable[..., Any]) -> 
 PARTS: dict[str, tuple[Any, str]] = {
     "draws of a batch": (Plan, "draw"),
     "scenario: changed, checked": (LoadedCampaign, "inputs"),
-    "packing": (campaign_runs, "_begun_flight"),
+    "packing": (campaign_runs, "pack_for_one_vehicle"),
+    "start": (campaign_runs, "_begun_flight"),
     "flight": (campaign_runs._Run, "fly"),
     "metrics, verdicts, row": (campaign_runs._Run, "recorded"),
     "Arrow tables, Parquet files": (Store, "write"),
