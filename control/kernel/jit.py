@@ -39,6 +39,13 @@ def kernel(function: Function) -> Function:
     return _for_kernels(function, forceinline=True)
 
 
+def formula(function: Function) -> Function:
+    """As `kernel`, for arithmetic of indices and sizes: plain Python where Python calls it, which is sooner done than
+    machine code is loaded.
+    """
+    return _for_kernels(function, kind=_Formula, forceinline=True)
+
+
 def routine(function: Function) -> Function:
     """As `kernel`, for what is large and called from several places: compiled once and called.
 
@@ -98,8 +105,15 @@ class _Kernel:
         return dispatcher
 
 
-def _for_kernels(function: Function, compiler: type[CompilerBase] = KernelCompiler, **options: Any) -> Function:
-    return function if numba.config.DISABLE_JIT else _Kernel(function, compiler, options)  # type: ignore[return-value]
+class _Formula(_Kernel):
+    def __call__(self, *arguments: Any, **named: Any) -> Any:
+        return self.py_func(*arguments, **named)
+
+
+def _for_kernels(
+    function: Function, compiler: type[CompilerBase] = KernelCompiler, kind: type[_Kernel] = _Kernel, **options: Any
+) -> Function:
+    return function if numba.config.DISABLE_JIT else kind(function, compiler, options)  # type: ignore[return-value]
 
 
 def _compile_for_all_integers(compiled: Any) -> None:

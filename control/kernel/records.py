@@ -88,8 +88,8 @@ def _values(instance: Any) -> tuple[Any, ...]:
 
 def _reader(schema: type) -> Reader:
     names = [f.name for f in fields(schema)]
-    hints = get_type_hints(schema)
-    nested = tuple(k for k, name in enumerate(names) if is_dataclass(hints[name]) or get_origin(hints[name]) is tuple)
+    layout = dtype_of(schema)
+    nested = tuple(k for k, name in enumerate(names) if layout[name].base.names)
     if len(names) == 1:
         return lambda instance: (getattr(instance, names[0]),), nested
     return attrgetter(*names), nested

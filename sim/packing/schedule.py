@@ -11,8 +11,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from maxq.control.kernel.jit import from_python
-from maxq.control.kernel.records import Array, pack
+from maxq.control.kernel.records import Array
 from maxq.control.kernel.tables import Cubics, Method, fit, merge, union
 from maxq.sim.packing.engines import Mount, cluster_of, engine_mounts, on_clock, swinging, thrust_curves
 from maxq.sim.packing.modes import Places, mode_values, spatial_values
@@ -27,11 +26,6 @@ from maxq.sim.scenario.schema_vehicle import Stage
 from maxq.sim.scenario.tables_csv import CsvTable
 from maxq.sim.vehicle import schedule as columns_of
 from maxq.sim.vehicle.state import Sizes
-
-_schedule_width = from_python(columns_of.schedule_width)
-_gimbal_place = from_python(columns_of.gimbal_place)
-_padded_modes, _mode_rows = from_python(columns_of.padded_modes), from_python(columns_of.mode_rows)
-_gimbal_row = from_python(columns_of.gimbal_row)
 
 
 def stage_sizes(stage: Stage, switches: Switches, burn: Burn = NOMINAL) -> Sizes:
@@ -103,7 +97,7 @@ def vehicle_schedule(stage: Stage, burn: Burn, sizes: Sizes, switches: Switches,
     if sizes.spatial_modes > 0:
         parts.append(_spatial_modes(stage, burn, sizes, tanks, method))
     schedule = merge(parts + further_thrusts)
-    assert schedule.n_columns == _schedule_width(pack([sizes])[0])
+    assert schedule.n_columns == columns_of.schedule_width(sizes)
     return schedule
 
 
@@ -207,8 +201,7 @@ def _modes(
     stage: Stage, burn: Burn, table: ModeTable | None, sizes: Sizes, tanks: Sequence[Cubics], method: Method
 ) -> Cubics:
     """Columns of all modes of one plane; zeros without a table."""
-    record = pack([sizes])[0]
-    rows, padded_modes = int(_mode_rows(record)), int(_padded_modes(record))
+    rows, padded_modes = columns_of.mode_rows(sizes), columns_of.padded_modes(sizes)
     if table is None or rows * padded_modes == 0:
         return fit([0.0], np.zeros((1, rows * padded_modes)))
     bending = stage.bending
@@ -218,7 +211,7 @@ def _modes(
     factors = np.ones((rows, padded_modes))
     factors[columns_of.MODE_SLOPE_GYRO, : table.modes] = bending.gyro_slope_factor[: table.modes]
     for gimbal in range(sizes.gimbals):
-        row = int(_gimbal_row(record, gimbal))
+        row = columns_of.gimbal_row(sizes, gimbal)
         of_engine = gimbal < sizes.gimbals - sizes.sensors
         given = bending.gimbal_shape_factor if of_engine else bending.gyro_slope_factor
         factors[row : row + 2, : table.modes] = given[: table.modes]
@@ -237,12 +230,14 @@ def _spatial_modes(stage: Stage, burn: Burn, sizes: Sizes, tanks: Sequence[Cubic
     """Columns of all spatial modes."""
     given = stage.spatial_modes
     assert given is not None
-    table, n, record = given.modes, sizes.spatial_modes, pack([sizes])[0]
+    table, n = given.modes, sizes.spatial_modes
     mass, _, inertia = np.split(mass_table(stage)[1][0], [1, 4])
     values = spatial_values(table, _places(stage, burn, table, tanks), float(inertia[0] / mass[0]))
     joined = fit(table.time_s, values, method)
     factors = np.ones((values.shape[1] // n, n))
-    gyro, gimbal = (columns_of.SPATIAL_FIRST + 6 * p for p in (columns_of.GYRO_PLACE, int(_gimbal_place(record, 0))))
+    gyro, gimbal = (
+        columns_of.SPATIAL_FIRST + 6 * p for p in (columns_of.GYRO_PLACE, columns_of.gimbal_place(sizes, 0))
+    )
     factors[gyro + 3 : gyro + 6] = given.gyro_slope_factor
     engines = 6 * (sizes.gimbals - sizes.sensors)
     factors[gimbal : gimbal + engines] = given.gimbal_shape_factor

@@ -14,7 +14,6 @@ from typing import Annotated, NamedTuple
 
 import numpy as np
 
-from maxq.control.kernel.jit import from_python
 from maxq.control.kernel.records import Array, Records
 from maxq.sim.flight.channels import declared_channels
 from maxq.sim.flight.metrics import MetricIndex
@@ -25,7 +24,6 @@ from maxq.sim.world.earth import FLAT, INVERSE_SQUARE, J2, Earth
 
 _ITERATIONS = 200
 _CONVERGED_RAD = 1e-13
-_extreme_index = from_python(extreme_index)
 
 
 class EndMetrics(NamedTuple):
@@ -244,7 +242,7 @@ def section_extremes(parameters: Records, sections: SectionLoads) -> tuple[Secti
     for stage, p in enumerate(parameters):
         for n in range(int(p.loads.stations)):
             for kind, name in enumerate(KINDS):
-                e = _extreme_index(stage, kind, n)
+                e = extreme_index(stage, kind, n)
                 times_s = (_time_s(int(times_ns[e])) for times_ns in (sections.value_ns, sections.ratio_ns))
                 pairs = zip((float(sections.value[e]), float(sections.ratio[e])), times_s, strict=True)
                 out.append(

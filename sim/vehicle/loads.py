@@ -16,7 +16,7 @@ import math
 from dataclasses import dataclass
 from typing import Annotated, NamedTuple
 
-from maxq.control.kernel.jit import kernel, routine
+from maxq.control.kernel.jit import formula, kernel, routine
 from maxq.control.kernel.limits import MAX_LOAD_STATIONS, MAX_MODES, MAX_PENDULUMS, MAX_STAGES, MAX_SURFACES
 from maxq.control.kernel.records import Array, IntArray
 from maxq.control.kernel.rows import PitchYaw
@@ -125,7 +125,7 @@ class Drivers(NamedTuple):
     spread: tuple[float, float, float, float]  # lateral force a metre: constant and slope along the body, y and z
 
 
-@kernel
+@formula
 def extreme_index(stage: int, kind: int, station: int) -> int:
     return (stage * N_KINDS + kind) * MAX_LOAD_STATIONS + station
 

@@ -14,9 +14,9 @@ compute them.
 
 from __future__ import annotations
 
-from maxq.control.kernel.jit import kernel
+from maxq.control.kernel.jit import formula, kernel
 from maxq.control.kernel.records import Array
-from maxq.sim.vehicle.block import Counts
+from maxq.sim.vehicle.block import Counts, Sizes
 
 CORE_MASS = 0  # kg, without the sloshing masses
 CORE_CG = 1  # x_n aft of the nose, y, z, m
@@ -66,99 +66,99 @@ MODE_TANK_COMPLIANCE = 3  # then the acceleration per newton at each tank, 1/kg
 PITCH, YAW = 0, 1
 
 
-@kernel
+@formula
 def tank_column(tank: int) -> int:
     return N_CONSTANT + TANK_WIDTH * tank
 
 
-@kernel
-def padded_modes(sizes: Counts) -> int:
+@formula
+def padded_modes(sizes: Sizes | Counts) -> int:
     """Columns of a row of modal quantities: the modes of a plane and zeros up to a multiple of four."""
     return 4 * sizes.mode_groups
 
 
-@kernel
-def mode_rows(sizes: Counts) -> int:
+@formula
+def mode_rows(sizes: Sizes | Counts) -> int:
     """Rows of a plane."""
     return softening_row(sizes, 0) + padded_modes(sizes)
 
 
-@kernel
-def mode_column(sizes: Counts, plane: int, row: int) -> int:
+@formula
+def mode_column(sizes: Sizes | Counts, plane: int, row: int) -> int:
     """First mode's column of a row of a plane (PITCH, YAW); the other modes follow."""
     return N_CONSTANT + TANK_WIDTH * sizes.pendulums + (plane * mode_rows(sizes) + row) * padded_modes(sizes)
 
 
-@kernel
-def softening_row(sizes: Counts, mode: int) -> int:
+@formula
+def softening_row(sizes: Sizes | Counts, mode: int) -> int:
     """Row of what `mode`'s displacement takes from the stiffness of each mode under axial load."""
     return gimbal_row(sizes, sizes.gimbals) + mode
 
 
-@kernel
-def surface_row(sizes: Counts, surface: int) -> int:
+@formula
+def surface_row(sizes: Sizes | Counts, surface: int) -> int:
     """Row of the shapes at a lifting surface; that of the slopes is the next."""
     return MODE_FIRST + sizes.pendulums + 2 * surface
 
 
-@kernel
+@formula
 def tank_place(tank: int) -> int:
     return 1 + tank
 
 
-@kernel
-def surface_place(sizes: Counts, surface: int) -> int:
+@formula
+def surface_place(sizes: Sizes | Counts, surface: int) -> int:
     return 1 + sizes.pendulums + surface
 
 
-@kernel
-def gimbal_place(sizes: Counts, gimbal: int) -> int:
+@formula
+def gimbal_place(sizes: Sizes | Counts, gimbal: int) -> int:
     return 1 + sizes.pendulums + sizes.surfaces + gimbal
 
 
-@kernel
-def spatial_column(sizes: Counts, row: int) -> int:
+@formula
+def spatial_column(sizes: Sizes | Counts, row: int) -> int:
     """First spatial mode's column of a row; the other modes follow."""
     return mode_column(sizes, 2, 0) + row * sizes.spatial_modes
 
 
-@kernel
-def place_column(sizes: Counts, place: int, component: int) -> int:
+@formula
+def place_column(sizes: Sizes | Counts, place: int, component: int) -> int:
     """As `spatial_column`, of a component of the shapes at a place: 0 to 2 displacement, 3 to 5 rotation (1/m), B."""
     return spatial_column(sizes, SPATIAL_FIRST + 6 * place + component)
 
 
-@kernel
-def spatial_softening_row(sizes: Counts, mode: int) -> int:
+@formula
+def spatial_softening_row(sizes: Sizes | Counts, mode: int) -> int:
     """Row of what `mode`'s displacement takes from the stiffness of each spatial mode under axial load."""
     return SPATIAL_FIRST + 6 * gimbal_place(sizes, sizes.gimbals) + mode
 
 
-@kernel
-def turning_row(sizes: Counts, mode: int) -> int:
+@formula
+def turning_row(sizes: Sizes | Counts, mode: int) -> int:
     """Row of the share of each spatial mode in the shape of `mode` turned by a right angle about x."""
     return spatial_softening_row(sizes, sizes.spatial_modes) + mode
 
 
-@kernel
-def gimbal_row(sizes: Counts, gimbal: int) -> int:
+@formula
+def gimbal_row(sizes: Sizes | Counts, gimbal: int) -> int:
     """Row of the shapes at a station of gimbals; that of the slopes is the next."""
     return MODE_PHI_GIMBAL if gimbal == 0 else surface_row(sizes, sizes.surfaces) + 2 * (gimbal - 1)
 
 
-@kernel
-def thrust_column(sizes: Counts, curve: int) -> int:
+@formula
+def thrust_column(sizes: Sizes | Counts, curve: int) -> int:
     """Column of a curve of vacuum thrust: further ones stand behind the modes."""
     return THRUST_VACUUM if curve == 0 else spatial_column(sizes, turning_row(sizes, sizes.spatial_modes)) + curve - 1
 
 
-@kernel
-def schedule_width(sizes: Counts) -> int:
+@formula
+def schedule_width(sizes: Sizes | Counts) -> int:
     return thrust_column(sizes, sizes.thrust_curves)
 
 
-@kernel
-def derived_column(sizes: Counts, plane: int, row: int) -> int:
+@formula
+def derived_column(sizes: Sizes | Counts, plane: int, row: int) -> int:
     """As `mode_column`, of the derived rows behind the table."""
     return (
         schedule_width(sizes)
@@ -167,20 +167,20 @@ def derived_column(sizes: Counts, plane: int, row: int) -> int:
     )
 
 
-@kernel
-def compliance_column(sizes: Counts, plane: int) -> int:
+@formula
+def compliance_column(sizes: Sizes | Counts, plane: int) -> int:
     """Behind the table's columns: sum over the modes of phi_k phi_j / M for tanks k, j."""
     return derived_column(sizes, 2, 0) + plane * sizes.pendulums * sizes.pendulums
 
 
-@kernel
-def spatial_derived(sizes: Counts, row: int) -> int:
+@formula
+def spatial_derived(sizes: Sizes | Counts, row: int) -> int:
     """As `spatial_column`, of the derived rows behind the table."""
     return compliance_column(sizes, 2) + row * sizes.spatial_modes
 
 
-@kernel
-def properties_size(sizes: Counts) -> int:
+@formula
+def properties_size(sizes: Sizes | Counts) -> int:
     """Columns of the table and what is derived from them."""
     return spatial_derived(sizes, MODE_TANK_COMPLIANCE)
 
