@@ -36,7 +36,7 @@ test-browser: $(TO_TEST)  ## open `simreplay --web` and report pages in headless
 	@$(PY) -m pytest tests/browser_replay.py tests/browser_pages.py -rs $(ARGS)
 
 docs: $(TO_TEST)  ## build the documentation site into docs/build/html; its notebooks are executed
-	@echo "Building the documentation (about a minute; with the first flight of this checkout half a minute more)."
+	@echo "Building the documentation (about a minute; with the first flight of this checkout twenty seconds more)."
 	@$(PY) -m sphinx -q -W --keep-going -b html docs docs/build/html $(ARGS)
 	@echo "docs/build/html/index.html"
 

@@ -28,7 +28,7 @@ def load(path: str | Path, *overrides: str) -> LoadedScenario | LoadedCampaign:
 def fly(scenario: LoadedScenario | str | Path, *overrides: str, folder: str | Path | None = None) -> Flight:
     """Fly a scenario. With `folder`: log and summary are written there, and the channels are in the log (`read`).
 
-    The first flight of an installation compiles the simulator (about half a minute).
+    The first flight of an installation compiles the simulator (about twenty seconds).
     """
     if isinstance(scenario, LoadedScenario) and overrides:
         raise ValueError("overrides go with a scenario's name; load(name, *overrides) takes them")

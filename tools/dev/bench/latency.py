@@ -68,8 +68,10 @@ def measure(repetitions: int = REPETITIONS) -> dict[str, Any]:
         nominal = [str(simrun), "nominal", "--out", str(Path(scratch) / "flight")]
         cases: tuple[tuple[str, list[str], tuple[int, ...], int], ...] = (
             ("help", [str(simrun), "--help"], (0,), repetitions + 1),
+            ("list", [str(simrun), "--list"], (0,), repetitions + 1),
+            ("api", [sys.executable, "-c", "import maxq.sim.api"], (0,), repetitions + 1),
             ("first", nominal, FLOWN_CODES, 1),
-            ("second", nominal, FLOWN_CODES, repetitions),
+            ("second", nominal, FLOWN_CODES, 3 * repetitions),
             ("no_log", [*nominal, "--no-log"], FLOWN_CODES, repetitions),
             ("in_memory", [sys.executable, "-m", IN_MEMORY], (0,), 2),
         )
