@@ -40,8 +40,8 @@ def kernel(function: Function) -> Function:
 
 
 def formula(function: Function) -> Function:
-    """As `kernel`, for arithmetic of indices and sizes: plain Python where Python calls it, which is sooner done than
-    machine code is loaded.
+    """As `kernel`, for arithmetic of indices, sizes and single vectors: plain Python where Python calls it, which is
+    sooner done than machine code is loaded.
     """
     return _for_kernels(function, kind=_Formula, forceinline=True)
 

@@ -19,7 +19,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from maxq.control.kernel.jit import kernel
+from maxq.control.kernel.jit import entry, kernel
 from maxq.control.kernel.records import Array, IntArray
 
 Method = Literal["pchip", "linear", "step"]
@@ -119,24 +119,50 @@ def hermite(x: Array, y: Array, slopes: Array) -> Cubics:
 
 def monotone_slopes(x: Array, y: Array) -> Array:
     """Derivatives (n, m) at three points or more with which the cubics do not overshoot (Fritsch & Butland 1984)."""
-    h = np.diff(x)[:, None]
-    secant = np.diff(y, axis=0) / h
-    turns = (np.sign(secant[1:]) != np.sign(secant[:-1])) | (secant[1:] == 0.0) | (secant[:-1] == 0.0)
-    before, after = 2.0 * h[1:] + h[:-1], h[1:] + 2.0 * h[:-1]
-    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):  # where it turns or is flat: not used, or 0
-        inside = 1.0 / ((before / secant[:-1] + after / secant[1:]) / (before + after))
-    slopes = np.zeros_like(y)
-    slopes[1:-1] = np.where(turns, 0.0, inside)
-    slopes[0] = _end_slope(h[0], h[1], secant[0], secant[1])
-    slopes[-1] = _end_slope(h[-1], h[-2], secant[-1], secant[-2])
+    slopes = np.empty(y.shape)
+    _monotone_into(_shared(x), _shared(y), slopes)
     return slopes
 
 
-def _end_slope(h_0: Array, h_1: Array, secant_0: Array, secant_1: Array) -> Array:
+def _shared(array: Array) -> Array:
+    """A contiguous view that cannot be written: one type for compiled functions, whatever the array's own."""
+    view = np.ascontiguousarray(array).view()
+    view.flags.writeable = False
+    return view
+
+
+@entry
+def _monotone_into(x: Array, y: Array, slopes: Array) -> None:
+    last = len(x) - 1
+    for j in range(y.shape[1]):
+        h_0, secant_0 = x[1] - x[0], (y[1, j] - y[0, j]) / (x[1] - x[0])
+        for i in range(1, last):
+            h_1, secant_1 = x[i + 1] - x[i], (y[i + 1, j] - y[i, j]) / (x[i + 1] - x[i])
+            if i == 1:
+                slopes[0, j] = _end_slope(h_0, h_1, secant_0, secant_1)
+            if i == last - 1:
+                slopes[last, j] = _end_slope(h_1, h_0, secant_1, secant_0)
+            slopes[i, j] = 0.0
+            if _both_rise_or_fall(secant_0, secant_1):
+                before, after = 2.0 * h_1 + h_0, h_1 + 2.0 * h_0
+                slopes[i, j] = 1.0 / ((before / secant_0 + after / secant_1) / (before + after))
+            h_0, secant_0 = h_1, secant_1
+
+
+@kernel
+def _end_slope(h_0: float, h_1: float, secant_0: float, secant_1: float) -> float:
     """Derivative at an end from three points, changed where it would overshoot; counted inwards from the end."""
     slope = ((2.0 * h_0 + h_1) * secant_0 - h_0 * secant_1) / (h_0 + h_1)
-    steep = (np.sign(secant_0) != np.sign(secant_1)) & (np.abs(slope) > 3.0 * np.abs(secant_0))
-    return np.where(np.sign(slope) != np.sign(secant_0), 0.0, np.where(steep, 3.0 * secant_0, slope))
+    if not _both_rise_or_fall(slope, secant_0):
+        return 0.0
+    if not _both_rise_or_fall(secant_0, secant_1) and abs(slope) > 3.0 * abs(secant_0):
+        return 3.0 * secant_0
+    return slope
+
+
+@kernel
+def _both_rise_or_fall(a: float, b: float) -> bool:
+    return (a > 0.0 and b > 0.0) or (a < 0.0 and b < 0.0)  # their product may underflow
 
 
 def merge(tables: Sequence[Cubics]) -> Cubics:
@@ -144,21 +170,34 @@ def merge(tables: Sequence[Cubics]) -> Cubics:
 
     Outside its own breakpoints a table holds its end values.
     """
-    breaks = union(*tables)
-    groups: dict[bytes, dict[int, Cubics]] = {}  # tables on the same breakpoints are carried over together, each once
+    breaks, first = union(*tables), 0
+    out = np.empty((len(breaks) - 1, 4, sum(table.n_columns for table in tables)))
     for table in tables:
-        groups.setdefault(table.breaks.tobytes(), {})[id(table)] = table
-    place: dict[int, Array] = {}
-    for group in groups.values():
-        alike = list(group.values())
-        joined = alike[0].coefficients
-        if len(alike) > 1:
-            joined = np.concatenate([table.coefficients for table in alike], axis=2)
-        carried, at = _on(Cubics(alike[0].breaks, joined), breaks), 0
-        for table in alike:
-            place[id(table)] = carried[:, :, at : at + table.n_columns]
-            at += table.n_columns
-    return Cubics(breaks, np.concatenate([place[id(table)] for table in tables], axis=2))
+        if len(table.breaks) == len(breaks):
+            out[:, :, first : first + table.n_columns] = table.coefficients
+        else:
+            _carry(_shared(table.breaks), _shared(table.coefficients), breaks, out, first)
+        first += table.n_columns
+    return Cubics(breaks, out)
+
+
+@entry
+def _carry(breaks: Array, coefficients: Array, finer: Array, out: Array, first: int) -> None:
+    """Coefficients of a table re-centred on `finer` breakpoints, among which its own are, into columns from `first`."""
+    k, last = 0, len(breaks) - 1
+    for i in range(len(finer) - 1):
+        x = finer[i]
+        while k < last - 1 and breaks[k + 1] <= x:
+            k += 1
+        s = min(max(x, breaks[0]), breaks[last]) - breaks[k]
+        inside = breaks[0] <= x < breaks[last]
+        for j in range(coefficients.shape[2]):
+            c0, c1, c2, c3 = coefficients[k, 0, j], coefficients[k, 1, j], coefficients[k, 2, j], coefficients[k, 3, j]
+            steeper = s * 3 * c3
+            out[i, 0, first + j] = c0 + s * (c1 + s * (c2 + s * c3))
+            out[i, 1, first + j] = c1 + s * (2 * c2 + steeper) if inside else 0.0
+            out[i, 2, first + j] = c2 + steeper if inside else 0.0
+            out[i, 3, first + j] = c3 if inside else 0.0
 
 
 def union(*tables: Cubics) -> Array:
@@ -171,21 +210,6 @@ def _union(breaks: tuple[bytes, ...]) -> Array:
     out = np.unique(np.concatenate([np.frombuffer(b) for b in breaks]))
     out.flags.writeable = False
     return out
-
-
-def _on(table: Cubics, breaks: Array) -> Array:
-    """Coefficients of `table` re-centred on finer `breaks`."""
-    if len(breaks) == len(table.breaks) and (breaks == table.breaks).all():
-        return table.coefficients
-    x = breaks[:-1]
-    k, s = _located(table.breaks.tobytes(), x.tobytes())
-    c = table.coefficients.take(k, axis=0)
-    c[:, 0] += s * (c[:, 1] + s * (c[:, 2] + s * c[:, 3]))
-    steeper = s * 3 * c[:, 3]
-    c[:, 1] += s * (2 * c[:, 2] + steeper)
-    c[:, 2] += steeper
-    c[(x < table.breaks[0]) | (x >= table.breaks[-1]), 1:] = 0.0
-    return c
 
 
 class Pool:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from maxq.control.kernel.jit import kernel
+from maxq.control.kernel.jit import formula, kernel
 from maxq.control.kernel.records import Array
 
 Vector = tuple[float, float, float]
@@ -23,27 +23,27 @@ def set_vector(values: Array, first: int, a: Vector) -> None:
     values[first], values[first + 1], values[first + 2] = a[0], a[1], a[2]
 
 
-@kernel
+@formula
 def cross(a: Vector, b: Vector) -> Vector:
     return (a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0])
 
 
-@kernel
+@formula
 def dot(a: Vector, b: Vector) -> float:
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
-@kernel
+@formula
 def add(a: Vector, b: Vector) -> Vector:
     return (a[0] + b[0], a[1] + b[1], a[2] + b[2])
 
 
-@kernel
+@formula
 def scaled(k: float, a: Vector) -> Vector:
     return (k * a[0], k * a[1], k * a[2])
 
 
-@kernel
+@formula
 def norm(a: Vector) -> float:
     return math.sqrt(a[0] * a[0] + a[1] * a[1] + a[2] * a[2])
 

@@ -28,6 +28,7 @@ from maxq.sim.flight.parameters import (
     LIFTOFF,
     NEVER,
     SEPARATION,
+    Clock,
 )
 from maxq.sim.flight.step import ARENA_SIZE
 from maxq.sim.flight.telemetry import FAST, SLOW, channel_table
@@ -66,7 +67,7 @@ ATTITUDE_METRICS = (  # of vehicles that something steers
 BROKEN_WAVE = "the wave is as high as it can be; from here on the pendulum is no picture of the liquid"
 CONTROL_LOST_CAUSE = f"the attitude error exceeds {math.degrees(CONTROL_LOST_RAD):.3g} deg under thrust"
 
-_channel_table = lru_cache(maxsize=8)(channel_table)
+_channel_table, _state_names = lru_cache(maxsize=8)(channel_table), lru_cache(maxsize=8)(state_names)
 
 
 class FlightRun:
@@ -105,7 +106,7 @@ class FlightRun:
         self._counts = np.zeros(2, np.int64)
         self._hold(self._arrays(self._logged, self._rows))
         begin(self.packed.parameters, self.packed.pool, self.packed.memory, self.packed.state)
-        self._advance(int(self.memory.clock.now_ns), self._logged, self._rows)
+        self._advance(self._now_ns, self._logged, self._rows)
         self._software: FlightSoftware | None = None
         if external:
             from maxq.sim.run.flight_software import FlightSoftware  # noqa: PLC0415  # lazy: few flights have any
@@ -126,50 +127,58 @@ class FlightRun:
         _, _, memory, state, self._arena, _, fast_ns, fast, slow_ns, slow, self._counts = arrays
         self.packed = replace(self.packed, memory=memory, state=state)
         self._rows = {FAST: (fast_ns, fast), SLOW: (slow_ns, slow)}
-        self._clock = {name: memory["clock"][name] for name in ("finished", "now_ns")}  # records are slow to read
+
+    @property
+    def clock(self) -> Clock:
+        """Where the flight stands, in Python's numbers: a record is slow to read."""
+        return Clock(*self.packed.memory["clock"][0].item())
 
     @property
     def memory(self) -> Any:
         return self.packed.memory[0]
 
     @property
+    def _now_ns(self) -> int:
+        return int(self.packed.memory["clock"]["now_ns"][0])
+
+    @property
     def finished(self) -> bool:
-        return int(self._clock["finished"][0]) == 1
+        return bool(self.packed.memory["clock"]["finished"][0] == 1)
 
     @property
     def now_s(self) -> float:
-        return int(self._clock["now_ns"][0]) / 1e9
+        return self._now_ns / 1e9
 
     @property
     def events(self) -> tuple[Event, ...]:
         """All events so far in order of time: an ignition, burn-out and separation for each stage that had it."""
-        clock, parameters = self.memory.clock, self.packed.parameters
+        clock, timelines = self.clock, self.packed.parameters["timeline"]
         start_ns = to_ns(self.loaded.scenario.run.start_s)
         found = []
-        for index in range(int(clock.stage) + 1):
-            number = index + 1 if len(parameters) > 1 else 0
-            ignition_ns = int(parameters[index].timeline.burn_start_ns)
-            goes_on = int(parameters[index].timeline.continues) == 1
-            if start_ns <= ignition_ns <= int(clock.now_ns) and ignition_ns < NEVER and not goes_on:
+        for index in range(clock.stage + 1):
+            number = index + 1 if len(timelines) > 1 else 0
+            ignition_ns, goes_on = int(timelines["burn_start_ns"][index]), timelines["continues"][index] == 1
+            if start_ns <= ignition_ns <= clock.now_ns and ignition_ns < NEVER and not goes_on:
                 found.append(Event(IGNITION_NAME, ignition_ns, number))
             for name, times_ns in zip(_OF_STAGES, (clock.stage_burnout_ns, clock.stage_separation_ns), strict=True):
                 if times_ns[index] >= 0:
                     found.append(Event(name, int(times_ns[index]), number))
         for name, time_ns in zip(EVENT_NAMES, clock.event_ns, strict=True):
             if time_ns >= 0 and name not in _OF_STAGES:
-                causes = {DIVERGED_NAME: CAUSES[int(clock.cause)], CONTROL_LOST_NAME: CONTROL_LOST_CAUSE}
+                causes = {DIVERGED_NAME: CAUSES[clock.cause], CONTROL_LOST_NAME: CONTROL_LOST_CAUSE}
                 found.append(Event(name, int(time_ns), detail=causes.get(name, "")))
-        found += self._faults(start_ns)
-        found += self._broken_waves()
+        found += self._faults(clock, start_ns)
+        found += self._broken_waves(clock)
         if self._software is not None and (said := self._software.complaint(self.memory.computer.external)):
-            found.append(Event(SOFTWARE_NAME, int(clock.now_ns), detail=said))
+            found.append(Event(SOFTWARE_NAME, clock.now_ns, detail=said))
         return tuple(sorted(found, key=lambda event: event.time_ns))
 
-    def _broken_waves(self) -> list[Event]:
+    def _broken_waves(self, clock: Clock) -> list[Event]:
         """The first time at which a wave breaks in each tank, of the stages so far."""
         found = []
-        for index, stage in enumerate(self.loaded.vehicle.stage[: int(self.memory.clock.stage) + 1]):
-            broke_ns = self.memory.waves.broke_ns[index * MAX_PENDULUMS :].tolist()
+        broken_ns = self.packed.memory["waves"]["broke_ns"][0].tolist()
+        for index, stage in enumerate(self.loaded.vehicle.stage[: clock.stage + 1]):
+            broke_ns = broken_ns[index * MAX_PENDULUMS :]
             for name, time_ns in zip(stage.pendulum_names, broke_ns, strict=False):
                 if time_ns >= 0:
                     number = index + 1 if len(self.packed.parameters) > 1 else 0
@@ -178,40 +187,39 @@ class FlightRun:
 
     def _largest_wave(self) -> tuple[float, float]:
         """Metric `max_wave_share` and its time, s."""
-        waves = self.memory.waves
         if all(tank.radius_m is None for stage in self.loaded.vehicle.stage for tank in stage.tank):
             return math.nan, math.nan
-        k = int(np.argmax(waves.largest))
-        at_ns = int(waves.largest_ns[k])
-        return float(waves.largest[k]), at_ns / 1e9 if at_ns >= 0 else math.nan
+        waves = self.packed.memory["waves"]
+        k = int(np.argmax(waves["largest"][0]))
+        at_ns = int(waves["largest_ns"][0, k])
+        return float(waves["largest"][0, k]), at_ns / 1e9 if at_ns >= 0 else math.nan
 
     @property
     def outcome(self) -> str:
         """`diverged`, the event of run.stop_at that ended the flight, `duration`, or `interrupted`."""
-        clock = self.memory.clock
-        if self.memory.computer.external.fault != 0:
+        clock, memory = self.clock, self.packed.memory
+        if memory["computer"]["external"]["fault"][0] != 0:
             return SOFTWARE_NAME
-        stop_mask = int(self.packed.parameters[int(clock.stage)].timeline.stop_mask)
-        events_ns, now_ns = clock.event_ns.tolist(), int(clock.now_ns)
-        if events_ns[DIVERGED] >= 0:
+        stop_mask = int(self.packed.parameters["timeline"]["stop_mask"][clock.stage])
+        if clock.event_ns[DIVERGED] >= 0:
             return DIVERGED_NAME
         if not clock.finished:
             return "interrupted"
-        for index, (name, time_ns) in enumerate(zip(EVENT_NAMES, events_ns, strict=True)):
-            if (stop_mask >> index) & 1 and time_ns == now_ns:
+        for index, (name, time_ns) in enumerate(zip(EVENT_NAMES, clock.event_ns, strict=True)):
+            if (stop_mask >> index) & 1 and time_ns == clock.now_ns:
                 return name
         return "duration"
 
-    def _faults(self, start_ns: int) -> Iterator[Event]:
+    def _faults(self, clock: Clock, start_ns: int) -> Iterator[Event]:
         """Begin and end of the faults that have shown so far: of a stage's while that stage flies."""
-        clock, stages = self.memory.clock, len(self.packed.parameters)
+        stages = len(self.packed.parameters)
         left_ns = [int(t) if t >= 0 else NEVER for t in clock.stage_separation_ns[:stages]]
         for fault in self.loaded.scenario.fault:
             zero_ns = int(clock.event_ns[LIFTOFF]) if fault.since == "liftoff" else 0
             first, last = (0, stages - 1) if fault.stage is None else (fault.stage, fault.stage)
             begin_ns = max(zero_ns + to_ns(fault.at_s), left_ns[first - 1] if first > 0 else start_ns)
             end_ns = NEVER if fault.until_s is None else zero_ns + to_ns(fault.until_s)
-            flies_until_ns = min(int(clock.now_ns), left_ns[last] - 1)
+            flies_until_ns = min(clock.now_ns, left_ns[last] - 1)
             if zero_ns < 0 or begin_ns >= end_ns or begin_ns > flies_until_ns:
                 continue
             number = first + 1 if fault.stage is not None and stages > 1 else 0
@@ -225,7 +233,7 @@ class FlightRun:
         Returns the log rows on the way: views that the next segment overwrites, in logged units.
         """
         length_ns = length_ns or self.segment_ns
-        until = (int(self._clock["now_ns"][0]) // length_ns + 1) * length_ns
+        until = (self._now_ns // length_ns + 1) * length_ns
         start = time.perf_counter()
         rows = self._advance(until, self._logged, self._rows, self._software)
         if self._software is not None and self.finished:
@@ -239,12 +247,14 @@ class FlightRun:
 
     def present(self) -> dict[str, float]:
         """Every channel at this instant, in logged units. The flight is left unchanged."""
-        memory, state = self.packed.memory.copy(), self.packed.state.copy()
-        clock = self.memory.clock
-        clock.finished, clock.started = 1, 1  # as at a flight's end, where the last instant is logged
-        room = {group: self._blank(group, 1) for group in self._rows}
-        rows = self._advance(int(clock.now_ns), self._on, room)
-        self.packed.memory[:], self.packed.state[:] = memory, state
+        kept, room = self.packed, {group: self._blank(group, 1) for group in self._rows}
+        self.packed = replace(kept, memory=kept.memory.copy(), state=kept.state.copy())
+        clock = self.packed.memory["clock"]
+        clock["finished"], clock["started"] = 1, 1  # as at a flight's end, where the last instant is logged
+        try:
+            rows = self._advance(self._now_ns, self._on, room)
+        finally:
+            self.packed = kept
         return {
             channel.name: value
             for group, (_, values) in rows.items()
@@ -253,24 +263,25 @@ class FlightRun:
 
     def result(self, rows: Rows | None = None) -> Flight:
         """The flight so far; `rows` are the log rows that the caller has kept."""
-        clock, extremes, scenario = self.memory.clock, self.memory.extremes, self.loaded.scenario
+        clock, memory, scenario = self.clock, self.packed.memory, self.loaded.scenario
         events, final, outcome = self.events, self.present(), self.outcome
-        times_s = [t / 1e9 if t >= 0 else math.nan for t in extremes.time_ns.tolist()]
+        times_s = [t / 1e9 if t >= 0 else math.nan for t in memory["extremes"]["time_ns"][0].tolist()]
         metric_times_s = dict.fromkeys(METRIC_NAMES, self.now_s) | dict(zip(MetricIndex._fields, times_s, strict=True))
         lift_off_s = next((e.time_s for e in events if e.name == "liftoff"), scenario.run.start_s)
         earth = self.packed.parameters[0].environment.earth
         end = end_metrics(final, earth, scenario.site, self.now_s - lift_off_s)
         wave, metric_times_s["max_wave_share"] = self._largest_wave()
-        loads = section_extremes(self.packed.parameters, self.memory.sections)
-        of_sections, section_times = section_metrics(loads, self.memory.sections)
-        metrics = dict(zip(MetricIndex._fields, extremes.value.tolist(), strict=True))
+        loads = section_extremes(self.packed.parameters, memory["sections"][0])
+        of_sections, section_times = section_metrics(loads, memory["sections"][0])
+        metrics = dict(zip(MetricIndex._fields, memory["extremes"]["value"][0].tolist(), strict=True))
         metrics |= of_sections._asdict() | end._asdict() | WaveMetrics(wave)._asdict()
         accuracy = scenario.run.accuracy
-        errors = self.memory.errors
+        errors = memory["errors"][0]
         turned, bent, swung = errors[:3] + np.sqrt(errors[ERRORS_SQUARED:])
         estimated = StepMetrics(turned, bent, swung, errors[3])._asdict()
         metrics |= {name: float(error) if accuracy is not None else math.nan for name, error in estimated.items()}
-        metrics |= orbit_metrics(earth, self.packed.state[R_I : R_I + 3], self.packed.state[V_I : V_I + 3])._asdict()
+        r_I_m, v_I_mps = (tuple(self.packed.state[k : k + 3].tolist()) for k in (R_I, V_I))
+        metrics |= orbit_metrics(earth, r_I_m, v_I_mps)._asdict()
         metric_times_s |= section_times._asdict()
         judged = scenario.requirement
         if scenario.design is None or scenario.vehicle.computer is None:  # nothing steers: there is no attitude to miss
@@ -296,8 +307,8 @@ class FlightRun:
             outcome=outcome,
             cause=next((e.detail for e in failed if e.name == outcome), ""),
             end_s=self.now_s,
-            end_ns=int(clock.now_ns),
-            steps=int(clock.steps),
+            end_ns=clock.now_ns,
+            steps=clock.steps,
             state=self.packed.state.copy(),
             final=final,
             state_hash=self.state_hash(),
@@ -306,9 +317,10 @@ class FlightRun:
 
     def _missed_orbit(self) -> tuple[str, ...]:
         """A failure if the last engine burned out before the closed-loop guidance cut it off."""
-        burned_out = int(self.memory.clock.stage_burnout_ns[len(self.packed.parameters) - 1]) >= 0
-        phase = int(self.memory.computer.orbit.phase)
-        if not burned_out or not self.packed.parameters[-1].computer.orbit.on or phase == CUT_OFF:
+        computers, memory = self.packed.parameters["computer"], self.packed.memory
+        burned_out = memory["clock"]["stage_burnout_ns"][0, len(computers) - 1] >= 0
+        phase = memory["computer"]["orbit"]["phase"][0]
+        if not burned_out or not computers["orbit"]["on"][-1] or phase == CUT_OFF:
             return ()
         if phase < STEERING:
             return ("closed-loop guidance found no way to the orbit",)
@@ -316,8 +328,8 @@ class FlightRun:
 
     def state_hash(self) -> str:
         """SHA-256 over the last state, time and events: equal for equal flights, bit by bit."""
-        clock = self.memory.clock
-        flown = self.packed.state[: len(state_names(self.packed.sizes))]  # not the room for what it does not have
+        clock = self.clock
+        flown = self.packed.state[: len(_state_names(self.packed.sizes))]  # not the room for what it does not have
         digest = hashlib.sha256(flown.tobytes())
         digest.update(np.array([clock.now_ns, clock.steps, clock.stage]).tobytes())
         digest.update(np.asarray(clock.event_ns).tobytes())

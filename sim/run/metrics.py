@@ -12,9 +12,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Annotated, NamedTuple
 
-import numpy as np
-
-from maxq.control.kernel.records import Array, Records
+from maxq.control.kernel.records import Records
+from maxq.control.kernel.vectors import Vector, add, cross, dot, norm, scaled
 from maxq.sim.flight.channels import declared_channels
 from maxq.sim.flight.metrics import MetricIndex
 from maxq.sim.scenario.schema_environment import Site
@@ -187,30 +186,30 @@ def end_metrics(final: Mapping[str, float], earth: Earth, site: Site, flight_tim
     )
 
 
-def orbit_metrics(earth: Earth, r_I_m: Array, v_I_mps: Array) -> OrbitMetrics:
-    """From position and velocity in I, (3,) (Vallado, Fundamentals of Astrodynamics and Applications, algorithm 9).
+def orbit_metrics(earth: Earth, r_I_m: Vector, v_I_mps: Vector) -> OrbitMetrics:
+    """From position and velocity in I (Vallado, Fundamentals of Astrodynamics and Applications, algorithm 9).
 
     Where the orbit lies in the equator the node counts as I's x axis, where it is a circle the perigee as the node.
     """
     if earth.figure == FLAT or earth.gravity not in (INVERSE_SQUARE, J2):
         return OrbitMetrics(*[math.nan] * len(OrbitMetrics._fields))
-    mu, radius = earth.mu_m3ps2, float(np.linalg.norm(r_I_m))
-    momentum = np.cross(r_I_m, v_I_mps)
-    towards_perigee = np.cross(v_I_mps, momentum) / mu - r_I_m / radius
-    eccentricity = float(np.linalg.norm(towards_perigee))
-    axis_m = 1.0 / (2.0 / radius - float(v_I_mps @ v_I_mps) / mu)
-    up = momentum / max(float(np.linalg.norm(momentum)), 1e-300)
-    node = np.array([-up[1], up[0], 0.0])
-    node = node / np.linalg.norm(node) if np.linalg.norm(node) > 1e-12 else np.array([1.0, 0.0, 0.0])
-    perigee = towards_perigee / eccentricity if eccentricity > 1e-12 else node
+    mu, equator_m = float(earth.mu_m3ps2), float(earth.equatorial_radius_m)
+    radius, momentum = norm(r_I_m), cross(r_I_m, v_I_mps)
+    towards_perigee = add(scaled(1.0 / mu, cross(v_I_mps, momentum)), scaled(-1.0 / radius, r_I_m))
+    eccentricity = norm(towards_perigee)
+    axis_m = 1.0 / (2.0 / radius - dot(v_I_mps, v_I_mps) / mu)
+    up = scaled(1.0 / max(norm(momentum), 1e-300), momentum)
+    towards_node = math.hypot(up[0], up[1])
+    node = (-up[1] / towards_node, up[0] / towards_node, 0.0) if towards_node > 1e-12 else (1.0, 0.0, 0.0)
+    perigee = scaled(1.0 / eccentricity, towards_perigee) if eccentricity > 1e-12 else node
 
-    def angle_deg(start: Array, end: Array) -> float:
+    def angle_deg(start: Vector, end: Vector) -> float:
         """In the plane of the orbit, 0 .. 360."""
-        return math.degrees(math.atan2(float(np.cross(start, end) @ up), float(start @ end))) % 360.0
+        return math.degrees(math.atan2(dot(cross(start, end), up), dot(start, end))) % 360.0
 
     return OrbitMetrics(
-        perigee_altitude_m=axis_m * (1.0 - eccentricity) - earth.equatorial_radius_m,
-        apogee_altitude_m=axis_m * (1.0 + eccentricity) - earth.equatorial_radius_m if axis_m > 0.0 else math.inf,
+        perigee_altitude_m=axis_m * (1.0 - eccentricity) - equator_m,
+        apogee_altitude_m=axis_m * (1.0 + eccentricity) - equator_m if axis_m > 0.0 else math.inf,
         orbit_semimajor_m=axis_m,
         orbit_eccentricity=eccentricity,
         orbit_inclination_deg=math.degrees(math.acos(max(-1.0, min(1.0, float(up[2]))))),

@@ -140,7 +140,8 @@ def first_beyond(name: str, value: Any) -> tuple[tuple[int, ...], float] | None:
         for n, item in enumerate(value):
             if found := first_beyond(name, item):
                 return (n, *found[0]), found[1]
-    elif isinstance(value, int | float) and not isinstance(value, bool):
-        if not range_of(name).least <= abs(value) <= range_of(name).most and value != 0:
+    elif type(value) in (float, int):
+        of = range_of(name)
+        if not of.least <= abs(value) <= of.most and value != 0:
             return (), value
     return None

@@ -236,9 +236,10 @@ class Actuator(ActuatorAxis):
     @property
     def axes(self) -> tuple[ActuatorAxis, ActuatorAxis]:
         """Pitch and yaw axis in full."""
+        if self.yaw is None:
+            return self, self
         shared = {name: getattr(self, name) for name in ActuatorAxis.model_fields}
-        differing = self.yaw.model_dump(exclude_none=True) if self.yaw else {}
-        return ActuatorAxis(**shared), ActuatorAxis(**(shared | differing))
+        return self, ActuatorAxis(**(shared | self.yaw.model_dump(exclude_none=True)))
 
 
 class TvcLoad(Section):

@@ -72,13 +72,13 @@ class Section(BaseModel):
     @field_validator("*")
     @classmethod
     def _can_be_meant(cls, value: Any, info: ValidationInfo) -> Any:
-        name = info.field_name or ""
-        if isinstance(value, int | float | tuple) and (found := first_beyond(name, value)):
-            raise refuse("is out of range", range_of(name).allowed(), found[0], value=found[1])
-        if isinstance(value, str):
+        kind = type(value)
+        if kind in (float, int, tuple) and (found := first_beyond(info.field_name or "", value)):
+            raise refuse("is out of range", range_of(info.field_name or "").allowed(), found[0], value=found[1])
+        if kind is str:
             if _ACTS.search(value):
                 raise refuse("holds a control character", "text")
-            longest = _LONGEST_NAME if name == "name" else _LONGEST_TEXT
+            longest = _LONGEST_NAME if info.field_name == "name" else _LONGEST_TEXT
             if len(value) > longest:
                 raise refuse(f"has {len(value)} characters", f"a text of at most {longest}")
         return value
