@@ -110,7 +110,7 @@ def with_constants(rows: NDArray[Any], *path: str, only: Sequence[str] = ()) -> 
     for name in path:
         nested = nested[name]
     names = only or nested.dtype.names or ()
-    if any((nested[name] != nested[name][0]).any() for name in names):
+    if len(rows) > 1 and any((nested[name] != nested[name][0]).any() for name in names):
         return rows
     encoded = ",".join(f"{name}={int(nested[name][0])}" for name in names)
     return rows.view(_with_constant_names(rows.dtype, path, encoded))

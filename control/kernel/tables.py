@@ -170,15 +170,20 @@ def merge(tables: Sequence[Cubics]) -> Cubics:
 
     Outside its own breakpoints a table holds its end values.
     """
-    breaks, first = union(*tables), 0
-    out = np.empty((len(breaks) - 1, 4, sum(table.n_columns for table in tables)))
+    breaks = union(*tables)
+    coefficients = np.empty((len(breaks) - 1, 4, sum(table.n_columns for table in tables)))
+    _merge_into(tables, breaks, coefficients)
+    return Cubics(breaks, coefficients)
+
+
+def _merge_into(tables: Sequence[Cubics], breaks: Array, out: Array) -> None:
+    first = 0
     for table in tables:
         if len(table.breaks) == len(breaks):
             out[:, :, first : first + table.n_columns] = table.coefficients
         else:
             _carry(_shared(table.breaks), _shared(table.coefficients), breaks, out, first)
         first += table.n_columns
-    return Cubics(breaks, out)
 
 
 @entry
@@ -216,22 +221,35 @@ class Pool:
     """Collects tables into the flat array that kernels read."""
 
     def __init__(self) -> None:
-        self._parts: list[Array] = []
+        self._parts: list[tuple[int, Array | tuple[Cubics, ...]]] = []
         self._size = 0
 
-    def add(self, table: Cubics) -> TableRef:
-        return TableRef(self.put(table.breaks, table.coefficients), len(table.breaks), table.n_columns)
+    def add(self, *tables: Cubics) -> TableRef:
+        """One table, or several merged; they are joined where they will lie, since a schedule is most of a megabyte."""
+        breaks, columns = union(*tables), sum(table.n_columns for table in tables)
+        offset = self.put(breaks)
+        self._parts.append((self._size, tables))
+        self._size += 4 * (len(breaks) - 1) * columns
+        return TableRef(offset, len(breaks), columns)
 
     def put(self, *parts: Array) -> int:
         """Append arrays; returns where the first one begins."""
         offset = self._size
         for part in parts:
-            self._parts.append(np.ascontiguousarray(part, dtype=float).ravel())
+            self._parts.append((self._size, part))
             self._size += part.size
         return offset
 
     def array(self) -> Array:
-        return np.concatenate(self._parts) if self._parts else np.zeros(1)
+        out = np.empty(max(self._size, 1))
+        ends = [*(begin for begin, _ in self._parts[1:]), self._size]
+        for (begin, part), end in zip(self._parts, ends, strict=True):
+            if isinstance(part, tuple):
+                breaks = union(*part)
+                _merge_into(part, breaks, out[begin:end].reshape(len(breaks) - 1, 4, -1))
+            else:
+                out[begin:end] = part.ravel()
+        return out
 
 
 NO_TABLE = TableRef(0, 0, 0)

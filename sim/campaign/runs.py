@@ -39,7 +39,7 @@ Order = tuple[Drawn, int]
 """A run, and the draws of its batch."""
 Packing = Callable[[Scenario], Packed]
 
-_SEGMENT_NS = 60 * NS_PER_S  # of a flight, a tenth of a second's work: between two of them it can be cancelled
+_SEGMENT_NS = 100 * NS_PER_S  # of a flight, a tenth of a second's work: between two of them it can be cancelled
 
 
 @dataclass
@@ -78,7 +78,9 @@ def fly_rows(loaded: LoadedCampaign, orders: Iterable[Order], stop: Callable[[],
     a thread. Raises CampaignError where the file refuses the draws.
     """
     pack, computer = packer(loaded), loaded.base.scenario.vehicle.computer
-    runs = [_Run(loaded, drawn, run, pack) for drawn, run in orders]
+    runs = [_Run(loaded, drawn, run) for drawn, run in orders]
+    for run in runs:
+        run.pack(pack)
     if computer is None or computer.law != "external":
         for run in runs:
             run.begin()
@@ -87,9 +89,9 @@ def fly_rows(loaded: LoadedCampaign, orders: Iterable[Order], stop: Callable[[],
 
 
 class _Run:
-    """A run that is prepared, flown and recorded. Where it cannot be, `row` is there at once, and says why."""
+    """A run that is drawn, packed, flown and recorded. Where it cannot be, `row` is there at once, and says why."""
 
-    def __init__(self, loaded: LoadedCampaign, drawn: Drawn, run: int, pack: Packing) -> None:
+    def __init__(self, loaded: LoadedCampaign, drawn: Drawn, run: int) -> None:
         wanted = loaded.campaign.envelope
         self.envelope = wanted if run < wanted.runs and wanted.channels else None
         self.kept: list[tuple[Array, Array]] = []  # times and values of the envelope's channels, by segment
@@ -99,9 +101,11 @@ class _Run:
             self.made = loaded.inputs(run, drawn)
         except Refused as refused:
             self.row = _void_row(run, REFUSED, f"no such scenario: {refused}")
-            return
-        with self._errors_recorded():
-            self.packed = pack(self.made.loaded.scenario)
+
+    def pack(self, pack: Packing) -> None:
+        if self.row is None:
+            with self._errors_recorded():
+                self.packed = pack(self.made.loaded.scenario)
 
     def begin(self) -> None:
         """Bring it to its start, where flight code from outside begins to run."""
@@ -152,8 +156,8 @@ class _Run:
 def _on_grid(rows: Rows, columns: Sequence[tuple[str, int]], rate_hz: float) -> tuple[Array, Array]:
     """Times (n,) and values (channels, n) of the segment; the flight's last instant falls outside the grid."""
     times = rows[SLOW][0] / NS_PER_S
-    on_grid = np.abs(times * rate_hz - np.rint(times * rate_hz)) < 1e-6
-    return times[on_grid], np.array([rows[group][1][: len(times), column][on_grid] for group, column in columns])
+    on_grid = np.flatnonzero(np.abs(times * rate_hz - np.rint(times * rate_hz)) < 1e-6)
+    return times[on_grid], np.array([rows[group][1][on_grid, column] for group, column in columns])
 
 
 def packer(loaded: LoadedCampaign) -> Packing:

@@ -195,7 +195,7 @@ def _same_campaign(folder: Path, campaign: LoadedCampaign, elsewhere: str) -> in
     path = folder / MANIFEST
     if not path.exists():
         runs = campaign.campaign.runs
-        batch = campaign.campaign.batch or 1 << min(max(runs // 32, 64).bit_length() - 1, 10)
+        batch = campaign.campaign.batch or 1 << min(max(runs // 32, 128).bit_length() - 1, 10)
         write_json(path, {"layout": LAYOUT, "name": campaign.name, "batch": batch, **identity})
         return batch
     before = read_manifest(folder)

@@ -12,7 +12,7 @@ from maxq.control.computer import Computer, build_computer
 from maxq.control.filters import BendingFilter, DiscreteFilter
 from maxq.control.guidance import rate_programme
 from maxq.control.kernel.limits import MAX_INJECTIONS, MAX_TONES
-from maxq.control.kernel.tables import NO_TABLE, Cubics, Method, Pool, fit, merge
+from maxq.control.kernel.tables import NO_TABLE, Cubics, Method, Pool, fit
 from maxq.control.laws.adaptive import Adaptive, make_adaptive
 from maxq.control.laws.pd import GainSchedule, gains_table
 from maxq.control.loop_filters import LoopFilters, make_loop_filters
@@ -220,7 +220,7 @@ def pack_injections(scenario: Scenario, pool: Pool) -> signals.Injections:
         tone_hz=tones[0],
         tone_phase=tones[1],
         column=_padded(list(tables).index(k) if k in tables else 0 for k in range(len(given))),
-        table=pool.add(merge(list(tables.values()))) if tables else NO_TABLE,
+        table=pool.add(*tables.values()) if tables else NO_TABLE,
     )
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import MISSING, dataclass, fields, replace
+from operator import attrgetter
 from typing import Any
 
 import numpy as np
@@ -49,6 +50,7 @@ class Packed:
     sizes: Sizes  # the largest of all stages
 
 
+_counts = attrgetter(*(f.name for f in fields(Sizes) if f.init))
 _SELDOM = {f.name: f.default for f in fields(Sizes) if f.default is not MISSING}
 """Sizes that few vehicles have otherwise. Without them the kernels hold no code for what is not there: measured, a
 quarter of a flight's time and a sixth of its compilation. Up to four modes in a plane are told as well: a twentieth."""
@@ -92,11 +94,11 @@ def _pack(scenario: Scenario) -> Packed:
     y = np.zeros(MAX_STATE)
     initial_motion(scenario, y)
     rate = (float(y[W_BI_B]), float(y[W_BI_B + 1]), float(y[W_BI_B + 2]))
-    _start_states(parameters[0].vehicle.sizes, rate, 0, y)
+    _start_states(parameters["vehicle"]["sizes"][0], rate, 0, y)
     memory = blank(Memory)
-    memory[0].clock.now_ns = to_ns(scenario.run.start_s)
-    memory[0].held.on_pad = int(scenario.held)
-    widest = Sizes(*(max(getattr(s, f.name) for s in all_sizes) for f in fields(Sizes) if f.init))
+    memory["clock"]["now_ns"] = to_ns(scenario.run.start_s)
+    memory["held"]["on_pad"] = int(scenario.held)
+    widest = Sizes(*map(max, zip(*map(_counts, all_sizes), strict=True)))
     return Packed(parameters, pool.array(), memory, y, widest)
 
 

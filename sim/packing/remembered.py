@@ -9,6 +9,7 @@ from typing import Any, TypeVar
 Answer = TypeVar("Answer")
 
 _MOST = 64
+_BY_VALUE = frozenset({int, float, bool, str, type(None)})
 
 
 def cached_by_identity(function: Callable[..., Answer]) -> Callable[..., Answer]:
@@ -34,6 +35,7 @@ def cached_by_identity(function: Callable[..., Answer]) -> Callable[..., Answer]
 
 
 def _key(value: Any) -> Hashable:
-    if isinstance(value, tuple):
-        return tuple(_key(item) for item in value)
-    return value if value is None or isinstance(value, int | float | str) else id(value)
+    kind = type(value)
+    if kind is tuple:
+        return tuple([_key(item) for item in value])
+    return value if kind in _BY_VALUE else id(value)

@@ -74,8 +74,9 @@ def has_remainder(table: CsvTable) -> bool:
     return "CN_alpha_pr" in table or "Cm_alpha_pr" in table
 
 
-def vehicle_schedule(stage: Stage, burn: Burn, sizes: Sizes, switches: Switches, frozen: bool) -> Cubics:
-    """All columns of vehicle/schedule.py over the clock of the stage's tables or, where they differ, the stage's own.
+def vehicle_schedule(stage: Stage, burn: Burn, sizes: Sizes, switches: Switches, frozen: bool) -> list[Cubics]:
+    """All columns of vehicle/schedule.py, tables side by side, over the clock of the stage's tables or, where they
+    differ, the stage's own.
 
     `frozen`: the CG does not wander (the schedule stands still).
     """
@@ -96,9 +97,9 @@ def vehicle_schedule(stage: Stage, burn: Burn, sizes: Sizes, switches: Switches,
         parts += [pitch, pitch if alike else _modes(stage, burn, yaw_table, sizes, tanks, method)]
     if sizes.spatial_modes > 0:
         parts.append(_spatial_modes(stage, burn, sizes, tanks, method))
-    schedule = merge(parts + further_thrusts)
-    assert schedule.n_columns == columns_of.schedule_width(sizes)
-    return schedule
+    parts += further_thrusts
+    assert sum(part.n_columns for part in parts) == columns_of.schedule_width(sizes)
+    return parts
 
 
 def mass_table(stage: Stage) -> tuple[Array, Array]:

@@ -28,7 +28,9 @@ from maxq.sim.vehicle.state import Sizes
 from maxq.sim.vehicle.tvc_load import STOP_FACTOR, TvcLoad
 
 
-def pack_vehicle(scenario: Scenario, stage: Stage, burn: Burn, sizes: Sizes, schedule: Cubics, pool: Pool) -> Vehicle:
+def pack_vehicle(
+    scenario: Scenario, stage: Stage, burn: Burn, sizes: Sizes, schedule: Sequence[Cubics], pool: Pool
+) -> Vehicle:
     """Parameters of one stage under the scenario's switches; its tables go into `pool`."""
     switches = scenario.switches
     given = stage.actuators or (None,) * len(stage.engine_groups)
@@ -42,7 +44,7 @@ def pack_vehicle(scenario: Scenario, stage: Stage, burn: Burn, sizes: Sizes, sch
     pitch, yaw, *further = actuators
     return Vehicle(
         sizes=sizes,
-        schedule=pool.add(schedule),
+        schedule=pool.add(*schedule),
         engine=engine,
         actuator_pitch=pitch,
         actuator_yaw=yaw,

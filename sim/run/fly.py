@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from maxq.control.kernel.limits import MAX_PENDULUMS
-from maxq.control.kernel.records import Array, IntArray, pack
+from maxq.control.kernel.records import Array, IntArray, Records, pack
 from maxq.control.orbit_guidance import CUT_OFF, STEERING
 from maxq.sim.flight.channels import ChannelTable
 from maxq.sim.flight.loop import Logged, advance, begin
@@ -70,6 +70,12 @@ CONTROL_LOST_CAUSE = f"the attitude error exceeds {math.degrees(CONTROL_LOST_RAD
 _channel_table, _state_names = lru_cache(maxsize=8)(channel_table), lru_cache(maxsize=8)(state_names)
 
 
+@lru_cache(maxsize=8)
+def _logged(on: int, sizes: Sizes, *counts: int) -> Records:
+    """What is logged, for the kernel, which only reads it."""
+    return pack([Logged(on, sizes, *counts)])
+
+
 class FlightRun:
     """A flight in progress: `fly_segment` until `finished`, then `result`.
 
@@ -89,7 +95,7 @@ class FlightRun:
         engines = len(engine_names(loaded.scenario))
         external = int(self.packed.parameters[0].computer.external)
         widths = self.packed.sizes, stations, waves, engines, external, int(_adapts(loaded.scenario))
-        self._on, self._off = (pack([Logged(on, *widths)]) for on in (1, 0))
+        self._on, self._off = (_logged(on, *widths) for on in (1, 0))
         self._arena = np.zeros(ARENA_SIZE)
         timeline = self.packed.parameters[0].timeline
         periods_ns = {FAST: int(timeline.fast_ns), SLOW: int(timeline.slow_ns)}
