@@ -83,13 +83,17 @@ def test_what_is_seen_is_what_is_logged() -> None:
             assert present[channel.name] == value or (math.isnan(value) and math.isnan(present[channel.name]))
 
 
-@pytest.mark.parametrize(("step_s", "fast_hz"), [(0.00001, 1000.0), (0.001, 1e6), (0.003, 1000.0), (1.0, 1000.0)])
+@pytest.mark.parametrize(
+    ("step_s", "fast_hz"), [(0.00001, 1000.0), (0.001, 1e6), (0.003, 1000.0), (1.0, 1000.0), (1.0, 1.0)]
+)
 def test_segments_are_short_enough_to_be_interrupted(step_s: float, fast_hz: float) -> None:
-    run = FlightRun(loaded(f"run.step_s={step_s}", f"log.fast_hz={fast_hz}"))
+    run = FlightRun(loaded(f"run.step_s={step_s}", f"log.fast_hz={fast_hz}", f"log.slow_hz={min(fast_hz, 10.0)}"))
     step_ns = round(1e9 * step_s)
     assert run.segment_ns % step_ns == 0
-    assert run.segment_ns <= max(step_ns, min(1_000_000_000, 20_000 * step_ns, 20_000 * round(1e9 / fast_hz)))
-    assert run.segment_ns > 0.5 * min(1_000_000_000, 20_000 * step_ns, 20_000 * round(1e9 / fast_hz))
+    row_ns = round(1e9 / fast_hz)
+    longest_ns = min(max(1_000_000_000, 1_000 * min(step_ns, row_ns)), 20_000 * step_ns, 20_000 * row_ns)
+    assert run.segment_ns <= max(step_ns, longest_ns)
+    assert run.segment_ns > 0.5 * longest_ns
 
 
 def test_angles_are_scaled_once(tmp_path: Path) -> None:

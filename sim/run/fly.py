@@ -53,9 +53,10 @@ from maxq.sim.vehicle.state import CAUSES, R_I, V_I, Sizes, state_names
 if TYPE_CHECKING:
     from maxq.sim.run.flight_software import FlightSoftware
 
-LONGEST_SEGMENT_NS = 1_000_000_000  # one log chunk
+_SEGMENT_NS = 1_000_000_000  # one log chunk
 _UNSEEN_NS = 60_000_000_000  # a tenth of a second's work
 _MOST_STEPS, _MOST_ROWS = 20_000, 20_000  # of a segment: tens of milliseconds of work, 10 MB of rows
+_FEW = 1_000  # steps and rows: a segment with fewer may be longer
 
 IGNITION_NAME, FAULT_NAME, FAULT_END_NAME = "ignition", "fault", "fault_end"
 _OF_STAGES = EVENT_NAMES[BURNOUT], EVENT_NAMES[SEPARATION]  # which each stage has
@@ -80,8 +81,8 @@ class FlightRun:
     """A flight in progress: `fly_segment` until `finished`, then `result`.
 
     The constructor loads the compiled kernels, or compiles them (about twenty seconds, once). `segment_ns`: length of a
-    segment, a multiple of the step (default: 1 s, or less where that is many steps or log rows; 4 s of a flight that
-    another process flies, which has to be woken for each).
+    segment, a multiple of the step (default: 1 s, less where that is many steps or log rows, more where it is few;
+    4 s of a flight that another process flies, which has to be woken for each).
     """
 
     def __init__(
@@ -100,7 +101,7 @@ class FlightRun:
         timeline = self.packed.parameters[0].timeline
         periods_ns = {FAST: int(timeline.fast_ns), SLOW: int(timeline.slow_ns)}
         step_ns = 1_000_000 if timeline.even == 1 else int(timeline.step_ns)
-        longest_ns = LONGEST_SEGMENT_NS * (4 if external else 1)
+        longest_ns = _SEGMENT_NS * (4 if external else 1)
         self.segment_ns = segment_ns or _segment_ns(step_ns, min(periods_ns.values()), longest_ns)
         self._logged = self._on if log else self._off
         longest_ns = int(self.packed.parameters["timeline"]["step_ns"].max())  # a segment ends with a whole step
@@ -360,8 +361,8 @@ class FlightRun:
 def fly(loaded: LoadedScenario, *, log: bool = True, watch: Callable[[FlightRun, Rows], None] | None = None) -> Flight:
     """Fly a scenario to its end. `log=False` keeps no channels and is fastest.
 
-    `watch` is called after every segment (1 s of simulated time or less) with the run and its rows. A flight
-    that diverges is a result (`outcome`, `cause`), not an exception.
+    `watch` is called after every segment (1 s of simulated time, or about a thousand steps) with the run and its rows.
+    A flight that diverges is a result (`outcome`, `cause`), not an exception.
     """
     run = FlightRun(loaded, log=log)
     if not log and watch is None:  # nobody looks in between
@@ -433,9 +434,11 @@ def _above_the_wind(scenario: Scenario, highest_m: float) -> tuple[str, ...]:
 
 
 def _segment_ns(step_ns: int, shortest_log_ns: int, longest_ns: int) -> int:
-    """Length of a segment: `longest_ns`, or less where that is many steps or rows; a multiple of the step.
+    """Length of a segment: `longest_ns`, less where that is many steps or rows, more where it is few of both; a
+    multiple of the step.
 
     Only between two segments can a flight be interrupted and are its rows written.
     """
-    longest = min(longest_ns, _MOST_STEPS * step_ns, _MOST_ROWS * shortest_log_ns)
+    usual_ns = max(longest_ns, _FEW * min(step_ns, shortest_log_ns))
+    longest = min(usual_ns, _MOST_STEPS * step_ns, _MOST_ROWS * shortest_log_ns)
     return max(longest // step_ns, 1) * step_ns

@@ -63,8 +63,8 @@ def record(
 ) -> Flight:
     """Fly `run` to its end and leave log and summary in `folder`, which is made. `number`: of the run in a campaign.
 
-    Files of the same names are replaced. `watch` is called after every segment (1 s of simulated time or
-    less); when `stop` then says True, the flight ends there with outcome "interrupted". `timing`: further
+    Files of the same names are replaced. `watch` is called after every segment (1 s of simulated time, or about
+    a thousand steps); when `stop` then says True, the flight ends there with outcome "interrupted". `timing`: further
     entries for the summary's timing. The `Flight` that is returned has no rows: read the log.
 
     Raises LogError where a file cannot be written; folders made for it are then removed again.
