@@ -73,6 +73,7 @@ def measure(repetitions: int = REPETITIONS) -> dict[str, Any]:
             ("first", nominal, FLOWN_CODES, 1),
             ("second", nominal, FLOWN_CODES, 3 * repetitions),
             ("no_log", [*nominal, "--no-log"], FLOWN_CODES, repetitions),
+            ("orbit", [str(simrun), "checkcases/exo-06a", *nominal[2:]], FLOWN_CODES, repetitions),
             ("in_memory", [sys.executable, "-m", IN_MEMORY], (0,), 2),
         )
         for key, command, codes, times in cases:

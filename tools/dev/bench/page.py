@@ -64,6 +64,7 @@ LATENCY = (
     ("first", "`simrun nominal`, no kernel compiled yet", "wall_s", 20.0),
     ("second", "`simrun nominal`, log included", "wall_s", 1.2),
     ("no_log", "`simrun nominal --no-log`", "wall_s", None),
+    ("orbit", "`simrun checkcases/exo-06a`: eight hours of orbit by steps of 1 s, log included", "wall_s", None),
     ("second", "peak memory of `simrun nominal`, 1 kHz log", "peak_MB", 400.0),
     ("first", "peak memory while compiling", "peak_MB", None),
     ("in_memory", "peak memory of `fly(scenario)`, 1 kHz log in arrays", "peak_MB", 400.0),
