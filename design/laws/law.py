@@ -47,44 +47,34 @@ class Controller(Protocol):
     @property
     def inputs(self) -> tuple[str, ...]:
         """Names of the measurements that it takes, without those whose gain is zero."""
-        ...
 
     @property
     def gains(self) -> Mapping[str, float]:
         """Gains in use by name, for reports."""
-        ...
 
     def check(self, sample_s: float | None) -> None:
         """Raises ValueError where the law is not one for a loop of this period."""
-        ...
 
     def response(self, frequencies_hz: ArrayLike) -> ComplexArray:
         """C, (..., inputs) for frequencies of shape (...)."""
-        ...
 
     def filter_response(self, frequencies_hz: ArrayLike) -> ComplexArray:
         """The factor that all inputs have in common (bending filter), same shape as the frequencies; 1 without one."""
-        ...
 
     def at(self, s: ComplexArray) -> ComplexArray:
         """Of a continuous law: C at complex s (rad/s), (..., inputs)."""
-        ...
 
     def static_gain(self, name: str) -> float:
         """C at zero frequency of one input; 0 for one that it does not take."""
-        ...
 
     def poles(self) -> ComplexArray:
         """Poles of C, rad/s; those of a discrete law at z are log(z) / T."""
-        ...
 
     def state_space(self) -> StateSpace:
         """From `inputs` to `command_rad`; in z for a discrete law."""
-        ...
 
     def scaled(self, factor: float) -> Controller:
         """The same law with all its gains times a factor."""
-        ...
 
 
 class DesignedLaw(Protocol):
@@ -93,20 +83,16 @@ class DesignedLaw(Protocol):
     @property
     def over(self) -> Over:
         """What its gains are scheduled over."""
-        ...
 
     def at(self, at: float, plane: Plane, sample_s: float | None) -> Controller:
         """The law with the gains at a value of `over`, such as a vehicle time (`Node.scheduled`): as the flight
         computer runs it at the period, or continuous for None."""
-        ...
 
     def tables(self) -> dict[str, Any]:
         """What a design file says of the law, as plain tables: keys of the file, such as `gains` and `filter`."""
-        ...
 
     def record(self) -> dict[str, Any]:
         """The same for reports, as columns of numbers."""
-        ...
 
 
 Axis = tuple[ComplexArray, ...]
@@ -170,90 +156,69 @@ class LawVariables(Protocol):
     @property
     def inputs(self) -> tuple[str, ...]:
         """Measurements, as of `Controller`; all of them."""
-        ...
 
     @property
     def poles_at_zero(self) -> int:
         """Poles of C at s = 0 (z = 1)."""
-        ...
 
     @property
     def limits(self) -> tuple[LawLimit, ...]:
         """Limits that the law knows of."""
-        ...
 
     @property
     def lower(self) -> Array:
         """Bounds of the variables."""
-        ...
 
     @property
     def upper(self) -> Array:
         """Bounds of the variables."""
-        ...
 
     @property
     def own_size(self) -> int:
         """Number of own parameters."""
-        ...
 
     @property
     def names(self) -> tuple[str, ...]:
         """Of the variables."""
-        ...
 
     def own(self, variables: Array) -> Array:
         """Own parameters of each plant, (plants, own)."""
-        ...
 
     def jacobian(self, variables: Array) -> Array:
         """d own / d variables, (plants, own, variables)."""
-        ...
 
     def bend(self, variables: Array, slopes: Array) -> Array:
         """Sum of the second derivatives of all own parameters, weighted with `slopes` (plants, own), (size, size)."""
-        ...
 
     def axis(self, x: Array) -> Axis:
         """What `response` and `log_response` need of points at x = ln f."""
-        ...
 
     def response(self, variables: Array, plant: IntArray, axis: Axis) -> tuple[ComplexArray, ComplexArray | Array]:
         """C on a mesh, as a common factor (points,) and gains (points, inputs); `plant` is each point's."""
-        ...
 
     def log_response(self, own: Array, axis: Axis) -> LogResponse:
         """C at points of own parameters (points, own)."""
-        ...
 
     def gradient(self, own: Array, axis: Axis, weights: ComplexArray) -> ComplexArray:
         """d ln L / d own, (points, own). `weights` (points, inputs): ratio of measurement i over sum of gains_k P_k."""
-        ...
 
     def limit_values(self, own: Array) -> list[LimitValues]:
         """All limits that are asked for, at own parameters (plants, own)."""
-        ...
 
     def controllers(self, variables: Array) -> list[Controller]:
         """The law at each plant."""
-        ...
 
     def designed(self, variables: Array) -> DesignedLaw:
         """The law of the design file that these variables mean."""
-        ...
 
     def variables_of(self, law: DesignedLaw) -> Array | None:
         """Variables of a law that has been designed with as much freedom or less; None where it does not fit."""
-        ...
 
     def starts(self, count: int, seed: int) -> list[Array]:
         """Beginnings of the search, the most promising first."""
-        ...
 
     def leap_size(self, number: int) -> Array:
         """Standard deviations of the variables for a leap from an optimum; sizes vary from leap to leap."""
-        ...
 
     def simpler(self) -> tuple[LawVariables, Callable[[Array], Array]] | None:
         """Laws of fewer variables for rough searches, and how their variables become these; None: not worth it."""
-        ...

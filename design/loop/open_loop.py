@@ -18,25 +18,19 @@ class OpenLoop(Protocol):
     @property
     def highest_hz(self) -> float:
         """Where the response ends: the Nyquist frequency of a sampled loop, infinity of a continuous one."""
-        ...
 
     def response(self, frequencies_hz: Array) -> ComplexArray:
         """L, same shape as `frequencies_hz` (each above 0 and at most `highest_hz`)."""
-        ...
 
     def open_poles(self) -> ComplexArray:
         """Poles of L, those that a pure delay has left out."""
-        ...
 
     def closed_poles(self) -> ComplexArray:
         """Zeros of 1 + L."""
-        ...
 
     @property
     def sample_s(self) -> float | None:
         """Period of a sampled loop."""
-        ...
 
     def factors(self) -> tuple[ComplexArray, ComplexArray] | None:
         """All zeros and all poles of L, in s or in z, by which no pair of crossings is missed; None: not known."""
-        ...

@@ -42,7 +42,6 @@ class Path(Protocol):
 
     def poles(self) -> ComplexArray:
         """rad/s; those of a sampled path at z are log(z) / T."""
-        ...
 
 
 Log = tuple[ComplexArray, ComplexArray, ComplexArray]
