@@ -88,8 +88,7 @@ def law_at(design: Design, node: Node, kind: Kind = "sampled") -> Controller:
 
 def close(path: FixedPath, design: Design) -> Loop:
     """The design's loop around a fixed path, with the law of its node's instant and plane."""
-    law = designed_law(design.of_stage(path.node.stage))
-    return Loop(path, law.at(path.node.scheduled(law.over), path.node.plane, path.sample_s))
+    return Loop(path, law_at(design, path.node, path.kind))
 
 
 def loops(where: Iterable[Node], design: Design, *, kind: Kind = "sampled", cut: Cut = "gimbal_command") -> list[Loop]:

@@ -32,7 +32,7 @@ import scipy.optimize
 
 from maxq.control.kernel.records import Array
 from maxq.design.model.equations import OUTPUTS
-from maxq.design.model.instruments import ACTUATOR_OUTPUTS, actuator, gyro
+from maxq.design.model.instruments import DERIVATIVES, actuator, gyro
 from maxq.design.model.linearised import LinearModel, linearise, zero_incidence
 from maxq.design.model.plant import vehicle_plant
 from maxq.design.model.state_space import ComplexArray, StateSpace
@@ -105,7 +105,7 @@ def linear_plant(packed: Packed, condition: FlightCondition, plane: Plane = "pit
     a[n : n + m, n : n + m], a[n + m :, n + m :] = moves.a, senses.a
     a[n + m :, :n] = np.outer(senses.b[:, 0], local)
     b[:n], b[n : n + m] = body.b @ moves.d[drives], moves.b
-    outputs = (*senses.outputs, *ACTUATOR_OUTPUTS, *body.outputs)
+    outputs = (*senses.outputs, *DERIVATIVES, *body.outputs)
     c = np.zeros((len(outputs), n + m + p))
     c[0, n + m :], c[1:4, n : n + m], c[4:, :n] = senses.c[0], moves.c, body.c
     states = (*body.states, *moves.states, *senses.states)

@@ -22,7 +22,6 @@ import pytest
 from maxq.design import api
 from maxq.design.margins.measure import margins
 from maxq.design.model.dispersion import Dispersion, disperse
-from maxq.design.model.equations import INPUTS
 from maxq.design.model.node import Node
 from maxq.design.model.plant import vehicle_plant
 from maxq.design.verify.linear import authority, study, vehicles
@@ -57,7 +56,7 @@ def test_centre_of_percussion_stays_where_it_is(nodes: list[Node]) -> None:
     for node in nodes:
         rigid = _rigid(node)
         plant = vehicle_plant(rigid.vehicle, rigid.condition)
-        push = plant.b[:, INPUTS.index("delta_rad")]
+        push = plant.b[:, plant.inputs.index("delta_rad")]
         w, q = (push[plant.states.index(name)] for name in ("w_mps", "q_radps"))
         forward = rigid.vehicle.body.core_cg_station_m - percussion_station_m(rigid)
         assert abs(w - forward * q) < 1e-6 * abs(w)  # a point x forward of the CG moves with w - x q
@@ -70,7 +69,7 @@ def test_gimbal_trims_just_the_wind_that_takes_all_of_it(nodes: list[Node]) -> N
         q = plant.states.index("q_radps")
         w = node.condition.airspeed_mps * math.atan(found.wind_mps / node.condition.airspeed_mps)
         by_wind = plant.a[q, plant.states.index("w_mps")] * w
-        by_gimbal = plant.b[q, INPUTS.index("delta_rad")] * math.radians(6.0)
+        by_gimbal = plant.b[q, plant.inputs.index("delta_rad")] * math.radians(6.0)
         assert abs(by_wind) == pytest.approx(abs(by_gimbal), rel=0.01)
 
 

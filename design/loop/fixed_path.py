@@ -24,7 +24,7 @@ from __future__ import annotations
 import abc
 import math
 from functools import cached_property
-from typing import Literal
+from typing import ClassVar, Literal, get_args
 
 import numpy as np
 import scipy.linalg
@@ -35,19 +35,21 @@ from maxq.design.laws.law import ANGLES, MEASUREMENTS
 from maxq.design.loop.rational import Rational, average, converter_pade, delay_pade, hold_pade
 from maxq.design.loop.resonance import NamedPole, Resonance, named, resonances, vehicle_poles
 from maxq.design.loop.sampling import SampledPlant, sample
-from maxq.design.model.instruments import actuator_poles, actuator_response, actuators, gyro, lag
+from maxq.design.model.instruments import actuator_poles, actuators, gyro, lag
 from maxq.design.model.node import Node
-from maxq.design.model.plant import per_actuator_angle
+from maxq.design.model.plant import per_command
 from maxq.design.model.state_space import ComplexArray, Resolvent, StateSpace, chain, channels
 
 Kind = Literal["sampled", "pade", "exact"]
 Cut = Literal["gimbal_command", "rate_command_to_q", "rate_command_to_q_m"]
-KINDS: tuple[Kind, ...] = ("sampled", "pade", "exact")
-CUTS: tuple[Cut, ...] = ("gimbal_command", "rate_command_to_q", "rate_command_to_q_m")
+KINDS: tuple[Kind, ...] = get_args(Kind)
+CUTS: tuple[Cut, ...] = get_args(Cut)
 
 
 class FixedPath(abc.ABC):
     """Common to all kinds; `response` and `integrator` take frequencies in Hz of any shape."""
+
+    kind: ClassVar[Kind]
 
     def __init__(self, node: Node, cut: Cut = "gimbal_command", senses: bool = False) -> None:
         if cut not in CUTS:
@@ -64,10 +66,6 @@ class FixedPath(abc.ABC):
         self._actuator = None if ideal else actuators(node.actuators)
         self._gyro = gyro(node.instruments.gyro) if self.takes_rate and not node.instruments.gyro.ideal else None
         self._latest: tuple[bytes, ComplexArray] = (b"", np.zeros(0, np.complex128))
-
-    @property
-    @abc.abstractmethod
-    def kind(self) -> Kind: ...
 
     @property
     @abc.abstractmethod
@@ -155,9 +153,19 @@ class FixedPath(abc.ABC):
         c = np.array([rows[name] for name in measurements])
         return StateSpace(a, b, c, np.zeros((len(c), 1)), states, path.inputs, measurements)
 
-    @abc.abstractmethod
     def named_poles(self) -> list[NamedPole]:
-        """Poles and what they belong to, rad/s, not folded; those of a pure delay left out."""
+        """Poles of actuator, vehicle and gyro, each by itself (in a row they stay what they are), and what they belong
+        to, rad/s, not folded; those of a pure delay left out."""
+        out = vehicle_poles(self.vehicle)
+        if self._actuator is not None:
+            poles = [pair for record in self.node.actuators for pair in actuator_poles(record)]
+            for k, (omega, zeta) in enumerate(poles):
+                out += named(_pair(omega, zeta), "actuator", k + 1)
+        if self._gyro is not None:
+            out += named(_pair(self.node.instruments.gyro.omega_radps, self.node.instruments.gyro.zeta), "gyro")
+        for k, (_, g, _) in enumerate(self.sensors):
+            out += [] if g.ideal else named(_pair(g.omega_radps, g.zeta), "sensor", k + 1)
+        return out
 
     def poles(self) -> ComplexArray:
         """Poles in rad/s, those of a sampled path as log(z) / T."""
@@ -204,19 +212,6 @@ class FixedPath(abc.ABC):
         terms = np.abs(body.c[0] * settled)
         return bool(abs(body.c[0] @ settled) <= 1e-9 * (terms.sum() + np.abs(settled).max()))
 
-    def _plant_poles(self) -> list[NamedPole]:
-        """Of actuator, vehicle and gyro, each by itself: in a row they stay what they are."""
-        out = vehicle_poles(self.vehicle)
-        if self._actuator is not None:
-            poles = [pair for record in self.node.actuators for pair in actuator_poles(record)]
-            for k, (omega, zeta) in enumerate(poles):
-                out += named(_pair(omega, zeta), "actuator", k + 1)
-        if self._gyro is not None:
-            out += named(_pair(self.node.instruments.gyro.omega_radps, self.node.instruments.gyro.zeta), "gyro")
-        for k, (_, g, _) in enumerate(self.sensors):
-            out += [] if g.ideal else named(_pair(g.omega_radps, g.zeta), "sensor", k + 1)
-        return out
-
 
 class _ContinuousFixedPath(FixedPath):
     """Product of factors, each exact: no digit is lost where the sum of partial fractions would cancel."""
@@ -252,17 +247,12 @@ class _ContinuousFixedPath(FixedPath):
 
     def plant_at(self, s: ComplexArray, output: int = 0) -> ComplexArray:
         """Actuator, vehicle and gyro, or further sensor number `output`."""
-        per_angle = per_actuator_angle(
-            s, self._turning(s)[..., output, :] + self.vehicle.d[output], self.vehicle.inputs
-        )
-        if self._actuator is not None:
-            drives = zip(per_angle, self.node.actuators, strict=True)
-            per_angle = [turned * actuator_response(record, s) for turned, record in drives]
-        out: ComplexArray = sum(per_angle[1:], per_angle[0])
+        way = self._turning(s)[..., output, :] + self.vehicle.d[output]
+        out = per_command(s, way, self.vehicle.inputs, self.node.actuators)
         sensor = self.sensors[output - 1][1] if output > 0 else self.node.instruments.gyro
         if not sensor.ideal and self.takes_rate:
             out = out * lag(s, sensor.omega_radps, sensor.zeta)
-        return np.asarray(out)
+        return out
 
     @abc.abstractmethod
     def computer_at(self, s: ComplexArray) -> ComplexArray:
@@ -271,6 +261,8 @@ class _ContinuousFixedPath(FixedPath):
 
 class PadeFixedPath(_ContinuousFixedPath):
     """The paper's: H_VF [3/3], H_D [2/2], H_DZ [0/2]."""
+
+    kind = "pade"
 
     def __init__(self, node: Node, cut: Cut = "gimbal_command", senses: bool = False) -> None:
         super().__init__(node, cut, senses)
@@ -283,10 +275,6 @@ class PadeFixedPath(_ContinuousFixedPath):
         if self.takes_rate:
             self._computer.append(converter_pade(timing.sample_s))
 
-    @property
-    def kind(self) -> Kind:
-        return "pade"
-
     def computer_at(self, s: ComplexArray) -> ComplexArray:
         out = np.ones(np.shape(s), np.complex128)
         for part in self._computer:
@@ -297,15 +285,13 @@ class PadeFixedPath(_ContinuousFixedPath):
         return chain(*(part.state_space() for part in self._computer), self.continuous)
 
     def named_poles(self) -> list[NamedPole]:
-        return self._plant_poles() + [p for part in self._computer for p in named(part.poles(), part.name)]
+        return super().named_poles() + [p for part in self._computer for p in named(part.poles(), part.name)]
 
 
 class ExactFixedPath(_ContinuousFixedPath):
     """The same with the exact factors: average, delay and hold as transcendental functions; no aliasing."""
 
-    @property
-    def kind(self) -> Kind:
-        return "exact"
+    kind = "exact"
 
     def computer_at(self, s: ComplexArray) -> ComplexArray:
         timing = self.node.instruments
@@ -315,9 +301,6 @@ class ExactFixedPath(_ContinuousFixedPath):
     def state_space(self) -> StateSpace:
         raise ValueError("a transcendental transfer function has no state space: take the kind pade or sampled")
 
-    def named_poles(self) -> list[NamedPole]:
-        return self._plant_poles()
-
 
 class SampledFixedPath(FixedPath):
     """The loop as the flight computer runs it; `response` at z = exp(j w T), up to the Nyquist frequency.
@@ -325,14 +308,12 @@ class SampledFixedPath(FixedPath):
     The cuts of eq. 42 end at q, or q_m, as a converter without a gyro would count it.
     """
 
+    kind = "sampled"
+
     def __init__(self, node: Node, cut: Cut = "gimbal_command", senses: bool = False) -> None:
         super().__init__(node, cut, senses)
         self.sampled: SampledPlant = sample(self.continuous, node.instruments.sample_s, node.instruments.delay_s)
         self._resolvent = self.sampled.resolvent()
-
-    @property
-    def kind(self) -> Kind:
-        return "sampled"
 
     @property
     def highest_hz(self) -> float:
@@ -360,9 +341,6 @@ class SampledFixedPath(FixedPath):
             path = delayed(path, output, samples)
         return path
 
-    def named_poles(self) -> list[NamedPole]:
-        return self._plant_poles()
-
 
 def delayed(path: StateSpace, output: int, samples: int) -> StateSpace:
     """A sampled system without direct feedthrough with one of its outputs that many samples later."""
@@ -379,11 +357,7 @@ def fixed_path(
     node: Node, kind: Kind = "sampled", cut: Cut = "gimbal_command", senses: bool = False
 ) -> FixedPath:  # fmt: skip  # as ruff would, but for a line of one bracket
     """The fixed path of a node; `senses`: with further sensors. Raises ValueError for an unknown kind or cut."""
-    kinds: dict[str, type[SampledFixedPath | PadeFixedPath | ExactFixedPath]] = {
-        "sampled": SampledFixedPath,
-        "pade": PadeFixedPath,
-        "exact": ExactFixedPath,
-    }
+    kinds = {one.kind: one for one in (SampledFixedPath, PadeFixedPath, ExactFixedPath)}
     if kind not in kinds:
         raise ValueError(f"kind = {kind!r}: allowed is {', '.join(kinds)}")
     return kinds[kind](node, cut, senses)

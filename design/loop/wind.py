@@ -10,8 +10,8 @@ from maxq.design.laws.wind import HIGHEST_HZ, WIND_LIMITS, Spectrum, WindRespons
 from maxq.design.loop.fixed_path import FixedPath
 from maxq.design.loop.rational import average
 from maxq.design.model.equations import WIND
-from maxq.design.model.instruments import actuator_response, lag
-from maxq.design.model.plant import alone, per_actuator_angle, vehicle_plant
+from maxq.design.model.instruments import lag
+from maxq.design.model.plant import alone, per_command, vehicle_plant
 from maxq.design.model.sections import moment_name
 from maxq.design.model.state_space import ComplexArray, Resolvent, channels
 
@@ -45,11 +45,7 @@ def wind_response(path: FixedPath, spectrum: Spectrum, stations_m: tuple[float, 
     held = average(s, timing.sample_s) * np.exp(-timing.delay_s * s)
 
     def commanded(row: int) -> ComplexArray:
-        per_angle = per_actuator_angle(s, way[:, row, :-1], moved)
-        if not ideal:
-            drives = zip(per_angle, node.actuators, strict=True)
-            per_angle = [turned * actuator_response(record, s) for turned, record in drives]
-        return np.asarray(held * sum(per_angle[1:], per_angle[0]))
+        return np.asarray(held * per_command(s, way[:, row, :-1], moved, node.actuators))
 
     lags = [(timing.gyro, 0), *((record, late) for _, record, late in path.sensors)]
     means = {}

@@ -13,6 +13,7 @@ Unstable poles of the closed loop are counted twice: from their list, and by the
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -22,6 +23,7 @@ from maxq.control.kernel.records import Array, IntArray
 from maxq.design.loop.open_loop import OpenLoop
 from maxq.design.margins.solving import (
     DB,
+    Objective,
     along,
     complementary,
     from_minus_one_deg,
@@ -253,15 +255,18 @@ def refine_extremes(curve: Curve) -> Curve:
     They are the minima of |1 + L|, |1 + 1/L| and |1 + L|/|1 - L| that may be the least of all, the maxima of |L|,
     and those of |L| and of the phase that may reach 1 and 180 degrees where the points of the grid do not.
     """
-    triples = [_candidates(curve, k) for k in range(len(_OBJECTIVES))]
-    kind = np.concatenate([np.full(len(middle), k) for k, (middle, _) in enumerate(triples)])
-    middle = np.concatenate([m for m, _ in triples])
-    values = np.concatenate([v for _, v in triples])
+    return with_minima(curve, _OBJECTIVES, [_candidates(curve, k) for k in range(len(_OBJECTIVES))])
+
+
+def with_minima(curve: Curve, objectives: Sequence[Objective], found: Sequence[tuple[IntArray, Array]]) -> Curve:
+    """The curve with minima solved for and added, from `brackets` of each objective (their numbers, the values)."""
+    kind = np.concatenate([np.full(len(middle), k) for k, (middle, _) in enumerate(found)])
+    middle, values = (np.concatenate(parts) for parts in zip(*found, strict=True))
     if not len(middle):
         return curve
-    f = curve.frequency_hz[middle[:, None] + np.arange(-1, 2)]
-    found = minima(along(curve.source, _OBJECTIVES, kind), f, values)
-    return curve.with_points(found, sample(curve.source, found))
+    points = curve.frequency_hz[middle[:, None] + np.arange(-1, 2)]
+    lowest = minima(along(curve.source, objectives, kind), points, values)
+    return curve.with_points(lowest, sample(curve.source, lowest))
 
 
 def _candidates(curve: Curve, k: int) -> tuple[IntArray, Array]:

@@ -18,8 +18,7 @@ from maxq.design.loop.loop import Loop
 from maxq.design.loop.resonance import owner_of
 from maxq.design.margins import many
 from maxq.design.model.dispersion import Dispersion, dispersed_many, stacked, unlike_drives, with_drives_apart
-from maxq.design.model.equations import DERIVATIVES
-from maxq.design.model.instruments import actuator_poles, lag, of_drive
+from maxq.design.model.instruments import DERIVATIVES, actuator_poles, lag, of_drive
 from maxq.design.model.node import Node
 from maxq.design.model.plant import vehicle_plants
 from maxq.design.model.state_space import ComplexArray, StateSpace, chain, zeros_and_poles

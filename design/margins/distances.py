@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from maxq.control.kernel.records import Array, IntArray
-from maxq.design.margins.curve import Curve, GainCrossings, PhaseCrossings, brackets
+from maxq.design.margins.curve import Curve, GainCrossings, PhaseCrossings, brackets, with_minima
 from maxq.design.margins.solving import (
     DB,
     Objective,
@@ -29,7 +29,6 @@ from maxq.design.margins.solving import (
     complementary,
     from_minus_one_deg,
     log_size,
-    minima,
     roots,
     sample,
     sensitivity,
@@ -157,15 +156,8 @@ def find_clearances(
     axes = np.concatenate([gain.frequency_hz, phase.frequency_hz])
     curve = _beside(curve, np.append(axes, corners))
     kinks = {"diamond": axes, "rectangle": corners, "ellipse": np.zeros(0)}
-    objectives = [zone.clearance for zone in zones]
     found = [_candidates(zone.clearance(curve.loop), np.isin(curve.frequency_hz, kinks[zone.shape])) for zone in zones]
-    kind = np.concatenate([np.full(len(middle), k) for k, (middle, _) in enumerate(found)])
-    middle = np.concatenate([m for m, _ in found])
-    if len(middle):
-        points = curve.frequency_hz[middle[:, None] + np.arange(-1, 2)]
-        values = np.concatenate([v for _, v in found])
-        lowest = minima(along(curve.source, objectives, kind), points, values)
-        curve = curve.with_points(lowest, sample(curve.source, lowest))
+    curve = with_minima(curve, [zone.clearance for zone in zones], found)
     return tuple(_least(curve, zone) for zone in zones)
 
 

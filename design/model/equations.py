@@ -9,24 +9,12 @@ import numpy as np
 from maxq.control.kernel.records import Array
 from maxq.design.model.engine import GimballedEngine
 from maxq.design.model.errata import Errata
-from maxq.design.model.instruments import ACCELERATION, of_drive
+from maxq.design.model.instruments import ACCELERATION, DERIVATIVES, of_drive
 from maxq.design.model.sections import bending_moments, moment_name
 from maxq.design.model.state_space import StateSpace
 from maxq.design.model.vehicle_at import FlightCondition, VehicleAt
 
-INPUTS = ("delta_rad", "delta_accel_radps2")  # of the engines, which follow their actuators
-
-
-DERIVATIVES = (
-    "delta_rad",
-    "delta_rate_radps",
-    "delta_accel_radps2",
-)  # the rate of those on whose compliance one swings
-
-
 OUTPUTS = ("q_radps", "local_rate_radps", "w_mps", "theta_rad")
-
-
 WIND = "wind_mps"
 
 

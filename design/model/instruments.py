@@ -21,9 +21,8 @@ if TYPE_CHECKING:
 
 
 ACCELERATION = "accel_mps2"  # lateral specific force at the accelerometer
-
-
-ACTUATOR_OUTPUTS = ("delta_rad", "delta_rate_radps", "delta_accel_radps2")
+DERIVATIVES = ("delta_rad", "delta_rate_radps", "delta_accel_radps2")
+"""Of an actuator's angle: what it puts out, and what drives the vehicle."""
 
 
 def further_rate(number: int) -> str:
@@ -151,7 +150,7 @@ def actuator(record: Any) -> StateSpace:
     c = np.stack([angle, angle @ a, angle @ a @ a])
     d = np.stack([np.zeros(1), angle @ b, angle @ a @ b])
     states = tuple(f"actuator_{k + 1}{what}" for k in range(len(poles)) for what in ("", "_rate"))
-    return StateSpace(a, b, c, d, states, ("command_rad",), ACTUATOR_OUTPUTS)
+    return StateSpace(a, b, c, d, states, ("command_rad",), DERIVATIVES)
 
 
 def gyro(record: Any) -> StateSpace:

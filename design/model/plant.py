@@ -52,16 +52,19 @@ in yaw. From command to gyro both signs change and the transfer function stays.
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from maxq.control.kernel.records import Array
 from maxq.design.model.coupled import Coupled
-from maxq.design.model.equations import DERIVATIVES, WIND, Equations, inputs_of, outputs_of, state_names, swings_of
+from maxq.design.model.equations import WIND, Equations, inputs_of, outputs_of, state_names, swings_of
 from maxq.design.model.errata import CORRECTED, Errata
+from maxq.design.model.instruments import DERIVATIVES, actuator_response
 from maxq.design.model.state_space import ComplexArray, StateSpace
 from maxq.design.model.vehicle_at import FlightCondition, Pendulums, VehicleAt, with_pendulums
+from maxq.sim.vehicle.actuator import Actuator
 
 XI = 1.84118378134066
 _SHALLOWEST = 1e-6  # depth in radii: the formulae have limits at zero
@@ -168,6 +171,15 @@ def per_actuator_angle(s: ComplexArray, response: ComplexArray, inputs: tuple[st
         drive = name.removeprefix(DERIVATIVES[order])
         out[drive] = np.asarray(out.get(drive, 0.0) + s**order * response[..., k])
     return list(out.values())
+
+
+def per_command(
+    s: ComplexArray, response: ComplexArray, inputs: tuple[str, ...], actuators: Sequence[Actuator]
+) -> ComplexArray:
+    """The same per command of all drives together, each through its actuator."""
+    drives = zip(per_actuator_angle(s, response, inputs), actuators, strict=True)
+    first, *others = (per_angle if a.ideal else per_angle * actuator_response(a, s) for per_angle, a in drives)
+    return np.asarray(sum(others, first))
 
 
 def as_printed(pendulums: Pendulums, liquids: Liquids, radius: bool, liquid: bool) -> Pendulums:

@@ -36,6 +36,10 @@ class Path(Protocol):
 
     measurements: tuple[str, ...]
 
+    @property
+    def highest_hz(self) -> float:
+        """The Nyquist frequency of a sampled path, infinite of a continuous one."""
+
     def response(self, frequencies_hz: Array) -> ComplexArray: ...
 
     def ratio(self, measurement: str, frequencies_hz: Array) -> ComplexArray: ...
@@ -61,19 +65,9 @@ class Points:
 
 
 class Curves:
-    """Meshes of all plants, one after the other."""
+    """Meshes of all plants (`mesh_of`), one after the other."""
 
-    def __init__(
-        self, paths: Sequence[Path], highest_hz: float | None, kept_hz: Sequence[Array], tolerance: float = TOLERANCE
-    ) -> None:
-        """`kept_hz`: frequencies of each plant that must be mesh points (ends of bands).
-
-        `highest_hz`: the Nyquist frequency of sampled paths, None for continuous ones.
-        """
-        meshes = [_mesh(path, highest_hz, kept, tolerance) for path, kept in zip(paths, kept_hz, strict=True)]
-        self._join(meshes)
-
-    def _join(self, meshes: list[_Mesh]) -> None:
+    def __init__(self, meshes: Sequence[PathMesh]) -> None:
         self.sizes = np.array([len(m.x) for m in meshes])
         self.start = np.concatenate([[0], np.cumsum(self.sizes)])
         self.plant: Indices = np.repeat(np.arange(len(meshes)), self.sizes)
@@ -88,18 +82,7 @@ class Curves:
         self._coefficients = np.concatenate(
             [np.concatenate([m.spline.c, np.zeros((6, 1, 2 + 2 * len(others)))], axis=1) for m in meshes], axis=1
         )
-        self._meshes = meshes
-
-    @property
-    def plants(self) -> int:
-        return len(self.sizes)
-
-    def extended(self, paths: Sequence[Path], highest_hz: float | None, kept_hz: Sequence[Array]) -> Curves:
-        """These plants and then some more."""
-        out = object.__new__(Curves)
-        more = [_mesh(path, highest_hz, kept, TOLERANCE) for path, kept in zip(paths, kept_hz, strict=True)]
-        out._join([*self._meshes, *more])
-        return out
+        self.meshes = meshes
 
     def at(self, plant: Indices, x: Array) -> Points:
         """Values at x = ln f of the given plants; x is held to the mesh."""
@@ -129,15 +112,18 @@ class Curves:
 
 
 @dataclass(frozen=True)
-class _Mesh:
+class PathMesh:
+    """The mesh of one path and its splines."""
+
     x: Array
     path: ComplexArray
     ratios: dict[str, ComplexArray]  # of each measurement but BASE over that
     spline: PPoly  # of Re ln P, Im ln P, then both of ln of each ratio
 
 
-def _mesh(path: Path, highest_hz: float | None, kept_hz: Array, tolerance: float) -> _Mesh:
-    top = HIGHEST_HZ if highest_hz is None else highest_hz * NEAREST_NYQUIST
+def mesh_of(path: Path, kept_hz: Array, tolerance: float = TOLERANCE) -> PathMesh:
+    """`kept_hz`: frequencies that must be mesh points (ends of bands)."""
+    top = HIGHEST_HZ if math.isinf(path.highest_hz) else path.highest_hz * NEAREST_NYQUIST
     names = [name for name in path.measurements if name != BASE]
 
     def exact(x: Array) -> ComplexArray:
@@ -166,7 +152,7 @@ def _mesh(path: Path, highest_hz: float | None, kept_hz: Array, tolerance: float
     spline = _spline(x, known)
     # as polynomials of each interval: Taylor coefficients at its left end (BSpline is continuous from the right)
     orders = [spline.derivative(k)(x[:-1]) / math.factorial(k) if k else spline(x[:-1]) for k in range(6)]
-    return _Mesh(x, known[0], dict(zip(names, known[1:], strict=True)), PPoly(np.stack(orders[::-1]), x))
+    return PathMesh(x, known[0], dict(zip(names, known[1:], strict=True)), PPoly(np.stack(orders[::-1]), x))
 
 
 def _spline(x: Array, responses: ComplexArray) -> BSpline:

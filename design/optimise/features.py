@@ -21,8 +21,8 @@ smooth functions; where the least lies on a corner line, the same formula holds 
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, fields, replace
 from enum import IntEnum
 from functools import cached_property
 
@@ -160,18 +160,14 @@ class Mesh:
 Search = Callable[[Mesh], Places]
 
 
-def joined(parts: list[Places]) -> Places:
-    return Places(
-        np.concatenate([p.kind for p in parts]),
-        np.concatenate([p.cell for p in parts]),
-        np.concatenate([p.x for p in parts]),
-        np.concatenate([p.tag for p in parts]),
-        np.concatenate([p.fixed for p in parts]),
-    )
+def joined(parts: Sequence[Places]) -> Places:
+    return Places(*(np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(Places)))
 
 
-def _untagged(kind: NDArray[np.int8], cell: Indices, x: Array, fixed: bool = False) -> Places:
-    return Places(kind, cell, x, np.zeros(len(cell), np.int64), np.full(len(cell), fixed))
+def _untagged(kind: Kind | Array, cell: Indices, x: Array, fixed: bool = False) -> Places:
+    """Places of one kind, or each of its own."""
+    n = len(cell)
+    return Places(np.full(n, kind, np.int8), cell, x, np.zeros(n, np.int64), np.full(n, fixed))
 
 
 def peaks(mesh: Mesh) -> Places:
@@ -203,11 +199,10 @@ def crossings(mesh: Mesh) -> Places:
     k, share = k[behind], share[behind]
     g = np.flatnonzero(same & (np.signbit(log_gain[1:]) != np.signbit(log_gain[:-1])))
     level = log_gain[g] / (log_gain[g] - log_gain[g + 1])
-    cell = np.concatenate([k, g])
-    part = np.concatenate([share, np.where(np.isfinite(level), level, 0.5)])
-    kind = np.concatenate([np.full(len(k), Kind.GAIN_CROSSING), np.full(len(g), Kind.PHASE_CROSSING)]).astype(np.int8)
-    x = curves.x[cell] + part * (curves.x[cell + 1] - curves.x[cell])
-    return _untagged(kind, cell, x)
+    level = np.where(np.isfinite(level), level, 0.5)
+    found = (Kind.GAIN_CROSSING, k, share), (Kind.PHASE_CROSSING, g, level)
+    width = np.diff(curves.x)
+    return joined([_untagged(kind, cell, curves.x[cell] + part * width[cell]) for kind, cell, part in found])
 
 
 def ends(mesh: Mesh) -> Places:
@@ -218,7 +213,7 @@ def ends(mesh: Mesh) -> Places:
     curves, loop = mesh.curves, mesh.loop
     points = np.concatenate([curves.start[:-1][mesh.finite_at_zero], curves.start[1:] - 1])
     k = points[np.abs(np.angle(-loop[points])) < REAL_WITHIN_RAD]
-    return _untagged(np.full(len(k), Kind.END, np.int8), k, curves.x[k], True)
+    return _untagged(Kind.END, k, curves.x[k], True)
 
 
 def _extremes(curves: Curves, value: Array, lowest: bool, where: Mask) -> tuple[Indices, Array]:
@@ -245,26 +240,20 @@ def vertex(x: Array, value: Array, k: Indices) -> Array:
 def turns(mesh: Mesh) -> Places:
     """Extremes that approach the cross |arg - 180| < phase at 0 dB, |ln L| < gain at 180 deg, without crossing it."""
     curves, log_gain, beside, cross = mesh.curves, mesh.log_gain, mesh.beside, mesh.cross
-    kinds, cells, xs = [], [], []
+    found = []
     for sign in (1.0, -1.0):
-        k, x = _extremes(curves, log_gain, sign > 0, (sign * log_gain > 0) & (np.abs(beside) < cross.phase))
-        kinds.append(np.full(len(k), Kind.GAIN_TURN))
-        cells.append(k)
-        xs.append(x)
+        near = (sign * log_gain > 0) & (np.abs(beside) < cross.phase)
+        found.append(_untagged(Kind.GAIN_TURN, *_extremes(curves, log_gain, sign > 0, near)))
         # 1.5 rad: where the wrapped phase jumps is no extreme
         near = (sign * beside > 0) & (np.abs(beside) < 1.5) & (np.abs(log_gain) < cross.gain)
-        k, x = _extremes(curves, beside, sign > 0, near)
-        kinds.append(np.full(len(k), Kind.PHASE_TURN))
-        cells.append(k)
-        xs.append(x)
-    return _untagged(np.concatenate(kinds).astype(np.int8), np.concatenate(cells), np.concatenate(xs))
+        found.append(_untagged(Kind.PHASE_TURN, *_extremes(curves, beside, sign > 0, near)))
+    return joined(found)
 
 
 def approaches(mesh: Mesh) -> Places:
     """Local minima of |1 + L| on the mesh that lie below 1."""
     distance = np.abs(1.0 + mesh.loop)
-    k, x = _extremes(mesh.curves, distance, True, distance < 1.0)
-    return _untagged(np.full(len(k), Kind.MODULUS, np.int8), k, x)
+    return _untagged(Kind.MODULUS, *_extremes(mesh.curves, distance, True, distance < 1.0))
 
 
 def near_zone(mesh: Mesh) -> Places:
@@ -276,11 +265,11 @@ def near_zone(mesh: Mesh) -> Places:
     value = zone_value(log_gain, beside, cross)
     k, x = _extremes(curves, value, True, value < WIDEST_ZONE)
     if cross.zone == "ellipse":
-        return _untagged(np.full(len(k), Kind.ZONE, np.int8), k, x)
+        return _untagged(Kind.ZONE, k, x)
     if cross.zone == "diamond":
         face = np.signbit(log_gain) * 2 + np.signbit(beside)
         inside = (face[k] == face[k - 1]) & (face[k] == face[k + 1])
-        return _untagged(np.full(int(inside.sum()), Kind.ZONE, np.int8), k[inside], x[inside])
+        return _untagged(Kind.ZONE, k[inside], x[inside])
     a, p = np.abs(log_gain) / cross.gain, np.abs(beside) / cross.phase
     higher = a > p
     own = np.where(higher[k], (a[k - 1], a[k], a[k + 1]), (p[k - 1], p[k], p[k + 1]))
@@ -291,14 +280,14 @@ def near_zone(mesh: Mesh) -> Places:
     with np.errstate(divide="ignore", invalid="ignore"):
         share = gap[k] / (gap[k] - gap[other])
     x = np.where(corner, curves.x[k] + share * (curves.x[other] - curves.x[k]), x)
-    return _untagged(np.where(corner, Kind.ZONE_CORNER, Kind.ZONE).astype(np.int8), k, x)
+    return _untagged(np.where(corner, Kind.ZONE_CORNER, Kind.ZONE), k, x)
 
 
 def in_intervals(curves: Curves, places: Places) -> Places:
     """The same with `cell` the mesh interval that holds x: places begin as mesh points."""
     cell = np.where(places.x < curves.x[places.cell], places.cell - 1, places.cell)
     cell = np.minimum(cell, curves.start[curves.plant[places.cell] + 1] - 2)
-    return Places(places.kind, cell, places.x, places.tag, places.fixed)
+    return replace(places, cell=cell)
 
 
 def zone_value(log_gain: Array, beside: Array, cross: Cross) -> Array:

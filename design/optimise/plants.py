@@ -24,7 +24,7 @@ from maxq.design.model.node import Node, with_cuts
 from maxq.design.model.state_space import ComplexArray
 from maxq.design.model.vehicle_at import incidence_by_acceleration, stability_derivatives
 from maxq.design.optimise.criteria import OBJECTIVES
-from maxq.design.optimise.curves import TOLERANCE, Curves, Indices
+from maxq.design.optimise.curves import TOLERANCE, Curves, Indices, PathMesh, mesh_of
 from maxq.design.optimise.features import Bands
 from maxq.design.optimise.problem import bands_of
 
@@ -181,19 +181,19 @@ class Plants:
 
     def and_also(self, more: Sequence[Plant]) -> Plants:
         """These plants and some more."""
-        curves = self.curves.extended([p.path for p in more], _top(more), [p.kept_hz for p in more])
-        each = (*self.each, *more)
-        return Plants(each, curves, bands_of(curves, [p.bands_hz for p in each]))
-
-
-def _top(plants: Sequence[Plant]) -> float | None:
-    highest = plants[0].path.highest_hz if plants else math.inf
-    return None if math.isinf(highest) else highest
+        return _with_curves((*self.each, *more), Curves([*self.curves.meshes, *_meshes(more)]))
 
 
 def make_plants(plants: Sequence[Plant], tolerance: float = TOLERANCE) -> Plants:
     """`tolerance` of the curves. Raises ValueError for no plants."""
     if not plants:
         raise ValueError("there is no node to design for")
-    curves = Curves([p.path for p in plants], _top(plants), [p.kept_hz for p in plants], tolerance)
-    return Plants(tuple(plants), curves, bands_of(curves, [p.bands_hz for p in plants]))
+    return _with_curves(tuple(plants), Curves(_meshes(plants, tolerance)))
+
+
+def _meshes(plants: Sequence[Plant], tolerance: float = TOLERANCE) -> list[PathMesh]:
+    return [mesh_of(p.path, p.kept_hz, tolerance) for p in plants]
+
+
+def _with_curves(plants: tuple[Plant, ...], curves: Curves) -> Plants:
+    return Plants(plants, curves, bands_of(curves, [p.bands_hz for p in plants]))

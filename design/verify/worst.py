@@ -31,9 +31,8 @@ from maxq.design.margins.dispersed import ManyLoops, NotServedError
 from maxq.design.margins.many import DONE, HANDED_BACK, MARGINS, MINIMA
 from maxq.design.margins.measure import margins
 from maxq.design.model.dispersion import disperse, disperse_instruments, dispersed_many, stacked, with_drives_apart
-from maxq.design.model.instruments import actuator_response
 from maxq.design.model.node import Node
-from maxq.design.model.plant import per_actuator_angle, vehicle_plants
+from maxq.design.model.plant import per_command, vehicle_plants
 from maxq.design.model.spread import Place, Spread, places_of, root_of_correlation, scenario_of, vehicle_at_places
 from maxq.design.model.state_space import ComplexArray
 from maxq.design.verify.named_mu import stable_together, stable_within
@@ -164,9 +163,7 @@ def slope(node: Node, design: Design, spread: Spread) -> Callable[[Array, Array,
         out = []
         for vehicle, mine in zip(vehicles, response, strict=True):
             there = disperse_instruments(node.instruments, vehicle)
-            drives = zip(per_actuator_angle(s[:, None], mine, inputs), there.actuators, strict=True)
-            turned = sum(r if record.ideal else r * actuator_response(record, s)[:, None] for r, record in drives)
-            out.append(turned * np.exp(-s * there.delay_s)[:, None])
+            out.append(per_command(s[:, None], mine, inputs, there.actuators) * np.exp(-s * there.delay_s)[:, None])
         return np.array(out)
 
     def at(u: Array, hz: Array, steps: Array) -> tuple[Array, Array]:

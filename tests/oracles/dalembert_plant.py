@@ -52,7 +52,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from maxq.control.kernel.records import Array
-from maxq.design.model.equations import INPUTS, OUTPUTS, mass_flow_momentum, state_names
+from maxq.design.model.equations import OUTPUTS, mass_flow_momentum, state_names
 from maxq.design.model.plant import axial_load_mps2
 from maxq.design.model.state_space import StateSpace
 from maxq.design.model.vehicle_at import FlightCondition, VehicleAt
@@ -243,4 +243,5 @@ def _first_order(
     c = np.zeros((len(OUTPUTS), len(a)))
     c[0, 1] = c[1, 1] = c[2, 0] = c[3, 2] = 1.0
     c[1, eta + n] = vehicle.modes.slope_gyro_pm
-    return StateSpace(a, b, c, np.zeros((len(OUTPUTS), 2)), state_names(n, m), INPUTS, OUTPUTS)
+    inputs = ("delta_rad", "delta_accel_radps2")
+    return StateSpace(a, b, c, np.zeros((len(OUTPUTS), 2)), state_names(n, m), inputs, OUTPUTS)
