@@ -72,7 +72,7 @@ def ideal(node: Node, *, actuator: bool = False, gyro: bool = False) -> Node:
     i = node.instruments
     changed = dataclasses.replace(
         i,
-        actuator=dataclasses.replace(i.actuator, ideal=1) if actuator else i.actuator,
+        actuators=tuple(dataclasses.replace(a, ideal=1) for a in i.actuators) if actuator else i.actuators,
         gyro=dataclasses.replace(i.gyro, ideal=1) if gyro else i.gyro,
     )
     return dataclasses.replace(node, instruments=changed)

@@ -218,7 +218,7 @@ def test_a_rigid_body_with_ideal_instruments(kind: api.Kind) -> None:
     node = ideal(without(node_at(40.0), modes=True, tanks=True), actuator=True, gyro=True)
     condition = dataclasses.replace(node.condition, density_kgpm3=0.0)
     vehicle = dataclasses.replace(
-        node.vehicle, jet_damping=False, engine=dataclasses.replace(node.vehicle.engine, gimballed_mass_kg=0.0)
+        node.vehicle, jet_damping=False, engines=(dataclasses.replace(node.vehicle.engine, gimballed_mass_kg=0.0),)
     )
     node = dataclasses.replace(node, condition=condition, vehicle=vehicle)
     path = fixed_path(node, kind)
@@ -346,7 +346,7 @@ def test_law_s_command_at_the_gimbal_s_limit() -> None:
     node = node_at(40.0)
     assert np.degrees(node.angle_limit_rad) == pytest.approx(6.0, rel=1e-12)
     engine = dataclasses.replace(node.vehicle.engine, gain=2.0 * node.vehicle.engine.gain)
-    wider = dataclasses.replace(node, vehicle=dataclasses.replace(node.vehicle, engine=engine))
+    wider = dataclasses.replace(node, vehicle=dataclasses.replace(node.vehicle, engines=(engine,)))
     assert np.degrees(wider.angle_limit_rad) == pytest.approx(3.0, rel=1e-12)
     assert ideal(node, actuator=True).angle_limit_rad == np.inf
 

@@ -68,7 +68,7 @@ def test_shares_of_delay_hold_and_converter_are_their_closed_forms():
 def test_an_absent_effect_has_no_share():
     node = without(node_at(20.0), modes=True, tanks=True)
     engine = dataclasses.replace(node.vehicle.engine, gimballed_mass_kg=0.0, inertia_about_gimbal_kgm2=0.0)
-    node = dataclasses.replace(node, vehicle=dataclasses.replace(node.vehicle, engine=engine))
+    node = dataclasses.replace(node, vehicle=dataclasses.replace(node.vehicle, engines=(engine,)))
     (budget,) = loop_budget(closed(node, "pade"), [1.0])
     for part in ("slosh", "engine inertia", "bending"):
         share = budget.share(part)

@@ -49,7 +49,7 @@ def _rigid(node: Node) -> Node:
     engine = dataclasses.replace(
         frozen.vehicle.engine, gimballed_mass_kg=0.0, cg_from_gimbal_m=0.0, inertia_about_gimbal_kgm2=0.0
     )
-    return dataclasses.replace(frozen, vehicle=dataclasses.replace(frozen.vehicle, engine=engine))
+    return dataclasses.replace(frozen, vehicle=dataclasses.replace(frozen.vehicle, engines=(engine,)))
 
 
 def test_centre_of_percussion_stays_where_it_is(nodes: list[Node]) -> None:

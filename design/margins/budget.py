@@ -222,8 +222,7 @@ def build_up(node: Node) -> list[tuple[str, Node]]:
     modes = dataclasses.replace(_emptied(full.modes), softening_kgpm=np.zeros((0, 0)), spatial=0)
     stiff = dataclasses.replace(full, modes=modes, across=None, cuts=None)
     massless: dict[str, Any] = {"gimballed_mass_kg": 0.0, "inertia_about_gimbal_kgm2": 0.0, "tvc_load": None}
-    engine, *others = (dataclasses.replace(one, **massless) for one in full.engines)
-    light = dataclasses.replace(stiff, engine=engine, further_engines=tuple(others))
+    light = dataclasses.replace(stiff, engines=tuple(dataclasses.replace(one, **massless) for one in full.engines))
     frozen = _frozen(light)
     none = np.zeros_like(full.aerodynamics.slope_pr)
     air = dataclasses.replace(

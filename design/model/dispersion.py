@@ -178,12 +178,12 @@ def with_lateral_thrust(vehicle: VehicleAt, node: Node, factor: Factors) -> Vehi
     alike = len(given) == 1
     factors = [given[0] if alike else given[list(e.numbers)].mean(axis=0) for e in vehicle.engines]
     own = [(f - 1.0) * e.thrust_N(condition.pressure_Pa) for f, e in zip(factors, vehicle.engines, strict=True)]
-    more = sum(e.rest[0] * push for e, push in zip(vehicle.engines, own, strict=True))
-    pushed = zip(vehicle.engines, own, strict=True)
-    engine, *others = (dataclasses.replace(e, vacuum_thrust_N=e.vacuum_thrust_N + push) for e, push in pushed)
+    pushed = list(zip(vehicle.engines, own, strict=True))
+    more = sum(e.rest[0] * push for e, push in pushed)
+    engines = tuple(dataclasses.replace(e, vacuum_thrust_N=e.vacuum_thrust_N + push) for e, push in pushed)
     if condition.dynamic_pressure_Pa * air.area_m2 > 0.0:
         air = dataclasses.replace(air, axial=air.axial + more / (condition.dynamic_pressure_Pa * air.area_m2))
-    return dataclasses.replace(vehicle, engine=engine, further_engines=tuple(others), aerodynamics=air)
+    return dataclasses.replace(vehicle, engines=engines, aerodynamics=air)
 
 
 def disperse_instruments(instruments: Instruments, by: Dispersion) -> Instruments:
@@ -198,8 +198,7 @@ def disperse_instruments(instruments: Instruments, by: Dispersion) -> Instrument
         actuators.append(dataclasses.replace(a, **{name: getattr(a, name) * factor for name, factor in poles}))
     return dataclasses.replace(
         instruments,
-        actuator=actuators[0],
-        further_actuators=tuple(actuators[1:]),
+        actuators=tuple(actuators),
         gyro=dataclasses.replace(g, omega_radps=g.omega_radps * by.gyro_frequency),
         sensors=tuple(
             (name, dataclasses.replace(lag, omega_radps=lag.omega_radps * by.gyro_frequency), late)
@@ -221,15 +220,13 @@ def with_drives_apart(node: Node) -> Node:
     if all(len(groups) == 1 for groups in kept.groups) or not moved:
         return node
     drive = {group: number for number, group in enumerate(moved)}
-    engine, *others = (dataclasses.replace(e, drive=drive.get(e.group, 0)) for e in vehicle.engines)
+    engines = tuple(dataclasses.replace(e, drive=drive.get(e.group, 0)) for e in vehicle.engines)
     by_group = {group: a for a, groups in zip(kept.actuators, kept.groups, strict=True) for group in groups}
-    first, *further = (by_group[group] for group in moved)
+    actuators, groups = tuple(by_group[group] for group in moved), tuple((group,) for group in moved)
     return dataclasses.replace(
         node,
-        vehicle=dataclasses.replace(vehicle, engine=engine, further_engines=tuple(others)),
-        instruments=dataclasses.replace(
-            kept, actuator=first, further_actuators=tuple(further), groups=tuple((group,) for group in moved)
-        ),
+        vehicle=dataclasses.replace(vehicle, engines=engines),
+        instruments=dataclasses.replace(kept, actuators=actuators, groups=groups),
     )
 
 

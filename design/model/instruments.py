@@ -38,26 +38,25 @@ def sensed(number: int, sensor: Any) -> str:
 class Instruments:
     """Actuators, gyro and timing of the flight computer in one plane; `ideal` actuators and gyros have no dynamics."""
 
-    actuator: Actuator  # of the first drive
+    actuators: tuple[Actuator, ...]  # of each drive: those of groups of engines that are alike are one
     gyro: Gyro
     sample_s: float  # period of the computer: tau_VF of the converter (30), tau_DZ of the hold (32)
     delay_s: float  # tau_D (31), from sample to command
-    further_actuators: tuple[Actuator, ...] = ()  # of further drives: groups of engines with unlike actuators
     groups: tuple[tuple[int, ...], ...] = ((0,),)  # that each drive moves
     sensors: tuple[tuple[str, Gyro, int], ...] = ()  # beyond the gyro: what it measures, dynamics, latency in samples
 
     @property
-    def actuators(self) -> tuple[Actuator, ...]:
-        return self.actuator, *self.further_actuators
+    def actuator(self) -> Actuator:
+        """Of the first drive."""
+        return self.actuators[0]
 
 
 def instruments_of(row: Any, plane: Plane = "pitch") -> Instruments:
     """Instruments of a packed stage."""
-    (first, *further), of_group = drives_of(row, plane)
+    drives, of_group = drives_of(row, plane)
     return Instruments(
-        actuator=first,
-        groups=tuple(tuple(g for g, d in enumerate(of_group) if d == drive) for drive in range(1 + len(further))),
-        further_actuators=tuple(further),
+        actuators=tuple(drives),
+        groups=tuple(tuple(g for g, d in enumerate(of_group) if d == drive) for drive in range(len(drives))),
         gyro=_gyro(row.vehicle.gyro),
         sensors=tuple(
             (sensed(k, each), _gyro(each.triad), int(row.computer.sensors.latency[k]))

@@ -129,18 +129,18 @@ class VehicleAt:
     body: Body
     pendulums: Pendulums
     modes: Modes
-    engine: GimballedEngine
+    engines: tuple[GimballedEngine, ...]  # one at least
     aerodynamics: Aerodynamics
     jet_damping: bool
     slosh_exchange: bool = False  # liquid that goes over from bob to core takes its momentum along
     across: VehicleAt | None = None  # the same in the other plane, where spatial modes couple both
-    further_engines: tuple[GimballedEngine, ...] = ()
     sensors: tuple[tuple[str, float], ...] = ()  # beyond the gyro: what each measures, by name, and its station, m
     cuts: Cuts | None = None  # where its bending moment is wanted: the stations of section loads that are switched on
 
     @property
-    def engines(self) -> tuple[GimballedEngine, ...]:
-        return self.engine, *self.further_engines
+    def engine(self) -> GimballedEngine:
+        """The first."""
+        return self.engines[0]
 
     @property
     def sags(self) -> bool:
@@ -150,7 +150,7 @@ class VehicleAt:
         """The same with its engines where they stand under the axial load."""
         if not self.sags:
             return self
-        first, *others = hung = [engine.hanging(load_mps2) for engine in self.engines]
+        hung = tuple(engine.hanging(load_mps2) for engine in self.engines)
         body = self.body
         forward, inertia = 0.0, body.core_inertia_kgm2
         for e in hung:
@@ -164,7 +164,7 @@ class VehicleAt:
             body, core_cg_station_m=body.core_cg_station_m - forward,
             core_inertia_kgm2=inertia - body.core_mass_kg * forward**2,
         )  # fmt: skip  # one more line otherwise
-        return dataclasses.replace(self, body=body, engine=first, further_engines=tuple(others))
+        return dataclasses.replace(self, body=body, engines=hung)
 
     def thrust_N(self, pressure_Pa: float) -> float:
         """Of all engines at rest, along the body axis."""
@@ -225,13 +225,11 @@ def _in_plane(packed: Packed, time_s: float, mach: float, plane: Plane, stage: i
         mass_flow_kgps=float(props[schedule.MASS_FLOW]),
         rate_damping_Nms=_rate_damping(packed.pool, vehicle, clock_s, plane),
     )
-    engines = _engines(packed, row, props, time_s, plane)
     return VehicleAt(
         body=body,
         pendulums=_pendulums(vehicle, sizes, props),
         modes=_modes(vehicle, sizes, props, plane),
-        engine=engines[0],
-        further_engines=engines[1:],
+        engines=_engines(packed, row, props, time_s, plane),
         aerodynamics=aerodynamics_at(packed.pool, vehicle, props, clock_s, mach, plane, trim),
         jet_damping=bool(vehicle.jet_damping),
         slosh_exchange=bool(vehicle.slosh.exchange),
