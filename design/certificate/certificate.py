@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 from maxq.design import api
 from maxq.design.certificate.excitation import Band, below
-from maxq.design.certificate.held_flight import Change, hold
+from maxq.design.certificate.held_flight import Change, hold, with_ideal_converters
 from maxq.design.certificate.measured_margins import (
     DRIFT_HZ,
     MARGIN_NAMES,
@@ -210,9 +210,7 @@ def certify_node(
     rows = [_margin_row(measure_margin(held, loop, of_held, name), of_pade, of_flown) for name in names]
     doubted = [k for k, row in enumerate(rows) if row.reason in (UNEXPLAINED, NOT_SETTLED)]
     if doubted and loaded.scenario.switches.converter == "full":
-        ideal = loaded.scenario.switches.model_copy(update={"converter": "ideal"})
-        smooth = dataclasses.replace(loaded, scenario=loaded.scenario.model_copy(update={"switches": ideal}))
-        fine = hold(smooth, node, fault, along_body=along_body)
+        fine = hold(with_ideal_converters(loaded), node, fault, along_body=along_body)
         for k in doubted:
             again = _margin_row(measure_margin(fine, loop, of_held, names[k]), of_pade, of_flown)
             rows[k] = _with_noise(rows[k], again)

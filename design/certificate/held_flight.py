@@ -122,6 +122,12 @@ def fast_rows(run: FlightRun) -> Array:
     return kept.rows()[FAST][1]
 
 
+def with_ideal_converters(loaded: LoadedScenario) -> LoadedScenario:
+    """The scenario without counts and steps."""
+    switches = loaded.scenario.switches.model_copy(update={"converter": "ideal"})
+    return dataclasses.replace(loaded, scenario=loaded.scenario.model_copy(update={"switches": switches}))
+
+
 def slosh_columns(run: FlightRun, plane: Plane) -> list[int]:
     """Columns of `fast_rows` with the swing of each tank's pendulum, deg."""
     names = [c.name for c in run.table.columns(FAST)]

@@ -21,7 +21,7 @@ import numpy as np
 from maxq.control.kernel.records import Array
 from maxq.design import api
 from maxq.design.certificate.excitation import SHARE_OF_BURST, gimbal_injection
-from maxq.design.certificate.held_flight import fast_rows
+from maxq.design.certificate.held_flight import fast_rows, with_ideal_converters
 from maxq.design.certificate.response import NOISE, NOISE_SIGMAS, UNEXPLAINED, decibels, degrees
 from maxq.design.model.node import Span, powered_spans, spans_of, with_swings
 from maxq.design.model.state_space import ComplexArray
@@ -114,10 +114,7 @@ def in_flight_response(loaded: LoadedScenario, times_s: Sequence[float], plane: 
         out.append(InFlightResponse(time_s, plane, lines, frozen, measured, error, reasons))
     doubted = [k for k, found in enumerate(out) if UNEXPLAINED in found.reason]
     if doubted and loaded.scenario.switches.converter == "full":
-        ideal = loaded.scenario.model_copy(
-            update={"switches": loaded.scenario.switches.model_copy(update={"converter": "ideal"})}
-        )
-        again = in_flight_response(dataclasses.replace(loaded, scenario=ideal), [times_s[k] for k in doubted], plane)
+        again = in_flight_response(with_ideal_converters(loaded), [times_s[k] for k in doubted], plane)
         for k, fine in zip(doubted, again, strict=True):
             out[k] = dataclasses.replace(out[k], reason=converters_share(out[k].reason, fine.reason))
     return out

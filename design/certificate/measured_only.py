@@ -119,10 +119,9 @@ def measure_node(
     """Measure at a node, in its plane. Raises ValueError where the node cannot be held (held_flight.py)."""
     held = hold(loaded, node, fault)
     path = fixed_path(held.node, "sampled")
-    nothing = np.zeros(0), np.zeros(0, np.complex128), np.zeros(0)
     floor = _trial(held, unchanged)
     if floor.grows:
-        return MeasuredNode(node.time_s, node.plane, False, *nothing, (), ())
+        return MeasuredNode(node.time_s, node.plane, False, *measured_loop(held, path, ()), (), ())
     lines, response, error = measured_loop(held, path, bands)
     loop = _Loop(path, lines, response)
     margins = tuple(broken(held, loop, name, floor.level_deg) for name in names)

@@ -36,6 +36,7 @@ from typing import Any
 import numpy as np
 
 from maxq.control.kernel.records import Array
+from maxq.design.model.state_space import StateSpace
 from maxq.sim.flight.loop import begin
 from maxq.sim.packing.flight import Packed
 from maxq.sim.packing.initial import quaternion, rotation
@@ -59,19 +60,15 @@ _STEP_FLAT, _STEP_BEND, _STEP_BEND_RATE, _STEP_SLOSH, _STEP_COMMAND = 2e-3, 2e-3
 
 
 @dataclass(frozen=True)
-class LinearModel:
-    """x' = rate + A x + B u, y = C x + D u about a state; `rate` is the derivative at the state itself."""
+class LinearModel(StateSpace):
+    """x' = rate + A x + B u, y = C x + D u about a state; `rate` is the derivative at the state itself.
 
-    a: Array  # (n, n)
-    b: Array  # (n, inputs)
-    c: Array  # (outputs, n)
-    d: Array  # (outputs, inputs)
+    Outputs are OUTPUTS, and bending moments about y and z where section loads are switched on.
+    """
+
     rate: Array  # (n,)
     error_a: Array  # estimated error of each entry of `a`
     error_b: Array
-    states: tuple[str, ...]
-    inputs: tuple[str, ...]
-    outputs: tuple[str, ...] = OUTPUTS  # and bending moments about y and z where section loads are switched on
 
 
 def linearise(packed: Packed, y: Array, time_s: float) -> LinearModel:
@@ -91,17 +88,9 @@ def linearise(packed: Packed, y: Array, time_s: float) -> LinearModel:
     at_rest = motion(np.zeros(n + len(inputs)))
     slopes, errors = _jacobian(motion, np.concatenate([frame.steps, np.full(len(inputs), _STEP_COMMAND)]))
     return LinearModel(
-        a=slopes[:n, :n],
-        b=slopes[:n, n:],
-        c=slopes[n:, :n],
-        d=slopes[n:, n:],
-        rate=at_rest[:n],
-        error_a=errors[:n, :n],
-        error_b=errors[:n, n:],
-        states=frame.names,
-        inputs=inputs,
-        outputs=frame.outputs,
-    )
+        slopes[:n, :n], slopes[:n, n:], slopes[n:, :n], slopes[n:, n:], frame.names, inputs, frame.outputs,
+        rate=at_rest[:n], error_a=errors[:n, :n], error_b=errors[:n, n:],
+    )  # fmt: skip  # eight more lines otherwise
 
 
 def zero_incidence(packed: Packed, y: Array) -> Array:

@@ -159,8 +159,7 @@ def resolved(spread: S, node: Node) -> S:
         mine = [place for place in places if place[0] == key]
         if not sizes.keys() & set(mine):
             continue
-        given = getattr(spread, key)
-        before = for_each(given if isinstance(given, tuple) else (given,), len(mine))
+        before = _sizes(spread, key, len(mine))
         values = tuple(sizes.get(place, own) for place, own in zip(mine, before, strict=True))
         update[key] = values if mine[0][1] >= 0 else values[0]
     pairs = [
@@ -203,7 +202,7 @@ def _name(place: Place) -> str:
     return place[0] if place[1] < 0 else f"{place[0]}.{place[1]}"
 
 
-def correlation(spread: Spread, node: Node, places: Sequence[Place]) -> Array:
+def correlation(spread: Spread, places: Sequence[Place]) -> Array:
     """Correlation matrix of the deviations at `places`. Raises ScenarioError for none, and for no such deviation."""
     out, (source, at) = np.eye(len(places)), spread.where
     names = [_name(place) for place in places]
@@ -219,14 +218,14 @@ def correlation(spread: Spread, node: Node, places: Sequence[Place]) -> Array:
     return out
 
 
-def root_of_correlation(spread: Spread, node: Node, places: Sequence[Place]) -> Array:
+def root_of_correlation(spread: Spread, places: Sequence[Place]) -> Array:
     """Symmetric root of `correlation`: the deviations that belong to independent ones, which are as likely.
 
     Corners, boxes and spheres of independent deviations become those of correlated ones by it.
     """
     if not spread.correlated:
         return np.eye(len(places))
-    sizes, vectors = np.linalg.eigh(correlation(spread, node, places))
+    sizes, vectors = np.linalg.eigh(correlation(spread, places))
     return np.asarray((vectors * np.sqrt(np.maximum(sizes, 0.0))) @ vectors.T)
 
 

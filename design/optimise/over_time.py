@@ -22,7 +22,7 @@ from maxq.design.optimise.solve import Start, make_problem, solve_at_nodes
 INSTANTS_S = 0.25  # apart, all along
 FINE_S = 0.05  # apart, beside the worst of those
 WORSE_DB = 0.02  # instants that are worse by less are let be: 0.02 dB, 0.1 deg
-COARSE = 1e-4  # tolerance of the curves between nodes: 1e-3 dB
+COARSE = 1e-4  # tolerance of the curves in the search for the worst: 1e-3 dB
 ROUNDS = 12
 UNSTABLE_DB = 1e3
 
@@ -67,7 +67,7 @@ def solve_over_time(
     loaded = gains_at_nodes(loaded, nominal)
     case = loaded.case
     first, last = case.times_s[0], case.times_s[-1]
-    grid = np.linspace(first, last, max(2, round((last - first) / INSTANTS_S) + 1)).round(9).tolist()
+    grid = instants_along(first, last, INSTANTS_S)
     instants = Instants(loaded, dict(zip(case.times_s, nominal.each, strict=True)))
     everywhere, plants = make_plants(instants.plants(grid), COARSE), nominal
     solution = solve_at_nodes(loaded, plants, also_from, progress)
@@ -107,6 +107,11 @@ def gains_at_nodes(loaded: LoadedCase, nominal: Plants) -> LoadedCase:
         at = at if gains.schedule == "free" or len(at) == 1 else at[[0, -1]]
         gains = Gains(schedule="nodes", over=gains.over, nodes=tuple(at.tolist()))
     return replace(loaded, case=case.model_copy(update={"gains": gains}))
+
+
+def instants_along(first_s: float, last_s: float, apart_s: float) -> list[float]:
+    """From first to last, about so far apart."""
+    return np.linspace(first_s, last_s, max(2, round((last_s - first_s) / apart_s) + 1)).round(9).tolist()  # type: ignore[no-any-return]  # floats
 
 
 def peaks(over: Array, matters_db: float) -> IntArray:

@@ -21,7 +21,7 @@ from maxq.design.case.schema import Case, LoadedCase, Robust
 from maxq.design.model.dispersion import disperse
 from maxq.design.model.node import Node
 from maxq.design.model.spread import places_of, resolved, root_of_correlation, vehicle_at_places
-from maxq.design.optimise.over_time import Instants, gains_at_nodes, peaks
+from maxq.design.optimise.over_time import COARSE, UNSTABLE_DB, Instants, gains_at_nodes, instants_along, peaks
 from maxq.design.optimise.plants import Plant, Plants, make_plant, make_plants
 from maxq.design.optimise.problem import Problem
 from maxq.design.optimise.search import Found, Progress, search
@@ -30,8 +30,6 @@ from maxq.design.optimise.solve import Start, finished, make_problem, search_bes
 
 WORSE_DB = 0.01  # plants that are worse by less are let be
 BEGINNINGS = 4
-COARSE = 1e-4  # tolerance of the curves in the search for the worst: 1e-3 dB
-UNSTABLE_DB = 1e3
 INSTANTS_S, FINE_S = 0.5, 0.05  # apart, all along and beside the worst of those
 ROUNDS = 12  # more, where instants between the nodes are added too
 AT_ONCE = 100  # plants that are judged together
@@ -48,7 +46,7 @@ def deviated(node: Node, ranges: Robust, ends: Sequence[int]) -> Node:
     """
     letters, places = "".join({-1: "-", 0: "0", 1: "+"}[end] for end in ends), places_of(node, ranges)
     at = np.array(ends) * (ranges.corner_sigmas / 3.0)
-    at = root_of_correlation(ranges, node, places) @ at
+    at = root_of_correlation(ranges, places) @ at
     return disperse(node, vehicle_at_places(ranges, node, places, at, f"[{letters}]"))
 
 
@@ -132,9 +130,9 @@ class _Worst:
                 np.maximum.at(out, of[first : first + AT_ONCE], self.scores(plants[first : first + AT_ONCE]))
             return out
 
-        grid = np.linspace(times_s[0], times_s[-1], max(2, round((times_s[-1] - times_s[0]) / INSTANTS_S) + 1)).round(9)
+        grid = instants_along(times_s[0], times_s[-1], INSTANTS_S)
         found = []
-        for k in peaks(worst_at(grid.tolist())[None], WORSE_DB):
+        for k in peaks(worst_at(grid)[None], WORSE_DB):
             fine = [t for t in (grid[k] + FINE_S * np.arange(-9, 10)).round(9) if times_s[0] <= t <= times_s[-1]]
             score = worst_at(fine)
             j = int(np.argmax(score))

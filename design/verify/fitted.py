@@ -9,8 +9,9 @@ flight that asks for what the vehicle does not have is left out, and said to be.
 from __future__ import annotations
 
 import math
+import operator
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 from typing import Any
 
@@ -137,24 +138,22 @@ def _fitted(flown: Flown, base: LoadedScenario, marks: Marks, label: str, stages
         found = [path for path, _ in _places(base.scenario, key.split("."))] if "*" in key else [key]
         wanted += [] if found else [key]
         changes += [f"{path}{equals}{value}" for path in found]
-    for table, apply in ((flown.scale, _scaled), (flown.add, _added)):
+    for table, how in ((flown.scale, operator.mul), (flown.add, operator.add)):
         for key, given in table.items():
             by = _number(given, marks, label, where)
             places = [(path, value) for path, value in _places(base.scenario, key.split(".")) if value is not None]
             wanted += [] if places else [key]
-            changes += [f"{path}={apply(value, by)!r}".replace("(", "[").replace(")", "]") for path, value in places]
+            for path, value in places:
+                changes.append(f"{path}={_changed(value, by, how)!r}".replace("(", "[").replace(")", "]"))
     if wanted and not any(change not in flown.set for change in changes):
         raise _Missing(f"the vehicle has no {', no '.join(wanted)}")
     update = {"name": name, "set": tuple(changes), "scale": {}, "add": {}, "each_stage": False}
     return flown.model_copy(update=update)
 
 
-def _scaled(value: Any, by: float) -> Any:
-    return [_scaled(one, by) for one in value] if isinstance(value, tuple) else round(float(value) * by, 9)
-
-
-def _added(value: Any, by: float) -> Any:
-    return [_added(one, by) for one in value] if isinstance(value, tuple) else round(float(value) + by, 9)
+def _changed(value: Any, by: float, how: Callable[[float, float], float]) -> Any:
+    """A number of the vehicle, or each in a list."""
+    return [_changed(one, by, how) for one in value] if isinstance(value, tuple) else round(how(float(value), by), 9)
 
 
 def _places(at: Any, parts: list[str], path: str = "") -> Iterator[tuple[str, Any]]:

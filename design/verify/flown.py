@@ -30,6 +30,7 @@ from maxq.sim.campaign.analysis import DataSet, Judged, Lost, judged, lost
 from maxq.sim.campaign.availability import Month, availability
 from maxq.sim.campaign.read import LoadedCampaign, description_of, load_campaign
 from maxq.sim.campaign.runner import Progress, run_campaign
+from maxq.sim.campaign.statistics import Shown
 from maxq.sim.files import plain_name
 from maxq.sim.run.fly import fly
 from maxq.sim.run.metrics import METRIC_NAMES, Verdict, unit_of
@@ -188,11 +189,6 @@ class CampaignResult:
     availability: float | None = None  # that is wanted in each of them
     fixed: bool = True  # the number of runs was recorded beforehand
 
-    @property
-    def worst_runs(self) -> list[int]:
-        """The worst run of each requirement."""
-        return sorted({v.worst[0].run for v in self.verdicts if v.worst})
-
 
 def load_wanted(loaded_suite: LoadedSuite, wanted: CampaignWanted, design: str, vehicle: str | None) -> LoadedCampaign:
     """The campaign with the design in it, and the suite's numbers and limits. Raises ScenarioError."""
@@ -241,20 +237,26 @@ def fly_campaign(
     )  # fmt: skip  # nine more lines otherwise
 
 
+def _of_campaign(
+    result: CampaignResult, name: str, wanted: str, found: str, shown: Shown, room: float, run: int | None
+) -> Requirement:
+    """`run`: the one that shows it; None where none does."""
+    judgement, name = judgement_of(shown.judgement), f"{result.name}: {name}"
+    if run is None:
+        return Requirement("campaign", name, wanted, found, judgement, room, more_runs=shown.more)
+    again = shlex.join(["simrun", "--from", str(result.folder), "--run", str(run)])
+    return Requirement("campaign", name, wanted, found, judgement, room, f"run {run}", shown.more, again)
+
+
 def availability_requirements(result: CampaignResult, wanted: float) -> list[Requirement]:
     """One for each month of a campaign's winds; undecided where it has none."""
     asked, out = f">= {100.0 * wanted:g} % with {100.0 * result.confidence:g} %", list[Requirement]()
     for month in result.months:
-        shown, run = month.judged(wanted, result.confidence, result.fixed), month.first_missed
+        shown, room = month.judged(wanted, result.confidence, result.fixed), room_left(month.share, wanted, ">=")
         ends = f"{100.0 * month.least:.1f} .. {100.0 * month.most:.1f} %"
         found = f"{100.0 * month.share:.1f} % of {month.runs} flights ({ends})"
-        again = shlex.join(["simrun", "--from", str(result.folder), "--run", str(run)]) if run is not None else ""
-        out.append(
-            Requirement(
-                "campaign", f"{result.name}: availability in {month.name}", asked, found, judgement_of(shown.judgement),
-                room_left(month.share, wanted, ">="), f"run {run}" if run is not None else "", shown.more, again,
-            )
-        )  # fmt: skip  # seven more lines otherwise
+        name = f"availability in {month.name}"
+        out.append(_of_campaign(result, name, asked, found, shown, room, month.first_missed))
     none = Requirement("campaign", f"{result.name}: availability", asked, "no run has a month", UNDECIDED, math.nan)
     return out or [none]
 
@@ -274,11 +276,5 @@ def campaign_requirements(result: CampaignResult) -> list[Requirement]:
         run, gone = worst.run if worst else None, result.first_lost
         if not v.metric and gone is not None:
             run, found = gone.run, f"{found}, first: {gone.cause or gone.outcome}"
-        again = shlex.join(["simrun", "--from", str(result.folder), "--run", str(run)]) if run is not None else ""
-        out.append(
-            Requirement(
-                "campaign", f"{result.name}: {v.name}", bound + level, found, judgement_of(v.shown.judgement), left,
-                f"run {run}" if run is not None else "", v.shown.more, again,
-            )
-        )  # fmt: skip  # seven more lines otherwise
+        out.append(_of_campaign(result, v.name, bound + level, found, v.shown, left, run))
     return out

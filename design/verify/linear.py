@@ -220,7 +220,7 @@ def vehicles(wanted: LinearMargins, node: Node) -> tuple[list[Dispersion], list[
     """
     corners, places = [], places_of(node)
     if wanted.corner_sigmas > 0.0:
-        root = root_of_correlation(wanted.three_sigma, node, places)
+        root = root_of_correlation(wanted.three_sigma, places)
         rows = [np.roll(_GENERATOR, k) for k in range(len(_GENERATOR))] + [-np.ones(len(_GENERATOR))]
         for n, row in enumerate(np.array([*rows, *[-np.asarray(r) for r in rows]], float)):
             signs = dict(zip(_FACTORS, (row * (wanted.corner_sigmas / 3.0)).tolist(), strict=True))
@@ -231,7 +231,7 @@ def vehicles(wanted: LinearMargins, node: Node) -> tuple[list[Dispersion], list[
     numbers = range(0 if wanted.only else wanted.cases)
     if found is not None and found[1] == "vehicle":
         numbers = range(int(found[2]) - 1, int(found[2]))
-    factor = cholesky(correlation(wanted.three_sigma, node, places))
+    factor = cholesky(correlation(wanted.three_sigma, places))
     drawn = [
         vehicle_at_places(wanted.three_sigma, node, places, deviates(wanted.seed, n, factor), f"vehicle {n + 1}")
         for n in numbers

@@ -119,7 +119,7 @@ def uncertain(node: Node, spread: Spread) -> Uncertain:
         path = fixed_path(disperse(node, vehicle_at_places(spread, node, places, u))).continuous
         return np.block([[path.a, path.b], [path.c[:1], path.d[:1]]])
 
-    return _balanced(whole, root_of_correlation(spread, node, places), places, spread, 1, _RANK)
+    return _balanced(whole, root_of_correlation(spread, places), places, spread, 1, _RANK)
 
 
 def uncertain_together(flown: Packed, base: LoadedScenario, design: Design, node: Node, spread: Spread) -> Uncertain:
@@ -146,7 +146,7 @@ def uncertain_together(flown: Packed, base: LoadedScenario, design: Design, node
         return np.block([[plant.a, plant.b], [plant.c[:n], plant.d[:n]]])
 
     axes = len(multiloop(flown, design, node.time_s).axes)
-    return _balanced(whole, root_of_correlation(spread, node, places), places, spread, axes, _RANK_TOGETHER)
+    return _balanced(whole, root_of_correlation(spread, places), places, spread, axes, _RANK_TOGETHER)
 
 
 def _balanced(

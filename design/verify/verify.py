@@ -14,6 +14,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import groupby
+from operator import attrgetter
 from pathlib import Path
 
 import numpy as np
@@ -307,8 +308,9 @@ class _Job:
         self, what: str, wanted: LinearMargins
     ) -> Iterator[tuple[list[Node], str, Callable[[int, int], None]]]:
         """Nodes of each plane and stage, the stage's name, and what is told of the progress with them."""
+        stage_of = attrgetter("stage")
         for plane in wanted.planes:
-            for number, nodes in groupby(sorted(self.nodes(plane), key=_stage_of), _stage_of):
+            for number, nodes in groupby(sorted(self.nodes(plane), key=stage_of), stage_of):
                 stage = stage_name(self.scenario.vehicle, number)
                 yield list(nodes), stage, partial(self.watch, ", ".join(filter(None, (what, plane, stage))))
 
@@ -405,10 +407,6 @@ class _Job:
         self.watch("measuring in flight", 0, len(nodes))
         with ThreadPoolExecutor(max_workers=self.workers) as pool:
             return list(pool.map(one, nodes))
-
-
-def _stage_of(node: Node) -> int:
-    return node.stage
 
 
 def stage_name(vehicle: Vehicle, stage: int) -> str:

@@ -187,7 +187,7 @@ def search_node(
     `starts` by their numbers, 0 being the vehicle as it is (default: all).
     """
     places = places_of(node)
-    reach, count, root = wanted.sigmas / 3.0, len(places), root_of_correlation(spread, node, places)
+    reach, count, root = wanted.sigmas / 3.0, len(places), root_of_correlation(spread, places)
     measure, change, loops = distances(node, design, spread), slope(node, design, spread), [0]
 
     def look(every: Sequence[Array]) -> Looks:
@@ -298,20 +298,13 @@ def worst_requirements(found: WorstVehicle, wanted: WorstWanted, again: str) -> 
         said += f"({found.within_tried} frequencies, {found.within_hz:.3g} Hz)"
     if not math.isnan(found.together_sigmas):
         said += f"; pitch, yaw and roll together within {found.together_sigmas:.2g} sigma each"
-    out = []
-    if wanted.modulus is not None:
-        judgement = ACCEPTED if found.modulus >= wanted.modulus else REJECTED
-        room = room_left(found.modulus, wanted.modulus, ">=")
-        name = f"least |1 + L| within {wanted.sigmas:g} sigma, {whose}"
-        out.append(
-            Requirement("worst", name, f">= {wanted.modulus:g}", said, judgement, room, found.label, again=again)
-        )
-    judgement = ACCEPTED if found.kept_control else REJECTED
     flown = found.flown + (f"; without {', '.join(found.not_flown)}" if found.not_flown else "")
-    room = float("nan")
-    out.append(
-        Requirement(
-            "worst", f"that vehicle flown, {whose}", "control kept", flown, judgement, room, found.label, 0, again
-        )
-    )
-    return out
+    rows = [(f"that vehicle flown, {whose}", "control kept", flown, found.kept_control, math.nan)]
+    if wanted.modulus is not None:
+        met, room = found.modulus >= wanted.modulus, room_left(found.modulus, wanted.modulus, ">=")
+        name = f"least |1 + L| within {wanted.sigmas:g} sigma, {whose}"
+        rows.insert(0, (name, f">= {wanted.modulus:g}", said, met, room))
+    return [
+        Requirement("worst", name, asked, text, ACCEPTED if met else REJECTED, room, found.label, again=again)
+        for name, asked, text, met, room in rows
+    ]
