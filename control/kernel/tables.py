@@ -221,34 +221,35 @@ class Pool:
     """Collects tables into the flat array that kernels read."""
 
     def __init__(self) -> None:
-        self._parts: list[tuple[int, Array | tuple[Cubics, ...]]] = []
+        self._parts: list[tuple[slice, Array | tuple[Cubics, ...]]] = []  # where each lies
         self._size = 0
 
     def add(self, *tables: Cubics) -> TableRef:
         """One table, or several merged; they are joined where they will lie, since a schedule is most of a megabyte."""
         breaks, columns = union(*tables), sum(table.n_columns for table in tables)
         offset = self.put(breaks)
-        self._parts.append((self._size, tables))
-        self._size += 4 * (len(breaks) - 1) * columns
+        self._append(tables, 4 * (len(breaks) - 1) * columns)
         return TableRef(offset, len(breaks), columns)
+
+    def _append(self, part: Array | tuple[Cubics, ...], size: int) -> None:
+        self._parts.append((slice(self._size, self._size + size), part))
+        self._size += size
 
     def put(self, *parts: Array) -> int:
         """Append arrays; returns where the first one begins."""
         offset = self._size
         for part in parts:
-            self._parts.append((self._size, part))
-            self._size += part.size
+            self._append(part, part.size)
         return offset
 
     def array(self) -> Array:
-        out = np.empty(max(self._size, 1))
-        ends = [*(begin for begin, _ in self._parts[1:]), self._size]
-        for (begin, part), end in zip(self._parts, ends, strict=True):
+        out = np.empty(self._size) if self._size > 0 else np.zeros(1)
+        for where, part in self._parts:
             if isinstance(part, tuple):
                 breaks = union(*part)
-                _merge_into(part, breaks, out[begin:end].reshape(len(breaks) - 1, 4, -1))
+                _merge_into(part, breaks, out[where].reshape(len(breaks) - 1, 4, -1))
             else:
-                out[begin:end] = part.ravel()
+                out[where] = part.ravel()
         return out
 
 
