@@ -29,11 +29,12 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 import scipy.optimize
+from zero_incidence import zero_incidence
 
 from maxq.control.kernel.records import Array
 from maxq.design.model.equations import OUTPUTS
 from maxq.design.model.instruments import DERIVATIVES, actuator, gyro
-from maxq.design.model.linearised import LinearModel, linearise, zero_incidence
+from maxq.design.model.linearised import LinearModel, linearise
 from maxq.design.model.plant import vehicle_plant
 from maxq.design.model.state_space import ComplexArray, StateSpace
 from maxq.design.model.vehicle_at import FlightCondition, Plane, stability_derivatives, vehicle_at

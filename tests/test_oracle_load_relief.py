@@ -24,6 +24,7 @@ from complex_step import Pair, filter_f3
 from design_nodes import frozen
 from scipy.integrate import quad
 from scipy.signal import lfilter
+from zero_incidence import zero_incidence
 
 from maxq.control.computer import ComputerState, build_computer, computer_tick, start_computer
 from maxq.control.filters import BendingFilter, FirstOrderSection, QuadraticSection
@@ -37,7 +38,6 @@ from maxq.design.laws.pd import PdDesign
 from maxq.design.laws.pd_variables import PdVariables
 from maxq.design.laws.wind import DRIFT, LOAD, MOMENTS, Spectrum, WindResponse
 from maxq.design.model.instruments import actuator_response, lag
-from maxq.design.model.linearised import zero_incidence
 from maxq.design.model.plant import vehicle_plant
 from maxq.design.optimise.solve import make_problem, solve
 from maxq.design.verify.judging import with_law

@@ -22,6 +22,7 @@ import pytest
 from design_nodes import agrees_with_a_kick, frozen
 from flightkit import Mode, Parts, Rig, Tank, rig, scenario_of, with_stage
 from scipy.spatial.transform import Rotation
+from zero_incidence import zero_incidence
 
 from maxq.control.computer import ComputerState, build_computer, computer_tick, hand_sensors, start_computer
 from maxq.control.filters import BendingFilter, QuadraticSection
@@ -36,7 +37,7 @@ from maxq.design.loop.loop import Loop
 from maxq.design.loop.multiloop import multiloop
 from maxq.design.model.equations import OUTPUTS
 from maxq.design.model.instruments import actuator, lag
-from maxq.design.model.linearised import linearise, zero_incidence
+from maxq.design.model.linearised import linearise
 from maxq.design.model.node import Node
 from maxq.design.model.vehicle_at import Plane
 from maxq.sim.packing.flight import pack_flight

@@ -22,6 +22,7 @@ from aero_tables import OVER_ALPHA_BETA
 from flightkit import Mode, Parts, Rig, Tank, Tree, flown, load, merged, rig, scenario_of, with_stage
 from oracles.multibody_system import rotation_from_quaternion
 from test_oracle_aero_tables_linear import ALL, ROUND, symmetric
+from zero_incidence import zero_incidence
 
 from maxq.control.kernel.records import Array
 from maxq.design.laws.wind import Spectrum
@@ -30,7 +31,7 @@ from maxq.design.loop.wind import wind_response
 from maxq.design.model.dispersion import Dispersion, disperse
 from maxq.design.model.equations import WIND
 from maxq.design.model.instruments import actuator
-from maxq.design.model.linearised import LinearModel, linearise, settled, zero_incidence
+from maxq.design.model.linearised import LinearModel, linearise, settled
 from maxq.design.model.node import node_of
 from maxq.design.model.plant import alone, vehicle_plant
 from maxq.design.model.vehicle_at import FlightCondition, Plane, vehicle_at

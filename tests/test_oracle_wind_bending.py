@@ -19,13 +19,14 @@ from design_nodes import frozen
 from flightkit import Rig
 from test_oracle_aero_tables_linear import inclined, symmetric
 from test_oracle_linear_model import flat_earth, plane_states
+from zero_incidence import zero_incidence
 
 from maxq.control.kernel.records import Array
 from maxq.design import api
 from maxq.design.laws.wind import MOMENTS, Spectrum
 from maxq.design.loop.wind import wind_response
 from maxq.design.model.instruments import actuator
-from maxq.design.model.linearised import LinearModel, linearise, zero_incidence
+from maxq.design.model.linearised import LinearModel, linearise
 from maxq.design.model.node import node_of, with_cuts
 from maxq.design.model.plant import vehicle_plant
 from maxq.design.model.state_space import StateSpace

@@ -269,23 +269,23 @@ class PadeFixedPath(_ContinuousFixedPath):
         if any(samples > 0 for _, _, samples in self.sensors):
             raise ValueError("the kind pade has no latency of single sensors: allowed is sampled or exact")
         timing = node.instruments
-        self._computer: list[Rational] = [hold_pade(timing.sample_s)]
+        self.computer: list[Rational] = [hold_pade(timing.sample_s)]
         if timing.delay_s > 0.0:
-            self._computer.append(delay_pade(timing.delay_s))
+            self.computer.append(delay_pade(timing.delay_s))
         if self.takes_rate:
-            self._computer.append(converter_pade(timing.sample_s))
+            self.computer.append(converter_pade(timing.sample_s))
 
     def computer_at(self, s: ComplexArray) -> ComplexArray:
         out = np.ones(np.shape(s), np.complex128)
-        for part in self._computer:
+        for part in self.computer:
             out = out * part.at(s)
         return out
 
     def state_space(self) -> StateSpace:
-        return chain(*(part.state_space() for part in self._computer), self.continuous)
+        return chain(*(part.state_space() for part in self.computer), self.continuous)
 
     def named_poles(self) -> list[NamedPole]:
-        return super().named_poles() + [p for part in self._computer for p in named(part.poles(), part.name)]
+        return super().named_poles() + [p for part in self.computer for p in named(part.poles(), part.name)]
 
 
 class ExactFixedPath(_ContinuousFixedPath):

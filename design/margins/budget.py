@@ -18,7 +18,7 @@ import numpy as np
 from maxq.control.kernel.records import Array
 from maxq.design.loop.fixed_path import PadeFixedPath
 from maxq.design.loop.loop import Loop
-from maxq.design.loop.rational import average, converter_pade, delay_pade, hold_pade
+from maxq.design.loop.rational import average
 from maxq.design.margins.measure import Margins
 from maxq.design.margins.solving import DB, wrapped
 from maxq.design.model.instruments import actuator, actuator_response, gyro
@@ -166,10 +166,8 @@ def crossing_budgets(loop: Loop, measured: Margins) -> dict[str, Budget]:
 def _computer(loop: Loop) -> list[tuple[str, Response]]:
     timing = loop.fixed.node.instruments
     if isinstance(loop.fixed, PadeFixedPath):
-        pade = [("V/F", converter_pade(timing.sample_s)), ("hold", hold_pade(timing.sample_s))]
-        if timing.delay_s > 0.0:
-            pade.insert(1, ("delay", delay_pade(timing.delay_s)))
-        return [(name, _of_s(part.at)) for name, part in pade]
+        named = {"converter": "V/F"}
+        return [(named.get(part.name, part.name), _of_s(part.at)) for part in reversed(loop.fixed.computer)]
     return [
         ("V/F", _of_s(lambda s: average(s, timing.sample_s))),
         ("delay", _of_s(lambda s: np.exp(-timing.delay_s * s))),

@@ -1,9 +1,9 @@
 """The simulator's own equations, linearised numerically at a frozen instant: all axes with all that couples them.
 
-    model = linearise(packed, zero_incidence(packed, y), time_s)
+    model = linearise(*at_rest(packed, time_s), time_s)
     poles = np.linalg.eigvals(model.a)
 
-It shares nothing with design/model/plant.py, whose oracle it is in the tests; the loops of several axes
+It shares no equation with design/model/plant.py, whose oracle it is in the tests; the loops of several axes
 (design/loop/multiloop.py) stand on it.
 
 The state vector of the simulator lies on a manifold (unit quaternion, unit vectors of the pendulums) and
@@ -91,31 +91,6 @@ def linearise(packed: Packed, y: Array, time_s: float) -> LinearModel:
         slopes[:n, :n], slopes[:n, n:], slopes[n:, :n], slopes[n:, n:], frame.names, inputs, frame.outputs,
         rate=at_rest[:n], error_a=errors[:n, :n], error_b=errors[:n, n:],
     )  # fmt: skip  # eight more lines otherwise
-
-
-def zero_incidence(packed: Packed, y: Array) -> Array:
-    """The state `y` (MAX_STATE,) with modes and pendulums at rest and the body along its velocity over ground.
-
-    Position and velocity are kept, the attitude is rotated by the smallest angle, body rates relative to I are zero,
-    the pendulums point aft. Raises ValueError at rest, where there is no direction.
-    """
-    sizes = packed.parameters[int(packed.memory[0].clock.stage)].vehicle.sizes
-    spin = np.array([0.0, 0.0, float(packed.parameters[0].environment.earth.rate_radps)])
-    out = np.zeros(MAX_STATE)
-    out[: layout.W_BI_B] = y[: layout.W_BI_B]
-    attitude = rotation(y[layout.Q_BI : layout.Q_BI + 4])
-    over_ground = attitude.T @ (y[layout.V_I : layout.V_I + 3] - _cross(spin, y[layout.R_I : layout.R_I + 3]))
-    speed = float(np.linalg.norm(over_ground))
-    if speed == 0.0:
-        raise ValueError("a vehicle at rest has no direction of flight")
-    axis = _cross([1.0, 0.0, 0.0], over_ground)
-    sine = float(np.linalg.norm(axis))
-    angle = math.atan2(sine, float(over_ground[0]))
-    turn = axis * (angle / sine) if sine > 0.0 else np.array([0.0, angle, 0.0])
-    out[layout.Q_BI : layout.Q_BI + 4] = quaternion(attitude @ _rotation_of(turn))
-    for tank in range(int(sizes.pendulums)):
-        out[int(layout.pendulum_index(sizes, tank))] = -1.0
-    return out
 
 
 class _Chart:

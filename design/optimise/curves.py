@@ -11,13 +11,13 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import BSpline, PPoly, make_interp_spline
 
 from maxq.control.kernel.records import Array
+from maxq.design.loop.fixed_path import FixedPath
 from maxq.design.margins.curve import lowest_hz_of
 from maxq.design.model.state_space import ComplexArray
 
@@ -29,23 +29,6 @@ HIGHEST_HZ = 200.0  # of a loop that has no Nyquist frequency
 NEAREST_NYQUIST = 1.0 - 1e-6
 PER_DECADE = 24
 MOST_ROUNDS = 14
-
-
-class Path(Protocol):
-    """All of a loop but its law (design/loop/fixed_path.py): L = response times the sum of C_i ratio_i."""
-
-    measurements: tuple[str, ...]
-
-    @property
-    def highest_hz(self) -> float:
-        """The Nyquist frequency of a sampled path, infinite of a continuous one."""
-
-    def response(self, frequencies_hz: Array) -> ComplexArray: ...
-
-    def ratio(self, measurement: str, frequencies_hz: Array) -> ComplexArray: ...
-
-    def poles(self) -> ComplexArray:
-        """rad/s; those of a sampled path at z are log(z) / T."""
 
 
 Log = tuple[ComplexArray, ComplexArray, ComplexArray]
@@ -121,7 +104,7 @@ class PathMesh:
     spline: PPoly  # of Re ln P, Im ln P, then both of ln of each ratio
 
 
-def mesh_of(path: Path, kept_hz: Array, tolerance: float = TOLERANCE) -> PathMesh:
+def mesh_of(path: FixedPath, kept_hz: Array, tolerance: float = TOLERANCE) -> PathMesh:
     """`kept_hz`: frequencies that must be mesh points (ends of bands)."""
     top = HIGHEST_HZ if math.isinf(path.highest_hz) else path.highest_hz * NEAREST_NYQUIST
     names = [name for name in path.measurements if name != BASE]
@@ -163,7 +146,7 @@ def _spline(x: Array, responses: ComplexArray) -> BSpline:
     return make_interp_spline(x, np.stack(columns, axis=1), k=5)
 
 
-def _first_frequencies(path: Path, top_hz: float, kept_hz: Array) -> Array:
+def _first_frequencies(path: FixedPath, top_hz: float, kept_hz: Array) -> Array:
     """Geometric steps, thickened around every pole that swings."""
     low_hz = lowest_hz_of(path.poles())
     decades = np.log10(top_hz / low_hz)

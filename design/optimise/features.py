@@ -25,6 +25,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
 from enum import IntEnum
 from functools import cached_property
+from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,7 +36,11 @@ from maxq.design.laws.task import DB
 from maxq.design.model.state_space import ComplexArray
 from maxq.design.optimise.curves import Curves, Indices
 
+if TYPE_CHECKING:
+    from _typeshed import DataclassInstance
+
 Mask = NDArray[np.bool_]
+Record = TypeVar("Record", bound="DataclassInstance")
 
 REAL_WITHIN_RAD = 0.02
 WIDEST_ZONE = 2.5  # approaches to a zone that are rows
@@ -160,8 +165,10 @@ class Mesh:
 Search = Callable[[Mesh], Places]
 
 
-def joined(parts: Sequence[Places]) -> Places:
-    return Places(*(np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(Places)))
+def joined(parts: Sequence[Record]) -> Record:
+    """Records of arrays (dataclasses) as one, their entries one after the other."""
+    names = [f.name for f in fields(parts[0])]
+    return type(parts[0])(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))
 
 
 def _untagged(kind: Kind | Array, cell: Indices, x: Array, fixed: bool = False) -> Places:

@@ -19,9 +19,9 @@ from maxq.design.model.state_space import ComplexArray
 from maxq.design.optimise import features
 from maxq.design.optimise.criteria import LIMITS, Objective, Part, Seen
 from maxq.design.optimise.curves import Curves, Indices
-from maxq.design.optimise.features import Bands, Cross, Kind, Mesh, Places, Search
+from maxq.design.optimise.features import Bands, Cross, Kind, Mesh, Places, Search, joined
 from maxq.design.optimise.loops import Loops
-from maxq.design.optimise.rows import Collected, Rows, law_rows
+from maxq.design.optimise.rows import Rows, law_rows
 
 FARTHEST_DB = 20.0  # rows that are met by more are left out
 
@@ -75,9 +75,9 @@ class Problem:
         """Number of variables."""
         return len(self.lower)
 
-    def what(self, text: str, objective: bool = False) -> int:
-        """Number of a row kind in `kinds`, by its text: the objective's, or a limit's."""
-        return next(k for k, kind in enumerate(self.kinds) if kind.text == text and (k == 0) == objective)
+    def what(self, text: str) -> int:
+        """Number of a limit in `kinds`, by its text."""
+        return next(k for k, kind in enumerate(self.kinds) if kind.text == text and k > 0)
 
     def evaluate(self, variables: Array, complete: bool = False) -> Evaluation:
         """Everything at a point; `complete`: with rows that are met by far. Raises ValueError for variables not
@@ -95,12 +95,13 @@ class Problem:
         seen = Seen(
             places.kind, plant, self._modes(places), at, self.cross.of(plant), self.limits, (low <= x) & (x <= high)
         )
-        collected = Collected()
-        collected.add(self._feature_rows(seen, places, math.inf if complete else FARTHEST_DB))
+        parts = [self._feature_rows(seen, places, math.inf if complete else FARTHEST_DB)]
         for values in self.law.limit_values(own):
             made_small = self.law.limits[values.number].objective
-            collected.add(law_rows(len(self.criteria) + values.number, values, made_small))
-        rows = collected.joined()
+            parts.append(law_rows(len(self.criteria) + values.number, values, made_small))
+        rows = joined(parts)
+        if not len(rows):
+            raise ValueError("the problem has neither an objective nor limits")
         limits, objective = rows.excess_db[~rows.objective], rows.excess_db[rows.objective]
         return Evaluation(
             variables,
@@ -113,7 +114,7 @@ class Problem:
 
     def _places(self, loop: ComplexArray) -> Places:
         mesh = Mesh(self.loops.curves, self.bands, loop, self._mesh_cross, self.loops.poles_at_zero == 0)
-        return features.in_intervals(mesh.curves, features.joined([search(mesh) for search in self._searches]))
+        return features.in_intervals(mesh.curves, joined([search(mesh) for search in self._searches]))
 
     def _modes(self, places: Places) -> Indices:
         mode, peak = np.zeros(len(places.kind), np.int64), places.kind == Kind.PEAK

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, fields
 
 import numpy as np
 from numpy.typing import NDArray
@@ -43,23 +43,6 @@ class Rows:
     def frequency_hz(self) -> Array:
         """nan where there is none."""
         return np.where(self.feature >= 0, np.exp(self.x), np.nan)
-
-
-@dataclass
-class Collected:
-    """Rows in the making."""
-
-    parts: list[Rows] = field(default_factory=list)
-
-    def add(self, rows: Rows) -> None:
-        if len(rows) > 0:
-            self.parts.append(rows)
-
-    def joined(self) -> Rows:
-        """Raises ValueError where there is nothing at all: a problem without rows is none."""
-        if not self.parts:
-            raise ValueError("the problem has neither an objective nor limits")
-        return Rows(*(np.concatenate([getattr(p, f.name) for p in self.parts]) for f in fields(Rows)))
 
 
 def law_rows(what: int, of: LimitValues, objective: bool = False) -> Rows:

@@ -31,7 +31,7 @@ from maxq.design import api
 from maxq.design.laws.law import MEASUREMENTS
 from maxq.design.loop.fixed_path import fixed_path
 from maxq.design.loop.loop import Loop
-from maxq.design.loop.multiloop import multiloop
+from maxq.design.loop.multiloop import Multiloop, multiloop
 from maxq.design.margins.real_mu import Scaling, real_mu_upper
 from maxq.design.model.dispersion import disperse, with_drives_apart
 from maxq.design.model.node import Node, flown_run, flown_to
@@ -83,7 +83,7 @@ class Uncertain:
             out.append((u[:, :rank] * np.sqrt(size[:rank]), v[:rank].T * np.sqrt(size[:rank])))
         return out
 
-    def matrix(self, hz: float, back: ComplexArray | complex) -> tuple[ComplexArray, list[int]]:
+    def matrix(self, hz: float, back: ComplexArray) -> tuple[ComplexArray, list[int]]:
         """M from what the deviations put out to what they take up, where p = -back y, and their ranks."""
         m, s = self.axes, 2j * np.pi * hz
         n, back = len(self.whole) - m, np.reshape(back, (m, m))
@@ -187,8 +187,7 @@ def stable_within(node: Node, design: Design, spread: Spread) -> Within | None:
     if any(name not in MEASUREMENTS for name in law.inputs):
         return None
     loop = Loop(fixed_path(node), law)
-    grid = _frequencies(loop.closed_poles(), loop.highest_hz)
-    return _within(uncertain(node, spread), lambda hz: loop.response(np.array([hz]))[0], grid)
+    return _within(uncertain(node, spread), loop, loop.closed_poles())
 
 
 def stable_together(base: LoadedScenario, design: Design, node: Node, spread: Spread) -> Within | None:
@@ -205,24 +204,21 @@ def stable_together(base: LoadedScenario, design: Design, node: Node, spread: Sp
         every = uncertain_together(run.packed, base, design, node, spread)
     except ValueError:
         return None
-    grid = _frequencies(loop.poles(range(len(loop.axes))), loop.highest_hz)
-    return _within(every, lambda hz: loop.response(np.array([hz]))[0], grid)
+    return _within(every, loop, loop.poles(range(len(loop.axes))))
 
 
-def _within(
-    every: Uncertain, response: Callable[[float], ComplexArray | complex], frequencies_hz: list[float]
-) -> Within:
+def _within(every: Uncertain, loop: Loop | Multiloop, closed_poles: ComplexArray) -> Within:
     scaling, values = dict[float, Scaling](), dict[float, float]()
 
     def bound(hz: float, enough: float) -> None:
-        back = np.reshape(response(hz), (every.axes, every.axes)) @ np.linalg.inv(every.response(hz))
+        back = np.reshape(loop.response(np.array([hz])), (every.axes, every.axes)) @ np.linalg.inv(every.response(hz))
         m, ranks = every.matrix(hz, back)
         near = min(scaling, key=lambda f: abs(f - hz), default=None)
         m = m * np.repeat(every.farther, ranks)
         values[hz], scaling[hz] = real_mu_upper(m, ranks, None if near is None else scaling[near], enough)
 
     with threadpool_limits(1, "blas"):  # small matrices: threads wait for each other
-        for hz in frequencies_hz:
+        for hz in _frequencies(closed_poles, loop.highest_hz):
             bound(hz, max(values.values(), default=0.0))
         for _ in range(_HALVINGS):
             tried = sorted(values)
