@@ -27,7 +27,7 @@ from threadpoolctl import threadpool_info
 from maxq.design import api
 from maxq.design.case.schema import LoadedCase, read_case
 from maxq.design.laws.design_file import design_text
-from maxq.design.laws.pd import Pd
+from maxq.design.laws.pd import Pd, as_flown
 from maxq.design.laws.pd_variables import PdVariables
 from maxq.design.loop.loop import Loop
 from maxq.design.margins.measure import margins
@@ -55,7 +55,7 @@ def check_limits(s: Solution, plants: Plants, rigid_hz: bool = True) -> None:
     peaks = []
     for plant, p, d in zip(plants.each, k_p, k_d, strict=True):
         period = plant.path.sample_s
-        flown = law.filter_at(period)
+        flown = as_flown(law.whole, period)
         loop = Loop(plant.path, Pd(float(p), float(d), flown))
         found = margins(loop)
         assert found.stable

@@ -63,7 +63,7 @@ def unchanged(packed: Packed) -> None:
 
 @dataclass(frozen=True)
 class HeldFlight:
-    """A scenario held at `time_s`, packed; `run` and `fly` fly copies of it.
+    """A scenario held at the time of its node, packed; `run` and `fly` fly copies of it.
 
     `node` is its linear model, in `plane`. `fault` alters every flight and not the linear model: a planted fault.
     """
@@ -71,7 +71,6 @@ class HeldFlight:
     loaded: LoadedScenario
     packed: Packed
     node: Node
-    time_s: float
     plane: Plane
     fault: Change = unchanged
 
@@ -169,7 +168,7 @@ def hold(
     same = dataclasses.replace(
         at_swing(same, bobs.swing_rad), liquids=node.liquids, stage=node.stage, surface_radius_m=node.surface_radius_m,
     )  # fmt: skip  # two more lines otherwise
-    return HeldFlight(held, packed, same, node.time_s, node.plane, fault or unchanged)
+    return HeldFlight(held, packed, same, node.plane, fault or unchanged)
 
 
 def _stillness(scenario: Scenario, node: Node, load_mps2: float) -> dict[str, object]:

@@ -193,6 +193,11 @@ class PdDesign:
     def over(self) -> Over:
         return self.pitch.over
 
+    @property
+    def whole(self) -> LoopFilter:
+        """The filter and how it is discretised."""
+        return self.filter, self.discretization, self.prewarp_hz
+
     @cached_property
     def _table(self) -> Cubics:
         """As the flight computer interpolates the gains."""
@@ -217,14 +222,8 @@ class PdDesign:
         gains = self._table(at)[first : first + len(names)].tolist()
         lag = None if self.relief_hz is None else Lag(self.relief_hz, sample_s)
         blend = self.blend[0 if plane == "pitch" else 1]
-        loops = tuple(None if own is None else as_flown(own, sample_s) for own in self.loops)
-        return Pd(
-            **dict(zip(names, gains, strict=True)), filter=self.filter_at(sample_s), blend=blend, lag=lag, loops=loops
-        )
-
-    def filter_at(self, sample_s: float | None) -> AnyFilter:
-        """The filter, continuous or as the flight computer runs it at a period."""
-        return as_flown((self.filter, self.discretization, self.prewarp_hz), sample_s)
+        filter_, *loops = (own and as_flown(own, sample_s) for own in (self.whole, *self.loops))
+        return Pd(**dict(zip(names, gains, strict=True)), filter=filter_, blend=blend, lag=lag, loops=tuple(loops))
 
     def tables(self) -> dict[str, Any]:
         def rows(schedule: GainSchedule) -> tuple[dict[str, float], ...]:
@@ -233,14 +232,13 @@ class PdDesign:
 
         gains: dict[str, Any] = {"table": rows(self.pitch)}
         gains |= {"yaw": "pitch"} if self.yaw is self.pitch else {"yaw_table": rows(self.yaw)}
-        filter_ = _section((self.filter, self.discretization, self.prewarp_hz))
         pitch, yaw = self.blend
         more: dict[str, Any] = {} if self.relief_hz is None else {"load_relief": {"corner_hz": self.relief_hz}}
         if len(pitch) > 1:
             more["blend"] = {"pitch": pitch} if yaw == pitch else {"pitch": pitch, "yaw": yaw}
         loops = {name: _section(own) for name, own in zip(BANKS, self.loops, strict=True) if own is not None}
         more |= {"loop_filters": loops} if loops else {}
-        return {"law": self.name, "gains": gains, "filter": filter_, **more}
+        return {"law": self.name, "gains": gains, "filter": _section(self.whole), **more}
 
     def record(self) -> dict[str, Any]:
         gains = {name: [float(x) for x in column] for name, column in self.pitch.table.items()}

@@ -115,9 +115,9 @@ class _Chart:
         self._tanks = [int(layout.pendulum_index(self._sizes, k)) for k in range(tanks)]
         self._rest = slice(int(layout.pendulum_index(self._sizes, tanks)), int(layout.state_size(self._sizes)))
         self._point = self._read(y)
-        rest = layout.state_names(self._sizes)[self._rest]
-        self.names = (*self._named(pitch, yaw, spatial, tanks), *rest)
-        self.steps = np.concatenate([self._step_sizes(pitch, yaw, spatial, tanks), np.full(len(rest), _STEP_FLAT)])
+        coordinates = self._coordinates(pitch, yaw, spatial, tanks)
+        coordinates += [(name, _STEP_FLAT) for name in layout.state_names(self._sizes)[self._rest]]
+        self.names, self.steps = tuple(name for name, _ in coordinates), np.array([step for _, step in coordinates])
         channels = 2 * (1 + int(self._sizes.further_groups))
         self._command = np.array(self._held.command_rad[:channels])
         numbered = ["", *(f"_{group}" for group in range(2, channels // 2 + 1))]
@@ -200,26 +200,21 @@ class _Chart:
         return np.concatenate([*parts, dy[self._rest]])
 
     @staticmethod
-    def _named(pitch: int, yaw: int, spatial: int, tanks: int) -> tuple[str, ...]:
-        names = ["x_I_m", "y_I_m", "z_I_m", "u_mps", "v_mps", "w_mps", "phi_rad", "theta_rad", "psi_rad"]
-        names += ["p_radps", "q_radps", "r_radps"]
-        names += layout.state_names(Sizes(pitch, yaw, tanks, 0))[layout.ACTUATOR : layout.N_FIXED]
-        for symbol, count in (("eta", pitch), ("xi", yaw)):
-            names += [f"{symbol}_{i + 1}_m" for i in range(count)]
-            names += [f"{symbol}_{i + 1}_rate_mps" for i in range(count)]
-        for what in ("m", "rate_mps"):
-            names += [f"spatial_{i + 1}_{what}" for i in range(spatial)]
-        for k in range(tanks):
-            names += [f"slosh_{k + 1}_{p}{what}" for p in ("pitch", "yaw") for what in ("_rad", "_rate_radps")]
-        return tuple(names)
-
-    @staticmethod
-    def _step_sizes(pitch: int, yaw: int, spatial: int, tanks: int) -> Array:
-        steps = [_STEP_R] * 3 + [_STEP_V] * 3 + [_STEP_TURN] * 3 + [_STEP_W] * 3
-        steps += [_STEP_FLAT] * (_FLAT.stop - _FLAT.start)
-        for count in (pitch, yaw, spatial):
-            steps += [_STEP_BEND] * count + [_STEP_BEND_RATE] * count
-        return np.array(steps + [_STEP_SLOSH] * (4 * tanks))
+    def _coordinates(pitch: int, yaw: int, spatial: int, tanks: int) -> list[tuple[str, float]]:
+        """Name of each but the last (`_rest`), and the first step of its differences."""
+        first = {
+            ("x_I_m", "y_I_m", "z_I_m"): _STEP_R,
+            ("u_mps", "v_mps", "w_mps"): _STEP_V,
+            ("phi_rad", "theta_rad", "psi_rad"): _STEP_TURN,
+            ("p_radps", "q_radps", "r_radps"): _STEP_W,
+            tuple(layout.state_names(Sizes(pitch, yaw, tanks, 0))[layout.ACTUATOR : layout.N_FIXED]): _STEP_FLAT,
+        }
+        out = [(name, step) for names, step in first.items() for name in names]
+        for symbol, count in (("eta", pitch), ("xi", yaw), ("spatial", spatial)):
+            for what, step in (("m", _STEP_BEND), ("rate_mps", _STEP_BEND_RATE)):
+                out += [(f"{symbol}_{i + 1}_{what}", step) for i in range(count)]
+        angles = [f"{plane}{what}" for plane in ("pitch", "yaw") for what in ("_rad", "_rate_radps")]
+        return out + [(f"slosh_{k + 1}_{angle}", _STEP_SLOSH) for k in range(tanks) for angle in angles]
 
 
 def _jacobian(function: Any, steps: Array) -> tuple[Array, Array]:

@@ -434,11 +434,13 @@ def measured_requirements(nodes: Sequence[MeasuredNode], limits: MarginLimits) -
     def where(n: MeasuredNode) -> str:
         return f"{n.time_s:g} s, {n.plane}"
 
+    def judged(name: str, wanted: str, found: str, bad: Sequence[MeasuredNode]) -> Requirement:
+        judgement, at = (REJECTED, where(bad[0])) if bad else (ACCEPTED, "")
+        return Requirement(_MEASURED, name, wanted, found, judgement, math.nan, at)
+
     shaky = [n for n in nodes if not n.stable]
     said = f"{len(nodes) - len(shaky)} of {len(nodes)} nodes"
-    judgement = REJECTED if shaky else ACCEPTED
-    at = where(shaky[0]) if shaky else ""
-    out = [Requirement(_MEASURED, "stable in held flight", "at every node", said, judgement, math.nan, at)]
+    out = [judged("stable in held flight", "at every node", said, shaky)]
     quantities: tuple[tuple[str, str, float | None, float, Callable[[MeasuredNode], float]], ...] = (
         ("gain margin up", "dB", limits.gain_up_db, 1.0, lambda n: n.margin("gain_up")),
         ("gain margin down", "dB", limits.aero_gain_db, 1.0, lambda n: n.margin("gain_down")),
@@ -457,10 +459,7 @@ def measured_requirements(nodes: Sequence[MeasuredNode], limits: MarginLimits) -
         out.append(Requirement(_MEASURED, name, f">= {limit:g} {unit}", text, met, room, where(worst)))
     ends = [(c, n) for n in nodes for c in n.cycles if c.kind not in ("decays", "limit cycle")]
     said = ends[0][0].text if ends else "decays or ends in a limit cycle at every node"
-    ending = where(ends[0][1]) if ends else ""
-    kind = REJECTED if ends else ACCEPTED
-    out.append(Requirement(_MEASURED, "burst at slosh", "does not grow", said, kind, math.nan, ending))
-    return out
+    return [*out, judged("burst at slosh", "does not grow", said, [n for _, n in ends])]
 
 
 def certificate_requirements(
