@@ -26,12 +26,11 @@ _ALONG = 1e-10  # sine of the total incidence below which there is no plane of i
 class TableSlopes:
     """Of one table of a vehicle, per rho S V / 2 (force; m: moment); the moment is that about `reference_m`.
 
-    Rows x, y, z of B; columns u, v, w (m/s) or p, q, r (rad/s). `force` and `couple` are per rho S V^2 / 2. `by_mach`:
+    Rows x, y, z of B; columns u, v, w (m/s) or p, q, r (rad/s). `force` is per rho S V^2 / 2. `by_mach`:
     what of the slopes by the flow goes through the Mach number, which is that at the CG whatever the flow at the table.
     """
 
     force: Array  # (3,)
-    couple_m: Array
     force_by_flow: Array  # (3, 3)
     couple_by_flow_m: Array
     force_by_rate_m: Array
@@ -145,7 +144,6 @@ def _of_table(pool: Array, a: Any, j: int, s: int, reference_m: float, mach: flo
     by_rate = made.rates(direction)
     return TableSlopes(
         force=factor * np.array([f.value for f in force]),
-        couple_m=factor * np.array([m.value for m in couple]),
         force_by_flow=factor * np.array([f.slopes for f in force]),
         couple_by_flow_m=factor * np.array([m.slopes for m in couple]),
         force_by_rate_m=factor * by_rate[0],

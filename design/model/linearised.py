@@ -67,8 +67,6 @@ class LinearModel(StateSpace):
     """
 
     rate: Array  # (n,)
-    error_a: Array  # estimated error of each entry of `a`
-    error_b: Array
 
 
 def linearise(packed: Packed, y: Array, time_s: float) -> LinearModel:
@@ -86,11 +84,9 @@ def linearise(packed: Packed, y: Array, time_s: float) -> LinearModel:
         return frame.motion(offset[:n], offset[n:])
 
     at_rest = motion(np.zeros(n + len(inputs)))
-    slopes, errors = _jacobian(motion, np.concatenate([frame.steps, np.full(len(inputs), _STEP_COMMAND)]))
-    return LinearModel(
-        slopes[:n, :n], slopes[:n, n:], slopes[n:, :n], slopes[n:, n:], frame.names, inputs, frame.outputs,
-        rate=at_rest[:n], error_a=errors[:n, :n], error_b=errors[:n, n:],
-    )  # fmt: skip  # eight more lines otherwise
+    slopes = _jacobian(motion, np.concatenate([frame.steps, np.full(len(inputs), _STEP_COMMAND)]))
+    parts = slopes[:n, :n], slopes[:n, n:], slopes[n:, :n], slopes[n:, n:]
+    return LinearModel(*parts, frame.names, inputs, frame.outputs, at_rest[:n])
 
 
 class _Chart:
@@ -217,9 +213,9 @@ class _Chart:
         return out + [(f"slosh_{k + 1}_{angle}", _STEP_SLOSH) for k in range(tanks) for angle in angles]
 
 
-def _jacobian(function: Any, steps: Array) -> tuple[Array, Array]:
-    """Derivatives at zero (outputs, inputs) and their estimated errors."""
-    columns, errors = [], []
+def _jacobian(function: Any, steps: Array) -> Array:
+    """Derivatives at zero (outputs, inputs)."""
+    columns = []
     for j, first in enumerate(steps):
         tableau: list[list[Array]] = []
         best, least = np.zeros(0), np.zeros(0)
@@ -235,8 +231,7 @@ def _jacobian(function: Any, steps: Array) -> tuple[Array, Array]:
                 best, least = np.where(error < least, row[-1], best), np.minimum(error, least)
             tableau.append(row)
         columns.append(best)
-        errors.append(least)
-    return np.array(columns).T, np.array(errors).T
+    return np.array(columns).T
 
 
 def _padded(values: Array, length: int) -> Array:

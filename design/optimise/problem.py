@@ -14,24 +14,17 @@ import numpy as np
 
 from maxq.control.kernel.records import Array
 from maxq.design.case.schema import Limits
+from maxq.design.laws.law import LawLimit
 from maxq.design.laws.task import DB, PlantLimits
 from maxq.design.model.state_space import ComplexArray
 from maxq.design.optimise import features
-from maxq.design.optimise.criteria import LIMITS, Objective, Part, Seen
+from maxq.design.optimise.criteria import LIMITS, Criterion, Objective, Part, Seen
 from maxq.design.optimise.curves import Curves, Indices
 from maxq.design.optimise.features import Bands, Cross, Kind, Mesh, Places, Search, joined
 from maxq.design.optimise.loops import Loops
 from maxq.design.optimise.rows import Rows, law_rows
 
 FARTHEST_DB = 20.0  # rows that are met by more are left out
-
-
-@dataclass(frozen=True)
-class RowKind:
-    """What a row is about."""
-
-    text: str
-    unit: str
 
 
 @dataclass(frozen=True)
@@ -59,8 +52,7 @@ class Problem:
         self._first_lobes = np.log(np.maximum(first_lobes, 1e-9))
         self.lower, self.upper = self.law.lower, self.law.upper
         self.criteria = [objective.criterion, *LIMITS]
-        self.kinds = [RowKind(k.text, k.unit) for k in self.criteria]
-        self.kinds += [RowKind(k.text, k.unit) for k in self.law.limits]
+        self.kinds: list[Criterion | LawLimit] = [*self.criteria, *self.law.limits]
         self._asked = [True, *(limit.asked(limits, common) for limit in LIMITS)]
         asked = [limit for limit, yes in zip(LIMITS, self._asked[1:], strict=True) if yes]
         self._searches: list[Search] = list(

@@ -18,7 +18,7 @@ import numpy as np
 
 from maxq.control.kernel.records import Array
 from maxq.design.optimise.problem import Evaluation, Problem
-from maxq.design.optimise.sqp import MET_DB, Descent, Optimality, descend, optimality, polished
+from maxq.design.optimise.sqp import MET_DB, Optimality, descend, optimality, polished
 
 ROUGH_STEPS, ROUGH_DB = 40, 1e-3
 FINE_STEPS, FINE_DB = 150, 1e-8
@@ -86,7 +86,7 @@ def search(
     try:
         for where, given, to in ((problem, starts, None), (small, starts_of_rough, lift)):
             for start in given:
-                end = descend(where, start, ROUGH_STEPS, ROUGH_DB, give_up=partial(_hopeless, best_db)).end
+                end = descend(where, start, ROUGH_STEPS, ROUGH_DB, give_up=partial(_hopeless, best_db))
                 ends.append((end, to(end.variables) if to is not None else end.variables))
                 if _feasible(end, 1e-3):
                     best_db = float(np.fmin(best_db, end.objective_db))
@@ -96,9 +96,9 @@ def search(
         interrupted = True
         if not ends:
             raise
-    fine: dict[int, Descent] = {}
+    fine: dict[int, Evaluation] = {}
     leaps_db: list[float] = []
-    leapt: Descent | None = None
+    leapt: Evaluation | None = None
     # apart: what ends alike with all variables and with few lies in different valleys
     own = min(len(starts), len(ends))
     candidates = [*_candidates([end for end, _ in ends[:own]])]
@@ -107,54 +107,54 @@ def search(
         for k in candidates if not interrupted else ():
             fine[k] = descend(problem, ends[k][1], FINE_STEPS, FINE_DB)
         if fine and leaps > 0 and not interrupted:
-            leapt = min(fine.values(), key=lambda descent: _rank(descent.end))
+            leapt = min(fine.values(), key=_rank)
             for leapt, leap_db in _leapt(problem, leapt, leaps, seed):  # noqa: B020  # each goes on from the last
                 leaps_db.append(leap_db)
                 if progress is not None:
-                    progress(len(ends) + len(leaps_db), total, leapt.end.objective_db, "leaps")
+                    progress(len(ends) + len(leaps_db), total, leapt.objective_db, "leaps")
     except KeyboardInterrupt:
         interrupted = True
     for k in candidates[:1] if not fine else ():
-        fine[k] = Descent(problem.evaluate(ends[k][1]), 0, False)
+        fine[k] = problem.evaluate(ends[k][1])
     found = _answer(problem, ends, own, fine, leapt, interrupted)
     made = problem.evaluations + (small.evaluations if small is not problem else 0) - before
     return replace(found, leaps_db=np.array(leaps_db), evaluations=made)
 
 
-def _leapt(problem: Problem, best: Descent, leaps: int, seed: int) -> Iterator[tuple[Descent, float]]:
+def _leapt(problem: Problem, best: Evaluation, leaps: int, seed: int) -> Iterator[tuple[Evaluation, float]]:
     """The best end so far after each leap from it, and where the leap ended, dB (nan: no stable design there)."""
     rng = np.random.default_rng(seed)
     for number in range(leaps):
-        leap = best.end.variables + problem.law.leap_size(number) * rng.standard_normal(problem.size)
-        patience = partial(_hopeless, best.end.objective_db)
-        end = descend(problem, leap, ROUGH_STEPS, ROUGH_DB, give_up=patience).end
+        leap = best.variables + problem.law.leap_size(number) * rng.standard_normal(problem.size)
+        patience = partial(_hopeless, best.objective_db)
+        end = descend(problem, leap, ROUGH_STEPS, ROUGH_DB, give_up=patience)
         feasible = _feasible(end, 1e-3)
-        if feasible and (end.objective_db < best.end.objective_db - FURTHER_DB or not _feasible(best.end, 1e-3)):
+        if feasible and (end.objective_db < best.objective_db - FURTHER_DB or not _feasible(best, 1e-3)):
             further = descend(problem, end.variables, FINE_STEPS, FINE_DB)
-            if _rank(further.end) < _rank(best.end):
-                best, end = further, further.end
+            if _rank(further) < _rank(best):
+                best = end = further
         yield best, end.objective_db if feasible else math.nan
 
 
 def _answer(
-    problem: Problem, ends: list[tuple[Evaluation, Array]], own: int, fine: dict[int, Descent], leapt: Descent | None,
-    interrupted: bool,
+    problem: Problem, ends: list[tuple[Evaluation, Array]], own: int, fine: dict[int, Evaluation],
+    leapt: Evaluation | None, interrupted: bool,
 ) -> Found:  # fmt: skip  # four more lines otherwise
-    best = min((d.end for d in [*fine.values(), *([leapt] if leapt is not None else [])]), key=_rank)
+    best = min([*fine.values(), *([leapt] if leapt is not None else [])], key=_rank)
     feasible = _feasible(best, 10.0 * MET_DB)
     if feasible:
         best, quality = polished(problem, best) if not interrupted else (best, optimality(problem, best))
     else:
-        tried = [] if interrupted else [descend(problem, best.variables, FINE_STEPS, 1e-7, limits_only=True).end]
+        tried = [] if interrupted else [descend(problem, best.variables, FINE_STEPS, 1e-7, limits_only=True)]
         best = min([best, *tried], key=lambda e: (e.unstable, e.violation_db))
         feasible = _feasible(best, 10.0 * MET_DB)
         quality = optimality(problem, best, worst_violation=not feasible)
     ends_db = np.array([end.objective_db if _feasible(end, 1e-3) else np.nan for end, _ in ends])
     rough_db = ends_db.copy()
-    for k, descent in fine.items():  # a start in the same valley would have come to the same end
-        if _feasible(descent.end, 10.0 * MET_DB):
+    for k, end in fine.items():  # a start in the same valley would have come to the same end
+        if _feasible(end, 10.0 * MET_DB):
             same = (np.abs(rough_db - rough_db[k]) <= SAME_DB) & ((np.arange(len(ends)) < own) == (k < own))
-            ends_db[same] = np.fmin(ends_db[same], descent.end.objective_db)
+            ends_db[same] = np.fmin(ends_db[same], end.objective_db)
     return Found(best, quality, feasible, ends_db, 0, interrupted, np.zeros(0))
 
 

@@ -53,15 +53,6 @@ class Step:
 
 
 @dataclass(frozen=True)
-class Descent:
-    """Where a start ended."""
-
-    end: Evaluation
-    steps: int
-    converged: bool
-
-
-@dataclass(frozen=True)
 class Merit:
     """What a step must bring down: weight of the objective (0: only the limits count) and of the largest excess."""
 
@@ -118,8 +109,8 @@ def descend(
     tolerance_db: float = 1e-7,
     limits_only: bool = False,
     give_up: Callable[[int, Evaluation], bool] | None = None,
-) -> Descent:
-    """Run until no step promises `tolerance_db`, or `give_up` finds the point hopeless after a number of steps.
+) -> Evaluation:
+    """Where a start ends: no step promises `tolerance_db`, or `give_up` finds it hopeless after a number of steps.
 
     `limits_only`: bring down the largest excess, whatever the objective.
     """
@@ -129,9 +120,9 @@ def descend(
     multipliers: Array | None = None
     for count in range(most):
         if give_up is not None and give_up(count, at):
-            return Descent(at, count, False)
+            break
         if limits_only and at.violation_db == 0.0 and at.unstable == 0:
-            return Descent(at, count, True)
+            break
         if multipliers is None:
             curvature = RIDGE * np.eye(problem.size)
         else:
@@ -139,16 +130,16 @@ def descend(
         moved = _step(problem, at, curvature, radius, merit, tolerance_db)
         if moved is None:
             if limits_only or at.violation_db <= MET_DB or merit.penalty >= LARGEST_PENALTY:
-                return Descent(at, count, at.unstable == 0)
+                break
             merit = Merit(1.0, 10.0 * merit.penalty)
             radius = max(radius, 0.03)
             continue
         step, after, radius = moved
         if radius < LEAST_RADIUS:
-            return Descent(at, count, False)
+            break
         multipliers = matched(step.multipliers, at, after)
         at = after
-    return Descent(at, most, False)
+    return at
 
 
 def _step(

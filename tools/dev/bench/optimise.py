@@ -174,7 +174,7 @@ def compare(structure: str, schedule: str, method: str, seconds: float, seed: in
     x, best = METHODS[method](cost, lower, upper, seconds, seed)
     spent, evaluations = time.process_time() - begun, cost.count
     there = problem.evaluate(x)
-    exact = descend(problem, x, 150, 1e-8).end
+    exact = descend(problem, x, 150, 1e-8)
     met = exact.unstable == 0 and exact.violation_db < MET_DB
     return {
         "structure": structure, "schedule": schedule, "method": method, "seed": seed, "ours_db": ours.objective_db,
