@@ -127,12 +127,6 @@ def with_ideal_converters(loaded: LoadedScenario) -> LoadedScenario:
     return dataclasses.replace(loaded, scenario=loaded.scenario.model_copy(update={"switches": switches}))
 
 
-def slosh_columns(run: FlightRun, plane: Plane) -> list[int]:
-    """Columns of `fast_rows` with the swing of each tank's pendulum, deg."""
-    names = [c.name for c in run.table.columns(FAST)]
-    return [n for n, name in enumerate(names) if name.startswith("slosh") and name.endswith(f"{plane}_deg")]
-
-
 def hold(
     loaded: LoadedScenario, node: Node, fault: Change | None = None, *, along_body: bool = False,
     rings_by_law: bool = False,

@@ -34,12 +34,13 @@ from maxq.design.certificate.excitation import (
     sine,
     sine_burst,
 )
-from maxq.design.certificate.held_flight import Change, HeldFlight, slosh_columns, unchanged
+from maxq.design.certificate.held_flight import Change, HeldFlight, unchanged
 from maxq.design.certificate.response import UNEXPLAINED
 from maxq.design.loop.fixed_path import fixed_path
 from maxq.design.loop.loop import Loop
 from maxq.design.margins.measure import Bound, Margins, margins
 from maxq.design.model.dispersion import Dispersion, disperse
+from maxq.design.model.node import slosh_columns
 from maxq.sim.packing.flight import Packed
 from maxq.sim.scenario.schema_scenario import Injection
 

@@ -280,12 +280,14 @@ def swing_window_s(node: Node) -> Array:
 
 def swing_rates_radps(run: FlightRun, rows: Array) -> Array:
     """Of a flight's fast rows: angular rate of each pendulum in the body, both planes together, (rows, pendulums)."""
+    pitch, yaw = (rows[:, slosh_columns(run, plane, "rate_degps")] for plane in ("pitch", "yaw"))
+    return np.radians(np.hypot(pitch, yaw))
+
+
+def slosh_columns(run: FlightRun, plane: str, what: str = "deg") -> list[int]:
+    """Columns of a flight's fast rows with the swing of each tank's pendulum, deg, or its rate."""
     names = [c.name for c in run.table.columns(FAST)]
-    planes = [
-        [n for n, name in enumerate(names) if name.startswith("slosh") and name.endswith(f"{plane}_rate_degps")]
-        for plane in ("pitch", "yaw")
-    ]
-    return np.radians(np.hypot(rows[:, planes[0]], rows[:, planes[1]]))
+    return [n for n, name in enumerate(names) if name.startswith("slosh") and name.endswith(f"{plane}_{what}")]
 
 
 def equivalent_swing(rate_radps: Array, omega_radps: float) -> float:

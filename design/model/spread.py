@@ -262,13 +262,10 @@ def vehicle_of(spread: Spread, node: Node, draw: Draw, label: str) -> Dispersion
     values: dict[str, Any] = {}
     for key in DEVIATIONS:
         count = _count(node, key)
-        if count is not None:
-            sizes = _sizes(spread, key, count)
-            values[key] = tuple(max(1.0 + size * draw(key, n), 0.05) for n, size in enumerate(sizes))
-        elif key in ("delay_s", "centre_of_pressure_m"):
-            values[key] = getattr(spread, key) * draw(key, -1)
-        else:
-            values[key] = max(1.0 + _sizes(spread, key, 1)[0] * draw(key, -1), 0.05)
+        numbers = (-1,) if count is None else range(count)
+        by = [size * draw(key, n) for size, n in zip(_sizes(spread, key, len(numbers)), numbers, strict=True)]
+        each = tuple(by if KEYS[key].added else (max(1.0 + x, 0.05) for x in by))
+        values[key] = each[0] if count is None else each
     return Dispersion(**values, label=label)
 
 

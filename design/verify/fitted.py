@@ -211,15 +211,12 @@ def _marks(base: LoadedScenario) -> tuple[Marks, list[Marks]]:
     flight, spans = fly(LoadedScenario(quiet, base.label, base.files)), powered_spans(base)
     t, q, altitude = flight.time_s("dynamic_pressure_Pa"), flight["dynamic_pressure_Pa"], flight["altitude_m"]
     altitude = np.interp(t, flight.time_s("altitude_m"), altitude)
-    under = np.zeros(len(t), bool)
-    for span in spans:
-        under |= (t >= span.begin_s) & (t <= span.end_s)
     out: Marks = {**_sampling(base), **_limits(base)}
     stages: list[Marks] = []
     if not spans:
         return out, stages
-    end_s = spans[-1].end_s
-    top = int(np.argmax(np.where(under, q, -1.0)))
+    end_s, burns = spans[-1].end_s, [(t >= span.begin_s) & (t <= span.end_s) for span in spans]
+    top = int(np.argmax(np.where(np.any(burns, axis=0), q, -1.0)))
     strong = np.flatnonzero(q >= _STRONG * q[top])
     places = (top, int(strong[0]), int(strong[-1]) if t[strong[-1]] <= end_s else int(np.searchsorted(t, end_s)) - 1)
     for name, k in zip(_PLACES, places, strict=True):
@@ -232,9 +229,8 @@ def _marks(base: LoadedScenario) -> tuple[Marks, list[Marks]]:
             out[f"{name}_{tone}_gust_m"] = min(float(f"{climb_mps / hz:.3g}"), _LONGEST_M)
     out["burnout_s"] = round(end_s, 3)
     strongest = []
-    for span in spans:
-        burns = (t >= span.begin_s) & (t <= span.end_s)
-        at = float(t[int(np.argmax(np.where(burns, q, -1.0)))])
+    for span, under in zip(spans, burns, strict=True):
+        at = float(t[int(np.argmax(np.where(under, q, -1.0)))])
         strongest.append(min(max(at, span.begin_s + _CLEAR_S), span.end_s - _CLEAR_S))
     for span, at_s, node in zip(spans, strongest, api.nodes(base, strongest), strict=True):
         burn = span.end_s - span.begin_s

@@ -35,7 +35,7 @@ import numpy as np
 from maxq.control.kernel.records import Array
 from maxq.design import api
 from maxq.design.certificate.excitation import sine_burst
-from maxq.design.certificate.held_flight import HeldFlight, fast_rows, hold, slosh_columns
+from maxq.design.certificate.held_flight import HeldFlight, fast_rows, hold
 from maxq.design.certificate.measured_margins import (
     DECAYED,
     SATURATED,
@@ -46,7 +46,7 @@ from maxq.design.certificate.measured_margins import (
 )
 from maxq.design.loop.fixed_path import fixed_path
 from maxq.design.loop.loop import Loop
-from maxq.design.model.node import Node
+from maxq.design.model.node import Node, slosh_columns
 from maxq.design.model.plant import axial_load_mps2
 from maxq.design.model.state_space import ComplexArray
 from maxq.sim.packing.flight import Packed
