@@ -46,7 +46,8 @@ def test_curves_hold_between_their_points(loop: str) -> None:
         x = rng.uniform(math.log(1e-3), math.log(45.0), 200)
         for _, low, high in plant.bands_hz:  # where it is hardest
             x = np.concatenate([x, np.log(rng.uniform(low, high, 50))])
-        at = plants.curves.at(np.full(len(x), p), x)
+        curves, first, last = plants.curves, plants.curves.start[p], plants.curves.start[p + 1] - 2
+        at = curves.in_cells(np.clip(first + np.searchsorted(curves.x[first : last + 2], x) - 1, first, last), x)
         angle = at.log_ratio["angle_rad"]
         assert angle is not None
         np.testing.assert_allclose(np.exp(at.log_path[0]), plant.path.response(np.exp(x)), rtol=1e-6)

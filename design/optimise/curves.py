@@ -41,8 +41,6 @@ class Points:
     `log_ratio` of each measurement over `BASE`, None for that itself.
     """
 
-    cell: Indices  # number of the mesh interval, over all plants
-    x: Array
     log_path: Log
     log_ratio: dict[str, Log | None]
 
@@ -67,17 +65,8 @@ class Curves:
         )
         self.meshes = meshes
 
-    def at(self, plant: Indices, x: Array) -> Points:
-        """Values at x = ln f of the given plants; x is held to the mesh."""
-        cell = np.empty(len(x), np.int64)
-        for p in np.unique(plant):
-            here = plant == p
-            low, high = self.start[p], self.start[p + 1]
-            cell[here] = low + np.clip(np.searchsorted(self.x[low:high], x[here], "right") - 1, 0, high - low - 2)
-        return self.in_cells(cell, x)
-
     def in_cells(self, cell: Indices, x: Array) -> Points:
-        """Values at x within (or next to) known intervals of the mesh."""
+        """Values at x within (or next to) known intervals of the mesh, counted over all plants."""
         t = (x - self.x[cell])[:, None]
         c = self._coefficients[:, cell, :]
         value = ((((c[0] * t + c[1]) * t + c[2]) * t + c[3]) * t + c[4]) * t + c[5]
@@ -91,7 +80,7 @@ class Curves:
             )
             for k in range(0, value.shape[1], 2)
         )
-        return Points(cell, x, path, {BASE: None, **dict(zip(self.ratio, ratios, strict=True))})
+        return Points(path, {BASE: None, **dict(zip(self.ratio, ratios, strict=True))})
 
 
 @dataclass(frozen=True)
