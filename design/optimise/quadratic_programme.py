@@ -25,10 +25,12 @@ LEAST = -1e-300
 
 @dataclass(frozen=True)
 class QuadraticSolution:
-    """Point, and multipliers of the rows, all 0 or more."""
+    """Point, multipliers of the rows and of the bounds (lower, upper), all 0 or more."""
 
     z: Array
     rows: Array
+    lower: Array
+    upper: Array
     converged: bool
 
 
@@ -87,7 +89,9 @@ def solve_quadratic(
         fastest = min(float((ds / slack).min()), float((dl / dual).min()), LEAST)
         reach = min(1.0, -TO_BOUNDARY / fastest)
         z, slack, dual = z + reach * dz, slack + reach * ds, dual + reach * dl
-    return QuadraticSolution(z, dual[:m], converged)
+    lower_dual, upper_dual = np.zeros(n), np.zeros(n)
+    lower_dual[below], upper_dual[above] = dual[m : m + p], dual[m + p :]
+    return QuadraticSolution(z, dual[:m], lower_dual, upper_dual, converged)
 
 
 def _start(
