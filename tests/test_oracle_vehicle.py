@@ -14,6 +14,7 @@ from maxq.control.kernel.tables import find_interval, interpolate
 from maxq.design.case.schema import read_case
 from maxq.design.model.vehicle_at import stability_derivatives
 from maxq.design.verify.suite import read_suite
+from maxq.sim.campaign.read import load_campaign
 from maxq.sim.packing.flight import pack_flight
 from maxq.sim.run.fly import fly
 from maxq.sim.scenario.errors import ScenarioError
@@ -258,12 +259,28 @@ def test_the_gimbals_of_a_cluster_hold_its_roll(tmp_path: Path) -> None:
     assert one.groups == ("lower", "upper")
 
 
+def test_the_campaign_of_a_layout_flies_every_stage_in_wind(tmp_path: Path) -> None:
+    write(build(read_layout("petrel")), tmp_path)
+    campaign = load_campaign(tmp_path / "campaign.toml")
+    stages = [
+        {t.key.split(".")[2] for t in d.targets if t.key.startswith("vehicle.stage")} for d in campaign.plan.draws
+    ]
+    assert [s for s in stages if not s] == [set(), set()]  # speed and direction of the wind
+    assert all(s in ({"0"}, {"1", "2"}) for s in stages if s)  # the parts of a stage deviate together
+    flown = [campaign.scenario_of(run).scenario for run in range(2)]
+    winds = [(float(s.wind.profile["speed_mps"].max()), s.wind.turn_deg) for s in flown if s.wind.profile is not None]
+    assert len(set(winds)) == 2
+    assert all(0.0 < speed < 40.0 for speed, _ in winds)
+    upper = [stage.engines[0].mass_flow_factor for stage in flown[0].vehicle.stage[1:]]
+    assert upper[0] == upper[1] != 1.0
+
+
 def test_a_case_from_a_layout_asks_for_what_its_suite_asks(tmp_path: Path) -> None:
     """And for more, so that a design that meets the one is not rejected by the other for it."""
     write(build(read_layout("petrel")), tmp_path)
     suite = read_suite(tmp_path / "suite.toml").suite
     asked = suite.margins.nominal
-    assert suite.margins.trajectories == 0  # the campaign's flights end with the first stage
+    assert suite.margins.trajectories > 0
     limits = read_case(tmp_path / "case.toml").case.limits
     assert limits.gain_margin_db > asked.gain_up_db == asked.aero_gain_db
     assert limits.phase_margin_deg > asked.phase_deg

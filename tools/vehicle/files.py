@@ -3,6 +3,7 @@ campaign, a case and a suite, as simrun, simdesign and simverify read them."""
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Sequence
 from itertools import pairwise
@@ -32,6 +33,7 @@ ROOM_DB, ROOM_DEG = 0.5, 2.0  # by which a case asks for more than its suite: no
 ROLL_SHARE = 0.25  # of the gimbals' angle that roll may take
 FASTER = 0.1  # share of its burn by which a part's tables go on where the next part burns on
 SHOWN = 0.4  # share of the sample rate up to which a mode gets a notch
+LIMIT_WIND = "vehicle/limit_wind.csv"
 SPREAD = {
     "thrust at equal impulse": 0.03, "normal force": 0.15, "axial force": 0.1, "actuator poles": 0.15,
     "frequency of mode 1": 0.05,
@@ -411,25 +413,46 @@ def _grouped(built: Built, n: int) -> bool:
 
 
 def _campaign(built: Built) -> dict[str, Any]:
-    first = built.layout.stage[0]
-    each, every = ".*" if len(first.engine.positions_m) > 1 else "", ".*" if _grouped(built, 0) else ""
-    keys = {
-        "thrust at equal impulse": f"engine{each}.mass_flow_factor", "normal force": "aero.force_factor",
-        "axial force": "aero.axial_factor", "actuator poles": f"actuator{every}.omega_hz.*",
-    }  # fmt: skip  # three more lines otherwise
-    if built.modes[0][1][0] and first.spatial_modes is None:
-        keys["frequency of mode 1"] = "bending.frequency_factor.0"
+    """All stages, each with deviations of its own, in winds from any side up to the limit wind, and in turbulence."""
     spread = [
-        {"key": f"vehicle.stage.0.{k}", "name": name, "apply": "scale", "distribution": "normal",
-         "three_sigma": SPREAD[name], "source": "assumed, to begin with"}
-        for name, k in keys.items()
-    ]  # fmt: skip  # five more lines otherwise
-    burnout = built.flight.begins_s[0] + built.stacks[0].burn.end_s
+        {"name": "share of the limit wind", "key": "wind.profile.speed_mps", "apply": "scale",
+         "distribution": "uniform", "low": 0.0, "high": 1.0, "source": "assumed, to begin with"},
+        {"name": "direction of the wind", "key": "wind.turn_deg", "distribution": "uniform", "low": 0.0, "high": 360.0,
+         "source": "assumed, to begin with"},
+    ]  # fmt: skip  # ten more lines otherwise
+    for of_layout, stage in enumerate(built.layout.stage):
+        parts = [n for n, stack in enumerate(built.stacks) if stack.number == of_layout]  # two if it drops the fairing
+        engine = stage.engine
+        several = {"engines": len(engine.positions_m), "groups": len(set(engine.groups)), "poles": len(engine.servo_hz)}
+        each, every = ".{engines}" * (several["engines"] > 1), ".{groups}" * (several["groups"] > 1)
+        paths = {
+            "thrust at equal impulse": f"engine{each}.mass_flow_factor", "normal force": "aero.force_factor",
+            "axial force": "aero.axial_factor", "actuator poles": f"actuator{every}.omega_hz.{{poles}}",
+        }  # fmt: skip  # three more lines otherwise
+        if built.modes[parts[0]][1][0] and stage.spatial_modes is None:
+            paths["frequency of mode 1"] = "bending.frequency_factor.0"
+        of = f", {stage.name}" if len(built.layout.stage) > 1 else ""
+        for name, path in paths.items():
+            spread += [
+                {"name": f"{name}{of}{number}", "keys": [f"vehicle.stage.{n}.{one}" for n in parts], "apply": "scale",
+                 "distribution": "normal", "three_sigma": SPREAD[name], "source": "assumed, to begin with"}
+                for number, one in _elements(path, several)
+            ]  # fmt: skip  # five more lines otherwise
     return {
-        "schema": 1, "extends": "scenario.toml", "description": f"{built.layout.name}, first stage, dispersed",
+        "schema": 1, "extends": "scenario.toml", "description": f"{built.layout.name}, dispersed, in wind",
         "campaign": {"runs": 100, "seed": 1},
-        "run": {"duration_s": float(math.floor(burnout))}, "disperse": spread,
-    }  # fmt: skip  # three more lines otherwise
+        "wind": {"profile": LIMIT_WIND, "turbulence": {"model": "dryden", "exceedance": "light"}}, "disperse": spread,
+    }  # fmt: skip  # four more lines otherwise
+
+
+def _elements(path: str, several: dict[str, int]) -> list[tuple[str, str]]:
+    """The key paths of all elements of the lists that a path names by braces, and what tells each from the others."""
+    named = [name for name in several if f"{{{name}}}" in path]
+    found = []
+    for numbers in itertools.product(*(range(several[name]) for name in named)):
+        label = "".join(f" {number + 1}" for number in numbers)
+        found.append((label, path.format(**dict(zip(named, numbers, strict=True)))))
+    return found
 
 
 def _case(built: Built) -> dict[str, Any]:
@@ -468,10 +491,8 @@ def _suite(built: Built) -> dict[str, Any]:
     }  # fmt: skip  # two more lines otherwise
     why = "what 60 vehicles can show with none or one that fails"
     margins: dict[str, Any] = {"nodes_per_stage": 7, "cases": 60, "success": 0.95, "why": why}
-    if len(built.layout.stage) > 1:
-        margins["trajectories"] = 0  # the campaign's flights end with the first stage
     return {
-        "schema": 1, "extends": SUITE, "scenario": "scenario.toml", "limit_wind": "vehicle/limit_wind.csv",
+        "schema": 1, "extends": SUITE, "scenario": "scenario.toml", "limit_wind": LIMIT_WIND,
         "description": f"{built.layout.name}, to begin with: the suite of any launcher with fewer nodes and vehicles",
         "margins": margins, "certificate": {"nodes_per_stage": 2}, "campaign": [campaign],
     }  # fmt: skip  # four more lines otherwise
