@@ -18,25 +18,10 @@ from rerun.blueprint.encodings import TextLogColumn, TextLogColumnKind, Timeline
 from maxq.control.kernel.records import Array
 from maxq.sim.log.foxglove import FramePath
 from maxq.tools.plots.palette import BLUE, GREY, ON_DARK, ORANGE, PURPLE, VERDICT
+from maxq.tools.replay import stream
 from maxq.tools.replay.flight import FEW, LaunchSite, ReplayFlight, closest, has_motion, path_of, place_of
 from maxq.tools.replay.plots import Axis, Plot, Tab, axis_of, own_tabs, range_of, tabs_of
 from maxq.tools.replay.scene import FAR_NS, Scene, send_ground, tail_below_cg
-from maxq.tools.replay.stream import (
-    APPLICATION,
-    FAMILY,
-    FAMILY_FROM,
-    TIMELINE,
-    Family,
-    first_phase,
-    limits_root,
-    phases,
-    send_curves,
-    send_events,
-    send_limits,
-    send_now,
-    send_phases,
-    send_styles,
-)
 from maxq.tools.replay.text import about, drawn_text
 from maxq.tools.replay.vehicle_shape import Exaggeration, VehicleShape, exaggeration_of, shape_of
 from maxq.tools.replay.viewer import ReplayError
@@ -91,7 +76,7 @@ class _Drawn:
 def save(flights: Sequence[ReplayFlight], options: Options, path: Path) -> None:
     """Write an .rrd file that opens by itself in any viewer of this version."""
     name = ", ".join(flight.label for flight in flights[:3]) + (" ..." if len(flights) > 3 else "")
-    recording = rr.RecordingStream(APPLICATION, recording_id=name)
+    recording = rr.RecordingStream(stream.APPLICATION, recording_id=name)
     with recording:
         recording.save(path)
         blueprint = send_flights(recording, flights, options)
@@ -114,9 +99,9 @@ def send_flights(recording: rr.RecordingStream, flights: Sequence[ReplayFlight],
     ranges: dict[tuple[str, str], list[tuple[float, float]]] = {}
     drawn: list[_Drawn] = []
     exaggeration = common_exaggeration([flights[i] for i in sorted(near)], options)
-    family = Family(span_s, interval_ns) if len(flights) - len(near) >= FAMILY_FROM else None
+    family = stream.Family(span_s, interval_ns) if len(flights) - len(near) >= stream.FAMILY_FROM else None
     roots = _roots(flights)
-    plotted = [FAMILY] if family is not None else []
+    plotted = [stream.FAMILY] if family is not None else []
     for i, (root, flight) in enumerate(zip(roots, flights, strict=True)):
         colour = colour_of(i, flight, len(flights)) if many else None
         own = own_tabs(tabs, flight.log.table, flight.scenario if i in near else None) if many else tabs
@@ -125,15 +110,15 @@ def send_flights(recording: rr.RecordingStream, flights: Sequence[ReplayFlight],
         else:
             plotted.append(root)
             prefix = f"{flight.label}{', FAILED' if flight.verdict == 'failed' else ''}: " if many else ""
-            send_styles(recording, root, own, colour, prefix, alpha=1.0 if len(flights) <= FEW else 0.55)
-            send_curves(recording, root, own, flight.log, interval_ns)
+            stream.send_styles(recording, root, own, colour, prefix, alpha=1.0 if len(flights) <= FEW else 0.55)
+            stream.send_curves(recording, root, own, flight.log, interval_ns)
         for plot in (plot for tab in own for plot in tab.plots):
             for name, part_s in parts.items():
                 if (found := plot.value_range(flight.log, *(round(s * 1e9) for s in part_s))) is not None:
                     ranges.setdefault((name, plot.key), []).append(found)
-        send_events(recording, root, flight.moments, f"{flight.label}: " if many else "")
-        start = first_phase(flight.log, round(flight.span_s[0] * 1e9))
-        send_phases(recording, root, phases(start, flight.moments), styled=True)
+        stream.send_events(recording, root, flight.moments, f"{flight.label}: " if many else "")
+        start = stream.first_phase(flight.log, round(flight.span_s[0] * 1e9))
+        stream.send_phases(recording, root, stream.phases(start, flight.moments), styled=True)
         if has_motion(flight.log):
             drawn.append(_send_scene(recording, root, flight, exaggeration, colour, near=i in near))
 
@@ -148,8 +133,8 @@ def send_flights(recording: rr.RecordingStream, flights: Sequence[ReplayFlight],
         spans.append(Span(name, seen_s, axes, corners))
     for plot in every:
         axis = spans[-1].axes[plot.key]
-        send_limits(recording, plot, axis.drawn, (round(span_s[0] * 1e9), round(span_s[1] * 1e9)), axis)
-    send_now(recording, [(flight.label if many else "", flight.log) for flight in flights[:COLOURED]])
+        stream.send_limits(recording, plot, axis.drawn, (round(span_s[0] * 1e9), round(span_s[1] * 1e9)), axis)
+    stream.send_now(recording, [(flight.label if many else "", flight.log) for flight in flights[:COLOURED]])
     text = about(flights, drawn_text(exaggeration, None if many else drawn[0].place) if drawn else [])
     recording.log("about", rr.TextDocument(text, media_type="text/markdown"), static=True)
     pictures = _pictures(recording, roots, drawn, exaggeration, options.side_by_side) if drawn else []
@@ -267,20 +252,18 @@ def eyes_for(length_m: float, azimuth_deg: float, positions_m: Array) -> Eyes:
     return Eyes(*((float(x), float(y), float(z)) for x, y, z in (close, far, middle)))
 
 
-def plot_view(
-    plot: Plot, axis: Axis | None, roots: Sequence[str], span_s: tuple[float, float], legend: bool, rows: int,
-    corner: rrb.Corner2D = rrb.Corner2D.RightTop,
-) -> rrb.TimeSeriesView:  # fmt: skip  # nine lines otherwise
-    """`axis`: None where the values are not known yet. `rows` of plots in the window."""
+def plot_view(plot: Plot, span: Span, roots: Sequence[str], legend: bool, rows: int) -> rrb.TimeSeriesView:
+    """A plot over a span, whose axis is left to the viewer where the span has none. `rows` of plots in the window."""
+    axis = span.axes.get(plot.key)
     beyond = axis.beyond_text("") if axis is not None else ""
     shown = None if axis is None else rrb.archetypes.ScalarAxis(range=with_scale(axis.low, axis.high, 30 // rows))
     return rrb.TimeSeriesView(
         name=f"{plot.heading}{f', {beyond}' if beyond else ''}",
         origin="/",
-        contents=[*(f"+ /{root}/plots/{plot.key}/**" for root in roots), f"+ /{limits_root(plot)}/**"],
-        axis_x=time_axis(span_s),
+        contents=[*(f"+ /{root}/plots/{plot.key}/**" for root in roots), f"+ /{stream.limits_root(plot)}/**"],
+        axis_x=time_axis(span.span_s),
         axis_y=shown,
-        plot_legend=rrb.PlotLegend(corner, visible=legend),
+        plot_legend=rrb.PlotLegend(span.corners.get(plot.key, rrb.Corner2D.RightTop), visible=legend),
     )
 
 
@@ -338,7 +321,7 @@ def overview(roots: Sequence[str], eyes: Eyes, grid: str) -> rrb.Spatial3DView:
     for root in roots:
         contents += [f"+ /{root}/{part}" for part in ("path", "trail", "marks", "vehicle/at")]
     so_far = rrb.VisibleTimeRange(
-        TIMELINE, start=rrb.TimeRangeBoundary.infinite(), end=rrb.TimeRangeBoundary.cursor_relative()
+        stream.TIMELINE, start=rrb.TimeRangeBoundary.infinite(), end=rrb.TimeRangeBoundary.cursor_relative()
     )
     trails: Any = {f"/{root}/trail": rrb.VisibleTimeRanges([so_far]) for root in roots}
     return rrb.Spatial3DView(
@@ -386,18 +369,7 @@ def layout(
             rows = -(-len(page.plots) // columns)
             most = max(_LEGEND_LINES, len(roots) * min(len(p.curves) for p in page.plots)) if len(roots) > 1 else 99
             named = [len(roots) <= _LEGEND_MOST and len(roots) * len(p.curves) <= most for p in page.plots]
-            views = [
-                plot_view(
-                    p,
-                    span.axes.get(p.key),
-                    plotted,
-                    span.span_s,
-                    legend,
-                    rows,
-                    span.corners.get(p.key, rrb.Corner2D.RightTop),
-                )
-                for p, legend in zip(page.plots, named, strict=True)
-            ]
+            views = [plot_view(p, span, plotted, legend, rows) for p, legend in zip(page.plots, named, strict=True)]
             pages.append(rrb.Grid(contents=views, grid_columns=columns, name=page.name))
         return rrb.Tabs(contents=pages, active_tab=_tab_number(tabs, tab), name=span.name or None)
 
@@ -412,7 +384,7 @@ def layout(
         origin="/",
         contents=[f"+ /{root}/events" for root in roots],
         columns=rrb.archetypes.TextLogColumns(
-            timeline_columns=[TimelineColumn(TIMELINE, visible=False)], text_log_columns=shown
+            timeline_columns=[TimelineColumn(stream.TIMELINE, visible=False)], text_log_columns=shown
         ),
     )
     now = rrb.TextDocumentView(name="Now", origin="now")
@@ -426,7 +398,7 @@ def layout(
         columns.insert(0, rrb.Vertical(contents=list(pictures), row_shares=[3, 2][: len(pictures)]))
         shares.insert(0, 4)
     content = rrb.Horizontal(contents=columns, column_shares=shares)
-    return window(content, TIMELINE, "following" if live else "paused", bare=bare)
+    return window(content, stream.TIMELINE, "following" if live else "paused", bare=bare)
 
 
 def window(

@@ -24,35 +24,11 @@ from maxq.sim.run.flight import Event, Flight, Rows, copied
 from maxq.sim.run.fly import FlightRun
 from maxq.sim.run.record import LEVELS
 from maxq.sim.scenario.loader import LoadedScenario
-from maxq.tools.replay import viewer
-from maxq.tools.replay.convert import (
-    DEFAULT_RATE_HZ,
-    Eyes,
-    Options,
-    Span,
-    close_view,
-    eyes_for,
-    layout,
-    overview,
-    save,
-    send_flights,
-)
+from maxq.tools.replay import convert, stream, viewer
 from maxq.tools.replay.flight import LaunchSite, Moment, has_motion, launch_site, open_flight
 from maxq.tools.replay.plots import tabs_of
 from maxq.tools.replay.run import temporary_recording
 from maxq.tools.replay.scene import Scene, send_ground, tail_below_cg
-from maxq.tools.replay.stream import (
-    APPLICATION,
-    Phase,
-    first_phase,
-    phases,
-    send_curves,
-    send_events,
-    send_limits,
-    send_now,
-    send_phases,
-    send_styles,
-)
 from maxq.tools.replay.text import drawn_text
 from maxq.tools.replay.vehicle_shape import Exaggeration, shape_of
 from maxq.tools.replay.viewer import LOCAL, ReplayError
@@ -67,7 +43,7 @@ _SCENE_EVERY_S, _PLOTS_EVERY_S = 0.15, 0.9
 
 def _connected(name: str, port: int) -> rr.RecordingStream:
     """A recording in the viewer that listens on `port`."""
-    recording = rr.RecordingStream(APPLICATION, recording_id=f"{name}, {time.time_ns()}")
+    recording = rr.RecordingStream(stream.APPLICATION, recording_id=f"{name}, {time.time_ns()}")
     recording.connect_grpc(f"rerun+http://{LOCAL}:{port}/proxy")
     return recording
 
@@ -87,11 +63,13 @@ class FlownView:
         flight = open_flight(log)
         if self._port is None:
             with temporary_recording() as path:
-                save([flight], Options(), path)
+                convert.save([flight], convert.Options(), path)
                 viewer.show(path)
             return
         recording = _connected(flight.label, self._port)
-        recording.send_blueprint(send_flights(recording, [flight], Options()), make_active=True, make_default=True)
+        recording.send_blueprint(
+            convert.send_flights(recording, [flight], convert.Options()), make_active=True, make_default=True
+        )
         try:
             recording.flush(timeout_sec=_FLOWN_PATIENCE_S)
         except (RuntimeError, ValueError) as error:
@@ -139,7 +117,7 @@ class LiveView:
         self._grid = ""
         self._told: set[Event] = set()
         self._moments: list[Moment] = []
-        self._phases: list[Phase] = []
+        self._phases: list[stream.Phase] = []
         self._start_place: tuple[float, float] | None = None
         self._table: ChannelTable | None = None
         self._for_scene: list[Rows] = []
@@ -185,7 +163,7 @@ class LiveView:
         eyes = self._first_eyes()
         if self._scene is not None and self._scene.track:
             positions = np.concatenate(self._scene.track)
-            eyes = eyes_for(self._shape.length_m, self._scenario.site.azimuth_deg, positions)
+            eyes = convert.eyes_for(self._shape.length_m, self._scenario.site.azimuth_deg, positions)
         self._send_layout(eyes, max(flight.end_s, self._start_s + 1.0), live=False)
         with contextlib.suppress(RuntimeError, ValueError):  # the viewer was closed
             self._recording.flush(timeout_sec=_PATIENCE_S)
@@ -200,8 +178,8 @@ class LiveView:
 
     def _send_plots(self, run: FlightRun) -> None:
         block = self._block(run, self._for_plots)
-        send_curves(self._recording, _ROOT, self._tabs, block, round(1e9 / DEFAULT_RATE_HZ))
-        send_now(self._recording, [("", block)])
+        stream.send_curves(self._recording, _ROOT, self._tabs, block, round(1e9 / convert.DEFAULT_RATE_HZ))
+        stream.send_now(self._recording, [("", block)])
         self._send_limits(int(block.time_ns("latitude_deg")[-1]))
         self._for_plots, self._plots_sent_s = [], time.monotonic()
 
@@ -217,7 +195,7 @@ class LiveView:
         self._table = block.table
         self._tabs = tabs_of(block.table, scenario, self._shape)
         recording.log("/", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
-        send_styles(recording, _ROOT, self._tabs)
+        stream.send_styles(recording, _ROOT, self._tabs)
         self._limits_until_ns = round(self._start_s * 1e9)
         self._send_limits(self._limits_until_ns, styled=True)
         if has_motion(block):
@@ -226,8 +204,8 @@ class LiveView:
             self._grid = send_ground(recording, self._place, self._reach_m(), tail_below_cg(block, self._shape))
         self._send_about([scenario.description])
         self._send_layout(self._first_eyes(), self._start_s, live=True)
-        self._phases = [first_phase(block, round(self._start_s * 1e9))]
-        send_phases(recording, _ROOT, self._phases, styled=True)
+        self._phases = [stream.first_phase(block, round(self._start_s * 1e9))]
+        stream.send_phases(recording, _ROOT, self._phases, styled=True)
 
     def _send_about(self, lines: list[str]) -> None:
         text = [f"# {self._scenario.name}", "", *lines, "", *drawn_text(self._exaggeration, self._place)]
@@ -237,16 +215,16 @@ class LiveView:
         """They reach as far as the flight does: the viewer's cursor follows the latest of all samples."""
         for plot in (plot for tab in self._tabs for plot in tab.plots):
             required = [limit for limit in plot.limits if limit.required]
-            send_limits(self._recording, plot, required, (self._limits_until_ns, until_ns), styled=styled)
+            stream.send_limits(self._recording, plot, required, (self._limits_until_ns, until_ns), styled=styled)
         self._limits_until_ns = until_ns
 
-    def _send_layout(self, eyes: Eyes, end_s: float, *, live: bool) -> None:
+    def _send_layout(self, eyes: convert.Eyes, end_s: float, *, live: bool) -> None:
         pictures = []
         if self._scene is not None and self._table is not None:
             factor = self._exaggeration.text(self._table)
             name = f"Vehicle ({factor})" if factor else "Vehicle"
-            pictures = [close_view(_ROOT, eyes, name), overview([_ROOT], eyes, self._grid)]
-        made = layout([_ROOT], pictures, self._tabs, [Span("", (self._start_s, end_s), {})], live=live)
+            pictures = [convert.close_view(_ROOT, eyes, name), convert.overview([_ROOT], eyes, self._grid)]
+        made = convert.layout([_ROOT], pictures, self._tabs, [convert.Span("", (self._start_s, end_s), {})], live=live)
         self._recording.send_blueprint(made, make_active=True, make_default=True)
 
     def _send_events(self, run: FlightRun) -> None:
@@ -256,9 +234,9 @@ class LiveView:
             self._told.add(event)
             moment = Moment(event.name, event.time_ns, event.text, LEVELS.get(event.name, Level.INFO))
             self._moments.append(moment)
-            send_events(self._recording, _ROOT, [moment])
-            now = phases(self._phases[0], self._moments)
-            send_phases(self._recording, _ROOT, [p for p in now if p not in self._phases], styled=False)
+            stream.send_events(self._recording, _ROOT, [moment])
+            now = stream.phases(self._phases[0], self._moments)
+            stream.send_phases(self._recording, _ROOT, [p for p in now if p not in self._phases], styled=False)
             self._phases = now
 
     def _reach_m(self) -> float:
@@ -275,11 +253,11 @@ class LiveView:
             speed += float(np.trapezoid(np.maximum(thrust / mass - 9.8, 0.0), time_s))
         return float(np.clip(0.5 * speed * speed / 9.8, 1000.0, 2e6))
 
-    def _first_eyes(self) -> Eyes:
+    def _first_eyes(self) -> convert.Eyes:
         reach, a = self._reach_m(), np.radians(self._scenario.site.azimuth_deg)
         ahead = reach * np.array([np.sin(a), np.cos(a), 0.0])
         corners = np.array([[0.0, 0.0, 0.0], ahead, 0.5 * ahead + [0.0, 0.0, 0.5 * reach]])
-        return eyes_for(self._shape.length_m, self._scenario.site.azimuth_deg, corners)
+        return convert.eyes_for(self._shape.length_m, self._scenario.site.azimuth_deg, corners)
 
 
 class LiveRun(FlightRun):

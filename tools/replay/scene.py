@@ -142,13 +142,10 @@ class Scene:
         if not moments or not len(path.times_ns):
             return
         k = np.clip(np.searchsorted(path.times_ns, [m.time_ns for m in moments]), 0, len(path.times_ns) - 1)
-        points, apart_m = (
-            path.translation_m[k],
-            _MARKS_APART * float(np.linalg.norm(np.ptp(path.translation_m, axis=0))),
-        )
+        points, extent_m = path.translation_m[k], float(np.linalg.norm(np.ptp(path.translation_m, axis=0)))
         kept: list[int] = []
         for n in reversed(range(len(moments))):
-            if all(np.linalg.norm(points[n] - points[other]) >= apart_m for other in kept):
+            if all(np.linalg.norm(points[n] - points[other]) >= _MARKS_APART * extent_m for other in kept):
                 kept.insert(0, n)
         moments, points = [moments[n] for n in kept], points[kept]
         labels, radius = [m.label for m in moments], rr.Radius.ui_points(4)
