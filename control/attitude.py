@@ -18,20 +18,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Annotated, NamedTuple, get_args
 
+from maxq.control.kernel import vectors as vec
 from maxq.control.kernel.jit import kernel
 from maxq.control.kernel.records import Array
 from maxq.control.kernel.rows import RollPitchYaw, degrees
-from maxq.control.kernel.vectors import (
-    add,
-    conjugate,
-    cross,
-    quaternion_at,
-    quaternion_of,
-    quaternion_product,
-    roll_and_tilt,
-    scaled,
-    vector_at,
-)
 from maxq.control.structures import Attitude
 
 METHODS: tuple[Attitude, ...] = get_args(Attitude)
@@ -76,9 +66,9 @@ def turn(state: Strapdown, increment_rad: Array) -> None:
     The rotation vector of the sample is the increment and a twelfth of (last increment x increment): the coning term,
     exact to third order for rates that are linear over both samples (Savage, J. Guidance 21(1), 1998, 19-28).
     """
-    last, new = vector_at(state.last_rad, 0), vector_at(increment_rad, 0)
-    by = quaternion_of(add(new, scaled(1.0 / 12.0, cross(last, new))))
-    q = quaternion_product(quaternion_at(state.q, 0), by)
+    last, new = vec.vector_at(state.last_rad, 0), vec.vector_at(increment_rad, 0)
+    by = vec.quaternion_of(vec.add(new, vec.scaled(1.0 / 12.0, vec.cross(last, new))))
+    q = vec.quaternion_product(vec.quaternion_at(state.q, 0), by)
     to_unit = 1.5 - 0.5 * (q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3])
     for k in range(4):
         state.q[k] = to_unit * q[k]
@@ -104,8 +94,10 @@ def update_attitude_error(
 
     The clamp bounds what the law sees and moves no reference: an error that comes back from beyond it counts in full.
     """
-    turned = quaternion_product(conjugate(quaternion_at(commanded.q, 0)), quaternion_at(state.measured.q, 0))
-    error_rad = roll_and_tilt(turned)
+    turned = vec.quaternion_product(
+        vec.conjugate(vec.quaternion_at(commanded.q, 0)), vec.quaternion_at(state.measured.q, 0)
+    )
+    error_rad = vec.roll_and_tilt(turned)
     for axis in range(3):
         state.error_rad[axis] = error_rad[axis] if method == QUATERNION else angle_rad[axis] - commanded_rad[axis]
         state.theta_e_rad[axis] = min(max(state.error_rad[axis], -limit_rad), limit_rad)

@@ -21,6 +21,7 @@ from typing import Annotated, NamedTuple
 
 import numpy as np
 
+from maxq.control import loop_filters
 from maxq.control.allocation import ONE_GROUP, Allocation, AllocationState, allocate, roll_command, start_allocation
 from maxq.control.attitude import (
     METHODS,
@@ -39,30 +40,10 @@ from maxq.control.kernel.jit import kernel, routine
 from maxq.control.kernel.records import Array, IntArray
 from maxq.control.kernel.rows import PitchYaw, Quaternion, RollPitchYaw, degrees, quaternion
 from maxq.control.kernel.tables import NO_TABLE, Cubics, Pool, TableRef
+from maxq.control.laws import load_relief
 from maxq.control.laws.adaptive import Adaptive, AdaptiveState, augmented, start_adaptive
-from maxq.control.laws.load_relief import (
-    LoadRelief,
-    LoadReliefState,
-    lag_share,
-    start_load_relief,
-    tick_incidence_relief,
-    tick_load_relief,
-)
 from maxq.control.laws.pd import LawRow, Pd, PdState, filtered, law_row, make_pd, settle_pd, start_pd, tick_pd
 from maxq.control.laws.pid import Pid, PidRow, PidState, pid_row, start_pid, tick_pid
-from maxq.control.loop_filters import (
-    ACCELERATION,
-    ATTITUDE,
-    OUTPUT,
-    RATE,
-    LoopFilters,
-    LoopFilterState,
-    faded,
-    filtered_input,
-    keep_filter,
-    start_loop_filters,
-    take_over_filter,
-)
 from maxq.control.orbit_guidance import (
     OrbitGuidance,
     OrbitGuidanceState,
@@ -118,12 +99,12 @@ class Computer:
     roll: Roll
     allocation: Allocation  # of the stage that flies
     sensors: Sensors
-    relief: LoadRelief
+    relief: load_relief.LoadRelief
     takes_over: int = 0  # 1: this stage's law or timing is its own, and is started at the separation
     over: int = 0  # what the gains are scheduled over, index into `OVER` of structures.py
     orbit: OrbitGuidance = field(default_factory=OrbitGuidance)  # closed-loop guidance, of the last engine's stages
     adaptive: Adaptive = field(default_factory=Adaptive)
-    loops: LoopFilters = field(default_factory=LoopFilters)
+    loops: loop_filters.LoopFilters = field(default_factory=loop_filters.LoopFilters)
 
 
 @dataclass
@@ -150,10 +131,10 @@ class ComputerState:
     allocation: AllocationState
     external: ExternalState
     sensors: SensorState
-    relief: LoadReliefState
+    relief: load_relief.LoadReliefState
     orbit: OrbitGuidanceState
     adaptive: AdaptiveState
-    loops: LoopFilterState
+    loops: loop_filters.LoopFilterState
     navigation: Annotated[Array, (3,)]
 
 
@@ -182,7 +163,7 @@ def build_computer(
     sensors: Sensors | None = None,
     relief_hz: float | None = None,
     adaptive: Adaptive | None = None,
-    loops: LoopFilters | None = None,
+    loops: loop_filters.LoopFilters | None = None,
 ) -> Computer:
     """Parameters of a computer; its tables go into `pool`.
 
@@ -230,12 +211,13 @@ def build_computer(
         roll=roll or _UNUSED_ROLL,
         allocation=ONE_GROUP,
         sensors=sensors or make_sensors(),
-        relief=LoadRelief(
-            0 if relief_hz is None else 1 + int(columns == 10), lag_share(relief_hz or 0.0, sample_ns / 1.0e9)
+        relief=load_relief.LoadRelief(
+            0 if relief_hz is None else 1 + int(columns == 10),
+            load_relief.lag_share(relief_hz or 0.0, sample_ns / 1.0e9),
         ),
         over=OVER.index(over),
         adaptive=adaptive or Adaptive(),
-        loops=loops or LoopFilters(),
+        loops=loops or loop_filters.LoopFilters(),
     )
 
 
@@ -260,10 +242,10 @@ def start_computer(computer: Computer, pool: Array, state: ComputerState, time_s
     start_roll(state.roll)
     start_allocation(state.allocation)
     start_sensors(computer.sensors, state.sensors)
-    start_load_relief(state.relief)
+    load_relief.start_load_relief(state.relief)
     start_orbit_guidance(state.orbit)
     start_adaptive(computer.adaptive, state.adaptive)
-    start_loop_filters(state.loops)
+    loop_filters.start_loop_filters(state.loops)
     for gimbal in range(2):
         state.requested_rad[gimbal] = 0.0
         state.command_limited[gimbal] = 0
@@ -281,12 +263,14 @@ def take_over(before: Computer, computer: Computer, state: ComputerState) -> Non
     loops.fading = new.fade_ticks
     for gimbal in range(2):
         memory = state.law.filter_memory[gimbal]
-        keep_filter(loops, OUTPUT, gimbal, before.law.sections[gimbal], before.law.n_sections[gimbal], memory)
-        take_over_filter(old, new, loops, ATTITUDE, gimbal, attitude.theta_e_rad[gimbal + 1])
-        take_over_filter(old, new, loops, RATE, gimbal, attitude.rate_radps[gimbal + 1])
+        loop_filters.keep_filter(
+            loops, loop_filters.OUTPUT, gimbal, before.law.sections[gimbal], before.law.n_sections[gimbal], memory
+        )
+        loop_filters.take_over_filter(old, new, loops, loop_filters.ATTITUDE, gimbal, attitude.theta_e_rad[gimbal + 1])
+        loop_filters.take_over_filter(old, new, loops, loop_filters.RATE, gimbal, attitude.rate_radps[gimbal + 1])
         if computer.sensors.accelerometer >= 0:
             lateral_mps2 = state.sensors.value[computer.sensors.accelerometer, 2 - gimbal]
-            take_over_filter(old, new, loops, ACCELERATION, gimbal, lateral_mps2)
+            loop_filters.take_over_filter(old, new, loops, loop_filters.ACCELERATION, gimbal, lateral_mps2)
         settle_pd(computer.law, state.law, gimbal)
     start_adaptive(computer.adaptive, state.adaptive)
     start_roll(state.roll)
@@ -465,20 +449,22 @@ def update_command(
     if computer.relief.on != 0:
         lateral_mps2 = state.sensors.value[computer.sensors.accelerometer, 2 - gimbal]
     if computer.loops.on != 0 or state.loops.fading > 0:
-        error_rad = filtered_input(computer.loops, state.loops, ATTITUDE, gimbal, error_rad)
-        rate_radps = filtered_input(computer.loops, state.loops, RATE, gimbal, rate_radps)
-        lateral_mps2 = filtered_input(computer.loops, state.loops, ACCELERATION, gimbal, lateral_mps2)
+        error_rad = loop_filters.filtered_input(computer.loops, state.loops, loop_filters.ATTITUDE, gimbal, error_rad)
+        rate_radps = loop_filters.filtered_input(computer.loops, state.loops, loop_filters.RATE, gimbal, rate_radps)
+        lateral_mps2 = loop_filters.filtered_input(
+            computer.loops, state.loops, loop_filters.ACCELERATION, gimbal, lateral_mps2
+        )
     if computer.external != 0:
         wanted_rad = state.external.outputs.gimbal_rad[gimbal] * computer.control_on
         # no sections of a design: those with which a certificate alters the loop
         law_rad = filtered(computer.law, state.law, gimbal, wanted_rad)
     elif computer.relief.on == 1:
-        law_rad = tick_load_relief(
+        law_rad = load_relief.tick_load_relief(
             computer.law, computer.relief, pool, state.law, state.relief, error_rad, rate_radps, lateral_mps2, gimbal,
             at, computer.control_on,
         )  # fmt: skip  # thirteen lines otherwise
     elif computer.relief.on == 2:
-        law_rad = tick_incidence_relief(
+        law_rad = load_relief.tick_incidence_relief(
             computer.law, computer.relief, pool, state.law, state.relief, error_rad, rate_radps, lateral_mps2, gimbal,
             at, sample_s, computer.control_on,
         )  # fmt: skip  # fourteen lines otherwise
@@ -493,7 +479,9 @@ def update_command(
             computer.control_on, cut_rad,
         )  # fmt: skip  # nine lines more otherwise
     if state.loops.fading > 0:
-        law_rad = faded(computer.loops, state.loops, OUTPUT, gimbal, state.law.pd_rad[gimbal], law_rad)
+        law_rad = loop_filters.faded(
+            computer.loops, state.loops, loop_filters.OUTPUT, gimbal, state.law.pd_rad[gimbal], law_rad
+        )
         state.law.filtered_rad[gimbal] = law_rad
     if computer.adaptive.on != 0 and computer.control_on != 0:
         law_rad = augmented(

@@ -21,20 +21,9 @@ import math
 from dataclasses import dataclass
 from typing import Annotated
 
+from maxq.control.kernel import vectors as vec
 from maxq.control.kernel.jit import kernel, routine
 from maxq.control.kernel.records import Array
-from maxq.control.kernel.vectors import (
-    Vector,
-    add,
-    cross,
-    dot,
-    norm,
-    rotate_back,
-    rotation_from_quaternion,
-    scaled,
-    set_vector,
-    vector_at,
-)
 
 WAITING, SEARCHING, STEERING, ENDING, CUT_OFF = range(5)
 """Phases: before `start_s`; no solution yet, the programme goes on; steering; on a line; engine cut off."""
@@ -112,9 +101,9 @@ def start_orbit_guidance(state: OrbitGuidanceState) -> None:
 
 
 @kernel
-def gravitation(g: OrbitGuidance, r: Vector) -> Vector:
+def gravitation(g: OrbitGuidance, r: vec.Vector) -> vec.Vector:
     """Of a flattened Earth (Vallado, eq. 8-30), m/s2."""
-    radius = norm(r)
+    radius = vec.norm(r)
     k = -g.mu_m3ps2 / radius**3
     bulge = 1.5 * g.j2 * (g.j2_radius_m / radius) ** 2
     lift = 5.0 * (r[2] / radius) ** 2
@@ -123,13 +112,13 @@ def gravitation(g: OrbitGuidance, r: Vector) -> Vector:
 
 
 @kernel
-def direction(state: OrbitGuidanceState, unknowns: Array, time_s: float) -> Vector:
+def direction(state: OrbitGuidanceState, unknowns: Array, time_s: float) -> vec.Vector:
     """Of the thrust, in I."""
     s = (time_s - state.begun_s) / SLOPE_s
     up, aside = unknowns[0] + unknowns[1] * s, unknowns[2] + unknowns[3] * s
-    x, n, z = vector_at(state.axes, 0), vector_at(state.axes, 3), vector_at(state.axes, 6)
-    u = add(x, add(scaled(up, z), scaled(aside, n)))
-    return scaled(1.0 / norm(u), u)
+    x, n, z = vec.vector_at(state.axes, 0), vec.vector_at(state.axes, 3), vec.vector_at(state.axes, 6)
+    u = vec.add(x, vec.add(vec.scaled(up, z), vec.scaled(aside, n)))
+    return vec.scaled(1.0 / vec.norm(u), u)
 
 
 @kernel
@@ -140,36 +129,38 @@ def thrust_acceleration(g: OrbitGuidance, state: OrbitGuidanceState, time_s: flo
 
 
 @kernel
-def acceleration(g: OrbitGuidance, state: OrbitGuidanceState, unknowns: Array, time_s: float, r: Vector) -> Vector:
+def acceleration(
+    g: OrbitGuidance, state: OrbitGuidanceState, unknowns: Array, time_s: float, r: vec.Vector
+) -> vec.Vector:
     u = direction(state, unknowns, time_s)
-    return add(gravitation(g, r), scaled(thrust_acceleration(g, state, time_s), u))
+    return vec.add(gravitation(g, r), vec.scaled(thrust_acceleration(g, state, time_s), u))
 
 
 @routine
 def predict(g: OrbitGuidance, state: OrbitGuidanceState, unknowns: Array, time_s: float) -> None:
     """Position and velocity at the end of the burn into `state.end`, and what they miss into `state.missed` (km, m/s):
     radius, vertical speed, speed, place and speed across the plane. Classical Runge-Kutta."""
-    r, v = vector_at(state.position_m, 0), vector_at(state.velocity_mps, 0)
+    r, v = vec.vector_at(state.position_m, 0), vec.vector_at(state.velocity_mps, 0)
     h = SLOPE_s * unknowns[4] / STEPS
     for step in range(STEPS):
         t = time_s + step * h
         a_1 = acceleration(g, state, unknowns, t, r)
-        v_2 = add(v, scaled(0.5 * h, a_1))
-        a_2 = acceleration(g, state, unknowns, t + 0.5 * h, add(r, scaled(0.5 * h, v)))
-        v_3 = add(v, scaled(0.5 * h, a_2))
-        a_3 = acceleration(g, state, unknowns, t + 0.5 * h, add(r, scaled(0.5 * h, v_2)))
-        v_4 = add(v, scaled(h, a_3))
-        a_4 = acceleration(g, state, unknowns, t + h, add(r, scaled(h, v_3)))
-        r = add(r, scaled(h / 6.0, add(add(v, v_4), scaled(2.0, add(v_2, v_3)))))
-        v = add(v, scaled(h / 6.0, add(add(a_1, a_4), scaled(2.0, add(a_2, a_3)))))
-    set_vector(state.end, 0, r)
-    set_vector(state.end, 3, v)
-    n, radius = vector_at(state.axes, 3), norm(r)
+        v_2 = vec.add(v, vec.scaled(0.5 * h, a_1))
+        a_2 = acceleration(g, state, unknowns, t + 0.5 * h, vec.add(r, vec.scaled(0.5 * h, v)))
+        v_3 = vec.add(v, vec.scaled(0.5 * h, a_2))
+        a_3 = acceleration(g, state, unknowns, t + 0.5 * h, vec.add(r, vec.scaled(0.5 * h, v_2)))
+        v_4 = vec.add(v, vec.scaled(h, a_3))
+        a_4 = acceleration(g, state, unknowns, t + h, vec.add(r, vec.scaled(h, v_3)))
+        r = vec.add(r, vec.scaled(h / 6.0, vec.add(vec.add(v, v_4), vec.scaled(2.0, vec.add(v_2, v_3)))))
+        v = vec.add(v, vec.scaled(h / 6.0, vec.add(vec.add(a_1, a_4), vec.scaled(2.0, vec.add(a_2, a_3)))))
+    vec.set_vector(state.end, 0, r)
+    vec.set_vector(state.end, 3, v)
+    n, radius = vec.vector_at(state.axes, 3), vec.norm(r)
     state.missed[0] = (radius - g.radius_m) / 1e3
-    state.missed[1] = dot(v, r) / radius
-    state.missed[2] = norm(v) - g.speed_mps
-    state.missed[3] = dot(r, n) / 1e3
-    state.missed[4] = dot(v, n)
+    state.missed[1] = vec.dot(v, r) / radius
+    state.missed[2] = vec.norm(v) - g.speed_mps
+    state.missed[3] = vec.dot(r, n) / 1e3
+    state.missed[4] = vec.dot(v, n)
 
 
 @kernel
@@ -240,28 +231,28 @@ def solve_rows(rows: Array) -> int:
 @routine
 def choose_axes(g: OrbitGuidance, state: OrbitGuidanceState, time_s: float) -> None:
     """Plane and frame, and a first guess: a level burn over the speed that is missing."""
-    r, v = vector_at(state.position_m, 0), vector_at(state.velocity_mps, 0)
-    radius, momentum = norm(r), cross(r, v)
-    n = scaled(1.0 / norm(momentum), momentum)
+    r, v = vec.vector_at(state.position_m, 0), vec.vector_at(state.velocity_mps, 0)
+    radius, momentum = vec.norm(r), vec.cross(r, v)
+    n = vec.scaled(1.0 / vec.norm(momentum), momentum)
     flat = math.sqrt(r[0] * r[0] + r[1] * r[1])
     if abs(g.cos_inclination) <= 1.0 and flat > 1e-6 * radius:
         east = (-r[1] / flat, r[0] / flat, 0.0)
-        north = scaled(1.0 / radius, cross(r, east))
+        north = vec.scaled(1.0 / radius, vec.cross(r, east))
         cosine = min(max(g.cos_inclination * radius / flat, -1.0), 1.0)
         sine = math.sqrt(1.0 - cosine * cosine)
-        if dot(n, east) < 0.0:
+        if vec.dot(n, east) < 0.0:
             sine = -sine
-        n = add(scaled(cosine, north), scaled(sine, east))
-    missing = abs(g.speed_mps - norm(v)) + 9.8 * abs(dot(r, v)) / radius / max(state.acceleration_mps2, 1.0)
+        n = vec.add(vec.scaled(cosine, north), vec.scaled(sine, east))
+    missing = abs(g.speed_mps - vec.norm(v)) + 9.8 * abs(vec.dot(r, v)) / radius / max(state.acceleration_mps2, 1.0)
     burn_s = g.exhaust_mps / state.acceleration_mps2 * (1.0 - math.exp(-missing / g.exhaust_mps))
-    turned = 0.5 * (norm(v) + g.speed_mps) * burn_s / radius
-    ahead = cross(n, r)
-    z = add(scaled(math.cos(turned) / radius, r), scaled(math.sin(turned) / radius, ahead))
-    z = add(z, scaled(-dot(z, n), n))
-    z = scaled(1.0 / norm(z), z)
-    set_vector(state.axes, 0, cross(n, z))
-    set_vector(state.axes, 3, n)
-    set_vector(state.axes, 6, z)
+    turned = 0.5 * (vec.norm(v) + g.speed_mps) * burn_s / radius
+    ahead = vec.cross(n, r)
+    z = vec.add(vec.scaled(math.cos(turned) / radius, r), vec.scaled(math.sin(turned) / radius, ahead))
+    z = vec.add(z, vec.scaled(-vec.dot(z, n), n))
+    z = vec.scaled(1.0 / vec.norm(z), z)
+    vec.set_vector(state.axes, 0, vec.cross(n, z))
+    vec.set_vector(state.axes, 3, n)
+    vec.set_vector(state.axes, 6, z)
     state.begun_s = time_s
     state.unknowns[0], state.unknowns[1], state.unknowns[2], state.unknowns[3] = 0.4, -0.2, 0.0, 0.0
     state.unknowns[4] = burn_s / SLOPE_s
@@ -270,19 +261,19 @@ def choose_axes(g: OrbitGuidance, state: OrbitGuidanceState, time_s: float) -> N
 @routine
 def measure_acceleration(g: OrbitGuidance, state: OrbitGuidanceState, time_s: float) -> int:
     """From what the velocity has gained since the last cycle beyond gravitation; 1 if a steady thrust has given it."""
-    r, v, since_s = vector_at(state.position_m, 0), vector_at(state.velocity_mps, 0), time_s - state.last_s
+    r, v, since_s = vec.vector_at(state.position_m, 0), vec.vector_at(state.velocity_mps, 0), time_s - state.last_s
     known = since_s < 2.5 * g.cycle_s
     steady = False
     if known:
-        middle = scaled(0.5, add(r, vector_at(state.last_position_m, 0)))
-        gained = add(v, scaled(-1.0, vector_at(state.last_velocity_mps, 0)))
-        mean_mps2 = norm(add(scaled(1.0 / since_s, gained), scaled(-1.0, gravitation(g, middle))))
+        middle = vec.scaled(0.5, vec.add(r, vec.vector_at(state.last_position_m, 0)))
+        gained = vec.add(v, vec.scaled(-1.0, vec.vector_at(state.last_velocity_mps, 0)))
+        mean_mps2 = vec.norm(vec.add(vec.scaled(1.0 / since_s, gained), vec.scaled(-1.0, gravitation(g, middle))))
         now_mps2 = mean_mps2 * (1.0 + 0.5 * since_s * mean_mps2 / g.exhaust_mps)
         steady = abs(now_mps2 - state.acceleration_mps2) < STEADY * now_mps2
         state.acceleration_mps2 = now_mps2
     state.last_s = time_s
-    set_vector(state.last_position_m, 0, r)
-    set_vector(state.last_velocity_mps, 0, v)
+    vec.set_vector(state.last_position_m, 0, r)
+    vec.set_vector(state.last_velocity_mps, 0, v)
     return 1 if steady and state.acceleration_mps2 > THRUSTING_mps2 else 0
 
 
@@ -308,10 +299,10 @@ def advance_orbit_guidance(g: OrbitGuidance, state: OrbitGuidanceState, time_s: 
     if state.phase == STEERING and state.solved_s + SLOPE_s * state.unknowns[4] - time_s < ENDING_s:
         state.phase = ENDING
     if state.phase == ENDING:
-        r, v = vector_at(state.position_m, 0), vector_at(state.velocity_mps, 0)
-        wanted = 0.5 * g.mu_m3ps2 * (2.0 / norm(r) - 1.0 / g.semimajor_m) - 0.5 * dot(v, v)
+        r, v = vec.vector_at(state.position_m, 0), vec.vector_at(state.velocity_mps, 0)
+        wanted = 0.5 * g.mu_m3ps2 * (2.0 / vec.norm(r) - 1.0 / g.semimajor_m) - 0.5 * vec.dot(v, v)
         a_mps2, u = thrust_acceleration(g, state, time_s), direction(state, state.unknowns, time_s)
-        power = a_mps2 * dot(u, v)
+        power = a_mps2 * vec.dot(u, v)
         growth = a_mps2 * a_mps2 + power * a_mps2 / g.exhaust_mps
         left_s = wanted / power if power > 0.0 else 0.0
         left_s = wanted / (power + 0.5 * growth * left_s) if power > 0.0 else 0.0
@@ -328,8 +319,10 @@ def steer(
     if state.phase == CUT_OFF:
         return 0.0, 0.0
     u = direction(state, state.unknowns, time_s)
-    start = rotation_from_quaternion(state.start_q_BI[0], state.start_q_BI[1], state.start_q_BI[2], state.start_q_BI[3])
-    u = rotate_back(rotation_from_quaternion(q_BR[0], q_BR[1], q_BR[2], q_BR[3]), rotate_back(start, u))
+    start = vec.rotation_from_quaternion(
+        state.start_q_BI[0], state.start_q_BI[1], state.start_q_BI[2], state.start_q_BI[3]
+    )
+    u = vec.rotate_back(vec.rotation_from_quaternion(q_BR[0], q_BR[1], q_BR[2], q_BR[3]), vec.rotate_back(start, u))
     sine = math.sqrt(u[1] * u[1] + u[2] * u[2])
     angle_rad = min(math.atan2(sine, u[0]), g.rate_limit_radps * sample_s)
     k = angle_rad / max(sine, 1e-12)

@@ -9,24 +9,11 @@ from __future__ import annotations
 import math
 
 from maxq.control.computer import computer_tick
+from maxq.control.kernel import vectors as vec
 from maxq.control.kernel.jit import kernel, routine, routine_beside
 from maxq.control.kernel.limits import MAX_ENGINES
 from maxq.control.kernel.noise import standard_normal, uniform_pair
 from maxq.control.kernel.records import Array
-from maxq.control.kernel.vectors import (
-    Vector,
-    add,
-    conjugate,
-    cross,
-    quaternion_at,
-    quaternion_of,
-    quaternion_product,
-    roll_and_tilt,
-    rotate,
-    rotation_from_quaternion,
-    set_vector,
-    vector_at,
-)
 from maxq.control.orbit_guidance import CUT_OFF
 from maxq.sim.flight.faults import switch_faults
 from maxq.sim.flight.injection import GIMBAL_COMMAND, RATE_COMMAND, next_switch, replaced, total_signal
@@ -41,6 +28,7 @@ from maxq.sim.flight.parameters import (
     Memory,
     Parameters,
 )
+from maxq.sim.vehicle import state as states
 from maxq.sim.vehicle.block import Q_BI, R_I, V_I, W_BI_B, Counts, counts
 from maxq.sim.vehicle.engine import total_thrust
 from maxq.sim.vehicle.environment import Environment, climb_rate, flight_direction, velocity_over_ground
@@ -48,16 +36,6 @@ from maxq.sim.vehicle.faults import ANY_FAULT, GYRO_LOST, GYRO_WALK
 from maxq.sim.vehicle.gyro import GYRO_STREAM
 from maxq.sim.vehicle.schedule import CORE_CG, TOTAL_MASS
 from maxq.sim.vehicle.sensors import SENSOR_STREAM, sensor_slots
-from maxq.sim.vehicle.state import (
-    GYRO_ANGLE,
-    N_SENSOR,
-    eta_index,
-    sensor_index,
-    spatial_index,
-    start_states,
-    state_size,
-    xi_index,
-)
 from maxq.sim.vehicle.workspace import AIRSPEED, ALTITUDE, AXIAL_LOAD, DYNAMIC_PRESSURE, FLOW, PRESSURE
 from maxq.sim.world.atmosphere import air
 from maxq.sim.world.earth import local_frame
@@ -107,7 +85,7 @@ def process_due_events(
         record_event(p, memory, LIFTOFF, now)
     if now >= memory.faults.next_ns:
         liftoff_ns = clock.event_ns[LIFTOFF]
-        sensors = sensor_index(p.vehicle.sizes, 0)
+        sensors = states.sensor_index(p.vehicle.sizes, 0)
         switch_faults(p.faults, memory.faults, now, liftoff_ns, NEVER, clock.stage, sensors, y, held.faults)
     if now >= clock.next_gust_ns:
         clock.next_gust_ns = now + p.environment.turbulence.tick_ns
@@ -162,13 +140,13 @@ def sample_computer(p: Parameters, pool: Array, memory: Memory, y: Array) -> Non
     begun = now - p.computer.sample_ns  # a rate is commanded over the sample that ends now
     walk = p.vehicle.gyro.random_walk_rad_rts * math.sqrt(1e-9 * p.computer.sample_ns)
     for axis in range(3):
-        memory.increment_rad[axis] = y[GYRO_ANGLE + axis]
+        memory.increment_rad[axis] = y[states.GYRO_ANGLE + axis]
         if memory.held.faults[ANY_FAULT] > 0.0:
             noisy = memory.held.faults[GYRO_WALK + axis]
             walk = math.sqrt(1e-9 * p.computer.sample_ns * (p.vehicle.gyro.random_walk_rad_rts**2 + noisy * noisy))
         if walk > 0.0:
             memory.increment_rad[axis] += walk * standard_normal(p.timeline.seed, GYRO_STREAM + axis, clock.samples)
-        y[GYRO_ANGLE + axis] = 0.0
+        y[states.GYRO_ANGLE + axis] = 0.0
         memory.rate_injection_radps[axis] = total_signal(p.injections, pool, RATE_COMMAND, axis, begun, 0.0)
         memory.rate_replaces[axis] = replaced(p.injections, RATE_COMMAND, axis, begun)
     for gimbal in range(2):
@@ -178,8 +156,8 @@ def sample_computer(p: Parameters, pool: Array, memory: Memory, y: Array) -> Non
         sample_sensors(p, memory, y)
     if p.computer.orbit.on == 1:
         orbit = memory.computer.orbit
-        set_vector(orbit.position_m, 0, vector_at(y, R_I))
-        set_vector(orbit.velocity_mps, 0, vector_at(y, V_I))
+        vec.set_vector(orbit.position_m, 0, vec.vector_at(y, R_I))
+        vec.set_vector(orbit.velocity_mps, 0, vec.vector_at(y, V_I))
         for component in range(4):
             orbit.start_q_BI[component] = memory.truth.start_q_BI[component]
     clock.samples += 1
@@ -193,9 +171,9 @@ def sample_computer(p: Parameters, pool: Array, memory: Memory, y: Array) -> Non
     if memory.computer.orbit.phase == CUT_OFF and clock.cut_off_ns == 0 and memory.held.burning == 1:
         clock.cut_off_ns = max(round(1e9 * memory.computer.orbit.cut_off_s), now + 1)
     start, commanded = memory.truth.start_q_BI, memory.computer.guidance.attitude.q
-    wanted = quaternion_product(quaternion_at(start, 0), quaternion_at(commanded, 0))
-    turned = quaternion_product(conjugate(wanted), quaternion_at(y, Q_BI))
-    set_vector(memory.truth.error_rad, 0, roll_and_tilt(turned))
+    wanted = vec.quaternion_product(vec.quaternion_at(start, 0), vec.quaternion_at(commanded, 0))
+    turned = vec.quaternion_product(vec.conjugate(wanted), vec.quaternion_at(y, Q_BI))
+    vec.set_vector(memory.truth.error_rad, 0, vec.roll_and_tilt(turned))
     for channel in range(2 + 2 * p.vehicle.sizes.further_groups):
         clock.pending_rad[channel] = memory.computer.allocation.angle_rad[channel]
     clock.pending_roll = memory.computer.roll.demand
@@ -212,7 +190,7 @@ def sample_sensors(p: Parameters, memory: Memory, y: Array) -> None:
         own = sensor.triad.random_walk_rad_rts
         walk = own * root_s
         for axis in range(3):
-            i = sensor_index(p.vehicle.sizes, k) + 6 + axis
+            i = states.sensor_index(p.vehicle.sizes, k) + 6 + axis
             read.increment[k, axis] = y[i]
             if faults[ANY_FAULT] > 0.0:
                 walk = root_s * math.hypot(own, faults[sensor_slots(k) + GYRO_WALK - GYRO_LOST + axis])
@@ -227,8 +205,8 @@ def sample_sensors(p: Parameters, memory: Memory, y: Array) -> None:
 @kernel
 def move_sensors(before: Parameters, after: Parameters, y: Array) -> None:
     """At a separation the sensors keep their states, which have another place in the state vector then."""
-    old, new = sensor_index(before.vehicle.sizes, 0), sensor_index(after.vehicle.sizes, 0)
-    n = N_SENSOR * after.vehicle.sizes.sensors
+    old, new = states.sensor_index(before.vehicle.sizes, 0), states.sensor_index(after.vehicle.sizes, 0)
+    n = states.N_SENSOR * after.vehicle.sizes.sensors
     for i in range(n):
         j = i if new < old else n - 1 - i
         y[new + j] = y[old + j]
@@ -322,30 +300,30 @@ def transfer_state(
     are the properties before and after; `whole` is overwritten. Stations are measured from the nose, which stays.
     """
     size, handed_on = counts(before.vehicle.sizes), after.timeline.handed_on
-    rate = vector_at(y, W_BI_B)
+    rate = vec.vector_at(y, W_BI_B)
     shift = (old[CORE_CG] - new[CORE_CG], new[CORE_CG + 1] - old[CORE_CG + 1], new[CORE_CG + 2] - old[CORE_CG + 2])
-    gained = cross(rate, shift)
+    gained = vec.cross(rate, shift)
     if handed_on >= 0:
-        for i in range(state_size(size)):
+        for i in range(states.state_size(size)):
             whole[i] = y[i]
         nose = (-new[CORE_CG], new[CORE_CG + 1], new[CORE_CG + 2])  # from the nose to the new core CG
         moved, turned = bent_motion(size, pool, handed_on, 0, nose, whole)
         faster, turning = bent_motion(size, pool, handed_on, 1, nose, whole)
-        shift = add(shift, moved)
-        gained = add(gained, add(faster, carried(rate, moved)))
-        rate = add(rate, add(turning, carried(rate, turned)))  # in the turned axes
-    rotation = rotation_from_quaternion(y[Q_BI], y[Q_BI + 1], y[Q_BI + 2], y[Q_BI + 3])
-    shift_I, velocity_I = rotate(rotation, shift), rotate(rotation, gained)
+        shift = vec.add(shift, moved)
+        gained = vec.add(gained, vec.add(faster, carried(rate, moved)))
+        rate = vec.add(rate, vec.add(turning, carried(rate, turned)))  # in the turned axes
+    rotation = vec.rotation_from_quaternion(y[Q_BI], y[Q_BI + 1], y[Q_BI + 2], y[Q_BI + 3])
+    shift_I, velocity_I = vec.rotate(rotation, shift), vec.rotate(rotation, gained)
     if handed_on >= 0:
-        q = quaternion_product(quaternion_at(y, Q_BI), quaternion_of(turned))
+        q = vec.quaternion_product(vec.quaternion_at(y, Q_BI), vec.quaternion_of(turned))
         y[Q_BI], y[Q_BI + 1], y[Q_BI + 2], y[Q_BI + 3] = q
-        rotation = rotation_from_quaternion(q[0], q[1], q[2], q[3])
+        rotation = vec.rotation_from_quaternion(q[0], q[1], q[2], q[3])
     t, upper_kg = before.timeline, new[TOTAL_MASS]
     lower_kg = max(old[TOTAL_MASS] - upper_kg, 0.0)
     push_Ns = t.separation_impulse_Ns
     if t.separation_spring_J > 0.0:
         push_Ns += math.sqrt(2.0 * t.separation_spring_J * upper_kg * lower_kg / (upper_kg + lower_kg))
-    pushed_I = rotate(rotation, (push_Ns / upper_kg, 0.0, 0.0))
+    pushed_I = vec.rotate(rotation, (push_Ns / upper_kg, 0.0, 0.0))
     rate = (rate[0] + t.tip_off_radps[0], rate[1] + t.tip_off_radps[1], rate[2] + t.tip_off_radps[2])
     for j in range(3):
         y[R_I + j] += shift_I[j]
@@ -356,7 +334,7 @@ def transfer_state(
             memory.held.command_rad[channel], memory.held.engine_rad[channel] = 0.0, 0.0
         memory.held.roll_torque_Nm, memory.held.burning = 0.0, 0
         move_sensors(before, after, y)
-        start_states(after.vehicle.sizes, rate, 1, y)
+        states.start_states(after.vehicle.sizes, rate, 1, y)
     if handed_on >= 0:
         own, row = counts(after.vehicle.sizes), 6
         for k in range(3):
@@ -370,7 +348,9 @@ def transfer_state(
 
 
 @kernel
-def bent_motion(sizes: Counts, pool: Array, at: int, rates: int, place: Vector, y: Array) -> tuple[Vector, Vector]:
+def bent_motion(
+    sizes: Counts, pool: Array, at: int, rates: int, place: vec.Vector, y: Array
+) -> tuple[vec.Vector, vec.Vector]:
     """Of the part that flies on, by the modes: displacement of a place from the nose, rotation; or their rates."""
     moved = (
         handed(sizes, pool, at, 0, rates, y), handed(sizes, pool, at, 1, rates, y), handed(sizes, pool, at, 2, rates, y)
@@ -378,11 +358,11 @@ def bent_motion(sizes: Counts, pool: Array, at: int, rates: int, place: Vector, 
     turned = (
         handed(sizes, pool, at, 3, rates, y), handed(sizes, pool, at, 4, rates, y), handed(sizes, pool, at, 5, rates, y)
     )  # fmt: skip  # three more lines otherwise
-    return add(moved, cross(turned, place)), turned
+    return vec.add(moved, vec.cross(turned, place)), turned
 
 
 @kernel
-def carried(rate: Vector, moved: Vector) -> Vector:
+def carried(rate: vec.Vector, moved: vec.Vector) -> vec.Vector:
     """w x moved, but for the roll rate's share along y and z, which quasi-velocities hold already."""
     return (rate[1] * moved[2] - rate[2] * moved[1], rate[2] * moved[0], -rate[1] * moved[0])
 
@@ -403,7 +383,7 @@ def handed(sizes: Counts, pool: Array, at: int, row: int, rates: int, y: Array) 
 def modes_in(sizes: Counts, kind: int) -> tuple[int, int]:
     """First state and number of the modes in pitch (0), in yaw (1), and in space (2); their rates follow."""
     if kind == 0:
-        return eta_index(sizes), sizes.pitch_modes
+        return states.eta_index(sizes), sizes.pitch_modes
     if kind == 1:
-        return xi_index(sizes), sizes.yaw_modes
-    return spatial_index(sizes), sizes.spatial_modes
+        return states.xi_index(sizes), sizes.yaw_modes
+    return states.spatial_index(sizes), sizes.spatial_modes

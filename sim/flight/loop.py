@@ -9,29 +9,9 @@ from maxq.control.computer import start_computer, take_over
 from maxq.control.kernel.jit import bare_pointer, entry, kernel, routine, routine_beside
 from maxq.control.kernel.records import Array, IntArray, Records
 from maxq.control.kernel.tables import find_interval
-from maxq.sim.flight.events import (
-    burn_out,
-    detect_loss_of_control,
-    event_function,
-    process_due_events,
-    record_event,
-    step_length,
-    transfer_state,
-)
+from maxq.sim.flight import events, step
 from maxq.sim.flight.metrics import N_METRICS
 from maxq.sim.flight.parameters import APOGEE, DIVERGED, IMPACT, LIFTOFF, N_EVENTS, NEVER, Memory, Parameters
-from maxq.sim.flight.step import (
-    ERRORS_NS,
-    Workspace,
-    estimate_errors,
-    evaluate,
-    evaluate_between,
-    gather_at,
-    read_schedule,
-    schedule_clock,
-    take_step,
-    workspace_of,
-)
 from maxq.sim.flight.telemetry import fill_fast, fill_slow
 from maxq.sim.vehicle.block import Q_BI, Sizes, counts
 from maxq.sim.vehicle.engine import group_angles
@@ -104,7 +84,7 @@ def start_stage(p: Parameters, pool: Array, memory: Memory) -> None:
     """Schedule and engine at the start of a stage."""
     clock = memory.clock
     now = clock.now_ns
-    clock.interval = find_interval(pool, p.vehicle.schedule, schedule_clock(p, memory.clock, now, 0.0))
+    clock.interval = find_interval(pool, p.vehicle.schedule, step.schedule_clock(p, memory.clock, now, 0.0))
     clock.fresh, clock.next_break_ns = 1, now
     memory.faults.next_ns = now if p.faults.count > 0 else NEVER
     memory.held.burning = 1 if p.timeline.burn_start_ns <= now < p.timeline.burnout_ns else 0
@@ -123,7 +103,7 @@ def advance(
     """
     memory = state[0]
     clock = memory.clock
-    pool, space = bare_pointer(pool), workspace_of(arena, y)
+    pool, space = bare_pointer(pool), step.workspace_of(arena, y)
     now_at, log_rows = space.start, LogRows(fast_ns, fast, slow_ns, slow, rows)
     while clock.finished == 0 and clock.now_ns < until_ns:
         p = P[clock.stage]
@@ -135,42 +115,42 @@ def advance(
     if clock.finished == 1 and clock.started == 1:
         clock.started = 2
         p = P[clock.stage]
-        read_schedule(p, pool, memory, clock.now_ns, 0.0, now_at.properties)
+        step.read_schedule(p, pool, memory, clock.now_ns, 0.0, now_at.properties)
         evaluate_exactly(p, pool, memory, space)
         if p.loads.stations > 0:
             track_sections(p, pool, memory, space, logged[0].on, 1)
-        gather_at(p, memory, clock.now_ns, 0.0, now_at)
+        step.gather_at(p, memory, clock.now_ns, 0.0, now_at)
         if logged[0].on == 1:
             log(p, memory, logged, now_at, log_rows, clock.now_ns, 1)
 
 
 @kernel
 def fly_step(
-    p: Parameters, pool: Array, memory: Memory, logged: Records, until_ns: int, space: Workspace, log_rows: LogRows
+    p: Parameters, pool: Array, memory: Memory, logged: Records, until_ns: int, space: step.Workspace, log_rows: LogRows
 ) -> None:  # fmt: skip  # as ruff would, but for a line of one bracket
     """What is due now, a log row, and a step to the next instant or event, whichever comes first."""
     clock, now_at, now = memory.clock, space.start, memory.clock.now_ns
-    if process_due_events(p, pool, memory, now_at.y, now_at.aux, now_at.properties) == 1 or clock.fresh == 1:
-        read_schedule(p, pool, memory, now, 0.0, now_at.properties)
+    if events.process_due_events(p, pool, memory, now_at.y, now_at.aux, now_at.properties) == 1 or clock.fresh == 1:
+        step.read_schedule(p, pool, memory, now, 0.0, now_at.properties)
         clock.fresh = 0
     evaluate_exactly(p, pool, memory, space)
-    detect_loss_of_control(p, memory, now_at.aux)
+    events.detect_loss_of_control(p, memory, now_at.aux)
     if memory.held.on_pad == 1 and p.timeline.release_ns == NEVER:
-        if event_function(p, LIFTOFF, now_at.y, now_at.properties, now_at.aux) >= 0.0:
+        if events.event_function(p, LIFTOFF, now_at.y, now_at.properties, now_at.aux) >= 0.0:
             apply_event(p, memory, LIFTOFF)
             return
     if p.loads.stations > 0:
         track_sections(p, pool, memory, space, logged[0].on, 0)
     if logged[0].on == 1:
         log(p, memory, logged, now_at, log_rows, now, 0)
-    step_ns = step_length(p, pool, memory, until_ns)
-    gather_at(p, memory, now, 1e-9 * step_ns, now_at)
+    step_ns = events.step_length(p, pool, memory, until_ns)
+    step.gather_at(p, memory, now, 1e-9 * step_ns, now_at)
     if clock.finished == 1:
         return
-    take_step(p, pool, memory, now, step_ns, space)
+    step.take_step(p, pool, memory, now, step_ns, space)
     clock.cause = divergence_cause(counts(p.vehicle.sizes), space.y_end)
     if clock.cause != FINITE:
-        record_event(p, memory, DIVERGED, now)
+        events.record_event(p, memory, DIVERGED, now)
         clock.finished = 1
         return
     event = detect_crossing(p, memory, space)
@@ -179,8 +159,8 @@ def fly_step(
     if logged[0].on == 1 and p.timeline.even == 1:
         log_between(p, pool, memory, logged, space, log_rows, step_ns)
     if p.timeline.even == 1 and now >= clock.next_errors_ns and event < 0:
-        clock.next_errors_ns = now + ERRORS_NS
-        estimate_errors(p, pool, memory, now, step_ns, space)
+        clock.next_errors_ns = now + step.ERRORS_NS
+        step.estimate_errors(p, pool, memory, now, step_ns, space)
     sizes = counts(p.vehicle.sizes)
     for i in range(state_size(sizes)):
         now_at.y[i] = space.y_end[i]
@@ -195,22 +175,22 @@ def fly_step(
 
 
 @kernel
-def evaluate_exactly(p: Parameters, pool: Array, memory: Memory, space: Workspace) -> None:
+def evaluate_exactly(p: Parameters, pool: Array, memory: Memory, space: step.Workspace) -> None:
     """Derivative at the start of a step. Its position becomes the anchor from which the later stages are near."""
     space.work[ANCHOR] = ANCHOR_DUE
-    evaluate(p, pool, memory, memory.clock.now_ns, 0.0, space.start, space.work)
+    step.evaluate(p, pool, memory, memory.clock.now_ns, 0.0, space.start, space.work)
     for channel in range(2 + 2 * p.vehicle.sizes.further_groups):
         memory.held.engine_rad[channel] = space.start.aux[group_angles(channel // 2) + 3 * (channel % 2)]
 
 
 @routine
-def track_sections(p: Parameters, pool: Array, memory: Memory, space: Workspace, logged: int, last: int) -> None:
+def track_sections(p: Parameters, pool: Array, memory: Memory, space: step.Workspace, logged: int, last: int) -> None:
     """Section loads where they are due, for the extremes or for a log row; right after `evaluate_exactly`."""
     now, sections, at = memory.clock.now_ns, memory.sections, space.start
     due = now >= sections.due_ns
     if not due and (logged == 0 or (now % p.timeline.slow_ns != 0 and last == 0)):
         return
-    clock_s = schedule_clock(p, memory.clock, now, 0.0)
+    clock_s = step.schedule_clock(p, memory.clock, now, 0.0)
     evaluate_sections(p.loads, p.vehicle, memory.inputs, pool, clock_s, at, space.work, space.columns, sections)
     if due:
         sections.due_ns = (now // p.loads.period_ns + 1) * p.loads.period_ns
@@ -230,15 +210,15 @@ def separate(
     before, after = P[clock.stage], P[clock.stage + 1]
     ends = after.timeline.continues == 0 and clock.now_ns >= before.timeline.burnout_ns
     if memory.held.burning == 1 and ends:
-        burn_out(before, memory)  # at the same instant, and first
+        events.burn_out(before, memory)  # at the same instant, and first
         if clock.finished == 1:
             return
-    read_schedule(before, pool, memory, clock.now_ns, 0.0, properties)
+    step.read_schedule(before, pool, memory, clock.now_ns, 0.0, properties)
     interval = clock.interval
-    clock.interval = find_interval(pool, after.vehicle.schedule, schedule_clock(after, clock, clock.now_ns, 0.0))
-    read_schedule(after, pool, memory, clock.now_ns, 0.0, properties_after)
+    clock.interval = find_interval(pool, after.vehicle.schedule, step.schedule_clock(after, clock, clock.now_ns, 0.0))
+    step.read_schedule(after, pool, memory, clock.now_ns, 0.0, properties_after)
     clock.interval = interval
-    transfer_state(before, after, pool, memory, properties, properties_after, whole, y)
+    events.transfer_state(before, after, pool, memory, properties, properties_after, whole, y)
     properties[TOTAL_MASS] = properties_after[TOTAL_MASS]  # for a sample at this instant
     clock.stage += 1
     if after.computer.takes_over == 1:
@@ -249,22 +229,22 @@ def separate(
 
 
 @kernel
-def detect_crossing(p: Parameters, memory: Memory, space: Workspace) -> int:
+def detect_crossing(p: Parameters, memory: Memory, space: step.Workspace) -> int:
     """The event that the step has passed, or -1."""
     clock, aux, y, properties = memory.clock, space.start.aux, space.y_end, space.end.properties
     if memory.held.on_pad == 1:
-        if p.timeline.release_ns == NEVER and event_function(p, LIFTOFF, y, properties, aux) >= 0.0:
+        if p.timeline.release_ns == NEVER and events.event_function(p, LIFTOFF, y, properties, aux) >= 0.0:
             return LIFTOFF
         return -1
     if clock.climbing == 1:
-        if not climbs_certainly(p.environment.earth, y) and event_function(p, APOGEE, y, properties, aux) >= 0.0:
+        if not climbs_certainly(p.environment.earth, y) and events.event_function(p, APOGEE, y, properties, aux) >= 0.0:
             return APOGEE
         return -1
     # a vehicle that has just left a pad on the ground has not come down
     above = aux[ALTITUDE] > p.timeline.ground_altitude_m + 1e-3
-    if above and event_function(p, IMPACT, y, properties, aux) >= 0.0:
+    if above and events.event_function(p, IMPACT, y, properties, aux) >= 0.0:
         return IMPACT
-    if event_function(p, APOGEE, y, properties, aux) < 0.0:
+    if events.event_function(p, APOGEE, y, properties, aux) < 0.0:
         clock.climbing = 1
     return -1
 
@@ -276,18 +256,18 @@ def apply_event(p: Parameters, memory: Memory, event: int) -> None:
         memory.held.on_pad = 0
     if event == APOGEE:
         memory.clock.climbing = 0
-    record_event(p, memory, event, memory.clock.now_ns)
+    events.record_event(p, memory, event, memory.clock.now_ns)
 
 
 @routine
-def locate_event(p: Parameters, pool: Array, memory: Memory, event: int, step_ns: int, space: Workspace) -> int:
+def locate_event(p: Parameters, pool: Array, memory: Memory, event: int, step_ns: int, space: step.Workspace) -> int:
     """Shortest step, in whole ns, after which `event` has happened; leaves the state there in `space.y_end`.
 
     Regula falsi with bisection every other time, on the step length; each trial repeats the step from its start.
     """
     now = memory.clock.now_ns
     low, high = 0, step_ns
-    at_low, at_high = 0.0, event_function(p, event, space.y_end, space.end.properties, space.start.aux)
+    at_low, at_high = 0.0, events.event_function(p, event, space.y_end, space.end.properties, space.start.aux)
     best = high
     halve = 1
     while high - low > 1:
@@ -296,15 +276,15 @@ def locate_event(p: Parameters, pool: Array, memory: Memory, event: int, step_ns
             trial = low + int((high - low) * (-at_low) / (at_high - at_low))
             trial = min(max(trial, low + 1), high - 1)
         halve = 1 - halve
-        take_step(p, pool, memory, now, trial, space)
-        value = event_function(p, event, space.y_end, space.end.properties, space.start.aux)
+        step.take_step(p, pool, memory, now, trial, space)
+        value = events.event_function(p, event, space.y_end, space.end.properties, space.start.aux)
         best = trial
         if value >= 0.0:
             high, at_high = trial, value
         else:
             low, at_low = trial, value
     if best != high:
-        take_step(p, pool, memory, now, high, space)
+        step.take_step(p, pool, memory, now, high, space)
     return high
 
 
@@ -338,7 +318,7 @@ def log(p: Parameters, memory: Memory, logged: Records, at: Evaluation, out: Log
 
 @routine
 def log_between(
-    p: Parameters, pool: Array, memory: Memory, logged: Records, space: Workspace, out: LogRows, step_ns: int
+    p: Parameters, pool: Array, memory: Memory, logged: Records, space: step.Workspace, out: LogRows, step_ns: int
 ) -> None:  # fmt: skip  # as ruff would, but for a line of one bracket
     """Write the rows that are due within the step that has just been taken."""
     clock, fast_ns, slow_ns = memory.clock, p.timeline.fast_ns, p.timeline.slow_ns
@@ -348,10 +328,10 @@ def log_between(
         due = min((due // fast_ns + 1) * fast_ns, (due // slow_ns + 1) * slow_ns)
         if due >= began + step_ns:
             break
-        evaluate_between(p, pool, memory, began, step_ns, due - began, space)
+        step.evaluate_between(p, pool, memory, began, step_ns, due - began, space)
         clock.now_ns = due  # rows tell the Earth's rotation by it
         if p.loads.stations > 0 and due % slow_ns == 0:
-            clock_s = schedule_clock(p, memory.clock, due, 0.0)
+            clock_s = step.schedule_clock(p, memory.clock, due, 0.0)
             at = space.between
             evaluate_sections(
                 p.loads, p.vehicle, memory.inputs, pool, clock_s, at, space.work, space.columns, memory.sections

@@ -14,22 +14,11 @@ from maxq.control.computer import ComputerState
 from maxq.control.kernel.jit import kernel, routine
 from maxq.control.kernel.limits import MAX_PENDULUMS, MAX_STAGES
 from maxq.control.kernel.records import Array, IntArray
+from maxq.sim.vehicle import workspace as ws
 from maxq.sim.vehicle.derivative import Held, Vehicle
 from maxq.sim.vehicle.schedule import TOTAL_MASS
 from maxq.sim.vehicle.slosh import bob_mass, wave_share
 from maxq.sim.vehicle.state import R_I, V_I, counts, pendulum_index
-from maxq.sim.vehicle.workspace import (
-    AERO_FORCE,
-    ALTITUDE,
-    DYNAMIC_PRESSURE,
-    ENGINE_PITCH,
-    ENGINE_YAW,
-    FLOW,
-    GIMBAL_BEND,
-    MACH,
-    SPECIFIC_FORCE,
-    THRUST,
-)
 from maxq.sim.world.earth import Earth
 
 STANDARD_GRAVITY_MPS2 = 9.80665
@@ -123,12 +112,14 @@ def gather(
     turning = earth.rate_radps
     vx, vy, vz = y[V_I] + turning * y[R_I + 1], y[V_I + 1] - turning * y[R_I], y[V_I + 2]
     raise_to(extremes, METRIC.max_speed_mps, math.sqrt(vx * vx + vy * vy + vz * vz), now_ns)
-    raise_to(extremes, METRIC.max_altitude_m, aux[ALTITUDE], now_ns)
-    raise_to(extremes, METRIC.max_mach, aux[MACH], now_ns)
-    q = aux[DYNAMIC_PRESSURE]
+    raise_to(extremes, METRIC.max_altitude_m, aux[ws.ALTITUDE], now_ns)
+    raise_to(extremes, METRIC.max_mach, aux[ws.MACH], now_ns)
+    q = aux[ws.DYNAMIC_PRESSURE]
     raise_to(extremes, METRIC.max_dynamic_pressure_Pa, q, now_ns)
-    raise_to(extremes, METRIC.max_thrust_over_weight_g, aux[THRUST] / props[TOTAL_MASS] / STANDARD_GRAVITY_MPS2, now_ns)
-    sensed = (aux[AERO_FORCE] + aux[THRUST]) / props[TOTAL_MASS]
+    raise_to(
+        extremes, METRIC.max_thrust_over_weight_g, aux[ws.THRUST] / props[TOTAL_MASS] / STANDARD_GRAVITY_MPS2, now_ns
+    )
+    sensed = (aux[ws.AERO_FORCE] + aux[ws.THRUST]) / props[TOTAL_MASS]
     raise_to(extremes, METRIC.max_axial_load_g, abs(sensed) / STANDARD_GRAVITY_MPS2, now_ns)
     _gather_bending(extremes, vehicle, now_ns, aux)
     if held.burning == 0 or held.on_pad == 1:
@@ -136,7 +127,8 @@ def gather(
     raise_to(extremes, METRIC.max_powered_dynamic_pressure_Pa, q, now_ns)
     _gather_incidence(extremes, q, aux, now_ns)
     lateral_mps2 = math.sqrt(
-        aux[SPECIFIC_FORCE + 1] * aux[SPECIFIC_FORCE + 1] + aux[SPECIFIC_FORCE + 2] * aux[SPECIFIC_FORCE + 2]
+        aux[ws.SPECIFIC_FORCE + 1] * aux[ws.SPECIFIC_FORCE + 1]
+        + aux[ws.SPECIFIC_FORCE + 2] * aux[ws.SPECIFIC_FORCE + 2]
     )
     raise_to(extremes, METRIC.max_lateral_load_g, lateral_mps2 / STANDARD_GRAVITY_MPS2, now_ns)
     roll_deg, lateral_deg = largest_error(truth.error_rad)
@@ -145,9 +137,9 @@ def gather(
     roll_deg, lateral_deg = largest_error(computer.attitude.error_rad)
     raise_to(extremes, METRIC.max_computer_attitude_error_deg, lateral_deg, now_ns)
     raise_to(extremes, METRIC.max_computer_roll_error_deg, roll_deg, now_ns)
-    gimbal = max(abs(aux[ENGINE_PITCH]), abs(aux[ENGINE_YAW]))
+    gimbal = max(abs(aux[ws.ENGINE_PITCH]), abs(aux[ws.ENGINE_YAW]))
     raise_to(extremes, METRIC.max_gimbal_deg, math.degrees(gimbal), now_ns)
-    gimbal_rate = max(abs(aux[ENGINE_PITCH + 1]), abs(aux[ENGINE_YAW + 1]))
+    gimbal_rate = max(abs(aux[ws.ENGINE_PITCH + 1]), abs(aux[ws.ENGINE_YAW + 1]))
     raise_to(extremes, METRIC.max_gimbal_rate_degps, math.degrees(gimbal_rate), now_ns)
     _gather_slosh(extremes, waves, stage, vehicle, now_ns, props, y)
     if computer.command_limited[0] == 1 or computer.command_limited[1] == 1:
@@ -166,9 +158,9 @@ def angle_above(lateral: float, axial: float, floor_deg: float) -> float:
 @kernel
 def _gather_incidence(extremes: Extremes, q: float, aux: Array, now_ns: int) -> None:
     if q > SIGNIFICANT_PRESSURE_PA:
-        lateral = math.sqrt(aux[FLOW + 1] * aux[FLOW + 1] + aux[FLOW + 2] * aux[FLOW + 2])
+        lateral = math.sqrt(aux[ws.FLOW + 1] * aux[ws.FLOW + 1] + aux[ws.FLOW + 2] * aux[ws.FLOW + 2])
         floor_deg = min(extremes.value[METRIC.max_alpha_deg], extremes.value[METRIC.max_q_alpha_Padeg] / q)
-        alpha_deg = angle_above(lateral, aux[FLOW], floor_deg)
+        alpha_deg = angle_above(lateral, aux[ws.FLOW], floor_deg)
         raise_to(extremes, METRIC.max_alpha_deg, alpha_deg, now_ns)
         raise_to(extremes, METRIC.max_q_alpha_Padeg, q * alpha_deg, now_ns)
 
@@ -177,7 +169,7 @@ def _gather_incidence(extremes: Extremes, q: float, aux: Array, now_ns: int) -> 
 def _gather_bending(extremes: Extremes, vehicle: Vehicle, now_ns: int, aux: Array) -> None:
     sizes = counts(vehicle.sizes)
     if sizes.pitch_modes + sizes.yaw_modes + sizes.spatial_modes > 0:
-        move_y, move_z = aux[GIMBAL_BEND], aux[GIMBAL_BEND + 1]
+        move_y, move_z = aux[ws.GIMBAL_BEND], aux[ws.GIMBAL_BEND + 1]
         raise_to(extremes, METRIC.max_bending_m, math.sqrt(move_y * move_y + move_z * move_z), now_ns)
 
 

@@ -15,22 +15,10 @@ from __future__ import annotations
 from maxq.control.kernel.jit import kernel, routine
 from maxq.control.kernel.limits import MAX_ENGINES, MAX_MODES
 from maxq.control.kernel.records import Array
+from maxq.sim.vehicle import schedule as sch
 from maxq.sim.vehicle.actuator import Actuator, linear_sections
 from maxq.sim.vehicle.block import Counts, counts
 from maxq.sim.vehicle.derivative import Vehicle
-from maxq.sim.vehicle.schedule import (
-    MODE_DAMPING,
-    MODE_INVERSE_MASS,
-    MODE_STIFFNESS,
-    PITCH,
-    YAW,
-    derived_column,
-    mode_column,
-    softening_row,
-    spatial_column,
-    spatial_derived,
-    spatial_softening_row,
-)
 from maxq.sim.vehicle.state import ACTUATOR, GYRO, N_ACTUATOR, actuator_index, eta_index, spatial_index, xi_index
 from maxq.sim.vehicle.workspace import AXIAL_LOAD, Evaluation
 
@@ -120,24 +108,24 @@ def _add_modes(kept: Array, slot: int, vehicle: Vehicle, sizes: Counts, h: float
     """All modes, with the present stiffness under the axial load; returns where the matrices of what follows begin."""
     p, end = at.properties, slot + _NUMBERS
     soft = vehicle.bending.softening_factor * at.aux[AXIAL_LOAD]
-    for plane in (PITCH, YAW):
+    for plane in (sch.PITCH, sch.YAW):
         n, first = sizes.pitch_modes, eta_index(sizes)
-        if plane == YAW:
+        if plane == sch.YAW:
             n, first = sizes.yaw_modes, xi_index(sizes)
         for i in range(n):
-            inverse = p[derived_column(sizes, plane, MODE_INVERSE_MASS) + i]
-            taken = soft * p[mode_column(sizes, plane, softening_row(sizes, i)) + i]
-            stiffness = p[derived_column(sizes, plane, MODE_STIFFNESS) + i] - taken
-            damping = p[derived_column(sizes, plane, MODE_DAMPING) + i]
+            inverse = p[sch.derived_column(sizes, plane, sch.MODE_INVERSE_MASS) + i]
+            taken = soft * p[sch.mode_column(sizes, plane, sch.softening_row(sizes, i)) + i]
+            stiffness = p[sch.derived_column(sizes, plane, sch.MODE_STIFFNESS) + i] - taken
+            damping = p[sch.derived_column(sizes, plane, sch.MODE_DAMPING) + i]
             _add_block(kept, slot, first + i, n, 2, end)
             put_oscillator(kept, end, stiffness * inverse, damping * inverse, h)
             end += 4 * _MATRICES
     n = sizes.spatial_modes
     for i in range(n):
-        inverse = p[spatial_derived(sizes, MODE_INVERSE_MASS) + i]
-        taken = soft * p[spatial_column(sizes, spatial_softening_row(sizes, i)) + i]
-        stiffness = p[spatial_derived(sizes, MODE_STIFFNESS) + i] - taken
-        damping = p[spatial_derived(sizes, MODE_DAMPING) + i]
+        inverse = p[sch.spatial_derived(sizes, sch.MODE_INVERSE_MASS) + i]
+        taken = soft * p[sch.spatial_column(sizes, sch.spatial_softening_row(sizes, i)) + i]
+        stiffness = p[sch.spatial_derived(sizes, sch.MODE_STIFFNESS) + i] - taken
+        damping = p[sch.spatial_derived(sizes, sch.MODE_DAMPING) + i]
         _add_block(kept, slot, spatial_index(sizes) + i, n, 2, end)
         put_oscillator(kept, end, stiffness * inverse, damping * inverse, h)
         end += 4 * _MATRICES

@@ -29,39 +29,14 @@ from maxq.sim.flight.oscillators import (
     row_times,
 )
 from maxq.sim.flight.parameters import ERRORS_SQUARED, Clock, Memory, Parameters
+from maxq.sim.vehicle import schedule as sch
+from maxq.sim.vehicle import state as states
+from maxq.sim.vehicle import workspace as ws
 from maxq.sim.vehicle.block import Q_BI, R_I, V_I, Counts, counts
 from maxq.sim.vehicle.derivative import derivative, derive_properties
 from maxq.sim.vehicle.engine import group_angles
 from maxq.sim.vehicle.loads import MAX_LOAD_COLUMNS
-from maxq.sim.vehicle.schedule import (
-    CG_RATE,
-    CORE_CG,
-    MASS_FLOW,
-    TANK_MASS_RATE,
-    TANK_TRAVEL,
-    TOTAL_MASS,
-    tank_column,
-    thrust_column,
-)
 from maxq.sim.vehicle.slosh import bob_mass
-from maxq.sim.vehicle.state import (
-    MAX_STATE,
-    eta_index,
-    pendulum_index,
-    restore_constraints,
-    spatial_index,
-    state_size,
-    xi_index,
-)
-from maxq.sim.vehicle.workspace import (
-    AUX_SIZE,
-    CROSSFLOW_PART,
-    PART_WIND,
-    PROPERTIES_SIZE,
-    SPECIFIC_FORCE,
-    WORK_SIZE,
-    Evaluation,
-)
 from maxq.sim.world.gust_history import gust_behind
 from maxq.sim.world.turbulence import turbulence_at
 
@@ -69,35 +44,35 @@ from maxq.sim.world.turbulence import turbulence_at
 class Workspace(NamedTuple):
     """The arrays that a step works with, besides the flight's own state."""
 
-    start: Evaluation  # at the start of the step, with the state of the flight
-    middle: Evaluation  # at its later stages; `middle` and `end` have properties of their own, and share the rest
-    end: Evaluation
+    start: ws.Evaluation  # at the start of the step, with the state of the flight
+    middle: ws.Evaluation  # at its later stages; `middle` and `end` have properties of their own, and share the rest
+    end: ws.Evaluation
     y_end: Array  # state at the end of the step
     work: Array  # scratch memory of the derivative
     columns: Array  # of the section loads
     moved: Array  # of each block of oscillators: what its stages need of each other
     kept: Array  # the blocks' matrices, see oscillators.py
-    between: Evaluation  # at an instant within the step
+    between: ws.Evaluation  # at an instant within the step
 
 
 ERRORS_NS = 500_000_000
 """Between two estimates of a flight's errors."""
 _Y_END = 0
-_Y_STAGE = _Y_END + MAX_STATE
-_K_1 = _Y_STAGE + MAX_STATE
-_K = _K_1 + MAX_STATE
-_START = _K + MAX_STATE
-_MIDDLE = _START + PROPERTIES_SIZE
-_END = _MIDDLE + PROPERTIES_SIZE
-_WORK = _END + PROPERTIES_SIZE
-_AUX = _WORK + WORK_SIZE
-_AUX_STAGE = _AUX + AUX_SIZE
-_COLUMNS = _AUX_STAGE + AUX_SIZE
+_Y_STAGE = _Y_END + states.MAX_STATE
+_K_1 = _Y_STAGE + states.MAX_STATE
+_K = _K_1 + states.MAX_STATE
+_START = _K + states.MAX_STATE
+_MIDDLE = _START + ws.PROPERTIES_SIZE
+_END = _MIDDLE + ws.PROPERTIES_SIZE
+_WORK = _END + ws.PROPERTIES_SIZE
+_AUX = _WORK + ws.WORK_SIZE
+_AUX_STAGE = _AUX + ws.AUX_SIZE
+_COLUMNS = _AUX_STAGE + ws.AUX_SIZE
 _MOVED = _COLUMNS + MAX_LOAD_COLUMNS
 _KEPT = _MOVED + MOVED_SIZE
 _Y_BETWEEN = _KEPT + KEPT_SIZE
-_K_BETWEEN = _Y_BETWEEN + MAX_STATE
-ARENA_SIZE = _K_BETWEEN + MAX_STATE
+_K_BETWEEN = _Y_BETWEEN + states.MAX_STATE
+ARENA_SIZE = _K_BETWEEN + states.MAX_STATE
 
 
 @kernel
@@ -106,20 +81,20 @@ def workspace_of(arena: Array, y: Array) -> Workspace:
     y_stage, k = bare_pointer(arena[_Y_STAGE:_K_1]), bare_pointer(arena[_K:_START])
     aux = bare_pointer(arena[_AUX_STAGE:_COLUMNS])
     return Workspace(
-        start=Evaluation(
+        start=ws.Evaluation(
             bare_pointer(arena[_START:_MIDDLE]),
             bare_pointer(y),
             bare_pointer(arena[_K_1:_K]),
             bare_pointer(arena[_AUX:_AUX_STAGE]),
         ),
-        middle=Evaluation(bare_pointer(arena[_MIDDLE:_END]), y_stage, k, aux),
-        end=Evaluation(bare_pointer(arena[_END:_WORK]), y_stage, k, aux),
+        middle=ws.Evaluation(bare_pointer(arena[_MIDDLE:_END]), y_stage, k, aux),
+        end=ws.Evaluation(bare_pointer(arena[_END:_WORK]), y_stage, k, aux),
         y_end=bare_pointer(arena[_Y_END:_Y_STAGE]),
         work=bare_pointer(arena[_WORK:_AUX]),
         columns=bare_pointer(arena[_COLUMNS:_MOVED]),
         moved=bare_pointer(arena[_MOVED:_KEPT]),
         kept=bare_pointer(arena[_KEPT:_Y_BETWEEN]),
-        between=Evaluation(
+        between=ws.Evaluation(
             bare_pointer(arena[_MIDDLE:_END]),
             bare_pointer(arena[_Y_BETWEEN:_K_BETWEEN]),
             bare_pointer(arena[_K_BETWEEN:ARENA_SIZE]),
@@ -149,23 +124,23 @@ def read_schedule(p: Parameters, pool: Array, memory: Memory, now_ns: int, elaps
     if memory.held.burning == 0:
         sizes = counts(p.vehicle.sizes)
         for curve in range(sizes.thrust_curves):
-            properties[thrust_column(sizes, curve)] = 0.0
+            properties[sch.thrust_column(sizes, curve)] = 0.0
 
 
 @kernel
 def stop_flow(sizes: Counts, properties: Array) -> None:
     """Nothing leaves the vehicle any more: rates of its properties are zero."""
-    for column in range(CG_RATE, TOTAL_MASS):
+    for column in range(sch.CG_RATE, sch.TOTAL_MASS):
         properties[column] = 0.0
-    properties[MASS_FLOW] = 0.0
+    properties[sch.MASS_FLOW] = 0.0
     for tank in range(sizes.pendulums):
-        properties[tank_column(tank) + TANK_MASS_RATE] = 0.0
-        properties[tank_column(tank) + TANK_TRAVEL] = 0.0
+        properties[sch.tank_column(tank) + sch.TANK_MASS_RATE] = 0.0
+        properties[sch.tank_column(tank) + sch.TANK_TRAVEL] = 0.0
 
 
 @routine
 def evaluate(
-    p: Parameters, pool: Array, memory: Memory, now_ns: int, elapsed_s: float, at: Evaluation, work: Array
+    p: Parameters, pool: Array, memory: Memory, now_ns: int, elapsed_s: float, at: ws.Evaluation, work: Array
 ) -> None:  # fmt: skip  # nine lines otherwise
     """Derivative `elapsed_s` into the step that starts at `now_ns`."""
     inputs = memory.inputs
@@ -181,7 +156,7 @@ def evaluate(
         since_s = 1e-9 * (now_ns - memory.clock.next_gust_ns + tick) + elapsed_s
         gust = turbulence_at(memory.gusts, 1e9 * since_s / tick)
         if p.environment.penetration == 1:
-            gust = gusts_along_body(p, memory, 1e9 * since_s / tick, at.properties[CORE_CG], work)
+            gust = gusts_along_body(p, memory, 1e9 * since_s / tick, at.properties[sch.CORE_CG], work)
         inputs.gust_x_mps, inputs.gust_y_mps, inputs.gust_z_mps = gust
     derivative(p.vehicle, p.environment, pool, memory.held, inputs, at, work)
 
@@ -193,10 +168,10 @@ def gusts_along_body(p: Parameters, memory: Memory, fraction: float, cg_m: float
     parts = counts(p.vehicle.sizes).surfaces
     for k in range(parts + 1):
         station, at = (
-            (p.vehicle.aero.crossflow_station_m, CROSSFLOW_PART) if k == parts else (p.vehicle.aero.station_m[k], k)
+            (p.vehicle.aero.crossflow_station_m, ws.CROSSFLOW_PART) if k == parts else (p.vehicle.aero.station_m[k], k)
         )
         there = gust_behind(memory.history, memory.gusts, fraction, max(station, 0.0))
-        set_vector(work, PART_WIND + 3 * at, add(there, scaled(-1.0, here)))
+        set_vector(work, ws.PART_WIND + 3 * at, add(there, scaled(-1.0, here)))
     return here
 
 
@@ -206,7 +181,7 @@ def runge_kutta(p: Parameters, pool: Array, memory: Memory, now_ns: int, step_ns
 
     Classical method of order four (Hairer, Norsett & Wanner, Solving Ordinary Differential Equations I, table 1.2).
     """
-    n = state_size(counts(p.vehicle.sizes))
+    n = states.state_size(counts(p.vehicle.sizes))
     h = 1e-9 * step_ns
     y, k_1, y_end, y_stage, k = space.start.y, space.start.dy, space.y_end, space.middle.y, space.middle.dy
     read_schedule(p, pool, memory, now_ns, 0.5 * h, space.middle.properties)
@@ -225,7 +200,7 @@ def runge_kutta(p: Parameters, pool: Array, memory: Memory, now_ns: int, step_ns
     evaluate(p, pool, memory, now_ns, h, space.end, space.work)
     for i in range(n):
         y_end[i] += h / 6.0 * k[i]
-    restore_constraints(counts(p.vehicle.sizes), y_end)
+    states.restore_constraints(counts(p.vehicle.sizes), y_end)
 
 
 @routine
@@ -238,7 +213,7 @@ def exponential_runge_kutta(
     Comput. Phys. 203 (2005), 72, written for the difference r of the derivative from that at the start and from D times
     the motion since then. Where D = 0 it is the classical method.
     """
-    n = state_size(counts(p.vehicle.sizes))
+    n = states.state_size(counts(p.vehicle.sizes))
     h = 1e-9 * step_ns
     y, k_1, y_end, y_stage, k = space.start.y, space.start.dy, space.y_end, space.middle.y, space.middle.dy
     kept, moved = space.kept, space.moved
@@ -269,7 +244,7 @@ def exponential_runge_kutta(
         y_end[i] += h / 6.0 * k[i]
     for b in range(blocks):
         _block_stage(kept, slot + HEAD + BLOCK_WIDTH * b, moved, MOVED_WIDTH * b, 5, y, k_1, k, y_end)
-    restore_constraints(counts(p.vehicle.sizes), y_end)
+    states.restore_constraints(counts(p.vehicle.sizes), y_end)
 
 
 @kernel
@@ -321,7 +296,7 @@ def _block_of(
 
 
 @kernel
-def gather_at(p: Parameters, memory: Memory, now_ns: int, step_s: float, at: Evaluation) -> None:
+def gather_at(p: Parameters, memory: Memory, now_ns: int, step_s: float, at: ws.Evaluation) -> None:
     """Update all metrics at an evaluation, from which a step of `step_s` begins."""
     gather(
         memory.extremes, memory.waves, memory.clock.stage, p.vehicle, p.environment.earth, memory.held,
@@ -351,7 +326,7 @@ def estimate_errors(p: Parameters, pool: Array, memory: Memory, now_ns: int, ste
     Method of order four: the difference is 15/16 of the error (Hairer, Norsett & Wanner I, section II.4).
     """
     sizes, errors, whole, y_end = counts(p.vehicle.sizes), memory.errors, space.between.y, space.y_end
-    n, half_ns = state_size(sizes), step_ns // 2
+    n, half_ns = states.state_size(sizes), step_ns // 2
     met = starts_or_stops(p.vehicle.sizes.further_groups, space.start.aux, space.end.aux)
     for i in range(n):
         whole[i] = y_end[i]
@@ -369,18 +344,18 @@ def estimate_errors(p: Parameters, pool: Array, memory: Memory, now_ns: int, ste
     for i in range(3):
         away += (whole[R_I + i] - y_end[R_I + i]) ** 2
         faster += (whole[V_I + i] - y_end[V_I + i]) ** 2
-        pushed += space.end.aux[SPECIFIC_FORCE + i] ** 2
+        pushed += space.end.aux[ws.SPECIFIC_FORCE + i] ** 2
     bent, swung = 0.0, 0.0
     for first, modes in (
-        (eta_index(sizes), sizes.pitch_modes), (xi_index(sizes), sizes.yaw_modes),
-        (spatial_index(sizes), sizes.spatial_modes),
+        (states.eta_index(sizes), sizes.pitch_modes), (states.xi_index(sizes), sizes.yaw_modes),
+        (states.spatial_index(sizes), sizes.spatial_modes),
     ):  # fmt: skip  # a table
         for i in range(first, first + modes):
             bent = max(bent, abs(whole[i] - y_end[i]))
     for tank in range(sizes.pendulums):
         if bob_mass(space.end.properties, tank) <= 0.0:  # it stopped where its tank ran empty, within the step
             continue
-        i = pendulum_index(sizes, tank)
+        i = states.pendulum_index(sizes, tank)
         for j in range(i, i + 3):
             swung = max(swung, abs(whole[j] - y_end[j]))
     of_step = (share * math.degrees(2.0 * math.sqrt(turned)), share * bent, share * math.degrees(swung))
@@ -415,12 +390,12 @@ def evaluate_between(
     The state by the cubic that goes with the method (Hairer, Norsett & Wanner I, section II.6): through both ends, with
     the derivatives of the first and of the last stage.
     """
-    n, h, x = state_size(counts(p.vehicle.sizes)), 1e-9 * step_ns, elapsed_ns / step_ns
+    n, h, x = states.state_size(counts(p.vehicle.sizes)), 1e-9 * step_ns, elapsed_ns / step_ns
     y, k_1, y_end, k_4, out = space.start.y, space.start.dy, space.y_end, space.end.dy, space.between.y
     for i in range(n):
         out[i] = y[i] + x * x * (3.0 - 2.0 * x) * (y_end[i] - y[i])
         out[i] += h * x * (1.0 - x) * ((1.0 - x) * k_1[i] - x * k_4[i])
-    restore_constraints(counts(p.vehicle.sizes), out)
+    states.restore_constraints(counts(p.vehicle.sizes), out)
     elapsed_s = 1e-9 * elapsed_ns
     read_schedule(p, pool, memory, now_ns, elapsed_s, space.between.properties)
     evaluate(p, pool, memory, now_ns, elapsed_s, space.between, space.work)

@@ -20,6 +20,7 @@ from maxq.control.laws.load_relief import LoadReliefRow, load_relief_row
 from maxq.sim.flight.channels import ChannelTable, Topic, declared_channels, declared_topics
 from maxq.sim.flight.metrics import STANDARD_GRAVITY_MPS2
 from maxq.sim.flight.parameters import Memory, Parameters
+from maxq.sim.vehicle import workspace as ws
 from maxq.sim.vehicle.actuator import ActuatorRow, actuator_row
 from maxq.sim.vehicle.bending import BendingRow, ModeRow, bending_row, put_modes
 from maxq.sim.vehicle.engine import EngineRow, GroupRow, engine_row, group_row
@@ -42,23 +43,6 @@ from maxq.sim.vehicle.state import (
     xi_index,
 )
 from maxq.sim.vehicle.tvc_load import SwingRow, TvcLoadRow, swing_row, tvc_load_row
-from maxq.sim.vehicle.workspace import (
-    AERO_FORCE,
-    AERO_MOMENT,
-    AIRSPEED,
-    ANGULAR_ACCEL,
-    DENSITY,
-    DYNAMIC_PRESSURE,
-    FLOW,
-    GRAVITATION,
-    MACH,
-    PRESSURE,
-    SOUND_SPEED,
-    SPECIFIC_FORCE,
-    TEMPERATURE,
-    THRUST,
-    WIND_N,
-)
 from maxq.sim.world.earth import FLAT, earth_rotation, geodetic, inertial_to_earth, ned_axes
 
 FAST, SLOW = "fast", "slow"
@@ -200,21 +184,21 @@ class AirRow(NamedTuple):
 
 @kernel
 def air_row(aux: Array) -> AirRow:
-    u, v, w = xyz(aux, FLOW)
+    u, v, w = xyz(aux, ws.FLOW)
     alpha_total = math.atan2(math.sqrt(v**2 + w**2), u)
     return AirRow(
-        density_kgpm3=aux[DENSITY],
-        pressure_Pa=aux[PRESSURE],
-        temperature_K=aux[TEMPERATURE],
-        sound_speed_mps=aux[SOUND_SPEED],
-        airspeed_mps=aux[AIRSPEED],
-        mach=aux[MACH],
-        dynamic_pressure_Pa=aux[DYNAMIC_PRESSURE],
+        density_kgpm3=aux[ws.DENSITY],
+        pressure_Pa=aux[ws.PRESSURE],
+        temperature_K=aux[ws.TEMPERATURE],
+        sound_speed_mps=aux[ws.SOUND_SPEED],
+        airspeed_mps=aux[ws.AIRSPEED],
+        mach=aux[ws.MACH],
+        dynamic_pressure_Pa=aux[ws.DYNAMIC_PRESSURE],
         alpha_deg=DEG * math.atan2(w, u),
         beta_deg=DEG * math.atan2(v, math.sqrt(u**2 + w**2)),
         alpha_total_deg=DEG * alpha_total,
-        q_alpha_Padeg=DEG * (aux[DYNAMIC_PRESSURE] * alpha_total),
-        wind_N_axis_mps=NorthEastDown(aux[WIND_N], aux[WIND_N + 1], aux[WIND_N + 2]),
+        q_alpha_Padeg=DEG * (aux[ws.DYNAMIC_PRESSURE] * alpha_total),
+        wind_N_axis_mps=NorthEastDown(aux[ws.WIND_N], aux[ws.WIND_N + 1], aux[ws.WIND_N + 2]),
     )
 
 
@@ -232,13 +216,13 @@ class LoadsRow(NamedTuple):
 def loads_row(props: Array, aux: Array) -> LoadsRow:
     weight_N = props[TOTAL_MASS] * STANDARD_GRAVITY_MPS2
     return LoadsRow(
-        aero_force_B_axis_N=xyz(aux, AERO_FORCE),
-        aero_moment_B_axis_Nm=xyz(aux, AERO_MOMENT),
-        specific_force_B_axis_mps2=xyz(aux, SPECIFIC_FORCE),
-        alpha_BI_B_axis_radps2=xyz(aux, ANGULAR_ACCEL),
-        gravitation_I_axis_mps2=xyz(aux, GRAVITATION),
-        thrust_over_weight_g=aux[THRUST] / weight_N,
-        axial_load_g=(aux[THRUST] + aux[AERO_FORCE]) / weight_N,
+        aero_force_B_axis_N=xyz(aux, ws.AERO_FORCE),
+        aero_moment_B_axis_Nm=xyz(aux, ws.AERO_MOMENT),
+        specific_force_B_axis_mps2=xyz(aux, ws.SPECIFIC_FORCE),
+        alpha_BI_B_axis_radps2=xyz(aux, ws.ANGULAR_ACCEL),
+        gravitation_I_axis_mps2=xyz(aux, ws.GRAVITATION),
+        thrust_over_weight_g=aux[ws.THRUST] / weight_N,
+        axial_load_g=(aux[ws.THRUST] + aux[ws.AERO_FORCE]) / weight_N,
     )
 
 
@@ -258,7 +242,7 @@ class VehicleRow(NamedTuple):
 @kernel
 def vehicle_row(memory: Memory, props: Array, aux: Array) -> VehicleRow:
     return VehicleRow(
-        thrust_N=aux[THRUST],
+        thrust_N=aux[ws.THRUST],
         mass_flow_kgps=props[MASS_FLOW],
         mass_kg=props[TOTAL_MASS],
         core_mass_kg=props[CORE_MASS],

@@ -8,44 +8,13 @@ linear system for these (docs/model.md, section 7): exact, and no larger than th
 
 from __future__ import annotations
 
+from maxq.control.kernel import vectors as vec
 from maxq.control.kernel.jit import kernel
 from maxq.control.kernel.records import Array
-from maxq.control.kernel.vectors import (
-    Symmetric,
-    Vector,
-    add,
-    cross,
-    dot,
-    scaled,
-    set_vector,
-    symmetric_times,
-    vector_at,
-)
+from maxq.sim.vehicle import schedule as sch
+from maxq.sim.vehicle import slosh
 from maxq.sim.vehicle.bending import add_to_modes, free_modal_accelerations, modal_sum, of_plane
 from maxq.sim.vehicle.block import Counts
-from maxq.sim.vehicle.schedule import (
-    INVERSE_CORE_MASS,
-    MODE_FIRST,
-    MODE_TANK_COMPLIANCE,
-    PITCH,
-    YAW,
-    compliance_column,
-    derived_column,
-    mode_column,
-    schedule_width,
-    tank_place,
-)
-from maxq.sim.vehicle.slosh import (
-    ALONG_X,
-    ALPHA,
-    ARM,
-    BENDING_ACCEL,
-    DAMPER_FORCE,
-    DEMAND,
-    N_PENDULUM,
-    bob_mass,
-    tank_block,
-)
 from maxq.sim.vehicle.spatial_modes import (
     add_tension_to_spatial,
     apply_spatial_load,
@@ -71,24 +40,24 @@ from maxq.sim.vehicle.workspace import ACCEL, FORCE, GRAM, MAX_UNKNOWNS, SPATIAL
 
 @kernel
 def accelerate(
-    sizes: Counts, on_pad: int, offset: Vector, inverse: Symmetric, force: Vector, moment: Vector,
-    pad_accel: Vector, properties: Array, y: Array, first: int, work: Array,
-) -> tuple[Vector, Vector]:  # fmt: skip  # thirteen lines otherwise
+    sizes: Counts, on_pad: int, offset: vec.Vector, inverse: vec.Symmetric, force: vec.Vector, moment: vec.Vector,
+    pad_accel: vec.Vector, properties: Array, y: Array, first: int, work: Array,
+) -> tuple[vec.Vector, vec.Vector]:  # fmt: skip  # thirteen lines otherwise
     """Specific force at the core CG and angular acceleration, in B; modal accelerations and tensions (N) in `work`.
 
     `force` and `moment` (about the core CG) are those without the rods' tensions; `offset` leads from the core CG to
     the CG with the engine deflected, `inverse` is the inverse inertia about the latter. The pendulums' states begin at
     y[first]. On the pad the body has the accelerations of the pad, and only modes and bobs respond.
     """
-    inverse_mass = properties[schedule_width(sizes) + INVERSE_CORE_MASS]
-    accel = scaled(inverse_mass, force)  # of the CG with the engine deflected, without tensions
+    inverse_mass = properties[sch.schedule_width(sizes) + sch.INVERSE_CORE_MASS]
+    accel = vec.scaled(inverse_mass, force)  # of the CG with the engine deflected, without tensions
     if on_pad == 1:
         inverse_mass, accel, inverse = 0.0, pad_accel, (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-    alpha = symmetric_times(inverse, add(moment, scaled(-1.0, cross(offset, force))))
+    alpha = vec.symmetric_times(inverse, vec.add(moment, vec.scaled(-1.0, vec.cross(offset, force))))
     for k in range(sizes.pendulums):
-        b = tank_block(k)
-        _add_damper_to_modes(sizes, k, work[b + DAMPER_FORCE], work[b + DAMPER_FORCE + 1], properties, work)
-        set_vector(work, b + ALPHA, symmetric_times(inverse, vector_at(work, b + ARM)))
+        b = slosh.tank_block(k)
+        _add_damper_to_modes(sizes, k, work[b + slosh.DAMPER_FORCE], work[b + slosh.DAMPER_FORCE + 1], properties, work)
+        vec.set_vector(work, b + slosh.ALPHA, vec.symmetric_times(inverse, vec.vector_at(work, b + slosh.ARM)))
     free_modal_accelerations(sizes, properties, work)
     if sizes.spatial_modes > 0:
         free_spatial_accelerations(sizes, properties, work)
@@ -96,24 +65,24 @@ def accelerate(
         load_responses(sizes, inverse_mass, inverse, properties, work)
     _solve_tensions(sizes, inverse_mass, accel, alpha, properties, y, first, work)
     for k in range(sizes.pendulums):
-        u, tension = vector_at(y, first + N_PENDULUM * k), work[TENSION + k]
-        accel = add(accel, scaled(inverse_mass * tension, u))
-        alpha = add(alpha, scaled(tension, vector_at(work, tank_block(k) + ALPHA)))
+        u, tension = vec.vector_at(y, first + slosh.N_PENDULUM * k), work[TENSION + k]
+        accel = vec.add(accel, vec.scaled(inverse_mass * tension, u))
+        alpha = vec.add(alpha, vec.scaled(tension, vec.vector_at(work, slosh.tank_block(k) + slosh.ALPHA)))
         _add_tension_to_modes(sizes, k, tension * u[1], tension * u[2], properties, work)
         if sizes.spatial_modes > 0:
             add_tension_to_spatial(sizes, properties, k, tension, work)
     for k in range(2 * sizes.tvc_loads):
         b, swing = load_block(k), work[TENSION + sizes.pendulums + k]
-        accel = add(accel, scaled(swing, vector_at(work, b + RIGID_ACCEL)))
-        alpha = add(alpha, scaled(swing, vector_at(work, b + LOAD_ALPHA)))
+        accel = vec.add(accel, vec.scaled(swing, vec.vector_at(work, b + RIGID_ACCEL)))
+        alpha = vec.add(alpha, vec.scaled(swing, vec.vector_at(work, b + LOAD_ALPHA)))
         add_load_to_modes(sizes, k, swing, work)
     if sizes.spatial_modes > 0:
         for k in range(sizes.pendulums):
-            b, moved = tank_block(k), spatial_motion(sizes, properties, tank_place(k), work, SPATIAL_ACCEL)
-            work[b + ALONG_X + 3] = moved[0]
-            work[b + BENDING_ACCEL] += moved[1]
-            work[b + BENDING_ACCEL + 1] += moved[2]
-    return add(accel, cross(offset, alpha)), alpha
+            b, moved = slosh.tank_block(k), spatial_motion(sizes, properties, sch.tank_place(k), work, SPATIAL_ACCEL)
+            work[b + slosh.ALONG_X + 3] = moved[0]
+            work[b + slosh.BENDING_ACCEL] += moved[1]
+            work[b + slosh.BENDING_ACCEL + 1] += moved[2]
+    return vec.add(accel, vec.cross(offset, alpha)), alpha
 
 
 @kernel
@@ -121,12 +90,15 @@ def _add_damper_to_modes(
     sizes: Counts, k: int, force_y: float, force_z: float, properties: Array, work: Array
 ) -> None:  # fmt: skip  # as ruff would, but for a line of one bracket
     """Add the force of the damper of tank k to the generalised forces."""
-    in_pitch, in_yaw = mode_column(sizes, PITCH, MODE_FIRST + k), mode_column(sizes, YAW, MODE_FIRST + k)
-    add_to_modes(sizes, properties, in_pitch, force_z, work, of_plane(FORCE, PITCH))
-    add_to_modes(sizes, properties, in_yaw, force_y, work, of_plane(FORCE, YAW))
+    in_pitch, in_yaw = (
+        sch.mode_column(sizes, sch.PITCH, sch.MODE_FIRST + k),
+        sch.mode_column(sizes, sch.YAW, sch.MODE_FIRST + k),
+    )
+    add_to_modes(sizes, properties, in_pitch, force_z, work, of_plane(FORCE, sch.PITCH))
+    add_to_modes(sizes, properties, in_yaw, force_y, work, of_plane(FORCE, sch.YAW))
     if sizes.spatial_modes > 0:
-        load = (work[tank_block(k) + ALONG_X + 2], force_y, force_z, 0.0, 0.0, 0.0)
-        apply_spatial_load(sizes, properties, tank_place(k), load, work, SPATIAL_FORCE)
+        load = (work[slosh.tank_block(k) + slosh.ALONG_X + 2], force_y, force_z, 0.0, 0.0, 0.0)
+        apply_spatial_load(sizes, properties, sch.tank_place(k), load, work, SPATIAL_FORCE)
 
 
 @kernel
@@ -134,10 +106,10 @@ def _add_tension_to_modes(
     sizes: Counts, k: int, force_y: float, force_z: float, properties: Array, work: Array
 ) -> None:  # fmt: skip  # as ruff would, but for a line of one bracket
     """Add the lateral force of the rod of tank k to the modal accelerations."""
-    in_pitch = derived_column(sizes, PITCH, MODE_TANK_COMPLIANCE + k)
-    in_yaw = derived_column(sizes, YAW, MODE_TANK_COMPLIANCE + k)
-    add_to_modes(sizes, properties, in_pitch, force_z, work, of_plane(ACCEL, PITCH))
-    add_to_modes(sizes, properties, in_yaw, force_y, work, of_plane(ACCEL, YAW))
+    in_pitch = sch.derived_column(sizes, sch.PITCH, sch.MODE_TANK_COMPLIANCE + k)
+    in_yaw = sch.derived_column(sizes, sch.YAW, sch.MODE_TANK_COMPLIANCE + k)
+    add_to_modes(sizes, properties, in_pitch, force_z, work, of_plane(ACCEL, sch.PITCH))
+    add_to_modes(sizes, properties, in_yaw, force_y, work, of_plane(ACCEL, sch.YAW))
 
 
 @kernel
@@ -148,7 +120,7 @@ def _gram(row: int, column: int) -> int:
 
 @kernel
 def _solve_tensions(
-    sizes: Counts, inverse_mass: float, accel: Vector, alpha: Vector, properties: Array, y: Array,
+    sizes: Counts, inverse_mass: float, accel: vec.Vector, alpha: vec.Vector, properties: Array, y: Array,
     first: int, work: Array,
 ) -> None:  # fmt: skip  # ten lines otherwise
     """Solve  (1/m_k) T_k + sum_l G_kl T_l = demand_k - (hinge acceleration along the rod without tensions).
@@ -157,41 +129,41 @@ def _solve_tensions(
     of the deflected vehicle the rigid part of it is u_k.u_l / m + arm_k.(J^-1 arm_l). Both sides are multiplied by m_k.
     """
     n = sizes.pendulums
-    in_pitch, in_yaw = compliance_column(sizes, PITCH), compliance_column(sizes, YAW)
+    in_pitch, in_yaw = sch.compliance_column(sizes, sch.PITCH), sch.compliance_column(sizes, sch.YAW)
     for k in range(n):
-        b, u, mass = tank_block(k), vector_at(y, first + N_PENDULUM * k), bob_mass(properties, k)
-        arm = vector_at(work, b + ARM)
+        b, u, mass = slosh.tank_block(k), vec.vector_at(y, first + slosh.N_PENDULUM * k), slosh.bob_mass(properties, k)
+        arm = vec.vector_at(work, b + slosh.ARM)
         bend_y, bend_z = _bending_acceleration(sizes, k, properties, work, ACCEL)
-        work[b + BENDING_ACCEL], work[b + BENDING_ACCEL + 1] = bend_y, bend_z
-        along = dot(u, accel) + dot(arm, alpha) + u[1] * bend_y + u[2] * bend_z
+        work[b + slosh.BENDING_ACCEL], work[b + slosh.BENDING_ACCEL + 1] = bend_y, bend_z
+        along = vec.dot(u, accel) + vec.dot(arm, alpha) + u[1] * bend_y + u[2] * bend_z
         if sizes.spatial_modes > 0:
-            along += spatial_along_rod(sizes, properties, tank_place(k), k, u, work, SPATIAL_ACCEL)
-        work[TENSION + k] = mass * (work[b + DEMAND] - along)
+            along += spatial_along_rod(sizes, properties, sch.tank_place(k), k, u, work, SPATIAL_ACCEL)
+        work[TENSION + k] = mass * (work[b + slosh.DEMAND] - along)
         for j in range(k + 1):
-            u_j = vector_at(y, first + N_PENDULUM * j)
-            g = inverse_mass * dot(u, u_j)
-            g += dot(arm, vector_at(work, tank_block(j) + ALPHA))
+            u_j = vec.vector_at(y, first + slosh.N_PENDULUM * j)
+            g = inverse_mass * vec.dot(u, u_j)
+            g += vec.dot(arm, vec.vector_at(work, slosh.tank_block(j) + slosh.ALPHA))
             g += properties[in_pitch + k * n + j] * u[2] * u_j[2] + properties[in_yaw + k * n + j] * u[1] * u_j[1]
             if sizes.spatial_modes > 0:
                 g += spatial_compliance(sizes, properties, k, j, work)
-            work[_gram(j, k)] = bob_mass(properties, j) * g
+            work[_gram(j, k)] = slosh.bob_mass(properties, j) * g
             work[_gram(k, j)] = mass * g
         work[_gram(k, k)] += 1.0
     if sizes.tvc_loads > 0:
         _add_loads(sizes, accel, alpha, properties, y, first, work)
     _eliminate(n + 2 * sizes.tvc_loads, work)
     for k in range(n):  # the tensions accelerate the hinges, too
-        u, tension = vector_at(y, first + N_PENDULUM * k), work[TENSION + k]
+        u, tension = vec.vector_at(y, first + slosh.N_PENDULUM * k), work[TENSION + k]
         for j in range(n):
-            b = tank_block(j)
-            work[b + BENDING_ACCEL] += properties[in_yaw + k * n + j] * (tension * u[1])
-            work[b + BENDING_ACCEL + 1] += properties[in_pitch + k * n + j] * (tension * u[2])
+            b = slosh.tank_block(j)
+            work[b + slosh.BENDING_ACCEL] += properties[in_yaw + k * n + j] * (tension * u[1])
+            work[b + slosh.BENDING_ACCEL + 1] += properties[in_pitch + k * n + j] * (tension * u[2])
     for k in range(2 * sizes.tvc_loads):  # and so does the engine's swing
         for j in range(n):
-            b, swing = tank_block(j), work[TENSION + n + k]
+            b, swing = slosh.tank_block(j), work[TENSION + n + k]
             bend_y, bend_z = _bending_acceleration(sizes, j, properties, work, load_modal(k, 1))
-            work[b + BENDING_ACCEL] += swing * bend_y
-            work[b + BENDING_ACCEL + 1] += swing * bend_z
+            work[b + slosh.BENDING_ACCEL] += swing * bend_y
+            work[b + slosh.BENDING_ACCEL + 1] += swing * bend_z
 
 
 @kernel
@@ -199,14 +171,18 @@ def _bending_acceleration(
     sizes: Counts, k: int, properties: Array, work: Array, quantity: int
 ) -> tuple[float, float]:  # fmt: skip  # as ruff would, but for a line of one bracket
     """Acceleration of the hinge of tank k along y and z, from the modal accelerations at `quantity`."""
-    bend_z = modal_sum(sizes, properties, mode_column(sizes, PITCH, MODE_FIRST + k), work, of_plane(quantity, PITCH))
-    bend_y = modal_sum(sizes, properties, mode_column(sizes, YAW, MODE_FIRST + k), work, of_plane(quantity, YAW))
+    bend_z = modal_sum(
+        sizes, properties, sch.mode_column(sizes, sch.PITCH, sch.MODE_FIRST + k), work, of_plane(quantity, sch.PITCH)
+    )
+    bend_y = modal_sum(
+        sizes, properties, sch.mode_column(sizes, sch.YAW, sch.MODE_FIRST + k), work, of_plane(quantity, sch.YAW)
+    )
     return bend_y, bend_z
 
 
 @kernel
 def _add_loads(
-    sizes: Counts, accel: Vector, alpha: Vector, properties: Array, y: Array, first: int, work: Array
+    sizes: Counts, accel: vec.Vector, alpha: vec.Vector, properties: Array, y: Array, first: int, work: Array
 ) -> None:  # fmt: skip  # ten lines otherwise
     """Rows and columns of the engine's angular accelerations s in the system of the tensions (docs/model.md, 14.4):
 
@@ -217,14 +193,17 @@ def _add_loads(
     n = sizes.pendulums
     for i in range(2 * sizes.tvc_loads):
         b, modal, row = load_block(i), load_modal(i, 1), n + i
-        rigid, turning = vector_at(work, b + RIGID_ACCEL), vector_at(work, b + LOAD_ALPHA)
+        rigid, turning = vec.vector_at(work, b + RIGID_ACCEL), vec.vector_at(work, b + LOAD_ALPHA)
         for k in range(n):
-            u, arm = vector_at(y, first + N_PENDULUM * k), vector_at(work, tank_block(k) + ARM)
+            u, arm = (
+                vec.vector_at(y, first + slosh.N_PENDULUM * k),
+                vec.vector_at(work, slosh.tank_block(k) + slosh.ARM),
+            )
             bend_y, bend_z = _bending_acceleration(sizes, k, properties, work, modal)
-            along = dot(u, rigid) + dot(arm, turning) + u[1] * bend_y + u[2] * bend_z
+            along = vec.dot(u, rigid) + vec.dot(arm, turning) + u[1] * bend_y + u[2] * bend_z
             if sizes.spatial_modes > 0:
-                along += spatial_along_rod(sizes, properties, tank_place(k), k, u, work, load_spatial(i, 1))
-            work[_gram(k, row)] = bob_mass(properties, k) * along
+                along += spatial_along_rod(sizes, properties, sch.tank_place(k), k, u, work, load_spatial(i, 1))
+            work[_gram(k, row)] = slosh.bob_mass(properties, k) * along
             work[_gram(row, k)] = -along
         for j in range(2 * sizes.tvc_loads):
             work[_gram(n + j, row)] = -moment_about_hinge(sizes, j, rigid, turning, modal, load_spatial(i, 1), work)

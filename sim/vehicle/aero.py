@@ -18,37 +18,12 @@ from maxq.control.kernel.limits import MAX_SURFACES
 from maxq.control.kernel.records import Array
 from maxq.control.kernel.tables import TableRef, find_interval, interpolate_into, look_up
 from maxq.control.kernel.vectors import Vector, add, cross, scaled, vector_at
+from maxq.sim.vehicle import schedule as sch
+from maxq.sim.vehicle import workspace as ws
 from maxq.sim.vehicle.bending import add_to_modes, modal_sum, of_plane
 from maxq.sim.vehicle.block import Counts
 from maxq.sim.vehicle.incidence import ALWAYS, POWER_ON, IncidenceTables, rate_loads, static_loads, table_coefficients
-from maxq.sim.vehicle.schedule import (
-    CORE_CG,
-    MOMENT_REFERENCE,
-    PITCH,
-    TOTAL_MASS,
-    YAW,
-    mode_column,
-    padded_modes,
-    schedule_width,
-    surface_place,
-    surface_row,
-)
 from maxq.sim.vehicle.spatial_modes import apply_spatial_load, outer_spatial_load, spatial_motion
-from maxq.sim.vehicle.workspace import (
-    AIRSPEED,
-    CROSSFLOW_PART,
-    DENSITY,
-    ETA,
-    FORCE,
-    MACH_ROW,
-    NU,
-    PART_WIND,
-    SPATIAL_ETA,
-    SPATIAL_FORCE,
-    SPATIAL_NU,
-    SURFACE_LOAD,
-    SURFACE_LOAD_WIDTH,
-)
 
 # Columns of the Mach table; CD is the drag along the relative wind, whatever the attitude. From FIRST_SURFACE on, per
 # surface, CN_alpha and CN_alpha times its station.
@@ -84,7 +59,7 @@ class Aero:
 @kernel
 def air_acts(aero: Aero, aux: Array) -> bool:
     """Whether there are aerodynamic forces: where the air is, above the floor of the airspeed."""
-    acts: bool = aero.on == 1 and aux[DENSITY] > 0.0 and aux[AIRSPEED] >= aero.airspeed_floor_mps
+    acts: bool = aero.on == 1 and aux[ws.DENSITY] > 0.0 and aux[ws.AIRSPEED] >= aero.airspeed_floor_mps
     return acts
 
 
@@ -92,15 +67,15 @@ def air_acts(aero: Aero, aux: Array) -> bool:
 def moment_reference(aero: Aero, sizes: Counts, pool: Array, clock_s: float, properties: Array) -> None:
     """Station of the moment reference at this instant into the derived properties."""
     if sizes.tables > 0 or aero.reference_moves != FIXED:
-        x = properties[TOTAL_MASS] if aero.reference_moves == OVER_MASS else clock_s
-        properties[schedule_width(sizes) + MOMENT_REFERENCE] = look_up(pool, aero.reference, x, 0)
+        x = properties[sch.TOTAL_MASS] if aero.reference_moves == OVER_MASS else clock_s
+        properties[sch.schedule_width(sizes) + sch.MOMENT_REFERENCE] = look_up(pool, aero.reference, x, 0)
 
 
 @kernel
 def coefficients(aero: Aero, pool: Array, mach: float, work: Array) -> None:
     """Interpolate the Mach table into the workspace."""
     k = find_interval(pool, aero.table, mach)
-    interpolate_into(pool, aero.table, k, mach, work, MACH_ROW)
+    interpolate_into(pool, aero.table, k, mach, work, ws.MACH_ROW)
 
 
 @kernel
@@ -113,20 +88,20 @@ def body_loads(
     speed = math.sqrt(u * u + v * v + w * w)
     v_cross, w_cross = v, w
     if aero.penetration == 1:
-        v_cross -= work[PART_WIND + 3 * CROSSFLOW_PART + 1]
-        w_cross -= work[PART_WIND + 3 * CROSSFLOW_PART + 2]
+        v_cross -= work[ws.PART_WIND + 3 * ws.CROSSFLOW_PART + 1]
+        w_cross -= work[ws.PART_WIND + 3 * ws.CROSSFLOW_PART + 2]
     lateral = math.sqrt(v_cross * v_cross + w_cross * w_cross)
-    axial = work[MACH_ROW + CA] if burning == 1 else work[MACH_ROW + CA_COAST]
-    drag = half * aero.axial_factor * work[MACH_ROW + CD] * speed
-    cross = half * aero.force_factor * work[MACH_ROW + CROSSFLOW] * lateral
+    axial = work[ws.MACH_ROW + CA] if burning == 1 else work[ws.MACH_ROW + CA_COAST]
+    drag = half * aero.axial_factor * work[ws.MACH_ROW + CD] * speed
+    cross = half * aero.force_factor * work[ws.MACH_ROW + CROSSFLOW] * lateral
     fx = -half * aero.axial_factor * axial * u * abs(u) - drag * u
     fy_cross, fz_cross = -cross * v_cross, -cross * w_cross
     arm = cg[0] - aero.crossflow_station_m
     damping = 0.5 * half * aero.damping_factor * speed
-    mx = damping * aero.span_m * aero.span_m * work[MACH_ROW + CLP] * rate[0]
-    my = damping * aero.chord_m * aero.chord_m * work[MACH_ROW + CMQ] * rate[1]
-    mz = damping * aero.yaw_chord_m * aero.yaw_chord_m * work[MACH_ROW + CNR] * rate[2]
-    my += half * speed * speed * aero.chord_m * work[MACH_ROW + CM0] - arm * fz_cross
+    mx = damping * aero.span_m * aero.span_m * work[ws.MACH_ROW + CLP] * rate[0]
+    my = damping * aero.chord_m * aero.chord_m * work[ws.MACH_ROW + CMQ] * rate[1]
+    mz = damping * aero.yaw_chord_m * aero.yaw_chord_m * work[ws.MACH_ROW + CNR] * rate[2]
+    my += half * speed * speed * aero.chord_m * work[ws.MACH_ROW + CM0] - arm * fz_cross
     mz += arm * fy_cross
     # the aerodynamic axis is the body axis, which misses a CG that lies beside it
     mx += -cg[1] * fz_cross + cg[2] * fy_cross
@@ -141,27 +116,27 @@ def surface_loads(
 ) -> tuple[Vector, Vector]:
     """Normal force of the lifting surfaces with their local incidence; adds to the modes' generalised forces."""
     whole = 0.5 * density * aero.area_m2 * aero.force_factor
-    x_cg, y_cg, z_cg = properties[CORE_CG], properties[CORE_CG + 1], properties[CORE_CG + 2]
+    x_cg, y_cg, z_cg = properties[sch.CORE_CG], properties[sch.CORE_CG + 1], properties[sch.CORE_CG + 2]
     fy, fz, mx, my, mz = 0.0, 0.0, 0.0, 0.0, 0.0
     for s in range(sizes.surfaces - sizes.tables):
-        cn = work[MACH_ROW + FIRST_SURFACE + 2 * s]
-        cn_x = work[MACH_ROW + FIRST_SURFACE + 2 * s + 1] + cn * aero.centre_shift_m
+        cn = work[ws.MACH_ROW + FIRST_SURFACE + 2 * s]
+        cn_x = work[ws.MACH_ROW + FIRST_SURFACE + 2 * s + 1] + cn * aero.centre_shift_m
         if s == aero.remainder:
-            cn_x += cn * properties[schedule_width(sizes) + MOMENT_REFERENCE]
-        in_pitch = mode_column(sizes, PITCH, surface_row(sizes, s))
-        in_yaw = mode_column(sizes, YAW, surface_row(sizes, s))
+            cn_x += cn * properties[sch.schedule_width(sizes) + sch.MOMENT_REFERENCE]
+        in_pitch = sch.mode_column(sizes, sch.PITCH, sch.surface_row(sizes, s))
+        in_yaw = sch.mode_column(sizes, sch.YAW, sch.surface_row(sizes, s))
         u_local, v_local, w_local = local_flow(aero, sizes, s, flow, properties, work)
         half = whole * abs(u_local)
         force_y, force_z = -half * cn * v_local, -half * cn * w_local
-        add_to_modes(sizes, properties, in_pitch, force_z, work, of_plane(FORCE, PITCH))
-        add_to_modes(sizes, properties, in_yaw, force_y, work, of_plane(FORCE, YAW))
+        add_to_modes(sizes, properties, in_pitch, force_z, work, of_plane(ws.FORCE, sch.PITCH))
+        add_to_modes(sizes, properties, in_yaw, force_y, work, of_plane(ws.FORCE, sch.YAW))
         if sizes.spatial_modes > 0:
             load = (0.0, force_y, force_z, 0.0, 0.0, 0.0)
-            moved = outer_spatial_load(sizes, properties, surface_place(sizes, s), load, work)
+            moved = outer_spatial_load(sizes, properties, sch.surface_place(sizes, s), load, work)
             mx, my, mz = mx + moved[0], my + moved[1], mz + moved[2]
         fy += force_y
         fz += force_z
-        kept = SURFACE_LOAD + SURFACE_LOAD_WIDTH * s
+        kept = ws.SURFACE_LOAD + ws.SURFACE_LOAD_WIDTH * s
         work[kept], work[kept + 1], work[kept + 2], work[kept + 3] = force_y, force_z, cn, cn_x
         mx += -y_cg * force_z + z_cg * force_y
         my += half * w_local * (cn * x_cg - cn_x)
@@ -174,17 +149,17 @@ def local_flow(aero: Aero, sizes: Counts, s: int, flow: Vector, properties: Arra
     """Flow at surface or table `s` of the bent body, B, m/s."""
     u, v, w = flow
     if aero.penetration == 1:
-        u, v, w = add(flow, scaled(-1.0, vector_at(work, PART_WIND + 3 * s)))
+        u, v, w = add(flow, scaled(-1.0, vector_at(work, ws.PART_WIND + 3 * s)))
     if aero.local_incidence == 1:
-        in_pitch = mode_column(sizes, PITCH, surface_row(sizes, s))
-        in_yaw = mode_column(sizes, YAW, surface_row(sizes, s))
-        w += u * modal_sum(sizes, properties, in_pitch + padded_modes(sizes), work, of_plane(ETA, PITCH))
-        w += modal_sum(sizes, properties, in_pitch, work, of_plane(NU, PITCH))
-        v += u * modal_sum(sizes, properties, in_yaw + padded_modes(sizes), work, of_plane(ETA, YAW))
-        v += modal_sum(sizes, properties, in_yaw, work, of_plane(NU, YAW))
+        in_pitch = sch.mode_column(sizes, sch.PITCH, sch.surface_row(sizes, s))
+        in_yaw = sch.mode_column(sizes, sch.YAW, sch.surface_row(sizes, s))
+        w += u * modal_sum(sizes, properties, in_pitch + sch.padded_modes(sizes), work, of_plane(ws.ETA, sch.PITCH))
+        w += modal_sum(sizes, properties, in_pitch, work, of_plane(ws.NU, sch.PITCH))
+        v += u * modal_sum(sizes, properties, in_yaw + sch.padded_modes(sizes), work, of_plane(ws.ETA, sch.YAW))
+        v += modal_sum(sizes, properties, in_yaw, work, of_plane(ws.NU, sch.YAW))
         if sizes.spatial_modes > 0:
-            turned = spatial_motion(sizes, properties, surface_place(sizes, s), work, SPATIAL_ETA)
-            moving = spatial_motion(sizes, properties, surface_place(sizes, s), work, SPATIAL_NU)
+            turned = spatial_motion(sizes, properties, sch.surface_place(sizes, s), work, ws.SPATIAL_ETA)
+            moving = spatial_motion(sizes, properties, sch.surface_place(sizes, s), work, ws.SPATIAL_NU)
             v, w = v + (moving[1] - u * turned[5]), w + (moving[2] + u * turned[4])
     return u, v, w
 
@@ -196,13 +171,13 @@ def table_loads(
 ) -> tuple[Vector, Vector]:  # fmt: skip  # eleven more lines otherwise
     """Forces and moments of the tables over incidence about the core CG in B; adds to the modes' generalised forces."""
     lengths = (aero.span_m, aero.chord_m, aero.yaw_chord_m)
-    reference_m = properties[schedule_width(sizes) + MOMENT_REFERENCE]
-    cg = properties[CORE_CG]
-    arm = (cg - reference_m, -properties[CORE_CG + 1], -properties[CORE_CG + 2])
+    reference_m = properties[sch.schedule_width(sizes) + sch.MOMENT_REFERENCE]
+    cg = properties[sch.CORE_CG]
+    arm = (cg - reference_m, -properties[sch.CORE_CG + 1], -properties[sch.CORE_CG + 2])
     total_force, total_moment = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
     for j in range(sizes.tables):
         power = aero.tables.power[j]
-        kept = SURFACE_LOAD + SURFACE_LOAD_WIDTH * (sizes.surfaces - sizes.tables + j)
+        kept = ws.SURFACE_LOAD + ws.SURFACE_LOAD_WIDTH * (sizes.surfaces - sizes.tables + j)
         work[kept], work[kept + 1] = 0.0, 0.0
         if power == ALWAYS or (power == POWER_ON) == (burning == 1):
             s = sizes.surfaces - sizes.tables + j
@@ -228,16 +203,18 @@ def table_loads(
             forward = aero.station_m[s] - reference_m - aero.centre_shift_m
             work[kept], work[kept + 1], work[kept + 2], work[kept + 3] = lateral[1], lateral[2], 1.0, aero.station_m[s]
             couple_y, couple_z = couple[1] - forward * lateral[2], couple[2] + forward * lateral[1]
-            in_pitch = mode_column(sizes, PITCH, surface_row(sizes, s))
-            in_yaw = mode_column(sizes, YAW, surface_row(sizes, s))
-            slopes = padded_modes(sizes)
-            add_to_modes(sizes, properties, in_pitch, lateral[2], work, of_plane(FORCE, PITCH))
-            add_to_modes(sizes, properties, in_pitch + slopes, couple_y, work, of_plane(FORCE, PITCH))
-            add_to_modes(sizes, properties, in_yaw, lateral[1], work, of_plane(FORCE, YAW))
-            add_to_modes(sizes, properties, in_yaw + slopes, -couple_z, work, of_plane(FORCE, YAW))
+            in_pitch = sch.mode_column(sizes, sch.PITCH, sch.surface_row(sizes, s))
+            in_yaw = sch.mode_column(sizes, sch.YAW, sch.surface_row(sizes, s))
+            slopes = sch.padded_modes(sizes)
+            add_to_modes(sizes, properties, in_pitch, lateral[2], work, of_plane(ws.FORCE, sch.PITCH))
+            add_to_modes(sizes, properties, in_pitch + slopes, couple_y, work, of_plane(ws.FORCE, sch.PITCH))
+            add_to_modes(sizes, properties, in_yaw, lateral[1], work, of_plane(ws.FORCE, sch.YAW))
+            add_to_modes(sizes, properties, in_yaw + slopes, -couple_z, work, of_plane(ws.FORCE, sch.YAW))
             if sizes.spatial_modes > 0:
-                place, load = surface_place(sizes, s), (0.0, lateral[1], lateral[2], couple[0], couple_y, couple_z)
+                place, load = sch.surface_place(sizes, s), (0.0, lateral[1], lateral[2], couple[0], couple_y, couple_z)
                 moved = outer_spatial_load(sizes, properties, place, load, work)
-                apply_spatial_load(sizes, properties, place, (axial[0], 0.0, 0.0, 0.0, 0.0, 0.0), work, SPATIAL_FORCE)
+                apply_spatial_load(
+                    sizes, properties, place, (axial[0], 0.0, 0.0, 0.0, 0.0, 0.0), work, ws.SPATIAL_FORCE
+                )
                 total_moment = add(total_moment, moved)
     return total_force, total_moment

@@ -19,22 +19,8 @@ from maxq.control.kernel.limits import MAX_MODES
 from maxq.control.kernel.records import Array
 from maxq.control.kernel.rows import DEG, PitchYaw, put
 from maxq.control.kernel.vectors import Vector
+from maxq.sim.vehicle import schedule as sch
 from maxq.sim.vehicle.block import Counts, StateBlock
-from maxq.sim.vehicle.schedule import (
-    MODE_DAMPING,
-    MODE_INVERSE_MASS,
-    MODE_MASS,
-    MODE_SLOPE_GYRO,
-    MODE_STIFFNESS,
-    PITCH,
-    YAW,
-    derived_column,
-    gimbal_row,
-    mode_column,
-    mode_rows,
-    padded_modes,
-    softening_row,
-)
 from maxq.sim.vehicle.spatial_modes import Load, SpatialModes
 from maxq.sim.vehicle.workspace import ACCEL, ETA, FORCE, GIMBAL_BEND, NU, RATE
 
@@ -120,8 +106,8 @@ def _add_to_four(properties: Array, r: int, amount: float, work: Array, q: int) 
 @kernel
 def free_modal_accelerations(sizes: Counts, properties: Array, work: Array) -> None:
     """Accelerations of the modes under their generalised forces, without the tensions of the pendulums."""
-    for plane in (PITCH, YAW):
-        row = derived_column(sizes, plane, MODE_INVERSE_MASS)
+    for plane in (sch.PITCH, sch.YAW):
+        row = sch.derived_column(sizes, plane, sch.MODE_INVERSE_MASS)
         force, accel = of_plane(FORCE, plane), of_plane(ACCEL, plane)
         if sizes.mode_groups > 0:
             _accelerate_four(properties, row, work, force, accel)
@@ -154,7 +140,7 @@ def modal_state(sizes: Counts, roll_rate: float, y: Array, eta: int, xi: int, wo
 @kernel
 def _state_of_four(sizes: Counts, first: int, roll_rate: float, y: Array, eta: int, xi: int, work: Array) -> None:
     for i in range(first, first + 4):
-        p, q = of_plane(0, PITCH) + i, of_plane(0, YAW) + i
+        p, q = of_plane(0, sch.PITCH) + i, of_plane(0, sch.YAW) + i
         in_pitch, in_yaw, nu_pitch, nu_yaw, rate_pitch, rate_yaw = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
         if i < sizes.pitch_modes:
             in_pitch, nu_pitch = y[eta + i], y[eta + sizes.pitch_modes + i]
@@ -173,11 +159,11 @@ def _state_of_four(sizes: Counts, first: int, roll_rate: float, y: Array, eta: i
 def modal_derivative(sizes: Counts, eta: int, xi: int, dy: Array, work: Array) -> None:
     """Derivatives of the states at y[eta:] and y[xi:], once the workspace holds the modal accelerations."""
     for i in range(sizes.pitch_modes):
-        dy[eta + i] = work[of_plane(RATE, PITCH) + i]
-        dy[eta + sizes.pitch_modes + i] = work[of_plane(ACCEL, PITCH) + i]
+        dy[eta + i] = work[of_plane(RATE, sch.PITCH) + i]
+        dy[eta + sizes.pitch_modes + i] = work[of_plane(ACCEL, sch.PITCH) + i]
     for i in range(sizes.yaw_modes):
-        dy[xi + i] = work[of_plane(RATE, YAW) + i]
-        dy[xi + sizes.yaw_modes + i] = work[of_plane(ACCEL, YAW) + i]
+        dy[xi + i] = work[of_plane(RATE, sch.YAW) + i]
+        dy[xi + sizes.yaw_modes + i] = work[of_plane(ACCEL, sch.YAW) + i]
 
 
 @kernel
@@ -185,7 +171,7 @@ def gimbal_displacement(
     sizes: Counts, properties: Array, gimbal: int, work: Array
 ) -> tuple[float, float, float, float]:
     """Displacement along y and z (m) and rotation about y and z (rad) of a gimbal's station by bending."""
-    return motion_at(sizes, properties, gimbal, work, of_plane(ETA, PITCH), of_plane(ETA, YAW))
+    return motion_at(sizes, properties, gimbal, work, of_plane(ETA, sch.PITCH), of_plane(ETA, sch.YAW))
 
 
 @kernel
@@ -193,12 +179,12 @@ def motion_at(
     sizes: Counts, properties: Array, gimbal: int, work: Array, pitch: int, yaw: int
 ) -> tuple[float, float, float, float]:
     """The same of other modal quantities (ETA, NU, ...), of the pitch and of the yaw plane's modes."""
-    phi = gimbal_row(sizes, gimbal)
+    phi = sch.gimbal_row(sizes, gimbal)
     return (
-        modal_sum(sizes, properties, mode_column(sizes, YAW, phi), work, yaw),
-        modal_sum(sizes, properties, mode_column(sizes, PITCH, phi), work, pitch),
-        modal_sum(sizes, properties, mode_column(sizes, PITCH, phi + 1), work, pitch),
-        -modal_sum(sizes, properties, mode_column(sizes, YAW, phi + 1), work, yaw),
+        modal_sum(sizes, properties, sch.mode_column(sizes, sch.YAW, phi), work, yaw),
+        modal_sum(sizes, properties, sch.mode_column(sizes, sch.PITCH, phi), work, pitch),
+        modal_sum(sizes, properties, sch.mode_column(sizes, sch.PITCH, phi + 1), work, pitch),
+        -modal_sum(sizes, properties, sch.mode_column(sizes, sch.YAW, phi + 1), work, yaw),
     )
 
 
@@ -206,8 +192,12 @@ def motion_at(
 def bending_rate_at_gyro(sizes: Counts, properties: Array, work: Array) -> tuple[float, float]:
     """Angular rate about y and z that bending adds at the gyro, rad/s."""
     return (
-        modal_sum(sizes, properties, mode_column(sizes, PITCH, MODE_SLOPE_GYRO), work, of_plane(NU, PITCH)),
-        -modal_sum(sizes, properties, mode_column(sizes, YAW, MODE_SLOPE_GYRO), work, of_plane(NU, YAW)),
+        modal_sum(
+            sizes, properties, sch.mode_column(sizes, sch.PITCH, sch.MODE_SLOPE_GYRO), work, of_plane(NU, sch.PITCH)
+        ),
+        -modal_sum(
+            sizes, properties, sch.mode_column(sizes, sch.YAW, sch.MODE_SLOPE_GYRO), work, of_plane(NU, sch.YAW)
+        ),
     )
 
 
@@ -215,11 +205,11 @@ def bending_rate_at_gyro(sizes: Counts, properties: Array, work: Array) -> tuple
 def apply_gimbal_load(sizes: Counts, properties: Array, gimbal: int, load: Load, work: Array) -> None:
     """Add the generalised forces of a load on the body at a gimbal's station."""
     _, force_y, force_z, _, moment_y, moment_z = load
-    pitch, yaw, phi = of_plane(FORCE, PITCH), of_plane(FORCE, YAW), gimbal_row(sizes, gimbal)
-    add_to_modes(sizes, properties, mode_column(sizes, PITCH, phi), force_z, work, pitch)
-    add_to_modes(sizes, properties, mode_column(sizes, PITCH, phi + 1), moment_y, work, pitch)
-    add_to_modes(sizes, properties, mode_column(sizes, YAW, phi), force_y, work, yaw)
-    add_to_modes(sizes, properties, mode_column(sizes, YAW, phi + 1), -moment_z, work, yaw)
+    pitch, yaw, phi = of_plane(FORCE, sch.PITCH), of_plane(FORCE, sch.YAW), sch.gimbal_row(sizes, gimbal)
+    add_to_modes(sizes, properties, sch.mode_column(sizes, sch.PITCH, phi), force_z, work, pitch)
+    add_to_modes(sizes, properties, sch.mode_column(sizes, sch.PITCH, phi + 1), moment_y, work, pitch)
+    add_to_modes(sizes, properties, sch.mode_column(sizes, sch.YAW, phi), force_y, work, yaw)
+    add_to_modes(sizes, properties, sch.mode_column(sizes, sch.YAW, phi + 1), -moment_z, work, yaw)
 
 
 @kernel
@@ -232,14 +222,14 @@ def elastic_forces(bending: Bending, sizes: Counts, properties: Array, axial_loa
     k_soft = bending.softening_factor * axial_load
     roll = 0.0
     if sizes.mode_groups > 0:
-        roll = _elastic_forces_on_four(sizes, YAW, 0, k_soft, properties, work)
-        roll -= _elastic_forces_on_four(sizes, PITCH, 0, k_soft, properties, work)
+        roll = _elastic_forces_on_four(sizes, sch.YAW, 0, k_soft, properties, work)
+        roll -= _elastic_forces_on_four(sizes, sch.PITCH, 0, k_soft, properties, work)
     if sizes.mode_groups > 1:
-        roll += _elastic_forces_on_four(sizes, YAW, 4, k_soft, properties, work)
-        roll -= _elastic_forces_on_four(sizes, PITCH, 4, k_soft, properties, work)
+        roll += _elastic_forces_on_four(sizes, sch.YAW, 4, k_soft, properties, work)
+        roll -= _elastic_forces_on_four(sizes, sch.PITCH, 4, k_soft, properties, work)
     if sizes.mode_groups > 2:
-        roll += _elastic_forces_on_four(sizes, YAW, 8, k_soft, properties, work)
-        roll -= _elastic_forces_on_four(sizes, PITCH, 8, k_soft, properties, work)
+        roll += _elastic_forces_on_four(sizes, sch.YAW, 8, k_soft, properties, work)
+        roll -= _elastic_forces_on_four(sizes, sch.PITCH, 8, k_soft, properties, work)
     return roll
 
 
@@ -248,8 +238,8 @@ def _elastic_forces_on_four(
     sizes: Counts, plane: int, first: int, k_soft: float, properties: Array, work: Array
 ) -> float:
     """The same on four modes of one plane; returns the sum of their forces times the other plane's coordinates."""
-    s = derived_column(sizes, plane, MODE_STIFFNESS) + first
-    d = derived_column(sizes, plane, MODE_DAMPING) + first
+    s = sch.derived_column(sizes, plane, sch.MODE_STIFFNESS) + first
+    d = sch.derived_column(sizes, plane, sch.MODE_DAMPING) + first
     e, r, o = of_plane(ETA, plane) + first, of_plane(RATE, plane) + first, of_plane(ETA, 1 - plane) + first
     f_0 = -(properties[s] * work[e] + properties[d] * work[r])
     f_1 = -(properties[s + 1] * work[e + 1] + properties[d + 1] * work[r + 1])
@@ -258,7 +248,7 @@ def _elastic_forces_on_four(
     for four in range(3):
         if four < sizes.mode_groups:
             for k in range(4 * four, 4 * four + 4):
-                c = mode_column(sizes, plane, softening_row(sizes, k)) + first
+                c = sch.mode_column(sizes, plane, sch.softening_row(sizes, k)) + first
                 taken = k_soft * work[of_plane(ETA, plane) + k]
                 f_0 += taken * properties[c]
                 f_1 += taken * properties[c + 1]
@@ -282,15 +272,15 @@ def gyroscopic_forces(
     counts at the first station only.
     """
     p, q, r = rate
-    mass, apart = mode_column(sizes, PITCH, MODE_MASS), mode_rows(sizes) * padded_modes(sizes)
-    phi = mode_column(sizes, PITCH, gimbal_row(sizes, gimbal))
-    slope = phi + padded_modes(sizes)
+    mass, apart = sch.mode_column(sizes, sch.PITCH, sch.MODE_MASS), sch.mode_rows(sizes) * sch.padded_modes(sizes)
+    phi = sch.mode_column(sizes, sch.PITCH, sch.gimbal_row(sizes, gimbal))
+    slope = phi + sch.padded_modes(sizes)
     momentum_y, momentum_z, angular_y, angular_z = engines[1], engines[2], engines[4], -engines[5]
     own, h, roll = 1.0 if gimbal == 0 else 0.0, 0.0, 0.0
     for four in range(3):
         if four < sizes.mode_groups:
             for i in range(4 * four, 4 * four + 4):
-                j = i + of_plane(0, YAW)
+                j = i + of_plane(0, sch.YAW)
                 nu_eta, nu_xi = work[NU + i], work[NU + j]
                 p_eta = own * properties[mass + i] * nu_eta + properties[phi + i] * momentum_z
                 p_eta += properties[slope + i] * angular_y

@@ -24,6 +24,10 @@ from maxq.control.kernel.vectors import (
     set_vector,
     vector_at,
 )
+from maxq.sim.vehicle import rigid
+from maxq.sim.vehicle import schedule as sch
+from maxq.sim.vehicle import state as states
+from maxq.sim.vehicle import workspace as ws
 from maxq.sim.vehicle.accelerations import accelerate
 from maxq.sim.vehicle.actuator import Actuator, actuator_motion, actuator_rates
 from maxq.sim.vehicle.aero import Aero, air_acts, body_loads, coefficients, moment_reference, surface_loads, table_loads
@@ -51,28 +55,6 @@ from maxq.sim.vehicle.engine import (
 from maxq.sim.vehicle.environment import Environment, air_data, pad_acceleration, winds_along_body
 from maxq.sim.vehicle.faults import N_FAULT_SLOTS
 from maxq.sim.vehicle.gyro import Gyro, gyro_derivative, sensed_rate
-from maxq.sim.vehicle.rigid import (
-    Balance,
-    balance,
-    coriolis_of_outflow,
-    engine_momentum,
-    engine_reaction,
-    kinematics,
-    prepare_outflow,
-)
-from maxq.sim.vehicle.schedule import (
-    CORE_CG,
-    INVERSE_TOTAL_MASS,
-    PITCH,
-    RATE_DAMPING,
-    THRUST_VACUUM,
-    YAW,
-    complete_modes,
-    complete_spatial_modes,
-    gimbal_place,
-    schedule_width,
-    thrust_column,
-)
 from maxq.sim.vehicle.sensors import Sensor, sense
 from maxq.sim.vehicle.slosh import Slosh, exchange_loads, pendulum_derivative, pendulum_loads
 from maxq.sim.vehicle.spatial_modes import (
@@ -87,44 +69,7 @@ from maxq.sim.vehicle.spatial_modes import (
     spatial_rate_at_gyro,
     spatial_state,
 )
-from maxq.sim.vehicle.state import (
-    ACTUATOR,
-    GYRO,
-    N_ACTUATOR,
-    N_PENDULUM,
-    actuator_index,
-    eta_index,
-    pendulum_index,
-    sensor_index,
-    spatial_index,
-    tvc_load_index,
-    xi_index,
-)
 from maxq.sim.vehicle.tvc_load import TvcLoad, load_derivative, prepare_loads, swing_engines
-from maxq.sim.vehicle.workspace import (
-    AERO_FORCE,
-    AERO_MOMENT,
-    ANGULAR_ACCEL,
-    AXIAL_LOAD,
-    DENSITY,
-    ENGINE_PITCH,
-    ENGINE_THRUSTS,
-    ENGINE_YAW,
-    FLOW,
-    GIMBAL_BEND,
-    GYRO_BEND,
-    MACH,
-    PRESSURE,
-    SPATIAL_ETA,
-    SPATIAL_FORCE,
-    SPATIAL_MOMENTUM,
-    SPECIFIC_FORCE,
-    SWING,
-    TENSION,
-    TENSIONS,
-    THRUST,
-    Evaluation,
-)
 from maxq.sim.world.earth import gravity_gradient_torque
 
 
@@ -183,27 +128,36 @@ class StageInputs:
 def derive_properties(vehicle: Vehicle, pool: Array, clock_s: float, properties: Array) -> None:
     """Compute the derived properties, behind the columns of the schedule, once for all derivatives at an instant."""
     sizes, bending = counts(vehicle.sizes), vehicle.bending
-    complete_modes(sizes, PITCH, sizes.pitch_modes, bending.zeta_pitch, bending.frequency_factor, properties)
-    complete_modes(sizes, YAW, sizes.yaw_modes, bending.zeta_yaw, bending.frequency_factor, properties)
+    sch.complete_modes(sizes, sch.PITCH, sizes.pitch_modes, bending.zeta_pitch, bending.frequency_factor, properties)
+    sch.complete_modes(sizes, sch.YAW, sizes.yaw_modes, bending.zeta_yaw, bending.frequency_factor, properties)
     if sizes.spatial_modes > 0:
-        complete_spatial_modes(sizes, vehicle.spatial_modes.zeta, vehicle.spatial_modes.frequency_factor, properties)
-    prepare_outflow(vehicle.engine, sizes, properties)
+        sch.complete_spatial_modes(
+            sizes, vehicle.spatial_modes.zeta, vehicle.spatial_modes.frequency_factor, properties
+        )
+    rigid.prepare_outflow(vehicle.engine, sizes, properties)
     moment_reference(vehicle.aero, sizes, pool, clock_s, properties)
     if vehicle.rate_damping.n_columns > 0:
         k = find_interval(pool, vehicle.rate_damping, clock_s)
-        interpolate_into(pool, vehicle.rate_damping, k, clock_s, properties, schedule_width(sizes) + RATE_DAMPING)
+        interpolate_into(
+            pool, vehicle.rate_damping, k, clock_s, properties, sch.schedule_width(sizes) + sch.RATE_DAMPING
+        )
 
 
 @routine_beside
 def derivative(
-    vehicle: Vehicle, environment: Environment, pool: Array, held: Held, inputs: StageInputs, at: Evaluation,
+    vehicle: Vehicle, environment: Environment, pool: Array, held: Held, inputs: StageInputs, at: ws.Evaluation,
     work: Array,
 ) -> None:  # fmt: skip  # nine lines otherwise
     """Derivative of `at.y` into `at.dy`, auxiliary outputs into `at.aux`, with the properties of this instant."""
     properties, y, dy, aux = at
     sizes = counts(vehicle.sizes)
-    eta, xi, spatial, pendulums = eta_index(sizes), xi_index(sizes), spatial_index(sizes), pendulum_index(sizes, 0)
-    loads = tvc_load_index(sizes)
+    eta, xi, spatial, pendulums = (
+        states.eta_index(sizes),
+        states.xi_index(sizes),
+        states.spatial_index(sizes),
+        states.pendulum_index(sizes, 0),
+    )
+    loads = states.tvc_load_index(sizes)
     rate = vector_at(y, W_BI_B)
     rotation = rotation_from_quaternion(y[Q_BI], y[Q_BI + 1], y[Q_BI + 2], y[Q_BI + 3])
 
@@ -218,7 +172,7 @@ def derivative(
         vehicle, sizes, environment, pool, held, rotation, rate, properties, y, work, aux
     )  # fmt: skip  # twelve lines otherwise
     thrust_force, thrust_moment, gimbal_load = thrust_loads(vehicle, sizes, engine, properties, work, aux)
-    inverse_mass = properties[schedule_width(sizes) + INVERSE_TOTAL_MASS]
+    inverse_mass = properties[sch.schedule_width(sizes) + sch.INVERSE_TOTAL_MASS]
     pad, axial_load = (0.0, 0.0, 0.0), (aero_force[0] + thrust_force[0]) * inverse_mass
     if held.on_pad == 1:
         pad = pad_acceleration(environment.earth, rotation, gravitation, y)
@@ -230,10 +184,10 @@ def derivative(
     if vehicle.gravity_gradient == 1:
         moment = add(moment, gravity_gradient_moment(environment, balanced.inertia, rotation, y))
     if vehicle.jet_damping == 1:
-        jet_force, jet_moment = coriolis_of_outflow(sizes, rate, properties)
+        jet_force, jet_moment = rigid.coriolis_of_outflow(sizes, rate, properties)
         force, moment = add(force, jet_force), add(moment, jet_moment)
     if vehicle.rate_damping.n_columns > 0:
-        behind = schedule_width(sizes) + RATE_DAMPING
+        behind = sch.schedule_width(sizes) + sch.RATE_DAMPING
         moment = add(
             moment,
             (-properties[behind] * rate[0], -properties[behind + 1] * rate[1], -properties[behind + 2] * rate[2]),
@@ -241,10 +195,12 @@ def derivative(
     moment = add(moment, scaled(-1.0, cross(rate, inertia_times(balanced.inertia, rate))))
 
     if sizes.spatial_modes > 0:
-        moment = add(moment, outer_spatial_load(sizes, properties, gimbal_place(sizes, 0), gimbal_load, work))
-    reaction_load, momentum = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0), engine_momentum(vehicle.engine, 0, engine)
+        moment = add(moment, outer_spatial_load(sizes, properties, sch.gimbal_place(sizes, 0), gimbal_load, work))
+    reaction_load, momentum = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0), rigid.engine_momentum(vehicle.engine, 0, engine)
     if vehicle.engine.gimballed_mass_kg[0] > 0.0 or vehicle.engine.inertia_kgm2[0] > 0.0:
-        reaction_force, reaction_moment, reaction_load = engine_reaction(vehicle.engine, 0, engine, rate, axial_load)
+        reaction_force, reaction_moment, reaction_load = rigid.engine_reaction(
+            vehicle.engine, 0, engine, rate, axial_load
+        )
         force, moment = add(force, reaction_force), add(moment, reaction_moment)
     if sizes.engines > 1:
         further_force, further_moment, reaction_load, momentum = further_reactions(
@@ -252,8 +208,8 @@ def derivative(
         )  # fmt: skip  # twelve lines otherwise
         force, moment = add(force, further_force), add(moment, further_moment)
     if sizes.spatial_modes > 0:
-        apply_spatial_load(sizes, properties, gimbal_place(sizes, 0), reaction_load, work, SPATIAL_FORCE)
-        apply_spatial_load(sizes, properties, gimbal_place(sizes, 0), momentum, work, SPATIAL_MOMENTUM)
+        apply_spatial_load(sizes, properties, sch.gimbal_place(sizes, 0), reaction_load, work, ws.SPATIAL_FORCE)
+        apply_spatial_load(sizes, properties, sch.gimbal_place(sizes, 0), momentum, work, ws.SPATIAL_MOMENTUM)
     if sizes.pitch_modes + sizes.yaw_modes > 0:
         apply_gimbal_load(sizes, properties, 0, sum_of_loads(gimbal_load, reaction_load), work)
         gyroscopic = gyroscopic_forces(sizes, properties, 0, rate, momentum, work)
@@ -264,7 +220,7 @@ def derivative(
         k_soft = vehicle.bending.softening_factor * axial_load
         moment = add(moment, (spatial_elastic_forces(sizes, properties, k_soft, work), 0.0, 0.0))
     for tank in range(sizes.pendulums):
-        first = pendulums + N_PENDULUM * tank
+        first = pendulums + states.N_PENDULUM * tank
         damper_force, damper_moment = pendulum_loads(
             vehicle.slosh, sizes, tank, rate, axial_load, balanced.offset, properties, y, first, work
         )  # fmt: skip  # twelve lines otherwise
@@ -283,11 +239,15 @@ def derivative(
         y, pendulums, work,
     )  # fmt: skip  # fourteen lines otherwise
 
-    kinematics(environment.earth, held.on_pad, rotation, rate, specific_force, alpha, gravitation, properties, y, dy)
-    actuator_rates(vehicle.actuator_pitch, held.faults, 0, y, ACTUATOR, held.command_rad[0], dy)
-    actuator_rates(vehicle.actuator_yaw, held.faults, 1, y, ACTUATOR + N_ACTUATOR, held.command_rad[1], dy)
+    rigid.kinematics(
+        environment.earth, held.on_pad, rotation, rate, specific_force, alpha, gravitation, properties, y, dy
+    )
+    actuator_rates(vehicle.actuator_pitch, held.faults, 0, y, states.ACTUATOR, held.command_rad[0], dy)
+    actuator_rates(
+        vehicle.actuator_yaw, held.faults, 1, y, states.ACTUATOR + states.N_ACTUATOR, held.command_rad[1], dy
+    )
     for k in range(2 * sizes.further_groups):
-        i = actuator_index(sizes, 1) + N_ACTUATOR * k
+        i = states.actuator_index(sizes, 1) + states.N_ACTUATOR * k
         actuator_rates(vehicle.further_actuators[k], held.faults, 2 + k, y, i, held.command_rad[2 + k], dy)
     bend_y, bend_z = bending_rate_at_gyro(sizes, properties, work)
     local = (rate[0], rate[1] + bend_y, rate[2] + bend_z)
@@ -295,52 +255,52 @@ def derivative(
         added = spatial_rate_at_gyro(sizes, rate[0], properties, work)
         local, bend_y, bend_z = add(local, added), bend_y + added[1], bend_z + added[2]
     sensed = sensed_rate(vehicle.gyro, local)
-    gyro_derivative(vehicle.gyro, y, GYRO, sensed, held.faults, dy)
+    gyro_derivative(vehicle.gyro, y, states.GYRO, sensed, held.faults, dy)
     modal_derivative(sizes, eta, xi, dy, work)
     if sizes.spatial_modes > 0:
         spatial_derivative(sizes, spatial, dy, work)
     for tank in range(sizes.pendulums):
-        first = pendulums + N_PENDULUM * tank
+        first = pendulums + states.N_PENDULUM * tank
         pendulum_derivative(vehicle.slosh, sizes, tank, rate, specific_force, alpha, properties, y, first, dy, work)
-        aux[TENSIONS + tank] = work[TENSION + tank]
+        aux[ws.TENSIONS + tank] = work[ws.TENSION + tank]
     if sizes.tvc_loads > 0:
         load_derivative(vehicle.tvc_load, vehicle.engine, sizes, y, loads, dy, work, aux)
     if sizes.sensors > 0:
-        first = sensor_index(sizes, 0)
+        first = states.sensor_index(sizes, 0)
         sense(vehicle.sensors, sizes, rate, specific_force, alpha, properties, held.faults, y, first, dy, work)
-    aux[AXIAL_LOAD] = axial_load
-    set_vector(aux, AERO_FORCE, aero_force)
-    set_vector(aux, AERO_MOMENT, aero_moment)
-    set_vector(aux, SPECIFIC_FORCE, specific_force)
-    set_vector(aux, ANGULAR_ACCEL, alpha)
-    aux[GYRO_BEND], aux[GYRO_BEND + 1] = bend_y, bend_z
+    aux[ws.AXIAL_LOAD] = axial_load
+    set_vector(aux, ws.AERO_FORCE, aero_force)
+    set_vector(aux, ws.AERO_MOMENT, aero_moment)
+    set_vector(aux, ws.SPECIFIC_FORCE, specific_force)
+    set_vector(aux, ws.ANGULAR_ACCEL, alpha)
+    aux[ws.GYRO_BEND], aux[ws.GYRO_BEND + 1] = bend_y, bend_z
 
 
 @kernel
 def engine_motion(
     vehicle: Vehicle, sizes: Counts, held: Held, properties: Array, y: Array, work: Array, aux: Array
-) -> tuple[Deflected, Balance]:
+) -> tuple[Deflected, rigid.Balance]:
     """The first engine, deflected by its actuators, further ones into `work`; CG and inertia with all of them.
 
     Angles, rates and accelerations of each group go into `aux`.
     """
-    i, command, before, faults = ACTUATOR, held.command_rad, held.engine_rad, held.faults
-    set_vector(aux, ENGINE_PITCH, actuator_motion(vehicle.actuator_pitch, faults, 0, y, i, command, before))
-    i += N_ACTUATOR
-    set_vector(aux, ENGINE_YAW, actuator_motion(vehicle.actuator_yaw, faults, 1, y, i, command, before))
+    i, command, before, faults = states.ACTUATOR, held.command_rad, held.engine_rad, held.faults
+    set_vector(aux, ws.ENGINE_PITCH, actuator_motion(vehicle.actuator_pitch, faults, 0, y, i, command, before))
+    i += states.N_ACTUATOR
+    set_vector(aux, ws.ENGINE_YAW, actuator_motion(vehicle.actuator_yaw, faults, 1, y, i, command, before))
     for k in range(2 * sizes.further_groups):
-        i = actuator_index(sizes, 1) + N_ACTUATOR * k
+        i = states.actuator_index(sizes, 1) + states.N_ACTUATOR * k
         set_vector(
             aux, group_angles(1) + 3 * k,
             actuator_motion(vehicle.further_actuators[k], faults, 2 + k, y, i, command, before),
         )  # fmt: skip  # three lines otherwise
     if sizes.tvc_loads > 0:  # the actuators' position is the spring's other end; the engine has angles of its own
-        swing_engines(vehicle.tvc_load, vehicle.engine, sizes, y, tvc_load_index(sizes), aux)
-    axis, axis_rate, axis_accel = engine_axis_motion(vehicle.engine, 0, aux, ENGINE_PITCH)
+        swing_engines(vehicle.tvc_load, vehicle.engine, sizes, y, states.tvc_load_index(sizes), aux)
+    axis, axis_rate, axis_accel = engine_axis_motion(vehicle.engine, 0, aux, ws.ENGINE_PITCH)
     first = deflected_engine(vehicle.engine, 0, axis, axis_rate, axis_accel, properties)
     if sizes.engines > 1:
         further_motion(vehicle.engine, vehicle.sizes, properties, work, aux)
-    return first, balance(vehicle.engine, sizes, first, properties, work)
+    return first, rigid.balance(vehicle.engine, sizes, first, properties, work)
 
 
 @routine
@@ -349,7 +309,7 @@ def further_motion(e: Engine, of: Sizes, properties: Array, work: Array, aux: Ar
     for k in range(1, of.engines):
         at = group_angles(e.group[k])
         if of.tvc_loads > 0 and e.swings[k] >= 0:
-            at = SWING + 6 * e.swings[k]
+            at = ws.SWING + 6 * e.swings[k]
         axis, axis_rate, axis_accel = engine_axis_motion(e, k, aux, at)
         put_deflected(work, k, deflected_engine(e, k, axis, axis_rate, axis_accel, properties))
 
@@ -362,23 +322,23 @@ def aerodynamics(
     """Force and moment about the core CG in B; adds to the generalised forces of the modes in `work`."""
     force, moment = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
     if air_acts(vehicle.aero, aux):
-        flow = vector_at(aux, FLOW)
-        coefficients(vehicle.aero, pool, aux[MACH], work)
+        flow = vector_at(aux, ws.FLOW)
+        coefficients(vehicle.aero, pool, aux[ws.MACH], work)
         if vehicle.aero.earth_rates == 1:
             spin = environment.earth.rate_radps
             rate = (rate[0] - rotation[6] * spin, rate[1] - rotation[7] * spin, rate[2] - rotation[8] * spin)
-        cg = vector_at(properties, CORE_CG)
+        cg = vector_at(properties, sch.CORE_CG)
         if environment.penetration == 1:
             winds_along_body(
                 environment, pool, vehicle.aero.station_m, sizes.surfaces, vehicle.aero.crossflow_station_m, cg[0],
                 rotation, y, work, aux,
             )  # fmt: skip  # eleven lines otherwise
-        force, moment = body_loads(vehicle.aero, aux[DENSITY], flow, rate, held.burning, cg, work)
-        surface_force, surface_moment = surface_loads(vehicle.aero, sizes, aux[DENSITY], flow, properties, work)
+        force, moment = body_loads(vehicle.aero, aux[ws.DENSITY], flow, rate, held.burning, cg, work)
+        surface_force, surface_moment = surface_loads(vehicle.aero, sizes, aux[ws.DENSITY], flow, properties, work)
         force, moment = add(force, surface_force), add(moment, surface_moment)
         if sizes.tables > 0:
             table_force, table_moment = table_loads(
-                vehicle.aero, sizes, pool, aux[DENSITY], aux[MACH], flow, rate, held.burning, properties, work
+                vehicle.aero, sizes, pool, aux[ws.DENSITY], aux[ws.MACH], flow, rate, held.burning, properties, work
             )  # fmt: skip  # twelve lines otherwise
             force, moment = add(force, table_force), add(moment, table_moment)
     return force, moment
@@ -393,11 +353,11 @@ def thrust_loads(
     The load is that at the first station of gimbals; loads at others have gone to the modes. The moment on what spatial
     modes displace is left to `outer_spatial_load`.
     """
-    strength = thrust(vehicle.engine, 0, properties[THRUST_VACUUM], aux[PRESSURE])
-    aux[ENGINE_THRUSTS], aux[THRUST] = strength, vehicle.engine.rest_x[0] * strength
+    strength = thrust(vehicle.engine, 0, properties[sch.THRUST_VACUUM], aux[ws.PRESSURE])
+    aux[ws.ENGINE_THRUSTS], aux[ws.THRUST] = strength, vehicle.engine.rest_x[0] * strength
     bend = gimbal_bend(sizes, properties, 0, work)
-    aux[GIMBAL_BEND], aux[GIMBAL_BEND + 1] = bend.moved_y, bend.moved_z
-    aux[GIMBAL_BEND + 2], aux[GIMBAL_BEND + 3] = bend.slope_y, bend.slope_z
+    aux[ws.GIMBAL_BEND], aux[ws.GIMBAL_BEND + 1] = bend.moved_y, bend.moved_z
+    aux[ws.GIMBAL_BEND + 2], aux[ws.GIMBAL_BEND + 3] = bend.slope_y, bend.slope_z
     force, moment, load = thrust_load(vehicle.engine, 0, engine, strength, vehicle.follower_thrust, bend)
     if sizes.engines > 1:
         further_force, further_moment, load = further_thrusts(
@@ -424,7 +384,7 @@ def gimbal_bend(sizes: Counts, properties: Array, gimbal: int, work: Array) -> B
     shift_y, shift_z, slope_y, slope_z = gimbal_displacement(sizes, properties, gimbal, work)
     moved_y, moved_z, twist = shift_y, shift_z, 0.0
     if sizes.spatial_modes > 0:
-        spatial = spatial_motion(sizes, properties, gimbal_place(sizes, gimbal), work, SPATIAL_ETA)
+        spatial = spatial_motion(sizes, properties, sch.gimbal_place(sizes, gimbal), work, ws.SPATIAL_ETA)
         moved_y, moved_z = shift_y + spatial[1], shift_z + spatial[2]
         twist, slope_y, slope_z = spatial[3], slope_y + spatial[4], slope_z + spatial[5]
     return Bend(shift_y, shift_z, moved_y, moved_z, twist, slope_y, slope_z)
@@ -461,9 +421,9 @@ def further_thrusts(
     sizes = counts(of)
     force, moment = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
     for k in range(1, sizes.engines):
-        strength = thrust(e, k, properties[thrust_column(sizes, e.curve[k])], aux[PRESSURE])
-        aux[ENGINE_THRUSTS + k] = strength
-        aux[THRUST] += e.rest_x[k] * strength
+        strength = thrust(e, k, properties[sch.thrust_column(sizes, e.curve[k])], aux[ws.PRESSURE])
+        aux[ws.ENGINE_THRUSTS + k] = strength
+        aux[ws.THRUST] += e.rest_x[k] * strength
         gimbal, bend = e.gimbal[k], first_bend
         if gimbal > 0:
             bend = gimbal_bend(sizes, properties, gimbal, work)
@@ -474,7 +434,7 @@ def further_thrusts(
             continue
         apply_gimbal_load(sizes, properties, gimbal, own_load, work)
         if sizes.spatial_modes > 0:
-            place = gimbal_place(sizes, gimbal)
+            place = sch.gimbal_place(sizes, gimbal)
             moment = add(moment, outer_spatial_load(sizes, properties, place, own_load, work))
     return force, moment, load
 
@@ -491,8 +451,8 @@ def further_reactions(
     force, moment = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
     for k in range(1, sizes.engines):
         engine, gimbal = deflected_at(work, k), e.gimbal[k]
-        own_force, own_moment, own_load = engine_reaction(e, k, engine, rate, axial_load)
-        own_momentum = engine_momentum(e, k, engine)
+        own_force, own_moment, own_load = rigid.engine_reaction(e, k, engine, rate, axial_load)
+        own_momentum = rigid.engine_momentum(e, k, engine)
         force, moment = add(force, own_force), add(moment, own_moment)
         if gimbal == 0:
             load, momentum = sum_of_loads(load, own_load), sum_of_loads(momentum, own_momentum)
@@ -500,9 +460,9 @@ def further_reactions(
         apply_gimbal_load(sizes, properties, gimbal, own_load, work)
         moment = add(moment, gyroscopic_forces(sizes, properties, gimbal, rate, own_momentum, work))
         if sizes.spatial_modes > 0:
-            place = gimbal_place(sizes, gimbal)
-            apply_spatial_load(sizes, properties, place, own_load, work, SPATIAL_FORCE)
-            apply_spatial_load(sizes, properties, place, own_momentum, work, SPATIAL_MOMENTUM)
+            place = sch.gimbal_place(sizes, gimbal)
+            apply_spatial_load(sizes, properties, place, own_load, work, ws.SPATIAL_FORCE)
+            apply_spatial_load(sizes, properties, place, own_momentum, work, ws.SPATIAL_MOMENTUM)
     return force, moment, load, momentum
 
 

@@ -19,23 +19,8 @@ from dataclasses import dataclass
 from maxq.control.kernel.jit import kernel, routine
 from maxq.control.kernel.records import Array
 from maxq.control.kernel.vectors import Matrix, Vector, add, cross, rotate, rotate_back, scaled, set_vector, vector_at
+from maxq.sim.vehicle import workspace as ws
 from maxq.sim.vehicle.block import R_I, V_I
-from maxq.sim.vehicle.workspace import (
-    AIRSPEED,
-    ALTITUDE,
-    ANCHOR,
-    CROSSFLOW_PART,
-    DENSITY,
-    DYNAMIC_PRESSURE,
-    FLOW,
-    GRAVITATION,
-    MACH,
-    PART_WIND,
-    PRESSURE,
-    SOUND_SPEED,
-    TEMPERATURE,
-    WIND_N,
-)
 from maxq.sim.world.atmosphere import (
     US1976,
     Atmosphere,
@@ -81,12 +66,12 @@ def air_data(
         gust = rotate_back(rotation, ned_to_earth(sin_lat, cos_lat, sin_lon, cos_lon, gust[0], gust[1], gust[2]))
     flow = add(rotate_back(rotation, relative), scaled(-1.0, gust))
     airspeed = math.sqrt(flow[0] * flow[0] + flow[1] * flow[1] + flow[2] * flow[2])
-    aux[ALTITUDE], aux[DENSITY], aux[PRESSURE] = altitude, density, pressure
-    aux[TEMPERATURE], aux[SOUND_SPEED], aux[AIRSPEED] = temperature, sound_speed, airspeed
-    aux[MACH], aux[DYNAMIC_PRESSURE] = airspeed / sound_speed, 0.5 * density * airspeed * airspeed
-    set_vector(aux, FLOW, flow)
-    set_vector(aux, WIND_N, wind)
-    set_vector(aux, GRAVITATION, gravity)
+    aux[ws.ALTITUDE], aux[ws.DENSITY], aux[ws.PRESSURE] = altitude, density, pressure
+    aux[ws.TEMPERATURE], aux[ws.SOUND_SPEED], aux[ws.AIRSPEED] = temperature, sound_speed, airspeed
+    aux[ws.MACH], aux[ws.DYNAMIC_PRESSURE] = airspeed / sound_speed, 0.5 * density * airspeed * airspeed
+    set_vector(aux, ws.FLOW, flow)
+    set_vector(aux, ws.WIND_N, wind)
+    set_vector(aux, ws.GRAVITATION, gravity)
     return gravity
 
 
@@ -102,17 +87,17 @@ def winds_along_body(
     frame, _ = frame_and_air(environment.earth, environment.atmosphere, pool, y[R_I], y[R_I + 1], y[R_I + 2], work)
     altitude, sin_lat, cos_lat, sin_lon, cos_lon = frame
     upward = cos_lat * (cos_lon * rotation[0] + sin_lon * rotation[3]) + sin_lat * rotation[6]  # of the x axis
-    here = vector_at(aux, WIND_N)
+    here = vector_at(aux, ws.WIND_N)
     for k in range(parts + 1):
-        station, at = (crossflow_m, CROSSFLOW_PART) if k == parts else (stations_m[k], k)
+        station, at = (crossflow_m, ws.CROSSFLOW_PART) if k == parts else (stations_m[k], k)
         there = wind_ned(environment.wind, pool, altitude + (cg_m - station) * upward)
         more, turbulence = add(there, scaled(-1.0, here)), (0.0, 0.0, 0.0)
         if environment.turbulence.on == 1:
-            turbulence = vector_at(work, PART_WIND + 3 * at)
+            turbulence = vector_at(work, ws.PART_WIND + 3 * at)
         if environment.turbulence.frame == HORIZONTAL:
             more, turbulence = add(more, turbulence), (0.0, 0.0, 0.0)
         more_I = ned_to_earth(sin_lat, cos_lat, sin_lon, cos_lon, more[0], more[1], more[2])
-        set_vector(work, PART_WIND + 3 * at, add(rotate_back(rotation, more_I), turbulence))
+        set_vector(work, ws.PART_WIND + 3 * at, add(rotate_back(rotation, more_I), turbulence))
 
 
 @kernel
@@ -177,16 +162,16 @@ NEAR_m = 10.0
 Frame = tuple[float, float, float, float, float]  # as `earth.local_frame` returns it
 Gas = tuple[float, float, float, float]  # as `atmosphere.air` returns it
 
-_PLACE = ANCHOR + 1  # x, y, z, m
-_FRAME = ANCHOR + 4  # altitude, sines and cosines
-_CURVATURE_NORTH = ANCHOR + 9  # 1/m, of the surface at this altitude
-_CURVATURE_EAST = ANCHOR + 10
-_LONGITUDE = ANCHOR + 11  # by how much the longitude turns per metre to the east, 1/m
-_GAS = ANCHOR + 12  # density, pressure, temperature, speed of sound
-_INVERSE_TEMPERATURE = ANCHOR + 16
-_GEOPOTENTIAL = ANCHOR + 17  # see `us1976_about`
-_REACH_DOWN = ANCHOR + 20
-_REACH_UP = ANCHOR + 21
+_PLACE = ws.ANCHOR + 1  # x, y, z, m
+_FRAME = ws.ANCHOR + 4  # altitude, sines and cosines
+_CURVATURE_NORTH = ws.ANCHOR + 9  # 1/m, of the surface at this altitude
+_CURVATURE_EAST = ws.ANCHOR + 10
+_LONGITUDE = ws.ANCHOR + 11  # by how much the longitude turns per metre to the east, 1/m
+_GAS = ws.ANCHOR + 12  # density, pressure, temperature, speed of sound
+_INVERSE_TEMPERATURE = ws.ANCHOR + 16
+_GEOPOTENTIAL = ws.ANCHOR + 17  # see `us1976_about`
+_REACH_DOWN = ws.ANCHOR + 20
+_REACH_UP = ws.ANCHOR + 21
 
 
 @kernel
@@ -195,7 +180,7 @@ def frame_and_air(
 ) -> tuple[Frame, Gas]:
     """`local_frame` and `air` at a position (I, m)."""
     dx, dy, dz = x - work[_PLACE], y - work[_PLACE + 1], z - work[_PLACE + 2]
-    if work[ANCHOR] == ANCHOR_SET and dx * dx + dy * dy + dz * dz < NEAR_m * NEAR_m:
+    if work[ws.ANCHOR] == ANCHOR_SET and dx * dx + dy * dy + dz * dz < NEAR_m * NEAR_m:
         frame = _frame_nearby(dx, dy, dz, work)
         rise = frame[0] - work[_FRAME]
         if work[_REACH_DOWN] < rise < work[_REACH_UP]:
@@ -203,7 +188,7 @@ def frame_and_air(
         return frame, air(atmosphere, pool, frame[0])
     frame = local_frame(earth, x, y, z)
     gas = air(atmosphere, pool, frame[0])
-    if work[ANCHOR] == ANCHOR_DUE:
+    if work[ws.ANCHOR] == ANCHOR_DUE:
         _set_anchor(earth, atmosphere, x, y, z, frame, gas, work)
     return frame, gas
 
@@ -215,9 +200,9 @@ def _set_anchor(
     """Remember a place, unless there is no ellipsoid or a pole is so near that meridians converge within metres."""
     altitude, sin_lat, cos_lat, _, _ = frame
     if earth.figure == FLAT or cos_lat < 0.1 or altitude < -1e5:
-        work[ANCHOR] = NO_ANCHOR
+        work[ws.ANCHOR] = NO_ANCHOR
         return
-    work[ANCHOR] = ANCHOR_SET
+    work[ws.ANCHOR] = ANCHOR_SET
     work[_PLACE], work[_PLACE + 1], work[_PLACE + 2] = x, y, z
     for j in range(5):
         work[_FRAME + j] = frame[j]

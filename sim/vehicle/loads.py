@@ -22,6 +22,7 @@ from maxq.control.kernel.records import Array, IntArray
 from maxq.control.kernel.rows import PitchYaw
 from maxq.control.kernel.tables import TableRef, find_interval, interpolate_into
 from maxq.control.kernel.vectors import Vector, add, cross, inertia_times, scaled, symmetric_at, vector_at
+from maxq.sim.vehicle import workspace as ws
 from maxq.sim.vehicle.aero import air_acts
 from maxq.sim.vehicle.bending import of_plane
 from maxq.sim.vehicle.block import W_BI_B, Counts, counts
@@ -30,24 +31,6 @@ from maxq.sim.vehicle.rigid import coriolis_of_outflow
 from maxq.sim.vehicle.schedule import CORE_CG, CORE_INERTIA, CORE_MASS, PITCH, TANK_HINGE, YAW, tank_column
 from maxq.sim.vehicle.slosh import DAMPER_FORCE, DAMPING, SHIFT, bob_mass, pendulum_length, tank_block
 from maxq.sim.vehicle.state import N_PENDULUM, pendulum_index
-from maxq.sim.vehicle.workspace import (
-    ACCEL,
-    AERO_FORCE,
-    AERO_MOMENT,
-    ANGULAR_ACCEL,
-    ETA,
-    NU,
-    SPATIAL_ACCEL,
-    SPATIAL_ETA,
-    SPATIAL_RATE,
-    SPATIAL_TURNED,
-    SPATIAL_TURNED_RATE,
-    SPECIFIC_FORCE,
-    SURFACE_LOAD,
-    SURFACE_LOAD_WIDTH,
-    TENSION,
-    Evaluation,
-)
 
 # What is compared with limits, in the order of the extremes and of a station's limits; forces and moments are
 # magnitudes of both planes together.
@@ -144,7 +127,7 @@ def station_width(sizes: Counts, alike: int) -> int:
 
 @routine
 def evaluate_sections(
-    loads: Loads, vehicle: Vehicle, inputs: StageInputs, pool: Array, clock_s: float, at: Evaluation, work: Array,
+    loads: Loads, vehicle: Vehicle, inputs: StageInputs, pool: Array, clock_s: float, at: ws.Evaluation, work: Array,
     columns: Array, out: SectionLoads,
 ) -> None:  # fmt: skip  # eleven lines otherwise
     """Loads at all stations into `out.section`, right after the derivative at `at`; `columns` is scratch memory."""
@@ -158,7 +141,7 @@ def evaluate_sections(
         total, shift_y, shift_z = _inertia(sizes, loads.alike, drivers, station, roll, work, columns, c)
         if sizes.spatial_modes > 0:
             more, moved_y, moved_z = _spatial_inertia(
-                sizes, loads.alike, drivers, roll, at.aux[ANGULAR_ACCEL], work, columns, c
+                sizes, loads.alike, drivers, roll, at.aux[ws.ANGULAR_ACCEL], work, columns, c
             )
             total, shift_y, shift_z = _add(total, more), shift_y + moved_y, shift_z + moved_z
         total = _add(total, _aerodynamic(loads, drivers, station, shift_y, shift_z, at.aux, work))
@@ -191,14 +174,14 @@ def _of_point(station: float, x: float, force: Vector, y: float, z: float) -> Se
 
 @kernel
 def _drivers(
-    loads: Loads, vehicle: Vehicle, sizes: Counts, at: Evaluation, work: Array, columns: Array
+    loads: Loads, vehicle: Vehicle, sizes: Counts, at: ws.Evaluation, work: Array, columns: Array
 ) -> Drivers:  # fmt: skip
     """The line mass carries the momentum of the core: scaled to its mass, and what of the rate of the angular momentum
     its transverse motion does not hold (sections turn as well) is a moment a kilogram, the same everywhere.
     """
     properties, y, _, aux = at
     mass, cg, rate = properties[CORE_MASS], vector_at(properties, CORE_CG), vector_at(y, W_BI_B)
-    alpha, accel = vector_at(aux, ANGULAR_ACCEL), vector_at(aux, SPECIFIC_FORCE)
+    alpha, accel = vector_at(aux, ws.ANGULAR_ACCEL), vector_at(aux, ws.SPECIFIC_FORCE)
     inertia = symmetric_at(properties, CORE_INERTIA)
     momentum_rate = add(inertia_times(inertia, alpha), cross(rate, inertia_times(inertia, rate)))
     if vehicle.jet_damping == 1:  # the propellant's Coriolis force acts where it flows: spread over the mass
@@ -224,13 +207,13 @@ def _spread(loads: Loads, surfaces: int, cg: Vector, aux: Array, work: Array) ->
     """Lateral force a metre, linear along the body, with the force and moment that the lifting parts leave over:
     cross-flow, damping, coefficients of the whole vehicle.
     """
-    force_y, force_z = aux[AERO_FORCE + 1], aux[AERO_FORCE + 2]
+    force_y, force_z = aux[ws.AERO_FORCE + 1], aux[ws.AERO_FORCE + 2]
     # first moments about the body's nose; the axial force acts on the body axis, beside the CG
     arm = cg[0] - loads.nose_m
-    first_y = arm * force_y - (aux[AERO_MOMENT + 2] - cg[1] * aux[AERO_FORCE])
-    first_z = arm * force_z + (aux[AERO_MOMENT + 1] + cg[2] * aux[AERO_FORCE])
+    first_y = arm * force_y - (aux[ws.AERO_MOMENT + 2] - cg[1] * aux[ws.AERO_FORCE])
+    first_z = arm * force_z + (aux[ws.AERO_MOMENT + 1] + cg[2] * aux[ws.AERO_FORCE])
     for s in range(surfaces):
-        c = SURFACE_LOAD + SURFACE_LOAD_WIDTH * s
+        c = ws.SURFACE_LOAD + ws.SURFACE_LOAD_WIDTH * s
         place = _surface_station(loads, work, c) - loads.nose_m
         force_y -= work[c]
         force_z -= work[c + 1]
@@ -272,9 +255,9 @@ def _inertia(
     shift_y, shift_z = 0.0, 0.0
     aside_y, aside_z = 0.0, 0.0  # of the hanging mass relative to the cut by bending: mass times displacement
     for i in range(m):
-        eta, xi = work[of_plane(ETA, PITCH) + i], work[of_plane(ETA, YAW) + i]
-        along_z = d.scale * (work[of_plane(ACCEL, PITCH) + i] + roll * work[of_plane(NU, YAW) + i])
-        along_y = d.scale * (work[of_plane(ACCEL, YAW) + i] - roll * work[of_plane(NU, PITCH) + i])
+        eta, xi = work[of_plane(ws.ETA, PITCH) + i], work[of_plane(ws.ETA, YAW) + i]
+        along_z = d.scale * (work[of_plane(ws.ACCEL, PITCH) + i] + roll * work[of_plane(ws.NU, YAW) + i])
+        along_y = d.scale * (work[of_plane(ws.ACCEL, YAW) + i] - roll * work[of_plane(ws.NU, PITCH) + i])
         shear_z -= along_z * columns[in_pitch + INERTIA * m + i]
         shear_y -= along_y * columns[in_yaw + INERTIA * m + i]
         moment_y += along_z * columns[in_pitch + INERTIA_MOMENT * m + i]
@@ -297,9 +280,13 @@ def _spatial_inertia(
     axial, shear_y, shear_z, moment_y, moment_z = 0.0, 0.0, 0.0, 0.0, 0.0
     shift_y, shift_z, aside_y, aside_z = 0.0, 0.0, 0.0, 0.0
     for i in range(n):
-        eta, rate = work[SPATIAL_ETA + i], work[SPATIAL_RATE + i]
+        eta, rate = work[ws.SPATIAL_ETA + i], work[ws.SPATIAL_RATE + i]
         # of the modal coordinate itself: the quasi-velocities hold what the roll rate does
-        accel = work[SPATIAL_ACCEL + i] - roll_accel * work[SPATIAL_TURNED + i] - roll * work[SPATIAL_TURNED_RATE + i]
+        accel = (
+            work[ws.SPATIAL_ACCEL + i]
+            - roll_accel * work[ws.SPATIAL_TURNED + i]
+            - roll * work[ws.SPATIAL_TURNED_RATE + i]
+        )
         along, across = d.scale * (accel - roll * roll * eta), d.scale * (2.0 * roll * rate + roll_accel * eta)
         in_z, in_y = first + i, first + MODE_ROWS * n + i
         axial -= d.scale * accel * columns[first + 2 * MODE_ROWS * n + i]
@@ -331,13 +318,13 @@ def _aerodynamic(
     moment_y = -(constant_z / 2.0 + slope_z * x / 6.0) * x * x - beyond * shear_z
     total = (0.0, shear_y, shear_z, moment_y, moment_z)
     for s in range(d.surfaces):
-        c = SURFACE_LOAD + SURFACE_LOAD_WIDTH * s
+        c = ws.SURFACE_LOAD + ws.SURFACE_LOAD_WIDTH * s
         place = _surface_station(loads, work, c)
         if place <= station:
             total = _add(total, _of_point(station, place, (0.0, work[c], work[c + 1]), 0.0, 0.0))
     for k in range(loads.axial_points):
         if loads.axial_m[k] <= station:
-            force = (loads.axial_share[k] * aux[AERO_FORCE], 0.0, 0.0)
+            force = (loads.axial_share[k] * aux[ws.AERO_FORCE], 0.0, 0.0)
             total = _add(total, _of_point(station, loads.axial_m[k], force, -shift_y, -shift_z))
     return total
 
@@ -345,12 +332,12 @@ def _aerodynamic(
 @kernel
 def _of_pendulum(
     loads: Loads, vehicle: Vehicle, sizes: Counts, tank: int, station: float, shift_y: float, shift_z: float,
-    at: Evaluation, work: Array,
+    at: ws.Evaluation, work: Array,
 ) -> Section:  # fmt: skip  # eleven lines otherwise
     """The rod's pull at its hinge, along the body at the tank's bottom; the damper's force at the bob."""
     b, y = tank_block(tank), at.y
     first = pendulum_index(sizes, 0) + N_PENDULUM * tank
-    u, pull = vector_at(y, first), work[TENSION + tank]
+    u, pull = vector_at(y, first), work[ws.TENSION + tank]
     hinge = at.properties[tank_column(tank) + TANK_HINGE]
     length = pendulum_length(at.properties, tank)
     aside_y, aside_z = work[b + SHIFT] - shift_y, work[b + SHIFT + 1] - shift_z

@@ -20,25 +20,9 @@ from maxq.control.kernel.vectors import (
     symmetric_at,
     vector_at,
 )
+from maxq.sim.vehicle import schedule as sch
 from maxq.sim.vehicle.block import Q_BI, R_I, V_I, W_BI_B, Counts
 from maxq.sim.vehicle.engine import Deflected, Engine, beside_axis, deflected_at, flow_share
-from maxq.sim.vehicle.schedule import (
-    CG_RATE,
-    CORE_CG,
-    CORE_INERTIA,
-    CORE_MASS,
-    INERTIA_RATE,
-    INNER_FLOW,
-    INVERSE_CORE_MASS,
-    INVERSE_TOTAL_MASS,
-    JET_DAMPING,
-    MASS_FLOW,
-    TANK_HINGE,
-    TANK_MASS_RATE,
-    TOTAL_MASS,
-    schedule_width,
-    tank_column,
-)
 from maxq.sim.vehicle.slosh import pendulum_length
 from maxq.sim.vehicle.spatial_modes import Load
 from maxq.sim.world.earth import Earth
@@ -69,14 +53,14 @@ def displaced_inertia(e: Engine, k: int, engine: Deflected, inertia: Symmetric) 
 @kernel
 def balance(e: Engine, sizes: Counts, first: Deflected, properties: Array, work: Array) -> Balance:
     """With the first engine as it is, and further ones as the workspace holds them."""
-    inverse_mass = properties[schedule_width(sizes) + INVERSE_CORE_MASS]
-    inertia = displaced_inertia(e, 0, first, symmetric_at(properties, CORE_INERTIA))
+    inverse_mass = properties[sch.schedule_width(sizes) + sch.INVERSE_CORE_MASS]
+    inertia = displaced_inertia(e, 0, first, symmetric_at(properties, sch.CORE_INERTIA))
     offset = scaled(e.gimballed_mass_kg[0] * inverse_mass, first.delta)
     for k in range(1, sizes.engines):
         engine = deflected_at(work, k)
         inertia = displaced_inertia(e, k, engine, inertia)
         offset = add(offset, scaled(e.gimballed_mass_kg[k] * inverse_mass, engine.delta))
-    about_cg = _plus_point(inertia, -properties[CORE_MASS], offset)
+    about_cg = _plus_point(inertia, -properties[sch.CORE_MASS], offset)
     return Balance(offset, inertia, inverse_inertia(about_cg))
 
 
@@ -140,44 +124,44 @@ def prepare_outflow(e: Engine, sizes: Counts, properties: Array) -> None:
     -(dJ/dt) w - mdot r_exit x (w x r_exit) about the core CG (docs/model.md, section 8; Eke 1998, Meirovitch 1970):
     that of a point of "mass" mdot at the exit. What a bob loses flows into the core at the bob's position.
     """
-    mass = properties[CORE_MASS]
-    inner = scaled(mass, (-properties[CG_RATE], properties[CG_RATE + 1], properties[CG_RATE + 2]))
-    damping = symmetric_at(properties, INERTIA_RATE)
+    mass = properties[sch.CORE_MASS]
+    inner = scaled(mass, (-properties[sch.CG_RATE], properties[sch.CG_RATE + 1], properties[sch.CG_RATE + 2]))
+    damping = symmetric_at(properties, sch.INERTIA_RATE)
     for k in range(sizes.engines):
-        flow = properties[MASS_FLOW] * flow_share(e, sizes, k, properties)
+        flow = properties[sch.MASS_FLOW] * flow_share(e, sizes, k, properties)
         at = (
-            properties[CORE_CG] - e.exit_station_m[k],
-            e.exit_y_m[k] - properties[CORE_CG + 1],
-            e.exit_z_m[k] - properties[CORE_CG + 2],
+            properties[sch.CORE_CG] - e.exit_station_m[k],
+            e.exit_y_m[k] - properties[sch.CORE_CG + 1],
+            e.exit_z_m[k] - properties[sch.CORE_CG + 2],
         )
         inner = add(inner, scaled(flow, at))
         yy, zz, yz = flow * e.exit_yy_m2[k], flow * e.exit_zz_m2[k], flow * e.exit_yz_m2[k]
         m = _plus_point(damping, flow, at)
         damping = (m[0] + (yy + zz), m[1] + zz, m[2] + yy, m[3], m[4], m[5] + yz)
     for tank in range(sizes.pendulums):
-        c = tank_column(tank)
+        c = sch.tank_column(tank)
         at = (
-            properties[CORE_CG] - properties[c + TANK_HINGE] - pendulum_length(properties, tank),
-            -properties[CORE_CG + 1],
-            -properties[CORE_CG + 2],
+            properties[sch.CORE_CG] - properties[c + sch.TANK_HINGE] - pendulum_length(properties, tank),
+            -properties[sch.CORE_CG + 1],
+            -properties[sch.CORE_CG + 2],
         )
-        growth = properties[c + TANK_MASS_RATE]
+        growth = properties[c + sch.TANK_MASS_RATE]
         inner = add(inner, scaled(growth, at))
         damping = _plus_point(damping, growth, at)
-    behind = schedule_width(sizes)
-    properties[behind + INVERSE_CORE_MASS] = 1.0 / mass
-    properties[behind + INVERSE_TOTAL_MASS] = 1.0 / properties[TOTAL_MASS]
-    set_vector(properties, behind + INNER_FLOW, inner)
+    behind = sch.schedule_width(sizes)
+    properties[behind + sch.INVERSE_CORE_MASS] = 1.0 / mass
+    properties[behind + sch.INVERSE_TOTAL_MASS] = 1.0 / properties[sch.TOTAL_MASS]
+    set_vector(properties, behind + sch.INNER_FLOW, inner)
     for j in range(6):
-        properties[behind + JET_DAMPING + j] = damping[j]
+        properties[behind + sch.JET_DAMPING + j] = damping[j]
 
 
 @kernel
 def coriolis_of_outflow(sizes: Counts, rate: Vector, properties: Array) -> tuple[Vector, Vector]:
     """Force and moment of the propellant that flows through a turning vehicle: jet damping."""
-    behind = schedule_width(sizes)
-    force = scaled(-2.0, cross(rate, vector_at(properties, behind + INNER_FLOW)))
-    damping = symmetric_at(properties, behind + JET_DAMPING)
+    behind = sch.schedule_width(sizes)
+    force = scaled(-2.0, cross(rate, vector_at(properties, behind + sch.INNER_FLOW)))
+    damping = symmetric_at(properties, behind + sch.JET_DAMPING)
     return force, scaled(-1.0, inertia_times(damping, rate))
 
 
@@ -195,7 +179,7 @@ def kinematics(
         dy[R_I], dy[R_I + 1], dy[R_I + 2] = -turning * y[R_I + 1], turning * y[R_I], 0.0
         dy[V_I], dy[V_I + 1], dy[V_I + 2] = -turning * y[V_I + 1], turning * y[V_I], 0.0
     else:
-        drift = (-properties[CG_RATE], properties[CG_RATE + 1], properties[CG_RATE + 2])
+        drift = (-properties[sch.CG_RATE], properties[sch.CG_RATE + 1], properties[sch.CG_RATE + 2])
         drift_I = rotate(rotation, drift)
         accel = rotate(rotation, add(specific_force, cross(rate, drift)))
         for j in range(3):

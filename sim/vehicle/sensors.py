@@ -21,24 +21,13 @@ from maxq.control.kernel.limits import MAX_SENSORS
 from maxq.control.kernel.records import Array
 from maxq.control.kernel.rows import DEG, RollPitchYaw, Xyz
 from maxq.control.kernel.vectors import Vector, add, cross, scaled, vector_at
+from maxq.sim.vehicle import workspace as ws
 from maxq.sim.vehicle.bending import motion_at, of_plane
 from maxq.sim.vehicle.block import Counts, StateBlock
 from maxq.sim.vehicle.faults import SENSOR_FAULT, SENSOR_SLOTS
 from maxq.sim.vehicle.gyro import Gyro, after_fault, lagged, outputs_after_fault, pack_gyro, sensed_rate
 from maxq.sim.vehicle.schedule import CORE_CG, PITCH, YAW, gimbal_place
 from maxq.sim.vehicle.spatial_modes import roll_defect, spatial_motion
-from maxq.sim.vehicle.workspace import (
-    ACCEL,
-    ETA,
-    NU,
-    RATE,
-    SPATIAL_ACCEL,
-    SPATIAL_ETA,
-    SPATIAL_NU,
-    SPATIAL_RATE,
-    SPATIAL_TURNED,
-    SPATIAL_TURNED_RATE,
-)
 
 SENSORS = StateBlock(
     {
@@ -106,12 +95,12 @@ def sensor_slots(k: int) -> int:
 @kernel
 def rate_at(sizes: Counts, place: int, rate: Vector, properties: Array, work: Array) -> Vector:
     """Angular rate of the bent body at a sensor, B, rad/s."""
-    _, _, about_y, about_z = motion_at(sizes, properties, place, work, of_plane(NU, PITCH), of_plane(NU, YAW))
+    _, _, about_y, about_z = motion_at(sizes, properties, place, work, of_plane(ws.NU, PITCH), of_plane(ws.NU, YAW))
     turned = (rate[0], rate[1] + about_y, rate[2] + about_z)
     if sizes.spatial_modes > 0:
         there = gimbal_place(sizes, place)
-        of_modes = spatial_motion(sizes, properties, there, work, SPATIAL_NU)
-        more = roll_defect(sizes, properties, there, work, SPATIAL_ETA, SPATIAL_TURNED)
+        of_modes = spatial_motion(sizes, properties, there, work, ws.SPATIAL_NU)
+        more = roll_defect(sizes, properties, there, work, ws.SPATIAL_ETA, ws.SPATIAL_TURNED)
         spatial = (of_modes[3] + rate[0] * more[3], of_modes[4] + rate[0] * more[4], of_modes[5] + rate[0] * more[5])
         turned = add(turned, spatial)
     return turned
@@ -128,21 +117,21 @@ def force_at(
     second derivative of eta is nu' - p' A eta - p A d(eta)/dt.
     """
     pitch, yaw, p, p_dot = of_plane(0, PITCH), of_plane(0, YAW), rate[0], alpha[0]
-    moved_y, moved_z, about_y, about_z = motion_at(sizes, properties, place, work, ETA + pitch, ETA + yaw)
-    speed_y, speed_z, _, _ = motion_at(sizes, properties, place, work, RATE + pitch, RATE + yaw)
-    accel_y, accel_z, _, _ = motion_at(sizes, properties, place, work, ACCEL + pitch, ACCEL + yaw)
+    moved_y, moved_z, about_y, about_z = motion_at(sizes, properties, place, work, ws.ETA + pitch, ws.ETA + yaw)
+    speed_y, speed_z, _, _ = motion_at(sizes, properties, place, work, ws.RATE + pitch, ws.RATE + yaw)
+    accel_y, accel_z, _, _ = motion_at(sizes, properties, place, work, ws.ACCEL + pitch, ws.ACCEL + yaw)
     # A eta: a mode in pitch turns into one in yaw
-    turned_y, turned_z, _, _ = motion_at(sizes, properties, place, work, ETA + yaw, ETA + pitch)
-    turning_y, turning_z, _, _ = motion_at(sizes, properties, place, work, RATE + yaw, RATE + pitch)
+    turned_y, turned_z, _, _ = motion_at(sizes, properties, place, work, ws.ETA + yaw, ws.ETA + pitch)
+    turning_y, turning_z, _, _ = motion_at(sizes, properties, place, work, ws.RATE + yaw, ws.RATE + pitch)
     moved, speed, tilt = (0.0, moved_y, moved_z), (0.0, speed_y, speed_z), (0.0, about_y, about_z)
     accel = (0.0, accel_y + p_dot * turned_y + p * turning_y, accel_z - p_dot * turned_z - p * turning_z)
     if sizes.spatial_modes > 0:
         there = gimbal_place(sizes, place)
-        at = spatial_motion(sizes, properties, there, work, SPATIAL_ETA)
-        moves = spatial_motion(sizes, properties, there, work, SPATIAL_RATE)
-        gains = spatial_motion(sizes, properties, there, work, SPATIAL_ACCEL)
-        turned = spatial_motion(sizes, properties, there, work, SPATIAL_TURNED)
-        turns = spatial_motion(sizes, properties, there, work, SPATIAL_TURNED_RATE)
+        at = spatial_motion(sizes, properties, there, work, ws.SPATIAL_ETA)
+        moves = spatial_motion(sizes, properties, there, work, ws.SPATIAL_RATE)
+        gains = spatial_motion(sizes, properties, there, work, ws.SPATIAL_ACCEL)
+        turned = spatial_motion(sizes, properties, there, work, ws.SPATIAL_TURNED)
+        turns = spatial_motion(sizes, properties, there, work, ws.SPATIAL_TURNED_RATE)
         moved, speed = add(moved, (at[0], at[1], at[2])), add(speed, (moves[0], moves[1], moves[2]))
         tilt = add(tilt, (at[3], at[4], at[5]))
         accel = add(accel, (gains[0], gains[1], gains[2]))

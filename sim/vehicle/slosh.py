@@ -26,41 +26,11 @@ from maxq.control.kernel.limits import MAX_PENDULUMS
 from maxq.control.kernel.records import Array
 from maxq.control.kernel.rows import DEG
 from maxq.control.kernel.vectors import Vector, add, cross, dot, scaled, set_vector, vector_at
+from maxq.sim.vehicle import schedule as sch
+from maxq.sim.vehicle import workspace as ws
 from maxq.sim.vehicle.bending import modal_sum, of_plane
 from maxq.sim.vehicle.block import W_BI_B, Counts, Sizes, StateBlock
-from maxq.sim.vehicle.schedule import (
-    CORE_CG,
-    INVERSE_TOTAL_MASS,
-    MODE_FIRST,
-    PITCH,
-    TANK_HINGE,
-    TANK_LENGTH,
-    TANK_MASS,
-    TANK_MASS_RATE,
-    TANK_RING,
-    TANK_TRAVEL,
-    TANK_VISCOUS,
-    TANK_WAVE,
-    YAW,
-    mode_column,
-    schedule_width,
-    tank_column,
-    tank_place,
-)
 from maxq.sim.vehicle.spatial_modes import roll_defect, spatial_motion
-from maxq.sim.vehicle.workspace import (
-    ETA,
-    NU,
-    PENDULUM,
-    PENDULUM_WIDTH,
-    RATE,
-    SPATIAL_ETA,
-    SPATIAL_NU,
-    SPATIAL_RATE,
-    SPATIAL_TURNED,
-    SPATIAL_TURNED_RATE,
-    TENSIONS,
-)
 
 # The unit vector u_B from the hinge to the bob, and kappa_B, its inertial derivative in body components.
 PENDULUMS = StateBlock(
@@ -90,7 +60,7 @@ ALONG_X = 30  # by spatial modes, along x: SHIFT, ASYMMETRY, DAMPER_FORCE, BENDI
 @kernel
 def tank_block(tank: int) -> int:
     """Where the workspace holds the block of a tank."""
-    return PENDULUM + PENDULUM_WIDTH * tank
+    return ws.PENDULUM + ws.PENDULUM_WIDTH * tank
 
 
 @dataclass(frozen=True)
@@ -121,13 +91,13 @@ def pack_slosh(pendulums: Sequence[Any], bending: Any, exchange: bool) -> Slosh:
 
 @kernel
 def pendulum_length(properties: Array, tank: int) -> float:
-    length: float = properties[tank_column(tank) + TANK_LENGTH]
+    length: float = properties[sch.tank_column(tank) + sch.TANK_LENGTH]
     return length
 
 
 @kernel
 def bob_mass(properties: Array, tank: int) -> float:
-    mass: float = properties[tank_column(tank) + TANK_MASS]
+    mass: float = properties[sch.tank_column(tank) + sch.TANK_MASS]
     return mass
 
 
@@ -162,10 +132,14 @@ def pendulum_loads(
     deflected.
     """
     p, q, r = rate
-    b, column = tank_block(tank), tank_column(tank)
+    b, column = tank_block(tank), sch.tank_column(tank)
     u, kappa = vector_at(y, first), vector_at(y, first + 3)
     length = pendulum_length(properties, tank)
-    hinge = (properties[CORE_CG] - properties[column + TANK_HINGE], -properties[CORE_CG + 1], -properties[CORE_CG + 2])
+    hinge = (
+        properties[sch.CORE_CG] - properties[column + sch.TANK_HINGE],
+        -properties[sch.CORE_CG + 1],
+        -properties[sch.CORE_CG + 2],
+    )
     shift_y, shift_z, shift_rate_y, shift_rate_z, nu_y, nu_z = _bending_at_tank(sizes, tank, properties, work)
     # velocity of the hinge by bending, with the rotation of the bent axis (docs/model.md, eq. 5.3)
     bend = (q * shift_z - r * shift_y, nu_y, nu_z)
@@ -175,12 +149,12 @@ def pendulum_loads(
         bend = (bend[0], bend[1] - p * asymmetry_z, bend[2] + p * asymmetry_y)
     shift_x, shift_rate_x, asymmetry_x, asymmetry_rate_x = 0.0, 0.0, 0.0, 0.0
     if sizes.spatial_modes > 0:
-        at = tank_place(tank)
-        moved = spatial_motion(sizes, properties, at, work, SPATIAL_ETA)
-        moving = spatial_motion(sizes, properties, at, work, SPATIAL_RATE)
-        nu = spatial_motion(sizes, properties, at, work, SPATIAL_NU)
-        defect = roll_defect(sizes, properties, at, work, SPATIAL_ETA, SPATIAL_TURNED)
-        defect_rate = roll_defect(sizes, properties, at, work, SPATIAL_RATE, SPATIAL_TURNED_RATE)
+        at = sch.tank_place(tank)
+        moved = spatial_motion(sizes, properties, at, work, ws.SPATIAL_ETA)
+        moving = spatial_motion(sizes, properties, at, work, ws.SPATIAL_RATE)
+        nu = spatial_motion(sizes, properties, at, work, ws.SPATIAL_NU)
+        defect = roll_defect(sizes, properties, at, work, ws.SPATIAL_ETA, ws.SPATIAL_TURNED)
+        defect_rate = roll_defect(sizes, properties, at, work, ws.SPATIAL_RATE, ws.SPATIAL_TURNED_RATE)
         shift_x, shift_y, shift_z = moved[0], shift_y + moved[1], shift_z + moved[2]
         shift_rate_x = moving[0]
         shift_rate_y, shift_rate_z = shift_rate_y + moving[1], shift_rate_z + moving[2]
@@ -197,7 +171,7 @@ def pendulum_loads(
         accel = (accel[0] + p * asymmetry_rate_x, accel[1] + r * shift_rate_x, accel[2] - q * shift_rate_x)
     accel = (accel[0], accel[1] - p * asymmetry_rate_z, accel[2] + p * asymmetry_rate_y)
     # with the liquid's surface the bob travels aft, which gives it a Coriolis acceleration
-    travel = 2.0 * properties[column + TANK_TRAVEL]
+    travel = 2.0 * properties[column + sch.TANK_TRAVEL]
     accel = (accel[0] + q * shift_rate_z - r * shift_rate_y, accel[1] - travel * r, accel[2] + travel * q)
     arm = cross((hinge[0] - offset[0], hinge[1] - offset[1], hinge[2] - offset[2]), u)
     roll_arm = arm[0] + asymmetry_y * u[2] - asymmetry_z * u[1]
@@ -244,9 +218,9 @@ def wall_and_ring_damping(
     zeta = viscous / a^(1/4) + ring sqrt(swing), as 2 zeta omega L. The drag of a ring grows with the 3/2-th power of
     the velocity; RING_DRAG is what makes it dissipate, at any amplitude of a plane swing, as much as that ratio does.
     """
-    column = tank_column(tank)
-    viscous = slosh.law_factor[tank] * properties[column + TANK_VISCOUS]
-    ring = slosh.law_factor[tank] * properties[column + TANK_RING] + slosh.ring_damping[tank]
+    column = sch.tank_column(tank)
+    viscous = slosh.law_factor[tank] * properties[column + sch.TANK_VISCOUS]
+    ring = slosh.law_factor[tank] * properties[column + sch.TANK_RING] + slosh.ring_damping[tank]
     root = math.sqrt(axial_load)
     drag: float = viscous * math.sqrt(root * length)
     drag += RING_DRAG * ring * math.sqrt(rate * root * length * math.sqrt(length))
@@ -266,14 +240,14 @@ def exchange_loads(
     no energy is gained (docs/model.md, eqs. 8.2 and 8.3).
     """
     drift = (0.0, 0.0, 0.0)  # of the common CG relative to the core CG
-    share = properties[schedule_width(sizes) + INVERSE_TOTAL_MASS]
+    share = properties[sch.schedule_width(sizes) + sch.INVERSE_TOTAL_MASS]
     for tank in range(sizes.pendulums):
         mass = bob_mass(properties, tank)
         drift = add(drift, scaled(share * mass, vector_at(work, tank_block(tank) + BOB_VELOCITY)))
     force, moment = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
     for tank in range(sizes.pendulums):
         b, mass = tank_block(tank), bob_mass(properties, tank)
-        flow = -properties[tank_column(tank) + TANK_MASS_RATE]  # from bob to core
+        flow = -properties[sch.tank_column(tank) + sch.TANK_MASS_RATE]  # from bob to core
         if flow == 0.0 or mass <= 0.0:
             continue
         hinge, place = vector_at(work, b + HINGE), vector_at(work, b + BOB_PLACE)
@@ -290,7 +264,7 @@ def exchange_loads(
             _, _, shift_rate_y, shift_rate_z, _, _ = _bending_at_tank(sizes, tank, properties, work)
             by_modes = 0.0
             if sizes.spatial_modes > 0:
-                moving = spatial_motion(sizes, properties, tank_place(tank), work, SPATIAL_RATE)
+                moving = spatial_motion(sizes, properties, sch.tank_place(tank), work, ws.SPATIAL_RATE)
                 shift_rate_y, shift_rate_z = shift_rate_y + moving[1], shift_rate_z + moving[2]
                 push_x = push[0] - flow * moving[0]
                 work[b + ALONG_X + 2] += push_x
@@ -317,14 +291,17 @@ def _bending_at_tank(
     sizes: Counts, tank: int, properties: Array, work: Array
 ) -> tuple[float, float, float, float, float, float]:
     """Displacement of a hinge by bending, its rate in B, and its quasi-velocity: y, z each."""
-    in_pitch, in_yaw = mode_column(sizes, PITCH, MODE_FIRST + tank), mode_column(sizes, YAW, MODE_FIRST + tank)
+    in_pitch, in_yaw = (
+        sch.mode_column(sizes, sch.PITCH, sch.MODE_FIRST + tank),
+        sch.mode_column(sizes, sch.YAW, sch.MODE_FIRST + tank),
+    )
     return (
-        modal_sum(sizes, properties, in_yaw, work, of_plane(ETA, YAW)),
-        modal_sum(sizes, properties, in_pitch, work, of_plane(ETA, PITCH)),
-        modal_sum(sizes, properties, in_yaw, work, of_plane(RATE, YAW)),
-        modal_sum(sizes, properties, in_pitch, work, of_plane(RATE, PITCH)),
-        modal_sum(sizes, properties, in_yaw, work, of_plane(NU, YAW)),
-        modal_sum(sizes, properties, in_pitch, work, of_plane(NU, PITCH)),
+        modal_sum(sizes, properties, in_yaw, work, of_plane(ws.ETA, sch.YAW)),
+        modal_sum(sizes, properties, in_pitch, work, of_plane(ws.ETA, sch.PITCH)),
+        modal_sum(sizes, properties, in_yaw, work, of_plane(ws.RATE, sch.YAW)),
+        modal_sum(sizes, properties, in_pitch, work, of_plane(ws.RATE, sch.PITCH)),
+        modal_sum(sizes, properties, in_yaw, work, of_plane(ws.NU, sch.YAW)),
+        modal_sum(sizes, properties, in_pitch, work, of_plane(ws.NU, sch.PITCH)),
     )
 
 
@@ -335,15 +312,18 @@ def _plane_asymmetry(sizes: Counts, tank: int, properties: Array, work: Array) -
     The quasi-velocities include the roll rate with the shapes of their own plane; where the planes differ, roll moves
     the hinge by this much more (docs/model.md, eq. 5.6).
     """
-    in_pitch, in_yaw = mode_column(sizes, PITCH, MODE_FIRST + tank), mode_column(sizes, YAW, MODE_FIRST + tank)
+    in_pitch, in_yaw = (
+        sch.mode_column(sizes, sch.PITCH, sch.MODE_FIRST + tank),
+        sch.mode_column(sizes, sch.YAW, sch.MODE_FIRST + tank),
+    )
     along_y, along_z, rate_y, rate_z = 0.0, 0.0, 0.0, 0.0
     for i in range(max(sizes.pitch_modes, sizes.yaw_modes)):
-        p, q = of_plane(0, PITCH) + i, of_plane(0, YAW) + i
+        p, q = of_plane(0, sch.PITCH) + i, of_plane(0, sch.YAW) + i
         more_in_yaw = properties[in_yaw + i] - properties[in_pitch + i]
-        along_y += more_in_yaw * work[ETA + q]
-        rate_y += more_in_yaw * work[RATE + q]
-        along_z -= more_in_yaw * work[ETA + p]
-        rate_z -= more_in_yaw * work[RATE + p]
+        along_y += more_in_yaw * work[ws.ETA + q]
+        rate_y += more_in_yaw * work[ws.RATE + q]
+        along_z -= more_in_yaw * work[ws.ETA + p]
+        rate_z -= more_in_yaw * work[ws.RATE + p]
     return along_y, along_z, rate_y, rate_z
 
 
@@ -411,7 +391,7 @@ def slosh_row(slosh: Slosh, sizes: Sizes, tank: int, properties: Array, y: Array
         slosh_tank_yaw_deg=DEG * math.atan2(u_y, u_x),
         slosh_tank_pitch_rate_degps=DEG * ((u_x * rate_z - u_z * rate_x) / (u_x * u_x + u_z * u_z)),
         slosh_tank_yaw_rate_degps=DEG * ((u_x * rate_y - u_y * rate_x) / (u_x * u_x + u_y * u_y)),
-        slosh_tank_tension_N=aux[TENSIONS + tank],
+        slosh_tank_tension_N=aux[ws.TENSIONS + tank],
     )
 
 
@@ -425,7 +405,7 @@ def wave_share(slosh: Slosh, tank: int, properties: Array, lateral: float) -> fl
     breaking = slosh.breaking_height_m[tank]
     if breaking == 0.0:
         breaking = pendulum_length(properties, tank)
-    share: float = lateral * properties[tank_column(tank) + TANK_WAVE] / breaking
+    share: float = lateral * properties[sch.tank_column(tank) + sch.TANK_WAVE] / breaking
     return share
 
 
@@ -442,6 +422,6 @@ def wave_row(slosh: Slosh, sizes: Sizes, tank: int, properties: Array, y: Array,
     """Nan as in `slosh_row`, and where the tank says nothing about its shape."""
     if tank >= sizes.pendulums or bob_mass(properties, tank) <= 0.0:
         return WaveRow(math.nan)
-    wave = properties[tank_column(tank) + TANK_WAVE]
+    wave = properties[sch.tank_column(tank) + sch.TANK_WAVE]
     lateral = math.sqrt(y[first + 1] * y[first + 1] + y[first + 2] * y[first + 2])
     return WaveRow(wave * lateral if wave > 0.0 else math.nan)

@@ -20,30 +20,9 @@ from maxq.control.kernel.jit import kernel, routine
 from maxq.control.kernel.limits import MAX_MODES
 from maxq.control.kernel.records import Array
 from maxq.control.kernel.vectors import Vector
+from maxq.sim.vehicle import schedule as sch
+from maxq.sim.vehicle import workspace as ws
 from maxq.sim.vehicle.block import Counts, StateBlock
-from maxq.sim.vehicle.schedule import (
-    GYRO_PLACE,
-    MODE_DAMPING,
-    MODE_INVERSE_MASS,
-    MODE_STIFFNESS,
-    SPATIAL_MASS,
-    place_column,
-    spatial_column,
-    spatial_derived,
-    spatial_softening_row,
-    turning_row,
-)
-from maxq.sim.vehicle.workspace import (
-    SPATIAL_ACCEL,
-    SPATIAL_ALONG,
-    SPATIAL_ETA,
-    SPATIAL_FORCE,
-    SPATIAL_MOMENTUM,
-    SPATIAL_NU,
-    SPATIAL_RATE,
-    SPATIAL_TURNED,
-    SPATIAL_TURNED_RATE,
-)
 
 SPATIAL_STATES = StateBlock(
     {"eta_spatial_{}_m": "m"}, "spatial_modes", bound=10.0, excess="a spatial mode exceeds 10 m"
@@ -64,12 +43,12 @@ def spatial_state(sizes: Counts, roll_rate: float, properties: Array, y: Array, 
     """From the states at y[first:] into the workspace; sets the generalised forces to zero."""
     n = sizes.spatial_modes
     for i in range(n):
-        work[SPATIAL_ETA + i], work[SPATIAL_NU + i] = y[first + i], y[first + n + i]
-        work[SPATIAL_FORCE + i], work[SPATIAL_MOMENTUM + i] = 0.0, 0.0
-    _turn(sizes, properties, work, SPATIAL_ETA, SPATIAL_TURNED)
+        work[ws.SPATIAL_ETA + i], work[ws.SPATIAL_NU + i] = y[first + i], y[first + n + i]
+        work[ws.SPATIAL_FORCE + i], work[ws.SPATIAL_MOMENTUM + i] = 0.0, 0.0
+    _turn(sizes, properties, work, ws.SPATIAL_ETA, ws.SPATIAL_TURNED)
     for i in range(n):
-        work[SPATIAL_RATE + i] = work[SPATIAL_NU + i] - roll_rate * work[SPATIAL_TURNED + i]
-    _turn(sizes, properties, work, SPATIAL_RATE, SPATIAL_TURNED_RATE)
+        work[ws.SPATIAL_RATE + i] = work[ws.SPATIAL_NU + i] - roll_rate * work[ws.SPATIAL_TURNED + i]
+    _turn(sizes, properties, work, ws.SPATIAL_RATE, ws.SPATIAL_TURNED_RATE)
 
 
 @kernel
@@ -78,7 +57,7 @@ def _turn(sizes: Counts, properties: Array, work: Array, quantity: int, turned: 
     for i in range(sizes.spatial_modes):
         total = 0.0
         for j in range(sizes.spatial_modes):
-            total += properties[spatial_column(sizes, turning_row(sizes, j)) + i] * work[quantity + j]
+            total += properties[sch.spatial_column(sizes, sch.turning_row(sizes, j)) + i] * work[quantity + j]
         work[turned + i] = total
 
 
@@ -86,15 +65,15 @@ def _turn(sizes: Counts, properties: Array, work: Array, quantity: int, turned: 
 def spatial_derivative(sizes: Counts, first: int, dy: Array, work: Array) -> None:
     """Derivatives of the states at y[first:], once the workspace holds the modal accelerations."""
     for i in range(sizes.spatial_modes):
-        dy[first + i] = work[SPATIAL_RATE + i]
-        dy[first + sizes.spatial_modes + i] = work[SPATIAL_ACCEL + i]
+        dy[first + i] = work[ws.SPATIAL_RATE + i]
+        dy[first + sizes.spatial_modes + i] = work[ws.SPATIAL_ACCEL + i]
 
 
 @routine
 def spatial_motion(sizes: Counts, properties: Array, place: int, work: Array, quantity: int) -> Load:
     """Motion of a place: its shapes times a modal quantity (SPATIAL_ETA, SPATIAL_NU, ...)."""
     x, y, z, about_x, about_y, about_z = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-    n, c = sizes.spatial_modes, place_column(sizes, place, 0)
+    n, c = sizes.spatial_modes, sch.place_column(sizes, place, 0)
     for i in range(n):
         amount = work[quantity + i]
         x += properties[c + i] * amount
@@ -120,7 +99,7 @@ def roll_defect(sizes: Counts, properties: Array, place: int, work: Array, quant
 @routine
 def apply_spatial_load(sizes: Counts, properties: Array, place: int, load: Load, work: Array, quantity: int) -> None:
     """Add the generalised forces of a load at a place to a modal quantity (SPATIAL_FORCE, SPATIAL_MOMENTUM)."""
-    n, c = sizes.spatial_modes, place_column(sizes, place, 0)
+    n, c = sizes.spatial_modes, sch.place_column(sizes, place, 0)
     for i in range(n):
         force = properties[c + i] * load[0] + properties[c + n + i] * load[1] + properties[c + 2 * n + i] * load[2]
         moment = properties[c + 3 * n + i] * load[3] + properties[c + 4 * n + i] * load[4]
@@ -133,9 +112,9 @@ def outer_spatial_load(sizes: Counts, properties: Array, place: int, load: Load,
 
     Returns the moment on the body (B, N m) that comes on top of that of the force at the undisplaced place.
     """
-    apply_spatial_load(sizes, properties, place, load, work, SPATIAL_FORCE)
-    moved = spatial_motion(sizes, properties, place, work, SPATIAL_ETA)
-    defect = roll_defect(sizes, properties, place, work, SPATIAL_ETA, SPATIAL_TURNED)
+    apply_spatial_load(sizes, properties, place, load, work, ws.SPATIAL_FORCE)
+    moved = spatial_motion(sizes, properties, place, work, ws.SPATIAL_ETA)
+    defect = roll_defect(sizes, properties, place, work, ws.SPATIAL_ETA, ws.SPATIAL_TURNED)
     roll = defect[0] * load[0] + defect[1] * load[1] + defect[2] * load[2]
     roll += defect[3] * load[3] + defect[4] * load[4] + defect[5] * load[5]
     return roll, moved[2] * load[0] - moved[0] * load[2], moved[0] * load[1] - moved[1] * load[0]
@@ -144,8 +123,8 @@ def outer_spatial_load(sizes: Counts, properties: Array, place: int, load: Load,
 @routine
 def spatial_rate_at_gyro(sizes: Counts, roll_rate: float, properties: Array, work: Array) -> Vector:
     """Angular rate (B, rad/s) that the modes add at the gyro."""
-    of_modes = spatial_motion(sizes, properties, GYRO_PLACE, work, SPATIAL_NU)
-    defect = roll_defect(sizes, properties, GYRO_PLACE, work, SPATIAL_ETA, SPATIAL_TURNED)
+    of_modes = spatial_motion(sizes, properties, sch.GYRO_PLACE, work, ws.SPATIAL_NU)
+    defect = roll_defect(sizes, properties, sch.GYRO_PLACE, work, ws.SPATIAL_ETA, ws.SPATIAL_TURNED)
     return (
         of_modes[3] + roll_rate * defect[3],
         of_modes[4] + roll_rate * defect[4],
@@ -157,14 +136,16 @@ def spatial_rate_at_gyro(sizes: Counts, roll_rate: float, properties: Array, wor
 def spatial_elastic_forces(sizes: Counts, properties: Array, k_soft: float, work: Array) -> float:
     """Add stiffness, damping and axial softening to the generalised forces; returns their roll moment on the body."""
     roll = 0.0
-    stiffness, damping = spatial_derived(sizes, MODE_STIFFNESS), spatial_derived(sizes, MODE_DAMPING)
+    stiffness, damping = sch.spatial_derived(sizes, sch.MODE_STIFFNESS), sch.spatial_derived(sizes, sch.MODE_DAMPING)
     for i in range(sizes.spatial_modes):
-        force = -(properties[stiffness + i] * work[SPATIAL_ETA + i] + properties[damping + i] * work[SPATIAL_RATE + i])
+        force = -(
+            properties[stiffness + i] * work[ws.SPATIAL_ETA + i] + properties[damping + i] * work[ws.SPATIAL_RATE + i]
+        )
         for j in range(sizes.spatial_modes):
-            taken = properties[spatial_column(sizes, spatial_softening_row(sizes, j)) + i]
-            force += k_soft * taken * work[SPATIAL_ETA + j]
-        work[SPATIAL_FORCE + i] += force
-        roll -= force * work[SPATIAL_TURNED + i]
+            taken = properties[sch.spatial_column(sizes, sch.spatial_softening_row(sizes, j)) + i]
+            force += k_soft * taken * work[ws.SPATIAL_ETA + j]
+        work[ws.SPATIAL_FORCE + i] += force
+        roll -= force * work[ws.SPATIAL_TURNED + i]
     return roll
 
 
@@ -175,24 +156,24 @@ def spatial_gyroscopic(sizes: Counts, properties: Array, rate: Vector, work: Arr
     SPATIAL_MOMENTUM holds what moving engines add to the modal momenta.
     """
     p, q, r = rate
-    mass, n = spatial_column(sizes, SPATIAL_MASS), sizes.spatial_modes
+    mass, n = sch.spatial_column(sizes, sch.SPATIAL_MASS), sizes.spatial_modes
     h, roll = 0.0, 0.0
     for i in range(n):
-        momentum = properties[mass + i] * work[SPATIAL_NU + i] + work[SPATIAL_MOMENTUM + i]
-        h += momentum * work[SPATIAL_TURNED + i]
+        momentum = properties[mass + i] * work[ws.SPATIAL_NU + i] + work[ws.SPATIAL_MOMENTUM + i]
+        h += momentum * work[ws.SPATIAL_TURNED + i]
         for j in range(n):
-            share = properties[spatial_column(sizes, turning_row(sizes, j)) + i]  # A_ij
-            work[SPATIAL_FORCE + j] += p * (share * momentum)
-            roll -= momentum * (share * work[SPATIAL_NU + j])
+            share = properties[sch.spatial_column(sizes, sch.turning_row(sizes, j)) + i]  # A_ij
+            work[ws.SPATIAL_FORCE + j] += p * (share * momentum)
+            roll -= momentum * (share * work[ws.SPATIAL_NU + j])
     return roll, -r * h, q * h
 
 
 @routine
 def free_spatial_accelerations(sizes: Counts, properties: Array, work: Array) -> None:
     """Accelerations of the modes under their generalised forces, without the tensions of the pendulums."""
-    inverse = spatial_derived(sizes, MODE_INVERSE_MASS)
+    inverse = sch.spatial_derived(sizes, sch.MODE_INVERSE_MASS)
     for i in range(sizes.spatial_modes):
-        work[SPATIAL_ACCEL + i] = properties[inverse + i] * work[SPATIAL_FORCE + i]
+        work[ws.SPATIAL_ACCEL + i] = properties[inverse + i] * work[ws.SPATIAL_FORCE + i]
 
 
 @routine
@@ -200,7 +181,7 @@ def spatial_along_rod(
     sizes: Counts, properties: Array, place: int, tank: int, u: Vector, work: Array, quantity: int
 ) -> float:  # fmt: skip  # as ruff would, but for a line of one bracket
     """Keep the shapes at a hinge along its rod `u`; returns its acceleration by the modal ones at `quantity`."""
-    n, c, total = sizes.spatial_modes, place_column(sizes, place, 0), 0.0
+    n, c, total = sizes.spatial_modes, sch.place_column(sizes, place, 0), 0.0
     for i in range(n):
         along = properties[c + i] * u[0] + properties[c + n + i] * u[1] + properties[c + 2 * n + i] * u[2]
         work[_along(tank) + i] = along
@@ -211,7 +192,7 @@ def spatial_along_rod(
 @routine
 def spatial_compliance(sizes: Counts, properties: Array, k: int, j: int, work: Array) -> float:
     """How much the hinge of tank k accelerates along its rod per newton of tension in tank j, 1/kg."""
-    inverse, total = spatial_derived(sizes, MODE_INVERSE_MASS), 0.0
+    inverse, total = sch.spatial_derived(sizes, sch.MODE_INVERSE_MASS), 0.0
     for i in range(sizes.spatial_modes):
         total += work[_along(k) + i] * (work[_along(j) + i] * properties[inverse + i])
     return total
@@ -220,11 +201,11 @@ def spatial_compliance(sizes: Counts, properties: Array, k: int, j: int, work: A
 @routine
 def add_tension_to_spatial(sizes: Counts, properties: Array, tank: int, tension: float, work: Array) -> None:
     """Add the pull of the rod of a tank to the modal accelerations."""
-    inverse = spatial_derived(sizes, MODE_INVERSE_MASS)
+    inverse = sch.spatial_derived(sizes, sch.MODE_INVERSE_MASS)
     for i in range(sizes.spatial_modes):
-        work[SPATIAL_ACCEL + i] += tension * (work[_along(tank) + i] * properties[inverse + i])
+        work[ws.SPATIAL_ACCEL + i] += tension * (work[_along(tank) + i] * properties[inverse + i])
 
 
 @kernel
 def _along(tank: int) -> int:
-    return SPATIAL_ALONG + tank * MAX_MODES
+    return ws.SPATIAL_ALONG + tank * MAX_MODES

@@ -37,38 +37,13 @@ from maxq.control.kernel.vectors import (
     symmetric_times,
     vector_at,
 )
+from maxq.sim.vehicle import schedule as sch
+from maxq.sim.vehicle import workspace as ws
 from maxq.sim.vehicle.bending import add_to_modes, gimbal_displacement, modal_sum, of_plane
 from maxq.sim.vehicle.block import Counts, Sizes, StateBlock
 from maxq.sim.vehicle.engine import Deflected, Engine, beside_axis, deflected_at, group_angles
 from maxq.sim.vehicle.faults import ACTUATOR_FAULT, FLOATING
-from maxq.sim.vehicle.schedule import (
-    MODE_INVERSE_MASS,
-    PITCH,
-    YAW,
-    derived_column,
-    gimbal_place,
-    gimbal_row,
-    mode_column,
-    padded_modes,
-    spatial_derived,
-)
 from maxq.sim.vehicle.spatial_modes import apply_spatial_load, spatial_motion
-from maxq.sim.vehicle.workspace import (
-    ACCEL,
-    HELD,
-    HINGE_MOMENT,
-    LOAD,
-    LOAD_MODAL,
-    LOAD_MODAL_WIDTH,
-    LOAD_SPATIAL,
-    LOAD_WIDTH,
-    NU,
-    SPATIAL_ACCEL,
-    SPATIAL_ETA,
-    SPATIAL_NU,
-    SWING,
-    TENSION,
-)
 
 TVC_LOADS = StateBlock(
     {
@@ -115,12 +90,12 @@ class TvcLoad:
 def swing_engines(load: TvcLoad, e: Engine, sizes: Counts, y: Array, first: int, aux: Array) -> None:
     """Angles and rates of engines on a load; those of their actuators are kept. A group shows its first engine's."""
     for k in range(sizes.tvc_loads):
-        at, held = group_angles(e.group[load.engine[k]]), HELD + 4 * k
+        at, held = group_angles(e.group[load.engine[k]]), ws.HELD + 4 * k
         aux[held], aux[held + 1], aux[held + 2], aux[held + 3] = aux[at], aux[at + 1], aux[at + 3], aux[at + 4]
     for back in range(sizes.tvc_loads):
         k = sizes.tvc_loads - 1 - back
         at, i = group_angles(e.group[load.engine[k]]), first + N_TVC_LOAD * k
-        for to in (SWING + 6 * k, at):
+        for to in (ws.SWING + 6 * k, at):
             set_vector(aux, to, (y[i], y[i + 1], 0.0))
             set_vector(aux, to + 3, (y[i + N_AXIS], y[i + N_AXIS + 1], 0.0))
 
@@ -128,19 +103,19 @@ def swing_engines(load: TvcLoad, e: Engine, sizes: Counts, y: Array, first: int,
 @kernel
 def load_block(unknown: int) -> int:
     """Where the workspace holds the block of an unknown: pitch and yaw acceleration of each load in turn."""
-    return LOAD + LOAD_WIDTH * unknown
+    return ws.LOAD + ws.LOAD_WIDTH * unknown
 
 
 @kernel
 def load_modal(unknown: int, accelerations: int) -> int:
     """Where it holds the generalised forces of an unknown on the modes (0), or the accelerations they make (1)."""
-    return LOAD_MODAL + LOAD_MODAL_WIDTH * (2 * unknown + accelerations)
+    return ws.LOAD_MODAL + ws.LOAD_MODAL_WIDTH * (2 * unknown + accelerations)
 
 
 @kernel
 def load_spatial(unknown: int, accelerations: int) -> int:
     """The same of spatial modes."""
-    return LOAD_SPATIAL + MAX_MODES * (2 * unknown + accelerations)
+    return ws.LOAD_SPATIAL + MAX_MODES * (2 * unknown + accelerations)
 
 
 @kernel
@@ -194,14 +169,14 @@ def _prepare_load(
     sy, cy = sine_cosine(y[i + N_AXIS] + e.turned_yaw_rad[k])
     pitch_rate, yaw_rate = y[i + 1], y[i + N_AXIS + 1]
     _, _, slope_y, slope_z = gimbal_displacement(sizes, properties, e.gimbal[k], work)
-    row = gimbal_row(sizes, e.gimbal[k]) + 1
-    turning_y = modal_sum(sizes, properties, mode_column(sizes, PITCH, row), work, of_plane(NU, PITCH))
-    turning_z = -modal_sum(sizes, properties, mode_column(sizes, YAW, row), work, of_plane(NU, YAW))
+    row = sch.gimbal_row(sizes, e.gimbal[k]) + 1
+    turning_y = modal_sum(sizes, properties, sch.mode_column(sizes, sch.PITCH, row), work, of_plane(ws.NU, sch.PITCH))
+    turning_z = -modal_sum(sizes, properties, sch.mode_column(sizes, sch.YAW, row), work, of_plane(ws.NU, sch.YAW))
     turning = (rate[0], rate[1] + turning_y, rate[2] + turning_z)
     if sizes.spatial_modes > 0:
-        place = gimbal_place(sizes, e.gimbal[k])
-        bent = spatial_motion(sizes, properties, place, work, SPATIAL_ETA)
-        turned = spatial_motion(sizes, properties, place, work, SPATIAL_NU)
+        place = sch.gimbal_place(sizes, e.gimbal[k])
+        bent = spatial_motion(sizes, properties, place, work, ws.SPATIAL_ETA)
+        turned = spatial_motion(sizes, properties, place, work, ws.SPATIAL_NU)
         slope_y, slope_z = slope_y + bent[4], slope_z + bent[5]
         turning = add(turning, (turned[3], turned[4], turned[5]))
     at = add(engine.gimbal, scaled(-arm, engine.axis))
@@ -215,12 +190,12 @@ def _prepare_load(
         else:
             along, lever, own = (-cp * sy, -cy, -sp * sy), 1.0, -cy * sy * pitch_rate * pitch_rate
             moves, stop, play = e.follows_yaw[k], load.stop_yaw_rad[n], load.play_yaw_rad[n]
-        held, channel = HELD + 4 * n + 2 * axis, 2 * e.group[k] + axis
+        held, channel = ws.HELD + 4 * n + 2 * axis, 2 * e.group[k] + axis
         floating = 1 if faults[ACTUATOR_FAULT + channel] == FLOATING else 0
         moment_Nm = hinge_moment(load, n, y, i + N_AXIS * axis, aux[held], aux[held + 1], stop, play, floating)
         if moves == 0.0:  # not gimballed in this plane: it stands
             along, lever, own, moment_Nm = (0.0, 0.0, 0.0), 1.0, 0.0, 0.0
-        aux[HINGE_MOMENT + unknown] = moment_Nm
+        aux[ws.HINGE_MOMENT + unknown] = moment_Nm
         b, turn = load_block(unknown), cross(engine.axis, along)
         force = scaled(unbalance, along)
         moment = add(scaled(unbalance, cross(at, along)), scaled(-inertia, turn))
@@ -238,16 +213,16 @@ def _modal_forces(
     sizes: Counts, properties: Array, e: Engine, k: int, force: Vector, couple: Vector, unknown: int, work: Array
 ) -> None:  # fmt: skip  # as ruff would, but for a line of one bracket
     """Of a force at the CG of engine k at rest and a couple, at its gimbal (3.4)."""
-    pitch, yaw = of_plane(load_modal(unknown, 0), PITCH), of_plane(load_modal(unknown, 0), YAW)
-    for j in range(padded_modes(sizes)):
+    pitch, yaw = of_plane(load_modal(unknown, 0), sch.PITCH), of_plane(load_modal(unknown, 0), sch.YAW)
+    for j in range(sch.padded_modes(sizes)):
         work[pitch + j], work[yaw + j] = 0.0, 0.0
-    aft, row = e.lever_x_m[k], gimbal_row(sizes, e.gimbal[k])
+    aft, row = e.lever_x_m[k], sch.gimbal_row(sizes, e.gimbal[k])
     about_y = couple[1] + aft * force[2] + e.lever_z_m[k] * force[0]
     about_z = couple[2] - aft * force[1] - e.lever_y_m[k] * force[0]
-    add_to_modes(sizes, properties, mode_column(sizes, PITCH, row), force[2], work, pitch)
-    add_to_modes(sizes, properties, mode_column(sizes, PITCH, row + 1), about_y, work, pitch)
-    add_to_modes(sizes, properties, mode_column(sizes, YAW, row), force[1], work, yaw)
-    add_to_modes(sizes, properties, mode_column(sizes, YAW, row + 1), -about_z, work, yaw)
+    add_to_modes(sizes, properties, sch.mode_column(sizes, sch.PITCH, row), force[2], work, pitch)
+    add_to_modes(sizes, properties, sch.mode_column(sizes, sch.PITCH, row + 1), about_y, work, pitch)
+    add_to_modes(sizes, properties, sch.mode_column(sizes, sch.YAW, row), force[1], work, yaw)
+    add_to_modes(sizes, properties, sch.mode_column(sizes, sch.YAW, row + 1), -about_z, work, yaw)
     if sizes.spatial_modes > 0:
         spatial = load_spatial(unknown, 0)
         for j in range(sizes.spatial_modes):
@@ -255,7 +230,7 @@ def _modal_forces(
         beside_y, beside_z = beside_axis(e, k)
         about_x = couple[0] + beside_y * force[2] - beside_z * force[1]
         at_gimbal = (force[0], force[1], force[2], about_x, about_y, about_z)
-        apply_spatial_load(sizes, properties, gimbal_place(sizes, e.gimbal[k]), at_gimbal, work, spatial)
+        apply_spatial_load(sizes, properties, sch.gimbal_place(sizes, e.gimbal[k]), at_gimbal, work, spatial)
 
 
 @routine
@@ -265,12 +240,12 @@ def load_responses(sizes: Counts, inverse_mass: float, inverse: Symmetric, prope
         b, force, accel = load_block(k), load_modal(k, 0), load_modal(k, 1)
         set_vector(work, b + RIGID_ACCEL, scaled(inverse_mass, vector_at(work, b + FORCE)))
         set_vector(work, b + ALPHA, symmetric_times(inverse, vector_at(work, b + MOMENT)))
-        for plane in (PITCH, YAW):
-            inverse_at = derived_column(sizes, plane, MODE_INVERSE_MASS)
-            for j in range(padded_modes(sizes)):
+        for plane in (sch.PITCH, sch.YAW):
+            inverse_at = sch.derived_column(sizes, plane, sch.MODE_INVERSE_MASS)
+            for j in range(sch.padded_modes(sizes)):
                 work[of_plane(accel, plane) + j] = work[of_plane(force, plane) + j] * properties[inverse_at + j]
         for j in range(sizes.spatial_modes):
-            inverse_mass_j = properties[spatial_derived(sizes, MODE_INVERSE_MASS) + j]
+            inverse_mass_j = properties[sch.spatial_derived(sizes, sch.MODE_INVERSE_MASS) + j]
             work[load_spatial(k, 1) + j] = work[load_spatial(k, 0) + j] * inverse_mass_j
 
 
@@ -281,8 +256,8 @@ def moment_about_hinge(
     """Moment on the hinge of unknown k by accelerations of the CG, of the body's rotation and of the modes, N m."""
     b, force = load_block(k), load_modal(k, 0)
     total: float = dot(vector_at(work, b + FORCE), accel) + dot(vector_at(work, b + MOMENT), alpha)
-    for plane in (PITCH, YAW):
-        for j in range(padded_modes(sizes)):
+    for plane in (sch.PITCH, sch.YAW):
+        for j in range(sch.padded_modes(sizes)):
             total += work[of_plane(force, plane) + j] * work[of_plane(modal, plane) + j]
     for j in range(sizes.spatial_modes):
         total += work[load_spatial(k, 0) + j] * work[spatial + j]
@@ -293,11 +268,11 @@ def moment_about_hinge(
 def add_load_to_modes(sizes: Counts, k: int, amount: float, work: Array) -> None:
     """Add what the acceleration `amount` of unknown k does to the modal accelerations."""
     modal = load_modal(k, 1)
-    for plane in (PITCH, YAW):
-        for j in range(padded_modes(sizes)):
-            work[of_plane(ACCEL, plane) + j] += amount * work[of_plane(modal, plane) + j]
+    for plane in (sch.PITCH, sch.YAW):
+        for j in range(sch.padded_modes(sizes)):
+            work[of_plane(ws.ACCEL, plane) + j] += amount * work[of_plane(modal, plane) + j]
     for j in range(sizes.spatial_modes):
-        work[SPATIAL_ACCEL + j] += amount * work[load_spatial(k, 1) + j]
+        work[ws.SPATIAL_ACCEL + j] += amount * work[load_spatial(k, 1) + j]
 
 
 @routine
@@ -307,11 +282,11 @@ def load_derivative(
     """Derivatives of the states at y[first:] once the accelerations are known, which go into `aux` as well."""
     for back in range(2 * sizes.tvc_loads):
         k = 2 * sizes.tvc_loads - 1 - back
-        n, i, accel = k // 2, first + N_AXIS * k, work[TENSION + sizes.pendulums + k]
+        n, i, accel = k // 2, first + N_AXIS * k, work[ws.TENSION + sizes.pendulums + k]
         dy[i], dy[i + 1], dy[i + 2] = y[i + 1], accel, 0.0
         if load.friction_Nm[n] > 0.0:
             dy[i + 2] = (y[i + 1] - abs(y[i + 1]) * y[i + 2]) / load.friction_angle_rad[n]
-        aux[SWING + 3 * k + 2] = accel
+        aux[ws.SWING + 3 * k + 2] = accel
         aux[group_angles(e.group[load.engine[n]]) + 3 * (k % 2) + 2] = accel
 
 
@@ -335,9 +310,9 @@ def swing_row(loads: int, n: int, aux: Array) -> SwingRow:
         none = PitchYaw(math.nan, math.nan)
         return SwingRow(none, none, none)
     return SwingRow(
-        swing_load_axis_angle_deg=PitchYaw(DEG * aux[SWING + 6 * n], DEG * aux[SWING + 6 * n + 3]),
-        actuator_load_axis_angle_deg=PitchYaw(DEG * aux[HELD + 4 * n], DEG * aux[HELD + 4 * n + 2]),
-        hinge_load_axis_moment_Nm=PitchYaw(aux[HINGE_MOMENT + 2 * n], aux[HINGE_MOMENT + 2 * n + 1]),
+        swing_load_axis_angle_deg=PitchYaw(DEG * aux[ws.SWING + 6 * n], DEG * aux[ws.SWING + 6 * n + 3]),
+        actuator_load_axis_angle_deg=PitchYaw(DEG * aux[ws.HELD + 4 * n], DEG * aux[ws.HELD + 4 * n + 2]),
+        hinge_load_axis_moment_Nm=PitchYaw(aux[ws.HINGE_MOMENT + 2 * n], aux[ws.HINGE_MOMENT + 2 * n + 1]),
     )
 
 
@@ -347,6 +322,6 @@ def tvc_load_row(sizes: Sizes, aux: Array) -> TvcLoadRow:
     if sizes.tvc_loads == 0:
         return TvcLoadRow(PitchYaw(math.nan, math.nan), PitchYaw(math.nan, math.nan))
     return TvcLoadRow(
-        actuator_axis_angle_deg=PitchYaw(DEG * aux[HELD], DEG * aux[HELD + 2]),
-        hinge_axis_moment_Nm=PitchYaw(aux[HINGE_MOMENT], aux[HINGE_MOMENT + 1]),
+        actuator_axis_angle_deg=PitchYaw(DEG * aux[ws.HELD], DEG * aux[ws.HELD + 2]),
+        hinge_axis_moment_Nm=PitchYaw(aux[ws.HINGE_MOMENT], aux[ws.HINGE_MOMENT + 1]),
     )
