@@ -21,8 +21,8 @@ from mcap.reader import make_reader
 from mcap.records import ChunkIndex
 
 from maxq.sim.flight.channels import Channel, ChannelTable, Topic
-from maxq.sim.log.foxglove import Event, Level
 from maxq.sim.log.head import LogError, RunHead
+from maxq.sim.log.messages import Event, Level
 from maxq.sim.log.reader import Log, read_log
 from maxq.sim.log.writer import LogWriter
 

@@ -19,7 +19,7 @@ from mcap.stream_reader import StreamReader
 from mcap.summary import Summary
 
 from maxq.sim.log.reader import read_log
-from maxq.sim.log.writer import Container, LogWriter, single_message
+from maxq.sim.log.writer import Container, LogWriter, message_block
 
 
 @pytest.fixture(scope="module")
@@ -175,7 +175,9 @@ def test_a_log_in_order_of_time_from_another_tool_reads_the_same(path: Path, tmp
         found = [message for _, _, message in make_reader(file).iter_messages()]
         for second in range(4):
             some = [m for m in found if m.log_time // 10**9 == second]
-            other.add_chunk([single_message(m.channel_id, m.log_time, m.sequence, m.data) for m in some])
+            payloads = [np.array([m.data], f"V{len(m.data)}") for m in some]
+            pairs = zip(some, payloads, strict=True)
+            other.add_chunk([message_block(m.channel_id, data, np.array([m.log_time])) for m, data in pairs])
     other.add_metadata("end", {"status": "complete"})
     other.finish()
     other.close()

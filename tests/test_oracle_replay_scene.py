@@ -15,8 +15,7 @@ from mcap.reader import make_reader
 from replaykit import OLD_LOG
 from rerun import ComponentColumn
 
-from maxq.sim.log.foxglove import FRAMES_SCHEMA, FRAMES_TYPE
-from maxq.sim.log.protobuf import message_class
+from maxq.sim.log.messages import FRAMES_SCHEMA, FRAMES_TYPE, message_class
 from maxq.tools.replay import meshes
 from maxq.tools.replay.flight import ReplayFlight, launch_of, open_flight, path_of, place_of
 from maxq.tools.replay.plots import tabs_of

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from maxq.sim.api import Flight, FlightRun, LogError, fly, load_scenario, read_log, record
-from maxq.sim.log.foxglove import Level
+from maxq.sim.log.messages import Level
 from maxq.sim.run import record as recording
 from maxq.tools import simrun
 from maxq.tools.cli.frame import TRACEBACK

@@ -33,9 +33,9 @@ from zstandard import ZstdError
 from maxq.control.kernel.records import Array, IntArray
 from maxq.sim.flight.channels import EVENTS_TOPIC, FRAMES_TOPIC, Channel, ChannelTable, Topic
 from maxq.sim.log import head as keys
-from maxq.sim.log.foxglove import Event, decode_event
+from maxq.sim.log import messages as m
 from maxq.sim.log.head import SCHEMA_VERSION, Attachment, LogError
-from maxq.sim.log.protobuf import MESSAGE_HEADER, RECORD_PREFIX, doubles_template, get_values, message_dtype, topic_from
+from maxq.sim.log.messages import RECORD_PREFIX
 from maxq.sim.log.tabular import Tabular
 
 _HEAD_OPCODES = (Opcode.HEADER, Opcode.SCHEMA, Opcode.CHANNEL, Opcode.ATTACHMENT, Opcode.METADATA)
@@ -55,15 +55,6 @@ MOST_LOG_BYTES = 1 << 34
 
 class DamagedError(ValueError):
     """A record's bytes do not make sense."""
-
-
-@dataclass(frozen=True)
-class _Run:
-    """`count` messages of one channel, each `size` bytes with header, from `start` on."""
-
-    start: int
-    count: int
-    size: int
 
 
 @dataclass(frozen=True)
@@ -89,7 +80,7 @@ class Log(LoggedRun, Tabular):
     """
 
     table: ChannelTable
-    events: tuple[Event, ...]
+    events: tuple[m.Event, ...]
     complete: bool
     notes: tuple[str, ...]
     _times_ns: Mapping[str, IntArray]
@@ -120,10 +111,6 @@ class Log(LoggedRun, Tabular):
     def time_s(self, name: str) -> Array:
         """Times (n,) of a channel or topic, in s since the start of the simulation; KeyError as above."""
         return self.time_ns(name) / 1e9
-
-    def topic(self, name: str) -> Mapping[str, Array]:
-        """All channels of a topic by name; KeyError as above."""
-        return self._values[self._topic(name)]
 
     def _topic(self, name: str) -> str:
         """Name of the topic of this name, or of the topic that holds the channel of this name."""
@@ -199,14 +186,15 @@ class _LogFile:
         channels: list[ChannelRecord] = []
         end, self.intact = 0, False
         for opcode, start, stop in _frames(data, len(MAGIC)):
-            if start == len(MAGIC):
-                _check_header(data, start, stop)
-            if opcode not in _HEAD_OPCODES:
+            if opcode not in _HEAD_OPCODES and start > len(MAGIC):
                 break
             try:
                 record = _parse(data, start, stop)
             except DamagedError as error:
                 raise ValueError(f"the head of the log is damaged: {error}") from error
+            if start == len(MAGIC) and (not isinstance(record, Header) or record.profile != keys.PROFILE):
+                by = f" (written by {record.library})" if isinstance(record, Header) and record.library else ""
+                raise ValueError(f"this is an MCAP file, but not a log of maxq{by}")
             if isinstance(record, Schema):
                 schemas[record.id] = record
             elif isinstance(record, ChannelRecord):
@@ -231,12 +219,12 @@ class _LogFile:
         self._topics: dict[int, Topic | str] = {}  # by MCAP channel; the name only of /events and /tf
         try:
             for c in channels:
-                own = c.topic in (EVENTS_TOPIC, FRAMES_TOPIC)
-                self._topics[c.id] = (
-                    c.topic if own else topic_from(c.topic, schemas[c.schema_id].data, c.metadata, renamed)
-                )
-            self.table = ChannelTable(tuple(topic for topic in self._topics.values() if isinstance(topic, Topic)))
-            self._layouts = {t.name: message_dtype(doubles_template(len(t.channels)).dtype) for t in self.table.topics}
+                self._topics[c.id] = c.topic
+                if c.topic not in (EVENTS_TOPIC, FRAMES_TOPIC):
+                    self._topics[c.id] = m.topic_from(c.topic, schemas[c.schema_id].data, c.metadata, renamed)
+            topics = tuple(topic for topic in self._topics.values() if isinstance(topic, Topic))
+            self.table = ChannelTable(topics)
+            self._layouts = {t.name: m.message_dtype(m.doubles_template(len(t.channels)).dtype) for t in topics}
         except (ValueError, KeyError) as error:
             raise ValueError(f"the head of the log is damaged: {error}") from error
         return end
@@ -273,12 +261,12 @@ class _LogFile:
         self.notes.append(f"the end of the log is missing or damaged: read up to byte {last} of {len(self._data)}")
         return chunks
 
-    def columns(self) -> tuple[list[Event], dict[str, IntArray], dict[str, dict[str, Array]]]:
+    def columns(self) -> tuple[list[m.Event], dict[str, IntArray], dict[str, dict[str, Array]]]:
         """Events, times (n,) by topic, and values (n,) by topic and channel, each contiguous.
 
         Damaged chunks are left out and noted. The numbers of a chunk are copied at once, while they are in the cache.
         """
-        events: list[Event] = []
+        events: list[m.Event] = []
         parts: dict[str, list[tuple[IntArray, Array]]] = {topic.name: [] for topic in self.table.topics}
         total = 0
         for number, place in enumerate(self._chunks, start=1):
@@ -305,9 +293,9 @@ class _LogFile:
             values[topic.name] = {channel.name: matrix[i] for i, channel in enumerate(topic.channels)}
         return events, times_ns, values
 
-    def _chunk_columns(self, content: bytes) -> tuple[list[Event], list[tuple[str, tuple[IntArray, Array]]]]:
+    def _chunk_columns(self, content: bytes) -> tuple[list[m.Event], list[tuple[str, tuple[IntArray, Array]]]]:
         """Events of a chunk, and by topic times (n,) and values (channels, n). Raises ValueError."""
-        events: list[Event] = []
+        events: list[m.Event] = []
         parts = []
         for channel_id, runs in _message_runs(content).items():
             topic = self._topics.get(channel_id)
@@ -315,12 +303,11 @@ class _LogFile:
                 raise DamagedError("it has messages of an unknown channel")
             if topic == EVENTS_TOPIC:
                 for run in runs:
-                    for start in range(run.start, run.start + run.count * run.size, run.size):
-                        events.append(decode_event(content[start + MESSAGE_HEADER.size : start + run.size]))
+                    events += [m.decode_event(content[at + m.MESSAGE_HEADER.size : at + run.step]) for at in run]
             elif isinstance(topic, Topic):
                 messages = _gather(content, runs, self._layouts[topic.name])
                 values = np.empty((len(topic.channels), len(messages)))
-                get_values(messages["payload"], values)
+                m.get_values(messages["payload"], values)
                 parts.append((topic.name, (messages["log_time"].astype(np.int64), values)))
         return events, parts
 
@@ -354,16 +341,6 @@ def _parse(data: bytes, start: int, end: int) -> McapRecord:
         return next(StreamReader(_Content(data[start:end]), skip_magic=True, emit_chunks=True).records)
     except _UNREADABLE as error:
         raise DamagedError("its content cannot be read") from error
-
-
-def _check_header(data: bytes, start: int, end: int) -> None:
-    try:
-        header = _parse(data, start, end)
-    except DamagedError as error:
-        raise ValueError(f"the head of the log is damaged: {error}") from error
-    if not isinstance(header, Header) or header.profile != keys.PROFILE:
-        by = f" (written by {header.library})" if isinstance(header, Header) and header.library else ""
-        raise ValueError(f"this is an MCAP file, but not a log of maxq{by}")
 
 
 def _summary(data: bytes) -> Summary:
@@ -416,9 +393,11 @@ def _decompressed(chunk: Chunk) -> bytes:
     raise DamagedError(f"its compression {chunk.compression!r} is not known")
 
 
-def _message_runs(content: bytes) -> dict[int, list[_Run]]:
-    """Where the messages of each channel lie in the content of a chunk. Raises DamagedError."""
-    runs: dict[int, list[_Run]] = {}
+def _message_runs(content: bytes) -> dict[int, list[range]]:
+    """Where the messages of each channel lie in the content of a chunk, in runs of equal size: the starts of those of a
+    run. Raises DamagedError.
+    """
+    runs: dict[int, list[range]] = {}
     position, end = 0, len(content)
     while position < end:
         if position + RECORD_PREFIX.size > end:
@@ -429,11 +408,11 @@ def _message_runs(content: bytes) -> dict[int, list[_Run]]:
             raise DamagedError("its last record is cut off")
         count = 1
         if opcode == Opcode.MESSAGE:
-            if size < MESSAGE_HEADER.size:
+            if size < m.MESSAGE_HEADER.size:
                 raise DamagedError("a message is too short")
             count = _run_length(content, position, size)
             channel_id = _RUN_PREFIX.unpack_from(content, position)[2]
-            runs.setdefault(channel_id, []).append(_Run(position, count, size))
+            runs.setdefault(channel_id, []).append(range(position, position + count * size, size))
         position += count * size
     return runs
 
@@ -457,12 +436,12 @@ def _run_length(content: bytes, start: int, size: int) -> int:
         count, block = count + block, 8 * block
 
 
-def _gather(content: bytes, runs: list[_Run], layout: np.dtype[np.void]) -> NDArray[np.void]:
+def _gather(content: bytes, runs: list[range], layout: np.dtype[np.void]) -> NDArray[np.void]:
     """The messages of one channel as an array of `layout`. Raises DamagedError if one has another size."""
-    if any(run.size != layout.itemsize for run in runs):
+    if any(run.step != layout.itemsize for run in runs):
         raise DamagedError("a message does not have the size of its schema")
     if len(runs) == 1:
-        return np.frombuffer(content, layout, runs[0].count, runs[0].start)
-    starts = np.concatenate([run.start + run.size * np.arange(run.count) for run in runs])
+        return np.frombuffer(content, layout, len(runs[0]), runs[0].start)
+    starts = np.concatenate([np.arange(run.start, run.stop, run.step) for run in runs])
     gathered = np.frombuffer(content, np.uint8)[starts[:, None] + np.arange(layout.itemsize)]
     return gathered.view(layout).ravel()

@@ -81,10 +81,9 @@ class Tabular(ABC):
         for group in groups:
             rows = np.searchsorted(times, self.time_s(group[0]))
             for name in group:
-                column = [""] * len(times)
-                for row, value in zip(rows, self[name], strict=True):
-                    column[row] = repr(float(value))
-                columns.append(column)
+                column = np.full(len(times), "", object)
+                column[rows] = [repr(value) for value in self[name].tolist()]
+                columns.append(column.tolist())
         head = ["time_s", *(name for group in groups for name in group)]
         with whole_file(Path(path)) as part, part.open("w", encoding="utf-8", newline="\n") as file:
             file.writelines(",".join(row) + "\n" for row in (head, *zip(*columns, strict=True)))

@@ -11,10 +11,11 @@ from __future__ import annotations
 import io
 import struct
 import zlib
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import closing, contextmanager
 from pathlib import Path
 from types import TracebackType
+from typing import Any
 
 import numpy as np
 import zstandard
@@ -25,44 +26,19 @@ from mcap.writer import MCAP0_MAGIC as MAGIC
 from numpy.typing import NDArray
 
 from maxq.control.kernel.records import Array, IntArray
-from maxq.sim.flight.channels import EVENTS_TOPIC, FRAMES_TOPIC, ChannelTable, Topic
+from maxq.sim.flight.channels import EVENTS_TOPIC, FRAMES_TOPIC, ChannelTable
 from maxq.sim.log import head as keys
-from maxq.sim.log.foxglove import (
-    FRAMES_SCHEMA,
-    FRAMES_TYPE,
-    LOG_SCHEMA,
-    LOG_TYPE,
-    Event,
-    FramePath,
-    encode_event,
-    frames_template,
-    put_frames,
-)
+from maxq.sim.log import messages as m
 from maxq.sim.log.head import LogError, RunHead, maxq_version
-from maxq.sim.log.protobuf import (
-    MESSAGE_HEADER,
-    RECORD_PREFIX,
-    doubles_template,
-    message_dtype,
-    message_type,
-    metadata_of,
-    put_values,
-    schema_of,
-)
 
-_NS_PER_S = 1_000_000_000
-_ZSTD = "zstd"
-_LEVEL = 1  # noisy numbers hardly compress: higher levels cost more time than they save space
-_LENGTH_WITHOUT_PAYLOAD = MESSAGE_HEADER.size - RECORD_PREFIX.size
+_LEVEL = 1  # of zstd: noisy numbers hardly compress: higher levels cost more time than they save space
 _SUMMARY_ORDER = (
-    Opcode.SCHEMA,
-    Opcode.CHANNEL,
-    Opcode.STATISTICS,
-    Opcode.CHUNK_INDEX,
-    Opcode.ATTACHMENT_INDEX,
-    Opcode.METADATA_INDEX,
-)
+    Opcode.SCHEMA, Opcode.CHANNEL, Opcode.STATISTICS, Opcode.CHUNK_INDEX, Opcode.ATTACHMENT_INDEX, Opcode.METADATA_INDEX
+)  # fmt: skip  # five more lines otherwise
 _INDEX_HEADER = struct.Struct("<BQHI")  # opcode, length, channel, bytes of entries
+
+Put = Callable[..., None]
+"""Writes columns of numbers, a row for each message, into the payloads of messages."""
 
 
 class LogWriter:
@@ -76,28 +52,26 @@ class LogWriter:
         self.path = Path(path)
         self._table = table
         self._last_ns = dict.fromkeys(table.groups, 0)
-        try:
+        with _log_errors(self.path):
             self._container = Container(self.path, keys.PROFILE, f"maxq {maxq_version()}")
-        except OSError as error:
-            raise _cannot_write(self.path, error) from error
-        try:
-            self._write_head(head)
-        except OSError as error:
-            self._container.close()
-            raise _cannot_write(self.path, error) from error
+            try:
+                self._write_head(head)
+            except OSError:
+                self._container.close()
+                raise
 
     def _write_head(self, head: RunHead) -> None:
-        container = self._container
-        container.add_metadata(keys.RUN_METADATA, head.full_metadata())
+        add_channel = self._container.add_channel
+        self._container.add_metadata(keys.RUN_METADATA, head.full_metadata())
         self._templates: dict[str, tuple[int, NDArray[np.void]]] = {}  # channel and message, by topic
-        for topic in self._table.topics:
-            channel_id = container.add_channel(topic.name, message_type(topic), schema_of(topic), metadata_of(topic))
-            self._templates[topic.name] = channel_id, doubles_template(len(topic.channels))
-        self._events_id = container.add_channel(EVENTS_TOPIC, LOG_TYPE, LOG_SCHEMA, {})
-        self._frames_id = container.add_channel(FRAMES_TOPIC, FRAMES_TYPE, FRAMES_SCHEMA, {})
+        for t in self._table.topics:
+            channel_id = add_channel(t.name, m.message_type(t), m.schema_of(t), m.metadata_of(t))
+            self._templates[t.name] = channel_id, m.doubles_template(len(t.channels))
+        self._events_id = add_channel(EVENTS_TOPIC, m.LOG_TYPE, m.LOG_SCHEMA, {})
+        self._frames_id = add_channel(FRAMES_TOPIC, m.FRAMES_TYPE, m.FRAMES_SCHEMA, {})
         for attachment in head.attachments:
-            container.add_attachment(attachment.name, attachment.media_type, attachment.data)
-        container.add_metadata(keys.HEAD_METADATA, {keys.CRC_KEY: f"{container.crc:08x}"})
+            self._container.add_attachment(attachment.name, attachment.media_type, attachment.data)
+        self._container.add_metadata(keys.HEAD_METADATA, {keys.CRC_KEY: f"{self._container.crc:08x}"})
 
     def __enter__(self) -> LogWriter:
         return self
@@ -120,27 +94,19 @@ class LogWriter:
         taken = {keys.STATUS_KEY, keys.REASON_KEY}.intersection(result or {})
         if taken:
             raise ValueError(f"result key {sorted(taken)[0]!r} is set by the log writer")
-        container = self._container
-        if not container.usable:
-            container.close()
-            return
         status = {keys.STATUS_KEY: keys.COMPLETE}
         if error is not None:
             status = {keys.STATUS_KEY: keys.ABORTED, keys.REASON_KEY: f"{type(error).__name__}: {error}"}
-        try:
-            container.add_metadata(keys.END_METADATA, status | dict(sorted((result or {}).items())))
-            container.finish()
-        except OSError as failure:
-            raise _cannot_write(self.path, failure) from failure
-        finally:
-            container.usable = False
-            container.close()
+        with _log_errors(self.path), closing(self._container) as container:
+            if container.usable:
+                container.add_metadata(keys.END_METADATA, status | dict(sorted((result or {}).items())))
+                container.finish()
 
     def write_block(
         self,
         groups: Mapping[str, tuple[IntArray, Array]],
-        events: Sequence[Event] = (),
-        frames: Sequence[FramePath] = (),
+        events: Sequence[m.Event] = (),
+        frames: Sequence[m.FramePath] = (),
     ) -> None:
         """Append samples, events and frames, in one chunk for each second of simulated time that occurs.
 
@@ -152,79 +118,52 @@ class LogWriter:
         """
         if not self._container.usable:
             raise LogError(f"{self.path}: the log is closed")
-        samples = {name: self._checked(name, *block) for name, block in groups.items()}
-        for event in events:
-            _check_times("events", np.array([event.time_ns]))
+        streams: list[tuple[int, NDArray[np.void], IntArray, Put, tuple[Array | IntArray, ...]]] = []
+        for group, (times, values) in groups.items():
+            if group not in self._table.groups:
+                raise ValueError(f"the channel table has no rate group {group!r}")
+            n, channels = len(times), len(self._table.columns(group))
+            if values.shape != (n, channels):
+                raise ValueError(f"rate group {group}: {values.shape} values, but {n} times and {channels} channels")
+            _check_times(group, times, self._last_ns[group])
+        for topic in self._table.topics:
+            if topic.group in groups:
+                times, values = groups[topic.group]
+                first = self._table.index(topic.channels[0].name)
+                own = values[:, first : first + len(topic.channels)]
+                streams.append((*self._templates[topic.name], times, m.put_values, (own,)))
+        for event in sorted(events, key=lambda event: event.time_ns):
+            times = np.array([event.time_ns])
+            _check_times("events", times)
+            streams.append((self._events_id, m.encode_event(event), times, lambda _: None, ()))
         for path in frames:
-            n, what = len(path.times_ns), f"frame {path.child} in {path.parent}"
-            _check_times(what, path.times_ns)
-            if path.translation_m.shape != (n, 3) or path.rotation.shape != (n, 4):
-                raise ValueError(f"{what}: translation must be ({n}, 3) and rotation ({n}, 4)")
+            times, what = path.times_ns, f"frame {path.child} in {path.parent}"
+            _check_times(what, times)
+            if path.translation_m.shape != (len(times), 3) or path.rotation.shape != (len(times), 4):
+                raise ValueError(f"{what}: translation must be ({len(times)}, 3) and rotation ({len(times)}, 4)")
+            motion, template = (times, path.translation_m, path.rotation), m.frames_template(path.parent, path.child)
+            streams.append((self._frames_id, template, times, m.put_frames, motion))
 
-        sample_seconds = {name: times // _NS_PER_S for name, (times, _) in samples.items()}
-        event_seconds = np.array([event.time_ns // _NS_PER_S for event in events], np.int64)
-        path_seconds = [path.times_ns // _NS_PER_S for path in frames]
-        every = [*sample_seconds.values(), event_seconds, *path_seconds]
-        try:
-            for second in np.unique(np.concatenate(every)):
+        seconds = [times // m.NS_PER_S for _, _, times, _, _ in streams]
+        with _log_errors(self.path):
+            for second in np.unique(np.concatenate([np.zeros(0, np.int64), *seconds])):
                 blocks = []
-                for topic in self._table.topics:
-                    if topic.group in samples:
-                        rows = _rows(sample_seconds[topic.group], second)
-                        blocks += self._topic_block(topic, samples[topic.group], rows)
-                blocks += self._event_blocks([e for e in events if e.time_ns // _NS_PER_S == second])
-                blocks += self._frame_blocks(frames, [_rows(seconds, second) for seconds in path_seconds])
+                for (channel_id, template, times, put, columns), own_seconds in zip(streams, seconds, strict=True):
+                    rows = slice(*np.searchsorted(own_seconds, [second, second + 1]))
+                    if rows.start < rows.stop:
+                        blocks.append(message_block(channel_id, template, times[rows]))
+                        put(blocks[-1]["payload"], *(column[rows] for column in columns))
                 self._container.add_chunk(blocks)
-        except OSError as error:
-            raise _cannot_write(self.path, error) from error
-        self._last_ns |= {name: int(times[-1]) for name, (times, _) in samples.items() if len(times)}
-
-    def _checked(self, group: str, times_ns: IntArray, values: Array) -> tuple[IntArray, Array]:
-        """Times and values of a rate group, once they fit the table."""
-        if group not in self._table.groups:
-            raise ValueError(f"the channel table has no rate group {group!r}")
-        channels = len(self._table.columns(group))
-        if values.shape != (len(times_ns), channels):
-            raise ValueError(
-                f"rate group {group}: {values.shape} values, but {len(times_ns)} times and {channels} channels"
-            )
-        _check_times(group, times_ns, self._last_ns[group])
-        return times_ns, values
-
-    def _topic_block(self, topic: Topic, samples: tuple[IntArray, Array], rows: slice) -> list[Block]:
-        times, values = samples[0][rows], samples[1][rows]
-        if not len(times):
-            return []
-        first = self._table.index(topic.channels[0].name)
-        channel_id, template = self._templates[topic.name]
-        block = message_block(channel_id, template, times, self._container.count(channel_id))
-        put_values(block.records["payload"], values[:, first : first + len(topic.channels)])
-        return [block]
-
-    def _event_blocks(self, events: list[Event]) -> list[Block]:
-        first = self._container.count(self._events_id)
-        ordered = sorted(events, key=lambda event: event.time_ns)
-        return [
-            single_message(self._events_id, event.time_ns, sequence, encode_event(event))
-            for sequence, event in enumerate(ordered, start=first)
-        ]
-
-    def _frame_blocks(self, paths: Sequence[FramePath], rows: list[slice]) -> list[Block]:
-        blocks = []
-        sequence = self._container.count(self._frames_id)
-        for path, some in zip(paths, rows, strict=True):
-            times = path.times_ns[some]
-            if len(times):
-                block = message_block(self._frames_id, frames_template(path.parent, path.child), times, sequence)
-                put_frames(block.records["payload"], times, path.translation_m[some], path.rotation[some])
-                blocks.append(block)
-                sequence += len(times)
-        return blocks
+        self._last_ns |= {group: int(times[-1]) for group, (times, _) in groups.items() if len(times)}
 
 
-def _rows(seconds: IntArray, second: int) -> slice:
-    """Rows of one second in sorted `seconds`."""
-    return slice(*np.searchsorted(seconds, [second, second + 1]))
+@contextmanager
+def _log_errors(path: Path) -> Iterator[None]:
+    """What the system says becomes a LogError."""
+    try:
+        yield
+    except OSError as error:
+        raise LogError(f"{path}: the log cannot be written: {error.strerror or error}") from error
 
 
 def _check_times(what: str, times_ns: IntArray, earliest: int = 0) -> None:
@@ -234,36 +173,17 @@ def _check_times(what: str, times_ns: IntArray, earliest: int = 0) -> None:
         raise ValueError(f"{what}: times must not fall and must start at or after {earliest} ns")
 
 
-def _cannot_write(path: Path, error: OSError) -> LogError:
-    return LogError(f"{path}: the log cannot be written: {error.strerror or error}")
+def message_block(channel_id: int, template: NDArray[np.void], times_ns: IntArray) -> NDArray[np.void]:
+    """Records (n,) of messages of a channel at these times, ready for a chunk, which numbers them.
 
-
-@dataclass(frozen=True)
-class Block:
-    """Messages of one channel, ready for a chunk: `times_ns` (n,) and their records of equal size."""
-
-    channel_id: int
-    times_ns: IntArray
-    records: NDArray[np.void]
-
-
-def message_block(channel_id: int, template: NDArray[np.void], times_ns: IntArray, first_sequence: int) -> Block:
-    """Messages with these times whose payloads differ from `template` in numbers only, which the caller fills."""
-    n = len(times_ns)
-    length = _LENGTH_WITHOUT_PAYLOAD + template.dtype.itemsize
-    record = MESSAGE_HEADER.pack(Opcode.MESSAGE, length, channel_id, 0, 0, 0) + template.tobytes()
-    rows = np.frombuffer(bytearray(record * n), message_dtype(template.dtype))
-    rows["sequence"] = np.arange(first_sequence, first_sequence + n) & 0xFFFFFFFF
+    Their payloads differ from `template` in numbers only, which the caller fills.
+    """
+    n, layout = len(times_ns), m.message_dtype(template.dtype)
+    length = layout.itemsize - m.RECORD_PREFIX.size
+    record = m.MESSAGE_HEADER.pack(Opcode.MESSAGE, length, channel_id, 0, 0, 0) + template.tobytes()
+    rows = np.frombuffer(bytearray(record * n), layout)
     rows["log_time"] = rows["publish_time"] = times_ns
-    return Block(channel_id, times_ns, rows)
-
-
-def single_message(channel_id: int, time_ns: int, sequence: int, payload: bytes) -> Block:
-    """One message whose payload may have any size."""
-    length = _LENGTH_WITHOUT_PAYLOAD + len(payload)
-    header = MESSAGE_HEADER.pack(Opcode.MESSAGE, length, channel_id, sequence & 0xFFFFFFFF, time_ns, time_ns)
-    record = np.frombuffer(header + payload, f"V{len(header) + len(payload)}")
-    return Block(channel_id, np.array([time_ns], np.int64), record)
+    return rows
 
 
 def encode(*records: mcap_records.McapRecord) -> bytes:
@@ -273,18 +193,11 @@ def encode(*records: mcap_records.McapRecord) -> bytes:
     return bytes(builder.end())  # type: ignore[no-untyped-call]  # mcap does not annotate it
 
 
-def _footer(summary_start: int, offsets_start: int, summary: bytes) -> bytes:
-    """Footer record with the checksum of the summary section, which covers the footer's own first fields."""
-    start_of_footer = encode(mcap_records.Footer(summary_start, offsets_start, 0))[:-4]
-    crc = zlib.crc32(start_of_footer, zlib.crc32(summary))
-    return encode(mcap_records.Footer(summary_start, offsets_start, crc))
-
-
 class Container:
     """Writes records in order, keeps what the summary needs, and writes every chunk through to the system.
 
-    Nothing in the file comes from the clock or the machine. `usable` is False after an error in the middle
-    of a chunk: a reader could not find what follows it, so nothing more must be written.
+    Nothing in the file comes from the clock or the machine. `usable` is False once it is closed, and after an error in
+    the middle of a chunk: a reader could not find what follows it, so nothing more must be written.
     """
 
     def __init__(self, path: Path, profile: str, library: str) -> None:
@@ -295,77 +208,67 @@ class Container:
         self._compressor = zstandard.ZstdCompressor(level=_LEVEL)
         self._summary: dict[Opcode, list[mcap_records.McapRecord]] = {opcode: [] for opcode in _SUMMARY_ORDER}
         self._counts: dict[int, int] = {}  # of messages by channel
-        self._first_ns: int | None = None
-        self._last_ns = 0
+        self._first_ns, self._last_ns = 1 << 63, 0
         self._write(MAGIC + encode(mcap_records.Header(profile, library)))
 
     def add_channel(self, topic: str, message_type: str, schema: bytes, metadata: dict[str, str]) -> int:
         """Add a channel of protobuf messages with its schema; returns its id."""
         number = len(self._counts) + 1
-        schema_record = mcap_records.Schema(id=number, name=message_type, encoding="protobuf", data=schema)
-        channel = mcap_records.Channel(
-            id=number, topic=topic, message_encoding="protobuf", schema_id=number, metadata=metadata
+        records = (
+            mcap_records.Schema(id=number, name=message_type, encoding="protobuf", data=schema),
+            mcap_records.Channel(number, metadata=metadata, message_encoding="protobuf", schema_id=number, topic=topic),
         )
-        self._summary[Opcode.SCHEMA].append(schema_record)
-        self._summary[Opcode.CHANNEL].append(channel)
+        for opcode, record in zip((Opcode.SCHEMA, Opcode.CHANNEL), records, strict=True):
+            self._summary[opcode].append(record)
         self._counts[number] = 0
-        self._write(encode(schema_record, channel))
+        self._write(encode(*records))
         return number
 
     def add_attachment(self, name: str, media_type: str, data: bytes) -> None:
-        record = encode(mcap_records.Attachment(create_time=0, log_time=0, name=name, media_type=media_type, data=data))
-        place = {"offset": self.size, "length": len(record), "create_time": 0, "log_time": 0, "data_size": len(data)}
-        self._summary[Opcode.ATTACHMENT_INDEX].append(
-            mcap_records.AttachmentIndex(**place, name=name, media_type=media_type)
-        )
+        about: dict[str, Any] = {"create_time": 0, "log_time": 0, "name": name, "media_type": media_type}
+        record = encode(mcap_records.Attachment(**about, data=data))
+        index = mcap_records.AttachmentIndex(**about, data_size=len(data), offset=self.size, length=len(record))
+        self._summary[Opcode.ATTACHMENT_INDEX].append(index)
         self._write(record)
 
     def add_metadata(self, name: str, metadata: dict[str, str]) -> None:
         record = encode(mcap_records.Metadata(name=name, metadata=metadata))
-        self._summary[Opcode.METADATA_INDEX].append(
-            mcap_records.MetadataIndex(offset=self.size, length=len(record), name=name)
-        )
+        index = mcap_records.MetadataIndex(offset=self.size, length=len(record), name=name)
+        self._summary[Opcode.METADATA_INDEX].append(index)
         self._write(record)
 
-    def count(self, channel_id: int) -> int:
-        """Messages of a channel so far."""
-        return self._counts[channel_id]
-
-    def add_chunk(self, blocks: Sequence[Block]) -> None:
-        """Add one chunk of messages and its message indexes."""
+    def add_chunk(self, blocks: Sequence[NDArray[np.void]]) -> None:
+        """Add one chunk of messages (`message_block`), numbered on by channel, and its message indexes."""
         self.usable = False
-        content = b"".join([block.records.tobytes() for block in blocks])
+        for block in blocks:
+            channel_id = int(block["channel"][0])
+            before = self._counts[channel_id]
+            block["sequence"] = np.arange(before, before + len(block)) & 0xFFFFFFFF
+            self._counts[channel_id] += len(block)
+        content = b"".join([block.tobytes() for block in blocks])
         compressed = self._compressor.compress(content)
-        first = min(int(block.times_ns.min()) for block in blocks)
-        last = max(int(block.times_ns.max()) for block in blocks)
-        chunk = mcap_records.Chunk(
-            compression=_ZSTD,
-            data=compressed,
-            message_start_time=first,
-            message_end_time=last,
-            uncompressed_crc=zlib.crc32(content),
-            uncompressed_size=len(content),
-        )
-        record = encode(chunk)
+        first = min(int(block["log_time"][0]) for block in blocks)
+        last = max(int(block["log_time"][-1]) for block in blocks)
+        self._first_ns, self._last_ns = min(self._first_ns, first), max(self._last_ns, last)
+        about: dict[str, Any] = {
+            "compression": "zstd",
+            "message_start_time": first,
+            "message_end_time": last,
+            "uncompressed_size": len(content),
+        }
+        record = encode(mcap_records.Chunk(**about, data=compressed, uncompressed_crc=zlib.crc32(content)))
         indexes = _message_indexes(blocks)
         ends = np.cumsum([self.size + len(record), *map(len, indexes.values())]).tolist()
         chunk_index = mcap_records.ChunkIndex(
+            **about,
             chunk_start_offset=self.size,
             chunk_length=len(record),
-            compression=_ZSTD,
             compressed_size=len(compressed),
-            uncompressed_size=len(content),
-            message_start_time=first,
-            message_end_time=last,
             message_index_offsets=dict(zip(indexes, ends, strict=False)),
             message_index_length=ends[-1] - ends[0],
         )
         self._write(b"".join([record, *indexes.values()]))
         self._summary[Opcode.CHUNK_INDEX].append(chunk_index)
-        for block in blocks:
-            self._counts[block.channel_id] += len(block.times_ns)
-        self._first_ns = first if self._first_ns is None else min(self._first_ns, first)
-        self._last_ns = max(self._last_ns, last)
         self.usable = True
 
     def finish(self) -> None:
@@ -380,7 +283,9 @@ class Container:
             summary += group
         offsets_start = start + len(summary)
         summary += encode(*offsets)
-        self._write(summary + _footer(start, offsets_start, summary) + MAGIC)
+        beginning = encode(mcap_records.Footer(start, offsets_start, 0))[:-4]  # what the checksum covers of the footer
+        footer = mcap_records.Footer(start, offsets_start, zlib.crc32(beginning, zlib.crc32(summary)))
+        self._write(summary + encode(footer) + MAGIC)
 
     def _statistics(self) -> mcap_records.Statistics:
         return mcap_records.Statistics(
@@ -389,13 +294,14 @@ class Container:
             channel_message_counts=self._counts,
             chunk_count=len(self._summary[Opcode.CHUNK_INDEX]),
             message_count=sum(self._counts.values()),
-            message_start_time=self._first_ns or 0,
+            message_start_time=min(self._first_ns, self._last_ns),
             message_end_time=self._last_ns,
             metadata_count=len(self._summary[Opcode.METADATA_INDEX]),
             schema_count=len(self._counts),
         )
 
     def close(self) -> None:
+        self.usable = False
         self._file.close()
 
     def _write(self, data: bytes) -> None:
@@ -406,17 +312,14 @@ class Container:
         self.size += len(data)
 
 
-def _message_indexes(blocks: Sequence[Block]) -> dict[int, bytes]:
+def _message_indexes(blocks: Sequence[NDArray[np.void]]) -> dict[int, bytes]:
     """A message index record per channel: time and place in the chunk of each message, in order of time."""
     entries: dict[int, list[NDArray[np.uint64]]] = {}
     position = 0
     for block in blocks:
-        size, count = block.records.dtype.itemsize, len(block.times_ns)
-        rows = np.empty((count, 2), "<u8")
-        rows[:, 0] = block.times_ns
-        rows[:, 1] = position + size * np.arange(count)
-        entries.setdefault(block.channel_id, []).append(rows)
-        position += size * count
+        places = position + block.itemsize * np.arange(len(block), dtype=np.uint64)
+        entries.setdefault(int(block["channel"][0]), []).append(np.stack([block["log_time"], places], axis=1))
+        position += block.nbytes
     records = {}
     for channel_id, parts in entries.items():
         rows = np.concatenate(parts)

@@ -14,7 +14,7 @@ import numpy as np
 
 from maxq.control.kernel.records import Array, IntArray
 from maxq.sim.flight.channels import ChannelTable
-from maxq.sim.log.foxglove import FramePath
+from maxq.sim.log.messages import FramePath
 from maxq.sim.packing.initial import quaternion
 from maxq.sim.scenario.schema_environment import Site
 from maxq.sim.world.earth import FLAT, Earth, earth_position, ned_axes

@@ -20,7 +20,7 @@ from pathlib import Path
 
 from maxq.sim.files import cannot_write, write_whole
 from maxq.sim.flight.telemetry import SLOW
-from maxq.sim.log import foxglove
+from maxq.sim.log import messages
 from maxq.sim.log.head import Attachment, LogError, RunHead
 from maxq.sim.log.writer import LogWriter
 from maxq.sim.packing.integration import MethodError, worst_error
@@ -39,11 +39,11 @@ _PACKAGES = ("maxq", "numpy", "numba")
 _TOML = "application/toml"
 _SEGMENTS_WAITING = 4
 LEVELS = {
-    FAULT_NAME: foxglove.Level.WARNING,
-    WAVE_BREAKING_NAME: foxglove.Level.WARNING,
-    CONTROL_LOST_NAME: foxglove.Level.ERROR,
-    DIVERGED_NAME: foxglove.Level.FATAL,
-    SOFTWARE_NAME: foxglove.Level.FATAL,
+    FAULT_NAME: messages.Level.WARNING,
+    WAVE_BREAKING_NAME: messages.Level.WARNING,
+    CONTROL_LOST_NAME: messages.Level.ERROR,
+    DIVERGED_NAME: messages.Level.FATAL,
+    SOFTWARE_NAME: messages.Level.FATAL,
 }
 
 
@@ -189,10 +189,10 @@ class _LogThread:
             self._pool.shutdown()
             self._writer.close(error, result_record(flight) if flight else None)
 
-    def _message(self, event: Event) -> foxglove.Event:
-        return foxglove.Event(event.time_ns, LEVELS.get(event.name, foxglove.Level.INFO), event.text, "flight")
+    def _message(self, event: Event) -> messages.Event:
+        return messages.Event(event.time_ns, LEVELS.get(event.name, messages.Level.INFO), event.text, "flight")
 
-    def _write(self, rows: Rows, events: list[foxglove.Event]) -> None:
+    def _write(self, rows: Rows, events: list[messages.Event]) -> None:
         self._writer.write_block(rows, events, [self._frames.path(*rows[SLOW])])
 
 

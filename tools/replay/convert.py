@@ -16,7 +16,7 @@ import rerun.blueprint as rrb
 from rerun.blueprint.encodings import TextLogColumn, TextLogColumnKind, TimelineColumn
 
 from maxq.control.kernel.records import Array
-from maxq.sim.log.foxglove import FramePath
+from maxq.sim.log.messages import FramePath
 from maxq.tools.plots.palette import BLUE, GREY, ON_DARK, ORANGE, PURPLE, VERDICT
 from maxq.tools.replay import stream
 from maxq.tools.replay.flight import FEW, LaunchSite, ReplayFlight, closest, has_motion, path_of, place_of

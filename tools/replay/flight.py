@@ -24,8 +24,8 @@ import numpy as np
 
 from maxq.control.kernel.records import Array, IntArray
 from maxq.sim.flight.channels import ChannelTable
-from maxq.sim.log.foxglove import FramePath, Level
 from maxq.sim.log.head import LogError
+from maxq.sim.log.messages import FramePath, Level
 from maxq.sim.log.reader import Log, read_log
 from maxq.sim.packing.environment import pack_earth
 from maxq.sim.run import launch_frames

@@ -18,7 +18,7 @@ import rerun as rr
 from maxq.control.kernel.records import Array, IntArray
 from maxq.sim.flight.channels import ChannelTable
 from maxq.sim.flight.telemetry import FAST, SLOW
-from maxq.sim.log.foxglove import Level
+from maxq.sim.log.messages import Level
 from maxq.sim.packing.flight import Packed
 from maxq.sim.run.flight import Event, Flight, Rows, copied
 from maxq.sim.run.fly import FlightRun

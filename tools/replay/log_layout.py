@@ -19,7 +19,7 @@ from rerun.blueprint.encodings import ComponentSourceKind, VisualizerComponentMa
 
 from maxq.sim.flight.channels import EVENTS_TOPIC, FRAMES_TOPIC, Topic
 from maxq.sim.log.head import LogError
-from maxq.sim.log.protobuf import message_type
+from maxq.sim.log.messages import message_type
 from maxq.sim.log.reader import Log, read_log
 from maxq.sim.run.launch_frames import PARENT
 from maxq.tools.plots.palette import ON_DARK, rgba

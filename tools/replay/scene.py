@@ -17,7 +17,7 @@ import numpy as np
 import rerun as rr
 
 from maxq.control.kernel.records import Array, IntArray
-from maxq.sim.log.foxglove import FramePath
+from maxq.sim.log.messages import FramePath
 from maxq.sim.run.launch_frames import LaunchFrames
 from maxq.tools.plots.palette import BLUE, ORANGE, RED, SKY, WHITE, rgba
 from maxq.tools.replay.decimate import Rows, changed, every, last_before

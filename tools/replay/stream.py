@@ -15,7 +15,7 @@ import pyarrow as pa
 import rerun as rr
 
 from maxq.control.kernel.records import Array, IntArray
-from maxq.sim.log.foxglove import Level
+from maxq.sim.log.messages import Level
 from maxq.tools.plots.palette import BLUE, GREEN, GREY, LIMIT, ON_DARK, ORANGE, PURPLE, RED, SKY, rgba
 from maxq.tools.replay.decimate import extremes, extremes_on_grid
 from maxq.tools.replay.flight import Channels, Moment

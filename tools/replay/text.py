@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from maxq.control.kernel.records import Array, IntArray
-from maxq.sim.log.foxglove import Level
+from maxq.sim.log.messages import Level
 from maxq.sim.run.metrics import figures
 from maxq.tools.plots.palette import ON_DARK
 from maxq.tools.replay.flight import LaunchSite, ReplayFlight, Requirement
