@@ -13,7 +13,7 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal, TypeVar
 
-from pydantic import Field, model_validator
+from pydantic import Field
 
 from maxq.control.kernel.limits import MAX_STAGES
 from maxq.control.structures import MAX_SECTIONS, RELIEF, STRUCTURES, DesignedStructure, Law, Over
@@ -24,7 +24,7 @@ from maxq.sim.scenario.errors import ScenarioError, refuse
 from maxq.sim.scenario.files import find, shown
 from maxq.sim.scenario.loader import LoadedScenario, load_file, load_scenario
 from maxq.sim.scenario.schema_design import Design, LoadRelief
-from maxq.sim.scenario.schema_values import NotNegative, Positive, PositiveOverTime, Section, needs, only_with, optional
+from maxq.sim.scenario.schema_values import NotNegative, Positive, PositiveOverTime, Section, optional
 
 LIMIT_NAMES = Literal["second_mode_db", "filter_gain_at_infinity", "rigid_hz", "rigid_zeta"]
 
@@ -39,9 +39,9 @@ Margin = Annotated[float, Field(gt=0.0, le=90.0)]
 def _check_range(value: Range, key: str, lowest: float) -> None:
     low, high = value
     if not lowest < low:
-        raise refuse("reaches down to an unstable or right-half-plane root", "numbers above 0", key=(key,))
+        raise refuse("reaches down to an unstable or right-half-plane root", "numbers above 0", key)
     if not low < high:
-        raise refuse("is empty", "two numbers, the lower one first", key=(key,))
+        raise refuse("is empty", "two numbers, the lower one first", key)
 
 
 class Gains(Section):
@@ -57,24 +57,21 @@ class Gains(Section):
     nodes_s: tuple[float, ...] | None = optional("vehicle times of the gain table, s; with nodes")
     nodes: tuple[float, ...] | None = optional("rows of the gain table over anything but time, in its unit; with nodes")
 
-    @model_validator(mode="after")
-    def _check(self) -> Gains:
+    def _check(self) -> None:
         if self.over != "time_s" and self.schedule == "two-phase":
-            raise refuse("finds gains over time only", "linear, free, nodes", key=("schedule",))
+            raise refuse("finds gains over time only", "linear, free, nodes", "schedule")
         mine, other = ("nodes_s", "nodes") if self.over == "time_s" else ("nodes", "nodes_s")
-        only_with(self, (mine,), self.schedule == "nodes", 'schedule = "nodes"')
-        only_with(
-            self, (other,), False, "over = 'time_s'" if other == "nodes_s" else "over another quantity than time_s"
-        )
+        self.only_with((mine,), self.schedule == "nodes", 'schedule = "nodes"')
+        when = "over = 'time_s'" if other == "nodes_s" else "over another quantity than time_s"
+        self.only_with((other,), False, when)
         if self.schedule == "nodes":
             unit = "times, s" if mine == "nodes_s" else f"values of {self.over}"
-            _rising(needs(self, mine, 'schedule is "nodes"', f"rising {unit}"), mine)
-        return self
+            _rising(self.needs(mine, 'schedule is "nodes"', f"rising {unit}"), mine)
 
 
 def _rising(values: tuple[float, ...], key: str) -> None:
     if len(values) == 0 or any(b <= a for a, b in pairwise(values)):
-        raise refuse("does not rise", "one rising number or more", key=(key,))
+        raise refuse("does not rise", "one rising number or more", key)
 
 
 class FilterBounds(Section):
@@ -98,11 +95,9 @@ class FilterBounds(Section):
     first_order_zero_hz: Range = optional("of first-order sections", (2.0, 200.0))
     first_order_pole_hz: Range = optional("of first-order sections", (2.0, 200.0))
 
-    @model_validator(mode="after")
-    def _check(self) -> FilterBounds:
+    def _check(self) -> None:
         for key in type(self).model_fields:
             _check_range(getattr(self, key), key, 0.0)
-        return self
 
 
 class Sections(Section):
@@ -114,13 +109,11 @@ class Sections(Section):
     quadratic: int | None = optional("number of quadratic sections; with sections", ge=0)
     first_order: int | None = optional("number of first-order sections; with sections", ge=0)
 
-    @model_validator(mode="after")
-    def _check(self) -> Sections:
+    def _check(self) -> None:
         free = self.structure == "sections"
-        only_with(self, ("quadratic", "first_order"), free, 'structure = "sections"')
+        self.only_with(("quadratic", "first_order"), free, 'structure = "sections"')
         if free and not 1 <= sum(self.sections) <= MAX_SECTIONS:
-            raise refuse(f"has {sum(self.sections)} sections", f"1 .. {MAX_SECTIONS} in all", key=("structure",))
-        return self
+            raise refuse(f"has {sum(self.sections)} sections", f"1 .. {MAX_SECTIONS} in all", "structure")
 
     @property
     def sections(self) -> tuple[int, int]:
@@ -170,12 +163,10 @@ class Objective(Section):
         0.03,
     )
 
-    @model_validator(mode="after")
-    def _check(self) -> Objective:
-        only_with(self, ("stations_m",), self.kind == "bending-moment", 'kind = "bending-moment"')
+    def _check(self) -> None:
+        self.only_with(("stations_m",), self.kind == "bending-moment", 'kind = "bending-moment"')
         if self.stations_m is not None:
             _rising(self.stations_m, "stations_m")
-        return self
 
 
 class SectionLimit(Section):
@@ -240,10 +231,8 @@ class Wind(Section):
         (0.02, 5.0),
     )
 
-    @model_validator(mode="after")
-    def _check(self) -> Wind:
+    def _check(self) -> None:
         _check_range(self.band_hz, "band_hz", 0.0)
-        return self
 
 
 class Reference(Section):
@@ -355,36 +344,34 @@ class Case(Section):
         "what differs in each stage, in the order of flight (default: nothing)", (), max_length=MAX_STAGES
     )
 
-    @model_validator(mode="after")
-    def _check(self) -> Case:
+    def _check(self) -> None:
         if self.nodes_s is not None:
             _rising(self.nodes_s, "nodes_s")
         if self.blend is not None and not self.blend[0] < self.blend[1]:
-            raise refuse("is empty", "two numbers, the lower one first", key=("blend",))
+            raise refuse("is empty", "two numbers, the lower one first", "blend")
         of_wind = ("q_alpha_Padeg", "drift_mps", "bending_moment")
         objective = {"load": of_wind[0], "bending-moment": of_wind[2]}.get(self.objective.kind)
         if objective is not None and self.wind is None:
-            raise refuse("needs a wind", "a table [wind]", key=("objective", "kind"))
+            raise refuse("needs a wind", "a table [wind]", ("objective", "kind"))
         for key in of_wind:
             asked = getattr(self.limits, key) not in (None, ())
             if asked and self.wind is None:
-                raise refuse("needs a wind", "a table [wind]", key=("limits", key))
+                raise refuse("needs a wind", "a table [wind]", ("limits", key))
             if asked and key == objective and self._made_small:
-                raise refuse("is the objective", "no limit of it", key=("limits", key))
+                raise refuse("is the objective", "no limit of it", ("limits", key))
         if self.bends and self.errata == "paper":
-            raise refuse("has no bending moments", "errata = 'corrected'", key=("errata",))
+            raise refuse("has no bending moments", "errata = 'corrected'", "errata")
         if self.loop_filters.acceleration is not None and self.law not in RELIEF:
             allowed = f"law = {' or '.join(map(repr, RELIEF))}"
-            raise refuse(f"the law {self.law} takes no acceleration", allowed, key=("loop_filters", "acceleration"))
+            raise refuse(f"the law {self.law} takes no acceleration", allowed, ("loop_filters", "acceleration"))
         if self.law != "pd" and self.gains.schedule == "two-phase":
-            raise refuse("finds gains of the law pd only", "linear, free, nodes", key=("gains", "schedule"))
+            raise refuse("finds gains of the law pd only", "linear, free, nodes", ("gains", "schedule"))
         for name in ("integral_hz", "most_integral_hz"):
             if self.law != "pid" and getattr(self.limits, name) is not None:
-                raise refuse(f"the law {self.law} has no integral", "with law = 'pid' only", key=("limits", name))
+                raise refuse(f"the law {self.law} has no integral", "with law = 'pid' only", ("limits", name))
         least, most = self.limits.integral_hz, self.limits.most_integral_hz
         if most is not None and least is not None and most < least:
-            raise refuse("is below integral_hz", f"at least {least:g}", key=("limits", "most_integral_hz"), value=most)
-        return self
+            raise refuse("is below integral_hz", f"at least {least:g}", ("limits", "most_integral_hz"), value=most)
 
     @property
     def _made_small(self) -> bool:

@@ -17,7 +17,7 @@ from pathlib import Path
 from string import Template
 from typing import Annotated, Any, Literal
 
-from pydantic import Field, model_validator
+from pydantic import Field
 
 from maxq.design.model.node import EDGES, NODES_PER_STAGE
 from maxq.design.model.spread import Share, Spread
@@ -112,11 +112,9 @@ class DispersedLimit(Section):
     limit: float | str = Field(description="at most this, in the metric's unit; ${MARK * NUMBER} as in a flight")
     why: str = Field(description="the engineering reason, shown in the review pack")
 
-    @model_validator(mode="after")
-    def _check(self) -> DispersedLimit:
+    def _check(self) -> None:
         if not self.why.strip():
-            raise refuse("a limit without a reason", "the engineering reason, in words", key=("why",))
-        return self
+            raise refuse("a limit without a reason", "the engineering reason, in words", "why")
 
 
 Each = dict[str, Annotated[tuple[float | str, ...], Field(min_length=1)]]
@@ -144,12 +142,10 @@ class Flown(Section):
     )
     design_must_keep: bool = optional("false: flown and shown, but no reason to reject", True)
 
-    @model_validator(mode="after")
-    def _check(self) -> Flown:
+    def _check(self) -> None:
         for key in self.each:
             if f"${key}" not in self.name:
-                raise refuse(f"does not tell the flights of ${key} apart", f"a name with ${key}", key=("name",))
-        return self
+                raise refuse(f"does not tell the flights of ${key} apart", f"a name with ${key}", "name")
 
     def flights(self) -> list[Flown]:
         """One for each combination of `each`, or this one."""
@@ -296,15 +292,13 @@ class Suite(Section):
         one = self.certificate.times_s is not None and len(self.certificate.times_s) * len(self.certificate.planes) == 1
         return [*out, "one certificate node"] if one else out
 
-    @model_validator(mode="after")
-    def _check(self) -> Suite:
+    def _check(self) -> None:
         names = [f.name for f in self.flight]
         for n, name in enumerate(names):
             if name in names[:n]:
-                raise refuse("is the name of another flight already", "each name once", key=("flight", n, "name"))
+                raise refuse("is the name of another flight already", "each name once", ("flight", n, "name"))
         if not self.flight and self.margins is None and self.certificate is None and not self.campaign:
-            raise refuse("asks for nothing", "[[flight]], [margins], [certificate] or [[campaign]]", key=("flight",))
-        return self
+            raise refuse("asks for nothing", "[[flight]], [margins], [certificate] or [[campaign]]", "flight")
 
 
 @dataclass(frozen=True)

@@ -6,21 +6,14 @@ import math
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import (
-    BeforeValidator,
-    Field,
-    ValidationInfo,
-    ValidatorFunctionWrapHandler,
-    WrapValidator,
-    model_validator,
-)
+from pydantic import BeforeValidator, Field, ValidationInfo, ValidatorFunctionWrapHandler, WrapValidator
 
 from maxq.sim.run.metrics import METRIC_NAMES
 from maxq.sim.scenario.documents import Text
 from maxq.sim.scenario.errors import refuse
 from maxq.sim.scenario.ranges import MOST_TOGETHER
 from maxq.sim.scenario.schema_environment import WIND_COLUMNS
-from maxq.sim.scenario.schema_values import NotNegative, Positive, Section, needs, only_with, optional
+from maxq.sim.scenario.schema_values import NotNegative, Positive, Section, optional
 from maxq.sim.scenario.soundings import each_sounding
 from maxq.sim.scenario.tables_csv import Columns, CsvTable
 
@@ -106,15 +99,13 @@ class Campaign(Section):
     )
     envelope: Envelope = Envelope()
 
-    @model_validator(mode="after")
-    def _check(self) -> Campaign:
+    def _check(self) -> None:
         if self.sampling == "latin-hypercube" and self.stratum is None and self.runs > MOST_TOGETHER:
             raise refuse(
                 f"required key is missing: one hypercube of {self.runs} runs takes too much memory",
                 f"at most {MOST_TOGETHER}",
-                key=("stratum",),
+                "stratum",
             )
-        return self
 
 
 _MEANINGFUL: dict[str, tuple[str, ...]] = {
@@ -196,58 +187,56 @@ class Disperse(Section):
             return self.mean
         return {"set": nominal, "scale": 1.0, "add": 0.0}[self.apply]
 
-    @model_validator(mode="after")
-    def _check(self) -> Disperse:
+    def _check(self) -> None:
         if self.distribution == "cases":
             for key in ("key", "keys"):
                 if getattr(self, key) is not None:
-                    raise refuse("the columns of the file are the keys", "no key with 'cases'", key=(key,))
+                    raise refuse("the columns of the file are the keys", "no key with 'cases'", key)
         elif (self.key is None) == (self.keys is None):
-            raise refuse("needs one of key, keys", "a key path", key=("key",))
+            raise refuse("needs one of key, keys", "a key path", "key")
         if self.keys is not None and (not self.keys or len(set(self.keys)) != len(self.keys)):
-            raise refuse("names no key, or one twice", "different keys", key=("keys",))
+            raise refuse("names no key, or one twice", "different keys", "keys")
         meaningful = _MEANINGFUL[self.distribution]
         for key in {key: None for keys in _MEANINGFUL.values() for key in keys}:
             laws = ", ".join(f"'{law}'" for law, keys in _MEANINGFUL.items() if key in keys)
-            only_with(self, (key,), key in meaningful, laws)
+            self.only_with((key,), key in meaningful, laws)
             if key in _REQUIRED and key in meaningful and self.distribution != "truncated-normal":
-                needs(self, key, f"distribution is '{self.distribution}'", _REQUIRED[key])
-        only_with(self, ("sigma", "three_sigma"), self.covariance is None, "a distribution without covariance")
+                self.needs(key, f"distribution is '{self.distribution}'", _REQUIRED[key])
+        self.only_with(("sigma", "three_sigma"), self.covariance is None, "a distribution without covariance")
         if "sigma" in meaningful and self.covariance is None:
             if (self.sigma is None) == (self.three_sigma is None):
-                raise refuse("needs one of sigma, three_sigma", "a number >= 0", key=("sigma",))
+                raise refuse("needs one of sigma, three_sigma", "a number >= 0", "sigma")
         self._check_bounds()
         self._check_lists()
         if self.covariance is not None:
             self._check_covariance(self.covariance)
-        return self
 
     def _check_bounds(self) -> None:
         low, high = self.ends
         if self.distribution == "truncated-normal" and low == -high == -math.inf:
-            raise refuse("needs low, high or both", "a number", key=("low",))
+            raise refuse("needs low, high or both", "a number", "low")
         if low > high or (low == high and self.distribution == "truncated-normal"):
-            raise refuse("low lies above high", f"at most {high:g}", key=("low",))
+            raise refuse("low lies above high", f"at most {high:g}", "low")
         if self.mode is not None and not low <= self.mode <= high:
-            raise refuse("lies outside low .. high", f"{low:g} .. {high:g}", key=("mode",))
+            raise refuse("lies outside low .. high", f"{low:g} .. {high:g}", "mode")
 
     def _check_lists(self) -> None:
         if self.values is not None:
             if not self.values:
-                raise refuse("is empty", "one value or more", key=("values",))
+                raise refuse("is empty", "one value or more", "values")
             if self.weights is not None and (len(self.weights) != len(self.values) or not sum(self.weights) > 0.0):
-                raise refuse("do not fit the values", f"{len(self.values)} numbers >= 0, not all 0", key=("weights",))
+                raise refuse("do not fit the values", f"{len(self.values)} numbers >= 0, not all 0", "weights")
         if self.distribution == "samples" and self.file is not None:
             if self.sample_column not in self.file:
-                raise refuse("the file has no such column", ", ".join(self.file.columns), key=("column",))
+                raise refuse("the file has no such column", ", ".join(self.file.columns), "column")
 
     def _check_covariance(self, matrix: tuple[tuple[float, ...], ...]) -> None:
         n = len(self.keys or ())
         c = np.array([row for row in matrix if len(row) == n])
         if n == 0 or len(c) != n or len(matrix) != n:
-            raise refuse(f"is not a matrix of {n} by {n}", "a row of numbers for each of keys", key=("covariance",))
+            raise refuse(f"is not a matrix of {n} by {n}", "a row of numbers for each of keys", "covariance")
         if (c != c.T).any() or np.linalg.eigvalsh(c).min() < -1e-12 * np.abs(c).max():
-            raise refuse("is no covariance", "a symmetric matrix without negative eigenvalues", key=("covariance",))
+            raise refuse("is no covariance", "a symmetric matrix without negative eigenvalues", "covariance")
 
 
 class WindModel(Section):
@@ -270,22 +259,20 @@ class WindModel(Section):
     )
     order: Order = optional("ensemble: at random, or i for run i", "random")
 
-    @model_validator(mode="after")
-    def _check(self) -> WindModel:
+    def _check(self) -> None:
         is_vector = self.model == "vector"
-        only_with(self, ("table", "correlation_length_m", "months"), is_vector, "model = 'vector'")
-        only_with(self, ("profiles",), not is_vector, "model = 'ensemble'")
+        self.only_with(("table", "correlation_length_m", "months"), is_vector, "model = 'vector'")
+        self.only_with(("profiles",), not is_vector, "model = 'ensemble'")
         if is_vector:
-            table: CsvTable = needs(self, "table", "model is 'vector'", WIND_MODEL_COLUMNS.allowed())
-            needs(self, "correlation_length_m", "model is 'vector'", "a number > 0")
+            table: CsvTable = self.needs("table", "model is 'vector'", WIND_MODEL_COLUMNS.allowed())
+            self.needs("correlation_length_m", "model is 'vector'", "a number > 0")
             if (np.abs(table.get("correlation")) > 1.0).any():
                 raise table.refusal("is no correlation", "numbers -1 .. 1", "correlation", at=("table",))
             if self.months is not None:
                 odd = ~np.isin(self.months["month"], np.arange(1, 13))
                 self.months.refuse_where(odd, "month", "is no month", "whole numbers 1 .. 12", at=("months",))
-        elif not needs(self, "profiles", "model is 'ensemble'", "a list of CSV files"):
-            raise refuse("is empty", "one profile or more", key=("profiles",))
-        return self
+        elif not self.needs("profiles", "model is 'ensemble'", "a list of CSV files"):
+            raise refuse("is empty", "one profile or more", "profiles")
 
 
 class CampaignFile(Section):
@@ -295,12 +282,10 @@ class CampaignFile(Section):
     disperse: tuple[Disperse, ...] = optional("what differs from run to run", ())
     wind_model: WindModel | None = optional("absent: every run has the scenario's wind")
 
-    @model_validator(mode="after")
-    def _check(self) -> CampaignFile:
+    def _check(self) -> None:
         for n, text in enumerate(self.campaign.keep):
             if not keep_is_known(text):
-                raise refuse("is no selection", KEEP_ALLOWED, key=("campaign", "keep", n))
-        return self
+                raise refuse("is no selection", KEEP_ALLOWED, ("campaign", "keep", n))
 
 
 def keep_is_known(text: str) -> bool:

@@ -97,10 +97,10 @@ def _check_stage(stage: Stage, key: Path) -> None:
         if table is not None and table["time_s"][0] < table["time_s"][-1] < end:
             raise _ends_too_early(table, "the table ends before the thrust does", end, key + place)
     if stage.engines and end > 0.0 and stage.ignition_s * burn_rate(stage) >= end:
-        raise refuse("ignition comes after the end of thrust", f"less than {end:g}", key=(*key, "ignition_s"))
+        raise refuse("ignition comes after the end of thrust", f"less than {end:g}", (*key, "ignition_s"))
     mass = stage.mass
     if mass.burn_s is not None and mass.mass_flow_kgps and mass.burn_s < end:
-        raise refuse("mass flow ends before the thrust does", f"at least {end:g}", key=(*key, "mass", "burn_s"))
+        raise refuse("mass flow ends before the thrust does", f"at least {end:g}", (*key, "mass", "burn_s"))
 
 
 def _ends_too_early(table: CsvTable, problem: str, end_s: float, key: Path) -> PydanticCustomError:

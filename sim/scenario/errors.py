@@ -76,13 +76,14 @@ def _printable(text: str, longest: int) -> str:
 
 
 def refuse(
-    problem: str, allowed: str = "", key: Path = (), *, value: Any = NOTHING, file: str = "", place: str = ""
+    problem: str, allowed: str = "", key: str | Path = (), *, value: Any = NOTHING, file: str = "", place: str = ""
 ) -> PydanticCustomError:
     """The exception that a validator of the schema raises.
 
     `key` is relative to the section that is being validated; its value is looked up unless given. A mistake
     inside a CSV file names that `file` and the `place` in it instead.
     """
+    key = (key,) if isinstance(key, str) else key
     return PydanticCustomError(
         "refused",
         "{problem}",

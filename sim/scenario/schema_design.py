@@ -5,12 +5,12 @@ from __future__ import annotations
 from functools import lru_cache
 from typing import TYPE_CHECKING, Annotated, Literal
 
-from pydantic import Field, model_validator
+from pydantic import Field
 
 from maxq.control.kernel.limits import MAX_SENSORS, MAX_STAGES
 from maxq.control.structures import GAIN_NAMES, GAINS, MAX_SECTIONS, OVER, RELIEF, STRUCTURES, Law, Over, Structure
 from maxq.sim.scenario.errors import refuse
-from maxq.sim.scenario.schema_values import NotNegative, Positive, PositiveOverTime, Section, needs, only_with, optional
+from maxq.sim.scenario.schema_values import NotNegative, Positive, PositiveOverTime, Section, optional
 from maxq.sim.scenario.tables_csv import Columns, CsvTable
 
 if TYPE_CHECKING:
@@ -36,13 +36,11 @@ class Gains(Section):
         "pid: limit of the integral's share of the command (default: none), deg"
     )
 
-    @model_validator(mode="after")
-    def _check(self) -> Gains:
+    def _check(self) -> None:
         if self.yaw is not None and self.yaw_table is not None:
-            raise refuse("cannot be combined with yaw", "one of yaw, yaw_table", key=("yaw_table",), value={})
+            raise refuse("cannot be combined with yaw", "one of yaw, yaw_table", "yaw_table", value={})
         if self.yaw_table is not None and GAIN_COLUMNS.axis_of(self.yaw_table) != self.over:
             raise self.yaw_table.refusal("is not over what pitch is over", f"a column {self.over}", at=("yaw_table",))
-        return self
 
     @property
     def over(self) -> Over:
@@ -64,12 +62,10 @@ class Quadratic(Section):
     pole_hz: float = Field(description="frequency of the poles, Hz")
     pole_zeta: float = Field(description="damping ratio of the poles")
 
-    @model_validator(mode="after")
-    def _check(self) -> Quadratic:
+    def _check(self) -> None:
         for key in ("pole_hz", "pole_zeta"):
             if getattr(self, key) <= 0.0:
-                raise refuse("makes an unstable pole", "a number > 0", key=(key,))
-        return self
+                raise refuse("makes an unstable pole", "a number > 0", key)
 
 
 class FirstOrder(Section):
@@ -78,13 +74,11 @@ class FirstOrder(Section):
     zero_hz: float = Field(description="frequency of the zero, Hz (negative: right half plane)")
     pole_hz: float = Field(description="frequency of the pole, Hz")
 
-    @model_validator(mode="after")
-    def _check(self) -> FirstOrder:
+    def _check(self) -> None:
         if self.pole_hz <= 0.0:
-            raise refuse("makes an unstable pole", "a number > 0", key=("pole_hz",))
+            raise refuse("makes an unstable pole", "a number > 0", "pole_hz")
         if self.zero_hz == 0.0:
-            raise refuse("the section would divide by zero", "any number but 0", key=("zero_hz",))
-        return self
+            raise refuse("the section would divide by zero", "any number but 0", "zero_hz")
 
 
 class Filter(Section):
@@ -98,22 +92,20 @@ class Filter(Section):
     )
     prewarp_hz: Positive | None = optional("where prewarped is exact, Hz: the first bending frequency")
 
-    @model_validator(mode="after")
-    def _check(self) -> Filter:
+    def _check(self) -> None:
         if self.structure == "sections":
             given = len(self.quadratic) + len(self.first_order)
             if not 1 <= given <= MAX_SECTIONS:
                 problem = f"has {given} sections, quadratic and first_order together"
-                raise refuse(problem, f"1 .. {MAX_SECTIONS} sections", key=("structure",), value="sections")
+                raise refuse(problem, f"1 .. {MAX_SECTIONS} sections", "structure", value="sections")
         else:
             for key, count in zip(("quadratic", "first_order"), STRUCTURES[self.structure], strict=True):
                 given = len(getattr(self, key))
                 if given != count:
                     problem = f"{given} sections do not make {self.structure}"
-                    raise refuse(problem, f"{count} sections", key=(key,))
+                    raise refuse(problem, f"{count} sections", key)
         if self.structure != "none" and self.discretization == "prewarped":
-            needs(self, "prewarp_hz", "discretization is prewarped", "a number > 0, Hz")
-        return self
+            self.needs("prewarp_hz", "discretization is prewarped", "a number > 0, Hz")
 
     def continuous(self) -> BendingFilter:
         """The filter before it is discretised."""
@@ -144,11 +136,9 @@ class Roll(Section):
     hysteresis_deg: NotNegative = optional("a thruster goes off at dead_band_deg less this, deg", 0.0)
     minimum_on_s: NotNegative = optional("shortest pulse, s", 0.0)
 
-    @model_validator(mode="after")
-    def _check(self) -> Roll:
+    def _check(self) -> None:
         if self.hysteresis_deg > self.dead_band_deg:
-            raise refuse("exceeds the dead band", f"0 .. {self.dead_band_deg:g}", key=("hysteresis_deg",))
-        return self
+            raise refuse("exceeds the dead band", f"0 .. {self.dead_band_deg:g}", "hysteresis_deg")
 
 
 class RollGimbal(Section):
@@ -168,12 +158,10 @@ class Blend(Section):
     pitch: Weights = Field(description="weights in pitch")
     yaw: Weights | None = optional("weights in yaw (default: as in pitch)")
 
-    @model_validator(mode="after")
-    def _check(self) -> Blend:
+    def _check(self) -> None:
         for key, given in (("pitch", self.pitch), ("yaw", self.yaw)):
             if given is not None and abs(sum(given) - 1.0) > 1e-6:
-                raise refuse(f"sums to {sum(given):g}", "weights that sum to 1", key=(key,))
-        return self
+                raise refuse(f"sums to {sum(given):g}", "weights that sum to 1", key)
 
     @property
     def axes(self) -> tuple[tuple[float, ...], tuple[float, ...]]:
@@ -217,11 +205,9 @@ class Adaptive(Section):
     high_pass_hz: Positive = Field(description="corner of the spectral damper, between control and bending, Hz")
     low_pass_hz: Positive = optional("corner of the mean of its square, Hz", 0.2)
 
-    @model_validator(mode="after")
-    def _check(self) -> Adaptive:
+    def _check(self) -> None:
         if self.high_pass_hz <= self.reference_hz:
-            raise refuse("is not above the reference model", f"above {self.reference_hz:g}", key=("high_pass_hz",))
-        return self
+            raise refuse("is not above the reference model", f"above {self.reference_hz:g}", "high_pass_hz")
 
 
 class Limits(Section):
@@ -279,8 +265,7 @@ class Design(Section):
         "what differs in each stage, in the order of flight (default: nothing)", (), max_length=MAX_STAGES
     )
 
-    @model_validator(mode="after")
-    def _check(self) -> Design:
+    def _check(self) -> None:
         every = [self.gains, *(own.gains for own in self.stage if own.gains is not None)]
         for gains, key in ((gains, key) for gains in every for key in ("table", "yaw_table")):
             table = getattr(gains, key)
@@ -296,15 +281,14 @@ class Design(Section):
                 raise table.refusal(problem, allowed, at=("gains", key))
         if self.law != "pid" and self.gains.integral_limit_deg is not None:
             problem = f"the law {self.law} has no integral"
-            raise refuse(problem, "with law = 'pid' only", key=("gains", "integral_limit_deg"))
-        only_with(self, ("load_relief",), self.law in RELIEF, f"law = {' or '.join(map(repr, RELIEF))}")
+            raise refuse(problem, "with law = 'pid' only", ("gains", "integral_limit_deg"))
+        self.only_with(("load_relief",), self.law in RELIEF, f"law = {' or '.join(map(repr, RELIEF))}")
         if self.law in RELIEF:
-            needs(self, "load_relief", f"law is {self.law}", "a table [load_relief]")
+            self.needs("load_relief", f"law is {self.law}", "a table [load_relief]")
         loops = [given for given in (self.loop_filters, *(own.loop_filters for own in self.stage)) if given is not None]
         if self.law not in RELIEF and any(given.acceleration is not None for given in loops):
             allowed = f"law = {' or '.join(map(repr, RELIEF))}"
-            raise refuse(f"the law {self.law} takes no acceleration", allowed, key=("loop_filters", "acceleration"))
-        return self
+            raise refuse(f"the law {self.law} takes no acceleration", allowed, ("loop_filters", "acceleration"))
 
     @property
     def gain_names(self) -> tuple[str, ...]:

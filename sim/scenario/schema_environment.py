@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Annotated, Literal
 
-from pydantic import Field, model_validator
+from pydantic import Field
 
 from maxq.control.kernel.limits import MAX_GUSTS
 from maxq.sim.scenario.errors import refuse
@@ -16,9 +16,6 @@ from maxq.sim.scenario.schema_values import (
     NotNegative,
     Positive,
     Section,
-    at_most_one,
-    needs,
-    only_with,
     optional,
 )
 from maxq.sim.scenario.soundings import WindColumns
@@ -69,19 +66,17 @@ class Earth(Section):
     gravity_radius_m: Positive | None = optional("reference radius of J2, m (default: equatorial)")
     gravity_gradient: bool = optional("whether gravity turns the vehicle", False)
 
-    @model_validator(mode="after")
-    def _check(self) -> Earth:
+    def _check(self) -> None:
         if self.shape == "flat":
             if self.rotating:
-                raise refuse("a flat Earth does not rotate", "rotating = false", key=("rotating",), value=True)
+                raise refuse("a flat Earth does not rotate", "rotating = false", "rotating", value=True)
             if self.gravity not in ("uniform", "none"):
                 allowed = "'uniform', 'none' with shape = 'flat'"
-                raise refuse("a flat Earth has no centre", allowed, key=("gravity",), value=self.gravity)
-        only_with(self, ("sphere_radius_m",), self.shape == "sphere", "shape = 'sphere'")
-        only_with(self, ("equatorial_radius_m", "flattening"), self.shape == "wgs84", "shape = 'wgs84'")
-        only_with(self, ("j2", "gravity_radius_m"), self.gravity == "j2", "gravity = 'j2'")
-        only_with(self, ("uniform_mps2",), self.gravity == "uniform", "gravity = 'uniform'")
-        return self
+                raise refuse("a flat Earth has no centre", allowed, "gravity", value=self.gravity)
+        self.only_with(("sphere_radius_m",), self.shape == "sphere", "shape = 'sphere'")
+        self.only_with(("equatorial_radius_m", "flattening"), self.shape == "wgs84", "shape = 'wgs84'")
+        self.only_with(("j2", "gravity_radius_m"), self.gravity == "j2", "gravity = 'j2'")
+        self.only_with(("uniform_mps2",), self.gravity == "uniform", "gravity = 'uniform'")
 
 
 class Atmosphere(Section):
@@ -96,18 +91,16 @@ class Atmosphere(Section):
     pressure_Pa: NotNegative | None = optional('Pa, for model = "constant" (default 101325)')
     density_factor: NotNegative = optional("multiplies density", 1.0)
 
-    @model_validator(mode="after")
-    def _check(self) -> Atmosphere:
-        only_with(self, ("table",), self.model == "table", "model = 'table'")
+    def _check(self) -> None:
+        self.only_with(("table",), self.model == "table", "model = 'table'")
         constants = ("density_kgpm3", "temperature_K", "pressure_Pa")
-        only_with(self, constants, self.model == "constant", "model = 'constant'")
+        self.only_with(constants, self.model == "constant", "model = 'constant'")
         if self.model == "table":
-            table: CsvTable = needs(self, "table", "model is 'table'", ATMOSPHERE_COLUMNS.allowed())
+            table: CsvTable = self.needs("table", "model is 'table'", ATMOSPHERE_COLUMNS.allowed())
             if len(table) < 2:
                 raise table.refusal("has one row only", "at least two rows; or model = 'constant'")
         if self.model == "constant":
-            needs(self, "density_kgpm3", "model is 'constant'", "a number >= 0")
-        return self
+            self.needs("density_kgpm3", "model is 'constant'", "a number >= 0")
 
 
 class Gust(Section):
@@ -123,13 +116,11 @@ class Gust(Section):
     speed_mps: NotNegative = Field(description="largest speed, m/s")
     from_deg: Angle = Field(description="direction it blows from, deg from north through east")
 
-    @model_validator(mode="after")
-    def _check(self) -> Gust:
+    def _check(self) -> None:
         if self.kind == "shear":
-            only_with(self, ("edge_m",), False, "kind = 'one-minus-cosine'")
-        elif 2.0 * needs(self, "edge_m", "kind is one-minus-cosine", "a number > 0") > self.thickness_m:
-            raise refuse("two edges are thicker than the gust", f"at most {self.thickness_m / 2:g}", key=("edge_m",))
-        return self
+            self.only_with(("edge_m",), False, "kind = 'one-minus-cosine'")
+        elif 2.0 * self.needs("edge_m", "kind is one-minus-cosine", "a number > 0") > self.thickness_m:
+            raise refuse("two edges are thicker than the gust", f"at most {self.thickness_m / 2:g}", "edge_m")
 
 
 class Turbulence(Section):
@@ -157,19 +148,17 @@ class Turbulence(Section):
     length_w_m: Positive | None = optional("scale length down, m (default: MIL-F-8785C)")
     seed: Annotated[int, Field(ge=0, lt=2**63)] | None = optional("own seed (default: from run.seed)")
 
-    @model_validator(mode="after")
-    def _check(self) -> Turbulence:
-        at_most_one(self, ("exceedance", "table"))
+    def _check(self) -> None:
+        self.at_most_one("exceedance", "table")
         along_path = ("exceedance", "table", "length_u_m", "length_v_m", "length_w_m")
-        only_with(self, along_path, self.model != "spectrum", "model = 'dryden', 'von-karman'")
-        only_with(self, ("spectrum",), self.model == "spectrum", "model = 'spectrum'")
+        self.only_with(along_path, self.model != "spectrum", "model = 'dryden', 'von-karman'")
+        self.only_with(("spectrum",), self.model == "spectrum", "model = 'spectrum'")
         if self.model == "spectrum":
-            table: CsvTable = needs(self, "spectrum", "model is 'spectrum'", SPECTRUM_COLUMNS.allowed())
+            table: CsvTable = self.needs("spectrum", "model is 'spectrum'", SPECTRUM_COLUMNS.allowed())
             if len(table) < 2:
                 raise table.refusal("has one row only", "at least two rows")
         elif self.table is None:
-            needs(self, "exceedance", "turbulence needs a strength", "'light', 'moderate', 'severe', or a table")
-        return self
+            self.needs("exceedance", "turbulence needs a strength", "'light', 'moderate', 'severe', or a table")
 
 
 class GroundShear(Section):
@@ -188,14 +177,12 @@ class GroundShear(Section):
     speed_mps: NotNegative | None = optional("measured at height_m; levels of the profile below are left out, m/s")
     from_deg: Angle | None = optional("direction it blows from, deg from north through east")
 
-    @model_validator(mode="after")
-    def _check(self) -> GroundShear:
-        only_with(self, ("exponent",), self.law == "power", "law = 'power'")
-        only_with(self, ("roughness_m",), self.law == "log", "law = 'log'")
+    def _check(self) -> None:
+        self.only_with(("exponent",), self.law == "power", "law = 'power'")
+        self.only_with(("roughness_m",), self.law == "log", "law = 'log'")
         for key, other in (("speed_mps", "from_deg"), ("from_deg", "speed_mps")):
             if getattr(self, key) is not None:
-                needs(self, other, f"{key} is given", "a number")
-        return self
+                self.needs(other, f"{key} is given", "a number")
 
 
 class Wind(Section):
@@ -214,13 +201,11 @@ class Wind(Section):
     gust: tuple[Gust, ...] = optional("gusts and shear layers", (), max_length=MAX_GUSTS)
     turbulence: Turbulence | None = optional("absent: none")
 
-    @model_validator(mode="after")
-    def _check(self) -> Wind:
-        at_most_one(self, ("profile", "speed_mps"))
-        at_most_one(self, ("profile", "from_deg"))
-        only_with(self, ("ground",), self.profile is not None, "profile")
+    def _check(self) -> None:
+        self.at_most_one("profile", "speed_mps")
+        self.at_most_one("profile", "from_deg")
+        self.only_with(("ground",), self.profile is not None, "profile")
         if self.speed_mps is not None:
-            needs(self, "from_deg", "speed_mps is given", "a number -360 .. 360")
+            self.needs("from_deg", "speed_mps is given", "a number -360 .. 360")
         if self.from_deg is not None:
-            needs(self, "speed_mps", "from_deg is given", "a number >= 0")
-        return self
+            self.needs("speed_mps", "from_deg is given", "a number >= 0")

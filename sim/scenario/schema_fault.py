@@ -8,11 +8,11 @@ from __future__ import annotations
 
 from typing import Annotated, Literal, NamedTuple
 
-from pydantic import Field, model_validator
+from pydantic import Field
 
 from maxq.control.kernel.limits import MAX_ENGINES, MAX_SENSORS, MAX_STAGES
 from maxq.sim.scenario.errors import refuse
-from maxq.sim.scenario.schema_values import Fraction, Positive, Seconds, Section, needs, only_with, optional
+from maxq.sim.scenario.schema_values import Fraction, Positive, Seconds, Section, optional
 from maxq.sim.scenario.tables_csv import Columns, CsvTable
 
 FaultKind = Literal[
@@ -94,22 +94,20 @@ class Fault(Section):
         "when the computer allocates its commands to what is left, s after at_s (default: never)"
     )
 
-    @model_validator(mode="after")
-    def _check(self) -> Fault:
+    def _check(self) -> None:
         kind = KINDS[self.kind]
         for key in _OF_KINDS:
             named = ", ".join(name for name, other in KINDS.items() if key in other.keys)
-            only_with(self, (key,), key in kind.keys, f"kind = {named}")
+            self.only_with((key,), key in kind.keys, f"kind = {named}")
         for key in kind.values:
-            needs(self, key, f"kind is {self.kind}", "a number")
+            self.needs(key, f"kind is {self.kind}", "a number")
         if self.axis is not None and self.axis not in kind.axes:
-            raise refuse(f"{self.kind} has no such axis", ", ".join(kind.axes), key=("axis",))
+            raise refuse(f"{self.kind} has no such axis", ", ".join(kind.axes), "axis")
         if self.tail_off is not None:
             more = self.tail_off["share"] > 1.0
             self.tail_off.refuse_where(more, "share", "is more than there was", "0 .. 1", at=("tail_off",))
         if self.until_s is not None and self.until_s <= self.at_s:
-            raise refuse("ends before it begins", f"more than at_s = {self.at_s:g}", key=("until_s",))
-        return self
+            raise refuse("ends before it begins", f"more than at_s = {self.at_s:g}", "until_s")
 
     @property
     def of_engines(self) -> bool:

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field, model_validator
+from pydantic import Field
 
 from maxq.control.kernel.limits import MAX_LOAD_STATIONS, MAX_PENDULUMS, MAX_SURFACES
 from maxq.sim.scenario.errors import Path, refuse
@@ -70,10 +70,9 @@ class Loads(Section):
         0.05,
     )
 
-    @model_validator(mode="after")
-    def _check(self) -> Loads:
+    def _check(self) -> None:
         if any(b <= a for a, b in zip(self.stations_m, self.stations_m[1:], strict=False)):
-            raise refuse("must increase strictly", "increasing numbers", key=("stations_m",))
+            raise refuse("must increase strictly", "increasing numbers", "stations_m")
         line = self.line_mass
         backwards = line["rear_station_m"] < line["front_station_m"]
         line.refuse_where(backwards, "rear_station_m", "lies before the front", ">= front_station_m", at=("line_mass",))
@@ -92,7 +91,6 @@ class Loads(Section):
             total = float(shares["share"].sum())
             if abs(total - 1.0) > 1e-6:
                 raise shares.refusal(f"the shares add up to {total:g}", "a sum of 1", "share", at=("axial_force",))
-        return self
 
     def _check_limits(self, table: CsvTable) -> None:
         at = ("limits",)

@@ -26,9 +26,6 @@ from maxq.sim.scenario.schema_values import (
     Seconds,
     Section,
     Triple,
-    at_most_one,
-    needs,
-    only_with,
     optional,
 )
 from maxq.sim.scenario.schema_vehicle import Stage, Vehicle
@@ -68,20 +65,16 @@ class Initial(Section):
     rate_BI_radps: Triple | None = optional("inertial rates p, q, r in B, rad/s")
     rate_BE_degps: Triple | None = optional("rates relative to the Earth in B, deg/s (default 0)")
 
-    @model_validator(mode="after")
-    def _check(self) -> Initial:
+    def _check(self) -> None:
         for keys in (POSITIONS, VELOCITIES, ATTITUDES, RATES):
-            at_most_one(self, keys)
+            self.at_most_one(*keys)
         if self.q_BI is not None and abs(float(np.linalg.norm(self.q_BI)) - 1.0) > _ORTHONORMAL:
             norm = float(np.linalg.norm(self.q_BI))
-            raise refuse("is not a unit quaternion", f"norm 1 within 1e-6, not {norm:.9g}", key=("q_BI",))
+            raise refuse("is not a unit quaternion", f"norm 1 within 1e-6, not {norm:.9g}", "q_BI")
         if self.dcm_BI is not None:
             dcm = np.array(self.dcm_BI)
             if np.abs(dcm @ dcm.T - np.eye(3)).max() > _ORTHONORMAL or np.linalg.det(dcm) < 0.0:
-                raise refuse(
-                    "is not a rotation matrix", "orthonormal rows within 1e-6, determinant +1", key=("dcm_BI",)
-                )
-        return self
+                raise refuse("is not a rotation matrix", "orthonormal rows within 1e-6, determinant +1", "dcm_BI")
 
 
 SIGNAL_COLUMNS = Columns("time_s", sets=(("value",),))
@@ -135,33 +128,31 @@ class Injection(Section):
         "signal over the vehicle clock in the unit of the target, for kind = table"
     )
 
-    @model_validator(mode="after")
-    def _check(self) -> Injection:
+    def _check(self) -> None:
         if self.axis not in AXES[self.at]:
-            raise refuse(f"{self.at} has no such axis", ", ".join(AXES[self.at]), key=("axis",))
+            raise refuse(f"{self.at} has no such axis", ", ".join(AXES[self.at]), "axis")
         if self.replaces and self.at in ("body_force", "body_torque"):
-            raise refuse("there is no command to replace", f"false at {self.at}", key=("replaces",))
+            raise refuse("there is no command to replace", f"false at {self.at}", "replaces")
         used = () if self.kind == "table" else (AMPLITUDES[self.at],)
         for key in AMPLITUDES.values():
             if key not in used and getattr(self, key) is not None:
                 allowed = used[0] if used else "the values of the table"
-                raise refuse(f"has no meaning with {self.kind} at {self.at}", allowed, key=(key,))
+                raise refuse(f"has no meaning with {self.kind} at {self.at}", allowed, key)
         for key in used:
-            needs(self, key, f"at is {self.at}", "a number")
+            self.needs(key, f"at is {self.at}", "a number")
         for key in ("frequency_hz", "stop_frequency_hz", "frequencies_hz"):
             if key in FREQUENCIES[self.kind]:
-                needs(self, key, f"kind is {self.kind}", "numbers > 0, Hz")
+                self.needs(key, f"kind is {self.kind}", "numbers > 0, Hz")
             else:
-                only_with(self, (key,), False, "kind = " + ", ".join(k for k, v in FREQUENCIES.items() if key in v))
+                self.only_with((key,), False, "kind = " + ", ".join(k for k, v in FREQUENCIES.items() if key in v))
         if self.kind == "table":
-            needs(self, "table", "kind is table", SIGNAL_COLUMNS.allowed())
+            self.needs("table", "kind is table", SIGNAL_COLUMNS.allowed())
         else:
-            only_with(self, ("table",), False, "kind = table")
+            self.only_with(("table",), False, "kind = table")
         if self.kind in ("doublet", "chirp"):
-            needs(self, "stop_s", f"kind is {self.kind}", "a number > start_s")
+            self.needs("stop_s", f"kind is {self.kind}", "a number > start_s")
         if self.stop_s is not None and self.stop_s <= self.start_s:
-            raise refuse("ends before it begins", f"more than start_s = {self.start_s:g}", key=("stop_s",))
-        return self
+            raise refuse("ends before it begins", f"more than start_s = {self.start_s:g}", "stop_s")
 
     @property
     def amplitude(self) -> float:
@@ -200,15 +191,13 @@ class Run(Section):
         "events that end the flight, any of them; burnout: the last stage's", ("impact",)
     )
 
-    @model_validator(mode="after")
-    def _check(self) -> Run:
+    def _check(self) -> None:
         if self.accuracy is not None and self.step_s != USUAL_STEP_S:
-            raise refuse("the step follows from run.accuracy", "one of step_s, accuracy", key=("step_s",))
+            raise refuse("the step follows from run.accuracy", "one of step_s, accuracy", "step_s")
         if self.step_s > self.duration_s:
-            raise refuse("is longer than the flight", f"at most duration_s = {self.duration_s:g}", key=("step_s",))
+            raise refuse("is longer than the flight", f"at most duration_s = {self.duration_s:g}", "step_s")
         if len(set(self.stop_at)) != len(self.stop_at):
-            raise refuse("names an event twice", "each event once", key=("stop_at",))
-        return self
+            raise refuse("names an event twice", "each event once", "stop_at")
 
 
 class Guidance(Section):
@@ -237,13 +226,11 @@ class OrbitTarget(Section):
     cycle_s: Positive = optional("between two solutions, s", 1.0)
     rate_limit_degps: Positive = optional("of the commanded attitude, deg/s", 3.0)
 
-    @model_validator(mode="after")
-    def _check(self) -> OrbitTarget:
+    def _check(self) -> None:
         if self.perigee_altitude_m < 100e3:
-            raise refuse("is in the air", "at least 100e3", key=("perigee_altitude_m",))
+            raise refuse("is in the air", "at least 100e3", "perigee_altitude_m")
         if self.apogee_altitude_m < self.perigee_altitude_m:
-            raise refuse("is below the perigee", f"at least {self.perigee_altitude_m:g}", key=("apogee_altitude_m",))
-        return self
+            raise refuse("is below the perigee", f"at least {self.perigee_altitude_m:g}", "apogee_altitude_m")
 
 
 class HoldDown(Section):
@@ -252,12 +239,10 @@ class HoldDown(Section):
     release: Literal["thrust", "time"] = optional("when thrust exceeds weight, or at release_s", "thrust")
     release_s: Seconds | None = optional('on the vehicle clock, s, for release = "time"')
 
-    @model_validator(mode="after")
-    def _check(self) -> HoldDown:
-        only_with(self, ("release_s",), self.release == "time", "release = 'time'")
+    def _check(self) -> None:
+        self.only_with(("release_s",), self.release == "time", "release = 'time'")
         if self.release == "time":
-            needs(self, "release_s", "release is 'time'", "a number >= 0")
-        return self
+            self.needs("release_s", "release is 'time'", "a number >= 0")
 
 
 class Switches(Section):
@@ -309,15 +294,15 @@ class Requirement(Section):
     name: str = optional("shown to people (default: the metric)", "")
 
     @model_validator(mode="after")
-    def _check(self, info: ValidationInfo) -> Requirement:
-        at_most_one(self, ("limit", "minimum"))
+    def _judges(self, info: ValidationInfo) -> Requirement:
+        self.at_most_one("limit", "minimum")
         if self.limit is None and self.minimum is None:
-            raise refuse("required key is missing: a requirement needs a bound", "limit or minimum", key=("limit",))
+            raise refuse("required key is missing: a requirement needs a bound", "limit or minimum", "limit")
         known: tuple[str, ...] | None = getattr(info.context, "known_metrics", None)
         if known is not None and self.metric not in known:
             hint = suggestion(self.metric, known)
             problem = "unknown metric" + (f"; {hint}" if hint else "")
-            raise refuse(problem, "" if hint else ", ".join(known), key=("metric",))
+            raise refuse(problem, "" if hint else ", ".join(known), "metric")
         return self
 
 
@@ -350,23 +335,19 @@ class Scenario(Section):
         """Whether the flight begins held down."""
         return self.initial is None or self.initial.held
 
-    @model_validator(mode="after")
-    def _check(self) -> Scenario:
+    def _check(self) -> None:
         self._check_control()
         self._check_faults()
         self._check_hold_down()
         self._check_wind()
         self._check_section_loads()
         check_coverage(self)
-        return self
 
     def _check_control(self) -> None:
         computer = self.vehicle.computer
         if self.design is not None:
             if computer is None:
-                raise refuse(
-                    "the vehicle has no [computer] to run a design on", key=("design",), value=self.design.name
-                )
+                raise refuse("the vehicle has no [computer] to run a design on", key="design", value=self.design.name)
             stages = self.vehicle.stage
             if len(self.design.stage) > len(stages):
                 problem = f"has {len(self.design.stage)} stages"
@@ -383,9 +364,9 @@ class Scenario(Section):
         for n, injection in enumerate(self.injection):
             key = ("injection", n, "at")
             if injection.at == "gimbal_command" and not any(stage.engine for stage in self.vehicle.stage):
-                raise refuse("the vehicle has no engine", "body_force, body_torque", key=key)
+                raise refuse("the vehicle has no engine", "body_force, body_torque", key)
             if injection.at == "rate_command" and computer is None:
-                raise refuse("the vehicle has no [computer]", "body_force, body_torque", key=key)
+                raise refuse("the vehicle has no [computer]", "body_force, body_torque", key)
 
     def _check_orbit(self, wanted: OrbitTarget) -> None:
         computer, at = self.vehicle.computer, ("guidance", "orbit")
@@ -437,15 +418,13 @@ class Scenario(Section):
         for n, fault in enumerate(self.fault):
             part, stages = KINDS[fault.kind].part, self.vehicle.stage
             if fault.stage is not None and fault.stage >= len(stages):
-                raise refuse("the vehicle has no such stage", f"0 .. {len(stages) - 1}", key=("fault", n, "stage"))
+                raise refuse("the vehicle has no such stage", f"0 .. {len(stages) - 1}", ("fault", n, "stage"))
             concerned = stages if fault.stage is None else stages[fault.stage : fault.stage + 1]
             groups = max(len(stage.engine_groups) for stage in concerned)
             if fault.group is not None and fault.group >= groups:
-                raise refuse("the vehicle has no such group", f"0 .. {groups - 1}", key=("fault", n, "group"))
+                raise refuse("the vehicle has no such group", f"0 .. {groups - 1}", ("fault", n, "group"))
             if not any(getattr(stage, part) for stage in concerned):
-                raise refuse(
-                    f"there is no {part} to fail", f"with [{part}] in the stage only", key=("fault", n, "kind")
-                )
+                raise refuse(f"there is no {part} to fail", f"with [{part}] in the stage only", ("fault", n, "kind"))
             gyros = 1 + len(self.vehicle.stage[0].rate_gyro)
             if fault.gyro is not None and fault.gyro > gyros:
                 allowed = f"1 .. {gyros}: [stage.gyro], then each [[stage.rate_gyro]]"
@@ -453,11 +432,11 @@ class Scenario(Section):
             ideal = self.switches.gyro == "ideal" and part == "accelerometer"  # the switch is that of all sensors
             if ideal or getattr(self.switches, part, "") == "ideal":
                 switch = "gyro" if ideal else part
-                raise refuse(f"an ideal {part} cannot fail", f"switches.{switch} = 'full'", key=("fault", n, "kind"))
+                raise refuse(f"an ideal {part} cannot fail", f"switches.{switch} = 'full'", ("fault", n, "kind"))
             if fault.of_engines:
                 self._check_engine_fault(n, fault, concerned)
             if fault.since == "liftoff" and not self.held:
-                raise refuse("the flight begins in the air", "clock", key=("fault", n, "since"))
+                raise refuse("the flight begins in the air", "clock", ("fault", n, "since"))
 
     def _check_engine_fault(self, n: int, fault: Fault, concerned: tuple[Stage, ...]) -> None:
         if sum(bool(stage.engines) for stage in concerned) > 1:
@@ -472,13 +451,13 @@ class Scenario(Section):
             raise refuse(
                 "the vehicle is held down until thrust exceeds weight, but it has no thrust",
                 "[initial] with held = false, or holddown.release = 'time'",
-                key=("holddown", "release"),
+                ("holddown", "release"),
                 value="thrust",
             )
 
     def _check_section_loads(self) -> None:
         if self.switches.section_loads and not any(stage.loads for stage in self.vehicle.stage):
-            raise refuse("no stage has [stage.loads]", "false", key=("switches", "section_loads"), value=True)
+            raise refuse("no stage has [stage.loads]", "false", ("switches", "section_loads"), value=True)
         for n, stage in enumerate(self.vehicle.stage):
             if self.switches.section_loads and stage.loads is not None:
                 check_line_mass(stage.loads, stage, ("vehicle", "stage", n))

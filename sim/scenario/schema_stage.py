@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field, model_validator
+from pydantic import Field
 
 from maxq.control.kernel.limits import MAX_SURFACES
 from maxq.sim.scenario.errors import refuse
@@ -21,9 +21,6 @@ from maxq.sim.scenario.schema_values import (
     Pair,
     Positive,
     Section,
-    at_most_one,
-    needs,
-    only_with,
     optional,
 )
 from maxq.sim.scenario.tables_csv import Columns, CsvTable
@@ -62,14 +59,13 @@ class Mass(Section):
         "moment against the body's rotation per rate about x, y and z, N m s/rad, over the stage clock"
     )
 
-    @model_validator(mode="after")
-    def _check(self) -> Mass:
+    def _check(self) -> None:
         if self.table is None:
             self._check_constants()
-            return self
-        at_most_one(self, ("table", "mass_kg"))
+            return
+        self.at_most_one("table", "mass_kg")
         constants = ("x_cg_m", "y_cg_m", "z_cg_m", "inertia_kgm2", "mass_flow_kgps", "burn_s")
-        only_with(self, constants, False, "constant mass_kg")
+        self.only_with(constants, False, "constant mass_kg")
         table = self.table
         x, y, z = diagonal = [table[f"I{a}{a}_kgm2"] for a in "xyz"]
         xy, xz, yz = (-table.get(f"I{a}_kgm2") for a in ("xy", "xz", "yz"))  # integrals, positive sign
@@ -78,7 +74,6 @@ class Mass(Section):
             row, problem = found
             value = [float(moment[row]) for moment in diagonal]
             raise table.refusal(problem, column="Ixx_kgm2", row=row, value=value, at=("table",))
-        return self
 
     def finely(
         self, ignition_s: float, interpolation: Literal["pchip", "linear"]
@@ -94,17 +89,17 @@ class Mass(Section):
         return fine, fit(times, mass[:, None], interpolation).at(fine)[:, 0]
 
     def _check_constants(self) -> None:
-        mass = needs(self, "mass_kg", "mass needs a table or constants", "a number > 0")
-        needs(self, "x_cg_m", "mass_kg is given", "a number")
-        inertia = np.array(needs(self, "inertia_kgm2", "mass_kg is given", "a 3 x 3 tensor"))
+        mass = self.needs("mass_kg", "mass needs a table or constants", "a number > 0")
+        self.needs("x_cg_m", "mass_kg is given", "a number")
+        inertia = np.array(self.needs("inertia_kgm2", "mass_kg is given", "a 3 x 3 tensor"))
         if np.abs(inertia - inertia.T).max() > _SYMMETRY * np.abs(inertia).max():
-            raise refuse("an inertia tensor is symmetric", key=("inertia_kgm2",))
+            raise refuse("an inertia tensor is symmetric", key="inertia_kgm2")
         found = first_impossible(0.5 * (inertia + inertia.T)[None])
         if found:
-            raise refuse(found[1], key=("inertia_kgm2",))
+            raise refuse(found[1], key="inertia_kgm2")
         if (self.mass_flow_kgps is None) != (self.burn_s is None):
             missing = "burn_s" if self.burn_s is None else "mass_flow_kgps"
-            raise refuse("required key is missing: they go together", "mass_flow_kgps and burn_s", key=(missing,))
+            raise refuse("required key is missing: they go together", "mass_flow_kgps and burn_s", missing)
         if self.mass_flow_kgps is not None and self.burn_s is not None:
             spent = self.mass_flow_kgps * self.burn_s
             if spent >= mass:
@@ -153,18 +148,16 @@ class Engine(Section):
     thrust_factor: NotNegative = optional("multiplies thrust", 1.0)
     mass_flow_factor: Positive = optional("burn rate: speeds up the stage's tables over time", 1.0)
 
-    @model_validator(mode="after")
-    def _check(self) -> Engine:
+    def _check(self) -> None:
         least = self.gimballed_mass_kg * self.cg_from_gimbal_m**2
         if self.inertia_about_gimbal_kgm2 < least:
             raise refuse(
                 "no rigid body has this inertia about the gimbal",
                 f"at least gimballed_mass_kg * cg_from_gimbal_m^2 = {least:.6g}",
-                key=("inertia_about_gimbal_kgm2",),
+                "inertia_about_gimbal_kgm2",
             )
         if self.gimbal == "fixed" and self.group:
-            raise refuse("a fixed engine moves with no group", "this key with a gimballed engine only", key=("group",))
-        return self
+            raise refuse("a fixed engine moves with no group", "this key with a gimballed engine only", "group")
 
 
 SECTIONS = {"second-order": 1, "fourth-order": 2, "sixth-order": 4}
@@ -193,16 +186,14 @@ class ActuatorAxis(Section):
     stop_deg: GimbalAngle | None = optional("hard stop of the engine's own angle, deg (default: none)")
     backlash_deg: NotNegative = optional("full width of the play between actuator and engine, deg", 0.0)
 
-    @model_validator(mode="after")
-    def _check(self) -> ActuatorAxis:
+    def _check(self) -> None:
         count = SECTIONS[self.model]
         for key in ("omega_hz", "zeta"):
             given = len(getattr(self, key))
             if given != count:
-                raise refuse(f"has {given} numbers in a {self.model} model", f"a list of {count}", key=(key,))
+                raise refuse(f"has {given} numbers in a {self.model} model", f"a list of {count}", key)
         if self.exchange_a3_a4 and count < 4:
-            raise refuse(f"a {self.model} model has no a3 and a4", "false, or sixth-order", key=("exchange_a3_a4",))
-        return self
+            raise refuse(f"a {self.model} model has no a3 and a4", "false, or sixth-order", "exchange_a3_a4")
 
 
 class YawActuator(Section):
@@ -224,14 +215,13 @@ class Actuator(ActuatorAxis):
     bias_deg: Pair = optional("constant error of the angle, pitch and yaw, deg", (0.0, 0.0))
     yaw: YawActuator | None = optional("keys that differ in the yaw axis")
 
-    @model_validator(mode="after")
-    def _check_yaw(self) -> Actuator:
+    def _check(self) -> None:
+        super()._check()
         count = SECTIONS[self.model]
         for key in ("omega_hz", "zeta"):
             given = getattr(self.yaw, key, None)
             if given is not None and len(given) != count:
                 raise refuse(f"has {len(given)} numbers in a {self.model} model", f"a list of {count}", ("yaw", key))
-        return self
 
     @property
     def axes(self) -> tuple[ActuatorAxis, ActuatorAxis]:
@@ -257,12 +247,10 @@ class TvcLoad(Section):
         "of the contact of one engine at the actuator's stop_deg, N m/rad (default: ten times that of the compliance)"
     )
 
-    @model_validator(mode="after")
-    def _check(self) -> TvcLoad:
-        at_most_one(self, ("frequency_hz", "stiffness_Nmprad"))
+    def _check(self) -> None:
+        self.at_most_one("frequency_hz", "stiffness_Nmprad")
         if self.stiffness_Nmprad is None:
-            needs(self, "frequency_hz", "stiffness_Nmprad is not given", "a number > 0")
-        return self
+            self.needs("frequency_hz", "stiffness_Nmprad is not given", "a number > 0")
 
 
 class RollThrusters(Section):
@@ -330,11 +318,10 @@ class Coefficients(Section):
     def aeroballistic(self) -> bool:
         return self.axes == "aeroballistic" or (self.axes is None and "total_deg" in self.table)
 
-    @model_validator(mode="after")
-    def _check(self) -> Coefficients:
+    def _check(self) -> None:
         grid, table = self.grid, self.table
         if self.axes == "aeroballistic" and "total_deg" not in grid.axes:
-            raise refuse("aeroballistic axes need a table over total_deg", "'body'", key=("axes",))
+            raise refuse("aeroballistic axes need a table over total_deg", "'body'", "axes")
         along_wind = [name for name in ("CD", "CL") if name in grid.names]
         for alike in (("CA", "CX"), ("CN", "CZ"), *((w, b) for w in along_wind for b in ("CA", "CX", "CN", "CZ"))):
             if all(name in grid.names for name in alike):
@@ -342,7 +329,6 @@ class Coefficients(Section):
                 raise table.refusal(problem, "two tables, or one of them", at=("table",))
         if self.aeroballistic:
             self._check_axis(grid)
-        return self
 
     def _check_axis(self, grid: GridTable) -> None:
         """Where the flow is along the axis, the plane of incidence is undefined: nothing may depend on it there."""
@@ -410,18 +396,15 @@ class Aero(Section):
                 return key, table
         return "", CsvTable("", {"": np.zeros(1), "station_m": np.array([self.moment_reference_m])})
 
-    @model_validator(mode="after")
-    def _check(self) -> Aero:
+    def _check(self) -> None:
         table = self.table
         if not (self.model_fields_set & {"table", "surface", "coefficients"}):
-            raise refuse("required key is missing", AERO_COLUMNS.allowed(), key=("table",))
+            raise refuse("required key is missing", AERO_COLUMNS.allowed(), "table")
         if len(self.surface) + len(self.coefficients) > MAX_SURFACES:
             raise refuse(f"more than {MAX_SURFACES} surfaces and tables", f"{MAX_SURFACES} in all", ("coefficients",))
-        at_most_one(self, ("moment_reference_over_time", "moment_reference_over_mass"))
+        self.at_most_one("moment_reference_over_time", "moment_reference_over_mass")
         if self.moment_reference[0] and "moment_reference_m" in self.model_fields_set:
-            raise refuse(
-                "cannot be combined with a moment reference that moves", "one of them", key=("moment_reference_m",)
-            )
+            raise refuse("cannot be combined with a moment reference that moves", "one of them", "moment_reference_m")
         if "x_cp_m" in table and "Cm_alpha_pr" in table:
             raise table.refusal(
                 "column Cm_alpha_pr cannot stand beside x_cp_m", "one of x_cp_m, Cm_alpha_pr", at=("table",)
@@ -433,7 +416,6 @@ class Aero(Section):
             raise table.refusal(
                 "the normal force has no place to act at", "x_cp_m or Cm_alpha_pr beside CN_alpha_pr", at=("table",)
             )
-        return self
 
 
 _SLACK = 1e-9

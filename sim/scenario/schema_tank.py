@@ -5,20 +5,10 @@ from __future__ import annotations
 from typing import Annotated, Literal
 
 import numpy as np
-from pydantic import Field, model_validator
+from pydantic import Field
 
 from maxq.sim.scenario.errors import refuse
-from maxq.sim.scenario.schema_values import (
-    ChannelPart,
-    Fraction,
-    NotNegative,
-    Pair,
-    Positive,
-    Section,
-    needs,
-    only_with,
-    optional,
-)
+from maxq.sim.scenario.schema_values import ChannelPart, Fraction, NotNegative, Pair, Positive, Section, optional
 from maxq.sim.scenario.tables_csv import Columns, CsvTable
 from maxq.sim.scenario.tank_profile import Profile
 
@@ -40,7 +30,7 @@ def check_domes(profile: Profile, radius_m: float, key: str = "dome_m") -> None:
         if dome < 0.0 or 0.0 < dome < _LEAST_DOME:
             least = _LEAST_DOME * radius_m
             allowed = f"at least {2 * least:g}" if key == "height_m" else f"0, or from {least:g}"
-            raise refuse("the dome is too flat", allowed, key=(key,))
+            raise refuse("the dome is too flat", allowed, key)
     if profile.wall < 0.0:
         least = radius_m * (profile.bottom + profile.top)
         raise refuse("the domes are higher than the tank", f"height_m from {least:g}", ("height_m",))
@@ -102,8 +92,7 @@ class Tank(Section):
         """Whether the log has the height of its waves."""
         return self.shape is not None or self.baffles is not None or self.viscosity_m2ps is not None
 
-    @model_validator(mode="after")
-    def _check(self) -> Tank:
+    def _check(self) -> None:
         table = self.table
         given = [name for name in SECOND_MODE if name in table]
         if given and len(given) < len(SECOND_MODE):
@@ -118,26 +107,25 @@ class Tank(Section):
         if not damped:
             allowed = "damping_ratio (0 .. 1), viscosity_m2ps or baffles"
             raise refuse("required key is missing: nothing damps the liquid", allowed, ("damping_ratio",))
-        only_with(self, ("second_damping_ratio",), self.pendulums == 2, "a second slosh mode")
-        only_with(self, ("height_m", "density_kgpm3", "modes"), self.shape is not None, "shape")
-        only_with(self, ("dome_m",), self.shape == "cylinder", 'shape = "cylinder"')
+        self.only_with(("second_damping_ratio",), self.pendulums == 2, "a second slosh mode")
+        self.only_with(("height_m", "density_kgpm3", "modes"), self.shape is not None, "shape")
+        self.only_with(("dome_m",), self.shape == "cylinder", 'shape = "cylinder"')
         if self.shape is not None:
             self._check_shape()
         for key in ("viscosity_m2ps", "baffles", "breaking_height_m"):
             if getattr(self, key) is not None:
-                needs(self, "radius_m", f"{key} is given", "a number > 0")
+                self.needs("radius_m", f"{key} is given", "a number > 0")
         if self.baffles is not None:
             self._check_baffles(self.baffles)
-        return self
 
     def _check_shape(self) -> None:
-        radius = float(needs(self, "radius_m", "shape is given", "a number > 0"))
-        density = float(needs(self, "density_kgpm3", "shape is given", "a number > 0"))
-        needs(self, "bottom_station_m", "shape is given", "a number")
+        radius = float(self.needs("radius_m", "shape is given", "a number > 0"))
+        density = float(self.needs("density_kgpm3", "shape is given", "a number > 0"))
+        self.needs("bottom_station_m", "shape is given", "a number")
         if self.shape == "sphere":
-            only_with(self, ("height_m",), False, "a cylinder or an ellipsoid")
+            self.only_with(("height_m",), False, "a cylinder or an ellipsoid")
         else:
-            needs(self, "height_m", f'shape = "{self.shape}"', "a number > 0")
+            self.needs("height_m", f'shape = "{self.shape}"', "a number > 0")
         profile = self.profile
         check_domes(profile, radius, "height_m" if self.shape == "ellipsoid" else "dome_m")
         most = density * radius**3 * float(profile.volume(np.array(profile.height)))
@@ -149,7 +137,7 @@ class Tank(Section):
 
     def _check_baffles(self, baffles: Baffles) -> None:
         if self.shape is None:
-            needs(self, "bottom_station_m", "baffles are given", "a number")
+            self.needs("bottom_station_m", "baffles are given", "a number")
             if "liquid_height_m" not in self.table:
                 raise self.table.refusal("column liquid_height_m is missing: baffles are given", at=("table",))
         radius, bottom = self.radius_m or 0.0, self.bottom_station_m or 0.0

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import re
 from itertools import pairwise
-from typing import Annotated, Any
+from typing import Annotated, Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -83,6 +83,33 @@ class Section(BaseModel):
                 raise refuse(f"has {len(value)} characters", f"a text of at most {longest}")
         return value
 
+    @model_validator(mode="after")
+    def _checked(self) -> Self:
+        self._check()
+        return self
+
+    def _check(self) -> None:
+        """Refuse what the keys cannot be to each other; each has been found right by itself."""
+
+    def at_most_one(self, *keys: str) -> None:
+        """Refuse two of `keys` that exclude each other."""
+        given = [key for key in keys if getattr(self, key) is not None]
+        if len(given) > 1:
+            raise refuse(f"cannot be combined with {given[0]}", f"one of {', '.join(keys)}", given[1])
+
+    def needs(self, key: str, because: str, allowed: str = "") -> Any:
+        """The value of an optional key that another one makes necessary."""
+        value = getattr(self, key)
+        if value is None:
+            raise refuse(f"required key is missing: {because}", allowed, key)
+        return value
+
+    def only_with(self, keys: tuple[str, ...], condition: bool, when: str) -> None:
+        """Refuse `keys` that mean nothing unless `condition`, which `when` says in words."""
+        for key in keys:
+            if not condition and getattr(self, key) is not None:
+                raise refuse("has no meaning here", f"this key with {when} only", key)
+
 
 def _whole_ns(seconds: float) -> float:
     if abs(seconds) > LONGEST_S:
@@ -126,13 +153,11 @@ class OverTime(Section):
     time_s: tuple[float, ...] = Field(min_length=1, description="rising, s")
     value: tuple[Positive, ...] = Field(description="one at each time")
 
-    @model_validator(mode="after")
-    def _check(self) -> OverTime:
+    def _check(self) -> None:
         if any(b <= a for a, b in pairwise(self.time_s)):
-            raise refuse("does not rise", "rising times, s", key=("time_s",))
+            raise refuse("does not rise", "rising times, s", "time_s")
         if len(self.value) != len(self.time_s):
-            raise refuse(f"has {len(self.value)} numbers", f"{len(self.time_s)}, as time_s", key=("value",))
-        return self
+            raise refuse(f"has {len(self.value)} numbers", f"{len(self.time_s)}, as time_s", "value")
 
 
 PositiveOverTime = Annotated[
@@ -158,25 +183,3 @@ Matrix = tuple[Triple, Triple, Triple]
 def optional(description: str, default: Any = None, **constraints: Any) -> Any:
     """A key that may be absent."""
     return Field(default=default, description=description, **constraints)
-
-
-def at_most_one(section: Section, keys: tuple[str, ...]) -> None:
-    """Refuse two of `keys` that exclude each other."""
-    given = [key for key in keys if getattr(section, key) is not None]
-    if len(given) > 1:
-        raise refuse(f"cannot be combined with {given[0]}", f"one of {', '.join(keys)}", key=(given[1],))
-
-
-def needs(section: Section, key: str, because: str, allowed: str = "") -> Any:
-    """The value of an optional key that another one makes necessary."""
-    value = getattr(section, key)
-    if value is None:
-        raise refuse(f"required key is missing: {because}", allowed, key=(key,))
-    return value
-
-
-def only_with(section: Section, keys: tuple[str, ...], condition: bool, when: str) -> None:
-    """Refuse `keys` that mean nothing unless `condition`, which `when` says in words."""
-    for key in keys:
-        if not condition and getattr(section, key) is not None:
-            raise refuse("has no meaning here", f"this key with {when} only", key=(key,))

@@ -34,8 +34,6 @@ from maxq.sim.scenario.schema_values import (
     Seconds,
     Section,
     Triple,
-    at_most_one,
-    only_with,
     optional,
 )
 from maxq.sim.scenario.tables_csv import CsvTable
@@ -92,11 +90,9 @@ class Bending(Section):
         default_factory=_ones, description="multiplies displacement and slope of each mode at the gimbal (default ones)"
     )
 
-    @model_validator(mode="after")
-    def _check(self) -> Bending:
+    def _check(self) -> None:
         if not any(OVER_MASS in table for table in (self.pitch, self.yaw) if table is not None):
             self.check_counts()
-        return self
 
     def check_counts(self, at: Path = ()) -> None:
         """Refuse lists of other lengths than there are modes."""
@@ -132,11 +128,9 @@ class SpatialModes(Section):
         description="multiplies displacement and rotation of each mode at the gimbal (default ones)",
     )
 
-    @model_validator(mode="after")
-    def _check(self) -> SpatialModes:
+    def _check(self) -> None:
         if OVER_MASS not in self.table:
             self.check_counts()
-        return self
 
     def check_counts(self, at: Path = ()) -> None:
         """Refuse lists of other lengths than there are modes."""
@@ -152,7 +146,7 @@ def _refuse_other_counts(modes: Bending | SpatialModes, count: int, at: Path) ->
     for key in ("damping_ratio", "frequency_factor", "gyro_slope_factor", "gimbal_shape_factor"):
         given = len(getattr(modes, key))
         if given != count:
-            raise refuse(f"has {given} numbers for {count} modes", f"a list of {count} numbers", key=(*at, key))
+            raise refuse(f"has {given} numbers for {count} modes", f"a list of {count} numbers", (*at, key))
 
 
 class Gyro(Section):
@@ -224,15 +218,13 @@ class Computer(Section):
         """Which of the keys that name flight code are given."""
         return tuple(key for key in _CODE if getattr(self, key) is not None)
 
-    @model_validator(mode="after")
-    def _check(self) -> Computer:
-        only_with(self, _CODE, self.law == "external", "law = 'external'")
-        at_most_one(self, _CODE)
+    def _check(self) -> None:
+        self.only_with(_CODE, self.law == "external", "law = 'external'")
+        self.at_most_one(*_CODE)
         if self.law == "external" and not self.code_keys:
             raise refuse("names no flight code", f"external with one of {', '.join(_CODE)}", ("law",))
         if self.delay_s > self.sample_s:
             raise refuse("is longer than the sample period", f"0 .. sample_s = {self.sample_s:g}", ("delay_s",))
-        return self
 
 
 class StageComputer(Section):
@@ -359,15 +351,16 @@ class Stage(Section):
                     arrays(table, (section, key))
                 changed[section] = given.model_copy(update=found)
                 changed[section].check_counts((section,))
-        return self.model_copy(update=changed) if changed else self
+        out = self.model_copy(update=changed) if changed else self
+        out._check_parts()
+        return out
 
-    @model_validator(mode="after")
-    def _check(self) -> Stage:
-        at_most_one(self, ("separation_s", "separation_after_burnout_s"))
+    def _check_parts(self) -> None:
+        self.at_most_one("separation_s", "separation_after_burnout_s")
         if self.separation_after_burnout_s is not None and self.engine is None:
-            raise refuse("the stage has no engine", "separation_s", key=("separation_after_burnout_s",))
+            raise refuse("the stage has no engine", "separation_s", "separation_after_burnout_s")
         if self.actuator is not None and all(engine.gimbal == "fixed" for engine in self.engines):
-            raise refuse("the stage has no engine to move", "[stage.engine]", key=("actuator",), value={})
+            raise refuse("the stage has no engine to move", "[stage.engine]", "actuator", value={})
         names = [tank.name or str(n + 1) for n, tank in enumerate(self.tank)]
         for n, name in enumerate(names):
             if name in names[:n]:
@@ -376,13 +369,12 @@ class Stage(Section):
         self._check_groups("actuator", self.actuator, all_of_them=True)
         if len(self.pendulum_names) > MAX_PENDULUMS:
             problem = f"{len(self.pendulum_names)} slosh modes in all"
-            raise refuse(problem, f"up to {MAX_PENDULUMS} of all tanks of a stage", key=("tank",), value=len(self.tank))
+            raise refuse(problem, f"up to {MAX_PENDULUMS} of all tanks of a stage", "tank", value=len(self.tank))
         self._check_tvc_load()
         self._check_slosh_mass()
         self._check_stations()
         if self.loads is not None:
             check_loads(self.loads, self)
-        return self
 
     def mode_tables(self) -> list[tuple[str, ModeTable | SpatialModeTable]]:
         """Tables of modes and their keys; one that serves both planes once."""
@@ -413,7 +405,7 @@ class Stage(Section):
         allowed = ", ".join(repr(group) for group in groups)
         if not isinstance(given, tuple):
             if given is not None and given.group is not None:
-                raise refuse("one table moves all groups of engines", f"a list [[{key}]]", key=(key, "group"))
+                raise refuse("one table moves all groups of engines", f"a list [[{key}]]", (key, "group"))
             return
         named = [each.group or "" for each in given]
         for n, group in enumerate(named):
@@ -434,12 +426,12 @@ class Stage(Section):
     def _check_tvc_load(self) -> None:
         moved = [engine for engine in self.engines if engine.gimbal != "fixed"]
         if self.tvc_load is not None and not moved:
-            raise refuse("no gimballed engine", "[stage.engine]", key=("tvc_load",), value={})
+            raise refuse("no gimballed engine", "[stage.engine]", "tvc_load", value={})
         self._check_groups("tvc_load", self.tvc_load, all_of_them=False)
         for n, engine in enumerate(self.engines):
             if engine in moved and engine.group in self.tvc_loads and engine.inertia_about_gimbal_kgm2 == 0.0:
                 key = (*self.engine_key(n), "inertia_about_gimbal_kgm2")
-                raise refuse("an engine without inertia cannot swing on a TVC load", "a number > 0", key=key, value=0.0)
+                raise refuse("an engine without inertia cannot swing on a TVC load", "a number > 0", key, value=0.0)
 
     def _check_slosh_mass(self) -> None:
         """What sloshes, and the gimballed engine, are parts of the vehicle's mass."""
@@ -461,13 +453,13 @@ class Stage(Section):
             raise refuse(
                 f"at {times[worst]:g} s {moving[worst]:g} kg slosh in a vehicle of {total[worst]:g} kg",
                 "sloshing masses below the mass of the vehicle",
-                key=("tank",),
+                "tank",
             )
         if self.engines and sum(e.gimballed_mass_kg for e in self.engines) >= float((total - moving).min()):
             raise refuse(
                 "the gimballed mass is more than the vehicle's",
                 f"less than {float((total - moving).min()):g}",
-                key=(*self.engine_key(0), "gimballed_mass_kg"),
+                (*self.engine_key(0), "gimballed_mass_kg"),
             )
 
     def _check_stations(self) -> None:
@@ -514,8 +506,7 @@ class Vehicle(Section):
     stage: tuple[Stage, ...] = Field(min_length=1, max_length=MAX_STAGES, description="stages in the order of flight")
     computer: Computer | None = optional("absent: no flight computer, the gimbal stays at zero")
 
-    @model_validator(mode="after")
-    def _check(self) -> Vehicle:
+    def _check(self) -> None:
         last = len(self.stage) - 1
         for n, stage in enumerate(self.stage):
             separates = stage.separation_s is not None or stage.separation_after_burnout_s is not None
@@ -523,7 +514,7 @@ class Vehicle(Section):
                 raise refuse(
                     "required key is missing: another stage follows",
                     "separation_s or separation_after_burnout_s",
-                    key=("stage", n, "separation_s"),
+                    ("stage", n, "separation_s"),
                 )
             if n == last and separates:
                 key = "separation_s" if stage.separation_s is not None else "separation_after_burnout_s"
@@ -540,7 +531,6 @@ class Vehicle(Section):
                 )
                 raise refuse(problem, allowed, ("stage", n, key), value={})
             self._check_goes_on(n, stage)
-        return self
 
     def _check_goes_on(self, n: int, stage: Stage) -> None:
         if stage.continues and (n == 0 or stage.counts != self.stage[n - 1].counts or stage.ignition_s > 0.0):

@@ -96,7 +96,7 @@ class CsvTable:
             place = ", ".join(part for part in (line, column) if part)
             return refuse(problem, allowed, value=value, file=self.shown, place=place)
         key = (*at, column) if column else at
-        return refuse(problem, allowed, key=(*key, row) if column and row >= 0 else key, value=value)
+        return refuse(problem, allowed, (*key, row) if column and row >= 0 else key, value=value)
 
     def refuse_where(self, wrong: NDArray[np.bool_], column: str, problem: str, allowed: str, *, at: Path = ()) -> None:
         """Refuse the first row of `column` that is `wrong`, and say in how many more rows it is."""
@@ -211,16 +211,16 @@ class Columns:
         label, date = value.get(FILE_KEY, ""), value.get(DATE_KEY, "")
         for key, given in ((FILE_KEY, label), (DATE_KEY, date)):
             if not isinstance(given, str):
-                raise refuse("must be a text", key=(key,))
+                raise refuse("must be a text", key=key)
         if date and not re.fullmatch(DATE, date):
-            raise refuse("is no date", "YYYY-MM-DD, or YYYY-MM-DDThh", key=(DATE_KEY,), value=date)
+            raise refuse("is no date", "YYYY-MM-DD, or YYYY-MM-DDThh", (DATE_KEY,), value=date)
         columns: dict[str, Column] = {}
         for name, numbers in value.items():
             if name in (FILE_KEY, DATE_KEY):
                 continue
             self._check_name(name, key=(name,))
             if not isinstance(numbers, tuple):
-                raise refuse("is not a list of numbers", "a list of numbers", key=(name,))
+                raise refuse("is not a list of numbers", "a list of numbers", (name,))
             columns[name] = _column([_number(n, (name, row)) for row, n in enumerate(numbers)])
         return CsvTable(str(label), columns, date=str(date))
 
@@ -239,7 +239,7 @@ class Columns:
         if self.named and name not in self.known():
             hint = suggestion(name, self.known(), cutoff=0.75)  # else the list says more
             problem = f"unknown column {show_value(name)}" + (f"; {hint}" if hint else "")
-            raise refuse(problem, self.allowed(), key=key, file=file, place=place)
+            raise refuse(problem, self.allowed(), key, file=file, place=place)
 
     def _check(self, table: CsvTable) -> None:
         complete = [names for names in self.sets if all(name in table for name in names)]
@@ -332,11 +332,11 @@ def _column(numbers: list[float]) -> Column:
 
 def _number(value: Any, key: Path) -> float:
     if isinstance(value, bool) or not isinstance(value, int | float):
-        raise refuse("is not a number", "numbers", key=key, value=value)
+        raise refuse("is not a number", "numbers", key, value=value)
     try:
         return float(value)
     except OverflowError:
-        raise refuse("is too large", "numbers", key=key, value=value) from None
+        raise refuse("is too large", "numbers", key, value=value) from None
 
 
 def read_csv(text: str, name: str, shown: str, columns: Columns) -> CsvTable:

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 import numpy as np
-from pydantic import Field, model_validator
+from pydantic import Field
 
 from maxq.control.kernel.limits import MAX_LOAD_STATIONS, MAX_PENDULUMS, MAX_STAGES
 from maxq.sim.scenario.errors import refuse
@@ -30,8 +30,6 @@ from maxq.sim.scenario.schema_values import (
     Positive,
     Seconds,
     Section,
-    at_most_one,
-    needs,
     optional,
 )
 from maxq.sim.scenario.schema_vehicle import Bending, SpatialModes
@@ -45,11 +43,9 @@ class Between(Section):
     front_station_m: float = Field(description="forward end, m aft of the nose")
     rear_station_m: float = Field(description="aft end, m aft of the nose")
 
-    @model_validator(mode="after")
-    def _check(self) -> Between:
+    def _check(self) -> None:
         if self.rear_station_m <= self.front_station_m:
             raise refuse("ends where it begins, or before", f"above {self.front_station_m:g}", ("rear_station_m",))
-        return self
 
 
 class Part(Between):
@@ -72,12 +68,10 @@ class Shell(Between):
     strength_Pa: Positive | None = optional("stress that it bears: with modulus_Pa the limit of section loads, Pa")
     density_kgpm3: NotNegative = optional("of that wall, kg/m3; 0: its mass is listed with the parts", 0.0)
 
-    @model_validator(mode="after")
-    def _check_stiffness(self) -> Shell:
+    def _check(self) -> None:
         wall = self.wall_m is not None and self.modulus_Pa is not None
         if (self.EI_Nm2 is None) == (not wall):
             raise refuse("no stiffness, or two", "EI_Nm2, or wall_m with modulus_Pa", ("EI_Nm2",))
-        return self
 
     def stiffness_Nm2(self, station_m: float, radius_m: float) -> float:
         """Bending stiffness at a station; `radius_m`: of the stage."""
@@ -107,10 +101,8 @@ class Tank(Section):
         bottom, top = (dome / self.radius_m for dome in self.dome_m)
         return Profile(bottom, self.height_m / self.radius_m - bottom - top, top)
 
-    @model_validator(mode="after")
-    def _check(self) -> Tank:
+    def _check(self) -> None:
         check_domes(self.profile, self.radius_m)
-        return self
 
 
 class Grain(Between):
@@ -157,16 +149,14 @@ class Engines(Section):
     ramp_s: Positive = optional("from ignition to full thrust, s", 0.3)
     tail_off_s: Positive = optional("from full thrust to none, s", 0.3)
 
-    @model_validator(mode="after")
-    def _check(self) -> Engines:
-        at_most_one(self, ("thrust", "thrust_vacuum_N"))
+    def _check(self) -> None:
+        self.at_most_one("thrust", "thrust_vacuum_N")
         if self.thrust is None:
-            needs(self, "thrust_vacuum_N", "thrust is not given", "a number > 0")
-            needs(self, "isp_vacuum_s", "thrust is not given", "a number > 0")
+            self.needs("thrust_vacuum_N", "thrust is not given", "a number > 0")
+            self.needs("isp_vacuum_s", "thrust is not given", "a number > 0")
         if len(self.servo_hz) != len(self.servo_zeta) or len(self.servo_hz) not in SECTIONS.values():
             allowed = "as many of each: one, two or four"
             raise refuse(f"{len(self.servo_hz)} frequencies, {len(self.servo_zeta)} ratios", allowed, ("servo_hz",))
-        return self
 
     @property
     def groups(self) -> tuple[str, ...]:
@@ -212,11 +202,10 @@ class Stage(Between):
         """Propellant that burns."""
         return sum(t.liquid_mass_kg - t.residual_kg for t in self.tank) + sum(g.mass_kg for g in self.grain)
 
-    @model_validator(mode="after")
-    def _check_shells(self) -> Stage:
+    def _check(self) -> None:
         if self.usable_kg <= 0.0:
             raise refuse("no propellant", "tanks with more than their residual, or a grain", ("tank",))
-        at_most_one(self, ("bending", "spatial_modes"))
+        self.at_most_one("bending", "spatial_modes")
         ends = [self.front_station_m, *(x for s in self.shell for x in (s.front_station_m, s.rear_station_m))]
         for n, (before, begins) in enumerate(zip(ends[::2], ends[1::2], strict=False)):
             if abs(before - begins) > 1e-6:
@@ -226,7 +215,6 @@ class Stage(Between):
                 "the structure ends ahead of the gimbal", f"from {self.engine.gimbal_station_m:g}",
                 ("shell", len(self.shell) - 1, "rear_station_m"), value=self.shell[-1].rear_station_m,
             )  # fmt: skip  # two more lines otherwise
-        return self
 
 
 class Site(Section):
@@ -263,13 +251,11 @@ class Trajectory(Section):
         "perigee at orbit_altitude_m, and cuts off at (default: the pitch programme alone, to the end of propellant)"
     )
 
-    @model_validator(mode="after")
-    def _check(self) -> Trajectory:
+    def _check(self) -> None:
         perigee_m, apogee_m = self.orbit_altitude_m, self.apogee_altitude_m
         if apogee_m is not None and (perigee_m is None or apogee_m < perigee_m):
             least = "an orbit_altitude_m" if perigee_m is None else f"at least orbit_altitude_m = {perigee_m:g}"
-            raise refuse("needs a perigee below it", least, key=("apogee_altitude_m",), value=apogee_m)
-        return self
+            raise refuse("needs a perigee below it", least, "apogee_altitude_m", value=apogee_m)
 
 
 class Control(Section):
@@ -304,8 +290,7 @@ class Layout(Section):
     fairing: Fairing | None = optional("absent: none, or never dropped")
     stage: tuple[Stage, ...] = Field(min_length=1, max_length=MAX_STAGES, description="in the order of flight")
 
-    @model_validator(mode="after")
-    def _check(self) -> Layout:
+    def _check(self) -> None:
         for n, (lower, upper) in enumerate(pairwise(self.stage)):
             if abs(upper.rear_station_m - lower.front_station_m) > 1e-6:
                 raise refuse(
@@ -325,7 +310,6 @@ class Layout(Section):
                 raise refuse(
                     "is not in the last stage", f"0 .. {last.rear_station_m:g}", ("control", key), value=station
                 )
-        return self
 
 
 def read_layout(name: str | Path) -> Layout:
