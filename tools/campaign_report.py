@@ -156,7 +156,7 @@ def tails_of(data: DataSet, verdicts: Sequence[Judged]) -> Tails:
         values = np.where(data.void, np.nan, data.numbers(v.metric))
         return tail_of(values, v.bound, campaign.success, campaign.confidence, v.kind == "limit")
 
-    return [(v, tail(v)) for v in pressing(verdicts)]
+    return [(v, tail(v)) for v in nearest_limits(verdicts)]
 
 
 def tail_cells(v: Judged, tail: Tail) -> tuple[str, ...]:
@@ -230,7 +230,7 @@ def write_report(
     """
     sample = analysis.sample_of(data)
     inputs = analysis.inputs_of(sample) if len(data.runs) else {}
-    found = [(v, analysis.drivers(sample, v.metric, inputs)) for v in pressing(verdicts)]
+    found = [(v, analysis.drivers(sample, v.metric, inputs)) for v in nearest_limits(verdicts)]
     over_time = analysis.bands(data.folder, data.campaign)
     summary = analysis.summary_of(data, verdicts, losses, total, {
         "sequential": settled,
@@ -264,7 +264,7 @@ def write_report(
     return files
 
 
-def pressing(verdicts: Sequence[Judged]) -> list[Judged]:
+def nearest_limits(verdicts: Sequence[Judged]) -> list[Judged]:
     """Requirements whose worst run comes nearest to the limit, or exceeds it most, first."""
 
     def excess(v: Judged) -> float:

@@ -88,12 +88,12 @@ class WindResponse:
         """Of LOAD (Pa deg), DRIFT (m/s), MOMENTS (N m) with C (F, inputs), (outputs,), and their gradients (outputs, n)
         by what `slopes` (F, inputs, n) are; n = 0 for none.
         """
-        loop, felt = 1.0 + (law * self.paths).sum(axis=1), (law * self.measured).sum(axis=1)
+        loop, sensed = 1.0 + (law * self.paths).sum(axis=1), (law * self.measured).sum(axis=1)
         by_command = self.by_command[list(outputs)]
-        t = self.by_wind[list(outputs)] - by_command * felt / loop
+        t = self.by_wind[list(outputs)] - by_command * sensed / loop
         value = np.sqrt(np.abs(t) ** 2 @ self.weights)
         moved = np.einsum("fi,fin->fn", self.measured, slopes) * loop[:, None]
-        moved -= felt[:, None] * np.einsum("fi,fin->fn", self.paths, slopes)
+        moved -= sensed[:, None] * np.einsum("fi,fin->fn", self.paths, slopes)
         by = -(self.weights * np.conj(t) * by_command / loop**2) @ moved
         return value, by.real / value[:, None]
 

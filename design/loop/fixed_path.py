@@ -190,9 +190,9 @@ class FixedPath(abc.ABC):
         return chain(*parts)
 
     def _lags(self) -> StateSpace:
-        """Gyro and further sensors side by side; those without dynamics pass on what they feel."""
+        """Gyro and further sensors side by side; those without dynamics pass on what they sense."""
         each = [self._gyro, *(None if lag.ideal else gyro(lag) for _, lag, _ in self.sensors)]
-        through = StateSpace(np.zeros((0, 0)), np.zeros((0, 1)), np.zeros((1, 0)), np.eye(1), (), ("felt",), ("felt",))
+        through = StateSpace(np.zeros((0, 0)), np.zeros((0, 1)), np.zeros((1, 0)), np.eye(1), (), ("rate",), ("rate",))
         filled = [one or through for one in each]
         a, b, c, d = (scipy.linalg.block_diag(*(getattr(one, name) for one in filled)) for name in "abcd")
         states = tuple(f"{name}_{k + 1}" if k else name for k, one in enumerate(filled) for name in one.states)

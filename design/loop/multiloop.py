@@ -109,8 +109,8 @@ class Multiloop:
             through[:, 0] = outputs[:, 2]
             for column, k in enumerate(mine, 1):
                 through[law.inputs.index(self.sensed[k][0]), column] = 1.0
-            felt = ("rate", *(self.sensed[k][0] for k in mine))
-            summed = StateSpace(a, b, outputs[:, :n], through, states, felt, law.inputs)
+            inputs = ("rate", *(self.sensed[k][0] for k in mine))
+            summed = StateSpace(a, b, outputs[:, :n], through, states, inputs, law.inputs)
             parts.append(chain(summed, law.state_space()))
         a, b, c, d = (scipy.linalg.block_diag(*(getattr(part, name) for part in parts)) for name in "abcd")
         states = tuple(f"{axis}_{name}" for axis, p in zip(self.axes, parts, strict=True) for name in p.states)

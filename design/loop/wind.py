@@ -39,8 +39,8 @@ def wind_response(path: FixedPath, spectrum: Spectrum, stations_m: tuple[float, 
     whole = vehicle_plant(node.vehicle, node.condition, node.errata, node.liquids, wind=True)
     plant = alone(whole, node.vehicle, wind=True)
     moved = tuple(name for name in plant.inputs if name != WIND and (not ideal or name.startswith("delta_rad")))
-    felt = ("local_rate_radps", *(name for name, _, _ in path.sensors))
-    plant = channels(plant, (*felt, "w_mps", "theta_rad", *map(moment_name, stations_m)), (*moved, WIND))
+    sensed = ("local_rate_radps", *(name for name, _, _ in path.sensors))
+    plant = channels(plant, (*sensed, "w_mps", "theta_rad", *map(moment_name, stations_m)), (*moved, WIND))
     way = Resolvent(plant.a, plant.b, plant.c)(s) + plant.d
     held = average(s, timing.sample_s) * np.exp(-timing.delay_s * s)
 
@@ -49,13 +49,13 @@ def wind_response(path: FixedPath, spectrum: Spectrum, stations_m: tuple[float, 
 
     lags = [(timing.gyro, 0), *((record, late) for _, record, late in path.sensors)]
     means = {}
-    for row, (name, (record, late)) in enumerate(zip(("rate_radps", *felt[1:]), lags, strict=True)):
+    for row, (name, (record, late)) in enumerate(zip(("rate_radps", *sensed[1:]), lags, strict=True)):
         out = way[:, row, -1] * average(s, timing.sample_s) * np.exp(-s * late * timing.sample_s)
         means[name] = out if record.ideal else out * lag(s, record.omega_radps, record.zeta)
     measured = [
         means[name] if name in means else means["rate_radps"] * path.ratio(name, f) for name in path.measurements
     ]
-    w, theta = len(felt), len(felt) + 1
+    w, theta = len(sensed), len(sensed) + 1
     load = math.degrees(node.condition.dynamic_pressure_Pa / speed)
     cuts = range(theta + 1, theta + 1 + len(stations_m))
     return WindResponse(

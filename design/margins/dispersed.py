@@ -208,16 +208,16 @@ class ManyLoops:
                 out = out + s ** orders[k] * (per_input[:, None, :, k] / (s[..., None] - poles[:, None, :])).sum(axis=2)
             return out
 
-        def felt(s: ComplexArray) -> ComplexArray | float:
+        def gyro(s: ComplexArray) -> ComplexArray | float:
             return 1.0 if gyro_pair is None else lag(s, *gyro_pair)
 
         own = sum(per_input[..., k] * poles ** orders[k] * actuator(int(drives[k]), poles) for k in range(len(drives)))
-        all_poles, residues = [poles.astype(np.complex128)], [own * felt(poles)]
+        all_poles, residues = [poles.astype(np.complex128)], [own * gyro(poles)]
         for drive, its_pairs in enumerate(pairs):
             for k, (omega, zeta) in enumerate(its_pairs):
                 at, residue = _pair_of(omega, zeta, n)
                 all_poles.append(at)
-                residues.append(residue * actuator(drive, at, k) * body(drive, at) * felt(at))
+                residues.append(residue * actuator(drive, at, k) * body(drive, at) * gyro(at))
         if gyro_pair is not None:
             at, residue = _pair_of(*gyro_pair, n)
             whole = sum(body(d, at) * actuator(d, at) for d in range(len(pairs)))

@@ -65,7 +65,7 @@ class Coupled:
         """Deflections at which thrust and the pull of the liquid along x hold the modes at rest."""
         one, along = self.one, self.one.vehicle.modes.along
         assert along is not None
-        push = -one.felt * along.hinges @ one.vehicle.pendulums.mass_kg
+        push = -one.specific_force * along.hinges @ one.vehicle.pendulums.mass_kg
         for engine in one.vehicle.engines:
             thrust = engine.rest[0] * engine.thrust_N(one.condition.pressure_Pa)
             push = push + thrust * along.gimbals[:, engine.gimbal]

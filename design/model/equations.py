@@ -79,7 +79,7 @@ class Equations:
         )
         # what the body really has: between their rows the tables' total is not quite that of core and bobs
         whole = body.core_mass_kg + vehicle.pendulums.mass_kg.sum(axis=0) if errata.core_mass else body.total_mass_kg
-        self.felt = load * body.total_mass_kg / whole
+        self.specific_force = load * body.total_mass_kg / whole
         self.slosh_damping = vehicle.pendulums.damping(load)
         along, bobs = vehicle.modes.along, vehicle.pendulums
         moved: list[Array | float] = [0.0] * 4  # by the modes' deflection, forward
@@ -226,14 +226,14 @@ class Equations:
             bends = bends + first * engine.beside_m * ahead_slope
             self.modal = self.modal + bends * outer(slope, accel)
         if self.errata.engine_weight:
-            self.moment = self.moment + self.felt * lateral * delta
+            self.moment = self.moment + self.specific_force * lateral * delta
             self.modal = self.modal + self.load * lateral * outer(slope, delta)
 
     def _slosh(self) -> None:
         """(24), (26), (27)."""
         bobs, modes = self.vehicle.pendulums, self.vehicle.modes
         for k in range(self.tanks):
-            rod = bobs.mass_kg[k] * self.felt * self.gamma[k]
+            rod = bobs.mass_kg[k] * self.specific_force * self.gamma[k]
             # force between bob and tank per rate of the pendulum's angle, a_x m_p 2 zeta / omega (24)
             length, mass = bobs.length_m[k], bobs.mass_kg[k]
             friction = 2.0 * self.slosh_damping[k] * np.sqrt(self.load / length) * length * mass * self.gamma_rate[k]
@@ -245,7 +245,7 @@ class Equations:
             self.rod.append(rod)
             self.damper.append(friction)
             if self.errata.bent_body_loads:
-                self.moment = self.moment - self.felt * bobs.mass_kg[k] * dot(modes.phi_hinge[:, k], self.eta)
+                self.moment = self.moment - self.specific_force * bobs.mass_kg[k] * dot(modes.phi_hinge[:, k], self.eta)
             if self.vehicle.slosh_exchange and np.all(bobs.mass_kg[k] > 0.0):
                 self._exchange(k, arm - length)
 
@@ -294,7 +294,7 @@ class Equations:
         sensors = zip(self.vehicle.sensors, self.sensor_station_m, modes.sensors, strict=True)
         for (name, _), station_m, (phi, slope) in sensors:
             if name == ACCELERATION:
-                tilted = self.felt * dot(slope, self.eta)
+                tilted = self.specific_force * dot(slope, self.eta)
                 out.append(lateral - (self.cg - station_m) * turning + dot(phi, bending) + tilted)
             else:
                 out.append(self.q + dot(slope, rates))
@@ -319,7 +319,8 @@ class Equations:
             drive = (
                 lateral - (arm - length) * turning + dot(modes.phi_hinge[:, k], bending) + 2.0 * coriolis[k] * self.q
             )
-            free = -self.felt / length * self.gamma[k] - 2.0 * self.slosh_damping[k] * natural * self.gamma_rate[k]
+            damped = 2.0 * self.slosh_damping[k] * natural * self.gamma_rate[k]
+            free = -self.specific_force / length * self.gamma[k] - damped
             swing.append(free - drive / length)
             gained = np.maximum(bobs.mass_rate_kgps[k], 0.0)
             if self.vehicle.slosh_exchange and np.all(bobs.mass_kg[k] > 0.0):
@@ -359,7 +360,7 @@ class Equations:
         others = [j for j, other in enumerate(self.loaded) if other.engine is engine and j != k]
         weight = weight - sum(engine.twist * self.swing[j] for j in others)
         bent = swing.slope[1] * dot(slope, self.eta)  # of the mode's potential, which has the tables' mass
-        return np.asarray(moment - first * (self.felt * weight - self.load * bent))
+        return np.asarray(moment - first * (self.specific_force * weight - self.load * bent))
 
 
 class Swing(NamedTuple):

@@ -92,7 +92,7 @@ def bending_moments(e: Equations, cuts: Cuts, lateral: Array, turning: Array, be
         mass, moment, square = cuts.forward[n]
         arm, spun = station * mass - moment, station * cg * mass - (station + cg) * moment + square
         row = scale * (arm * lateral - spun * turning) + couple * mass
-        row = row + scale * (cuts.modal_arm_kgm[n] @ bending - e.felt * (cuts.aside_kg[n] @ e.eta))
+        row = row + scale * (cuts.modal_arm_kgm[n] @ bending - e.specific_force * (cuts.aside_kg[n] @ e.eta))
         here = cuts.phi[n] @ e.eta
         row = row + sum(share for at, share in cuts.axial if at <= station) * drag * here
         for k in range(e.tanks):
@@ -115,7 +115,7 @@ def _of_tank(e: Equations, k: int, station: float, bottom_m: float, here: Array)
     if hinge <= station:
         row = row - (station - hinge) * e.rod[k]
     if max(hinge, bottom_m) <= station:
-        row = row - bobs.mass_kg[k] * e.felt * (phi @ e.eta - here)
+        row = row - bobs.mass_kg[k] * e.specific_force * (phi @ e.eta - here)
     if bob <= station:
         row = row - (station - bob) * e.damper[k]
     return row

@@ -2,7 +2,7 @@
 
 All starts are brought down roughly, with fewer variables where the law has a simpler form (with PD, gains linear in
 time: the filter decides which valley a start is in). What ends in the same valley is one candidate; each candidate that
-is not hopeless is then brought down to the end with all its variables. From the best, leaps: part of the variables
+can still win is then brought down to the end with all its variables. From the best, leaps: part of the variables
 thrown far off, and brought down again. Some find a better valley nearby; that the others come back is the best evidence
 that there is none. The best is polished by Newton's method.
 """

@@ -110,7 +110,7 @@ def descend(
     limits_only: bool = False,
     give_up: Callable[[int, Evaluation], bool] | None = None,
 ) -> Evaluation:
-    """Where a start ends: no step promises `tolerance_db`, or `give_up` finds it hopeless after a number of steps.
+    """Where a start ends: no step promises `tolerance_db`, or `give_up` gives it up after a number of steps.
 
     `limits_only`: bring down the largest excess, whatever the objective.
     """

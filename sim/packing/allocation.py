@@ -66,7 +66,7 @@ def moments(stage: Stage, lost: tuple[EngineFault, ...]) -> Array:
             continue
         strength = float(engine.table["thrust_vacuum_N"].max())  # the computer knows of no factor by which one deviates
         for fault in lost:
-            if fault.befalls(number):
+            if fault.affects(number):
                 strength *= 0.0 if fault.fault.loss is None else 1.0 - fault.fault.loss
         x, y, z = cg_m - engine.gimbal_station_m, engine.offset_m[0] - y_m, engine.offset_m[1] - z_m
         for plane, (f_x, f_y, f_z) in zip(("pitch", "yaw"), thrust_slopes(engine), strict=True):

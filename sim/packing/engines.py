@@ -53,7 +53,7 @@ def cluster_of(stage: Stage, faults: tuple[EngineFault, ...]) -> Cluster:
     alike: list[Alike] = []
     for n, engine in enumerate(stage.engines):
         same = engine.model_copy(update={"offset_m": (0.0, 0.0), "name": ""})
-        own = tuple(fault for fault in faults if fault.befalls(n))
+        own = tuple(fault for fault in faults if fault.affects(n))
         k = next((k for k, known in enumerate(alike) if (known.one, known.faults) == (same, own)), None)
         if k is None:
             alike.append(Alike((n,), same, own))

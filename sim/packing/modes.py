@@ -20,7 +20,7 @@ _GAUSS_NODES, _GAUSS_WEIGHTS = np.polynomial.legendre.leggauss(4)
 
 
 class Places(NamedTuple):
-    """Stations (m) at which modes act or are felt."""
+    """Stations (m) at which modes act or are sensed."""
 
     mounts: tuple[Mount, ...]  # of engines
     gyro_m: float

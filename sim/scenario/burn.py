@@ -42,7 +42,7 @@ class EngineFault:
     at_s: float
     until_s: float
 
-    def befalls(self, number: int) -> bool:
+    def affects(self, number: int) -> bool:
         """Whether an engine of this number fails."""
         return self.fault.engine in (None, number)
 
@@ -189,7 +189,7 @@ def _share(engine: Engine, number: int, faults: Sequence[EngineFault], time_s: f
     if engine.throttle is not None:
         out = float(np.interp(time_s, engine.throttle["time_s"], engine.throttle["throttle"]))
     for fault in faults:
-        if fault.befalls(number):
+        if fault.affects(number):
             out *= fault.left(time_s, before)
     return out
 

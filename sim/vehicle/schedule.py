@@ -5,8 +5,8 @@ that a kernel finds the interval once and evaluates every column in one sweep; i
 `properties` of the kernels. Fixed columns first, then eight per tank, then the modes: row by row for all modes of a
 plane side by side (pitch plane, then yaw plane). A row has room for a multiple of four modes, with zeros where there is
 no mode, so that kernels take four modes at a time. Last the spatial modes, row by row for all of them side by side:
-frequency and mass, six rows for each place at which a mode is felt (displacement along x, y, z, rotation about x, y,
-z), softening and turning. Behind them further curves of thrust.
+frequency and mass, six rows for each place at which a mode acts or is sensed (displacement along x, y, z, rotation
+about x, y, z), softening and turning. Behind them further curves of thrust.
 
 Behind the table's columns lie properties that are derived from them; `complete_modes` and `rigid.prepare_outflow`
 compute them.

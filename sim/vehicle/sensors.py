@@ -77,10 +77,10 @@ def sense(
     for k in range(sizes.sensors):
         sensor, i, place = sensors[k], first + 9 * k, sizes.gimbals - sizes.sensors + k
         if sensor.kind == ACCELEROMETER:
-            felt = force_at(sizes, place, sensor.station_m, rate, specific_force, alpha, properties, work)
+            motion = force_at(sizes, place, sensor.station_m, rate, specific_force, alpha, properties, work)
         else:
-            felt = rate_at(sizes, place, rate, properties, work)
-        sensed = sensed_rate(sensor.triad, felt)
+            motion = rate_at(sizes, place, rate, properties, work)
+        sensed = sensed_rate(sensor.triad, motion)
         for axis in range(3):
             output = lagged(sensor.triad, y, i + 2 * axis, sensed[axis], dy)
             dy[i + 6 + axis] = after_fault(faults, sensor_slots(k) + axis, output)

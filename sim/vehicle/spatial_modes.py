@@ -7,8 +7,8 @@ Phi = (0, phi, 0), Theta = (0, 0, -slope) in yaw. The quasi-velocities nu = d(et
 the roll rate; A is the share of each mode in the shape of another turned by a right angle about x (docs/model.md,
 section 4).
 
-A *place* is a station at which the modes act or are felt (schedule.py), a load six numbers: force (N) and moment (N m)
-in B on the section there; likewise six a motion: displacement and rotation.
+A *place* is a station at which the modes act or are sensed (schedule.py), a load six numbers: force (N) and moment
+(N m) in B on the section there; likewise six a motion: displacement and rotation.
 """
 
 from __future__ import annotations

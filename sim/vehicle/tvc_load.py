@@ -180,7 +180,7 @@ def _prepare_load(
         slope_y, slope_z = slope_y + bent[4], slope_z + bent[5]
         turning = add(turning, (turned[3], turned[4], turned[5]))
     at = add(engine.gimbal, scaled(-arm, engine.axis))
-    felt = add(cross(rate, cross(rate, at)), scaled(2.0, cross(rate, engine.delta_rate)))
+    apparent = add(cross(rate, cross(rate, at)), scaled(2.0, cross(rate, engine.delta_rate)))
     spin = scaled(2.0, cross(turning, cross(engine.relative_rate, engine.axis)))
     for axis in range(2):
         unknown = 2 * n + axis
@@ -202,7 +202,7 @@ def _prepare_load(
         set_vector(work, b + FORCE, force)
         set_vector(work, b + MOMENT, add(moment, scaled(-1.0, cross(offset, force))))
         work[b + INERTIA] = about_hinge * lever
-        known = moment_Nm + unbalance * dot(along, felt) - inertia * dot(along, spin)
+        known = moment_Nm + unbalance * dot(along, apparent) - inertia * dot(along, spin)
         known += unbalance * axial_load * (slope_y * along[2] - slope_z * along[1]) + about_hinge * own
         work[b + KNOWN] = known
         _modal_forces(sizes, properties, e, k, force, scaled(-inertia, turn), unknown, work)

@@ -19,7 +19,7 @@ from maxq.sim.campaign import analysis
 from maxq.sim.campaign.read import channel_units
 from maxq.sim.campaign.store import campaign_in
 from maxq.sim.packing.computer import bending_filter
-from maxq.tools.campaign_report import labels_of, pressing, tails_of
+from maxq.tools.campaign_report import labels_of, nearest_limits, tails_of
 from maxq.tools.design.pictures_loop import LoopPicture, picture_of
 from maxq.tools.plots import campaign as campaign_plots
 from maxq.tools.plots.figures import COLOURS, Panel, Plot, Series, limit, line, look, points, shape, thinned
@@ -382,7 +382,7 @@ def _campaign(found: Verification, number: int) -> list[Plot]:
     data = analysis.DataSet(result.folder, campaign_in(result.folder), result.runs)
     sample = analysis.sample_of(data)
     inputs = analysis.inputs_of(sample) if result.runs else {}
-    drivers = [(v, analysis.drivers(sample, v.metric, inputs)) for v in pressing(result.verdicts)]
+    drivers = [(v, analysis.drivers(sample, v.metric, inputs)) for v in nearest_limits(result.verdicts)]
     return campaign_plots.plots(
         data, result.verdicts, tails_of(data, result.verdicts), analysis.bands(data.folder, data.campaign),
         channel_units(data.campaign.base), drivers, inputs, sample, labels_of(data.campaign), f"campaign-{number + 1}-",
