@@ -21,19 +21,7 @@ import numpy as np
 
 from maxq.control.kernel.records import Array
 from maxq.control.structures import MAX_SECTIONS
-from maxq.design.certificate.excitation import (
-    DITHER_HZ,
-    LOWEST_BURST_HZ,
-    Excited,
-    Groups,
-    burst_rad,
-    dither,
-    gimbal_injection,
-    injections,
-    linear_room,
-    sine,
-    sine_burst,
-)
+from maxq.design.certificate import excitation
 from maxq.design.certificate.held_flight import Change, HeldFlight, unchanged
 from maxq.design.certificate.response import UNEXPLAINED
 from maxq.design.loop.fixed_path import fixed_path
@@ -99,7 +87,7 @@ def burst_test(frequency_hz: float, build_up_1ps: float = 0.0) -> BurstTest:
     """
     if frequency_hz < SLOWEST_HZ:
         return BurstTest(0.0, 8.0, 40.0, 120.0, 40.0 / 3.0)  # whole turns of the dither's tones in a window
-    turn, slow = 1.0 / frequency_hz, frequency_hz < LOWEST_BURST_HZ
+    turn, slow = 1.0 / frequency_hz, frequency_hz < excitation.LOWEST_BURST_HZ
     burst_s = max(3.0 * turn, min(RINGS_UP / build_up_1ps if build_up_1ps > 0.0 else 0.0, LONGEST_BURST_S))
     wait_s, watch_s = (2.0 * turn, 8.0 * turn) if slow else (6.0 * turn, max(25.0, 24.0 * turn))
     window_s = 2.0 * turn if slow else max(5.0 * turn, min(1.0, 25.0 * turn))
@@ -153,7 +141,7 @@ def measure_margin(held: HeldFlight, loop: Loop, of_loop: Margins, what: MarginN
         tried.append((linear, grown))
         return found(math.nan, TOO_SLOW if grown <= FASTEST_UNSEEN_1PS else UNEXPLAINED)
     test = burst_test(frequency, build_up_rate(altered(loop, what, linear), frequency))
-    if what == "gain_down" and burst_rad(held, test.frequency_hz) < _step_rad(held):
+    if what == "gain_down" and excitation.burst_rad(held, test.frequency_hz) < _step_rad(held):
         return found(math.nan, TOO_SMALL)
     slope = abs(_slope(loop, what, bound))
     tolerance = 0.02 if what != "delay" else 0.003 * linear
@@ -178,7 +166,7 @@ def is_too_slow(loop: Loop, what: MarginName, bound: Bound) -> bool:
     if what == "delay" or not bound.frequency_hz < SLOWEST_HZ:
         return False
     past = altered(loop, what, bound.value + BEYOND_DB).closed_poles()
-    slow = past[np.abs(past) < 2.0 * np.pi * LOWEST_BURST_HZ]
+    slow = past[np.abs(past) < 2.0 * np.pi * excitation.LOWEST_BURST_HZ]
     return bool(bound.frequency_hz > 0.0 and slow.real.max(initial=-math.inf) < SLOWEST_1PS)
 
 
@@ -228,24 +216,24 @@ def _slope(loop: Loop, what: MarginName, bound: Bound) -> float:
     return float(np.ptp([p[np.argmin(np.abs(p - place))].real for p in (low, high)]) / (2.0 * step))
 
 
-def measured_growth(held: HeldFlight, loop: Excited, test: BurstTest, change: Change = unchanged) -> float:
+def measured_growth(held: HeldFlight, loop: excitation.Excited, test: BurstTest, change: Change = unchanged) -> float:
     """Growth rate (1/s) of the free response in flight; NaN where the flight ended early. `loop` sets the dither."""
-    amplitude = burst_rad(held, test.frequency_hz, test.growth)
+    amplitude = excitation.burst_rad(held, test.frequency_hz, test.growth)
     swings = test.frequency_hz > 0.0
     signals: tuple[Injection, ...] = (
-        sine(held, test.frequency_hz, amplitude, test.burst_s)
+        excitation.sine(held, test.frequency_hz, amplitude, test.burst_s)
         if swings
-        else gimbal_injection(held.plane, "step", amplitude, stop_s=round(test.burst_s, 6)),
+        else excitation.gimbal_injection(held.plane, "step", amplitude, stop_s=round(test.burst_s, 6)),
     )
     step_rad = _step_rad(held)
     if test.frequency_hz > DITHER_ABOVE_HZ:
-        signals += injections(dither(held, loop, np.array(DITHER_HZ)), held.plane)
+        signals += excitation.injections(excitation.dither(held, loop, np.array(excitation.DITHER_HZ)), held.plane)
     elif test.frequency_hz < FINE_BELOW_HZ and amplitude * test.growth < FEW_STEPS * step_rad:
-        signals += injections(fine_dither(held), held.plane)
+        signals += excitation.injections(fine_dither(held), held.plane)
     run, values = held.fly(test.duration_s, signals, change)
     response = values[:, run.table.index(f"filtered_{held.plane}_deg")]
     first = round((test.burst_s + test.wait_s) / held.sample_s)
-    limit = math.degrees(linear_room(held, test.frequency_hz)[0])
+    limit = math.degrees(excitation.linear_room(held, test.frequency_hz)[0])
     over = np.flatnonzero(np.abs(response) > limit)
     if swings and test.frequency_hz < FINE_BELOW_HZ and len(over):  # what comes after it is another motion
         response = response[: over[0]]
@@ -255,15 +243,15 @@ def measured_growth(held: HeldFlight, loop: Excited, test: BurstTest, change: Ch
     return growth_rate(response[first:], held.sample_s, test.frequency_hz, test.window_s, limit, least)
 
 
-def fine_dither(held: HeldFlight) -> Groups:
+def fine_dither(held: HeldFlight) -> excitation.Groups:
     """Two tones under which rounding has hardly a gain of its own, and that begin without a kick.
 
     A tone A sin(w t) that begins at rest leaves slow motion with the angular velocity of the impulse A / w, the mean of
     its integral. These have opposite signs, and amplitudes as their frequencies: the impulses cancel. Two alike of 50
     steps swung petrel at 125.6 s to nine times the burst's goal, from where cross-flow lift turned it over.
     """
-    low, high = DITHER_HZ
-    rooms = (FINE_SHARE * min(linear_room(held, hz)) * low / hz for hz in DITHER_HZ)
+    low, high = excitation.DITHER_HZ
+    rooms = (FINE_SHARE * min(excitation.linear_room(held, hz)) * low / hz for hz in excitation.DITHER_HZ)
     weaker = min(FINE_STEPS * _step_rad(held), *rooms)
     return [(weaker, np.array([low])), (-weaker * high / low, np.array([high]))]
 
@@ -389,7 +377,7 @@ def limit_cycle(
     held: HeldFlight, frequency_hz: float, change: Change = unchanged, watched_s: float = WATCHED_S
 ) -> LimitCycle:
     """Excite the held flight by a burst at a frequency and see where it ends; `change` may make it unstable."""
-    run, rows = held.fly(watched_s, (sine_burst(held, frequency_hz),), change)
+    run, rows = held.fly(watched_s, (excitation.sine_burst(held, frequency_hz),), change)
     command = rows[:, run.table.index(f"gimbal_{held.plane}_command_deg")]
     slosh = slosh_columns(run, held.plane)
     quarter = len(command) // 4

@@ -11,26 +11,7 @@ import numpy as np
 
 from maxq.control.kernel.jit import entry, routine
 from maxq.control.kernel.records import Array, IntArray
-from maxq.design.margins.many_curve import (
-    FASTEST,
-    ON_AXIS,
-    REAL,
-    TWO_PI,
-    At,
-    angle,
-    crossings,
-    extremes,
-    grid,
-    least_of,
-    log_size,
-    merged,
-    over,
-    refined,
-    terms,
-    value_at,
-    wrapped,
-    zeros_of_one_plus,
-)
+from maxq.design.margins import many_curve
 from maxq.design.model.state_space import ComplexArray
 
 DONE, UNSTABLE, HANDED_BACK = 0, 1, 2
@@ -52,7 +33,7 @@ _DB = 8.685889638065037
 
 
 @routine
-def _nearest(f: Array, loop: ComplexArray, at: At, out: Array) -> None:
+def _nearest(f: Array, loop: ComplexArray, at: many_curve.At, out: Array) -> None:
     """The lowest minima of |1 + L| and their frequencies, behind the margins."""
     n = len(f)
     value = np.abs(1.0 + loop)
@@ -69,8 +50,8 @@ def _nearest(f: Array, loop: ComplexArray, at: At, out: Array) -> None:
         hz = f[best]
         if 0 < best < n - 1 and value[best] < 2.0 * value.min():
             a, c, b = np.log(value[best - 1]), np.log(value[best]), np.log(value[best + 1])
-            hz = least_of(4, f[best - 1], f[best], f[best + 1], a, c, b, at)
-        out[MARGINS + place], out[MARGINS + MINIMA + place] = abs(1.0 + value_at(hz, at)), hz
+            hz = many_curve.least_of(4, f[best - 1], f[best], f[best + 1], a, c, b, at)
+        out[MARGINS + place], out[MARGINS + MINIMA + place] = abs(1.0 + many_curve.value_at(hz, at)), hz
         low[best] = False
 
 
@@ -84,7 +65,7 @@ def _one(
     n = len(poles)
     mu, alpha, beta = np.empty(n, np.complex128), np.empty(n, np.complex128), np.empty(n, np.complex128)
     direct = np.zeros(2)
-    terms(poles, residues, sample_s, rest_s, mu, alpha, beta, direct)
+    many_curve.terms(poles, residues, sample_s, rest_s, mu, alpha, beta, direct)
     periods = whole + 1
     swings = 0
     for i in range(n):
@@ -120,11 +101,11 @@ def _one(
     if m != len(start):
         return HANDED_BACK
     roots = start.copy()
-    if not zeros_of_one_plus(roots, mu, alpha, beta, every[:m], at):
+    if not many_curve.zeros_of_one_plus(roots, mu, alpha, beta, every[:m], at):
         return HANDED_BACK
     closed, m = np.empty(len(roots), np.complex128), 0
     for w in roots:
-        if abs(1.0 + w) > FASTEST:
+        if abs(1.0 + w) > many_curve.FASTEST:
             closed[m] = (
                 np.log(1.0 + w) / sample_s
                 if abs(w) > 0.1
@@ -137,7 +118,7 @@ def _one(
                 closed[m] = complex(closed[m].real, 0.0)
             m += 1
     closed = closed[:m]
-    fold = TWO_PI / sample_s
+    fold = many_curve.TWO_PI / sample_s
     open_ = np.empty(n + len(law_hz), np.complex128)
     for i in range(n):
         open_[i] = complex(poles[i].real, poles[i].imag - fold * np.round(poles[i].imag / fold))
@@ -145,7 +126,7 @@ def _one(
 
     # where the curve begins
     low = _LOWEST_HZ
-    for size in np.sort(np.abs(open_)) / TWO_PI:
+    for size in np.sort(np.abs(open_)) / many_curve.TWO_PI:
         if low / _ASYMPTOTIC < size < _ASYMPTOTIC * low:
             low = _ASYMPTOTIC * size
     if low > _DRIFT_UP_TO_HZ:
@@ -153,37 +134,37 @@ def _one(
     end = 0.5 / sample_s
     growing = 0
     for p in closed:
-        if abs(p) > TWO_PI * low and p.real >= -ON_AXIS * abs(p):
+        if abs(p) > many_curve.TWO_PI * low and p.real >= -many_curve.ON_AXIS * abs(p):
             growing += 1
-    first = value_at(low, at)
-    second = value_at(2.0 * low, at)
+    first = many_curve.value_at(low, at)
+    second = many_curve.value_at(2.0 * low, at)
     slope_at_zero = int(np.round(np.log2(abs(second) / abs(first))))
     at_zero = (4.0 * first.real - second.real) / 3.0
 
-    f = grid(open_, closed, low, end)
+    f = many_curve.grid(open_, closed, low, end)
     if len(f) == 0:
         return HANDED_BACK
     loop = np.empty(len(f), np.complex128)
     for k in range(len(f)):
-        loop[k] = value_at(f[k], at)
+        loop[k] = many_curve.value_at(f[k], at)
         if not (np.isfinite(loop[k].real) and np.isfinite(loop[k].imag)):
             return HANDED_BACK
-    f, loop = refined(f, loop, at)
+    f, loop = many_curve.refined(f, loop, at)
     if len(f) == 0:
         return HANDED_BACK
-    f, loop, m = merged(f, loop, len(f), extremes(f, loop, at), at)
-    places, kinds, ways = crossings(f, loop, at)
+    f, loop, m = many_curve.merged(f, loop, len(f), many_curve.extremes(f, loop, at), at)
+    places, kinds, ways = many_curve.crossings(f, loop, at)
     values = np.empty(len(places), np.complex128)
     for k in range(len(places)):
-        values[k] = value_at(places[k], at)
-    f, loop, m = merged(f, loop, m, places, at)
+        values[k] = many_curve.value_at(places[k], at)
+    f, loop, m = many_curve.merged(f, loop, m, places, at)
 
     _nearest(f, loop, at, out)
 
     # encirclements
     right = 0
     for p in open_:
-        right += 1 if abs(p) > TWO_PI * low and p.real > ON_AXIS * abs(p) else 0
+        right += 1 if abs(p) > many_curve.TWO_PI * low and p.real > many_curve.ON_AXIS * abs(p) else 0
     branches = 0
     for k in range(len(places)):
         if kinds[k] == 1 and values[k].real < 0.0 and 1.0 < abs(values[k]) < _FARTHEST:
@@ -191,19 +172,19 @@ def _one(
     start_loop = loop[0]
     order = -slope_at_zero if abs(start_loop) > 1.0 else 0
     if order == 0:
-        begin = 0.0 if (1.0 + start_loop).real >= 0.0 else 0.5 * TWO_PI
-        turn = wrapped(angle(1.0 + start_loop) - begin)
+        begin = 0.0 if (1.0 + start_loop).real >= 0.0 else 0.5 * many_curve.TWO_PI
+        turn = many_curve.wrapped(many_curve.angle(1.0 + start_loop) - begin)
     else:
         unit = 1.0 + 0j
         for _ in range(abs(order)):
             unit = unit * (1j if order > 0 else -1j)
-        begin = 0.0 if (start_loop * unit).real >= 0.0 else 0.5 * TWO_PI
-        arrived = begin - order * 0.25 * TWO_PI
-        turn = arrived - begin + wrapped(angle(1.0 + start_loop) - arrived)
-    turn += angle(1.0 + loop[m - 2]) - angle(1.0 + loop[0]) + TWO_PI * branches
-    ended = 0.0 if (1.0 + loop[m - 1]).real >= 0.0 else 0.5 * TWO_PI
-    turn += wrapped(ended - angle(1.0 + loop[m - 2]))
-    encircled = int(np.round(right - turn / (0.5 * TWO_PI)))
+        begin = 0.0 if (start_loop * unit).real >= 0.0 else 0.5 * many_curve.TWO_PI
+        arrived = begin - order * 0.25 * many_curve.TWO_PI
+        turn = arrived - begin + many_curve.wrapped(many_curve.angle(1.0 + start_loop) - arrived)
+    turn += many_curve.angle(1.0 + loop[m - 2]) - many_curve.angle(1.0 + loop[0]) + many_curve.TWO_PI * branches
+    ended = 0.0 if (1.0 + loop[m - 1]).real >= 0.0 else 0.5 * many_curve.TWO_PI
+    turn += many_curve.wrapped(ended - many_curve.angle(1.0 + loop[m - 2]))
+    encircled = int(np.round(right - turn / (0.5 * many_curve.TWO_PI)))
     if growing > 0 or encircled != 0:
         return UNSTABLE if growing > 0 and encircled > 0 else HANDED_BACK
     return _judged(f, loop, places, kinds, values, poles, owner, slope_at_zero, at_zero, at, out, peak_db)
@@ -212,26 +193,26 @@ def _one(
 @routine
 def _judged(
     f: Array, loop: ComplexArray, places: Array, kinds: IntArray, values: ComplexArray, poles: ComplexArray, owner:
-    IntArray, slope_at_zero: int, at_zero: float, at: At, out: Array, peak_db: float,
+    IntArray, slope_at_zero: int, at_zero: float, at: many_curve.At, out: Array, peak_db: float,
 ) -> int:  # fmt: skip  # one line for each otherwise
     """Gain, phase and delay margins, and lobes, as measure.margins and lobes.find_lobes."""
     m, end = len(f), f[-1]
     up = down = phase = delay = np.inf
     for k in range(len(places)):
         if kinds[k] == 1 and values[k].real < 0.0 and 1.0 / _FARTHEST < abs(values[k]) < _FARTHEST:
-            db = -_DB * log_size(values[k])
+            db = -_DB * many_curve.log_size(values[k])
             if db >= 0.0:
                 up = min(up, db)
             else:
                 down = min(down, -db)
         elif kinds[k] == 0:
-            lag = np.degrees(angle(-values[k])) % 360.0
+            lag = np.degrees(many_curve.angle(-values[k])) % 360.0
             delay = min(delay, lag / (360.0 * places[k]))
     if slope_at_zero == 0 and at_zero < 0.0 and abs(loop[0].imag) < 0.1 * abs(loop[0]):
         db = -_DB * np.log(abs(at_zero))
         up, down = (min(up, db), down) if db >= 0.0 else (up, min(down, -db))
     last = loop[m - 1]
-    if last.real < 0.0 and abs(last.imag) < REAL * abs(last):
+    if last.real < 0.0 and abs(last.imag) < many_curve.REAL * abs(last):
         db = -_DB * np.log(abs(last.real))
         up, down = (min(up, db), down) if db >= 0.0 else (up, min(down, -db))
 
@@ -242,9 +223,9 @@ def _judged(
         p = poles[i]
         if owner[i] == 0 or p.imag <= 0.0 or -p.real >= _LIGHT * abs(p):
             continue
-        hz = abs(p.imag / TWO_PI - np.round(p.imag / TWO_PI / fold) * fold)
+        hz = abs(p.imag / many_curve.TWO_PI - np.round(p.imag / many_curve.TWO_PI / fold) * fold)
         if f[0] < hz < f[m - 1]:
-            centre[n], width[n], whose[n] = hz, max(abs(p.real) / TWO_PI, 1e-9 * hz), owner[i]
+            centre[n], width[n], whose[n] = hz, max(abs(p.real) / many_curve.TWO_PI, 1e-9 * hz), owner[i]
             n += 1
     strength = np.empty(n, np.complex128)
     for j in range(n):
@@ -253,7 +234,7 @@ def _judged(
             hz = centre[j] + (0.0 if part == 0 else width[j] if part == 1 else -width[j])
             mirrored = hz > end
             x = max(2.0 * end - hz if mirrored else hz, f[0])
-            value = value_at(x, at)
+            value = many_curve.value_at(x, at)
             value = value.conjugate() if mirrored else value
             total += 2.0 * value if part == 0 else -value
         strength[j] = total
@@ -272,8 +253,8 @@ def _judged(
             high = _end_of_lobe(f, loop, strength, centre, width, j, nearest, deep, 1, at)
         low = max(min(low, centre[j] - _LEAST * width[j]), f[0])
         high = min(max(high, centre[j] + _LEAST * width[j]), f[m - 1])
-        low_loop = value_at(low, at)
-        high_loop = value_at(high, at)
+        low_loop = many_curve.value_at(low, at)
+        high_loop = many_curve.value_at(high, at)
         begin = np.searchsorted(f, low)
         stop = np.searchsorted(f, high, side="right")
         greatest, top = 0.0, begin
@@ -288,20 +269,20 @@ def _judged(
                 if abs(f[k] - centre[j]) < abs(f[top] - centre[j]):
                     top = k
         level = _DB * np.log(max(greatest, 1e-300))
-        shown = _DB * log_size(loop[top])
+        shown = _DB * many_curve.log_size(loop[top])
         lag = lead = np.inf
         if level > _ROUNDING_DB:
             crossed = False
             for k in range(len(places)):
                 if kinds[k] == 0 and low <= places[k] <= high:
-                    turn = np.degrees(angle(-values[k])) % 360.0
+                    turn = np.degrees(many_curve.angle(-values[k])) % 360.0
                     lag, lead, crossed = min(lag, turn), min(lead, 360.0 - turn), True
             if not crossed:
                 least = most = begin
                 for k in range(begin - 1, stop + 1):
                     value = low_loop if k < begin else high_loop if k == stop else loop[k]
                     if abs(value) >= min(1.0, greatest):
-                        turn = np.degrees(angle(-value)) % 360.0
+                        turn = np.degrees(many_curve.angle(-value)) % 360.0
                         if turn < lag:
                             lag, least = turn, k
                         if 360.0 - turn < lead:
@@ -321,7 +302,7 @@ def _judged(
             higher_db = max(higher_db, shown)
     for k in range(len(places)):
         if kinds[k] == 0 and not in_bending[k]:
-            phase = min(phase, abs(np.degrees(angle(-values[k]))))
+            phase = min(phase, abs(np.degrees(many_curve.angle(-values[k]))))
     out[0], out[1], out[2], out[3] = up, down, phase, delay
     out[4], out[5], out[6] = slosh_deg, first_deg, higher_db
     return DONE
@@ -329,7 +310,7 @@ def _judged(
 
 @routine
 def _least_turn(
-    f: Array, low: float, high: float, k: int, begin: int, stop: int, way: float, found: float, at: At
+    f: Array, low: float, high: float, k: int, begin: int, stop: int, way: float, found: float, at: many_curve.At
 ) -> float:
     """Least lag (`way` 1) or lead (-1) beside point number k of those from `begin` to `stop`, deg."""
     a = low if k - 1 < begin else f[k - 1]
@@ -338,8 +319,8 @@ def _least_turn(
         place = 0
         step = (b - a) / 16.0
         for i in range(1, 16):
-            value = value_at(a + i * step, at)
-            turn = np.degrees(angle(-value)) % 360.0
+            value = many_curve.value_at(a + i * step, at)
+            turn = np.degrees(many_curve.angle(-value)) % 360.0
             turn = turn if way > 0.0 else 360.0 - turn
             if abs(value) >= 1.0 and turn <= found:
                 found, place = turn, i
@@ -359,12 +340,12 @@ def _valley(loop: ComplexArray, k: int, deep: float) -> bool:
 @routine
 def _in_lobe(hz: float, value: complex, strength: ComplexArray, centre: Array, width: Array, j: int) -> bool:
     """Whether a point belongs to a lobe: its term is large against the rest, and the largest of all."""
-    term = strength[j] * over(complex(1.0, (hz - centre[j]) / width[j]))
+    term = strength[j] * many_curve.over(complex(1.0, (hz - centre[j]) / width[j]))
     size = abs(term)
     if size <= _SHARE * abs(value - term):
         return False
     for other in range(len(strength)):
-        if abs(strength[other] * over(complex(1.0, (hz - centre[other]) / width[other]))) > size:
+        if abs(strength[other] * many_curve.over(complex(1.0, (hz - centre[other]) / width[other]))) > size:
             return False
     return True
 
@@ -372,7 +353,7 @@ def _in_lobe(hz: float, value: complex, strength: ComplexArray, centre: Array, w
 @routine
 def _end_of_lobe(
     f: Array, loop: ComplexArray, strength: ComplexArray, centre: Array, width: Array, j: int, k: int, deep: float,
-    way: int, at: At,
+    way: int, at: many_curve.At,
 ) -> float:  # fmt: skip  # one line for each otherwise
     """Where the run of points about number k ends, up or down, as lobes._solved_ends."""
     last = len(f) - 1 if way > 0 else 0
@@ -383,14 +364,14 @@ def _end_of_lobe(
         if _valley(loop, k, deep):
             if k in (0, len(f) - 1):
                 return float(f[k])
-            a, c, b = log_size(loop[k - 1]), log_size(loop[k]), log_size(loop[k + 1])
-            return least_of(0, f[k - 1], f[k], f[k + 1], a, c, b, at)
+            a, c, b = many_curve.log_size(loop[k - 1]), many_curve.log_size(loop[k]), many_curve.log_size(loop[k + 1])
+            return many_curve.least_of(0, f[k - 1], f[k], f[k + 1], a, c, b, at)
         if not _in_lobe(f[k], loop[k], strength, centre, width, j):
             break
     outer, inner = f[k], f[k - way]
     for _ in range(22):
         x = 0.5 * (outer + inner)
-        value = value_at(x, at)
+        value = many_curve.value_at(x, at)
         if _in_lobe(x, value, strength, centre, width, j):
             inner = x
         else:
