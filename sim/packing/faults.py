@@ -1,4 +1,4 @@
-"""Faults of the scenario as writes into the array that the components read: one entry for each kind."""
+"""Faults of the scenario as writes into the array that the components read: one entry for each part."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import numpy as np
 from maxq.control.kernel.limits import MAX_FAULT_WRITES
 from maxq.sim.flight.faults import Faults
 from maxq.sim.flight.parameters import NEVER
-from maxq.sim.scenario.schema_fault import KINDS, Fault, FaultKind
+from maxq.sim.scenario.schema_fault import KINDS, Fault
 from maxq.sim.scenario.schema_scenario import Scenario
 from maxq.sim.scenario.schema_values import to_ns
 from maxq.sim.vehicle.faults import (
@@ -55,11 +55,6 @@ def _sensor(fault: Fault, axis: int, gyros: int) -> tuple[Write, ...]:
     return (Write(walk, (fault.noise_mps_rt_h or math.radians(fault.noise_deg_rt_h or 0.0)) / 60.0),)
 
 
-def _nothing(fault: Fault, axis: int, gyros: int) -> tuple[Write, ...]:
-    """What an engine does over time is known beforehand, and stands in the stage's tables (packing/schedule.py)."""
-    return ()
-
-
 def _actuator(fault: Fault, axis: int, gyros: int) -> tuple[Write, ...]:
     channel = 2 * (fault.group or 0) + axis - 1
     state = {"actuator-stuck": STUCK, "actuator-hard-over": HARD_OVER, "actuator-floating": FLOATING}[fault.kind]
@@ -67,22 +62,13 @@ def _actuator(fault: Fault, axis: int, gyros: int) -> tuple[Write, ...]:
     return Write(ACTUATOR_FAULT + channel, state), Write(ACTUATOR_ANGLE + channel, angle)
 
 
-WRITES: dict[FaultKind, Callable[[Fault, int, int], tuple[Write, ...]]] = {
-    "engine-off": _nothing,
-    "thrust-loss": _nothing,
-    "gyro-stuck": _sensor,
-    "gyro-dead": _sensor,
-    "gyro-bias": _sensor,
-    "gyro-noisy": _sensor,
-    "accelerometer-stuck": _sensor,
-    "accelerometer-dead": _sensor,
-    "accelerometer-bias": _sensor,
-    "accelerometer-noisy": _sensor,
-    "actuator-stuck": _actuator,
-    "actuator-hard-over": _actuator,
-    "actuator-floating": _actuator,
+WRITES: dict[str, Callable[[Fault, int, int], tuple[Write, ...]]] = {
+    "engine": lambda *_: (),  # what it does over time is known beforehand: packing/schedule.py
+    "gyro": _sensor,
+    "accelerometer": _sensor,
+    "actuator": _actuator,
 }
-"""What a kind of fault does on an axis (0 roll, 1 pitch, 2 yaw; 0 where the kind has no axes); of so many gyros."""
+"""What a fault of a part does on an axis (0 roll, 1 pitch, 2 yaw; 0 where the kind has no axes); of so many gyros."""
 
 
 def pack_faults(scenario: Scenario) -> Faults:
@@ -100,5 +86,5 @@ def _rows(fault: Fault, gyros: int) -> Iterator[tuple[float, ...]]:
     start_ns, stop_ns = to_ns(fault.at_s), NEVER if fault.until_s is None else to_ns(fault.until_s)
     stage, since_liftoff = -1 if fault.stage is None else fault.stage, int(fault.since == "liftoff")
     for axis in fault.axes or ("roll",):
-        for write in WRITES[fault.kind](fault, _AXIS[axis], gyros):
+        for write in WRITES[KINDS[fault.kind].part](fault, _AXIS[axis], gyros):
             yield stage, start_ns, stop_ns, since_liftoff, *write

@@ -1,7 +1,7 @@
 """Faults: what fails, when, and for how long.
 
-A kind of fault is an entry of KINDS (which keys it has), its name in FaultKind, and an entry in sim/packing/faults.py
-(what it does). Keys that no kind had before are fields of Fault.
+A kind of fault is an entry of KINDS (which keys it has) and its name in FaultKind; what faults of its part do stands in
+sim/packing/faults.py. Keys that no kind had before are fields of Fault.
 """
 
 from __future__ import annotations
