@@ -26,7 +26,7 @@ from functools import lru_cache
 from typing import Literal
 
 import numpy as np
-from scipy.special import bdtr, bdtrc, bdtrik, betainc, betaincc, betaincinv, betaln
+from scipy.special import bdtr, bdtrc, betainc, betaincc, betaincinv, betaln
 
 from maxq.control.kernel.records import Array
 
@@ -51,18 +51,8 @@ def failure_lower(failures: int, runs: int, confidence: float) -> float:
 @lru_cache(maxsize=1024)
 def allowed_failures(runs: int, success: float, confidence: float) -> int:
     """Most failures with which a fixed test of `runs` shows the requirement to be met; -1: not even with none."""
-
-    def shown(failures: int) -> bool:
-        return bool(bdtr(failures, runs, 1.0 - success) <= 1.0 - confidence)
-
-    if not runs or not shown(0):
-        return -1
-    allowed = max(math.floor(bdtrik(1.0 - confidence, runs, 1.0 - success)), 0)
-    while not shown(allowed):  # the inverse may be a rounding error off
-        allowed -= 1
-    while shown(allowed + 1):
-        allowed += 1
-    return allowed
+    p, risk = 1.0 - success, 1.0 - confidence
+    return _least(lambda k: k > runs or bool(bdtr(k, runs, p) > risk), 0) - 1
 
 
 @dataclass(frozen=True)
@@ -90,49 +80,35 @@ def judge_failures(failures: int, runs: int, success: float, confidence: float, 
     `planned`: the number of runs recorded beforehand, at which the fixed test judges; None: the any-time test.
     """
     p, risk = 1.0 - success, 1.0 - confidence
-    estimate = 1.0 - failures / runs if runs else math.nan
-    judgement, test, risks = OPEN, ANY_TIME, (risk, risk)
+    judgement, test, risk_met, risk_missed = OPEN, ANY_TIME, risk, risk
     if planned is not None:
-        test = f"fixed test of {planned} runs"
-        allowed, refused = allowed_failures(planned, success, confidence), _least_refused(planned, p, risk)
-        if runs <= planned:
-            if runs == planned:
-                judgement = MET if failures <= allowed else NOT_MET if failures >= refused else OPEN
-            low, high = failure_lower(failures, runs, confidence), failure_upper(failures, runs, confidence)
-            more = planned - runs
-            if runs == planned and judgement == OPEN:
-                more = _runs_needed(failures, runs + 1, p, _left(risk, allowed, refused, planned, p)[0]) - runs
-            return Shown(judgement, runs, failures, estimate, 1.0 - high, 1.0 - low, allowed, more, test)
-        risks = _left(risk, allowed, refused, planned, p)
-        test = f"{ANY_TIME} at {100.0 * risks[0]:.2g} % risk, which the {test} left"
-    if runs and evidence_missed(failures, runs, p) >= -math.log(risks[1]):
-        judgement = NOT_MET
-    elif runs and evidence_met(failures, runs, p) >= -math.log(risks[0]):
-        judgement = MET
-    low, high = confidence_sequence(failures, runs, confidence)
-    more = _runs_needed(failures, runs, p, risks[0]) - runs if judgement == OPEN else 0
-    allowed = _allowed_any_time(runs, p, risks[0])
-    return Shown(judgement, runs, failures, estimate, 1.0 - high, 1.0 - low, allowed, more, test)
+        test, allowed = f"fixed test of {planned} runs", allowed_failures(planned, success, confidence)
+        refused = _least(lambda k: k > planned or bool(bdtrc(k - 1, planned, p) <= risk), 1)
+        risk_met = max(risk - (float(bdtr(allowed, planned, p)) if allowed >= 0 else 0.0), 1e-300)  # what is left
+        risk_missed = max(risk - float(bdtrc(refused - 1, planned, p)), 1e-300)
 
+    def more(least: int) -> int:
+        """Further runs, `least` or more, with which so many failures are shown to be few enough at any time."""
+        needed = -math.log(risk_met)
+        return _least(lambda n: evidence_met(failures, n, p) >= needed, max(runs + least, failures, 1)) - runs
 
-def _left(risk: float, allowed: int, refused: int, planned: int, p: float) -> tuple[float, float]:
-    """Risks, of a false "met" and a false "not met", that a fixed test leaves to runs beyond it."""
-    spent = (float(bdtr(allowed, planned, p)) if allowed >= 0 else 0.0, float(bdtrc(refused - 1, planned, p)))
-    return max(risk - spent[0], 1e-300), max(risk - spent[1], 1e-300)
-
-
-def _least_refused(runs: int, p: float, risk: float) -> int:
-    """Fewest failures with which a fixed test of `runs` shows that the requirement is not met; runs + 1: none do."""
-    return _least(lambda k: k > runs or bool(bdtrc(k - 1, runs, p) <= risk), 1)
-
-
-def _runs_needed(failures: int, runs: int, p: float, risk: float) -> int:
-    """Least number of runs, `runs` or more, with which so many failures are shown to be few enough at any time."""
-
-    def enough(n: int) -> bool:
-        return evidence_met(failures, n, p) >= -math.log(risk)
-
-    return _least(enough, max(runs, failures, 1))
+    if planned is not None and runs <= planned:
+        if runs == planned:
+            judgement = MET if failures <= allowed else NOT_MET if failures >= refused else OPEN
+        low, high = failure_lower(failures, runs, confidence), failure_upper(failures, runs, confidence)
+        further = more(1) if runs == planned and judgement == OPEN else planned - runs
+    else:
+        if planned is not None:
+            test = f"{ANY_TIME} at {100.0 * risk_met:.2g} % risk, which the {test} left"
+        if runs and evidence_missed(failures, runs, p) >= -math.log(risk_missed):
+            judgement = NOT_MET
+        elif runs and evidence_met(failures, runs, p) >= -math.log(risk_met):
+            judgement = MET
+        low, high = confidence_sequence(failures, runs, confidence)
+        allowed = _least(lambda k: k > runs or evidence_met(k, runs, p) < -math.log(risk_met), 0) - 1
+        further = more(0) if judgement == OPEN else 0
+    estimate = 1.0 - failures / runs if runs else math.nan
+    return Shown(judgement, runs, failures, estimate, 1.0 - high, 1.0 - low, allowed, further, test)
 
 
 def _least(holds: Callable[[int], bool], first: int) -> int:
@@ -147,10 +123,12 @@ def _least(holds: Callable[[int], bool], first: int) -> int:
     return high
 
 
-def _allowed_any_time(runs: int, p: float, risk: float) -> int:
-    if not runs:
-        return -1
-    return _least(lambda k: k > runs or evidence_met(k, runs, p) < -math.log(risk), 0) - 1
+def last(holds: Callable[[float], bool], low: float, high: float, halvings: int) -> float:
+    """Where a condition that holds at `low`, but not at `high`, ends."""
+    for _ in range(halvings):
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if holds(middle) else (low, middle)
+    return low
 
 
 def confidence_sequence(failures: int, runs: int, confidence: float) -> tuple[float, float]:
@@ -158,17 +136,13 @@ def confidence_sequence(failures: int, runs: int, confidence: float) -> tuple[fl
     needed = -math.log(1.0 - confidence)
     share = failures / runs if runs else 0.0
 
-    def bound(evidence: Callable[[int, int, float], float], inside: float, end: float) -> float:
-        if runs == 0 or evidence(failures, runs, end) < needed:
-            return round(end)
-        outside = end
-        for _ in range(45):
-            middle = 0.5 * (inside + outside)
-            rejected = evidence(failures, runs, middle) >= needed
-            inside, outside = (inside, middle) if rejected else (middle, outside)
-        return outside
+    def bound(evidence: Callable[[int, int, float], float], end: float) -> float:
+        def rejected(p: float) -> bool:
+            return evidence(failures, runs, p) >= needed
 
-    return bound(evidence_missed, share, 1e-12), bound(evidence_met, share, 1.0 - 1e-12)
+        return last(rejected, end, share, 45) if runs and rejected(end) else round(end)
+
+    return bound(evidence_missed, 1e-12), bound(evidence_met, 1.0 - 1e-12)
 
 
 def tolerance_bound(values: Array, allowed: int, largest: bool = True) -> float:

@@ -20,9 +20,10 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import ndtri
+from scipy.special import boxcox, inv_boxcox, ndtri
 
 from maxq.control.kernel.records import Array
+from maxq.sim.campaign.statistics import last
 
 _SHARE = 0.1  # of the runs lies beyond the threshold
 _FEWEST, _MOST = 30, 500  # excesses
@@ -66,9 +67,9 @@ def tail_of(values: Array, limit: float, success: float, confidence: float, larg
         return Tail(f"{100.0 * success:g} % lies within what was flown")
     u = 0.5 * (x[n - k - 1] + x[n - k])
     y = x[n - k :] - u
-    same = np.unique(y, return_counts=True)[1].max()
-    if same > max(_PILED * k, 2):
-        return Tail(f"{same} of {k} values are equal, at {sign * x[n - k + int(np.argmax(y == _commonest(y)))]:g}")
+    different, counts = np.unique(x[n - k :], return_counts=True)
+    if counts.max() > max(_PILED * k, 2):
+        return Tail(f"{counts.max()} of {k} values are equal, at {sign * different[np.argmax(counts)]:g}")
     shape, scale = (float(part[0]) for part in fit_pareto(y[None]))
     best = _log_likelihood(y, np.array([shape]), np.array([scale]))[0]
     allowed = 0.5 * float(ndtri(0.5 + 0.5 * confidence)) ** 2
@@ -79,21 +80,19 @@ def tail_of(values: Array, limit: float, success: float, confidence: float, larg
 
     def likely(excess: float, probability: float) -> bool:
         """Whether the data allow that a value so far beyond the threshold is exceeded with that probability."""
-        ratio = np.log(beyond_u / probability)
-        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-            scales = np.where(np.abs(each) < 1e-6, excess / ratio, excess * each / np.expm1(each * ratio))
+        with np.errstate(divide="ignore"):
+            scales = excess / boxcox(beyond_u / probability, each)
         return bool(best - (_log_likelihood(y, each, scales) + chance).max() <= allowed)
 
-    quantile = _excess_at(shape, scale, p / share)
-    highest = _last(lambda e: likely(e, p), quantile, 100.0 * max(quantile, y[-1]))
+    quantile = float(_excess_at(shape, scale, p / share))
+    highest = _last(lambda e: likely(e, p), quantile, 100.0 * max(quantile, float(y[-1])))
     excess = sign * limit - u
-    beyond = share * _beyond(shape, scale, excess) if excess > 0.0 else math.nan
-    most = math.nan
+    beyond = most = math.nan
     if excess > 0.0:
+        beyond = share * float(_beyond(shape, scale, excess))
         first = math.log(max(beyond, _BEST_SEEN))
         most = math.exp(_last(lambda log_p: likely(excess, math.exp(log_p)), first, math.log(share) - 1e-9))
-    ranks = (np.arange(k) + 0.5) / k
-    expected = np.array([_excess_at(shape, scale, 1.0 - rank) for rank in ranks])
+    expected = _excess_at(shape, scale, 1.0 - (np.arange(k) + 0.5) / k)
     shown = (tuple((sign * (u + part)).tolist()) for part in (y, expected))
     return Tail(
         "", sign * u, share, shape, scale, sign * (u + quantile), sign * (u + highest), beyond, most,
@@ -127,48 +126,35 @@ def fit_pareto(y: Array) -> tuple[Array, Array]:
 
 def _log_likelihood(y: Array, shape: Array, scale: Array) -> Array:
     """(shapes,); -inf where a value lies beyond the end of the distribution."""
-    near = np.abs(shape) < 1e-6
-    xi = np.where(near, 1.0, shape)
+    xi = np.where(np.abs(shape) < 1e-6, 1e-6, shape)  # an exponential distribution, as far as digits go
     with np.errstate(divide="ignore", invalid="ignore"):
         inner = np.log1p(xi[:, None] * y / scale[:, None])
         total = -len(y) * np.log(scale) - (1.0 + 1.0 / xi) * inner.sum(axis=1)
-        total = np.where(near, -len(y) * np.log(scale) - y.sum() / scale, total)
     return np.where(np.isfinite(total) & (scale > 0.0), total, -np.inf)
 
 
-def _excess_at(shape: float, scale: float, probability: float) -> float:
+def _excess_at(shape: float, scale: float, probability: Array | float) -> Array:
     """Excess that is exceeded with a probability."""
-    log_p = math.log(probability)
-    return -scale * log_p if abs(shape) < 1e-9 else scale * math.expm1(-shape * log_p) / shape
+    return np.asarray(-scale * boxcox(probability, -shape))
 
 
-def _beyond(shape: float, scale: float, excess: float) -> float:
-    inner = 1.0 + shape * excess / scale
-    if abs(shape) < 1e-9:
-        return math.exp(-excess / scale)
-    return inner ** (-1.0 / shape) if inner > 0.0 else 0.0
+def _beyond(shape: Array | float, scale: Array | float, excess: Array | float) -> Array:
+    """Probability that an excess is exceeded; 0 beyond the end of the distribution."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.asarray(np.nan_to_num(inv_boxcox(-excess / scale, -shape), nan=0.0))
 
 
 def _last(holds: Callable[[float], bool], low: float, high: float) -> float:
-    """Where a condition that holds at `low` ends."""
+    """Where a condition that holds at `low` ends; inf where it does not end below a `high` above 0."""
     if holds(high):
         return math.inf if high > 0.0 else high
-    for _ in range(30):
-        middle = 0.5 * (low + high)
-        low, high = (middle, high) if holds(middle) else (low, middle)
-    return low
-
-
-def _commonest(y: Array) -> float:
-    found, counts = np.unique(y, return_counts=True)
-    return float(found[np.argmax(counts)])
+    return last(holds, low, high, 30)
 
 
 def _share_farther(y: Array, shape: float, scale: float) -> float:
     """Parametric bootstrap of the Anderson-Darling distance; the same samples every time."""
     uniform = np.random.default_rng(1954).random((_SAMPLES, len(y)))
-    drawn = -scale * np.log(uniform) if abs(shape) < 1e-9 else scale * np.expm1(-shape * np.log(uniform)) / shape
-    drawn.sort(axis=1)
+    drawn = np.sort(_excess_at(shape, scale, uniform), axis=1)
     distances = _distance(drawn, *fit_pareto(drawn))
     return float(np.mean(distances >= _distance(y[None], np.array([shape]), np.array([scale]))[0]))
 
@@ -176,8 +162,6 @@ def _share_farther(y: Array, shape: float, scale: float) -> float:
 def _distance(y: Array, shape: Array, scale: Array) -> Array:
     """Anderson and Darling's, (samples,), of rising excesses from the distribution fitted to them."""
     k = y.shape[1]
-    with np.errstate(divide="ignore", invalid="ignore"):
-        survival = np.exp(-np.log1p(shape[:, None] * y / scale[:, None]) / shape[:, None])
-    survival = np.clip(np.nan_to_num(survival, nan=0.0), 1e-15, 1.0 - 1e-15)
+    survival = np.clip(_beyond(shape[:, None], scale[:, None], y), 1e-15, 1.0 - 1e-15)
     weights = (2.0 * np.arange(1, k + 1) - 1.0) / k
     return np.asarray(-k - (weights * (np.log1p(-survival) + np.log(survival[:, ::-1]))).sum(axis=1))
