@@ -51,9 +51,9 @@ from maxq.design.verify.suite import (
 )
 from maxq.sim.campaign.draws import cholesky
 from maxq.sim.campaign.read import LoadedCampaign
-from maxq.sim.campaign.schema import plain_value
 from maxq.sim.campaign.statistics import allowed_failures, judge_failures, tolerance_bound
 from maxq.sim.scenario.errors import ScenarioError
+from maxq.sim.scenario.loader import told
 from maxq.sim.scenario.schema_design import Design
 
 MEASURES = {
@@ -280,7 +280,7 @@ def study(
             return nominal, table, exact
 
         depends = (node, law, flown, wanted.seed, first, len(drawn), [c.label for c in corners], wanted.corner_sigmas)
-        limits = (plain_value(wanted.three_sigma), plain_value(wanted.dispersed))
+        limits = (told(wanted.three_sigma), told(wanted.dispersed))
         found = memory.recall("margins", (*depends, *limits), work_out)
         done[0] += 1 + len(corners) + len(drawn)
         watch(done[0], total)

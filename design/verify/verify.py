@@ -71,9 +71,8 @@ from maxq.design.verify.suite import (
 from maxq.design.verify.worst import WorstVehicle, search_plane, worst_requirements
 from maxq.sim.campaign.read import LoadedCampaign, description_of
 from maxq.sim.campaign.runner import Progress
-from maxq.sim.campaign.schema import plain_value
 from maxq.sim.run.record import versions
-from maxq.sim.scenario.loader import LoadedScenario, load_scenario
+from maxq.sim.scenario.loader import LoadedScenario, load_scenario, told
 from maxq.sim.scenario.schema_design import Design
 from maxq.sim.scenario.schema_vehicle import Vehicle
 
@@ -277,7 +276,7 @@ class _Job:
                 spans = [[t for t in times_s if span.holds(t)] for span in powered_spans(self.along)]
                 return tuple(t for mine in spans for t in worst_instants(along, design, mine, wanted.nominal))
 
-            limits = plain_value(wanted.nominal)
+            limits = told(wanted.nominal)
             found = self.memory.recall("instants", (*depends, repr(design), limits), between)
             times_s = tuple(sorted({*times_s, *found}))
         return self.memory.recall("nodes", (self.along.as_flown, times_s, plane), lambda: along(times_s))
@@ -325,7 +324,7 @@ class _Job:
             run = base.run.model_copy(update={"duration_s": round(end_s - base.run.start_s, 9)})
             loaded = replace(self.scenario, scenario=base.model_copy(update={"run": run}))
             spread = resolved(wanted.three_sigma, at[0])
-            depends = (loaded.as_flown, repr(design), at, plain_value(spread), plain_value(wanted.worst))
+            depends = (loaded.as_flown, repr(design), at, told(spread), told(wanted.worst))
             search = partial(search_plane, at, design, spread, wanted.worst, loaded, name, watch, self.workers)
             out.append(self.memory.recall("worst", depends, search))
         return out

@@ -23,14 +23,14 @@ from pydantic_core import PydanticCustomError
 from maxq.sim.campaign.draws import box
 from maxq.sim.campaign.error import CampaignError
 from maxq.sim.campaign.plan import MOST_ATTEMPTS, SEED_KEY, WIND_KEY, Draw, Drawn, Ensemble, Plan, VectorWind
-from maxq.sim.campaign.schema import Campaign, CampaignFile, Disperse, plain_value, tuples
+from maxq.sim.campaign.schema import Campaign, CampaignFile, Disperse
 from maxq.sim.campaign.targets import Change, Dispersed, Refused, Target, find_target
 from maxq.sim.run.metrics import METRIC_NAMES
 from maxq.sim.scenario.documents import plain, source_of
 from maxq.sim.scenario.errors import Path as KeyPath
 from maxq.sim.scenario.errors import refuse
 from maxq.sim.scenario.files import Reading
-from maxq.sim.scenario.loader import CAMPAIGN_SECTIONS, LoadedScenario, load_scenario_text, load_with_sections
+from maxq.sim.scenario.loader import CAMPAIGN_SECTIONS, LoadedScenario, load_scenario_text, load_with_sections, told
 from maxq.sim.scenario.messages import explain, field_at
 from maxq.sim.scenario.schema_scenario import Scenario
 from maxq.sim.scenario.tables_csv import Columns, CsvTable
@@ -215,18 +215,16 @@ def load_campaign(path: str | Path, overrides: Iterable[str] = ()) -> LoadedCamp
 
 def description_of(campaign: LoadedCampaign) -> dict[str, Any]:
     """A campaign as JSON has it, files included: `campaign_from` makes the same one of it."""
-    file = plain_value(campaign.file)
-    tables = {d.name: [plain_value(table) for table in d.tables] for d in campaign.plan.draws if d.tables}
-    parts = {"campaign": file["campaign"], "disperse": file["disperse"], "wind_model": file.get("wind_model")}
-    return {"scenario": campaign.base.as_flown, **parts, "tables": tables}
+    tables = {d.name: told(d.tables) for d in campaign.plan.draws if d.tables}
+    return {"scenario": campaign.base.as_flown, "wind_model": None, **told(campaign.file), "tables": tables}
 
 
 def campaign_from(description: Mapping[str, Any], label: str = "campaign") -> LoadedCampaign:
     """The campaign of a description. Raises ScenarioError or ValidationError where it was tampered with."""
     loaded = load_scenario_text(description["scenario"], (), METRIC_NAMES, label)
     parts = {name: description[name] for name in CAMPAIGN_SECTIONS if description.get(name) is not None}
-    file = CampaignFile.model_validate(tuples(parts))
-    return made_of(loaded, file, given=tuples(description.get("tables", {})))
+    file = CampaignFile.model_validate(plain(parts))
+    return made_of(loaded, file, given=plain(description.get("tables", {})))
 
 
 def made_of(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from typing import Annotated, Any, Literal
 
 import numpy as np
@@ -206,12 +207,6 @@ class Disperse(Section):
         if "sigma" in meaningful and self.covariance is None:
             if (self.sigma is None) == (self.three_sigma is None):
                 raise refuse("needs one of sigma, three_sigma", "a number >= 0", "sigma")
-        self._check_bounds()
-        self._check_lists()
-        if self.covariance is not None:
-            self._check_covariance(self.covariance)
-
-    def _check_bounds(self) -> None:
         low, high = self.ends
         if self.distribution == "truncated-normal" and low == -high == -math.inf:
             raise refuse("needs low, high or both", "a number", "low")
@@ -219,8 +214,6 @@ class Disperse(Section):
             raise refuse("low lies above high", f"at most {high:g}", "low")
         if self.mode is not None and not low <= self.mode <= high:
             raise refuse("lies outside low .. high", f"{low:g} .. {high:g}", "mode")
-
-    def _check_lists(self) -> None:
         if self.values is not None:
             if not self.values:
                 raise refuse("is empty", "one value or more", "values")
@@ -229,6 +222,8 @@ class Disperse(Section):
         if self.distribution == "samples" and self.file is not None:
             if self.sample_column not in self.file:
                 raise refuse("the file has no such column", ", ".join(self.file.columns), "column")
+        if self.covariance is not None:
+            self._check_covariance(self.covariance)
 
     def _check_covariance(self, matrix: tuple[tuple[float, ...], ...]) -> None:
         n = len(self.keys or ())
@@ -290,30 +285,5 @@ class CampaignFile(Section):
 
 def keep_is_known(text: str) -> bool:
     """Whether `text` selects flights: see `KEEP_ALLOWED`."""
-    head, *rest = text.split(":")
-    if head == "worst":
-        return len(rest) in (1, 2) and rest[0].isdecimal() and (len(rest) == 1 or rest[1] in METRIC_NAMES)
-    if head == "failed":
-        return not rest or (len(rest) == 1 and rest[0].isdecimal())
-    return all(part.strip().isdecimal() for part in text.split(","))
-
-
-def plain_value(value: Any) -> Any:
-    """A section as JSON has it: what a campaign is identified by. Keys without a value are left out."""
-    if isinstance(value, Section):
-        items = {name: getattr(value, name) for name in type(value).model_fields}
-        return {name: plain_value(item) for name, item in items.items() if item is not None}
-    if isinstance(value, CsvTable):
-        return value.told()
-    if isinstance(value, tuple):
-        return [plain_value(item) for item in value]
-    return value
-
-
-def tuples(value: Any) -> Any:
-    """What JSON holds as the schema wants it: lists as tuples."""
-    if isinstance(value, list):
-        return tuple(tuples(item) for item in value)
-    if isinstance(value, dict):
-        return {name: tuples(item) for name, item in value.items()}
-    return value
+    found = re.fullmatch(r"worst:\d+(?::(.*))?|failed(?::\d+)?|\s*\d+\s*(?:,\s*\d+\s*)*", text)
+    return found is not None and found[1] in (None, *METRIC_NAMES)

@@ -82,10 +82,10 @@ def adopt(value: Any, source: Source) -> Any:
 
 
 def plain(value: Any) -> Any:
-    """The tree as dicts, tuples and values (texts keep their source): what the schema validates strictly."""
-    if isinstance(value, Table):
+    """A tree of TOML or JSON as dicts, tuples and values (texts keep their source): what schemas validate strictly."""
+    if isinstance(value, dict):
         return {key: plain(item) for key, item in value.items()}
-    if isinstance(value, Array):
+    if isinstance(value, list):
         return tuple(plain(item) for item in value)
     return value
 

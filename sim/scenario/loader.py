@@ -280,16 +280,17 @@ def to_toml(section: Section) -> str:
     line. (tomli-w gives each number of a list a line of its own: 56,000 lines for the nominal scenario instead of 330,
     in three times the time.)
     """
-    return "\n".join(_toml_lines(_toml_tree(section), ())) + "\n"
+    return "\n".join(_toml_lines(told(section), ())) + "\n"
 
 
-def _toml_tree(value: Any) -> Any:
+def told(value: Any) -> Any:
+    """A section as TOML and JSON have it; keys without a value are left out."""
     if isinstance(value, Section):
         fields = {(f.alias or n): getattr(value, n) for n, f in type(value).model_fields.items()}
-        return {key: _toml_tree(item) for key, item in fields.items() if item is not None}
+        return {key: told(item) for key, item in fields.items() if item is not None}
     if isinstance(value, CsvTable):
         return value.told()
-    return [_toml_tree(item) for item in value] if isinstance(value, tuple) else value
+    return [told(item) for item in value] if isinstance(value, tuple) else value
 
 
 def _toml_lines(table: dict[str, Any], path: tuple[str, ...]) -> Iterator[str]:
