@@ -9,7 +9,7 @@ with an analytic correlation in place of its tables of monthly statistics.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
@@ -58,23 +58,30 @@ class Draw:
         """Name of its random numbers: cases draw a row, the same for all columns."""
         return f"cases\0{self.entry}" if self.spec.distribution == "cases" else self.name
 
+    def results(self, values: np.ndarray) -> list[Array]:
+        """What becomes of draws at each target; nothing of texts and tables."""
+        return [] if self.is_text else [target.result(self.spec.apply, values) for target in self.targets]
+
+    def allowed(self, results: list[Array]) -> np.ndarray:
+        """Where the bounds of all targets hold, and those of the draw."""
+        low = -np.inf if self.spec.at_least is None else self.spec.at_least
+        high = np.inf if self.spec.at_most is None else self.spec.at_most
+        targets = zip(self.targets, results, strict=False)
+        good = [target.allowed(one) & (one >= low) & (one <= high) for target, one in targets]
+        return np.asarray(np.all(good, axis=0))
+
 
 @dataclass
 class Drawn:
-    """What was drawn for consecutive runs."""
+    """What was drawn for consecutive runs; `flown` and `recorded` hold Python's own numbers, texts and tables."""
 
     first: int
-    count: int
-    draws: dict[str, np.ndarray]  # by name; of texts and tables the index
-    results: dict[tuple[str, int], Array]  # by name and target: what stands in the scenario
-    seeds: np.ndarray | None
-    wind: np.ndarray | None
     redraws: np.ndarray
-    columns: Columns | None = None  # see Plan.columns
-
-
-Columns = tuple[dict[tuple[str, int], list[Any]], dict[str, list[Any]]]
-"""One value for each run: by name and target what stands in the scenario, by column what is recorded."""
+    seeds: np.ndarray | None = None
+    wind: np.ndarray | None = None
+    draws: dict[str, np.ndarray] = field(default_factory=dict)  # by name; of texts and tables the index
+    flown: dict[tuple[str, int], list[Any]] = field(default_factory=dict)  # what the scenario has, by name and target
+    recorded: dict[str, list[Any]] = field(default_factory=dict)  # what the data set has, by column; without the wind
 
 
 @dataclass(frozen=True)
@@ -89,10 +96,6 @@ class Plan:
     def own_noise(self) -> bool:
         return self.campaign.noise == "each-run"
 
-    @cached_property
-    def names(self) -> tuple[str, ...]:
-        return tuple(draw.name for draw in self.draws)
-
     def draw(self, first: int, count: int, attempt: int = 0) -> Drawn:
         """Draws of the runs `first` .. `first + count - 1`; single values out of their bounds are drawn again.
 
@@ -100,30 +103,21 @@ class Plan:
         """
         seed = self.campaign.seed
         use_sobol = self.campaign.sampling == "sobol" and attempt == 0 and bool(self.draws)
-        sobol = Sobol(seed, self.names, first, count) if use_sobol else None
-        drawn = Drawn(first, count, {}, {}, None, None, np.zeros(count, np.int64))
+        sobol = Sobol(seed, tuple(d.name for d in self.draws), first, count) if use_sobol else None
+        drawn = Drawn(first, np.zeros(count, np.int64))
         raw = {d.name: self._uniforms(d, first, count, attempt, sobol) for d in self.draws}
         groups: dict[int, list[Array]] = {}
         for d in self.draws:
-            values = self._values(d, raw[d.name], first, count, raw, groups)
-            values, results = self._within_bounds(d, values, drawn, attempt)
-            drawn.draws[d.name] = values
-            for n, result in enumerate(results):
-                drawn.results[d.name, n] = result
-        if self.own_noise:
-            drawn.seeds = seeds(seed, SEED_KEY, first, count, attempt)
+            values = self._values(d, first, raw, groups)
+            self._enter(drawn, d, values, self._within_bounds(d, values, drawn, attempt))
+        self._enter_seeds(drawn, seeds(seed, SEED_KEY, first, count, attempt))
         if self.wind is not None:
             drawn.wind = self.wind.scores(seed, first, count, attempt)
         return drawn
 
     @cached_property
-    def scores(self) -> int:
-        """Standard normal numbers that make up a run, beside its noise."""
-        return len(self.score_names)
-
-    @cached_property
     def score_names(self) -> list[str]:
-        """What each of them is: a draw, or the wind."""
+        """Of the standard normal numbers that make up a run, beside its noise: a draw, or the wind."""
         return self._streams + [f"{WIND_KEY} {k + 1}" for k in range(self.wind.size if self.wind is not None else 0)]
 
     @cached_property
@@ -135,38 +129,34 @@ class Plan:
 
         Samples, cases and profiles that are taken in turn are taken at random here.
         """
-        count, good, groups = len(z), np.ones(len(z), bool), dict[int, list[Array]]()
+        good, groups = np.ones(len(z), bool), dict[int, list[Array]]()
         u = dict(zip(self._streams, np.clip(ndtr(z.T), 1e-300, 1.0 - 1e-16), strict=False))
         raw = {d.name: u[d.stream] for d in self.draws}
-        drawn = Drawn(0, count, {}, {}, noise if self.own_noise else None, None, np.zeros(count, np.int64))
+        drawn = Drawn(0, np.zeros(len(z), np.int64))
         for d in self.draws:
-            drawn.draws[d.name] = self._values(_at_random(d), raw[d.name], 0, count, raw, groups)
-            results = [] if d.is_text else [t.result(d.spec.apply, drawn.draws[d.name]) for t in d.targets]
-            good &= self._good(d, results) if results else True
-            drawn.results |= {(d.name, n): result for n, result in enumerate(results)}
+            values = self._values(_at_random(d), 0, raw, groups)
+            results = d.results(values)
+            good &= d.allowed(results)
+            self._enter(drawn, d, values, results)
+        self._enter_seeds(drawn, noise)
         if self.wind is not None:
             drawn.wind = self.wind.of_scores(z[:, len(self._streams) :])
         return drawn, good
 
-    def columns(self, drawn: Drawn) -> Columns:
-        """The draws as Python's own numbers, texts and tables; made once for all runs of a batch. Without the wind."""
-        if drawn.columns is None:
-            flown: dict[tuple[str, int], list[Any]] = {}
-            recorded: dict[str, list[Any]] = {}
-            for d in self.draws:
-                if d.is_text:
-                    chosen_ones = drawn.draws[d.name].tolist()
-                    recorded[d.name] = [str((d.spec.values or ())[k]) for k in chosen_ones]
-                    there = [d.tables[k] for k in chosen_ones] if d.tables else recorded[d.name]
-                    lists = [there] * len(d.targets)
-                else:
-                    lists = [drawn.results[d.name, n].tolist() for n in range(len(d.targets))]
-                    recorded[d.name] = lists[0]
-                flown |= {(d.name, n): values for n, values in enumerate(lists)}
-            if drawn.seeds is not None:
-                flown[SEED_KEY, 0] = recorded[SEED_KEY] = drawn.seeds.tolist()
-            drawn.columns = flown, recorded
-        return drawn.columns
+    def _enter(self, drawn: Drawn, d: Draw, values: np.ndarray, results: list[Array]) -> None:
+        """Enter draws, and what becomes of them at each target."""
+        drawn.draws[d.name] = values
+        lists: list[list[Any]] = [result.tolist() for result in results]
+        if d.is_text:
+            texts: list[Any] = [str((d.spec.values or ())[k]) for k in values.tolist()]
+            lists = [[d.tables[k] for k in values.tolist()] if d.tables else texts] * len(d.targets)
+        drawn.recorded[d.name] = texts if d.is_text else lists[0]
+        drawn.flown |= {(d.name, n): column for n, column in enumerate(lists)}
+
+    def _enter_seeds(self, drawn: Drawn, noise: np.ndarray) -> None:
+        if self.own_noise:
+            drawn.seeds = noise
+            drawn.flown[SEED_KEY, 0] = drawn.recorded[SEED_KEY] = noise.tolist()
 
     def _uniforms(self, d: Draw, first: int, count: int, attempt: int, sobol: Sobol | None) -> Array:
         if attempt == 0 and d.spec.distribution != "cases":
@@ -177,10 +167,9 @@ class Plan:
                 return sobol(d.name)
         return uniforms(self.campaign.seed, d.stream, first, count, attempt)
 
-    def _values(
-        self, d: Draw, u: Array, first: int, count: int, raw: Mapping[str, Array], groups: dict[int, list[Array]]
-    ) -> np.ndarray:
-        spec = d.spec
+    def _values(self, d: Draw, first: int, raw: Mapping[str, Array], groups: dict[int, list[Array]]) -> np.ndarray:
+        """Draws of consecutive runs from uniform numbers by name; `groups`: correlated ones by entry, once made."""
+        spec, u = d.spec, raw[d.name]
         if d.group is not None:
             entry, position = d.group
             if entry not in groups:
@@ -192,16 +181,15 @@ class Plan:
             index = chosen(spec, u)
             return index if d.is_text else np.array([float(value) for value in spec.values])[index]
         if d.samples is not None:
-            return np.asarray(d.samples[_rows(spec.order, len(d.samples), u, first, count)])
+            return np.asarray(d.samples[_rows(spec.order, len(d.samples), u, first)])
         return quantile(spec, u, d.nominal)
 
-    def _within_bounds(self, d: Draw, values: np.ndarray, drawn: Drawn, attempt: int) -> tuple[np.ndarray, list[Array]]:
-        if d.is_text:
-            return values, []
-        results = [target.result(d.spec.apply, values) for target in d.targets]
-        good = self._good(d, results)
+    def _within_bounds(self, d: Draw, values: np.ndarray, drawn: Drawn, attempt: int) -> list[Array]:
+        """What becomes of the values at each target; those outside their bounds are drawn again, in place."""
+        results = d.results(values)
+        good = d.allowed(results)
         if good.all():
-            return values, results
+            return results
         if (d.spec.outside or self.campaign.outside) == "refuse":
             at = int(np.argmin(good))
             raise CampaignError(
@@ -212,8 +200,8 @@ class Plan:
             run = drawn.first + at
             for again in range(1, MOST_ATTEMPTS + 1):
                 new = self._single(d, run, attempt + again)
-                single = [target.result(d.spec.apply, new) for target in d.targets]
-                if self._good(d, single).all():
+                single = d.results(new)
+                if d.allowed(single).all():
                     break
             else:
                 raise CampaignError(
@@ -224,23 +212,13 @@ class Plan:
             for result, one in zip(results, single, strict=True):
                 result[at] = one[0]
             drawn.redraws[at] += again
-        return values, results
+        return results
 
     def _single(self, d: Draw, run: int, attempt: int) -> np.ndarray:
         """One draw anew; of a correlated group with new scores for all of it."""
         group = [other for other in self.draws if other.entry == d.entry] if d.group is not None else [d]
         raw = {m.name: uniforms(self.campaign.seed, m.stream, run, 1, attempt) for m in group}
-        return self._values(_at_random(d), raw[d.name], run, 1, raw, {})
-
-    def _good(self, d: Draw, results: list[Array]) -> np.ndarray:
-        good = np.ones(len(results[0]), bool)
-        for target, result in zip(d.targets, results, strict=True):
-            good &= target.allowed(result)
-            if d.spec.at_least is not None:
-                good &= result >= d.spec.at_least
-            if d.spec.at_most is not None:
-                good &= result <= d.spec.at_most
-        return good
+        return self._values(_at_random(d), run, raw, {})
 
 
 def _at_random(d: Draw) -> Draw:
@@ -255,10 +233,10 @@ def _bounds_text(d: Draw) -> str:
     return f" ({given})" if given else ""
 
 
-def _rows(order: str, available: int, u: Array, first: int, count: int) -> np.ndarray:
+def _rows(order: str, available: int, u: Array, first: int = 0) -> np.ndarray:
     """Rows or profiles: i for run i, again from the first after the last, or at random."""
     if order == "in-turn":
-        return np.arange(first, first + count) % available
+        return np.arange(first, first + len(u)) % available
     return np.minimum((u * available).astype(np.int64), available - 1)
 
 
@@ -270,12 +248,12 @@ class Ensemble:
 
     def of_scores(self, z: Array) -> np.ndarray:
         """`scores` of standard normal numbers (runs, size)."""
-        return _rows("random", len(self._profiles), ndtr(z[:, 0]), 0, len(z))[:, None]
+        return _rows("random", len(self._profiles), ndtr(z[:, 0]))[:, None]
 
     def scores(self, seed: int, first: int, count: int, attempt: int = 0) -> np.ndarray:
         """(count, 1): numbers of the profiles."""
         u = uniforms(seed, WIND_KEY, first, count, attempt)
-        return _rows(self._order, len(self._profiles), u, first, count)[:, None]
+        return _rows(self._order, len(self._profiles), u, first)[:, None]
 
     def profile(self, scores: np.ndarray) -> CsvTable:
         """The profile that follows from the scores of a run."""

@@ -194,4 +194,5 @@ def rare_failure(
             return out
 
         population = max(round(flights * SHARE_OF_FLIGHTS), FEWEST)
-        return subset_simulation(value, flown.plan.scores, population, campaign.campaign.confidence, seed, watch)
+        scores, confidence = len(flown.plan.score_names), campaign.campaign.confidence
+        return subset_simulation(value, scores, population, confidence, seed, watch)

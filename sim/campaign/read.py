@@ -101,7 +101,7 @@ class LoadedCampaign:
                     raise
                 drawn = self.plan.draw(run, 1, _JOINT * redraws)
         at = run - drawn.first
-        recorded = {name: values[at] for name, values in self.plan.columns(drawn)[1].items()}
+        recorded = {name: values[at] for name, values in drawn.recorded.items()}
         if drawn.wind is not None and self.plan.wind is not None:
             recorded |= self.plan.wind.recorded(drawn.wind[at])
         return Inputs(run, recorded, int(drawn.redraws[at]) + redraws, loaded)
@@ -132,7 +132,7 @@ class LoadedCampaign:
     def values_of(self, drawn: Drawn, run: int, names: Iterable[str] | None) -> dict[Place, Any]:
         """What a run flies of the named inputs (None: of all), e.g. its wind and its noise: for `changed`."""
         at = run - drawn.first
-        values = {place: values[at] for place, values in self.plan.columns(drawn)[0].items()}
+        values = {place: values[at] for place, values in drawn.flown.items()}
         if drawn.wind is not None and self.plan.wind is not None:
             values[WIND_KEY, 0] = self.plan.wind.profile(drawn.wind[at])
         wanted = None if names is None else set(names)
@@ -158,7 +158,7 @@ class LoadedCampaign:
     @cached_property
     def input_names(self) -> tuple[str, ...]:
         """All that is drawn for a run: names that `mixed` takes."""
-        return (*self.plan.names, *self._extra)
+        return (*(d.name for d in self.plan.draws), *self._extra)
 
     def boxes(self, sigmas: float = 3.0) -> dict[str, tuple[float, float]]:
         """Least and greatest draw of every numeric input: what a search may use."""

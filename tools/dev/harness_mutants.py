@@ -13,11 +13,16 @@ FLOWN, ALLOCATION = "design/verify/flown.py", "sim/packing/allocation.py"
 NAMED = (
     (STATISTICS, "betaincinv(failures + 1, runs - failures, «confidence»)", "1.0 - confidence", "upper bound swapped"),
     (STATISTICS, "betaincinv(failures, runs - failures + 1, «1.0 - confidence»)", "confidence", "lower bound swapped"),
-    (STATISTICS, "1.0 - success) <= «1.0 - confidence»)", "confidence", "consumer's risk for its confidence"),
+    (STATISTICS, "bool(bdtr(k, runs, p) > «risk»)", "confidence", "consumer's risk for its confidence"),
     (STATISTICS, "if runs and «evidence_missed»(failures, runs, p)", "evidence_met", "evidence of the other side"),
-    (STATISTICS, ">= -math.log(risks[«0»]):", "1", "risk of the other side"),
-    (STATISTICS, "return max(risk - spent[«0»], 1e-300)", "1", "risk that the fixed test has not spent"),
-    (STATISTICS, "return bound(«evidence_missed», share", "evidence_met", "bounds of the sequence exchanged"),
+    (STATISTICS, ">= -math.log(«risk_met»):", "risk_missed", "risk of the other side"),
+    (
+        STATISTICS,
+        "max(risk - «(float(bdtr(allowed, planned, p)) if allowed >= 0 else 0.0)», 1e-300)",
+        "0.0",
+        "risk that the fixed test has not spent",
+    ),
+    (STATISTICS, "return bound(«evidence_missed», 1e-12)", "evidence_met", "bounds of the sequence exchanged"),
     (STATISTICS, "np.where(np.isnan(values), «np.inf»", "-np.inf", "a run without a value counts as the best"),
     (
         STATISTICS,
