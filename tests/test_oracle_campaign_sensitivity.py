@@ -168,7 +168,7 @@ def test_shrinking_what_does_not_fail(tmp_path: Path, capsys: pytest.CaptureFixt
 def test_a_search_begins_all_over_the_box() -> None:
     """A Latin hypercube: each of as many equal cells of an input holds one member."""
     bounds = np.array([[-2.0, 6.0], [10.0, 11.0]])
-    first = investigation._first(["a", "b"], bounds, 16, 3, None)
+    first = investigation._first(bounds, 16)
     cells = np.floor(16.0 * (first - bounds[:, 0]) / (bounds[:, 1] - bounds[:, 0])).astype(int)
     assert [sorted(column) for column in cells.T.tolist()] == [list(range(16))] * 2
 

@@ -47,8 +47,7 @@ def watcher(bar: terminal.Progress) -> Callable[[Progress], None]:
         notes = ["none failed" if interim.failed == 0 else f"{interim.failed} failed"]
         for tally in interim.tallies:
             if tally.requirement is not None and not math.isnan(tally.worst):
-                bound = tally.requirement.limit if tally.requirement.limit is not None else tally.requirement.minimum
-                notes.append(f"{tally.name} {tally.worst:.4g} of {bound:.4g}")
+                notes.append(f"{tally.name} {tally.worst:.4g} of {tally.requirement.bound[1]:.4g}")
         count = f"{progress.done} of {progress.total} runs, {progress.rate:.1f}/s{left}"
         bar.show("flying", progress.done, progress.total, "; ".join(notes), count)
 

@@ -78,10 +78,7 @@ def execute(order: Order) -> int:
 
             view = FlownView(order.view_port)
     with Interruption() as interruption:
-
-        def stop() -> bool:
-            return interruption.requested
-
+        stop: Stop = partial(getattr, interruption, "requested")
         if order.folder is None:
             return _fly(order, stop)
         folder = Path(order.folder)
@@ -96,7 +93,7 @@ def _fly(order: Order, stop: Stop) -> int:
     start_s = time.perf_counter()
     changes = {name: value for name, value in (("runs", order.runs), ("seed", order.seed)) if value is not None}
     campaign = load_campaign(order.scenario or "", order.overrides).with_campaign(**changes)
-    folder = Path(order.out) if order.out else default_folder(campaign.name)
+    folder = Path(order.out) if order.out else Path("runs") / plain_name(campaign.name, "campaign")
     try:
         with Progress(_LINE_S) as progress:
             outcome = run_campaign(
@@ -165,8 +162,7 @@ def _refly(order: Order, folder: Path, run: int, stop: Stop, view: FlownView | N
     start_s = time.perf_counter()
     out = Path(order.out) if order.out else None
     with Progress() as progress:
-        watch = partial(show_flight, progress)
-        again = refly(folder, run, out, log=not order.no_log, watch=watch, stop=stop)
+        again = refly(folder, run, out, log=not order.no_log, watch=partial(show_flight, progress), stop=stop)
     names = [LOG_NAME] * (not order.no_log) + [SUMMARY_NAME]
     tell(report(again.flight, [again.folder / name for name in names], time.perf_counter() - start_s))
     if again.flight.outcome == "interrupted":
@@ -191,12 +187,12 @@ def _shrink(order: Order, folder: Path, run: int) -> int:
     campaign = campaign_in(folder)
     count = len(campaign.input_names)
     with Progress() as progress:
-
-        def watch(left: int, flights: int) -> None:
-            progress.show("reducing", count - left, count, f"{left} dispersions left, {flights} flights")
-
         try:
-            found = shrink_run(campaign, run, workers=order.workers or cores(), watch=watch)
+            found = shrink_run(
+                campaign, run, workers=order.workers or cores(), watch=lambda left, flights: progress.show(
+                    "reducing", count - left, count, f"{left} dispersions left, {flights} flights"
+                ),
+            )  # fmt: skip  # two more lines otherwise
         except Refused as refused:
             raise CampaignError(f"run {run} of {folder} has no scenario: {refused}") from None
     if found is None:
@@ -228,21 +224,17 @@ def _search(order: Order, folder: Path, stop: Stop) -> int:
         raise CampaignError(f"--search {metric}: there is no such metric; {hint or ', '.join(METRIC_NAMES)}")
     campaign, most = campaign_in(folder), order.runs or _SEARCH_FLIGHTS
     limits = [r for r in campaign.base.scenario.requirement if r.metric == metric]
-    largest = not (limits and limits[0].minimum is not None)
+    largest = not limits or limits[0].bound[0] == "limit"
     data = DataSet(folder, campaign)
     values = data.numbers(metric)
     good = np.flatnonzero(np.isfinite(values) & ~data.void)
     at = int(good[np.argmax(values[good]) if largest else np.argmin(values[good])]) if len(good) else None
     start = None if at is None else int(data.runs[at])
-    workers = order.workers or cores()
     with Progress() as progress:
-
-        def watch(best: float, flown: int) -> None:
-            progress.show("searching", flown, most, f"worst {figures(best)}")
-
         found = search_worst(
-            campaign, metric, largest=largest, flights=most, start=start, workers=workers, watch=watch, stop=stop
-        )
+            campaign, metric, largest=largest, flights=most, start=start, workers=order.workers or cores(), stop=stop,
+            watch=lambda best, flown: progress.show("searching", flown, most, f"worst {figures(best)}"),
+        )  # fmt: skip  # six more lines otherwise
     path = folder / "worst" / f"{metric}.toml"
     write_whole(path, found.scenario.as_flown, CampaignError)
     unit = "" if unit_of(metric) == "1" else f" {unit_of(metric)}"
@@ -250,18 +242,15 @@ def _search(order: Order, folder: Path, stop: Stop) -> int:
     if at is not None:
         worst = float(values[at])
         more = f"{100.0 * (found.value / worst - 1.0):+.1f} %" if worst else f"{found.value - worst:+.4g}{unit}"
-        tell(
-            f"worst of the campaign's {len(data.runs)} runs: {figures(worst)}{unit} (run {start}); the search: {more},"
-        )
-        tell("with that run's wind and noise")
+        of = f"worst of the campaign's {len(data.runs)} runs: {figures(worst)}{unit} (run {start})"
+        tell(f"{of}; the search: {more},", "with that run's wind and noise")
     boxes, labels = campaign.boxes(), text.labels_of(campaign)
     rows = []
     for name, value in found.draws.items():
         low, high = boxes[name]
         place = 2.0 * (value - low) / (high - low) - 1.0 if high > low else 0.0
         rows.append((printable(labels.get(name, name)), name, figures(value), f"{place:+.2f}"))
-    tell("draws, and where they lie in the box (-1 .. 1):")
-    tell(*aligned(rows, "  ", right=(2, 3)))
+    tell("draws, and where they lie in the box (-1 .. 1):", *aligned(rows, "  ", right=(2, 3)))
     tell("fly it with:", f"  simrun {path}")
     return Exit.OK if found.flight.passed else Exit.FAILED
 
@@ -274,19 +263,15 @@ def _rare(order: Order, folder: Path, stop: Stop) -> int:
         known = [r.metric for r in campaign.base.scenario.requirement]
         hint = suggestion(metric, known) or f"allowed: {', '.join(known)}"
         raise CampaignError(f"--rare {metric}: the campaign has no requirement of that metric; {hint}")
-    largest = asked[0].minimum is None
-    limit = asked[0].limit if asked[0].limit is not None else asked[0].minimum
-    assert limit is not None
-    most = order.runs or _RARE_FLIGHTS
+    kind, limit = asked[0].bound
+    largest, most = kind == "limit", order.runs or _RARE_FLIGHTS
     with Progress() as progress:
-
-        def watch(number: int, level: int, flights: int) -> None:
-            progress.show("sampling", min(flights, most), most, f"population {number + 1}, level {level}")
-
         found = rare_failure(
-            campaign, metric, limit, largest=largest, flights=most, seed=campaign.campaign.seed,
-            workers=order.workers or cores(), watch=watch, stop=stop,
-        )  # fmt: skip  # six more lines otherwise
+            campaign, metric, limit, largest=largest, flights=most, workers=order.workers or cores(), stop=stop,
+            watch=lambda number, level, flights: progress.show(
+                "sampling", min(flights, most), most, f"population {number + 1}, level {level}"
+            ),
+        )  # fmt: skip  # five more lines otherwise
     unit = "" if unit_of(metric) == "1" else f" {unit_of(metric)}"
     level, allowed = 100.0 * campaign.campaign.confidence, 1.0 - campaign.campaign.success
     tell(f"P({metric} {'>' if largest else '<'} {limit:g}{unit}) = {found.probability:.2g}")
@@ -298,8 +283,7 @@ def _rare(order: Order, folder: Path, stop: Stop) -> int:
         (f"population {n + 1}", f"{one.probability:.2g}", ", ".join(f"{limit + sign * v:.4g}" for v in one.levels))
         for n, one in enumerate(found.each)
     ]
-    tell("each, and the values that one flight in ten of the level before is beyond:")
-    tell(*aligned(rows, "  ", right=(1,)))
+    tell("each, and the values that one flight in ten of the level before is beyond:", *aligned(rows, "  ", right=(1,)))
     if any(one.stuck for one in found.each):
         tell("a population came to a value that no flight went beyond: bounds from below are not known")
     if found.nearest is not None:
@@ -323,7 +307,3 @@ def _nearest(campaign: LoadedCampaign, folder: Path, metric: str, point: tuple[n
     largest = np.argsort(-np.abs(z), kind="stable")[:5]
     said = ", ".join(f"{printable(labels.get(names[k], names[k]))} {z[k]:+.1f}" for k in largest)
     return [f"likeliest miss found, {float(np.linalg.norm(z)):.1f} sigma in all: {said}", f"{path}: fly it with simrun"]
-
-
-def default_folder(name: str) -> Path:
-    return Path("runs") / plain_name(name, "campaign")

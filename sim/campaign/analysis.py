@@ -199,8 +199,7 @@ def _judged(data: DataSet, name: str, requirement: Requirement | None) -> Judged
 
     if requirement is None:
         return Judged(name, "", "", "", math.nan, verdict(~data.kept), math.nan, math.nan, math.nan, ())
-    kind, bound = ("limit", requirement.limit) if requirement.limit is not None else ("minimum", requirement.minimum)
-    assert bound is not None
+    kind, bound = requirement.bound
     upper = kind == "limit"
     values = data.numbers(requirement.metric).copy()
     values[data.void] = np.nan

@@ -162,13 +162,8 @@ def correlated(matrix: tuple[tuple[float, ...], ...], scores: list[Array]) -> li
     Draw j depends on the scores of keys 0 .. j. Sums are written out, so that they do not depend on the processor.
     """
     factor = cholesky(np.array(matrix))
-    out = []
-    for row, _ in enumerate(scores):
-        total = np.zeros_like(scores[0])
-        for column in range(row + 1):
-            total = total + factor[row, column] * scores[column]
-        out.append(total)
-    return out
+    nothing = np.zeros_like(scores[0])
+    return [sum((factor[j, k] * scores[k] for k in range(j + 1)), nothing) for j in range(len(scores))]
 
 
 def cholesky(matrix: Array) -> Array:

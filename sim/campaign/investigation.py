@@ -15,7 +15,7 @@ import numpy as np
 from maxq.control.kernel.records import Array
 from maxq.sim.campaign.analysis import DataSet
 from maxq.sim.campaign.error import CampaignError
-from maxq.sim.campaign.plan import SEED_KEY, WIND_KEY, Drawn
+from maxq.sim.campaign.plan import SEED_KEY, WIND_KEY
 from maxq.sim.campaign.read import LoadedCampaign
 from maxq.sim.campaign.runs import VOID, fly_scenario, recorded_row, schema_of, table_of
 from maxq.sim.campaign.store import campaign_in
@@ -28,6 +28,7 @@ from maxq.sim.run.record import record
 from maxq.sim.scenario.loader import LoadedScenario
 
 SIGMAS = 3.0
+_SEED = 1  # of the search
 
 
 @dataclass(frozen=True)
@@ -193,7 +194,6 @@ def search_worst(
     *,
     largest: bool = True,
     flights: int = 2000,
-    seed: int = 1,
     start: int | None = None,
     workers: int = 1,
     watch: Callable[[float, int], None] = lambda best, flown: None,
@@ -231,7 +231,9 @@ def search_worst(
         return -math.inf if flight.outcome in VOID or math.isnan(value) else sign * value
 
     population = min(max(4 * len(names), 16), max(flights // 4, 8))
-    first = _first(names, bounds, population, seed, drawn)
+    first = _first(bounds, population)
+    if drawn is not None:
+        first[0] = np.clip([float(drawn.draws[name][0]) for name in names], bounds[:, 0], bounds[:, 1])
     with ThreadPoolExecutor(workers) as pool:
 
         def together(function: Callable[[Array], float], xs: Any) -> list[float]:
@@ -250,7 +252,7 @@ def search_worst(
         box: Any = bounds.tolist()
         differential_evolution(
             cost, box, init=first, workers=together, updating="deferred", polish=False, tol=1e-6,
-            maxiter=max(flights // population - 1, 0), rng=np.random.default_rng(seed), callback=enough,
+            maxiter=max(flights // population - 1, 0), rng=np.random.default_rng(_SEED), callback=enough,
         )  # fmt: skip  # eight more lines otherwise
     scenario = scenario_of(best[0][1])
     flight = fly_scenario(scenario)
@@ -258,12 +260,9 @@ def search_worst(
     return Found(metric, flight.metrics[metric], draws, scenario, flight, flown[0] + 1)
 
 
-def _first(names: list[str], bounds: Array, population: int, seed: int, drawn: Drawn | None) -> Array:
-    """The first generation: a Latin hypercube over the box, and the run that the search begins with."""
-    rng = np.random.default_rng(seed)
-    cells = np.stack([rng.permutation(population) for _ in names], axis=1)
+def _first(bounds: Array, population: int) -> Array:
+    """The first generation: a Latin hypercube over the box."""
+    rng = np.random.default_rng(_SEED)
+    cells = np.stack([rng.permutation(population) for _ in bounds], axis=1)
     u = (cells + rng.random(cells.shape)) / population
-    points = bounds[:, 0] + u * (bounds[:, 1] - bounds[:, 0])
-    if drawn is not None:
-        points[0] = np.clip([float(drawn.draws[name][0]) for name in names], bounds[:, 0], bounds[:, 1])
-    return np.asarray(points)
+    return np.asarray(bounds[:, 0] + u * (bounds[:, 1] - bounds[:, 0]))

@@ -19,6 +19,7 @@ import math
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from scipy.special import stdtrit
@@ -91,10 +92,7 @@ def subset_simulation(
     each = list[Population]()
     for number in range(POPULATIONS):
         flown = sum(one.flights for one in each)
-
-        def told(level: int, flights: int, number: int = number, flown: int = flown) -> None:
-            watch(number, level, flown + flights)
-
+        told = partial(lambda number, flown, level, flights: watch(number, level, flown + flights), number, flown)
         each.append(_population(value, scores, population, np.random.default_rng([seed, number]), told))
     p = np.array([one.probability for one in each])
     mean = float(p.mean())
@@ -138,10 +136,8 @@ def _population(
         p *= len(beyond) / n
         levels.append(level)
         z, noise, v = z[beyond], noise[beyond], v[beyond]
-        kept_z, kept_noise, kept_v, count = [z], [noise], [v], len(v)
-        for step in range(1, math.ceil(n / len(beyond)) + 1):
-            if count >= n:
-                break
+        kept = [(z, noise, v)]
+        for step in range(1, math.ceil(n / len(beyond))):
             move = math.sqrt(1.0 - step_size**2) * z + step_size * rng.normal(size=z.shape)
             fresh = np.where(rng.random(len(z)) < step_size, rng.integers(2**62, size=len(z)), noise)
             there = value(move, fresh)
@@ -149,13 +145,10 @@ def _population(
             accepted = there > level
             z, noise = np.where(accepted[:, None], move, z), np.where(accepted, fresh, noise)
             v = np.where(accepted, there, v)
-            kept_z.append(z)
-            kept_noise.append(noise)
-            kept_v.append(v)
-            count += len(v)
+            kept.append((z, noise, v))
             step_size = float(np.clip(step_size * math.exp((accepted.mean() - _ACCEPTED) / math.sqrt(step)), 0.05, 1.0))
             watch(len(levels), flights)
-        z, noise, v = np.concatenate(kept_z)[:n], np.concatenate(kept_noise)[:n], np.concatenate(kept_v)[:n]
+        z, noise, v = (np.concatenate(parts)[:n] for parts in zip(*kept, strict=True))
 
 
 def rare_failure(
@@ -165,15 +158,14 @@ def rare_failure(
     *,
     largest: bool = True,
     flights: int = 10_000,
-    seed: int = 1,
     workers: int = 1,
     watch: Callable[[int, int, int], None] = lambda number, level, flights: None,
     stop: Callable[[], bool] = lambda: False,
 ) -> Rare:
     """Probability that a flight's metric lies beyond its limit, with about `flights` of them.
 
-    What is drawn is what the campaign draws: [[disperse]], wind and noise. A flight without usable metrics misses every
-    limit. Raises KeyboardInterrupt where `stop` says so.
+    What is drawn is what the campaign draws, from its seed: [[disperse]], wind and noise. A flight without usable
+    metrics misses every limit. Raises KeyboardInterrupt where `stop` says so.
     """
     flown = campaign.with_campaign(envelope=Envelope(runs=0))
     sign = 1.0 if largest else -1.0
@@ -194,5 +186,5 @@ def rare_failure(
             return out
 
         population = max(round(flights * SHARE_OF_FLIGHTS), FEWEST)
-        scores, confidence = len(flown.plan.score_names), campaign.campaign.confidence
-        return subset_simulation(value, scores, population, confidence, seed, watch)
+        scores, wanted = len(flown.plan.score_names), campaign.campaign
+        return subset_simulation(value, scores, population, wanted.confidence, wanted.seed, watch)

@@ -68,7 +68,7 @@ class Tally:
         else:
             missed = void or not judge(self.requirement, metrics, metrics).met
             value = math.nan if void else metrics[self.requirement.metric]
-            worse = max if self.requirement.limit is not None else min
+            worse = max if self.requirement.bound[0] == "limit" else min
             self.worst = value if math.isnan(self.worst) else worse(self.worst, value)
         self.failures += missed
         return missed

@@ -11,7 +11,6 @@ from typing import Any
 
 import numpy as np
 import pyarrow as pa
-from numpy.typing import NDArray
 
 from maxq.control.kernel.records import Array
 from maxq.sim.campaign.plan import SEED_KEY, Drawn
@@ -58,15 +57,7 @@ class Row:
     inputs: dict[str, Any]
     metrics: dict[str, float]
     times_s: dict[str, float]
-    history: History | None = field(default=None, repr=False)
-
-
-@dataclass(frozen=True)
-class History:
-    """Thinned-out channels of one run: `time_s` (n,), `values` (channels, n)."""
-
-    time_s: NDArray[np.float32]
-    values: NDArray[np.float32]
+    history: tuple[Array, Array] | None = field(default=None, repr=False)  # times (n,), s, and values (channels, n)
 
 
 def fly_rows(loaded: LoadedCampaign, orders: Iterable[Order], stop: Callable[[], bool] = lambda: False) -> list[Row]:
@@ -146,8 +137,8 @@ class _Run:
             with self._errors_recorded():
                 row = recorded_row(self.made, self.flight.result())
                 if self.envelope is not None:
-                    times, values = (np.concatenate([part[i] for part in self.kept], axis=-1) for i in (0, 1))
-                    row.history = History(times.astype(np.float32), values.astype(np.float32))
+                    times, values = zip(*self.kept, strict=True)
+                    row.history = np.concatenate(times), np.concatenate(values, axis=-1)
                 self.row = row
         assert self.row is not None
         return self.row
@@ -259,8 +250,8 @@ def history_table(rows: Sequence[Row], channels: Sequence[str]) -> pa.Table:
     lists = [pa.field(name, pa.list_(pa.float32())) for name in ("time_s", *channels)]
     schema = pa.schema([pa.field("run", pa.int64(), False), *lists])
     kept = sorted(((r.run, r.history) for r in rows if r.history is not None), key=lambda item: item[0])
-    columns: list[Any] = [[run for run, _ in kept], [history.time_s for _, history in kept]]
-    return _table([*columns, *([history.values[n] for _, history in kept] for n in range(len(channels)))], schema)
+    columns: list[Any] = [[run for run, _ in kept], [times_s for _, (times_s, _) in kept]]
+    return _table([*columns, *([values[n] for _, (_, values) in kept] for n in range(len(channels)))], schema)
 
 
 def _table(columns: Sequence[Sequence[Any]], schema: pa.Schema) -> pa.Table:

@@ -291,11 +291,7 @@ class Verdict:
 
     @property
     def bound(self) -> tuple[str, float]:
-        """`limit` or `minimum`, and its value."""
-        if self.requirement.limit is not None:
-            return "limit", self.requirement.limit
-        assert self.requirement.minimum is not None
-        return "minimum", self.requirement.minimum
+        return self.requirement.bound
 
     @property
     def wanted(self) -> str:
@@ -306,12 +302,8 @@ class Verdict:
 
 def judge(requirement: Requirement, values: Mapping[str, float], times_s: Mapping[str, float]) -> Verdict:
     """A value that is not a number meets no requirement. Raises KeyError for an unknown metric."""
-    value = values[requirement.metric]
-    if requirement.limit is not None:
-        met = value <= requirement.limit
-    else:
-        assert requirement.minimum is not None
-        met = value >= requirement.minimum
+    value, (kind, bound) = values[requirement.metric], requirement.bound
+    met = value <= bound if kind == "limit" else value >= bound
     return Verdict(requirement, value, times_s[requirement.metric], met)
 
 

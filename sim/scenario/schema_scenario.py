@@ -293,6 +293,11 @@ class Requirement(Section):
     minimum: float | None = optional("at least this")
     name: str = optional("shown to people (default: the metric)", "")
 
+    @property
+    def bound(self) -> tuple[str, float]:
+        """`limit` or `minimum`, and its value."""
+        return ("limit", self.limit) if self.limit is not None else ("minimum", self.minimum or 0.0)
+
     @model_validator(mode="after")
     def _judges(self, info: ValidationInfo) -> Requirement:
         self.at_most_one("limit", "minimum")

@@ -170,10 +170,8 @@ class ReplayFlight:
         out = []
         for r in self.scenario.requirement if self.scenario is not None else ():
             name = r.name or r.metric
-            kind, bound = ("limit", r.limit) if r.limit is not None else ("minimum", r.minimum)
             about = judged.get((name, r.metric), {})
-            assert bound is not None  # the schema asks for one of them
-            out.append(Requirement(name, kind, bound, unit_of(r.metric), about.get("value"), about.get("met")))
+            out.append(Requirement(name, *r.bound, unit_of(r.metric), about.get("value"), about.get("met")))
         return tuple(out)
 
 
