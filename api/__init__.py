@@ -36,8 +36,8 @@ if TYPE_CHECKING:  # for type checkers and editors; _HOMES says the same to the 
     from maxq.sim.run.flight import Flight
     from maxq.sim.run.fly import FlightRun
     from maxq.sim.run.record import record
-    from maxq.sim.scenario.builtin import builtin_names
     from maxq.sim.scenario.errors import ScenarioError
+    from maxq.sim.scenario.files import builtin_names
     from maxq.sim.scenario.loader import LoadedScenario
 
 __all__ = [
@@ -58,8 +58,8 @@ _HOMES = {
     "maxq.sim.log.reader": ("Log",),
     "maxq.sim.run.fly": ("Flight", "FlightRun"),
     "maxq.sim.run.record": ("record",),
-    "maxq.sim.scenario.builtin": ("builtin_names",),
     "maxq.sim.scenario.errors": ("ScenarioError",),
+    "maxq.sim.scenario.files": ("builtin_names",),
     "maxq.sim.scenario.loader": ("LoadedScenario",),
 }
 

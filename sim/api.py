@@ -18,8 +18,8 @@ from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from maxq.sim.scenario.builtin import builtin_names
 from maxq.sim.scenario.errors import ScenarioError
+from maxq.sim.scenario.files import builtin_names
 
 if TYPE_CHECKING:
     from maxq.sim.log.head import LogError

@@ -20,7 +20,7 @@ import pytest
 
 from maxq.design.verify.suite import LoadedSuite, read_suite
 from maxq.design.verify.verify import Verification, verify
-from maxq.sim.scenario.builtin import builtin_files
+from maxq.sim.scenario.files import builtin_files
 
 SUITE = """
 schema = 1

@@ -22,7 +22,7 @@ from threadpoolctl import threadpool_limits
 
 from maxq.sim.packing.pendulums import WAVE_PER_SWING, XI
 from maxq.sim.packing.slosh_modes import MEASURED_OVER_LAMINAR, modes_over, slosh_modes
-from maxq.sim.scenario.tank_profile import Profile
+from maxq.sim.scenario.schema_tank import Profile
 
 SPHERE = Profile(1.0, 0.0, 1.0)
 

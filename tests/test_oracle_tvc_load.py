@@ -41,7 +41,7 @@ from maxq.control.kernel.records import Array
 from maxq.design.model.node import nodes_along
 from maxq.design.model.plant import vehicle_plant
 from maxq.design.model.vehicle_at import VehicleAt
-from maxq.sim.scenario.builtin import scenarios_folder
+from maxq.sim.scenario.files import scenarios_folder
 from maxq.sim.scenario.loader import load_scenario
 from maxq.sim.vehicle import state as layout
 from maxq.sim.vehicle import workspace

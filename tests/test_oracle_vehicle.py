@@ -320,7 +320,7 @@ def test_rigid_limits_follow_actuator_and_mode_1(layout: Layout) -> None:
 
 
 def _petrel() -> Path:
-    from maxq.sim.scenario.builtin import builtin_files  # noqa: PLC0415  # only here
+    from maxq.sim.scenario.files import builtin_files  # noqa: PLC0415  # only here
 
     return builtin_files("layout")["petrel"]
 

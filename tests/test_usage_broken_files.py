@@ -18,8 +18,8 @@ from maxq.design.case.schema import read_case
 from maxq.design.laws.schedule import UnsolvableError, lowest_above
 from maxq.design.verify.suite import read_suite
 from maxq.sim.campaign.read import load_campaign
-from maxq.sim.scenario.builtin import builtin_files
 from maxq.sim.scenario.errors import ScenarioError
+from maxq.sim.scenario.files import builtin_files
 from maxq.sim.scenario.loader import load_scenario
 from maxq.sim.scenario.ranges import RANGES, range_of
 from maxq.tools import simdesign, simrun, simverify

@@ -8,8 +8,8 @@ import petrelkit as petrel
 import pytest
 
 from maxq.design.case.schema import read_case
-from maxq.sim.scenario.builtin import builtin_files
 from maxq.sim.scenario.errors import ScenarioError
+from maxq.sim.scenario.files import builtin_files
 
 
 def test_built_in_cases_are_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

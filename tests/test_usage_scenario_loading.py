@@ -13,9 +13,8 @@ import pytest
 from pydantic import ValidationError
 from scenario_files import ASCENT, TABLES, write_ascent, write_free
 
-from maxq.sim.scenario import builtin
-from maxq.sim.scenario.builtin import builtin_files, builtin_names
 from maxq.sim.scenario.errors import ScenarioError
+from maxq.sim.scenario.files import builtin_files, builtin_names, scenarios_folder
 from maxq.sim.scenario.loader import LoadedScenario, copy_scenario, load_scenario, load_scenario_text
 from maxq.sim.scenario.schema_values import is_whole_ns, period_ns, to_ns
 
@@ -337,7 +336,7 @@ def shipped(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     (root / "checkcases").mkdir()
     (root / "checkcases" / "windy.toml").write_text('extends = "../ascent"\n[wind]\nfactor = 2.0\n')
     (root / "vehicles" / "rocket" / "NOTES.md").write_text("notes\n")
-    for module in ("builtin", "loader", "files"):
+    for module in ("loader", "files"):
         monkeypatch.setattr(f"maxq.sim.scenario.{module}.scenarios_folder", lambda: root)
     empty = tmp_path / "elsewhere"
     empty.mkdir()
@@ -367,7 +366,7 @@ def test_a_copy_stands_on_its_own(shipped: Path, tmp_path: Path, monkeypatch: py
     copied = copy_scenario("checkcases/windy", "mine")
     assert copied == Path("mine/checkcases/windy.toml")
     assert not Path("mine/vehicles/rocket/NOTES.md").exists()  # nothing that the scenario does not read
-    for module in ("builtin", "loader", "files"):
+    for module in ("loader", "files"):
         monkeypatch.setattr(f"maxq.sim.scenario.{module}.scenarios_folder", lambda: tmp_path / "gone")
     after = load_scenario(copied)
     assert same_bits(before, after)
@@ -395,7 +394,7 @@ def test_every_built_in_scenario_loads_flies_again_and_copies(name: str, tmp_pat
 
 
 def test_the_folder_of_scenarios_is_the_repositorys() -> None:
-    assert builtin.scenarios_folder() == Path(__file__).resolve().parents[1] / "scenarios"
+    assert scenarios_folder() == Path(__file__).resolve().parents[1] / "scenarios"
 
 
 # time

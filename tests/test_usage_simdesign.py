@@ -13,7 +13,7 @@ import pytest
 
 from maxq.design.optimise import search
 from maxq.sim.api import fly, load_scenario
-from maxq.sim.scenario.builtin import builtin_files
+from maxq.sim.scenario.files import builtin_files
 from maxq.tools import simdesign
 from maxq.tools.cli import terminal
 from maxq.tools.design import run_case

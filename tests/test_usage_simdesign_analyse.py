@@ -16,7 +16,7 @@ from maxq.design.laws import design_file
 from maxq.design.laws.registry import designed_law
 from maxq.sim.api import fly, load_scenario
 from maxq.sim.files import write_whole
-from maxq.sim.scenario.builtin import builtin_files
+from maxq.sim.scenario.files import builtin_files
 from maxq.sim.scenario.schema_design import Design
 from maxq.tools import simdesign
 

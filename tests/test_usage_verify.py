@@ -51,8 +51,8 @@ from maxq.design.verify.suite import (
 from maxq.sim.campaign.read import load_campaign
 from maxq.sim.campaign.statistics import judge_failures
 from maxq.sim.run.fly import fly
-from maxq.sim.scenario.builtin import builtin_files
 from maxq.sim.scenario.errors import ScenarioError
+from maxq.sim.scenario.files import builtin_files
 from maxq.sim.scenario.loader import load_scenario
 from maxq.sim.scenario.schema_values import Section
 from maxq.tools.simverify import main

@@ -18,10 +18,9 @@ from pydantic import Field
 from maxq.control.kernel.limits import MAX_STAGES
 from maxq.control.structures import MAX_SECTIONS, RELIEF, STRUCTURES, DesignedStructure, Law, Over
 from maxq.design.model.spread import Shares, Spread
-from maxq.sim.scenario.builtin import builtin_files
 from maxq.sim.scenario.documents import Text
 from maxq.sim.scenario.errors import ScenarioError, refuse
-from maxq.sim.scenario.files import find, shown
+from maxq.sim.scenario.files import builtin_files, find, shown
 from maxq.sim.scenario.loader import LoadedScenario, load_file, load_scenario
 from maxq.sim.scenario.schema_design import Design, LoadRelief
 from maxq.sim.scenario.schema_values import NotNegative, Positive, PositiveOverTime, Section, optional

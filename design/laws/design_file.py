@@ -9,9 +9,9 @@ from typing import Any
 import tomli_w
 
 from maxq.design.laws.law import DesignedLaw
-from maxq.sim.scenario.builtin import builtin_files
 from maxq.sim.scenario.documents import Source, adopt, plain
 from maxq.sim.scenario.errors import ScenarioError, suggestion
+from maxq.sim.scenario.files import builtin_files
 from maxq.sim.scenario.schema_design import Design, Limits, Roll, StageLaw
 
 DESIGN_NAME = "design.toml"

@@ -24,7 +24,7 @@ from scipy.interpolate import PchipInterpolator
 from maxq.control.kernel.records import Array
 from maxq.design.model.instruments import Instruments
 from maxq.design.model.vehicle_at import VehicleAt, stability_derivatives, with_pendulums
-from maxq.sim.scenario.builtin import scenarios_folder
+from maxq.sim.scenario.files import scenarios_folder
 
 if TYPE_CHECKING:
     from maxq.design.model.node import Node  # which imports this module

@@ -27,8 +27,7 @@ from maxq.sim.packing.initial import rotation
 from maxq.sim.run.evaluate import evaluate_at
 from maxq.sim.run.flight import Event, KeptRows
 from maxq.sim.run.fly import IGNITION_NAME, FlightRun
-from maxq.sim.scenario.burn import Burn, stage_burns
-from maxq.sim.scenario.coverage import burn_rate
+from maxq.sim.scenario.burn import Burn, burn_rate, stage_burns
 from maxq.sim.scenario.loader import LoadedScenario
 from maxq.sim.scenario.ranges import LONGEST_S
 from maxq.sim.scenario.schema_scenario import Log

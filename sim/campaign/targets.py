@@ -215,5 +215,4 @@ def _changed_table(table: CsvTable, node: dict[str, list[Change]], values: Mappi
                     rows &= table[other] == value
                 column = columns.get(name, np.zeros(len(table)))
                 columns[name] = np.where(rows, _applied(change.apply, column, float(values[change.draw])), column)
-                columns[name].flags.writeable = False
     return CsvTable(table.file, columns)

@@ -26,8 +26,7 @@ from maxq.sim.packing.loads import pack_loads
 from maxq.sim.packing.schedule import mass_table, stage_sizes, vehicle_schedule
 from maxq.sim.packing.separation import modal_transfer, part_at
 from maxq.sim.packing.vehicle import pack_vehicle
-from maxq.sim.scenario.burn import Burn, stage_burns
-from maxq.sim.scenario.coverage import burn_rate
+from maxq.sim.scenario.burn import Burn, burn_rate, stage_burns
 from maxq.sim.scenario.schema_scenario import Scenario
 from maxq.sim.scenario.schema_values import NS_PER_S, period_ns, to_ns
 from maxq.sim.scenario.schema_vehicle import Separation, Stage

@@ -22,10 +22,9 @@ from maxq.control.kernel.records import Array
 from maxq.control.kernel.tables import Cubics, Method, fit
 from maxq.sim.packing.remembered import cached_by_identity
 from maxq.sim.packing.slosh_modes import MEASURED_OVER_LAMINAR, modes_over
-from maxq.sim.scenario.schema_tank import SECOND_MODE, Baffles, Tank
+from maxq.sim.scenario.schema_tank import SECOND_MODE, Baffles, Profile, Tank
 from maxq.sim.scenario.schema_vehicle import Stage
 from maxq.sim.scenario.tables_csv import CsvTable
-from maxq.sim.scenario.tank_profile import Profile
 
 XI = (1.84118378134066, 5.33144277352503)  # first zeros of J1'
 WAVE_PER_SWING = (2.0 / (XI[0] ** 2 - 1.0), 0.122571)  # radii; of mode 2 inside, where J1 is largest

@@ -17,8 +17,7 @@ from maxq.sim.packing.engines import Mount, cluster_of, engine_mounts, on_clock,
 from maxq.sim.packing.modes import Places, mode_values, spatial_values
 from maxq.sim.packing.pendulums import pendulums
 from maxq.sim.packing.remembered import cached_by_identity
-from maxq.sim.scenario.burn import NOMINAL, Burn
-from maxq.sim.scenario.coverage import burn_rate
+from maxq.sim.scenario.burn import NOMINAL, Burn, burn_rate
 from maxq.sim.scenario.modes import ModeTable, SpatialModeTable
 from maxq.sim.scenario.schema_scenario import Switches
 from maxq.sim.scenario.schema_stage import AeroSurface

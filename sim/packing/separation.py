@@ -16,8 +16,7 @@ from maxq.control.kernel.records import Array
 from maxq.control.kernel.tables import Method, fit
 from maxq.sim.packing.modes import ModeShapes, gauss, products, solved, spatial_shapes
 from maxq.sim.packing.remembered import cached_by_identity
-from maxq.sim.scenario.burn import Burn
-from maxq.sim.scenario.coverage import burn_rate
+from maxq.sim.scenario.burn import Burn, burn_rate
 from maxq.sim.scenario.modes import ModeTable, SpatialModeTable
 from maxq.sim.scenario.schema_vehicle import Stage
 from maxq.sim.vehicle.state import Sizes

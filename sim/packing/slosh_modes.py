@@ -35,7 +35,7 @@ from threadpoolctl import threadpool_limits
 
 from maxq.control.kernel.records import Array
 from maxq.control.kernel.tables import Cubics, hermite
-from maxq.sim.scenario.tank_profile import Profile
+from maxq.sim.scenario.schema_tank import Profile
 
 DEEPEST = 5.0  # radii below the surface: tanh(5 xi) is 1 to 1e-8
 MEASURED_OVER_LAMINAR = 1.42

@@ -45,9 +45,19 @@ class Text(str):
 
     source: Source
 
+    @classmethod
+    def of(cls, text: str, source: Source) -> Text:
+        out = cls(text)
+        out.source = source
+        return out
 
-class Table(dict[str, Any]):
-    """A TOML table; `sources` holds the source of each key that is not the table's own."""
+    def like(self, text: str) -> Text:
+        """Another of the same source."""
+        return Text.of(text, self.source)
+
+
+class _Sourced:
+    """`sources` holds the source of each key, or element, that is not the table's or array's own."""
 
     def __init__(self, source: Source) -> None:
         super().__init__()
@@ -55,13 +65,12 @@ class Table(dict[str, Any]):
         self.sources: dict[str | int, Source] = {}
 
 
-class Array(list[Any]):
-    """A TOML array; `sources` holds the source of elements that were overridden one by one."""
+class Table(_Sourced, dict[str, Any]):
+    """A TOML table."""
 
-    def __init__(self, source: Source) -> None:
-        super().__init__()
-        self.source = source
-        self.sources: dict[str | int, Source] = {}
+
+class Array(_Sourced, list[Any]):
+    """A TOML array."""
 
 
 def adopt(value: Any, source: Source) -> Any:
@@ -75,9 +84,7 @@ def adopt(value: Any, source: Source) -> Any:
         array.extend(adopt(item, source) for item in value)
         return array
     if isinstance(value, str):
-        text = Text(value)
-        text.source = source
-        return text
+        return Text.of(value, source)
     return value
 
 

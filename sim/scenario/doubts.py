@@ -11,7 +11,7 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from maxq.sim.scenario import mode_checks
+from maxq.sim.scenario.modes import mode_doubts
 from maxq.sim.scenario.schema_scenario import Scenario
 from maxq.sim.scenario.schema_tank import Tank
 from maxq.sim.scenario.schema_vehicle import Reference, Stage
@@ -52,7 +52,7 @@ def doubts(scenario: Scenario) -> tuple[str, ...]:
             if tank.radius_m is None and scenario.switches.slosh
         ]
         for key, table in stage.mode_tables():
-            said += [f"vehicle.stage.{n}.{key}: {doubt}" for doubt in mode_checks.doubts(table)]
+            said += [f"vehicle.stage.{n}.{key}: {doubt}" for doubt in mode_doubts(table)]
     return tuple(said)
 
 

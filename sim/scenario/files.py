@@ -1,18 +1,30 @@
-"""Finding and reading the files that a scenario, a case or a suite is made of."""
+"""Finding and reading the files that a scenario, a case or a suite is made of; those that come with maxq.
+
+These lie in the folder scenarios/, which is package data (`maxq.scenarios`).
+"""
 
 from __future__ import annotations
 
 import contextlib
 import glob
+import importlib
 import os
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from maxq.sim.scenario.builtin import FOLDERS, builtin_files, scenarios_folder
 from maxq.sim.scenario.documents import Array, Source, Table, Text, drop, merge, parse
 from maxq.sim.scenario.errors import ScenarioError, refuse, suggestion
+
+DATA_FOLDERS = ("vehicles", "designs", "winds", "campaigns", "suites", "layouts")
+"""Folders of data that scenarios name; their files are no scenarios."""
+
+FOLDERS = {
+    "scenario": "", "campaign": "campaigns", "design": "designs", "case": "designs/cases", "suite": "suites",
+    "layout": "layouts",
+}  # fmt: skip  # a table
+"""Below scenarios/, by the kind of file."""
 
 VEHICLE_FILE = "vehicle.toml"
 TABLE_VARIANTS = ("{}",)
@@ -32,6 +44,29 @@ PARTS = ("vehicle", "design")
 """What a scenario names by file, besides tables."""
 
 _LISTED_BY = {"scenario": "simrun", "case": "simdesign", "suite": "simverify", "layout": "simvehicle"}
+
+
+def scenarios_folder() -> Path:
+    """The folder of the package maxq.scenarios, which is the same in a checkout, a wheel and an editable installation.
+
+    (importlib.resources cannot open a folder without __init__.py in an editable installation.)
+    """
+    return Path(importlib.import_module("maxq.scenarios").__path__[0])
+
+
+def builtin_files(kind: str) -> dict[str, Path]:
+    """The built-in files of a kind of FOLDERS by their names, such as `nominal`, `campaigns/ksr3`; sorted."""
+    root = scenarios_folder()
+    if kind not in ("scenario", "campaign"):
+        return {path.stem: path for path in sorted((root / FOLDERS[kind]).glob("*.toml"))}
+    names = {p.relative_to(root).with_suffix("").as_posix(): p for p in (root / FOLDERS[kind]).rglob("*.toml")}
+    of_scenarios = kind == "scenario"
+    return {n: names[n] for n in sorted(names) if not (of_scenarios and n.partition("/")[0] in DATA_FOLDERS)}
+
+
+def builtin_names() -> list[str]:
+    """Names of the built-in scenarios, such as `nominal` or `checkcases/nesc-01`, sorted."""
+    return list(builtin_files("scenario"))
 
 
 @dataclass(frozen=True)
@@ -181,10 +216,7 @@ class Reading:
         """The files in a folder, in the order of their names; `name` itself where it is no folder."""
         for folder in name.source.folders:
             if kind(folder / name) == "folder":
-                found = [Text(f"{name}/{p.name}") for p in sorted((folder / name).iterdir()) if kind(p) == "file"]
-                for text in found:
-                    text.source = name.source
-                return found
+                return [name.like(f"{name}/{p.name}") for p in sorted((folder / name).iterdir()) if kind(p) == "file"]
         return [name]
 
     def document(self, path: Path, label: str, role: str, chain: tuple[Path, ...] = ()) -> Table:

@@ -50,8 +50,7 @@ class CodeFile(Section):
         name, _, member = value.rpartition(":") if is_python else (str(value), "", "")
         if is_python and not (name.endswith(".py") and member.isidentifier()):
             raise refuse("names no class", 'a file and a class in it, e.g. "my_fsw.py:Autopilot"')
-        text = Text(name)
-        text.source = value.source
+        text = value.like(name)
         path = find(text)
         if path is None:
             raise refuse(*not_found(text, "a Python file" if is_python else "a shared library", TABLE_VARIANTS))

@@ -12,39 +12,17 @@ configuration. Area, lengths and moment centre of that run must be those of the 
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
 
 import numpy as np
 
+from maxq.sim.scenario.documents import Text
 from maxq.sim.scenario.errors import refuse
-from maxq.sim.scenario.tables_csv import Columns, CsvTable
+from maxq.sim.scenario.files import Reading
+from maxq.sim.scenario.tables_csv import Columns, CsvTable, Foreign
 
 _NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[EeDd][-+]?\d+)?"
 _HEAD = ["ALPHA", "CN", "CM", "CA", "CY", "CLN", "CLL"]
 _NAMES = ("CN", "Cm", "CA", "CY", "Cn", "Cl")  # as grids.py calls them
-
-
-@dataclass(frozen=True)
-class ThrustColumns(Columns):
-    """A table of thrust, or a RASP file."""
-
-    def allowed(self) -> str:
-        return f"{super().allowed()}; or a RASP file (.eng)"
-
-    def parse(self, text: str, name: str, shown: str) -> CsvTable:
-        return read_rasp(text, name, shown) if name.lower().endswith(".eng") else super().parse(text, name, shown)
-
-
-@dataclass(frozen=True)
-class CoefficientColumns(Columns):
-    """A table of coefficients, or the output of Missile DATCOM."""
-
-    def allowed(self) -> str:
-        return f"{super().allowed()}; or Missile DATCOM's for006.dat"
-
-    def parse(self, text: str, name: str, shown: str) -> CsvTable:
-        datcom = "STATIC AERODYNAMICS FOR" in text
-        return read_datcom(text, name, shown) if datcom else super().parse(text, name, shown)
 
 
 def read_rasp(text: str, name: str, shown: str) -> CsvTable:
@@ -122,7 +100,17 @@ def _real(cell: str) -> float:
 
 
 def _table(name: str, shown: str, lines: tuple[int, ...], **columns: np.ndarray) -> CsvTable:
-    kept = {key: np.array(column) for key, column in columns.items()}
-    for column in kept.values():
-        column.flags.writeable = False
-    return CsvTable(name, kept, shown, lines)
+    return CsvTable(name, {key: column.copy() for key, column in columns.items()}, shown, lines)
+
+
+def _rasp(name: Text, reading: Reading, columns: Columns) -> CsvTable | None:
+    shown, text = reading.read_table(name)
+    return read_rasp(text, str(name), shown) if name.lower().endswith(".eng") else None
+
+
+def _datcom(name: Text, reading: Reading, columns: Columns) -> CsvTable | None:
+    shown, text = reading.read_table(name)
+    return read_datcom(text, str(name), shown) if "STATIC AERODYNAMICS FOR" in text else None
+
+
+RASP, DATCOM = Foreign("a RASP file (.eng)", _rasp), Foreign("Missile DATCOM's for006.dat", _datcom)

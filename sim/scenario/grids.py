@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from maxq.sim.scenario.errors import Path
-from maxq.sim.scenario.foreign import CoefficientColumns
-from maxq.sim.scenario.tables_csv import CsvTable
+from maxq.sim.scenario.foreign import DATCOM
+from maxq.sim.scenario.tables_csv import Columns, CsvTable
 
 AXES = {
     "mach": (0.0, np.inf),
@@ -22,7 +22,7 @@ AXES = {
 FORCES = ("CA", "CX", "CD", "CY", "CN", "CZ", "CL")
 MOMENTS = ("Cl", "Cm", "Cn")
 RATES = ("Clp", "Clr", "Cmq", "Cnr", "Cnp", "CYp", "CYr", "CNq")
-COEFFICIENT_COLUMNS = CoefficientColumns("", grid=tuple(AXES), optional=(*FORCES, *MOMENTS, *RATES))
+COEFFICIENT_COLUMNS = Columns("", grid=tuple(AXES), optional=(*FORCES, *MOMENTS, *RATES), foreign=DATCOM)
 MOST_AXES = 3
 
 

@@ -19,7 +19,6 @@ from typing import Any, TypeVar
 
 from pydantic import ValidationError
 
-from maxq.sim.scenario.builtin import FOLDERS, builtin_files, scenarios_folder
 from maxq.sim.scenario.documents import (
     COMMAND_LINE,
     Override,
@@ -37,7 +36,17 @@ from maxq.sim.scenario.documents import (
 )
 from maxq.sim.scenario.doubts import doubts
 from maxq.sim.scenario.errors import ScenarioError, suggestion
-from maxq.sim.scenario.files import PARTS, WANTED, ReadFile, Reading, find, locate
+from maxq.sim.scenario.files import (
+    FOLDERS,
+    PARTS,
+    WANTED,
+    ReadFile,
+    Reading,
+    builtin_files,
+    find,
+    locate,
+    scenarios_folder,
+)
 from maxq.sim.scenario.messages import explain
 from maxq.sim.scenario.ranges import LARGEST_NUMBER
 from maxq.sim.scenario.schema_design import Design

@@ -30,7 +30,7 @@ from maxq.control.kernel.limits import MAX_MODES
 from maxq.sim.scenario.documents import Text
 from maxq.sim.scenario.errors import refuse
 from maxq.sim.scenario.files import Reading, find, shown
-from maxq.sim.scenario.tables_csv import Columns, CsvTable
+from maxq.sim.scenario.tables_csv import Columns, CsvTable, Foreign
 
 Floats = NDArray[np.float64]
 SUFFIXES = (".op2", ".f06")
@@ -359,23 +359,15 @@ def _forward(mass: Floats) -> Floats:
     return forward
 
 
-@dataclass(frozen=True)
-class ModeColumns(Columns):
-    """A table of spatial modes, or a NASTRAN file in its place."""
+def _table(name: Text, reading: Reading, columns: Columns) -> CsvTable | None:
+    if FilePath(name).suffix.lower() not in SUFFIXES:
+        return None
+    path = find(name)
+    if path is None:
+        raise refuse("no such file", "a CSV or NASTRAN file")
+    label = shown(path)
+    lists = spatial_columns({0.0: _modes(reading.content(path, label), path, label)})
+    return CsvTable(str(name), {key: np.array(values) for key, values in lists.items()})
 
-    def allowed(self) -> str:
-        return f"{super().allowed()}; or a NASTRAN file ({', '.join(SUFFIXES)})"
 
-    def _from_file(self, name: str, context: Any) -> CsvTable:
-        if FilePath(name).suffix.lower() not in SUFFIXES or not isinstance(name, Text) or context is None:
-            return super()._from_file(name, context)
-        reading: Reading = context
-        path = find(name)
-        if path is None:
-            raise refuse("no such file", "a CSV or NASTRAN file")
-        label = shown(path)
-        columns = spatial_columns({0.0: _modes(reading.content(path, label), path, label)})
-        lists = {key: np.array(values) for key, values in columns.items()}
-        for column in lists.values():
-            column.flags.writeable = False
-        return CsvTable(str(name), lists)
+NASTRAN = Foreign(f"a NASTRAN file ({', '.join(SUFFIXES)})", _table)

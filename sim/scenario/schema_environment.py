@@ -18,7 +18,7 @@ from maxq.sim.scenario.schema_values import (
     Section,
     optional,
 )
-from maxq.sim.scenario.soundings import WindColumns
+from maxq.sim.scenario.soundings import SOUNDING
 from maxq.sim.scenario.tables_csv import Columns, CsvTable
 
 ATMOSPHERE_COLUMNS = Columns(
@@ -26,11 +26,12 @@ ATMOSPHERE_COLUMNS = Columns(
     sets=(("density_kgpm3", "temperature_K", "pressure_Pa"),),
     positive=("temperature_K", "density_kgpm3", "pressure_Pa"),
 )
-WIND_COLUMNS = WindColumns(
+WIND_COLUMNS = Columns(
     "altitude_m",
     sets=(("speed_mps", "from_deg"), ("north_mps", "east_mps")),
     optional=("down_mps",),
     not_negative=("speed_mps",),
+    foreign=SOUNDING,
 )
 TURBULENCE_COLUMNS = Columns(
     "altitude_m",

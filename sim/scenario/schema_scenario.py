@@ -9,7 +9,7 @@ from pydantic import Field, ValidationInfo, model_validator
 
 from maxq.control.kernel.limits import MAX_FAULTS, MAX_INJECTIONS, MAX_TONES
 from maxq.control.structures import RELIEF
-from maxq.sim.scenario.coverage import check_coverage
+from maxq.sim.scenario.burn import check_coverage
 from maxq.sim.scenario.errors import refuse, suggestion
 from maxq.sim.scenario.schema_design import Design
 from maxq.sim.scenario.schema_environment import Atmosphere, Earth, Site, Wind

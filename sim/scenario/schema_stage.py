@@ -11,7 +11,7 @@ from pydantic import Field
 
 from maxq.control.kernel.limits import MAX_SURFACES
 from maxq.sim.scenario.errors import refuse
-from maxq.sim.scenario.foreign import ThrustColumns
+from maxq.sim.scenario.foreign import RASP
 from maxq.sim.scenario.grids import COEFFICIENT_COLUMNS, GridTable, grid_table
 from maxq.sim.scenario.schema_values import (
     ChannelPart,
@@ -106,12 +106,13 @@ class Mass(Section):
                 raise refuse(f"expels {spent:g} kg of {mass:g} kg", f"burn_s * mass_flow_kgps < {mass:g}", ("burn_s",))
 
 
-THRUST_COLUMNS = ThrustColumns(
+THRUST_COLUMNS = Columns(
     "time_s",
     sets=(("thrust_vacuum_N",),),
     optional=("mass_flow_kgps",),
     not_negative=("thrust_vacuum_N", "mass_flow_kgps"),
     begins_by=0.0,
+    foreign=RASP,
 )
 GimbalAngle = Annotated[float, Field(ge=0.0, le=45.0)]
 

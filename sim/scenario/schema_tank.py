@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Annotated, Literal, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 from pydantic import Field
 
 from maxq.sim.scenario.errors import refuse
 from maxq.sim.scenario.schema_values import ChannelPart, Fraction, NotNegative, Pair, Positive, Section, optional
 from maxq.sim.scenario.tables_csv import Columns, CsvTable
-from maxq.sim.scenario.tank_profile import Profile
 
+Array = NDArray[np.float64]
 SECOND_MODE = ("slosh_mass_2_kg", "pendulum_length_2_m", "hinge_station_2_m")
 TANK_COLUMNS = Columns(
     "time_s",
@@ -22,6 +23,44 @@ TANK_COLUMNS = Columns(
     begins_by=0.0,
 )
 _LEAST_DOME = 0.25  # of the radius: a flatter dome gives shallow liquid a pendulum longer than the tank
+
+
+class Profile(NamedTuple):
+    """Inner shape of a tank, lengths in radii of its cylindrical part; domes are half ellipsoids, 0 flat."""
+
+    bottom: float
+    wall: float
+    top: float
+
+    def surface_radius(self, depth: Array) -> Array:
+        """Radius of the surface at rest when the liquid is `depth` deep."""
+        low = 1.0 - np.minimum(depth, self.bottom) / self.bottom if self.bottom else 0.0 * depth
+        high = np.maximum(depth - self.bottom - self.wall, 0.0) / self.top if self.top else 0.0 * depth
+        return np.asarray(np.sqrt(np.maximum(1.0 - low**2 - high**2, 0.0)))
+
+    def volume(self, depth: Array) -> Array:
+        """Of the liquid, in cubes of the radius."""
+        in_bottom, above = np.minimum(depth, self.bottom), np.maximum(depth - self.bottom, 0.0)
+        in_wall, in_top = np.minimum(above, self.wall), np.maximum(above - self.wall, 0.0)
+        out = np.pi * in_wall
+        if self.bottom:
+            out = out + np.pi * in_bottom**2 / self.bottom * (1.0 - in_bottom / (3.0 * self.bottom))
+        if self.top:
+            out = out + np.pi * in_top * (1.0 - in_top**2 / (3.0 * self.top**2))
+        return np.asarray(out)
+
+    @property
+    def height(self) -> float:
+        return self.bottom + self.wall + self.top
+
+    def depth(self, volume: Array) -> Array:
+        """The inverse of `volume`, by bisection."""
+        low, high = np.zeros_like(volume), np.full_like(volume, self.height)
+        for _ in range(60):
+            middle = 0.5 * (low + high)
+            below = self.volume(middle) < volume
+            low, high = np.where(below, middle, low), np.where(below, high, middle)
+        return np.asarray(0.5 * (low + high))
 
 
 def check_domes(profile: Profile, radius_m: float, key: str = "dome_m") -> None:

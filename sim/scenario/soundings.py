@@ -18,7 +18,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -26,7 +26,7 @@ import numpy as np
 from maxq.sim.scenario.documents import Text
 from maxq.sim.scenario.errors import refuse
 from maxq.sim.scenario.files import Reading
-from maxq.sim.scenario.tables_csv import DATE, Columns, CsvTable, read_csv
+from maxq.sim.scenario.tables_csv import DATE, Columns, CsvTable, Foreign, read_csv
 
 _RADIUS_m = 6356766.0  # of geopotential heights, as in the standard atmosphere
 NUMBER_MARK = "#"  # "station.txt#12": the twelfth sounding of a file
@@ -210,8 +210,6 @@ def wind_table(levels: Iterable[Level], name: str, shown: str, date: str = "") -
     _, once = np.unique(altitude[good], return_index=True)
     kept = good[once]
     columns = {"altitude_m": altitude[kept], "north_mps": north[kept], "east_mps": east[kept]}
-    for column in columns.values():
-        column.flags.writeable = False
     return CsvTable(name, columns, shown, tuple(int(n) for n in line[kept]), date)
 
 
@@ -232,26 +230,21 @@ def _from_pressure(altitude_m: np.ndarray, pressure_hPa: np.ndarray) -> np.ndarr
     return np.asarray(np.interp(np.log(pressed), *known, left=math.nan, right=math.nan))
 
 
-@dataclass(frozen=True)
-class WindColumns(Columns):
-    """Columns of a wind profile, which may be a sounding instead of a CSV file of ours."""
+def _profile(name: Text, reading: Reading, columns: Columns) -> CsvTable:
+    """Of a sounding, or of CSV, which may state its date."""
+    file, number = _parted(name)
+    shown, text, found = _read(file, reading, columns)
+    if not found:
+        return replace(read_csv(text, str(name), shown, columns), date=date_of(text))
+    if number is None and len(found) == 1:
+        number = 1
+    if number is None or not 1 <= number <= len(found):
+        allowed = f"{file}{NUMBER_MARK}1 .. {file}{NUMBER_MARK}{len(found)}"
+        raise refuse(f"holds {len(found)} soundings: which one is missing", allowed, file=shown)
+    return wind_table(found[number - 1].levels, str(name), shown, found[number - 1].date)
 
-    def allowed(self) -> str:
-        return f"{super().allowed()}; or a sounding"
 
-    def _from_file(self, name: str, context: Any) -> CsvTable:
-        if not isinstance(name, Text) or context is None:
-            return super()._from_file(name, context)
-        file, number = _parted(name)
-        shown, text, found = _read(file, context, self)
-        if not found:
-            return replace(read_csv(text, str(name), shown, self), date=date_of(text))
-        if number is None and len(found) == 1:
-            number = 1
-        if number is None or not 1 <= number <= len(found):
-            allowed = f"{file}{NUMBER_MARK}1 .. {file}{NUMBER_MARK}{len(found)}"
-            raise refuse(f"holds {len(found)} soundings: which one is missing", allowed, file=shown)
-        return wind_table(found[number - 1].levels, str(name), shown, found[number - 1].date)
+SOUNDING = Foreign("a sounding", _profile)
 
 
 def each_sounding(value: Any, context: Any, columns: Columns) -> Any:
@@ -268,7 +261,7 @@ def each_sounding(value: Any, context: Any, columns: Columns) -> Any:
         for name in context.files_in(item):
             file, number = _parted(name)
             count = len(_read(file, context, columns)[2]) if number is None else 0
-            numbered = (_named_like(name, f"{name}{NUMBER_MARK}{k}") for k in range(1, count + 1))
+            numbered = (name.like(f"{name}{NUMBER_MARK}{k}") for k in range(1, count + 1))
             out += numbered if count > 1 else [name]
     return tuple(out)
 
@@ -286,10 +279,4 @@ def _parted(name: Text) -> tuple[Text, int | None]:
     file, mark, number = name.rpartition(NUMBER_MARK)
     if not mark or not number.isdecimal():
         return name, None
-    return _named_like(name, file), int(number)
-
-
-def _named_like(name: Text, text: str) -> Text:
-    out = Text(text)
-    out.source = name.source
-    return out
+    return name.like(file), int(number)

@@ -8,9 +8,9 @@ or a list of rows `[{time_s = 0.0, mass_kg = 10.0}, ...]`.
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -50,6 +50,10 @@ class CsvTable:
     date: str = ""
     checked_as: Columns | None = field(default=None, init=False, repr=False)
     derived: Any = field(default=None, init=False, repr=False)  # what the columns were turned into, kept for later
+
+    def __post_init__(self) -> None:
+        for column in self.columns.values():
+            column.flags.writeable = False
 
     def keep(self, derived: Any) -> None:
         """Keep something that follows from the columns alone: they never change."""
@@ -106,6 +110,15 @@ class CsvTable:
             raise self.refusal(problem, allowed, column, int(np.argmax(wrong)), at=at)
 
 
+class Foreign(NamedTuple):
+    """Another program's format that a file may have instead: its words for people, and what reads it. `read` gives None
+    where the file is CSV of ours, and raises the schema's refusal.
+    """
+
+    words: str
+    read: Callable[[Text, Reading, Columns], CsvTable | None]
+
+
 @dataclass(frozen=True)
 class Columns:
     """What a table must look like; annotates a field: `Annotated[CsvTable, Columns("time_s", ...)]`.
@@ -127,6 +140,7 @@ class Columns:
     grid: tuple[str, ...] = ()
     other_axes: tuple[str, ...] = ()
     falling: tuple[str, ...] = ()
+    foreign: Foreign | None = None
 
     def axis_of(self, table: CsvTable) -> str:
         """The column that a table is given over; `axis` where it has none."""
@@ -144,14 +158,15 @@ class Columns:
 
     def allowed(self) -> str:
         """The columns in words."""
+        instead = f"; or {self.foreign.words}" if self.foreign else ""
         if self.grid:
-            return f"columns {', '.join(self.grid)} (one or more), {', '.join(self.optional)} (one or more)"
+            return f"columns {', '.join(self.grid)} (one or more), {', '.join(self.optional)} (one or more){instead}"
         if not self.axis:
             return "a line of column names, then lines of numbers"
         either = " or ".join(", ".join((self.axis, *names)) for names in self.sets)
         more = f" [, {', '.join(self.optional)}]" if self.optional else ""
         others = f", or over {', '.join(self.other_axes)} in place of {self.axis}" if self.other_axes else ""
-        return f"columns {either}{more}{others}"
+        return f"columns {either}{more}{others}{instead}"
 
     # pydantic's hooks: how such a field is validated, and its JSON Schema
 
@@ -200,12 +215,10 @@ class Columns:
         if not isinstance(name, Text) or context is None:
             raise refuse("a file is named where none can be read", "the table itself")
         reading: Reading = context
+        if self.foreign and (made := self.foreign.read(name, reading, self)):
+            return made
         shown, text = reading.read_table(name)
-        return self.parse(text, str(name), shown)
-
-    def parse(self, text: str, name: str, shown: str) -> CsvTable:
-        """The table in a file's text."""
-        return read_csv(text, name, shown, self)
+        return read_csv(text, str(name), shown, self)
 
     def _from_columns(self, value: Mapping[str, Any]) -> CsvTable:
         label, date = value.get(FILE_KEY, ""), value.get(DATE_KEY, "")
@@ -221,7 +234,7 @@ class Columns:
             self._check_name(name, key=(name,))
             if not isinstance(numbers, tuple):
                 raise refuse("is not a list of numbers", "a list of numbers", (name,))
-            columns[name] = _column([_number(n, (name, row)) for row, n in enumerate(numbers)])
+            columns[name] = np.array([_number(n, (name, row)) for row, n in enumerate(numbers)], dtype=np.float64)
         return CsvTable(str(label), columns, date=str(date))
 
     def _from_rows(self, rows: tuple[Mapping[str, Any], ...]) -> CsvTable:
@@ -233,7 +246,7 @@ class Columns:
             if odd:
                 raise refuse(f"this row and the first differ in {sorted(odd)[0]}", "the same keys in each row", (n,))
         cells = {name: [_number(row[name], (n, name)) for n, row in enumerate(rows)] for name in names}
-        return CsvTable("", {name: _column(numbers) for name, numbers in cells.items()})
+        return CsvTable("", {name: np.array(numbers) for name, numbers in cells.items()})
 
     def _check_name(self, name: str, key: Path = (), file: str = "", place: str = "") -> None:
         if self.named and name not in self.known():
@@ -324,12 +337,6 @@ def raise_together(refusals: list[PydanticCustomError]) -> None:
     raise refuse(problem, **first)
 
 
-def _column(numbers: list[float]) -> Column:
-    column = np.array(numbers, dtype=np.float64)
-    column.flags.writeable = False
-    return column
-
-
 def _number(value: Any, key: Path) -> float:
     if isinstance(value, bool) or not isinstance(value, int | float):
         raise refuse("is not a number", "numbers", key, value=value)
@@ -365,7 +372,7 @@ def read_csv(text: str, name: str, shown: str, columns: Columns) -> CsvTable:
     if not header:
         raise refuse("the file is empty", f"CSV with {columns.allowed()}", file=shown)
     numbers = np.array(rows, dtype=np.float64).reshape(len(rows), len(header))
-    return CsvTable(name, {h: _column(list(numbers[:, i])) for i, h in enumerate(header)}, shown, tuple(lines))
+    return CsvTable(name, {h: column.copy() for h, column in zip(header, numbers.T, strict=True)}, shown, tuple(lines))
 
 
 def _check_header(header: list[str], shown: str, number: int, columns: Columns) -> None:

@@ -77,7 +77,7 @@ def run(command: str, body: Callable[[], int], interrupted: str = "interrupted",
 
 def show_list(kinds: dict[str, str]) -> int:
     """Print name and description of the built-in files of each kind (of builtin.FOLDERS), below its title: --list."""
-    from maxq.sim.scenario.builtin import builtin_files  # noqa: PLC0415  # lazy: --help is quick
+    from maxq.sim.scenario.files import builtin_files  # noqa: PLC0415  # lazy: --help is quick
 
     for kind, title in kinds.items():
         files = sorted(builtin_files(kind).items(), key=lambda item: (item[0] not in FIRST, "/" in item[0], item[0]))

@@ -32,8 +32,8 @@ from maxq.design.optimise.solve import each_stage, nominal_plants, solve
 from maxq.design.verify.judging import Outcome, judge_solution, make_design, objective_text
 from maxq.design.verify.verify import stage_name
 from maxq.sim.files import check_writable, plain_name, write_whole
-from maxq.sim.scenario.builtin import builtin_files
 from maxq.sim.scenario.errors import ScenarioError
+from maxq.sim.scenario.files import builtin_files
 from maxq.sim.scenario.schema_design import Design
 from maxq.tools.cli.frame import Exit, Interruption
 from maxq.tools.cli.terminal import Progress, aligned, tell

@@ -18,7 +18,7 @@ from scipy.interpolate import make_interp_spline
 
 from maxq.control.kernel.records import Array
 from maxq.sim.flight.channels import ChannelTable
-from maxq.sim.scenario.coverage import burn_rate
+from maxq.sim.scenario.burn import burn_rate
 from maxq.sim.scenario.modes import ModeTable
 from maxq.sim.scenario.schema_loads import Loads
 from maxq.sim.scenario.schema_stage import AeroSurface

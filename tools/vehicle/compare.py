@@ -13,7 +13,7 @@ from maxq.control.kernel.records import Array
 from maxq.design.model.vehicle_at import vehicle_at
 from maxq.sim.packing.flight import pack_flight
 from maxq.sim.run.metrics import figures
-from maxq.sim.scenario.builtin import scenarios_folder
+from maxq.sim.scenario.files import scenarios_folder
 from maxq.sim.scenario.loader import LoadedScenario, load_scenario
 from maxq.tools.cli.terminal import aligned
 from maxq.tools.vehicle.build import Built, burning

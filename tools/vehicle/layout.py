@@ -17,7 +17,7 @@ from maxq.sim.scenario.errors import refuse
 from maxq.sim.scenario.loader import load_file
 from maxq.sim.scenario.schema_loads import SHARE_COLUMNS
 from maxq.sim.scenario.schema_stage import SECTIONS, THRUST_COLUMNS, Aero
-from maxq.sim.scenario.schema_tank import check_domes
+from maxq.sim.scenario.schema_tank import Profile, check_domes
 from maxq.sim.scenario.schema_values import (
     Angle,
     ChannelPart,
@@ -34,7 +34,6 @@ from maxq.sim.scenario.schema_values import (
 )
 from maxq.sim.scenario.schema_vehicle import Bending, SpatialModes
 from maxq.sim.scenario.tables_csv import CsvTable
-from maxq.sim.scenario.tank_profile import Profile
 
 
 class Between(Section):
